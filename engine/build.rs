@@ -1,8 +1,8 @@
-//! `kernels/**/*.comp` -> SPIR-V -> a typed kernel table (`kernels.rs`), one struct a kernel.
+//! Compiles `kernels/**/*.comp` to SPIR-V and generates the typed kernel table (`kernels.rs`).
 //!
-//! The SPIR-V is committed under `kernels/spirv/` beside a manifest of source hashes, so that nobody has to compile
-//! shaderc. A source that does not match its hash fails the build, unless the feature `compile-kernels` is on: then it
-//! is compiled and the committed files are rewritten.
+//! SPIR-V is committed under `kernels/spirv/` with a manifest of source hashes, so builds need no
+//! shaderc. Stale SPIR-V fails the build; with feature `compile-kernels` it is recompiled and
+//! rewritten.
 
 #[path = "build/codegen.rs"]
 mod codegen;
@@ -20,10 +20,9 @@ mod validate;
 use std::{env, fs, path::PathBuf};
 
 fn main() {
-    name_shared_library();
     let root = PathBuf::from(env::var_os("CARGO_MANIFEST_DIR").expect("cargo sets it")).join("../kernels");
     let out = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets it"));
-    // Not kernels/reference, but for its list of areas, which grows with every new one.
+    // Of kernels/reference only the list of areas, which grows with every new one.
     for watched in sources::folders(&root).iter().filter(|name| *name != "reference") {
         println!("cargo:rerun-if-changed={}", root.join(watched).display());
     }
@@ -41,22 +40,4 @@ fn main() {
         .collect();
     let limits = fs::read_to_string(root.join("shared/limits.glsl")).expect("kernels/shared/limits.glsl");
     fs::write(out.join("kernels.rs"), codegen::table(&root, &modules, &limits)).expect("OUT_DIR is writable");
-}
-
-/// The shared library is known by its ABI version, so that programs never meet one of another.
-fn name_shared_library() {
-    let source = "src/ffi/version.rs";
-    println!("cargo:rerun-if-changed={source}");
-    let text = fs::read_to_string(source).expect("the version of the ABI");
-    let version = text.split("pub const ZS_ABI_VERSION: u32 = ").nth(1).and_then(|rest| rest.split(';').next());
-    let version = version.expect("src/ffi/version.rs states ZS_ABI_VERSION");
-    match env::var("CARGO_CFG_TARGET_OS").as_deref() {
-        Ok("linux" | "android" | "freebsd") => {
-            println!("cargo:rustc-cdylib-link-arg=-Wl,-soname,libzipsplat.so.{version}");
-        }
-        Ok("macos" | "ios") => {
-            println!("cargo:rustc-cdylib-link-arg=-Wl,-install_name,@rpath/libzipsplat.{version}.dylib");
-        }
-        _ => {}
-    }
 }

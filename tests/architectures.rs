@@ -1,10 +1,11 @@
-//! The networks of the goldens (golden/FORMAT.md, section 3).
+//! Networks of the goldens (golden/FORMAT.md, section 3).
 
 use zipsplat::weights::{Architecture, DepthArchitecture, Ffn};
 
-/// The network of a golden: `tiny`, `tiny_eps`, `tiny_rect`, `tiny_swiglu`, `micro`, `small` or `giant_slice`.
+/// Returns the network of a golden: `tiny`, `tiny_eps`, `tiny_rect`, `tiny_swiglu`, `micro`,
+/// `small` or `giant_slice`.
 ///
-/// The weights are those of the seed `tiny` for `tiny_rect`, of the golden's own name otherwise.
+/// The seed of the weights is `tiny` for `tiny_rect`, the golden's name otherwise.
 pub fn golden(name: &str) -> Architecture {
     match name {
         "tiny" | "tiny_eps" | "tiny_rect" => Architecture::new(name, 128, 6, 2, &[3, 4, 5]),
@@ -33,17 +34,17 @@ pub fn golden(name: &str) -> Architecture {
     }
 }
 
-/// A network of Depth Anything 3 with every part but the head for Gaussians, as small as they come. Its views see each other.
+/// Returns a minimal Depth Anything 3 network without the Gaussian head, with cross-view attention.
 pub fn depth_micro() -> DepthArchitecture {
     DepthArchitecture::new("da3-micro", [64, 4, 1], Ffn::Gelu, [0, 1, 2, 3], (8, [8, 8, 8, 8]))
 }
 
-/// The same for views by themselves, with sky.
+/// Returns a minimal single-view network with sky.
 pub fn depth_micro_alone() -> DepthArchitecture {
     DepthArchitecture::new("da3-micro-alone", [64, 4, 4], Ffn::Gelu, [0, 1, 2, 3], (8, [8, 8, 8, 8]))
 }
 
-/// The smallest network that has every kind of parameter; its weights are those of the seed `pico`.
+/// Returns the smallest network with every kind of parameter; the weights' seed is `pico`.
 pub fn pico() -> Architecture {
     Architecture {
         patch: 2,

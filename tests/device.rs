@@ -1,9 +1,9 @@
-//! The device that tests run on.
+//! The tests' device.
 
 use std::sync::OnceLock;
 use zipsplat::gpu::{Device, DeviceOptions};
 
-/// One device for all tests of a process, under validation where `ZIPSPLAT_VALIDATION` is 1.
+/// Returns the process's one device, under validation if `ZIPSPLAT_VALIDATION` is 1.
 pub fn device() -> &'static Device {
     static DEVICE: OnceLock<Device> = OnceLock::new();
     DEVICE.get_or_init(|| Device::open(&DeviceOptions::default()).expect("a Vulkan device; tools/test.sh brings one"))

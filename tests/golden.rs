@@ -1,7 +1,7 @@
-//! Goldens: safetensors dumps of the PyTorch implementation, run in f64 (see `data/README.md`).
+//! Goldens: safetensors dumps of the PyTorch implementation in f64 (see `data/README.md`).
 //!
-//! Small ones are committed in `tests/data`; large ones are read from `../shared/golden/data` beside the repository
-//! when that folder exists, and a test that needs an absent one says so and passes.
+//! Small ones are committed in `tests/data`. Large ones come from `../shared/golden/data` beside
+//! the repository. A test whose golden is absent prints a line and passes.
 
 use std::collections::BTreeSet;
 use std::env;
@@ -13,28 +13,28 @@ use safetensors::tensor::{Metadata, TensorInfo};
 use safetensors::{Dtype, SafeTensors};
 use zipsplat::{perceptual::Perceptual, stages::lpips::LpipsNetwork};
 
-/// A safetensors file starts with the length of its header, a u64.
+/// Length of the u64 header size that starts a safetensors file.
 const LENGTH_BYTES: usize = 8;
 
-/// Where goldens lie, nearest first: what ZIPSPLAT_GRADIENTS names, for more of gradients and of depth networks, committed ones, then those beside the
-/// repository.
+/// Lists golden folders in search order: `ZIPSPLAT_GRADIENTS` (gradients, depth networks),
+/// committed, shared.
 fn folders() -> Vec<PathBuf> {
     let tests = Path::new(env!("CARGO_MANIFEST_DIR"));
     let beside = [tests.join("data"), tests.join("../../shared/golden/data")];
     env::var_os("ZIPSPLAT_GRADIENTS").map(PathBuf::from).into_iter().chain(beside).collect()
 }
 
-/// The path of a golden file of any kind, or `None` with a printed line when it is in neither folder.
+/// Returns the path of a golden file, or prints a line and returns `None`.
 pub fn find(file: &str) -> Option<PathBuf> {
     let found = folders().into_iter().map(|folder| folder.join(file)).find(|path| path.is_file());
     if found.is_none() {
-        // Not println!, which the test harness swallows when a test passes.
+        // The test harness swallows `println!` of a passing test.
         let _ = writeln!(io::stderr(), "golden {file} is absent (tests/data, ../shared/golden/data): not compared");
     }
     found
 }
 
-/// The weights of LPIPS, which no repository has, or `None` with a printed line where nobody has fetched them.
+/// Returns the path of downloaded LPIPS weights, or prints a line and returns `None`.
 pub fn lpips_weights(network: LpipsNetwork) -> Option<PathBuf> {
     let found = Perceptual::file(network);
     if let Err(error) = &found {
@@ -43,14 +43,14 @@ pub fn lpips_weights(network: LpipsNetwork) -> Option<PathBuf> {
     found.ok()
 }
 
-/// `[N, 3, pixels]` as `[N, pixels, 3]`.
+/// Transposes `[N, 3, pixels]` to `[N, pixels, 3]`.
 pub fn interleaved<T: Copy>(planes: &[T], pixels: usize) -> Vec<T> {
     let picture = |planes: &[T]| (0..3 * pixels).map(|i| planes[i % 3 * pixels + i / 3]).collect::<Vec<_>>();
     planes.chunks(3 * pixels).flat_map(picture).collect()
 }
 
-/// File names in both folders that start with `prefix` and end with `.safetensors`, sorted: `micro.v` lists the
-/// cases of the model `micro`, `raster.` the scenes.
+/// Lists the `.safetensors` files that start with `prefix`, sorted: `micro.v` lists the cases of
+/// `micro`, `raster.` the scenes.
 pub fn list(prefix: &str) -> Vec<String> {
     let entries = folders().into_iter().filter_map(|folder| fs::read_dir(folder).ok()).flatten();
     let names = entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok());
@@ -58,14 +58,14 @@ pub fn list(prefix: &str) -> Vec<String> {
     matching.collect::<BTreeSet<_>>().into_iter().collect()
 }
 
-/// A JSON golden, or `None` with a printed line when it is absent.
+/// Reads a JSON golden, or prints a line and returns `None`.
 pub fn json(file: &str) -> Option<serde_json::Value> {
     let path = find(file)?;
     let text = fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
     Some(serde_json::from_str(&text).unwrap_or_else(|error| panic!("{}: {error}", path.display())))
 }
 
-/// An open golden. A missing key or an unexpected type is a mistake in the test and panics with the key's name.
+/// An open golden. Accessors panic with the key's name if it is absent or of another type.
 pub struct Golden {
     file: String,
     bytes: Vec<u8>,
@@ -74,7 +74,7 @@ pub struct Golden {
 }
 
 impl Golden {
-    /// Opens `file` (such as `micro.v2.safetensors`), or prints a line and gives `None` when it is absent.
+    /// Opens `file` (such as `micro.v2.safetensors`), or prints a line and returns `None`.
     pub fn open(file: &str) -> Option<Golden> {
         let path = find(file)?;
         let bytes = fs::read(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
@@ -83,54 +83,55 @@ impl Golden {
         Some(Golden { file: file.to_owned(), bytes, data_start: LENGTH_BYTES + header_len, header })
     }
 
-    /// Opens a golden that is committed in `tests/data`: absence is a failure.
+    /// Opens a golden committed in `tests/data`.
     pub fn committed(file: &str) -> Golden {
         Golden::open(file).unwrap_or_else(|| panic!("golden {file} must be in tests/data"))
     }
 
-    /// The file's name, for messages.
+    /// Returns the file name, for messages.
     pub fn file(&self) -> &str {
         &self.file
     }
 
-    /// Whether `key` is stored.
+    /// Returns whether `key` exists.
     pub fn has(&self, key: &str) -> bool {
         self.header.info(key).is_some()
     }
 
-    /// All keys, sorted.
+    /// Returns all keys, sorted.
     pub fn keys(&self) -> Vec<String> {
         self.header.tensors().into_keys().collect::<BTreeSet<_>>().into_iter().collect()
     }
 
-    /// The parts before `suffix` of the keys that end with it, sorted: `stems("/x")` lists the cases of `kmeans`.
+    /// Returns the sorted keys that end with `suffix`, without it: `stems("/x")` lists the cases of
+    /// `kmeans`.
     pub fn stems(&self, suffix: &str) -> Vec<String> {
         self.keys().iter().filter_map(|key| key.strip_suffix(suffix)).map(str::to_owned).collect()
     }
 
-    /// A value of `__metadata__`.
+    /// Returns a value of `__metadata__`.
     pub fn metadata(&self, name: &str) -> &str {
         let entry = self.header.metadata().as_ref().and_then(|entries| entries.get(name));
         entry.unwrap_or_else(|| panic!("{}: no metadata {name:?}", self.file))
     }
 
-    /// The compression ratios of a model golden with the prefix of their keys: `(0.5, "r0.5")`.
+    /// Returns compression ratios with their key prefixes: `(0.5, "r0.5")`.
     pub fn compressions(&self) -> Vec<(f64, String)> {
         let ratios: Vec<f64> = serde_json::from_str(self.metadata("compressions")).expect("a list of ratios");
         ratios.into_iter().map(|ratio| (ratio, format!("r{ratio}"))).collect()
     }
 
-    /// The shape of `key`, C order.
+    /// Returns the shape of `key`, C order.
     pub fn shape(&self, key: &str) -> &[usize] {
         &self.info(key).shape
     }
 
-    /// The values of an F32 tensor.
+    /// Returns an F32 tensor.
     pub fn f32(&self, key: &str) -> Vec<f32> {
         self.values(key, Dtype::F32, f32::from_le_bytes)
     }
 
-    /// The values of an F32 or F64 tensor (keys ending in `@f64` are F64), widened.
+    /// Returns an F32 or F64 tensor, widened. Keys ending in `@f64` are F64.
     pub fn f64(&self, key: &str) -> Vec<f64> {
         match self.info(key).dtype {
             Dtype::F64 => self.values(key, Dtype::F64, f64::from_le_bytes),
@@ -138,7 +139,7 @@ impl Golden {
         }
     }
 
-    /// The values of an I64 or I32 tensor, widened.
+    /// Returns an I64 or I32 tensor, widened.
     pub fn i64(&self, key: &str) -> Vec<i64> {
         match self.info(key).dtype {
             Dtype::I32 => self.i32(key).into_iter().map(i64::from).collect(),
@@ -146,18 +147,18 @@ impl Golden {
         }
     }
 
-    /// The values of an I32 tensor.
+    /// Returns an I32 tensor.
     pub fn i32(&self, key: &str) -> Vec<i32> {
         self.values(key, Dtype::I32, i32::from_le_bytes)
     }
 
-    /// The values of an I64 or I32 tensor of indices, as a kernel holds them.
+    /// Returns an I64 or I32 tensor of indices.
     pub fn u32(&self, key: &str) -> Vec<u32> {
         let index = |value: i64| u32::try_from(value).unwrap_or_else(|_| panic!("{} {key}: {value}", self.file));
         self.i64(key).into_iter().map(index).collect()
     }
 
-    /// The values of a U8 tensor.
+    /// Returns a U8 tensor.
     pub fn u8(&self, key: &str) -> Vec<u8> {
         self.values(key, Dtype::U8, |[byte]| byte)
     }

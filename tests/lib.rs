@@ -1,16 +1,16 @@
-//! The parts that tests share: references in f64, goldens, and comparison.
+//! Shared parts of the tests.
 //!
-//! - [`architectures`] are the networks that the goldens were made with.
-//! - [`faults`] are devices that are lost and drivers that refuse.
-//! - [`golden`] opens the dumps of the PyTorch implementation.
-//! - [`mod@device`] is the device that tests run on.
-//! - [`compare`] holds every tolerance and says readably where two arrays or pictures differ.
-//! - [`networks`] are models and pictures of the goldens.
-//! - [`photos`] are photos as cameras write them.
-//! - [`processes`] are tests that run in processes of their own.
-//! - [`mod@reference`] computes the same things again in f64, slowly and by other algorithms than the kernels.
-//! - [`mod@random`] are numbers that are the same on every machine.
-//! - [`scenes`] are Gaussians and cameras as the engine takes them.
+//! - [`architectures`]: networks of the goldens.
+//! - [`faults`]: device loss and failing drivers.
+//! - [`golden`]: dumps of the PyTorch implementation.
+//! - [`mod@device`]: the tests' device.
+//! - [`compare`]: tolerances and comparison of arrays and pictures.
+//! - [`networks`]: models and input images of the goldens.
+//! - [`photos`]: photos as cameras write them.
+//! - [`processes`]: tests in child processes.
+//! - [`mod@reference`]: slow f64 references by other algorithms than the kernels'.
+//! - [`mod@random`]: reproducible random numbers.
+//! - [`scenes`]: Gaussians and cameras.
 
 pub mod architectures;
 pub mod compare;

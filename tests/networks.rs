@@ -1,4 +1,4 @@
-//! The networks of the goldens on the device, and their inputs.
+//! Models and input images of the goldens.
 
 use crate::{architectures, device::device, golden::Golden};
 use std::ops::ControlFlow;
@@ -10,7 +10,7 @@ use zipsplat::{
     weights::Checkpoint,
 };
 
-/// Arithmetics that the device has beside f32: on matrix units, where it has them, and on lanes.
+/// Returns the device's arithmetics other than f32, with and without matrix units.
 pub fn fast_arithmetics() -> Vec<Arithmetic> {
     let fast = [Precision::Fast, Precision::FastBf16, Precision::Turbo];
     let found = fast.into_iter().filter_map(|precision| Arithmetic::of(precision, device().limits()));
@@ -23,12 +23,12 @@ pub fn fast_arithmetics() -> Vec<Arithmetic> {
     found.flat_map(twice).collect()
 }
 
-/// A model of generated weights, as the goldens use.
+/// Returns a model with generated weights, as in the goldens.
 pub fn model(config: &str, arithmetic: Arithmetic) -> Model {
     model_on(device(), config, arithmetic)
 }
 
-/// The same on another device.
+/// Returns [`model`] on another device.
 pub fn model_on(device: &Device, config: &str, arithmetic: Arithmetic) -> Model {
     let key = if config == "tiny_rect" { "tiny" } else { config };
     let checkpoint = Checkpoint::seeded_architecture(architectures::golden(config), key).expect("a golden's network");
@@ -36,7 +36,7 @@ pub fn model_on(device: &Device, config: &str, arithmetic: Arithmetic) -> Model 
     Model::load_with(device, &checkpoint, arithmetic, progress).expect("small models fit")
 }
 
-/// `in/images_u8` `[views, 3, height, width]` as pictures.
+/// Returns `in/images_u8` `[views, 3, height, width]` as images.
 pub fn images(golden: &Golden) -> Vec<Image> {
     let (shape, values) = (golden.shape("in/images_u8"), golden.u8("in/images_u8"));
     let (height, width) = (shape[2], shape[3]);

@@ -1,19 +1,20 @@
-//! Tests that run in processes of their own: what a process may not survive, or has to itself.
+//! Tests in child processes: some kill the process, others need it alone.
 
 use std::{
     path::{Path, PathBuf},
     process::{Command, Stdio},
 };
 
-/// Tells a child process what to work on; without it the tests that are children have nothing to do.
+/// Variable with a child's target; tests meant for children return early without it.
 const TARGET: &str = "ZIPSPLAT_TEST_TARGET";
 
-/// The purpose of this process, where it is a child.
+/// Returns the target of a child process.
 pub fn target() -> Option<PathBuf> {
     std::env::var_os(TARGET).map(PathBuf::from)
 }
 
-/// Runs the program again with only the test `name`, behind the same loader and below `shell`.
+/// Builds a command that reruns this program with the one test `name`, through the same loader and
+/// `shell`.
 pub fn child(name: &str, target: &Path, shell: &str) -> Command {
     let line = std::fs::read("/proc/self/cmdline").expect("Linux");
     let words: Vec<String> =
@@ -27,7 +28,7 @@ pub fn child(name: &str, target: &Path, shell: &str) -> Command {
     command
 }
 
-/// Runs one test to its end; what it printed.
+/// Runs one test to completion and returns its output.
 #[track_caller]
 pub fn assert_succeeds(mut command: Command) -> String {
     let out = command.output().expect("bash");

@@ -1,12 +1,12 @@
-//! Random numbers, the same on every machine.
+//! Reproducible random numbers.
 
-/// `len` values in (-1, 1), the same for the same seed (splitmix64).
+/// Returns `len` values in (-1, 1) from a seed (splitmix64).
 pub fn random(seed: u64, len: usize) -> Vec<f32> {
     let signed = |z: u64| (z >> 40) as f32 / (1 << 23) as f32 - 1.0;
     (0..len).map(|i| signed(bits(seed, i))).collect()
 }
 
-/// `len` whole numbers below `bound`, the same for the same seed.
+/// Returns `len` integers below `bound` from a seed.
 pub fn random_below(seed: u64, len: usize, bound: u32) -> Vec<u32> {
     (0..len).map(|i| (bits(seed, i) >> 32) as u32 % bound).collect()
 }

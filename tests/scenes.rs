@@ -1,11 +1,11 @@
-//! Scenes and cameras as the engine takes them: those of the goldens, and generated ones.
+//! Scenes and cameras: the goldens' and generated ones.
 
 use crate::{golden::Golden, reference::render::project};
 use bytemuck::cast_slice;
 use glam::{DMat3, DVec3};
 use zipsplat::types::{Camera, Intrinsics, Pose, Scene};
 
-/// The scene of a golden `raster.*`.
+/// Returns the scene of a golden `raster.*`.
 pub fn golden_scene(golden: &Golden) -> Scene {
     let coeffs = golden.shape("sh")[1];
     Scene {
@@ -18,14 +18,14 @@ pub fn golden_scene(golden: &Golden) -> Scene {
     }
 }
 
-/// The lenses of a golden's cameras.
+/// Returns the intrinsics of a golden's cameras.
 pub fn intrinsics(golden: &Golden) -> Vec<Intrinsics> {
     let size = golden.u32("size_wh");
     let lens = |k: &[f64]| Intrinsics { width: size[0], height: size[1], fx: k[0], fy: k[4], cx: k[2], cy: k[5] };
     golden.f64("Ks").chunks_exact(9).map(lens).collect()
 }
 
-/// The cameras of a golden `raster.*`.
+/// Returns the cameras of a golden `raster.*`.
 pub fn golden_cameras(golden: &Golden) -> Vec<Camera> {
     let viewmats = golden.f64("viewmats");
     let camera = |(view, intrinsics): (&[f64], Intrinsics)| {
@@ -39,7 +39,7 @@ pub fn golden_cameras(golden: &Golden) -> Vec<Camera> {
     viewmats.chunks_exact(16).zip(intrinsics(golden)).map(camera).collect()
 }
 
-/// `count` Gaussians of all shapes in front of [`camera`], the same on every call.
+/// Returns `count` random Gaussians in front of [`camera`], the same on every call.
 pub fn random_scene(count: usize, sh_degree: u32, size: f32) -> Scene {
     let mut state = 0x9e37_79b9_7f4a_7c15u64;
     let mut random = |low: f32, high: f32| {
@@ -61,14 +61,14 @@ pub fn random_scene(count: usize, sh_degree: u32, size: f32) -> Scene {
     scene
 }
 
-/// A camera at the world's origin that looks along z, with a field of view of 53 degrees across its longer side.
+/// Returns a camera at the origin looking along z, 53 degrees across its longer side.
 pub fn camera(width: u32, height: u32) -> Camera {
     let focal = f64::from(width.max(height));
     let (cx, cy) = (f64::from(width) / 2.0, f64::from(height) / 2.0);
     Camera { intrinsics: Intrinsics { width, height, fx: focal, fy: focal, cx, cy }, pose: Pose::IDENTITY }
 }
 
-/// A scene as the reference takes it.
+/// Converts a scene for the reference.
 pub fn reference_gaussians(scene: &Scene) -> project::Gaussians {
     project::Gaussians {
         means: scene.means.iter().map(|v| v.map(f64::from)).collect(),
@@ -79,7 +79,7 @@ pub fn reference_gaussians(scene: &Scene) -> project::Gaussians {
     }
 }
 
-/// A camera as the reference takes it.
+/// Converts a camera for the reference.
 pub fn reference_camera(camera: &Camera) -> project::Camera {
     let (view, i) = (camera.view_matrix().transpose().to_cols_array(), &camera.intrinsics);
     let k = i.matrix().transpose().to_cols_array();

@@ -5,7 +5,7 @@
 #   DESTDIR         put before PREFIX, for packages
 #   ZIPSPLAT_LIBDIR where libraries go below PREFIX: lib (default), lib64, lib/x86_64-linux-gnu
 #   ZIPSPLAT_LIBS   a folder that has the libraries already: nothing is built. For a PREFIX that only root can write:
-#                   cargo build --release -p zipsplat && sudo ZIPSPLAT_LIBS=target/release tools/install.sh /usr/local
+#                   cargo build --release -p zipsplat-c && sudo ZIPSPLAT_LIBS=target/release tools/install.sh /usr/local
 set -euo pipefail
 
 die() { echo "zipsplat: $*" >&2; exit 1; }
@@ -20,16 +20,18 @@ lib=${ZIPSPLAT_LIBDIR:-lib}
 for folder in include "$lib" "$lib/pkgconfig" "$lib/cmake/zipsplat"; do
   { mkdir -p "$prefix/$folder" && [[ -w $prefix/$folder ]]; } ||
     die "cannot write to $prefix/$folder; where that takes root, build as yourself and install as root:" \
-      "cargo build --release -p zipsplat && sudo ZIPSPLAT_LIBS=target/release tools/install.sh $1"
+      "cargo build --release -p zipsplat-c && sudo ZIPSPLAT_LIBS=target/release tools/install.sh $1"
 done
 if [[ -z $libs ]]; then
   PATH=$PATH:${CARGO_HOME:-$HOME/.cargo}/bin
-  cargo build --manifest-path "$root/Cargo.toml" --release -p zipsplat --lib
+  echo "zipsplat: building the C library, which takes some minutes the first time" >&2
+  # With the command: both then use one set of features, and neither build invalidates the other.
+  cargo build --manifest-path "$root/Cargo.toml" --release -p zipsplat-c -p zipsplat-cli
   libs=${CARGO_TARGET_DIR:-$root/target}/release
 fi
-[[ -e $libs/libzipsplat.a ]] || die "there is no libzipsplat.a in $libs: cargo build --release -p zipsplat makes it"
+[[ -e $libs/libzipsplat_c.a ]] || die "there is no libzipsplat_c.a in $libs: cargo build --release -p zipsplat-c makes it"
 
-header=$root/engine/include/zipsplat.h
+header=$root/engine/bindings/c/include/zipsplat.h
 number() { awk -v name="ZS_$1" '$1 == "#define" && $2 == name { print $3 }' "$header"; }
 version=$(number VERSION_MAJOR).$(number VERSION_MINOR).$(number VERSION_PATCH) abi=$(number ABI_VERSION)
 # What Rust's standard library takes from the system when it is linked statically.
@@ -39,9 +41,9 @@ case $(uname -s) in
 esac
 
 install -m 644 "$header" "$prefix/include/zipsplat.h"
-install -m 755 "$libs/$link" "$prefix/$lib/$shared"
+install -m 755 "$libs/${link/zipsplat/zipsplat_c}" "$prefix/$lib/$shared"
 ln -sf "$shared" "$prefix/$lib/$link"
-install -m 644 "$libs/libzipsplat.a" "$prefix/$lib/libzipsplat.a"
+install -m 644 "$libs/libzipsplat_c.a" "$prefix/$lib/libzipsplat.a"
 # The way from the folder of libraries to PREFIX.
 up=$(printf '%s\n' "$lib" | sed 's:/*$::; s:[^/][^/]*:..:g')
 

@@ -22,12 +22,12 @@ die() { echo "release: $*" >&2; exit 1; }
 cd "$root"
 version=$(sed -n 's/^version = "\(.*\)"/\1/p' Cargo.toml | head -n 1)
 case $(uname -s) in
-  Linux) target=$(uname -m)-unknown-linux-gnu library=libzipsplat.so build=(cargo zigbuild --target "$target.$glibc") ;;
-  Darwin) target=$(uname -m | sed 's/arm64/aarch64/')-apple-darwin library=libzipsplat.dylib build=(cargo build --target "$target") ;;
-  *) target=x86_64-pc-windows-msvc library=zipsplat.dll build=(cargo build --target "$target") ;;
+  Linux) target=$(uname -m)-unknown-linux-gnu library=libzipsplat_c.so build=(cargo zigbuild --target "$target.$glibc") ;;
+  Darwin) target=$(uname -m | sed 's/arm64/aarch64/')-apple-darwin library=libzipsplat_c.dylib build=(cargo build --target "$target") ;;
+  *) target=x86_64-pc-windows-msvc library=zipsplat_c.dll build=(cargo build --target "$target") ;;
 esac
 built=${CARGO_TARGET_DIR:-$root/target}/$target/dist
-"${build[@]}" --locked --profile dist -p zipsplat
+"${build[@]}" --locked --profile dist -p zipsplat-c
 "${build[@]}" --locked --profile dist -p zipsplat-cli
 command=$built/zipsplat
 [[ -e $command ]] || command=$built/zipsplat.exe

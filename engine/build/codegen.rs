@@ -1,4 +1,4 @@
-//! The Rust side of the kernel table.
+//! Generation of the kernel table's Rust source.
 
 use crate::{
     elements::Element,
@@ -7,7 +7,8 @@ use crate::{
 };
 use std::{collections::BTreeMap, fmt::Write, path::Path};
 
-/// Source text of `kernels.rs`: constants of limits.glsl, one struct a kernel, and the list of all modules.
+/// Returns the source of `kernels.rs`: constants of limits.glsl, one struct per kernel, all
+/// modules.
 pub fn table(root: &Path, kernels: &[(&Source, Interface)], limits: &str) -> String {
     let mut areas = BTreeMap::<&str, String>::new();
     let mut all = String::new();
@@ -93,7 +94,7 @@ fn kernel_struct(root: &Path, stem: &str, modules: &[(&Source, Interface)]) -> S
     )
 }
 
-/// The expression that finds the module of a call's element types.
+/// Returns the expression that selects the module for a call's element types.
 fn module_index(modules: &[(&Source, Interface)]) -> String {
     let elements = &modules[0].0.elements;
     if elements.is_empty() {
@@ -111,7 +112,7 @@ fn module_index(modules: &[(&Source, Interface)]) -> String {
     format!("match {found} {{ {arms}types => panic!(\"no module for {{types:?}}\") }}")
 }
 
-/// Buffers, push constants and specialisation constants as members of a kernel's struct.
+/// Returns a kernel struct's fields: buffers, push constants and specialization constants.
 fn fields(interface: &Interface) -> String {
     let mut fields = String::new();
     for b in &interface.buffers {
@@ -128,7 +129,7 @@ fn fields(interface: &Interface) -> String {
     fields
 }
 
-/// The `Module` of one choice of element types.
+/// Returns the `Module` of one choice of element types.
 fn module(root: &Path, source: &Source, interface: &Interface) -> String {
     let (name, kernel) = (&source.name, &source.kernel);
     let push_bytes = interface.push.iter().map(|m| m.offset + 4 * m.count).max().unwrap_or(0);
@@ -167,7 +168,7 @@ fn module(root: &Path, source: &Source, interface: &Interface) -> String {
     )
 }
 
-/// The buffer, by its place among them, whose address a push constant takes: that of `Weight` is `weight_address`.
+/// Returns the index of the buffer for an address constant: `weight_address` names `Weight`.
 fn addressed(interface: &Interface, member: &Member) -> Option<usize> {
     let name = member.name.strip_suffix("_address")?;
     let buffer = interface.buffers.iter().position(|b| b.name == name);
@@ -175,7 +176,6 @@ fn addressed(interface: &Interface, member: &Member) -> Option<usize> {
     buffer
 }
 
-/// Name of the table of a kernel's modules.
 fn table_name(stem: &str) -> String {
     format!("{}_MODULES", stem.to_uppercase())
 }

@@ -1,13 +1,15 @@
-//! Kernels that take values of several types: one module for each choice of them.
+//! Kernels with several element types: one module per combination.
 //!
-//! A line `#pragma element T` makes the type `T` of some buffers' values f32, f16 or bf16. It stands for the macros `T` and
-//! `T4` (four of them), `from_T(x)` and `from_T4(x)`, which give f32, and `to_T(x)` and `to_T4(x)`, which round and saturate.
+//! `#pragma element T` declares an element type `T`: f32, f16 or bf16. It defines the macros `T`
+//! and `T4` (vector of four), `from_T(x)` and `from_T4(x)` to f32, and `to_T(x)` and `to_T4(x)`,
+//! which round and saturate.
 //!
-//! A line `#pragma factor f16 bf16 i8` makes `FACTOR` the type of factors, one of those listed: the same macros
-//! where it is no integer, and for `shared/matrices.glsl` `FACTOR_COMPONENT` and `FACTOR_SUM`, the types of matrices'
-//! components, `pack_FACTOR4(x)`, four 16-bit factors in two words, and `FACTOR_IS_I8`, 0 or 1.
+//! `#pragma factor f16 bf16 i8` declares the type `FACTOR`, one of those listed. Floating-point
+//! factors get the same macros and `pack_FACTOR4(x)`, four 16-bit factors in two words.
+//! `shared/matrices.glsl` uses `FACTOR_COMPONENT` and `FACTOR_SUM`, the component types of
+//! matrices, and `FACTOR_IS_I8`, 0 or 1.
 //!
-//! The types of a module go together: no two of 16 bits, and beside 8-bit factors f16.
+//! A module never mixes two 16-bit types, and combines 8-bit factors only with f16.
 
 /// Type of an element or factor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -21,12 +23,12 @@ pub enum Element {
 impl Element {
     const ALL: [Element; 4] = [Element::F32, Element::F16, Element::Bf16, Element::I8];
 
-    /// As in the names of modules.
+    /// Returns the name used in module names.
     pub fn name(self) -> &'static str {
         ["f32", "f16", "bf16", "i8"][self as usize]
     }
 
-    /// Macros of the type `t`.
+    /// Returns the macros of type `t`.
     fn macros(self, t: &str) -> String {
         let halves = "#extension GL_EXT_shader_16bit_storage : require\n";
         match self {
@@ -50,7 +52,7 @@ impl Element {
         }
     }
 
-    /// Macros of the type of a matrix unit's factors.
+    /// Returns the macros of the factor type.
     fn factor_macros(self) -> String {
         let (extension, component, sum, pack) = match self {
             Element::F32 => panic!("matrix units take no f32"),
@@ -72,13 +74,13 @@ impl Element {
     }
 }
 
-/// Rounds to nearest, ties to even. The largest number keeps what it rounds to finite.
+/// Rounds to nearest even. The clamp keeps the result finite.
 const BF16_BITS: &str = "#ifndef BF16_BITS\n#define BF16_BITS\nuvec4 bf16_bits(vec4 x) {\n\
     uvec4 bits = floatBitsToUint(clamp(x, -3.3895313e38, 3.3895313e38));\n\
     return (bits + 0x7fffu + ((bits >> 16) & 1u)) >> 16;\n}\n\
     uvec2 bf16_packed(vec4 x) {\n    uvec4 bits = bf16_bits(x);\n    return bits.xz | bits.yw << 16;\n}\n#endif\n";
 
-/// Name of the type of factors.
+/// Name of the factor type.
 pub const FACTOR: &str = "FACTOR";
 
 enum Declaration<'a> {
@@ -95,7 +97,7 @@ fn declaration(line: &str) -> Option<Declaration<'_>> {
     Some(Declaration::Factor(types.map(known).collect()))
 }
 
-/// Every choice of a kernel's types, the plainest first.
+/// Returns every combination of types, f32 first.
 pub fn choices(text: &str) -> Vec<Vec<(String, Element)>> {
     let mut choices = vec![Vec::new()];
     for declaration in text.lines().filter_map(declaration) {
@@ -116,7 +118,7 @@ pub fn choices(text: &str) -> Vec<Vec<(String, Element)>> {
     choices
 }
 
-/// `text` with the macros of these types.
+/// Inserts the macros of these types into `text`.
 pub fn defined(text: &str, elements: &[(String, Element)]) -> String {
     let chosen = |name: &str| elements.iter().find(|(n, _)| n == name).expect("a choice of this text").1;
     let line = |line: &str| match declaration(line) {

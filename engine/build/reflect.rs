@@ -1,18 +1,16 @@
-//! The interface of a kernel, read from its SPIR-V (unified specification 1.6, sections 3.x and 2.3).
+//! Kernel interfaces, parsed from SPIR-V (unified specification 1.6, sections 2.3 and 3.x).
 
 use std::collections::{BTreeMap, HashMap};
 
-/// A kernel's interface.
 pub struct Interface {
     /// Storage buffers by binding number.
     pub buffers: Vec<Buffer>,
     /// Push constants by offset.
     pub push: Vec<Member>,
-    /// Specialisation constants by id, without id 0.
+    /// Specialization constants by ID, without ID 0.
     pub constants: Vec<(u32, String, Scalar)>,
-    /// Workgroup size; `None` where id 0 makes it whole subgroups.
+    /// Workgroup size; `None` if ID 0 sets it to whole subgroups.
     pub local_size: Option<[u32; 3]>,
-    /// Capabilities.
     pub capabilities: Vec<u32>,
 }
 
@@ -47,13 +45,12 @@ enum Type {
     Other,
 }
 
-/// Capabilities of kernels that not every device can run.
+/// Optional capabilities.
 pub const STORAGE_BUFFER_16_BIT: u32 = 4433;
 pub const DOT_PRODUCT_PACKED: u32 = 6018;
 pub const COOPERATIVE_MATRIX: u32 = 6022;
 
 impl Interface {
-    /// Whether the kernel declares a capability.
     pub fn has(&self, capability: u32) -> bool {
         self.capabilities.contains(&capability)
     }
@@ -80,7 +77,7 @@ struct Tables {
     capabilities: Vec<u32>,
 }
 
-/// Reads the interface of the module `name`.
+/// Parses the interface of module `name`.
 pub fn reflect(name: &str, bytes: &[u8]) -> Interface {
     let words: Vec<u32> = bytes.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
     assert!(words.first() == Some(&0x0723_0203), "kernels/spirv/{name}.spv is not SPIR-V");

@@ -1,4 +1,4 @@
-//! Kernel sources, their hashes, and the committed SPIR-V.
+//! Kernel sources, their hashes and the committed SPIR-V.
 
 use crate::elements::{self, Element};
 use sha2::{Digest, Sha256};
@@ -8,15 +8,15 @@ use std::{
     path::Path,
 };
 
-/// One `.comp` file for one choice of its element types, see `elements.rs`.
+/// A `.comp` file with one choice of element types (see `elements.rs`).
 pub struct Source {
-    /// Path below `kernels/` without its extension, for example `render/project`.
+    /// Path below `kernels/` without its extension, such as `render/project`.
     pub kernel: String,
-    /// The kernel's name, followed by the element types where one of them is not f32: `ops/layer_norm_f16`.
+    /// Kernel name with any element types other than f32: `ops/layer_norm_f16`.
     pub name: String,
-    /// Names of the element types, and which they are here.
+    /// Chosen element types by name.
     pub elements: Vec<(String, Element)>,
-    /// The text with every include in place.
+    /// Source with resolved includes.
     #[cfg_attr(not(feature = "compile-kernels"), allow(dead_code))]
     pub text: String,
     /// First sentence of the header comment.
@@ -25,13 +25,13 @@ pub struct Source {
 }
 
 impl Source {
-    /// Type of the factors of its matrices.
+    /// Returns the factor type of its matrices.
     pub fn factor(&self) -> Option<Element> {
         self.elements.iter().find(|(name, _)| name == elements::FACTOR).map(|(_, element)| *element)
     }
 }
 
-/// Every kernel below `root`, by name.
+/// Finds all kernels below `root`, sorted by name.
 pub fn find(root: &Path) -> Vec<Source> {
     let mut sources = Vec::new();
     for area in folders(root) {
@@ -44,7 +44,7 @@ pub fn find(root: &Path) -> Vec<Source> {
     sources
 }
 
-/// Brings `kernels/spirv/` up to date with the sources, or fails the build where it may not.
+/// Updates stale files in `kernels/spirv/`, or fails the build without permission to.
 pub fn refresh(root: &Path, kernels: &[Source]) {
     let path = root.join("spirv/manifest.txt");
     let committed: BTreeMap<String, String> = fs::read_to_string(&path)
@@ -89,7 +89,7 @@ fn compile(root: &Path, stale: &[&Source]) {
     options.set_target_env(shaderc::TargetEnv::Vulkan, shaderc::EnvVersion::Vulkan1_3 as u32);
     options.set_optimization_level(shaderc::OptimizationLevel::Zero);
     options.set_warnings_as_errors();
-    // More tools read it than the newest.
+    // More tools support it than the newest version.
     options.set_target_spirv(shaderc::SpirvVersion::V1_5);
     for kernel in stale {
         let file = format!("kernels/{}.comp", kernel.kernel);
@@ -114,7 +114,7 @@ fn remove_orphans(root: &Path, kernels: &[Source]) {
     }
 }
 
-/// A kernel's modules, the plainest first.
+/// Loads a kernel's modules, f32 first.
 fn load(root: &Path, kernel: String) -> Vec<Source> {
     let text = with_includes(root, &format!("{kernel}.comp"), &mut BTreeSet::new());
     let summary = text
@@ -139,7 +139,7 @@ fn hash(text: &str) -> String {
     Sha256::digest(text).iter().map(|b| format!("{b:02x}")).collect()
 }
 
-/// Resolves each `#include "shared/x.glsl"` below `root` once, keeping line numbers of the outer file.
+/// Resolves each `#include "shared/x.glsl"` once; keeps the outer file's line numbers.
 fn with_includes(root: &Path, file: &str, seen: &mut BTreeSet<String>) -> String {
     let source = fs::read_to_string(root.join(file)).unwrap_or_else(|e| panic!("kernels/{file}: {e}"));
     let mut text = String::new();
@@ -158,7 +158,7 @@ fn with_includes(root: &Path, file: &str, seen: &mut BTreeSet<String>) -> String
     text
 }
 
-/// The folders of kernels, by area, and what else lies beside them.
+/// Lists the folders of `kernels/`: areas and others.
 pub fn folders(root: &Path) -> Vec<String> {
     entries(root).into_iter().filter(|n| root.join(n).is_dir()).collect()
 }

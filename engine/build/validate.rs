@@ -1,4 +1,4 @@
-//! The SPIR-V validator that shaderc's library contains (spirv-tools/libspirv.h), for Vulkan 1.3 with scalar block layout.
+//! SPIR-V validation for Vulkan 1.3 with scalar block layout, by shaderc's copy of spirv-tools.
 
 use std::{
     ffi::{CStr, c_char, c_int, c_void},
@@ -38,10 +38,10 @@ unsafe extern "C" {
     fn spvDiagnosticDestroy(diagnostic: *mut Diagnostic);
 }
 
-/// Says what is wrong with a module, if anything is.
+/// Validates a module.
 pub fn validate(words: &[u32]) -> Result<(), String> {
     let binary = Binary { code: words.as_ptr(), words: words.len() };
-    // SAFETY: the declarations are those of the header; every object is created, used and destroyed here.
+    // SAFETY: declarations match the header; every object is created, used and destroyed here.
     unsafe {
         let mut environment = 0;
         assert!(spvParseTargetEnv(c"vulkan1.3".as_ptr(), &mut environment), "the validator knows Vulkan 1.3");

@@ -2,33 +2,37 @@
 //!
 //! ```no_run
 //! use std::ops::ControlFlow::Continue;
-//! use zipsplat::{Camera, Device, Image, Model, Renderer, gpu::DeviceOptions, reconstruct::Request};
-//! use zipsplat::{stages::render::RenderRequest, types::Intrinsics, types::Pose, types::preprocess::fit, weights::Checkpoint};
+//! use zipsplat::types::{Intrinsics, Pose, preprocess::fit};
+//! use zipsplat::{Camera, Device, Image, Model, Renderer, gpu::DeviceOptions};
+//! use zipsplat::{reconstruct::Request, stages::render::RenderRequest, weights::Checkpoint};
 //!
 //! # fn main() -> zipsplat::Result<()> {
 //! let device = Device::open(&DeviceOptions::default())?;
-//! let model = Model::load(&device, &Checkpoint::open("weights.safetensors", None)?, |_| Continue(()))?;
-//! let photos = [fit(&Image::open("a.jpg")?, 252, 252)?.image, fit(&Image::open("b.jpg")?, 252, 252)?.image];
+//! let checkpoint = Checkpoint::open("weights.safetensors", None)?;
+//! let model = Model::load(&device, &checkpoint, |_| Continue(()))?;
+//! let [a, b] = [Image::open("a.jpg")?, Image::open("b.jpg")?];
+//! let photos = [fit(&a, 252, 252)?.image, fit(&b, 252, 252)?.image];
 //! let made = model.reconstruct(&photos, &Request::default(), |_| Continue(()))?;
 //! zipsplat::types::write_scene("scene.ply", &made.scene()?, &Default::default())?;
 //!
 //! let mut renderer = Renderer::new(&device);
-//! renderer.show(&made.gaussians)?; // they never left the device
-//! let camera = Camera { intrinsics: Intrinsics::from_fov(252, 252, 1.0, 1.0), pose: Pose::IDENTITY };
+//! renderer.show(&made.gaussians)?; // already on the device
+//! let intrinsics = Intrinsics::from_fov(252, 252, 1.0, 1.0);
+//! let camera = Camera { intrinsics, pose: Pose::IDENTITY };
 //! let frames = renderer.render_loaded(&[camera], &RenderRequest::default())?;
 //! # let _ = frames;
 //! # Ok(())
 //! # }
 //! ```
 //!
-//! The crates below: [`types`] (`zipsplat-formats`, no GPU in it) and [`gpu`] (`zipsplat-gpu`, which names Vulkan and knows no
-//! kernel). Modules use only what stands before them: `ops` <- `tune` <- `stages` <- `weights` <- `perceptual` <- `cameras` <-
-//! `reconstruct` <- `depth` <- `refine` <- `ffi`. `ops` records dispatches; `tune` finds which of its kernels a device can trust and which are fastest, and hands that to
-//! `stages` as an [`ops::Arithmetic`]; `stages` declare their parameters, which `weights` reads from files.
+//! Crates below: [`types`] (`zipsplat-formats`, without GPU) and [`gpu`] (`zipsplat-gpu`, all
+//! Vulkan, no kernels). Modules depend only on earlier ones: `ops` <- `tune` <- `stages` <-
+//! `weights` <- `perceptual` <- `cameras` <- `reconstruct` <- `depth` <- `refine`. `ops`
+//! records dispatches. `tune` selects its kernels as an [`ops::Arithmetic`], by self-tests and
+//! timings. `stages` declare parameters, which `weights` reads.
 
 pub mod cameras;
 pub mod depth;
-pub mod ffi;
 pub mod ops;
 pub mod perceptual;
 mod random;
@@ -38,12 +42,12 @@ pub mod stages;
 pub mod tune;
 pub mod weights;
 
-/// The typed kernel table that build.rs makes of `kernels/`.
+/// Typed kernels, generated from `kernels/`.
 pub mod kernels {
     #![allow(clippy::too_many_arguments, missing_docs)]
     include!(concat!(env!("OUT_DIR"), "/kernels.rs"));
 
-    // Recorder and kernels fold long dispatches alike.
+    // Recorder and kernels must fold long dispatches alike.
     const _: () = assert!(limits::GROUP_FOLD == crate::gpu::GROUP_FOLD);
 }
 

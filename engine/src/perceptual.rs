@@ -1,4 +1,4 @@
-//! How different two pictures look to people: LPIPS.
+//! Perceptual image distance: LPIPS.
 
 use crate::{
     Error, Result,
@@ -14,24 +14,22 @@ use std::{
     sync::Arc,
 };
 
-/// LPIPS 0.1 of pairs of pictures, with weights that are not this project's: `tools/lpips.py` fetches them.
+/// LPIPS 0.1, with third-party weights.
 pub struct Perceptual {
     device: Device,
     network: LpipsNetwork,
     has_gradients: bool,
     weights: LpipsWeights,
-    /// The plans of the latest size: of the distance, and of its gradient.
+    /// Distance, gradient.
     prepared: [Option<Prepared>; 2],
 }
 
-/// A network's weights on a device.
 pub(crate) struct LpipsWeights {
     pub lpips: Lpips,
     pub resident: Arc<Resident>,
 }
 
 impl LpipsWeights {
-    /// The places of a network's parameters, which need no device.
     pub fn layout(
         limits: &Limits,
         arithmetic: Arithmetic,
@@ -43,7 +41,7 @@ impl LpipsWeights {
         (parameters, lpips)
     }
 
-    /// As [`Perceptual::open`].
+    /// See [`Perceptual::open`].
     pub fn open(device: &Device, network: LpipsNetwork, path: &Path, gradients: bool) -> Result<Self> {
         let arithmetic = Chosen::exact(device);
         let layout = |gradients: bool| Self::layout(device.limits(), arithmetic, network, gradients);
@@ -64,10 +62,10 @@ struct Prepared {
 }
 
 impl Perceptual {
-    /// The file in the user's cache that holds a network's weights once they are fetched.
+    /// Path of the cached weights.
     ///
     /// # Errors
-    /// [`Error::Argument`] where there is none, with the command that makes it.
+    /// [`Error::Argument`] with the command to fetch them.
     pub fn file(network: LpipsNetwork) -> Result<PathBuf> {
         let name = format!("lpips_{}.safetensors", network.name());
         let folder = cache_folder().unwrap_or_default();
@@ -79,39 +77,38 @@ impl Perceptual {
         if path.is_file() { Ok(path) } else { Err(missing()) }
     }
 
-    /// Loads a network's weights from a file: `convolutions.I.weight` `[outputs, side, side, inputs]`, `convolutions.I.bias`,
-    /// `taps.I.weight`. Those of the convolutions are held twice where `gradients` are wanted.
+    /// Loads `convolutions.I.weight` `[outputs, side, side, inputs]`, `convolutions.I.bias`,
+    /// `taps.I.weight`.
     ///
     /// # Errors
-    /// [`Error::Io`], [`Error::Format`] and [`Error::Weights`] for the file; [`Error::Memory`] where the device has too little.
+    /// [`Error::Io`], [`Error::Format`], [`Error::Weights`], [`Error::Memory`].
     pub fn open(device: &Device, network: LpipsNetwork, path: &Path, gradients: bool) -> Result<Self> {
         let weights = LpipsWeights::open(device, network, path, gradients)?;
         let (device, has_gradients, prepared) = (device.clone(), gradients, [None, None]);
         Ok(Self { device, network, has_gradients, weights, prepared })
     }
 
-    /// The network that sees the pictures.
+    /// Feature network.
     pub fn network(&self) -> LpipsNetwork {
         self.network
     }
 
-    /// The distance of two pictures of one size `[width, height]`, `[height][width][rgb]` in 0..1; 0 where they are equal. Values
-    /// outside are taken as they are, as the reference's metric takes them.
+    /// Returns the distance of images `[height][width][rgb]` in 0..1, unclamped, of size `[width,
+    /// height]`.
     ///
     /// # Errors
-    /// [`Error::Argument`] for pictures of too few pixels or of other lengths; [`Error::Memory`] where the device has too little.
+    /// [`Error::Argument`] for invalid sizes; [`Error::Memory`].
     pub fn distance(&mut self, pictures: [&[f32]; 2], size: [u32; 2]) -> Result<f64> {
         Ok(self.run(pictures, size, false)?.0)
     }
 
-    /// As [`Perceptual::distance`] of pictures that are brought to 0..1 first, as in the reference's loss, and its gradient by the
-    /// first of them.
+    /// Returns the distance of clamped images and its gradient for the first.
     ///
     /// # Errors
     /// As [`Perceptual::distance`].
     ///
     /// # Panics
-    /// Where the weights were loaded without gradients.
+    /// If loaded without gradients.
     pub fn gradient(&mut self, pictures: [&[f32]; 2], size: [u32; 2]) -> Result<(f64, Vec<f32>)> {
         assert!(self.has_gradients, "weights that were loaded with gradients");
         self.run(pictures, size, true)

@@ -1,20 +1,18 @@
-//! Random numbers that follow from a seed.
+//! Seeded random numbers.
 
 use std::f64::consts::TAU;
 
-/// The golden ratio in 64 bits.
 const INCREMENT: u64 = 0x9e37_79b9_7f4a_7c15;
 
 /// splitmix64 (Steele, Lea, Flood: Fast splittable pseudorandom number generators).
 pub(crate) struct Random(u64);
 
 impl Random {
-    /// The numbers of a seed.
     pub fn new(seed: u64) -> Self {
         Self(seed)
     }
 
-    /// Number `i` of a seed, from 0 on.
+    /// Number `i` of a seed.
     pub fn nth(seed: u64, i: u64) -> u64 {
         mixed(seed.wrapping_add((i + 1).wrapping_mul(INCREMENT)))
     }
@@ -24,17 +22,17 @@ impl Random {
         mixed(self.0)
     }
 
-    /// A number below `count`.
+    /// Uniform below `count`.
     pub fn below(&mut self, count: usize) -> usize {
         ((u128::from(self.next()) * count as u128) >> 64) as usize
     }
 
-    /// A number in 0..1.
+    /// Uniform in 0..1.
     pub fn unit(&mut self) -> f64 {
         (self.next() >> 11) as f64 / (1u64 << 53) as f64
     }
 
-    /// A number of mean 0 and variance 1 (Box and Muller 1958).
+    /// Standard normal (Box and Muller 1958).
     pub fn normal(&mut self) -> f64 {
         let (radius, angle) = ((-2.0 * (1.0 - self.unit()).ln()).sqrt(), TAU * self.unit());
         radius * angle.cos()

@@ -1,4 +1,4 @@
-//! Photos to a scene: a model on a device, and what a reconstruction is asked for and gives.
+//! Reconstruction of scenes from photos.
 
 mod features;
 mod network;
@@ -24,72 +24,69 @@ use crate::{
 use network::{Choice, Inputs};
 use std::{ops::ControlFlow, sync::Mutex};
 
-/// A scene and how it came about.
+/// A reconstructed scene.
 #[derive(Clone, Debug)]
 pub struct Reconstruction {
-    /// The Gaussians, on the device; the world is the first view's camera.
+    /// Gaussians, in the first view's camera space.
     pub gaussians: DeviceScene,
-    /// Tokens that became Gaussians.
+    /// Number of decoded tokens.
     pub tokens: usize,
-    /// The patches of the views that the tokens are of. Gaussians are in the order of their tokens, as many of each.
+    /// Source patches; tokens have equally many consecutive Gaussians.
     pub patches: Patches,
-    /// Time of each stage.
+    /// Time per stage.
     pub times: StageTimes,
-    /// Commands, bytes and arithmetic of each kernel of each stage; the times are zero.
+    /// Commands, bytes and operations per kernel.
     pub outline: Profile,
-    /// Stages and passes that were not needed.
+    /// Skipped stages.
     pub left_out: Vec<LeftOut>,
-    /// Bytes of the arena, the weights and the Gaussians.
+    /// Arena, weight and Gaussian bytes.
     pub peak_bytes: u64,
 }
 
-/// A network with its weights on a device.
+/// A network on a device.
 pub struct Model {
     device: Device,
     network: Network,
     parameters: Parameters,
     arena: Arena,
-    /// The forward pass of the last shape.
     recorded: Mutex<Option<Recorded>>,
 }
 
-/// A forward pass that runs again without being recorded or allocated anew.
 struct Recorded {
     shape: Shape,
     run: Run,
     tensors: Tensors,
     layout: ResidentLayout,
-    /// Where scenes go: a second one while somebody has the first.
+    /// Reusable scene memories.
     scenes: Vec<SceneMemory>,
 }
 
-/// Memories of scenes that are kept for the next ones.
+/// Maximum cached scene memories.
 const SCENES: usize = 2;
 
 impl Reconstruction {
-    /// The Gaussians, on the host.
+    /// Reads the Gaussians.
     ///
     /// # Errors
-    /// A transfer that fails.
+    /// Failed transfers.
     pub fn scene(&self) -> Result<Scene> {
         self.gaussians.read()
     }
 
-    /// The cameras of the views, in the scene's world, found from where the Gaussians of each token are and where its patch is:
-    /// [`Patches::cameras`]. `scene` is [`Reconstruction::scene`], all of it.
+    /// Estimates view cameras from [`Reconstruction::scene`], see [`Patches::cameras`].
     ///
     /// # Errors
-    /// [`Error::Argument`] where cameras were given to the reconstruction, or the scene is another.
+    /// [`Error::Argument`] for known cameras or another scene.
     pub fn cameras(&self, scene: &Scene, focal: Option<f64>) -> Result<Vec<Result<FoundCamera>>> {
         self.patches.cameras(scene, focal)
     }
 }
 
 impl Model {
-    /// Loads a checkpoint onto a device, to compute in f32. `progress` gets the share that is done and may stop it.
+    /// Loads a checkpoint in f32. `progress` gets the fraction done and may cancel.
     ///
     /// # Errors
-    /// Where the device has too little memory or the checkpoint cannot be read; [`Error::Cancelled`].
+    /// [`Error::Memory`], [`Error::Cancelled`], errors of the checkpoint.
     pub fn load(
         device: &Device,
         checkpoint: &Checkpoint,
@@ -98,10 +95,10 @@ impl Model {
         Self::load_with(device, checkpoint, Chosen::exact(device), progress)
     }
 
-    /// As [`Model::load`], for an arithmetic that the device has.
+    /// [`Model::load`] with an arithmetic.
     ///
     /// # Errors
-    /// As [`Model::load`], and as [`Network::of`].
+    /// As [`Model::load`] and [`Network::of`].
     pub fn load_with(
         device: &Device,
         checkpoint: &Checkpoint,
@@ -114,28 +111,26 @@ impl Model {
         Ok(Self { device: device.clone(), network, parameters, arena, recorded })
     }
 
-    /// Bytes of the weights on the device.
+    /// Weight bytes on the device.
     pub fn weight_bytes(&self) -> u64 {
         self.network.weight_bytes()
     }
 
-    /// The network's architecture.
+    /// Architecture.
     pub fn architecture(&self) -> &Architecture {
         &self.network.architecture
     }
 
-    /// The arena that reconstructions run in, for whoever draws their scenes.
+    /// Arena of its scenes.
     pub fn arena(&self) -> &Arena {
         &self.arena
     }
 
-    /// Reconstructs a scene from images of one size, whose sides are multiples of the patch. The Gaussians stay on the device. A
-    /// second one of the same shape records and allocates nothing. Where another thread uses the arena now, this one gets an
-    /// arena of its own.
+    /// Reconstructs a scene from images of one size, divisible by the patch, reusing the last plan.
+    /// Concurrent calls use separate arenas.
     ///
     /// # Errors
-    /// [`Error::Argument`] for images or a request that cannot be used, [`Error::Memory`] where the device has too
-    /// little (nothing was submitted then), [`Error::Cancelled`] where `progress` asked to stop.
+    /// [`Error::Argument`], [`Error::Memory`] before submission, [`Error::Cancelled`].
     pub fn reconstruct(
         &self,
         images: &[Image],
@@ -146,7 +141,7 @@ impl Model {
         let Some(_claim) = self.arena.claim() else {
             return self.reconstruct_in(&Arena::new(&self.device), &mut None, shape, images, request, progress);
         };
-        // Only who has the claim gets here; a panic leaves nothing half done that would be used again.
+        // The claim is exclusive; a panic leaves no partial state.
         let mut recorded = self.recorded.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
         self.reconstruct_in(&self.arena, &mut recorded, shape, images, request, progress)
     }
@@ -161,7 +156,7 @@ impl Model {
         progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
     ) -> Result<Reconstruction> {
         if recorded.as_ref().is_none_or(|recorded| recorded.shape != shape) {
-            // Before the memory of the next scene is allocated.
+            // Frees memory first.
             *recorded = None;
             *recorded = Some(self.record_for(arena, shape)?);
         }
@@ -169,7 +164,7 @@ impl Model {
         let free = match scenes.iter().position(SceneMemory::is_free) {
             Some(free) => free,
             None => {
-                // All are in use: those who have them keep them.
+                // Owners keep their scenes.
                 scenes.truncate(SCENES - 1);
                 scenes.push(SceneMemory::new(&self.device, layout, *tensors.scene())?.made_in(arena));
                 scenes.len() - 1
@@ -197,18 +192,18 @@ impl Model {
         Ok(Recorded { shape, run, tensors, layout, scenes: vec![scene] })
     }
 
-    /// The plan of a reconstruction of this shape.
+    /// Plans a reconstruction.
     ///
     /// # Errors
-    /// [`Error::Memory`] where the device cannot hold or bind a tensor.
+    /// [`Error::Memory`].
     pub fn plan(&self, shape: Shape) -> Result<NetworkPlan> {
         self.network.plan(self.device.limits(), shape)
     }
 
-    /// The shape of a request for these images.
+    /// Returns the shape of a request.
     ///
     /// # Errors
-    /// [`Error::Argument`] for whatever cannot be used.
+    /// [`Error::Argument`] for invalid input.
     pub fn shape(&self, images: &[Image], request: &Request) -> Result<Shape> {
         let size = size_of(images)?;
         // The scene is f32.
@@ -222,7 +217,7 @@ impl Model {
         Shape::new(self.architecture(), images.len(), size, chosen, request.cameras.is_some())?.pooled(request.pool)
     }
 
-    /// Records a plan for a shape, observing its intermediate tensors where asked.
+    /// Records a plan, optionally observed.
     pub fn record(&self, shape: Shape, observe: bool) -> Result<(Plan, Tensors)> {
         let mut rec = Recorder::new(self.device.limits());
         if observe {
@@ -232,18 +227,18 @@ impl Model {
         Ok((rec.finish()?, tensors))
     }
 
-    /// Allocates a plan of this model.
+    /// Allocates a plan.
     ///
     /// # Errors
-    /// [`Error::Memory`] where the device has too little.
+    /// [`Error::Memory`].
     pub fn run(&self, plan: Plan) -> Result<Run> {
         Run::with_resident(&self.device, plan, Some(self.parameters.resident.clone()))
     }
 
-    /// Writes everything that a run of this shape reads.
+    /// Writes the inputs.
     ///
     /// # Errors
-    /// Where a transfer fails or the cameras cannot be used.
+    /// Failed transfers; unusable cameras.
     pub fn write_inputs(
         &self,
         run: &mut Run,
@@ -256,7 +251,6 @@ impl Model {
         write_choice(run, tensors.choice, shape, request)
     }
 
-    /// Writes what the backbone reads.
     fn write_photos(
         &self,
         run: &mut Run,
@@ -277,7 +271,6 @@ impl Model {
     }
 }
 
-/// Writes what is said of the scene.
 fn write_choice(run: &mut Run, choice: Choice, shape: Shape, request: &Request) -> Result<()> {
     if let Some(unit) = choice.unit {
         run.write(unit, &[request.unit as f32])?;
@@ -288,7 +281,7 @@ fn write_choice(run: &mut Run, choice: Choice, shape: Shape, request: &Request) 
     Ok(())
 }
 
-/// RGB8 interleaved -> `[views, 3, height, width]` f32 in 0..1.
+/// RGB8 to `[views, 3, height, width]` f32 in 0..1.
 pub(crate) fn planar(images: &[Image]) -> Vec<f32> {
     let mut out = Vec::with_capacity(images.iter().map(|i| i.rgb.len()).sum());
     for image in images {

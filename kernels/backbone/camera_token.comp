@@ -1,10 +1,10 @@
-// Overwrites every view's first token with its camera token.
+// Overwrites each view's first token with its camera token.
 //
-// CameraTokens [2, width] f32 learned (reference view, other views), or [views, width] from the camera encoder
-// Chosen       [1] the reference view; read where ON_DEVICE, else it is `reference`
+// CameraTokens [2, width] f32, learned (reference view, other views); [views, width] if ENCODED
+// Chosen       [1] u32, reference view, otherwise `reference`; read if ON_DEVICE
 // Out          [views, tokens, width] f32
 //
-// One invocation an element of a camera token.
+// One invocation owns one element of a camera token.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "shared/index.glsl"

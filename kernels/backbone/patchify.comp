@@ -1,9 +1,9 @@
-// Cuts images into patches, one row a patch, as a convolution with stride = kernel size reads them.
+// Cuts images into patches, one row per patch, for a convolution with stride = kernel size.
 //
-// Images   [views, 3, height, width] f32, RGB in 0..1
-// Out      [views * patches, stride] OUTPUT: 3 * patch * patch values, channel-major as the convolution's weight, then zeros
+// Images [views, 3, height, width] f32, RGB in 0..1
+// Out    [views * patches, stride] OUTPUT: 3 * patch * patch values, channel-major, then zeros
 //
-// One workgroup owns a row, so that what depends on the patch is the same for all of it; a lane's divisors are constants.
+// One workgroup owns one row, so patch coordinates are uniform and lanes divide by constants.
 #version 460
 #pragma element OUTPUT
 #extension GL_GOOGLE_include_directive : require
@@ -11,7 +11,7 @@
 
 layout(local_size_x = 64) in;
 
-layout(constant_id = 1) const uint PATCH = 14; // pixels along a side
+layout(constant_id = 1) const uint PATCH = 14; // side in pixels
 
 layout(set = 0, binding = 0) readonly buffer Images { float images[]; };
 layout(set = 0, binding = 1) writeonly buffer Out { OUTPUT result[]; };

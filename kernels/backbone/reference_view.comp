@@ -1,14 +1,14 @@
-// Chooses the view that the world is about: the one whose class token is nearest to the middle between the extremes of three
-// measures, its mean likeness to the others, its length and the spread of its channels.
+// Selects the reference view, whose class token is nearest to the middle of three measures' ranges.
 //
-// Tokens    [views, tokens, width] f32; the class tokens are the first of each view
-// Direction [width] f32, the sum of the class tokens at length 1
-// Scores    [views, 4] f32: likeness, length, spread, and the sum of their distances from the middle, each 0 to 0.5
-// Reference [1] the first view whose score is within TIE of the least
+// Tokens    [views, tokens, width] f32, class token first in each view
+// Direction [width] f32, sum of normalized class tokens
+// Scores    [views, 4] f32: mean similarity to other views, length, channel spread, and the sum of
+//           their distances from the middle, each 0..0.5
+// Reference [1] u32, first view within TIE of the least sum
 //
-// One workgroup (a subgroup) does it all; a lane owns the channels that it strides over. The spread is the variance of the
-// channels of a unit vector but for a constant, -mean^2: what varies between views would drown in the constant's rounding.
-// Source: Depth Anything 3, reference view by saddle-balanced scores.
+// One workgroup (a subgroup) does all; lanes stride over channels. The spread is -mean^2: the
+// variance of normalized channels without a constant, whose rounding would dominate.
+// Source: saddle-balanced reference view of Depth Anything 3.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
@@ -28,7 +28,7 @@ layout(push_constant) uniform Push {
 };
 
 const float TIE = 1e-3;
-const float FLOOR = 1e-8; // what the source adds to the range of a measure
+const float FLOOR = 1e-8; // added to each range, as in the source
 
 uint lane() { return gl_LocalInvocationID.x; }
 
@@ -59,7 +59,7 @@ void main() {
         most = max(most, measures);
     }
     if (lane() != 0) return;
-    // In this order: with FLOOR taken from the least first, equal ones would leave 0.
+    // Adds FLOOR last: subtracted from `least`, rounding would absorb it and leave 0.
     precise vec3 range = (most - least) + FLOOR * vec3(1.0, 1.0, float(width - 1) / float(width));
     float best = 1e38;
     for (uint view = 0; view < views; view++) {

@@ -1,11 +1,11 @@
-// Assembles the first tokens: the class token and the patches of every view, with their position embedding.
+// Assembles the first tokens: class token and patches of each view plus position embedding.
 //
 // Patches    [views * patches, width] f32
 // ClassToken [width] f32
 // Positions  [1 + patches, width] f32, class token first
 // Out        [views, 1 + patches, width] f32
 //
-// One invocation an element.
+// One invocation owns one element.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "shared/index.glsl"
@@ -19,7 +19,7 @@ layout(set = 0, binding = 3) writeonly buffer Out { float result[]; };
 
 layout(push_constant) uniform Push {
     uint views;
-    uint tokens; // of a view, class token included
+    uint tokens; // per view, class token included
     uint width;
 };
 

@@ -1,13 +1,13 @@
-// Rows about an origin as sums of two f16, a high and a low half, each row scaled by a power of two of its own.
+// Splits centered rows into sums of two f16, with a power-of-two scale per row.
 //
-// Source  [rows, width] f32, width a multiple of 4
-// Origin  [width] f32
-// Out     [rows, pieces, 2, 8] f16: of every 8 channels the high halves, then the low ones; channels past the last are zeros
-// Scales  [rows] f32: what 1 stands for in a row, a power of two
-// Norms   [rows] f32: half the squared length of a row
+// Source [rows, width] f32, width a multiple of 4
+// Origin [width] f32
+// Out    [rows, pieces, 2, 8] f16, 8 high halves, then 8 low ones; padding is 0
+// Scales [rows] f32, powers of two
+// Norms  [rows] f32, half the squared length
 //
-// The largest magnitude of a row lies from 2^14 to 2^15. Both halves together are then off by 2^-22 of a value, or where a
-// device flushes subnormal f16 by 2^-28 of the row's largest. One workgroup (a subgroup) owns a row.
+// A row's largest magnitude is scaled to 2^14..2^15. Values are exact to 2^-22, or to 2^-28 of the
+// row's largest if the device flushes subnormal f16. One workgroup (a subgroup) owns one row.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_16bit_storage : require
@@ -29,12 +29,12 @@ layout(push_constant) uniform Push {
     uint width;
 };
 
-// Exponents as f32 holds them, 127 more than they are. Rows below 2^-100 are scaled no more than those.
+// Biased f32 exponents; rows below 2^-100 use the least.
 const uint LEAST_EXPONENT = 27;
 const uint MOST_EXPONENT = 254;
 
-// To the 11 bits that f16 has. A conversion there and back would be the device's to round, or to leave out. What is no number
-// stays none: the bits of some carry over into the sign.
+// Rounds to f16's 11 bits; devices may round or drop conversions. NaN stays NaN: rounding would
+// carry into the sign bit.
 vec4 rounded(vec4 x) {
     uvec4 bits = floatBitsToUint(x);
     uvec4 near = (bits + 0x1000u) & 0xffffe000u;
@@ -51,7 +51,7 @@ void main() {
     }
     uint exponent = clamp(floatBitsToUint(subgroupMax(largest)) >> 23, LEAST_EXPONENT, MOST_EXPONENT);
     float unit = uintBitsToFloat((exponent - 14) << 23);
-    float units = uintBitsToFloat((254 + 14 - exponent) << 23); // in 1
+    float units = uintBitsToFloat((254 + 14 - exponent) << 23); // 1 / unit
 
     uint pieces = (width + 7) / 8;
     float squares = 0.0;
@@ -66,7 +66,7 @@ void main() {
     squares = subgroupAdd(squares);
     if (gl_LocalInvocationID.x == 0) {
         scales[row] = unit;
-        // In this order: the square of the unit alone may be too small for a normal number.
+        // In this order: unit * unit may underflow.
         precise float norm = 0.5 * squares * unit;
         norm *= unit;
         norms[row] = norm;

@@ -1,11 +1,11 @@
-// The mean of the points of each cluster; a cluster without points gets the zero vector.
+// Mean of each cluster's points, zero for empty clusters.
 //
-// Points     [points, width] f32, width a multiple of 4
-// Members    [points] indices of points by cluster, those of a cluster rising
-// Starts     [clusters + 1] where the members of each cluster start
-// Centroids  [clusters, width] f32
+// Points    [points, width] f32, width a multiple of 4
+// Members   [points] u32, points by cluster, ascending within
+// Starts    [clusters + 1] u32, first member of each cluster
+// Centroids [clusters, width] f32
 //
-// One invocation owns four channels of a cluster and adds its points in their order, so the bits never change.
+// One invocation owns four channels of a cluster and adds in order, so results are reproducible.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "shared/index.glsl"

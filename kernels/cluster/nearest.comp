@@ -1,15 +1,13 @@
-// The nearest target of every point, in squared Euclidean distance; ties go by shared/nearest_tie.
+// Nearest target of every point by squared Euclidean distance; ties by shared/nearest_tie.
 //
 // Points  [points, width] f32
 // Targets [targets, width] f32
-// Out     [points] index of a target
+// Out     [points] u32, targets
 //
-// Differences are summed, not |p|^2 - 2 p t + |t|^2, which cancels where points lie far from the origin. One workgroup
-// (a subgroup) owns ROWS points; lanes go through the targets side by side. The distance matrix never exists (flash
-// k-means).
-//
-// A lane keeps its nearest target and the first that ties with it, and forgets those between. They would matter only where three
-// lie apart by as much as a tie is wide, which rounding does not bring about.
+// Sums of squared differences do not cancel far from the origin. One workgroup (a subgroup) owns
+// ROWS points; lanes scan different targets. A lane keeps its nearest target and the first that
+// ties with it, enough unless three targets span a tie's width.
+// Source: flash k-means, without a distance matrix.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_control_flow_attributes : require
@@ -72,7 +70,7 @@ void main() {
                                squared_length(p - t3));
             }
         }
-        // A lane's targets rise from tile to tile, so what it keeps of a tie is the first.
+        // A lane's targets ascend, so the first of a tie is kept.
         [[unroll]] for (uint r = 0; r < ROWS; r++) {
             [[unroll]] for (uint c = 0; c < COLUMNS; c++) {
                 uint t = tile + COLUMNS * gl_LocalInvocationID.x + c;

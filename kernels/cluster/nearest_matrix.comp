@@ -1,22 +1,21 @@
-// The two nearest targets of every point within each share of the targets, on matrix units: the least of |t|^2 / 2 - p t.
+// Two nearest targets of every point per share of the targets, by |t|^2 / 2 - p t on matrix units.
 //
-// Points        [points, pieces, 2, 8] FACTOR: rows about an origin, high and low halves, as cluster/halves leaves them
-// PointScales   [points] f32: what 1 stands for
-// Targets       [targets, pieces, 2, 8] FACTOR, about the same origin
-// TargetScales  [targets] f32, whole vec4
-// TargetNorms   [targets] f32, whole vec4: half the squared length
-// Candidates    [shares, points] the two least scores of a share that differ, each as bits and with the first target that has
-//               it; infinite where there is none. cluster/nearest_merge chooses among them
+// Points       [points, pieces, 2, 8] FACTOR, of cluster/halves
+// PointScales  [points] f32
+// Targets      [targets, pieces, 2, 8] FACTOR, of cluster/halves with the same origin
+// TargetScales [targets] f32, padded to vec4
+// TargetNorms  [targets] f32, half the squared length, padded to vec4
+// Candidates   [shares, points] u32, two least distinct scores: (bits, first target), or infinity
 //
-// p t is the sum of high * high, high * low and low * high. CHUNK channels at a time are added up on matrix units, which may
-// truncate, and these sums in f32. A score so is off by at most
-//     (gamma(6 CHUNK + width / CHUNK + 1) + 3 * 2^-22 + 2^-27 sqrt(width)) |p| |t| + gamma(width / 16 + 134) |t|^2 / 2
-// for the sums, the halves and the norm (gamma(n) = n u / (1 - n u), u = 2^-24), and by 2 u (|p| + |t|)^2 for the rest.
-// Together that is less than 2^-16 (|p| + |t|)^2 up to 2048 channels.
+// p t is high * high + high * low + low * high. Matrix units, which may truncate, sum CHUNK
+// channels; f32 sums chunks. A score's error is at most
+//     (gamma(6 CHUNK + width / CHUNK + 1) + 3 * 2^-22 + 2^-27 sqrt(width)) |p| |t|
+//     + gamma(width / 16 + 134) |t|^2 / 2 + 2 u (|p| + |t|)^2
+// with gamma(n) = n u / (1 - n u), u = 2^-24: below 2^-16 (|p| + |t|)^2 up to 2048 channels.
 //
-// One workgroup owns TILE_M points and goes through the targets of a share, TILE_N at a time; each of its subgroups has
-// REPEAT_M x REPEAT_N matrices of their products. Both pass through shared memory twice TILE_K channels deep: while one part is
-// multiplied, the next is on its way. The matrix of distances never exists (flash k-means).
+// One workgroup owns TILE_M points and scans a share of the targets, TILE_N at a time. A subgroup
+// owns REPEAT_M x REPEAT_N matrices. Shared memory double-buffers TILE_K channels.
+// Source: flash k-means, without a distance matrix.
 #version 460
 #pragma factor f16
 #extension GL_GOOGLE_include_directive : require
@@ -35,8 +34,7 @@ const uint TILE_M = SUBGROUPS / SUBGROUPS_N * REPEAT_M * MATRIX_M;
 const uint TILE_N = SUBGROUPS_N * SUBGROUP_N;
 const uint THREADS = gl_WorkGroupSize.x;
 const uint LANES = THREADS / SUBGROUPS;
-// Shared memory in pieces of 8 halves: high ones, then low ones. Rows are one longer than they need, so that a matrix's rows lie
-// in different banks.
+// Vectors of 8 halves, high then low, one of padding per row against bank conflicts.
 const uint PIECES = TILE_K / 8;
 const uint HALVES = 2 * PIECES;
 const uint STRIDE = HALVES + 1;
@@ -72,13 +70,13 @@ Sums chunk[REPEAT_M * REPEAT_N];
 float point_scale[OWN_ROWS];
 
 vec4 scores_of(vec4 values, uint own, uint column) {
-    // In this order: the product of the scales alone may be too small for a normal number.
+    // In this order: the product of both scales may underflow.
     precise vec4 scaled = values * point_scale[own];
     scaled *= target_scales[column / 4];
     return target_norms[column / 4] - scaled;
 }
 
-// Rows past the last repeat it, since their results go nowhere; channels past the last are zeros.
+// Surplus rows repeat the last; channels past the last are 0.
 void load(uint first_point, uint first_target, uint tile) {
     [[unroll]] for (uint i = 0; i < POINT_LOADS; i++) {
         uint at = i * THREADS + gl_LocalInvocationID.x;
@@ -94,7 +92,7 @@ void load(uint first_point, uint first_target, uint tile) {
     }
 }
 
-// Where a piece goes: in memory high and low ones alternate.
+// High and low vectors alternate in global memory.
 uint staged_at(uint at) { return at / HALVES * STRIDE + at % 2 * PIECES + at % HALVES / 2; }
 
 void stage(uint base) {
@@ -108,8 +106,7 @@ void stage(uint base) {
     }
 }
 
-// Adds the products of TILE_K channels to the chunk; `left` and `right` are where the subgroup's rows are staged. Products of
-// one sum stand apart, so that they do not wait for each other.
+// Adds products of TILE_K channels of the rows at `left` and `right`, interleaved to hide latency.
 void multiply(uint left, uint right) {
     [[unroll]] for (uint k = 0; k < PIECES; k += MATRIX_K / 8) {
         Left high[REPEAT_M];

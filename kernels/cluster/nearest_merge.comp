@@ -1,14 +1,14 @@
-// The nearest target of every point out of the two nearest of each share of the targets; ties go by shared/nearest_tie.
+// Nearest target of every point out of the candidates of each share; ties by shared/nearest_tie.
 //
-// Points      [points, width] f32
-// Targets     [targets, width] f32
-// Norms       [points] f32: half the squared distance of a point from the origin
-// Candidates  [shares, points] as cluster/nearest_matrix leaves them
-// Out         [points] index of a target
+// Points     [points, width] f32
+// Targets    [targets, width] f32
+// Norms      [points] f32, half the squared distance from the origin
+// Candidates [shares, points] u32, of cluster/nearest_matrix
+// Out        [points] u32, targets
 //
-// A score is off by up to the bound that cluster/nearest_matrix derives. Where that leaves several targets, their differences
-// from the point decide, in f32. So a tie of two goes to the first; of three within one share matrix units see only two, but
-// for equal rows. One workgroup (a subgroup) owns a point.
+// If cluster/nearest_matrix's error bound leaves several targets, f32 differences decide. Of three
+// distinct targets that tie within a share, only two are candidates. One workgroup (a subgroup)
+// owns one point.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
@@ -34,7 +34,7 @@ layout(push_constant) uniform Push {
 
 const uint NONE = 0xffffffffu;
 
-// The target of a share's nearest or second, or none where its score is above `limit`.
+// Target of candidate i, or NONE if its score exceeds `limit`.
 uint candidate(uint point, uint i, float limit) {
     uvec4 found = candidates[i / 2 * point_count + point];
     uvec2 one = i % 2 == 0 ? found.xy : found.zw;
@@ -51,13 +51,12 @@ float squared_distance(uint point, uint target) {
     return subgroupAdd(sum);
 }
 
-// The largest score that may be the least but for errors. |t| is at most |p| + d for a target at distance d.
+// Largest score within error of the least; |t| <= |p| + d for a target at distance d.
 float score_limit(float least, float norm) {
     float sides = 2.0 * sqrt(2.0 * norm) + sqrt(max(2.0 * (least + norm), 0.0));
     return least + sides * sides / 32768.0;
 }
 
-// The first of the candidates that tie with the nearest.
 uint among(uint point, float limit) {
     float least = uintBitsToFloat(INFINITY_BITS);
     for (uint i = 0; i < 2 * shares; i++) {
@@ -85,7 +84,7 @@ void main() {
     float limit = score_limit(least, norms[point]);
     uint count = 0;
     for (uint i = 0; i < 2 * shares; i++) count += candidate(point, i, limit) == NONE ? 0 : 1;
-    // One is not worth reading; and where no score is a number, the first target it is.
+    // A lone candidate needs no distance; without finite scores, the first target wins.
     uint nearest = count > 1 && !isinf(least) ? among(point, limit) : best.y;
     if (gl_LocalInvocationID.x == 0) result[point] = nearest;
 }

@@ -1,11 +1,11 @@
-// The nearest target of every point as cluster/nearest finds it, for drivers of CPUs: all lanes load the same (shared/uniform.glsl).
+// Nearest target of cluster/nearest with uniform loads, for CPU drivers.
 //
-// Points  [panels, width, PANEL_COLUMNS] f32, panels of points (cluster/panels)
+// Points  [panels, width, PANEL_COLUMNS] f32, of cluster/panels
 // Targets [targets, width] f32
-// Out     [points] index of a target
+// Out     [points] u32, targets
 //
-// One workgroup (a subgroup) owns VECTORS points a lane, and goes through the targets, TILE_ROWS at a time. Past the last target it
-// measures that target again and leaves it.
+// One workgroup (a subgroup) owns VECTORS points a lane and scans TILE_ROWS targets at a time.
+// Surplus targets repeat the last and are dropped. See shared/uniform.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "shared/index.glsl"
@@ -15,9 +15,9 @@ layout(local_size_x_id = 0) in;
 
 #include "shared/uniform.glsl"
 
-layout(constant_id = 1) const uint TERMS = 4; // of the sums in one pass of the loop; divides width
+layout(constant_id = 1) const uint TERMS = 4; // per loop pass; divides width
 layout(constant_id = 2) const uint TILE_ROWS = 6;
-layout(constant_id = 3) const uint VECTORS = 2; // as many subgroups divide a panel
+layout(constant_id = 3) const uint VECTORS = 2; // VECTORS * subgroup size divides PANEL_COLUMNS
 
 layout(set = 0, binding = 0) readonly buffer Points { float points[]; };
 layout(set = 0, binding = 1) readonly buffer Targets { float targets[]; };
@@ -34,7 +34,7 @@ layout(push_constant) uniform Push {
 
 #include "shared/nearest_tie.glsl"
 
-// Of each of the lane's points the nearest target so far, and the first that ties with it.
+// Nearest target of each of the lane's points, and the first that ties with it.
 float best[VECTORS];
 uint best_target[VECTORS];
 float first[VECTORS];
@@ -44,7 +44,7 @@ void take(uint v, uint target, float distance) {
     bool nearer = target < target_count && distance < best[v];
     best[v] = nearer ? distance : best[v];
     best_target[v] = nearer ? target : best_target[v];
-    // Targets rise, so what is kept of a tie is the first.
+    // Targets ascend, so the first of a tie is kept.
     bool alone = nearer && first[v] > tie_limit(best[v]);
     first[v] = alone ? distance : first[v];
     first_target[v] = alone ? target : first_target[v];
@@ -52,7 +52,6 @@ void take(uint v, uint target, float distance) {
 
 void main() {
     find_lanes();
-    // Workgroups past the last do its work again.
     const uint tile = VECTORS * gl_WorkGroupSize.x;
     uint first_point = min(group_index(), (point_count - 1) / tile) * tile;
     uint64_t points_at = packUint2x32(points_address)

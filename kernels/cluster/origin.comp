@@ -1,9 +1,9 @@
-// The mean of rows spread evenly over all: an origin that lies among them.
+// Mean of evenly spaced rows, an origin near all of them.
 //
-// Source  [rows, width] f32, width a multiple of 4
-// Out     [width] f32
+// Source [rows, width] f32, width a multiple of 4
+// Out    [width] f32
 //
-// One invocation owns four channels and adds `samples` rows in their order, so the bits never change.
+// One invocation owns four channels and adds `samples` rows in order, so results are reproducible.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "shared/index.glsl"

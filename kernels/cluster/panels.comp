@@ -1,7 +1,7 @@
-// Rows in panels of PANEL_COLUMNS, in which these lie side by side, as cluster/nearest_uniform reads points.
+// Transposes rows into panels of PANEL_COLUMNS, for cluster/nearest_uniform.
 //
-// Source  [rows, width] f32
-// Out     [panels, width, PANEL_COLUMNS] f32; past the last row that row again
+// Source [rows, width] f32
+// Out    [panels, width, PANEL_COLUMNS] f32, padded with the last row
 //
 // One invocation owns one value.
 #version 460

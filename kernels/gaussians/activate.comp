@@ -1,14 +1,14 @@
-// Turns the head's raw output into Gaussians.
+// Converts the head's raw output to Gaussians.
 //
-// Raw       [gaussians, 11 + 3 * bases] f32: mean 3, scale 3, quaternion 4, opacity 1, SH (basis, RGB)
-// Unit      [1] f32, length in the world's unit that the network takes for 1
+// Raw       [gaussians, 11 + 3 * bases] f32: mean 3, scale 3, quat 4, opacity 1, SH (basis, RGB)
+// Unit      [1] f32, world length of a network unit
 // Means     [gaussians, 3] f32, world (first view's camera)
 // Scales    [gaussians, 3] f32, standard deviations, world
 // Quats     [gaussians, 4] f32, wxyz, unit
 // Opacities [gaussians] f32, 0..1
 // ShCoeffs  [gaussians, bases, 3] f32
 //
-// One invocation a Gaussian.
+// One invocation owns one Gaussian.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "shared/head.glsl"
@@ -35,8 +35,8 @@ float expm1(float x) {
     return x < 0.35 ? series : exp(x) - 1.0;
 }
 
-// log(1 + exp(x)), as torch: x itself above 20. Near 1 a log is only right to 2^-21 absolutely, which is much of a small
-// scale, so there it is the series of 2 atanh(u / (2 + u)) = log(1 + u).
+// log(1 + exp(x)), or x above 20, as in PyTorch. Near 1, log is exact to 2^-21 only, too coarse for
+// small scales: there, the series of 2 atanh(u / (2 + u)) = log(1 + u).
 float softplus(float x) {
     float u = exp(min(x, 20.0));
     float s = u / (2.0 + u);

@@ -1,9 +1,10 @@
-// Takes gradients of Gaussians back to the head's raw output.
+// Backward pass of gaussians/activate.
 //
-// raw [gaussians, 11 + 3 bases] and unit [1] f32 as gaussians/activate reads them. d_means [gaussians, 3], d_scales [gaussians, 3], d_quats
-// [gaussians, 4], d_opacities [gaussians], d_sh_coeffs [gaussians, bases, 3] f32: d loss / d what that kernel writes. d_raw
-// [gaussians / group, stride] f32: a row has `group` Gaussians and what pads it, which stays as it is.
-// One invocation owns one Gaussian. Outside its clamp a value has no gradient.
+// Raw, Unit as in gaussians/activate
+// DMeans, DScales, DQuats, DOpacities, DShCoeffs as the outputs of gaussians/activate
+// DRaw [gaussians / group, stride] f32, `group` Gaussians per row; padding is untouched
+//
+// One invocation owns one Gaussian. Clamped values have no gradient.
 #version 460
 layout(local_size_x = 64) in;
 #include "shared/head.glsl"
@@ -21,7 +22,7 @@ layout(push_constant) uniform Push { uint count; uint bases; uint group; uint st
 
 float sigmoid(float x) { return 1 / (1 + exp(-x)); }
 
-// d softplus / dx; 0 where softplus(x) is beyond its clamp: below the smallest scale it is exp(x) to 1e-12.
+// d softplus / dx, 0 beyond the clamp; below the least scale, softplus is exp(x) to 1e-12.
 float scale_slope(float x) { return x >= log(SCALES.x) && x <= SCALES.y ? sigmoid(x) : 0; }
 
 vec4 quat_gradient(vec4 q, vec4 gradient) {

@@ -1,13 +1,14 @@
-// Convolves a picture: out = residual + activation(bias + sum over taps and channels of source * weight), the picture 0 outside.
+// Convolves an image: out = residual + activation(bias + sum of source * weight).
 //
-// Source    [lines, width, channels] f32, channels a multiple of 4; lines source_first on of a picture of `height` lines
-// Weight    [panels, side * side * channels, PANEL_COLUMNS] f32, panels of columns, the last padded
-// Bias      [columns] f32
-// Residual  [pixels, columns] f32; read where ADD
-// Out       [pixels, columns] f32, pixels first on of a picture with out_width pixels a line
+// Source   [lines, width, channels] f32, lines from source_first on of `height`, 0 outside;
+//          channels a multiple of 4
+// Weight   [panels, side * side * channels, PANEL_COLUMNS] f32, the last panel padded
+// Bias     [columns] f32
+// Residual [pixels, columns] f32; read if ADD
+// Out      [pixels, columns] f32, pixels from `first` on
 //
-// RECTIFIED values of the source are at least 0. One workgroup (a subgroup) owns ROWS pixels of 4 columns a lane; as in a linear
-// layer the source is read at addresses that are uniform over the subgroup, and nothing is laid out in between.
+// RECTIFIED clamps source values to 0 and above. One workgroup (a subgroup) owns ROWS pixels and 4
+// columns a lane. Addresses of Source are uniform, as in ops/linear.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_control_flow_attributes : require
@@ -43,14 +44,14 @@ layout(push_constant) uniform Push {
 };
 
 void main() {
-    uint across = (columns + 4 * gl_WorkGroupSize.x - 1) / (4 * gl_WorkGroupSize.x); // workgroups that share pixels
+    uint across = (columns + 4 * gl_WorkGroupSize.x - 1) / (4 * gl_WorkGroupSize.x);
     uint first_row = group_index() / across * ROWS;
     if (first_row >= pixels) return;
     uint quad = group_index() % across * gl_WorkGroupSize.x + gl_LocalInvocationID.x;
     uint quads = (columns + 3) / 4;
     uint channel_quads = channels / 4;
     const uint panel_quads = PANEL_COLUMNS / 4;
-    // Lanes past the last panel repeat one, to keep the loop uniform.
+    // Surplus lanes keep the loop uniform.
     uint panel = min(quad, quads - 1) / panel_quads;
     uint weight_at = panel * side * side * channels * panel_quads + quad % panel_quads;
 

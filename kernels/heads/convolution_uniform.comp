@@ -1,14 +1,14 @@
-// Convolves a picture as heads/convolution does, one that has its border, for drivers of CPUs: all lanes load the same
-// (shared/uniform.glsl).
+// Convolution of heads/convolution with uniform loads, for CPU drivers.
 //
-// Source    [lines, pitch] f32, lines source_first on: pixels of `channels` values, with zeros around the picture
-// Weight    [panels, side, span, PANEL_COLUMNS] f32, panels of columns, the last padded; span = side * channels
-// Bias      [columns] f32
-// Residual  [pixels, columns] f32; read where ADD
-// Out       [pixels, columns] f32, pixels first on of a picture with out_width pixels a line
+// Source   [lines, pitch] f32, lines from source_first on, with a zero border
+// Weight   [panels, side, span, PANEL_COLUMNS] f32, the last panel padded; span = side * channels
+// Bias     [columns] f32
+// Residual [pixels, columns] f32; read if ADD
+// Out      [pixels, columns] f32, pixels from `first` on
 //
-// The border lets the taps of a line lie side by side, so that each is a linear layer's loop. One workgroup (a subgroup) owns
-// TILE_ROWS pixels and VECTORS columns a lane, neighbouring columns in neighbouring lanes. Past the last pixel it reads that pixel again.
+// The border makes the taps of a line contiguous, as in a linear layer. One workgroup (a subgroup)
+// owns TILE_ROWS pixels and VECTORS columns a lane, adjacent columns in adjacent lanes. Surplus
+// pixels repeat the last. See shared/uniform.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "shared/gelu.glsl"
@@ -20,9 +20,9 @@ layout(local_size_x_id = 0) in;
 
 layout(constant_id = 1) const bool GELU = false;
 layout(constant_id = 2) const bool ADD = false;
-layout(constant_id = 3) const uint TERMS = 4; // of the sums in one pass of the loop; divides span
+layout(constant_id = 3) const uint TERMS = 4; // per loop pass; divides span
 layout(constant_id = 4) const uint TILE_ROWS = 6;
-layout(constant_id = 5) const uint VECTORS = 2; // as many subgroups divide a panel
+layout(constant_id = 5) const uint VECTORS = 2; // VECTORS * subgroup size divides PANEL_COLUMNS
 
 layout(set = 0, binding = 0) readonly buffer Source { float source[]; };
 layout(set = 0, binding = 1) readonly buffer Weight { float weight[]; };
@@ -47,7 +47,7 @@ layout(push_constant) uniform Push {
 uint64_t row_at[TILE_ROWS];
 float sum[TILE_ROWS][VECTORS];
 
-// Adds term j of those from `offset` bytes on in each pixel's part of a line; their weights lie at `weights`.
+// Adds term j at `offset` bytes of each pixel's line; `weights` addresses its weights.
 void add_term(uint64_t offset, uint64_t weights, uint j) {
     float factor[VECTORS];
     [[unroll]] for (uint v = 0; v < VECTORS; v++) {

@@ -1,10 +1,10 @@
-// Spreads the values of each pixel over side x side pixels: what is left of a transposed convolution whose kernels do not overlap.
+// Pixel shuffle, the last step of a transposed convolution without kernel overlap.
 //
-// Source    [height, width, side, side, channels] f32, lines first on
-// Bias      [channels] f32
-// Out       [height * side, width * side, channels] f32, the lines of those: source + bias
+// Source [height, width, side, side, channels] f32, any range of lines
+// Bias   [channels] f32
+// Out    [height * side, width * side, channels] f32, the same lines: source + bias
 //
-// One invocation an element of the result.
+// One invocation owns one element of Out.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "shared/index.glsl"

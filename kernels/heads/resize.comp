@@ -1,12 +1,12 @@
-// Resizes a picture bilinearly, corners on corners, and adds where a pixel lies.
+// Resizes an image bilinearly with aligned corners and adds position embeddings.
 //
-// Source    [lines, width, channels] f32, lines source_first on of a picture of `height` lines
-// Positions [out_width + out_height, channels / 2] f32, for every column and every line; read where PLACED
-// Out       [lines, out_width, channels] f32, lines first on of a picture of out_height lines
+// Source    [lines, width, channels] f32, lines from source_first on of `height`
+// Positions [out_width + out_height, channels / 2] f32, per column, then per line; read if PLACED
+// Out       [lines, out_width, channels] f32, lines from `first` on of out_height
 //
-// Output pixel i lies at i (inputs - 1) / (outputs - 1) of the source. Where PLACED, the first half of the channels gets the
-// positions of the pixel's column, the second those of its line. One workgroup (a subgroup) owns a pixel, and a lane every so many
-// of its channels: places are divided out once a pixel.
+// Column embeddings go to the first half of the channels, line embeddings to the second. One
+// workgroup (a subgroup) owns one pixel; lanes stride over channels, which keeps divisions out of
+// the loop.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "shared/index.glsl"
@@ -30,7 +30,7 @@ layout(push_constant) uniform Push {
     uint source_first;
 };
 
-// The share of the next pixel between two neighbours, of which `near` is the first.
+// Neighbors `near` of an output coordinate, and the second one's weight.
 float split(uint at, uint inputs, uint outputs, out uvec2 near) {
     uint steps = max(outputs, 2) - 1, place = at * (inputs - 1);
     near = uvec2(place / steps, min(place / steps + 1, inputs - 1));
@@ -44,7 +44,7 @@ void main() {
     float right = split(at.x, width, out_width, xs), low = split(at.y, height, out_height, ys);
     uvec2 upper_at = ((ys.x - source_first) * width + xs) * channels, lower_at = ((ys.y - source_first) * width + xs) * channels;
     uint half_of = channels / 2;
-    // Of a channel in the first half, and in the second.
+    // Position offsets for the two halves of the channels.
     uvec2 position_at = uvec2(at.x * half_of, (out_width + at.y) * half_of - half_of);
     for (uint c = gl_LocalInvocationID.x; c < channels; c += gl_WorkGroupSize.x) {
         float upper = mix(source[upper_at.x + c], source[upper_at.y + c], right);

@@ -1,11 +1,13 @@
-// Finds 1 - SSIM at every pixel and its derivatives by the filtered pictures.
+// Computes 1 - SSIM per pixel and its derivatives by the filtered images.
 //
-// moments [C, height, width, 3, 4] as loss/moments writes them. partials [C, height, width, 3, 3]: half the derivatives of
-// `weight` (1 - SSIM) by the means of a - MIDDLE, of its square and that of b, and of (a - b)^2. sums
-// [C, runs, groups]: what each workgroup has of `weight` (1 - SSIM).
-// One workgroup (a subgroup) owns RUN rows of one column of one colour an invocation.
-// With means a, b and d = a - b, 1 - SSIM is u + v - uv of u = d^2 / (a^2 + b^2 + C1) and v = var d / (var a + var b + C2),
-// which does not cancel where the pictures are alike.
+// Moments  [C, height, width, 3, 4] f32, of loss/moments
+// Partials [C, height, width, 3, 3] f32, half the derivatives of `weight` (1 - SSIM) by the
+//          means of a - MIDDLE, of its square and b's, and of (a - b)^2
+// Sums     [C, runs, groups] f32, `weight` (1 - SSIM) per workgroup
+//
+// One workgroup (a subgroup) owns RUN rows, one column and color a lane. With means a, b and
+// d = a - b, 1 - SSIM is u + v - uv: u = d^2 / (a^2 + b^2 + C1), v = var d / (var a + var b + C2).
+// This does not cancel for similar images.
 #version 460
 #extension GL_EXT_control_flow_attributes : require
 #extension GL_EXT_scalar_block_layout : require

@@ -1,9 +1,11 @@
-// Finds the gradient of a loss by the pictures, and sums the loss.
+// Computes the gradient of a loss by the frames, and sums the loss.
 //
-// frames, d_frames [C, height, width, channels], red, green, blue first; d_frames is 0 in the others. targets
-// [C, height, width, 3]. partials [C, height, width, 3, 3] as loss/spread writes them and sums [C, runs, groups] as
-// loss/dssim does, to which POINTWISE losses are added; read where DSSIM.
-// One workgroup (a subgroup) owns RUN rows of one column of one colour an invocation.
+// Frames, DFrames [C, height, width, channels] f32, RGB first; other channels of DFrames are 0
+// Targets         [C, height, width, 3] f32
+// Partials        [C, height, width, 3, 3] f32, of loss/spread; read if DSSIM
+// Sums            [C, runs, groups] f32, POINTWISE losses, added to loss/dssim's if DSSIM
+//
+// One workgroup (a subgroup) owns RUN rows, one column and color a lane.
 #version 460
 #extension GL_EXT_control_flow_attributes : require
 #extension GL_EXT_scalar_block_layout : require

@@ -1,9 +1,11 @@
-// Finds means and variances of pictures along rows, for SSIM.
+// Computes means and variances along image rows, for SSIM.
 //
-// a: frames [rows, width, channels], red, green, blue first; b: targets [rows, width, 3]; both 0 outside. moments [rows,
-// width, 3, 4] under the window along x: the means of a and of a - b, the sum of the variances of a and b, and the variance
-// of a - b. SSIM (Wang et al. 2004) needs no more.
-// One invocation owns RUN pixels of a row in one colour.
+// Frames  [rows, width, channels] f32: a, RGB first, 0 outside
+// Targets [rows, width, 3] f32: b, 0 outside
+// Moments [rows, width, 3, 4] f32: mean a, mean a - b, var a + var b, var (a - b)
+//
+// One invocation owns RUN pixels of a row in one color.
+// Source: SSIM (Wang et al. 2004).
 #version 460
 #extension GL_EXT_control_flow_attributes : require
 layout(local_size_x = 64) in;
@@ -17,7 +19,6 @@ layout(set = 0, binding = 1) readonly buffer Targets { float targets[]; };
 layout(set = 0, binding = 2) writeonly buffer Moments { vec4 moments[]; };
 layout(push_constant) uniform Push { uint rows; uint width; uint channels; };
 
-// The moments of a single pixel, without variance.
 vec4 moments_of(uint pixel, uint color) {
     float a = frames[pixel * channels + color];
     return vec4(a, a - targets[pixel * 3 + color], 0, 0);

@@ -1,7 +1,8 @@
-// Filters the derivatives that loss/dssim writes along rows.
+// Filters the derivatives of loss/dssim along rows.
 //
-// partials, out [rows, width, 3, 3], 0 outside.
-// One invocation owns RUN pixels of a row in one colour.
+// Partials, Out [rows, width, 3, 3] f32, 0 outside
+//
+// One invocation owns RUN pixels of a row in one color.
 #version 460
 #extension GL_EXT_control_flow_attributes : require
 #extension GL_EXT_scalar_block_layout : require

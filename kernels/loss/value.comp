@@ -1,7 +1,9 @@
-// Adds up the loss of each picture.
+// Sums the loss of each image.
 //
-// sums [C, count] as loss/gradient writes them; values f32, from `first` on `scale` times the sum of each.
-// One workgroup (a subgroup) owns a picture.
+// Sums   [C, count] f32, of loss/gradient
+// Values [first + C] f32, `scale` times each sum, from `first` on
+//
+// One workgroup (a subgroup) owns one image.
 #version 460
 #extension GL_KHR_shader_subgroup_arithmetic : require
 layout(local_size_x_id = 0) in;

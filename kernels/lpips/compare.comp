@@ -1,12 +1,12 @@
-// Compares the rectified features of two pictures pixel by pixel: sum over channels of weight (a / |a| - b / |b|)^2.
+// Compares rectified features per pixel: sum over channels of weight (a / |a| - b / |b|)^2.
 //
-// A, B      [pixels, channels] f32, not yet rectified
-// Weights   [channels] f32
-// Sums      [pixels] f32, scale times the sum
-// DA        [pixels, channels] f32, written where GRADIENT: the gradient of their sum by rectified features, added to what
-//           is there where ADD
+// A, B    [pixels, channels] f32, before rectification
+// Weights [channels] f32
+// Sums    [pixels] f32, times scale
+// DA      [pixels, channels] f32, gradient by rectified A; written if GRADIENT, added if ADD
 //
-// One workgroup (a subgroup) owns a pixel. Source: Zhang et al. 2018, version 0.1, with 1e-10 added to lengths.
+// One workgroup (a subgroup) owns one pixel.
+// Source: LPIPS 0.1 (Zhang et al. 2018), with 1e-10 added to lengths.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
@@ -36,7 +36,7 @@ void main() {
         squares += values * values;
     }
     vec2 lengths = sqrt(subgroupAdd(squares)), inverse = 1 / (lengths + EPSILON);
-    vec2 sum = vec2(0); // of the difference, and of its gradient along a
+    vec2 sum = vec2(0); // distance, and its gradient along a
     for (uint c = gl_LocalInvocationID.x; c < channels; c += gl_WorkGroupSize.x) {
         vec2 values = max(vec2(a[from + c], b[from + c]), 0) * inverse;
         float weighted = weights[c] * (values.x - values.y);

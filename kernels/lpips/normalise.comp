@@ -1,7 +1,9 @@
-// Brings red, green and blue to the range that LPIPS was trained with: ((2 x - 1) - shift) / scale.
+// Normalizes RGB for LPIPS: ((2 x - 1) - shift) / scale.
 //
-// Source [pixels, channels] f32 in 0..1, red, green, blue first; Out [pixels, 3] f32. CLIPPED: to 0..1 first.
-// One invocation a value of the result.
+// Source [pixels, channels] f32, 0..1 (clamped if CLIPPED), RGB first
+// Out    [pixels, 3] f32
+//
+// One invocation owns one value of Out.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "shared/index.glsl"

@@ -1,8 +1,10 @@
-// Adds the gradient by values in 0..1 to that of a picture, from the gradient by what lpips/normalise makes of them.
+// Backward pass of lpips/normalise, accumulated.
 //
-// Source  [pixels, channels] f32, as lpips/normalise read it; DOut [pixels, 3] f32; DSource [pixels, channels] f32, to which
-// weight times the gradient is added. CLIPPED: only values above 0 and below 1 have one.
-// One invocation a value of DOut.
+// Source  [pixels, channels] f32, 0..1, RGB first
+// DOut    [pixels, 3] f32
+// DSource [pixels, channels] f32, plus weight times the gradient
+//
+// One invocation owns one value of DOut. If CLIPPED, values outside (0, 1) have no gradient.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "shared/index.glsl"

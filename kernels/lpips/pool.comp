@@ -1,9 +1,9 @@
-// Takes the largest value of every window, at least 0: max pooling of rectified features, without padding.
+// Max pooling of rectified features, without padding.
 //
-// Source    [lines, width, channels] f32, lines source_first on
-// Out       [lines, out_width, channels] f32, lines first on
+// Source [lines, width, channels] f32, lines from source_first on
+// Out    [lines, out_width, channels] f32, lines from `first` on
 //
-// One invocation an element of the result.
+// One invocation owns one element of Out.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "shared/index.glsl"

@@ -1,10 +1,10 @@
-// Hands the gradient by every window's largest value to where that value is, the first in row order of equal ones.
+// Backward pass of lpips/pool, to the first largest value of each window in row order.
 //
-// Source    [lines, width, channels] f32, lines source_first on, as lpips/pool read it
-// DOut      [lines, out_width, channels] f32, lines out_first on of out_height
-// DSource   [lines, width, channels] f32, lines first on
+// Source  [lines, width, channels] f32, lines from source_first on
+// DOut    [lines, out_width, channels] f32, lines from out_first on of out_height
+// DSource [lines, width, channels] f32, lines from `first` on
 //
-// One invocation an element of DSource.
+// One invocation owns one element of DSource.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "shared/index.glsl"
@@ -32,7 +32,7 @@ float value_at(uvec2 at, uint channel) {
     return max(source[((at.y - source_first) * width + at.x) * channels + channel], 0);
 }
 
-// Whether the window from `corner` on has its first largest value at `at`.
+// Whether the window at `corner` has its first largest value at `at`.
 bool is_first_largest(uvec2 corner, uvec2 at, uint channel) {
     float value = value_at(at, channel);
     uvec2 place = at - corner;

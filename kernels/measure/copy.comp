@@ -1,9 +1,9 @@
-// Copies a buffer, to measure a device's memory bandwidth.
+// Copies a buffer, to measure memory bandwidth.
 //
-// Source, Out  [quads] of 16 bytes
+// Source, Out [quads] 16 bytes
 //
-// One invocation owns 16 bytes, so that a subgroup reads and writes whole cache lines. Transfer commands say less: on some GPUs
-// they run on a unit of their own, which is several times slower than the memory.
+// One invocation owns 16 bytes, so subgroups access whole cache lines. Transfer commands run on a
+// slower unit of some GPUs.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "shared/index.glsl"

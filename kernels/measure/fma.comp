@@ -1,10 +1,10 @@
-// Multiplies and adds in registers, to measure how fast a device can: x = x * factor + term, over and over.
+// Multiplies and adds in registers, to measure arithmetic throughput: x = x * factor + term.
 //
-// Out [count] f32: the sum of an invocation's chains after the last step
+// Out [count] f32, sum of an invocation's chains
 //
-// One invocation owns 4 QUADS chains of `iterations` times STEPS steps. A step waits for the one before it in its chain, so
-// that no compiler can leave one out, and others' steps fill the wait. Chains start at 0 to 15 by invocation, plus 16 times
-// their number: invocations that are alike would be computed once.
+// One invocation owns 4 QUADS chains of `iterations` * STEPS steps. A chain's steps depend on each
+// other, so none is optimized away; other chains hide the latency. Chains start differently, so
+// none is shared.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_control_flow_attributes : require

@@ -1,12 +1,11 @@
-// Multiplies matrices in registers, to measure how fast a device can: sums += a * b, over and over.
+// Multiplies matrices in registers, to measure matrix throughput: sums += a * b.
 //
-// A    [2, MATRIX_M, MATRIX_K] FACTOR, of which the first is multiplied
-// B    [PRODUCTS, MATRIX_K, MATRIX_N] FACTOR
-// Out  [subgroups, MATRIX_M, MATRIX_N] f32, of 8-bit integers i32: the sum over all products after the last iteration
+// A   [2, MATRIX_M, MATRIX_K] FACTOR, starting with the first
+// B   [PRODUCTS, MATRIX_K, MATRIX_N] FACTOR
+// Out [subgroups, MATRIX_M, MATRIX_N] f32, i32 if FACTOR is i8: sum of all products
 //
-// One subgroup owns PRODUCTS matrices of sums, which do not wait for each other. Behind iteration i both matrices of A are
-// exchanged where bit i % 32 of `swaps` is set, so that no compiler can take a product out of the loop. Each subgroup computes
-// the same.
+// One subgroup owns PRODUCTS independent sums; all subgroups compute the same. Bit i % 32 of
+// `swaps` exchanges A's matrices after iteration i, so that no product leaves the loop.
 #version 460
 #pragma factor f16 bf16 i8
 #extension GL_GOOGLE_include_directive : require

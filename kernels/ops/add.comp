@@ -1,9 +1,9 @@
 // Adds two arrays.
 //
 // Left, Right [count] f32
-// Out         [count] f32, may be Left itself
+// Out         [count] f32, may alias Left
 //
-// One invocation an element.
+// One invocation owns one element.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "shared/index.glsl"

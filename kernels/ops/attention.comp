@@ -1,14 +1,14 @@
-// Softmax attention of one head over one sequence, with a running maximum (FlashAttention, Dao et al. 2022).
+// Softmax attention of one head over one sequence.
 //
-// Q       [heads, sequences * queries, DIM] ELEMENT, already scaled by 1 / sqrt(DIM)
-// K       [heads, sequences, DIM, padded keys] ELEMENT: keys run fastest, padded to a multiple of 4
-// V       [heads, sequences * keys, DIM] ELEMENT
-// LogCounts [sequences * keys] f32, added to the keys' scores: the logarithm of how many patches each is the mean of; read where POOLED
-// Out     [sequences * queries, heads * DIM] ELEMENT
+// Q         [heads, sequences * queries, DIM] ELEMENT, scaled by 1 / sqrt(DIM)
+// K         [heads, sequences, DIM, padded keys] ELEMENT, keys padded to a multiple of 4
+// V         [heads, sequences * keys, DIM] ELEMENT
+// LogCounts [sequences * keys] f32, log of the number of pooled patches; read if POOLED
+// Out       [sequences * queries, heads * DIM] ELEMENT
 //
-// One workgroup (a subgroup) owns ROWS queries of a head; each lane scores 4 keys at a time, then gathers 4 channels of
-// the values (VECTORS times). Where a subgroup has more lanes than that takes, PARTS of it gather from different keys, and
-// are added up in the end. Memory is linear in tokens.
+// One workgroup (a subgroup) owns ROWS queries of a head. A lane scores 4 keys, then gathers 4
+// channels VECTORS times. PARTS groups of lanes gather different keys. Memory is linear in tokens.
+// Source: FlashAttention (Dao et al. 2022).
 #version 460
 #pragma element ELEMENT
 #extension GL_GOOGLE_include_directive : require
@@ -23,7 +23,7 @@ layout(local_size_x_id = 0) in;
 
 layout(constant_id = 1) const uint DIM = 64;
 layout(constant_id = 2) const uint VECTORS = 2; // ceil(DIM / (4 * subgroup size))
-layout(constant_id = 3) const uint PARTS = 1; // the power of two at or below 4 * subgroup size / DIM, at least 1
+layout(constant_id = 3) const uint PARTS = 1; // power of two <= 4 * subgroup size / DIM
 layout(constant_id = 4) const bool POOLED = false;
 
 const uint ROWS = ATTENTION_ROWS;
@@ -45,12 +45,12 @@ const uint QUADS = DIM / 4;
 
 shared vec4 weights[ROWS][gl_WorkGroupSize.x];
 
-// The state of each query so far: its highest score, the sum of its weights, and that of the values times their weights.
+// Running maximum, sum of weights and weighted sum of values of each query.
 float highest[ROWS];
 float total[ROWS];
 vec4 sum[ROWS][VECTORS];
 
-// Scores of the lane's 4 keys, which lie at `k_at`, for each query.
+// Scores the lane's 4 keys at `k_at`.
 void score(uint q_at[ROWS], uint k_at, uint key_quads, out vec4 scores[ROWS]) {
     [[unroll]] for (uint r = 0; r < ROWS; r++) scores[r] = vec4(0.0);
     for (uint c = 0; c < QUADS; c++) {
@@ -69,16 +69,14 @@ void score(uint q_at[ROWS], uint k_at, uint key_quads, out vec4 scores[ROWS]) {
     }
 }
 
-// Adds to the scores of 4 keys what their patches weigh.
 void weigh(uint sequence, uint first_key, inout vec4 scores[ROWS]) {
     vec4 more;
     [[unroll]] for (uint i = 0; i < 4; i++) more[i] = log_counts[sequence * keys + min(first_key + i, keys - 1)];
     [[unroll]] for (uint r = 0; r < ROWS; r++) scores[r] += more;
 }
 
-// Turns the scores of keys from `first_key` on into weights, for all lanes to read, and scales what was summed before to them.
+// Turns scores into shared weights and rescales the running sums.
 void softmax(uint first_key, vec4 scores[ROWS]) {
-    // Keys past the end weigh nothing, whatever their padding holds.
     bvec4 real = lessThan(first_key + uvec4(0, 1, 2, 3), uvec4(keys));
     [[unroll]] for (uint r = 0; r < ROWS; r++) {
         vec4 s = mix(vec4(LOWEST), scores[r], real);
@@ -93,14 +91,14 @@ void softmax(uint first_key, vec4 scores[ROWS]) {
     }
 }
 
-// Adds the values of a tile of keys, from `first_key` on, times their weights.
+// Adds the weighted values of a tile of keys.
 void gather(uint v_base, uint first_key, uint tile_quads) {
     uint lanes = gl_WorkGroupSize.x;
-    // Lanes past the last part repeat one, to keep the loop uniform.
+    // Surplus lanes keep the loop uniform.
     uint part = gl_LocalInvocationID.x / QUADS % PARTS;
     uint first_channel = gl_LocalInvocationID.x % QUADS;
     for (uint first = 0; first < tile_quads; first += PARTS) {
-        // Past the end weights are 0.
+        // Weights past the end are 0.
         uint j = first + part;
         uint key = first_key + 4 * j;
         [[unroll]] for (uint c = 0; c < VECTORS; c++) {
@@ -120,7 +118,7 @@ void gather(uint v_base, uint first_key, uint tile_quads) {
     }
 }
 
-// Adds up the parts of query r and writes it as row `row` of the result.
+// Sums the parts of query r and stores it as row `row`.
 void store(uint r, uint row, float all) {
     uint lane = gl_LocalInvocationID.x, lanes = gl_WorkGroupSize.x;
     [[unroll]] for (uint c = 0; c < VECTORS; c++) {

@@ -1,13 +1,15 @@
-// Softmax attention of one head over one sequence on matrix units, with a running maximum (FlashAttention-2, Dao 2023).
+// Softmax attention of one head over one sequence on matrix units.
 //
-// Q       [heads, sequences * queries, CHANNELS] FACTOR, already scaled by 1 / sqrt(head size); readable a workgroup beyond its end
-// K, V    [heads, sequences * keys, CHANNELS] FACTOR; channels past the head's size are zeros
-// LogCounts [sequences * keys] f32, added to the keys' scores: the logarithm of how many patches each is the mean of; read where POOLED
-// Out     [sequences * queries, heads * dim] FACTOR, saturated
+// Q         [heads, sequences * queries, CHANNELS] FACTOR, scaled by 1 / sqrt(head size),
+//           readable one workgroup past its end
+// K, V      [heads, sequences * keys, CHANNELS] FACTOR, 0 past the head size
+// LogCounts [sequences * keys] f32, log of the number of pooled patches; read if POOLED
+// Out       [sequences * queries, heads * dim] FACTOR, saturated
 //
-// One workgroup owns SUBGROUPS * ROWS queries of a head, each subgroup ROWS of them. Keys and values pass through shared
-// memory TILE at a time; so do the scores, since only there a row of a matrix can be told from another. Scores, softmax and
-// sums are f32. Memory is linear in tokens.
+// One workgroup owns SUBGROUPS * ROWS queries of a head, one subgroup ROWS of them. Shared memory
+// stages TILE keys and values, and the scores, whose rows are not addressable in matrices. Scores,
+// softmax and sums are f32. Memory is linear in tokens.
+// Source: FlashAttention-2 (Dao 2023).
 #version 460
 #pragma factor f16 bf16
 #extension GL_GOOGLE_include_directive : require
@@ -16,7 +18,7 @@
 
 layout(local_size_x_id = 0) in;
 
-layout(constant_id = 5) const uint REPEAT_M = 2; // matrices that a subgroup's queries fill
+layout(constant_id = 5) const uint REPEAT_M = 2; // matrices along a subgroup's queries
 layout(constant_id = 6) const uint TILE = 32;    // keys in shared memory
 layout(constant_id = 7) const uint CHANNELS = 64; // of a head, padded to whole matrices
 layout(constant_id = 8) const bool POOLED = false;
@@ -24,9 +26,9 @@ layout(constant_id = 8) const bool POOLED = false;
 const uint THREADS = gl_WorkGroupSize.x;
 const uint LANES = THREADS / SUBGROUPS;
 const uint ROWS = REPEAT_M * MATRIX_M;
-const uint STEPS = CHANNELS / MATRIX_K;  // matrices side by side in the queries
-const uint BLOCKS = CHANNELS / MATRIX_N; // and in the sums
-// Shared memory in 16 bytes; rows are one longer than they need, so that a matrix's rows lie in different banks.
+const uint STEPS = CHANNELS / MATRIX_K;  // matrices along the queries' channels
+const uint BLOCKS = CHANNELS / MATRIX_N; // matrices along the sums' channels
+// 16-byte vectors, one of padding per row against bank conflicts.
 const uint PIECES = CHANNELS / 8;
 const uint STRIDE = PIECES + 1;
 const uint LOADS = (TILE * PIECES + THREADS - 1) / THREADS;
@@ -52,7 +54,7 @@ uvec4 next_k[LOADS];
 uvec4 next_v[LOADS];
 Sums sums[REPEAT_M * BLOCKS];
 
-// What the patches of 4 keys add to their scores.
+// Log counts of 4 keys.
 vec4 more(uint first_key) {
     vec4 sum;
     uint first = gl_WorkGroupID.z * keys;
@@ -62,7 +64,6 @@ vec4 more(uint first_key) {
 
 #include "shared/running_softmax.glsl"
 
-// Keys past the last are zeros, whatever lies there.
 void load(uint base, uint first_key) {
     [[unroll]] for (uint i = 0; i < LOADS; i++) {
         uint at = i * THREADS + gl_LocalInvocationID.x;
@@ -82,7 +83,6 @@ void stage() {
     }
 }
 
-// Multiplies every row of the sums by its factor.
 void scale_sums(uint scores) {
     [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {
         Sums factor;
@@ -99,7 +99,7 @@ void main() {
 
     Left query[REPEAT_M * STEPS];
     [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {
-        // Queries past the last are other rows or what lies behind them: their results go nowhere.
+        // Surplus queries load arbitrary rows; their results are dropped.
         uint at = (head_sequence * queries + min(first_query, queries) + m * MATRIX_M) * PIECES;
         [[unroll]] for (uint c = 0; c < STEPS; c++) {
             coopMatLoad(query[m * STEPS + c], q, at + c * MATRIX_K / 8, PIECES, ROW_MAJOR);
@@ -155,7 +155,7 @@ void main() {
     softmax_end(scores);
     subgroupBarrier();
     scale_sums(scores);
-    // One matrix's columns at a time go where scores were, and from there to their rows.
+    // The scores' shared memory stages one column of matrices at a time.
     [[unroll]] for (uint n = 0; n < BLOCKS; n++) {
         subgroupBarrier();
         [[unroll]] for (uint m = 0; m < REPEAT_M; m++) {

@@ -1,13 +1,13 @@
-// Attention as ops/attention computes it, for drivers of CPUs: all lanes load the same (shared/uniform.glsl).
+// Softmax attention of one head over one sequence with uniform loads, for CPU drivers.
 //
-// Q       [heads, sequences * queries, DIM] f32, already scaled by 1 / sqrt(DIM)
-// K       [heads, sequences, panels, DIM, PANEL] f32: panels of keys, in which keys run fastest, the last padded
-// V       [heads, sequences * keys, DIM] f32
-// LogCounts [sequences * keys] f32, added to the keys' scores: the logarithm of how many patches each is the mean of; read where POOLED
-// Out     [sequences * queries, heads * DIM] f32
+// Q         [heads, sequences * queries, DIM] f32, scaled by 1 / sqrt(DIM)
+// K         [heads, sequences, panels, DIM, PANEL] f32, the last panel padded
+// V         [heads, sequences * keys, DIM] f32
+// LogCounts [sequences * keys] f32, log of the number of pooled patches; read if POOLED
+// Out       [sequences * queries, heads * DIM] f32
 //
-// One workgroup (a subgroup) owns TILE_ROWS queries of a head, and goes through the keys panel by panel, so that it reads on: where
-// the channels of a key lie as far apart as there are keys, each is in a page of its own.
+// One workgroup (a subgroup) owns TILE_ROWS queries of a head. Panels keep the channels of a key in
+// one memory page. See shared/uniform.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
@@ -20,7 +20,7 @@ layout(local_size_x_id = 0) in;
 
 layout(constant_id = 1) const uint DIM = 64;
 layout(constant_id = 2) const uint VECTORS = 8; // DIM / subgroup size
-layout(constant_id = 3) const uint TERMS = 4; // of a score in one pass of the loop; divides DIM
+layout(constant_id = 3) const uint TERMS = 4; // score terms per loop pass; divides DIM
 layout(constant_id = 4) const uint TILE_ROWS = 6;
 layout(constant_id = 5) const uint KEY_VECTORS = 2;
 layout(constant_id = 6) const bool POOLED = false;
@@ -41,20 +41,18 @@ layout(push_constant) uniform Push {
     uvec2 v_address;
 };
 
-// Channels that are summed up together, in registers.
+// Channels accumulated in registers at once.
 const uint TOGETHER = 2;
 const uint PANEL = KEY_VECTORS * gl_WorkGroupSize.x;
 
-// The state of each query so far: its highest score, the lane's part of the sum of its weights, and the sum of the values times their
-// weights.
+// Running maximum, the lane's sum of weights, and weighted sum of values of each query.
 uint64_t q_at[TILE_ROWS];
 float highest[TILE_ROWS];
 float total[TILE_ROWS];
 float sum[TILE_ROWS][VECTORS];
-// Scores of the panel's keys, then their weights.
+// Scores, then weights.
 float weight[TILE_ROWS][KEY_VECTORS];
 
-// Scores of the panel of keys at `k_at`.
 void score(uint64_t k_at) {
     [[unroll]] for (uint r = 0; r < TILE_ROWS; r++) {
         [[unroll]] for (uint n = 0; n < KEY_VECTORS; n++) weight[r][n] = 0.0;
@@ -76,7 +74,6 @@ void score(uint64_t k_at) {
     } while (c < DIM);
 }
 
-// Adds to the scores of so many keys, from `first` of all sequences on, what their patches weigh.
 void weigh(uint first, uint count) {
     [[unroll]] for (uint n = 0; n < KEY_VECTORS; n++) {
         float more = log_counts[first + min(n * gl_WorkGroupSize.x + lane, count - 1)];
@@ -84,7 +81,7 @@ void weigh(uint first, uint count) {
     }
 }
 
-// Turns the scores of so many keys into weights, those of padding into 0, and scales what was summed before to them.
+// Turns `count` scores into weights, padding into 0, and rescales the running sums.
 void softmax(uint count) {
     [[unroll]] for (uint r = 0; r < TILE_ROWS; r++) {
         float most = LOWEST;
@@ -104,12 +101,11 @@ void softmax(uint count) {
     }
 }
 
-// Adds the panel's values, so many at `v_at`, times their weights.
 void gather(uint64_t v_at, uint count) {
     [[unroll]] for (uint first = 0; first < VECTORS; first += TOGETHER) {
         [[unroll]] for (uint n = 0; n < KEY_VECTORS; n++) {
             [[unroll]] for (uint i = 0; i < gl_WorkGroupSize.x; i++) {
-                // Padding, which has no values, weighs nothing.
+                // Padding has weight 0.
                 uint key = min(n * gl_WorkGroupSize.x + i, count - 1);
                 [[unroll]] for (uint c = first; c < min(first + TOGETHER, VECTORS); c++) {
                     float value = vector_at(v_at, key * DIM + c * gl_WorkGroupSize.x);

@@ -1,10 +1,10 @@
 // Copies rows by index: out[i] = source[rows_from_out[i]].
 //
-// Source        [source_rows, width] f32, rows first_row on of a longer array
-// RowsFromOut   [count] row indices into the longer array
-// Out           [count, width] f32
+// Source      [source_rows, width] f32, rows from first_row on of a longer array
+// RowsFromOut [count] u32, row indices into the longer array
+// Out         [count, width] f32
 //
-// One invocation an element; rows outside this part of the source are another dispatch's.
+// One invocation owns one element. Rows outside this part belong to other dispatches.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "shared/index.glsl"

@@ -1,7 +1,9 @@
-// Activates values by the exact (erf) GELU, or takes a gradient back through it.
+// Applies the exact (erf) GELU or its backward pass.
 //
-// source [count] f32, before activation; gradient [count] f32, d loss / d result, read where BACKWARD. out [count] f32: GELU
-// of source, or, where BACKWARD, gradient times its derivative; may be gradient itself.
+// Source   [count] f32, before activation
+// Gradient [count] f32, d loss / d GELU; read if BACKWARD
+// Out      [count] f32, GELU, or d loss / d Source if BACKWARD; may alias Gradient
+//
 // One invocation owns one value.
 #version 460
 layout(local_size_x = 64) in;

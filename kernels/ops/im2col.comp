@@ -1,13 +1,12 @@
-// Lays out the inputs of a convolution as rows of a matrix product, one row for every pixel of the result.
+// Lays out convolution inputs as rows of a matrix product, one row per output pixel.
 //
-// Source    [lines, width, channels] f32, lines source_first on of a picture of `height` lines
-// Gate      [lines, width, channels] f32, likewise; read where GATED
-// Out       [rows, row] f32, pixels first on of a picture with out_width pixels a line; a row is
-//           [side, side, channels] and zeros behind
+// Source [lines, width, channels] f32, lines from source_first on; 0 outside the image
+// Gate   [lines, width, channels] f32, as Source; read if GATED
+// Out    [rows, row] f32, pixels from `first` on; a row is [side, side, channels] and padding
 //
-// The picture is 0 outside. Where SPREAD > 1, SPREAD - 1 zeros lie between its pixels (a transposed convolution).
-// RECTIFIED values are at least 0; GATED ones are 0 where their gate is not above 0.
-// One workgroup (a subgroup) owns a row, and a lane every so many channels of each of its taps: places are divided out once a tap.
+// SPREAD - 1 zeros separate the pixels (transposed convolution). RECTIFIED clamps values to 0 and
+// above. GATED keeps values with a positive gate. One workgroup (a subgroup) owns one row; lanes
+// stride over channels, which keeps divisions out of the loop.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "shared/index.glsl"

@@ -1,6 +1,9 @@
-// Finds where the items of each key start.
+// Finds the first item of each key.
 //
-// keys [capacity], sorted, the first item_count[0] of them in use; starts [key_count + 1].
+// Keys      [capacity] u32, sorted, the first item_count[0] in use
+// ItemCount [1] u32
+// Starts    [key_count + 1] u32
+//
 // One invocation owns one key and finds it by binary search.
 #version 460
 layout(local_size_x = 64) in;

@@ -1,13 +1,11 @@
-// Layer normalisation of rows: out = (x - mean) / sqrt(variance + eps) * weight + bias, x = source (+ addend).
+// Normalizes rows: out = (x - mean) / sqrt(variance + eps) * weight + bias, x = source + addend.
 //
-// Source    [rows, width] f32
-// Addend    [rows, width] f32, packed; read where ADD
-// Weight    [width] f32
-// Bias      [width] f32
-// Out       [rows, out_stride] OUTPUT, columns from out_column on
+// Source       [rows, width] f32; if patches > 0, a camera token precedes every `patches` rows
+// Addend       [rows, width] f32; read if ADD
+// Weight, Bias [width] f32
+// Out          [rows, out_stride] OUTPUT, columns from out_column on, without camera tokens
 //
-// One workgroup (a subgroup) owns a row.
-// With `patches` > 0 the source has one more row (a camera token) before every `patches` rows, which is left out.
+// One workgroup (a subgroup) owns one row.
 #version 460
 #pragma element OUTPUT
 #extension GL_GOOGLE_include_directive : require
@@ -35,7 +33,7 @@ layout(push_constant) uniform Push {
     float eps;
 };
 
-uint from; // where the row starts in Source
+uint from;
 uint addend_from;
 
 float value_of(uint c) { return ADD ? source[from + c] + addend[addend_from + c] : source[from + c]; }

@@ -1,18 +1,18 @@
-// Linear layer with its epilogue: out = residual + gamma * activation(a * weight + bias).
+// Linear layer with epilogue: out = residual + gamma * activation(a * weight + bias).
 //
-// A         [rows, inner] INPUT, inner a multiple of 4
-// Weight    [panels, inner, PANEL_COLUMNS] INPUT, panels of columns, the last padded (SwiGLU: gate and value columns alternate);
-//           read where not Q8
-// Integers  [panels, inner / 4, PANEL_COLUMNS / 4, 4, 4] i8, of 4 terms those of 4 columns; read where Q8
-// Scales    [panels, inner / Q8_GROUP, PANEL_COLUMNS] f16: what 1 stands for in a group of terms; read where Q8
-// Bias      [columns] f32
-// Gamma     [columns] f32, LayerScale; read where SCALE
-// Residual  [rows, columns] f32; read where ADD; may be Out itself
-// Out       [rows, columns] OUTPUT, half as many columns after SwiGLU; 16 bits saturate; where SPLIT [parts, rows, columns] f32,
-//           the sums of each part's terms alone, which ops/linear_merge adds up
+// A        [rows, inner] INPUT, inner a multiple of 4
+// Weight   [panels, inner, PANEL_COLUMNS] INPUT, the last panel padded; read unless Q8
+// Integers [panels, inner / 4, PANEL_COLUMNS / 4, 4, 4] i8, 4 terms of 4 columns; read if Q8
+// Scales   [panels, inner / Q8_GROUP, PANEL_COLUMNS] f16; read if Q8
+// Bias     [columns] f32
+// Gamma    [columns] f32, LayerScale; read if SCALE
+// Residual [rows, columns] f32, may alias Out; read if ADD
+// Out      [rows, columns] OUTPUT, 16 bits saturate; [rows, columns / 2] after SwiGLU;
+//          [parts, rows, columns] f32 partial sums for ops/linear_merge if SPLIT
 //
-// One workgroup (a subgroup) owns ROWS rows of 4 columns a lane, and where SPLIT `share` terms of their sums; A is read at addresses that are uniform over the
-// subgroup, so nothing passes through shared memory.
+// SwiGLU alternates gate and value columns. One workgroup (a subgroup) owns ROWS rows, 4 columns a
+// lane, and `share` terms if SPLIT (split-K). Addresses of A are uniform, so shared memory is not
+// needed.
 #version 460
 #pragma element INPUT
 #pragma element OUTPUT
@@ -47,7 +47,7 @@ void main() {
     uint quads = (columns + 3) / 4;
     uint quads_inner = inner / 4;
     const uint panel_quads = PANEL_COLUMNS / 4;
-    // Lanes past the last panel repeat one, to keep the loop uniform.
+    // Surplus lanes keep the loop uniform.
     uint panel = min(quad, quads - 1) / panel_quads;
     uint weight_at = panel * inner * panel_quads + quad % panel_quads;
     uint integers_at = panel * quads_inner * panel_quads + quad % panel_quads;

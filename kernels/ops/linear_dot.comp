@@ -1,14 +1,13 @@
-// Linear layer of 8-bit integers with its epilogue, to the bits of ops/linear_matrix, on lanes: dot products of four of them at a time.
+// Linear layer of 8-bit integers by packed dot products, bit-identical to ops/linear_matrix.
 //
-// A         [rows, inner] i8, inner a multiple of 8
-// Weight    [columns, inner] i8, columns a multiple of 4 (SwiGLU: of 8, gate and value alternate)
-// RowScales, ColumnScales  [rows], [columns] f32: what 1 stands for in a row of A or Weight
-// Bias, Gamma  [columns] f32; the latter, LayerScale, read where SCALE
-// Residual  [rows, columns] f32; read where ADD; may be Out itself
-// Out       [rows, columns] OUTPUT, half as many columns after SwiGLU; 16 bits saturate
+// A            [rows, inner] i8, inner a multiple of 8
+// Weight       [columns, inner] i8, columns a multiple of 4 (SwiGLU: 8)
+// RowScales    [rows] f32, scales of A
+// ColumnScales [columns] f32, scales of Weight
+// Bias, Gamma, Residual, Out as in ops/linear
 //
-// One workgroup owns TILE_ROWS rows of TILE_COLUMNS columns; a lane owns LANE_ROWS rows of LANE_COLUMNS columns, its neighbours' between
-// them. Factors pass through shared memory, TILE_K terms at a time: while some are multiplied, the next are on their way.
+// One workgroup owns TILE_ROWS x TILE_COLUMNS sums; a lane owns LANE_ROWS x LANE_COLUMNS of them,
+// interleaved. Shared memory stages TILE_K terms while the next ones load.
 #version 460
 #pragma factor i8
 #pragma element OUTPUT
@@ -19,7 +18,7 @@
 
 layout(local_size_x_id = 0) in;
 
-layout(constant_id = 4) const uint SUBGROUPS = 1; // of a workgroup
+layout(constant_id = 4) const uint SUBGROUPS = 1;
 layout(constant_id = 5) const uint TILE_COLUMNS = 32;
 layout(constant_id = 6) const uint LANE_ROWS = 4;
 layout(constant_id = 7) const uint LANE_COLUMNS = 4; // a multiple of 4
@@ -31,7 +30,7 @@ const uint TILE_QUADS = TILE_COLUMNS / 4;
 const uint COLUMN_LANES = TILE_COLUMNS / LANE_COLUMNS;
 const uint ROW_LANES = LANES / COLUMN_LANES;
 const uint TILE_ROWS = ROW_LANES * LANE_ROWS;
-// Shared memory in pieces of 8 terms. Rows are a piece longer than they need, so that those that lanes read at once lie in different banks.
+// Vectors of 8 terms, one of padding per row against bank conflicts.
 const uint PIECES = TILE_K / 8;
 const uint STRIDE = PIECES + 1;
 const uint STAGED_A = TILE_ROWS * STRIDE;
@@ -54,8 +53,7 @@ shared ivec2 staged[STAGED_A + TILE_COLUMNS * STRIDE];
 ivec2 next_a[A_LOADS];
 ivec2 next_weight[W_LOADS];
 
-// Loads what is multiplied from piece `first` on. Rows and columns past the last repeat it, since their results go nowhere; sums past
-// `inner` are of zeros.
+// Surplus rows and columns repeat the last; terms past `inner` are 0.
 void load(uint first_row, uint first_column, uint first) {
     uint pieces = inner / 8;
     [[unroll]] for (uint i = 0; i < A_LOADS; i++) {
@@ -72,7 +70,7 @@ void load(uint first_row, uint first_column, uint first) {
     }
 }
 
-// The row of shared memory that a column takes: of lanes beside each other, which own four columns each, beside each other.
+// Columns that neighboring lanes read together are adjacent.
 uint staged_column(uint quad, uint c) { return STAGED_A + (c * TILE_QUADS + quad) * STRIDE; }
 
 void stage() {

@@ -1,16 +1,15 @@
-// Linear layer with its epilogue on matrix units: out = residual + gamma * activation(a * weight + bias).
+// Linear layer of ops/linear on matrix units.
 //
-// A         [rows, inner] FACTOR, inner a multiple of 8
-// Weight    [columns, inner] FACTOR, columns a multiple of 4 (SwiGLU: of 8, gate and value alternate); read where not Q8
-// Integers, Scales  [columns, inner] i8, [columns, inner / Q8_GROUP] f16: a weight and what 1 stands for in a group of terms; read
-//           where Q8, where they are multiplied and rounded to FACTOR
-// RowScales, ColumnScales  [rows], [columns] f32: what 1 stands for in a row of A or Weight; read where FACTOR is i8
-// Bias, Gamma  [columns] f32; the latter, LayerScale, read where SCALE
-// Residual  [rows, columns] f32; read where ADD; may be Out itself
-// Out       [rows, columns] OUTPUT, half as many columns after SwiGLU; 16 bits saturate; where SPLIT as in ops/linear
+// A            [rows, inner] FACTOR, inner a multiple of 8
+// Weight       [columns, inner] FACTOR, columns a multiple of 4 (SwiGLU: 8); read unless Q8
+// Integers     [columns, inner] i8, expanded to FACTOR; read if Q8
+// Scales       [columns, inner / Q8_GROUP] f16; read if Q8
+// RowScales    [rows] f32, scales of A; read if FACTOR is i8
+// ColumnScales [columns] f32, scales of Weight; read if FACTOR is i8
+// Bias, Gamma, Residual, Out as in ops/linear
 //
-// One workgroup owns TILE_M rows of TILE_N columns, and where SPLIT `share` terms of their sums, whole TILE_K; a subgroup owns REPEAT_M x
-// REPEAT_N matrices of them. Tiles of A and Weight pass through shared memory twice TILE_K deep: one is multiplied while the next is on its way.
+// One workgroup owns TILE_M x TILE_N sums, and `share` terms if SPLIT, a multiple of TILE_K. A
+// subgroup owns REPEAT_M x REPEAT_N matrices. Shared memory double-buffers TILE_K terms.
 #version 460
 #pragma factor f16 bf16 i8
 #pragma element OUTPUT
@@ -29,25 +28,24 @@ layout(constant_id = 8) const uint TILE_K = 32;
 layout(constant_id = 9) const uint ACTIVATION = 0; // 0 none, 1 GELU (erf), 2 SwiGLU
 layout(constant_id = 10) const bool SCALE = false;
 layout(constant_id = 11) const bool ADD = false;
-layout(constant_id = 12) const bool Q8 = false; // not where FACTOR is i8
+layout(constant_id = 12) const bool Q8 = false; // not with i8 FACTOR
 layout(constant_id = 13) const bool SPLIT = false;
 
 const uint SUBGROUP_M = REPEAT_M * MATRIX_M; // rows and columns of a subgroup
 const uint SUBGROUP_N = REPEAT_N * MATRIX_N;
 const uint TILE_M = SUBGROUPS / SUBGROUPS_N * SUBGROUP_M;
 const uint TILE_N = SUBGROUPS_N * SUBGROUP_N;
-// Shared memory in pieces; rows are 16 bytes longer than they need, so that a matrix's rows lie in different banks and yet
-// where matrices may be loaded from.
+// Vectors of 8 factors, 16 bytes of padding per row: no bank conflicts, aligned matrix loads.
 const uint PIECES = TILE_K / 8;
 const uint STRIDE = PIECES + QUAD;
 const uint STAGE = (TILE_M + TILE_N) * STRIDE;
 const uint STRIP_STRIDE = (SUBGROUP_N / 4 + 1) * QUAD;
-const uint STRIP = MATRIX_M * STRIP_STRIDE; // a row of a subgroup's matrices, as the epilogue reads it
+const uint STRIP = MATRIX_M * STRIP_STRIDE; // one row of a subgroup's matrices
 const uint SHARED = 2 * STAGE > SUBGROUPS * STRIP ? 2 * STAGE : SUBGROUPS * STRIP;
 const uint THREADS = gl_WorkGroupSize.x;
 const uint A_LOADS = (TILE_M * PIECES + THREADS - 1) / THREADS;
 const uint W_LOADS = (TILE_N * PIECES + THREADS - 1) / THREADS;
-// Quads of sums that become one quad of results.
+// Quads of sums per quad of results.
 const uint MERGED = ACTIVATION == 2 ? 2 : 1;
 
 layout(set = 0, binding = 0) readonly buffer A { Piece a[]; };
@@ -77,7 +75,7 @@ Piece next_weight[W_LOADS];
 Piece weight_at(uint at) { return weight[at]; }
 Piece factors(Piece loaded) { return loaded; }
 #else
-// Eight weights as they are loaded: where Q8 two words of integers, one of scales, and which of its two is theirs.
+// If Q8: two words of integers, one of scales, and which of its two applies.
 Piece weight_at(uint at) {
     if (!Q8) return weight[at];
     uint group = at / (Q8_GROUP / 8);
@@ -91,7 +89,7 @@ Piece factors(Piece loaded) {
 }
 #endif
 
-// Rows and columns past the last repeat it, since their results go nowhere; sums past `inner` are of zeros.
+// Surplus rows and columns repeat the last; terms past `inner` are 0.
 void load(uint first_row, uint first_column, uint tile) {
     uint pieces = inner / 8;
     [[unroll]] for (uint i = 0; i < A_LOADS; i++) {
@@ -121,7 +119,7 @@ void stage(uint base) {
     }
 }
 
-// Four sums of a row at `at` of the strip, with their bias; `column` counts quads of all columns.
+// Four biased sums at `at` of the strip; `column` counts quads.
 vec4 sums_at(uint at, uint row, uint column) {
 #if FACTOR_IS_I8
     vec4 sum = vec4(ivec4(staged[at], staged[at + 1])) * (row_scales[row] * column_scales[column]);
@@ -131,7 +129,7 @@ vec4 sums_at(uint at, uint row, uint column) {
     return SPLIT ? sum : sum + bias[column];
 }
 
-// The quad of results whose first sums are `quad` of the strip's row at `strip`.
+// Stores the quad of results that starts at `quad` of the strip's row.
 void finish(uint strip, uint quad, uint row, uint column) {
     vec4 v = sums_at(strip + quad * QUAD, row, column);
     if (ACTIVATION == 1) v = vec4(gelu(v.x), gelu(v.y), gelu(v.z), gelu(v.w));

@@ -1,10 +1,7 @@
-// Sums of a linear layer in parts, added from the first part to the last, and their epilogue.
+// Sums the split-K parts of a linear layer in order and applies its epilogue.
 //
-// Sums      [parts, rows, columns] f32
-// Bias      [columns] f32
-// Gamma     [columns] f32, LayerScale; read where SCALE
-// Residual  [rows, columns] f32; read where ADD; may be Out itself
-// Out       [rows, columns] OUTPUT, half as many columns after SwiGLU; 16 bits saturate
+// Sums [parts, rows, columns] f32
+// Bias, Gamma, Residual, Out as in ops/linear
 //
 // One invocation owns 4 columns of a row.
 #version 460

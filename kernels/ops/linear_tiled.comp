@@ -1,19 +1,10 @@
-// Linear layer as ops/linear computes it, to the same bits, with both factors in shared memory.
+// Linear layer of ops/linear, bit-identical, with both factors in shared memory.
 //
-// A         [rows, inner] INPUT, inner a multiple of 4
-// Weight    [panels, inner, PANEL_COLUMNS] INPUT, panels of columns, the last padded (SwiGLU: gate and value columns alternate);
-//           read where not Q8
-// Integers  [panels, inner / 4, PANEL_COLUMNS / 4, 4, 4] i8, of 4 terms those of 4 columns; read where Q8
-// Scales    [panels, inner / Q8_GROUP, PANEL_COLUMNS] f16: what 1 stands for in a group of terms; read where Q8
-// Bias      [columns] f32
-// Gamma     [columns] f32, LayerScale; read where SCALE
-// Residual  [rows, columns] f32; read where ADD; may be Out itself
-// Out       [rows, columns] OUTPUT, half as many columns after SwiGLU; 16 bits saturate; where SPLIT [parts, rows, columns] f32,
-//           the sums of each part's terms alone, which ops/linear_merge adds up
+// Buffers as in ops/linear
 //
-// One workgroup owns TILE_ROWS rows of TILE_COLUMNS columns, and where SPLIT `share` terms of their sums; a lane owns LANE_ROWS rows
-// of LANE_COLUMNS columns, its neighbours' between them. Factors pass through shared memory as f32, TILE_K terms at a time: while some
-// are multiplied, the next are on their way. Every sum is added up as in ops/linear, term by term.
+// One workgroup owns TILE_ROWS x TILE_COLUMNS sums, and `share` terms if SPLIT. A lane owns
+// LANE_ROWS x LANE_COLUMNS sums, interleaved. Shared memory stages TILE_K terms as f32 while the
+// next ones load. Terms are added in the order of ops/linear.
 #version 460
 #pragma element INPUT
 #pragma element OUTPUT
@@ -26,7 +17,7 @@
 layout(local_size_x_id = 0) in;
 
 layout(constant_id = 4) const bool Q8 = false;
-layout(constant_id = 5) const uint SUBGROUPS = 1; // of a workgroup
+layout(constant_id = 5) const uint SUBGROUPS = 1;
 layout(constant_id = 6) const uint TILE_COLUMNS = 32;
 layout(constant_id = 7) const uint LANE_ROWS = 4;
 layout(constant_id = 8) const uint LANE_COLUMNS = 4; // a multiple of 4
@@ -40,7 +31,7 @@ const uint COLUMN_LANES = TILE_COLUMNS / LANE_COLUMNS;
 const uint ROW_LANES = LANES / COLUMN_LANES;
 const uint TILE_ROWS = ROW_LANES * LANE_ROWS;
 const uint PANEL_QUADS = PANEL_COLUMNS / 4;
-// Rows of A are a vec4 longer in shared memory than they need, so that those that lanes read at once lie in different banks.
+// A vec4 of padding per row avoids bank conflicts.
 const uint A_QUADS = TILE_K / 4;
 const uint A_STRIDE = A_QUADS + 1;
 const uint STAGED_A = TILE_ROWS * A_STRIDE;
@@ -62,11 +53,10 @@ layout(push_constant) uniform Push {
 shared vec4 staged[STAGED_A + TILE_K * TILE_QUADS];
 
 vec4 next_a[A_LOADS];
-uvec3 next_integers[W_LOADS]; // of 4 columns, with their scales
+uvec3 next_integers[W_LOADS];
 vec4 next_weight[W_LOADS];
 
-// Loads what is multiplied from term `first` on. Rows and columns past the last repeat it, since their results go nowhere; sums past
-// `end` are of zeros.
+// Surplus rows and columns repeat the last; terms past `end` are 0.
 void load(uint first_row, uint first_quad, uint first, uint end) {
     [[unroll]] for (uint i = 0; i < A_LOADS; i++) {
         uint at = i * LANES + gl_LocalInvocationID.x;

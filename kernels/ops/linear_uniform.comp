@@ -1,17 +1,9 @@
-// Linear layer as ops/linear computes it, to the same bits, for drivers of CPUs: all lanes load the same (shared/uniform.glsl).
+// Linear layer of ops/linear, bit-identical, with uniform loads for CPU drivers.
 //
-// A         [rows, inner] f32
-// Weight    [panels, inner, PANEL_COLUMNS] f32, panels of columns, the last padded (SwiGLU: gate and value columns alternate);
-//           read where not Q8
-// Integers  [panels, inner / 4, PANEL_COLUMNS / 4, 4, 4] i8, of 4 terms those of 4 columns; read where Q8
-// Scales    [panels, inner / Q8_GROUP, PANEL_COLUMNS] f16: what 1 stands for in a group of terms; read where Q8
-// Bias      [columns] f32
-// Gamma     [columns] f32, LayerScale; read where SCALE
-// Residual  [rows, columns] f32; read where ADD; may be Out itself
-// Out       [rows, columns] f32, half as many columns after SwiGLU
+// Buffers as in ops/linear, f32, never SPLIT
 //
-// One workgroup (a subgroup) owns TILE_ROWS rows and VECTORS columns a lane, neighbouring columns in neighbouring lanes. Past the
-// last row it reads that row again.
+// One workgroup (a subgroup) owns TILE_ROWS rows and VECTORS columns a lane, adjacent columns in
+// adjacent lanes. Surplus rows repeat the last. See shared/uniform.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_shuffle : require
@@ -25,9 +17,9 @@ layout(local_size_x_id = 0) in;
 layout(constant_id = 1) const uint ACTIVATION = 0; // 0 none, 1 GELU (erf), 2 SwiGLU
 layout(constant_id = 2) const bool SCALE = false;
 layout(constant_id = 3) const bool ADD = false;
-layout(constant_id = 4) const uint TERMS = 4; // of the sums in one pass of the loop; divides inner, and Q8_GROUP where Q8
+layout(constant_id = 4) const uint TERMS = 4; // per loop pass; divides inner, and Q8_GROUP if Q8
 layout(constant_id = 5) const uint TILE_ROWS = 6;
-layout(constant_id = 6) const uint VECTORS = 2; // as many subgroups divide a panel
+layout(constant_id = 6) const uint VECTORS = 2; // VECTORS * subgroup size divides PANEL_COLUMNS
 layout(constant_id = 7) const bool Q8 = false;
 
 layout(set = 0, binding = 0) readonly buffer A { float a[]; };
@@ -52,19 +44,18 @@ layout(push_constant) uniform Push {
 uint64_t row_at[TILE_ROWS];
 float sum[TILE_ROWS][VECTORS];
 
-// The lane's weight of term j of those whose integers lie at `at`, in its column v with this scale.
+// Weight of term j in the lane's column v, from the integers at `at`.
 float q8_at(uint64_t at, uint j, uint v, float scale) {
     uint word = shared_word_at(at, j / 4 * PANEL_COLUMNS + v * gl_WorkGroupSize.x + j % 4, 4, 4);
     return float(int(word << (24 - 8 * (lane % 4))) >> 24) * scale;
 }
 
-// The lane's scale in its column v of those that lie at `at`.
 float scale_at(uint64_t at, uint v) {
     vec2 two = unpackHalf2x16(shared_word_at(at, v * gl_WorkGroupSize.x / 2, 2, 1));
     return lane % 2 == 0 ? two.x : two.y;
 }
 
-// Adds term j of those from `offset` bytes on in each row; their weights, or where Q8 their integers, lie at `weights`.
+// Adds term j at `offset` bytes of each row; `weights` addresses weights, or integers if Q8.
 void add_term(uint64_t offset, uint64_t weights, float scale[VECTORS], uint j) {
     float factor[VECTORS];
     [[unroll]] for (uint v = 0; v < VECTORS; v++) {
@@ -90,7 +81,7 @@ void main() {
     uint first_column = gl_WorkGroupID.y * VECTORS * gl_WorkGroupSize.x;
     uint64_t before = first_column / PANEL_COLUMNS * inner * PANEL_COLUMNS;
     uint within = first_column % PANEL_COLUMNS;
-    // A word has the integers of 4 columns, so that those of 4 terms take PANEL_COLUMNS words.
+    // A word has 4 columns, so 4 terms take PANEL_COLUMNS words.
     uint64_t weight_at = Q8 ? packUint2x32(integers_address) + before + 4 * within
                             : packUint2x32(weight_address) + 4 * (before + within);
     uint64_t scales_at = packUint2x32(scales_address) + 2 * (before / Q8_GROUP + within);

@@ -1,9 +1,9 @@
-// Writes an array into some columns of a wider one: how two arrays are joined side by side.
+// Copies an array into columns of a wider one, to join arrays side by side.
 //
 // Source [rows, width] f32
 // Out    [rows, out_width] OUTPUT, columns from out_column on
 //
-// One invocation an element.
+// One invocation owns one element.
 #version 460
 #pragma element OUTPUT
 #extension GL_GOOGLE_include_directive : require

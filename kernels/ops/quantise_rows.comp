@@ -1,10 +1,10 @@
-// Rounds rows to signed 8-bit integers, each with a scale of its own that makes its largest magnitude 127.
+// Quantizes rows to signed 8-bit integers, each row's largest magnitude to 127.
 //
-// Source  [rows, width] f16, width a multiple of 4
-// Out     [rows, width] i8, four in a word
-// Scales  [rows] f32: what 1 stands for; NaN where the row has one
+// Source [rows, width] f16, width a multiple of 4
+// Out    [rows, width] i8, four per word
+// Scales [rows] f32, NaN if the row has a NaN
 //
-// One workgroup (a subgroup) owns a row.
+// One workgroup (a subgroup) owns one row.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_16bit_storage : require

@@ -1,7 +1,9 @@
-// Replaces each value by the sum of all before it: second half of a prefix sum.
+// Replaces values by their exclusive prefix sums: second half of a scan.
 //
-// values [count], in place; sums [blocks] of the shares, from scan_reduce.
-// One workgroup owns one share of values and adds up the sums of the shares before it.
+// Values [count] u32, in place
+// Sums   [blocks] u32, of ops/scan_reduce
+//
+// One workgroup owns one block of values and sums the blocks before it.
 #version 460
 #extension GL_KHR_shader_subgroup_arithmetic : require
 layout(local_size_x_id = 0) in;

@@ -1,9 +1,10 @@
-// Adds up the share of values that each workgroup owns: first half of a prefix sum.
+// Sums each workgroup's block of values: first half of a scan.
 //
-// values [count]; sums [blocks].
-// One workgroup owns one share of values, each invocation every subgroup-size-th item of it.
-// Reduce-then-scan (Merrill and Grimshaw, Parallel Scan for Stream Architectures, 2009): no workgroup waits for
-// another.
+// Values [count] u32
+// Sums   [blocks] u32
+//
+// One workgroup owns one block; lanes stride over it. No workgroup waits for another.
+// Source: reduce-then-scan (Merrill and Grimshaw, Parallel Scan for Stream Architectures, 2009).
 #version 460
 #extension GL_KHR_shader_subgroup_arithmetic : require
 layout(local_size_x_id = 0) in;

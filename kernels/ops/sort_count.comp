@@ -1,7 +1,10 @@
-// Counts how often each digit occurs in the share of keys that each workgroup owns: first part of a radix sort pass.
+// Counts each digit in each workgroup's block of keys: first part of a radix sort pass.
 //
-// keys [capacity], the first item_count[0] of them in use; digit_counts [256, blocks].
-// One workgroup owns one share of keys and one column of digit_counts.
+// Keys        [capacity] u32, the first item_count[0] in use
+// ItemCount   [1] u32
+// DigitCounts [256, blocks] u32
+//
+// One workgroup owns one block of keys and one column of DigitCounts.
 #version 460
 #extension GL_KHR_shader_subgroup_basic : require
 layout(local_size_x_id = 0) in;

@@ -1,9 +1,12 @@
-// Moves each key and its value to its place by one digit, equal digits in their order: last part of a radix sort pass.
+// Moves keys and values to their places by one digit, stably: last part of a radix sort pass.
 //
-// keys, values [capacity], the first item_count[0] of them in use; digit_offsets [256, blocks], the prefix sum of
-// sort_count's digit_counts; sorted_keys, sorted_values [capacity].
-// One workgroup owns one share of keys and moves it in order, one subgroup of keys at a time.
-// Ranks among equal digits by ballots: Adinets and Merrill, Onesweep, 2022, section 3.4, without its look-back.
+// Keys, Values             [capacity] u32, the first item_count[0] in use
+// ItemCount                [1] u32
+// DigitOffsets             [256, blocks] u32, prefix sums of ops/sort_count
+// SortedKeys, SortedValues [capacity] u32
+//
+// One workgroup owns one block of keys and moves a subgroup of keys at a time, in order.
+// Source: ballot ranks of Onesweep (Adinets and Merrill 2022, section 3.4), without look-back.
 #version 460
 #extension GL_KHR_shader_subgroup_ballot : require
 #extension GL_KHR_shader_subgroup_shuffle : require
@@ -20,7 +23,6 @@ layout(push_constant) uniform Push { uint shift; uint mask; uint blocks; };
 
 shared uint next[RADIX];
 
-// The lanes among `lanes` whose digit equals this lane's.
 uvec4 peers(uint digit, uvec4 lanes) {
     for (uint bit = 1; bit <= mask; bit <<= 1) {
         bool set = (digit & bit) != 0;
@@ -48,7 +50,7 @@ void main() {
             place = next[digit];
             next[digit] = place + subgroupBallotBitCount(equal);
         }
-        subgroupBarrier(); // what the leaders write now, others read in the next round
+        subgroupBarrier(); // orders writes before the next round's reads
         place = subgroupShuffle(place, subgroupBallotFindLSB(equal)) + rank;
         if (inside) {
             sorted_keys[place] = key;

@@ -1,17 +1,16 @@
-// Takes queries, keys or values of every head out of a projection: normalises, rotates and scales them once, and lays
-// them out as attention reads them.
+// Extracts queries, keys or values from a projection: normalizes, rotates, pools and scales them.
 //
-// Projection [rows, stride] ELEMENT; this part begins at column `column`
-// Weight     [dim] f32, affine norm over a head's channels; read where NORM
-// Bias       [dim] f32; read where NORM
-// Rotary     [turned, dim / 2] (cos, sin) of each rotated pair; read where ROTATE
-// LogCounts  [out_rows] f32: the logarithm of how many rows each is the mean of; written where COUNT
-// Out        [heads, out_rows, out_dim] ELEMENT, channels from dim on zero, or where TRANSPOSE [heads, sequences, panels, dim,
-//            panel], panels of rows, the last of a sequence padded
+// Projection   [rows, stride] ELEMENT, columns from `column` on
+// Weight, Bias [dim] f32, affine norm over a head's channels; read if NORM
+// Rotary       [turned, dim / 2] f32 (cos, sin) per pair; read if ROTATE
+// LogCounts    [out_rows] f32, log of the number of pooled rows; written if COUNT
+// Out          [heads, out_rows, out_dim] ELEMENT, 0 from channel dim on;
+//              [heads, sequences, panels, dim, panel] if TRANSPOSE, the last panel padded
 //
-// One workgroup (a subgroup) owns one head of one row of Out, two channels a lane at a time. Such a row is one of Projection, or where
-// POOL is above 1 the mean of a group of POOL x POOL patches, fewer at a view's border (Token Merging, Bolya et al. 2023). Rotary embedding: RoPE 2D (Su et
-// al. 2021; DA3), half of the channels with y and half with x, pairs half a half apart.
+// One workgroup (a subgroup) owns one head of one row of Out, a lane two channels at a time. POOL
+// averages groups of POOL x POOL patches, cropped at the view's border.
+// Sources: Token Merging (Bolya et al. 2023); RoPE 2D (Su et al. 2021; DA3): half of the channels
+// rotate by y, half by x, in pairs a quarter head apart.
 #version 460
 #pragma element ELEMENT
 #extension GL_GOOGLE_include_directive : require
@@ -36,27 +35,27 @@ layout(set = 0, binding = 4) writeonly buffer Out { ELEMENT result[]; };
 layout(set = 0, binding = 5) writeonly buffer LogCounts { float log_counts[]; };
 
 layout(push_constant) uniform Push {
-    uint rows;      // of Out that are written
+    uint rows;      // of Out that this dispatch writes
     uint heads;
     uint dim;
     uint out_dim;
     uint stride;
     uint column;
-    uint first_row; // row of Out that this dispatch's row 0 is
+    uint first_row; // of Out, of this dispatch
     uint out_rows;
-    uint sequence;  // rows of one sequence
-    uint panel;     // rows that lie side by side, where TRANSPOSE
-    uint tokens;    // rows of a view, after which rotations repeat
-    uint turned;    // the first rows of a view, which rotate
-    uint columns;   // patches of a view from left to right, where POOL is above 1
+    uint sequence;  // rows
+    uint panel;     // rows, if TRANSPOSE
+    uint tokens;    // rows of a view
+    uint turned;    // leading rows of a view that rotate
+    uint columns;   // patches across a view, if POOL > 1
     uint leading;   // rows of a view before its patches
     float scale;
     float eps;
 };
 
-uint from; // where the head starts in the row of Projection
+uint from;
 
-// The rows of Projection that are a row of Out.
+// Rows of Projection averaged into one row of Out.
 struct Group {
     uint first;
     uvec2 size; // patches along x and y
@@ -74,12 +73,11 @@ Group group_of(uint row) {
     return Group(view + leading + at.y * columns + at.x, min(patches - at, uvec2(POOL)));
 }
 
-// The i-th of them.
 uint member(Group group, uint i) { return group.first + i / group.size.x * columns + i % group.size.x; }
 
 float value_of(uint c) { return from_ELEMENT(projection[from + c]); }
 
-// The first channel of pair p; the second is `dim / 4` further.
+// First channel of pair p; the second is dim / 4 further.
 uint pair_channel(uint p) {
     uint quarter = dim / 4;
     return p < quarter ? p : p + quarter;
@@ -97,7 +95,6 @@ void store(uint head, uint row, uint channel, float value) {
     }
 }
 
-// Pair p of a row of Projection, normed and rotated.
 vec2 pair(Statistics statistics, uint row, uint head, uint p) {
     uint c = pair_channel(p);
     uint apart = dim / 4;
@@ -107,7 +104,7 @@ vec2 pair(Statistics statistics, uint row, uint head, uint p) {
         x = vec2(normed(statistics, x.x), normed(statistics, x.y));
         x = x * vec2(weight[c], weight[c + apart]) + vec2(bias[c], bias[c + apart]);
     }
-    // Pooled views are whole, so that the first of them begins with row 0.
+    // Pooled views are whole, so they begin with row 0.
     uint token = ((POOL == 1 ? first_row : 0) + row) % tokens;
     if (ROTATE && token < turned) {
         vec2 turn = rotary[token * (dim / 2) + p];

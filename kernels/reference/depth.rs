@@ -1,4 +1,4 @@
-//! The network of Depth Anything 3 whole, from pictures to what its heads say: depth, rays and cameras, or depth and sky.
+//! Depth Anything 3 from images to head outputs: depth, rays and cameras, or depth and sky.
 
 use super::backbone::block::{Options, block};
 use super::backbone::camera_token::{insert_camera_tokens, learned_camera_tokens};
@@ -12,40 +12,39 @@ use super::model::{Scope, Weights};
 use super::ops::add::add;
 use super::widen;
 
-/// The numbers of a network that the shapes of its parameters do not tell.
+/// Sizes that parameter shapes do not determine.
 #[derive(Clone, Copy, Debug)]
 pub struct Sizes {
-    /// Side of a patch in pixels.
+    /// Patch side in pixels.
     pub patch: usize,
-    /// Width of a token.
+    /// Token width.
     pub width: usize,
-    /// Blocks.
+    /// Number of blocks.
     pub depth: usize,
-    /// Attention heads of a block.
+    /// Attention heads.
     pub heads: usize,
-    /// First block that may be global; `depth` where views do not see each other.
+    /// First block that may be global; `depth` for single-view networks.
     pub alt_start: usize,
-    /// Blocks whose results are features, ascending.
+    /// Blocks that produce features, ascending.
     pub out_layers: [usize; 4],
 }
 
-/// The values of the heads for a view, before any exponential.
+/// Head outputs of a view, before exponentials.
 #[derive(Clone, Debug)]
 pub struct View {
-    /// `[height, width, 2]`, depth and its confidence, or `[height, width, 1]`.
+    /// `[height, width, 2]` (depth, confidence) or `[height, width, 1]`.
     pub depth: Vec<f64>,
-    /// `[8 rows, 8 columns, 7]`, where views see each other.
+    /// `[8 rows, 8 columns, 7]`, multi-view only.
     pub rays: Option<Vec<f64>>,
-    /// `[height, width]`, where they do not.
+    /// `[height, width]`, single-view only.
     pub sky: Option<Vec<f64>>,
-    /// Centre, quaternion xyzw, and fields of view from 0 on, where views see each other.
+    /// Center, quaternion xyzw, fields of view; multi-view only.
     pub camera: Option<Vec<f64>>,
 }
 
 const BLOCK_EPS: f64 = 1e-6;
 const EPS: f64 = 1e-5;
 
-/// A feature map `[height, width, channels]`.
 #[derive(Clone)]
 struct Map {
     values: Vec<f64>,
@@ -53,7 +52,8 @@ struct Map {
     channels: usize,
 }
 
-/// The values of the heads for `images`, normalised, in a world about the view `reference`. Cameras are not known.
+/// Computes head outputs for normalized `images` without known cameras, in the frame of view
+/// `reference`.
 pub fn views(weights: &Weights, sizes: &Sizes, images: &Images, reference: usize) -> Vec<View> {
     let (layers, cameras) = features(weights, sizes, images, reference);
     let multi = sizes.alt_start < sizes.depth;
@@ -78,7 +78,7 @@ pub fn views(weights: &Weights, sizes: &Sizes, images: &Images, reference: usize
     (0..images.views).map(view).collect()
 }
 
-/// The features of the patches of all views, shallowest first, and `[views, 2 width]` of their camera tokens.
+/// Computes patch features of all views, shallowest first, and camera tokens `[views, 2 width]`.
 pub fn features(weights: &Weights, sizes: &Sizes, images: &Images, reference: usize) -> (Vec<Vec<f64>>, Vec<f64>) {
     let (width, multi) = (sizes.width, sizes.alt_start < sizes.depth);
     let scope = Scope::of(weights, "model.backbone.pretrained");
@@ -118,7 +118,7 @@ pub fn features(weights: &Weights, sizes: &Sizes, images: &Images, reference: us
     (features, (0..images.views).flat_map(first).collect())
 }
 
-/// The head of a view: its parameters, the picture's size, and whether positions are added.
+/// The head: parameters, image size, and whether positions are added.
 struct Head<'a> {
     weights: Scope<'a>,
     full: [usize; 2],
@@ -152,7 +152,7 @@ impl Head<'_> {
         Map { values: add(&x.values, &positions(aspect, [height, width, x.channels])), ..x.clone() }
     }
 
-    /// Four levels of one width, shallowest first.
+    /// Four levels of equal width, shallowest first.
     fn levels(&self, features: &[Map]) -> Vec<Map> {
         let level = |(j, x): (usize, &Map)| {
             let mut x = x.clone();
@@ -177,7 +177,7 @@ impl Head<'_> {
         features.iter().enumerate().map(level).collect()
     }
 
-    /// The levels as one map, of twice the size of the first.
+    /// One map at twice the size of the first level.
     fn fused(&self, levels: &[Map], suffix: &str) -> Map {
         let relu = |x: &Map| Map { values: x.values.iter().map(|x| x.max(0.0)).collect(), ..x.clone() };
         let unit = |x: &Map, name: &str| {
@@ -197,13 +197,12 @@ impl Head<'_> {
             };
             let x = unit(&x, &format!("{name}.resConfUnit2"));
             let size = if j > 0 { levels[j - 1].size } else { x.size.map(|length| 2 * length) };
-            // Enlarged, then mixed, as it is defined.
             below = Some(self.convolved(&resized(&x, size), &format!("{name}.out_conv"), 1));
         }
         below.expect("four levels")
     }
 
-    /// The map at the picture's size.
+    /// The map at image size.
     fn up(&self, levels: &[Map]) -> Map {
         let neck = self.convolved(&self.fused(levels, ""), "scratch.output_conv1", 1);
         self.placed(&resized(&neck, self.full))
@@ -231,7 +230,7 @@ fn resized(x: &Map, size: [usize; 2]) -> Map {
     Map { values: resize(&x.values, [x.size[1], x.channels], size), size, channels: x.channels }
 }
 
-/// The camera of a token: centre, quaternion, fields of view.
+/// Decodes a camera token: center, quaternion, fields of view.
 fn decoded(weights: &Scope, token: &[f64]) -> Vec<f64> {
     let relu = |x: Vec<f64>| x.into_iter().map(|x| x.max(0.0)).collect::<Vec<_>>();
     let hidden = relu(weights.linear("backbone.2", &relu(weights.linear("backbone.0", token))));

@@ -1,4 +1,4 @@
-//! The whole network, stage by stage, keeping every tap that the goldens have under their keys.
+//! The whole network, with every intermediate result of the goldens.
 
 use std::collections::BTreeMap;
 
@@ -18,25 +18,25 @@ use super::ops::gather_rows::gather_rows;
 use super::ops::split_heads::Pool;
 use super::widen;
 
-/// Intermediate results by golden key: `bb/block0`, `prep/layer1`, `scene_ca0`.
+/// Intermediate results by golden key, such as `bb/block0`.
 pub type Taps = BTreeMap<String, Vec<f64>>;
 
 /// Epsilon of the backbone's `norm1`, `norm2` and final `norm`.
 const BACKBONE_EPS: f64 = 1e-6;
 
-/// Tokens of all views, as clustering and fusion take them.
+/// Tokens of all views for clustering and fusion.
 pub struct Tokens {
     /// `[views * patches, width]` per output layer, deepest first.
     pub layers: Vec<Vec<f64>>,
     /// `[views * patches, color_width]`.
     pub color: Vec<f64>,
-    /// Groups of patches that fusion sees as one.
+    /// Pooling of fusion keys.
     pub pool: Pool,
     /// `bb/*`, `prep/*` and `color/tokens`.
     pub taps: Taps,
 }
 
-/// Images, with cameras where they are known, to tokens; attention across views pools `side` x `side` patches.
+/// Computes tokens of images and known cameras; cross-view attention pools `side` x `side` patches.
 pub fn tokens(model: &Model, images: &Images, priors: Option<&[Prior]>, side: usize) -> Tokens {
     let architecture = &model.architecture;
     let mut taps = Taps::new();
@@ -54,7 +54,7 @@ pub fn tokens(model: &Model, images: &Images, priors: Option<&[Prior]>, side: us
     Tokens { layers, color, pool, taps }
 }
 
-/// One feature `[views * patches, 2 width]` per output layer, deepest first.
+/// Features `[views * patches, 2 width]` per output layer, deepest first.
 fn backbone(model: &Model, images: &Images, priors: Option<&[Prior]>, pool: Pool, taps: &mut Taps) -> Vec<Vec<f64>> {
     let architecture = &model.architecture;
     let weights = model.scope("backbone.backbone");
@@ -95,7 +95,7 @@ fn backbone(model: &Model, images: &Images, priors: Option<&[Prior]>, pool: Pool
     features
 }
 
-/// Class token and patches of every view, positions added.
+/// Class token and patches of each view, with positions.
 fn embed(model: &Model, images: &Images) -> Vec<f64> {
     let weights = model.scope("backbone.backbone");
     let projection = weights.scope("patch_embed.proj");
@@ -106,7 +106,7 @@ fn embed(model: &Model, images: &Images) -> Vec<f64> {
     first_tokens(&patches, &widen(weights.get("cls_token")), &positions)
 }
 
-/// The camera of every view as far as it is known, `[views, width]`: its encoding, or only whether it is the reference view.
+/// Camera tokens `[views, width]`: encoded known cameras, or learned ones.
 fn cameras(model: &Model, views: usize, priors: Option<&[Prior]>, taps: &mut Taps) -> Vec<f64> {
     let Some(priors) = priors else {
         let learned = widen(model.scope("backbone.backbone").get("camera_token"));
@@ -118,8 +118,8 @@ fn cameras(model: &Model, views: usize, priors: Option<&[Prior]>, taps: &mut Tap
     encoded
 }
 
-/// Tokens, of which those at `nearest` represent the scene, to Gaussians `gauss [K * G, 11 + 3 (degree + 1)^2]`; every
-/// tap on the way, without the prefix of the compression ratio.
+/// Decodes scene tokens `nearest` to `gauss [K * G, 11 + 3 (degree + 1)^2]`, with every
+/// intermediate result.
 pub fn gaussians(model: &Model, tokens: &Tokens, nearest: &[u32]) -> Taps {
     let architecture = &model.architecture;
     let (width, color_width) = (architecture.width, architecture.color_width);

@@ -1,8 +1,8 @@
-//! ZipSplat again in plain f64: dense, sequential in its definitions, and as short as the formulas allow.
+//! ZipSplat in plain f64, the reference of tests and `zipsplat doctor`.
 //!
-//! The tests and `zipsplat doctor` hold the engine to it; the engine never sees it. Modules mirror the kernels. Nothing here is tiled, fused or streamed, so that a kernel and its reference cannot share
-//! a mistake. Activations are `[f64]`, row-major; weights stay the f32 they are stored as. `stages/references.rs` holds
-//! every reference to the dumps of the PyTorch implementation.
+//! Modules mirror the kernels, without tiling, fusion or streaming, so that they share no mistake.
+//! Activations are row-major `[f64]`, weights stored f32. `stages/references.rs` checks references
+//! against PyTorch dumps.
 
 pub mod backbone;
 pub mod cluster;
@@ -19,7 +19,7 @@ pub mod ops;
 pub mod refine;
 pub mod render;
 
-/// f32 values as the references take them.
+/// Converts f32 to f64.
 pub fn widen(values: &[f32]) -> Vec<f64> {
     values.iter().map(|&x| f64::from(x)).collect()
 }

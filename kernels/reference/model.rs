@@ -1,4 +1,4 @@
-//! A model: its architecture and its weights, those of the goldens read from `<config>.manifest.json` and generated.
+//! Architectures and weights; goldens use generated weights.
 
 use std::collections::BTreeMap;
 
@@ -7,36 +7,36 @@ use serde_json::Value;
 use super::ops::layer_norm::layer_norm;
 use super::ops::linear::linear;
 
-/// The switches of a model that its parameters' shapes do not tell.
+/// Settings that parameter shapes do not determine.
 #[derive(Clone, Debug)]
 pub struct Architecture {
-    /// Side of a square patch, pixels.
+    /// Patch side in pixels.
     pub patch: usize,
-    /// Width of a backbone token.
+    /// Backbone token width.
     pub width: usize,
-    /// Number of backbone blocks.
+    /// Backbone blocks.
     pub depth: usize,
-    /// Attention heads of the backbone.
+    /// Backbone attention heads.
     pub heads: usize,
     /// First block that may be global; camera tokens enter here.
     pub alt_start: usize,
-    /// First block that rotates queries and keys.
+    /// First block with rotary embedding.
     pub rope_start: usize,
-    /// Blocks whose results are features, ascending.
+    /// Blocks that produce features, ascending.
     pub out_layers: Vec<usize>,
-    /// Blocks of the camera encoder.
+    /// Camera encoder blocks.
     pub camera_blocks: usize,
-    /// Attention heads of the camera encoder.
+    /// Camera encoder attention heads.
     pub camera_heads: usize,
-    /// Attention heads of the fusion.
+    /// Fusion attention heads.
     pub fusion_heads: usize,
-    /// Width of a colour token.
+    /// Color token width.
     pub color_width: usize,
-    /// Attention heads of the colour cross-attention.
+    /// Color attention heads.
     pub color_heads: usize,
-    /// G, Gaussians of a token.
+    /// Gaussians per token, G.
     pub gaussians: usize,
-    /// SH degree of a Gaussian.
+    /// SH degree.
     pub sh_degree: usize,
 }
 
@@ -48,7 +48,7 @@ impl Architecture {
         let width = number(&params["backbone.backbone.cls_token"][2]);
         let color_width = number(&conf["color_skip_dim"]);
         let depth = (0..).take_while(|i| params.contains_key(&format!("backbone.backbone.blocks.{i}.ls1.gamma")));
-        // Written in no checkpoint: a property of the named vision transformer.
+        // No checkpoint stores these.
         let (alt_start, rope_start) = match conf["vit_name"].as_str().expect("vit_name") {
             "micro" | "giant_slice" => (1, 1),
             "tiny" => (2, 2),
@@ -79,19 +79,17 @@ impl Architecture {
 
 /// An architecture with its weights.
 pub struct Model {
-    /// The switches.
+    /// Architecture.
     pub architecture: Architecture,
-    /// Every parameter by its name in a checkpoint: shape and values.
+    /// Parameters.
     pub weights: Weights,
 }
 
-/// Parameters by their names in a checkpoint: shape and values.
+/// Shape and values of parameters by checkpoint name.
 pub type Weights = BTreeMap<String, (Vec<usize>, Vec<f32>)>;
 
 impl Model {
-    /// The model of `<config>.manifest.json` with generated weights.
-    ///
-    /// `config` seeds the weights: `tiny` and `tiny_eps` have the same architecture.
+    /// Generates the model of `<config>.manifest.json`; `config` seeds the weights.
     pub fn generated(config: &str, manifest: &Value) -> Model {
         let params = manifest["params"].as_object().expect("parameters");
         let weights = params.iter().map(|(name, shape)| {
@@ -102,13 +100,13 @@ impl Model {
         Model { architecture: Architecture::from_manifest(manifest), weights: weights.collect() }
     }
 
-    /// The parameters below `prefix`.
+    /// Returns the parameters below `prefix`.
     pub fn scope(&self, prefix: &str) -> Scope<'_> {
         Scope::of(&self.weights, prefix)
     }
 }
 
-/// The parameters of one module of the network.
+/// Parameters of one module.
 #[derive(Clone)]
 pub struct Scope<'a> {
     weights: &'a Weights,
@@ -116,22 +114,22 @@ pub struct Scope<'a> {
 }
 
 impl<'a> Scope<'a> {
-    /// The parameters below `prefix`.
+    /// Returns the parameters below `prefix`.
     pub fn of(weights: &'a Weights, prefix: &str) -> Self {
         Self { weights, prefix: prefix.to_owned() }
     }
 
-    /// The parameters of a part of this module.
+    /// Returns the parameters of a submodule.
     pub fn scope(&self, name: &str) -> Scope<'a> {
         Scope::of(self.weights, &format!("{}.{name}", self.prefix))
     }
 
-    /// Whether this module has a parameter `name`.
+    /// Returns whether parameter `name` exists.
     pub fn has(&self, name: &str) -> bool {
         self.weights.contains_key(&format!("{}.{name}", self.prefix))
     }
 
-    /// The values of parameter `name`.
+    /// Returns the values of parameter `name`.
     pub fn get(&self, name: &str) -> &'a [f32] {
         let name = format!("{}.{name}", self.prefix);
         &self.weights.get(&name).unwrap_or_else(|| panic!("no parameter {name}")).1
@@ -148,7 +146,7 @@ impl<'a> Scope<'a> {
     }
 }
 
-/// Parameters that a config ending in `_eps` shrinks by 64, so that every LayerNorm's epsilon becomes visible.
+/// Parameters that `_eps` configs divide by 64, so that LayerNorm epsilons matter.
 const SHRUNK: [&str; 15] = [
     "cls_token",
     "camera_token",
@@ -167,8 +165,8 @@ const SHRUNK: [&str; 15] = [
     "cam_enc.token_norm.",
 ];
 
-/// The values of a generated parameter: bytes of splitmix64, seeded by the FNV-1a hash of `config/name`, scaled by what
-/// the parameter is. Every value is exact in f32, f16 and bf16.
+/// Generates a parameter: splitmix64 bytes seeded by the FNV-1a hash of `config/name`, exact in
+/// f32, f16 and bf16.
 pub fn generate(config: &str, name: &str, shape: &[usize]) -> Vec<f32> {
     let seed = fnv1a64(format!("{config}/{name}").as_bytes());
     let bytes = (1..=shape.iter().product::<usize>() as u64).map(|i| (splitmix64(seed, i) >> 56) as u32);
@@ -190,8 +188,8 @@ pub fn generate(config: &str, name: &str, shape: &[usize]) -> Vec<f32> {
     bytes.map(|b| value(b) / shrink).collect()
 }
 
-/// The power of two nearest above `sqrt(3 / fan_in)` from below: uniform weights then keep a variance of about 1. The last
-/// layer has twice that, for Gaussians of visible size.
+/// Largest power of two up to `sqrt(3 / fan_in)`, which keeps variance near 1; twice that in the
+/// last layer, for visible Gaussians.
 fn weight_amplitude(name: &str, fan_in: usize) -> f32 {
     let halvings = (0..).find(|&e| 3usize << (2 * e) >= fan_in).expect("a power of four above any size");
     let halvings = if name == "gaussian_head.gaussian_head.1.weight" { halvings - 1 } else { halvings };
@@ -202,7 +200,7 @@ fn fnv1a64(bytes: &[u8]) -> u64 {
     bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, &byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
 }
 
-/// Output number `count` (from 1) of the generator seeded with `seed` (Steele, Lea and Flood 2014).
+/// Output `count`, from 1, of splitmix64 (Steele, Lea and Flood 2014).
 fn splitmix64(seed: u64, count: u64) -> u64 {
     let z = seed.wrapping_add(count.wrapping_mul(0x9e37_79b9_7f4a_7c15));
     let z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);

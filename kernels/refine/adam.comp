@@ -1,10 +1,12 @@
-// Steps values by Adam, in the space in which they are optimised.
+// Steps parameters by Adam in their optimization space.
 //
-// parameters [count] f32, SPACE 0: any unit, stepped as they are; 1: positive, stepped as ln p; 2: in (0, 1), stepped as
-// logit p. gradient [count] f32, d loss / d p of p as stored. first, second [count] f32: the moments, in the space of the
-// steps. schedule [4] f32: rate, 1 / (1 - beta1^t), 1 / (1 - beta2^t) of step t, and one that is not read.
-// One invocation owns one value. One whose gradient, or the square of it, is not finite stays with its moments as it is.
-// Adam (Kingma and Ba 2015), as in PyTorch without decay.
+// Parameters    [count] f32; SPACE 0: stepped as p; 1: positive, as ln p; 2: in (0, 1), as logit p
+// Gradient      [count] f32, d loss / d p
+// First, Second [count] f32, moments in the optimization space
+// Schedule      [4] f32: rate, 1 / (1 - beta1^t), 1 / (1 - beta2^t), unused
+//
+// One invocation owns one value. A non-finite gradient or square skips the step.
+// Source: Adam (Kingma and Ba 2015), as in PyTorch without decay.
 #version 460
 layout(local_size_x = 64) in;
 #include "shared/index.glsl"
@@ -19,8 +21,8 @@ layout(set = 0, binding = 4) readonly buffer Schedule { float schedule[]; };
 layout(push_constant) uniform Push { uint count; float beta1; float beta2; float eps; float rate; };
 
 const float LARGEST = 3.4e38;
-const vec2 POSITIVE = vec2(1e-30, 1e30); // where ln p may go
-const vec2 BETWEEN = vec2(1e-6, 1 - 1e-6); // where logit p may go
+const vec2 POSITIVE = vec2(1e-30, 1e30); // range of p for ln p
+const vec2 BETWEEN = vec2(1e-6, 1 - 1e-6); // range of p for logit p
 
 void main() {
     uint i = global_index();
@@ -33,7 +35,7 @@ void main() {
         p = clamp(p, BETWEEN.x, BETWEEN.y);
         g *= p * (1 - p);
     }
-    if (!(g * g <= LARGEST)) return; // of NaN, too
+    if (!(g * g <= LARGEST)) return; // also NaN
     float m = beta1 * first[i] + (1 - beta1) * g;
     float v = beta2 * second[i] + (1 - beta2) * g * g;
     float d = rate * schedule[0] * m * schedule[1] / (sqrt(v * schedule[2]) + eps);

@@ -1,7 +1,9 @@
-// Adds up the gradients of every camera.
+// Sums the gradients of each camera.
 //
-// parts [rows, C, 10] of render/project_backward; d_cameras [C, 10], which is added to.
-// One workgroup, a subgroup, owns one number of one camera; sums are in the order of its lanes' shares.
+// Parts    [rows, C, 10] f32, of render/project_backward
+// DCameras [C, 10] f32, accumulated
+//
+// One workgroup (a subgroup) owns one number of one camera. The order of sums is fixed.
 #version 460
 #extension GL_KHR_shader_subgroup_arithmetic : require
 layout(local_size_x_id = 0) in;

@@ -1,11 +1,18 @@
-// Sums the gradients of every splat over its tiles, and takes that of its colour on to the Gaussian's coefficients.
+// Sums splat gradients over tiles and propagates those of color to SH coefficients.
 //
-// means [N, 3] world; sh_coeffs [N, (SH_DEGREE + 1)^2, 3]; cameras [C, 2, 4, 4], see shared/camera; colours [N, C, 3] of
-// render/project; status [3] of render/intersect; slots [N C + 1], moments [capacity, 6], d_values [capacity, 3 or 4 or 1] of
-// render/rasterise_backward.
-// d_pairs [N, C, 10], see shared/pair_gradient; d_sh_coeffs like sh_coeffs, which is added to where SCENE_GRADIENTS.
-// One invocation owns one Gaussian; sums are in the order of cameras, then of tiles. Where intersections found no room, all
-// gradients are 0.
+// Means     [N, 3] f32, world
+// ShCoeffs  [N, (SH_DEGREE + 1)^2, 3] f32
+// Cameras   [C, 2, 4, 4] f32, see shared/camera
+// Colors    [N, C, 3] f32, of render/project
+// Status    [3] u32, of render/intersect
+// Slots     [N C + 1] u32, as in render/rasterise_backward
+// Moments   [capacity, 6] f32, as Slots
+// DValues   [capacity, 3, 4 or 1] f32, as Slots
+// DPairs    [N, C, 10] f32, see shared/pair_gradient
+// DShCoeffs [N, (SH_DEGREE + 1)^2, 3] f32, accumulated if SCENE_GRADIENTS
+//
+// One invocation owns one Gaussian; sums are in the order of cameras, then tiles. Gradients are 0
+// if intersections exceeded their capacity.
 #version 460
 #extension GL_EXT_scalar_block_layout : require
 layout(local_size_x = 64) in;
@@ -51,7 +58,7 @@ PairGradient over_tiles(uint pair) {
     return sum;
 }
 
-// Adds to the gradients of the coefficients and gives that of the offset.
+// Accumulates coefficient gradients and returns the offset's.
 vec3 to_coefficients(uint n, uint camera, vec3 d_rgb, inout vec3 d_coeffs[COEFFS]) {
     if (SH_DEGREE == 0) {
         d_coeffs[0] += SH_0 * d_rgb;

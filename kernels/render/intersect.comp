@@ -1,9 +1,13 @@
-// Lists every intersection of a Gaussian with a tile, in depth order.
+// Lists the intersections of Gaussians with tiles, in depth order.
 //
-// tile_sets [pairs, 3]; indices [pairs] of pairs, near to far; offsets [pairs + 1], the prefix sum of tile_counts;
-// tiles, pair_indices [capacity] of each intersection: tile id (camera-major, then row-major) and index of the pair.
-// status [3]: intersections that were listed, those that there are modulo 2^32, and whether that number wrapped.
-// One invocation owns one place in the depth order; the one past the last writes status, which is 0 before.
+// TileSets    [pairs, 3] u32, of render/project
+// Indices     [pairs] u32, pairs from near to far
+// Offsets     [pairs + 1] u32, prefix sums of render/tile_counts
+// Tiles       [capacity] u32, tile of each intersection, camera-major, then row-major
+// PairIndices [capacity] u32, pair of each intersection
+// Status      [3] u32, 0 before: listed intersections, total modulo 2^32, whether the total wrapped
+//
+// One invocation owns one place in the depth order; the one past the last writes Status.
 #version 460
 #extension GL_EXT_scalar_block_layout : require
 layout(local_size_x = 64) in;

@@ -1,8 +1,12 @@
-// Finds the normals of Gaussians: the shortest axis of each, turned towards the camera.
+// Computes normals of Gaussians: the shortest axis, facing the camera.
 //
-// In: means [N, 3] world; scales [N, 3] standard deviations, world; quats [N, 4] wxyz, any length; cameras [C, 2, 4, 4],
-// see shared/camera. Out, for each pair of a Gaussian and a camera [N, C]: normals [3], unit vectors, world.
-// One invocation owns one pair. Of axes equally short the first is taken.
+// Means   [N, 3] f32, world
+// Scales  [N, 3] f32, standard deviations, world
+// Quats   [N, 4] f32, wxyz, any length
+// Cameras [C, 2, 4, 4] f32, see shared/camera
+// Normals [N, C, 3] f32, unit, world
+//
+// One invocation owns one pair of a Gaussian and a camera. The first of equally short axes wins.
 #version 460
 #extension GL_EXT_scalar_block_layout : require
 layout(local_size_x = 64) in;

@@ -1,10 +1,9 @@
-// Pictures of 8 bits a channel.
+// Packs images to 8 bits per channel.
 //
-// Frames [count] red, green, blue, alpha as f32
-// Packed [count] the same, clamped to 0..1 and times 255, colour truncated and alpha rounded; red in the lowest byte, blue
-//   where BLUE_FIRST
+// Frames [count] f32, RGBA
+// Packed [count] u32, clamped to 0..1, times 255; red in the lowest byte, blue if BLUE_FIRST
 //
-// One invocation a pixel. Colour is truncated as in gsplat's viewer, which pictures in files have too.
+// One invocation owns one pixel. Color is truncated, as in gsplat's viewer; alpha is rounded.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "shared/index.glsl"

@@ -1,17 +1,22 @@
-// Projects Gaussians to the image planes of several cameras and finds the tiles that each one touches.
+// Projects Gaussians to several cameras and finds the tiles they touch.
 //
-// In: means [N, 3] world; scales [N, 3] standard deviations, world; quats [N, 4] wxyz, any length; opacities [N];
-// sh_coeffs [N, (SH_DEGREE + 1)^2, 3]; cameras [C, 2, 4, 4], see shared/camera.
-// Out, for each pair of a Gaussian and a camera [N, C]: xy_opacities [3], place in pixels (the centre, or the ridge's x, see
-// shared/splat, and the centre's y) and opacity; conics [3], see below;
-// colours [3]; depths (bits of camera z); tile_sets [3]; indices of the pairs.
-// Gaussians nearer than `near`, in world units, are not drawn.
-// One invocation owns one pair.
+// Means       [N, 3] f32, world
+// Scales      [N, 3] f32, standard deviations, world
+// Quats       [N, 4] f32, wxyz, any length
+// Opacities   [N] f32
+// ShCoeffs    [N, (SH_DEGREE + 1)^2, 3] f32
+// Cameras     [C, 2, 4, 4] f32, see shared/camera
+// XyOpacities [N, C, 3] f32, place (x of center or ridge, y of center), pixels, and opacity
+// Conics      [N, C, 3] f32, (A, k, P)
+// Colors      [N, C, 3] f32
+// Depths      [N, C] u32, bits of camera z
+// TileSets    [N, C, 3] u32, see shared/splat
+// Indices     [N, C] u32, pairs
 //
-// A conic (A, k, P) is the inverse covariance [[A, -Ak], [-Ak, Ak^2 + P]] completed to squares:
-// d' conic d = A (dx - k dy)^2 + P dy^2, which neither cancels for needles nor is ever negative. dx - k dy is measured from
-// the splat's ridge.
-// EWA splatting (Zwicker et al. 2001) with the constants of gsplat 1.5.3.
+// One invocation owns one pair of a Gaussian and a camera; pairs nearer than `near` are culled.
+// A conic is the inverse covariance in completed squares, d' conic d = A (dx - k dy)^2 + P dy^2:
+// never negative, without cancellation for needles. dx - k dy counts from the splat's ridge.
+// Source: EWA splatting (Zwicker et al. 2001) with the constants of gsplat 1.5.3.
 #version 460
 #extension GL_EXT_scalar_block_layout : require
 layout(local_size_x = 64) in;
@@ -45,8 +50,8 @@ layout(push_constant) uniform Push { uint pairs; uint first_pair; uint camera_co
 const float FAR = 1e10;
 const float EXTENT_MAX = 3.33; // standard deviations at which even opacity 1 falls below ALPHA_MIN
 
-// Smallest d' conic d over the pixel centres between `from` and `to`. The form is convex with its minimum at the centre, so
-// it lies there or on an edge that faces it.
+// Least d' conic d over pixel centers from `from` to `to`. The form is convex: the minimum is at
+// the center or on an edge facing it.
 float nearest(vec3 conic, vec2 centre, vec2 place, vec2 from, vec2 to) {
     float row = ridge_row(place.y, height), rise = place.y - row;
     vec2 edge = clamp(centre, from, to);
@@ -59,8 +64,8 @@ float nearest(vec3 conic, vec2 centre, vec2 place, vec2 from, vec2 to) {
     return min(q.x, q.y);
 }
 
-// Tiles within `radii` of the centre; of few tiles, those where an alpha reaches ALPHA_MIN. `reach` is the largest d' conic
-// d that does; the margin covers the rounding of d' conic d within images of 2^15 pixels a side.
+// Tiles within `radii` of the center; if few, those where d' conic d falls to `reach` (alpha to
+// ALPHA_MIN). The margin covers rounding in images of 2^15 pixels a side.
 TileSet touched(vec2 centre, vec2 place, vec2 radii, vec3 conic, float reach) {
     vec2 grid = (uvec2(width, height) + TILE - 1) / TILE;
     uvec2 first = uvec2(clamp(floor((centre - radii) / TILE), vec2(0), grid));
@@ -84,15 +89,13 @@ void add_bands(uint n, vec3 direction, inout vec3 sum) {
     for (uint k = 1; k < COEFFS; k++) sum += basis[k] * sh_coeffs[n * COEFFS + k];
 }
 
-// Seen along `offset`.
 vec3 color(uint n, vec3 offset) {
     vec3 sum = 0.5 + SH_0 * sh_coeffs[n * COEFFS];
     if (SH_DEGREE > 0) add_bands(n, unit_vector(offset), sum);
     return max(sum, 0);
 }
 
-// Writes what is needed to draw Gaussian n with a camera and returns its tiles: none where it is not drawn. Comparisons
-// are written so that NaN draws nothing.
+// Writes the splat of Gaussian n and returns its tiles, none if culled. Comparisons reject NaN.
 TileSet project(uint n, uint camera, uint pair) {
     const TileSet none = TileSet(uvec2(0), uvec2(0), 0);
     vec4 rows_of_camera[CAMERA_ROWS];
@@ -105,7 +108,7 @@ TileSet project(uint n, uint camera, uint pair) {
     depths[pair] = CULLED_DEPTH;
     if (!(p.z >= near && p.z <= FAR)) return none;
 
-    // Rows of J W R S, J taken where the view frustum is left by at most 30 % of half its width.
+    // Rows of J W R S; J's slope is clamped to MARGIN beyond the image.
     vec2 margin = MARGIN * vec2(width, height) / focal;
     vec2 slope = clamp(p.xy / p.z, -principal / focal - margin, (vec2(width, height) - principal) / focal + margin);
     mat3 axes = mat3(view) * rotation(unit_vector(quats[n]));
@@ -117,7 +120,7 @@ TileSet project(uint n, uint camera, uint pair) {
     u *= unit;
     v *= unit;
 
-    // Determinants as sums of squares (Cauchy-Binet), because ac - b^2 cancels for needles.
+    // Sums of squares (Cauchy-Binet): ac - b^2 cancels for needles.
     vec3 minors = cross(u, v);
     float blur = BLUR * unit * unit;
     float sharp = dot(minors, minors), trace = dot(u, u) + dot(v, v);

@@ -1,16 +1,18 @@
-// Takes the gradients of splats on to Gaussians and cameras.
+// Propagates splat gradients to Gaussians and cameras.
 //
-// means [N, 3] world; scales [N, 3] standard deviations, world; quats [N, 4] wxyz, any length; opacities [N]; cameras
-// [C, 2, 4, 4], see shared/camera; conics [N, C, 3] of render/project; d_pairs [N, C, 10] of render/color_backward, 0 where
-// nothing was drawn.
-// d_means, d_scales, d_quats, d_opacities like the Gaussians, which are added to where SCENE_GRADIENTS; d_cameras [workgroups, C, 10],
-// written where CAMERA_GRADIENTS: sums over a workgroup's Gaussians of the gradients of (w, v), where a camera-to-world pose moves as
-// pose o (exp(w^), v), and of fx, fy, cx, cy.
-// One invocation owns one Gaussian, one workgroup a subgroup of them; sums are in the order of cameras, then of lanes.
+// Means, Scales, Quats, Opacities, Cameras as in render/project
+// Conics      [N, C, 3] f32, of render/project
+// DPairs      [N, C, 10] f32, of render/color_backward, 0 if culled
+// DMeans, DScales, DQuats, DOpacities as the Gaussians, accumulated if SCENE_GRADIENTS
+// DCameras    [workgroups, C, 10] f32, sums over a workgroup's Gaussians, written if
+//             CAMERA_GRADIENTS: w, v of camera-to-world pose o (exp(w^), v), fx, fy, cx, cy
 //
-// A splat is F, the two rows of J W R S. With Q the conic's matrix and d a pixel's distance from the centre, ln alpha is
-// -d'Qd / 2, so that F's gradient is that of ln alpha times (Qd)(Qd)'F. Q = [1, -k]'A[1, -k] + [0, 1]'P[0, 1] makes Qd of e and y,
-// and Q F of A (u - k v) and P v: nothing cancels for needles.
+// One invocation owns one Gaussian, one workgroup a subgroup of them. Sums are in the order of
+// cameras, then lanes.
+// F is the two rows of J W R S, Q the conic's matrix, d the offset from the center. As ln alpha is
+// -d'Qd / 2, F's gradient is that of ln alpha times (Qd)(Qd)'F. The completed squares
+// Q = [1, -k]'A[1, -k] + [0, 1]'P[0, 1] express Qd by e and y, and QF by A (u - k v) and P v:
+// nothing cancels for needles.
 #version 460
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
@@ -43,7 +45,7 @@ layout(push_constant) uniform Push { uint gaussians; uint first_group; uint came
 struct GaussianGradient {
     vec3 mean;
     vec3 scale;
-    vec3 turn; // by a small rotation of the world's frame
+    vec3 turn; // by a small rotation in world space
     float opacity;
 };
 
@@ -54,7 +56,7 @@ struct CameraGradient {
     vec2 principal;
 };
 
-// The gradients of the splat's rows u and v, both times `unit`.
+// Gradients of the splat's rows; u and v come scaled by `unit`.
 void to_rows(PairGradient pair, vec3 conic, vec3 u, vec3 v, float unit, out vec3 d_u, out vec3 d_v) {
     float blur = BLUR * unit * unit;
     vec3 minors = cross(u, v);
@@ -63,7 +65,8 @@ void to_rows(PairGradient pair, vec3 conic, vec3 u, vec3 v, float unit, out vec3
     d_u = (ee * m + ey * v) / unit;
     d_v = (ey * m + yy * v) / unit - conic.y * d_u;
     if (ANTIALIASED) {
-        // ln of the compensation is half ln det F F' - ln det (F F' + BLUR): its gradient is BLUR Q times the dual of F.
+        // ln compensation is (ln det F F' - ln det (F F' + BLUR)) / 2, with gradient BLUR Q times
+        // F's dual.
         float sharp = dot(minors, minors);
         vec3 dual_u = cross(v, minors) / sharp * unit, dual_v = cross(minors, u) / sharp * unit;
         vec3 across = BLUR * pair.first.x * conic.x * (dual_u - conic.y * dual_v);
@@ -91,7 +94,7 @@ void to_gaussian(uint n, uint camera, PairGradient pair, vec3 conic, inout Gauss
     vec3 d_u, d_v;
     to_rows(pair, conic, u * unit, v * unit, unit, d_u, d_v);
 
-    // Gradients of the turned axes' rows, times a length each.
+    // Gradients of the rotated axes' rows.
     vec3 d_x = focal.x / p.z * scale * d_u, d_y = focal.y / p.z * scale * d_v, d_z = -slope.x * d_x - slope.y * d_y;
     vec2 d_slope = -vec2(dot(rows[2], d_x), dot(rows[2], d_y));
     vec2 sizes = vec2(dot(u, d_u), dot(v, d_v));
@@ -141,7 +144,7 @@ void main() {
     d_means[n] += sum.mean;
     d_scales[n] += sum.scale;
     d_opacities[n] += sum.opacity;
-    // A small turn w moves a quaternion q by (0, w) q / 2, so that the gradient is twice the turn's, times q, over |q|^2.
+    // A small rotation w moves a quaternion q by (0, w) q / 2.
     float size = length_of(quats[n]);
     vec4 turned = quats[n] / size;
     d_quats[n] += 2 / size * vec4(-dot(sum.turn, turned.yzw), turned.x * sum.turn + cross(sum.turn, turned.yzw));

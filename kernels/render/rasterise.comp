@@ -1,14 +1,17 @@
 // Blends the Gaussians of each tile front to back.
 //
-// pair_indices [intersections] by tile, near to far; tile_offsets [tiles + 1]; xy_opacities, conics, colours [pairs, 3]
-// and depths [pairs] as render/project writes them; normals [pairs, 3] of render/normals. Those that are not asked for
-// are not touched, whatever is bound.
-// frames [C, rows, width, channels]: of red, green, blue; alpha; depth; normal x, y, z; token red, green, blue those
-// asked for. Depth is the sum of z times weight, or, where EXPECTED_DEPTH, that sum over alpha. A normal is the sum of
-// normals times weight, of length 1 where it is not 0. Tokens have colours of their own, blended as colours are.
-// One workgroup owns RUNS runs of pixels of one tile, row-major, each as long as a subgroup, and each invocation one
-// pixel of every run: nothing is shared, and all invocations read a Gaussian at one address.
-// 3D Gaussian Splatting (Kerbl et al. 2023) with the constants of gsplat 1.5.3.
+// PairIndices [intersections] u32, by tile, near to far
+// TileOffsets [tiles + 1] u32
+// XyOpacities, Conics, Colors, Depths [pairs, 3 or 1] f32, of render/project
+// Normals     [pairs, 3] f32, of render/normals
+// Frames      [C, rows, width, channels] f32: RGB, alpha, depth, normal, token RGB, as enabled
+//
+// Disabled outputs bind placeholders. Depth is the weighted sum of z, divided by alpha if
+// EXPECTED_DEPTH. Normals are weighted sums scaled to length 1, or 0. Token colors blend like
+// colors.
+// One workgroup owns RUNS row-major runs of pixels of one tile, each as long as a subgroup. One
+// invocation owns one pixel per run. All read a Gaussian at one address, without shared memory.
+// Source: 3D Gaussian Splatting (Kerbl et al. 2023) with the constants of gsplat 1.5.3.
 #version 460
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_KHR_shader_subgroup_vote : require
@@ -23,7 +26,7 @@ layout(constant_id = 4) const bool ALPHA = false;
 layout(constant_id = 5) const bool DEPTH = false;
 layout(constant_id = 6) const bool EXPECTED_DEPTH = false;
 layout(constant_id = 7) const bool NORMAL = false;
-layout(constant_id = 8) const uint TOKEN_PAIRS = 0; // pairs of one token; 0: no token colours
+layout(constant_id = 8) const uint TOKEN_PAIRS = 0; // pairs per token; 0 disables token colors
 
 layout(set = 0, binding = 0) readonly buffer PairIndices { uint pair_indices[]; };
 layout(set = 0, binding = 1) readonly buffer TileOffsets { uint tile_offsets[]; };
@@ -37,7 +40,6 @@ layout(push_constant) uniform Push { uvec2 size; uvec2 grid; uint first_tile_row
 
 #include "shared/runs.glsl"
 
-// The values of one Gaussian, or of those that were blended.
 struct Values {
     vec3 rgb;
     float depth;
@@ -47,11 +49,11 @@ struct Values {
 const Values NOTHING = Values(vec3(0), 0, vec3(0), vec3(0));
 
 struct Pixel {
-    float transmittance; // negative once the pixel is done
+    float transmittance; // negative once done
     Values sum;
 };
 
-// A byte a channel of the PCG hash (Jarzynski and Olano, Hash Functions for GPU Rendering, 2020).
+// PCG hash, a byte per channel (Jarzynski and Olano, Hash Functions for GPU Rendering, 2020).
 vec3 token_color(uint token) {
     uint state = token * 747796405u + 2891336453u;
     uint word = (state >> (state >> 28) + 4 ^ state) * 277803737u;
@@ -68,7 +70,7 @@ Values values(uint pair) {
     return values;
 }
 
-// Without branches: a CPU's lanes take both sides of one.
+// Branchless: CPU lanes would execute both sides.
 void blend(inout Pixel pixel, float alpha, Values values) {
     bool seen = alpha >= ALPHA_MIN && pixel.transmittance > 0;
     float left = pixel.transmittance * (1 - alpha);

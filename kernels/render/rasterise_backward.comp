@@ -1,14 +1,19 @@
-// Finds how much every splat moves the loss through each tile that it touches, from how much every pixel does.
+// Computes the gradient of each splat through each of its tiles.
 //
-// pair_indices [intersections], tile_offsets [tiles + 1], xy_opacities, conics, colours [pairs, 3], depths [pairs], frames
-// [C, rows, width, channels] as render/rasterise has them, without normals and tokens; d_frames, the gradient of frames.
-// tile_sets [pairs, 3] of render/project; slots [pairs + 1], where each pair's slots start: it has one for each of its tiles,
-// in their order. Of each slot, moments [capacity, 6]: the sums over the tile's pixels of g (1, e, y, e e, e y, y y), where g is
-// the gradient of ln alpha, e = dx - k dy and y = dy as in render/project; d_values [capacity, 3 or 4 or 1]: the gradients of
-// colour and of depth, those asked for.
-// One workgroup owns one tile, in runs of pixels as in render/rasterise, and writes every slot that the tile's list has once;
-// sums are in the order of runs, then of lanes.
-// What lies behind a splat is the picture less what was seen so far, as in brush (2024).
+// PairIndices [intersections] u32, by tile, near to far
+// TileOffsets [tiles + 1] u32
+// TileSets    [pairs, 3] u32, of render/project
+// Slots       [pairs + 1] u32, first slot of each pair, one per tile, in order
+// XyOpacities, Conics, Colors, Depths as in render/rasterise
+// Frames      [C, rows, width, channels] f32, of render/rasterise, without normals and tokens
+// DFrames     [C, rows, width, channels] f32
+// Moments     [capacity, 6] f32, sums over a tile of g (1, e, y, e e, e y, y y), per slot
+// DValues     [capacity, 3, 4 or 1] f32, gradients of color and depth, as enabled, per slot
+//
+// g is the gradient of ln alpha, e = dx - k dy and y = dy, as in render/project. One workgroup owns
+// one tile, in runs as in render/rasterise, and writes each slot of its list once. Sums are in the
+// order of runs, then lanes.
+// Source: brush (2024), where the color behind a splat is the frame minus the part blended so far.
 #version 460
 #extension GL_EXT_scalar_block_layout : require
 #extension GL_KHR_shader_subgroup_arithmetic : require
@@ -43,16 +48,15 @@ const uint CHANNELS = (COLOR ? 3 : 0) + (ALPHA ? 1 : 0) + (DEPTH ? 1 : 0);
 const uint VALUES = (COLOR ? 3 : 0) + (DEPTH ? 1 : 0);
 
 struct Pixel {
-    float transmittance; // negative once the pixel is done
-    float behind;        // of the picture what was not seen so far, times its gradient
+    float transmittance; // negative once done
+    float behind;        // frame minus the part blended so far, times its gradient
     vec3 d_rgb;
     float d_depth;
     float d_alpha;
 };
 
-// The gradient of one splat through one tile.
 struct Gradient {
-    vec3 first;  // moments: 1, e, y
+    vec3 first;  // moments 1, e, y
     vec3 second; // e e, e y, y y
     vec3 rgb;
     float depth;
@@ -80,7 +84,7 @@ Pixel pixel(uvec2 position) {
     }
     if (DEPTH) pixel.d_depth = d_frames[at];
     if (DEPTH && !EXPECTED_DEPTH) pixel.behind += frames[at] * pixel.d_depth;
-    // Over all splats what the quotient's two gradients see is nothing.
+    // Summed over splats, the quotient's two gradient terms cancel.
     if (EXPECTED_DEPTH) {
         pixel.d_depth = alpha > LEAST_DIVISOR ? pixel.d_depth / alpha : 0;
         pixel.d_alpha -= pixel.d_depth * frames[at];
@@ -98,7 +102,6 @@ void put(uint slot, Gradient gradient) {
     if (DEPTH) d_values[slot * VALUES + VALUES - 1] = gradient.depth;
 }
 
-// The slot of a pair and this tile.
 uint slot_of(uint pair) {
     TileSet set = unpack(tile_sets[pair]);
     uvec2 at = tile() - set.first;
@@ -106,7 +109,7 @@ uint slot_of(uint pair) {
     return slots[pair] + (set.mask != 0 ? bitCount(set.mask & (1u << t) - 1) : t);
 }
 
-// Takes a pixel past a splat, of which it sees `full` before that is clamped, and adds to the splat's gradient.
+// Moves a pixel past a splat of unclamped alpha `full`; accumulates the splat's gradient.
 void share(inout Pixel pixel, float full, Sight sight, vec3 rgb, float depth, inout Gradient sum, inout uint open) {
     float alpha = min(ALPHA_MAX, full);
     bool seen = alpha >= ALPHA_MIN && pixel.transmittance > 0;
@@ -128,7 +131,7 @@ void share(inout Pixel pixel, float full, Sight sight, vec3 rgb, float depth, in
 void main() {
     const Gradient nothing = Gradient(vec3(0), vec3(0), vec3(0), 0);
     Pixel pixels[RUNS];
-    uint open = 0; // of the invocation's pixels those that are not done
+    uint open = 0; // own pixels that are not done
     for (uint run = 0; run < RUNS; run++) {
         pixels[run] = pixel(position(run));
         if (pixels[run].transmittance > 0) open++;
@@ -158,6 +161,6 @@ void main() {
         }
         if (subgroupElect()) put(slot_of(pair), sum);
     }
-    // Nothing is seen of the others.
+    // The remaining splats are hidden.
     for (i += gl_LocalInvocationID.x; i < end; i += LANES) put(slot_of(pair_indices[i]), nothing);
 }

@@ -1,6 +1,9 @@
-// Counts the tiles of every pair of a Gaussian and a camera, in depth order.
+// Counts the tiles of each pair of a Gaussian and a camera, in depth order.
 //
-// tile_sets [pairs, 3]; indices [pairs] of pairs, near to far; tile_counts [pairs + 1], 0 at the end.
+// TileSets   [pairs, 3] u32, of render/project
+// Indices    [pairs] u32, pairs from near to far
+// TileCounts [pairs + 1] u32, 0 at the end
+//
 // One invocation owns one place in the depth order.
 #version 460
 #extension GL_EXT_scalar_block_layout : require

@@ -1,8 +1,8 @@
-// The share of n items that each of a fixed number of one-subgroup workgroups owns.
+// Blocks of n items, one per one-subgroup workgroup.
 #extension GL_KHR_shader_subgroup_basic : require
 #include "shared/index.glsl"
 
-// First item and one past the last. Shares start on whole subgroups, so that loads stay aligned.
+// First item and one past the last. Blocks start on whole subgroups, for aligned loads.
 uvec2 block_range(uint n, uint blocks) {
     uint share = (n + blocks - 1) / blocks;
     share = (share + gl_SubgroupSize - 1) / gl_SubgroupSize * gl_SubgroupSize;

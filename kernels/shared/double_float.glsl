@@ -1,7 +1,7 @@
-// Numbers with 48 bits of precision: the sum of two f32, the larger one first (Dekker, A floating-point technique for
-// extending the available precision, 1971). `precise` keeps compilers from simplifying what is 0 without rounding.
+// Double-float arithmetic, 48 bits: sums of two f32, the larger first. `precise` keeps rounding
+// errors from being simplified to 0.
+// Source: Dekker, A floating-point technique for extending the available precision, 1971.
 
-// The sum of two numbers of which the first is the larger.
 vec2 carried(float high, float low) {
     precise float sum = high + low;
     precise float rest = low - (sum - high);
@@ -21,7 +21,7 @@ vec2 add(vec2 a, vec2 b) {
     return carried(sum.x, low);
 }
 
-// The first 12 bits of a number; the rest has as many, so that products of either are exact.
+// First 12 bits of a number. The rest has 12, too, so products are exact.
 float upper(float a) { return uintBitsToFloat(floatBitsToUint(a) & 0xfffff000u); }
 
 vec2 multiply(float a, float b) {

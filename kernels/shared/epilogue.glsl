@@ -1,4 +1,4 @@
-// Epilogue of a linear layer on lanes: result = residual + gamma * activation(sum + bias).
+// Epilogue of a linear layer: result = residual + gamma * activation(sum + bias).
 #include "shared/gelu.glsl"
 
 layout(constant_id = 1) const uint ACTIVATION = 0; // 0 none, 1 GELU (erf), 2 SwiGLU
@@ -10,7 +10,6 @@ layout(set = 0, binding = 3) readonly buffer Gamma { float gamma[]; };
 layout(set = 0, binding = 4) readonly buffer Residual { float residual[]; };
 layout(set = 0, binding = 5) buffer Out { OUTPUT result[]; };
 
-// The bias of four columns, zero past the last.
 vec4 bias_of(uint quad, uint columns) {
     vec4 offset = vec4(bias[4 * quad], 0.0, 0.0, 0.0);
     [[unroll]] for (uint c = 1; c < 4; c++) offset[c] = 4 * quad + c < columns ? bias[4 * quad + c] : 0.0;
@@ -24,7 +23,7 @@ void store(uint at, uint column, float value) {
     result[at] = to_OUTPUT(value);
 }
 
-// Stores what becomes of four sums with their bias. Columns past the last are left out.
+// Applies the epilogue to four biased sums, except past the last column.
 void finish(vec4 v, uint row, uint quad, uint columns) {
     if (ACTIVATION == 2) {
         uint at = row * (columns / 2) + 2 * quad;

@@ -1,10 +1,10 @@
-// The rules of the head's activations (paper, section 3.3), which their gradients share.
+// Bounds of the head's activations and their gradients (paper, section 3.3).
 #include "shared/lengths.glsl"
 
-const float FARTHEST = 5;          // raw means are clamped to this, either way
-const float SCALE_SHIFT = 4;       // that raw scales are less
-const vec2 SCALES = vec2(1e-6, 15); // where scales are clamped
-const float SHORTEST = 1e-12;      // quaternions that are shorter are divided by this
+const float FARTHEST = 5;          // clamp of raw means
+const float SCALE_SHIFT = 4;       // subtracted from raw scales
+const vec2 SCALES = vec2(1e-6, 15); // clamp of scales
+const float SHORTEST = 1e-12;      // least divisor of quaternions
 
-// The direction of a quaternion that is not too short to have one: of length 1.
+// Unit quaternion; `quat` has at least length SHORTEST.
 vec4 direction_of(vec4 quat) { return quat / largest_of(quat) / length(quat / largest_of(quat)); }

@@ -1,7 +1,7 @@
-// Linear indices of 1-D dispatches, which the recorder may fold to 2-D or split by a base group.
+// Linear indices of 1-D dispatches, which may be folded to 2-D or split by a base group.
 #include "shared/limits.glsl"
 
 uint group_index() { return gl_WorkGroupID.y * GROUP_FOLD + gl_WorkGroupID.x; }
 
-// A macro, because gl_WorkGroupSize is 1 until a kernel has declared its layout, which follows its includes.
+// A macro: gl_WorkGroupSize is 1 until the kernel declares its layout, after its includes.
 #define global_index() (group_index() * gl_WorkGroupSize.x + gl_LocalInvocationID.x)

@@ -1,4 +1,4 @@
-// Vectors of any length but 0: divided by their largest component first, so that squares neither overflow nor vanish.
+// Lengths of nonzero vectors. Dividing by the largest component avoids overflow and underflow.
 
 float largest_of(vec3 v) { return max(max(abs(v.x), abs(v.y)), abs(v.z)); }
 float largest_of(vec4 v) { return max(max(abs(v.x), abs(v.y)), max(abs(v.z), abs(v.w))); }

@@ -1,13 +1,13 @@
-// Matrices that a subgroup multiplies as one (VK_KHR_cooperative_matrix), after `#pragma factor`. Their sides are the device's.
+// Cooperative matrices in the device's sizes, after `#pragma factor`.
 //
-// They pass through shared memory in pieces of 8 factors. Sums are f32, or of whole numbers 32-bit integers.
+// Shared memory holds vectors (pieces) of 8 factors. Sums are f32, or i32 of i8 factors.
 #pragma use_vulkan_memory_model
 #extension GL_EXT_control_flow_attributes : require
 #extension GL_KHR_cooperative_matrix : require
 #extension GL_KHR_memory_scope_semantics : require
 #extension GL_KHR_shader_subgroup_basic : require
 
-layout(constant_id = 1) const uint SUBGROUPS = 4; // of a workgroup
+layout(constant_id = 1) const uint SUBGROUPS = 4;
 layout(constant_id = 2) const uint MATRIX_M = 16;
 layout(constant_id = 3) const uint MATRIX_N = 16;
 layout(constant_id = 4) const uint MATRIX_K = 16;
@@ -23,5 +23,5 @@ const int COLUMN_MAJOR = gl_CooperativeMatrixLayoutColumnMajor;
 #else
 #define Piece uvec4
 #endif
-// Pieces that four sums take.
+// Pieces per four sums.
 const uint QUAD = 1 + FACTOR_IS_I8;

@@ -1,7 +1,7 @@
-// The backward kernels' record of a pair of a Gaussian and a camera, summed over its tiles.
+// Gradient record of a (Gaussian, camera) pair, summed over tiles.
 struct PairGradient {
-    vec3 first;  // moments of render/rasterise_backward: 1, e, y
+    vec3 first;  // moments 1, e, y of render/rasterise_backward
     vec3 second; // e e, e y, y y
-    vec3 rgb;    // the gradient of its colour; then, that of its offset from the camera's centre, world, through its colour
+    vec3 rgb;    // by color; after render/color_backward, by world offset from the camera
     float depth;
 };

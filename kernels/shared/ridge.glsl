@@ -1,20 +1,21 @@
-// Where a Gaussian whose centre is far off a picture runs through it.
+// Projects Gaussians centered far outside the image again, in double-float.
 //
-// A turn by the rounding of f32 moves a needle by 0.006 pixels 100,000 pixels from its centre, and the centre itself is off by
-// as much. So projection is done once more here, with twice the bits. Needs camera, double_float, lengths and splat.
+// In f32, rounding of rotation and center would visibly move long needles. Needs camera,
+// double_float, lengths and splat.
 
-// The slope x / z (y / z) at which a Gaussian is projected: held within MARGIN of the picture beyond its edges.
+// Slope x / z or y / z of a projection, clamped to MARGIN beyond the image.
 vec2 held_slope(vec2 slope, vec2 focal, vec2 principal, float size) {
-    vec2 beyond = multiply(vec2(MARGIN, -5.9604645e-9), vec2(size, 0)); // the second is what f32 loses of it
+    // F32 MARGIN, its rounding error.
+    vec2 beyond = multiply(vec2(MARGIN, -5.9604645e-9), vec2(size, 0));
     vec2 low = divide(-add(principal, beyond), focal);
     vec2 high = divide(add(add(vec2(size, 0), -principal), beyond), focal);
     return slope.x < low.x ? low : slope.x > high.x ? high : slope;
 }
 
-// Scales a number to 1..2 by a power of two, exactly.
+// Power of two that scales a number to 1..2.
 float to_one(float largest) { return uintBitsToFloat(0x7f000000u - (floatBitsToUint(largest) & INFINITY_BITS)); }
 
-// Rotation of a quaternion times the square of its length, of which the largest component is 1..2.
+// Rotation of a quaternion times its squared length; its largest component is 1..2.
 void turn(vec4 q, out vec2 turned[3][3]) {
     vec2 ww = multiply(q.x, q.x), xx = multiply(q.y, q.y), yy = multiply(q.z, q.z), zz = multiply(q.w, q.w);
     vec2 wx = 2 * multiply(q.x, q.y), wy = 2 * multiply(q.x, q.z), wz = 2 * multiply(q.x, q.w);
@@ -24,7 +25,6 @@ void turn(vec4 q, out vec2 turned[3][3]) {
     turned[2] = vec2[3](add(xz, wy), add(yz, -wx), add(add(ww, zz), -add(xx, yy)));
 }
 
-// Replaces a splat's place (see ridge_row) and its conic.
 void find_ridge(vec4 camera[CAMERA_ROWS], uvec2 size, vec3 mean, vec3 scale, vec4 quat, inout vec2 place, inout vec3 conic) {
     vec2 rows[3][3], offset[3], p[3];
     for (uint c = 0; c < 3; c++) offset[c] = add(add(mean[c], -camera[c].w), vec2(-camera[4 + c].w, 0));
@@ -45,7 +45,7 @@ void find_ridge(vec4 camera[CAMERA_ROWS], uvec2 size, vec3 mean, vec3 scale, vec
         for (uint c = 0; c < 3; c++) row[c] = add(rows[a][c], -multiply(slope, rows[2][c]));
         for (uint i = 0; i < 3; i++) spread[a][i] = multiply(inner(row, axes[i]), vec2(scale[i] * to_one(largest), 0));
     }
-    // k = u v / (v v + BLUR), where u and v are the rows of `spread` times focal lengths and a common factor.
+    // k = u v / (v v + BLUR), with u and v the rows of `spread` up to known factors.
     float pixel = p[2].x * dot(q, q) / camera[3].y * to_one(largest);
     vec2 squares = add(inner(spread[1], spread[1]), vec2(BLUR * pixel * pixel, 0));
     vec2 focals = divide(vec2(camera[3].x, camera[7].x), vec2(camera[3].y, camera[7].y));
@@ -53,7 +53,7 @@ void find_ridge(vec4 camera[CAMERA_ROWS], uvec2 size, vec3 mean, vec3 scale, vec
     float row = ridge_row(centre[1].x, size.y);
     vec2 rise = add(add(row, -centre[1].x), vec2(-centre[1].y, 0));
     place = vec2(add(centre[0], multiply(shear, rise)).x, centre[1].x);
-    // A = yy / det and P = 1 / yy with a better yy = v v + BLUR: what is left of v cancels where a needle lies along the rows.
+    // A = yy / det, P = 1 / yy with a more exact yy: v cancels in needles along the rows.
     float better = squares.x * conic.z / pixel / pixel;
     conic = vec3(conic.x * better, shear.x, conic.z / better);
 }

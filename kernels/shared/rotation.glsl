@@ -1,4 +1,4 @@
-// Rotation of a quaternion (w, x, y, z) of length 1: columns are the turned axes.
+// Rotation of a unit quaternion (w, x, y, z); columns are the rotated axes.
 mat3 rotation(vec4 wxyz) {
     float w = wxyz.x, x = wxyz.y, y = wxyz.z, z = wxyz.w;
     return mat3(1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y),

@@ -1,20 +1,17 @@
-// The two least scores of every row, unlike each other, and where each is first, by the lanes of a workgroup. Scores come
-// SUBGROUP_N columns at a time.
+// The two least distinct scores of each row and their first columns, SUBGROUP_N columns at a time.
 //
-// A subgroup has REPEAT_M times MATRIX_M rows. MATRIX_M of them at a time lie in shared memory `staged`, a strip of
-// STRIP_STRIDE pieces each. The includer gives `vec4 scores_of(vec4 values, uint own, uint column)`, the scores of four values
-// of the lane's own-th row, and `column_count`. NaN is never among the least. What is found is (bits of the least, its column,
-// bits of the second, its column); a score that is infinite stands for none.
+// Shared memory `staged` holds a strip of MATRIX_M rows, STRIP_STRIDE pieces each. The includer
+// defines `scores_of` and `column_count`. A result is (bits of the least, its column, bits of the
+// second, its column). NaN never counts; infinity means none.
 
 #include "shared/numbers.glsl"
 
-// Either several lanes share a row, or a lane has several.
+// Several lanes share a row, or a lane owns several.
 const uint ROW_LANES = LANES > MATRIX_M ? LANES / MATRIX_M : 1;
 const uint LANE_ROWS = (MATRIX_M + LANES - 1) / LANES;
 const uint OWN_ROWS = REPEAT_M * LANE_ROWS;
 const uint QUADS = SUBGROUP_N / 4;
 const uint STRIP_STRIDE = QUADS + 1;
-// Lanes of a workgroup that have some of a row.
 const uint PARTS = SUBGROUPS_N * ROW_LANES;
 
 vec4 scores_of(vec4 values, uint own, uint column);
@@ -23,7 +20,7 @@ uvec4 two_least[OWN_ROWS];
 
 const uvec4 NONE = uvec4(INFINITY_BITS, 0, INFINITY_BITS, 0);
 
-// Takes a score, `column` behind those that were found or before them.
+// Inserts a score; columns come in any order.
 uvec4 with_score(uvec4 found, float score, uint column) {
     float least = uintBitsToFloat(found.x), second = uintBitsToFloat(found.z);
     uvec2 taken = uvec2(floatBitsToUint(score), column);
@@ -33,7 +30,7 @@ uvec4 with_score(uvec4 found, float score, uint column) {
     return score == second ? uvec4(found.xyz, min(found.w, column)) : found;
 }
 
-// The row of the subgroup that is the lane's own-th; some lanes may have one beyond the last of a strip.
+// The lane's own-th row of the subgroup, possibly past a strip's end.
 uint row_in_strip(uint own) { return own % LANE_ROWS * LANES + gl_SubgroupInvocationID / ROW_LANES; }
 uint row_in_subgroup(uint own) { return own / LANE_ROWS * MATRIX_M + row_in_strip(own); }
 
@@ -41,7 +38,7 @@ void minimum_begin() {
     [[unroll]] for (uint own = 0; own < OWN_ROWS; own++) two_least[own] = NONE;
 }
 
-// Takes the m-th strip, whose columns are those from `first_column` on.
+// Scans the m-th strip.
 void minimum(uint strip, uint m, uint first_column) {
     [[unroll]] for (uint i = 0; i < LANE_ROWS; i++) {
         uint own = m * LANE_ROWS + i;
@@ -59,7 +56,7 @@ void minimum(uint strip, uint m, uint first_column) {
     }
 }
 
-// Leaves what the lane has of its rows in shared memory, PARTS of every row of the workgroup.
+// Stores the lane's results, PARTS per row.
 void minimum_end(uint own_row, uint subgroup_column) {
     uint part = subgroup_column * ROW_LANES + gl_SubgroupInvocationID % ROW_LANES;
     [[unroll]] for (uint own = 0; own < OWN_ROWS; own++) {
@@ -70,7 +67,7 @@ void minimum_end(uint own_row, uint subgroup_column) {
     }
 }
 
-// The two least of a row; after minimum_end and a barrier.
+// Result of a row, after minimum_end and a barrier.
 uvec4 minimum_of(uint row) {
     uvec4 found = staged[row * PARTS];
     [[unroll]] for (uint part = 1; part < PARTS; part++) {

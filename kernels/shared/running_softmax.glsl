@@ -1,12 +1,12 @@
-// Softmax of rows of scores that come TILE at a time, with a running maximum, by the lanes of one subgroup.
+// Running softmax of rows of scores, TILE at a time, by one subgroup.
 //
-// A row lies in shared memory `staged`, SCORE_STRIDE pieces: TILE scores as f32, which become weights as FACTOR in its
-// first half and, behind them, MATRIX_N times the factor that earlier sums of this row have to take. Where POOLED, the includer's
-// `vec4 more(uint first_key)` is added to the scores of 4 keys.
+// A row of shared memory `staged` has TILE f32 scores, replaced by FACTOR weights in its first
+// half. MATRIX_N copies of the factor that rescales earlier sums follow them. If POOLED, the
+// includer's `more` is added to scores.
 #extension GL_KHR_shader_subgroup_shuffle : require
 #include "shared/numbers.glsl"
 
-// Either several lanes share a row, or a lane has several.
+// Several lanes share a row, or a lane owns several.
 const uint ROW_LANES = LANES > ROWS ? LANES / ROWS : 1;
 const uint LANE_ROWS = ROWS > LANES ? ROWS / LANES : 1;
 const uint LANE_QUADS = TILE / 4 / ROW_LANES;
@@ -22,14 +22,13 @@ void softmax_begin() {
     }
 }
 
-// Row of the subgroup's scores that is the lane's i-th.
 uint lane_row(uint i) { return i * LANES + gl_SubgroupInvocationID / ROW_LANES; }
 
 void put_factor(uint row, float factor) {
     [[unroll]] for (uint c = 0; c < MATRIX_N / 4; c++) staged[row + RESCALE + c] = floatBitsToUint(vec4(factor));
 }
 
-// Turns the scores of the lane's rows into weights; gives whether an earlier sum has to be scaled for it.
+// Turns scores into weights; returns whether earlier sums must be rescaled.
 bool softmax(uint scores, uint first_key, uint keys) {
     uint part = gl_SubgroupInvocationID % ROW_LANES * LANE_QUADS;
     bool changed = false;
@@ -52,7 +51,7 @@ bool softmax(uint scores, uint first_key, uint keys) {
         highest[i] = now;
         total[i] *= keep;
         if (ROW_LANES > 1) {
-            subgroupBarrier(); // weights take the place of scores that other lanes read
+            subgroupBarrier(); // weights overwrite scores that other lanes read
         }
         [[unroll]] for (uint c = 0; c < LANE_QUADS; c += 2) {
             vec4 w0 = exp(s[c] - now);
@@ -65,7 +64,6 @@ bool softmax(uint scores, uint first_key, uint keys) {
     return changed;
 }
 
-// Leaves 1 / total as every row's factor.
 void softmax_end(uint scores) {
     [[unroll]] for (uint i = 0; i < LANE_ROWS; i++) {
         [[unroll]] for (uint apart = 1; apart < ROW_LANES; apart *= 2) total[i] += subgroupShuffleXor(total[i], apart);

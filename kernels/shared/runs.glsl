@@ -1,11 +1,13 @@
-// The pixels of a workgroup that owns a tile, or a part of one, and how they see a splat. There are RUNS runs, row-major, each as
-// long as the workgroup. Needs RUNS, size and first_tile_row of the includer, limits and splat.
+// Pixels of a workgroup within a tile, and their view of a splat.
+//
+// A workgroup owns RUNS row-major runs of pixels, each as long as itself. Needs RUNS, size and
+// first_tile_row of the includer, limits and splat.
 
 const uint LANES = gl_WorkGroupSize.x;
 const float LOG2_E = 1.4426950408889634;
-const float ROUNDING = 0.05; // of exponents, well above what it is in images of 2^15 pixels a side
+const float ROUNDING = 0.05; // above the rounding of exponents in images of 2^15 pixels a side
 
-// Where the first pixel of a run lies in its tile, and where an invocation's pixel lies from there.
+// First pixel of a run in its tile; lane_offset is relative to it.
 uvec2 run_start(uint run) {
     const uint groups = TILE * TILE / (RUNS * LANES);
     uint p = (gl_WorkGroupID.x % groups * RUNS + run) * LANES;
@@ -21,13 +23,12 @@ uvec2 tile() { return uvec2(gl_WorkGroupID.x * RUNS * LANES / (TILE * TILE), fir
 
 uvec2 position(uint run) { return tile() * TILE + run_start(run) + lane_offset(); }
 
-// A splat as its tile has it.
 struct Falloff {
-    // The offset of the tile's first pixel from the splat's place, and y again from the row where the ridge's x is that place's.
+    // Offset of the tile's first pixel from the splat's place; z: its y from ridge_row.
     vec3 corner;
     vec3 conic; // alpha = opacity 2^(A (dx - k dy)^2 + P dy^2)
     float opacity;
-    float faint; // the exponent below which alpha is below ALPHA_MIN
+    float faint; // exponent where alpha is ALPHA_MIN
 };
 
 Falloff falloff(vec3 xy_opacity, vec3 conic) {
@@ -37,14 +38,13 @@ Falloff falloff(vec3 xy_opacity, vec3 conic) {
     return Falloff(corner, conic * vec3(-0.5 * LOG2_E, 1, -0.5 * LOG2_E), xy_opacity.z, faint);
 }
 
-// A splat on an invocation's pixel of a run: dx - k dy, dy, and the part of the exponent that is a row's.
+// A splat at a pixel: e = dx - k dy, y = dy, and the row's part of the exponent.
 struct Sight {
     float e;
     float y;
     float across;
 };
 
-// Gives whether any pixel of the run can see it.
 bool sees(Falloff falloff, uint run, out Sight sight) {
     vec3 from = falloff.corner + run_start(run).xyy + vec3(0, lane_offset().yy);
     float shear = falloff.conic.y * from.z;

@@ -1,7 +1,8 @@
-// Real spherical harmonics up to degree 3, with the signs of Sloan's Efficient Spherical Harmonic Evaluation (2013).
+// Real spherical harmonics up to degree 3, with the signs of Sloan, Efficient Spherical Harmonic
+// Evaluation, 2013.
 
-// Factors of the polynomials, by band and order; those of order 0 and 1 have two terms from band 2 and 3 on.
-const float SH_0 = 0.2820947917738781; // in every direction
+// Polynomial factors by band and order; ZZ multiplies z^2.
+const float SH_0 = 0.2820947917738781;
 const float SH_1 = 0.48860251190292;
 const float SH_2_2 = 0.5462742152960395, SH_2_1 = 1.092548430592079;
 const float SH_2_0_ZZ = 0.9461746957575601, SH_2_0 = 0.3153915652525201;
@@ -9,7 +10,7 @@ const float SH_3_3 = 0.5900435899266435, SH_3_2 = 1.445305721320277;
 const float SH_3_1 = 0.4570457994644658, SH_3_1_ZZ = 2.285228997322329;
 const float SH_3_0_ZZ = 1.865881662950577, SH_3_0 = 1.119528997770346;
 
-// basis[k] for the unit direction d; what lies above `degree` is left as it is.
+// Basis for unit direction d; leaves entries above `degree` unchanged.
 void spherical_harmonics(uint degree, vec3 d, inout float basis[16]) {
     basis[0] = SH_0;
     if (degree < 1) return;

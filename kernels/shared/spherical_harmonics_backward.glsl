@@ -1,10 +1,9 @@
-// The gradient of sum_k weights[k] basis[k] with respect to the direction, of the polynomials in spherical_harmonics as they
-// stand: what of it lies along the direction means nothing.
+// Gradient of sum_k weights[k] basis[k] by direction; its part along d is meaningless.
 vec3 spherical_harmonics_backward(uint degree, vec3 d, float weights[16]) {
     if (degree < 1) return vec3(0);
     vec3 sum = SH_1 * vec3(-weights[3], -weights[1], weights[2]);
     if (degree < 2) return sum;
-    // The gradients by sin2 = 2 x y and cos2 = x^2 - y^2, which bands 2 and 3 have in common.
+    // Bands 2 and 3 share the gradients by sin2 and cos2.
     float zz = d.z * d.z, cos2 = d.x * d.x - d.y * d.y, sin2 = 2.0 * d.x * d.y;
     float d_sin2 = SH_2_2 * weights[4], d_cos2 = SH_2_2 * weights[8];
     sum += -SH_2_1 * vec3(d.z * weights[7], d.z * weights[5], d.y * weights[5] + d.x * weights[7]);

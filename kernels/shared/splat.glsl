@@ -1,22 +1,21 @@
-// The rules that the render kernels share: gsplat 1.5.3's thresholds, and the record of the tiles that a Gaussian touches,
-// which render/project writes once and the others only read.
+// Rules of the render kernels: gsplat 1.5.3's thresholds, and the tiles of a Gaussian.
 #include "shared/numbers.glsl"
 
 const float ALPHA_MIN = 1.0 / 255.0;      // weaker contributions are skipped
 const float ALPHA_MAX = 0.999;            // stronger ones are clamped
-const float TRANSMITTANCE_MIN = 1e-4;     // a pixel is done before it would get here
-const float BLUR = 0.3;                   // pixels^2 added to both variances: a Gaussian is never thinner than a pixel
-const float LONG = 1e8;                   // pixels: powers of what is longer would overflow
-const float LONGEST = 1e15;               // pixels: what is longer is the same in every picture, unless its centre is as far off
-const float FAR_OFF = 256;                // pixels beyond a picture from which on a splat's place is its ridge's
-const float MARGIN = 0.15;                // of a picture's size, how far off it a slope may be where a Gaussian is projected
-const uint CULLED_DEPTH = INFINITY_BITS;  // what is not drawn sorts behind everything
+const float TRANSMITTANCE_MIN = 1e-4;     // a pixel stops before this
+const float BLUR = 0.3;                   // pixels^2 added to both variances
+const float LONG = 1e8;                   // pixels above which powers overflow
+const float LONGEST = 1e15;               // pixels; clamp of longer axes
+const float FAR_OFF = 256;                // pixels outside the image; beyond, place is the ridge's
+const float MARGIN = 0.15;                // fraction of the image that slopes may exceed it by
+const uint CULLED_DEPTH = INFINITY_BITS;  // sorts culled splats last
 
-// The row at which the x of a splat's place lies on its ridge, where alpha is largest in a row: its centre's, or, so that
-// a long needle's ridge is exact where it is seen, the picture's nearest.
+// Row where a splat's place lies on its ridge, the line of each row's largest alpha. Far outside,
+// it is the nearest image row, which keeps needles exact where visible.
 float ridge_row(float y, uint height) { return y < -FAR_OFF || y > height + FAR_OFF ? clamp(y, 0, height) : y; }
 
-// All tiles of a rectangle, or, where it has at most 32, those whose bit is set (row-major).
+// Tiles of a rectangle; a nonzero mask selects among at most 32, row-major.
 struct TileSet {
     uvec2 first;
     uvec2 size;

@@ -1,10 +1,10 @@
-// Loads at addresses that are the same for all lanes of a subgroup, for drivers of CPUs.
+// Loads at subgroup-uniform addresses, for CPU drivers.
 //
-// Where each lane has an address of its own, such a driver loads lane by lane. Here all lanes load all values of a vector, and each
-// keeps its own: lavapipe makes that the CPU's load of a vector. Buffers are read by address, since a binding costs a comparison
-// with its size for each value. A kernel calls `find_lanes` first, in workgroups of one subgroup: a comparison within
-// a loop would be no constant to the driver. Loops test at their end, since lavapipe goes through others once more with all lanes
-// masked off, and loads all the same.
+// CPU drivers load divergent addresses lane by lane. Here each lane loads a whole vector and keeps
+// its value; lavapipe compiles this to one vector load. Reading by address avoids bounds checks.
+// Kernels call `find_lanes` first, in one-subgroup workgroups: comparisons inside a loop would not
+// be constants. Loops test at their end, because lavapipe otherwise runs an extra masked pass with
+// all loads.
 #extension GL_EXT_buffer_reference : require
 #extension GL_EXT_control_flow_attributes : require
 #extension GL_EXT_scalar_block_layout : require
@@ -22,7 +22,7 @@ void find_lanes() {
     [[unroll]] for (uint i = 0; i < gl_WorkGroupSize.x; i++) is_lane[i] = lane == i;
 }
 
-// The lane's value of as many as there are lanes, from the value `first` behind `address` on.
+// The lane's value of a vector that starts at value `first` behind `address`.
 float vector_at(uint64_t address, uint first) {
     float mine = 0.0;
     [[unroll]] for (uint i = 0; i < gl_WorkGroupSize.x; i++) {
@@ -32,7 +32,7 @@ float vector_at(uint64_t address, uint first) {
     return mine;
 }
 
-// The lane's word of those from `first` on behind `address`, `stride` words apart, where so many neighbouring lanes share each.
+// The lane's word; `lanes` neighbors share each, `stride` words apart.
 uint shared_word_at(uint64_t address, uint first, uint lanes, uint stride) {
     uint mine = 0;
     [[unroll]] for (uint i = 0; i < gl_WorkGroupSize.x; i++) {

@@ -7,10 +7,8 @@ use std::{
     sync::atomic::{AtomicU32, Ordering},
     thread::{self, ThreadId},
 };
-use zipsplat::{
-    ffi::{zs_status::*, *},
-    reconstruct::MAX_VIEWS,
-};
+use zipsplat::reconstruct::MAX_VIEWS;
+use zipsplat_c::{zs_status::*, *};
 
 #[test]
 fn null_is_refused_everywhere() {
@@ -333,7 +331,7 @@ fn what_cannot_be_drawn_is_refused() {
     refused(&good, &zs_picture { pixels: null_mut(), ..picture }, 1, &options, "no output");
     refused(&good, &picture, 1, &zs_render_options { format: 0, ..options }, "pixel format");
     refused(&good, &picture, 1, &zs_render_options { depth: 7, ..options }, "depth");
-    refused(&good, &picture, 1, &zs_render_options { reserved: 1, ..options }, "reserved");
+    refused(&good, &picture, 1, &zs_render_options { near_plane: -1.0, ..options }, "near_plane");
     refused(&good, &picture, 1, &zs_render_options { background: [f32::NAN; 3], ..options }, "background");
     // SAFETY: no cameras at all are none to draw.
     ok(unsafe { zs_render(renderer.handle, null(), null(), 0, null()) });

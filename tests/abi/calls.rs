@@ -6,10 +6,10 @@ use std::{
     sync::OnceLock,
 };
 use zipsplat::{
-    ffi::*,
     types::{Image, Intrinsics, Scene},
     weights::{Checkpoint, Dtype},
 };
+use zipsplat_c::*;
 use zipsplat_tests::architectures;
 
 /// An object that is destroyed with this one.

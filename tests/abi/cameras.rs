@@ -9,10 +9,8 @@ use std::{
     ops::ControlFlow,
     ptr::{null, null_mut},
 };
-use zipsplat::{
-    ffi::{zs_status::*, *},
-    reconstruct::{Model, Request},
-};
+use zipsplat::reconstruct::{Model, Request};
+use zipsplat_c::{zs_status::*, *};
 use zipsplat_tests::{device::device, scenes::random_scene};
 
 fn empty() -> zs_camera {

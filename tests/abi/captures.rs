@@ -9,7 +9,6 @@ use std::{
 };
 use tempfile::TempDir;
 use zipsplat::{
-    ffi::{zs_status::*, *},
     reconstruct::{Model, Request},
     types::{
         Camera, Distortion, Intrinsics, Lens, Orbit,
@@ -17,6 +16,7 @@ use zipsplat::{
         preprocess::{fit, view_cameras},
     },
 };
+use zipsplat_c::{zs_status::*, *};
 use zipsplat_tests::{compare::assert_same, device::device};
 
 const COUNT: usize = 3;

@@ -66,7 +66,7 @@ fn pkg_config_says_where_things_are() {
         Path::new(success(command).trim()).canonicalize().ok()
     };
     let folder = tempfile::tempdir().expect("a folder");
-    for name in ["libzipsplat.a", "libzipsplat.so"] {
+    for name in ["libzipsplat_c.a", "libzipsplat_c.so"] {
         std::fs::write(folder.path().join(name), "").expect("a file");
     }
     for lib in ["lib", "lib64", "lib/x86_64-linux-gnu"] {

@@ -5,7 +5,7 @@ use crate::{
     installation::{runner, success},
 };
 use std::path::PathBuf;
-use zipsplat::ffi::*;
+use zipsplat_c::*;
 
 /// Stretches of cycles between which memory is looked at. Allocators and the driver's threads keep something now and then;
 /// what leaks grows in every one.

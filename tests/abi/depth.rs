@@ -9,11 +9,11 @@ use std::{
 use zipsplat::{
     Camera,
     depth::{DepthModel, DepthRequest},
-    ffi::{zs_status::*, *},
     ops::Arithmetic,
     types::Image,
     weights::{DepthCheckpoint, Dtype},
 };
+use zipsplat_c::{zs_status::*, *};
 use zipsplat_tests::{architectures, device::device};
 
 fn options() -> zs_depth_options {

@@ -3,10 +3,10 @@
 use crate::calls::*;
 use std::ptr::null;
 use zipsplat::{
-    ffi::{zs_status::*, *},
     stages::render::{CAMERA_NUMBERS, Depth, Differentiator, Frame, RenderRequest, Wanted},
     types::{Camera, Intrinsics, Pose, Scene},
 };
+use zipsplat_c::{zs_status::*, *};
 use zipsplat_tests::{compare::assert_same, device::device, scenes::random_scene};
 
 const SIZE: [u32; 2] = [40, 30];

@@ -40,7 +40,7 @@ const ENUMERATIONS: [&str; 10] = [
 ];
 
 fn generate() -> String {
-    let ffi = root().join("engine/src/ffi");
+    let ffi = root().join("engine/bindings/c/src");
     let preamble = std::fs::read_to_string(ffi.join("preamble.h")).expect("a preamble");
     let number = |name: &str| format!("{name}_value");
     let config = Config {
@@ -159,7 +159,7 @@ fn plain_enumeration(item: &str) -> String {
 /// A reader finds what an object is and what can be done with it in one place.
 #[test]
 fn types_and_functions_of_an_object_stand_together() {
-    let header = std::fs::read_to_string(root().join("engine/include/zipsplat.h")).expect("the header");
+    let header = std::fs::read_to_string(root().join("engine/bindings/c/include/zipsplat.h")).expect("the header");
     let place = |text: &str| header.find(text).unwrap_or_else(|| panic!("{text} is not in the header"));
     let order = [
         "typedef struct zs_context zs_context;",
@@ -182,7 +182,7 @@ fn types_and_functions_of_an_object_stand_together() {
 /// `ZIPSPLAT_WRITE_HEADER=1` writes it instead.
 #[test]
 fn is_what_the_sources_give() {
-    let path = root().join("engine/include/zipsplat.h");
+    let path = root().join("engine/bindings/c/include/zipsplat.h");
     let generated = generate();
     if std::env::var("ZIPSPLAT_WRITE_HEADER").is_ok_and(|value| value == "1") {
         std::fs::write(&path, &generated).expect("the header can be written");
@@ -190,7 +190,7 @@ fn is_what_the_sources_give() {
     let committed = std::fs::read_to_string(&path).unwrap_or_default();
     assert!(
         committed == generated,
-        "engine/include/zipsplat.h is not what engine/src/ffi gives; write it with\n  \
+        "engine/bindings/c/include/zipsplat.h is not what engine/bindings/c/src gives; write it with\n  \
          ZIPSPLAT_WRITE_HEADER=1 tools/test.sh -p zipsplat-tests --test abi header"
     );
 }

@@ -5,7 +5,7 @@ use crate::{
     installation::{Linking, installation, runner, success},
 };
 use std::{fmt::Write, mem::offset_of};
-use zipsplat::ffi::*;
+use zipsplat_c::*;
 
 /// `sizeof` and `offsetof` of every field, as C spells them.
 macro_rules! layout {
@@ -51,7 +51,7 @@ fn structures() -> Vec<(String, usize)> {
             struct_size, ended, steps, best_step, first_loss, last_loss, psnr_before, psnr, seconds, training_psnr_before,
             training_psnr
         }
-        zs_render_options { struct_size, format, depth, antialiased, background, reserved }
+        zs_render_options { struct_size, format, depth, antialiased, background, near_plane }
         zs_picture { struct_size, reserved, stride, pixels, alpha, depth }
         zs_gradients { struct_size, reserved, means, scales, quats, opacities, sh_coeffs, cameras }
         zs_vulkan_requirement { kind, optional, name, structure }
@@ -125,7 +125,7 @@ fn is_what_c_sees() {
 /// Every field and every number of the header is in the lists above.
 #[test]
 fn nothing_was_left_out() {
-    let header = std::fs::read_to_string(root().join("engine/include/zipsplat.h")).expect("the header");
+    let header = std::fs::read_to_string(root().join("engine/bindings/c/include/zipsplat.h")).expect("the header");
     let code: Vec<&str> = header.lines().map(str::trim).filter(|line| !line.starts_with("//")).collect();
     let structures = structures();
     let fields = structures.iter().filter(|(name, _)| name.starts_with("offsetof")).count();

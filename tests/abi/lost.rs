@@ -2,10 +2,8 @@
 //! host memory and destroyed, and another context works as before.
 
 use crate::calls::*;
-use zipsplat::{
-    ffi::{zs_status::ZS_ERROR_DEVICE_LOST, *},
-    types::Scene,
-};
+use zipsplat::types::Scene;
+use zipsplat_c::{zs_status::ZS_ERROR_DEVICE_LOST, *};
 use zipsplat_tests::{
     faults::{DEVICE_LOST, Faults, assert_survives},
     processes::target,

@@ -8,10 +8,8 @@ use std::{
     ffi::{CStr, c_void},
     ptr::{null, null_mut},
 };
-use zipsplat::{
-    ffi::{zs_status::*, *},
-    types::{Image, SceneFormat, WriteOptions, encode_scene, read_scene},
-};
+use zipsplat::types::{Image, SceneFormat, WriteOptions, encode_scene, read_scene};
+use zipsplat_c::{zs_status::*, *};
 use zipsplat_tests::{compare::assert_same, scenes::random_scene};
 
 /// A message has one place a thread, so that no pointer to it dangles and each shows the newest.

@@ -2,10 +2,8 @@
 
 use crate::calls::*;
 use std::{ffi::CStr, fs};
-use zipsplat::{
-    ffi::{zs_precision::*, *},
-    tune::SelfTest,
-};
+use zipsplat::tune::SelfTest;
+use zipsplat_c::{zs_precision::*, *};
 use zipsplat_tests::processes::{assert_succeeds, child, target};
 
 #[test]

@@ -3,7 +3,7 @@
 
 use crate::calls::*;
 use std::ptr::{null, null_mut};
-use zipsplat::ffi::*;
+use zipsplat_c::*;
 
 /// splitmix64
 struct Random(u64);

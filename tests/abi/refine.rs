@@ -12,13 +12,13 @@ use std::{
     ptr::{dangling_mut, null, null_mut},
 };
 use zipsplat::{
-    ffi::{zs_status::*, *},
     gpu::Arena,
     reconstruct::{Model, Request},
     refine::{FrozenHead, Refine, Refined, refine_scene, refine_tokens},
     stages::render::{RenderRequest, Renderer},
     types::{Camera, Image, Scene, read_ply, write_ply},
 };
+use zipsplat_c::{zs_status::*, *};
 use zipsplat_tests::{
     compare::assert_same,
     device::device,

@@ -4,7 +4,6 @@ use crate::calls::*;
 use glam::{DMat3, DVec3};
 use std::ops::ControlFlow;
 use zipsplat::{
-    ffi::*,
     ops::{Arithmetic, Precision},
     reconstruct::{Model, Ratio, Request, Selection},
     stages::render::{Depth, Frame, RenderRequest, Renderer},
@@ -12,6 +11,7 @@ use zipsplat::{
     types::{Camera, Image, Intrinsics, Pose, Scene},
     weights::{Checkpoint, Dtype},
 };
+use zipsplat_c::*;
 use zipsplat_tests::{compare::assert_same, device::device};
 
 fn rust_scene(photos: &[Image], request: &Request) -> Scene {

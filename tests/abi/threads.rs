@@ -2,7 +2,7 @@
 
 use crate::calls::*;
 use std::thread;
-use zipsplat::ffi::*;
+use zipsplat_c::*;
 use zipsplat_tests::compare::assert_same;
 
 const THREADS: usize = 8;

@@ -1,18 +1,15 @@
 //! Cameras that COLMAP finds: with programs that stand for it, and with itself where it is installed.
 #![cfg(unix)]
 
-use crate::{Folder, Outcome, command};
-use std::{
-    fs,
-    os::unix::fs::PermissionsExt,
-    path::Path,
-    sync::atomic::{AtomicBool, Ordering},
-};
+use crate::{Folder, Outcome};
+use std::{ffi::OsString, fs, os::unix::fs::PermissionsExt, path::Path, sync::atomic::AtomicBool};
 use zipsplat::types::{
     Camera,
     poses::{Frame, read_poses},
     quaternion_from_matrix, read_points, read_scene,
 };
+use zipsplat_cli::{Terminal, run};
+use zipsplat_tests::processes::{child, target};
 
 /// The options that differ, as a version's help has them.
 pub const OPTIONS_3: [&str; 3] = [
@@ -266,39 +263,13 @@ fn what_goes_wrong_is_said_and_leaves_nothing() {
     folder.run("cameras @/place/images --colmap @/few --python @/python -o @/c.json").fails_usage();
 }
 
-/// Waits for the end of the process whose number a file has.
-pub fn assert_ends(pid: &Path) {
-    let pid = fs::read_to_string(pid).expect("a number");
-    // A process that was killed takes a moment to end; it would sleep for a minute.
-    let begin = std::time::Instant::now();
-    loop {
-        let state = fs::read_to_string(format!("/proc/{}/stat", pid.trim())).unwrap_or_default();
-        if state.is_empty() || state.contains(") Z ") {
-            break;
-        }
-        assert!(begin.elapsed().as_secs() < 30, "still there: {state}");
-        std::thread::yield_now();
-    }
-}
-
 #[test]
-fn ctrl_c_ends_all_of_colmaps_processes() {
-    let (folder, _) = place();
-    colmap(&folder, "sleeps", "3.8", OPTIONS_3, ["sleep 60 & echo $! >\"$0.pid\"; wait", "", COPIES]);
-    let (cancelled, pid) = (AtomicBool::new(false), folder.path("sleeps.pid"));
-    let outcome = std::thread::scope(|scope| {
-        scope.spawn(|| {
-            // Written whole.
-            while !fs::read_to_string(&pid).is_ok_and(|pid| pid.ends_with('\n')) {
-                std::thread::yield_now();
-            }
-            cancelled.store(true, Ordering::Relaxed);
-        });
-        command(&folder.line("cameras @/place/images --colmap @/sleeps -o @/transforms.json"), &cancelled)
-    });
-    outcome.fails(130, &["cancelled"]);
-    assert_ends(&pid);
-    assert!(!folder.path("transforms.json").exists() && !folder.path("colmap.log").exists());
+fn a_model_of_other_photos_is_refused() {
+    let (folder, truth) = place();
+    colmap(&folder, "other", "3.8", OPTIONS_3, ["", "", COPIES]);
+    model(&folder.path("other.model/0"), &[("elsewhere.png", &truth[0].camera), ("b.png", &truth[1].camera)]);
+    let line = "cameras @/place/images --colmap @/other -o @/transforms.json";
+    folder.run(line).fails(3, &["model of COLMAP 3.8", "png, which is none of the photos"]);
 }
 
 #[test]
@@ -370,4 +341,25 @@ fn colmap_itself_finds_the_cameras_of_a_place() {
     let (angle, scale) = (median(&mut angles), median(&mut scales));
     let mut shares: Vec<f64> = scales.iter().map(|other| (other / scale - 1.0).abs()).collect();
     assert!(angle < 1.0 && median(&mut shares) < 0.05, "{angle} degrees: {angles:?}, {scales:?}");
+}
+
+/// Where standard error is no terminal, a program that takes long is reported by lines.
+#[test]
+fn progress_is_printed_without_a_terminal() {
+    let (folder, _) = place();
+    colmap(&folder, "slow", "3.8", OPTIONS_3, ["sleep 8; exit 1", "", ""]);
+    let out = child("cameras::takes_long", folder.0.path(), "").output().expect("bash");
+    let err = String::from_utf8_lossy(&out.stderr);
+    assert!(err.lines().any(|line| line.starts_with("find features: ") && line.ends_with(" so far")), "{err}");
+}
+
+#[test]
+#[ignore = "child of the other tests"]
+fn takes_long() {
+    let Some(folder) = target() else { return };
+    let line = "zipsplat cameras @/place/images --colmap @/slow -o @/transforms.json";
+    let args = line.replace('@', &folder.display().to_string());
+    let args = args.split(' ').map(OsString::from);
+    let (mut out, mut err) = (Vec::new(), Vec::new());
+    run(args, Terminal { out: &mut out, err: &mut err, progress: true, cancelled: &AtomicBool::new(false) });
 }

@@ -257,7 +257,7 @@ fn a_second_signal_ends_at_once() {
 #[test]
 #[cfg(unix)]
 fn a_second_signal_ends_the_programs_that_run() {
-    use crate::cameras::{assert_ends, script};
+    use crate::{cameras::script, colmap_ends::assert_ends};
     let folder = Folder::new();
     script(&folder, "sleeps", "#!/bin/sh\nsleep 60 & echo $! >\"$0.pid\"; wait\n");
     let pid = folder.path("sleeps.pid");

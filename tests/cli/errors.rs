@@ -78,6 +78,11 @@ fn json_has_errors_as_objects() {
     assert!(json["error"].as_str().is_some_and(|text| text.contains("absent.ply: No such file")), "{json}");
     assert_eq!(error("--json info @/photos/1.png", 3)["kind"], "argument");
     assert_eq!(error("doctor --device nonesuch --json", 4)["kind"], "no_device");
+    // Digits of a driver's version, too: "llvmpipe (LLVM 19.1.7, 256 bits)".
+    for digits in ["256", "9", "7", "99999999999999999999"] {
+        let json = error(&format!("doctor --device {digits} --json"), 4);
+        assert!(json["error"].as_str().is_some_and(|text| text.contains("an index") && text.contains("0: ")), "{json}");
+    }
     let json = error("render --json", 2);
     assert_eq!(json["kind"], "usage");
     assert!(json["error"].as_str().is_some_and(|text| text.contains("Usage: ")), "{json}");

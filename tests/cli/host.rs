@@ -28,8 +28,9 @@ pub enum Act {
 /// The state that hub and storage share.
 pub struct State {
     pub file: Vec<u8>,
-    /// SHA-256 and size as the hub says them.
+    /// SHA-256 and size as the hub says them, by default the file's.
     pub etag: Option<String>,
+    pub size: Option<u64>,
     pub acts: VecDeque<Act>,
     /// Answer of the hub in place of the redirect.
     pub refuses: Option<u16>,
@@ -55,6 +56,7 @@ impl Host {
         let port = |listener: &TcpListener| listener.local_addr().expect("an address").port();
         let state = State {
             etag: Some(sha256(&file)),
+            size: None,
             file,
             acts: acts.iter().copied().collect(),
             refuses: None,
@@ -128,7 +130,7 @@ fn hub(path: &str, state: &State) -> String {
         }
         "/renamed/zipsplat.tar" => {
             let etag = state.etag.as_ref().map(|etag| format!("X-Linked-Etag: \"{etag}\"\r\n")).unwrap_or_default();
-            let size = state.file.len();
+            let size = state.size.unwrap_or(state.file.len() as u64);
             let place = format!("http://127.0.0.1:{}/blob", state.storage);
             format!("HTTP/1.1 302 Found\r\n{etag}X-Linked-Size: {size}\r\nLocation: {place}\r\n{end}")
         }

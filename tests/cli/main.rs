@@ -3,6 +3,7 @@
 mod batch;
 mod cameras;
 mod cancel;
+mod colmap_ends;
 mod compare;
 mod convert;
 mod depth;
@@ -19,6 +20,7 @@ mod protocol;
 mod reconstruct;
 mod refine;
 mod render;
+mod server;
 mod theirs;
 mod trajectories;
 mod video;

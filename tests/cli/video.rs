@@ -100,4 +100,8 @@ fn ffmpeg_itself_gives_frames_turned_as_the_file_says() {
         let json = folder.run(&line).json();
         assert_eq!((json["photos"].as_u64(), json["found"].as_u64()), (Some(5), Some(1)), "{json}");
     }
+    // A playlist reads no other file.
+    fs::write(folder.path("list.mp4"), "ffconcat version 1.0\nfile plain.mp4\n").expect("written");
+    let line = "cameras @/list.mp4 --views 5 --colmap @/colmap -o @/list.json --overwrite";
+    folder.run(line).fails(3, &["list.mp4", "ffmpeg cannot read it"]);
 }

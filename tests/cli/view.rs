@@ -15,7 +15,7 @@ use zipsplat::types::{Scene, decode_scene, read_scene, write_ply};
 use zipsplat_cli::{Terminal, run};
 use zipsplat_tests::scenes;
 
-fn folder() -> Folder {
+pub fn folder() -> Folder {
     let folder = Folder::new();
     write_ply(&scenes::random_scene(50, 3, 0.1), folder.path("scene.ply")).expect("a scene can be written");
     folder
@@ -166,7 +166,7 @@ impl Write for Printed {
 }
 
 /// Sends a request and gives the status and the body of the answer.
-fn ask(port: &str, request: &str) -> (u16, Vec<u8>) {
+pub fn ask(port: &str, request: &str) -> (u16, Vec<u8>) {
     send(port, request, "")
 }
 
@@ -193,7 +193,7 @@ impl Drop for Ended<'_> {
 }
 
 /// Runs a command that serves, with its port and the path of its page, and ends it when `test` is done.
-fn served(line: &str, test: impl FnOnce(&str, &str)) {
+pub fn served(line: &str, test: impl FnOnce(&str, &str)) {
     let (cancelled, (send, printed)) = (AtomicBool::new(false), channel());
     std::thread::scope(|scope| {
         let serving = scope.spawn(|| {
@@ -238,25 +238,36 @@ fn a_server_makes_scenes_of_the_ratio_that_is_asked_for() {
         for wrong in ["view/2", "made/0.5", "made/0.5/wrong", "made/half/exact", "refined", "refining", "record"] {
             assert_eq!(get(wrong).0, 404, "{wrong}");
         }
+        // A number that none can exceed overtakes no later request.
+        assert_eq!([get(&format!("made/0.5/exact?{}", u64::MAX)).0, get("made/0.5/exact?1").0], [200, 200]);
+        assert_eq!(get("made/NaN/exact").0, 500);
         let (status, words) = get("made/2/exact");
         assert!(status == 500 && String::from_utf8_lossy(&words).contains("(0, 1]"), "{words:?}");
 
         let matrix = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0];
         let camera = serde_json::json!({ "camera_to_world": matrix, "fov": 50.0, "aspect": 1.0 });
-        let record = |scene: &str, frames: usize| {
+        let record_at = |scene: &str, frames: usize, fps: u32, background: [f64; 3]| {
             let path_of = serde_json::json!({ "camera_type": "perspective", "render_width": 24, "render_height": 16,
                 "camera_path": vec![&camera; frames] });
-            let body = serde_json::json!({ "scene": scene, "path": path_of, "background": [1, 0, 0], "fps": 10,
+            let body = serde_json::json!({ "scene": scene, "path": path_of, "background": background, "fps": fps,
                 "format": "gif" })
             .to_string();
             let length = body.len();
             send(port, &format!("POST {path}record {host}\r\nContent-Length: {length}"), &body)
         };
+        let record = |scene: &str, frames: usize| record_at(scene, frames, 10, [1.0, 0.0, 0.0]);
         let (status, gif) = record("made/0.5/exact", 3);
         assert!(status == 200 && gif.starts_with(b"GIF89a"), "{status} {}", String::from_utf8_lossy(&gif));
         let (status, words) = record("scene/0", 3);
         assert!(status == 500 && String::from_utf8_lossy(&words).contains("scene to record"));
         assert_eq!(record("made/0.5/exact", 0).0, 500);
+        for (fps, background, words) in
+            [(0, [0.0; 3], "fps"), (51, [0.0; 3], "fps"), (65_536, [0.0; 3], "u16"), (10, [2.0; 3], "background")]
+        {
+            let (status, found) = record_at("made/0.5/exact", 3, fps, background);
+            let found = String::from_utf8_lossy(&found).into_owned();
+            assert!(status == 500 && found.contains(words) && !found.contains("defect"), "{fps}: {status} {found}");
+        }
     });
 }
 

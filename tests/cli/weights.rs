@@ -250,6 +250,36 @@ fn stopping_keeps_what_came() {
 }
 
 #[test]
+fn two_processes_get_one_file() {
+    let file = weights();
+    let host = Host::new(file.clone(), &[Act::Stall(file.len() / 3)]);
+    let [first, mut second] = [Place::new(&host), Place::new(&host)];
+    second.environment.push(("ZIPSPLAT_CACHE", first.folder.path("cache").display().to_string()));
+    let mut loads = first.process("weights get zipsplat --yes --timeout 3").spawn().expect("bash");
+    while !first.part().metadata().is_ok_and(|found| found.len() > 0) {
+        assert!(loads.try_wait().expect("a child").is_none(), "it ended before it loaded anything");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    second.run(GET).success();
+    assert!(loads.wait().expect("it ends").success());
+    first.outcome().success();
+    assert_eq!(first.cached(), [converted(&file)]);
+    assert_eq!(host.ranges().len(), 2, "the second process loads nothing");
+}
+
+#[test]
+fn a_link_in_the_cache_is_not_followed() {
+    let host = Host::new(weights(), &[]);
+    let place = Place::new(&host);
+    let victim = place.folder.path("victim");
+    std::fs::write(&victim, "kept").expect("written");
+    std::fs::create_dir_all(place.folder.path("cache/weights")).expect("a folder");
+    std::os::unix::fs::symlink(&victim, place.part()).expect("a link");
+    place.run(GET).fails(3, &[PART, "a symbolic link", "expected a regular file"]);
+    assert_eq!(std::fs::read(&victim).expect("a file"), b"kept");
+}
+
+#[test]
 fn what_cannot_be_got_is_refused() {
     let file = weights();
     let spoiled = |spoil: &dyn Fn(&Host)| {
@@ -260,6 +290,9 @@ fn what_cannot_be_got_is_refused() {
     let (place, host) = spoiled(&|host| host.state().etag = Some("0".repeat(64)));
     place.run(GET).fails(3, &["SHA-256: found", &sha256(&file), "expected 0000", "get it again"]);
     assert!(place.cached().is_empty() && host.ranges().len() == 1, "{:?}", place.cached());
+    let (place, host) = spoiled(&|host| host.state().size = Some(1_000_000_000_000_000));
+    place.run(GET).fails(3, &["size of http", "909.49 TiB", "about 5.40 GiB"]);
+    assert!(host.ranges().is_empty() && !place.part().exists());
     let (place, _) = spoiled(&|host| host.state().etag = None);
     place.run(GET).fails(3, &["SHA-256 of http", "none in the host's answer", "--sha256"]);
     place.run(&format!("{GET} --sha256 {}", sha256(&file))).success();

@@ -1,4 +1,4 @@
-//! Comparison of pictures; a failure leaves them as PNG for a person to look at.
+//! Comparison of pictures; a failure saves them as PNG.
 
 use std::path::{Path, PathBuf};
 use std::{env, fs};
@@ -6,65 +6,66 @@ use std::{env, fs};
 use super::{Float, tolerance::factor_rounding};
 use zipsplat::{gpu::Element, ops::Arithmetic};
 
-/// The most that a picture may deviate from truth, per value: `absolute + relative * |truth|`.
+/// Limits on a picture's deviation from truth, per value `absolute + relative * |truth|`.
 #[derive(Clone, Copy, Debug)]
 pub struct ImageTolerance {
-    /// In the picture's unit.
+    /// Absolute part, in the picture's unit.
     pub absolute: f64,
-    /// The part relative to the truth's value.
+    /// Part relative to the true value.
     pub relative: f64,
-    /// The least peak signal to noise ratio in dB, against the truth's range; 0 asks for nothing.
+    /// Minimum PSNR in dB against the truth's range; 0 disables it.
     pub psnr: f64,
 }
 
 impl ImageTolerance {
-    // f32 against f64, away from unstable pixels: twice the worst of gsplat's formulas run in f32 on the golden scenes.
+    // f32 against f64 away from unstable pixels: twice the worst deviation of gsplat's formulas in
+    // f32.
 
-    /// Colour and alpha, in `[0, 1]`: a few dozen blended terms.
+    /// Color and alpha in `[0, 1]`.
     pub const RGB: ImageTolerance = ImageTolerance { absolute: 8e-6, relative: 0.0, psnr: 110.0 };
-    /// Accumulated depth (D) in world units of a scene a few units deep.
+    /// Accumulated depth (D), world units, of a scene a few units deep.
     pub const DEPTH: ImageTolerance = ImageTolerance { absolute: 4e-5, relative: 0.0, psnr: 110.0 };
-    /// Expected depth (ED), which divides by small alphas.
+    /// Expected depth (ED): division by small alphas.
     pub const EXPECTED_DEPTH: ImageTolerance = ImageTolerance { absolute: 6e-5, relative: 0.0, psnr: 110.0 };
-    /// Colour and alpha of the scene `edge`: needles and discs, whose inverse covariance is ill-conditioned.
+    /// Color and alpha of `edge`: the inverse covariance of needles and discs is ill-conditioned.
     pub const RGB_EDGE: ImageTolerance = ImageTolerance { absolute: 1.5e-4, relative: 0.0, psnr: 90.0 };
-    /// The same antialiased: for a needle the determinant before blurring cancels.
+    /// `edge` antialiased: a needle's determinant before the blur cancels.
     pub const RGB_EDGE_ANTIALIASED: ImageTolerance = ImageTolerance { absolute: 8e-3, relative: 0.0, psnr: 60.0 };
-    /// Depths of `edge`, which reach a thousand units.
+    /// Depths of `edge`, up to a thousand units.
     pub const DEPTH_EDGE: ImageTolerance = ImageTolerance { absolute: 2e-4, relative: 2e-4, psnr: 80.0 };
     /// Depths of `edge` antialiased.
     pub const DEPTH_EDGE_ANTIALIASED: ImageTolerance = ImageTolerance { absolute: 1e-2, relative: 2.5e-2, psnr: 50.0 };
-    /// A reference in f64 against stored truth: only its rounding to f32.
+    /// f64 references against stored truth: rounding to f32 only.
     pub const STORED: ImageTolerance = ImageTolerance { absolute: 1e-7, relative: 1e-7, psnr: 140.0 };
 
-    /// Scenes of a network in a faster arithmetic against those of f32: single pixels may differ by anything, as Gaussians of
-    /// about the same depth change places. In f16 what is left is below what 8-bit pictures show; elsewhere it is more as the
-    /// factors' rounding is.
+    /// Tolerance of a network's scene in a faster arithmetic against f32. Gaussians of similar
+    /// depth may swap, so single pixels are unbounded. f16 stays below 8-bit rounding.
     pub fn of_network(arithmetic: Arithmetic) -> Self {
         let coarser = factor_rounding(arithmetic) / Element::F16.roundoff();
         Self { absolute: f64::INFINITY, relative: 0.0, psnr: 45.0 - 20.0 * coarser.log10() }
     }
 }
 
-/// One picture, row-major and interleaved.
+/// A picture, row-major and interleaved.
 #[derive(Clone, Copy, Debug)]
 pub struct Picture<'a, T> {
-    /// `[height, width, channels]`; 1 channel for alpha and depth, 3 for RGB.
+    /// `[height, width, channels]`.
     pub values: &'a [T],
-    /// Width in pixels; the height follows.
+    /// Width in pixels.
     pub width: usize,
-    /// Channels a pixel: 1 or 3.
+    /// Channels: 1 (alpha, depth) or 3 (RGB).
     pub channels: usize,
 }
 
-/// Holds a picture to the truth within `tolerance`, leaving out pixels where `unstable` is not zero (pass `&[]` to leave
-/// out none): there an alpha or a transmittance is so near a threshold that rounding decides.
+/// Asserts that a picture matches the truth within `tolerance` and returns the PSNR in dB of the
+/// compared pixels.
 ///
-/// Gives the peak signal to noise ratio in dB over the pixels compared. Unstable pixels must still be finite.
+/// Skips pixels with nonzero `unstable` (`&[]` for none): rounding decides a threshold there. They
+/// must still be finite.
 ///
 /// # Panics
-/// When sizes differ, a value is not finite, or the deviation is larger; the picture, the truth and the amplified
-/// difference are then saved, and the message names them.
+/// If sizes differ, a value is not finite, or the deviation is larger. Saves the picture, the truth
+/// and the amplified difference, and names them.
 #[track_caller]
 pub fn assert_images_close<G: Float, T: Float>(
     name: &str,
@@ -132,7 +133,8 @@ fn measure(
     Ok(psnr)
 }
 
-/// Saves picture, truth and |difference| (the largest finite one white) under the target folder; gives their paths.
+/// Saves picture, truth and |difference| (largest finite value white) in the target folder; returns
+/// their paths.
 fn save(
     name: &str,
     got: &[f64],
@@ -156,7 +158,7 @@ fn save(
     ];
     let mut paths = Vec::new();
     for (what, values, white) in pictures {
-        // What is not finite is shown white: it can only be a mistake.
+        // Non-finite values are shown white.
         let byte = |x: &f64| if x.is_finite() { (x / white * 255.0).round().clamp(0.0, 255.0) as u8 } else { 255 };
         let bytes: Vec<u8> = values.iter().map(byte).collect();
         let height = bytes.len() / (width * channels);

@@ -1,7 +1,7 @@
-//! Comparison with truth: one table of tolerances, and failures a person can read.
+//! Comparison with truth.
 //!
-//! Arrays are measured against the root mean square of the truth, never element by element: an element near zero
-//! carries the rounding of its large neighbours. NaN and infinity never pass. Integers are compared exactly.
+//! Array deviations are relative to the rms of the truth, not to each element: small elements carry
+//! the rounding of large neighbors. NaN and infinity fail. Integers are compared exactly.
 
 mod images;
 mod tolerance;
@@ -13,25 +13,25 @@ use crate::golden::Golden;
 pub use images::{ImageTolerance, Picture, assert_images_close};
 pub use tolerance::Tolerance;
 
-/// A float that is compared in f64.
+/// A float convertible to f64.
 pub trait Float: Copy + Into<f64> {}
 impl<T: Copy + Into<f64>> Float for T {}
 
-/// How far two arrays are apart.
+/// Deviation between two arrays.
 #[derive(Clone, Copy, Debug)]
 pub struct Deviation {
-    /// The largest |got - truth| over the rms of the truth.
+    /// Largest |got - truth| over the rms of the truth.
     pub max: f64,
-    /// The rms of got - truth over the rms of the truth.
+    /// Rms of got - truth over the rms of the truth.
     pub rms: f64,
-    /// Where the largest deviation is, and the two values there.
+    /// Index of the largest deviation and both values.
     pub worst: (usize, f64, f64),
-    /// The size that deviations are relative to: the rms of the truth, or 1 where the truth is all zeros.
+    /// Rms of the truth, or 1 if the truth is all zeros.
     pub scale: f64,
 }
 
 impl Deviation {
-    /// Measures `got` against `truth`; an error where lengths differ or a value is not finite.
+    /// Measures `got` against `truth`; fails if lengths differ or a value is not finite.
     pub fn measure(got: &[impl Float], truth: &[impl Float]) -> Result<Deviation, String> {
         if got.len() != truth.len() {
             return Err(format!("{} values, truth has {}", got.len(), truth.len()));
@@ -71,10 +71,10 @@ impl fmt::Display for Deviation {
     }
 }
 
-/// Holds `got` to `truth` within `tolerance`; gives the deviation for those who want to print it.
+/// Asserts that `got` matches `truth` within `tolerance`; returns the deviation.
 ///
 /// # Panics
-/// When the lengths differ, a value is not finite, or the deviation is larger.
+/// If the lengths differ, a value is not finite, or the deviation is larger.
 #[track_caller]
 pub fn assert_close(name: &str, got: &[impl Float], truth: &[impl Float], tolerance: Tolerance) -> Deviation {
     match Deviation::measure(got, truth) {
@@ -84,10 +84,10 @@ pub fn assert_close(name: &str, got: &[impl Float], truth: &[impl Float], tolera
     }
 }
 
-/// Holds integers to be equal; a failure names the first difference and how many there are.
+/// Asserts equal integers; a failure names the first difference and their number.
 ///
 /// # Panics
-/// When lengths or values differ.
+/// If lengths or values differ.
 #[track_caller]
 pub fn assert_same<G, T>(name: &str, got: &[G], truth: &[T])
 where
@@ -101,9 +101,9 @@ where
     }
 }
 
-/// Holds a network tap to the golden's under the tolerance that the table has for it.
+/// Asserts that a network tap matches the golden within the table's tolerance.
 ///
-/// `got` is the full tensor; where the golden stores it thinned, `@sub` and `@sum` are compared.
+/// `got` is the full tensor; a subsampled golden is compared through `@sub` and `@sum`.
 ///
 /// # Panics
 /// As [`assert_close`].
@@ -112,7 +112,7 @@ pub fn assert_tap(golden: &Golden, key: &str, got: &[impl Float]) -> Deviation {
     assert_tap_within(golden, key, got, Tolerance::of_tap(key))
 }
 
-/// [`assert_tap`] under another tolerance, for reduced precision and for references.
+/// [`assert_tap`] with an explicit tolerance.
 #[track_caller]
 pub fn assert_tap_within(golden: &Golden, key: &str, got: &[impl Float], tolerance: Tolerance) -> Deviation {
     let name = format!("{} {key}", golden.file());
@@ -121,7 +121,7 @@ pub fn assert_tap_within(golden: &Golden, key: &str, got: &[impl Float], toleran
     }
     let sub_key = format!("{key}@sub");
     let sub_shape = golden.shape(&sub_key);
-    // The network's taps are thinned by tokens, which are axis 1 behind the views and axis 0 in a scene.
+    // Taps of the network are subsampled along axis 1 (tokens), those of a scene along axis 0.
     let views = if key.starts_with("bb/") || key.starts_with("prep/") { sub_shape[0] } else { 1 };
     let width = sub_shape[sub_shape.len() - 1];
     let step = golden.i64("sub_step")[0] as usize;
@@ -134,7 +134,7 @@ pub fn assert_tap_within(golden: &Golden, key: &str, got: &[impl Float], toleran
     assert_close(&name, &kept, &golden.f32(&sub_key), tolerance)
 }
 
-/// Holds [sum, sum |x|, sum x^2] of `got` to the golden's, within what `tolerance.rms` lets a sum move (Cauchy-Schwarz).
+/// Asserts [sum, sum |x|, sum x^2] of `got` within the Cauchy-Schwarz bound of `tolerance.rms`.
 #[track_caller]
 fn assert_sums(name: &str, got: &[impl Float], truth: &[f64], tolerance: Tolerance) {
     let values = || got.iter().map(|&x| -> f64 { x.into() });
@@ -150,11 +150,12 @@ fn assert_sums(name: &str, got: &[impl Float], truth: &[f64], tolerance: Toleran
     }
 }
 
-/// The columns of packed Gaussians `[n, 11 + 3K]` by field, each with its tolerance.
+/// Column ranges of packed Gaussians `[n, 11 + 3K]` by field.
 const GAUSSIAN_FIELDS: [(&str, usize, usize); 4] =
     [("means", 0, 3), ("scales", 3, 6), ("quats", 6, 10), ("opacities", 10, 11)];
 
-/// Holds packed Gaussians `[n, width]` to the truth, every field under its own tolerance and scaled by its own rms.
+/// Asserts packed Gaussians `[n, width]`, each field within its own tolerance and relative to its
+/// own rms.
 ///
 /// # Panics
 /// As [`assert_close`], with the field's name.
@@ -163,7 +164,7 @@ pub fn assert_gaussians_close(name: &str, got: &[impl Float], truth: &[impl Floa
     assert_gaussians_within(name, got, truth, width, Tolerance::of_field);
 }
 
-/// [`assert_gaussians_close`] under other tolerances, chosen by the field's name.
+/// [`assert_gaussians_close`] with tolerances by field name.
 #[track_caller]
 pub fn assert_gaussians_within(
     name: &str,
@@ -179,23 +180,22 @@ pub fn assert_gaussians_within(
     }
 }
 
-/// Columns `start..end` of rows of `width`, in f64.
+/// Returns columns `start..end` of rows of `width` in f64.
 pub fn columns(rows: &[impl Float], width: usize, start: usize, end: usize) -> Vec<f64> {
     rows.chunks(width).flat_map(|row| row[start..end].iter().map(|&x| x.into())).collect()
 }
 
-/// Two distances that differ by less, relatively, are a tie. The PyTorch implementation's own f32 picks meet this limit;
-/// distances of real ties differ by f32 rounding, 1e-6.
+/// Relative difference below which two distances tie. True ties differ by f32 rounding, 1e-6.
 const TIE: f64 = 1e-4;
 
-/// Holds the tokens that represent clusters to the golden's rule: the nearest token of each centroid, or the second
-/// nearest where the two are a tie.
+/// Asserts the golden's rule for cluster representatives: each centroid's nearest token, or the
+/// second nearest in a tie.
 ///
-/// A cluster of two has its centroid midway between its members, so which of them is nearer is decided by rounding.
-/// `top2 [K, 2]` and `gap [K]` (relative) are `nearest_top2` and `nearest_gap`.
+/// The centroid of a cluster of two is equidistant from both, so rounding decides. `top2 [K, 2]`
+/// and `gap [K]` (relative) are `nearest_top2` and `nearest_gap`.
 ///
 /// # Panics
-/// When lengths differ or an index is neither.
+/// If lengths differ or an index is neither.
 #[track_caller]
 pub fn assert_nearest(name: &str, got: &[u32], top2: &[i64], gap: &[f32]) {
     assert_eq!((got.len() * 2, got.len()), (top2.len(), gap.len()), "{name}: number of clusters");
@@ -211,11 +211,11 @@ pub fn assert_nearest(name: &str, got: &[u32], top2: &[i64], gap: &[f32]) {
     }
 }
 
-/// Holds the tokens that represent clusters to be as near to `centroids [K, width]` as any of `tokens [N, width]`, ties
-/// of any number left open: for inputs with repeated tokens, where the two nearest are not all there are.
+/// Asserts that representatives are as near to `centroids [K, width]` as any of `tokens [N,
+/// width]`. Repeated tokens may tie in any number.
 ///
 /// # Panics
-/// When lengths differ, an index is out of range, or another token is nearer.
+/// If lengths differ, an index is out of range, or another token is nearer.
 #[track_caller]
 pub fn assert_as_near(name: &str, got: &[u32], centroids: &[impl Float], tokens: &[impl Float], width: usize) {
     assert_eq!(got.len() * width, centroids.len(), "{name}: number of clusters");

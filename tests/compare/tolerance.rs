@@ -1,8 +1,8 @@
-//! The table of tolerances.
+//! Table of tolerances.
 
 use zipsplat::{gpu::Element, ops::Arithmetic};
 
-/// The most that an array may deviate from truth; both are relative to the rms of the truth.
+/// Limits on an array's deviation, relative to the rms of the truth.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tolerance {
     /// Largest deviation of one element.
@@ -11,21 +11,20 @@ pub struct Tolerance {
     pub rms: f64,
 }
 
-/// Half a unit in the last place of 1: the most that one f32 rounding moves a value, relatively.
+/// Largest relative error of one f32 rounding: half an ulp of 1.
 const F32_ROUNDING: f64 = f32::EPSILON as f64 / 2.0;
 
-/// Taps of the network (digits and the compression prefix removed) and fields of Gaussians, in f32.
+/// Network taps (without digits and compression prefix) and fields of Gaussians, in f32.
 ///
-/// Each limit is about three times the worst deviation of the PyTorch implementation's own f32 run from its f64 run,
-/// over all models and inputs. Few mistakes hide below: a wrong LayerNorm epsilon moves Gaussians by 3e-6 to 1e-5 (rms),
-/// and moves the model `tiny_eps`, made to show it, by up to a hundred times that.
+/// Each limit is about three times the worst deviation of the PyTorch implementation's f32 run from
+/// its f64 run. A wrong LayerNorm epsilon exceeds it in the model `tiny_eps`.
 const F32: &[(&str, Tolerance)] = &[
-    // |x| <= 1 times 588 weights; the position embedding's interpolation adds 1e-5 where weights are computed in f32.
+    // x| <= 1 times 588 weights; interpolating the position embedding in f32 adds 1e-5.
     ("bb/tokens", Tolerance { max: 3e-5, rms: 4e-6 }),
     ("bb/block", Tolerance { max: 3e-5, rms: 3e-6 }),
     ("bb/alt_in", Tolerance { max: 3e-5, rms: 3e-6 }),
     ("bb/feat", Tolerance { max: 3e-5, rms: 3e-6 }),
-    // A sequence of few views: less to accumulate.
+    // A sequence of few views accumulates less.
     ("bb/cam_token", Tolerance { max: 1e-5, rms: 2e-6 }),
     ("prep/layer", Tolerance { max: 3e-5, rms: 3e-6 }),
     ("color/tokens", Tolerance { max: 1e-5, rms: 1e-6 }),
@@ -39,7 +38,7 @@ const F32: &[(&str, Tolerance)] = &[
     // expm1 amplifies the deviation of a large raw coordinate by up to e^5.
     ("means", Tolerance { max: 1e-4, rms: 5e-6 }),
     ("scales", Tolerance { max: 3e-5, rms: 3e-6 }),
-    // Division by the length amplifies where the raw quaternion is short.
+    // Normalizing a short raw quaternion amplifies.
     ("quats", Tolerance { max: 1e-4, rms: 5e-6 }),
     // The sigmoid's slope is at most 1/4.
     ("opacities", Tolerance { max: 1e-5, rms: 2e-6 }),
@@ -47,31 +46,31 @@ const F32: &[(&str, Tolerance)] = &[
 ];
 
 impl Tolerance {
-    /// Equal but for the rounding to f32 with which truth is stored: for references in f64. An element's rounding is
-    /// relative to that element, which may be a dozen times the rms.
+    /// f64 references against truth stored in f32. An element may be a dozen times the rms.
     pub const STORED: Tolerance = Tolerance { max: 1e-6, rms: 1e-7 };
 
-    /// Taps of a network whose matrix products take rounded factors (f32 accumulation and residual stream), where its weights
-    /// are f16 numbers. A rounding moves a factor by at most the unit roundoff, at random, so a product's rms by as much or
-    /// less. What a block adds to the stream has passed about four such roundings in a row, sqrt(4) = 2 of them at random;
-    /// the stream, being a sum of blocks, deviates no more, relatively. Single elements: 8 times that over millions, as in
-    /// sums.
+    /// Taps of a network with rounded factors (f32 accumulation and residual stream) and f16
+    /// weights.
+    ///
+    /// A block passes about four roundings in a row, at random sqrt(4) = 2 of them. The stream sums
+    /// blocks and deviates no more, relatively. The maximum over millions of elements is 8 times
+    /// that.
     pub fn tap_in(arithmetic: Arithmetic) -> Tolerance {
         let u = factor_rounding(arithmetic);
         Tolerance { max: 16.0 * u, rms: 2.0 * u }
     }
 
-    /// Gaussians of such a network: the reference under autocast deviates by 8e-4 rms in f16 and by 7e-3 in bf16, so by about
-    /// 2 unit roundoffs, and this is twice that. exp amplifies single elements as far as the range of their clamps.
+    /// Gaussians of such a network: twice the deviation of the reference under autocast, 2 unit
+    /// roundoffs. exp amplifies elements up to their clamps.
     pub fn gaussians_in(arithmetic: Arithmetic) -> Tolerance {
         let u = factor_rounding(arithmetic);
         Tolerance { max: (200.0 * u).min(2.0), rms: 4.0 * u }
     }
 
-    /// The tolerance of a golden's key such as `bb/block3` or `r0.5/ca1_delta`, in f32.
+    /// Returns the f32 tolerance of a golden's key such as `bb/block3` or `r0.5/ca1_delta`.
     ///
     /// # Panics
-    /// When the table has no such tap.
+    /// If the table lacks the tap.
     pub fn of_tap(key: &str) -> Tolerance {
         let tap = match key.split_once('/') {
             Some((prefix, tap)) if prefix.starts_with('r') && prefix.ends_with(|c: char| c.is_ascii_digit()) => tap,
@@ -80,71 +79,73 @@ impl Tolerance {
         Tolerance::of_field(&tap.replace(|c: char| c.is_ascii_digit(), ""))
     }
 
-    /// The tolerance of a field of activated Gaussians (`means`, `scales`, `quats`, `opacities`, `sh_coeffs`), in f32.
+    /// Returns the f32 tolerance of an activated field (`means`, `scales`, `quats`, `opacities`,
+    /// `sh_coeffs`).
     ///
     /// # Panics
-    /// When the table has no such field.
+    /// If the table lacks the field.
     pub fn of_field(field: &str) -> Tolerance {
         let entry = F32.iter().find(|(name, _)| *name == field);
         entry.unwrap_or_else(|| panic!("no tolerance for {field:?}")).1
     }
 
-    /// The tolerance of a kernel that computes each element with a few f32 operations, `exp` and division among them,
-    /// which Vulkan allows 3 ulp and more.
+    /// A few f32 operations an element, including `exp` and division: Vulkan allows 3 ulp and more.
     pub const ELEMENTWISE: Tolerance = Tolerance { max: 2e-6, rms: 5e-7 };
 
-    /// The tolerance of one exp of |x| <= 20 and a few operations more: Vulkan allows 3 + 2 |x| ulp for it.
+    /// One exp of |x| <= 20 and a few more operations: Vulkan allows 3 + 2 |x| ulp.
     pub const EXPONENTIAL: Tolerance = Tolerance { max: 1e-5, rms: 1e-5 };
 
-    /// The tolerance of a mean of f32 `terms` of one sign, relative to itself: partial sums grow by one rounding a
-    /// doubling where lanes add side by side, and Vulkan's division is allowed 2.5 ulp.
+    /// Returns the tolerance of a mean of f32 `terms` of one sign: one rounding a doubling, and 2.5
+    /// ulp for the division.
     pub fn mean_of(terms: usize) -> Tolerance {
         let max = F32_ROUNDING * (5.0 + (terms.max(1) as f64).log2());
         Tolerance { max, rms: max / 2.0 }
     }
 
-    /// The sum of this and another source of deviation together.
+    /// Adds an independent source of deviation.
     pub fn and(self, other: Tolerance) -> Tolerance {
         Tolerance { max: self.max + other.max, rms: self.rms + other.rms }
     }
 
-    /// The tolerance where the truth's rms is `factor` times smaller than that of what is summed.
+    /// Scales the tolerance for a truth whose rms is `factor` times smaller than its summands'.
     pub fn times(self, factor: f64) -> Tolerance {
         Tolerance { max: self.max * factor, rms: self.rms * factor }
     }
 
-    /// The tolerance of f32 sums of `terms` products of comparable size: roundings walk at random, so that the sum
-    /// moves by about sqrt(terms) of them; a factor of 8 covers the tail over millions of elements.
+    /// Returns the tolerance of f32 sums of `terms` comparable products: a random walk of
+    /// sqrt(terms) roundings, times 8 for the tail over millions of elements.
     pub fn sum_of(terms: usize) -> Tolerance {
         let walk = F32_ROUNDING * (terms.max(4) as f64).sqrt();
         Tolerance { max: 8.0 * walk, rms: 2.0 * walk }
     }
 
-    /// The tolerance of sums that a GPU's matrix units make in so many steps: they may cut off rather than round, so that a
-    /// sum that has grown as a random walk drifts by a third of an ulp a step.
+    /// Returns the tolerance of sums that matrix units make in `steps`. Truncation drifts a random
+    /// walk by a third of an ulp a step.
     pub fn sum_cut_off(steps: usize) -> Tolerance {
         let drift = F32_ROUNDING * 2.0 / 3.0 * steps as f64;
         Tolerance { max: 4.0 * drift, rms: drift }
     }
 
-    /// The tolerance of a result stored in this type.
+    /// Adds the rounding of a result stored in this type.
     pub fn stored_in(self, element: Element) -> Tolerance {
-        // Half a unit in the last place, relative to an element, which may be eight times the rms.
+        // An element may be eight times the rms.
         let u = element.roundoff();
         if element == Element::F32 { self } else { self.and(Tolerance { max: 8.0 * u, rms: u }) }
     }
 
-    /// The tolerance of the same sums where both factors are rounded to a type before they are multiplied: every term moves
-    /// by up to 2 unit roundoffs, at random, so the sum by as much relative to its rms.
+    /// Returns the tolerance of sums whose factors are rounded first: each term moves by up to 2
+    /// unit roundoffs at random, and the sum by as much relative to its rms.
     pub fn sum_of_rounded(element: Element, terms: usize) -> Tolerance {
         let u = element.roundoff();
         Tolerance::sum_of(terms).and(Tolerance { max: 8.0 * u, rms: 2.0 * u })
     }
 }
 
-/// By how much the rounding of both factors moves a product at most, relative to its rms. In floats each moves it by less than
-/// the unit roundoff, at random, so both by no more. The 8-bit integers of a row are spread evenly over its range, of which
-/// its rms is about a quarter: half of 1/127 is then 4 times as much of it, at random 1/sqrt(3) of that, for both sqrt(2).
+/// Bounds a product's deviation from the rounding of both factors, relative to its rms.
+///
+/// Float factors each move it by less than the unit roundoff, at random. A row of 8-bit integers is
+/// uniform with an rms of about a quarter of its range. Half of 1/127 is 4 times as much of it,
+/// 1/sqrt(3) at random, times sqrt(2) for both.
 pub(super) fn factor_rounding(arithmetic: Arithmetic) -> f64 {
     match arithmetic.has_integers() {
         true => 4.0 * Element::I8.roundoff() * (2f64 / 3.0).sqrt(),

@@ -1,8 +1,9 @@
-/* A Vulkan layer that stands in for the hardware of a driver that has none (RADV with RADV_FORCE_FAMILY): the driver compiles
- * every pipeline, memory is the host's, and nothing is ever executed.
+/* A Vulkan layer that replaces the hardware of a driver without any (RADV with
+ * RADV_FORCE_FAMILY). The driver compiles every pipeline, memory is the host's, and nothing
+ * executes.
  *
- * ZIPSPLAT_SPIRV names the folder of the compiled kernels. On standard error it says "PIPELINE NAME" before one of them is
- * compiled, and "REFUSED NAME" after one that the driver could not compile. */
+ * ZIPSPLAT_SPIRV names the folder of compiled kernels. The layer prints "PIPELINE NAME" to
+ * standard error before each compilation, and "REFUSED NAME" after a failed one. */
 #define _GNU_SOURCE
 #include "chain.h"
 
@@ -15,7 +16,7 @@ static PFN_vkGetDeviceProcAddr next_device;
 #define INSTANCE(NAME) ((PFN_##NAME)next_instance(newest_instance, #NAME))
 #define DEVICE(NAME) ((PFN_##NAME)next_device(device, #NAME))
 
-/* One kind of memory, which the host sees. */
+/* One host-visible memory type. */
 static VKAPI_ATTR void VKAPI_CALL own_vkGetPhysicalDeviceMemoryProperties(VkPhysicalDevice physical,
                                                                           VkPhysicalDeviceMemoryProperties *memory) {
   (void)physical;
@@ -67,7 +68,7 @@ static VKAPI_ATTR VkResult VKAPI_CALL own_vkMapMemory(VkDevice d, VkDeviceMemory
   return VK_SUCCESS;
 }
 
-/* Whatever is waited for is over. */
+/* Every wait succeeds at once. */
 static VKAPI_ATTR VkResult VKAPI_CALL own_vkGetSemaphoreCounterValue(VkDevice d, VkSemaphore semaphore, uint64_t *value) {
   (void)d, (void)semaphore;
   *value = 1ull << 62;
@@ -93,7 +94,7 @@ CREATE(Semaphore) CREATE(Fence) CREATE(QueryPool)
 
 static VKAPI_ATTR VkResult VKAPI_CALL nothing(void) { return VK_SUCCESS; }
 
-/* Kernels are known by their code. */
+/* Kernels are identified by their code. */
 enum { KERNELS = 1024 };
 static struct kernel {
   VkShaderModule module;
@@ -128,7 +129,7 @@ static VKAPI_ATTR VkResult VKAPI_CALL own_vkCreateShaderModule(VkDevice d, const
 static VKAPI_ATTR VkResult VKAPI_CALL own_vkCreateComputePipelines(VkDevice d, VkPipelineCache cache, uint32_t count,
                                                                    const VkComputePipelineCreateInfo *infos,
                                                                    const VkAllocationCallbacks *a, VkPipeline *pipelines) {
-  const char *name = "unknown"; /* The newest of a module's handle, which may have been used before. */
+  const char *name = "unknown"; /* The newest module of this handle: handles are reused. */
   for (unsigned i = 0; i < KERNELS && i < kernel_count; i++) {
     const struct kernel *kernel = &kernels[(kernel_count - 1 - i) % KERNELS];
     if (kernel->module != infos->stage.module) continue;

@@ -1,4 +1,4 @@
-/* A Vulkan layer's place in the chain of layers, for one instance at a time. The layer includes this and defines `own` and
+/* A Vulkan layer's link in the chain, for one instance at a time. Each layer defines `own` and
  * `device_function`. */
 #include <string.h>
 #include <vulkan/vk_layer.h>
@@ -7,12 +7,12 @@
 static PFN_vkGetInstanceProcAddr next_instance;
 static VkInstance newest_instance;
 
-/* The layer's own function of a name, or NULL. */
+/* Returns the layer's own function of this name, or NULL. */
 static PFN_vkVoidFunction own(const char *name);
 static VKAPI_ATTR PFN_vkVoidFunction VKAPI_CALL device_function(VkDevice device, const char *name);
 
 static void *next_link(const void *chain, VkStructureType type) {
-  const VkLayerDeviceCreateInfo *info = chain; /* That of an instance begins alike. */
+  const VkLayerDeviceCreateInfo *info = chain; /* VkLayerInstanceCreateInfo starts alike. */
   while (info && !(info->sType == type && info->function == VK_LAYER_LINK_INFO)) info = info->pNext;
   return (void *)info;
 }

@@ -1,9 +1,9 @@
-/* A Vulkan layer that makes a function fail, so that what no CPU driver does can be tested.
+/* A Vulkan layer that simulates failures that no CPU driver has.
  *
- * ZIPSPLAT_FAULTS names a file with "FUNCTION FIRST RESULT": on every device that is made from then on, the function's calls
- * fail from number FIRST (counted from 1) on. When a device is destroyed the file becomes "FUNCTION CALLS".
- * With VK_ERROR_DEVICE_LOST the device stays lost, as the specification has it: whatever may return that does, and waits
- * end. What was submitted before still runs, and such a wait is for that. */
+ * ZIPSPLAT_FAULTS names a file with "FUNCTION FIRST RESULT". On devices created afterwards, the
+ * function fails from call FIRST (counted from 1) on. Destroying a device replaces the file with
+ * "FUNCTION CALLS". After VK_ERROR_DEVICE_LOST the device stays lost: every function that may
+ * return it does, once earlier submissions have finished. */
 #include "chain.h"
 
 #include <pthread.h>
@@ -40,7 +40,7 @@
     (o, i, a, h))
 
 struct device {
-  void *key; /* Of a device, its queues and command buffers: the loader's dispatch table. */
+  void *key; /* The loader's dispatch table, shared by a device, its queues and command buffers. */
   VkDevice handle;
   char function[64];
   unsigned first, calls;
@@ -67,7 +67,7 @@ static struct device *find(const void *object) {
   return found;
 }
 
-/* VK_SUCCESS where the call goes on to the driver. */
+/* Returns VK_SUCCESS if the call proceeds to the driver. */
 static VkResult fails(struct device *device, const char *function, int loses) {
   VkResult result = VK_SUCCESS;
   if (!strcmp(function, device->function) && ++device->calls >= device->first && device->first) result = device->result;
@@ -77,7 +77,7 @@ static VkResult fails(struct device *device, const char *function, int loses) {
   return VK_ERROR_DEVICE_LOST;
 }
 
-/* The lock is not held in a wait that goes on to the driver: others submit what it waits for. */
+/* A wait must not hold the lock: other threads submit its signal. */
 #define WRAPPER(NAME, LOSES, O, PARAMETERS, ARGUMENTS)                                                                      \
   static VKAPI_ATTR VkResult VKAPI_CALL own_##NAME PARAMETERS {                                                         \
     struct device *device = find(O);                                                                                        \

@@ -1,4 +1,4 @@
-//! Devices that are lost and drivers that refuse: `failing.c` makes them so.
+//! Device loss and failing drivers, simulated by `failing.c`.
 
 use crate::processes::{assert_succeeds, child};
 use std::path::{Path, PathBuf};
@@ -6,29 +6,30 @@ use tempfile::TempDir;
 
 const LAYER: &str = "VK_LAYER_ZIPSPLAT_faults";
 
-/// Tells the layer, in a file, what is to fail.
+/// Variable naming the layer's fault file.
 const FAULTS: &str = "ZIPSPLAT_FAULTS";
 
-/// `VkResult`s that a driver answers with.
+/// `VK_ERROR_OUT_OF_HOST_MEMORY`.
 pub const OUT_OF_HOST_MEMORY: i32 = -1;
-/// As above.
+/// `VK_ERROR_OUT_OF_DEVICE_MEMORY`.
 pub const OUT_OF_DEVICE_MEMORY: i32 = -2;
-/// As above.
+/// `VK_ERROR_DEVICE_LOST`.
 pub const DEVICE_LOST: i32 = -4;
 
-/// Runs a test that is ignored in a process under the layer, and holds that validation had nothing to say at any time, also
-/// when devices were destroyed.
+/// Runs an ignored test in a process under the layer and asserts that validation stays silent, also
+/// while devices are destroyed.
 #[track_caller]
 pub fn assert_survives(name: &str) {
     let (own, work) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let at = |name: &str| own.path().join(name);
     build_layer(&own);
-    // What the layer says when a device is destroyed reaches nobody who could fail a test: it goes to standard output.
+    // Messages during device destruction cannot fail a test, so the layer prints them to standard
+    // output.
     let settings = std::fs::read_to_string(tests().join("vk_layer_settings.txt")).unwrap();
     let printing =
         "khronos_validation.debug_action = VK_DBG_LAYER_ACTION_LOG_MSG\nkhronos_validation.log_filename = stdout\n";
     std::fs::write(at("settings.txt"), settings + printing).unwrap();
-    // Nothing here takes longer than a minute: what does hangs.
+    // Tests take less than a minute; longer is a hang.
     let mut command = child(name, work.path(), "set -- timeout --kill-after=5 600 \"$@\"");
     let layers = match std::env::var("VK_LAYER_PATH") {
         Ok(path) => ("VK_LAYER_PATH", format!("{path}:{}", own.path().display())),
@@ -40,7 +41,7 @@ pub fn assert_survives(name: &str) {
     assert!(!printed.contains("VUID"), "{printed}");
 }
 
-/// The folder of this crate.
+/// Returns this crate's folder.
 fn tests() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
@@ -62,30 +63,30 @@ fn build_layer(folder: &TempDir) {
     std::fs::write(folder.path().join("faults.json"), manifest.to_string()).unwrap();
 }
 
-/// The faults of the next devices of this process.
+/// Faults of this process's next devices.
 pub struct Faults(PathBuf);
 
 impl Faults {
-    /// The faults of the layer that this process runs under.
+    /// Returns the faults of the layer this process runs under.
     ///
     /// # Panics
-    /// In other processes than those of [`assert_survives`].
+    /// Outside a process of [`assert_survives`].
     pub fn inherited() -> Self {
         Self(std::env::var_os(FAULTS).expect("a child of this module's tests").into())
     }
 
-    /// From call `first` of `function` on they answer with `result`; 0 is never.
+    /// Makes `function` return `result` from call `first` on; 0 disables it.
     pub fn set(&self, function: &str, first: u32, result: i32) {
         std::fs::write(&self.0, format!("{function} {first} {result}")).unwrap();
     }
 
-    /// How often the last device that was destroyed was called.
+    /// Returns the number of calls on the last destroyed device.
     pub fn made(&self) -> u32 {
         let text = std::fs::read_to_string(&self.0).unwrap();
         text.split(' ').nth(1).and_then(|calls| calls.parse().ok()).expect("what the layer wrote")
     }
 
-    /// Up to `count` of these calls, the first and the last among them.
+    /// Returns up to `count` of these calls, including the first and the last.
     pub fn calls(&self, count: u32) -> Vec<u32> {
         let last = self.made();
         assert!(last > 0, "never called");

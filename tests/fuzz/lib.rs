@@ -1,5 +1,5 @@
-//! The work of the targets on the fuzzer's bytes. An error is fine; a panic, a hang, memory by a count that was told, or
-//! something unsound that is read is not.
+//! Bodies of the fuzz targets. An error passes. A panic, a hang, an allocation of a claimed size or
+//! an invalid result fails.
 
 use std::io::{Cursor, Write};
 use std::path::{Path, PathBuf};
@@ -15,7 +15,7 @@ use zipsplat::{
     weights::Checkpoint,
 };
 
-/// The bytes as a file of this process.
+/// Writes the bytes to a file of this process.
 fn stored(name: &str, bytes: &[u8]) -> PathBuf {
     static FOLDER: OnceLock<TempDir> = OnceLock::new();
     let folder = FOLDER.get_or_init(|| {
@@ -27,7 +27,7 @@ fn stored(name: &str, bytes: &[u8]) -> PathBuf {
     path
 }
 
-/// A scene of the format of `extension`.
+/// Reads a scene in the format of `extension`.
 pub fn scene(extension: &str, bytes: &[u8]) {
     let path = stored(&format!("scene.{extension}"), bytes);
     if let Ok(scene) = read_scene(&path) {
@@ -38,7 +38,7 @@ pub fn scene(extension: &str, bytes: &[u8]) {
     }
 }
 
-/// A gzip stream around what is inside an SPZ.
+/// Compresses the content of an SPZ.
 pub fn deflated(bytes: &[u8]) -> Vec<u8> {
     let mut out = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
     out.write_all(bytes).and_then(|()| out.finish()).expect("memory")
@@ -50,18 +50,19 @@ fn sound(poses: zipsplat::Result<Poses>) {
     }
 }
 
-/// A `transforms.json`.
+/// Reads a `transforms.json`.
 pub fn transforms(bytes: &[u8]) {
     sound(read_poses(stored("transforms.json", bytes)));
 }
 
-/// A camera path or a list of matrices.
+/// Reads a camera path or a list of matrices.
 pub fn camera_path(bytes: &[u8]) {
     let lens = Intrinsics { width: 64, height: 48, fx: 70.0, fy: 71.5, cx: 31.25, cy: 24.5 };
     sound(read_cameras(stored("cameras.json", bytes), &lens));
 }
 
-/// A COLMAP model with files of `extension`, whose sizes the first two bytes tell apart.
+/// Reads a COLMAP model with files of `extension`. The first two bytes are the length of the images
+/// file.
 pub fn colmap(extension: &str, bytes: &[u8]) {
     let Some(([low, high], rest)) = bytes.split_first_chunk::<2>().map(|(length, rest)| (*length, rest)) else {
         return;
@@ -72,14 +73,14 @@ pub fn colmap(extension: &str, bytes: &[u8]) {
     sound(read_poses(path));
 }
 
-/// A capture's points in a file of this name.
+/// Reads a capture's points from a file of this name.
 pub fn points(name: &str, bytes: &[u8]) {
     for point in read_cloud(stored(name, bytes)).unwrap_or_default().positions {
         assert!(point.iter().all(|x| x.is_finite()), "what is read is finite");
     }
 }
 
-/// A checkpoint of any kind.
+/// Reads a checkpoint of any kind.
 pub fn checkpoint(bytes: &[u8]) {
     for variant in [None, Some("vits")] {
         let Ok(weights) = Checkpoint::from_bytes("fuzzed", bytes.to_vec(), variant) else { continue };
@@ -91,7 +92,7 @@ pub fn checkpoint(bytes: &[u8]) {
     }
 }
 
-/// A pickle in the archive of `torch.save`.
+/// Wraps a pickle in the archive of `torch.save`.
 pub fn archive(pickle: &[u8]) -> Vec<u8> {
     let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
     for (name, bytes) in [("data.pkl", pickle), ("data/0", &[0; 4096])] {
@@ -101,7 +102,7 @@ pub fn archive(pickle: &[u8]) -> Vec<u8> {
     zip.finish().expect("memory").into_inner()
 }
 
-/// A photo.
+/// Decodes a photo.
 pub fn photo(bytes: &[u8]) {
     let path = stored("photo", bytes);
     let size = Image::size(&path);

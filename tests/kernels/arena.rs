@@ -1,4 +1,4 @@
-//! Plans and their arena: what is kept, what has to be written again, what is refused before anything runs.
+//! Plans and their arena: preserved inputs, required rewrites, errors before anything runs.
 
 use std::ops::ControlFlow;
 use zipsplat::Error;
@@ -9,7 +9,6 @@ use zipsplat::reconstruct::{Kept, Network, Shape};
 use zipsplat::stages::ViewGrid;
 use zipsplat_tests::{architectures, compare::assert_same, device::device};
 
-/// out = left + right.
 fn add(rec: &mut Recorder, left: Tensor, right: Tensor, len: usize) -> Tensor {
     let out = rec.tensor::<f32>("out", len);
     rec.dispatch(Add { left, right, out, count: len as u32 }, len);
@@ -155,7 +154,7 @@ fn more_than_the_memory_there_is_is_refused_before_it_is_touched() {
     assert_eq!(plan.arena_bytes(), count * half_gib);
     let error = Run::new(device(), plan).map(|_| ()).unwrap_err();
     let Error::Memory { needed, available, .. } = &error else { panic!("{error}") };
-    // Other tests may hold some of it.
+    // Other tests may hold some memory.
     assert!(*needed == count * half_gib && *available <= limits.memory_bytes, "{error}");
 }
 
@@ -169,7 +168,7 @@ fn a_group_count_beyond_the_device_is_refused() {
     assert!(matches!(&error, Error::Argument { what, .. } if what.contains("ops/add")), "{error}");
 }
 
-/// The map of a forward pass of the micro network.
+/// Returns the arena map of a forward pass of the micro network.
 fn network_map(limits: &Limits, views: usize, observe: bool) -> (Vec<ArenaRow>, u64) {
     let network = Network::new(&architectures::golden("micro"), limits, Arithmetic::EXACT);
     let grid = ViewGrid { views, rows: 4, columns: 5, patch: 14 };

@@ -1,4 +1,4 @@
-//! One plan under test: inputs with their values, and outputs that show what was not written and what should not have been.
+//! One plan under test, with outputs that detect missing and stray writes.
 
 use bytemuck::Pod;
 use zipsplat::gpu::{Element, Limits, Recorder, Run, Tensor};
@@ -6,10 +6,10 @@ use zipsplat::ops::{AttentionKernel, Lanes, LinearKernel, NearestKernel, Tiles, 
 use zipsplat_tests::device::device;
 pub use zipsplat_tests::random::{random, random_below};
 
-/// Bytes behind an output that nothing may write.
+/// Guard bytes behind an output.
 const GUARD: usize = 256;
 
-/// Every byte of an output before the plan runs: NaN as f32, and as an index far out of range.
+/// Fill byte of outputs: NaN as f32, out of range as an index.
 const UNWRITTEN: u8 = 0xff;
 
 pub struct Case {
@@ -23,7 +23,7 @@ impl Case {
         Case::within(device().limits())
     }
 
-    /// A plan for narrower limits than the device's.
+    /// Creates a plan for narrower limits than the device's.
     pub fn within(limits: &Limits) -> Case {
         Case { rec: Recorder::new(limits), inputs: Vec::new(), guarded: Vec::new() }
     }
@@ -34,22 +34,22 @@ impl Case {
         tensor
     }
 
-    /// Values as a kernel takes them in this type.
+    /// Uploads values in this type.
     pub fn input_of(&mut self, element: Element, values: &[f32]) -> Tensor {
         self.input(&element.encode(values))
     }
 
-    /// A tensor of `len` results of this type.
+    /// Allocates an output of `len` values of this type.
     pub fn output_of(&mut self, element: Element, len: usize) -> Tensor {
         self.output::<u8>(element.bytes() * len)
     }
 
-    /// Runs the plan and reads one result of this type.
+    /// Runs the plan and reads one output of this type.
     pub fn result_of(self, element: Element, output: Tensor) -> Vec<f32> {
         element.decode(&self.result::<u8>(output))
     }
 
-    /// A tensor of `len` results.
+    /// Allocates an output of `len` values.
     pub fn output<T>(&mut self, len: usize) -> Tensor {
         let bytes = len * size_of::<T>();
         let whole = self.rec.tensor::<u8>("output", bytes + GUARD);
@@ -59,7 +59,7 @@ impl Case {
         whole.slice::<T>(0, len)
     }
 
-    /// Runs the plan to its end; results are read from what it returns.
+    /// Runs the plan and returns the results.
     pub fn run(self) -> Run {
         let mut run = Run::new(device(), self.rec.finish().unwrap()).unwrap();
         for (tensor, bytes) in &self.inputs {
@@ -73,20 +73,20 @@ impl Case {
         run
     }
 
-    /// Runs the plan and reads one result.
+    /// Runs the plan and reads one output.
     pub fn result<T: Pod>(self, output: Tensor) -> Vec<T> {
         self.run().read(output).unwrap()
     }
 }
 
-/// Number types that the device's kernels take.
+/// Returns the device's element types.
 pub fn elements() -> Vec<Element> {
     let half = device().limits().half_storage.then_some(Element::HALVES);
     [Element::F32].into_iter().chain(half.into_iter().flatten()).collect()
 }
 
-/// Kernels of linear layers that the device has, for weights in the type of the factors: on lanes by rule and with the first tile
-/// in shared memory, and by dot products.
+/// Returns the device's linear kernels with weights in the factors' type, on lanes both by rule and
+/// with the first tile in shared memory.
 pub fn linear_kernels() -> Vec<LinearKernel> {
     let lanes = |element| [Lanes::of(element), Lanes { element, tiles: Tiles::always(1) }];
     let panels = elements().into_iter().flat_map(lanes).map(|lanes| LinearKernel::Panels(lanes, Weights::Factors));
@@ -95,18 +95,19 @@ pub fn linear_kernels() -> Vec<LinearKernel> {
     panels.chain(units.map(|units| LinearKernel::Matrix(units, Weights::Factors))).chain(dots).collect()
 }
 
-/// The limits, and for a kernel with a twin that reads by address, where the device can, those of a device that cannot.
+/// Returns the limits and, for a kernel with a variant that reads by address, limits without
+/// addresses.
 pub fn with_and_without_addresses(limits: &Limits, has_twin: bool) -> Vec<Limits> {
     let bound = (has_twin && limits.addresses).then(|| Limits { addresses: false, ..limits.clone() });
     [limits.clone()].into_iter().chain(bound).collect()
 }
 
-/// Those that have one for weights of 8 bits, and that.
+/// Returns the linear kernels that have a variant for 8-bit weights, with the variant.
 pub fn q8_kernels() -> Vec<[LinearKernel; 2]> {
     linear_kernels().into_iter().filter_map(|kernel| Some([kernel, kernel.with_q8()?])).collect()
 }
 
-/// Kernels of attention that the device has, with tiles by rule.
+/// Returns the device's attention kernels, with tiles by rule.
 pub fn attention_kernels() -> Vec<AttentionKernel> {
     let lanes = elements().into_iter().map(AttentionKernel::Lanes);
     let limits = device().limits();
@@ -114,18 +115,18 @@ pub fn attention_kernels() -> Vec<AttentionKernel> {
     lanes.chain(units.map(AttentionKernel::Matrix)).collect()
 }
 
-/// Kernels that find nearest rows that the device has.
+/// Returns the device's nearest-row kernels.
 pub fn nearest_kernels() -> Vec<NearestKernel> {
     let matrix = Units::of(Element::F16, device().limits()).map(NearestKernel::Matrix);
     [NearestKernel::Lanes].into_iter().chain(matrix).collect()
 }
 
-/// Values as they are once they are stored in this type.
+/// Rounds values to this type and back.
 pub fn stored(element: Element, values: Vec<f32>) -> Vec<f32> {
     element.decode(&element.encode(&values))
 }
 
-/// f64 results of at most one rounding each as the f32 that a kernel gives exactly.
+/// Rounds f64 results of at most one rounding to the f32 that a kernel computes exactly.
 pub fn rounded(values: &[f64]) -> Vec<f32> {
     values.iter().map(|&x| x as f32).collect()
 }

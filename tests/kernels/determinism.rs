@@ -1,4 +1,4 @@
-//! The same inputs give the same bits, every run and on every opening of a device.
+//! Equal inputs give equal bits, across runs and devices.
 
 use crate::case::random;
 use std::ops::ControlFlow;
@@ -10,7 +10,7 @@ use zipsplat::types::{Image, Scene};
 use zipsplat::weights::Checkpoint;
 use zipsplat_tests::{architectures, compare::assert_same, device::device, networks::fast_arithmetics};
 
-/// Views of 4 x 5 patches of noise.
+/// Returns views of 4 x 5 patches of noise.
 fn images(views: u32) -> Vec<Image> {
     let (width, height) = (5 * 14, 4 * 14);
     let view = |seed: u32| {
@@ -62,7 +62,7 @@ fn staging_changes_no_bit() {
 
 #[test]
 fn binding_parts_of_tensors_changes_no_bit() {
-    // Just above the largest weight, far below the pictures, the hidden layers and the head's output.
+    // Above the largest weight, below the pictures, hidden layers and head output.
     let narrow = DeviceOptions { max_binding_bytes: Some(200 << 10), ..DeviceOptions::default() };
     let narrow = Device::open(&narrow).unwrap();
     let cases = fast_arithmetics().into_iter().map(|half| (half, 1.0));
@@ -75,11 +75,11 @@ fn binding_parts_of_tensors_changes_no_bit() {
 
 #[test]
 fn cutting_long_dispatches_changes_no_bit() {
-    // As much arithmetic as is stated here is cut into hundreds of submissions.
+    // The larger count is split into hundreds of submissions.
     for stated in [0, 1 << 40] {
-        // A folded dispatch, and one below the fold.
+        // Above and below the fold.
         for count in [64 * 100_000 + 1, 64 * 1000] {
-            // A device that has not learned how fast it is: that this is no arithmetic at all.
+            // A fresh device has not measured its speed.
             let device = Device::open(&DeviceOptions::default()).unwrap();
             let values = random(1, count);
             let mut rec = Recorder::new(device.limits());

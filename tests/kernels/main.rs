@@ -1,4 +1,4 @@
-//! Kernels against references in f64 that use other algorithms, on the device that is there.
+//! Kernels against f64 references by other algorithms.
 
 mod arena;
 mod case;

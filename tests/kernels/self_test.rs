@@ -1,4 +1,4 @@
-//! The self-test of fast kernels, and what follows from it.
+//! Self-test of fast kernels and its consequences.
 
 use zipsplat::gpu::{Device, DeviceOptions, Matrices};
 use zipsplat::ops::{Arithmetic, Precision};
@@ -12,7 +12,7 @@ fn every_kernel_of_this_device_passes() {
     assert_eq!(test.deviations.is_empty(), !limits.half_storage);
     let matrices = test.deviations.iter().filter(|(kernel, _)| kernel.contains("_matrix_")).count();
     assert_eq!(matrices > 0, limits.matrices != Matrices::default(), "{test:?}");
-    // A kernel that did nothing would differ by as much as its result.
+    // A kernel that writes nothing deviates by its whole result.
     assert!(test.deviations.values().all(|deviation| deviation.is_some_and(|times| times < 0.5)), "{test:?}");
 }
 

@@ -1,4 +1,4 @@
-//! Tiles by measurement: every one is timed, the fastest is taken, and none changes a linear layer's bits.
+//! Tuning of tiles: all are timed, the fastest wins, and linear results keep their bits.
 
 use std::ops::ControlFlow;
 use zipsplat::{
@@ -37,7 +37,7 @@ fn measures_every_tile_and_can_be_stopped() {
             ("nearest", Some(units)) => Tile::nearest(limits, units).len(),
             other => panic!("{other:?} has no tiles"),
         };
-        // Larger results are not measured with tiles that are slow already.
+        // Larger sizes skip tiles already known to be slow.
         let alike = tuning.measured.iter().filter(|m| (&m.kernel, m.factor) == (&measured.kernel, measured.factor));
         let smallest = alike.map(|m| m.values).min() == Some(measured.values);
         let least = if smallest { candidates } else { 1 };
@@ -100,7 +100,7 @@ fn the_fastest_tile_of_lanes_is_taken_for_f32() {
     }
 }
 
-/// The tuning as another process reads it.
+/// Returns the tuning after a round trip through the cache.
 fn kept(tuning: &Tuning) -> Tuning {
     serde_json::from_slice(&serde_json::to_vec(tuning).unwrap()).unwrap()
 }

@@ -1,4 +1,4 @@
-"""What the tests share: one device, one model, a few photos."""
+"""Shared fixtures: one device, one model, a few photos."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 import zipsplat
 
 PHOTOS = Path(os.environ["ZIPSPLAT_PHOTOS"])
-# What the network sees, small: the tests are of the bindings.
+# A small network input suffices for tests of the bindings.
 SIZE = (70, 70)
 
 
@@ -33,7 +33,7 @@ def scene(model: zipsplat.Model, photos: list[Path]) -> zipsplat.Scene:
 
 @pytest.fixture()
 def capture(tmp_path: Path) -> Path:
-    """A folder with three small photos of a random scene and their cameras."""
+    """Creates a folder with three small photos of a random scene and their cameras."""
     rng = np.random.default_rng(3)
     means = rng.normal(size=(60, 3)) * 0.5 + [0, 0, 4]
     colors = rng.normal(size=(60, 1, 3))
@@ -58,12 +58,12 @@ def capture(tmp_path: Path) -> Path:
 
 
 def python(code: str, *arguments: object, timeout: float = 300) -> subprocess.CompletedProcess[str]:
-    """Runs code in an interpreter of its own."""
+    """Runs code in a separate interpreter."""
     program = [sys.executable, "-c", code, *map(str, arguments)]
     return subprocess.run(program, capture_output=True, text=True, timeout=timeout, check=False)
 
 
 def same(a: zipsplat.Scene, b: zipsplat.Scene) -> bool:
-    """Whether two scenes are the same, bit for bit."""
+    """Returns whether two scenes are bitwise equal."""
     fields = ("means", "scales", "quats", "opacities", "sh_coeffs")
     return all(getattr(a, name).tobytes() == getattr(b, name).tobytes() for name in fields)

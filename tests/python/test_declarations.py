@@ -1,4 +1,4 @@
-"""What cffi is told is what the header says."""
+"""The cffi declarations match the header."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Depth and cameras of photos, by a network of random numbers."""
+"""Depth and cameras of photos from random weights."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ def test_depth_cameras_and_scene_of_photos(depth_model: zipsplat.DepthModel, pho
     size = zipsplat.read_photo(photos[0]).shape
     first, second = found.cameras
     assert first is not None and second is not None
-    # Of the whole photos, which share a focal length.
+    # Cameras refer to whole photos, which share a focal length.
     assert (first.height, first.width) == size[:2] and first.fx == first.fy == second.fx
     assert math.isclose(float(np.linalg.det(first.camera_to_world[:3, :3])), 1, abs_tol=1e-6)
     scene = found.scene(keep=2)
     assert 0 < len(scene.means) <= 2 * count * height * width // 196
-    # Known cameras come back, and the arrays outlive their object.
+    # Known cameras are returned, and arrays outlive their object.
     known = [
         zipsplat.Camera.from_fov(size[1], size[0], 60, camera_to_world=np.eye(4) + np.eye(4, k=3) * shift) for shift in (0, 1)
     ]

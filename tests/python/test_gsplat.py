@@ -1,4 +1,4 @@
-"""gsplat's `rasterization`: its rules, its shapes, its gradients."""
+"""gsplat's `rasterization`: rules, shapes, gradients."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ def tensors(path: Path) -> dict[str, np.ndarray]:
 
 
 def apart(got: Any, truth: Any) -> float:
-    """The root mean square of the difference, relative."""
+    """Returns the relative rms difference."""
     got, truth = np.asarray(got, np.float64), np.asarray(truth, np.float64)
     assert got.shape == truth.shape
     return float(np.sqrt(np.sum((got - truth) ** 2) / max(np.sum(truth**2), 1e-300)))
 
 
 def of_pose(d_view: np.ndarray, view: np.ndarray) -> np.ndarray:
-    """A gradient by viewmats as one by rigid motions: the rest of it moves no camera."""
+    """Projects a gradient by viewmats onto rigid motions."""
     turn = -np.cross(view[:, :3], d_view[:, :3], axis=1).sum(axis=2)
     return np.concatenate([turn, -d_view[:, :3, 3]], axis=1)
 
@@ -66,7 +66,7 @@ def test_pictures_and_gradients_are_the_goldens(path: Path) -> None:
             assert apart(got[stable], truth[stable]) < 3e-5, name
         expected, _, _ = zipsplat.rasterization(*fields, width, height, render_mode="ED", **how)
         assert apart(expected[..., 0][stable], golden[f"{mode}/ED"][stable]) < 3e-4
-        # Without the background, whose share of a pixel is its weight times what is let through.
+        # Remove the background, which contributes its color times the transmittance.
         weights = [golden[f"{mode}/v_{name}"] for name in ("rgb", "alpha", "depth")]
         weights[1] = weights[1] - weights[0] @ golden["bg"].astype(np.float64)
         how_native = gsplat._How(width, height, mode == "antialiased", zipsplat.default_context())
@@ -99,7 +99,7 @@ def test_channels_are_any_number_and_any_sign() -> None:
     fields = place()
     whole, alphas, _ = zipsplat.rasterization(**fields, width=48, height=32)
     assert whole.shape == (2, 32, 48, 5) and whole.min() < -0.2
-    # Each channel is linear: of its own, and twice as strong.
+    # Each channel is linear and independent.
     for channel in range(5):
         alone, _, _ = zipsplat.rasterization(
             **{**fields, "colors": 2 * fields["colors"][:, channel : channel + 1]}, width=48, height=32
@@ -107,7 +107,7 @@ def test_channels_are_any_number_and_any_sign() -> None:
         assert np.allclose(alone[..., 0], 2 * whole[..., channel], atol=2e-5)
     lit, _, _ = zipsplat.rasterization(**fields, width=48, height=32, backgrounds=np.ones((2, 5)))
     assert np.allclose(lit, whole + 1 - alphas, atol=1e-6)
-    # Colours of their own for each camera.
+    # Per-camera colors.
     own = np.stack([fields["colors"], 0.5 * fields["colors"]])
     both, _, _ = zipsplat.rasterization(**{**fields, "colors": own}, width=48, height=32)
     assert np.allclose(both[0], whole[0], atol=1e-6) and np.allclose(both[1], 0.5 * whole[1], atol=2e-5)
@@ -120,7 +120,7 @@ def test_channels_are_any_number_and_any_sign() -> None:
 def test_what_is_not_there_is_named() -> None:
     fields = place()
     for options in [
-        {"near_plane": 0.1},
+        {"far_plane": 1.0},
         {"far_plane": 100.0},
         {"radius_clip": 1.0},
         {"eps2d": 0.1},
@@ -156,7 +156,8 @@ def test_what_is_not_there_is_named() -> None:
 
 
 def reference(fields: dict[str, Any], width: int, height: int) -> tuple[Any, Any]:
-    """Colours and alphas by gsplat's own reference in torch: its projection, and every Gaussian blended into every pixel."""
+    """Returns colors and alphas of gsplat's torch reference, blending every Gaussian into every
+    pixel."""
     torch = pytest.importorskip("torch")
     impl = pytest.importorskip("gsplat.cuda._torch_impl")
     covars, _ = impl._quat_scale_to_covar_preci(fields["quats"], fields["scales"], compute_preci=False)
@@ -208,7 +209,7 @@ def test_tensors_give_gsplats_pictures_and_gradients() -> None:
     off = (np.abs(colors.detach().numpy() - expected[0].detach().numpy()) > 1e-4).mean()
     assert off < 2e-3, "all but a few pixels at a threshold"
     assert apart(alphas.detach(), expected[1].detach()) < 1e-3
-    # Thresholds that rounding crosses have no weight.
+    # Pixels where rounding crosses a threshold have no weight.
     same = (torch.abs(colors - expected[0]).amax(-1, keepdim=True) < 1e-4).float().detach()
     weights = [weight * same for weight in weights]
     got, truth = gradients(colors, alphas), gradients(*expected)

@@ -1,4 +1,4 @@
-"""Threads, forks, and the end of the interpreter."""
+"""Threads, forks and interpreter shutdown."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_threads_share_a_model(model: zipsplat.Model, photos: list[Path], scene:
 
 
 def test_other_threads_run_during_a_call(model: zipsplat.Model, photos: list[Path]) -> None:
-    # Nothing of Python's is called by the library here, so what counts meanwhile counts because the lock was let go.
+    # The library calls no Python here, so the counter advances only if the GIL is released.
     camera = zipsplat.Camera.from_fov(1600, 1200)
     renderer = zipsplat.Renderer(model.reconstruct(photos, size=SIZE))
     renderer.render(camera)
@@ -102,7 +102,7 @@ print("end", flush=True)
     )
     done = python(code)
     assert (done.returncode, done.stdout) == (0, "end\n"), done.stderr
-    # The thread may be between two calls: of these it gets no other.
+    # The thread may be between two calls.
     last = done.stderr.strip().splitlines()[-1:]
     assert all("CancelledError" in line or "the interpreter ends" in line for line in last), done.stderr
 

@@ -1,4 +1,5 @@
-"""Captures on a real local cluster: two nodes of a core each, whose workers, nodes and driver are killed in the middle."""
+"""Captures on a local cluster of two one-core nodes, whose workers, nodes and driver are killed
+midway."""
 
 from __future__ import annotations
 
@@ -23,7 +24,7 @@ SIZE = (126, 126)
 
 @pytest.fixture()
 def places(tmp_path: Path) -> Path:
-    """A folder of captures of three photos each."""
+    """Creates a folder of captures of three photos each."""
     rng = np.random.default_rng(1)
     for name in range(8):
         folder = tmp_path / "places" / str(name)
@@ -86,7 +87,7 @@ def test_every_capture_is_made_once_whatever_is_killed(places: Path, tmp_path: P
     finally:
         cluster.shutdown()
     assert names(out) == [str(name) for name in range(8)]
-    # A worker that outlived its driver may have made some more.
+    # A worker that outlived its driver may have added more.
     assert all((out / f"{name}.ply").stat().st_mtime_ns == when for name, when in before.items()), (
         "nothing is made twice"
     )
@@ -108,14 +109,14 @@ def test_a_capture_that_fails_is_a_row_and_one_that_kills_is_left_alone(places: 
     assert sorted(rows) == [str(name) for name in range(8)]
     one = worker(tmp_path / "out")
     assert "PNG" in one.one(rows["3"])["error"]
-    # Begun as often as is allowed by workers that died of it.
+    # Retries up to the limit by workers that died.
     for tries in (1, 2, 3):
         one.store.try_again(rows["5"], tries)
     assert "begun 3 times" in one.one(rows["5"])["error"] and not (tmp_path / "out" / "5.ply").exists()
     assert one.one(rows["4"])["gaussians"] > 0
     made = (tmp_path / "out" / "4.ply").stat().st_mtime_ns
     assert one.one(rows["4"])["hash"] == rows["4"].hash and (tmp_path / "out" / "4.ply").stat().st_mtime_ns == made
-    # Another photo, another hash: it is made, and counted, anew.
+    # A changed photo changes the hash, so its capture runs and counts again.
     zipsplat.save_png(places / "5" / "1.png", np.zeros((20, 20, 3), np.uint8))
     again = {row.name: row for row in captures([str(places)], Options(size=SIZE))}
     assert again["5"].hash != rows["5"].hash and one.one(again["5"])["gaussians"] > 0

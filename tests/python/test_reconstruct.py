@@ -1,4 +1,4 @@
-"""Photos to scenes: from whatever Python has them, with cameras, and the bits of the command."""
+"""Photos to scenes: inputs of Python, cameras, and the command's exact bits."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def command(*arguments: object) -> None:
 
 
 def rows(ply: bytes) -> bytes:
-    """What a PLY has of its Gaussians; the header may say more, such as the scene's world."""
+    """Returns a PLY's Gaussians without the header, which may name the scene's world."""
     return ply.split(b"end_header\n", 1)[1]
 
 
@@ -105,9 +105,9 @@ def test_a_capture_gives_the_bits_of_the_command(model: zipsplat.Model, capture:
     paths = sorted(capture.glob("?.png"))
     assert same(model.reconstruct(paths, capture / "transforms.json", size=SIZE), expected)
     assert same(model.reconstruct(paths, opened, size=SIZE), expected)
-    # Cameras alone: the same, as there are no points and no others in the file.
+    # Without points or other cameras in the file, the result is the same.
     assert same(model.reconstruct(paths, opened.cameras, size=SIZE), expected)
-    # Points say how far away it is.
+    # Points set the scale.
     (capture / "points.ply").write_text(POINTS)
     command("reconstruct", *paths, "--poses", capture, *options, "-o", capture / "points-command.ply")
     with_points = model.reconstruct(zipsplat.Capture.open(capture), size=SIZE)
@@ -145,7 +145,7 @@ def test_a_refinement_makes_it_more_like_the_photos(model: zipsplat.Model, captu
         return float(np.mean((scene.render(opened.cameras).rgb - photos) ** 2))
 
     assert apart(sharp) < apart(model.reconstruct(opened, size=SIZE))
-    # In the world of the first camera the same happens.
+    # The same holds in the world of the first camera.
     first = model.reconstruct(opened, size=SIZE, refine=15, world="first_camera")
     assert first.refinement is not None
     assert first.refinement.last_loss == pytest.approx(sharp.refinement.last_loss, rel=0.2)

@@ -1,4 +1,4 @@
-//! The search for the camera of a photo as ZipSplat's authors do it, beside their own steps.
+//! Pose search for a photo, against the steps of ZipSplat's authors.
 
 use glam::{DMat3, DVec3};
 use zipsplat::perceptual::Perceptual;
@@ -11,7 +11,6 @@ use zipsplat_tests::device::device;
 use zipsplat_tests::golden::{self, Golden, lpips_weights};
 use zipsplat_tests::scenes::{golden_scene, intrinsics};
 
-/// `[R row-major (9), t (3)]`.
 fn pose(row: &[f64]) -> Pose {
     Pose { rotation: DMat3::from_cols_slice(&row[..9]).transpose(), translation: DVec3::from_slice(&row[9..]) }
 }
@@ -20,7 +19,8 @@ fn row(pose: &Pose) -> Vec<f64> {
     [&pose.rotation.transpose().to_cols_array()[..], &pose.translation.to_array()].concat()
 }
 
-/// Holds so many of two photos' 30 steps to a golden's; its loss is the mean of both, which Adam does not notice.
+/// Checks `steps` of two photos against the golden. Its loss is the mean of both, which Adam
+/// ignores.
 fn check_steps(golden: &Golden, below: &str, mut lpips: Option<Perceptual>, steps: usize) {
     let mut renderer = Renderer::new(device());
     renderer.load(&golden_scene(golden)).unwrap();
@@ -62,7 +62,7 @@ fn the_steps_with_lpips_are_those_of_the_authors() {
     let Some(path) = lpips_weights(LpipsNetwork::Vgg) else { return };
     for golden in golden::list("grad_pose").into_iter().filter_map(|file| Golden::open(&file)) {
         let lpips = Perceptual::open(device(), LpipsNetwork::Vgg, &path, true).unwrap();
-        // The term moves the first step already; the others cost ten times those without.
+        // The LPIPS term acts from the first step; each costs ten times a plain one.
         check_steps(&golden, "lpips/", Some(lpips), 6);
     }
 }

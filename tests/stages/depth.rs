@@ -1,4 +1,4 @@
-//! Depth networks against the dumps of the PyTorch implementation, tap by tap.
+//! Depth networks against PyTorch dumps, tap by tap.
 
 use serde_json::Value;
 use std::collections::BTreeSet;
@@ -14,7 +14,6 @@ use zipsplat_tests::golden::{self, Golden};
 use zipsplat_tests::networks::images;
 use zipsplat_tests::random::random;
 
-/// The network of a golden, from the configuration in its manifest.
 fn architecture(config: &str) -> DepthArchitecture {
     let manifest = golden::json(&format!("{config}.manifest.json")).expect("it lies beside the goldens");
     let conf = &manifest["conf"];
@@ -29,7 +28,7 @@ fn architecture(config: &str) -> DepthArchitecture {
     found
 }
 
-/// The model of a golden, with its head for Gaussians where these are in it.
+/// The Gaussian head is included if the golden has Gaussians.
 fn model(golden: &Golden) -> DepthModel {
     let config = config(golden);
     let architecture = DepthArchitecture { gaussians: golden.has("gs/means"), ..architecture(config) };
@@ -41,7 +40,6 @@ fn config(golden: &Golden) -> &str {
     golden.file().split('.').next().expect("config.case")
 }
 
-/// World-to-camera matrices and intrinsics of a golden, where it has them.
 fn cameras(golden: &Golden) -> Option<Vec<Camera>> {
     golden.has("in/extrinsics").then(|| {
         let (extrinsics, intrinsics) = (golden.f64("in/extrinsics"), golden.f64("in/intrinsics"));
@@ -56,7 +54,7 @@ fn cameras(golden: &Golden) -> Option<Vec<Camera>> {
     })
 }
 
-/// A network's run on a golden's pictures, with everything that it showed.
+/// A run on a golden's pictures with all taps.
 struct Observed {
     run: Run,
     depths: Depths,
@@ -76,19 +74,19 @@ impl Observed {
         Self { run, depths }
     }
 
-    /// A tap, of each view where each has one.
+    /// Returns a tap, once for each view if it is per view.
     fn taps(&self, name: &str) -> Vec<Vec<f32>> {
         let named = self.run.observed().iter().filter(|(other, _)| other == name);
         named.map(|(_, tensor)| self.run.read(*tensor).unwrap()).collect()
     }
 }
 
-/// `[pixels, channels]` as `[channels, pixels]`, every `step`-th channel.
+/// `[pixels, channels]` to `[channels, pixels]`, every `step`-th channel.
 fn planar(values: &[f32], channels: usize, step: usize) -> Vec<f32> {
     (0..channels).step_by(step).flat_map(|c| values[c..].iter().step_by(channels)).copied().collect()
 }
 
-/// The tolerance of a tap: three times what the PyTorch implementation's own f32 deviates at most, and more.
+/// At least three times the deviation of PyTorch's f32.
 fn tolerance(tap: &str) -> Tolerance {
     let max = match tap {
         _ if tap.starts_with("bb/feat") => 1.5e-5,
@@ -102,7 +100,7 @@ fn compare(golden: &Golden, key: &str, got: &[f32], tolerance: Tolerance) {
     assert_close(&format!("{} {key}", golden.file()), got, &golden.f64(key), tolerance);
 }
 
-/// Blocks, features and the choice of the reference view.
+/// Checks blocks, features and the reference view.
 fn check_backbone(golden: &Golden, observed: &Observed) -> usize {
     let mut compared = 0;
     let alt = architecture(config(golden)).backbone.alt_start;
@@ -117,11 +115,11 @@ fn check_backbone(golden: &Golden, observed: &Observed) -> usize {
     }
     for key in golden.keys().into_iter().filter(|key| key.starts_with("bb/")) {
         let block = key.strip_prefix("bb/block").map(|block| 1 + block.parse::<usize>().expect("a number"));
-        // The golden's last tap before the first global block has the camera tokens already.
+        // The golden's last tap before the first global block includes camera tokens.
         let tap = if block == Some(alt) { "bb/alt_in" } else { &key };
         let Some(mut got) = observed.taps(tap).into_iter().next().filter(|_| !key.contains("ref_")) else { continue };
         if block.is_some_and(|block| block >= alt) {
-            // From here on the PyTorch implementation has the reference view first.
+            // From here on PyTorch has the reference view first.
             let per_view = got.len() / golden.shape(&key)[0];
             got[..(reference + 1) * per_view].rotate_right(per_view);
         }
@@ -131,14 +129,13 @@ fn check_backbone(golden: &Golden, observed: &Observed) -> usize {
     compared
 }
 
-/// Every tap of the heads that the golden has.
 fn check_heads(golden: &Golden, observed: &Observed) -> usize {
     let mut compared = 0;
     let dense = |key: &String| (key.starts_with("head/") || key.starts_with("gs/")) && golden.shape(key).len() == 4;
     for key in golden.keys().into_iter().filter(dense) {
         let (taps, shape) = (observed.taps(&key), golden.shape(&key));
         assert!(!taps.is_empty(), "{}: {key} is not observed", golden.file());
-        // Channels that the golden leaves out.
+        // Channels that the golden subsamples.
         let step = if key.ends_with("/up") { 2 } else { 1 };
         let channels = step * shape[1];
         let got: Vec<f32> = taps[taps.len() - shape[0]..].iter().flat_map(|tap| planar(tap, channels, step)).collect();
@@ -148,7 +145,7 @@ fn check_heads(golden: &Golden, observed: &Observed) -> usize {
     compared
 }
 
-/// What the host reads. Depths span many magnitudes: their logarithms are compared.
+/// Compares logarithms of depths, which span many magnitudes.
 fn check_outputs(golden: &Golden, observed: &Observed) -> usize {
     let views = &observed.depths.views;
     let mut compared = 0;
@@ -171,7 +168,7 @@ fn check_outputs(golden: &Golden, observed: &Observed) -> usize {
     check("out/depth", all(&|view| Some(view.depth.clone())), 1e-4, true);
     check("out/depth_conf", all(&|view| view.confidence.clone()), 1e-4, true);
     check("out/sky", all(&|view| view.sky.clone()), 5e-5, false);
-    // The PyTorch implementation takes the pixels of all views together.
+    // PyTorch joins the pixels of all views.
     let joined = |of: fn(&DepthView) -> Option<&Vec<f32>>| views.iter().filter_map(of).flatten().copied().collect();
     let (depth, sky) = (joined(|view| Some(&view.depth)), joined(|view| view.sky.as_ref()));
     let all_views = DepthView { depth, sky: Some(sky), ..views[0].clone() };
@@ -186,7 +183,7 @@ fn check_outputs(golden: &Golden, observed: &Observed) -> usize {
     compared
 }
 
-/// Cameras as the decoder has them: world-to-camera matrices and intrinsics.
+/// Compares the decoder's world-to-camera matrices and intrinsics.
 fn check_cameras(golden: &Golden, observed: &Observed) {
     let cameras = observed.depths.cameras().unwrap();
     let extrinsics = cameras.iter().flat_map(|camera| camera.view_matrix().transpose().to_cols_array()[..12].to_vec());
@@ -196,7 +193,6 @@ fn check_cameras(golden: &Golden, observed: &Observed) {
     assert_close("intrinsics", &lenses.collect::<Vec<_>>(), &golden.f64("out/cam_intrinsics"), within);
 }
 
-/// The Gaussians of all views' pixels.
 fn check_gaussians(golden: &Golden, observed: &Observed) {
     let cameras = observed.depths.cameras().unwrap();
     let view = |(view, camera): (&DepthView, &Camera)| {
@@ -206,7 +202,7 @@ fn check_gaussians(golden: &Golden, observed: &Observed) {
     hold_gaussians(golden, "gs", &scenes, Tolerance { max: 1e-3, rms: 3e-4 });
 }
 
-/// Holds scenes, one after the other, to a golden's Gaussians.
+/// Compares concatenated scenes with a golden's Gaussians.
 fn hold_gaussians(golden: &Golden, root: &str, scenes: &[Scene], within: Tolerance) {
     let check = |key: &str, of: &dyn Fn(&Scene) -> Vec<f32>| {
         let key = format!("{root}/{key}");
@@ -216,7 +212,7 @@ fn hold_gaussians(golden: &Golden, root: &str, scenes: &[Scene], within: Toleran
     check("scales", &|scene| scene.scales.concat());
     check("quats_wxyz", &|scene| scene.quats.concat());
     check("opacities", &|scene| scene.opacities.clone());
-    // The golden has the coefficients of one colour after those of another.
+    // The golden stores coefficients by color.
     let by_color = |scene: &Scene| {
         let gaussian = |coeffs: &[[f32; 3]]| (0..3).flat_map(|c| coeffs.iter().map(move |k| k[c])).collect::<Vec<_>>();
         scene.sh_coeffs.chunks(9).flat_map(gaussian).collect()
@@ -252,7 +248,6 @@ fn gaussians_of_pixels() {
     hold_gaussians(&golden, "adapter", &[view(0), view(1)], Tolerance { max: 2e-6, rms: 1e-6 });
 }
 
-/// Every golden of a configuration.
 fn check_all(config: &str) {
     for golden in golden::list(&format!("{config}.")).iter().filter_map(|file| Golden::open(file)) {
         let observed = Observed::new(&golden);
@@ -268,7 +263,7 @@ fn check_all(config: &str) {
     }
 }
 
-/// Maps that are too long to be bound at once are worked on in parts, to the same bits.
+/// Maps beyond the binding limit are processed in parts.
 #[test]
 fn parts_of_maps_make_the_same_bits() {
     let Some(golden) = Golden::open("da3_tiny.v1.safetensors") else { return };
@@ -299,10 +294,9 @@ fn parts_of_maps_make_the_same_bits() {
     }
 }
 
-/// Configurations that are always there, and files that hold no network's run.
+/// Configurations that are always present, and files without a run.
 const KNOWN: [&str; 6] = ["da3_tiny", "da3_odd4", "da3_mono", "da3_rays", "da3_units", "da3_pre"];
 
-/// Those of other seeds, where a folder of goldens has them.
 #[test]
 fn other_configurations() {
     let files = golden::list("da3_");

@@ -1,4 +1,4 @@
-//! Whole depth networks of random numbers against the same in plain f64.
+//! Depth networks with random weights against the f64 reference.
 
 use std::collections::BTreeSet;
 use std::ops::ControlFlow::Continue;
@@ -15,17 +15,16 @@ use zipsplat_tests::reference::cluster::kmeans::kmeans;
 use zipsplat_tests::reference::depth::{Sizes, View, features, views};
 use zipsplat_tests::reference::model::Weights;
 
-/// Of the largest value, as of the goldens of these heads.
+/// Relative to the largest value, as for the heads' goldens.
 const WITHIN: Tolerance = Tolerance { max: 1e-4, rms: 3e-5 };
 
-/// Pictures of noise.
 fn pictures(count: u32, [width, height]: [u32; 2]) -> Vec<Image> {
     let byte = |i: u32| (i.wrapping_mul(2_654_435_761) >> 24) as u8;
     let picture = |v: u32| (0..3 * width * height).map(|i| byte(i + (v << 18) + 1)).collect();
     (0..count).map(|v| Image::new(width, height, picture(v)).unwrap()).collect()
 }
 
-/// The values as the references take them, normalised.
+/// Returns normalized values for the reference.
 fn normalised(pictures: &[Image]) -> Images {
     let (mean, deviation) = ([0.485, 0.456, 0.406], [0.229, 0.224, 0.225]);
     let channel = |image: &Image, c: usize| {
@@ -37,14 +36,13 @@ fn normalised(pictures: &[Image]) -> Images {
     Images { values, views: pictures.len(), height, width }
 }
 
-/// What a network says of pictures.
 fn said(a: &DepthArchitecture, pictures: &[Image], request: &DepthRequest) -> Depths {
     let checkpoint = DepthCheckpoint::seeded(a.clone(), "twin").unwrap();
     let model = DepthModel::load(device(), &checkpoint, Arithmetic::EXACT, |_| Continue(())).unwrap();
     model.depths(pictures, request, |_| Continue(())).unwrap()
 }
 
-/// The same weights for the reference.
+/// Weights for the reference.
 fn weights(a: &DepthArchitecture) -> (Weights, Sizes) {
     let checkpoint = DepthCheckpoint::seeded(a.clone(), "twin").unwrap();
     let values = |(name, shape): &(String, Vec<usize>)| {
@@ -60,14 +58,14 @@ fn weights(a: &DepthArchitecture) -> (Weights, Sizes) {
     (weights, sizes)
 }
 
-/// What a network says of the views of pictures, on the device and in f64.
+/// Runs the device and the f64 reference.
 fn both(a: &DepthArchitecture, pictures: &[Image], reference: usize) -> (Vec<DepthView>, Vec<View>) {
     let request = DepthRequest { reference: Some(reference), ..DepthRequest::default() };
     let (weights, sizes) = weights(a);
     (said(a, pictures, &request).views, views(&weights, &sizes, &normalised(pictures), reference))
 }
 
-/// Every `step`-th value of a list, from one on.
+/// Returns every `step`-th value from `first` on.
 fn every(values: &[f64], first: usize, step: usize) -> Vec<f64> {
     values[first..].iter().step_by(step).copied().collect()
 }
@@ -93,7 +91,7 @@ fn views_that_see_each_other() {
     }
 }
 
-/// The patches that stand for all are those that k-means chooses over the deepest features.
+/// k-means over the deepest features chooses the patches.
 #[test]
 fn chosen_patches() {
     let (a, pictures) = (depth_micro(), pictures(3, [42, 28]));
@@ -102,12 +100,12 @@ fn chosen_patches() {
     let (weights, sizes) = weights(&a);
     let (layers, _) = features(&weights, &sizes, &normalised(&pictures), 0);
     let clusters = kmeans(&layers[3], 2 * sizes.width, 9);
-    // The mean of two lies midway: of those that tie the first is taken. Else rounding must not decide.
+    // The mean of two ties, and the first wins. Otherwise rounding must not decide.
     let clear = |gap: &f64| *gap > 1e-4 || *gap < 1e-9;
     assert!(clusters.gaps.iter().all(clear), "another key: {:?}", clusters.gaps);
     let expected: Vec<u32> = clusters.nearest.into_iter().collect::<BTreeSet<_>>().into_iter().collect();
     assert_eq!(found, expected);
-    // Of those that are given each once, in order.
+    // Given patches, deduplicated, in order.
     let given = DepthRequest { selection: Selection::Given(vec![5, 17, 5]), ..request };
     assert_eq!(said(&a, &pictures, &given).patches.unwrap(), [5, 17]);
 }

@@ -1,4 +1,4 @@
-//! References of the heads' parts, and what the host computes for them, against the PyTorch implementation's own.
+//! Parts of the heads and their host code against PyTorch.
 
 use zipsplat::stages::heads::position_table;
 use zipsplat::types::{Camera, Intrinsics, Pose, relative_encoding};
@@ -6,13 +6,13 @@ use zipsplat_tests::compare::{Tolerance, assert_close};
 use zipsplat_tests::golden::Golden;
 use zipsplat_tests::reference::heads::{pixel_shuffle::transposed_convolution, resize};
 
-/// `[channels, pixels]` as `[pixels, channels]`.
+/// `[channels, pixels]` to `[pixels, channels]`.
 fn interleaved(values: &[f64], channels: usize) -> Vec<f64> {
     let pixels = values.len() / channels;
     (0..values.len()).map(|i| values[i % channels * pixels + i / channels]).collect()
 }
 
-/// `HxW` of a key's part.
+/// Parses `HxW` in a key.
 fn size(text: &str) -> [usize; 2] {
     let (height, width) = text.split_once('x').expect("height x width");
     [height, width].map(|side| side.parse().expect("a number"))
@@ -71,7 +71,7 @@ fn transposed_convolutions() {
     }
 }
 
-/// Known cameras as the camera encoder reads them.
+/// Input of the camera encoder.
 #[test]
 fn relative_poses() {
     let Some(golden) = Golden::open("da3_tiny.v3_cameras.safetensors") else { return };
@@ -88,7 +88,7 @@ fn relative_poses() {
     assert_close("encoding", &found, &golden.f64("cam/prior_encoding"), Tolerance { max: 1e-6, rms: 5e-7 });
 }
 
-/// Photos as OpenCV scales them: exactly where it takes means, within a level where it interpolates.
+/// OpenCV's scaling: exact for averages, within a level for interpolation.
 #[test]
 fn photos_at_their_size() {
     let Some(golden) = Golden::open("da3_pre.safetensors") else { return };

@@ -1,4 +1,4 @@
-//! Files of depth networks, by the names of released ones.
+//! Files of depth networks with released names.
 
 use safetensors::{Dtype, tensor::TensorView};
 use std::path::Path;
@@ -14,7 +14,7 @@ fn tiny() -> DepthArchitecture {
     DepthArchitecture { gaussians: true, ..tiny }
 }
 
-/// The names and shapes of a released network's layout at a tiny size.
+/// Names and shapes of a released layout at a tiny size.
 fn manifest(config: &str) -> Option<Vec<(String, Vec<usize>)>> {
     let manifest = golden::json(&format!("{config}.manifest.json"))?;
     let parameters = manifest["params"].as_object().expect("parameters");
@@ -22,7 +22,7 @@ fn manifest(config: &str) -> Option<Vec<(String, Vec<usize>)>> {
     Some(parameters.iter().map(|(name, of)| (name.clone(), shape(of))).collect())
 }
 
-/// A file with these tensors of f32, which hold the values of `of` where that has them.
+/// Writes f32 tensors, with the values of `of` where it has them.
 fn write(path: &Path, tensors: &[(String, Vec<usize>)], of: Option<&DepthCheckpoint>) {
     let values = |(name, shape): &(String, Vec<usize>)| {
         let mut values = vec![0.0; shape.iter().product()];
@@ -36,7 +36,7 @@ fn write(path: &Path, tensors: &[(String, Vec<usize>)], of: Option<&DepthCheckpo
     safetensors::serialize_to_file(views, None, path).expect("a file");
 }
 
-/// A released layout is read whole: what depth needs has the shapes that the stages declare, and nothing is missing.
+/// A released layout has every parameter in the declared shape.
 #[test]
 fn released_layouts_are_read() {
     let Some(tensors) = manifest("da3_tiny") else { return };
@@ -54,7 +54,7 @@ fn released_layouts_are_read() {
         };
         assert!(values(&read) == values(&seeded), "{name}");
     }
-    // Nothing of the file is left over but what leads nowhere.
+    // Only unused parameters of the file are ignored.
     let known = |name: &str| seeded.parameters().iter().any(|(other, _)| other == name);
     let unread: Vec<&String> = tensors.iter().map(|(name, _)| name).filter(|name| !known(name)).collect();
     assert!(unread.iter().all(|name| name.contains("_aux.")), "{unread:?}");
@@ -76,12 +76,12 @@ fn missing_and_foreign_tensors_are_named() {
         }
         other => panic!("{other:?}"),
     }
-    // A network of another size is none of those that are known.
+    // A network of an unknown size.
     let error = DepthCheckpoint::open(&path, false).unwrap_err().to_string();
     assert!(error.contains("width 128") && error.contains("da3-base"), "{error}");
 }
 
-/// Files say by their shapes which network they are of; two networks have one layout.
+/// Shapes identify the network; two networks share a layout.
 #[test]
 fn networks_are_told_by_their_shapes() {
     let folder = TempDir::new().unwrap();
@@ -99,7 +99,7 @@ fn networks_are_told_by_their_shapes() {
     }
 }
 
-/// The numbers of parameters that the networks are known by, in millions.
+/// Published numbers of parameters, in millions.
 #[test]
 fn networks_are_as_large_as_released() {
     let released = [
@@ -113,7 +113,7 @@ fn networks_are_as_large_as_released() {
         let parameters = DepthArchitecture::named(name).unwrap().parameters();
         let count: usize = parameters.iter().map(|(_, shape)| shape.iter().product::<usize>()).sum();
         let found = count as f64 / 1e6;
-        // Released files also have what leads nowhere.
+        // Released files include unused parameters.
         assert!(
             found <= 1.02 * millions && found > 0.9 * millions,
             "{name}: {found} M parameters, released {millions} M"

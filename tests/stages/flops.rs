@@ -1,4 +1,4 @@
-//! The arithmetic that plans state, by stage, against that of the PyTorch implementation (`tests/data/flops.md`).
+//! FLOPs of plans by stage, against PyTorch's (`tests/data/flops.md`).
 
 use zipsplat::{
     gpu::{Limits, Profile, Recorder},
@@ -7,7 +7,8 @@ use zipsplat::{
     weights::{Architecture, VARIANTS},
 };
 
-/// Columns of the tables behind `Gaussians`: their names, added up where we do not tell them apart; scope and kernel of ours.
+/// Columns of the tables behind `Gaussians` (added where the engine merges them), and the engine's
+/// scope and kernel.
 const COLUMNS: [(&[&str], &str, &str); 11] = [
     (&["bb_linear"], "backbone/embed", "ops/linear"),
     (&["bb_local_attn", "bb_global_attn"], "backbone/block", "ops/attention"),
@@ -22,7 +23,7 @@ const COLUMNS: [(&[&str], &str, &str); 11] = [
     (&["**total**"], "", ""),
 ];
 
-/// Rows of the table of one variant, each with the table's heading: numbers by column.
+/// Rows of a variant's table with headings: numbers by column.
 fn table(variant: &str) -> Vec<Vec<(String, String)>> {
     let text = include_str!("../data/flops.md");
     let (_, table) = text.split_once(&format!("## {variant} (TFLOPs)")).expect("a table of each variant");
@@ -38,7 +39,7 @@ fn number(row: &[(String, String)], column: &str) -> f64 {
     cell.replace([',', '*'], "").parse().unwrap_or_else(|_| panic!("{column}: {cell}"))
 }
 
-/// FLOPs of a plan's rows of a scope and kernel. All linear layers of the backbone but those of its features stand together.
+/// FLOPs of a scope and kernel. The backbone's linear layers are one row, except for its features.
 fn counted(profile: &Profile, scope: &str, kernel: &str) -> f64 {
     let inside =
         |found: &str| found.starts_with(scope) || scope == "backbone/embed" && found.starts_with("backbone/block");
@@ -46,7 +47,8 @@ fn counted(profile: &Profile, scope: &str, kernel: &str) -> f64 {
     rows.map(|row| row.flops as f64).sum()
 }
 
-/// Pooling leaves, of 18 x 18 patches and a camera token, 9 x 9 keys and one in global blocks, in fusion 81 of 324; nothing else is less.
+/// 18 x 18 patches and a camera token pool to 9 x 9 keys and one in global blocks, 324 to 81 in
+/// fusion.
 #[test]
 fn pooled_keys_take_as_much_less() {
     let (limits, architecture) = (Limits::default(), Architecture::named("vits").expect("a variant"));

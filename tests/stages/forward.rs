@@ -1,4 +1,4 @@
-//! The forward pass against the dumps of the PyTorch implementation, tap by tap, and its invariants.
+//! The forward pass against PyTorch dumps, tap by tap, and its invariants.
 
 use std::collections::HashMap;
 use zipsplat::gpu::{Element, Run};
@@ -14,7 +14,6 @@ use zipsplat_tests::golden::{self, Golden};
 use zipsplat_tests::networks::{fast_arithmetics, images, model};
 use zipsplat_tests::reference::{backbone::patch_embed::Images, forward, model::Model as Reference};
 
-/// The tolerance of each tap.
 fn tap_tolerance(arithmetic: Arithmetic, key: &str) -> Tolerance {
     match arithmetic.element {
         Element::F32 => Tolerance::of_tap(key),
@@ -22,7 +21,7 @@ fn tap_tolerance(arithmetic: Arithmetic, key: &str) -> Tolerance {
     }
 }
 
-/// `in/camera` and `in/pose`, where a case has priors.
+/// `in/camera` and `in/pose` of cases with priors.
 fn cameras(golden: &Golden) -> Option<Vec<Camera>> {
     golden.has("in/camera").then(|| {
         let (cameras, poses) = (golden.f64("in/camera"), golden.f64("in/pose"));
@@ -37,7 +36,7 @@ fn cameras(golden: &Golden) -> Option<Vec<Camera>> {
     })
 }
 
-/// Runs a request and returns everything that was observed.
+/// Runs a request and returns all taps.
 fn observe(model: &Model, images: &[Image], request: &Request) -> (HashMap<String, Vec<f32>>, Run) {
     let shape = model.shape(images, request).unwrap();
     let (plan, tensors) = model.record(shape, true).unwrap();
@@ -49,7 +48,7 @@ fn observe(model: &Model, images: &[Image], request: &Request) -> (HashMap<Strin
     (taps, run)
 }
 
-/// Taps that do not depend on the ratio, and those that do.
+/// Taps independent of the ratio, and the rest.
 fn tap_names(a: &Architecture) -> (Vec<String>, Vec<String>) {
     let layers = a.out_layers.len();
     let mut before: Vec<String> = ["bb/tokens0", "bb/alt_in", "bb/cam_token", "color/tokens"].map(String::from).into();
@@ -60,7 +59,7 @@ fn tap_names(a: &Architecture) -> (Vec<String>, Vec<String>) {
     (before, after)
 }
 
-/// Every tap of one golden, with its own choice of tokens; then, in f32, what k-means chooses.
+/// Checks every tap with the golden's token choice, then, in f32, k-means.
 fn check(file: &str, arithmetic: Arithmetic) {
     let Some(golden) = Golden::open(file) else { return };
     let config = file.split('.').next().expect("config.case");
@@ -88,7 +87,7 @@ fn check(file: &str, arithmetic: Arithmetic) {
         let scene =
             model.reconstruct(&images, &request, |_| std::ops::ControlFlow::Continue(())).unwrap().scene().unwrap();
         check_gaussians(&golden, &key("gauss"), &packed(&scene), &model, arithmetic);
-        // A deviation of 16 bits is larger than the margin by which many tokens are nearest.
+        // 16-bit deviation exceeds many tokens' margins.
         if ratio < 1.0 && arithmetic == Arithmetic::EXACT {
             check_clusters(&golden, &model, &images, Request { selection: Selection::KMEANS, ..request }, &prefix);
         }
@@ -96,7 +95,7 @@ fn check(file: &str, arithmetic: Arithmetic) {
     assert!(compared > 10, "{file}: only {compared} taps compared");
 }
 
-/// A scene as the goldens have it: `[n, width]` of means, scales, quats, opacity and SH coefficients.
+/// Packs a scene as `[n, width]`: means, scales, quats, opacity, SH coefficients.
 fn packed(scene: &Scene) -> Vec<f32> {
     let k = scene.sh_coeffs_per_gaussian();
     let gaussian = |i: usize| {
@@ -106,7 +105,7 @@ fn packed(scene: &Scene) -> Vec<f32> {
     (0..scene.len()).flat_map(gaussian).collect()
 }
 
-/// Packed Gaussians `[n, width]`, of which large goldens store every `sub_step`-th.
+/// Large goldens store every `sub_step`-th row.
 fn check_gaussians(golden: &Golden, key: &str, packed: &[f32], model: &Model, arithmetic: Arithmetic) {
     let width = model.architecture().gaussian_width();
     let tolerance = |field: &str| match arithmetic.element {
@@ -139,7 +138,7 @@ fn check_clusters(golden: &Golden, model: &Model, images: &[Image], request: Req
     assert_nearest(&key("nearest_idx"), &nearest, &golden.i64(&key("nearest_top2")), &golden.f32(&key("nearest_gap")));
 }
 
-/// The final assignment of k-means of half of the tokens, and the tokens that are chosen.
+/// Runs k-means to half of the tokens; returns assignment and representatives.
 fn clusters(config: &str, arithmetic: Arithmetic, images: &[Image]) -> [Vec<u32>; 2] {
     let model = model(config, arithmetic);
     let request = Request { ratio: Ratio::Fixed(0.5), ..Request::default() };
@@ -148,7 +147,7 @@ fn clusters(config: &str, arithmetic: Arithmetic, images: &[Image]) -> [Vec<u32>
     [indices("assign"), indices("nearest")]
 }
 
-/// From the same tokens k-means makes the same clusters and chooses the same tokens on matrix units as on lanes.
+/// k-means gives equal clusters and tokens on matrix units and on lanes.
 #[test]
 fn matrix_units_cluster_as_lanes() {
     for (config, file) in [("micro", "micro.v2.safetensors"), ("tiny_rect", "tiny_rect.v1.safetensors")] {
@@ -163,8 +162,8 @@ fn matrix_units_cluster_as_lanes() {
     }
 }
 
-/// From tokens that are off by the rounding of factors k-means chooses nearly the same: what differs are tokens that lie as near
-/// to two centroids as that rounding is large, not those of clusters of two.
+/// Coarser factors may move tokens nearly equidistant from two centroids, except in clusters of
+/// two.
 #[test]
 fn every_arithmetic_chooses_about_the_same_tokens() {
     for (config, file) in [("micro", "micro.v2.safetensors"), ("tiny_rect", "tiny_rect.v1.safetensors")] {
@@ -178,8 +177,8 @@ fn every_arithmetic_chooses_about_the_same_tokens() {
     }
 }
 
-/// Every golden of a configuration, committed or in the larger set; with coarser factors than f16, which are the same
-/// dispatches, and without matrix units one of them.
+/// Checks every golden of a configuration. Factors coarser than f16, and runs without matrix units,
+/// check one: the dispatches are the same.
 fn check_all(config: &str, arithmetics: &[Arithmetic]) {
     let files = golden::list(&format!("{config}."));
     let files = files.iter().filter(|f| f.ends_with(".safetensors") && !f.contains(".weights."));
@@ -191,9 +190,9 @@ fn check_all(config: &str, arithmetics: &[Arithmetic]) {
     }
 }
 
-/// The model that is shipped, with and without cameras, all tokens and half of them: against our own PyTorch code in f64
-/// (`tools/train/check.py dump`). Trained scales have a long tail, where f32 may deviate more than in the goldens: each limit
-/// is three times what PyTorch's own f32 deviates here, as in the table, or the table's.
+/// The embedded model, with and without cameras, all tokens and half, against our f64 PyTorch code
+/// (`tools/train/check.py dump`). Trained scales have a long tail: each limit is the table's or
+/// three times the deviation of PyTorch's f32.
 #[test]
 fn embedded() {
     let golden = Golden::open("embedded.safetensors").expect("it is committed");
@@ -219,7 +218,7 @@ fn embedded() {
     }
 }
 
-/// Pooled keys and values against our own f64 forward pass: views of 5 x 5 patches, whose groups at the border are smaller.
+/// Pooled keys against our f64 forward pass: 5 x 5 patches have smaller groups at the border.
 #[test]
 fn pooled_keys() {
     let golden = Golden::committed("micro.v2_native.safetensors");
@@ -244,7 +243,7 @@ fn pooled_keys() {
     assert_eq!(refused.to_string(), "pool: found 5, expected 1 to 4, the side of a group");
 }
 
-/// Tests of a configuration in f32 and in every faster arithmetic.
+/// Tests a configuration in every arithmetic.
 macro_rules! configurations {
     ($($exact:ident $fast:ident $config:literal),*) => { $(
         #[test]

@@ -1,4 +1,4 @@
-//! Gradients from pictures to tokens, and steps against them, beside those of the PyTorch implementation.
+//! Gradients from pictures to tokens, and descent steps, against PyTorch.
 
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -32,7 +32,6 @@ fn rms(rms: f64) -> Tolerance {
     Tolerance { max: f64::INFINITY, rms }
 }
 
-/// The head of a golden's network with its weights.
 fn head(golden: &Golden) -> (Head, Arc<Resident>) {
     let config = golden.metadata("config");
     load(&Checkpoint::seeded_architecture(architectures::golden(config), config).expect("a golden's network"))
@@ -45,7 +44,7 @@ fn load(checkpoint: &Checkpoint) -> (Head, Arc<Resident>) {
     (head, loaded.resident)
 }
 
-/// Holds what was observed under `names` to the golden's keys below `stem`.
+/// Compares taps `names` with the golden's keys below `stem`.
 fn check_observed(golden: &Golden, run: &Run, stem: &str, names: &[(&str, f64)]) {
     for (name, tolerance) in names {
         let (_, tensor) =
@@ -76,7 +75,7 @@ fn through_the_head() {
             head.record_backward(&mut rec, &kept, &d_gaussians);
             let mut run = Run::with_resident(device(), rec.finish().unwrap(), Some(resident.clone())).unwrap();
             run.write(tokens, &golden.f32("tokens")).unwrap();
-            // Of the Gaussians before they are scaled.
+            // Gaussians before scaling.
             run.write(unit, &[1.0f32]).unwrap();
             for (i, tensor) in d.into_iter().enumerate() {
                 let values = columns(&golden.f32(&format!("{stem}/d_gauss")), width, ends[i], ends[i + 1]);
@@ -89,7 +88,6 @@ fn through_the_head() {
     }
 }
 
-/// The raw Gaussians of `tokens` in f64.
 fn raw_of(checkpoint: &Checkpoint, tokens: &[f64]) -> Vec<f64> {
     let read = |name: &str| {
         let name = format!("gaussian_head.gaussian_head.{name}");
@@ -102,7 +100,7 @@ fn raw_of(checkpoint: &Checkpoint, tokens: &[f64]) -> Vec<f64> {
     layer("1", &layer("0.fc2", &hidden))
 }
 
-/// A token of `pico` has 46 values of Gaussians, which do not fill whole vectors.
+/// 46 values a token of `pico` do not fill whole vectors.
 #[test]
 fn through_a_head_of_odd_width() {
     let checkpoint = Checkpoint::seeded_architecture(architectures::pico(), "pico").unwrap();
@@ -145,7 +143,7 @@ fn through_a_head_of_odd_width() {
     assert_close("d_tokens", &run.read::<f32>(d_tokens).unwrap(), &truth, rms(1e-5));
 }
 
-/// Steps of tokens against a loss of pictures, on one plan.
+/// Descent of tokens on a picture loss, on one plan.
 struct Steps {
     run: Run,
     tokens: Tensor,
@@ -155,7 +153,6 @@ struct Steps {
     status: Tensor,
 }
 
-/// The inputs of a plan.
 struct Inputs {
     tokens: Rows,
     unit: Tensor,
@@ -165,7 +162,7 @@ struct Inputs {
     targets: Tensor,
 }
 
-/// Records the pictures, their loss, and its gradient by the tokens.
+/// Records pictures, their loss and its gradient by the tokens.
 fn record_gradient(
     rec: &mut Recorder,
     head: &Head,
@@ -238,7 +235,7 @@ impl Steps {
         Self { run, tokens, schedule, losses: losses.value, frames, status }
     }
 
-    /// The loss before step `step`, counted from 1, which it makes.
+    /// Makes step `step`, from 1, and returns the loss before it.
     fn step(&mut self, step: u32, rate: f32) -> f64 {
         self.run.write(self.schedule, &Adam::default().schedule(rate, step)).unwrap();
         self.run.execute().unwrap();
@@ -264,7 +261,7 @@ fn from_pictures_to_tokens() {
     }
 }
 
-/// Holds 20 steps to the golden's: every loss, and the tokens after some of them, relative to their change.
+/// Checks 20 steps: every loss, and some tokens relative to their change.
 fn check_steps(golden: &Golden, stem: &str, mut steps: Steps, rate: f32, [of_loss, of_change]: [f64; 2]) {
     let (start, key) = (golden.f64("tokens"), |name: &str| format!("{stem}/{name}"));
     let change = |tokens: Vec<f64>| tokens.iter().zip(&start).map(|(a, b)| a - b).collect::<Vec<f64>>();

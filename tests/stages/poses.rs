@@ -52,7 +52,7 @@ fn assert_format_error(path: &Path, parts: &[&str]) {
     }
 }
 
-/// A folder with photos and a `transforms.json`, which `change` may spoil.
+/// A folder with photos and a `transforms.json` edited by `change`.
 fn capture(change: impl FnOnce(&mut Value)) -> (tempfile::TempDir, PathBuf) {
     let (cameras, names) = cameras();
     let folder = tempfile::tempdir().unwrap();
@@ -98,7 +98,7 @@ fn intrinsics_come_from_angles_frames_and_photos() {
     let (truth, names) = cameras();
     let angle = 2.0 * (f64::from(LENS.width) / (2.0 * LENS.fx)).atan();
     let centred = Intrinsics { fy: LENS.fx, cx: 32.0, cy: 24.0, ..LENS };
-    // As in NeRF's synthetic scenes: an angle, no size, names without extension.
+    // NeRF's synthetic scenes: an angle, no size, names without extension.
     let (folder, path) = capture(|json| {
         let frames = json["frames"].as_array().unwrap().clone();
         *json = json!({"camera_angle_x": angle, "frames": frames});
@@ -117,7 +117,7 @@ fn intrinsics_come_from_angles_frames_and_photos() {
         assert_eq!(found, centred);
         assert_eq!(frame.photo.as_deref().and_then(Path::file_name), Path::new(name).file_name());
     }
-    // Photos are matched without the extension too, in the caller's order.
+    // Photos match without extension, in the caller's order.
     let photos: Vec<PathBuf> = names[..5].iter().rev().map(|name| folder.path().join(name)).collect();
     let matched = poses.for_photos(&photos).unwrap();
     for (i, (found, truth)) in matched.iter().zip(truth[..5].iter().rev()).enumerate() {
@@ -208,13 +208,13 @@ fn captures_have_sound_cameras() {
         for (i, camera) in cameras.iter().enumerate() {
             camera.validate(&format!("{} {i}", folder.display())).unwrap();
             assert_eq!((camera.intrinsics.width, camera.intrinsics.height), size);
-            // The centre is the matrix's last column whatever the axes.
+            // The center is the matrix's last column in any axes.
             let rows = &json["frames"][i]["transform_matrix"];
             let center = DVec3::from_array([0, 1, 2].map(|row: usize| rows[row][3].as_f64().unwrap()));
             assert_eq!(camera.pose.translation, center);
             assert!(camera.view_matrix().transform_point3(center).length() < 1e-9 * (1.0 + center.length()));
         }
-        // The points that were triangulated from the photos lie before the cameras.
+        // Points triangulated from the photos lie in front of the cameras.
         let points = points(&folder.join("points.ply"));
         let in_view = |camera: &Camera| {
             let view = camera.view_matrix();
@@ -234,7 +234,7 @@ fn projects_inside(lens: &Intrinsics, view: DMat4, point: DVec3) -> bool {
         && (0.0..=f64::from(lens.height)).contains(&pixel.y)
 }
 
-/// Positions of a capture's points: rows of 3 floats, 3 bytes, a float and a short.
+/// Reads points: 3 floats, 3 bytes, a float and a short.
 fn points(path: &Path) -> Vec<DVec3> {
     let bytes = fs::read(path).unwrap();
     let end = bytes.windows(11).position(|window| window == b"end_header\n").unwrap() + 11;

@@ -1,4 +1,4 @@
-//! Cameras from rays and from a decoder's values, beside the true ones and the PyTorch implementation's.
+//! Cameras from rays and a decoder's values, against the truth and PyTorch's.
 
 use glam::{DMat3, DVec3};
 use zipsplat::cameras::{RayMap, decoded_camera};
@@ -23,15 +23,15 @@ fn matrix(values: &[f64]) -> DMat3 {
     DMat3::from_cols_slice(values).transpose()
 }
 
-/// Degrees between two rotations.
+/// Angle between two rotations in degrees.
 fn degrees(a: DMat3, b: DMat3) -> f64 {
     let turn = a * b.transpose();
     let skew = DVec3::new(turn.y_axis.z - turn.z_axis.y, turn.z_axis.x - turn.x_axis.z, turn.x_axis.y - turn.y_axis.x);
     (skew.length() / 2.0).atan2((turn.x_axis.x + turn.y_axis.y + turn.z_axis.z - 1.0) / 2.0).to_degrees()
 }
 
-/// Exact rays give the exact camera, also with a principal point far from the middle, where the PyTorch implementation is off by 8
-/// degrees; noisy ones, a third of a degree; and one ray in several may point anywhere.
+/// Exact rays give the exact camera, also with a far principal point. Noisy ones with outliers stay
+/// within a third of a degree.
 #[test]
 fn rays_give_their_camera() {
     let Some(golden) = Golden::open("da3_rays.safetensors") else { return };

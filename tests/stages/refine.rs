@@ -1,4 +1,4 @@
-//! Refinement: Gaussians that were moved find back to the photos, and what ends it early.
+//! Refinement: disturbed Gaussians converge to the photos; early stops.
 
 use glam::{DMat3, DQuat, DVec3};
 use std::ops::ControlFlow;
@@ -14,7 +14,6 @@ use zipsplat_tests::scenes::{camera, random_scene};
 
 fn cameras(count: usize) -> Vec<Camera> {
     let at = |i: usize| {
-        // Sizes alternate.
         let mut camera = if i.is_multiple_of(2) { camera(48, 36) } else { camera(40, 40) };
         camera.pose.translation.x += 0.05 * i as f64;
         camera
@@ -22,7 +21,6 @@ fn cameras(count: usize) -> Vec<Camera> {
     (0..count).map(at).collect()
 }
 
-/// A scene, and photos of it.
 fn photos(cameras: &[Camera]) -> (Scene, Vec<Image>) {
     let scene = random_scene(80, 1, 0.3);
     let photos = photos_of(&scene, cameras);
@@ -35,7 +33,7 @@ fn photos_of(scene: &Scene, cameras: &[Camera]) -> Vec<Image> {
     frames.into_iter().map(photo).collect()
 }
 
-/// The scene with every Gaussian a little elsewhere, larger and of another colour.
+/// Disturbs positions, sizes and colors.
 fn moved(scene: &Scene) -> Scene {
     let mut scene = scene.clone();
     let shift = |i: usize| 0.1 * (i as f32 * 2.4).sin();
@@ -76,7 +74,7 @@ fn photos_of_a_step_together_are_as_one_after_the_other() {
     };
     let (alone, together) = (with(1), with(3));
     assert_eq!(alone.losses[0], together.losses[0]);
-    // Sums have another order from then on.
+    // Batches sum in another order.
     for (alone, together) in alone.losses.iter().zip(&together.losses) {
         assert!((alone - together).abs() < 1e-3 * alone, "{alone} and {together}");
     }
@@ -113,7 +111,7 @@ fn scenes_are_shown_on_the_way() {
     let refined = refine_scene(&Arena::new(device()), &moved(&scene), &photos, &cameras, &request, progress).unwrap();
     assert_eq!(shown.iter().map(|(step, _)| *step).collect::<Vec<_>>(), [3, 6]);
     assert_ne!(shown[0].1, shown[1].1);
-    // As they are after as many steps of the same refinement, and not what is kept in the end.
+    // The state after that many steps, not the final checkpoint.
     assert_ne!(shown[1].1, refined.scene);
     let unseen = refine(&moved(&scene), &photos, &cameras, &Refine { show: None, ..request });
     assert_eq!(unseen.scene, refined.scene);
@@ -123,7 +121,7 @@ fn scenes_are_shown_on_the_way() {
 fn a_loss_that_grows_ends_with_the_last_good_scene() {
     let cameras = cameras(2);
     let (scene, photos) = photos(&cameras);
-    // Far too large: the first step already is worse than the scene that took the photos.
+    // Too large: the first step already makes the scene worse.
     let rates = Rates { means: 10.0, ..Rates::default() };
     let request = Refine { steps: 20, views_per_step: 2, rates, ..Refine::default() };
     let refined = refine(&scene, &photos, &cameras, &request);
@@ -145,7 +143,8 @@ fn what_cannot_be_refined_is_refused() {
     assert!(error(&scene, 2, &Refine { hold_out: Some(2), ..Refine::default() }).contains("held-out"));
 }
 
-/// The cameras with all but the first, and but `held`, turned by a degree and moved by 1 % of the scene's distance of about 3.5.
+/// Disturbs all cameras but the first and `held` by a degree and 1 % of the scene's distance of
+/// about 3.5.
 fn disturbed(cameras: &[Camera], held: usize) -> Vec<Camera> {
     let disturb = |(i, camera): (usize, &Camera)| {
         let direction = |k: f64| DVec3::new((k * 2.4).sin(), (k * 1.7).cos(), (k * 0.9).sin()).normalize();
@@ -211,7 +210,7 @@ fn a_scene_with_a_tenth_of_its_gaussians_grows() {
     assert!(again.scene == grown.scene && again.losses == grown.losses);
 }
 
-/// A scene's picture beside a photo, as values in 0..1, `[height][width][rgb]`.
+/// A scene's picture and a photo in 0..1, `[height][width][rgb]`.
 fn pair(scene: &Scene, camera: &Camera, photo: &Image) -> [Vec<f32>; 2] {
     let frame = Renderer::new(device()).render(scene, &[*camera], &RenderRequest::default()).unwrap().remove(0);
     let drawn = frame.rgb.unwrap().into_iter().map(|value| value.clamp(0.0, 1.0)).collect();
@@ -232,7 +231,7 @@ fn lpips_is_a_share_of_the_loss_where_asked() {
         };
         (0..3).map(of).collect::<Vec<f64>>().iter().sum::<f64>() / 3.0
     };
-    // Short steps, so that what is made less becomes less.
+    // Short steps, so that the loss falls.
     let Rates { means, scales, sh_coeffs, .. } = Rates::default();
     let rates = Rates { means: 0.02 * means, scales: 0.02 * scales, sh_coeffs: 0.02 * sh_coeffs, ..Rates::default() };
     let rates = Rates { quats: 0.0, opacities: 0.0, ..rates };
@@ -241,11 +240,11 @@ fn lpips_is_a_share_of_the_loss_where_asked() {
         refine(&start, &photos, &cameras, &request)
     };
     let look = |weight: f32| Some(Look { weight, network });
-    // The loss of the first step is that of the pictures before it.
+    // The first loss precedes the first step.
     let [plain, looked] = [with(None, 1), with(look(0.5), 1)].map(|refined| f64::from(refined.losses[0]));
     let expected = plain + 0.5 * distance(&start);
     assert!((looked - expected).abs() < 1e-4 * expected, "{looked}, expected {expected}");
-    // Its gradient counts: the first step goes by signs alone, so that no other one makes so much less of what decides them.
+    // The first step follows signs alone, so only the term's own gradient reduces it this much.
     let [plain, looked] = [None, look(1e3)].map(|look| distance(&start) - distance(&with(look, 1).scene));
     assert!(looked > 0.0 && looked > 1.05 * plain, "nearer by {looked} with, {plain} without");
     assert_eq!(with(look(0.0), 3).losses, with(None, 3).losses, "a share of 0 changes nothing");

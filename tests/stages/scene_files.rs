@@ -21,7 +21,7 @@ fn packed(scene: &Scene) -> Vec<f32> {
     (0..scene.len()).flat_map(row).collect()
 }
 
-/// Gaussians within the range that a file keeps.
+/// Gaussians within the range of files.
 fn scene(count: usize, sh_degree: u32) -> Scene {
     let width = 11 + 3 * (sh_degree as usize + 1).pow(2);
     let unit = |i: usize| ((i as u32).wrapping_mul(2_654_435_761) >> 8) as f32 / (1 << 24) as f32;
@@ -42,13 +42,13 @@ fn assert_round_trip(name: &str, found: &Scene, truth: &Scene) {
         (&truth.means, &truth.quats, &truth.sh_coeffs),
         "{name}"
     );
-    // A logarithm of up to 14 in f32 is off by 1e-6, and so is what it stands for, relatively.
+    // f32 logarithms up to 14 are off by 1e-6, a relative error of the value.
     let tolerance = Tolerance { max: 3e-6, rms: 1e-6 };
     assert_close(name, found.scales.as_flattened(), truth.scales.as_flattened(), tolerance);
     assert_close(name, &found.opacities, &truth.opacities, tolerance);
 }
 
-/// Reads bytes as a file called `scene.ply`.
+/// Reads bytes as `scene.ply`.
 fn read(bytes: &[u8]) -> Result<Scene, Error> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.ply");
@@ -70,8 +70,8 @@ fn written(scene: &Scene) -> Vec<u8> {
     fs::read(&path).unwrap()
 }
 
-/// Bytes must be equal, but the scales' logarithms may be one unit in the last place off: PyTorch's vectorised
-/// logarithm is not rounded correctly (1 of the 63 in these files).
+/// Asserts equal bytes up to an ulp of log scales: PyTorch's vectorized logarithm is not correctly
+/// rounded.
 #[track_caller]
 fn assert_same_but_for_logarithms(name: &str, found: &[u8], truth: &[u8]) {
     let body = header_len(truth);
@@ -106,7 +106,7 @@ fn files_are_the_references_byte_for_byte() {
         let truth = fs::read(&path).unwrap();
         assert_same_but_for_logarithms(&format!("degree {degree}"), &written(&scene), &truth);
 
-        // What a file cannot hold is clamped as it is written.
+        // Values outside the file's range are clamped.
         let mut clamped = scene.clone();
         clamped.opacities.iter_mut().for_each(|opacity| *opacity = opacity.clamp(1e-6, 1.0 - 1e-6));
         clamped.scales.iter_mut().flatten().for_each(|scale| *scale = scale.max(1e-6));
@@ -133,14 +133,14 @@ fn packed_rows_are_taken_apart_in_order() {
 
 #[test]
 fn scenes_survive_a_file() {
-    // 70,000 rows are more than one batch.
+    // 70,000 rows exceed a batch.
     for (count, degree) in [(0, 1), (1, 0), (1000, 3), (70_000, 1)] {
         let scene = scene(count, degree);
         assert_round_trip(&format!("{count} of degree {degree}"), &read(&written(&scene)).unwrap(), &scene);
     }
 }
 
-/// Rewrites a written PLY: its properties as (type, name) in another order, and its values by name.
+/// Rewrites a PLY with its properties (type, name) in another order.
 fn rewritten(
     scene: &Scene,
     format: &str,
@@ -289,7 +289,7 @@ fn the_most_visible_of_each_token_stay() {
     let whole = scene(10, 1);
     let mut kept = whole.clone();
     kept.keep_most_visible(4, 2);
-    // Two of each four, and the two of the last, unfinished group.
+    // Two of each four, and the two of the partial group.
     assert_eq!(kept.len(), 6);
     kept.validate().unwrap();
     let shows = |scene: &Scene, i: usize| {

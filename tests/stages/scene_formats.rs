@@ -1,4 +1,4 @@
-//! Scene files beside PLY: what a round trip keeps, files of other programs, damage.
+//! Scene formats: round trips, foreign files, damage.
 
 mod foreign;
 mod gltf;
@@ -17,7 +17,8 @@ use zipsplat_tests::scenes;
 
 use flate2::{Compression, read::GzDecoder, write::GzEncoder};
 
-/// A scene with the corners of what files hold: every largest component, sign and length of a rotation, opaque and clear ones.
+/// A scene of corner cases: rotations of every largest component, sign and length; opaque and
+/// transparent Gaussians.
 fn scene(sh_degree: u32) -> Scene {
     let mut scene = scenes::random_scene(400, sh_degree, 0.1);
     for (i, quat) in scene.quats.iter_mut().enumerate() {
@@ -26,7 +27,7 @@ fn scene(sh_degree: u32) -> Scene {
         *quat = quat.map(|q| sign * q);
     }
     (scene.quats[0], scene.quats[1]) = ([0.0, 0.0, 0.0, -2.0], [0.0, 1.0, -1.0, 0.0]);
-    // Whose squares f32 does not hold.
+    // Squares beyond f32's range.
     (scene.quats[2], scene.quats[3]) = ([1e20, -1e20, 0.0, 0.0], [0.0, 3e-25, 4e-25, 0.0]);
     (scene.opacities[0], scene.opacities[1]) = (0.0, 1.0);
     scene
@@ -38,7 +39,7 @@ fn round_trip(scene: &Scene, name: &str, options: &WriteOptions) -> Scene {
     read_scene(folder.path().join(name)).unwrap()
 }
 
-/// Error of reading `bytes` as a file called `name`.
+/// Returns the error of reading `bytes` as `name`.
 fn failure(name: &str, bytes: &[u8]) -> String {
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join(name), bytes).unwrap();
@@ -55,7 +56,7 @@ fn assert_within(name: &str, found: &[f32], truth: &[f32], bound: impl Fn(f32) -
     }
 }
 
-/// Rotation matrices may differ by `bound` an entry.
+/// Compares rotation matrices within `bound` an entry.
 #[track_caller]
 fn assert_rotations(found: &[[f32; 4]], truth: &[[f32; 4]], bound: f64) {
     assert_eq!(found.len(), truth.len());
@@ -65,12 +66,12 @@ fn assert_rotations(found: &[[f32; 4]], truth: &[[f32; 4]], bound: f64) {
     }
 }
 
-/// The coefficient `k` of every Gaussian in `sh`.
+/// Coefficient `k` of every Gaussian.
 fn coefficient(scene: &Scene, k: usize) -> Vec<f32> {
     scene.sh_coeffs.iter().skip(k).step_by(scene.sh_coeffs_per_gaussian()).flatten().copied().collect()
 }
 
-/// Half a step of each of SPZ's grids, and a little for rounding in f32.
+/// Half a step of SPZ's grids, plus f32 rounding.
 #[track_caller]
 fn assert_spz(found: &Scene, truth: &Scene, version: u32, fractional_bits: i32) {
     let slack = 1.0 + 1e-4;
@@ -81,13 +82,13 @@ fn assert_spz(found: &Scene, truth: &Scene, version: u32, fractional_bits: i32) 
     assert_within("opacity", &found.opacities, &truth.opacities, |_| slack / 510.0);
     assert_within("color", &coefficient(found, 0), &coefficient(truth, 0), |_| slack / (510.0 * 0.15));
     for k in 1..truth.sh_coeffs_per_gaussian() {
-        // Half a level, then half a bucket of 8 or 16 levels.
+        // Half a level plus half a bucket of 8 or 16 levels.
         let levels = if k < 4 { 4.5 } else { 8.5 };
         assert_within(&format!("sh {k}"), &coefficient(found, k), &coefficient(truth, k), |_| levels / 128.0);
     }
-    // Entries of the matrix are sums of two products of components, doubled: four times the error of a component. Version
-    // 3: half a step of sqrt(1/2) / 511 on three, and on the largest, at least 1/2, what the three do to it together.
-    // Version 2: w follows from x, y and z, and from 1/255 on each becomes up to sqrt(2 * sqrt(3) / 255) where w is small.
+    // A matrix entry has four times a component's error. Version 3: half a step of sqrt(1/2) / 511
+    // on three components, and their effect on the largest, at least 1/2. Version 2 derives w from
+    // x, y and z: 1/255 on each becomes up to sqrt(2 * sqrt(3) / 255) at small w.
     assert_rotations(&found.quats, &truth.quats, if version == 2 { 0.5 } else { 0.01 });
 }
 
@@ -101,7 +102,7 @@ fn spz_keeps_what_its_grids_resolve() {
     }
 }
 
-/// Large sections are packed in parts, which one stream holds.
+/// Large sections are compressed in parts of one stream.
 #[test]
 fn spz_of_many_gaussians_is_one_stream() {
     let truth = scenes::random_scene(120_000, 0, 0.1);
@@ -116,7 +117,7 @@ fn spz_of_many_gaussians_is_one_stream() {
 #[test]
 fn version_2_keeps_rotations_but_near_half_turns() {
     let mut truth = scene(0);
-    // With w of at least a half, its error is at most sqrt(3) times that of the others.
+    // For w >= 1/2, its error is at most sqrt(3) times the others'.
     truth.quats.iter_mut().for_each(|quat| quat[0] = 2.0 * quat.iter().fold(0f32, |most, q| most.max(q.abs())));
     let found = round_trip(&truth, "scene.spz", &WriteOptions { spz_version: 2 });
     assert_rotations(&found.quats, &truth.quats, 4.0 * 3f64.sqrt() / 255.0);
@@ -144,7 +145,7 @@ fn splat_keeps_one_color_most_important_first() {
     let found = round_trip(&truth, "scene.splat", &WriteOptions::default());
     let weight = |scene: &Scene, i: usize| scene.scales[i].iter().product::<f32>() * scene.opacities[i];
     assert!((1..found.len()).all(|i| weight(&found, i - 1) >= 0.99 * weight(&found, i) - 1.0 / 255.0));
-    // Means are kept as they are, and tell which is which.
+    // Exact means identify the Gaussians.
     let place = |mean: &[f32; 3]| truth.means.iter().position(|truth| truth == mean).expect("a mean of the scene");
     let order: Vec<usize> = found.means.iter().map(place).collect();
     let importance: Vec<f32> = order.iter().map(|&i| weight(&truth, i)).collect();
@@ -152,7 +153,7 @@ fn splat_keeps_one_color_most_important_first() {
     let pick = |values: &[f32]| order.iter().map(|&i| values[i]).collect::<Vec<f32>>();
     assert_eq!(found.scales, order.iter().map(|&i| truth.scales[i]).collect::<Vec<_>>());
     assert_within("opacity", &found.opacities, &pick(&truth.opacities), |_| 1.001 / 510.0);
-    // A component is off by half a step of 1/128, or a whole one at 1, which 255 stands for.
+    // Half a step of 1/128, or a whole one at 1, stored as 255.
     let quats: Vec<[f32; 4]> = order.iter().map(|&i| truth.quats[i]).collect();
     assert_rotations(&found.quats, &quats, 4.0 / 128.0);
     let (sh_constant, k) = (0.282_094_8, truth.sh_coeffs_per_gaussian());
@@ -188,7 +189,7 @@ fn formats_are_told_apart() {
     assert!(matches!(read_scene(path("none.spz")), Err(Error::Io { .. })));
 }
 
-/// Every format of the table, to memory and back as to a file and back.
+/// Memory and files hold the same bytes.
 #[test]
 fn bytes_in_memory_are_what_files_have() {
     let folder = tempfile::tempdir().unwrap();
@@ -221,7 +222,7 @@ fn gzip(bytes: &[u8]) -> Vec<u8> {
     out.finish().unwrap()
 }
 
-/// An SPZ and what it inflates to.
+/// An SPZ and its inflated content.
 fn spz() -> (Vec<u8>, Vec<u8>) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.spz");
@@ -262,7 +263,7 @@ fn damaged_spz_are_refused() {
     assert!(failure("scene.spz", &plain).contains("gzip"));
 }
 
-/// Fifty million Gaussians in a megabyte: what deflate could hold, and no scene does.
+/// Fifty million Gaussians in a megabyte: possible for deflate, not for a scene.
 #[test]
 fn an_spz_of_more_gaussians_than_its_bytes_hold_is_refused() {
     let (_, plain) = spz();
@@ -272,7 +273,7 @@ fn an_spz_of_more_gaussians_than_its_bytes_hold_is_refused() {
     out.write_all(&bomb).unwrap();
     let error = failure("scene.spz", &out.finish().unwrap());
     assert!(error.contains("50000000 Gaussians, which are more than"), "{error}");
-    // A small file may hold many that are alike.
+    // Equal Gaussians compress well.
     let mut alike = scenes::random_scene(1, 0, 0.1);
     for _ in 0..18 {
         alike = Scene {
@@ -334,7 +335,7 @@ fn files_say_which_world_a_scene_is_in() {
         };
         assert!(found.matrix().abs_diff_eq(pose.matrix(), 1e-15), "{name}: {found:?}, not {pose:?}");
         assert_eq!(said(None), None, "{name}");
-        // A line break would end a PLY's comment and begin something else.
+        // A line break would end a PLY's comment.
         assert_eq!(said(Some(&World::Photo("a\nelement vertex 9".into()))), None, "{name}");
         assert_eq!(read_scene(&path).unwrap().len(), scene(1).len(), "{name}");
     }

@@ -1,4 +1,4 @@
-//! Refinement of tokens through the frozen head: losses fall, bits are the same twice, and what is bad is refused.
+//! Refinement of tokens through the frozen head: falling losses, equal bits, rejected input.
 
 use std::ops::ControlFlow;
 use zipsplat::gpu::Arena;
@@ -11,7 +11,7 @@ use zipsplat_tests::{architectures, device::device, networks, scenes::camera};
 
 const SIZE: [u32; 2] = [56, 42];
 
-/// A flat picture with a bright square: enough to learn from.
+/// A flat picture with a bright square.
 fn photo(corner: u32) -> Image {
     let pixel = |x: u32, y: u32| {
         let inside = (corner..corner + 20).contains(&x) && (corner..corner + 16).contains(&y);
@@ -54,7 +54,7 @@ fn tokens_become_the_photos() {
     let (model, head) = network();
     for unit in [1.0, 0.5] {
         let tokens = tokens(&model, unit);
-        // No steps: the Gaussians of the network itself, but for the rounding of sums in another order.
+        // Without steps, the network's Gaussians, up to the order of sums.
         let none = refine(&head, &tokens, &Refine { steps: 0, ..Refine::default() });
         let request = Request { unit, ..Request::default() };
         let made = model.reconstruct(&photos().0, &request, |_| ControlFlow::Continue(())).unwrap().scene().unwrap();
@@ -62,7 +62,7 @@ fn tokens_become_the_photos() {
         assert!(none.scene.means.iter().zip(&made.means).all(|(a, b)| close(a, b)));
         assert!(none.scene.scales.iter().zip(&made.scales).all(|(a, b)| close(a, b)));
 
-        // Random weights' scenes leave the picture at larger rates.
+        // Larger rates move random scenes out of the picture.
         let rates = Rates { tokens: 1e-2, ..Rates::default() };
         let request = Refine { steps: 60, rates, ..Refine::default() };
         let [first, second] = [(); 2].map(|()| refine(&head, &tokens, &request));

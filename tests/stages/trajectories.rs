@@ -1,4 +1,4 @@
-//! Camera paths and the files that hold them.
+//! Camera paths and their files.
 
 use glam::{DMat3, DQuat, DVec3, EulerRot};
 use serde_json::{Value, json};
@@ -9,7 +9,7 @@ use zipsplat::types::{Camera, Dolly, Ellipse, Intrinsics, Pose, Spline};
 
 const LENS: Intrinsics = Intrinsics { width: 64, height: 48, fx: 50.0, fy: 52.0, cx: 31.0, cy: 25.0 };
 
-/// `count` cameras whose steps, turns and lenses all differ.
+/// Cameras of uneven steps, rotations and lenses.
 fn uneven(count: usize) -> Vec<Camera> {
     let camera = |i: usize| {
         let t = i as f64;
@@ -21,7 +21,7 @@ fn uneven(count: usize) -> Vec<Camera> {
     (0..count).map(camera).collect()
 }
 
-/// A camera at an angle on an ellipse in the plane of x and z, at y = -1, that looks at `target`.
+/// A camera on an ellipse in the plane y = -1, looking at `target`.
 fn around(angle: f64, radii: [f64; 2], target: DVec3) -> Camera {
     let translation = DVec3::new(radii[0] * angle.cos(), -1.0, radii[1] * angle.sin()) + DVec3::new(3.0, 0.0, 5.0);
     let forward = (target - translation).normalize();
@@ -36,7 +36,7 @@ fn assert_rotation(rotation: DMat3) {
     assert!(rotation.determinant() > 0.0, "{rotation}");
 }
 
-/// The largest difference of two cameras in any number.
+/// Largest difference of two cameras in any number.
 fn difference(a: &Camera, b: &Camera) -> f64 {
     let lens = |c: &Camera| [c.intrinsics.fx, c.intrinsics.fy, c.intrinsics.cx, c.intrinsics.cy];
     let numbers = |c: &Camera| [&c.pose.matrix().to_cols_array()[..], &lens(c)].concat();
@@ -70,7 +70,7 @@ fn splines_pass_their_cameras_smoothly() {
     }
 }
 
-/// In time, which `sample` divides equally, the centre's velocity is the same on both sides of a camera.
+/// Velocity is continuous at cameras, in the time that `sample` divides equally.
 #[test]
 fn velocity_does_not_jump() {
     let frames = Spline::through(&uneven(6), true).unwrap().sample(100_000);
@@ -94,7 +94,7 @@ fn splines_through_equal_steps_are_even() {
     for (i, frame) in Spline::through(&cameras, false).unwrap().sample(41).iter().enumerate() {
         let t = i as f64 / 10.0;
         assert!(frame.pose.translation.abs_diff_eq(DVec3::new(2.0 * t, 1.0, 0.0), 1e-12), "{t}: {frame:?}");
-        // Squad's outer controls at the ends are the ends themselves: even turning between the others only.
+        // Squad's outer controls are its ends, so only inner segments turn evenly.
         let even = frame.pose.rotation.abs_diff_eq(DMat3::from_rotation_y(0.2 * t), 1e-12);
         assert!(even || !(1.0..=3.0).contains(&t), "{t}: {frame:?}");
     }
@@ -112,7 +112,7 @@ fn splines_of_cameras_in_one_place_turn() {
     assert_eq!(single.sample(3), [cameras[1]; 3]);
 }
 
-/// The rotations and centres that COLMAP found for the photos of tests/data/bananas: few, far apart, the last far back.
+/// COLMAP's rotations and centers of tests/data/bananas: few, far apart, the last far back.
 const BANANAS: [([f64; 4], [f64; 3]); 7] = [
     ([0.9071, 0.0451, 0.3568, 0.2188], [-2.374, 0.511, -0.254]),
     ([0.8860, 0.0388, 0.3972, 0.2361], [-3.143, -0.100, 0.861]),
@@ -123,8 +123,8 @@ const BANANAS: [([f64; 4], [f64; 3]); 7] = [
     ([0.8447, 0.0220, 0.4239, 0.3260], [-2.560, -1.053, 2.495]),
 ];
 
-/// The path stays within 3 % of the cameras' extent of the box around them, and in sight of the bananas: within a degree of how
-/// far off its middle the cameras themselves look at them.
+/// The path stays within 3 % of the cameras' extent around their box, and views the bananas within
+/// a degree of the cameras' own offsets.
 #[test]
 fn splines_through_few_cameras_stay_at_the_scene() {
     let camera = |([w, x, y, z], at): ([f64; 4], [f64; 3])| {
@@ -203,7 +203,7 @@ fn ellipses_look_where_their_cameras_do() {
     assert!(ellipse.outward);
     let frame = ellipse.pose(1.0);
     assert!(frame.rotation.z_axis.dot(frame.translation - ellipse.center) > 0.0);
-    // Parallel axes meet nowhere: the given centre is looked at, and a row of cameras makes a path to and fro.
+    // Parallel axes do not meet, so the path looks at the given center, back and forth.
     let row = [-1.0, 0.0, 1.0].map(|x| {
         let pose = Pose { translation: DVec3::new(x, 0.0, 0.0), ..Pose::IDENTITY };
         Camera { intrinsics: LENS, pose }
@@ -241,7 +241,7 @@ fn dollies_move_along_the_view_and_zoom_against_it() {
     }
 }
 
-/// Cameras with square pixels and the principal point in the middle, which every format can say.
+/// Square pixels and a centered principal point, which every format supports.
 fn plain() -> Vec<Camera> {
     let lens = |focal: f64| Intrinsics { fx: focal, fy: focal, cx: 32.0, cy: 24.0, ..LENS };
     uneven(4).iter().map(|camera| Camera { intrinsics: lens(camera.intrinsics.fx), ..*camera }).collect()
@@ -281,7 +281,7 @@ fn every_format_gives_the_same_cameras() {
     let transforms: Vec<Camera> = read_cameras(&path, &LENS).unwrap().frames.iter().map(|f| f.camera).collect();
     assert_cameras(&transforms, &cameras);
 
-    // nerfstudio writes OpenGL axes: x right, y up, z backward.
+    // nerfstudio's OpenGL axes: x right, y up, z backward.
     let opengl = glam::DMat4::from_diagonal([1.0, -1.0, -1.0, 1.0].into());
     let frame = |camera: &Camera| {
         let fov = 2.0 * (24.0 / camera.intrinsics.fy).atan().to_degrees();

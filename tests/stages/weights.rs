@@ -21,7 +21,7 @@ fn data(name: &str) -> Value {
     serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()
 }
 
-/// A large golden, where the folder with them lies beside the repository.
+/// A large golden, if present.
 fn shared(name: &str) -> Option<PathBuf> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/golden/data").join(name);
     if !path.exists() {
@@ -52,7 +52,7 @@ fn pico_weights() -> Checkpoint {
     Checkpoint::seeded_architecture(pico(), "pico").unwrap()
 }
 
-/// A safetensors header for `tensors` in f16, and the bytes that their values would need.
+/// A safetensors header for f16 `tensors`, and the size of their data.
 fn header(tensors: &[(String, Vec<usize>)]) -> (Vec<u8>, usize) {
     let mut end = 0;
     let infos = tensors.iter().map(|(name, shape)| {
@@ -64,7 +64,7 @@ fn header(tensors: &[(String, Vec<usize>)]) -> (Vec<u8>, usize) {
     ([&(json.len() as u64).to_le_bytes(), json.as_slice()].concat(), end)
 }
 
-/// A file whose tensors are all zero and occupy no disk space.
+/// Writes a sparse file of zeros.
 fn write_zeros(path: &Path, tensors: &[(String, Vec<usize>)]) {
     let (header, values) = header(tensors);
     std::fs::write(path, &header).unwrap();
@@ -149,7 +149,7 @@ fn seeded_values_are_those_of_the_reference() {
                 expected["first4"].as_array().unwrap().iter().map(|value| value.as_f64().unwrap()).collect();
             assert_eq!(values[..first.len()], first, "{config}/{name}");
             assert_eq!(values.last().copied(), expected["last"].as_f64(), "{config}/{name}");
-            // Sums of multiples of 2^-20 below 2^30 are exact; reading them from JSON may round once.
+            // Sums of multiples of 2^-20 below 2^30 are exact; JSON may round once.
             let magnitudes = values.iter().map(|value| value.abs()).sum::<f64>();
             for (key, found) in [("sum", values.iter().sum()), ("abs_sum", magnitudes)] {
                 let expected = expected[key].as_f64().unwrap();
@@ -171,7 +171,7 @@ fn micro_is_the_same_from_seed_safetensors_and_pytorch() {
         assert_same_bits(&stored, &seeded);
         assert_eq!(stored.bytes(), seeded.bytes());
 
-        // The archive has a training configuration; the shapes alone leave the out layers open.
+        // The archive has a training configuration; shapes alone leave the out layers open.
         let alone = Checkpoint::open(&path, None);
         if name.ends_with(".tar") {
             assert_eq!(alone.unwrap().architecture(), &golden("micro"));
@@ -193,7 +193,7 @@ fn saved_checkpoints_state_their_architecture_and_keep_every_bit() {
     for (dtype, size) in [(Dtype::F32, 4), (Dtype::F16, 2), (Dtype::Bf16, 2)] {
         let (first, second) = (folder.path().join("first.safetensors"), folder.path().join("second.safetensors"));
         seeded.save(&first, dtype).unwrap();
-        // Seeded values are exact in all three types, so any chain of conversions keeps them.
+        // Seeded values are exact in all three types.
         convert(&first, &second, Dtype::F16, None).unwrap();
         for (path, size) in [(first, size), (second, 2)] {
             let stored = Checkpoint::open(&path, Some("pico")).unwrap();
@@ -212,7 +212,7 @@ fn saved_checkpoints_state_their_architecture_and_keep_every_bit() {
 fn files_without_metadata_are_recognised_by_size() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("weights.safetensors");
-    // A position grid and a colour branch of another size can be seen in the shapes.
+    // Shapes reveal another position grid or color branch.
     let vits = Architecture::named("vits").unwrap();
     let trained = Architecture {
         position_grid: 18,

@@ -1,11 +1,11 @@
-//! Layers use only those before them, where Cargo does not say it: each module of the engine names only what stands before it.
-//! That only `engine/gpu` names Vulkan, and that the references know nothing of the engine, follows from the crates.
+//! Each module of the engine uses only the layers before it. The crates enforce the rest: only
+//! `engine/gpu` uses Vulkan, and the references do not use the engine.
 
 use crate::source::{Source, files, paths, tokens};
 
-/// The engine's layers, each of which uses only those before it; the first three are crates. `error` stands for `Error` and
-/// `Result`.
-const LAYERS: [&str; 14] = [
+/// Layers of the engine, each using only those before it; the first three are crates. `error` is
+/// `Error` and `Result`.
+const LAYERS: [&str; 13] = [
     "error",
     "gpu",
     "types",
@@ -19,32 +19,29 @@ const LAYERS: [&str; 14] = [
     "reconstruct",
     "depth",
     "refine",
-    "ffi",
 ];
 
 /// Layers that dispatch kernels.
 const DISPATCHING: [&str; 3] = ["ops", "stages", "refine"];
 
-/// Folders whose matter is unsafe code; the last calls the C ABI.
-const UNSAFE_FOLDERS: [&str; 3] = ["engine/gpu/src/", "engine/src/ffi/", "tests/abi/"];
+/// Folders of unsafe code; the last calls the C ABI.
+const UNSAFE_FOLDERS: [&str; 3] = ["engine/gpu/src/", "engine/bindings/c/src/", "tests/abi/"];
 
-/// Other files with unsafe code, and why.
-const UNSAFE: [(&str, &str); 2] = [
-    ("engine/src/weights/checkpoint.rs", "maps a checkpoint into memory"),
-    ("tools/src/commands/bench/gemm.rs", "calls the gemm crate, which it measures beside ours"),
-];
+/// Other files with unsafe code and their reasons.
+const UNSAFE: [(&str, &str); 1] = [("engine/src/weights/checkpoint.rs", "maps a checkpoint into memory")];
 
 fn engine() -> Vec<Source> {
     files("engine/src", "rs")
 }
 
-/// The module of a file below `engine/src`: `stages/backbone/mod.rs` is `[stages, backbone]`.
+/// Returns the module of a file below `engine/src`: `stages/backbone/mod.rs` is `[stages,
+/// backbone]`.
 fn module(path: &str) -> Vec<&str> {
     let inside = path.trim_start_matches("engine/src/").trim_end_matches(".rs");
     inside.split('/').filter(|part| *part != "mod").collect()
 }
 
-/// Paths from the crate's root that a file names, but for its unit tests.
+/// Returns the paths from the crate root that a file uses outside its unit tests.
 fn used(source: &Source) -> Vec<Vec<String>> {
     let own = module(&source.path);
     let absolute = |path: Vec<String>| {
@@ -57,11 +54,11 @@ fn used(source: &Source) -> Vec<Vec<String>> {
     paths(&tokens(code), &["crate", "super"]).into_iter().map(absolute).collect()
 }
 
-/// Says what is wrong with a file of `layer` naming `path`, if anything.
+/// Returns the reason why a file of `layer` must not use `path`.
 fn problem(own: &[&str], path: &[String], stages: &[String]) -> Option<String> {
     let (layer, named) = (own[0], path.first()?.as_str());
     if named == "kernels" {
-        // The cache tells versions of kernels apart.
+        // The cache's key includes the kernels.
         let listed = layer == "tune" && path.get(1).is_some_and(|part| part == "MODULES");
         return (!listed && !DISPATCHING.contains(&layer)).then(|| format!("{layer} dispatches no kernels"));
     }

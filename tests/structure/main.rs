@@ -1,4 +1,4 @@
-//! How the project is laid out: what mirrors what, who may use whom, and how long files are.
+//! Layout of the project: mirrored names, dependencies and file sizes.
 
 mod imports;
 mod mirror;

@@ -1,11 +1,10 @@
-//! A kernel, its test and its reference share one relative name.
+//! A kernel, its test and its reference share a relative name.
 
 use crate::source::files;
 use std::collections::BTreeSet;
 use zipsplat::kernels::MODULES;
 
-/// Kernels that are steps of one operation and mean something only together, or compute the same as another, with the name
-/// that they share.
+/// Kernels that are steps or variants of one operation, with their common name.
 const STEPS: [(&str, &str); 26] = [
     ("cluster/nearest_matrix", "cluster/nearest"),
     ("cluster/nearest_merge", "cluster/nearest"),
@@ -35,20 +34,20 @@ const STEPS: [(&str, &str); 26] = [
     ("render/tile_counts", "render/intersect"),
 ];
 
-/// Names without a reference of ours, and what takes its place.
+/// Names without a reference, and their alternative.
 const WITHOUT_REFERENCE: [(&str, &str); 3] = [
     ("ops/scan", "a running sum on the host"),
     ("ops/sort", "the stable sort of the standard library"),
     ("render/intersect", "lists made on the host"),
 ];
 
-/// Relative names of the files of one kind below a folder: `ops/add`.
+/// Returns relative names of a folder's files with an extension: `ops/add`.
 fn names(folder: &str, ext: &str) -> BTreeSet<String> {
     let relative = |path: &str| path[folder.len() + 1..].trim_end_matches(&format!(".{ext}")).to_owned();
     files(folder, ext).iter().map(|source| relative(&source.path)).collect()
 }
 
-/// The names that tests and references must have.
+/// Returns the names that tests and references must have.
 fn shared_names() -> BTreeSet<String> {
     let shared = |kernel: String| match STEPS.iter().find(|(step, _)| *step == kernel) {
         Some((_, name)) => name.to_string(),
@@ -91,7 +90,7 @@ fn every_exception_is_of_use() {
 
 #[test]
 fn the_table_has_every_kernel_within_its_limits() {
-    // A kernel of several element types has a module of each.
+    // A kernel has one module per element type.
     let types = ["_f32", "_f16", "_bf16", "_i8"];
     fn kernel<'a>(module: &'a str, types: &[&str]) -> &'a str {
         types.iter().find_map(|name| module.strip_suffix(name)).map_or(module, |rest| kernel(rest, types))

@@ -1,4 +1,4 @@
-//! Files that one can read in one go.
+//! Limits on file sizes.
 
 use crate::source::{Source, files};
 

@@ -1,4 +1,4 @@
-//! Source files, their code without comments and strings, and the paths that it names.
+//! Source files: code without comments and strings, and the paths it uses.
 
 use std::fs;
 use std::path::Path;
@@ -10,7 +10,7 @@ pub struct Source {
     pub text: String,
 }
 
-/// Every file below `folder` whose name ends with `.ext`, sorted.
+/// Returns every `.ext` file below `folder`, sorted.
 pub fn files(folder: &str, ext: &str) -> Vec<Source> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let mut found = Vec::new();
@@ -32,7 +32,7 @@ fn walk(root: &Path, folder: &str, ending: &str, found: &mut Vec<Source>) {
     }
 }
 
-/// Words, `::` and single characters of Rust code, without comments, strings and space.
+/// Splits Rust code into words, `::` and characters, without comments, strings and whitespace.
 pub fn tokens(text: &str) -> Vec<String> {
     let mut tokens = Vec::new();
     let mut rest = text;
@@ -60,7 +60,8 @@ pub fn tokens(text: &str) -> Vec<String> {
     tokens
 }
 
-/// Length of the string literal that `text` begins with. Raw strings of this project hold no quotes.
+/// Returns the length of the string literal at the start of `text`. Raw strings here contain no
+/// quotes.
 fn string_length(text: &str) -> usize {
     let mut escaped = false;
     for (i, c) in text.char_indices().skip(1) {
@@ -72,8 +73,8 @@ fn string_length(text: &str) -> usize {
     text.len()
 }
 
-/// Every path that starts with one of `roots`, groups in braces taken apart: `crate::{a::B, c::*}` is `crate::a::B` and
-/// `crate::c`.
+/// Returns every path that starts with one of `roots`, with groups expanded: `crate::{a::B, c::*}`
+/// gives `crate::a::B` and `crate::c`.
 pub fn paths(tokens: &[String], roots: &[&str]) -> Vec<Vec<String>> {
     let mut found = Vec::new();
     let mut at = 0;
@@ -88,7 +89,7 @@ pub fn paths(tokens: &[String], roots: &[&str]) -> Vec<Vec<String>> {
     found
 }
 
-/// Reads the path at `at` behind `prefix`; gives where it ends.
+/// Reads the path at `at` behind `prefix` and returns its end.
 fn path(tokens: &[String], mut at: usize, mut prefix: Vec<String>, found: &mut Vec<Vec<String>>) -> usize {
     loop {
         match tokens[at].as_str() {

@@ -1,4 +1,5 @@
-"""Photos in the layouts of RealEstate10K and DL3DV become the records that training takes: cameras, pictures and depth fit together.
+"""Photos in the layouts of RealEstate10K and DL3DV become training records with consistent
+cameras, images and depth.
 
 python tests/train/captures.py ZIPSPLAT [FOLDER]    FOLDER: keeps the two data sets there
 """
@@ -25,7 +26,8 @@ VIEWS, SIZE = 4, 56
 
 
 def make(zipsplat, folder):
-    """Two places in both layouts: photos of 90 x 60, those of DL3DV beside the numbers of a camera with four times as many."""
+    """Writes two scenes in both layouts: 90 x 60 photos; DL3DV's camera has four times the
+    resolution."""
     for seed in (3, 4):
         place = folder / f"place{seed}"
         command = [zipsplat, "scene", "--seed", str(seed), "--views", "8", "--size", "90x60", "-q", "-o", place]
@@ -65,7 +67,7 @@ def records(sources, count, **options):
 
 
 def check_geometry(row):
-    """What a view sees another sees at the depth that it has there, and in the same colour."""
+    """Checks that points of a view reproject into another with the same color and depth."""
     depth, poses = torch.from_numpy(row["depths"].astype(np.float32)), torch.eye(4).repeat(VIEWS, 1, 1)
     poses[:, :3] = torch.from_numpy(row["poses"].copy())
     lens, colors = torch.from_numpy(row["intrinsics"].copy()), torch.from_numpy(row["colors"].copy()).float()
@@ -89,7 +91,7 @@ def check_geometry(row):
 
 
 def check_left_out(zipsplat, folder):
-    """Scenes that cannot be used are named with the reason, and the others go on."""
+    """Checks that unusable scenes are named with the reason and skipped."""
     broken = folder / "broken"
     for reason, spoil in {
         "expected 19": lambda s: s.with_suffix(".txt").write_text(s.with_suffix(".txt").read_text() + "1 2 3\n"),
@@ -107,7 +109,7 @@ def check_left_out(zipsplat, folder):
         with contextlib.redirect_stderr(said):
             records([("re10k", broken, None)], 8)
         assert "left out video2" in said.getvalue() and reason in said.getvalue(), (reason, said.getvalue())
-    # Where none is left, whoever waits for scenes is told.
+    # Without any scene left, the waiting reader raises.
     shutil.rmtree(broken / "video3" / "depth")
     with contextlib.redirect_stderr(io.StringIO()):
         pool = Pool(Captures([("re10k", broken, None)], record(VIEWS, SIZE, SIZE), [6, 8], 1), 8, "cpu")

@@ -1,4 +1,4 @@
-"""A network whose colour branch grew says the same as before: only colours change, by the detail that they gain.
+"""A network with a grown color branch gives the same output but for the added color detail.
 
 python tests/train/growing.py WEIGHTS
 """

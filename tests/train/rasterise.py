@@ -1,4 +1,5 @@
-"""Blending against the golden pictures and gradients, and each implementation against the plain one.
+"""Blending against the golden pictures and gradients, and each implementation against the plain
+one.
 
 python tests/train/rasterise.py GOLDEN_FOLDER
 """
@@ -73,7 +74,7 @@ def main(folder):
         view = rasterise(gaussians, *cameras(golden, dtype), 1, blend)
         loss = (grads["w_rgb"] * view.rgb).sum() + (grads["v_depth"] * view.depth).sum()
         (loss + (grads["u_alpha"] * view.alpha).sum()).backward()
-        # Relative to the size of each kind of parameter's gradient.
+        # Relative to each parameter's gradient.
         for kind, found, exact in zip("means scales quats opacities sh".split(), *(
             x.split((3, 3, 4, 1, 12), -1) for x in (gaussians.grad[0], truth))):  # fmt: skip
             expect(f"gradient {name} {kind}", worst(found, exact) / exact.square().mean().sqrt().item(), limit)

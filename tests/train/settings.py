@@ -1,4 +1,5 @@
-"""What the settings of tools/train promise: initialisations, learned queries, rates, a backbone to start from, LPIPS.
+"""Settings of tools/train: initialization, learned queries, rates, a pretrained backbone,
+LPIPS.
 
 python tests/train/settings.py GOLDEN_FOLDER
 """
@@ -38,7 +39,7 @@ def small(per_token=4, queries=0):
 
 
 def scenes(cells, count=2, views=4, side=42):
-    """A batch of random scenes: two context views, one target."""
+    """Returns a batch of random scenes: two context views, one target."""
     rows = {
         "intrinsics": torch.tensor([40.0, 40.0, side / 2, side / 2]).expand(count, views, 4),
         "poses": torch.eye(4)[:3].repeat(count, views, 1, 1),
@@ -85,7 +86,7 @@ def each_number_of_gaussians_has_its_cells():
         gaussians, tokens = model(data.images)
         given = torch.ones(2) > 0
         _, parts = losses.total(gaussians, tokens, None, given, data, POCKET["losses"])
-        # What a token starts with are the colours of its cells.
+        # Tokens start with the colors of their cells.
         assert parts["color"] < 0.02 if 14 % cells[0] == 0 and 14 % cells[1] == 0 else parts["color"] < 0.2, (cells, parts)
         assert gaussians.shape[1] == 2 * 9 * per_token and all(part.isfinite() for part in parts.values())
 
@@ -155,7 +156,8 @@ def lpips_is_the_authors():
     if not home.is_file():
         print(f"{home}: not there (tools/lpips.py fetches it): LPIPS was not compared")
         return
-    # In f32 rounding decides among the equal features of black pixels, and so which of them a pooling lets the gradient to.
+    # In f32, rounding picks the maximum among equal features of black pixels, and so the gradient's
+    # path.
     distance = losses.Lpips(home).double()
     for i in range(3):
         a, b = (golden[f"{i}/{name}"].double()[None] for name in "ab")

@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
-# A short training on a CPU: the loss falls, and the engine reconstructs a scene with the weights; another of photos in the layouts of
-# RealEstate10K and DL3DV from a backbone under the names of Depth Anything 3's releases, which the engine opens, too.
+# Trains briefly on a CPU and checks that the loss falls and the engine reconstructs with the
+# weights. Trains again on photos in the layouts of RealEstate10K and DL3DV from a backbone with the
+# names of Depth Anything 3's releases, which the engine opens, too.
 # usage: PYTHON=VENV/bin/python tests/train/smoke.sh target/release/zipsplat
 set -euo pipefail
 root=$(cd "$(dirname "${BASH_SOURCE[0]}")/../.." && pwd)
@@ -22,7 +23,7 @@ END
 
 "$python" "$root/tests/train/growing.py" "$out/model.safetensors"
 
-# With more Gaussians a token and wider colours, untrained, it shows nearly the same.
+# Untrained, more Gaussians per token and wider colors change little.
 "$python" "$root/tools/train/train.py" --config "$root/tools/train/pocket.json" --out "$out/finer" --minutes 0.05 \
     --resume "$out/model.safetensors" --zipsplat "$zipsplat" --set pool_gb=0.03 --set batch_views=12 --set reuse=1000 \
     --set muon=false --set size=56 --set learning_rate=0

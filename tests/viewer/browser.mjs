@@ -1,4 +1,4 @@
-// A headless browser with WebGL2 on the CPU, the command, and pictures of both.
+// Headless browser with software WebGL2, and pictures of the page and the command.
 
 import { execFileSync, spawn } from "node:child_process";
 import { mkdirSync, mkdtempSync, readFileSync, writeFileSync } from "node:fs";
@@ -13,7 +13,7 @@ export const at = name => join(folder, name);
 export const zipsplat = (...args) => execFileSync(process.env.ZIPSPLAT, [...args], { cwd: folder, encoding: "utf8", stdio: ["ignore", "pipe", "pipe"] });
 export const sleep = ms => new Promise(resolve => setTimeout(resolve, ms));
 
-// Starts a command that serves until it is stopped; gives the address that it prints.
+// Starts a serving command and returns the address it prints.
 const servers = new Set();
 export async function serve(...args) {
     const child = spawn(process.env.ZIPSPLAT, args, { cwd: folder, stdio: ["ignore", "pipe", "inherit"] });
@@ -25,14 +25,14 @@ export async function serve(...args) {
 }
 
 let browser;
-// Ends the browser, and the servers that a test that failed has left.
+// Ends the browser and any servers that failed tests left running.
 export const close = () => {
     servers.forEach(child => child.kill("SIGKILL"));
     return browser?.close();
 };
 
 export class Tab {
-    // Opens a page and notes what it complains of and asks for.
+    // Opens a page; records its errors and requests.
     static async open(url, viewport = { width: 320, height: 240 }) {
         browser ??= await puppeteer.launch({
             executablePath: process.env.CHROME, protocolTimeout: 600_000,
@@ -48,7 +48,7 @@ export class Tab {
         return tab;
     }
 
-    // Moves a slider, or chooses of a list.
+    // Sets a slider or a list.
     async slide(id, value) {
         await this.page.$eval(`#${id}`, (element, value) => {
             element.value = value;
@@ -56,13 +56,12 @@ export class Tab {
         }, String(value));
     }
 
-    // Waits until something holds in the page.
     until(holds, timeout = 300_000) { return this.page.waitForFunction(holds, { timeout }); }
 
     run(code, ...args) { return this.page.evaluate(code, ...args); }
     close() { return this.page.close(); }
 
-    // Waits until the scene on show is drawn in order.
+    // Waits until the displayed scene is sorted and drawn.
     async settled() {
         await this.page.waitForFunction(() => {
             const { scene, waiting } = globalThis.zipsplat ?? {};
@@ -70,13 +69,13 @@ export class Tab {
         }, { timeout: 300_000 });
     }
 
-    // The words on the page once there is a failure.
+    // Returns the page's error message.
     async failure() {
         await this.page.waitForSelector("#message.failed:not([hidden])", { timeout: 120_000 });
         return this.page.$eval("#message", element => element.textContent);
     }
 
-    // The scene's picture as it is drawn in full.
+    // Returns the scene's picture at full detail.
     async picture() {
         await this.settled();
         const url = await this.run(() => {
@@ -87,7 +86,7 @@ export class Tab {
         return PNG.sync.read(Buffer.from(url.split(",")[1], "base64"));
     }
 
-    // What `zipsplat render` draws of a file from the page's camera, by way of a camera_path.json that the page makes.
+    // Runs `zipsplat render` from the page's camera, through its camera_path.json.
     async rendered(file, ...options) {
         const path = await this.run(() => (zipsplat.path.keys = [], zipsplat.path.keep(), zipsplat.path.file()));
         writeFileSync(at("camera_path.json"), JSON.stringify(path));
@@ -112,7 +111,7 @@ export class Tab {
     }
 }
 
-// A page in one file, once its scene is there.
+// Opens a single-file page and waits for its scene.
 export async function opened(name, viewport) {
     const tab = await Tab.open(pathToFileURL(at(name)).href, viewport);
     await tab.settled();
@@ -126,13 +125,13 @@ export function psnr(a, b) {
     return 10 * Math.log10(255 ** 2 * count / Math.max(sum, 1e-9));
 }
 
-// How far the pixels of a picture spread.
+// Returns the spread of a picture's pixels.
 export function spread({ data }) {
     const values = [...data].filter((_, i) => i % 4 === 1), mean = values.reduce((a, b) => a + b) / values.length;
     return Math.sqrt(values.reduce((sum, value) => sum + (value - mean) ** 2, 0) / values.length);
 }
 
-// A PLY of random Gaussians ahead of the origin with spherical harmonics of degree 3, the same each time.
+// Returns a PLY of random Gaussians of degree 3 ahead of the origin, the same on every call.
 export function randomPly(count, scales = [-7, -1.5], opacities = [-3, 5]) {
     let state = 1;
     const random = (least, most) => {

@@ -4,7 +4,7 @@ import { after, before, test } from "node:test";
 import { pathToFileURL } from "node:url";
 import { Tab, at, close, folder, opened, psnr, randomPly, serve, sleep, spread, zipsplat } from "./browser.mjs";
 
-const AGREES = 56; // dB between the page's picture and that of `render`: roundings, and no more
+const AGREES = 56; // dB against `render`: rounding only
 const COUNT = 3000;
 
 before(() => {

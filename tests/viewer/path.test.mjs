@@ -13,7 +13,7 @@ after(async () => {
     rmSync(folder, { recursive: true });
 });
 
-// Two key cameras, and what the page draws of the first.
+// Keeps two key cameras and returns the page's picture of the first.
 async function kept(tab) {
     await tab.settled();
     const picture = await tab.picture();
@@ -73,7 +73,7 @@ test("the server records what the page plays", async () => {
     await tab.run(() => document.getElementById("record").click());
     const [name, bytes] = await saved(tab);
     assert.equal(name, "splats.png");
-    // The first picture of an animated PNG is that of a plain one; acTL says how many there are.
+    // The first frame of an animated PNG equals the plain picture; acTL has the number of frames.
     assert.equal(bytes.readUInt32BE(bytes.indexOf("acTL") + 4), 15);
     const alike = psnr(picture, PNG.sync.read(bytes));
     console.log(`first recorded picture: ${alike.toFixed(1)} dB`);
@@ -104,7 +104,6 @@ test("a written page says the command that records", async () => {
     const words = await tab.page.$eval("#recorded", element => element.textContent);
     const command = /zipsplat (render splats.spz .*)$/.exec(words);
     assert.ok(command, words);
-    // The scene as Settings save it.
     const scene = await tab.run(() => base64(zipsplat.scene.blob));
     writeFileSync(at("splats.spz"), Buffer.from(scene, "base64"));
     zipsplat(...command[1].split(" "));

@@ -1,4 +1,4 @@
-// Scenes that are made of photos while the page looks: the slider of ratios, tokens, a refinement.
+// Live reconstruction in the page: ratio slider, tokens, refinement.
 
 import assert from "node:assert/strict";
 import { readFileSync, rmSync } from "node:fs";
@@ -16,7 +16,7 @@ after(async () => {
 
 const label = tab => tab.page.$eval("#ratio-label", element => element.textContent);
 const made = (tab, ratio) => tab.page.waitForFunction(ratio => zipsplat.scene.source?.startsWith(`made/${ratio}/`) && zipsplat.live.took, { timeout: 300_000 }, ratio);
-// Where the slider stands for a ratio.
+// Slider position of a ratio.
 const place = ratio => 100 * (1 - Math.log(ratio) / Math.log(0.01));
 
 test("the slider makes scenes of other ratios, and drops what is overtaken", async () => {
@@ -25,7 +25,7 @@ test("the slider makes scenes of other ratios, and drops what is overtaken", asy
     await tab.settled();
     const [all, group] = await tab.run(() => [zipsplat.scene.count, zipsplat.scene.group]), whole = await tab.picture();
     assert.ok(spread(whole) > 5);
-    // With all tokens kept they are the patches in their order: 9 by 9 of each photo.
+    // At ratio 1, tokens are the patches in order: 9 by 9 per photo.
     const patches = await tab.run(() => [0, 80, 81, 92].map(token => Object.values(zipsplat.tokens.patch(token))));
     assert.deepEqual(patches, [[0, 0, 0], [0, 8, 8], [1, 0, 0], [1, 1, 2]]);
     assert.match(await label(tab), /Ratio 1: ([\d,]+) of \1 tokens.*backbone|fuse/);
@@ -39,11 +39,10 @@ test("the slider makes scenes of other ratios, and drops what is overtaken", asy
     assert.ok(alike < 40, `the picture changes: ${alike} dB`);
     for (const word of ["cluster", "fuse", "gaussians", "send", "load"]) assert.ok((await label(tab)).includes(word), word);
     await tab.screenshot("ratio-0.1");
-    // Back again: the same bits.
     await tab.slide("ratio", 100);
     await made(tab, 1);
     assert.equal(psnr(whole, await tab.picture()) > 90, true);
-    // A hand that does not rest: only the last one is shown.
+    // While the slider moves, only the last ratio is shown.
     const swaps = tab.run(() => {
         globalThis.swapped = [];
         const { swap } = zipsplat;
@@ -81,7 +80,7 @@ test("a token under the mouse shows its patch of the photo", async () => {
     });
     assert.match(words, new RegExp(`Token ${token + 1} of .*: 00\\d\\.png, patch ${patch.column + 1} across, ${patch.row + 1} down`));
     assert.ok(psnr(plain, await tab.picture()) < 60, "the token stands out");
-    // The patch that is shown is the photo's there: it is drawn over one that is darker.
+    // The highlighted patch of the photo is drawn over a darkened copy.
     const light = await tab.run(({ row, column }) => {
         const canvas = document.getElementById("source-photo"), side = canvas.width / config.grid[1], context = canvas.getContext("2d");
         const mean = (x, y) => context.getImageData(x, y, side - 2, side - 2).data.reduce((sum, value) => sum + value, 0);
@@ -131,7 +130,7 @@ test("a photo over the picture says how like it the picture is", async () => {
         assert.ok(alike > 5 && Math.abs(said.at(-1) - alike) < 0.02, `${said.at(-1)} dB beside ${alike}`);
     }
     assert.notEqual(said[0], said[1]);
-    // Another scene, another figure.
+    // Another scene changes the figure.
     await tab.slide("ratio", place(0.05));
     await made(tab, 0.05);
     await tab.page.waitForFunction(before => document.getElementById("photo-label").textContent !== before, {}, `${said[1].toFixed(2)} dB, 140 x 140`);

@@ -1,11 +1,11 @@
 #!/usr/bin/env bash
-# Tests the viewer's page in a real browser, headless, against pictures of `zipsplat render`. Needs Node 20 and Chromium: on Debian,
-# which CI may run, `apt-get install --no-install-recommends chromium nodejs npm`; without a browser, npm or what npm fetches it says so
-# and tests nothing.
+# Tests the viewer in a headless browser against `zipsplat render`. Needs Node 20 and Chromium
+# (Debian: `apt-get install --no-install-recommends chromium nodejs npm`). Without them, or without
+# npm's packages, says so and tests nothing.
 # usage: tests/viewer/run.sh [--test-name-pattern=WORDS] [page.test.mjs]
-#   CHROME    the browser; default chromium, google-chrome or chrome of the PATH
-#   ZIPSPLAT  the command; default the checkout's, which is built
-#   PICTURES  folder for screenshots; default none are kept
+#   CHROME    browser; default chromium, google-chrome or chrome of the PATH
+#   ZIPSPLAT  command; default the checkout's, which is built
+#   PICTURES  folder for screenshots; default none
 set -euo pipefail
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
 skip() { echo "skipped: the viewer's tests $1" >&2; exit 0; }

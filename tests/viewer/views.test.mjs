@@ -1,4 +1,4 @@
-// Depth, normals and tokens of the page beside those of `zipsplat render`.
+// Depth, normals and tokens of the page against `zipsplat render`.
 
 import assert from "node:assert/strict";
 import { rmSync, writeFileSync } from "node:fs";
@@ -14,7 +14,7 @@ after(async () => {
     rmSync(folder, { recursive: true });
 });
 
-// Depths of the page's last picture where it covers more than half, with where they are.
+// Depths and positions where the page's last picture covers more than half.
 const depths = tab => tab.run(() => {
     const { width, height } = zipsplat.renderer.frame, values = zipsplat.renderer.values(0, 0, width, height);
     return Array.from({ length: width * height }, (_, i) => values[4 * i + 3] > 0.5 ? values[4 * i] / values[4 * i + 3] : 0);
@@ -47,7 +47,7 @@ test("depth, normals and tokens are those of render", async () => {
 
 test("what was left out is counted", async () => {
     const ply = randomPly(3000, [-7, -1.5], [-9, 5]), values = new Float32Array(ply.buffer.slice(ply.byteOffset + ply.length - 4 * 59 * 3000, ply.byteOffset + ply.length));
-    // Logarithms of odds, the 52nd of 59 numbers: 1/255 is -ln 254.
+    // Opacity logit, the 52nd of 59 numbers: 1/255 is -ln 254.
     const faint = Array.from({ length: 3000 }, (_, i) => values[59 * i + 51]).filter(odds => odds < -Math.log(254)).length;
     writeFileSync(at("faint.ply"), ply);
     zipsplat("view", "faint.ply", "-o", "page.html", "--exact");

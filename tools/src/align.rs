@@ -53,7 +53,16 @@ pub enum Method {
 }
 
 impl Method {
-    /// Aligns a camera in this way; only Adam uses LPIPS.
+    /// The finished fraction of an alignment at a step, if it takes as many as it may.
+    pub fn fraction(self, step: usize) -> f64 {
+        match self {
+            // How many pictures it draws depends on what they show.
+            Self::LevenbergMarquardt => 0.0,
+            Self::Adam => (step as f64 / adam::STEPS as f64).min(1.0),
+        }
+    }
+
+    /// Aligns a camera in this way; only Adam uses LPIPS. Before each step `check` is asked.
     ///
     /// # Errors
     /// As [`align`].

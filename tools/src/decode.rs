@@ -4,7 +4,6 @@ use crate::{
     process::{POLL, Running, failure, listen},
     session::Stage,
 };
-use image::{ExtendedColorType, ImageEncoder, codecs::jpeg::JpegEncoder};
 use std::{
     ffi::OsString,
     io::{self, BufRead, BufReader, Read},
@@ -19,6 +18,8 @@ use zipsplat::{
 
 /// Options for pictures that [`read_ppm`] reads.
 pub const AS_PPM: [&str; 6] = ["-f", "image2pipe", "-c:v", "ppm", "-pix_fmt", "rgb24"];
+/// Containers of videos and of HEIC. Playlists, such as ffconcat, name other files and addresses.
+const CONTAINERS: &str = "mov,matroska,avi,mpegts";
 /// Quality of the photos, of 100.
 const QUALITY: u8 = 95;
 /// Lines of ffmpeg's that a message has room for.
@@ -39,7 +40,7 @@ pub fn decode<T: Send + 'static>(
 ) -> Result<String> {
     let failed = |source| Error::io(ffmpeg, source);
     let mut command = Command::new(ffmpeg);
-    command.args(["-nostdin", "-loglevel", "error", "-i"]).arg(named(file)).args(options).arg("-");
+    command.args(["-nostdin", "-loglevel", "error"]).args(input(file)).args(options).arg("-");
     command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
     let mut running = Running::start(&mut command).map_err(failed)?;
     let said = running.0.stderr.take().map(listen);
@@ -75,11 +76,13 @@ pub fn decode<T: Send + 'static>(
     }
 }
 
-/// The name of a file for ffmpeg: a path may look like an option or a protocol.
-pub fn named(file: &Path) -> OsString {
+/// Options of ffmpeg that read this file and nothing that it names.
+pub fn input(file: &Path) -> impl Iterator<Item = OsString> {
+    // A path may look like an option or a protocol.
     let mut name = OsString::from("file:");
     name.push(file);
-    name
+    let limits = ["-protocol_whitelist", "file,pipe", "-format_whitelist", CONTAINERS, "-i"];
+    limits.map(OsString::from).into_iter().chain([name])
 }
 
 /// The first of ffmpeg's words about a file, each once, without where in its memory who says so.
@@ -146,13 +149,10 @@ pub fn read_ppm(from: &mut BufReader<ChildStdout>) -> io::Result<Option<Image>> 
 /// Writes a photo.
 ///
 /// # Errors
-/// [`Error::Io`].
+/// Those of [`Image::jpeg`], [`Error::Io`].
 pub fn save_jpeg(image: &Image, path: &Path) -> Result<()> {
-    write_atomic(path, |out| {
-        let encoder = JpegEncoder::new_with_quality(out, QUALITY);
-        let written = encoder.write_image(&image.rgb, image.width, image.height, ExtendedColorType::Rgb8);
-        written.map_err(io::Error::other)
-    })
+    let bytes = image.jpeg(QUALITY)?;
+    write_atomic(path, |out| out.write_all(&bytes))
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! Photos as phones keep them, HEIC, by an installed ffmpeg that reads them.
 
 use crate::{
-    decode::{AS_PPM, decode, named, read_ppm, save_jpeg},
+    decode::{AS_PPM, decode, input, read_ppm, save_jpeg},
     process,
     session::{Session, Stage},
 };
@@ -44,7 +44,7 @@ pub fn to_jpeg(session: &Session<'_>, ffmpeg: &Path, pictures: &[&PathBuf], fold
 fn read(ffmpeg: &Path, picture: &Path, stage: &Stage<'_>) -> Result<Image> {
     let (mut pictures, mut joined) = (0, false);
     // Without an output it says what it finds, and ends with an error.
-    process::run(Command::new(ffmpeg).args(["-nostdin", "-hide_banner", "-i"]).arg(named(picture)), stage, |line| {
+    process::run(Command::new(ffmpeg).args(["-nostdin", "-hide_banner"]).args(input(picture)), stage, |line| {
         pictures += usize::from(line.contains("Stream #") && line.contains("Video:"));
         joined |= line.contains("Tile Grid");
         Ok(())

@@ -29,6 +29,7 @@ mod process;
 pub mod protocol;
 mod refinement;
 mod released;
+mod scratch;
 mod session;
 mod signals;
 mod stamp;

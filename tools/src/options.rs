@@ -157,9 +157,9 @@ pub struct Quality {
     /// With many photos: attention across photos sees the mean of SxS patches, S from 1 to 4, in place of each: faster, less exact
     #[arg(long, value_name = "S", default_value = "1")]
     pub pool: usize,
-    /// Keep of every token only the N Gaussians that show most [default: all]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
-    keep: Option<u32>,
+    /// Keep of every token only the N Gaussians that show most
+    #[arg(long, value_name = "N|all", default_value = "all")]
+    keep: Keep,
     /// Pixels of a picture as the network sees it: multiples of the patch (14). Weights are best with the size that they were
     /// trained with; a larger one shows more detail to a network that cannot use it [default: the trained size]
     #[arg(long, value_name = "WxH")]
@@ -222,17 +222,12 @@ impl Quality {
     pub fn check(&self, architecture: &Architecture) -> Result<()> {
         Pool::check(self.pool)?;
         let all = architecture.gaussians_per_token;
-        match self.keep {
-            Some(keep) if keep as usize > all => {
-                Err(Error::argument("--keep", keep, format!("1 to {all}, the Gaussians of a token")))
-            }
-            _ => Ok(()),
-        }
+        self.keep.of(all).map(drop)
     }
 
     /// Gaussians that are kept of every token, where not all are.
     pub fn kept(&self) -> Option<u32> {
-        self.keep
+        self.keep.0
     }
 
     /// The ratio of so many views as a number.
@@ -255,12 +250,12 @@ impl Quality {
 
     /// Gaussians of a token that are kept.
     pub fn group(&self, architecture: &Architecture) -> usize {
-        self.keep.map_or(architecture.gaussians_per_token, |keep| keep as usize)
+        self.keep.0.map_or(architecture.gaussians_per_token, |keep| keep as usize)
     }
 
     /// Leaves out the Gaussians that were not asked for.
     pub fn prune(&self, scene: &mut Scene, architecture: &Architecture) {
-        if let Some(keep) = self.keep {
+        if let Some(keep) = self.keep.0 {
             scene.keep_most_visible(architecture.gaussians_per_token, keep as usize);
         }
     }
@@ -322,6 +317,37 @@ impl ArithmeticOption {
 
     fn asked(&self) -> Option<Precision> {
         self.precision.map(PrecisionName::precision)
+    }
+}
+
+/// Number of Gaussians of a token that are kept; none keeps all.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Keep(Option<u32>);
+
+impl Keep {
+    /// The number, of `all` Gaussians of a token.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] where a token has fewer.
+    pub fn of(self, all: usize) -> Result<usize> {
+        match self.0 {
+            Some(keep) if keep as usize > all => {
+                Err(Error::argument("--keep", keep, format!("1 to {all}, the Gaussians of a token")))
+            }
+            keep => Ok(keep.map_or(all, |keep| keep as usize)),
+        }
+    }
+}
+
+impl FromStr for Keep {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.parse() {
+            _ if text == "all" => Ok(Self(None)),
+            Ok(keep) if keep > 0 => Ok(Self(Some(keep))),
+            _ => Err("expected a number above 0, or all".into()),
+        }
     }
 }
 

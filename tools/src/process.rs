@@ -22,8 +22,12 @@ const LAST_WORDS: Duration = Duration::from_secs(2);
 /// The processes that this command runs, for [`end_all`].
 static STARTED: Mutex<Vec<u32>> = Mutex::new(Vec::new());
 
-/// A process in a group of its own, ended with all of the group when this is dropped.
-pub struct Running(pub Child);
+/// A process in a group of its own, ended with all of the group when this is dropped, or when this command is killed.
+pub struct Running(pub Child, Option<Child>);
+
+/// Ends a group when standard input ends, as it does with this command however that ends.
+#[cfg(unix)]
+const WATCH: &str = "read -r _; kill -s KILL -- \"-$0\"";
 
 impl Running {
     /// Starts a program. Ctrl-C in a terminal goes to a whole group: what is started here is ended by this command alone.
@@ -31,13 +35,13 @@ impl Running {
     /// # Errors
     /// The errors of the system.
     pub fn start(command: &mut Command) -> io::Result<Self> {
-        #[cfg(unix)]
-        std::os::unix::process::CommandExt::process_group(command, 0);
+        set_group(command);
         // Locked while it starts: whoever ends all finds it in the list.
         let mut started = lock(&STARTED);
         let child = command.spawn()?;
         started.push(child.id());
-        Ok(Self(child))
+        let watch = watch(&child);
+        Ok(Self(child, watch))
     }
 
     /// Waits for its end, and looks whether this command should stop.
@@ -72,9 +76,34 @@ impl Running {
     }
 }
 
+fn set_group(command: &mut Command) {
+    #[cfg(unix)]
+    std::os::unix::process::CommandExt::process_group(command, 0);
+}
+
+/// Starts a shell that ends the group of `child` if this command is killed; none on systems without one.
+#[cfg(unix)]
+fn watch(child: &Child) -> Option<Child> {
+    let mut command = Command::new("/bin/sh");
+    command.args(["-c", WATCH, &child.id().to_string()]);
+    command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null());
+    set_group(&mut command);
+    command.spawn().ok()
+}
+
+#[cfg(not(unix))]
+fn watch(_: &Child) -> Option<Child> {
+    None
+}
+
 impl Drop for Running {
     fn drop(&mut self) {
         self.end();
+        // First: the number of a child that was waited for may be another's.
+        if let Some(watch) = &mut self.1 {
+            let _ = watch.kill();
+            let _ = watch.wait();
+        }
         lock(&STARTED).retain(|id| *id != self.0.id());
         // A child that is not waited for stays in the system's table.
         let _ = self.0.wait();
@@ -160,13 +189,15 @@ pub fn check(program: &Path, name: &str, expected: &str) -> Result<()> {
 /// The words that a program prints, output and errors together, where it runs; its exit code is not asked.
 ///
 /// # Errors
-/// The errors of the system.
-pub fn printed(command: &mut Command) -> io::Result<String> {
-    let mut running = Running::start(command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()))?;
-    let errors = running.0.stderr.take().map(listen);
-    let mut text = running.0.stdout.take().map(said).unwrap_or_default();
-    text += &errors.and_then(|errors| errors.join().ok()).unwrap_or_default();
-    running.0.wait().map(|_| text)
+/// As [`run`].
+pub fn printed(command: &mut Command, stage: &Stage<'_>) -> Result<String> {
+    let mut text = String::new();
+    run(command, stage, |line| {
+        text += line;
+        text.push('\n');
+        Ok(())
+    })?;
+    Ok(text)
 }
 
 /// The words of a stream to its end, read on the side: a full pipe would stop who writes to it.

@@ -293,7 +293,7 @@ pub fn refine(
 fn told(at: &Refining<'_>) -> String {
     let loss = at.loss.map(|loss| format!(", loss {loss:.4}")).unwrap_or_default();
     let psnr = at.psnr.map(|psnr| format!(", {psnr:.2} dB")).unwrap_or_default();
-    format!("refine{loss}{psnr}, {:.0} s left", at.left.as_secs_f64())
+    format!("refine{loss}{psnr}")
 }
 
 /// The outcome of a refinement of photos with these cameras, in words.

@@ -1,15 +1,18 @@
 //! One run of a command: its device, its output, its stages with their progress, and cancelling.
 
+mod progress;
+
+pub use progress::Stage;
+
 use clap::Args;
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde::Serialize;
 use std::{
     fmt::Display,
     io::Write,
-    ops::ControlFlow,
     sync::{
+        Mutex,
         atomic::{AtomicBool, Ordering},
-        mpsc::{RecvTimeoutError, channel},
+        mpsc::channel,
     },
     time::{Duration, Instant},
 };
@@ -23,14 +26,10 @@ use zipsplat::{
     weights::Checkpoint,
 };
 
-/// Work that takes no longer than this shows no progress.
-const PATIENCE: Duration = Duration::from_secs(1);
 /// The time after which a wait for an answer looks for Ctrl-C.
 const POLL: Duration = Duration::from_millis(50);
 /// The name of no device for `--device`.
 const NO_DEVICE: &str = "none";
-/// Steps of a progress bar.
-const STEPS: u64 = 1000;
 
 /// The streams of a command, and the flag that stops it.
 pub struct Terminal<'a> {
@@ -38,7 +37,7 @@ pub struct Terminal<'a> {
     pub out: &'a mut dyn Write,
     /// Errors and notes.
     pub err: &'a mut dyn Write,
-    /// Progress bars may be drawn on the process' standard error, where that is a terminal.
+    /// Whether progress is shown on the process' standard error: as a bar on a terminal, else as a line now and then.
     pub progress: bool,
     /// Set from outside to stop: the command then ends with exit code 130 and leaves no partial file.
     pub cancelled: &'a AtomicBool,
@@ -47,7 +46,7 @@ pub struct Terminal<'a> {
 /// Options of every command.
 #[derive(Args)]
 pub struct Global {
-    /// Vulkan device: its number in `zipsplat info` or a part of its name; with `info --plan` also none, for an ordinary one
+    /// Vulkan device: its number in `zipsplat info`, its UUID, or a part of its name that is not all digits; with `info --plan` also none, for an ordinary one
     /// [default: the best]
     #[arg(long, global = true, value_name = "NAME|INDEX", help_heading = "Options of every command")]
     pub device: Option<String>,
@@ -72,17 +71,21 @@ pub struct Session<'a> {
     piped: bool,
     /// Exit code of a command that did what it should.
     code: u8,
-}
-
-/// A part of a command that may take long.
-pub struct Stage<'a> {
-    bar: ProgressBar,
-    cancelled: &'a AtomicBool,
+    /// Part of the command that the stages belong to, such as one of many scenes.
+    task: String,
+    /// Earliest time of the next line of progress, for all stages.
+    next_line: Mutex<Instant>,
 }
 
 impl<'a> Session<'a> {
     pub fn new(global: Global, terminal: Terminal<'a>) -> Self {
-        Self { global, terminal, piped: false, code: 0 }
+        let next_line = Mutex::new(Instant::now() + progress::FIRST_LINE);
+        Self { global, terminal, piped: false, code: 0, task: String::new(), next_line }
+    }
+
+    /// Shows the progress of the following stages as parts of this task.
+    pub fn begin_task(&mut self, task: &str) {
+        self.task = format!("{task}: ");
     }
 
     /// Opens the device that `--device` names, or the best one; GPUs that were passed over are noted.
@@ -113,29 +116,13 @@ impl<'a> Session<'a> {
     /// # Errors
     /// The body's, and [`Error::Cancelled`].
     pub fn stage<T>(&self, name: &str, body: impl FnOnce(&Stage<'_>) -> Result<T>) -> Result<(T, Duration)> {
-        let bar =
-            ProgressBar::with_draw_target(Some(STEPS), ProgressDrawTarget::hidden()).with_message(name.to_owned());
-        let style = ProgressStyle::with_template("{spinner} {msg:16} [{bar:32}] {percent:>3} % {elapsed}");
-        bar.set_style(style.expect("the template is valid"));
-        let stage = Stage { bar, cancelled: self.terminal.cancelled };
+        let stage = Stage::new(name, &self.task, self.terminal.cancelled);
         stage.check()?;
         let start = Instant::now();
-        let visible = self.terminal.progress && !self.global.quiet;
-        let result = std::thread::scope(|scope| {
-            // Dropped when the body is done, also by a panic: that ends the wait.
-            let (_done, done) = channel::<()>();
-            let bar = &stage.bar;
-            if visible {
-                scope.spawn(move || {
-                    if done.recv_timeout(PATIENCE) == Err(RecvTimeoutError::Timeout) {
-                        bar.set_draw_target(ProgressDrawTarget::stderr());
-                        bar.enable_steady_tick(Duration::from_millis(100));
-                    }
-                });
-            }
-            body(&stage)
-        });
-        stage.bar.finish_and_clear();
+        let result = match self.terminal.progress && !self.global.quiet {
+            true => stage.shown(&self.next_line, body),
+            false => body(&stage),
+        };
         let value = result?;
         stage.check()?;
         Ok((value, start.elapsed()))
@@ -316,53 +303,6 @@ fn kind(error: &Error) -> &'static str {
         Error::DeviceLost => "device_lost",
         Error::Driver { .. } => "driver",
         Error::Cancelled => "cancelled",
-    }
-}
-
-impl<'a> Stage<'a> {
-    /// A stage that shows its progress nowhere but in `bar`.
-    pub fn told_to(bar: &ProgressBar, cancelled: &'a AtomicBool) -> Self {
-        bar.set_length(STEPS);
-        bar.set_position(0);
-        Self { bar: bar.clone(), cancelled }
-    }
-
-    /// Moves the progress to `fraction` of all; `Break` where the command should stop.
-    pub fn at(&self, fraction: f64) -> ControlFlow<()> {
-        self.bar.set_position((fraction * STEPS as f64) as u64);
-        if self.cancelled.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
-    }
-
-    /// The same work without a progress that is shown, for one of several steps at once; it stops as this does.
-    pub fn silent(&self) -> Stage<'_> {
-        Stage { bar: ProgressBar::hidden(), cancelled: self.cancelled }
-    }
-
-    /// Changes the name that is shown.
-    pub fn name(&self, name: &str) {
-        self.bar.set_message(name.to_owned());
-    }
-
-    /// As [`Stage::at`], with stopping as an error.
-    ///
-    /// # Errors
-    /// [`Error::Cancelled`].
-    pub fn reach(&self, fraction: f64) -> Result<()> {
-        if self.at(fraction).is_break() { Err(Error::Cancelled) } else { Ok(()) }
-    }
-
-    /// The results of `body` for each item; the progress is that of their count.
-    ///
-    /// # Errors
-    /// The body's, and [`Error::Cancelled`].
-    pub fn each<T, U>(&self, items: &[T], mut body: impl FnMut(&T) -> Result<U>) -> Result<Vec<U>> {
-        let step = |(i, item)| self.reach(i as f64 / items.len() as f64).and_then(|()| body(item));
-        items.iter().enumerate().map(step).collect()
-    }
-
-    /// [`Error::Cancelled`] where the command should stop.
-    pub fn check(&self) -> Result<()> {
-        if self.cancelled.load(Ordering::Relaxed) { Err(Error::Cancelled) } else { Ok(()) }
     }
 }
 

@@ -3,6 +3,7 @@
 use crate::{
     decode::{AS_PPM, decode, read_ppm, read_whole, save_jpeg},
     process::check,
+    scratch::Scratch,
     session::{Session, Stage},
 };
 use std::{
@@ -26,6 +27,7 @@ const PICTURES: [&str; 2] = ["-map", "0:v:0"];
 pub struct FrameFolder {
     path: PathBuf,
     kept: bool,
+    _scratch: Option<Scratch>,
 }
 
 impl FrameFolder {
@@ -34,9 +36,9 @@ impl FrameFolder {
     /// # Errors
     /// [`Error::Io`] where none can be made.
     pub fn temporary() -> Result<Self> {
-        let made = tempfile::Builder::new().prefix("zipsplat-").tempdir();
-        let path = made.map_err(|source| Error::io(std::env::temp_dir(), source))?.keep();
-        Ok(Self { path, kept: false })
+        let scratch = Scratch::new()?;
+        // It removes itself.
+        Ok(Self { path: scratch.path().to_owned(), kept: true, _scratch: Some(scratch) })
     }
 
     /// `frames` beside a file that will name them. One that exists is taken where `overwrite`, and stays.
@@ -46,8 +48,10 @@ impl FrameFolder {
     pub fn beside(file: &Path, overwrite: bool) -> Result<Self> {
         let path = file.with_file_name("frames");
         match std::fs::create_dir(&path) {
-            Ok(()) => Ok(Self { path, kept: false }),
-            Err(error) if error.kind() == io::ErrorKind::AlreadyExists && overwrite => Ok(Self { path, kept: true }),
+            Ok(()) => Ok(Self { path, kept: false, _scratch: None }),
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists && overwrite => {
+                Ok(Self { path, kept: true, _scratch: None })
+            }
             Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {
                 let expected = "one that does not exist yet; or --overwrite";
                 Err(Error::argument("folder for frames of the video", path.display(), expected))

@@ -21,12 +21,12 @@ if [[ -z ${ZIPSPLAT_LIBRARY:-} ]]; then
       python -c 'import ziglang' 2> /dev/null && command -v cargo-zigbuild > /dev/null ||
         python -m pip install -q cargo-zigbuild ziglang
       target=$(uname -m)-unknown-linux-gnu
-      (cd "$root" && cargo zigbuild --profile dist -p zipsplat --lib --target "$target.2.28")
-      ZIPSPLAT_LIBRARY=${CARGO_TARGET_DIR:-$root/target}/$target/dist/libzipsplat.so
+      (cd "$root" && cargo zigbuild --profile dist -p zipsplat-c --target "$target.2.28")
+      ZIPSPLAT_LIBRARY=${CARGO_TARGET_DIR:-$root/target}/$target/dist/libzipsplat_c.so
       ;;
     *)
-      (cd "$root" && cargo build --profile dist -p zipsplat --lib)
-      ZIPSPLAT_LIBRARY=${CARGO_TARGET_DIR:-$root/target}/dist/libzipsplat.dylib
+      (cd "$root" && cargo build --profile dist -p zipsplat-c)
+      ZIPSPLAT_LIBRARY=${CARGO_TARGET_DIR:-$root/target}/dist/libzipsplat_c.dylib
       ;;
   esac
 fi

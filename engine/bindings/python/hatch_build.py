@@ -32,14 +32,14 @@ class Build(BuildHookInterface):  # type: ignore[type-arg]
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """One wheel for every Python of a platform: the library has a C ABI and none of CPython's."""
         name = LIBRARIES[sys.platform]
-        library = Path(os.environ.get("ZIPSPLAT_LIBRARY", ROOT / "target" / "release" / name))
+        library = Path(os.environ.get("ZIPSPLAT_LIBRARY", ROOT / "target" / "release" / name.replace("zipsplat", "zipsplat_c")))
         if not library.is_file():
             raise FileNotFoundError(
                 f"{library}: expected the shared library; build.sh makes it, or set ZIPSPLAT_LIBRARY"
             )
         generated = self.generated
         generated.parent.mkdir(parents=True, exist_ok=True)
-        generated.write_text(module((ROOT / "engine/include/zipsplat.h").read_text(encoding="utf-8")), encoding="utf-8")
+        generated.write_text(module((ROOT / "engine/bindings/c/include/zipsplat.h").read_text(encoding="utf-8")), encoding="utf-8")
         platform = os.environ.get("ZIPSPLAT_PLATFORM") or sysconfig.get_platform().replace("-", "_").replace(".", "_")
         build_data["tag"] = f"py3-none-{platform}"
         build_data["pure_python"] = False

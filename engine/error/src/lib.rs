@@ -1,100 +1,100 @@
-//! The one error type. A variant says what a caller can do about it; its fields say what was found where.
+//! The engine's error type. Variants say how a caller can react.
 
 use std::path::{Path, PathBuf};
 
-/// Shorthand for results of this crate.
+/// Result with this crate's error.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
-/// Everything that can go wrong, by what the caller can do about it.
+/// Engine errors, by the caller's possible reaction.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
-    /// A value the caller gave cannot be used: give another.
+    /// An invalid argument: pass another value.
     #[error("{what}: found {found}, expected {expected}")]
     Argument {
-        /// The name of the argument, option or field.
+        /// Name of the argument, option or field.
         what: String,
-        /// The value that was given.
+        /// Rejected value.
         found: String,
-        /// The values that would have been accepted.
+        /// Accepted values.
         expected: String,
     },
-    /// A file could not be opened, read or written: check the path, the permissions and the space left.
+    /// A failed file operation: check path, permissions and free space.
     #[error("{}: {source}", path.display())]
     Io {
-        /// The file or folder.
+        /// File or folder.
         path: PathBuf,
-        /// The operating system's reason.
+        /// Error of the operating system.
         source: std::io::Error,
     },
-    /// A file's bytes are not what its format allows: get the file again or from elsewhere.
+    /// A malformed file: get the file again or elsewhere.
     #[error("{}{}: {reason}", path.display(), offset.map(|o| format!(", byte {o}")).unwrap_or_default())]
     Format {
         /// The file.
         path: PathBuf,
-        /// Where in the file, when that is known.
+        /// Byte offset in the file, if known.
         offset: Option<u64>,
-        /// The reason: what was found and what was expected there.
+        /// Found and expected content.
         reason: String,
     },
-    /// A checkpoint's tensors are not those of its architecture: use the right checkpoint or variant.
+    /// A checkpoint that does not match its architecture: use the right checkpoint or variant.
     #[error("{}: tensors do not fit {architecture}{}{}{}", path.display(),
         list("missing", missing), list("unexpected", unexpected), list("misshapen", misshapen))]
     Weights {
         /// The checkpoint.
         path: PathBuf,
-        /// The architecture that was asked for or found.
+        /// Requested or detected architecture.
         architecture: String,
-        /// Names that the architecture needs and the file lacks.
+        /// Tensors missing from the file.
         missing: Vec<String>,
-        /// Names that the file has and the architecture does not know.
+        /// Tensors unknown to the architecture.
         unexpected: Vec<String>,
         /// `name: found [..], expected [..]`.
         misshapen: Vec<String>,
     },
-    /// No Vulkan device can run this: install a driver or choose another device.
+    /// No usable Vulkan device: install a driver or choose another device.
     #[error("no usable Vulkan device: {0}")]
     NoDevice(String),
-    /// The device or the host has too little memory; nothing was submitted.
+    /// Too little device or host memory; nothing was submitted.
     #[error("{what} needs {needed} bytes, {available} bytes are there")]
     Memory {
-        /// The thing that was to be allocated.
+        /// Name of the allocation.
         what: String,
-        /// Bytes it needs.
+        /// Required bytes.
         needed: u64,
-        /// Bytes that could be had.
+        /// Available bytes.
         available: u64,
     },
-    /// The driver refused a call that should have worked.
+    /// An unexpected driver failure.
     #[error("{call} failed: {result}")]
     Driver {
-        /// The Vulkan entry point or library call.
+        /// Vulkan function or library call.
         call: &'static str,
-        /// The driver's result code, by name.
+        /// Name of the driver's result code.
         result: String,
     },
-    /// The device was lost: what ran on it is gone, and it stays lost. Open it again and repeat.
+    /// Device loss, which is permanent and loses all work: reopen the device and repeat.
     #[error(
         "the Vulkan device was lost (reset by its driver, or removed), and what ran on it with it: open it again and \
          repeat; where it is lost again, update its driver or use another"
     )]
     DeviceLost,
-    /// The caller's progress callback asked to stop.
+    /// Cancellation by the caller's progress callback.
     #[error("cancelled")]
     Cancelled,
 }
 
 impl Error {
-    /// An unusable argument.
+    /// Creates [`Error::Argument`].
     pub fn argument(what: impl Into<String>, found: impl ToString, expected: impl Into<String>) -> Self {
         Self::Argument { what: what.into(), found: found.to_string(), expected: expected.into() }
     }
 
-    /// A file operation that failed.
+    /// Creates [`Error::Io`].
     pub fn io(path: impl AsRef<Path>, source: std::io::Error) -> Self {
         Self::Io { path: path.as_ref().to_path_buf(), source }
     }
 
-    /// A malformed file.
+    /// Creates [`Error::Format`].
     pub fn format(path: impl AsRef<Path>, offset: Option<u64>, reason: impl Into<String>) -> Self {
         Self::Format { path: path.as_ref().to_path_buf(), offset, reason: reason.into() }
     }

@@ -1,8 +1,9 @@
-//! Between the engine's axes (x right, y down, z forward) and those of formats with y up. Either way is half a turn, which
-//! is its own inverse: about x to x right, y up, z backward (SPZ, OpenGL); about z to x left, y up, z forward (glTF).
-//! Standard deviations stay as they are.
+//! Conversion between the engine's axes (x right, y down, z forward) and formats with y up.
+//!
+//! Both conversions are half turns and their own inverse. About x: x right, y up, z backward (SPZ,
+//! OpenGL). About z: x left, y up, z forward (glTF). Standard deviations do not change.
 
-/// Half a turn about an axis.
+/// Half turn about an axis.
 #[derive(Clone, Copy)]
 pub enum HalfTurn {
     AboutX,
@@ -10,7 +11,7 @@ pub enum HalfTurn {
 }
 
 impl HalfTurn {
-    /// A point or direction after the turn.
+    /// Turns a point or direction.
     pub fn point(self, [x, y, z]: [f32; 3]) -> [f32; 3] {
         match self {
             Self::AboutX => [x, -y, -z],
@@ -18,14 +19,14 @@ impl HalfTurn {
         }
     }
 
-    /// A rotation `wxyz` after both frames that it maps between have turned: its axis turns.
+    /// Turns a rotation's axis: the conjugate of `wxyz` by the half turn.
     pub fn quat(self, [w, x, y, z]: [f32; 4]) -> [f32; 4] {
         let [x, y, z] = self.point([x, y, z]);
         [w, x, y, z]
     }
 
-    /// The factor of coefficient `k` of real spherical harmonics. With `k = l (l + 1) + m`, negating y negates
-    /// harmonics of negative m, negating z those of odd l + m, and half a turn about z those of odd m.
+    /// Returns the factor of coefficient `k` of real spherical harmonics. With `k = l (l + 1) + m`,
+    /// negating y negates negative m, negating z odd l + m; a half turn about z negates odd m.
     pub fn sh(self, k: usize) -> f32 {
         let l = k.isqrt();
         let (order, negative) = (k.abs_diff(l * (l + 1)), k < l * (l + 1));

@@ -1,4 +1,4 @@
-//! Photos to the size that Depth Anything 3 sees them in, as OpenCV scales them: whole, the longest side bounded.
+//! Resizing of whole photos for Depth Anything 3, as OpenCV does it: bounded longest side.
 
 use rayon::prelude::*;
 
@@ -8,19 +8,18 @@ use super::{
 };
 use crate::{Error, Result};
 
-/// Longest side of the pictures that Depth Anything 3 is used with, in pixels.
+/// Longest side of Depth Anything 3's input, in pixels.
 pub const DEFAULT_BOUND: u32 = 504;
 
-/// Kernel of the cubic interpolation.
+/// Parameter of OpenCV's cubic kernel.
 const A: f64 = -0.75;
 /// Fraction bits of its weights.
 const BITS: i32 = 11;
 
-/// Whole photos of which the longest side becomes `bound` and then each side the nearest multiple of [`PATCH`]; where sizes differ, the
-/// middles that all have.
+/// Resizes photos as [`bounded`]. If sizes differ, crops all to the common center.
 ///
 /// # Errors
-/// [`Error::Argument`] where the bound is less than a patch or a photo's fields disagree.
+/// [`Error::Argument`] if the bound is less than a patch or a photo's fields disagree.
 pub fn bounded_views(photos: &[Image], bound: u32) -> Result<Vec<View>> {
     let scaled = photos.par_iter().map(|photo| bounded(photo, bound)).collect::<Result<Vec<_>>>()?;
     let least = |side: fn(&Image) -> u32| scaled.iter().map(side).min().unwrap_or_default();
@@ -34,11 +33,11 @@ pub fn bounded_views(photos: &[Image], bound: u32) -> Result<Vec<View>> {
     photos.iter().zip(scaled).map(view).collect()
 }
 
-/// A whole photo of which the longest side becomes `bound` and then each side the nearest multiple of [`PATCH`], the larger where two are
-/// as near.
+/// Resizes a photo to longest side `bound`, then rounds each side to a multiple of [`PATCH`], ties
+/// up.
 ///
 /// # Errors
-/// [`Error::Argument`] where the bound is less than a patch or the photo's fields disagree.
+/// [`Error::Argument`] if the bound is less than a patch or the photo's fields disagree.
 pub fn bounded(photo: &Image, bound: u32) -> Result<Image> {
     photo.validate()?;
     if !(PATCH..=8192).contains(&bound) {
@@ -54,8 +53,8 @@ pub fn bounded(photo: &Image, bound: u32) -> Result<Image> {
     resized(&first, size, grows)
 }
 
-/// A photo at another size: by cubic interpolation, or the mean over the area of each pixel. First across, then down, with the roundings of
-/// OpenCV: means in f32, interpolation in fixed point, which f64 holds exactly.
+/// Resizes by cubic interpolation or area means, horizontally first. Rounds as OpenCV: means in
+/// f32, interpolation in fixed point, exact in f64.
 fn resized(photo: &Image, [width, height]: [u32; 2], cubic: bool) -> Result<Image> {
     if [photo.width, photo.height] == [width, height] {
         return Ok(photo.clone());
@@ -75,20 +74,20 @@ fn resized(photo: &Image, [width, height]: [u32; 2], cubic: bool) -> Result<Imag
     Image::new(width, height, ys.par_iter().flat_map_iter(down).collect())
 }
 
-/// For each output the inputs under it and their shares of it.
+/// Returns each output's inputs with their area weights.
 fn area_taps(inputs: u32, outputs: u32) -> Vec<Vec<(usize, f64)>> {
     let scale = f64::from(inputs) / f64::from(outputs);
     let tap = |i: u32| {
         let (start, end) = (f64::from(i) * scale, (f64::from(i + 1) * scale).min(f64::from(inputs)));
         let covered = |at: usize| ((at as f64 + 1.0).min(end) - (at as f64).max(start)) / (end - start);
         let places = start as usize..(end.ceil() as usize).min(inputs as usize);
-        // OpenCV leaves out slivers.
+        // OpenCV drops slivers.
         places.map(|at| (at, f64::from(covered(at) as f32))).filter(|(_, share)| share * (end - start) > 1e-3).collect()
     };
     (0..outputs).map(tap).collect()
 }
 
-/// For each output four inputs, edges repeated, and their weights of [`BITS`] bits.
+/// Returns each output's four inputs, clamped to the edge, with weights of [`BITS`] bits.
 fn cubic_taps(inputs: u32, outputs: u32) -> Vec<Vec<(usize, f64)>> {
     let scale = f64::from(inputs) / f64::from(outputs);
     let near = |u: f64| ((A + 2.0) * u - (A + 3.0)) * u * u + 1.0;

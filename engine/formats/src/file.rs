@@ -1,4 +1,4 @@
-//! Files that are read only where they are files, and written whole or not at all.
+//! Reading of regular files only, and atomic writes.
 
 use std::fs::{File, FileType};
 use std::io::{BufWriter, Read, Write};
@@ -8,11 +8,10 @@ use tempfile::NamedTempFile;
 
 use crate::{Error, Result};
 
-/// Opens a file for reading, and nothing else: opening a pipe waits for who may never write, and a device may have no end.
-/// A link to a regular file is one.
+/// Opens a regular file, or a link to one. Pipes and devices could block or never end.
 ///
 /// # Errors
-/// [`Error::Io`] naming `path`; [`Error::Argument`] when it is no regular file.
+/// [`Error::Io`] with `path`; [`Error::Argument`] if it is not a regular file.
 pub fn open_file(path: impl AsRef<Path>) -> Result<File> {
     let path = path.as_ref();
     let failed = |source| Error::io(path, source);
@@ -23,7 +22,7 @@ pub fn open_file(path: impl AsRef<Path>) -> Result<File> {
     File::open(path).map_err(failed)
 }
 
-/// The bytes of a file, as [`open_file`] opens it.
+/// Reads a file opened by [`open_file`].
 pub(crate) fn read_file(path: &Path) -> Result<Vec<u8>> {
     let (mut file, mut bytes) = (open_file(path)?, Vec::new());
     file.read_to_end(&mut bytes).map_err(|source| Error::io(path, source))?;
@@ -44,11 +43,11 @@ fn kind_of(kind: FileType) -> &'static str {
     if kind.is_dir() { "a folder" } else { "something else" }
 }
 
-/// Writes to a temporary file beside `path` and renames it: a reader sees the old file or the new one, and a failure
-/// leaves the old one. What is not a regular file (a pipe, `/dev/stdout`) cannot be replaced and is written straight.
+/// Writes a temporary file and renames it to `path`: readers never see a partial file. Writes
+/// directly to other file types, such as pipes and `/dev/stdout`.
 ///
 /// # Errors
-/// [`Error::Io`] naming `path`.
+/// [`Error::Io`] with `path`.
 pub fn write_atomic(path: &Path, write: impl FnOnce(&mut dyn Write) -> std::io::Result<()>) -> Result<()> {
     let special = path.metadata().is_ok_and(|found| !found.is_file());
     let written = if special { write_through(path, write) } else { write_beside(path, write) };
@@ -72,53 +71,53 @@ fn temporary(path: &Path) -> std::io::Result<NamedTempFile> {
     let folder = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let mut builder = tempfile::Builder::new();
     builder.prefix(".zipsplat-");
-    // Without this the file would keep a temporary file's mode and nobody but its owner could read it.
+    // Temporary files default to owner-only access.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     builder.tempfile_in(folder).map_err(plain)
 }
 
-/// An error without the temporary name, which nobody can do anything about; it is in the error's words alone.
+/// Removes the useless temporary name from an error.
 fn plain(error: std::io::Error) -> std::io::Error {
     let words = error.to_string();
     let reason = words.split(" at path ").next().unwrap_or(&words);
     std::io::Error::new(error.kind(), reason)
 }
 
-/// A file in the making, under a temporary name beside its own; gone unless it is finished.
+/// An unfinished file under a temporary name, deleted unless finished.
 pub struct Unfinished {
     file: NamedTempFile,
     path: PathBuf,
 }
 
 impl Unfinished {
-    /// Begins what will be at `path`.
+    /// Creates the temporary file for `path`.
     ///
     /// # Errors
-    /// [`Error::Io`] naming `path`.
+    /// [`Error::Io`] with `path`.
     pub fn begin(path: &Path) -> Result<Self> {
         let file = temporary(path).map_err(|source| Error::io(path, source))?;
         Ok(Self { file, path: path.to_owned() })
     }
 
-    /// Writes to it, from where the last writer stopped.
+    /// Returns a writer that appends to the file.
     ///
     /// # Errors
-    /// [`Error::Io`] naming the file.
+    /// [`Error::Io`] with the file.
     pub fn writer(&self) -> Result<BufWriter<File>> {
         let file = self.file.as_file().try_clone();
         file.map(BufWriter::new).map_err(|source| Error::io(&self.path, source))
     }
 
-    /// Where it is until it is finished.
+    /// Returns the temporary path.
     pub fn temporary_path(&self) -> &Path {
         self.file.path()
     }
 
-    /// Gives it its own name, in place of the file that had it.
+    /// Renames the file to its final path, replacing any existing file.
     ///
     /// # Errors
-    /// [`Error::Io`] naming the file.
+    /// [`Error::Io`] with the file.
     pub fn finish(self) -> Result<()> {
         let Self { file, path } = self;
         file.persist(&path).map(drop).map_err(|error| Error::io(path, error.error))

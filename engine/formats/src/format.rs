@@ -1,4 +1,4 @@
-//! A scene format as its module describes it.
+//! Interface of a scene format's module.
 
 use std::io::Write;
 use std::path::Path;
@@ -6,38 +6,36 @@ use std::path::Path;
 use super::{Scene, World, file::write_atomic, source::Source};
 use crate::Result;
 
-/// A scene format.
 pub(super) struct Format {
-    /// First bytes of its files, any of these; none where the extension alone tells it.
+    /// Possible magic bytes; empty if only the extension identifies the format.
     pub marks: &'static [&'static [u8]],
-    /// The format keeps spherical harmonics above degree 0.
+    /// Whether it stores spherical harmonics above degree 0.
     pub view_dependence: bool,
-    /// Reads a scene with its values as they are.
+    /// Reads a scene without validating its values.
     pub read: fn(Source<'_>) -> Result<Scene>,
-    /// Reads the line of [`World::line`] in a file; none where the format has no room for it.
+    /// Reads the line of [`World::line`] from a file, if the format can store it.
     pub world: Option<ReadLine>,
-    /// Checks that the format can hold a scene, which is valid, and gives what writes it, with the world where it has room.
+    /// Checks that the format can store a valid scene, and returns its encoder.
     pub write: for<'a> fn(&'a Scene, &WriteOptions, Option<&World>) -> Result<Encoder<'a>>,
 }
 
-/// Reads one line of a file.
 type ReadLine = fn(&Path) -> Result<Option<String>>;
 
-/// Writes a scene that was checked: only writing itself can fail any more.
+/// Writes a checked scene; only I/O can fail.
 pub(super) type Encoder<'a> = Box<dyn FnOnce(&mut dyn Write) -> std::io::Result<()> + 'a>;
 
 impl Format {
-    /// Writes a scene, whatever the path is called.
+    /// Writes a scene, whatever the path's extension.
     pub fn write_file(&self, path: &Path, scene: &Scene, options: &WriteOptions, world: Option<&World>) -> Result<()> {
         scene.validate()?;
         write_atomic(path, (self.write)(scene, options, world)?)
     }
 }
 
-/// How a scene is written where its format leaves a choice.
+/// Format options for writing scenes.
 #[derive(Clone, Copy, Debug)]
 pub struct WriteOptions {
-    /// Version of an SPZ: 3; 2 for older readers; 4, which is packed by zstd, for those that know only the newest.
+    /// SPZ version: 2 for older readers, 3, or 4 (zstd).
     pub spz_version: u32,
 }
 

@@ -1,32 +1,33 @@
-//! RGB pictures: reading photos, writing PNG.
+//! RGB images: reading photos, writing PNG.
 
 use std::fmt;
 use std::io::{Cursor, Read};
 use std::path::Path;
 
 use glam::{DMat3, DVec3};
+use image::codecs::{jpeg::JpegEncoder, png::PngEncoder};
 use image::metadata::Orientation;
-use image::{DynamicImage, ImageDecoder, ImageEncoder, ImageReader, Limits, codecs::png::PngEncoder};
+use image::{DynamicImage, ExtendedColorType, ImageDecoder, ImageEncoder, ImageReader, Limits};
 
 use super::camera::{Camera, Intrinsics, Pose};
 use super::file::{open_file, write_atomic};
 use crate::{Error, Result};
 
-/// Longest side that is read; above it a file is broken or hostile.
+/// Maximum side that is read, against broken and hostile files.
 pub const MAX_SIDE: u32 = 32_768;
-/// Bytes at the start of a file that tell what it is.
+/// Bytes that identify a file type.
 const MARK: u64 = 12;
-/// Most bytes that decoding one photo may take: 350 megapixels of RGB8.
+/// Decoding limit in bytes: 350 megapixels of RGB8.
 pub const MAX_DECODED_BYTES: u64 = 1 << 30;
 
-/// A picture of 8-bit RGB.
+/// An 8-bit RGB image.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Image {
-    /// Pixels a row.
+    /// Width in pixels.
     pub width: u32,
-    /// Rows.
+    /// Height in pixels.
     pub height: u32,
-    /// `[height][width][rgb]`, first row at the top.
+    /// `[height][width][rgb]`, top row first.
     pub rgb: Vec<u8>,
 }
 
@@ -37,33 +38,33 @@ impl fmt::Debug for Image {
 }
 
 impl Image {
-    /// A picture from `[height][width][rgb]` bytes.
+    /// Creates an image from `[height][width][rgb]` bytes.
     ///
     /// # Errors
-    /// [`Error::Argument`] when a side is zero or the number of bytes is not `3 * width * height`.
+    /// [`Error::Argument`] if a side is zero or the length is not `3 * width * height`.
     pub fn new(width: u32, height: u32, rgb: Vec<u8>) -> Result<Self> {
         let image = Self { width, height, rgb };
         image.validate()?;
         Ok(image)
     }
 
-    /// Reads a PNG, JPEG or WebP, told apart by content. The EXIF orientation is applied, alpha is dropped (as
-    /// Pillow's `convert("RGB")` does), grey is repeated, and of 16-bit samples the high byte is kept.
+    /// Reads a PNG, JPEG or WebP, identified by content. Applies the EXIF orientation, drops alpha
+    /// as Pillow's `convert("RGB")`, and keeps the high byte of 16-bit samples.
     ///
     /// # Errors
-    /// [`Error::Io`] when the file cannot be read; [`Error::Format`] with the decoder's reason when it is none of these
-    /// formats, is damaged or truncated, or decodes to more than 32,768 pixels a side or 1 GiB; of HEIC, AVIF, TIFF, BMP,
-    /// GIF and videos with the command that makes photos of them.
+    /// [`Error::Io`] for failed reads. [`Error::Format`] for other formats, damage, truncation, or
+    /// more than 32,768 pixels a side or 1 GiB decoded. For HEIC, AVIF, TIFF, BMP, GIF and videos
+    /// it contains a conversion command.
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
         let (mut decoded, orientation) = decode(path.as_ref())?;
         decoded.apply_orientation(orientation);
         Self::new(decoded.width(), decoded.height(), into_rgb(decoded))
     }
 
-    /// As [`Image::open`], from a file's bytes, which errors call "photo in memory".
+    /// Decodes bytes as [`Image::open`]; errors name "photo in memory".
     ///
     /// # Errors
-    /// [`Error::Format`] as [`Image::open`].
+    /// [`Error::Format`], see [`Image::open`].
     pub fn decode(bytes: &[u8]) -> Result<Self> {
         let name = Path::new("photo in memory");
         refuse_other_kind(name, bytes)?;
@@ -73,38 +74,37 @@ impl Image {
         Self::new(decoded.width(), decoded.height(), into_rgb(decoded))
     }
 
-    /// As [`Image::open`], but with the pixels as they are stored, whatever the EXIF orientation says. So COLMAP sees a photo, and
-    /// the cameras that it finds are of these pixels.
+    /// Reads as [`Image::open`], without applying the EXIF orientation. COLMAP's cameras refer to
+    /// these pixels.
     ///
     /// # Errors
-    /// As [`Image::open`].
+    /// See [`Image::open`].
     pub fn open_as_stored(path: impl AsRef<Path>) -> Result<Self> {
         let (decoded, _) = decode(path.as_ref())?;
         Self::new(decoded.width(), decoded.height(), into_rgb(decoded))
     }
 
-    /// Width and height of a photo as [`Image::open`] would return it, read from the file's header.
+    /// Reads width and height as of [`Image::open`] from the header.
     ///
     /// # Errors
-    /// As [`Image::open`], but damage after the header goes unseen.
+    /// See [`Image::open`]; damage after the header is not detected.
     pub fn size(path: impl AsRef<Path>) -> Result<(u32, u32)> {
         let ((width, height), orientation) = stored_size(path.as_ref())?;
         Ok(if swaps_sides(orientation) { (height, width) } else { (width, height) })
     }
 
-    /// Width and height of a photo as [`Image::open_as_stored`] would return it, read from the file's header.
+    /// Reads width and height as of [`Image::open_as_stored`] from the header.
     ///
     /// # Errors
-    /// As [`Image::size`].
+    /// See [`Image::size`].
     pub fn size_as_stored(path: impl AsRef<Path>) -> Result<(u32, u32)> {
         Ok(stored_size(path.as_ref())?.0)
     }
 
-    /// The camera of a photo's pixels as they are stored, from that of the photo as [`Image::open`] returns it: turned as the EXIF
-    /// orientation says. Files of cameras count pixels as they are stored.
+    /// Converts a camera of the oriented photo to the stored pixels, which camera files refer to.
     ///
     /// # Errors
-    /// The errors of [`Image::size`], and [`Error::Argument`] for a photo that is mirrored, which no camera is.
+    /// See [`Image::size`]; [`Error::Argument`] for mirrored photos.
     pub fn camera_as_stored(path: impl AsRef<Path>, camera: &Camera) -> Result<Camera> {
         let orientation = stored_size(path.as_ref())?.1;
         let (lens, [right, down, forward]) =
@@ -125,32 +125,45 @@ impl Image {
         Ok(Camera { intrinsics, pose: Pose { rotation, ..camera.pose } })
     }
 
-    /// Writes a PNG; the file appears whole or not at all.
+    /// Writes a PNG atomically.
     ///
     /// # Errors
-    /// [`Error::Argument`] when the fields disagree, [`Error::Io`] when the file cannot be written.
+    /// [`Error::Argument`] if the fields disagree, [`Error::Io`] for failed writes.
     pub fn save_png(&self, path: impl AsRef<Path>) -> Result<()> {
         self.validate()?;
         write_atomic(path.as_ref(), |out| {
             PngEncoder::new(out)
-                .write_image(&self.rgb, self.width, self.height, image::ExtendedColorType::Rgb8)
+                .write_image(&self.rgb, self.width, self.height, ExtendedColorType::Rgb8)
                 .map_err(std::io::Error::other)
         })
     }
 
-    /// A rendered frame as a picture: `[height][width][rgb]` floats are clamped to 0..1, multiplied by 255 and truncated,
-    /// as the reference's viewer does. NaN becomes 0.
+    /// Encodes a JPEG of `quality` 1 to 100.
     ///
     /// # Errors
-    /// [`Error::Argument`] when there are not `3 * width * height` floats, or a side is zero.
+    /// [`Error::Argument`] when the fields disagree or a side is longer than a JPEG can have.
+    pub fn jpeg(&self, quality: u8) -> Result<Vec<u8>> {
+        self.validate()?;
+        let mut bytes = Vec::new();
+        let encoder = JpegEncoder::new_with_quality(&mut bytes, quality);
+        let written = encoder.write_image(&self.rgb, self.width, self.height, ExtendedColorType::Rgb8);
+        written.map_err(|error| Error::argument("picture", format!("{self:?}: {error}"), "sides up to 65,535"))?;
+        Ok(bytes)
+    }
+
+    /// Converts `[height][width][rgb]` floats: clamps to 0..1, multiplies by 255 and truncates, as
+    /// the reference's viewer. NaN becomes 0.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] if a side is zero or the length is not `3 * width * height`.
     pub fn from_rgb_f32(width: u32, height: u32, rgb: &[f32]) -> Result<Self> {
         Self::new(width, height, rgb.iter().map(|value| (value.clamp(0.0, 1.0) * 255.0) as u8).collect())
     }
 
-    /// The rectangle of `width` x `height` pixels whose first pixel is (`left`, `top`).
+    /// Crops to `width` x `height` pixels from (`left`, `top`).
     ///
     /// # Errors
-    /// [`Error::Argument`] when it is empty or leaves the picture.
+    /// [`Error::Argument`] if the crop is empty or exceeds the image.
     pub fn crop(&self, left: u32, top: u32, width: u32, height: u32) -> Result<Self> {
         self.validate()?;
         let within = |start: u32, len: u32, all: u32| start.checked_add(len).is_some_and(|end| end <= all);
@@ -168,7 +181,7 @@ impl Image {
     }
 
     /// # Errors
-    /// [`Error::Argument`] when a side is zero or `rgb` has not `3 * width * height` bytes.
+    /// [`Error::Argument`] if a side is zero or `rgb` has not `3 * width * height` bytes.
     pub fn validate(&self) -> Result<()> {
         let expected = 3 * u64::from(self.width) * u64::from(self.height);
         if expected == 0 || self.rgb.len() as u64 != expected {
@@ -179,10 +192,11 @@ impl Image {
     }
 }
 
-/// Pictures side by side on black, `columns` a row, each at the top left of a cell as large as the largest of them.
+/// Arranges images on black in rows of `columns`, each at the top left of equal cells.
 ///
 /// # Errors
-/// [`Error::Argument`] without pictures or columns, or when the sheet would be larger than [`Image::open`] reads.
+/// [`Error::Argument`] without images or columns, or if the sheet exceeds the limits of
+/// [`Image::open`].
 pub fn contact_sheet(images: &[Image], columns: usize) -> Result<Image> {
     if images.is_empty() || columns == 0 {
         let found = format!("{} images in {columns} columns", images.len());
@@ -208,7 +222,7 @@ pub fn contact_sheet(images: &[Image], columns: usize) -> Result<Image> {
     Image::new(width as u32, height as u32, rgb)
 }
 
-/// A file's bytes; of what is known to be no photo, which may be large, only the first are looked at.
+/// Reads a file; only its start if that is no photo's, since such files may be large.
 fn read(path: &Path) -> Result<Vec<u8>> {
     let failed = |source| Error::io(path, source);
     let (mut file, mut bytes) = (open_file(path)?, Vec::new());
@@ -218,20 +232,20 @@ fn read(path: &Path) -> Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// Refuses what is known to be no photo by its first bytes.
+/// Rejects known types other than photos.
 fn refuse_other_kind(path: &Path, start: &[u8]) -> Result<()> {
     let Some((kind, advice)) = other_kind(start, path) else { return Ok(()) };
     Err(Error::format(path, None, format!("found {kind}, expected PNG, JPEG or WebP: {advice}")))
 }
 
-/// True where a file that begins so is a HEIC picture, as phones take them: by the brand of ISO/IEC 23008-12. Twelve bytes tell.
+/// Returns true if a file starts as HEIC (brands of ISO/IEC 23008-12). Needs twelve bytes.
 pub fn is_heic_start(start: &[u8]) -> bool {
     const BRANDS: [&[u8]; 8] = [b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1"];
     start.get(4..8) == Some(b"ftyp") && start.get(8..12).is_some_and(|brand| BRANDS.contains(&brand))
 }
 
-/// The kind of a file that a camera, phone or scanner writes beside photos, by its first bytes, and the command that makes
-/// photos of it in its folder.
+/// Identifies other camera, phone and scanner files by their first bytes, with a conversion
+/// command.
 fn other_kind(start: &[u8], path: &Path) -> Option<(&'static str, String)> {
     let quoted = |path: &Path| {
         let path = path.to_string_lossy();
@@ -248,11 +262,11 @@ fn other_kind(start: &[u8], path: &Path) -> Option<(&'static str, String)> {
         let frames = quoted(&path.with_file_name("%03d.jpg"));
         format!("`ffmpeg -i {} -vf fps=2 {frames}` takes two photos a second from it", quoted(path))
     };
-    // The brands of ISO/IEC 14496-12 files; whatever has none of the pictures' is a film.
+    // Brands of ISO/IEC 14496-12; any unknown brand is a video.
     match (start.get(4..8), start.get(8..12)) {
         (Some(b"ftyp"), Some(b"avif" | b"avis")) => Some(("an AVIF picture", photo("magick", "", ".png"))),
         _ if is_heic_start(start) => Some(("a HEIC picture", photo("heif-convert", "", ".jpg"))),
-        // Canon's raw pictures.
+        // Canon's raw format.
         (Some(b"ftyp"), Some(b"crx ")) => None,
         (Some(b"ftyp"), _) => Some(("a video (MP4 or QuickTime)", photos())),
         (_, Some(b"AVI ")) if start.starts_with(b"RIFF") => Some(("a video (AVI)", photos())),
@@ -260,9 +274,9 @@ fn other_kind(start: &[u8], path: &Path) -> Option<(&'static str, String)> {
         _ if start.starts_with(b"II*\0") || start.starts_with(b"MM\0*") => {
             Some(("a TIFF or a camera's raw picture", photo("magick", "", ".png")))
         }
-        // Of an animation the first picture.
+        // `[0]` is an animation's first frame.
         _ if start.starts_with(b"GIF8") => Some(("a GIF picture", photo("magick", "[0]", ".png"))),
-        // Four reserved bytes follow the mark and the size.
+        // Four reserved bytes follow magic and size.
         _ if start.starts_with(b"BM") && start.get(6..10) == Some(&[0; 4]) => {
             Some(("a BMP picture", photo("magick", "", ".png")))
         }
@@ -314,8 +328,8 @@ const JPEG_START: [u8; 2] = [0xff, 0xd8];
 const JPEG_SCAN: u8 = 0xda;
 const JPEG_END: [u8; 2] = [0xff, 0xd9];
 
-/// The decoder fills what a cut-off JPEG lacks with grey and says nothing. The end marker is looked for behind the
-/// start of the scan: a thumbnail in an earlier segment has one of its own.
+/// Detects truncated JPEGs, which the decoder silently pads with gray. Searches after the start of
+/// scan, because thumbnails in earlier segments have end markers, too.
 fn jpeg_has_end(bytes: &[u8]) -> bool {
     let mut at = JPEG_START.len();
     while let Some(&[0xff, marker, high, low]) = bytes.get(at..at + 4) {
@@ -336,7 +350,7 @@ fn swaps_sides(orientation: Orientation) -> bool {
 fn into_rgb(decoded: DynamicImage) -> Vec<u8> {
     use DynamicImage::{ImageLuma16, ImageLumaA16, ImageRgb16, ImageRgba16};
     match decoded {
-        // The crate's own conversion rounds; Pillow keeps the high byte.
+        // Pillow keeps the high byte; the crate's conversion rounds.
         ImageLuma16(_) | ImageLumaA16(_) | ImageRgb16(_) | ImageRgba16(_) => {
             decoded.into_rgb16().iter().map(|sample| (sample >> 8) as u8).collect()
         }

@@ -1,16 +1,16 @@
-//! The things that a command could do and does not.
+//! Skipped passes and effects.
 
-/// A pass or an effect that a request and its inputs do not call for.
+/// A pass or effect that a request does not need.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct LeftOut {
-    /// The name of the thing.
+    /// Name.
     pub what: String,
-    /// Why it is not needed.
+    /// Reason.
     pub why: String,
 }
 
 impl LeftOut {
-    /// One of them.
+    /// Creates an entry.
     pub fn new(what: impl Into<String>, why: impl Into<String>) -> Self {
         Self { what: what.into(), why: why.into() }
     }

@@ -1,47 +1,48 @@
-//! Lenses that bend straight lines, and their photos as a pinhole camera would have taken them.
+//! Lens distortion, and undistortion to pinhole cameras.
 
 use rayon::prelude::*;
 
 use super::{Image, Intrinsics};
 use crate::{Error, Result};
 
-/// How the focal length of the pinhole camera may differ from the lens's: of a fisheye lens, which may see half the world,
-/// it does not become less.
+/// Search range of the pinhole's focal length relative to the lens. The lower bound limits fisheye
+/// lenses, which may see half the world.
 const ZOOM: [f64; 2] = [0.7, 4.0];
 const FISHEYE_ZOOM: [f64; 2] = [1.0, 4.0];
-/// Halvings of the range of zooms.
+/// Bisection steps of the zoom.
 const HALVINGS: usize = 40;
-/// Points of each side of a picture, and steps to each from the middle, by which a zoom is judged.
+/// Sampled points per side of the border, and steps from the center to each.
 const SIDE_POINTS: u32 = 16;
 const STEPS: u32 = 8;
 
 /// A lens with distortion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lens {
-    /// The intrinsics of the photo as it was taken, pixels.
+    /// Intrinsics of the original photo, in pixels.
     pub intrinsics: Intrinsics,
-    /// Where directions land instead of where a pinhole would put them.
+    /// Distortion before the intrinsics.
     pub distortion: Distortion,
 }
 
-/// A lens: the map from a direction `(x, y, 1)` to the point that takes its place before the intrinsics are applied.
+/// Distortion model: maps the direction `(x, y, 1)` to distorted coordinates.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Distortion {
-    /// OpenCV's, with `r² = x² + y²`: radially by a quotient of polynomials in r², then tangentially.
+    /// OpenCV's rational model with `r² = x² + y²`: a radial quotient of polynomials in r², plus
+    /// tangential terms.
     Perspective {
-        /// k1, k2, k3 and that of r⁸: the numerator is `1 + k1 r² + k2 r⁴ + ...`.
+        /// k1, k2, k3 and the coefficient of r⁸: numerator `1 + k1 r² + k2 r⁴ + ...`.
         numerator: [f64; 4],
-        /// OpenCV's k4, k5 and k6: the denominator is `1 + k4 r² + ...`.
+        /// OpenCV's k4, k5 and k6: denominator `1 + k4 r² + ...`.
         denominator: [f64; 3],
         /// p1 and p2.
         tangential: [f64; 2],
     },
-    /// OpenCV's fisheye: the distance from the middle is `t (1 + k1 t² + k2 t⁴ + ...)`, where t is the angle from the axis.
+    /// OpenCV's fisheye model: radius `t (1 + k1 t² + k2 t⁴ + ...)` for angle t from the axis.
     Fisheye([f64; 4]),
 }
 
 impl Distortion {
-    /// Whether it changes nothing.
+    /// Returns true if all coefficients are zero.
     pub fn is_none(&self) -> bool {
         match self {
             Self::Perspective { numerator, denominator, tangential } => {
@@ -51,7 +52,7 @@ impl Distortion {
         }
     }
 
-    /// Where a direction lands.
+    /// Distorts a direction.
     pub fn apply(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         // 1 + a s + b s^2 + ...
         let series = |k: &[f64], s: f64| 1.0 + s * k.iter().rev().fold(0.0, |sum, k| sum * s + k);
@@ -78,11 +79,11 @@ impl Distortion {
 }
 
 impl Lens {
-    /// The pinhole camera whose picture, as large as the photo, shows as much of it as fills the picture: the principal point is
-    /// the lens's, the focal lengths are the lens's times one zoom.
+    /// Returns the pinhole camera of the photo's size with the widest view that the photo fills. It
+    /// keeps the principal point and scales both focal lengths by one zoom.
     ///
     /// # Errors
-    /// [`Error::Argument`] with `name` where there is none, for coefficients that are no lens's.
+    /// [`Error::Argument`] with `name` for coefficients without such a camera.
     pub fn pinhole(&self, name: &str) -> Result<Intrinsics> {
         let [mut low, mut high] = match self.distortion {
             Distortion::Perspective { .. } => ZOOM,
@@ -102,11 +103,11 @@ impl Lens {
         Ok(self.zoomed(high))
     }
 
-    /// The photo as the camera of [`Lens::pinhole`] would have taken it, of the photo's size; by cubic interpolation. The photo
-    /// may have another resolution than the lens says.
+    /// Undistorts a photo to [`Lens::pinhole`] at the photo's own resolution, by cubic
+    /// interpolation.
     ///
     /// # Errors
-    /// As [`Lens::pinhole`], and [`Error::Argument`] when the photo's fields disagree.
+    /// See [`Lens::pinhole`]; [`Error::Argument`] if the photo's fields disagree.
     pub fn undistort(&self, photo: &Image) -> Result<Image> {
         photo.validate()?;
         let (lens, pinhole) = (self.intrinsics, self.pinhole("photo")?);
@@ -128,8 +129,8 @@ impl Lens {
         Intrinsics { fx: i.fx * zoom, fy: i.fy * zoom, ..i }
     }
 
-    /// Whether the pinhole camera's picture at a zoom lies within the photo. Polynomials turn back far from the middle: a point
-    /// counts only where the way to it leads outwards.
+    /// Returns true if the photo fills the pinhole's picture at a zoom. Polynomials fold back far
+    /// from the center, so radii must grow toward each border point.
     fn fills(&self, zoom: f64) -> bool {
         let (i, pinhole) = (&self.intrinsics, self.zoomed(zoom));
         let (w, h) = (f64::from(i.width), f64::from(i.height));
@@ -151,10 +152,10 @@ impl Lens {
     }
 }
 
-/// Pixels by which a picture's border may leave the photo: rounding.
+/// Rounding tolerance at the photo's border, in pixels.
 const EDGE: f64 = 1e-6;
 
-/// A photo at a place in pixels, between its pixels by Catmull and Rom's cubic; beyond its border the nearest pixel.
+/// Samples a photo by Catmull-Rom interpolation, clamped to the edge.
 fn sample(photo: &Image, x: f64, y: f64) -> [u8; 3] {
     let taps = |at: f64, count: u32| {
         let (first, t) = ((at - 0.5).floor(), (at - 0.5) - (at - 0.5).floor());

@@ -1,4 +1,4 @@
-//! Images, cameras and 3D Gaussian scenes, and the files that they come from. Nothing here needs a GPU.
+//! Images, cameras, 3D Gaussian scenes and their files. Needs no GPU.
 
 mod axes;
 mod bounded;

@@ -1,38 +1,39 @@
-//! Photos to the network's input size, bit for bit as the reference does it.
+//! Photo preprocessing for the network, bit-identical to the reference.
 
 use super::resample::resize_lanczos;
 use super::{Camera, Image, Intrinsics};
 use crate::{Error, Result};
 
-/// Side of a patch in pixels: the network's input is a whole number of these.
+/// Patch side in pixels, which divides the input's sides.
 pub const PATCH: u32 = 14;
-/// Side of the network's input that the released model was trained with, in pixels.
+/// Input side of the released model's training, in pixels.
 pub const DEFAULT_SIZE: u32 = 252;
 
-/// A photo brought to the network's size.
+/// A photo resized for the network.
 #[derive(Clone, Debug)]
 pub struct View {
-    /// The picture the network sees.
+    /// Network input.
     pub image: Image,
-    /// How pixels of the photo map to pixels of `image`.
+    /// Map from photo pixels to `image` pixels.
     pub map: PixelMap,
 }
 
-/// The map that cropping and scaling are to pixel coordinates: `new = scale * old + offset` for x and y, in pixels.
+/// Pixel map of a crop and resize: `new = scale * old + offset` for x and y, in pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PixelMap {
-    /// Width and height of the photo.
+    /// Photo size, `[width, height]`.
     pub from: [u32; 2],
-    /// Width and height of the result.
+    /// Result size, `[width, height]`.
     pub to: [u32; 2],
-    /// Pixels of the result per pixel of the photo.
+    /// Result pixels per photo pixel.
     pub scale: [f64; 2],
-    /// Where the photo's top left corner lands.
+    /// Position of the photo's top left corner.
     pub offset: [f64; 2],
 }
 
 impl PixelMap {
-    /// The map of a photo of `from` `[width, height]`, of which the middle becomes a picture of `to`: [`cropped`]'s.
+    /// Returns the map of [`cropped`]: center crop of `from`, resized to `to`, both `[width,
+    /// height]`.
     pub fn cropped(from: [u32; 2], to: [u32; 2]) -> Self {
         let rect = crop_to_aspect(from[0], from[1], f64::from(to[0]) / f64::from(to[1]));
         let scale = [f64::from(to[0]) / f64::from(rect.width), f64::from(to[1]) / f64::from(rect.height)];
@@ -40,22 +41,22 @@ impl PixelMap {
         Self { from, to, scale, offset }
     }
 
-    /// The map of a photo which stays as it is.
+    /// Returns the identity map of a photo.
     pub fn identity(photo: &Image) -> Self {
         Self::resized(photo, photo.width, photo.height)
     }
 
-    /// The map of a whole photo which is scaled to `width` x `height`.
+    /// Returns the map of a whole photo resized to `width` x `height`.
     pub fn resized(photo: &Image, width: u32, height: u32) -> Self {
         let scale = [f64::from(width) / f64::from(photo.width), f64::from(height) / f64::from(photo.height)];
         Self { from: [photo.width, photo.height], to: [width, height], scale, offset: [0.0; 2] }
     }
 
-    /// Intrinsics of the photo as intrinsics of the result. Intrinsics given for another resolution of the same photo
-    /// are scaled to it first.
+    /// Maps intrinsics of the photo to the result. Intrinsics of another resolution are scaled
+    /// first.
     ///
     /// # Errors
-    /// [`Error::Argument`] with `label` when their aspect ratio is more than 1 % off the photo's.
+    /// [`Error::Argument`] with `label` if the aspect ratios differ by more than 1 %.
     pub fn apply(&self, intrinsics: &Intrinsics, label: &str) -> Result<Intrinsics> {
         let [width, height] = self.from;
         let stretch =
@@ -78,7 +79,7 @@ impl PixelMap {
         })
     }
 
-    /// Intrinsics of the result as intrinsics of the photo.
+    /// Maps intrinsics of the result to the photo.
     pub fn undo(&self, result: &Intrinsics) -> Intrinsics {
         let ([width, height], [sx, sy], [x, y]) = (self.from, self.scale, self.offset);
         let (cx, cy) = ((result.cx - x) / sx, (result.cy - y) / sy);
@@ -86,10 +87,10 @@ impl PixelMap {
     }
 }
 
-/// Cameras of whole photos as cameras of their views; the world becomes the first view's camera.
+/// Maps cameras of whole photos to views, relative to the first view's camera.
 ///
 /// # Errors
-/// As [`Camera::validate`] and [`PixelMap::apply`].
+/// See [`Camera::validate`] and [`PixelMap::apply`].
 pub fn view_cameras(cameras: &[Camera], views: &[View]) -> Result<Vec<Camera>> {
     let of_view = |(i, (camera, view)): (usize, (&Camera, &View))| {
         let label = format!("camera {i}");
@@ -100,19 +101,20 @@ pub fn view_cameras(cameras: &[Camera], views: &[View]) -> Result<Vec<Camera>> {
     cameras.iter().zip(views).enumerate().map(of_view).collect()
 }
 
-/// Centre crop to the aspect ratio of `width` x `height`, then Pillow's LANCZOS filter.
+/// Crops the center to the aspect ratio of `width` x `height`, and resizes by Pillow's LANCZOS.
 ///
 /// # Errors
-/// [`Error::Argument`] when a side is not a positive multiple of [`PATCH`], or the photo's fields disagree.
+/// [`Error::Argument`] if a side is not a positive multiple of [`PATCH`], or the photo's fields
+/// disagree.
 pub fn fit(photo: &Image, width: u32, height: u32) -> Result<View> {
     check_size(width, height)?;
     cropped(photo, width, height)
 }
 
-/// As [`fit`], to any size.
+/// Crops and resizes as [`fit`], to any size.
 ///
 /// # Errors
-/// [`Error::Argument`] when a side is zero, or the photo's fields disagree.
+/// [`Error::Argument`] if a side is zero, or the photo's fields disagree.
 pub fn cropped(photo: &Image, width: u32, height: u32) -> Result<View> {
     photo.validate()?;
     let rect = crop_to_aspect(photo.width, photo.height, f64::from(width) / f64::from(height));
@@ -121,10 +123,10 @@ pub fn cropped(photo: &Image, width: u32, height: u32) -> Result<View> {
     Ok(View { image, map: PixelMap::cropped([photo.width, photo.height], [width, height]) })
 }
 
-/// A whole photo at the scale that [`cropped`] brings it to before it crops.
+/// Resizes a whole photo by the scale of [`cropped`], without cropping.
 ///
 /// # Errors
-/// As [`cropped`].
+/// See [`cropped`].
 pub fn whole(photo: &Image, width: u32, height: u32) -> Result<View> {
     photo.validate()?;
     let scale = (f64::from(width) / f64::from(photo.width)).max(f64::from(height) / f64::from(photo.height));
@@ -145,7 +147,7 @@ pub struct Rect {
     pub height: u32,
 }
 
-/// The largest centred rectangle of aspect ratio `width / height = aspect`, sides rounded half to even.
+/// Returns the largest centered rectangle of an aspect ratio, sides rounded half to even.
 pub fn crop_to_aspect(width: u32, height: u32, aspect: f64) -> Rect {
     let round = |side: f64, most: u32| (side.round_ties_even() as u32).clamp(1, most);
     let wanted = (f64::from(height) * aspect).round_ties_even();

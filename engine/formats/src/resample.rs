@@ -1,4 +1,4 @@
-//! Image resizing that gives the same numbers as Pillow's LANCZOS.
+//! Image resizing identical to Pillow's LANCZOS.
 
 use std::f64::consts::PI;
 use std::ops::Range;
@@ -8,11 +8,11 @@ use rayon::prelude::*;
 use super::Image;
 use crate::{Error, Result};
 
-/// Pillow's `resize(.., LANCZOS)` on 8-bit RGB: two passes in fixed point with 8 bits between them. A pass whose size
-/// already matches is skipped.
+/// Resizes as Pillow's `resize(.., LANCZOS)` on 8-bit RGB: two fixed-point passes, rounded to 8
+/// bits between. Skips a pass that changes no size.
 ///
 /// # Errors
-/// [`Error::Argument`] when a side is zero or the picture's fields disagree.
+/// [`Error::Argument`] if a side is zero or the image's fields disagree.
 pub fn resize_lanczos(image: &Image, width: u32, height: u32) -> Result<Image> {
     image.validate()?;
     if width == 0 || height == 0 {
@@ -28,18 +28,18 @@ pub fn resize_lanczos(image: &Image, width: u32, height: u32) -> Result<Image> {
     Image::new(width, height, rgb)
 }
 
-/// The inputs that one output is made of: `weights[i]` belongs to input `first + i`.
+/// Inputs of one output: `weights[i]` applies to input `first + i`.
 struct Taps {
     first: usize,
     weights: Vec<i32>,
 }
 
-/// Fraction bits of Pillow's weights: 32 less 8 of the sample and 2 for overshoot.
+/// Fraction bits of Pillow's weights: 32 minus 8 for the sample and 2 for overshoot.
 const FRACTION_BITS: u32 = 22;
-/// A half, so that dropping the fraction rounds.
+/// Rounding offset.
 const HALF: i32 = 1 << (FRACTION_BITS - 1);
 
-/// A sum of weighted samples, begun with [`HALF`], as a sample.
+/// Converts a weighted sum, including [`HALF`], to a sample.
 fn sample(sum: i32) -> u8 {
     (sum >> FRACTION_BITS).clamp(0, 255) as u8
 }
@@ -85,7 +85,7 @@ fn lanczos_taps(inputs: u32, outputs: u32) -> Vec<Taps> {
         let Range { start, end } = window(centre - 3.0 * stretch, centre + 3.0 * stretch, inputs);
         let weights: Vec<f64> = (start..end).map(|i| lanczos3((i as f64 - centre + 0.5) / stretch)).collect();
         let total: f64 = weights.iter().sum();
-        // `as` truncates, so half away from zero is added first.
+        // `as` truncates: adding half rounds away from zero.
         let fixed = |w: &f64| (w / total * f64::from(1 << FRACTION_BITS) + 0.5f64.copysign(*w)) as i32;
         Taps { first: start, weights: weights.iter().map(fixed).collect() }
     };
@@ -97,7 +97,7 @@ fn lanczos3(x: f64) -> f64 {
     if (-3.0..3.0).contains(&x) { sinc(x) * sinc(x / 3.0) } else { 0.0 }
 }
 
-/// The inputs whose centres lie within `low..high`, which Pillow finds by truncating after adding a half.
+/// Returns the inputs with centers in `low..high`, by Pillow's rounding.
 fn window(low: f64, high: f64, inputs: u32) -> Range<usize> {
     (low + 0.5).max(0.0) as usize..((high + 0.5) as usize).min(inputs as usize)
 }

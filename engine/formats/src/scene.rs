@@ -1,4 +1,4 @@
-//! The product: 3D Gaussians, one array a field.
+//! Scenes of 3D Gaussians as arrays per field.
 
 use std::path::Path;
 
@@ -8,63 +8,65 @@ use rayon::prelude::*;
 use super::{Pose, sh_rotation::sh_rotation};
 use crate::{Error, Result};
 
-/// Distance from a camera below which nothing is drawn in scenes of ordinary scale, in world units: gsplat's.
+/// Default near plane in world units, as in gsplat.
 pub const NEAR: f32 = 0.01;
-/// Scale below which scenes have a nearer plane.
+/// Scene extent below which the near plane shrinks with the scene.
 const SMALL: f64 = 0.1;
-/// Limit of Gaussians that a scene's scale is measured by.
+/// Maximum number of Gaussians that measure a scene's extent.
 const SAMPLE: usize = 4096;
 
-/// The distance of [`Scene::near`] for a scene of a scale.
-pub fn near(scale: f64) -> f32 {
-    // f32 holds it for the smallest scales, too; a scene without a scale has the default.
-    if scale < SMALL && scale > 0.0 { NEAR * scale.log2().floor().max(-100.0).exp2() as f32 } else { NEAR }
+/// Returns the near plane of a scene of this extent.
+pub fn near(extent: f64) -> f32 {
+    // Clamped to f32's normal range; a scene without extent has the default.
+    if extent < SMALL && extent > 0.0 { NEAR * extent.log2().floor().max(-100.0).exp2() as f32 } else { NEAR }
 }
 
-/// The middle of some values, 0 of none.
+/// Returns the median, 0 for no values.
 fn median(values: impl Iterator<Item = f64>) -> f64 {
     let mut values: Vec<f64> = values.collect();
     let middle = values.len() / 2;
     if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
 }
 
-/// N 3D Gaussians. A reconstruction's are in the frame of the first view's camera (OpenCV axes) until [`Scene::place`].
+/// N 3D Gaussians. Reconstructions are in the first view's camera frame (OpenCV axes) until
+/// [`Scene::place`].
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Scene {
-    /// `[N]` centres.
+    /// `[N]` centers.
     pub means: Vec<[f32; 3]>,
-    /// `[N]` standard deviations along the Gaussian's own axes, linear, not negative.
+    /// `[N]` standard deviations along each Gaussian's axes, linear and nonnegative.
     pub scales: Vec<[f32; 3]>,
-    /// `[N]` rotations as wxyz, of any length but zero: the renderer normalises.
+    /// `[N]` nonzero rotations wxyz, normalized by the renderer.
     pub quats: Vec<[f32; 4]>,
     /// `[N]` opacities in 0..=1.
     pub opacities: Vec<f32>,
     /// `[N * K]` spherical harmonics coefficients as `[gaussian][k][rgb]`, `K = (sh_degree + 1)^2`.
     pub sh_coeffs: Vec<[f32; 3]>,
-    /// Highest band of spherical harmonics, 0 to 3.
+    /// Degree of spherical harmonics, 0 to 3.
     pub sh_degree: u32,
 }
 
 impl Scene {
-    /// Highest degree of spherical harmonics that scenes and PLY files have.
+    /// Highest supported degree of spherical harmonics.
     pub const MAX_SH_DEGREE: u32 = 3;
 
-    /// Gaussians.
+    /// Returns the number of Gaussians.
     pub fn len(&self) -> usize {
         self.means.len()
     }
 
-    /// Whether there are no Gaussians.
+    /// Returns true if there are no Gaussians.
     pub fn is_empty(&self) -> bool {
         self.means.is_empty()
     }
 
-    /// `K`: coefficients a Gaussian and colour channel.
+    /// Returns `K`, the coefficients per Gaussian and color channel.
     pub fn sh_coeffs_per_gaussian(&self) -> usize {
         coeffs(self.sh_degree)
     }
 
-    /// Median distance of the Gaussians from their median center, or the median of their sizes where all lie at one place.
+    /// Returns the median distance of Gaussians from their median center, or their median size if
+    /// all share one place.
     pub fn extent(&self) -> f64 {
         let step = self.len().div_ceil(SAMPLE).max(1);
         let means: Vec<DVec3> = self.means.iter().step_by(step).map(|mean| DVec3::from(mean.map(f64::from))).collect();
@@ -74,16 +76,16 @@ impl Scene {
         if distance > 0.0 { distance } else { median(self.scales.iter().step_by(step).map(size)) }
     }
 
-    /// Distance from a camera below which nothing is drawn: [`NEAR`], and of scenes below 0.1 units that share of their
-    /// extent, rounded to a power of two so that a scene under optimization keeps it.
+    /// Returns the near plane: [`NEAR`], scaled down for scenes with an extent below 0.1. It steps by
+    /// powers of two, so that optimization rarely changes it.
     pub fn near(&self) -> f32 {
         near(self.extent())
     }
 
-    /// Adds the Gaussians of another scene of the same degree of harmonics behind these.
+    /// Appends a scene of the same degree.
     ///
     /// # Panics
-    /// The degrees differ.
+    /// If the degrees differ.
     pub fn append(&mut self, mut other: Self) {
         assert_eq!(self.sh_degree, other.sh_degree, "scenes of one degree");
         self.means.append(&mut other.means);
@@ -93,11 +95,11 @@ impl Scene {
         self.sh_coeffs.append(&mut other.sh_coeffs);
     }
 
-    /// From the decoder's packed rows of 11 + 3 K: mean 3, scale 3, quaternion wxyz 4, opacity 1, coefficients `[K][rgb]`.
-    /// The values are taken as they are; see [`Scene::validate`].
+    /// Unpacks the decoder's rows of 11 + 3 K: mean 3, scale 3, quaternion wxyz 4, opacity 1,
+    /// coefficients `[K][rgb]`. Does not validate; see [`Scene::validate`].
     ///
     /// # Errors
-    /// [`Error::Argument`] when the degree is above 3 or the length is no whole number of rows.
+    /// [`Error::Argument`] if the degree is above 3 or the last row is incomplete.
     pub fn from_packed(packed: &[f32], sh_degree: u32) -> Result<Self> {
         check_degree(sh_degree)?;
         let width = 11 + 3 * coeffs(sh_degree);
@@ -128,7 +130,7 @@ impl Scene {
         }
     }
 
-    /// As many Gaussians, of zeros: for a reader that fills them.
+    /// Returns a zeroed scene, for readers to fill.
     pub(super) fn zeroed(count: usize, sh_degree: u32) -> Self {
         Self {
             means: vec![[0.0; 3]; count],
@@ -140,7 +142,7 @@ impl Scene {
         }
     }
 
-    /// The Gaussians from number `start` on, to be filled at the same time.
+    /// Returns a parallel iterator over the Gaussians from index `start`.
     pub(super) fn rows_mut(&mut self, start: usize) -> impl IndexedParallelIterator<Item = GaussianMut<'_>> {
         let k = self.sh_coeffs_per_gaussian();
         let fields = (
@@ -153,13 +155,13 @@ impl Scene {
         fields.into_par_iter().map(|(mean, scale, quat, opacity, sh)| GaussianMut { mean, scale, quat, opacity, sh })
     }
 
-    /// Scales the world about the origin: means and scales times `factor`.
+    /// Scales the world about the origin.
     pub fn scale(&mut self, factor: f32) {
         self.means.iter_mut().chain(&mut self.scales).flatten().for_each(|value| *value *= factor);
     }
 
-    /// Moves the scene to another world, in which its own has this pose after it is scaled: a point x comes to stand at
-    /// `pose(scale x)`. Rotations and spherical harmonics turn with it, so that every picture stays as it was.
+    /// Moves the scene to another world: x becomes `pose(scale x)`. Rotations and spherical
+    /// harmonics turn along, so images do not change.
     pub fn place(&mut self, scale: f64, pose: &Pose) {
         let turn = DQuat::from_mat3(&pose.rotation);
         let (harmonics, k) = (sh_rotation(&pose.rotation), self.sh_coeffs_per_gaussian());
@@ -182,20 +184,20 @@ impl Scene {
         });
     }
 
-    /// Keeps of every `group` consecutive Gaussians, such as those of a token, the `count` that show most: by opacity times
-    /// the product of the two largest scales, and of equal ones the first. The order stays.
+    /// Keeps the `count` most visible of every `group` consecutive Gaussians, such as a token's, in
+    /// order. Visibility is opacity times the two largest scales; ties keep the first.
     pub fn keep_most_visible(&mut self, group: usize, count: usize) {
         self.keep(&self.most_visible(group, count));
     }
 
-    /// The indices that [`Scene::keep_most_visible`] keeps, in ascending order.
+    /// Returns the indices that [`Scene::keep_most_visible`] keeps, ascending.
     pub fn most_visible(&self, group: usize, count: usize) -> Vec<usize> {
         let area = |[x, y, z]: [f32; 3]| (x * y).max(y * z).max(x * z);
         let visible: Vec<f32> = self.opacities.iter().zip(&self.scales).map(|(o, scales)| o * area(*scales)).collect();
         let mut kept = Vec::new();
         for start in (0..self.len()).step_by(group.max(1)) {
             let mut order: Vec<usize> = (start..self.len().min(start + group.max(1))).collect();
-            // Stable, so that of equal ones the first stays.
+            // A stable sort keeps the first of equals.
             order.sort_by(|a, b| visible[*b].total_cmp(&visible[*a]));
             order.truncate(count);
             order.sort_unstable();
@@ -204,11 +206,10 @@ impl Scene {
         kept
     }
 
-    /// Leaves out every Gaussian with a value that is not finite or not in its range, and says how many these were. The order
-    /// of the others stays.
+    /// Removes Gaussians with invalid values, in order, and returns their number.
     ///
     /// # Errors
-    /// [`Error::Argument`] where the arrays do not fit each other.
+    /// [`Error::Argument`] if the arrays' lengths disagree.
     pub fn drop_invalid(&mut self) -> Result<usize> {
         self.check_lengths()?;
         let before = self.len();
@@ -220,10 +221,10 @@ impl Scene {
         Ok(before - kept.len())
     }
 
-    /// Keeps the Gaussians of these indices, in their order.
+    /// Keeps the Gaussians with these indices, in this order.
     ///
     /// # Panics
-    /// Where one is out of range.
+    /// If an index is out of range.
     pub fn keep(&mut self, kept: &[usize]) {
         let k = self.sh_coeffs_per_gaussian();
         self.sh_coeffs = kept.iter().flat_map(|i| &self.sh_coeffs[i * k..][..k]).copied().collect();
@@ -233,10 +234,10 @@ impl Scene {
         self.opacities = kept.iter().map(|i| self.opacities[*i]).collect();
     }
 
-    /// Checks that the arrays fit each other and that every value is finite and in its range.
+    /// Checks array lengths and that all values are finite and in range.
     ///
     /// # Errors
-    /// [`Error::Argument`] with the number of bad Gaussians and the first of them.
+    /// [`Error::Argument`] with the number of invalid Gaussians and the first of them.
     pub fn validate(&self) -> Result<()> {
         self.check_lengths()?;
         let n = self.len();
@@ -250,7 +251,7 @@ impl Scene {
         Ok(())
     }
 
-    /// The scene, where a file at `path` holds one that is valid.
+    /// Validates a scene read from `path`.
     pub(super) fn validated(self, path: &Path) -> Result<Self> {
         self.validate().map_err(|error| Error::format(path, None, error.to_string()))?;
         Ok(self)
@@ -274,7 +275,7 @@ impl Scene {
     }
 }
 
-/// A Gaussian's fields, as [`Scene`] has them.
+/// Mutable fields of a Gaussian of [`Scene`].
 pub(super) struct GaussianMut<'a> {
     pub mean: &'a mut [f32; 3],
     pub scale: &'a mut [f32; 3],
@@ -283,7 +284,7 @@ pub(super) struct GaussianMut<'a> {
     pub sh: &'a mut [[f32; 3]],
 }
 
-/// The rule for a Gaussian's values of one field.
+/// Valid values of a field.
 struct Values {
     field: &'static str,
     expected: &'static str,
@@ -317,7 +318,7 @@ fn finite(values: &[f32]) -> bool {
     values.iter().all(|value| value.is_finite())
 }
 
-/// Coefficients a channel of spherical harmonics up to `degree`.
+/// Coefficients per channel up to `degree`.
 fn coeffs(degree: u32) -> usize {
     (degree as usize + 1).pow(2)
 }

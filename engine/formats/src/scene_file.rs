@@ -1,4 +1,4 @@
-//! Scene files of every format that is known. A format is a module beside this file and a line of the table below.
+//! Scene files of every format: each is a module and a row of the table below.
 
 use std::io::Read;
 use std::path::Path;
@@ -19,10 +19,10 @@ macro_rules! listed {
     ($first:literal, $($rest:literal),+) => { concat!($first, ", ", listed!($($rest),+)) };
 }
 
-/// The enumeration of formats from their table: name, extension, and what their module says.
+/// Generates the enumeration from the table: name, extension, module.
 macro_rules! formats {
     ($($(#[$doc:meta])* $name:ident $extension:literal $format:path;)*) => {
-        /// The format of a scene file.
+        /// Format of a scene file.
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub enum SceneFormat {
             $($(#[$doc])* $name,)*
@@ -32,10 +32,10 @@ macro_rules! formats {
             /// Every format, in the order of messages.
             pub const ALL: &[Self] = &[$(Self::$name),*];
 
-            /// Extensions of the formats, for messages.
+            /// Extensions of all formats, for messages.
             pub const EXTENSIONS: &str = listed!($($extension),*);
 
-            /// How the names of its files end, such as ".ply".
+            /// Returns the file extension, such as ".ply".
             pub fn extension(self) -> &'static str {
                 match self {
                     $(Self::$name => $extension,)*
@@ -52,35 +52,36 @@ macro_rules! formats {
 }
 
 formats! {
-    /// 3D Gaussian Splatting PLY; read are also the packed ones of SuperSplat and PlayCanvas (`.compressed.ply`).
+    /// 3D Gaussian Splatting PLY; also reads packed ones of SuperSplat and PlayCanvas
+    /// (`.compressed.ply`).
     Ply ".ply" ply::FORMAT;
     /// Niantic's SPZ.
     Spz ".spz" spz::FORMAT;
-    /// antimatter15's 32 bytes a Gaussian.
+    /// antimatter15's format of 32 bytes per Gaussian.
     Splat ".splat" splat::FORMAT;
-    /// The same as [`SceneFormat::Gltf`] in one binary file.
+    /// [`SceneFormat::Gltf`] in one binary file.
     Glb ".glb" gltf::BINARY;
     /// glTF 2.0 with KHR_gaussian_splatting, as JSON.
     Gltf ".gltf" gltf::TEXT;
 }
 
 impl SceneFormat {
-    /// By an extension, in any case and with its dot or without.
+    /// Finds a format by extension, in any case, with or without its dot.
     pub fn named(extension: &str) -> Option<Self> {
         let extension = extension.strip_prefix('.').unwrap_or(extension);
         Self::ALL.iter().copied().find(|format| format.extension()[1..].eq_ignore_ascii_case(extension))
     }
 
-    /// By the path's extension, in any case.
+    /// Finds a format by a path's extension, in any case.
     pub fn of_extension(path: impl AsRef<Path>) -> Option<Self> {
         Self::named(path.as_ref().extension()?.to_str()?)
     }
 
-    /// By a file's first bytes, else by its extension; none where neither is a scene's. A `.splat` and a `.gltf` have
-    /// no mark and go by their extension alone.
+    /// Detects a format by a file's first bytes, else by extension. `.splat` and `.gltf` have no
+    /// magic bytes.
     ///
     /// # Errors
-    /// [`Error::Io`] when the file cannot be read.
+    /// [`Error::Io`] for failed reads.
     pub fn of_file(path: impl AsRef<Path>) -> Result<Option<Self>> {
         let path = path.as_ref();
         let (mut start, by_extension) = (Vec::new(), Self::of_extension(path));
@@ -90,7 +91,8 @@ impl SceneFormat {
         Ok(Self::told(&start, by_extension))
     }
 
-    /// By a file's first bytes, else `otherwise`, which counts first where it has no mark.
+    /// Detects by first bytes, else returns `otherwise`. A format without magic bytes in
+    /// `otherwise` wins.
     fn told(start: &[u8], otherwise: Option<Self>) -> Option<Self> {
         let marked = |format: &Self| format.format().marks.iter().any(|mark| start.starts_with(mark));
         otherwise
@@ -99,79 +101,79 @@ impl SceneFormat {
             .or(otherwise)
     }
 
-    /// Whether it keeps spherical harmonics above degree 0.
+    /// Returns true if the format stores spherical harmonics above degree 0.
     pub fn keeps_view_dependence(self) -> bool {
         self.format().view_dependence
     }
 
-    /// Whether it has room for the world that a scene is in: a `.splat` and an SPZ of version 4 have none.
+    /// Returns true if the format can store the scene's world: all but `.splat` and SPZ version 4.
     pub fn keeps_world(self, options: &WriteOptions) -> bool {
         self.format().world.is_some() && !(self == Self::Spz && options.spz_version == 4)
     }
 }
 
-/// Reads a scene of any format, told apart as [`SceneFormat::of_file`] does. Whatever axes the format has, the scene has
-/// x right, y down, z forward.
+/// Reads a scene of any format, detected as [`SceneFormat::of_file`]. Converts to axes x right, y
+/// down, z forward.
 ///
 /// # Errors
-/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it is no scene or damaged, or holds values that are
-/// not finite or not in their range.
+/// [`Error::Io`] for failed reads. [`Error::Format`] for unknown or damaged files, and values that
+/// are not finite or out of range.
 pub fn read_scene(path: impl AsRef<Path>) -> Result<Scene> {
     read_scene_unchecked(path.as_ref())?.validated(path.as_ref())
 }
 
-/// As [`read_scene`], with the values as they are, NaN among them: for [`Scene::drop_invalid`], or [`Scene::validate`].
+/// Reads as [`read_scene`], without validating values: NaN passes. See [`Scene::drop_invalid`] and
+/// [`Scene::validate`].
 ///
 /// # Errors
-/// As [`read_scene`], but for values.
+/// See [`read_scene`], except for values.
 pub fn read_scene_unchecked(path: impl AsRef<Path>) -> Result<Scene> {
     let path = path.as_ref();
     let format = SceneFormat::of_file(path)?.ok_or_else(|| no_scene(path))?;
     (format.format().read)(Source::open(path)?)
 }
 
-/// A scene from a file's bytes, told apart by the first of them, else of the format given: a `.splat` and a `.gltf` have no
-/// mark and need it. A glTF may name no other file. Axes and values are those of [`read_scene`]; errors call the bytes
-/// "scene in memory".
+/// Decodes a scene as [`read_scene`], detected by its first bytes, else of `format`, which `.splat`
+/// and `.gltf` need. A glTF may not refer to other files. Errors name "scene in memory".
 ///
 /// # Errors
-/// [`Error::Format`] as [`read_scene`].
+/// [`Error::Format`], see [`read_scene`].
 pub fn decode_scene(bytes: &[u8], format: Option<SceneFormat>) -> Result<Scene> {
     decode_scene_unchecked(bytes, format)?.validated(Path::new(IN_MEMORY))
 }
 
-/// As [`decode_scene`], with the values as they are, as [`read_scene_unchecked`] has them.
+/// Decodes as [`decode_scene`], without validating values.
 ///
 /// # Errors
-/// As [`decode_scene`], but for values.
+/// See [`decode_scene`], except for values.
 pub fn decode_scene_unchecked(bytes: &[u8], format: Option<SceneFormat>) -> Result<Scene> {
     let name = Path::new(IN_MEMORY);
     let format = SceneFormat::told(bytes, format).ok_or_else(|| no_scene(name))?;
     (format.format().read)(Source::memory(name, bytes))
 }
 
-/// The name of bytes in memory in errors.
+/// File name in errors for bytes in memory.
 const IN_MEMORY: &str = "scene in memory";
 
 fn no_scene(name: &Path) -> Error {
     Error::format(name, Some(0), format!("no scene, expected {}", SceneFormat::EXTENSIONS))
 }
 
-/// Writes a scene in the format of the path's extension; the file appears whole or not at all. Cameras are not part of
-/// any of the formats: [`write_transforms`](super::poses::write_transforms) keeps them beside the scene.
+/// Writes a scene atomically, in the format of the extension. No format stores cameras; see
+/// [`write_transforms`](super::poses::write_transforms).
 ///
 /// # Errors
-/// [`Error::Argument`] when the extension is no scene's, the scene is not valid or the format cannot hold it;
-/// [`Error::Io`] when the file cannot be written.
+/// [`Error::Argument`] if the extension is unknown, the scene is invalid or the format cannot store
+/// it; [`Error::Io`] for failed writes.
 pub fn write_scene(path: impl AsRef<Path>, scene: &Scene, options: &WriteOptions) -> Result<()> {
     write_scene_in(path, scene, options, None)
 }
 
-/// As [`write_scene`], with the world that the scene is in, where that is known and [`SceneFormat::keeps_world`]: for
-/// [`read_world`](super::read_world).
+/// Writes as [`write_scene`], with the scene's world for [`read_world`](super::read_world) if known
+/// and [`SceneFormat::keeps_world`].
 ///
 /// # Errors
-/// As [`write_scene`].
+/// See [`write_scene`].
 pub fn write_scene_in(
     path: impl AsRef<Path>,
     scene: &Scene,
@@ -184,10 +186,10 @@ pub fn write_scene_in(
     format.format().write_file(path, scene, options, world)
 }
 
-/// The bytes of the file that [`write_scene`] writes.
+/// Encodes the file that [`write_scene`] writes.
 ///
 /// # Errors
-/// [`Error::Argument`] when the scene is not valid or the format cannot hold it.
+/// [`Error::Argument`] if the scene is invalid or the format cannot store it.
 pub fn encode_scene(scene: &Scene, format: SceneFormat, options: &WriteOptions) -> Result<Vec<u8>> {
     scene.validate()?;
     let (mut bytes, name) = (Vec::new(), Path::new(IN_MEMORY));
@@ -196,11 +198,10 @@ pub fn encode_scene(scene: &Scene, format: SceneFormat, options: &WriteOptions) 
     Ok(bytes)
 }
 
-/// The world of a scene, where its file says so: a PLY, an SPZ or a glTF that this engine wrote of a scene whose world was
-/// known. A `.splat` has no room for it.
+/// Reads a scene's world, if this engine stored it in the file.
 ///
 /// # Errors
-/// [`Error::Io`] when the file cannot be read.
+/// [`Error::Io`] for failed reads.
 pub fn read_world(path: impl AsRef<Path>) -> Result<Option<World>> {
     let path = path.as_ref();
     let Some(read) = SceneFormat::of_file(path)?.and_then(|format| format.format().world) else { return Ok(None) };

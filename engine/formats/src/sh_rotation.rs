@@ -1,4 +1,4 @@
-//! Turning spherical harmonics by any rotation.
+//! Rotation of spherical harmonics.
 
 use std::f64::consts::PI;
 
@@ -7,9 +7,9 @@ use glam::{DMat3, DVec3};
 /// Coefficients up to degree 3.
 const COEFFS: usize = 16;
 
-/// `M` with `c' = M c`, where the colour of `c'` in direction `R d` is that of `c` in direction `d`. Its entries are the
-/// integrals over the sphere of `Y_j(d) Y_k(R⁻¹ d)`, polynomials of degree 6 and less, for which the quadrature of four
-/// Gauss-Legendre heights and eight azimuths is exact. Bands do not mix.
+/// Returns `M` with `c' = M c`: color of `c'` in direction `R d` equals that of `c` in `d`. Entries
+/// are integrals of `Y_j(d) Y_k(R⁻¹ d)`, polynomials of degree at most 6. Quadrature with four
+/// Gauss-Legendre heights and eight azimuths is exact. Degrees do not mix.
 pub fn sh_rotation(rotation: &DMat3) -> [[f64; COEFFS]; COEFFS] {
     let inverse = rotation.transpose();
     let spread = 2.0 / 7.0 * 1.2f64.sqrt();
@@ -32,7 +32,7 @@ pub fn sh_rotation(rotation: &DMat3) -> [[f64; COEFFS]; COEFFS] {
     matrix
 }
 
-/// The real, orthonormal harmonics with the Condon-Shortley phase, by degree and then order.
+/// Evaluates real, orthonormal harmonics with Condon-Shortley phase, by degree, then order.
 fn harmonics(d: DVec3) -> [f64; COEFFS] {
     let DVec3 { x, y, z } = d;
     let (xx, yy, zz) = (x * x, y * y, z * z);

@@ -1,4 +1,4 @@
-//! Where a scene is read from: a file, or bytes in memory.
+//! Input of a scene: a file, or bytes in memory.
 
 use std::borrow::Cow;
 use std::fs::File;
@@ -8,9 +8,9 @@ use std::path::Path;
 use super::file::open_file;
 use crate::{Error, Result};
 
-/// Bytes that are a scene, read from the first to the last.
+/// Sequential bytes of a scene.
 pub(super) struct Source<'a> {
-    /// The file, or what errors call bytes in memory.
+    /// File path, or the name of bytes in memory in errors.
     pub name: &'a Path,
     content: Content<'a>,
 }
@@ -31,7 +31,7 @@ impl<'a> Source<'a> {
         Self { name, content: Content::Memory(Cursor::new(bytes)) }
     }
 
-    /// Bytes from the first to the last, however many were read.
+    /// Returns the total number of bytes.
     pub(super) fn length(&self) -> u64 {
         match &self.content {
             Content::File { length, .. } => *length,
@@ -39,12 +39,12 @@ impl<'a> Source<'a> {
         }
     }
 
-    /// Where files lie that a scene names; bytes in memory have none beside them.
+    /// Returns the folder for referenced files; `None` for bytes in memory.
     pub(super) fn folder(&self) -> Option<&'a Path> {
         matches!(self.content, Content::File { .. }).then(|| self.name.parent().unwrap_or(Path::new("")))
     }
 
-    /// All that was not read yet.
+    /// Reads the remaining bytes.
     pub(super) fn rest(&mut self) -> Result<Cow<'a, [u8]>> {
         match &mut self.content {
             Content::File { file, .. } => {

@@ -1,6 +1,6 @@
-//! The `.splat` layout of antimatter15's viewer: 32 bytes a Gaussian and nothing else. Mean 3 f32, standard deviations
-//! 3 f32, colour and opacity RGBA8, rotation wxyz 4 u8 about 128; axes as in PLY files. It keeps the colour that
-//! degree 0 gives, clamped to 0..1, and no view dependence.
+//! `.splat` of antimatter15's viewer, 32 bytes per Gaussian: mean 3 f32, standard deviations 3 f32,
+//! color and opacity RGBA8, rotation wxyz 4 u8 centered at 128. Axes as in PLY. Stores only the
+//! color of degree 0, clamped to 0..1.
 
 use std::f32::consts::FRAC_1_PI;
 use std::path::Path;
@@ -12,19 +12,18 @@ use crate::{Error, Result};
 pub(super) const FORMAT: Format =
     Format { marks: &[], view_dependence: false, read: read_unchecked, world: None, write: encoder };
 
-/// Bytes a Gaussian.
+/// Bytes per Gaussian.
 const ROW: usize = 32;
 
-/// The harmonic of degree 0: `1 / (2 sqrt(pi))`.
+/// Harmonic of degree 0: `1 / (2 sqrt(pi))`.
 fn sh_constant() -> f32 {
     0.5 * FRAC_1_PI.sqrt()
 }
 
-/// Writes a `.splat`, the largest and most opaque Gaussians first, as viewers show a part before all is loaded. The file
-/// appears whole or not at all.
+/// Writes a `.splat` atomically, largest and most opaque Gaussians first for progressive viewers.
 ///
 /// # Errors
-/// [`Error::Argument`] when the scene is not valid, [`Error::Io`] when the file cannot be written.
+/// [`Error::Argument`] if the scene is invalid, [`Error::Io`] for failed writes.
 pub fn write_splat(scene: &Scene, path: impl AsRef<Path>) -> Result<()> {
     FORMAT.write_file(path.as_ref(), scene, &WriteOptions::default(), None)
 }
@@ -49,16 +48,16 @@ fn encode(scene: &Scene, i: usize) -> [u8; ROW] {
     row
 }
 
-/// Reads a `.splat`, of degree 0. Quaternions keep the length they were rounded to.
+/// Reads a `.splat` of degree 0. Quaternions keep their rounded length.
 ///
 /// # Errors
-/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it is no whole number of Gaussians or one of them
-/// has values that are not finite, a negative standard deviation or no rotation.
+/// [`Error::Io`] for failed reads. [`Error::Format`] for an incomplete Gaussian, values that are
+/// not finite, a negative standard deviation or a zero rotation.
 pub fn read_splat(path: impl AsRef<Path>) -> Result<Scene> {
     read_unchecked(Source::open(path.as_ref())?)?.validated(path.as_ref())
 }
 
-/// As [`read_splat`], with the values as they are.
+/// Reads as [`read_splat`], without validating values.
 fn read_unchecked(mut source: Source<'_>) -> Result<Scene> {
     let bytes = source.rest()?;
     let (rows, rest) = bytes.as_chunks::<ROW>();

@@ -1,7 +1,8 @@
-//! A whole photo as square views side by side.
+//! Square crops of a whole photo.
 //!
-//! A network that was trained on square pictures sees other shapes badly, and its camera encoder knows nothing of principal points.
-//! So each square gets a camera of its own: at the photo's place, turned to the square's middle, with the principal point there.
+//! Networks trained on squares handle other shapes badly, and their camera encoders ignore
+//! principal points. So each square gets its own camera: same position, turned to the square's
+//! center, with a centered principal point.
 
 use glam::{DMat3, DQuat, DVec3};
 use rayon::prelude::*;
@@ -9,23 +10,24 @@ use rayon::prelude::*;
 use super::{Camera, Image, Intrinsics, Pose, preprocess::PixelMap, resample::resize_lanczos};
 use crate::{Error, Result};
 
-/// Where the longer side of a photo is less than this times the shorter, one square shows nearly all of it.
+/// Below this aspect ratio one square shows nearly the whole photo.
 const NEARLY_SQUARE: f64 = 1.1;
-/// Samples a pixel and axis.
+/// Samples per pixel and axis.
 const SAMPLES: u32 = 4;
 
-/// How many squares show a photo of this size: one for each time that its shorter side fits into the longer, rounded up.
+/// Returns the number of squares: longer side over shorter side, rounded up.
 pub fn square_count(width: u32, height: u32) -> usize {
     let aspect = f64::from(width.max(height)) / f64::from(width.min(height).max(1));
     if aspect < NEARLY_SQUARE { 1 } else { aspect.ceil() as usize }
 }
 
-/// The square views of `side` x `side` pixels that together show a photo, from its left or top, and their cameras: in the world of
-/// `camera`, at the same place, each with the principal point in its middle. They overlap where the photo is no whole number of
-/// squares. What lies outside the photo repeats its edge. `camera` may be of another resolution of the same photo.
+/// Returns square views of `side` x `side` pixels covering a photo, from left or top, with cameras
+/// in the world of `camera`. Squares overlap unless the ratio is whole, and repeat the edge beyond
+/// it. `camera` may have another resolution.
 ///
 /// # Errors
-/// As [`Camera::validate`] and [`PixelMap::apply`], with `label`; [`Error::Argument`] where `side` is 0.
+/// See [`Camera::validate`] and [`PixelMap::apply`] with `label`; [`Error::Argument`] if `side` is
+/// 0.
 pub fn squares(photo: &Image, camera: &Camera, side: u32, label: &str) -> Result<Vec<(Image, Camera)>> {
     photo.validate()?;
     camera.validate(label)?;
@@ -33,7 +35,7 @@ pub fn squares(photo: &Image, camera: &Camera, side: u32, label: &str) -> Result
         return Err(Error::argument("side of the squares", side, "at least 1"));
     }
     let lens = PixelMap::identity(photo).apply(&camera.intrinsics, label)?;
-    // Not much finer than the samples.
+    // Limits the resolution to that of the samples.
     let fine = f64::from(side * SAMPLES) / f64::from(photo.width.min(photo.height));
     let small = |length: u32| ((f64::from(length) * fine.min(1.0)).round() as u32).max(1);
     let photo = &resize_lanczos(photo, small(photo.width), small(photo.height))?;
@@ -53,13 +55,13 @@ pub fn squares(photo: &Image, camera: &Camera, side: u32, label: &str) -> Result
     (0..count).map(square).collect()
 }
 
-/// The lens of a square of a photo, whose first pixel and side are given, and its turn in the photo's camera. It sees the middles
-/// of all four edges.
+/// Returns the rotation and intrinsics of a square, given its first pixel and side. The view
+/// contains the centers of all four edges.
 fn turned(lens: &Intrinsics, [left, top]: [f64; 2], edge: f64, side: u32) -> (DMat3, Intrinsics) {
     let ray = |x: f64, y: f64| DVec3::new((x - lens.cx) / lens.fx, (y - lens.cy) / lens.fy, 1.0).normalize();
     let (x, y) = (left + edge / 2.0, top + edge / 2.0);
     let (right, bottom) = (left + edge, top + edge);
-    // Between the edges by angle, which is not where it is by pixels.
+    // Bisects the angle, not the pixels.
     let middle_x = ray(left, y) + ray(right, y);
     let middle_y = ray(x, top) + ray(x, bottom);
     let axis = DVec3::new(middle_x.x / middle_x.z, middle_y.y / middle_y.z, 1.0);
@@ -75,7 +77,7 @@ fn turned(lens: &Intrinsics, [left, top]: [f64; 2], edge: f64, side: u32) -> (DM
     (turn, Intrinsics { width: side, height: side, fx: focal, fy: focal, cx: middle, cy: middle })
 }
 
-/// The photo as a camera at its place sees it, turned by `turn`: the mean of bilinear samples.
+/// Samples the photo in a turned camera: mean of bilinear samples.
 fn sample(photo: &Image, lens: &Intrinsics, to: &Intrinsics, turn: &DMat3) -> Result<Image> {
     let offset = |sample: u32| (f64::from(sample) + 0.5) / f64::from(SAMPLES);
     let pixel = |x: u32, y: u32| {
@@ -93,7 +95,7 @@ fn sample(photo: &Image, lens: &Intrinsics, to: &Intrinsics, turn: &DMat3) -> Re
     Image::new(to.width, to.height, rgb)
 }
 
-/// The colour at a place in pixels; outside, that of the nearest edge.
+/// Interpolates the color at a pixel position, clamped to the edge.
 fn bilinear(photo: &Image, x: f64, y: f64) -> [f64; 3] {
     let axis = |place: f64, length: u32| {
         let place = (place - 0.5).clamp(0.0, f64::from(length - 1));

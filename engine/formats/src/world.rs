@@ -1,25 +1,26 @@
-//! The world that a scene is in, as files say it.
+//! A scene's world, as stored in files.
 
 use std::fmt;
 
 use super::camera::{Pose, matrix_from_quaternion, quaternion_from_matrix};
 
-/// Begins what this engine writes into files about themselves: a comment of a PLY or an SPZ, an extra of a glTF.
+/// Prefix of this engine's metadata: a comment in PLY and SPZ, an extra in glTF.
 pub(super) const MADE_BY: &str = "zipsplat";
 const PHOTO: &str = "origin: ";
 const CAMERAS: &str = "world: cameras, first ";
 
-/// The world that a scene made with known cameras is in. Its unit of length is the cameras'.
+/// World of a scene from known cameras, in their unit of length.
 #[derive(Clone, Debug, PartialEq)]
 pub enum World {
-    /// The camera of the photo of this name: x right, y down, z forward.
+    /// Camera frame of the named photo: x right, y down, z forward.
     Photo(String),
-    /// The cameras' own world, in which the first photo's camera has this pose.
+    /// The cameras' world, with the pose of the first photo's camera.
     Cameras(Pose),
 }
 
 impl World {
-    /// A line that says it, for [`World::parse`]; none where a photo's name cannot be part of a line.
+    /// Formats a line for [`World::parse`], without the world if a photo's name has control
+    /// characters.
     pub(super) fn line(world: Option<&Self>) -> String {
         match world {
             Some(world) if !matches!(world, Self::Photo(name) if name.contains(char::is_control)) => {
@@ -29,7 +30,7 @@ impl World {
         }
     }
 
-    /// The world that a line of [`World::line`] says.
+    /// Parses a line of [`World::line`].
     pub(super) fn parse(line: &str) -> Option<Self> {
         let said = line.strip_prefix(MADE_BY)?.strip_prefix(' ')?;
         if let Some(photo) = said.strip_prefix(PHOTO) {

@@ -1,4 +1,4 @@
-//! Devices of an app: what it must have enabled, and its handles taken over without owning them.
+//! Adoption of an app's Vulkan device: requirements and borrowed handles.
 
 use super::{
     Device,
@@ -18,14 +18,14 @@ use std::{
 
 pub use super::queue::QueueLock;
 
-/// Something that an app has to enable on its own instance or device before the engine can use that.
+/// Vulkan version, extension or feature that an app must enable.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Requirement {
-    /// `VkApplicationInfo::apiVersion`, at least.
+    /// Minimum `VkApplicationInfo::apiVersion`.
     ApiVersion(&'static CStr),
-    /// An extension of the device.
+    /// Device extension.
     DeviceExtension(&'static CStr),
-    /// A feature, and the structure that it is a field of.
+    /// Feature and the structure that declares it.
     Feature {
         /// The field.
         name: &'static CStr,
@@ -34,12 +34,13 @@ pub enum Requirement {
     },
 }
 
-/// Everything that has to be enabled.
+/// Returns the requirements of every device.
 pub fn requirements() -> Vec<Requirement> {
     [Requirement::ApiVersion(c"1.3")].into_iter().chain(REQUIRED.map(feature)).collect()
 }
 
-/// The features that matrix units, dot products of integers and 16-bit floats need, for precisions other than exact. Nothing else is used.
+/// Returns the features for matrix units, integer dot products and 16-bit floats. Exact precision
+/// needs none of these.
 pub fn fast_requirements() -> Vec<Requirement> {
     let extension = Requirement::DeviceExtension(ash::khr::cooperative_matrix::NAME);
     let features = HALVES.into_iter().chain(MATRICES).chain(BYTES).chain(DOT_PRODUCTS);
@@ -50,9 +51,9 @@ fn feature(feature: Feature) -> Requirement {
     Requirement::Feature { name: feature.name, structure: feature.structure }
 }
 
-/// An app's Vulkan handles. They are used, never destroyed.
+/// An app's Vulkan handles. The engine never destroys them.
 pub struct Adopted {
-    /// `vkGetInstanceProcAddr` that the app calls; `None` takes the system's loader.
+    /// The app's `vkGetInstanceProcAddr`; `None` loads the system's loader.
     pub get_instance_proc_addr: Option<unsafe extern "C" fn()>,
     /// `VkInstance`.
     pub instance: *mut c_void,
@@ -60,25 +61,26 @@ pub struct Adopted {
     pub physical_device: *mut c_void,
     /// `VkDevice`.
     pub device: *mut c_void,
-    /// `VkQueue` of that device.
+    /// `VkQueue` of `device`.
     pub queue: *mut c_void,
-    /// Family of the queue; it must be able to compute.
+    /// Family of the queue, with compute support.
     pub queue_family: u32,
-    /// How the app's use of the queue and the engine's keep out of each other's way; `None` where only the engine uses it.
+    /// Lock that serializes use of the queue; `None` if the engine is its only user.
     pub queue_lock: Option<QueueLock>,
-    /// Whether everything in [`fast_requirements`] is enabled that the physical device has.
+    /// Whether every supported feature of [`fast_requirements`] is enabled.
     pub fast: bool,
 }
 
 impl Device {
-    /// Works on an app's device.
+    /// Adopts an app's device.
     ///
     /// # Safety
-    /// The handles are valid and belong together, everything in [`requirements`] is enabled on them and what [`Adopted::fast`]
-    /// says, and they stay valid until the last user of this device is gone.
+    /// The handles are valid, belong together and outlive the last clone of this device. Everything
+    /// in [`requirements`] is enabled, and [`Adopted::fast`] is true to its description.
     ///
     /// # Errors
-    /// [`Error::NoDevice`] where the physical device or the queue cannot do what the kernels need.
+    /// [`Error::Argument`] for a null handle or a queue without compute, [`Error::NoDevice`] if the
+    /// device lacks a requirement.
     pub unsafe fn adopt(adopted: Adopted) -> Result<Self> {
         let handles = [adopted.instance, adopted.physical_device, adopted.device, adopted.queue];
         if handles.iter().any(|handle| handle.is_null()) {
@@ -88,7 +90,7 @@ impl Device {
         let instance = Instance::adopt(adopted.get_instance_proc_addr, vk::Instance::from_raw(instance))?;
         let physical = vk::PhysicalDevice::from_raw(physical);
         let (mut limits, found) = probe(&instance, physical);
-        // What the app did not have to enable.
+        // The requirements do not include these features.
         limits.matrices.bf16 = None;
         limits.addresses = false;
         if !adopted.fast {
@@ -150,7 +152,7 @@ mod tests {
                 queue_lock: None,
                 fast,
             };
-            // SAFETY: handles of a device that has everything enabled and outlives this one.
+            // SAFETY: these handles have everything enabled and outlive the adopted device.
             unsafe { Device::adopt(adopted) }.expect("a device that works")
         };
         let (fast, exact) = (adopt(true), adopt(false));

@@ -1,4 +1,4 @@
-//! One memory for plans that take turns.
+//! Shared scratch memory of plans that never run at the same time.
 
 use super::{
     Device, Plan,
@@ -13,8 +13,8 @@ use std::sync::{
     atomic::{AtomicBool, AtomicU64, Ordering},
 };
 
-/// Scratch memory that plans share which never run at the same time. Each plan of a lane begins at the lane's first byte, so a
-/// lane is as large as the largest of its plans, not as their sum. Cloning shares the memory.
+/// Scratch memory shared by plans that never run at the same time. All plans of a lane start at
+/// offset 0, so a lane has the size of its largest plan. Cloning shares the memory.
 #[derive(Clone)]
 pub struct Arena(Arc<Lanes>);
 
@@ -24,41 +24,41 @@ struct Lanes {
     claimed: AtomicBool,
 }
 
-/// The right to run plans in an arena, which nobody else has until it is dropped.
+/// Exclusive right to run plans in an arena, released on drop.
 pub struct Claim(Arena);
 
 impl Arena {
-    /// Lanes: plans that may be under way at the same time, such as two pictures in flight.
+    /// Number of lanes: plans that may be in flight at the same time.
     pub const LANES: usize = 2;
 
-    /// An arena without memory: it grows with the plans that run in it.
+    /// Creates an empty arena, which grows on demand.
     pub fn new(device: &Device) -> Self {
         let (device, lanes, claimed) = (device.clone(), Default::default(), AtomicBool::new(false));
         Self(Arc::new(Lanes { device, lanes, claimed }))
     }
 
-    /// Bytes of a lane that these plans take turns in.
+    /// Returns the bytes of a lane that fits each of these plans.
     pub fn lane_bytes<'a>(plans: impl IntoIterator<Item = &'a Plan>) -> u64 {
         plans.into_iter().fold(Vec::new(), |sizes, plan| grown(&sizes, plan.block_bytes())).iter().sum()
     }
 
-    /// The device that the memory is on.
+    /// Returns the arena's device.
     pub fn device(&self) -> &Device {
         &self.0.device
     }
 
-    /// True where both arenas are the same memory.
+    /// Returns true if both arenas share the same memory.
     pub fn is(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.0, &other.0)
     }
 
-    /// The right to run plans here; `None` while somebody else has it.
+    /// Claims the arena; `None` if it is already claimed.
     pub fn claim(&self) -> Option<Claim> {
         let free = self.0.claimed.compare_exchange(false, true, Ordering::Acquire, Ordering::Relaxed);
         free.is_ok().then(|| Claim(self.clone()))
     }
 
-    /// The arena and the right to run plans in it, or another one where somebody has that right now.
+    /// Claims the arena. If it is already claimed, returns an unclaimed new arena.
     pub fn claimed(&self) -> (Self, Option<Claim>) {
         match self.claim() {
             Some(claim) => (self.clone(), Some(claim)),
@@ -66,13 +66,13 @@ impl Arena {
         }
     }
 
-    /// Bytes of all lanes.
+    /// Returns the bytes of all lanes.
     pub fn bytes(&self) -> u64 {
         let bytes = |lane: &Arc<Lane>| lock(&lane.state).sizes.iter().sum::<u64>();
         self.0.lanes.iter().map(|lane| lock(lane).as_ref().map_or(0, bytes)).sum()
     }
 
-    /// Gives the memory back; for whoever has the claim. Plans take theirs anew when they run again.
+    /// Frees the memory; the next run allocates it again. The caller must hold the claim.
     ///
     /// # Errors
     /// [`Error::DeviceLost`](crate::Error::DeviceLost).
@@ -80,7 +80,7 @@ impl Arena {
         self.0.lanes.iter().try_for_each(|lane| lock(lane).as_ref().map_or(Ok(()), |lane| lane.release()))
     }
 
-    /// A lane, made when it is first asked for.
+    /// Returns a lane, created at first use.
     pub(super) fn lane(&self, lane: usize) -> Result<Arc<Lane>> {
         let mut lane = lock(&self.0.lanes[lane]);
         match &*lane {
@@ -96,13 +96,13 @@ impl Drop for Claim {
     }
 }
 
-/// The memory of one plan at a time, and the timeline of what is submitted for it.
+/// Memory for one plan at a time, and the timeline of its submissions.
 pub(super) struct Lane {
     device: Device,
     timeline: vk::Semaphore,
-    /// The timeline's value behind everything that was submitted.
+    /// Largest timeline value of any submission.
     signalled: AtomicU64,
-    /// The largest value that was waited for.
+    /// Largest timeline value already waited for.
     waited: AtomicU64,
     state: Mutex<State>,
 }
@@ -111,9 +111,9 @@ struct State {
     memory: Arc<Memory>,
     /// Bytes of each block.
     sizes: Vec<u64>,
-    /// Counts the memories that there were.
+    /// Incremented whenever the memory is replaced.
     generation: u64,
-    /// The run that used the lane last.
+    /// Id of the lane's last run.
     user: u64,
 }
 
@@ -135,10 +135,12 @@ impl Lane {
         }))
     }
 
-    /// Makes room for a plan's blocks, once everything that was submitted here is done. Returns the memory's generation.
+    /// Waits for all submissions, then grows the memory to fit a plan's blocks. Returns its
+    /// generation.
     ///
     /// # Errors
-    /// [`Error::Memory`](crate::Error::Memory) where the device has too little; what the lane had is given back then.
+    /// [`Error::Memory`](crate::Error::Memory) if the device has too little memory. The lane is
+    /// then empty.
     pub fn reserve(&self, blocks: &[u64]) -> Result<u64> {
         self.settle()?;
         let mut state = lock(&self.state);
@@ -146,7 +148,7 @@ impl Lane {
             blocks.len() <= state.sizes.len() && blocks.iter().zip(&state.sizes).all(|(need, have)| need <= have);
         if !fits {
             let grown = grown(&state.sizes, blocks);
-            // Given back before as much and more is taken.
+            // Frees the old memory first, so that both never coexist.
             state.empty(&self.device)?;
             let memory = |sizes: &[u64]| Memory::new(&self.device, "arena", sizes);
             let (memory, sizes) = match memory(&grown) {
@@ -163,66 +165,64 @@ impl Lane {
         lock(&self.state).empty(&self.device)
     }
 
-    /// The memory, for as long as one call takes: whoever keeps it keeps it from being given back.
+    /// Returns the memory. Callers must not store it: a stored reference keeps it allocated.
     pub fn memory(&self) -> Arc<Memory> {
         lock(&self.state).memory.clone()
     }
 
-    /// Notes that a run uses the lane; false where another one did in between, which left nothing of its inputs and results.
+    /// Marks a run as the lane's last. Returns false if another run may have overwritten its data.
     pub fn used_by(&self, run: u64) -> bool {
         std::mem::replace(&mut lock(&self.state).user, run) == run
     }
 
-    /// True where this run used the lane last: inputs and results in it are its own.
+    /// Returns true if this run used the lane last, so its data is intact.
     pub fn holds(&self, run: u64) -> bool {
         lock(&self.state).user == run
     }
 
-    /// The timeline, for a submission that is to signal [`Lane::next_value`].
     pub fn timeline(&self) -> vk::Semaphore {
         self.timeline
     }
 
-    /// A value that the timeline did not have yet.
+    /// Returns an unused timeline value.
     pub fn next_value(&self) -> Result<u64> {
         Ok(self.value()?.max(self.signalled.load(Ordering::Relaxed)) + 1)
     }
 
-    /// Books a submission that signals `value`, where it is under way.
+    /// Records a submission that signals `value`, if it is in flight.
     pub fn submitted(&self, value: u64, result: &Result<()>) {
         if is_under_way(result) {
             self.signalled.fetch_max(value, Ordering::Relaxed);
         }
     }
 
-    /// The timeline's value now.
     pub fn value(&self) -> Result<u64> {
         // SAFETY: the semaphore is alive.
         unsafe { self.device.0.raw.get_semaphore_counter_value(self.timeline) }
             .map_err(|e| self.device.0.failed("vkGetSemaphoreCounterValue", e))
     }
 
-    /// Waits until the timeline has a value that was submitted for signalling.
+    /// Waits for a timeline value that a submission will signal.
     pub fn wait(&self, value: u64) -> Result<()> {
         let (semaphores, values) = ([self.timeline], [value]);
         let info = vk::SemaphoreWaitInfo::default().semaphores(&semaphores).values(&values);
         // SAFETY: the semaphore is alive.
         unsafe { self.device.0.raw.wait_semaphores(&info, u64::MAX) }
             .map_err(|e| self.device.0.failed("vkWaitSemaphores", e))?;
-        // A wait on a lost device may end with success all the same.
+        // Waits on a lost device may return success.
         self.device.0.check_lost()?;
         self.waited.fetch_max(value, Ordering::Relaxed);
         Ok(())
     }
 
-    /// Waits for everything that was submitted here.
+    /// Waits for all submissions of this lane.
     pub fn settle(&self) -> Result<()> {
         let last = self.signalled.load(Ordering::Relaxed);
         if last > self.waited.load(Ordering::Relaxed) { self.wait(last) } else { Ok(()) }
     }
 }
 
-/// Blocks that hold either.
+/// Returns block sizes that fit both.
 fn grown(sizes: &[u64], blocks: &[u64]) -> Vec<u64> {
     let bytes = |of: &[u64], i: usize| of.get(i).copied().unwrap_or(0);
     (0..sizes.len().max(blocks.len())).map(|i| bytes(sizes, i).max(bytes(blocks, i))).collect()
@@ -239,9 +239,9 @@ impl State {
 
 impl Drop for Lane {
     fn drop(&mut self) {
-        // Fails only where the device is lost: then nothing is under way.
+        // Fails only if the device is lost; nothing is in flight then.
         let _ = self.settle();
-        // SAFETY: nothing is under way.
+        // SAFETY: nothing is in flight.
         unsafe { self.device.0.raw.destroy_semaphore(self.timeline, None) };
     }
 }

@@ -1,8 +1,8 @@
-//! Barriers: which command waits for which.
+//! Memory barriers.
 
 use ash::vk;
 
-/// Access of everything that a plan does on the device.
+/// All write access of a plan's commands.
 pub(super) const WRITES: vk::AccessFlags2 = vk::AccessFlags2::from_raw(
     vk::AccessFlags2::SHADER_STORAGE_WRITE.as_raw() | vk::AccessFlags2::TRANSFER_WRITE.as_raw(),
 );
@@ -17,7 +17,7 @@ pub(super) const STAGES: vk::PipelineStageFlags2 = vk::PipelineStageFlags2::from
         | vk::PipelineStageFlags2::DRAW_INDIRECT.as_raw(),
 );
 
-/// Makes writes before it visible to `access` behind it.
+/// Makes earlier writes visible to `access`.
 pub(super) fn memory_barrier(
     raw: &ash::Device,
     commands: vk::CommandBuffer,
@@ -31,6 +31,6 @@ pub(super) fn memory_barrier(
         .dst_stage_mask(to)
         .dst_access_mask(access)];
     let info = vk::DependencyInfo::default().memory_barriers(&barrier);
-    // SAFETY: the callers are recording into `commands`.
+    // SAFETY: callers are recording into `commands`.
     unsafe { raw.cmd_pipeline_barrier2(commands, &info) };
 }

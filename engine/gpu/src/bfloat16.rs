@@ -1,4 +1,4 @@
-//! VK_KHR_shader_bfloat16, which ash 0.38 does not know: its features and the type of its matrices' components.
+//! VK_KHR_shader_bfloat16, missing from ash 0.38.
 
 use ash::vk;
 use std::{
@@ -23,12 +23,11 @@ pub struct Features {
 }
 
 impl Features {
-    /// bf16 as a type, and matrices of it.
+    /// Requests the bf16 type and bf16 matrices.
     pub fn matrices() -> Self {
         Self { in_buffers: vk::TRUE, matrices: vk::TRUE, ..Self::default() }
     }
 
-    /// Whether the device has those.
     pub fn has_matrices(&self) -> bool {
         [self.in_buffers, self.matrices] == [vk::TRUE; 2]
     }
@@ -41,7 +40,7 @@ impl Default for Features {
     }
 }
 
-// SAFETY: laid out as the extension says, with the structure type that it names.
+// SAFETY: layout and structure type follow the extension's specification.
 unsafe impl vk::ExtendsPhysicalDeviceFeatures2 for Features {}
 // SAFETY: as above.
 unsafe impl vk::ExtendsDeviceCreateInfo for Features {}

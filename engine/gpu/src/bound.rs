@@ -1,4 +1,4 @@
-//! Tensors of a plan and the ranges of buffers that they are.
+//! Tensors resolved to buffer ranges.
 
 use super::{
     device::Shared,
@@ -9,13 +9,12 @@ use super::{
 use ash::vk;
 use std::sync::Arc;
 
-/// A range of a buffer.
 #[derive(Clone, Copy)]
 pub(super) struct Range {
     pub buffer: vk::Buffer,
     pub from: u64,
     pub to: u64,
-    /// The range's beginning in the device's memory, on devices with [`Limits::addresses`](super::Limits::addresses).
+    /// Device address of the range's start, if [`Limits::addresses`](super::Limits::addresses).
     pub address: u64,
 }
 
@@ -29,7 +28,7 @@ impl Range {
     }
 }
 
-/// A plan with the memory that it runs in.
+/// A plan and the memory that it runs in.
 pub(super) struct Bound<'a> {
     pub shared: &'a Shared,
     pub plan: &'a Plan,
@@ -49,7 +48,7 @@ impl Bound<'_> {
                 (&resident.expect("a plan runs with the memory that it uses").memory, block, 0)
             }
         };
-        // Vulkan knows no empty ranges; every allocation has room for these 16 bytes.
+        // Vulkan rejects empty ranges. Every allocation has at least 16 bytes.
         let bytes = tensor.bytes.next_multiple_of(4).max(16);
         let (buffer, from) = (memory.buffer(block), base + tensor.offset);
         Range { buffer, from, to: from + bytes, address: memory.address(block) + from }

@@ -1,4 +1,4 @@
-//! Encoding commands, with the barriers that their reads and writes call for.
+//! Command encoding, with barriers between dependent commands.
 
 use super::{
     barrier::{READS, STAGES, WRITES, memory_barrier},
@@ -24,7 +24,7 @@ pub(super) struct Encoder<'a> {
 }
 
 impl<'a> Encoder<'a> {
-    /// Starts recording; earlier submissions' writes are made visible.
+    /// Starts recording. Writes of earlier submissions become visible.
     pub fn begin(
         bound: &'a Bound<'a>,
         descriptors: &'a Descriptors,
@@ -66,7 +66,8 @@ impl<'a> Encoder<'a> {
             Operation::Copy { source, target } => {
                 let (from, to) = (self.bound.range(*source), self.bound.range(*target));
                 let region = vk::BufferCopy { src_offset: from.from, dst_offset: to.from, size: source.bytes };
-                // SAFETY: recording; both ranges are inside their buffers and live tensors never overlap.
+                // SAFETY: recording; both ranges are inside their buffers and live tensors never
+                // overlap.
                 unsafe { self.raw().cmd_copy_buffer(self.commands, from.buffer, to.buffer, &[region]) };
             }
         }
@@ -74,7 +75,7 @@ impl<'a> Encoder<'a> {
         Ok(())
     }
 
-    /// Ends recording; results are made visible to the host.
+    /// Ends recording. Results become visible to the host.
     pub fn end(self) -> Result<()> {
         self.barrier(STAGES, vk::PipelineStageFlags2::HOST, vk::AccessFlags2::HOST_READ);
         // SAFETY: recording.
@@ -85,7 +86,7 @@ impl<'a> Encoder<'a> {
         &self.bound.shared.raw
     }
 
-    /// A barrier where the command reads what was written, or writes what was touched, since the last one.
+    /// Inserts a barrier if the command conflicts with accesses since the last one.
     fn synchronise(&mut self, command: &Command) {
         let (mut reads, mut writes) = (Vec::new(), Vec::new());
         command.operation.for_each_access(|tensor, read, write| {
@@ -115,7 +116,7 @@ impl<'a> Encoder<'a> {
     fn timestamp(&mut self) {
         if let Some(pool) = self.queries {
             let stage = vk::PipelineStageFlags2::ALL_COMMANDS;
-            // SAFETY: recording; the caller keeps pieces within the pool.
+            // SAFETY: recording; the caller limits pieces to the pool's size.
             unsafe { self.raw().cmd_write_timestamp2(self.commands, stage, pool, self.next_query) };
             self.next_query += 1;
         }
@@ -133,7 +134,7 @@ impl<'a> Encoder<'a> {
         }
         let push: &[u8] = &bytemuck::bytes_of(&push)[..module.push_bytes as usize];
         let (raw, commands) = (self.raw(), self.commands);
-        // SAFETY: recording; all handles are alive, and the sets are of the pipeline's layout.
+        // SAFETY: recording; all handles are alive, and the sets match the pipeline's layout.
         unsafe {
             raw.cmd_bind_pipeline(commands, compute, pipeline.raw);
             raw.cmd_bind_descriptor_sets(commands, compute, pipeline.layout, 0, &sets, &[]);

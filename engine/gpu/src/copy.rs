@@ -1,4 +1,4 @@
-//! Copies between buffers, beside what plans do.
+//! Buffer copies outside of plans.
 
 use super::{
     barrier::{STAGES, memory_barrier},
@@ -8,7 +8,8 @@ use super::{
 use crate::Result;
 use ash::vk;
 
-/// Records copies `(from, to, region)`, behind everything that was submitted before, for the device and the host to see.
+/// Records copies `(from, to, region)` after all earlier submissions. Results are visible to the
+/// device and the host.
 pub(super) fn record_copies(
     shared: &Shared,
     commands: vk::CommandBuffer,
@@ -30,13 +31,13 @@ pub(super) fn record_copies(
     unsafe { raw.end_command_buffer(commands) }.map_err(|e| driver("vkEndCommandBuffer", e))
 }
 
-/// Copies between two buffers, behind everything that was submitted before, and waits for it.
+/// Copies between buffers after all earlier submissions, and waits.
 pub(super) fn copy_now(shared: &Shared, from: vk::Buffer, to: vk::Buffer, region: vk::BufferCopy) -> Result<()> {
     shared.check_lost()?;
     let raw = &shared.raw;
     let transfer = vk::PipelineStageFlags2::TRANSFER;
     let pool_info = vk::CommandPoolCreateInfo::default().queue_family_index(shared.family);
-    // SAFETY: handles are used on this thread only and destroyed after the wait.
+    // SAFETY: this thread alone uses the handles and destroys them after the wait.
     unsafe {
         let pool = raw.create_command_pool(&pool_info, None).map_err(|e| driver("vkCreateCommandPool", e))?;
         let submit = |fence| {
@@ -58,7 +59,7 @@ pub(super) fn copy_now(shared: &Shared, from: vk::Buffer, to: vk::Buffer, region
             raw.wait_for_fences(&[fence], true, u64::MAX).map_err(|e| shared.failed("vkWaitForFences", e))?;
             shared.check_lost()
         };
-        // A fence, not the whole queue: that may be an app's.
+        // Waiting for the whole queue would wait for an app's submissions, too.
         let fence = raw.create_fence(&vk::FenceCreateInfo::default(), None);
         let result = fence.map_err(|e| driver("vkCreateFence", e)).and_then(|fence| {
             let result = submit(fence);

@@ -1,4 +1,4 @@
-//! The buffers that each dispatch of a plan is bound to: they stay where they are, so their descriptors are written once.
+//! Descriptors of a plan's dispatches, written once because buffers never move.
 
 use super::{
     Device,
@@ -9,11 +9,11 @@ use super::{
 use crate::Result;
 use ash::vk;
 
-/// One set for each dispatch.
+/// One descriptor set per dispatch.
 pub(super) struct Descriptors {
     device: Device,
     pool: vk::DescriptorPool,
-    /// By number of the plan's command; null where that is no dispatch.
+    /// By command index; null for commands that are no dispatch.
     sets: Vec<vk::DescriptorSet>,
 }
 
@@ -37,7 +37,7 @@ impl Descriptors {
         Ok(descriptors)
     }
 
-    /// The descriptor set of a command which is a dispatch.
+    /// Returns the descriptor set of a dispatch.
     pub fn of(&self, command: usize) -> vk::DescriptorSet {
         self.sets[command]
     }
@@ -46,7 +46,7 @@ impl Descriptors {
         let raw = &self.device.0.raw;
         let layouts = [self.device.0.pipelines.set_layout(dispatch.module)?];
         let info = vk::DescriptorSetAllocateInfo::default().descriptor_pool(self.pool).set_layouts(&layouts);
-        // SAFETY: the pool has room for a set and its descriptors for each dispatch, and nobody else uses it.
+        // SAFETY: the pool has capacity for all dispatches, and only this object uses it.
         let set = unsafe { raw.allocate_descriptor_sets(&info) }.map_err(|e| driver("vkAllocateDescriptorSets", e))?[0];
         let infos: Vec<_> = dispatch.buffers.iter().map(|tensor| [bound.range(*tensor).descriptor()]).collect();
         let writes: Vec<_> = (dispatch.module.bindings.iter().zip(&infos))
@@ -58,7 +58,7 @@ impl Descriptors {
                     .buffer_info(info)
             })
             .collect();
-        // SAFETY: the set is new, its layout was made from the module's own bindings, and the buffers are alive.
+        // SAFETY: the set is new and matches the module's bindings; the buffers are alive.
         unsafe { raw.update_descriptor_sets(&writes, &[]) };
         Ok(set)
     }
@@ -66,7 +66,7 @@ impl Descriptors {
 
 impl Drop for Descriptors {
     fn drop(&mut self) {
-        // SAFETY: the run that owns it has waited for what it submitted.
+        // SAFETY: the owning run has waited for its submissions.
         unsafe { self.device.0.raw.destroy_descriptor_pool(self.pool, None) };
     }
 }

@@ -1,4 +1,4 @@
-//! A Vulkan device: choosing it, and what it can do.
+//! Selection and state of a Vulkan device.
 
 use super::{
     bfloat16,
@@ -21,26 +21,27 @@ use std::{
     },
 };
 
-/// Options of opening a device.
+/// Options of [`Device::open`].
 #[derive(Clone, Debug)]
 pub struct DeviceOptions {
-    /// The device's number in [`super::list_devices`], a part of its name, or its UUID; `None` takes the best.
+    /// Index in [`super::list_devices`], part of a name, or UUID; `None` picks the best device.
     pub selector: Option<String>,
-    /// Runs under the Khronos validation layer with synchronisation validation; a message fails the run. Scratch tensors are
-    /// NaN before they are written.
+    /// Enables the Khronos validation layer with synchronization validation; any message fails the
+    /// run. Scratch tensors are filled with NaN before their first use.
     pub validation: bool,
-    /// Binds at most so many bytes at once, as a device with a smaller limit would have it.
+    /// Limit on the bytes of one binding, to emulate a smaller device.
     pub max_binding_bytes: Option<u64>,
-    /// Uses at most so many bytes of the device's memory, and leaves the rest to others.
+    /// Budget of device memory in bytes.
     pub max_memory_bytes: Option<u64>,
-    /// Lets kernels read only what is bound to them, which validation watches, also where reading by address is faster.
+    /// Forces robust access: kernels read bound buffers only, never device addresses.
     pub bound: bool,
-    /// Moves bytes through staging memory also where the host sees the device's own, as a discrete GPU has it.
+    /// Uses staging buffers even if device memory is host visible, to emulate a discrete GPU.
     pub staged: bool,
 }
 
 impl Default for DeviceOptions {
-    /// The best device; validation where the environment variable `ZIPSPLAT_VALIDATION` is 1, and bound where `ZIPSPLAT_BOUND` is.
+    /// Picks the best device. `ZIPSPLAT_VALIDATION=1` enables validation, `ZIPSPLAT_BOUND=1` robust
+    /// access.
     fn default() -> Self {
         let is_set = |name| std::env::var(name).is_ok_and(|v| v == "1");
         let (validation, bound) = (is_set("ZIPSPLAT_VALIDATION"), is_set("ZIPSPLAT_BOUND"));
@@ -48,36 +49,33 @@ impl Default for DeviceOptions {
     }
 }
 
-/// An open device. Cloning shares it; it closes when the last user is gone.
+/// An open device. Cloning shares it; dropping the last clone closes it.
 #[derive(Clone)]
 pub struct Device(pub(super) Arc<Shared>);
 
-/// The state that every run on a device shares.
+/// State shared by all runs on a device.
 pub(super) struct Shared {
     pub raw: ash::Device,
     pub queue: Queue,
     pub family: u32,
     pub limits: Limits,
-    /// Bytes of device memory that blocks hold.
+    /// Bytes of allocated device memory.
     pub allocated: AtomicU64,
-    /// Arithmetic per millisecond seen so far in each stage, for splitting long plans: how it is counted differs.
+    /// Measured FLOPs per millisecond by stage, for splitting long plans. Stages count FLOPs
+    /// differently.
     pub flops_per_ms: Mutex<HashMap<String, u64>>,
-    /// See [`DeviceOptions::staged`].
     pub staged: bool,
-    /// See [`Device::index`].
     index: usize,
-    /// See [`Device::passed_over`].
     passed_over: Vec<String>,
-    /// See [`super::lost`].
     pub lost: AtomicBool,
     pub pipelines: Pipelines,
     allocator: Mutex<Option<Allocator>>,
-    /// Whether device and instance are ours to destroy.
+    /// Whether device and instance are destroyed on drop.
     owned: bool,
     pub instance: Instance,
 }
 
-/// The parts that [`Shared`] is made of.
+/// The parts of [`Shared`].
 pub(super) struct SharedParts {
     pub instance: Instance,
     pub physical: vk::PhysicalDevice,
@@ -95,19 +93,19 @@ impl Device {
     /// Opens a device.
     ///
     /// # Errors
-    /// [`Error::NoDevice`] where no driver is installed, none matches or none can do what the kernels need.
+    /// [`Error::NoDevice`] if no driver is installed or no matching device meets the requirements.
     pub fn open(options: &DeviceOptions) -> Result<Self> {
         let instance = Instance::new(options.validation)?;
         let devices = devices(&instance)?;
         let names = || devices.iter().map(|(_, d)| format!("{}: {}", d.index, d.limits.name)).collect::<Vec<_>>();
         let matching: Vec<_> = devices
             .iter()
-            .filter(|(_, d)| options.selector.as_ref().is_none_or(|selector| d.is_selected(selector, devices.len())))
+            .filter(|(_, d)| options.selector.as_ref().is_none_or(|selector| d.is_selected(selector)))
             .collect();
         if matching.is_empty() {
             let selector = options.selector.clone().unwrap_or_default();
             return Err(Error::NoDevice(format!(
-                "none is '{selector}'; those of this machine: {}",
+                "none is '{selector}': digits are an index; those of this machine: {}",
                 names().join(", ")
             )));
         }
@@ -125,22 +123,22 @@ impl Device {
         Shared::open(instance, (physical, index), options, passed_over).map(|s| Self(Arc::new(s)))
     }
 
-    /// The device's number among the machine's, as [`DeviceOptions::selector`] takes it; 0 where it was adopted.
+    /// Returns the device's index for [`DeviceOptions::selector`]; 0 for adopted devices.
     pub fn index(&self) -> usize {
         self.0.index
     }
 
-    /// GPUs that matched and cannot be used, and why, where a CPU was taken for them.
+    /// Returns the rejected GPUs with reasons, if the engine fell back to a CPU.
     pub fn passed_over(&self) -> &[String] {
         &self.0.passed_over
     }
 
-    /// Bytes of the device's memory that are in use: arenas, weights, scenes.
+    /// Returns the bytes of device memory in use: arenas, weights, scenes.
     pub fn allocated_bytes(&self) -> u64 {
         self.0.allocated.load(Ordering::Relaxed)
     }
 
-    /// Fails where the device was lost before.
+    /// Fails if the device is lost.
     ///
     /// # Errors
     /// [`Error::DeviceLost`].
@@ -148,7 +146,7 @@ impl Device {
         self.0.check_lost()
     }
 
-    /// The limits and abilities of the device.
+    /// Returns the device's limits and features.
     pub fn limits(&self) -> &Limits {
         &self.0.limits
     }
@@ -208,10 +206,10 @@ impl Shared {
         if bf16 {
             info = info.push_next(&mut bf16_features);
         }
-        // SAFETY: `physical` belongs to the instance; the features and extensions were found on it.
+        // SAFETY: `physical` belongs to the instance and supports the features and extensions.
         let raw = unsafe { instance.raw.create_device(physical, &info, None) }
             .map_err(|e| Error::NoDevice(format!("{}: vkCreateDevice: {e}", limits.name)))?;
-        // SAFETY: the family and queue were asked for above.
+        // SAFETY: the queue was requested above.
         let queue = Queue::new(unsafe { raw.get_device_queue(family, 0) }, None);
         let staged = options.staged;
         let owned = true;
@@ -253,10 +251,10 @@ impl Shared {
         AllocatorGuard(lock(&self.allocator))
     }
 
-    /// Fails with the validation messages gathered since the last call.
+    /// Fails with the validation messages since the last call.
     pub fn check_messages(&self) -> Result<()> {
         if self.instance.debug.is_some() {
-            // What the layer finds in shaders it says once it knows that they have ended.
+            // The layer reports shader errors only after completion.
             self.queue.wait_idle(&self.raw).map_err(|e| self.failed("vkQueueWaitIdle", e))?;
         }
         let messages = std::mem::take(&mut *lock(&self.instance.messages));
@@ -269,7 +267,7 @@ impl Shared {
 
 impl Drop for Shared {
     fn drop(&mut self) {
-        // SAFETY: the last user is gone, who waited for all submissions, so nothing else holds these handles.
+        // SAFETY: the last user waited for all submissions, so nothing else holds these handles.
         unsafe {
             self.pipelines.destroy();
             drop(lock(&self.allocator).take());
@@ -280,7 +278,7 @@ impl Drop for Shared {
     }
 }
 
-/// The allocator, which lives as long as the device.
+/// Guard of the allocator, which lives as long as the device.
 pub(super) struct AllocatorGuard<'a>(MutexGuard<'a, Option<Allocator>>);
 
 impl std::ops::Deref for AllocatorGuard<'_> {

@@ -1,29 +1,29 @@
-//! Types of numbers in kernels.
+//! Number types of kernels.
 
 use half::{bf16, f16};
 
-/// The type of values that a kernel takes in several types (`#pragma element` and `#pragma factor` in its source).
+/// Number type of a kernel variant (`#pragma element` and `#pragma factor` in its source).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Element {
     /// IEEE single precision.
     #[default]
     F32,
-    /// IEEE half precision: 11 bits, up to 65504.
+    /// IEEE half precision: 11 significant bits, at most 65504.
     F16,
-    /// The upper half of a single precision number: 8 bits and its range.
+    /// Brain float: the upper half of an f32, with 8 significant bits.
     Bf16,
-    /// Whole numbers from -127 to 127, with a scale elsewhere. Only as factors of matrix units.
+    /// Integers from -127 to 127 with a separate scale. Factors of matrix units only.
     I8,
 }
 
 impl Element {
-    /// Types of 16 bits.
+    /// 16-bit types.
     pub const HALVES: [Self; 2] = [Self::F16, Self::Bf16];
-    /// Types of factors that matrix units multiply.
+    /// Factor types of matrix units.
     pub const FACTORS: [Self; 3] = [Self::F16, Self::Bf16, Self::I8];
 
-    /// As in the names of kernels.
+    /// Returns the name used in kernel names.
     pub fn name(self) -> &'static str {
         match self {
             Element::F32 => "f32",
@@ -33,7 +33,7 @@ impl Element {
         }
     }
 
-    /// Bytes of one value.
+    /// Returns the bytes of one value.
     pub fn bytes(self) -> usize {
         match self {
             Element::F32 => 4,
@@ -42,7 +42,7 @@ impl Element {
         }
     }
 
-    /// The largest value.
+    /// Returns the largest finite value.
     pub fn largest(self) -> f32 {
         match self {
             Element::F32 => f32::MAX,
@@ -52,7 +52,7 @@ impl Element {
         }
     }
 
-    /// The most by which rounding to nearest moves a number, relative to it; of whole numbers, relative to the largest.
+    /// Returns the unit roundoff; for integers, relative to the largest value.
     pub fn roundoff(self) -> f64 {
         match self {
             Element::F32 => (-24f64).exp2(),
@@ -62,7 +62,7 @@ impl Element {
         }
     }
 
-    /// The bytes of numbers in this type, rounded to nearest; what it cannot hold saturates.
+    /// Encodes numbers, rounded to nearest and saturated.
     pub fn encode(self, values: &[f32]) -> Vec<u8> {
         let held = values.iter().map(|x| x.clamp(-self.largest(), self.largest()));
         match self {
@@ -73,7 +73,7 @@ impl Element {
         }
     }
 
-    /// The numbers that bytes of this type hold.
+    /// Decodes numbers.
     pub fn decode(self, bytes: &[u8]) -> Vec<f32> {
         let halves = || bytes.as_chunks::<2>().0.iter().copied();
         match self {

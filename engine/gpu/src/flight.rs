@@ -1,25 +1,24 @@
-//! Runs that are under way while the host does something else.
+//! In-flight submissions, overlapped with work on the host.
 
 use super::{Run, twins::Twins};
 use crate::Result;
 
 impl Run {
-    /// Prepares for [`Run::start`]: inputs and outputs then move with the run, also where the host does not see the
-    /// device's memory.
+    /// Prepares for [`Run::start`]. Adds staging buffers if device memory is not host visible.
     ///
     /// # Errors
-    /// [`crate::Error::Memory`] where the host has no room for them.
+    /// [`crate::Error::Memory`] if the host has no memory for the staging buffers.
     pub fn in_flight(mut self) -> Result<Self> {
         self.flies = true;
         self.make_twins()?;
         Ok(self)
     }
 
-    /// Twins for the memory that the lane has now.
+    /// Creates staging buffers for the lane's current memory.
     pub(super) fn make_twins(&mut self) -> Result<()> {
         let arena = self.lane.memory();
         if let Some(twins) = self.twins.take() {
-            // SAFETY: the lane is settled, so neither is under way.
+            // SAFETY: the lane is settled, so neither is in flight.
             unsafe { self.device.0.raw.free_command_buffers(self.pool, &[twins.upload, twins.download]) };
         }
         if self.flies && !arena.is_seen_by_host() {
@@ -29,10 +28,11 @@ impl Run {
         Ok(())
     }
 
-    /// Submits the whole plan and returns at once. What comes next waits for it: [`Run::finish`], a write, another run.
+    /// Submits the whole plan without waiting. [`Run::finish`], writes and other runs of the lane
+    /// wait for it.
     ///
     /// # Errors
-    /// As [`Run::execute`].
+    /// See [`Run::execute`].
     pub fn start(&mut self) -> Result<()> {
         self.begin()?;
         self.encode_all()?;
@@ -46,17 +46,16 @@ impl Run {
         Ok(())
     }
 
-    /// Waits for what was started. Outputs can be read then.
+    /// Waits for the started submission. Outputs are readable afterwards.
     ///
     /// # Errors
-    /// As [`Run::execute`].
+    /// See [`Run::execute`].
     pub fn finish(&mut self) -> Result<()> {
         self.settle()?;
         self.device.0.check_messages()
     }
 
-    /// Waits where something is under way: what was started, or a copy, until which the host may change nothing that it
-    /// reads.
+    /// Waits for the started submission and for copies to a target.
     pub(super) fn settle(&mut self) -> Result<()> {
         if self.under_way || self.presenting.is_some() {
             self.lane.wait(self.signalled)?;

@@ -1,4 +1,4 @@
-//! The Vulkan instance, and validation.
+//! Vulkan instance and validation.
 
 use super::failure::driver;
 use crate::{Error, Result};
@@ -10,15 +10,15 @@ use std::{
 
 const VALIDATION_LAYER: &CStr = c"VK_LAYER_KHRONOS_validation";
 
-/// A loaded instance. Validation messages gather in `messages`.
+/// A loaded instance. `messages` collects validation messages.
 pub(super) struct Instance {
     pub raw: ash::Instance,
     pub debug: Option<ext::debug_utils::Instance>,
     messenger: vk::DebugUtilsMessengerEXT,
     pub messages: Box<Mutex<Vec<String>>>,
-    /// Version of Vulkan that the validation layer was made for, where it is on.
+    /// Vulkan version of the validation layer, if enabled.
     layer_version: Option<u32>,
-    /// Whether it is ours to destroy.
+    /// Whether the instance is destroyed on drop.
     owned: bool,
     pub entry: ash::Entry,
 }
@@ -37,7 +37,7 @@ impl Instance {
         if layer_settings {
             extensions.push(ext::layer_settings::NAME.as_ptr());
         }
-        // Else a loader hides drivers on top of another interface, such as MoltenVK.
+        // Loaders hide portability drivers such as MoltenVK by default.
         let portable = has_extension(&entry, None, khr::portability_enumeration::NAME);
         if portable {
             extensions.push(khr::portability_enumeration::NAME.as_ptr());
@@ -81,10 +81,10 @@ impl Instance {
         Ok(instance)
     }
 
-    /// An app's instance, called through its own loader where it gives that.
+    /// Adopts an app's instance, through the app's loader if given.
     pub fn adopt(get_instance_proc_addr: Option<unsafe extern "C" fn()>, instance: vk::Instance) -> Result<Self> {
         let entry = match get_instance_proc_addr {
-            // SAFETY: the caller vouches that it is `vkGetInstanceProcAddr`, whose type this is.
+            // SAFETY: the caller vouches that it is `vkGetInstanceProcAddr`, which has this type.
             Some(function) => unsafe {
                 let get_instance_proc_addr =
                     std::mem::transmute::<unsafe extern "C" fn(), vk::PFN_vkGetInstanceProcAddr>(function);
@@ -98,7 +98,8 @@ impl Instance {
         Ok(Self { debug: None, messenger, messages: Box::default(), layer_version: None, owned: false, raw, entry })
     }
 
-    /// Whether validation, where it is on, knows what came with a version; older layers take that for mistakes.
+    /// Returns true if validation is off or knows this Vulkan version. Older layers reject newer
+    /// features.
     pub fn validates(&self, version: u32) -> bool {
         self.layer_version.is_none_or(|layer| layer >= version)
     }
@@ -134,7 +135,7 @@ impl Drop for Instance {
 }
 
 fn load() -> Result<ash::Entry> {
-    // SAFETY: loading the system's Vulkan loader runs its initialisers, which is what it is for.
+    // SAFETY: the loader's initializers are safe to run.
     unsafe { ash::Entry::load() }
         .map_err(|e| Error::NoDevice(format!("no Vulkan loader ({e}): install libvulkan1 and a driver")))
 }
@@ -146,7 +147,7 @@ fn layer_version(entry: &ash::Entry) -> u32 {
     validation.map_or(0, |layer| layer.spec_version)
 }
 
-/// Whether a layer, or without one the loader or a driver, has an extension of instances.
+/// Returns true if the layer, or without one the loader or a driver, has an instance extension.
 fn has_extension(entry: &ash::Entry, layer: Option<&CStr>, name: &CStr) -> bool {
     // SAFETY: plain query.
     let found = unsafe { entry.enumerate_instance_extension_properties(layer) };
@@ -159,12 +160,12 @@ unsafe extern "system" fn on_message(
     data: *const vk::DebugUtilsMessengerCallbackDataEXT<'_>,
     user: *mut c_void,
 ) -> vk::Bool32 {
-    // SAFETY: the layer passes valid data; `user` is the boxed list of the instance that is calling.
+    // SAFETY: the layer passes valid data; `user` is the boxed list of the calling instance.
     let (text, messages) = unsafe {
         let text = (*data).message_as_c_str().map(|t| t.to_string_lossy().into_owned()).unwrap_or_default();
         (text, &*user.cast::<Mutex<Vec<String>>>())
     };
-    // What the layer switches on for itself, where its settings have it watch shaders.
+    // Reports a setting that the layer enabled by itself for GPU-assisted validation.
     if text.contains("Internal Warning") {
         return vk::FALSE;
     }

@@ -1,9 +1,9 @@
-//! Offsets by lifetime: tensors whose live ranges do not meet share bytes.
+//! Arena offsets: tensors with disjoint lifetimes share bytes.
 
-/// Every tensor starts on a multiple of this: the largest offset alignment that Vulkan lets a driver ask for.
+/// Alignment of every tensor: Vulkan's upper bound on minimum offset alignments.
 pub(super) const ALIGNMENT: u64 = 256;
 
-/// A tensor to be placed: its bytes, and the first and last command that uses them.
+/// Size of a tensor, and its first and last command.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Lifetime {
     pub bytes: u64,
@@ -11,7 +11,6 @@ pub(super) struct Lifetime {
     pub last: u32,
 }
 
-/// The place of a tensor.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Placement {
     pub block: u32,
@@ -20,10 +19,10 @@ pub(super) struct Placement {
     pub last: u32,
 }
 
-/// Places every lifetime, largest first, at the lowest offset that is free throughout its life, in blocks of at most
-/// `block_bytes`. Returns the placements and the size of each block.
+/// Places each lifetime, largest first, at its lowest free offset in blocks of up to `block_bytes`.
+/// Returns the placements and block sizes.
 ///
-/// `Err` holds the index of a lifetime that is larger than a block.
+/// `Err` holds the index of a lifetime that exceeds a block.
 pub(super) fn place(lifetimes: &[Lifetime], block_bytes: u64) -> Result<(Vec<Placement>, Vec<u64>), usize> {
     let mut order: Vec<usize> = (0..lifetimes.len()).collect();
     order.sort_by_key(|&i| (std::cmp::Reverse(lifetimes[i].bytes), i));

@@ -1,7 +1,8 @@
-//! Vulkan compute as plans: device, arena, recorder, runs and their profile. This crate alone names Vulkan, and it knows no kernel.
+//! Vulkan compute: device, arena, recorder, runs and profiles. The only crate that names Vulkan; it
+//! knows no kernel.
 //!
-//! A [`Recorder`] turns calls of typed kernels into a [`Plan`]: a plain command list, with an offset in one arena for
-//! every tensor. A [`Run`] allocates that arena on a [`Device`] and executes the plan as often as wanted.
+//! A [`Recorder`] turns typed kernel calls into a [`Plan`]: a command list with arena offsets. A
+//! [`Run`] allocates the arena on a [`Device`] and executes the plan any number of times.
 #![allow(unsafe_code)]
 
 mod adopt;

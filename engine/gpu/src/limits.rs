@@ -1,66 +1,67 @@
-//! The limits and abilities of a device, as far as plans depend on them.
+//! Device limits and features that plans depend on.
 
 use super::element::Element;
 use crate::{Error, Result};
 
-/// The limits and abilities of a device, as far as plans depend on them.
+/// Device limits and features that plans depend on.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct Limits {
-    /// The device's name.
+    /// Device name.
     pub name: String,
-    /// The driver's name and version.
+    /// Driver name and version.
     pub driver: String,
     /// Vulkan version, `major.minor.patch`.
     pub api: String,
-    /// The device is a CPU.
+    /// Whether the device is a CPU.
     pub cpu: bool,
-    /// The device is a discrete GPU.
+    /// Whether the device is a discrete GPU.
     pub discrete: bool,
-    /// Invocations in a subgroup.
+    /// Invocations per subgroup.
     pub subgroup_size: u32,
-    /// Bytes that one binding of a kernel may span.
+    /// Maximum bytes of one binding.
     pub max_binding_bytes: u64,
-    /// Bytes that one allocation may have.
+    /// Maximum bytes of one allocation.
     pub max_block_bytes: u64,
-    /// Workgroups along x, y, z.
+    /// Maximum workgroups along x, y, z.
     pub max_groups: [u32; 3],
-    /// Bytes of shared memory of a workgroup.
+    /// Shared memory per workgroup in bytes.
     pub shared_bytes: u32,
-    /// Bytes of the memory that kernels work in.
+    /// Device memory in bytes.
     pub memory_bytes: u64,
-    /// Nanoseconds of one timestamp tick.
+    /// Nanoseconds per timestamp tick.
     pub timestamp_ns: f64,
-    /// Bits of a timestamp; 0 where there are no timestamps.
+    /// Valid bits of a timestamp; 0 if unsupported.
     pub timestamp_bits: u32,
-    /// Invocations that a workgroup may have.
+    /// Maximum invocations per workgroup.
     pub max_invocations: u32,
-    /// Kernels may read and write 16-bit floats.
+    /// Support for 16-bit floats in buffers.
     pub half_storage: bool,
-    /// Matrices that a subgroup multiplies as one (VK_KHR_cooperative_matrix).
+    /// Shapes of cooperative matrices (VK_KHR_cooperative_matrix).
     pub matrices: Matrices,
-    /// Lanes multiply four signed 8-bit integers by four and add up the products, where there are 16-bit floats, too.
+    /// Support for dot products of four signed 8-bit integers, together with 16-bit floats.
     pub dot_products: bool,
-    /// The device says that it has instructions for that.
+    /// Whether these dot products are hardware accelerated.
     pub dot_products_accelerated: bool,
-    /// Kernels may read buffers by their address, and the driver makes a vector's loads of loads that are the same for all lanes.
+    /// Whether kernels may read buffers by address. Enabled only for drivers that turn uniform
+    /// loads into vector loads.
     pub addresses: bool,
-    /// Device, driver and whether validation is on, exactly: what was measured on one is not true of another, and a message
-    /// of the layer fails a kernel that computes rightly.
+    /// Cache key of measurements: device, driver and validation state. Validation is included
+    /// because its messages fail correct kernels.
     pub identity: String,
 }
 
-/// Sides of the matrices that a subgroup multiplies: `[m, k]` times `[k, n]`.
+/// Shape of a matrix product: `[m, k]` times `[k, n]`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct MatrixShape {
     /// Rows of the product.
     pub m: u32,
     /// Columns of the product.
     pub n: u32,
-    /// Terms of a sum.
+    /// Inner dimension.
     pub k: u32,
 }
 
-/// The matrices that a subgroup multiplies as one, by the type of their factors.
+/// Cooperative matrix shapes by factor type.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct Matrices {
     /// f16 factors, f32 sums.
@@ -72,7 +73,7 @@ pub struct Matrices {
 }
 
 impl Matrices {
-    /// The shape of matrices with factors of this type.
+    /// Returns the matrix shape for a factor type.
     pub fn of(&self, factor: Element) -> Option<MatrixShape> {
         match factor {
             Element::F32 => None,
@@ -84,10 +85,7 @@ impl Matrices {
 }
 
 impl Limits {
-    /// Refuses to measure on a device without timestamps.
-    ///
-    /// # Errors
-    /// [`Error::NoDevice`].
+    /// Fails on a device without timestamps.
     pub fn check_timestamps(&self) -> Result<()> {
         match self.timestamp_bits {
             0 => Err(Error::NoDevice(format!("{} has no timestamps, which measuring needs", self.name))),
@@ -97,14 +95,14 @@ impl Limits {
 }
 
 impl Limits {
-    /// The device's UUID as 32 hexadecimal digits, the same in CUDA; "none" where there is no device.
+    /// Returns the device's UUID as 32 hexadecimal digits, as in CUDA, or "none" without a device.
     pub fn uuid(&self) -> &str {
         self.identity.split('-').next().unwrap_or_default()
     }
 }
 
 impl Default for Limits {
-    /// A plain desktop device, for plans made without one.
+    /// Typical desktop limits, for plans made without a device.
     fn default() -> Self {
         Self {
             name: "none".into(),

@@ -1,8 +1,8 @@
-//! Tables that threads share.
+//! Mutexes of shared tables.
 
 use std::sync::{Mutex, MutexGuard};
 
-/// Locks even where a panicking thread held the lock: the data are plain tables.
+/// Locks a mutex even if poisoned: its tables have no invariants to break.
 pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(|e| e.into_inner())
 }

@@ -1,4 +1,4 @@
-//! Devices that are lost: once one is, it stays so, and every call that works with it says so.
+//! Device loss, which is permanent and reported by every later call.
 
 use super::{device::Shared, failure::driver};
 use crate::{Error, Result};
@@ -6,7 +6,7 @@ use ash::vk;
 use std::sync::atomic::Ordering;
 
 impl Shared {
-    /// The error of a call that failed; one that the device was lost in is remembered.
+    /// Converts a failed call into an error, and records device loss.
     pub fn failed(&self, call: &'static str, result: vk::Result) -> Error {
         if result == vk::Result::ERROR_DEVICE_LOST {
             self.lost.store(true, Ordering::Relaxed);
@@ -14,8 +14,8 @@ impl Shared {
         driver(call, result)
     }
 
-    /// Fails where the device was lost before. Mapped memory could still be read and written then, and drivers answer some
-    /// calls with success or with other errors.
+    /// Fails if the device is lost. Drivers may answer later calls with success or unrelated
+    /// errors, and mapped memory stays accessible.
     ///
     /// # Errors
     /// [`Error::DeviceLost`].

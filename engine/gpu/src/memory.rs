@@ -1,4 +1,4 @@
-//! Blocks of device memory, and how bytes get in and out.
+//! Blocks of device memory, their uploads and readbacks.
 
 use super::{Device, Tensor, device::Shared, layout::ALIGNMENT, lock::lock, tensor::Home};
 use crate::{Error, Result};
@@ -13,7 +13,7 @@ use std::sync::{
     atomic::{AtomicU64, Ordering},
 };
 
-/// Bytes that go through host-visible memory at a time where the device's own is not.
+/// Size of the staging block, for device memory that is not host visible.
 const STAGING_BYTES: u64 = 16 << 20;
 
 /// A few large buffers.
@@ -27,21 +27,21 @@ struct Block {
     buffer: vk::Buffer,
     allocation: Option<Allocation>,
     bytes: u64,
-    /// The buffer's address, on devices with [`Limits::addresses`](super::Limits::addresses).
+    /// Device address, if [`Limits::addresses`](super::Limits::addresses).
     address: u64,
-    /// Whether it counts as the device's memory: what the host sees and caches is the host's on discrete GPUs.
+    /// Whether it counts as device memory. Host-cached memory is system memory on discrete GPUs.
     counted: bool,
-    /// Host pointer where the memory is host visible and coherent.
+    /// Whether the memory is mapped: host visible and coherent.
     mapped: bool,
 }
 
 impl Memory {
-    /// Allocates blocks of these sizes, or refuses before anything is allocated.
+    /// Allocates blocks of these sizes, or fails before any allocation.
     pub fn new(device: &Device, what: &str, sizes: &[u64]) -> Result<Self> {
         Self::at(device, what, sizes, MemoryLocation::GpuOnly)
     }
 
-    /// One block that the host sees and caches, whatever the device.
+    /// Allocates one host-visible, host-cached block on any device.
     pub fn seen_by_host(device: &Device, what: &str, bytes: u64) -> Result<Self> {
         Self::at(device, what, &[bytes], MemoryLocation::GpuToCpu)
     }
@@ -67,7 +67,7 @@ impl Memory {
         self.blocks.iter().map(|block| block.bytes).sum()
     }
 
-    /// Whether reading and writing go without copies on the device.
+    /// Returns true if uploads and readbacks need no staging.
     pub fn is_seen_by_host(&self) -> bool {
         self.blocks.iter().all(|block| block.mapped)
     }
@@ -84,7 +84,7 @@ impl Memory {
         self.shared.check_lost()?;
         let target = &self.blocks[block as usize];
         if let Some(memory) = target.bytes_at(offset, bytes.len()) {
-            // SAFETY: in bounds (checked there), mapped, and no submission is using the range: runs are exclusive.
+            // SAFETY: checked bounds, mapped, and no submission uses the range: runs are exclusive.
             unsafe { std::ptr::copy_nonoverlapping(bytes.as_ptr(), memory, bytes.len()) };
             return Ok(());
         }
@@ -120,7 +120,7 @@ impl Memory {
         Ok(())
     }
 
-    /// Cached by the host, because reading from memory that is not is very slow.
+    /// Locks the staging block. It is host-cached because uncached reads are very slow.
     fn staging(&self) -> Result<std::sync::MutexGuard<'_, Option<Block>>> {
         let mut staging = lock(&self.staging);
         if staging.is_none() {
@@ -155,7 +155,7 @@ impl Block {
             usage |= vk::BufferUsageFlags::SHADER_DEVICE_ADDRESS;
         }
         let info = vk::BufferCreateInfo::default().size(bytes).usage(usage);
-        // Others use the memory too, and it may be in pieces: how much could be had, no driver says.
+        // No driver reports the available memory: other programs use it, and it may be fragmented.
         let refused = || {
             let available = shared.limits.memory_bytes.saturating_sub(shared.allocated.load(Ordering::Relaxed));
             Error::Memory { what: format!("{what}, which the driver refused,"), needed: bytes, available }
@@ -179,11 +179,11 @@ impl Block {
             return Err(refused());
         };
         let is = |property| allocation.memory_properties().contains(property);
-        // The host reads very slowly what it does not cache.
+        // Host reads of uncached memory are very slow.
         let direct = is(vk::MemoryPropertyFlags::HOST_CACHED) && !shared.staged;
         let seen = is(vk::MemoryPropertyFlags::HOST_COHERENT) && (direct || location != MemoryLocation::GpuOnly);
         block.mapped = seen && allocation.mapped_ptr().is_some();
-        // SAFETY: both were made for each other and are bound once.
+        // SAFETY: both belong together and are bound once.
         let bound = unsafe { shared.raw.bind_buffer_memory(buffer, allocation.memory(), allocation.offset()) };
         block.allocation = Some(allocation);
         if let Err(e) = bound {
@@ -192,13 +192,13 @@ impl Block {
         }
         if addresses {
             let info = vk::BufferDeviceAddressInfo::default().buffer(buffer);
-            // SAFETY: the buffer was made for it and is bound.
+            // SAFETY: the buffer allows it and is bound.
             block.address = unsafe { shared.raw.get_buffer_device_address(&info) };
         }
         Ok(block)
     }
 
-    /// Host address of a range, where the memory can be written from the host.
+    /// Returns the host address of a mapped range.
     fn bytes_at(&self, offset: u64, len: usize) -> Option<*mut u8> {
         assert!(offset + len as u64 <= self.bytes, "host access outside a block");
         let base = self.allocation.as_ref()?.mapped_ptr().filter(|_| self.mapped)?;
@@ -211,7 +211,7 @@ impl Block {
         // SAFETY: users wait for their submissions before they drop their memory.
         unsafe { shared.raw.destroy_buffer(self.buffer, None) };
         if let Some(allocation) = self.allocation {
-            // Freeing can fail only for memory that this allocator does not know.
+            // Fails only for memory of another allocator.
             let _ = shared.allocator().free(allocation);
         }
     }
@@ -221,17 +221,17 @@ fn unmapped() -> Error {
     Error::Driver { call: "vkMapMemory", result: "staging memory is not host visible".into() }
 }
 
-/// Sizes of tensors that stay on the device: weights, scenes. Packed one after the other.
+/// Sizes of tensors that stay on the device, such as weights and scenes.
 #[derive(Debug)]
 pub struct ResidentLayout {
-    /// Tells the tensors of one layout from those of others.
+    /// Distinguishes tensors of different layouts.
     id: u64,
     blocks: Vec<u64>,
     block_bytes: u64,
 }
 
 impl ResidentLayout {
-    /// An empty layout for devices of these limits.
+    /// Creates an empty layout for devices of these limits.
     pub fn new(limits: &super::Limits) -> Self {
         static LAYOUTS: AtomicU64 = AtomicU64::new(0);
         let id = LAYOUTS.fetch_add(1, Ordering::Relaxed);
@@ -251,13 +251,13 @@ impl ResidentLayout {
         Tensor { home: Home::Resident { layout: self.id, block: block as u32 }, offset, bytes }
     }
 
-    /// Bytes of all tensors.
+    /// Returns the bytes of all tensors.
     pub fn bytes(&self) -> u64 {
         self.blocks.iter().sum()
     }
 }
 
-/// Device memory that outlives runs: the tensors of one layout.
+/// Device memory of one layout, kept across runs.
 pub struct Resident {
     pub(super) memory: Memory,
     pub(super) layout: u64,
@@ -267,38 +267,38 @@ impl Resident {
     /// Allocates a layout.
     ///
     /// # Errors
-    /// [`Error::Memory`] where the device has too little.
+    /// [`Error::Memory`] if the device has too little memory.
     pub fn new(device: &Device, layout: &ResidentLayout) -> Result<Self> {
         let memory = Memory::new(device, "resident memory", &layout.blocks)?;
         Ok(Self { memory, layout: layout.id })
     }
 
-    /// Writes a tensor of this memory from its start.
+    /// Writes a tensor from its start.
     ///
     /// # Errors
-    /// Where the transfer fails.
+    /// A failed transfer.
     pub fn write<T: Pod>(&self, tensor: Tensor, data: &[T]) -> Result<()> {
         let bytes: &[u8] = bytemuck::cast_slice(data);
         assert!(bytes.len() as u64 <= tensor.bytes, "{} bytes into {}", bytes.len(), tensor.bytes);
         self.memory.write(self.block(tensor), tensor.offset, bytes)
     }
 
-    /// Reads a tensor of this memory, once every run that writes it is done.
+    /// Reads a tensor. Runs that write it must have finished.
     ///
     /// # Errors
-    /// A transfer that fails.
+    /// A failed transfer.
     pub fn read<T: Pod>(&self, tensor: Tensor) -> Result<Vec<T>> {
         let mut data = vec![T::zeroed(); tensor.bytes as usize / size_of::<T>()];
         self.memory.read(self.block(tensor), tensor.offset, bytemuck::cast_slice_mut(&mut data))?;
         Ok(data)
     }
 
-    /// Bytes of all tensors.
+    /// Returns the bytes of all tensors.
     pub fn bytes(&self) -> u64 {
         self.memory.bytes()
     }
 
-    /// The device that the memory is on.
+    /// Returns true if the memory is on this device.
     pub fn is_on(&self, device: &Device) -> bool {
         Arc::ptr_eq(&self.memory.shared, &device.0)
     }

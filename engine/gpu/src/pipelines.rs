@@ -1,4 +1,4 @@
-//! Pipelines of kernels, compiled once for each set of specialisation constants.
+//! Compute pipelines, compiled once per set of specialization constants.
 
 use super::{
     kernel::{LocalSize, Module},
@@ -11,11 +11,11 @@ use std::{
     sync::Mutex,
 };
 
-/// The pipelines that were made on a device so far.
+/// Cache of a device's pipelines.
 pub(super) struct Pipelines {
     raw: ash::Device,
     debug: Option<ext::debug_utils::Device>,
-    /// Invocations in a subgroup, and whether that can be asked for.
+    /// Subgroup size, and whether the device can be asked for it.
     subgroup: u32,
     subgroup_control: bool,
     made: Mutex<HashMap<(&'static str, Vec<u32>), Pipeline>>,
@@ -23,7 +23,6 @@ pub(super) struct Pipelines {
 }
 
 impl Pipelines {
-    /// None so far.
     pub fn new(
         raw: ash::Device,
         debug: Option<ext::debug_utils::Device>,
@@ -33,11 +32,11 @@ impl Pipelines {
         Self { raw, debug, subgroup, subgroup_control, made: Mutex::default(), layouts: Mutex::default() }
     }
 
-    /// Destroys all of them, which are in no use any more.
+    /// Destroys all pipelines. None may be in use.
     pub fn destroy(&self) {
         let raw = &self.raw;
         for pipeline in lock(&self.made).values() {
-            // SAFETY: made on this device, and in no use.
+            // SAFETY: made on this device and unused.
             unsafe { raw.destroy_pipeline(pipeline.raw, None) };
         }
         for layout in lock(&self.layouts).values() {
@@ -45,7 +44,7 @@ impl Pipelines {
         }
     }
 
-    /// The pipeline of a module with these specialisation constants, compiled once.
+    /// Returns the pipeline for a module and its specialization constants.
     pub fn get(&self, module: &'static Module, constants: &[u32]) -> Result<Pipeline> {
         let key = (module.name, constants.to_vec());
         if let Some(found) = lock(&self.made).get(&key) {
@@ -57,7 +56,7 @@ impl Pipelines {
         let mut ids = module.constant_ids.to_vec();
         let whole_subgroups = !matches!(module.local_size, LocalSize::Fixed(_));
         if whole_subgroups {
-            // In the order of ids: validation 1.4.309 looks matrix sizes up by id as if it were a place.
+            // Sorted by ID: validation 1.4.309 uses the ID of a matrix size as an index.
             ids.insert(0, 0);
             values.insert(0, module.local_size.xyz(subgroup, constants)[0]);
         }
@@ -83,7 +82,7 @@ impl Pipelines {
             .flags(vk::PipelineCreateFlags::DISPATCH_BASE)
             .stage(stage)
             .layout(layout.pipeline);
-        // SAFETY: everything that `info` points to is alive.
+        // SAFETY: all pointers in `info` are alive.
         let raw = unsafe { self.raw.create_compute_pipelines(vk::PipelineCache::null(), &[info], None) }.map_err(
             |(_, e)| Error::Driver { call: "vkCreateComputePipelines", result: format!("{}: {e}", module.name) },
         )?[0];
@@ -91,7 +90,7 @@ impl Pipelines {
         match lock(&self.made).entry(key) {
             // Another thread was faster.
             Entry::Occupied(known) => {
-                // SAFETY: made above, and in no use.
+                // SAFETY: made above and unused.
                 unsafe { self.raw.destroy_pipeline(raw, None) };
                 Ok(*known.get())
             }
@@ -99,7 +98,7 @@ impl Pipelines {
         }
     }
 
-    /// How a module's buffers are bound.
+    /// Returns the layout of a module's bindings.
     pub fn set_layout(&self, module: &'static Module) -> Result<vk::DescriptorSetLayout> {
         self.layout(module).map(|layout| layout.set)
     }
@@ -118,7 +117,7 @@ impl Pipelines {
         Ok(layout)
     }
 
-    /// Makes one handle after the other, up to the first that fails.
+    /// Creates the handles in order, up to the first failure.
     fn make_layout(&self, module: &'static Module, layout: &mut Layout) -> Result<()> {
         let bindings: Vec<_> = module
             .bindings
@@ -158,7 +157,7 @@ impl Pipelines {
         let Some(debug) = &self.debug else { return };
         let name = std::ffi::CString::new(name).unwrap_or_default();
         let info = vk::DebugUtilsObjectNameInfoEXT::default().object_handle(pipeline).object_name(&name);
-        // SAFETY: the pipeline is alive. A label that cannot be set is no reason to stop.
+        // SAFETY: the pipeline is alive. Failing to set a label is harmless.
         let _ = unsafe { debug.set_debug_utils_object_name(&info) };
     }
 }
@@ -169,7 +168,7 @@ pub(super) struct Pipeline {
     pub layout: vk::PipelineLayout,
 }
 
-/// Null where it was not made.
+/// Handles; null if not created.
 #[derive(Clone, Copy, Default)]
 struct Layout {
     set: vk::DescriptorSetLayout,
@@ -179,7 +178,7 @@ struct Layout {
 
 impl Layout {
     fn destroy(&self, raw: &ash::Device) {
-        // SAFETY: made on this device, and in no use any more.
+        // SAFETY: made on this device and unused.
         unsafe {
             raw.destroy_shader_module(self.module, None);
             raw.destroy_pipeline_layout(self.pipeline, None);

@@ -1,4 +1,4 @@
-//! A recorded plan: commands, and where every tensor lies.
+//! A recorded plan: commands and tensor offsets.
 
 use super::{
     kernel::Module,
@@ -34,7 +34,7 @@ pub(super) struct Command {
     pub operation: Operation,
     /// Index into [`Plan::scopes`].
     pub scope: u32,
-    /// Multiplications and additions that the arithmetic needs; 0 where bytes matter more.
+    /// Required FLOPs; 0 for commands bound by memory.
     pub flops: u64,
 }
 
@@ -44,7 +44,7 @@ pub(super) enum Role {
     Scratch,
     /// Written by the host before every run.
     Input,
-    /// Keeps its bytes from run to run.
+    /// Keeps its contents between runs.
     Constant,
 }
 
@@ -53,13 +53,13 @@ pub(super) struct Allocation {
     pub name: String,
     pub bytes: u64,
     pub role: Role,
-    /// Whether its bytes stay to the end.
+    /// Whether it lives until the plan's end.
     pub kept: bool,
-    /// Whether the host reads it, too.
+    /// Whether the host reads it.
     pub output: bool,
 }
 
-/// A recorded command list with its arena laid out: a pure function of shapes.
+/// A recorded command list with its arena layout: a pure function of shapes.
 #[derive(Debug)]
 pub struct Plan {
     pub(super) commands: Vec<Command>,
@@ -70,16 +70,16 @@ pub struct Plan {
     pub(super) observed: Vec<(String, Tensor)>,
 }
 
-/// One line of the arena's map.
+/// One row of the arena map.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct ArenaRow {
     /// Scope and name of the tensor.
     pub name: String,
     /// Size in bytes.
     pub bytes: u64,
-    /// Block it lies in.
+    /// Block index.
     pub block: u32,
-    /// Offset in that block.
+    /// Offset in the block.
     pub offset: u64,
     /// Index of the first command that uses it.
     pub first_use: u32,
@@ -88,18 +88,18 @@ pub struct ArenaRow {
 }
 
 impl Plan {
-    /// Bytes of each block of the arena.
+    /// Returns the bytes of each arena block.
     pub fn block_bytes(&self) -> &[u64] {
         &self.blocks
     }
 
-    /// Bytes of the arena: the most that is alive at once, as laid out.
+    /// Returns the bytes of the arena.
     pub fn arena_bytes(&self) -> u64 {
         self.blocks.iter().sum()
     }
 
-    /// Fills every scratch tensor before its first use with what no kernel may rely on: NaN as a float, far out of range as an
-    /// index. Memory that a CPU hands out is zero, a GPU's holds what others left there.
+    /// Fills every scratch tensor before its first use with a poison value: NaN as a float, out of
+    /// range as an index. Exposes reads of uninitialized memory, which is often zero on CPUs.
     pub(super) fn poison(&mut self) {
         let mut born = vec![Vec::new(); self.commands.len()];
         for (id, (allocation, placement)) in self.allocations.iter().zip(&self.placements).enumerate() {
@@ -119,28 +119,28 @@ impl Plan {
         }
     }
 
-    /// The outermost scope of a command: its stage.
+    /// Returns a command's stage: its outermost scope.
     pub(super) fn stage(&self, command: usize) -> &str {
         let scope = &self.scopes[self.commands[command].scope as usize];
         scope.split('/').next().unwrap_or_default()
     }
 
-    /// Commands in the plan.
+    /// Returns the number of commands.
     pub fn len(&self) -> usize {
         self.commands.len()
     }
 
-    /// Whether nothing was recorded.
+    /// Returns true if there are no commands.
     pub fn is_empty(&self) -> bool {
         self.commands.is_empty()
     }
 
-    /// Arithmetic of all commands.
+    /// Returns the FLOPs of all commands.
     pub fn flops(&self) -> u64 {
         self.commands.iter().map(|c| c.flops).sum()
     }
 
-    /// The arena's map, in the order of first use.
+    /// Returns the arena map in order of first use.
     pub fn arena_map(&self) -> Vec<ArenaRow> {
         let mut rows: Vec<_> = self
             .allocations

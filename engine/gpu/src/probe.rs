@@ -1,4 +1,4 @@
-//! The devices of a machine: what each is, and whether it can be used.
+//! Enumeration of devices, their limits and their missing features.
 
 use super::{
     bfloat16,
@@ -9,45 +9,47 @@ use super::{
 use crate::{Error, Result};
 use ash::{khr, vk};
 
-/// One Vulkan device of this machine.
+/// A Vulkan device of this machine.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct DeviceInfo {
-    /// The device's number, as `--device` takes it.
+    /// Index for `--device`.
     pub index: usize,
-    /// Why it cannot be used; empty where it can.
+    /// Missing requirements; empty if the device is usable.
     pub missing: Vec<String>,
-    /// Name, driver and what it can do.
+    /// Name, driver, limits and features.
     pub limits: Limits,
 }
 
 impl DeviceInfo {
-    /// True where a selector means this device, one of `count`: the number of one is nothing else, all others are a UUID, as
-    /// `nvidia-smi -L` writes it, or a part of a name.
-    pub(super) fn is_selected(&self, selector: &str, count: usize) -> bool {
+    /// Returns true if a selector matches this device. Digits match an index only; other selectors
+    /// match a UUID, as printed by `nvidia-smi -L`, or part of a name.
+    pub(super) fn is_selected(&self, selector: &str) -> bool {
         let uuid = selector.strip_prefix("GPU-").unwrap_or(selector).replace('-', "");
-        match selector.parse::<usize>() {
-            Ok(index) if index < count => self.index == index,
+        match selector {
             _ if uuid.eq_ignore_ascii_case(self.limits.uuid()) => true,
-            _ => self.limits.name.to_lowercase().contains(&selector.to_lowercase()),
+            index if !index.is_empty() && index.bytes().all(|byte| byte.is_ascii_digit()) => {
+                index.parse() == Ok(self.index)
+            }
+            name => self.limits.name.to_lowercase().contains(&name.to_lowercase()),
         }
     }
 
-    /// Why it cannot be used.
+    /// Describes the missing requirements.
     pub(super) fn lacks(&self) -> String {
         format!("{} lacks {}", self.limits.name, self.missing.join(", "))
     }
 }
 
-/// Every Vulkan device, usable or not.
+/// Lists every Vulkan device, usable or not.
 ///
 /// # Errors
-/// [`Error::NoDevice`] where there is no Vulkan loader or no driver.
+/// [`Error::NoDevice`] if there is no Vulkan loader or no driver.
 pub fn list_devices() -> Result<Vec<DeviceInfo>> {
     let instance = Instance::new(false)?;
     Ok(devices(&instance)?.into_iter().map(|(_, info)| info).collect())
 }
 
-/// The devices of an instance, with their handles.
+/// Lists an instance's devices with their handles.
 pub(super) fn devices(instance: &Instance) -> Result<Vec<(vk::PhysicalDevice, DeviceInfo)>> {
     // SAFETY: the instance is alive.
     let physical = unsafe { instance.raw.enumerate_physical_devices() }
@@ -62,7 +64,7 @@ pub(super) fn devices(instance: &Instance) -> Result<Vec<(vk::PhysicalDevice, De
     Ok(physical.into_iter().enumerate().map(info).collect())
 }
 
-/// Properties that decide whether a device can be used, beside [`Limits`].
+/// Requirements of a device beyond [`Limits`].
 pub(super) struct Found {
     pub api: u32,
     pub queue_family: Option<u32>,
@@ -74,10 +76,10 @@ pub(super) struct Found {
     pub llvmpipe_major: Option<u32>,
 }
 
-/// Intel's number among PCI vendors.
+/// PCI vendor ID.
 const INTEL: u32 = 0x8086;
 
-/// Reads what a device is and can do.
+/// Queries a device's limits and features.
 pub(super) fn probe(instance: &Instance, device: vk::PhysicalDevice) -> (Limits, Found) {
     let knows = |minor, patch| instance.validates(vk::make_api_version(0, 1, minor, patch));
     let (validated, entry, instance) = (instance.debug.is_some(), &instance.entry, &instance.raw);
@@ -99,7 +101,7 @@ pub(super) fn probe(instance: &Instance, device: vk::PhysicalDevice) -> (Limits,
     if has(bfloat16::NAME) && knows(4, 313) {
         features = features.push_next(&mut bf16);
     }
-    // SAFETY: plain queries on a live instance; structures that an old device does not know stay zero.
+    // SAFETY: plain queries on a live instance; structures unknown to an old device stay zero.
     let (memory, families) = unsafe {
         instance.get_physical_device_properties2(device, &mut properties);
         instance.get_physical_device_features2(device, &mut features);
@@ -123,12 +125,12 @@ pub(super) fn probe(instance: &Instance, device: vk::PhysicalDevice) -> (Limits,
         && knows(3, 255)
         && half_storage
         && offered.have(&MATRICES)
-        // Mesa 26.1's lavapipe crashes where it compiles its matrices of 8 x 8 for subgroups of 16.
+        // Mesa 26.1's lavapipe crashes on 8 x 8 matrices with subgroups of 16.
         && (v12.driver_id != vk::DriverId::MESA_LLVMPIPE || v11.subgroup_size <= 8);
     let offers = Offers { bf16: bf16.has_matrices(), i8: offered.have(&BYTES) };
     let subgroup_control = v13.required_subgroup_size_stages.contains(vk::ShaderStageFlags::COMPUTE);
-    // Intel's drivers name 32, of the sizes that there are the one that leaves a lane the fewest registers: 32 of 4 bytes on
-    // most of their GPUs. The kernels keep tiles in registers.
+    // Intel reports subgroups of 32, its size with the fewest registers per lane. Kernels that keep
+    // tiles in registers want the narrowest size.
     let narrowest = base.vendor_id == INTEL && subgroup_control;
     let limits = Limits {
         name: text(base.device_name_as_c_str().ok()),
@@ -154,7 +156,7 @@ pub(super) fn probe(instance: &Instance, device: vk::PhysicalDevice) -> (Limits,
         half_storage,
         dot_products: half_storage && offered.have(&DOT_PRODUCTS),
         dot_products_accelerated: v13.integer_dot_product4x8_bit_packed_signed_accelerated == vk::TRUE,
-        // Older ones have not been measured.
+        // Mesa 26 is the oldest measured version.
         addresses: llvmpipe_major >= Some(26) && offered.have(&ADDRESSES),
         matrices: if matrices { find_matrices(entry, instance, device, &offers) } else { Matrices::default() },
         identity: format!(
@@ -185,14 +187,14 @@ pub(super) fn probe(instance: &Instance, device: vk::PhysicalDevice) -> (Limits,
     (limits, found)
 }
 
-/// Optional parts of matrices that are not in the list of their shapes.
+/// Optional matrix features that the list of shapes does not show.
 struct Offers {
     bf16: bool,
     i8: bool,
 }
 
-/// The largest matrices of each kind that a subgroup multiplies; of two as large, the squarer ones, whose rows and columns
-/// are loaded least often for what they give.
+/// Finds the largest matrix shape of each type; of equal ones the squarest, which has the fewest
+/// loads per product.
 fn find_matrices(
     entry: &ash::Entry,
     instance: &ash::Instance,
@@ -209,7 +211,7 @@ fn find_matrices(
                 && [p.c_type, p.result_type] == [sum; 2]
                 && p.scope == vk::ScopeKHR::SUBGROUP
                 && p.saturating_accumulation == vk::FALSE
-                // Kernels move 8 factors at a time.
+                // Kernels load 8 factors at a time.
                 && [p.m_size, p.n_size, p.k_size].iter().all(|side| side % 8 == 0)
         };
         let size =
@@ -229,7 +231,7 @@ fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// The features that a device would need to have and has not.
+/// Lists the requirements that a device lacks.
 pub(super) fn missing_features(limits: &Limits, found: &Found) -> Vec<String> {
     let mut missing = Vec::new();
     if found.api < vk::API_VERSION_1_3 {
@@ -238,7 +240,7 @@ pub(super) fn missing_features(limits: &Limits, found: &Found) -> Vec<String> {
     if found.queue_family.is_none() {
         missing.push("a compute queue".into());
     }
-    // Mesa 22's lavapipe cuts loops off after 65,535 iterations without a word.
+    // Before Mesa 25, lavapipe silently ends loops after 65,535 iterations.
     if let Some(major) = found.llvmpipe_major.filter(|m| *m < 25) {
         missing.push(format!("lavapipe 25 or later (Mesa {major} computes long loops wrongly)"));
     }
@@ -267,14 +269,15 @@ mod tests {
         };
         let devices: Vec<_> = names.iter().enumerate().map(device).collect();
         let selected = |selector: &str| {
-            let found = devices.iter().filter(|d| d.is_selected(selector, devices.len()));
+            let found = devices.iter().filter(|d| d.is_selected(selector));
             found.map(|d| d.index).collect::<Vec<_>>()
         };
         assert_eq!([selected("0"), selected("1"), selected("2")], [vec![0], vec![1], vec![2]]);
         assert_eq!(
-            [selected("3"), selected("4090"), selected("nvidia"), selected("none")],
-            [vec![0], vec![1], vec![0, 1], vec![]]
+            [selected("3"), selected("4090"), selected("99999999999999999999"), selected("none")],
+            [const { Vec::<usize>::new() }; 4]
         );
+        assert_eq!([selected("nvidia"), selected("RTX 4090")], [vec![0, 1], vec![1]]);
         assert_eq!(selected("GPU-11234567-89ab-cdef-0123-456789abcdef"), [1]);
         assert_eq!(selected("2123456789ABCDEF0123456789abcdef"), [2]);
     }

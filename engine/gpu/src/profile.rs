@@ -1,4 +1,4 @@
-//! Where the time of a run went.
+//! Device time by scope and kernel.
 
 use super::{
     Run,
@@ -10,10 +10,10 @@ use crate::Result;
 use ash::vk;
 use std::{collections::HashMap, time::Duration};
 
-/// Device time of a run, by scope and kernel.
+/// Device time of a run by scope and kernel.
 #[derive(Clone, Debug, Default, serde::Serialize)]
 pub struct Profile {
-    /// One row for each kernel of each scope, in the order of first use.
+    /// One row per kernel and scope, in order of first use.
     pub rows: Vec<ProfileRow>,
 }
 
@@ -24,18 +24,18 @@ pub struct ProfileRow {
     pub scope: String,
     /// Kernel name, or `fill` or `copy`.
     pub kernel: String,
-    /// Commands.
+    /// Number of commands.
     pub count: u32,
-    /// Device time of all of them.
+    /// Total device time.
     pub time: Duration,
-    /// Arithmetic they had to do.
+    /// Total FLOPs.
     pub flops: u64,
-    /// Bytes of the tensors that they read and wrote, each counted once a command.
+    /// Bytes of the tensors read and written, once per command.
     pub bytes: u64,
 }
 
 impl Profile {
-    /// Time and arithmetic of rows whose scope starts with `prefix`.
+    /// Sums time and FLOPs of rows whose scope starts with `prefix`.
     pub fn total(&self, prefix: &str) -> (Duration, u64) {
         self.rows
             .iter()
@@ -43,7 +43,7 @@ impl Profile {
             .fold((Duration::ZERO, 0), |(time, flops), r| (time + r.time, flops + r.flops))
     }
 
-    /// The rows of a plan that has not run: their times are zero.
+    /// Returns the rows of a plan with zero times.
     pub fn outline(plan: &Plan) -> Self {
         Self::new(plan, &vec![0.0; plan.len()])
     }
@@ -77,10 +77,10 @@ fn kernel_name(command: &Command) -> &'static str {
 }
 
 impl Run {
-    /// Runs the plan with a timestamp around every command, which keeps commands from overlapping.
+    /// Runs the plan with a timestamp around every command, which prevents overlap of commands.
     ///
     /// # Errors
-    /// As [`Run::execute`]; [`Error::NoDevice`](crate::Error::NoDevice) where the device has no timestamps.
+    /// See [`Run::execute`]; [`Error::NoDevice`](crate::Error::NoDevice) without timestamps.
     pub fn profile(&mut self) -> Result<Profile> {
         self.device.limits().check_timestamps()?;
         self.begin()?;
@@ -91,12 +91,12 @@ impl Run {
         let raw = self.device.0.raw.clone();
         let count = 2 * MAX_PIECES as u32;
         let info = vk::QueryPoolCreateInfo::default().query_type(vk::QueryType::TIMESTAMP).query_count(count);
-        // SAFETY: destroyed below, after the last submission was waited for.
+        // SAFETY: destroyed below, after waiting for the last submission.
         let queries = unsafe { raw.create_query_pool(&info, None) }.map_err(|e| driver("vkCreateQueryPool", e))?;
         let times = self.profiled(queries, count);
-        // SAFETY: `profiled` waits for each of its submissions, also when one fails.
+        // SAFETY: `profiled` waits for all its submissions, even on failure.
         unsafe { raw.destroy_query_pool(queries, None) };
-        // Part of the plan may have run over them where it failed.
+        // A failed run may have overwritten them.
         self.forget_inputs();
         let times = times?;
         self.device.0.check_messages()?;
@@ -123,7 +123,7 @@ impl Run {
                 times[piece.command] += ticks as f64 * limits.timestamp_ns;
             }
         }
-        // SAFETY: not in use any more.
+        // SAFETY: no longer in use.
         unsafe { raw.free_command_buffers(self.pool, &[commands]) };
         Ok(times)
     }

@@ -1,15 +1,15 @@
-//! The queue that everything is submitted to, which an app may share.
+//! The submission queue, optionally shared with an app.
 
 use super::lock::lock;
 use ash::{prelude::VkResult, vk};
 use std::sync::Mutex;
 
-/// An app's own lock on its queue. Both are called on the thread that submits, `unlock` right after the submission: the
-/// lock is never held while the engine waits for the device.
+/// An app's lock on its queue. Submitting threads call both functions, and never wait for the
+/// device in between.
 pub struct QueueLock {
-    /// Returns when nobody else uses the queue.
+    /// Blocks until the queue is free, and takes it.
     pub lock: Box<dyn Fn() + Send + Sync>,
-    /// Lets others use it again.
+    /// Releases the queue.
     pub unlock: Box<dyn Fn() + Send + Sync>,
 }
 
@@ -24,13 +24,13 @@ impl Queue {
     }
 
     /// # Safety
-    /// As `vkQueueSubmit2`, but for the queue, which is locked here.
+    /// As for `vkQueueSubmit2`, except that this function locks the queue.
     pub unsafe fn submit(&self, device: &ash::Device, info: vk::SubmitInfo2<'_>, fence: vk::Fence) -> VkResult<()> {
         let queue = lock(&self.raw);
         if let Some(app) = &self.app {
             (app.lock)();
         }
-        // SAFETY: the queue is locked; the caller answers for the rest.
+        // SAFETY: the queue is locked; the caller vouches for the rest.
         let result = unsafe { device.queue_submit2(*queue, &[info], fence) };
         if let Some(app) = &self.app {
             (app.unlock)();
@@ -38,7 +38,7 @@ impl Queue {
         result
     }
 
-    /// Waits for all that was submitted.
+    /// Waits for all submissions.
     pub fn wait_idle(&self, device: &ash::Device) -> VkResult<()> {
         let queue = lock(&self.raw);
         // SAFETY: the queue is locked.

@@ -1,4 +1,4 @@
-//! Records kernel calls into a plan.
+//! Recording of kernel calls into a plan.
 
 use super::{
     Element, Kernel, Limits, Needs, Plan, Tensor,
@@ -8,10 +8,10 @@ use super::{
 };
 use crate::{Error, Result};
 
-/// Workgroups along x of a long one-dimensional dispatch, whose rest goes along y: devices allow 65,535 on an axis.
+/// Row length of folded one-dimensional dispatches; devices may limit each axis to 65,535 groups.
 pub const GROUP_FOLD: u32 = 32_768;
 
-/// Records a plan. Needs the device's limits, not the device: plans can be made and measured without one.
+/// Records a plan. Needs only a device's limits, so plans exist without a device.
 pub struct Recorder {
     limits: Limits,
     commands: Vec<Command>,
@@ -23,7 +23,7 @@ pub struct Recorder {
 }
 
 impl Recorder {
-    /// An empty recording for devices of these limits.
+    /// Creates an empty recorder for devices of these limits.
     pub fn new(limits: &Limits) -> Self {
         Self {
             limits: limits.clone(),
@@ -36,32 +36,32 @@ impl Recorder {
         }
     }
 
-    /// The limits it records for.
+    /// Returns the device limits.
     pub fn limits(&self) -> &Limits {
         &self.limits
     }
 
-    /// Scratch of `len` elements, alive from its first to its last use.
+    /// Adds a scratch tensor of `len` elements, alive from first to last use.
     pub fn tensor<T>(&mut self, name: &str, len: usize) -> Tensor {
         self.allocate::<T>(name, len, Role::Scratch)
     }
 
-    /// As [`Recorder::tensor`], of a type that is known when it is recorded.
+    /// Adds a scratch tensor as [`Recorder::tensor`], with a runtime element type.
     pub fn tensor_of(&mut self, element: Element, name: &str, len: usize) -> Tensor {
         self.tensor::<u8>(name, len.saturating_mul(element.bytes()))
     }
 
-    /// A tensor that the host writes before every run; its bytes are free for others after its last use.
+    /// Adds a tensor that the host writes before every run. Later tensors may reuse its bytes.
     pub fn input<T>(&mut self, name: &str, len: usize) -> Tensor {
         self.allocate::<T>(name, len, Role::Input)
     }
 
-    /// A tensor that the host writes once and that keeps its bytes from run to run.
+    /// Adds a tensor that the host writes once and that keeps its contents between runs.
     pub fn constant<T>(&mut self, name: &str, len: usize) -> Tensor {
         self.allocate::<T>(name, len, Role::Constant)
     }
 
-    /// Keeps a tensor to the end, for the host to read.
+    /// Keeps a tensor until the end, for the host to read.
     pub fn output(&mut self, tensor: Tensor) {
         if let Home::Arena(id) = tensor.home {
             self.allocations[id as usize].output = true;
@@ -69,21 +69,21 @@ impl Recorder {
         self.keep(tensor);
     }
 
-    /// Keeps a tensor to the end, for [`Run::present`](super::Run::present).
+    /// Keeps a tensor until the end, for [`Run::present`](super::Run::present).
     pub fn keep(&mut self, tensor: Tensor) {
         if let Home::Arena(id) = tensor.home {
             self.allocations[id as usize].kept = true;
         }
     }
 
-    /// From here on, [`Recorder::observe`] keeps what it is shown.
+    /// Enables [`Recorder::observe`].
     pub fn observing(mut self) -> Self {
         self.observed = Some(Vec::new());
         self
     }
 
-    /// Shows a tensor as it is at this point. Costs nothing unless the recorder is [`Recorder::observing`]: then it is
-    /// copied, and [`super::Run::observed`] returns it after a run.
+    /// Copies a tensor as of this point, if [`Recorder::observing`]; otherwise does nothing.
+    /// [`super::Run::observed`] returns the copies.
     pub fn observe(&mut self, name: &str, tensor: Tensor) {
         if self.observed.is_some() {
             let copy = self.tensor::<u8>(name, tensor.bytes as usize);
@@ -93,7 +93,7 @@ impl Recorder {
         }
     }
 
-    /// Records `body` under `name`: a row of a profile. Scopes nest with slashes.
+    /// Records `body` as scope `name`, a row of profiles. Nested scopes are joined by slashes.
     pub fn scope<R>(&mut self, name: &str, body: impl FnOnce(&mut Self) -> R) -> R {
         let outer = self.scope;
         let parent = &self.scopes[outer as usize];
@@ -110,7 +110,7 @@ impl Recorder {
         result
     }
 
-    /// Dispatches at least `threads` invocations, in whole workgroups.
+    /// Dispatches at least `threads` invocations in whole workgroups.
     pub fn dispatch<K: Kernel>(&mut self, kernel: K, threads: impl Threads) -> Recorded<'_> {
         let size = kernel.module().local_size.xyz(self.limits.subgroup_size, &kernel.constants());
         let (threads, one_dimensional) = (threads.xyz(), threads.one_dimensional());
@@ -118,8 +118,8 @@ impl Recorder {
         self.fixed(kernel, groups, one_dimensional)
     }
 
-    /// Dispatches whole workgroups. Where a single number is given and above `GROUP_FOLD`, they are folded to rows of that
-    /// many, which `group_index()` in a kernel takes back; three numbers stay as they are.
+    /// Dispatches workgroups. A single count above `GROUP_FOLD` is folded into rows, which
+    /// `group_index()` unfolds in kernels.
     pub fn dispatch_groups<K: Kernel>(&mut self, kernel: K, groups: impl Threads) -> Recorded<'_> {
         self.fixed(kernel, groups.xyz(), groups.one_dimensional())
     }
@@ -142,19 +142,19 @@ impl Recorder {
         self.push(kernel, Groups::Fixed(groups))
     }
 
-    /// Dispatches as many workgroups as the three u32 in `args` say when it runs.
+    /// Dispatches with workgroup counts from `args`, three u32, at run time.
     pub fn dispatch_indirect<K: Kernel>(&mut self, kernel: K, args: Tensor) -> Recorded<'_> {
         self.push(kernel, Groups::Indirect(args))
     }
 
-    /// Sets every 32-bit word of a tensor.
+    /// Fills a tensor with a 32-bit word.
     pub fn fill(&mut self, target: Tensor, value: u32) {
         if target.bytes > 0 {
             self.command(Operation::Fill { target, value });
         }
     }
 
-    /// Copies `source` over `target`, which is as long.
+    /// Copies `source` to `target`, of the same length.
     pub fn copy(&mut self, source: Tensor, target: Tensor) {
         assert_eq!(source.bytes, target.bytes, "copy between tensors of different length");
         if source.bytes > 0 {
@@ -165,7 +165,7 @@ impl Recorder {
     /// Lays out the arena.
     ///
     /// # Errors
-    /// Where a tensor is larger than the device can hold or bind at once.
+    /// A tensor that exceeds the device's memory or binding limit.
     pub fn finish(mut self) -> Result<Plan> {
         if let Some(error) = self.error.take() {
             return Err(error);
@@ -249,7 +249,7 @@ impl Recorder {
 }
 
 impl Operation {
-    /// Calls `visit(tensor, reads, writes)` for everything that the operation touches.
+    /// Calls `visit(tensor, reads, writes)` for each access of the operation.
     pub(super) fn for_each_access(&self, mut visit: impl FnMut(Tensor, bool, bool)) {
         match self {
             Operation::Dispatch(dispatch) => {
@@ -269,11 +269,11 @@ impl Operation {
     }
 }
 
-/// A dispatch just recorded.
+/// The dispatch just recorded.
 pub struct Recorded<'a>(Option<&'a mut Command>);
 
 impl Recorded<'_> {
-    /// States the arithmetic that it must do, for profiles and for splitting long submissions.
+    /// Declares the required FLOPs, for profiles and for splitting submissions.
     pub fn flops(self, flops: u64) {
         if let Some(command) = self.0 {
             command.flops = flops;
@@ -281,11 +281,11 @@ impl Recorded<'_> {
     }
 }
 
-/// Counts along x, y and z; a single number is along x.
+/// Counts along x, y and z; a single number counts along x.
 pub trait Threads: Copy {
-    /// All three.
+    /// Returns all three counts.
     fn xyz(self) -> [u32; 3];
-    /// Whether it is a single number.
+    /// Returns true for a single number.
     fn one_dimensional(self) -> bool {
         true
     }

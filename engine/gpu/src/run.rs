@@ -1,4 +1,4 @@
-//! Executes a plan: allocates its arena, submits it in pieces that no driver takes for a hang, and times it.
+//! Plan execution: arena allocation, timed submissions short enough for driver watchdogs.
 
 mod bind;
 mod present;
@@ -32,41 +32,41 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// Submissions under way at once.
+/// Maximum submissions in flight.
 const IN_FLIGHT: usize = 2;
 
-/// How far a run is.
+/// Progress of a run.
 #[derive(Clone, Copy, Debug)]
 pub struct Progress<'a> {
-    /// Share of the work that is done, 0 to 1.
+    /// Completed fraction, 0 to 1.
     pub fraction: f64,
-    /// Scope that is under way.
+    /// Current scope.
     pub scope: &'a str,
 }
 
-/// A plan on a device. Executing it again replays what was encoded the first time.
+/// A plan bound to a device. Repeated execution replays the encoded commands.
 pub struct Run {
     pub(super) device: Device,
     pub(super) plan: Plan,
-    /// Tells runs of one lane apart.
+    /// Distinguishes runs of one lane.
     id: u64,
     pub(super) lane: Arc<Lane>,
-    /// The lane's memory that descriptors and batches are made for.
+    /// Generation of the lane's memory that descriptors and batches refer to.
     generation: u64,
     pub(super) twins: Option<Twins>,
-    /// Whether it was prepared for [`Run::start`].
+    /// Whether [`Run::in_flight`] was called.
     pub(super) flies: bool,
     residents: Vec<Arc<Resident>>,
     descriptors: Descriptors,
     pub(super) pool: vk::CommandPool,
-    /// The lane's timeline behind what this run submitted.
+    /// Timeline value of this run's last submission.
     pub(super) signalled: u64,
     pub(super) batches: Vec<Batch>,
-    /// Inputs that were written since the last execution.
+    /// Inputs written since the last execution.
     written: Vec<bool>,
-    /// Whether what was started may still be going on.
+    /// Whether a started submission may be in flight.
     pub(super) under_way: bool,
-    /// The commands of the last copy to a target.
+    /// Commands of the last copy to a target.
     pub(super) presenting: Option<vk::CommandBuffer>,
 }
 
@@ -76,7 +76,7 @@ pub(super) struct Batch {
     first_command: usize,
 }
 
-/// Bookkeeping of one execution.
+/// Timing state of one execution.
 struct Clock {
     times: StageTimes,
     last: Instant,
@@ -87,15 +87,16 @@ impl Run {
     /// Allocates a plan's arena.
     ///
     /// # Errors
-    /// [`Error::Memory`] where the device has too little, or a driver's failure; nothing was submitted then.
+    /// [`Error::Memory`] if the device has too little memory, or a driver error. Both precede any
+    /// submission.
     pub fn new(device: &Device, plan: Plan) -> Result<Self> {
         Self::with_resident(device, plan, [])
     }
 
-    /// As [`Run::new`], for a plan that uses tensors of these memories.
+    /// Allocates as [`Run::new`], for a plan with tensors of these residents.
     ///
     /// # Errors
-    /// As [`Run::new`].
+    /// See [`Run::new`].
     pub fn with_resident(
         device: &Device,
         plan: Plan,
@@ -104,14 +105,14 @@ impl Run {
         Self::in_lane(device, Lane::new(device)?, plan, residents.into_iter().collect())
     }
 
-    /// As [`Run::with_resident`], in a lane of an arena that others use, too. What the host writes, and results that it wants,
-    /// have to be written and read without another run of the lane between.
+    /// Creates a run as [`Run::with_resident`], in a lane of a shared arena. Another run of the
+    /// lane invalidates inputs and outputs.
     ///
     /// # Errors
-    /// As [`Run::new`].
+    /// See [`Run::new`].
     ///
     /// # Panics
-    /// Where the plan has constants, which others would overwrite.
+    /// If the plan has constants, which other runs would overwrite.
     pub fn in_arena(
         arena: &Arena,
         lane: usize,
@@ -158,7 +159,7 @@ impl Run {
         })
     }
 
-    /// The plan that runs.
+    /// Returns the plan.
     pub fn plan(&self) -> &Plan {
         &self.plan
     }
@@ -166,10 +167,10 @@ impl Run {
     /// Writes a tensor from its start.
     ///
     /// # Errors
-    /// Where the transfer fails.
+    /// A failed transfer.
     ///
     /// # Panics
-    /// Where the data is longer than the tensor or the tensor is another plan's.
+    /// If the data is longer than the tensor, or the tensor belongs to another plan.
     pub fn write<T: Pod>(&mut self, tensor: Tensor, data: &[T]) -> Result<()> {
         let bytes: &[u8] = bytemuck::cast_slice(data);
         assert!(bytes.len() as u64 <= tensor.bytes, "{} bytes into {}", bytes.len(), tensor.bytes);
@@ -183,13 +184,13 @@ impl Run {
         self.lane.memory().write(place.block, place.offset + tensor.offset, bytes)
     }
 
-    /// Reads a tensor that was recorded as an output.
+    /// Reads an output tensor.
     ///
     /// # Errors
-    /// Where the transfer fails.
+    /// A failed transfer.
     ///
     /// # Panics
-    /// Where the tensor is not an output of this plan, or what was started was not waited for.
+    /// If the tensor is not an output of this plan, or a started submission was not finished.
     pub fn read<T: Pod>(&self, tensor: Tensor) -> Result<Vec<T>> {
         let id = tensor.allocation();
         assert!(!self.under_way, "read before finish");
@@ -204,34 +205,34 @@ impl Run {
         Ok(data)
     }
 
-    /// Names and tensors that an observing recorder was shown, in order.
+    /// Returns the observed names and tensors in order.
     pub fn observed(&self) -> &[(String, Tensor)] {
         &self.plan.observed
     }
 
-    /// Runs the plan to its end.
+    /// Runs the plan to completion.
     ///
     /// # Errors
-    /// [`Error::DeviceLost`], a driver's failure, or validation messages.
+    /// [`Error::DeviceLost`], a driver error, or validation messages.
     pub fn execute(&mut self) -> Result<StageTimes> {
         self.execute_with(|_| ControlFlow::Continue(()))
     }
 
-    /// As [`Run::execute`]; `progress` is called between submissions and may stop the run.
+    /// Runs the plan to completion. Calls `progress` between submissions, which may stop the run.
     ///
     /// # Errors
-    /// As [`Run::execute`], and [`Error::Cancelled`].
+    /// See [`Run::execute`]; [`Error::Cancelled`] if stopped.
     pub fn execute_with(&mut self, mut progress: impl FnMut(Progress<'_>) -> ControlFlow<()>) -> Result<StageTimes> {
         self.begin()?;
-        // Also for whoever unwinds out of `progress`.
+        // Set before a panic in `progress` can unwind.
         self.under_way = true;
         let result = self.submit_all(&mut progress);
-        // Whatever is under way ends before anything it uses may change.
+        // Submissions must end before their resources change.
         let idle = self.lane.wait(self.signalled);
         self.under_way = false;
         self.forget_inputs();
         if result.is_err() {
-            // A recording that was cut short is not replayed.
+            // An incomplete recording must not be replayed.
             self.discard_batches();
         }
         let times = result?;
@@ -274,7 +275,7 @@ impl Run {
         Ok(clock.times)
     }
 
-    /// Waits for the oldest submission and books its time.
+    /// Waits for the oldest submission and records its time.
     fn finish_one(&self, under_way: &mut VecDeque<(u64, usize, Instant)>, clock: &mut Clock) -> Result<()> {
         let Some((value, index, submitted)) = under_way.pop_front() else { return Ok(()) };
         let late = self.lane.value()? >= value;
@@ -287,7 +288,7 @@ impl Run {
         Ok(())
     }
 
-    /// Encodes what was not yet, for replay.
+    /// Encodes the remaining commands.
     pub(super) fn encode_all(&mut self) -> Result<()> {
         let mut cursor = if self.batches.is_empty() { Cursor::default() } else { Cursor::at_end(&self.plan) };
         while cursor.command < self.plan.commands.len() {
@@ -335,7 +336,7 @@ impl Run {
         encoder.end()
     }
 
-    /// Submits; the timeline's value that says that it is done.
+    /// Submits, and returns the timeline value that signals completion.
     pub(crate) fn submit(&mut self, commands: vk::CommandBuffer) -> Result<u64> {
         self.device.0.check_lost()?;
         let value = self.lane.next_value()?;
@@ -353,7 +354,7 @@ impl Run {
             .value(value)
             .stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)];
         let info = vk::SubmitInfo2::default().command_buffer_infos(&buffers).signal_semaphore_infos(&signals);
-        // SAFETY: the command buffer is recorded and not under way.
+        // SAFETY: the command buffer is recorded and not in flight.
         let submitted = unsafe { self.device.0.queue.submit(&self.device.0.raw, info, vk::Fence::null()) }
             .map_err(|e| self.device.0.failed("vkQueueSubmit2", e));
         self.lane.submitted(value, &submitted);
@@ -362,13 +363,13 @@ impl Run {
 
     pub(crate) fn command_buffer(&self) -> Result<vk::CommandBuffer> {
         let info = vk::CommandBufferAllocateInfo::default().command_pool(self.pool).command_buffer_count(1);
-        // SAFETY: the pool is used by this run only, which is borrowed by one thread at a time.
+        // SAFETY: only this run uses the pool, from one thread at a time.
         unsafe { self.device.0.raw.allocate_command_buffers(&info) }
             .map(|buffers| buffers[0])
             .map_err(|e| driver("vkAllocateCommandBuffers", e))
     }
 
-    /// Cost of a submission that begins with a command.
+    /// Cost budget of a submission that starts with a command.
     pub(super) fn budget(&self, command: usize) -> u64 {
         self.speed(self.plan.stage(command)) * SUBMISSION.as_millis() as u64
     }
@@ -378,7 +379,7 @@ impl Run {
         known.unwrap_or_else(|| first_guess(self.device.limits()))
     }
 
-    /// Moves the estimate of the device's speed in a stage towards what a submission took.
+    /// Updates the speed estimate of a stage from a submission's time.
     fn learn(&self, batch: &Batch, took: Duration, late: bool) {
         let stage = self.plan.stage(batch.first_command);
         let next = learned(self.speed(stage), batch.cost, took, late, self.device.limits().cpu);
@@ -388,10 +389,10 @@ impl Run {
 
 impl Drop for Run {
     fn drop(&mut self) {
-        // Fails only where the device is lost: then nothing is under way.
+        // Fails only if the device is lost; nothing is in flight then.
         let _ = self.settle();
         let raw = &self.device.0.raw;
-        // SAFETY: nothing is under way.
+        // SAFETY: nothing is in flight.
         unsafe { raw.destroy_command_pool(self.pool, None) };
     }
 }

@@ -1,4 +1,4 @@
-//! Cuts a plan into submissions of about equal cost, so that no driver takes one for a hang.
+//! Splits plans into submissions of similar cost, short enough for driver watchdogs.
 
 use super::{
     Limits,
@@ -6,17 +6,18 @@ use super::{
 };
 use std::time::Duration;
 
-/// The time that one submission should take: long enough to hide its cost, far below the 2 s after which drivers reset.
+/// Target time of a submission: long enough to hide its overhead, far below the 2 s timeout of
+/// watchdogs.
 pub(super) const SUBMISSION: Duration = Duration::from_millis(100);
 
-/// Arithmetic that takes as long as moving a byte, roughly, on CPUs and GPUs alike.
+/// Approximate FLOPs in the time of one byte's transfer, on CPUs and GPUs alike.
 const FLOPS_PER_BYTE: u64 = 4;
 
-/// Most pieces of one submission.
+/// Maximum pieces per submission.
 pub(super) const MAX_PIECES: usize = 1024;
 
-/// Arithmetic per millisecond that a device is taken for before anything was measured: less than all but the slowest of its
-/// kind do, so that the first submissions are no longer than others.
+/// Initial estimate of FLOPs per millisecond. Below most devices of its kind, so that the first
+/// submissions are not too long.
 pub(super) fn first_guess(limits: &Limits) -> u64 {
     match (limits.cpu, limits.discrete) {
         (true, _) => 10_000_000,
@@ -25,12 +26,12 @@ pub(super) fn first_guess(limits: &Limits) -> u64 {
     }
 }
 
-/// The speed a device is taken for, `known` before, after a submission of this cost. `late` says that it may have ended before the
-/// host saw it: it then took no longer than `took`. `patient` devices, CPUs, compile kernels inside of their first
-/// submissions and reset nothing.
+/// Updates the speed estimate `known` from a submission's cost and time. `late`: it may have ended
+/// earlier, so `took` is an upper bound. `patient`: CPUs, which compile kernels during first
+/// submissions and have no watchdog.
 pub(super) fn learned(known: u64, cost: u64, took: Duration, late: bool, patient: bool) -> u64 {
     let (known, ms) = (known as f64, 1e3 * took.as_secs_f64());
-    // A submission costs something itself, so that one below a millisecond tells only that the device is no slower.
+    // Fixed overhead dominates below a millisecond: such a time is only a lower bound on speed.
     let seen = cost as f64 / ms.max(1.0);
     if seen < known && (late || ms < 1.0) {
         return known as u64;
@@ -42,17 +43,17 @@ pub(super) fn learned(known: u64, cost: u64, took: Duration, late: bool, patient
     next.max(1e5) as u64
 }
 
-/// Part of a command: all of it, or some of a long dispatch's workgroups.
+/// A command, or some workgroups of a long dispatch.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Piece {
-    /// Index of the command in its plan.
+    /// Command index in the plan.
     pub command: usize,
-    /// First workgroup and count along each axis; unused for other operations.
+    /// First workgroup and count along each axis; dispatches only.
     pub base: [u32; 3],
     pub groups: [u32; 3],
 }
 
-/// Where scheduling stands: the next command, and how many of its workgroups along the axis that is cut are done.
+/// Scheduling position: the next command and its completed workgroups along the split axis.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Cursor {
     pub command: usize,
@@ -60,27 +61,27 @@ pub(super) struct Cursor {
 }
 
 impl Command {
-    /// Bytes of everything that the command touches.
+    /// Returns the bytes of all tensors that the command accesses.
     pub(super) fn bytes(&self) -> u64 {
         let mut bytes = 0;
         self.operation.for_each_access(|tensor, _, _| bytes += tensor.bytes);
         bytes
     }
 
-    /// Arithmetic that takes about as long as the command.
+    /// Returns the equivalent FLOPs of the command.
     pub(super) fn cost(&self) -> u64 {
         self.flops.max(self.bytes() * FLOPS_PER_BYTE)
     }
 }
 
 impl Cursor {
-    /// A cursor past everything in `plan`.
+    /// Returns a cursor past the plan's end.
     pub fn at_end(plan: &Plan) -> Self {
         Self { command: plan.commands.len(), done: 0 }
     }
 
-    /// Takes pieces of one stage that cost about `budget` together, and says what they cost. A dispatch beyond the
-    /// budget is cut along its longest axis.
+    /// Takes pieces of one stage with a total cost of about `budget`; returns them and their cost.
+    /// Splits larger dispatches along their longest axis.
     pub fn next_pieces(&mut self, plan: &Plan, budget: u64) -> (Vec<Piece>, u64) {
         let (first, mut pieces, mut cost) = (self.command, Vec::new(), 0);
         while cost < budget && pieces.len() < MAX_PIECES {
@@ -99,7 +100,7 @@ impl Cursor {
         (pieces, cost)
     }
 
-    /// As much of the command as `room` has space for, its cost, and whether that is the rest of it.
+    /// Returns a piece that fits `room`, its cost, and whether it completes the command.
     fn next_piece(&mut self, command: &Command, room: u64) -> (Piece, u64, bool) {
         let mut piece = Piece { command: self.command, base: [0; 3], groups: [1; 3] };
         let Operation::Dispatch(dispatch) = &command.operation else { return (piece, command.cost(), true) };
@@ -115,8 +116,8 @@ impl Cursor {
     }
 }
 
-/// The axis that is cut, for the smallest pieces. A kernel knows its groups by their index alone, so that those of a folded dispatch may
-/// be cut along x, too.
+/// Returns the split axis, for the smallest pieces. Kernels use only group indices, so folded
+/// dispatches may be split along x, too.
 fn longest_axis(groups: [u32; 3]) -> usize {
     (0..3).rev().max_by_key(|&i| groups[i]).unwrap_or(0)
 }
@@ -126,7 +127,7 @@ mod tests {
     use super::*;
     use crate::{Binding, Kernel, Limits, LocalSize, Module, Needs, Recorder, Tensor};
 
-    /// A kernel that is planned and never runs.
+    /// A kernel for plans that never run.
     struct Idle {
         values: Tensor,
     }
@@ -159,7 +160,7 @@ mod tests {
         }
     }
 
-    /// Times of full submissions on a device of such a speed, one after the other.
+    /// Simulates the times of consecutive full submissions at a given speed.
     fn submissions(flops_per_ms: f64, limits: &Limits) -> Vec<Duration> {
         let mut known = first_guess(limits);
         let mut submit = |_| {
@@ -174,7 +175,7 @@ mod tests {
     #[test]
     fn submissions_settle_at_their_length() {
         let kind = |cpu, discrete| Limits { cpu, discrete, ..Limits::default() };
-        // A CPU under load, an integrated and an old discrete GPU at a few percent of what they can, and the largest.
+        // A loaded CPU, slow integrated and discrete GPUs, and the fastest device.
         for (flops_per_ms, limits) in [(2e6, kind(true, false)), (2e7, kind(false, false)), (1e8, kind(false, true))] {
             let times = submissions(flops_per_ms, &limits);
             assert!(times[0] <= Duration::from_secs(1), "{flops_per_ms}: first {:?}", times[0]);
@@ -188,7 +189,7 @@ mod tests {
     #[test]
     fn what_says_nothing_of_the_speed_changes_nothing() {
         let known = 1_000_000;
-        // A plan of little work, and one that ended while the host compiled the next kernels.
+        // A tiny plan, and one that ended while the host compiled the next kernels.
         assert_eq!(learned(known, 10, Duration::from_micros(50), false, false), known);
         assert_eq!(learned(known, 10, Duration::from_secs(3), true, false), known);
         assert!(learned(known, 10 * known, Duration::from_micros(50), true, false) > known);
@@ -204,7 +205,7 @@ mod tests {
         }
     }
 
-    /// Every workgroup of every command is in exactly one piece, whatever the budget, which no piece exceeds by much.
+    /// Every workgroup is in exactly one piece for any budget, which no piece exceeds by much.
     #[test]
     fn pieces_cover_a_plan_once() {
         let mut rec = Recorder::new(&Limits::default());
@@ -223,7 +224,8 @@ mod tests {
             while cursor.command < plan.commands.len() {
                 let (pieces, cost) = cursor.next_pieces(&plan, budget);
                 assert!(!pieces.is_empty());
-                // One group along the longest axis, of all that there is along the others, is the least.
+                // The smallest piece is one group along the longest axis, with all groups of the
+                // others.
                 let least = pieces.iter().map(|piece| least_cost(&plan.commands[piece.command])).max().unwrap_or(0);
                 assert!(cost <= budget.saturating_add(least), "found {cost}, expected {budget} or {least} more");
                 for piece in &pieces {

@@ -1,8 +1,6 @@
-//! Ranges of device memory.
-
 use super::{element::Element, layout::ALIGNMENT};
 
-/// A range of device memory that kernels see as one array. Copy it freely; it owns nothing.
+/// A range of device memory that kernels see as an array. A plain handle without ownership.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Tensor {
     pub(super) home: Home,
@@ -10,20 +8,19 @@ pub struct Tensor {
     pub(super) bytes: u64,
 }
 
-/// The place of a tensor's bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Home {
-    /// Allocation number of the plan; its place is known once the plan is finished.
+    /// Allocation number in the plan, placed when the plan is finished.
     Arena(u32),
-    /// A block of the resident memory of this layout.
+    /// Block in the resident memory of a layout.
     Resident { layout: u64, block: u32 },
 }
 
 impl Tensor {
-    /// `len` elements from element `first` on.
+    /// Returns `len` elements from element `first`.
     ///
     /// # Panics
-    /// A slice that is outside the tensor or not on a boundary of 256 bytes.
+    /// If the slice exceeds the tensor or does not start at a multiple of 256 bytes.
     pub fn slice<T>(&self, first: usize, len: usize) -> Tensor {
         let size = size_of::<T>() as u64;
         let (from, bytes) = (first as u64 * size, len as u64 * size);
@@ -32,24 +29,24 @@ impl Tensor {
         Tensor { offset: self.offset + from, bytes, ..*self }
     }
 
-    /// As [`Tensor::slice`], of a type that is known when it is recorded.
+    /// Returns a slice as [`Tensor::slice`], with a runtime element type.
     ///
     /// # Panics
-    /// As [`Tensor::slice`].
+    /// See [`Tensor::slice`].
     pub fn slice_of(&self, element: Element, first: usize, len: usize) -> Tensor {
         let bytes = element.bytes();
         self.slice::<u8>(bytes * first, bytes * len)
     }
 
-    /// Length in bytes.
+    /// Returns the length in bytes.
     pub fn bytes(&self) -> u64 {
         self.bytes
     }
 
-    /// The tensor's number among a plan's allocations.
+    /// Returns the tensor's allocation number.
     ///
     /// # Panics
-    /// A resident tensor: such are written and read through their own memory.
+    /// If the tensor is resident: use [`Resident`](super::Resident) to write and read it.
     pub(super) fn allocation(self) -> usize {
         match self.home {
             Home::Arena(id) => id as usize,

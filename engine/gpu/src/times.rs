@@ -1,13 +1,11 @@
-//! The time of each stage of a run.
-
 use std::time::Duration;
 
-/// Time of each stage of a run, as the host saw its submissions end.
+/// Time per stage of a run, measured on the host.
 #[derive(Clone, Debug, Default, serde::Serialize)]
 pub struct StageTimes(pub Vec<(String, Duration)>);
 
 impl StageTimes {
-    /// All stages together.
+    /// Returns the total time.
     pub fn total(&self) -> Duration {
         self.0.iter().map(|s| s.1).sum()
     }

@@ -1,5 +1,5 @@
-//! Twins of a plan's inputs and outputs in memory that the host sees, for devices whose own it does not see: copying is
-//! then part of what is submitted, and the host reads one run's results while the device works on another's.
+//! Staging buffers for a plan's inputs and outputs, on devices whose memory is not host visible.
+//! Copies are part of the submission, so readback of one run overlaps with the next.
 
 use super::{
     Device, Plan,
@@ -13,11 +13,11 @@ use ash::vk;
 
 pub(super) struct Twins {
     memory: Memory,
-    /// Where each allocation's twin is, if it has one.
+    /// Staging offset of each allocation that has one.
     offsets: Vec<Option<u64>>,
-    /// Copies the inputs in.
+    /// Copies the inputs to the device.
     pub upload: vk::CommandBuffer,
-    /// Copies the outputs out.
+    /// Copies the outputs to the host.
     pub download: vk::CommandBuffer,
 }
 
@@ -56,13 +56,13 @@ impl Twins {
         Ok(Self { memory, offsets, upload, download })
     }
 
-    /// Writes into an allocation's twin; false where it has none.
+    /// Writes to an allocation's staging buffer; false if it has none.
     pub fn write(&self, allocation: usize, offset: u64, bytes: &[u8]) -> Result<bool> {
         let Some(twin) = self.offsets[allocation] else { return Ok(false) };
         self.memory.write(0, twin + offset, bytes).map(|()| true)
     }
 
-    /// Reads from an allocation's twin; false where it has none.
+    /// Reads from an allocation's staging buffer; false if it has none.
     pub fn read(&self, allocation: usize, offset: u64, bytes: &mut [u8]) -> Result<bool> {
         let Some(twin) = self.offsets[allocation] else { return Ok(false) };
         self.memory.read(0, twin + offset, bytes).map(|()| true)

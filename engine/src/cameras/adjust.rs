@@ -1,24 +1,22 @@
-//! A camera moved until the points that it sees lie where it saw them: Levenberg-Marquardt on the reprojection error, with
-//! Cauchy's loss, which makes little of what is far off.
+//! Levenberg-Marquardt on the reprojection error, with Cauchy's loss.
 
 use super::Pair;
 use crate::types::{Camera, Pose};
 use glam::{DMat3, DQuat, DVec2, DVec3};
 
-/// Steps that are tried at most.
+/// Maximum steps.
 const STEPS: usize = 50;
-/// Share of the loss that a step has to gain to be followed by another.
+/// Relative gain.
 const TOLERANCE: f64 = 1e-12;
-/// Damping from which on no step is of use.
+/// Maximum damping.
 const MOST_DAMPING: f64 = 1e12;
-/// Turn, shift, and the logarithm of the focal length.
+/// Rotation, translation, log focal length.
 const UNKNOWNS: usize = 7;
 
 type Vector = [f64; UNKNOWNS];
 type Matrix = [Vector; UNKNOWNS];
 
-/// The camera moved so that it sees `pairs` as they are, errors of about `scale` pixels taken for noise. Where `lens` the focal
-/// length, too, is found: one for both axes.
+/// Refines a camera with noise of `scale` pixels, and optionally one focal length.
 pub fn adjusted(camera: &Camera, pairs: &[Pair], scale: f64, lens: bool) -> Camera {
     let (mut best, mut loss, mut damping) = (*camera, loss(camera, pairs, scale), 1e-3);
     for _ in 0..STEPS {
@@ -44,14 +42,14 @@ pub fn adjusted(camera: &Camera, pairs: &[Pair], scale: f64, lens: bool) -> Came
     best
 }
 
-/// How far a camera sees a pair from where it was seen, in pixels; none where it is behind the camera.
+/// Reprojection error in pixels, `None` behind the camera.
 pub fn error(camera: &Camera, pair: &Pair) -> Option<DVec2> {
     let (lens, at) = (&camera.intrinsics, camera.pose.rotation.transpose() * (pair.point - camera.pose.translation));
     let pixel = DVec2::new(lens.fx * at.x / at.z + lens.cx, lens.fy * at.y / at.z + lens.cy);
     (at.z > 0.0 && pixel.is_finite()).then(|| pixel - pair.pixel)
 }
 
-/// Cauchy's, of all pairs; those behind the camera count as much as those that are very far off.
+/// Points behind the camera count as outliers.
 fn loss(camera: &Camera, pairs: &[Pair], scale: f64) -> f64 {
     const BEHIND: f64 = 1e6;
     let square =
@@ -59,7 +57,6 @@ fn loss(camera: &Camera, pairs: &[Pair], scale: f64) -> f64 {
     pairs.iter().map(|pair| square(pair).ln_1p()).sum()
 }
 
-/// The weighted normal matrix and the way down.
 fn normal_equations(camera: &Camera, pairs: &[Pair], scale: f64, lens: bool) -> (Matrix, Vector) {
     let (mut matrix, mut gradient) = ([[0.0; UNKNOWNS]; UNKNOWNS], [0.0; UNKNOWNS]);
     for pair in pairs {
@@ -74,14 +71,14 @@ fn normal_equations(camera: &Camera, pairs: &[Pair], scale: f64, lens: bool) -> 
             }
         }
     }
-    // What is not asked for stays.
+    // Keeps the focal length fixed.
     if !lens {
         matrix[UNKNOWNS - 1][UNKNOWNS - 1] = 1.0;
     }
     (matrix, gradient)
 }
 
-/// The derivatives of a pair's pixel by the unknowns, as [`moved`] has them.
+/// Derivatives with respect to the unknowns of [`moved`].
 fn slopes(camera: &Camera, pair: &Pair, lens: bool) -> [Vector; 2] {
     let (intrinsics, axes) = (&camera.intrinsics, camera.pose.rotation.transpose());
     let at = axes * (pair.point - camera.pose.translation);
@@ -94,7 +91,6 @@ fn slopes(camera: &Camera, pair: &Pair, lens: bool) -> [Vector; 2] {
     [row(intrinsics.fx, DVec3::X, at.x), row(intrinsics.fy, DVec3::Y, at.y)]
 }
 
-/// A camera turned and shifted along its own axes, with another focal length.
 fn moved(camera: &Camera, [a, b, c, x, y, z, focal]: Vector) -> Camera {
     let turn = DQuat::from_scaled_axis(DVec3::new(a, b, c));
     let Pose { rotation, translation } = camera.pose;
@@ -108,7 +104,7 @@ fn moved(camera: &Camera, [a, b, c, x, y, z, focal]: Vector) -> Camera {
     Camera { intrinsics, pose }
 }
 
-/// The solution of a system with a positive definite matrix, by Cholesky's factors; none where it is not one.
+/// By Cholesky factorization; `None` if not positive definite.
 fn solved(mut a: Matrix, mut b: Vector) -> Option<Vector> {
     for i in 0..UNKNOWNS {
         for j in 0..=i {
@@ -128,7 +124,6 @@ mod tests {
     use super::*;
     use crate::{random::Random, types::Intrinsics};
 
-    /// In the order of [`moved`].
     #[test]
     fn slopes_are_those_of_differences() {
         let intrinsics = Intrinsics { width: 64, height: 48, fx: 50.0, fy: 52.0, cx: 31.0, cy: 25.0 };

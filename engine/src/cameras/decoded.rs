@@ -1,13 +1,13 @@
-//! Cameras from the values of a camera decoder.
+//! Cameras from camera decoder values.
 
 use crate::types::{Camera, Intrinsics, Pose, matrix_from_quaternion};
 use glam::DVec3;
 
-/// The smallest tangent of half a field of view.
+/// Of a half field of view.
 const NARROWEST: f64 = 1e-6;
 
-/// The camera with a picture of `[width, height]` pixels that an encoding stands for: centre (3), camera-to-world quaternion xyzw (4) of any
-/// length but zero, vertical and horizontal field of view in radians. Its principal point is the middle.
+/// Decodes a camera with a centered principal point: center 3, camera-to-world quaternion xyzw 4,
+/// vertical and horizontal field of view in radians.
 pub fn decoded_camera(encoding: &[f32; 9], [width, height]: [u32; 2]) -> Camera {
     let [tx, ty, tz, x, y, z, w, vfov, hfov] = encoding.map(f64::from);
     let focal = |side: u32, fov: f64| f64::from(side) / 2.0 / (fov / 2.0).tan().max(NARROWEST);

@@ -1,12 +1,12 @@
-//! One focal length of several cameras.
+//! Shared focal lengths.
 
 use crate::types::{Camera, Intrinsics, preprocess::PixelMap};
 use std::collections::BTreeSet;
 
-/// Gives the cameras of photos of one lens one focal length along both axes: the median, weighted, of the geometric mean that each has of
-/// its two, so that a camera that is told wrongly counts for no more than its weight. `cameras` are those of views, one a photo, that `maps`
-/// make of the photos, whose pixels are square; `lenses` has the number of each photo's lens. The cameras of a lens without weight stay as
-/// they are.
+/// Sets one focal length per lens, the weighted median of the cameras' geometric means.
+///
+/// `maps` relate views to photos; `lenses` indexes each photo's lens. Lenses without weight are
+/// unchanged.
 pub fn share_focal_lengths(cameras: &mut [Camera], maps: &[PixelMap], lenses: &[usize], weights: &[f64]) {
     for lens in lenses.iter().collect::<BTreeSet<_>>() {
         let of_lens: Vec<usize> = (0..cameras.len()).filter(|&i| lenses[i] == *lens).collect();
@@ -23,7 +23,7 @@ pub fn share_focal_lengths(cameras: &mut [Camera], maps: &[PixelMap], lenses: &[
     }
 }
 
-/// The first of values in rising order up to which they have half of all weight; none without weight.
+/// Lower weighted median, `None` without weight.
 pub fn weighted_median(values: &mut [(f64, f64)]) -> Option<f64> {
     values.sort_by(|a, b| a.0.total_cmp(&b.0));
     let all: f64 = values.iter().map(|(_, weight)| weight).sum();
@@ -47,7 +47,7 @@ mod tests {
             Camera { intrinsics, pose: Pose::IDENTITY }
         };
         let map = |scale: [f64; 2]| PixelMap { from: [40, 30], to: [40, 30], scale, offset: [0.0; 2] };
-        // Of photos that have become half as wide, or a quarter as high.
+        // Half the width, a quarter of the height.
         let maps = [map([1.0; 2]), map([0.5, 1.0]), map([1.0, 0.25]), map([1.0; 2])];
         let mut cameras = [camera(32.0, 50.0), camera(200.0, 400.0), camera(38.0, 9.5), camera(7.0, 8.0)];
         share_focal_lengths(&mut cameras, &maps, &[4, 4, 4, 9], &[1.0, 1.1, 1.2, 0.0]);

@@ -1,8 +1,6 @@
-//! Cameras from points of the world and the pixels in which they are seen: perspective-n-point; from the rays of their pixels; and from
-//! what a network says of them.
+//! Cameras from PnP, from rays and from decoder values, on the host in f64.
 //!
-//! Three pairs give a camera (P3P), of many tries that is kept which most pairs agree with (LO-RANSAC: Chum, Matas, Kittler,
-//! Locally Optimized RANSAC, 2003), and all of those move it to where they see it best. Everything is f64 on the host.
+//! PnP: P3P, LO-RANSAC (Chum, Matas, Kittler, Locally Optimized RANSAC, 2003), refinement.
 
 mod adjust;
 mod decoded;
@@ -26,55 +24,53 @@ use focal::weighted_median;
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
-/// A point of the world and the pixel, of centres at +0.5, in which a camera sees it.
+/// A world point and its pixel; centers at +0.5.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pair {
-    /// In the world, in its unit.
+    /// In world space.
     pub point: DVec3,
-    /// From the top left corner of the picture.
+    /// From the top left corner.
     pub pixel: DVec2,
 }
 
-/// A camera that was found from pairs, or from rays and their pixels.
+/// An estimated camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FoundCamera {
-    /// The camera, in the world of the points.
+    /// Camera in the points' world.
     pub camera: Camera,
-    /// Pairs that agree with it.
+    /// Inlier pairs.
     pub inliers: usize,
-    /// All pairs that there were.
+    /// All pairs.
     pub pairs: usize,
 }
 
-/// How a camera is searched for.
+/// Camera search options.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Search {
-    /// Pixels by which a pair may be off and agree.
+    /// Inlier threshold in pixels.
     pub tolerance: f64,
-    /// The focal length in pixels, the same along both axes, where it is known.
+    /// Known focal length in pixels.
     pub focal: Option<f64>,
-    /// Seed of the tries. The same pairs and seed give the same bits.
+    /// Random seed.
     pub seed: u64,
 }
 
-/// Pairs below which a camera is not to be trusted: any four points have one that is nearly right.
+/// Minimum inliers: four points nearly always fit.
 pub const FEWEST: usize = 6;
-/// Tries at most of each focal length.
+/// With a known focal length.
 const TRIES: usize = 1000;
-/// Tries after which the best is likely enough to be of good pairs alone.
+/// Confidence that stops RANSAC.
 const CERTAINTY: f64 = 0.9999;
-/// Focal lengths that are tried, as shares of the longer side: from 100 to 20 degrees.
+/// Relative to the longer side, for 100 to 20 degrees.
 const FOCALS: [f64; 9] = [0.42, 0.53, 0.66, 0.83, 1.04, 1.3, 1.63, 2.04, 2.84];
-/// Tries of each of those, before the best is tried on.
 const TRIES_OF_FOCAL: usize = 200;
-/// Rounds in which a camera is moved and its pairs are chosen anew.
+/// Rounds of local optimization.
 const ROUNDS: usize = 3;
 
-/// The camera with a picture of `[width, height]` pixels and its principal point in the middle that sees `pairs` as they are.
+/// Estimates a camera of `[width, height]` pixels with a centered principal point.
 ///
 /// # Errors
-/// [`Error::Argument`] where pairs are fewer than [`FEWEST`], or fewer agree on any camera, and where the focal length or the tolerance is
-/// no length.
+/// [`Error::Argument`] for fewer than [`FEWEST`] pairs or inliers, or an invalid search.
 pub fn find_camera(pairs: &[Pair], [width, height]: [u32; 2], search: &Search) -> Result<FoundCamera> {
     let expected = || format!("{FEWEST} or more");
     for (name, length) in [("focal length", search.focal), ("tolerance", Some(search.tolerance))] {
@@ -103,8 +99,7 @@ pub fn find_camera(pairs: &[Pair], [width, height]: [u32; 2], search: &Search) -
     }
 }
 
-/// The cameras of several pictures of one size and lens, each as [`find_camera`]: with `focal`, or the median of what each picture's
-/// pairs say, weighted by how many agree.
+/// Estimates cameras of one lens, by default with their weighted median focal length.
 pub fn find_cameras(
     pairs: &[Vec<Pair>],
     size: [u32; 2],
@@ -125,7 +120,6 @@ pub fn find_cameras(
     }
 }
 
-/// The best camera so far, and its cost.
 struct Ransac<'a> {
     pairs: &'a [Pair],
     search: &'a Search,
@@ -134,9 +128,8 @@ struct Ransac<'a> {
 }
 
 impl Ransac<'_> {
-    /// Tries with a lens, until it is certain enough that no better one is to be found.
     fn run(&mut self, lens: &Intrinsics, tries: usize) {
-        // Of this lens: a camera with another is no reason to do less.
+        // Costs of other lenses do not stop this one.
         let (mut cost, mut needed, mut tried) = (f64::INFINITY, tries, 0);
         while tried < needed {
             tried += 1;
@@ -155,11 +148,10 @@ impl Ransac<'_> {
         }
     }
 
-    /// The best of the cameras of three random pairs.
+    /// Best of three random pairs.
     fn sample(&mut self, lens: &Intrinsics) -> Option<Camera> {
         let mut chosen = [0; 3];
         for i in 0..3 {
-            // Without those that were chosen before.
             let mut next = self.random.below(self.pairs.len() - i);
             let mut before = chosen[..i].to_vec();
             before.sort_unstable();
@@ -176,7 +168,6 @@ impl Ransac<'_> {
         cameras.map(|camera| (self.cost(&camera), camera)).min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, camera)| camera)
     }
 
-    /// A camera moved by the pairs that agree with it, as long as that helps.
     fn optimized(&self, mut camera: Camera) -> Camera {
         let (tolerance, lens) = (self.search.tolerance, self.search.focal.is_none());
         let mut cost = self.cost(&camera);
@@ -195,7 +186,7 @@ impl Ransac<'_> {
         camera
     }
 
-    /// Squared errors as shares of the tolerance's square, at most 1 each (MSAC).
+    /// MSAC: relative squared errors, capped at 1.
     fn cost(&self, camera: &Camera) -> f64 {
         let most = self.search.tolerance * self.search.tolerance;
         let square = |pair: &Pair| error(camera, pair).map_or(1.0, |error| (error.length_squared() / most).min(1.0));
@@ -208,7 +199,7 @@ fn agreeing(camera: &Camera, pairs: &[Pair], tolerance: f64) -> Vec<Pair> {
     pairs.iter().filter(agrees).copied().collect()
 }
 
-/// Tries after which three good pairs were among them, where this share of all is good.
+/// Given the inlier ratio.
 fn needed_tries(share: f64) -> usize {
     let all_good = share.powi(3).clamp(1e-9, 1.0 - 1e-9);
     ((1.0 - CERTAINTY).ln() / (1.0 - all_good).ln()).ceil() as usize

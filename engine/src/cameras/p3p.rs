@@ -1,22 +1,22 @@
-//! The camera of three points: up to four poses.
+//! Pose from three points, up to four solutions.
 //!
-//! The distances of the points make two conics, which meet where a member of their pencil that is a pair of lines meets one of
-//! them (Persson and Nordberg, Lambda Twist, ECCV 2018, has the same pencil; the pair is taken apart as Richter-Gebert,
-//! Perspectives on Projective Geometry, 11.1, does).
+//! Point distances are intersections of two conics, found by a degenerate conic of their pencil
+//! (Persson and Nordberg, Lambda Twist, ECCV 2018), split into lines as in Richter-Gebert,
+//! Perspectives on Projective Geometry, 11.1.
 
 use crate::types::Pose;
 use glam::{DMat3, DVec3};
 
-/// Below this share of the largest, a number is a rounding of zero.
+/// Relative rounding threshold.
 const TINY: f64 = 1e-12;
-/// Rounds of Newton's method, each of which doubles the digits that are right.
+/// Newton iterations.
 const POLISH: usize = 3;
 
-/// The poses from which `points` of the world lie along the unit vectors `bearings`, in front.
+/// Poses that see `points` in front along unit `bearings`.
 pub fn poses(points: [DVec3; 3], bearings: [DVec3; 3]) -> Vec<Pose> {
     let [a12, a13, a23] = [(0, 1), (0, 2), (1, 2)].map(|(i, j): (usize, usize)| points[i].distance_squared(points[j]));
     let [b12, b13, b23] = [(0, 1), (0, 2), (1, 2)].map(|(i, j): (usize, usize)| bearings[i].dot(bearings[j]));
-    // Distances d: dᵀ m_ij d = a_ij.
+    // dᵀ m_ij d = a_ij for distances d.
     let m12 = symmetric([1.0, 1.0, 0.0], [-b12, 0.0, 0.0]);
     let m13 = symmetric([1.0, 0.0, 1.0], [0.0, -b13, 0.0]);
     let m23 = symmetric([0.0, 1.0, 1.0], [0.0, 0.0, -b23]);
@@ -38,23 +38,23 @@ pub fn poses(points: [DVec3; 3], bearings: [DVec3; 3]) -> Vec<Pose> {
     poses
 }
 
-/// A symmetric matrix by its diagonal and the entries 12, 13 and 23.
+/// Diagonal, entries 12, 13, 23.
 fn symmetric([xx, yy, zz]: [f64; 3], [xy, xz, yz]: [f64; 3]) -> DMat3 {
     DMat3::from_cols_array(&[xx, xy, xz, xy, yy, yz, xz, yz, zz])
 }
 
-/// The two lines whose union is a member of the pencil of two conics, where there are real ones.
+/// Real line pair in a pencil of conics.
 fn lines(first: DMat3, second: DMat3) -> Option<[DVec3; 2]> {
     let ([a, b, c], [p, q, r]) = (columns(first), columns(second));
     let det = |x: DVec3, y: DVec3, z: DVec3| x.dot(y.cross(z));
-    // det(first + g second) by powers of g.
+    // det(first + g second), by powers of g.
     let cubic = [
         det(a, b, c),
         det(p, b, c) + det(a, q, c) + det(a, b, r),
         det(a, q, r) + det(p, b, r) + det(p, q, c),
         det(p, q, r),
     ];
-    // Of several pairs that which is farthest from being a double line.
+    // Farthest from a double line.
     let split = |g: f64| {
         let conic = first + second * g;
         let adjugate = adjugate(conic);
@@ -66,7 +66,7 @@ fn lines(first: DMat3, second: DMat3) -> Option<[DVec3; 2]> {
     let (_, conic, p) = roots(cubic).into_iter().filter_map(split).min_by(|a, b| a.0.total_cmp(&b.0))?;
     let crossed = DMat3::from_cols(DVec3::new(0.0, p.z, -p.y), DVec3::new(-p.z, 0.0, p.x), DVec3::new(p.y, -p.x, 0.0));
     let product = conic + crossed;
-    // A product of a column and a row: any of either that is not zero.
+    // Rank one: any nonzero column and row.
     let (cols, rows) = (columns(product), columns(product.transpose()));
     let longest = |of: [DVec3; 3]| of.into_iter().max_by(|a, b| a.length_squared().total_cmp(&b.length_squared()));
     Some([longest(cols)?.normalize_or_zero(), longest(rows)?.normalize_or_zero()])
@@ -76,20 +76,19 @@ fn columns(m: DMat3) -> [DVec3; 3] {
     [m.x_axis, m.y_axis, m.z_axis]
 }
 
-/// The adjugate of a symmetric matrix.
 fn adjugate(m: DMat3) -> DMat3 {
     let [a, b, c] = columns(m);
     DMat3::from_cols(b.cross(c), c.cross(a), a.cross(b))
 }
 
-/// The real roots of a polynomial of degree 3 or less, by rising powers.
+/// Real roots up to degree 3, coefficients ascending.
 fn roots([c0, c1, c2, c3]: [f64; 4]) -> Vec<f64> {
     let most = c0.abs().max(c1.abs()).max(c2.abs()).max(c3.abs());
     if c3.abs() <= TINY * most {
         return quadratic_roots([c0, c1, c2]);
     }
     let (a, b, c) = (c2 / c3, c1 / c3, c0 / c3);
-    // Depressed: t^3 + 3 p t + 2 q with x = t - a / 3.
+    // t^3 + 3 p t + 2 q with x = t - a / 3.
     let (p, q) = (b / 3.0 - a * a / 9.0, a * a * a / 27.0 - a * b / 6.0 + c / 2.0);
     let discriminant = q * q + p * p * p;
     let depressed = if discriminant > 0.0 {
@@ -108,27 +107,25 @@ fn roots([c0, c1, c2, c3]: [f64; 4]) -> Vec<f64> {
     depressed.into_iter().map(|t| (0..POLISH).fold(t - a / 3.0, |x, _| newton(x))).collect()
 }
 
-/// The real roots of `c0 + c1 x + c2 x^2`.
+/// Real roots of `c0 + c1 x + c2 x^2`.
 fn quadratic_roots([c0, c1, c2]: [f64; 3]) -> Vec<f64> {
     let discriminant = c1 * c1 - 4.0 * c0 * c2;
     if discriminant < 0.0 {
         return Vec::new();
     }
-    // Without a difference of numbers that are nearly the same.
+    // Avoids cancellation.
     let half = -(c1 + c1.signum() * discriminant.sqrt()) / 2.0;
     let roots = [half / c2, c0 / half];
     roots.into_iter().filter(|root| root.is_finite()).collect()
 }
 
-/// The points in which a line meets a conic.
 fn meets(line: DVec3, conic: DMat3) -> Vec<DVec3> {
-    // Two points of the line, at right angles.
     let (u, v) = line.any_orthonormal_pair();
     let products = [u.dot(conic * u), 2.0 * u.dot(conic * v), v.dot(conic * v)];
     quadratic_roots(products).into_iter().map(|t| u + t * v).collect()
 }
 
-/// The distances after a few steps of Newton's method on the squares of the points' distances from each other.
+/// Newton's method on squared point distances.
 fn polished(mut distances: DVec3, conics: [DMat3; 3], squares: [f64; 3]) -> DVec3 {
     for _ in 0..POLISH {
         let along = conics.map(|conic| conic * distances);
@@ -143,7 +140,6 @@ fn polished(mut distances: DVec3, conics: [DMat3; 3], squares: [f64; 3]) -> DVec
     distances
 }
 
-/// The pose by which points at these distances along their bearings are where they are.
 fn pose(points: [DVec3; 3], bearings: [DVec3; 3], distances: DVec3) -> Option<Pose> {
     let seen = [0, 1, 2].map(|i| bearings[i] * distances[i]);
     let [world, camera] = [points, seen].map(|[a, b, c]| DMat3::from_cols(b - a, c - a, (b - a).cross(c - a)));
@@ -151,7 +147,7 @@ fn pose(points: [DVec3; 3], bearings: [DVec3; 3], distances: DVec3) -> Option<Po
     if !turn.is_finite() {
         return None;
     }
-    // Of measured points it is not quite a rotation.
+    // Only nearly a rotation.
     let x = turn.x_axis.normalize();
     let y = (turn.y_axis - x * x.dot(turn.y_axis)).normalize();
     let rotation = DMat3::from_cols(x, y, x.cross(y)).transpose();

@@ -1,8 +1,7 @@
-//! Cameras from the rays of their pixels.
+//! Cameras from pixel rays, on the host in f64.
 //!
-//! A ray's direction is d ~ R K^-1 p. The matrix A = R K^-1 is what all rays agree on, a homography: the least squares of d x A p over
-//! unit vectors, weighted anew by how well each ray agrees (Holland and Welsch 1977). A's orthogonal and triangular factors are R
-//! and K^-1, principal point included. Everything is f64 on the host.
+//! Directions are d ~ A p with A = R K^-1, found by iteratively reweighted least squares on d x A p
+//! (Holland and Welsch 1977) and QR factorization.
 
 use super::FoundCamera;
 use crate::{
@@ -12,45 +11,44 @@ use crate::{
 use glam::{DMat3, DVec3};
 use nalgebra::{Matrix3, SMatrix, SymmetricEigen};
 
-/// Rays of a view's pixels, on a grid of its own.
+/// Rays of a view.
 #[derive(Clone, Debug)]
 pub struct RayMap {
-    /// Rays of a row.
+    /// Width of the grid.
     pub width: u32,
-    /// Rows.
+    /// Height of the grid.
     pub height: u32,
-    /// Directions in the world, of any length.
+    /// World directions, unnormalized.
     pub directions: Vec<[f32; 3]>,
-    /// Origins in the world: the camera's centre, for each ray by itself.
+    /// World origins per ray.
     pub origins: Vec<[f32; 3]>,
-    /// Confidences, from 1 on.
+    /// Confidences, at least 1.
     pub confidence: Vec<f32>,
 }
 
-/// Rounds in which rays are weighted anew.
+/// Reweighting rounds.
 const ROUNDS: usize = 30;
-/// A ray whose angle is so many typical ones off has a quarter of its weight.
+/// Medians at a quarter of the weight.
 const TYPICAL: f64 = 2.0;
-/// Radians by which a ray may be off and agree.
+/// Inlier threshold in radians.
 const TOLERANCE: f64 = 0.1;
-/// Share of the rays that must agree.
+/// Required inlier ratio.
 const AGREEING: f64 = 0.5;
 
-/// A ray and the pixel that it is of.
 struct Ray {
-    /// The ray's direction, of length 1.
+    /// Unit direction.
     direction: DVec3,
-    /// The pixel's direction where the picture reaches from -1 to 1 at distance 1, of length 1.
+    /// Unit direction, for an image spanning -1 to 1 at distance 1.
     pixel: DVec3,
     origin: DVec3,
     weight: f64,
 }
 
 impl RayMap {
-    /// The camera with a picture of `[width, height]` pixels that these are the rays of, its principal point found like the rest.
+    /// Estimates a camera of `[width, height]` pixels and its principal point.
     ///
     /// # Errors
-    /// [`Error::Argument`] where fewer than half of the rays agree on a camera, or the lists are not as long as the grid.
+    /// [`Error::Argument`] for too few inliers or wrong lengths.
     pub fn camera(&self, [width, height]: [u32; 2]) -> Result<FoundCamera> {
         let rays = self.rays()?;
         let map = homography(&rays);
@@ -78,7 +76,7 @@ impl RayMap {
         Ok(FoundCamera { camera, inliers: agreeing.len(), pairs })
     }
 
-    /// The rays that have a direction.
+    /// Rays with nonzero direction.
     fn rays(&self) -> Result<Vec<Ray>> {
         let (w, h) = (self.width as usize, self.height as usize);
         let lengths = [self.directions.len(), self.origins.len(), self.confidence.len()];
@@ -99,12 +97,11 @@ impl RayMap {
     }
 }
 
-/// The angle between a ray and where a map has it, in radians.
 fn angle(map: &DMat3, ray: &Ray) -> f64 {
     (*map * ray.pixel).angle_between(ray.direction)
 }
 
-/// The map from pixels to directions, up to scale, that most rays agree on; the identity where there are none.
+/// Robust map from pixels to directions.
 fn homography(rays: &[Ray]) -> DMat3 {
     let mut map = DMat3::IDENTITY;
     let mut weights: Vec<f64> = rays.iter().map(|ray| ray.weight).collect();
@@ -122,7 +119,7 @@ fn homography(rays: &[Ray]) -> DMat3 {
     map
 }
 
-/// The matrix A of length 1 with the least weighted sum of |d x A p|^2, of the sign by which rays point forward.
+/// Unit-norm A with least weighted |d x A p|^2, facing forward.
 fn least_squares(rays: &[Ray], weights: &[f64]) -> DMat3 {
     let mut squares = SMatrix::<f64, 9, 9>::zeros();
     for (ray, weight) in rays.iter().zip(weights) {
@@ -140,7 +137,7 @@ fn least_squares(rays: &[Ray], weights: &[f64]) -> DMat3 {
     if forward < 0.0 { map * -1.0 } else { map }
 }
 
-/// The rotation R and the lens K, with 1 as its last value, of a map R K^-1; none for a mirror or a map to a plane.
+/// R and K of a map R K^-1; `None` if mirrored or singular.
 fn factors(map: &DMat3) -> Option<(DMat3, DMat3)> {
     let qr = Matrix3::from_column_slice(&map.to_cols_array()).qr();
     let (q, r) = (qr.q(), qr.r());

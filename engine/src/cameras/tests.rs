@@ -1,10 +1,10 @@
 use super::*;
 use glam::{DMat3, DQuat, EulerRot};
 
-/// A lens of 252 x 252 pixels.
+/// For images of 252 x 252 pixels.
 const FOCAL: f64 = 210.0;
 
-/// A camera and what it sees of `count` points at distances from 1 to 3, or on a plane that is oblique to it.
+/// At depths 1 to 3, or on an oblique plane.
 fn seen(random: &mut Random, count: usize, planar: bool) -> (Camera, Vec<Pair>) {
     let mut number = |range: f64| range * (2.0 * random.unit() - 1.0);
     let rotation = DMat3::from_quat(DQuat::from_euler(EulerRot::XYZ, number(3.0), number(1.5), number(3.0)));
@@ -19,7 +19,7 @@ fn seen(random: &mut Random, count: usize, planar: bool) -> (Camera, Vec<Pair>) 
     (Camera { intrinsics, pose }, pairs.collect())
 }
 
-/// The turn between two cameras in degrees, the distance of their centres, and the ratio of their focal lengths.
+/// Degrees, center distance, focal length ratio.
 fn errors(found: &Camera, truth: &Camera) -> [f64; 3] {
     let turn = DQuat::from_mat3(&(found.pose.rotation.transpose() * truth.pose.rotation)).to_scaled_axis().length();
     let away = found.pose.translation.distance(truth.pose.translation);

@@ -1,6 +1,6 @@
-//! One Gaussian a pixel, from depth and the values of the head for Gaussians.
+//! Pixel-aligned Gaussians of the Gaussian head, in f64.
 //!
-//! Source: Depth Anything 3. There is nothing learned in here; everything is f64.
+//! Source: Depth Anything 3.
 
 use crate::{
     stages::heads::GAUSSIAN_VALUES,
@@ -8,17 +8,16 @@ use crate::{
 };
 use glam::DVec3;
 
-/// The range of scales, in tenths of what a pixel of depth 1 covers.
+/// In units of `PIXEL`.
 const SCALES: [f64; 2] = [1e-5, 30.0];
-/// Share of a pixel that a scale of 1 is.
 const PIXEL: f64 = 0.1;
-/// Coefficients of a colour: degree 2.
+/// Degree 2.
 const COEFFS: usize = 9;
 const SH_DEGREE: u32 = 2;
-/// Factors of the coefficients, by degree.
+/// Coefficient scale by degree.
 const FACTORS: [f64; 3] = [1.0, 0.025, 0.00625];
 
-/// The Gaussians of a view's pixels, in the world of its `camera`, which is of the size of `depth`, `[height, width]`. `values` are
+/// Decodes Gaussians in world space, for `depth` `[height, width]` of `camera` and `values`
 /// `[height, width, GAUSSIAN_VALUES]`.
 pub fn pixel_gaussians(depth: &[f32], values: &[f32], camera: &Camera) -> Scene {
     let lens = &camera.intrinsics;
@@ -34,7 +33,7 @@ pub fn pixel_gaussians(depth: &[f32], values: &[f32], camera: &Camera) -> Scene 
         scene.means.push(camera.pose.transform(ray * distance).as_vec3().to_array());
         let unit = distance * PIXEL * (1.0 / lens.fx + 1.0 / lens.fy);
         scene.scales.push([2, 3, 4].map(|i| ((SCALES[0] + (SCALES[1] - SCALES[0]) * sigmoid(value(i))) * unit) as f32));
-        // The released code hands on quaternions in another order than it reads them in; the weights are trained with that.
+        // The weights depend on this order of the released code.
         let own = matrix_from_quaternion([value(7), value(8), value(5), value(6)]);
         let [w, x, y, z] = quaternion_from_matrix(&(rotation * own));
         scene.quats.push([x, y, z, w].map(|q| q as f32));

@@ -1,4 +1,4 @@
-//! Photos to depth, rays and cameras, by the networks of Depth Anything 3.
+//! Depth from photos, by Depth Anything 3.
 
 mod gaussians;
 mod model;

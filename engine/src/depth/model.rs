@@ -15,11 +15,11 @@ use crate::{
 };
 use std::ops::ControlFlow;
 
-/// The mean of each colour over ImageNet, and its deviation, by which pictures are normalised.
+/// ImageNet statistics.
 const MEAN: [f32; 3] = [0.485, 0.456, 0.406];
 const DEVIATION: [f32; 3] = [0.229, 0.224, 0.225];
 
-/// A network with its weights on a device.
+/// A depth network on a device.
 pub struct DepthModel {
     device: Device,
     network: DepthNetwork,
@@ -27,33 +27,33 @@ pub struct DepthModel {
     arena: Arena,
 }
 
-/// A request for depth.
+/// Depth request.
 #[derive(Clone, Debug)]
 pub struct DepthRequest {
-    /// Known cameras of all views, of the images' own size, or none.
+    /// Known cameras, at image size.
     pub cameras: Option<Vec<Camera>>,
-    /// The view that the world is about, where no cameras are known; else the network's own choice: of three and more views the one that
-    /// is nearest to the middle of what all are like, else the first.
+    /// Reference view without cameras. Defaults to the most typical of three or more, else the
+    /// first.
     pub reference: Option<usize>,
-    /// Share of the patches that stand for all in [`Depths::scene`].
+    /// Ratio of patches in [`Depths::scene`].
     pub ratio: Ratio,
-    /// How those are chosen.
+    /// Selection of those patches.
     pub selection: Selection,
 }
 
 impl Default for DepthRequest {
-    /// No cameras, the network's own choice of reference, every patch.
+    /// No cameras, every patch.
     fn default() -> Self {
         Self { cameras: None, reference: None, ratio: Ratio::Fixed(1.0), selection: Selection::KMEANS }
     }
 }
 
 impl DepthModel {
-    /// Loads a checkpoint onto a device. `progress` gets the share that is done and may stop it. Heads compute in f32 whatever the
-    /// arithmetic.
+    /// Loads a checkpoint. Heads are always f32. `progress` gets the fraction done and may cancel.
     ///
     /// # Errors
-    /// [`Memory`](crate::Error::Memory) where the device has too little, and the errors of reading the checkpoint; [`Cancelled`](crate::Error::Cancelled).
+    /// [`Memory`](crate::Error::Memory), [`Cancelled`](crate::Error::Cancelled), errors of the
+    /// checkpoint.
     pub fn load(
         device: &Device,
         checkpoint: &DepthCheckpoint,
@@ -65,26 +65,26 @@ impl DepthModel {
         Ok(Self { device: device.clone(), network, parameters, arena: Arena::new(device) })
     }
 
-    /// The network's architecture.
+    /// Architecture.
     pub fn architecture(&self) -> &DepthArchitecture {
         &self.network.architecture
     }
 
-    /// The network, for plans within other limits.
+    /// The network, for plans.
     pub fn network(&self) -> &DepthNetwork {
         &self.network
     }
 
-    /// Bytes of the weights on the device.
+    /// Weight bytes on the device.
     pub fn weight_bytes(&self) -> u64 {
         self.network.weight_bytes()
     }
 
-    /// Finds depth and what the network says beside it in images of one size, whose sides are multiples of the patch.
+    /// Estimates depth of images of one size, divisible by the patch.
     ///
     /// # Errors
-    /// [`Argument`](crate::Error::Argument) for images or a request that cannot be used, [`Memory`](crate::Error::Memory) where the device has too little (nothing was
-    /// submitted then), [`Cancelled`](crate::Error::Cancelled) where `progress` asked to stop.
+    /// [`Argument`](crate::Error::Argument), [`Memory`](crate::Error::Memory) before submission,
+    /// [`Cancelled`](crate::Error::Cancelled).
     pub fn depths(
         &self,
         images: &[Image],
@@ -102,7 +102,7 @@ impl DepthModel {
             (None, Some(_)) => Some(request.selection.indices(shape.grid.tokens(), shape.tokens)),
             (None, None) => None,
         };
-        // Two centroids may have one nearest patch.
+        // Centroids may share a patch.
         patches.iter_mut().for_each(|patches| {
             patches.sort_unstable();
             patches.dedup();
@@ -111,10 +111,10 @@ impl DepthModel {
         Ok(Depths { patches, ..read(&run, &tensors.heads, shape.grid, times, bytes)? })
     }
 
-    /// The shape of a request for these images.
+    /// Returns the shape of a request.
     ///
     /// # Errors
-    /// [`Argument`](crate::Error::Argument) for whatever cannot be used.
+    /// [`Argument`](crate::Error::Argument) for invalid input.
     pub fn shape(&self, images: &[Image], request: &DepthRequest) -> Result<DepthShape> {
         let size = size_of(images)?;
         let chosen = (request.ratio, &request.selection);
@@ -123,10 +123,10 @@ impl DepthModel {
         Ok(shape)
     }
 
-    /// Records a plan for a shape, observing its intermediate tensors where asked.
+    /// Records a plan, optionally observed.
     ///
     /// # Errors
-    /// [`Memory`](crate::Error::Memory) where the device cannot hold or bind a tensor.
+    /// [`Memory`](crate::Error::Memory).
     pub fn record(&self, shape: DepthShape, observe: bool) -> Result<(Plan, DepthTensors)> {
         let mut rec = Recorder::new(self.device.limits());
         if observe {
@@ -136,18 +136,18 @@ impl DepthModel {
         Ok((rec.finish()?, tensors))
     }
 
-    /// Allocates a plan of this model.
+    /// Allocates a plan.
     ///
     /// # Errors
-    /// [`Memory`](crate::Error::Memory) where the device has too little.
+    /// [`Memory`](crate::Error::Memory).
     pub fn run(&self, plan: Plan) -> Result<Run> {
         Run::with_resident(&self.device, plan, Some(self.parameters.resident.clone()))
     }
 
-    /// Writes everything that a run of this shape reads.
+    /// Writes the inputs.
     ///
     /// # Errors
-    /// A transfer that fails, or cameras that cannot be used.
+    /// Failed transfers; unusable cameras.
     pub fn write_inputs(
         &self,
         run: &mut Run,

@@ -1,5 +1,3 @@
-//! The network: from pixels to what the heads leave for the host.
-
 use crate::{
     Error, Result,
     gpu::{Limits, Plan, Recorder, Tensor},
@@ -8,59 +6,57 @@ use crate::{
     stages::{DepthArchitecture, DepthStages, Reference, ViewGrid, cluster, heads::HeadTensors},
 };
 
-/// A network's parameters, laid out for a device.
+/// Depth network parameters.
 pub struct DepthNetwork {
     pub(super) architecture: DepthArchitecture,
     pub(super) parameters: ParameterLayout,
     pub(super) stages: DepthStages,
 }
 
-/// Everything that decides a plan.
+/// Parameters of a plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DepthShape {
-    /// Views and their patches.
+    /// Views and patches.
     pub grid: ViewGrid,
-    /// Cameras are given.
+    /// Whether cameras are known.
     pub cameras: bool,
-    /// The view that the world is about.
+    /// Reference view.
     pub reference: Reference,
-    /// Patches that stand for all.
+    /// Number of patches kept.
     pub tokens: usize,
-    /// How those are found.
+    /// Their selection.
     pub kept: Kept,
 }
 
-/// The tensors that go in and out of a plan.
+/// Inputs and outputs.
 pub struct DepthTensors {
-    /// `[views, 3, height, width]` f32, normalised.
+    /// `[views, 3, height, width]` f32.
     pub(super) images: Tensor,
     pub(super) backbone: Vec<Tensor>,
     pub(super) heads: HeadTensors,
-    /// First centroids' patches, or the patches themselves; absent where all are kept.
+    /// Initial or kept patches, unless all are kept.
     pub(super) indices: Option<Tensor>,
-    /// `[tokens]` u32: the patches that k-means chose, where it did.
+    /// `[tokens]` u32, from k-means.
     pub(super) chosen: Option<Tensor>,
 }
 
 impl DepthNetwork {
-    /// Lays out a network; needs no device. Its heads compute in f32 whatever the arithmetic.
+    /// Lays out a network without a device; heads are always f32.
     pub fn new(architecture: &DepthArchitecture, limits: &Limits, arithmetic: Arithmetic) -> Self {
         let mut parameters = ParameterLayout::new(limits, arithmetic);
         let stages = DepthStages::new(&mut parameters, architecture);
         Self { architecture: architecture.clone(), parameters, stages }
     }
 
-    /// Bytes of the weights on the device.
+    /// Weight bytes on the device.
     pub fn weight_bytes(&self) -> u64 {
         self.parameters.bytes()
     }
 
-    /// The shape of `views` pictures of `[width, height]` pixels, of whose patches some are `chosen`: `cameras` are given, or the world is
-    /// about the view `reference`, else the network's choice: of three and more views the one that is nearest to the middle of what all are
-    /// like, else the first.
+    /// Returns the shape for `views` images of `[width, height]` pixels.
     ///
     /// # Errors
-    /// [`Error::Argument`] for whatever cannot be used.
+    /// [`Error::Argument`] for invalid input.
     pub fn shape(
         &self,
         views: usize,
@@ -86,7 +82,7 @@ impl DepthNetwork {
         Ok(DepthShape { grid, cameras, reference, tokens, kept })
     }
 
-    /// Records a plan for a shape.
+    /// Records a plan.
     pub fn record(&self, rec: &mut Recorder, shape: DepthShape) -> DepthTensors {
         let DepthShape { grid, cameras, reference, tokens, kept } = shape;
         let images = rec.input::<f32>("images", grid.values());
@@ -105,10 +101,10 @@ impl DepthNetwork {
         DepthTensors { images, backbone, heads, indices, chosen }
     }
 
-    /// Plans a shape; needs no device.
+    /// Plans without a device.
     ///
     /// # Errors
-    /// [`Error::Memory`] where a device of these limits cannot hold or bind a tensor.
+    /// [`Error::Memory`].
     pub fn plan(&self, limits: &Limits, shape: DepthShape) -> Result<(Plan, DepthTensors)> {
         let mut rec = Recorder::new(limits);
         let tensors = self.record(&mut rec, shape);

@@ -1,4 +1,4 @@
-//! The outputs of a depth network.
+//! Outputs of a depth network.
 
 use crate::{
     Error, Result,
@@ -11,30 +11,30 @@ use crate::{
     types::Camera,
 };
 
-/// Depth of all views, and what was found beside it.
+/// Outputs of all views.
 #[derive(Clone, Debug)]
 pub struct Depths {
-    /// Pixels a row.
+    /// Width in pixels.
     pub width: u32,
-    /// Rows.
+    /// Height in pixels.
     pub height: u32,
-    /// One a view.
+    /// Per view.
     pub views: Vec<DepthView>,
-    /// Side of a patch in pixels.
+    /// Patch side in pixels.
     pub patch: usize,
-    /// The patches that stand for all, counted along rows, then down, then over views, in rising order; none where all do.
+    /// Kept patches, ascending, unless all are kept.
     pub patches: Option<Vec<u32>>,
-    /// Time of each stage.
+    /// Time per stage.
     pub times: StageTimes,
-    /// Bytes of the arena and the weights.
+    /// Arena and weight bytes.
     pub peak_bytes: u64,
 }
 
 impl Depths {
-    /// The cameras of the views as the camera decoder has them, of the size of the depths, in a world about the reference view's.
+    /// Returns the decoded cameras, at depth size.
     ///
     /// # Errors
-    /// [`Error::Argument`] where views were seen by themselves, or a camera is none.
+    /// [`Error::Argument`] for separate views or invalid cameras.
     pub fn cameras(&self) -> Result<Vec<Camera>> {
         let camera = |(i, view): (usize, &DepthView)| {
             let encoding = view.encoding.as_ref().ok_or_else(by_themselves)?;
@@ -45,10 +45,10 @@ impl Depths {
         self.views.iter().enumerate().map(camera).collect()
     }
 
-    /// Brings depth to the world of the cameras that were given, by where the camera decoder has these.
+    /// Scales depth to the world of known cameras.
     ///
     /// # Errors
-    /// [`Error::Argument`] where the cameras are at one place, or views were seen by themselves.
+    /// [`Error::Argument`] for coincident cameras or separate views.
     pub fn bring_to(&mut self, cameras: &[Camera]) -> Result<()> {
         let centres = |cameras: &[Camera]| cameras.iter().map(|camera| camera.pose.translation).collect::<Vec<_>>();
         let scale = scale_between(&centres(cameras), &centres(&self.cameras()?));
@@ -59,8 +59,7 @@ impl Depths {
         Ok(())
     }
 
-    /// Brings the depth of each view to metres, where a network with a metric head sees each view by itself: what it says is the depth of
-    /// a camera of [`METRIC_FOCAL`] pixels. `cameras` are those of the views.
+    /// Scales metric depth, predicted for [`METRIC_FOCAL`], to meters.
     pub fn to_metres(&mut self, cameras: &[Camera]) {
         for (view, Camera { intrinsics: lens, .. }) in self.views.iter_mut().zip(cameras) {
             let factor = (lens.fx + lens.fy) / 2.0 / METRIC_FOCAL;
@@ -68,12 +67,10 @@ impl Depths {
         }
     }
 
-    /// Brings the depth of each view to the unit of points that it shows: by the median of how many times farther they are than its
-    /// pixels say. `cameras` are those of the views, in the world of the points. For networks that see each view by itself, whose depth
-    /// is of one unit in no two views.
+    /// Scales each view by the median depth ratio to visible points, in the cameras' world.
     ///
     /// # Errors
-    /// The first view that shows no point.
+    /// The first view without visible points.
     pub fn scale_to(&mut self, cameras: &[Camera], points: &[[f32; 3]]) -> std::result::Result<(), usize> {
         let (width, height) = (self.width, self.height);
         for (i, (view, camera)) in self.views.iter_mut().zip(cameras).enumerate() {
@@ -94,7 +91,7 @@ impl Depths {
         Ok(())
     }
 
-    /// Leaves only the views that are `kept`, one flag each.
+    /// Removes unflagged views.
     pub fn keep_views(&mut self, kept: &[bool]) {
         let all = kept.len();
         let place: Vec<usize> = (0..all).map(|view| kept[..view].iter().filter(|kept| **kept).count()).collect();
@@ -110,10 +107,10 @@ impl Depths {
         }
     }
 
-    /// The cameras of the views as their rays have them, in the same world; each view's own error where its rays have none.
+    /// Estimates cameras from rays; each view may fail.
     ///
     /// # Errors
-    /// [`Error::Argument`] where views were seen by themselves.
+    /// [`Error::Argument`] for separate views.
     pub fn cameras_of_rays(&self) -> Result<Vec<Result<FoundCamera>>> {
         let camera = |view: &DepthView| {
             let rays = view.rays.as_ref().ok_or_else(by_themselves)?;
@@ -123,19 +120,18 @@ impl Depths {
     }
 }
 
-/// The focal length in pixels with which a metric head's depth is in metres.
+/// Focal length of metric depth in pixels.
 pub const METRIC_FOCAL: f64 = 300.0;
 
-/// Sky is what is above this.
+/// Sky threshold.
 pub(super) const SKY: f32 = 0.3;
-/// Pixels that sky and the rest must have, before the depth of sky follows from the rest.
+/// Minimum pixels of sky and of the rest.
 const FEWEST: usize = 10;
-/// The share of the rest that sky is behind.
+/// Quantile used as sky depth.
 const BEHIND: f64 = 0.99;
 
 impl DepthView {
-    /// Depth, of which that of sky is behind 99 % of the rest. As [`DepthView::depth`] where the network does not tell sky, or there is
-    /// hardly any, or hardly anything else.
+    /// Depth with sky behind 99 % of the rest, if there are enough pixels of both.
     pub fn depth_behind_sky(&self) -> Vec<f32> {
         let mut depth = self.depth.clone();
         let Some(sky) = &self.sky else { return depth };
@@ -157,25 +153,24 @@ fn by_themselves() -> Error {
     Error::argument("cameras of views", "a network that sees each view by itself", "one that sees all views at once")
 }
 
-/// A view's depth.
+/// Depth of a view.
 #[derive(Clone, Debug)]
 pub struct DepthView {
-    /// `[height, width]` along the camera's axis, in any unit, one for all views that were seen at once.
+    /// `[height, width]` along the camera axis, in arbitrary units.
     pub depth: Vec<f32>,
-    /// `[height, width]` from 1 on, where the network tells.
+    /// `[height, width]`, at least 1.
     pub confidence: Option<Vec<f32>>,
-    /// The rays of pixels, where views were seen at once.
+    /// Rays of joint views.
     pub rays: Option<RayMap>,
-    /// `[height, width]` from 0 on, where views were seen by themselves: above 0.3 it is sky.
+    /// `[height, width]` for separate views: sky above 0.3.
     pub sky: Option<Vec<f32>>,
-    /// The camera decoder's values, where views were seen at once: centre (3), camera-to-world quaternion xyzw (4) of any length, vertical
-    /// and horizontal field of view in radians.
+    /// Decoded camera of joint views: center 3, camera-to-world quaternion xyzw 4, vertical and
+    /// horizontal field of view in radians.
     pub encoding: Option<[f32; 9]>,
-    /// `[height, width, GAUSSIAN_VALUES]`, where the network has a head for Gaussians: see [`pixel_gaussians`](super::pixel_gaussians).
+    /// `[height, width, GAUSSIAN_VALUES]`, see [`pixel_gaussians`](super::pixel_gaussians).
     pub gaussians: Option<Vec<f32>>,
 }
 
-/// Reads the outputs of a run.
 pub(super) fn read(
     run: &Run,
     heads: &HeadTensors,
@@ -206,7 +201,6 @@ pub(super) fn read(
     Ok(Depths { width, height, views, patch: grid.patch, patches: None, times, peak_bytes })
 }
 
-/// Rays from the head's values, seven each.
 fn rays(values: &[f32], grid: ViewGrid) -> Result<RayMap> {
     let [width, height] = [grid.columns, grid.rows].map(|count| 8 * count as u32);
     let (rays, _) = values.as_chunks::<7>();

@@ -1,26 +1,24 @@
-//! One round Gaussian a pixel, from depth and colour alone, for networks without a head for Gaussians.
+//! Isotropic Gaussians from depth and color.
 
 use super::{DepthView, Depths, output::SKY, pixel_gaussians};
 use crate::types::{Camera, Image, Scene};
 use glam::DVec3;
 
-/// First spherical harmonic, which is constant.
+/// Constant spherical harmonic.
 const SH0: f32 = 0.282_094_79;
-/// Standard deviation of a Gaussian in pixels of the photo that it is from: neighbours overlap without a visible grid.
+/// In pixels, enough to hide the grid.
 const SIGMA: f64 = 0.6;
-/// Opacity of a pixel whose depth is sure.
+/// Opacity at full confidence.
 const OPACITY: f32 = 0.95;
-/// Opacities below which a pixel is left out.
+/// Opacity threshold.
 const FAINT: f32 = 0.05;
 
-/// Adds one round Gaussian for every pixel of a photo whose depth along the camera's axis is above 0, in the world of `camera`: as wide
-/// as depth over focal length makes a pixel, of the pixel's colour.
+/// Adds an isotropic Gaussian per pixel of positive depth.
 pub fn add_view(scene: &mut Scene, camera: &Camera, image: &Image, depth: &[f32]) {
     let shown = depth.iter().enumerate().filter(|(_, depth)| **depth > 0.0);
     shown.for_each(|(at, depth)| add_pixel(scene, camera, image, at, (*depth, OPACITY)));
 }
 
-/// Adds the Gaussian of one pixel.
 fn add_pixel(scene: &mut Scene, camera: &Camera, image: &Image, at: usize, (depth, opacity): (f32, f32)) {
     let (lens, z, width) = (camera.intrinsics, f64::from(depth), image.width as usize);
     let (x, y) = ((at % width) as f64 + 0.5, (at / width) as f64 + 0.5);
@@ -34,11 +32,10 @@ fn add_pixel(scene: &mut Scene, camera: &Camera, image: &Image, at: usize, (dept
 }
 
 impl Depths {
-    /// One Gaussian for every pixel that the network is confident of, in the world of the views' cameras. With a head for Gaussians they
-    /// are what it says; else they are round, as wide as depth over focal length makes a pixel, of the colours of `images`, and as opaque
-    /// as the network is confident: from the confidence on that [`Depths::points`] asks for they are fully so. Pixels of sky and those
-    /// without a depth are left out. Where patches were chosen to stand for all ([`Depths::patches`]), their pixels are all that counts;
-    /// of each patch those `keep` Gaussians are kept that show most.
+    /// Returns a Gaussian per confident pixel of the kept patches, in the cameras' world.
+    ///
+    /// Without a head they are isotropic, with opacity by confidence. Sky is dropped; `keep` limits
+    /// patches to their most visible Gaussians.
     pub fn scene(&self, cameras: &[Camera], images: &[Image], keep: Option<usize>) -> Scene {
         let of_head = self.views.iter().any(|view| view.gaussians.is_some());
         let mut scene = Scene { sh_degree: if of_head { 2 } else { 0 }, ..Scene::default() };
@@ -46,7 +43,6 @@ impl Depths {
         let patches = columns * (self.height as usize / side);
         let all: Vec<u32> = (0..(self.views.len() * patches) as u32).collect();
         let kept = self.patches.as_deref().unwrap_or(&all);
-        // Of the patch with this index in a view, row by row.
         let pixels = |patch: usize| {
             let corner = (patch / columns * columns * side + patch % columns) * side;
             (0..side * side).map(move |i| corner + i / side * columns * side + i % side)
@@ -68,7 +64,7 @@ impl Depths {
                     round
                 }
             };
-            // So that they show least of all, whatever they would have been.
+            // Ranked last.
             for (i, _) in at.iter().enumerate().filter(|(_, at)| !view.shows(**at)) {
                 (made.opacities[i], made.scales[i]) = (0.0, [0.0; 3]);
             }
@@ -84,19 +80,18 @@ impl Depths {
 }
 
 impl DepthView {
-    /// The mean confidence of the depth, 1 where the network says none.
+    /// Mean confidence, by default 1.
     pub fn mean_confidence(&self) -> f64 {
         let all = self.confidence.as_deref().unwrap_or(&[1.0]);
         all.iter().map(|value| f64::from(*value)).sum::<f64>() / all.len().max(1) as f64
     }
 
-    /// True where a pixel shows something that has a place.
     pub(super) fn shows(&self, at: usize) -> bool {
         let sky = self.sky.as_ref().is_some_and(|sky| sky[at] >= SKY);
         !sky && self.depth[at].is_finite() && self.depth[at] > 0.0
     }
 
-    /// How opaque a pixel is, where `least` is the confidence from which it is fully so: in proportion to what is above 1.
+    /// Linear in confidence above 1, full at `least`.
     fn opacity(&self, at: usize, least: f32) -> f32 {
         let Some(confidence) = &self.confidence else { return OPACITY };
         if least > 1.0 { OPACITY * ((confidence[at] - 1.0) / (least - 1.0)).clamp(0.0, 1.0) } else { OPACITY }

@@ -1,16 +1,15 @@
-//! Points of all views from their depths.
+//! Point cloud from depth.
 
 use super::Depths;
 use crate::types::{Camera, Image};
 use glam::DVec3;
 
-/// The confidence that a point must have, within the range that these shares of all have: so that neither none nor all are left.
+/// Threshold, clamped to quantiles so that some but not all pixels pass.
 const CONFIDENT: f32 = 1.05;
 const SHARES: [f64; 2] = [0.4, 0.9];
 
 impl Depths {
-    /// The world's points that pixels show, with their colours in `images`, of those pixels that the network is confident of; at most
-    /// `most`, evenly spread. Cameras and images are those of the views.
+    /// Returns at most `most` colored world points of confident pixels.
     pub fn points(&self, cameras: &[Camera], images: &[Image], most: usize) -> Vec<([f32; 3], [u8; 3])> {
         let least = self.least_confidence();
         let mut kept = Vec::new();
@@ -30,7 +29,7 @@ impl Depths {
         kept.iter().step_by(step).map(point).collect()
     }
 
-    /// The confidence from which pixels count.
+    /// Confidence threshold.
     pub(super) fn least_confidence(&self) -> f32 {
         let mut all: Vec<f32> =
             self.views.iter().filter_map(|view| view.confidence.as_ref()).flatten().copied().collect();

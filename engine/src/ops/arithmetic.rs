@@ -1,32 +1,31 @@
-//! Number types and kernels of linear layers, attention and k-means use.
+//! Precisions and the kernels that each selects.
 
 use super::tile::Tiles;
 use crate::gpu::{Element, Limits, MatrixShape};
 
-/// The precision of matrix products. Sums, softmax, norms, the residual stream and geometry are f32 in all of them.
+/// Precision of matrix products. All other computation is f32.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Precision {
     /// f32 throughout.
     Exact,
-    /// Factors of matrix products in f16.
+    /// f16 factors.
     Fast,
-    /// Factors of matrix products in bf16: f32's range in 8 bits, for networks whose activations f16 cannot hold.
+    /// bf16 factors, for activations beyond f16's range.
     FastBf16,
-    /// As `Fast`, and in the linear layers of blocks 8-bit integers: a scale for every token and for every output.
+    /// `Fast`, with 8-bit integers in blocks' linear layers.
     Turbo,
 }
 
 impl Precision {
-    /// All, the slowest first.
+    /// Every precision, slowest first.
     pub const ALL: [Self; 4] = [Self::Exact, Self::FastBf16, Self::Fast, Self::Turbo];
 
-    /// The precision where nothing is asked for: fast on GPUs with matrix units, exact on others and on CPUs,
-    /// which convert f16 slowly.
+    /// The default: `Fast` with matrix units, else `Exact`. CPUs convert f16 slowly.
     pub fn best(limits: &Limits) -> Self {
         if !limits.cpu && limits.matrices.f16.is_some() { Precision::Fast } else { Precision::Exact }
     }
 
-    /// As on the command line.
+    /// Command-line name.
     pub fn name(self) -> &'static str {
         match self {
             Precision::Exact => "exact",
@@ -37,45 +36,43 @@ impl Precision {
     }
 }
 
-/// Number types and kernels of linear layers, attention and k-means.
+/// Number types and kernels of a precision.
 ///
-/// With a type of 16 bits, these are rounded to it: weights, and activations that only feed matrix products: normed rows,
-/// queries, keys and values, hidden layers, what attention gives; and the normed rows of an output layer, whose mean goes on
-/// beside their product. They saturate at its largest value rather than overflow; networks with activations beyond f16's 65504
-/// are not known. Scores are f32, so that those of blocks without q/k norm, which reach 1e4 and more, stay finite.
+/// 16-bit types hold weights and activations that only feed matrix products, saturating. Attention
+/// scores stay f32: without q/k norm they exceed 1e4.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Arithmetic {
-    /// Type of the factors of matrix products.
+    /// Factor type of matrix products.
     pub element: Element,
-    /// How work is cut for linear layers with such factors on lanes.
+    /// Tiles of linear layers on lanes.
     pub tiles: Tiles,
-    /// How work is cut for linear layers on lanes that are f32 whatever the precision.
+    /// Tiles of linear layers that are always f32.
     pub exact_tiles: Tiles,
-    /// Matrix units that linear layers run on, where they do.
+    /// Matrix units for linear layers.
     pub linear: Option<Units>,
-    /// Matrix units that attention runs on, where it does.
+    /// Matrix units for attention.
     pub attention: Option<Units>,
-    /// Matrix units for 8-bit integers that linear layers of blocks run on, where they do.
+    /// 8-bit matrix units for blocks' linear layers.
     pub quantised: Option<Units>,
-    /// How work is cut for linear layers of blocks with 8-bit integers on lanes, where they are to run there.
+    /// Tiles of blocks' 8-bit layers on lanes.
     pub dots: Option<Tiles>,
-    /// Matrix units for f16 that k-means finds nearest rows on, where it does: exactly enough in every precision.
+    /// f16 matrix units for k-means, in every precision.
     pub nearest: Option<Units>,
 }
 
-/// Matrix units as a kernel uses them.
+/// Matrix units as configured for a kernel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Units {
-    /// Type of their factors.
+    /// Type of the factors.
     pub factor: Element,
-    /// Their shape.
+    /// Matrix shape.
     pub shape: MatrixShape,
-    /// How work is cut for them.
+    /// Tiles by result size.
     pub tiles: Tiles,
 }
 
 impl Units {
-    /// The matrix units of a device for factors of a type, with tiles by rule.
+    /// Returns the matrix units for a factor type, if any.
     pub fn of(factor: Element, limits: &Limits) -> Option<Self> {
         limits.matrices.of(factor).map(|shape| Self { factor, shape, tiles: Tiles::default() })
     }
@@ -94,22 +91,21 @@ impl Arithmetic {
         nearest: None,
     };
 
-    /// f32 throughout, with work cut in the same way.
     pub(super) fn exact(&self) -> Self {
         Self { tiles: self.exact_tiles, exact_tiles: self.exact_tiles, ..Self::EXACT }
     }
 
-    /// True where linear layers of blocks have 8-bit integers, on matrix units or without them on lanes.
+    /// Whether blocks use 8-bit integers.
     pub fn has_integers(&self) -> bool {
         self.quantised.is_some() || self.dots.is_some()
     }
 
-    /// The same without 8-bit integers.
+    /// Removes 8-bit integers.
     pub fn without_integers(&self) -> Self {
         Self { quantised: None, dots: None, ..*self }
     }
 
-    /// The arithmetic of a precision, on matrix units where the device has them; `None` where the device cannot compute in it.
+    /// Returns the arithmetic of a precision, if supported.
     pub fn of(precision: Precision, limits: &Limits) -> Option<Self> {
         let element = match precision {
             Precision::Exact => return Some(Self::EXACT),

@@ -1,4 +1,4 @@
-//! Attention: heads taken out of a projection once, then one softmax kernel for local, global and cross attention.
+//! Multi-head attention.
 
 use super::{
     Columns, Norm, Pool, Rows, Tile, Units,
@@ -10,12 +10,12 @@ use crate::{
     kernels::{limits::ATTENTION_ROWS, ops},
 };
 
-/// Heads and their channels.
+/// Attention heads.
 #[derive(Clone, Copy, Debug)]
 pub struct Heads {
     /// Number of heads.
     pub count: usize,
-    /// Channels of a head.
+    /// Channels per head.
     pub dim: usize,
 }
 
@@ -31,62 +31,60 @@ impl Heads {
     }
 }
 
-/// Queries, keys or values: what happens to them on the way from a projection.
+/// Processing of projected queries, keys or values.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Part {
-    /// Norm over a head's channels.
+    /// Norm per head.
     pub norm: Option<Norm>,
-    /// The rotations of tokens by their places.
+    /// Rotary embedding.
     pub rotary: Option<Rotary>,
-    /// Whether these are keys, which are laid out with tokens running fastest.
+    /// Whether these are keys, transposed on lanes.
     pub keys: bool,
-    /// Factor, or 0 for none.
+    /// Scale; 0 for none.
     pub scale: f32,
-    /// The place for the logarithm of how many patches each pooled key is the mean of.
+    /// Output for the log patch counts of pooled keys.
     pub log_counts: Option<Tensor>,
 }
 
-/// Rotary embedding: rotations of the tokens of a view, the same in every view.
+/// Rotary embedding, the same for every view.
 #[derive(Clone, Copy, Debug)]
 pub struct Rotary {
-    /// `[turned, dim / 2, 2]` f32: cosine and sine for each pair of channels.
+    /// `[turned, dim / 2, 2]` f32: cosine and sine per channel pair.
     pub table: Tensor,
-    /// Tokens of a view.
+    /// Tokens per view.
     pub tokens: usize,
-    /// The first tokens of a view, which turn; the others stay as they are.
+    /// Leading tokens that rotate.
     pub turned: usize,
 }
 
-/// Shape of an attention over `sequences` independent sequences.
+/// Shape of an attention.
 #[derive(Clone, Copy, Debug)]
 pub struct Attention {
     /// Heads.
     pub heads: Heads,
-    /// Sequences that do not see each other.
+    /// Number of independent sequences.
     pub sequences: usize,
-    /// Queries of a sequence.
+    /// Queries per sequence.
     pub queries: usize,
-    /// Keys of a sequence.
+    /// Keys per sequence.
     pub keys: usize,
-    /// Groups of patches whose means the keys and values are.
+    /// Key pooling.
     pub pool: Option<Pool>,
-    /// The kernel that computes it.
+    /// Kernel.
     pub kernel: AttentionKernel,
 }
 
-/// The kernel of an attention, which decides the layout of queries, keys and values.
+/// Attention kernel and layout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AttentionKernel {
-    /// ops/attention, or ops/attention_uniform where that is faster: everything of this type, keys in panels, in which they run
-    /// fastest: [`Attention::tensors`].
+    /// ops/attention or ops/attention_uniform, with keys in panels.
     Lanes(Element),
-    /// ops/attention_matrix: everything of this type, of 16 bits, on matrix units; heads padded to whole matrices of a
-    /// subgroup.
+    /// ops/attention_matrix, 16-bit, heads padded to whole matrices.
     Matrix(Units),
 }
 
 impl AttentionKernel {
-    /// Type of queries, keys, values and of what comes out.
+    /// Type of all tensors.
     pub fn element(self) -> Element {
         match self {
             AttentionKernel::Lanes(element) | AttentionKernel::Matrix(Units { factor: element, .. }) => element,
@@ -95,8 +93,8 @@ impl AttentionKernel {
 }
 
 impl Attention {
-    /// Tensors for queries, keys and values, and `[sequences * keys]` f32 for [`Part::log_counts`] where keys are pooled, else the
-    /// keys again.
+    /// Allocates queries, keys, values and `[sequences * keys]` f32 for [`Part::log_counts`].
+    /// Without pooling, the last aliases the keys.
     pub fn tensors(&self, rec: &mut Recorder) -> [Tensor; 4] {
         let (width, sequences) = (self.heads.count * self.channels(), self.sequences);
         let [queries, keys] = [self.queries, self.keys].map(|tokens| sequences * tokens * width);
@@ -104,7 +102,7 @@ impl Attention {
             AttentionKernel::Lanes(_) => {
                 (queries, sequences * self.keys.next_multiple_of(self.panel(rec.limits())) * width, keys)
             }
-            // The last workgroup reads queries beyond the end.
+            // The last workgroup overruns the queries.
             AttentionKernel::Matrix(units) => {
                 let tiles = Tile::attention(rec.limits(), units, 8);
                 let most_rows = tiles.iter().map(|tile| tile.sides(units)[0]).max().unwrap_or(0);
@@ -117,7 +115,6 @@ impl Attention {
         [q, k, v, self.pool.map_or(k, |_| rec.tensor::<f32>("log_counts", sequences * self.keys))]
     }
 
-    /// Channels of a head as queries, keys and values hold it.
     fn channels(&self) -> usize {
         match self.kernel {
             AttentionKernel::Lanes(_) => self.heads.dim,
@@ -127,8 +124,8 @@ impl Attention {
         }
     }
 
-    /// Takes a part out of columns of a projection, whose first row is row `first_row` of all, into `out`. Of views whose keys are
-    /// pooled the projection has all rows.
+    /// Copies a part from projection columns into `out`, starting at row `first_row` of all. Pooled
+    /// keys need whole views.
     pub fn split(&self, rec: &mut Recorder, projection: impl Into<Columns>, first_row: usize, part: Part, out: Tensor) {
         let of_keys = part.keys || part.scale == 0.0;
         let (sequence, pool) = if of_keys { (self.keys, self.pool) } else { (self.queries, None) };
@@ -176,12 +173,12 @@ impl Attention {
         rec.dispatch_groups(kernel, rows * self.heads.count);
     }
 
-    /// Scale of the queries: 1 / sqrt(dim).
+    /// Query scale, 1 / sqrt(dim).
     pub fn scale(&self) -> f32 {
         1.0 / (self.heads.dim as f32).sqrt()
     }
 
-    /// softmax(q k) v of every head, `[sequences * queries, width]`.
+    /// Returns softmax(q k) v, `[sequences * queries, width]`.
     pub fn record(&self, rec: &mut Recorder, tensors: [Tensor; 4]) -> Rows {
         let rows = self.sequences * self.queries;
         let out = Rows::scratch(rec, "attended", rows, self.heads.width(), self.kernel.element());
@@ -193,7 +190,7 @@ impl Attention {
         out
     }
 
-    /// Keys that lie side by side, of one channel after the other: those that ops/attention_uniform takes at a time, or all, in quads.
+    /// Keys per panel.
     fn panel(&self, limits: &Limits) -> usize {
         if self.is_uniform(limits) {
             (UNIFORM_TILE[1] * limits.subgroup_size) as usize
@@ -202,7 +199,7 @@ impl Attention {
         }
     }
 
-    /// True where ops/attention_uniform computes the heads, which takes whole subgroups of channels.
+    /// Whether ops/attention_uniform applies.
     fn is_uniform(&self, limits: &Limits) -> bool {
         let [queries, lanes] = [UNIFORM_TILE[0], limits.subgroup_size].map(|n| n as usize);
         limits.addresses
@@ -225,7 +222,7 @@ impl Attention {
             heads: self.heads.count as u32,
             dim,
             vectors: dim / rec.limits().subgroup_size,
-            terms: terms_of(self.heads.dim).min(16), // 32 take 3 % more time
+            terms: terms_of(self.heads.dim).min(16),
             tile_rows,
             key_vectors,
             pooled: self.pool.is_some(),
@@ -285,7 +282,7 @@ impl Attention {
     fn tile(&self, limits: &Limits, units: Units) -> Tile {
         let (channels, heads) = (self.channels(), self.heads.count * self.sequences);
         let candidates = Tile::attention(limits, units, channels);
-        // Wide heads do not fit every tile.
+        // Wider heads may not fit every measured tile.
         let tuned = Tile::attention(limits, units, Tile::TUNED_CHANNELS);
         let measured = units.tiles.of(self.queries * heads * channels).and_then(|index| tuned.get(index));
         let measured = measured.and_then(|tile| candidates.iter().position(|candidate| candidate == tile));
@@ -293,7 +290,6 @@ impl Attention {
         choose(&candidates, measured, by_rule, |tile| self.queries.div_ceil(tile.sides(units)[0]) * heads)
     }
 
-    /// Workgroups of `rows` queries.
     fn dispatch<K: Kernel>(&self, rec: &mut Recorder, kernel: K, rows: usize) {
         let groups = [self.queries.div_ceil(rows), self.heads.count, self.sequences];
         rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops());
@@ -324,7 +320,6 @@ mod tests {
         assert!(tiles.iter().any(|tile| tile.repeats == [2, 1]));
         for (index, tile) in tiles.iter().enumerate() {
             let units = Units { tiles: Tiles::always(index), ..units };
-            // Also for heads of other sizes, as far as it fits them.
             assert_eq!([16, 64].map(|channels| choose(units, 300, 16, channels)), [*tile; 2]);
         }
     }

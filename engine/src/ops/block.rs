@@ -1,4 +1,4 @@
-//! A pre-norm transformer block: self-attention, then a feed-forward network, each added to the residual stream.
+//! A pre-norm transformer block.
 
 use super::{
     Activation, Attention, AttentionKernel, Epilogue, Heads, Linear, Norm, ParameterLayout, Part, Pool, Rotary, Rows,
@@ -7,17 +7,17 @@ use super::{
 use crate::gpu::{Recorder, Tensor};
 use serde::{Deserialize, Serialize};
 
-/// The feed-forward network of a block.
+/// Kind of feed-forward network.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Ffn {
-    /// `fc2(gelu(fc1(x)))`, the exact (erf) GELU.
+    /// `fc2(gelu(fc1(x)))` with erf GELU.
     Gelu,
     /// `w3(silu(gate) * value)` with `w12(x)` = [gate | value].
     SwiGlu,
 }
 
-/// A block's parameters.
+/// Transformer block parameters.
 pub struct Block {
     heads: Heads,
     attention: AttentionKernel,
@@ -29,7 +29,6 @@ pub struct Block {
     mlp: Mlp,
 }
 
-/// The feed-forward half of a block, its norm and its LayerScale.
 pub(super) struct Mlp {
     pub norm: Norm,
     fc1: Linear,
@@ -38,24 +37,24 @@ pub(super) struct Mlp {
     activation: Activation,
 }
 
-/// How the tokens of a residual stream `[sequences * tokens, width]` attend to each other.
+/// Sequences in a residual stream `[sequences * tokens, width]`.
 #[derive(Clone, Copy, Debug)]
 pub struct Sequences {
-    /// Sequences that do not see each other.
+    /// Number of independent sequences.
     pub count: usize,
-    /// Tokens of a sequence.
+    /// Tokens per sequence.
     pub tokens: usize,
-    /// The rotations of queries and keys by their tokens' places.
+    /// Rotary embedding.
     pub rotary: Option<Rotary>,
-    /// Groups of patches that keys and values are pooled by.
+    /// Key pooling.
     pub pool: Option<Pool>,
 }
 
-/// Norms on queries and keys add this to the variance, also where the block's other norms add less.
+/// Epsilon of all q/k norms.
 pub(super) const QK_NORM_EPS: f32 = 1e-5;
 
 impl Block {
-    /// Lays out the block `name` of `width` channels; norms of the residual stream add `eps` to the variance.
+    /// Declares a block with epsilon `eps` in its residual norms.
     pub fn new(p: &mut ParameterLayout, name: &str, heads: Heads, qk_norm: bool, ffn: (Ffn, usize), eps: f32) -> Self {
         let width = heads.width();
         let head_norm = |p: &mut ParameterLayout, n| p.norm(&format!("{name}.attn.{n}_norm"), heads.dim, QK_NORM_EPS);
@@ -71,7 +70,7 @@ impl Block {
         }
     }
 
-    /// Runs the block on `x`, the rows of all sequences, in place.
+    /// Runs the block in place.
     pub fn record(&self, rec: &mut Recorder, x: Rows, sequences: Sequences) {
         let Sequences { count, tokens, rotary, pool } = sequences;
         let (heads, kernel, output, width) = (self.heads, self.attention, self.attention.element(), x.width);
@@ -116,7 +115,7 @@ impl Mlp {
         Self { norm, fc1, fc2, gamma: p.vector(&format!("{name}.ls2.gamma"), &[width]), activation }
     }
 
-    /// `out` = `residual` + gamma * mlp(norm(`residual` + `addend`)), all of the same shape.
+    /// `out` = `residual` + gamma * mlp(norm(`residual` + `addend`)).
     pub fn record(&self, rec: &mut Recorder, residual: Rows, addend: Option<Rows>, out: Rows) {
         let output = self.fc2.element();
         for part in row_chunks(rec, out.count, &[out.row_bytes(), output.bytes() * self.fc1.columns]) {

@@ -1,4 +1,4 @@
-//! A cross-attention block: queries look at keys; what it adds to the queries is returned on its own.
+//! A cross-attention block that returns a residual.
 
 use super::{
     Attention, AttentionKernel, Epilogue, Ffn, Heads, Linear, Norm, ParameterLayout, Part, Pool, Rows,
@@ -7,7 +7,7 @@ use super::{
 };
 use crate::gpu::{Element, Recorder, Tensor};
 
-/// A cross-attention block's parameters.
+/// Cross-attention block parameters.
 pub struct CrossBlock {
     heads: Heads,
     attention: AttentionKernel,
@@ -23,7 +23,7 @@ pub struct CrossBlock {
 }
 
 impl CrossBlock {
-    /// Lays out the block `name`, its feed-forward network with `hidden` channels.
+    /// Declares a block with `hidden` feed-forward channels.
     pub fn new(p: &mut ParameterLayout, name: &str, heads: Heads, hidden: usize, eps: f32) -> Self {
         let width = heads.width();
         Self {
@@ -41,8 +41,7 @@ impl CrossBlock {
         }
     }
 
-    /// The two residuals d1 + d2 of `queries` looking at `keys`, or at what they are pooled to: d1 = gamma1 * attention,
-    /// d2 = gamma2 * mlp(norm(queries + d1)).
+    /// Returns d1 + d2 with d1 = gamma1 * attention and d2 = gamma2 * mlp(norm(queries + d1)).
     pub fn record(&self, rec: &mut Recorder, queries: Rows, keys: Rows, pool: Option<Pool>) -> Rows {
         let (heads, kernel, output, width) = (self.heads, self.attention, self.attention.element(), queries.width);
         let count = Pool::keys_of(pool, keys.count);

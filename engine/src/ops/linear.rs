@@ -20,58 +20,57 @@ use crate::{
 };
 use half::f16;
 
-/// Narrower layers are cut as if their rows had this many bytes, which keeps their workgroups, a few rows each along an
-/// axis, below the 65,535 that every device has. Whole slices, so that it moves no boundary.
+/// Minimum row bytes in chunking: limits workgroups per axis to Vulkan's guaranteed 65,535.
 pub(crate) const NARROWEST: usize =
     (SCRATCH_BYTES as usize / (UNIFORM_TILE[0] as usize * 65_535) + 1).next_multiple_of(SLICE);
 
-/// A linear layer's parameters.
+/// Linear layer parameters.
 #[derive(Clone, Copy, Debug)]
 pub struct Linear {
-    /// As `kernel` reads it, see [`pack_matrix`](super::pack_matrix).
+    /// Packed weight, see [`pack_matrix`](super::pack_matrix).
     pub weight: Tensor,
     /// `[columns]` f32.
     pub bias: Tensor,
-    /// Values of an input row, padded to whole vectors of the kernel.
+    /// Padded values per input row.
     pub inner: usize,
-    /// Outputs, before SwiGLU halves them.
+    /// Outputs, before SwiGLU.
     pub columns: usize,
-    /// The kernel that computes it.
+    /// Kernel.
     pub kernel: LinearKernel,
 }
 
-/// The kernel of a linear layer, which decides the layout of its weight.
+/// Linear kernel and weight layout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LinearKernel {
-    /// On lanes: ops/linear, ops/linear_uniform where that is faster, or ops/linear_tiled where a tile was chosen. The weight is
-    /// `[panels, inner, PANEL_COLUMNS]`, the last panel padded.
+    /// ops/linear, ops/linear_uniform or ops/linear_tiled. The weight is `[panels, inner,
+    /// PANEL_COLUMNS]`.
     Panels(Lanes, Weights),
-    /// ops/linear_matrix: factors of this type on matrix units, the weight `[columns, inner]`. 8-bit integers have scales
-    /// behind them, `[columns]` f32 from where a slice may start; inputs are f16 and become such integers row by row.
+    /// ops/linear_matrix, with the weight `[columns, inner]`. For 8-bit factors, `[columns]` f32
+    /// scales follow and f16 inputs are quantized per row.
     Matrix(Units, Weights),
-    /// ops/linear_dot: 8-bit integers on lanes, with the weight and the inputs of such integers on matrix units.
+    /// ops/linear_dot, in the 8-bit layout of matrix units.
     Dots(Tiles),
 }
 
-/// How a weight lies on the device.
+/// Storage of a weight.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Weights {
-    /// In the type of the factors.
+    /// In the factor type.
     Factors,
-    /// The integers of [`Q8`](super::Q8), those of panels with four terms of four columns side by side, and from a multiple of
-    /// 256 bytes on the scales, f16, with a group of terms in the place of a term. Not with factors of 8 bits.
+    /// [`Q8`](super::Q8): integers, then f16 scales at a 256-byte boundary. Panels interleave
+    /// blocks of four terms by four columns.
     Q8,
 }
 
-/// The pointwise function behind the bias.
+/// Pointwise function.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Activation {
-    /// Nothing.
+    /// Identity.
     #[default]
     None,
     /// The exact (erf) GELU.
     Gelu,
-    /// silu(gate) * value; columns, a multiple of 4, alternate between the two. Without gamma and residual.
+    /// silu(gate) * value over alternating columns, a multiple of 4. Excludes gamma and residual.
     SwiGlu,
 }
 
@@ -82,12 +81,12 @@ pub struct Epilogue {
     pub activation: Activation,
     /// LayerScale, `[columns]` f32.
     pub gamma: Option<Tensor>,
-    /// f32, as many as there are results; may be the output itself.
+    /// f32 residual; may alias the output.
     pub residual: Option<Rows>,
 }
 
 impl LinearKernel {
-    /// Type of the inputs.
+    /// Input type.
     pub fn element(self) -> Element {
         match self.factor() {
             Element::I8 => Element::F16,
@@ -95,7 +94,7 @@ impl LinearKernel {
         }
     }
 
-    /// Type of the factors, and so of the weight.
+    /// Factor type.
     pub fn factor(self) -> Element {
         match self {
             LinearKernel::Panels(Lanes { element, .. }, _) | LinearKernel::Matrix(Units { factor: element, .. }, _) => {
@@ -105,7 +104,7 @@ impl LinearKernel {
         }
     }
 
-    /// How the weight lies on the device.
+    /// Weight storage.
     pub fn weights(self) -> Weights {
         match self {
             LinearKernel::Panels(_, weights) | LinearKernel::Matrix(_, weights) => weights,
@@ -113,7 +112,7 @@ impl LinearKernel {
         }
     }
 
-    /// The same for weights of 8 bits, where there is one.
+    /// Returns this kernel with 8-bit weights, if supported.
     pub fn with_q8(self) -> Option<Self> {
         match self {
             LinearKernel::Matrix(Units { factor: Element::I8, .. }, _) | LinearKernel::Dots(_) => None,
@@ -122,7 +121,6 @@ impl LinearKernel {
         }
     }
 
-    /// Columns of the packed weight.
     pub(super) fn padded_columns(self, columns: usize) -> usize {
         match self {
             LinearKernel::Panels(..) => columns.next_multiple_of(PANEL_COLUMNS as usize),
@@ -130,36 +128,36 @@ impl LinearKernel {
         }
     }
 
-    /// Values that an input row is padded to a multiple of: 16 bytes.
+    /// Alignment of input rows in values.
     pub fn vector(self) -> usize {
         16 / self.element().bytes()
     }
 }
 
-/// The byte at which the scales of 8-bit integers begin, where a slice may.
+/// Byte offset of 8-bit weights' scales.
 pub(super) fn scales_at(columns: usize, inner: usize) -> usize {
     (columns * inner).next_multiple_of(SLICE)
 }
 
 impl Linear {
-    /// Type of the inputs.
+    /// Input type.
     pub fn element(&self) -> Element {
         self.kernel.element()
     }
 
-    /// Values of an output row.
+    /// Values per output row.
     pub fn out_columns(&self, activation: Activation) -> usize {
         if activation == Activation::SwiGlu { self.columns / 2 } else { self.columns }
     }
 
-    /// Applies the layer to rows of `inner` values into new ones of type `output`.
+    /// Applies the layer, returning rows of type `output`.
     pub fn apply(&self, rec: &mut Recorder, name: &str, input: Rows, output: Element, epilogue: Epilogue) -> Rows {
         let out = Rows::scratch(rec, name, input.count, self.out_columns(epilogue.activation), output);
         self.record(rec, input, out, epilogue);
         out
     }
 
-    /// Applies the layer to rows of `inner` values into `out`.
+    /// Applies the layer into `out`.
     pub fn record(&self, rec: &mut Recorder, input: Rows, out: Rows, epilogue: Epilogue) {
         let alone = epilogue.gamma.is_none() && epilogue.residual.is_none() && self.columns.is_multiple_of(4);
         assert!(alone || epilogue.activation != Activation::SwiGlu, "SwiGLU comes alone and in whole vec4");
@@ -180,7 +178,6 @@ impl Linear {
         }
     }
 
-    /// Sums of `share` terms each: all terms and their epilogue, or parts of them one behind the other.
     fn sums(&self, rec: &mut Recorder, input: Rows, out: Rows, epilogue: Epilogue, share: usize) {
         match self.kernel {
             LinearKernel::Panels(lanes, _) => self.on_lanes(rec, lanes, input, out, epilogue, share),
@@ -189,7 +186,7 @@ impl Linear {
         }
     }
 
-    /// Adds up sums in parts.
+    /// Merges split-K partial sums.
     fn merge(&self, rec: &mut Recorder, sums: Rows, parts: usize, out: Rows, epilogue: Epilogue) {
         let kernel = ops::LinearMerge {
             sums: sums.tensor,
@@ -208,7 +205,7 @@ impl Linear {
         rec.dispatch(kernel, out.count * self.columns.div_ceil(4));
     }
 
-    /// The weight as factors, as integers and their scales; what it does not have stands for nothing.
+    /// Three bindings, with `bias` as the placeholder.
     fn weights(&self) -> [Tensor; 3] {
         let values = self.kernel.padded_columns(self.columns) * self.inner;
         match self.kernel.weights() {
@@ -224,7 +221,7 @@ impl Linear {
         }
     }
 
-    /// Inputs as 8-bit integers, what 1 stands for in their rows, and what it does in the weight's columns.
+    /// Quantized input, per-row input scales, per-column weight scales.
     fn quantised(&self, rec: &mut Recorder, input: Rows) -> (Rows, Tensor, Tensor) {
         let (a, scales) = quantise_rows(rec, input);
         (a, scales, self.weight.slice::<f32>(scales_at(self.columns, self.inner) / 4, self.columns))
@@ -276,7 +273,7 @@ impl Linear {
             output: out.element,
         };
         let [tile_rows, tile_columns] = tile.sides(units);
-        // Columns run fastest: workgroups that run at once share their rows, and all of the weight stays in the cache.
+        // Columns vary fastest, so that workgroups share rows in cache.
         let groups = [columns.div_ceil(tile_columns), rows.div_ceil(tile_rows), inner.div_ceil(share)];
         rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(rows));
     }

@@ -1,6 +1,6 @@
-//! Arithmetic in registers and nothing else, and copies: what a device can do at most, for benchmarks to compare with.
+//! Peak arithmetic and copy throughput, for benchmarks.
 //!
-//! The recorder is not told how much it is, because it must not cut these dispatches: whoever measures gives them a length.
+//! Reports no work, so that the recorder does not split dispatches.
 
 use super::Units;
 use crate::{
@@ -8,7 +8,7 @@ use crate::{
     kernels::measure as kernels,
 };
 
-/// A copy of `from`, whole multiples of 16 bytes, by a kernel: each byte is read once and written once.
+/// Copies a multiple of 16 bytes.
 pub fn copy(rec: &mut Recorder, from: Tensor) -> Tensor {
     let out = rec.tensor::<u8>("copy", from.bytes() as usize);
     let quads = from.bytes() as usize / 16;
@@ -16,23 +16,23 @@ pub fn copy(rec: &mut Recorder, from: Tensor) -> Tensor {
     out
 }
 
-/// Chains of steps x = x * factor + term on every lane of a device.
+/// FMA chains on every lane.
 #[derive(Clone, Copy, Debug)]
 pub struct FmaChains {
     /// Invocations.
     pub threads: usize,
     /// Rounds of [`FmaChains::STEPS`] steps.
     pub iterations: u32,
-    /// The number that a step multiplies by.
+    /// Multiplier of a step.
     pub factor: f32,
-    /// The number that a step adds.
+    /// Addend of a step.
     pub term: f32,
 }
 
 impl FmaChains {
-    /// Chains of an invocation: twice 4 cycles of latency and more, and few enough for 16 registers.
+    /// Chains per invocation: hides latency, fits 16 registers.
     pub const CHAINS: u32 = 12;
-    /// Steps of a chain in one iteration.
+    /// Chain steps per iteration.
     pub const STEPS: u32 = 8;
 
     /// Multiplications and additions.
@@ -40,7 +40,7 @@ impl FmaChains {
         2 * self.threads as u64 * u64::from(Self::CHAINS * Self::STEPS) * u64::from(self.iterations)
     }
 
-    /// `[threads]` f32: each invocation's chains added up. Chain `c` of invocation `t` starts at `t % 16 + 16 c`.
+    /// Returns `[threads]` f32 chain sums. Chain `c` of invocation `t` starts at `t % 16 + 16 c`.
     pub fn record(&self, rec: &mut Recorder) -> Tensor {
         let out = rec.tensor::<f32>("out", self.threads);
         let kernel = kernels::Fma {
@@ -57,24 +57,24 @@ impl FmaChains {
     }
 }
 
-/// Products of matrices on a device's matrix units, added up.
+/// Accumulated matrix products.
 #[derive(Clone, Copy, Debug)]
 pub struct MatrixProducts {
-    /// Matrix units; their tiles do not matter.
+    /// Matrix units, without tiles.
     pub units: Units,
-    /// Subgroups, a multiple of [`MatrixProducts::SUBGROUPS`]. Each computes the same.
+    /// Redundant subgroups, a multiple of [`MatrixProducts::SUBGROUPS`].
     pub subgroups: usize,
-    /// How often all products are added.
+    /// Accumulations of all products.
     pub iterations: u32,
-    /// Bit `i % 32` exchanges the left factors behind iteration `i`.
+    /// Bit `i % 32` swaps left factors after iteration `i`.
     pub swaps: u32,
 }
 
 impl MatrixProducts {
-    /// Subgroups of a workgroup.
+    /// Subgroups per workgroup.
     pub const SUBGROUPS: usize = 4;
 
-    /// Products of an iteration: sums that do not wait for each other. On a CPU matrices are loops that take long to compile.
+    /// Independent products per iteration, fewer on CPUs to limit compile time.
     pub fn products(limits: &Limits) -> usize {
         if limits.cpu { 4 } else { 8 }
     }
@@ -86,8 +86,8 @@ impl MatrixProducts {
         2 * products * u64::from(m * n * k)
     }
 
-    /// `[subgroups, m, n]`, see [`MatrixProducts::sums`]: the sum of `a[s] b[p]` over iterations and products `p`, of `a`
-    /// `[2, m, k]`, whose first is the left factor until they are exchanged, and `b` `[products, k, n]`.
+    /// Returns `[subgroups, m, n]`, the sum of `a[s] b[p]` over iterations and products. `a` is
+    /// `[2, m, k]`, alternated by swaps; `b` is `[products, k, n]`.
     pub fn record(&self, rec: &mut Recorder, a: Tensor, b: Tensor) -> Tensor {
         let MatrixShape { m, n, k } = self.units.shape;
         let out = rec.tensor::<u32>("out", self.subgroups * (m * n) as usize);
@@ -108,7 +108,7 @@ impl MatrixProducts {
         out
     }
 
-    /// The numbers that the words of a result stand for: f32, or where factors are 8-bit integers whole numbers.
+    /// Decodes f32 or integer results.
     pub fn sums(&self, words: Vec<u32>) -> Vec<f32> {
         let number = |word: u32| match self.units.factor {
             Element::I8 => word as i32 as f32,

@@ -1,4 +1,4 @@
-//! Dispatches that several stages use. Each takes tensors and shapes and records; none owns device memory.
+//! Operations on device tensors, shared by stages.
 
 mod arithmetic;
 mod attention;

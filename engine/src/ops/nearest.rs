@@ -1,4 +1,4 @@
-//! The nearest of some rows for each of others, without a matrix of distances.
+//! Nearest-row search.
 
 use super::{
     Rows, Tile, Units,
@@ -13,54 +13,50 @@ use crate::{
     },
 };
 
-/// Rows whose mean is taken for the middle of all: a fraction of the spread away from it, which costs no digit.
+/// Rows averaged for the origin.
 const ORIGIN_ROWS: usize = 256;
 
-/// Parts of the targets that different workgroups go through, so that there are enough workgroups.
+/// Target partitions, to fill the device.
 const SHARES: usize = 8;
 
-/// The kernel that finds nearest rows.
+/// Nearest-row kernel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NearestKernel {
-    /// cluster/nearest, or cluster/nearest_uniform where that is faster: differences in f32.
+    /// cluster/nearest or cluster/nearest_uniform: f32 differences.
     Lanes,
-    /// cluster/nearest_matrix: products of rows about an origin, each value as two f16.
+    /// cluster/nearest_matrix: split-f16 products about an origin.
     Matrix(Units),
 }
 
-/// Rows that are looked for, and among which, by squared Euclidean distance.
+/// Nearest-row search by squared Euclidean distance.
 #[derive(Clone, Copy, Debug)]
 pub struct Nearest {
     space: Space,
     width: usize,
 }
 
-/// The kernel, and what it compares rows about.
 #[derive(Clone, Copy, Debug)]
 enum Space {
     Lanes,
     Matrix { units: Units, origin: Tensor },
 }
 
-/// Rows as the kernel takes them.
+/// Rows in kernel layout.
 #[derive(Clone, Copy, Debug)]
 pub struct NearestRows {
-    /// f32.
     rows: Tensor,
-    /// The rows as the kernel reads points: f32, panels of them, or halves.
+    /// f32, panels or f16 pairs.
     values: Tensor,
-    /// The scales of halves, see cluster/halves; else of no matter.
     scales: Tensor,
     norms: Tensor,
     count: usize,
 }
 
 impl Nearest {
-    /// The share of the least squared distance by which those of targets that tie exceed it at most: some twenty times what
-    /// the rounding of a sum does to it.
+    /// Relative distance within which targets tie, well above rounding.
     pub const TIE: f32 = 1.0 / 65536.0;
 
-    /// For rows as wide as `sample`, a multiple of 4, that lie among those, f32.
+    /// Prepares a search; the origin is the mean of `sample`, and its width a multiple of 4.
     pub fn among(rec: &mut Recorder, kernel: NearestKernel, sample: Rows) -> Self {
         let Rows { tensor: source, count, width, .. } = sample;
         let NearestKernel::Matrix(units) = kernel else { return Self { space: Space::Lanes, width } };
@@ -76,12 +72,12 @@ impl Nearest {
         Self::about(origin, units, width)
     }
 
-    /// On matrix units, for rows that lie about `origin` `[width]` f32. Errors grow with their distance from there.
+    /// Searches on matrix units about `origin` `[width]` f32; errors grow with distance from it.
     pub fn about(origin: Tensor, units: Units, width: usize) -> Self {
         Self { space: Space::Matrix { units, origin }, width }
     }
 
-    /// The origin about which rows are compared, `[width]` f32, where the kernel needs one.
+    /// Origin `[width]` f32, if used.
     pub fn origin(&self) -> Option<Tensor> {
         match self.space {
             Space::Lanes => None,
@@ -89,14 +85,14 @@ impl Nearest {
         }
     }
 
-    /// f32 rows as they are now.
+    /// Converts f32 rows to kernel layout.
     pub fn rows(&self, rec: &mut Recorder, Rows { tensor: rows, count, .. }: Rows) -> NearestRows {
         let Space::Matrix { origin, .. } = self.space else {
             let values = if divides_panels(rec.limits()) { self.panels(rec, rows, count) } else { rows };
             return NearestRows { rows, values, scales: rows, norms: rows, count };
         };
         let halves = rec.tensor::<[u16; 2]>("halves", count * self.width.next_multiple_of(8));
-        // Read by four.
+        // Read as vec4.
         let [scales, norms] = ["scales", "norms"].map(|name| rec.tensor::<f32>(name, count.next_multiple_of(4)));
         let kernel = kernels::Halves {
             source: rows,
@@ -111,15 +107,15 @@ impl Nearest {
         NearestRows { rows, values: halves, scales, norms, count }
     }
 
-    /// The target nearest to each point, `[points]` u32. Of targets that tie ([`Nearest::TIE`]) the first is taken, so that
-    /// rounding does not choose. The rows are read again: they must be what they were for [`Nearest::rows`].
+    /// Returns nearest targets, `[points]` u32. Ties ([`Nearest::TIE`]) go to the first. The source
+    /// rows must be unchanged.
     pub fn record(&self, rec: &mut Recorder, points: NearestRows, targets: NearestRows) -> Tensor {
         let out = rec.tensor::<u32>("nearest", points.count);
         self.record_into(rec, points, targets, out);
         out
     }
 
-    /// As [`Nearest::record`], into `out`.
+    /// [`Nearest::record`] into `out`.
     pub fn record_into(&self, rec: &mut Recorder, points: NearestRows, targets: NearestRows, out: Tensor) {
         match self.space {
             Space::Lanes if divides_panels(rec.limits()) => self.uniform(rec, points, targets, out),
@@ -128,7 +124,6 @@ impl Nearest {
         }
     }
 
-    /// Rows `[count, width]` as cluster/nearest_uniform reads points.
     fn panels(&self, rec: &mut Recorder, rows: Tensor, count: usize) -> Tensor {
         let values = count.next_multiple_of(PANEL_COLUMNS as usize) * self.width;
         let out = rec.tensor::<f32>("panels", values);
@@ -201,7 +196,7 @@ impl Nearest {
             tile_k: tile.k,
             factor: units.factor,
         };
-        // Shares run fastest: workgroups that run at once have the same few points, which so stay in the cache.
+        // Shares vary fastest, so that workgroups share points in cache.
         let groups = [shares, points.count.div_ceil(tile_points), 1];
         rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(points, targets));
         let merge = kernels::NearestMerge {

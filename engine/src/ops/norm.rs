@@ -1,4 +1,4 @@
-//! Layer normalisation.
+//! Layer normalization.
 
 use super::{Columns, Rows, row_chunks};
 use crate::{
@@ -6,7 +6,7 @@ use crate::{
     kernels::ops,
 };
 
-/// A layer norm's parameters.
+/// Layer norm parameters.
 #[derive(Clone, Copy, Debug)]
 pub struct Norm {
     /// `[width]` f32.
@@ -15,25 +15,25 @@ pub struct Norm {
     pub bias: Tensor,
     /// Channels.
     pub width: usize,
-    /// Added to the variance.
+    /// Epsilon.
     pub eps: f32,
 }
 
 impl Norm {
-    /// Normalises f32 rows into new ones of type `output`.
+    /// Normalizes f32 rows to type `output`.
     pub fn apply(&self, rec: &mut Recorder, input: Rows, output: Element) -> Rows {
         self.apply_to_sum(rec, input, None, output)
     }
 
-    /// Normalises `input` (+ `addend`), f32 rows, into new ones of type `output`.
+    /// Normalizes f32 `input` + `addend` to type `output`.
     pub fn apply_to_sum(&self, rec: &mut Recorder, input: Rows, addend: Option<Rows>, output: Element) -> Rows {
         let out = Rows::scratch(rec, "normed", input.count, self.width, output);
         self.record(rec, input, addend, out, 0);
         out
     }
 
-    /// Normalises `input` (+ `addend`), f32 rows, into columns of `out`. Where every `patches` rows of a view have its camera
-    /// token before them in `input`, that is left out; else `patches` is 0.
+    /// Normalizes f32 `input` + `addend` into columns of `out`. Nonzero `patches` drops each view's
+    /// camera token.
     pub fn record(
         &self,
         rec: &mut Recorder,
@@ -43,7 +43,7 @@ impl Norm {
         patches: usize,
     ) {
         let Columns { of: out, first: out_column, .. } = out.into();
-        // Cut at whole views where a view has a row more in the input than in the output.
+        // Views are whole: input and output rows differ.
         let (view, input_view) = (patches.max(1), patches.max(1) + patches.min(1));
         let widths = [input_view * input.row_bytes(), view * input.row_bytes(), view * out.row_bytes()];
         for part in row_chunks(rec, out.count / view, &widths) {

@@ -1,43 +1,40 @@
-//! Parameters as kernels read them.
+//! Parameter layouts of the kernels.
 
 use super::{Lanes, LinearKernel, Units, Weights, linear::scales_at, q8::Q8, rows::SLICE};
 use crate::{gpu::Element, kernels::limits::PANEL_COLUMNS, kernels::limits::Q8_GROUP};
 use half::f16;
 use rayon::prelude::*;
 
-/// Columns of a panel.
 const PANEL: usize = PANEL_COLUMNS as usize;
-/// Terms whose weights share a scale.
 const GROUP: usize = Q8_GROUP as usize;
 
-/// How a checkpoint's values become what kernels read.
+/// Conversion to a kernel's layout.
 #[derive(Clone, Copy)]
 pub(super) enum Packing {
-    /// The values as they are.
+    /// Unchanged values.
     Vector,
-    /// A vector in the order of a gated matrix' columns.
+    /// A vector for a gated matrix.
     GatedVector,
-    /// A `[columns, inner]` matrix as [`LinearKernel`] wants it. Padding is zero.
+    /// A zero-padded `[columns, inner]` matrix.
     Matrix { inner: usize, columns: usize, gated: bool, kernel: LinearKernel },
-    /// A matrix whose values the checkpoint has in another order, as [`LinearKernel`] wants it, and behind it, from a multiple of 256
-    /// bytes on, a bias `[columns]` of zeros.
+    /// A permuted matrix, then a zero bias `[columns]` at a 256-byte boundary.
     Reordered { order: Order, inner: usize, columns: usize, kernel: LinearKernel },
 }
 
-/// The order of a checkpoint's values of a matrix `[columns, inner]`.
+/// Order of a checkpoint's matrix.
 #[derive(Clone, Copy)]
 pub(super) enum Order {
-    /// `[inner / taps, taps, columns]`, the taps from last to first: a convolution, for gradients.
+    /// `[inner / taps, taps, columns]`, taps reversed: a convolution's gradient.
     Transposed { taps: usize },
-    /// `[columns, channels, taps]` for an inner `[taps, channels padded to whole vec4]`: a convolution of pictures whose channels run
-    /// fastest.
+    /// `[columns, channels, taps]` to channels-last `[taps, padded channels]`.
     Planar { taps: usize, channels: usize },
-    /// `[inner, columns / taps, taps]` for columns `[taps, columns / taps]`: a transposed convolution whose kernels do not overlap.
+    /// `[inner, columns / taps, taps]` to `[taps, columns / taps]`: a non-overlapping transposed
+    /// convolution.
     Spread { taps: usize },
 }
 
 impl Order {
-    /// The place in the checkpoint of the value in a column; nothing for padding.
+    /// Source index; `None` for padding.
     fn place(self, [inner, columns]: [usize; 2], column: usize, k: usize) -> Option<usize> {
         match self {
             Order::Transposed { taps } => {
@@ -56,13 +53,11 @@ impl Order {
     }
 }
 
-/// Row of a checkpoint's matrix that is column `column` of the packed one: of a gated one the first and second half
-/// alternate, gate, value, gate, value.
+/// Source row; gated matrices interleave gate and value.
 fn source_row(column: usize, columns: usize, gated: bool) -> usize {
     if gated { (column % 2) * (columns / 2) + column / 2 } else { column }
 }
 
-/// Bytes of a packed matrix.
 pub(super) fn packed_bytes(inner: usize, columns: usize, kernel: LinearKernel) -> usize {
     let inner = inner.next_multiple_of(kernel.vector());
     let padded = kernel.padded_columns(columns);
@@ -78,15 +73,14 @@ pub(super) fn packed_bytes(inner: usize, columns: usize, kernel: LinearKernel) -
 }
 
 impl Packing {
-    /// Whether the values are wanted as 8-bit integers and scales.
     pub fn takes_q8(self) -> bool {
         matches!(self, Packing::Matrix { kernel, .. } if kernel.weights() == Weights::Q8)
     }
 
-    /// The bytes that kernels read.
+    /// Packs values.
     ///
     /// # Panics
-    /// Where the values are wanted as [`Q8`].
+    /// If the kernel takes [`Q8`].
     pub fn pack(self, source: &[f32], packed: &mut Vec<u8>) {
         packed.clear();
         match self {
@@ -128,10 +122,10 @@ impl Packing {
         }
     }
 
-    /// As [`Packing::pack`], of a matrix whose weights have 8 bits.
+    /// Packs 8-bit weights.
     ///
     /// # Panics
-    /// Where they are not wanted as such.
+    /// If the kernel does not take [`Q8`].
     pub fn pack_q8(self, source: &Q8, packed: &mut Vec<u8>) {
         let Packing::Matrix { inner, columns, gated, kernel } = self else { panic!("a matrix") };
         packed.clear();
@@ -167,10 +161,10 @@ impl Packing {
     }
 }
 
-/// The bytes of the matrix `weight` `[columns, inner]` as `kernel` reads them, rounded where it holds fewer bits.
+/// Packs `weight` `[columns, inner]` for `kernel`.
 ///
 /// # Panics
-/// Values that [`Q8`] cannot hold, where the kernel wants them so.
+/// If values exceed a required [`Q8`].
 pub fn pack_matrix(kernel: LinearKernel, weight: &[f32], inner: usize, columns: usize) -> Vec<u8> {
     let mut packed = Vec::new();
     let packing = Packing::Matrix { inner, columns, gated: false, kernel };
@@ -181,7 +175,6 @@ pub fn pack_matrix(kernel: LinearKernel, weight: &[f32], inner: usize, columns: 
     packed
 }
 
-/// Columns, each a row of a checkpoint's matrix, as `[panels, padded, PANEL_COLUMNS]` of a type of N bytes.
 fn panels<'a, const N: usize>(
     row: impl Fn(usize) -> &'a [f32] + Sync,
     columns: usize,
@@ -199,8 +192,7 @@ fn panels<'a, const N: usize>(
     });
 }
 
-/// Columns as 8-bit integers `[columns, padded]`, each with a scale that makes its largest magnitude 127, and behind them
-/// the scales.
+/// 8-bit integers `[columns, padded]` with largest magnitude 127, then scales.
 fn quantised<'a>(row: impl Fn(usize) -> &'a [f32] + Sync, columns: usize, padded: usize, packed: &mut [u8]) {
     let largest = |column: usize| row(column).iter().fold(0f32, |most, x| most.max(x.abs()));
     let (integers, scales) = packed.split_at_mut(scales_at(columns, padded));

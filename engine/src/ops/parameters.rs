@@ -1,4 +1,4 @@
-//! A model's parameters on the device: laid out from shapes alone, then loaded from a checkpoint.
+//! Model parameters: layout from shapes, loading from checkpoints.
 
 use super::{
     Arithmetic, AttentionKernel, Lanes, Linear, LinearKernel, NearestKernel, Norm, Q8, Weights,
@@ -15,13 +15,11 @@ use std::{
     sync::Arc,
 };
 
-/// The parameters of a network: name, shape, where each goes and how it is packed there. What declares a parameter here is the
-/// only place that names it: checkpoints are checked against what was declared.
+/// Declared parameters: name, shape, location and packing.
 pub struct ParameterLayout {
     layout: ResidentLayout,
     declared: Vec<Declared>,
     arithmetic: Arithmetic,
-    /// Matrices whose weights have 8 bits.
     q8: HashSet<String>,
 }
 
@@ -42,15 +40,15 @@ impl<F: Fn(&str, &mut [f32]) -> Result<()>> ParameterSource for F {
     }
 }
 
-/// A parameter that the host keeps.
+/// Handle of a host parameter.
 #[derive(Clone, Copy, Debug)]
 pub struct HostParameter(usize);
 
-/// The values of all parameters.
+/// Values of all parameters.
 pub struct Parameters {
-    /// The parameters on the device.
+    /// Parameters on the device.
     pub resident: Arc<Resident>,
-    /// The values of each that was declared for the host; nothing of the others.
+    /// Per declaration; empty for device parameters.
     host: Vec<Vec<f32>>,
 }
 
@@ -62,40 +60,40 @@ impl Index<HostParameter> for Parameters {
     }
 }
 
-/// Where the values of parameters come from.
+/// Source of parameter values.
 pub trait ParameterSource {
-    /// Reads the values of a name, in C order.
+    /// Reads values in C order.
     ///
     /// # Errors
-    /// Where they cannot be read.
+    /// Failed reads.
     fn read_f32(&self, name: &str, out: &mut [f32]) -> Result<()>;
 
-    /// The weight of a name that [`ParameterLayout::with_q8`] was told of.
+    /// Reads a weight of [`ParameterLayout::with_q8`].
     ///
     /// # Errors
-    /// Where it cannot be read.
+    /// Failed reads.
     fn read_q8(&self, name: &str) -> Result<Q8> {
         unreachable!("{name} has no weights of 8 bits")
     }
 }
 
 impl ParameterLayout {
-    /// An empty layout for devices of these limits.
+    /// Returns an empty layout.
     pub fn new(limits: &Limits, arithmetic: Arithmetic) -> Self {
         Self { layout: ResidentLayout::new(limits), declared: Vec::new(), arithmetic, q8: HashSet::new() }
     }
 
-    /// Keeps the weights of these names, where a linear layer multiplies by them, in 8 bits on the device.
+    /// Keeps these weights in 8 bits.
     ///
     /// # Panics
-    /// Where the arithmetic rounds weights to 8 bits itself.
+    /// If the arithmetic has 8-bit integers.
     pub fn with_q8(self, names: impl IntoIterator<Item = String>) -> Self {
         let q8: HashSet<String> = names.into_iter().collect();
         assert!(q8.is_empty() || !self.arithmetic.has_integers(), "weights of 8 bits are rounded once");
         Self { q8, ..self }
     }
 
-    /// The kernel of attention.
+    /// Returns the attention kernel.
     pub fn attention(&self) -> AttentionKernel {
         match self.arithmetic {
             Arithmetic { attention: Some(units), .. } => AttentionKernel::Matrix(units),
@@ -103,72 +101,68 @@ impl ParameterLayout {
         }
     }
 
-    /// The kernel that finds nearest rows.
+    /// Returns the nearest-row kernel.
     pub fn nearest(&self) -> NearestKernel {
         self.arithmetic.nearest.map_or(NearestKernel::Lanes, NearestKernel::Matrix)
     }
 
-    /// Name and shape of every parameter, in the order in which they were declared.
+    /// Names and shapes, in order.
     pub fn names_and_shapes(self) -> Vec<(String, Vec<usize>)> {
         self.declared.into_iter().map(|parameter| (parameter.name, parameter.shape)).collect()
     }
 
-    /// A parameter that the host reads; it takes no memory on the device.
+    /// Declares a host parameter.
     pub fn host(&mut self, name: &str, shape: &[usize]) -> HostParameter {
         self.declared.push(Declared { name: name.into(), shape: shape.into(), place: Place::Host });
         HostParameter(self.declared.len() - 1)
     }
 
-    /// A parameter as it is.
+    /// Declares an f32 parameter.
     pub fn vector(&mut self, name: &str, shape: &[usize]) -> Tensor {
         self.add::<f32>(name, shape, shape.iter().product(), Packing::Vector)
     }
 
-    /// `NAME.weight` `[columns, inner]` and `NAME.bias`.
+    /// Declares `NAME.weight` `[columns, inner]` and `NAME.bias`.
     pub fn linear(&mut self, name: &str, inner: usize, columns: usize) -> Linear {
         self.convolution(name, &[inner], columns)
     }
 
-    /// As [`ParameterLayout::linear`], for a convolution whose kernel is a row of the weight.
+    /// Declares a convolution as a linear layer.
     pub fn convolution(&mut self, name: &str, kernel: &[usize], columns: usize) -> Linear {
         self.matrix(name, kernel, columns, false, self.arithmetic.without_integers())
     }
 
-    /// As [`ParameterLayout::linear`], within a block, whose errors the residual stream outweighs: 8-bit integers where the
-    /// arithmetic has them.
+    /// Declares a block's linear layer, 8-bit if available.
     pub fn block_linear(&mut self, name: &str, inner: usize, columns: usize) -> Linear {
         self.matrix(name, &[inner], columns, false, self.arithmetic)
     }
 
-    /// As [`ParameterLayout::linear`], in f32 whatever the arithmetic: for what f16 cannot hold and costs nothing.
+    /// Declares a linear layer, always f32.
     pub fn exact_linear(&mut self, name: &str, inner: usize, columns: usize) -> Linear {
         self.matrix(name, &[inner], columns, false, self.arithmetic.exact())
     }
 
-    /// As [`ParameterLayout::convolution`], in f32 whatever the arithmetic.
+    /// Declares a convolution, always f32.
     pub fn exact_convolution(&mut self, name: &str, kernel: &[usize], columns: usize) -> Linear {
         self.matrix(name, kernel, columns, false, self.arithmetic.exact())
     }
 
-    /// The layer from gradients by the results of the layer `name`, `[rows, columns]`, to those by its inputs, `[rows, inner]`:
-    /// its weight transposed, without bias, in f32 whatever the arithmetic.
+    /// Declares a layer's f32 backward pass, from `[rows, columns]` to `[rows, inner]`.
     pub fn transposed_linear(&mut self, name: &str, inner: usize, columns: usize) -> Linear {
         self.transposed(name, &[columns, inner], 1)
     }
 
-    /// As [`ParameterLayout::transposed_linear`], for a convolution of `inputs` channels with a kernel of these sides: a
-    /// convolution of gradients with the kernel turned round.
+    /// Declares a convolution's backward pass, with the kernel flipped.
     pub fn transposed_convolution(&mut self, name: &str, sides: [usize; 2], inputs: usize, outputs: usize) -> Linear {
         self.transposed(name, &[outputs, sides[0], sides[1], inputs], sides[0] * sides[1])
     }
 
-    /// The weight `NAME.weight` `[outputs, .., inputs]`, of so many taps, from outputs to inputs.
     fn transposed(&mut self, name: &str, shape: &[usize], taps: usize) -> Linear {
         self.reordered(name, shape, [taps * shape[0], shape[shape.len() - 1]], Order::Transposed { taps })
     }
 
-    /// `NAME.weight` `[outputs, inputs, side, side]` and, where `biased`, `NAME.bias` of a convolution whose rows are `[side, side,
-    /// inputs padded to whole vec4]`, in f32 whatever the arithmetic.
+    /// Declares an f32 convolution: `NAME.weight` `[outputs, inputs, side, side]`, optionally
+    /// `NAME.bias`. Input rows are `[side, side, padded inputs]`.
     pub fn planar_convolution(
         &mut self,
         name: &str,
@@ -183,8 +177,8 @@ impl ParameterLayout {
         if biased { Linear { bias: self.vector(&format!("{name}.bias"), &[outputs]), ..layer } } else { layer }
     }
 
-    /// `NAME.weight` `[inputs, outputs, side, side]` of a transposed convolution whose kernels do not overlap: a layer to
-    /// `[side, side, outputs]` without bias, in f32 whatever the arithmetic.
+    /// Declares a non-overlapping transposed convolution, `NAME.weight` `[inputs, outputs, side,
+    /// side]`, as an f32 layer to `[side, side, outputs]`.
     pub fn spread_convolution(&mut self, name: &str, [inputs, outputs]: [usize; 2], side: usize) -> Linear {
         let taps = side * side;
         self.reordered(name, &[inputs, outputs, side, side], [inputs, taps * outputs], Order::Spread { taps })
@@ -205,12 +199,12 @@ impl ParameterLayout {
         }
     }
 
-    /// As [`ParameterLayout::block_linear`] for a layer whose output is [gate | value].
+    /// Declares a block's layer with output [gate | value].
     pub fn gated_linear(&mut self, name: &str, inner: usize, columns: usize) -> Linear {
         self.matrix(name, &[inner], columns, true, self.arithmetic)
     }
 
-    /// `NAME.weight` and `NAME.bias` of a layer norm.
+    /// Declares `NAME.weight` and `NAME.bias` of a layer norm.
     pub fn norm(&mut self, name: &str, width: usize, eps: f32) -> Norm {
         Norm {
             weight: self.vector(&format!("{name}.weight"), &[width]),
@@ -225,10 +219,10 @@ impl ParameterLayout {
         self.layout.bytes()
     }
 
-    /// Allocates the parameters and loads them one by one. `progress` gets the share that is done and may stop it.
+    /// Allocates and loads the parameters. `progress` gets the fraction done and may cancel.
     ///
     /// # Errors
-    /// [`Error::Memory`] where the device has too little; the errors of `source`; [`Error::Cancelled`].
+    /// [`Error::Memory`]; errors of `source`; [`Error::Cancelled`].
     pub fn load(
         &self,
         device: &Device,
@@ -267,7 +261,7 @@ impl ParameterLayout {
         let inner = row.iter().product::<usize>();
         let has_q8 = Q8::fits(inner) && self.q8.contains(&format!("{name}.weight"));
         let weights = if has_q8 { Weights::Q8 } else { Weights::Factors };
-        // These kernels write whole vectors.
+        // Other kernels write whole vectors.
         let vectors = columns.is_multiple_of(if gated { 8 } else { 4 });
         let kernel = match arithmetic {
             Arithmetic { quantised: Some(units), .. } if vectors => LinearKernel::Matrix(units, weights),

@@ -1,41 +1,39 @@
-//! Weights of 8 bits, in groups that share a scale.
+//! 8-bit weights.
 
 use crate::kernels::limits::Q8_GROUP;
 use half::f16;
 use rayon::prelude::*;
 use std::ops::RangeInclusive;
 
-/// Values of a group.
 const GROUP: usize = Q8_GROUP as usize;
 
-/// Values in groups of [`Q8_GROUP`]: each is a whole number times its group's scale, which f32 holds exactly.
+/// Integers with a scale per [`Q8_GROUP`], exact in f32.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Q8 {
-    /// The whole numbers, -128 to 127.
+    /// Integers, -128 to 127.
     pub integers: Vec<i8>,
-    /// The value of 1 in each group.
+    /// Scale of each group.
     pub scales: Vec<f16>,
 }
 
 impl Q8 {
-    /// The scales of groups that are not zero: those by which f16 holds every value, and of which no device loses bits.
+    /// Nonzero scales that keep values normal in f16.
     pub const SCALES: RangeInclusive<f32> = 1.0 / 16384.0..=511.0;
 
-    /// Values of a group.
+    /// Values per group.
     pub const GROUP: usize = GROUP;
 
-    /// Scales of so many values.
+    /// Number of scales.
     pub fn scales_of(values: usize) -> usize {
         values / GROUP
     }
 
-    /// Whether rows of `width` values are whole groups.
+    /// Whether rows are whole groups.
     pub fn fits(width: usize) -> bool {
         width.is_multiple_of(GROUP)
     }
 
-    /// Rounds values, whole groups of them, to the nearest of each group's 255: by half a scale at most. `None` where a scale would
-    /// be above [`Q8::SCALES`].
+    /// Rounds whole groups; `None` if a scale exceeds [`Q8::SCALES`].
     pub fn round(values: &[f32]) -> Option<Self> {
         let scale = |group: &[f32]| match group.iter().fold(0f32, |most, x| most.max(x.abs())) {
             0.0 => f16::ZERO,
@@ -50,10 +48,10 @@ impl Q8 {
         scales.iter().all(|scale| scale.to_f32() <= *Self::SCALES.end()).then_some(Self { integers, scales })
     }
 
-    /// Writes the values.
+    /// Writes dequantized values.
     ///
     /// # Panics
-    /// Where there are not as many.
+    /// If `out` has another length.
     pub fn values(&self, out: &mut [f32]) {
         assert_eq!(out.len(), self.integers.len(), "values of {} integers", self.integers.len());
         let groups = self.integers.par_chunks(GROUP).zip(&self.scales);
@@ -63,7 +61,7 @@ impl Q8 {
     }
 }
 
-/// The least f16 that is no less than a number from 0 on.
+/// Least f16 not below nonnegative `x`.
 fn no_less(x: f32) -> f16 {
     let nearest = f16::from_f32(x);
     if nearest.to_f32() < x { f16::from_bits(nearest.to_bits() + 1) } else { nearest }

@@ -1,4 +1,4 @@
-//! Rows, what is done to them one by one, and how long arrays are cut to what a device binds at once.
+//! Row tensors and their splitting at the binding limit.
 
 use crate::{
     gpu::{Element, Recorder, Tensor},
@@ -6,58 +6,58 @@ use crate::{
 };
 use std::ops::Range;
 
-/// Rows of values on the device, `[count, width]`.
+/// Device rows, `[count, width]`.
 #[derive(Clone, Copy, Debug)]
 pub struct Rows {
-    /// The values.
+    /// Values.
     pub tensor: Tensor,
     /// Number of rows.
     pub count: usize,
-    /// Values of a row.
+    /// Values per row.
     pub width: usize,
     /// Type of a value.
     pub element: Element,
 }
 
-/// Some neighbouring columns of rows.
+/// A range of columns.
 #[derive(Clone, Copy, Debug)]
 pub struct Columns {
-    /// The whole rows.
+    /// Whole rows.
     pub of: Rows,
-    /// The first of the columns.
+    /// First column.
     pub first: usize,
     /// Number of columns.
     pub width: usize,
 }
 
 impl Rows {
-    /// Rows of f32 in a tensor.
+    /// Wraps f32 rows.
     pub fn new(tensor: Tensor, count: usize, width: usize) -> Self {
         Self { tensor, count, width, element: Element::F32 }
     }
 
-    /// New rows in scratch memory.
+    /// Allocates scratch memory.
     pub fn scratch(rec: &mut Recorder, name: &str, count: usize, width: usize, element: Element) -> Self {
         Self { tensor: rec.tensor_of(element, name, count * width), count, width, element }
     }
 
-    /// The rows with these indices.
+    /// Returns a range of rows.
     pub fn part(&self, rows: Range<usize>) -> Self {
         let tensor = self.tensor.slice_of(self.element, rows.start * self.width, rows.len() * self.width);
         Self { tensor, count: rows.len(), ..*self }
     }
 
-    /// `width` columns of every row, from `first` on.
+    /// Returns columns from `first`.
     pub fn columns(&self, first: usize, width: usize) -> Columns {
         Columns { of: *self, first, width }
     }
 
-    /// Values of all rows.
+    /// Number of values.
     pub fn values(&self) -> usize {
         self.count * self.width
     }
 
-    /// Bytes of a row.
+    /// Bytes per row.
     pub fn row_bytes(&self) -> usize {
         self.element.bytes() * self.width
     }
@@ -69,29 +69,28 @@ impl From<Rows> for Columns {
     }
 }
 
-/// Bytes between the places where a slice of a tensor may start.
+/// Slice alignment in bytes.
 pub(super) const SLICE: usize = 256;
 
-/// Bytes that scratch of a row-wise step may take: large enough to fill any device, small beside the activations.
+/// Scratch budget: fills any device, small next to the activations.
 pub(super) const SCRATCH_BYTES: u64 = 256 << 20;
 
-/// Rows of so many bytes after which a slice may start again, a power of two.
+/// Rows between aligned slices, a power of two.
 pub(super) fn aligned_rows(bytes: usize) -> usize {
     SLICE >> bytes.trailing_zeros().min(SLICE.trailing_zeros())
 }
 
-/// Cuts `rows` of tensors that have `widths` bytes a row, so that each part fits into one binding, stays modest as scratch
-/// and can be sliced out of every one of those tensors.
+/// Splits rows so that every tensor's part is aligned and fits a binding and the budget.
 pub(crate) fn row_chunks(rec: &Recorder, rows: usize, widths: &[usize]) -> impl Iterator<Item = Range<usize>> + use<> {
     let bytes = rec.limits().max_binding_bytes.min(SCRATCH_BYTES) as usize;
     let widest = widths.iter().copied().fold(1, usize::max);
-    // Powers of two, so the largest serves all.
+    // The largest power of two is a multiple of the rest.
     let alignment = widths.iter().copied().map(aligned_rows).fold(1, usize::max);
     let step = (bytes / widest).max(alignment) / alignment * alignment;
     (0..rows).step_by(step).map(move |first| first..rows.min(first + step))
 }
 
-/// `target` += `other`, f32 of the same shape.
+/// Adds `other` to `target`, both f32.
 pub fn add(rec: &mut Recorder, target: Rows, other: Rows) {
     for part in row_chunks(rec, target.values(), &[size_of::<f32>()]) {
         let [left, right] = [target, other].map(|rows| rows.tensor.slice::<f32>(part.start, part.len()));
@@ -99,7 +98,7 @@ pub fn add(rec: &mut Recorder, target: Rows, other: Rows) {
     }
 }
 
-/// The `count` rows `source[rows_from_out[i]]`, f32.
+/// Gathers f32 rows `source[rows_from_out[i]]`.
 pub fn gather_rows(rec: &mut Recorder, source: Rows, rows_from_out: Tensor, count: usize) -> Rows {
     let out = Rows::scratch(rec, "gathered", count, source.width, Element::F32);
     for part in row_chunks(rec, source.count, &[source.row_bytes()]) {
@@ -117,7 +116,7 @@ pub fn gather_rows(rec: &mut Recorder, source: Rows, rows_from_out: Tensor, coun
     out
 }
 
-/// f16 rows as 8-bit integers, and `[rows]` f32 that 1 stands for in each row.
+/// Quantizes f16 rows to 8 bits and `[rows]` f32 scales.
 pub fn quantise_rows(rec: &mut Recorder, source: Rows) -> (Rows, Tensor) {
     let Rows { count, width, .. } = source;
     let out = Rows::scratch(rec, "quantised", count, width, Element::I8);
@@ -127,7 +126,7 @@ pub fn quantise_rows(rec: &mut Recorder, source: Rows) -> (Rows, Tensor) {
     (out, scales)
 }
 
-/// Writes f32 rows into columns of others of any type, from one on.
+/// Writes f32 rows into columns of `out`.
 pub fn place_columns(rec: &mut Recorder, source: Rows, out: Rows, column: usize) {
     let kernel = ops::PlaceColumns {
         source: source.tensor,
@@ -141,7 +140,7 @@ pub fn place_columns(rec: &mut Recorder, source: Rows, out: Rows, column: usize)
     rec.dispatch(kernel, source.values());
 }
 
-/// f32 rows side by side, as rows of type `output`.
+/// Concatenates f32 columns as type `output`.
 pub fn join_columns(rec: &mut Recorder, [left, right]: [Rows; 2], output: Element) -> Rows {
     let out = Rows::scratch(rec, "joined", left.count, left.width + right.width, output);
     for part in row_chunks(rec, out.count, &[left, right, out].map(|rows| rows.row_bytes())) {

@@ -1,17 +1,16 @@
-//! Prefix sums: each workgroup adds up its share, then scans it on top of the shares before it. Two dispatches for any
-//! length, and no workgroup ever waits for another.
+//! Prefix sums in two dispatches for any length, without waiting workgroups.
 
 use crate::{
     gpu::{Recorder, Tensor},
     kernels::ops::{ScanApply, ScanReduce},
 };
 
-/// Items that a workgroup should have at least.
+/// Minimum items per workgroup.
 const SHARE: usize = 1024;
-/// Workgroups at most: each reads the sums of all before it.
+/// Maximum workgroups.
 const MAX_BLOCKS: usize = 1024;
 
-/// Records the replacement of each of the first `count` u32 of `values` by the sum of all before it, modulo 2^32.
+/// Replaces the first `count` u32 by exclusive prefix sums modulo 2^32.
 pub fn exclusive_scan(rec: &mut Recorder, values: Tensor, count: usize) {
     let blocks = count.div_ceil(SHARE).min(MAX_BLOCKS);
     let count = u32::try_from(count).expect("bindings hold fewer than 2^32 words");

@@ -1,5 +1,4 @@
-//! Least significant digit radix sort of u32 keys with u32 values: stable, over the bits in use, of a number of items
-//! that only the device knows. Shares are cut for the capacity, so that no dispatch depends on that number.
+//! Stable LSD radix sort with a device-side count; dispatches depend on capacity alone.
 
 use super::scan::exclusive_scan;
 use crate::{
@@ -10,15 +9,13 @@ use crate::{
     },
 };
 
-/// Bits of a digit.
 const DIGIT_BITS: u32 = RADIX.ilog2();
-/// Items that a workgroup should have at least: four of each digit, so that the table of digits stays smaller.
+/// Minimum items per workgroup, which bounds the digit table.
 const SHARE: usize = 1024;
-/// Workgroups at most: the table of digits has a column for each.
+/// Maximum workgroups.
 const MAX_BLOCKS: usize = 1024;
 
-/// Records the sort of the first `item_count[0]` of `capacity` keys by their lowest `bits` bits, smallest first, equal
-/// keys in their order. Returns the sorted keys and values; what was given keeps its order.
+/// Returns `item_count[0]` of `capacity` pairs sorted by the lowest `bits` bits.
 pub fn sort_pairs(
     rec: &mut Recorder,
     mut keys: Tensor,
@@ -55,15 +52,14 @@ pub fn sort_pairs(
     (keys, values)
 }
 
-/// Where the items of each of `key_count` keys start among the first `item_count[0]` of `keys`, which are sorted:
-/// `[key_count + 1]`.
+/// Returns `[key_count + 1]` starts of keys among `item_count[0]` sorted `keys`.
 pub fn key_starts(rec: &mut Recorder, keys: Tensor, item_count: Tensor, key_count: usize) -> Tensor {
     let starts = rec.tensor::<u32>("starts", key_count + 1);
     rec.dispatch(KeyStarts { keys, item_count, starts, key_count: key_count as u32 }, key_count + 1);
     starts
 }
 
-/// Bits that keys below `count` use.
+/// Bits of keys below `count`.
 pub fn key_bits(count: usize) -> u32 {
     usize::BITS - count.saturating_sub(1).leading_zeros()
 }

@@ -1,5 +1,4 @@
-//! Stages that stay on the device: features, for scenes of another ratio or selection without the backbone, and scene tokens, to
-//! be refined.
+//! Features and scene tokens kept on the device.
 
 use super::{Model, Patches, Reconstruction, Request, Shape, network::FeatureTensors, write_choice};
 use crate::{
@@ -13,13 +12,13 @@ use crate::{
 };
 use std::{ops::ControlFlow, sync::Arc};
 
-/// The backbone's features of photos, on the device. Scenes of any ratio and selection follow from it.
+/// Backbone features, for several scenes.
 pub struct Features {
     shape: Shape,
     tensors: FeatureTensors,
     memory: Arc<Resident>,
     unit: f64,
-    /// Time of each stage.
+    /// Time per stage.
     pub times: StageTimes,
 }
 
@@ -29,13 +28,13 @@ impl Features {
         self.memory.bytes()
     }
 
-    /// The views and their patches.
+    /// Views and patches.
     pub fn grid(&self) -> ViewGrid {
         self.shape.grid
     }
 }
 
-/// A scene's tokens on the device: what the head makes Gaussians of.
+/// Head inputs on the device.
 pub struct SceneTokens {
     memory: Arc<Resident>,
     tensor: Tensor,
@@ -45,17 +44,17 @@ pub struct SceneTokens {
 }
 
 impl SceneTokens {
-    /// `[count, width]` f32: scene tokens beside colour features.
+    /// `[count, width]` f32: scene tokens beside colors.
     pub fn tensor(&self) -> Tensor {
         self.tensor
     }
 
-    /// Tokens.
+    /// Number of tokens.
     pub fn count(&self) -> usize {
         self.count
     }
 
-    /// Values of a token.
+    /// Values per token.
     pub fn width(&self) -> usize {
         self.width
     }
@@ -65,14 +64,14 @@ impl SceneTokens {
         self.unit
     }
 
-    /// The memory of the tensor.
+    /// Memory of the tensor.
     pub fn resident(&self) -> &Arc<Resident> {
         &self.memory
     }
 }
 
 impl Model {
-    /// Runs the backbone alone and keeps what it makes of the images on the device. Of `request`, cameras, unit and pooling count.
+    /// Runs the backbone, with cameras, unit and pooling of `request`.
     ///
     /// # Errors
     /// As [`Model::reconstruct`].
@@ -95,8 +94,8 @@ impl Model {
         Ok(Features { shape, tensors, memory, unit: request.unit, times })
     }
 
-    /// Makes a scene of features: the bits of [`Model::reconstruct`] with the images that they are of. Of `request`, ratio and
-    /// selection count.
+    /// Decodes features bit-identically to [`Model::reconstruct`], with ratio and selection of
+    /// `request`.
     ///
     /// # Errors
     /// As [`Model::reconstruct`].
@@ -132,8 +131,7 @@ impl Model {
         })
     }
 
-    /// Fuses features to the scene's tokens, which stay on the device for [`crate::refine::refine_tokens`]. Of `request`, ratio and
-    /// selection count.
+    /// Fuses features for [`crate::refine::refine_tokens`], with ratio and selection of `request`.
     ///
     /// # Errors
     /// As [`Model::reconstruct`].
@@ -158,7 +156,6 @@ impl Model {
         Ok(SceneTokens { memory, tensor, count: shape.tokens, width, unit: features.unit })
     }
 
-    /// The shape of a scene that is made of features.
     fn shape_of(&self, features: &Features, request: &Request) -> Result<Shape> {
         let (grid, cameras) = (features.shape.grid, features.shape.cameras);
         let size = [grid.columns, grid.rows].map(|count| (count * grid.patch) as u32);

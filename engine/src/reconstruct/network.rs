@@ -1,4 +1,4 @@
-//! The network: one line a stage, values named by meaning.
+//! The whole network.
 
 use super::{Kept, Shape};
 use crate::{
@@ -10,14 +10,14 @@ use crate::{
     weights::Checkpoint,
 };
 
-/// A network's parameters, laid out for a device.
+/// Parameters of a network.
 pub struct Network {
     pub(super) architecture: Architecture,
     pub(super) parameters: ParameterLayout,
     pub(super) stages: Stages,
 }
 
-/// The tensors that go in and out of a plan.
+/// Inputs and outputs.
 #[derive(Clone, Debug)]
 pub struct Tensors {
     pub(super) inputs: Inputs,
@@ -25,7 +25,7 @@ pub struct Tensors {
     scene: SceneTensors,
 }
 
-/// The tensors by which the host hands over the photos.
+/// Photo inputs.
 #[derive(Clone, Debug)]
 pub(super) struct Inputs {
     /// `[views, 3, height, width]` f32, RGB in 0..1.
@@ -34,28 +34,26 @@ pub(super) struct Inputs {
     pub backbone: Vec<Tensor>,
 }
 
-/// The tensors by which the host says which scene is made of features.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Choice {
-    /// `[1]` f32: the world's unit, where there are Gaussians.
+    /// `[1]` f32 scene scale.
     pub unit: Option<Tensor>,
-    /// First centroids' tokens, or the tokens themselves; absent at ratio 1.
+    /// Initial or kept tokens, unless all are kept.
     pub indices: Option<Tensor>,
-    /// `[tokens]` u32: the tokens that k-means chose, where it did; read after a run.
+    /// `[tokens]` u32, from k-means.
     pub chosen: Option<Tensor>,
 }
 
-/// The tensors that the first half of the network leaves for the second.
 #[derive(Clone, Debug)]
 pub(super) struct FeatureTensors {
-    /// `[views, 3, height, width]` f32, RGB in 0..1: colours come from the pixels themselves.
+    /// `[views, 3, height, width]` f32, RGB in 0..1.
     pub images: Tensor,
-    /// All tokens of each, f32, deepest first.
+    /// f32, deepest first.
     pub layers: Vec<Rows>,
 }
 
 impl FeatureTensors {
-    /// The features of a shape, laid out to be kept.
+    /// Allocates persistent features.
     pub fn lay_out(layout: &mut ResidentLayout, architecture: &Architecture, grid: ViewGrid) -> Self {
         let (tokens, width) = (grid.tokens(), architecture.width);
         let mut layer = |_| Rows::new(layout.add::<f32>(tokens * width), tokens, width);
@@ -64,30 +62,30 @@ impl FeatureTensors {
     }
 }
 
-/// A plan from photos to Gaussians that stay on the device.
+/// A plan to device Gaussians.
 pub struct NetworkPlan {
-    /// The commands; they need the weights, and a memory of `layout`.
+    /// Commands.
     pub plan: Plan,
-    /// The tensors that go in and come out.
+    /// Inputs and outputs.
     pub tensors: Tensors,
-    /// The memory of the Gaussians.
+    /// Memory of the Gaussians.
     pub layout: ResidentLayout,
 }
 
 impl NetworkPlan {
-    /// Bytes of the arena and of the Gaussians.
+    /// Arena and Gaussian bytes.
     pub fn bytes(&self) -> u64 {
         self.plan.arena_bytes() + self.layout.bytes()
     }
 }
 
 impl Network {
-    /// Lays out a network; needs no device.
+    /// Lays out a network without a device.
     pub fn new(architecture: &Architecture, limits: &Limits, arithmetic: Arithmetic) -> Self {
         Self::laid_out(architecture, ParameterLayout::new(limits, arithmetic))
     }
 
-    /// Lays out the network of a checkpoint, whose weights of 8 bits keep them on the device; needs none.
+    /// Lays out a checkpoint's network without a device.
     ///
     /// # Errors
     /// As [`Checkpoint::suits`].
@@ -103,21 +101,21 @@ impl Network {
         Self { architecture: architecture.clone(), parameters, stages }
     }
 
-    /// Bytes of the weights on the device.
+    /// Weight bytes on the device.
     pub fn weight_bytes(&self) -> u64 {
         self.parameters.bytes()
     }
 
-    /// Records the whole forward pass, whose Gaussians the host reads.
+    /// Records the forward pass to host Gaussians.
     pub fn record(&self, rec: &mut Recorder, shape: Shape) -> Tensors {
         let into = SceneTensors::output(rec, self.gaussians_of(shape), self.architecture.sh_degree as u32);
         self.record_into(rec, shape, into)
     }
 
-    /// Plans the whole forward pass, whose Gaussians stay on the device; needs none.
+    /// Plans the forward pass to device Gaussians, without a device.
     ///
     /// # Errors
-    /// [`Error::Memory`](crate::Error::Memory) where a device of these limits cannot hold or bind a tensor.
+    /// [`Error::Memory`](crate::Error::Memory).
     pub fn plan(&self, limits: &Limits, shape: Shape) -> Result<NetworkPlan> {
         let mut layout = ResidentLayout::new(limits);
         let into = SceneTensors::lay_out(&mut layout, self.gaussians_of(shape), self.architecture.sh_degree as u32);
@@ -126,7 +124,7 @@ impl Network {
         Ok(NetworkPlan { plan: rec.finish()?, tensors, layout })
     }
 
-    /// Gaussians of a scene.
+    /// Number of Gaussians.
     pub fn gaussians_of(&self, shape: Shape) -> usize {
         shape.tokens * self.architecture.gaussians_per_token
     }
@@ -138,7 +136,6 @@ impl Network {
         Tensors { inputs, choice, scene }
     }
 
-    /// Records the first half, up to features that stay on the device in `into`.
     pub(super) fn record_features(&self, rec: &mut Recorder, shape: Shape, into: &FeatureTensors) -> Inputs {
         let inputs = self.inputs(rec, shape);
         rec.copy(inputs.images, into.images);
@@ -147,7 +144,7 @@ impl Network {
         inputs
     }
 
-    /// Records the second half, from features to Gaussians.
+    /// Records features to Gaussians.
     pub(super) fn record_decoding(
         &self,
         rec: &mut Recorder,
@@ -161,7 +158,6 @@ impl Network {
         Choice { unit: Some(unit), ..choice }
     }
 
-    /// Records the way from features to the tokens that the head reads, which stay on the device in `into`.
     pub(super) fn record_tokens(
         &self,
         rec: &mut Recorder,
@@ -175,7 +171,6 @@ impl Network {
         choice
     }
 
-    /// The input that says which tokens are kept, and what the head reads of those: scene tokens and their colours.
     fn head_tokens(&self, rec: &mut Recorder, shape: Shape, features: &FeatureTensors) -> (Choice, [Rows; 2]) {
         let Shape { grid, tokens, .. } = shape;
         let FeatureTensors { images, layers } = features;
@@ -207,15 +202,15 @@ impl Network {
 }
 
 impl Tensors {
-    /// The Gaussians' tensors.
+    /// Tensors of the Gaussians.
     pub fn scene(&self) -> &SceneTensors {
         &self.scene
     }
 
-    /// Reads the scene after a run of [`Network::record`].
+    /// Reads the scene of [`Network::record`].
     ///
     /// # Errors
-    /// Where a transfer fails.
+    /// Failed transfers.
     pub fn read(&self, run: &Run) -> Result<Scene> {
         Ok(Scene {
             means: run.read(self.scene.means)?,

@@ -1,4 +1,4 @@
-//! The request of a reconstruction, and the shape of the work that follows from it.
+//! Reconstruction requests and shapes.
 
 use crate::{
     Error, Result,
@@ -10,99 +10,95 @@ use crate::{
     types::{Camera, Image, LeftOut},
 };
 
-/// Most views of one reconstruction.
+/// Maximum views per reconstruction.
 pub const MAX_VIEWS: usize = 192;
 
-/// Most patches of all views: what kernels count of each fits 32 bits.
+/// Maximum patches of all views, for 32-bit indices.
 pub const MAX_PATCHES: usize = 1 << 20;
 
-/// Most rounds of k-means; it has settled long before.
 const MAX_ROUNDS: usize = 100;
 
-/// Share of the tokens that are kept.
+/// Ratio of kept tokens.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Ratio {
-    /// A number in (0, 1]; at 1 every token is kept and nothing is clustered.
+    /// In (0, 1]; 1 skips clustering.
     Fixed(f64),
-    /// 0.5 sqrt(2 / views), the paper's.
+    /// The paper's 0.5 sqrt(2 / views).
     Auto,
 }
 
-/// How the kept tokens are chosen.
+/// Token selection.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Selection {
-    /// The nearest token of each centroid after so many rounds of k-means, at least one; the paper's are
-    /// [`Selection::KMEANS`].
+    /// Tokens nearest to k-means centroids, after a number of rounds.
     Kmeans(usize),
     /// Evenly spread.
     Stride,
-    /// Random ones, the same for the same seed.
+    /// Random, reproducible by seed.
     Random(u64),
-    /// The tokens with these indices.
+    /// Explicit indices.
     Given(Vec<u32>),
 }
 
 impl Selection {
-    /// k-means with the reference's number of rounds.
+    /// The reference's rounds.
     pub const KMEANS: Self = Self::Kmeans(ROUNDS);
 }
 
-/// A request: what to reconstruct and how.
+/// Reconstruction request.
 #[derive(Clone, Debug)]
 pub struct Request {
-    /// Share of tokens kept.
+    /// Ratio of kept tokens.
     pub ratio: Ratio,
-    /// How they are chosen.
+    /// Token selection.
     pub selection: Selection,
-    /// Known cameras of all views, of the images' own size, or none.
+    /// Known cameras, at image size.
     pub cameras: Option<Vec<Camera>>,
-    /// Length in the unit of `cameras`, and of the scene, that the network takes for 1: what the photos see at a median distance
-    /// of about 1 from the first is what it is trained with.
+    /// Scene scale: the length, in camera and scene units, that the network sees as 1. Training scenes
+    /// have a median distance of about 1 from the first camera.
     pub unit: f64,
-    /// Patches along each side of a group that attention across views, and of kept tokens to all, sees as one: the mean of their keys
-    /// and that of their values. 1 to [`Pool::MAX_SIDE`]; at 1 it sees every patch. The more there are, the faster and the
-    /// less exact; it pays with many photos.
+    /// Side of pooled groups, 1 to [`Pool::MAX_SIDE`]: faster and less exact with many photos.
     pub pool: usize,
 }
 
 impl Default for Request {
-    /// Every token, no cameras, the network's own unit, nothing pooled.
+    /// Every token, no cameras.
     fn default() -> Self {
         Self { ratio: Ratio::Fixed(1.0), selection: Selection::KMEANS, cameras: None, unit: 1.0, pool: 1 }
     }
 }
 
-/// Everything that decides a plan.
+/// Parameters of a plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shape {
-    /// Views and their patches.
+    /// Views and patches.
     pub grid: ViewGrid,
-    /// Tokens kept; all where equal to the grid's.
+    /// Number of tokens kept.
     pub tokens: usize,
-    /// How those are found.
+    /// Their selection.
     pub kept: Kept,
-    /// Whether cameras are given.
+    /// Whether cameras are known.
     pub cameras: bool,
     /// See [`Request::pool`].
     pub pool: usize,
 }
 
-/// Tokens that a plan keeps.
+/// Kept tokens.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kept {
-    /// All: nothing is chosen and nothing gathered.
+    /// All, without clustering.
     All,
-    /// The nearest of each centroid after so many rounds of k-means.
+    /// Nearest to k-means centroids.
     Kmeans(usize),
-    /// The tokens whose indices are an input.
+    /// Indices from an input.
     Indices,
 }
 
 impl Shape {
-    /// The shape of a reconstruction from `views` pictures of `[width, height]` pixels; needs no device.
+    /// Returns the shape for `views` images of `[width, height]` pixels.
     ///
     /// # Errors
-    /// [`Error::Argument`] for whatever cannot be used.
+    /// [`Error::Argument`] for invalid input.
     pub fn new(
         architecture: &Architecture,
         views: usize,
@@ -115,16 +111,16 @@ impl Shape {
         Ok(Self { grid, tokens, kept, cameras, pool: 1 })
     }
 
-    /// The same with keys and values pooled: [`Request::pool`].
+    /// Sets [`Request::pool`].
     ///
     /// # Errors
-    /// [`Error::Argument`] for a side that cannot be used.
+    /// [`Error::Argument`] for an invalid side.
     pub fn pooled(self, pool: usize) -> Result<Self> {
         Pool::check(pool)?;
         Ok(Self { pool, ..self })
     }
 
-    /// Stages and passes that a reconstruction of this shape does without, and why.
+    /// Skipped stages, with reasons.
     pub fn left_out(&self) -> Vec<LeftOut> {
         let mut left_out = Vec::new();
         match self.kept {
@@ -144,10 +140,8 @@ impl Shape {
 }
 
 impl Kept {
-    /// The number of tokens that a share and a selection keep, and how they are found.
-    ///
     /// # Errors
-    /// [`Error::Argument`] for whatever cannot be used.
+    /// [`Error::Argument`] for invalid input.
     pub(crate) fn of(grid: ViewGrid, chosen: (Ratio, &Selection)) -> Result<(usize, Self)> {
         let all = grid.tokens();
         if let Selection::Kmeans(rounds) = chosen.1
@@ -176,7 +170,7 @@ impl Kept {
 }
 
 impl Selection {
-    /// The tokens among `all` that are kept, or k-means begins with, `tokens` of them.
+    /// Kept tokens or initial centroids.
     pub(crate) fn indices(&self, all: usize, tokens: usize) -> Vec<u32> {
         match self {
             Self::Kmeans(_) | Self::Stride => even_indices(all, tokens),
@@ -186,7 +180,6 @@ impl Selection {
     }
 }
 
-/// A ratio as a number.
 fn ratio(ratio: Ratio, views: usize) -> Result<f64> {
     match ratio {
         Ratio::Auto => Ok(auto_ratio(views)),
@@ -195,7 +188,6 @@ fn ratio(ratio: Ratio, views: usize) -> Result<f64> {
     }
 }
 
-/// Checks that each image has a camera of its size.
 pub(crate) fn check_cameras(cameras: &[Camera], images: &[Image]) -> Result<()> {
     if cameras.len() != images.len() {
         return Err(Error::argument("cameras", cameras.len(), format!("{}, one a view", images.len())));
@@ -211,7 +203,6 @@ pub(crate) fn check_cameras(cameras: &[Camera], images: &[Image]) -> Result<()> 
     Ok(())
 }
 
-/// Width and height of the images, which must be of one size.
 pub(crate) fn size_of(images: &[Image]) -> Result<[u32; 2]> {
     let size = images.first().map_or([0; 2], |first| [first.width, first.height]);
     for (i, image) in images.iter().enumerate() {
@@ -225,7 +216,6 @@ pub(crate) fn size_of(images: &[Image]) -> Result<[u32; 2]> {
     Ok(size)
 }
 
-/// Views of pixels as patches.
 pub(crate) fn grid(patch: usize, views: usize, width: usize, height: usize) -> Result<ViewGrid> {
     if !(1..=MAX_VIEWS).contains(&views) {
         return Err(Error::argument("views", views, format!("1 to {MAX_VIEWS}")));

@@ -1,4 +1,4 @@
-//! The sizes of a ZipSplat network.
+//! Sizes of a ZipSplat network.
 
 mod backbone;
 mod depth;
@@ -14,77 +14,75 @@ use crate::{
 };
 use serde::{Deserialize, Serialize};
 
-/// The networks by their backbone, with the out layers that Depth Anything 3 gives it. Weights have been released of `vitg`
-/// alone (DA3-Giant); the others are what the reference can be trained as.
+/// Backbones with Depth Anything 3's out layers; only `vitg` has released weights.
 pub const VARIANTS: [&str; 4] = ["vits", "vitb", "vitl", "vitg"];
 
-/// The reference's recipes for the smaller backbones, with three out layers; its recipe for the largest is `vitg`.
+/// The reference's smaller recipes.
 pub const RECIPES: [&str; 3] = ["da3s", "da3b", "da3l"];
 
-/// Largest size of any one dimension: keeps every product of a few of them within 64 bits.
+/// Keeps products of a few dimensions within 64 bits.
 pub(crate) const MAX_SIZE: usize = 1 << 16;
 pub(crate) const MAX_DEPTH: usize = 256;
 const MAX_SH_DEGREE: usize = 3;
 
-/// Everything that the forward pass needs to know about a network besides its weights.
+/// Hyperparameters. Blocks count from 0.
 ///
-/// Blocks count from 0. Source: ZipSplat, section 3 and appendix A; Depth Anything 3 for the backbone.
+/// Source: ZipSplat, section 3 and appendix A; Depth Anything 3.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Architecture {
-    /// The network's name in messages; one of [`VARIANTS`] or [`RECIPES`] where it is that network.
+    /// Name in messages.
     pub name: String,
-    /// D, channels of a token.
+    /// Token channels, D.
     pub width: usize,
-    /// Blocks of the backbone; all of them run.
+    /// Backbone blocks.
     pub depth: usize,
-    /// Attention heads of a backbone block.
+    /// Heads per backbone block.
     pub heads: usize,
-    /// Feed-forward network of the backbone's blocks.
+    /// Backbone feed-forward network.
     pub ffn: Ffn,
-    /// The hidden channels of that (for SwiGLU those of `gate` alone).
+    /// Its hidden channels; for SwiGLU, those of `gate`.
     pub ffn_hidden: usize,
-    /// Side of a patch in pixels.
+    /// Patch side in pixels.
     pub patch: usize,
-    /// Side M of the learned M x M grid of position embeddings.
+    /// Side of the learned position grid.
     pub position_grid: usize,
-    /// First block that may be global; camera tokens are inserted before it.
+    /// First block that may be global, where camera tokens enter.
     pub alt_start: usize,
-    /// First block with LayerNorm on queries and keys; `depth` or more for none.
+    /// First block with q/k norm.
     pub qk_norm_start: usize,
-    /// First block with rotary position embedding; `depth` or more for none.
+    /// First block with rotary embedding.
     pub rope_start: usize,
-    /// Blocks whose output is a feature, ascending. Feature 0 of the reference is the last of them.
+    /// Feature blocks, ascending.
     pub out_layers: Vec<usize>,
-    /// Self-attention blocks of the camera encoder.
+    /// Camera encoder blocks.
     pub camera_depth: usize,
-    /// Attention heads of the camera encoder.
+    /// Camera encoder attention heads.
     pub camera_heads: usize,
-    /// Hidden channels of the feed-forward network of the camera encoder's blocks.
+    /// Camera encoder feed-forward channels.
     pub camera_hidden: usize,
-    /// Hidden channels of the two-layer network that embeds a 9-dimensional pose.
+    /// Pose embedding channels.
     pub camera_pose_hidden: usize,
-    /// Attention heads of the cross- and self-attention over scene tokens.
+    /// Fusion heads.
     pub fusion_heads: usize,
-    /// Hidden channels of their feed-forward networks.
+    /// Fusion feed-forward channels.
     pub fusion_hidden: usize,
-    /// Channels of a colour token.
+    /// Color token channels.
     pub color_width: usize,
-    /// Attention heads of the colour cross-attention.
+    /// Color attention heads.
     pub color_heads: usize,
-    /// Hidden channels of its feed-forward network.
+    /// Color feed-forward channels.
     pub color_hidden: usize,
-    /// Hidden channels of the Gaussian head.
+    /// Gaussian head channels.
     pub head_hidden: usize,
-    /// G, Gaussians that one scene token decodes to.
+    /// Gaussians per token.
     pub gaussians_per_token: usize,
-    /// Degree of the spherical harmonics of a Gaussian's colour, at most 3.
+    /// SH degree, at most 3.
     pub sh_degree: usize,
 }
 
 impl Architecture {
-    /// The paper's network at another width and depth: GELU, heads of 64 channels, patches of 14 pixels, a 37 x 37
-    /// position grid, 32 Gaussians of degree 1 a token, q/k norm and rotary embedding from `alt_start` on.
+    /// Returns the paper's network at another width and depth.
     pub fn new(name: &str, width: usize, depth: usize, alt_start: usize, out_layers: &[usize]) -> Self {
         let (heads, color_width) = ((width / 64).max(1), 128);
         Self {
@@ -115,7 +113,7 @@ impl Architecture {
         }
     }
 
-    /// One of [`VARIANTS`] or [`RECIPES`]; any other name is an [`Error::Argument`].
+    /// Returns one of [`VARIANTS`] or [`RECIPES`], else [`Error::Argument`].
     pub fn named(variant: &str) -> Result<Self> {
         Ok(match variant {
             "vits" => Self::new("vits", 384, 12, 4, &[5, 7, 9, 11]),
@@ -135,7 +133,7 @@ impl Architecture {
         })
     }
 
-    /// The transformer of the network.
+    /// Sizes of the transformer.
     pub fn backbone(&self) -> BackboneArchitecture {
         BackboneArchitecture {
             root: "backbone.backbone".into(),
@@ -161,17 +159,17 @@ impl Architecture {
         }
     }
 
-    /// Values of one packed Gaussian: mean 3, scale 3, quaternion 4, opacity 1, and 3 for each SH coefficient.
+    /// Values per Gaussian: mean 3, scale 3, quaternion 4, opacity 1, 3 per SH coefficient.
     pub fn gaussian_width(&self) -> usize {
         11 + 3 * (self.sh_degree + 1).pow(2)
     }
 
-    /// Number of values of all parameters.
+    /// Number of parameter values.
     pub fn parameter_count(&self) -> usize {
         self.parameters().iter().map(|(_, shape)| shape.iter().product::<usize>()).sum()
     }
 
-    /// Checks that the numbers make a network; [`Error::Argument`] names the first field that does not.
+    /// Validates the sizes; [`Error::Argument`] names the invalid field.
     pub fn validate(&self) -> Result<()> {
         let sizes = [
             ("width", self.width, MAX_SIZE),
@@ -218,7 +216,7 @@ impl Architecture {
         if holds { Ok(()) } else { Err(Error::argument(format!("{field} of {}", self.name), found, expected)) }
     }
 
-    /// Names and shapes of all parameters, as the stages declare them, in the order of the reference's `state_dict`.
+    /// Parameter names and shapes, as in the reference's `state_dict`.
     pub fn parameters(&self) -> Vec<(String, Vec<usize>)> {
         let mut declared = ParameterLayout::new(&Limits::default(), Arithmetic::EXACT);
         Stages::new(&mut declared, self);

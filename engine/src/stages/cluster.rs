@@ -1,4 +1,4 @@
-//! Clustering: which tokens stand for all of them. k-means on the deepest tokens; the nearest token of each centroid.
+//! Token selection by k-means.
 //!
 //! Source: ZipSplat, section 3.1, "Compression by clustering".
 
@@ -13,22 +13,22 @@ use crate::{
     random::Random,
 };
 
-/// Rounds of assignment and mean of the reference.
+/// The reference's k-means rounds.
 pub const ROUNDS: usize = 5;
 
-/// Tokens kept of `tokens` at `ratio` in (0, 1]: truncated, at least one.
+/// Clusters at `ratio` in (0, 1]: truncated, at least one.
 pub fn cluster_count(tokens: usize, ratio: f64) -> usize {
     ((tokens as f64 * ratio) as usize).clamp(1, tokens.max(1))
 }
 
-/// The ratio that the paper scales with the number of views: 0.5 sqrt(2 / views), at most 1.
+/// The paper's ratio: 0.5 sqrt(2 / views), at most 1.
 pub fn auto_ratio(views: usize) -> f64 {
     (0.5 * (2.0 / views.max(1) as f64).sqrt()).min(1.0)
 }
 
-/// `count` indices spread evenly over `tokens`, as PyTorch's `linspace` in f32, rounded half to even.
+/// Returns evenly spread indices, bit-equal to PyTorch's f32 `linspace`, rounded half to even.
 ///
-/// The second half counts down from the end with a fused multiply-add, as PyTorch does.
+/// The second half counts down with a fused multiply-add.
 pub fn even_indices(tokens: usize, count: usize) -> Vec<u32> {
     let last = (tokens - 1) as f32;
     let step = last / (count - 1).max(1) as f32;
@@ -46,7 +46,7 @@ pub fn even_indices(tokens: usize, count: usize) -> Vec<u32> {
         .collect()
 }
 
-/// `count` different indices below `tokens`, in rising order, the same for the same seed.
+/// Returns distinct indices below `tokens`, ascending, reproducible by seed.
 pub fn random_indices(tokens: usize, count: usize, seed: u64) -> Vec<u32> {
     // Selection sampling (Knuth, TAOCP 2, 3.4.2, algorithm S).
     let mut random = Random::new(seed);
@@ -59,10 +59,10 @@ pub fn random_indices(tokens: usize, count: usize, seed: u64) -> Vec<u32> {
     chosen
 }
 
-/// Records k-means on `tokens`. `initial` `[clusters]` holds the first centroids' tokens ([`even_indices`]). Returns the nearest token of each centroid, `[clusters]` u32.
+/// Records k-means from the tokens `initial` `[clusters]`. Returns each centroid's nearest token,
+/// `[clusters]` u32.
 ///
-/// The mean of a cluster of two lies midway between both, and up to half of all clusters have two: of tokens that tie
-/// ([`Nearest::record`]) the first is taken, so that the order of a sum does not choose what is reconstructed.
+/// Means of two tokens are equidistant; [`Nearest::record`] resolves such ties by index.
 pub fn record(
     rec: &mut Recorder,
     kernel: NearestKernel,
@@ -90,10 +90,9 @@ pub fn record(
     chosen
 }
 
-/// Means of the points of each cluster.
+/// Cluster means.
 #[derive(Clone, Copy, Debug)]
 pub struct Means {
-    /// `[count]` 0, 1, 2 ...
     points: Tensor,
     point_count: Tensor,
 }
@@ -109,8 +108,8 @@ impl Means {
         Self { points, point_count }
     }
 
-    /// Writes `centroids`: means of those of `points` whose `cluster_of_point` is theirs, added in their order; zero where there
-    /// is none. Rows are f32, their width is a multiple of 4.
+    /// Writes cluster means, added in order, zero if empty. Rows are f32 with a width divisible by
+    /// 4.
     pub fn record(&self, rec: &mut Recorder, points: Rows, cluster_of_point: Tensor, centroids: Rows) {
         let Rows { count: clusters, width, .. } = centroids;
         let (sorted, members) =

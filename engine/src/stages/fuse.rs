@@ -1,4 +1,4 @@
-//! Fusion: the chosen tokens gather from all tokens of every layer, and from each other.
+//! Fusion: selected tokens attend to all tokens and each other.
 //!
 //! Source: ZipSplat, section 3.1, "Token refinement".
 
@@ -10,14 +10,14 @@ use crate::{
 
 const EPS: f32 = 1e-5;
 
-/// The fusion's parameters: one cross- and one self-attention block for each layer.
+/// Fusion parameters, per layer.
 pub struct Fuse {
     cross: Vec<CrossBlock>,
     own: Vec<Block>,
 }
 
 impl Fuse {
-    /// Lays out the parameters.
+    /// Declares the parameters.
     pub fn new(p: &mut ParameterLayout, a: &Architecture) -> Self {
         let heads = Heads::new(a.fusion_heads, a.width);
         let (layers, ffn) = (0..a.out_layers.len(), (Ffn::Gelu, a.fusion_hidden));
@@ -28,8 +28,7 @@ impl Fuse {
         Self { cross, own }
     }
 
-    /// Records the fusion of `layers`, all tokens of each, deepest first, for the `count` tokens `chosen`, or for all of them.
-    /// They see what `pool` makes of the layers. Returns the scene tokens.
+    /// Fuses `layers`, deepest first, for the `count` tokens `chosen` or all. Returns scene tokens.
     pub fn record(
         &self,
         rec: &mut Recorder,

@@ -1,6 +1,6 @@
-//! Losses: how far pictures are from photos, and the gradient of that.
+//! Image losses and gradients.
 //!
-//! Source: SSIM, Wang et al. 2004, with the window, padding and mix of 3D Gaussian splatting (Kerbl et al. 2023).
+//! Source: SSIM, Wang et al. 2004, with the settings of Kerbl et al. 2023.
 
 use super::FrameShape;
 use crate::{
@@ -9,33 +9,33 @@ use crate::{
     ops::row_chunks,
 };
 
-/// Pixels of a line that one invocation owns: a filter of 11 taps then loads (RUN + 10) / RUN values for each.
+/// Pixels per invocation: an 11-tap filter loads (RUN + 10) / RUN values for each.
 const RUN: usize = 8;
 
-/// A loss of a picture: a mean over its pixels and colours.
+/// Mean image loss.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Loss {
     /// |frame - target|.
     L1,
     /// (frame - target)^2.
     Mse,
-    /// 1 - SSIM: 11 x 11 pixels of a Gaussian of sigma 1.5, zero outside the picture.
+    /// 1 - SSIM, 11 x 11 Gaussian window of sigma 1.5, zero-padded.
     Dssim,
     /// 0.8 L1 + 0.2 Dssim.
     L1Dssim,
 }
 
-/// The loss of each picture and its gradient, on the device.
+/// Losses and gradients.
 #[derive(Clone, Copy, Debug)]
 pub struct LossTensors {
-    /// `[cameras]` f32: the loss of each picture.
+    /// `[cameras]` f32 losses.
     pub value: Tensor,
-    /// `[cameras, height, width, channels]` f32: the gradient.
+    /// `[cameras, height, width, channels]` f32 gradient.
     pub d_frames: Tensor,
 }
 
 impl Loss {
-    /// The numbers that `loss/gradient` has for losses of single pixels, their weight, and that of 1 - SSIM.
+    /// Pointwise loss code and weight; weight of 1 - SSIM.
     fn parts(self) -> (u32, f32, Option<f32>) {
         match self {
             Loss::L1 => (1, 1.0, None),
@@ -46,12 +46,10 @@ impl Loss {
     }
 }
 
-/// Records the loss of `frames` `[cameras, height, width, channels]`, red, green, blue first, against `targets`
-/// `[cameras, height, width, 3]`, both f32. The gradient is that of `scale` times the sum of the losses of all cameras;
-/// it is 0 in other channels.
+/// Records losses of `frames` `[cameras, height, width, channels]` against `targets` `[cameras,
+/// height, width, 3]`, f32. The gradient is of `scale` times their sum.
 ///
-/// SSIM takes scratch of 84 bytes a pixel, in which pictures take turns where they are many; the 48 bytes a pixel of its
-/// moments of a picture must fit into a binding.
+/// SSIM takes 84 scratch bytes per pixel; an image's 48 per pixel must fit a binding.
 pub fn record_loss(
     rec: &mut Recorder,
     loss: Loss,
@@ -76,7 +74,6 @@ pub fn record_loss(
     LossTensors { value, d_frames }
 }
 
-/// Pictures that are compared at once.
 struct Pictures {
     frames: Tensor,
     targets: Tensor,
@@ -85,7 +82,6 @@ struct Pictures {
 }
 
 impl Pictures {
-    /// Records the loss into `d_frames` and into `value` from a place on.
     fn record(&self, rec: &mut Recorder, loss: Loss, scale: f32, d_frames: Tensor, value: (Tensor, usize)) {
         let FrameShape { cameras, width, height } = self.shape;
         let lanes = rec.limits().subgroup_size;
@@ -115,7 +111,7 @@ impl Pictures {
         rec.dispatch_groups(kernel, cameras);
     }
 
-    /// The derivatives of 1 - SSIM by what its window filters, filtered along rows again; what it is goes to `sums`.
+    /// Writes losses to `sums`; returns row-filtered derivatives of 1 - SSIM.
     fn dssim(&self, rec: &mut Recorder, weight: f32, groups: [u32; 3], sums: Tensor) -> Tensor {
         let FrameShape { cameras, width, height } = self.shape;
         let (rows, columns, run) = (cameras * height as usize, width as usize, RUN as u32);

@@ -1,4 +1,4 @@
-//! Attention: how it is tested and timed.
+//! Attention tests and timings.
 
 use super::{COLUMNS, Candidate, Operation, TERMS, kernel_name, noise::encoded_noise, self_test::deviation};
 use crate::{
@@ -9,10 +9,10 @@ use crate::{
 
 pub(super) struct Attentions;
 
-/// The largest deviation that passes, in unit roundoffs: twins differ by the rounding of queries, weights and results.
+/// Unit roundoffs, for rounded queries, weights and results.
 const LIMIT: f64 = 40.0;
 
-/// Channels of the largest heads, which take most shared memory.
+/// Widest heads, which take the most shared memory.
 const WIDEST_HEAD: usize = 128;
 
 impl Operation for Attentions {
@@ -67,7 +67,6 @@ fn kernel(candidate: Candidate) -> AttentionKernel {
     }
 }
 
-/// A run on random queries, keys and values that `factor` holds, and its result.
 fn attention(
     device: &Device,
     kernel: AttentionKernel,

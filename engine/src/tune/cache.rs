@@ -1,4 +1,4 @@
-//! Where what was found of a device is kept in the user's cache: another driver, or other kernels, and it is found anew.
+//! Per-device cache, keyed by driver and kernel hash.
 
 use crate::{gpu::Device, kernels::MODULES};
 use std::{
@@ -6,8 +6,7 @@ use std::{
     path::PathBuf,
 };
 
-/// The folder in which this program may keep what it can find or get again: `ZIPSPLAT_CACHE`, or `zipsplat` in the user's
-/// cache; none, where the environment names neither.
+/// Returns the cache folder: `ZIPSPLAT_CACHE`, or `zipsplat` in the user's cache.
 pub fn cache_folder() -> Option<PathBuf> {
     let set = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty());
     let folder = |name: &str, below: &str| set(name).map(|value| PathBuf::from(value).join(below));
@@ -17,7 +16,6 @@ pub fn cache_folder() -> Option<PathBuf> {
         .or_else(|| folder("HOME", ".cache/zipsplat"))
 }
 
-/// The file of a `kind` of findings about a device.
 pub(super) fn cache_file(device: &Device, kind: &str) -> Option<PathBuf> {
     let cache = cache_folder()?;
     let mut kernels = DefaultHasher::new();

@@ -1,4 +1,4 @@
-//! The arithmetic of a precision on a device: what was asked for, without kernels that failed their self-test.
+//! Arithmetic without kernels that failed their self-test.
 
 use super::{SelfTest, Tuning};
 use crate::{
@@ -8,28 +8,27 @@ use crate::{
 };
 use std::ops::ControlFlow;
 
-/// A precision and its arithmetic on a device.
+/// A precision's arithmetic on a device.
 #[derive(Clone, Debug)]
 pub struct Chosen {
-    /// The precision.
+    /// Precision.
     pub precision: Precision,
-    /// The arithmetic of that precision.
+    /// Arithmetic.
     pub arithmetic: Arithmetic,
-    /// Kernels that failed their self-test.
+    /// Failed kernels, for the user.
     pub notes: Vec<String>,
 }
 
 impl Chosen {
-    /// The arithmetic of a precision on a device; of its best, where none is asked for.
+    /// Returns the arithmetic of a precision, by default the best.
     ///
     /// # Errors
-    /// [`Error::Argument`] where the device cannot compute in the precision asked for; a failure of the device.
+    /// [`Error::Argument`] if unsupported; device failures.
     pub fn of(device: &Device, precision: Option<Precision>) -> Result<Self> {
         Self::of_with(device, precision, |_, _| ControlFlow::Continue(()))
     }
 
-    /// As [`Chosen::of`]. Where a precision is used for the first time on a device, its kernels are tested, which may take a while:
-    /// `progress` gets the kernel that comes next and the share that is done, and may stop it.
+    /// [`Chosen::of`], with progress of the first self-test. `progress` may cancel.
     ///
     /// # Errors
     /// As [`Chosen::of`], and [`Error::Cancelled`].
@@ -54,13 +53,12 @@ impl Chosen {
         Ok(Self { precision: wanted, arithmetic: tuned(device, arithmetic), notes })
     }
 
-    /// The arithmetic of f32 throughout, which every device has and which needs no test.
+    /// Returns the f32 arithmetic, which needs no test.
     pub fn exact(device: &Device) -> Arithmetic {
         tuned(device, Arithmetic::EXACT)
     }
 }
 
-/// An arithmetic with the tiles that were fastest on the device.
 fn tuned(device: &Device, arithmetic: Arithmetic) -> Arithmetic {
     Tuning::known(device).unwrap_or_default().applied(arithmetic, device.limits())
 }

@@ -1,4 +1,4 @@
-//! Linear layers: how they are tested and timed.
+//! Linear layer tests and timings.
 
 use super::{
     COLUMNS, Candidate, Operation, TERMS, kernel_name,
@@ -16,7 +16,7 @@ use crate::{
 
 pub(super) struct LinearLayers;
 
-/// The largest deviation that passes: both twins get the same factors, so they differ by the order of their sums.
+/// Only the order of sums differs.
 const LIMIT: f64 = 1e-3;
 
 impl Operation for LinearLayers {
@@ -40,7 +40,7 @@ impl Operation for LinearLayers {
         LaneTile::candidates(limits, factor)
     }
 
-    /// Results go on in f32, or only feed other products.
+    /// For f32 results, and for results that only feed products.
     fn kernels(&self, on_units: bool, factor: Element) -> Vec<(String, Element)> {
         let base = if factor == Element::I8 && !on_units { "ops/linear_dot" } else { "ops/linear" };
         let name = kernel_name(base, on_units, factor);
@@ -49,9 +49,9 @@ impl Operation for LinearLayers {
         outputs.map(|output| (format!("{name}_{}", output.name()), output)).collect()
     }
 
-    /// In f32 a candidate passes with the bits of its twin alone: all tiles add up in one order.
+    /// f32 must match bit for bit: all tiles add in one order.
     fn deviation(&self, device: &Device, candidate: Candidate, output: Element) -> Result<Option<f64>> {
-        // More than one workgroup each way, the last of them not whole.
+        // Several workgroups per axis, the last partial.
         let [rows, columns] = match candidate {
             Candidate::Lanes(_, Some(tile)) => tile.sides.map(|side| side as usize),
             Candidate::Lanes(..) => [32, 32],
@@ -112,7 +112,6 @@ fn same_bits(a: &[f32], b: &[f32]) -> bool {
     a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits())
 }
 
-/// A layer and its rows.
 struct Layer {
     kernel: LinearKernel,
     /// Rows, terms of a sum, columns.
@@ -122,7 +121,7 @@ struct Layer {
 }
 
 impl Layer {
-    /// A run on random numbers that the kernel `tested` holds, and its result. GELU comes with a residual and a scale.
+    /// Returns a run on random numbers and its result.
     fn run(&self, device: &Device, tested: LinearKernel) -> Result<(Run, Tensor)> {
         let ([rows, inner, columns], kernel, factor) = (self.sizes, self.kernel, tested.factor());
         let weight = match tested.weights() {
@@ -137,7 +136,6 @@ impl Layer {
         let input = Rows { tensor, count: rows, width: inner, element: kernel.element() };
         let with_residual = self.activation == Activation::Gelu;
         let residual = with_residual.then(|| Rows::new(rec.constant::<f32>("residual", rows * columns), rows, columns));
-        // The bias scales, too.
         let gamma = residual.map(|_| bias);
         let epilogue = Epilogue { activation: self.activation, gamma, residual };
         let layer = Linear { weight, bias, inner, columns, kernel };

@@ -1,4 +1,4 @@
-//! The search for nearest rows: how it is tested and timed.
+//! Nearest-row search tests and timings.
 
 use super::{COLUMNS, Candidate, Operation, TERMS, kernel_name, noise::noise, self_test::deviation};
 use crate::{
@@ -9,8 +9,7 @@ use crate::{
 
 pub(super) struct NearestSearches;
 
-/// How much farther what is found may be, in squared distance and relative to its rms: some times what its sums are off, where
-/// one of both sees a tie.
+/// Relative squared distance: rounding plus ties.
 const LIMIT: f64 = 1e-5 + Nearest::TIE as f64;
 
 impl Operation for NearestSearches {
@@ -18,7 +17,7 @@ impl Operation for NearestSearches {
         "nearest"
     }
 
-    /// On lanes differences are exact in every precision.
+    /// f32 differences are always exact.
     fn lanes(&self) -> &'static [Element] {
         &[]
     }
@@ -35,12 +34,11 @@ impl Operation for NearestSearches {
         vec![(kernel_name("cluster/nearest", on_units, factor), Element::F32)]
     }
 
-    /// How far the targets are that are found nearest. Points lie nearly midway between two, which only the low halves tell
-    /// apart.
+    /// Compares nearest distances; the low halves must separate near ties.
     fn deviation(&self, device: &Device, candidate: Candidate, _: Element) -> Result<Option<f64>> {
         const WIDTH: usize = 76;
         let Candidate::Units(units, tile) = candidate else { return Ok(Some(0.0)) };
-        // Several workgroups each way, the last of them not whole.
+        // Several workgroups per axis, the last partial.
         let [points, targets] = tile.sides(units);
         let (points, targets) = (4 * points + 3, 2 * targets + 6);
         let [mut from, to] = [(1, points), (2, targets)].map(|(seed, rows)| noise(seed, rows, WIDTH, Element::F32));
@@ -76,7 +74,6 @@ impl Operation for NearestSearches {
     }
 }
 
-/// A run over points and targets, and its result.
 fn nearest(device: &Device, kernel: NearestKernel, rows: [&[f32]; 2], width: usize) -> Result<(Run, Tensor)> {
     let mut rec = Recorder::new(device.limits());
     let inputs = rows.map(|rows| Rows::new(rec.constant::<f32>("rows", rows.len()), rows.len() / width, width));

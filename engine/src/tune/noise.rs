@@ -1,17 +1,15 @@
-//! Random numbers for tests and measurements.
+//! Random numbers for tests and timings.
 
 use crate::gpu::Element;
 
-/// Rows that differ; further ones repeat them: random numbers take the host longer than tiles take a GPU.
+/// Distinct rows, since the host generates them slowly.
 const DISTINCT: usize = 1024;
 
-/// `rows` of numbers in (-1, 1) that `factor` holds; of 128ths that keep their values when a row is scaled to whole numbers up to
-/// 127.
+/// Random numbers in (-1, 1), exact in `factor`. 8-bit ones survive row quantization.
 pub(super) fn noise(seed: u64, rows: usize, width: usize, factor: Element) -> Vec<f32> {
     repeated(distinct(seed, rows, width, factor), rows)
 }
 
-/// As [`noise`], as a kernel takes it that has such numbers as another type.
 pub(super) fn encoded_noise(seed: u64, rows: usize, width: usize, factor: Element, stored: Element) -> Vec<u8> {
     repeated(stored.encode(&distinct(seed, rows, width, factor)), rows)
 }
@@ -32,7 +30,6 @@ fn distinct(seed: u64, rows: usize, width: usize, factor: Element) -> Vec<f32> {
     }
 }
 
-/// The values of up to [`DISTINCT`] rows over and over, as `rows` rows.
 fn repeated<T: Copy>(values: Vec<T>, rows: usize) -> Vec<T> {
     let len = values.len() / rows.min(DISTINCT) * rows;
     values.iter().copied().cycle().take(len).collect()

@@ -1,4 +1,4 @@
-//! Fast kernels against their exact twins, once per device and driver, so that none is used where it computes wrongly.
+//! Self-test of fast kernels, once per device and driver.
 
 use super::{Candidate, OPERATIONS, Operation, cache::cache_file, on_lanes};
 use crate::{
@@ -9,45 +9,44 @@ use crate::{
 };
 use std::{collections::BTreeMap, fs, ops::ControlFlow, path::Path, time::Duration};
 
-/// How often a test is begun that never ends, because the driver ends the process or hangs, or somebody else ends it.
+/// Unfinished tests before giving up: drivers may hang or crash.
 const ATTEMPTS: u32 = 2;
-/// A test that has not come to its next kernel for longer than this, which it takes in seconds, did not end.
+/// A test without progress for this long is unfinished.
 const PATIENCE: Duration = Duration::from_secs(120);
-/// Stands for all kernels of a test that was begun [`ATTEMPTS`] times and never ended.
+/// Name of the failure of unfinished tests.
 const UNFINISHED: &str = "the self-test";
 
-/// The deviations that the kernels of one device were found to have.
+/// Deviations of a device's kernels.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct SelfTest {
-    /// Largest deviation of each kernel that the device can run, by name and relative to what passes: above 1 it is not used.
-    /// None where it gave no number.
+    /// Relative to tolerance: above 1 fails. `None` without a number.
     pub deviations: BTreeMap<String, Option<f64>>,
 }
 
-/// Kernels that are tested together, with the ways to run them.
 struct Group {
     operation: &'static dyn Operation,
-    /// Names, and types of the results.
+    /// Name and result type.
     kernels: Vec<(String, Element)>,
     candidates: Vec<Candidate>,
 }
 
 impl SelfTest {
-    /// Runs every fast kernel that the device can run.
+    /// Tests every fast kernel.
     ///
     /// # Errors
-    /// A failure of the device.
+    /// Device failures.
     pub fn run(device: &Device) -> Result<Self> {
         let mut test = Self::default();
         test.run_groups(device, Group::all(device.limits()), |_, _| ControlFlow::Continue(()), |_| ())?;
         Ok(test)
     }
 
-    /// The results for a device of the kernels that `wanted` takes, out of the user's cache where they were found before.
-    /// `progress` gets the kernel that comes next and the share that is done, and may stop it.
+    /// Returns cached or new results for `wanted`. `progress` gets the next kernel and the fraction
+    /// done, and may cancel.
     ///
     /// # Errors
-    /// [`Error::DeviceLost`], [`Error::Memory`], [`Error::Cancelled`]; other failures are those of its kernels.
+    /// [`Error::DeviceLost`], [`Error::Memory`], [`Error::Cancelled`]. Other failures fail their
+    /// kernel.
     pub fn of(device: &Device, wanted: Arithmetic, progress: impl FnMut(&str, f64) -> ControlFlow<()>) -> Result<Self> {
         let file = cache_file(device, "self-test");
         let Record { begun, result } = file.as_deref().and_then(Record::read).unwrap_or_default();
@@ -65,12 +64,11 @@ impl SelfTest {
         let keep = |begun: u32, test: &Self| Record { begun, result: Some(test.clone()) }.keep(file.as_deref());
         keep(begun + 1, &test);
         let outcome = test.run_groups(device, groups, progress, |test| keep(begun + 1, test));
-        // Another time there may be enough memory, or patience. What lost the device is not used again.
+        // Retry after out of memory or cancellation, but not after device loss.
         keep(if matches!(outcome, Err(Error::Memory { .. } | Error::Cancelled)) { begun } else { 0 }, &test);
         outcome.map(|()| test)
     }
 
-    /// Notes on the kernels that failed, in words for the user.
     pub(super) fn notes(&self, device: &Device) -> Vec<String> {
         let name = &device.limits().name;
         let note = |(kernel, deviation): (&String, &Option<f64>)| match deviation {
@@ -85,7 +83,7 @@ impl SelfTest {
         self.deviations.iter().filter(|(kernel, _)| !self.passed(kernel)).map(note).collect()
     }
 
-    /// An arithmetic without the matrix kernels that failed; `None` where those that would replace them failed, too.
+    /// Removes failed matrix kernels; `None` if their replacements failed too.
     pub(super) fn allowed(&self, wanted: Arithmetic) -> Option<Arithmetic> {
         let mut allowed = wanted;
         for operation in OPERATIONS {
@@ -104,7 +102,7 @@ impl SelfTest {
         (allowed.has_integers() == wanted.has_integers()).then_some(allowed)
     }
 
-    /// Tests kernels. `kept` gets what is known before each of them.
+    /// `kept` saves results before each kernel.
     fn run_groups(
         &mut self,
         device: &Device,
@@ -115,7 +113,7 @@ impl SelfTest {
         let all: usize = groups.iter().map(Group::runs).sum();
         let mut done = 0;
         for Group { operation, kernels, candidates } in groups {
-            // A kernel none of whose tiles is within the device's limits fails.
+            // No tile fits the device.
             let mut worst = vec![if candidates.is_empty() { None } else { Some(0.0) }; kernels.len()];
             for candidate in candidates {
                 for ((kernel, output), worst) in kernels.iter().zip(&mut worst) {
@@ -124,8 +122,7 @@ impl SelfTest {
                         return Err(Error::Cancelled);
                     }
                     done += 1;
-                    // One that a driver refuses, or that loses the device, gives no result; only what would stop the others, too, is
-                    // an error.
+                    // Only errors that stop the other kernels are returned.
                     match operation.deviation(device, candidate, *output) {
                         Ok(deviation) => *worst = worse(*worst, deviation),
                         Err(error @ Error::Memory { .. }) => return Err(error),
@@ -148,12 +145,10 @@ impl SelfTest {
 }
 
 impl Group {
-    /// Every fast kernel that a device of these limits can run.
     fn all(limits: &Limits) -> Vec<Self> {
         Self::those(limits, |_| true, |_, _| true)
     }
 
-    /// Those that an arithmetic takes.
     fn of(limits: &Limits, wanted: Arithmetic) -> Vec<Self> {
         let chosen = |operation: &dyn Operation, factor| {
             operation.chosen(&mut { wanted }).iter().any(|units| units.is_some_and(|units| units.factor == factor))
@@ -185,32 +180,28 @@ impl Group {
         groups
     }
 
-    /// Runs of its kernels.
     fn runs(&self) -> usize {
         self.kernels.len() * self.candidates.len()
     }
 }
 
-/// The larger of two deviations; none where one of them is no number.
 pub(super) fn worse(a: Option<f64>, b: Option<f64>) -> Option<f64> {
     a.zip(b).map(|(a, b)| a.max(b))
 }
 
-/// The largest difference of two results, relative to `limit` times the rms of the exact one: above 1 a kernel does not pass.
-/// None where there is no such number. `stored` is the unit roundoff of what the fast results are kept in: Vulkan lets a device
-/// round to either neighbour.
+/// Largest difference relative to `limit` times the exact rms; `None` if not finite. Vulkan may
+/// round the stored type either way.
 pub(super) fn deviation(limit: f64, stored: f64, exact: &[f32], fast: &[f32]) -> Option<f64> {
     let rms = (exact.iter().map(|x| f64::from(*x).powi(2)).sum::<f64>() / exact.len() as f64).sqrt();
     let largest = exact.iter().fold(0.0, |most, x| f64::from(x.abs()).max(most));
     let limit = limit + 2.0 * stored * largest / rms;
     let apart = |(a, b): (&f32, &f32)| f64::from((a - b).abs());
-    // Unlike f64::max, which loses NaN.
+    // Unlike f64::max, keeps NaN.
     let larger = |a: f64, b: f64| if a.is_nan() || b <= a { a } else { b };
     let worst = exact.iter().zip(fast).map(apart).fold(0.0, larger);
     Some(worst / rms / limit).filter(|deviation| deviation.is_finite())
 }
 
-/// The knowledge about a device: the results so far, and how often a test was begun that did not end.
 #[derive(Default, serde::Serialize, serde::Deserialize)]
 struct Record {
     begun: u32,
@@ -218,7 +209,7 @@ struct Record {
 }
 
 impl Record {
-    /// The record in a file. One that is damaged is not there, and a test that is under way was not begun.
+    /// `None` if damaged. A test in progress does not count as begun.
     fn read(file: &Path) -> Option<Self> {
         let mut known: Self = serde_json::from_slice(&fs::read(file).ok()?).ok()?;
         let age = fs::metadata(file).and_then(|found| found.modified()).ok()?.elapsed().unwrap_or(PATIENCE);
@@ -227,7 +218,7 @@ impl Record {
         Some(known)
     }
 
-    /// Remembers it; what cannot be kept is found anew.
+    /// A failed write only costs a recomputation.
     fn keep(&self, file: Option<&Path>) {
         if let (Some(file), Ok(bytes)) = (file, serde_json::to_vec(self)) {
             let folder = file.parent().map(fs::create_dir_all);

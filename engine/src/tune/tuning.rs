@@ -1,4 +1,4 @@
-//! The fastest tile of each kernel for results of each size, by measurement on the device at hand.
+//! Tile measurements.
 
 use super::{COLUMNS, Candidate, OPERATIONS, Operation, cache::cache_file};
 use crate::{
@@ -13,32 +13,32 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// The times that were measured on a device.
+/// Measured times of a device.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Tuning {
-    /// The times of each kernel and size.
+    /// Times by kernel and size.
     pub measured: Vec<Measured>,
-    /// Tiles that are not used, because what they compute is wrong or the driver refuses them: kernel, type of factors, name.
+    /// Wrong or rejected tiles: kernel, factor type, name.
     pub unusable: Vec<String>,
 }
 
-/// The tiles of one kernel for one size of its result.
+/// Tile times of a kernel at a size.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Measured {
-    /// The operation: `linear`, `attention` or `nearest`.
+    /// Operation: `linear`, `attention` or `nearest`.
     pub kernel: String,
-    /// Type of its factors.
+    /// Factor type.
     pub factor: Element,
-    /// Values of the result.
+    /// Result values.
     pub values: usize,
-    /// Every tile that computes rightly, by name, and its milliseconds.
+    /// Name and milliseconds.
     pub tiles: Vec<(String, f64)>,
 }
 
-/// A size at which one run takes more milliseconds is the largest that is measured; those above take what is best there.
+/// Milliseconds that end a measurement; larger sizes reuse the best tile.
 const LONGEST: f64 = 50.0;
 const REPEATS: usize = 5;
-/// How long a GPU is kept busy before a measurement.
+/// Warm-up before a measurement.
 const WAKING: Duration = Duration::from_millis(100);
 
 impl Measured {
@@ -53,15 +53,15 @@ impl Measured {
 }
 
 impl Tuning {
-    /// The times that were measured on this device before, with this driver and these kernels.
+    /// Returns the cached times.
     pub fn known(device: &Device) -> Option<Self> {
         serde_json::from_slice(&fs::read(cache_file(device, "tuning")?).ok()?).ok()
     }
 
-    /// Remembers it for all that follows on this device.
+    /// Stores the times.
     ///
     /// # Errors
-    /// [`Error::Argument`] where there is no cache folder, [`Error::Io`] where it cannot be written.
+    /// [`Error::Argument`] without a cache folder, [`Error::Io`].
     pub fn keep(&self, device: &Device) -> Result<()> {
         let file = cache_file(device, "tuning");
         let file = file.ok_or_else(|| Error::argument("cache folder", "none", "ZIPSPLAT_CACHE or HOME"))?;
@@ -70,11 +70,11 @@ impl Tuning {
         write_atomic(&file, |out| out.write_all(&bytes))
     }
 
-    /// Measures every tile of every kernel that is not known to be unusable. `progress` gets what comes next and the share
-    /// that is done, and may stop. Each time replaces what was known of its tile; the rest stays, also behind an error.
+    /// Measures every usable tile, keeping earlier results on errors. `progress` gets the next tile
+    /// and the fraction done, and may cancel.
     ///
     /// # Errors
-    /// [`Error::DeviceLost`], after which the tile that was at work is unusable; [`Error::Cancelled`].
+    /// [`Error::DeviceLost`], which marks the tile unusable; [`Error::Cancelled`].
     pub fn measure(&mut self, device: &Device, mut progress: impl FnMut(&str, f64) -> ControlFlow<()>) -> Result<()> {
         let mut tiles = Vec::new();
         for operation in OPERATIONS {
@@ -99,7 +99,7 @@ impl Tuning {
             match outcome {
                 Err(Error::DeviceLost) => return Err(Error::DeviceLost),
                 Ok(Some(times)) => times.into_iter().for_each(|(values, ms)| self.add(tile, values, ms)),
-                // It computes wrongly, or a driver refuses what it offers.
+                // Wrong or rejected.
                 _ => {}
             }
         }
@@ -120,7 +120,7 @@ impl Tuning {
         }
     }
 
-    /// An arithmetic with the tiles that were fastest. Names that are no candidate's are left out.
+    /// Applies the fastest known tiles.
     pub fn applied(&self, mut arithmetic: Arithmetic, limits: &Limits) -> Arithmetic {
         for operation in OPERATIONS {
             for units in operation.chosen(&mut arithmetic).into_iter().flatten() {
@@ -148,7 +148,6 @@ impl Tuning {
     }
 }
 
-/// A tile to be timed.
 struct Timed {
     operation: &'static dyn Operation,
     candidate: Candidate,
@@ -160,8 +159,7 @@ impl Timed {
         format!("{} {} {}", self.operation.name(), self.candidate.factor().name(), self.name)
     }
 
-    /// Values of the result and milliseconds, for growing results until one takes long or does not fit; none of a tile of lanes that
-    /// computes wrongly. Those of matrix units are tested before their precision is used.
+    /// Times by size; `None` for wrong lane tiles.
     fn times(&self, device: &Device) -> Result<Option<Vec<(usize, f64)>>> {
         let (operation, candidate) = (self.operation, self.candidate);
         if let Candidate::Lanes(lanes, Some(_)) = candidate {
@@ -187,8 +185,7 @@ impl Timed {
     }
 }
 
-/// Median milliseconds of the operation's kernels on the device, once it is warm: a GPU whose clock fell while the host prepared the next
-/// tile would be measured at a fifth of its speed.
+/// Median milliseconds, after a warm-up against lowered GPU clocks.
 fn median(device: &Device, operation: &dyn Operation, mut run: Run) -> Result<f64> {
     let mut once = || -> Result<f64> {
         let profile = run.profile()?;

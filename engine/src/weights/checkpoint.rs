@@ -1,4 +1,4 @@
-//! A network's weights, wherever they come from.
+//! Weights of a ZipSplat network.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -15,28 +15,25 @@ use crate::ops::{Arithmetic, ParameterSource, Q8};
 use crate::types::{open_file, preprocess::DEFAULT_SIZE};
 use crate::{Error, Result};
 
-/// Exactly the tensors of an [`Architecture`], read one at a time: neither a file nor a seed is ever expanded whole.
+/// An [`Architecture`]'s tensors, read one at a time to bound memory.
 #[derive(Debug)]
 pub struct Checkpoint {
     architecture: Architecture,
-    /// Name and shape, in the architecture's order.
     parameters: Vec<(String, Vec<usize>)>,
-    /// Side of the pictures that it is best with, in pixels.
+    /// Preferred image side in pixels.
     picture_side: u32,
     source: Source,
-    /// The file, or what [`Checkpoint::parse`] accepts for a seed.
+    /// As in [`Checkpoint::parse`].
     provenance: String,
-    /// Notes on what was rounded or assumed, in words for the user.
     notes: Vec<String>,
 }
 
 #[cfg(feature = "embedded-model")]
 const EMBEDDED: &[u8] = include_bytes!(concat!(env!("CARGO_MANIFEST_DIR"), "/models/nano.safetensors"));
 
-/// An architecture, and what was assumed to know it.
 type Known = (Architecture, Option<String>);
 
-/// A file's contents.
+/// Contents of a file.
 #[derive(Debug)]
 pub(super) enum Bytes {
     Mapped(Mmap),
@@ -55,11 +52,10 @@ impl Deref for Bytes {
 }
 
 impl Bytes {
-    /// Maps a file.
     pub fn open(path: &Path) -> Result<Self> {
         let file = open_file(path)?;
-        // SAFETY: the map is only read, as bytes, for which every value is valid. As with every mapped file, whoever
-        // truncates it meanwhile ends this process (SIGBUS); our own `save` replaces files and never truncates them.
+        // SAFETY: every byte is valid to read. Truncation by another process raises SIGBUS, as for
+        // any mapped file; `save` replaces files and never truncates.
         #[allow(unsafe_code)]
         let file = unsafe { Mmap::map(&file) }.map_err(|error| Error::io(path, error))?;
         Ok(Self::Mapped(file))
@@ -67,10 +63,10 @@ impl Bytes {
 }
 
 impl Checkpoint {
-    /// The model that is built in; `engine/models/README.md` says what it is and how good.
+    /// Returns the model of `engine/models/README.md`.
     ///
     /// # Errors
-    /// [`Error::Argument`] where the library was built without the feature `embedded-model`.
+    /// [`Error::Argument`] without feature `embedded-model`.
     pub fn embedded() -> Result<Self> {
         #[cfg(feature = "embedded-model")]
         let found = Self::from_bytes("the embedded model", EMBEDDED, None);
@@ -82,7 +78,7 @@ impl Checkpoint {
         found
     }
 
-    /// `seeded:VARIANT[:KEY]` or the path of a file; `variant` is as in [`Checkpoint::open`].
+    /// Opens a path or `seeded:VARIANT[:KEY]`.
     ///
     /// # Errors
     /// As [`Checkpoint::open`].
@@ -97,23 +93,23 @@ impl Checkpoint {
         }
     }
 
-    /// Opens a safetensors file or a PyTorch checkpoint (`torch.save`: entry `model` or a state dictionary by itself) of
-    /// F32, F16, BF16, or F64 that is rounded to F32.
+    /// Opens safetensors or a `torch.save` state dictionary, alone or as entry `model`, of F32,
+    /// F16, BF16 or F64 (rounded to F32).
     ///
-    /// The parts `module` and `_orig_mod`, which training adds, are dropped from names. Where the file does not state
-    /// its architecture, the shapes of its tensors and its training configuration say it. `variant` says the rest:
-    /// one of [`VARIANTS`](super::VARIANTS) or [`RECIPES`](super::RECIPES), and behind it, or instead, what the file is
-    /// to be taken for: `:out_layers=A,B,..`, `:alt_start=N`, `:rope_start=N`, `:camera_heads=N`,
-    /// `:gaussians_per_token=N`, `:sh_degree=N`. [`Checkpoint::notes`] tells what was assumed.
+    /// Wrappers `module` and `_orig_mod` are dropped from names. An unstated architecture follows
+    /// from shapes, the training configuration and `variant`: one of [`VARIANTS`](super::VARIANTS)
+    /// or [`RECIPES`](super::RECIPES), with overrides `:out_layers=A,B,..`, `:alt_start=N`,
+    /// `:rope_start=N`, `:camera_heads=N`, `:gaussians_per_token=N`, `:sh_degree=N`.
+    /// [`Checkpoint::notes`] lists assumptions.
     ///
     /// # Errors
-    /// [`Error::Io`] and [`Error::Format`] for the file; [`Error::Argument`] for what is no regular file, and for a
-    /// variant that is unknown, missing or not what the file has; [`Error::Weights`] lists every tensor that is missing, unexpected or misshapen.
+    /// [`Error::Io`] and [`Error::Format`]; [`Error::Argument`] for a non-regular file or an
+    /// unsuitable variant; [`Error::Weights`] lists missing, unexpected and misshapen tensors.
     pub fn open(path: impl AsRef<Path>, variant: Option<&str>) -> Result<Self> {
         Self::load(path.as_ref(), |contents, path| inference::architecture(contents, path, variant))
     }
 
-    /// As [`Checkpoint::open`], from a file's contents; `name` stands for them in messages.
+    /// Opens a file's contents, called `name` in messages.
     ///
     /// # Errors
     /// As [`Checkpoint::open`].
@@ -123,18 +119,18 @@ impl Checkpoint {
         })
     }
 
-    /// Opens a file whose architecture the caller knows, whatever the file says; otherwise as [`Checkpoint::open`].
+    /// Opens a file with a known architecture.
     pub fn open_architecture(path: impl AsRef<Path>, architecture: Architecture) -> Result<Self> {
         architecture.validate()?;
         Self::load(path.as_ref(), |_, _| Ok((architecture, None)))
     }
 
-    /// Reproducible weights for a variant; `key` names the stream of values, the variant itself if none is given.
+    /// Generates reproducible weights; `key` defaults to the variant.
     pub fn seeded(variant: &str, key: Option<&str>) -> Result<Self> {
         Self::seeded_architecture(Architecture::named(variant)?, key.unwrap_or(variant))
     }
 
-    /// Reproducible weights for any architecture.
+    /// Generates reproducible weights.
     pub fn seeded_architecture(architecture: Architecture, key: &str) -> Result<Self> {
         architecture.validate()?;
         let stream = if key == architecture.name { String::new() } else { format!(":{key}") };
@@ -148,7 +144,7 @@ impl Checkpoint {
         Self::from_file(path, Bytes::open(path)?, architecture)
     }
 
-    /// `path` only names the file in messages.
+    /// `path` is for messages only.
     fn from_file(
         path: &Path,
         file: Bytes,
@@ -168,59 +164,57 @@ impl Checkpoint {
         Ok(Self { architecture, parameters, picture_side, source, provenance, notes })
     }
 
-    /// The network that these are the weights of.
+    /// Architecture of the weights.
     pub fn architecture(&self) -> &Architecture {
         &self.architecture
     }
 
-    /// Side in pixels of the pictures that the network was trained with and is best with: what the file says, or 252 as
-    /// for the released model.
+    /// Training image side in pixels, by default 252.
     pub fn picture_side(&self) -> u32 {
         self.picture_side
     }
 
-    /// Name and shape of every tensor, in the order of [`Architecture::parameters`].
+    /// Name and shape per tensor.
     pub fn parameters(&self) -> &[(String, Vec<usize>)] {
         &self.parameters
     }
 
-    /// Name of every tensor, in the order of [`Architecture::parameters`].
+    /// Tensor names.
     pub fn tensor_names(&self) -> impl Iterator<Item = &str> {
         self.parameters.iter().map(|(name, _)| name.as_str())
     }
 
-    /// Shape of a tensor; [`Error::Argument`] for a name that the architecture does not have.
+    /// Shape of a tensor; [`Error::Argument`] if unknown.
     pub fn shape(&self, name: &str) -> Result<&[usize]> {
         self.find(name).map(|i| self.parameters[i].1.as_slice())
     }
 
-    /// Reads a tensor in C order. `out` has as many values as the tensor.
+    /// Reads a tensor in C order.
     ///
     /// # Errors
-    /// [`Error::Argument`] for an unknown name or a wrong length, [`Error::Format`] for a value that is not finite.
+    /// [`Error::Argument`] for a wrong name or length, [`Error::Format`] for nonfinite values.
     pub fn read_f32(&self, name: &str, out: &mut [f32]) -> Result<()> {
         self.source.read(&self.provenance, self.find(name)?, &self.parameters, out)
     }
 
-    /// Reads a matrix, whose rows are whole groups, in 8 bits: as it is stored, or rounded.
+    /// Reads a matrix of whole groups in 8 bits.
     ///
     /// # Errors
-    /// As [`Checkpoint::read_f32`]; [`Error::Argument`] for a value that is too large to be rounded, and [`Error::Format`] for such a
-    /// scale.
+    /// As [`Checkpoint::read_f32`], and for values or scales out of range.
     pub fn read_q8(&self, name: &str) -> Result<Q8> {
         self.source.read_q8(&self.provenance, self.find(name)?, &self.parameters)
     }
 
-    /// Names of the tensors that are stored as [`Q8`].
+    /// Names of [`Q8`] tensors.
     pub fn q8_names(&self) -> impl Iterator<Item = &str> {
         let is_q8 = |i: usize| matches!(&self.source, Source::Stored { tensors, .. } if tensors[i].is_q8());
         self.tensor_names().enumerate().filter(move |(i, _)| is_q8(*i)).map(|(_, name)| name)
     }
 
-    /// Checks that an arithmetic can multiply by these weights.
+    /// Checks that an arithmetic supports these weights.
     ///
     /// # Errors
-    /// [`Error::Argument`] for `turbo`, which rounds weights to 8 bits itself, and weights that are [`Q8`].
+    /// [`Error::Argument`] for `turbo` with [`Q8`] weights.
     pub fn suits(&self, arithmetic: Arithmetic) -> Result<()> {
         if !arithmetic.has_integers() || self.q8_names().next().is_none() {
             return Ok(());
@@ -229,36 +223,36 @@ impl Checkpoint {
         Err(Error::argument("precision", found, "exact, fast or fast-bf16; turbo rounds weights of f32, f16 or bf16"))
     }
 
-    /// Types in which tensors are stored, and the bytes of each; of a seed, f32.
+    /// Bytes per stored type.
     pub fn stored(&self) -> BTreeMap<&'static str, u64> {
         self.source.stored(&self.parameters)
     }
 
-    /// Bytes of all tensors as they are stored; of a seed, as f32.
+    /// Stored bytes.
     pub fn bytes(&self) -> u64 {
         self.stored().values().sum()
     }
 
-    /// Where the weights come from: a path or `seeded:VARIANT:KEY`.
+    /// A path or `seeded:VARIANT:KEY`.
     pub fn provenance(&self) -> &str {
         &self.provenance
     }
 
-    /// Notes on what was rounded or assumed to read the file, in words for the user.
+    /// Rounding and assumptions, for the user.
     pub fn notes(&self) -> &[String] {
         &self.notes
     }
 
-    /// Writes safetensors with the architecture as metadata. `path` appears whole or not at all.
+    /// Writes safetensors atomically.
     ///
     /// # Errors
-    /// [`Error::Io`]; [`Error::Argument`] names a tensor with a value too large for `dtype`; those of
+    /// [`Error::Io`]; [`Error::Argument`] for values beyond `dtype`; those of
     /// [`Checkpoint::read_f32`].
     pub fn save(&self, path: impl AsRef<Path>, dtype: Dtype) -> Result<()> {
         self.save_with(path, dtype, |_| ControlFlow::Continue(()))
     }
 
-    /// As [`Checkpoint::save`]; `progress` gets the share that is done and may stop it, which leaves no file.
+    /// [`Checkpoint::save`] with progress; canceling leaves no file.
     ///
     /// # Errors
     /// As [`Checkpoint::save`], and [`Error::Cancelled`].
@@ -297,7 +291,7 @@ impl ParameterSource for Checkpoint {
     }
 }
 
-/// The file's tensors in the order of `parameters`, if they are those and no others.
+/// Matches tensors to `parameters` exactly.
 pub(super) fn matching(
     path: &Path,
     network: &str,

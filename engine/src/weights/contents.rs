@@ -1,4 +1,4 @@
-//! The contents of a file.
+//! Contents of a checkpoint file.
 
 use std::collections::HashMap;
 
@@ -6,39 +6,38 @@ use super::tensor::{Stored, StoredDtype};
 use super::{Architecture, DepthArchitecture};
 use crate::types::preprocess::PATCH;
 
-/// A larger side of pictures in a file is a mistake.
+/// Largest plausible image side.
 pub(super) const MAX_PICTURE_SIDE: u32 = 8192;
 
-/// Parts of a tensor's name that training adds: distribution over several devices, and compilation.
+/// Added by distributed training and compilation.
 const WRAPPERS: [&str; 2] = ["module", "_orig_mod"];
 
-/// A file's tensors, by their names without what training adds, and what else it says about its network.
 #[derive(Debug, Default)]
 pub(super) struct Contents {
     pub tensors: HashMap<String, Stored>,
-    /// Stated whole, in the metadata of our own files.
+    /// In our metadata.
     pub architecture: Option<Architecture>,
-    /// The same of a network that finds depth.
+    /// In our metadata.
     pub depth_architecture: Option<DepthArchitecture>,
-    /// Stated in the metadata or the configuration: side of the pictures it was trained with, in pixels.
+    /// Training image side, if stated.
     pub picture_side: Option<u32>,
-    /// Stated in part, in the training configuration of a PyTorch checkpoint.
+    /// Of a PyTorch checkpoint.
     pub conf: Conf,
 }
 
-/// The entries of a training configuration that shapes do not show.
+/// Settings that shapes do not show.
 #[derive(Debug, Default)]
 pub(super) struct Conf {
     pub vit_name: Option<String>,
     pub out_layers: Option<Vec<usize>>,
     pub alt_start: Option<usize>,
-    /// `usize::MAX` for none.
+    /// `usize::MAX` disables it.
     pub rope_start: Option<usize>,
     pub gaussians_per_token: Option<usize>,
     pub sh_degree: Option<usize>,
 }
 
-/// Adds a tensor under its name without what training adds; the reason, where that cannot be.
+/// Adds a tensor under its unwrapped name.
 pub(super) fn add(
     tensors: &mut HashMap<String, Stored>,
     name: &str,
@@ -52,13 +51,12 @@ pub(super) fn add(
     }
 }
 
-/// Whether pictures of this side, in pixels, can be what a network was trained with.
 pub(super) fn is_picture_side(side: u32) -> bool {
     (PATCH..=MAX_PICTURE_SIDE).contains(&side) && side.is_multiple_of(PATCH)
 }
 
 impl Contents {
-    /// How many of the tensors are f64.
+    /// Number of f64 tensors.
     pub fn doubles(&self) -> usize {
         self.tensors.values().filter(|tensor| tensor.dtype == StoredDtype::F64).count()
     }

@@ -1,4 +1,4 @@
-//! Weights of Depth Anything 3 networks, by the names of released files.
+//! Weights of Depth Anything 3.
 
 use std::{collections::BTreeMap, ops::ControlFlow, path::Path};
 
@@ -11,20 +11,19 @@ use crate::{Error, Result, ops::ParameterSource, stages::MAX_DEPTH};
 const BACKBONE: &str = "model.backbone.pretrained";
 const GAUSSIANS: &str = "model.gs_head.";
 
-/// The weights that depth needs, read one tensor at a time.
+/// Depth weights, read one tensor at a time.
 #[derive(Debug)]
 pub struct DepthCheckpoint {
     architecture: DepthArchitecture,
-    /// Name and shape.
     parameters: Vec<(String, Vec<usize>)>,
     source: Source,
     provenance: String,
-    /// There are weights of a head for Gaussians, whether they are asked for or not.
+    /// Of the source, requested or not.
     of_gaussians: bool,
 }
 
 impl DepthCheckpoint {
-    /// Whether a text for [`DepthCheckpoint::parse`] stands for weights of such a network: by its name, or the names of a file's tensors.
+    /// Whether a text for [`DepthCheckpoint::parse`] denotes a depth network.
     pub fn is_meant(text: &str) -> bool {
         match text.strip_prefix("seeded:") {
             Some(name) => DEPTH_MODELS.contains(&name),
@@ -36,16 +35,16 @@ impl DepthCheckpoint {
         }
     }
 
-    /// The network with its head for Gaussians, where it has one; `open` opens it with and without.
+    /// Opens with the Gaussian head, if there is one.
     ///
     /// # Errors
-    /// All that `open` gives.
+    /// Errors of `open`.
     pub fn whole(open: impl Fn(bool) -> Result<Self>) -> Result<Self> {
         let found = open(false)?;
         if found.of_gaussians { open(true) } else { Ok(found) }
     }
 
-    /// `seeded:NAME`, of one of [`DEPTH_MODELS`], or the path of a file, as [`DepthCheckpoint::open`].
+    /// Opens `seeded:NAME` or a path.
     ///
     /// # Errors
     /// As [`DepthCheckpoint::open`].
@@ -60,12 +59,12 @@ impl DepthCheckpoint {
         }
     }
 
-    /// Opens a released file, `model.safetensors`, of F32, F16, BF16, or F64 that is rounded to F32, or one of
-    /// [`DepthCheckpoint::save_with`]. Its tensors, or its metadata, say which network it is; those that are not needed are not read. The head for Gaussians is left out unless they are asked for.
+    /// Opens a released `model.safetensors` or a saved file, optionally with the Gaussian head.
+    /// Unneeded tensors are ignored.
     ///
     /// # Errors
-    /// [`Error::Io`] and [`Error::Format`] for the file; [`Error::Argument`] for a network that is none of [`DEPTH_MODELS`], or has no
-    /// Gaussians where these are asked for; [`Error::Weights`] lists every tensor that is missing, unexpected or misshapen.
+    /// [`Error::Io`] and [`Error::Format`]; [`Error::Argument`] for an unknown network or without
+    /// Gaussian head; [`Error::Weights`] lists missing, unexpected and misshapen tensors.
     pub fn open(path: impl AsRef<Path>, gaussians: bool) -> Result<Self> {
         let path = path.as_ref();
         let file = Bytes::open(path)?;
@@ -78,7 +77,7 @@ impl DepthCheckpoint {
         Self::of(path, file, contents, architecture)
     }
 
-    /// As [`DepthCheckpoint::open`], for a network that the caller knows.
+    /// Opens a file with a known architecture.
     ///
     /// # Errors
     /// As [`DepthCheckpoint::open`].
@@ -89,7 +88,7 @@ impl DepthCheckpoint {
         Self::of(path, file, contents, architecture)
     }
 
-    /// Reproducible weights; `key` names the stream of values.
+    /// Generates reproducible weights.
     ///
     /// # Errors
     /// As [`DepthArchitecture::validate`].
@@ -111,26 +110,25 @@ impl DepthCheckpoint {
         Ok(Self { architecture, parameters, source: Source::Stored { file, tensors }, provenance, of_gaussians })
     }
 
-    /// The network that these are the weights of.
+    /// Architecture of the weights.
     pub fn architecture(&self) -> &DepthArchitecture {
         &self.architecture
     }
 
-    /// Types in which tensors are stored, and the bytes of each; of a seed, f32.
+    /// Bytes per stored type.
     pub fn stored(&self) -> BTreeMap<&'static str, u64> {
         self.source.stored(&self.parameters)
     }
 
-    /// Bytes of all tensors as they are stored; of a seed, as f32.
+    /// Stored bytes.
     pub fn bytes(&self) -> u64 {
         self.stored().values().sum()
     }
 
-    /// Writes safetensors with the network's sizes as metadata, as [`Checkpoint::save_with`](super::Checkpoint::save_with) does. Weights
-    /// of 8 bits become f32 again where they are loaded.
+    /// Writes safetensors; 8-bit weights load as f32.
     ///
     /// # Errors
-    /// As there.
+    /// As [`Checkpoint::save_with`](super::Checkpoint::save_with).
     pub fn save_with(
         &self,
         path: impl AsRef<Path>,
@@ -145,20 +143,20 @@ impl DepthCheckpoint {
         self.parameters.iter().position(|(other, _)| other == name).ok_or_else(unknown)
     }
 
-    /// Where the weights come from.
+    /// Origin of the weights.
     pub fn provenance(&self) -> &str {
         &self.provenance
     }
 
-    /// Name and shape of every tensor.
+    /// Name and shape per tensor.
     pub fn parameters(&self) -> &[(String, Vec<usize>)] {
         &self.parameters
     }
 
-    /// Reads a tensor in C order. `out` has as many values as the tensor.
+    /// Reads a tensor in C order.
     ///
     /// # Errors
-    /// [`Error::Argument`] for an unknown name or a wrong length, [`Error::Format`] for a value that is not finite.
+    /// As [`Checkpoint::read_f32`](super::Checkpoint::read_f32).
     pub fn read_f32(&self, name: &str, out: &mut [f32]) -> Result<()> {
         self.source.read(&self.provenance, self.find(name)?, &self.parameters, out)
     }
@@ -184,7 +182,6 @@ impl ParameterSource for DepthCheckpoint {
     }
 }
 
-/// A network with its head for Gaussians, or without.
 fn with_or_without(known: DepthArchitecture, gaussians: bool) -> Result<DepthArchitecture> {
     if gaussians && !known.gaussians {
         return Err(Error::argument(
@@ -196,13 +193,12 @@ fn with_or_without(known: DepthArchitecture, gaussians: bool) -> Result<DepthArc
     Ok(DepthArchitecture { gaussians, ..known })
 }
 
-/// Tensors of released files that depth does without: the head for Gaussians, and tails of the rays' head that lead nowhere.
+/// Gaussian head, or unused tails of the ray head.
 fn is_unused(name: &str) -> bool {
     let tails = [GAUSSIANS, "model.head.scratch.output_conv1_aux.", "model.head.scratch.output_conv2_aux."];
     tails.iter().any(|tail| name.starts_with(tail))
 }
 
-/// The shapes of a file's tensors.
 struct Shapes<'a>(&'a Contents);
 
 impl Shapes<'_> {
@@ -210,7 +206,7 @@ impl Shapes<'_> {
         self.0.tensors.get(name)?.shape.get(axis).copied()
     }
 
-    /// The released network that the tensors are of.
+    /// Matches the released network.
     fn architecture(&self, path: &Path) -> Result<DepthArchitecture> {
         let block = |i: usize, part: &str| format!("{BACKBONE}.blocks.{i}.{part}");
         let width = self.axis(&format!("{BACKBONE}.norm.weight"), 0);
@@ -232,7 +228,7 @@ impl Shapes<'_> {
         let expected = || Error::argument("depth network", found, format!("one of {}", DEPTH_MODELS.join(", ")));
         let names = fitting.iter().map(|known| known.name.as_str()).collect::<Vec<_>>().join(" or ");
         let first = fitting.into_iter().next().ok_or_else(expected)?;
-        // Two are of one layout.
+        // Two networks share a layout.
         Ok(DepthArchitecture { name: names, ..first })
     }
 }

@@ -1,4 +1,4 @@
-//! The network that a file's tensors belong to: what their shapes say, and where that ends.
+//! Architecture inference.
 
 use std::path::Path;
 
@@ -11,15 +11,13 @@ use crate::{
 };
 
 const BACKBONE: &str = "backbone.backbone";
-/// Longest name of a network that is taken from a file.
 const MAX_NAME: usize = 64;
 
-/// The architecture that a file states or, where it states none, that its tensors have, and what was assumed about it.
+/// Returns the architecture and a note on assumptions.
 ///
-/// Widths, depths and counts come from shapes. What shapes cannot say (which blocks are out layers, where attention
-/// turns global and rotary embedding begins) comes from `variant`, else from the training configuration, else from the
-/// named network of the same size; the two starts also from the first block with q/k norm, with which all known
-/// recipes let them begin.
+/// Facts that shapes do not show come from `variant`, the training configuration, or the named
+/// network of this size. All known recipes start global attention and rotary embedding with q/k
+/// norm.
 pub(super) fn architecture(
     contents: &Contents,
     path: &Path,
@@ -61,11 +59,9 @@ pub(super) fn architecture(
     Ok((found, (!assumed.is_empty()).then(note)))
 }
 
-/// The sizes that tell the known networks apart.
 struct Size {
     width: usize,
     depth: usize,
-    /// Number of out layers.
     layers: usize,
     qk_norm_start: usize,
 }
@@ -87,7 +83,7 @@ impl Size {
     }
 }
 
-/// The named network that speaks for what shapes cannot say: the one asked for, else one of the same size.
+/// The requested network, or one of this size.
 fn like(wanted: &Variant, size: &Size, file: &str) -> Result<Option<Architecture>> {
     let all = VARIANTS.iter().chain(&RECIPES).map(|name| Architecture::named(name)).collect::<Result<Vec<_>>>()?;
     if let Some(name) = wanted.name {
@@ -96,7 +92,7 @@ fn like(wanted: &Variant, size: &Size, file: &str) -> Result<Option<Architecture
             let expected = format!("a network of width {} and {} blocks, as {file} has", size.width, size.depth);
             return Err(Error::argument("variant", name, expected));
         }
-        // A recipe is exact; the name of a backbone also stands for its recipes.
+        // A backbone's name covers its recipes.
         if RECIPES.contains(&name) {
             return Ok(Some(named));
         }
@@ -116,7 +112,6 @@ fn name(found: &Architecture, wanted: &Variant, conf: &Conf) -> String {
     wanted.name.or(known.copied()).or(conf).unwrap_or("custom").to_string()
 }
 
-/// The shapes of a file's tensors.
 struct Shapes<'a>(&'a Contents);
 
 impl Shapes<'_> {
@@ -124,7 +119,7 @@ impl Shapes<'_> {
         self.0.tensors.get(name)?.shape.get(axis).copied()
     }
 
-    /// One more than the highest number that follows `root` in a name: a module that is missing is reported as such.
+    /// Highest index plus one, so that gaps count as missing.
     fn count(&self, root: &str) -> usize {
         let number =
             |name: &String| name.strip_prefix(root)?.strip_prefix('.')?.split('.').next()?.parse::<usize>().ok();
@@ -138,7 +133,6 @@ impl Shapes<'_> {
             let expected = "a network of ZipSplat, whose tensors begin with backbone.backbone";
             return Err(Error::argument("weights", format!("{file}, without a backbone"), expected));
         };
-        // Before widths are multiplied with each other.
         if width > MAX_SIZE {
             return Err(Error::format(
                 file,
@@ -147,12 +141,11 @@ impl Shapes<'_> {
             ));
         }
         let normed = |i: &usize| self.axis(&format!("{BACKBONE}.blocks.{i}.attn.q_norm.weight"), 0).is_some();
-        // A network has at most a few hundred; a name may claim any number.
+        // Names may claim any number.
         let qk_norm_start = (0..depth.min(MAX_DEPTH)).find(normed).unwrap_or(depth);
         Ok(Size { width, depth, layers: self.count("downscale"), qk_norm_start })
     }
 
-    /// Sets every field of `found` that a tensor shows; what is not there stays.
     fn fill(&self, found: &mut Architecture, wanted: &Variant, conf: &Conf) -> Result<()> {
         let set = |field: &mut usize, name: &str, axis| *field = self.axis(name, axis).unwrap_or(*field);
         let heads = |field: &mut usize, width: usize, at: &str| {
@@ -186,7 +179,7 @@ impl Shapes<'_> {
         Ok(())
     }
 
-    /// Gaussians of a token and their degree, from the product of their number and width and what is known of them.
+    /// Gaussians per token and SH degree.
     fn decoded(&self, gaussians: Option<usize>, degree: Option<usize>) -> Result<(usize, usize)> {
         let width = |degree: usize| 11 + 3 * (degree + 1).pow(2);
         let Some(values) = self.axis("gaussian_head.gaussian_head.1.bias", 0) else {
@@ -199,7 +192,7 @@ impl Shapes<'_> {
         let degrees: Vec<usize> = (0..=3).filter(|d| degree.is_none_or(|known| known == *d)).filter(fits).collect();
         match degrees[..] {
             [degree] => Ok((values / width(degree), degree)),
-            // Where nothing fits, the misfit is listed with those of other tensors.
+            // Reported with misshapen tensors.
             [] => Ok((gaussians.unwrap_or(32), degree.unwrap_or(1))),
             _ => {
                 let found = format!("none, and {values} values a token are Gaussians of degrees {degrees:?}");

@@ -1,4 +1,4 @@
-//! The safetensors format: a length, a JSON header, then the values.
+//! The safetensors format.
 
 use std::io::{self, BufWriter, Write};
 use std::ops::ControlFlow;
@@ -15,20 +15,14 @@ use crate::ops::{ParameterSource, Q8};
 use crate::types::preprocess::PATCH;
 use crate::{Error, Result};
 
-/// Key of the metadata that holds the architecture as JSON.
 const ARCHITECTURE_KEY: &str = "zipsplat.architecture";
-/// The same of a network that finds depth.
 const DEPTH_ARCHITECTURE_KEY: &str = "zipsplat.depth_architecture";
-/// Key of the metadata that holds the side of the pictures a network is best with, in pixels.
 const PICTURE_SIDE_KEY: &str = "zipsplat.picture_side";
-/// Ends of the names of a tensor's 8-bit integers and of their scales.
 const Q8_ENDS: [&str; 2] = [".q8", ".q8_scales"];
-/// Bytes of the header's length.
 const PREFIX: usize = 8;
-/// The format's own limit.
 const MAX_HEADER: u64 = 100_000_000;
 
-/// Finds the tensors of a file; [`Error::Format`] where the header is not true.
+/// Locates the tensors; [`Error::Format`] for an invalid header.
 pub(super) fn contents(path: &Path, file: &[u8]) -> Result<Contents> {
     let malformed = |reason: String| Error::format(path, None, reason);
     let length = file.first_chunk::<PREFIX>().map(|bytes| u64::from_le_bytes(*bytes));
@@ -83,7 +77,7 @@ pub(super) fn contents(path: &Path, file: &[u8]) -> Result<Contents> {
     Ok(found)
 }
 
-/// A tensor of integers with scales, or of floats, of a file whose values begin at `start`; the reason, where it is none.
+/// Values begin at `start`.
 fn stored(info: &TensorInfo, integers: bool, start: usize) -> Result<Stored, String> {
     let dtype = match info.dtype {
         FileDtype::F64 if !integers => StoredDtype::F64,
@@ -98,21 +92,19 @@ fn stored(info: &TensorInfo, integers: bool, start: usize) -> Result<Stored, Str
     Stored::dense(dtype, info.shape.clone(), start + from, start + to)
 }
 
-/// The network that a file says it is of.
 pub(super) enum Stated<'a> {
-    /// With the side of the pictures that it is best with.
+    /// With the preferred image side.
     Scene(&'a Architecture, u32),
     Depth(&'a DepthArchitecture),
 }
 
-/// Weights that a file is made of.
+/// Weights to be saved.
 pub(super) trait Weights: ParameterSource {
-    /// Name and shape of every tensor.
     fn parameters(&self) -> &[(String, Vec<usize>)];
     fn network(&self) -> Stated<'_>;
 }
 
-/// Writes every tensor in `dtype` to a file that appears whole or not at all; `progress` gets the share that is done and may stop it.
+/// Writes atomically; `progress` may cancel.
 pub(super) fn save(
     checkpoint: &impl Weights,
     path: &Path,
@@ -121,7 +113,7 @@ pub(super) fn save(
 ) -> Result<()> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let mut builder = tempfile::Builder::new();
-    // Temporary files are private by default; the result is an ordinary file under the caller's umask.
+    // Temporary files default to private.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     let file = builder.prefix(".zipsplat-").tempfile_in(folder).map_err(|error| Error::io(folder, error))?;
@@ -133,7 +125,7 @@ pub(super) fn save(
     Ok(())
 }
 
-/// Writes every tensor of `checkpoint` in `dtype`, one at a time. `path` only names `out` in messages.
+/// `path` is for messages only.
 fn write(
     checkpoint: &impl Weights,
     dtype: Dtype,
@@ -193,21 +185,19 @@ fn header(checkpoint: &impl Weights, dtype: Dtype) -> Result<String, String> {
     let metadata = stated.collect::<serde_json::Result<Vec<_>>>().map_err(|error| error.to_string())?;
     let metadata = metadata.into_iter().map(|(key, value)| (key.to_string(), value)).collect();
     let header = Metadata::new(Some(metadata), tensors).map_err(|error| error.to_string())?;
-    // By way of a value, whose keys are sorted: the same file every time.
+    // Sorted keys, for reproducible files.
     let json = serde_json::to_value(&header).map_err(|error| error.to_string())?.to_string();
-    // The format pads with spaces, so that values start at a multiple of 8 bytes. A width of `format!` ends at 65,535,
-    // which the headers of the larger networks exceed.
+    // `format!` widths end at 65,535, below some header lengths.
     let padding = json.len().next_multiple_of(PREFIX) - json.len();
     Ok(json + &" ".repeat(padding))
 }
 
-/// The bytes of integers, then those of their scales.
 fn q8_bytes(values: &Q8) -> Vec<u8> {
     let scales = values.scales.iter().flat_map(|scale| scale.to_le_bytes());
     bytemuck::cast_slice(&values.integers).iter().copied().chain(scales).collect()
 }
 
-/// The bytes of finite values; [`Error::Argument`] where `dtype` cannot hold one of them.
+/// [`Error::Argument`] for values beyond `dtype`.
 fn encode(name: &str, values: &[f32], dtype: Dtype) -> Result<Vec<u8>> {
     let held = |value: f32| match dtype {
         Dtype::F16 => f16::from_f32(value).is_finite(),
@@ -224,7 +214,6 @@ fn encode(name: &str, values: &[f32], dtype: Dtype) -> Result<Vec<u8>> {
     })
 }
 
-/// The error of a value that a type cannot hold.
 pub(super) fn too_small(dtype: Dtype, name: &str, value: f32) -> Error {
     let found = format!("{}, too small for {value} in {name}", dtype.name());
     Error::argument("dtype", found, "a type that holds every value")
@@ -235,7 +224,6 @@ mod tests {
     use super::super::Checkpoint;
     use super::*;
 
-    /// The header at its real length; the values of these networks take gigabytes, the header takes none of them.
     #[test]
     fn headers_of_every_network_and_type_are_whole() {
         for (variant, least) in [("vits", 0), ("vitb", 0), ("vitl", 1 << 16), ("vitg", 1 << 16)] {
@@ -245,7 +233,7 @@ mod tests {
                 assert!(header.len() > least && header.len().is_multiple_of(PREFIX), "{variant}: {}", header.len());
                 let parsed: Metadata = serde_json::from_str(&header).expect("the format's own parser takes it");
                 let values = checkpoint.architecture().parameter_count();
-                // Of q8, little is wider.
+                // Some tensors keep wider types.
                 let expected = values as f64 * bytes;
                 let most = if dtype == Dtype::Q8 { 1.05 * expected } else { expected };
                 assert!((expected..=most).contains(&(parsed.data_len() as f64)), "{variant}: {}", parsed.data_len());

@@ -1,13 +1,12 @@
-//! Reproducible weights without a file: splitmix64 seeded by the hash of a parameter's name.
+//! Reproducible weights: splitmix64 seeded by a parameter's name hash.
 //!
-//! Each parameter draws bytes, and a table of 256 values says what they mean, so that activations keep their size
-//! through the network. Every value has at most 9 significant bits: f32, f16 and bf16 hold it exactly.
-//! Sources: FNV-1a (Fowler, Noll, Vo); splitmix64 (Steele, Lea, Flood: Fast splittable pseudorandom number generators).
+//! Values preserve activation scale and are exact in f32, f16 and bf16. Sources: FNV-1a (Fowler,
+//! Noll, Vo); splitmix64 (Steele, Lea, Flood: Fast splittable pseudorandom number generators).
 
 use crate::random::Random;
 use rayon::prelude::*;
 
-/// Parameters that keys ending in `_eps` shrink, so that the epsilon of every LayerNorm shows in the result.
+/// Shrunk for keys ending in `_eps`, to expose LayerNorm epsilons.
 const SHRUNK: [&str; 15] = [
     "cls_token",
     "camera_token",
@@ -26,7 +25,6 @@ const SHRUNK: [&str; 15] = [
     "cam_enc.token_norm.",
 ];
 
-/// Parameter `name` of the network that `key` stands for, C order.
 pub(super) fn fill(key: &str, name: &str, shape: &[usize], out: &mut [f32]) {
     let seed = fnv1a64(&format!("{key}/{name}"));
     let shrink = key.ends_with("_eps") && SHRUNK.iter().any(|part| name.contains(part));
@@ -38,16 +36,15 @@ pub(super) fn fill(key: &str, name: &str, shape: &[usize], out: &mut [f32]) {
         .for_each(|(i, out)| *out = values[usize::from(draw(seed, i as u64))]);
 }
 
-/// The meaning of byte `byte` for a parameter.
 fn value(byte: u8, name: &str, shape: &[usize]) -> f32 {
     let integer = u32::from(byte);
-    // odd / 256, within (-1, 1) and never 0
+    // in (-1, 1), never 0
     let centred = (2.0 * f32::from(byte) - 255.0) / 256.0;
     match name.rsplit('.').next() {
         Some("gamma") => (52 + ((integer * 204) >> 8)) as f32 / 256.0,
         Some("cls_token" | "camera_token") => centred,
         Some("pos_embed") => centred / 2.0,
-        // A field of view near a right angle.
+        // A view near a right angle.
         Some("bias") if name.ends_with("fc_fov.0.bias") => 1.0 + centred / 8.0,
         Some("bias") => centred / 8.0,
         _ if shape.len() == 1 => (64 + integer / 2) as f32 / 128.0,
@@ -55,12 +52,12 @@ fn value(byte: u8, name: &str, shape: &[usize]) -> f32 {
     }
 }
 
-/// Heads whose matrices are twice as large, so that depth, cameras and Gaussians vary.
+/// Doubled, so that outputs vary.
 const HEADS: [&str; 4] = ["gaussian_head.gaussian_head.1.weight", "model.head.", "model.gs_head.", "model.cam_dec."];
 
-/// The power of two next to sqrt(3 / fan-in) from below; twice that in heads, but for the fusion of their levels.
+/// Largest power of two up to sqrt(3 / fan-in), doubled in most heads.
 fn matrix_scale(name: &str, shape: &[usize]) -> f32 {
-    // Kernels of the transposed convolutions do not overlap: each result has one value of every input.
+    // Non-overlapping: outputs sum over inputs only.
     let spread = ["resize_layers.0.weight", "resize_layers.1.weight"].iter().any(|layer| name.ends_with(layer));
     let fan_in: usize = if spread { shape[0] } else { shape.iter().skip(1).product() };
     let halvings = (0..30).find(|&e| 3usize << (2 * e) >= fan_in).unwrap_or(30);
@@ -72,7 +69,6 @@ fn fnv1a64(text: &str) -> u64 {
     text.bytes().fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
 }
 
-/// Top byte of output `i` of splitmix64.
 fn draw(seed: u64, i: u64) -> u8 {
     (Random::nth(seed, i) >> 56) as u8
 }

@@ -1,13 +1,12 @@
-//! Where the values of parameters lie.
+//! Sources of parameter values.
 
 use super::{Dtype, checkpoint::Bytes, safetensors::too_small, seeded, tensor::Stored};
 use crate::{Error, Result, ops::Q8};
 use std::collections::BTreeMap;
 
-/// The values of a list of parameters.
 #[derive(Debug)]
 pub(super) enum Source {
-    /// A tensor for each parameter.
+    /// One tensor per parameter.
     Stored {
         file: Bytes,
         tensors: Vec<Stored>,
@@ -18,10 +17,10 @@ pub(super) enum Source {
 }
 
 impl Source {
-    /// Reads parameter `index` of those that it has, in C order; `provenance` stands for all of them in messages.
+    /// `provenance` is for messages.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a wrong length, [`Error::Format`] for a value that is not finite.
+    /// [`Error::Argument`] for a wrong length, [`Error::Format`] for nonfinite values.
     pub fn read(
         &self,
         provenance: &str,
@@ -47,10 +46,10 @@ impl Source {
         }
     }
 
-    /// Reads parameter `index`, a matrix whose rows are whole groups, in 8 bits: as it is stored, or rounded.
+    /// Reads a matrix of whole groups in 8 bits.
     ///
     /// # Errors
-    /// As [`Source::read`]; [`Error::Argument`] for a value that is too large to be rounded, and [`Error::Format`] for such a scale.
+    /// As [`Source::read`], and for values or scales out of range.
     pub fn read_q8(&self, provenance: &str, index: usize, parameters: &[(String, Vec<usize>)]) -> Result<Q8> {
         let (name, shape) = &parameters[index];
         match self {
@@ -75,7 +74,6 @@ impl Source {
         }
     }
 
-    /// Types in which tensors are stored, and the bytes of each; of a seed, f32.
     pub fn stored(&self, parameters: &[(String, Vec<usize>)]) -> BTreeMap<&'static str, u64> {
         let mut stored = BTreeMap::new();
         match self {

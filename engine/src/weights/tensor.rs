@@ -1,4 +1,4 @@
-//! A tensor inside a mapped file, and the number types it may have.
+//! Tensors in mapped files.
 
 use std::str::FromStr;
 
@@ -7,17 +7,16 @@ use rayon::prelude::*;
 
 use crate::{Error, Result, ops::Q8};
 
-/// How a checkpoint stores its values, little-endian.
+/// Storage type, little-endian.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Dtype {
     /// IEEE single precision.
     F32,
     /// IEEE half precision.
     F16,
-    /// The upper half of a single.
+    /// bfloat16.
     Bf16,
-    /// Weights of linear layers as [`Q8`], where their rows are whole groups; other matrices in IEEE half precision, vectors in
-    /// single.
+    /// [`Q8`] for linear weights in whole groups; f16 for other matrices, f32 for vectors.
     Q8,
 }
 
@@ -34,7 +33,6 @@ impl Dtype {
         }
     }
 
-    /// The type of a tensor in a file of this type.
     pub(super) fn of(self, name: &str, shape: &[usize]) -> Self {
         match (self, shape) {
             (Self::Q8, [_, inner]) if name.ends_with(".weight") && Q8::fits(*inner) => Self::Q8,
@@ -54,11 +52,9 @@ impl FromStr for Dtype {
     }
 }
 
-/// Axes of a tensor at most: files may have more, weights have four.
 pub(super) const MAX_RANK: usize = 8;
 
-/// The types of numbers that are read: those of [`Dtype`], and f64, which is rounded to f32. Those of [`Dtype::Q8`] are I8, with
-/// scales elsewhere.
+/// Readable types; f64 is rounded to f32.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum StoredDtype {
     F64,
@@ -69,7 +65,6 @@ pub(super) enum StoredDtype {
 }
 
 impl StoredDtype {
-    /// Bytes of one value.
     pub fn size(self) -> usize {
         match self {
             Self::F64 => 8,
@@ -79,7 +74,6 @@ impl StoredDtype {
         }
     }
 
-    /// `f64`, `f32`, `f16`, `bf16` or `i8`.
     pub fn name(self) -> &'static str {
         match self {
             Self::F64 => "f64",
@@ -91,21 +85,19 @@ impl StoredDtype {
     }
 }
 
-/// Where a tensor lies: element `[i, j, ..]` starts at byte `offset + size * (i * strides[0] + j * strides[1] + ..)`.
+/// Element `[i, j, ..]` starts at byte `offset + size * (i * strides[0] + j * strides[1] + ..)`.
 #[derive(Debug)]
 pub(super) struct Stored {
     pub dtype: StoredDtype,
     pub shape: Vec<usize>,
     strides: Vec<usize>,
     offset: usize,
-    /// The offset of the scales of integers, a group of a row after the other.
+    /// Offset of the Q8 scales.
     scales: Option<usize>,
 }
 
 impl Stored {
-    /// A tensor whose elements all lie within the first `end` bytes; the reason, where they do not.
-    ///
-    /// `strides` count elements and may overlap or leave gaps.
+    /// Fails unless all elements lie before `end`. `strides` may overlap or leave gaps.
     pub fn new(
         dtype: StoredDtype,
         shape: Vec<usize>,
@@ -131,13 +123,12 @@ impl Stored {
         }
     }
 
-    /// A tensor in C order without gaps.
     pub fn dense(dtype: StoredDtype, shape: Vec<usize>, offset: usize, end: usize) -> Result<Self, String> {
         let strides = c_order(&shape);
         Self::new(dtype, shape, strides, offset, end)
     }
 
-    /// Integers `[rows, width]` with their scales, `[rows, width / Q8_GROUP]` f16, as one tensor; the reason, where they do not fit.
+    /// Adds scales `[rows, width / Q8_GROUP]` f16.
     pub fn with_scales(self, scales: &Self) -> Result<Self, String> {
         let expected = match self.shape[..] {
             [rows, width] if Q8::fits(width) => [rows, width / Q8::GROUP],
@@ -152,21 +143,17 @@ impl Stored {
         Ok(Self { scales: Some(scales.offset), ..self })
     }
 
-    /// Whether it is integers with scales.
     pub fn is_q8(&self) -> bool {
         self.scales.is_some()
     }
 
-    /// Bytes of the values, and of their scales.
     pub fn bytes(&self) -> usize {
         let values = self.shape.iter().product::<usize>();
         values * self.dtype.size() + self.scales.map_or(0, |_| Q8::scales_of(values) * size_of::<f16>())
     }
 
-    /// The integers and their scales, out of the file that holds them.
-    ///
     /// # Panics
-    /// Where it is something else.
+    /// If the tensor is not Q8.
     pub fn read_q8(&self, file: &[u8]) -> Q8 {
         let (Some(at), values) = (self.scales, self.shape.iter().product::<usize>()) else { panic!("no integers") };
         let scales = file[at..][..Q8::scales_of(values) * size_of::<f16>()].as_chunks().0;
@@ -176,12 +163,12 @@ impl Stored {
         }
     }
 
-    /// All elements in C order, out of the file that holds them.
+    /// Reads all elements in C order.
     pub fn read(&self, file: &[u8], out: &mut [f32]) {
         let bytes = &file[self.offset..];
         match self.dtype {
             StoredDtype::I8 => self.read_q8(file).values(out),
-            // A value beyond f32 becomes infinite, which the caller refuses.
+            // The caller rejects infinity.
             StoredDtype::F64 => self.gather(bytes, out, |bytes| f64::from_le_bytes(bytes) as f32),
             StoredDtype::F32 => self.gather(bytes, out, f32::from_le_bytes),
             StoredDtype::F16 => self.gather(bytes, out, |bytes| f16::from_le_bytes(bytes).to_f32()),
@@ -199,7 +186,6 @@ impl Stored {
         }
     }
 
-    /// Position in storage of the element that is `rest`-th in C order.
     fn element(&self, mut rest: usize) -> usize {
         let axes = self.shape.iter().zip(&self.strides).rev();
         axes.fold(0, |sum, (&size, &stride)| {
@@ -210,7 +196,6 @@ impl Stored {
     }
 }
 
-/// Strides, in elements, of a tensor without gaps.
 fn c_order(shape: &[usize]) -> Vec<usize> {
     let mut strides = vec![1usize; shape.len()];
     for axis in (1..shape.len()).rev() {

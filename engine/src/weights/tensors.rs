@@ -1,21 +1,21 @@
-//! Tensors of a file that belongs to no ZipSplat network.
+//! Tensors of other networks.
 
 use super::{checkpoint::matching, safetensors, tensor::Stored};
 use crate::{Error, Result, ops::ParameterSource, types::open_file};
 use std::{collections::HashMap, io::Read, path::Path};
 
-/// The tensors of a safetensors file, which are exactly those that were asked for.
+/// Requested tensors of a safetensors file.
 pub struct Tensors {
     file: Vec<u8>,
     tensors: HashMap<String, Stored>,
 }
 
 impl Tensors {
-    /// Opens a file with tensors of these names and shapes; `network` stands for them in messages.
+    /// Opens a file with exactly these tensors.
     ///
     /// # Errors
-    /// [`Error::Io`] and [`Error::Format`] for the file; [`Error::Weights`] lists every tensor that is missing, unexpected or
-    /// misshapen.
+    /// [`Error::Io`] and [`Error::Format`]; [`Error::Weights`] lists missing, unexpected and
+    /// misshapen tensors.
     pub fn open(path: &Path, network: &str, parameters: &[(String, Vec<usize>)]) -> Result<Self> {
         let mut file = Vec::new();
         open_file(path)?.read_to_end(&mut file).map_err(|error| Error::io(path, error))?;
@@ -28,7 +28,7 @@ impl Tensors {
 
 impl ParameterSource for Tensors {
     /// # Panics
-    /// Where the name was not asked for, or `out` has another length.
+    /// For unknown names or wrong lengths.
     fn read_f32(&self, name: &str, out: &mut [f32]) -> Result<()> {
         self.tensors[name].read(&self.file, out);
         Ok(())

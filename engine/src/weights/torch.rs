@@ -1,4 +1,4 @@
-//! The zip archives of `torch.save`: a pickle that describes tensors, and an uncompressed entry for each storage.
+//! `torch.save` archives: a pickle and a zip entry per storage.
 
 use std::collections::HashMap;
 use std::io::{self, Cursor};
@@ -12,18 +12,16 @@ use super::pickle::{Id, Object, Pickle, Tensor};
 use super::tensor::{Stored, StoredDtype};
 use crate::{Error, Result};
 
-/// Bytes of the largest pickle that is read; that of the largest variant has 0.2 million.
+/// The largest variant needs 0.2 million.
 const MAX_PICKLE: usize = 1 << 24;
 const MAX_LAYERS: usize = 256;
-/// Where a checkpoint keeps the state dictionary, unless it is one.
 const MODEL: [&str; 2] = ["model", "state_dict"];
 
-/// Whether a file begins as zip archives do.
 pub(super) fn is_archive(file: &[u8]) -> bool {
     file.starts_with(b"PK\x03\x04")
 }
 
-/// Finds the tensors of the entry `model`, or of a state dictionary by itself; [`Error::Format`] where archive or pickle are not as `torch.save` writes.
+/// [`Error::Format`] if malformed.
 pub(super) fn contents(path: &Path, file: &[u8]) -> Result<Contents> {
     let malformed = |reason: String| Error::format(path, None, reason);
     let mut archive = Archive::open(file).map_err(malformed)?;
@@ -41,7 +39,7 @@ pub(super) fn contents(path: &Path, file: &[u8]) -> Result<Contents> {
     let mut found = Contents { conf, picture_side, ..Contents::default() };
     let holder = MODEL.iter().find_map(|key| pickle.entries(pickle.get(pickle.root, key)?));
     let is_tensor = |&&(_, value): &&(Id, Id)| matches!(pickle.object(value), Object::Tensor(_));
-    // A state dictionary by itself may have counters beside its tensors.
+    // May contain counters.
     let bare = || pickle.entries(pickle.root).map(|all| all.iter().filter(is_tensor).collect::<Vec<_>>());
     let model = holder.map(|all| all.iter().collect()).or_else(bare).filter(|model: &Vec<_>| !model.is_empty());
     let absent = || malformed("data.pkl: found no dictionary `model`, nor tensors in its place".into());
@@ -54,8 +52,7 @@ pub(super) fn contents(path: &Path, file: &[u8]) -> Result<Contents> {
     Ok(found)
 }
 
-/// The network's settings by the training configuration, which shapes do not show, and the side of its pictures; absent entries
-/// are not an error. The reference's trainer keeps the backbone's and the head's in parts of their own.
+/// Optional settings; the reference nests those of backbone and head.
 fn conf(pickle: &Pickle) -> Result<(Conf, Option<u32>), String> {
     let Some(conf) = pickle.get(pickle.root, "conf") else { return Ok(Default::default()) };
     let model = pickle.get(conf, "model").unwrap_or(conf);
@@ -88,12 +85,12 @@ fn conf(pickle: &Pickle) -> Result<(Conf, Option<u32>), String> {
 
 struct Archive<'a> {
     zip: ZipArchive<Cursor<&'a [u8]>>,
-    /// Folder of all entries, with its slash.
+    /// With trailing slash.
     root: String,
-    /// Bytes of the file not yet taken by an entry: entries that overlap would run out of them.
+    /// Rejects overlapping entries.
     unclaimed: usize,
     length: usize,
-    /// Where the storages lie that were looked at.
+    /// Ranges of known storages.
     storages: HashMap<String, Range<usize>>,
 }
 
@@ -103,7 +100,7 @@ impl<'a> Archive<'a> {
         let root = zip.file_names().find_map(|name| name.strip_suffix("data.pkl"));
         let root = root.ok_or("the zip archive has no entry data.pkl: found no PyTorch checkpoint")?.to_string();
         let mut archive = Self { zip, root, unclaimed: file.len(), length: file.len(), storages: HashMap::new() };
-        // Absent in archives of PyTorch before 2.1, which were little-endian on every machine that matters.
+        // Missing before PyTorch 2.1, little-endian in practice.
         if archive.zip.index_for_name(&format!("{}byteorder", archive.root)).is_some() {
             let range = archive.entry("byteorder")?;
             let found = String::from_utf8_lossy(&file[range]);
@@ -114,7 +111,7 @@ impl<'a> Archive<'a> {
         Ok(archive)
     }
 
-    /// The bytes of an entry, its checksum verified.
+    /// Verifies the checksum.
     fn entry(&mut self, name: &str) -> Result<Range<usize>, String> {
         let full = format!("{}{name}", self.root);
         let context = |reason: String| format!("{name}: {reason}");

@@ -1,11 +1,11 @@
-//! A caller's word about a network whose file does not say it.
+//! User-specified architecture details.
 
 use std::ops::RangeInclusive;
 
 use super::Architecture;
 use crate::{Error, Result};
 
-/// `NAME[:FIELD=VALUE]...`, of which either part may be absent.
+/// `NAME[:FIELD=VALUE]...`, all parts optional.
 #[derive(Debug, Default)]
 pub(super) struct Variant<'a> {
     pub name: Option<&'a str>,
@@ -17,13 +17,12 @@ pub(super) struct Variant<'a> {
     pub sh_degree: Option<usize>,
 }
 
-/// The fields, for messages.
+/// Field names for messages.
 const FIELDS: &str = "out_layers=A,B,.., alt_start, rope_start, camera_heads, gaussians_per_token or sh_degree";
-/// The range of a number; [`Architecture::validate`] says more.
+/// [`Architecture::validate`] is stricter.
 const NUMBERS: RangeInclusive<usize> = 0..=1 << 16;
 
 impl<'a> Variant<'a> {
-    /// [`Error::Argument`] for a field that is not known or no number.
     pub fn parse(text: Option<&'a str>) -> Result<Self> {
         let mut found = Self::default();
         for (i, part) in text.into_iter().flat_map(|text| text.split(':')).enumerate() {
@@ -55,7 +54,6 @@ impl<'a> Variant<'a> {
         Ok(found)
     }
 
-    /// Checks that nothing contradicts what a file states whole.
     pub fn check(&self, stated: &Architecture, file: &str) -> Result<()> {
         let Self { name, out_layers, alt_start, rope_start, camera_heads, gaussians_per_token, sh_degree } = self;
         if let Some(name) = name.filter(|name| *name != stated.name) {

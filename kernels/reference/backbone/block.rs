@@ -1,4 +1,4 @@
-//! The pre-norm transformer block of backbone, camera encoder and fusion.
+//! Pre-norm transformer block.
 
 use crate::model::Scope;
 use crate::ops::activation::{gelu, swiglu};
@@ -7,25 +7,25 @@ use crate::ops::attention::{attention, attention_to_means};
 use crate::ops::linear::layer_scale;
 use crate::ops::split_heads::{Part, Pool, split_heads};
 
-/// The epsilon of every LayerNorm but the backbone's `norm1`, `norm2` and final `norm`.
+/// Default LayerNorm epsilon.
 pub const EPS: f64 = 1e-5;
 
-/// The options in which blocks differ, apart from their parameters.
+/// Block options.
 #[derive(Clone, Copy)]
 pub struct Options<'a> {
     /// Attention heads.
     pub heads: usize,
     /// Epsilon of `norm1` and `norm2`.
     pub eps: f64,
-    /// Sequences that attend to themselves only; the rows split evenly.
+    /// Sequences of equal length that attend within themselves.
     pub sequences: usize,
-    /// Positions (y, x) of a sequence's tokens, where the block rotates queries and keys.
+    /// Rotary positions (y, x) of one sequence's tokens.
     pub positions: Option<&'a [[f64; 2]]>,
-    /// Groups by which keys and values are averaged, where all rows are one sequence.
+    /// Pooling of keys and values, for a single sequence.
     pub pool: Option<Pool>,
 }
 
-/// `x += gamma1 * proj(attention(norm1(x))); x += gamma2 * mlp(norm2(x))`.
+/// Computes `x += gamma1 * proj(attention(norm1(x))); x += gamma2 * mlp(norm2(x))`.
 pub fn block(weights: &Scope, x: &[f64], options: Options) -> Vec<f64> {
     let attended = self_attention(&weights.scope("attn"), &weights.layer_norm("norm1", x, options.eps), options);
     let x = add(x, &layer_scale(&attended, weights.get("ls1.gamma")));
@@ -54,13 +54,13 @@ fn self_attention(weights: &Scope, x: &[f64], options: Options) -> Vec<f64> {
     weights.linear("proj", &mixed)
 }
 
-/// The LayerNorm `name` over a head's channels, where the block has it.
+/// Returns LayerNorm `name` over a head's channels, if present.
 pub fn head_norm<'a>(weights: &Scope<'a>, name: &str) -> Option<(&'a [f32], &'a [f32], f64)> {
     let parameter = |kind| format!("{name}.{kind}");
     weights.has(&parameter("weight")).then(|| (weights.get(&parameter("weight")), weights.get(&parameter("bias")), EPS))
 }
 
-/// Two linear layers with GELU between, or three with SwiGLU.
+/// Applies a GELU or SwiGLU MLP.
 pub fn mlp(weights: &Scope, x: &[f64]) -> Vec<f64> {
     if weights.has("w12.weight") {
         let gate_value = weights.linear("w12", x);

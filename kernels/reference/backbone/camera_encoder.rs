@@ -1,18 +1,18 @@
-//! Known cameras to camera tokens.
+//! Camera encoder.
 
 use super::block::{EPS, Options, block, mlp};
 use crate::model::Scope;
 
-/// A view's known camera.
+/// A known camera.
 #[derive(Clone, Copy, Debug)]
 pub struct Prior {
     /// Width, height, fx, fy, cx, cy in pixels.
     pub camera: [f64; 6],
-    /// Camera-to-world rotation, row-major, and the camera's centre.
+    /// Camera-to-world rotation, row-major, and center.
     pub pose: [f64; 12],
 }
 
-/// One token a view, by `blocks` blocks with `heads` heads; the views are one sequence.
+/// Encodes cameras to one token per view.
 pub fn camera_tokens(weights: &Scope, priors: &[Prior], blocks: usize, heads: usize) -> Vec<f64> {
     let options = Options { heads, eps: EPS, sequences: 1, positions: None, pool: None };
     let encoded: Vec<f64> = priors.iter().flat_map(encode).collect();
@@ -23,7 +23,8 @@ pub fn camera_tokens(weights: &Scope, priors: &[Prior], blocks: usize, heads: us
     weights.layer_norm("trunk_norm", &x, EPS)
 }
 
-/// World-to-camera translation, rotation as a quaternion xyzw, vertical and horizontal field of view in radians.
+/// Returns world-to-camera translation, quaternion xyzw, vertical and horizontal field of view in
+/// radians.
 pub fn encode(prior: &Prior) -> [f64; 9] {
     let [width, height, fx, fy, ..] = prior.camera;
     let (r, centre) = (|row: usize, column: usize| prior.pose[3 * row + column], &prior.pose[9..]);
@@ -33,9 +34,9 @@ pub fn encode(prior: &Prior) -> [f64; 9] {
     [tx, ty, tz, x, y, z, w, 2.0 * (height / (2.0 * fy)).atan(), 2.0 * (width / (2.0 * fx)).atan()]
 }
 
-/// The unit quaternion wxyz, w not negative, of a rotation matrix, from the largest of its components (Shepperd 1978).
+/// Converts a rotation matrix to a unit quaternion wxyz, w >= 0 (Shepperd 1978).
 pub fn quat_from_rotation(m: [[f64; 3]; 3]) -> [f64; 4] {
-    // Each row is the quaternion times four times one of its components: w, x, y, z.
+    // Row i: the quaternion times 4 times its component i.
     let [diagonal, skew, symmetric] = [
         [m[0][0], m[1][1], m[2][2]],
         [m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1]],

@@ -1,4 +1,4 @@
-//! Blocks' results to the tokens that are fused.
+//! Features and their preparation for fusion.
 
 use super::average_halves::average_halves;
 use super::block::EPS;
@@ -6,18 +6,17 @@ use crate::model::Model;
 use crate::ops::add::add;
 use crate::ops::place_columns::{columns, join_columns};
 
-/// The feature of one output layer: `[local | final norm(x)]` per token, the camera token of each view dropped.
+/// Returns `[local | normed]` per token, without camera tokens.
 ///
-/// `local` and `x` are `[views, tokens, width]` and the result `[views, tokens - 1, 2 width]`; `normed` is `x` behind
-/// the backbone's final LayerNorm.
+/// Inputs `[views, tokens, width]`, result `[views, tokens - 1, 2 width]`.
 pub fn feature(local: &[f64], normed: &[f64], width: usize, tokens: usize) -> Vec<f64> {
     let rows = local.chunks(width).zip(normed.chunks(width)).enumerate();
     let patches = rows.filter(|(row, _)| row % tokens != 0);
     patches.flat_map(|(_, (local, normed))| local.iter().chain(normed)).copied().collect()
 }
 
-/// One feature layer `[rows, 2 width]` to tokens `[rows, width]`: both halves normed, joined by a linear layer around
-/// their mean. `layer` counts from the deepest.
+/// Merges a feature `[rows, 2 width]` to `[rows, width]`: normalized halves through a linear layer,
+/// plus their mean. `layer` counts from the deepest.
 pub fn prepare(model: &Model, feature: &[f64], layer: usize) -> Vec<f64> {
     let width = model.architecture.width;
     let layer = layer.to_string();

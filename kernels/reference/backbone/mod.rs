@@ -1,4 +1,4 @@
-//! Images to tokens: a vision transformer that alternates attention within a view and across views.
+//! Vision transformer that alternates attention within and across views.
 
 pub mod average_halves;
 pub mod block;

@@ -1,8 +1,8 @@
-//! Pictures cut into patches.
+//! Patches.
 
 use super::patch_embed::Images;
 
-/// `[views, patches row-major, 3 patch^2]`, channel-major, by sending every pixel to its patch.
+/// Cuts images into `[views, patches, 3 patch^2]`, channel-major.
 pub fn patchify(images: &Images, patch: usize) -> Vec<f64> {
     let [rows, columns] = images.grid(patch);
     let mut patches = vec![f64::NAN; images.values.len()];

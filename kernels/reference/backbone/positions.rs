@@ -1,9 +1,9 @@
-//! The learned position embedding on another grid.
+//! Position embedding on another grid.
 
-/// Resamples `embed [1 + side * side, width]` (class row first) to `[1 + rows * columns, width]`.
+/// Resamples `embed [1 + side * side, width]`, class row first, to `[1 + rows * columns, width]`.
 ///
-/// Bicubic convolution (Keys 1981, A = -0.75), edges clamped, no antialiasing. The network's scale has 0.1 patches added:
-/// `(patches + 0.1) / side`. A grid of the embedding's own size is taken as it is.
+/// Bicubic (Keys 1981, A = -0.75), clamped, without antialiasing, scale `(patches + 0.1) / side`.
+/// An equal grid is copied.
 pub fn interpolate(embed: &[f64], width: usize, rows: usize, columns: usize) -> Vec<f64> {
     let side = (embed.len() / width - 1).isqrt();
     if [rows, columns] == [side, side] {
@@ -24,7 +24,7 @@ pub fn interpolate(embed: &[f64], width: usize, rows: usize, columns: usize) -> 
     resampled
 }
 
-/// For each output, the four inputs it mixes and their weights.
+/// Four inputs and weights per output.
 fn taps(outputs: usize, inputs: usize) -> Vec<[(usize, f64); 4]> {
     let scale = (outputs as f64 + 0.1) / inputs as f64;
     let tap = |output: usize| {
@@ -38,7 +38,7 @@ fn taps(outputs: usize, inputs: usize) -> Vec<[(usize, f64); 4]> {
     (0..outputs).map(tap).collect()
 }
 
-/// Keys' kernel at distance `d`.
+/// Keys' kernel.
 fn cubic(d: f64) -> f64 {
     const A: f64 = -0.75;
     let d = d.abs();

@@ -1,7 +1,9 @@
-//! The view that the world is about.
+//! Reference view selection.
 
-/// `[views, 4]` of `tokens [views, width]`: the mean likeness to the other views, the length, the variance of the channels at
-/// length 1, and how far these three are from the middle of their ranges. The view with the least of those is the reference.
+/// Returns for each view of `tokens [views, width]`: mean similarity to others, length, variance of
+/// normalized channels, and summed distance from the middles of their ranges.
+///
+/// The least distance is the reference view.
 pub fn scores(tokens: &[f64], width: usize) -> Vec<[f64; 4]> {
     let unit = |token: &[f64]| {
         let length = token.iter().map(|x| x * x).sum::<f64>().sqrt();

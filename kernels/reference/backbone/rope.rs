@@ -1,9 +1,10 @@
-//! Rotary position embedding in two dimensions (Su et al. 2021; base 100).
+//! 2D rotary position embedding (Su et al. 2021; base 100).
 
 const BASE: f64 = 100.0;
 
-/// Rotates `x [tokens, heads, head_dim]` by `positions [tokens]` of (y, x): the first half of a head's channels by y, the
-/// second by x; within a half, channel j pairs with the one a quarter head further.
+/// Rotates `x [tokens, heads, head_dim]` by `positions [tokens]` (y, x).
+///
+/// y rotates the first half of the channels, x the second, in pairs a quarter head apart.
 pub fn rope(x: &[f64], positions: &[[f64; 2]], head_dim: usize) -> Vec<f64> {
     let heads = x.len() / positions.len() / head_dim;
     let [half, quarter] = [head_dim / 2, head_dim / 4];
@@ -23,13 +24,13 @@ pub fn rope(x: &[f64], positions: &[[f64; 2]], head_dim: usize) -> Vec<f64> {
     rotated.collect()
 }
 
-/// Positions of a view's tokens within the view: (0, 0) for the camera token, then (row, column) counted from 1.
+/// Returns (0, 0) for the camera token, then (row, column) from 1.
 pub fn local_positions(rows: usize, columns: usize) -> Vec<[f64; 2]> {
     let patches = (0..rows * columns).map(|place| [(place / columns + 1) as f64, (place % columns + 1) as f64]);
     [[0.0, 0.0]].into_iter().chain(patches).collect()
 }
 
-/// Positions of a view's tokens across views: all patches at (1, 1), only the camera token is told apart.
+/// Returns (0, 0) for the camera token, (1, 1) for patches.
 pub fn global_positions(rows: usize, columns: usize) -> Vec<[f64; 2]> {
     let mut positions = vec![[1.0, 1.0]; 1 + rows * columns];
     positions[0] = [0.0, 0.0];

@@ -1,6 +1,6 @@
-//! Rows about an origin.
+//! Centered rows.
 
-/// `rows [N, width]` less `origin [width]`, and half the squared length of each.
+/// Returns `rows [N, width]` minus `origin`, and half their squared lengths.
 pub fn about(rows: &[f64], origin: &[f64]) -> (Vec<f64>, Vec<f64>) {
     let moved: Vec<f64> =
         rows.chunks(origin.len()).flat_map(|row| row.iter().zip(origin).map(|(x, o)| x - o)).collect();

@@ -1,5 +1,4 @@
-//! k-means (Lloyd 1982), five rounds from evenly spaced tokens; distances from differences, never from products. Of targets
-//! that tie the first is the nearest.
+//! k-means (Lloyd 1982) from evenly spaced tokens; the first of tied targets wins.
 
 use super::mean::mean;
 use super::nearest::{nearest, two_nearest};
@@ -7,26 +6,26 @@ use crate::ops::gather_rows::gather_rows;
 
 const ITERATIONS: usize = 5;
 
-/// The clusters that k-means of N tokens finds.
+/// Clusters of N tokens.
 pub struct Clusters {
-    /// `[K, width]`; a cluster that lost all members has the zero vector.
+    /// `[K, width]`, zero for empty clusters.
     pub centroids: Vec<f64>,
-    /// Cluster of each token in every round; the last is the result, found before the last centroids.
+    /// Cluster of each token per round, assigned before the centroids move.
     pub assignments: Vec<Vec<u32>>,
-    /// Token nearest to each final centroid, the first of those that tie.
+    /// Token nearest to each final centroid.
     pub nearest: Vec<u32>,
-    /// How much farther the second nearest token is, relatively.
+    /// Relative gap to the second nearest token.
     pub gaps: Vec<f64>,
 }
 
-/// K of a compression ratio: `max(1, floor(tokens * ratio))`, multiplied in f64.
+/// Returns `max(1, floor(tokens * ratio))` in f64.
 pub fn cluster_count(tokens: usize, ratio: f64) -> usize {
     ((tokens as f64 * ratio) as usize).max(1)
 }
 
-/// Indices of the K tokens that are the first centroids: f32 `linspace(0, N - 1, K)` rounded half to even.
+/// Returns initial tokens: f32 `linspace(0, N - 1, K)`, rounded half to even.
 ///
-/// torch fills the second half from its end, with one rounding a value (fused multiply and add).
+/// PyTorch fills the second half from its end by fused multiply-add.
 pub fn initial_indices(tokens: usize, k: usize) -> Vec<u32> {
     if k == 1 {
         return vec![0];
@@ -37,7 +36,7 @@ pub fn initial_indices(tokens: usize, k: usize) -> Vec<u32> {
     (0..k).map(|i| place(i).round_ties_even() as u32).collect()
 }
 
-/// Clusters `x [N, width]` into K.
+/// Clusters `x [N, width]`.
 pub fn kmeans(x: &[f64], width: usize, k: usize) -> Clusters {
     let mut centroids = gather_rows(x, width, &initial_indices(x.len() / width, k));
     let mut assignments = Vec::new();
@@ -46,7 +45,7 @@ pub fn kmeans(x: &[f64], width: usize, k: usize) -> Clusters {
         centroids = mean(x, &assignment, k, width);
         assignments.push(assignment);
     }
-    // Relative to the farther; two tokens on the centroid itself are a tie.
+    // Two tokens on the centroid tie.
     let gap = |near: f64, far: f64| if far > 0.0 { (far - near) / far } else { 0.0 };
     Clusters {
         nearest: nearest(&centroids, x, width),

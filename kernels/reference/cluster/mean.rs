@@ -1,6 +1,6 @@
-//! Means of clusters.
+//! Cluster means.
 
-/// The mean `[clusters, width]` of the `points [N, width]` of each cluster; zero where it has none.
+/// Averages each cluster's `points [N, width]`; empty clusters are zero.
 pub fn mean(points: &[f64], cluster_of_point: &[u32], clusters: usize, width: usize) -> Vec<f64> {
     let (mut sums, mut counts) = (vec![0.0; clusters * width], vec![0.0f64; clusters]);
     for (point, &cluster) in points.chunks(width).zip(cluster_of_point) {

@@ -1,4 +1,4 @@
-//! Tokens to fewer tokens: k-means, then the token nearest to each centroid.
+//! Token clustering: k-means, then the token nearest to each centroid.
 
 pub mod halves;
 pub mod kmeans;

@@ -1,11 +1,11 @@
-//! Nearest points.
+//! Nearest targets.
 
 use rayon::prelude::*;
 
-/// Squared distances that differ by no more than this share of the less are equal.
+/// Relative tolerance of tied squared distances.
 pub const TIE: f64 = 1.0 / 65536.0;
 
-/// For each of `points [N, width]` the first of those of `targets [M, width]` whose squared distance ties with the least.
+/// Finds the first of `targets [M, width]` that ties with the nearest, per point.
 pub fn nearest(points: &[f64], targets: &[f64], width: usize) -> Vec<u32> {
     let squared = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
     let nearest_of = |point: &[f64]| {
@@ -16,8 +16,8 @@ pub fn nearest(points: &[f64], targets: &[f64], width: usize) -> Vec<u32> {
     points.par_chunks(width).map(nearest_of).collect()
 }
 
-/// For each of `points [N, width]` the two nearest of `targets [M, width]` with their distances, lower indices first among
-/// equals; a lone target twice. Distances from differences, never from products.
+/// Finds the two nearest `targets [M, width]` and distances per point, lower indices first; a lone
+/// target twice.
 pub fn two_nearest(points: &[f64], targets: &[f64], width: usize) -> Vec<[(u32, f64); 2]> {
     points.par_chunks(width).map(|point| two_nearest_of(point, targets)).collect()
 }
@@ -35,8 +35,7 @@ fn two_nearest_of(point: &[f64], targets: &[f64]) -> [(u32, f64); 2] {
     best
 }
 
-/// The most by which a squared distance is off that comes from products on matrix units, of rows about an origin whose values
-/// are two f16 each and of which the lengths are given: twice the bound in kernels/cluster/nearest_matrix.comp.
+/// Returns twice the error bound of kernels/cluster/nearest_matrix.comp, for rows of these lengths.
 pub fn error_of_products([point, target]: [f64; 2], width: usize) -> f64 {
     const CHUNK: usize = 64;
     const U: f64 = f32::EPSILON as f64 / 2.0;

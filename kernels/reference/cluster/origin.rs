@@ -1,6 +1,6 @@
-//! A point among others.
+//! Origin.
 
-/// The mean of `samples` rows spread evenly over `rows [N, width]`, from the first on.
+/// Averages `samples` evenly spaced rows of `[N, width]`.
 pub fn origin(rows: &[f64], width: usize, samples: usize) -> Vec<f64> {
     let apart = rows.len() / width / samples;
     let sampled: Vec<&[f64]> = rows.chunks(width).step_by(apart).take(samples).collect();

@@ -1,3 +1,3 @@
-//! Scene tokens gather what the layers know: cross-attention to every layer, self-attention among themselves.
+//! Fusion of scene tokens.
 
 pub mod cross_attention;

@@ -1,8 +1,8 @@
-//! Raw Gaussians to Gaussians.
+//! Activation of raw Gaussians.
 
 use crate::ops::activation::{sigmoid, softplus};
 
-/// One raw Gaussian to world units: means 3, scales 3 (sigma), quat 4 (wxyz, unit), opacity 1, SH as it is.
+/// Activates one Gaussian: mean 3, scale 3, quaternion 4 (wxyz, unit), opacity 1, SH.
 pub fn activate(raw: &[f64]) -> Vec<f64> {
     let mean = |x: f64| {
         let x = x.clamp(-5.0, 5.0);

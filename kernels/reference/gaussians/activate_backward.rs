@@ -1,8 +1,8 @@
-//! Gradients of Gaussians to those of raw ones.
+//! Backward pass of activation.
 
 use crate::ops::activation::{sigmoid, softplus};
 
-/// d loss / d raw of one Gaussian where `d` is d loss / d what [`super::activate::activate`] makes of it.
+/// Returns `d loss / d raw` for gradient `d` by [`activate`](super::activate::activate)'s output.
 pub fn activate_backward(raw: &[f64], d: &[f64]) -> Vec<f64> {
     let mean = |i: usize| if raw[i].abs() <= 5.0 { d[i] * raw[i].abs().exp() } else { 0.0 };
     let scale = |i: usize| match softplus(raw[i] - 4.0) {

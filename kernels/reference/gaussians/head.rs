@@ -1,10 +1,10 @@
-//! The Gaussian head, up to the raw Gaussians.
+//! Raw Gaussians.
 
 use crate::backbone::block::mlp;
 use crate::model::Scope;
 use crate::ops::place_columns::join_columns;
 
-/// Scene tokens `[n, width]` and colour tokens `[n, color_width]` to raw Gaussians `[n, G * (11 + 3K)]`.
+/// Decodes scene tokens `[n, width]` and color tokens `[n, color_width]` to `[n, G * (11 + 3K)]`.
 pub fn head(weights: &Scope, scene: &[f64], width: usize, color: &[f64], color_width: usize) -> Vec<f64> {
     weights.linear("1", &mlp(&weights.scope("0"), &join_columns(scene, width, color, color_width)))
 }

@@ -1,4 +1,4 @@
-//! Scene and colour tokens to Gaussians.
+//! Gaussian head.
 
 pub mod activate;
 pub mod activate_backward;

@@ -1,9 +1,9 @@
-//! Convolutions of pictures.
+//! Convolutions.
 
 use crate::ops::{im2col::im2col, linear::linear};
 
-/// A picture `[height, width, channels]` convolved with `weight [outputs, channels, side, side]`, zeros around: a pixel of
-/// `[.., .., outputs]` at every `step`.
+/// Convolves `[height, width, channels]` with `weight [outputs, channels, side, side]`,
+/// zero-padded.
 pub fn convolution(
     picture: &[f64],
     [width, channels]: [usize; 2],

@@ -1,4 +1,4 @@
-//! Parts of the heads of Depth Anything 3.
+//! Depth Anything 3 heads.
 
 pub mod convolution;
 pub mod pixel_shuffle;

@@ -1,6 +1,7 @@
-//! Transposed convolutions whose kernels do not overlap, and the step that spreads their values.
+//! Transposed convolutions without kernel overlap.
 
-/// `[height, width, side * side, channels]` as `[height * side, width * side, channels]`, with a bias.
+/// Reshapes `[height, width, side * side, channels]` to `[height * side, width * side, channels]`
+/// and adds `bias`.
 pub fn pixel_shuffle(values: &[f64], [width, side]: [usize; 2], bias: &[f32]) -> Vec<f64> {
     let (channels, out_width) = (bias.len(), width * side);
     let mut out = vec![f64::NAN; values.len()];
@@ -13,7 +14,7 @@ pub fn pixel_shuffle(values: &[f64], [width, side]: [usize; 2], bias: &[f32]) ->
     out
 }
 
-/// A picture `[height, width, inputs]` by `weight [inputs, outputs, side, side]` at as many pixels a step as the kernel has.
+/// Applies `weight [inputs, outputs, side, side]` with stride `side`.
 pub fn transposed_convolution(picture: &[f64], [width, side]: [usize; 2], [weight, bias]: [&[f32]; 2]) -> Vec<f64> {
     let (outputs, taps) = (bias.len(), side * side);
     let inputs = weight.len() / (outputs * taps);

@@ -1,9 +1,9 @@
-//! Pictures of another size, and where their pixels lie.
+//! Resizing and position embedding.
 
-/// A picture `[height, width, channels]` at `[out_height, out_width]`, bilinearly, its corners on the corners.
+/// Resizes `[height, width, channels]` bilinearly with aligned corners.
 pub fn resize(picture: &[f64], [width, channels]: [usize; 2], [out_height, out_width]: [usize; 2]) -> Vec<f64> {
     let height = picture.len() / (width * channels);
-    // A hat of width 1 around every pixel of the source.
+    // A hat of width 1 around each source pixel.
     let weights = |inputs: usize, outputs: usize, at: usize| {
         let place = if outputs > 1 { (at * (inputs - 1)) as f64 / (outputs - 1) as f64 } else { 0.0 };
         (0..inputs).map(|i| (1.0 - (place - i as f64).abs()).max(0.0)).collect::<Vec<_>>()
@@ -25,8 +25,8 @@ pub fn resize(picture: &[f64], [width, channels]: [usize; 2], [out_height, out_w
     out
 }
 
-/// What is added to the pixels `[height, width, channels]` of a picture whose width is `aspect` times its height: sines and cosines of
-/// where they lie, across and then along the lines.
+/// Returns the position embedding `[height, width, channels]` of an image with this aspect ratio:
+/// sines and cosines of x, then y.
 pub fn positions(aspect: f64, [height, width, channels]: [usize; 3]) -> Vec<f64> {
     let diagonal = (aspect * aspect + 1.0).sqrt();
     let quarter = channels / 4;

@@ -1,11 +1,11 @@
-//! Losses of one picture `[height, width, 3]` against another, with the gradient by the first.
+//! Image losses `[height, width, 3]` and their gradients by the first image.
 
-/// The mean of |a - b|.
+/// Computes the mean of |a - b|.
 pub fn l1(a: &[f64], b: &[f64]) -> (f64, Vec<f64>) {
     pointwise(a, b, |d| (d.abs(), if d == 0.0 { 0.0 } else { d.signum() }))
 }
 
-/// The mean of (a - b)^2.
+/// Computes the mean of (a - b)^2.
 pub fn mse(a: &[f64], b: &[f64]) -> (f64, Vec<f64>) {
     pointwise(a, b, |d| (d * d, 2.0 * d))
 }
@@ -16,7 +16,7 @@ fn pointwise(a: &[f64], b: &[f64], of: fn(f64) -> (f64, f64)) -> (f64, Vec<f64>)
     (all.iter().map(|x| x.0).sum::<f64>() / count, all.iter().map(|x| x.1 / count).collect())
 }
 
-/// 1 minus the mean of SSIM: 11 x 11 weights of a Gaussian of sigma 1.5, of pictures that are 0 outside.
+/// Computes 1 - mean SSIM with an 11 x 11 Gaussian window of sigma 1.5; images are 0 outside.
 pub fn dssim(a: &[f64], b: &[f64], width: usize) -> (f64, Vec<f64>) {
     let weights: Vec<f64> = (-5..=5).map(|x| (-f64::from(x * x) / 4.5).exp()).collect();
     let total: f64 = weights.iter().sum();
@@ -38,7 +38,7 @@ pub fn dssim(a: &[f64], b: &[f64], width: usize) -> (f64, Vec<f64>) {
         let below = [ma * ma + mb * mb + 1e-4, aa - ma * ma + bb - mb * mb + 9e-4];
         let ssim = above[0] * above[1] / (below[0] * below[1]);
         sum += 1.0 - ssim;
-        // By the means of a, of a^2 and of ab.
+        // By the means of a, a^2 and ab.
         let both = below[0] * below[1];
         let by_a = 2.0 * mb * (above[1] - above[0]) / both - ssim * 2.0 * ma * (1.0 / below[0] - 1.0 / below[1]);
         let (by_aa, by_ab) = (-ssim / below[1], 2.0 * above[0] / both);
@@ -49,7 +49,7 @@ pub fn dssim(a: &[f64], b: &[f64], width: usize) -> (f64, Vec<f64>) {
     (sum / count, gradient)
 }
 
-/// 0.8 of [`l1`] and 0.2 of [`dssim`].
+/// Combines 0.8 of [`l1`] and 0.2 of [`dssim`].
 pub fn l1_dssim(a: &[f64], b: &[f64], width: usize) -> (f64, Vec<f64>) {
     let (l1, dssim) = (l1(a, b), dssim(a, b, width));
     let mixed = |a: f64, b: f64| 0.8 * a + 0.2 * b;

@@ -1,3 +1,3 @@
-//! Losses of pictures.
+//! Image losses.
 
 pub mod gradient;

@@ -1,9 +1,9 @@
-//! Features of two pictures, compared pixel by pixel.
+//! Feature comparison.
 
-/// The length that is added to each.
+/// Added to feature lengths.
 const EPSILON: f64 = 1e-10;
 
-/// The weighted squares of the differences of unit features `[pixels, channels]`, a sum a pixel.
+/// Sums weighted squared differences of unit features `[pixels, channels]` per pixel.
 pub fn compare(a: &[f64], b: &[f64], weights: &[f32]) -> Vec<f64> {
     let unit = |features: &[f64]| {
         let length = features.iter().map(|x| x * x).sum::<f64>().sqrt() + EPSILON;

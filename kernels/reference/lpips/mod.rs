@@ -6,32 +6,32 @@ pub mod pool;
 
 use super::ops::{im2col::im2col, linear::linear};
 
-/// A convolution.
+/// A convolution layer.
 pub struct Layer {
     /// `[outputs, side, side, inputs]`.
     pub weight: Vec<f32>,
     /// `[outputs]`.
     pub bias: Vec<f32>,
-    /// Side of the kernel.
+    /// Kernel side.
     pub side: usize,
-    /// Pixels between places of the kernel.
+    /// Stride.
     pub step: usize,
-    /// Zeros around the picture.
+    /// Zero padding.
     pub padding: usize,
-    /// Side and step of the pooling before it.
+    /// Side and stride of the preceding pooling.
     pub pool: Option<[usize; 2]>,
-    /// `[outputs]` weights of the features, where they are compared.
+    /// Feature weights `[outputs]`, if compared.
     pub tap: Option<Vec<f32>>,
 }
 
-/// Features of a picture, `[height, width, channels]`.
+/// `[height, width, channels]`.
 struct Features {
     values: Vec<f64>,
     width: usize,
     channels: usize,
 }
 
-/// The parts of the distance of two pictures `[height, width, 3]` in 0..1, a compared layer each.
+/// Computes the distance of two images `[height, width, 3]` in 0..1, per compared layer.
 pub fn lpips(layers: &[Layer], [a, b]: [&[f64]; 2], width: usize, clipped: bool) -> Vec<f64> {
     let [a, b] = [a, b].map(|picture| taps(layers, picture, width, clipped));
     let weights = layers.iter().filter_map(|layer| layer.tap.as_deref());
@@ -39,7 +39,6 @@ pub fn lpips(layers: &[Layer], [a, b]: [&[f64]; 2], width: usize, clipped: bool)
     a.iter().zip(&b).zip(weights).map(|((a, b), weights)| mean(compare::compare(a, b, weights))).collect()
 }
 
-/// The features that are compared.
 fn taps(layers: &[Layer], picture: &[f64], width: usize, clipped: bool) -> Vec<Vec<f64>> {
     let mut found = Vec::new();
     let mut features = Features { values: normalise::normalise(picture, clipped), width, channels: 3 };
@@ -56,7 +55,6 @@ fn taps(layers: &[Layer], picture: &[f64], width: usize, clipped: bool) -> Vec<V
 }
 
 impl Layer {
-    /// Rectified features.
     fn features(&self, source: &Features) -> Features {
         let height = source.values.len() / (source.width * source.channels);
         let [height, width] = [height, source.width].map(|side| (side + 2 * self.padding - self.side) / self.step + 1);

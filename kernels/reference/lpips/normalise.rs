@@ -1,9 +1,9 @@
-//! The range of pictures that the networks were trained with.
+//! Input normalization.
 
 const SHIFT: [f64; 3] = [-0.030, -0.088, -0.188];
 const SCALE: [f64; 3] = [0.458, 0.448, 0.450];
 
-/// A picture `[pixels, 3]` in 0..1.
+/// Normalizes an image `[pixels, 3]` in 0..1.
 pub fn normalise(picture: &[f64], clipped: bool) -> Vec<f64> {
     let value = |(i, &x): (usize, &f64)| {
         let x = if clipped { x.clamp(0.0, 1.0) } else { x };
@@ -12,7 +12,7 @@ pub fn normalise(picture: &[f64], clipped: bool) -> Vec<f64> {
     picture.iter().enumerate().map(value).collect()
 }
 
-/// The gradient by a picture from that by its normalised values.
+/// Propagates gradients of [`normalise`].
 pub fn normalise_backward(picture: &[f64], d: &[f64], clipped: bool) -> Vec<f64> {
     let value = |(i, &x): (usize, &f64)| {
         let inside = !clipped || (x > 0.0 && x < 1.0);

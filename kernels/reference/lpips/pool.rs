@@ -1,18 +1,19 @@
 //! Max pooling.
 
-/// The largest values of windows of `side` pixels at every `step` of a picture `[height, width, channels]`.
+/// Takes the largest value of `side` x `side` windows at every `step` of `[height, width,
+/// channels]`.
 pub fn pool(picture: &[f64], [width, channels]: [usize; 2], side: usize, step: usize) -> Vec<f64> {
     places(picture, [width, channels], side, step).into_iter().map(|place| picture[place]).collect()
 }
 
-/// The gradient by the picture from that by the largest values, which is that of the first of equal ones.
+/// Propagates gradients of [`pool`] to the first of equal values.
 pub fn pool_backward(picture: &[f64], shape: [usize; 2], side: usize, step: usize, d: &[f64]) -> Vec<f64> {
     let mut gradient = vec![0.0; picture.len()];
     places(picture, shape, side, step).into_iter().zip(d).for_each(|(place, d)| gradient[place] += d);
     gradient
 }
 
-/// The place of every window's first largest value.
+/// Index of each window's first largest value.
 fn places(picture: &[f64], [width, channels]: [usize; 2], side: usize, step: usize) -> Vec<usize> {
     let height = picture.len() / (width * channels);
     let corners = |length: usize| (0..=length - side).step_by(step);

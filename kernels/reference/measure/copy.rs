@@ -1,6 +1,6 @@
 //! A copy.
 
-/// The same bytes.
+/// Copies `source`.
 pub fn copy(source: &[u32]) -> Vec<u32> {
     source.to_vec()
 }

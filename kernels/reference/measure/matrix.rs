@@ -1,7 +1,8 @@
-//! Sums of matrix products.
+//! Matrix products.
 
-/// The sum over `iterations` and the matrices of `b` `[products, k, n]` of `a b` `[m, n]`. `a` is the first of `[2, m, k]` and
-/// then, behind every iteration whose bit of `swaps`, modulo 32, is set, the other.
+/// Sums `a b` over `iterations` and the matrices of `b [products, k, n]`.
+///
+/// Bits of `swaps`, modulo 32, exchange the matrices of `a [2, m, k]` after an iteration.
 pub fn products(a: &[f64], b: &[f64], [m, n, k]: [usize; 3], iterations: u32, swaps: u32) -> Vec<f64> {
     let (mut weights, mut current) = ([0.0; 2], 0);
     for i in 0..iterations {

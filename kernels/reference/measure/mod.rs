@@ -1,4 +1,4 @@
-//! Arithmetic that is measured for its own sake.
+//! Throughput kernels.
 
 pub mod copy;
 pub mod fma;

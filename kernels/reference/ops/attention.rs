@@ -1,16 +1,16 @@
-//! Softmax attention over one sequence.
+//! Softmax attention.
 
 use rayon::prelude::*;
 
-/// `softmax(q k^T / sqrt(head_dim)) v`, head by head, each row of scores held in full.
+/// Computes `softmax(q k^T / sqrt(head_dim)) v` per head.
 ///
-/// `q [queries, heads, head_dim]`, `k` and `v [keys, heads, head_dim]`; gives `[queries, heads, head_dim]`.
+/// `q` and the result `[queries, heads, head_dim]`, `k` and `v [keys, heads, head_dim]`.
 pub fn attention(q: &[f64], k: &[f64], v: &[f64], heads: usize, head_dim: usize) -> Vec<f64> {
     let once = vec![1.0; k.len() / (heads * head_dim)];
     attention_to_means(q, [k, v], &once, heads, head_dim)
 }
 
-/// The same, where a key and its value stand for `counts [keys]` equal ones.
+/// Computes [`attention`] with each key counted `counts [keys]` times.
 pub fn attention_to_means(q: &[f64], [k, v]: [&[f64]; 2], counts: &[f64], heads: usize, head_dim: usize) -> Vec<f64> {
     let width = heads * head_dim;
     let keys = k.len() / width;

@@ -1,7 +1,9 @@
-//! Inputs of a convolution, row by row.
+//! Convolution inputs.
 
-/// A picture `[height, width, channels]`, with `spread - 1` zeros between its pixels and `padding` around, cut into `side` x `side`
-/// pixels at every `step`: a row `[side, side, channels]` for each of `[out_height, out_width]`.
+/// Cuts an image `[height, width, channels]` into rows `[side, side, channels]`, one per output
+/// pixel.
+///
+/// `spread - 1` zeros separate pixels, `padding` surrounds them.
 pub fn im2col(
     picture: &[f64],
     [width, channels]: [usize; 2],

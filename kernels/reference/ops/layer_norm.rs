@@ -1,6 +1,6 @@
-//! LayerNorm.
+//! Layer normalization.
 
-/// Rows of `weight.len()` values, each to mean 0 and variance 1 (biased), then times `weight` plus `bias`.
+/// Normalizes rows to mean 0 and biased variance 1, then applies `weight` and `bias`.
 pub fn layer_norm(x: &[f64], weight: &[f32], bias: &[f32], eps: f64) -> Vec<f64> {
     let width = weight.len();
     let normed = x.chunks(width).flat_map(|row| {

@@ -1,8 +1,8 @@
-//! Linear layers and the scale of their results.
+//! Linear layers and LayerScale.
 
 use rayon::prelude::*;
 
-/// `x [rows, inputs]` times the transpose of `weight [outputs, inputs]`, plus `bias [outputs]`.
+/// Multiplies `x [rows, inputs]` by `weight [outputs, inputs]` transposed and adds `bias`.
 pub fn linear(x: &[f64], weight: &[f32], bias: &[f32]) -> Vec<f64> {
     let inputs = weight.len() / bias.len();
     let output = |row: &[f64], j: usize| {
@@ -12,7 +12,7 @@ pub fn linear(x: &[f64], weight: &[f32], bias: &[f32]) -> Vec<f64> {
     x.par_chunks(inputs).flat_map_iter(|row| (0..bias.len()).map(move |j| output(row, j))).collect()
 }
 
-/// `gamma * x`, every row of `x` by the layer scale `gamma`.
+/// Scales every row of `x` by `gamma`.
 pub fn layer_scale(x: &[f64], gamma: &[f32]) -> Vec<f64> {
     x.chunks(gamma.len()).flat_map(|row| row.iter().zip(gamma).map(|(x, &g)| x * f64::from(g))).collect()
 }

@@ -1,9 +1,8 @@
-//! Linear layers of 8-bit integers.
+//! 8-bit linear layers.
 
 use rayon::prelude::*;
 
-/// Integers `x [rows, inputs]` times the transpose of `weight [outputs, inputs]`, each sum times the scales of its row and its output,
-/// plus `bias [outputs]`.
+/// Multiplies `x [rows, inputs]` by `weight [outputs, inputs]` transposed, scales, and adds `bias`.
 pub fn linear_dot(
     (x, row_scales): (&[i8], &[f32]),
     (weight, column_scales): (&[i8], &[f32]),

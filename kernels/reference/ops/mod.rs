@@ -1,4 +1,4 @@
-//! Operations that several stages use.
+//! Operations of several stages.
 
 pub mod activation;
 pub mod add;

@@ -1,12 +1,12 @@
-//! Matrices side by side, and taken apart again.
+//! Joined and split columns.
 
-/// `left [rows, left_width]` and `right [rows, right_width]` as `[rows, left_width + right_width]`.
+/// Joins `[rows, left_width]` and `[rows, right_width]`.
 pub fn join_columns(left: &[f64], left_width: usize, right: &[f64], right_width: usize) -> Vec<f64> {
     let rows = left.chunks(left_width).zip(right.chunks(right_width));
     rows.flat_map(|(left, right)| left.iter().chain(right)).copied().collect()
 }
 
-/// Columns `start..end` of rows of `width`.
+/// Returns columns `start..end`.
 pub fn columns(rows: &[f64], width: usize, start: usize, end: usize) -> Vec<f64> {
     rows.chunks(width).flat_map(|row| &row[start..end]).copied().collect()
 }

@@ -1,6 +1,7 @@
-//! Rows as multiples of a 127th of their largest magnitude.
+//! Row quantization.
 
-/// Each row's values in that unit, and the unit; zeros where the row is zero.
+/// Returns values in 127ths of their row's largest magnitude, and that unit per row; 0 for zero
+/// rows.
 pub fn quantise_rows(source: &[f64], width: usize) -> (Vec<f64>, Vec<f64>) {
     let units: Vec<f64> =
         source.chunks(width).map(|row| row.iter().fold(0.0, |most: f64, x| most.max(x.abs())) / 127.0).collect();

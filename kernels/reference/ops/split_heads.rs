@@ -1,25 +1,26 @@
-//! Queries, keys or values of all heads out of a projection.
+//! Heads of projections.
 
 use super::layer_norm::layer_norm;
 use super::place_columns::columns;
 use crate::backbone::rope::rope;
 
-/// Where a part is in a projection, and what happens to it before attention.
+/// One part of a projection and its processing.
 #[derive(Clone, Copy)]
 pub struct Part<'a> {
     /// First column.
     pub column: usize,
     /// Attention heads.
     pub heads: usize,
-    /// Channels of a head.
+    /// Channels per head.
     pub head_dim: usize,
-    /// Weight, bias and epsilon of the LayerNorm over a head's channels, which the heads share.
+    /// Weight, bias and epsilon of the LayerNorm over a head's channels.
     pub norm: Option<(&'a [f32], &'a [f32], f64)>,
-    /// Positions (y, x) of a sequence's tokens, where heads are rotated by them; the rows may be several sequences.
+    /// Rotary positions (y, x) of one sequence's tokens.
     pub positions: Option<&'a [[f64; 2]]>,
 }
 
-/// The part of `projection [rows, stride]` as `[rows, heads, head_dim]`, normed, then rotated.
+/// Returns `part` of `projection [rows, stride]` as `[rows, heads, head_dim]`, normalized, then
+/// rotated.
 pub fn split_heads(projection: &[f64], stride: usize, part: Part) -> Vec<f64> {
     let width = part.heads * part.head_dim;
     let mut x = columns(projection, stride, part.column, part.column + width);
@@ -35,19 +36,19 @@ pub fn split_heads(projection: &[f64], stride: usize, part: Part) -> Vec<f64> {
     }
 }
 
-/// Groups of neighbouring patches of each view, whose keys and values are averaged.
+/// Pooling of keys and values over groups of patches in each view.
 #[derive(Clone, Copy, Debug)]
 pub struct Pool {
-    /// Patches of a group along each side.
+    /// Side of a group in patches.
     pub side: usize,
-    /// Rows and columns of a view's patches.
+    /// Rows and columns of patches.
     pub grid: [usize; 2],
-    /// Tokens before a view's patches, which stay as they are.
+    /// Tokens before the patches, not pooled.
     pub leading: usize,
 }
 
 impl Pool {
-    /// The means of the groups of `x [views * tokens, width]`, and of how many rows each is.
+    /// Returns group means of `x [views * tokens, width]`, and group sizes.
     pub fn means(&self, x: &[f64], width: usize) -> (Vec<f64>, Vec<f64>) {
         let Self { side, grid: [rows, columns], leading } = *self;
         let (tokens, across) = (leading + rows * columns, columns.div_ceil(side));

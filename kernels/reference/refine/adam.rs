@@ -1,16 +1,16 @@
-//! Adam on one value.
+//! Adam.
 
-/// One value with its moments.
+/// A value and its moments.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Adam {
-    /// In the space of the steps.
+    /// Value in the optimization space.
     pub value: f64,
-    /// Means of gradients and of their squares.
+    /// Means of gradients and squared gradients.
     pub moments: [f64; 2],
 }
 
 impl Adam {
-    /// After step `step`, counted from 1, against `gradient`.
+    /// Returns the state after step `step`, from 1.
     pub fn stepped(self, gradient: f64, step: i32, rate: f64, [beta1, beta2]: [f64; 2], eps: f64) -> Adam {
         let mean = beta1 * self.moments[0] + (1.0 - beta1) * gradient;
         let square = beta2 * self.moments[1] + (1.0 - beta2) * gradient.powi(2);

@@ -1,3 +1,3 @@
-//! Steps that make a scene fit its photos.
+//! Refinement.
 
 pub mod adam;

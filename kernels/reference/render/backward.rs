@@ -1,5 +1,5 @@
-//! Gradients of pictures by central differences of the pictures: no derivative is written down but that of blending, which
-//! has thresholds.
+//! Gradients by central differences; only blending, which has thresholds, is differentiated by
+//! hand.
 
 use super::{
     project::{Camera, Gaussians, MIN_ALPHA, project},
@@ -8,28 +8,28 @@ use super::{
 };
 use glam::{DMat3, DVec3};
 
-/// The weight of each output in a loss that is their weighted sum, in the pictures' order.
+/// Weights of a loss that is a weighted sum of outputs.
 #[derive(Clone, Debug, Default)]
 pub struct Weights {
-    /// `[pictures, H, W, 3]`.
+    /// `[images, H, W, 3]`.
     pub rgb: Vec<f64>,
-    /// `[pictures, H, W]`.
+    /// `[images, H, W]`.
     pub alpha: Vec<f64>,
-    /// `[pictures, H, W]`.
+    /// `[images, H, W]`.
     pub depth: Vec<f64>,
 }
 
-/// A way to move Gaussians and cameras.
+/// A perturbation of Gaussians and cameras.
 #[derive(Clone, Debug)]
 pub struct Direction {
-    /// The gradients by each Gaussian.
+    /// Gaussians.
     pub gaussians: Gaussians,
-    /// The gradients by each camera: w and v, where its camera-to-world pose moves as pose o (exp(w^), v); fx, fy, cx, cy.
+    /// w and v of the camera-to-world pose o (exp(w^), v); fx, fy, cx, cy.
     pub cameras: Vec<[f64; 10]>,
 }
 
 impl Direction {
-    /// Moves nothing.
+    /// Returns the zero direction.
     pub fn still(gaussians: &Gaussians, cameras: usize) -> Self {
         let count = gaussians.means.len();
         let gaussians = Gaussians {
@@ -43,18 +43,18 @@ impl Direction {
     }
 }
 
-/// How pictures are drawn.
+/// Rendering options.
 #[derive(Clone, Copy, Debug)]
 pub struct Drawing {
-    /// Gaussians are made fainter by what the blur takes.
+    /// Compensates opacity for blur.
     pub antialiased: bool,
-    /// Depth is the sum over alpha.
+    /// Divides depth by alpha.
     pub expected_depth: bool,
-    /// Behind the scene.
+    /// Background color.
     pub background: [f64; 3],
 }
 
-/// How much the weighted sum of all outputs changes along a direction, from steps of `step` times it.
+/// Differentiates the weighted sum along a direction, by steps of `step`.
 pub fn along(
     gaussians: &Gaussians,
     cameras: &[Camera],
@@ -103,7 +103,7 @@ fn moved_camera(camera: &Camera, direction: &[f64; 10], by: f64) -> Camera {
     let d = direction.map(|d| by * d);
     let back =
         DMat3::from_cols(DVec3::new(1.0, -d[2], d[1]), DVec3::new(d[2], 1.0, -d[0]), DVec3::new(-d[1], d[0], 1.0));
-    // To first order that is exp(-w^).
+    // exp(-w^) to first order.
     Camera {
         rotation: back * camera.rotation,
         translation: back * (camera.translation - DVec3::new(d[3], d[4], d[5])),
@@ -112,12 +112,12 @@ fn moved_camera(camera: &Camera, direction: &[f64; 10], by: f64) -> Camera {
     }
 }
 
-/// A splat as render/rasterise_backward reads it: its conic is A (dx - k dy)^2 + P dy^2, where dx - k dy counts from `ridge`.
+/// A splat as in render/rasterise_backward: conic A (dx - k dy)^2 + P dy^2.
 #[derive(Clone, Copy, Debug)]
 pub struct Ellipse {
-    /// Centre, or the ridge's x and the centre's y.
+    /// x of center or ridge, y of center.
     pub place: [f64; 2],
-    /// The row in which the ridge has the x of `place`.
+    /// Row where the ridge has the x of `place`.
     pub ridge: f64,
     /// A, k, P.
     pub conic: [f64; 3],
@@ -129,9 +129,11 @@ pub struct Ellipse {
     pub depth: f64,
 }
 
-/// Gradients of splats through one pixel, nearest first, for a loss with these gradients by the pixel's red, green, blue, alpha
-/// and depth. Of each splat: g (1, e, y, e e, e y, y y), where g is the gradient of ln alpha, e = dx - k dy and y = dy; then of
-/// red, green, blue and depth. What lies behind a splat is added up from the farthest.
+/// Computes gradients of splats through one pixel, nearest first, for gradients `d` by RGB, alpha
+/// and depth.
+///
+/// Per splat: g (1, e, y, e e, e y, y y), RGB and depth. g is the gradient of ln alpha,
+/// e = dx - k dy and y = dy.
 pub fn through_pixel(splats: &[Ellipse], [x, y]: [f64; 2], d: [f64; 5], background: [f64; 3]) -> Vec<[f64; 10]> {
     let mut left = 1.0;
     let mut seen = Vec::new();
@@ -172,10 +174,10 @@ pub fn through_pixel(splats: &[Ellipse], [x, y]: [f64; 2], d: [f64; 5], backgrou
     gradients
 }
 
-/// Gradients of one Gaussian and its camera.
+/// Gradients of a Gaussian and its camera.
 #[derive(Clone, Copy, Debug)]
 pub struct OneGradient {
-    /// Centre.
+    /// Center.
     pub mean: [f64; 3],
     /// Standard deviations.
     pub scale: [f64; 3],
@@ -187,9 +189,10 @@ pub struct OneGradient {
     pub camera: [f64; 10],
 }
 
-/// The gradients of a Gaussian and its camera that follow from a splat's: `pair` is the sum over pixels of what [`through_pixel`] has
-/// of moments, then the gradient of the offset of centre and camera through colour, and that of depth. By differences of fourth
-/// order of what `pair` is the gradient of. `gaussian` is one that is seen and stays so.
+/// Computes gradients of a visible Gaussian and its camera, by fourth-order differences.
+///
+/// `pair` has the moments of [`through_pixel`], the gradient by the world offset from the camera
+/// through color, and that by depth.
 pub fn of_splat(gaussian: &Gaussians, camera: &Camera, antialiased: bool, pair: &[f64; 10]) -> OneGradient {
     let splat = |gaussian: &Gaussians, camera: &Camera| project(gaussian, camera, antialiased)[0].expect("it is seen");
     let [xx, xy, yy] = splat(gaussian, camera).conic;
@@ -217,7 +220,7 @@ pub fn of_splat(gaussian: &Gaussians, camera: &Camera, antialiased: bool, pair: 
     };
     let depth = splat(gaussian, camera).depth;
     let length = gaussian.quats[0].iter().map(|q| q * q).sum::<f64>().sqrt();
-    // Of what is far thinner than a pixel the splat depends on squares: its own size would be too small a step.
+    // Thin splats depend on squared scales; a step of their own size is too small.
     let thin = 0.05 * depth / camera.intrinsics[0];
     let of_camera = |i: usize| {
         let step = [1e-6, 1e-6 * depth, 1e-4 * camera.intrinsics[0], 1e-3][[0, 0, 0, 1, 1, 1, 2, 2, 3, 3][i]];
@@ -236,8 +239,7 @@ pub fn of_splat(gaussian: &Gaussians, camera: &Camera, antialiased: bool, pair: 
     }
 }
 
-/// The gradients of the coefficients `[K, 3]` and of the offset from camera to Gaussian, for a colour
-/// that is not held at 0.
+/// Computes gradients by coefficients `[K, 3]` and camera-to-Gaussian offset, for unclamped color.
 pub fn of_color(coeffs: &[f64], offset: DVec3, d: [f64; 3]) -> (Vec<f64>, [f64; 3]) {
     let degree = (coeffs.len() / 3).isqrt() as i32 - 1;
     let basis = sh::basis(degree, offset.normalize());
@@ -251,7 +253,7 @@ pub fn of_color(coeffs: &[f64], offset: DVec3, d: [f64; 3]) -> (Vec<f64>, [f64; 
     (of_coeffs, std::array::from_fn(along))
 }
 
-/// The derivative at 0, exact for polynomials of degree 4.
+/// Derivative at 0, exact up to degree 4.
 fn difference(value: impl Fn(f64) -> f64, step: f64) -> f64 {
     let apart = |by: f64| value(by) - value(-by);
     (8.0 * apart(step) - apart(2.0 * step)) / (12.0 * step)

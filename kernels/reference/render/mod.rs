@@ -1,4 +1,4 @@
-//! Gaussians to pictures, by the rules of gsplat 1.5.3.
+//! Rendering by the rules of gsplat 1.5.3.
 
 pub mod backward;
 pub mod normals;

@@ -1,16 +1,16 @@
-//! Normals of Gaussians: the eigenvector of the smallest eigenvalue of the covariance, by inverse iteration.
+//! Normals by inverse iteration on the covariance.
 
 use super::project::{Camera, Gaussians};
 use glam::{DMat3, DQuat, DVec3};
 
-/// The shortest axis of Gaussian `i` in the world's frame, turned towards the camera. Of axes about equally short it may
-/// be any.
+/// Returns the shortest axis of Gaussian `i`, world space, facing the camera. Equally short axes
+/// may give any.
 pub fn normal(gaussians: &Gaussians, i: usize, camera: &Camera) -> [f64; 3] {
     let [w, x, y, z] = gaussians.quats[i];
     let axes = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize());
     let spread = axes * DMat3::from_diagonal(DVec3::from(gaussians.scales[i]));
     let precision = (spread * spread.transpose()).inverse();
-    // Powers of the inverse leave what is largest in it; squaring makes 2^24 of them.
+    // Squaring computes the 2^24th power, which isolates the largest eigenvalue.
     let mut power = precision;
     for _ in 0..24 {
         power *= power;

@@ -1,8 +1,7 @@
-//! Pictures of 8 bits a channel.
+//! 8-bit images.
 
-/// `[pixels]` red, green, blue, alpha as bytes, red or blue first: how many of 1/255, 2/255, … 1 a colour reaches, and which
-/// of them alpha is nearest to, the even one of two. The product with 255 is rounded to f32, as whoever writes pictures to
-/// files does.
+/// Packs RGBA to bytes: color truncated, alpha rounded half to even. The product with 255 is
+/// rounded to f32, as in image writers.
 pub fn pack(frames: &[[f64; 4]], blue_first: bool) -> Vec<[u8; 4]> {
     let steps: Vec<f32> = (1..=255).map(|step| step as f32).collect();
     let scaled = |value: f64| (value * 255.0) as f32;
@@ -10,7 +9,7 @@ pub fn pack(frames: &[[f64; 4]], blue_first: bool) -> Vec<[u8; 4]> {
     let order = if blue_first { [2, 1, 0] } else { [0, 1, 2] };
     let pixel = |pixel: &[f64; 4]| {
         let [first, second, third] = order.map(|channel| color(pixel[channel]));
-        [first, second, third, scaled(pixel[3]).round_ties_even() as u8] // casting saturates
+        [first, second, third, scaled(pixel[3]).round_ties_even() as u8] // casts saturate
     };
     frames.iter().map(pixel).collect()
 }

@@ -1,35 +1,34 @@
-//! Gaussians to ellipses on the picture (Zwicker et al. 2002).
+//! EWA projection of Gaussians (Zwicker et al. 2002).
 
 use glam::{DMat3, DQuat, DVec3};
 
 use super::sh;
 
-/// Variance in pixels^2 that blurs every ellipse.
+/// Variance added to every ellipse, pixels^2.
 const EPS_2D: f64 = 0.3;
-/// A Gaussian nearer than this is not seen, nor one beyond `FAR`.
 const NEAR: f64 = 0.01;
 const FAR: f64 = 1e10;
-/// Contributions below it are not seen.
+/// Least visible alpha.
 pub const MIN_ALPHA: f64 = 1.0 / 255.0;
-/// Side of the tiles that `Splat::tiles` counts.
+/// Tile side in pixels.
 const TILE: f64 = 16.0;
 
-/// A set of Gaussians in world units, in the order that breaks ties of depth.
+/// Gaussians in world units; their order breaks depth ties.
 #[derive(Clone, Debug, Default)]
 pub struct Gaussians {
-    /// Centres.
+    /// Centers.
     pub means: Vec<[f64; 3]>,
-    /// wxyz, of any length but zero.
+    /// wxyz, nonzero, any length.
     pub quats: Vec<[f64; 4]>,
-    /// Standard deviations along the axes.
+    /// Standard deviations.
     pub scales: Vec<[f64; 3]>,
-    /// In `[0, 1]`.
+    /// 0..1.
     pub opacities: Vec<f64>,
     /// `[N, K, 3]`.
     pub sh_coeffs: Vec<f64>,
 }
 
-/// A pinhole camera, OpenCV axes, pixel centres at +0.5.
+/// A pinhole camera, OpenCV axes, pixel centers at +0.5.
 #[derive(Clone, Copy, Debug)]
 pub struct Camera {
     /// Rotation, world to camera.
@@ -43,7 +42,7 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// From a world-to-camera matrix `[4, 4]` and an intrinsic matrix `[3, 3]`, row-major.
+    /// Converts a world-to-camera matrix `[4, 4]` and intrinsics `[3, 3]`, row-major.
     pub fn new(viewmat: &[f64], k: &[f64], size: [usize; 2]) -> Camera {
         let row = |i: usize| DVec3::from_slice(&viewmat[4 * i..]);
         Camera {
@@ -54,34 +53,34 @@ impl Camera {
         }
     }
 
-    /// The camera's position in the world.
+    /// Returns the world-space center.
     pub fn centre(&self) -> DVec3 {
         self.rotation.inverse() * -self.translation
     }
 }
 
-/// A Gaussian as the picture has it.
+/// A projected Gaussian.
 #[derive(Clone, Copy, Debug)]
 pub struct Splat {
-    /// Centre, pixels.
+    /// Center in pixels.
     pub mean: [f64; 2],
     /// Camera z.
     pub depth: f64,
     /// Inverse covariance: xx, xy, yy.
     pub conic: [f64; 3],
-    /// Peak alpha: opacity, times `compensation` if antialiased.
+    /// Peak alpha, compensated if antialiased.
     pub opacity: f64,
-    /// The share of the peak that the blur leaves: `sqrt(det before / det after)`.
+    /// `sqrt(det before blur / det after)`.
     pub compensation: f64,
-    /// Half extent of the box outside which alpha is below `MIN_ALPHA`, whole pixels.
+    /// Half extent of the box with alpha >= `MIN_ALPHA`, whole pixels.
     pub radii: [u32; 2],
-    /// First and one past the last tile of that box, x and y.
+    /// First and one past the last tile, x and y.
     pub tiles: [[u32; 2]; 2],
-    /// RGB seen from the camera, not clamped above.
+    /// RGB, not clamped above.
     pub color: [f64; 3],
 }
 
-/// Every Gaussian's splat; `None` for those that the camera cannot see.
+/// Projects every Gaussian, `None` if culled.
 pub fn project(gaussians: &Gaussians, camera: &Camera, antialiased: bool) -> Vec<Option<Splat>> {
     (0..gaussians.means.len()).map(|i| project_one(gaussians, i, camera, antialiased)).collect()
 }
@@ -104,7 +103,7 @@ fn project_one(gaussians: &Gaussians, i: usize, camera: &Camera, antialiased: bo
     if opacity < MIN_ALPHA {
         return None;
     }
-    // Where opacity exp(-d^2 / 2) falls below MIN_ALPHA, in standard deviations.
+    // Standard deviations where opacity exp(-d^2 / 2) falls to MIN_ALPHA.
     let reach = (2.0 * (opacity / MIN_ALPHA).ln()).sqrt().min(3.33);
     let radii = [xx, yy].map(|variance| (reach * variance.sqrt()).ceil());
     let outside =
@@ -129,7 +128,8 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-/// `|a|^2 |b|^2 - (a b)^2` by orthogonalising (Gram and Schmidt, twice), which does not cancel where they are nearly parallel.
+/// `|a|^2 |b|^2 - (a b)^2` by two Gram-Schmidt passes, without cancellation for nearly parallel
+/// vectors.
 fn gram_determinant(a: &[f64], b: &[f64]) -> f64 {
     let square = dot(a, a);
     if square == 0.0 {
@@ -143,8 +143,8 @@ fn gram_determinant(a: &[f64], b: &[f64]) -> f64 {
     square * dot(&rest, &rest)
 }
 
-/// Two vectors whose products are the ellipse's covariance before the blur, linearised at the camera-space mean `p`, whose
-/// slope is held within 15 % of the picture's width (height) beyond its borders.
+/// Vectors whose products are the covariance before blur, linearized at `p` with slopes clamped 15%
+/// beyond the image.
 fn spread_2d(gaussians: &Gaussians, i: usize, camera: &Camera, p: DVec3) -> [[f64; 3]; 2] {
     let [w, x, y, z] = gaussians.quats[i];
     let axes = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize());
@@ -157,7 +157,7 @@ fn spread_2d(gaussians: &Gaussians, i: usize, camera: &Camera, p: DVec3) -> [[f6
         slope.clamp(-(principal / focal + beyond), (size - principal) / focal + beyond)
     };
     let [tx, ty] = [held(p.x / p.z, fx, cx, camera.size[0]), held(p.y / p.z, fy, cy, camera.size[1])];
-    // Rows of the Jacobian of (fx x / z, fy y / z).
+    // Jacobian of (fx x / z, fy y / z).
     let u = DVec3::new(fx, 0.0, -fx * tx) / p.z;
     let v = DVec3::new(0.0, fy, -fy * ty) / p.z;
     [u, v].map(|row| (spread.transpose() * row).into())

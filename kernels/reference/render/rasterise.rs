@@ -1,35 +1,35 @@
-//! Splats to pixels: every pixel walks all splats from front to back.
+//! Blending: every pixel visits all splats front to back.
 
 use rayon::prelude::*;
 
 use super::project::{Camera, Gaussians, MIN_ALPHA, Splat, project};
 
-/// No splat hides more than this of what is behind it.
+/// Largest alpha of a splat.
 pub const MAX_ALPHA: f64 = 0.999;
-/// A pixel is finished before its transmittance would fall to this.
+/// A pixel stops before this transmittance.
 pub const MIN_TRANSMITTANCE: f64 = 1e-4;
 
-/// The pictures that a camera sees, row-major.
+/// Row-major outputs of a camera.
 #[derive(Clone, Debug, Default)]
 pub struct Rendering {
-    /// `[H, W, 3]`, in front of the background.
+    /// `[H, W, 3]` over the background.
     pub rgb: Vec<f64>,
     /// `[H, W]`: 1 - transmittance.
     pub alpha: Vec<f64>,
-    /// `[H, W]` accumulated depth (D): the sum of depth times weight, world units.
+    /// `[H, W]` sum of depth times weight, world units.
     pub depth: Vec<f64>,
-    /// `[H, W]` expected depth (ED): accumulated depth over alpha.
+    /// `[H, W]` depth over alpha.
     pub expected_depth: Vec<f64>,
-    /// `[H, W]`: 1 where an alpha or a transmittance is so near its threshold that f32 rounding decides.
+    /// `[H, W]` 1 where f32 rounding may decide a threshold.
     pub unstable: Vec<u8>,
 }
 
-/// Renders `gaussians`; `antialiased` scales each by what the blur takes from its peak.
+/// Renders `gaussians`; `antialiased` compensates opacity for blur.
 pub fn render(gaussians: &Gaussians, camera: &Camera, antialiased: bool, background: [f64; 3]) -> Rendering {
     rasterise(&project(gaussians, camera, antialiased), camera.size, background)
 }
 
-/// Blends splats, ordered by depth in f32 and then by index.
+/// Blends splats by f32 depth, then index.
 pub fn rasterise(splats: &[Option<Splat>], size: [usize; 2], background: [f64; 3]) -> Rendering {
     let mut order: Vec<&Splat> = splats.iter().flatten().collect();
     order.sort_by(|a, b| (a.depth as f32).total_cmp(&(b.depth as f32)));

@@ -1,10 +1,10 @@
-//! Spherical harmonics to colour, from associated Legendre functions rather than from expanded polynomials.
+//! Spherical harmonics by associated Legendre functions.
 
 use std::f64::consts::PI;
 
 use glam::DVec3;
 
-/// Colour of `coeffs [K, 3]` (K a square) seen along `direction` (camera to Gaussian, any length): `max(0, 0.5 + sum)`.
+/// Computes the color of `coeffs [K, 3]` seen along `direction`, any length: `max(0, 0.5 + sum)`.
 pub fn color(coeffs: &[f64], direction: DVec3) -> [f64; 3] {
     let degree = (coeffs.len() / 3).isqrt() as i32 - 1;
     let basis = basis(degree, direction.normalize());
@@ -14,8 +14,8 @@ pub fn color(coeffs: &[f64], direction: DVec3) -> [f64; 3] {
     })
 }
 
-/// The real spherical harmonics of a unit `direction`, ordered by band l, then by m from -l to l, with the
-/// Condon-Shortley phase: band 1 is `0.4886 (-y, z, -x)`.
+/// Computes real spherical harmonics of unit `direction`, by band, then order, with the
+/// Condon-Shortley phase.
 pub fn basis(degree: i32, direction: DVec3) -> Vec<f64> {
     let azimuth = direction.y.atan2(direction.x);
     let bands = (0..=degree).flat_map(|l| (-l..=l).map(move |m| (l, m)));
@@ -32,7 +32,7 @@ pub fn basis(degree: i32, direction: DVec3) -> Vec<f64> {
     bands.map(harmonic).collect()
 }
 
-/// The associated Legendre function P_l^m(z) with the factor (-1)^m, by its three-term recurrence in l.
+/// Associated Legendre function with factor (-1)^m, by its recurrence in l.
 fn legendre(l: i32, m: i32, z: f64) -> f64 {
     let sine = (1.0 - z * z).max(0.0).sqrt();
     let diagonal = (1..=m).map(|i| -f64::from(2 * i - 1) * sine).product();

@@ -1,4 +1,4 @@
-//! Means of halves, exactly: one rounding, then a factor of a power of two.
+//! Means of halves, exact: one rounding and a power of two.
 
 use crate::case::{Case, elements, random, rounded, stored};
 use zipsplat::kernels::backbone::AverageHalves;

@@ -1,4 +1,4 @@
-//! Camera tokens, exactly.
+//! Camera tokens, exact.
 
 use crate::case::{Case, random, rounded};
 use zipsplat::kernels::backbone::CameraToken;
@@ -10,7 +10,7 @@ use zipsplat_tests::reference::{
 
 #[test]
 fn equals_the_reference() {
-    // The last takes more than 65,535 workgroups.
+    // The last exceeds 65,535 workgroups.
     for (views, tokens, width) in [(0, 3, 4), (1, 1, 1), (1, 5, 63), (2, 4, 64), (3, 2, 65), (65_537, 1, 65)] {
         for (encoded, chosen) in [(false, false), (false, true), (true, false)] {
             let reference = views / 2;
@@ -25,7 +25,7 @@ fn equals_the_reference() {
                 views: views as u32,
                 tokens: tokens as u32,
                 width: width as u32,
-                // Not what is chosen.
+                // Unused where the device chooses.
                 reference: if chosen { 0 } else { reference as u32 },
                 encoded,
                 on_device: chosen,

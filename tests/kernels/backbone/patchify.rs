@@ -1,4 +1,4 @@
-//! Patches, exactly.
+//! Patches, exact.
 
 use crate::case::{Case, elements, random, rounded, stored};
 use zipsplat::kernels::backbone::Patchify;
@@ -10,7 +10,7 @@ use zipsplat_tests::reference::{
 
 #[test]
 fn equals_the_reference() {
-    // (views, rows and columns of patches, patch); the last takes more than 65,535 workgroups.
+    // (views, patch rows, patch columns, patch); the last exceeds 65,535 workgroups.
     let shapes =
         [(0, 1, 1, 2), (1, 1, 1, 1), (1, 1, 1, 14), (2, 3, 5, 4), (3, 5, 2, 7), (1, 21, 1, 1), (2, 60, 60, 14)];
     for (views, rows, columns, patch) in shapes {

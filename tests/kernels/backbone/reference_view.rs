@@ -1,11 +1,11 @@
-//! The choice of the reference view: its scores, and views that are alike.
+//! Choice of the reference view: scores and ties.
 
 use crate::case::{Case, random};
 use zipsplat::kernels::backbone::ReferenceView;
 use zipsplat_tests::compare::{Tolerance, assert_close, columns};
 use zipsplat_tests::reference::{backbone::reference_view::scores, widen};
 
-/// The scores of views and the chosen one. The tokens behind the first of each view do not count.
+/// Returns the views' scores and the choice, from the first token of each view.
 fn choose(tokens: &[f32], width: usize) -> (Vec<f32>, u32) {
     let (views, tokens_per_view) = (tokens.len() / width, 3);
     let with_patches: Vec<f32> =
@@ -26,7 +26,7 @@ fn choose(tokens: &[f32], width: usize) -> (Vec<f32>, u32) {
     (run.read(scores).unwrap(), run.read::<u32>(reference).unwrap()[0])
 }
 
-/// Tokens that look alike, as those of one scene do.
+/// Returns similar tokens, as of one scene.
 fn alike(seed: u64, views: usize, width: usize) -> Vec<f32> {
     let (common, own) = (random(seed, width), random(seed + 1, views * width));
     own.iter().enumerate().map(|(i, x)| 3.0 * (common[i % width] + 0.3) + 0.5 * x).collect()
@@ -40,8 +40,8 @@ fn equals_the_reference() {
         let (found, chosen) = choose(&tokens, width);
         let distance: Vec<f64> = truth.iter().map(|view| view[3]).collect();
         let name = format!("{views} views of {width}");
-        // Ranges of the measures are a hundredth of themselves and less, so that the order of sums, which a subgroup's size decides,
-        // shows. Within half a tie no view that is clearly better is passed over.
+        // The measures' ranges are at most a hundredth of their values, which amplifies the order
+        // of sums. The bound is half a tie, so no clearly better view is missed.
         assert_close(&name, &columns(&found, 4, 3, 4), &distance, Tolerance { max: 5e-4, rms: 2.5e-4 });
         let least = (0..views).min_by(|&a, &b| distance[a].total_cmp(&distance[b])).unwrap();
         assert_eq!(chosen as usize, least, "{name}: {distance:?}");
@@ -56,7 +56,7 @@ fn of_views_that_are_equally_good_the_first_is_chosen() {
     let pairs = [view(0), view(1), view(2), view(3), view(0), view(1), view(2), view(3)].concat();
     let (_, chosen) = choose(&pairs, width);
     assert!(chosen < 4, "view {chosen} has a twin before it");
-    // Nor do the last bits of a twin count.
+    // Nor do the last bits of a duplicate count.
     let nudged: Vec<f32> =
         pairs.iter().enumerate().map(|(i, x)| if i < 4 * width { x * (1.0 + 1e-6) } else { *x }).collect();
     assert_eq!(choose(&nudged, width).1, chosen);

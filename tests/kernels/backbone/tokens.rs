@@ -1,4 +1,4 @@
-//! First tokens, exactly: a sum is rounded once.
+//! First tokens, exact: one rounding a sum.
 
 use crate::case::{Case, random, rounded};
 use zipsplat::kernels::backbone::Tokens;
@@ -7,7 +7,7 @@ use zipsplat_tests::reference::{backbone::tokens::tokens, widen};
 
 #[test]
 fn equals_the_reference() {
-    // The last takes more than 65,535 workgroups.
+    // The last exceeds 65,535 workgroups.
     for (views, patches, width) in [(0, 4, 4), (1, 1, 1), (1, 6, 9), (2, 31, 1), (3, 5, 13), (9, 7281, 65)] {
         let all = random(1, views * patches * width);
         let (class, positions) = (random(2, width), random(3, (1 + patches) * width));

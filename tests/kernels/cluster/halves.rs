@@ -1,11 +1,11 @@
-//! Rows about an origin as two f16, against the rows themselves.
+//! Rows about an origin as two f16 each, against the rows.
 
 use crate::case::{Case, elements, random};
 use zipsplat::{gpu::Element, kernels::cluster::Halves};
 use zipsplat_tests::compare::{Tolerance, assert_close};
 use zipsplat_tests::reference::{cluster::halves::about, widen};
 
-/// High and low halves of every padded row as they are stored, scales and norms.
+/// Padded rows as stored: high and low halves, scales and norms.
 struct Held {
     high: Vec<f64>,
     low: Vec<f64>,
@@ -48,7 +48,7 @@ fn check(name: &str, rows: &[f32], origin: &[f32]) {
         assert!(largest <= unit * 32768.0 && (largest == 0.0 || largest >= unit * 16384.0 * (1.0 - 1e-6)), "{name}");
         for (c, x) in row.iter().enumerate() {
             let (h, l) = (high[c] * unit, low[c] * unit);
-            // The difference itself is rounded to f32; a device may flush subnormals.
+            // The difference is rounded to f32; a device may flush subnormals.
             let (rounding, flushed) = ((-24f64).exp2() * x.abs(), (-28f64).exp2() * largest);
             let [alone, both] = [(-11f64).exp2(), (-22f64).exp2()].map(|unit| unit * x.abs() * 1.001);
             assert!((h - x).abs() <= alone + rounding + flushed, "{name}: row {i}, channel {c}: {h} for {x}");
@@ -78,12 +78,12 @@ fn rows_of_every_size() {
     if !elements().contains(&Element::F16) {
         return;
     }
-    // Squares beyond 1e19 are no f32, nor are those below 1e-19.
+    // f32 squares overflow beyond 1e19 and underflow below 1e-19.
     for size in [1e-15, 1e-7, 1.0, 65536.0, 1e10, 1e17] {
         let rows: Vec<f32> = random(4, 5 * 20).iter().map(|x| size * x).collect();
         check(&format!("size {size}"), &rows, &[0.0; 20]);
     }
-    // One channel outweighs all others.
+    // One channel dominates.
     let mut rows = random(5, 6 * 64);
     rows.iter_mut().step_by(64).for_each(|x| *x = 3e3);
     check("outliers", &rows, &[0.0; 64]);

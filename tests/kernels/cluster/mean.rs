@@ -1,4 +1,4 @@
-//! Means of clusters against sums in f64, and the whole clustering against the goldens.
+//! Cluster means against f64 sums; the whole clustering against the goldens.
 
 use crate::case::{Case, nearest_kernels, random, random_below};
 use zipsplat::ops::{NearestKernel, Rows};
@@ -28,7 +28,7 @@ fn check(count: usize, clusters: usize, width: usize) {
 
 #[test]
 fn equals_the_reference() {
-    // Points around a subgroup of any size, and clusters around a digit of the sort.
+    // Sizes around any subgroup and around a digit of the sort.
     for count in [1, 7, 8, 9, 31, 32, 33, 65, 500] {
         for width in [4, 64, 68, 132, 384] {
             for clusters in [1, 2, 9, 256, 257] {
@@ -90,7 +90,7 @@ fn check_golden(golden: &Golden, name: &str, kernel: NearestKernel) {
     // One cluster may have all points.
     assert_close(&what("centroids"), &centroids, &golden.f32(&key("centroids_exact")), Tolerance::sum_of(count));
     let nearest: Vec<u32> = run.read(nearest).unwrap();
-    // Where several tokens are equally near, which one is decided by rounding.
+    // Rounding decides between equally near tokens.
     let gaps = golden.f32(&key("nearest_gap"));
     let clear: Vec<usize> = (0..clusters).filter(|&k| gaps[k] > 1e-4).collect();
     let pick = |indices: &[u32]| clear.iter().map(|&k| indices[k]).collect::<Vec<_>>();
@@ -98,7 +98,7 @@ fn check_golden(golden: &Golden, name: &str, kernel: NearestKernel) {
     assert_as_near(&what("nearest"), &nearest, &centroids, &x, width);
 }
 
-/// The rows that k-means chooses, and how many each cluster has in the end.
+/// Returns the rows that k-means selects and the final cluster sizes.
 fn selection(x: &[f32], width: usize, clusters: usize, kernel: NearestKernel) -> (Vec<u32>, Vec<usize>) {
     let count = x.len() / width;
     let mut case = Case::new();
@@ -114,7 +114,8 @@ fn selection(x: &[f32], width: usize, clusters: usize, kernel: NearestKernel) ->
     (run.read(nearest).unwrap(), members)
 }
 
-/// Clusters of two lie midway between both members: neither rounding of the tokens nor the order of sums chooses one.
+/// Clusters of two lie midway between their members. Neither rounding nor the order of sums may
+/// decide.
 #[test]
 fn rounding_chooses_no_token() {
     let (count, clusters, width) = (288, 144, 96);

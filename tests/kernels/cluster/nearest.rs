@@ -1,7 +1,7 @@
-//! The nearest target, and of those that tie with it the first.
+//! The nearest target, and the first in a tie.
 //!
-//! Most coordinates are small whole numbers or multiples of 1/64 about an origin, whose squared distances f32 holds exactly, and
-//! so do sums of products of their halves: every kernel agrees with f64 on every distance.
+//! Most coordinates are small integers or multiples of 1/64 about an origin. Their squared
+//! distances and the products of their halves are exact in f32, so every kernel agrees with f64.
 
 use crate::case::{Case, nearest_kernels, random, random_below, with_and_without_addresses};
 use zipsplat::{
@@ -16,7 +16,7 @@ use zipsplat_tests::reference::{
     widen,
 };
 
-/// The nearest rows, and the origin that the kernel took for itself or was told.
+/// Returns the nearest rows and the origin, given or computed by the kernel.
 fn find(
     limits: &Limits,
     kernel: NearestKernel,
@@ -42,7 +42,7 @@ fn nearest(kernel: NearestKernel, points: &[f32], targets: &[f32], width: usize)
     find(device().limits(), kernel, [points, targets], width, Some(0.0)).0
 }
 
-/// Coordinates about `origin` for which every kernel is exact.
+/// Checks coordinates about `origin` for which every kernel is exact.
 fn check_about(origin: f32, name: &str, points: &[f32], targets: &[f32], width: usize) {
     let truth = reference(&widen(points), &widen(targets), width);
     for kernel in nearest_kernels() {
@@ -57,8 +57,10 @@ fn check(name: &str, points: &[f32], targets: &[f32], width: usize) {
     check_about(0.0, name, points, targets, width);
 }
 
-/// Any coordinates: what matrix units choose is farther than the nearest by no more than their bound and a tie, and of equal
-/// targets the first. Gives the largest share of the bound.
+/// Checks any coordinates on matrix units and returns the largest share of the error bound.
+///
+/// The result is farther than the nearest by at most the bound and a tie; the first of equal
+/// targets wins.
 fn check_bound(name: &str, points: &[f32], targets: &[f32], width: usize) -> f64 {
     let matrix = nearest_kernels().into_iter().filter(|kernel| *kernel != NearestKernel::Lanes);
     matrix.map(|kernel| check_bound_of(device().limits(), kernel, name, [points, targets], width)).fold(0.0, f64::max)
@@ -90,7 +92,7 @@ fn check_bound_of(
     worst
 }
 
-/// Multiples of 1/64 around `offset`.
+/// Returns multiples of 1/64 around `offset`.
 fn quantised(seed: u64, len: usize, offset: f32) -> Vec<f32> {
     random(seed, len).iter().map(|x| offset + (x * 64.0).round() / 64.0).collect()
 }
@@ -98,7 +100,7 @@ fn quantised(seed: u64, len: usize, offset: f32) -> Vec<f32> {
 #[test]
 fn equals_the_reference() {
     for points in [0, 1, 7, 8, 9, 65] {
-        // A subgroup of 8 looks at 32 targets at a time, one of 64 at 256.
+        // Subgroups of 8 and of 64 process 32 and 256 targets at a time.
         for targets in [1, 2, 3, 31, 32, 33, 127, 129, 255, 257, 1000] {
             for width in [4, 36] {
                 let name = format!("{points} points, {targets} targets, {width}");
@@ -110,19 +112,19 @@ fn equals_the_reference() {
 
 #[test]
 fn of_equally_near_ones_the_first() {
-    // Few places for many targets: nearly every distance is that of several.
+    // Many targets share few coordinates, so nearly every distance ties.
     let places = |seed, len| random_below(seed, len, 3).iter().map(|&x| x as f32).collect::<Vec<_>>();
     for targets in [40, 300, 2000] {
         check(&format!("{targets} targets"), &places(3, 100 * 4), &places(4, targets * 4), 4);
     }
 }
 
-/// Rows with their channels in another order, in which every sum runs otherwise.
+/// Permutes the channels of rows, and so the order of sums.
 fn reordered(rows: &[f32], width: usize, step: usize) -> Vec<f32> {
     rows.chunks(width).flat_map(|row| (0..width).map(|c| row[(c * step + step) % width])).collect()
 }
 
-/// Points midway between two targets, as the mean of a cluster of two is.
+/// Points midway between two targets, like the mean of a cluster of two.
 #[test]
 fn rounding_does_not_choose() {
     assert_eq!(TIE, f64::from(Nearest::TIE));
@@ -132,7 +134,7 @@ fn rounding_does_not_choose() {
         let pairs: Vec<[usize; 2]> = (0..count).map(|i| [i, (i * 7 + 3) % count]).filter(|[a, b]| a != b).collect();
         let first: Vec<u32> = pairs.iter().map(|pair| pair[0].min(pair[1]) as u32).collect();
         for round in 0..4 {
-            // The rounding of what came before, and a mean that itself is rounded.
+            // Rounded inputs, and a rounded mean.
             let noise = random(19 + round, targets.len());
             let targets: Vec<f32> =
                 targets.iter().zip(noise).map(|(x, noise)| x + 1e-6 * round as f32 * noise).collect();
@@ -149,12 +151,12 @@ fn rounding_does_not_choose() {
     }
 }
 
-/// Targets as far from a point as many others, on every lane.
+/// Targets on every lane, equally far from a point.
 #[test]
 fn of_many_that_tie_the_first() {
     let (width, count) = (64, 3000);
     let point: Vec<f32> = random(20, width).iter().map(|x| 4.0 + x).collect();
-    // Signs change and so does rounding, the length of a difference does not.
+    // Signs change the rounding, not the distance.
     let apart = random(21, width);
     let target = |i: usize| -> Vec<f32> {
         let (size, signs) = (if i % 29 == 17 { 1.0 } else { 1.5 }, random(100 + i as u64, width));
@@ -178,7 +180,7 @@ fn duplicates_and_points_among_the_targets() {
 
 #[test]
 fn far_from_the_origin() {
-    // |p|^2 - 2 p t + |t|^2 would be off by 1e8 * 64 times the rounding of f32: hundreds of these squared distances.
+    // p|^2 - 2 p t + |t|^2 would be off by 1e8 * 64 f32 roundings, hundreds of times the distance.
     check_about(1e4, "offset 1e4", &quantised(6, 90 * 64, 1e4), &quantised(7, 200 * 64, 1e4), 64);
 }
 
@@ -198,7 +200,8 @@ fn matrix_units_stay_within_their_bound() {
             let name = format!("spread {scale:e} about {by:e}");
             within(&name, &moved(&points, scale, by), &moved(&targets, scale, by), width);
         }
-        // Clusters as tight as a thousandth of what lies between them, and points between their own two.
+        // Clusters a thousandth as wide as the gaps between them, and points midway between two
+        // targets.
         let clustered: Vec<f32> = (0..targets.len()).map(|i| targets[i / width / 30 * width + i % width]).collect();
         let jittered = |seed| -> Vec<f32> {
             let jitter = random(seed, clustered.len());
@@ -234,7 +237,7 @@ fn a_permutation_permutes() {
 
 #[test]
 fn what_is_no_number_is_never_nearest() {
-    // Nor does it reach other points.
+    // Nor does it affect other points.
     let (width, mut points, mut targets) = (8, quantised(14, 40 * 8, 0.0), quantised(15, 70 * 8, 0.0));
     let truth = reference(&widen(&points), &widen(&targets[8..]), width);
     (points[3 * 8 + 5], targets[2]) = (f32::NAN, f32::INFINITY);
@@ -248,7 +251,7 @@ fn what_is_no_number_is_never_nearest() {
 
 #[test]
 fn tiles_of_gpus() {
-    // On a CPU workgroups take smaller tiles, which compile faster.
+    // CPUs get smaller tiles, which compile faster.
     let limits = Limits { cpu: false, ..device().limits().clone() };
     let [points, targets] = [(16, 150), (17, 700)].map(|(seed, rows)| random(seed, rows * 100));
     for kernel in nearest_kernels() {
@@ -265,7 +268,7 @@ fn tiles_of_gpus() {
 #[test]
 fn points_beyond_the_most_workgroups() {
     let count = 65_536 * NEAREST_ROWS as usize + 1;
-    // The first target for the first row of folded workgroups, the second for those behind.
+    // The first target for the first row of folded workgroups, the second for the rest.
     let fold = 4 * 32_768 * NEAREST_ROWS as usize;
     let points: Vec<f32> = (0..count * 4).map(|i| if i < fold { 0.0 } else { 1.0 }).collect();
     for kernel in nearest_kernels() {

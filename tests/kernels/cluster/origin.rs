@@ -1,4 +1,4 @@
-//! Means of rows spread evenly over all.
+//! Means of evenly spaced rows.
 
 use crate::case::{Case, random};
 use zipsplat::kernels::cluster::Origin;

@@ -1,4 +1,4 @@
-//! Activations of Gaussians: the goldens, random ones, and the extremes value by value.
+//! Activations of Gaussians: goldens, random values, extremes.
 
 use crate::case::{Case, random};
 use zipsplat::kernels::limits::GROUP_FOLD;
@@ -7,12 +7,12 @@ use zipsplat_tests::compare::{Tolerance, assert_close, assert_gaussians_close, a
 use zipsplat_tests::golden::Golden;
 use zipsplat_tests::reference::{gaussians::activate::activate, widen};
 
-/// Activates `raw` `[count, 11 + 3 (degree + 1)^2]` on the device; packed as the goldens are.
+/// Activates `raw` `[count, 11 + 3 (degree + 1)^2]` on the device.
 fn activated(raw: &[f32], sh_degree: usize) -> Vec<f32> {
     activated_in(1.0, raw, sh_degree)
 }
 
-/// The same in a world of another unit.
+/// [`activated`] at another scene scale.
 fn activated_in(unit: f32, raw: &[f32], sh_degree: usize) -> Vec<f32> {
     let bases = (sh_degree + 1) * (sh_degree + 1);
     let count = raw.len() / (11 + 3 * bases);
@@ -33,14 +33,14 @@ fn truth(raw: &[f32], width: usize) -> Vec<f64> {
     widen(raw).chunks(width).flat_map(activate).collect()
 }
 
-/// A Gaussian of SH degree 0 that is zero but for `values` from `column` on.
+/// Returns a Gaussian of SH degree 0 with `values` from `column` on, zero elsewhere.
 fn with(column: usize, values: &[f32]) -> Vec<f32> {
     let mut raw = vec![0.0; 14];
     raw[column..column + values.len()].copy_from_slice(values);
     raw
 }
 
-/// Holds every value by itself to the reference.
+/// Compares each value by itself.
 fn check_each(name: &str, raw: &[f32], columns: std::ops::Range<usize>) {
     for ((raw, got), truth) in raw.chunks(14).zip(activated(raw, 0).chunks(14)).zip(truth(raw, 14).chunks(14)) {
         for c in columns.clone() {
@@ -72,7 +72,7 @@ fn more_workgroups_than_fit_in_a_row() {
     let count = GROUP_FOLD as usize * 64 + 65;
     let raw = random(2, count * 14);
     let got = activated(&raw, 0);
-    // The first and last rows of folded workgroups; the reference would take long for all.
+    // First and last rows of folded workgroups; the reference is too slow for all.
     for range in [0..1000, count - 1000..count] {
         let values = range.start * 14..range.end * 14;
         let name = format!("{range:?}");
@@ -90,7 +90,7 @@ fn means_near_and_far() {
 
 #[test]
 fn scales_over_their_whole_range() {
-    // softplus(x - 4): exp, then log(1 + u) down to where 1 + u rounds to 1, then the identity above 20.
+    // softplus(x - 4): exp, then log(1 + u) until 1 + u rounds to 1, then the identity above 20.
     let raw: Vec<f32> =
         (-100..=100).flat_map(|x| with(3, &[x as f32, x as f32 / 10.0, 4.0 + x as f32 / 1000.0])).collect();
     check_each("scale", &raw, 3..6);

@@ -1,4 +1,4 @@
-//! Gradients of activations: random ones, clamps, and quaternions of any length.
+//! Gradients of activations: random values, clamps, quaternions of any length.
 
 use crate::case::{Case, random};
 use zipsplat::kernels::gaussians::ActivateBackward;
@@ -6,7 +6,7 @@ use zipsplat_tests::compare::{Tolerance, assert_close, assert_gaussians_within, 
 use zipsplat_tests::reference::gaussians::{activate::activate, activate_backward::activate_backward};
 use zipsplat_tests::reference::widen;
 
-/// d loss / d raw, `[count, width]`, in groups of `group` with `padding` behind each.
+/// Returns d loss / d raw, `[count, width]`, in groups of `group` with `padding` behind each.
 fn backward(raw: &[f32], d: &[f32], width: usize, group: usize, padding: usize) -> Vec<f32> {
     let count = raw.len() / width;
     let field = |start, end| columns(d, width, start, end).into_iter().map(|x| x as f32).collect::<Vec<_>>();

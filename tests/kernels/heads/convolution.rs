@@ -1,5 +1,5 @@
-//! Convolutions against sums over all taps: sides, steps, borders, widths that fill no panel, and every part of the epilogue. Where
-//! the device reads by address, the same of pictures with their border.
+//! Convolutions against sums over all taps: sides, steps, borders, partial panels, epilogues, and
+//! bordered pictures read by address.
 
 use crate::case::{Case, random};
 use zipsplat::{
@@ -14,7 +14,7 @@ use zipsplat_tests::compare::{Tolerance, assert_close};
 use zipsplat_tests::device::device;
 use zipsplat_tests::reference::{heads::convolution::convolution, ops::activation, widen};
 
-/// What is done to the values on their way.
+/// Options of the epilogue.
 #[derive(Clone, Copy, Debug, Default)]
 struct How {
     rectified: bool,
@@ -22,7 +22,7 @@ struct How {
     add: bool,
 }
 
-/// All pixels, or those from line `lines.0` on of lines of the source from `lines.1` on.
+/// Checks output lines from `lines.0` on, with source lines from `lines.1` on.
 fn check([height, width]: [usize; 2], [channels, columns]: [usize; 2], shape: [usize; 2], how: How, lines: [usize; 2]) {
     let ([side, step], padding) = (shape, shape[0] / 2);
     let inner = side * side * channels;
@@ -77,7 +77,7 @@ fn check([height, width]: [usize; 2], [channels, columns]: [usize; 2], shape: [u
     if !limits.addresses || !PANEL_COLUMNS.is_multiple_of(tile_columns) {
         return;
     }
-    // Six pixels share a workgroup, of which the last is cut off.
+    // Six pixels a workgroup; the last is cut off.
     for (terms, tile_rows) in [(4, 6), (side as u32 * channels as u32, 1)] {
         let mut case = Case::new();
         let out = case.output::<f32>(pixels * columns);
@@ -111,7 +111,7 @@ fn check([height, width]: [usize; 2], [channels, columns]: [usize; 2], shape: [u
     }
 }
 
-/// A picture with zeros around it.
+/// Adds a zero border.
 fn bordered(picture: &[f64], [width, channels]: [usize; 2], padding: usize) -> Vec<f32> {
     let line = (width + 2 * padding) * channels;
     let mut out = vec![0.0; padding * line];

@@ -1,4 +1,4 @@
-//! Values spread over pixels, with their bias, exactly.
+//! Pixel shuffle with bias, exact.
 
 use crate::case::{Case, random, rounded};
 use zipsplat::kernels::heads::PixelShuffle;

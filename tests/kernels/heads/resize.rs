@@ -1,11 +1,11 @@
-//! Bilinear resizing with corners on corners, with and without positions, and parts of pictures.
+//! Bilinear resizing with aligned corners, with and without positions, and partial pictures.
 
 use crate::case::{Case, random};
 use zipsplat::kernels::heads::Resize;
 use zipsplat_tests::compare::{Tolerance, assert_close};
 use zipsplat_tests::reference::{heads::resize::resize, widen};
 
-/// Lines from `lines.0` on, of lines of the source from `lines.1` on.
+/// Checks output lines from `lines.0` on, with source lines from `lines.1` on.
 fn check([height, width, channels]: [usize; 3], [out_height, out_width]: [usize; 2], placed: bool, lines: [usize; 2]) {
     let (source, half) = (random(1, height * width * channels), channels / 2);
     let positions = random(2, (out_width + out_height) * half);
@@ -45,7 +45,7 @@ fn equals_the_reference() {
     for placed in [false, true] {
         check([3, 4, 8], [6, 8], placed, [0, 0]);
         check([24, 16, 4], [42, 28], placed, [0, 0]);
-        // More channels than a subgroup has lanes, of which the last are none.
+        // More channels than lanes of a subgroup, so the last lanes idle.
         check([3, 2, 68], [5, 4], placed, [0, 0]);
         check([1, 2, 4], [2, 3], placed, [0, 0]);
         check([2, 1, 4], [3, 5], placed, [0, 0]);

@@ -1,4 +1,4 @@
-//! Losses and their gradients: the goldens, random pictures of many sizes, and what is not red, green or blue.
+//! Losses and their gradients: goldens, random pictures of many sizes, other channels than RGB.
 
 use crate::case::{Case, random};
 use zipsplat::gpu::Limits;
@@ -14,7 +14,7 @@ use zipsplat_tests::reference::{loss::gradient as reference, widen};
 const LOSSES: [(Loss, &str); 4] =
     [(Loss::L1, "l1"), (Loss::Mse, "mse"), (Loss::Dssim, "dssim_same"), (Loss::L1Dssim, "l1_dssim_3dgs")];
 
-/// Pictures `[cameras, height, width, 3]` under test.
+/// Pictures `[cameras, height, width, 3]`.
 struct Pictures {
     shape: FrameShape,
     frames: Vec<f32>,
@@ -29,7 +29,7 @@ impl Pictures {
         Self { shape, frames: picture(1), targets: picture(2) }
     }
 
-    /// Loss of every picture and gradient, in frames of `channels`.
+    /// Returns the loss of every picture and the gradient, in frames of `channels`.
     fn compared(&self, limits: &Limits, loss: Loss, channels: usize, scale: f32) -> [Vec<f32>; 2] {
         let mut case = Case::within(limits);
         let pixel = |rgb: &[f32]| rgb.iter().copied().chain([7.0; 8]).take(channels).collect::<Vec<_>>();
@@ -80,7 +80,7 @@ fn equals_the_goldens() {
                 let mean = widen(&values).iter().sum::<f64>() / cameras as f64;
                 let value = assert_close(&name, &[mean], &golden.f64(&key("loss")), rms(1e-6));
                 let truth = interleaved(&golden.f64(&key("d_a")), (width * height) as usize);
-                // Variances of what is flat cancel.
+                // Variances of flat pictures cancel.
                 let tolerance = rms(if case == "flat" { 3e-4 } else { 3e-5 });
                 let gradient = assert_close(&format!("{name} d_a"), &d_frames, &truth, tolerance);
                 println!("{name}: loss {:.1e}, d_a {:.1e}", value.rms, gradient.rms);

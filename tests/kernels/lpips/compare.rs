@@ -1,4 +1,4 @@
-//! Differences of features, and their gradient by finite differences of the reference.
+//! Differences of features, and their gradient against finite differences.
 
 use crate::case::{Case, random};
 use zipsplat::kernels::lpips::Compare;
@@ -21,7 +21,7 @@ impl Features {
         Self { a, b, weights: random(3, channels).iter().map(|x| x.abs()).collect() }
     }
 
-    /// Sums, and the gradient on top of `before`.
+    /// Returns sums, and the gradient added to `before`.
     fn compared(&self, before: Option<&[f32]>, scale: f32) -> [Vec<f32>; 2] {
         let (channels, pixels) = (self.weights.len(), self.a.len() / self.weights.len());
         let mut case = Case::new();
@@ -74,7 +74,7 @@ fn the_gradient_is_the_slope() {
         let a = widen(&features.a);
         for pixel in 0..pixels {
             let own = pixel * channels..(pixel + 1) * channels;
-            // Features that are not above 0 stay where they are: whoever takes the gradient holds it there.
+            // Features at or below 0 stay: the rectifier stops their gradient later.
             let step = 1e-6;
             let moved = |sign: f64| {
                 let mut a = a.clone();

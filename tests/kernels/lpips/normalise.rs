@@ -1,11 +1,11 @@
-//! The range of pictures, and gradients through it.
+//! Range of pictures and its gradient.
 
 use crate::case::{Case, random};
 use zipsplat::kernels::lpips::{Normalise, NormaliseBackward};
 use zipsplat_tests::compare::{Tolerance, assert_close};
 use zipsplat_tests::reference::{lpips::normalise as reference, widen};
 
-/// Pictures `[pixels, channels]` that leave 0..1, some values 0 or 1, and their red, green and blue.
+/// Returns pictures `[pixels, channels]` with values at and beyond 0 and 1, and their RGB.
 fn picture(pixels: usize, channels: usize) -> (Vec<f32>, Vec<f32>) {
     let all: Vec<f32> = random(1, pixels * channels).iter().map(|x| ((0.5 + 0.8 * x) * 16.0).round() / 16.0).collect();
     let rgb = all.chunks(channels).flat_map(|pixel| pixel[..3].to_vec()).collect();

@@ -1,14 +1,14 @@
-//! Max pooling of rectified features and its gradient, exactly, ties included.
+//! Max pooling of rectified features and its gradient, exact, with ties.
 
 use crate::case::{Case, random, rounded};
 use zipsplat::kernels::lpips::{Pool, PoolBackward};
 use zipsplat_tests::compare::assert_same;
 use zipsplat_tests::reference::{lpips::pool as reference, widen};
 
-/// (height, width, channels, side, step): what lies behind the last window is not seen.
+/// (height, width, channels, side, step); windows ignore the remainder.
 const SHAPES: [[usize; 5]; 5] = [[2, 2, 1, 2, 2], [7, 9, 5, 2, 2], [8, 4, 64, 2, 2], [9, 12, 3, 3, 2], [7, 8, 2, 3, 2]];
 
-/// Features of few values, so that many are equal, half of them below 0.
+/// Returns features with many ties, half of them below 0.
 fn features(len: usize) -> Vec<f32> {
     random(1, len).iter().map(|x| (4.0 * x).round() / 4.0).collect()
 }
@@ -46,7 +46,7 @@ fn gradients_go_to_the_first_of_equal_values() {
     for [height, width, channels, side, step] in SHAPES {
         let source = features(height * width * channels);
         let [out_height, out_width] = [height, width].map(|length| (length - side) / step + 1);
-        // Eighths: sums of them are exact in any order.
+        // Sums of eighths are exact in any order.
         let d: Vec<f32> =
             random(2, out_height * out_width * channels).iter().map(|x| (8.0 * x).round() / 8.0).collect();
         let mut case = Case::new();

@@ -1,4 +1,4 @@
-//! Every byte of a copy, and none behind it.
+//! Copies write every byte and none behind it.
 
 use crate::case::Case;
 use zipsplat::{gpu::Tensor, ops::measure};
@@ -6,7 +6,7 @@ use zipsplat_tests::{compare::assert_same, reference::measure::copy::copy};
 
 #[test]
 fn every_byte_is_copied() {
-    // Beyond a row of workgroups, too.
+    // The last exceeds one row of workgroups.
     for quads in [0, 1, 63, 65, 64 * 70_000 + 3] {
         let source: Vec<u32> = (0..4 * quads as u32).map(|i| i.wrapping_mul(2_654_435_761)).collect();
         let mut case = Case::new();

@@ -1,4 +1,4 @@
-//! Chains of steps: with whole numbers exactly, and as near as their roundings allow where values shrink.
+//! Chains of steps: exact for integers, within rounding for shrinking values.
 
 use crate::case::{Case, rounded};
 use zipsplat::ops::measure::FmaChains;
@@ -35,7 +35,7 @@ fn every_step_is_done() {
 #[test]
 fn factor_and_term_are_what_they_are_said_to_be() {
     let of = FmaChains { threads: 100, iterations: 5, factor: 0.97, term: 0.3 };
-    // Of 40 steps each rounds twice, and what is rounded early shrinks.
+    // Each of 40 steps rounds twice; early roundings shrink.
     assert_close("shrinking chains", &found(of), &truth(of), Tolerance::sum_of(2 * 40));
 }
 

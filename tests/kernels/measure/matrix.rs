@@ -1,4 +1,4 @@
-//! Sums of matrix products, exactly: factors are small whole numbers, sums far below 2^24.
+//! Matrix products of small integers, exact: sums stay far below 2^24.
 
 use crate::case::{Case, random_below, rounded};
 use zipsplat::{

@@ -1,4 +1,4 @@
-//! Sums, exactly: an f32 sum is the f64 sum rounded once.
+//! Sums, exact: one rounding.
 
 use crate::case::{Case, random, rounded};
 use zipsplat::{
@@ -8,7 +8,7 @@ use zipsplat::{
 use zipsplat_tests::compare::assert_same;
 use zipsplat_tests::reference::{ops::add::add, widen};
 
-/// More than 65,535 workgroups of 64, the most that Vulkan promises along an axis.
+/// More than 65,535 workgroups of 64, Vulkan's guaranteed limit along an axis.
 const MANY: usize = 65_536 * 64 + 1;
 
 fn truth(left: &[f32], right: &[f32]) -> Vec<f32> {

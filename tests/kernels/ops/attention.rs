@@ -1,4 +1,4 @@
-//! Attention against softmax with every score held in f64.
+//! Attention against f64 softmax over all scores.
 
 use crate::case::{Case, attention_kernels, random, stored, with_and_without_addresses};
 use zipsplat::gpu::{Element, Limits};
@@ -9,9 +9,8 @@ use zipsplat_tests::device::device;
 use zipsplat_tests::reference::ops::{attention::attention_to_means, split_heads};
 use zipsplat_tests::reference::widen;
 
-/// Queries, keys and values `[sequences * tokens, heads * dim]` of one attention, before any are pooled.
+/// Unpooled queries, keys and values `[sequences * tokens, heads * dim]`.
 struct Problem {
-    /// For any kernel.
     shape: Attention,
     q: Vec<f32>,
     k: Vec<f32>,
@@ -36,14 +35,14 @@ impl Problem {
         }
     }
 
-    /// An attention of few queries to the pooled patches of so many views.
+    /// Returns an attention of few queries to the pooled patches of `views`.
     fn pooled(views: usize, pool: Pool, count: usize, dim: usize) -> Problem {
         let problem = Problem::random(1, 9, views * pool.tokens(), count, dim);
         let shape = Attention { keys: views * pool.keys(), pool: Some(pool), ..problem.shape };
         Problem { shape, ..problem }
     }
 
-    /// Every kernel.
+    /// Checks every kernel.
     fn check(&self, name: &str) {
         for kernel in attention_kernels() {
             let name = format!("{name} {:?} {kernel:?}", self.shape);
@@ -56,7 +55,7 @@ impl Problem {
         }
     }
 
-    /// All padding holds NaN, which must reach nothing.
+    /// Runs the kernel with NaN in all padding, which must not spread.
     fn attended(&self, limits: &Limits, kernel: AttentionKernel) -> Vec<f32> {
         let shape = Attention { kernel, ..self.shape };
         let element = kernel.element();
@@ -68,7 +67,7 @@ impl Problem {
             (&self.v, Part::default()),
         ];
         for (tensor, (values, part)) in tensors.into_iter().zip(parts) {
-            // NaN as f32, and as two f16.
+            // NaN as f32 and as two f16.
             case.rec.fill(tensor, u32::MAX);
             let (count, width) = (values.len() / shape.heads.width(), shape.heads.width());
             let projection = Rows { tensor: case.input_of(element, values), count, width, element };
@@ -79,7 +78,7 @@ impl Problem {
         case.result_of(element, out)
     }
 
-    /// The truth of inputs as `element` stores them.
+    /// Computes the truth of inputs rounded to `element`.
     fn truth(&self, element: Element) -> Vec<f64> {
         let Attention { heads, queries, keys, .. } = self.shape;
         let [q, k, v] = [&self.q, &self.k, &self.v].map(|x| widen(&stored(element, x.clone())));
@@ -91,7 +90,7 @@ impl Problem {
         sequences.flat_map(attended).collect()
     }
 
-    /// The keys or values of all groups, as `element` stores them, and how many each is the mean of.
+    /// Returns the groups' mean keys or values rounded to `element`, and the group sizes.
     fn means(&self, element: Element, x: Vec<f64>) -> (Vec<f64>, Vec<f64>) {
         let width = self.shape.heads.width();
         let Some(Pool { side, grid, leading }) = self.shape.pool else {
@@ -103,14 +102,14 @@ impl Problem {
     }
 }
 
-/// A score is a sum of `dim` products; weights and the result are sums over keys. Values that average out leave the result
-/// smaller than its terms, but the terms' errors average out with them.
+/// A score sums `dim` products; weights and results sum over keys. Averaging shrinks values and
+/// errors alike.
 fn tolerance(shape: Attention, element: Element) -> Tolerance {
     let sums = Tolerance::sum_of(shape.heads.dim).and(Tolerance::sum_of(shape.keys)).and(Tolerance::ELEMENTWISE);
     match element {
         Element::F32 => sums,
-        // Scaled queries are rounded, which moves scores that are below 1 here by less than themselves, then weights, then
-        // the result.
+        // Rounded queries move scores, which are below 1 here, by less than themselves. Weights and
+        // results are rounded, too.
         half => sums.and(Tolerance::sum_of_rounded(half, shape.keys)).stored_in(half),
     }
 }
@@ -146,13 +145,13 @@ fn keys_that_stand_for_several() {
 
 #[test]
 fn one_head_over_very_many_queries() {
-    // More workgroups along x than a one-dimensional dispatch is folded at.
+    // More workgroups along x than the fold of a one-dimensional dispatch.
     Problem::random(1, ATTENTION_ROWS as usize * GROUP_FOLD as usize + 3, 2, 1, 4).check("many queries");
 }
 
 #[test]
 fn logits_of_ten_thousand() {
-    // Whole numbers, whose products f32 adds without error: what is compared is the softmax, not the scores' rounding.
+    // Integer products add exactly in f32, so only the softmax is compared.
     for dim in [16, 64] {
         let mut problem = Problem::random(2, 11, 70, 2, dim);
         let whole = |x: &mut f32, most: f32| *x = (*x * most).round();
@@ -199,7 +198,7 @@ fn all_logits_far_below_zero() {
 
 #[test]
 fn tiles_of_gpus() {
-    // On a CPU kernels take smaller tiles, which compile faster.
+    // CPUs get smaller tiles, which compile faster.
     let limits = Limits { cpu: false, ..device().limits().clone() };
     for (queries, keys, heads, dim) in [(1, 3, 1, 64), (70, 70, 2, 64), (300, 33, 30, 24)] {
         let problem = Problem::random(1, queries, keys, heads, dim);

@@ -1,4 +1,4 @@
-//! Rows by index, exactly.
+//! Rows by index, exact.
 
 use crate::case::{Case, random, random_below, rounded};
 use zipsplat::{
@@ -12,7 +12,7 @@ use zipsplat_tests::reference::{ops::gather_rows::gather_rows, widen};
 
 #[test]
 fn equals_indexing() {
-    // (rows of the source, rows of the result, width); the last takes more than 65,535 workgroups.
+    // (source rows, result rows, width); the last exceeds 65,535 workgroups.
     for (rows, count, width) in
         [(5, 0, 3), (1, 1, 1), (9, 63, 1), (7, 64, 1), (7, 65, 1), (33, 17, 13), (3, 65_537, 65)]
     {

@@ -1,4 +1,4 @@
-//! GELU and its derivative, to the rounding of x: below -3, where 1 + erf cancels, their own digits are fewer.
+//! GELU and its derivative, within the rounding of x: below -3, 1 + erf cancels.
 
 use crate::case::{Case, random};
 use zipsplat::kernels::ops::Gelu;

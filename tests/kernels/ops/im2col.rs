@@ -1,11 +1,11 @@
-//! Inputs of convolutions, exactly: kernels of several sides, steps, borders and zeros between pixels.
+//! Inputs of convolutions, exact: sides, steps, borders and dilations.
 
 use crate::case::{Case, random, rounded};
 use zipsplat::kernels::ops::Im2col;
 use zipsplat_tests::compare::assert_same;
 use zipsplat_tests::reference::{ops::im2col::im2col, widen};
 
-/// Rows of all pixels, and of those from the middle on, beside those of the reference.
+/// Checks the rows of all pixels, and of those from the middle on.
 fn check(channels: usize, [height, width]: [usize; 2], shape: [usize; 4], out: [usize; 2], padded: usize) {
     let [side, step, padding, spread] = shape;
     let (source, gate) = (random(1, height * width * channels), random(2, height * width * channels));

@@ -1,4 +1,4 @@
-//! Layer normalisation against two passes in f64.
+//! Layer normalization against two passes in f64.
 
 use crate::case::{Case, elements, random};
 use zipsplat::{
@@ -22,7 +22,7 @@ fn norm(case: &mut Case, weight: &[f32], bias: &[f32], eps: f32) -> Norm {
     Norm { weight: case.input(weight), bias: case.input(bias), width: weight.len(), eps }
 }
 
-/// Norms packed rows `x` (+ `addend`) with random weights and holds them to the reference.
+/// Checks the norm of packed rows `x` (+ `addend`) with random weights.
 fn check(name: &str, x: &[f32], addend: Option<&[f32]>, width: usize, eps: f32, tolerance: Tolerance) {
     let (weight, bias) = (random(91, width), random(92, width));
     let sum = addend.map_or(widen(x), |addend| add(&widen(x), &widen(addend)));
@@ -40,7 +40,7 @@ fn check(name: &str, x: &[f32], addend: Option<&[f32]>, width: usize, eps: f32, 
 
 #[test]
 fn equals_the_reference() {
-    // Around a subgroup of any size, around its multiples, and the widths of the largest networks.
+    // Around any subgroup size and its multiples, and the largest networks' widths.
     for width in [1, 3, 4, 7, 8, 9, 31, 32, 33, 63, 64, 65, 127, 384, 1536, 3073] {
         for rows in [0, 1, 5] {
             let (x, addend) = (random(1, rows * width), random(2, rows * width));
@@ -57,7 +57,7 @@ fn rows_beyond_the_most_workgroups() {
 
 #[test]
 fn epsilons_are_told_apart() {
-    // Variances about as large as epsilon.
+    // Variances comparable to epsilon.
     let x: Vec<f32> = random(4, 20 * 64).iter().map(|x| 2e-3 * x).collect();
     for eps in [1e-5, 1e-6] {
         check(&format!("eps {eps:e}"), &x, None, 64, eps, tolerance(64));
@@ -68,7 +68,7 @@ fn epsilons_are_told_apart() {
 fn constant_rows_give_the_bias() {
     for value in [0.0f32, 1.0, -3.0, 1e4] {
         for width in [1, 4, 33, 64] {
-            // Only the rounding of the mean is left, which is as large as the root of epsilon lets it be.
+            // Only the rounding of the mean remains, divided by the root of epsilon.
             let ratio = f64::from(value.abs()) / 1e-5f64.sqrt();
             let tolerance = tolerance(width).and(Tolerance::mean_of(width).times(ratio));
             check(&format!("all {value}, {width}"), &vec![value; 3 * width], None, width, 1e-5, tolerance);
@@ -78,7 +78,7 @@ fn constant_rows_give_the_bias() {
 
 #[test]
 fn a_mean_far_above_the_spread() {
-    // A variance computed as a difference of sums would be off by 1e8 times epsilon: more than itself.
+    // A variance from a difference of sums would be off by more than itself.
     for (spread, width) in [(1.0, 384), (1e-2, 64)] {
         let x: Vec<f32> = random(5, 40 * width).iter().map(|x| 1e4 + spread * x).collect();
         let tolerance = tolerance(width).and(Tolerance::mean_of(width).times(1e4 / f64::from(spread)));
@@ -105,7 +105,7 @@ fn equals_the_goldens() {
 fn skips_camera_tokens_and_writes_between_other_columns() {
     let (patches, width, stride, column) = (6, 20, 53, 30);
     let (weight, bias) = (random(6, width), random(7, width));
-    // The narrow limit cuts the rows into parts of 64 views.
+    // The narrow limit splits the rows into parts of 64 views.
     for (views, max_binding_bytes) in [(1, u64::MAX), (3, u64::MAX), (150, 100 << 10)] {
         let x = random(8, views * (1 + patches) * width);
         let limits = device().limits();

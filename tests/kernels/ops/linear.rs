@@ -1,4 +1,4 @@
-//! Linear layers and all their epilogues against the plain product in f64.
+//! Linear layers and all epilogues against the f64 product.
 
 use crate::case::{Case, elements, linear_kernels, q8_kernels, random, stored, with_and_without_addresses};
 use zipsplat::{
@@ -19,7 +19,7 @@ use zipsplat_tests::reference::{
     widen,
 };
 
-/// A layer as a checkpoint has it: `weight [columns, inner]`, for SwiGLU [gate | value].
+/// A layer as in a checkpoint: `weight [columns, inner]`, for SwiGLU [gate | value].
 struct Layer {
     inner: usize,
     columns: usize,
@@ -32,7 +32,7 @@ impl Layer {
         Layer { inner, columns, weight: random(1, columns * inner), bias: random(2, columns) }
     }
 
-    /// As a kernel reads it; columns beyond the last hold NaN, which must reach nothing.
+    /// Uploads the layer for a kernel; padding columns hold NaN, which must not spread.
     fn input(&self, case: &mut Case, kernel: LinearKernel, activation: Activation) -> Linear {
         let row_from_column = |c: usize| match activation {
             Activation::SwiGlu => c % 2 * (self.columns / 2) + c / 2,
@@ -61,7 +61,7 @@ impl Layer {
         Linear { weight, bias: case.input(&bias), inner, columns: self.columns, kernel }
     }
 
-    /// Rows as a kernel reads them, padded with zeros.
+    /// Uploads rows for a kernel, padded with zeros.
     fn rows(&self, case: &mut Case, kernel: LinearKernel, x: &[f32]) -> Rows {
         let width = self.inner.next_multiple_of(kernel.vector());
         let padding = vec![0.0; width - self.inner];
@@ -70,7 +70,7 @@ impl Layer {
         Rows { tensor: case.input_of(element, &padded), count: x.len() / self.inner, width, element }
     }
 
-    /// The truth of factors as `factor` stores them.
+    /// Computes the truth of factors rounded to `factor`.
     fn truth(&self, factor: Element, x: &[f32], activation: Activation, gamma: Option<&[f32]>) -> Vec<f64> {
         let held =
             |values: &[f32]| if factor == Element::I8 { values.to_vec() } else { stored(factor, values.to_vec()) };
@@ -83,8 +83,8 @@ impl Layer {
         gamma.map_or(activated.clone(), |gamma| layer_scale(&activated, gamma))
     }
 
-    /// Sums of `inner` products, which f32 holds exactly where the factors are f16. An activation's slope is at most 1.13,
-    /// SwiGLU multiplies two such sums.
+    /// Sums of `inner` products, exact in f32 for f16 factors. An activation's slope is at most
+    /// 1.13; SwiGLU multiplies two sums.
     fn tolerance(&self, kernel: LinearKernel, activation: Activation, output: Element) -> Tolerance {
         let sums = Tolerance::sum_of(self.inner).and(Tolerance::ELEMENTWISE);
         let sums = match kernel {
@@ -97,12 +97,12 @@ impl Layer {
         sums.stored_in(output)
     }
 
-    /// With weights that kernels of this type hold.
+    /// Returns the layer with weights exact in `factor`.
     fn for_factors(&self, factor: Element) -> Layer {
         Layer { weight: holdable(factor, &self.weight, self.inner), bias: self.bias.clone(), ..*self }
     }
 
-    /// Kernels that can compute it.
+    /// Returns the kernels for this layer.
     fn kernels(&self, activation: Activation) -> Vec<LinearKernel> {
         let vector = if activation == Activation::SwiGlu { 8 } else { 4 };
         let whole =
@@ -111,8 +111,8 @@ impl Layer {
     }
 }
 
-/// Rows whose scale is a power of two and that are whole numbers of it, where factors are 8-bit integers: their rounding is
-/// tested on its own.
+/// Returns rows exact in `factor`. For 8-bit integers the scale is a power of two; their rounding
+/// has its own test.
 fn holdable(factor: Element, values: &[f32], width: usize) -> Vec<f32> {
     let whole = |(i, x): (usize, &f32)| if i % width == 0 { 127.0 } else { (126.0 * x).round().clamp(-127.0, 127.0) };
     match factor {
@@ -121,7 +121,7 @@ fn holdable(factor: Element, values: &[f32], width: usize) -> Vec<f32> {
     }
 }
 
-/// Every kernel, with outputs of every type that goes with it.
+/// Checks every kernel with each of its output types.
 fn check(limits: &Limits, rows: usize, layer: &Layer, activation: Activation, scaled: bool, added: bool) {
     for kernel in layer.kernels(activation) {
         for output in elements().into_iter().filter(|output| [Element::F32, kernel.element()].contains(output)) {
@@ -132,7 +132,7 @@ fn check(limits: &Limits, rows: usize, layer: &Layer, activation: Activation, sc
     }
 }
 
-/// Whether there is a kernel that reads by address beside it.
+/// Returns whether the kernel has a variant that reads by address.
 fn has_twin(kernel: LinearKernel) -> bool {
     kernel == LinearKernel::Panels(Lanes::of(Element::F32), Weights::Factors)
 }
@@ -202,7 +202,7 @@ fn every_epilogue() {
 
 #[test]
 fn the_activation_holds_far_from_zero() {
-    // Sums up to +-60: GELU and SiLU are 0 or the identity there, and exp overflows on the way.
+    // Sums up to +-60: GELU and SiLU saturate and exp overflows inside.
     let mut layer = Layer::random(16, 64);
     layer.weight.iter_mut().for_each(|w| *w *= 15.0);
     for activation in [Activation::Gelu, Activation::SwiGlu] {
@@ -263,7 +263,7 @@ fn rows_beyond_the_most_workgroups() {
     check_plain(LINEAR_ROWS as usize * 65_536 + 1, 4, 4);
 }
 
-/// The bits of a layer's results in f32, computed within these limits.
+/// Returns the bits of a layer's f32 results within these limits.
 fn bits(limits: &Limits, kernel: LinearKernel, layer: &Layer, x: &[f32], activation: Activation) -> Vec<u32> {
     let mut case = Case::within(limits);
     let input = layer.rows(&mut case, kernel, x);
@@ -274,7 +274,8 @@ fn bits(limits: &Limits, kernel: LinearKernel, layer: &Layer, x: &[f32], activat
     case.result(out)
 }
 
-/// Weights that every type of factors holds: of each group the first is 127 times its scale, which is a power of two.
+/// Returns weights exact in every factor type: each group starts with 127 times its scale, a power
+/// of two.
 fn grouped(inner: usize, columns: usize) -> Layer {
     let mut layer = Layer::random(inner, columns);
     for (g, group) in layer.weight.chunks_mut(Q8::GROUP).enumerate() {
@@ -295,7 +296,7 @@ fn q8_weights_equal_the_reference() {
             for [kernel, q8] in q8_kernels().into_iter().filter(|[kernel, _]| able.contains(kernel)) {
                 if !gated || columns.is_multiple_of(4) {
                     let added = activation == Activation::Gelu;
-                    // Products of two sums differ too much in size for a type of 16 bits.
+                    // Products of two sums vary too much for 16 bits.
                     let output = if gated { Element::F32 } else { kernel.element() };
                     check_kernel(device().limits(), (q8, output), rows, &layer, activation, added, added);
                 }
@@ -311,7 +312,7 @@ fn q8_weights_give_the_bits_of_what_they_stand_for() {
     for [kernel, q8] in q8_kernels() {
         let mut layer = grouped(inner, columns);
         if kernel.factor() == Element::F32 {
-            // Also weights that only f32 holds, in groups of very different sizes.
+            // Weights that need f32, in groups of very different scales.
             let sized = |(i, x): (usize, f32)| x * 10f32.powi((i / Q8::GROUP % 7) as i32 - 4);
             let values: Vec<f32> = random(1, columns * inner).into_iter().enumerate().map(sized).collect();
             Q8::round(&values).expect("small weights").values(&mut layer.weight);
@@ -325,7 +326,7 @@ fn q8_weights_give_the_bits_of_what_they_stand_for() {
 #[test]
 fn reading_by_address_changes_no_bit() {
     let kernel = LinearKernel::Panels(Lanes::of(Element::F32), Weights::Factors);
-    // Terms of one pass: 16, 12, 8, 4.
+    // Passes of 16, 12, 8 and 4 terms.
     for (rows, inner, columns) in [(37, 64, 100), (5, 588, 33), (12, 40, 4), (1, 4, 2)] {
         for activation in [Activation::None, Activation::Gelu, Activation::SwiGlu] {
             let (layer, x) = (Layer::random(inner, columns), random(3, rows * inner));
@@ -342,7 +343,7 @@ fn reading_by_address_changes_no_bit() {
 
 #[test]
 fn tiles_of_gpus() {
-    // On a CPU kernels take smaller tiles, which compile faster.
+    // CPUs get smaller tiles, which compile faster.
     let limits = Limits { cpu: false, ..device().limits().clone() };
     let layer = Layer::random(72, 260);
     for units in [Element::F16, Element::I8].into_iter().filter_map(|factor| Units::of(factor, &limits)) {
@@ -364,7 +365,7 @@ fn tiles_of_gpus() {
 
 #[test]
 fn shared_memory_changes_no_bit() {
-    // Terms of one pass are 8: sums that end within it, too. Results and panels that end within a tile.
+    // Passes of 8 terms. Some sums, results and panels end within a pass or tile.
     for (rows, inner, columns) in [(37, 64, 100), (5, 588, 33), (50, 40, 4), (1, 4, 2), (3, 2600, 40)] {
         let layer = Layer::random(inner, columns);
         let x = random(3, rows * inner);
@@ -380,7 +381,7 @@ fn shared_memory_changes_no_bit() {
 
 #[test]
 fn long_sums_of_few_results_are_cut_into_parts() {
-    // Of 1,152, 1,152 and 800 terms; of f32 and of integers they stay whole.
+    // Split-K into 1,152, 1,152 and 800 terms; f32 and integer sums stay whole.
     let (rows, inner, columns) = (11, 3104, 40);
     let layer = grouped(inner, columns);
     let x = random(3, rows * inner);

@@ -1,5 +1,5 @@
-//! Linear layers of 8-bit integers by dot products: beside sums of whole numbers, and to the bits of matrix units. What they share with
-//! all linear layers is tested with those.
+//! Linear layers of 8-bit integers by dot products, against integer sums and bitwise against matrix
+//! units.
 
 use crate::case::{Case, random, stored};
 use zipsplat::{
@@ -16,7 +16,7 @@ use zipsplat_tests::{
 
 const BY_RULE: LinearKernel = LinearKernel::Dots(Tiles::BY_RULE);
 
-/// A layer and its rows, random.
+/// A random layer and its rows.
 struct Layer {
     rows: usize,
     inner: usize,
@@ -37,7 +37,7 @@ impl Layer {
         Rows { tensor, count: self.rows, width: self.inner, element: Element::F16 }
     }
 
-    /// The results of a kernel; GELU comes with a residual and a scale.
+    /// Returns a kernel's results; GELU comes with a residual and a scale.
     fn results(&self, limits: &Limits, kernel: LinearKernel, activation: Activation, output: Element) -> Vec<f32> {
         let mut case = Case::within(limits);
         let input = self.input(&mut case);
@@ -54,7 +54,7 @@ impl Layer {
         case.result_of(output, out)
     }
 
-    /// The rows as the device rounds them, and their scales.
+    /// Returns the device's quantized rows and their scales.
     fn integers(&self) -> (Vec<i8>, Vec<f32>) {
         let mut case = Case::new();
         let input = self.input(&mut case);
@@ -74,7 +74,7 @@ fn has_dot_products() -> bool {
     device().limits().dot_products
 }
 
-/// Around its tiles: one row, one quad, pieces of 8 terms that end within a tile, long sums.
+/// Around its tiles: one row, one quad, partial tiles of 8 terms, long sums.
 const SHAPES: [[usize; 3]; 7] =
     [[1, 8, 8], [7, 24, 32], [9, 72, 40], [33, 64, 136], [70, 96, 264], [3, 4096, 24], [130, 40, 72]];
 

@@ -1,4 +1,4 @@
-//! Arrays side by side, exactly.
+//! Concatenated columns, exact.
 
 use crate::case::{Case, elements, random, rounded, stored};
 use zipsplat::{
@@ -11,7 +11,7 @@ use zipsplat_tests::reference::{ops::place_columns::join_columns, widen};
 
 #[test]
 fn equals_joined_rows() {
-    // The last takes more than 65,535 workgroups for the left part.
+    // The last exceeds 65,535 workgroups for the left part.
     for (rows, left_width, right_width) in [(0, 3, 2), (1, 1, 1), (63, 1, 4), (13, 5, 7), (64, 1, 1), (65_537, 65, 1)] {
         let (left, right) = (random(1, rows * left_width), random(2, rows * right_width));
         let truth = rounded(&join_columns(&widen(&left), left_width, &widen(&right), right_width));

@@ -1,4 +1,4 @@
-//! Rows as 8-bit integers: the nearest ones, or either where rounding of f32 decides between two.
+//! Rows as 8-bit integers: the nearest, or either in a tie within f32 rounding.
 
 use crate::case::{Case, elements, random, stored};
 use zipsplat::{
@@ -8,7 +8,7 @@ use zipsplat::{
 use zipsplat_tests::compare::{Tolerance, assert_close};
 use zipsplat_tests::reference::{ops::quantise_rows::quantise_rows as reference, widen};
 
-/// The integers and scales that the kernel makes of `values`.
+/// Returns the kernel's integers and scales.
 fn quantised(values: &[f32], rows: usize, width: usize) -> (Vec<f32>, Vec<f32>) {
     let mut case = Case::new();
     let source = Rows { tensor: case.input_of(Element::F16, values), count: rows, width, element: Element::F16 };
@@ -24,7 +24,7 @@ fn check(values: Vec<f32>, rows: usize, width: usize) {
     let values = stored(Element::F16, values);
     let (integers, scales) = quantised(&values, rows, width);
     let (truth, units) = reference(&widen(&values), width);
-    // Vulkan's division is off by 2.5 ulp, which the product with at most 127 carries along.
+    // Vulkan's division is off by 2.5 ulp, scaled by up to 127.
     let nearest = |(got, truth): (&f32, &f64)| (f64::from(*got) - truth).abs() <= 0.5 + 1e-4;
     let worst = integers.iter().zip(&truth).position(|pair| !nearest(pair));
     assert!(worst.is_none(), "{rows} x {width}: element {worst:?}");

@@ -9,7 +9,7 @@ use zipsplat_tests::{compare::assert_same, device::device};
 #[test]
 fn equals_the_running_sum() {
     for count in [0, 1, 7, 8, 9, 255, 256, 257, 1023, 1024, 1025, 65_537, 1_000_003] {
-        // Large enough to wrap at 2^32, which a prefix sum does too.
+        // Large enough to wrap at 2^32.
         let values: Vec<u32> = (0..count as u32).map(|i| i.wrapping_mul(2_654_435_761) >> (i % 32)).collect();
         let mut rec = Recorder::new(device().limits());
         let tensor = rec.input::<u32>("values", count.max(1));

@@ -7,7 +7,7 @@ use zipsplat::{
 };
 use zipsplat_tests::{compare::assert_same, device::device};
 
-/// Sorts the first `count` of `keys`, with their indices as values, and holds them to std's sort.
+/// Sorts the first `count` keys with their indices and compares with std's sort.
 fn check(keys: &[u32], count: usize, bits: u32) {
     let mut rec = Recorder::new(device().limits());
     let unsorted = rec.input::<u32>("keys", keys.len());
@@ -58,7 +58,7 @@ fn sorts_only_the_items_and_bits_in_use() {
 #[test]
 fn finds_where_each_key_starts() {
     for (count, key_count) in [(0, 3), (1, 1), (1000, 1), (1000, 100), (5000, 70_000)] {
-        // The items beyond `count` are not in use and hold anything.
+        // Items beyond `count` are unused and arbitrary.
         let mut keys: Vec<u32> = (0..count).map(|i: u32| i.wrapping_mul(2_654_435_761) % key_count).collect();
         keys.sort_unstable();
         let expected: Vec<u32> = (0..=key_count).map(|key| keys.partition_point(|&k| k < key) as u32).collect();

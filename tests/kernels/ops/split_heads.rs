@@ -1,4 +1,4 @@
-//! Heads out of a projection: where every value goes exactly, and what norm and rotation make of it.
+//! Split heads: exact placement, norm and rotation.
 
 use crate::case::{Case, elements, random, stored};
 use zipsplat::{gpu::Element, kernels::ops::SplitHeads, stages::backbone::rotary_tables};
@@ -9,7 +9,7 @@ use zipsplat_tests::reference::{
     widen,
 };
 
-/// One call of the kernel: `rows` rows from `first_row` on, of sequences of `sequence` rows.
+/// One call: `rows` rows from `first_row` on, of sequences of `sequence` rows.
 #[derive(Clone, Copy, Debug)]
 struct Call {
     heads: usize,
@@ -19,14 +19,14 @@ struct Call {
     out_rows: usize,
     sequence: usize,
     norm: bool,
-    /// Patches of a view, rows and columns, by which the heads are rotated.
+    /// Patch rows and columns of a view, for the rotation.
     grid: Option<(usize, usize)>,
     global: bool,
-    /// Rows of a sequence that lie side by side, in panels; 0 for whole rows one after the other.
+    /// Rows of a sequence interleaved in a panel; 0 for contiguous rows.
     panel: usize,
-    /// Channels of a head behind the last, which are zeros.
+    /// Zero channels behind a head.
     padding: usize,
-    /// Side of the groups of patches of `grid` whose means are taken, rows of `first_row` on of as many as there are.
+    /// Side of the averaged groups of `grid` patches; `first_row` and `rows` then count groups.
     side: usize,
 }
 
@@ -50,12 +50,12 @@ const SCALE: f32 = 0.25;
 const EPS: f32 = 1e-5;
 
 impl Call {
-    /// In every type.
+    /// Checks every type.
     fn check(self) {
         elements().into_iter().for_each(|element| self.check_element(element));
     }
 
-    /// Runs the kernel and holds what it wrote, and nothing else, to the reference.
+    /// Runs the kernel and compares its output, also for stray writes.
     fn check_element(self, element: Element) {
         let Call { heads, dim, rows, sequence, .. } = self;
         let stride = heads * dim + 2 * COLUMN;
@@ -123,7 +123,7 @@ impl Call {
         assert_close(&format!("{self:?}"), &written, &truth, tolerance.and(Tolerance::ELEMENTWISE).stored_in(element));
     }
 
-    /// Where channel `channel` of a head of this call's row `row` goes.
+    /// Returns the output index of `channel` of a head of row `row`.
     fn place(&self, row: usize, head: usize, channel: usize) -> usize {
         let row = self.first_row + row;
         let (sequences, within, panel) = (self.out_rows / self.sequence, row % self.sequence, self.panel);
@@ -135,20 +135,20 @@ impl Call {
         }
     }
 
-    /// The groups whose means are taken.
+    /// Returns the averaged groups.
     fn pool(&self) -> Option<Pool> {
         let (rows, columns) = self.grid.filter(|_| self.side > 1)?;
         Some(Pool { side: self.side, grid: [rows, columns], leading: 1 })
     }
 
-    /// Rows of the projection.
+    /// Returns the number of rows of the projection.
     fn sources(&self) -> usize {
         let Some(Pool { side, grid, leading }) = self.pool() else { return self.rows };
         let groups = leading + grid.iter().map(|patches| patches.div_ceil(side)).product::<usize>();
         self.rows / groups * (leading + grid.iter().product::<usize>())
     }
 
-    /// `[rows, heads, dim]`, and where means are taken the logarithms of how many rows each is of.
+    /// Returns `[rows, heads, dim]` and, for averaged groups, the logarithms of their sizes.
     fn truth(&self, projection: &[f32], stride: usize, weight: &[f32], bias: &[f32]) -> (Vec<f64>, Vec<f64>) {
         let positions: Option<Vec<_>> = self.grid.map(|(rows, columns)| {
             let view = if self.global { seen_from_patches(rows, columns) } else { local_positions(rows, columns) };
@@ -171,7 +171,8 @@ impl Call {
     }
 }
 
-/// Places of a view's tokens in global blocks, moved together so that patches stand at the origin: only differences count.
+/// Returns a view's global token positions, shifted so that patches start at 0: only differences
+/// matter.
 fn seen_from_patches(rows: usize, columns: usize) -> Vec<[f64; 2]> {
     global_positions(rows, columns).into_iter().map(|place| place.map(|step| step - 1.0)).collect()
 }
@@ -211,7 +212,8 @@ fn parts_of_the_rows() {
     }
 }
 
-/// Two views of 3 x 5 patches, then the second one's rows alone: groups at the borders have fewer patches, the camera token none.
+/// Two views of 3 x 5 patches, then the second alone. Groups at the border have fewer patches, the
+/// camera token none.
 #[test]
 fn means_of_groups_of_patches() {
     for (side, groups) in [(2, 7), (3, 3), (4, 3)] {

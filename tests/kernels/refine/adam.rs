@@ -1,4 +1,4 @@
-//! Steps of Adam: all spaces beside the formulas on ln p and logit p, and what is not finite.
+//! Adam steps: all spaces against the formulas on ln p and logit p, and non-finite values.
 
 use crate::case::{Case, random};
 use zipsplat::gpu::Limits;
@@ -8,10 +8,10 @@ use zipsplat_tests::device::device;
 use zipsplat_tests::reference::{refine::adam::Adam as Reference, widen};
 
 const ADAM: Adam = Adam { beta1: 0.9, beta2: 0.999, eps: 1e-8 };
-const RATES: [f32; 2] = [0.02, 0.5]; // of the schedule, of the tensor
+const RATES: [f32; 2] = [0.02, 0.5]; // schedule, tensor
 const SPACES: [Space; 3] = [Space::Linear, Space::Log, Space::Logit];
 
-/// Values and moments after a step against each of `gradients`.
+/// Returns values and moments after a step with each of `gradients`.
 fn stepped(limits: &Limits, space: Space, start: &[f32], gradients: &[Vec<f32>]) -> [Vec<f32>; 3] {
     let mut case = Case::within(limits);
     let (parameters, zeros) = (case.input(start), vec![0.0f32; start.len()]);
@@ -26,7 +26,7 @@ fn stepped(limits: &Limits, space: Space, start: &[f32], gradients: &[Vec<f32>])
     tensors.map(|tensor| run.read(tensor).unwrap())
 }
 
-/// The space of the steps: there, back, and the derivative of back.
+/// Returns the map to the steps' space, its inverse, and the inverse's derivative.
 fn maps(space: Space) -> [fn(f64) -> f64; 3] {
     match space {
         Space::Linear => [|p| p, |x| x, |_| 1.0],
@@ -50,7 +50,7 @@ fn truth(space: Space, start: &[f32], gradients: &[Vec<f32>]) -> [Vec<f64>; 3] {
     [states.iter().map(|state| back(state.value)).collect(), field(|s| s.moments[0]), field(|s| s.moments[1])]
 }
 
-/// `count` values that lie in every space, and 20 gradients of many magnitudes.
+/// Returns `count` values valid in every space, and 20 gradients of many magnitudes.
 fn problem(count: usize) -> (Vec<f32>, Vec<Vec<f32>>) {
     let start = random(1, count).iter().map(|x| 0.5 + 0.49 * x).collect();
     let sizes = random(2, count);

@@ -1,4 +1,4 @@
-//! Gradients of pictures against the goldens and against finite differences of the reference.
+//! Gradients of pictures against the goldens and finite differences.
 
 use crate::case::{Case, random};
 use glam::{DMat3, DVec3};
@@ -32,7 +32,7 @@ struct Found {
 }
 
 impl Found {
-    /// Fields with a row a Gaussian, by the goldens' names, and the width of a row.
+    /// Returns the fields of a row per Gaussian: golden's name, values and row width.
     fn fields(&self) -> [(&'static str, &[f32], usize); 5] {
         let coeffs = self.sh.len() / self.opacities.len();
         [
@@ -53,11 +53,11 @@ impl Found {
     }
 }
 
-/// How gradients are found.
+/// Options of a backward pass.
 struct How<'a> {
     limits: &'a Limits,
     capacity: usize,
-    /// The value that gradients are added to.
+    /// Initial value of the gradients.
     before: f32,
     scene: bool,
     cameras: bool,
@@ -117,7 +117,7 @@ impl How<'_> {
     }
 }
 
-/// A request for outputs whose weights are given, interleaved as in frames.
+/// Interleaves the weights of the requested outputs, as in frames.
 fn weigh(weights: &Weights, request: &RenderRequest) -> Vec<f32> {
     let depth = request.depth.map(|_| (&weights.depth, 1));
     let planes = [request.rgb.then_some((&weights.rgb, 3)), request.alpha.then_some((&weights.alpha, 1)), depth];
@@ -134,8 +134,8 @@ const SETS: [(&str, [bool; 3]); 5] = [
     ("all", [true, true, true]),
 ];
 
-/// Holds gradients to deviate no more than is allowed: in all, relatively, and each row by a share of its own length and one of
-/// the longest's.
+/// Asserts gradients within limits: the total relatively, each row by a share of its own length and
+/// one of the longest.
 fn hold(name: &str, got: &[f32], truth: &[f64], width: usize, [in_all, of_own, of_longest]: [f64; 3]) {
     assert_eq!(got.len(), truth.len(), "{name}");
     let length = |values: &[f64]| values.iter().map(|x| x * x).sum::<f64>().sqrt();
@@ -150,7 +150,7 @@ fn hold(name: &str, got: &[f32], truth: &[f64], width: usize, [in_all, of_own, o
     }
 }
 
-/// The gradient of (w, v) from that of the world-to-camera matrix.
+/// Converts the gradient of the world-to-camera matrix to that of (w, v).
 fn of_pose(d_view: &[f64], view: &[f64]) -> [f64; 6] {
     let at = |m: &[f64], c: usize| DVec3::new(m[c], m[4 + c], m[8 + c]);
     let turn: DVec3 = (0..4).map(|c| -at(view, c).cross(at(d_view, c))).sum();
@@ -218,7 +218,7 @@ fn compare(golden: &Golden, key: &str, found: &Found, expected: bool) {
 
 const SIZE: [u32; 2] = [70, 53];
 
-/// Two cameras that see a scene from different places, with lenses of their own.
+/// Returns two cameras with different poses and lenses.
 fn two_cameras() -> [Camera; 2] {
     let moved = |x: f64, turn: f64, [fx, cx]: [f64; 2]| {
         let mut camera = camera(SIZE[0], SIZE[1]);
@@ -229,7 +229,7 @@ fn two_cameras() -> [Camera; 2] {
     [moved(0.2, -0.1, [80.0, 31.0]), moved(-0.3, 0.15, [65.0, 38.0])]
 }
 
-/// Requests of every kind, and the same for the reference.
+/// Returns requests of every kind, for the engine and the reference.
 fn requests() -> [(RenderRequest, Drawing); 4] {
     let request = |rgb, alpha, depth: Option<Depth>, antialiased| {
         let background = [0.3, 0.1, 0.6];
@@ -245,7 +245,7 @@ fn requests() -> [(RenderRequest, Drawing); 4] {
     ]
 }
 
-/// Random weights of outputs that are asked for, 0 at pixels where rounding decides.
+/// Returns random weights of the requested outputs, 0 at pixels that rounding decides.
 fn random_weights(scene: &Scene, cameras: &[Camera], request: &RenderRequest) -> Weights {
     let gaussians = reference_gaussians(scene);
     let unstable =
@@ -262,8 +262,8 @@ fn random_weights(scene: &Scene, cameras: &[Camera], request: &RenderRequest) ->
     }
 }
 
-/// Holds gradients to differences of the reference along random directions of every field: steps of `turn` where something
-/// turns.
+/// Asserts gradients against finite differences in random directions of every field; rotations step
+/// by `turn`.
 fn hold_to_differences(name: &str, scene: &Scene, turn: f64, (request, drawing): (RenderRequest, Drawing)) {
     let cameras = &two_cameras();
     let weights = random_weights(scene, cameras, &request);
@@ -306,7 +306,7 @@ fn hold_to_differences(name: &str, scene: &Scene, turn: f64, (request, drawing):
 fn equals_differences_at_every_degree_and_size() {
     for (degree, size) in [(0, 0.01), (1, 0.1), (2, 0.5), (3, 3.0)] {
         let mut scene = random_scene(150, degree, size);
-        scene.opacities.iter_mut().step_by(5).for_each(|opacity| *opacity = 1.0); // so that alphas are clamped
+        scene.opacities.iter_mut().step_by(5).for_each(|opacity| *opacity = 1.0); // clamps alphas
         for (i, request) in requests().into_iter().enumerate() {
             hold_to_differences(&format!("degree {degree}, request {i}"), &scene, 1e-7, request);
         }
@@ -316,7 +316,7 @@ fn equals_differences_at_every_degree_and_size() {
 #[test]
 fn equals_differences_of_needles_from_far_off_and_of_what_is_very_long() {
     let mut scene = random_scene(60, 1, 0.1);
-    // A turn by 1e-7 moves them by as much as makes alphas cross their threshold.
+    // A turn by 1e-7 moves alphas across their threshold.
     for i in 0..scene.len() {
         let turn = 0.3 * i as f32;
         scene.quats[i] = [(0.5 * turn).cos(), 0.0, 0.0, (0.5 * turn).sin()];
@@ -329,7 +329,7 @@ fn equals_differences_of_needles_from_far_off_and_of_what_is_very_long() {
     }
 }
 
-/// A scene of many tiles, and weights of a request for all.
+/// Returns a scene of many tiles, a request, and its weights.
 fn many_tiles(count: usize) -> (Scene, RenderRequest, Vec<f32>) {
     let scene = random_scene(count, 1, 0.2);
     let request = requests()[1].0;
@@ -381,7 +381,8 @@ fn small_bindings_cut_scenes_and_pictures() {
     let (scene, camera) = (random_scene(2_500, 3, 0.02), camera(100, 200));
     let request = requests()[1].0;
     let d_frames = random(5, 100 * 200 * request.channels());
-    // 2,500 Gaussians of 192 bytes of coefficients, and 200 rows of 2,000 bytes: two parts and two bands.
+    // Coefficients of 192 bytes for 2,500 Gaussians and 200 rows of 2,000 bytes make two parts and
+    // two bands.
     let found = |max_binding_bytes| {
         let limits = Limits { max_binding_bytes, ..device().limits().clone() };
         How { limits: &limits, capacity: 12_000, ..How::default() }.find(&scene, &[camera], &request, &d_frames)

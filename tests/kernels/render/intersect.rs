@@ -1,4 +1,4 @@
-//! Counting and listing of tiles against lists made on the host.
+//! Counts and lists of tiles against the host's.
 
 use zipsplat::{
     gpu::{Recorder, Run},
@@ -9,7 +9,7 @@ use zipsplat_tests::{compare::assert_same, device::device};
 const GRID: [u32; 2] = [11, 7];
 const CAMERAS: u32 = 2;
 
-/// Tile sets of pairs as the projection packs them: rectangles, masks, and nothing.
+/// Returns packed tile sets of pairs: rectangles, masks and empty ones.
 fn tile_sets(pairs: u32) -> Vec<[u32; 3]> {
     let set = |pair: u32| {
         let (x, y) = (pair * 7 % GRID[0], pair * 5 % GRID[1]);
@@ -23,7 +23,7 @@ fn tile_sets(pairs: u32) -> Vec<[u32; 3]> {
     (0..pairs).map(set).collect()
 }
 
-/// Tiles of a set by id, row-major; a mask of 0 means all.
+/// Returns the tile ids of a set, row-major; a mask of 0 means all.
 fn tiles([corner, size, mask]: [u32; 3], camera: u32) -> Vec<u32> {
     let (x, y, width, height) = (corner & 0xffff, corner >> 16, size & 0xffff, size >> 16);
     (0..width * height)
@@ -32,7 +32,7 @@ fn tiles([corner, size, mask]: [u32; 3], camera: u32) -> Vec<u32> {
         .collect()
 }
 
-/// Runs the kernel alone, with these prefix sums; gives tiles, pairs and status.
+/// Runs the kernel with these prefix sums; returns tiles, pairs and status.
 fn intersect(sets: &[[u32; 3]], indices: &[u32], sums: &[u32], capacity: u32) -> [Vec<u32>; 3] {
     let mut rec = Recorder::new(device().limits());
     let kernel = Intersect {

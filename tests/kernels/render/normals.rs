@@ -45,7 +45,7 @@ fn equals_the_eigenvectors_of_the_covariances() {
             let (i, camera) = (pair / cameras.len(), reference_camera(&cameras[pair % cameras.len()]));
             let mut lengths = scene.scales[i];
             lengths.sort_by(f32::total_cmp);
-            // Nearly equal axes may be exchanged, and across the line of sight either sign is right.
+            // Nearly equal axes may swap, and a normal across the line of sight has either sign.
             let truth = normals::normal(&gaussians, i, &camera);
             let across =
                 glam::DVec3::from(truth).dot((camera.centre() - glam::DVec3::from(gaussians.means[i])).normalize());

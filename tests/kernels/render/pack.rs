@@ -1,11 +1,11 @@
-//! Bytes of pictures, exactly.
+//! Bytes of pictures, exact.
 
 use crate::case::{Case, random};
 use zipsplat::kernels::render::Pack;
 use zipsplat_tests::compare::assert_same;
 use zipsplat_tests::reference::render::pack::pack;
 
-/// Values around 0..1 whose product with 255 is no whole number, and the ends of the range.
+/// Returns values around 0..1 off the rounding ties, and the ends of the range.
 fn frames(count: usize) -> Vec<[f32; 4]> {
     let mut frames: Vec<[f32; 4]> =
         random(7, 4 * count).chunks_exact(4).map(|p| [0, 1, 2, 3].map(|i| 0.5 + 0.75 * p[i])).collect();

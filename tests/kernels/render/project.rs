@@ -1,4 +1,4 @@
-//! Projection against the goldens' per-Gaussian projection.
+//! Projection against the goldens.
 
 use zipsplat::{
     gpu::{Recorder, Run},
@@ -13,7 +13,7 @@ use zipsplat_tests::{
     scenes::{golden_cameras, golden_scene},
 };
 
-/// The kernel's results, one a pair of a Gaussian and a camera, Gaussian-major.
+/// Results of the kernel, one per Gaussian and camera, Gaussian-major.
 struct Projection {
     xy_opacities: Vec<[f32; 3]>,
     conics: Vec<[f32; 3]>,
@@ -91,7 +91,7 @@ fn compare(golden: &Golden, key: &str, got: &Projection, gaussians: usize, camer
     for (i, drawn) in ok.iter().enumerate() {
         let pair = i % gaussians * cameras + i / gaussians;
         let visible = got.depths[pair].is_finite();
-        // A Gaussian between pixel centres touches none of the tiles that its box does.
+        // A Gaussian between pixel centers touches no tile of its box.
         assert!(!visible || *drawn != 0, "{}: {i} is drawn", name("ok"));
         assert!(visible || *drawn == 0 || got.tile_sets[pair] == [0; 3], "{}: {i} is not drawn", name("ok"));
     }
@@ -100,7 +100,7 @@ fn compare(golden: &Golden, key: &str, got: &Projection, gaussians: usize, camer
         drawn.iter().flat_map(|(i, _)| values[i * width..][..width].to_vec()).collect()
     };
     let mine = |values: &[[f32; 3]]| -> Vec<f32> { drawn.iter().flat_map(|(_, pair)| values[*pair]).collect() };
-    // Pixels up to thousands from the origin: a few roundings of the largest.
+    // Pixels lie up to thousands from the origin, a few roundings.
     let tolerance = Tolerance { max: 4e-6, rms: 1e-6 };
     let xy_opacities = mine(&got.xy_opacities);
     assert_close(&name("means2d"), &columns(&xy_opacities, 3, 0, 2), &pick(&truth("means2d"), 2), tolerance);

@@ -1,4 +1,4 @@
-//! Blending against brute force, from splats that the reference projected.
+//! Blending against brute force, from reference splats.
 
 use zipsplat::{
     gpu::{Recorder, Run},
@@ -12,7 +12,7 @@ use zipsplat_tests::{
 
 const SIZE: [usize; 2] = [37, 21];
 
-/// Ellipses of all sizes around the picture, near to far.
+/// Returns ellipses of all sizes around the picture, near to far.
 fn splats() -> Vec<Splat> {
     let wave = |i: usize, step: f64| 0.5 + 0.5 * (i as f64 * step).sin();
     let splat = |i: usize| {
@@ -74,7 +74,7 @@ fn equals_brute_force_for_any_number_of_runs() {
         let each =
             |f: fn(&Splat) -> [f64; 3]| -> Vec<[f32; 3]> { splats.iter().map(|s| f(s).map(|v| v as f32)).collect() };
         run.write(kernel.xy_opacities, &each(|s| [s.mean[0], s.mean[1], s.opacity])).unwrap();
-        // The kernel's form of a conic: see kernels/render/project.comp.
+        // The kernel's conic: see kernels/render/project.comp.
         let completed = |s: &Splat| {
             let [a, b, c] = s.conic;
             [a, -b / a, c - b * b / a]

@@ -22,7 +22,7 @@ fn text_model(folder: &Path, lens: &str, cameras: &[Camera], names: &[String]) {
     let mut images = String::from("# Image list with two lines of data per image:\n");
     for (i, (camera, name)) in cameras.iter().zip(names).enumerate().rev() {
         let numbers: Vec<String> = colmap_pose(&camera.pose).map(|value| format!("{value:?}")).into();
-        // Images may have no points: the second line is empty then.
+        // Images without points have an empty second line.
         let points = if i % 2 == 0 { "" } else { "12.5 7.25 -1 3.0 4.0 17" };
         images += &format!("{} {} 4 {name}\n{points}\n", i + 1, numbers.join(" "));
     }
@@ -138,7 +138,7 @@ fn malformed_colmap_models_are_refused() {
     for count in [8, u64::MAX / 24, u64::MAX] {
         binary("images.bin", &|bytes| bytes[..8].copy_from_slice(&count.to_le_bytes()));
         assert_format_error(path, &["images.bin", "truncated"]);
-        // Image 006 stands first and has 6 points.
+        // Image 006 is first and has 6 points.
         let points = 8 + 4 + 7 * 8 + 4 + "images/006.png".len() + 1;
         binary("images.bin", &|bytes| bytes[points..points + 8].copy_from_slice(&count.to_le_bytes()));
         assert_format_error(path, &["images.bin"]);

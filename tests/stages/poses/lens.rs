@@ -1,4 +1,4 @@
-//! Lenses that distort: a photo is brought to the pinhole camera that its frame has.
+//! Distorted photos are undistorted to their frame's pinhole camera.
 
 use std::fs;
 use std::path::Path;
@@ -12,7 +12,7 @@ const LENS: Intrinsics = Intrinsics { width: SIZE[0], height: SIZE[1], fx: 200.0
 /// Standard deviation of a spot, pixels.
 const SPOT: f64 = 2.5;
 
-/// Where a lens sends a direction, by the formulas of OpenCV's manual.
+/// A lens's distortion, by OpenCV's formulas.
 type Distort = fn([f64; 2]) -> [f64; 2];
 
 fn radial([x, y]: [f64; 2], factor: impl Fn(f64) -> f64) -> [f64; 2] {
@@ -38,12 +38,12 @@ fn pixel(i: &Intrinsics, [x, y]: [f64; 2]) -> [f64; 2] {
     [i.fx * x + i.cx, i.fy * y + i.cy]
 }
 
-/// Directions of spots, well inside of every picture.
+/// Directions of spots well inside every picture.
 fn spots() -> Vec<[f64; 2]> {
     (-2..=2).flat_map(|row| (-2..=2).map(move |column| [0.2 * f64::from(column), 0.15 * f64::from(row)])).collect()
 }
 
-/// Bright spots as a lens shows them.
+/// Renders bright spots through a lens.
 fn photo(lens: &Intrinsics, distort: Distort) -> Image {
     let centres: Vec<_> = spots().into_iter().map(|spot| pixel(lens, distort(spot))).collect();
     let light = |x: f64, y: f64| {
@@ -54,7 +54,7 @@ fn photo(lens: &Intrinsics, distort: Distort) -> Image {
     Image::new(SIZE[0], SIZE[1], pixels.flat_map(|[x, y]| [light(x, y) as u8; 3]).collect()).unwrap()
 }
 
-/// The centre of what is bright about a pixel.
+/// Centroid of the spot near a pixel.
 fn centre(image: &Image, [u, v]: [f64; 2]) -> [f64; 2] {
     let (mut sum, mut moment) = (0.0, [0.0; 2]);
     let reach = |at: f64, most: u32| (at - 9.0).max(0.0) as u32..((at + 9.0) as u32).min(most);
@@ -80,7 +80,7 @@ fn assert_undone(name: &str, frame: &Frame, folder: &Path, lens: &Intrinsics, di
         let off = (found[0] - truth[0]).hypot(found[1] - truth[1]);
         assert!(off < 0.15, "{name}: spot {spot:?} at {found:?}, not {truth:?}, in the photo at {bent:?}");
     }
-    // The picture shows nothing beside the photo, and no less than fills it.
+    // The undistorted picture lies within the photo and fills it.
     let border = (0..=60).map(|k| f64::from(k) / 60.0);
     let [w, h] = SIZE.map(f64::from);
     let points = border.flat_map(|t| [[t * w, 0.0], [t * w, h], [0.0, t * h], [w, t * h]]);
@@ -111,7 +111,7 @@ fn spots_stand_where_the_pinhole_camera_of_a_colmap_model_sees_them() {
     ];
     let folder = tempfile::tempdir().unwrap();
     for (lens, coefficients, distort) in cases {
-        // One focal length for both axes, or one for each.
+        // One or two focal lengths.
         let fy = if lens.contains("200 118") { 200.0 } else { LENS.fy };
         fs::write(folder.path().join("cameras.txt"), format!("1 {lens} {coefficients}\n")).unwrap();
         fs::write(folder.path().join("images.txt"), "1 1 0 0 0 0 0 0 1 a.png\n\n").unwrap();
@@ -144,15 +144,15 @@ fn spots_stand_where_the_pinhole_camera_of_a_transforms_file_sees_them() {
         let poses = read_poses(folder.path()).unwrap();
         assert!(poses.notes[0].contains("distortion of 1 frames is undone"), "{:?}", poses.notes);
         assert_undone(model, &poses.frames[0], folder.path(), &LENS, distort);
-        // Written again, alone and beside a frame of another lens.
-        // Intrinsics that a JSON file holds to the bit, which its reader does not promise.
+        // Written again, alone and beside a frame of another lens. JSON readers need not be
+        // bit-exact; these intrinsics are.
         let camera = Camera { intrinsics: LENS, ..poses.frames[0].camera };
         let pinhole = Frame { name: "b.png".into(), photo: None, camera, lens: None };
         let distorted = Frame { photo: None, ..poses.frames[0].clone() };
         for frames in [vec![distorted.clone()], vec![distorted.clone(), pinhole.clone()]] {
             write_frames(folder.path().join("again.json"), &frames, Some("cloud.ply")).unwrap();
             let again = read_poses(folder.path().join("again.json")).unwrap();
-            // The photo a.png lies beside the file by now.
+            // a.png is now beside the file.
             let read: Vec<Frame> = again.frames.into_iter().map(|frame| Frame { photo: None, ..frame }).collect();
             assert_eq!((read, again.points), (frames, None), "{model}");
             fs::write(folder.path().join("cloud.ply"), "").unwrap();

@@ -1,11 +1,11 @@
-//! Files that other programs wrote from `gaussians_deg2.ply`.
+//! Files of other programs from `gaussians_deg2.ply`.
 
 use super::{assert_rotations, assert_within, coefficient};
 use glam::DMat3;
 use zipsplat::types::{Scene, matrix_from_quaternion, read_ply, read_scene};
 use zipsplat_tests::golden;
 
-/// The scene that the file holds, and the one it was made from.
+/// The file's scene and its source.
 fn pair(name: &str) -> (Scene, Scene) {
     let read = |name: &str| golden::find(name).unwrap();
     (read_scene(read(name)).unwrap(), read_ply(read("gaussians_deg2.ply")).unwrap())
@@ -16,7 +16,7 @@ fn spz() {
     for (version, rotation) in [(2, 4.0 * 3f64.sqrt() / 255.0), (3, 0.01), (4, 0.01)] {
         let (found, truth) = pair(&format!("scenes/v{version}.spz"));
         assert_eq!((found.len(), found.sh_degree), (7, 2));
-        // All wrote 12 fractional bits.
+        // 12 fractional bits.
         assert_within("mean", found.means.as_flattened(), truth.means.as_flattened(), |_| 0.501 / 4096.0);
         let scales: Vec<f32> = truth.scales.iter().flatten().map(|scale| scale.max((-10f32).exp())).collect();
         let step = (1.001 / 32.0f32).exp() - 1.0;
@@ -25,7 +25,7 @@ fn spz() {
         assert_within("color", &coefficient(&found, 0), &coefficient(&truth, 0), |_| 1.001 / (510.0 * 0.15));
         assert_rotations(&found.quats, &truth.quats, rotation);
         for k in 1..9 {
-            // Some of the writers round down to a bucket. On our axes the end of the range may be either one.
+            // Some writers truncate. Flipped axes swap the ends of the range.
             let levels = if k < 4 { 8.5 } else { 16.5 };
             let clamped: Vec<f32> = coefficient(&truth, k).iter().map(|value| value.clamp(-1.0, 1.0)).collect();
             assert_within(&format!("sh {k}"), &coefficient(&found, k), &clamped, |_| levels / 128.0);
@@ -37,7 +37,7 @@ fn spz() {
 fn packed_ply() {
     let (found, truth) = pair("scenes/scene.compressed.ply");
     assert_eq!((found.len(), found.sh_degree), (7, 2));
-    // Its Gaussians are sorted by place.
+    // Its Gaussians are sorted spatially.
     let distance = |a: &[f32; 3], b: &[f32; 3]| a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f32>();
     let nearest = |mean: &[f32; 3]| {
         (0..7).min_by(|a, b| distance(&truth.means[*a], mean).total_cmp(&distance(&truth.means[*b], mean))).unwrap()
@@ -59,7 +59,7 @@ fn packed_ply() {
     assert_within("color", &coefficient(&found, 0), &coefficient(&truth, 0), |_| color);
     assert_rotations(&found.quats, &truth.quats, 0.01);
     for k in 1..9 {
-        // A bucket of 256; its middle is read, but of the first and the last the ends of the range.
+        // A bucket of 256 reads as its middle, the first and last as the range's ends.
         let clamped: Vec<f32> = coefficient(&truth, k).iter().map(|value| value.clamp(-4.0, 4.0)).collect();
         assert_within(&format!("sh {k}"), &coefficient(&found, k), &clamped, |_| 1.01 * 8.0 / 256.0);
     }
@@ -84,14 +84,14 @@ fn glb() {
     assert_eq!((&found.means, &found.sh_coeffs, found.sh_degree), (&truth.means, &truth.sh_coeffs, 2));
     assert_within("scale", found.scales.as_flattened(), truth.scales.as_flattened(), |truth| 1e-6 * truth);
     assert_within("opacity", &found.opacities, &truth.opacities, |_| 1e-6);
-    // This writer turns the world about a Gaussian's axes, ours the axes too: the same Gaussians.
+    // This writer names the axes differently; the Gaussians are equal.
     let (found, truth) = (covariances(&found), covariances(&truth));
     assert!(
         found.iter().zip(&truth).all(|(found, truth)| found.abs_diff_eq(*truth, 1e-6 * (1.0 + truth.x_axis.length())))
     );
 }
 
-/// `R S Sᵀ Rᵀ`: what a Gaussian is, whichever way its axes are named.
+/// `R S Sᵀ Rᵀ`, independent of the axes' names.
 fn covariances(scene: &Scene) -> Vec<DMat3> {
     let covariance = |(quat, scales): (&[f32; 4], &[f32; 3])| {
         let rotation = matrix_from_quaternion(quat.map(f64::from));

@@ -7,7 +7,7 @@ use std::fs;
 use zipsplat::types::{Scene, WriteOptions, matrix_from_quaternion, read_scene, write_scene};
 use zipsplat_tests::reference::render::sh;
 
-/// The file as written, as JSON with the numbers embedded.
+/// The written file as JSON with embedded buffers.
 fn document(scene: &Scene) -> Value {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.gltf");
@@ -56,7 +56,7 @@ fn nodes_turn_move_and_scale() {
         assert!((0..3).all(|c| found.scales[i][c] == 2.0 * truth.scales[i][c]));
         let [ours, theirs] = [found.quats[i], truth.quats[i]].map(|quat| matrix_from_quaternion(quat.map(f64::from)));
         assert!(ours.abs_diff_eq(glam::DMat3::from_quat(turn) * theirs, 1e-6), "rotation {i}");
-        // The colour seen along a turned direction is the one that was seen along the direction.
+        // Colors turn with the directions.
         for direction in [axis, DVec3::X, DVec3::new(-1.0, 2.0, 0.5).normalize()] {
             let color = |scene: &Scene, direction: DVec3| {
                 let coeffs = &scene.sh_coeffs[16 * i..][..16];
@@ -116,7 +116,7 @@ fn integers_stand_for_fractions() {
     let mut file = document(&scene(0));
     let opacity = file["meshes"][0]["primitives"][0]["attributes"]["KHR_gaussian_splatting:OPACITY"].as_u64().unwrap();
     let opacity = opacity as usize;
-    // The four bytes of each opacity, of which the first is read.
+    // The first of the four bytes of each opacity is read.
     let view = file["accessors"][opacity]["bufferView"].as_u64().unwrap() as usize;
     file["bufferViews"][view]["byteStride"] = 4.into();
     file["accessors"][opacity]["componentType"] = 5121.into();
@@ -166,7 +166,7 @@ fn damaged_documents_are_refused() {
     shared["nodes"] = vec![json!({ "mesh": 0 }); 1000].into();
     shared["scenes"][0]["nodes"] = (0..1000).collect();
     assert!(failure("scene.gltf", shared.to_string().as_bytes()).contains("expected fewer than bytes"));
-    // Each of many nodes shows each of many primitives, 10^10 in all, without a Gaussian.
+    // Many nodes times many primitives, 10^10, without a Gaussian.
     let empty = json!({ "attributes": shared["meshes"][0]["primitives"][0]["attributes"],
                         "extensions": shared["meshes"][0]["primitives"][0]["extensions"] });
     shared["meshes"][0]["primitives"] = vec![empty; 10_000].into();

@@ -1,10 +1,10 @@
-//! Files with as many tensors as those of the largest network, whose header is longer than 64 KiB.
+//! Files with the largest network's number of tensors: a header beyond 64 KiB.
 
 use zipsplat::weights::{Architecture, Checkpoint, Dtype, convert};
 
 use super::{assert_same_bits, pico};
 
-/// As many blocks and layers as `vitg`, and so its 907 tensors under their names, of [`pico`]'s widths.
+/// `vitg`'s 907 tensors at [`pico`]'s widths.
 fn thin_giant() -> Architecture {
     let giant = Architecture::named("vitg").unwrap();
     let Architecture { depth, alt_start, qk_norm_start, rope_start, out_layers, ffn, camera_depth, .. } = giant;

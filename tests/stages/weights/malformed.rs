@@ -1,4 +1,4 @@
-//! Safetensors files that are not what they say.
+//! Malformed safetensors files.
 
 use std::path::Path;
 
@@ -7,7 +7,7 @@ use zipsplat::weights::{Checkpoint, Dtype};
 
 use super::{header, pico, pico_weights};
 
-/// Opens `bytes` as a file; the reason for which it is malformed. Anything else fails the test.
+/// Returns the reason why `bytes` are malformed; any other result fails the test.
 pub fn reason(bytes: &[u8]) -> String {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("bad");
@@ -68,7 +68,7 @@ fn lying_headers() {
     assert_reason(&file(&two("[0,8]", "[8,16]").replace("\"b\"", "\"module.a\""), 16), "found twice");
 }
 
-/// Whose strides once took the square of their number to compute: minutes.
+/// Strides must not take quadratic time.
 #[test]
 fn tensors_of_very_many_axes() {
     let shape = vec!["1"; 1_000_000].join(",");

@@ -1,4 +1,4 @@
-//! Checkpoints whose weights have 8 bits.
+//! Checkpoints of 8-bit weights.
 
 use super::{assert_same_bits, malformed::reason, pico_weights, read};
 use safetensors::{Dtype as FileDtype, SafeTensors};
@@ -14,7 +14,6 @@ use zipsplat_tests::{
     architectures::golden, compare::assert_same, device::device, networks::fast_arithmetics, random::random,
 };
 
-/// The bytes of a checkpoint in a type.
 fn saved(checkpoint: &Checkpoint, dtype: Dtype) -> Vec<u8> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("weights.safetensors");
@@ -48,7 +47,7 @@ fn a_file_keeps_every_integer_and_scale() {
             let apart = exact.iter().zip(&found).enumerate().all(|(i, (a, b))| (a - b).abs() <= 0.5001 * scale(i));
             assert!(apart && exact != found, "{name}");
         } else {
-            // Seeded values have so few bits that f16 holds them.
+            // Seeded values are exact in f16.
             assert!(exact == found, "{name}");
         }
     }
@@ -129,7 +128,7 @@ fn scales_that_no_device_would_hold_are_refused() {
     assert!(large(6.4e4).is_some() && large(-7e4).is_none());
 }
 
-/// The scene of two photos, every token of them.
+/// The scene of two photos, all tokens.
 fn scene(checkpoint: &Checkpoint, arithmetic: Arithmetic) -> Scene {
     let photo = |seed| {
         let values = random(seed, 3 * 28 * 42).into_iter().map(|x| (127.5 + 127.0 * x) as u8).collect();

@@ -1,4 +1,4 @@
-//! PyTorch checkpoints, made here opcode by opcode.
+//! PyTorch checkpoints, built opcode by opcode.
 
 use std::io::{Cursor, Write};
 
@@ -85,7 +85,7 @@ fn row_major(shape: &[usize]) -> Vec<usize> {
     (0..shape.len()).map(|axis| shape[axis + 1..].iter().product()).collect()
 }
 
-/// Every way in which a released checkpoint may hold its tensors, spread over the tensors of one network.
+/// Every tensor layout of released checkpoints, spread over one network.
 #[test]
 fn all_layouts_are_read() {
     let seeded = pico_weights();
@@ -101,7 +101,7 @@ fn all_layouts_are_read() {
             strides = vec![1, rows];
         }
         if i % 3 == 0 {
-            // A part of a longer storage.
+            // A slice of a longer storage.
             offset = 5;
             values = [vec![f32::NAN; 5], values, vec![f32::NAN; 2]].concat();
         }
@@ -118,7 +118,7 @@ fn all_layouts_are_read() {
         tensors.push((format!("module.{name}"), pickle));
         storages.push((format!("data/{key}"), bytes));
     }
-    // An ordered dictionary with attributes, as `Module.state_dict` gives, beside plain data.
+    // An `OrderedDict` with attributes, as of `Module.state_dict`, beside plain data.
     let named: Vec<_> = tensors.iter().map(|(name, pickle)| (name.as_str(), pickle.clone())).collect();
     let items = dict(&named).split_off(1);
     let attributes = dict(&[("_metadata", dict(&[("version", int(1))]))]);
@@ -185,15 +185,15 @@ fn pickles_that_are_not_sound() {
         assert!(reason(&pickled(&[b'}', opcode, b'.'])).contains("pickle opcode"), "{opcode:#04x}");
     }
     assert!(reason(&pickled(&vec![b'N'; 1 << 25])).contains("expected at most"));
-    // The later of two values of one key counts, as in Python.
+    // The later of two values of a key counts.
     let twice = dict(&[("model", dict(&[("a", b"N".to_vec())])), ("model", b"]".to_vec())]);
     assert!(reason(&pickled(&[twice.as_slice(), b"."].concat())).contains("no dictionary `model`"));
-    // A byte or two may make an object, a reference, a mark, an entry of the stack or one of the memo: all are counted.
+    // Objects, references, marks, stack and memo entries of a byte or two all count.
     for many in [b")".as_slice(), b"]", b"}", b"N", b"(", b"N\x94", b"N\x85", b"]\x94h\x00a", b"](NNNNNNNNe"] {
         let found = reason(&pickled(&many.repeat(1 << 20)));
         assert!(found.contains("more than 1048576 objects"), "{:?}: {found}", many.escape_ascii());
     }
-    // A list that holds itself, and doubling by reference, cost no more than their bytes.
+    // Cycles and doubling by reference cost no more than their bytes.
     let doubling = [b"]q\x00h\x00a".as_slice(), &b"q\x01h\x01h\x01\x86".repeat(1000), b"."].concat();
     assert!(reason(&pickled(&doubling)).contains("no dictionary `model`"));
 }
@@ -252,7 +252,7 @@ fn archives_that_are_damaged() {
     assert!(reason(&pickled(&model(&[("a", b"N".to_vec())]))).contains("no named tensor"));
 }
 
-/// Many entries that all claim the bytes of one: checking them would take the product of both.
+/// Many entries claim the same bytes: checking each would be quadratic.
 #[test]
 fn entries_that_share_bytes() {
     let keys: Vec<String> = (0..8).map(|i| format!("data/{i}")).collect();
@@ -263,7 +263,7 @@ fn entries_that_share_bytes() {
     let mut entries = vec![("data.pkl", pickle.as_slice()), ("data/0", &values)];
     entries.extend(keys[1..].iter().map(|key| (key.as_str(), [].as_slice())));
     let mut file = archive(&entries, CompressionMethod::Stored);
-    // Records of the central directory: checksum and sizes at 16, offset of the entry at 42.
+    // Central directory record: checksum and sizes at 16, entry offset at 42.
     let records: Vec<usize> = (0..file.len()).filter(|&at| file[at..].starts_with(b"PK\x01\x02")).collect();
     assert_eq!(records.len(), 9);
     for &record in &records[2..] {

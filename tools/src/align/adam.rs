@@ -18,7 +18,7 @@ use zipsplat::{
 };
 
 /// Steps, at most.
-const STEPS: usize = 200;
+pub(super) const STEPS: usize = 200;
 /// Rate of turns in radians and of shifts.
 const RATE: f64 = 5e-3;
 /// The search ends where the loss changes by less than this in [`PATIENCE`] steps in a row.

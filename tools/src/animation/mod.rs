@@ -16,6 +16,8 @@ use zipsplat::{
 
 /// A GIF's delays count in hundredths of a second, and viewers slow down those below two.
 const GIF_MAX_FPS: u16 = 50;
+/// Most pictures a second.
+pub const MAX_FPS: u16 = 240;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Format {
@@ -43,7 +45,7 @@ pub trait Encoder {
 
 impl Animation {
     /// # Errors
-    /// [`Error::Argument`] where the extension is of no known format, the rate is too high for it, `path` is no file's, or ffmpeg is needed and does not run.
+    /// [`Error::Argument`] where the extension is of no known format, the rate is out of its range, `path` is no file's, or ffmpeg is needed and does not run.
     pub fn new(path: &Path, fps: u16, ffmpeg: &Path) -> Result<Self> {
         let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
         let format = match extension.as_deref() {
@@ -61,8 +63,12 @@ impl Animation {
         if path.metadata().is_ok_and(|found| !found.is_file()) {
             return Err(Error::argument("--video", format!("{}, no regular file", path.display()), "one, or none yet"));
         }
-        if format == Format::Gif && fps > GIF_MAX_FPS {
-            return Err(Error::argument("--fps of a GIF", fps, format!("up to {GIF_MAX_FPS}")));
+        let (what, most) = match format {
+            Format::Gif => ("--fps of a GIF", GIF_MAX_FPS),
+            Format::Apng | Format::Mp4 => ("--fps", MAX_FPS),
+        };
+        if !(1..=most).contains(&fps) {
+            return Err(Error::argument(what, fps, format!("1 to {most}")));
         }
         if format == Format::Mp4 {
             ffmpeg::check(ffmpeg)?;

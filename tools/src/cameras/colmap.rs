@@ -1,7 +1,7 @@
 //! COLMAP as a program: which there is, the command of each step, and what its words say of how far it is.
 
 use super::find::{Pairs, Searching};
-use crate::process;
+use crate::{process, session::Stage};
 use std::{
     fmt,
     path::{Path, PathBuf},
@@ -94,15 +94,18 @@ impl Colmap {
     /// The one that was asked for, else `colmap`, else the pycolmap of `python3`.
     ///
     /// # Errors
-    /// [`Error::Argument`] with the command that installs it where it does not run.
-    pub fn of(searching: &Searching) -> Result<Self> {
+    /// [`Error::Argument`] with the command that installs it where it does not run; [`Error::Cancelled`].
+    pub fn of(searching: &Searching, stage: &Stage<'_>) -> Result<Self> {
         let tried = match (&searching.python, &searching.colmap) {
-            (Some(python), _) => Self::pycolmap(python),
-            (None, Some(program)) => Self::native(program),
+            (Some(python), _) => Self::pycolmap(python, stage),
+            (None, Some(program)) => Self::native(program, stage),
             (None, None) => {
-                Self::native(Path::new("colmap")).or_else(|why| Self::pycolmap(Path::new("python3")).map_err(|_| why))
+                let python = || Self::pycolmap(Path::new("python3"), stage);
+                Self::native(Path::new("colmap"), stage).or_else(|why| python().map_err(|_| why))
             }
         };
+        // A program that was ended is no reason to install another.
+        stage.check()?;
         tried.map_err(|why| {
             let expected = format!(
                 "COLMAP, which finds the cameras of photos: `{}`, or `pip install pycolmap` and --python PYTHON",
@@ -112,9 +115,10 @@ impl Colmap {
         })
     }
 
-    fn native(program: &Path) -> std::result::Result<Self, String> {
+    fn native(program: &Path, stage: &Stage<'_>) -> std::result::Result<Self, String> {
         let why = |why: &dyn fmt::Display| format!("{}: {why}", program.display());
-        let said = process::printed(headless(&mut Command::new(program)).arg("help")).map_err(|error| why(&error))?;
+        let said = process::printed(headless(&mut Command::new(program)).arg("help"), stage);
+        let said = said.map_err(|error| error.to_string())?;
         let version = said.split_once("COLMAP ").and_then(|(_, rest)| rest.split_whitespace().next());
         match version.filter(|version| version.starts_with(|c: char| c.is_ascii_digit())) {
             Some(version) => Ok(Self { program: program.into(), python: false, version: version.into() }),
@@ -122,9 +126,10 @@ impl Colmap {
         }
     }
 
-    fn pycolmap(program: &Path) -> std::result::Result<Self, String> {
+    fn pycolmap(program: &Path, stage: &Stage<'_>) -> std::result::Result<Self, String> {
         let why = |why: &dyn fmt::Display| format!("{}: {why}", program.display());
-        let said = process::printed(Command::new(program).args(["-c", PYCOLMAP])).map_err(|error| why(&error))?;
+        let said = process::printed(Command::new(program).args(["-c", PYCOLMAP]), stage);
+        let said = said.map_err(|error| error.to_string())?;
         let version = said.trim();
         if version.starts_with(|c: char| c.is_ascii_digit()) && version.lines().count() == 1 {
             return Ok(Self { program: program.into(), python: true, version: version.into() });
@@ -142,8 +147,14 @@ impl Colmap {
     /// nor display.
     ///
     /// # Errors
-    /// [`Error::Io`] where it cannot be asked which options it has.
-    pub fn command(&self, step: Step, [folder, models]: [&Path; 2], pairs: Pairs, side: u32) -> Result<Command> {
+    /// [`Error::Io`] where it cannot be asked which options it has; [`Error::Cancelled`].
+    pub fn command(
+        &self,
+        step: Step,
+        [folder, models]: [&Path; 2],
+        (pairs, side): (Pairs, u32),
+        stage: &Stage<'_>,
+    ) -> Result<Command> {
         let mut command = Command::new(&self.program);
         // What it leaves behind goes with the folder.
         headless(&mut command).env("TMPDIR", folder);
@@ -192,8 +203,7 @@ impl Colmap {
                 ],
             ),
         };
-        let asked = process::printed(headless(&mut Command::new(&self.program)).args([verb, "-h"]));
-        let help = asked.map_err(|source| Error::io(&self.program, source))?;
+        let help = process::printed(headless(&mut Command::new(&self.program)).args([verb, "-h"]), stage)?;
         let has = |name: &&&str| help.split_whitespace().any(|word| word.strip_prefix("--") == Some(**name));
         command.arg(verb).arg("--database_path").arg(folder.join("database.db"));
         if step != Step::Matches {

@@ -9,7 +9,8 @@ use crate::{
     outputs::LOG_START,
     photos::names,
     process,
-    session::{Session, Stage},
+    scratch::Scratch,
+    session::Session,
     table::counted,
 };
 use clap::{Args, ValueEnum};
@@ -18,9 +19,9 @@ use std::{
     ops::RangeInclusive,
     path::{Path, PathBuf},
     process::ExitStatus,
-    time::{Duration, Instant},
+    time::Duration,
 };
-use tempfile::{NamedTempFile, TempDir};
+use tempfile::NamedTempFile;
 use zipsplat::{
     Error, Result,
     types::{
@@ -44,8 +45,6 @@ const ENOUGH: f64 = 0.8;
 const FEW: usize = 300;
 /// Focal lengths that photos have, as shares of their longer sides: fields of view of 110 degrees to 11.
 const LIKELY: RangeInclusive<f64> = 0.35..=5.0;
-/// Share of a step before which nobody can tell how long it takes.
-const TELLING: f64 = 0.04;
 
 /// How cameras are found.
 #[derive(Args, Clone, Default)]
@@ -122,7 +121,7 @@ pub struct Found {
     pub times: Vec<(&'static str, Duration)>,
     /// All that COLMAP said, where it found them.
     pub(super) log: Option<Log>,
-    pub(super) _work: TempDir,
+    pub(super) _work: Scratch,
 }
 
 /// All that COLMAP said.
@@ -183,7 +182,7 @@ impl Found {
     /// [`Error::Argument`] where COLMAP is missing or finds no cameras, with the likely reason; [`Error::Io`] where it fails, with
     /// the path of its log; of photos as [`Image::size`]; [`Error::Cancelled`].
     fn by_colmap(session: &mut Session<'_>, photos: &[PathBuf], searching: &Searching) -> Result<(Poses, Self)> {
-        let colmap = Colmap::of(searching)?;
+        let (colmap, _) = session.stage("look for COLMAP", |stage| Colmap::of(searching, stage))?;
         if photos.len() < 2 {
             return Err(Error::argument("photos to find cameras of", photos.len(), "two or more of one place"));
         }
@@ -200,7 +199,12 @@ impl Found {
         let Some(model) = models.next() else { return Err(nothing(photos.len(), &told)) };
         let alone = |frame: &&Frame| !model.frames.iter().any(|other| other.name == frame.name);
         let groups = models.map(|other| other.frames.iter().filter(alone).count()).filter(|count| *count > 0).collect();
+        let first = model.frames.first().map_or(String::new(), |frame| frame.name.clone());
         let (poses, lost) = work.named(model)?;
+        if poses.frames.is_empty() {
+            let found = format!("{first}, which is none of the photos");
+            return Err(Error::argument(format!("photo in the model of {colmap}"), found, "a name that it was given"));
+        }
         let points = poses.points.as_ref().map(read_cloud).transpose()?.map_or(0, |cloud| cloud.positions.len());
         let (program, count, focal) = (colmap.to_string(), poses.frames.len(), focal(&poses.frames));
         let (log, _work) = (Some(log), work.folder);
@@ -242,14 +246,13 @@ impl<'a> Search<'a> {
     /// Runs a step; its status where it failed.
     fn run(&mut self, session: &Session<'_>, step: Step, models: &Path) -> Result<Option<ExitStatus>> {
         let folders = [self.work.folder.path(), models];
-        let mut command = self.colmap.command(step, folders, self.pairs, self.side)?;
         let photos = self.work.photos.len();
         let (log, told) = (&mut self.log, &mut self.told);
         let (status, took) = session.stage(step.name(), |stage| {
-            let started = Instant::now();
+            let mut command = self.colmap.command(step, folders, (self.pairs, self.side), stage)?;
             process::run(&mut command, stage, |line| {
                 log.write(line)?;
-                told.hear(line, photos).map_or(Ok(()), |far| told_far(stage, step, far, started))
+                told.hear(line, photos).map_or(Ok(()), |far| stage.reach(far))
             })
         })?;
         match self.times.iter_mut().find(|(name, _)| *name == step.name()) {
@@ -318,15 +321,6 @@ pub(super) fn focal(frames: &[Frame]) -> f64 {
     let mut focals: Vec<f64> = frames.iter().map(focal).collect();
     focals.sort_by(f64::total_cmp);
     focals[focals.len() / 2]
-}
-
-/// Shows how far a step is, and how long it may still take.
-fn told_far(stage: &Stage<'_>, step: Step, far: f64, started: Instant) -> Result<()> {
-    if far > TELLING {
-        let left = started.elapsed().as_secs_f64() * (1.0 - far) / far;
-        stage.name(&format!("{}, {left:.0} s left", step.name()));
-    }
-    stage.reach(far)
 }
 
 /// Why there may be no camera at all.

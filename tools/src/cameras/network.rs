@@ -5,6 +5,7 @@ use crate::{
     depth::{POINTS, Question, check_finds_cameras},
     options::ArithmeticOption,
     released::open_depth,
+    scratch::Scratch,
     session::Session,
 };
 use std::path::PathBuf;
@@ -41,8 +42,7 @@ impl Found {
     pub fn by_question(session: &mut Session<'_>, photos: &[PathBuf], question: Question<'_>) -> Result<(Poses, Self)> {
         check_finds_cameras(question.checkpoint.architecture())?;
         let seen = question.ask(session, photos, &[])?;
-        let folder = tempfile::Builder::new().prefix("zipsplat-").tempdir();
-        let folder = folder.map_err(|source| Error::io(std::env::temp_dir(), source))?;
+        let folder = Scratch::new()?;
         let (points, path) = (seen.points(POINTS), folder.path().join("points.ply"));
         write_points(&path, &points)?;
         let poses = Poses { frames: seen.frames()?, points: Some(path), ..Poses::default() };

@@ -1,13 +1,12 @@
 //! Photos in the folder that COLMAP works in.
 
-use crate::session::Stage;
+use crate::{scratch::Scratch, session::Stage};
 use std::{
     collections::HashMap,
     fs::File,
     io::BufReader,
     path::{Path, PathBuf},
 };
-use tempfile::TempDir;
 use zipsplat::{
     Error, Result,
     types::{
@@ -18,7 +17,7 @@ use zipsplat::{
 
 /// The photos in a folder of their own, under names that COLMAP's files have room for.
 pub(super) struct Work {
-    pub folder: TempDir,
+    pub folder: Scratch,
     /// Each photo and the name of its copy.
     pub photos: Vec<(PathBuf, String)>,
 }
@@ -30,10 +29,8 @@ impl Work {
     /// # Errors
     /// Those of photos that cannot be read, and [`Error::Io`].
     pub fn new(photos: &[PathBuf], stage: &Stage<'_>) -> Result<Self> {
-        let folder = tempfile::Builder::new().prefix("zipsplat-").tempdir();
-        let folder = folder.map_err(|source| Error::io(std::env::temp_dir(), source))?;
         let cameras = lenses(photos)?;
-        let mut work = Self { folder, photos: Vec::new() };
+        let mut work = Self { folder: Scratch::new()?, photos: Vec::new() };
         stage.each(&photos.iter().enumerate().collect::<Vec<_>>(), |(number, photo)| {
             let (kind, camera) = (kind(photo)?, cameras[*number]);
             let name = format!("{camera}/{number:06}.{}", kind.unwrap_or("png"));

@@ -19,7 +19,7 @@ use std::{
     collections::HashMap,
     path::{Path, PathBuf},
     sync::{Mutex, mpsc::sync_channel},
-    time::{Duration, Instant},
+    time::Instant,
 };
 use zipsplat::{
     Error, Result,
@@ -226,7 +226,7 @@ struct Runner<'a> {
 impl Runner<'_> {
     /// Decodes ahead, reconstructs, and writes behind.
     fn run(&self, stage: &Stage<'_>) -> Result<Tally> {
-        let (tally, began) = (Mutex::new(Tally::default()), Instant::now());
+        let tally = Mutex::new(Tally::default());
         let limit = self.batch.limit.unwrap_or(usize::MAX);
         // A list of an earlier run says nothing of this one.
         std::fs::remove_file(self.batch.output.join(FAILURES)).ok();
@@ -260,7 +260,7 @@ impl Runner<'_> {
                 }
             });
             let ended = prepared.into_iter().try_for_each(|(work, prepared)| {
-                self.tell(stage, &lock(&tally), began.elapsed());
+                self.tell(stage, &lock(&tally));
                 match prepared.and_then(|prepared| self.reconstruct(work, prepared, stage)) {
                     Ok(made) => to_disk.send((work, made)).map_err(|_| Error::Cancelled)?,
                     // Nothing that follows would do better.
@@ -333,13 +333,11 @@ impl Runner<'_> {
         outputs::save_csv(&self.batch.output.join(FAILURES), failures).ok();
     }
 
-    fn tell(&self, stage: &Stage<'_>, tally: &Tally, took: Duration) {
+    fn tell(&self, stage: &Stage<'_>, tally: &Tally) {
         let done = tally.made + tally.failures.len();
         let all = (self.works.len() - tally.unchanged).min(self.batch.limit.unwrap_or(usize::MAX)).max(1);
         let _ = stage.at(done as f64 / all as f64);
-        let left = took.as_secs_f64() / done.max(1) as f64 * all.saturating_sub(done) as f64;
-        let left = if done == 0 { String::new() } else { format!(", {left:.0} s left") };
-        stage.name(&format!("{done} of {all}{left}"));
+        stage.name(&format!("{done} of {all}"));
     }
 }
 

@@ -1,7 +1,7 @@
 //! `zipsplat render`: a scene to pictures.
 
 use crate::{
-    animation::{self, Animation},
+    animation::{self, Animation, MAX_FPS},
     cameras::CameraArgs,
     color,
     explain::Explanation,
@@ -81,7 +81,7 @@ pub struct Render {
     #[arg(long, value_name = "FILE")]
     video: Option<PathBuf>,
     /// Pictures a second of --video
-    #[arg(long, value_name = "N", default_value = "30", value_parser = clap::value_parser!(u16).range(1..=240),
+    #[arg(long, value_name = "N", default_value = "30", value_parser = clap::value_parser!(u16).range(1..=i64::from(MAX_FPS)),
         requires = "video")]
     fps: u16,
     /// Program that makes MP4

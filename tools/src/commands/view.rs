@@ -15,10 +15,12 @@ use crate::{
 use clap::Args;
 use serde_json::json;
 use std::{
+    io::Write,
     num::NonZeroUsize,
     path::{Path, PathBuf},
     sync::atomic::Ordering,
 };
+use tempfile::NamedTempFile;
 use zipsplat::{
     Error, Result,
     types::{
@@ -295,9 +297,9 @@ impl View {
         let server = Server::new(self.port).map_err(|error| Error::io(format!("port {}", self.port), error))?;
         let address = server.address();
         session.report(&json!({ "address": address }), format!("{address}\nCtrl-C ends it."))?;
-        if self.open {
-            open_in_browser(Path::new(&address))?;
-        }
+        // Its name is on the browser's command line, which every user can read: the address and its token are within.
+        let redirect = self.open.then(|| redirect(&address)).transpose()?;
+        redirect.as_ref().map(|file| open_in_browser(file.path())).transpose()?;
         let cancelled = session.cancelled();
         let device = ready.map(|ready| &ready.live.device);
         let studio = Studio::new(device, session.device_options(), self.from.reading.ffmpeg.clone());
@@ -314,6 +316,14 @@ impl View {
         })
         .map_err(|error| Error::io(address, error))
     }
+}
+
+/// A page for this user alone that leads to `address`. It lasts as long as the value.
+fn redirect(address: &str) -> Result<NamedTempFile> {
+    let failed = |error| Error::io(std::env::temp_dir(), error);
+    let mut file = tempfile::Builder::new().prefix("zipsplat-").suffix(".html").tempfile().map_err(failed)?;
+    write!(file, "<!doctype html><meta http-equiv=refresh content=\"0; url={address}\">").map_err(failed)?;
+    Ok(file)
 }
 
 fn open_in_browser(what: &Path) -> Result<()> {

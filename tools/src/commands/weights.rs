@@ -1,7 +1,7 @@
 //! `zipsplat weights`: weights that have a name, and getting them.
 
 use crate::{
-    download::{Client, Promise, fetch, is_sha256, kept, promise},
+    download::{Client, Lock, Promise, fetch, is_sha256, kept, promise},
     options::BUILT_IN,
     released::{self, Kind, RELEASED, Released},
     session::Session,
@@ -101,6 +101,9 @@ struct Get {
     sha256: Option<String>,
 }
 
+/// Most times the known size that a host may promise: another file, or more than the disk has.
+const MOST_TIMES: u64 = 2;
+
 fn parse_seconds(text: &str) -> Result<Duration, String> {
     let seconds = text.parse().ok().filter(|seconds| (0.001..=86400.0).contains(seconds));
     seconds.map(Duration::from_secs_f64).ok_or_else(|| "expected a number of seconds, up to 86400".into())
@@ -123,7 +126,10 @@ impl Get {
         if let Some(by) = self.offline.then_some("--offline").or(is_offline().then_some("HF_HUB_OFFLINE")) {
             return match (cached, released.loaded(&folder).into_iter().next()) {
                 (Some(path), _) => report(session, released, &path),
-                (None, Some(archive)) => self.convert(session, released, &archive),
+                (None, Some(archive)) => {
+                    let _lock = lock(session, released, &folder)?;
+                    self.convert(session, released, &archive)
+                }
                 (None, None) => {
                     let found = format!("none in {}, and no network by {by}", folder.display());
                     let expected = format!("`{}` with a network, once", released.command());
@@ -142,18 +148,30 @@ impl Get {
             }
             (Err(error), _) => return Err(error),
         };
+        if promise.size / MOST_TIMES > released.bytes {
+            let expected = format!("about {}", bytes(released.bytes));
+            return Err(Error::argument(format!("size of {url}"), bytes(promise.size), expected));
+        }
         let loaded = promise.path(&released.base(&folder));
         let converted = released.converted(&loaded);
-        if converted.is_file() && converted != loaded {
+        let is_converted = || converted.is_file() && converted != loaded;
+        let is_loaded = || loaded.metadata().is_ok_and(|found| found.len() == promise.size);
+        if !is_converted() && !is_loaded() {
+            self.consent(session, released, &promise, &released.base(&folder), &folder)?;
+        }
+        std::fs::create_dir_all(&folder).map_err(|error| Error::io(&folder, error))?;
+        let _lock = lock(session, released, &folder)?;
+        // Another process may have done it meanwhile.
+        if is_converted() {
             return report(session, released, &converted);
         }
-        if !loaded.metadata().is_ok_and(|found| found.len() == promise.size) {
+        if !is_loaded() {
             self.load(session, released, &client, &promise, &folder)?;
         }
         self.convert(session, released, &loaded)
     }
 
-    /// Loads the file, after a yes.
+    /// Loads the file.
     fn load(
         &self,
         session: &mut Session<'_>,
@@ -163,8 +181,6 @@ impl Get {
         folder: &Path,
     ) -> Result<()> {
         let base = released.base(folder);
-        self.consent(session, released, promise, &base, folder)?;
-        std::fs::create_dir_all(folder).map_err(|error| Error::io(folder, error))?;
         let mut notes = Vec::new();
         let fetched = session.stage("load", |stage| fetch(client, promise, &base, stage, &mut notes));
         notes.iter().for_each(|note| session.note(note));
@@ -227,6 +243,11 @@ impl Get {
         }
         report(session, released, &converted)
     }
+}
+
+/// Waits until no other process loads or converts these weights.
+fn lock(session: &Session<'_>, released: &Released, folder: &Path) -> Result<Lock> {
+    Ok(session.stage("wait for another process", |stage| Lock::new(&released.base(folder), stage))?.0)
 }
 
 /// True where the environment forbids the network, by the values that the hub's own client takes.

@@ -17,7 +17,7 @@ use ureq::http::{
 use zipsplat::{Error, Result};
 
 pub use http::{Client, is_sha256};
-pub use partial::{Promise, TAG, kept};
+pub use partial::{Lock, Promise, TAG, kept};
 
 use http::{Failure, Told, failure};
 use partial::Partial;
@@ -63,7 +63,7 @@ pub fn promise(client: &Client, url: &str, sha256: Option<&str>, stage: &Stage<'
     }
 }
 
-/// Loads the file that `promise` is about, checks it, and only then gives it its name, [`Promise::path`]. Where the network
+/// Loads the file that `promise` is about, checks it, and only then gives it its name, [`Promise::path`]. The caller has its [`Lock`]. Where the network
 /// fails, what came is kept, and another call goes on from there. `notes` gets what a user should know.
 ///
 /// # Errors

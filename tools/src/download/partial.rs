@@ -1,11 +1,12 @@
 //! A file that is on its way: its bytes so far, and beside them what it shall become.
 
+use super::POLL;
 use crate::session::Stage;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::{
-    fs::{File, OpenOptions},
-    io::{Read, Seek, SeekFrom, Write},
+    fs::{File, OpenOptions, TryLockError},
+    io::{self, Read, Seek, SeekFrom, Write},
     path::{Path, PathBuf},
 };
 use zipsplat::{Error, Result, types::write_atomic};
@@ -49,9 +50,75 @@ pub struct Partial {
     promise: Promise,
 }
 
-/// The paths of the bytes so far and of the promise.
-fn paths(base: &Path) -> [PathBuf; 2] {
-    [".part", ".part.json"].map(|ending| {
+/// Exclusive use, among processes, of a file's download and of all that is made of it.
+pub struct Lock {
+    path: PathBuf,
+    _file: File,
+}
+
+impl Lock {
+    /// Waits for other processes that load the file of `base`.
+    ///
+    /// # Errors
+    /// [`Error::Io`], [`Error::Cancelled`].
+    pub fn new(base: &Path, stage: &Stage<'_>) -> Result<Self> {
+        let [.., path] = paths(base);
+        let failed = |error| Error::io(&path, error);
+        loop {
+            let file = open(&path)?;
+            loop {
+                match file.try_lock() {
+                    Ok(()) => break,
+                    Err(TryLockError::WouldBlock) => stage.check()?,
+                    // Network folders may have no locks.
+                    Err(TryLockError::Error(error)) if error.kind() == io::ErrorKind::Unsupported => break,
+                    Err(TryLockError::Error(error)) => return Err(failed(error)),
+                }
+                std::thread::sleep(POLL);
+            }
+            // The process before has removed it, and a third may have made another.
+            if is_at(&file, &path).map_err(failed)? {
+                return Ok(Self { path, _file: file });
+            }
+        }
+    }
+}
+
+impl Drop for Lock {
+    fn drop(&mut self) {
+        // A file that stays is locked by the next process.
+        let _ = std::fs::remove_file(&self.path);
+    }
+}
+
+/// Whether `path` still leads to an open file.
+fn is_at(file: &File, path: &Path) -> io::Result<bool> {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::MetadataExt;
+        let identity = |found: std::fs::Metadata| (found.dev(), found.ino());
+        let there = path.symlink_metadata().map(identity);
+        Ok(there.is_ok_and(|there| file.metadata().is_ok_and(|found| identity(found) == there)))
+    }
+    #[cfg(not(unix))]
+    file.metadata().and_then(|_| path.try_exists())
+}
+
+/// Opens a file of the cache, which it makes where it is missing, and follows no link.
+fn open(path: &Path) -> Result<File> {
+    let mut options = OpenOptions::new();
+    options.create(true).truncate(false).read(true).write(true);
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::custom_flags(&mut options, rustix::fs::OFlags::NOFOLLOW.bits() as i32);
+    options.open(path).map_err(|error| match path.is_symlink() {
+        true => Error::format(path, None, "a symbolic link, expected a regular file"),
+        false => Error::io(path, error),
+    })
+}
+
+/// The paths of the bytes so far, of the promise and of the lock.
+fn paths(base: &Path) -> [PathBuf; 3] {
+    [".part", ".part.json", ".lock"].map(|ending| {
         let mut name = base.as_os_str().to_owned();
         name.push(ending);
         name.into()
@@ -60,21 +127,23 @@ fn paths(base: &Path) -> [PathBuf; 2] {
 
 /// The number of bytes that are there of the file that `base` names, and its promise.
 pub fn kept(base: &Path) -> Option<(u64, Promise)> {
-    let [path, promise] = paths(base);
+    let [path, promise, _] = paths(base);
     Some((path.metadata().ok()?.len(), serde_json::from_slice(&std::fs::read(promise).ok()?).ok()?))
 }
 
 impl Partial {
-    /// Goes on with what there is of a file, or begins it. Bytes that belong to another promise are dropped.
+    /// Resumes a file, or begins it, under its [`Lock`]. Bytes that belong to another promise are dropped.
     ///
     /// # Errors
     /// [`Error::Io`].
     pub fn open(base: &Path, promise: &Promise) -> Result<Self> {
-        let [path, promise_path] = paths(base);
+        let [path, promise_path, _] = paths(base);
         let goes_on =
             kept(base).is_some_and(|(_, known)| (known.size, known.sha256) == (promise.size, promise.sha256.clone()));
-        let file = OpenOptions::new().create(true).truncate(!goes_on).read(true).write(true).open(&path);
-        let file = file.map_err(|error| Error::io(&path, error))?;
+        let file = open(&path)?;
+        if !goes_on {
+            file.set_len(0).map_err(|error| Error::io(&path, error))?;
+        }
         write_atomic(&promise_path, |out| Ok(serde_json::to_writer_pretty(out, promise)?))?;
         Ok(Self { path, promise_path, base: base.to_owned(), file, promise: promise.clone() })
     }
@@ -87,8 +156,7 @@ impl Partial {
         self.file.metadata().map(|found| found.len()).map_err(|error| Error::io(&self.path, error))
     }
 
-    /// Writes bytes that belong at `start`, which is no further than what is there. Two processes that load the same file
-    /// write the same bytes to the same places.
+    /// Writes bytes that belong at `start`, which is no further than the file's length.
     ///
     /// # Errors
     /// [`Error::Io`].

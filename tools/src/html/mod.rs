@@ -1,9 +1,8 @@
 //! Pieces of reports: HTML files that need no other.
 
 use base64::{Engine, engine::general_purpose::STANDARD};
-use image::{ExtendedColorType, ImageEncoder, codecs::jpeg::JpegEncoder};
 use zipsplat::{
-    Error, Result,
+    Result,
     types::{Image, resample::resize_lanczos},
 };
 
@@ -29,11 +28,7 @@ pub fn picture(image: &Image, most: u32) -> Result<String> {
     let scale = (f64::from(most) / f64::from(image.width.max(image.height))).min(1.0);
     let [width, height] = [image.width, image.height].map(|side| ((f64::from(side) * scale).round() as u32).max(1));
     let small = resize_lanczos(image, width, height)?;
-    let mut jpeg = Vec::new();
-    JpegEncoder::new_with_quality(&mut jpeg, QUALITY)
-        .write_image(&small.rgb, width, height, ExtendedColorType::Rgb8)
-        .map_err(|error| Error::io("a picture of the report", std::io::Error::other(error)))?;
-    Ok(format!("data:image/jpeg;base64,{}", STANDARD.encode(jpeg)))
+    Ok(format!("data:image/jpeg;base64,{}", STANDARD.encode(small.jpeg(QUALITY)?)))
 }
 
 /// Text as a page can hold it, also between quotes.

@@ -1,13 +1,12 @@
 //! The cameras that a viewer knows.
 
 use glam::DVec3;
-use image::{ColorType, ImageEncoder, codecs::jpeg::JpegEncoder};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use zipsplat::{
-    Error, Result,
+    Result,
     types::{
-        Image, Intrinsics, Pose, World,
+        Intrinsics, Pose, World,
         poses::{Frame, read_cameras},
         resample::resize_lanczos,
     },
@@ -20,18 +19,6 @@ const FOV: f64 = 60.0;
 /// The quality of JPEGs that are served, and of those within a page.
 pub const QUALITY: u8 = 90;
 pub const SMALL_QUALITY: u8 = 75;
-
-/// A picture as a JPEG.
-///
-/// # Errors
-/// [`Error::Argument`] for a picture larger than a JPEG can be.
-pub fn jpeg(picture: &Image, quality: u8) -> Result<Vec<u8>> {
-    let (mut bytes, Image { width, height, rgb }) = (Vec::new(), picture);
-    let encoder = JpegEncoder::new_with_quality(&mut bytes, quality);
-    let written = encoder.write_image(rgb, *width, *height, ColorType::Rgb8.into());
-    written.map_err(|error| Error::argument("picture", format!("{width} x {height}: {error}"), "what a JPEG holds"))?;
-    Ok(bytes)
-}
 
 /// A camera to look through, as the page takes it: lengths in pixels, camera-to-world, x right, y down, z forward.
 #[derive(Serialize)]
@@ -82,9 +69,9 @@ impl InputCamera {
         match side.filter(|side| *side < longest) {
             Some(side) => {
                 let [width, height] = [photo.width, photo.height].map(|own| (own * side / longest).max(1));
-                jpeg(&resize_lanczos(&photo, width, height)?, SMALL_QUALITY)
+                resize_lanczos(&photo, width, height)?.jpeg(SMALL_QUALITY)
             }
-            None => jpeg(&photo, QUALITY),
+            None => photo.jpeg(QUALITY),
         }
         .map(Some)
     }

@@ -40,7 +40,7 @@ pub struct Live<'a> {
     pub(super) name: String,
     /// The network's features in each precision that was asked for so far, the first of them the one to begin with.
     pub(super) sources: Mutex<Vec<Source>>,
-    /// The highest number of a request.
+    /// The highest number of a request under way, or 0.
     pub(super) latest: AtomicU64,
     /// Set when the command should stop.
     pub(super) cancelled: &'a AtomicBool,
@@ -83,9 +83,12 @@ impl Live<'_> {
     /// # Errors
     /// As [`Model::reconstruct_features`], and [`Error::Cancelled`] where it was overtaken.
     pub fn make(&self, ratio: f64, precision: Precision, number: Option<u64>) -> Result<Made> {
-        let own = number.unwrap_or_else(|| self.latest.load(Ordering::SeqCst) + 1);
+        let own = number.unwrap_or_else(|| self.latest.load(Ordering::SeqCst).saturating_add(1));
         self.latest.fetch_max(own, Ordering::SeqCst);
-        self.make_unless(ratio, precision, || self.latest.load(Ordering::SeqCst) > own)
+        let made = self.make_unless(ratio, precision, || self.latest.load(Ordering::SeqCst) > own);
+        // A request that is done overtakes none, however high its number.
+        let _ = self.latest.compare_exchange(own, 0, Ordering::SeqCst, Ordering::SeqCst);
+        made
     }
 
     /// The scene of a ratio, unless `overtaken`.

@@ -2,7 +2,7 @@
 
 use super::{
     Live, Watched,
-    cameras::{InputCamera, QUALITY, jpeg},
+    cameras::{InputCamera, QUALITY},
     live::{Made, Source},
     page::{ShownScene, View},
     watched::Start as Started,
@@ -273,7 +273,7 @@ impl Ready<'_> {
     /// The pictures that the network sees, at addresses of the server, or within the page.
     ///
     /// # Errors
-    /// As [`jpeg`].
+    /// As [`Image::jpeg`].
     pub fn views(&self, within: bool) -> Result<Vec<View>> {
         let view = |(i, name): (usize, &String)| {
             let photo = if within { within_page(&self.view(i)?) } else { format!("view/{i}") };
@@ -285,9 +285,9 @@ impl Ready<'_> {
     /// A picture that the network sees, as a JPEG.
     ///
     /// # Errors
-    /// As [`jpeg`].
+    /// As [`Image::jpeg`].
     pub fn view(&self, index: usize) -> Result<Vec<u8>> {
-        jpeg(&self.live.images[index], QUALITY)
+        self.live.images[index].jpeg(QUALITY)
     }
 
     /// Pictures that the network sees.

@@ -4,6 +4,7 @@ use super::server::Answer;
 use crate::{
     animation::{Animation, common_size},
     pictures::{self, Sinks},
+    scratch::Scratch,
     session::Stage,
 };
 use indicatif::ProgressBar;
@@ -12,7 +13,6 @@ use std::{
     path::PathBuf,
     sync::{Mutex, atomic::AtomicBool},
 };
-use tempfile::TempDir;
 use zipsplat::{
     Error, Result,
     gpu::{Device, DeviceOptions},
@@ -64,7 +64,7 @@ impl Studio {
     /// [`Error::Argument`] for a path without cameras, or too many, or where MP4 is wanted and there is no ffmpeg; those of
     /// drawing; [`Error::Cancelled`].
     pub fn record(&self, scene: &Scene, wanted: &Wanted, cancelled: &AtomicBool) -> Result<Answer> {
-        let folder = TempDir::new().map_err(|error| Error::io("temporary folder", error))?;
+        let folder = Scratch::new()?;
         let path = folder.path().join("camera_path.json");
         std::fs::write(&path, wanted.path.to_string()).map_err(|error| Error::io(&path, error))?;
         let poses = read_cameras(&path, &Intrinsics::from_fov(1, 1, 1.0, 1.0))?;
@@ -73,6 +73,9 @@ impl Studio {
             return Err(Error::argument("pictures to record", cameras.len(), format!("1 to {MOST}")));
         }
         common_size(&cameras)?;
+        if let Some(wrong) = wanted.background.iter().find(|channel| !(0.0..=1.0).contains(*channel)) {
+            return Err(Error::argument("background", wrong, "channels from 0 to 1"));
+        }
         let (name, kind) = match wanted.format {
             Format::Mp4 => ("recorded.mp4", "video/mp4"),
             Format::Gif => ("recorded.gif", "image/gif"),

@@ -1,43 +1,92 @@
-//! Hands a page and what it asks for to browsers on this machine, and to nobody else.
+//! HTTP server of a page, for browsers on this machine only.
 
+use http_body_util::{BodyExt, Full, LengthLimitError, Limited};
+use hyper::{
+    Method, Request, Response, StatusCode,
+    body::{Body, Bytes, Incoming},
+    header::{HOST, HeaderMap, ORIGIN},
+    server::conn::http1,
+    service::service_fn,
+};
+use hyper_util::rt::{TokioIo, TokioTimer};
 use std::{
-    io::{Error, Read, Result},
-    net::{Ipv4Addr, SocketAddr},
-    panic::resume_unwind,
+    convert::Infallible,
+    io::{Error, Result},
+    net::{Ipv4Addr, TcpListener},
+    panic::{AssertUnwindSafe, catch_unwind},
+    sync::{
+        Arc, Mutex,
+        atomic::{AtomicBool, Ordering},
+        mpsc::{Receiver, Sender, channel},
+    },
     time::Duration,
 };
-use tiny_http::{Header, Method, Request, Response, StatusCode};
+use tokio::{
+    runtime::Builder,
+    sync::oneshot,
+    task::AbortHandle,
+    time::{sleep, timeout},
+};
 
-/// The time after which a wait for a request looks for Ctrl-C.
+/// Interval between checks for Ctrl-C.
 const POLL: Duration = Duration::from_millis(100);
 const TOKEN_BYTES: usize = 16;
-/// Requests that are answered at once: one may take long, and the page goes on asking.
-const THREADS: usize = 4;
-/// Most bytes of what a page sends.
-const MOST: u64 = 16 << 20;
+/// Requests answered concurrently: one may take long, and the page goes on asking.
+const WORKERS: usize = 4;
+/// Limit of a request's body, in bytes.
+const BODY: usize = 16 << 20;
+/// Limit of a request's header, in bytes.
+const HEADER: usize = 1 << 16;
+/// Time limits of a request's header and of its body.
+const PATIENCE: Duration = Duration::from_secs(10);
+/// Limit of connections whose request is incomplete. The oldest gives way to a new one.
+const INCOMPLETE: usize = 64;
 
 /// A server on the loopback interface whose paths all begin with a random token.
 pub struct Server {
-    http: tiny_http::Server,
+    listener: TcpListener,
     token: String,
     port: u16,
 }
 
-/// An answer's kind, such as `text/html`, and its bytes.
+/// Content type, such as `text/html`, and bytes of an answer.
 pub type Answer = (&'static str, Vec<u8>);
 
+type Reply = (StatusCode, Answer);
+
+/// A request for a worker: the path behind the token, a POST's body, and the way to its connection.
+struct Job {
+    path: String,
+    body: Option<Bytes>,
+    reply: oneshot::Sender<Reply>,
+}
+
+/// The state that connections share.
+struct Site {
+    token: String,
+    port: u16,
+    jobs: Sender<Job>,
+}
+
+/// A connection and whether its request is complete.
+struct Connection {
+    task: AbortHandle,
+    complete: Arc<AtomicBool>,
+}
+
 impl Server {
-    /// A server at `port`, or at a free one for 0.
+    /// Binds `port`, or a free one for 0.
     ///
     /// # Errors
-    /// A port that is taken or may not be used.
+    /// Those of the system: the port is taken or needs privileges.
     pub fn new(port: u16) -> Result<Self> {
-        let http = tiny_http::Server::http((Ipv4Addr::LOCALHOST, port)).map_err(Error::other)?;
-        let port = http.server_addr().to_ip().map_or(port, |address: SocketAddr| address.port());
+        let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port))?;
+        listener.set_nonblocking(true)?;
+        let port = listener.local_addr()?.port();
         let mut bytes = [0; TOKEN_BYTES];
         getrandom::fill(&mut bytes).map_err(Error::other)?;
         let token = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
-        Ok(Self { http, token, port })
+        Ok(Self { listener, token, port })
     }
 
     /// The address of the page.
@@ -45,78 +94,167 @@ impl Server {
         format!("http://127.0.0.1:{}/{}/", self.port, self.token)
     }
 
-    /// Answers requests with what `answer` has at the path behind the token, until `stopped`, several at once. What a page sends is
-    /// its second argument, none where it only asks. An error of `answer` is answered with its words.
+    /// Serves until `stopped`. `answer` gets the path behind the token and the body of a POST; its errors become
+    /// answers, too.
     ///
     /// # Errors
-    /// The error of a socket that can receive no further request.
+    /// Those of the system, before the first request.
     pub fn serve<E: ToString>(
         &self,
         answer: impl Fn(&str, Option<&[u8]>) -> std::result::Result<Option<Answer>, E> + Sync,
-        stopped: impl Fn() -> bool + Sync,
+        stopped: impl Fn() -> bool,
     ) -> Result<()> {
-        let serve = || {
-            while !stopped() {
-                if let Some(mut request) = self.http.recv_timeout(POLL)? {
-                    let (status, (kind, bytes)) = self.answer(&mut request, &answer);
-                    // A browser that went away is no reason to stop.
-                    let _ = request.respond(response(status, kind, bytes));
-                }
-            }
-            Ok(())
-        };
+        let runtime = Builder::new_current_thread().enable_all().build()?;
+        let (jobs, queue) = channel();
+        let queue = Mutex::new(queue);
         std::thread::scope(|scope| {
-            let threads: Vec<_> = (0..THREADS).map(|_| scope.spawn(serve)).collect();
-            threads.into_iter().try_for_each(|thread| thread.join().unwrap_or_else(|panic| resume_unwind(panic)))
+            for _ in 0..WORKERS {
+                scope.spawn(|| work(&queue, &answer));
+            }
+            let site = Site { token: self.token.clone(), port: self.port, jobs };
+            let served = runtime.block_on(self.accept(site, stopped));
+            // Ends all connections. Workers end when no connection can send a job.
+            drop(runtime);
+            served
         })
     }
 
-    fn answer<E: ToString>(
-        &self,
-        request: &mut Request,
-        answer: impl Fn(&str, Option<&[u8]>) -> std::result::Result<Option<Answer>, E>,
-    ) -> (u16, Answer) {
-        let refused = |status, why: &str| (status, ("text/plain; charset=utf-8", why.as_bytes().to_vec()));
-        if !self.is_own(request) {
-            return refused(403, "not from this page");
+    async fn accept(&self, site: Site, stopped: impl Fn() -> bool) -> Result<()> {
+        let listener = tokio::net::TcpListener::from_std(self.listener.try_clone()?)?;
+        let site = Arc::new(site);
+        let mut incomplete: Vec<Connection> = Vec::new();
+        while !stopped() {
+            match timeout(POLL, listener.accept()).await {
+                Ok(Ok((stream, _))) => {
+                    incomplete.retain(|connection| !connection.is_complete());
+                    if incomplete.len() == INCOMPLETE {
+                        incomplete.remove(0).task.abort();
+                    }
+                    incomplete.push(Connection::serve(stream, site.clone()));
+                }
+                // For example, too many open files.
+                Ok(Err(_)) => sleep(POLL).await,
+                Err(_) => {}
+            }
         }
-        let sent = *request.method() == Method::Post;
-        if !sent && !matches!(request.method(), Method::Get | Method::Head) {
-            return refused(405, "only GET, HEAD and POST");
-        }
-        let path = request.url().strip_prefix('/').and_then(|path| path.strip_prefix(self.token.as_str()));
-        let Some(path) = path.and_then(|path| path.strip_prefix('/')).map(str::to_owned) else {
-            return refused(404, "nothing here");
-        };
-        let mut body = Vec::new();
-        if sent && !matches!(request.as_reader().take(MOST + 1).read_to_end(&mut body), Ok(read) if read as u64 <= MOST)
-        {
-            return refused(413, "too much at once");
-        }
-        match answer(&path, sent.then_some(&body[..])) {
-            Ok(Some(found)) => (200, found),
-            Err(error) => refused(500, &error.to_string()),
-            Ok(None) if sent => refused(405, "nothing here takes that"),
-            Ok(None) => refused(404, "nothing here"),
-        }
-    }
-
-    /// True where a browser asks for this machine by its own name, which pages of others cannot make it do, and on behalf of no page
-    /// but ours.
-    fn is_own(&self, request: &Request) -> bool {
-        let names = ["127.0.0.1", "localhost"].map(|name| format!("{name}:{}", self.port));
-        let all = |field: &'static str, holds: &dyn Fn(&str) -> bool| {
-            let mut values = request.headers().iter().filter(|header| header.field.equiv(field));
-            values.all(|header| holds(header.value.as_str()))
-        };
-        let hosts = request.headers().iter().filter(|header| header.field.equiv("Host")).count();
-        hosts == 1
-            && all("Host", &|host| names.iter().any(|name| name == host))
-            && all("Origin", &|origin| names.iter().any(|name| origin.strip_prefix("http://") == Some(name)))
+        Ok(())
     }
 }
 
-fn response(status: u16, kind: &str, bytes: Vec<u8>) -> Response<std::io::Cursor<Vec<u8>>> {
+impl Connection {
+    fn serve(stream: tokio::net::TcpStream, site: Arc<Site>) -> Self {
+        let complete = Arc::new(AtomicBool::new(false));
+        let seen = complete.clone();
+        let service = service_fn(move |request| {
+            let (site, complete) = (site.clone(), seen.clone());
+            async move { Ok::<_, Infallible>(response(site.reply(request, &complete).await)) }
+        });
+        let serving = http1::Builder::new()
+            .keep_alive(false)
+            .timer(TokioTimer::new())
+            .header_read_timeout(PATIENCE)
+            .max_buf_size(HEADER)
+            .serve_connection(TokioIo::new(stream), service);
+        let task = tokio::spawn(async {
+            // Errors are the client's: it went away, or sent no HTTP.
+            let _ = serving.await;
+        });
+        Self { task: task.abort_handle(), complete }
+    }
+
+    fn is_complete(&self) -> bool {
+        self.complete.load(Ordering::Relaxed) || self.task.is_finished()
+    }
+}
+
+impl Site {
+    /// Checks a request and has a worker answer it. No body of a refused request is read.
+    async fn reply(&self, request: Request<Incoming>, complete: &AtomicBool) -> Reply {
+        if !is_own(request.headers(), self.port) {
+            return text(StatusCode::FORBIDDEN, "not from this page");
+        }
+        let is_post = request.method() == Method::POST;
+        if !is_post && ![Method::GET, Method::HEAD].contains(request.method()) {
+            return text(StatusCode::METHOD_NOT_ALLOWED, "only GET, HEAD and POST");
+        }
+        let path = request.uri().path_and_query().and_then(|path| path.as_str().strip_prefix('/'));
+        let path = path.and_then(|path| path.strip_prefix(self.token.as_str())?.strip_prefix('/'));
+        let Some(path) = path.map(str::to_owned) else {
+            return text(StatusCode::NOT_FOUND, "nothing here");
+        };
+        let body = match is_post {
+            true => match read(request.into_body()).await {
+                Ok(body) => Some(body),
+                Err(refusal) => return refusal,
+            },
+            false => None,
+        };
+        complete.store(true, Ordering::Relaxed);
+        let (reply, answered) = oneshot::channel();
+        let failed = || text(StatusCode::INTERNAL_SERVER_ERROR, "the server ends");
+        match self.jobs.send(Job { path, body, reply }) {
+            Ok(()) => answered.await.unwrap_or_else(|_| failed()),
+            Err(_) => failed(),
+        }
+    }
+}
+
+/// Reads a body within the limits of size and time.
+async fn read(body: Incoming) -> std::result::Result<Bytes, Reply> {
+    let too_large = || text(StatusCode::PAYLOAD_TOO_LARGE, "the body is too large");
+    if body.size_hint().lower() > BODY as u64 {
+        return Err(too_large());
+    }
+    match timeout(PATIENCE, Limited::new(body, BODY).collect()).await {
+        Ok(Ok(body)) => Ok(body.to_bytes()),
+        Ok(Err(error)) if error.is::<LengthLimitError>() => Err(too_large()),
+        Ok(Err(error)) => Err(text(StatusCode::BAD_REQUEST, &error.to_string())),
+        Err(_) => Err(text(StatusCode::REQUEST_TIMEOUT, "the body is incomplete")),
+    }
+}
+
+/// Answers requests until no more can come.
+fn work<E: ToString>(
+    queue: &Mutex<Receiver<Job>>,
+    answer: impl Fn(&str, Option<&[u8]>) -> std::result::Result<Option<Answer>, E>,
+) {
+    let next = || queue.lock().expect("no panic while it is locked").recv();
+    while let Ok(Job { path, body, reply }) = next() {
+        // The client may be gone.
+        if reply.is_closed() {
+            continue;
+        }
+        let answered = catch_unwind(AssertUnwindSafe(|| answer(&path, body.as_deref())));
+        let _ = reply.send(match answered {
+            Ok(Ok(Some(found))) => (StatusCode::OK, found),
+            Ok(Ok(None)) if body.is_some() => text(StatusCode::METHOD_NOT_ALLOWED, "takes no POST"),
+            Ok(Ok(None)) => text(StatusCode::NOT_FOUND, "nothing here"),
+            Ok(Err(error)) => text(StatusCode::INTERNAL_SERVER_ERROR, &error.to_string()),
+            // The panic's message is on standard error.
+            Err(_) => text(StatusCode::INTERNAL_SERVER_ERROR, "this request failed, a defect of zipsplat"),
+        });
+    }
+}
+
+/// True if the request addresses this machine by its own name, which pages of other sites cannot cause, and comes from
+/// no page but ours. Browsers omit port 80.
+fn is_own(headers: &HeaderMap, port: u16) -> bool {
+    let is_here = |authority: &str| {
+        let (name, given) = authority.split_once(':').unwrap_or((authority, "80"));
+        ["127.0.0.1", "localhost"].contains(&name) && given == port.to_string()
+    };
+    let all =
+        |name, holds: &dyn Fn(&str) -> bool| headers.get_all(name).iter().all(|value| value.to_str().is_ok_and(holds));
+    headers.get_all(HOST).iter().count() == 1
+        && all(HOST, &is_here)
+        && all(ORIGIN, &|origin| origin.strip_prefix("http://").is_some_and(is_here))
+}
+
+fn text(status: StatusCode, words: &str) -> Reply {
+    (status, ("text/plain; charset=utf-8", words.as_bytes().to_vec()))
+}
+
+fn response((status, (kind, bytes)): Reply) -> Response<Full<Bytes>> {
     let headers = [
         ("Content-Type", kind),
         ("Cache-Control", "no-store"),
@@ -125,10 +263,24 @@ fn response(status: u16, kind: &str, bytes: Vec<u8>) -> Response<std::io::Cursor
         ("Cross-Origin-Resource-Policy", "same-origin"),
         ("X-Frame-Options", "DENY"),
     ];
-    let header = |(name, value): (&str, &str)| Header::from_bytes(name, value).expect("these are fit for headers");
-    let length = bytes.len();
-    let headers = headers.map(header).into();
-    let body = std::io::Cursor::new(bytes);
-    // A length that is known is sent: the page shows how much of it is there.
-    Response::new(StatusCode(status), headers, body, Some(length), None).with_chunked_threshold(usize::MAX)
+    let builder =
+        headers.iter().fold(Response::builder().status(status), |builder, (name, value)| builder.header(*name, *value));
+    builder.body(Full::new(bytes.into())).expect("constant headers are valid")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn browsers_omit_port_80() {
+        let is_own = |host: &str, origin: &str, port| {
+            let headers = [(HOST, host.parse().unwrap()), (ORIGIN, origin.parse().unwrap())];
+            super::is_own(&headers.into_iter().collect(), port)
+        };
+        assert!(is_own("127.0.0.1", "http://127.0.0.1", 80) && is_own("localhost:80", "http://localhost", 80));
+        assert!(is_own("127.0.0.1:8080", "http://localhost:8080", 8080));
+        assert!(!is_own("127.0.0.1", "http://127.0.0.1", 8080) && !is_own("127.0.0.1:8080", "http://127.0.0.1", 8080));
+        assert!(!is_own("example.org", "http://127.0.0.1", 80) && !is_own("127.0.0.1", "http://example.org", 80));
+    }
 }

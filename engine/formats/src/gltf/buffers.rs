@@ -1,4 +1,4 @@
-//! The bytes of a glTF's buffers, and the numbers that accessors see in them.
+//! glTF buffers and accessors.
 
 use std::borrow::Cow;
 use std::collections::HashMap;
@@ -10,20 +10,19 @@ use super::{Document, Parsed, document::Buffer};
 use crate::file::read_file;
 use crate::{Error, Result};
 
-/// The bytes that buffers are made of, and which of them each buffer is: several may name one file.
+/// Bytes of all buffers, which may share files.
 pub(super) struct Buffers<'a> {
     contents: Vec<Cow<'a, [u8]>>,
     of_buffer: Vec<usize>,
 }
 
 impl<'a> Buffers<'a> {
-    /// Bytes of all buffers.
     pub(super) fn len(&self) -> usize {
         self.contents.iter().map(|bytes| bytes.len()).sum()
     }
 
-    /// `binary` is the container's chunk, the content of a buffer without an address. Files are looked for in `folder`
-    /// and below, nowhere else; errors name `path`.
+    /// Opens buffers. `binary` is the container's chunk, used by the buffer without a URI. Files
+    /// must be in `folder` or below; errors name `path`.
     pub(super) fn open(
         buffers: &[Buffer],
         binary: Option<&'a [u8]>,
@@ -68,12 +67,11 @@ impl<'a> Buffers<'a> {
         Ok(Self { contents, of_buffer })
     }
 
-    /// The bytes of a buffer.
     fn get(&self, buffer: usize) -> Option<&[u8]> {
         self.of_buffer.get(buffer).map(|content| &*self.contents[*content])
     }
 
-    /// The values of an accessor of `N` components, as floats. Lengths are checked before anything is allocated.
+    /// Reads an accessor of `N` components as floats. Checks lengths before allocating.
     pub(super) fn values<const N: usize>(&self, document: &Document, index: usize) -> Parsed<Vec<[f32; N]>> {
         let fail = |reason: String| format!("accessor {index}: {reason}");
         let accessor = document.accessors.get(index).ok_or_else(|| fail("there is none".into()))?;
@@ -104,13 +102,13 @@ impl<'a> Buffers<'a> {
     }
 }
 
-/// The bytes of a `data:` address.
+/// Decodes a `data:` URI.
 fn embedded(uri: &str) -> std::result::Result<Vec<u8>, String> {
     let (_, data) = uri.split_once(";base64,").ok_or("found a data address without base64")?;
     STANDARD.decode(data).map_err(|error| format!("base64: {error}"))
 }
 
-/// A relative address as a path that does not leave the folder.
+/// Converts a relative URI to a path that stays in the folder.
 fn beside(uri: &str) -> Option<PathBuf> {
     let mut bytes = Vec::new();
     let mut rest = uri.as_bytes();
@@ -127,7 +125,7 @@ fn beside(uri: &str) -> Option<PathBuf> {
     (!uri.contains(':') && path.components().all(inside) && path.file_name().is_some()).then_some(path)
 }
 
-/// The component types that attributes of Gaussians may have.
+/// Component types of Gaussian attributes.
 #[derive(Clone, Copy)]
 enum Scalar {
     I8,
@@ -157,7 +155,7 @@ impl Scalar {
         }
     }
 
-    /// The number that a normalised integer of 1 is; the lowest of a signed type is clamped to -1.
+    /// Returns the integer that represents 1. Signed values are clamped to -1.
     fn one(self) -> f32 {
         match self {
             Self::I8 => f32::from(i8::MAX),
@@ -168,7 +166,7 @@ impl Scalar {
         }
     }
 
-    /// The value at the start of `bytes`, which are at least its size.
+    /// Reads the value at the start of `bytes`, which must be long enough.
     fn read(self, bytes: &[u8], normalized: bool) -> f32 {
         let two = || [bytes[0], bytes[1]];
         let value = match self {

@@ -1,4 +1,4 @@
-//! A glTF's JSON, as far as Gaussians need it, and the binary container.
+//! The subset of glTF JSON that Gaussians need, and the binary container.
 
 use std::collections::{HashMap, HashSet};
 
@@ -8,9 +8,9 @@ use serde::Deserialize;
 use super::{EXTENSION, Fault, Parsed};
 use crate::world::MADE_BY;
 
-/// Extensions that may be required: the second only allows small integers where floats would be.
+/// Supported required extensions; the second only permits small integers for floats.
 const KNOWN: [&str; 2] = [EXTENSION, "KHR_mesh_quantization"];
-/// "JSON" and "BIN\0", the types of a binary container's chunks.
+/// Chunk types "JSON" and "BIN\0" of the binary container.
 const JSON_CHUNK: u32 = 0x4e4f_534a;
 const BIN_CHUNK: u32 = 0x004e_4942;
 
@@ -53,7 +53,7 @@ struct Node {
     mesh: Option<usize>,
     #[serde(default)]
     children: Vec<usize>,
-    /// Column by column; else the three below.
+    /// Column-major; replaces the three fields below.
     matrix: Option<[f64; 16]>,
     translation: Option<[f64; 3]>,
     /// xyzw.
@@ -106,7 +106,7 @@ pub(super) struct Buffer {
     pub byte_length: usize,
 }
 
-/// The JSON and, of a binary container, the binary chunk.
+/// Returns the JSON and the binary container's binary chunk.
 pub(super) fn unpack(bytes: &[u8]) -> Parsed<(&[u8], Option<&[u8]>)> {
     if !bytes.starts_with(b"glTF") {
         return Ok((bytes, None));
@@ -150,13 +150,13 @@ impl Document {
         }
     }
 
-    /// The line about the file that this engine has written in it.
+    /// Returns the line about the file that this engine stored in it.
     pub(super) fn line(&self) -> Option<&str> {
         self.asset.extras.get(MADE_BY)?.as_str()
     }
 
-    /// Visits the primitives with Gaussians that the default scene shows, with where: their frame to the world. Many nodes may
-    /// show one mesh, so there may be far more than the file has bytes.
+    /// Visits the default scene's Gaussian primitives with their transforms to the world. Nodes may
+    /// share meshes, so visits can far outnumber bytes.
     pub(super) fn visit(&self, mut visit: impl FnMut(&Primitive, &DMat4) -> Parsed<()>) -> Parsed<()> {
         let mut seen = vec![false; self.nodes.len()];
         let mut waiting: Vec<_> = self.roots()?.into_iter().rev().map(|node| (node, DMat4::IDENTITY)).collect();
@@ -180,7 +180,8 @@ impl Document {
         Ok(())
     }
 
-    /// The roots of the default scene, else of the first one; without any, every node that is no child.
+    /// Returns the roots of the default or first scene; without scenes, all nodes that are no
+    /// child.
     fn roots(&self) -> Parsed<Vec<usize>> {
         if self.scenes.is_empty() {
             let children: HashSet<usize> = self.nodes.iter().flat_map(|node| node.children.iter().copied()).collect();
@@ -194,7 +195,7 @@ impl Document {
 }
 
 impl Node {
-    /// Matrix from the node's frame to its parent's.
+    /// Returns the transform to the parent.
     fn matrix(&self) -> DMat4 {
         if let Some(columns) = &self.matrix {
             return DMat4::from_cols_array(columns);
@@ -206,7 +207,7 @@ impl Node {
 }
 
 impl Primitive {
-    /// Whether it is one of Gaussians; an error if of a kind that is not known.
+    /// Returns true for Gaussians; fails for unknown kinds of Gaussians.
     fn has_gaussians(&self) -> Parsed<bool> {
         let Some(extension) = self.extensions.get(EXTENSION) else { return Ok(false) };
         for (property, expected) in [("kernel", "ellipse"), ("colorSpace", "srgb_rec709_display")] {

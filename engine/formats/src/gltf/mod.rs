@@ -1,6 +1,6 @@
-//! glTF 2.0 with KHR_gaussian_splatting: a mesh primitive of points with an accessor an attribute, scales and opacities
-//! linear, as in the extension's release candidate. Axes: x left, y up, z forward; reading and writing turn positions,
-//! rotations and spherical harmonics.
+//! glTF 2.0 with KHR_gaussian_splatting, as in the release candidate: a point primitive with an
+//! accessor per attribute, linear scales and opacities. Positions, rotations and spherical
+//! harmonics are converted from x left, y up, z forward.
 
 mod buffers;
 mod document;
@@ -29,12 +29,12 @@ pub(super) const BINARY: Format = Format {
 pub(super) const TEXT: Format =
     Format { marks: &[], view_dependence: true, read: read_unchecked, world: Some(read_line), write: write::text };
 
-/// The extension, and the prefix of its attributes.
+/// Extension name and prefix of its attributes.
 const EXTENSION: &str = "KHR_gaussian_splatting";
-/// How much the lengths of a node's axes may differ, and the axes lean, relatively.
+/// Relative tolerance for non-uniform scale and shear of nodes.
 const SHEAR_TOLERANCE: f64 = 1e-4;
 
-/// A fault: what is wrong and where in the file, where that is known.
+/// Failure reason and byte offset, if known.
 struct Fault {
     offset: Option<usize>,
     reason: String,
@@ -48,17 +48,18 @@ impl From<String> for Fault {
 
 type Parsed<T> = std::result::Result<T, Fault>;
 
-/// Reads every Gaussian that the default scene of a `.gltf` or `.glb` shows, where the nodes put it. Buffers may be in the
-/// file, embedded as base64 or files in the folder beside it. The degree is the highest of all primitives.
+/// Reads all Gaussians of the default scene of a `.gltf` or `.glb`, with node transforms applied.
+/// Buffers may be embedded, base64, or files beside it. The degree is the maximum of all
+/// primitives.
 ///
 /// # Errors
-/// [`Error::Io`] when a file cannot be read; [`Error::Format`] when it is damaged, shows no Gaussians, needs an extension
-/// that is not known (compressed Gaussians among them), or a node stretches its axes differently.
+/// [`Error::Io`] for failed reads. [`Error::Format`] for damage, no Gaussians, an unknown required
+/// extension (including compressed Gaussians), or non-uniform node scale.
 pub fn read_gltf(path: impl AsRef<Path>) -> Result<Scene> {
     read_unchecked(Source::open(path.as_ref())?)?.validated(path.as_ref())
 }
 
-/// As [`read_gltf`], with the values as they are.
+/// Reads as [`read_gltf`], without validating values.
 fn read_unchecked(mut source: Source<'_>) -> Result<Scene> {
     let (bytes, path) = (source.rest()?, source.name);
     let fail = |Fault { offset, reason }: Fault| Error::format(path, offset.map(|at| at as u64), reason);
@@ -70,7 +71,7 @@ fn read_unchecked(mut source: Source<'_>) -> Result<Scene> {
     let shown = document.visit(|primitive, to_world| {
         let part = place(read_primitive(&document, &buffers, primitive)?, to_world)?;
         count += part.len();
-        // Nodes may share a mesh, and a small file could ask for any number.
+        // Shared meshes let a small file request any number.
         if count > buffers.len() {
             let bytes = buffers.len();
             return Err(format!("nodes show {count} Gaussians from {bytes} bytes, expected fewer than bytes").into());
@@ -85,14 +86,14 @@ fn read_unchecked(mut source: Source<'_>) -> Result<Scene> {
     Ok(joined(parts))
 }
 
-/// The line of [`World::line`](super::World) in a glTF, where it has one.
+/// Reads the line of [`World::line`](super::World), if present.
 fn read_line(path: &Path) -> Result<Option<String>> {
     let bytes = Source::open(path)?.rest()?;
     let document = unpack(&bytes).and_then(|(json, _)| Document::parse(json)).ok();
     Ok(document.and_then(|document| document.line().map(str::to_owned)))
 }
 
-/// The Gaussians of a primitive in its own frame.
+/// Reads a primitive's Gaussians in its local frame.
 fn read_primitive(document: &Document, buffers: &Buffers, primitive: &Primitive) -> Parsed<Scene> {
     let attribute = |name: &str| {
         let accessor = primitive.attributes.get(name);
@@ -131,7 +132,7 @@ fn read_primitive(document: &Document, buffers: &Buffers, primitive: &Primitive)
     Ok(Scene { means, scales, quats, opacities: opacities.into_flattened(), sh_coeffs, sh_degree })
 }
 
-/// Moves Gaussians to the world and from there to the engine's axes.
+/// Transforms Gaussians to the world and the engine's axes.
 fn place(mut part: Scene, to_world: &DMat4) -> Parsed<Scene> {
     if *to_world != DMat4::IDENTITY {
         transform(&mut part, to_world)?;
@@ -156,7 +157,7 @@ fn transform(part: &mut Scene, to_world: &DMat4) -> Parsed<()> {
     Ok(())
 }
 
-/// One scene of all parts, of the highest degree among them.
+/// Joins all parts at their highest degree.
 fn joined(mut parts: Vec<Scene>) -> Scene {
     if parts.len() == 1 {
         return parts.remove(0);

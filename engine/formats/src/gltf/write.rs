@@ -13,7 +13,7 @@ use crate::{Scene, World, axes::HalfTurn::AboutZ, camera::unit_quaternion, world
 const FLOAT: u32 = 5126;
 const ARRAY_BUFFER: u32 = 34962;
 
-/// The numbers of all attributes, one after the other, and the JSON that describes them.
+/// Concatenated attribute data and the JSON that describes it.
 #[derive(Default)]
 struct Attributes {
     data: Vec<u8>,
@@ -35,12 +35,12 @@ impl Attributes {
     }
 }
 
-/// Writes a glTF, with everything in one file: `binary` for a `.glb`, else JSON with the numbers as base64. Floats
-/// throughout: all is kept, but that quaternions become unit ones. The file appears whole or not at all.
+/// Writes a glTF in one file: `.glb` if `binary`, else JSON with base64. Lossless floats, except
+/// that quaternions are normalized. Writes atomically.
 ///
 /// # Errors
-/// [`Error::Argument`] when the scene is not valid or empty, which glTF does not know, or longer than the 4 GiB of a `.glb`;
-/// [`Error::Io`] when the file cannot be written.
+/// [`Error::Argument`] if the scene is invalid, empty (not allowed in glTF) or above a `.glb`'s 4
+/// GiB; [`Error::Io`] for failed writes.
 pub fn write_gltf(scene: &Scene, path: impl AsRef<Path>, binary: bool) -> Result<()> {
     let format = if binary { &super::BINARY } else { &super::TEXT };
     format.write_file(path.as_ref(), scene, &WriteOptions::default(), None)
@@ -54,7 +54,7 @@ pub(super) fn text<'a>(scene: &'a Scene, _: &WriteOptions, world: Option<&World>
     encoder(scene, false, world)
 }
 
-/// With the world in the asset's extras.
+/// Stores the world in the asset's extras.
 fn encoder<'a>(scene: &'a Scene, binary: bool, world: Option<&World>) -> Result<Encoder<'a>> {
     if scene.is_empty() {
         return Err(Error::argument("scene", "no Gaussians", "at least one in a glTF"));

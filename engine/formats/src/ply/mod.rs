@@ -1,5 +1,5 @@
-//! The PLY layout of 3D Gaussian Splatting that viewers read (Kerbl et al. 2023): logit opacity, log scale,
-//! channel-first `f_rest_*`. Read is also its packed kind (`packed`).
+//! PLY of 3D Gaussian Splatting (Kerbl et al. 2023): logit opacity, log scale, channel-first
+//! `f_rest_*`. Also reads the `packed` variant.
 
 mod packed;
 mod points;
@@ -30,25 +30,25 @@ pub(super) const FORMAT: Format = Format {
 
 pub use points::{PointCloud, read_points, write_points};
 
-/// Gaussians that are encoded before they are written.
+/// Gaussians encoded per write.
 const BATCH: usize = 1 << 16;
-/// Opacities are kept this far from 0 and 1, where their logit is infinite.
+/// Margin of opacities from 0 and 1, where the logit is infinite.
 const OPACITY_MARGIN: f32 = 1e-6;
 const START: &str = "ply\nformat binary_little_endian 1.0\n";
 const COMMENT: &str = "comment ";
-/// Smallest scale that is written: the logarithm of 0 is infinite.
+/// Smallest scale written, since the logarithm of 0 is infinite.
 const MIN_SCALE: f32 = 1e-6;
 
-/// Writes a binary little-endian PLY of f32 properties; the file appears whole or not at all.
+/// Writes a binary little-endian PLY of f32 properties atomically.
 ///
 /// # Errors
-/// [`Error::Argument`] when the scene is not valid, [`Error::Io`] when the file cannot be written.
+/// [`Error::Argument`] if the scene is invalid, [`Error::Io`] for failed writes.
 pub fn write_ply(scene: &Scene, path: impl AsRef<Path>) -> Result<()> {
     scene.validate()?;
     write_atomic(path.as_ref(), encoder(scene, START))
 }
 
-/// The line of [`World::line`] in a PLY's header, where it has one.
+/// Reads the line of [`World::line`] from the header, if present.
 fn read_line(path: &Path) -> Result<Option<String>> {
     let mut start = Vec::new();
     let read = Source::open(path)?.take(MAX_HEADER as u64).read_to_end(&mut start);
@@ -78,7 +78,7 @@ fn encoder<'a>(scene: &'a Scene, start: &str) -> Encoder<'a> {
     })
 }
 
-/// A header up to its elements, with what the file says of itself.
+/// Returns the header up to its elements.
 fn start(world: Option<&World>) -> String {
     format!("{START}{COMMENT}{}\n", World::line(world))
 }
@@ -111,22 +111,22 @@ fn encode(scene: &Scene, i: usize, row: &mut [u8]) {
     }
 }
 
-/// Rounded once from f64, so that files are the same on every platform.
+/// Rounds once from f64, so that files are identical on all platforms.
 fn ln(value: f32) -> f32 {
     f64::from(value).ln() as f32
 }
 
-/// Reads a 3D Gaussian Splatting PLY, binary little endian or ASCII: properties in any order and of any scalar type,
-/// others skipped, degree 0 to 3 from the number of `f_rest_*`. Quaternions keep their length.
+/// Reads a 3D Gaussian Splatting PLY, binary little endian or ASCII, with properties in any order
+/// and type. The number of `f_rest_*` determines the degree, 0 to 3. Quaternions keep their length.
 ///
 /// # Errors
-/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it is truncated, lacks a property, or holds values
-/// that are not finite once activated.
+/// [`Error::Io`] for failed reads. [`Error::Format`] for truncation, a missing property, or values
+/// that are not finite after activation.
 pub fn read_ply(path: impl AsRef<Path>) -> Result<Scene> {
     read_unchecked(Source::open(path.as_ref())?)?.validated(path.as_ref())
 }
 
-/// As [`read_ply`], with the values as they are.
+/// Reads as [`read_ply`], without validating values.
 fn read_unchecked(source: Source<'_>) -> Result<Scene> {
     let path = source.name;
     let decode = |mut ply: Ply<'_>| if packed::is(&ply) { packed::decode(&mut ply) } else { decode(&mut ply) };
@@ -157,7 +157,7 @@ fn decode(ply: &mut Ply<'_>) -> Parsed<Scene> {
     Ok(scene)
 }
 
-/// The columns of each coefficient's red, green and blue, and the degree.
+/// Returns the RGB columns per coefficient, and the degree.
 fn sh_columns(table: &Table) -> Parsed<(Vec<[Column; 3]>, u32)> {
     let rest = table.names().filter(|name| name.starts_with("f_rest_")).count();
     let Some(sh_degree) = (0..=Scene::MAX_SH_DEGREE).find(|degree| 3 * degree * (degree + 2) == rest as u32) else {

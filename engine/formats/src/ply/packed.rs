@@ -1,7 +1,9 @@
-//! The packed kind of PLY that SuperSplat and PlayCanvas write as `.compressed.ply`. Element `chunk` has the range of every
-//! 256 Gaussians, element `vertex` four words each: 11, 10 and 11 bits of a position and of a scale within the range, two bits
-//! that name a rotation's largest component and ten for each of the others, and 8 bits each of red, green, blue and opacity.
-//! Element `sh`, where there is one, has a byte a coefficient above degree 0.
+//! Packed PLY of SuperSplat and PlayCanvas (`.compressed.ply`).
+//!
+//! Element `chunk` has the value range of 256 Gaussians. Element `vertex` has four words: position
+//! and scale within the range (11, 10 and 11 bits each); a rotation (2 bits for the largest
+//! component, 10 for each other); red, green, blue and opacity (8 bits each). The optional element
+//! `sh` has a byte per coefficient above degree 0.
 
 use std::f32::consts::{FRAC_1_PI, SQRT_2};
 
@@ -10,17 +12,17 @@ use rayon::prelude::*;
 use super::super::Scene;
 use super::table::{Column, Parsed, Ply, Scalar, Table};
 
-/// Gaussians that share a range.
+/// Gaussians per range.
 const CHUNK: usize = 256;
-/// Coefficients reach from minus half of this to half of it.
+/// Width of the coefficients' range, centered on 0.
 const SH_RANGE: f32 = 8.0;
 
-/// Whether a file is of this kind.
+/// Returns true for packed files.
 pub(super) fn is(ply: &Ply<'_>) -> bool {
     ply.has("vertex", "packed_position")
 }
 
-/// The scene of a whole file.
+/// Decodes a whole file.
 pub(super) fn decode(ply: &mut Ply<'_>) -> Parsed<Scene> {
     let vertices = ply.table("vertex")?;
     let mut words = Vec::new();
@@ -67,7 +69,7 @@ pub(super) fn decode(ply: &mut Ply<'_>) -> Parsed<Scene> {
     Ok(scene)
 }
 
-/// The columns of each coefficient's red, green and blue above degree 0, and the degree.
+/// Returns the RGB columns per coefficient above degree 0, and the degree.
 fn rest_columns(ply: &Ply<'_>, sh: Option<&Table>, count: usize) -> Parsed<(Vec<[Column; 3]>, u32)> {
     let Some(table) = sh else { return Ok((Vec::new(), 0)) };
     if table.count != count {
@@ -86,7 +88,7 @@ fn rest_columns(ply: &Ply<'_>, sh: Option<&Table>, count: usize) -> Parsed<(Vec<
     Ok((columns, sh_degree))
 }
 
-/// The least and the greatest values of a chunk: positions, logarithms of scales, colours as they are seen at opacity 1.
+/// Value range of a chunk: positions, log scales, display colors.
 struct Range {
     means: [[f32; 3]; 2],
     scales: [[f32; 3]; 2],
@@ -100,7 +102,7 @@ fn ranges(ply: &mut Ply<'_>, table: &Table) -> Parsed<Vec<Range>> {
         Ok([three("min")?, three("max")?])
     };
     let (means, scales) = (columns("", ["x", "y", "z"])?, columns("scale_", ["x", "y", "z"])?);
-    // Old files have none and mean the whole range.
+    // Old files have no color range: it is 0..1.
     let colors = match table.names().any(|name| name == "min_r") {
         true => Some(columns("", ["r", "g", "b"])?),
         false => None,
@@ -117,23 +119,24 @@ fn ranges(ply: &mut Ply<'_>, table: &Table) -> Parsed<Vec<Range>> {
     Ok(ranges)
 }
 
-/// Shares of a range as values in it; exactly its ends at 0 and 1.
+/// Interpolates in a range, exact at both ends.
 fn within([min, max]: &[[f32; 3]; 2], shares: [f32; 3]) -> [f32; 3] {
     std::array::from_fn(|axis| min[axis] * (1.0 - shares[axis]) + max[axis] * shares[axis])
 }
 
-/// The lowest `bits` of a word, as a share of the most that they hold.
+/// Returns the lowest `bits` of a word as a fraction.
 fn share(word: u32, bits: u32) -> f32 {
     let most = (1 << bits) - 1;
     (word & most) as f32 / most as f32
 }
 
-/// Three shares, of 11, 10 and 11 bits from the highest on.
+/// Unpacks three fractions of 11, 10 and 11 bits, highest first.
 fn thirds(word: u32) -> [f32; 3] {
     [share(word >> 21, 11), share(word >> 11, 10), share(word, 11)]
 }
 
-/// A rotation wxyz. The two highest bits are the place of the largest component, which is positive; the others follow in order.
+/// Unpacks a rotation wxyz: 2 bits for the index of the positive largest component, then the others
+/// in order.
 fn quat(word: u32) -> [f32; 4] {
     let largest = (word >> 30) as usize;
     let mut others = [20, 10, 0].map(|shift| (share(word >> shift, 10) - 0.5) * SQRT_2).into_iter();
@@ -147,7 +150,7 @@ fn quat(word: u32) -> [f32; 4] {
     quat
 }
 
-/// A coefficient from its byte: the ends of the range, else the middle of one of 256 buckets.
+/// Decodes a coefficient's byte: the range's ends are exact, others are the centers of 256 buckets.
 fn coefficient(level: f32) -> f32 {
     let share = match level {
         0.0 => 0.0,

@@ -1,4 +1,4 @@
-//! Point clouds: positions and colours, as structure from motion leaves them.
+//! Point clouds of structure from motion.
 
 use std::path::Path;
 
@@ -6,20 +6,20 @@ use super::super::{file::write_atomic, source::Source};
 use super::table::{Parsed, Ply};
 use crate::Result;
 
-/// Points in the world of the cameras that saw them.
+/// Points in the world of their cameras.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PointCloud {
-    /// `[N]` x, y, z in the file's frame and unit.
+    /// `[N]` xyz in the file's frame and unit.
     pub positions: Vec<[f32; 3]>,
-    /// `[N]` red, green, blue, or empty where the file has none.
+    /// `[N]` RGB; empty if the file has none.
     pub colors: Vec<[u8; 3]>,
 }
 
-/// Reads the positions and 8-bit colours of a PLY's vertices, in the file's frame and unit.
+/// Reads positions and 8-bit colors of a PLY's vertices.
 ///
 /// # Errors
-/// [`Error::Io`](crate::Error::Io) when the file cannot be read; [`Error::Format`](crate::Error::Format) when it is
-/// truncated, lacks x, y or z, or holds values that are not finite.
+/// [`Error::Io`](crate::Error::Io) for failed reads. [`Error::Format`](crate::Error::Format) for
+/// truncation, missing x, y or z, or values that are not finite.
 pub fn read_points(path: impl AsRef<Path>) -> Result<PointCloud> {
     let path = path.as_ref();
     cloud(Source::open(path)?).map_err(|fault| fault.of(path))
@@ -47,10 +47,10 @@ fn cloud(source: Source<'_>) -> Parsed<PointCloud> {
     }
 }
 
-/// Writes positions and 8-bit colours as a binary little-endian PLY; the file appears whole or not at all.
+/// Writes a binary little-endian PLY of positions and 8-bit colors atomically.
 ///
 /// # Errors
-/// [`Error::Io`](crate::Error::Io) when the file cannot be written.
+/// [`Error::Io`](crate::Error::Io) for failed writes.
 pub fn write_points(path: impl AsRef<Path>, points: &[([f32; 3], [u8; 3])]) -> Result<()> {
     let mut header = format!("{}element vertex {}\n", super::start(None), points.len());
     ["x", "y", "z"].iter().for_each(|name| header += &format!("property float {name}\n"));

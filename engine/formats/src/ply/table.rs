@@ -1,4 +1,4 @@
-//! The elements of a PLY file (Turk 1994): any scalar properties, binary little endian or ASCII.
+//! PLY elements (Turk 1994) with scalar properties, binary little endian or ASCII.
 
 use std::io::{Chain, Cursor, Read};
 use std::path::Path;
@@ -6,21 +6,20 @@ use std::path::Path;
 use crate::Error;
 use crate::source::Source;
 
-/// The header must end within this many bytes.
+/// Maximum bytes of the header.
 pub(super) const MAX_HEADER: usize = 1 << 16;
-/// Rows that are read at a time: a file is never in memory as a whole.
+/// Rows per read: files are never entirely in memory.
 const BATCH: usize = 1 << 16;
 
-/// A fault of a table.
 pub(super) enum Fault {
-    /// The bytes could not be read.
+    /// Failed read.
     Unread(std::io::Error),
-    /// Bytes are not what they should be, and where in the file.
+    /// Malformed bytes at an offset.
     Damaged { offset: u64, reason: String },
 }
 
 impl Fault {
-    /// The error of a file.
+    /// Converts to the error of a file.
     pub(super) fn of(self, path: &Path) -> Error {
         match self {
             Self::Unread(source) => Error::io(path, source),
@@ -31,21 +30,21 @@ impl Fault {
 
 pub(super) type Parsed<T> = Result<T, Fault>;
 
-/// A PLY file whose header was read. Its elements are read in the file's order.
+/// A PLY file with a parsed header. Elements are read in file order.
 pub(super) struct Ply<'a> {
     ascii: bool,
     elements: Vec<Element>,
-    /// The values behind the header, from where the last element ended.
+    /// Values from the end of the last element read.
     values: Chain<Cursor<Vec<u8>>, Source<'a>>,
-    /// How many of the elements were read or left out.
+    /// Number of elements read or skipped.
     passed: usize,
-    /// Where the elements' values begin in the file, and how many bytes they have.
+    /// Offset and length of all values, in bytes.
     body: u64,
     body_bytes: u64,
 }
 
 impl<'a> Ply<'a> {
-    /// Reads the header. Counts of binary files are compared with the file's length before anything is allocated by them.
+    /// Parses the header. Compares counts of binary files with the file's length before allocating.
     pub(super) fn open(mut source: Source<'a>) -> Parsed<Self> {
         let (mut start, length) = (Vec::new(), source.length());
         source.by_ref().take(MAX_HEADER as u64).read_to_end(&mut start).map_err(Fault::Unread)?;
@@ -55,18 +54,17 @@ impl<'a> Ply<'a> {
         Ok(Self { ascii, elements, values, passed: 0, body: body as u64, body_bytes })
     }
 
-    /// Whether there is an element with this property.
+    /// Returns true if the element has this property.
     pub(super) fn has(&self, element: &str, property: &str) -> bool {
         let found = self.elements.iter().find(|found| found.name == element);
         found.is_some_and(|element| element.properties.iter().any(|(name, _)| name == property))
     }
 
-    /// Whether there is an element of this name.
     pub(super) fn has_element(&self, element: &str) -> bool {
         self.elements.iter().any(|found| found.name == element)
     }
 
-    /// How the values of an element are laid out.
+    /// Returns an element's layout.
     pub(super) fn table(&self, name: &str) -> Parsed<Table> {
         let Some(position) = self.elements.iter().position(|element| element.name == name) else {
             return Err(self.fault(format!("the header names no {name} element")));
@@ -95,7 +93,7 @@ impl<'a> Ply<'a> {
         let values =
             |sum: u64, element: &Element| sum.checked_add((element.count as u64).checked_mul(unit(element) as u64)?);
         let end = self.elements[..=position].iter().try_fold(0, values);
-        // A value of text takes a digit and, but for the last, a separator.
+        // An ASCII value takes a digit and, except for the last, a separator.
         let most = if self.ascii { self.body_bytes / 2 + 1 } else { self.body_bytes };
         if end.is_none_or(|end| end > most) {
             return Err(self.truncated(element));
@@ -103,8 +101,8 @@ impl<'a> Ply<'a> {
         Ok(table)
     }
 
-    /// Hands the rows of an element to `each` in the file's order, some at a time with the number of the first; text as f32.
-    /// The element has to follow those that were read.
+    /// Passes an element's rows to `each` in order: batches with the index of their first row.
+    /// ASCII values become f32. Earlier elements can no longer be read.
     pub(super) fn rows(&mut self, table: &Table, mut each: impl FnMut(usize, &[u8]) -> Parsed<()>) -> Parsed<()> {
         if table.position < self.passed {
             let (name, before) = (&table.name, &self.elements[self.passed - 1].name);
@@ -154,7 +152,6 @@ impl<'a> Ply<'a> {
         each(0, &rows)
     }
 
-    /// A fault of the elements' values.
     pub(super) fn fault(&self, reason: String) -> Fault {
         Fault::Damaged { offset: self.body, reason }
     }
@@ -171,26 +168,26 @@ impl<'a> Ply<'a> {
     }
 }
 
-/// How an element's values are laid out: rows, each with a place for every property.
+/// An element's row layout.
 pub(super) struct Table {
-    /// The position of the element among the file's.
+    /// Element index in the file.
     position: usize,
     name: String,
-    /// Rows.
+    /// Number of rows.
     pub count: usize,
-    /// Bytes of a row.
+    /// Bytes per row.
     pub row_bytes: usize,
     columns: Vec<(String, Column)>,
     body: u64,
 }
 
 impl Table {
-    /// The properties' names in the file's order.
+    /// Returns the property names in file order.
     pub(super) fn names(&self) -> impl Iterator<Item = &str> {
         self.columns.iter().map(|(name, _)| name.as_str())
     }
 
-    /// The property called `name`.
+    /// Finds a property.
     pub(super) fn column(&self, name: &str) -> Parsed<Column> {
         let found = self.columns.iter().find(|(column, _)| column == name);
         found.map(|(_, column)| *column).ok_or_else(|| {
@@ -199,7 +196,7 @@ impl Table {
         })
     }
 
-    /// The property called `name`, which has to be of a type, and the type's name.
+    /// Finds a property of a given type.
     pub(super) fn typed(&self, name: &str, scalar: Scalar) -> Parsed<Column> {
         let column = self.column(name)?;
         if column.scalar != scalar {
@@ -209,7 +206,6 @@ impl Table {
         Ok(column)
     }
 
-    /// A fault of the table's contents.
     pub(super) fn fault(&self, reason: String) -> Fault {
         Fault::Damaged { offset: self.body, reason }
     }
@@ -218,7 +214,7 @@ impl Table {
 struct Header {
     ascii: bool,
     elements: Vec<Element>,
-    /// Where the elements' values begin.
+    /// Offset of the elements' values.
     body: usize,
 }
 
@@ -277,7 +273,6 @@ impl Header {
     }
 }
 
-/// A PLY's scalar types.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Scalar {
     I8,
@@ -328,7 +323,7 @@ impl Scalar {
     }
 }
 
-/// A property's place in a row of the table.
+/// A property's position in a row.
 #[derive(Clone, Copy)]
 pub(super) struct Column {
     offset: usize,
@@ -336,7 +331,7 @@ pub(super) struct Column {
 }
 
 impl Column {
-    /// The property's value in one row.
+    /// Reads the value from a row.
     pub(super) fn read(self, row: &[u8]) -> f32 {
         match self.scalar {
             Scalar::I8 => f32::from(i8::from_le_bytes(self.bytes(row))),
@@ -350,7 +345,7 @@ impl Column {
         }
     }
 
-    /// The value in one row of a property that is a u32.
+    /// Reads the u32 value from a row.
     pub(super) fn word(self, row: &[u8]) -> u32 {
         u32::from_le_bytes(self.bytes(row))
     }

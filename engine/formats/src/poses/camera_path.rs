@@ -1,4 +1,5 @@
-//! `camera_path.json`, as nerfstudio's viewer writes it: OpenGL cameras, row-major, with vertical fields of view.
+//! `camera_path.json` of nerfstudio's viewer: OpenGL cameras, row-major, with vertical fields of
+//! view.
 
 use serde_json::Value;
 
@@ -6,10 +7,10 @@ use super::super::{Camera, Intrinsics};
 use super::matrix::{from_opengl, rigid_matrix, whole};
 use super::{Frame, Poses, checked};
 
-/// How far `aspect` may be from the picture's: some writers round it.
+/// Tolerance of `aspect`, which some writers round.
 const ASPECT_TOLERANCE: f64 = 1e-2;
 
-/// The cameras in their order. As nerfstudio does, pixels are taken to be square and `aspect` is not used.
+/// Parses the cameras in order. Assumes square pixels and ignores `aspect`, as nerfstudio does.
 pub(super) fn parse(file: &Value) -> Result<Poses, String> {
     check_perspective(file, "camera_type")?;
     let side = |key: &str| whole(file, key, "the file")?.ok_or_else(|| format!("{key}: expected a number of pixels"));

@@ -1,4 +1,4 @@
-//! Poses as matrices in JSON.
+//! Poses as JSON matrices.
 
 use glam::{DMat3, DMat4, DVec3};
 use serde_json::Value;
@@ -6,7 +6,7 @@ use serde_json::Value;
 use super::super::{Camera, Intrinsics, Pose};
 use super::{Frame, Poses, checked};
 
-/// A matrix whose last row is 0 0 0 1 or left out: rows of 4 numbers, or all numbers row by row.
+/// Parses a matrix of 4-number rows or a flat row-major list. The last row, 0 0 0 1, is optional.
 pub(super) fn rigid_matrix(value: &Value) -> Option<DMat4> {
     let mut numbers = Vec::new();
     for element in value.as_array()? {
@@ -25,18 +25,17 @@ pub(super) fn rigid_matrix(value: &Value) -> Option<DMat4> {
     ((a.abs() + b.abs() + c.abs() + (d - 1.0).abs()) < 1e-6).then(|| rows.transpose())
 }
 
-/// A pose from a matrix of OpenCV axes.
 fn from_opencv(matrix: DMat4) -> Pose {
     Pose { rotation: DMat3::from_mat4(matrix), translation: matrix.w_axis.truncate() }
 }
 
-/// A camera-to-world pose from that of an OpenGL camera (x right, y up, z backward).
+/// Converts a camera-to-world pose from OpenGL axes (x right, y up, z backward).
 pub(super) fn from_opengl(matrix: DMat4) -> Pose {
     let pose = from_opencv(matrix);
     Pose { rotation: pose.rotation * DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)), ..pose }
 }
 
-/// Cameras from a list of matrices or objects with one; `lens` is that of those without their own.
+/// Parses a list of matrices or objects; `lens` is the default lens.
 pub(super) fn parse_list(list: &[Value], lens: &Intrinsics) -> Result<Poses, String> {
     let mut poses = Poses::default();
     for (i, element) in list.iter().enumerate() {
@@ -55,7 +54,7 @@ fn parse_camera(element: &Value, lens: &Intrinsics, label: &str) -> Result<Camer
     }
     let pose = match (element.get("matrix"), element.get("viewmat")) {
         (Some(matrix), None) => pose(matrix)?,
-        // The inverse is one of rotations only, which has to be known before.
+        // The inverse requires a valid rotation.
         (None, Some(viewmat)) => checked(Camera { intrinsics: *lens, pose: pose(viewmat)? }, label)?.pose.inverse(),
         _ => return Err(format!("{label}: expected a matrix, or an object with either matrix or viewmat")),
     };
@@ -81,7 +80,7 @@ fn parse_lens(camera: &Value, label: &str) -> Result<Option<Intrinsics>, String>
     }
 }
 
-/// A field with a number of pixels.
+/// Parses a whole number of pixels.
 pub(super) fn whole(value: &Value, key: &str, label: &str) -> Result<Option<u32>, String> {
     let Some(value) = value.get(key).filter(|value| !value.is_null()) else { return Ok(None) };
     let side = value.as_f64().filter(|side| side.fract() == 0.0 && (1.0..=f64::from(u32::MAX)).contains(side));

@@ -1,5 +1,5 @@
-//! Cameras from files: `transforms.json` of instant-ngp and nerfstudio, COLMAP models, RealEstate10K's text files, nerfstudio's
-//! camera paths, and lists of matrices.
+//! Camera files: `transforms.json` (instant-ngp, nerfstudio), COLMAP, RealEstate10K, camera paths,
+//! lists of matrices.
 
 mod camera_path;
 mod colmap;
@@ -22,36 +22,36 @@ pub use colmap::{colmap_files, write_colmap};
 pub use transforms::{write_frames, write_frames_with, write_transforms};
 pub use unit::{Source, Unit};
 
-/// The posed photos of a capture.
+/// A capture's posed photos.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Poses {
-    /// In the file's order, or by name where the file has none.
+    /// In file order, or by name if the file has none.
     pub frames: Vec<Frame>,
-    /// The capture's point cloud, where one lies beside the cameras, for [`read_cloud`]: `ply_file_path` or `points.ply`, or
-    /// COLMAP's `points3D`.
+    /// Point cloud for [`read_cloud`], if present: `ply_file_path`, `points.ply` or COLMAP's
+    /// `points3D`.
     pub points: Option<PathBuf>,
-    /// Notes on what was ignored or left out, in words for the user.
+    /// Notes for the user on ignored data.
     pub notes: Vec<String>,
-    /// The places where photos were looked for to learn their size, of the frames that were left out without one.
+    /// Expected photo paths of frames left out because their size is unknown.
     pub sizeless: Vec<PathBuf>,
 }
 
-/// One posed photo.
+/// A posed photo.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Frame {
-    /// The photo's name as the file writes it.
+    /// Photo name as in the file.
     pub name: String,
-    /// The photo, where it was found near the file.
+    /// Photo path, if found near the file.
     pub photo: Option<PathBuf>,
-    /// OpenCV axes; the world frame and unit are the file's. A pinhole camera: where there is a `lens`, that of
+    /// Pinhole camera with OpenCV axes in the file's world and unit. With a `lens`, that of
     /// [`Lens::pinhole`].
     pub camera: Camera,
-    /// The lens that took the photo, where it distorts.
+    /// The photo's lens, if it distorts.
     pub lens: Option<Lens>,
 }
 
 impl Frame {
-    /// A frame of a lens; `label` says where it stands in its file.
+    /// Creates a frame; errors name `label`.
     fn new(name: String, photo: Option<PathBuf>, lens: Lens, pose: Pose, label: &str) -> Result<Self, String> {
         let camera = checked(Camera { intrinsics: lens.intrinsics, pose }, label)?;
         if lens.distortion.is_none() {
@@ -61,11 +61,11 @@ impl Frame {
         Ok(Self { name, photo, camera: Camera { intrinsics, ..camera }, lens: Some(lens) })
     }
 
-    /// The photo at `path` as this frame's camera sees it: the pixels as they are stored, whatever the EXIF orientation says,
-    /// and without the distortion of its lens.
+    /// Opens a photo as seen by this frame's camera: undistorted, with pixels as stored regardless
+    /// of EXIF orientation.
     ///
     /// # Errors
-    /// As [`Image::open`].
+    /// See [`Image::open`].
     pub fn open(&self, path: impl AsRef<Path>) -> Result<Image> {
         let photo = Image::open_as_stored(path)?;
         match &self.lens {
@@ -75,7 +75,7 @@ impl Frame {
     }
 }
 
-/// The note on frames whose lenses distort.
+/// Returns the note on undistorted frames.
 fn undistorted(frames: &[Frame]) -> Option<String> {
     let count = frames.iter().filter(|frame| frame.lens.is_some()).count();
     let what = "their cameras are pinholes, and photos are brought to them where they are read";
@@ -83,31 +83,33 @@ fn undistorted(frames: &[Frame]) -> Option<String> {
 }
 
 impl Poses {
-    /// The unit of a reconstruction from `views` of this capture, as [`Unit::of`] finds it.
+    /// Determines the scene scale for a reconstruction from `views`, see [`Unit::of`].
     ///
     /// # Errors
-    /// The errors of [`Unit::of`].
+    /// See [`Unit::of`].
     pub fn unit(&self, given: Option<f64>, views: &[Camera], origin: &Pose) -> Result<Unit> {
         let cameras: Vec<Pose> = self.frames.iter().map(|frame| frame.camera.pose).collect();
         Unit::of(given, &cameras, self.points.as_deref(), views, origin)
     }
 
-    /// The cameras of `photos`, each that of its frame in [`Poses::frames_of`].
+    /// Returns the cameras of `photos`, matched as in [`Poses::frames_of`].
     ///
     /// # Errors
-    /// As [`Poses::frames_of`].
+    /// See [`Poses::frames_of`].
     pub fn for_photos(&self, photos: &[impl AsRef<Path>]) -> Result<Vec<Camera>> {
         Ok(self.frames_of(photos)?.into_iter().map(|frame| frame.camera).collect())
     }
 
-    /// The frames of `photos`, matched by file name; where several frames share it, by the longest common end of the path.
+    /// Returns the frames of `photos`, matched by file name, then by the longest common end of the
+    /// path.
     ///
     /// # Errors
-    /// [`Error::Argument`] when a photo has no frame or several equally good ones, or shares it with another photo.
+    /// [`Error::Argument`] for a photo without a frame, with several equal matches, or with another
+    /// photo's frame.
     pub fn frames_of(&self, photos: &[impl AsRef<Path>]) -> Result<Vec<&Frame>> {
         let find = |photo: &Path| self.frame_of(photo)?.ok_or_else(|| self.lacks(photo));
         let frames = photos.iter().map(|photo| find(photo.as_ref())).collect::<Result<Vec<&Frame>>>()?;
-        // A photo may be given twice, but two photos were not taken by one camera.
+        // The same photo may be given twice, but two photos cannot share a frame.
         let file = |photo: &Path| photo.canonicalize().unwrap_or_else(|_| photo.to_path_buf());
         let mut photo_of: HashMap<*const Frame, &Path> = HashMap::new();
         for (photo, frame) in photos.iter().map(AsRef::as_ref).zip(&frames) {
@@ -120,7 +122,7 @@ impl Poses {
         Ok(frames)
     }
 
-    /// The error of a photo without a camera, with the reason.
+    /// Returns the error for a photo without a camera.
     fn lacks(&self, photo: &Path) -> Error {
         let what = format!("camera of {}", photo.display());
         let is_same = |place: &&PathBuf| [photo.file_name(), photo.file_stem()].contains(&place.file_name());
@@ -133,10 +135,10 @@ impl Poses {
         }
     }
 
-    /// The frame of a photo, found as [`Poses::frames_of`] does; none where no frame has its name.
+    /// Returns the frame of a photo, matched as in [`Poses::frames_of`]; `None` if no name matches.
     ///
     /// # Errors
-    /// [`Error::Argument`] when the photo has several equally good ones.
+    /// [`Error::Argument`] for several equal matches.
     pub fn frame_of(&self, photo: impl AsRef<Path>) -> Result<Option<&Frame>> {
         let photo = photo.as_ref();
         let named = |name: Option<&OsStr>| -> Vec<&Frame> {
@@ -144,7 +146,7 @@ impl Poses {
         };
         let mut found = named(photo.file_name());
         if found.is_empty() {
-            // Frames may be named without the extension.
+            // Frames may be named without extension.
             found = named(photo.file_stem());
         }
         let common = |frame: &Frame| common_folders(photo, Path::new(&frame.name));
@@ -159,7 +161,7 @@ impl Poses {
         }
     }
 
-    /// The photos that have cameras, for messages.
+    /// Lists the photos with cameras, for messages.
     fn names(&self) -> String {
         let names: Vec<&str> = self.frames.iter().take(3).map(|frame| frame.name.as_str()).collect();
         let more = if self.frames.len() > names.len() { ", ..." } else { "" };
@@ -167,23 +169,26 @@ impl Poses {
     }
 }
 
-/// How many folders above the file two paths share.
+/// Counts the common folders directly above the file.
 fn common_folders(a: &Path, b: &Path) -> usize {
     let above = |path: &Path| path.parent().map(Path::to_path_buf).unwrap_or_default();
     let (a, b) = (above(a), above(b));
     a.components().rev().zip(b.components().rev()).take_while(|(a, b)| a == b).count()
 }
 
-/// The names of camera files in a capture's folder; the second is that of the training photos of NeRF's synthetic scenes.
+/// Camera file names; the second has the training views of NeRF's synthetic scenes.
 const TRANSFORMS: [&str; 2] = ["transforms.json", "transforms_train.json"];
 
-/// Reads a `transforms.json`, or a COLMAP model: a folder with `cameras` and `images` as `.bin` or `.txt`, or a capture's
-/// folder that has one of these, directly or under `sparse/0`. In a folder without `transforms.json`, `transforms_train.json`
-/// is read. A text file that begins with an address is one of RealEstate10K, whose frames lie beside it or in a folder of its name.
+/// Reads camera poses of a capture.
+///
+/// Accepts a `transforms.json`, a COLMAP model folder (`cameras` and `images` as `.bin` or `.txt`),
+/// or a folder with one of these, directly or under `sparse/0`. Without `transforms.json`, a
+/// folder's `transforms_train.json` is read. A text file that starts with a URL is RealEstate10K,
+/// with frames beside it or in a folder of its name.
 ///
 /// # Errors
-/// [`Error::Io`] when a file cannot be read, [`Error::Format`] naming file, frame and field when it is malformed,
-/// [`Error::Argument`] when there is none of these at `path`.
+/// [`Error::Io`] for failed reads, [`Error::Format`] with file, frame and field for malformed
+/// files, [`Error::Argument`] if `path` has no known cameras.
 pub fn read_poses(path: impl AsRef<Path>) -> Result<Poses> {
     let path = path.as_ref();
     let found = path.metadata().map_err(|source| Error::io(path, source))?;
@@ -206,13 +211,15 @@ pub fn read_poses(path: impl AsRef<Path>) -> Result<Poses> {
     }
 }
 
-/// Cameras to draw with: all that [`read_poses`] reads, nerfstudio's `camera_path.json`, and JSON lists whose elements are
-/// camera-to-world matrices with OpenCV axes (4 rows of 4 numbers, or 16) or objects with `matrix` (the same) or `viewmat`
-/// (world-to-camera) and, for a lens of their own, `fx`, `width` and `height`, where others are not as usual `fy`, `cx`
-/// and `cy`. `lens` is that of the rest.
+/// Reads cameras for rendering.
+///
+/// Accepts everything that [`read_poses`] accepts, nerfstudio's `camera_path.json`, and JSON lists.
+/// List elements are camera-to-world matrices with OpenCV axes (4 x 4 or flat), or objects with
+/// `matrix` (the same) or `viewmat` (world-to-camera). Objects may have their own lens: `fx`,
+/// `width`, `height`, and optionally `fy`, `cx`, `cy`. The default is `lens`.
 ///
 /// # Errors
-/// As [`read_poses`].
+/// See [`read_poses`].
 pub fn read_cameras(path: impl AsRef<Path>, lens: &Intrinsics) -> Result<Poses> {
     let path = path.as_ref();
     if path.is_file() && path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json")) {
@@ -231,17 +238,17 @@ pub fn read_cameras(path: impl AsRef<Path>, lens: &Intrinsics) -> Result<Poses> 
     read_poses(path)
 }
 
-/// A capture's point cloud, in the world of its cameras: a PLY, or COLMAP's `points3D.bin` or `points3D.txt`.
+/// Reads a point cloud in its cameras' world: a PLY, or COLMAP's `points3D.bin` or `points3D.txt`.
 ///
 /// # Errors
-/// As [`read_points`](super::read_points).
+/// See [`read_points`](super::read_points).
 pub fn read_cloud(path: impl AsRef<Path>) -> Result<PointCloud> {
     let path = path.as_ref();
     let is_colmap = path.file_stem().is_some_and(|stem| stem == "points3D");
     if is_colmap { colmap::read_points(path) } else { super::read_points(path) }
 }
 
-/// A file's camera, its rotation made exactly one. `label` says where it stands in the file.
+/// Validates a camera and orthonormalizes its rotation; errors name `label`.
 fn checked(mut camera: Camera, label: &str) -> Result<Camera, String> {
     camera.validate(label).map_err(|error| error.to_string())?;
     camera.pose.rotation = matrix_from_quaternion(quaternion_from_matrix(&camera.pose.rotation));

@@ -1,4 +1,4 @@
-//! Camera files of RealEstate10K (Zhou et al. 2018): a video's address, then a frame a line.
+//! RealEstate10K camera files (Zhou et al. 2018): a video's URL, then a frame per line.
 
 use std::path::Path;
 
@@ -9,17 +9,18 @@ use super::super::{Camera, Image, Intrinsics, Pose};
 use super::{Frame, Poses, checked, transforms::find_photo};
 use crate::{Error, Result};
 
-/// Numbers of a line: microseconds, four of the lens as shares of the picture's sides, two without meaning, and a
-/// world-to-camera matrix of three rows.
+/// Numbers per line: microseconds, 4 intrinsics relative to the sides, 2 unused, and a 3 x 4
+/// world-to-camera matrix.
 const NUMBERS: usize = 19;
 
-/// A camera file is a text file that begins with an address.
+/// Returns true for a text file that starts with a URL.
 pub(super) fn is_file(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension == "txt")
         && read_file(path).is_ok_and(|bytes| bytes.starts_with(b"http"))
 }
 
-/// Reads such a file. Frames are named by their microseconds and lie beside the file or in a folder there of its name.
+/// Reads a camera file. Frames are named by microseconds, beside the file or in a folder of its
+/// name.
 pub(super) fn read(path: &Path) -> Result<Poses> {
     let bytes = read_file(path)?;
     let text = str::from_utf8(&bytes).map_err(|error| Error::format(path, None, error.to_string()))?;
@@ -54,13 +55,13 @@ pub(super) fn read(path: &Path) -> Result<Poses> {
     Ok(poses)
 }
 
-/// The lens of a picture, from shares of its sides.
+/// Scales relative intrinsics to pixels.
 fn intrinsics(shares: &[f64], width: u32, height: u32) -> Intrinsics {
     let [w, h] = [width, height].map(f64::from);
     Intrinsics { width, height, fx: shares[0] * w, fy: shares[1] * h, cx: shares[2] * w, cy: shares[3] * h }
 }
 
-/// Camera-to-world from three rows of world-to-camera.
+/// Converts a 3 x 4 world-to-camera matrix to camera-to-world.
 fn pose(rows: &[f64]) -> Pose {
     let column = |i: usize| DVec3::new(rows[i], rows[4 + i], rows[8 + i]);
     Pose { rotation: DMat3::from_cols(column(0), column(1), column(2)), translation: column(3) }.inverse()

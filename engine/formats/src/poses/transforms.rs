@@ -1,4 +1,5 @@
-//! `transforms.json` (instant-ngp, nerfstudio): camera-to-world matrices of OpenGL cameras (x right, y up, z backward).
+//! `transforms.json` (instant-ngp, nerfstudio): camera-to-world matrices with OpenGL axes (x right,
+//! y up, z backward).
 
 use std::path::{Path, PathBuf};
 
@@ -10,10 +11,10 @@ use super::matrix::{from_opengl, rigid_matrix};
 use super::{Frame, Poses, undistorted};
 use crate::{Error, Result};
 
-/// The extensions tried for a photo when `file_path` has none.
+/// Extensions tried if `file_path` has none.
 const EXTENSIONS: [&str; 6] = ["png", "jpg", "jpeg", "webp", "JPG", "PNG"];
 
-/// Parsing failed for this reason; the file's name is added by [`read`].
+/// Parse result; [`read`] adds the file name to errors.
 type Parsed<T> = std::result::Result<T, String>;
 
 pub(super) fn read(path: &Path) -> Result<Poses> {
@@ -50,7 +51,7 @@ fn parse(shared: &Value, folder: &Path) -> Parsed<Poses> {
     Ok(poses)
 }
 
-/// The photo of this name, with an extension or without.
+/// Finds a photo by name, with or without extension.
 pub(super) fn find_photo(folder: &Path, name: &str) -> Option<PathBuf> {
     let path = folder.join(name);
     let extended = EXTENSIONS.iter().map(|extension| {
@@ -61,7 +62,7 @@ pub(super) fn find_photo(folder: &Path, name: &str) -> Option<PathBuf> {
     std::iter::once(path.clone()).chain(extended).find(|path| path.is_file())
 }
 
-/// A frame's fields, which may stand at the top for all frames.
+/// A frame's fields, which default to the top level's.
 struct Fields<'a> {
     frame: &'a Value,
     shared: &'a Value,
@@ -82,7 +83,7 @@ impl<'a> Fields<'a> {
         self.get(key).map(|value| value.as_f64().ok_or_else(|| self.lacks(key))).transpose()
     }
 
-    /// Written, or the photo's.
+    /// Returns the stored size, or the photo's.
     fn size(&self, photo: Option<&Path>) -> Parsed<Option<(u32, u32)>> {
         let side = |key: &str| {
             let Some(side) = self.number(key)? else { return Ok(None) };
@@ -95,7 +96,8 @@ impl<'a> Fields<'a> {
         }
     }
 
-    /// As OpenCV names the coefficients; `k4` is that of r⁸, as nerfstudio writes it, where there is no `k5` or `k6`.
+    /// Parses OpenCV coefficients. Without `k5` and `k6`, nerfstudio's `k4` is the coefficient of
+    /// r⁸.
     fn distortion(&self) -> Parsed<Distortion> {
         let k = |key: &str| Ok::<_, String>(self.number(key)?.unwrap_or(0.0));
         let [k1, k2, k3, k4] = [k("k1")?, k("k2")?, k("k3")?, k("k4")?];
@@ -137,12 +139,12 @@ impl<'a> Fields<'a> {
     }
 }
 
-/// Writes cameras as nerfstudio reads them: OpenGL axes, intrinsics at the top when all cameras share them. `names` are
-/// the photos' paths relative to the file.
+/// Writes cameras for nerfstudio: OpenGL axes, shared intrinsics at the top. `names` are photo
+/// paths relative to the file.
 ///
 /// # Errors
-/// [`Error::Argument`] when a camera is not valid or the numbers of cameras and names differ, [`Error::Io`] when the file
-/// cannot be written.
+/// [`Error::Argument`] for an invalid camera or different numbers of cameras and names,
+/// [`Error::Io`] for failed writes.
 pub fn write_transforms(path: impl AsRef<Path>, cameras: &[Camera], names: &[impl AsRef<str>]) -> Result<()> {
     if cameras.len() != names.len() {
         return Err(Error::argument("names", names.len(), format!("one for each of {} cameras", cameras.len())));
@@ -152,19 +154,19 @@ pub fn write_transforms(path: impl AsRef<Path>, cameras: &[Camera], names: &[imp
     write_frames(path, &cameras.iter().zip(names).map(frame).collect::<Vec<_>>(), None)
 }
 
-/// Writes posed photos as [`write_transforms`] does, with the distortion of their lenses as OpenCV names it, and the path of
-/// their point cloud relative to the file.
+/// Writes posed photos as [`write_transforms`], with OpenCV distortion and the point cloud's
+/// relative path.
 ///
 /// # Errors
-/// [`Error::Argument`] when a camera is not valid, [`Error::Io`] when the file cannot be written.
+/// [`Error::Argument`] for an invalid camera, [`Error::Io`] for failed writes.
 pub fn write_frames(path: impl AsRef<Path>, frames: &[Frame], points: Option<&str>) -> Result<()> {
     write_frames_with(path, frames, points, &[])
 }
 
-/// Writes frames as [`write_frames`] does, with more fields for each frame, where there are any: for programs that know them.
+/// Writes frames as [`write_frames`], with optional extra fields per frame.
 ///
 /// # Errors
-/// The errors of [`write_frames`].
+/// See [`write_frames`].
 pub fn write_frames_with(
     path: impl AsRef<Path>,
     frames: &[Frame],
@@ -199,10 +201,10 @@ pub fn write_frames_with(
     })
 }
 
-/// The camera model of frames without distortion.
+/// Camera model without distortion.
 const PINHOLE: &str = "PINHOLE";
 
-/// A frame's model, intrinsics and coefficients, as [`Fields`] reads them; coefficients of 0 are left out.
+/// Returns a frame's model, intrinsics and nonzero coefficients, as parsed by [`Fields`].
 fn lens_fields(frame: &Frame) -> Map<String, Value> {
     let Some(lens) = &frame.lens else {
         let model = ("camera_model".to_owned(), json!(PINHOLE));

@@ -1,4 +1,4 @@
-//! The network's unit of length in that of known cameras.
+//! Scene scale: the network's unit of length in the world of known cameras.
 
 use super::{super::Camera, super::Pose, read_cloud};
 use crate::Result;
@@ -9,45 +9,44 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// Mean squared sine of the angles between optical axes and the direction nearest to all of them, from which on the point that
-/// the axes come nearest to is a measure of distance. In 17 captures, of which 4 are below, that point is then 0.45 to 1.13
-/// times as far away as the median point of their clouds; below it may lie anywhere.
+/// Minimum mean squared sine of the angles between optical axes and their mean direction. Above it,
+/// the axes' nearest point measures distance; below, it may be anywhere.
 const CONVERGING: f64 = 0.05;
-/// How much farther than the median camera's the first camera's distance from that point may be, and how much nearer.
+/// Maximum ratio between the distances of the first and the median camera from that point.
 const FARTHER: f64 = 2.0;
 
-/// A length in the cameras' unit that the network takes for 1, and where it comes from. The network is trained with what photos
-/// see at a median distance of about 1 from the first.
+/// The network's unit of length in the cameras' unit, and its source. In training, the median depth
+/// from the first view is about 1.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Unit {
-    /// By which positions of cameras are divided.
+    /// Divisor of camera positions.
     pub length: f64,
-    /// How it was found.
+    /// Source of the length.
     pub source: Source,
 }
 
-/// How a unit was found.
+/// Source of a scene scale.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Source {
-    /// The user gave it.
+    /// Given by the user.
     Given,
-    /// The median distance of the points of a cloud that the chosen cameras see.
+    /// Median distance of cloud points visible to the selected cameras.
     Points(PathBuf),
-    /// The distance of the point that the optical axes of all cameras come nearest to.
+    /// Distance of the point nearest to all optical axes.
     Axes,
-    /// The root mean square of the distances between cameras, whose axes meet nowhere.
+    /// Root mean square of distances between cameras, for axes that do not converge.
     Spread,
-    /// No distance is known: there are no cameras, or all stand at one place.
+    /// Unknown: no cameras, or all at one position.
     Nothing,
 }
 
 impl Unit {
-    /// The unit of a reconstruction: `given`, or from the capture's `points` where `views` see any of them, else from where all
-    /// `cameras` of the capture stand and look. The world of `views` is the first one's camera, `origin` that one's pose in the
-    /// world of `cameras`.
+    /// Determines the scene scale: `given`, else from `points` visible to `views`, else from all
+    /// `cameras` of the capture. The frame of `views` is the first view's camera; `origin` is its
+    /// pose in the world of `cameras`.
     ///
     /// # Errors
-    /// Where there is a point cloud that cannot be read.
+    /// A point cloud that cannot be read.
     pub fn of(
         given: Option<f64>,
         cameras: &[Pose],
@@ -71,7 +70,7 @@ impl Unit {
         Ok(Self { length, source })
     }
 
-    /// The warning that a user should know before trusting the scene; nothing where it was given or measured.
+    /// Returns a warning unless the scale was given or measured.
     pub fn doubt(&self) -> Option<String> {
         match self.source {
             Source::Given | Source::Points(_) => None,
@@ -94,7 +93,7 @@ impl fmt::Display for Unit {
 }
 
 impl Source {
-    /// One word for it.
+    /// Returns a one-word name.
     pub fn name(&self) -> &'static str {
         match self {
             Self::Given => "given",
@@ -112,7 +111,7 @@ impl Serialize for Source {
     }
 }
 
-/// The median distance from the first of `cameras` of the points that any of them sees.
+/// Returns the median distance from the first of `cameras` of the points visible to any.
 fn of_points(path: &Path, cameras: &[Camera], origin: &Pose) -> Result<Option<f64>> {
     let to_world = origin.inverse();
     let distances: Vec<f64> = (read_cloud(path)?.positions.into_iter())
@@ -123,13 +122,13 @@ fn of_points(path: &Path, cameras: &[Camera], origin: &Pose) -> Result<Option<f6
     Ok(median(distances).filter(|length| *length > 0.0))
 }
 
-/// How far from the first camera the point is that all optical axes come nearest to, in the sense of least squares, where they
-/// converge and most cameras have it before them.
+/// Returns the first camera's distance to the point nearest all optical axes (least squares).
+/// Requires converging axes and the point in front of most cameras.
 fn of_axes(cameras: &[Pose], first: &Pose) -> Option<f64> {
     let (mut sum, mut moment) = (DMat3::ZERO, DVec3::ZERO);
     for pose in cameras {
         let axis = pose.rotation.z_axis;
-        // Takes from a vector what lies along the axis.
+        // Projects onto the plane perpendicular to the axis.
         let across = DMat3::IDENTITY - DMat3::from_cols(axis * axis.x, axis * axis.y, axis * axis.z);
         sum += across;
         moment += across * pose.translation;
@@ -144,7 +143,8 @@ fn of_axes(cameras: &[Pose], first: &Pose) -> Option<f64> {
     (depth > 0.0 && own > 0.0).then_some(own)
 }
 
-/// The smallest eigenvalue of a symmetric matrix without negative ones, by its characteristic polynomial's trigonometric solution.
+/// Returns the smallest eigenvalue of a positive semidefinite matrix: trigonometric solution of the
+/// characteristic polynomial.
 fn smallest_eigenvalue(m: DMat3) -> f64 {
     let mean = (m.x_axis.x + m.y_axis.y + m.z_axis.z) / 3.0;
     let rest = m - DMat3::from_diagonal(DVec3::splat(mean));
@@ -158,13 +158,13 @@ fn smallest_eigenvalue(m: DMat3) -> f64 {
     mean + 2.0 * radius * (angle + 2.0 * std::f64::consts::FRAC_PI_3).cos()
 }
 
-/// The root mean square of the distances between cameras.
+/// Returns the root mean square of distances between cameras.
 fn of_spread(cameras: &[Pose]) -> Option<f64> {
     let count = cameras.len() as f64;
     let centre = cameras.iter().map(|pose| pose.translation).sum::<DVec3>() / count;
     let squares: f64 = cameras.iter().map(|pose| pose.translation.distance_squared(centre)).sum();
     let spread = (2.0 * squares / (count - 1.0)).sqrt();
-    // Cameras that turn on a tripod differ by rounding.
+    // Cameras rotating on a tripod differ by rounding.
     (spread.is_finite() && spread > 1e-9 * centre.length()).then_some(spread)
 }
 
@@ -188,7 +188,7 @@ mod tests {
         let orbit = Orbit { center: DVec3::new(30.0, -10.0, 200.0), radius: 40.0 };
         let (length, source) = found(orbit.sweep(7, 13.0, 200.0, -25.0));
         assert!((length - 40.0).abs() < 1e-9 && source == Source::Axes, "{length} {source:?}");
-        // The first one's own distance, within twice the median's.
+        // The first camera's own distance, within twice the median.
         let mut cameras = orbit.sweep(7, 13.0, 200.0, -25.0);
         cameras[0].translation = orbit.center - 20.5 * cameras[0].rotation.z_axis;
         assert!((found(cameras.clone()).0 - 20.5).abs() < 1e-9);
@@ -202,7 +202,7 @@ mod tests {
             rotation: DMat3::from_rotation_y(turn),
             translation: DVec3::new(500.0 + x, 0.0, 0.0),
         };
-        // Side by side, and outwards from one another: what lies behind all is no scene.
+        // Parallel and diverging axes have no common point in front.
         for turn in [0.0, 0.4] {
             let (length, source) = found(vec![at(-3.0, -turn), at(0.0, 0.0), at(3.0, turn)]);
             assert!((length - 18f64.sqrt()).abs() < 1e-9 && source == Source::Spread, "{length} {source:?}");

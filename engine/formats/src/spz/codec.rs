@@ -1,32 +1,33 @@
-//! How SPZ quantises each attribute.
+//! Quantization of SPZ attributes.
 
 use std::f32::consts::FRAC_1_SQRT_2;
 
 use crate::{Error, Result};
 use crate::{Scene, axes::HalfTurn::AboutX, camera::unit_quaternion};
 
-/// Bits of a position's magnitude: 24 with the sign.
+/// Bits of a position's magnitude: 24 with sign.
 pub(super) const POSITION_BITS: u32 = 23;
-/// Most of these behind the binary point of what is written.
+/// Maximum fractional bits written.
 pub(super) const MAX_FRACTIONAL_BITS: u32 = 16;
-/// Natural logarithm of the smallest scale, and levels for each factor of e.
+/// Natural logarithm of the smallest scale, and levels per factor of e.
 const MIN_LOG_SCALE: f32 = -10.0;
 const LOG_SCALE_LEVELS: f32 = 16.0;
-/// The scale of the coefficient of degree 0; it leaves room for colours outside 0..1.
+/// Scale of the degree 0 coefficient, with headroom for colors outside 0..1.
 const COLOR_SCALE: f32 = 0.15;
-/// Levels of degree 1, and of the higher degrees, that share a bucket when writing: fewer different bytes pack better.
+/// Levels per bucket of degree 1 and of higher degrees: fewer distinct bytes compress better.
 const SH_BUCKETS: [i32; 2] = [8, 16];
-/// Largest magnitude of a component of versions 3 and 4, which stands for `1 / sqrt(2)`.
+/// Largest component magnitude in versions 3 and 4; represents `1 / sqrt(2)`.
 const SMALLEST_THREE_MAX: f32 = 511.0;
 
-/// How the sections are laid out: positions, opacities, colours, scales, rotations, spherical harmonics above degree 0.
+/// Section layout: positions, opacities, colors, scales, rotations, spherical harmonics above
+/// degree 0.
 pub(super) struct Layout {
     pub version: u32,
     pub sh_degree: u32,
     pub fractional_bits: u32,
 }
 
-/// The most fractional bits with which every position fits.
+/// Returns the maximum fractional bits that fit every position.
 pub(super) fn fractional_bits(scene: &Scene) -> Result<u32> {
     let farthest = scene.means.iter().flatten().fold(0f32, |farthest, value| farthest.max(value.abs()));
     let limit = (1 << POSITION_BITS) as f32 - 1.0;
@@ -45,22 +46,22 @@ impl Layout {
         if self.version == 2 { 3 } else { 4 }
     }
 
-    /// Coefficients above degree 0.
+    /// Number of coefficients above degree 0.
     fn rest(&self) -> usize {
         (self.sh_degree as usize + 1).pow(2) - 1
     }
 
-    /// Bytes a Gaussian in each section, in the file's order.
+    /// Returns the bytes per Gaussian of each section in file order.
     pub(super) fn section_bytes(&self) -> [usize; 6] {
         [9, 1, 3, 3, self.rotation_bytes(), 3 * self.rest()]
     }
 
-    /// Bytes a Gaussian over all sections.
+    /// Returns the bytes per Gaussian over all sections.
     pub(super) fn gaussian_bytes(&self) -> usize {
         self.section_bytes().iter().sum()
     }
 
-    /// Hands the sections to `write` in the file's order.
+    /// Passes the sections to `write` in file order.
     pub(super) fn encode(
         &self,
         scene: &Scene,
@@ -87,7 +88,7 @@ impl Layout {
         write(rest.flat_map(level).collect())
     }
 
-    /// The scene of `count` Gaussians whose sections are `body`, which has exactly their bytes.
+    /// Decodes `count` Gaussians from `body`, which has exactly their bytes.
     pub(super) fn decode(&self, body: &[u8], count: usize) -> Scene {
         let mut rest = body;
         let mut section = |bytes: usize| {
@@ -98,7 +99,7 @@ impl Layout {
         let [positions, alphas, colors, scales] = [9, 1, 3, 3].map(&mut section);
         let (rotations, sh) = (section(self.rotation_bytes()), section(3 * self.rest()));
         let one = (1u32 << self.fractional_bits) as f32;
-        // The third byte becomes the highest and brings its sign down.
+        // The arithmetic shift extends the sign of the third byte.
         let fixed = |b: &[u8; 3]| (i32::from_le_bytes([0, b[0], b[1], b[2]]) >> 8) as f32 / one;
         let triples = |bytes| <[u8]>::as_chunks::<3>(bytes).0;
         let quats = if self.version == 2 {
@@ -132,20 +133,20 @@ impl Layout {
     }
 }
 
-/// Rounded; casting saturates.
+/// Rounds and saturates.
 fn byte(value: f32) -> u8 {
     value.round() as u8
 }
 
-/// The level of coefficient `k`, at the centre of its bucket; 128 stands for 0 and 128 levels for 1.
+/// Quantizes coefficient `k` to its bucket's center; 128 represents 0, 128 levels represent 1.
 fn sh_level(value: f32, k: usize) -> u8 {
     let bucket = if k < 4 { SH_BUCKETS[0] } else { SH_BUCKETS[1] };
-    // Casting saturates, so that nothing overflows far outside.
+    // Prevents overflow far out of range.
     let level = (128.0 * value).round().clamp(-256.0, 256.0) as i32 + 128;
     (level + bucket / 2).div_euclid(bucket).saturating_mul(bucket).clamp(0, 255) as u8
 }
 
-/// Version 2: x, y and z of the quaternion with w >= 0.
+/// Version 2: x, y, z of the quaternion with w >= 0.
 fn first_three([w, x, y, z]: [f32; 4]) -> [u8; 3] {
     let half = if w < 0.0 { -127.5 } else { 127.5 };
     [x, y, z].map(|q| byte(half * q + 127.5))
@@ -156,8 +157,8 @@ fn from_first_three(levels: &[u8; 3]) -> [f32; 4] {
     [(1.0 - x * x - y * y - z * z).max(0.0).sqrt(), x, y, z]
 }
 
-/// Versions 3 and 4, from the highest bit: which of x, y, z, w is largest in magnitude and left out (2 bits), then the others in
-/// this order as sign and magnitude (1 + 9 bits) of the quaternion in which the largest is positive.
+/// Versions 3 and 4: 2 bits for the omitted largest of x, y, z, w, then sign and 9-bit magnitude of
+/// the others. The omitted component is made positive.
 fn smallest_three([w, x, y, z]: [f32; 4]) -> [u8; 4] {
     let quat = [x, y, z, w];
     let largest = (1..4).fold(0, |best, i| if quat[i].abs() > quat[best].abs() { i } else { best });

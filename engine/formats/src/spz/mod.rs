@@ -1,6 +1,6 @@
-//! SPZ of Niantic, versions 2 to 4: a header and one section an attribute, a byte or a few for each value. Versions 2 and 3
-//! are one gzip stream of all, version 4 has a zstd frame a section (`streams`). Axes: x right, y up, z backward; reading and
-//! writing turn positions, rotations and spherical harmonics.
+//! Niantic's SPZ, versions 2 to 4: a header and a quantized section per attribute. Versions 2 and 3
+//! are a gzip stream, version 4 has a zstd frame per section (`streams`). Positions, rotations and
+//! spherical harmonics are converted from x right, y up, z backward.
 
 mod codec;
 mod gzip;
@@ -28,38 +28,39 @@ pub(super) const FORMAT: Format = Format {
 
 pub use range::spz_coarsening;
 
-/// "NGSP" in the file, then the version, the count, and the bytes degree, fractional bits, flags and reserved.
+/// "NGSP". Version, count and the bytes degree, fractional bits, flags and reserved follow.
 const MAGIC: u32 = 0x5053_474e;
 const HEADER: usize = 16;
-/// Flag of records that follow the attributes. They say nothing about how these are stored and are skipped.
+/// Flag for records after the attributes. They do not affect these and are skipped.
 const HAS_EXTENSIONS: u8 = 2;
-/// Most records that are read over.
+/// Maximum bytes of skipped records.
 const MAX_EXTENSIONS: u64 = 1 << 20;
-/// A byte of the file stands for no more than this many: Gaussians that differ do not pack better, and a file of another
-/// kind could ask for a thousand times its size.
+/// Limit on bytes inflated per file byte, beyond real compression, against hostile files.
 const MAX_INFLATION: u64 = 64;
-/// So many bytes are inflated whatever the size of the file.
+/// Bytes inflated regardless of file size.
 const ALWAYS_INFLATED: u64 = 64 << 20;
 
-/// Writes an SPZ of `version` 2, 3 or 4; the file appears whole or not at all. Kept are positions to 2⁻¹⁷ of a unit, coarser
-/// only where the scene reaches beyond 128 units; scales from e⁻¹⁰ to e⁵·⁹ to 3.2 %; opacities to 1/510; coefficients of
-/// degree 0 in ±3.33 to 0.014, of degree 1 in ±1 to 9/256, of higher ones to 17/256; rotations by three bytes in
-/// version 2, to 0.0007 a component in later ones. What lies beyond these ranges is clamped.
+/// Writes an SPZ of `version` 2, 3 or 4 atomically.
+///
+/// Resolution: positions 2⁻¹⁷, coarser if the scene extends beyond 128 units; scales 3.2 % from
+/// e⁻¹⁰ to e⁵·⁹; opacities 1/510. Coefficients: degree 0 0.014 in ±3.33, degree 1 9/256 in ±1,
+/// higher ones 17/256. Rotations: three bytes in version 2, else 0.0007 per component. Values out
+/// of range are clamped.
 ///
 /// # Errors
-/// [`Error::Argument`] when the scene is not valid, a position is beyond 2²³ or the version is another; [`Error::Io`]
-/// when the file cannot be written.
+/// [`Error::Argument`] if the scene is invalid, a position exceeds 2²³ or the version is unknown;
+/// [`Error::Io`] for failed writes.
 pub fn write_spz(scene: &Scene, path: impl AsRef<Path>, version: u32) -> Result<()> {
     FORMAT.write_file(path.as_ref(), scene, &WriteOptions { spz_version: version }, None)
 }
 
-/// The line of [`World::line`] in the comment of an SPZ's gzip stream, where it has one.
+/// Reads the line of [`World::line`] from the gzip comment, if present.
 fn read_line(path: &Path) -> Result<Option<String>> {
     let decoder = GzDecoder::new(Source::open(path)?);
     Ok(decoder.header().and_then(|header| header.comment()).map(|bytes| String::from_utf8_lossy(bytes).into_owned()))
 }
 
-/// With the world in the comment that gzip has room for; version 4, which is no gzip stream, goes without.
+/// Stores the world in the gzip comment; version 4 cannot store it.
 fn encoder<'a>(scene: &'a Scene, options: &WriteOptions, world: Option<&World>) -> Result<Encoder<'a>> {
     let (version, comment) = (options.spz_version, World::line(world));
     if !matches!(version, 2..=4) {
@@ -81,24 +82,23 @@ fn encoder<'a>(scene: &'a Scene, options: &WriteOptions, world: Option<&World>) 
     }))
 }
 
-/// Reads an SPZ of version 2, 3 or 4 with spherical harmonics of degree 0 to 3.
+/// Reads an SPZ of version 2, 3 or 4 and degree 0 to 3.
 ///
 /// # Errors
-/// [`Error::Io`] when the file cannot be read; [`Error::Format`] when it is damaged, truncated, of another version or
-/// degree, on axes other than those that an SPZ has, or longer than its header says. Offsets count bytes of the inflated
-/// stream, in version 4 those of the file.
+/// [`Error::Io`] for failed reads. [`Error::Format`] for damage, truncation, trailing data, or an
+/// unknown version, degree or axes. Offsets refer to the inflated stream; in version 4 to the file.
 pub fn read_spz(path: impl AsRef<Path>) -> Result<Scene> {
     read_unchecked(Source::open(path.as_ref())?)?.validated(path.as_ref())
 }
 
-/// As [`read_spz`], with the values as they are.
+/// Reads as [`read_spz`], without validating values.
 fn read_unchecked(mut source: Source<'_>) -> Result<Scene> {
     let bytes = source.rest()?;
     decode(&bytes).map_err(|Fault { offset, reason }| Error::format(source.name, offset.map(|at| at as u64), reason))
 }
 
 impl Layout {
-    /// The layout that a header of any version states; its two bytes are at the same place in all.
+    /// Returns the layout of a header; its two bytes have the same place in all versions.
     fn of_header(version: u32, sh_degree: u8, fractional_bits: u8) -> std::result::Result<Self, Fault> {
         let fault = |offset: usize, reason: String| Err(Fault { offset: Some(offset), reason });
         if u32::from(sh_degree) > Scene::MAX_SH_DEGREE {
@@ -112,7 +112,7 @@ impl Layout {
     }
 }
 
-/// A fault: what is wrong and where, in the inflated stream or in a file of version 4.
+/// Failure reason and byte offset, in the inflated stream or a file of version 4.
 struct Fault {
     offset: Option<usize>,
     reason: String,
@@ -137,18 +137,18 @@ fn decode(bytes: &[u8]) -> std::result::Result<Scene, Fault> {
     }
     let layout = Layout::of_header(word(1), sh_degree, fractional_bits)?;
     let expected = u64::from(word(2)) * layout.gaussian_bytes() as u64;
-    // Before anything is allocated by the count.
+    // Checked before allocating by the count.
     if expected > ALWAYS_INFLATED.max(MAX_INFLATION * bytes.len() as u64) {
         let reason = format!("found {} Gaussians, which are more than {} bytes can hold", word(2), bytes.len());
         return Err(fault(8, reason));
     }
-    let mut body = Vec::new(); // grows with what there is, whatever the header says
+    let mut body = Vec::new(); // Grows with the actual data, not by the header.
     stream.by_ref().take(expected).read_to_end(&mut body).map_err(gzip)?;
     if body.len() as u64 != expected {
         let reason = format!("truncated: {} Gaussians take {expected} bytes, found {}", word(2), body.len());
         return Err(fault(HEADER + body.len(), reason));
     }
-    // To the end, where the checksum is.
+    // Reads to the end, where the checksum is.
     let most = if flags & HAS_EXTENSIONS != 0 { MAX_EXTENSIONS } else { 0 };
     let rest = std::io::copy(&mut stream.take(most + 1), &mut std::io::sink()).map_err(gzip)?;
     if rest > most {

@@ -1,10 +1,10 @@
-//! The precision that the range of a scene leaves to its SPZ.
+//! Precision loss of SPZ positions in large scenes.
 
 use super::codec::{MAX_FRACTIONAL_BITS, POSITION_BITS, fractional_bits};
 use crate::Scene;
 
-/// A note where a few far Gaussians make all positions of an SPZ coarser than the format allows, with the figures: one
-/// step is chosen for a whole file. None where the step is the finest, or the scene does not fit at all.
+/// Returns a note if few distant Gaussians coarsen all positions of an SPZ, which has one step per
+/// file. `None` at the finest step, or if the scene does not fit.
 pub fn spz_coarsening(scene: &Scene) -> Option<String> {
     let bits = fractional_bits(scene).ok().filter(|bits| *bits < MAX_FRACTIONAL_BITS)?;
     let reach = |mean: &[f32; 3]| mean.iter().fold(0f32, |reach, value| reach.max(value.abs()));

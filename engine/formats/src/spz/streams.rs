@@ -1,4 +1,5 @@
-//! Version 4: a header of 32 bytes, records of extensions, a table with the sizes of the streams, and a zstd frame a section.
+//! SPZ version 4: 32-byte header, extension records, table of stream sizes, a zstd frame per
+//! section.
 
 use std::io::{Read, Write};
 
@@ -10,14 +11,14 @@ use super::{Fault, HAS_EXTENSIONS, Layout, MAGIC};
 use crate::Scene;
 
 const VERSION: u32 = 4;
-/// A byte of the file stands for no more than this many, as in deflate.
+/// Limit on bytes per file byte, as in deflate.
 const MAX_INFLATION: u64 = 1032;
 const HEADER: usize = 32;
-/// Bytes of the table for a stream: its packed and its plain size.
+/// Bytes of a table entry: compressed and plain size.
 const ENTRY: usize = 16;
-/// Least limit on the window of a zstd frame, as its specification recommends.
+/// Minimum window limit that the zstd specification recommends.
 const MIN_WINDOW: u64 = 8 << 20;
-/// The extension that names the axes of what is stored, and its value for the usual ones.
+/// Extension for axes, and its value for the usual ones.
 const COORDINATE_SYSTEM: u32 = 0xadbe_0003;
 const RIGHT_UP_BACK: u32 = 4;
 
@@ -27,7 +28,7 @@ fn fault<T>(offset: usize, reason: String) -> Parsed<T> {
     Err(Fault { offset: Some(offset), reason })
 }
 
-/// The scene of a whole file.
+/// Decodes a whole file.
 pub(super) fn decode(bytes: &[u8]) -> Parsed<Scene> {
     if bytes.len() < HEADER {
         return fault(bytes.len(), format!("truncated: found {} bytes, expected a header of {HEADER}", bytes.len()));
@@ -37,7 +38,7 @@ pub(super) fn decode(bytes: &[u8]) -> Parsed<Scene> {
         return fault(4, format!("found version {version} outside a gzip stream, expected {VERSION}"));
     }
     let layout = Layout::of_header(version, bytes[12], bytes[13])?;
-    // As much as a gzip stream of this length may hold: zstd could make any number of a few bytes.
+    // Limits sizes to those of gzip, because zstd could expand any number from a few bytes.
     if u64::from(count) * layout.gaussian_bytes() as u64 > MAX_INFLATION * bytes.len() as u64 {
         return fault(8, format!("found {count} Gaussians in {} bytes, which cannot hold as many", bytes.len()));
     }
@@ -50,7 +51,7 @@ pub(super) fn decode(bytes: &[u8]) -> Parsed<Scene> {
     }
     let sections: Vec<usize> = layout.section_bytes().map(|section| section * count as usize).to_vec();
     let streams = streams(bytes, table, &sections)?;
-    // The sections follow each other as in the older versions.
+    // Concatenates the sections as in older versions.
     let mut body = vec![0; sections.iter().sum()];
     let mut parts = Vec::new();
     let mut rest = &mut body[..];
@@ -67,12 +68,12 @@ pub(super) fn decode(bytes: &[u8]) -> Parsed<Scene> {
     Ok(layout.decode(&body, count as usize))
 }
 
-/// The little-endian word at a place that is within the bytes.
+/// Reads a little-endian word; the offset must be in bounds.
 fn word(bytes: &[u8], at: usize) -> u32 {
     u32::from_le_bytes(std::array::from_fn(|byte| bytes[at + byte]))
 }
 
-/// Reads over the records between the header and the table, but for the axes: others than the usual would turn the scene.
+/// Skips extension records, but rejects unusual axes, which would rotate the scene.
 fn check_axes(zone: &[u8]) -> Parsed<()> {
     let mut at = HEADER;
     while at < zone.len() {
@@ -93,16 +94,16 @@ fn check_axes(zone: &[u8]) -> Parsed<()> {
     Ok(())
 }
 
-/// A packed section of the file.
+/// A compressed section.
 struct Stream {
-    /// The stream's place in the table, from 1.
+    /// Index in the table, from 1.
     number: usize,
     offset: usize,
     packed: usize,
     plain: usize,
 }
 
-/// The streams that the table lists, of the sections that are not empty; their bytes end with the file.
+/// Returns the streams of non-empty sections in the table. Their bytes must end with the file.
 fn streams(bytes: &[u8], table: usize, sections: &[usize]) -> Parsed<Vec<Stream>> {
     let expected: Vec<usize> = sections.iter().copied().filter(|bytes| *bytes > 0).collect();
     let listed = usize::from(bytes[15]);
@@ -138,12 +139,12 @@ fn streams(bytes: &[u8], table: usize, sections: &[usize]) -> Parsed<Vec<Stream>
     Ok(streams)
 }
 
-/// Fills a section from its frame, which has to hold exactly that.
+/// Decompresses a frame that must fill the section exactly.
 fn inflate(packed: &[u8], section: &mut [u8]) -> std::result::Result<(), String> {
     let window = MIN_WINDOW.max(section.len() as u64);
     let zstd = |error: &dyn std::fmt::Display| format!("zstd: {error}");
     let mut decoder = StreamingDecoder::new_with_max_window_size(packed, window).map_err(|error| zstd(&error))?;
-    // 0 where the frame does not say.
+    // 0 if the frame does not state it.
     let stated = decoder.decoder.content_size();
     if stated != 0 && stated != section.len() as u64 {
         return Err(format!("found a frame of {stated} bytes, expected {}", section.len()));
@@ -159,7 +160,7 @@ fn inflate(packed: &[u8], section: &mut [u8]) -> std::result::Result<(), String>
     }
 }
 
-/// Writes a scene of `count` Gaussians. The sections are packed at the same time.
+/// Writes a scene of `count` Gaussians, compressing sections in parallel.
 pub(super) fn write(layout: &Layout, scene: &Scene, count: u32, out: &mut dyn Write) -> std::io::Result<()> {
     let mut sections = Vec::new();
     layout.encode(scene, |section| {
@@ -170,7 +171,7 @@ pub(super) fn write(layout: &Layout, scene: &Scene, count: u32, out: &mut dyn Wr
     let pack = |level| sections.par_iter().map(|section| compress_to_vec(&section[..], level)).collect();
     let mut packed: Vec<Vec<u8>> = pack(CompressionLevel::Fastest);
     let bytes = |streams: &[Vec<u8>]| streams.iter().map(|stream| stream.len() as u64).sum::<u64>();
-    // Equal Gaussians pack better than what readers take for sound.
+    // Equal Gaussians compress beyond the limit of readers.
     if bytes(&sections) > MAX_INFLATION * bytes(&packed) {
         packed = pack(CompressionLevel::Uncompressed);
     }

@@ -4,22 +4,22 @@ use super::super::{Camera, Intrinsics};
 use super::path;
 use crate::{Error, Result};
 
-/// A camera that moves toward what it looks at, or away from it.
+/// A camera that moves toward or away from its subject.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Dolly {
-    /// Where it starts.
+    /// Start.
     pub camera: Camera,
     /// Distance of the subject along the view axis, in world units.
     pub distance: f64,
-    /// Share of that distance which the camera moves, below 1; negative: away.
+    /// Fraction of the distance traveled, below 1; negative moves away.
     pub travel: f64,
-    /// Whether the focal lengths change with the distance, so that the subject keeps its size (a dolly zoom).
+    /// Dolly zoom: focal lengths keep the subject's size.
     pub zoom: bool,
 }
 
 impl Dolly {
     /// # Errors
-    /// [`Error::Argument`] where the subject is not in front, or the camera would reach it.
+    /// [`Error::Argument`] if the subject is not in front, or the camera would reach it.
     pub fn validate(&self) -> Result<()> {
         if !(self.distance > 0.0 && self.distance.is_finite()) {
             return Err(Error::argument("distance of a dolly's subject", self.distance, "a positive one, in front"));
@@ -30,7 +30,7 @@ impl Dolly {
         Ok(())
     }
 
-    /// The camera at a share of the path, from 0 to 1.
+    /// Returns the camera at a fraction of the path, 0 to 1.
     pub fn at(&self, share: f64) -> Camera {
         let moved = self.travel * share;
         let mut camera = self.camera;
@@ -42,7 +42,7 @@ impl Dolly {
         camera
     }
 
-    /// `frames` cameras from the start to the end, both included.
+    /// Returns `frames` cameras from start to end, inclusive.
     pub fn sample(&self, frames: usize) -> Vec<Camera> {
         path(frames).map(|share| self.at(share)).collect()
     }

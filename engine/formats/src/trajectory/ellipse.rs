@@ -1,4 +1,4 @@
-//! An ellipse around a scene, fitted to the cameras that saw it.
+//! An ellipse around a scene, fitted to its cameras.
 
 use glam::{DMat3, DVec3};
 
@@ -6,32 +6,33 @@ use super::super::{Camera, Pose};
 use super::{closed_path, looking};
 use crate::{Error, Result};
 
-/// Weight of the given centre beside the cameras' view axes: it decides only where these are parallel.
+/// Weight of the given center against view axes: matters only if these are parallel.
 const CENTER_WEIGHT: f64 = 1e-3;
 
-/// A closed path in the plane across the cameras' mean up, at their mean height.
+/// A closed path perpendicular to the cameras' mean up, at their mean height.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ellipse {
-    /// The middle of the ellipse.
+    /// Center of the ellipse.
     pub center: DVec3,
-    /// From the middle along the longer and the shorter half axis.
+    /// Semi-major and semi-minor axes.
     pub axes: [DVec3; 2],
-    /// Unit vector across its plane.
+    /// Unit normal of its plane.
     pub up: DVec3,
-    /// The point that the cameras look at: the one nearest the given cameras' view axes.
+    /// Point that cameras look at: nearest to the given cameras' view axes.
     pub target: DVec3,
-    /// Whether they look away from it instead, as the given cameras do on the whole.
+    /// Whether cameras look away from the target, as most given cameras do.
     pub outward: bool,
-    /// Angle from the longer axis, in radians, at which the path starts: the first camera's.
+    /// Angle of the first camera from the major axis, in radians.
     pub start: f64,
 }
 
 impl Ellipse {
-    /// The ellipse whose points, spread evenly, have the mean and covariance of the cameras' centres in the plane: of
-    /// cameras spread evenly on a circle that circle. Where all view axes are parallel, `center` is looked at.
+    /// Fits the ellipse with the mean and covariance of the camera centers in the plane. Cameras
+    /// evenly on a circle give that circle. For parallel view axes the target is `center`.
     ///
     /// # Errors
-    /// [`Error::Argument`] without cameras, where one is not valid, all stand at one place, or up has no mean.
+    /// [`Error::Argument`] without cameras, for an invalid camera, coincident cameras, or an
+    /// undefined mean up.
     pub fn around(cameras: &[Camera], center: DVec3) -> Result<Self> {
         for (i, camera) in cameras.iter().enumerate() {
             camera.validate(&format!("camera {i}"))?;
@@ -52,13 +53,13 @@ impl Ellipse {
         let target = focus(cameras, center);
         let toward: f64 = cameras.iter().map(|c| c.pose.rotation.z_axis.dot(target - c.pose.translation)).sum();
         let first = cameras[0].pose.translation - middle;
-        // Of an ellipse as thin as a line the shorter axis has no direction.
+        // A degenerate ellipse's minor axis has no direction.
         let share = |axis: DVec3| first.dot(axis) / axis.length_squared().max(f64::MIN_POSITIVE);
         let start = share(axes[1]).atan2(share(axes[0]));
         Ok(Self { center: middle, axes, up, target, outward: toward < 0.0, start })
     }
 
-    /// The camera at an angle from the start, in radians.
+    /// Returns the camera at an angle from the start, in radians.
     pub fn pose(&self, angle: f64) -> Pose {
         let (sin, cos) = (self.start + angle).sin_cos();
         let translation = self.center + cos * self.axes[0] + sin * self.axes[1];
@@ -69,13 +70,13 @@ impl Ellipse {
         Pose { rotation: looking(forward, self.up, level), translation }
     }
 
-    /// `frames` cameras once around, without the first again.
+    /// Returns `frames` cameras once around, without repeating the first.
     pub fn sample(&self, frames: usize) -> Vec<Pose> {
         closed_path(frames).map(|share| self.pose(std::f64::consts::TAU * share)).collect()
     }
 }
 
-/// The point nearest the cameras' view axes (least squares), drawn to `center` where these leave it open.
+/// Returns the point nearest the view axes (least squares), regularized to `center`.
 pub(super) fn focus(cameras: &[Camera], center: DVec3) -> DVec3 {
     let weight = CENTER_WEIGHT * cameras.len() as f64;
     let mut normal = weight * DMat3::IDENTITY;
@@ -89,7 +90,8 @@ pub(super) fn focus(cameras: &[Camera], center: DVec3) -> DVec3 {
     normal.inverse() * right
 }
 
-/// Half axes from the covariance: points spread evenly over the angle have half the square of each as their variances.
+/// Computes the axes from the covariance: evenly spread points have half of each squared axis as
+/// variance.
 fn half_axes(cameras: &[Camera], middle: DVec3, up: DVec3) -> [DVec3; 2] {
     let (u, v) = up.any_orthonormal_pair();
     let (mut uu, mut uv, mut vv) = (0.0, 0.0, 0.0);

@@ -12,18 +12,18 @@ pub use spline::Spline;
 
 use glam::{DMat3, DVec3};
 
-/// From 0 to 1 in `frames` steps, both ends included.
+/// Returns `frames` steps from 0 to 1, inclusive.
 fn path(frames: usize) -> impl Iterator<Item = f64> {
     (0..frames).map(move |i| i as f64 / (frames - 1).max(1) as f64)
 }
 
-/// From 0 to just before 1 in `frames` steps: of a closed path, whose end is its start.
+/// Returns `frames` steps from 0 to 1, exclusive, for closed paths.
 fn closed_path(frames: usize) -> impl Iterator<Item = f64> {
     (0..frames).map(move |i| i as f64 / frames as f64)
 }
 
-/// Rotation (columns right, down, forward) of an upright camera that looks along the unit vector `forward`; `right`
-/// where that is straight up or down.
+/// Returns the rotation (columns right, down, forward) of an upright camera. `right` applies if
+/// `forward`, a unit vector, is vertical.
 fn looking(forward: DVec3, up: DVec3, right: DVec3) -> DMat3 {
     let level = forward.cross(up);
     let right = if level.length() < 1e-6 { right } else { level.normalize() };

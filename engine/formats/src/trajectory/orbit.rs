@@ -1,4 +1,4 @@
-//! Camera paths around a scene whose world is the first view's camera.
+//! Camera paths around a scene in the first view's camera frame.
 
 use glam::DVec3;
 
@@ -6,29 +6,29 @@ use super::super::{Pose, Scene};
 use super::{looking, path};
 use crate::{Error, Result};
 
-/// Share of the Gaussians that lie within the orbit's radius before its margin.
+/// Fraction of the Gaussians within the orbit's radius, before its margin.
 const RADIUS_QUANTILE: f64 = 0.9;
-/// Radius of the orbit per radius of the scene.
+/// Orbit radius over scene radius.
 const RADIUS_MARGIN: f64 = 1.2;
 /// OpenCV axes: y points down.
 const UP: DVec3 = DVec3::NEG_Y;
 
-/// Cameras on a sphere that look at its centre. Azimuth 0, elevation 0 looks along the world's +z, as the first view
-/// does; azimuth turns to the right and elevation up, in degrees.
+/// Cameras on a sphere that look at its center. Angles are in degrees: azimuth turns right,
+/// elevation up. At 0, 0 a camera looks along +z, as the first view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Orbit {
-    /// The point that the cameras look at.
+    /// Point that cameras look at.
     pub center: DVec3,
     /// Distance of the cameras from it.
     pub radius: f64,
 }
 
 impl Orbit {
-    /// The reference's turntable: the centre is the median of the means per axis (the lower one of an even number), the
-    /// radius the 0.9 quantile of the distances from it, interpolated linearly, times 1.2.
+    /// Returns the reference's turntable: center is the per-axis (lower) median of the means,
+    /// radius 1.2 times the 0.9 quantile of distances, linearly interpolated.
     ///
     /// # Errors
-    /// [`Error::Argument`] when the scene is empty.
+    /// [`Error::Argument`] if the scene is empty.
     pub fn around(scene: &Scene) -> Result<Self> {
         if scene.is_empty() {
             return Err(Error::argument("scene", "no Gaussians", "at least one to look at"));
@@ -44,27 +44,28 @@ impl Orbit {
         Ok(Self { center, radius: RADIUS_MARGIN * spread })
     }
 
-    /// The camera at an azimuth and elevation in degrees. Straight above and below, right is the world's +x.
+    /// Returns the camera at an azimuth and elevation in degrees. At the poles, right is +x.
     pub fn pose(&self, azimuth: f64, elevation: f64) -> Pose {
         let (azimuth, elevation) = (azimuth.to_radians(), elevation.to_radians());
         let toward = DVec3::new(azimuth.sin() * elevation.cos(), -elevation.sin(), -azimuth.cos() * elevation.cos());
         Pose { rotation: looking(-toward, UP, DVec3::X), translation: self.center + self.radius * toward }
     }
 
-    /// `frames` cameras from azimuth `start` on through `degrees`, both ends included, at one elevation.
+    /// Returns `frames` cameras at one elevation, from azimuth `start` through `degrees`,
+    /// inclusive.
     pub fn sweep(&self, frames: usize, start: f64, degrees: f64, elevation: f64) -> Vec<Pose> {
         path(frames).map(|t| self.pose(start + degrees * t, elevation)).collect()
     }
 
-    /// `frames` cameras on a figure of eight about the front: for scenes whose back was never seen. The reference's
-    /// amplitudes are 16 degrees of azimuth and 2 of elevation.
+    /// Returns `frames` cameras on a figure eight about the front, for scenes without a back. The
+    /// reference uses 16 degrees of azimuth and 2 of elevation.
     pub fn wiggle(&self, frames: usize, azimuth: f64, elevation: f64) -> Vec<Pose> {
         let turn = std::f64::consts::TAU;
         path(frames).map(|t| self.pose(azimuth * (turn * t).sin(), elevation * (2.0 * turn * t).sin())).collect()
     }
 }
 
-/// The quantile of a non-empty set, interpolated linearly between the two nearest ranks.
+/// Returns the quantile of a non-empty set, interpolated between ranks.
 fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
     let rank = share * (values.len() - 1) as f64;
     let (_, &mut low, above) = values.select_nth_unstable_by(rank as usize, f64::total_cmp);

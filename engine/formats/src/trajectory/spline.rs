@@ -6,21 +6,20 @@ use super::super::{Camera, Intrinsics, Pose, quaternion_from_matrix};
 use super::{closed_path, ellipse::focus, path};
 use crate::{Error, Result};
 
-/// Least time between two cameras, as a share of the mean: those that share a centre still turn.
+/// Minimum time between cameras relative to the mean, since cameras at one center still turn.
 const LEAST_INTERVAL: f64 = 0.1;
-/// Cosine of the largest angle between the axis of a camera and what all look at.
+/// Minimum cosine between a camera's axis and the direction to a common target.
 const LOOKING: f64 = 0.9;
 
-/// A path through control cameras: the centres on a centripetal Catmull-Rom spline (Yuksel et al. 2011, knots at the
-/// square roots of the distances: no cusps and no loops between two cameras), the rotations by squad (Shoemake 1987), the
-/// intrinsics linearly. Where all cameras look at one thing, those between them look at it, too: however far apart two
-/// cameras are, the path does not swing off it.
+/// A path through control cameras. Centers: centripetal Catmull-Rom (Yuksel et al. 2011), without
+/// cusps or loops. Rotations: squad (Shoemake 1987). Intrinsics: linear. If all cameras look at a
+/// common target, the path keeps looking at it.
 #[derive(Clone, Debug)]
 pub struct Spline {
     keys: Vec<Key>,
-    /// Time from each camera to the next; of a closed path the last one leads to the first.
+    /// Time from each camera to the next, cyclic for closed paths.
     intervals: Vec<f64>,
-    /// The point of each camera's axis that is nearest to what all look at, where there is such a thing.
+    /// Point of each camera's axis nearest to the common target, if any.
     targets: Option<Vec<DVec3>>,
 }
 
@@ -28,17 +27,17 @@ pub struct Spline {
 struct Key {
     camera: Camera,
     rotation: DQuat,
-    /// Derivative of the centre by time.
+    /// Time derivative of the center.
     velocity: DVec3,
     /// Squad's inner control rotation.
     control: DQuat,
 }
 
 impl Spline {
-    /// A path from the first camera to the last, or through all of them and back to the first.
+    /// Creates a path from the first camera to the last, or back to the first if `closed`.
     ///
     /// # Errors
-    /// [`Error::Argument`] without cameras, where one is not valid or its size is not the first one's.
+    /// [`Error::Argument`] without cameras, for an invalid camera, or for different picture sizes.
     pub fn through(cameras: &[Camera], closed: bool) -> Result<Self> {
         let Some(first) = cameras.first() else {
             return Err(Error::argument("cameras of a spline", "none", "at least one"));
@@ -63,7 +62,7 @@ impl Spline {
         Ok(Self { keys, intervals, targets: targets(cameras) })
     }
 
-    /// The camera at a position from 0 to [`Spline::segments`]: at `i` it is control camera `i` itself.
+    /// Returns the camera at a position from 0 to [`Spline::segments`]; `i` is control camera `i`.
     pub fn at(&self, position: f64) -> Camera {
         let position = position.clamp(0.0, self.segments() as f64);
         let (segment, t) = (position as usize, position.fract());
@@ -76,7 +75,7 @@ impl Spline {
         let mut rotation =
             slerp(slerp(key.rotation, next.rotation, t), slerp(key.control, next.control, t), 2.0 * t * (1.0 - t));
         if let Some(targets) = &self.targets {
-            // Without a step in speed at a camera.
+            // Smoothstep: continuous speed at the cameras.
             let target = targets[segment].lerp(targets[(segment + 1) % targets.len()], t * t * (3.0 - 2.0 * t));
             let [axis, wanted] = [rotation * DVec3::Z, target - translation].map(DVec3::normalize_or_zero);
             rotation = DQuat::from_rotation_arc(axis, wanted) * rotation;
@@ -85,12 +84,13 @@ impl Spline {
         Camera { intrinsics: mix(&key.camera.intrinsics, &next.camera.intrinsics, t), pose }
     }
 
-    /// Pieces between two cameras that follow each other.
+    /// Returns the number of segments between consecutive cameras.
     pub fn segments(&self) -> usize {
         self.intervals.len()
     }
 
-    /// `frames` cameras at equal steps of time, of an open path with both ends, of a closed one without the first again.
+    /// Returns `frames` cameras at equal times: inclusive for open paths, without repeating the
+    /// first for closed ones.
     pub fn sample(&self, frames: usize) -> Vec<Camera> {
         let closed = self.segments() == self.keys.len();
         let total: f64 = self.intervals.iter().sum();
@@ -98,7 +98,7 @@ impl Spline {
         if closed { closed_path(frames).map(camera).collect() } else { path(frames).map(camera).collect() }
     }
 
-    /// The position that is reached at a time.
+    /// Returns the position at a time.
     fn position(&self, mut time: f64) -> f64 {
         for (i, interval) in self.intervals.iter().enumerate() {
             if time < *interval {
@@ -118,7 +118,7 @@ impl Key {
     }
 }
 
-/// The point of each camera's axis that is nearest to what all of several look at, where there is such a thing.
+/// Returns the point of each camera's axis nearest to the common target, if any.
 fn targets(cameras: &[Camera]) -> Option<Vec<DVec3>> {
     let centre = cameras.iter().map(|camera| camera.pose.translation).sum::<DVec3>() / cameras.len() as f64;
     let focus = focus(cameras, centre);
@@ -130,7 +130,8 @@ fn targets(cameras: &[Camera]) -> Option<Vec<DVec3>> {
     cameras.iter().map(target).collect()
 }
 
-/// Centripetal knot intervals, each at least a share of their mean; equal where no camera moves.
+/// Returns centripetal knot intervals with a minimum relative to their mean; equal if no camera
+/// moves.
 fn intervals(cameras: &[Camera], closed: bool) -> Vec<f64> {
     let next = cameras.iter().cycle().skip(1);
     let segments = if closed { cameras.len() } else { cameras.len() - 1 };
@@ -140,7 +141,7 @@ fn intervals(cameras: &[Camera], closed: bool) -> Vec<f64> {
     roots.into_iter().map(|root| if least > 0.0 { root.max(least) } else { 1.0 }).collect()
 }
 
-/// Velocity and inner control rotation at a key. Beyond an open end the path is taken to go on as it came.
+/// Returns velocity and inner control rotation at a key. Open ends are extrapolated.
 fn tangents(keys: &[Key], intervals: &[f64], i: usize) -> (DVec3, DQuat) {
     let closed = intervals.len() == keys.len();
     let before = i.checked_sub(1).or(closed.then_some(keys.len() - 1));
@@ -168,7 +169,7 @@ fn hermite(from: &Key, to: &Key, interval: f64, t: f64) -> DVec3 {
         + interval * (from.velocity * (t3 - 2.0 * t2 + t) + to.velocity * (t3 - t2))
 }
 
-/// The rotation vector of the shorter turn, in radians.
+/// Returns the rotation vector of the shorter turn, in radians.
 fn log(rotation: DQuat) -> DVec3 {
     (if rotation.w < 0.0 { -rotation } else { rotation }).to_scaled_axis()
 }
@@ -177,7 +178,7 @@ fn exp(turn: DVec3) -> DQuat {
     DQuat::from_scaled_axis(turn)
 }
 
-/// glam's own takes the angle from an approximation.
+/// glam's slerp approximates the angle.
 fn slerp(from: DQuat, to: DQuat, t: f64) -> DQuat {
     from * exp(t * log(from.conjugate() * to))
 }

@@ -1,17 +1,17 @@
-//! Keeping a run bound to memory that may be replaced: by a larger one of its lane, or by another of the same layout.
+//! Rebinding of a run to replaced memory of its lane or its residents.
 
 use super::Run;
 use crate::{Error, Resident, Result, descriptors::Descriptors, plan::Role};
 use std::sync::Arc;
 
-/// The generation of no memory: what was encoded has to be encoded again.
+/// Generation of no memory: forces encoding.
 const STALE: u64 = u64::MAX;
 
 impl Run {
-    /// Runs from now on with another memory of the same layout.
+    /// Replaces the resident memory of the same layout.
     ///
     /// # Panics
-    /// Where the run has no memory of that layout.
+    /// If the run has no resident of that layout.
     pub fn replace_resident(&mut self, resident: Arc<Resident>) {
         let own = self.residents.iter_mut().find(|own| own.layout == resident.layout).expect("a memory of that layout");
         if !Arc::ptr_eq(own, &resident) {
@@ -20,7 +20,7 @@ impl Run {
         }
     }
 
-    /// Makes the lane ready for this run: room for its arena, nothing under way, no bytes of others.
+    /// Prepares the lane: idle, large enough, with other runs' inputs invalidated.
     pub(super) fn bind(&mut self) -> Result<()> {
         self.settle()?;
         let generation = self.lane.reserve(&self.plan.blocks)?;
@@ -35,7 +35,7 @@ impl Run {
         Ok(())
     }
 
-    /// Descriptors, and later commands, for the memory that there is now.
+    /// Recreates descriptors for the current memory. Commands follow on demand.
     fn rebind(&mut self) -> Result<()> {
         self.settle()?;
         self.discard_batches();
@@ -45,7 +45,7 @@ impl Run {
         self.make_twins()
     }
 
-    /// Records what comes before every submission of the plan.
+    /// Prepares a submission of the plan.
     pub(crate) fn begin(&mut self) -> Result<()> {
         self.bind()?;
         self.check_inputs()
@@ -54,7 +54,7 @@ impl Run {
     pub(super) fn discard_batches(&mut self) {
         let commands: Vec<_> = self.batches.drain(..).map(|b| b.commands).collect();
         if !commands.is_empty() {
-            // SAFETY: the caller waited for what was submitted.
+            // SAFETY: the caller waited for the submissions.
             unsafe { self.device.0.raw.free_command_buffers(self.pool, &commands) };
         }
     }
@@ -68,7 +68,7 @@ impl Run {
         Ok(())
     }
 
-    /// Later tensors may share an input's bytes, so it has to be written again.
+    /// Invalidates inputs, whose bytes later tensors may share.
     pub(crate) fn forget_inputs(&mut self) {
         for (allocation, written) in self.plan.allocations.iter().zip(&mut self.written) {
             *written &= allocation.role == Role::Constant;

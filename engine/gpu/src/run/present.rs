@@ -1,4 +1,4 @@
-//! Results into an app's own images and buffers, without the host.
+//! Copies of results into an app's images and buffers on the device.
 
 use super::Run;
 use crate::{
@@ -7,7 +7,7 @@ use crate::{
 };
 use ash::vk::{self, Handle};
 
-/// A place in an app's memory on the device, and what orders the engine's writing with the app's use of it.
+/// Destination in an app's device memory, with semaphores for synchronization.
 #[derive(Clone, Debug)]
 pub struct Target {
     place: Place,
@@ -20,14 +20,14 @@ pub struct Target {
 pub struct Point {
     /// `VkSemaphore`.
     pub semaphore: u64,
-    /// Waited for, or signalled.
+    /// Value to wait for or to signal.
     pub value: u64,
 }
 
-/// The part of an image that is written whole.
+/// Region of an image that a copy fills.
 #[derive(Clone, Copy, Debug)]
 pub struct ImagePlace {
-    /// `VkImage` with the colour aspect.
+    /// `VkImage` with the color aspect.
     pub image: u64,
     /// First pixel.
     pub offset: [u32; 2],
@@ -37,9 +37,9 @@ pub struct ImagePlace {
     pub mip_level: u32,
     /// Array layer.
     pub array_layer: u32,
-    /// `VkImageLayout` that the level and layer are in.
+    /// Current `VkImageLayout` of the level and layer.
     pub old_layout: i32,
-    /// `VkImageLayout` that they are left in.
+    /// `VkImageLayout` after the copy.
     pub new_layout: i32,
 }
 
@@ -50,33 +50,35 @@ enum Place {
 }
 
 impl Target {
-    /// An image, in any tiling, made for being copied to.
+    /// Targets an image of any tiling with transfer-destination usage.
     ///
     /// # Safety
-    /// Image and semaphores belong to the device that the run is on and live until the signals were given; the place is
-    /// inside the image, whose pixels are as wide as what is written; the queue's family owns it.
+    /// Image and semaphores belong to the run's device and live until the signals. The region is
+    /// inside the image, whose pixel size matches the copied data. The queue's family owns the
+    /// image.
     pub unsafe fn image(place: ImagePlace, waits: Vec<Point>, signals: Vec<Point>) -> Self {
         Self { place: Place::Image(place), waits, signals }
     }
 
-    /// A buffer, made for being copied to.
+    /// Targets a buffer with transfer-destination usage.
     ///
     /// # Safety
-    /// As [`Target::image`]; all that is written fits behind `offset`, a multiple of 4.
+    /// See [`Target::image`]; the copied data fits after `offset`, a multiple of 4.
     pub unsafe fn buffer(buffer: u64, offset: u64, waits: Vec<Point>, signals: Vec<Point>) -> Self {
         Self { place: Place::Buffer { buffer, offset }, waits, signals }
     }
 }
 
 impl Run {
-    /// Submits the copy of an output to `target`, behind the waits, and returns. The next write to this run, and its end,
-    /// wait for the copy.
+    /// Submits a copy of an output to `target` without waiting. The next write to this run, and its
+    /// drop, wait for the copy.
     ///
     /// # Errors
-    /// [`Error::Argument`] for handles or layouts that cannot be, [`Error::DeviceLost`], or a driver's failure.
+    /// [`Error::Argument`] for invalid handles or layouts, [`Error::DeviceLost`], or a driver
+    /// error.
     ///
     /// # Panics
-    /// Where the tensor is not an output of this plan.
+    /// If the tensor is not an output of this plan.
     pub fn present(&mut self, tensor: Tensor, target: &Target) -> Result<()> {
         let handle = match target.place {
             Place::Image(place) => place.image,
@@ -105,7 +107,7 @@ impl Run {
             .command_buffer_infos(&buffers)
             .wait_semaphore_infos(&waits)
             .signal_semaphore_infos(&signals);
-        // SAFETY: the command buffer is recorded and not under way; the target's maker vouches for its handles.
+        // SAFETY: recorded and not in flight; the creator of the target vouches for its handles.
         let submitted = unsafe { self.device.0.queue.submit(&self.device.0.raw, info, vk::Fence::null()) }
             .map_err(|e| self.device.0.failed("vkQueueSubmit2", e));
         self.lane.submitted(value, &submitted);
@@ -122,7 +124,8 @@ impl Run {
         let (source, offset) = (self.lane.memory().buffer(from.block), from.offset + tensor.offset);
         let raw = &self.device.0.raw;
         let transfer = vk::PipelineStageFlags2::TRANSFER;
-        // SAFETY: the command buffer is not under way; the source is inside its block; the target is vouched for.
+        // SAFETY: not in flight; the source is inside its block; the creator vouches for the
+        // target.
         unsafe {
             raw.begin_command_buffer(commands, &vk::CommandBufferBeginInfo::default())
                 .map_err(|e| driver("vkBeginCommandBuffer", e))?;

@@ -1,5 +1,3 @@
-//! Linear layers of 8-bit integers on lanes, by dot products.
-
 use super::{
     super::{
         rows::Rows,
@@ -12,7 +10,7 @@ use crate::{
     kernels::ops,
 };
 
-/// Candidates that are taken by rule, where nothing was measured.
+/// Default candidates.
 const BY_RULE: usize = 2;
 
 impl Linear {
@@ -43,7 +41,6 @@ impl Linear {
             factor: Element::I8,
             output: out.element,
         };
-        // Columns run fastest, as in ops/linear_matrix.
         let [tile_rows, tile_columns] = tile.sides.map(|side| side as usize);
         let groups = [self.columns.div_ceil(tile_columns), rows.div_ceil(tile_rows), 1];
         rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(rows));

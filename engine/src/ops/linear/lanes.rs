@@ -1,4 +1,4 @@
-//! Linear layers on lanes: the kernels, and how they cut their work into workgroups.
+//! Linear layers on lanes: kernels and tiles.
 
 use super::{
     super::{
@@ -14,35 +14,35 @@ use crate::{
 };
 use std::fmt;
 
-/// Lanes as a linear layer uses them.
+/// Lane configuration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Lanes {
     /// Type of the factors.
     pub element: Element,
-    /// How work is cut for them; by rule for ops/linear.
+    /// Tiles by result size.
     pub tiles: Tiles,
 }
 
-/// The share of a linear layer that a workgroup of lanes owns.
+/// Tile of a linear layer on lanes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LaneTile {
-    /// Rows and columns of the workgroup.
+    /// Workgroup rows and columns.
     pub sides: [u32; 2],
-    /// Rows and columns of a lane.
+    /// Lane rows and columns.
     pub lane: [u32; 2],
-    /// Terms of the sums that pass through shared memory at a time; 0 where none do, in ops/linear and ops/linear_uniform.
+    /// Terms per shared memory stage; 0 without staging.
     pub k: u32,
 }
 
 impl Lanes {
-    /// Factors of a type, by ops/linear.
+    /// Default tiles for a factor type.
     pub const fn of(element: Element) -> Self {
         Self { element, tiles: Tiles::BY_RULE }
     }
 }
 
 impl LaneTile {
-    /// Candidates, that of the rule first; of 8-bit integers those of ops/linear_dot, the first two by rule, the larger first.
+    /// Returns the candidates, defaults first.
     pub fn candidates(limits: &Limits, element: Element) -> Vec<Self> {
         if element == Element::I8 {
             return Self::of_dots(limits);
@@ -55,7 +55,7 @@ impl LaneTile {
             LaneTile { sides: [64, 64], lane: [4, 4], k: 16 },
             LaneTile { sides: [32, 32], lane: [4, 4], k: 16 },
         ];
-        // On a CPU larger ones take long to compile.
+        // Larger tiles compile slowly on CPUs.
         const CPU: &[LaneTile] = &[LaneTile { sides: [8, 32], lane: [2, 4], k: 8 }];
         let ruled = match is_uniform(limits, [element, Element::F32]) {
             true => {
@@ -77,24 +77,23 @@ impl LaneTile {
             LaneTile { sides: [64, 64], lane: [4, 4], k: 64 },
         ];
         let cpu = [LaneTile { sides: [32, 8 * limits.subgroup_size], lane: [8, 8], k: 32 }];
-        // As kernels/ops/linear_dot.comp lays shared memory out.
+        // Mirrors kernels/ops/linear_dot.comp.
         let shared_bytes = |tile: &Self| 8 * tile.sides.iter().sum::<u32>() * (tile.k / 8 + 1);
         let tiles = if limits.cpu { &cpu } else { GPU }.iter().copied();
         tiles.filter(|tile| tile.fits(limits, shared_bytes(tile))).collect()
     }
 
-    /// Lanes of the workgroup.
+    /// Lanes per workgroup.
     pub(super) fn lanes(&self) -> u32 {
         self.sides.iter().product::<u32>() / self.lane.iter().product::<u32>()
     }
 
-    /// Bytes of shared memory, as kernels/ops/linear_tiled.comp lays it out.
+    /// Mirrors kernels/ops/linear_tiled.comp.
     fn shared_bytes(&self) -> u32 {
         let [rows, columns] = self.sides;
         16 * (rows * (self.k / 4 + 1) + self.k * columns / 4)
     }
 
-    /// True where a workgroup of whole subgroups with so much shared memory is within the device's limits.
     fn fits(&self, limits: &Limits, shared_bytes: u32) -> bool {
         let lanes = self.lanes();
         lanes.is_multiple_of(limits.subgroup_size)
@@ -104,7 +103,6 @@ impl LaneTile {
 }
 
 impl fmt::Display for LaneTile {
-    /// Sides, those of a lane, depth.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { sides: [rows, columns], lane: [lane_rows, lane_columns], k } = self;
         write!(f, "{rows}x{columns} of {lane_rows}x{lane_columns}")?;
@@ -112,13 +110,12 @@ impl fmt::Display for LaneTile {
     }
 }
 
-/// True where ops/linear_uniform takes the place of ops/linear, for inputs and results of these types.
+/// Whether ops/linear_uniform applies.
 fn is_uniform(limits: &Limits, types: [Element; 2]) -> bool {
     types == [Element::F32; 2] && divides_panels(limits)
 }
 
 impl Linear {
-    /// Applies the layer on lanes, `share` terms of its sums at a time.
     pub(super) fn on_lanes(
         &self,
         rec: &mut Recorder,
@@ -223,7 +220,6 @@ impl Linear {
             input: input.element,
             output: out.element,
         };
-        // Columns run fastest: workgroups that run at once share their rows, and all of the weight stays in the cache.
         let [tile_rows, tile_columns] = tile.sides.map(|side| side as usize);
         let groups = [self.columns.div_ceil(tile_columns), rows.div_ceil(tile_rows), self.inner.div_ceil(share)];
         rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(rows));

@@ -1,76 +1,76 @@
-//! The part of a network that turns pictures into tokens, as its backbone needs to know it.
+//! Sizes of a backbone.
 
 use crate::ops::Ffn;
 use serde::{Deserialize, Serialize};
 
-/// The sizes and switches of a transformer over all views. Blocks count from 0.
+/// Transformer sizes. Blocks count from 0.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BackboneArchitecture {
-    /// What the names of its parameters begin with.
+    /// Parameter name prefix.
     pub root: String,
-    /// D, channels of a token.
+    /// Token channels, D.
     pub width: usize,
-    /// Blocks; all of them run.
+    /// Blocks.
     pub depth: usize,
-    /// Attention heads of a block.
+    /// Attention heads per block.
     pub heads: usize,
-    /// Feed-forward network of the blocks.
+    /// Feed-forward network.
     pub ffn: Ffn,
-    /// The hidden channels of that (for SwiGLU those of `gate` alone).
+    /// Its hidden channels; for SwiGLU, those of `gate`.
     pub ffn_hidden: usize,
-    /// Side of a patch in pixels.
+    /// Patch side in pixels.
     pub patch: usize,
-    /// Side M of the learned M x M grid of position embeddings.
+    /// Side of the learned position grid.
     pub position_grid: usize,
-    /// First block that may be global; camera tokens are inserted before it. `depth` or more for none: then views do not see each
-    /// other, and there are no camera tokens.
+    /// First block that may be global, where camera tokens enter; `depth` or more for separate
+    /// views.
     pub alt_start: usize,
-    /// First block with LayerNorm on queries and keys; `depth` or more for none.
+    /// First block with q/k norm; `depth` or more for none.
     pub qk_norm_start: usize,
-    /// First block with rotary position embedding; `depth` or more for none.
+    /// First block with rotary embedding; `depth` or more for none.
     pub rope_start: usize,
-    /// Blocks whose output is a feature, ascending.
+    /// Feature blocks, ascending.
     pub out_layers: Vec<usize>,
-    /// Added to the variance by the last norm; the norms of blocks add 1e-6.
+    /// Final norm epsilon; blocks use 1e-6.
     pub final_eps: f32,
-    /// The encoder of known cameras.
+    /// Encoder of known cameras.
     pub camera: Option<CameraEncoderArchitecture>,
 }
 
-/// The sizes of the encoder that turns known cameras into tokens.
+/// Camera encoder sizes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CameraEncoderArchitecture {
-    /// What the names of its parameters begin with.
+    /// Parameter name prefix.
     pub root: String,
-    /// Self-attention blocks.
+    /// Blocks.
     pub depth: usize,
-    /// Attention heads of a block.
+    /// Attention heads per block.
     pub heads: usize,
-    /// Hidden channels of the blocks' feed-forward networks.
+    /// Feed-forward channels.
     pub hidden: usize,
-    /// Hidden channels of the two-layer network that embeds a 9-dimensional pose.
+    /// Pose embedding channels.
     pub pose_hidden: usize,
 }
 
 impl BackboneArchitecture {
-    /// Channels of one attention head.
+    /// Channels per attention head.
     pub fn head_dim(&self) -> usize {
         self.width / self.heads
     }
 
-    /// Whether views see each other and are told apart.
+    /// Whether blocks attend across views.
     pub fn alternates(&self) -> bool {
         self.alt_start < self.depth
     }
 
-    /// Whether some block rotates queries and keys.
+    /// Whether blocks use rotary embedding.
     pub fn rotates(&self) -> bool {
         self.rope_start < self.depth
     }
 
-    /// Whether block `block` attends over the tokens of all views at once.
+    /// Whether a block attends across views.
     pub fn is_global(&self, block: usize) -> bool {
         block >= self.alt_start && block % 2 == 1
     }

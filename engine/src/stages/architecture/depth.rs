@@ -1,4 +1,4 @@
-//! The sizes of a Depth Anything 3 network.
+//! Sizes of a Depth Anything 3 network.
 
 use super::{BackboneArchitecture, CameraEncoderArchitecture, MAX_DEPTH, MAX_SIZE};
 use crate::{
@@ -9,31 +9,29 @@ use crate::{
 };
 use serde::{Deserialize, Serialize};
 
-/// The released networks by their names.
+/// Released networks.
 pub const DEPTH_MODELS: [&str; 6] =
     ["da3-small", "da3-base", "da3-large", "da3-giant", "da3mono-large", "da3metric-large"];
 
-/// Everything that a forward pass to depth needs to know about a network besides its weights. Source: Depth Anything 3.
+/// Depth network hyperparameters. Source: Depth Anything 3.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DepthArchitecture {
-    /// The network's name in messages; one of [`DEPTH_MODELS`] where it is that network.
+    /// Name in messages.
     pub name: String,
-    /// The transformer, of four out layers. One that alternates sees all views at once and knows their cameras; else each view is
-    /// by itself.
+    /// Transformer with four out layers; alternating attention implies joint views and cameras.
     pub backbone: BackboneArchitecture,
-    /// F, channels of the heads' feature maps.
+    /// Head feature channels.
     pub features: usize,
-    /// Channels of the four levels before these.
+    /// Level channels.
     pub channels: [usize; 4],
-    /// Whether there is a head for pixel-aligned Gaussians.
+    /// Whether there is a Gaussian head.
     pub gaussians: bool,
 }
 
 impl DepthArchitecture {
-    /// A network of this transformer's width and depth with a feed-forward network of the usual size: patches of 14 pixels, a
-    /// 37 x 37 position grid, heads of 64 channels, and, where `alt_start` is a block, q/k norm, rotary embedding and cameras from
-    /// there on.
+    /// Returns a network with default sizes; q/k norm, rotary embedding and cameras start at
+    /// `alt_start`.
     pub fn new(
         name: &str,
         [width, depth, alt_start]: [usize; 3],
@@ -68,7 +66,7 @@ impl DepthArchitecture {
         Self { name: name.into(), backbone, features, channels, gaussians: false }
     }
 
-    /// One of [`DEPTH_MODELS`]; any other name is an [`Error::Argument`].
+    /// Returns one of [`DEPTH_MODELS`], else [`Error::Argument`].
     pub fn named(name: &str) -> Result<Self> {
         let large = (256, [256, 512, 1024, 1024]);
         Ok(match name {
@@ -84,17 +82,17 @@ impl DepthArchitecture {
         })
     }
 
-    /// Whether the views are seen at once, with rays and cameras, or each by itself, with its sky.
+    /// Whether views are joint, with cameras, or separate, with sky.
     pub fn multi_view(&self) -> bool {
         self.backbone.alternates()
     }
 
-    /// Channels of a feature: `[local | global]`, or those of a token where views do not see each other.
+    /// Feature channels.
     pub fn feature_width(&self) -> usize {
         self.backbone.width * if self.multi_view() { 2 } else { 1 }
     }
 
-    /// Checks that the numbers make a network; [`Error::Argument`] names the first field that does not.
+    /// Validates the sizes; [`Error::Argument`] names the invalid field.
     pub fn validate(&self) -> Result<()> {
         let expect = |holds: bool, field: &str, found: String, expected: &str| {
             if holds { Ok(()) } else { Err(Error::argument(format!("{field} of {}", self.name), found, expected)) }
@@ -130,12 +128,12 @@ impl DepthArchitecture {
         expect(channels, "channels", format!("{:?}", self.channels), "multiples of 4")
     }
 
-    /// Number of values of all parameters.
+    /// Number of parameter values.
     pub fn parameter_count(&self) -> usize {
         self.parameters().iter().map(|(_, shape)| shape.iter().product::<usize>()).sum()
     }
 
-    /// Names and shapes of the parameters that depth needs, as the stages declare them.
+    /// Parameter names and shapes.
     pub fn parameters(&self) -> Vec<(String, Vec<usize>)> {
         let mut declared = ParameterLayout::new(&Limits::default(), Arithmetic::EXACT);
         DepthStages::new(&mut declared, self);

@@ -1,5 +1,4 @@
-//! Backbones: from the pixels of all views to tokens. The rest of the network knows a backbone as [`Backbone`] alone; each has a
-//! folder here, and a line in [`backbone`].
+//! Backbones: pixels to tokens, behind one trait.
 
 mod da3;
 
@@ -13,19 +12,19 @@ use crate::{
     types::Camera,
 };
 
-/// A network from pixels to one set of tokens for each out layer.
+/// A network from pixels to tokens per out layer.
 pub trait Backbone: Send + Sync {
-    /// Tensors that the host writes beside the pixels, in an order of the backbone's own.
+    /// Allocates host inputs besides pixels.
     fn inputs(&self, rec: &mut Recorder, grid: ViewGrid, cameras: bool) -> Vec<Tensor>;
 
-    /// Records the backbone for `images` `[views, 3, height, width]` f32, RGB in 0..1. Returns the tokens of all views for each out
-    /// layer, f32, deepest first. Attention across views pools the keys of `pool` x `pool` patches.
+    /// Records the backbone for `images` `[views, 3, height, width]` f32, RGB in 0..1. Returns f32
+    /// tokens per out layer, deepest first. Global attention pools `pool` x `pool` keys.
     fn record(&self, rec: &mut Recorder, images: Tensor, inputs: &[Tensor], grid: ViewGrid, pool: usize) -> Vec<Rows>;
 
-    /// Writes the inputs of a run. Cameras are given where the inputs were made for them, in the network's unit of length.
+    /// Writes the inputs, with cameras in network units.
     ///
     /// # Errors
-    /// A transfer that fails, or a camera that cannot be used.
+    /// Failed transfers; unusable cameras.
     fn write(
         &self,
         run: &mut Run,
@@ -36,7 +35,7 @@ pub trait Backbone: Send + Sync {
     ) -> Result<()>;
 }
 
-/// The backbone of an architecture, which declares its parameters.
+/// Returns an architecture's backbone.
 pub fn backbone(p: &mut ParameterLayout, a: &Architecture) -> Box<dyn Backbone> {
     Box::new(da3::Da3::new(p, a))
 }

@@ -1,6 +1,4 @@
-//! The head with what its gradient needs: tokens to Gaussians, and gradients of Gaussians to those of tokens.
-//!
-//! The weights are frozen and f32, whatever the network computes in.
+//! Differentiable Gaussian head, frozen and f32 in every precision.
 
 use super::activate;
 use crate::{
@@ -10,7 +8,7 @@ use crate::{
     stages::{Architecture, SceneGradients, SceneTensors},
 };
 
-/// The head's parameters, forwards and transposed.
+/// Head parameters, forward and transposed.
 pub struct Head {
     layers: [Linear; 3],
     transposed: [Linear; 3],
@@ -18,18 +16,17 @@ pub struct Head {
     sh_degree: usize,
 }
 
-/// The tensors of the head's forward pass that its gradient needs.
+/// Activations kept for the backward pass.
 #[derive(Clone, Copy, Debug)]
 pub struct HeadKept {
-    /// `[count, head_hidden]` f32, before GELU.
+    /// Before GELU, `[count, head_hidden]` f32.
     hidden: Rows,
-    /// `[count, gaussians_per_token * gaussian_width]` f32, before activation.
+    /// Before activation, `[count, gaussians_per_token * gaussian_width]` f32.
     raw: Rows,
-    /// `[1]` f32.
     unit: Tensor,
 }
 
-/// Name, inner width and columns of the head's layers.
+/// Name, inner width, columns.
 pub(super) fn layers(a: &Architecture) -> [(String, usize, usize); 3] {
     let (root, joined) = ("gaussian_head.gaussian_head", a.width + a.color_width);
     [
@@ -40,7 +37,7 @@ pub(super) fn layers(a: &Architecture) -> [(String, usize, usize); 3] {
 }
 
 impl Head {
-    /// Lays out the parameters.
+    /// Declares the parameters.
     pub fn new(p: &mut ParameterLayout, a: &Architecture) -> Self {
         Self {
             layers: layers(a).map(|(name, inner, columns)| p.exact_linear(&name, inner, columns)),
@@ -50,15 +47,15 @@ impl Head {
         }
     }
 
-    /// Lays out what the gradient needs, to be kept from the run of one plan to that of another. `unit` is as of [`Head::record`].
+    /// Allocates persistent activations.
     pub fn keep(&self, layout: &mut ResidentLayout, count: usize, unit: Tensor) -> HeadKept {
         let mut rows = |layer: &Linear| Rows::new(layout.add::<f32>(count * layer.columns), count, layer.columns);
         let [first, _, third] = &self.layers;
         HeadKept { hidden: rows(first), raw: rows(third), unit }
     }
 
-    /// Records the head for `tokens`, f32 scene tokens beside colour features, into a scene whose lengths are `unit` (`[1]` f32) times
-    /// the network's.
+    /// Records the head for f32 `tokens`, scene tokens beside colors. `unit` (`[1]` f32) scales
+    /// lengths.
     pub fn record(&self, rec: &mut Recorder, tokens: Rows, unit: Tensor, into: &SceneTensors) -> HeadKept {
         let [first, _, third] = &self.layers;
         let kept = rec.scope("head", |rec| {
@@ -69,7 +66,7 @@ impl Head {
         kept
     }
 
-    /// As [`Head::record`]; what the gradient needs goes where it is kept.
+    /// [`Head::record`] with persistent activations.
     pub fn record_kept(&self, rec: &mut Recorder, tokens: Tensor, kept: &HeadKept, into: &SceneTensors) {
         rec.scope("head", |rec| {
             let ([first, second, third], HeadKept { hidden, raw, unit }) = (&self.layers, *kept);
@@ -84,7 +81,7 @@ impl Head {
         });
     }
 
-    /// Records the gradient by the tokens, `[count, width + color_width]` f32, from that by the Gaussians.
+    /// Returns the token gradient, `[count, width + color_width]` f32.
     pub fn record_backward(&self, rec: &mut Recorder, kept: &HeadKept, d_gaussians: &SceneGradients) -> Tensor {
         rec.scope("head backward", |rec| {
             let [first, second, third] = &self.transposed;
@@ -99,13 +96,12 @@ impl Head {
         })
     }
 
-    /// The gradient by the raw Gaussians, `[count, stride]`.
     fn activate_backward(&self, rec: &mut Recorder, kept: &HeadKept, d: &SceneGradients, stride: usize) -> Rows {
         let bases = (self.sh_degree + 1).pow(2);
         let (group, width) = (self.gaussians_per_token, 11 + 3 * bases);
         let d_raw = Rows::scratch(rec, "d_raw", kept.raw.count, stride, Element::F32);
         if stride > group * width {
-            rec.fill(d_raw.tensor, 0); // what pads a row is multiplied by zeros, and so has to be a number
+            rec.fill(d_raw.tensor, 0); // padding is multiplied by zeros and must be finite
         }
         let widths = [width, 3, 4, 1, 3 * bases].map(|width| 4 * group * width);
         let chunks = row_chunks(rec, d_raw.count, &[&widths[..], &[d_raw.row_bytes()]].concat());
@@ -131,7 +127,7 @@ impl Head {
     }
 }
 
-/// GELU of `source`, or, where there is a `gradient`, that times GELU's derivative there. `out` may be the gradient.
+/// GELU, or its backward pass with a `gradient`, in which `out` may alias it.
 fn gelu(rec: &mut Recorder, source: Rows, gradient: Option<Rows>, out: Rows) {
     let backward = gradient.is_some();
     let rows = [source, gradient.unwrap_or(source), out];

@@ -1,4 +1,4 @@
-//! Gaussians: every scene token, with colour from the pixels themselves, becomes a group of Gaussians.
+//! Decoding of scene tokens to Gaussians.
 //!
 //! Source: ZipSplat, section 3.2 and appendix A.
 
@@ -18,7 +18,7 @@ pub use head::{Head, HeadKept};
 
 const EPS: f32 = 1e-5;
 
-/// The colour branch's and the head's parameters.
+/// Color branch and head parameters.
 pub struct Gaussians {
     color_embed: Linear,
     color_cross: CrossBlock,
@@ -26,7 +26,7 @@ pub struct Gaussians {
 }
 
 impl Gaussians {
-    /// Lays out the parameters.
+    /// Declares the parameters.
     pub fn new(p: &mut ParameterLayout, a: &Architecture) -> Self {
         let heads = Heads::new(a.color_heads, a.color_width);
         Self {
@@ -36,7 +36,7 @@ impl Gaussians {
         }
     }
 
-    /// Records the colour branch for the tokens `chosen` (all, where `None`) of `images`: their colours, f32.
+    /// Returns f32 colors of the tokens `chosen`, or all.
     pub fn colors(&self, rec: &mut Recorder, images: Tensor, grid: ViewGrid, chosen: Option<(Tensor, usize)>) -> Rows {
         rec.scope("color", |rec| {
             let tokens = embed_patches(rec, images, grid, &self.color_embed);
@@ -52,8 +52,8 @@ impl Gaussians {
         })
     }
 
-    /// Records the head for scene tokens and their colours, f32. A token's Gaussians lie one after the other in `into`, whose
-    /// lengths are `unit` (`[1]` f32) times the network's.
+    /// Records the head for f32 scene tokens and colors. A token's Gaussians are consecutive;
+    /// `unit` (`[1]` f32) scales lengths.
     pub fn record(&self, rec: &mut Recorder, tokens: [Rows; 2], unit: Tensor, into: &SceneTensors) {
         let raw = rec.scope("head", |rec| {
             let [first, second, third] = &self.head;
@@ -68,7 +68,7 @@ impl Gaussians {
     }
 }
 
-/// Activates `raw` `[len, 11 + 3 (sh_degree + 1)^2]` into a scene whose lengths are `unit` (`[1]` f32) times the network's.
+/// Activates `raw` `[len, 11 + 3 (sh_degree + 1)^2]`; `unit` (`[1]` f32) scales lengths.
 pub fn activate(rec: &mut Recorder, raw: Tensor, unit: Tensor, into: &SceneTensors) {
     let SceneTensors { means, scales, quats, opacities, sh_coeffs, len, sh_degree } = *into;
     let bases = (sh_degree as usize + 1).pow(2);

@@ -1,4 +1,4 @@
-//! The camera decoder: a view's camera token becomes its pose and fields of view.
+//! Camera decoder.
 
 use super::convolution::{Convolution, How};
 use crate::{
@@ -6,7 +6,7 @@ use crate::{
     ops::{FeatureMap, ParameterLayout, Rows},
 };
 
-/// The decoder's parameters. Its layers are convolutions of one tap, over views.
+/// 1 x 1 convolutions over views.
 pub(super) struct CameraDecoder {
     trunk: [Convolution; 2],
     translation: Convolution,
@@ -14,19 +14,18 @@ pub(super) struct CameraDecoder {
     fov: Convolution,
 }
 
-/// The tensors of the cameras that the host reads, f32.
+/// Camera outputs, f32.
 #[derive(Clone, Copy, Debug)]
 pub struct CameraTensors {
-    /// `[views, 3]`: camera centres.
+    /// `[views, 3]`: camera centers.
     pub translations: Tensor,
-    /// `[views, 4]`: camera-to-world quaternions xyzw of any length.
+    /// `[views, 4]`: unnormalized camera-to-world quaternions xyzw.
     pub quaternions: Tensor,
-    /// `[views, 2]`: vertical and horizontal field of view in radians, 0 where they are below that.
+    /// `[views, 2]`: vertical and horizontal fields of view in radians, before ReLU.
     pub fovs: Tensor,
 }
 
 impl CameraDecoder {
-    /// Declares the parameters for tokens of `width` channels.
     pub fn new(p: &mut ParameterLayout, width: usize) -> Self {
         let root = "model.cam_dec";
         let mut layer = |name: &str, outputs| Convolution::linear(p, &format!("{root}.{name}"), [width, outputs]);
@@ -38,7 +37,6 @@ impl CameraDecoder {
         }
     }
 
-    /// Records the decoder for `tokens` `[views, width]` f32.
     pub fn record(&self, rec: &mut Recorder, tokens: Rows) -> CameraTensors {
         let rectified = How { rectified: true, ..How::default() };
         let x = FeatureMap::new(tokens, [1, tokens.count]);

@@ -7,51 +7,47 @@ use crate::{
 };
 use std::ops::Range;
 
-/// A convolution with an odd kernel, the map 0 outside. Its maps have whole vec4 of channels.
+/// A zero-padded odd convolution over whole vec4 of channels.
 pub struct Convolution {
     layer: Linear,
     side: usize,
     step: usize,
 }
 
-/// The work on a map before and behind a convolution.
+/// Fused pre- and postprocessing.
 #[derive(Clone, Copy, Default)]
 pub struct How {
-    /// The map's values are at least 0 before.
+    /// ReLU on the input.
     pub rectified: bool,
-    /// The exact GELU behind the bias.
+    /// Exact (erf) GELU.
     pub gelu: bool,
-    /// The map that is added in the end, as large as the result.
+    /// Residual.
     pub residual: Option<FeatureMap>,
 }
 
 impl Convolution {
-    /// The convolution by a layer on panels of f32, from `[side, side, channels]` to a pixel, for every pixel or every so many.
+    /// Wraps an f32 panel layer over `[side, side, channels]`.
     pub fn of(layer: Linear, [side, step]: [usize; 2]) -> Self {
         Self { layer, side, step }
     }
 
-    /// Declares `NAME.weight` and `NAME.bias`.
     pub(super) fn new(p: &mut ParameterLayout, name: &str, channels: [usize; 2], side: usize) -> Self {
         Self { layer: p.planar_convolution(name, channels, side, true), side, step: 1 }
     }
 
-    /// The same for every second pixel.
     pub(super) fn strided(self) -> Self {
         Self { step: 2, ..self }
     }
 
-    /// Declares `NAME.weight` of a 3 x 3 convolution without bias.
     pub(super) fn unbiased(p: &mut ParameterLayout, name: &str, channels: [usize; 2]) -> Self {
         Self { layer: p.planar_convolution(name, channels, 3, false), side: 3, step: 1 }
     }
 
-    /// Declares `NAME.weight` `[outputs, inputs]` and `NAME.bias`: one tap, whose weight has no sides.
+    /// A 1 x 1 convolution with `NAME.weight` `[outputs, inputs]`.
     pub(super) fn linear(p: &mut ParameterLayout, name: &str, [inputs, outputs]: [usize; 2]) -> Self {
         Self { layer: p.exact_linear(name, inputs, outputs), side: 1, step: 1 }
     }
 
-    /// Records the convolution of a map.
     pub(super) fn record(&self, rec: &mut Recorder, name: &str, source: FeatureMap, how: How) -> FeatureMap {
         let size = source.size().map(|length| (length + 2 * self.padding() - self.side) / self.step + 1);
         let out = FeatureMap::scratch(rec, name, size, self.layer.columns);
@@ -59,7 +55,7 @@ impl Convolution {
         out
     }
 
-    /// Records the convolution of a map into another, of the size that follows from side and step.
+    /// Records the convolution.
     pub fn record_into(&self, rec: &mut Recorder, source: FeatureMap, out: FeatureMap, how: How) {
         if divides_panels(rec.limits()) {
             let bordered = self.bordered(rec, source, how.rectified);
@@ -69,16 +65,14 @@ impl Convolution {
         }
     }
 
-    /// Zeros that lie around the map.
     fn padding(&self) -> usize {
         self.side / 2
     }
 
-    /// Records heads/convolution.
     fn implicit(&self, rec: &mut Recorder, source: FeatureMap, out: FeatureMap, how: How) {
         let (Self { layer, side, step }, padding) = (self, self.padding());
         let across = layer.columns.div_ceil(4 * rec.limits().subgroup_size as usize);
-        // Lines of the source for one, with room for those next to the part.
+        // Input lines per output line, plus overlap.
         let seen = step + 2 * padding + 1;
         for lines in row_chunks(rec, out.height, &[out.line_bytes(), seen * source.line_bytes()]) {
             let first = (lines.start * step).saturating_sub(padding);
@@ -109,7 +103,7 @@ impl Convolution {
         }
     }
 
-    /// The map with the zeros around it, and its values at least 0 where `rectified`; itself where that changes nothing.
+    /// Zero-padded, optionally after ReLU.
     fn bordered(&self, rec: &mut Recorder, source: FeatureMap, rectified: bool) -> FeatureMap {
         let (padding, channels) = (self.padding(), source.channels());
         if padding == 0 && !rectified {
@@ -145,11 +139,10 @@ impl Convolution {
         out
     }
 
-    /// Records heads/convolution_uniform for a map with its border.
     fn uniform(&self, rec: &mut Recorder, source: FeatureMap, out: FeatureMap, how: How) {
         let (Self { layer, side, step }, [tile_rows, vectors]) = (self, UNIFORM_TILE);
         let tile_columns = vectors * rec.limits().subgroup_size;
-        // Lines of the source for one, with room for those next to the part.
+        // Input lines per output line, plus overlap.
         let seen = step + side;
         let each = [out.line_bytes(), seen * source.line_bytes(), out.width * NARROWEST];
         for lines in row_chunks(rec, out.height, &each) {

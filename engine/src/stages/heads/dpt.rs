@@ -1,4 +1,4 @@
-//! The dense heads: depth with its confidence and rays with theirs, or depth and sky of views by themselves.
+//! Dense heads: depth, rays and sky.
 
 use super::{
     convolution::{Convolution, How},
@@ -14,32 +14,30 @@ use crate::{
     stages::{DepthArchitecture, ViewGrid},
 };
 
-/// The parameters of the head `model.head`.
 pub(super) struct Dpt {
     levels: Levels,
     fusion: Fusion,
     neck: Convolution,
     depth: Tail,
-    /// Of views that see each other.
+    /// For joint views.
     rays: Option<RayHead>,
-    /// Of views by themselves.
+    /// For separate views.
     sky: Option<Tail>,
     placed: bool,
 }
 
-/// The tensors of a view that the host reads, f32.
+/// Outputs of a view.
 #[derive(Clone, Copy, Debug)]
 pub struct ViewTensors {
-    /// `[height, width, 2]`: logarithms of depth and of its confidence less 1; without the latter where views are by themselves.
+    /// `[height, width, 2]` f32: log depth, log (confidence - 1); depth alone for separate views.
     pub depth: Tensor,
-    /// `[8 rows, 8 columns, 7]`: direction and origin of the ray of a pixel, and the logarithm of its confidence less 1.
+    /// `[8 rows, 8 columns, 7]` f32: direction, origin, log (confidence - 1).
     pub rays: Option<Tensor>,
-    /// `[height, width]`: sky, from 0 on where it is above that.
+    /// `[height, width]` f32, before ReLU.
     pub sky: Option<Tensor>,
 }
 
 impl Dpt {
-    /// Declares the parameters.
     pub fn new(p: &mut ParameterLayout, a: &DepthArchitecture) -> Self {
         let (root, f, multi) = ("model.head", a.features, a.multi_view());
         let name = |part: &str| format!("{root}.scratch.{part}");
@@ -55,7 +53,7 @@ impl Dpt {
         }
     }
 
-    /// Records the head for a view's features, shallowest first.
+    /// Features are shallowest first.
     pub fn record(
         &self,
         rec: &mut Recorder,

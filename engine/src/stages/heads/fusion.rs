@@ -1,4 +1,4 @@
-//! Levels fused from the deepest to the shallowest.
+//! Fuses levels from deep to shallow.
 
 use super::convolution::{Convolution, How};
 use crate::{
@@ -6,15 +6,14 @@ use crate::{
     ops::{FeatureMap, ParameterLayout, add},
 };
 
-/// The fusions of four levels, the shallowest first.
+/// Fusion steps, shallowest first.
 pub(super) struct Fusion {
     steps: [Step; 4],
-    /// What the names of taps end with.
+    /// Suffix of observed names.
     suffix: &'static str,
 }
 
 struct Step {
-    /// Of the level, where there is something to add it to.
     level: Option<Residual>,
     sum: Residual,
     out: Convolution,
@@ -36,7 +35,6 @@ impl Residual {
 }
 
 impl Fusion {
-    /// Declares the parameters `ROOT.scratch.refinenetI` with a suffix.
     pub fn new(p: &mut ParameterLayout, root: &str, suffix: &'static str, channels: usize) -> Self {
         let step = |j: usize| {
             let name = format!("{root}.scratch.refinenet{}{suffix}", j + 1);
@@ -49,7 +47,7 @@ impl Fusion {
         Self { steps: [0, 1, 2, 3].map(step), suffix }
     }
 
-    /// The map of all levels, of twice the size of the shallowest.
+    /// Returns a map of twice the shallowest size.
     pub fn record(&self, rec: &mut Recorder, tap: &str, levels: &[FeatureMap; 4]) -> FeatureMap {
         let mut below: Option<FeatureMap> = None;
         for (j, step) in self.steps.iter().enumerate().rev() {
@@ -59,7 +57,7 @@ impl Fusion {
                 add(rec, x.rows, below.rows);
             }
             let x = step.sum.record(rec, x);
-            // Before the map is enlarged: the weights of its pixels add up to 1, so it is the same, for a fourth of the work.
+            // Commutes with interpolation, at a quarter of the cost.
             let x = step.out.record(rec, "mixed", x, How::default());
             let size = if j > 0 { levels[j - 1].size() } else { x.size().map(|length| 2 * length) };
             let x = x.resized(rec, "fused", size, None);

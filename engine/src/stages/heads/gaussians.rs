@@ -1,4 +1,4 @@
-//! The head for Gaussians, one a pixel, which sees the picture itself.
+//! The head for pixel-aligned Gaussians.
 
 use super::{
     convolution::{Convolution, How},
@@ -13,13 +13,12 @@ use crate::{
     stages::{DepthArchitecture, ViewGrid},
 };
 
-/// Values of a Gaussian: offset in pixels (2), scales (3), quaternion (4), spherical harmonics (27), depth offset, opacity.
+/// Pixel offset 2, scale 3, quaternion 4, SH 27, depth offset, opacity.
 pub const GAUSSIAN_VALUES: usize = 38;
 
-/// Channels of a picture, padded to whole vec4.
+/// Image channels, padded to vec4.
 const PICTURE: usize = 4;
 
-/// The parameters of the head `model.gs_head`.
 pub(super) struct GaussianHead {
     levels: Levels,
     fusion: Fusion,
@@ -28,17 +27,16 @@ pub(super) struct GaussianHead {
     tail: Tail,
 }
 
-/// The tensors of a view's Gaussians, f32.
+/// Tensors of a view's Gaussians.
 #[derive(Clone, Copy, Debug)]
 pub struct GaussianTensors {
-    /// `[height, width, 4]`: the normalised picture and zeros, which the host writes.
+    /// Input `[height, width, 4]` f32: the normalized image.
     pub picture: Tensor,
-    /// `[height, width, GAUSSIAN_VALUES]`, which it reads.
+    /// Output `[height, width, GAUSSIAN_VALUES]`.
     pub values: Tensor,
 }
 
 impl GaussianHead {
-    /// Declares the parameters.
     pub fn new(p: &mut ParameterLayout, a: &DepthArchitecture) -> Self {
         let (root, f) = ("model.gs_head", a.features);
         let merged = [(0, [3, f / 8]), (2, [f / 8, f / 4]), (4, [f / 4, f / 2])];
@@ -51,7 +49,7 @@ impl GaussianHead {
         }
     }
 
-    /// Records the head for a view's features, shallowest first.
+    /// Features are shallowest first.
     pub fn record(
         &self,
         rec: &mut Recorder,

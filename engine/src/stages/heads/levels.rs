@@ -1,4 +1,4 @@
-//! The four levels of a dense prediction: features at a fourth, half, full and twice the size of a patch, of the same width.
+//! The four levels: features at 4x, 2x, 1x and 1/2 of the patch grid.
 
 use super::{
     convolution::{Convolution, How},
@@ -12,22 +12,19 @@ use crate::{
 
 const EPS: f32 = 1e-5;
 
-/// The parameters up to four maps of `features` channels.
 pub(super) struct Levels {
     norm: Option<Norm>,
     placed: bool,
     projects: [Linear; 4],
-    /// Transposed convolutions with their bias, for the first two levels.
+    /// Layers with biases.
     spread: [(Linear, Tensor); 2],
     reduce: Convolution,
     layers: [Convolution; 4],
 }
 
-/// Sides of the transposed convolutions.
 const SIDES: [usize; 2] = [4, 2];
 
 impl Levels {
-    /// Declares the parameters of the head `root`; `normed` has a norm over features, `placed` adds positions.
     pub fn new(p: &mut ParameterLayout, a: &DepthArchitecture, root: &str, normed: bool, placed: bool) -> Self {
         let (inner, [first, second, _, last]) = (a.feature_width(), a.channels);
         Self {
@@ -47,7 +44,7 @@ impl Levels {
         }
     }
 
-    /// Records the levels of a view's features `[patches, feature_width]`, shallowest first.
+    /// Returns a view's levels, shallowest first.
     pub fn record(
         &self,
         rec: &mut Recorder,

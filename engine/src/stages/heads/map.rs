@@ -1,4 +1,4 @@
-//! Feature maps at other sizes.
+//! Resizing of feature maps.
 
 use super::position::Positions;
 use crate::{
@@ -8,7 +8,7 @@ use crate::{
 };
 
 impl FeatureMap {
-    /// The map at another size, corners on corners. Where there are `positions`, what they have for the new size is added.
+    /// Resizes with aligned corners, optionally adding positions.
     pub(super) fn resized(
         &self,
         rec: &mut Recorder,
@@ -19,7 +19,7 @@ impl FeatureMap {
         let channels = self.channels();
         let out = Self::scratch(rec, name, size, channels);
         let table = positions.map(|positions| positions.table(rec, size, channels));
-        // Lines of the source for one, with room for those next to the part.
+        // Input lines per output line, plus overlap.
         let seen = self.height.div_ceil(out.height) + 1;
         for lines in row_chunks(rec, out.height, &[out.line_bytes(), seen * self.line_bytes()]) {
             let place = |line: usize| line * (self.height - 1) / (out.height - 1).max(1);
@@ -44,7 +44,7 @@ impl FeatureMap {
         out
     }
 
-    /// The map by a transposed convolution, `side` times as high and wide. `bias` is `[outputs]` f32.
+    /// Transposed convolution of stride `side`.
     pub(super) fn spread(&self, rec: &mut Recorder, name: &str, side: usize, layer: &Linear, bias: Tensor) -> Self {
         let values = layer.apply(rec, "spread", self.rows, Element::F32, Default::default());
         let values = Self::new(values, self.size());

@@ -1,4 +1,4 @@
-//! The heads of Depth Anything 3: features become depth with its confidence, rays with theirs, and cameras. Every view is alone.
+//! Heads of Depth Anything 3, view by view.
 //!
 //! Source: Depth Anything 3; Ranftl et al. 2021, Vision Transformers for Dense Prediction.
 
@@ -30,20 +30,20 @@ use dpt::Dpt;
 use gaussians::GaussianHead;
 use position::Positions;
 
-/// The heads' parameters.
+/// Head parameters.
 pub struct DepthHeads {
     dpt: Dpt,
     camera: Option<CameraDecoder>,
     gaussians: Option<GaussianHead>,
 }
 
-/// The tensors that the heads leave for the host, and those that it writes.
+/// Head outputs and host inputs.
 pub struct HeadTensors {
-    /// One a view.
+    /// Per view.
     pub views: Vec<ViewTensors>,
-    /// One a view, where the network has a head for Gaussians.
+    /// Per view, with a Gaussian head.
     pub gaussians: Vec<GaussianTensors>,
-    /// The cameras' values, where views see each other.
+    /// Cameras of joint views.
     pub cameras: Option<CameraTensors>,
     positions: Positions,
 }
@@ -58,7 +58,7 @@ impl DepthHeads {
         }
     }
 
-    /// Records the heads for the features of all views; a view at a time, so that scratch is of one.
+    /// Records the heads view by view, bounding scratch.
     pub fn record(&self, rec: &mut Recorder, features: &DepthFeatures, grid: ViewGrid) -> HeadTensors {
         let mut positions = Positions::new(grid);
         let cameras = self.camera.as_ref().zip(features.cameras);
@@ -77,10 +77,10 @@ impl DepthHeads {
 }
 
 impl HeadTensors {
-    /// Writes what the heads read beside features: `images` `[views, 3, pixels]`, normalised, are for Gaussians.
+    /// Writes positions and, for Gaussians, normalized `images` `[views, 3, pixels]`.
     ///
     /// # Errors
-    /// A transfer that fails.
+    /// Failed transfers.
     pub fn write(&self, run: &mut Run, images: &[f32]) -> Result<()> {
         for (view, planes) in self.gaussians.iter().zip(images.chunks(images.len() / self.views.len())) {
             let area = planes.len() / 3;

@@ -1,4 +1,4 @@
-//! Where pixels lie, added to feature maps: sines and cosines, small and needed once a shape, so made on the host in f64.
+//! Sinusoidal positions, on the host in f64.
 
 use crate::{
     Result,
@@ -6,14 +6,13 @@ use crate::{
     stages::ViewGrid,
 };
 
-/// Frequencies fall from 1 to 1 / BASE.
+/// Ratio of frequencies.
 const BASE: f64 = 100.0;
-/// Share of an embedding that is added.
+/// Weight of the embedding.
 const SHARE: f64 = 0.1;
 
-/// The tables of the sizes that a plan needs.
 pub(super) struct Positions {
-    /// Width over height of the pictures.
+    /// Image width over height.
     aspect: f64,
     /// Height, width, channels.
     tables: Vec<([usize; 3], Tensor)>,
@@ -24,7 +23,7 @@ impl Positions {
         Self { aspect: grid.columns as f64 / grid.rows as f64, tables: Vec::new() }
     }
 
-    /// `[width + height, channels / 2]` f32, as of [`position_table`].
+    /// See [`position_table`].
     pub fn table(&mut self, rec: &mut Recorder, [height, width]: [usize; 2], channels: usize) -> Tensor {
         let shape = [height, width, channels];
         if let Some((_, tensor)) = self.tables.iter().find(|(other, _)| *other == shape) {
@@ -40,10 +39,10 @@ impl Positions {
     }
 }
 
-/// What is added to the first half of a pixel's channels for each column, then to the second for each line: `[width + height, channels /
-/// 2]` of `[height, width, channels]` over a picture of this width over height.
+/// Returns position embeddings of `[height, width, channels]` as `[width + height, channels / 2]`:
+/// columns for the first half of the channels, then lines.
 ///
-/// Pixels lie on a rectangle of the picture's shape whose half diagonal is 1.
+/// The image's half diagonal is 1.
 pub fn position_table(aspect: f64, [height, width, channels]: [usize; 3]) -> Vec<f32> {
     let diagonal = aspect.hypot(1.0);
     let axes = [(width, aspect / diagonal), (height, 1.0 / diagonal)];

@@ -1,4 +1,4 @@
-//! The second branch of the dense head: a ray for each pixel of a coarser grid, with its confidence.
+//! Ray branch of the dense head.
 
 use super::{
     convolution::{Convolution, How},
@@ -10,13 +10,11 @@ use crate::{
     ops::{FeatureMap, Norm, ParameterLayout},
 };
 
-/// Channels of the last layer but one.
 const HIDDEN: usize = 32;
-/// Values of a ray: direction, origin, and the logarithm of its confidence less 1.
+/// Direction, origin, log (confidence - 1).
 const VALUES: usize = 7;
 const EPS: f32 = 1e-5;
 
-/// The branch's parameters.
 pub(super) struct RayHead {
     fusion: Fusion,
     neck: [Convolution; 5],
@@ -26,8 +24,7 @@ pub(super) struct RayHead {
 }
 
 impl RayHead {
-    /// Declares the parameters of the head `root` with maps of `f` channels. Files hold a norm that four tails share at the first of
-    /// them; the first three tails, which lead nowhere, are not read.
+    /// Checkpoints store the tails' shared norm with the first tail; only the last tail is used.
     pub fn new(p: &mut ParameterLayout, root: &str, f: usize) -> Self {
         let name = |part: String| format!("{root}.scratch.{part}");
         let neck = |i: usize| if i.is_multiple_of(2) { [f, f / 2] } else { [f / 2, f] };
@@ -40,7 +37,6 @@ impl RayHead {
         }
     }
 
-    /// Records the branch for the levels of a view, for the host to read.
     pub fn record(&self, rec: &mut Recorder, levels: &[FeatureMap; 4], positions: &mut Positions) -> Tensor {
         let mut x = self.fusion.record(rec, "head", levels);
         for (i, layer) in self.neck.iter().enumerate() {

@@ -6,20 +6,16 @@ use crate::{
     ops::{FeatureMap, ParameterLayout},
 };
 
-/// Channels between them.
 const HIDDEN: usize = 32;
 
-/// A 3 x 3 convolution, and one value after another out of each of its pixels.
 pub(super) struct Tail([Convolution; 2]);
 
 impl Tail {
-    /// Declares `NAME.0` and `NAME.2`.
     pub fn new(p: &mut ParameterLayout, name: &str, inputs: usize, outputs: usize) -> Self {
         let hidden = Convolution::new(p, &format!("{name}.0"), [inputs, HIDDEN], 3);
         Self([hidden, Convolution::new(p, &format!("{name}.2"), [HIDDEN, outputs], 1)])
     }
 
-    /// Values of every pixel, for the host to read.
     pub fn record(&self, rec: &mut Recorder, tap: &str, x: FeatureMap) -> Tensor {
         let hidden = self.0[0].record(rec, "hidden", x, How::default());
         let logits = self.0[1].record(rec, "logits", hidden, How { rectified: true, ..How::default() }).rows.tensor;

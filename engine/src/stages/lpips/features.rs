@@ -1,31 +1,28 @@
-//! Features of a picture, and the convolutions and poolings between them.
+//! LPIPS convolutions and pooling.
 
 use crate::{
     gpu::{Element, Recorder},
     kernels::{lpips as kernels, ops::Im2col},
     ops::{Epilogue, FeatureMap, Linear, Rows, row_chunks},
 };
-/// Rows that a convolution multiplies at once fill this share of a binding, so that scratch stays small.
+/// Fraction of a binding per step, which bounds scratch.
 const SHARE: usize = 8;
 
-/// A convolution as a product of rows.
 pub struct Convolution {
     pub layer: Linear,
     pub side: usize,
     pub step: usize,
     pub padding: usize,
-    /// The distance of the inputs' pixels, between which are zeros.
+    /// Zero-insertion stride.
     pub spread: usize,
 }
 
-/// The treatment of a convolution's inputs.
 pub enum Inputs {
     AsTheyAre,
     Rectified,
     Gated(FeatureMap),
 }
 
-/// Max pooling without padding.
 #[derive(Clone, Copy)]
 pub struct Pool {
     pub side: usize,
@@ -33,7 +30,6 @@ pub struct Pool {
 }
 
 impl Convolution {
-    /// Records the convolution of `source` into features of a height and a width.
     pub fn record(
         &self,
         rec: &mut Recorder,
@@ -78,12 +74,11 @@ impl Convolution {
 }
 
 impl Pool {
-    /// Height and width of the result.
     pub fn size(&self, source: FeatureMap) -> [usize; 2] {
         source.size().map(|side| (side - self.side) / self.step + 1)
     }
 
-    /// Records the largest values, at least 0.
+    /// Max pooling with ReLU.
     pub fn forward(&self, rec: &mut Recorder, source: FeatureMap) -> FeatureMap {
         let out = FeatureMap::scratch(rec, "pooled", self.size(source), source.channels());
         for lines in row_chunks(rec, out.height, &[source.line_bytes() * self.step, out.line_bytes()]) {
@@ -107,7 +102,6 @@ impl Pool {
         out
     }
 
-    /// The gradient by the rectified `source`, from that by the result.
     pub fn backward(&self, rec: &mut Recorder, source: FeatureMap, d_out: FeatureMap) -> FeatureMap {
         let d = FeatureMap::scratch(rec, "d_pooled", source.size(), source.channels());
         for lines in row_chunks(rec, d.height, &[2 * d.line_bytes()]) {

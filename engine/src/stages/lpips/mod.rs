@@ -1,7 +1,7 @@
-//! LPIPS: how different two pictures look, by the features of a network that was trained to recognise things.
+//! LPIPS: perceptual image distance.
 //!
-//! Source: Zhang et al. 2018, version 0.1. Features of both pictures are brought to length 1 at every pixel of five layers;
-//! the weighted squares of their differences are averaged over pixels and summed over layers.
+//! Source: Zhang et al. 2018, version 0.1. Features are normalized per pixel at five layers;
+//! weighted squared differences are averaged over pixels.
 
 mod features;
 mod network;
@@ -16,7 +16,7 @@ use crate::{
 use features::{Convolution, Inputs, Pool};
 use network::Recipe;
 
-/// Layers whose features are compared.
+/// Number of compared layers.
 pub const TAPS: usize = 5;
 
 struct Layer {
@@ -27,34 +27,34 @@ struct Layer {
     tap: Option<Tensor>,
 }
 
-/// A network's parameters.
+/// Network parameters.
 pub struct Lpips {
     layers: Vec<Layer>,
 }
 
-/// Two pictures `[height, width, channels]` f32 and how they are compared.
+/// Two images `[height, width, channels]` f32.
 #[derive(Clone, Copy, Debug)]
 pub struct LpipsPictures {
-    /// The pictures, each with the values of a pixel: red, green, blue first.
+    /// Images and their channels, RGB first.
     pub pictures: [(Tensor, usize); 2],
     /// Height and width.
     pub size: [usize; 2],
-    /// Values are brought to 0..1 first, as in the reference's loss; its metric does not.
+    /// Whether to clamp to 0..1, as in the reference's loss only.
     pub clipped: bool,
 }
 
-/// The distance of two pictures on the device.
+/// Distance on the device.
 #[derive(Clone, Copy, Debug)]
 pub struct LpipsTensors {
     /// `[1]` f32.
     pub value: Tensor,
-    /// `[TAPS]` f32: the parts of it.
+    /// `[TAPS]` f32, per layer.
     pub layers: Tensor,
 }
 
 impl Lpips {
-    /// Declares the parameters `convolutions.I.weight` `[outputs, side, side, inputs]`, `convolutions.I.bias` and
-    /// `taps.I.weight`; with `gradients` the convolutions twice.
+    /// Declares `convolutions.I.weight` `[outputs, side, side, inputs]`, `convolutions.I.bias`,
+    /// `taps.I.weight`. `gradients` adds transposed convolutions.
     pub fn new(p: &mut ParameterLayout, network: LpipsNetwork, gradients: bool) -> Self {
         let (mut inputs, mut taps) = (3, 0..TAPS);
         let layer = |(i, recipe): (usize, Recipe)| {
@@ -77,11 +77,8 @@ impl Lpips {
         Self { layers: network.recipes().into_iter().enumerate().map(layer).collect() }
     }
 
-    /// Records the distance of two pictures and, where `gradient` is a weight and a tensor like the first picture, adds the
-    /// weight times the gradient by the first picture to that.
-    ///
-    /// For the gradient features stay: all of the first picture and those of the second that are compared, together 1,570 bytes a
-    /// pixel of VGG16.
+    /// Records the distance. `gradient` is a weight and the tensor to accumulate the first image's
+    /// gradient in.
     pub fn record(&self, rec: &mut Recorder, of: LpipsPictures, gradient: Option<(f32, Tensor)>) -> LpipsTensors {
         rec.scope("lpips", |rec| {
             let value = rec.tensor::<f32>("lpips", 1);
@@ -103,7 +100,6 @@ impl Lpips {
         })
     }
 
-    /// The gradient by the normalised first picture.
     fn backward(&self, rec: &mut Recorder, stages: &[[FeatureMap; 2]], layers: Tensor) -> FeatureMap {
         let mut taps = (0..TAPS).rev();
         let mut d: Option<FeatureMap> = None;
@@ -121,13 +117,11 @@ impl Lpips {
     }
 }
 
-/// The place of a layer's part, of which there are [`TAPS`].
 fn tap_of(layers: Tensor, tap: Option<usize>) -> (Tensor, u32) {
     (layers, tap.expect("no more layers than TAPS have taps") as u32)
 }
 
-/// Records the difference of features into a layer's part and, where wanted, its gradient by the first, which is added to what is
-/// there or not.
+/// Adds a layer's distance and optionally its gradient.
 fn compare(
     rec: &mut Recorder,
     [a, b]: [FeatureMap; 2],
@@ -192,7 +186,6 @@ impl LpipsPictures {
 }
 
 impl Layer {
-    /// The layer's features, not yet rectified, of those of the layer before it.
     fn forward(&self, rec: &mut Recorder, before: FeatureMap, rectified: bool) -> FeatureMap {
         let convolution = &self.forward;
         let (source, inputs) = match &self.pool {
@@ -204,7 +197,6 @@ impl Layer {
         convolution.record(rec, "features", source, inputs, source.size().map(side))
     }
 
-    /// The gradient by the rectified features before the layer, from that by its own.
     fn backward(&self, rec: &mut Recorder, d: FeatureMap, after: FeatureMap, before: FeatureMap) -> FeatureMap {
         let convolution = self.backward.as_ref().expect("a network with gradients");
         let size = self.pool.as_ref().map_or(before.size(), |pool| pool.size(before));

@@ -1,30 +1,29 @@
-//! The networks: their convolutions, and after which of them features are compared.
+//! LPIPS networks.
 
 use super::features::Pool;
 
-/// The network that sees the pictures.
+/// Feature network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LpipsNetwork {
-    /// VGG16: the reference's, in training, alignment and metric.
+    /// VGG16: the reference's.
     Vgg,
-    /// AlexNet: the authors' choice for judging, ten times as fast.
+    /// AlexNet: for evaluation, and faster.
     Alex,
 }
 
-/// The shape of a convolution and what comes before and behind it.
 pub(super) struct Recipe {
     pub outputs: usize,
     pub side: usize,
     pub step: usize,
     pub padding: usize,
-    /// The pooling before it.
+    /// Pooling before the convolution.
     pub pool: Option<Pool>,
-    /// Features behind it are compared.
+    /// Whether features are compared.
     pub tap: bool,
 }
 
 impl LpipsNetwork {
-    /// The name in file names and options.
+    /// Name in files and options.
     pub fn name(self) -> &'static str {
         match self {
             Self::Vgg => "vgg",
@@ -32,7 +31,7 @@ impl LpipsNetwork {
         }
     }
 
-    /// The least side of a picture that leaves a pixel to every layer.
+    /// Smallest supported image side.
     pub fn least_side(self) -> u32 {
         match self {
             Self::Vgg => 16,

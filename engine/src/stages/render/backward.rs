@@ -1,7 +1,7 @@
-//! Pictures' gradients to those of Gaussians and cameras.
+//! Backward pass of rendering.
 //!
-//! Every intersection of a Gaussian with a tile has a slot, which the tile's workgroup writes once. Slots lie Gaussian by
-//! Gaussian, so that each Gaussian adds up its own in a fixed order: nothing is added atomically.
+//! Every Gaussian-tile intersection has a slot, written once. Gaussians sum their consecutive slots
+//! in order, without atomics.
 
 use super::{
     Depth, FrameShape, RenderOutputs, RenderRequest, SceneGradients, SceneTensors, draw, intersect::TileLists,
@@ -16,34 +16,33 @@ use crate::{
     ops::scan::exclusive_scan,
 };
 
-/// Where [`record_with_gradients`] adds gradients; what is `None` is not computed.
+/// Tensors to accumulate gradients in.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gradients {
     /// Gradients of the Gaussians.
     pub scene: Option<SceneGradients>,
-    /// Gradients of each camera, `[cameras, 10]` f32: w x, y, z, v x, y, z, where the camera-to-world pose moves as
-    /// pose o (exp(w^), v); fx, fy, cx, cy.
+    /// `[cameras, 10]` f32: w x, y, z, v x, y, z for the update pose o (exp(w^), v) of
+    /// camera-to-world; fx, fy, cx, cy.
     pub cameras: Option<Tensor>,
 }
 
-/// Numbers of a camera that have a gradient.
+/// Gradients per camera.
 pub const CAMERA_NUMBERS: usize = 10;
-/// Numbers of a pair of a Gaussian and a camera that have one.
+/// Gradients per Gaussian-camera pair.
 const PAIR_NUMBERS: usize = 10;
-/// Bindings are bounded, as in [`project`].
+/// Alignment of parts, as in [`project`].
 const PART: usize = 64;
-/// Rows after which a picture may be cut, as in [`rasterise`].
+/// Alignment of bands, as in [`rasterise`].
 const BAND: usize = 64;
-/// Operations of one Gaussian on one pixel.
+/// Operations per Gaussian and pixel.
 const FLOPS: u64 = 60;
 
-/// Records the drawing of `scene` as [`super::record`] does, then `loss`, which is given the frames `[cameras, height, width,
-/// channels]` and gives the gradient of each of their values, then what adds to `gradients`. They are not added to where there
-/// was too little room for all intersections.
+/// Records rendering, `loss` (frames `[cameras, height, width, channels]` to gradients) and the
+/// backward pass. Exceeded capacity accumulates nothing.
 ///
 /// # Panics
-/// Where `request` asks for what has no gradient: normals, token colours, pixels of another layout, and expected depth
-/// without alpha.
+/// If `request` has outputs without gradients: normals, token colors, a pixel layout, expected
+/// depth without alpha.
 #[expect(clippy::too_many_arguments)]
 pub fn record_with_gradients(
     rec: &mut Recorder,
@@ -74,7 +73,6 @@ pub fn record_with_gradients(
     RenderOutputs { frames, pixels: frames, status: lists.status }
 }
 
-/// The picture that was drawn, and how.
 struct Backward<'a> {
     scene: &'a SceneTensors,
     cameras: Tensor,
@@ -85,9 +83,9 @@ struct Backward<'a> {
     lists: &'a TileLists,
 }
 
-/// Gradients of every intersection.
+/// Gradients per intersection.
 struct Slots {
-    /// `[pairs + 1]` where each pair's start.
+    /// `[pairs + 1]`.
     starts: Tensor,
     /// `[capacity, 6]`.
     moments: Tensor,
@@ -123,7 +121,7 @@ impl Backward<'_> {
                 slots: starts,
                 xy_opacities: splats.xy_opacities,
                 conics: splats.conics,
-                // What is not asked for is not touched; something has to be bound.
+                // Placeholders, if unused.
                 colors: splats.colors.unwrap_or(splats.conics),
                 depths: splats.depths,
                 frames: band(frames),
@@ -147,7 +145,6 @@ impl Backward<'_> {
         Slots { starts, moments, d_values }
     }
 
-    /// Intersections to Gaussians and cameras.
     fn splats(&self, rec: &mut Recorder, slots: &Slots, gradients: &Gradients) {
         let &Backward { scene, cameras, shape, request, splats, lists, .. } = self;
         let lanes = rec.limits().subgroup_size as usize;
@@ -162,7 +159,7 @@ impl Backward<'_> {
             let len = part.min(scene.len - first);
             let of = |tensor: Tensor, words: usize| tensor.slice::<u32>(words * first, words * len);
             let pair = |tensor: Tensor, words: usize| of(tensor, words * shape.cameras);
-            // A kernel without the scene's gradients does not touch what is bound in their place.
+            // Placeholders, if unused.
             let d = gradients.scene.map(|d| [(d.means, 3), (d.scales, 3), (d.quats, 4), (d.opacities, 1)]);
             let [d_means, d_scales, d_quats, d_opacities] =
                 d.map_or([d_pairs; 4], |d| d.map(|(tensor, words)| of(tensor, words)));

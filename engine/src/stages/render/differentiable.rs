@@ -1,4 +1,4 @@
-//! Gradients of pictures for somebody else's optimiser: weights of pixels in, gradients of Gaussians and cameras out.
+//! Image gradients for external optimizers.
 
 use super::{
     CAMERA_NUMBERS, CameraRows, Depth, Frame, FrameShape, Gradients, RenderOutputs, RenderRequest, SceneGradients,
@@ -13,45 +13,42 @@ use crate::{
 };
 use std::sync::Arc;
 
-/// Bytes of an intersection's largest tensor: its six moments.
+/// Six moments, an intersection's largest tensor.
 const INTERSECTION_BYTES: u64 = 24;
-/// Plans that are kept: sizes and requests that alternate.
+/// Maximum cached plans.
 const PLANS: usize = 4;
 
-/// The gradients of one number by a scene's values and by cameras, on the host.
+/// Gradients on the host.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct HostGradients {
-    /// By the Gaussians, each value's in its place; rotations as they are stored, of any length. Empty where not asked for.
+    /// Of stored values, including unnormalized rotations; empty if not requested.
     pub scene: Scene,
-    /// By each camera, as [`Gradients::cameras`] has them. Empty where not asked for.
+    /// As in [`Gradients::cameras`]; empty if not requested.
     pub cameras: Vec<[f32; CAMERA_NUMBERS]>,
 }
 
-/// The gradients that are wanted.
+/// Requested gradients.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Wanted {
-    /// The gradients by the Gaussians.
+    /// With respect to Gaussians.
     pub scene: bool,
-    /// The gradients by the cameras.
+    /// With respect to cameras.
     pub cameras: bool,
 }
 
-/// Differentiates pictures of scenes on one device. A plan is recorded once for a size, request and number of Gaussians, then
-/// replayed for one camera after the other: sums over cameras are in their order.
+/// Differentiates images on one device, replaying cached plans. Sums over cameras are in order.
 pub struct Differentiator {
     arena: Arena,
     memory: Option<Memory>,
-    /// Last used last.
+    /// Least recently used first.
     plans: Vec<Planned>,
-    /// Room for intersections in new plans; grows with what was drawn.
+    /// Intersections of new plans; grows on demand.
     capacity: usize,
 }
 
-/// A scene on the device with its gradients.
 struct Memory {
     resident: Arc<Resident>,
     scene: SceneTensors,
-    /// The gradient of each value in its place.
     gradients: SceneTensors,
 }
 
@@ -66,20 +63,19 @@ struct Planned {
 }
 
 impl Differentiator {
-    /// A differentiator with an arena of its own.
+    /// Creates its own arena.
     pub fn new(device: &Device) -> Self {
         Self { arena: Arena::new(device), memory: None, plans: Vec::new(), capacity: 0 }
     }
 
-    /// The gradients of the sum over `cameras` of pixels times `weights`, which have what `request` asks for of each camera's
-    /// picture: colour, alpha, depth, each `None` where all its weights are 0.
+    /// Returns gradients of the sum of pixels times `weights`. `None` weights are zero.
     ///
     /// # Errors
-    /// [`Error::Argument`] where the scene, a camera or the request cannot be drawn, weights are not as many as pixels, or a rotation
-    /// is too short or too long to compute with; [`Error::Memory`] where one picture needs more than the device has.
+    /// [`Error::Argument`] for invalid input or rotations out of range; [`Error::Memory`] if one
+    /// image does not fit.
     ///
     /// # Panics
-    /// Where `request` asks for what has no gradient.
+    /// If `request` has outputs without gradients.
     pub fn differentiate(
         &mut self,
         scene: &Scene,
@@ -119,7 +115,6 @@ impl Differentiator {
         Ok(found)
     }
 
-    /// Brings a scene to the device, its gradients 0.
     fn load(&mut self, scene: &Scene) -> Result<()> {
         let size = (scene.len(), scene.sh_degree);
         let memory = match self.memory.take().filter(|memory| (memory.scene.len, memory.scene.sh_degree) == size) {
@@ -135,7 +130,7 @@ impl Differentiator {
         Ok(())
     }
 
-    /// Adds one camera's gradients to those on the device, and gives its own where they are wanted.
+    /// Accumulates one camera's gradients.
     fn add(
         &mut self,
         camera: &Camera,
@@ -160,7 +155,7 @@ impl Differentiator {
                 self.plans.push(planned);
                 return Ok(found.and_then(|cameras: Vec<_>| cameras.first().copied()));
             }
-            // Nothing was added where there was too little room.
+            // Nothing was accumulated.
             let available = self.limits().max_binding_bytes;
             if needed as u64 * INTERSECTION_BYTES > available {
                 let what = "a list of the intersections of Gaussians with tiles".into();
@@ -223,7 +218,7 @@ impl Memory {
     }
 }
 
-/// The weights of a picture as its frame has its values, 0 where there are none.
+/// Missing outputs are 0.
 fn interleaved(camera: &Camera, weights: &Frame, request: &RenderRequest) -> Result<Vec<f32>> {
     let pixels = camera.intrinsics.width as usize * camera.intrinsics.height as usize;
     let asked = [
@@ -248,7 +243,7 @@ fn interleaved(camera: &Camera, weights: &Frame, request: &RenderRequest) -> Res
 }
 
 impl RenderRequest {
-    /// The pictures that have to be drawn for the gradient of this: alpha, too, where expected depth is divided by it.
+    /// Adds alpha if expected depth needs it.
     pub fn differentiable(self) -> Self {
         Self { alpha: self.alpha || self.depth == Some(Depth::Expected), ..self }
     }

@@ -1,21 +1,20 @@
-//! Many pictures one after another: the device draws the next ones while the host uses those that are done.
+//! Pipelined rendering: the device draws ahead of the host.
 
 use super::{CameraRows, Frame, FrameShape, RenderRequest, Renderer, camera_rows, range::check};
 use crate::{Error, Result, gpu::Arena, types::Camera};
 use std::{collections::VecDeque, ops::Range};
 
-/// Pixels that are drawn together, at most.
+/// Maximum pixels per submission.
 const PIXELS_TOGETHER: usize = 1 << 20;
-/// Pairs of a Gaussian and a camera that are drawn together, at most.
+/// Maximum Gaussian-camera pairs per submission.
 const PAIRS_TOGETHER: usize = 1 << 21;
 
-/// Pictures of one submission where `most` are allowed.
 pub(super) fn pictures_together(most: usize, gaussians: usize, [width, height]: [u32; 2]) -> usize {
     let pixels = width as usize * height as usize;
     most.min(PIXELS_TOGETHER / pixels).min(PAIRS_TOGETHER / gaussians.max(1)).max(1)
 }
 
-/// Pictures that are being drawn.
+/// An in-flight submission.
 struct Flight {
     cameras: Range<usize>,
     shape: FrameShape,
@@ -23,11 +22,11 @@ struct Flight {
 }
 
 impl Renderer {
-    /// Draws the scene that was loaded last with each camera and hands every picture to `done` with its camera's index,
-    /// in their order. Meanwhile the device draws the next ones, several in a submission where they are small.
+    /// Renders each camera, passing images to `done` in order. The device draws ahead, batching
+    /// small images.
     ///
     /// # Errors
-    /// As [`Renderer::render_loaded`], and the first error of `done`, which ends the drawing.
+    /// As [`Renderer::render_loaded`], and the first error of `done`.
     pub fn render_each(
         &mut self,
         cameras: &[Camera],
@@ -38,11 +37,11 @@ impl Renderer {
         let _claim = self.claim();
         let rows: Vec<CameraRows> = cameras.iter().map(camera_rows).collect();
         let result = self.fly(&self.groups(cameras), &rows, request, &mut done);
-        // Nothing stays under way, also where `done` stopped.
+        // Even after an error.
         self.settle().and(result)
     }
 
-    /// Cameras that follow each other and have one size, in groups for a submission each.
+    /// Consecutive cameras of one size.
     fn groups(&self, cameras: &[Camera]) -> Vec<(Range<usize>, FrameShape)> {
         let mut groups: Vec<(Range<usize>, FrameShape)> = Vec::new();
         for (i, camera) in cameras.iter().enumerate() {
@@ -74,7 +73,7 @@ impl Renderer {
             let flight = Flight { cameras: cameras.clone(), shape: *shape, turn: turn % Arena::LANES };
             match self.start(&flight, rows, request) {
                 Ok(()) => flights.push_back(flight),
-                // Too little memory for all at once: one after the other, and as few together as it takes.
+                // Continue unpipelined, in smaller batches.
                 Err(Error::Memory { .. }) => {
                     while !flights.is_empty() {
                         self.land(&mut flights, rows, request, done)?;
@@ -98,7 +97,7 @@ impl Renderer {
         plan.run.start()
     }
 
-    /// Waits for the oldest flight and hands its pictures on; draws them again where there was too little room.
+    /// Delivers the oldest images, redrawn if over capacity.
     fn land(
         &mut self,
         flights: &mut VecDeque<Flight>,

@@ -1,36 +1,34 @@
-//! The requests and results of a caller.
+//! Render requests and results.
 
 use super::PixelLayout;
 use crate::types::{LeftOut, NEAR, Scene};
 use std::num::NonZeroU32;
 
-/// A request: what to draw and how. Nothing else is computed or stored.
+/// Requested outputs and options.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RenderRequest {
-    /// Colour, in front of `background`.
+    /// Color over `background`.
     pub rgb: bool,
-    /// Alpha: 1 minus the transmittance that is left.
+    /// 1 minus the remaining transmittance.
     pub alpha: bool,
-    /// Depth along the camera's z axis.
+    /// Depth along the camera axis.
     pub depth: Option<Depth>,
-    /// Normals: the shortest axis of each Gaussian, turned towards the camera, blended as colour is.
+    /// Blended shortest axes, facing the camera.
     pub normals: bool,
-    /// Colours that tell tokens apart, blended as colour is. A token has so many Gaussians, one after the other.
+    /// Token colors: Gaussians per token.
     pub token_group: Option<NonZeroU32>,
-    /// Colour behind the scene; black costs nothing.
+    /// Background; black costs nothing.
     pub background: [f32; 3],
-    /// Whether Gaussians thinner than a pixel are made fainter by as much as the blur widens them (Mip-Splatting, Yu et
-    /// al. 2024).
+    /// Opacity compensation for screen-space blur (Mip-Splatting, Yu et al. 2024).
     pub antialiased: bool,
-    /// Distance from the camera below which nothing is drawn, above 0. `None`: that of the scene, [`Scene::near`].
+    /// Near plane in world units, positive; `None` uses [`Scene::near`].
     pub near: Option<f32>,
-    /// Pixels of this layout stay on the device, made of colour and alpha, and nothing is read: for
-    /// [`super::Renderer::render_to`].
+    /// Device layout, for [`super::Renderer::render_to`].
     pub layout: Option<PixelLayout>,
 }
 
 impl Default for RenderRequest {
-    /// Colour on black, without antialiasing.
+    /// Color on black.
     fn default() -> Self {
         Self {
             rgb: true,
@@ -47,25 +45,24 @@ impl Default for RenderRequest {
 }
 
 impl RenderRequest {
-    /// Floats a pixel.
+    /// Floats per pixel.
     pub fn channels(&self) -> usize {
         let triples = [self.rgb, self.normals, self.token_group.is_some()];
         let singles = [self.alpha, self.depth.is_some()];
         3 * triples.into_iter().filter(|on| *on).count() + singles.into_iter().filter(|on| *on).count()
     }
 
-    /// The distance below which nothing is drawn, once it is known.
+    /// Returns the near plane, [`NEAR`] until a scene sets it.
     pub(super) fn near_plane(&self) -> f32 {
         self.near.unwrap_or(NEAR)
     }
 
-    /// The request with the near plane of a scene, unless it has one.
+    /// Sets an unset near plane.
     pub(super) fn with_near(self, near: f32) -> Self {
         Self { near: self.near.or(Some(near)), ..self }
     }
 
-    /// Effects that pictures of a scene do without; `stored_degree` of its spherical harmonics are in the scene,
-    /// `used_degree` are not all zero.
+    /// Skipped effects; SH bands above `used_degree` are zero.
     pub(super) fn left_out(&self, stored_degree: u32, used_degree: u32) -> Vec<LeftOut> {
         let asked = [
             ("color", self.rgb),
@@ -88,37 +85,36 @@ impl RenderRequest {
     }
 }
 
-/// Kinds of depth, in world units.
+/// Kind of depth.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Depth {
-    /// The sum of depth times blending weight: 0 where nothing is.
+    /// Depth times blending weight.
     Accumulated,
-    /// The accumulated sum over alpha: the mean depth of what is seen.
+    /// Accumulated depth over alpha.
     Expected,
 }
 
-/// A picture, row-major. What was not asked for is `None`.
+/// A row-major image with the requested outputs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Frame {
-    /// Pixels a row.
+    /// Width in pixels.
     pub width: u32,
-    /// Rows.
+    /// Height in pixels.
     pub height: u32,
-    /// `[height, width, 3]` linear red, green, blue as the scene has them: not clamped above.
+    /// `[height, width, 3]` linear RGB, unbounded above.
     pub rgb: Option<Vec<f32>>,
     /// `[height, width]` in 0..1.
     pub alpha: Option<Vec<f32>>,
     /// `[height, width]` in world units.
     pub depth: Option<Vec<f32>>,
-    /// `[height, width, 3]` x, y, z in the world's frame, of length 1; 0 where nothing is.
+    /// `[height, width, 3]` world unit vectors, 0 if empty.
     pub normals: Option<Vec<f32>>,
-    /// `[height, width, 3]` red, green, blue in 0..1: tokens in colours of their own, on black.
+    /// `[height, width, 3]` RGB in 0..1.
     pub token_colors: Option<Vec<f32>>,
 }
 
 impl Frame {
-    /// Takes a device frame `[height, width, channels]` apart. A single output is the frame itself, which is not copied: the pages
-    /// of a second large picture cost more than drawing it.
+    /// Splits a frame; single outputs are moved, since copies are expensive.
     pub(super) fn from_channels(width: u32, height: u32, mut values: Vec<f32>, request: &RenderRequest) -> Self {
         let channels = request.channels();
         let mut first = 0;

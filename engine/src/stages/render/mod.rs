@@ -1,7 +1,6 @@
-//! Gaussians to pictures: projection, sort by depth, intersections with tiles, sort by tile, blending front to back.
+//! Gaussian rendering.
 //!
-//! Gaussians are sorted by depth first, so that the intersections, several times as many, are only sorted by tile.
-//! Rules and constants are gsplat 1.5.3's: the picture is what blending every Gaussian into every pixel would give.
+//! Rules and constants follow gsplat 1.5.3: results equal blending every Gaussian into every pixel.
 
 mod backward;
 mod differentiable;
@@ -35,29 +34,26 @@ pub use range::MAX_SIDE;
 pub use renderer::Renderer;
 pub use scene::{DeviceScene, SceneMemory, WeakScene};
 
-/// The tensors that [`record`] leaves on the device.
+/// Outputs of [`record`].
 #[derive(Clone, Copy, Debug)]
 pub struct RenderOutputs {
-    /// `[cameras, height, width, channels]` f32: of red, green, blue (not clamped); alpha; depth; normal x, y, z; token
-    /// red, green, blue those asked for. For the host, where no [`RenderRequest::layout`] was given.
+    /// `[cameras, height, width, channels]` f32, the requested of RGB, alpha, depth, normals, token
+    /// colors.
     pub frames: Tensor,
-    /// The frames in that layout, for other programs on the device.
+    /// Frames in [`RenderRequest::layout`].
     pub pixels: Tensor,
-    /// `[3]` u32: intersections that were drawn, intersections that there are modulo 2^32, and whether that number
-    /// wrapped. The frames hold only where the first two are equal and the third is 0; see [`RenderOutputs::needed`].
+    /// `[3]` u32: intersections drawn, needed modulo 2^32, wrapped. See [`RenderOutputs::needed`].
     pub status: Tensor,
 }
 
 impl RenderOutputs {
-    /// How many intersections there are, from the status that was read: draw again with at least that capacity where
-    /// it is larger than the one recorded. `None` where they are too many to count.
+    /// Returns the required capacity, `None` past 2^32. Redraw if it exceeds the recorded one.
     pub fn needed(status: &[u32]) -> Option<usize> {
         (status[2] == 0).then_some(status[1] as usize)
     }
 }
 
-/// Records the drawing of `scene` by `cameras` (`[shape.cameras]` of [`camera_rows`]), with room for `capacity`
-/// intersections of Gaussians with tiles.
+/// Renders `scene` by `cameras` of [`camera_rows`] with `capacity` intersections.
 pub fn record(
     rec: &mut Recorder,
     scene: &SceneTensors,
@@ -70,7 +66,6 @@ pub fn record(
         let (_, lists, frames) = draw(rec, scene, cameras, shape, request, capacity);
         let pixels = pack::record(rec, frames, request.layout.unwrap_or(PixelLayout::RgbaF32));
         match request.layout {
-            // Then only the app reads them, on the device.
             Some(_) => rec.keep(pixels),
             None => rec.output(frames),
         }
@@ -79,7 +74,6 @@ pub fn record(
     })
 }
 
-/// Gaussians to frames, with what the way back needs.
 fn draw(
     rec: &mut Recorder,
     scene: &SceneTensors,
@@ -95,12 +89,11 @@ fn draw(
 }
 
 impl FrameShape {
-    /// Tiles along x and y.
     fn grid(&self) -> [u32; 2] {
         [self.width.div_ceil(TILE), self.height.div_ceil(TILE)]
     }
 
-    /// Tiles of all pictures.
+    /// Tiles of all images.
     fn tiles(&self) -> usize {
         let [x, y] = self.grid();
         self.cameras * x as usize * y as usize

@@ -1,32 +1,31 @@
-//! Pictures as other programs on the device take them.
+//! Pixel layouts for other programs.
 
 use crate::{
     gpu::{Recorder, Tensor},
     kernels::render::Pack,
 };
 
-/// How a pixel lies in memory. Colour and alpha are what [`super::Frame`] has.
+/// Pixel layout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PixelLayout {
-    /// Red, green, blue and alpha as f32, not clamped: `VK_FORMAT_R32G32B32A32_SFLOAT`.
+    /// f32 RGBA, unclamped: `VK_FORMAT_R32G32B32A32_SFLOAT`.
     RgbaF32,
-    /// 8 bits each, colour as [`crate::types::Image::from_rgb_f32`] makes it, alpha rounded: `VK_FORMAT_R8G8B8A8_UNORM`.
+    /// 8-bit RGBA, as [`crate::types::Image::from_rgb_f32`]: `VK_FORMAT_R8G8B8A8_UNORM`.
     Rgba8,
-    /// The same with blue first: `VK_FORMAT_B8G8R8A8_UNORM`.
+    /// 8-bit BGRA: `VK_FORMAT_B8G8R8A8_UNORM`.
     Bgra8,
 }
 
 impl PixelLayout {
-    /// Bytes of a pixel.
+    /// Bytes per pixel.
     pub fn bytes(self) -> usize {
         if self == Self::RgbaF32 { 16 } else { 4 }
     }
 }
 
-/// Pixels of one dispatch: bindings are bounded, and parts start at multiples of 256 bytes.
+/// Alignment of parts.
 const PART: usize = 64;
 
-/// Records the conversion of `frames`, `[pixels, 4]` f32, to `layout`.
 pub(super) fn record(rec: &mut Recorder, frames: Tensor, layout: PixelLayout) -> Tensor {
     if layout == PixelLayout::RgbaF32 {
         return frames;

@@ -1,4 +1,4 @@
-//! Plans that draw a scene: recorded once for a shape, then replayed.
+//! Cached rendering plans.
 
 use super::{
     CameraRows, DeviceScene, Frame, FrameShape, RenderOutputs, RenderRequest, SceneTensors, flights::pictures_together,
@@ -9,21 +9,19 @@ use crate::{
     gpu::{Arena, Limits, Plan, Recorder, Run, Tensor},
 };
 
-/// Pictures of one submission on a GPU, which small ones do not fill. A CPU is full with one, whose lists its caches hold.
+/// Batch that fills a GPU; CPUs cache best with one.
 const GPU_TOGETHER: usize = 8;
 
-/// The purpose of a plan.
 #[derive(Clone, Copy, PartialEq)]
 pub(super) struct Key {
     pub shape: FrameShape,
     pub request: RenderRequest,
-    /// The lane of the arena; pictures in flight take turns.
+    /// Arena lane.
     pub turn: usize,
 }
 
 pub(super) struct Planned {
     pub key: Key,
-    /// The tensors that it draws.
     pub scene: SceneTensors,
     pub capacity: usize,
     pub run: Run,
@@ -31,10 +29,11 @@ pub(super) struct Planned {
     pub outputs: RenderOutputs,
 }
 
-/// Plans what [`Renderer::render_each`](super::Renderer::render_each) begins with for many pictures of `[width, height]` pixels of a scene; needs no device.
+/// Plans the first batch of [`Renderer::render_each`](super::Renderer::render_each), without a
+/// device.
 ///
 /// # Errors
-/// [`Error::Memory`](crate::Error::Memory) where a device of these limits cannot hold or bind a tensor.
+/// [`Error::Memory`](crate::Error::Memory).
 pub fn plan_pictures(
     limits: &Limits,
     scene: &SceneTensors,
@@ -50,17 +49,16 @@ pub fn plan_pictures(
     rec.finish()
 }
 
-/// Most pictures of one submission.
+/// Default images per submission.
 pub(super) fn together(limits: &Limits) -> usize {
     if limits.cpu { 1 } else { GPU_TOGETHER }
 }
 
-/// Intersections that a picture has room for before any was drawn: a few tiles a Gaussian.
+/// Initial capacity, a few tiles per Gaussian.
 pub fn first_capacity(gaussians: usize) -> usize {
     (4 * gaussians).max(1 << 16)
 }
 
-/// Intersections of a plan of several pictures.
 pub(super) fn planned_capacity(limits: &Limits, each: usize, shape: FrameShape) -> usize {
     each.saturating_mul(shape.cameras).min(limits.max_binding_bytes as usize / 4)
 }
@@ -74,13 +72,13 @@ impl Planned {
         Ok(Self { key, scene: *scene.tensors(), capacity, run, cameras, outputs })
     }
 
-    /// Intersections that the last run found; more than can be counted as 2^32.
+    /// Required capacity, at most 2^32.
     pub fn needed(&self) -> Result<usize> {
         let status: Vec<u32> = self.run.read(self.outputs.status)?;
         Ok(RenderOutputs::needed(&status).unwrap_or(1 << 32))
     }
 
-    /// The pictures of the last run, unless they needed more room.
+    /// `None` if over capacity.
     pub fn frames(&self) -> Result<Option<Vec<Frame>>> {
         if self.needed()? > self.capacity { Ok(None) } else { self.read().map(Some) }
     }

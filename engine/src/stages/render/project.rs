@@ -1,4 +1,4 @@
-//! Gaussians to ellipses.
+//! Projection of Gaussians to splats.
 
 use super::{FrameShape, RenderRequest, SceneTensors};
 use crate::{
@@ -8,12 +8,11 @@ use crate::{
 };
 use glam::DVec4;
 
-/// A camera as kernels read it, 16 numbers: three rows of the world-to-camera rotation, each with a coordinate of the camera's
-/// centre behind it, and `(fx, fy, cx, cy)` in pixels. They come as f32, then again as what rounding took from each, so that
-/// a camera far from the world's origin loses nothing.
+/// A camera for kernels: rows of the world-to-camera rotation with the center, then `(fx, fy, cx,
+/// cy)` in pixels. Rounding residuals follow, for precision far from the origin.
 pub type CameraRows = [[f32; 4]; 8];
 
-/// Converts a camera. Each number keeps 48 bits.
+/// Converts a camera to 48-bit precision.
 pub fn camera_rows(camera: &Camera) -> CameraRows {
     let (i, Pose { rotation, translation }) = (&camera.intrinsics, &camera.pose);
     let row = |r: usize| rotation.col(r).extend(translation[r]);
@@ -22,22 +21,21 @@ pub fn camera_rows(camera: &Camera) -> CameraRows {
     std::array::from_fn(|r| if r < 4 { rows[r].as_vec4() } else { rest[r - 4].as_vec4() }.to_array())
 }
 
-/// Every pair of a Gaussian and a camera, Gaussian-major.
+/// Projected Gaussian-camera pairs, Gaussian-major.
 pub(super) struct Splats {
     pub pairs: usize,
     pub xy_opacities: Tensor,
     pub conics: Tensor,
-    /// `[pairs, 3]` where asked for.
+    /// `[pairs, 3]`.
     pub colors: Option<Tensor>,
-    /// `[pairs, 3]` where asked for.
+    /// `[pairs, 3]`.
     pub normals: Option<Tensor>,
     pub depths: Tensor,
     pub tile_sets: Tensor,
     pub indices: Tensor,
 }
 
-/// Bindings are bounded, so a large scene is projected in several dispatches over parts of it. Parts start at multiples
-/// of so many Gaussians that every tensor's part starts at a multiple of 256 bytes.
+/// Aligns parts in every tensor to 256 bytes.
 const PART: usize = 64;
 
 pub(super) fn record(
@@ -76,7 +74,7 @@ pub(super) fn record(
             cameras,
             xy_opacities: pair(splats.xy_opacities, 3),
             conics: pair(splats.conics, 3),
-            // A kernel without colours does not touch what is bound in their place.
+            // A placeholder without colors.
             colors: pair(splats.colors.unwrap_or(splats.xy_opacities), 3),
             depths: pair(splats.depths, 1),
             tile_sets: pair(splats.tile_sets, 3),

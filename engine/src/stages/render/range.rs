@@ -1,19 +1,17 @@
-//! The range of numbers that kernels compute with, and with it what can be drawn.
+//! Numeric range of the kernels.
 
 use super::RenderRequest;
 use crate::{Error, Result, types::Camera};
 use std::borrow::Cow;
 
-/// Longest side of a picture: its pixels count in 32 bits, and the kernels' margins for rounding hold.
+/// Longest image side: 32-bit pixel indices, rounding margins.
 pub const MAX_SIDE: u32 = 1 << 15;
-/// Largest coordinate of a camera's centre, and the least and largest numbers of its lens, in pixels: kernels compute in f32.
+/// Largest coordinate and range of intrinsics, for f32.
 const FARTHEST: f64 = 1e30;
 const LENS: [f64; 2] = [1e-3, 1e10];
-/// The longest component of a rotation lies between these when kernels get it: a device may take a subnormal number for 0,
-/// and may divide by a very large one wrongly.
+/// Range of rotations: devices may flush subnormals and divide inexactly.
 const TURN: [f32; 2] = [1.0 / (1u128 << 100) as f32, (1u128 << 100) as f32];
 
-/// Holds that these pictures can be drawn.
 pub(super) fn check(cameras: &[Camera], request: &RenderRequest) -> Result<()> {
     if request.channels() == 0 {
         let expected = "one of rgb, alpha, depth, normals and token colours";
@@ -33,7 +31,7 @@ pub(super) fn check(cameras: &[Camera], request: &RenderRequest) -> Result<()> {
     Ok(())
 }
 
-/// Holds that f32 can compute with a camera; gives the field that it cannot compute with, its value and what it can.
+/// Returns the field, value and expected range on failure.
 fn check_range(camera: &Camera) -> Result<(), (&'static str, f64, String)> {
     let (i, centre) = (&camera.intrinsics, camera.pose.translation);
     for (field, focal) in [("fx", i.fx), ("fy", i.fy)] {
@@ -55,7 +53,7 @@ fn check_range(camera: &Camera) -> Result<(), (&'static str, f64, String)> {
     Ok(())
 }
 
-/// Rotations whose length is within what kernels compute with: the others times a power of two, which turns nothing.
+/// Scales rotations by powers of two into range.
 pub(super) fn drawable(quats: &[[f32; 4]]) -> Cow<'_, [[f32; 4]]> {
     let factor = |quat: &[f32; 4]| match quat.iter().fold(0.0f32, |most, q| most.max(q.abs())) {
         largest if largest < TURN[0] => TURN[1],

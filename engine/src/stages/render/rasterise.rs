@@ -1,4 +1,4 @@
-//! Lists of Gaussians to pictures.
+//! Tile lists to images.
 
 use super::{Depth, FrameShape, RenderRequest, intersect::TileLists, project::Splats};
 use crate::{
@@ -6,12 +6,11 @@ use crate::{
     kernels::{limits::TILE, render::Rasterise},
 };
 
-/// Rows after which a picture may be cut: then every part starts at a multiple of 256 bytes.
+/// Rows between cuts, which align parts to 256 bytes.
 const BAND: usize = 64;
-/// Pixels of a workgroup on a GPU: few, because a small picture has few tiles to fill it with. A CPU's workgroup takes
-/// the whole tile and reads each Gaussian once.
+/// Small images have few tiles; CPU workgroups take whole tiles.
 const GPU_PIXELS: u32 = 64;
-/// Operations of one Gaussian on one pixel.
+/// Operations per Gaussian and pixel.
 const BLEND_FLOPS: u64 = 24;
 
 pub(super) fn record(
@@ -24,7 +23,7 @@ pub(super) fn record(
     let height = shape.height as usize;
     let row = shape.width as usize * request.channels();
     let frames = rec.tensor::<f32>("frames", shape.cameras * height * row);
-    // A frame larger than a binding is drawn in bands; several frames that are together are for the caller to split.
+    // Callers split batches at the binding limit.
     let rows_at_once = (rec.limits().max_binding_bytes as usize / (4 * row) / BAND * BAND).max(BAND);
     let bands = if shape.cameras == 1 { rows_at_once.min(height) } else { height };
     let lanes = rec.limits().subgroup_size;
@@ -38,7 +37,7 @@ pub(super) fn record(
             tile_offsets: lists.tile_offsets,
             xy_opacities: splats.xy_opacities,
             conics: splats.conics,
-            // What is not asked for is not touched; something has to be bound.
+            // Placeholders, if unused.
             colors: splats.colors.unwrap_or(splats.conics),
             depths: request.depth.map_or(splats.conics, |_| splats.depths),
             normals: splats.normals.unwrap_or(splats.conics),

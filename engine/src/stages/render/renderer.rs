@@ -1,4 +1,4 @@
-//! Draws a scene again and again: keeps it on the device, and keeps plans.
+//! Repeated rendering of a device scene.
 
 use super::{
     CameraRows, DeviceScene, Frame, FrameShape, PixelLayout, RenderRequest, SceneMemory, SceneTensors, camera_rows,
@@ -12,41 +12,38 @@ use crate::{
     types::{Camera, LeftOut, Scene},
 };
 
-/// Plans that are kept: sizes and requests that alternate.
+/// Maximum cached plans.
 const PLANS: usize = 4;
-/// Draws scenes on one device. A plan is recorded once for a size, number of cameras and request, then replayed; all of them
-/// share an arena.
+/// Renders scenes on one device, replaying cached plans in a shared arena.
 pub struct Renderer {
     arena: Arena,
     scene: Option<DeviceScene>,
-    /// Where [`Renderer::load`] brings scenes to.
+    /// Memory of [`Renderer::load`].
     uploaded: Option<SceneMemory>,
-    /// Last used last.
+    /// Least recently used first.
     plans: Vec<Planned>,
-    /// Room for intersections of a camera in new plans; grows with what was drawn.
+    /// Intersections per camera of new plans; grows on demand.
     capacity: usize,
-    /// Intersections in what was drawn last.
+    /// Of the last rendering.
     intersections: usize,
-    /// More at once did not fit.
+    /// Largest batch known to fit.
     cameras_at_once: usize,
-    /// Most pictures of one submission of [`Renderer::render_each`].
+    /// Maximum batch of [`Renderer::render_each`].
     pub(super) together: usize,
 }
 
 impl Renderer {
-    /// A renderer without a scene.
+    /// Creates an empty renderer.
     pub fn new(device: &Device) -> Self {
         Self::with_capacity(device, 0)
     }
 
-    /// As [`Renderer::new`], with room for so many intersections of Gaussians with tiles in a picture before it
-    /// has to grow; 0 leaves that to the scene's size.
+    /// Sets the initial intersections per image; 0 derives them.
     pub fn with_capacity(device: &Device, capacity: usize) -> Self {
         Self { capacity, ..Self::in_arena(&Arena::new(device)) }
     }
 
-    /// A renderer without a scene in an arena that others use, too. Where somebody else is using it when a picture is asked for,
-    /// the renderer moves to one of its own.
+    /// Creates a renderer in a shared arena; it moves to its own if that is busy.
     pub fn in_arena(arena: &Arena) -> Self {
         Self {
             arena: arena.clone(),
@@ -60,28 +57,27 @@ impl Renderer {
         }
     }
 
-    /// The device that it draws on.
+    /// Device.
     pub fn device(&self) -> &Device {
         self.arena.device()
     }
 
-    /// Lets [`Renderer::render_each`] draw up to `most` pictures in a submission, where they are small.
+    /// Sets the largest batch of [`Renderer::render_each`].
     pub fn together(mut self, most: usize) -> Self {
         self.together = most.max(1);
         self
     }
 
-    /// Draws `scene` with each camera, in their order.
+    /// Renders `scene` with each camera.
     ///
     /// # Errors
-    /// [`Error::Argument`] where the scene, a camera or the request cannot be drawn; [`Error::Memory`] where one
-    /// picture needs more than the device has.
+    /// [`Error::Argument`] for invalid input; [`Error::Memory`] if one image does not fit.
     pub fn render(&mut self, scene: &Scene, cameras: &[Camera], request: &RenderRequest) -> Result<Vec<Frame>> {
         self.load(scene)?;
         self.render_loaded(cameras, request)
     }
 
-    /// Brings a scene to the device for [`Renderer::render_loaded`].
+    /// Uploads a scene for [`Renderer::render_loaded`].
     ///
     /// # Errors
     /// As [`Renderer::render`].
@@ -95,7 +91,7 @@ impl Renderer {
         let memory = match self.uploaded.take().filter(fits) {
             Some(memory) => memory,
             None => {
-                // Before another is allocated: they hold the scene that was.
+                // Plans keep the previous scene alive.
                 self.forget_plans();
                 self.allocate(scene.len(), degree)?
             }
@@ -104,11 +100,10 @@ impl Renderer {
         self.show(&scene)
     }
 
-    /// Draws a scene that is on the device already in [`Renderer::render_loaded`]: one of a reconstruction in the arena that it was
-    /// made in.
+    /// Selects a device scene and its arena.
     ///
     /// # Errors
-    /// [`Error::Argument`] where it is on another device; [`Error::DeviceLost`].
+    /// [`Error::Argument`] for another device's scene; [`Error::DeviceLost`].
     pub fn show(&mut self, scene: &DeviceScene) -> Result<()> {
         self.device().check_lost()?;
         if !scene.resident().is_on(self.arena.device()) {
@@ -128,15 +123,15 @@ impl Renderer {
         Ok(())
     }
 
-    /// The scene that was loaded last, for those who record plans of their own.
+    /// The loaded scene.
     pub fn scene(&self) -> Option<&DeviceScene> {
         self.scene.as_ref()
     }
 
-    /// Draws the scene that was loaded last.
+    /// Renders the loaded scene.
     ///
     /// # Errors
-    /// As [`Renderer::render`], and [`Error::Argument`] where no scene was loaded.
+    /// As [`Renderer::render`], and [`Error::Argument`] without a scene.
     pub fn render_loaded(&mut self, cameras: &[Camera], request: &RenderRequest) -> Result<Vec<Frame>> {
         check(cameras, request)?;
         let _claim = self.claim();
@@ -156,23 +151,22 @@ impl Renderer {
         Ok(frames.into_iter().flatten().collect())
     }
 
-    /// Intersections of Gaussians with tiles in what was drawn last.
+    /// Intersections of the last rendering.
     pub fn intersections(&self) -> usize {
         self.intersections
     }
 
-    /// Effects that pictures of the scene that was loaded last do without, and why.
+    /// Skipped effects, with reasons.
     pub fn left_out(&self, request: &RenderRequest) -> Vec<LeftOut> {
         let degrees = self.scene.as_ref().map_or((0, 0), |scene| (scene.stored_degree(), scene.tensors().sh_degree));
         request.left_out(degrees.0, degrees.1)
     }
 
-    /// Draws the scene that was loaded last with one camera into an app's image or buffer, without the host: when this
-    /// returns the picture is drawn, and its copy to `target` was submitted. The next drawing of the same size waits for
-    /// that copy. Of `request`, background and antialiasing count; drawn are colour and alpha.
+    /// Renders into an application's image or buffer on the device. On return the copy is
+    /// submitted; the next rendering of this size waits for it.
     ///
     /// # Errors
-    /// As [`Renderer::render_loaded`], and those of [`Run::present`](crate::gpu::Run::present).
+    /// As [`Renderer::render_loaded`] and [`Run::present`](crate::gpu::Run::present).
     pub fn render_to(
         &mut self,
         camera: &Camera,
@@ -196,14 +190,13 @@ impl Renderer {
         plan.run.present(plan.outputs.pixels, target)
     }
 
-    /// Device time of drawing the scene that was loaded last with one camera, by kernel.
+    /// Profiles one camera by kernel.
     ///
     /// # Errors
     /// As [`Renderer::render_loaded`].
     pub fn profile(&mut self, camera: &Camera, request: &RenderRequest) -> Result<Profile> {
         check(std::slice::from_ref(camera), request)?;
         let _claim = self.claim();
-        // Afterwards there is a plan with room for every intersection.
         let size = (camera.intrinsics.width, camera.intrinsics.height);
         self.render_alike(&[camera_rows(camera)], size, request)?;
         let shape = FrameShape { cameras: 1, width: camera.intrinsics.width, height: camera.intrinsics.height };
@@ -212,7 +205,7 @@ impl Renderer {
         plan.run.profile()
     }
 
-    /// Draws cameras of one size, as many at once as there is memory for.
+    /// Renders one size in the largest batches that fit.
     pub(super) fn render_alike(
         &mut self,
         cameras: &[CameraRows],
@@ -222,7 +215,6 @@ impl Renderer {
         let bytes_each = [12 * self.gaussians(), 4 * request.channels() * size.0 as usize * size.1 as usize];
         let bindable = self.limits().max_binding_bytes as usize / bytes_each[0].max(bytes_each[1]);
         let mut frames = Vec::with_capacity(cameras.len());
-        // Plans of other sizes and requests, which take memory, too.
         let mut others = !self.plans.is_empty();
         while frames.len() < cameras.len() {
             let left = &cameras[frames.len()..];
@@ -258,7 +250,7 @@ impl Renderer {
             plan.run.execute()?;
             let needed = plan.needed()?;
             let frames = match (needed <= plan.capacity, request.layout) {
-                (true, Some(_)) => Some(Vec::new()), // Nobody reads them on the host.
+                (true, Some(_)) => Some(Vec::new()),
                 (true, None) => Some(plan.read()?),
                 (false, _) => None,
             };
@@ -270,13 +262,13 @@ impl Renderer {
                 let what = "a list of the intersections of Gaussians with tiles".into();
                 return Err(Error::Memory { what, needed: 4 * needed as u64, available: 4 * most });
             }
-            // A camera that moves a little should not outgrow it at once.
+            // Headroom for small camera movements.
             self.capacity = self.capacity.max((needed + needed / 4).div_ceil(cameras.len()));
             self.plans.pop();
         }
     }
 
-    /// The plan for `shape` and `request`, of those alike the one of this turn. It is last among the plans afterwards.
+    /// The plan becomes the last of the list.
     pub(super) fn plan(&mut self, shape: FrameShape, request: &RenderRequest, turn: usize) -> Result<&mut Planned> {
         let Some(scene) = &self.scene else {
             return Err(Error::argument("scene to render", "none", "one that was loaded before"));
@@ -305,7 +297,7 @@ impl Renderer {
         self.cameras_at_once = usize::MAX;
     }
 
-    /// Memory for a scene; where there is too little, that of the plans is given back for it.
+    /// Allocates a scene, releasing plans if needed.
     fn allocate(&mut self, len: usize, sh_degree: u32) -> Result<SceneMemory> {
         let mut layout = ResidentLayout::new(self.limits());
         let tensors = SceneTensors::lay_out(&mut layout, len, sh_degree);
@@ -319,13 +311,12 @@ impl Renderer {
         }
     }
 
-    /// Makes room: nothing stays of what was recorded and of its memory.
     pub(super) fn start_over(&mut self) -> Result<()> {
         self.plans.clear();
         self.arena.release()
     }
 
-    /// The right to draw: in an arena of its own where somebody else uses the shared one now.
+    /// Claims the arena, or a new one if busy.
     pub(super) fn claim(&mut self) -> Claim {
         if let Some(claim) = self.arena.claim() {
             return claim;
@@ -339,12 +330,10 @@ impl Renderer {
         self.arena.device().limits()
     }
 
-    /// Gaussians of the scene.
     pub(super) fn gaussians(&self) -> usize {
         self.scene.as_ref().map_or(0, DeviceScene::len)
     }
 
-    /// Waits for everything that is under way.
     pub(super) fn settle(&mut self) -> Result<()> {
         self.plans.iter_mut().try_for_each(|plan| plan.run.finish())
     }

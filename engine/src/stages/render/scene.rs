@@ -9,17 +9,16 @@ use crate::{
 };
 use std::sync::{Arc, Weak};
 
-/// Gaussians on a device, for a [`Renderer`](super::Renderer) to draw and for the host to read. Cloning shares them; they never
-/// change while anybody has them.
+/// Shared, immutable Gaussians on a device.
 #[derive(Clone)]
 pub struct DeviceScene(Arc<Gaussians>);
 
-/// A [`DeviceScene`] that does not keep the Gaussians on the device.
+/// A weak [`DeviceScene`].
 #[derive(Clone)]
 pub struct WeakScene(Weak<Gaussians>);
 
 impl WeakScene {
-    /// The scene, while somebody else keeps it.
+    /// The scene, if it still exists.
     pub fn upgrade(&self) -> Option<DeviceScene> {
         self.0.upgrade().map(DeviceScene)
     }
@@ -28,11 +27,10 @@ impl WeakScene {
 struct Gaussians {
     memory: Arc<Resident>,
     tensors: SceneTensors,
-    /// Where a reconstruction made them.
     arena: Option<Arena>,
-    /// The degree of the scene that they were made of, whose bands above [`SceneTensors::sh_degree`] are all zero.
+    /// Source degree; bands above [`SceneTensors::sh_degree`] are zero.
     stored_degree: u32,
-    /// Distance below which it is not drawn.
+    /// Near plane.
     near: f32,
 }
 
@@ -42,7 +40,7 @@ impl std::fmt::Debug for DeviceScene {
     }
 }
 
-/// A scene's memory, which takes one scene after the other: the next one when nobody has the last one any more.
+/// Reusable memory of one scene.
 pub struct SceneMemory {
     memory: Arc<Resident>,
     tensors: SceneTensors,
@@ -51,35 +49,35 @@ pub struct SceneMemory {
 }
 
 impl SceneMemory {
-    /// Room for the tensors of a layout.
+    /// Allocates a layout.
     ///
     /// # Errors
-    /// [`Error::Memory`](crate::Error::Memory) where the device has too little.
+    /// [`Error::Memory`](crate::Error::Memory).
     pub fn new(device: &Device, layout: &ResidentLayout, tensors: SceneTensors) -> Result<Self> {
         let memory = Arc::new(Resident::new(device, layout)?);
         Ok(Self { memory, tensors, arena: None, user: Weak::new() })
     }
 
-    /// Lets renderers draw its scenes in this arena, in which they are made.
+    /// Sets the renderers' arena.
     pub fn made_in(mut self, arena: &Arena) -> Self {
         self.arena = Some(arena.clone());
         self
     }
 
-    /// Whether nobody has the scene that lies here.
+    /// Whether the scene was dropped.
     pub fn is_free(&self) -> bool {
         self.user.strong_count() == 0
     }
 
-    /// The memory, for a plan to write.
+    /// Memory for plans.
     pub fn resident(&self) -> &Arc<Resident> {
         &self.memory
     }
 
-    /// The scene that was written here, its near plane [`Scene::near`].
+    /// Returns the written scene.
     ///
     /// # Panics
-    /// Where somebody has the scene that was here before.
+    /// If the previous scene exists.
     pub fn scene(&mut self, stored_degree: u32, near: f32) -> DeviceScene {
         assert!(self.is_free(), "a scene in use was overwritten");
         let (memory, arena) = (self.memory.clone(), self.arena.clone());
@@ -88,10 +86,10 @@ impl SceneMemory {
         DeviceScene(gaussians)
     }
 
-    /// Writes a scene whose bands above that of the tensors are all zero.
+    /// Uploads a scene without zero SH bands.
     ///
     /// # Errors
-    /// A transfer that fails.
+    /// Failed transfers.
     pub fn write(&mut self, scene: &Scene) -> Result<DeviceScene> {
         let Self { memory, tensors, .. } = self;
         memory.write(tensors.means, &scene.means)?;
@@ -108,68 +106,66 @@ impl SceneMemory {
         Ok(self.scene(scene.sh_degree, scene.near()))
     }
 
-    /// The tensors that lie here.
+    /// Tensors in this memory.
     pub fn tensors(&self) -> &SceneTensors {
         &self.tensors
     }
 }
 
 impl DeviceScene {
-    /// The Gaussians, on the host.
+    /// Reads the Gaussians.
     ///
     /// # Errors
-    /// A transfer that fails.
+    /// Failed transfers.
     pub fn read(&self) -> Result<Scene> {
         self.0.tensors.read(&self.0.memory)
     }
 
-    /// The same scene without a hold on it.
+    /// Returns a weak reference.
     pub fn downgrade(&self) -> WeakScene {
         WeakScene(Arc::downgrade(&self.0))
     }
 
-    /// Gaussians.
+    /// Number of Gaussians.
     pub fn len(&self) -> usize {
         self.0.tensors.len
     }
 
-    /// Whether there are none.
+    /// Whether it is empty.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// Their bytes on the device.
+    /// Bytes on the device.
     pub fn bytes(&self) -> u64 {
         self.0.memory.bytes()
     }
 
-    /// The tensors, in [`DeviceScene::resident`].
+    /// Tensors in [`DeviceScene::resident`].
     pub fn tensors(&self) -> &SceneTensors {
         &self.0.tensors
     }
 
-    /// The memory that a plan with these tensors runs with.
+    /// Memory for plans.
     pub fn resident(&self) -> &Arc<Resident> {
         &self.0.memory
     }
 
-    /// The arena that they were made in.
     pub(super) fn arena(&self) -> Option<&Arena> {
         self.0.arena.as_ref()
     }
 
-    /// The distance from a camera below which it is not drawn.
+    /// Returns the near plane.
     pub(super) fn near(&self) -> f32 {
         self.0.near
     }
 
-    /// The degree of the spherical harmonics that the scene was stored with.
     pub(super) fn stored_degree(&self) -> u32 {
         self.0.stored_degree
     }
 }
 
-/// Degree of the highest band that is not all zero: what is above it is neither stored nor evaluated.
+/// Highest SH degree with nonzero coefficients.
 pub(super) fn used_degree(scene: &Scene) -> u32 {
     let stride = scene.sh_coeffs_per_gaussian();
     let zero = |degree: u32| {

@@ -1,24 +1,24 @@
-//! The stack machine that a pickle is a program for.
+//! The pickle stack machine.
 
 use std::collections::HashMap;
 
 use super::{Callable, Id, Object, Storage, Tensor, size, sizes, text};
 use crate::weights::tensor::MAX_RANK;
 
-/// Objects, references from one to another, entries of stack and memo, and marks at most, all together. A training
-/// checkpoint of the largest network needs about a sixth of them; each may come from a single byte and takes up to 32.
+/// Limit on all stored items, six times the largest training checkpoint; bounds memory per input
+/// byte.
 const MAX_HELD: usize = 1 << 20;
 
 pub(super) struct Machine<'a> {
     bytes: &'a [u8],
     pub at: usize,
-    /// The first is the one [`Object::Other`].
+    /// The first is [`Object::Other`].
     pub objects: Vec<Object<'a>>,
     stack: Vec<Id>,
-    /// Heights of the stack where marks stand.
+    /// Stack heights at marks.
     marks: Vec<usize>,
     memo: HashMap<u64, Id>,
-    /// Elements of all sequences and dictionaries.
+    /// Elements of all containers.
     references: usize,
 }
 
@@ -28,7 +28,7 @@ impl<'a> Machine<'a> {
         Self { bytes, at: 0, objects: vec![Object::Other], stack, marks, memo, references: 0 }
     }
 
-    /// Runs one opcode; the root object once the pickle ends.
+    /// Returns the root at the end.
     pub fn step(&mut self) -> Result<Option<Id>, String> {
         let root = self.run()?;
         let held = self.objects.len() + self.references + self.stack.len() + self.marks.len() + self.memo.len();
@@ -86,7 +86,6 @@ impl<'a> Machine<'a> {
         Ok(taken)
     }
 
-    /// An unsigned little-endian number of up to 8 bytes.
     fn number(&mut self, bytes: u64) -> Result<u64, String> {
         Ok(self.take(bytes)?.iter().rev().fold(0, |sum, &byte| sum << 8 | u64::from(byte)))
     }
@@ -134,7 +133,7 @@ impl<'a> Machine<'a> {
         self.skip(length)
     }
 
-    /// BININT is signed, the shorter ones are not.
+    /// BININT is signed, shorter integers are not.
     fn integer(&mut self, bytes: u64) -> Result<(), String> {
         let value = self.number(bytes)?;
         self.push(Object::Int(if bytes == 4 { i64::from(value as u32 as i32) } else { value as i64 }));
@@ -235,7 +234,7 @@ impl<'a> Machine<'a> {
         Ok(())
     }
 
-    /// Persistent objects are storages: ("storage", type, key, device, number of elements).
+    /// ("storage", type, key, device, element count).
     fn persistent(&mut self) -> Result<(), String> {
         let id = self.pop()?;
         let storage = || {
@@ -262,7 +261,7 @@ impl<'a> Machine<'a> {
             (Callable::OrderedDict, []) | (Callable::DefaultDict, [] | [_]) => self.push(Object::Dict(Vec::new())),
             (Callable::PlainData, _) => self.push_other(),
             (Callable::RebuildParameter, &[tensor, ..]) => self.stack.push(tensor),
-            // After these come requires_grad and hooks, which inference does not need.
+            // The remaining arguments do not matter.
             (Callable::RebuildTensor, &[storage, offset, shape, strides, ..]) => {
                 let objects = &self.objects;
                 let Object::Storage(storage) = &objects[storage] else {
@@ -282,7 +281,7 @@ impl<'a> Machine<'a> {
         Ok(())
     }
 
-    /// Attributes: a `state_dict` carries `_metadata`, which holds no weights; numpy's types their byte order.
+    /// Attributes are ignored: `_metadata`, numpy byte order.
     fn build(&mut self) -> Result<(), String> {
         self.pop()?;
         match self.objects[self.top()?] {
@@ -292,7 +291,7 @@ impl<'a> Machine<'a> {
     }
 }
 
-/// Whether a name is a type of plain data, or what makes one, that training leaves beside weights.
+/// Plain data types and constructors in training checkpoints.
 fn is_plain_data(module: &str, name: &str) -> bool {
     const BUILTINS: [&str; 10] =
         ["bool", "bytearray", "bytes", "complex", "dict", "float", "frozenset", "int", "list", "set"];

@@ -1,47 +1,43 @@
-//! Reads the pickles that `torch.save` writes, without executing anything.
+//! Reads `torch.save` pickles without executing code.
 //!
-//! A pickle is a program for a stack machine (Python's `pickletools` documents it). Here its objects go into one list
-//! and refer to each other by index, so that sharing, cycles and depth cost nothing; each opcode makes at most one
-//! object, and their number is limited. Calls can only rebuild tensors, dictionaries and plain data such as numpy's
-//! scalars, of which nothing is kept: any other name is refused.
+//! A pickle is a stack machine program (Python's `pickletools`). Objects refer to each other by
+//! index in one bounded list, so sharing, cycles and depth are harmless. Calls build tensors,
+//! dictionaries and plain data only.
 
 mod machine;
 
 use machine::Machine;
 
-/// Index of an object.
 pub(super) type Id = usize;
 
-/// An object of a pickle.
+/// Pickle object.
 #[derive(Debug)]
 pub(super) enum Object<'a> {
-    /// None, a boolean, a float, bytes, an integer beyond 64 bits, or what a call of [`Callable::PlainData`] gives:
-    /// nothing that is read needs them.
+    /// Ignored values.
     Other,
     Int(i64),
     Text(&'a str),
-    /// A list or a tuple.
     Sequence(Vec<Id>),
     Dict(Vec<(Id, Id)>),
     Callable(Callable),
     StorageType(&'a str),
-    /// Boxed, as the next: most objects of a pickle are small.
+    /// Boxed to keep objects small.
     Storage(Box<Storage<'a>>),
     Tensor(Box<Tensor<'a>>),
 }
 
-/// The only callables of `REDUCE`.
+/// Allowed callables of `REDUCE`.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Callable {
     OrderedDict,
     DefaultDict,
     RebuildTensor,
     RebuildParameter,
-    /// A number, a set, a path: training leaves them beside the weights, and nothing here needs their value.
+    /// Ignored values: numbers, sets, paths.
     PlainData,
 }
 
-/// Values in an archive that tensors share: `kind` is the class in `torch`, `key` the name of the entry.
+/// `kind` is the `torch` class, `key` the archive entry.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Storage<'a> {
     pub kind: &'a str,
@@ -49,7 +45,7 @@ pub(super) struct Storage<'a> {
     pub elements: usize,
 }
 
-/// A view into a storage; offset and strides count elements.
+/// Offset and strides count elements.
 #[derive(Debug)]
 pub(super) struct Tensor<'a> {
     pub storage: Storage<'a>,
@@ -58,14 +54,12 @@ pub(super) struct Tensor<'a> {
     pub strides: Vec<usize>,
 }
 
-/// Why a pickle cannot be read, and the byte of the opcode.
 #[derive(Debug)]
 pub(super) struct Malformed {
     pub offset: usize,
     pub reason: String,
 }
 
-/// The objects of a pickle.
 pub(super) struct Pickle<'a> {
     objects: Vec<Object<'a>>,
     pub root: Id,
@@ -88,7 +82,6 @@ impl<'a> Pickle<'a> {
         &self.objects[id]
     }
 
-    /// Keys and values of a dictionary, if that is what `id` is.
     pub fn entries(&self, id: Id) -> Option<&[(Id, Id)]> {
         match self.object(id) {
             Object::Dict(entries) => Some(entries),
@@ -96,10 +89,9 @@ impl<'a> Pickle<'a> {
         }
     }
 
-    /// The value of `key` in a dictionary.
     pub fn get(&self, dict: Id, key: &str) -> Option<Id> {
         let is_key = |id: Id| matches!(self.object(id), Object::Text(text) if *text == key);
-        // Where a key was set twice, Python keeps the later value.
+        // Python keeps the last duplicate.
         self.entries(dict)?.iter().rev().find(|&&(id, _)| is_key(id)).map(|&(_, value)| value)
     }
 
@@ -118,7 +110,6 @@ impl<'a> Pickle<'a> {
         }
     }
 
-    /// A list or tuple of at most `max` sizes.
     pub fn sizes(&self, id: Id, max: usize) -> Option<Vec<usize>> {
         sizes(&self.objects, id, max)
     }

@@ -1,4 +1,4 @@
-//! `zipsplat bench gemm`: the linear layer's kernel beside a matrix product on the host.
+//! `zipsplat bench gemm`: every kernel of linear layers, checked against a product in f64.
 
 use super::{
     Repeats, Spread,
@@ -11,25 +11,24 @@ use crate::{
     table::Table,
 };
 use clap::Args;
-use gemm::Parallelism;
 use serde::Serialize;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use zipsplat::{
     Result,
     gpu::{Device, Element, Recorder, Run},
     ops::{Epilogue, LaneTile, Lanes, Linear, LinearKernel, Rows, Tiles, Units, Weights, pack_matrix},
 };
+use zipsplat_reference::{ops::linear::linear, widen};
 
 /// Rows, inner dimension and columns: ViT-S with 4 views, then ViT-G of one view, up and down.
 const SHAPES: [[usize; 3]; 3] = [[1296, 384, 1536], [324, 1536, 6144], [1300, 1536, 384]];
 
-/// Time of linear layers, exact (also with weights of 8 bits) and fast, by every tile of lanes, beside that of the `gemm` crate on the
-/// host in f32
+/// Rows of a product that are compared with f64.
+const CHECKED_ROWS: usize = 16;
+
+/// Time of linear layers, exact (also with weights of 8 bits) and fast, by every tile of lanes
 #[derive(Args)]
 pub struct Gemm {
-    /// Threads of the host
-    #[arg(long, value_name = "N", default_value = "2", value_parser = clap::value_parser!(u16).range(1..))]
-    threads: u16,
     #[command(flatten)]
     repeats: Repeats,
 }
@@ -45,12 +44,8 @@ struct Row {
     device_gflop_per_s: f64,
     /// The share of the measured rate of what multiplies: lanes, or matrix units.
     peak_share: Option<f64>,
-    host_ms: Spread,
-    host_gflop_per_s: f64,
-    /// Rate of the device over that of the host.
-    ratio: f64,
-    /// Largest difference of the two products over the largest value.
-    difference: f32,
+    /// Largest difference from the product in f64 over its largest value, in the checked rows.
+    difference: f64,
 }
 
 impl Gemm {
@@ -63,11 +58,7 @@ impl Gemm {
             rows.extend(session.stage(&name, |stage| self.measure(&device, &kernels, shape, stage))?.0);
         }
         let device_column = format!("{}: ms", device.limits().name);
-        let host_column = format!("gemm, {} threads: ms", self.threads);
-        let mut table = Table::new(
-            2,
-            &["shape", "kernel", &device_column, "GFLOP/s", "of peak", &host_column, "GFLOP/s", "ratio", "difference"],
-        );
+        let mut table = Table::new(2, &["shape", "kernel", &device_column, "GFLOP/s", "of peak", "difference"]);
         for row in &rows {
             table.row([
                 format!("{}x{}x{}", row.rows, row.inner, row.columns),
@@ -75,9 +66,6 @@ impl Gemm {
                 row.device_ms.to_string(),
                 format!("{:.1}", row.device_gflop_per_s),
                 percent(row.peak_share),
-                row.host_ms.to_string(),
-                format!("{:.1}", row.host_gflop_per_s),
-                format!("{:.2}", row.ratio),
                 format!("{:.0e}", row.difference),
             ]);
         }
@@ -95,23 +83,17 @@ impl Gemm {
         let [rows, inner, columns] = shape;
         let mut noise = Noise(0);
         let (a, b) = (noise.values(rows * inner), noise.values(inner * columns));
-        let Repeats { warmup, repeats } = self.repeats;
-        let mut on_host = vec![0.0; rows * columns];
-        let mut host_times = Vec::new();
-        for i in 0..warmup + repeats {
-            stage.reach(0.5 * f64::from(i) / f64::from(warmup + repeats))?;
-            let start = Instant::now();
-            multiply(shape, &a, &b, &mut on_host, self.threads.into());
-            host_times.push(start.elapsed());
-        }
-        let host_ms = Spread::of(host_times.split_off(warmup as usize));
-        let largest = on_host.iter().fold(0f32, |most, value| most.max(value.abs()));
+        let (stride, bias) = (rows / CHECKED_ROWS, vec![0.0; columns]);
+        let checked: Vec<f32> = a.chunks(inner).step_by(stride).flatten().copied().collect();
+        let expected = linear(&widen(&checked), &b, &bias);
+        let largest = expected.iter().fold(0f64, |most, value| most.max(value.abs()));
         let flops = 2 * (rows * inner * columns) as u64;
         let measure = |(name, kernel, peak): &(String, LinearKernel, Rate)| {
-            let (times, on_device) = on_device(device, shape, *kernel, (&a, &b), self.repeats, stage)?;
-            let apart = on_host.iter().zip(&on_device).map(|(x, y)| (x - y).abs()).fold(0f32, larger_or_nan);
+            let (times, product) = on_device(device, shape, *kernel, (&a, &b), self.repeats, stage)?;
+            let computed = product.chunks(columns).step_by(stride).flatten();
+            let apart = expected.iter().zip(computed).map(|(x, &y)| (x - f64::from(y)).abs());
             let device_ms = Spread::of(times);
-            let (device_gflop_per_s, host_gflop_per_s) = (device_ms.rate(flops), host_ms.rate(flops));
+            let device_gflop_per_s = device_ms.rate(flops);
             Ok(Row {
                 kernel: name.clone(),
                 rows,
@@ -120,18 +102,15 @@ impl Gemm {
                 device_ms,
                 device_gflop_per_s,
                 peak_share: peak.share(device_gflop_per_s),
-                host_ms,
-                host_gflop_per_s,
-                ratio: device_gflop_per_s / host_gflop_per_s,
-                difference: apart / largest,
+                difference: apart.fold(0.0, larger_or_nan) / largest,
             })
         };
         kernels.iter().map(measure).collect()
     }
 }
 
-/// As `f32::max`, which would hide a NaN.
-fn larger_or_nan(most: f32, value: f32) -> f32 {
+/// As `f64::max`, which would hide a NaN.
+fn larger_or_nan(most: f64, value: f64) -> f64 {
     if value > most || value.is_nan() { value } else { most }
 }
 
@@ -190,28 +169,11 @@ fn on_device(
     run.write(bias, &vec![0f32; columns])?;
     let mut times = Vec::new();
     for i in 0..warmup + repeats {
-        stage.reach(0.5 + 0.5 * f64::from(i) / f64::from(warmup + repeats))?;
+        stage.reach(f64::from(i) / f64::from(warmup + repeats))?;
         let (time, _) = run.profile()?.total("");
         if i >= warmup {
             times.push(time);
         }
     }
     Ok((times, run.read(out)?))
-}
-
-/// `out` `[rows, columns]` = `a` `[rows, inner]` * `b` `[columns, inner]` transposed.
-#[rustfmt::skip]
-fn multiply([rows, inner, columns]: [usize; 3], a: &[f32], b: &[f32], out: &mut [f32], threads: usize) {
-    assert_eq!((a.len(), b.len(), out.len()), (rows * inner, inner * columns, rows * columns));
-    let (out_stride, stride) = (columns as isize, inner as isize);
-    let (out, a, b) = (out.as_mut_ptr(), a.as_ptr(), b.as_ptr());
-    let threads = Parallelism::Rayon(threads);
-    // SAFETY: strides, a column's before a row's, are those of matrices of the lengths asserted; `out` overlaps neither.
-    #[allow(unsafe_code)]
-    unsafe {
-        gemm::gemm(
-            rows, columns, inner, out, 1, out_stride, false, a, 1, stride, b, stride, 1, 0.0, 1.0, false, false, false,
-            threads,
-        );
-    }
 }

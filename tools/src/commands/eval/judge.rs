@@ -9,7 +9,7 @@ use crate::{
     session::Session,
     views::Seeing,
 };
-use std::time::Duration;
+use std::{cell::Cell, time::Duration};
 use zipsplat::{
     Error, Result,
     gpu::{Arena, Device},
@@ -197,9 +197,16 @@ impl<'a> Judge<'a> {
             return Ok((session.stage("compare", |stage| stage.each(targets, picture))?.0, None));
         };
         let (found, _) = session.stage("align", |stage| {
-            let found =
-                |view: &Posed| method.align(renderer, &view.image, &view.camera, lpips.as_mut(), &|| stage.check());
-            stage.each(targets, found)
+            let found = |(i, view): (usize, &Posed)| {
+                stage.name(&format!("align photo {} of {}", i + 1, targets.len()));
+                let steps = Cell::new(0);
+                let step = || {
+                    let part = method.fraction(steps.replace(steps.get() + 1));
+                    stage.reach((i as f64 + part) / targets.len() as f64)
+                };
+                method.align(renderer, &view.image, &view.camera, lpips.as_mut(), &step)
+            };
+            targets.iter().enumerate().map(found).collect::<Result<Vec<_>>>()
         })?;
         let alignment = Alignment::new(capture, &found);
         Ok((found.into_iter().map(|found| found.drawn).collect(), Some(alignment)))

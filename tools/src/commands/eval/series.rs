@@ -17,8 +17,12 @@ use crate::{
     views::Seeing,
 };
 use clap::Args;
+use indicatif::HumanDuration;
 use serde::Serialize;
-use std::path::{Path, PathBuf};
+use std::{
+    path::{Path, PathBuf},
+    time::Instant,
+};
 use zipsplat::{
     Error, Result,
     types::{Image, contact_sheet, write_atomic},
@@ -144,12 +148,16 @@ impl Series<'_> {
         session: &mut Session<'_>,
     ) -> Result<()> {
         let limit = self.eval.series.limit.unwrap_or(usize::MAX);
-        let all = places.len() * settings.len();
+        let (all, began) = (places.len() * settings.len(), Instant::now());
         for (i, (place, setting)) in places.iter().flat_map(|p| settings.iter().map(move |s| (p, s))).enumerate() {
             if tally.judged + tally.failures.len() >= limit {
                 break;
             }
             let scene = format!("{} of {all}, {} {}", i + 1, place.name, setting.name());
+            // Scenes that are there already take no time.
+            let rest = began.elapsed().checked_div(tally.judged as u32).map(|each| each * (all - i) as u32);
+            let rest = rest.map_or_else(String::new, |rest| format!(", all in about {}", HumanDuration(rest)));
+            session.begin_task(&format!("{scene}{rest}"));
             match self.judge(place, setting, judge, &scene, session) {
                 Ok(Outcome::Judged) => tally.judged += 1,
                 Ok(Outcome::Unchanged) => tally.unchanged += 1,

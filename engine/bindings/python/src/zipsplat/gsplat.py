@@ -105,7 +105,6 @@ def rasterization(
         ValueError, ArgumentError: a shape or value cannot be used.
     """
     refused = {
-        "near_plane": near_plane != 0.01,
         "far_plane": far_plane != 1e10,
         "radius_clip": radius_clip != 0.0,
         "eps2d": eps2d != 0.3,
@@ -158,7 +157,9 @@ def rasterization(
             else "[N, K, 3] or [C, N, K, 3] with K at least (sh_degree + 1) ** 2"
         )
         raise ValueError(f"colors: found shape {list(colors.shape)}, expected {expected}")
-    how = _How(int(width), int(height), rasterize_mode == "antialiased", context or default_context())
+    how = _How(
+        int(width), int(height), rasterize_mode == "antialiased", float(near_plane), context or default_context()
+    )
     if backgrounds is not None:
         backgrounds = xp.array(backgrounds)
 
@@ -193,8 +194,8 @@ def rasterization(
 class _How:
     """How all pictures of a call are drawn."""
 
-    def __init__(self, width: int, height: int, antialiased: bool, context: Context) -> None:
-        self.width, self.height, self.antialiased, self.context = width, height, antialiased, context
+    def __init__(self, width: int, height: int, antialiased: bool, near: float, context: Context) -> None:
+        self.width, self.height, self.antialiased, self.near, self.context = width, height, antialiased, near, context
 
     def cameras(self, viewmats: Array, Ks: Array) -> list[Camera]:
         if (viewmats[:, 3] != [0, 0, 0, 1]).any():
@@ -203,7 +204,7 @@ class _How:
 
     def options(self) -> Any:
         kind, depth = lib.ZS_PIXEL_RGB_F32, lib.ZS_DEPTH_ACCUMULATED
-        return options("render", format=kind, depth=depth, antialiased=int(self.antialiased))
+        return options("render", format=kind, depth=depth, antialiased=int(self.antialiased), near_plane=self.near)
 
 
 def _draw(

@@ -15,8 +15,8 @@ use super::super::{Distortion, Lens, PointCloud, file::read_file};
 use super::{Frame, Poses, undistorted};
 use crate::{Error, Result};
 
-/// The models of [`Distortion`]: id in binary files, name in text files, parameters in all.
-/// Parameters begin `f, cx, cy` or `fx, fy, cx, cy`; distortion follows.
+/// Models of [`Distortion`]: ID, name, number of parameters. Parameters are `f, cx, cy` or `fx, fy,
+/// cx, cy`, then distortion.
 const MODELS: [(i32, &str, usize); 9] = [
     (0, "SIMPLE_PINHOLE", 3),
     (1, "PINHOLE", 4),
@@ -30,12 +30,11 @@ const MODELS: [(i32, &str, usize); 9] = [
 ];
 const ONE_FOCAL: [&str; 5] = ["SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"];
 
-/// Bytes of one 2D point in `images.bin`: x and y as f64 and the 3D point's id.
+/// Bytes of a 2D point in `images.bin`: x and y as f64, and the 3D point's ID.
 const POINT_BYTES: u64 = 24;
-/// Bytes of one image that sees it: the image's id and the 2D point's, u32 each.
+/// Bytes of a track element: image and 2D point IDs, u32 each.
 const TRACK_BYTES: u64 = 8;
 
-/// Whether a folder holds a model's cameras.
 pub(super) fn is_model(folder: &Path) -> bool {
     is_binary(folder) || folder.join("cameras.txt").is_file()
 }
@@ -57,7 +56,7 @@ pub(super) fn read(folder: &Path) -> Result<Poses> {
     let lenses = lenses.map_err(|fault| fault.in_file(&cameras))?;
     let views = if binary { binary_images(&images_bytes) } else { text_images(&images_bytes) };
     let mut views = views.map_err(|fault| fault.in_file(&images))?;
-    // The order of a model is that of a hash table.
+    // Models have hash table order.
     views.sort_by(|a, b| a.name.cmp(&b.name));
 
     let points = images.with_file_name("points3D").with_extension(if binary { "bin" } else { "txt" });
@@ -74,7 +73,7 @@ pub(super) fn read(folder: &Path) -> Result<Poses> {
     Ok(poses)
 }
 
-/// The points of a `points3D.bin` or `points3D.txt`, in the model's world.
+/// Reads `points3D.bin` or `points3D.txt`, in the model's world.
 pub(super) fn read_points(path: &Path) -> Result<PointCloud> {
     let bytes = read_file(path)?;
     let binary = path.extension().is_some_and(|extension| extension == "bin");
@@ -89,13 +88,13 @@ pub(super) fn read_points(path: &Path) -> Result<PointCloud> {
     }
 }
 
-/// Photos stand in `images` beside the model or up to two folders above it.
+/// Searches `images` beside the model and up to two folders above.
 fn find_photo(model: &Path, name: &str) -> Option<PathBuf> {
     let places = model.ancestors().take(3).flat_map(|folder| [folder.join("images").join(name), folder.join(name)]);
     places.into_iter().find(|path| path.is_file())
 }
 
-/// A fault, and its byte in a binary file.
+/// Failure reason and byte offset in a binary file.
 struct Fault {
     offset: Option<u64>,
     reason: String,
@@ -109,7 +108,7 @@ impl Fault {
 
 type Parsed<T> = std::result::Result<T, Fault>;
 
-/// A point's position and colour.
+/// Position and color.
 type Point = ([f32; 3], [u8; 3]);
 
 struct View {
@@ -132,7 +131,7 @@ fn lens(model: &str, width: u64, height: u64, params: &[f64]) -> std::result::Re
     let k = |i: usize| coefficients.get(i).copied().unwrap_or(0.0);
     let distortion = match model {
         _ if model.ends_with("FISHEYE") => Distortion::Fisheye([k(0), k(1), k(2), k(3)]),
-        // p1 and p2 stand between k2 and k3.
+        // p1 and p2 come between k2 and k3.
         _ => Distortion::Perspective {
             numerator: [k(0), k(1), k(4), 0.0],
             denominator: [k(5), k(6), k(7)],
@@ -142,7 +141,7 @@ fn lens(model: &str, width: u64, height: u64, params: &[f64]) -> std::result::Re
     Ok(Lens { intrinsics: Intrinsics { width, height, fx, fy, cx, cy }, distortion })
 }
 
-/// Camera-to-world from COLMAP's world-to-camera quaternion wxyz and translation.
+/// Converts COLMAP's world-to-camera quaternion wxyz and translation to camera-to-world.
 fn pose([w, x, y, z, tx, ty, tz]: [f64; 7]) -> Pose {
     Pose { rotation: matrix_from_quaternion([w, x, y, z]), translation: DVec3::new(tx, ty, tz) }.inverse()
 }
@@ -152,7 +151,7 @@ fn unknown_model(model: impl std::fmt::Display) -> String {
     format!("camera model {model}, expected one of {}; undistort the photos in COLMAP", known.join(", "))
 }
 
-/// A line's fields in order.
+/// A line's fields.
 struct Line<'a> {
     number: usize,
     text: &'a str,
@@ -171,7 +170,7 @@ impl<'a> Line<'a> {
     }
 }
 
-/// Every line, with its number from 1.
+/// Returns the lines with their numbers from 1.
 fn lines(bytes: &[u8]) -> Parsed<impl Iterator<Item = Line<'_>>> {
     let text = std::str::from_utf8(bytes)
         .map_err(|error| Fault { offset: Some(error.valid_up_to() as u64), reason: "not UTF-8 text".into() })?;
@@ -215,7 +214,7 @@ fn text_images(bytes: &[u8]) -> Parsed<Vec<View>> {
         let camera_id = line.next("CAMERA_ID")?;
         let name = line.fields.collect::<Vec<_>>().join(" ");
         views.push(View { name, camera_id, pose: pose(numbers) });
-        // The image's 2D points, often an empty line.
+        // Skips the image's 2D points, often an empty line.
         lines.next();
     }
     Ok(views)
@@ -230,7 +229,7 @@ fn text_points(bytes: &[u8]) -> Parsed<Vec<Point>> {
     lines(bytes)?.filter(|line| !is_comment(line)).map(point).collect()
 }
 
-/// A binary file's values in order.
+/// A binary file's values.
 struct Values<'a> {
     bytes: &'a [u8],
     at: usize,
@@ -260,7 +259,7 @@ impl<'a> Values<'a> {
         self.take(field).map(f64::from_le_bytes)
     }
 
-    /// Up to a zero byte.
+    /// Reads up to a zero byte.
     fn name(&mut self) -> Parsed<String> {
         let rest = &self.bytes[self.at..];
         let end = rest.iter().position(|&byte| byte == 0).ok_or_else(|| self.fault("truncated: a name expected"))?;
@@ -278,7 +277,7 @@ impl<'a> Values<'a> {
     }
 }
 
-// Counts are never used to allocate: a hostile one runs into the end of the file.
+// Allocates nothing by count: a hostile one hits the end of the file.
 fn binary_cameras(bytes: &[u8]) -> Parsed<HashMap<u32, Lens>> {
     let mut values = Values { bytes, at: 0 };
     let mut lenses = HashMap::new();

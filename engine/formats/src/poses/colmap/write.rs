@@ -1,24 +1,24 @@
-//! Writing a COLMAP model, as text.
+//! Writing a COLMAP model as text.
 
 use std::path::{Path, PathBuf};
 
 use super::super::Frame;
 use crate::{Distortion, Error, Intrinsics, Result, file::write_atomic, quaternion_from_matrix};
 
-/// The first line of each file, by which a program knows that it may replace them.
+/// First line of each file, which marks files that may be replaced.
 const MADE_BY: &str = "# generator: zipsplat\n";
 
-/// The files of a model in a folder: `cameras.txt`, `images.txt` and `points3D.txt`.
+/// Returns the paths of a folder's `cameras.txt`, `images.txt` and `points3D.txt`.
 pub fn colmap_files(folder: impl AsRef<Path>) -> [PathBuf; 3] {
     ["cameras.txt", "images.txt", "points3D.txt"].map(|name| folder.as_ref().join(name))
 }
 
-/// Writes posed photos and their points as a COLMAP model in text, [`colmap_files`] of a folder that exists. Frames of one lens share a
-/// camera. Points have no tracks, and images no points of their own: nobody matched any.
+/// Writes a COLMAP text model to [`colmap_files`] of an existing folder. Frames share equal lenses.
+/// Without matches, points have no tracks and images no 2D points.
 ///
 /// # Errors
-/// [`Error::Argument`] when a camera is not valid, a name has spaces, which the format has no room for, or COLMAP has no model of a lens;
-/// [`Error::Io`] when a file cannot be written.
+/// [`Error::Argument`] for an invalid camera, a name with spaces, or a lens without a COLMAP model;
+/// [`Error::Io`] for failed writes.
 pub fn write_colmap(folder: impl AsRef<Path>, frames: &[Frame], points: &[([f32; 3], [u8; 3])]) -> Result<()> {
     let mut lenses: Vec<String> = Vec::new();
     let mut images = format!("{MADE_BY}# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then a line of its points\n");
@@ -51,7 +51,7 @@ pub fn write_colmap(folder: impl AsRef<Path>, frames: &[Frame], points: &[([f32;
     Ok(())
 }
 
-/// A frame's model, size and parameters.
+/// Returns a frame's model, size and parameters.
 fn camera(frame: &Frame) -> Result<String> {
     let Intrinsics { width, height, fx, fy, cx, cy } =
         frame.lens.map_or(frame.camera.intrinsics, |lens| lens.intrinsics);

@@ -1,4 +1,4 @@
-//! The camera encoder: known poses and intrinsics become one token a view.
+//! Camera encoder: poses and intrinsics to tokens.
 
 use crate::{
     gpu::{Element, Recorder, Tensor},
@@ -6,10 +6,9 @@ use crate::{
     stages::CameraEncoderArchitecture,
 };
 
-/// Values of a pose encoding: translation 3, quaternion 4, vertical and horizontal field of view.
+/// Translation 3, quaternion 4, vertical and horizontal field of view.
 pub(super) const POSE_ENCODING: usize = 9;
 
-/// Values of a pose encoding, padded with zeros to whole vec4.
 pub(super) const POSE_VALUES: usize = POSE_ENCODING.next_multiple_of(4);
 
 const EPS: f32 = 1e-5;
@@ -33,13 +32,13 @@ impl CameraEncoder {
             trunk: (0..a.depth).map(|i| block(p, i)).collect(),
             token_norm: p.norm(&format!("{root}.token_norm"), width, EPS),
             trunk_norm: p.norm(&format!("{root}.trunk_norm"), width, EPS),
-            // Poses are geometry, which stays in f32.
+            // Geometry stays f32.
             fc1: p.exact_linear(&format!("{root}.pose_branch.fc1"), POSE_ENCODING, a.pose_hidden),
             fc2: p.exact_linear(&format!("{root}.pose_branch.fc2"), a.pose_hidden, width),
         }
     }
 
-    /// One token a view of `poses` `[views, POSE_VALUES]`. The views are one sequence.
+    /// Returns a token per pose; the views form one sequence.
     pub fn record(&self, rec: &mut Recorder, poses: Rows) -> Tensor {
         rec.scope("camera_encoder", |rec| {
             let gelu = Epilogue { activation: Activation::Gelu, ..Epilogue::default() };

@@ -1,4 +1,4 @@
-//! The backbone as Depth Anything 3's own heads use it.
+//! The backbone for depth heads.
 
 use super::transformer::{OutLayer, Transformer};
 use crate::{
@@ -9,10 +9,9 @@ use crate::{
     types::{Camera, relative_encoding},
 };
 
-/// The backbone's parameters.
+/// Backbone parameters.
 pub struct DepthBackbone {
     transformer: Transformer,
-    /// Views see each other.
     alternates: bool,
 }
 
@@ -22,12 +21,12 @@ impl DepthBackbone {
         Self { transformer: Transformer::new(p, a), alternates: a.alternates() }
     }
 
-    /// The tensors that the host writes beside the pixels.
+    /// Allocates host inputs besides pixels.
     pub fn inputs(&self, rec: &mut Recorder, grid: ViewGrid, cameras: bool) -> Vec<Tensor> {
         self.transformer.inputs(rec, grid, cameras)
     }
 
-    /// Records the backbone for `images` `[views, 3, height, width]` f32, normalised.
+    /// Records the backbone for normalized `images` `[views, 3, height, width]` f32.
     pub fn record(
         &self,
         rec: &mut Recorder,
@@ -45,7 +44,6 @@ impl DepthBackbone {
         DepthFeatures { layers, cameras }
     }
 
-    /// The feature of an out layer, without camera tokens.
     fn feature(&self, rec: &mut Recorder, layer: usize, OutLayer { local, global }: OutLayer, grid: ViewGrid) -> Rows {
         let (width, patches) = (global.width, grid.patches());
         let halves = if self.alternates { 2 } else { 1 };
@@ -60,10 +58,10 @@ impl DepthBackbone {
         out
     }
 
-    /// Writes the inputs of a run.
+    /// Writes the inputs.
     ///
     /// # Errors
-    /// A transfer that fails, or a camera that cannot be used.
+    /// Failed transfers; unusable cameras.
     pub fn write(
         &self,
         run: &mut Run,
@@ -77,7 +75,6 @@ impl DepthBackbone {
     }
 }
 
-/// `[views, 2 width]`: both halves of every camera token.
 fn camera_features(rec: &mut Recorder, OutLayer { local, global }: OutLayer, grid: ViewGrid) -> Rows {
     let out = Rows::scratch(rec, "cameras", grid.views, 2 * global.width, Element::F32);
     for view in 0..grid.views {

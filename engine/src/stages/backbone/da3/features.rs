@@ -1,4 +1,4 @@
-//! Out-layer features: the local and the global half, normalised, merged to the model's width.
+//! Out-layer features.
 
 use crate::{
     gpu::{Element, Recorder},
@@ -9,7 +9,7 @@ use crate::{
 
 const EPS: f32 = 1e-5;
 
-/// One for each out layer, 0 the deepest.
+/// Deepest first.
 pub(super) struct Features {
     local_norms: Vec<Norm>,
     global_norms: Vec<Norm>,
@@ -26,14 +26,12 @@ impl Features {
         }
     }
 
-    /// Features.
     pub fn layers(&self) -> usize {
         self.downscales.len()
     }
 
-    /// Prepares feature `j` (0 is the deepest) from the residual stream after its block, `global`, and after the newest
-    /// local block: W [a | b] + bias + (a + b) / 2 with a = norm(local), b = norm(final_norm(global)). Camera tokens
-    /// are left out.
+    /// Returns W [a | b] + bias + (a + b) / 2 with a = norm(local), b = norm(final_norm(global)),
+    /// without camera tokens.
     pub fn record(
         &self,
         rec: &mut Recorder,

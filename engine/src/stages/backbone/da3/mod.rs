@@ -22,7 +22,7 @@ use crate::{
 use features::Features;
 use transformer::Transformer;
 
-/// The backbone of ZipSplat.
+/// ZipSplat's backbone.
 pub struct Da3 {
     transformer: Transformer,
     features: Features,

@@ -1,18 +1,17 @@
-//! Position embedding and rotary tables: small, needed once a shape, so made on the host in f64.
+//! Position embeddings and rotary tables, on the host in f64.
 
-/// Bicubic kernel of the reference's interpolation.
+/// Bicubic parameter of the reference.
 const A: f64 = -0.75;
 
-/// The reference adds this to the wanted grid before it takes the scale factor.
+/// The reference's grid size offset.
 const OFFSET: f64 = 0.1;
 
-/// Rotary embedding turns channel pair j of a half of size h by position * BASE^(-2j / h).
+/// Angle of channel pair j of h: position * BASE^(-2j / h).
 const BASE: f64 = 100.0;
 
-/// Learned positions `[1 + side * side, width]` for a grid of `rows` x `columns` patches: `[1 + rows * columns, width]`.
+/// Interpolates learned positions `[1 + side * side, width]` to `[1 + rows * columns, width]`.
 ///
-/// Bicubic without antialiasing, edges repeated; the class token's row stays. Only the grid they were learned on is left
-/// as it is.
+/// Bicubic with repeated edges; the class token and the original grid are unchanged.
 pub fn interpolate(learned: &[f32], side: usize, width: usize, rows: usize, columns: usize) -> Vec<f32> {
     if (rows, columns) == (side, side) {
         return learned.to_vec();
@@ -38,7 +37,6 @@ pub fn interpolate(learned: &[f32], side: usize, width: usize, rows: usize, colu
     out
 }
 
-/// For each of `count` outputs, four source indices and their weights.
 fn taps(side: usize, count: usize) -> Vec<[(usize, f64); 4]> {
     let scale = (count as f64 + OFFSET) / side as f64;
     let near = |u: f64| ((A + 2.0) * u - (A + 3.0)) * u * u + 1.0;
@@ -53,18 +51,17 @@ fn taps(side: usize, count: usize) -> Vec<[(usize, f64); 4]> {
     (0..count).map(one).collect()
 }
 
-/// (cos, sin) for tokens of a view and every channel pair of a head: `[1 + rows * columns, dim / 2, 2]` for local blocks,
-/// where the camera token stands at the origin and patch (y, x) at (y + 1, x + 1), then `[1, dim / 2, 2]` for global ones. There
-/// every patch stands one step from the camera token along both axes; as attention sees differences of places alone, the camera
-/// token stands at (-1, -1) and the patches at the origin, where nothing turns. The first half of the pairs turns with y, the
-/// second with x.
+/// Returns (cos, sin) tables: local `[1 + rows * columns, dim / 2, 2]`, global `[1, dim / 2, 2]`.
+///
+/// Local positions: the camera token at the origin, patches at (y + 1, x + 1). Global patches share
+/// a position one step from the camera token; only differences matter, so patches stay unrotated
+/// and camera tokens are at (-1, -1). Half the pairs rotate with y, half with x.
 pub fn rotary_tables(rows: usize, columns: usize, dim: usize) -> [Vec<f32>; 2] {
     let patches = (0..rows * columns).map(|i| [i / columns + 1, i % columns + 1].map(|step| step as f64));
     let local = [[0.0; 2]].into_iter().chain(patches).flat_map(|place| rotations(place, dim)).collect();
     [local, rotations([-1.0; 2], dim).collect()]
 }
 
-/// (cos, sin) for every channel pair of a head at a place (y, x).
 fn rotations(place: [f64; 2], dim: usize) -> impl Iterator<Item = f32> {
     let angle = move |i: usize| place[i / (dim / 4)] * BASE.powf(-2.0 * (i % (dim / 4)) as f64 / (dim / 2) as f64);
     (0..dim / 2).map(angle).flat_map(|angle| [angle.cos() as f32, angle.sin() as f32])

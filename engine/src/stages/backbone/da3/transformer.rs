@@ -1,4 +1,4 @@
-//! The transformer over all views, up to what every out layer leaves.
+//! The transformer over all views.
 //!
 //! Source: Depth Anything 3; DINOv2.
 
@@ -14,14 +14,13 @@ use crate::{
     stages::{BackboneArchitecture, Reference, ViewGrid, embed_patches},
 };
 
-/// Norms of the blocks' residual stream add this to the variance.
+/// Epsilon of the blocks' norms.
 const EPS: f32 = 1e-6;
 
-/// The transformer's parameters.
 pub(super) struct Transformer {
     architecture: BackboneArchitecture,
     class_token: Tensor,
-    /// `[2, width]` f32, where views are told apart.
+    /// `[2, width]` f32.
     camera_tokens: Option<Tensor>,
     learned_positions: HostParameter,
     patch_embed: Linear,
@@ -30,25 +29,23 @@ pub(super) struct Transformer {
     camera_encoder: Option<CameraEncoder>,
 }
 
-/// The tokens of all views behind an out layer, camera tokens first in each view.
+/// Tokens at an out layer, camera tokens first.
 #[derive(Clone, Copy)]
 pub(super) struct OutLayer {
-    /// Of the newest block within views.
+    /// Latest local block's output.
     pub local: Rows,
-    /// The residual stream itself.
+    /// Residual stream.
     pub global: Rows,
 }
 
-/// The tensors that the host writes.
 struct Inputs<'a> {
     positions: Tensor,
-    /// Of blocks within views and across them.
+    /// Local, global.
     rotary: Option<&'a [Tensor]>,
     poses: Option<Tensor>,
 }
 
 impl Transformer {
-    /// Declares the parameters.
     pub fn new(p: &mut ParameterLayout, a: &BackboneArchitecture) -> Self {
         let root = &a.root;
         let heads = Heads::new(a.heads, a.width);
@@ -69,8 +66,8 @@ impl Transformer {
         }
     }
 
-    /// `[1 + patches, width]` f32: [`interpolate`]; where blocks rotate, `[1 + patches, head / 2, 2]` and `[1, head / 2, 2]` f32:
-    /// [`rotary_tables`], for local and for global blocks; and with cameras, without which the camera encoder does not run, `[views, POSE_VALUES]` f32.
+    /// Allocates positions ([`interpolate`]), tables ([`rotary_tables`]) and poses `[views,
+    /// POSE_VALUES]`, f32.
     pub fn inputs(&self, rec: &mut Recorder, grid: ViewGrid, cameras: bool) -> Vec<Tensor> {
         let (a, tokens) = (&self.architecture, 1 + grid.patches());
         let mut inputs = vec![rec.input::<f32>("positions", tokens * a.width)];
@@ -88,8 +85,8 @@ impl Transformer {
         Inputs { positions, rotary: (!rotary.is_empty()).then_some(rotary), poses: poses.first().copied() }
     }
 
-    /// Records all blocks for `images` `[views, 3, height, width]` f32 and calls `out` behind each out layer, with its index among those.
-    /// Blocks across views pool the keys of `pool` x `pool` patches.
+    /// Records all blocks and calls `out` at each out layer. Global blocks pool `pool` x `pool`
+    /// keys.
     pub fn record(
         &self,
         rec: &mut Recorder,
@@ -105,7 +102,7 @@ impl Transformer {
             poses.zip(encoder).map(|(poses, encoder)| encoder.record(rec, Rows::new(poses, grid.views, POSE_VALUES)));
         let x = self.first_tokens(rec, images, positions, grid);
         let mut chosen = None;
-        // The newest local block's output, where a global block has overwritten it.
+        // Copied before a global block overwrites it.
         let mut local = x;
         for (i, block) in self.blocks.iter().enumerate() {
             if i + 1 == a.alt_start && reference == Reference::Balanced && encoded.is_none() {
@@ -185,7 +182,6 @@ impl Transformer {
         rec.dispatch(kernel, grid.views * width);
     }
 
-    /// Writes the inputs of a run; poses are given where the inputs were made for them.
     pub fn write(
         &self,
         run: &mut Run,
@@ -209,7 +205,7 @@ impl Transformer {
     }
 }
 
-/// `[1]` u32: the view that has something of all, by its class token.
+/// Reference view `[1]` u32, by class tokens.
 fn choose_reference(rec: &mut Recorder, x: Rows, grid: ViewGrid) -> Tensor {
     let reference = rec.tensor::<u32>("reference", 1);
     let kernel = kernels::ReferenceView {

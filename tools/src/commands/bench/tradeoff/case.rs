@@ -5,16 +5,24 @@ use super::{
     point::{arithmetic, name},
     rounded::OWN,
 };
-use crate::{capture::Capture, refinement::Steps};
+use crate::{
+    capture::Capture,
+    refinement::{Start, Steps},
+};
 use zipsplat::{
     Result,
     ops::Precision,
-    reconstruct::{Kept, Model, Ratio, Request, Shape},
+    reconstruct::{Kept, Ratio, Request, Shape},
+    types::PointCloud,
+    weights::Architecture,
 };
 
 /// A reconstruction that is to be measured.
+#[derive(Clone)]
 pub struct Case<'a> {
     pub capture: &'a Capture,
+    /// The capture's points.
+    pub cloud: Option<&'a PointCloud>,
     pub shape: Shape,
     pub request: Request,
     pub precision: &'a str,
@@ -26,48 +34,52 @@ pub struct Case<'a> {
     pub settings: String,
     /// Numbers of Gaussians of a token.
     pub keep: &'a [usize],
-    /// Steps of the refinements that follow.
-    pub refine: Vec<Steps>,
+    /// The refinements that follow.
+    pub refine: Vec<(Start, Steps)>,
 }
 
-/// The combinations, without those that differ only in what does not matter.
+/// The combinations in the first arithmetic, without those that differ only in what does not matter. The first values of lists come
+/// first, and of a list of ratios each with every number of photos.
 pub fn all<'a>(
     args: &Tradeoff,
-    model: &Model,
-    (precision, weights): (&'a str, &'a str),
+    architecture: &Architecture,
+    precision: &'a str,
     keep: &'a [usize],
-    captures: &'a [Capture],
+    (captures, clouds): (&'a [Capture], &'a [Option<PointCloud>]),
 ) -> Result<Vec<Case<'a>>> {
     let mut cases: Vec<Case<'a>> = Vec::new();
-    for capture in captures {
-        for (&ratio, &pool) in args.ratio.iter().flat_map(|ratio| args.pool.iter().map(move |pool| (ratio, pool))) {
-            for selection in &args.select {
-                let cameras = Some(capture.cameras());
-                let request = Request { ratio, selection: selection.clone(), cameras, unit: 1.0, pool };
-                let shape = model.shape(&capture.images(), &request)?;
-                let whole = shape.kept == Kept::All;
-                let same = |case: &Case| case.shape == shape && (whole || case.request.selection == *selection);
-                if cases.iter().any(same) {
-                    continue;
-                }
-                let select = if whole { "all".into() } else { name(selection) };
-                let ratio = match ratio {
-                    Ratio::Auto => "auto".into(),
-                    Ratio::Fixed(ratio) => ratio.to_string(),
-                };
-                let mut settings = format!("--ratio {ratio}");
-                settings += &if whole { String::new() } else { format!(" --select {select}") };
-                settings += &if pool > 1 { format!(" --pool {pool}") } else { String::new() };
-                let refine = Vec::new();
-                let mut case =
-                    Case { capture, shape, request, precision, weights, select, ratio, settings, keep, refine };
-                if case.is_first(args) {
-                    case.refine.extend(args.refine.iter().filter(|steps| steps.count > 0));
-                }
-                cases.push(case);
+    for (&ratio, selection) in args.ratio.iter().flat_map(|ratio| args.select.iter().map(move |s| (ratio, s))) {
+        for (&pool, (capture, cloud)) in
+            args.pool.iter().flat_map(|pool| captures.iter().zip(clouds).map(move |capture| (pool, capture)))
+        {
+            let cameras = Some(capture.cameras());
+            let request = Request { ratio, selection: selection.clone(), cameras, unit: 1.0, pool };
+            let image = &capture.views.images[0];
+            let (views, size) = (capture.views.images.len(), [image.width, image.height]);
+            let shape = Shape::new(architecture, views, size, (ratio, selection), true)?.pooled(pool)?;
+            let whole = shape.kept == Kept::All;
+            let same = |case: &Case| case.shape == shape && (whole || case.request.selection == *selection);
+            if cases.iter().any(same) {
+                continue;
             }
+            let select = if whole { "all".into() } else { name(selection) };
+            let ratio = match ratio {
+                Ratio::Auto => "auto".into(),
+                Ratio::Fixed(ratio) => ratio.to_string(),
+            };
+            let mut settings = format!("--ratio {ratio}");
+            settings += &if whole { String::new() } else { format!(" --select {select}") };
+            settings += &if pool > 1 { format!(" --pool {pool}") } else { String::new() };
+            let (cloud, weights, refine) = (cloud.as_ref(), OWN, Vec::new());
+            let mut case =
+                Case { capture, cloud, shape, request, precision, weights, select, ratio, settings, keep, refine };
+            let is_new = !cases.iter().any(|case| std::ptr::eq(case.capture, capture));
+            case.refine = case.refinements(args, is_new);
+            cases.push(case);
         }
     }
+    // Stable: the order of lists is kept.
+    cases.sort_by_key(|case| !case.is_first(args));
     Ok(cases)
 }
 
@@ -76,6 +88,21 @@ impl Case<'_> {
     pub fn is_first(&self, args: &Tradeoff) -> bool {
         let chosen = self.shape.kept == Kept::All || self.request.selection == args.select[0];
         chosen && self.request.pool == args.pool[0]
+    }
+
+    /// The refinements that follow on it; one from points alone only on a capture's first case.
+    fn refinements(&self, args: &Tradeoff, is_new: bool) -> Vec<(Start, Steps)> {
+        let default: &[Start] = if self.cloud.is_some() { &[Start::Points, Start::Scene] } else { &[Start::Scene] };
+        let starts = args.start.as_deref().unwrap_or(default);
+        let pairs = args.refine.iter().flat_map(|steps| starts.iter().map(move |start| (*start, *steps)));
+        let follows = |(start, steps): &(Start, Steps)| match start {
+            _ if steps.count == 0 || !self.is_first(args) => false,
+            // Tokens have no other start than the scene.
+            _ if steps.tokens => *start == Start::Scene,
+            Start::Points => is_new,
+            _ => true,
+        };
+        pairs.filter(follows).collect()
     }
 
     /// True of what others are compared with.
@@ -90,7 +117,7 @@ impl Case<'_> {
     /// The command that shows the case with `more` options.
     pub fn command(&self, args: &Tradeoff, more: &str) -> String {
         let folder = args.folder.to_string_lossy();
-        let mut options = format!("--views {} {}", self.capture.inputs.len(), self.settings);
+        let mut options = format!("--views {}", self.capture.inputs.len());
         options += &format!(" {more} --precision {} --targets {}", self.precision, args.targets);
         if let Some(size) = args.size {
             options += &format!(" --size {size}");

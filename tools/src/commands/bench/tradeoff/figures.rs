@@ -33,7 +33,7 @@ const RATIO: Meaning = ("share of tokens", |p| p.asked_ratio.clone());
 const PRECISION: Meaning = ("precision", Point::arithmetic);
 const KEPT: Meaning = ("Gaussians a token", |p| p.keep.to_string());
 const POOL: Meaning = ("side of pooled patches", |p| p.pool.to_string());
-const STEPS: Meaning = ("steps of refinement", |p| p.refine.clone());
+const STEPS: Meaning = ("steps of refinement", Point::refinement);
 
 /// A point and its number in the sweep.
 type Numbered<'a> = (usize, &'a Point);
@@ -64,8 +64,8 @@ pub fn figures(sweep: &Sweep) -> Vec<(&'static str, String)> {
     let (best, ours) = (those(&full, |p| p.views == most), those(&full, kmeans));
     let kept = those(&plain, |p| p.views == most && p.arithmetic() == first && kmeans(p));
     let whole = those(&plain, |p| p.keep == keep && p.select == "all");
-    let refined = those(&all, |p| p.views == most && p.arithmetic() == first && p.keep == keep && kmeans(p));
-    let refined = those(&refined, |p| !p.refine.contains(':'));
+    let refined = those(&all, |p| p.views == most && p.arithmetic() == first && p.keep == keep);
+    let refined = those(&refined, |p| (kmeans(p) || p.is_of_points()) && !p.refine.contains(':'));
     let mut figures = vec![
         (
             "Quality against the number of Gaussians (figure 1)",

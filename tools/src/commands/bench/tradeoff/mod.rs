@@ -13,32 +13,34 @@ mod truth;
 use super::timed_device;
 use crate::{
     capture::{Capture, Choice},
-    options::{PrecisionName, Size, Weights, parse_length, parse_ratio, parse_selection},
+    options::{Keep, PrecisionName, Size, Weights, parse_length, parse_ratio, parse_selection},
     outputs::{self, Overwrite},
-    refinement::Steps,
+    refinement::{Start, Steps},
     session::Session,
     views::Seeing,
 };
 use clap::Args;
-use std::path::PathBuf;
+use std::{path::PathBuf, str::FromStr, time::Duration};
 use zipsplat::{
     Error, Result,
     gpu::Device,
     ops::{Arithmetic, Precision},
     reconstruct::{Ratio, Selection},
     tune::Chosen,
-    types::write_atomic,
+    types::{PointCloud, write_atomic},
     weights::{Checkpoint, Dtype},
 };
 
 /// What accuracy costs in time: a sweep over a capture, as a page with plots and pictures, and as a table
 ///
 /// Every combination of the lists is reconstructed from photos of the capture and compared with its other photos. What does
-/// not matter is not repeated: at ratio 1 nothing is selected. The page begins with three settings, fast, balanced and best, and
-/// shows picture and command of every point.
+/// not matter is not repeated: at ratio 1 nothing is selected. The most informative combinations come first, within lists the first
+/// values, and --minutes says how many are measured. The page begins with three settings, fast, balanced and best, and shows
+/// picture and command of every point.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat bench tradeoff capture/ -o report/
+  zipsplat bench tradeoff capture/ --minutes all -o report/
   zipsplat bench tradeoff capture/ --views 4,8,16,24 --ratio 1,0.5,auto -o report/
   zipsplat bench tradeoff capture/ --views 8,16 --ratio 1,auto --dtype f16,q8 --refine 0 -o report/
   zipsplat bench tradeoff capture/ --views 16 --ratio 1,auto --precision fast --refine 0,10,25,50,100,50:tokens -o report/
@@ -52,10 +54,10 @@ pub struct Tradeoff {
     /// Folder with photos and their cameras: a transforms.json or a COLMAP model
     folder: PathBuf,
     /// Numbers of photos to reconstruct from
-    #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "2,4,8")]
+    #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "8,4,2")]
     views: Vec<usize>,
     /// Shares of the tokens that become Gaussians, or auto
-    #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "1,0.5,0.25,0.1,0.05",
+    #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "1,0.25,0.5,0.1,0.05",
         value_parser = parse_ratio)]
     ratio: Vec<Ratio>,
     /// How those tokens are chosen: kmeans[:ROUNDS], stride, random[:SEED]
@@ -67,11 +69,15 @@ pub struct Tradeoff {
     pool: Vec<usize>,
     /// Numbers of Gaussians of every token that are kept, the ones that show most [default: all, a half, a quarter]
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
-    keep: Option<Vec<usize>>,
-    /// Steps of refinement from the scene, or as 100:tokens from its tokens. They follow on every number of photos and share of the
-    /// tokens, in the first arithmetic, with the first way to choose and all Gaussians. 0, the scene itself, is always there
+    keep: Option<Vec<Keep>>,
+    /// Steps of refinement, or as 100:tokens of the scene's tokens. They follow on every number of photos and share of the tokens, in
+    /// the first arithmetic, with the first way to choose and all Gaussians. 0, the scene itself, is always there
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "0,10,50")]
     refine: Vec<Steps>,
+    /// Initializations of the refinement. From points it needs no network, and follows on every number of photos [default: scene, and
+    /// points where the capture has some]
+    #[arg(long, value_name = "LIST", value_delimiter = ',', value_enum)]
+    start: Option<Vec<Start>>,
     /// Arithmetics: exact, fast, fast-bf16, turbo [default: all that the device has]
     #[arg(long, value_name = "LIST", value_delimiter = ',', value_enum)]
     precision: Option<Vec<PrecisionName>>,
@@ -97,11 +103,31 @@ pub struct Tradeoff {
     /// Runs that are timed
     #[arg(long, value_name = "N", default_value = "3", value_parser = clap::value_parser!(u32).range(1..))]
     repeats: u32,
+    /// Time for the sweep; the point that is being measured is finished
+    #[arg(long, value_name = "N|all", default_value = "5")]
+    minutes: Minutes,
     /// Folder for tradeoff.html and tradeoff.csv
     #[arg(long, short, value_name = "FOLDER")]
     output: PathBuf,
     #[command(flatten)]
     overwrite: Overwrite,
+}
+
+/// Time for a sweep; none measures every point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Minutes(Option<Duration>);
+
+impl FromStr for Minutes {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        if text == "all" {
+            return Ok(Self(None));
+        }
+        let minutes = text.parse().ok().filter(|minutes: &f64| *minutes > 0.0);
+        let time = minutes.and_then(|minutes| Duration::try_from_secs_f64(60.0 * minutes).ok());
+        time.map(|time| Self(Some(time))).ok_or_else(|| "expected minutes above 0, or all".into())
+    }
 }
 
 impl Tradeoff {
@@ -122,27 +148,33 @@ impl Tradeoff {
             })
             .collect::<Result<_>>()?;
         captures.iter().take(1).flat_map(Capture::notes).for_each(|note| session.note(note));
+        let clouds: Vec<Option<PointCloud>> = (choices.iter().zip(&captures))
+            .map(|(choice, capture)| choice.points(&capture.unit))
+            .collect::<Result<_>>()?;
         let arithmetics = self.arithmetics(session, &device, &checkpoint)?;
         let rounded = rounded::all(self, session, &checkpoint)?;
-        let (sweep, stopped_of) = sweep::run(self, session, &device, (&checkpoint, &rounded), &arithmetics, &captures)?;
+        let networks = (&checkpoint, &rounded[..], &arithmetics[..]);
+        let (sweep, cancelled) = sweep::run(self, session, &device, networks, (&captures, &clouds))?;
 
         outputs::make_folder(&self.output)?;
         let page = page::page(self, &device.limits().name, checkpoint.provenance(), &captures, &sweep)?;
         write_atomic(&html, |out| out.write_all(page.as_bytes()))?;
         outputs::save_csv(&csv, &sweep.points)?;
-        if let Some(all) = stopped_of {
-            session.note(format!(
-                "{} has the {} of {all} points that were measured",
-                html.display(),
-                sweep.points.len()
-            ));
+        let (measured, planned) = (sweep.points.len(), sweep.planned);
+        if cancelled {
+            session.note(format!("{} has the {measured} of {planned} points that were measured", html.display()));
             return Err(Error::Cancelled);
+        }
+        if measured < planned {
+            session.note(format!(
+                "{} has the {measured} most informative of {planned} points; --minutes all measures every one",
+                html.display()
+            ));
         }
         let front = point::front(&sweep.points).len();
         let text = format!(
-            "{}: {} points, {front} of them on the front of time and PSNR\n{}: the same as a table",
+            "{}: {measured} points, {front} of them on the front of time and PSNR\n{}: the same as a table",
             html.display(),
-            sweep.points.len(),
             csv.display()
         );
         session.report(&sweep.points, text)

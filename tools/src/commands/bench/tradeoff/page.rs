@@ -116,7 +116,7 @@ fn table(points: &[Point], rows: impl Iterator<Item = usize>, marked: &[usize]) 
             p.ratio,
             p.select,
             p.keep,
-            p.refine,
+            p.refinement(),
             p.gaussians,
             took(p.total_ms),
             p.render_ms,

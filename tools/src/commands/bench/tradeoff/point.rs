@@ -27,6 +27,8 @@ pub struct Point {
     pub keep: usize,
     /// Steps of refinement as the command line has them, `0` where there is none.
     pub refine: String,
+    /// Initialization of the refinement as the command line has it; empty where there is none.
+    pub init: String,
     pub tokens: usize,
     pub gaussians: usize,
     /// Photos to Gaussians, median.
@@ -64,6 +66,34 @@ pub struct Point {
 }
 
 impl Point {
+    /// A refinement of the points of a capture, to which no network adds.
+    pub fn of_points(views: usize, precision: &str) -> Self {
+        let words = |word: &str| word.to_owned();
+        Self {
+            views,
+            precision: words(precision),
+            weights: words(OWN),
+            asked_ratio: words("points"),
+            select: words("none"),
+            pool: 1,
+            ..Self::default()
+        }
+    }
+
+    /// Whether it is a refinement of the points of a capture.
+    pub fn is_of_points(&self) -> bool {
+        self.init == "points"
+    }
+
+    /// The steps of refinement, with their initialization where it is not the scene alone.
+    pub fn refinement(&self) -> String {
+        match self.init.as_str() {
+            "points" => format!("{} from points", self.refine),
+            "both" => format!("{} with points", self.refine),
+            _ => self.refine.clone(),
+        }
+    }
+
     /// Whether its Gaussians are refined.
     pub fn is_refined(&self) -> bool {
         self.refine != "0"
@@ -77,6 +107,9 @@ impl Point {
     /// The settings in words.
     pub fn settings(&self) -> String {
         let photos = counted(self.views, "photo");
+        if self.is_of_points() {
+            return format!("{photos}, {} steps of refinement from the capture's points", self.refine);
+        }
         let chosen = match self.select.as_str() {
             "all" => "every token".into(),
             select => format!("{:.0} % of the tokens by {select}", 100.0 * self.ratio),
@@ -85,6 +118,7 @@ impl Point {
         let refined = match self.refine.split_once(':') {
             _ if !self.is_refined() => String::new(),
             Some((steps, moved)) => format!(", {steps} steps of refinement of {moved}"),
+            None if self.init == "both" => format!(", {} steps of refinement with the capture's points", self.refine),
             None => format!(", {} steps of refinement", self.refine),
         };
         format!("{photos}, {}, {chosen}{pooled}, {} of a token's Gaussians{refined}", self.arithmetic(), self.keep)
@@ -161,6 +195,7 @@ pub(super) mod tests {
             pool: 1,
             keep: 8,
             refine: "0".into(),
+            init: String::new(),
             tokens: 10,
             gaussians: 80,
             forward_ms,

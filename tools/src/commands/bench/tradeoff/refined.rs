@@ -11,7 +11,7 @@ use zipsplat::{
     weights::Checkpoint,
 };
 
-/// Refines a reconstruction against the photos that it was made of, as `zipsplat eval --refine STEPS --start scene` does.
+/// Refines a scene against the photos of a capture, as `zipsplat eval --refine STEPS` does.
 ///
 /// # Errors
 /// As [`refine_scene`], and [`Error::Cancelled`] where the command should stop.

@@ -1,7 +1,7 @@
 //! Every combination of settings, measured.
 
 use super::{
-    Tradeoff,
+    Minutes, Tradeoff,
     case::{self, Case},
     drawn::{compare, psnr_to_f64},
     point::Point,
@@ -14,10 +14,12 @@ use crate::{
     commands::bench::Spread,
     metrics::psnr,
     options::Size,
-    refinement::Steps,
+    refinement::{Start, Steps},
     session::{Session, Stage},
 };
-use std::{collections::HashMap, ops::ControlFlow};
+use clap::ValueEnum;
+use indicatif::HumanDuration;
+use std::{collections::HashMap, ops::ControlFlow, time::Instant};
 use zipsplat::{
     Error, Result,
     gpu::{Device, Progress, StageTimes},
@@ -27,7 +29,7 @@ use zipsplat::{
         cluster::{even_indices, random_indices},
         render::Renderer,
     },
-    types::{Image, Scene},
+    types::{Image, PointCloud, Scene},
     weights::{Architecture, Checkpoint},
 };
 
@@ -39,6 +41,8 @@ pub struct Sweep {
     pub stages: Vec<(usize, StageTimes)>,
     /// The picture in place of the first photo, of each point.
     pub pictures: Vec<Image>,
+    /// Number of points of the whole sweep.
+    pub planned: usize,
     /// Pictures of `exact`, which those of others are compared with, by number of views, settings and Gaussians kept.
     drawn_exactly: HashMap<(usize, String, usize), Vec<f32>>,
 }
@@ -51,8 +55,7 @@ struct Bench<'a> {
     renderer: Renderer,
     truth: Truth<'a>,
     sweep: Sweep,
-    /// The number of points of the whole sweep.
-    points: usize,
+    began: Instant,
 }
 
 /// The results of a reconstruction.
@@ -72,9 +75,7 @@ struct Forward {
 /// That of the first that cannot.
 pub fn check(args: &Tradeoff, architecture: &Architecture, Size(width, height): Size) -> Result<()> {
     let all = architecture.gaussians_per_token;
-    if let Some(keep) = args.keep.iter().flatten().find(|keep| !(1..=all).contains(*keep)) {
-        return Err(Error::argument("--keep", keep, format!("1 to {all}, the Gaussians of a token")));
-    }
+    args.keep.iter().flatten().try_for_each(|keep| keep.of(all).map(drop))?;
     for views in &args.views {
         for (ratio, selection) in args.ratio.iter().flat_map(|ratio| args.select.iter().map(move |s| (*ratio, s))) {
             let shape = Shape::new(architecture, *views, [width, height], (ratio, selection), true)?;
@@ -84,92 +85,135 @@ pub fn check(args: &Tradeoff, architecture: &Architecture, Size(width, height): 
     Ok(())
 }
 
-/// Measures every combination, or as many as there is time for until the command should stop. In that case the other value is
-/// the number of points of the whole sweep.
+/// Measures every combination, or as many as there is time for. The other value is whether the command should stop.
 ///
 /// # Errors
 /// Where a reconstruction or a picture fails; [`Error::Cancelled`] where there is no point yet.
 pub fn run(
     args: &Tradeoff,
-    session: &Session<'_>,
+    session: &mut Session<'_>,
     device: &Device,
-    (checkpoint, rounded): (&Checkpoint, &[Rounded]),
-    arithmetics: &[(Precision, Arithmetic)],
-    captures: &[Capture],
-) -> Result<(Sweep, Option<usize>)> {
+    (checkpoint, rounded, arithmetics): (&Checkpoint, &[Rounded], &[(Precision, Arithmetic)]),
+    (captures, clouds): (&[Capture], &[Option<PointCloud>]),
+) -> Result<(Sweep, bool)> {
     let all = checkpoint.architecture().gaussians_per_token;
-    let keep = args.keep.clone().unwrap_or_else(|| vec![all, all.div_ceil(2), all.div_ceil(4)]);
+    let keep = match &args.keep {
+        Some(keep) => keep.iter().map(|keep| keep.of(all)).collect::<Result<_>>()?,
+        None => vec![all, all.div_ceil(2), all.div_ceil(4)],
+    };
     let first = |checkpoint: &Checkpoint| {
         let suits = |(_, arithmetic): &&(Precision, Arithmetic)| checkpoint.suits(*arithmetic).is_ok();
         arithmetics.iter().find(suits).copied()
     };
     let own = arithmetics.iter().map(|arithmetic| (OWN, checkpoint, *arithmetic));
     let rounded = rounded.iter().filter_map(|r| Some((r.dtype, &r.checkpoint, first(&r.checkpoint)?)));
-    let networks: Vec<_> = own.chain(rounded).collect();
+    let networks: Vec<Network<'_>> = own.chain(rounded).collect();
+    let architecture = checkpoint.architecture();
+    let cases = case::all(args, architecture, arithmetics[0].0.name(), &keep, (captures, clouds))?;
+    let passes = passes(args, &networks, &cases);
+    let points = |case: &Case<'_>| case.keep.len() + case.refine.len();
+    let planned = passes.iter().flat_map(|(_, cases)| cases).map(points).sum();
+    if let Minutes(Some(time)) = args.minutes {
+        let time = HumanDuration(time);
+        session.note(format!("{planned} points, the most informative first, for at most {time} (--minutes)"));
+    }
     let mut bench = Bench {
         args,
         device,
         checkpoint,
         renderer: Renderer::new(device),
         truth: Truth::new(checkpoint),
-        sweep: Sweep::default(),
-        points: 0,
+        sweep: Sweep { planned, ..Sweep::default() },
+        began: Instant::now(),
     };
-    let stopped = session.stage("sweep", |stage| {
-        for (i, (weights, checkpoint, (precision, arithmetic))) in networks.iter().enumerate() {
-            stage.name("load weights");
-            let model = Model::load_with(device, checkpoint, *arithmetic, |_| match stage.check() {
-                Ok(()) => ControlFlow::Continue(()),
-                Err(_) => ControlFlow::Break(()),
-            })?;
-            let mut cases = case::all(args, &model, (precision.name(), weights), &keep, captures)?;
-            if i == 0 {
-                let with_first = cases.iter().filter(|case| case.is_first(args)).count();
-                let refinements: usize = cases.iter().map(|case| case.refine.len()).sum();
-                let roundings = networks.len() - arithmetics.len();
-                bench.points = cases.len() * keep.len() * arithmetics.len() + with_first * roundings + refinements;
-            } else {
-                cases.iter_mut().for_each(|case| case.refine.clear());
-            }
-            if *weights != OWN {
-                cases.retain(|case| case.is_first(args));
-                cases.iter_mut().for_each(|case| case.keep = &case.keep[..1]);
-            }
-            for case in &cases {
-                stage.name(&format!("{}, {} views, {}", case.arithmetic(), case.capture.inputs.len(), case.settings));
-                bench.measure(&model, case, stage)?;
-            }
-        }
-        Ok(())
-    });
-    match stopped {
-        Ok(_) => Ok((bench.sweep, None)),
-        Err(Error::Cancelled) if !bench.sweep.points.is_empty() => Ok((bench.sweep, Some(bench.points))),
+    match session.stage("sweep", |stage| bench.run(&networks, &passes, stage)) {
+        Ok(_) => Ok((bench.sweep, false)),
+        Err(Error::Cancelled) if !bench.sweep.points.is_empty() => Ok((bench.sweep, true)),
         Err(error) => Err(error),
     }
 }
 
-impl Bench<'_> {
-    fn measure(&mut self, model: &Model, case: &Case<'_>, stage: &Stage<'_>) -> Result<()> {
-        let forward = self.forward(model, case, stage)?;
-        for keep in case.keep {
-            stage.check()?;
-            let found = self.point(model, case, &forward, *keep)?;
-            self.add(found, stage);
+/// A network's type of weights, its checkpoint and its arithmetic.
+type Network<'a> = (&'a str, &'a Checkpoint, (Precision, Arithmetic));
+
+/// The cases in the order in which they are measured, with the number of their network: first with every network those that begin with
+/// the first choice, then the others.
+fn passes<'a>(args: &Tradeoff, networks: &[Network<'a>], cases: &[Case<'a>]) -> Vec<(usize, Vec<Case<'a>>)> {
+    let mut passes = Vec::new();
+    for begins in [true, false] {
+        for (i, (weights, _, (precision, _))) in networks.iter().enumerate() {
+            let is_rounded = *weights != OWN;
+            let mut chosen: Vec<Case<'a>> =
+                cases.iter().filter(|case| case.is_first(args) == begins && (begins || !is_rounded)).cloned().collect();
+            for case in &mut chosen {
+                (case.precision, case.weights) = (precision.name(), weights);
+                if i > 0 {
+                    case.refine.clear();
+                }
+                if is_rounded {
+                    case.keep = &case.keep[..1];
+                }
+            }
+            passes.push((i, chosen));
         }
-        for steps in &case.refine {
-            stage.name(&format!("{} views, {}, {steps} steps", case.capture.inputs.len(), case.settings));
-            let found = self.refined(model, case, &forward, *steps, stage)?;
-            self.add(found, stage);
+    }
+    passes.retain(|(_, cases)| !cases.is_empty());
+    passes
+}
+
+impl Bench<'_> {
+    /// Measures until the time is over.
+    fn run(&mut self, networks: &[Network<'_>], passes: &[(usize, Vec<Case<'_>>)], stage: &Stage<'_>) -> Result<()> {
+        for (i, cases) in passes {
+            stage.name("load weights");
+            let (_, checkpoint, (_, arithmetic)) = networks[*i];
+            let model = Model::load_with(self.device, checkpoint, arithmetic, |_| match stage.check() {
+                Ok(()) => ControlFlow::Continue(()),
+                Err(_) => ControlFlow::Break(()),
+            })?;
+            for case in cases {
+                stage.name(&format!("{}, {} views, {}", case.arithmetic(), case.capture.inputs.len(), case.settings));
+                if self.measure(&model, case, stage)?.is_break() {
+                    return Ok(());
+                }
+            }
         }
         Ok(())
     }
 
-    fn add(&mut self, (point, picture): (Point, Image), stage: &Stage<'_>) {
+    /// The share of the time that is over.
+    fn spent(&self) -> f64 {
+        self.args.minutes.0.map_or(0.0, |time| self.began.elapsed().div_duration_f64(time))
+    }
+
+    /// Measures a case; `Break` where the time is over.
+    fn measure(&mut self, model: &Model, case: &Case<'_>, stage: &Stage<'_>) -> Result<ControlFlow<()>> {
+        let forward = self.forward(model, case, stage)?;
+        for keep in case.keep {
+            stage.check()?;
+            let found = self.point(model, case, &forward, *keep)?;
+            if self.add(found, stage).is_break() {
+                return Ok(ControlFlow::Break(()));
+            }
+        }
+        for (start, steps) in &case.refine {
+            stage.name(&format!("{} views, {}, {steps} steps", case.capture.inputs.len(), case.settings));
+            let found = self.refined(model, case, &forward, (*start, *steps), stage)?;
+            if self.add(found, stage).is_break() {
+                return Ok(ControlFlow::Break(()));
+            }
+        }
+        Ok(ControlFlow::Continue(()))
+    }
+
+    /// Adds a point; `Break` where the time is over.
+    fn add(&mut self, (point, picture): (Point, Image), stage: &Stage<'_>) -> ControlFlow<()> {
         self.sweep.points.push(point);
         self.sweep.pictures.push(picture);
+        let spent = self.spent();
         // Stopping is heard before the next: this one counts.
-        let _ = stage.at(self.sweep.points.len() as f64 / self.points as f64);
+        let _ = stage.at(spent.max(self.sweep.points.len() as f64 / self.sweep.planned as f64).min(1.0));
+        if spent < 1.0 { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
     }
 
     /// Photos to Gaussians.
@@ -219,33 +263,42 @@ impl Bench<'_> {
             keep,
             psnr_to_exact,
             psnr_to_f64,
-            command: case.command(self.args, &format!("--keep {keep}")),
+            command: case.command(self.args, &format!("{} --keep {keep}", case.settings)),
             ..drawn.point(self.settings(model, case, forward), &scene)?
         };
         Ok((point, drawn.picture(capture)?))
     }
 
-    /// The same with all Gaussians, refined, and its picture.
+    /// The same with all Gaussians, or the capture's points, refined, and its picture.
     fn refined(
         &mut self,
         model: &Model,
         case: &Case<'_>,
         forward: &Forward,
-        steps: Steps,
+        (start, steps): (Start, Steps),
         stage: &Stage<'_>,
     ) -> Result<(Point, Image)> {
-        let from = (case.capture, &case.request, &forward.scene);
+        let scene = start.scene(Some(forward.scene.clone()), case.cloud, &case.capture.learnt().1)?;
+        let from = (case.capture, &case.request, &scene);
         let refined = refine(self.device, (model, self.checkpoint), from, steps, stage)?;
         self.renderer.load(&refined.scene)?;
         let drawn = compare(&mut self.renderer, case.capture)?;
         let refine_ms = 1e3 * refined.took.as_secs_f64();
+        let settings = match start {
+            Start::Points => Point::of_points(case.capture.inputs.len(), case.precision),
+            _ => self.settings(model, case, forward),
+        };
+        let init = start.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned());
+        let options = if start == Start::Points { String::new() } else { format!("{} ", case.settings) };
         let point = Point {
+            keep: model.architecture().gaussians_per_token,
             refine: steps.to_string(),
             refine_ms,
-            total_ms: forward.ms + refine_ms,
-            peak_bytes: refined.peak_bytes.max(forward.made.peak_bytes),
-            command: case.command(self.args, &format!("--refine {steps} --start scene")),
-            ..drawn.point(self.settings(model, case, forward), &refined.scene)?
+            total_ms: settings.forward_ms + refine_ms,
+            peak_bytes: refined.peak_bytes.max(settings.peak_bytes),
+            command: case.command(self.args, &format!("{options}--refine {steps} --start {init}")),
+            init,
+            ..drawn.point(settings, &refined.scene)?
         };
         Ok((point, drawn.picture(case.capture)?))
     }

@@ -8,7 +8,12 @@ use super::{
     scene::{ModelTokens, Seen, zs_scene},
     status::{Failure, zs_status},
 };
-use crate::{
+use rayon::prelude::*;
+use std::{
+    ffi::c_void,
+    ops::{ControlFlow, Range},
+};
+use zipsplat::{
     Error,
     gpu::Progress,
     reconstruct::{MAX_VIEWS, Ratio, Reconstruction, Request, Selection, Shape},
@@ -17,11 +22,6 @@ use crate::{
         poses::Unit,
         preprocess::{View, fit, view_cameras},
     },
-};
-use rayon::prelude::*;
-use std::{
-    ffi::c_void,
-    ops::{ControlFlow, Range},
 };
 
 /// Ways to choose the tokens that are kept where the ratio is below 1.

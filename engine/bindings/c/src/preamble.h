@@ -1,7 +1,7 @@
 /*
  * zipsplat.h: photos without poses to a compact scene of 3D Gaussians, and pictures of it, on Vulkan.
  *
- * Generated from engine/src/ffi. Copyright and licence: see LICENSE (Apache-2.0).
+ * Generated from engine/bindings/c/src. Copyright and licence: see LICENSE (Apache-2.0).
  *
  *     zs_context    a device at work; creates
  *     zs_model      a network with its weights on the device; makes

@@ -9,12 +9,12 @@ use super::{
     scene::LatestScene,
     status::{Failure, guard, zs_status},
 };
-use crate::{Error, ops::Precision, reconstruct::Model, refine::FrozenHead, tune::Chosen, weights::Checkpoint};
 use std::{
     ffi::{CString, c_char, c_void},
     ops::ControlFlow,
     sync::{Arc, Mutex},
 };
+use zipsplat::{Error, ops::Precision, reconstruct::Model, refine::FrozenHead, tune::Chosen, weights::Checkpoint};
 
 /// A network with its weights on a context's device. Any number of threads may reconstruct with a model at the same time.
 pub struct zs_model {

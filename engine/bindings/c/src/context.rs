@@ -6,8 +6,8 @@ use super::{
     },
     status::{Failure, guard, zs_status},
 };
-use crate::gpu::{Device, DeviceInfo, DeviceOptions, Limits, list_devices};
 use std::ffi::c_char;
+use zipsplat::gpu::{Device, DeviceInfo, DeviceOptions, Limits, list_devices};
 
 /// A Vulkan device at work: everything that runs on it is created from a context. Any number of threads may use a context at
 /// the same time. Models and renderers keep what they need of it: it may be destroyed before them.
@@ -68,8 +68,8 @@ pub struct zs_context_options {
     /// Uses at most so many bytes of the device's memory and leaves the rest to others: what needs more fails with
     /// ZS_ERROR_OUT_OF_MEMORY before anything runs. Default 0: all that there is.
     pub max_memory_bytes: u64,
-    /// A device's number ("0"), a part of its name ("nvidia"), or its UUID, with or without GPU- and hyphens; NULL for the best.
-    /// Default NULL.
+    /// A device's number ("0"; digits are nothing else), a part of its name ("nvidia"), or its UUID, with or without GPU-
+    /// and hyphens; NULL for the best. Default NULL.
     pub device: *const c_char,
 }
 

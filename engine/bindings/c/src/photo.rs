@@ -5,8 +5,8 @@ use super::{
     pointers::{Versioned, array, borrow, destroy, produce, read_given, text, write_versioned},
     status::{guard, zs_status},
 };
-use crate::types::Image;
 use std::ffi::{c_char, c_void};
+use zipsplat::types::Image;
 
 /// A photo, decoded, in host memory. It never changes, so any number of threads may use it at the same time.
 pub struct zs_photo {

@@ -7,13 +7,13 @@ use super::{
     scene::zs_scene,
     status::{Failure, guard, zs_status},
 };
-use crate::{
-    stages::render::{Depth, Differentiator, Frame, MAX_SIDE, RenderRequest, Renderer},
-    types::Camera,
-};
 use std::{
     ffi::c_void,
     sync::{Mutex, MutexGuard},
+};
+use zipsplat::{
+    stages::render::{Depth, Differentiator, Frame, MAX_SIDE, RenderRequest, Renderer},
+    types::Camera,
 };
 
 /// A scene on a context's device, ready to be drawn. It keeps what it recorded for the last four sizes and kinds of picture:
@@ -71,8 +71,9 @@ pub struct zs_render_options {
     pub antialiased: u32,
     /// Red, green and blue behind the scene. Default black.
     pub background: [f32; 3],
-    /// Must be 0.
-    pub reserved: u32,
+    /// Near plane: the camera depth below which Gaussians are culled, in the scene's unit. 0, the default, is 0.01, or less
+    /// for scenes with an extent below 0.1.
+    pub near_plane: f32,
 }
 
 // SAFETY: repr(C), eight values of four bytes: no padding.
@@ -86,7 +87,7 @@ unsafe impl Versioned for zs_render_options {
             depth: zs_depth::ZS_DEPTH_EXPECTED as i32,
             antialiased: 0,
             background: [0.0; 3],
-            reserved: 0,
+            near_plane: 0.0,
         }
     }
 }
@@ -225,8 +226,8 @@ pub unsafe extern "C" fn zs_render(
 impl zs_render_options {
     /// The pixel format of options that can be drawn.
     pub(super) fn checked(&self) -> Result<zs_pixel_format, Failure> {
-        if self.reserved != 0 {
-            return Err(Failure::argument("zs_render_options, reserved", self.reserved, "0"));
+        if !self.near_plane.is_finite() || self.near_plane < 0.0 {
+            return Err(Failure::argument("near_plane", self.near_plane, "0 or a positive distance"));
         }
         if !self.background.iter().all(|value| value.is_finite()) {
             return Err(Failure::argument("background", format!("{:?}", self.background), "finite numbers"));
@@ -249,6 +250,7 @@ impl zs_render_options {
             alpha: alpha || rgb && format.has_alpha(),
             depth: wants_depth.then_some(depth),
             background: self.background,
+            near: (self.near_plane > 0.0).then_some(self.near_plane),
             antialiased: self.antialiased != 0,
             ..RenderRequest::default()
         })

@@ -1,12 +1,12 @@
 //! The ends of calls: a status, and a message for the thread that called.
 
-use crate::Error;
 use std::{
     any::Any,
     cell::Cell,
     ffi::{CStr, c_char},
     panic::{AssertUnwindSafe, catch_unwind},
 };
+use zipsplat::Error;
 
 /// The end of a call. Numbers are never given a new meaning; later versions may add some, so treat one that you do not know
 /// as a failure.

@@ -4,9 +4,9 @@ use super::{
     pointers::{POINTER, Versioned},
     status::Failure,
 };
-use crate::types::{Camera, Image, Intrinsics, MAX_DECODED_BYTES, MAX_SIDE, Pose};
 use glam::{DMat3, DVec3};
 use std::ffi::c_void;
+use zipsplat::types::{Camera, Image, Intrinsics, MAX_DECODED_BYTES, MAX_SIDE, Pose};
 
 /// Layouts of a pixel in memory. Colour is that of ordinary pictures (sRGB-encoded), red, green and blue from 0 to 1 or 255.
 #[repr(i32)]
@@ -170,7 +170,7 @@ impl zs_image {
         let stride = checked_stride(self.stride, row_bytes, height, &field("stride"))?;
         let mut rgb = Vec::new();
         let bytes = 3 * pixels;
-        rgb.try_reserve_exact(bytes as usize).map_err(|_| crate::Error::Memory {
+        rgb.try_reserve_exact(bytes as usize).map_err(|_| zipsplat::Error::Memory {
             what: field("pixels"),
             needed: bytes,
             available: 0,

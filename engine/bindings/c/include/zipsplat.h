@@ -1,7 +1,7 @@
 /*
  * zipsplat.h: photos without poses to a compact scene of 3D Gaussians, and pictures of it, on Vulkan.
  *
- * Generated from engine/src/ffi. Copyright and licence: see LICENSE (Apache-2.0).
+ * Generated from engine/bindings/c/src. Copyright and licence: see LICENSE (Apache-2.0).
  *
  *     zs_context    a device at work; creates
  *     zs_model      a network with its weights on the device; makes
@@ -182,8 +182,8 @@ typedef struct zs_context_options {
     // Uses at most so many bytes of the device's memory and leaves the rest to others: what needs more fails with
     // ZS_ERROR_OUT_OF_MEMORY before anything runs. Default 0: all that there is.
     uint64_t max_memory_bytes;
-    // A device's number ("0"), a part of its name ("nvidia"), or its UUID, with or without GPU- and hyphens; NULL for the best.
-    // Default NULL.
+    // A device's number ("0"; digits are nothing else), a part of its name ("nvidia"), or its UUID, with or without GPU-
+    // and hyphens; NULL for the best. Default NULL.
     const char *device;
 } zs_context_options;
 

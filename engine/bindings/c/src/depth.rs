@@ -10,7 +10,11 @@ use super::{
     scene::zs_scene,
     status::{Failure, guard, zs_status},
 };
-use crate::{
+use std::{
+    ffi::{c_char, c_void},
+    ptr::null,
+};
+use zipsplat::{
     Error,
     cameras::share_focal_lengths,
     depth::{DepthModel, DepthRequest, DepthView, Depths},
@@ -22,10 +26,6 @@ use crate::{
         preprocess::{PixelMap, View},
     },
     weights::DepthCheckpoint,
-};
-use std::{
-    ffi::{c_char, c_void},
-    ptr::null,
 };
 
 /// A network of Depth Anything 3 with its weights on a context's device. Any number of threads may use it at the same time.

@@ -7,7 +7,7 @@ use super::{
     scene::zs_scene,
     status::{Failure, guard, zs_status},
 };
-use crate::{
+use zipsplat::{
     stages::render::{Differentiator, Frame, HostGradients, Wanted},
     types::Camera,
 };

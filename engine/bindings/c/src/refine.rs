@@ -9,13 +9,13 @@ use super::{
     scene::{ModelTokens, zs_scene},
     status::{Failure, zs_status},
 };
-use crate::{
+use std::{ffi::c_void, ops::ControlFlow};
+use zipsplat::{
     Error,
     gpu::Arena,
     refine::{Refine, Refined, Refining, Stopped, refine_scene, refine_tokens},
     types::{Camera, Image, Pose},
 };
-use std::{ffi::c_void, ops::ControlFlow};
 
 /// One photo is held out where there are 9 or more, else none.
 pub const ZS_HOLD_OUT_AUTO: i32 = -1;

@@ -7,13 +7,13 @@ use super::{
     renderer::{zs_render_options, zs_renderer},
     status::{Failure, guard, zs_status},
 };
-use crate::{
-    gpu::{Adopted, Device, ImagePlace, Point, QueueLock, Requirement, Target, fast_requirements, requirements},
-    stages::render::{PixelLayout, RenderRequest},
-};
 use std::{
     ffi::{c_char, c_void},
     sync::LazyLock,
+};
+use zipsplat::{
+    gpu::{Adopted, Device, ImagePlace, Point, QueueLock, Requirement, Target, fast_requirements, requirements},
+    stages::render::{PixelLayout, RenderRequest},
 };
 
 /// Kinds of zs_vulkan_requirement.
@@ -334,7 +334,7 @@ pub unsafe extern "C" fn zs_render_to_vulkan(
 impl zs_vulkan_target {
     /// # Safety
     /// The header's words about handles hold.
-    unsafe fn target(&self, camera: &crate::types::Camera, layout: PixelLayout) -> Result<Target, Failure> {
+    unsafe fn target(&self, camera: &zipsplat::types::Camera, layout: PixelLayout) -> Result<Target, Failure> {
         let points = |pointer, count: u32, name| {
             // SAFETY: the caller's array.
             let points = unsafe { array::<zs_semaphore_point>(pointer, count as usize, name) }?;

@@ -6,12 +6,12 @@ use super::{
     pointers::{borrow, destroy, optional_text, produce, text, write_versioned},
     status::{Failure, guard, zs_status},
 };
-use crate::types::poses::{Frame, Poses, read_poses};
 use std::{
     ffi::{CString, c_char},
     path::Path,
     ptr::null,
 };
+use zipsplat::types::poses::{Frame, Poses, read_poses};
 
 /// The posed photos of a capture. It never changes, so any number of threads may use it at the same time.
 pub struct zs_capture {

@@ -8,20 +8,20 @@ use super::{
     },
     status::{Failure, guard, zs_status},
 };
-use crate::types::{
+use std::{
+    ffi::{c_char, c_void},
+    sync::{Arc, Mutex},
+};
+use zipsplat::types::{
     Camera, Pose, Scene, SceneFormat, WriteOptions, decode_scene, decode_scene_unchecked, encode_scene,
     preprocess::PixelMap, read_scene, read_scene_unchecked, write_scene,
 };
-use crate::{
+use zipsplat::{
     Error,
     gpu::Arena,
     reconstruct::{Patches, SceneTokens},
     refine::FrozenHead,
     stages::render::{DeviceScene, Renderer, WeakScene},
-};
-use std::{
-    ffi::{c_char, c_void},
-    sync::{Arc, Mutex},
 };
 
 /// 3D Gaussians in host memory. A scene never changes, so any number of threads may use it at the same time. It belongs to no

@@ -1,0 +1,172 @@
+//! Progress of a command's stages: a bar on a terminal, else a line now and then.
+
+use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
+use std::{
+    fmt,
+    io::{IsTerminal, Write, stderr},
+    ops::ControlFlow,
+    sync::{
+        Mutex, PoisonError,
+        atomic::{AtomicBool, Ordering},
+        mpsc::{Receiver, RecvTimeoutError, channel},
+    },
+    time::{Duration, Instant},
+};
+use zipsplat::{Error, Result};
+
+/// Work that takes no longer than this shows no progress.
+const PATIENCE: Duration = Duration::from_secs(1);
+/// Time from a command's start to its first line of progress, where standard error is no terminal.
+pub(super) const FIRST_LINE: Duration = Duration::from_secs(5);
+/// Time between two such lines.
+const BETWEEN_LINES: Duration = Duration::from_secs(30);
+/// Smallest finished fraction from which the remaining time is estimated.
+const ESTIMABLE: f64 = 0.02;
+/// Steps of a progress bar.
+const STEPS: u64 = 1000;
+
+/// A part of a command that may take long.
+pub struct Stage<'a> {
+    bar: ProgressBar,
+    cancelled: &'a AtomicBool,
+}
+
+impl<'a> Stage<'a> {
+    /// A stage that is not shown yet, as a part of `task`.
+    pub(super) fn new(name: &str, task: &str, cancelled: &'a AtomicBool) -> Self {
+        let bar = ProgressBar::with_draw_target(Some(STEPS), ProgressDrawTarget::hidden());
+        let style =
+            ProgressStyle::with_template("{spinner} {prefix}{msg:16} [{bar:32}] {percent:>3} % {elapsed}{left}");
+        let left = |state: &ProgressState, out: &mut dyn fmt::Write| {
+            let left = time_left(state.elapsed(), state.pos());
+            // A string takes all that is written.
+            let _ = left.map_or(Ok(()), |left| write!(out, ", {left:#} left"));
+        };
+        bar.set_style(style.expect("the template is valid").with_key("left", left));
+        Self { bar: bar.with_message(name.to_owned()).with_prefix(task.to_owned()), cancelled }
+    }
+
+    /// Runs `body` while its progress is shown on standard error.
+    pub(super) fn shown<T>(&self, next_line: &Mutex<Instant>, body: impl FnOnce(&Self) -> T) -> T {
+        let result = std::thread::scope(|scope| {
+            // Dropped when the body is done, also by a panic: that ends the wait.
+            let (_done, done) = channel::<()>();
+            let bar = &self.bar;
+            scope.spawn(move || match stderr().is_terminal() {
+                true => show_bar(bar, &done),
+                false => print_lines(bar, &done, next_line),
+            });
+            body(self)
+        });
+        self.bar.finish_and_clear();
+        result
+    }
+
+    /// A stage that shows its progress nowhere but in `bar`.
+    pub fn told_to(bar: &ProgressBar, cancelled: &'a AtomicBool) -> Self {
+        bar.set_length(STEPS);
+        bar.set_position(0);
+        Self { bar: bar.clone(), cancelled }
+    }
+
+    /// Moves the progress to `fraction` of all; `Break` where the command should stop.
+    pub fn at(&self, fraction: f64) -> ControlFlow<()> {
+        self.bar.set_position((fraction * STEPS as f64) as u64);
+        if self.cancelled.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    }
+
+    /// The same work without a progress that is shown, for one of several steps at once; it stops as this does.
+    pub fn silent(&self) -> Stage<'_> {
+        Stage { bar: ProgressBar::hidden(), cancelled: self.cancelled }
+    }
+
+    /// Changes the name that is shown.
+    pub fn name(&self, name: &str) {
+        self.bar.set_message(name.to_owned());
+    }
+
+    /// As [`Stage::at`], with stopping as an error.
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`].
+    pub fn reach(&self, fraction: f64) -> Result<()> {
+        if self.at(fraction).is_break() { Err(Error::Cancelled) } else { Ok(()) }
+    }
+
+    /// The results of `body` for each item; the progress is that of their count.
+    ///
+    /// # Errors
+    /// The body's, and [`Error::Cancelled`].
+    pub fn each<T, U>(&self, items: &[T], mut body: impl FnMut(&T) -> Result<U>) -> Result<Vec<U>> {
+        let (name, all) = (self.bar.message(), items.len());
+        let step = |(i, item)| {
+            self.name(&format!("{name} {} of {all}", i + 1));
+            self.reach(i as f64 / all as f64).and_then(|()| body(item))
+        };
+        items.iter().enumerate().map(step).collect()
+    }
+
+    /// [`Error::Cancelled`] where the command should stop.
+    pub fn check(&self) -> Result<()> {
+        if self.cancelled.load(Ordering::Relaxed) { Err(Error::Cancelled) } else { Ok(()) }
+    }
+}
+
+/// Draws a bar from when a stage has taken long until it is done.
+fn show_bar(bar: &ProgressBar, done: &Receiver<()>) {
+    if done.recv_timeout(PATIENCE) == Err(RecvTimeoutError::Timeout) {
+        bar.set_draw_target(ProgressDrawTarget::stderr());
+        bar.enable_steady_tick(Duration::from_millis(100));
+    }
+}
+
+/// Prints a line of progress whenever one is due, until a stage is done.
+fn print_lines(bar: &ProgressBar, done: &Receiver<()>, next_line: &Mutex<Instant>) {
+    let due = || next_line.lock().unwrap_or_else(PoisonError::into_inner);
+    loop {
+        let wait = due().saturating_duration_since(Instant::now());
+        if done.recv_timeout(wait) != Err(RecvTimeoutError::Timeout) {
+            return;
+        }
+        let mut due = due();
+        // Another stage may have printed one meanwhile.
+        if *due <= Instant::now() {
+            *due = Instant::now() + BETWEEN_LINES;
+            // A line that cannot be printed is no reason to stop.
+            let _ = writeln!(stderr(), "{}", progress_line(bar));
+        }
+    }
+}
+
+/// How far a stage is, as a line.
+fn progress_line(bar: &ProgressBar) -> String {
+    let (elapsed, name) = (bar.elapsed(), format!("{}{}", bar.prefix(), bar.message()));
+    match time_left(elapsed, bar.position()) {
+        Some(left) => format!("{name}: {} %, about {left} left", 100 * bar.position() / STEPS),
+        None => format!("{name}: {} so far", HumanDuration(elapsed)),
+    }
+}
+
+/// The time that a stage still takes, from how long its finished steps took.
+fn time_left(elapsed: Duration, steps: u64) -> Option<HumanDuration> {
+    let fraction = steps as f64 / STEPS as f64;
+    (fraction >= ESTIMABLE).then(|| HumanDuration(elapsed.mul_f64((1.0 / fraction - 1.0).max(0.0))))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_of_progress_estimate_the_rest() {
+        assert_eq!(
+            time_left(Duration::from_secs(60), STEPS / 4).map(|left| left.to_string()),
+            Some("3 minutes".into())
+        );
+        assert!(time_left(Duration::from_secs(60), STEPS / 100).is_none(), "a hundredth tells little");
+        let bar = ProgressBar::hidden().with_message("align").with_prefix("2 of 3, kitchen: ");
+        assert_eq!(progress_line(&bar), "2 of 3, kitchen: align: 0 seconds so far");
+        bar.set_position(STEPS / 2);
+        assert_eq!(progress_line(&bar), "2 of 3, kitchen: align: 50 %, about 0 seconds left");
+    }
+}
