@@ -98,6 +98,24 @@ fn the_scale_of_the_world_cancels() {
     }
 }
 
+/// The near plane shrinks with a tiny world, unless the request sets it.
+#[test]
+fn tiny_worlds_are_drawn() {
+    let (scene, camera) = (random_scene(1_500, 0, 0.1), camera(64, 64));
+    let frame = render(&scene, &[camera], &RenderRequest::default()).remove(0);
+    let scaled = |v: &[f32; 3]| v.map(|x| x * 2.0f32.powi(-14));
+    let tiny = Scene {
+        means: scene.means.iter().map(scaled).collect(),
+        scales: scene.scales.iter().map(scaled).collect(),
+        ..scene.clone()
+    };
+    let drawn = render(&tiny, &[camera], &RenderRequest::default()).remove(0);
+    assert_eq!(drawn.rgb, frame.rgb);
+    let fixed = RenderRequest { near: Some(0.01), ..RenderRequest::default() };
+    let culled = render(&tiny, &[camera], &fixed).remove(0);
+    assert!(culled.rgb.is_some_and(|rgb| rgb.iter().all(|value| *value == 0.0)));
+}
+
 /// Rotations and spherical harmonics of every degree turn with a scene that is placed elsewhere.
 #[test]
 fn the_world_of_a_scene_does_not_show() {

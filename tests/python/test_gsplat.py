@@ -120,7 +120,6 @@ def test_channels_are_any_number_and_any_sign() -> None:
 def test_what_is_not_there_is_named() -> None:
     fields = place()
     for options in [
-        {"far_plane": 1.0},
         {"far_plane": 100.0},
         {"radius_clip": 1.0},
         {"eps2d": 0.1},

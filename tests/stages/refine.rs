@@ -140,6 +140,8 @@ fn what_cannot_be_refined_is_refused() {
     };
     assert!(error(&scene, 1, &Refine::default()).contains("cameras"));
     assert!(error(&Scene::default(), 2, &Refine::default()).contains("no Gaussians"));
+    let behind = Scene { means: scene.means.iter().map(|m| [m[0], m[1], -m[2]]).collect(), ..scene.clone() };
+    assert!(error(&behind, 2, &Refine::default()).contains("no Gaussian that any photo's camera sees"));
     assert!(error(&scene, 2, &Refine { hold_out: Some(2), ..Refine::default() }).contains("held-out"));
 }
 
