@@ -122,7 +122,9 @@ fn a_plan_takes_what_a_run_then_takes() {
     let grown_tokens = format!("info --plan --views 9 --refine 42x28:tokens --grow 2000 {shared}");
     assert_eq!(folder.run(&grown_tokens).code, 3);
     // Photos that are small at first, and a scene that comes from a file.
-    folder.run("scene --seed 5 --views 3 --size 400x384 -o @/large").success();
+    folder.run("scene --seed 5 --views 9 --size 400x384 -o @/large").success();
+    let large = "@/large/images --poses @/large --ratio 0.5 --size 28x28";
+    folder.run(&format!("reconstruct {large} --weights @/micro.safetensors -o @/scene.ply --overwrite")).success();
     let refine = "refine @/scene.ply @/large/images --poses @/large --steps 5 -o @/sharp.ply --json";
     let run = folder.run(refine).json();
     let plan = folder.run(&format!("info --plan --views 9 --ratio 0.5 --refine 400x384 {shared}")).json();

@@ -180,7 +180,7 @@ fn reconstructions_are_refined() {
         let line = format!("{} --refine=8 --start {start} -o @/sharp.ply --explain", line.replace("--json", ""));
         let text = folder.run(&line).success();
         assert!(text.contains(&format!("from {of}, refined for ")), "{text}");
-        assert!(text.contains("against 10 photos"), "{text}");
+        assert!(text.contains("against 9 photos"), "{text}");
         assert_eq!(text.contains("tokens"), start == "scene", "{text}");
     }
     let wrong = line.replace("--json", "--refine=8:tokens --start points -o @/none.ply");

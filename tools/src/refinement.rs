@@ -100,7 +100,9 @@ pub const DEFAULT_STEPS: &str = "100";
 pub fn join_steps(args: impl IntoIterator<Item = OsString>) -> Vec<OsString> {
     let mut joined: Vec<OsString> = Vec::new();
     for word in args {
-        let steps = word.to_str().filter(|text| text.parse::<Steps>().is_ok());
+        // A target without steps, too: its error then names the option.
+        let is_value = |text: &&str| text.parse::<Steps>().is_ok() || ["tokens", "gaussians"].contains(text);
+        let steps = word.to_str().filter(is_value);
         let literal = joined.iter().any(|word| word == "--");
         match (joined.last_mut(), steps) {
             (Some(option), Some(steps)) if option == "--refine" && !literal => option.push(format!("={steps}")),
