@@ -4,16 +4,19 @@ use std::f64::consts::PI;
 
 /// Share of the rate that is left in the last step.
 const LAST: f64 = 0.1;
+/// Fraction of the steps over which the rate rises. Adam's first steps have full length whatever
+/// the gradient, which would blur a scene that is good already.
+const WARM_UP: f64 = 0.1;
 /// Until which share of the steps the sides of photos are how many times shorter.
 const COARSE: [(f64, u32); 2] = [(0.2, 4), (0.5, 2)];
 /// Shortest side of a photo that is made smaller, in pixels.
 const SHORTEST: u32 = 96;
 
-/// A cosine from the first rate to a tenth of it, from coarse photos to fine ones.
+/// A linear warm-up, then a cosine to a tenth of the rate; from coarse photos to fine ones.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Schedule {
     pub steps: usize,
-    /// The rate of the first step.
+    /// Peak rate.
     pub rate: f32,
     /// Whether photos are small at first.
     pub coarse: bool,
@@ -23,7 +26,8 @@ impl Schedule {
     /// The rate of step `step`, counted from 0.
     pub fn rate(&self, step: usize) -> f32 {
         let along = step as f64 / (self.steps.max(2) - 1) as f64;
-        self.rate * (LAST + (1.0 - LAST) * 0.5 * (1.0 + (PI * along).cos())) as f32
+        let rise = ((step + 1) as f64 / (WARM_UP * self.steps as f64).max(1.0)).min(1.0);
+        self.rate * (rise * (LAST + (1.0 - LAST) * 0.5 * (1.0 + (PI * along).cos()))) as f32
     }
 
     /// How many times shorter the sides of photos are in that step, whose shortest side is this.
@@ -39,10 +43,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rates_fall_to_a_tenth_and_photos_grow() {
+    fn rates_rise_then_fall_to_a_tenth_and_photos_grow() {
         let schedule = Schedule { steps: 100, rate: 2.0, coarse: true };
         let rates: Vec<f32> = (0..100).map(|step| schedule.rate(step)).collect();
-        assert!(rates[0] == 2.0 && (rates[99] - 0.2).abs() < 1e-6 && rates.is_sorted_by(|a, b| a > b));
+        assert!(rates[0] == 0.2 && rates[..10].is_sorted() && rates[9] > 1.9);
+        assert!((rates[99] - 0.2).abs() < 1e-6 && rates[9..].is_sorted_by(|a, b| a > b));
         assert_eq!([0, 19, 20, 49, 50, 99].map(|step| schedule.shrink(step, 400)), [4, 4, 2, 2, 1, 1]);
         assert_eq!([0, 20, 50].map(|step| schedule.shrink(step, 252)), [2, 2, 1]);
         assert_eq!(schedule.shrink(0, 84), 1);
