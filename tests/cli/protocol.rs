@@ -4,11 +4,13 @@ use crate::Folder;
 use glam::{DMat3, DVec3};
 use serde_json::{Value, json};
 use std::path::PathBuf;
+use zipsplat::stages::lpips::LpipsNetwork;
 use zipsplat::types::{
     Pose,
     poses::{Frame, read_poses},
     quaternion_from_matrix, read_ply, write_ply,
 };
+use zipsplat_tests::golden::lpips_weights;
 
 /// How many times smaller photos are than their cameras say, as in images_4.
 const SMALLER: u32 = 4;
@@ -220,6 +222,10 @@ fn a_protocol_aligns_cameras() {
     let [usual, adam, none] = [figure("", "a"), figure("--align adam", "b"), figure("--align none", "c")];
     assert!(usual == adam && usual > none + 1.0, "{usual}, {adam} and {none} dB");
     folder.run(&format!("{line} --align hope -o @/d")).fails_usage();
+    // Without LPIPS weights the table lacks a column, which is said.
+    let by_default = format!("{} --align none -o @/e", line.replace("--lpips none", ""));
+    let said = folder.run(&by_default).err.contains("LPIPS is missing");
+    assert_eq!(said, lpips_weights(LpipsNetwork::Vgg).is_none());
     std::fs::rename(folder.path("scenes/one.ply"), folder.path("scenes/two.ply")).expect("renamed");
     let outcome = folder.run(&format!("{line} -o @/d"));
     assert!(outcome.code == 1 && outcome.err.contains("one.ply"), "{}", outcome.err);

@@ -86,6 +86,11 @@ impl<'a> Judge<'a> {
         Ok(Self { eval, weights, seeing, device, precision, arithmetic, model, seer, renderer, lpips })
     }
 
+    /// Returns true if alignment and scores include LPIPS.
+    pub fn has_lpips(&self) -> bool {
+        self.lpips.is_some()
+    }
+
     /// Reconstructs a capture from the frames chosen, or reads a scene of it, and compares it with the others. `name` is the capture's in
     /// a data set.
     pub fn judge(&mut self, session: &mut Session<'_>, choice: &Choice, name: Option<&str>) -> Result<Judged> {

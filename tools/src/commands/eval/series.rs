@@ -109,6 +109,12 @@ pub fn run(eval: &Eval, protocol: Protocol, session: &mut Session<'_>) -> Result
     let (weights, seeing) = eval.begin(session)?;
     outputs::make_folder(out)?;
     let mut judge = Judge::new(eval, &weights, seeing, session)?;
+    if !judge.has_lpips() && eval.lpips.is_default() {
+        session.note(
+            "LPIPS is missing from pose alignment and from the table: `python3 tools/lpips.py` fetches its weights, \
+             and the next run evaluates these scenes again",
+        );
+    }
     let method = options.name.clone().unwrap_or_else(|| method_of(&weights, eval));
     let way = digest(&[eval.made_with(&weights, seeing, judge.precision.name())?]);
     let posed = if eval.pose_free { "free" } else { "posed" };
@@ -190,7 +196,8 @@ impl Series<'_> {
         let poses = place.read(eval.series.keep_distortion)?;
         let Some(mut choice) = setting.choose(&place.name, poses, targets)? else { return Ok(Outcome::Unknown) };
         let theirs = eval.theirs.file(Some(&place.name))?;
-        let hash = digest(&[choice.digest()?, theirs.as_deref().map(stamp).transpose()?.unwrap_or_default()]);
+        let stamp = theirs.as_deref().map(stamp).transpose()?.unwrap_or_default();
+        let hash = digest(&[choice.digest()?, stamp, judge.has_lpips().to_string()]);
         let folder = self.folder.join(format!("{}-{}", setting.name(), setting.rule()));
         let file = Row::file(&folder, &place.name);
         if Row::read(&file).is_some_and(|row| row.hash == hash) {
