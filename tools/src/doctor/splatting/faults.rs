@@ -175,7 +175,7 @@ fn blend(splats: &[Splat], place: [f64; 2], rules: Rules) -> [f64; 5] {
     pixel
 }
 
-/// First splat with alpha of at least 1/20 at its nearest pixel, or else the most opaque.
+/// First splat with alpha above 1/20 at its nearest pixel, or else the most opaque.
 fn most_visible(splats: &[Splat], size: [usize; 2]) -> Option<usize> {
     let own = |splat: &Splat| {
         let nearest = [0, 1].map(|axis| splat.mean[axis].floor().clamp(0.0, size[axis] as f64 - 1.0) + 0.5);
