@@ -1,10 +1,10 @@
-//! Pictures of numbers as NumPy keeps them: `.npy` with f32 `[height][width]`, little endian, row by row.
+//! NumPy `.npy` arrays, f32 `[height][width]`, little-endian, row-major.
 
 use std::path::Path;
 use zipsplat::{Error, Result};
 
 const MAGIC: &[u8] = b"\x93NUMPY";
-/// How the header of such a file begins.
+/// Start of the header.
 const START: &str = "{'descr': '<f4', 'fortran_order': False, 'shape': (";
 
 /// A file of NumPy's format 1.0: a header padded to 128 bytes, then the values.

@@ -17,16 +17,16 @@ use zipsplat::{
     types::{Camera, Image},
 };
 
-/// Steps, at most.
+/// Maximum number of steps.
 pub(super) const STEPS: usize = 200;
-/// Rate of turns in radians and of shifts.
+/// Learning rate of rotations in radians and of shifts.
 const RATE: f64 = 5e-3;
-/// The search ends where the loss changes by less than this in [`PATIENCE`] steps in a row.
+/// Loss change that ends the search, after [`PATIENCE`] steps below it.
 const FLAT: f64 = 1e-5;
 const PATIENCE: usize = 5;
-/// Share of LPIPS in the loss.
+/// Weight of LPIPS in the loss.
 const LPIPS: f64 = 0.05;
-/// The least sum of the weights.
+/// Minimum sum of the weights.
 const EPS: f64 = 1e-8;
 
 /// Moves `camera` for at most 200 steps against the difference between its picture of the scene that a renderer holds and the
@@ -58,9 +58,9 @@ pub fn align(
     Ok(Aligned { camera: descent.camera, drawn, before, turn, shift, doubt: None })
 }
 
-/// The steps of an alignment.
+/// State of an alignment.
 pub struct Descent {
-    /// The camera as it is now.
+    /// Current camera.
     pub camera: Camera,
     adam: PoseAdam,
     /// `[height, width, 3]`.
@@ -167,7 +167,7 @@ fn look_of_what_is_seen(
     Ok(LPIPS * value)
 }
 
-/// The plan of a picture's gradient.
+/// Plan of the backward pass.
 struct Backward {
     run: Run,
     cameras: Tensor,
@@ -178,7 +178,7 @@ struct Backward {
 }
 
 impl Backward {
-    /// A plan with room for somewhat more than so many intersections.
+    /// Creates a plan with a margin over `intersections`.
     fn new(scene: &DeviceScene, arena: &Arena, camera: &Camera, intersections: usize) -> Result<Self> {
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
         let (shape, capacity) = (FrameShape { cameras: 1, width, height }, intersections + intersections / 4 + 1024);
@@ -196,7 +196,7 @@ impl Backward {
         Ok(Self { run, cameras, d_frames, d_cameras, outputs, capacity })
     }
 
-    /// The gradient by the pose, or none where there was too little room.
+    /// Pose gradient; `None` if the capacity was exceeded.
     fn pose_gradient(&mut self, camera: &Camera, d_frames: &[f32]) -> Result<Option<[f64; 6]>> {
         self.run.write(self.cameras, &[camera_rows(camera)])?;
         self.run.write(self.d_frames, d_frames)?;
