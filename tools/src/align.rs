@@ -108,13 +108,14 @@ pub enum Doubt {
     Color,
 }
 
-/// Turns and moves `camera` until its picture of the scene that a renderer holds has the least squared error to `photo`, of
-/// the camera's size; at a distance of about 1 there should be something to see. Its lens stays. The camera stays within 15
-/// degrees and 0.25 of where it was, and a movement has to gain the more the farther it goes. Holes of the scene say nothing:
-/// the picture is drawn over the photo, and its error is divided by the mean alpha. Large differences count by their size, not their square.
+/// Rotates and shifts `camera` to minimize the squared error between its rendering and `photo`, of
+/// the camera's size. The scene should be at a distance of about 1. Intrinsics stay fixed, and
+/// movement is bounded by 15 degrees and 0.25, with a prior against large steps. Holes do not
+/// count: the rendering is drawn over the photo, and its error is divided by the mean alpha. The
+/// loss is robust to large differences.
 ///
-/// Levenberg-Marquardt over the 6 degrees of freedom, derivatives by central differences, from small pictures to those of
-/// full size, where the camera that it began with is kept if none is better. Before each drawing `check` is asked.
+/// Levenberg-Marquardt over 6 degrees of freedom with central differences, coarse to fine. At full
+/// size the initial camera stays if none is better. `check` runs before each rendering.
 ///
 /// # Errors
 /// As [`Renderer::render_loaded`], and those of `check`.
@@ -175,8 +176,8 @@ struct Search<'a> {
     prior: f64,
 }
 
-/// A turn (radians about a camera's own axes) and a shift (along them) for any six numbers: a movement cannot leave its ball,
-/// and near 0 one is [`MOST_TURN`] or [`MOST_SHIFT`].
+/// Maps six numbers to a rotation (radians about the camera's own axes) and a shift (along them),
+/// bounded by a ball. Near 0, one maps to [`MOST_TURN`] or [`MOST_SHIFT`].
 fn turn_and_shift(movement: &Vector6<f64>) -> [DVec3; 2] {
     [(0, MOST_TURN), (3, MOST_SHIFT)].map(|(i, most)| {
         let free = DVec3::from_slice(&movement.as_slice()[i..i + 3]);
@@ -215,8 +216,8 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Begins with a movement. What movements cost is measured by the error there: where a scene explains a photo well, it
-    /// says where the camera is, and where it does not, a small gain is no reason to go far.
+    /// Starts from a movement and scales the prior by the error there: a poor fit does not justify
+    /// a large step.
     fn from(mut self, movement: Vector6<f64>) -> Result<Self> {
         self.movement = movement;
         let error = self.pixels(&[movement]).map(|pixels| pixels[0].norm_squared());
@@ -225,8 +226,8 @@ impl<'a> Search<'a> {
         Ok(self)
     }
 
-    /// The residuals of the pixels from where movements lead: robust ones of what the scene, drawn over the photo, changes in it,
-    /// divided by the root of the mean alpha, so that seeing less of the scene is no gain.
+    /// Robust pixel residuals of the scene drawn over the photo, divided by the root of the mean
+    /// alpha. The division removes the gain from seeing less of the scene.
     fn pixels(&self, movements: &[Vector6<f64>]) -> Option<Vec<DVector<f64>>> {
         let cameras: Vec<Camera> = movements.iter().map(|movement| moved(&self.start, movement)).collect();
         let request = RenderRequest { alpha: true, ..RenderRequest::default() };

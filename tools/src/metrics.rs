@@ -28,12 +28,12 @@ pub fn mean_color(picture: &[f32]) -> Vec<f32> {
     (0..picture.len()).map(|i| (sums[i % 3] * 3.0 / picture.len() as f64) as f32).collect()
 }
 
-/// Structural similarity of two `[height][width][rgb]` pictures in 0..1 (Wang et al. 2004): the mean over channels and over
-/// all windows that lie inside, Gaussian weights, sample covariances, K1 = 0.01, K2 = 0.03.
+/// Structural similarity of two `[height][width][rgb]` pictures in 0..1 (Wang et al. 2004): the
+/// mean over channels and complete windows, with K1 = 0.01, K2 = 0.03.
 ///
-/// It is what the reference's evaluation prints, scikit-image's `structural_similarity(a, b, win_size=11, data_range=1,
-/// channel_axis=-1, gaussian_weights=True)`, whose `use_sample_covariance` is on: variances are those of a window's pixels as a
-/// sample, n / (n - 1) times the plain ones.
+/// Matches the reference's evaluation by scikit-image: `structural_similarity(a, b, win_size=11,
+/// data_range=1, channel_axis=-1, gaussian_weights=True)`. Variances are sample variances, n / (n -
+/// 1) times the plain ones.
 pub fn ssim(a: &[f32], b: &[f32], width: usize, height: usize) -> f64 {
     assert!(a.len() == 3 * width * height && b.len() == a.len() && width.min(height) > 2 * RADIUS);
     let mean = |value: &dyn Fn(f64, f64) -> f64, channel: usize| {

@@ -16,10 +16,11 @@ pub fn encode([height, width]: [u32; 2], values: &[f32]) -> Vec<u8> {
     bytes
 }
 
-/// Width, height and values of a file of NumPy's formats 1.0 to 3.0.
+/// Reads the size and values of an array in NumPy's formats 1.0 to 3.0.
 ///
 /// # Errors
-/// [`Error::Io`] where it cannot be read; [`Error::Format`] for another type, order or number of axes, and for too few values.
+/// [`Error::Io`] for a read failure; [`Error::Format`] for another type, order or number of axes,
+/// or missing values.
 pub fn read(path: &Path) -> Result<([u32; 2], Vec<f32>)> {
     let bytes = std::fs::read(path).map_err(|error| Error::io(path, error))?;
     let malformed = |found: &str| {

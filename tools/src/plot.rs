@@ -50,8 +50,8 @@ pub struct Axis<'a> {
     pub scale: Scale,
 }
 
-/// A plot and its legend, under the heading that says what colours mean. Points that are not finite are left out, and so are series
-/// behind the sixth, which the legend says. `beneath` is a grey line without points of its own.
+/// A plot and its legend with the heading `meaning`. Omits non-finite points and series past the
+/// sixth, which the legend counts. `beneath` is a gray line without points.
 pub fn plot(x: Axis<'_>, y: Axis<'_>, meaning: &str, series: &[Series], beneath: Option<&Series>) -> String {
     let shown = &series[..series.len().min(COLORS.len())];
     let place = |at: &At| At { x: x.position(at.x), y: y.position(at.y), of: at.of };

@@ -3,8 +3,8 @@
 use crate::{CANCELLED, process};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// For [`Terminal::cancelled`](crate::Terminal): set by SIGINT, SIGTERM or SIGHUP. A second one ends the process and the
-/// programs that it runs at once, and leaves the files that it was about to remove.
+/// Flag for [`Terminal::cancelled`](crate::Terminal), set by SIGINT, SIGTERM or SIGHUP. A second
+/// signal ends the process and its children at once, without removing temporary files.
 pub fn cancelled_by_signals() -> &'static AtomicBool {
     static STOP: AtomicBool = AtomicBool::new(false);
     if !outlives_terminal() {

@@ -1,4 +1,4 @@
-//! The alignment of ZipSplat's authors: Adam on the pose, against the difference where the scene is seen.
+//! Pose optimization by Adam with an alpha-weighted difference.
 //!
 //! Source: `pose_estimator.py` of ZipSplat, for each photo on its own.
 
@@ -29,8 +29,8 @@ const LPIPS: f64 = 0.05;
 /// Minimum sum of the weights.
 const EPS: f64 = 1e-8;
 
-/// Moves `camera` for at most 200 steps against the difference between its picture of the scene that a renderer holds and the
-/// photo: where it stands then is the answer, whether or not a step before was better. It may go any distance.
+/// Moves `camera` for at most 200 steps to match its rendering to the photo. Returns the last pose,
+/// without a distance limit.
 ///
 /// # Errors
 /// As [`super::align`].
@@ -130,8 +130,8 @@ const SEEN: RenderRequest = RenderRequest {
     layout: None,
 };
 
-/// The mean absolute difference, pixels weighted by alpha, and its gradient by `[pixels, 4]` red, green, blue and alpha: the weights
-/// have one, too.
+/// Alpha-weighted mean absolute difference, and its gradient `[pixels, 4]` by red, green, blue and
+/// alpha, including the weights.
 fn weighted_difference(rgb: &[f32], alpha: &[f32], truth: &[f32]) -> (f64, Vec<f32>) {
     let differences = rgb.iter().zip(truth).map(|(a, b)| f64::from(*a) - f64::from(*b));
     let differences: Vec<f64> = differences.collect();
@@ -147,8 +147,8 @@ fn weighted_difference(rgb: &[f32], alpha: &[f32], truth: &[f32]) -> (f64, Vec<f
     (loss, differences.chunks_exact(3).zip(alpha).flat_map(d_pixel).collect())
 }
 
-/// The share of the loss that LPIPS has, of picture and photo `[pixels, 3]` times alpha; its gradient is added to `d_frames`
-/// `[pixels, 4]`, and alpha has one through both.
+/// LPIPS term of picture and photo `[pixels, 3]` times alpha. Adds its gradient to `d_frames`
+/// `[pixels, 4]`, including alpha.
 fn look_of_what_is_seen(
     lpips: &mut Perceptual,
     [rgb, truth]: [&[f32]; 2],

@@ -22,11 +22,11 @@ enum Rule {
 }
 
 impl Protocol {
-    /// The settings of a protocol: those of files, or for each number of inputs that of the paper, unless there are gaps, one for each
-    /// number or one for all.
+    /// Settings of a protocol, from index files or by number of inputs. `gaps` override the
+    /// paper's, one per number or one for all.
     ///
     /// # Errors
-    /// As [`Indices::open`], and [`Error::Argument`] for a number of gaps that fits none of both.
+    /// As [`Indices::open`], and [`Error::Argument`] for a wrong number of gaps.
     pub fn settings(self, views: &[u32], gaps: &[usize], files: &[impl AsRef<Path>]) -> Result<Vec<Setting>> {
         if !files.is_empty() {
             let setting = |file: &_| {
