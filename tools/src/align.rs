@@ -47,7 +47,8 @@ const PATIENCE: usize = 12;
 pub enum Method {
     /// Least squares, from small pictures to large ones; the camera stays near where it was
     LevenbergMarquardt,
-    /// As ZipSplat's authors do: at most 200 steps of Adam, with a term of LPIPS where its weights are; the camera may go anywhere
+    /// As ZipSplat's authors do: at most 200 steps of Adam, with a term of LPIPS where its weights
+    /// are; the camera may go anywhere
     Adam,
 }
 
@@ -104,7 +105,8 @@ pub enum Doubt {
     Flat,
     /// The camera reached its movement limit.
     Bound,
-    /// The picture is no more like the photo than a single colour is, the mean of the nearest input photo.
+    /// The picture is no more like the photo than a single colour is, the mean of the nearest input
+    /// photo.
     Color,
 }
 

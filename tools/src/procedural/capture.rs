@@ -90,7 +90,8 @@ pub struct Capture {
 
 impl Options {
     /// # Errors
-    /// [`Error::Argument`] when there are no views, a side is empty or beyond 4096 pixels, or one is more than 8 times the other.
+    /// [`Error::Argument`] when there are no views, a side is empty or beyond 4096 pixels, or one
+    /// is more than 8 times the other.
     pub fn validate(&self) -> Result<()> {
         if !(1..=1024).contains(&self.views) {
             return Err(Error::argument("views", self.views, "1 to 1024"));

@@ -26,8 +26,8 @@ fn depth(number: usize) -> String {
     format!("depth/{number:03}.npy")
 }
 
-/// The files that a capture of `views` photos becomes, but for depth where the folder is one of ours: numbers have no room to
-/// say who wrote them.
+/// The files that a capture of `views` photos becomes, but for depth where the folder is one of
+/// ours: numbers have no room to say who wrote them.
 pub fn files(folder: &Path, views: usize) -> Vec<PathBuf> {
     let depths = if is_own(&folder.join(SCENE)) { 0 } else { views };
     let fixed = ["transforms.json", "points.ply", SCENE].map(str::to_owned);

@@ -7,7 +7,8 @@ use super::slab::slab;
 /// Cells along a side of a block.
 const BLOCK: usize = 8;
 
-/// Heights over `[-half_side, half_side]` in x and y. Each cell is cut from its low corner to its high one.
+/// Heights over `[-half_side, half_side]` in x and y. Each cell is cut from its low corner to its
+/// high one.
 pub struct HeightField {
     half_side: f32,
     cells: usize,

@@ -15,7 +15,8 @@ use zipsplat::{
 pub enum Filter {
     /// Pillow's LANCZOS after the crop, as in every other command
     Lanczos,
-    /// Bilinear with antialiasing before the crop, as the paper's tables: PyTorch's interpolate(mode="bilinear", antialias=True)
+    /// Bilinear with antialiasing before the crop, as the paper's tables: PyTorch's
+    /// interpolate(mode="bilinear", antialias=True)
     Bilinear,
 }
 
