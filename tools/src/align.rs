@@ -1,4 +1,4 @@
-//! Where in a scene a photo was taken: the camera near a first estimate whose picture of the scene is most like the photo.
+//! Aligns a camera near an initial estimate by comparing renderings with the photo.
 
 pub mod adam;
 
@@ -19,28 +19,27 @@ use zipsplat::{
     types::{Camera, Image, Pose, resample::resize_lanczos},
 };
 
-/// Radians that a camera may turn: 15 degrees. Farther off there are other parts of a scene, of which the blurred ones are like
-/// every photo.
+/// Maximum rotation in radians: 15 degrees. Farther away, blurred pictures match any photo.
 pub const MOST_TURN: f64 = std::f64::consts::PI / 12.0;
-/// How far it may move, where the scene is at a distance of about 1.
+/// Maximum shift, for a scene at a distance of about 1.
 pub const MOST_SHIFT: f64 = 0.25;
-/// Share of either from which a camera counts as stopped there.
+/// Fraction of a limit from which the camera counts as stopped there.
 const STOPPED: f64 = 0.9;
-/// Share of the squared error by which a picture has to be better where the camera turns or moves 0.71 of the most.
+/// Required relative gain in squared error at 0.71 of the maximum movement.
 const PRIOR: f64 = 0.1;
-/// Standard deviation of the values of a photo, in 0..1, below which it has no texture to align by.
+/// Minimum standard deviation of photo values, in 0..1, for alignment.
 const TEXTURE: f64 = 0.02;
-/// Difference of a value in 0..1 from which it counts as large: what is hidden, and not where the camera is.
+/// Threshold of the robust loss, in 0..1: large differences indicate occlusion.
 const LARGE: f64 = 0.01;
-/// The least mean alpha that errors are divided by.
+/// Minimum mean alpha in a division.
 const LEAST_SEEN: f64 = 1e-3;
-/// Shortest side of the smallest picture that is compared.
+/// Shorter side of the coarsest picture.
 const SMALLEST: u32 = 20;
 /// Half the length of central differences, in pixels that what is at distance 1 moves.
 const DIFFERENCE: f64 = 0.5;
-/// Where a step gains less than this share, or is shorter than it, the pictures of a size are done.
+/// Relative gain or step length that ends a level.
 const TOLERANCE: f64 = 1e-4;
-/// At a size at most 7 times so many movements are tried.
+/// Limit of iterations per level, with at most 7 renderings each.
 const PATIENCE: usize = 12;
 
 /// How a camera is searched for.
@@ -48,7 +47,8 @@ const PATIENCE: usize = 12;
 pub enum Method {
     /// Least squares, from small pictures to large ones; the camera stays near where it was
     LevenbergMarquardt,
-    /// As ZipSplat's authors do: at most 200 steps of Adam, with a term of LPIPS where its weights are; the camera may go anywhere
+    /// As ZipSplat's authors do: at most 200 steps of Adam, with a term of LPIPS where its weights
+    /// are; the camera may go anywhere
     Adam,
 }
 
@@ -56,7 +56,7 @@ impl Method {
     /// The finished fraction of an alignment at a step, if it takes as many as it may.
     pub fn fraction(self, step: usize) -> f64 {
         match self {
-            // How many pictures it draws depends on what they show.
+            // The number of renderings depends on the content.
             Self::LevenbergMarquardt => 0.0,
             Self::Adam => (step as f64 / adam::STEPS as f64).min(1.0),
         }
@@ -81,19 +81,19 @@ impl Method {
     }
 }
 
-/// The pose that [`align`] found.
+/// Result of [`align`].
 pub struct Aligned {
     /// The camera.
     pub camera: Camera,
-    /// The scene as it sees it, `[height][width][rgb]` in 0..1.
+    /// Rendering from the camera, `[height][width][rgb]` in 0..1.
     pub drawn: Vec<f32>,
-    /// As the camera sees it that the search began with.
+    /// Rendering from the initial camera.
     pub before: Vec<f32>,
-    /// Radians between the two cameras.
+    /// Rotation between the two cameras, in radians.
     pub turn: f64,
     /// Distance between the two cameras, in the unit of their poses.
     pub shift: f64,
-    /// Why the camera is not to be trusted, where it is not.
+    /// Reason to distrust the camera, if any.
     pub doubt: Option<Doubt>,
 }
 
@@ -101,21 +101,23 @@ pub struct Aligned {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Doubt {
-    /// The photo has hardly any texture: its camera was left where it was.
+    /// The photo has too little texture; the camera is unchanged.
     Flat,
-    /// The camera went about as far as it may.
+    /// The camera reached its movement limit.
     Bound,
-    /// The picture is no more like the photo than a single colour is, the mean of the nearest input photo.
+    /// The picture is no more like the photo than a single colour is, the mean of the nearest input
+    /// photo.
     Color,
 }
 
-/// Turns and moves `camera` until its picture of the scene that a renderer holds has the least squared error to `photo`, of
-/// the camera's size; at a distance of about 1 there should be something to see. Its lens stays. The camera stays within 15
-/// degrees and 0.25 of where it was, and a movement has to gain the more the farther it goes. Holes of the scene say nothing:
-/// the picture is drawn over the photo, and its error is divided by the mean alpha. Large differences count by their size, not their square.
+/// Rotates and shifts `camera` to minimize the squared error between its rendering and `photo`, of
+/// the camera's size. The scene should be at a distance of about 1. Intrinsics stay fixed, and
+/// movement is bounded by 15 degrees and 0.25, with a prior against large steps. Holes do not
+/// count: the rendering is drawn over the photo, and its error is divided by the mean alpha. The
+/// loss is robust to large differences.
 ///
-/// Levenberg-Marquardt over the 6 degrees of freedom, derivatives by central differences, from small pictures to those of
-/// full size, where the camera that it began with is kept if none is better. Before each drawing `check` is asked.
+/// Levenberg-Marquardt over 6 degrees of freedom with central differences, coarse to fine. At full
+/// size the initial camera stays if none is better. `check` runs before each rendering.
 ///
 /// # Errors
 /// As [`Renderer::render_loaded`], and those of `check`.
@@ -149,7 +151,7 @@ pub fn align(
         found.failure.into_inner()?;
         movement = found.movement;
     }
-    // Small pictures may be most alike elsewhere.
+    // Coarse levels may have another minimum.
     let search = Search::new(renderer, photo, *camera, check);
     let errors = search.pixels(&[Vector6::zeros(), movement]);
     search.failure.into_inner()?;
@@ -163,11 +165,11 @@ pub fn align(
     Ok(Aligned { camera: found, drawn, before, turn, shift, doubt: stopped.then_some(Doubt::Bound) })
 }
 
-/// The search among pictures of one size.
+/// Search at one picture size.
 struct Search<'a> {
     renderer: RefCell<&'a mut Renderer>,
     check: &'a dyn Fn() -> Result<()>,
-    /// The outcome of the drawing that failed.
+    /// Error of a failed rendering.
     failure: RefCell<Result<()>>,
     truth: DVector<f64>,
     start: Camera,
@@ -176,8 +178,8 @@ struct Search<'a> {
     prior: f64,
 }
 
-/// A turn (radians about a camera's own axes) and a shift (along them) for any six numbers: a movement cannot leave its ball,
-/// and near 0 one is [`MOST_TURN`] or [`MOST_SHIFT`].
+/// Maps six numbers to a rotation (radians about the camera's own axes) and a shift (along them),
+/// bounded by a ball. Near 0, one maps to [`MOST_TURN`] or [`MOST_SHIFT`].
 fn turn_and_shift(movement: &Vector6<f64>) -> [DVec3; 2] {
     [(0, MOST_TURN), (3, MOST_SHIFT)].map(|(i, most)| {
         let free = DVec3::from_slice(&movement.as_slice()[i..i + 3]);
@@ -185,13 +187,13 @@ fn turn_and_shift(movement: &Vector6<f64>) -> [DVec3; 2] {
     })
 }
 
-/// The turn (radians about the first camera's own axes) and the shift (along them) from one camera to another.
+/// Rotation (radians about the first camera's own axes) and shift (along them) between two cameras.
 fn between(from: &Camera, to: &Camera) -> [DVec3; 2] {
     let movement = to.pose.relative_to(&from.pose);
     [DQuat::from_mat3(&movement.rotation).to_scaled_axis(), movement.translation]
 }
 
-/// A residual whose square is that of a small difference, and grows in step with a large one (pseudo-Huber).
+/// Pseudo-Huber residual: quadratic for small differences, linear for large ones.
 fn robust(difference: f64) -> f64 {
     let root = (2.0 * ((1.0 + (difference / LARGE).powi(2)).sqrt() - 1.0)).sqrt();
     (LARGE * root).copysign(difference)
@@ -216,8 +218,8 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Begins with a movement. What movements cost is measured by the error there: where a scene explains a photo well, it
-    /// says where the camera is, and where it does not, a small gain is no reason to go far.
+    /// Starts from a movement and scales the prior by the error there: a poor fit does not justify
+    /// a large step.
     fn from(mut self, movement: Vector6<f64>) -> Result<Self> {
         self.movement = movement;
         let error = self.pixels(&[movement]).map(|pixels| pixels[0].norm_squared());
@@ -226,8 +228,8 @@ impl<'a> Search<'a> {
         Ok(self)
     }
 
-    /// The residuals of the pixels from where movements lead: robust ones of what the scene, drawn over the photo, changes in it,
-    /// divided by the root of the mean alpha, so that seeing less of the scene is no gain.
+    /// Robust pixel residuals of the scene drawn over the photo, divided by the root of the mean
+    /// alpha. The division removes the gain from seeing less of the scene.
     fn pixels(&self, movements: &[Vector6<f64>]) -> Option<Vec<DVector<f64>>> {
         let cameras: Vec<Camera> = movements.iter().map(|movement| moved(&self.start, movement)).collect();
         let request = RenderRequest { alpha: true, ..RenderRequest::default() };
@@ -258,7 +260,7 @@ impl LeastSquaresProblem<f64, Dyn, U6> for Search<'_> {
         self.movement
     }
 
-    /// The residuals of the pixels, then those of the six numbers of the movement.
+    /// Pixel residuals, then the movement's six.
     fn residuals(&self) -> Option<DVector<f64>> {
         let pixels = self.pixels(&[self.movement])?.remove(0);
         let prior = self.movement.iter().map(|value| self.prior * value);

@@ -1,6 +1,6 @@
-//! Colours as a command line writes them.
+//! Command-line colors.
 
-/// The basic colours of CSS (Color Module Level 4, named colours that HTML 4 had) and the second spelling of grey.
+/// Basic CSS colors (Color Module Level 4) and the second spelling of gray.
 const NAMED: [(&str, u32); 17] = [
     ("black", 0x000000),
     ("silver", 0xc0c0c0),

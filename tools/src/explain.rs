@@ -1,4 +1,4 @@
-//! `--explain`: the passes that a command ran, and what it did without.
+//! `--explain`: passes that ran, and those left out.
 
 use crate::table::{Table, bytes};
 use serde::Serialize;
@@ -8,25 +8,25 @@ use zipsplat::{
     types::LeftOut,
 };
 
-/// The work that was done and the work that was not.
+/// Passes that ran or were left out.
 #[derive(Serialize)]
 pub struct Explanation {
     passes: Vec<Pass>,
     left_out: Vec<LeftOut>,
 }
 
-/// Commands that are told as one.
+/// A group of commands.
 #[derive(Serialize)]
 struct Pass {
     pass: String,
     commands: u32,
     seconds: f64,
-    /// The bytes of the tensors that the commands read and wrote, each counted once a command.
+    /// Bytes of tensors read and written, each counted once per command.
     bytes: u64,
 }
 
 impl Explanation {
-    /// One pass for each kernel of each scope.
+    /// One pass per kernel and scope.
     pub fn of_kernels(profile: &Profile, left_out: Vec<LeftOut>) -> Self {
         let pass = |row: &ProfileRow| {
             let pass = if row.kernel.starts_with(&row.scope) {
@@ -39,7 +39,7 @@ impl Explanation {
         Self { passes: profile.rows.iter().map(pass).collect(), left_out }
     }
 
-    /// One pass for each stage that has a time.
+    /// One pass per timed stage.
     pub fn of_stages(times: &StageTimes, outline: &Profile, left_out: Vec<LeftOut>) -> Self {
         let pass = |(stage, time): &(String, Duration)| {
             let inside = |row: &&ProfileRow| row.scope.split('/').next() == Some(stage);

@@ -1,10 +1,10 @@
-//! How alike two pictures are: the numbers of scikit-image's `skimage.metrics`.
+//! Image similarity, as in scikit-image's `skimage.metrics`.
 
 use zipsplat::types::Image;
 
 /// Standard deviation of SSIM's windows, in pixels.
 const SIGMA: f64 = 1.5;
-/// Pixels from the centre of a window to its edge.
+/// Radius of a window in pixels.
 const RADIUS: usize = 5;
 /// Pixels of a window.
 const PIXELS: f64 = ((2 * RADIUS + 1) * (2 * RADIUS + 1)) as f64;
@@ -14,26 +14,26 @@ pub fn values(image: &Image) -> Vec<f32> {
     image.rgb.iter().map(|value| f32::from(*value) / 255.0).collect()
 }
 
-/// Peak signal-to-noise ratio in dB of values in 0..1; infinite where they are equal.
+/// Peak signal-to-noise ratio in dB of values in 0..1; infinite for equal pictures.
 pub fn psnr(a: &[f32], b: &[f32]) -> f64 {
     assert_eq!(a.len(), b.len());
     let squares: f64 = a.iter().zip(b).map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2)).sum();
     -10.0 * (squares / a.len() as f64).log10()
 }
 
-/// A picture `[..][rgb]` of one colour, the mean of another's.
+/// Fills a picture `[..][rgb]` with its mean color.
 pub fn mean_color(picture: &[f32]) -> Vec<f32> {
     let mut sums = [0.0; 3];
     picture.iter().enumerate().for_each(|(i, value)| sums[i % 3] += f64::from(*value));
     (0..picture.len()).map(|i| (sums[i % 3] * 3.0 / picture.len() as f64) as f32).collect()
 }
 
-/// Structural similarity of two `[height][width][rgb]` pictures in 0..1 (Wang et al. 2004): the mean over channels and over
-/// all windows that lie inside, Gaussian weights, sample covariances, K1 = 0.01, K2 = 0.03.
+/// Structural similarity of two `[height][width][rgb]` pictures in 0..1 (Wang et al. 2004): the
+/// mean over channels and complete windows, with K1 = 0.01, K2 = 0.03.
 ///
-/// It is what the reference's evaluation prints, scikit-image's `structural_similarity(a, b, win_size=11, data_range=1,
-/// channel_axis=-1, gaussian_weights=True)`, whose `use_sample_covariance` is on: variances are those of a window's pixels as a
-/// sample, n / (n - 1) times the plain ones.
+/// Matches the reference's evaluation by scikit-image: `structural_similarity(a, b, win_size=11,
+/// data_range=1, channel_axis=-1, gaussian_weights=True)`. Variances are sample variances, n / (n -
+/// 1) times the plain ones.
 pub fn ssim(a: &[f32], b: &[f32], width: usize, height: usize) -> f64 {
     assert!(a.len() == 3 * width * height && b.len() == a.len() && width.min(height) > 2 * RADIUS);
     let mean = |value: &dyn Fn(f64, f64) -> f64, channel: usize| {
@@ -57,7 +57,7 @@ pub fn ssim(a: &[f32], b: &[f32], width: usize, height: usize) -> f64 {
     sum / count as f64
 }
 
-/// The Gaussian-weighted means of all windows that lie inside a picture.
+/// Gaussian-weighted means of all complete windows.
 fn filter(values: &[f64], width: usize) -> Vec<f64> {
     let taps: [f64; 2 * RADIUS + 1] =
         std::array::from_fn(|i| (-0.5 * ((i as f64 - RADIUS as f64) / SIGMA).powi(2)).exp());

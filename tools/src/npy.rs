@@ -1,10 +1,10 @@
-//! Pictures of numbers as NumPy keeps them: `.npy` with f32 `[height][width]`, little endian, row by row.
+//! NumPy `.npy` arrays, f32 `[height][width]`, little-endian, row-major.
 
 use std::path::Path;
 use zipsplat::{Error, Result};
 
 const MAGIC: &[u8] = b"\x93NUMPY";
-/// How the header of such a file begins.
+/// Start of the header.
 const START: &str = "{'descr': '<f4', 'fortran_order': False, 'shape': (";
 
 /// A file of NumPy's format 1.0: a header padded to 128 bytes, then the values.
@@ -16,10 +16,11 @@ pub fn encode([height, width]: [u32; 2], values: &[f32]) -> Vec<u8> {
     bytes
 }
 
-/// Width, height and values of a file of NumPy's formats 1.0 to 3.0.
+/// Reads the size and values of an array in NumPy's formats 1.0 to 3.0.
 ///
 /// # Errors
-/// [`Error::Io`] where it cannot be read; [`Error::Format`] for another type, order or number of axes, and for too few values.
+/// [`Error::Io`] for a read failure; [`Error::Format`] for another type, order or number of axes,
+/// or missing values.
 pub fn read(path: &Path) -> Result<([u32; 2], Vec<f32>)> {
     let bytes = std::fs::read(path).map_err(|error| Error::io(path, error))?;
     let malformed = |found: &str| {

@@ -5,7 +5,7 @@ use std::{fmt::Write, ops::Range};
 
 /// Pixels of a plot; browsers scale it.
 const SIZE: (u32, u32) = (440, 330);
-/// Colours that people of any colour vision can tell apart (Okabe and Ito): as many series a plot has at most.
+/// Colors for any color vision (Okabe and Ito); their number limits the series.
 const COLORS: [RGBColor; 6] = [
     RGBColor(0, 114, 178),
     RGBColor(213, 94, 0),
@@ -14,15 +14,15 @@ const COLORS: [RGBColor; 6] = [
     RGBColor(230, 159, 0),
     RGBColor(86, 180, 233),
 ];
-/// The colour of what is no series of its own.
+/// Color of the background line.
 const GREY: RGBColor = RGBColor(150, 150, 150);
 
-/// A place of a plot.
+/// A plot point.
 #[derive(Clone, Copy, Debug)]
 pub struct At {
     pub x: f64,
     pub y: f64,
-    /// The number that the page knows it by: the circle's `data-point`.
+    /// Index for the page: the circle's `data-point`.
     pub of: Option<usize>,
 }
 
@@ -31,15 +31,15 @@ pub struct At {
 pub struct Series {
     pub name: String,
     pub points: Vec<At>,
-    /// Whether the points are joined, in the order given.
+    /// Whether a line joins the points in order.
     pub line: bool,
 }
 
-/// How positions along an axis stand for values.
+/// Axis scale.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Scale {
     Linear,
-    /// Values that are not above 0 are left out.
+    /// Logarithmic; drops values of at most 0.
     Log,
 }
 
@@ -50,8 +50,8 @@ pub struct Axis<'a> {
     pub scale: Scale,
 }
 
-/// A plot and its legend, under the heading that says what colours mean. Points that are not finite are left out, and so are series
-/// behind the sixth, which the legend says. `beneath` is a grey line without points of its own.
+/// A plot and its legend with the heading `meaning`. Omits non-finite points and series past the
+/// sixth, which the legend counts. `beneath` is a gray line without points.
 pub fn plot(x: Axis<'_>, y: Axis<'_>, meaning: &str, series: &[Series], beneath: Option<&Series>) -> String {
     let shown = &series[..series.len().min(COLORS.len())];
     let place = |at: &At| At { x: x.position(at.x), y: y.position(at.y), of: at.of };
@@ -71,7 +71,7 @@ pub fn plot(x: Axis<'_>, y: Axis<'_>, meaning: &str, series: &[Series], beneath:
     )
 }
 
-/// The picture with the numbers of its circles, which come in their order.
+/// Numbers the SVG's circles in order.
 fn numbered(svg: &str, numbers: impl Iterator<Item = Option<usize>>) -> String {
     let mut pieces = svg.split("<circle");
     let mut numbered = pieces.next().unwrap_or_default().to_owned();

@@ -1,14 +1,14 @@
-//! Ctrl-C, and being asked to end.
+//! Termination signals.
 
 use crate::{CANCELLED, process};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// For [`Terminal::cancelled`](crate::Terminal): set by SIGINT, SIGTERM or SIGHUP. A second one ends the process and the
-/// programs that it runs at once, and leaves the files that it was about to remove.
+/// Flag for [`Terminal::cancelled`](crate::Terminal), set by SIGINT, SIGTERM or SIGHUP. A second
+/// signal ends the process and its children at once, without removing temporary files.
 pub fn cancelled_by_signals() -> &'static AtomicBool {
     static STOP: AtomicBool = AtomicBool::new(false);
     if !outlives_terminal() {
-        // Without a handler signals still end the process, only less tidily.
+        // Without a handler, signals end the process without cleanup.
         let _ = ctrlc::set_handler(|| {
             if STOP.swap(true, Ordering::Relaxed) {
                 process::end_all();
@@ -19,7 +19,7 @@ pub fn cancelled_by_signals() -> &'static AtomicBool {
     &STOP
 }
 
-/// Whether this process was started to ignore SIGHUP, by nohup: a handler would undo that.
+/// Whether SIGHUP is ignored, as under nohup; a handler would undo that.
 fn outlives_terminal() -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let ignored = status.lines().find_map(|line| u64::from_str_radix(line.strip_prefix("SigIgn:")?.trim(), 16).ok());

@@ -1,4 +1,4 @@
-//! What results were made of, so that a command that is run again knows what it has done.
+//! Input stamps that let a repeated command skip finished work.
 
 use sha2::{Digest, Sha256};
 use std::{path::Path, time::SystemTime};
@@ -15,7 +15,7 @@ pub fn stamp(path: &Path) -> Result<String> {
     Ok(format!("{} {} {}\n", path.file_name().unwrap_or_default().to_string_lossy(), found.len(), time.as_nanos()))
 }
 
-/// One short text for many, in hexadecimal digits.
+/// Hexadecimal digest of several texts.
 pub fn digest(parts: &[String]) -> String {
     let mut hash = Sha256::new();
     parts.iter().for_each(|part| hash.update(part));

@@ -1,4 +1,4 @@
-//! The alignment of ZipSplat's authors: Adam on the pose, against the difference where the scene is seen.
+//! Pose optimization by Adam with an alpha-weighted difference.
 //!
 //! Source: `pose_estimator.py` of ZipSplat, for each photo on its own.
 
@@ -17,20 +17,20 @@ use zipsplat::{
     types::{Camera, Image},
 };
 
-/// Steps, at most.
+/// Maximum number of steps.
 pub(super) const STEPS: usize = 200;
-/// Rate of turns in radians and of shifts.
+/// Learning rate of rotations in radians and of shifts.
 const RATE: f64 = 5e-3;
-/// The search ends where the loss changes by less than this in [`PATIENCE`] steps in a row.
+/// Loss change that ends the search, after [`PATIENCE`] steps below it.
 const FLAT: f64 = 1e-5;
 const PATIENCE: usize = 5;
-/// Share of LPIPS in the loss.
+/// Weight of LPIPS in the loss.
 const LPIPS: f64 = 0.05;
-/// The least sum of the weights.
+/// Minimum sum of the weights.
 const EPS: f64 = 1e-8;
 
-/// Moves `camera` for at most 200 steps against the difference between its picture of the scene that a renderer holds and the
-/// photo: where it stands then is the answer, whether or not a step before was better. It may go any distance.
+/// Moves `camera` for at most 200 steps to match its rendering to the photo. Returns the last pose,
+/// without a distance limit.
 ///
 /// # Errors
 /// As [`super::align`].
@@ -58,9 +58,9 @@ pub fn align(
     Ok(Aligned { camera: descent.camera, drawn, before, turn, shift, doubt: None })
 }
 
-/// The steps of an alignment.
+/// State of an alignment.
 pub struct Descent {
-    /// The camera as it is now.
+    /// Current camera.
     pub camera: Camera,
     adam: PoseAdam,
     /// `[height, width, 3]`.
@@ -131,8 +131,8 @@ const SEEN: RenderRequest = RenderRequest {
     layout: None,
 };
 
-/// The mean absolute difference, pixels weighted by alpha, and its gradient by `[pixels, 4]` red, green, blue and alpha: the weights
-/// have one, too.
+/// Alpha-weighted mean absolute difference, and its gradient `[pixels, 4]` by red, green, blue and
+/// alpha, including the weights.
 fn weighted_difference(rgb: &[f32], alpha: &[f32], truth: &[f32]) -> (f64, Vec<f32>) {
     let differences = rgb.iter().zip(truth).map(|(a, b)| f64::from(*a) - f64::from(*b));
     let differences: Vec<f64> = differences.collect();
@@ -148,8 +148,8 @@ fn weighted_difference(rgb: &[f32], alpha: &[f32], truth: &[f32]) -> (f64, Vec<f
     (loss, differences.chunks_exact(3).zip(alpha).flat_map(d_pixel).collect())
 }
 
-/// The share of the loss that LPIPS has, of picture and photo `[pixels, 3]` times alpha; its gradient is added to `d_frames`
-/// `[pixels, 4]`, and alpha has one through both.
+/// LPIPS term of picture and photo `[pixels, 3]` times alpha. Adds its gradient to `d_frames`
+/// `[pixels, 4]`, including alpha.
 fn look_of_what_is_seen(
     lpips: &mut Perceptual,
     [rgb, truth]: [&[f32]; 2],
@@ -168,7 +168,7 @@ fn look_of_what_is_seen(
     Ok(LPIPS * value)
 }
 
-/// The plan of a picture's gradient.
+/// Plan of the backward pass.
 struct Backward {
     run: Run,
     cameras: Tensor,
@@ -179,7 +179,7 @@ struct Backward {
 }
 
 impl Backward {
-    /// A plan with room for somewhat more than so many intersections.
+    /// Creates a plan with a margin over `intersections`.
     fn new(scene: &DeviceScene, arena: &Arena, camera: &Camera, intersections: usize) -> Result<Self> {
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
         let (shape, capacity) = (FrameShape { cameras: 1, width, height }, intersections + intersections / 4 + 1024);
@@ -197,7 +197,7 @@ impl Backward {
         Ok(Self { run, cameras, d_frames, d_cameras, outputs, capacity })
     }
 
-    /// The gradient by the pose, or none where there was too little room.
+    /// Pose gradient; `None` if the capacity was exceeded.
     fn pose_gradient(&mut self, camera: &Camera, d_frames: &[f32]) -> Result<Option<[f64; 6]>> {
         self.run.write(self.cameras, &[camera_rows(camera)])?;
         self.run.write(self.d_frames, d_frames)?;

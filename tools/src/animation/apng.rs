@@ -1,4 +1,4 @@
-//! Animated PNG: every pixel as it was drawn.
+//! Animated PNG, lossless.
 
 use super::{Encoder, failed};
 use crate::{outputs::MADE_BY, session::Stage};
@@ -26,7 +26,7 @@ impl Apng {
         encoder.set_color(ColorType::Rgb);
         encoder.set_depth(BitDepth::Eight);
         let header = || {
-            // 0 plays: again and again.
+            // 0 plays loop forever.
             encoder.set_animated(frames as u32, 0)?;
             encoder.set_frame_delay(1, fps)?;
             encoder.add_text_chunk("Software".into(), MADE_BY.into())?;

@@ -1,4 +1,4 @@
-//! MP4 by an installed ffmpeg, which gets the pictures through a pipe.
+//! MP4 through a pipe to an installed ffmpeg.
 
 use super::Encoder;
 use crate::{
@@ -17,16 +17,16 @@ use zipsplat::{
     types::{Image, Unfinished},
 };
 
-/// H.264 as every player has it: half as many colour samples a side, for which sides have to be even.
+/// Widely supported H.264. Its chroma subsampling needs even sides.
 const ENCODING: &str = "-vf crop=trunc(iw/2)*2:trunc(ih/2)*2 -c:v libx264 -crf 18 -pix_fmt yuv420p -movflags +faststart \
                         -metadata comment=zipsplat -f mp4";
 
 pub struct Ffmpeg {
     program: PathBuf,
     child: Running,
-    /// The program's messages, read on the side: a full pipe would stop it.
+    /// Drains ffmpeg's messages, which would block on a full pipe.
     said: Option<JoinHandle<String>>,
-    // After the child: the file is removed when nobody writes to it any more.
+    // Dropped after the child, which still writes to the file.
     file: Unfinished,
 }
 
@@ -44,7 +44,7 @@ impl Ffmpeg {
         let mut command = Command::new(program);
         command.args(["-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"]);
         command.args(["-s", &format!("{width}x{height}"), "-framerate", &fps.to_string(), "-i", "-"]);
-        // Named as a file: a path may look like an option or a protocol.
+        // The `file:` prefix keeps a path from parsing as an option or a protocol.
         let mut out = OsString::from("file:");
         out.push(file.temporary_path());
         command.args(ENCODING.split_whitespace()).arg(out);
@@ -54,7 +54,7 @@ impl Ffmpeg {
         Ok(Self { program: program.into(), child, said, file })
     }
 
-    /// Ffmpeg's own words, or the reason given.
+    /// Ffmpeg's message, or the given reason.
     fn failure(&mut self, reason: String) -> Error {
         let said = self.said.take().and_then(|said| said.join().ok()).unwrap_or_default();
         failure(&self.program, &said, reason)
@@ -70,7 +70,7 @@ impl Encoder for Ffmpeg {
                 ErrorKind::BrokenPipe => "ended before it had all pictures".into(),
                 _ => error.to_string(),
             };
-            // What it has to say ends when it does.
+            // Its messages end with the process.
             self.child.end_soon();
             self.failure(reason)
         })

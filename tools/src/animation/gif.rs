@@ -1,4 +1,4 @@
-//! Animated GIF: 256 colours a picture, chosen for each.
+//! Animated GIF with 256 colors per picture.
 
 use super::{Encoder, failed, side};
 use crate::{outputs::MADE_BY, session::Stage};
@@ -14,7 +14,7 @@ use zipsplat::{
     types::{Image, Unfinished},
 };
 
-/// Pixels that NeuQuant learns a picture's colours from, where it has more.
+/// Maximum number of pixels sampled for NeuQuant's palette.
 const SAMPLES: u64 = 1 << 16;
 
 pub struct Gif {
@@ -41,7 +41,7 @@ impl Gif {
 impl Encoder for Gif {
     fn push(&mut self, images: &[Image]) -> Result<()> {
         let (fps, pushed) = (u64::from(self.fps), self.pushed);
-        // Hundredths of a second until a picture is due: rounded each, so that their sum keeps to the rate.
+        // Rounded due times in hundredths of a second, so that rounding does not accumulate.
         let due = |i: u64| (100 * i + fps / 2) / fps;
         let encode = |(i, image): (usize, &Image)| {
             let (width, height) = (side(image.width, "GIF")?, side(image.height, "GIF")?);
@@ -66,7 +66,7 @@ impl Encoder for Gif {
     }
 }
 
-/// NeuQuant's step over the pixels, from 1 to 30.
+/// NeuQuant's sampling step, from 1 to 30.
 fn speed(image: &Image) -> i32 {
     let pixels = u64::from(image.width) * u64::from(image.height);
     (pixels / SAMPLES).clamp(1, 30) as i32

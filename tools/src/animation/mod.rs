@@ -1,4 +1,5 @@
-//! Pictures one after another as one file: GIF and animated PNG from here, MP4 by an installed ffmpeg.
+//! Pictures one after another as one file: GIF and animated PNG from here, MP4 by an installed
+//! ffmpeg.
 
 mod apng;
 mod ffmpeg;
@@ -45,7 +46,8 @@ pub trait Encoder {
 
 impl Animation {
     /// # Errors
-    /// [`Error::Argument`] where the extension is of no known format, the rate is out of its range, `path` is no file's, or ffmpeg is needed and does not run.
+    /// [`Error::Argument`] where the extension is of no known format, the rate is out of its range,
+    /// `path` is no file's, or ffmpeg is needed and does not run.
     pub fn new(path: &Path, fps: u16, ffmpeg: &Path) -> Result<Self> {
         let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
         let format = match extension.as_deref() {

@@ -1,4 +1,4 @@
-//! Steps of the optimiser.
+//! Adam optimizer steps.
 
 use super::{Area, Case, Catches, Mode, Worst, bound::Bounded, case, trial::Trial};
 use crate::noise::Noise;
@@ -13,7 +13,6 @@ const REASON: &str = "running error analysis of a step in the stored value: prod
     Vulkan's limits, exp 3 + 2|x| units; what is not finite moves nothing, exactly";
 
 const ADAM: Adam = Adam { beta1: 0.9, beta2: 0.999, eps: 1e-8 };
-/// The rate of the schedule; that of the tensor is 1.
 const RATE: f32 = 0.03125;
 
 /// Values before step `step`.
@@ -25,23 +24,21 @@ struct Problem {
     moments: [Vec<f32>; 2],
 }
 
-/// Ways in which a step may be wrong.
 #[derive(Clone, Copy, Debug)]
 enum Fault {
     Zero,
-    /// Along the gradient.
+    /// Adds the gradient.
     Ascent,
-    /// Moments as if they had been gathered for ever.
+    /// No bias correction.
     NoCorrection,
-    /// Each moment decays as the other does.
     SwappedDecays,
     NoEpsilon,
-    /// The value is stepped where its logarithm or logit is to be.
+    /// Steps the value instead of its logarithm or logit.
     WrongSpace,
-    /// The gradient of the stored value where that of its logarithm or logit is to be.
+    /// Uses the gradient by the stored value instead of its logarithm or logit.
     NoChainRule,
     NeighbourGradient,
-    /// A gradient that is not finite goes on.
+    /// Uses non-finite gradients.
     Poisoned,
 }
 
@@ -95,7 +92,7 @@ impl Problem {
         [value, after.moments[0], after.moments[1]]
     }
 
-    /// The most that value and moments `i` may be off by.
+    /// Error bounds of value and moments `i`.
     fn errors(&self, i: usize) -> [f64; 3] {
         let exact = Bounded::exact;
         let (p, one) = (exact(self.values[i]), exact(1.0));

@@ -1,37 +1,36 @@
-//! How far f32 may be from the truth: from the format's unit roundoff and what Vulkan allows its functions, nothing fitted.
+//! Error bounds of f32, from the unit roundoff and Vulkan's precision limits.
 //!
-//! Additions and multiplications are rounded correctly (Vulkan specification, "Precision and Operation of SPIR-V
-//! Instructions"); a device may flush subnormal numbers, and fuse a multiplication with an addition, which only helps.
+//! Additions and multiplications are correctly rounded (Vulkan specification, "Precision and
+//! Operation of SPIR-V Instructions"). A device may flush subnormals and fuse multiply-adds.
 
 use serde::Serialize;
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-/// Unit roundoff: the most that one rounding to f32 moves a value, relatively.
+/// Unit roundoff: relative error bound of one rounding to f32.
 pub const U: f64 = f32::EPSILON as f64 / 2.0;
-/// One unit in the last place, relatively, at most.
+/// Relative bound of one unit in the last place.
 pub const ULP: f64 = f32::EPSILON as f64;
-/// The most that is lost where a subnormal number is flushed to zero.
+/// Error bound of flushing a subnormal to zero.
 pub const TINY: f64 = f32::MIN_POSITIVE as f64;
 /// Vulkan's relative limit for a division.
 pub const DIVISION: f64 = 2.5 * ULP;
-/// Vulkan's relative limit for sqrt, which is that of the inverse of inversesqrt.
+/// Vulkan's relative limit for sqrt, the inverse of inversesqrt.
 pub const ROOT: f64 = 4.5 * ULP;
 
-/// The most that `n` roundings move a value, relatively: `n u / (1 - n u)`, and so the most by which a sum of n terms
-/// deviates, in any order, relative to the sum of their magnitudes (Higham, Accuracy and Stability of Numerical
-/// Algorithms, lemma 3.1 and section 4.2).
+/// Relative error bound of `n` roundings: `n u / (1 - n u)`. Also bounds a sum of `n` terms in any
+/// order, relative to their magnitudes (Higham, Accuracy and Stability of Numerical Algorithms,
+/// lemma 3.1 and section 4.2).
 pub fn gamma(n: usize) -> f64 {
     let nu = n as f64 * U;
     if nu < 1.0 { nu / (1.0 - nu) } else { f64::INFINITY }
 }
 
-/// The most additions that a term goes through where the lanes of a subgroup, 4 to 128 of them, each add up their share of
-/// `n` terms, in any order, and then their sums.
+/// Additions per term, at most, when the 4 to 128 lanes of a subgroup sum `n` terms.
 pub fn by_lanes(n: usize) -> usize {
     n.min((n.div_ceil(4) + 4).max(n.div_ceil(128) + 128))
 }
 
-/// A number rounded to the 11 bits of f16; infinite beyond its range. What a fault makes of sums.
+/// Rounds to the 11 bits of f16; infinite beyond its range.
 pub fn half(x: f64) -> f64 {
     let rounded = f64::from(f32::from_bits(((x as f32).to_bits() + 0x1000) & !0x1fff));
     if rounded.abs() > 65504.0 { rounded * f64::INFINITY } else { rounded }
@@ -47,44 +46,43 @@ pub fn logarithm(x: f64) -> f64 {
     if (0.5..=2.0).contains(&x) { (-21f64).exp2() } else { 3.0 * ULP * x.ln().abs() }
 }
 
-/// The element of a result that used up the largest share of its bound.
+/// The element with the largest error relative to its bound.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Worst {
-    /// Distance from the truth; how many differ, where results must be equal. Infinite for NaN.
+    /// Distance from the truth, or the number of differing elements. Infinite for NaN.
     pub error: f64,
-    /// The most that it may be.
+    /// Error bound.
     pub bound: f64,
-    /// Error over bound: above 1 the result is wrong.
+    /// Error over bound; above 1 the result is wrong.
     pub share: f64,
 }
 
 impl Worst {
-    /// Nothing was compared.
+    /// Empty comparison.
     pub const NONE: Self = Self { error: 0.0, bound: 0.0, share: 0.0 };
 
-    /// Nothing could be compared.
+    /// Failed comparison.
     pub const UNKNOWN: Self = Self { error: f64::INFINITY, bound: f64::INFINITY, share: f64::INFINITY };
 
-    /// One comparison. What is not finite is wrong.
+    /// Compares one value; a non-finite value is wrong.
     pub fn one(got: f64, truth: f64, bound: f64) -> Self {
         let error = if got.is_finite() { (got - truth).abs() } else { f64::INFINITY };
         let share = match error {
             0.0 => 0.0,
-            // Also where the bound is 0 or NaN.
             _ if !(error.is_finite() && bound > 0.0) => f64::INFINITY,
             _ => error / bound,
         };
         Self { error, bound, share }
     }
 
-    /// The worst element of a result.
+    /// Returns the worst element of a result.
     pub fn of(got: &[f32], truth: &[f64], bound: impl Fn(usize) -> f64) -> Self {
         assert_eq!(got.len(), truth.len(), "as many results as truths");
         let one = |i: usize| Self::one(got[i].into(), truth[i], bound(i));
         (0..got.len()).map(one).fold(Self::NONE, Self::or)
     }
 
-    /// How many of two lists differ, which none may.
+    /// Counts differing elements; the bound is 0.
     pub fn differing<T: PartialEq>(got: &[T], truth: &[T]) -> Self {
         assert_eq!(got.len(), truth.len(), "as many results as truths");
         Self::one(got.iter().zip(truth).filter(|(a, b)| a != b).count() as f64, 0.0, 0.0)
@@ -97,13 +95,13 @@ impl Worst {
     }
 }
 
-/// A value and the most by which an f32 computation of it may be off: running error analysis (Wilkinson, Error analysis
-/// revisited, 1986). A formula written in it is its own bound.
+/// A value and the error bound of its f32 computation, by running error analysis (Wilkinson, Error
+/// analysis revisited, 1986).
 #[derive(Clone, Copy, Debug)]
 pub struct Bounded {
-    /// Without rounding.
+    /// Exact value.
     pub value: f64,
-    /// Bound of the distance.
+    /// Error bound.
     pub error: f64,
 }
 
@@ -113,17 +111,17 @@ impl Bounded {
         Self { value: value.into(), error: 0.0 }
     }
 
-    /// A number that was rounded to f32 once.
+    /// A number rounded to f32 once.
     pub fn rounded(value: f64) -> Self {
         Self::new(value, 0.0, U)
     }
 
-    /// A result whose operands are off by what moves it by `carried`, in an operation of relative limit `own`.
+    /// A result with operand error `carried` and an operation's relative limit `own`.
     fn new(value: f64, carried: f64, own: f64) -> Self {
         Self { value, error: carried + own * (value.abs() + carried) + TINY }
     }
 
-    /// Square root of what is not negative.
+    /// Square root of a nonnegative value.
     pub fn sqrt(self) -> Self {
         let value = self.value.max(0.0).sqrt();
         let lowest = (self.value - self.error).max(0.0).sqrt();
@@ -144,17 +142,17 @@ impl Bounded {
         Self::new(value, value * self.error.exp_m1(), exponential(self.value.abs() + self.error))
     }
 
-    /// The smaller one: no farther off than its operands.
+    /// Minimum; its error is at most the operands'.
     pub fn min(self, other: Self) -> Self {
         Self { value: self.value.min(other.value), error: self.error.max(other.error) }
     }
 
-    /// The larger one.
+    /// Maximum.
     pub fn max(self, other: Self) -> Self {
         Self { value: self.value.max(other.value), error: self.error.max(other.error) }
     }
 
-    /// Sum of products.
+    /// Dot product.
     pub fn dot<const N: usize>(a: [Self; N], b: [Self; N]) -> Self {
         let products = a.into_iter().zip(b).map(|(a, b)| a * b);
         products.reduce(|sum, product| sum + product).unwrap_or(Self::exact(0.0))

@@ -1,4 +1,4 @@
-//! Known cameras as the camera encoder takes them; made on the host.
+//! Known cameras as camera encoder input, computed on the host.
 
 use super::{
     Area, Case, Catches, Mode, Worst,
@@ -17,33 +17,28 @@ use zipsplat_reference::backbone::camera_encoder::{Prior, encode};
 const REASON: &str = "computed in f64 and rounded to f32 once, which moves a value by its unit roundoff; f64 adds 1e-14 of the \
     camera's distance";
 
-/// Cameras in their order.
 struct Problem(Vec<Camera>);
 
-/// Ways in which an encoding `(t, q xyzw, fov)` may be wrong.
+/// Faults of an encoding `(t, q xyzw, fov)`.
 #[derive(Clone, Copy, Debug)]
 enum Fault {
     Zero,
-    /// Camera-to-world in place of its inverse.
     CameraToWorld,
-    /// The quaternion of the inverse rotation.
+    /// Quaternion of the inverse rotation.
     Conjugate,
-    /// The quaternion as wxyz.
+    /// Quaternion as wxyz.
     RealFirst,
-    /// The angle comes from the trace, whose cosine holds no small ones.
+    /// Angle from the trace, whose cosine cannot represent small angles.
     AngleFromTrace,
-    /// w comes from the trace, where it cancels near half turns.
+    /// w from the trace, which cancels near half turns.
     RealFromTrace,
-    /// w is not made positive.
     NegativeReal,
     SwappedFields,
-    /// Angles in degrees.
     Degrees,
     /// Fields of view from the principal point.
     OffCentre,
-    /// Translations pass through f16.
+    /// Translations rounded to f16.
     HalfTranslation,
-    /// Each camera is its neighbour's.
     NeighbourCamera,
 }
 
@@ -94,7 +89,7 @@ impl case::Problem for Problem {
     fn judge(&self, truth: &Self::Truth, output: &Self::Output, _: Mode) -> Worst {
         let mut worst = Worst::NONE;
         for (camera, (got, truth)) in self.0.iter().zip(output.iter().zip(truth)) {
-            // Of a half turn's quaternion, whose w is 0, either sign is right.
+            // Either sign is right for a half turn, whose w is 0.
             let turned = got[3..7].iter().zip(&truth[3..7]).map(|(&a, b)| f64::from(a) * b).sum::<f64>() < 0.0;
             let sign = if turned && got[6].abs() < 1e-6 { -1.0 } else { 1.0 };
             let slack = 1e-14 * (1.0 + camera.pose.translation.length());

@@ -1,37 +1,37 @@
-//! A case: what a device computes, its truth, and what kernels with faults would make of it.
+//! A case: a device computation, its truth and its faulty results.
 
 use super::{Mode, Worst};
 use std::fmt::Debug;
 use zipsplat::{Result, gpu::Device};
 
-/// How many times its bound a faulty result has to miss the truth by. A device with that fault also rounds, and rounding
-/// within the bound may take back one of them.
+/// Error over bound at which a fault counts as caught. Rounding within the bound may cancel one
+/// bound.
 pub const CAUGHT: f64 = 2.0;
 
 /// The parts of a case.
 pub(super) trait Problem: 'static {
-    /// The result of the device.
+    /// The device's result.
     type Output;
-    /// The right result, and the bound of each element.
+    /// The exact result and error bounds.
     type Truth;
-    /// Ways in which a kernel may be wrong.
+    /// Simulated kernel faults.
     type Fault: Copy + Debug + 'static;
 
     /// Runs the kernels.
     fn compute(&self, device: &Device, mode: Mode) -> Result<Self::Output>;
 
-    /// The same in f64, of what the device holds in this mode.
+    /// Computes the truth in f64 from the device's inputs in this mode.
     fn truth(&self, mode: Mode) -> Self::Truth;
 
-    /// The worst element of an output.
+    /// Returns the worst element of an output.
     fn judge(&self, truth: &Self::Truth, output: &Self::Output, mode: Mode) -> Worst;
 
-    /// The results of kernels with a fault, computed on the host; none where the mode's own rounding is as large. Of several
-    /// each has to be caught.
+    /// Simulates a fault on the host. Empty if the mode's own rounding is as large; every returned
+    /// output must be caught.
     fn faulty(&self, truth: &Self::Truth, fault: Self::Fault, mode: Mode) -> Vec<Self::Output>;
 }
 
-/// Faults that a case is there to catch: at least one, or it would prove nothing.
+/// Faults that a case must catch; at least one.
 pub(super) struct Catches<F>(Vec<F>);
 
 impl<F: Copy, const N: usize> From<[F; N]> for Catches<F> {
@@ -42,24 +42,24 @@ impl<F: Copy, const N: usize> From<[F; N]> for Catches<F> {
 }
 
 impl<F: Copy> Catches<F> {
-    /// Adds more to these.
+    /// Adds faults.
     pub fn and(mut self, more: &[F]) -> Self {
         self.0.extend_from_slice(more);
         self
     }
 }
 
-/// A fault, fed through a case's own check.
+/// An injected fault, checked by its case.
 #[derive(Clone, Debug)]
 pub struct Injected {
     /// The fault's name: `last term`.
     pub fault: String,
-    /// The share of the bound that it misses the truth by: the least, where it stands for several.
+    /// Smallest error over bound among the fault's outputs.
     pub share: f64,
 }
 
 impl Injected {
-    /// Whether no rounding can hide it.
+    /// Whether the error exceeds any rounding.
     pub fn is_caught(&self) -> bool {
         self.share > CAUGHT
     }
@@ -67,11 +67,11 @@ impl Injected {
 
 /// One hard input.
 pub struct Case {
-    /// The difficulty of the case.
+    /// The case's name.
     pub name: String,
-    /// How large it is, for the report.
+    /// Problem size for the report.
     pub size: usize,
-    /// The faults that it is there to catch, by name.
+    /// Names of the faults that the case catches.
     pub catches: Vec<String>,
     checks: Box<dyn Checks>,
 }
@@ -88,18 +88,18 @@ impl Case {
         Self { name: name.into(), size, catches, checks: Box::new(Made { make, faults }) }
     }
 
-    /// Computes it on a device and compares.
+    /// Computes the case on a device and compares.
     pub(super) fn check(&self, device: &Device, mode: Mode) -> Result<Worst> {
         self.checks.check(device, mode)
     }
 
-    /// Feeds its faults through its check, without a device.
+    /// Checks the injected faults, without a device.
     pub fn inject(&self, mode: Mode) -> Vec<Injected> {
         self.checks.inject(mode)
     }
 }
 
-/// A problem whose types are forgotten. Problems are large: each is made where it is needed.
+/// A type-erased problem. Problems are large, so each is built on use.
 trait Checks {
     fn check(&self, device: &Device, mode: Mode) -> Result<Worst>;
     fn inject(&self, mode: Mode) -> Vec<Injected>;
@@ -129,7 +129,7 @@ impl<P: Problem, M: Fn() -> P> Checks for Made<M, P::Fault> {
     }
 }
 
-/// `LastTerm` is "last term".
+/// Formats `LastTerm` as "last term".
 fn name_of(fault: &impl Debug) -> String {
     let mut name = String::new();
     for letter in format!("{fault:?}").chars() {

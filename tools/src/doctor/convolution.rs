@@ -18,41 +18,36 @@ use zipsplat_reference::{heads::convolution::convolution, widen};
 const REASON: &str = "a sum of n products and a bias is off by gamma_(n+1) (|x| |w| + |b|) in any order (Higham 2002, section \
     4.2), n being taps times channels; what is added to it costs one rounding more. Pixels outside are exactly 0";
 
-/// A map `[height, width, channels]` and the convolution of it, with zeros around.
+/// A map `[height, width, channels]` and its zero-padded convolution.
 struct Problem {
     size: [usize; 2],
     channels: usize,
     columns: usize,
-    /// Side and step.
+    /// Kernel side and stride.
     shape: [usize; 2],
     rectified: bool,
     x: Vec<f32>,
     /// `[columns, channels, side, side]`.
     weight: Vec<f32>,
     bias: Vec<f32>,
-    /// What the result is added to, where there is any.
     residual: Option<Vec<f32>>,
 }
 
-/// Ways in which a convolution may be wrong.
 #[derive(Clone, Copy, Debug)]
 enum Fault {
     Zero,
     NoBias,
     NoResidual,
-    /// Values below 0 count.
+    /// No ReLU.
     Unrectified,
-    /// The last of the taps is left out.
     LastTap,
-    /// The last channel is left out.
     LastChannel,
-    /// Taps across are taken for taps down.
+    /// Transposed kernel.
     TurnedTaps,
-    /// The edge is repeated outside.
+    /// Edge padding instead of zeros.
     RepeatedEdge,
-    /// Results are of the pixel behind.
     NeighbourPixel,
-    /// Results have 11 bits.
+    /// Results rounded to 11 bits.
     Half,
 }
 
@@ -66,7 +61,7 @@ impl Problem {
         Self { size, channels, columns, shape, rectified: false, x, weight, bias, residual: None }
     }
 
-    /// With values that are at least 0 before it, and added to others behind it.
+    /// Adds a ReLU before the convolution and a residual after it.
     fn residual(self) -> Self {
         let residual = Noise(17).values(self.out_size().iter().product::<usize>() * self.columns);
         Self { rectified: true, residual: Some(residual), ..self }
@@ -81,12 +76,11 @@ impl Problem {
         widen(&self.x).into_iter().map(|x| if rectified { x.max(0.0) } else { x }).collect()
     }
 
-    /// The convolution of values by a weight, with a bias.
     fn convolved(&self, x: &[f64], weight: &[f32], bias: &[f32]) -> Vec<f64> {
         convolution(x, [self.size[1], self.channels], self.shape, weight, bias)
     }
 
-    /// Results with what they are added to.
+    /// Adds the residual.
     fn added(&self, values: Vec<f64>) -> Vec<f64> {
         match &self.residual {
             Some(residual) => values.iter().zip(residual).map(|(x, &r)| x + f64::from(r)).collect(),
@@ -94,14 +88,14 @@ impl Problem {
         }
     }
 
-    /// The weight with another value in the place of each, by its channel and tap.
+    /// Maps each weight, given its channel and tap.
     fn weighed(&self, value: impl Fn(&[f32], usize, usize) -> f32) -> Vec<f32> {
         let taps = self.shape[0].pow(2);
         let rows = self.weight.chunks(taps * self.channels);
         rows.flat_map(|row| (0..row.len()).map(|i| value(row, i / taps, i % taps)).collect::<Vec<_>>()).collect()
     }
 
-    /// The sum of the map with its edge repeated, and of no other.
+    /// Convolution with edge padding.
     fn with_repeated_edge(&self) -> Vec<f64> {
         let ([height, width], [side, step], padding) = (self.size, self.shape, self.shape[0] / 2);
         let x = self.seen(self.rectified);

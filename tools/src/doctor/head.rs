@@ -21,39 +21,35 @@ use zipsplat_reference::{
 const REASON: &str = "each activation's slope times the rounding of its argument, plus Vulkan's limits for exp (3 + 2|x| units), log \
     (2^-21 near 1) and division; series by their first term left out; clamped values exactly";
 
-/// Values of a raw Gaussian without spherical harmonics beyond band 0.
+/// Values of a raw Gaussian with spherical harmonics of band 0.
 const WIDTH: usize = 14;
 
 /// Raw Gaussians `[count, WIDTH]`.
 struct Problem(Vec<f32>);
 
-/// Ways in which activations may be wrong.
 #[derive(Clone, Copy, Debug)]
 enum Fault {
     Zero,
     HalfResult,
-    /// Means are not held within +-5 before exp.
+    /// Means not clamped to +-5 before exp.
     NoClamp,
     /// Means by exp(x) - 1 in f32.
     CancellingExp,
-    /// Scales without the 4 that is taken off.
+    /// Scales without the offset of 4.
     NoOffset,
     /// Scales by log(1 + exp(x)) in f32.
     CancellingLog,
-    /// Quaternions as they come.
     NotNormalised,
-    /// Quaternions over the root of their squares in f32, which overflow and vanish.
+    /// Squares in f32, which overflow and underflow.
     SquaresOfF32,
-    /// Quaternions over their length, though that is 0.
+    /// Division by a length of 0.
     DividedByLength,
-    /// Opacities as they come.
     NoSigmoid,
-    /// Each Gaussian is its neighbour.
     NeighbourGaussian,
 }
 
 impl Fault {
-    /// Value `c` of a raw Gaussian, whose right activation is given.
+    /// Faulty value `c` of a raw Gaussian, given the correct activation.
     fn apply(self, raw: &[f64], c: usize, right: f64) -> f64 {
         let x = raw[c];
         let single = |x: f64| x as f32;
@@ -114,7 +110,7 @@ impl case::Problem for Problem {
     }
 }
 
-/// Activates `raw [count, WIDTH]`; the same layout.
+/// Activates `raw [count, WIDTH]` into the same layout.
 fn run(device: &Device, raw: &[f32]) -> Result<Vec<f32>> {
     let count = raw.len() / WIDTH;
     let mut trial = Trial::new(device);
@@ -133,14 +129,14 @@ fn run(device: &Device, raw: &[f32]) -> Result<Vec<f32>> {
         .collect())
 }
 
-/// expm1 at `x >= 0`: a series up to 0.35, where its first term left out is x^7 / 5040, exp(x) - 1 above.
+/// Error of expm1 at `x >= 0`. Below 0.35: a series truncated at x^7 / 5040; above: exp(x) - 1.
 fn mean_error(x: f64) -> f64 {
     let series = x.powi(7) / 5040.0 * 1.1 + gamma(14) * x.exp_m1();
     let difference = x.exp() * exponential(x) + U * x.exp_m1();
     TINY + if x < 0.35 { series } else { difference }
 }
 
-/// softplus(x - 4) before its clamps.
+/// Error of softplus(x - 4) before its clamps.
 fn scale_error(x: f64) -> f64 {
     let z = x - 4.0;
     if z > 20.0 {
@@ -148,15 +144,15 @@ fn scale_error(x: f64) -> f64 {
     }
     let u = z.exp();
     let carried = sigmoid(z) * (U * z.abs() + exponential(z));
-    // Series of 2 atanh(u / (2 + u)): its first term left out is below 1e-8 of it.
+    // Series of 2 atanh(u / (2 + u)), with a truncation error below 1e-8.
     let series = softplus(z) * (1e-8 + DIVISION + gamma(12));
     let direct = U + logarithm(1.0 + u);
     TINY + carried + if u < 0.5 { series } else { direct }
 }
 
-/// A component of a quaternion that was divided by its largest component, then by its length.
+/// Error of a quaternion component divided by the largest component, then by the length.
 fn quat_error(component: f64, length: f64) -> f64 {
-    // Short quaternions are divided by 1e-12, which enlarges what was flushed.
+    // Short quaternions are divided by 1e-12, which amplifies flushed values.
     let flushed = if length < 2e-12 { TINY * 1e12 } else { TINY };
     component.abs() * (2.0 * DIVISION + ROOT + gamma(6)) + 4.0 * flushed
 }
@@ -166,10 +162,10 @@ fn opacity_error(x: f64) -> f64 {
     opacity * ((1.0 - opacity) * exponential(x) + U + DIVISION) + TINY
 }
 
-/// Values that are clamped, or saturate, are so to the same bits on every device.
+/// Clamped and saturated values have the same bits on every device.
 struct Clamps;
 
-/// The high and the low end of each value that is clamped: mean (whose bits a device chooses, once), scale, opacity.
+/// Ends of each clamped value: mean (bits chosen by the device), scale, opacity.
 #[derive(Clone)]
 struct Ends {
     means: Vec<[u32; 2]>,
@@ -179,13 +175,13 @@ struct Ends {
 
 #[derive(Clone, Copy, Debug)]
 enum ClampFault {
-    /// One value a little beyond the bound is let through.
+    /// One value slightly past its bound.
     MeanPassed,
     LargeScalePassed,
     SmallScalePassed,
-    /// Negative means are clamped elsewhere.
+    /// Another clamp for negative means.
     Uneven,
-    /// Opacities end below 1.
+    /// Opacities saturate below 1.
     OpacityBelow,
 }
 

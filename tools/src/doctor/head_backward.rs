@@ -1,4 +1,4 @@
-//! Gradients through the Gaussian head: its activations, and GELU.
+//! Gradients of the Gaussian head's activations and of GELU.
 
 use super::{
     Area, Case, Mode, Worst,
@@ -17,7 +17,7 @@ use zipsplat_reference::{gaussians::activate_backward::activate_backward, ops::g
 const REASON: &str = "running error analysis of each derivative: exp 3 + 2|x| units, division 2.5, the length of a quaternion as \
     a root; harmonics exactly";
 
-/// Values of a Gaussian without spherical harmonics beyond band 0.
+/// Values of a Gaussian with spherical harmonics of band 0.
 const WIDTH: usize = 14;
 
 /// Raw Gaussians and gradients of activated ones, both `[count, WIDTH]`.
@@ -26,16 +26,15 @@ struct Activations {
     gradient: Vec<f32>,
 }
 
-/// Ways in which gradients of activations may be wrong.
 #[derive(Clone, Copy, Debug)]
 enum Fault {
     Zero,
     HalfResult,
-    /// As if activations were the identity.
+    /// Identity activations.
     NotActivated,
-    /// Beyond their clamps means and scales have gradients.
+    /// Gradients past the clamps of means and scales.
     NoClamp,
-    /// Quaternions have gradients along themselves.
+    /// Quaternion gradients along the quaternion.
     AlongItself,
     NeighbourGaussian,
 }
@@ -49,7 +48,7 @@ impl Activations {
         Self { raw, gradient: noise.values(count * WIDTH) }
     }
 
-    /// The most that a gradient may be off by.
+    /// Error bound of a gradient.
     fn error(&self, i: usize) -> f64 {
         let (x, d) = (Bounded::exact(self.raw[i]), Bounded::exact(self.gradient[i]));
         let one = Bounded::exact(1.0);
@@ -151,14 +150,13 @@ const GELU_REASON: &str = "erf is a fit to 1.2e-7, and the density's exp is allo
 /// Values and gradients.
 struct Slopes(Vec<f32>, Vec<f32>);
 
-/// Ways in which GELU's derivative may be wrong.
 #[derive(Clone, Copy, Debug)]
 enum SlopeFault {
     Zero,
     HalfResult,
-    /// The distribution without x times its density.
+    /// GELU's derivative without x times the density.
     NoDensity,
-    /// The slope of x sigmoid(1.702 x).
+    /// Derivative of x sigmoid(1.702 x).
     SigmoidGelu,
 }
 
@@ -183,7 +181,7 @@ impl case::Problem for Slopes {
             let (x, g) = (f64::from(self.0[i]), f64::from(self.1[i]).abs());
             let density = (-x * x / 2.0).exp() * 0.4;
             let of_density = x.abs() * density * (exponential(x * x / 2.0) + x * x * U + gamma(6));
-            // The argument of erf is rounded, too: its slope is twice the density.
+            // The rounded argument of erf counts too; its slope is twice the density.
             let of_erf = 1.2e-7 + density * (exponential(x * x / 2.0) + x.abs() * gamma(3)) + gamma(3);
             g * (of_density + of_erf + gamma(3)) + TINY
         })

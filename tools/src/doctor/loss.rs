@@ -1,4 +1,4 @@
-//! Losses of pictures and their gradients.
+//! Image losses and their gradients.
 
 use super::{
     Area, Case, Catches, Mode, Worst,
@@ -21,36 +21,35 @@ const REASON: &str = "running error analysis of means and variances under the wi
     relative to a value near by, of SSIM made of them, and of its derivatives under the window again";
 
 const WIDTH: usize = 21;
-/// Values of a line that one invocation owns, relative to the middle one.
+/// Values of a line per invocation.
 const RUN: usize = 8;
 const C1: f64 = 1e-4;
 const C2: f64 = 9e-4;
 const MIDDLE: f64 = 0.5;
 
-/// A picture `[height, WIDTH, 3]` beside another.
+/// A picture `[height, WIDTH, 3]` and its target.
 struct Problem {
     loss: Loss,
     frames: Vec<f32>,
     targets: Vec<f32>,
 }
 
-/// Ways in which a loss may be wrong.
 #[derive(Clone, Copy, Debug)]
 enum Fault {
     Zero,
     HalfResult,
-    /// Away from the target.
+    /// Negative gradient.
     Reversed,
-    /// The sum where the mean is to be.
+    /// Sum instead of mean.
     Sum,
-    /// Half of 1 - SSIM, as some papers have it.
+    /// Half of 1 - SSIM, as in some papers.
     HalfDssim,
     /// 0.2 L1 and 0.8 of 1 - SSIM.
     SwappedMix,
     NeighbourPixel,
 }
 
-/// Numbers of a line, filtered by the window and 0 outside.
+/// Filters a zero-padded line by the window.
 fn filtered<const N: usize>(
     line: &[[Bounded; N]],
     p: usize,
@@ -67,7 +66,7 @@ fn filtered<const N: usize>(
     sums
 }
 
-/// Means of a and d = a - b, the sum of the variances of a and b, and the variance of d, along a line.
+/// Windowed means of a and d = a - b, sum of the variances of a and b, and variance of d.
 fn moments(line: &[[Bounded; 4]]) -> Vec<[Bounded; 4]> {
     let at = |p: usize| {
         let centre = line[(p / RUN * RUN + RUN / 2).min(line.len() - 1)];
@@ -83,12 +82,12 @@ fn moments(line: &[[Bounded; 4]]) -> Vec<[Bounded; 4]> {
     (0..line.len()).map(at).collect()
 }
 
-/// Rows of an image `[height, width]` as columns.
+/// Transposes an image `[height, width]`.
 fn turned<T: Copy>(image: &[Vec<T>]) -> Vec<Vec<T>> {
     (0..image[0].len()).map(|x| image.iter().map(|row| row[x]).collect()).collect()
 }
 
-/// 1 - SSIM and half its derivatives by the means of a - MIDDLE, of the squares, and of the squared difference.
+/// 1 - SSIM and half its derivatives by the means of a - MIDDLE, squares and squared difference.
 fn dssim([a, d, variances, variance]: [Bounded; 4]) -> (Bounded, [Bounded; 3]) {
     let (one, b) = (Bounded::exact(1.0), a - d);
     let means = a * a + b * b + Bounded::rounded(C1);
@@ -111,7 +110,7 @@ impl Problem {
         [vec![value], gradient].concat()
     }
 
-    /// The most that the loss, and each value of the gradient, may be off by.
+    /// Error bounds of the loss and of each gradient.
     fn errors(&self) -> Vec<f64> {
         let (weight, dssim_weight) = match self.loss {
             Loss::L1 | Loss::Mse => (1.0, 0.0),
@@ -121,7 +120,7 @@ impl Problem {
         let count = self.frames.len();
         let mut errors = vec![0.0; 1 + count];
         let mean = Bounded::rounded(1.0 / count as f64);
-        let mut sums = [0.0; 2]; // of errors, of magnitudes
+        let mut sums = [0.0; 2]; // errors, magnitudes
         for color in 0..3 {
             let (by_dssim, values) = self.color(color);
             for value in values {
@@ -139,12 +138,12 @@ impl Problem {
                 errors[1 + at] = ((gradient + Bounded::rounded(dssim_weight) * by_dssim) * mean).error;
             }
         }
-        // Sums of a run, of a subgroup, of all, each time the mean and a weight.
+        // Sums of a run, a subgroup and the image, then the mean and a weight.
         errors[0] = (sums[0] + gamma(2 * RUN + 128 + 8) * sums[1]) / count as f64;
         errors
     }
 
-    /// The gradient of the sum of 1 - SSIM in one colour, and its terms.
+    /// Gradient of the summed 1 - SSIM in one color, and its terms.
     fn color(&self, color: usize) -> (Vec<Bounded>, Vec<Bounded>) {
         let pair = |i: usize| [self.frames[i], self.targets[i]].map(Bounded::exact);
         let rows: Vec<Vec<[Bounded; 4]>> = (0..self.frames.len() / (3 * WIDTH))

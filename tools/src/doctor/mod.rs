@@ -1,10 +1,9 @@
-//! The numerical catalogue: what kernels compute on a device, beside the same in f64, under bounds that follow from the
-//! number format.
+//! Numerical catalogue: device results compared with f64 under bounds from the number format.
 //!
-//! An area is a kernel or a few that mean something together. It says why its bound holds, and has cases: inputs chosen to
-//! be hard, their truth from `zipsplat_reference`, the bound of every element, and the faults that the case is there to
-//! catch. A bound that does not hold is a wrong kernel, a wrong driver or a wrong bound; none is loosened to pass. A fault
-//! that stays within twice the bound is a case that proves nothing: `tests/numerics/catalogue.rs` injects each of them.
+//! An area covers related kernels and justifies its bound. Its cases have hard inputs, truth from
+//! `zipsplat_reference`, per-element bounds and the faults that they must catch. Bounds are never
+//! loosened to pass. `tests/numerics/catalogue.rs` injects each fault, whose error must exceed
+//! twice the bound.
 
 mod adam;
 mod attention;
@@ -38,33 +37,33 @@ use zipsplat::{
     ops::{LaneTile, Lanes, LinearKernel, Tiles, Units, Weights},
 };
 
-/// Arithmetic of matrix products: the only thing that precision modes differ in.
+/// Arithmetic of matrix products, the only difference between precision modes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Mode {
     /// Type of the factors.
     pub factor: Element,
-    /// Whether matrix units multiply them; else a lane gives a result.
+    /// Whether matrix units multiply; otherwise each lane computes one result.
     pub matrix: bool,
-    /// How weights lie on the device.
+    /// Weight layout on the device.
     pub weights: Weights,
-    /// Whether factors pass through shared memory on lanes.
+    /// Whether lanes tile the factors in shared memory.
     pub tiled: bool,
 }
 
-/// How a mode holds the factors of matrix products.
+/// Rounding of a mode's matrix factors.
 #[derive(Clone, Copy, Debug)]
 struct Factors {
-    /// The most that rounding moves one, relatively.
+    /// Relative rounding error bound.
     unit: f64,
-    /// One below it may be flushed.
+    /// Values below it may be flushed.
     tiny: f64,
-    /// Units of rounding that a term of a sum may cost: matrix units may truncate (Fasi, Higham, Mikaitis and Pranesh,
+    /// Roundings per term of a sum: matrix units may truncate (Fasi, Higham, Mikaitis and Pranesh,
     /// Numerical behavior of NVIDIA tensor cores, 2021).
     roundings: usize,
 }
 
 impl Factors {
-    /// The most by which a sum of `n` products moves relative to their magnitudes, rounding of the factors apart.
+    /// Error bound of a sum of `n` products, relative to their magnitudes, without factor rounding.
     fn sum(&self, n: usize) -> f64 {
         bound::gamma(self.roundings * n)
     }
@@ -81,7 +80,7 @@ impl Mode {
     const I8: Mode = Mode { factor: Element::I8, ..Mode::EXACT };
     const I8_MATRIX: Mode = Mode { factor: Element::I8, ..Mode::F16_MATRIX };
 
-    /// Every mode: those of linear layers.
+    /// All modes, those of linear layers.
     pub const ALL: &[Mode] = &[
         Mode::EXACT,
         Mode::TILED,
@@ -92,7 +91,7 @@ impl Mode {
         Mode::BF16_MATRIX,
         Mode::I8_MATRIX,
     ];
-    /// The modes of linear layers whose weights have 8 bits.
+    /// Modes of linear layers with 8-bit weights.
     const Q8: &[Mode] = &[
         Mode { weights: Weights::Q8, ..Mode::EXACT },
         Mode { weights: Weights::Q8, ..Mode::TILED },
@@ -101,14 +100,14 @@ impl Mode {
         Mode { weights: Weights::Q8, ..Mode::F16_MATRIX },
         Mode { weights: Weights::Q8, ..Mode::BF16_MATRIX },
     ];
-    /// The modes of attention.
+    /// Modes of attention.
     const FLOATS: &[Mode] = &[Mode::EXACT, Mode::F16, Mode::BF16, Mode::F16_MATRIX, Mode::BF16_MATRIX];
-    /// The modes of finding nearest rows.
+    /// Modes of the nearest-row search.
     const NEAREST: &[Mode] = &[Mode::EXACT, Mode::F16_MATRIX];
-    /// The mode of what is f32 in every mode: norms, softmax, geometry.
+    /// Mode of kernels that are always f32: norms, softmax, geometry.
     const ONLY_EXACT: &[Mode] = &[Mode::EXACT];
 
-    /// As in the report.
+    /// Name in the report.
     pub fn name(self) -> &'static str {
         match (self.factor, self.matrix) {
             (Element::F32, _) if self.tiled => "exact tiles",
@@ -122,7 +121,7 @@ impl Mode {
         }
     }
 
-    /// Whether a device has it.
+    /// Whether a device supports it.
     pub fn is_on(self, limits: &Limits) -> bool {
         let stored = self.factor == Element::F32 || limits.half_storage;
         let tiled = !self.tiled || LaneTile::candidates(limits, self.factor).len() > 1;
@@ -130,7 +129,7 @@ impl Mode {
         stored && tiled && multiplied && (!self.matrix || limits.matrices.of(self.factor).is_some())
     }
 
-    /// The kernel of a linear layer on lanes, with factors of a type.
+    /// Linear kernel on lanes with the given factor type.
     fn on_lanes(self, factor: Element) -> LinearKernel {
         let tiles = if self.tiled { Tiles::always(1) } else { Tiles::BY_RULE };
         match factor {
@@ -139,7 +138,7 @@ impl Mode {
         }
     }
 
-    /// The matrix units that it takes.
+    /// The device's matrix units for this mode.
     fn units(self, device: &Device) -> Option<Units> {
         Units::of(self.factor, device.limits()).filter(|_| self.matrix)
     }
@@ -147,7 +146,7 @@ impl Mode {
     fn factors(self) -> Factors {
         let roundings = if self.matrix { 2 } else { 1 };
         let exact = Factors { unit: 0.0, tiny: 0.0, roundings };
-        // A device may flush what is subnormal.
+        // A device may flush subnormals.
         let half = Factors { unit: (-11f64).exp2(), tiny: (-14f64).exp2(), roundings };
         match self.factor {
             Element::F32 => exact,
@@ -165,51 +164,51 @@ impl Serialize for Mode {
 
 /// Cases of one kernel.
 pub struct Area {
-    /// The kernel's name, as in a profile, or that of several.
+    /// Name of the kernel or kernels, as in a profile.
     pub kernel: &'static str,
-    /// The unit in which the size of a case is counted.
+    /// Unit of the case sizes.
     pub size: &'static str,
-    /// Why the bound holds.
+    /// Justification of the bound.
     pub reason: &'static str,
-    /// The modes that there are of it.
+    /// Supported modes.
     pub modes: &'static [Mode],
-    /// The cases that are computed.
+    /// Cases.
     pub cases: Vec<Case>,
 }
 
-/// One case in one mode.
+/// Result of one case in one mode.
 #[derive(Clone, Debug, Serialize)]
 pub struct Finding {
     /// Kernel.
     pub kernel: &'static str,
-    /// The difficulty of the case.
+    /// Name of the case.
     pub case: String,
     /// Arithmetic.
     pub mode: Mode,
-    /// How large it is.
+    /// Problem size.
     pub size: usize,
     /// Whether every element is within its bound.
     pub holds: bool,
-    /// The worst element; errors that are not finite are null in JSON.
+    /// The worst element; non-finite errors are null in JSON.
     #[serde(flatten)]
     pub worst: Worst,
-    /// The reason why it could not be computed, where there is one.
+    /// Reason for a failed computation.
     pub failed: Option<String>,
-    /// The faults that the case is there to catch.
+    /// Faults that the case catches.
     pub catches: Vec<String>,
 }
 
 impl Area {
-    /// The cases in every mode that a device has.
+    /// Returns the cases in every mode that a device supports.
     pub fn on(&self, limits: &Limits) -> impl Iterator<Item = (&Case, Mode)> {
         let modes = self.modes.iter().copied().filter(|mode| mode.is_on(limits));
         modes.flat_map(|mode| self.cases.iter().map(move |case| (case, mode)))
     }
 
-    /// Computes one of its cases on a device. What a driver refuses to do does not hold.
+    /// Computes a case on a device. A driver error becomes a failed finding.
     ///
     /// # Errors
-    /// [`Error::DeviceLost`], after which nothing can be computed.
+    /// [`Error::DeviceLost`], after which the device is unusable.
     pub fn examine(&self, case: &Case, device: &Device, mode: Mode) -> Result<Finding> {
         let (worst, failed) = match case.check(device, mode) {
             Err(Error::DeviceLost) => return Err(Error::DeviceLost),
@@ -222,7 +221,7 @@ impl Area {
     }
 }
 
-/// Everything, in the order of the data.
+/// Returns all areas in pipeline order.
 pub fn catalogue() -> Vec<Area> {
     vec![
         linear::area(),

@@ -1,4 +1,4 @@
-//! Layer normalisation.
+//! Layer normalization.
 
 use super::{
     Area, Case, Catches, Mode, Worst,
@@ -22,7 +22,7 @@ const REASON: &str = "the mean is off by d <= gamma mean|x|, of which the second
 
 const EPS: f32 = 1e-6;
 
-/// Bounds of the errors of a normalised row, before its weight and bias, which are exact.
+/// Error bounds of a normalized row, before the exact weight and bias.
 pub fn normed_errors(row: &[f64], eps: f64) -> Vec<f64> {
     let n = row.len() as f64;
     let mean_of = |f: &dyn Fn(f64) -> f64| row.iter().map(|&x| f(x)).sum::<f64>() / n;
@@ -48,7 +48,7 @@ pub fn normed_errors(row: &[f64], eps: f64) -> Vec<f64> {
     row.iter().map(error).collect()
 }
 
-/// Bounds of the errors of `normed * weight + bias`.
+/// Error bounds of `normed * weight + bias`.
 pub fn affine_errors(errors: &[f64], truth: &[f64], weight: &[f32], bias: &[f32]) -> Vec<f64> {
     let columns = weight.iter().zip(bias).map(|(&w, &b)| (f64::from(w.abs()), f64::from(b.abs())));
     let error = |(i, (w, b)): (usize, (f64, f64))| {
@@ -66,31 +66,30 @@ struct Problem {
     bias: Vec<f32>,
 }
 
-/// Ways in which a norm may be wrong.
+/// Faults of a norm.
 #[derive(Clone, Copy, Debug)]
 pub enum Fault {
     Zero,
-    /// The variance as the difference of two f32 sums.
+    /// Variance as the difference of two f32 sums.
     OnePass,
-    /// The mean as one f32 sum leaves it.
+    /// Mean from one f32 sum, uncorrected.
     UncorrectedMean,
-    /// Sums have 11 bits.
+    /// Sums rounded to 11 bits.
     HalfSum,
-    /// Sums lack the last channel.
     LastChannel,
-    /// Sums of squares are divided by one less.
+    /// Variance divided by n - 1.
     Unbiased,
     NoEpsilon,
     NoBias,
     NeighbourRow,
-    /// Rows from a fold of workgroups on are those before it.
+    /// Rows past the workgroup fold repeat earlier rows.
     Folded,
-    /// Squares of f32 are infinite.
+    /// Infinite f32 squares.
     OverflowingSquares,
 }
 
 impl Fault {
-    /// Mean and variance of a row as the fault has them.
+    /// Mean and variance of a row with the fault.
     pub fn moments(self, row: &[f64]) -> [f64; 2] {
         let n = row.len() as f64;
         let summed = |round: fn(f64) -> f64, values: &mut dyn Iterator<Item = f64>| {
@@ -191,14 +190,14 @@ pub fn area() -> Area {
     add("mean 1e4, spread 1e-2", 1, [Zero, NoBias].into(), |r, _| 1e4 + 1e-2 * r);
     for width in [3, 64, 384, 1536, 4096] {
         let random = Catches::from([Zero, NoBias, HalfSum, LastChannel, NeighbourRow]);
-        // The last channel is large enough to be missed among thousands.
+        // The last channel is large enough that its omission is detectable.
         let last: fn(f32, usize) -> f32 =
             if width > 1000 { |r, c| if c % 512 == 511 { 20.0 * r } else { r } } else { |r, _| r };
         add("random", width, if width < 1000 { random.and(&[Unbiased]) } else { random }, last);
         let offset = Catches::from([Zero, OnePass, HalfSum, NeighbourRow]);
         let offset = if width < 64 { offset } else { offset.and(&[UncorrectedMean]) };
         match width {
-            // Of so many terms rounding may take more than a hundredth.
+            // Rounding this many terms may cost more than a hundredth.
             4096 => add("mean 1e4, spread 1e-1", width, offset, |r, _| 1e4 + 1e-1 * r),
             _ => add("mean 1e4, spread 1e-2", width, offset, |r, _| 1e4 + 1e-2 * r),
         }

@@ -1,4 +1,4 @@
-//! Values that are spread over pixels.
+//! Pixel shuffle.
 
 use super::{
     Area, Case, Catches, Mode, Worst,
@@ -20,18 +20,16 @@ struct Problem {
     bias: Vec<f32>,
 }
 
-/// Ways in which spreading may be wrong.
 #[derive(Clone, Copy, Debug)]
 enum Fault {
     Zero,
     NoBias,
-    /// Taps across are taken for taps down.
+    /// Transposed taps.
     TurnedTaps,
-    /// Values stay in their order.
     InOrder,
-    /// The bias is that of the channel behind.
+    /// Bias of the next channel.
     NeighbourBias,
-    /// Results have 11 bits.
+    /// Results rounded to 11 bits.
     Half,
 }
 

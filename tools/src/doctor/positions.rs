@@ -1,4 +1,4 @@
-//! Queries and keys on their way to attention: the norm over a head's channels, rotation by position, scale.
+//! Attention preprocessing of queries and keys: head norm, rotary position encoding, scale.
 
 use super::{
     Area, Case, Catches, Mode, Worst,
@@ -30,7 +30,7 @@ const REASON: &str = "as ops/layer_norm over a head's channels; a rotation mixes
 const EPS: f32 = 1e-5;
 const HEADS: usize = 2;
 
-/// A projection of a view of `rows x columns` patches and a camera token, whose heads are taken out.
+/// Projection of a view with `rows x columns` patches and a camera token.
 #[derive(Clone, Copy)]
 struct Problem {
     rows: usize,
@@ -38,31 +38,29 @@ struct Problem {
     dim: usize,
     norm: bool,
     global: bool,
-    /// The value that a random number in (-1, 1) becomes.
+    /// Maps a random number in (-1, 1).
     value: fn(f32) -> f32,
 }
 
-/// Ways in which it may be wrong.
 #[derive(Clone, Copy, Debug)]
 enum Fault {
     Zero,
     NoRotation,
-    /// The sine has the other sign.
+    /// Negated sine.
     Backwards,
-    /// Rows and columns of the grid change places.
+    /// Swapped rows and columns of the grid.
     SwappedAxes,
-    /// Each token has its neighbour's position.
     NeighbourPosition,
-    /// Across views patches turn with the camera token.
+    /// Cross-view patches rotate with the camera token.
     TurnedPatches,
     NoScale,
     NoNorm,
     NoEpsilon,
-    /// The variance as the difference of two f32 sums.
+    /// Variance as the difference of two f32 sums.
     OnePass,
-    /// Heads change places.
+    /// Swapped heads.
     NeighbourHead,
-    /// Workgroups from a fold on are those before it.
+    /// Workgroups past the fold repeat earlier ones.
     Folded,
 }
 
@@ -83,7 +81,7 @@ impl Problem {
     fn positions(&self) -> Vec<[f64; 2]> {
         let Self { rows, columns, .. } = *self;
         match self.global {
-            // Moved together, so that patches stand at the origin: only differences count.
+            // Shifted to put patches at the origin: only differences matter.
             true => global_positions(rows, columns).into_iter().map(|place| place.map(|step| step - 1.0)).collect(),
             false => local_positions(rows, columns),
         }
@@ -93,7 +91,7 @@ impl Problem {
         f64::from(1.0 / (self.dim as f32).sqrt())
     }
 
-    /// Heads before they are rotated.
+    /// Heads before rotation.
     fn plain(&self, inputs: &Inputs) -> Vec<f64> {
         let x = widen(&inputs.projection);
         if self.norm { layer_norm(&x, &inputs.weight, &inputs.bias, EPS.into()) } else { x }
@@ -160,7 +158,7 @@ impl case::Problem for Problem {
         }
         let partner = |i: usize| if i % (dim / 2) < dim / 4 { i + dim / 4 } else { i - dim / 4 };
         let bound = |i: usize| {
-            // Neither sine nor cosine is above 1.
+            // Sine and cosine are at most 1.
             let carried = errors[i] + errors[partner(i)];
             let mixed = plain[i].abs() + plain[partner(i)].abs() + carried;
             scale * (carried + 5.0 * U * mixed + 2.0 * TINY) + TINY
@@ -202,7 +200,7 @@ impl case::Problem for Problem {
     }
 }
 
-/// The position embedding on another grid, made on the host in f64: nothing but its rounding to f32 is left.
+/// Position embedding resampled to another grid in f64 on the host; only the f32 rounding differs.
 struct Embedding {
     rows: usize,
     columns: usize,
@@ -214,11 +212,10 @@ const WIDTH: usize = 3;
 #[derive(Clone, Copy, Debug)]
 enum EmbeddingFault {
     Zero,
-    /// Patches by columns.
+    /// Column-major patches.
     Transposed,
-    /// Each patch has its neighbour's embedding.
     NeighbourPatch,
-    /// The value of the nearest learned patch.
+    /// Nearest-neighbor sampling.
     NotInterpolated,
 }
 
@@ -238,7 +235,7 @@ impl case::Problem for Embedding {
     }
 
     fn judge(&self, truth: &Vec<f64>, output: &Vec<f32>, _: Mode) -> Worst {
-        // 16 products of magnitudes up to 1.6 in all, in f64.
+        // 16 f64 products with a total magnitude of at most 1.6.
         Worst::of(output, truth, |i| U * truth[i].abs() + 1e-13)
     }
 

@@ -1,4 +1,4 @@
-//! A page of what was found: for every kernel its errors and bounds against problem size, and why the bound holds.
+//! HTML report: per kernel, errors and bounds against problem size, with justifications.
 
 use super::{Area, Finding, Mode, Worst};
 use std::{collections::BTreeMap, fmt::Write};
@@ -6,10 +6,10 @@ use zipsplat::gpu::Limits;
 
 const WIDTH: f64 = 720.0;
 const HEIGHT: f64 = 300.0;
-/// Room for the labels on the left and below.
+/// Margin for the left and bottom labels.
 const LEFT: f64 = 70.0;
 const BELOW: f64 = 40.0;
-/// Decades of error that are shown at most, from the largest down.
+/// Maximum number of decades shown, from the largest down.
 const DECADES: f64 = 24.0;
 
 const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;margin:2rem auto;max-width:60rem;padding:0 1rem;color:#222}\
@@ -18,7 +18,7 @@ td,th{padding:.15rem .6rem;text-align:right;border-bottom:1px solid #eee}td:firs
 .outside{color:#c00;font-weight:bold}.grid{stroke:#e5e5e5}.truth{stroke:#222}.bound{stroke:#c60;fill:none}\
 .limit{fill:#c60}.exact{fill:#06a}.fast{fill:#083}.matrix{fill:#80a}text{fill:#555}";
 
-/// The page, self-contained.
+/// Returns the self-contained page.
 pub fn page(limits: &Limits, areas: &[Area], findings: &[Finding]) -> String {
     let outside = findings.iter().filter(|finding| !finding.holds).count();
     let verdict = match outside {
@@ -52,7 +52,7 @@ pub fn page(limits: &Limits, areas: &[Area], findings: &[Finding]) -> String {
     out + "</html>\n"
 }
 
-/// Error and bound against size, both logarithmic.
+/// Log-log plot of error and bound against size.
 fn plot(area: &Area, mode: Mode, findings: &[&Finding]) -> String {
     let shown = |x: f64| x.is_finite() && x > 0.0;
     let values = || findings.iter().flat_map(|f| [f.worst.error, f.worst.bound]).filter(|&x| shown(x)).map(f64::log10);
@@ -62,7 +62,7 @@ fn plot(area: &Area, mode: Mode, findings: &[&Finding]) -> String {
     let largest = findings.iter().map(|f| f.size.max(1)).max().unwrap_or(1) as f64;
     let right = largest.log10().ceil().max(1.0);
     let x = |size: usize| LEFT + (WIDTH - LEFT - 10.0) * (size.max(1) as f64).log10() / right;
-    // The truth has a decade of its own below the least error.
+    // Exact results have a separate decade below the least error.
     let y = |error: f64| {
         let place = if shown(error) { (error.log10().max(low) - low + 1.0) / (high - low + 1.0) } else { 0.0 };
         (HEIGHT - BELOW) - (HEIGHT - BELOW - 10.0) * if error.is_finite() { place } else { 1.0 }

@@ -1,4 +1,4 @@
-//! Feature maps at another size, and where their pixels lie.
+//! Resized feature maps with position embeddings.
 
 use super::{
     Area, Case, Catches, Mode, Worst,
@@ -13,10 +13,10 @@ use zipsplat_reference::{heads::resize::resize, widen};
 const REASON: &str = "the share of a neighbour is a quotient of whole numbers, off by 2.5 units in the last place at most (Vulkan \
     specification); three weighted means and the sum behind them round 9 times. No value is larger than the four neighbours together";
 
-/// Roundings of a result.
+/// Roundings per result.
 const ROUNDINGS: usize = 9;
 
-/// A map `[height, width, channels]` that gets another size, and positions of its columns and lines, where there are any.
+/// A map `[height, width, channels]` to resize, with optional positions of columns and rows.
 struct Problem {
     size: [usize; 2],
     to: [usize; 2],
@@ -25,22 +25,20 @@ struct Problem {
     positions: Option<Vec<f32>>,
 }
 
-/// Ways in which a resizing may be wrong.
 #[derive(Clone, Copy, Debug)]
 enum Fault {
     Zero,
-    /// Pixels have their middles on those of the source, not their corners on its corners.
+    /// Aligns pixel centers instead of corners.
     MiddlesOnMiddles,
-    /// The nearest pixel is taken.
+    /// Nearest-neighbor sampling.
     Nearest,
-    /// Lines are taken for columns.
+    /// Swapped rows and columns.
     Turned,
     NoPositions,
-    /// The positions of columns and lines are taken for each other.
+    /// Swapped positions of columns and rows.
     TurnedPositions,
-    /// Results are of the pixel behind.
     NeighbourPixel,
-    /// Results have 11 bits.
+    /// Results rounded to 11 bits.
     Half,
 }
 
@@ -55,7 +53,7 @@ impl Problem {
         Self { positions: Some(positions), ..self }
     }
 
-    /// Results with the position of each, of its column in the first half of the channels, or where that is turned of its line.
+    /// Adds positions: columns in the first half of the channels, or rows if `turned`.
     fn added(&self, values: Vec<f64>, turned: bool) -> Vec<f64> {
         let Some(positions) = &self.positions else { return values };
         let (half, width) = (self.channels / 2, self.to[1]);
@@ -72,7 +70,7 @@ impl Problem {
         resize(&widen(&self.x), [self.size[1], self.channels], self.to)
     }
 
-    /// The mean of the four neighbours of a place `[y, x]` of the source for each result, or the nearest of them.
+    /// Samples the source at `[y, x]` for each result, bilinearly or by nearest neighbor.
     fn sampled(&self, place: impl Fn(usize, usize) -> f64, nearest: bool) -> Vec<f64> {
         let [height, width] = self.size;
         let at = |y: usize, x: usize, c: usize| f64::from(self.x[(y * width + x) * self.channels + c]);

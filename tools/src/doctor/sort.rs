@@ -1,4 +1,4 @@
-//! The sort that puts Gaussians in depth order, and the prefix sums in it.
+//! Depth sort of Gaussians and its prefix sums.
 
 use super::{Area, Case, Catches, Mode, Worst, case, trial::Trial};
 use crate::noise::Noise;
@@ -10,33 +10,30 @@ use zipsplat::{
 
 const REASON: &str = "whole numbers: as the stable sort and the running sum of the host, exactly";
 
-/// Keys whose lowest `bits` bits are sorted, with their places as values.
+/// Keys sorted by their lowest `bits` bits, with indices as values.
 struct Sort {
     keys: Vec<u32>,
     bits: u32,
 }
 
-/// Ways in which a sort may be wrong.
 #[derive(Clone, Copy, Debug)]
 enum Fault {
-    /// Nothing is written.
+    /// No output.
     Zero,
-    /// Everything is one place off.
+    /// Shifted by one item.
     Shifted,
-    /// The last item is not moved.
     LastItem,
-    /// Equal keys change their order.
     Unstable,
-    /// The highest digit, of 8 bits, is not looked at.
+    /// Ignores the highest 8-bit digit.
     HighestDigit,
-    /// Values stay where they were.
+    /// Unsorted values.
     KeysAlone,
 }
 
 type Sorted = [Vec<u32>; 2];
 
 impl Sort {
-    /// Keys and values, stably sorted by a key's part.
+    /// Stable sort of keys and values by a part of the key.
     fn sorted(&self, part: impl Fn(u32) -> u32) -> Vec<(u32, u32)> {
         let mut pairs: Vec<(u32, u32)> = self.keys.iter().copied().zip(0..).collect();
         pairs.sort_by_key(|pair| part(pair.0));
@@ -95,19 +92,18 @@ impl case::Problem for Sort {
     }
 }
 
-/// Values whose running sum is wanted.
+/// Input of a prefix sum.
 struct Scan(Vec<u32>);
 
-/// Ways in which a running sum may be wrong.
 #[derive(Clone, Copy, Debug)]
 enum ScanFault {
-    /// Nothing is added up.
+    /// Returns the input.
     AsItWas,
-    /// Each sum has its own value.
+    /// Inclusive sums.
     Inclusive,
-    /// Sums begin anew here.
+    /// Sums restart here.
     Restarts(usize),
-    /// Shares of 1024 lack the sum of the share before.
+    /// Blocks of 1024 lack the preceding block's sum.
     LastShare,
 }
 
@@ -159,7 +155,7 @@ impl case::Problem for Scan {
     }
 }
 
-/// A depth as the renderer sorts it: the bits of a positive float.
+/// Bits of a positive float depth, the renderer's sort key.
 fn depths(seed: u64, count: usize) -> Vec<u32> {
     Noise(seed).values(count).into_iter().map(|r| (1.0 + r).mul_add(50.0, 0.01).to_bits()).collect()
 }

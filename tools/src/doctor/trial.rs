@@ -1,4 +1,4 @@
-//! A plan on the device under test: inputs with their values, and outputs that show what was not written.
+//! A plan on the device under test, with outputs that reveal unwritten values.
 
 use bytemuck::Pod;
 use zipsplat::{
@@ -6,36 +6,36 @@ use zipsplat::{
     gpu::{Device, Recorder, Run, Tensor},
 };
 
-/// Not a number, as f32 and as pairs of f16; far out of range as an index.
+/// NaN as f32 and as pairs of f16; out of range as an index.
 pub const UNWRITTEN: u32 = 0xffff_ffff;
 
-/// Something to compute.
+/// A plan under construction.
 pub struct Trial<'a> {
     device: &'a Device,
-    /// Where it is recorded.
+    /// Recorder of the plan.
     pub rec: Recorder,
     inputs: Vec<(Tensor, Vec<u8>)>,
 }
 
 impl<'a> Trial<'a> {
-    /// Nothing yet.
+    /// Creates an empty plan.
     pub fn new(device: &'a Device) -> Self {
         Self { device, rec: Recorder::new(device.limits()), inputs: Vec::new() }
     }
 
-    /// A tensor with these values.
+    /// Uploads a tensor.
     pub fn input<T: Pod>(&mut self, values: &[T]) -> Tensor {
         let tensor = self.rec.input::<T>("input", values.len());
         self.inputs.push((tensor, bytemuck::cast_slice(values).to_vec()));
         tensor
     }
 
-    /// Makes every value of a tensor NaN, before anything is written there.
+    /// Fills a tensor with NaN before other writes.
     pub fn blank(&mut self, tensor: Tensor) {
         self.rec.fill(tensor, UNWRITTEN);
     }
 
-    /// A tensor for `len` results.
+    /// Creates an output tensor of `len` values.
     pub fn output<T>(&mut self, len: usize) -> Tensor {
         let tensor = self.rec.tensor::<T>("output", len);
         self.blank(tensor);

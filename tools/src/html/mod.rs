@@ -1,4 +1,4 @@
-//! Pieces of reports: HTML files that need no other.
+//! Self-contained HTML reports.
 
 use base64::{Engine, engine::general_purpose::STANDARD};
 use zipsplat::{
@@ -7,10 +7,10 @@ use zipsplat::{
 };
 
 const STYLE: &str = include_str!("report.css");
-/// JPEG's quality of a picture.
+/// JPEG quality.
 const QUALITY: u8 = 85;
 
-/// The beginning of a page, up to its heading.
+/// Start of a page, through its heading.
 pub fn begin(title: &str) -> String {
     let title = escape(title);
     format!(
@@ -20,10 +20,10 @@ pub fn begin(title: &str) -> String {
     )
 }
 
-/// A picture as an address that holds it, its longer side of at most `most` pixels.
+/// Data URL of a picture, downscaled to a longer side of at most `most` pixels.
 ///
 /// # Errors
-/// Where it cannot be encoded.
+/// Encoding failures.
 pub fn picture(image: &Image, most: u32) -> Result<String> {
     let scale = (f64::from(most) / f64::from(image.width.max(image.height))).min(1.0);
     let [width, height] = [image.width, image.height].map(|side| ((f64::from(side) * scale).round() as u32).max(1));
@@ -31,7 +31,7 @@ pub fn picture(image: &Image, most: u32) -> Result<String> {
     Ok(format!("data:image/jpeg;base64,{}", STANDARD.encode(small.jpeg(QUALITY)?)))
 }
 
-/// Text as a page can hold it, also between quotes.
+/// Escapes text for HTML content and quoted attributes.
 pub fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

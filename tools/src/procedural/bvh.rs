@@ -1,12 +1,12 @@
-//! A hierarchy of boxes over primitives, split by the surface area heuristic (Wald 2007, by full sweeps: scenes are small).
+//! Bounding volume hierarchy, split by the surface area heuristic (Wald 2007, full sweeps).
 
 use glam::Vec3A;
 
 use super::shape::Primitive;
 
-/// Primitives per leaf at which splitting stops paying.
+/// Maximum primitives per leaf.
 const LEAF: usize = 2;
-/// Below this depth nodes are halved, so that no tree of up to 2^11 primitives is deeper than the stack.
+/// Depth from which nodes are halved, to bound the stack for up to 2^11 primitives.
 const DEEP: usize = 20;
 const STACK: usize = 32;
 
@@ -28,7 +28,7 @@ impl Aabb {
         side.x * side.y + side.y * side.z + side.z * side.x
     }
 
-    /// Distance at which a ray enters, if it does before `limit`.
+    /// Entry distance of a ray, if before `limit`.
     fn enter(&self, origin: Vec3A, inverse: Vec3A, limit: f32) -> Option<f32> {
         let (a, b) = ((self.low - origin) * inverse, (self.high - origin) * inverse);
         let (enter, leave) = (a.min(b).max_element().max(0.0), a.max(b).min_element().min(limit));
@@ -38,7 +38,7 @@ impl Aabb {
 
 struct Node {
     bounds: Aabb,
-    /// The first item of a leaf; the second child of an inner node, whose first follows it.
+    /// First item of a leaf, or second child of an inner node, whose first child follows it.
     first: u32,
     /// 0 for an inner node.
     count: u32,
@@ -83,7 +83,7 @@ impl Bvh {
         self.build(boxes, start + left, end, depth + 1);
     }
 
-    /// Cost, axis, and items in the first half of the cheapest split along an axis.
+    /// Cost, axis and left item count of the cheapest split along an axis.
     fn best_split(&mut self, boxes: &[Aabb], start: usize, end: usize, axis: usize) -> (f32, usize, usize) {
         let items = &mut self.items[start..end];
         sort_along(items, boxes, axis);
@@ -126,14 +126,14 @@ impl Bvh {
         let mut found = false;
         self.visit(origin, direction, limit, |item, limit| {
             found = primitives[item].intersect(origin, direction, limit).is_some();
-            // Nothing is nearer than 0, which ends the visit.
+            // A limit below 0 ends the visit.
             found.then_some(-1.0)
         });
         found
     }
 
-    /// Calls `hit(item, limit)` for items whose box the ray enters before the limit, nearer boxes first; what it returns
-    /// is the new limit.
+    /// Calls `hit(item, limit)` for items in boxes along the ray, nearest first. It returns the new
+    /// limit.
     fn visit(&self, origin: Vec3A, direction: Vec3A, mut limit: f32, mut hit: impl FnMut(usize, f32) -> Option<f32>) {
         let inverse = direction.recip();
         let (mut stack, mut depth) = ([(0u32, 0f32); STACK], 0);
@@ -172,6 +172,6 @@ impl Bvh {
 
 fn sort_along(items: &mut [u32], boxes: &[Aabb], axis: usize) {
     let centre = |item: u32| boxes[item as usize].low[axis] + boxes[item as usize].high[axis];
-    // Ties by index, so that the order does not depend on the order before.
+    // Ties by index make the order deterministic.
     items.sort_unstable_by(|a, b| centre(*a).total_cmp(&centre(*b)).then(a.cmp(b)));
 }

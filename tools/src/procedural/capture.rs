@@ -1,4 +1,4 @@
-//! From a seed to pictures.
+//! Generates pictures from a seed.
 
 use std::ops::RangeInclusive;
 
@@ -15,49 +15,49 @@ use super::survey::{self, Lens};
 use super::tone::Development;
 use super::world::{Seen, World};
 
-/// Paths that are tried in one place before another is built.
+/// Paths tried per place.
 const PATHS: usize = 20;
-/// Places that are built for one seed, far more than any has needed.
+/// Limit of places built per seed.
 const PLACES: u64 = 1000;
-/// Views with less contrast (standard deviation of brightness, 0..1) are not worth taking.
+/// Minimum contrast of a view: standard deviation of brightness, 0..1.
 const LEAST_CONTRAST: f32 = 0.05;
 /// Mean brightness of a view.
 const BRIGHTNESS: RangeInclusive<f32> = 0.15..=0.85;
-/// Field of view of the longer side, degrees; the narrow ones are more frequent, as with photos.
+/// Field of view of the longer side in degrees; narrow ones are more frequent.
 const FIELD_OF_VIEW: [f32; 2] = [28.0, 92.0];
 
-/// Four rays of a pixel: edges along rows and columns get four steps.
+/// Four rays per pixel that sample row and column edges at four offsets.
 const ROTATED_GRID: [(f32, f32); 4] = [(-0.125, -0.375), (0.375, -0.125), (0.125, 0.375), (-0.375, 0.125)];
-/// Two rays that with the one through the centre give such edges three steps.
+/// Two rays that, with the central one, sample such edges at three offsets.
 const BESIDE_CENTRE: [(f32, f32); 2] = [(-0.33, 0.25), (0.33, -0.25)];
 
-/// Asked now and then whether to go on; its error ends the work.
+/// Cancellation check; its error ends the work.
 pub type GoOn<'a> = &'a (dyn Fn() -> Result<()> + Sync);
 
-/// The settings of every scene.
+/// Settings of every scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
-    /// Pictures a scene.
+    /// Pictures per scene.
     pub views: usize,
     /// Pixels a row.
     pub width: u32,
     /// Rows.
     pub height: u32,
-    /// Four rays for every pixel, not for those at edges only.
+    /// Whether every pixel gets four rays, not only edges.
     pub supersample: bool,
-    /// Begin at any view of the path and take the ones before it last; otherwise views are in the path's order.
+    /// Starts at a random view of the path and appends the skipped ones.
     pub random_first: bool,
 }
 
-/// A place and where photos of it are taken from, in metres, before any is taken.
+/// A place and its camera path, in meters.
 pub struct Setup {
-    /// The seed that it was made from.
+    /// Seed.
     pub seed: u64,
     /// The kind of place.
     pub family: Family,
     /// The kind of path.
     pub path: PathKind,
-    /// The things that there are.
+    /// Scene contents.
     pub world: World,
     lens: Lens,
     views: Vec<View>,
@@ -66,30 +66,32 @@ pub struct Setup {
     supersample: bool,
 }
 
-/// The photos of a scene. The world is the first view's camera; the median distance of all pixels' points to it is 1.
+/// Photos of a scene, in the first camera's frame, scaled to a median point distance of 1.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Capture {
-    /// The seed that it was made from.
+    /// Seed.
     pub seed: u64,
     /// The kind of place.
     pub family: Family,
     /// The kind of path.
     pub path: PathKind,
-    /// Metres per unit of length.
+    /// Meters per unit of length.
     pub metres: f64,
     /// One for each view.
     pub cameras: Vec<Camera>,
     /// One for each view.
     pub images: Vec<Image>,
-    /// `[views][height][width]` z along the camera's axis at pixel centres; 0 where there is only sky.
+    /// `[views][height][width]` z along the camera's axis at pixel centers; 0 in the sky.
     pub depths: Vec<Vec<f32>>,
-    /// `[views][views]`: the share of the first view's surfaces that the second sees, by a grid of rays.
+    /// `[views][views]`: share of the first view's surfaces visible in the second, by a grid of
+    /// rays.
     pub overlap: Vec<f32>,
 }
 
 impl Options {
     /// # Errors
-    /// [`Error::Argument`] when there are no views, a side is empty or beyond 4096 pixels, or one is more than 8 times the other.
+    /// [`Error::Argument`] when there are no views, a side is empty or beyond 4096 pixels, or one
+    /// is more than 8 times the other.
     pub fn validate(&self) -> Result<()> {
         if !(1..=1024).contains(&self.views) {
             return Err(Error::argument("views", self.views, "1 to 1024"));
@@ -110,10 +112,10 @@ impl Options {
 }
 
 impl Setup {
-    /// Builds places and proposes paths until one is worth its photos.
+    /// Builds places and proposes paths until one passes the survey.
     ///
     /// # Errors
-    /// As [`Options::validate`], and that of `go_on`, which is asked now and then.
+    /// As [`Options::validate`] and `go_on`.
     pub fn new(seed: u64, options: &Options, photos: &Photos, go_on: GoOn<'_>) -> Result<Self> {
         options.validate()?;
         for place in 0..PLACES {
@@ -127,10 +129,10 @@ impl Setup {
 
     fn try_place(seed: u64, place: u64, options: &Options, photos: &Photos) -> Option<Self> {
         let mut rng = Rng::new(seed, 2 * place);
-        // Drawn from the seed alone, so that what is hard to photograph is not rarer.
+        // Depends on the seed only, so retries do not skew the family distribution.
         let family = Rng::new(seed, u64::MAX).pick(&Family::ALL);
         let (world, stage) = family.build(Rng::new(seed, 2 * place + 1), photos);
-        // Drawn once, so that wide paths, which fail more often, are not rarer.
+        // Drawn once, so retries do not skew the path distribution.
         let path = rng.pick(stage.paths);
         for attempt in 0..PATHS {
             let span = 1.0 - 0.8 * attempt as f32 / PATHS as f32;
@@ -151,7 +153,7 @@ impl Setup {
         None
     }
 
-    /// Where cameras stand and their axes (OpenCV, camera-to-world), in metres.
+    /// Camera poses (OpenCV, camera-to-world), in meters.
     pub fn poses(&self) -> Vec<Pose> {
         let pose = |view: &View| {
             let cols = [view.rotation.x_axis, view.rotation.y_axis, view.rotation.z_axis].map(|axis| axis.as_dvec3());
@@ -163,7 +165,7 @@ impl Setup {
     /// Takes the photos.
     ///
     /// # Errors
-    /// That of `go_on`, which is asked for every row of pixels.
+    /// As `go_on`, called for every row of pixels.
     pub fn shoot(&self, photos: &Photos, go_on: GoOn<'_>) -> Result<Capture> {
         let Lens { width, height, focal } = self.lens;
         let frames = self.views.par_iter().map(|view| self.frame(*view, photos, go_on)).collect::<Result<Vec<_>>>()?;
@@ -202,7 +204,7 @@ impl Setup {
         })
     }
 
-    /// The median distance of all views' points from the first camera, metres.
+    /// Median distance of all views' points from the first camera, in meters.
     fn median_distance(&self, frames: &[Frame]) -> f64 {
         let Lens { width, .. } = self.lens;
         let first = self.views[0].eye;
@@ -245,7 +247,7 @@ impl Setup {
         Ok(Frame { light, depth: rows.iter().flatten().map(|(_, depth)| *depth).collect() })
     }
 
-    /// The colour of a point of the picture, and its z; `pixel` is the width that is averaged, in pixels.
+    /// Color and z at a picture point; `pixel` is the filter width in pixels.
     fn look(&self, view: View, x: f32, y: f32, pixel: f32, photos: &Photos) -> (Seen, f32) {
         let ray = self.lens.ray(x, y);
         let length = ray.length();
@@ -260,7 +262,7 @@ struct Frame {
     depth: Vec<f32>,
 }
 
-/// One development for all views, from a few rays each. None when a view would be dull, dark or washed out.
+/// Shared exposure of all views from a few rays each; `None` for dull, dark or overexposed views.
 fn expose(world: &World, lens: Lens, views: &[View], photos: &Photos, rng: &mut Rng) -> Option<Development> {
     let pixel = lens.width as f32 / survey::GRID as f32 / lens.focal / 4.0;
     let look = |view: &View| {
@@ -281,9 +283,9 @@ fn expose(world: &World, lens: Lens, views: &[View], photos: &Photos, rng: &mut 
     lights.iter().all(worth).then_some(development)
 }
 
-/// The frame of a world point's camera, for those who hold a [`Capture`].
+/// World points in the frame of a [`Capture`].
 impl Capture {
-    /// The world point that a pixel of a view shows; none in the sky.
+    /// World point of a pixel; `None` in the sky.
     pub fn point(&self, view: usize, x: u32, y: u32) -> Option<DVec3> {
         let Camera { intrinsics: i, pose } = &self.cameras[view];
         let z = f64::from(self.depths[view][(y * i.width + x) as usize]);

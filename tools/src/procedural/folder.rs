@@ -1,4 +1,4 @@
-//! A capture as a folder: photos, depth and cameras as nerfstudio lays them out.
+//! A capture as a folder in nerfstudio's layout.
 
 use std::path::{Path, PathBuf};
 
@@ -12,10 +12,10 @@ use crate::{
     outputs::{MADE_BY, is_own, remove_stale, save_picture},
 };
 
-/// Pixels between those that become points of the cloud, along x and y.
+/// Pixels between point-cloud samples, along x and y.
 const POINT_STEP: usize = 8;
 
-/// The file that says what the scene was made from.
+/// File with the scene's parameters.
 const SCENE: &str = "scene.json";
 
 fn photo(number: usize) -> String {
@@ -26,17 +26,17 @@ fn depth(number: usize) -> String {
     format!("depth/{number:03}.npy")
 }
 
-/// The files that a capture of `views` photos becomes, but for depth where the folder is one of ours: numbers have no room to
-/// say who wrote them.
+/// The files that a capture of `views` photos becomes, but for depth where the folder is one of
+/// ours: numbers have no room to say who wrote them.
 pub fn files(folder: &Path, views: usize) -> Vec<PathBuf> {
     let depths = if is_own(&folder.join(SCENE)) { 0 } else { views };
     let fixed = ["transforms.json", "points.ply", SCENE].map(str::to_owned);
     (0..views).map(photo).chain((0..depths).map(depth)).chain(fixed).map(|name| folder.join(name)).collect()
 }
 
-/// Writes `images/000.png` and so on, `depth/000.npy` (f32 `[height][width]`, z in the unit of the cameras, 0 in the
-/// sky), `transforms.json`, `points.ply`: some of the points that the photos show, and `scene.json`: what it was made from
-/// and the overlap of the views. Photos and depth that a larger capture left there are removed.
+/// Writes `images/000.png` and so on, `depth/000.npy` (f32 `[height][width]`, z in camera units, 0
+/// in the sky), `transforms.json`, `points.ply` (sampled points) and `scene.json` (parameters and
+/// view overlap). Removes surplus photos and depth of an earlier capture.
 ///
 /// # Errors
 /// [`Error::Io`] when the folder or a file cannot be written.
@@ -72,7 +72,7 @@ pub fn write_folder(folder: &Path, capture: &Capture, crops: &[Crop]) -> Result<
     })
 }
 
-/// Every [`POINT_STEP`]th pixel's point, in the world of the cameras, with its colour.
+/// Every [`POINT_STEP`]th pixel's world point with its color.
 fn points(capture: &Capture) -> Vec<([f32; 3], [u8; 3])> {
     let mut points = Vec::new();
     for (view, image) in capture.images.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! Heights on a square grid, joined by triangles.
+//! Triangulated heights on a square grid.
 
 use glam::{Vec2, Vec3A, Vec3Swizzles};
 
@@ -7,16 +7,17 @@ use super::slab::slab;
 /// Cells along a side of a block.
 const BLOCK: usize = 8;
 
-/// Heights over `[-half_side, half_side]` in x and y. Each cell is cut from its low corner to its high one.
+/// Heights over `[-half_side, half_side]` in x and y. Each cell is cut from its low corner to its
+/// high one.
 pub struct HeightField {
     half_side: f32,
     cells: usize,
-    /// `[cells + 1][cells + 1]`, y before x, metres.
+    /// `[cells + 1][cells + 1]`, y before x, in meters.
     heights: Vec<f32>,
     normals: Vec<Vec3A>,
     /// Lowest and highest corner of each cell.
     ranges: Vec<[f32; 2]>,
-    /// The same of each block of cells.
+    /// Height range of each block of cells.
     blocks: Vec<[f32; 2]>,
     max_height: f32,
 }
@@ -75,7 +76,7 @@ impl HeightField {
         Vec3A::new(self.half_side, self.half_side, self.max_height)
     }
 
-    /// The cell that holds `p`, and where in it, 0..1.
+    /// Cell of `p` and the offset in it, 0..1.
     fn cell(&self, p: Vec2) -> ([usize; 2], Vec2) {
         let scaled = (p + self.half_side) / self.step();
         let clamped = scaled.clamp(Vec2::ZERO, Vec2::splat(self.cells as f32 - 1e-3));
@@ -83,14 +84,14 @@ impl HeightField {
         ([floor.x as usize, floor.y as usize], clamped - floor)
     }
 
-    /// Height at `p`, none beside the field.
+    /// Height at `p`; `None` outside the field.
     pub(super) fn height(&self, p: Vec2) -> Option<f32> {
         let ([i, j], f) = self.cell(p);
         let [low, dx, dy] = self.plane(i, j, f.x >= f.y);
         p.abs().cmple(Vec2::splat(self.half_side)).all().then_some(low + dx * f.x + dy * f.y)
     }
 
-    /// Height at the cell's corner and slopes per cell of one of its triangles.
+    /// Corner height and slopes per cell of one triangle.
     fn plane(&self, i: usize, j: usize, lower: bool) -> [f32; 3] {
         let row = self.cells + 1;
         let at = j * row + i;
@@ -98,7 +99,7 @@ impl HeightField {
         if lower { [h00, h10 - h00, h11 - h10] } else { [h00, h11 - h01, h01 - h00] }
     }
 
-    /// Interpolated between the corners, so that triangles do not show.
+    /// Interpolated between the corners for smooth shading.
     pub(super) fn normal(&self, p: Vec2) -> Vec3A {
         let ([i, j], f) = self.cell(p);
         let row = self.cells + 1;
@@ -108,7 +109,7 @@ impl HeightField {
         low.lerp(high, f.y).normalize()
     }
 
-    /// Walks the cells under the ray (Amanatides and Woo 1987) and steps over blocks that it passes above or below.
+    /// Walks the cells under the ray (Amanatides and Woo 1987), skipping blocks above or below it.
     pub(super) fn intersect(&self, origin: Vec3A, direction: Vec3A, limit: f32) -> Option<f32> {
         let [enter, leave] = slab(origin, direction, self.extent() + 1e-3)?;
         let (mut t, end) = (enter.max(0.0), leave.min(limit));
@@ -153,7 +154,7 @@ impl HeightField {
         let step = self.step();
         let corner = Vec2::new(i as f32, j as f32) * step - self.half_side;
         let (f, df) = ((o.xy() - corner) / step, d.xy() / step);
-        // Neighbouring cells and triangles must not leave a gap between them.
+        // Prevents gaps between neighboring cells and triangles.
         let slack = 1e-4 * (1.0 + to);
         let hit = |lower: bool| {
             let [low, dx, dy] = self.plane(i, j, lower);
@@ -175,12 +176,12 @@ struct Walk {
     inverse: Vec2,
     /// Side of a cell.
     step: f32,
-    /// Where the grid begins in both axes.
+    /// Lower bound of the grid in both axes.
     low: f32,
 }
 
 impl Walk {
-    /// Where along the ray it leaves `size` cells from `first` on, and through which axis.
+    /// Distance and axis at which the ray leaves `size` cells from `first`.
     fn leave(&self, first: [isize; 2], size: isize) -> (f32, usize) {
         let exit = |axis: usize| {
             let inverse = self.inverse[axis];

@@ -1,4 +1,4 @@
-//! Materials of surfaces, drawn at random for what they are.
+//! Random materials by surface role.
 
 use glam::{Vec3, Vec3A};
 
@@ -13,11 +13,11 @@ pub(super) struct Material {
     pub specular: f32,
     /// Blinn-Phong's exponent.
     pub shininess: f32,
-    /// Light that it gives off, times albedo.
+    /// Emission, times albedo.
     pub glow: f32,
 }
 
-/// The kind of a surface, which decides what it may look like.
+/// Surface role.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Role {
     /// Earth, grass, gravel, paving.
@@ -40,11 +40,11 @@ pub(super) enum Role {
     Anything,
 }
 
-/// Draws materials. `detail` scales all patterns: metres per typical feature.
+/// Draws materials. `detail` is the size of a typical feature in meters.
 pub(super) struct Palette<'a> {
     pub photos: &'a Photos,
     pub detail: f32,
-    /// Share of the surfaces that show a photo, where there are any.
+    /// Share of surfaces with a photo, if photos exist.
     pub photo_share: f32,
 }
 
@@ -95,7 +95,7 @@ impl Palette<'_> {
         Some(Texture { pattern, period, offset: offset(rng), colors: [tint; 3], stain })
     }
 
-    /// Grass or earth where it is level, rock where it is steep.
+    /// Grass or earth on level ground, rock on slopes.
     pub fn terrain(&self, rng: &mut Rng) -> Material {
         let crops = self.photos.crops().len();
         let photo = (crops > 0 && rng.chance(self.photo_share)).then(|| rng.count(0, crops.max(1) - 1));
@@ -206,7 +206,7 @@ fn offset(rng: &mut Rng) -> Vec3A {
     20.0 * Vec3A::new(rng.unit(), rng.unit(), rng.unit())
 }
 
-/// Three colours that go together, linear.
+/// Three matching colors, linear.
 fn colors(rng: &mut Rng, role: Role) -> [Vec3A; 3] {
     let (hues, saturation, value) = match role {
         Role::Ground => ([0.06, 0.32], [0.1, 0.5], [0.25, 0.7]),

@@ -1,7 +1,8 @@
-//! Endless procedural scenes: primitives with procedural or photographed surfaces, seen along paths as people take
-//! photos, with exact depth and poses. A seed gives the same bytes on any number of threads.
+//! Procedural scenes: primitives with procedural or photographed surfaces along realistic camera
+//! paths, with exact depth and poses. A seed gives the same bytes on any number of threads.
 //!
-//! That procedural data alone transfers to photos: LRM-Zero (Xie et al. 2024) and MegaSynth (Jiang et al. 2025).
+//! Procedural training data transfers to photos: LRM-Zero (Xie et al. 2024) and MegaSynth (Jiang et
+//! al. 2025).
 
 mod builder;
 mod bvh;
@@ -33,5 +34,5 @@ pub use shape::{Primitive, Shape};
 pub use survey::{LEAST_OVERLAP, WITNESSES};
 pub use world::World;
 
-/// Counts changes of what a seed gives.
+/// Version of the generator's output.
 pub const VERSION: u32 = 2;

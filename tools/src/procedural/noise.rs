@@ -1,4 +1,4 @@
-//! Noise on integer lattices, faded where a pixel covers more than it can show.
+//! Lattice noise, faded below the pixel footprint.
 
 use glam::{Vec2, Vec3A, Vec4, Vec4Swizzles};
 
@@ -25,15 +25,14 @@ pub(super) fn smoothstep(low: f32, high: f32, x: f32) -> f32 {
 /// Widths, in features, at which a pattern begins to fade and is gone.
 const FADE: [f32; 2] = [0.3, 1.1];
 
-/// How much of a pattern with features of size 1 is left when a pixel covers `width` of it.
+/// Remaining contrast of a pattern with features of size 1 at footprint `width`.
 pub(super) fn fade(width: f32) -> f32 {
     1.0 - smoothstep(FADE[0], FADE[1], width)
 }
 
-/// Side of the table of lattice values; a power of two. Patterns repeat after this many periods, which octaves of
-/// unrelated periods hide.
+/// Side of the lattice table, a power of two. Octaves with unrelated periods hide the repetition.
 const SIDE: usize = 32;
-/// 32 KiB: it stays in the first cache, and a look-up costs less than a hash.
+/// Fits in the L1 cache at 32 KiB.
 static LATTICE: [u8; SIDE * SIDE * SIDE] = lattice();
 
 const fn lattice() -> [u8; SIDE * SIDE * SIDE] {
@@ -67,7 +66,7 @@ pub(super) fn value_noise(p: Vec3A) -> f32 {
     (faces.x + (faces.y - faces.x) * s.z) / 255.0
 }
 
-/// Fractal sum of value noise around 0.5, mostly in 0..1. Octaves finer than a pixel's `width` are left out.
+/// Fractal sum of value noise around 0.5, mostly in 0..1, without octaves finer than `width`.
 pub(super) fn fbm(p: Vec3A, octaves: usize, width: f32) -> f32 {
     let (mut sum, mut weight, mut frequency) = (0.5, 0.5, 1.0);
     for octave in 0..octaves {
@@ -75,7 +74,7 @@ pub(super) fn fbm(p: Vec3A, octaves: usize, width: f32) -> f32 {
         if visible <= 0.0 {
             break;
         }
-        // The offset keeps lattices of different octaves from lining up.
+        // The offset decorrelates octaves.
         sum += weight * visible * (value_noise(p * frequency + 17.3 * octave as f32) - 0.5);
         frequency *= 2.03;
         weight *= 0.6;
@@ -83,7 +82,7 @@ pub(super) fn fbm(p: Vec3A, octaves: usize, width: f32) -> f32 {
     sum
 }
 
-/// Voronoi cells around jittered lattice points: distance to the nearest border, roughly, and the cell's hash.
+/// Voronoi cells of jittered lattice points: approximate border distance, and the cell's hash.
 pub(super) fn voronoi(p: Vec2) -> (f32, u32) {
     let floor = p.floor();
     let (x, y) = (floor.x as i32, floor.y as i32);

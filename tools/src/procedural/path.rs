@@ -1,4 +1,4 @@
-//! Camera paths as people take photos.
+//! Realistic camera paths.
 
 use std::f32::consts::{PI, TAU};
 use std::fmt;
@@ -38,30 +38,30 @@ impl fmt::Display for PathKind {
 impl PathKind {
     /// All of them.
     pub const ALL: [Self; 5] = [Self::Orbit, Self::Arc, Self::Walk, Self::Sweep, Self::Handheld];
-    /// How often each is taken where one can go all around: captures are orbits more often than anything else.
+    /// Sampling weights of unrestricted scenes: orbits are most common.
     pub(super) const ALL_AROUND: [Self; 7] =
         [Self::Orbit, Self::Orbit, Self::Orbit, Self::Arc, Self::Walk, Self::Sweep, Self::Handheld];
 }
 
-/// From where a scene can be seen, in metres and radians.
+/// Allowed camera positions, in meters and radians.
 pub(super) struct Stage {
-    /// The point that is looked at.
+    /// Target point.
     pub target: Vec3A,
-    /// The distance of the cameras from the target, at a field of view of 55 degrees.
+    /// Distance of the cameras from the target, at a field of view of 55 degrees.
     pub distance: [f32; 2],
     /// The elevation of the cameras above the target.
     pub elevation: [f32; 2],
-    /// Azimuth of the cameras in the middle of what is allowed.
+    /// Central azimuth of the cameras.
     pub front: f32,
-    /// How far azimuths may be from `front`.
+    /// Maximum azimuth deviation from `front`.
     pub freedom: f32,
-    /// Cameras stay within.
+    /// Bounds of the cameras.
     pub bounds: [Vec3A; 2],
     /// The paths that suit the scene.
     pub paths: &'static [PathKind],
 }
 
-/// Where a camera stands, metres.
+/// Camera position in meters, and orientation.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct View {
     pub eye: Vec3A,
@@ -85,7 +85,8 @@ impl View {
 }
 
 impl Stage {
-    /// A path of `views`; `span` of 1 is a full one, less shortens it. `reach` scales distances for the lens.
+    /// A path of `views`; `span` is the fraction of a full path. `reach` scales distances for the
+    /// lens.
     pub fn path(&self, kind: PathKind, views: usize, span: f32, reach: f32, rng: &mut Rng) -> Vec<View> {
         let distance = reach * rng.range(self.distance[0], self.distance[1]);
         let unsteady =
@@ -153,7 +154,7 @@ impl Stage {
         let centre = self.target + distance * Self::direction(azimuth, elevation);
         let side = 0.5 * span * distance * rng.range(0.5, 2.2) * Self::direction(azimuth + PI / 2.0, 0.0);
         let rise = 0.5 * span * distance * rng.range(0.0, 0.5) * Vec3A::Z;
-        // Rows, one above the other, there and back.
+        // Serpentine rows.
         let rows = if times.len() >= 6 { rng.count(1, 3) as f32 } else { 1.0 };
         let converge = rng.range(0.0, 1.0);
         let place = |t: &f32| {
@@ -179,7 +180,7 @@ impl Stage {
     }
 }
 
-/// How a hand holds the camera.
+/// Handheld jitter.
 struct Unsteady {
     roll: f32,
     aim: f32,

@@ -50,8 +50,8 @@ impl Photos {
     /// Reads the crops with a permissive licence from a folder with a `manifest.json`.
     ///
     /// # Errors
-    /// [`Error::Io`] and [`Error::Format`] for the manifest and the pictures; [`Error::Format`] when none is permissive or
-    /// one is not square.
+    /// [`Error::Io`] and [`Error::Format`] for the manifest and the pictures; [`Error::Format`]
+    /// when none is permissive or one is not square.
     pub fn open(folder: &Path) -> Result<Self> {
         let manifest = folder.join("manifest.json");
         let file = BufReader::new(open_file(&manifest)?);
@@ -78,7 +78,8 @@ impl Photos {
         &self.crops
     }
 
-    /// Linear RGB of a photo that fills the unit square and is mirrored beyond it; `width` is the pixel's.
+    /// Linear RGB of a photo that fills the unit square and is mirrored beyond it; `width` is the
+    /// pixel's.
     pub(super) fn sample(&self, photo: usize, uv: Vec2, width: f32) -> Vec3A {
         let Pyramid { levels } = &self.pyramids[photo];
         let level = (width * levels[0].side as f32).max(1.0).log2().min((levels.len() - 1) as f32);

@@ -3,7 +3,8 @@
 /// The golden ratio in 64 bits: the increment of SplitMix64.
 const INCREMENT: u64 = 0x9e37_79b9_7f4a_7c15;
 
-/// SplitMix64 (Steele, Lea and Flood 2014): a counter through a mixing function, so streams are independent and cheap.
+/// SplitMix64 (Steele, Lea and Flood 2014): a counter through a mixing function, so streams are
+/// independent and cheap.
 pub(super) struct Rng {
     state: u64,
 }

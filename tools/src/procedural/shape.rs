@@ -129,8 +129,8 @@ impl Shape {
         }
     }
 
-    /// Metric surface coordinates for planar patterns: the side is unrolled on cylinders, the nearest face of a box
-    /// elsewhere.
+    /// Metric surface coordinates for planar patterns: the side is unrolled on cylinders, the
+    /// nearest face of a box elsewhere.
     pub(super) fn surface_coordinates(&self, p: Vec3A, normal: Vec3A) -> Vec2 {
         match self {
             Self::Cylinder { radius, .. } if normal.z.abs() < 0.5 => Vec2::new(p.y.atan2(p.x) * radius, p.z),
@@ -165,7 +165,8 @@ fn nearer(interval: Option<[f32; 2]>) -> Option<f32> {
     interval.map(|[enter, leave]| if enter > 0.0 { enter } else { leave })
 }
 
-/// The unit sphere, measured from the ray's point nearest to the centre: no cancellation when the origin is far away.
+/// The unit sphere, measured from the ray's point nearest to the centre: no cancellation when the
+/// origin is far away.
 fn sphere(origin: Vec3A, direction: Vec3A) -> Option<[f32; 2]> {
     let a = direction.length_squared();
     let middle = -origin.dot(direction) / a;
@@ -198,8 +199,8 @@ fn torus_gradient(p: Vec3A, major: f32) -> Vec3A {
     (p - ring).normalize_or(Vec3A::Z)
 }
 
-/// Sphere tracing (Hart 1996) inside the bounding cylinder, then Newton steps: the quartic's roots lose too many bits in
-/// f32.
+/// Sphere tracing (Hart 1996) inside the bounding cylinder, then Newton steps: the quartic's roots
+/// lose too many bits in f32.
 fn torus(origin: Vec3A, direction: Vec3A, major: f32, minor: f32, limit: f32) -> Option<f32> {
     let [enter, leave] = cylinder(origin, direction, major + minor, minor)?;
     let end = leave.min(limit);

@@ -82,7 +82,8 @@ impl Header {
     /// Reads and checks magic and format.
     ///
     /// # Errors
-    /// `InvalidData` when the stream is not one of these or of another format; the reader's own errors.
+    /// `InvalidData` when the stream is not one of these or of another format; the reader's own
+    /// errors.
     pub fn read(mut from: impl Read) -> Result<Self> {
         let magic: [u8; 8] = take(&mut from)?;
         let format = u32::from_le_bytes(take(&mut from)?);
@@ -140,13 +141,14 @@ fn take<const N: usize>(mut from: impl Read) -> Result<[u8; N]> {
     Ok(bytes)
 }
 
-/// Makes the scenes of `seeds` on all threads and writes them in order; the next batch is made while one is written. A
-/// range that ends at `u64::MAX` is announced as endless. `written` is called with the number of scenes after each
-/// batch and may stop the stream.
+/// Makes the scenes of `seeds` on all threads and writes them in order; the next batch is made
+/// while one is written. A range that ends at `u64::MAX` is announced as endless. `written` is
+/// called with the number of scenes after each batch and may stop the stream.
 ///
 /// # Errors
-/// [`zipsplat::Error::Argument`] as the source of an error when the options are unusable; the writer's errors, `BrokenPipe`
-/// when the reader went away; `Interrupted` when `written` stopped it.
+/// [`zipsplat::Error::Argument`] as the source of an error when the options are unusable; the
+/// writer's errors, `BrokenPipe` when the reader went away; `Interrupted` when `written` stopped
+/// it.
 pub fn write(
     mut to: impl Write,
     seeds: Range<u64>,

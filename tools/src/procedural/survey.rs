@@ -1,4 +1,4 @@
-//! Looks at proposed views with few rays: whether they are worth taking, and how much of each the others see.
+//! Tests proposed views with few rays for content and overlap.
 
 use glam::{Vec2, Vec3A};
 
@@ -7,14 +7,14 @@ use super::world::World;
 
 /// Rays along each side of a view.
 pub(super) const GRID: usize = 12;
-/// A view is worth taking when this share of it shows surfaces,
+/// Minimum share of a view that shows surfaces.
 const LEAST_SURFACE: f32 = 0.55;
-/// and nothing is nearer than this share of the median distance.
+/// Minimum distance, relative to the median.
 const NEAREST: f32 = 0.22;
 
 /// Share of a view's surfaces that [`WITNESSES`] other views must see, each.
 pub const LEAST_OVERLAP: f32 = 0.35;
-/// How many others.
+/// Number of overlapping views required.
 pub const WITNESSES: usize = 2;
 
 /// Pinhole in pixels, the principal point in the centre.
@@ -45,8 +45,8 @@ impl Lens {
     }
 }
 
-/// `[views][views]`: the share of the first view's surfaces that the second sees. None when a view is not worth taking or
-/// the overlap rule fails.
+/// `[views][views]`: share of the first view's surfaces visible in the second. `None` if a view or
+/// the overlap fails the limits.
 pub(super) fn overlap(world: &World, lens: Lens, views: &[View]) -> Option<Vec<f32>> {
     if views.iter().any(|view| world.contains(view.eye)) {
         return None;

@@ -1,5 +1,5 @@
-//! Surface patterns. Each is averaged over the pixel's footprint, in closed form or by fading, so that pictures taken
-//! from different distances agree.
+//! Surface patterns. Each is averaged over the pixel's footprint, in closed form or by fading, so
+//! that pictures taken from different distances agree.
 
 use std::f32::consts::TAU;
 

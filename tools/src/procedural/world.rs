@@ -1,4 +1,4 @@
-//! The world that is there to see: primitives, light and sky, and the colour along a ray.
+//! Scene: primitives, light and sky, and the color along a ray.
 
 use glam::{Vec3A, Vec3Swizzles};
 
@@ -9,7 +9,7 @@ use super::photos::Photos;
 use super::shape::{Primitive, Shape};
 use super::texture::Place;
 
-/// No surface is farther away, in metres.
+/// Maximum surface distance in meters.
 const FAR: f32 = 1e4;
 
 /// The light that casts shadows.
@@ -57,13 +57,13 @@ pub struct World {
     room: Option<Room>,
 }
 
-/// The hit that a ray sees.
+/// Result of a ray.
 pub(super) struct Seen {
     /// Linear light.
     pub light: Vec3A,
-    /// Distance to the surface; none where there is only sky.
+    /// Distance to the surface; `None` in the sky.
     pub distance: Option<f32>,
-    /// Differs between surfaces, faces and shadow edges: where neighbours differ there is an edge to smooth.
+    /// Surface, face and shadow identity; differing neighbors mark an edge to smooth.
     pub region: u32,
 }
 
@@ -82,7 +82,7 @@ impl World {
         self.bvh.nearest(&self.primitives, origin, direction, FAR).map(|(t, _)| t)
     }
 
-    /// Whether a point is inside something solid.
+    /// Whether a point is inside a solid.
     pub fn contains(&self, point: Vec3A) -> bool {
         self.primitives.iter().any(|p| p.shape.contains(p.to_local * (point - p.centre)))
     }
@@ -150,7 +150,7 @@ impl World {
         (light, lit)
     }
 
-    /// Less ambient light near the walls, floor and ceiling of a room that a surface does not belong to.
+    /// Ambient attenuation near the walls, floor and ceiling of a room, except the surface's own.
     fn corner_shade(&self, point: Vec3A, normal: Vec3A) -> f32 {
         let Some(Room { low, high }) = self.room else { return 1.0 };
         let gaps = (point - low).min(high - point).max(Vec3A::ZERO);
@@ -167,7 +167,7 @@ struct Surface<'a> {
     normal: Vec3A,
     direction: Vec3A,
     material: &'a Material,
-    /// How far from the surface shadow rays start.
+    /// Offset of shadow rays from the surface.
     reach: f32,
 }
 

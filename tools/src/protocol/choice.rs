@@ -1,11 +1,11 @@
-//! The frames of a scene that a network is given, and those that it is compared with.
+//! Selection of a scene's input and target frames.
 
 use super::{Indices, Protocol};
 use crate::capture::{Choice, farthest_points};
 use std::path::Path;
 use zipsplat::{Error, Result, types::poses::Poses};
 
-/// One column of a table: how many frames are given, and which.
+/// One table column: number and selection of input frames.
 pub struct Setting {
     /// Input frames.
     pub views: usize,
@@ -13,20 +13,20 @@ pub struct Setting {
 }
 
 enum Rule {
-    /// Those of a file.
+    /// Frames of a file.
     Given(Indices),
-    /// Farthest-point sampled from so many first frames, or from all.
+    /// Farthest-point sampling from the first frames, or from all.
     Farthest(Option<usize>),
-    /// From the first to the last, as the reference's for RealEstate10K.
+    /// Evenly from first to last, as the reference for RealEstate10K.
     Even,
 }
 
 impl Protocol {
-    /// The settings of a protocol: those of files, or for each number of inputs that of the paper, unless there are gaps, one for each
-    /// number or one for all.
+    /// Settings of a protocol, from index files or by number of inputs. `gaps` override the
+    /// paper's, one per number or one for all.
     ///
     /// # Errors
-    /// As [`Indices::open`], and [`Error::Argument`] for a number of gaps that fits none of both.
+    /// As [`Indices::open`], and [`Error::Argument`] for a wrong number of gaps.
     pub fn settings(self, views: &[u32], gaps: &[usize], files: &[impl AsRef<Path>]) -> Result<Vec<Setting>> {
         if !files.is_empty() {
             let setting = |file: &_| {
@@ -54,7 +54,7 @@ impl Setting {
         format!("{}v", self.views)
     }
 
-    /// The rule by which frames are chosen, in a word.
+    /// Short name of the selection rule.
     pub fn rule(&self) -> String {
         match &self.rule {
             Rule::Given(indices) => format!("indices-{}", indices.digest()),
@@ -64,10 +64,10 @@ impl Setting {
         }
     }
 
-    /// The frames of a scene; none where a file has none for it.
+    /// Selects the frames of a scene; `None` if a file lists none for it.
     ///
     /// # Errors
-    /// [`Error::Argument`] where the scene has too few frames, or a file counts frames that are not there.
+    /// [`Error::Argument`] for too few frames, or file indices out of range.
     pub fn choose(&self, scene: &str, poses: Poses, targets: usize) -> Result<Option<Choice>> {
         let found: Vec<usize> = (0..poses.frames.len()).filter(|i| poses.frames[*i].photo.is_some()).collect();
         let gap = match &self.rule {
@@ -99,16 +99,15 @@ impl Setting {
     }
 }
 
-/// So many of the frames that are no inputs, at equal steps from the first: so the reference's files for DL3DV with 6 and 24 inputs have
-/// them, in all of 140 scenes.
+/// Selects `count` frames other than inputs at equal steps from the first, as the reference for
+/// DL3DV.
 fn spread(window: &[usize], inputs: &[usize], count: usize) -> Vec<usize> {
     let others: Vec<usize> = window.iter().copied().filter(|i| !inputs.contains(i)).collect();
     let step = (others.len() / count).max(1);
     others.into_iter().step_by(step).take(count).collect()
 }
 
-/// So many of the frames from the first to the last, rounded down: so the reference's file for RealEstate10K has them, in all of 1600
-/// scenes.
+/// Selects `count` frames from first to last, rounded down, as the reference for RealEstate10K.
 fn even(window: &[usize], count: usize) -> Vec<usize> {
     (0..count).map(|i| window[i * (window.len() - 1) / (count - 1).max(1)]).collect()
 }
@@ -128,7 +127,7 @@ mod tests {
         assert_eq!(even(&frames, 6), [0, 55, 111, 166, 222, 278]);
     }
 
-    /// Frames along a line, each as far again from the one before; the third has no photo.
+    /// Frames along a line with doubling steps; the third has no photo.
     fn line(count: i32) -> Poses {
         let frame = |i: i32| Frame {
             name: i.to_string(),

@@ -1,4 +1,4 @@
-//! The filters by which photos become small. Which one is used moves PSNR by up to 1 dB (table 6 of the paper).
+//! Downscaling filters. The choice moves PSNR by up to 1 dB (table 6 of the paper).
 
 use clap::ValueEnum;
 use image::{ImageBuffer, Rgb, imageops};
@@ -15,15 +15,16 @@ use zipsplat::{
 pub enum Filter {
     /// Pillow's LANCZOS after the crop, as in every other command
     Lanczos,
-    /// Bilinear with antialiasing before the crop, as the paper's tables: PyTorch's interpolate(mode="bilinear", antialias=True)
+    /// Bilinear with antialiasing before the crop, as the paper's tables: PyTorch's
+    /// interpolate(mode="bilinear", antialias=True)
     Bilinear,
 }
 
 impl Filter {
-    /// The middle of a photo in the shape of `width` x `height`, in that size.
+    /// Crops a photo's center to the aspect ratio of `width` x `height` and resizes it.
     ///
     /// # Errors
-    /// [`Error::Argument`] where a side is zero, or the photo's fields disagree.
+    /// [`Error::Argument`] for a side of zero, or inconsistent photo fields.
     pub fn cropped(self, photo: &Image, width: u32, height: u32) -> Result<View> {
         match self {
             Self::Lanczos => cropped(photo, width, height),
@@ -31,7 +32,7 @@ impl Filter {
         }
     }
 
-    /// A whole photo at the scale that [`Filter::cropped`] brings it to.
+    /// A whole photo at the scale of [`Filter::cropped`].
     ///
     /// # Errors
     /// As [`Filter::cropped`].
@@ -43,8 +44,8 @@ impl Filter {
     }
 }
 
-/// A photo scaled until it covers `width` x `height`, by bilinear weights as wide as a result's pixel. As the reference does it,
-/// its sides become even and its values are truncated, not rounded.
+/// Scales a photo to cover `width` x `height`, with antialiased bilinear weights. Like the
+/// reference, makes sides even and truncates values.
 ///
 /// # Errors
 /// As [`Filter::cropped`].
@@ -68,7 +69,7 @@ fn cover(photo: &Image, width: u32, height: u32) -> Result<View> {
     Ok(View { image: Image::new(to_width, to_height, rgb)?, map })
 }
 
-/// The middle of a view.
+/// Center crop.
 fn middle(view: View, width: u32, height: u32) -> Result<View> {
     let View { image, map } = view;
     let (left, top) = ((image.width - width) / 2, (image.height - height) / 2);

@@ -1,22 +1,22 @@
-//! Frames that a file says: `{"scene": {"context": [0, 19, ..], "target": [1, 6, ..]}}`, the reference's JSON.
+//! Frames from the reference's JSON: `{"scene": {"context": [0, 19, ..], "target": [1, 6, ..]}}`.
 
 use crate::stamp::digest;
 use serde::Deserialize;
 use std::{collections::HashMap, path::Path};
 use zipsplat::{Error, Result};
 
-/// The frames of each scene; scenes without any are left out of an evaluation.
+/// Frames by scene; scenes without frames are excluded from an evaluation.
 pub struct Indices {
     scenes: HashMap<String, Option<Entry>>,
     digest: String,
 }
 
-/// The frames of one scene, by their place in its camera file. Other fields, such as the overlap, do not matter.
+/// Frames of one scene, as indices into its camera file. Other JSON fields are ignored.
 #[derive(Clone, Deserialize)]
 pub struct Entry {
-    /// The input frames.
+    /// Input frames.
     pub context: Vec<usize>,
-    /// The frames to compare with.
+    /// Target frames.
     pub target: Vec<usize>,
 }
 
@@ -24,8 +24,8 @@ impl Indices {
     /// Reads a file.
     ///
     /// # Errors
-    /// [`Error::Io`] where it cannot be read; [`Error::Format`] where it is something else, or no scene has both lists, or scenes
-    /// have different numbers of inputs.
+    /// [`Error::Io`] for a read failure; [`Error::Format`] for another format, no complete scene,
+    /// or unequal input counts.
     pub fn open(path: &Path) -> Result<Self> {
         let text = std::fs::read_to_string(path).map_err(|error| Error::io(path, error))?;
         let malformed = |reason: String| Error::format(path, None, reason);
@@ -52,17 +52,17 @@ impl Indices {
         Ok(Self { scenes, digest: digest(&[text])[..8].to_owned() })
     }
 
-    /// The number of inputs of every scene.
+    /// Number of inputs per scene.
     pub fn views(&self) -> usize {
         self.scenes.values().flatten().next().map_or(0, |entry| entry.context.len())
     }
 
-    /// A short text for the file's content.
+    /// Digest of the file's content.
     pub fn digest(&self) -> &str {
         &self.digest
     }
 
-    /// The frames of a scene, where the file has any.
+    /// Frames of a scene, if listed.
     pub fn of(&self, scene: &str) -> Option<&Entry> {
         self.scenes.get(scene)?.as_ref()
     }

@@ -1,5 +1,4 @@
-//! The protocols by which papers judge: where data sets keep photos and cameras, which frames a network is given and which it
-//! is compared with, and how photos are brought to a size.
+//! Evaluation protocols of papers: data set layouts, input and target frames, and photo resizing.
 
 mod choice;
 mod filter;

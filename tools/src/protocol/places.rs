@@ -1,4 +1,4 @@
-//! Scenes of data sets in folders as their authors lay them out.
+//! Scenes in the data sets' folder layouts.
 
 use super::Protocol;
 use std::{
@@ -17,20 +17,21 @@ use zipsplat::{
 /// One scene of a data set.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Place {
-    /// As files of indices name it.
+    /// Name, as in index files.
     pub name: String,
-    /// The file or folder of its cameras.
+    /// Camera file or folder.
     cameras: PathBuf,
-    /// Folders where its photos may be, the best first; where there are none, the cameras' file knows.
+    /// Candidate photo folders, best first; if empty, the camera file names the photos.
     photos: Vec<PathBuf>,
 }
 
 impl Protocol {
-    /// The scenes of folders, each a scene or a folder of scenes, by name. `images` is the folder of the photos within a scene, where it
-    /// is not that of the data set.
+    /// Finds scenes by name in folders, each a scene or a folder of scenes. `images` overrides the
+    /// photo folder within a scene.
     ///
     /// # Errors
-    /// [`Error::Argument`] where a folder has none, or two have one name; [`Error::Io`] where it cannot be read.
+    /// [`Error::Argument`] for a folder without scenes or a duplicate name; [`Error::Io`] for a
+    /// read failure.
     pub fn places(self, folders: &[PathBuf], images: Option<&Path>) -> Result<Vec<Place>> {
         let mut places: Vec<Place> = Vec::new();
         for folder in folders {
@@ -64,7 +65,7 @@ impl Protocol {
         }
     }
 
-    /// The scene that a path is, if it is one.
+    /// The scene at a path, if any.
     fn at(self, path: &Path, images: Option<&Path>) -> Result<Option<Place>> {
         let place = |cameras: PathBuf, base: &Path, usual: &[&str]| {
             let whole = path.canonicalize().map_err(|error| Error::io(path, error))?;
@@ -104,10 +105,11 @@ impl Protocol {
 }
 
 impl Place {
-    /// The scene's cameras with its photos. With `distorted` photos stay as they are, and what their lenses bend is ignored.
+    /// Reads the scene's cameras and photos. `distorted` keeps the photos and ignores lens
+    /// distortion.
     ///
     /// # Errors
-    /// As [`read_poses`], and [`Error::Argument`] for a fisheye lens whose distortion is to be ignored.
+    /// As [`read_poses`], and [`Error::Argument`] for a fisheye lens with ignored distortion.
     pub fn read(&self, distorted: bool) -> Result<Poses> {
         let mut poses = read_poses(&self.cameras)?;
         for frame in &mut poses.frames {
@@ -127,7 +129,7 @@ impl Place {
     }
 }
 
-/// Whether a file is text that begins with an address, as RealEstate10K's do.
+/// Whether a text file begins with an address, as in RealEstate10K.
 fn is_addressed(path: &Path) -> bool {
     let mut start = [0; 4];
     path.extension().is_some_and(|extension| extension == "txt")

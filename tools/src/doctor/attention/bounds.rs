@@ -1,4 +1,4 @@
-//! How far attention may be from the truth.
+//! Error bounds of attention.
 
 use super::{
     super::{
@@ -9,18 +9,18 @@ use super::{
 };
 use zipsplat::gpu::Element;
 
-/// The errors that rounding may bring into the weights of a row.
+/// Rounding errors of a row's weights.
 struct Weights {
     highest: f64,
-    /// Place of the highest score.
+    /// Index of the highest score.
     first: usize,
-    /// How often a running maximum may rise.
+    /// Maximum number of increases of the running maximum.
     rises: usize,
-    /// The sum of all true weights, of which the highest is 1.
+    /// Sum of all true weights; the highest is 1.
     total: f64,
-    /// Relative rounding of a weight that is multiplied.
+    /// Relative rounding of a multiplied weight.
     unit: f64,
-    /// A weight below it may be flushed.
+    /// Weights below it may be flushed.
     least: f64,
 }
 
@@ -39,8 +39,8 @@ impl Weights {
         Self { highest, first, rises, total, unit, least }
     }
 
-    /// The most by which the weight of a score so far below the highest is off, relatively: what exp may do to it, and to
-    /// the factors by which it is scaled where the maximum rises. exp(0) is taken to be 1.
+    /// Relative error bound of the weight of a score `below` the highest: that of exp and of each
+    /// rescale. exp(0) is assumed to be 1.
     fn relative(&self, below: f64) -> f64 {
         (3.0 * (1 + self.rises) as f64 + 2.0 * below) * ULP + self.unit
     }
@@ -49,28 +49,28 @@ impl Weights {
 /// The sums for one channel.
 #[derive(Clone, Copy, Default)]
 struct Channel {
-    /// The weighted deviations of values that may be weighed wrongly.
+    /// Weighted deviations of values, times their weights' errors.
     moved: f64,
-    /// The largest distance of a value from the result.
+    /// Largest distance of a value from the result.
     range: f64,
-    /// The weighted magnitudes.
+    /// Weighted magnitudes.
     size: f64,
-    /// As `moved`, where one key outweighs all others.
+    /// As `moved`, when one key dominates.
     beside: f64,
-    /// The part that is lost where subnormal values are flushed.
+    /// Loss from flushed subnormals.
     lost: f64,
-    /// The weighted errors of the values themselves.
+    /// Weighted errors of the values.
     shifted: f64,
-    /// Values that are not 0.
+    /// Number of nonzero values.
     terms: usize,
 }
 
 impl Problem {
-    /// The scores of one query, and how far off they may be.
+    /// Scores of one query with error bounds.
     pub fn scores(&self, mode: Mode, (query, head): (&[f64], usize), keys: &Keys) -> Row {
         let factors = mode.factors();
         let scale = 1.0 / (self.dim as f64).sqrt();
-        // Queries are rounded again when they have been scaled, unless by a power of two.
+        // Scaled queries are rounded again, unless the scale is a power of two.
         let by_two = self.dim.is_power_of_two() && self.dim.ilog2().is_multiple_of(2);
         let rounded = if by_two { 0.0 } else { factors.unit };
         let relative = factors.sum(self.dim + 2) * (1.0 + rounded) + rounded;
@@ -95,7 +95,7 @@ impl Problem {
         Row { scores, errors }
     }
 
-    /// Bounds of the errors of one query's output `out [dim]`.
+    /// Error bounds of one query's output `out [dim]`.
     pub fn bounds(&self, mode: Mode, row: &Row, head: usize, keys: &Keys, out: &[f64]) -> Vec<f64> {
         let factors = mode.factors();
         let weights = Weights::new(mode, &row.scores);
@@ -103,7 +103,7 @@ impl Problem {
         let of_head = |key: usize| &keys.v[place(key)..][..self.dim];
         let least = factors.tiny.max(TINY);
         let mut channels = vec![Channel::default(); self.dim];
-        // Shares of the weights that are surely kept, that they may grow to, and that may be flushed.
+        // Shares of the weights: lower bound, upper bound, possibly flushed.
         let (mut kept, mut grown, mut lost) = (0.0, 0.0, 0.0);
         let first_error = row.errors[weights.first];
         let first_value = of_head(weights.first);
@@ -140,14 +140,14 @@ impl Problem {
                 }
             }
         }
-        // A term of the weights' sum goes through a lane's additions and those of the lanes.
+        // A term of the weights' sum passes through a lane's additions and the subgroup's.
         let total = gamma(by_lanes(self.keys()) + weights.rises + 6);
         let output = if mode.factor == Element::F32 { 0.0 } else { factors.unit };
         let bound = |(channel, out): (&Channel, &f64)| {
             let Channel { moved, range, size, beside, lost: flushed, shifted, terms } = *channel;
             let shifted = shifted / kept;
             let carried = (moved / kept).min(range).min(beside) + shifted;
-            // The weights, too, are those that were computed.
+            // Computed weights, not exact ones.
             let size = (size * grown / kept).min(out.abs() + range) + shifted;
             let summed = factors.sum(terms + weights.rises + 1) * size;
             let near = out.abs() + carried + summed;

@@ -1,4 +1,4 @@
-//! The hard inputs of attention.
+//! Hard inputs of attention.
 
 use super::{
     super::{Area, Case, Catches, Mode},
@@ -15,9 +15,9 @@ const REASON: &str = "a score is off by d <= gamma_(D+2) sum|q k|, so its weight
     Pooled keys and values are off by gamma_n mean|x| and a division, and as 16 bits by their rounding; the logarithm of their count by \
     what Vulkan allows it";
 
-/// Keys beside which 65,536 and 131,072 are edges.
+/// Key count that exceeds 65,536 and 131,072.
 const MANY: usize = 200_000;
-/// The keys that dominate among them, one a query.
+/// Dominating keys, one per query.
 const DOMINATING: [usize; 6] = [0, 65_535, 65_536, 131_071, 131_072, MANY - 1];
 
 pub fn area() -> Area {
@@ -30,7 +30,7 @@ pub fn area() -> Area {
     let few = || Catches::from([Zero, NoScale, NoTotal, HalfOfKeys, NeighbourHead, NeighbourValue, LastKey, HalfSum]);
     for keys in [2, 31, 32, 33, 127, 129] {
         let padded: &[Fault] = if keys % 4 == 0 { &[] } else { &[Padding] };
-        // What each of many keys loses evens out.
+        // Rounding errors of many keys average out.
         let rounded: &[Fault] = if keys > 100 { &[HalfWeights] } else { &[HalfWeights, HalfScores] };
         add("random", keys, few().and(padded).and(rounded), random);
     }
@@ -40,7 +40,7 @@ pub fn area() -> Area {
     add("a slice of the keys in each channel", 62_401, slices().and(&[KeysFrom(62_000)]), |keys| sliced(1, keys));
     let many = [KeysFrom(MANY / 2), KeysFrom(65_536), KeysFrom(131_072), KeysFrom(MANY - 1000)];
     add("a slice of the keys in each channel", MANY, slices().and(&many), |keys| sliced(1, keys));
-    // Workgroups of several subgroups, which wait for each other.
+    // Workgroups of several synchronized subgroups.
     add("many queries", 129, [Zero, NeighbourHead, NeighbourValue, LastKey].into(), |keys| {
         Problem::random(600, keys, 64, 1.0)
     });
@@ -91,20 +91,20 @@ pub fn area() -> Area {
     Area { kernel: "ops/attention", size: "keys", reason: REASON, modes: Mode::FLOATS, cases }
 }
 
-/// Channel c has the values of the c-th part of the keys alone: a result is not the mean of all, which is small beside
-/// what rounding may do to so many, and a part that is missing leaves its channels empty.
+/// Gives channel c nonzero values only in the c-th part of the keys. A missing part empties its
+/// channels, which exceeds any rounding.
 fn sliced(queries: usize, keys: usize) -> Problem {
     let mut problem = Problem::random(queries, keys, 64, 1.0);
     for (i, v) in problem.v.iter_mut().enumerate() {
         let (key, head, channel) = (i / 128, i / 64 % 2, i % 64);
-        // Heads differ, and so do even and odd keys.
+        // Distinguishes heads, and even from odd keys.
         let size = [1.5, 0.5][key % 2] * (1.0 + 0.1 * *v) * [1.0, -2.0][head];
         *v = if key * 64 / keys == channel { size } else { 0.0 };
     }
     problem
 }
 
-/// The tokens of three views, the last groups of which are of fewer patches.
+/// Tokens of three views, whose last groups have fewer patches.
 fn pooled(pool: Pool) -> Problem {
     Problem { pool: Some(pool), ..Problem::random(17, 3 * pool.tokens(), 64, 1.0) }
 }
@@ -118,7 +118,7 @@ fn identical(keys: usize) -> Problem {
     problem
 }
 
-/// The i-th of these keys points in the direction of the i-th query and outweighs all others there.
+/// The i-th dominating key is parallel to the i-th query.
 fn dominated(keys: usize, dim: usize, dominating: &[usize]) -> Problem {
     let mut problem = Problem::random(dominating.len(), keys, dim, 4.0);
     let width = problem.width();
@@ -129,7 +129,7 @@ fn dominated(keys: usize, dim: usize, dominating: &[usize]) -> Problem {
     problem
 }
 
-/// Every key scores higher than those before: all that was summed is scaled again and again.
+/// Scores increase with every key and force repeated rescaling.
 fn rising(keys: usize) -> Problem {
     let mut problem = Problem::random(5, keys, 64, 1.0);
     problem.q.fill(1.0);

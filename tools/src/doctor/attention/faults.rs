@@ -1,49 +1,47 @@
-//! The results of faulty attention.
+//! Results of faulty attention.
 
 use super::{super::bound::half, HEADS, Keys, Problem};
 
-/// Ways in which attention may be wrong.
+/// Faults of attention.
 #[derive(Clone, Copy, Debug)]
 pub enum Fault {
     Zero,
-    /// Keys from here on are ignored.
+    /// Ignores keys from this index on.
     KeysFrom(usize),
-    /// One key is ignored.
+    /// Ignores one key.
     Key(usize),
-    /// The last key is ignored.
     LastKey,
-    /// Every second key is ignored.
+    /// Ignores every second key.
     HalfOfKeys,
-    /// Each key has its neighbour's value.
     NeighbourValue,
-    /// Each head has the other's values.
+    /// Values of the other head.
     NeighbourHead,
-    /// Scores are not divided by the root of their channels.
+    /// Scores not divided by the root of the channels.
     NoScale,
-    /// exp of scores in f32, not of their distance from the highest.
+    /// exp of f32 scores without subtracting the maximum.
     NoMaximum,
-    /// Earlier sums are not scaled where the maximum rises.
+    /// Sums not rescaled when the maximum rises.
     SumsNotScaled,
-    /// The sum of weights is not scaled then.
+    /// Total weight not rescaled when the maximum rises.
     TotalNotScaled,
-    /// Nothing is divided by the sum of weights.
+    /// No division by the total weight.
     NoTotal,
-    /// Sums have 11 bits.
+    /// Sums rounded to 11 bits.
     HalfSum,
-    /// Weights have 11 bits.
+    /// Weights rounded to 11 bits.
     HalfWeights,
-    /// Scores have 11 bits.
+    /// Scores rounded to 11 bits.
     HalfScores,
-    /// The mean of many patches weighs as much as one patch.
+    /// Ignores patch counts of pooled keys.
     NoCounts,
-    /// Each key has its neighbour's count of patches.
+    /// Patch count of the next key.
     NeighbourCount,
-    /// Padding of a last vector of keys counts.
+    /// Counts padding in the last vector of keys.
     Padding,
 }
 
 impl Fault {
-    /// Whether it is no larger than what 16 bits round.
+    /// Whether 16-bit rounding hides it.
     pub fn is_fine(self) -> bool {
         matches!(self, Fault::LastKey | Fault::HalfSum | Fault::HalfWeights | Fault::HalfScores)
     }
@@ -74,7 +72,7 @@ impl Problem {
                 Fault::HalfScores => [(half(score) - half(highest)).exp(); 2].into(),
                 _ => (weight, weight),
             };
-            // Most keys are nothing beside one that dominates.
+            // A dominating key makes most weights negligible.
             if weight < 1e-40 && counted < 1e-40 {
                 continue;
             }

@@ -1,4 +1,4 @@
-//! Keys and values as attention gets them: those of tokens, or the means of groups of patches.
+//! Attention keys and values, per token or averaged over groups of patches.
 
 use super::{
     super::{
@@ -17,11 +17,11 @@ pub struct Keys {
     pub pooled: Option<Pooled>,
 }
 
-/// The counts and errors of means.
+/// Counts and error bounds of means.
 pub struct Pooled {
-    /// Patches that each is the mean of.
+    /// Patches per mean.
     pub counts: Vec<f64>,
-    /// The most by which a device's keys and values may be off.
+    /// Error bounds of a device's keys and values.
     pub off: [Vec<f64>; 2],
 }
 
@@ -38,12 +38,12 @@ impl Keys {
         }
     }
 
-    /// Patches that a key is the mean of.
+    /// Patches averaged into a key.
     pub fn count(&self, key: usize) -> f64 {
         self.pooled.as_ref().map_or(1.0, |pooled| pooled.counts[key])
     }
 
-    /// The logarithm that is added to the score of a key, and how far off the sum may be beside it.
+    /// Logarithm added to a key's score, and the sum's error bound.
     pub fn more(&self, key: usize, score: f64) -> (f64, f64) {
         let count = self.count(key);
         let more = count.ln();
@@ -53,19 +53,19 @@ impl Keys {
         }
     }
 
-    /// How far the i-th number of the keys may be off.
+    /// Error bound of the i-th number of the keys.
     pub fn key_off(&self, i: usize) -> f64 {
         self.pooled.as_ref().map_or(0.0, |pooled| pooled.off[0][i])
     }
 
-    /// How far the i-th number of the values may be off.
+    /// Error bound of the i-th number of the values.
     pub fn value_off(&self, i: usize) -> f64 {
         self.pooled.as_ref().map_or(0.0, |pooled| pooled.off[1][i])
     }
 }
 
-/// Means, how many numbers each is of, and the most by which a device's may be off: a sum, a division, and where they are stored in 16
-/// bits that rounding, which of f16 may go either way.
+/// Means, their counts and error bounds: a sum, a division and 16-bit storage, where f16 may round
+/// either way.
 fn means(pool: Pool, x: &[f64], width: usize, mode: Mode) -> (Vec<f64>, Vec<f64>, Vec<f64>) {
     let (means, counts) = pool.means(x, width);
     let sizes = pool.means(&x.iter().map(|x| x.abs()).collect::<Vec<_>>(), width).0;

@@ -21,17 +21,17 @@ use zipsplat_reference::ops::{attention::attention_to_means, split_heads};
 
 const HEADS: usize = 2;
 
-/// One sequence: `q [queries, HEADS, dim]`, `k` and `v [keys, HEADS, dim]`, or of all tokens where they are pooled.
+/// One sequence: `q [queries, HEADS, dim]`, `k` and `v [keys, HEADS, dim]`, before pooling.
 struct Problem {
     dim: usize,
-    /// Groups of patches whose means the keys and values are.
+    /// Patch groups averaged into keys and values.
     pool: Option<Pool>,
     q: Vec<f32>,
     k: Vec<f32>,
     v: Vec<f32>,
 }
 
-/// A result `[queries, HEADS, dim]`, and what it comes from as the device holds it.
+/// A result `[queries, HEADS, dim]` and its inputs as the device holds them.
 struct Truth {
     values: Vec<f64>,
     bounds: Vec<f64>,
@@ -40,15 +40,15 @@ struct Truth {
     keys: Keys,
 }
 
-/// The scores of one head of one query, in the order of the keys.
+/// Scores of one query and head, by key.
 struct Row {
     scores: Vec<f64>,
-    /// The most by which each may be off.
+    /// Error bounds of the scores.
     errors: Vec<f64>,
 }
 
 impl Problem {
-    /// Random values, times `size` in queries and keys.
+    /// Random values; queries and keys times `size`.
     fn random(queries: usize, keys: usize, dim: usize, size: f32) -> Self {
         let mut noise = Noise((keys * 64 + queries) as u64);
         let width = HEADS * dim;
@@ -61,7 +61,7 @@ impl Problem {
         HEADS * self.dim
     }
 
-    /// Keys before any are pooled.
+    /// Keys before pooling.
     fn tokens(&self) -> usize {
         self.k.len() / self.width()
     }
@@ -109,7 +109,7 @@ impl case::Problem for Problem {
         let parts =
             [(&self.q, queries, queries_part), (&self.k, tokens, keys_part), (&self.v, tokens, Part::default())];
         for ((values, count, part), tensor) in parts.into_iter().zip(tensors) {
-            // Padding holds NaN, which must reach nothing.
+            // NaN in the padding must not reach results.
             trial.blank(tensor);
             let element = kernel.element();
             let input = Rows { tensor: trial.input(&element.encode(values)), count, width, element };

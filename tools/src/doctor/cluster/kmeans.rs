@@ -1,4 +1,4 @@
-//! k-means as a whole.
+//! Complete k-means.
 
 use super::{
     super::{Area, Case, Catches, Mode, Worst, case, trial::Trial},
@@ -23,17 +23,17 @@ const REASON: &str = "coordinates are whole multiples of 2^-6 whose squared dist
 
 const WIDTH: usize = 8;
 
-/// Tokens `[_, WIDTH]` that become k clusters.
+/// Tokens `[_, WIDTH]` to form k clusters.
 struct Problem {
     x: Vec<f32>,
     k: usize,
 }
 
-/// The clusters that k-means finds, run by run.
+/// Clusters of each run.
 struct Found {
-    /// The token nearest to each centroid, and the final assignment.
+    /// Token nearest to each centroid, and the final assignment.
     runs: Vec<[Vec<u32>; 2]>,
-    /// About what matrix units compare.
+    /// Origin of the matrix-unit comparison.
     origin: Option<Vec<f32>>,
 }
 
@@ -43,22 +43,21 @@ struct Truth {
     nearest: nearest::Truth,
 }
 
-/// Ways in which it may be wrong.
 #[derive(Clone, Copy, Debug)]
 enum Fault {
-    /// One token belongs to the next cluster.
+    /// One token assigned to the next cluster.
     LastTokenMoved,
-    /// Tokens of equal distance go to the last cluster.
+    /// Ties go to the last cluster.
     LastOfEqual,
     /// The token after the nearest.
     NextToken,
-    /// The last member of a cluster is not in its mean.
+    /// Means lack the cluster's last member.
     LastMember,
-    /// A cluster that lost all members stays where it was.
+    /// Empty clusters keep their centroid.
     EmptyStays,
-    /// No rounds: the first centroids.
+    /// Initial centroids only.
     NoRounds,
-    /// Another run gives others.
+    /// Runs differ.
     OtherEveryRun,
 }
 
@@ -89,7 +88,7 @@ impl Problem {
         Ok(Some(trial.result(origin)?))
     }
 
-    /// The tokens nearest to other centroids.
+    /// Tokens nearest to the given centroids.
     fn nearest_to(&self, centroids: &[f64]) -> Vec<u32> {
         let centroids: Vec<f32> = centroids.iter().map(|&c| c as f32).collect();
         nearest::Truth::new(&centroids, &self.x, WIDTH).first()
@@ -141,7 +140,7 @@ impl case::Problem for Problem {
     fn faulty(&self, truth: &Truth, fault: Fault, mode: Mode) -> Vec<Found> {
         let (mut nearest, mut assigned) = (truth.nearest.first(), truth.assigned.clone());
         let count = (self.x.len() / WIDTH) as u32;
-        // That moves a mean by no more than matrix units may.
+        // Within the rounding of matrix units.
         if matches!(fault, Fault::LastMember) && mode.matrix {
             return Vec::new();
         }
@@ -186,7 +185,7 @@ pub fn area() -> Area {
         };
         cases.push(Case::new(name, count, catches, make));
     };
-    // Blobs so far apart that no rounding moves a token between them, in runs of 16 tokens.
+    // Runs of 16 tokens in well-separated blobs: rounding cannot change an assignment.
     for count in [64, 512, 4096] {
         let blobs = || Catches::from([LastTokenMoved, NextToken, NoRounds, LastMember, OtherEveryRun]);
         add("blobs", count, count / 16, blobs(), |token, r| (token / 16 * 8) as f32 + r);

@@ -1,4 +1,4 @@
-//! Clustering: the nearest target, and k-means as a whole.
+//! Clustering: nearest targets and k-means.
 
 mod kmeans;
 mod nearest;
@@ -9,7 +9,7 @@ pub use nearest::area as nearest;
 use super::Mode;
 use zipsplat::{gpu::Device, ops::NearestKernel};
 
-/// The kernel that finds nearest rows in a mode.
+/// Nearest-row kernel of a mode.
 fn kernel(mode: Mode, device: &Device) -> NearestKernel {
     mode.units(device).map_or(NearestKernel::Lanes, NearestKernel::Matrix)
 }

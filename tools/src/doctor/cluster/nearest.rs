@@ -1,4 +1,4 @@
-//! The nearest target of each point.
+//! Nearest target of each point.
 
 use super::{
     super::{Area, Case, Catches, Mode, Worst, bound::gamma, bound::half, case, trial::Trial},
@@ -25,48 +25,47 @@ const REASON: &str = "a squared distance is a sum of w squares without cancellat
     kernels/cluster/nearest_matrix.comp derives; what is chosen may be farther by that of both, and by a tie. Of two targets \
     that only rounding tells apart it must be the first";
 
-/// Points, and targets among which to find the nearest, `[_, width]`.
+/// Points and targets, `[_, width]`.
 pub struct Problem {
     pub width: usize,
     pub points: Vec<f32>,
     pub targets: Vec<f32>,
 }
 
-/// The target that was chosen for each point, and the origin about which matrix units compared.
+/// Chosen target per point, and the origin of the matrix-unit comparison.
 pub struct Chosen {
     pub targets: Vec<u32>,
     pub origin: Option<Vec<f32>>,
 }
 
-/// Points, targets, and each point's nearest target with its distance, then the second.
+/// Points, targets, and each point's two nearest targets with their distances.
 pub struct Truth {
     points: Vec<f64>,
     targets: Vec<f64>,
     nearest: Vec<[(u32, f64); 2]>,
 }
 
-/// Ways in which it may be wrong.
+/// Faults of the search.
 #[derive(Clone, Copy, Debug)]
 pub enum Fault {
-    /// The first target for all.
+    /// Always the first target.
     First,
-    /// The second of the two nearest is taken.
     SecondNearest,
-    /// The last of equal ones is taken.
+    /// Ties go to the last target.
     LastOfEqual,
-    /// The later of the two nearest is taken.
+    /// The later of the two nearest.
     LaterOfTwo,
-    /// The index after it.
+    /// The next index.
     NextIndex,
-    /// The last target is not looked at.
+    /// Ignores the last target.
     LastTarget,
-    /// The last four channels are not looked at.
+    /// Ignores the last four channels.
     LastChannels,
-    /// |t|^2 - 2 p t in f32, about 0.
+    /// t|^2 - 2 p t in f32 about 0.
     Products,
-    /// Squares are added up with 11 bits.
+    /// Sums of squares rounded to 11 bits.
     HalfSum,
-    /// Points from a fold of workgroups on are those before it.
+    /// Points past the workgroup fold repeat earlier ones.
     Folded,
 }
 
@@ -82,7 +81,7 @@ impl Truth {
         self.nearest.iter().map(|[first, _]| first.0).collect()
     }
 
-    /// How much farther the chosen targets are than the nearest, in squared distance.
+    /// Squared distance of the chosen targets in excess of the nearest.
     pub fn excess(&self, chosen: &Chosen, width: usize) -> Worst {
         let squared = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
         let origin = chosen.origin.as_deref().map(widen);
@@ -115,7 +114,7 @@ impl Truth {
         worst
     }
 
-    /// The targets that a fault makes of the nearest.
+    /// Targets that a fault chooses.
     pub fn wrong(&self, fault: Fault, width: usize) -> Vec<u32> {
         let count = self.targets.len() / width;
         let nearest = || self.nearest.iter().map(|[first, _]| first.0);
@@ -123,7 +122,7 @@ impl Truth {
             Fault::LastChannels => width - 4,
             _ => width,
         };
-        // The least of a score, which a fault computes wrongly.
+        // Index of the minimum of a faulty score.
         let least = |targets: usize, score: &dyn Fn(&[f64], &[f64]) -> f64| -> Vec<u32> {
             let of = |point: &[f64]| {
                 let scores = self.targets.chunks(width).take(targets).map(|target| score(point, target));
@@ -165,7 +164,7 @@ impl Truth {
     }
 }
 
-/// About what matrix units would compare.
+/// Origin of the matrix-unit comparison.
 pub fn host_origin(mode: Mode, targets: &[f32], width: usize) -> Option<Vec<f32>> {
     let count = targets.len() / width;
     mode.matrix.then(|| origin(&widen(targets), width, count.min(64)).into_iter().map(|x| x as f32).collect())
@@ -213,7 +212,7 @@ pub fn area() -> Area {
             let mut noise = Noise((points + targets + width) as u64);
             let mut rows = |count: usize| noise.values(count * width).into_iter().map(value).collect::<Vec<f32>>();
             let (points, mut targets) = (rows(points), rows(targets));
-            // The last target is the nearest of a point.
+            // The last target is a point's nearest.
             let last = targets.len() - width;
             targets[last..].copy_from_slice(&points[..width]);
             Problem { width, points, targets }

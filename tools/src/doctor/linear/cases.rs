@@ -1,4 +1,4 @@
-//! The hard inputs of linear layers.
+//! Hard inputs of linear layers.
 
 use super::{
     super::{Area, Case, Catches, Mode},
@@ -13,7 +13,7 @@ const REASON: &str = "|error| <= gamma_(n+1) (|x| |W| + |b|) in every element, w
     numbers whose sums stay below 2^24 are added exactly in any order. The truth is that of the factors as the mode holds \
     them, 11 or 8 bits or 8-bit integers; sums of integers are exact, and only their scales are rounded";
 
-/// The faults of plain sums.
+/// Faults of plain sums.
 const SUMS: [Fault; 4] = [Zero, HalfSum, NeighbourColumn, NeighbourRow];
 
 pub fn area() -> Area {
@@ -26,7 +26,7 @@ pub fn area() -> Area {
     add("random", Catches::from(SUMS).and(&[LastTerm, CutIntegers, Unsigned]), || random(384), 384);
     add("random", Catches::from(SUMS).and(&[LastTerm, CutIntegers, Unsigned]), || random(588), 588);
     add("random", Catches::from(SUMS).and(&[TermsFrom(1504)]), || random(1536), 1536);
-    // Where so many terms may round, whole numbers show what sums of 11 bits do.
+    // When many terms round, only whole numbers reveal 11-bit sums.
     add("random", [Zero, NeighbourColumn, NeighbourRow, TermsFrom(3968)].into(), || random(4096), 4096);
     let halves = [Zero, NeighbourColumn, NeighbourRow, TermsFrom(4096), TermsFrom(7680)];
     add("random", halves.into(), || random(8192), 8192);
@@ -97,13 +97,13 @@ fn scaled(factor: f32, mut problem: Problem) -> Problem {
     problem
 }
 
-/// Sums so large that exp overflows and underflows.
+/// Sums that overflow and underflow exp.
 fn far(factor: f32, rows: usize) -> Problem {
     scaled(factor, Problem::random(rows, 64, 64))
 }
 
-/// Whole numbers up to 7, none of them 0: f16, bf16 and every sum of f32 hold them, and no ratio to the largest is near a tie
-/// of rounding to 8-bit integers.
+/// Nonzero whole numbers up to 7. f16, bf16 and f32 sums hold them exactly, and no 8-bit rounding
+/// is near a tie.
 fn whole(inner: usize) -> Problem {
     let mut problem = Problem { whole: true, ..random(inner) };
     for x in problem.x.iter_mut().chain(&mut problem.weight).chain(&mut problem.bias) {
@@ -112,7 +112,7 @@ fn whole(inner: usize) -> Problem {
     problem
 }
 
-/// Sums that are one input each, from -10 to 10; gates and values take them from different channels.
+/// One input per sum, from -10 to 10; gates and values read different channels.
 fn alone() -> Problem {
     let mut problem = Problem::random(2001, 4, 8);
     problem.x.iter_mut().enumerate().for_each(|(i, x)| *x = ((i / 4 * (1 + i % 4)) % 2001) as f32 / 100.0 - 10.0);
@@ -121,8 +121,8 @@ fn alone() -> Problem {
     problem
 }
 
-/// Whole numbers, 64 to 127, whose products cancel in pairs but for one pair in 32; the largest of each row is 127, so that
-/// 8-bit integers hold them, too.
+/// Whole numbers from 64 to 127 whose products cancel, except one pair in 32. Each row's maximum is
+/// 127, exact in 8-bit integers.
 fn cancelling() -> Problem {
     let mut problem = Problem { whole: true, ..Problem::random(9, 512, 40) };
     let mut noise = Noise(73);
@@ -147,8 +147,8 @@ fn outliers() -> Problem {
     problem
 }
 
-/// Row r has the channels r, r + rows, r + 2 rows and so on: a sum has few terms, no wrong index hides in it, and every
-/// channel counts.
+/// Row r has the channels r, r + rows, r + 2 rows and so on. With few terms per sum, a wrong index
+/// shows; every channel counts.
 fn one_hot(inner: usize, rows: usize) -> Problem {
     let mut problem = Problem::random(rows, inner, 8);
     problem.x.iter_mut().enumerate().for_each(|(i, x)| *x = if i / inner == i % inner % rows { 1.0 } else { 0.0 });

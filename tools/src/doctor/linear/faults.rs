@@ -1,4 +1,4 @@
-//! The results of faulty linear layers.
+//! Results of faulty linear layers.
 
 use super::{super::Mode, super::bound::half, Held, Problem, Truth};
 use rayon::prelude::*;
@@ -6,60 +6,56 @@ use std::f64::consts::PI;
 use zipsplat::{gpu::Element, kernels::limits::GROUP_FOLD};
 use zipsplat_reference::ops::activation::{gelu, sigmoid};
 
-/// Ways in which a linear layer may be wrong.
+/// Faults of a linear layer.
 #[derive(Clone, Copy, Debug)]
 pub enum Fault {
-    /// Nothing is added up.
     Zero,
-    /// Sums have 11 bits.
+    /// Sums rounded to 11 bits.
     HalfSum,
-    /// Factors lose what f16 does not hold.
+    /// Factors rounded to f16.
     HalfFactors,
-    /// 8-bit integers are cut off, not rounded.
+    /// 8-bit integers truncated instead of rounded.
     CutIntegers,
-    /// Negative 8-bit integers of weights count as without a sign, 256 more.
+    /// Negative 8-bit weights read as unsigned, 256 more.
     Unsigned,
-    /// The last term of each sum is missing.
     LastTerm,
-    /// Terms from here on are missing.
+    /// Drops terms from this index on.
     TermsFrom(usize),
-    /// One term is missing, each in turn.
+    /// Drops one term; every term is tried.
     AnyTerm,
-    /// Each result is its neighbour's.
     NeighbourColumn,
     NeighbourRow,
     /// The last row, or column, repeats the one before.
     LastRow,
     LastColumn,
-    /// Rows from a fold of workgroups on are those before it.
+    /// Rows past the workgroup fold repeat earlier ones.
     Folded,
-    /// The values behind the last row are overwritten.
+    /// Writes past the last row.
     PastEnd,
     NoBias,
-    /// The activation is left out.
     NoActivation,
-    /// The fit of GELU by tanh.
+    /// Tanh approximation of GELU.
     TanhGelu,
     /// SiLU as e^x / (1 + e^x) in f32.
     OverflowingExp,
-    /// Gate and value change places.
+    /// Swapped gate and value.
     SwappedGate,
-    /// Results pass through f16.
+    /// Results rounded to f16.
     HalfResult,
     NoScale,
     NoResidual,
-    /// The scale is applied after the residual.
+    /// Scale applied after the residual.
     ScaledResidual,
-    /// The integers of weights have no sign.
+    /// Integer weights read as unsigned.
     NoSign,
-    /// Groups of weights have the next group's scale, the last the first's.
+    /// Scale of the next weight group, cyclically.
     NextScale,
-    /// Weights of four terms come in the opposite order.
+    /// Weights reversed within groups of four terms.
     TurnedTerms,
 }
 
 impl Problem {
-    /// The results of layers with a fault, `[rows, out_columns]`.
+    /// Results of faulty layers, `[rows, out_columns]`.
     pub fn wrong(&self, truth: &Truth, fault: Fault, mode: Mode) -> Vec<Vec<f64>> {
         let (columns, wide) = (self.columns, self.out_columns());
         let result = |place: &dyn Fn(usize, usize) -> usize| -> Vec<Vec<f64>> {
@@ -128,7 +124,7 @@ impl Problem {
         }
     }
 
-    /// Sums of the terms of some channels, each partial one rounded.
+    /// Sums over the selected channels, rounding each partial sum.
     fn sums(&self, held: &Held, round: fn(f64) -> f64, has: impl Fn(usize) -> bool + Sync) -> Vec<f64> {
         let one = |i: usize| {
             let (row, column) = (i / self.columns, i % self.columns);

@@ -1,26 +1,26 @@
-//! The factors of a linear layer as a device holds them.
+//! Factors of a linear layer as a device holds them.
 
 use super::{super::Mode, Problem};
 use zipsplat::{gpu::Element, ops::Weights};
 
-/// How near to a tie of rounding a scaled value has to be for a device to round it either way: a division and a product of
-/// values up to 127, `127 (2.5 + 0.5)` units.
+/// Distance from a rounding tie within which a device may round either way: a division and a
+/// product of values up to 127, `127 (2.5 + 0.5)` units.
 const NEAR_TIE: f64 = 5e-5;
 
-/// Factors in f64, after the rounding that the mode gives them.
+/// Factors in f64 after the mode's rounding.
 pub struct Held {
     /// `[rows, inner]`
     pub x: Vec<f64>,
     /// `[columns, inner]`
     pub weight: Vec<f64>,
-    /// Channels of each row that are not 0.
+    /// Nonzero channels of each row.
     pub channels: Vec<Vec<usize>>,
-    /// Channels of each row that a device may round to the next 8-bit integer, and how large that step is.
+    /// Channels of each row near an 8-bit rounding tie, with their step size.
     pub moves: Vec<Vec<(usize, f64)>>,
 }
 
 impl Held {
-    /// Integers are made by `round`.
+    /// Rounds a problem's factors; `round` makes the integers.
     pub fn new(problem: &Problem, mode: Mode, round: fn(f64) -> f64) -> Self {
         let factor = problem.factor(mode);
         let stored = if factor == Element::I8 { Element::F16 } else { factor };
@@ -55,7 +55,7 @@ fn rounded(values: &[f32], element: Element) -> Vec<f64> {
     }
 }
 
-/// Weights as the host rounds them: `pack_matrix`.
+/// Weights as `pack_matrix` rounds them.
 fn integers(weight: &[f32], inner: usize) -> Vec<f64> {
     let row = |row: &[f32]| {
         let largest = row.iter().fold(0f32, |most, x| most.max(x.abs()));
@@ -66,7 +66,7 @@ fn integers(weight: &[f32], inner: usize) -> Vec<f64> {
     weight.chunks(inner).flat_map(row).collect()
 }
 
-/// A row as `quantise_rows.comp` rounds it; what it may round either way.
+/// Rounds a row as `quantise_rows.comp` does; returns the near-ties.
 fn quantise(row: &mut [f64], round: fn(f64) -> f64) -> Vec<(usize, f64)> {
     let scale = row.iter().fold(0.0, |most: f64, x| most.max(x.abs())) / 127.0;
     let mut moves = Vec::new();

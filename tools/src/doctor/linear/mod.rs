@@ -1,4 +1,4 @@
-//! Linear layers with what follows them: GELU, SwiGLU, layer scale, residual.
+//! Linear layers with their epilogues: GELU, SwiGLU, layer scale, residual.
 
 mod cases;
 mod faults;
@@ -34,9 +34,9 @@ struct Problem {
     weight: Vec<f32>,
     bias: Vec<f32>,
     activation: Activation,
-    /// Layer scale and what the result is added to.
+    /// Whether layer scale and residual apply.
     scaled: bool,
-    /// Whether these are whole numbers of which f32 holds every partial sum, in any order.
+    /// Whether all values are whole numbers with exact partial sums in f32, in any order.
     whole: bool,
 }
 
@@ -48,7 +48,7 @@ struct Truth {
     sums: Vec<f64>,
 }
 
-/// A sum with its bias, and the most by which a device's may be off.
+/// A sum with bias, and its error bound.
 struct Sum {
     value: f64,
     error: f64,
@@ -73,7 +73,7 @@ impl Problem {
         if self.activation == Activation::SwiGlu { self.columns / 2 } else { self.columns }
     }
 
-    /// The type that the factors are multiplied as: matrix units and dot products write whole vectors.
+    /// Multiplication type of the factors; matrix units and dot products write whole vectors.
     fn factor(&self, mode: Mode) -> Element {
         match mode.factor {
             Element::I8 if !self.columns.is_multiple_of(8) => Element::F16,
@@ -81,7 +81,7 @@ impl Problem {
         }
     }
 
-    /// As the engine chooses it.
+    /// The kernel that the engine selects.
     fn kernel(&self, device: &Device, mode: Mode) -> LinearKernel {
         match mode.units(device).filter(|_| self.columns.is_multiple_of(8)) {
             Some(units) => LinearKernel::Matrix(units, mode.weights),
@@ -89,8 +89,8 @@ impl Problem {
         }
     }
 
-    /// The most that the device moves a weight of 8 bits, relatively: on matrix units it becomes a factor, f16 by a conversion that
-    /// may round either way, bf16 by one to the nearest.
+    /// Relative error of expanding an 8-bit weight on matrix units. The f16 conversion may round
+    /// either way; the bf16 conversion rounds to nearest.
     fn expanding(&self, mode: Mode) -> f64 {
         let becomes_factor = mode.weights == Weights::Q8 && mode.matrix && self.columns.is_multiple_of(8);
         match mode.factor {
@@ -100,7 +100,7 @@ impl Problem {
         }
     }
 
-    /// Sum `column` of `row`, and how far off it may be.
+    /// Sum `column` of `row` with its error bound.
     fn sum(&self, held: &Held, mode: Mode, row: usize, column: usize) -> Sum {
         let (x, w) = (&held.x[row * self.inner..][..self.inner], &held.weight[column * self.inner..][..self.inner]);
         let bias = f64::from(self.bias[column]);
@@ -118,8 +118,8 @@ impl Problem {
             }
         }
         let error = match self.factor(mode) {
-            // The sum itself is exact. It becomes f32, is multiplied by two scales, one of which the device divides, and
-            // the bias is added.
+            // The integer sum is exact. Converted to f32, it is multiplied by two scales, one
+            // divided on the device, before the bias.
             Element::I8 => {
                 let moved = held.moves[row].iter().map(|&(k, by)| by * w[k].abs()).sum::<f64>();
                 gamma(10) * (value.abs() + moved + bias.abs()) + moved
@@ -136,7 +136,7 @@ impl Problem {
         Sum { value: value + bias, error }
     }
 
-    /// Results of sums `[rows, columns]`.
+    /// Applies the epilogue to sums `[rows, columns]`.
     fn finish(&self, sums: &[f64]) -> Vec<f64> {
         let values: Vec<f64> = match self.activation {
             Activation::None => sums.to_vec(),
@@ -146,14 +146,14 @@ impl Problem {
         if self.scaled { self.added(&values, |value, gamma, residual| value * gamma + residual) } else { values }
     }
 
-    /// A function of each gate and its value.
+    /// Maps each gate and value.
     fn gated<T: Copy, R>(&self, sums: &[T], function: impl Fn(T, T) -> R) -> Vec<R> {
         let half = self.columns / 2;
         let rows = sums.chunks(self.columns.max(1));
         rows.flat_map(|row| (0..half).map(|j| function(row[j], row[half + j])).collect::<Vec<_>>()).collect()
     }
 
-    /// A function of each value, its layer scale and its residual.
+    /// Maps each value, layer scale and residual.
     fn added(&self, values: &[f64], function: impl Fn(f64, f64, f64) -> f64) -> Vec<f64> {
         let (gamma, stream) = (self.gamma(), self.stream());
         let one = |(i, &value): (usize, &f64)| function(value, gamma[i % self.columns].into(), stream[i].into());
@@ -182,7 +182,7 @@ impl Problem {
         errors.iter().zip(sums).map(scaled).enumerate().map(one).collect()
     }
 
-    /// Behind the last row is another, which nothing may write.
+    /// Guard row past the end, which kernels must not write.
     fn guard(&self) -> usize {
         self.out_columns()
     }
@@ -196,7 +196,7 @@ impl case::Problem for Problem {
     fn compute(&self, device: &Device, mode: Mode) -> Result<Vec<f32>> {
         let kernel = self.kernel(device, mode);
         let mut trial = Trial::new(device);
-        // Of a SwiGLU layer gate and value alternate on the device.
+        // SwiGLU gates and values interleave on the device.
         let source = |column: usize| match self.activation {
             Activation::SwiGlu => column % 2 * (self.columns / 2) + column / 2,
             _ => column,
@@ -268,7 +268,7 @@ fn gelu_error(&Sum { value: z, error }: &Sum) -> f64 {
     1.13 * error + own + TINY
 }
 
-/// Bound of the error of silu(gate) * value. The slope of SiLU is at most 1.1.
+/// Error bound of silu(gate) * value. SiLU's slope is at most 1.1.
 fn swiglu_error(gate: &Sum, value: &Sum) -> f64 {
     let silu = silu(gate.value);
     let own = silu.abs() * ((1.0 - sigmoid(gate.value)) * exponential(gate.value) + DIVISION + ULP);

@@ -1,4 +1,4 @@
-//! Linear layers whose weights have 8 bits.
+//! Linear layers with 8-bit weights.
 
 use super::{
     super::{Area, Case, Catches, Mode},
@@ -10,7 +10,7 @@ use zipsplat::ops::{Activation, Q8};
 const REASON: &str = "That of ops/linear, for the weights that the integers and scales stand for: f32 holds each product of the two. \
     On matrix units it becomes a factor, which moves it by 2^-10 as f16, by a conversion that may round either way, and by 2^-8 as bf16";
 
-/// The faults of plain sums.
+/// Faults of plain sums.
 const SUMS: [Fault; 3] = [Zero, NeighbourColumn, NeighbourRow];
 
 pub fn q8_area() -> Area {
@@ -37,7 +37,7 @@ pub fn q8_area() -> Area {
     Area { kernel: "ops/linear of q8 weights", size: "terms of a sum (K)", reason: REASON, modes: Mode::Q8, cases }
 }
 
-/// A problem with the weights of each group of a column times a factor.
+/// Scales the weights of each group of a column.
 fn sized(mut problem: Problem, factor: impl Fn(usize) -> f32) -> Problem {
     let groups = problem.weight.chunks_mut(Q8::GROUP).enumerate();
     groups.for_each(|(g, group)| group.iter_mut().for_each(|w| *w *= factor(g)));
@@ -50,7 +50,7 @@ fn apart() -> Problem {
 
 fn extreme() -> Problem {
     let mut problem = sized(Problem::random(5, 64, 40), |g| if g % 2 == 0 { 6e4 } else { 0.008 });
-    // Inputs of the small weights make their sums as large.
+    // Larger inputs compensate small weights.
     problem
         .x
         .iter_mut()
@@ -59,7 +59,7 @@ fn extreme() -> Problem {
     problem
 }
 
-/// Row r has the channel r alone.
+/// Row r has only channel r.
 fn one_hot() -> Problem {
     let mut problem = Problem::random(96, 96, 8);
     problem.x.iter_mut().enumerate().for_each(|(i, x)| *x = if i / 96 == i % 96 { 1.0 } else { 0.0 });
@@ -68,12 +68,12 @@ fn one_hot() -> Problem {
 }
 
 impl Problem {
-    /// The weights as they are stored.
+    /// The stored weights.
     pub(super) fn q8(&self) -> Q8 {
         Q8::round(&self.weight).expect("weights within f16")
     }
 
-    /// The weights that a faulty kernel makes of those.
+    /// The stored weights after faulty expansion.
     pub(super) fn wrongly_expanded(&self, fault: Fault) -> Vec<f64> {
         let Q8 { integers, scales } = self.q8();
         let groups = self.inner / Q8::GROUP;

@@ -1,4 +1,4 @@
-//! The pictures of faulty renderers.
+//! Pictures of faulty renderers.
 
 use super::{
     super::bound::half,
@@ -12,50 +12,48 @@ use zipsplat_reference::render::{
     sh,
 };
 
-/// Ways in which a picture may be wrong.
+/// Faults of a picture.
 #[derive(Clone, Copy, Debug)]
 pub enum Fault {
     Blank,
-    /// Nothing is written, not even the background.
+    /// No output, not even the background.
     Unwritten,
-    /// The last tile in which something is seen is not drawn.
+    /// Drops the last nonempty tile.
     LastTile,
-    /// A Gaussian is missing.
+    /// Drops one Gaussian.
     Missing,
     BackToFront,
-    /// Pixels have their centres at their corners.
+    /// Samples pixels at their corners.
     HalfPixel,
-    /// Each Gaussian has its neighbour's colour.
     NeighbourColor,
-    /// Colours have 11 bits.
+    /// Colors rounded to 11 bits.
     HalfColors,
-    /// Colours below 0 are drawn.
+    /// Colors not clamped at 0.
     NegativeColors,
-    /// Only band 0 counts.
+    /// Band 0 only.
     NoBands,
-    /// Colours are seen along the camera's axes, not the world's.
+    /// View directions in camera space instead of world space.
     DirectionInCamera,
-    /// Antialiased where that was not asked for, or the other way round.
+    /// Inverted antialiasing setting.
     OtherAntialiasing,
-    /// Rotations are left out.
     Unrotated,
     /// Determinants as differences of products in f32.
     CancellingDeterminant,
-    /// Gaussians behind the camera are drawn as if they lay before it.
+    /// Mirrors Gaussians behind the camera to the front.
     BehindDrawn,
-    /// Gaussians before the near plane are drawn.
+    /// Draws Gaussians before the near plane.
     NearDrawn,
-    /// Alphas below 1/255 count.
+    /// Draws alphas below 1/255.
     FaintDrawn,
-    /// Alphas above 0.999 count.
+    /// Alphas not clamped at 0.999.
     OpaqueUnclamped,
-    /// Gaussians are drawn that a pixel has no light left for.
+    /// No early termination.
     NeverStops,
-    /// The principal point is the middle.
+    /// Principal point at the center.
     CentredPrincipal,
-    /// Pixels by columns.
+    /// Column-major pixels.
     TransposedPixels,
-    /// Tiles from 65,536 on are those from 0 on.
+    /// Tile indices wrap at 65,536.
     TilesWrap,
 }
 
@@ -72,7 +70,7 @@ struct Rules {
 
 const RULES: Rules = Rules { faint: MIN_ALPHA, opaque: 0.999, left: 1e-4 };
 
-/// The picture of a renderer with a fault. `before` is the picture of which tiles from 0 on are.
+/// Renders with a fault. `before` is the camera of the tiles from 0 on.
 pub fn wrong(scene: &Scene, camera: &Camera, antialiased: bool, fault: Fault, before: Option<&Camera>) -> Picture {
     let (mut scene, mut camera, mut antialiased, mut rules) = (gaussians(scene), *camera, antialiased, RULES);
     let i = &mut camera.intrinsics;
@@ -177,7 +175,7 @@ fn blend(splats: &[Splat], place: [f64; 2], rules: Rules) -> [f64; 5] {
     pixel
 }
 
-/// The first that hides a twentieth of what lies behind it, at the pixel nearest to its centre; else the one that hides most.
+/// First splat with alpha above 1/20 at its nearest pixel, or else the most opaque.
 fn most_visible(splats: &[Splat], size: [usize; 2]) -> Option<usize> {
     let own = |splat: &Splat| {
         let nearest = [0, 1].map(|axis| splat.mean[axis].floor().clamp(0.0, size[axis] as f64 - 1.0) + 0.5);

@@ -1,4 +1,4 @@
-//! Projection, order and blending of Gaussians, as pictures.
+//! Rendering: projection, sorting and blending of Gaussians.
 
 mod faults;
 pub mod picture;
@@ -25,7 +25,7 @@ struct Problem {
     scene: Scene,
     camera: Camera,
     antialiased: bool,
-    /// Drawn with it, before it, so many times.
+    /// Camera and number of pictures that precede it in the batch.
     before: Option<(Camera, usize)>,
 }
 
@@ -52,7 +52,7 @@ impl case::Problem for Problem {
     }
 
     fn judge(&self, (truth, bounds): &Self::Truth, [rgb, alpha, depth]: &Picture, _: Mode) -> Worst {
-        // Truth, too, was rounded in f64, and is blended by another formula.
+        // The truth itself rounds in f64 and blends by another formula.
         let slack = |truth: f64| U * 1e-3 * truth.abs();
         let rgb = Worst::of(rgb, &truth.rgb, |i| bounds[i / 3][i % 3] + slack(truth.rgb[i]));
         let alpha = Worst::of(alpha, &truth.alpha, |i| bounds[i][3] + slack(1.0));
@@ -66,7 +66,7 @@ impl case::Problem for Problem {
     }
 }
 
-/// Gaussians that change is applied to, one by one.
+/// Gaussians, each modified by `change`.
 fn scene(count: usize, degree: u32, change: impl Fn(usize, &mut [f32; 3], &mut [f32; 3], &mut f32)) -> Scene {
     let mut scene = Noise(count as u64 + 1).scene(count, degree);
     for i in 0..count {
@@ -75,7 +75,7 @@ fn scene(count: usize, degree: u32, change: impl Fn(usize, &mut [f32; 3], &mut [
     scene
 }
 
-/// The scene moved to where a turned camera sees it as before.
+/// Moves the scene to keep its appearance from a rotated camera.
 fn turned(mut scene: Scene, pose: Pose) -> (Scene, Camera) {
     for mean in &mut scene.means {
         *mean = pose.transform(DVec3::from(mean.map(f64::from))).as_vec3().to_array();
@@ -83,7 +83,8 @@ fn turned(mut scene: Scene, pose: Pose) -> (Scene, Camera) {
     (scene, Camera { pose, ..camera(70, 53) })
 }
 
-/// Needles through the picture of [`camera`] whose centres lie `distance` pixels off it, in all directions.
+/// Needles through the picture of [`camera`], centered `distance` pixels outside it in all
+/// directions.
 fn needles_off(count: usize, distance: f64) -> Scene {
     let mut scene = scene(count, 0, |i, mean, scales, _| {
         let along = DVec3::from_array([(i as f64).cos(), (i as f64).sin(), 0.0]);
@@ -123,7 +124,7 @@ pub fn area() -> Area {
     add("a turned camera", many().and(&[DirectionInCamera]), turned(scene(60, 1, keep), pose), false);
     for distance in [1e4, 1e6] {
         let far = Pose { translation: distance * DVec3::new(1.0 / 3.0, 0.1, 1.0 / 7.0), ..pose };
-        // Depths that are apart also where f32 holds them to a sixteenth.
+        // Distinct depths even at a precision of a sixteenth.
         let spread = |i: usize, m: &mut [f32; 3], _: &mut [f32; 3], _: &mut f32| {
             let depth = 1.0 + 0.25 * i as f32;
             *m = m.map(|x| x * depth / m[2]);
@@ -151,7 +152,7 @@ pub fn area() -> Area {
     let level = scene(300, 0, |_, m, s, _| (m[2], *s) = (3.0, [0.1; 3]));
     add("equal depths", seen().and(&[BackToFront, NeighbourColor]), (level, still()), false);
     let near = scene(40, 0, |i, m, s, _| {
-        // Not 0.01 itself, which f32 rounds to below it.
+        // Not 0.01 itself, which f32 rounds down.
         let z = f32::from_bits(0.01f32.to_bits() + i as u32 - if i < 20 { 20 } else { 19 });
         (*m, *s) = ([0.3 * m[0] * z, 0.3 * m[1] * z, z], [1e-3; 3]);
     });
@@ -184,7 +185,7 @@ pub fn area() -> Area {
     (far_off.intrinsics.cx, far_off.intrinsics.cy) = (-60.0, 400.0);
     add("principal point outside", [CentredPrincipal].into(), (scene(200, 0, keep), far_off), false);
     for degrees in [1.0f32, 179.0] {
-        // What the usual camera sees of the scene, through a narrower or wider lens.
+        // The default camera's view of the scene through a narrower or wider lens.
         let (half, mut lens) = ((0.5 * degrees).to_radians().tan(), still());
         let f = f64::from(lens.intrinsics.width) / 2.0 / f64::from(half);
         (lens.intrinsics.fx, lens.intrinsics.fy) = (f, f);
@@ -198,7 +199,7 @@ pub fn area() -> Area {
     Area { kernel: "render", size: "Gaussians", reason: REASON, modes: Mode::ONLY_EXACT, cases }
 }
 
-/// Pictures of 2048 tiles each that are drawn together: those of the last have numbers from 65,536 on.
+/// A batch of pictures with 2048 tiles each; tile indices of the last exceed 65,535.
 fn many_tiles() -> Case {
     const BEFORE: usize = 32;
     let make = || {

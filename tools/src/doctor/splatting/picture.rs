@@ -1,5 +1,5 @@
-//! A picture's truth and the bound of every value of it: projection and blending once by the reference in f64, once by the
-//! kernels' own formulas in running error analysis.
+//! A picture's truth and per-value error bounds: the reference in f64, and the kernels' formulas in
+//! running error analysis.
 
 use super::super::bound::{Bounded, U, ULP};
 use glam::DVec3;
@@ -10,7 +10,7 @@ use zipsplat_reference::render::{
     rasterise::{self, Rendering},
 };
 
-/// As kernels/shared/splat.glsl and kernels/render/project.comp have them.
+/// As in kernels/shared/splat.glsl and kernels/render/project.comp.
 const BLUR: f64 = 0.3;
 const FAR_OFF: f64 = 256.0;
 const LONG: f64 = 1e8;
@@ -23,7 +23,7 @@ pub type PixelBounds = [f64; 5];
 /// The kernels' record of a Gaussian.
 struct Splat {
     place: [Bounded; 2],
-    /// The row at which the x of `place` lies on the ridge, where that is not the centre's.
+    /// Row at which `place.x` lies on the ridge, if not the center's.
     row: Option<f64>,
     /// Inverse covariance as squares: A, k, P.
     conic: [Bounded; 3],
@@ -32,12 +32,12 @@ struct Splat {
     depth: Bounded,
 }
 
-/// The reference's picture.
+/// Renders with the reference.
 pub fn truth(scene: &Scene, camera: &Camera, antialiased: bool) -> Rendering {
     rasterise::render(&gaussians(scene), &reference_camera(camera), antialiased, [0.0; 3])
 }
 
-/// The scene as the reference takes it.
+/// Converts the scene for the reference.
 pub fn gaussians(scene: &Scene) -> Gaussians {
     Gaussians {
         means: scene.means.iter().map(|v| v.map(f64::from)).collect(),
@@ -48,7 +48,7 @@ pub fn gaussians(scene: &Scene) -> Gaussians {
     }
 }
 
-/// The camera as the reference takes it.
+/// Converts the camera for the reference.
 pub fn reference_camera(camera: &Camera) -> project::Camera {
     let (view, i) = (camera.view_matrix().transpose().to_cols_array(), &camera.intrinsics);
     let k = i.matrix().transpose().to_cols_array();
@@ -70,7 +70,7 @@ pub fn bounds(scene: &Scene, camera: &Camera, antialiased: bool) -> Vec<PixelBou
     (0..width * camera.intrinsics.height as usize).into_par_iter().map(pixel).collect()
 }
 
-/// kernels/render/project.comp, line by line.
+/// Mirrors kernels/render/project.comp.
 fn splat(scene: &Scene, n: usize, camera: &Camera, antialiased: bool, color: [f64; 3]) -> Splat {
     let rotation = camera.pose.rotation;
     let offset = offset(scene, n, camera);
@@ -101,7 +101,7 @@ fn splat(scene: &Scene, n: usize, camera: &Camera, antialiased: bool, color: [f6
     let (xy, yy) = (Bounded::dot(u, v), Bounded::dot(v, v) + blur);
     let place = [0, 1].map(|a| focal[a] * p[a] / p[2] + principal[a]);
     let beyond = far_off(place, [i.width, i.height].map(f64::from));
-    // Of a better v v + BLUR, where the place is its ridge's: a few roundings.
+    // v v + BLUR of the more precise v, when the place is on the ridge: a few roundings.
     let yy = if beyond == [false; 2] { yy } else { Bounded { value: yy.value, error: 24.0 * U * yy.value } };
     let opacity = Bounded::exact(scene.opacities[n]);
     let splat = Splat {
@@ -115,7 +115,7 @@ fn splat(scene: &Scene, n: usize, camera: &Camera, antialiased: bool, color: [f6
     if beyond == [false; 2] { splat } else { ridge(splat, beyond[1].then_some(f64::from(i.height))) }
 }
 
-/// Where the Gaussian lies from the camera's centre, which is two numbers there.
+/// Offset of the Gaussian from the camera center, which the kernel stores as two numbers.
 pub fn offset(scene: &Scene, n: usize, camera: &Camera) -> [Bounded; 3] {
     [0, 1, 2].map(|c| {
         let centre = camera.pose.translation[c];
@@ -124,8 +124,8 @@ pub fn offset(scene: &Scene, n: usize, camera: &Camera) -> [Bounded; 3] {
     })
 }
 
-/// Whether a place is sure to lie so far beyond the picture's sides that a splat's place is its ridge's. Near the threshold it
-/// may or may not, and the splat keeps the larger bound.
+/// Whether a center is definitely far enough outside to use its ridge. Near the threshold the splat
+/// keeps the larger bound.
 fn far_off(place: [Bounded; 2], size: [f64; 2]) -> [bool; 2] {
     [0, 1].map(|a| {
         let Bounded { value, error } = place[a];
@@ -133,8 +133,8 @@ fn far_off(place: [Bounded; 2], size: [f64; 2]) -> [bool; 2] {
     })
 }
 
-/// kernels/shared/ridge.glsl, which computes with twice the bits and rounds what it gives; `height` where the centre's row is
-/// beyond the picture's.
+/// Mirrors kernels/shared/ridge.glsl, which computes in double precision and rounds the result.
+/// `height` is set if the center's row is outside the picture.
 fn ridge(splat: Splat, height: Option<f64>) -> Splat {
     let ([x, y], [a, k, p]) = (splat.place.map(|at| at.value), splat.conic);
     let row = height.map(|height| y.clamp(0.0, height));
@@ -148,7 +148,7 @@ fn ridge(splat: Splat, height: Option<f64>) -> Splat {
     }
 }
 
-/// The Gaussian's axes in the camera: world-to-camera times its rotation.
+/// The Gaussian's axes in camera space: world-to-camera times its rotation.
 pub fn axes(quat: [f32; 4], view: impl Fn(usize, usize) -> Bounded) -> [[Bounded; 3]; 3] {
     let q = quat.map(Bounded::exact);
     let largest = Bounded::exact(quat.iter().fold(0.0f32, |most, x| most.max(x.abs())));
@@ -164,9 +164,9 @@ pub fn axes(quat: [f32; 4], view: impl Fn(usize, usize) -> Bounded) -> [[Bounded
     [0, 1, 2].map(|r| [0, 1, 2].map(|c| Bounded::dot([0, 1, 2].map(|k| view(r, k)), [0, 1, 2].map(|k| rotation[k][c]))))
 }
 
-/// The reference's colour with its bound. A basis function of band l has a slope of at most
-/// `sqrt((2l + 1) l (l + 1) / 4 pi)`, 2.6 for the bands there are, and a value of at most 1.5; the direction is off by
-/// two roundings of the difference of centre and camera, and by its normalisation.
+/// The reference's color with its bound. A basis function of band l has a slope of at most
+/// `sqrt((2l + 1) l (l + 1) / 4 pi)`, here 2.6, and a value of at most 1.5. The direction's error
+/// is two roundings of an offset and its normalization.
 fn colors(scene: &Scene, n: usize, color: [f64; 3]) -> [Bounded; 3] {
     let off = 12.0 * ULP;
     let k = scene.sh_coeffs_per_gaussian();
@@ -179,7 +179,7 @@ fn colors(scene: &Scene, n: usize, color: [f64; 3]) -> [Bounded; 3] {
     })
 }
 
-/// A pixel while it is blended, kernels/render/rasterise.comp.
+/// Blending state of a pixel, as in kernels/render/rasterise.comp.
 struct Pixel {
     rgb: [Bounded; 3],
     depth: Bounded,
@@ -187,20 +187,20 @@ struct Pixel {
 }
 
 impl Pixel {
-    /// Allows that light of `weight`, of these colours and this depth, is there or not.
+    /// Widens the bounds by an optional contribution of `weight`.
     fn allow(&mut self, weight: f64, color: [f64; 3], depth: f64) {
         self.rgb.iter_mut().zip(color).for_each(|(sum, color)| sum.error += weight * color);
         self.depth.error += weight * depth;
         self.left.error += weight;
     }
 
-    /// The most that is left.
+    /// Upper bound of the remaining transmittance.
     fn most(&self) -> f64 {
         self.left.value + self.left.error
     }
 }
 
-/// Where a threshold may be met on one side or the other, both are allowed.
+/// Bounds of a pixel; near a threshold, both outcomes are allowed.
 fn pixel(splats: &[(f64, Splat)], place: [f64; 2]) -> PixelBounds {
     let zero = Bounded::exact(0.0);
     let mut pixel = Pixel { rgb: [zero; 3], depth: zero, left: Bounded::exact(1.0) };
@@ -218,7 +218,7 @@ fn pixel(splats: &[(f64, Splat)], place: [f64; 2]) -> PixelBounds {
         }
         let after = pixel.left * (Bounded::exact(1.0) - alpha);
         if (after.value - MIN_TRANSMITTANCE).abs() <= after.error {
-            // It stops here or not: whatever lies behind may be drawn with the light that is left, or be missing.
+            // Termination is uncertain here: later splats may or may not contribute.
             let behind = || splats[at..].iter().map(|(_, splat)| splat);
             let color = behind().flat_map(|s| s.color).map(high).fold(0.0, f64::max);
             pixel.allow(pixel.most(), [color; 3], behind().map(|s| high(s.depth)).fold(0.0, f64::max));
@@ -246,7 +246,7 @@ fn alpha(splat: &Splat, place: [f64; 2]) -> Bounded {
     (splat.opacity * exponent.exp2()).min(Bounded::rounded(MAX_ALPHA))
 }
 
-/// Whether f32 is sure to order the depths as f64 does: they are far enough apart, or exact.
+/// Whether f32 orders depths as f64 does: they are exact or far enough apart.
 pub fn orders_depths(scene: &Scene, camera: &Camera) -> bool {
     let forward = camera.pose.rotation.z_axis;
     let mut depths: Vec<(f64, f64)> = (scene.means.iter())

@@ -1,4 +1,4 @@
-//! Sums of cameras' gradients.
+//! Sums of camera gradients.
 
 use super::{
     super::{
@@ -16,7 +16,7 @@ const REASON: &str = "a sum of n numbers in any order: gamma_n of the sum of the
 
 /// Numbers of two cameras.
 const NUMBERS: usize = 20;
-/// The values that are there before.
+/// Initial value.
 const BEFORE: f32 = 0.75;
 
 /// `[rows, NUMBERS]`.
@@ -26,7 +26,7 @@ struct Problem(Vec<f32>);
 enum Fault {
     Zero,
     HalfSums,
-    /// The values that were there are overwritten.
+    /// Overwrites the initial values.
     Overwritten,
     LastRow,
     NeighbourNumber,

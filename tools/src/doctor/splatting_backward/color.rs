@@ -1,4 +1,4 @@
-//! Sums of splats' gradients over tiles, and through colour to coefficients and centres.
+//! Sums of splat gradients over tiles, and color gradients to coefficients and centers.
 
 use super::{
     super::{
@@ -25,14 +25,14 @@ const REASON: &str = "gamma_n of a sum over n tiles; harmonics have slopes of at
 
 /// Values of a pair: moments, red, green, blue, depth.
 const VALUES: usize = 10;
-/// The gradients of coefficients before.
+/// Initial coefficient gradient.
 const BEFORE: f32 = 0.5;
 const SLOPE: f64 = 5.0;
 const SECOND_SLOPE: f64 = 12.0;
-/// By how much the direction is off: the difference of centre and camera, and its normalisation.
+/// Direction error: an offset and its normalization.
 const OFF: f64 = 12.0 * ULP;
 
-/// Gaussians before one camera, each with as many tiles as are said.
+/// Gaussians in front of one camera with given tile counts.
 struct Problem {
     degree: u32,
     camera: Camera,
@@ -43,7 +43,7 @@ struct Problem {
     starts: Vec<u32>,
     /// `[slots, VALUES]`.
     slots: Vec<f32>,
-    /// Intersections found no room.
+    /// Whether intersections exceed the capacity.
     full: bool,
 }
 
@@ -52,16 +52,16 @@ enum Fault {
     Zero,
     Unwritten,
     LastTile,
-    /// Colours that are held at 0 have a gradient.
+    /// Gradients of colors clamped at 0.
     Unheld,
-    /// Only band 0 has one.
+    /// Band 0 only.
     NoBands,
-    /// Coefficients' gradients are not added to what is there.
+    /// Overwrites coefficient gradients instead of adding.
     Overwritten,
-    /// The centre has none through its colour.
+    /// No center gradient through color.
     NoDirection,
     NeighbourGaussian,
-    /// A splat that found no room counts.
+    /// Counts a splat beyond the capacity.
     FullCounts,
 }
 
@@ -101,7 +101,7 @@ impl Problem {
         (self.degree as usize + 1).pow(2)
     }
 
-    /// The sum of a Gaussian's slots, that of their magnitudes, and how many there are.
+    /// Sum of a Gaussian's slots, sum of their magnitudes, and slot count.
     fn sum(&self, n: usize, fault: Option<Fault>) -> ([f64; VALUES], [f64; VALUES], usize) {
         let (mut sum, mut magnitudes) = ([0.0; VALUES], [0.0; VALUES]);
         if self.full && fault != Some(Fault::FullCounts) {
@@ -120,7 +120,7 @@ impl Problem {
         (sum, magnitudes, end - first)
     }
 
-    /// A pair's gradient, then its coefficients'.
+    /// Gradients of a pair and of its coefficients.
     fn gradient(&self, n: usize, fault: Option<Fault>) -> (Vec<f64>, Vec<f64>) {
         let (mut sum, ..) = self.sum(n, fault);
         let width = 3 * self.bases();
@@ -164,7 +164,7 @@ impl Problem {
         let weights = coeffs.chunks(3).skip(1).map(|k| Bounded::dot([0, 1, 2].map(|c| Bounded::exact(k[c])), d));
         let (value, error) = weights.fold((0.0, 0.0), |(value, error), w| (value + w.value.abs(), error + w.error));
         let offset = DVec3::from(self.means[n].map(f64::from)) - self.camera.pose.translation;
-        // What lies along the direction is taken away, which counts twice; then it is divided twice.
+        // Removing the radial part counts twice, followed by two divisions.
         let turned = 2.0 * (SLOPE * error + (SECOND_SLOPE * OFF + 40.0 * U * SLOPE) * (value + error));
         pair[6..9].fill(turned / offset.length());
         (pair.to_vec(), of_coeffs)
@@ -185,7 +185,7 @@ impl case::Problem for Problem {
         let status = [drawn, drawn + u32::from(self.full), 0];
         let d_pairs = trial.output::<[f32; VALUES]>(count);
         let d_sh_coeffs = added_to(&mut trial, self.coeffs.len(), BEFORE);
-        // Something has to be bound where there is no slot.
+        // Bindings cannot be empty.
         let or_some = |values: Vec<f32>| if values.is_empty() { vec![f32::NAN; VALUES] } else { values };
         let kernel = ColorBackward {
             means: trial.input(&self.means),
@@ -236,7 +236,7 @@ impl case::Problem for Problem {
     }
 }
 
-/// Tiles of a Gaussian: none, too.
+/// Tiles of a Gaussian, possibly 0.
 fn few(i: usize) -> u32 {
     (i % 5) as u32
 }

@@ -1,4 +1,4 @@
-//! Splats' gradients to those of Gaussians and of the camera.
+//! Splat gradients to Gaussian and camera gradients.
 
 use super::{
     super::{
@@ -28,12 +28,12 @@ const REASON: &str = "running error analysis of the kernel, formula by formula; 
     allowed a thousandth of that, and 1e-7 of the longest of its row";
 
 const BLUR: f64 = 0.3;
-/// Values of a Gaussian: centre, standard deviations, quaternion, opacity.
+/// Values of a Gaussian: center, standard deviations, quaternion, opacity.
 const VALUES: usize = 11;
 /// Numbers of the camera.
 const CAMERA: usize = 10;
 
-/// Gaussians that one camera sees, and the gradients of their splats `[N, 10]`.
+/// Gaussians before one camera, and the gradients of their splats `[N, 10]`.
 #[derive(Clone)]
 struct Problem {
     scene: Scene,
@@ -47,26 +47,25 @@ enum Fault {
     Zero,
     Unwritten,
     HalfPairs,
-    /// The blur is left out.
     NoBlur,
-    /// Centres move splats, and do not change their shapes.
+    /// Centers do not affect the splat shape.
     FixedShape,
-    /// A shape does not change with the depth.
+    /// Depth does not affect the splat shape.
     NoDepthOfShape,
-    /// A splat that is held beyond the borders moves.
+    /// Center gradients past the clamped borders.
     Unheld,
-    /// Turns are left in the camera's frame.
+    /// Rotation gradients in camera space.
     TurnInCamera,
-    /// Quaternions count as if they had length 1.
+    /// Quaternions treated as unit length.
     NotNormalised,
-    /// The gradient of ln opacity is taken for that of opacity.
+    /// Gradient by ln opacity instead of opacity.
     LogOpacity,
-    /// Antialiasing takes nothing from the peak.
+    /// No antialiasing compensation.
     NoCompensation,
     NeighbourGaussian,
 }
 
-/// A Gaussian's gradient and its share of the camera's.
+/// Gradients of a Gaussian and its contribution to the camera's.
 struct Found {
     gaussian: [Bounded; VALUES],
     camera: [Bounded; CAMERA],
@@ -76,7 +75,7 @@ impl Problem {
     fn new(scene: Scene, camera: Camera, antialiased: bool) -> Self {
         let mut noise = Noise(scene.len() as u64);
         let mut pair = || {
-            // Moments of some pixels: those of second order fit together.
+            // Moments of a few pixels keep the second order consistent.
             let mut sums = [0.0; 10];
             for _ in 0..5 {
                 let [g, e, y] = [1.0, 3.0, 3.0].map(|size| size * noise.uniform(-1.0, 1.0));
@@ -90,7 +89,7 @@ impl Problem {
         Self { scene, camera, antialiased, pairs }
     }
 
-    /// One Gaussian, as the reference takes it.
+    /// One Gaussian for the reference.
     fn one(&self, n: usize) -> Gaussians {
         let all = gaussians(&self.scene);
         let coeffs = all.sh_coeffs.len() / all.means.len();
@@ -108,14 +107,14 @@ impl Problem {
         let splats = project(&gaussians(&self.scene), &reference_camera(&self.camera), self.antialiased);
         let conic = |splat: Option<zipsplat_reference::render::project::Splat>| {
             let [xx, xy, yy] = splat.expect("a case whose Gaussians are all seen").conic;
-            // xx yy - xy xy, without what cancels.
+            // xx yy - xy xy without cancellation.
             let determinant = xx * yy - xy * xy;
             [xx, -xy / xx, determinant / xx]
         };
         splats.into_iter().map(conic).collect()
     }
 
-    /// kernels/render/project_backward.comp, line by line.
+    /// Mirrors kernels/render/project_backward.comp.
     fn gradient(&self, n: usize, conic: [f64; 3], fault: Option<Fault>) -> Found {
         let is = |other: Fault| fault == Some(other);
         let zero = Bounded::exact(0.0);
@@ -206,7 +205,7 @@ impl Problem {
         }
     }
 
-    /// A turn's gradient as the quaternion's.
+    /// Converts a rotation gradient to a quaternion gradient.
     fn quat(&self, n: usize, turn: Vector, as_unit: bool) -> [Bounded; 4] {
         let q = self.scene.quats[n].map(Bounded::exact);
         let largest = q.iter().fold(Bounded::exact(0.0), |most, q| {
@@ -221,7 +220,7 @@ impl Problem {
         [-Bounded::dot(turn, [x, y, z]), a, b, c].map(|d| by * d)
     }
 
-    /// All gradients and bounds: each Gaussian's, then the camera's sum.
+    /// Gradients and bounds of each Gaussian, then the camera's sum.
     fn all(&self, fault: Option<Fault>) -> Vec<Bounded> {
         let conics = self.conics();
         let found: Vec<Found> = (0..self.scene.len()).map(|n| self.gradient(n, conics[n], fault)).collect();
@@ -321,12 +320,12 @@ impl case::Problem for Problem {
     }
 }
 
-/// Gaussians with high opacities, changed one by one.
+/// Gaussians with high opacities, each modified by `change`.
 fn scene(count: usize, change: impl Fn(usize, &mut [f32; 3], &mut [f32; 3])) -> Scene {
     let mut scene = Noise(count as u64 + 3).scene(count, 0);
     for i in 0..count {
         scene.opacities[i] = 0.2 + 0.7 * scene.opacities[i];
-        // Within the picture, which is wider than it is high.
+        // Keeps centers in the picture, which is wider than high.
         scene.means[i][1] *= 0.7;
         change(i, &mut scene.means[i], &mut scene.scales[i]);
     }
@@ -369,7 +368,7 @@ pub fn area() -> Area {
         (*m, *s) = ([m[0] / m[2] * z, m[1] / m[2] * z, z], [1e-3, 5e-4, 2e-3]);
     });
     add("before the near plane", seen(), (near, still()), false);
-    // Beyond the borders slopes are held; what is that large is seen all the same.
+    // Slopes are clamped beyond the borders, where large splats remain visible.
     let beyond = scene(40, |i, m, s| {
         let side = if i % 2 == 0 { 0.9 } else { -0.9 };
         (m[0], m[1], *s) = (side * m[2], 0.1 * m[1], [0.5 * m[2], 0.2 * m[2], 0.3 * m[2]]);

@@ -1,4 +1,4 @@
-//! Pixels' gradients to those of splats.
+//! Pixel gradients to splat gradients.
 
 use super::{
     super::{
@@ -28,7 +28,7 @@ const HEIGHT: u32 = 23;
 const MAX_ALPHA: f64 = 0.999;
 const MIN_TRANSMITTANCE: f64 = 1e-4;
 const BACKGROUND: [f64; 3] = [0.25, 0.5, 0.125];
-/// Pixels above and below the picture from which on a splat's place is its ridge's.
+/// Distance in pixels above or below the picture from which a splat uses its ridge.
 const FAR_OFF: f32 = 256.0;
 /// Values of a slot: moments, red, green, blue, depth.
 const VALUES: usize = 10;
@@ -43,31 +43,31 @@ struct Splat {
     depth: f32,
 }
 
-/// Splats from near to far, each with a slot for every tile, and a gradient of red, green, blue, alpha and depth of each pixel.
+/// Splats from near to far with a slot per tile, and each pixel's gradient of red, green, blue,
+/// alpha and depth.
 struct Problem {
     splats: Vec<Splat>,
     frames: Vec<f32>,
     d_frames: Vec<f32>,
 }
 
-/// Ways in which a gradient may be wrong.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Fault {
     Zero,
     Unwritten,
-    /// The splats behind a splat do not count.
+    /// Ignores splats behind.
     NothingBehind,
-    /// The background is not behind it.
+    /// No background behind the splats.
     NoBackground,
-    /// Clamped alphas have a gradient.
+    /// Gradients of clamped alphas.
     Unclamped,
-    /// A splat for which a pixel has no light left has a gradient.
+    /// No early termination.
     NeverStops,
-    /// Alphas below 1/255 have one.
+    /// Gradients of alphas below 1/255.
     FaintDrawn,
     NoAlpha,
     NoDepth,
-    /// Moments by pixels' distance from the centre along x, not from the ridge.
+    /// Moments of x offsets from the center instead of the ridge.
     Unsheared,
     NeighbourSplat,
     NeighbourTile,
@@ -96,7 +96,7 @@ fn tiles() -> [usize; 2] {
     [WIDTH, HEIGHT].map(|side| side.div_ceil(TILE) as usize)
 }
 
-/// Middles of the pixels, with their tiles.
+/// Pixel centers with their tiles.
 fn pixels() -> impl Iterator<Item = (usize, [f64; 2])> {
     (0..HEIGHT).flat_map(|y| (0..WIDTH).map(move |x| [x, y])).map(|[x, y]| {
         let tile = (y / TILE) as usize * tiles()[0] + (x / TILE) as usize;
@@ -104,10 +104,11 @@ fn pixels() -> impl Iterator<Item = (usize, [f64; 2])> {
     })
 }
 
-/// The share of one splat in a pixel.
+/// Contribution of one splat to a pixel.
 type Share = [Bounded; VALUES];
 
-/// kernels/render/rasterise_backward.comp on one pixel, line by line; `None` where a threshold is so near that rounding decides.
+/// Mirrors kernels/render/rasterise_backward.comp on one pixel; `None` if rounding may flip a
+/// threshold.
 fn pixel(
     splats: &[Splat],
     [x, y]: [f64; 2],
@@ -170,7 +171,7 @@ fn pixel(
 }
 
 impl Problem {
-    /// Random gradients, 0 where rounding decides.
+    /// Random gradients, 0 where rounding may flip a threshold.
     fn new(splats: Vec<Splat>) -> Self {
         let mut noise = Noise(splats.len() as u64);
         let (mut frames, mut d_frames) = (Vec::new(), Vec::new());
@@ -184,7 +185,7 @@ impl Problem {
         Self { splats, frames, d_frames }
     }
 
-    /// Sums over tiles of every splat's shares `[splats, tiles, VALUES]`, with bounds.
+    /// Sums over tiles of every splat's contributions `[splats, tiles, VALUES]`, with bounds.
     fn slots(&self, fault: Option<Fault>) -> Vec<Bounded> {
         let count = tiles()[0] * tiles()[1];
         let mut slots = vec![Bounded::exact(0.0); self.splats.len() * count * VALUES];
@@ -212,10 +213,10 @@ impl Problem {
     }
 }
 
-/// The values of a pixel: red, green, blue before the background, alpha, depth.
+/// Values of a pixel: red, green, blue without the background, alpha, depth.
 fn frame(splats: &[Splat], at: [f64; 2]) -> [f64; 5] {
     let ellipses: Vec<Ellipse> = splats.iter().map(Splat::ellipse).collect();
-    // A splat's weight is its gradient where red counts 1.
+    // A splat's weight is its gradient with unit red.
     let weights = through_pixel(&ellipses, at, [1.0, 0.0, 0.0, 0.0, 0.0], [0.0; 3]);
     let mut frame = [0.0; 5];
     for (splat, weight) in ellipses.iter().zip(weights.iter().map(|gradient| gradient[6])) {
@@ -238,7 +239,7 @@ impl case::Problem for Problem {
         let tiles = (columns * rows) as u32;
         let all: Vec<u32> = (0..tiles).flat_map(|_| 0..count).collect();
         let lists: Vec<u32> = (0..=tiles).map(|tile| tile * count).collect();
-        // Every tile of the picture, and no mask.
+        // All tiles, without a mask.
         let sets: Vec<[u32; 3]> = vec![[0, columns as u32 | (rows as u32) << 16, 0]; count as usize];
         let starts: Vec<u32> = (0..=count).map(|splat| splat * tiles).collect();
         let of = |values: &dyn Fn(&Splat) -> [f32; 3]| self.splats.iter().map(values).collect::<Vec<_>>();
@@ -303,7 +304,7 @@ impl case::Problem for Problem {
     }
 }
 
-/// Splats of 1 to 10 pixels all over the picture, changed one by one.
+/// Splats of 1 to 10 pixels across the picture, each modified by `change`.
 fn splats(count: usize, change: impl Fn(usize, &mut Splat)) -> Vec<Splat> {
     let mut noise = Noise(count as u64 + 7);
     let mut one = |i: usize| {
@@ -332,7 +333,7 @@ pub fn area() -> Area {
     add("one", seen().and(&[NoBackground]), 1, |_, splat| splat.opacity = 0.8);
     add("random", many(), 10, |_, _| ());
     add("random", many(), 100, |_, _| ());
-    // Thin, of any direction, from one border to the other.
+    // Thin, in any direction, from border to border.
     add("needles", many(), 40, |_, splat| splat.conic = [3.0, splat.conic[1], 1e-6]);
     add("needles whose centre is 1e5 pixels off", [Zero, Unwritten, NothingBehind].into(), 20, |i, splat| {
         splat.place[1] = if i % 2 == 0 { -1e5 } else { 1e5 };

@@ -114,7 +114,8 @@ fn scatter(rng: &mut Rng, count: usize, radius: f32, gap: f32) -> Vec<Vec2> {
     places
 }
 
-/// Pictures or shelves with things along a wall: `origin` is the middle of its foot, `normal` points into the room.
+/// Pictures or shelves with things along a wall: `origin` is the middle of its foot, `normal`
+/// points into the room.
 fn hang(b: &mut Builder, origin: Vec3A, normal: Vec3A, half_width: f32, height: f32) {
     let along = Vec3A::Z.cross(normal);
     let axes = super::builder::facing(normal);
