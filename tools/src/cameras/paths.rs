@@ -31,7 +31,7 @@ pub struct CameraArgs {
     /// The cameras of a file: transforms.json, a COLMAP model's folder, nerfstudio's camera_path.json, or JSON with a list
     /// of 4x4 matrices (camera-to-world, x right, y down, z forward) or of objects with matrix or viewmat and fx, fy, cx,
     /// cy, width, height
-    #[arg(long, value_name = "PATH")]
+    #[arg(long, alias = "poses", value_name = "PATH")]
     cameras: Option<PathBuf>,
     /// A smooth path through the cameras of a file, as of --cameras
     #[arg(long, value_name = "PATH")]
@@ -182,11 +182,7 @@ pub fn origin(
     Ok(match world {
         Some(World::Cameras(_)) => (None, None),
         Some(World::Photo(photo)) => match origin_pose(poses, Path::new(photo)) {
-            Ok(pose) => {
-                let note =
-                    format!("the scene's world is the camera of {photo}, as its file says, and {path} is read so");
-                (Some(pose), Some(note))
-            }
+            Ok(pose) => (Some(pose), None),
             Err(_) => {
                 let note = format!(
                     "the scene's world is the camera of {photo}, which {path} has not: its cameras are taken as if they \
