@@ -1,20 +1,15 @@
 //! Cameras that COLMAP finds: with programs that stand for it, and with itself where it is installed.
 #![cfg(unix)]
 
-use crate::{Folder, Outcome, command};
-use std::{
-    ffi::OsString,
-    fs,
-    os::unix::fs::PermissionsExt,
-    path::Path,
-    sync::atomic::{AtomicBool, Ordering},
-};
+use crate::{Folder, Outcome};
+use std::{ffi::OsString, fs, os::unix::fs::PermissionsExt, path::Path, sync::atomic::AtomicBool};
 use zipsplat::types::{
     Camera,
     poses::{Frame, read_poses},
     quaternion_from_matrix, read_points, read_scene,
 };
 use zipsplat_cli::{Terminal, run};
+use zipsplat_tests::processes::{child, target};
 
 /// The options that differ, as a version's help has them.
 pub const OPTIONS_3: [&str; 3] = [
