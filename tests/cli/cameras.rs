@@ -106,7 +106,7 @@ fn cameras_are_what_colmap_found() {
         whole_model(&folder, name, &truth);
         let line = format!("cameras @/place/images --colmap @/{name} -o @/place/transforms.json --json");
         let outcome = folder.run(&line);
-        assert!(outcome.err.contains("lens distortion of 4 frames"), "{}", outcome.err);
+        assert!(!outcome.err.contains("lens distortion"), "{}", outcome.err);
         let json = outcome.json();
         assert_eq!((json["found"].as_u64(), json["points"].as_u64()), (Some(4), Some(5)), "{json}");
         assert_eq!(json["program"], format!("COLMAP {version}"));

@@ -115,7 +115,52 @@ fn numbers() {
         refused(&folder, &line, 3, &["--keep: found", "1 to 4"]);
     }
     let little = "--weights @/micro.safetensors --size 28x28 --memory 100K -o @/out.ply";
-    refused(&folder, &format!("reconstruct @/photos {little}"), 4, &["--memory leaves this command 102400 bytes"]);
+    refused(
+        &folder,
+        &format!("reconstruct @/photos {little}"),
+        4,
+        &["memory on the device", "iB are missing", "--memory allows 100.00 KiB"],
+    );
+}
+
+#[test]
+fn remedies_are_named() {
+    let folder = Folder::new();
+    refused(&folder, "eval @/photos --views 1", 3, &["poses: found", "--poses find"]);
+    refused(&folder, "reconstruct @/photos --weights nosuch -o @/out.ply", 3, &["nosuch", "zipsplat, da3-small"]);
+    refused(&folder, "depth @/photos --weights nosuch -o @/out", 3, &["nosuch", "zipsplat, da3-small"]);
+    let outcome = folder.run("reconstruct @/photos --size 100x100 -o @/out.ply");
+    assert_eq!((outcome.code, outcome.err.lines().count()), (3, 1), "{}", outcome.err);
+}
+
+/// New spellings reach the options that they will name.
+#[test]
+fn new_names_are_aliases() {
+    let folder = Folder::new();
+    for line in [
+        "render @/absent.ply --poses @/absent.json --point-size 1 --gaussians-per-token 4 --max-memory 1G -o @/out",
+        "refine @/absent.ply @/photos --cameras @/absent.json --init scene --max-image-size 64x64 --views-per-step 1 \
+         --holdout-views 0 --optimize-cameras --max-gaussians 10 --cameras-out @/c.json -o @/out.ply",
+        "eval @/absent --cameras @/absent.json --eval-size 28x28 --full-images --pose-noise 1 --scene-scale 1",
+        "cameras @/absent --method colmap --matching sequential --matching-size 640 -o @/c.json",
+        "depth @/absent --weights @/absent.safetensors --cameras @/absent.json --max-points 5 --input-size 28 -o @/out",
+        "reconstruct @/absent --cameras colmap --token-selection stride --kv-pool 2 --max-gaussians-per-token 1 \
+         --input-size 28x28 --precision fp32 --crop crop -o @/out.ply",
+    ] {
+        let outcome = folder.run(line);
+        assert_eq!(outcome.code, 3, "{line}: {}", outcome.err);
+    }
+}
+
+#[test]
+fn short_help_fits_a_screen() {
+    for command in ["reconstruct", "eval"] {
+        let short = zipsplat(&format!("{command} -h")).success();
+        let long = zipsplat(&format!("{command} --help")).success();
+        let lines: usize = short.lines().map(|line| line.chars().count().div_ceil(100).max(1)).sum();
+        assert!(lines <= 50 && short.contains("--refine") && !short.contains("--variant"), "{lines} lines: {short}");
+        assert!(long.contains("--variant") && long.contains("--ffmpeg") == (command == "reconstruct"), "{long}");
+    }
 }
 
 #[test]

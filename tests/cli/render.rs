@@ -141,7 +141,7 @@ fn a_scene_finds_its_cameras_in_their_own_file() {
     // Weights that mean something: of random ones the cameras see nothing.
     folder.run("reconstruct @/place/images --poses @/place --unit 1 -o @/posed.ply").success();
     let found = folder.run("render @/posed.ply --cameras @/place -o @/found");
-    assert!(found.err.contains("images/000.png") && !found.err.contains("but the background"), "{}", found.err);
+    assert_eq!(found.err, "", "the world needs no note");
     found.success();
     folder.run("render @/posed.ply --cameras @/place --relative-to 000.png -o @/named").success();
     assert_eq!(contents(&folder, "found"), contents(&folder, "named"));

@@ -1,6 +1,7 @@
 //! Camera paths of `zipsplat render`, and pictures as one file or one stream.
 
 use crate::{Folder, names, raw_command};
+use glam::DMat3;
 use image::{AnimationDecoder, Delay, codecs::png::PngDecoder};
 use std::{
     fs::File,
@@ -55,6 +56,47 @@ fn every_path_draws_its_pictures() {
     folder.run(&format!("{RENDER} --cameras @/cameras.json -o @/given")).success();
     let (given, spline) = (pictures(&folder, "given"), pictures(&folder, "0"));
     assert_eq!([&given[0], &given[2]], [&spline[0], &spline[4]], "a spline ends at its last camera");
+}
+
+/// The first camera of a tilted capture has another up than the mean of all.
+#[test]
+fn an_orbit_takes_its_up_from_cameras() {
+    let folder = folder();
+    let tilted = |degrees: f64| Camera {
+        pose: Pose { rotation: DMat3::from_rotation_x(degrees.to_radians()), ..Pose::IDENTITY },
+        ..scenes::camera(40, 30)
+    };
+    let names = ["a.png", "b.png", "c.png"];
+    let orbit = |name: &str, degrees: [f64; 3]| {
+        write_transforms(folder.path("up.json"), &degrees.map(tilted), &names).expect("cameras");
+        let line = format!("{RENDER} --orbit=@/up.json --frames 4 --size 40x30 -o @/{name}");
+        folder.run(&line).success();
+        pictures(&folder, name)
+    };
+    folder.run(&format!("{RENDER} --orbit --frames 4 --size 40x30 -o @/plain")).success();
+    let plain = pictures(&folder, "plain");
+    let close =
+        |a: &[Vec<u8>], b: &[Vec<u8>]| a.iter().flatten().zip(b.iter().flatten()).all(|(a, b)| a.abs_diff(*b) < 3);
+    assert!(close(&orbit("level", [20.0, -20.0, 0.0]), &plain), "the mean up is level");
+    assert!(!close(&orbit("tilted", [20.0; 3]), &plain), "the mean up is tilted");
+}
+
+#[test]
+fn a_spline_visits_scattered_cameras_by_nearness() {
+    let folder = folder();
+    let camera = |x: f64| Camera {
+        pose: Pose { translation: [x, 0.0, -0.2].into(), ..Pose::IDENTITY },
+        ..scenes::camera(40, 30)
+    };
+    let drawn = |name: &str, at: [f64; 5]| {
+        let names = ["a.png", "b.png", "c.png", "d.png", "e.png"];
+        write_transforms(folder.path("path.json"), &at.map(camera), &names).expect("cameras");
+        let outcome = folder.run(&format!("{RENDER} --spline @/path.json --frames 5 -o @/{name}"));
+        (outcome.err.contains("by nearness"), pictures(&folder, name))
+    };
+    let (noted, path) = drawn("path", [0.0, 0.1, 0.2, 0.3, 0.4]);
+    let (reordered, scattered) = drawn("scattered", [0.0, 0.3, 0.1, 0.4, 0.2]);
+    assert!(!noted && reordered && path == scattered, "{noted} {reordered}");
 }
 
 #[test]

@@ -180,3 +180,9 @@ def test_figures_and_cameras_come_from_the_command(
     monkeypatch.setenv("ZIPSPLAT_COMMAND", str(tmp_path / "missing"))
     with pytest.raises(zipsplat.CommandError, match="ZIPSPLAT_COMMAND"):
         zipsplat.find_cameras([os.fspath(capture)])
+
+
+def test_pictures_need_cameras(scene: zipsplat.Scene) -> None:
+    for wrong in ("x", 7):
+        with pytest.raises(TypeError, match="cameras: found .*, expected a Camera or a sequence of cameras"):
+            scene.render(wrong)

@@ -34,7 +34,7 @@ pub const POINTS: usize = 200_000;
 #[derive(Args, Clone, Copy, Debug, Default)]
 pub struct CamerasFrom {
     /// Source of the cameras that a network of Depth Anything 3 finds
-    #[arg(long, value_enum, value_name = "HOW", default_value = "decoder")]
+    #[arg(long, alias = "camera-source", value_enum, value_name = "HOW", default_value = "decoder")]
     by: By,
     /// Focal lengths of those cameras
     #[arg(long, value_enum, value_name = "WHOSE", default_value = "shared")]

@@ -38,7 +38,7 @@ mod video;
 mod viewer;
 mod views;
 
-use clap::Parser;
+use clap::{CommandFactory, FromArgMatches, Parser};
 use commands::Command;
 pub use session::Terminal;
 use session::{Global, Session};
@@ -71,12 +71,34 @@ struct Cli {
     command: Command,
 }
 
+/// Options that `-h` shows of commands with many; `--help` shows all.
+const SHORT_HELP: [(&str, &[&str]); 2] = [
+    (
+        "reconstruct",
+        &["photos", "output", "weights", "poses", "cameras_out", "views", "ratio", "refine", "grow", "precision"],
+    ),
+    ("eval", &["folders", "output", "weights", "poses", "views", "targets", "pose_free", "refine", "csv"]),
+];
+
+/// Hides all other options of these commands from `-h`.
+fn short_help(command: clap::Command) -> clap::Command {
+    SHORT_HELP.into_iter().fold(command, |command, (name, shown)| {
+        command.mut_subcommand(name, |command| {
+            command.mut_args(|arg| {
+                let hidden = !shown.contains(&arg.get_id().as_str());
+                arg.hide_short_help(hidden)
+            })
+        })
+    })
+}
+
 /// Runs a command line, program name first, and returns its exit code: 0 done, 1 failed, 2 wrong usage, 3 a file or
 /// argument that cannot be used, 4 no device, a lost one or too little memory, 5 a device that computes wrongly, 130
 /// cancelled.
 pub fn run(args: impl IntoIterator<Item = OsString>, terminal: Terminal<'_>) -> u8 {
     let args = refinement::join_steps(args);
-    let Cli { global, command } = match Cli::try_parse_from(&args) {
+    let parsed = short_help(Cli::command()).try_get_matches_from(&args).and_then(|found| Cli::from_arg_matches(&found));
+    let Cli { global, command } = match parsed {
         Ok(cli) => cli,
         Err(error) => {
             let (stream, code) =

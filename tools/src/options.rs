@@ -152,17 +152,17 @@ pub struct Quality {
     #[arg(long, value_name = "R|auto", default_value = "1", value_parser = parse_ratio)]
     pub ratio: Ratio,
     /// How those tokens are chosen: kmeans[:ROUNDS], stride or random[:SEED]
-    #[arg(long, value_name = "HOW", default_value = "kmeans", value_parser = parse_selection)]
+    #[arg(long, alias = "token-selection", value_name = "HOW", default_value = "kmeans", value_parser = parse_selection)]
     pub select: Selection,
     /// With many photos: attention across photos sees the mean of SxS patches, S from 1 to 4, in place of each: faster, less exact
-    #[arg(long, value_name = "S", default_value = "1")]
+    #[arg(long, alias = "kv-pool", value_name = "S", default_value = "1")]
     pub pool: usize,
     /// Keep of every token only the N Gaussians that show most
-    #[arg(long, value_name = "N|all", default_value = "all")]
+    #[arg(long, alias = "max-gaussians-per-token", value_name = "N|all", default_value = "all")]
     keep: Keep,
     /// Pixels of a picture as the network sees it: multiples of the patch (14). Weights are best with the size that they were
     /// trained with; a larger one shows more detail to a network that cannot use it [default: the trained size]
-    #[arg(long, value_name = "WxH")]
+    #[arg(long, alias = "input-size", value_name = "WxH")]
     size: Option<Size>,
     #[command(flatten)]
     pub arithmetic: ArithmeticOption,
@@ -279,12 +279,16 @@ impl Quality {
 #[derive(Clone, Copy, Debug, ValueEnum)]
 pub enum PrecisionName {
     /// f32 throughout
+    #[value(alias = "fp32")]
     Exact,
     /// f16 factors of matrix products, all else f32
+    #[value(alias = "fp16")]
     Fast,
     /// bf16 factors of matrix products, all else f32
+    #[value(alias = "bf16")]
     FastBf16,
     /// As fast, with 8-bit factors in the linear layers of blocks
+    #[value(alias = "int8")]
     Turbo,
 }
 

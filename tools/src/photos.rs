@@ -12,6 +12,8 @@ use clap::Args;
 use rayon::prelude::*;
 use std::{
     cmp::Ordering,
+    collections::HashSet,
+    ffi::OsString,
     path::{Path, PathBuf},
     sync::atomic::{self, AtomicUsize},
 };
@@ -174,8 +176,14 @@ fn list_folder(session: &mut Session<'_>, folder: &Path) -> Result<Vec<PathBuf>>
         return Err(Error::argument(what, "none", expected));
     }
     if !others.is_empty() {
-        let count = counted(others.len(), "file");
-        session.note(format!("{count} left out, not PNG, JPEG or WebP: {}", names(&others)));
+        let (originals, unknown): (Vec<PathBuf>, Vec<PathBuf>) = others.into_iter().partition(|path| is_heic(path));
+        for (files, why) in
+            [(originals, "HEIC beside a photo of the same name"), (unknown, "not PNG, JPEG, WebP or HEIC")]
+        {
+            if !files.is_empty() {
+                session.note(format!("{} left out, {why}: {}", counted(files.len(), "file"), names(&files)));
+            }
+        }
     }
     if !below.is_empty() {
         session.note(format!("more photos lie in {below}: name it, too, to take them"));
@@ -205,14 +213,12 @@ pub fn folders_in(folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(found)
 }
 
-/// The photos among files, and the others. HEIC pictures are photos where there are no others: beside those they most likely are
-/// the same.
+/// Splits files into photos and others. A HEIC picture beside a photo of the same name is its original, and no second photo.
 fn photos_among(files: Vec<PathBuf>) -> (Vec<PathBuf>, Vec<PathBuf>) {
-    let (photos, others): (Vec<PathBuf>, Vec<PathBuf>) = files.into_iter().partition(|path| is_photo(path));
-    match photos[..] {
-        [] => others.into_iter().partition(|path| is_heic(path)),
-        _ => (photos, others),
-    }
+    let stems: HashSet<OsString> =
+        files.iter().filter(|path| is_photo(path)).filter_map(|path| Some(path.file_stem()?.to_owned())).collect();
+    let is_copied = |path: &PathBuf| path.file_stem().is_some_and(|stem| stems.contains(stem));
+    files.into_iter().partition(|path| is_photo(path) || is_heic(path) && !is_copied(path))
 }
 
 /// The files and folders of a folder, but for hidden ones. Those are no photos whatever they are called: macOS puts `._000.jpg`

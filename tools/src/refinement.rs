@@ -181,13 +181,13 @@ pub struct RefineOptions {
     refine: Option<Steps>,
     /// Start of --refine; points are those that structure from motion left beside the cameras [default: with the
     /// model that is built in points, where there are enough, else the scene]
-    #[arg(long, value_enum, value_name = "WHAT", requires = "refine")]
+    #[arg(long, alias = "init", value_enum, value_name = "WHAT", requires = "refine")]
     pub start: Option<Start>,
     /// Most pixels of a photo along x and y in --refine: a larger one is compared at the largest size that fits
-    #[arg(long, value_name = "WxH", default_value = MOST_PIXELS, requires = "refine")]
+    #[arg(long, alias = "max-image-size", value_name = "WxH", default_value = MOST_PIXELS, requires = "refine")]
     refine_size: Size,
     /// Photos that --refine holds out, evenly spread; 0 learns from all [default: 1 of 9 or more, none with --refine-cameras]
-    #[arg(long, value_name = "K", requires = "refine")]
+    #[arg(long, alias = "holdout-views", value_name = "K", requires = "refine")]
     hold_out: Option<usize>,
     #[command(flatten)]
     moved: Moved,

@@ -180,9 +180,9 @@ pub fn folder() -> Result<PathBuf> {
 /// The file of weights that are named so; none, where that is no name.
 ///
 /// # Errors
-/// [`Error::Argument`] where they are not in the cache, with the command that gets them.
+/// [`Error::Argument`] for an unknown bare word, and where they are not in the cache, with the command that gets them.
 pub fn find(name: &str) -> Result<Option<PathBuf>> {
-    let Some(released) = Released::named(name) else { return Ok(None) };
+    let Some(released) = Released::named(name) else { return check_name(name).map(|()| None) };
     let folder = folder()?;
     let expected = || {
         let command = released.command();
@@ -193,6 +193,17 @@ pub fn find(name: &str) -> Result<Option<PathBuf>> {
         )
     };
     released.cached(&folder).into_iter().next().map(Some).ok_or_else(expected)
+}
+
+/// Rejects a bare word that is neither a known name nor a file.
+fn check_name(name: &str) -> Result<()> {
+    let is_bare = !name.is_empty() && name.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"-_".contains(&byte));
+    if !is_bare || Path::new(name).exists() {
+        return Ok(());
+    }
+    let names: Vec<&str> = RELEASED.iter().map(|released| released.name).collect();
+    let expected = format!("a file, built-in, seeded:NAME, or one of {}", names.join(", "));
+    Err(Error::argument("weights", name, expected))
 }
 
 /// Whether a choice of weights means a network of Depth Anything 3: by its name, or by the names of a file's tensors.

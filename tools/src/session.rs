@@ -4,6 +4,7 @@ mod progress;
 
 pub use progress::Stage;
 
+use crate::table::bytes;
 use clap::Args;
 use serde::Serialize;
 use std::{
@@ -52,7 +53,7 @@ pub struct Global {
     pub device: Option<String>,
     /// Use at most so many bytes of the device's memory and leave the rest to others, such as 3G; K, M and G count in 1024s
     /// [default: all of it]
-    #[arg(long, global = true, value_name = "BYTES", value_parser = parse_bytes, help_heading = "Options of every command")]
+    #[arg(long, alias = "max-memory", global = true, value_name = "BYTES", value_parser = parse_bytes, help_heading = "Options of every command")]
     pub memory: Option<u64>,
     /// Print the result as JSON to standard output, and an error as one line of JSON to standard error: {"error", "kind",
     /// "exit_code"}
@@ -276,8 +277,10 @@ impl<'a> Session<'a> {
     /// Prints an error as one line, with `--json` as an object.
     pub fn complain(&mut self, error: &Error, code: u8) {
         let mut lines: Vec<_> = error.to_string().lines().map(|line| line.trim().to_owned()).collect();
-        if let (Error::Memory { .. }, Some(memory)) = (error, self.global.memory) {
-            lines.push(format!("--memory leaves this command {memory} bytes of the device's"));
+        if let Error::Memory { needed, available, .. } = error {
+            lines.push(format!("{} are missing", bytes(needed.saturating_sub(*available))));
+            let limit = self.global.memory;
+            lines.extend(limit.map(|limit| format!("--memory allows {} of the device's memory", bytes(limit))));
         }
         let text = lines.join("; ");
         let line = if self.global.json { error_as_json(&text, kind(error), code) } else { format!("error: {text}") };

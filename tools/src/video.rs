@@ -2,6 +2,7 @@
 
 use crate::{
     decode::{AS_PPM, decode, read_ppm, read_whole, save_jpeg},
+    outputs::make_folder,
     process::check,
     scratch::Scratch,
     session::{Session, Stage},
@@ -47,6 +48,7 @@ impl FrameFolder {
     /// [`Error::Argument`] where it exists and is not to be taken, [`Error::Io`] where it cannot be made.
     pub fn beside(file: &Path, overwrite: bool) -> Result<Self> {
         let path = file.with_file_name("frames");
+        file.parent().map_or(Ok(()), make_folder)?;
         match std::fs::create_dir(&path) {
             Ok(()) => Ok(Self { path, kept: false, _scratch: None }),
             Err(error) if error.kind() == io::ErrorKind::AlreadyExists && overwrite => {

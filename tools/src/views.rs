@@ -18,7 +18,7 @@ use zipsplat::{
 #[derive(Args, Debug)]
 pub struct FitOption {
     /// Part of a photo that the network sees where it is not as wide as high
-    #[arg(long, value_enum, value_name = "HOW", default_value = "crop")]
+    #[arg(long, alias = "crop", value_enum, value_name = "HOW", default_value = "crop")]
     pub fit: Fit,
 }
 
@@ -29,6 +29,7 @@ pub enum Fit {
     Crop,
     /// The whole photo, as square views side by side, each with a camera turned to it: for known cameras. Twice the views of photos up
     /// to 2:1, and the time and memory of so many
+    #[value(alias = "tiles")]
     Squares,
 }
 

@@ -18,6 +18,7 @@ import csv
 import json
 import math
 import random
+import shutil
 import signal
 import sys
 import time
@@ -41,6 +42,7 @@ from optimiser import Optimiser
 from rasterise import rasterise
 from schedule import Schedule, read_config
 
+ROOT = Path(__file__).resolve().parents[2]
 # Seeds of the scenes that are only for evaluation; those of training start at 0, of its second process at 2^36.
 UNSEEN_SEED = 1 << 40
 SEEDS_A_PROCESS = 1 << 36
@@ -388,7 +390,7 @@ def main():
     )
     parser.add_argument("--resume", help="the folder of a run, or weights")
     parser.add_argument("--backbone", help="weights whose backbone to start from: ours, or a release of Depth Anything 3")
-    parser.add_argument("--zipsplat", default="target/release/zipsplat", help="the command that generates scenes")
+    parser.add_argument("--zipsplat", default=ROOT / "target/release/zipsplat", help="the command that generates scenes")
     parser.add_argument("--data", type=source, action="append", metavar="KIND:FOLDER",
                         help="photos in place of the generator's: re10k or dl3dv; several times for a mixture")  # fmt: skip
     parser.add_argument("--depths", type=Path, help="FOLDER/SCENE/NAME.npy for the photos of --data; else depth/ beside them")
@@ -398,6 +400,10 @@ def main():
         "--set", action="append", default=[], metavar="NAME=JSON", help="changes a setting of the configuration"
     )
     args = parser.parse_args()
+    if not (args.data or shutil.which(args.zipsplat)):
+        parser.error(f"--zipsplat: found no program {args.zipsplat}; `cargo build --release` in {ROOT} makes one")
+    if not Path(args.config).is_file():
+        parser.error(f"--config: found no file {args.config} from {Path.cwd()}; those of the repository lie in {ROOT / 'tools/train'}")
     torch.backends.cudnn.allow_tf32 = True
     torch.backends.cuda.enable_cudnn_sdp(False)  # it plans anew for every number of views and tokens
     sys.stdout.reconfigure(line_buffering=True)

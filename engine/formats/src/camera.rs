@@ -138,7 +138,7 @@ impl Camera {
             Err(Error::argument(format!("{name}, {field}"), found, expected))
         };
         if i.width == 0 || i.height == 0 {
-            return fail("size", format!("{}x{}", i.width, i.height), "no empty side");
+            return fail("size", format!("{}x{}", i.width, i.height), "at least 1 pixel on each side");
         }
         for (field, focal) in [("fx", i.fx), ("fy", i.fy)] {
             if !(focal.is_finite() && focal > 0.0) {

@@ -44,6 +44,6 @@ pub use sh_rotation::sh_rotation;
 pub use splat::{read_splat, write_splat};
 pub use spz::{read_spz, spz_coarsening, write_spz};
 pub use squares::{square_count, squares};
-pub use trajectory::{Dolly, Ellipse, Orbit, Spline};
+pub use trajectory::{Dolly, Ellipse, Orbit, Spline, mean_up};
 pub use world::World;
 use zipsplat_error::{Error, Result};

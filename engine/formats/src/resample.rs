@@ -16,7 +16,7 @@ use crate::{Error, Result};
 pub fn resize_lanczos(image: &Image, width: u32, height: u32) -> Result<Image> {
     image.validate()?;
     if width == 0 || height == 0 {
-        return Err(Error::argument("image size", format!("{width}x{height}"), "no empty side"));
+        return Err(Error::argument("image size", format!("{width}x{height}"), "at least 1 pixel on each side"));
     }
     let horizontal = (width != image.width)
         .then(|| filter_rows(&image.rgb, image.width as usize, &lanczos_taps(image.width, width)));

@@ -13,6 +13,9 @@ use std::sync::{
     atomic::{AtomicBool, AtomicU64, Ordering},
 };
 
+/// Name of an arena's memory in errors.
+const WORKING: &str = "working memory on the device";
+
 /// Scratch memory shared by plans that never run at the same time. All plans of a lane start at
 /// offset 0, so a lane has the size of its largest plan. Cloning shares the memory.
 #[derive(Clone)]
@@ -119,7 +122,7 @@ struct State {
 
 impl Lane {
     pub fn new(device: &Device) -> Result<Arc<Self>> {
-        let memory = Arc::new(Memory::new(device, "arena", &[])?);
+        let memory = Arc::new(Memory::new(device, WORKING, &[])?);
         let mut kind = vk::SemaphoreTypeCreateInfo::default().semaphore_type(vk::SemaphoreType::TIMELINE);
         let info = vk::SemaphoreCreateInfo::default().push_next(&mut kind);
         // SAFETY: a valid create info; destroyed in `drop`.
@@ -150,7 +153,7 @@ impl Lane {
             let grown = grown(&state.sizes, blocks);
             // Frees the old memory first, so that both never coexist.
             state.empty(&self.device)?;
-            let memory = |sizes: &[u64]| Memory::new(&self.device, "arena", sizes);
+            let memory = |sizes: &[u64]| Memory::new(&self.device, WORKING, sizes);
             let (memory, sizes) = match memory(&grown) {
                 Err(crate::Error::Memory { .. }) if grown != blocks => (memory(blocks)?, blocks.to_vec()),
                 found => (found?, grown),
@@ -230,7 +233,7 @@ fn grown(sizes: &[u64], blocks: &[u64]) -> Vec<u64> {
 
 impl State {
     fn empty(&mut self, device: &Device) -> Result<()> {
-        self.memory = Arc::new(Memory::new(device, "arena", &[])?);
+        self.memory = Arc::new(Memory::new(device, WORKING, &[])?);
         self.sizes.clear();
         self.generation += 1;
         Ok(())

@@ -32,6 +32,8 @@ use zipsplat::{
 
 /// The words that stand for a file of cameras where they are to be found.
 const FIND: &str = "find";
+/// Alias of [`FIND`], unless a folder of this name holds a model.
+const COLMAP: &str = "colmap";
 const DA3: &str = "da3";
 /// Longer side of the photos in which COLMAP looks for points, where nobody says.
 const SIDE: u32 = 1600;
@@ -68,11 +70,11 @@ pub struct Searching {
     #[arg(long, value_name = "PROGRAM", conflicts_with = "colmap")]
     pub python: Option<PathBuf>,
     /// Photos that are searched for the same points [default: all pairs of up to 100 photos, else near]
-    #[arg(long, value_enum, value_name = "WHICH")]
+    #[arg(long, alias = "matching", value_enum, value_name = "WHICH")]
     pub pairs: Option<Pairs>,
     /// Longer side of the photos in which cameras are looked for; COLMAP takes smaller photos as they are [default: 1600, for
     /// Depth Anything 3 504]
-    #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(64..=32_768))]
+    #[arg(long, alias = "matching-size", value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(64..=32_768))]
     pub find_size: Option<u32>,
 }
 
@@ -89,8 +91,10 @@ pub enum Finder {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Pairs {
     /// Every one with every other
+    #[value(alias = "exhaustive")]
     All,
     /// Photos near each other in the order of their names, as frames of a video are
+    #[value(alias = "sequential")]
     Near,
 }
 
@@ -141,8 +145,9 @@ struct Search<'a> {
 impl Finder {
     /// The one that a word in place of a file of cameras stands for; a file of that name is `./find`.
     pub fn named(poses: &Path) -> Option<Self> {
-        let finders = [(FIND, Self::Colmap), (DA3, Self::Da3)];
-        finders.into_iter().find(|(word, _)| poses == Path::new(word)).map(|(_, finder)| finder)
+        let finders = [(FIND, Self::Colmap), (COLMAP, Self::Colmap), (DA3, Self::Da3)];
+        let mut finders = finders.into_iter().filter(|(word, _)| *word != COLMAP || !poses.exists());
+        finders.find(|(word, _)| poses == Path::new(word)).map(|(_, finder)| finder)
     }
 
     /// Finds the cameras of photos. Frames have the names of the photos' files, or of several that share one their paths.

@@ -2,6 +2,7 @@
 
 use crate::options::Size;
 use clap::{ArgGroup, Args};
+use glam::{DMat3, DVec3};
 use std::{
     borrow::Cow,
     path::{Path, PathBuf},
@@ -9,7 +10,7 @@ use std::{
 use zipsplat::{
     Error, Result,
     types::{
-        Camera, Dolly, Ellipse, Intrinsics, Orbit, Pose, Scene, Spline, World,
+        Camera, Dolly, Ellipse, Intrinsics, Orbit, Pose, Scene, Spline, World, mean_up,
         poses::{Poses, read_cameras},
         preprocess::crop_to_aspect,
     },
@@ -19,6 +20,8 @@ use zipsplat::{
 const WIGGLE_AZIMUTH: f64 = 16.0;
 const WIGGLE_ELEVATION: f64 = 2.0;
 
+/// Length of the cameras' own order, per length of the order by nearness, above which it is no path.
+const DETOUR: f64 = 1.5;
 /// Size of pictures whose cameras have none.
 const SIZE: Size = Size(252, 252);
 
@@ -31,7 +34,7 @@ pub struct CameraArgs {
     /// The cameras of a file: transforms.json, a COLMAP model's folder, nerfstudio's camera_path.json, or JSON with a list
     /// of 4x4 matrices (camera-to-world, x right, y down, z forward) or of objects with matrix or viewmat and fx, fy, cx,
     /// cy, width, height
-    #[arg(long, value_name = "PATH")]
+    #[arg(long, alias = "poses", value_name = "PATH")]
     cameras: Option<PathBuf>,
     /// A smooth path through the cameras of a file, as of --cameras
     #[arg(long, value_name = "PATH")]
@@ -42,9 +45,9 @@ pub struct CameraArgs {
     /// From the first view's camera straight toward the scene
     #[arg(long)]
     dolly: bool,
-    /// Once around the scene
-    #[arg(long)]
-    orbit: bool,
+    /// Once around the scene: about the mean up of the cameras of a file, as of --cameras, else about the first view's
+    #[arg(long, value_name = "PATH", num_args = 0..=1, require_equals = true)]
+    orbit: Option<Option<PathBuf>>,
     /// A small figure of eight in front of the scene
     #[arg(long)]
     wiggle: bool,
@@ -81,21 +84,32 @@ impl CameraArgs {
         let frames = self.frames as usize;
         let lens = self.lens()?;
         let with_lens = |poses: Vec<Pose>| poses.into_iter().map(|pose| Camera { intrinsics: lens, pose }).collect();
-        let path = if self.orbit {
-            let orbit = Orbit::around(&seen_first(scene, world))?;
+        let (home, mut notes) = match (&self.orbit, world) {
+            (Some(Some(file)), _) => {
+                let (cameras, notes) = self.of_file(file, world, &lens, false)?;
+                (level(&cameras)?, notes)
+            }
+            (_, Some(World::Cameras(first))) => (*first, Vec::new()),
+            _ => (Pose::IDENTITY, Vec::new()),
+        };
+        let path = if self.orbit.is_some() {
+            let orbit = Orbit::around(&seen_from(scene, &home))?;
             // The last of one more is the first again.
             with_lens(orbit.sweep(frames + 1, 0.0, 360.0, 0.0)[..frames].to_vec())
         } else if self.wiggle {
-            let orbit = Orbit::around(&seen_first(scene, world))?;
+            let orbit = Orbit::around(&seen_from(scene, &home))?;
             with_lens(orbit.wiggle(frames + 1, WIGGLE_AZIMUTH, WIGGLE_ELEVATION)[..frames].to_vec())
         } else if self.dolly {
             let camera = Camera { intrinsics: lens, pose: Pose::IDENTITY };
-            let distance = Orbit::around(&seen_first(scene, world))?.center.z;
+            let distance = Orbit::around(&seen_from(scene, &home))?.center.z;
             let dolly = Dolly { camera, distance, travel: self.travel, zoom: self.dolly_zoom };
             dolly.validate()?;
             dolly.sample(frames)
         } else if let Some(file) = &self.spline {
-            let (cameras, notes) = self.of_file(file, world, &lens, true)?;
+            let (cameras, found) = self.of_file(file, world, &lens, true)?;
+            let (cameras, note) = by_nearness(cameras);
+            notes = found;
+            notes.extend(note);
             return Ok((Spline::through(&cameras, self.closed)?.sample(frames), notes));
         } else if let Some(file) = &self.ellipse {
             let (cameras, notes) = self.of_file(file, world, &lens, true)?;
@@ -106,16 +120,16 @@ impl CameraArgs {
             let file = self.cameras.as_deref().unwrap_or(Path::new(""));
             return self.of_file(file, world, &lens, false);
         };
-        let placed = |camera: Camera| match world {
-            Some(World::Cameras(first)) => Camera { pose: first.compose(&camera.pose), ..camera },
-            _ => camera,
-        };
-        Ok((path.into_iter().map(placed).collect(), Vec::new()))
+        let placed = |camera: Camera| Camera { pose: home.compose(&camera.pose), ..camera };
+        Ok((path.into_iter().map(placed).collect(), notes))
     }
 
     /// The likely reason where nothing of the scene is in any picture.
     pub fn doubt(&self) -> &'static str {
-        let file = self.cameras.is_some() || self.spline.is_some() || self.ellipse.is_some();
+        let file = matches!(self.orbit, Some(Some(_)))
+            || self.cameras.is_some()
+            || self.spline.is_some()
+            || self.ellipse.is_some();
         match (file, &self.relative_to) {
             (true, None) => {
                 ": the scene's world may be the camera of the first photo that it was made from, while the cameras have one \
@@ -182,11 +196,7 @@ pub fn origin(
     Ok(match world {
         Some(World::Cameras(_)) => (None, None),
         Some(World::Photo(photo)) => match origin_pose(poses, Path::new(photo)) {
-            Ok(pose) => {
-                let note =
-                    format!("the scene's world is the camera of {photo}, as its file says, and {path} is read so");
-                (Some(pose), Some(note))
-            }
+            Ok(pose) => (Some(pose), None),
             Err(_) => {
                 let note = format!(
                     "the scene's world is the camera of {photo}, which {path} has not: its cameras are taken as if they \
@@ -205,12 +215,47 @@ pub fn origin(
     })
 }
 
-/// The scene in the world of the first view's camera, in front of which it lies.
-fn seen_first<'a>(scene: &'a Scene, world: Option<&World>) -> Cow<'a, Scene> {
-    let Some(World::Cameras(first)) = world else { return Cow::Borrowed(scene) };
+/// Returns the scene in the coordinates of a pose in its world.
+fn seen_from<'a>(scene: &'a Scene, home: &Pose) -> Cow<'a, Scene> {
+    if *home == Pose::IDENTITY {
+        return Cow::Borrowed(scene);
+    }
     let mut scene = scene.clone();
-    scene.place(1.0, &first.inverse());
+    scene.place(1.0, &home.inverse());
     Cow::Owned(scene)
+}
+
+/// Returns the upright pose at the world's origin that looks as the first camera does. Up is the mean of the cameras'.
+fn level(cameras: &[Camera]) -> Result<Pose> {
+    let up = mean_up(cameras)?;
+    let forward = cameras[0].pose.rotation.z_axis.reject_from_normalized(up);
+    let forward = forward.try_normalize().unwrap_or_else(|| up.any_orthonormal_vector());
+    Ok(Pose { rotation: DMat3::from_cols(forward.cross(up), -up, forward), translation: DVec3::ZERO })
+}
+
+/// Returns the cameras in an order for a path. Where their own order is a detour, each is followed by the nearest one left.
+fn by_nearness(cameras: Vec<Camera>) -> (Vec<Camera>, Option<String>) {
+    let length = |cameras: &[Camera]| -> f64 { cameras.windows(2).map(|pair| distance(&pair[0], &pair[1])).sum() };
+    let (mut chain, mut left) = (vec![cameras[0]], cameras[1..].to_vec());
+    while let Some(next) = (0..left.len()).min_by(|a, b| {
+        let last = &chain[chain.len() - 1];
+        distance(last, &left[*a]).total_cmp(&distance(last, &left[*b]))
+    }) {
+        chain.push(left.remove(next));
+    }
+    let (given, near) = (length(&cameras), length(&chain));
+    if given <= DETOUR * near {
+        return (cameras, None);
+    }
+    let note = format!(
+        "--spline visits cameras by nearness: in their own order its path is {:.1} times as long",
+        given / near
+    );
+    (chain, Some(note))
+}
+
+fn distance(a: &Camera, b: &Camera) -> f64 {
+    a.pose.translation.distance(b.pose.translation)
 }
 
 fn origin_pose(poses: &Poses, photo: &Path) -> Result<Pose> {

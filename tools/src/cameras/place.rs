@@ -39,7 +39,8 @@ impl Place<'_> {
     /// [`Error::Argument`] where it is no JSON file or another's would be replaced, [`Error::Io`] where none can be written.
     pub fn check(&self, overwrite: Overwrite) -> Result<()> {
         self.check_alone(overwrite)?;
-        self.files().iter().try_for_each(|file| overwrite.check_file(file))
+        let existing = self.files().into_iter().filter(|file| file.exists());
+        existing.into_iter().try_for_each(|file| overwrite.check_file(&file))
     }
 
     /// As [`Place::check`], for cameras alone.
@@ -50,7 +51,10 @@ impl Place<'_> {
         if self.0.extension().is_none_or(|extension| !extension.eq_ignore_ascii_case("json")) {
             return Err(Error::argument("file of cameras", self.0.display(), "one that ends in .json"));
         }
-        overwrite.check_file(self.0)
+        match self.0.parent().filter(|folder| !folder.as_os_str().is_empty() && !folder.exists()) {
+            Some(missing) => check_folder(missing),
+            None => overwrite.check_file(self.0),
+        }
     }
 
     /// Writes cameras with the lenses that took the photos, so that the photos stay as they are, their points, and COLMAP's log.
@@ -59,6 +63,7 @@ impl Place<'_> {
     /// [`Error::Io`] naming the file that cannot be written.
     pub fn save(&self, poses: &Poses, found: &Found) -> Result<()> {
         let [cameras, points, log] = self.files();
+        make_parent(self.0)?;
         if let Some(cloud) = poses.points.as_ref().map(read_cloud).transpose()? {
             write_points(&points, &colored(cloud))?;
         }
@@ -75,6 +80,14 @@ impl Place<'_> {
         let points = points.file_name().unwrap_or_default().to_string_lossy();
         write_frames(&cameras, &frames, Some(&points))
     }
+}
+
+/// Creates the folder of a file.
+///
+/// # Errors
+/// [`Error::Io`] naming the folder.
+pub fn make_parent(file: &Path) -> Result<()> {
+    file.parent().map_or(Ok(()), make_folder)
 }
 
 /// The points of a cloud, each with its colour.

@@ -45,7 +45,7 @@ pub struct Cameras {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..))]
     views: Option<u32>,
     /// The program or network that finds them
-    #[arg(long, value_enum, value_name = "FINDER", default_value = "colmap")]
+    #[arg(long, alias = "method", value_enum, value_name = "FINDER", default_value = "colmap")]
     with: Finder,
     /// Weights of Depth Anything 3, as `depth` takes them
     #[arg(long, value_name = "PATH|seeded:NAME", required_if_eq("with", "da3"))]

@@ -71,7 +71,7 @@ pub struct Eval {
     folders: Vec<PathBuf>,
     /// Cameras of the photos: transforms.json, a COLMAP model's folder, find, where COLMAP finds them, or da3, where Depth Anything 3
     /// does [default: those in the folder]
-    #[arg(long, value_name = "PATH|find|da3")]
+    #[arg(long, alias = "cameras", value_name = "PATH|find|da3")]
     poses: Option<PathBuf>,
     #[command(flatten)]
     finding: Finding,
@@ -101,10 +101,10 @@ pub struct Eval {
     #[command(flatten)]
     fit: FitOption,
     /// Compare whole photos, at the scale of --size, also where the network sees only their middle; --fit squares always does
-    #[arg(long)]
+    #[arg(long, alias = "full-images")]
     whole: bool,
     /// Compare at this size, which the network need not see [default: that of --size]
-    #[arg(long, value_name = "WxH")]
+    #[arg(long, alias = "eval-size", value_name = "WxH")]
     score_size: Option<Size>,
     /// How photos are made small, for the network and to compare [default: lanczos, of a protocol bilinear]
     #[arg(long, value_enum, value_name = "HOW")]
@@ -116,20 +116,20 @@ pub struct Eval {
     refine: Option<Steps>,
     /// Start of the refinement [default: with the model that is built in points, where the capture has enough,
     /// else the scene]. Points of a capture may come from the held-out photos, too
-    #[arg(long, value_enum, value_name = "WHAT", requires = "refine")]
+    #[arg(long, alias = "init", value_enum, value_name = "WHAT", requires = "refine")]
     start: Option<Start>,
     /// Input photos that --refine holds out, evenly spread; 0 learns from all [default: 1 of 9 or more, none with --refine-cameras]
-    #[arg(long, value_name = "K", requires = "refine")]
+    #[arg(long, alias = "holdout-views", value_name = "K", requires = "refine")]
     hold_out: Option<usize>,
     #[command(flatten)]
     moved: Moved,
     /// Give the network and the refinement wrong cameras, to see what that costs: those of all inputs but the first are turned by
     /// so many degrees, and moved by as many percent of the scene's distance
-    #[arg(long, value_name = "DEGREES", default_value = "0")]
+    #[arg(long, alias = "pose-noise", value_name = "DEGREES", default_value = "0")]
     disturb: f64,
     /// Length in the cameras' unit that becomes the network's 1 [default: the median distance of the capture's points; without
     /// any, of what the cameras look at]
-    #[arg(long, value_name = "LENGTH", value_parser = parse_length)]
+    #[arg(long, alias = "scene-scale", value_name = "LENGTH", value_parser = parse_length)]
     unit: Option<f64>,
     #[command(flatten)]
     lpips: LpipsOption,

@@ -89,7 +89,7 @@ pub struct Reconstruct {
     /// Length in the cameras' unit that the network takes for 1; the scene keeps the cameras' unit [default: the median
     /// distance from the first camera of the points in points.ply or points3D beside the cameras, else that of the point that
     /// the cameras look at, else the distance between cameras]
-    #[arg(long, help_heading = CAMERAS, value_name = "LENGTH", requires = "poses", value_parser = parse_length)]
+    #[arg(long, alias = "scene-scale", help_heading = CAMERAS, value_name = "LENGTH", requires = "poses", value_parser = parse_length)]
     unit: Option<f64>,
     /// World of the scene
     #[arg(long, help_heading = CAMERAS, value_enum, value_name = "WHICH", default_value = "first", requires = "poses")]

@@ -58,24 +58,24 @@ pub struct Refine {
     #[arg(long, value_name = "PHOTO")]
     relative_to: Option<PathBuf>,
     /// Start of the refinement
-    #[arg(long, value_enum, value_name = "WHAT", default_value = "scene")]
+    #[arg(long, alias = "init", value_enum, value_name = "WHAT", default_value = "scene")]
     start: Start,
     /// Steps of the optimiser
     #[arg(long, value_name = "N", default_value_t = refine::Refine::default().steps)]
     steps: usize,
     /// Most pixels of a photo along x and y: a larger one is compared at the largest size that fits
-    #[arg(long, value_name = "WxH", default_value = MOST_PIXELS)]
+    #[arg(long, alias = "max-image-size", value_name = "WxH", default_value = MOST_PIXELS)]
     size: Size,
     /// Photos of a step
-    #[arg(long, value_name = "N", default_value_t = refine::Refine::default().views_per_step)]
+    #[arg(long, alias = "views-per-step", value_name = "N", default_value_t = refine::Refine::default().views_per_step)]
     batch: usize,
     /// Photos to hold out, evenly spread; 0 learns from all [default: 1 of 9 or more, none with --refine-cameras]
-    #[arg(long, value_name = "K")]
+    #[arg(long, alias = "holdout-views", value_name = "K")]
     hold_out: Option<usize>,
     #[command(flatten)]
     moved: Moved,
     /// File for the cameras as they were refined: a transforms.json in the world of the cameras given
-    #[arg(long, value_name = "FILE", requires = "refine_cameras")]
+    #[arg(long, alias = "cameras-out", value_name = "FILE", requires = "refine_cameras")]
     refined_cameras: Option<PathBuf>,
     /// Seed of the order of the photos
     #[arg(long, value_name = "SEED", default_value_t = 0)]

@@ -63,10 +63,10 @@ pub struct Render {
     #[arg(long)]
     normals: bool,
     /// Also write NNN.tokens.png: every N Gaussians, those of one token, in a colour of their own
-    #[arg(long, value_name = "N")]
+    #[arg(long, alias = "gaussians-per-token", value_name = "N")]
     group: Option<NonZeroU32>,
     /// Draw each Gaussian as an opaque dot of this width, in the scene's unit: where Gaussians are, and not what they show
-    #[arg(long, value_name = "SIZE", value_parser = parse_length)]
+    #[arg(long, alias = "point-size", value_name = "SIZE", value_parser = parse_length)]
     points: Option<f64>,
     /// Also print the passes of the first picture, with time and bytes, and what was left out and why
     #[arg(long)]

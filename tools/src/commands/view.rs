@@ -60,7 +60,7 @@ pub struct View {
     #[command(flatten)]
     overwrite: Overwrite,
     /// Keep every bit of the scenes in the page, as PLY, and not a byte or a few for each value, as SPZ: up to ten times as large
-    #[arg(long, requires = "output")]
+    #[arg(long, alias = "lossless", requires = "output")]
     exact: bool,
     /// Cameras to look through, in the first scene's world: transforms.json, a COLMAP model's folder, and whatever else render
     /// --cameras takes; for photos those that took them, or find, where COLMAP finds them
@@ -74,7 +74,7 @@ pub struct View {
     #[arg(long, value_name = "PHOTO", requires = "poses")]
     relative_to: Option<PathBuf>,
     /// Every N Gaussians of a scene's file are of one token, for the view of tokens
-    #[arg(long, value_name = "N")]
+    #[arg(long, alias = "gaussians-per-token", value_name = "N")]
     group: Option<NonZeroUsize>,
     /// Port to serve at [default: a free one]
     #[arg(long, value_name = "N", default_value = "0", hide_default_value = true, conflicts_with = "output")]

@@ -91,7 +91,7 @@ struct Get {
     #[arg(long)]
     offline: bool,
     /// Keep the file that was loaded beside what it is converted to, where it is
-    #[arg(long)]
+    #[arg(long, alias = "keep-download")]
     keep: bool,
     /// Give up a connection on which nothing comes for so long, and go on over another
     #[arg(long, value_name = "SECONDS", default_value = "30", value_parser = parse_seconds)]

@@ -52,7 +52,7 @@ impl Filter {
 fn cover(photo: &Image, width: u32, height: u32) -> Result<View> {
     photo.validate()?;
     if width == 0 || height == 0 {
-        return Err(Error::argument("image size", format!("{width}x{height}"), "no empty side"));
+        return Err(Error::argument("image size", format!("{width}x{height}"), "at least 1 pixel on each side"));
     }
     let scale = (f64::from(width) / f64::from(photo.width)).max(f64::from(height) / f64::from(photo.height));
     let even = |side: u32, least: u32| (2 * (f64::from(side) * scale / 2.0).round_ties_even() as u32).max(least);

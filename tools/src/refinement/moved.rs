@@ -12,10 +12,10 @@ use zipsplat::{
 #[derive(Args, Debug)]
 pub struct Moved {
     /// Move the photos' cameras, too, where they are not exact. The first photo's camera stays, and so do those of held-out photos
-    #[arg(long)]
+    #[arg(long, alias = "optimize-cameras")]
     refine_cameras: bool,
     /// Let the scene grow to at most N Gaussians: those that nobody sees, and those that are missing, are put where others are
-    #[arg(long, value_name = "N", value_parser = parse_count)]
+    #[arg(long, alias = "max-gaussians", value_name = "N", value_parser = parse_count)]
     pub(super) grow: Option<usize>,
     /// Add so much of LPIPS (VGG) to the loss, 0.05 in the paper's training: a step takes many times as long. Its weights are not ours to
     /// ship: `python3 tools/lpips.py` fetches them [default: 0]

@@ -75,13 +75,6 @@ impl Frame {
     }
 }
 
-/// Returns the note on undistorted frames.
-fn undistorted(frames: &[Frame]) -> Option<String> {
-    let count = frames.iter().filter(|frame| frame.lens.is_some()).count();
-    let what = "their cameras are pinholes, and photos are brought to them where they are read";
-    (count > 0).then(|| format!("lens distortion of {count} frames is undone: {what}"))
-}
-
 impl Poses {
     /// Determines the scene scale for a reconstruction from `views`, see [`Unit::of`].
     ///

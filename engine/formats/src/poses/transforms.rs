@@ -8,7 +8,7 @@ use serde_json::{Map, Value, json};
 use super::super::file::{read_file, write_atomic};
 use super::super::{Camera, Distortion, Image, Intrinsics, Lens, Pose};
 use super::matrix::{from_opengl, rigid_matrix};
-use super::{Frame, Poses, undistorted};
+use super::{Frame, Poses};
 use crate::{Error, Result};
 
 /// Extensions tried if `file_path` has none.
@@ -43,7 +43,6 @@ fn parse(shared: &Value, folder: &Path) -> Parsed<Poses> {
         let lens = Lens { distortion: fields.distortion()?, intrinsics: fields.intrinsics(width, height)? };
         poses.frames.push(Frame::new(name.into(), photo, lens, fields.pose()?, &fields.label)?);
     }
-    poses.notes.extend(undistorted(&poses.frames));
     if let Some(place) = poses.sizeless.first() {
         let why = format!("no w and h, and no photo to take them from, such as {}", place.display());
         poses.notes.push(format!("{} frames left out: {why}", poses.sizeless.len()));

@@ -39,12 +39,7 @@ impl Ellipse {
         }
         let count = cameras.len().max(1) as f64;
         let mean = |value: &dyn Fn(&Camera) -> DVec3| cameras.iter().map(value).sum::<DVec3>() / count;
-        let up = mean(&|camera| -camera.pose.rotation.y_axis);
-        if up.length() < 1e-3 {
-            let found = format!("{up} on the mean of {} cameras", cameras.len());
-            return Err(Error::argument("up of the cameras", found, "cameras that agree on one"));
-        }
-        let up = up.normalize();
+        let up = mean_up(cameras)?;
         let middle = mean(&|camera| camera.pose.translation);
         let axes = half_axes(cameras, middle, up);
         if axes[0].length() <= 1e-9 * (1.0 + middle.length()) {
@@ -74,6 +69,19 @@ impl Ellipse {
     pub fn sample(&self, frames: usize) -> Vec<Pose> {
         closed_path(frames).map(|share| self.pose(std::f64::consts::TAU * share)).collect()
     }
+}
+
+/// Returns the normalized mean of the cameras' up vectors.
+///
+/// # Errors
+/// [`Error::Argument`] if their mean vanishes.
+pub fn mean_up(cameras: &[Camera]) -> Result<DVec3> {
+    let up = cameras.iter().map(|camera| -camera.pose.rotation.y_axis).sum::<DVec3>() / cameras.len().max(1) as f64;
+    if up.length() < 1e-3 {
+        let found = format!("{up} on the mean of {} cameras", cameras.len());
+        return Err(Error::argument("up of the cameras", found, "cameras that agree on one"));
+    }
+    Ok(up.normalize())
 }
 
 /// Returns the point nearest the view axes (least squares), regularized to `center`.

@@ -6,7 +6,7 @@ mod orbit;
 mod spline;
 
 pub use dolly::Dolly;
-pub use ellipse::Ellipse;
+pub use ellipse::{Ellipse, mean_up};
 pub use orbit::Orbit;
 pub use spline::Spline;
 

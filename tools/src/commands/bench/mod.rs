@@ -36,7 +36,7 @@ use zipsplat::{
   zipsplat bench align --degrees 1,5
   zipsplat bench tradeoff capture/ -o report/
 
-Times by stage and kernel are the device's own, with a timestamp around every command, which keeps commands from
+Times by stage and kernel are the device's own, with a timestamp around every command, which keeps commands from \
 overlapping; totals are the host's, without timestamps.")]
 pub struct Bench {
     #[command(subcommand)]

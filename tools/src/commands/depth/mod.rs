@@ -55,22 +55,22 @@ pub struct Depth {
     #[command(flatten)]
     overwrite: Overwrite,
     /// Known cameras of all photos. A network that sees all photos at once is told them; of others they place the points
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, alias = "cameras", value_name = "FILE")]
     poses: Option<PathBuf>,
     #[command(flatten)]
     cameras: CamerasFrom,
     /// Depth in metres, by da3metric-large: it needs the cameras' focal lengths, and their positions in metres. Without it depth of a
     /// network that sees each photo by itself is brought to the points beside the cameras
-    #[arg(long, requires = "poses")]
+    #[arg(long, alias = "metric", requires = "poses")]
     metres: bool,
     /// The photo, counted from 1, that the world is about [default: the network's choice]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     reference: Option<u32>,
     /// Longer side of the photos as the network sees them, in pixels
-    #[arg(long, value_name = "PIXELS", default_value = "504", value_parser = clap::value_parser!(u32).range(14..=8192))]
+    #[arg(long, alias = "input-size", value_name = "PIXELS", default_value = "504", value_parser = clap::value_parser!(u32).range(14..=8192))]
     size: u32,
     /// Points at most
-    #[arg(long, value_name = "N", default_value = "200000")]
+    #[arg(long, alias = "max-points", value_name = "N", default_value = "200000")]
     points: usize,
     /// Take at most so many of the photos, evenly spread, and so many frames of a video [default: all, and 24 of a video]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
@@ -79,7 +79,7 @@ pub struct Depth {
     model: ModelOption,
     /// Also say how far off cameras and depth are from those of this capture: transforms.json or a COLMAP model, and depth/NAME.npy for
     /// each photo, where there is any, as `scene` writes it
-    #[arg(long, value_name = "CAPTURE")]
+    #[arg(long, alias = "ground-truth", value_name = "CAPTURE")]
     truth: Option<PathBuf>,
     #[command(flatten)]
     arithmetic: ArithmeticOption,

@@ -42,7 +42,7 @@ pub fn run(eval: &Eval, session: &mut Session<'_>) -> Result<()> {
     let known = eval.known(folder, session)?;
     let mut choice = match &known {
         Some(known) => Choice::of(known.poses.clone(), folder, views, targets)?,
-        None => Choice::new(folder, views, targets)?,
+        None => Choice::new(folder, views, targets).map_err(without_cameras)?,
     };
     choice.notes().iter().for_each(|note| session.note(note));
     choice.disturb(eval.disturb, eval.unit)?;
@@ -93,6 +93,16 @@ pub fn run(eval: &Eval, session: &mut Session<'_>) -> Result<()> {
         "mean": mean, "aligned": alignment, "views": scores,
     });
     session.report(&json, text)
+}
+
+/// Adds the remedy to the error about a folder without cameras.
+fn without_cameras(error: Error) -> Error {
+    match error {
+        Error::Argument { what, found, expected } if what == "poses" => {
+            Error::argument(what, found, format!("{expected}; `--poses find` finds the cameras with COLMAP"))
+        }
+        error => error,
+    }
 }
 
 /// Writes the scene and the comparison, where they were asked for.

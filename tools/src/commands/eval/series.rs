@@ -44,7 +44,7 @@ pub struct Options {
     pub protocol: Option<Protocol>,
     /// Take inputs and the photos to compare with from so many first frames: one number, or one for each of --views [default: of dl3dv
     /// 50, 100 and 150 for 6, 12 and 24 inputs; else all]
-    #[arg(long, value_name = "FRAMES", value_delimiter = ',', requires = "protocol")]
+    #[arg(long, alias = "frame-range", value_name = "FRAMES", value_delimiter = ',', requires = "protocol")]
     gap: Vec<usize>,
     /// Take the frames that files say, one file for each number of inputs: {"SCENE": {"context": [0, 19, ..], "target": [1, 6, ..]}},
     /// counted from 0 in the order of the camera file. Scenes that are not in them are left out

@@ -36,10 +36,10 @@ pub struct Theirs {
     from_depth: Option<PathBuf>,
     /// Give that depth an error, to see what quality of depth a scene needs: so many percent of it, standard deviation, smooth over
     /// patches of 14 pixels, as networks err, and another one in each photo
-    #[arg(long, value_name = "PERCENT", requires = "from_depth", default_value = "0", value_parser = parse_noise)]
+    #[arg(long, alias = "depth-noise", value_name = "PERCENT", requires = "from_depth", default_value = "0", value_parser = parse_noise)]
     noise: f64,
     /// World of that scene [default: aligned with --scene-cameras, else what its file says, else first]
-    #[arg(long, value_enum, value_name = "WHOSE", requires = "scene")]
+    #[arg(long, alias = "scene-frame", value_enum, value_name = "WHOSE", requires = "scene")]
     world: Option<Whose>,
     /// Cameras of the input photos in the scene's world, for --world aligned: what `--poses` reads; with --protocol a folder of NAME.json,
     /// or of COLMAP models NAME/

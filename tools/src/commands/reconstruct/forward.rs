@@ -82,24 +82,23 @@ impl Forward {
         (photos, poses, frames): (&'a [PathBuf], Option<&'a Poses>, &'a [&'a Frame]),
     ) -> Result<Planned<'a>> {
         let (quality, fit) = (&command.quality, command.fit.fit);
-        if command.weights.is_embedded() && poses.is_none() && photos.len() > 1 {
-            session.note(
-                "the model that is built in is a demonstration: several photos without --poses give colours and coarse shapes; \
-                 one photo, or cameras (--poses find finds them), gives more, and the paper's weights (`zipsplat weights get zipsplat`) most",
-            );
-        }
+        let size = quality.size_for(checkpoint);
+        fit.check(size, poses.is_some())?;
+        let (views, chosen) = (fit.count(photos)?, (quality.ratio, &quality.select));
+        let shape = Shape::new(checkpoint.architecture(), views, [size.0, size.1], chosen, poses.is_some())?;
+        let shape = shape.pooled(quality.pool)?;
+        session.notes(quality.doubt_size(checkpoint));
         if command.weights.is_embedded() && poses.is_none() && command.cameras_out.is_some() {
             session.note(
                 "without --poses the model that is built in sees all photos as if from one place: the cameras of --cameras-out fit \
                  its scene, not the photos' place; --poses find finds those",
             );
+        } else if command.weights.is_embedded() && poses.is_none() && photos.len() > 1 {
+            session.note(
+                "the model that is built in is a demonstration: several photos without --poses give colours and coarse shapes; \
+                 one photo, or cameras (--poses find finds them), gives more, and the paper's weights (`zipsplat weights get zipsplat`) most",
+            );
         }
-        let size = quality.size_for(checkpoint);
-        fit.check(size, poses.is_some())?;
-        session.notes(quality.doubt_size(checkpoint));
-        let (views, chosen) = (fit.count(photos)?, (quality.ratio, &quality.select));
-        let shape = Shape::new(checkpoint.architecture(), views, [size.0, size.1], chosen, poses.is_some())?;
-        let shape = shape.pooled(quality.pool)?;
         Ok(Planned { command, checkpoint, photos, poses, frames, size, shape })
     }
 

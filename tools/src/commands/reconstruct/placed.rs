@@ -1,6 +1,6 @@
 //! The cameras of photos without any, as they follow from a scene.
 
-use crate::{cameras::path_from, options::Size, photos::names, table::counted};
+use crate::{cameras::path_from, options::Size, outputs::make_folder, photos::names, table::counted};
 use serde_json::{Map, Value, json};
 use std::path::{Path, PathBuf};
 use zipsplat::{
@@ -31,6 +31,7 @@ impl Placed {
     /// [`Error::Argument`] where no photo has a camera; those of photos that cannot be read; [`Error::Io`].
     pub fn save(&self, path: &Path, photos: &[PathBuf]) -> Result<Option<String>> {
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        make_folder(folder)?;
         let (mut frames, mut fields, mut lost) = (Vec::new(), Vec::new(), Vec::new());
         for (photo, found) in photos.iter().zip(&self.found) {
             let Ok(FoundCamera { camera, inliers, pairs }) = found else {

@@ -94,7 +94,7 @@ class Model:
         images: Images,
         cameras: Optional[Cameras] = None,
         *,
-        ratio: Union[float, str] = "auto",
+        ratio: Union[float, str] = 1.0,
         refine: int = 0,
         world: str = "auto",
         unit: Union[float, str] = "auto",

@@ -30,7 +30,7 @@ EXTENSIONS = (".png", ".jpg", ".jpeg", ".webp")
 class Options:
     """What scenes depend on besides their photos."""
 
-    ratio: str = "auto"
+    ratio: str = "1"
     weights: str = "embedded"
     size: Optional[tuple[int, int]] = None
     format: str = "ply"
@@ -316,7 +316,7 @@ def main(arguments: Optional[list[str]] = None) -> int:
     parser.add_argument("--address", help="the cluster's; default a local one")
     parser.add_argument("--actors", type=int, help="most of them; default one a GPU, or one a core")
     parser.add_argument("--tries", type=int, default=3, help="how often a capture is begun before it is left alone")
-    parser.add_argument("--ratio", default="auto", help="share of the tokens that become Gaussians")
+    parser.add_argument("--ratio", default="1", help="share of the tokens that become Gaussians")
     parser.add_argument("--weights", default="embedded", help="a checkpoint, at the same place on every node")
     parser.add_argument("--size", help="WxH of what the network sees of each photo")
     parser.add_argument("--format", default="ply", choices=["ply", "spz", "splat", "glb"])

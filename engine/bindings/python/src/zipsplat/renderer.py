@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Optional, Sequence, Union
+from typing import Any, Iterable, Optional, Sequence, Union
 
 import numpy as np
 import numpy.typing as npt
@@ -73,9 +73,13 @@ class Renderer:
 
         Raises:
             ArgumentError, ValueError: a camera cannot be drawn with, or sizes differ.
+            TypeError: an element is no camera.
         """
         single = isinstance(cameras, Camera)
-        views: list[Camera] = [cameras] if isinstance(cameras, Camera) else list(cameras)
+        views: list[Camera] = list(cameras) if not single and isinstance(cameras, Iterable) else [cameras]
+        for camera in views:
+            if not isinstance(camera, Camera):
+                raise TypeError(f"cameras: found {camera!r}, expected a Camera or a sequence of cameras")
         sizes = {(camera.height, camera.width) for camera in views}
         if len(sizes) != 1:
             raise ValueError(f"cameras: found sizes {sorted(sizes)}, expected at least one camera, all of one size")

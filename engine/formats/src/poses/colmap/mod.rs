@@ -12,7 +12,7 @@ use glam::DVec3;
 
 use super::super::camera::{Intrinsics, Pose, matrix_from_quaternion};
 use super::super::{Distortion, Lens, PointCloud, file::read_file};
-use super::{Frame, Poses, undistorted};
+use super::{Frame, Poses};
 use crate::{Error, Result};
 
 /// Models of [`Distortion`]: ID, name, number of parameters. Parameters are `f, cx, cy` or `fx, fy,
@@ -69,7 +69,6 @@ pub(super) fn read(folder: &Path) -> Result<Poses> {
         let (photo, label) = (find_photo(folder, &view.name), format!("image {:?}", view.name));
         poses.frames.push(Frame::new(view.name, photo, lens, view.pose, &label).map_err(fail)?);
     }
-    poses.notes.extend(undistorted(&poses.frames));
     Ok(poses)
 }
 
