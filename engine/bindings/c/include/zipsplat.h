@@ -867,8 +867,9 @@ typedef struct zs_render_options {
     uint32_t antialiased;
     // Red, green and blue behind the scene. Default black.
     float background[3];
-    // Must be 0.
-    uint32_t reserved;
+    // Near plane: the camera depth below which Gaussians are culled, in the scene's unit. 0, the default, is 0.01, or less
+    // for scenes with an extent below 0.1.
+    float near_plane;
 } zs_render_options;
 
 // Memory of a picture: yours for what you want of it, NULL for what you do not.
