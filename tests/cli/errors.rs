@@ -109,7 +109,7 @@ fn numbers() {
         let line = format!("{line} --weights @/micro.safetensors --keep 5 {output}");
         refused(&folder, &line, 3, &["--keep: found 5", "1 to 4"]);
     }
-    for keep in ["5", "4,0"] {
+    for keep in ["5", "4,5"] {
         let line =
             format!("bench tradeoff @/absent --weights @/micro.safetensors --size 28x28 --keep {keep} -o @/report");
         refused(&folder, &line, 3, &["--keep: found", "1 to 4"]);
@@ -119,7 +119,7 @@ fn numbers() {
         &folder,
         &format!("reconstruct @/photos {little}"),
         4,
-        &["memory on the device", "iB are missing", "--memory allows 100.00 KiB"],
+        &["MiB of device memory are missing", "--memory allows 100.00 KiB"],
     );
 }
 

@@ -12,25 +12,25 @@ fn cameras_follow_from_the_scene() {
     for (name, seed) in [("a", 1), ("b", 5)] {
         crate::photo(160, 100, seed).save_png(folder.path(&format!("wide/{name}.png"))).expect("a photo");
     }
-    let line = format!("reconstruct @/wide {LINE} --cameras-out @/found.json --json");
+    let line = format!("reconstruct @/wide {LINE} --cameras-out @/new/dir/found.json --json");
     let json = folder.run(&line).json();
     let told = json["cameras"].as_array().expect("one a photo");
-    let poses = read_poses(folder.path("found.json")).expect("cameras");
+    let poses = read_poses(folder.path("new/dir/found.json")).expect("cameras");
     assert_eq!((told.len(), poses.frames.len()), (2, told.iter().filter(|camera| !camera.is_null()).count()), "{json}");
     let file: serde_json::Value =
-        serde_json::from_slice(&std::fs::read(folder.path("found.json")).expect("a file")).expect("JSON");
+        serde_json::from_slice(&std::fs::read(folder.path("new/dir/found.json")).expect("a file")).expect("JSON");
     for (frame, said) in poses.frames.iter().zip(file["frames"].as_array().expect("frames")) {
         let lens = frame.camera.intrinsics;
         assert_eq!((lens.width, lens.height, lens.cx, lens.cy), (160, 100, 80.0, 50.0));
         assert!(Image::open(frame.photo.as_ref().expect("the photo")).is_ok());
         assert!(said["inliers"].as_u64() >= Some(6) && said["patches"] == 36, "{said}");
     }
-    assert!(json["seconds"]["find cameras"].is_f64() && !folder.path("points.ply").exists());
+    assert!(json["seconds"]["find cameras"].is_f64() && !folder.path("new/dir/points.ply").exists());
     // The same cameras again.
-    let before = std::fs::read(folder.path("found.json")).expect("a file");
+    let before = std::fs::read(folder.path("new/dir/found.json")).expect("a file");
     let text = folder.run(&line.replace("--json", "--overwrite")).success();
     assert!(text.contains("of a photo's patches agree"), "{text}");
-    assert!(before == std::fs::read(folder.path("found.json")).expect("a file"));
+    assert!(before == std::fs::read(folder.path("new/dir/found.json")).expect("a file"));
 }
 
 #[test]
@@ -39,6 +39,8 @@ fn photos_too_small_for_cameras_are_told() {
     let line = format!("reconstruct @/photos {} --cameras-out @/found.json", LINE.replace("84x84", "28x28"));
     folder.run(&line).fails(3, &["found.json", "found none", "4", "6 or more"]);
     assert!(folder.path("scene.ply").exists() && !folder.path("found.json").exists());
+    folder.run(&line.replace("found.json", "new/found.json")).fails(3, &["found none"]);
+    assert!(!folder.path("new").exists());
     folder.run(&line.replace("found.json", "found.txt")).fails(3, &["found.txt", ".json"]);
     std::fs::write(folder.path("found.json"), "another's").expect("written");
     folder.run(&line).fails(3, &["file to replace", "found.json", "--overwrite"]);

@@ -90,14 +90,14 @@ def test_a_folder_gives_the_bits_of_the_command(model: zipsplat.Model, tmp_path:
     for i, photo in zip((10, 9, 1), zipsplat.photos_in(PHOTOS)):
         (folder / f"{i}.jpg").write_bytes(photo.read_bytes())
     (folder / "notes.txt").write_text("left out")
-    command("reconstruct", folder, "--ratio", "auto", "--size", "70x70", "-o", tmp_path / "command.ply")
+    command("reconstruct", folder, "--size", "70x70", "-o", tmp_path / "command.ply")
     made = model.reconstruct(folder, size=SIZE).to_bytes("ply")
     assert rows(made) == rows((tmp_path / "command.ply").read_bytes())
 
 
 def test_a_capture_gives_the_bits_of_the_command(model: zipsplat.Model, capture: Path) -> None:
     written = capture / "command.ply"
-    options = ("--ratio", "auto", "--size", "70x70", "--world", "cameras")
+    options = ("--size", "70x70", "--world", "cameras")
     command("reconstruct", *sorted(capture.glob("?.png")), "--poses", capture, *options, "-o", written)
     opened = zipsplat.Capture.open(capture)
     expected = model.reconstruct(opened, size=SIZE)

@@ -71,6 +71,8 @@ struct Cli {
     command: Command,
 }
 
+/// Bytes of an option's help that its first clause has at least.
+const SHORTEST_CLAUSE: usize = 30;
 /// Options that `-h` shows of commands with many; `--help` shows all.
 const SHORT_HELP: [(&str, &[&str]); 2] = [
     (
@@ -80,16 +82,27 @@ const SHORT_HELP: [(&str, &[&str]); 2] = [
     ("eval", &["folders", "output", "weights", "poses", "views", "targets", "pose_free", "refine", "csv"]),
 ];
 
-/// Hides all other options of these commands from `-h`.
+/// Hides all other options of these commands from `-h`, which has a line or two for each.
 fn short_help(command: clap::Command) -> clap::Command {
+    let command = command.mut_args(shortened);
     SHORT_HELP.into_iter().fold(command, |command, (name, shown)| {
         command.mut_subcommand(name, |command| {
+            let long = command.get_after_help().cloned().unwrap_or_default();
+            let command = command.after_help("--help shows all options, and examples.").after_long_help(long);
             command.mut_args(|arg| {
                 let hidden = !shown.contains(&arg.get_id().as_str());
-                arg.hide_short_help(hidden)
+                shortened(arg).hide_short_help(hidden)
             })
         })
     })
+}
+
+/// Cuts an option's help on `-h` to its first clause.
+fn shortened(arg: clap::Arg) -> clap::Arg {
+    let Some(long) = arg.get_long_help().or(arg.get_help()).map(ToString::to_string) else { return arg };
+    let ends = [". ", "; ", ": ", " ["].into_iter().flat_map(|end| long.match_indices(end)).map(|(at, _)| at);
+    let end = ends.filter(|at| *at > SHORTEST_CLAUSE).min().unwrap_or(long.len());
+    arg.help(long[..end].to_owned()).long_help(long)
 }
 
 /// Runs a command line, program name first, and returns its exit code: 0 done, 1 failed, 2 wrong usage, 3 a file or

@@ -278,7 +278,7 @@ impl<'a> Session<'a> {
     pub fn complain(&mut self, error: &Error, code: u8) {
         let mut lines: Vec<_> = error.to_string().lines().map(|line| line.trim().to_owned()).collect();
         if let Error::Memory { needed, available, .. } = error {
-            lines.push(format!("{} are missing", bytes(needed.saturating_sub(*available))));
+            lines.push(format!("{} of device memory are missing", bytes(needed.saturating_sub(*available))));
             let limit = self.global.memory;
             lines.extend(limit.map(|limit| format!("--memory allows {} of the device's memory", bytes(limit))));
         }

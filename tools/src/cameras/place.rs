@@ -63,7 +63,7 @@ impl Place<'_> {
     /// [`Error::Io`] naming the file that cannot be written.
     pub fn save(&self, poses: &Poses, found: &Found) -> Result<()> {
         let [cameras, points, log] = self.files();
-        make_parent(self.0)?;
+        self.0.parent().map_or(Ok(()), make_folder)?;
         if let Some(cloud) = poses.points.as_ref().map(read_cloud).transpose()? {
             write_points(&points, &colored(cloud))?;
         }
@@ -80,14 +80,6 @@ impl Place<'_> {
         let points = points.file_name().unwrap_or_default().to_string_lossy();
         write_frames(&cameras, &frames, Some(&points))
     }
-}
-
-/// Creates the folder of a file.
-///
-/// # Errors
-/// [`Error::Io`] naming the folder.
-pub fn make_parent(file: &Path) -> Result<()> {
-    file.parent().map_or(Ok(()), make_folder)
 }
 
 /// The points of a cloud, each with its colour.

@@ -31,13 +31,13 @@ impl Placed {
     /// [`Error::Argument`] where no photo has a camera; those of photos that cannot be read; [`Error::Io`].
     pub fn save(&self, path: &Path, photos: &[PathBuf]) -> Result<Option<String>> {
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        make_folder(folder)?;
         let (mut frames, mut fields, mut lost) = (Vec::new(), Vec::new(), Vec::new());
         for (photo, found) in photos.iter().zip(&self.found) {
             let Ok(FoundCamera { camera, inliers, pairs }) = found else {
                 lost.push(photo.clone());
                 continue;
             };
+            make_folder(folder)?;
             let (width, height) = Image::size(photo)?;
             let intrinsics = PixelMap::cropped([width, height], [self.size.0, self.size.1]).undo(&camera.intrinsics);
             let camera = Image::camera_as_stored(photo, &Camera { intrinsics, ..*camera })?;

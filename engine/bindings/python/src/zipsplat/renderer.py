@@ -76,7 +76,8 @@ class Renderer:
             TypeError: an element is no camera.
         """
         single = isinstance(cameras, Camera)
-        views: list[Camera] = list(cameras) if not single and isinstance(cameras, Iterable) else [cameras]
+        given: Any = cameras
+        views: list[Camera] = list(given) if isinstance(given, Iterable) and not single else [given]
         for camera in views:
             if not isinstance(camera, Camera):
                 raise TypeError(f"cameras: found {camera!r}, expected a Camera or a sequence of cameras")
