@@ -176,7 +176,7 @@ fn the_largest_group_is_taken_and_lost_photos_are_named() {
     let text = folder.run("cameras @/place/images --colmap @/groups -o @/place/transforms.json").success();
     for words in [
         "2 of 4 photos",
-        "tried 3 times",
+        "the best of 3 attempts",
         "without a camera: 001.png, 002.png",
         "of them groups of 1 see something of their own",
     ] {
