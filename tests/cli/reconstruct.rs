@@ -80,7 +80,7 @@ fn what_is_no_photo_is_left_out_and_named() {
         std::fs::write(folder.path("photos").join(other), "no photo").expect("a file");
     }
     let noted = folder.run(line);
-    let note = "note: 2 files left out, not PNG, JPEG or WebP: IMG_1.HEIC, clip.mp4\n";
+    let note = "note: 2 files left out, not PNG, JPEG, WebP or HEIC: IMG_1.HEIC, clip.mp4\n";
     assert!(noted.err.contains(note), "{}", noted.err);
     assert_eq!(noted.json()["views"], 2);
 }

@@ -20,13 +20,11 @@ use zipsplat::{
 /// The choice of weights.
 #[derive(Args)]
 pub struct Weights {
-    /// Checkpoint (safetensors or PyTorch), a name of `zipsplat weights list`, or seeded:VARIANT[:KEY] for random numbers
-    /// [default: built-in]
+    /// Checkpoint, name in `zipsplat weights list`, or seeded:VARIANT[:KEY] for random weights [default: built-in]
     #[arg(long, value_name = "PATH|NAME|seeded:VARIANT[:KEY]")]
     weights: Option<String>,
-    /// Network of a checkpoint that does not say: vitg (DA3-Giant, the only one with released weights), vits, vitb, vitl, or
-    /// the reference's recipes da3s, da3b, da3l; what else the file leaves open follows, as in
-    /// vits:out_layers=5,7,11:alt_start=5:rope_start=5
+    /// Network, if the checkpoint lacks it: vitg (DA3-Giant), vits, vitb, vitl, da3s, da3b, da3l; further parameters
+    /// follow, as in vits:out_layers=5,7,11:alt_start=5:rope_start=5
     #[arg(long, value_name = "V", requires = "weights")]
     variant: Option<String>,
 }
@@ -40,7 +38,7 @@ impl Weights {
         }
     }
 
-    /// Opens them, whichever kind of network they are of: a file's tensors say that.
+    /// Opens them as the kind of network that the file's tensors show.
     pub fn open_network(&self) -> Result<Network> {
         match &self.weights {
             Some(weights) if is_of_depth(weights) => {
@@ -104,8 +102,7 @@ pub const BUILT_IN: &str = "built-in";
 /// The kinds of checkpoints, for messages.
 pub const CHECKPOINTS: &str = "a checkpoint (safetensors, or PyTorch's archive)";
 
-/// Opens a checkpoint; what is none by its first bytes is refused with what it is, where that is known, and what was
-/// `expected`.
+/// Opens a checkpoint; other kinds of files are refused by their first bytes.
 pub fn open_checkpoint(text: &str, variant: Option<&str>, expected: &str) -> Result<Checkpoint> {
     if text == BUILT_IN {
         refuse(
@@ -128,7 +125,6 @@ pub fn open_checkpoint(text: &str, variant: Option<&str>, expected: &str) -> Res
     }
     let mut start = [0; 9];
     let read = open_file(text).is_ok_and(|mut file| file.read_exact(&mut start).is_ok());
-    // A zip archive, or a length and the JSON object behind it. What cannot be read is left to the reader's complaint.
     let known = !read || start.starts_with(b"PK") || start[8] == b'{';
     if !known {
         let kind = match Image::size(text) {
@@ -160,8 +156,7 @@ pub struct Quality {
     /// Keep of every token only the N Gaussians that show most
     #[arg(long, alias = "max-gaussians-per-token", value_name = "N|all", default_value = "all")]
     keep: Keep,
-    /// Pixels of a picture as the network sees it: multiples of the patch (14). Weights are best with the size that they were
-    /// trained with; a larger one shows more detail to a network that cannot use it [default: the trained size]
+    /// Network input size in pixels, multiples of the patch (14); best is the default, the trained size
     #[arg(long, alias = "input-size", value_name = "WxH")]
     size: Option<Size>,
     #[command(flatten)]
@@ -329,10 +324,7 @@ impl ArithmeticOption {
 pub struct Keep(Option<u32>);
 
 impl Keep {
-    /// The number, of `all` Gaussians of a token.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] where a token has fewer.
+    /// The number, of `all` Gaussians of a token; an error where a token has fewer.
     pub fn of(self, all: usize) -> Result<usize> {
         match self.0 {
             Some(keep) if keep as usize > all => {

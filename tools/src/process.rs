@@ -3,7 +3,7 @@
 use crate::session::Stage;
 use std::{
     ffi::OsStr,
-    io::{self, BufRead, BufReader, Read},
+    io::{self, BufRead, BufReader, Read, Write},
     path::Path,
     process::{Child, Command, ExitStatus, Stdio},
     sync::{
@@ -25,9 +25,9 @@ static STARTED: Mutex<Vec<u32>> = Mutex::new(Vec::new());
 /// A process in a group of its own, ended with all of the group when this is dropped, or when this command is killed.
 pub struct Running(pub Child, Option<Child>);
 
-/// Ends a group when standard input ends, as it does with this command however that ends.
+/// Reads a group's number, and ends the group when standard input ends, as it does with this command.
 #[cfg(unix)]
-const WATCH: &str = "read -r _; kill -s KILL -- \"-$0\"";
+const WATCH: &str = "read -r group || exit; read -r _; kill -s KILL -- \"-$group\"";
 
 impl Running {
     /// Starts a program. Ctrl-C in a terminal goes to a whole group: what is started here is ended by this command alone.
@@ -38,9 +38,20 @@ impl Running {
         set_group(command);
         // Locked while it starts: whoever ends all finds it in the list.
         let mut started = lock(&STARTED);
-        let child = command.spawn()?;
+        // First, so that a kill of this command at any later time ends the program, too.
+        let mut watch = watch();
+        let child = match command.spawn() {
+            Ok(child) => child,
+            Err(error) => {
+                end_watch(&mut watch);
+                return Err(error);
+            }
+        };
+        if let Some(group) = watch.as_mut().and_then(|watch| watch.stdin.as_mut()) {
+            // A watcher that has ended cannot watch.
+            let _ = writeln!(group, "{}", child.id());
+        }
         started.push(child.id());
-        let watch = watch(&child);
         Ok(Self(child, watch))
     }
 
@@ -81,29 +92,32 @@ fn set_group(command: &mut Command) {
     std::os::unix::process::CommandExt::process_group(command, 0);
 }
 
-/// Starts a shell that ends the group of `child` if this command is killed; none on systems without one.
+/// Starts a shell that ends a group if this command is killed; none on systems without one.
 #[cfg(unix)]
-fn watch(child: &Child) -> Option<Child> {
+fn watch() -> Option<Child> {
     let mut command = Command::new("/bin/sh");
-    command.args(["-c", WATCH, &child.id().to_string()]);
-    command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null());
+    command.args(["-c", WATCH]).stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null());
     set_group(&mut command);
     command.spawn().ok()
 }
 
 #[cfg(not(unix))]
-fn watch(_: &Child) -> Option<Child> {
+fn watch() -> Option<Child> {
     None
+}
+
+fn end_watch(watch: &mut Option<Child>) {
+    if let Some(watch) = watch {
+        let _ = watch.kill();
+        let _ = watch.wait();
+    }
 }
 
 impl Drop for Running {
     fn drop(&mut self) {
         self.end();
         // First: the number of a child that was waited for may be another's.
-        if let Some(watch) = &mut self.1 {
-            let _ = watch.kill();
-            let _ = watch.wait();
-        }
+        end_watch(&mut self.1);
         lock(&STARTED).retain(|id| *id != self.0.id());
         // A child that is not waited for stays in the system's table.
         let _ = self.0.wait();
