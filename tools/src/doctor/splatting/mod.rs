@@ -12,7 +12,7 @@ use zipsplat::{
     Result,
     gpu::Device,
     stages::render::{Depth, RenderRequest, Renderer},
-    types::{Camera, Pose, Scene},
+    types::{Camera, NEAR, Pose, Scene},
 };
 use zipsplat_reference::render::rasterise::Rendering;
 
@@ -36,8 +36,13 @@ impl case::Problem for Problem {
 
     fn compute(&self, device: &Device, _: Mode) -> Result<Picture> {
         let antialiased = self.antialiased;
-        let request =
-            RenderRequest { alpha: true, depth: Some(Depth::Accumulated), antialiased, ..RenderRequest::default() };
+        let request = RenderRequest {
+            alpha: true,
+            depth: Some(Depth::Accumulated),
+            antialiased,
+            near: Some(NEAR),
+            ..RenderRequest::default()
+        };
         let mut cameras = self.before.map_or(Vec::new(), |(camera, count)| vec![camera; count]);
         cameras.push(self.camera);
         let mut frames = Renderer::new(device).render(&self.scene, &cameras, &request)?;
