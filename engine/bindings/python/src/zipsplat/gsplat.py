@@ -158,7 +158,7 @@ def rasterization(
         )
         raise ValueError(f"colors: found shape {list(colors.shape)}, expected {expected}")
     how = _How(
-        int(width), int(height), rasterize_mode == "antialiased", float(near_plane), context or default_context()
+        int(width), int(height), rasterize_mode == "antialiased", context or default_context(), float(near_plane)
     )
     if backgrounds is not None:
         backgrounds = xp.array(backgrounds)
@@ -194,7 +194,7 @@ def rasterization(
 class _How:
     """How all pictures of a call are drawn."""
 
-    def __init__(self, width: int, height: int, antialiased: bool, near: float, context: Context) -> None:
+    def __init__(self, width: int, height: int, antialiased: bool, context: Context, near: float = 0.01) -> None:
         self.width, self.height, self.antialiased, self.near, self.context = width, height, antialiased, near, context
 
     def cameras(self, viewmats: Array, Ks: Array) -> list[Camera]:
