@@ -1,4 +1,4 @@
-//! The stages, in the order of the data, which is the alphabet's: each records its dispatches and knows no other.
+//! Stages of the networks, the renderer and the losses. Each records its own dispatches.
 
 mod architecture;
 pub mod backbone;
