@@ -161,7 +161,10 @@ exit 0
     assert!(folder.path("garden.points.ply").exists() && folder.path("garden.colmap.log").exists());
     run("--pairs near --find-size 800");
     let args = args(&folder, "python");
-    assert_eq!(args, "features 1600 8192\nall \ncameras 0 16 100 30\nfeatures 800 8192\nnear \ncameras 0 16 100 30\n");
+    assert_eq!(
+        args,
+        "features 1600 8192\nall \ncameras 0 16 100 30 1\nfeatures 800 8192\nnear \ncameras 0 16 100 30 1\n"
+    );
 }
 
 #[test]

@@ -72,6 +72,37 @@ fn four_fifths_of_many_photos_are_enough() {
     }
 }
 
+/// Few photos may not determine a lens: it is then kept as it was, if that joins as many of them.
+#[test]
+fn an_unlikely_lens_is_mapped_again_with_a_fixed_one() {
+    let (folder, frames) = place();
+    let options =
+        [OPTIONS_3[0], OPTIONS_3[1], "--Mapper.ba_refine_focal_length arg --Mapper.ba_refine_extra_params arg"];
+    let body = format!("n=$(grep -c ' mapper ' \"$0.args\"); {COPIES}");
+    let of = |(i, frame): (usize, &Frame), share: f64| {
+        let lens = frame.camera.intrinsics;
+        let fx = share * f64::from(lens.width.max(lens.height));
+        (format!("0/{i:06}.png"), Camera { intrinsics: Intrinsics { fx, fy: fx, ..lens }, ..frame.camera })
+    };
+    for (unlikely, fixed, kept) in [(4, 4, 1.2), (3, 4, 1.2), (4, 3, 0.2)] {
+        colmap(&folder, "colmap", "3.8", options, ["", "", &body]);
+        for (name, count, share) in [("try1/0", unlikely, 0.2), ("try2/0", fixed, 1.2)] {
+            let found: Vec<_> = frames.iter().enumerate().take(count).map(|frame| of(frame, share)).collect();
+            let named: Vec<_> = found.iter().map(|(name, camera)| (name.as_str(), camera)).collect();
+            model(&folder.path(name), &named);
+        }
+        let line = "cameras @/place/images --colmap @/colmap -o @/found.json --overwrite";
+        let text = folder.run(line).success();
+        assert!(text.contains("4 of 4 photos") && text.contains("the best of 2 attempts"), "{text}");
+        assert_eq!(text.contains("is unlikely"), kept < 1.0, "{text}");
+        let args = args(&folder, "colmap");
+        let mapped: Vec<&str> = args.lines().filter(|line| line.contains(" mapper ")).collect();
+        assert!(mapped[0].contains("focal_length 1") && mapped[1].contains("focal_length 0"), "{args}");
+        assert!(mapped[1].contains("extra_params 0") && mapped.len() == 2, "{args}");
+        std::fs::remove_file(folder.path("colmap.args")).expect("it was called");
+    }
+}
+
 #[test]
 fn cameras_are_kept_where_a_later_try_fails() {
     let killed = format!("[ $n = 2 ] && kill -9 $$; {COPIES}");

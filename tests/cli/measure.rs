@@ -182,8 +182,9 @@ fn what_accuracy_costs_is_a_page_and_a_table() {
                 --select kmeans,kmeans:1,random:3 --keep 4,1 --refine 0,3,4:tokens --dtype f16,q8 --repeats 1 --targets 2 --unit 1.5 -o @/report --json";
     let points = folder.run(line).json();
     let points = points.as_array().expect("a list");
-    // Of each number of photos all tokens once, and half of them chosen in three ways; two of each, in each arithmetic. In the first
-    // all tokens and the first choice are refined twice, and made of rounded weights twice; and points are refined once.
+    // Of each number of photos all tokens once, and half of them chosen in three ways; two of each,
+    // in each arithmetic. In the first all tokens and the first choice are refined twice, and made
+    // of rounded weights twice; and points are refined once.
     let has = |precision: &Precision| Arithmetic::of(*precision, device().limits()).is_some();
     let arithmetics = Precision::ALL.iter().filter(|precision| has(precision)).count();
     assert_eq!(points.len(), 2 * (1 + 3) * 2 * arithmetics + 2 * 2 * 2 + 2 * 2 * 2 + 2);

@@ -20,11 +20,11 @@ use zipsplat::{
 /// The choice of weights.
 #[derive(Args)]
 pub struct Weights {
-    /// Checkpoint, name in `zipsplat weights list`, or seeded:VARIANT[:KEY] for random weights [default: built-in]
+    /// Checkpoint, name in `zipsplat weights list`, or seeded:VARIANT for random weights [default: built-in]
     #[arg(long, value_name = "PATH|NAME|seeded:VARIANT[:KEY]")]
     weights: Option<String>,
-    /// Network, if the checkpoint lacks it: vitg (DA3-Giant), vits, vitb, vitl, da3s, da3b, da3l; further parameters
-    /// follow, as in vits:out_layers=5,7,11:alt_start=5:rope_start=5
+    /// Network, if the checkpoint lacks it: vitg (DA3-Giant), vitl, vitb, vits, da3s, da3b, da3l,
+    /// with parameters such as vits:out_layers=5,7,11
     #[arg(long, value_name = "V", requires = "weights")]
     variant: Option<String>,
 }
@@ -156,7 +156,8 @@ pub struct Quality {
     /// Keep of every token only the N Gaussians that show most
     #[arg(long, alias = "max-gaussians-per-token", value_name = "N|all", default_value = "all")]
     keep: Keep,
-    /// Network input size in pixels, multiples of the patch (14); best is the default, the trained size
+    /// Network input size in pixels, multiples of the patch (14); best is the default, the trained
+    /// size
     #[arg(long, alias = "input-size", value_name = "WxH")]
     size: Option<Size>,
     #[command(flatten)]

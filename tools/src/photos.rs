@@ -213,7 +213,8 @@ pub fn folders_in(folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(found)
 }
 
-/// Splits files into photos and others. A HEIC picture beside a photo of the same name is its original, and no second photo.
+/// Splits files into photos and others. A HEIC picture beside a photo of the same name is its
+/// original, and no second photo.
 fn photos_among(files: Vec<PathBuf>) -> (Vec<PathBuf>, Vec<PathBuf>) {
     let stems: HashSet<OsString> =
         files.iter().filter(|path| is_photo(path)).filter_map(|path| Some(path.file_stem()?.to_owned())).collect();

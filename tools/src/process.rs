@@ -22,10 +22,12 @@ const LAST_WORDS: Duration = Duration::from_secs(2);
 /// The processes that this command runs, for [`end_all`].
 static STARTED: Mutex<Vec<u32>> = Mutex::new(Vec::new());
 
-/// A process in a group of its own, ended with all of the group when this is dropped, or when this command is killed.
+/// A process in a group of its own, ended with all of the group when this is dropped, or when this
+/// command is killed.
 pub struct Running(pub Child, Option<Child>);
 
-/// Reads a group's number, and ends the group when standard input ends, as it does with this command.
+/// Reads a group's number, and ends the group when standard input ends, as it does with this
+/// command.
 #[cfg(unix)]
 const WATCH: &str = "read -r group || exit; read -r _; kill -s KILL -- \"-$group\"";
 

@@ -96,7 +96,8 @@ pub const TOKENS: &str = "the network's tokens";
 /// Steps of `--refine` without a value.
 pub const DEFAULT_STEPS: &str = "100";
 
-/// Joins `--refine` with the number of steps behind it, so that `--refine`, `--refine=N` and `--refine N` work for every command.
+/// Joins `--refine` with the number of steps behind it, so that `--refine`, `--refine=N` and
+/// `--refine N` work for every command.
 pub fn join_steps(args: impl IntoIterator<Item = OsString>) -> Vec<OsString> {
     let mut joined: Vec<OsString> = Vec::new();
     for word in args {

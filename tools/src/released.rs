@@ -180,7 +180,8 @@ pub fn folder() -> Result<PathBuf> {
 /// The file of weights that are named so; none, where that is no name.
 ///
 /// # Errors
-/// [`Error::Argument`] for an unknown bare word, and where they are not in the cache, with the command that gets them.
+/// [`Error::Argument`] for an unknown bare word, and where they are not in the cache, with the
+/// command that gets them.
 pub fn find(name: &str) -> Result<Option<PathBuf>> {
     let Some(released) = Released::named(name) else { return check_name(name).map(|()| None) };
     let folder = folder()?;

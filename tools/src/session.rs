@@ -38,7 +38,8 @@ pub struct Terminal<'a> {
     pub out: &'a mut dyn Write,
     /// Errors and notes.
     pub err: &'a mut dyn Write,
-    /// Whether progress is shown on the process' standard error: as a bar on a terminal, else as a line now and then.
+    /// Whether progress is shown on the process' standard error: as a bar on a terminal, else as a
+    /// line now and then.
     pub progress: bool,
     /// Set from outside to stop: the command then ends with exit code 130 and leaves no partial file.
     pub cancelled: &'a AtomicBool,
@@ -47,8 +48,8 @@ pub struct Terminal<'a> {
 /// Options of every command.
 #[derive(Args)]
 pub struct Global {
-    /// Vulkan device: its number in `zipsplat info`, its UUID, or a part of its name that is not all digits; with `info --plan` also none, for an ordinary one
-    /// [default: the best]
+    /// Vulkan device: its number in `zipsplat info`, its UUID, or a part of its name that is not
+    /// all digits; with `info --plan` also none, for an ordinary one [default: the best]
     #[arg(long, global = true, value_name = "NAME|INDEX", help_heading = "Options of every command")]
     pub device: Option<String>,
     /// Use at most so many bytes of the device's memory and leave the rest to others, such as 3G; K, M and G count in 1024s

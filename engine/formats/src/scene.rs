@@ -76,8 +76,8 @@ impl Scene {
         if distance > 0.0 { distance } else { median(self.scales.iter().step_by(step).map(size)) }
     }
 
-    /// Returns the near plane: [`NEAR`], scaled down for scenes with an extent below 0.1. It steps by
-    /// powers of two, so that optimization rarely changes it.
+    /// Returns the near plane: [`NEAR`], scaled down for scenes with an extent below 0.1. It steps
+    /// by powers of two, so that optimization rarely changes it.
     pub fn near(&self) -> f32 {
         near(self.extent())
     }

@@ -54,8 +54,8 @@ pub struct Request {
     pub selection: Selection,
     /// Known cameras, at image size.
     pub cameras: Option<Vec<Camera>>,
-    /// Scene scale: the length, in camera and scene units, that the network sees as 1. Training scenes
-    /// have a median distance of about 1 from the first camera.
+    /// Scene scale: the length, in camera and scene units, that the network sees as 1. Training
+    /// scenes have a median distance of about 1 from the first camera.
     pub unit: f64,
     /// Side of pooled groups, 1 to [`Pool::MAX_SIDE`]: faster and less exact with many photos.
     pub pool: usize,

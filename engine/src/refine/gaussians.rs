@@ -183,7 +183,8 @@ impl Gaussians {
         self.near = near;
     }
 
-    /// The scene as a photo's camera sees it, `[height][width][rgb]`, and the number of its intersections with tiles.
+    /// The scene as a photo's camera sees it, `[height][width][rgb]`, and the number of its
+    /// intersections with tiles.
     ///
     /// # Errors
     /// As [`Gaussians::step`].

@@ -192,8 +192,8 @@ pub struct Refined {
     pub best_step: usize,
     /// Steps, and the PSNR of the held-out photos after them, in dB; empty without such photos.
     pub held_out: Vec<(usize, f64)>,
-    /// Mean PSNR in dB of the training photos at their full size, at most 16 of them, evenly spread: with the scene that was
-    /// kept, and before the first step.
+    /// Mean PSNR in dB of the training photos at their full size, at most 16 of them, evenly
+    /// spread: with the scene that was kept, and before the first step.
     pub training_psnr: [f64; 2],
     /// Photos that were held out.
     pub held: Vec<usize>,

@@ -40,8 +40,6 @@ pub(super) struct Refinement<'a> {
     shrink: u32,
     tested: Vec<View>,
     held: Vec<usize>,
-    /// The scene before the first step.
-    given: Kept,
     sizes: Vec<(usize, [u32; 2])>,
     losses: Vec<f32>,
     held_out: Vec<(usize, f64)>,
@@ -86,7 +84,6 @@ impl<'a> Refinement<'a> {
         let rates = [f64::from(request.rates.turns), unit * f64::from(request.rates.shifts)];
         let growth = request.grow.map(|most| Growth::new(scene.len(), most, request.steps, request.seed));
         gaussians.set_near(scene.near());
-        let given = Kept { step: 0, scene, cameras: cameras.to_vec() };
         Ok(Self {
             photos,
             cameras: Cameras::new(cameras, moving, rates),
@@ -100,8 +97,7 @@ impl<'a> Refinement<'a> {
             shrink: 0,
             tested,
             held,
-            kept: given.clone(),
-            given,
+            kept: Kept { step: 0, scene, cameras: cameras.to_vec() },
             sizes: Vec::new(),
             losses: Vec::new(),
             held_out: Vec::new(),
@@ -122,16 +118,19 @@ impl<'a> Refinement<'a> {
         progress: &mut dyn FnMut(Refining<'_>) -> ControlFlow<()>,
         begin: Instant,
     ) -> Result<Refined> {
-        let before = self.training_psnr(&self.given.cameras.clone())?;
+        let before = self.training_psnr(&self.kept.cameras.clone())?;
+        // Held-out photos choose the best step, and LPIPS trades PSNR for detail. Otherwise the
+        // given scene is a candidate.
+        let given = (self.held.is_empty() && self.request.look.is_none()).then(|| self.kept.clone());
         let stopped = self.run(progress, begin)?;
         let profile = self.request.profile.then(|| self.profile()).transpose()?;
         let peak_bytes = self.gaussians.device().allocated_bytes();
         self.gaussians.show(&self.kept.scene)?;
         let mut after = self.training_psnr(&self.kept.cameras.clone())?;
-        // Held-out photos choose the best step, and LPIPS is worth some PSNR. Else the scene that was given is a candidate, too.
-        let worse = after.is_nan() || after < before;
-        if self.held.is_empty() && self.request.look.is_none() && worse {
-            (self.kept, after) = (self.given, before);
+        if let Some(given) = given
+            && (after.is_nan() || after < before)
+        {
+            (self.kept, after) = (given, before);
         }
         let Self { losses, kept, held_out, held, sizes, .. } = self;
         let Kept { step: best_step, scene, cameras } = kept;
@@ -197,7 +196,8 @@ impl<'a> Refinement<'a> {
         Ok(None)
     }
 
-    /// Mean PSNR of the training photos at full size through these cameras, at most [`MEASURED`] of them.
+    /// Mean PSNR of the training photos at full size through these cameras, at most [`MEASURED`] of
+    /// them.
     ///
     /// # Errors
     /// [`Error::Argument`] if no photo's camera sees a Gaussian.

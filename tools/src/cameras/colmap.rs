@@ -42,6 +42,8 @@ pub struct Mapping {
     first_points: u32,
     /// Least points by which a further photo is joined.
     points: u32,
+    /// Whether bundle adjustment refines focal length and distortion.
+    pub refines_lens: bool,
 }
 
 /// The facts in COLMAP's words.
@@ -67,10 +69,12 @@ const LAST: usize = 3;
 impl Mapping {
     /// The ways of trying, in order: COLMAP's own thresholds first.
     pub const ALL: [Self; 3] = [
-        Self { seed: 0, first_angle: 16, first_points: 100, points: 30 },
-        Self { seed: 1, first_angle: 8, first_points: 50, points: 20 },
-        Self { seed: 2, first_angle: 4, first_points: 30, points: 15 },
+        Self { seed: 0, first_angle: 16, first_points: 100, points: 30, refines_lens: true },
+        Self { seed: 1, first_angle: 8, first_points: 50, points: 20, refines_lens: true },
+        Self { seed: 2, first_angle: 4, first_points: 30, points: 15, refines_lens: true },
     ];
+    /// The lens stays as EXIF has it, or as COLMAP guesses it: few photos do not determine it.
+    pub const FIXED_LENS: Self = Self { refines_lens: false, ..Self::ALL[0] };
 }
 
 impl Step {
@@ -94,7 +98,8 @@ impl Colmap {
     /// The one that was asked for, else `colmap`, else the pycolmap of `python3`.
     ///
     /// # Errors
-    /// [`Error::Argument`] with the command that installs it where it does not run; [`Error::Cancelled`].
+    /// [`Error::Argument`] with the command that installs it where it does not run;
+    /// [`Error::Cancelled`].
     pub fn of(searching: &Searching, stage: &Stage<'_>) -> Result<Self> {
         let tried = match (&searching.python, &searching.colmap) {
             (Some(python), _) => Self::pycolmap(python, stage),
@@ -163,8 +168,8 @@ impl Colmap {
                 (Step::Features, _) => ("features", vec![side, FEATURES]),
                 (Step::Matches, Pairs::All) => ("all", Vec::new()),
                 (Step::Matches, Pairs::Near) => ("near", Vec::new()),
-                (Step::Cameras(Mapping { seed, first_angle, first_points, points }), _) => {
-                    ("cameras", vec![seed, first_angle, first_points, points])
+                (Step::Cameras(Mapping { seed, first_angle, first_points, points, refines_lens }), _) => {
+                    ("cameras", vec![seed, first_angle, first_points, points, refines_lens.into()])
                 }
             };
             command.args(["-c", PYCOLMAP, words.0]).args([folder, models]).args(words.1.iter().map(u32::to_string));
@@ -200,6 +205,8 @@ impl Colmap {
                     (&["Mapper.init_min_tri_angle"], mapping.first_angle),
                     (&["Mapper.init_min_num_inliers"], mapping.first_points),
                     (&["Mapper.abs_pose_min_num_inliers"], mapping.points),
+                    (&["Mapper.ba_refine_focal_length"], mapping.refines_lens.into()),
+                    (&["Mapper.ba_refine_extra_params"], mapping.refines_lens.into()),
                 ],
             ),
         };

@@ -273,15 +273,20 @@ impl<'a> Search<'a> {
         Ok(Some(status).filter(|status| !status.success() && !found_nothing))
     }
 
-    /// The groups of photos that COLMAP could join, the largest first, and how often it tried: again where few photos are in it.
+    /// Returns the groups of photos that COLMAP joined, the largest first, and the number of attempts:
+    /// several if few photos are joined, or if their focal length is unlikely.
     fn map(&mut self, session: &Session<'_>) -> Result<(Vec<Poses>, usize)> {
         let photos = self.work.photos.len();
-        let (mut best, mut tried): (Vec<Poses>, _) = (Vec::new(), 0);
+        let enough = if photos <= FEW_PHOTOS { photos } else { (ENOUGH * photos as f64) as usize };
+        let (mut best, mut attempts): (Vec<Poses>, _) = (Vec::new(), 0);
         let joined = |models: &[Poses]| models.first().map_or(0, |model| model.frames.len());
-        for mapping in Mapping::ALL {
-            let models = self.work.folder.path().join(format!("sparse{tried}"));
+        let likely = |models: &[Poses]| models.first().is_none_or(|model| LIKELY.contains(&focal(&model.frames)));
+        let mut others = Mapping::ALL.into_iter();
+        let mut next = others.next();
+        while let Some(mapping) = next {
+            let models = self.work.folder.path().join(format!("sparse{attempts}"));
             make_folder(&models)?;
-            tried += 1;
+            attempts += 1;
             match self.run(session, Step::Cameras(mapping), &models)? {
                 Some(status) if best.is_empty() => return Err(self.failure(Step::Cameras(mapping), status)),
                 // There are cameras; the log has why there are no more.
@@ -291,15 +296,17 @@ impl<'a> Search<'a> {
             let mut models = models_of(&models)?;
             // Of equal ones the first.
             models.sort_by_key(|model| std::cmp::Reverse(model.frames.len()));
-            if joined(&models) > joined(&best) {
+            let as_many = joined(&models) == joined(&best) && likely(&models) && !likely(&best);
+            if joined(&models) > joined(&best) || as_many {
                 best = models;
             }
-            let enough = if photos <= FEW_PHOTOS { photos } else { (ENOUGH * photos as f64) as usize };
-            if joined(&best) >= enough {
-                break;
-            }
+            next = match mapping.refines_lens {
+                true if !likely(&best) => Some(Mapping::FIXED_LENS),
+                true if joined(&best) < enough => others.next(),
+                _ => None,
+            };
         }
-        Ok((best, tried))
+        Ok((best, attempts))
     }
 
     /// A step's failure in COLMAP's last words; the log stays for who looks for the reason.

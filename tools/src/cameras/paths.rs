@@ -20,7 +20,8 @@ use zipsplat::{
 const WIGGLE_AZIMUTH: f64 = 16.0;
 const WIGGLE_ELEVATION: f64 = 2.0;
 
-/// Length of the cameras' own order, per length of the order by nearness, above which it is no path.
+/// Length of the cameras' own order, per length of the order by nearness, above which it is no
+/// path.
 const DETOUR: f64 = 1.5;
 /// Size of pictures whose cameras have none.
 const SIZE: Size = Size(252, 252);
@@ -45,7 +46,8 @@ pub struct CameraArgs {
     /// From the first view's camera straight toward the scene
     #[arg(long)]
     dolly: bool,
-    /// Once around the scene: about the mean up of the cameras of a file, as of --cameras, else about the first view's
+    /// Once around the scene: about the mean up of the cameras of a file, as of --cameras, else
+    /// about the first view's
     #[arg(long, value_name = "PATH", num_args = 0..=1, require_equals = true)]
     orbit: Option<Option<PathBuf>>,
     /// A small figure of eight in front of the scene
@@ -225,7 +227,8 @@ fn seen_from<'a>(scene: &'a Scene, home: &Pose) -> Cow<'a, Scene> {
     Cow::Owned(scene)
 }
 
-/// Returns the upright pose at the world's origin that looks as the first camera does. Up is the mean of the cameras'.
+/// Returns the upright pose at the world's origin that looks as the first camera does. Up is the
+/// mean of the cameras'.
 fn level(cameras: &[Camera]) -> Result<Pose> {
     let up = mean_up(cameras)?;
     let forward = cameras[0].pose.rotation.z_axis.reject_from_normalized(up);
@@ -233,7 +236,8 @@ fn level(cameras: &[Camera]) -> Result<Pose> {
     Ok(Pose { rotation: DMat3::from_cols(forward.cross(up), -up, forward), translation: DVec3::ZERO })
 }
 
-/// Returns the cameras in an order for a path. Where their own order is a detour, each is followed by the nearest one left.
+/// Returns the cameras in an order for a path. Where their own order is a detour, each is followed
+/// by the nearest one left.
 fn by_nearness(cameras: Vec<Camera>) -> (Vec<Camera>, Option<String>) {
     let length = |cameras: &[Camera]| -> f64 { cameras.windows(2).map(|pair| distance(&pair[0], &pair[1])).sum() };
     let (mut chain, mut left) = (vec![cameras[0]], cameras[1..].to_vec());

@@ -16,7 +16,7 @@ def with_sift(side, features):
     return {"sift_options": options}
 
 
-def mapped_with(seed, first_angle, first_points, points):
+def mapped_with(seed, first_angle, first_points, points, refines_lens):
     """The options of mapping."""
     pycolmap.set_random_seed(seed)
     options = pycolmap.IncrementalPipelineOptions()
@@ -25,6 +25,7 @@ def mapped_with(seed, first_angle, first_points, points):
     options.mapper.init_min_tri_angle = first_angle
     options.mapper.init_min_num_inliers = first_points
     options.mapper.abs_pose_min_num_inliers = points
+    options.ba_refine_focal_length = options.ba_refine_extra_params = bool(refines_lens)
     return options
 
 

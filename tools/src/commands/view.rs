@@ -297,7 +297,8 @@ impl View {
         let server = Server::new(self.port).map_err(|error| Error::io(format!("port {}", self.port), error))?;
         let address = server.address();
         session.report(&json!({ "address": address }), format!("{address}\nCtrl-C ends it."))?;
-        // Its name is on the browser's command line, which every user can read: the address and its token are within.
+        // Its name is on the browser's command line, which every user can read: the address and its
+        // token are within.
         let redirect = self.open.then(|| redirect(&address)).transpose()?;
         redirect.as_ref().map(|file| open_in_browser(file.path())).transpose()?;
         let cancelled = session.cancelled();

@@ -63,8 +63,9 @@ pub fn promise(client: &Client, url: &str, sha256: Option<&str>, stage: &Stage<'
     }
 }
 
-/// Loads the file that `promise` is about, checks it, and only then gives it its name, [`Promise::path`]. The caller has its [`Lock`]. Where the network
-/// fails, what came is kept, and another call goes on from there. `notes` gets what a user should know.
+/// Loads the file that `promise` is about, checks it, and only then gives it its name,
+/// [`Promise::path`]. The caller has its [`Lock`]. Where the network fails, what came is kept, and
+/// another call goes on from there. `notes` gets what a user should know.
 ///
 /// # Errors
 /// [`Error::Io`] of the disk, or of a network that brought nothing several times; [`Error::Format`] where the bytes are not those

@@ -132,7 +132,8 @@ pub fn kept(base: &Path) -> Option<(u64, Promise)> {
 }
 
 impl Partial {
-    /// Resumes a file, or begins it, under its [`Lock`]. Bytes that belong to another promise are dropped.
+    /// Resumes a file, or begins it, under its [`Lock`]. Bytes that belong to another promise are
+    /// dropped.
     ///
     /// # Errors
     /// [`Error::Io`].

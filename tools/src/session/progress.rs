@@ -75,7 +75,8 @@ impl<'a> Stage<'a> {
         if self.cancelled.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
 
-    /// The same work without a progress that is shown, for one of several steps at once; it stops as this does.
+    /// The same work without a progress that is shown, for one of several steps at once; it stops
+    /// as this does.
     pub fn silent(&self) -> Stage<'_> {
         Stage { bar: ProgressBar::hidden(), cancelled: self.cancelled }
     }
@@ -125,6 +126,7 @@ fn print_lines(bar: &ProgressBar, done: &Receiver<()>, next_line: &Mutex<Instant
     let due = || next_line.lock().unwrap_or_else(PoisonError::into_inner);
     loop {
         let wait = due().saturating_duration_since(Instant::now());
+        let wait = wait.max(PATIENCE.saturating_sub(bar.elapsed()));
         if done.recv_timeout(wait) != Err(RecvTimeoutError::Timeout) {
             return;
         }

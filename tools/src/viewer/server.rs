@@ -94,8 +94,8 @@ impl Server {
         format!("http://127.0.0.1:{}/{}/", self.port, self.token)
     }
 
-    /// Serves until `stopped`. `answer` gets the path behind the token and the body of a POST; its errors become
-    /// answers, too.
+    /// Serves until `stopped`. `answer` gets the path behind the token and the body of a POST; its
+    /// errors become answers, too.
     ///
     /// # Errors
     /// Those of the system, before the first request.
@@ -236,8 +236,8 @@ fn work<E: ToString>(
     }
 }
 
-/// True if the request addresses this machine by its own name, which pages of other sites cannot cause, and comes from
-/// no page but ours. Browsers omit port 80.
+/// True if the request addresses this machine by its own name, which pages of other sites cannot
+/// cause, and comes from no page but ours. Browsers omit port 80.
 fn is_own(headers: &HeaderMap, port: u16) -> bool {
     let is_here = |authority: &str| {
         let (name, given) = authority.split_once(':').unwrap_or((authority, "80"));

@@ -68,8 +68,8 @@ pub struct zs_context_options {
     /// Uses at most so many bytes of the device's memory and leaves the rest to others: what needs more fails with
     /// ZS_ERROR_OUT_OF_MEMORY before anything runs. Default 0: all that there is.
     pub max_memory_bytes: u64,
-    /// A device's number ("0"; digits are nothing else), a part of its name ("nvidia"), or its UUID, with or without GPU-
-    /// and hyphens; NULL for the best. Default NULL.
+    /// A device's number ("0"; digits are nothing else), a part of its name ("nvidia"), or its
+    /// UUID, with or without GPU- and hyphens; NULL for the best. Default NULL.
     pub device: *const c_char,
 }
 

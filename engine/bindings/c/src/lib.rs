@@ -1,5 +1,6 @@
-//! The C ABI. `engine/bindings/c/include/zipsplat.h` is generated from these files (`tests/abi/header.rs`), their comments included,
-//! so they speak to whoever reads the header: what a pointer's caller owes is said there, not in `# Safety` sections.
+//! The C ABI. `engine/bindings/c/include/zipsplat.h` is generated from these files
+//! (`tests/abi/header.rs`), their comments included, so they speak to whoever reads the header:
+//! what a pointer's caller owes is said there, not in `# Safety` sections.
 //!
 //! Every entry point runs inside `status::guard`: no panic crosses, a failure leaves a message for its thread. Values that
 //! C can get wrong (enumerations, booleans) arrive as plain integers and are checked.

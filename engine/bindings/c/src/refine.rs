@@ -114,9 +114,11 @@ pub struct zs_refine_info {
     pub steps: u32,
     /// The step after which the scene was kept; 0 where none made it better.
     pub best_step: u32,
-    /// Mean loss of the photos of the first step, at the size of that step; NaN where there was none.
+    /// Mean loss of the photos of the first step, at the size of that step; NaN where there was
+    /// none.
     pub first_loss: f64,
-    /// Mean loss of the photos of the last step, at the size of that step; NaN where there was none.
+    /// Mean loss of the photos of the last step, at the size of that step; NaN where there was
+    /// none.
     pub last_loss: f64,
     /// PSNR in dB of the held-out photos before the first step; NaN where none are held out.
     pub psnr_before: f64,
@@ -124,7 +126,8 @@ pub struct zs_refine_info {
     pub psnr: f64,
     /// Seconds that it took.
     pub seconds: f64,
-    /// PSNR in dB of the training photos at full size before the first step: the mean of at most 16, evenly spread.
+    /// PSNR in dB of the training photos at full size before the first step: the mean of at most
+    /// 16, evenly spread.
     pub training_psnr_before: f64,
     /// PSNR in dB of the same photos with the scene that was kept.
     pub training_psnr: f64,

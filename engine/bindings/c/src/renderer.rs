@@ -71,8 +71,8 @@ pub struct zs_render_options {
     pub antialiased: u32,
     /// Red, green and blue behind the scene. Default black.
     pub background: [f32; 3],
-    /// Near plane: the camera depth below which Gaussians are culled, in the scene's unit. 0, the default, is 0.01, or less
-    /// for scenes with an extent below 0.1.
+    /// Near plane: the camera depth below which Gaussians are culled, in the scene's unit. 0, the
+    /// default, is 0.01, or less for scenes with an extent below 0.1.
     pub near_plane: f32,
 }
 

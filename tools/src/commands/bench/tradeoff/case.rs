@@ -38,8 +38,8 @@ pub struct Case<'a> {
     pub refine: Vec<(Start, Steps)>,
 }
 
-/// The combinations in the first arithmetic, without those that differ only in what does not matter. The first values of lists come
-/// first, and of a list of ratios each with every number of photos.
+/// Returns the combinations in the first arithmetic, without those with equal results. The first
+/// values of lists come first; each ratio is combined with every number of photos.
 pub fn all<'a>(
     args: &Tradeoff,
     architecture: &Architecture,

@@ -33,10 +33,10 @@ use zipsplat::{
 
 /// What accuracy costs in time: a sweep over a capture, as a page with plots and pictures, and as a table
 ///
-/// Every combination of the lists is reconstructed from photos of the capture and compared with its other photos. What does
-/// not matter is not repeated: at ratio 1 nothing is selected. The most informative combinations come first, within lists the first
-/// values, and --minutes says how many are measured. The page begins with three settings, fast, balanced and best, and shows
-/// picture and command of every point.
+/// Reconstructs every combination of the lists from photos of the capture and compares it with the
+/// other photos. Options without effect are not varied: at ratio 1 there is no selection. The most
+/// informative combinations come first, and --minutes limits the sweep. The page begins with three
+/// settings, fast, balanced and best, and shows picture and command of every point.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat bench tradeoff capture/ -o report/
@@ -70,12 +70,13 @@ pub struct Tradeoff {
     /// Numbers of Gaussians of every token that are kept, the ones that show most [default: all, a half, a quarter]
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     keep: Option<Vec<Keep>>,
-    /// Steps of refinement, or as 100:tokens of the scene's tokens. They follow on every number of photos and share of the tokens, in
-    /// the first arithmetic, with the first way to choose and all Gaussians. 0, the scene itself, is always there
+    /// Steps of refinement, or as 100:tokens of the scene's tokens. They follow on every number of
+    /// photos and share of the tokens, in the first arithmetic, with the first way to choose and
+    /// all Gaussians. 0, the scene itself, is always there
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "0,10,50")]
     refine: Vec<Steps>,
-    /// Initializations of the refinement. From points it needs no network, and follows on every number of photos [default: scene, and
-    /// points where the capture has some]
+    /// Initializations of the refinement. From points it needs no network, and follows on every
+    /// number of photos [default: scene, and points where the capture has some]
     #[arg(long, value_name = "LIST", value_delimiter = ',', value_enum)]
     start: Option<Vec<Start>>,
     /// Arithmetics: exact, fast, fast-bf16, turbo [default: all that the device has]

@@ -85,7 +85,8 @@ pub fn check(args: &Tradeoff, architecture: &Architecture, Size(width, height): 
     Ok(())
 }
 
-/// Measures every combination, or as many as there is time for. The other value is whether the command should stop.
+/// Measures every combination, or as many as there is time for. The other value is whether the
+/// command should stop.
 ///
 /// # Errors
 /// Where a reconstruction or a picture fails; [`Error::Cancelled`] where there is no point yet.
@@ -136,8 +137,8 @@ pub fn run(
 /// A network's type of weights, its checkpoint and its arithmetic.
 type Network<'a> = (&'a str, &'a Checkpoint, (Precision, Arithmetic));
 
-/// The cases in the order in which they are measured, with the number of their network: first with every network those that begin with
-/// the first choice, then the others.
+/// The cases in the order in which they are measured, with the number of their network: first with
+/// every network those that begin with the first choice, then the others.
 fn passes<'a>(args: &Tradeoff, networks: &[Network<'a>], cases: &[Case<'a>]) -> Vec<(usize, Vec<Case<'a>>)> {
     let mut passes = Vec::new();
     for begins in [true, false] {
