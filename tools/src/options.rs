@@ -23,8 +23,7 @@ pub struct Weights {
     /// Checkpoint, name in `zipsplat weights list`, or seeded:VARIANT for random weights [default: built-in]
     #[arg(long, value_name = "PATH|NAME|seeded:VARIANT[:KEY]")]
     weights: Option<String>,
-    /// Network, if the checkpoint lacks it: vitg (DA3-Giant), vitl, vitb, vits, da3s, da3b, da3l,
-    /// with parameters such as vits:out_layers=5,7,11
+    /// Network, if the checkpoint lacks it: vitg, vitl, vitb, vits, da3s, da3b, da3l[:out_layers=5,7,11]
     #[arg(long, value_name = "V", requires = "weights")]
     variant: Option<String>,
 }
