@@ -6,7 +6,7 @@ use super::{
     gaussians::Gaussians,
     growth::{Growth, drop_unseen},
     planned::Found,
-    schedule::Schedule,
+    schedule::{Schedule, rate_of_error},
     views::{Order, View, size, split},
 };
 use crate::{
@@ -50,6 +50,8 @@ pub(super) struct Refinement<'a> {
     least: f32,
     /// The mean loss of all photos, when it was looked at last.
     latest: f32,
+    /// Fraction of the rates for the Gaussians.
+    fraction: f32,
     kept: Kept,
     /// The scene that is kept next, unless the loss says that it has become worse.
     next: Option<Kept>,
@@ -97,6 +99,7 @@ impl<'a> Refinement<'a> {
             shrink: 0,
             tested,
             held,
+            fraction: 1.0,
             kept: Kept { step: 0, scene, cameras: cameras.to_vec() },
             sizes: Vec::new(),
             losses: Vec::new(),
@@ -119,6 +122,7 @@ impl<'a> Refinement<'a> {
         begin: Instant,
     ) -> Result<Refined> {
         let before = self.training_psnr(&self.kept.cameras.clone())?;
+        self.fraction = rate_of_error(before);
         // Held-out photos choose the best step, and LPIPS trades PSNR for detail. Otherwise the
         // given scene is a candidate.
         let given = (self.held.is_empty() && self.request.look.is_none()).then(|| self.kept.clone());
@@ -164,7 +168,7 @@ impl<'a> Refinement<'a> {
             self.resize(step)?;
             let chosen: Vec<usize> = (0..self.request.views_per_step).map(|_| self.order.next()).collect();
             let views: Vec<&View> = chosen.iter().map(|i| &self.views[*i]).collect();
-            let found = self.gaussians.step(&views, self.schedule.rate(step))?;
+            let found = self.gaussians.step(&views, self.fraction * self.schedule.rate(step))?;
             let loss = found.iter().map(|found| found.loss).sum::<f32>() / found.len() as f32;
             self.losses.push(loss);
             self.move_cameras(step, &found);
@@ -179,7 +183,7 @@ impl<'a> Refinement<'a> {
                 self.look(done)?;
             }
             if let Some(growth) = self.growth.as_mut().filter(|growth| growth.is_due(done)) {
-                self.gaussians.edit(|scene| growth.apply(scene, done, self.schedule.rate(step)))?;
+                self.gaussians.edit(|scene| growth.apply(scene, done, self.fraction * self.schedule.rate(step)))?;
             }
             let left = begin.elapsed().mul_f64((steps - done) as f64 / done as f64);
             let psnr = self.held_out.last().map(|(_, psnr)| *psnr);

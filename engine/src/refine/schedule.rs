@@ -4,19 +4,18 @@ use std::f64::consts::PI;
 
 /// Share of the rate that is left in the last step.
 const LAST: f64 = 0.1;
-/// Fraction of the steps over which the rate rises. Adam's first steps have full length whatever
-/// the gradient, which would blur a scene that is good already.
-const WARM_UP: f64 = 0.1;
+/// Training PSNR in dB above which a scene's rate shrinks with its error.
+const GOOD: f64 = 20.0;
 /// Until which share of the steps the sides of photos are how many times shorter.
 const COARSE: [(f64, u32); 2] = [(0.2, 4), (0.5, 2)];
 /// Shortest side of a photo that is made smaller, in pixels.
 const SHORTEST: u32 = 96;
 
-/// A linear warm-up, then a cosine to a tenth of the rate; from coarse photos to fine ones.
+/// A cosine from the first rate to a tenth of it, from coarse photos to fine ones.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Schedule {
     pub steps: usize,
-    /// Peak rate.
+    /// The rate of the first step.
     pub rate: f32,
     /// Whether photos are small at first.
     pub coarse: bool,
@@ -26,8 +25,7 @@ impl Schedule {
     /// The rate of step `step`, counted from 0.
     pub fn rate(&self, step: usize) -> f32 {
         let along = step as f64 / (self.steps.max(2) - 1) as f64;
-        let rise = ((step + 1) as f64 / (WARM_UP * self.steps as f64).max(1.0)).min(1.0);
-        self.rate * (rise * (LAST + (1.0 - LAST) * 0.5 * (1.0 + (PI * along).cos()))) as f32
+        self.rate * (LAST + (1.0 - LAST) * 0.5 * (1.0 + (PI * along).cos())) as f32
     }
 
     /// How many times shorter the sides of photos are in that step, whose shortest side is this.
@@ -38,20 +36,26 @@ impl Schedule {
     }
 }
 
+/// Returns the fraction of the rates for a scene of this training PSNR: its error relative to that at
+/// 20 dB, at most 1. Adam's steps have full length at any gradient, which would harm a good scene.
+pub(super) fn rate_of_error(psnr: f64) -> f32 {
+    10f64.powf((GOOD - psnr) / 20.0).min(1.0) as f32
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn rates_rise_then_fall_to_a_tenth_and_photos_grow() {
+    fn rates_fall_to_a_tenth_and_photos_grow() {
         let schedule = Schedule { steps: 100, rate: 2.0, coarse: true };
         let rates: Vec<f32> = (0..100).map(|step| schedule.rate(step)).collect();
-        assert!(rates[0] == 0.2 && rates[..10].is_sorted() && rates[9] > 1.9);
-        assert!((rates[99] - 0.2).abs() < 1e-6 && rates[9..].is_sorted_by(|a, b| a > b));
+        assert!(rates[0] == 2.0 && (rates[99] - 0.2).abs() < 1e-6 && rates.is_sorted_by(|a, b| a > b));
         assert_eq!([0, 19, 20, 49, 50, 99].map(|step| schedule.shrink(step, 400)), [4, 4, 2, 2, 1, 1]);
         assert_eq!([0, 20, 50].map(|step| schedule.shrink(step, 252)), [2, 2, 1]);
         assert_eq!(schedule.shrink(0, 84), 1);
         assert_eq!(Schedule { coarse: false, ..schedule }.shrink(0, 400), 1);
         assert_eq!(Schedule { steps: 1, ..schedule }.rate(0), 2.0);
+        assert_eq!([12.0, 20.0, 40.0].map(rate_of_error), [1.0, 1.0, 0.1]);
     }
 }
