@@ -182,8 +182,8 @@ typedef struct zs_context_options {
     // Uses at most so many bytes of the device's memory and leaves the rest to others: what needs more fails with
     // ZS_ERROR_OUT_OF_MEMORY before anything runs. Default 0: all that there is.
     uint64_t max_memory_bytes;
-    // A device's number ("0"; digits are nothing else), a part of its name ("nvidia"), or its UUID, with or without GPU-
-    // and hyphens; NULL for the best. Default NULL.
+    // A device's number ("0"; digits are nothing else), a part of its name ("nvidia"), or its
+    // UUID, with or without GPU- and hyphens; NULL for the best. Default NULL.
     const char *device;
 } zs_context_options;
 
@@ -803,9 +803,11 @@ typedef struct zs_refine_info {
     uint32_t steps;
     // The step after which the scene was kept; 0 where none made it better.
     uint32_t best_step;
-    // Mean loss of the photos of the first step, at the size of that step; NaN where there was none.
+    // Mean loss of the photos of the first step, at the size of that step; NaN where there was
+    // none.
     double first_loss;
-    // Mean loss of the photos of the last step, at the size of that step; NaN where there was none.
+    // Mean loss of the photos of the last step, at the size of that step; NaN where there was
+    // none.
     double last_loss;
     // PSNR in dB of the held-out photos before the first step; NaN where none are held out.
     double psnr_before;
@@ -813,7 +815,8 @@ typedef struct zs_refine_info {
     double psnr;
     // Seconds that it took.
     double seconds;
-    // PSNR in dB of the training photos at full size before the first step: the mean of at most 16, evenly spread.
+    // PSNR in dB of the training photos at full size before the first step: the mean of at most
+    // 16, evenly spread.
     double training_psnr_before;
     // PSNR in dB of the same photos with the scene that was kept.
     double training_psnr;
@@ -867,8 +870,8 @@ typedef struct zs_render_options {
     uint32_t antialiased;
     // Red, green and blue behind the scene. Default black.
     float background[3];
-    // Near plane: the camera depth below which Gaussians are culled, in the scene's unit. 0, the default, is 0.01, or less
-    // for scenes with an extent below 0.1.
+    // Near plane: the camera depth below which Gaussians are culled, in the scene's unit. 0, the
+    // default, is 0.01, or less for scenes with an extent below 0.1.
     float near_plane;
 } zs_render_options;
 
