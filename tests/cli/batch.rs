@@ -158,6 +158,31 @@ fn what_cannot_be_done_is_refused_before_it_begins() {
 }
 
 #[test]
+fn a_missing_folder_in_a_list_fails_alone() {
+    let folder = captures();
+    std::fs::write(folder.path("list.txt"), "all/1\nall/gone\nall/10\n").expect("a list");
+    let outcome = folder.run(&format!("batch {WEIGHTS} @/list.txt -o @/out"));
+    assert_eq!(outcome.code, 1, "{}", outcome.err);
+    assert_eq!(super::names(&folder.path("out")), ["1.json", "1.ply", "10.json", "10.ply", "failures.csv"]);
+    let failures = std::fs::read_to_string(folder.path("out/failures.csv")).expect("a table");
+    assert!(failures.lines().count() == 2 && failures.contains("all/gone"), "{failures}");
+}
+
+#[cfg(unix)]
+#[test]
+fn two_batches_do_not_share_an_output_folder() {
+    let folder = captures();
+    std::fs::create_dir(folder.path("out")).expect("a folder");
+    let other = std::fs::File::open(folder.path("out")).expect("a folder");
+    other.try_lock().expect("nobody else has it");
+    let line = format!("batch {WEIGHTS} @/all -o @/out");
+    folder.run(&line).fails(3, &["--output", "another batch"]);
+    assert_eq!(super::names(&folder.path("out")), Vec::<String>::new());
+    drop(other);
+    folder.run(&line).success();
+}
+
+#[test]
 fn a_stop_leaves_whole_scenes_only() {
     let folder = captures();
     let stopped = AtomicBool::new(true);

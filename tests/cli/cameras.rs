@@ -77,6 +77,19 @@ pub fn model(at: &Path, frames: &[(&str, &Camera)]) {
     fs::write(at.join("points3D.txt"), points).expect("written");
 }
 
+#[test]
+fn names_that_files_of_cameras_cannot_hold_are_refused_first() {
+    use std::os::unix::ffi::OsStrExt;
+    let (folder, _) = place();
+    colmap(&folder, "unused", "3.8", OPTIONS_3, [""; 3]);
+    let images = folder.path("place/images");
+    let latin = images.join(std::ffi::OsStr::from_bytes(b"caf\xe9.png"));
+    fs::rename(images.join(&crate::names(&images)[0]), latin).expect("renamed");
+    let outcome = folder.run("cameras @/place/images --colmap @/unused -o @/transforms.json");
+    outcome.fails(3, &["name of a photo", "caf\\xE9.png", "UTF-8"]);
+    assert!(!folder.path("unused.args").exists() && !folder.path("transforms.json").exists());
+}
+
 /// The model of all of the place's photos for the program `name`.
 fn whole_model(folder: &Folder, name: &str, frames: &[Frame]) {
     let names: Vec<String> = (0..frames.len()).map(|i| format!("0/{i:06}.png")).collect();

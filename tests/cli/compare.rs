@@ -2,8 +2,11 @@
 
 use crate::Folder;
 use std::path::Path;
-use zipsplat::types::Image;
-use zipsplat_tests::processes::{assert_succeeds, child, target};
+use zipsplat::{stages::lpips::LpipsNetwork, types::Image};
+use zipsplat_tests::{
+    golden::lpips_weights,
+    processes::{assert_succeeds, child, target},
+};
 
 /// A picture of one grey.
 fn grey(value: u8, width: u32, height: u32) -> Image {
@@ -65,6 +68,17 @@ fn what_cannot_be_compared_is_named() {
     folder.run("compare @/a @/small.png --lpips none").fails(3, &["a folder and a picture"]);
     folder.run("compare @/a @/photos --lpips none").fails(3, &["same name", "none in"]);
     folder.run("compare @/a/one.png @/nothing.png --lpips none").fails(3, &["nothing.png"]);
+}
+
+#[test]
+fn pictures_too_small_for_lpips_are_counted() {
+    if lpips_weights(LpipsNetwork::Alex).is_none() {
+        return;
+    }
+    let folder = folder();
+    let outcome = folder.run("compare @/a/one.png @/b/one.png --lpips alex --json");
+    assert!(outcome.err.contains("1 pair without LPIPS") && outcome.err.contains("31x31"), "{}", outcome.err);
+    assert!(outcome.json()["pictures"][0]["lpips"].is_null());
 }
 
 #[test]

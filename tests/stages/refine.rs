@@ -139,6 +139,11 @@ fn what_cannot_be_refined_is_refused() {
         refine_scene(&Arena::new(device()), scene, &photos, &cameras[..count], request, never).unwrap_err().to_string()
     };
     assert!(error(&scene, 1, &Refine::default()).contains("cameras"));
+    let mut telescopes = cameras.clone();
+    telescopes[1].intrinsics.fx = 1e12;
+    let never = |_: Refining<'_>| -> ControlFlow<()> { panic!("a step") };
+    let refined = refine_scene(&Arena::new(device()), &scene, &photos, &telescopes, &Refine::default(), never);
+    assert!(refined.unwrap_err().to_string().contains("camera 1, fx"));
     assert!(error(&Scene::default(), 2, &Refine::default()).contains("no Gaussians"));
     let behind = Scene { means: scene.means.iter().map(|m| [m[0], m[1], -m[2]]).collect(), ..scene.clone() };
     assert!(error(&behind, 2, &Refine::default()).contains("no Gaussian that any photo's camera sees"));

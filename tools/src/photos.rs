@@ -279,6 +279,16 @@ pub fn posed(session: &mut Session<'_>, photos: Vec<PathBuf>, poses: &Poses) -> 
     Ok(kept)
 }
 
+/// Returns the path of a photo as text, as files of cameras hold it.
+///
+/// # Errors
+/// [`Error::Argument`] if the path is not UTF-8.
+pub fn text(path: &Path) -> Result<&str> {
+    path.to_str().ok_or_else(|| {
+        Error::argument("name of a photo", format!("{path:?}"), "UTF-8, as files of cameras hold it: rename the photo")
+    })
+}
+
 /// The first few of the files by name.
 pub fn names(files: &[PathBuf]) -> String {
     named(files, |path| path.file_name().unwrap_or_default().to_string_lossy().into_owned())

@@ -1,8 +1,10 @@
 //! Reading of regular files only, and atomic writes.
 
-use std::fs::{File, FileType};
+use std::collections::BTreeSet;
+use std::fs::{File, FileType, TryLockError};
 use std::io::{BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
 use tempfile::NamedTempFile;
 
@@ -67,10 +69,45 @@ fn write_beside(path: &Path, write: impl FnOnce(&mut dyn Write) -> std::io::Resu
     Ok(())
 }
 
+/// Prefix of temporary files. Any such file that no process has locked is stale.
+const PREFIX: &str = ".zipsplat-";
+
+/// Creates a temporary file in the folder of `path`, locked until it is closed.
 fn temporary(path: &Path) -> std::io::Result<NamedTempFile> {
     let folder = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    remove_stale(folder);
+    loop {
+        let file = create_in(folder)?;
+        let locked = file.as_file().try_lock();
+        // Another process may have taken it for stale before it was locked.
+        if !matches!(locked, Err(TryLockError::WouldBlock)) && file.path().exists() {
+            return Ok(file);
+        }
+    }
+}
+
+/// Removes the temporary files of killed processes, once per process and folder.
+fn remove_stale(folder: &Path) {
+    static CLEAN: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
+    let Ok(whole) = folder.canonicalize() else { return };
+    if !CLEAN.lock().unwrap_or_else(PoisonError::into_inner).insert(whole) {
+        return;
+    }
+    for entry in folder.read_dir().into_iter().flatten().flatten() {
+        if entry.file_name().to_string_lossy().starts_with(PREFIX)
+            && entry.file_type().is_ok_and(|kind| kind.is_file())
+            && let Ok(file) = File::open(entry.path())
+            && file.try_lock().is_ok()
+        {
+            // Files of other users stay.
+            let _ = std::fs::remove_file(entry.path());
+        }
+    }
+}
+
+fn create_in(folder: &Path) -> std::io::Result<NamedTempFile> {
     let mut builder = tempfile::Builder::new();
-    builder.prefix(".zipsplat-");
+    builder.prefix(PREFIX);
     // Temporary files default to owner-only access.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
@@ -121,5 +158,25 @@ impl Unfinished {
     pub fn finish(self) -> Result<()> {
         let Self { file, path } = self;
         file.persist(&path).map(drop).map_err(|error| Error::io(path, error.error))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn temporary_files_of_killed_processes_are_removed() {
+        let folder = tempfile::tempdir().unwrap();
+        let stale = folder.path().join(".zipsplat-killed");
+        let other = folder.path().join("other.ply");
+        std::fs::write(&stale, "half").unwrap();
+        std::fs::write(&other, "whole").unwrap();
+        let live = create_in(folder.path()).unwrap();
+        live.as_file().lock().unwrap();
+        let begun = Unfinished::begin(&folder.path().join("scene.ply")).unwrap();
+        assert!(!stale.exists() && other.exists() && live.path().exists() && begun.temporary_path().exists());
+        begun.finish().unwrap();
+        assert!(folder.path().join("scene.ply").exists());
     }
 }

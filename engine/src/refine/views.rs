@@ -3,6 +3,7 @@
 use crate::{
     Result,
     random::Random,
+    stages::render::check_camera,
     types::{Camera, Image, preprocess::PixelMap, resample::resize_lanczos},
 };
 
@@ -23,11 +24,10 @@ impl View {
     /// Where the photo is empty or the camera is not the photo's.
     pub fn new(i: usize, photo: &Image, camera: &Camera, most: Option<[u32; 2]>, shrink: u32) -> Result<Self> {
         photo.validate()?;
-        let label = format!("camera {i}");
-        camera.validate(&label)?;
+        check_camera(i, camera)?;
         let [width, height] = size(photo, most, shrink);
         let map = PixelMap::resized(photo, width, height);
-        let camera = Camera { intrinsics: map.apply(&camera.intrinsics, &label)?, ..*camera };
+        let camera = Camera { intrinsics: map.apply(&camera.intrinsics, &format!("camera {i}"))?, ..*camera };
         let rgb = resize_lanczos(photo, width, height)?.rgb;
         Ok(Self { photo: i, size: [width, height], rgb, camera })
     }

@@ -1,6 +1,6 @@
 //! The safetensors format.
 
-use std::io::{self, BufWriter, Write};
+use std::io::{self, Write};
 use std::ops::ControlFlow;
 use std::path::Path;
 
@@ -12,7 +12,7 @@ use super::contents::{Contents, MAX_PICTURE_SIDE, add, is_picture_side};
 use super::tensor::{Stored, StoredDtype};
 use super::{Architecture, DepthArchitecture, Dtype};
 use crate::ops::{ParameterSource, Q8};
-use crate::types::preprocess::PATCH;
+use crate::types::{Unfinished, preprocess::PATCH};
 use crate::{Error, Result};
 
 const ARCHITECTURE_KEY: &str = "zipsplat.architecture";
@@ -111,18 +111,12 @@ pub(super) fn save(
     dtype: Dtype,
     progress: impl FnMut(f64) -> ControlFlow<()>,
 ) -> Result<()> {
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let mut builder = tempfile::Builder::new();
-    // Temporary files default to private.
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let file = builder.prefix(".zipsplat-").tempfile_in(folder).map_err(|error| Error::io(folder, error))?;
-    let mut out = BufWriter::with_capacity(1 << 20, file);
+    let file = Unfinished::begin(path)?;
+    let mut out = file.writer()?;
     write(checkpoint, dtype, path, &mut out, progress)?;
-    let file = out.into_inner().map_err(|error| Error::io(path, error.into_error()))?;
-    file.as_file().sync_all().map_err(|error| Error::io(path, error))?;
-    file.persist(path).map_err(|error| Error::io(path, error.error))?;
-    Ok(())
+    out.flush().and_then(|()| out.get_ref().sync_all()).map_err(|error| Error::io(path, error))?;
+    drop(out);
+    file.finish()
 }
 
 /// `path` is for messages only.

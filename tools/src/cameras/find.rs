@@ -7,7 +7,7 @@ use super::{
 use crate::{
     depth::{CamerasFrom, Seen},
     outputs::LOG_START,
-    photos::names,
+    photos::{names, text},
     process,
     scratch::Scratch,
     session::Session,
@@ -153,8 +153,9 @@ impl Finder {
     /// Finds the cameras of photos. Frames have the names of the photos' files, or of several that share one their paths.
     ///
     /// # Errors
-    /// As [`Found::by_colmap`] and [`Found::by_network`].
+    /// As [`text`], [`Found::by_colmap`] and [`Found::by_network`].
     pub fn find(self, session: &mut Session<'_>, photos: &[PathBuf], finding: &Finding) -> Result<(Poses, Found)> {
+        photos.iter().try_for_each(|photo| text(Path::new(photo.file_name().unwrap_or_default())).map(drop))?;
         match self {
             Self::Colmap => Found::by_colmap(session, photos, &finding.search),
             Self::Da3 => Found::by_network(session, photos, finding),

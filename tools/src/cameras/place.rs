@@ -1,7 +1,10 @@
 //! The files of found cameras.
 
 use super::Found;
-use crate::outputs::{Overwrite, check_folder, make_folder};
+use crate::{
+    outputs::{Overwrite, check_folder, make_folder},
+    photos::text,
+};
 use clap::Args;
 use std::path::{Path, PathBuf};
 use zipsplat::{
@@ -120,19 +123,22 @@ impl ModelOption {
         });
         let shared = shared.unwrap_or_default();
         let named = |(frame, photo): (&Frame, &Path)| {
-            let name = photo.strip_prefix(&shared).unwrap_or(photo).to_string_lossy().replace('\\', "/");
-            Frame { name, ..frame.clone() }
+            let name = text(photo.strip_prefix(&shared).unwrap_or(photo))?.replace('\\', "/");
+            Ok(Frame { name, ..frame.clone() })
         };
-        let named: Vec<Frame> = frames.iter().zip(photos.clone()).map(named).collect();
+        let named = frames.iter().zip(photos.clone()).map(named).collect::<Result<Vec<Frame>>>()?;
         make_folder(folder)?;
         write_colmap(folder, &named, &points.map(read_cloud).transpose()?.map(colored).unwrap_or_default())
     }
 }
 
 /// A photo's path as seen from a folder above it, else its whole path.
+///
+/// # Errors
+/// As [`text`]; [`Error::Io`].
 pub fn path_from(folder: &Path, photo: &Path) -> Result<String> {
     let whole = |path: &Path| path.canonicalize().map_err(|source| Error::io(path, source));
     let (folder, photo) = (whole(folder)?, whole(photo)?);
     let path = photo.strip_prefix(folder).unwrap_or(&photo);
-    Ok(path.to_string_lossy().replace('\\', "/"))
+    Ok(text(path)?.replace('\\', "/"))
 }

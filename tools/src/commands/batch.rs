@@ -17,6 +17,7 @@ use serde::Serialize;
 use serde_json::{Value, json};
 use std::{
     collections::HashMap,
+    fs::{File, TryLockError},
     path::{Path, PathBuf},
     sync::{Mutex, mpsc::sync_channel},
     time::Instant,
@@ -131,6 +132,7 @@ impl Batch {
             Network::Pixels(checkpoint) => Maker::of_pixels(self, session, checkpoint)?,
         };
 
+        let _lock = self.lock()?;
         let runner = Runner { batch: self, works: &works, maker, made_with };
         let (tally, took) = session.stage("batch", |stage| runner.run(stage))?;
         let Tally { made, unchanged, failures } = tally;
@@ -153,6 +155,23 @@ impl Batch {
         session.report(&json, text)
     }
 
+    /// Locks the output folder against other batches for as long as the result lives.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] if another process holds it.
+    fn lock(&self) -> Result<Option<File>> {
+        outputs::make_folder(&self.output)?;
+        // Some systems and file systems do not lock folders.
+        let Ok(folder) = File::open(&self.output) else { return Ok(None) };
+        match folder.try_lock() {
+            Err(TryLockError::WouldBlock) => {
+                let found = format!("{}, where another batch is running", self.output.display());
+                Err(Error::argument("--output", found, "a folder of its own for each batch"))
+            }
+            _ => Ok(Some(folder)),
+        }
+    }
+
     /// The captures, each with a name of its own.
     fn works(&self) -> Result<Vec<Work>> {
         let mut folders = Vec::new();
@@ -162,7 +181,9 @@ impl Batch {
         let mut names: HashMap<String, &Path> = HashMap::new();
         let mut works = Vec::new();
         for folder in &folders {
-            let whole = folder.canonicalize().map_err(|error| Error::io(folder, error))?;
+            // A listed folder that is missing fails alone, when its turn comes.
+            let whole = folder.canonicalize().or_else(|_| std::path::absolute(folder));
+            let whole = whole.map_err(|error| Error::io(folder, error))?;
             let name = whole.file_name().unwrap_or_default().to_string_lossy().into_owned();
             if let Some(other) = names.insert(name.clone(), folder) {
                 let found = format!("{name}, as {}", other.display());

@@ -69,6 +69,11 @@ impl Compare {
         }
         let compared = |stage: &Stage<'_>| stage.each(&pairs, |pair| compare(pair, lpips.as_mut()));
         let (rows, _) = session.stage("compare", compared)?;
+        let small = rows.iter().filter(|row| row.lpips.is_none()).count();
+        if let Some(lpips) = lpips.filter(|_| small > 0) {
+            let (side, small) = (lpips.network().least_side(), counted(small, "pair"));
+            session.note(format!("{small} without LPIPS, whose network takes pictures of {side}x{side} and larger"));
+        }
         if let Some(path) = &self.csv {
             outputs::save_csv(path, &rows)?;
         }

@@ -31,6 +31,7 @@ pub use pack::PixelLayout;
 pub use planned::{first_capacity, plan_pictures};
 pub use project::{CameraRows, camera_rows};
 pub use range::MAX_SIDE;
+pub(crate) use range::check_camera;
 pub use renderer::Renderer;
 pub use scene::{DeviceScene, SceneMemory, WeakScene};
 

@@ -18,17 +18,22 @@ pub(super) fn check(cameras: &[Camera], request: &RenderRequest) -> Result<()> {
         return Err(Error::argument("render request", "no output", expected));
     }
     for (i, camera) in cameras.iter().enumerate() {
-        camera.validate(&format!("camera {i}"))?;
-        let size = (camera.intrinsics.width, camera.intrinsics.height);
-        if size.0.max(size.1) > MAX_SIDE {
-            let found = format!("{} x {}", size.0, size.1);
-            return Err(Error::argument(format!("size of camera {i}"), found, format!("sides up to {MAX_SIDE}")));
-        }
-        check_range(camera).map_err(|(field, found, expected)| {
-            Error::argument(format!("camera {i}, {field}"), format!("{found:e}"), format!("{expected} to draw with it"))
-        })?;
+        check_camera(i, camera)?;
     }
     Ok(())
+}
+
+/// Checks that the kernels can draw with camera `i`.
+pub(crate) fn check_camera(i: usize, camera: &Camera) -> Result<()> {
+    camera.validate(&format!("camera {i}"))?;
+    let size = (camera.intrinsics.width, camera.intrinsics.height);
+    if size.0.max(size.1) > MAX_SIDE {
+        let found = format!("{} x {}", size.0, size.1);
+        return Err(Error::argument(format!("size of camera {i}"), found, format!("sides up to {MAX_SIDE}")));
+    }
+    check_range(camera).map_err(|(field, found, expected)| {
+        Error::argument(format!("camera {i}, {field}"), format!("{found:e}"), format!("{expected} to draw with it"))
+    })
 }
 
 /// Returns the field, value and expected range on failure.
