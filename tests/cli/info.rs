@@ -2,7 +2,7 @@
 
 use crate::Folder;
 use zipsplat::stages::lpips::LpipsNetwork;
-use zipsplat::types::{Scene, World, WriteOptions, write_ply, write_scene_in};
+use zipsplat::types::{Origin, Scene, World, WriteOptions, write_ply, write_scene_in};
 use zipsplat_tests::{golden::lpips_weights, scenes};
 
 #[test]
@@ -43,7 +43,7 @@ fn a_scene_is_told_by_its_ranges() {
         opacities: vec![0.25, 0.75],
         ..scenes::random_scene(2, 1, 0.1)
     };
-    let world = World::Photo("images/7.png".into());
+    let world = World::from(Origin::Photo("images/7.png".into()));
     write_scene_in(folder.path("a.ply"), &scene, &WriteOptions::default(), Some(&world))
         .expect("a scene can be written");
     write_ply(&scene, folder.path("b.ply")).expect("a scene can be written");

@@ -2,7 +2,7 @@
 
 use crate::{Folder, command};
 use std::sync::atomic::AtomicBool;
-use zipsplat::types::{World, poses::read_poses, read_scene, read_world, write_ply};
+use zipsplat::types::{Origin, World, poses::read_poses, read_scene, read_world, write_ply};
 use zipsplat_tests::scenes;
 
 /// A place of 10 photos in `@/place`.
@@ -32,7 +32,8 @@ fn points_become_a_scene_that_looks_like_the_photos() {
     assert!(json["explain"]["passes"].as_array().is_some_and(|passes| passes.len() > 10), "{}", json["explain"]);
     // The scene is in the world of the cameras, and says so.
     let first = read_poses(folder.path("place")).expect("cameras").frames[0].camera.pose;
-    let Some(World::Cameras(pose)) = read_world(folder.path("scene.ply")).expect("a world") else {
+    let Some(World { origin: Origin::Cameras(pose), .. }) = read_world(folder.path("scene.ply")).expect("a world")
+    else {
         panic!("another world")
     };
     assert!(pose.translation.abs_diff_eq(first.translation, 1e-9));

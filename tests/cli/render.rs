@@ -203,6 +203,29 @@ fn a_scene_can_be_in_the_world_of_its_cameras() {
         close(&draw("first", "", &path).1, &draw("own", "--world cameras", &path).1);
     }
     assert_eq!(folder.run("reconstruct @/place/images --world cameras -o @/x.ply").code, 2);
+
+    // The same photos in another reconstruction's world, by name alone: aligned, and said so.
+    write_transforms(&folder.path("other.json"), &poses.frames.iter().map(|f| f.camera).collect::<Vec<_>>(), &names)
+        .expect("cameras");
+    for scene in ["first", "own"] {
+        let outcome = folder.run(&format!("render @/{scene}.ply --cameras @/other.json -o @/other"));
+        assert!(outcome.err.contains("in another world than the scene: aligned"), "{}", outcome.err);
+        outcome.success();
+        let other: Vec<Image> =
+            contents(&folder, "other").into_keys().map(|f| picture(&folder, &format!("other/{f}"))).collect();
+        close(&first, &other);
+    }
+    // No similarity makes these of a mirrored world those of the scene.
+    let mirrored = poses.frames.iter().map(|frame| {
+        let center = frame.camera.pose.translation;
+        Camera { pose: Pose { translation: -center, ..frame.camera.pose }, ..frame.camera }
+    });
+    write_transforms(&folder.path("mirrored.json"), &mirrored.collect::<Vec<_>>(), &names).expect("cameras");
+    let refused = folder.run("render @/own.ply --cameras @/mirrored.json -o @/mirrored");
+    refused.fails(3, &["cameras of", "mirrored.json", "another direction"]);
+    let kept = folder.run("refine @/first.ply @/place/images --poses @/other.json --steps 2 -o @/refined.ply");
+    assert!(kept.err.contains("aligned"), "{}", kept.err);
+    kept.success();
 }
 
 fn picture(folder: &Folder, name: &str) -> Image {

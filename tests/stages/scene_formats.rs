@@ -8,9 +8,10 @@ mod spz4;
 use std::fs;
 use std::io::Write;
 
+use glam::DVec3;
 use zipsplat::Error;
 use zipsplat::types::{
-    Pose, Scene, SceneFormat, World, WriteOptions, decode_scene, decode_scene_unchecked, encode_scene,
+    Origin, Pose, Scene, SceneFormat, World, WriteOptions, decode_scene, decode_scene_unchecked, encode_scene,
     matrix_from_quaternion, read_scene, read_world, write_scene, write_scene_in,
 };
 use zipsplat_tests::scenes;
@@ -327,16 +328,18 @@ fn files_say_which_world_a_scene_is_in() {
         };
         let keeps = SceneFormat::of_extension(&path).unwrap().keeps_world(&WriteOptions::default());
         assert_eq!(keeps, name != "a.splat");
-        let photo = World::Photo("images/photo é 1.jpg".into());
+        let away = DVec3::new(0.1, -2e30, 3.0);
+        let landmarks = vec![("photo é 1.jpg".into(), DVec3::ZERO), ("a b.png".into(), away)];
+        let photo = World { origin: Origin::Photo("images/photo é 1.jpg".into()), landmarks };
         assert_eq!(said(Some(&photo)), Some(photo).filter(|_| keeps), "{name}");
-        let Some(World::Cameras(found)) = said(Some(&World::Cameras(pose))) else {
+        let Some(World { origin: Origin::Cameras(found), .. }) = said(Some(&Origin::Cameras(pose).into())) else {
             assert!(!keeps, "{name}");
             continue;
         };
         assert!(found.matrix().abs_diff_eq(pose.matrix(), 1e-15), "{name}: {found:?}, not {pose:?}");
         assert_eq!(said(None), None, "{name}");
         // A line break would end a PLY's comment.
-        assert_eq!(said(Some(&World::Photo("a\nelement vertex 9".into()))), None, "{name}");
+        assert_eq!(said(Some(&Origin::Photo("a\nelement vertex 9".into()).into())), None, "{name}");
         assert_eq!(read_scene(&path).unwrap().len(), scene(1).len(), "{name}");
     }
 }

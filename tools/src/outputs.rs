@@ -10,7 +10,7 @@ use std::{
 };
 use zipsplat::{
     Error, Result,
-    types::{Image, Scene, SceneFormat, Unfinished, World, WriteOptions, write_atomic, write_scene_in},
+    types::{Image, Origin, Scene, SceneFormat, Unfinished, World, WriteOptions, write_atomic, write_scene_in},
 };
 
 /// Levels of a depth picture for one world unit.
@@ -152,8 +152,8 @@ pub fn check_folder(path: &Path) -> Result<()> {
 pub fn save_scene(path: &Path, scene: &Scene, options: &WriteOptions, world: Option<&World>) -> Result<Option<String>> {
     write_scene_in(path, scene, options, world)?;
     let keeps = SceneFormat::of_extension(path).is_none_or(|format| format.keeps_world(options));
-    Ok(match world {
-        Some(World::Photo(photo)) if !keeps => {
+    Ok(match world.map(|world| &world.origin) {
+        Some(Origin::Photo(photo)) if !keeps => {
             let path = path.display();
             Some(format!(
                 "{path} cannot say that its world is the camera of {photo}: `render` needs --relative-to {photo}"

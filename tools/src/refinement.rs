@@ -5,7 +5,7 @@ mod moved;
 pub use moved::Moved;
 
 use crate::{
-    cameras::path_from,
+    cameras::{Similarity, path_from},
     options::Size,
     session::Session,
     table::{Table, bytes, counted, significant, time},
@@ -215,20 +215,21 @@ impl RefineOptions {
     }
 }
 
-/// Writes the refined cameras of photos for `--poses` and other programs, `to_world` the pose of the scene in the cameras' world.
+/// Writes the refined cameras of photos for `--poses` and other programs. `to_world` leads from the
+/// scene to the cameras' world.
 ///
 /// # Errors
 /// [`Error::Io`] naming the file that cannot be written.
 pub fn save_cameras(
     path: &Path,
     refined: &Refined,
-    to_world: &Pose,
+    to_world: &Similarity,
     photos: &[PathBuf],
     frames: &[&Frame],
 ) -> Result<()> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let moved = |((camera, photo), frame): ((&Camera, &PathBuf), &&Frame)| {
-        let camera = Camera { pose: to_world.compose(&camera.pose), ..frame.camera };
+        let camera = Camera { intrinsics: frame.camera.intrinsics, ..to_world.apply(camera) };
         Ok(Frame { name: path_from(folder, photo)?, camera, ..Frame::clone(frame) })
     };
     let moved = refined.cameras.iter().zip(photos).zip(frames).map(moved).collect::<Result<Vec<Frame>>>()?;

@@ -45,5 +45,5 @@ pub use splat::{read_splat, write_splat};
 pub use spz::{read_spz, spz_coarsening, write_spz};
 pub use squares::{square_count, squares};
 pub use trajectory::{Dolly, Ellipse, Orbit, Spline, mean_up};
-pub use world::World;
+pub use world::{Origin, World};
 use zipsplat_error::{Error, Result};

@@ -2,16 +2,31 @@
 
 use std::fmt;
 
+use glam::DVec3;
+
 use super::camera::{Pose, matrix_from_quaternion, quaternion_from_matrix};
+use super::poses::Frame;
 
 /// Prefix of this engine's metadata: a comment in PLY and SPZ, an extra in glTF.
 pub(super) const MADE_BY: &str = "zipsplat";
 const PHOTO: &str = "origin: ";
 const CAMERAS: &str = "world: cameras, first ";
+/// Separator of landmarks. Names of photos with control characters are not stored.
+const LANDMARK: char = '\t';
 
 /// World of a scene from known cameras, in their unit of length.
 #[derive(Clone, Debug, PartialEq)]
-pub enum World {
+pub struct World {
+    /// The coordinate frame.
+    pub origin: Origin,
+    /// Names of the first photo and the one farthest from it, and their cameras' centers in the
+    /// scene's world. They tell whether other cameras share that world.
+    pub landmarks: Vec<(String, DVec3)>,
+}
+
+/// Coordinate frame of a scene.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Origin {
     /// Camera frame of the named photo: x right, y down, z forward.
     Photo(String),
     /// The cameras' world, with the pose of the first photo's camera.
@@ -19,20 +34,58 @@ pub enum World {
 }
 
 impl World {
+    /// The camera frame of the first photo; `None` without photos.
+    pub fn of_first(frames: &[&Frame]) -> Option<Self> {
+        let first = frames.first()?;
+        Some(Self::of(Origin::Photo(first.name.clone()), &first.camera.pose.inverse(), frames))
+    }
+
+    /// The world of the cameras; `None` without photos.
+    pub fn of_cameras(frames: &[&Frame]) -> Option<Self> {
+        Some(Self::of(Origin::Cameras(frames.first()?.camera.pose), &Pose::IDENTITY, frames))
+    }
+
+    fn of(origin: Origin, to_world: &Pose, frames: &[&Frame]) -> Self {
+        let center = |frame: &&Frame| to_world.transform(frame.camera.pose.translation);
+        let from_first = |frame: &&&Frame| center(frame).distance(center(&frames[0]));
+        let farthest = frames.iter().skip(1).max_by(|a, b| from_first(a).total_cmp(&from_first(b)));
+        let landmarks = frames.first().into_iter().chain(farthest.filter(|frame| from_first(frame) > 0.0));
+        Self { origin, landmarks: landmarks.map(|frame| (frame.name.clone(), center(frame))).collect() }
+    }
+
     /// Formats a line for [`World::parse`], without the world if a photo's name has control
     /// characters.
     pub(super) fn line(world: Option<&Self>) -> String {
-        match world {
-            Some(world) if !matches!(world, Self::Photo(name) if name.contains(char::is_control)) => {
-                format!("{MADE_BY} {world}")
-            }
-            _ => MADE_BY.into(),
-        }
+        let is_named = |world: &&Self| !matches!(&world.origin, Origin::Photo(name) if name.contains(char::is_control));
+        let Some(world) = world.filter(is_named) else { return MADE_BY.into() };
+        let landmarks = world.landmarks.iter().filter(|(name, _)| !name.contains(char::is_control));
+        let landmarks: String =
+            landmarks.map(|(name, at)| format!("{LANDMARK}camera {} {} {} {name}", at.x, at.y, at.z)).collect();
+        format!("{MADE_BY} {}{landmarks}", world.origin)
     }
 
     /// Parses a line of [`World::line`].
     pub(super) fn parse(line: &str) -> Option<Self> {
-        let said = line.strip_prefix(MADE_BY)?.strip_prefix(' ')?;
+        let mut parts = line.strip_prefix(MADE_BY)?.strip_prefix(' ')?.split(LANDMARK);
+        let origin = Origin::parse(parts.next()?)?;
+        let landmark = |text: &str| {
+            let mut words = text.strip_prefix("camera ")?.splitn(4, ' ');
+            let mut number = || words.next()?.parse().ok();
+            let center = DVec3::new(number()?, number()?, number()?);
+            Some((words.next()?.to_owned(), center)).filter(|(_, center)| center.is_finite())
+        };
+        Some(Self { origin, landmarks: parts.filter_map(landmark).collect() })
+    }
+}
+
+impl From<Origin> for World {
+    fn from(origin: Origin) -> Self {
+        Self { origin, landmarks: Vec::new() }
+    }
+}
+
+impl Origin {
+    fn parse(said: &str) -> Option<Self> {
         if let Some(photo) = said.strip_prefix(PHOTO) {
             return Some(Self::Photo(photo.into()));
         }
@@ -46,7 +99,7 @@ impl World {
     }
 }
 
-impl fmt::Display for World {
+impl fmt::Display for Origin {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Photo(name) => write!(f, "{PHOTO}{name}"),

@@ -9,7 +9,7 @@ mod similarity;
 mod work;
 
 pub use find::{Finder, Finding, Found, Known, Searching};
-pub use paths::{CameraArgs, origin};
+pub use paths::{CameraArgs, to_scene};
 pub use place::{ModelOption, Place, path_from};
 pub use similarity::Similarity;
 pub use work::lenses;

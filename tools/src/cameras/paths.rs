@@ -1,5 +1,6 @@
 //! Cameras to draw with: of files, and along paths around a scene.
 
+use super::Similarity;
 use crate::options::Size;
 use clap::{ArgGroup, Args};
 use glam::{DMat3, DVec3};
@@ -10,7 +11,7 @@ use std::{
 use zipsplat::{
     Error, Result,
     types::{
-        Camera, Dolly, Ellipse, Intrinsics, Orbit, Pose, Scene, Spline, World, mean_up,
+        Camera, Dolly, Ellipse, Intrinsics, Orbit, Origin, Pose, Scene, Spline, World, mean_up,
         poses::{Poses, read_cameras},
         preprocess::crop_to_aspect,
     },
@@ -23,6 +24,10 @@ const WIGGLE_ELEVATION: f64 = 2.0;
 /// Length of the cameras' own order, per length of the order by nearness, above which it is no
 /// path.
 const DETOUR: f64 = 1.5;
+/// Errors of the landmarks' centers per distance between them: in the same world, and after an
+/// alignment by the first one's pose.
+const SAME_WORLD: f64 = 0.1;
+const ALIGNED: f64 = 0.3;
 /// Size of pictures whose cameras have none.
 const SIZE: Size = Size(252, 252);
 
@@ -86,12 +91,12 @@ impl CameraArgs {
         let frames = self.frames as usize;
         let lens = self.lens()?;
         let with_lens = |poses: Vec<Pose>| poses.into_iter().map(|pose| Camera { intrinsics: lens, pose }).collect();
-        let (home, mut notes) = match (&self.orbit, world) {
+        let (home, mut notes) = match (&self.orbit, world.map(|world| &world.origin)) {
             (Some(Some(file)), _) => {
                 let (cameras, notes) = self.of_file(file, world, &lens, false)?;
                 (level(&cameras)?, notes)
             }
-            (_, Some(World::Cameras(first))) => (*first, Vec::new()),
+            (_, Some(Origin::Cameras(first))) => (*first, Vec::new()),
             _ => (Pose::IDENTITY, Vec::new()),
         };
         let path = if self.orbit.is_some() {
@@ -169,10 +174,10 @@ impl CameraArgs {
         };
         let own = Size(first.camera.intrinsics.width, first.camera.intrinsics.height);
         let size = self.size.or(alike.then_some(own));
-        let (place, note) = origin(self.relative_to.as_deref(), &poses, world, path)?;
+        let (to_scene, note) = to_scene(self.relative_to.as_deref(), &poses, world, path)?;
         let camera = |camera: Camera| Camera {
             intrinsics: size.map_or(camera.intrinsics, |size| cropped(&camera.intrinsics, size)),
-            pose: place.map_or(camera.pose, |place| camera.pose.relative_to(&place)),
+            ..to_scene.apply(&camera)
         };
         let cameras = poses.frames.iter().map(|frame| camera(frame.camera)).collect();
         poses.notes.extend(note);
@@ -180,41 +185,79 @@ impl CameraArgs {
     }
 }
 
-/// The pose of the scene's world among the cameras of a file, where it is not theirs, and what there is to say about it. `world`
-/// is what the scene's file says of it.
+/// Returns the similarity from the cameras of a file to the world of a scene, and a note about it.
+/// `world` is the world that the scene's file states.
 ///
 /// # Errors
-/// Where the cameras have none for the photo `relative_to`.
-pub fn origin(
+/// [`Error::Argument`] if the cameras have none for the photo `relative_to`, or if they are of
+/// another reconstruction than the scene's.
+pub fn to_scene(
     relative_to: Option<&Path>,
     poses: &Poses,
     world: Option<&World>,
     path: &Path,
-) -> Result<(Option<Pose>, Option<String>)> {
+) -> Result<(Similarity, Option<String>)> {
     if let Some(photo) = relative_to {
-        return Ok((Some(origin_pose(poses, photo)?), None));
+        return Ok((origin_pose(poses, photo)?.inverse().into(), None));
     }
-    let path = path.display();
-    Ok(match world {
-        Some(World::Cameras(_)) => (None, None),
-        Some(World::Photo(photo)) => match origin_pose(poses, Path::new(photo)) {
-            Ok(pose) => (Some(pose), None),
+    let file = path.display();
+    let (given, note) = match world.map(|world| &world.origin) {
+        Some(Origin::Cameras(_)) => (Pose::IDENTITY, None),
+        Some(Origin::Photo(photo)) => match origin_pose(poses, Path::new(photo)) {
+            Ok(pose) => (pose.inverse(), None),
             Err(_) => {
                 let note = format!(
-                    "the scene's world is the camera of {photo}, which {path} has not: its cameras are taken as if they \
+                    "the scene's world is the camera of {photo}, which {file} has not: its cameras are taken as if they \
                      counted from that photo; `reconstruct --world cameras` makes scenes in the world of the cameras"
                 );
-                (None, Some(note))
+                (Pose::IDENTITY, Some(note))
             }
         },
         None => {
             let note = format!(
-                "the scene's file does not say which world it is in: the cameras of {path} are taken to be in the same; \
+                "the scene's file does not say which world it is in: the cameras of {file} are taken to be in the same; \
                  --relative-to PHOTO where it is the camera of that photo"
             );
-            (None, Some(note))
+            (Pose::IDENTITY, Some(note))
         }
-    })
+    };
+    let Some(aligned) = world.and_then(|world| aligned(&given, poses, world)) else { return Ok((given.into(), note)) };
+    match aligned {
+        Ok((aligned, names)) => {
+            let note =
+                format!("the cameras of {file} are in another world than the scene: aligned by those of {names}");
+            Ok((aligned, Some(note)))
+        }
+        Err(names) => {
+            let found = format!("{names}, apart from each other in another direction than in the scene's world");
+            let expected = "the cameras that the scene was made with, or others of the same photos";
+            Err(Error::argument(format!("cameras of {file}"), found, expected))
+        }
+    }
+}
+
+/// Compares a scene's landmarks with the same cameras of a file. Returns `None` if they agree after
+/// `given`, or are not in the file. Otherwise returns the similarity by pose and distance, or an
+/// error if no similarity fits; both with the photos' names.
+fn aligned(given: &Pose, poses: &Poses, world: &World) -> Option<Result<(Similarity, String), String>> {
+    let [(first, from), (last, to)] = &world.landmarks[..] else { return None };
+    let [a, b] = [first, last].map(|name| origin_pose(poses, Path::new(name)).ok());
+    let (a, b) = (a?, b?);
+    let (length, found) = (from.distance(*to), a.translation.distance(b.translation));
+    let off = |to_scene: &Similarity| {
+        [(a, from), (b, to)].map(|(pose, at)| to_scene.point(pose.translation).distance(*at)).into_iter().sum::<f64>()
+    };
+    if off(&(*given).into()) <= SAME_WORLD * length {
+        return None;
+    }
+    let names = format!("{first} and {last}");
+    let home = match &world.origin {
+        Origin::Photo(_) => Pose::IDENTITY,
+        Origin::Cameras(first) => *first,
+    };
+    let (scale, back) = (length / found, a.inverse());
+    let onto = Similarity { scale, pose: home.compose(&Pose { translation: scale * back.translation, ..back }) };
+    Some(if off(&onto) <= ALIGNED * length { Ok((onto, names)) } else { Err(names) })
 }
 
 /// Returns the scene in the coordinates of a pose in its world.

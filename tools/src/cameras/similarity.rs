@@ -1,15 +1,31 @@
 //! The similarity between two worlds in which the same cameras stand.
 
 use glam::{DMat3, DQuat, DVec3, DVec4};
-use zipsplat::{Camera, types::Pose};
+use zipsplat::{
+    Camera,
+    types::{PointCloud, Pose},
+};
 
 /// A similarity: a point x of another world stands at `pose(scale x)`.
+#[derive(Clone, Copy)]
 pub struct Similarity {
     pub scale: f64,
     pub pose: Pose,
 }
 
+impl From<Pose> for Similarity {
+    fn from(pose: Pose) -> Self {
+        Self { scale: 1.0, pose }
+    }
+}
+
 impl Similarity {
+    /// Returns the similarity that undoes this one.
+    pub fn inverse(&self) -> Self {
+        let Pose { rotation, translation } = self.pose.inverse();
+        Self { scale: 1.0 / self.scale, pose: Pose { rotation, translation: translation / self.scale } }
+    }
+
     /// The similarity that brings cameras of another world to the same ones here, pairs of both, and how far they then are apart, as a
     /// share of their spread. Turns are averaged; length and place are those of least squares. None where no length follows: of one
     /// place, or places that nothing brings together.
@@ -29,9 +45,22 @@ impl Similarity {
         usable.then(|| (Self { scale, pose }, (apart / spread).sqrt()))
     }
 
-    /// A camera of the other world, here.
+    /// Returns a point of the other world, here.
+    pub fn point(&self, point: DVec3) -> DVec3 {
+        self.pose.transform(self.scale * point)
+    }
+
+    /// Returns points of the other world, here.
+    pub fn cloud(&self, mut cloud: PointCloud) -> PointCloud {
+        for at in &mut cloud.positions {
+            *at = self.point(at.map(f64::from).into()).as_vec3().to_array();
+        }
+        cloud
+    }
+
+    /// Returns a camera of the other world, here.
     pub fn apply(&self, camera: &Camera) -> Camera {
-        let translation = self.pose.transform(self.scale * camera.pose.translation);
+        let translation = self.point(camera.pose.translation);
         Camera { pose: Pose { rotation: self.pose.rotation * camera.pose.rotation, translation }, ..*camera }
     }
 }

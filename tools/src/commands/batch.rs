@@ -26,7 +26,7 @@ use zipsplat::{
     Error, Result,
     reconstruct::MAX_VIEWS,
     types::{
-        Scene, SceneFormat, World, WriteOptions,
+        Origin, Scene, SceneFormat, World, WriteOptions,
         poses::{Frame, Poses, read_poses},
         write_atomic,
     },
@@ -316,7 +316,7 @@ impl Runner<'_> {
         }
         let frames: Vec<&Frame> = poses.as_ref().map(|poses| poses.frames_of(&photos)).transpose()?.unwrap_or_default();
         let input = self.maker.prepare(self.batch, &photos, poses.as_ref(), &frames, stage)?;
-        let world = frames.first().map(|first| World::Photo(first.name.clone()));
+        let world = World::of_first(&frames);
         Ok(Some(Prepared { input, hash, photos: photos.len(), world }))
     }
 
@@ -324,7 +324,7 @@ impl Runner<'_> {
         let began = Instant::now();
         let Prepared { input, hash, photos, world } = prepared;
         let Scened { scene, first, record: of_network } = self.maker.make(self.batch, input, &stage.silent())?;
-        let world = world.or(first.map(World::Photo));
+        let world = world.or(first.map(|first| Origin::Photo(first).into()));
         let mut record = json!({
             "generator": outputs::MADE_BY, "capture": work.folder, "hash": hash, "photos": photos,
             "gaussians": scene.len(), "seconds": began.elapsed().as_secs_f64(),

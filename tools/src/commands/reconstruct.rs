@@ -133,11 +133,11 @@ enum WorldName {
 }
 
 impl WorldName {
-    /// The world of a scene whose first photo has this frame.
-    fn of(self, first: &Frame) -> World {
+    /// Returns the world of a scene of photos with these frames.
+    fn of(self, frames: &[&Frame]) -> Option<World> {
         match self {
-            Self::First => World::Photo(first.name.clone()),
-            Self::Cameras => World::Cameras(first.camera.pose),
+            Self::First => World::of_first(frames),
+            Self::Cameras => World::of_cameras(frames),
         }
     }
 }
@@ -197,8 +197,9 @@ impl Reconstruct {
         };
         let made = refined.as_ref().map(|made| &made.refined.scene).or(forward.as_ref().map(|forward| &forward.scene));
         let Some(mut scene) = made.cloned() else { unreachable!("a scene is reconstructed or refined") };
-        let world = frames.first().map(|first| self.world.of(first));
-        if let Some(World::Cameras(first)) = &world {
+        let world = self.world.of(&frames);
+        let moved = first.filter(|_| matches!(self.world, WorldName::Cameras));
+        if let Some(first) = &moved {
             scene.place(1.0, first);
             session.notes(coarse(first, forward.as_ref()));
         }
@@ -214,7 +215,7 @@ impl Reconstruct {
         let (note, write) = session.stage("write", |_| save())?;
         session.notes(note);
         if let (Some(path), Some(Made { refined, .. }), Some(first)) = (&self.refined_cameras, &refined, &first) {
-            save_cameras(path, refined, first, &photos, &frames)?;
+            save_cameras(path, refined, &(*first).into(), &photos, &frames)?;
             frame_folder.iter_mut().for_each(FrameFolder::keep);
         }
         if let (Some(path), Some(found)) =
@@ -226,7 +227,7 @@ impl Reconstruct {
         let drawn = drawing.map(|drawing| {
             let mut renderer = Renderer::new(&device);
             // What the host thinned or moved it has to bring back.
-            let as_made = refined.is_none() && !matches!(world, Some(World::Cameras(_)));
+            let as_made = refined.is_none() && moved.is_none();
             let own = forward.as_ref().filter(|_| as_made).and_then(|forward| forward.on_device.as_ref());
             let load = |_: &mut Session<'_>, renderer: &mut Renderer| match own {
                 Some(gaussians) => renderer.show(gaussians),

@@ -1,12 +1,12 @@
 //! `zipsplat refine`: a scene that is made to look like photos.
 
 use crate::{
-    cameras::{Finding, Known, origin},
+    cameras::{Finding, Known, Similarity, to_scene},
     explain::Explanation,
     options::{SceneInput, Size},
     outputs::{self, Overwrite},
     photos,
-    refinement::{self, MOST_PIXELS, Moved, Refinable, Start, placed, save_cameras},
+    refinement::{self, MOST_PIXELS, Moved, Refinable, Start, save_cameras},
     session::Session,
     table::counted,
 };
@@ -18,7 +18,7 @@ use zipsplat::{
     gpu::{Arena, Device},
     refine::{self, Refined, Stopped},
     types::{
-        Camera, Image, Pose, Scene, SceneFormat, World, WriteOptions,
+        Camera, Image, Scene, SceneFormat, World, WriteOptions,
         poses::{Frame, Poses, read_cloud},
         read_world,
     },
@@ -89,9 +89,9 @@ pub struct Refine {
 struct Started {
     scene: Scene,
     cameras: Vec<Camera>,
-    world: World,
-    /// The pose of the scene in the world of the cameras given.
-    pose: Pose,
+    world: Option<World>,
+    /// From the world of the given cameras to the scene's.
+    to_scene: Similarity,
 }
 
 impl Refine {
@@ -125,10 +125,10 @@ impl Refine {
             return Err(Error::Cancelled);
         }
         let options = WriteOptions::default();
-        let note = outputs::save_scene(&self.output, &refined.scene, &options, Some(&started.world))?;
+        let note = outputs::save_scene(&self.output, &refined.scene, &options, started.world.as_ref())?;
         note.into_iter().for_each(|note| session.note(note));
         if let Some(path) = &self.refined_cameras {
-            save_cameras(path, &refined, &started.pose, &photos, &frames)?;
+            save_cameras(path, &refined, &started.to_scene.inverse(), &photos, &frames)?;
         }
         if refined.stopped == Some(Stopped::Cancelled) {
             session.note(format!("{}: the best so far, after step {}", self.output.display(), refined.best_step));
@@ -153,31 +153,28 @@ impl Refine {
         poses: &Poses,
         frames: &[&Frame],
     ) -> Result<Started> {
-        let Some(first) = frames.first() else {
+        if frames.is_empty() {
             return Err(Error::argument("photos", "none", "one or more behind the scene"));
-        };
-        let (mut scene, mut said) = (None, Some(World::Cameras(first.camera.pose)));
+        }
+        let (mut scene, mut said) = (None, World::of_cameras(frames));
         if let Some(path) = path {
             scene = Some(self.input.read(session, path)?.0);
             said = read_world(path)?;
         }
-        let (pose, note) = origin(self.relative_to.as_deref(), poses, said.as_ref(), &self.poses)?;
+        let (to_scene, note) = to_scene(self.relative_to.as_deref(), poses, said.as_ref(), &self.poses)?;
         note.iter().for_each(|note| session.note(note));
         let world = match (said, &self.relative_to) {
-            (_, Some(photo)) => World::Photo(poses.frames_of(&[photo])?[0].name.clone()),
-            (Some(said), None) => said,
-            (None, None) => World::Cameras(first.camera.pose),
+            (_, Some(photo)) => World::of_first(&poses.frames_of(&[photo])?),
+            (said, None) => said.or_else(|| World::of_cameras(frames)),
         };
-        let pose = pose.unwrap_or(Pose::IDENTITY);
-        let to_scene = pose.inverse();
-        let camera = |frame: &&Frame| Camera { pose: to_scene.compose(&frame.camera.pose), ..frame.camera };
+        let camera = |frame: &&Frame| to_scene.apply(&frame.camera);
         let cameras: Vec<Camera> = frames.iter().map(camera).collect();
         let cloud = match &poses.points {
-            Some(path) if self.start.needs()[1] => Some(placed(read_cloud(path)?, &to_scene, 1.0)),
+            Some(path) if self.start.needs()[1] => Some(to_scene.cloud(read_cloud(path)?)),
             _ => None,
         };
         let scene = self.start.scene(scene, cloud.as_ref(), &cameras)?;
-        Ok(Started { scene, cameras, world, pose })
+        Ok(Started { scene, cameras, world, to_scene })
     }
 
     fn refine(

@@ -18,7 +18,7 @@ use std::{
 };
 use zipsplat::{
     Error, Result,
-    types::{Pose, World, WriteOptions, write_atomic},
+    types::{Origin, Pose, World, WriteOptions, write_atomic},
 };
 
 /// Bytes that are handed to the operating system at once: a scene of 10 views at 126x126 has 0.8 MB.
@@ -95,7 +95,7 @@ impl Scene {
         session.stage("write", |_| {
             write_folder(folder, &capture, photos.crops())?;
             let Some(path) = splats else { return Ok(()) };
-            let world = World::Cameras(Pose::IDENTITY);
+            let world = World::from(Origin::Cameras(Pose::IDENTITY));
             let (splats, options) = (capture.splats(), WriteOptions::default());
             outputs::save_scene(&path, &splats, &options, Some(&world)).map(drop)
         })?;

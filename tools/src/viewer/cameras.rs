@@ -90,10 +90,10 @@ pub fn input_cameras(
 ) -> Result<(Vec<InputCamera>, Vec<String>)> {
     let fov = FOV.to_radians();
     let mut poses = read_cameras(file, &Intrinsics::from_fov(SIDE, SIDE, fov, fov))?;
-    let (place, note) = crate::cameras::origin(relative_to, &poses, world, file)?;
+    let (to_scene, note) = crate::cameras::to_scene(relative_to, &poses, world, file)?;
     poses.notes.extend(note);
     let camera = |frame: Frame| {
-        let pose = place.map_or(frame.camera.pose, |place| frame.camera.pose.relative_to(&place));
+        let pose = to_scene.apply(&frame.camera).pose;
         let photo = photo_of(&frame);
         InputCamera::new(frame, &pose, photo)
     };

@@ -14,7 +14,7 @@ use crate::{
 };
 use zipsplat::{
     Error, Result,
-    types::{Image, World, WriteOptions, contact_sheet},
+    types::{Image, Origin, WriteOptions, contact_sheet},
 };
 
 /// Files of the folder.
@@ -62,6 +62,12 @@ pub fn run(eval: &Eval, session: &mut Session<'_>) -> Result<()> {
     let mean = Score::mean(scores);
     let table = alignment.as_ref().map_or_else(|| table(scores, &mean), |alignment| alignment.table(&mean));
     alignment.iter().filter_map(Alignment::doubts).for_each(|note| session.note(note));
+    if eval.theirs.given().is_some() && mean.psnr < mean.mean_color_psnr {
+        session.note(
+            "the scene is further from the photos than one color: --world, --scene-unit and --scene-cameras say where its \
+             world is",
+        );
+    }
     let refined = made.refined.as_ref();
     let network = made.network.as_ref();
     let how = match (network, eval.theirs.given()) {
@@ -115,7 +121,7 @@ fn save(eval: &Eval, judged: &Judged) -> Result<()> {
     if !eval.pose_free {
         scene.scale(capture.unit.length as f32);
     }
-    let world = (!eval.pose_free).then(|| World::Photo(capture.inputs[0].name.clone()));
+    let world = (!eval.pose_free).then(|| Origin::Photo(capture.inputs[0].name.clone()).into());
     outputs::save_scene(&folder.join(SCENE), &scene, &WriteOptions::default(), world.as_ref())?;
     outputs::save_picture(&folder.join(COMPARISON), &comparison(capture, drawn)?)
 }

@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 use zipsplat::{
     Error, Result,
     types::{
-        Pose, Scene, SceneFormat, World,
+        Origin, Pose, Scene, SceneFormat,
         poses::{Frame, Poses, read_poses},
         read_world,
     },
@@ -155,7 +155,7 @@ impl Theirs {
         let first = inputs[0].camera.pose;
         let unit = self.scene_unit.unwrap_or(1.0);
         let placed = |pose: Pose| Similarity { scale: unit, pose };
-        let to_cameras = match (self.world, &self.scene_cameras, read_world(file)?) {
+        let to_cameras = match (self.world, &self.scene_cameras, read_world(file)?.map(|world| world.origin)) {
             (Some(Whose::Aligned), Some(path), _) | (None, Some(path), _) => {
                 let (found, apart) = aligned(&read_poses(self.cameras(path, name)?)?, &inputs)?;
                 if apart > APART {
@@ -174,9 +174,9 @@ impl Theirs {
                 let expected = "no --scene-cameras, which are for --world aligned";
                 return Err(Error::argument("--world", path.display(), expected));
             }
-            (Some(Whose::Cameras), ..) | (None, None, Some(World::Cameras(_))) => placed(Pose::IDENTITY),
+            (Some(Whose::Cameras), ..) | (None, None, Some(Origin::Cameras(_))) => placed(Pose::IDENTITY),
             (Some(Whose::Turned), ..) => placed(Pose { translation: DVec3::ZERO, ..first }),
-            (None, None, Some(World::Photo(photo))) => {
+            (None, None, Some(Origin::Photo(photo))) => {
                 placed(choice.frame(&photo).map_or(first, |frame| frame.camera.pose))
             }
             (Some(Whose::First) | None, None, _) => placed(first),

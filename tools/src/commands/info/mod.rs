@@ -18,7 +18,7 @@ use zipsplat::{
     Error, Result,
     gpu::{Limits, Matrices, MatrixShape, list_devices},
     ops::{Arithmetic, Precision},
-    types::{SceneFormat, World, read_world},
+    types::{Origin, SceneFormat, read_world},
     weights::{Checkpoint, DepthCheckpoint},
 };
 
@@ -222,9 +222,9 @@ fn scene(session: &mut Session<'_>, path: &str, input: &SceneInput) -> Result<()
     let (scene, dropped) = input.read(session, file)?;
     let size = file.metadata().map_err(|error| Error::io(file, error))?.len();
     let (count, degree) = (scene.len(), scene.sh_degree);
-    let world = read_world(file)?.map(|world| match world {
-        World::Photo(photo) => format!("the camera of {photo}"),
-        World::Cameras(_) => "that of its cameras".into(),
+    let world = read_world(file)?.map(|world| match world.origin {
+        Origin::Photo(photo) => format!("the camera of {photo}"),
+        Origin::Cameras(_) => "that of its cameras".into(),
     });
     let bounds = ranges(scene.means.iter().copied());
     let [scales] = ranges(scene.scales.as_flattened().iter().map(|scale| [*scale]));
