@@ -175,7 +175,6 @@ fn wrong_usage_exits_with_2() {
         "reconstruct @/photos --size 252 -o @/out.ply",
         "reconstruct @/photos --select best -o @/out.ply",
         "reconstruct @/photos --precision sloppy -o @/out.ply",
-        "render @/scene.ply -o @/out",
         "render @/scene.ply --orbit --wiggle -o @/out",
         "render @/scene.ply --orbit --background 2,0,0 -o @/out",
         "render @/scene.ply --orbit --frames 0 -o @/out",

@@ -50,6 +50,9 @@ fn the_ratio_and_selection_decide_the_number() {
         for stage in ["load photos", "load weights", "backbone", "fuse", "gaussians", "write"] {
             assert!(json["seconds"][stage].as_f64().is_some_and(|s| s >= 0.0), "{stage}: {json}");
         }
+        let seconds = json["seconds"].as_object().expect("stages");
+        let parts = seconds.iter().filter(|(stage, _)| *stage != "total").filter_map(|(_, s)| s.as_f64()).sum::<f64>();
+        assert!((parts - seconds["total"].as_f64().expect("a time")).abs() < 1e-6, "{json}");
     }
 }
 

@@ -69,7 +69,7 @@ fn an_orbit_takes_its_up_from_cameras() {
     let names = ["a.png", "b.png", "c.png"];
     let orbit = |name: &str, degrees: [f64; 3]| {
         write_transforms(folder.path("up.json"), &degrees.map(tilted), &names).expect("cameras");
-        let line = format!("{RENDER} --orbit=@/up.json --frames 4 --size 40x30 -o @/{name}");
+        let line = format!("{RENDER} --orbit=@/up.json --fov 60 --frames 4 --size 40x30 -o @/{name}");
         folder.run(&line).success();
         pictures(&folder, name)
     };

@@ -330,7 +330,11 @@ fn files_say_which_world_a_scene_is_in() {
         assert_eq!(keeps, name != "a.splat");
         let away = DVec3::new(0.1, -2e30, 3.0);
         let landmarks = vec![("photo é 1.jpg".into(), DVec3::ZERO), ("a b.png".into(), away)];
-        let photo = World { origin: Origin::Photo("images/photo é 1.jpg".into()), landmarks };
+        let photo = World {
+            origin: Origin::Photo("images/photo é 1.jpg".into()),
+            landmarks,
+            lens: Some(scenes::camera(640, 480).intrinsics),
+        };
         assert_eq!(said(Some(&photo)), Some(photo).filter(|_| keeps), "{name}");
         let Some(World { origin: Origin::Cameras(found), .. }) = said(Some(&Origin::Cameras(pose).into())) else {
             assert!(!keeps, "{name}");

@@ -75,14 +75,21 @@ pub struct Session<'a> {
     code: u8,
     /// Part of the command that the stages belong to, such as one of many scenes.
     task: String,
+    began: Instant,
     /// Earliest time of the next line of progress, for all stages.
     next_line: Mutex<Instant>,
 }
 
 impl<'a> Session<'a> {
     pub fn new(global: Global, terminal: Terminal<'a>) -> Self {
-        let next_line = Mutex::new(Instant::now() + progress::FIRST_LINE);
-        Self { global, terminal, piped: false, code: 0, task: String::new(), next_line }
+        let began = Instant::now();
+        let next_line = Mutex::new(began + progress::FIRST_LINE);
+        Self { global, terminal, piped: false, code: 0, task: String::new(), began, next_line }
+    }
+
+    /// Returns the time since the command began.
+    pub fn elapsed(&self) -> Duration {
+        self.began.elapsed()
     }
 
     /// Shows the progress of the following stages as parts of this task.

@@ -4,15 +4,17 @@ use std::fmt;
 
 use glam::DVec3;
 
-use super::camera::{Pose, matrix_from_quaternion, quaternion_from_matrix};
+use super::camera::{Camera, Intrinsics, Pose, matrix_from_quaternion, quaternion_from_matrix};
 use super::poses::Frame;
 
 /// Prefix of this engine's metadata: a comment in PLY and SPZ, an extra in glTF.
 pub(super) const MADE_BY: &str = "zipsplat";
 const PHOTO: &str = "origin: ";
 const CAMERAS: &str = "world: cameras, first ";
-/// Separator of landmarks. Names of photos with control characters are not stored.
-const LANDMARK: char = '\t';
+const CAMERA: &str = "camera ";
+const LENS: &str = "lens ";
+/// Separator of fields. Names of photos with control characters are not stored.
+const SEPARATOR: char = '\t';
 
 /// World of a scene from known cameras, in their unit of length.
 #[derive(Clone, Debug, PartialEq)]
@@ -22,6 +24,8 @@ pub struct World {
     /// Names of the first photo and the one farthest from it, and their cameras' centers in the
     /// scene's world. They tell whether other cameras share that world.
     pub landmarks: Vec<(String, DVec3)>,
+    /// Size and field of view of the first photo.
+    pub lens: Option<Intrinsics>,
 }
 
 /// Coordinate frame of a scene.
@@ -50,7 +54,8 @@ impl World {
         let from_first = |frame: &&&Frame| center(frame).distance(center(&frames[0]));
         let farthest = frames.iter().skip(1).max_by(|a, b| from_first(a).total_cmp(&from_first(b)));
         let landmarks = frames.first().into_iter().chain(farthest.filter(|frame| from_first(frame) > 0.0));
-        Self { origin, landmarks: landmarks.map(|frame| (frame.name.clone(), center(frame))).collect() }
+        let landmarks = landmarks.map(|frame| (frame.name.clone(), center(frame))).collect();
+        Self { origin, landmarks, lens: frames.first().map(|frame| frame.camera.intrinsics) }
     }
 
     /// Formats a line for [`World::parse`], without the world if a photo's name has control
@@ -60,27 +65,38 @@ impl World {
         let Some(world) = world.filter(is_named) else { return MADE_BY.into() };
         let landmarks = world.landmarks.iter().filter(|(name, _)| !name.contains(char::is_control));
         let landmarks: String =
-            landmarks.map(|(name, at)| format!("{LANDMARK}camera {} {} {} {name}", at.x, at.y, at.z)).collect();
-        format!("{MADE_BY} {}{landmarks}", world.origin)
+            landmarks.map(|(name, at)| format!("{SEPARATOR}{CAMERA}{} {} {} {name}", at.x, at.y, at.z)).collect();
+        let lens = world.lens.map(|lens| {
+            let Intrinsics { fx, fy, cx, cy, width, height } = lens;
+            format!("{SEPARATOR}{LENS}{width} {height} {fx} {fy} {cx} {cy}")
+        });
+        format!("{MADE_BY} {}{landmarks}{}", world.origin, lens.unwrap_or_default())
     }
 
     /// Parses a line of [`World::line`].
     pub(super) fn parse(line: &str) -> Option<Self> {
-        let mut parts = line.strip_prefix(MADE_BY)?.strip_prefix(' ')?.split(LANDMARK);
+        let mut parts = line.strip_prefix(MADE_BY)?.strip_prefix(' ')?.split(SEPARATOR);
         let origin = Origin::parse(parts.next()?)?;
         let landmark = |text: &str| {
-            let mut words = text.strip_prefix("camera ")?.splitn(4, ' ');
+            let mut words = text.strip_prefix(CAMERA)?.splitn(4, ' ');
             let mut number = || words.next()?.parse().ok();
             let center = DVec3::new(number()?, number()?, number()?);
             Some((words.next()?.to_owned(), center)).filter(|(_, center)| center.is_finite())
         };
-        Some(Self { origin, landmarks: parts.filter_map(landmark).collect() })
+        let lens = |text: &str| {
+            let numbers = text.strip_prefix(LENS)?.split(' ').map(|number| number.parse().ok());
+            let [width, height, fx, fy, cx, cy] = numbers.collect::<Option<Vec<f64>>>()?.try_into().ok()?;
+            let lens = Intrinsics { fx, fy, cx, cy, width: width as u32, height: height as u32 };
+            Camera { intrinsics: lens, pose: Pose::IDENTITY }.validate("lens").is_ok().then_some(lens)
+        };
+        let lens = parts.clone().find_map(lens);
+        Some(Self { origin, landmarks: parts.filter_map(landmark).collect(), lens })
     }
 }
 
 impl From<Origin> for World {
     fn from(origin: Origin) -> Self {
-        Self { origin, landmarks: Vec::new() }
+        Self { origin, landmarks: Vec::new(), lens: None }
     }
 }
 

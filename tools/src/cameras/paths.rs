@@ -28,13 +28,17 @@ const DETOUR: f64 = 1.5;
 /// alignment by the first one's pose.
 const SAME_WORLD: f64 = 0.1;
 const ALIGNED: f64 = 0.3;
+/// Longest side of pictures of a path, unless another is asked for.
+const SIDE: u32 = 1280;
+/// Horizontal field of view in degrees of a path whose photos are unknown.
+const FOV: f64 = 60.0;
 /// Size of pictures whose cameras have none.
 const SIZE: Size = Size(252, 252);
 
 /// Cameras to draw with.
 #[derive(Args)]
 #[command(
-    group(ArgGroup::new("path").required(true).args(["cameras", "spline", "ellipse", "dolly", "orbit", "wiggle"]))
+    group(ArgGroup::new("path").args(["cameras", "spline", "ellipse", "dolly", "orbit", "wiggle"]))
 )]
 pub struct CameraArgs {
     /// The cameras of a file: transforms.json, a COLMAP model's folder, nerfstudio's camera_path.json, or JSON with a list
@@ -55,7 +59,7 @@ pub struct CameraArgs {
     /// about the first view's
     #[arg(long, value_name = "PATH", num_args = 0..=1, require_equals = true)]
     orbit: Option<Option<PathBuf>>,
-    /// A small figure of eight in front of the scene
+    /// A small figure of eight in front of the scene: the path if none is named
     #[arg(long)]
     wiggle: bool,
     /// Lead --spline back to its first camera
@@ -77,35 +81,34 @@ pub struct CameraArgs {
     #[arg(long, value_name = "N", default_value = "60", value_parser = clap::value_parser!(u32).range(1..=100_000),
         conflicts_with = "cameras")]
     frames: u32,
-    /// Size of the pictures [default: the cameras' own, of --spline and --ellipse the first one's, else 252x252]
+    /// Size of the pictures [default: of --cameras their own; of other paths the first photo's, with sides up to 1280, if it is
+    /// known, else 252x252]
     #[arg(long, value_name = "WxH")]
     size: Option<Size>,
-    /// Horizontal field of view in degrees, where no file says it
-    #[arg(long, value_name = "DEG", default_value = "60")]
-    fov: f64,
+    /// Horizontal field of view in degrees [default: the first photo's if it is known, else 60]
+    #[arg(long, value_name = "DEG")]
+    fov: Option<f64>,
 }
 
 impl CameraArgs {
     /// The cameras for a scene, and what there is to say about them. `world` is what the scene's file says of its world.
     pub fn cameras(&self, scene: &Scene, world: Option<&World>) -> Result<(Vec<Camera>, Vec<String>)> {
         let frames = self.frames as usize;
-        let lens = self.lens()?;
-        let with_lens = |poses: Vec<Pose>| poses.into_iter().map(|pose| Camera { intrinsics: lens, pose }).collect();
+        let mut lens = self.lens(world.and_then(|world| world.lens.as_ref()))?;
         let (home, mut notes) = match (&self.orbit, world.map(|world| &world.origin)) {
             (Some(Some(file)), _) => {
-                let (cameras, notes) = self.of_file(file, world, &lens, false)?;
+                let (cameras, notes) = self.of_file(file, world, &lens, true)?;
+                lens = self.lens(Some(&cameras[0].intrinsics))?;
                 (level(&cameras)?, notes)
             }
             (_, Some(Origin::Cameras(first))) => (*first, Vec::new()),
             _ => (Pose::IDENTITY, Vec::new()),
         };
+        let with_lens = |poses: Vec<Pose>| poses.into_iter().map(|pose| Camera { intrinsics: lens, pose }).collect();
         let path = if self.orbit.is_some() {
             let orbit = Orbit::around(&seen_from(scene, &home))?;
             // The last of one more is the first again.
             with_lens(orbit.sweep(frames + 1, 0.0, 360.0, 0.0)[..frames].to_vec())
-        } else if self.wiggle {
-            let orbit = Orbit::around(&seen_from(scene, &home))?;
-            with_lens(orbit.wiggle(frames + 1, WIGGLE_AZIMUTH, WIGGLE_ELEVATION)[..frames].to_vec())
         } else if self.dolly {
             let camera = Camera { intrinsics: lens, pose: Pose::IDENTITY };
             let distance = Orbit::around(&seen_from(scene, &home))?.center.z;
@@ -123,9 +126,11 @@ impl CameraArgs {
             let poses = Ellipse::around(&cameras, Orbit::around(scene)?.center)?.sample(frames);
             let intrinsics = cameras[0].intrinsics;
             return Ok((poses.into_iter().map(|pose| Camera { intrinsics, pose }).collect(), notes));
-        } else {
-            let file = self.cameras.as_deref().unwrap_or(Path::new(""));
+        } else if let Some(file) = &self.cameras {
             return self.of_file(file, world, &lens, false);
+        } else {
+            let orbit = Orbit::around(&seen_from(scene, &home))?;
+            with_lens(orbit.wiggle(frames + 1, WIGGLE_AZIMUTH, WIGGLE_ELEVATION)[..frames].to_vec())
         };
         let placed = |camera: Camera| Camera { pose: home.compose(&camera.pose), ..camera };
         Ok((path.into_iter().map(placed).collect(), notes))
@@ -147,13 +152,17 @@ impl CameraArgs {
         }
     }
 
-    /// Square pixels, and the horizontal field of view.
-    fn lens(&self) -> Result<Intrinsics> {
-        if !(self.fov > 0.0 && self.fov < 180.0) {
-            return Err(Error::argument("field of view", self.fov, "degrees between 0 and 180"));
+    /// Returns the lens of the options, or else of the first photo `own`.
+    fn lens(&self, own: Option<&Intrinsics>) -> Result<Intrinsics> {
+        let size = self.size.or(own.map(shown)).unwrap_or(SIZE);
+        if let (Some(own), None) = (own, self.fov) {
+            return Ok(cropped(own, size));
         }
-        let Size(width, height) = self.size.unwrap_or(SIZE);
-        let hfov = self.fov.to_radians();
+        let fov = self.fov.unwrap_or(FOV);
+        if !(fov > 0.0 && fov < 180.0) {
+            return Err(Error::argument("field of view", fov, "degrees between 0 and 180"));
+        }
+        let (Size(width, height), hfov) = (size, fov.to_radians());
         let vfov = 2.0 * ((hfov / 2.0).tan() * f64::from(height) / f64::from(width)).atan();
         Ok(Intrinsics::from_fov(width, height, hfov, vfov))
     }
@@ -172,8 +181,7 @@ impl CameraArgs {
             let found = poses.notes.first().map_or("none".into(), |why| format!("none: {why}"));
             return Err(Error::argument(format!("cameras of {}", path.display()), found, "at least one"));
         };
-        let own = Size(first.camera.intrinsics.width, first.camera.intrinsics.height);
-        let size = self.size.or(alike.then_some(own));
+        let size = self.size.or(alike.then(|| shown(&first.camera.intrinsics)));
         let (to_scene, note) = to_scene(self.relative_to.as_deref(), &poses, world, path)?;
         let camera = |camera: Camera| Camera {
             intrinsics: size.map_or(camera.intrinsics, |size| cropped(&camera.intrinsics, size)),
@@ -307,6 +315,14 @@ fn distance(a: &Camera, b: &Camera) -> f64 {
 
 fn origin_pose(poses: &Poses, photo: &Path) -> Result<Pose> {
     Ok(poses.for_photos(&[photo])?[0].pose)
+}
+
+/// The size of a photo, its sides up to [`SIDE`].
+fn shown(intrinsics: &Intrinsics) -> Size {
+    let (width, height) = (intrinsics.width, intrinsics.height);
+    let scale = f64::from(SIDE) / f64::from(width.max(height));
+    let side = |side: u32| if scale < 1.0 { ((f64::from(side) * scale).round() as u32).max(1) } else { side };
+    Size(side(width), side(height))
 }
 
 /// The middle of the picture at another size, as `reconstruct` crops photos.

@@ -26,7 +26,7 @@ use zipsplat::{
     Error, Result,
     reconstruct::MAX_VIEWS,
     types::{
-        Origin, Scene, SceneFormat, World, WriteOptions,
+        Scene, SceneFormat, World, WriteOptions,
         poses::{Frame, Poses, read_poses},
         write_atomic,
     },
@@ -323,8 +323,9 @@ impl Runner<'_> {
     fn reconstruct(&self, work: &Work, prepared: Prepared, stage: &Stage<'_>) -> Result<Made> {
         let began = Instant::now();
         let Prepared { input, hash, photos, world } = prepared;
-        let Scened { scene, first, record: of_network } = self.maker.make(self.batch, input, &stage.silent())?;
-        let world = world.or(first.map(|first| Origin::Photo(first).into()));
+        let Scened { scene, world: of_first, record: of_network } =
+            self.maker.make(self.batch, input, &stage.silent())?;
+        let world = world.or(of_first);
         let mut record = json!({
             "generator": outputs::MADE_BY, "capture": work.folder, "hash": hash, "photos": photos,
             "gaussians": scene.len(), "seconds": began.elapsed().as_secs_f64(),

@@ -18,7 +18,7 @@ use crate::{
     views::FitOption,
 };
 use clap::{Args, ValueEnum};
-use forward::{Forward, LOAD_WEIGHTS};
+use forward::{Forward, LOAD_PHOTOS, LOAD_WEIGHTS};
 use refined::{From, Given, Made};
 use serde_json::json;
 use std::{fmt::Write, path::PathBuf, time::Duration};
@@ -105,7 +105,7 @@ pub struct Reconstruct {
     /// Also draw the scene into a folder, as zipsplat render does, from the Gaussians that are on the device already
     #[arg(long, value_name = "FOLDER")]
     pictures: Option<PathBuf>,
-    /// Options of zipsplat render for --pictures, behind -- [default: --wiggle]
+    /// Options of zipsplat render for --pictures, behind -- [default: --spline through the cameras of a file, else --wiggle]
     #[arg(last = true, value_name = "RENDER OPTIONS", requires = "pictures")]
     drawing: Vec<String>,
 }
@@ -224,6 +224,7 @@ impl Reconstruct {
             session.notes(found.save(path, &photos)?);
             frame_folder.iter_mut().for_each(FrameFolder::keep);
         }
+        let until_drawing = session.elapsed();
         let drawn = drawing.map(|drawing| {
             let mut renderer = Renderer::new(&device);
             // What the host thinned or moved it has to bring back.
@@ -237,9 +238,23 @@ impl Reconstruct {
         });
         let drawn = drawn.transpose()?;
 
-        let mut times: Vec<(String, Duration)> = forward.iter().flat_map(|forward| forward.times.clone()).collect();
-        times.extend(refined.iter().map(|made| ("refine".to_owned(), made.refined.took)));
+        // A network that finds the cameras of its own scene has them among its times.
+        let found = found.filter(|_| !self.finds_by_itself(&network));
+        let mut times: Vec<(String, Duration)> = Vec::new();
+        times.extend(found.iter().flat_map(|found| found.times.iter().map(|(step, took)| ((*step).to_owned(), *took))));
+        times.extend(forward.iter().flat_map(|forward| forward.times.clone()));
+        if let Some(made) = &refined {
+            match times.iter_mut().find(|(stage, _)| stage == LOAD_PHOTOS) {
+                Some((_, all)) => *all += made.load,
+                None => times.push((LOAD_PHOTOS.to_owned(), made.load)),
+            }
+            times.push(("refine".to_owned(), made.refined.took));
+        }
         times.push(("write".to_owned(), write));
+        times.extend(drawn.iter().map(|_| ("pictures".to_owned(), session.elapsed() - until_drawing)));
+        let total = session.elapsed();
+        let other = total.saturating_sub(times.iter().map(|(_, took)| *took).sum());
+        times.extend([("other".to_owned(), other), ("total".to_owned(), total)]);
         let seconds: serde_json::Map<_, _> = times.iter().map(|(s, t)| (s.clone(), json!(t.as_secs_f64()))).collect();
         let peaks = forward.iter().map(|forward| forward.peak_bytes);
         let peaks = peaks.chain(refined.iter().map(|made| made.refined.peak_bytes));
@@ -277,7 +292,7 @@ impl Reconstruct {
             text += &format!("\n{explanation}");
             json["explain"] = json!(explanation);
         }
-        if let Some(Made { refined, started, cameras, request }) = &refined {
+        if let Some(Made { refined, started, cameras, request, .. }) = &refined {
             text += &format!("{}\n", refinement::summary(refined, started, cameras));
             if self.explain {
                 text += &format!("\n{}", refinement::explain(refined, request, started, &photos));
@@ -372,7 +387,12 @@ impl Reconstruct {
     /// The drawing of --pictures, checked before anything that takes time.
     fn drawing(&self) -> Result<Option<Render>> {
         let Some(folder) = &self.pictures else { return Ok(None) };
-        let default = ["--wiggle".to_owned()];
+        let known = self.poses.as_ref().filter(|poses| !Known::to_find(poses));
+        let cameras = self.refined_cameras.as_ref().or(self.cameras_out.as_ref()).or(known);
+        let default = match cameras.and_then(|file| file.to_str()).filter(|_| self.poses.is_some()) {
+            Some(file) => vec!["--spline".to_owned(), file.to_owned()],
+            None => vec!["--wiggle".to_owned()],
+        };
         let words = if self.drawing.is_empty() { &default[..] } else { &self.drawing };
         let drawing = Render::of_words(&self.output, folder, self.overwrite.is_given(), words)?;
         drawing.check()?;

@@ -14,7 +14,7 @@ use zipsplat::{
     Result,
     reconstruct::{Model, Request},
     types::{
-        Pose, Scene,
+        Pose, Scene, World,
         poses::{Frame, Poses},
     },
     weights::{Checkpoint, DepthCheckpoint},
@@ -37,8 +37,8 @@ pub enum Maker<'a> {
 /// A capture's scene.
 pub struct Scened {
     pub scene: Scene,
-    /// The photo whose camera is the scene's world, where the network has found it.
-    pub first: Option<String>,
+    /// The world of the first photo, if the network found the cameras.
+    pub world: Option<World>,
     /// The network's part of the scene's record.
     pub record: Value,
 }
@@ -121,20 +121,20 @@ impl<'a> Maker<'a> {
                 batch.quality.prune(&mut scene, checkpoint.architecture());
                 turned.iter().for_each(|first| scene.place(1.0, first));
                 let record = json!({ "unit": unit, "tokens": made.tokens, "note": note });
-                Ok(Scened { scene, first: None, record })
+                Ok(Scened { scene, world: None, record })
             }
             (Input::Pixels(shown, points), Self::Pixels(seer)) => {
                 let mut seen = seer.see(shown, stage)?;
                 seen.scale(false, points.as_deref())?;
                 let pose = seen.cameras.iter().flatten().next().map_or(Pose::IDENTITY, |camera| camera.pose);
                 let scene = seen.scene(&pose, batch.quality.kept())?;
-                let first = seen.photos.first().map(|photo| photo.to_string_lossy().into_owned());
+                let world = World::of_first(&seen.frames()?.iter().collect::<Vec<_>>());
                 if !seen.lost.is_empty() {
                     seen.notes.push(format!("without a camera, and left out: {}", photos::names(&seen.lost)));
                 }
                 let note = (!seen.notes.is_empty()).then(|| seen.notes.join("; "));
                 let record = json!({ "network": seen.network, "tokens": seen.patches()[0], "note": note });
-                Ok(Scened { scene, first, record })
+                Ok(Scened { scene, world, record })
             }
             _ => unreachable!("photos are prepared for the network that there is"),
         }

@@ -14,7 +14,7 @@ use crate::{
 };
 use zipsplat::{
     Error, Result,
-    types::{Image, Origin, WriteOptions, contact_sheet},
+    types::{Image, World, WriteOptions, contact_sheet},
 };
 
 /// Files of the folder.
@@ -57,7 +57,7 @@ pub fn run(eval: &Eval, session: &mut Session<'_>) -> Result<()> {
         (Some(path), None) => outputs::save_csv(path, &judged.scores)?,
         (None, _) => {}
     }
-    save(eval, &judged)?;
+    save(eval, &choice, &judged)?;
     let Judged { capture, made, scores, alignment, .. } = &judged;
     let mean = Score::mean(scores);
     let table = alignment.as_ref().map_or_else(|| table(scores, &mean), |alignment| alignment.table(&mean));
@@ -112,7 +112,7 @@ fn without_cameras(error: Error) -> Error {
 }
 
 /// Writes the scene and the comparison, where they were asked for.
-fn save(eval: &Eval, judged: &Judged) -> Result<()> {
+fn save(eval: &Eval, choice: &Choice, judged: &Judged) -> Result<()> {
     let Some(folder) = &eval.output else { return Ok(()) };
     let Judged { capture, made, drawn, .. } = judged;
     outputs::make_folder(folder)?;
@@ -121,7 +121,7 @@ fn save(eval: &Eval, judged: &Judged) -> Result<()> {
     if !eval.pose_free {
         scene.scale(capture.unit.length as f32);
     }
-    let world = (!eval.pose_free).then(|| Origin::Photo(capture.inputs[0].name.clone()).into());
+    let world = if eval.pose_free { None } else { World::of_first(&choice.input_frames()) };
     outputs::save_scene(&folder.join(SCENE), &scene, &WriteOptions::default(), world.as_ref())?;
     outputs::save_picture(&folder.join(COMPARISON), &comparison(capture, drawn)?)
 }

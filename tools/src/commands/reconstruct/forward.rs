@@ -26,6 +26,7 @@ use zipsplat::{
 };
 
 /// The stage whose bytes a second are told.
+pub const LOAD_PHOTOS: &str = "load photos";
 pub const LOAD_WEIGHTS: &str = "load weights";
 
 /// A forward pass that nothing speaks against.
@@ -117,7 +118,7 @@ impl Planned<'_> {
         let Self { command, checkpoint, photos, poses, frames, size, shape } = self;
         let (quality, fit) = (&command.quality, command.fit.fit);
         let (precision, arithmetic) = quality.arithmetic.choose(session, device)?;
-        let (views, load_photos) = session.stage("load photos", |stage| fit.load(photos, frames, size, stage))?;
+        let (views, load_photos) = session.stage(LOAD_PHOTOS, |stage| fit.load(photos, frames, size, stage))?;
         let Views { images, cameras, note } = views;
         session.notes(note);
         let unit = match (poses, frames.first()) {
@@ -158,7 +159,7 @@ impl Planned<'_> {
             ("precision", json!(precision.name())),
             ("cameras", found.as_ref().map_or(json!(null), Placed::as_json)),
         ];
-        let mut times = vec![("load photos".to_owned(), load_photos), (LOAD_WEIGHTS.to_owned(), load_weights)];
+        let mut times = vec![(LOAD_PHOTOS.to_owned(), load_photos), (LOAD_WEIGHTS.to_owned(), load_weights)];
         times.extend(result.times.0.iter().cloned());
         times.extend(found_in.map(|took| ("find cameras".to_owned(), took)));
         Ok(Forward {

@@ -1,12 +1,15 @@
 //! The refinement of `zipsplat reconstruct --refine`.
 
-use super::{Forward, Reconstruct};
+use super::{
+    Reconstruct,
+    forward::{Forward, LOAD_PHOTOS},
+};
 use crate::{
     photos,
     refinement::{self, Refinable, Start, Steps},
     session::Session,
 };
-use std::path::PathBuf;
+use std::{path::PathBuf, time::Duration};
 use zipsplat::{
     Error, Result,
     gpu::{Arena, Device},
@@ -39,6 +42,8 @@ pub struct Made {
     /// The cameras that it was given.
     pub cameras: Vec<Camera>,
     pub request: Refine,
+    /// Time to read the photos.
+    pub load: Duration,
 }
 
 impl Reconstruct {
@@ -65,8 +70,8 @@ impl Reconstruct {
         let world = frames[0].camera.pose;
         let camera = |frame: &&Frame| Camera { pose: frame.camera.pose.relative_to(&world), ..frame.camera };
         let cameras: Vec<Camera> = frames.iter().map(camera).collect();
-        let (photos, _) =
-            session.stage("load photos", |stage| photos::read(photos, frames, stage, |_, photo| Ok(photo)))?;
+        let (photos, load) =
+            session.stage(LOAD_PHOTOS, |stage| photos::read(photos, frames, stage, |_, photo| Ok(photo)))?;
         let request = self.refine.request(steps);
         let arena = given.forward.and_then(|forward| forward.arena.clone());
         let arena = arena.unwrap_or_else(|| Arena::new(given.device));
@@ -88,7 +93,7 @@ impl Reconstruct {
         session.notes(refinement::doubt(&refined));
         match refined.stopped {
             Some(Stopped::Cancelled) if refined.best_step == 0 => Err(Error::Cancelled),
-            _ => Ok(Made { refined, started, cameras, request }),
+            _ => Ok(Made { refined, started, cameras, request, load }),
         }
     }
 }
