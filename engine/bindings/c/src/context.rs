@@ -93,7 +93,7 @@ unsafe impl Versioned for zs_device_info {
     }
 }
 
-// SAFETY: repr(C), two u32, a u64 and a pointer: no padding but at the end, where pointers have 4 bytes.
+// SAFETY: repr(C), two u32, a u64 and a pointer: padding only at the end for 4-byte pointers.
 unsafe impl Versioned for zs_context_options {
     const NAME: &str = "zs_context_options";
     const FIRST_SIZE: usize = 16 + POINTER;

@@ -135,7 +135,7 @@ unsafe impl Versioned for zs_model_options {
     }
 }
 
-// SAFETY: repr(C), six u32, a u64 and a pointer: no padding but at the end, where pointers have 4 bytes.
+// SAFETY: repr(C), six u32, a u64 and a pointer: padding only at the end for 4-byte pointers.
 unsafe impl Versioned for zs_model_info {
     const NAME: &str = "zs_model_info";
     const FIRST_SIZE: usize = 32 + POINTER;

@@ -102,7 +102,7 @@ pub struct zs_camera {
 /// Limit of pixels of one photo, shared with decoded files.
 const MAX_PIXELS: u64 = MAX_DECODED_BYTES / 3;
 
-// SAFETY: repr(C), four u32, an i64 and a pointer: no padding but at the end, where pointers have 4 bytes.
+// SAFETY: repr(C), four u32, an i64 and a pointer: padding only at the end for 4-byte pointers.
 unsafe impl Versioned for zs_image {
     const NAME: &str = "zs_image";
     const FIRST_SIZE: usize = 24 + POINTER;

@@ -130,7 +130,7 @@ pub struct zs_refine_info {
     pub training_psnr: f64,
 }
 
-// SAFETY: repr(C), six values of four bytes, a u64, pointers and two values of four bytes: no padding.
+// SAFETY: repr(C), six 4-byte values, a u64, pointers and two 4-byte values: no padding.
 unsafe impl Versioned for zs_refine_options {
     const NAME: &str = "zs_refine_options";
     const FIRST_SIZE: usize = 32 + 2 * POINTER;

@@ -110,7 +110,7 @@ pub struct zs_picture {
     pub depth: *mut f32,
 }
 
-// SAFETY: repr(C), two u32, an i64 and pointers: no padding but at the end, where pointers have 4 bytes.
+// SAFETY: repr(C), two u32, an i64 and pointers: padding only at the end for 4-byte pointers.
 unsafe impl Versioned for zs_picture {
     const NAME: &str = "zs_picture";
     const FIRST_SIZE: usize = 16 + 3 * POINTER;
