@@ -86,8 +86,8 @@ static uint32_t compute_family(VkPhysicalDevice physical) {
     return 0;
 }
 
-/* Enables required extensions and features. Drawing needs no optional ones; an app that reconstructs
- * enables those, too, and sets zs_vulkan_device.fast. */
+/* Enables required extensions and features. Drawing needs no optional ones. An app that
+ * reconstructs enables those, too, and sets zs_vulkan_device.fast. */
 static VkDevice create_device(VkPhysicalDevice physical, uint32_t family) {
     const zs_vulkan_requirement *required;
     size_t count;

@@ -1,4 +1,4 @@
-/* Reconstructs a scene from unposed photos and writes its estimated cameras, as refine.c reads them:
+/* Reconstructs a scene from unposed photos and writes its cameras, as refine.c reads them:
  *     cc cameras.c $(pkg-config --cflags --libs zipsplat) -o cameras
  *     ./cameras MODEL scene.ply cameras.txt PHOTO...
  * MODEL: embedded, a checkpoint, or seeded:vits */

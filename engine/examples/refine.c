@@ -3,8 +3,8 @@
  *     ./refine scene.ply cameras.txt sharp.ply PHOTO...
  *     ./refine model.safetensors cameras.txt sharp.ply PHOTO...
  * With a model, reconstructs the scene and refines its tokens.
- * cameras.txt has 16 numbers per photo: fx fy cx cy in pixels, the row-major camera-to-world rotation
- * and the camera's center, in the scene's world. */
+ * cameras.txt has 16 numbers per photo: fx fy cx cy in pixels, the row-major camera-to-world
+ * rotation and the camera's center, in the scene's world. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>

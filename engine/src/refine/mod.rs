@@ -72,7 +72,7 @@ pub struct Refine {
     /// Initial capacity in tile intersections per photo, which grows on demand. `None`: from the
     /// number of Gaussians.
     pub room: Option<usize>,
-    /// Interval in steps at which `progress` receives the scene. `None`: never.
+    /// Steps between the scenes passed to `progress`. `None`: never.
     pub show: Option<usize>,
     /// Seed of the photo order.
     pub seed: u64,
