@@ -1,4 +1,4 @@
-//! Cameras of photos without any, as they follow from a scene: `reconstruct --cameras-out` without `--poses`.
+//! Estimated cameras from a scene: `reconstruct --cameras-out` without `--poses`.
 
 use crate::Folder;
 use zipsplat::types::{Image, poses::read_poses};
