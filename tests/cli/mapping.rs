@@ -73,6 +73,7 @@ fn four_fifths_of_many_photos_are_enough() {
 }
 
 /// Few photos may not determine a lens: it is then fixed if that registers as many photos.
+#[test]
 fn an_unlikely_lens_is_mapped_again_with_a_fixed_one() {
     let (folder, frames) = place();
     let options =
