@@ -1,4 +1,4 @@
-//! Refinement by way of C: what Rust gives, the best so far where the callback stops it, and what is refused.
+//! Refinement through C: equal to Rust's, early stops and errors.
 
 use crate::{
     calls::*,
@@ -25,7 +25,7 @@ use zipsplat_tests::{
     scenes::{camera, random_scene},
 };
 
-/// A scene, photos of it, and the scene with its Gaussians moved.
+/// A scene, its photos, and a perturbed copy.
 struct Place {
     cameras: Vec<Camera>,
     photos: Vec<Image>,
@@ -81,14 +81,14 @@ impl Place {
 }
 
 fn empty_info() -> zs_refine_info {
-    // SAFETY: zeroes are a value of this structure.
+    // SAFETY: all zeros are valid for this structure.
     let info: zs_refine_info = unsafe { std::mem::zeroed() };
     zs_refine_info { struct_size: size_of::<zs_refine_info>() as u32, ..info }
 }
 
 fn options() -> zs_refine_options {
     let mut options = std::mem::MaybeUninit::uninit();
-    // SAFETY: room for the options, which are filled where it succeeds.
+    // SAFETY: capacity for the options, which are initialized on success.
     unsafe {
         ok(zs_refine_options_default(options.as_mut_ptr(), size_of::<zs_refine_options>()));
         options.assume_init()
@@ -101,14 +101,14 @@ fn bits(scene: &Scene) -> Vec<u32> {
     fields.flatten().map(|x| x.to_bits()).collect()
 }
 
-/// A callback that notes what it is told and stops after a step.
+/// Records progress and stops after a step.
 struct Told {
     steps: Vec<zs_refining>,
     stop_after: u32,
 }
 
 unsafe extern "C" fn listen(told: *mut c_void, now: *const zs_refining) -> i32 {
-    // SAFETY: the test's own, which waits for the call; what the library hands over.
+    // SAFETY: owned by the test, which waits for the call; `now` is the library's.
     let (told, now) = unsafe { (&mut *told.cast::<Told>(), *now) };
     told.steps.push(now);
     (now.step == told.stop_after).into()
@@ -169,7 +169,7 @@ fn what_cannot_be_refined_is_refused() {
     let (images, cameras): (Vec<_>, _) = (place.photos.iter().map(image_of).collect(), place.c_cameras());
     let call = |images: *const zs_image, cameras: *const zs_camera, count, options: *const _, info| {
         let mut refined = dangling_mut();
-        // SAFETY: live objects; arrays of their lengths, or counts that are refused before they are read.
+        // SAFETY: live objects; arrays of their lengths, or counts rejected before access.
         let status =
             unsafe { zs_refine(context.handle, scene.handle, images, cameras, count, options, info, &mut refined) };
         assert!(refined.is_null());
@@ -199,7 +199,7 @@ fn what_cannot_be_refined_is_refused() {
     let mut info = zs_refine_info { struct_size: 12, ..empty_info() };
     argument(call(photos, poses, 2, null(), &mut info), &["zs_refine_info, struct_size"]);
     assert_eq!(info.struct_size, 12);
-    // SAFETY: every entry point takes NULL for every pointer.
+    // SAFETY: every entry point accepts NULL for every pointer.
     let nulls = unsafe {
         let empty = scene_of(&Scene::default());
         let mut out = null_mut();
@@ -214,13 +214,13 @@ fn what_cannot_be_refined_is_refused() {
     assert_eq!(nulls, [ZS_ERROR_ARGUMENT; 5]);
 }
 
-/// A model that keeps the tokens of its scenes.
+/// A model that keeps its scenes' tokens.
 fn model_with_tokens(context: &Object<zs_context>) -> Object<zs_model> {
     let precision = zs_precision::ZS_PRECISION_EXACT as i32;
     made(try_model_with(context, &zs_model_options { precision, tokens: 1, ..model_options() }))
 }
 
-/// In the first camera's world, and in that of cameras of which the first is elsewhere.
+/// In the first camera's world and in another one.
 #[test]
 fn tokens_are_refined_as_in_rust() {
     let (context, photos) = (context(), photos(2));
@@ -287,14 +287,14 @@ fn tokens_are_refined_as_in_rust() {
     }
 }
 
-/// The example, as a reader would build and run it.
+/// Builds and runs the example.
 #[test]
 fn refine_in_c() {
     let mut place = place(4);
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name);
     write_ply(&place.moved, path("scene.ply")).expect("a scene can be written");
-    // Files hold logarithms of scales.
+    // Files store log scales.
     place.moved = read_ply(path("scene.ply")).expect("a scene");
     let mut cameras = String::new();
     for camera in &place.cameras {

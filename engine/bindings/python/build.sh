@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # Builds and checks a wheel (auditwheel, twine) for glibc 2.28, linked by zig.
 # usage: engine/bindings/python/build.sh [FOLDER]      default target/wheels
-# ZIPSPLAT_LIBRARY  existing shared library, skips the build
-# ZIPSPLAT_CACHE    folder of the tools' virtual environment; default ~/.cache/zipsplat
+#   ZIPSPLAT_LIBRARY  existing shared library, skips the build
+#   ZIPSPLAT_CACHE    folder of the tools' virtual environment; default ~/.cache/zipsplat
 set -euo pipefail
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
 root=$(cd "$here/../../.." && pwd)
