@@ -1,6 +1,7 @@
-//! Hard cases: whatever is asked for, no NaN, no hang, no panic, and nothing quietly wrong.
+//! Hard cases: no NaN, hang, panic or silent error.
 //!
-//! Tests that take long are ignored; `tools/test.sh -p zipsplat-tests --test numerics -- --ignored` runs them.
+//! Slow tests are ignored; `tools/test.sh -p zipsplat-tests --test numerics -- --ignored` runs
+//! them.
 
 mod cache;
 mod catalogue;
@@ -35,7 +36,7 @@ struct Mode {
 }
 
 impl Mode {
-    /// The tolerance for a field of its Gaussians.
+    /// Tolerance of a field of its Gaussians.
     fn tolerance(&self, field: &str) -> Tolerance {
         match self.arithmetic.element {
             Element::F32 => Tolerance::of_field(field),
@@ -48,7 +49,7 @@ impl Mode {
     }
 }
 
-/// [`micro`] on the tests' device in every arithmetic that it has: first f32, then those with narrower factors, on matrix
+/// [`micro`] on the tests' device in every arithmetic: f32 first, then narrower factors, on matrix
 /// units and on lanes.
 fn modes() -> &'static [Mode] {
     static MODES: OnceLock<Vec<Mode>> = OnceLock::new();
@@ -70,7 +71,7 @@ fn reconstruct(model: &Model, images: &[Image], request: &Request) -> Scene {
     model.reconstruct(images, request, |_| ControlFlow::Continue(())).expect("a scene").scene().unwrap()
 }
 
-/// splitmix64: the same numbers for the same seed.
+/// splitmix64, reproducible from its seed.
 struct Random(u64);
 
 impl Random {
