@@ -13,7 +13,7 @@ use std::{
 };
 use zipsplat::types::poses::{Frame, Poses, read_poses};
 
-/// Posed photos of a capture. Immutable, so threads can share it.
+/// Posed photos of a capture.
 pub struct zs_capture {
     pub(super) poses: Poses,
     names: Vec<CString>,
@@ -47,7 +47,7 @@ fn c_text(text: &str) -> CString {
 
 /// Opens a capture: a transforms.json (instant-ngp or nerfstudio), a COLMAP model folder (text or
 /// binary), or a folder that contains either. Axes become OpenCV's; world and scale stay the
-/// file's. Photos are read only for sizes that the file lacks. `path` is UTF-8.
+/// file's. Photos are read only for sizes that the file lacks.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_open(path: *const c_char, capture: *mut *mut zs_capture) -> zs_status {
     // SAFETY: a string or NULL.
@@ -79,7 +79,7 @@ pub unsafe extern "C" fn zs_capture_get_count(
 
 /// Returns the undistorted pinhole camera, the name and the path of photo `index`. `name` is as
 /// written in the file; the path is NULL if no photo was found. Strings point into the capture.
-/// Outputs may be NULL. Set the camera's struct_size before the call.
+/// Outputs may be NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_get(
     capture: *const zs_capture,
@@ -108,8 +108,8 @@ pub unsafe extern "C" fn zs_capture_get(
     })
 }
 
-/// Finds the photo at `path` (UTF-8) by file name, then by the longest common path suffix. Without
-/// a match `index` is the number of photos. ZS_ERROR_ARGUMENT for an ambiguous match.
+/// Finds the photo at `path` by file name, then by the longest common path suffix. Without a match
+/// `index` is the number of photos. ZS_ERROR_ARGUMENT for an ambiguous match.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_find(
     capture: *const zs_capture,
@@ -126,8 +126,8 @@ pub unsafe extern "C" fn zs_capture_find(
     })
 }
 
-/// Opens photo `index` undistorted, ignoring the EXIF orientation. `path` (UTF-8) overrides the
-/// capture's path; NULL keeps it.
+/// Opens photo `index` undistorted, ignoring the EXIF orientation. `path` overrides the capture's
+/// path; NULL keeps it.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_open_photo(
     capture: *const zs_capture,
@@ -149,10 +149,10 @@ pub unsafe extern "C" fn zs_capture_open_photo(
     unsafe { produce(photo, open) }
 }
 
-/// Destroys a capture. NULL is allowed.
+/// Destroys a capture.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_destroy(capture: *mut zs_capture) {
-    // SAFETY: an object that the caller gives up, or NULL.
+    // SAFETY: NULL or given up by the caller.
     unsafe { destroy(capture) }
 }
 

@@ -9,8 +9,8 @@ use super::{
 use std::ffi::c_char;
 use zipsplat::gpu::{Device, DeviceInfo, DeviceOptions, Limits, list_devices};
 
-/// An open Vulkan device. Threads can share a context. Models and renderers share ownership of the
-/// device, so the context can be destroyed before them.
+/// An open Vulkan device. Models and renderers share ownership of the device, so the context can be
+/// destroyed before them.
 pub struct zs_context {
     pub(super) device: Device,
     /// Whether the caller owns the device.
@@ -33,7 +33,7 @@ pub enum zs_device_kind {
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_device_info {
-    /// sizeof(zs_device_info); set it before the call.
+    /// sizeof(zs_device_info).
     pub struct_size: u32,
     /// Device number for zs_context_options.device; 0 for an adopted device.
     pub index: u32,
@@ -60,17 +60,17 @@ pub(super) type zs_device_kind_value = i32;
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_context_options {
-    /// sizeof(zs_context_options); zs_context_options_default sets it.
+    /// sizeof(zs_context_options).
     pub struct_size: u32,
     /// 1 enables the Khronos validation layer with synchronization validation. Its messages make
     /// calls fail with ZS_ERROR_DRIVER. Default: 1 if the environment variable ZIPSPLAT_VALIDATION
     /// is 1, else 0.
     pub validation: u32,
     /// Device memory budget in bytes; 0 is unlimited. Work beyond it fails with
-    /// ZS_ERROR_OUT_OF_MEMORY before submission. Default 0.
+    /// ZS_ERROR_OUT_OF_MEMORY before submission.
     pub max_memory_bytes: u64,
     /// Device number, part of its name, or UUID with or without "GPU-" and hyphens. NULL selects
-    /// the best device. Default NULL.
+    /// the best device.
     pub device: *const c_char,
 }
 
@@ -132,14 +132,14 @@ pub unsafe extern "C" fn zs_device_get(index: u32, info: *mut zs_device_info) ->
     })
 }
 
-/// Fills `options` with defaults. `size` is sizeof(zs_context_options).
+/// Sets defaults; `size` is sizeof(zs_context_options).
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_context_options_default(options: *mut zs_context_options, size: usize) -> zs_status {
     // SAFETY: the caller's structure of that size.
     unsafe { write_defaults(options, size) }
 }
 
-/// Opens a device with an instance and queue of its own. `options` may be NULL.
+/// Opens a device with an instance and queue of its own.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_context_create(
     options: *const zs_context_options,
@@ -171,10 +171,10 @@ pub unsafe extern "C" fn zs_context_get_info(context: *const zs_context, info: *
     })
 }
 
-/// Destroys a context. The device closes with its last model and renderer. NULL is allowed.
+/// Destroys a context. The device closes with its last model and renderer.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_context_destroy(context: *mut zs_context) {
-    // SAFETY: an object that the caller gives up, or NULL.
+    // SAFETY: NULL or given up by the caller.
     unsafe { destroy(context) }
 }
 

@@ -28,12 +28,12 @@ use zipsplat::{
     weights::DepthCheckpoint,
 };
 
-/// A Depth Anything 3 network with its weights on a device. Threads can share it.
+/// A Depth Anything 3 network with its weights on a device.
 pub struct zs_depth_model {
     model: DepthModel,
 }
 
-/// Depth and cameras of photos in host memory. Immutable, so threads can share it.
+/// Depth and cameras of photos in host memory.
 pub struct zs_depths {
     depths: Depths,
     /// Resized photos, the network's input.
@@ -58,7 +58,7 @@ pub(super) type zs_cameras_from_value = i32;
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_depth_options {
-    /// sizeof(zs_depth_options); zs_depth_options_default sets it.
+    /// sizeof(zs_depth_options).
     pub struct_size: u32,
     /// Longer side of the network's input, 14 to 8192 pixels. Each side is rounded to a multiple of
     /// 14. Photos of different shapes are cropped to their common center. Default 504.
@@ -66,16 +66,16 @@ pub struct zs_depth_options {
     /// Source of estimated cameras. Default ZS_CAMERAS_FROM_DECODER.
     pub cameras_from: zs_cameras_from_value,
     /// 1 estimates a focal length per photo. 0 shares one among photos of equal size: the median
-    /// weighted by depth confidence. Default 0.
+    /// weighted by depth confidence.
     pub own_focal_lengths: u32,
-    /// Number of `cameras`: 0 or the number of photos. Default 0.
+    /// Number of `cameras`: 0 or the number of photos.
     pub camera_count: u32,
     /// Must be 0.
     pub reserved: u32,
     /// Known cameras of the whole photos, for multi-view networks. They set the depth scale and are
-    /// returned unchanged. Default NULL.
+    /// returned unchanged.
     pub cameras: *const zs_camera,
-    /// Progress callback; may cancel. Default NULL.
+    /// Progress callback.
     pub progress: zs_progress,
     /// Argument of `progress`.
     pub user_data: *mut c_void,
@@ -85,7 +85,7 @@ pub struct zs_depth_options {
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_depth_view {
-    /// sizeof(zs_depth_view); set it before the call.
+    /// sizeof(zs_depth_view).
     pub struct_size: u32,
     /// Must be 0.
     pub reserved: u32,
@@ -134,9 +134,9 @@ unsafe impl Versioned for zs_depth_view {
 // SAFETY: the arrays belong to an immutable object.
 unsafe impl Sync for zs_depth_view {}
 
-/// Loads a Depth Anything 3 network: a released model.safetensors at `path` (UTF-8), or random
-/// weights for "seeded:NAME", such as "seeded:da3-small". `options` may be NULL; its `variant` must
-/// be NULL and `tokens` 0.
+/// Loads a Depth Anything 3 network: a released model.safetensors at `path`, or random weights for
+/// "seeded:NAME", such as "seeded:da3-small". `options` may be NULL; its `variant` must be NULL and
+/// `tokens` 0.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_depth_model_open(
     context: *const zs_context,
@@ -165,14 +165,14 @@ pub unsafe extern "C" fn zs_depth_model_open(
     unsafe { produce(model, load) }
 }
 
-/// Destroys a depth model. NULL is allowed.
+/// Destroys a depth model.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_depth_model_destroy(model: *mut zs_depth_model) {
-    // SAFETY: an object that the caller gives up, or NULL.
+    // SAFETY: NULL or given up by the caller.
     unsafe { destroy(model) }
 }
 
-/// Fills `options` with defaults. `size` is sizeof(zs_depth_options).
+/// Sets defaults; `size` is sizeof(zs_depth_options).
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_depth_options_default(options: *mut zs_depth_options, size: usize) -> zs_status {
     // SAFETY: the caller's structure of that size.
@@ -180,7 +180,7 @@ pub unsafe extern "C" fn zs_depth_options_default(options: *mut zs_depth_options
 }
 
 /// Estimates depth of 1 to 192 photos of one place. Multi-view networks also estimate cameras,
-/// relative to one of them. `options` may be NULL.
+/// relative to one of them.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_depth_find(
     model: *const zs_depth_model,
@@ -231,8 +231,7 @@ pub unsafe extern "C" fn zs_depth_find(
 }
 
 /// Returns depth and camera of photo `index`. The camera is of the whole photo, in the common
-/// world; width and height are 0 if unknown. Outputs may be NULL. Set their struct_size before the
-/// call.
+/// world; width and height are 0 if unknown. Outputs may be NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_depths_get(
     depths: *const zs_depths,
@@ -290,10 +289,10 @@ pub unsafe extern "C" fn zs_depths_scene(depths: *const zs_depths, keep: u32, sc
     unsafe { produce(scene, make) }
 }
 
-/// Destroys depths. NULL is allowed.
+/// Destroys depths.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_depths_destroy(depths: *mut zs_depths) {
-    // SAFETY: an object that the caller gives up, or NULL.
+    // SAFETY: NULL or given up by the caller.
     unsafe { destroy(depths) }
 }
 
@@ -314,7 +313,6 @@ impl zs_depth_options {
     }
 }
 
-/// Cameras of views, from cameras of whole photos.
 fn of_views(cameras: &[Camera], views: &[View]) -> Result<Vec<Camera>, Error> {
     let of_view = |(i, (camera, view)): (usize, (&Camera, &View))| {
         let label = format!("camera {i}");

@@ -16,7 +16,7 @@ use zipsplat::{
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_gradients {
-    /// sizeof(zs_gradients); set it before the call.
+    /// sizeof(zs_gradients).
     pub struct_size: u32,
     /// Must be 0.
     pub reserved: u32,
@@ -107,8 +107,6 @@ pub unsafe extern "C" fn zs_render_backward(
 }
 
 impl zs_picture {
-    /// Weights of one camera's picture.
-    ///
     /// # Safety
     /// Pointers that are not NULL have values for every pixel.
     unsafe fn weights(&self, camera: &Camera, i: usize) -> Result<Frame, Failure> {

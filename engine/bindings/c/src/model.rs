@@ -16,7 +16,7 @@ use std::{
 };
 use zipsplat::{Error, ops::Precision, reconstruct::Model, refine::FrozenHead, tune::Chosen, weights::Checkpoint};
 
-/// A network with its weights on a device. Threads can share a model.
+/// A network with its weights on a device.
 pub struct zs_model {
     pub(super) model: Model,
     /// Native picture side.
@@ -40,20 +40,20 @@ pub type zs_progress = Option<unsafe extern "C" fn(user_data: *mut c_void, fract
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_model_options {
-    /// sizeof(zs_model_options); zs_model_options_default sets it.
+    /// sizeof(zs_model_options).
     pub struct_size: u32,
     /// Number formats. Default ZS_PRECISION_BEST.
     pub precision: zs_precision_value,
     /// Variant of a checkpoint that does not name its own: "vitg", "vits", "vitb", "vitl", "da3s",
     /// "da3b" or "da3l". Missing parameters follow, as in
-    /// "vits:out_layers=5,7,11:alt_start=5:rope_start=5". NULL uses the file's. Default NULL.
+    /// "vits:out_layers=5,7,11:alt_start=5:rope_start=5". NULL uses the file's.
     pub variant: *const c_char,
-    /// Progress callback; may cancel. Default NULL.
+    /// Progress callback.
     pub progress: zs_progress,
     /// Argument of `progress`.
     pub user_data: *mut c_void,
     /// 1 enables ZS_REFINE_TOKENS: an f32 copy of the head and each scene's tokens stay on the
-    /// device. Default 0.
+    /// device.
     pub tokens: u32,
     /// Must be 0.
     pub reserved: u32,
@@ -63,7 +63,7 @@ pub struct zs_model_options {
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_model_info {
-    /// sizeof(zs_model_info); set it before the call.
+    /// sizeof(zs_model_info).
     pub struct_size: u32,
     /// Native side of its square pictures, in pixels.
     pub picture_side: u32,
@@ -101,7 +101,6 @@ pub enum zs_precision {
 }
 
 impl zs_precision {
-    /// Returns the requested precision; `None` is the device's best.
     pub(super) fn wanted(number: i32) -> Result<Option<Precision>, Failure> {
         if number == Self::ZS_PRECISION_BEST as i32 {
             return Ok(None);
@@ -153,16 +152,16 @@ unsafe impl Versioned for zs_model_info {
     }
 }
 
-/// Fills `options` with defaults. `size` is sizeof(zs_model_options).
+/// Sets defaults; `size` is sizeof(zs_model_options).
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_model_options_default(options: *mut zs_model_options, size: usize) -> zs_status {
     // SAFETY: the caller's structure of that size.
     unsafe { write_defaults(options, size) }
 }
 
-/// Loads a checkpoint: safetensors or a PyTorch archive at `path` (UTF-8), the built-in model for
+/// Loads a checkpoint: safetensors or a PyTorch archive at `path`, the built-in model for
 /// "embedded", or random weights for "seeded:VARIANT". ZS_ERROR_UNSUPPORTED without a built-in
-/// model. `options` may be NULL.
+/// model.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_model_open(
     context: *const zs_context,
@@ -232,10 +231,10 @@ pub unsafe extern "C" fn zs_model_get_info(model: *const zs_model, info: *mut zs
     })
 }
 
-/// Destroys a model. NULL is allowed.
+/// Destroys a model.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_model_destroy(model: *mut zs_model) {
-    // SAFETY: an object that the caller gives up, or NULL.
+    // SAFETY: NULL or given up by the caller.
     unsafe { destroy(model) }
 }
 
@@ -280,7 +279,6 @@ unsafe fn load(
     unsafe { produce(out, load) }
 }
 
-/// Calls the progress callback.
 pub(super) fn report(progress: zs_progress, user_data: *mut c_void, fraction: f64, stage: &str) -> ControlFlow<()> {
     let Some(progress) = progress else { return ControlFlow::Continue(()) };
     let stage = CString::new(stage).unwrap_or_default();

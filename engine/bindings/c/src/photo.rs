@@ -8,14 +8,14 @@ use super::{
 use std::ffi::{c_char, c_void};
 use zipsplat::types::Image;
 
-/// A decoded photo in host memory. Immutable, so threads can share it.
+/// A decoded photo in host memory.
 pub struct zs_photo {
     pub(super) image: Image,
 }
 
 /// Opens a PNG, JPEG or WebP, recognized by content. Applies the EXIF orientation, drops alpha and
 /// keeps the high byte of 16-bit samples. COLMAP cameras refer to unrotated pixels: use
-/// zs_capture_open_photo for them. `path` is UTF-8.
+/// zs_capture_open_photo for them.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_photo_open(path: *const c_char, photo: *mut *mut zs_photo) -> zs_status {
     // SAFETY: a string or NULL.
@@ -38,8 +38,7 @@ pub unsafe extern "C" fn zs_photo_from_memory(
     unsafe { produce(photo, decode) }
 }
 
-/// Fills `image` with the photo's pixels (ZS_PIXEL_RGB8), which point into the photo. Set its
-/// struct_size before the call.
+/// Fills `image` with the photo's pixels (ZS_PIXEL_RGB8), which point into the photo.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_photo_get_image(photo: *const zs_photo, image: *mut zs_image) -> zs_status {
     guard(|| {
@@ -52,15 +51,14 @@ pub unsafe extern "C" fn zs_photo_get_image(photo: *const zs_photo, image: *mut 
     })
 }
 
-/// Destroys a photo. NULL is allowed.
+/// Destroys a photo.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_photo_destroy(photo: *mut zs_photo) {
-    // SAFETY: an object that the caller gives up, or NULL.
+    // SAFETY: NULL or given up by the caller.
     unsafe { destroy(photo) }
 }
 
 /// Writes a PNG of 8 bits per channel without alpha. An existing file is replaced atomically.
-/// `path` is UTF-8.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_image_save_png(image: *const zs_image, path: *const c_char) -> zs_status {
     guard(|| {

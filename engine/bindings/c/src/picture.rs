@@ -54,7 +54,7 @@ impl zs_pixel_format {
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_image {
-    /// sizeof(zs_image); set it before the call.
+    /// sizeof(zs_image).
     pub struct_size: u32,
     /// Pixel format.
     pub format: zs_pixel_format_value,
@@ -76,7 +76,7 @@ unsafe impl Sync for zs_image {}
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_camera {
-    /// sizeof(zs_camera); set it before the call.
+    /// sizeof(zs_camera).
     pub struct_size: u32,
     /// Must be 0.
     pub reserved: u32,

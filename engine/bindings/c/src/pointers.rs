@@ -8,7 +8,6 @@ use std::{
 
 type Result<T> = std::result::Result<T, Failure>;
 
-/// Size of a pointer in bytes.
 pub(super) const POINTER: usize = size_of::<*const ()>();
 
 /// A structure that begins with its size, so that later versions can append fields.
@@ -168,8 +167,6 @@ pub(super) unsafe fn destroy<T>(handle: *mut T) {
     }
 }
 
-/// Borrows an object argument.
-///
 /// # Safety
 /// `handle` is NULL or an object that outlives the call.
 pub(super) unsafe fn borrow<'a, T>(handle: *const T, name: &str) -> Result<&'a T> {
@@ -187,8 +184,6 @@ pub(super) unsafe fn array<'a, T>(pointer: *const T, count: usize, name: &str) -
     Ok(if count == 0 { &[] } else { unsafe { std::slice::from_raw_parts(pointer, count) } })
 }
 
-/// Borrows an array for writing, as [`array`].
-///
 /// # Safety
 /// As [`array`], without concurrent reads.
 pub(super) unsafe fn array_mut<'a, T>(pointer: *mut T, count: usize, name: &str) -> Result<&'a mut [T]> {
@@ -214,8 +209,6 @@ fn check_array<T>(pointer: *const T, count: usize, name: &str) -> Result<()> {
     Ok(())
 }
 
-/// Borrows a string argument.
-///
 /// # Safety
 /// `pointer` is NULL or a NUL-terminated string.
 pub(super) unsafe fn text<'a>(pointer: *const c_char, name: &str) -> Result<&'a str> {
@@ -237,7 +230,6 @@ pub(super) unsafe fn optional_text<'a>(pointer: *const c_char, name: &str) -> Re
     bytes.to_str().map(Some).map_err(|error| Failure::argument(name, error, "UTF-8"))
 }
 
-/// Converts a progress callback's result.
 pub(super) fn flow(stop: i32) -> ControlFlow<()> {
     if stop == 0 { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
 }

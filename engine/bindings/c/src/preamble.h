@@ -12,9 +12,9 @@
  *     zs_bytes      an encoded scene file in memory
  *
  * Errors. Functions that can fail return a zs_status: ZS_OK is 0, any other value a failure.
- * zs_last_error returns the calling thread's message. A failed call leaves no partial object. A
- * constructor first sets its output pointer to NULL. No C++ exception and no Rust panic crosses
- * this interface. Only exhausted host memory ends the process.
+ * zs_last_error returns the calling thread's message. A failed call leaves no partial object; a
+ * constructor sets its output to NULL. No C++ exception and no Rust panic crosses this interface.
+ * Only exhausted host memory ends the process.
  *
  * Ownership. The caller owns every object from zs_..._create, _open, _adopt, _from_memory,
  * _to_memory, zs_reconstruct and zs_refine. Destroy it once, on any thread, when no call uses it.
@@ -23,11 +23,10 @@
  * arguments are accessed only during the call unless documented otherwise. Never free a returned
  * const char *.
  *
- * Threads. Different objects can be used concurrently, and so can one zs_context, zs_model or
- * zs_scene. Calls on one zs_renderer wait for each other. Callbacks run on the calling thread. A
- * thread pool prepares photos, weights and files. It has RAYON_NUM_THREADS threads, by default one
- * per core, starts on first use and lives as long as the process. Pool threads never run your
- * callbacks and never touch your queue.
+ * Threads. Threads can share all objects; calls on one zs_renderer wait for each other. Callbacks
+ * run on the calling thread. A thread pool prepares photos, weights and files. It has
+ * RAYON_NUM_THREADS threads, by default one per core, starts on first use and lives as long as the
+ * process. Pool threads never run your callbacks and never touch your queue.
  *
  * Cache. The library caches kernel self-test results and the tile sizes of `zipsplat tune` on disk.
  * The folder is ZIPSPLAT_CACHE, else `zipsplat` in XDG_CACHE_HOME or LOCALAPPDATA, else
@@ -35,12 +34,13 @@
  * devices (zs_context_adopt) and ZS_PRECISION_EXACT need no cache.
  *
  * Structures. Later versions may append fields to a structure that begins with struct_size.
- * Initialize it with its ..._default function, or zero it and set struct_size to its sizeof. In
- * arrays, do so for every element. A library accepts structures of its own and all earlier versions
- * with the same ZS_ABI_VERSION and rejects larger ones. Other structures never change.
+ * Initialize it with its ..._default function, or zero it and set struct_size to its sizeof, in
+ * every element of an array and also for outputs. A library accepts structures of its own and all
+ * earlier versions with the same ZS_ABI_VERSION and rejects larger ones. Other structures never
+ * change. NULL options are the defaults, which are 0 or NULL unless documented otherwise.
  *
- * Values. Unknown enumeration values are rejected. Sizes are in bytes, counts in elements, picture
- * sides in pixels.
+ * Values. Strings are UTF-8. Unknown enumeration values are rejected. Sizes are in bytes, counts in
+ * elements, picture sides in pixels.
  *
  * World. Axes are x right, y down, z forward. A scene from photos is in the first photo's camera
  * space. Known cameras set its scale. Without them the scale is not metric: the median distance

@@ -60,7 +60,7 @@ pub const ZS_UNIT_AUTO: f64 = 0.0;
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_reconstruct_options {
-    /// sizeof(zs_reconstruct_options); zs_reconstruct_options_default sets it.
+    /// sizeof(zs_reconstruct_options).
     pub struct_size: u32,
     /// World of the scene; ZS_WORLD_CAMERAS requires `cameras`. Default ZS_WORLD_FIRST_CAMERA.
     pub world: zs_world_value,
@@ -73,23 +73,23 @@ pub struct zs_reconstruct_options {
     /// Selection of the kept tokens. Default ZS_SELECT_KMEANS.
     pub selection: zs_selection_value,
     /// Width of the network's input, a multiple of the patch: photos are center-cropped and
-    /// resized. 0 is the model's own. Default 0.
+    /// resized. 0 is the model's own.
     pub width: u32,
-    /// Height of the network's input; 0 exactly if `width` is 0. Default 0.
+    /// Height of the network's input; 0 exactly if `width` is 0.
     pub height: u32,
-    /// Number of `cameras`: 0 or the number of photos. Default 0.
+    /// Number of `cameras`: 0 or the number of photos.
     pub camera_count: u32,
-    /// Seed for ZS_SELECT_RANDOM. Default 0.
+    /// Seed for ZS_SELECT_RANDOM.
     pub seed: u64,
     /// Known cameras of the whole photos. The first one becomes the world unless `world` overrides
-    /// it. Their scale is kept. Default NULL.
+    /// it. Their scale is kept.
     pub cameras: *const zs_camera,
-    /// Progress callback; may cancel. Default NULL.
+    /// Progress callback.
     pub progress: zs_progress,
     /// Argument of `progress`.
     pub user_data: *mut c_void,
     /// Capture of `cameras`, for ZS_UNIT_AUTO: its points and all its cameras give the scale. NULL
-    /// uses `cameras` alone. Default NULL.
+    /// uses `cameras` alone.
     pub capture: *const zs_capture,
     /// Pooling for many photos: cross-view attention reads means of `pool` x `pool` patches, 1 to
     /// 4. Larger values are faster and less exact. Default 1.
@@ -120,7 +120,7 @@ unsafe impl Versioned for zs_reconstruct_options {
     }
 }
 
-/// Fills `options` with defaults. `size` is sizeof(zs_reconstruct_options).
+/// Sets defaults; `size` is sizeof(zs_reconstruct_options).
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_reconstruct_options_default(
     options: *mut zs_reconstruct_options,
@@ -130,7 +130,7 @@ pub unsafe extern "C" fn zs_reconstruct_options_default(
     unsafe { write_defaults(options, size) }
 }
 
-/// Reconstructs a scene from 1 to 192 photos of one place. `options` may be NULL.
+/// Reconstructs a scene from 1 to 192 photos of one place.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_reconstruct(
     model: *const zs_model,

@@ -76,7 +76,7 @@ pub type zs_refine_progress = Option<unsafe extern "C" fn(user_data: *mut c_void
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_refine_options {
-    /// sizeof(zs_refine_options); zs_refine_options_default sets it.
+    /// sizeof(zs_refine_options).
     pub struct_size: u32,
     /// Optimizer steps. Default 100.
     pub steps: u32,
@@ -90,9 +90,9 @@ pub struct zs_refine_options {
     pub width: u32,
     /// Largest compared height; 0 exactly if `width` is 0. Default 1600.
     pub height: u32,
-    /// Seed of the photo order. Default 0.
+    /// Seed of the photo order.
     pub seed: u64,
-    /// Progress callback; may stop early. Default NULL.
+    /// Progress callback.
     pub progress: zs_refine_progress,
     /// Argument of `progress`.
     pub user_data: *mut c_void,
@@ -106,7 +106,7 @@ pub struct zs_refine_options {
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_refine_info {
-    /// sizeof(zs_refine_info); set it before the call.
+    /// sizeof(zs_refine_info).
     pub struct_size: u32,
     /// Reason for the end.
     pub ended: zs_refine_end_value,
@@ -176,7 +176,7 @@ unsafe impl Versioned for zs_refine_info {
 /// Default limit of a photo's side.
 const MOST_PIXELS: u32 = 1600;
 
-/// Fills `options` with defaults. `size` is sizeof(zs_refine_options).
+/// Sets defaults; `size` is sizeof(zs_refine_options).
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_refine_options_default(options: *mut zs_refine_options, size: usize) -> zs_status {
     // SAFETY: the caller's structure of that size.
@@ -267,7 +267,6 @@ impl zs_refine_options {
         Ok(Refine { steps, views_per_step, size, hold_out, seed: self.seed, ..Refine::default() })
     }
 
-    /// Reports progress to the caller.
     fn tell(&self, now: &Refining<'_>) -> ControlFlow<()> {
         let Some(progress) = self.progress else { return ControlFlow::Continue(()) };
         let now = zs_refining {

@@ -58,15 +58,14 @@ pub(super) type zs_depth_value = i32;
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_render_options {
-    /// sizeof(zs_render_options); zs_render_options_default sets it.
+    /// sizeof(zs_render_options).
     pub struct_size: u32,
     /// Pixel format. 8-bit color is clamped and truncated, 8-bit alpha rounded, f32 unchanged.
     /// Color includes the background's part; on black it is premultiplied. Default ZS_PIXEL_RGBA8.
     pub format: zs_pixel_format_value,
     /// Kind of zs_picture.depth. Default ZS_DEPTH_EXPECTED.
     pub depth: zs_depth_value,
-    /// 1 fades Gaussians thinner than a pixel (Mip-Splatting), for scenes trained that way. Default
-    /// 0.
+    /// 1 fades Gaussians thinner than a pixel (Mip-Splatting), for scenes trained that way.
     pub antialiased: u32,
     /// Background as red, green, blue. Default black.
     pub background: [f32; 3],
@@ -95,7 +94,7 @@ unsafe impl Versioned for zs_render_options {
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_picture {
-    /// sizeof(zs_picture); set it before the call.
+    /// sizeof(zs_picture).
     pub struct_size: u32,
     /// Must be 0.
     pub reserved: u32,
@@ -152,14 +151,14 @@ pub unsafe extern "C" fn zs_renderer_set_scene(renderer: *const zs_renderer, sce
     })
 }
 
-/// Destroys a renderer, after waiting for its copies to Vulkan targets. NULL is allowed.
+/// Destroys a renderer, after waiting for its copies to Vulkan targets.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_renderer_destroy(renderer: *mut zs_renderer) {
-    // SAFETY: an object that the caller gives up, or NULL.
+    // SAFETY: NULL or given up by the caller.
     unsafe { destroy(renderer) }
 }
 
-/// Fills `options` with defaults. `size` is sizeof(zs_render_options).
+/// Sets defaults; `size` is sizeof(zs_render_options).
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_render_options_default(options: *mut zs_render_options, size: usize) -> zs_status {
     // SAFETY: the caller's structure of that size.
@@ -167,7 +166,7 @@ pub unsafe extern "C" fn zs_render_options_default(options: *mut zs_render_optio
 }
 
 /// Draws one picture per camera. Cameras of equal size are batched. After a failure some pictures
-/// may be written. `options` may be NULL.
+/// may be written.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_render(
     renderer: *const zs_renderer,
@@ -223,7 +222,6 @@ pub unsafe extern "C" fn zs_render(
 }
 
 impl zs_render_options {
-    /// Returns the checked pixel format of zs_render.
     pub(super) fn checked(&self) -> Result<zs_pixel_format, Failure> {
         if !self.near_plane.is_finite() || self.near_plane < 0.0 {
             return Err(Failure::argument("near_plane", self.near_plane, "0 or a positive distance"));
@@ -234,7 +232,6 @@ impl zs_render_options {
         zs_pixel_format::of(self.format)
     }
 
-    /// Returns the request of a batch of pictures.
     pub(super) fn request(&self, format: zs_pixel_format, pictures: &[zs_picture]) -> Result<RenderRequest, Failure> {
         let depth = match self.depth {
             0 => Depth::Expected,

@@ -24,8 +24,8 @@ use zipsplat::{
     stages::render::{DeviceScene, Renderer, WeakScene},
 };
 
-/// 3D Gaussians in host memory. Immutable, so threads can share it. A scene is independent of
-/// contexts and survives device loss. Renderers copy it, so it can be destroyed before them.
+/// 3D Gaussians in host memory. A scene is independent of contexts and survives device loss.
+/// Renderers copy it, so it can be destroyed before them.
 pub struct zs_scene {
     pub(super) scene: Scene,
     /// The device copy, while its model keeps it.
@@ -40,7 +40,6 @@ pub struct zs_scene {
 pub(super) struct ModelTokens {
     pub tokens: SceneTokens,
     pub head: Arc<FrozenHead>,
-    /// The model's arena.
     pub arena: Arena,
     /// The first camera's pose in the scene's world, if the world is not that camera's space.
     pub pose: Option<Pose>,
@@ -64,7 +63,6 @@ impl zs_scene {
         Self { scene, on_device, tokens: None, seen: None }
     }
 
-    /// Attaches the photos of the reconstruction.
     pub(super) fn seen(self, seen: Option<Seen>) -> Self {
         Self { seen, ..self }
     }
@@ -94,7 +92,7 @@ pub struct zs_bytes {
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_gaussians {
-    /// sizeof(zs_gaussians); set it before the call.
+    /// sizeof(zs_gaussians).
     pub struct_size: u32,
     /// Degree of spherical harmonics, 0 to 3: K = (sh_degree + 1)^2 coefficients per channel.
     pub sh_degree: u32,
@@ -120,7 +118,7 @@ pub struct zs_gaussians {
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_save_options {
-    /// sizeof(zs_save_options); zs_save_options_default sets it.
+    /// sizeof(zs_save_options).
     pub struct_size: u32,
     /// SPZ version: 2, 3 or 4 (zstd). Default 3.
     pub spz_version: u32,
@@ -155,8 +153,7 @@ unsafe impl Versioned for zs_save_options {
     }
 }
 
-/// Fills `gaussians` with the scene's size and arrays, which point into the scene. Set its
-/// struct_size before the call.
+/// Fills `gaussians` with the scene's size and arrays, which point into the scene.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_get_gaussians(scene: *const zs_scene, gaussians: *mut zs_gaussians) -> zs_status {
     guard(|| {
@@ -212,8 +209,8 @@ pub unsafe extern "C" fn zs_scene_create(gaussians: *const zs_gaussians, scene: 
 const MAX_GAUSSIANS: usize = 1 << 28;
 
 /// Opens a scene file: PLY of 3D Gaussian Splatting, .compressed.ply, SPZ, .splat, or glTF with
-/// KHR_gaussian_splatting (.gltf, .glb). Axes become x right, y down, z forward. `path` is UTF-8.
-/// Rejects NaN, infinite and out-of-range values.
+/// KHR_gaussian_splatting (.gltf, .glb). Axes become x right, y down, z forward. Rejects NaN,
+/// infinite and out-of-range values.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_open(path: *const c_char, scene: *mut *mut zs_scene) -> zs_status {
     // SAFETY: a string or NULL.
@@ -278,7 +275,7 @@ fn format_named(name: &str) -> Result<SceneFormat, Failure> {
     SceneFormat::named(name).ok_or_else(|| Failure::argument("format", name, SceneFormat::EXTENSIONS))
 }
 
-/// Fills `options` with defaults. `size` is sizeof(zs_save_options).
+/// Sets defaults; `size` is sizeof(zs_save_options).
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_save_options_default(options: *mut zs_save_options, size: usize) -> zs_status {
     // SAFETY: the caller's structure of that size.
@@ -286,7 +283,7 @@ pub unsafe extern "C" fn zs_save_options_default(options: *mut zs_save_options, 
 }
 
 /// Writes a scene in the format of the path's extension: .ply, .spz, .splat, .gltf or .glb. An
-/// existing file is replaced atomically. `options` may be NULL. `path` is UTF-8.
+/// existing file is replaced atomically.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_save(
     scene: *const zs_scene,
@@ -301,8 +298,7 @@ pub unsafe extern "C" fn zs_scene_save(
     })
 }
 
-/// Encodes a scene to memory. `format` is "ply", "spz", "splat", "gltf" or "glb". `options` may be
-/// NULL.
+/// Encodes a scene to memory. `format` is "ply", "spz", "splat", "gltf" or "glb".
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_to_memory(
     scene: *const zs_scene,
@@ -388,16 +384,16 @@ pub unsafe extern "C" fn zs_scene_cameras(
     })
 }
 
-/// Destroys bytes. NULL is allowed.
+/// Destroys bytes.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_bytes_destroy(bytes: *mut zs_bytes) {
-    // SAFETY: an object that the caller gives up, or NULL.
+    // SAFETY: NULL or given up by the caller.
     unsafe { destroy(bytes) }
 }
 
-/// Destroys a scene. NULL is allowed.
+/// Destroys a scene.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_destroy(scene: *mut zs_scene) {
-    // SAFETY: an object that the caller gives up, or NULL.
+    // SAFETY: NULL or given up by the caller.
     unsafe { destroy(scene) }
 }

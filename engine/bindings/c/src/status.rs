@@ -42,7 +42,6 @@ pub enum zs_status {
 
 use zs_status::*;
 
-/// All status codes, for names and tests.
 pub(super) const STATUSES: [(zs_status, &CStr); 12] = [
     (ZS_OK, c"ZS_OK"),
     (ZS_ERROR_ARGUMENT, c"ZS_ERROR_ARGUMENT"),
@@ -58,7 +57,7 @@ pub(super) const STATUSES: [(zs_status, &CStr); 12] = [
     (ZS_ERROR_INTERNAL, c"ZS_ERROR_INTERNAL"),
 ];
 
-/// Returns the name of a status, "unknown status" for an unknown number. Static: never free it.
+/// Returns the name of a status, "unknown status" for an unknown number.
 #[unsafe(no_mangle)]
 pub extern "C" fn zs_status_name(status: i32) -> *const c_char {
     let known = STATUSES.iter().find(|(known, _)| *known as i32 == status);
@@ -97,7 +96,6 @@ thread_local! {
     static LAST_ERROR: Message = Message::new();
 }
 
-/// A failed call.
 pub(super) struct Failure {
     pub status: zs_status,
     pub message: String,

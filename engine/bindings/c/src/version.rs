@@ -22,7 +22,7 @@ pub extern "C" fn zs_abi_version() -> u32 {
     ZS_ABI_VERSION
 }
 
-/// Returns the loaded library's version, as "0.1.0". Static: never free it.
+/// Returns the loaded library's version, as "0.1.0".
 #[unsafe(no_mangle)]
 pub extern "C" fn zs_version() -> *const c_char {
     VERSION.as_ptr()

@@ -40,7 +40,6 @@ pub struct zs_vulkan_requirement {
     /// 1 if only faster precisions need it. Enable all that the device supports, then set
     /// zs_vulkan_device.fast.
     pub optional: u32,
-    /// Static: never free it.
     pub name: *const c_char,
     /// Static; "" unless a feature.
     pub structure: *const c_char,
@@ -56,11 +55,11 @@ pub type zs_queue_lock = Option<unsafe extern "C" fn(user_data: *mut c_void)>;
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_vulkan_device {
-    /// sizeof(zs_vulkan_device); zs_vulkan_device_default sets it.
+    /// sizeof(zs_vulkan_device).
     pub struct_size: u32,
     /// Family of `queue`, with compute support.
     pub queue_family: u32,
-    /// vkGetInstanceProcAddr; NULL uses the system's loader. Default NULL.
+    /// vkGetInstanceProcAddr; NULL uses the system's loader.
     pub get_instance_proc_addr: zs_vulkan_function,
     /// VkInstance.
     pub instance: *mut c_void,
@@ -72,14 +71,13 @@ pub struct zs_vulkan_device {
     pub queue: *mut c_void,
     /// Called on the submitting thread before each submission to `queue`, and `unlock_queue` right
     /// after it. The lock is never held while waiting. Do not hold it when calling the library.
-    /// NULL if the queue is not shared during calls. Default NULL.
+    /// NULL if the queue is not shared during calls.
     pub lock_queue: zs_queue_lock,
     /// NULL exactly if `lock_queue` is.
     pub unlock_queue: zs_queue_lock,
     /// Argument of both callbacks.
     pub user_data: *mut c_void,
     /// 1 if every supported optional requirement is enabled. 0 allows only ZS_PRECISION_EXACT.
-    /// Default 0.
     pub fast: u32,
     /// Must be 0.
     pub reserved: u32,
@@ -100,40 +98,39 @@ pub struct zs_semaphore_point {
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_vulkan_target {
-    /// sizeof(zs_vulkan_target); zs_vulkan_target_default sets it.
+    /// sizeof(zs_vulkan_target).
     pub struct_size: u32,
     /// Must be 0.
     pub reserved: u32,
     /// VkImage with VK_IMAGE_USAGE_TRANSFER_DST_BIT, one sample and the format of the
-    /// zs_pixel_format, owned by the queue's family or shared. 0 for a buffer. Default 0.
+    /// zs_pixel_format, owned by the queue's family or shared. 0 for a buffer.
     pub image: u64,
-    /// First column to write; the camera's size must fit from there. Default 0.
+    /// First column to write; the camera's size must fit from there.
     pub x: u32,
-    /// First row to write. Default 0.
+    /// First row to write.
     pub y: u32,
-    /// Mip level. Default 0.
+    /// Mip level.
     pub mip_level: u32,
-    /// Array layer. Default 0.
+    /// Array layer.
     pub array_layer: u32,
     /// VkImageLayout after the waits. Default VK_IMAGE_LAYOUT_UNDEFINED, which may discard
     /// contents.
     pub old_layout: i32,
     /// VkImageLayout at the signals. Default VK_IMAGE_LAYOUT_SHADER_READ_ONLY_OPTIMAL.
     pub new_layout: i32,
-    /// VkBuffer with VK_BUFFER_USAGE_TRANSFER_DST_BIT and contiguous rows; 0 for an image. Default
-    /// 0.
+    /// VkBuffer with VK_BUFFER_USAGE_TRANSFER_DST_BIT and contiguous rows; 0 for an image.
     pub buffer: u64,
-    /// First byte in the buffer, a multiple of 4. Default 0.
+    /// First byte in the buffer, a multiple of 4.
     pub buffer_offset: u64,
-    /// Writable bytes from there. Default 0.
+    /// Writable bytes from there.
     pub buffer_size: u64,
-    /// Number of `waits`. Default 0.
+    /// Number of `waits`.
     pub wait_count: u32,
-    /// Number of `signals`. Default 0.
+    /// Number of `signals`.
     pub signal_count: u32,
-    /// Semaphore values to wait for before writing. Read during the call. Default NULL.
+    /// Semaphore values to wait for before writing. Read during the call.
     pub waits: *const zs_semaphore_point,
-    /// Signaled when the picture is written and visible. Read during the call. Default NULL.
+    /// Signaled when the picture is written and visible. Read during the call.
     pub signals: *const zs_semaphore_point,
 }
 
@@ -189,7 +186,6 @@ unsafe impl Versioned for zs_vulkan_target {
     }
 }
 
-/// Pointers to static text.
 struct Requirements(Vec<zs_vulkan_requirement>);
 
 // SAFETY: the data behind these pointers is never written.
@@ -211,8 +207,7 @@ static REQUIREMENTS: LazyLock<Requirements> = LazyLock::new(|| {
     Requirements(needed.chain(optional).map(entry).collect())
 });
 
-/// Lists required and optional features for zs_context_adopt. Needs no device. Static: never free
-/// it.
+/// Lists required and optional features for zs_context_adopt. Needs no device.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_vulkan_requirements(
     list: *mut *const zs_vulkan_requirement,
@@ -231,7 +226,7 @@ pub unsafe extern "C" fn zs_vulkan_requirements(
     })
 }
 
-/// Fills `device` with defaults. `size` is sizeof(zs_vulkan_device).
+/// Sets defaults; `size` is sizeof(zs_vulkan_device).
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_vulkan_device_default(device: *mut zs_vulkan_device, size: usize) -> zs_status {
     // SAFETY: the caller's structure of that size.
@@ -291,7 +286,7 @@ impl UserData {
     }
 }
 
-/// Fills `target` with defaults. `size` is sizeof(zs_vulkan_target).
+/// Sets defaults; `size` is sizeof(zs_vulkan_target).
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_vulkan_target_default(target: *mut zs_vulkan_target, size: usize) -> zs_status {
     // SAFETY: the caller's structure of that size.
@@ -303,7 +298,7 @@ pub unsafe extern "C" fn zs_vulkan_target_default(target: *mut zs_vulkan_target,
 ///
 /// Returns when the scene is drawn and the copy is submitted. The copy starts after the waits and
 /// ends with the signals. Without semaphores, queue order applies. The renderer's next picture may
-/// wait for this copy, so no wait may depend on it. `options` may be NULL.
+/// wait for this copy, so no wait may depend on it.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_render_to_vulkan(
     renderer: *const zs_renderer,
