@@ -13,7 +13,7 @@ use zipsplat_c::{zs_status::*, *};
 #[test]
 fn null_is_refused_everywhere() {
     let refused = [
-        // SAFETY: every entry point accepts NULL for every pointer.
+        // SAFETY: every pointer may be NULL.
         unsafe { zs_device_count(null_mut()) },
         unsafe { zs_device_get(0, null_mut()) },
         unsafe { zs_context_options_default(null_mut(), 16) },
@@ -67,11 +67,11 @@ fn failures_leave_null_behind() {
     let context = context();
     let text = c_string("no such file");
     let mut scene = dangling_mut();
-    // SAFETY: a string, and an output pointer.
+    // SAFETY: a string, an output pointer.
     fails(unsafe { zs_scene_open(text.as_ptr(), &mut scene) }, ZS_ERROR_IO, &["no such file"]);
     assert!(scene.is_null());
     let mut model = dangling_mut();
-    // SAFETY: a live context, bytes of that length, and an output pointer.
+    // SAFETY: a live context, bytes of that length, an output pointer.
     let status = unsafe { zs_model_from_memory(context.handle, b"no model".as_ptr().cast(), 8, null(), &mut model) };
     fails(status, ZS_ERROR_FORMAT, &["model in memory"]);
     assert!(model.is_null());
@@ -83,7 +83,7 @@ fn failures_leave_null_behind() {
     fails(unsafe { zs_context_create(&options, &mut other) }, ZS_ERROR_NO_DEVICE, &["no such device"]);
     assert!(other.is_null());
     let bad = [b'x', 0xff, 0];
-    // SAFETY: a string, and an output pointer.
+    // SAFETY: a string, an output pointer.
     fails(unsafe { zs_photo_open(bad.as_ptr().cast(), &mut null_mut()) }, ZS_ERROR_ARGUMENT, &["path", "UTF-8"]);
 }
 
@@ -128,7 +128,7 @@ fn structures_of_arrays_say_their_size() {
     let path = folder.path().join("photo.png");
     photos[0].save_png(&path).expect("a photo can be written");
     let path = c_string(path.to_str().expect("UTF-8"));
-    // SAFETY: a string, and an output pointer.
+    // SAFETY: a string, an output pointer.
     let opened = Object::new(zs_photo_destroy, |out| unsafe { zs_photo_open(path.as_ptr(), out) });
     // SAFETY: a live photo; a rejected size writes nothing.
     let status = unsafe { zs_photo_get_image(opened.handle, &mut photo) };
@@ -140,7 +140,7 @@ fn devices_are_described() {
     let mut count = 0;
     // SAFETY: an output pointer.
     ok(unsafe { zs_device_count(&mut count) });
-    // SAFETY: all zeros are valid for this structure.
+    // SAFETY: zeros are valid.
     let mut info: zs_device_info = unsafe { std::mem::zeroed() };
     info.struct_size = size_of::<zs_device_info>() as u32;
     // SAFETY: a structure of its size.
@@ -160,7 +160,7 @@ fn devices_are_described() {
         let number = c_string(index.to_string());
         for device in [number.as_ptr(), info.uuid.as_ptr()] {
             let options = zs_context_options { device, ..context_options() };
-            // SAFETY: options that outlive the call, and an output pointer.
+            // SAFETY: outlives the call; an output pointer.
             let context = Object::new(zs_context_destroy, |out| unsafe { zs_context_create(&options, out) });
             // SAFETY: as above.
             ok(unsafe { zs_context_get_info(context.handle, &mut info) });
@@ -172,10 +172,10 @@ fn devices_are_described() {
 #[test]
 fn memory_can_be_limited() {
     let options = zs_context_options { max_memory_bytes: 4096, ..context_options() };
-    // SAFETY: options that outlive the call, and an output pointer.
+    // SAFETY: outlives the call; an output pointer.
     let context = Object::new(zs_context_destroy, |out| unsafe { zs_context_create(&options, out) });
     let mut model = dangling_mut();
-    // SAFETY: a live context, bytes of that length, no options, and an output pointer.
+    // SAFETY: a live context, bytes of that length, no options, an output pointer.
     let status =
         unsafe { zs_model_from_memory(context.handle, micro().as_ptr().cast(), micro().len(), null(), &mut model) };
     fails(status, ZS_ERROR_OUT_OF_MEMORY, &["4096 bytes"]);
@@ -206,7 +206,7 @@ fn progress_is_told_and_can_stop() {
     let images: Vec<_> = photos.iter().map(image_of).collect();
     let options = zs_reconstruct_options { progress: Some(stop_at_third), user_data, ..reconstruct_options() };
     let mut scene = null_mut();
-    // SAFETY: live objects and arrays of their lengths.
+    // SAFETY: live objects, full arrays.
     let status = unsafe { zs_reconstruct(model.handle, images.as_ptr(), 2, &options, &mut scene) };
     fails(status, ZS_ERROR_CANCELLED, &[]);
     assert!(scene.is_null());
@@ -216,7 +216,6 @@ fn progress_is_told_and_can_stop() {
     // SAFETY: live objects, bytes of that length.
     let status = unsafe { zs_model_from_memory(context.handle, bytes, size, &options, &mut refused) };
     fails(status, ZS_ERROR_ARGUMENT, &["precision", "9"]);
-    // The model stays usable.
     reconstruct(&model, &images, &reconstruct_options());
 }
 
@@ -264,7 +263,7 @@ fn what_cannot_be_reconstructed_is_refused() {
     let options = reconstruct_options();
     let refused = |images: &[zs_image], count: usize, options: &zs_reconstruct_options, words: &[&str]| {
         let mut scene = dangling_mut();
-        // SAFETY: oversized counts are rejected before anything is read.
+        // SAFETY: oversized counts are rejected unread.
         let status = unsafe { zs_reconstruct(model.handle, images.as_ptr(), count, options, &mut scene) };
         fails(status, ZS_ERROR_ARGUMENT, words);
         assert!(scene.is_null());
@@ -312,7 +311,7 @@ fn what_cannot_be_drawn_is_refused() {
     let picture = picture_at(pixels.as_mut_ptr());
     let options = render_options(zs_pixel_format::ZS_PIXEL_RGBA8);
     let refused = |camera: &zs_camera, picture: &zs_picture, count: usize, options: &zs_render_options, word: &str| {
-        // SAFETY: oversized pictures are rejected before any access.
+        // SAFETY: oversized pictures are rejected unread.
         let status = unsafe { zs_render(renderer.handle, camera, picture, count, options) };
         fails(status, ZS_ERROR_ARGUMENT, &[word]);
     };
@@ -353,7 +352,7 @@ fn what_is_no_scene_is_refused() {
     let array = arrays(&gaussians);
     let refused = |array: &zs_gaussians, word: &str| {
         let mut scene = dangling_mut();
-        // SAFETY: oversized arrays are rejected before anything is read.
+        // SAFETY: oversized arrays are rejected unread.
         fails(unsafe { zs_scene_create(array, &mut scene) }, ZS_ERROR_ARGUMENT, &[word]);
         assert!(scene.is_null());
     };
@@ -379,7 +378,7 @@ fn what_is_no_scene_is_refused() {
 #[test]
 fn handles_that_cannot_be_adopted_are_refused() {
     let mut device = std::mem::MaybeUninit::uninit();
-    // SAFETY: capacity for the structure, which is initialized on success.
+    // SAFETY: initialized on success.
     let device: zs_vulkan_device = unsafe {
         ok(zs_vulkan_device_default(device.as_mut_ptr(), size_of::<zs_vulkan_device>()));
         device.assume_init()

@@ -71,13 +71,11 @@ pub fn message() -> String {
     unsafe { CStr::from_ptr(zs_last_error()) }.to_str().expect("UTF-8").to_owned()
 }
 
-/// The smallest network, as a file.
 pub fn micro() -> &'static [u8] {
     static MICRO: OnceLock<Vec<u8>> = OnceLock::new();
     MICRO.get_or_init(|| micro_in(Dtype::F32))
 }
 
-/// The smallest network in another type.
 pub fn micro_in(dtype: Dtype) -> Vec<u8> {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("micro.safetensors");
@@ -90,7 +88,7 @@ pub fn checkpoint() -> Checkpoint {
 }
 
 pub fn context() -> Object<zs_context> {
-    // SAFETY: no options, and an output pointer.
+    // SAFETY: no options, an output pointer.
     Object::new(zs_context_destroy, |out| unsafe { zs_context_create(null(), out) })
 }
 
@@ -112,7 +110,7 @@ pub fn model_from(
     options: &zs_model_options,
 ) -> Result<Object<zs_model>, zs_status> {
     let load = |out| {
-        // SAFETY: a live context, bytes of that length, options, and an output pointer.
+        // SAFETY: a live context, bytes of that length, options, an output pointer.
         unsafe { zs_model_from_memory(context.handle, bytes.as_ptr().cast(), bytes.len(), options, out) }
     };
     Object::try_new(zs_model_destroy, load)
@@ -120,17 +118,15 @@ pub fn model_from(
 
 pub fn model_options() -> zs_model_options {
     let mut options = std::mem::MaybeUninit::uninit();
-    // SAFETY: capacity for the options, which are initialized on success.
+    // SAFETY: initialized on success.
     unsafe {
         ok(zs_model_options_default(options.as_mut_ptr(), size_of::<zs_model_options>()));
         options.assume_init()
     }
 }
 
-/// Picture side in these tests.
 pub const SIDE: u32 = 5 * 14;
 
-/// Photos of noise.
 pub fn photos(count: u32) -> Vec<Image> {
     let noise = |i: u32| (i.wrapping_mul(2_654_435_761) >> 24) as u8;
     let photo = |view: u32| Image::new(SIDE, SIDE, (0..3 * SIDE * SIDE).map(|i| noise(i + (view << 20) + 1)).collect());
@@ -150,7 +146,7 @@ pub fn image_of(photo: &Image) -> zs_image {
 
 pub fn reconstruct_options() -> zs_reconstruct_options {
     let mut options = std::mem::MaybeUninit::uninit();
-    // SAFETY: capacity for the options, which are initialized on success.
+    // SAFETY: initialized on success.
     unsafe {
         ok(zs_reconstruct_options_default(options.as_mut_ptr(), size_of::<zs_reconstruct_options>()));
         let mut options = options.assume_init();
@@ -172,7 +168,7 @@ pub fn try_reconstruct(
     images: &[zs_image],
     options: &zs_reconstruct_options,
 ) -> Result<Object<zs_scene>, zs_status> {
-    // SAFETY: live objects and arrays of their lengths.
+    // SAFETY: live objects, full arrays.
     let make = |out| unsafe { zs_reconstruct(model.handle, images.as_ptr(), images.len(), options, out) };
     Object::try_new(zs_scene_destroy, make)
 }
@@ -182,13 +178,13 @@ pub fn renderer(context: &Object<zs_context>, scene: &Object<zs_scene>) -> Objec
 }
 
 pub fn try_renderer(context: &Object<zs_context>, scene: &Object<zs_scene>) -> Result<Object<zs_renderer>, zs_status> {
-    // SAFETY: live objects, and an output pointer.
+    // SAFETY: live objects, an output pointer.
     Object::try_new(zs_renderer_destroy, |out| unsafe { zs_renderer_create(context.handle, scene.handle, out) })
 }
 
 pub fn render_options(format: zs_pixel_format) -> zs_render_options {
     let mut options = std::mem::MaybeUninit::uninit();
-    // SAFETY: capacity for the options, which are initialized on success.
+    // SAFETY: initialized on success.
     unsafe {
         ok(zs_render_options_default(options.as_mut_ptr(), size_of::<zs_render_options>()));
         zs_render_options { format: format as i32, ..options.assume_init() }
@@ -210,20 +206,17 @@ pub fn camera_of(intrinsics: Intrinsics, rotation: [f64; 9], translation: [f64; 
     zs_camera { struct_size, reserved: 0, width, height, fx, fy, cx, cy, rotation, translation }
 }
 
-/// A picture without alpha and depth.
 pub fn picture_at(pixels: *mut u8) -> zs_picture {
     let (struct_size, none) = (size_of::<zs_picture>() as u32, null_mut());
     zs_picture { struct_size, reserved: 0, stride: 0, pixels: pixels.cast(), alpha: none, depth: none }
 }
 
-/// Creates a scene from arrays.
 pub fn scene_of(scene: &Scene) -> Object<zs_scene> {
     let array = arrays(scene);
-    // SAFETY: arrays of their lengths, and an output pointer.
+    // SAFETY: full arrays, an output pointer.
     Object::new(zs_scene_destroy, |out| unsafe { zs_scene_create(&array, out) })
 }
 
-/// Reads a scene's arrays.
 pub fn read(scene: &Object<zs_scene>) -> Scene {
     let mut found = arrays(&Scene::default());
     // SAFETY: a live scene and a structure of its size.
@@ -242,7 +235,6 @@ pub fn read(scene: &Object<zs_scene>) -> Scene {
     }
 }
 
-/// The arrays of a scene, which must outlive them.
 pub fn arrays(scene: &Scene) -> zs_gaussians {
     zs_gaussians {
         struct_size: size_of::<zs_gaussians>() as u32,
@@ -260,7 +252,6 @@ pub fn c_string(text: impl Into<Vec<u8>>) -> CString {
     CString::new(text).expect("no NUL")
 }
 
-/// Draws one picture.
 pub fn draw(renderer: &Object<zs_renderer>, camera: &zs_camera, options: &zs_render_options, bytes: usize) -> Vec<u8> {
     made(try_draw(renderer, camera, options, bytes))
 }

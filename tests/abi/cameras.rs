@@ -66,7 +66,7 @@ fn scenes_of_files_have_no_photos() {
     let path = folder.path().join("scene.ply");
     zipsplat::types::write_ply(&random_scene(20, 0, 0.1), &path).expect("a scene can be written");
     let path = std::ffi::CString::new(path.to_str().expect("UTF-8")).expect("no NUL");
-    // SAFETY: a path, and an output pointer.
+    // SAFETY: a path, an output pointer.
     let scene = Object::new(zs_scene_destroy, |out| unsafe { zs_scene_open(path.as_ptr(), out) });
     let mut camera = empty();
     // SAFETY: a live scene, and one camera.

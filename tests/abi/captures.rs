@@ -46,7 +46,7 @@ fn capture(points: bool) -> TempDir {
 
 fn open(path: &Path) -> Object<zs_capture> {
     let path = c_string(path.to_str().expect("UTF-8"));
-    // SAFETY: a string, and an output pointer.
+    // SAFETY: a string, an output pointer.
     Object::new(zs_capture_destroy, |out| unsafe { zs_capture_open(path.as_ptr(), out) })
 }
 
@@ -79,7 +79,7 @@ fn all(capture: &Object<zs_capture>) -> Found {
 }
 
 fn photo(capture: &Object<zs_capture>, index: usize) -> Object<zs_photo> {
-    // SAFETY: a live object, and an output pointer.
+    // SAFETY: a live object, an output pointer.
     Object::new(zs_photo_destroy, |out| unsafe { zs_capture_open_photo(capture.handle, index, null(), out) })
 }
 
@@ -118,7 +118,7 @@ fn photos_are_found_by_name() {
     let capture = open(folder.path());
     for (path, expected) in [("elsewhere/images/1.png", 1), ("2.png", 2), ("3.png", COUNT)] {
         let (path, mut index) = (c_string(path), usize::MAX);
-        // SAFETY: a live object, a string, and an output pointer.
+        // SAFETY: a live object, a string, an output pointer.
         ok(unsafe { zs_capture_find(capture.handle, path.as_ptr(), &mut index) });
         assert_eq!(index, expected);
     }
@@ -165,7 +165,7 @@ fn what_is_no_capture_is_refused() {
     let (mut out, mut index) = (null_mut(), 0);
     let open = |path: &Path, out: &mut *mut zs_capture| {
         let path = c_string(path.to_str().expect("UTF-8"));
-        // SAFETY: a string, and an output pointer.
+        // SAFETY: a string, an output pointer.
         unsafe { zs_capture_open(path.as_ptr(), out) }
     };
     fails(open(&folder.path().join("none"), &mut out), ZS_ERROR_IO, &["none"]);

@@ -20,7 +20,6 @@ fn as_c99_and_cpp17_shared_and_static() {
     }
 }
 
-/// The documented command, in an app's folder.
 #[test]
 fn as_the_readme_says() {
     let readme = std::fs::read_to_string(root().join("engine/examples/README.md")).expect("how to embed");
@@ -56,7 +55,6 @@ fn versions_agree() {
     assert_eq!(version, [env!("CARGO_PKG_VERSION")]);
 }
 
-/// Paths relative to the prefix.
 #[test]
 fn pkg_config_says_where_things_are() {
     let found = |prefix: &Path, lib: &str, variable: &str| {

@@ -27,11 +27,9 @@ fn cycle(cycle: usize) {
     for i in [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]][cycle % 6] {
         objects[i] = None;
     }
-    // Dependencies are kept alive.
     assert_eq!(draw(&renderer, &camera(32, 32, 0.0), &options, 4), early);
 }
 
-/// Resident bytes of this process.
 fn resident_bytes() -> u64 {
     let statistics = std::fs::read_to_string("/proc/self/statm").expect("Linux");
     let pages: u64 = statistics.split(' ').nth(1).and_then(|pages| pages.parse().ok()).expect("a number of pages");

@@ -18,14 +18,13 @@ use zipsplat_tests::{architectures, device::device};
 
 fn options() -> zs_depth_options {
     let mut options = std::mem::MaybeUninit::uninit();
-    // SAFETY: capacity for the options, which are initialized on success.
+    // SAFETY: initialized on success.
     unsafe {
         ok(zs_depth_options_default(options.as_mut_ptr(), size_of::<zs_depth_options>()));
         options.assume_init()
     }
 }
 
-/// Writes a small network's weights and loads them.
 fn model(context: &Object<zs_context>, folder: &Path, alone: bool) -> (DepthCheckpoint, Object<zs_depth_model>) {
     let network = if alone { architectures::depth_micro_alone() } else { architectures::depth_micro() };
     let checkpoint = DepthCheckpoint::seeded(network, "micro").expect("a network");
@@ -34,20 +33,19 @@ fn model(context: &Object<zs_context>, folder: &Path, alone: bool) -> (DepthChec
     let path = c_string(path.to_str().expect("UTF-8"));
     let mut of_model = model_options();
     of_model.precision = zs_precision::ZS_PRECISION_EXACT as i32;
-    // SAFETY: a live context, a path, options, and an output pointer.
+    // SAFETY: a live context, a path, options, an output pointer.
     let open = |out| unsafe { zs_depth_model_open(context.handle, path.as_ptr(), &of_model, out) };
     (checkpoint, Object::new(zs_depth_model_destroy, open))
 }
 
 fn find(model: &Object<zs_depth_model>, photos: &[Image], options: &zs_depth_options) -> Object<zs_depths> {
     let images: Vec<zs_image> = photos.iter().map(image_of).collect();
-    // SAFETY: a live model, pictures, options, and an output pointer.
+    // SAFETY: a live model, pictures, options, an output pointer.
     Object::new(zs_depths_destroy, |out| unsafe {
         zs_depth_find(model.handle, images.as_ptr(), images.len(), options, out)
     })
 }
 
-/// Depth and camera of a photo.
 fn get(depths: &Object<zs_depths>, index: usize) -> (zs_depth_view, zs_camera) {
     // SAFETY: numbers and pointers, for which zero is valid.
     let (mut view, mut camera): (zs_depth_view, zs_camera) = unsafe { (std::mem::zeroed(), std::mem::zeroed()) };
@@ -79,7 +77,6 @@ fn depth_is_that_of_rust() {
         assert_eq!(found.rotation, camera.pose.rotation.transpose().to_cols_array());
         assert_eq!(found.translation, camera.pose.translation.to_array());
     }
-    // A shared focal length by default.
     let shared = find(&model, &photos, &zs_depth_options { side: SIDE, ..options() });
     let lenses = [0, 1].map(|i| get(&shared, i).1).map(|camera| [camera.fx, camera.fy]);
     assert!(lenses[0] == lenses[1] && lenses[0][0] == lenses[0][1], "{lenses:?}");
@@ -113,7 +110,7 @@ fn photos_by_themselves_have_sky_and_no_cameras() {
     let (view, camera) = get(&depths, 0);
     assert!(view.confidence.is_null() && !view.sky.is_null() && !view.depth.is_null());
     assert_eq!((camera.width, camera.height), (0, 0));
-    // SAFETY: live depths, and an output pointer.
+    // SAFETY: live depths, an output pointer.
     let status = unsafe { zs_depths_scene(depths.handle, 0, &mut null_mut()) };
     fails(status, ZS_ERROR_ARGUMENT, &["cameras of the depths", "none"]);
 }
@@ -132,7 +129,7 @@ fn wrong_arguments_are_named() {
         (zs_depth_options { reserved: 1, ..options() }, ["reserved", "expected 0"]),
         (zs_depth_options { cameras: &camera, camera_count: 1, ..options() }, ["number of cameras", "0 or 2"]),
     ] {
-        // SAFETY: a live model, pictures, options, and an output pointer.
+        // SAFETY: a live model, pictures, options, an output pointer.
         let status = unsafe { zs_depth_find(model.handle, images.as_ptr(), 2, &options, &mut null_mut()) };
         fails(status, ZS_ERROR_ARGUMENT, &words);
     }

@@ -24,7 +24,6 @@ fn example(name: &str) -> PathBuf {
     root().join("engine/examples").join(name)
 }
 
-/// A folder with a small network and two photos.
 fn inputs() -> (TempDir, Vec<PathBuf>) {
     let folder = tempfile::tempdir().expect("a folder");
     std::fs::write(folder.path().join("micro.safetensors"), micro()).expect("weights can be written");

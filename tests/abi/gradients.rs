@@ -12,7 +12,6 @@ use zipsplat_tests::{compare::assert_same, device::device, scenes::random_scene}
 const SIZE: [u32; 2] = [40, 30];
 const PIXELS: usize = (SIZE[0] * SIZE[1]) as usize;
 
-/// Pixel weights of two cameras, and gradient buffers.
 struct Case {
     scene: Scene,
     cameras: [zs_camera; 2],
@@ -43,7 +42,6 @@ impl Case {
         })
     }
 
-    /// Computes gradients into `found`; returns the status.
     fn run(&mut self, options: &zs_render_options) -> zs_status {
         let (context, scene) = (context(), scene_of(&self.scene));
         let renderer = renderer(&context, &scene);
@@ -53,7 +51,7 @@ impl Case {
         let struct_size = size_of::<zs_gradients>() as u32;
         let to = zs_gradients { struct_size, reserved: 0, means, scales, quats, opacities, sh_coeffs, cameras };
         let (cameras, weights) = (self.cameras.as_ptr(), weights.as_ptr());
-        // SAFETY: live objects and arrays of their lengths.
+        // SAFETY: live objects, full arrays.
         unsafe { zs_render_backward(renderer.handle, scene.handle, cameras, weights, 2, options, &to) }
     }
 

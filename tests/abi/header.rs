@@ -3,7 +3,6 @@
 use cbindgen::{Builder, Config, DocumentationStyle, EnumConfig, ExportConfig, Language, RenameRule, Style};
 use std::path::{Path, PathBuf};
 
-/// Sources in the order of the header.
 const SOURCES: [&str; 14] = [
     "version",
     "status",
@@ -119,12 +118,10 @@ fn by_source(header: &str, sources: &[String]) -> String {
     out + AFTER
 }
 
-/// Whether an item is `extern "C"` or the end of the include guard.
 fn is_frame(item: &str) -> bool {
     item.starts_with("#ifdef __cplusplus") || item.starts_with("#endif")
 }
 
-/// The name that a C item declares.
 fn declared(item: &str) -> &str {
     let code = item.lines().find(|line| !line.starts_with("//")).expect("a declaration");
     let word = |text: &str| text.find(|c: char| !c.is_alphanumeric() && c != '_').unwrap_or(text.len());
@@ -135,7 +132,6 @@ fn declared(item: &str) -> &str {
     enumeration.or(keyword).or_else(function).unwrap_or_else(|| panic!("what is declared here?\n{item}"))
 }
 
-/// Whether a Rust source declares a name.
 fn declares(source: &str, name: &str) -> bool {
     let ends = |rest: &str| !rest.starts_with(|c: char| c.is_alphanumeric() || c == '_');
     ["const", "enum", "struct", "type", "fn"]
@@ -156,7 +152,6 @@ fn plain_enumeration(item: &str) -> String {
     format!("{comment}ZS_ENUM(zs_{name}) {{\n{body}\n}};")
 }
 
-/// A type and its functions are adjacent.
 #[test]
 fn types_and_functions_of_an_object_stand_together() {
     let header = std::fs::read_to_string(root().join("engine/bindings/c/include/zipsplat.h")).expect("the header");

@@ -61,7 +61,6 @@ impl Installation {
         program
     }
 
-    /// Builds a program from its text.
     pub fn compile_text(&self, name: &str, text: &str, linking: Linking) -> PathBuf {
         let source = self.prefix.join(name);
         std::fs::write(&source, text).expect("the source can be written");
@@ -82,7 +81,6 @@ pub fn runner(program: &Path) -> Command {
     }
 }
 
-/// Asserts success; returns standard output.
 #[track_caller]
 pub fn success(mut command: Command) -> String {
     let Output { status, stdout, stderr } = command.output().unwrap_or_else(|error| panic!("{command:?}: {error}"));

@@ -51,7 +51,6 @@ struct App {
 }
 
 impl App {
-    /// Reconstructs and draws until a failure.
     fn run(&mut self) -> Result<(Scene, Vec<u8>), zs_status> {
         let context = self.context.insert(context());
         let model = self.model.insert(try_model(context)?);

@@ -17,7 +17,7 @@ use zipsplat_tests::{compare::assert_same, scenes::random_scene};
 fn a_message_stays_where_it_is() {
     let open = |path: &str| {
         let path = c_string(path);
-        // SAFETY: a string, and an output pointer.
+        // SAFETY: a string, an output pointer.
         unsafe { zs_scene_open(path.as_ptr(), &mut null_mut()) }
     };
     let before = zs_last_error();
@@ -73,7 +73,7 @@ fn scenes_go_to_memory_and_come_back() {
     for extension in ["ply", "spz", "splat", "gltf", "glb"] {
         let format = c_string(extension);
         let encode = |out| {
-            // SAFETY: a live scene, a string, no options, and an output pointer.
+            // SAFETY: a live scene, a string, an output pointer.
             unsafe { zs_scene_to_memory(scene.handle, format.as_ptr(), null(), out) }
         };
         let object = Object::new(zs_bytes_destroy, encode);
@@ -85,7 +85,7 @@ fn scenes_go_to_memory_and_come_back() {
         };
         let path = folder.path().join(format!("scene.{extension}"));
         let text = c_string(path.to_str().expect("UTF-8"));
-        // SAFETY: a live scene, a string, no options.
+        // SAFETY: a live scene, a string.
         ok(unsafe { zs_scene_save(scene.handle, text.as_ptr(), null()) });
         assert!(std::fs::read(&path).expect("it was written") == bytes, "{extension}");
         let back = read(&made(from_memory(bytes, Some(extension), null_mut())));
@@ -93,7 +93,7 @@ fn scenes_go_to_memory_and_come_back() {
     }
     let format = c_string("obj");
     let mut bytes = null_mut();
-    // SAFETY: a live scene, a string, no options, and an output pointer.
+    // SAFETY: a live scene, a string, an output pointer.
     let refused = unsafe { zs_scene_to_memory(scene.handle, format.as_ptr(), null(), &mut bytes) };
     fails(refused, ZS_ERROR_ARGUMENT, &["format", "obj", ".spz"]);
 }
@@ -126,7 +126,7 @@ fn photos_come_from_memory() {
     photos(1)[0].save_png(&path).expect("a photo can be written");
     let bytes = std::fs::read(&path).expect("it was written");
     let decode = |bytes: &[u8]| {
-        // SAFETY: bytes of that length, and an output pointer.
+        // SAFETY: bytes of that length, an output pointer.
         Object::try_new(zs_photo_destroy, |out| unsafe {
             zs_photo_from_memory(bytes.as_ptr().cast(), bytes.len(), out)
         })

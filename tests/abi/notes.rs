@@ -12,10 +12,9 @@ fn kernels_that_fail_their_test_are_named() {
     assert_succeeds(child("notes::failing_kernels", cache.path(), "export ZIPSPLAT_CACHE=\"$ZIPSPLAT_TEST_TARGET\""));
 }
 
-/// Precision and notes of a model with the requested precision.
 fn precision_and_notes(context: &Object<zs_context>, precision: zs_precision) -> Result<(i32, String), zs_status> {
     let model = try_model_with(context, &zs_model_options { precision: precision as i32, ..model_options() })?;
-    // SAFETY: all zeros are valid for this structure.
+    // SAFETY: zeros are valid.
     let mut info: zs_model_info = unsafe { std::mem::zeroed() };
     info.struct_size = size_of::<zs_model_info>() as u32;
     // SAFETY: a live model and a structure with its size set; the notes belong to the model.

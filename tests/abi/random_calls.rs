@@ -20,18 +20,15 @@ impl Random {
         values[self.below(values.len())]
     }
 
-    /// Usually the good value.
     fn mostly<T: Copy>(&mut self, good: T, bad: &[T]) -> T {
         if self.below(8) > 0 { good } else { self.of(bad) }
     }
 
-    /// One of the objects, or NULL.
     fn handle<T>(&mut self, pool: &[Object<T>]) -> *mut T {
         if pool.is_empty() || self.below(8) == 0 { null_mut() } else { pool[self.below(pool.len())].handle }
     }
 }
 
-/// Limit of objects of a kind.
 const POOL: usize = 3;
 
 #[derive(Default)]
@@ -43,7 +40,6 @@ struct World {
     succeeded: [u32; 8],
 }
 
-/// Keeps a created object.
 fn keep<T>(
     pool: &mut Vec<Object<T>>,
     random: &mut Random,
@@ -67,7 +63,7 @@ impl World {
         let call = random.below(8);
         let done = match call {
             0 => keep(&mut self.contexts, random, zs_context_destroy, |out| {
-                // SAFETY: no options, and an output pointer.
+                // SAFETY: no options, an output pointer.
                 unsafe { zs_context_create(null(), out) }
             }),
             1 => self.load(random),
@@ -172,7 +168,6 @@ fn end_in_a_status() {
     let images: Vec<_> = photos.iter().map(image_of).collect();
     let (mut random, mut world) = (Random(1), World::default());
     (0..400).for_each(|_| world.step(&mut random, &images));
-    // Some calls fail and some succeed.
     assert!(world.succeeded.iter().all(|count| *count > 3), "{:?}", world.succeeded);
     assert!(world.succeeded.iter().sum::<u32>() < 370, "{:?}", world.succeeded);
 }

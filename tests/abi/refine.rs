@@ -25,7 +25,6 @@ use zipsplat_tests::{
     scenes::{camera, random_scene},
 };
 
-/// A scene, its photos, and a perturbed copy.
 struct Place {
     cameras: Vec<Camera>,
     photos: Vec<Image>,
@@ -72,7 +71,7 @@ impl Place {
         let images: Vec<_> = self.photos.iter().map(image_of).collect();
         let (cameras, mut info) = (self.c_cameras(), empty_info());
         let (images, cameras, count) = (images.as_ptr(), cameras.as_ptr(), images.len());
-        // SAFETY: live objects and arrays of their lengths.
+        // SAFETY: live objects, full arrays.
         let refine =
             |out| unsafe { zs_refine(context.handle, scene.handle, images, cameras, count, options, &mut info, out) };
         let refined = Object::try_new(zs_scene_destroy, refine)?;
@@ -81,14 +80,14 @@ impl Place {
 }
 
 fn empty_info() -> zs_refine_info {
-    // SAFETY: all zeros are valid for this structure.
+    // SAFETY: zeros are valid.
     let info: zs_refine_info = unsafe { std::mem::zeroed() };
     zs_refine_info { struct_size: size_of::<zs_refine_info>() as u32, ..info }
 }
 
 fn options() -> zs_refine_options {
     let mut options = std::mem::MaybeUninit::uninit();
-    // SAFETY: capacity for the options, which are initialized on success.
+    // SAFETY: initialized on success.
     unsafe {
         ok(zs_refine_options_default(options.as_mut_ptr(), size_of::<zs_refine_options>()));
         options.assume_init()
@@ -101,7 +100,6 @@ fn bits(scene: &Scene) -> Vec<u32> {
     fields.flatten().map(|x| x.to_bits()).collect()
 }
 
-/// Records progress and stops after a step.
 struct Told {
     steps: Vec<zs_refining>,
     stop_after: u32,
@@ -155,7 +153,6 @@ fn a_refinement_that_is_stopped_hands_out_the_best_so_far() {
     let expected = place.in_rust(&Refine::default(), 5);
     assert_same("scene", &bits(&scene), &bits(&expected.scene));
     assert_eq!((info.ended, info.steps, told.steps.len()), (zs_refine_end::ZS_REFINE_STOPPED as i32, 5, 5));
-    // Of three photos none is held out.
     assert!(info.psnr.is_nan() && told.steps.iter().all(|now| now.psnr.is_nan()));
     let (scene, info) = made(place.in_c(&zs_refine_options { steps: 0, ..options() }));
     assert_same("no step", &bits(&scene), &bits(&place.moved));
@@ -199,7 +196,7 @@ fn what_cannot_be_refined_is_refused() {
     let mut info = zs_refine_info { struct_size: 12, ..empty_info() };
     argument(call(photos, poses, 2, null(), &mut info), &["zs_refine_info, struct_size"]);
     assert_eq!(info.struct_size, 12);
-    // SAFETY: every entry point accepts NULL for every pointer.
+    // SAFETY: every pointer may be NULL.
     let nulls = unsafe {
         let empty = scene_of(&Scene::default());
         let mut out = null_mut();
@@ -214,13 +211,11 @@ fn what_cannot_be_refined_is_refused() {
     assert_eq!(nulls, [ZS_ERROR_ARGUMENT; 5]);
 }
 
-/// A model that keeps its scenes' tokens.
 fn model_with_tokens(context: &Object<zs_context>) -> Object<zs_model> {
     let precision = zs_precision::ZS_PRECISION_EXACT as i32;
     made(try_model_with(context, &zs_model_options { precision, tokens: 1, ..model_options() }))
 }
 
-/// In the first camera's world and in another one.
 #[test]
 fn tokens_are_refined_as_in_rust() {
     let (context, photos) = (context(), photos(2));
@@ -246,7 +241,7 @@ fn tokens_are_refined_as_in_rust() {
         let scene = reconstruct(&model, &images, &making);
         let options = zs_refine_options { steps: 6, what: zs_refine_what::ZS_REFINE_TOKENS as i32, ..options() };
         let mut info = empty_info();
-        // SAFETY: live objects and arrays of their lengths.
+        // SAFETY: live objects, full arrays.
         let refine = |out| unsafe {
             zs_refine(context.handle, scene.handle, images.as_ptr(), c_cameras.as_ptr(), 2, &options, &mut info, out)
         };
@@ -287,7 +282,6 @@ fn tokens_are_refined_as_in_rust() {
     }
 }
 
-/// Builds and runs the example.
 #[test]
 fn refine_in_c() {
     let mut place = place(4);

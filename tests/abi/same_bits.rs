@@ -126,7 +126,6 @@ fn options_and_cameras_give_rusts_scene() {
     let mut expected = read(&reconstruct(&model, &images, &options(&c_cameras, 1.0)));
     expected.scale(4.0);
     assert_same("unit", &bits(&read(&reconstruct(&model, &images, &options(&far, 4.0)))), &bits(&expected));
-    // The cameras' world and scale.
     let first = cameras[0].pose;
     expected.place(1.0, &Pose { translation: 4.0 * first.translation, ..first });
     let own = zs_reconstruct_options { world: zs_world::ZS_WORLD_CAMERAS as i32, ..options(&far, 4.0) };
@@ -139,7 +138,6 @@ fn rust_camera(camera: &zs_camera) -> Camera {
     Camera { intrinsics: Intrinsics { width, height, fx, fy, cx, cy }, pose }
 }
 
-/// Encodes a frame in a format.
 fn pixels(frame: &Frame, format: zs_pixel_format) -> Vec<u8> {
     let (rgb, alpha) = (frame.rgb.as_ref().unwrap(), frame.alpha.as_ref().unwrap());
     let byte = |value: f32| Image::from_rgb_f32(1, 1, &[value; 3]).unwrap().rgb[0];
@@ -217,16 +215,16 @@ fn scenes_come_back_from_arrays_and_files() {
     let scene = reconstruct(&model(&context), &[image_of(&photos[0])], &reconstruct_options());
     let gaussians = read(&scene);
     let array = arrays(&gaussians);
-    // SAFETY: arrays of their lengths, and an output pointer.
+    // SAFETY: full arrays, an output pointer.
     let copy = Object::new(zs_scene_destroy, |out| unsafe { zs_scene_create(&array, out) });
     assert_same("copied", &bits(&read(&copy)), &bits(&gaussians));
     let folder = tempfile::tempdir().unwrap();
     for extension in ["ply", "spz", "splat", "gltf", "glb"] {
         let path = folder.path().join(format!("scene.{extension}"));
         let text = c_string(path.to_str().unwrap());
-        // SAFETY: a live scene, a string, no options.
+        // SAFETY: a live scene, a string.
         ok(unsafe { zs_scene_save(scene.handle, text.as_ptr(), std::ptr::null()) });
-        // SAFETY: a string, and an output pointer.
+        // SAFETY: a string, an output pointer.
         let back = Object::new(zs_scene_destroy, |out| unsafe { zs_scene_open(text.as_ptr(), out) });
         assert_same(extension, &bits(&read(&back)), &bits(&zipsplat::types::read_scene(&path).unwrap()));
     }
@@ -243,7 +241,7 @@ fn gaussians_that_are_no_numbers_are_dropped_and_counted() {
     std::fs::write(&path, [row(1.0), row(f32::NAN), row(2.0), row(f32::INFINITY)].concat()).unwrap();
     let text = c_string(path.to_str().unwrap());
     let mut scene = std::ptr::null_mut();
-    // SAFETY: a string, and an output pointer.
+    // SAFETY: a string, an output pointer.
     let refused = unsafe { zs_scene_open(text.as_ptr(), &mut scene) };
     fails(refused, zs_status::ZS_ERROR_FORMAT, &["scene.splat", "2 of 4"]);
     let mut dropped = 7;

@@ -92,7 +92,6 @@ fn goes_on_where_it_was() {
     assert_eq!(numbers(batch(&folder, &format!("{line} --limit 1"))), [1, 0, 0, 2]);
     assert_eq!(super::names(&folder.path("out")), ["1.json", "1.ply"]);
     let first = times(&folder, &["out/1.ply"]);
-    // Truncated scenes and scenes without a record do not count.
     std::fs::write(folder.path("out/2.ply"), "ply\ncomment zipsplat\n").expect("a file");
     assert_eq!(numbers(batch(&folder, line)), [2, 1, 0, 0]);
     assert_eq!(numbers(batch(&folder, line)), [0, 3, 0, 0]);
@@ -105,7 +104,6 @@ fn goes_on_where_it_was() {
     std::fs::write(folder.path("out/10.ply"), &scene[..scene.len() - 4]).expect("a file");
     assert_eq!(numbers(batch(&folder, line)), [1, 2, 0, 0]);
     assert!(std::fs::read(folder.path("out/10.ply")).expect("a scene") == scene);
-    // Other options: made again.
     assert_eq!(numbers(batch(&folder, &format!("{line} --ratio 0.5"))), [3, 0, 0, 0]);
     assert_eq!(numbers(batch(&folder, &format!("{line} --ratio 0.5 --format spz"))), [3, 0, 0, 0]);
 }
@@ -121,7 +119,6 @@ fn one_that_fails_is_a_row_and_not_the_end() {
     let rows: Vec<&str> = table.lines().collect();
     assert!(rows.len() == 2 && rows[0] == "capture,error", "{table}");
     assert!(rows[1].contains("all/1") && rows[1].contains("1.png"), "{table}");
-    // After the repair the capture is made and the table removed.
     photo(40, 30, 7).save_png(folder.path("all/1/1.png")).expect("a photo can be written");
     assert_eq!(numbers(batch(&folder, "@/all -o @/out")), [1, 2, 0, 0]);
     assert!(!folder.path("out/failures.csv").exists());

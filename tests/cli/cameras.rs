@@ -77,7 +77,6 @@ pub fn model(at: &Path, frames: &[(&str, &Camera)]) {
     fs::write(at.join("points3D.txt"), points).expect("written");
 }
 
-/// The model of all photos, for the program `name`.
 fn whole_model(folder: &Folder, name: &str, frames: &[Frame]) {
     let names: Vec<String> = (0..frames.len()).map(|i| format!("0/{i:06}.png")).collect();
     let named: Vec<_> = names.iter().map(String::as_str).zip(frames.iter().map(|frame| &frame.camera)).collect();
@@ -125,7 +124,6 @@ fn cameras_are_what_colmap_found() {
         assert_eq!((cloud.positions[4], cloud.colors[4]), ([4.0, 2.0, 3.5], [10, 20, 30]));
         let log = fs::read_to_string(folder.path("place/colmap.log")).expect("a log");
         assert!(log.contains("Processed file [1/4]") && log.contains("000003.png"), "{log}");
-        // Another run replaces this program's output.
         folder.run(&line).success();
     }
     let (three, four) = (args(&folder, "three"), args(&folder, "four"));
@@ -174,7 +172,6 @@ fn the_largest_group_is_taken_and_lost_photos_are_named() {
     model(&folder.path("groups.model/0"), &[("0/000001.png", &truth[1].camera)]);
     let rest = [("0/000003.png", &truth[3].camera), ("0/000000.png", &truth[0].camera)];
     model(&folder.path("groups.model/1"), &rest);
-    // Another view of a known model.
     model(&folder.path("groups.model/2"), &rest[..1]);
     let text = folder.run("cameras @/place/images --colmap @/groups -o @/place/transforms.json").success();
     for words in [

@@ -119,7 +119,6 @@ fn a_refinement_that_is_cancelled_writes_the_best_so_far() {
     }
 }
 
-/// Photos that would take minutes.
 #[test]
 fn taking_photos_of_a_place_can_be_cancelled() {
     let folder = Folder::new();
@@ -129,7 +128,6 @@ fn taking_photos_of_a_place_can_be_cancelled() {
     assert_eq!(folder.names(), before);
 }
 
-/// Cancels a command after `delay`.
 fn cancelled_after(delay: Duration, line: &str) -> Outcome {
     let (cancelled, (ended, end)) = (AtomicBool::new(false), channel::<()>());
     std::thread::scope(|scope| {
@@ -169,7 +167,6 @@ fn check_whole(folder: &Path) -> usize {
     paths.map(count).sum()
 }
 
-/// Number of pictures of a GIF.
 fn frames(path: &Path) -> usize {
     let file = File::open(path).expect("a file");
     let mut decoder = gif::DecodeOptions::new().read_info(file).expect("a GIF");

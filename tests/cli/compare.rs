@@ -5,7 +5,6 @@ use std::path::Path;
 use zipsplat::types::Image;
 use zipsplat_tests::processes::{assert_succeeds, child, target};
 
-/// A uniform picture.
 fn grey(value: u8, width: u32, height: u32) -> Image {
     Image { width, height, rgb: vec![value; 3 * (width * height) as usize] }
 }

@@ -39,12 +39,10 @@ fn a_folder_gets_depth_cameras_and_points() {
     }
     let points = read_points(folder.path("out/points.ply")).unwrap().positions.len();
     assert!((100..=500).contains(&points) && json["points"] == points, "{points} points");
-    // Cameras of the original photos, for other commands.
     let poses = read_poses(folder.path("out/transforms.json")).unwrap();
     let sizes: Vec<_> = poses.frames.iter().map(|frame| frame.camera.intrinsics.width).collect();
     assert_eq!(sizes, [40, 40]);
     assert!(poses.frames.iter().all(|frame| frame.photo.is_some()), "{poses:?}");
-    // The same result again, over its own files.
     let read =
         || ["points.ply", "depths.safetensors"].map(|name| std::fs::read(folder.path("out").join(name)).unwrap());
     let first = read();
@@ -64,7 +62,6 @@ fn wrong_arguments_are_named() {
     assert_eq!(folder.names(), ["alone.safetensors", "da3.safetensors", "micro.safetensors", "photos"]);
 }
 
-/// Focal lengths of all cameras.
 fn focals(poses: &Poses) -> Vec<[f64; 2]> {
     poses.frames.iter().map(|frame| frame.camera.intrinsics).map(|lens| [lens.fx, lens.fy]).collect()
 }
@@ -83,7 +80,6 @@ fn cameras_are_those_of_the_network() {
     assert_eq!(cameras(&found), cameras(&of_depth));
     let points = |poses: &Poses| read_points(poses.points.as_ref().expect("they lie beside it")).unwrap();
     assert!(points(&found).positions.len() > 500 && points(&found) == points(&of_depth));
-    // A shared focal length for photos and axes, or one each.
     let shared = focals(&found);
     assert!(shared[0][0] == shared[0][1] && shared[0] == shared[1], "{shared:?}");
     folder.run(&format!("{line} --focal-lengths own -o @/own.json")).success();
@@ -139,7 +135,6 @@ fn a_network_that_finds_no_cameras_is_named() {
     assert_eq!(folder.names(), ["alone.safetensors", "da3.safetensors", "micro.safetensors", "photos"]);
 }
 
-/// Counts of a scene's report.
 fn made(json: &serde_json::Value) -> [u64; 4] {
     ["views", "tokens", "all_tokens", "gaussians"].map(|key| json[key].as_u64().unwrap_or_default())
 }
@@ -160,7 +155,6 @@ fn photos_become_a_gaussian_a_pixel() {
     assert_eq!(scene.len() as u64, gaussians);
     assert!(scene.opacities.iter().all(|opacity| (0.05..=0.951).contains(opacity)));
 
-    // A fraction of patches, and of their pixels.
     let [_, tokens, all, of_half] = made(&folder.run(&format!("{line} --ratio 0.5")).json());
     assert_eq!(all, 40);
     assert!((10..=20).contains(&tokens) && of_half < gaussians && of_half <= 196 * tokens, "{tokens}: {of_half}");
@@ -247,7 +241,6 @@ fn weights_are_known_by_their_tensors() {
         let apart: f32 = exact.iter().zip(&rounded).map(|(a, b)| (a / b).ln().abs()).sum::<f32>() / exact.len() as f32;
         assert!(apart < within, "{dtype}: {apart}");
     }
-    // Other commands name the expected weights.
     let tradeoff = "bench tradeoff @/photos --weights @/da3.safetensors -o @/report";
     folder.run(tradeoff).fails(3, &["of Depth Anything 3", "of ZipSplat"]);
     let refused = |rest: &str| folder.run(&format!("reconstruct @/photos {WEIGHTS} -o @/s.ply {rest}"));
@@ -314,10 +307,8 @@ fn errors_are_told_where_there_is_a_truth() {
     let errors = &folder.run(&line).json()["errors"];
     let number = |errors: &serde_json::Value, key: &str| errors[key].as_f64();
     assert_eq!(errors["photos"], 3);
-    // Random weights predict wrong depth.
     assert!(number(errors, "degrees").is_none_or(|degrees| degrees > 1.0), "{errors}");
     assert!(number(errors, "abs_rel") > Some(0.05) && number(errors, "within_1.25") < Some(0.99), "{errors}");
-    // Known cameras are not evaluated.
     let errors = &folder.run(&format!("{line} --poses @/place/transforms.json")).json()["errors"];
     assert!(errors["degrees"].is_null() && number(errors, "abs_rel").is_some(), "{errors}");
     std::fs::remove_dir_all(folder.path("place/depth")).unwrap();

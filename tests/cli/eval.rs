@@ -48,7 +48,6 @@ fn place() -> Folder {
     folder
 }
 
-/// Input photos of a reconstruction, as arguments.
 fn inputs(json: &serde_json::Value) -> String {
     let names = json["inputs"].as_array().expect("names").iter();
     let paths: Vec<String> = names.map(|name| format!("@/place/{}", name.as_str().expect("a name"))).collect();
@@ -104,7 +103,6 @@ fn the_unit_of_the_cameras_does_not_matter() {
     zipsplat::types::write_points(&points, &scaled).expect("written");
     let after = mean(line);
     assert!((before - after).abs() < 1e-3, "{before} dB and {after} dB");
-    // A wrong scale changes the network's input.
     let wrong = mean(&format!("{line} --unit 1"));
     assert!((before - wrong).abs() > 1e-3, "{before} dB and {wrong} dB");
 }
@@ -130,7 +128,6 @@ fn without_points_the_unit_is_that_of_the_cameras() {
     assert!(outcome.err.contains("no point cloud"), "{}", outcome.err);
     let found = outcome.json();
     assert_eq!((&found["unit"], &found["unit_from"]), (&json["unit"], &json["unit_from"]));
-    // COLMAP models with missing and with empty points.
     let poses = zipsplat::types::poses::read_poses(folder.path("place")).expect("cameras");
     let (mut cameras, mut images) = (String::new(), String::new());
     for (i, frame) in poses.frames.iter().enumerate() {
@@ -180,7 +177,6 @@ fn whole_photos_are_compared() {
     folder.run(&format!("{line} --fit squares --pose-free")).fails(3, &["--fit squares", "known cameras"]);
 }
 
-/// A renderer with a scene.
 fn splats(folder: &Folder) -> Renderer {
     folder.run("scene --seed 5 --views 4 --size 84x56 --splats -o @/place").success();
     let mut renderer = Renderer::new(device());
@@ -231,7 +227,6 @@ fn a_camera_is_found_by_its_photo() {
     assert!(likeness(&found.drawn) > likeness(&found.before) + 5.0, "the pictures are those of the cameras");
     let stop = || Err(Error::Cancelled);
     assert!(matches!(align(&mut renderer, &photo, &start, &stop), Err(Error::Cancelled)));
-    // At the optimum the camera hardly moves.
     let again = align(&mut renderer, &photo, &truth, &|| Ok(())).expect("aligned");
     assert!(again.turn < 1e-3 && again.shift < 1e-3 && again.doubt.is_none(), "{} and {}", again.turn, again.shift);
 }
@@ -255,7 +250,6 @@ fn pictures_without_cameras_are_aligned() {
     let text = folder.run(&format!("eval @/place --views 2 --targets 2 {options} --pose-free"));
     assert!(text.err.contains("aligned pictures say little"), "{}", text.err);
     assert!(text.out.contains("degrees") && text.out.contains("doubt"), "{}", text.out);
-    // The network's only input is the photos.
     folder.run(&format!("reconstruct {} {options} -o @/scene.ply", inputs(&json))).success();
     let bytes = |name: &str| std::fs::read(folder.path(name)).expect("a scene");
     assert!(bytes("out/scene.ply") == bytes("scene.ply"), "two scenes of the same photos");

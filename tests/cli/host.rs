@@ -21,11 +21,9 @@ pub enum Act {
     Ignore,
     /// Reports a range other than the requested one.
     Shift,
-    /// Responds with this status.
     Status(u16),
 }
 
-/// State shared by hub and storage.
 pub struct State {
     pub file: Vec<u8>,
     /// SHA-256 and size as reported by the hub, by default the file's.
@@ -39,7 +37,6 @@ pub struct State {
     storage: u16,
 }
 
-/// A hub and its storage, which serve until the process ends.
 pub struct Host {
     pub port: u16,
     state: Arc<Mutex<State>>,
@@ -69,7 +66,6 @@ impl Host {
             std::thread::spawn(move || {
                 for stream in listener.incoming().flatten() {
                     let state = state.clone();
-                    // A disconnected client is not a server failure.
                     std::thread::spawn(move || drop(serve(stream, &state)));
                 }
             });
@@ -163,7 +159,6 @@ fn blob(stream: &mut TcpStream, start: Option<&str>, state: &Mutex<State>) -> st
         }
         Some(Act::Stall(count)) => {
             stream.write_all(&bytes[..count])?;
-            // Until the client gives up.
             stream.read(&mut [0]).map(drop)
         }
         _ => stream.write_all(bytes),

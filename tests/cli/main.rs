@@ -41,7 +41,6 @@ use zipsplat::{
 use zipsplat_cli::{Terminal, run};
 use zipsplat_tests::architectures;
 
-/// Result of a command.
 #[derive(Debug)]
 struct Outcome {
     code: u8,
@@ -50,20 +49,17 @@ struct Outcome {
 }
 
 impl Outcome {
-    /// Asserts success; returns standard output.
     #[track_caller]
     fn success(self) -> String {
         assert_eq!(self.code, 0, "{}", self.err);
         self.out
     }
 
-    /// Asserts success; returns standard output as JSON.
     #[track_caller]
     fn json(self) -> serde_json::Value {
         serde_json::from_str(&self.success()).expect("--json prints JSON and nothing else")
     }
 
-    /// Asserts a usage error.
     #[track_caller]
     fn fails_usage(self) {
         assert_eq!((self.code, self.out.as_str()), (2, ""), "{}", self.err);
@@ -81,7 +77,6 @@ impl Outcome {
     }
 }
 
-/// Runs `zipsplat` with space-separated arguments.
 fn zipsplat(line: &str) -> Outcome {
     command(line, &AtomicBool::new(false))
 }
@@ -147,7 +142,6 @@ impl Folder {
     }
 }
 
-/// Scales an f32 tensor in a file, if present.
 fn scale(file: &Path, name: &str, factor: f32) {
     let mut bytes = std::fs::read(file).expect("a file");
     let (length, header) = safetensors::SafeTensors::read_metadata(&bytes).expect("safetensors");
@@ -167,7 +161,6 @@ fn names(folder: &Path) -> Vec<String> {
     names
 }
 
-/// A color gradient, determined by `shift`.
 fn photo(width: u32, height: u32, shift: u32) -> Image {
     let pixel = |x: u32, y: u32| [5 * x + shift, 7 * y, 3 * (x + y)].map(|value| value as u8);
     let rgb = (0..height).flat_map(|y| (0..width).flat_map(move |x| pixel(x, y))).collect();

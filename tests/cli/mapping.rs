@@ -27,7 +27,6 @@ fn tried(body: &str, found: &[usize]) -> (Folder, Outcome) {
     (folder, outcome)
 }
 
-/// Copies an attempt's result, if any.
 const COPIES: &str = "cp -r \"${0%/*}/try$n/.\" \"$out\" || { echo 'failed to create sparse model'; exit 1; }";
 
 #[test]

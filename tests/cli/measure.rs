@@ -71,7 +71,6 @@ fn linear_layers_agree_with_f64() {
     let exact = rows.iter().filter(|row| row["kernel"] == "exact").count();
     assert_eq!((exact, rows.len() % exact), (3, 0), "one a shape and kernel");
     for row in rows {
-        // Both factors are rounded, to 11 or to 8 bits.
         let most = match row["kernel"].as_str() {
             Some("exact") => 1e-5,
             Some("f16" | "f16 matrices") => 1e-3,
@@ -192,7 +191,6 @@ fn what_accuracy_costs_is_a_page_and_a_table() {
     assert_eq!(csv.lines().count(), 1 + points.len());
     let html = std::fs::read_to_string(folder.path("report/tradeoff.html")).expect("a page");
     assert_eq!(html.matches("<svg").count(), 1 + 12 + 8);
-    // A picture and command per point, plus two photos and the recommendation, all inline.
     assert_eq!(html.matches("class=\"panel\"").count(), points.len());
     let cards = html.matches("class=\"card\"").count();
     assert!((3..=5).contains(&cards), "{cards}");
@@ -205,7 +203,6 @@ fn what_accuracy_costs_is_a_page_and_a_table() {
         assert_eq!(number("gaussians") == number("tokens") * number("keep"), !is_of_points, "{point}");
         assert_eq!(number("forward_ms") > 0.0, !is_of_points, "{point}");
         assert!(number("render_ms") > 0.0 && number("psnr") > 0.0, "{point}");
-        // A point's command reproduces the point.
         let command = point["command"].as_str().expect("a command");
         let (convert, command) = command.split_once(" && ").map_or((None, command), |(a, b)| (Some(a), b));
         let ours = |command: &str| command.strip_prefix("zipsplat ").expect("it is ours").to_owned();

@@ -46,7 +46,6 @@ fn every_command_replaces_its_own_files_and_no_others() {
         assert!(std::fs::read(&path).expect("a file") == mine, "{file} was replaced");
         folder.run(&format!("{line} --overwrite")).success();
         assert!(std::fs::read(&path).expect("a file") == written, "{file} is another");
-        // Empty files may be replaced.
         std::fs::write(&path, "").expect("a file");
         folder.run(&line).success();
     }

@@ -24,7 +24,6 @@ fn place(folder: &Folder, seed: u32) -> Vec<Frame> {
     read_poses(folder.path("place")).expect("cameras").frames
 }
 
-/// Copies the place's photos under other names.
 fn copy(folder: &Folder, to: &str, frames: &[Frame], name: impl Fn(usize) -> String) {
     std::fs::create_dir_all(folder.path(to)).expect("a folder");
     for (i, frame) in frames.iter().enumerate() {
@@ -76,7 +75,6 @@ fn re10k(folder: &Folder, scene: &str, frames: &[Frame]) {
     write(folder, &format!("{scene}.txt"), &text);
 }
 
-/// A COLMAP text model with this camera.
 fn colmap(folder: &Folder, model: &str, frames: &[Frame], camera: &str, name: impl Fn(usize) -> String) {
     write(folder, &format!("{model}/cameras.txt"), &format!("# one\n1 {camera}\n"));
     let mut images = String::new();
@@ -179,7 +177,6 @@ fn a_series_keeps_what_was_done() {
     assert_eq!((&first["judged"], &first["unchanged"]), (&json!(3), &json!(0)));
     let all = folder.run(&format!("{line} --json")).json();
     assert_eq!((&all["judged"], &all["unchanged"]), (&json!(1), &json!(3)));
-    // Means over the rows, in the paper's columns.
     let rows = all["scenes"].as_array().expect("rows");
     assert_eq!(rows.len(), 4);
     let of =

@@ -113,7 +113,6 @@ fn cameras_to_learn_from_are_cameras() {
     let run =
         || folder.run("reconstruct @/photos --weights @/micro.safetensors --size 28x28 --poses @/place -o @/s.ply");
     run().success();
-    // Reversed name order.
     write_transforms(folder.path("place/transforms.json"), &cameras[..1], &names[..1]).expect("cameras");
     let outcome = run();
     assert!(outcome.err.contains("not among the cameras: 10.png"), "{}", outcome.err);
@@ -212,7 +211,6 @@ fn poses_count_relative_to_the_first_view() {
     assert!(apart(&none) > 1e-3, "the cameras do not show: {}", apart(&none));
 }
 
-/// Photos as COLMAP reads them.
 #[test]
 fn photos_with_cameras_are_taken_as_stored() {
     let folder = Folder::new();

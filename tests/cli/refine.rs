@@ -25,7 +25,6 @@ fn points_become_a_scene_that_looks_like_the_photos() {
     assert_eq!((scene.len() as u64, losses.len()), (json["gaussians"].as_u64().expect("a number"), 30));
     let mean = |losses: &[f64]| losses.iter().sum::<f64>() / losses.len() as f64;
     assert!(mean(&losses[25..]) < 0.8 * mean(&losses[..5]), "{losses:?}");
-    // One of 10 photos is held out.
     let held_out = json["refined"]["held_out"].as_array().expect("looks");
     let psnr = |i: usize| held_out[i][1].as_f64().expect("dB");
     assert!(psnr(held_out.len() - 1) > psnr(0) + 1.0, "{held_out:?}");
@@ -88,7 +87,6 @@ fn refined_cameras_are_written() {
         assert_eq!(given.intrinsics, found.intrinsics);
         !found.pose.matrix().abs_diff_eq(given.pose.matrix(), 1e-9)
     };
-    // Neither the first nor the held-out camera.
     assert_eq!((0..10).filter(|i| !moved(*i)).collect::<Vec<_>>(), [0, 5]);
     assert!((1e-3..2.0).contains(&degrees), "{degrees}");
     assert!(found.frames.iter().zip(&given.frames).all(|(found, given)| found.photo.is_some()

@@ -129,7 +129,6 @@ fn cameras_count_from_a_photo_and_fit_a_size() {
 fn a_scene_finds_its_cameras_in_their_own_file() {
     let folder = folder();
     folder.run("scene --seed 4 --views 3 --size 28x28 -o @/place").success();
-    // The cameras' own world, far from the first photo.
     let path = folder.path("place/transforms.json");
     let text = std::fs::read_to_string(&path).expect("cameras");
     let mut cameras: serde_json::Value = serde_json::from_str(&text).expect("JSON");
@@ -138,7 +137,6 @@ fn a_scene_finds_its_cameras_in_their_own_file() {
         frame["transform_matrix"][0][3] = (x + 1000.0).into();
     }
     std::fs::write(&path, cameras.to_string()).expect("written");
-    // Meaningful weights: with random ones cameras see nothing.
     folder.run("reconstruct @/place/images --poses @/place --unit 1 -o @/posed.ply").success();
     let found = folder.run("render @/posed.ply --cameras @/place -o @/found");
     assert_eq!(found.err, "", "the world needs no note");
@@ -157,7 +155,6 @@ fn a_scene_finds_its_cameras_in_their_own_file() {
     assert!(lost.err.contains("but the background") && lost.err.contains("--relative-to PHOTO"), "{}", lost.err);
     lost.success();
     assert!(!says_empty(&folder, "render @/posed.splat --cameras @/place --relative-to 000.png -o @/again"));
-    // Cameras of another file, without that photo.
     let text = std::fs::read_to_string(&path).expect("cameras").replace("000.png", "zero.png");
     std::fs::write(folder.path("other.json"), text).expect("written");
     let other = folder.run("render @/posed.ply --cameras @/other.json -o @/other");
@@ -223,7 +220,6 @@ fn only_own_pictures_are_replaced() {
     let line = "render @/scene.ply --cameras @/cameras.json --depth --alpha --normals --group 8 -o @/out";
     folder.run(line).success();
     let drawn = contents(&folder, "out");
-    // Only its own pictures may be replaced.
     folder.run(line).success();
     let mine = crate::photo(8, 6, 1);
     for name in ["000.png", "002.depth.png", "001.alpha.png", "000.normal.png", "002.tokens.png", "contact.png"] {

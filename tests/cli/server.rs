@@ -53,7 +53,6 @@ fn no_client_ends_or_holds_the_page() {
         is_served("stalled bodies");
         let headers: Vec<_> = (0..200).map(|_| open("GET / HTTP/1.1\r\nHost:")).collect();
         is_served("stalled headers");
-        // Kept open while the server ends.
         std::mem::forget((bodies, headers));
     });
 }

@@ -36,7 +36,6 @@ fn place(folder: &Folder) -> (Scene, Vec<Camera>) {
     (scene, cameras)
 }
 
-/// Writes a scene in another world.
 fn save(folder: &Folder, name: &str, scene: &Scene, scale: f64, pose: &Pose) {
     let mut scene = scene.clone();
     scene.place(scale, pose);
@@ -89,12 +88,10 @@ fn a_scene_is_judged_alike_in_every_layout() {
         let found = judge(&folder, &options);
         assert!((found - expected).abs() < 0.02, "{options}: {found} dB, {expected} dB");
     }
-    // The scene's options matter.
     for options in ["@/cameras.ply", "@/first.ply", "@/turned.ply --world cameras", "@/away.ply"] {
         let found = judge(&folder, options);
         assert!(found < expected - 3.0, "{options}: {found} dB, {expected} dB");
     }
-    // Our files store their world; other formats are read, too.
     folder.run("convert @/first.ply @/first.spz").success();
     let packed = judge(&folder, "@/first.spz --scene-unit 3");
     assert!((packed - expected).abs() < 0.5, "{packed} dB, {expected} dB");
@@ -131,7 +128,6 @@ fn pictures_of_a_scene_are_aligned_where_asked() {
     assert!(aligned > given + 1.0, "{given} dB, aligned {aligned} dB");
 }
 
-/// Values of a NumPy depth file from `scene`.
 fn depth(folder: &Folder, number: usize) -> Vec<f32> {
     let bytes = std::fs::read(folder.path(&format!("place/depth/{number:03}.npy"))).expect("depth");
     bytes[128..].as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect()
@@ -178,11 +174,9 @@ fn a_gaussian_a_pixel_is_made_of_depth() {
     let squares: f32 = pairs.map(|[a, b]| (b.length() / a.length() - 1.0).powi(2) + a.angle_between(b).powi(2)).sum();
     let error = (squares / of_first as f32).sqrt();
     assert!((0.03..0.07).contains(&error), "{error} of the depth");
-    // Refinement starts from this scene.
     let json = folder.run(&format!("{line} --size 28x28 --targets 1 --refine 2 --json")).json();
     assert_eq!((&json["refined"]["start"], &json["refined"]["steps"]), (&"the scene".into(), &2.into()));
     folder.run(&format!("{line} --noise 31")).fails_usage();
-    // Rejects depth that does not match the photos.
     let refuses = |words: &[&str]| folder.run(&format!("{line} --size 28x28")).fails(3, words);
     let file = folder.path("place/depth/000.npy");
     let bytes = std::fs::read(&file).expect("depth");

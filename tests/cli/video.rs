@@ -54,7 +54,6 @@ fn videos_become_their_sharpest_frames() {
     assert!(photo.rgb.iter().all(|value| value.abs_diff(200) < 3) && (photo.width, photo.height) == (16, 8));
     folder.run(cameras).fails(3, &["folder for frames", "frames", "does not exist yet"]);
     folder.run(&format!("{cameras} --overwrite")).success();
-    // A missing frame, an ffmpeg message, no frames.
     fs::remove_file(folder.path("scene.ply")).expect("removed");
     script(&folder, "short", &cats.replace("/ppm'", "/ppm' | head -c 400"));
     script(&folder, "says", &text("echo 'moov atom not found' >&2; exit 1", ""));

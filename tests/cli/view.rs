@@ -151,7 +151,6 @@ fn photos_and_scenes_have_options_of_their_own() {
     assert!(!folder.path("page.html").exists());
 }
 
-/// Forwards output as it is printed.
 struct Printed(Sender<Vec<u8>>);
 
 impl Write for Printed {
@@ -170,7 +169,6 @@ pub fn ask(port: &str, request: &str) -> (u16, Vec<u8>) {
     send(port, request, "")
 }
 
-/// Sends a request with a body.
 fn send(port: &str, request: &str, body: &str) -> (u16, Vec<u8>) {
     let mut stream = TcpStream::connect(format!("127.0.0.1:{port}")).expect("a server");
     stream
@@ -183,7 +181,6 @@ fn send(port: &str, request: &str, body: &str) -> (u16, Vec<u8>) {
     (header[9..12].parse().expect("a status"), answer[end + 4..].to_vec())
 }
 
-/// Ends a command on drop.
 struct Ended<'a>(&'a AtomicBool);
 
 impl Drop for Ended<'_> {
@@ -238,7 +235,6 @@ fn a_server_makes_scenes_of_the_ratio_that_is_asked_for() {
         for wrong in ["view/2", "made/0.5", "made/0.5/wrong", "made/half/exact", "refined", "refining", "record"] {
             assert_eq!(get(wrong).0, 404, "{wrong}");
         }
-        // The largest number must not block later requests.
         assert_eq!([get(&format!("made/0.5/exact?{}", u64::MAX)).0, get("made/0.5/exact?1").0], [200, 200]);
         assert_eq!(get("made/NaN/exact").0, 500);
         let (status, words) = get("made/2/exact");

@@ -30,7 +30,6 @@ fn runs_a_line() {
     std::fs::write(folder.join("outcome"), json!([code, out, err]).to_string()).expect("written");
 }
 
-/// A folder, its cache (`@/cache`) and their processes.
 struct Place {
     folder: Folder,
     environment: Vec<(&'static str, String)>,
@@ -81,7 +80,6 @@ fn weights() -> Vec<u8> {
     std::fs::read(Folder::new().path("micro.safetensors")).expect("weights")
 }
 
-/// Name of a file's conversion.
 fn converted(file: &[u8]) -> String {
     format!("zipsplat-da3g-252p-{}-f16.safetensors", &sha256(file)[..12])
 }
@@ -122,7 +120,6 @@ fn named_weights_are_got_checked_converted_and_found() {
     place.run(GET).success();
     place.run("weights get zipsplat --offline").success();
     assert_eq!(host.ranges().len(), 1);
-    // A changed file is detected.
     host.state().etag = Some("0".repeat(64));
     let newer = place.run("weights get zipsplat");
     assert!(newer.err.contains("newer weights than"), "{}", newer.err);
@@ -146,14 +143,12 @@ fn weights_of_depth_stay_as_they_are() {
     let name = |of: &str| format!("{of}-{}.safetensors", &sha256(&file)[..12]);
     assert_eq!(place.cached(), [name("da3-small")]);
     assert!(std::fs::read(&path).expect("weights") == file);
-    // Weight names work instead of paths.
     assert_eq!(place.run("info da3-small --json").json()["kind"], "Depth Anything 3");
     place.run("depth @/photos --weights da3-small --size 42 -o @/out").success();
     let line = "cameras @/photos --with da3 --weights da3-small --find-size 64 -o @/cameras.json";
     place.run(line).success();
     place.run("reconstruct @/photos --weights da3-small --size 42x42 -o @/scene.ply").success();
     place.run("depth @/photos --weights zipsplat -o @/out").fails(3, &["zipsplat, of ZipSplat", "da3-small"]);
-    // No second download; other names are other files.
     place.run("weights get da3-small --yes").success();
     place.run("weights get da3-small --offline").success();
     assert_eq!(host.ranges().len(), 2);
@@ -165,7 +160,6 @@ fn weights_of_depth_stay_as_they_are() {
         cached.map(|row| row["name"].as_str().unwrap_or_default()).collect::<Vec<_>>(),
         ["da3-small", "da3-large"]
     );
-    // A mismatched network is detected.
     let host = Host::new(weights(), &[]);
     let place = Place::new(&host);
     place.run("weights get da3-small --yes").fails(3, &["da3-small"]);
@@ -222,7 +216,6 @@ fn another_run_goes_on_and_notices_another_file() {
     assert_eq!(host.ranges()[asked..], [""]);
     let archive = format!("zipsplat-da3g-252p-{}.tar", &sha256(&other)[..12]);
     assert_eq!(place.cached(), [converted(&other), archive]);
-    // A downloaded file is converted again offline.
     std::fs::remove_file(place.folder.path("cache/weights").join(converted(&other))).expect("removed");
     place.run("weights get zipsplat --offline").success();
     assert_eq!(place.cached(), [converted(&other)]);
@@ -314,7 +307,6 @@ fn what_cannot_be_got_is_refused() {
     place.run(GET).fails(3, &["no network by HF_HUB_OFFLINE"]);
     place.environment = vec![("HF_ENDPOINT", "hub".into())];
     place.run(GET).fails(3, &["HF_ENDPOINT: found hub"]);
-    // A closed port.
     place.environment = vec![("HF_ENDPOINT", "http://127.0.0.1:1".into())];
     place.run(GET).fails(1, &["refused", "5 times in a row"]);
     assert!(host.state().requests.is_empty());

@@ -76,7 +76,6 @@ fn tokens_have_colors_of_their_own() {
 fn what_is_not_asked_for_changes_nothing() {
     let (scene, cameras) = (random_scene(2_000, 1, 0.1), [camera(100, 60)]);
     let all = render(&scene, &cameras, &ALL).remove(0);
-    // One bit per output.
     for wanted in 1..32 {
         let on = |output: u32| wanted >> output & 1 == 1;
         let request = RenderRequest {
@@ -99,7 +98,6 @@ fn what_is_not_asked_for_changes_nothing() {
     }
 }
 
-/// The plan of 5,000 Gaussians in a picture of 64 x 64.
 fn plan(request: &RenderRequest) -> Plan {
     let (len, sh_degree) = (5_000, 1);
     let mut rec = Recorder::new(&Limits::default());
@@ -117,7 +115,6 @@ fn plan(request: &RenderRequest) -> Plan {
     rec.finish().unwrap()
 }
 
-/// Names of kernels, and names and bytes of tensors.
 fn contents(plan: &Plan) -> (Vec<String>, Vec<(String, u64)>) {
     let kernels = Profile::outline(plan).rows.into_iter().map(|row| row.kernel).collect();
     let mut tensors: Vec<_> = plan.arena_map().into_iter().map(|row| (row.name, row.bytes)).collect();

@@ -51,7 +51,6 @@ fn moved(scene: &Scene, camera: Camera, offset: DVec3) -> (Scene, Camera) {
 fn pictures_far_from_the_origin_equal_brute_force() {
     let scene = random_scene(300, 2, 0.3);
     for distance in [1e4, 1e5, 1e6, 1e7] {
-        // Not representable in f32.
         let offset = distance * DVec3::new(1.0 / 3.0, -0.1, 1.0 / 7.0);
         let (scene, camera) = moved(&scene, turned(), offset);
         hold(&format!("{distance:e} away"), &scene, &camera, false, ImageTolerance::RGB);

@@ -39,7 +39,6 @@ pub fn bits(frames: &[Frame]) -> Vec<Vec<u32>> {
     planes.map(|plane| plane.iter().map(|v| v.to_bits()).collect()).collect()
 }
 
-/// Tolerances of color and of depth D or ED for a golden scene.
 fn tolerances(file: &str, depth: Depth) -> [ImageTolerance; 2] {
     type T = ImageTolerance;
     match depth {
@@ -92,7 +91,6 @@ fn compare(
     assert_images_close(&name, Picture { values: &values, width, channels }, &golden.f32(&key), &unstable, tolerance);
 }
 
-/// The reference rendering of a scene and a camera.
 fn brute_force(scene: &Scene, camera: &Camera, request: &RenderRequest) -> Rendering {
     let (gaussians, camera) = (reference_gaussians(scene), reference_camera(camera));
     reference::rasterise::render(&gaussians, &camera, request.antialiased, request.background.map(f64::from))

@@ -20,7 +20,6 @@ use zipsplat_tests::processes::{assert_succeeds, child, target};
 /// be `refused`, or is `stopped`.
 fn process(cache: &Path, expected: &str) -> std::process::Command {
     let mut command = child("cache::computes_in_f16", Path::new(expected), "");
-    // Kernels are not under test here.
     command.env("ZIPSPLAT_CACHE", cache).env("ZIPSPLAT_VALIDATION", "0");
     command
 }
@@ -78,7 +77,6 @@ fn a_damaged_result_is_found_anew() {
         assert_succeeds(process(folder.path(), "passed"));
         assert_eq!(parsed(&fs::read(&file).unwrap()), parsed(&good), "after {:?}", String::from_utf8_lossy(damaged));
     }
-    // The result cannot be stored either.
     fs::remove_file(&file).unwrap();
     fs::create_dir(&file).unwrap();
     assert_succeeds(process(folder.path(), "passed"));
@@ -102,7 +100,6 @@ fn a_test_that_a_lost_device_ended_goes_on_with_the_other_kernels() {
     begun.deviations.insert("ops/linear_matrix_f16_f32".into(), None);
     let known = serde_json::json!({ "begun": 0, "result": begun });
     fs::write(&file, known.to_string()).unwrap();
-    // The note names it.
     assert_succeeds(process(folder.path(), "noted"));
     let mut expected = all;
     expected.deviations.insert("ops/linear_matrix_f16_f32".into(), None);

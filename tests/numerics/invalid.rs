@@ -10,7 +10,6 @@ use zipsplat::{
 use zipsplat_tests::scenes::random_scene;
 
 const COUNT: usize = 50;
-/// Indices of invalid Gaussians.
 const BAD: [usize; 3] = [3, 4, 40];
 /// Formats with floats; an SPZ's integers are always valid. Their axes keep z.
 const NAMES: [&str; 4] = ["scene.ply", "ascii.ply", "scene.splat", "scene.glb"];
@@ -43,7 +42,6 @@ fn spoilt(path: &Path, value: f32) -> Scene {
     clean
 }
 
-/// The scene as text, with `NaN`, `inf` and `-inf`.
 fn as_ascii(scene: &Scene, value: f32) -> Vec<u8> {
     let rest: Vec<String> = (0..9).map(|i| format!("f_rest_{i}")).collect();
     let names = "x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3".split(' ');
@@ -138,7 +136,6 @@ fn commands_say_how_to_go_on() {
         if name != "ascii.ply" {
             assert_eq!(read_scene(at("out.ply")).unwrap().means, clean.means);
         }
-        // The same picture as without them.
         written("clean.ply", &read_scene(at("out.ply")).unwrap());
         let (code, _, err) = run("render @/clean.ply --wiggle -o @/clean");
         assert_eq!((code, err.as_str()), (0, ""));

@@ -24,19 +24,16 @@ use zipsplat::{
 };
 use zipsplat_tests::{architectures, compare::Tolerance, device::device, networks::fast_arithmetics};
 
-/// The smallest network, with generated weights.
 fn micro() -> Checkpoint {
     Checkpoint::seeded_architecture(architectures::golden("micro"), "micro").expect("a network")
 }
 
-/// [`micro`] in one arithmetic.
 struct Mode {
     arithmetic: Arithmetic,
     model: Model,
 }
 
 impl Mode {
-    /// Tolerance of a field of its Gaussians.
     fn tolerance(&self, field: &str) -> Tolerance {
         match self.arithmetic.element {
             Element::F32 => Tolerance::of_field(field),
@@ -62,7 +59,6 @@ fn modes() -> &'static [Mode] {
     })
 }
 
-/// [`micro`] in f32.
 fn model() -> &'static Model {
     &modes()[0].model
 }
@@ -87,7 +83,6 @@ impl Random {
     }
 }
 
-/// A picture of noise.
 fn noise(width: u32, height: u32, seed: u64) -> Image {
     let mut random = Random(seed);
     let rgb = (0..3 * width * height).map(|_| (random.bits() >> 56) as u8).collect();

@@ -64,7 +64,6 @@ fn a_picture_needs_no_more_memory_after_others() {
         }
     };
     let mut renderer = renderer(bytes);
-    // Another scene, then other sizes of this one.
     for (before, side) in [(&smaller, 128), (&scene, 128), (&scene, 64)] {
         draw(&mut renderer, before, side).unwrap();
         assert!(draw(&mut renderer, &scene, 256).unwrap() == alone, "after {} at {side}", before.len());
@@ -110,7 +109,6 @@ fn commands_say_how_much_memory_is_missing() {
         assert!(at(output).exists());
         let (code, _, err) = zipsplat(&format!("{line} --memory {}", least - 1));
         assert!(code == 4 && err.contains("bytes are there"), "{code} {err}");
-        // A budget above the device's memory is allowed.
         let (code, _, err) = zipsplat(&format!("{line} --memory 16000000G"));
         assert_eq!(code, 0, "{err}");
     }

@@ -14,7 +14,6 @@ use zipsplat_tests::{
     scenes::{camera, random_scene},
 };
 
-/// Smooth pictures, different per seed.
 fn views(count: u32) -> Vec<Image> {
     (0..count).map(|i| noise(56, 42, u64::from(i) + 1)).collect()
 }
@@ -38,7 +37,6 @@ fn fields(scene: &Scene, views: usize, from: &[usize]) -> [(&'static str, Vec<f3
     ]
 }
 
-/// Runs a check in every arithmetic of the device.
 #[track_caller]
 fn in_every_mode(check: fn(&Mode)) {
     modes().iter().for_each(check);

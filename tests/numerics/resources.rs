@@ -105,7 +105,6 @@ fn writes_forever() {
     }
 }
 
-/// A scene's bits, from a device of this process.
 fn reconstructed() -> Vec<u8> {
     let device = Device::open(&DeviceOptions::default()).unwrap();
     let model = Model::load(&device, &micro(), |_| ControlFlow::Continue(())).unwrap();
@@ -137,7 +136,6 @@ fn reconstructs() {
     std::fs::write(file, reconstructed()).unwrap();
 }
 
-/// Resident bytes of this process.
 fn resident_bytes() -> u64 {
     let pages = std::fs::read_to_string("/proc/self/statm").expect("Linux");
     4096 * pages.split(' ').nth(1).and_then(|count| count.parse::<u64>().ok()).expect("a number of pages")
@@ -203,7 +201,6 @@ fn every_subgroup_size_gives_the_same_scene() {
     }
 }
 
-/// All Gaussians, packed as in the goldens.
 #[test]
 #[ignore = "child of every_subgroup_size_gives_the_same_scene"]
 fn reconstructs_all_tokens_and_half() {

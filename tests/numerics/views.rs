@@ -15,7 +15,6 @@ fn plain(level: u8) -> Image {
     Image::new(SIDE, SIDE, vec![level; (3 * SIDE * SIDE) as usize]).unwrap()
 }
 
-/// Asserts finite values in their ranges.
 #[track_caller]
 fn assert_sound(name: &str, scene: &Scene, tokens: usize) {
     scene.validate().unwrap_or_else(|error| panic!("{name}: {error}"));

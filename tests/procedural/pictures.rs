@@ -29,7 +29,6 @@ fn beginning_elsewhere_keeps_the_place() {
     assert!(count >= 5, "{count} of 10 scenes begin at another view");
 }
 
-/// Means of 4x4 blocks.
 fn reduced(image: &Image) -> Vec<f64> {
     let (width, height) = (image.width as usize / 4, image.height as usize / 4);
     let block = |x: usize, y: usize, c: usize| {

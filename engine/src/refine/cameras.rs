@@ -55,7 +55,6 @@ impl Cameras {
         Self { cameras: cameras.to_vec(), adams: (0..cameras.len()).map(adam).collect(), rates }
     }
 
-    /// Returns the current cameras.
     pub fn all(&self) -> &[Camera] {
         &self.cameras
     }

@@ -29,7 +29,6 @@ const PLANS: usize = 4;
 /// Limit of pixels per run.
 const PIXELS_TOGETHER: usize = 1 << 20;
 
-/// A field of the Gaussians that Adam updates.
 struct Field {
     values: Tensor,
     gradient: Tensor,
@@ -41,15 +40,12 @@ struct Field {
     penalty: f32,
 }
 
-/// Gaussians, their gradients and moments.
 pub(super) struct Gaussians {
-    /// Shared by all plans.
     arena: Arena,
     memories: Vec<Arc<Resident>>,
     /// Optimized fields, unless tokens are optimized.
     fields: Vec<Field>,
     scene: SceneTensors,
-    /// Near plane.
     near: f32,
     gradients: Gradients,
     request: Refine,
@@ -61,7 +57,6 @@ pub(super) struct Gaussians {
     steps: u32,
     /// Least recently used first.
     plans: Vec<Planned>,
-    /// Photos per run.
     together: usize,
     /// Capacity of new plans in intersections per camera; grows on demand.
     capacity: usize,
@@ -225,7 +220,6 @@ impl Gaussians {
         Ok(Some(self.plans.len() - 1))
     }
 
-    /// Returns the device.
     pub fn device(&self) -> &Device {
         self.arena.device()
     }
@@ -248,8 +242,6 @@ impl Gaussians {
         Ok(Planned { shape, capacity, run, recorded })
     }
 
-    /// Reads back the Gaussians.
-    ///
     /// # Errors
     /// A failed transfer.
     pub fn scene(&self) -> Result<Scene> {
@@ -347,7 +339,6 @@ fn write(memory: &Resident, values: [Tensor; 5], scene: &Scene) -> Result<()> {
     memory.write(sh_coeffs, &scene.sh_coeffs)
 }
 
-/// A plan that fills tensors.
 pub(super) fn filling(
     arena: &Arena,
     memory: &Arc<Resident>,

@@ -11,23 +11,17 @@ use crate::{
 };
 use glam::{DMat3, DVec3};
 
-/// Opacity limit of dead Gaussians.
 const DEAD: f32 = 0.005;
-/// Opacity limit of drawn Gaussians.
 const UNSEEN: f32 = 1.0 / 255.0;
-/// Limit of Gaussians at one place.
 const TOGETHER: usize = 51;
 /// Fractions of the steps: all Gaussians are alive after the first, relocation ends at the second.
 const GROWN: f64 = 0.5;
 const LAST: f64 = 0.8;
-/// Number of relocations.
 const TIMES: usize = 20;
 
-/// State of a growing scene.
 pub(super) struct Growth {
     random: Random,
     steps: usize,
-    /// Initial and final number of Gaussians.
     counts: [usize; 2],
 }
 
@@ -37,7 +31,6 @@ impl Growth {
         Self { random: Random::new(!seed), steps, counts: [first, most.max(first)] }
     }
 
-    /// Whether relocation is due after `done` steps.
     pub fn is_due(&self, done: usize) -> bool {
         done.is_multiple_of(self.steps.div_ceil(TIMES)) && done as f64 <= LAST * self.steps as f64
     }
@@ -68,7 +61,6 @@ impl Growth {
         changed
     }
 
-    /// Draws `count` live Gaussians by opacity, in their order.
     fn choose(&mut self, scene: &Scene, live: &[usize], count: usize) -> Vec<usize> {
         let mut sum = 0.0;
         let add = |i: &usize| {
@@ -117,7 +109,6 @@ fn axes(scene: &Scene, i: usize) -> DMat3 {
     matrix_from_quaternion(scene.quats[i].map(f64::from)) * DMat3::from_diagonal(scales)
 }
 
-/// Copies Gaussian `from` to `to`.
 fn copy(scene: &mut Scene, from: usize, to: usize) {
     scene.means[to] = scene.means[from];
     scene.scales[to] = scene.scales[from];
@@ -153,7 +144,6 @@ pub(super) fn padded(scene: &Scene, most: usize) -> Scene {
     padded
 }
 
-/// Drops the Gaussians that are not drawn.
 pub(super) fn drop_unseen(scene: &mut Scene) {
     let seen: Vec<usize> = (0..scene.len()).filter(|i| scene.opacities[*i] >= UNSEEN).collect();
     scene.keep(&seen);

@@ -268,7 +268,6 @@ pub fn refine_tokens(
     run(arena, make, photos, cameras, request, progress)
 }
 
-/// Rejects growth for tokens.
 fn tokens_grow_not(request: &Refine) -> Result<()> {
     let refused =
         |most| Error::argument("Gaussians to grow to", most, "none where tokens are refined, which have theirs");
@@ -295,7 +294,6 @@ fn run(
     Refinement::new(gaussians, scene, photos, cameras, request)?.finish(&mut progress, begin)
 }
 
-/// Resolves defaults that depend on the number of photos.
 fn filled(request: &Refine, count: usize) -> Result<Refine> {
     let held_out = request.hold_out.unwrap_or(usize::from(count >= HOLD_OUT_FROM && !request.cameras));
     if held_out >= count {

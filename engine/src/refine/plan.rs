@@ -149,7 +149,6 @@ fn record_steps(
     Ok(())
 }
 
-/// Records the step of one field.
 fn adam(rec: &mut Recorder, values: Tensor, gradient: Tensor, moments: [Tensor; 2], schedule: Tensor, len: usize) {
     record_adam(rec, Adam::default(), values, gradient, moments, schedule, 1.0, Space::Linear, len);
 }

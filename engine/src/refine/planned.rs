@@ -18,13 +18,11 @@ use crate::{
 /// A plan that draws cameras and, for training, accumulates gradients.
 pub(super) struct Planned {
     pub shape: FrameShape,
-    /// Intersection capacity.
     pub capacity: usize,
     pub run: Run,
     pub recorded: Recorded,
 }
 
-/// Tensors of a plan.
 #[derive(Clone, Copy)]
 pub(super) struct Recorded {
     pub cameras: Tensor,
@@ -44,9 +42,7 @@ pub(super) struct Learning {
     pub d_cameras: Option<Tensor>,
 }
 
-/// Results of a step for a photo.
 pub(super) struct Found {
-    /// Index of the photo.
     pub photo: usize,
     pub loss: f32,
     /// Camera gradient d loss / d (w, v), if cameras are refined.
@@ -120,7 +116,6 @@ pub(super) fn intersection_bytes(learns: bool) -> u64 {
 }
 
 impl Planned {
-    /// Writes cameras and photos.
     pub fn write(&mut self, views: &[&View]) -> Result<()> {
         let cameras: Vec<CameraRows> = views.iter().map(|view| camera_rows(&view.camera)).collect();
         self.run.write(self.recorded.cameras, &cameras)?;
@@ -131,7 +126,6 @@ impl Planned {
         Ok(())
     }
 
-    /// Reads the results for these photos.
     pub fn found(&self, views: &[&View]) -> Result<Vec<Found>> {
         let Learning { losses, look, d_cameras, .. } = self.recorded.learning.expect("it learns");
         let mut losses: Vec<f32> = self.run.read(losses)?;

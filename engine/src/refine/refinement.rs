@@ -24,7 +24,6 @@ const MEASURED: usize = 16;
 /// Divergence limit: mean loss relative to its minimum.
 const GROWN: f32 = 2.0;
 
-/// An ongoing refinement.
 pub(super) struct Refinement<'a> {
     photos: &'a [Image],
     cameras: Cameras,
@@ -48,7 +47,6 @@ pub(super) struct Refinement<'a> {
     /// First step at the current size, and the least mean loss since then.
     began: usize,
     least: f32,
-    /// Mean loss at the last evaluation.
     latest: f32,
     /// Fraction of the rates for the Gaussians.
     fraction: f32,
@@ -57,7 +55,6 @@ pub(super) struct Refinement<'a> {
     next: Option<Kept>,
 }
 
-/// A checkpoint.
 #[derive(Clone)]
 struct Kept {
     step: usize,
@@ -235,7 +232,6 @@ impl<'a> Refinement<'a> {
         self.views.iter_mut().for_each(|view| view.camera.pose = cameras[view.photo].pose);
     }
 
-    /// Resizes the photos for a step.
     fn resize(&mut self, step: usize) -> Result<()> {
         let shortest = |i: &usize| size(&self.photos[*i], self.request.size, 1).into_iter().min();
         let shortest = self.learnt.iter().filter_map(shortest).min().unwrap_or(0);
@@ -280,7 +276,6 @@ impl<'a> Refinement<'a> {
         Ok(())
     }
 
-    /// Reads back the current Gaussians.
     fn scene(&mut self) -> Result<Scene> {
         let mut scene = self.gaussians.scene()?;
         if self.growth.is_some() {
@@ -289,7 +284,6 @@ impl<'a> Refinement<'a> {
         Ok(scene)
     }
 
-    /// Commits the marked checkpoint.
     fn keep(&mut self) {
         if let Some(next) = self.next.take() {
             self.kept = next;
@@ -316,7 +310,6 @@ impl<'a> Refinement<'a> {
     }
 }
 
-/// PSNR of a drawn picture, clamped to 0..1, in dB.
 fn psnr(drawn: &[f32], view: &View) -> f64 {
     let square = |(drawn, value): (&f32, f32)| f64::from(drawn.clamp(0.0, 1.0) - value).powi(2);
     let squares: f64 = drawn.iter().zip(view.values()).map(square).sum();

@@ -2,7 +2,6 @@
 
 use std::f64::consts::PI;
 
-/// Final fraction of the rate.
 const LAST: f64 = 0.1;
 /// Training PSNR in dB above which a scene's rate shrinks with its error.
 const GOOD: f64 = 20.0;
@@ -15,14 +14,11 @@ const SHORTEST: u32 = 96;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Schedule {
     pub steps: usize,
-    /// Rate of the first step.
     pub rate: f32,
-    /// Whether early photos are downscaled.
     pub coarse: bool,
 }
 
 impl Schedule {
-    /// Rate of step `step`, counted from 0.
     pub fn rate(&self, step: usize) -> f32 {
         let along = step as f64 / (self.steps.max(2) - 1) as f64;
         self.rate * (LAST + (1.0 - LAST) * 0.5 * (1.0 + (PI * along).cos())) as f32

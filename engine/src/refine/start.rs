@@ -13,7 +13,6 @@ const NEIGHBOURS: usize = 3;
 /// Limit of a Gaussian's size relative to the nearest camera's distance: isolated points are often
 /// wrong.
 const LARGEST: f64 = 0.1;
-/// Initial opacity.
 const OPACITY: f32 = 0.5;
 /// Harmonic of degree 0, `1 / (2 sqrt(pi))`.
 const SH_0: f32 = 0.282_094_8;

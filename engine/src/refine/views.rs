@@ -6,9 +6,7 @@ use crate::{
     types::{Camera, Image, preprocess::PixelMap, resample::resize_lanczos},
 };
 
-/// A resized photo and its camera.
 pub(super) struct View {
-    /// Index among all photos.
     pub photo: usize,
     pub size: [u32; 2],
     /// `[height][width][rgb]`.
@@ -32,13 +30,11 @@ impl View {
         Ok(Self { photo: i, size: [width, height], rgb, camera })
     }
 
-    /// Values of the photo in 0..1.
     pub fn values(&self) -> impl Iterator<Item = f32> {
         self.rgb.iter().map(|value| f32::from(*value) / 255.0)
     }
 }
 
-/// Size of a photo in a refinement.
 pub(super) fn size(photo: &Image, most: Option<[u32; 2]>, shrink: u32) -> [u32; 2] {
     let sides = [photo.width, photo.height];
     let fits = |[width, height]: [u32; 2]| {

@@ -16,13 +16,10 @@ const RECONSTRUCT: &str = "reconstruct @/photos --weights @/micro.safetensors --
 /// Pictures in flight while others are encoded and written.
 const RENDER: &str = "render @/scene.ply --wiggle --frames 7 --size 40x30 -o @/out --video @/out.gif";
 
-/// Calls that can report device loss.
 const WAITS: [&str; 3] = ["vkQueueSubmit2", "vkWaitSemaphores", "vkGetSemaphoreCounterValue"];
 
-/// Calls that allocate driver memory.
 const ALLOCATIONS: [&str; 3] = ["vkCreateBuffer", "vkAllocateMemory", "vkMapMemory"];
 
-/// Other calls that can fail.
 const OTHERS: [&str; 13] = [
     "vkBindBufferMemory",
     "vkCreateSemaphore",
@@ -79,7 +76,6 @@ fn pictures_fail() {
 /// Message of a lost device: cause and remedy.
 const LOST: &[&str] = &["the Vulkan device was lost", "again"];
 
-/// A command line in a folder.
 struct Case {
     folder: PathBuf,
     line: String,

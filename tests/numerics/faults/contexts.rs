@@ -62,7 +62,6 @@ struct Work {
     truth: (Scene, Vec<Frame>),
 }
 
-/// Objects of a device.
 #[derive(Default)]
 struct Made {
     model: Option<Model>,
@@ -86,7 +85,6 @@ impl Work {
         Device::open(&self.options).expect("opening a device fails nowhere")
     }
 
-    /// Runs all work until a failure; created objects stay alive.
     fn run(&self, device: &Device, made: &mut Made) -> Result<()> {
         let model = made.model.insert(Model::load(device, &micro(), |_| ControlFlow::Continue(()))?);
         made.scene =
@@ -105,7 +103,6 @@ impl Work {
         (made.scene.expect("a scene"), made.pictures)
     }
 
-    /// Calls of a function by all work, from the first to the last.
     fn calls(&self, function: &str) -> Vec<u32> {
         self.faults.set(function, 0, 0);
         assert!(self.sound() == self.truth, "other results after failures");
@@ -129,7 +126,6 @@ impl Work {
         Some(error)
     }
 
-    /// Asserts that every device call fails equally.
     fn assert_lost(&self, device: &Device, made: &mut Made, context: &str) {
         let lost = |name: &str, result: Result<()>| match result {
             Err(Error::DeviceLost) => {}
@@ -146,7 +142,6 @@ impl Work {
             let drawn = renderer.render_loaded(&[camera(20, 20)], &RenderRequest::default());
             assert!(matches!(drawn, Err(Error::DeviceLost | Error::Argument { .. })), "{context}, drawing: {drawn:?}");
         }
-        // Earlier readbacks are intact.
         assert!(made.pictures.iter().all(|frame| *frame == self.truth.1[0]), "{context}: a picture of a lost device");
     }
 }

@@ -21,13 +21,11 @@ fn in_folder(name: &str, write: impl FnOnce(&std::path::Path)) -> Vec<u8> {
     std::fs::read(path).unwrap()
 }
 
-/// A scene in the format of an extension.
 pub fn scene(extension: &str, sh_degree: u32) -> Vec<u8> {
     let scene: Scene = random_scene(7, sh_degree, 0.1);
     in_folder(&format!("scene.{extension}"), |path| write_scene(path, &scene, &WriteOptions::default()).unwrap())
 }
 
-/// A scene as an SPZ of version 4.
 pub fn spz4(sh_degree: u32) -> Vec<u8> {
     encode_scene(&random_scene(7, sh_degree, 0.1), SceneFormat::Spz, &WriteOptions { spz_version: 4 }).unwrap()
 }
@@ -45,7 +43,6 @@ pub fn deflated(bytes: &[u8]) -> Vec<u8> {
     out.finish().unwrap()
 }
 
-/// A PLY as text.
 pub fn ascii_ply() -> Vec<u8> {
     let names = "x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3";
     let properties: String = names.split(' ').map(|name| format!("property float {name}\n")).collect();
@@ -53,7 +50,6 @@ pub fn ascii_ply() -> Vec<u8> {
     format!("ply\nformat ascii 1.0\ncomment made here\nelement vertex 3\n{properties}end_header\n{rows}").into_bytes()
 }
 
-/// A packed PLY of SuperSplat.
 pub fn packed_ply() -> Vec<u8> {
     std::fs::read(golden::find("scenes/scene.compressed.ply").expect("it is committed")).unwrap()
 }
@@ -168,7 +164,6 @@ pub fn archive(pickle: &[u8]) -> Vec<u8> {
     zip.finish().unwrap().into_inner()
 }
 
-/// A photo of noise in a format.
 pub fn photo(format: image::ImageFormat) -> Vec<u8> {
     let noise = crate::noise(24, 17, 3);
     let mut bytes = Cursor::new(Vec::new());

@@ -19,7 +19,6 @@ use zipsplat::{
 
 use super::seeds::{self, LENS};
 
-/// Time limit for a rejection.
 const PATIENCE: Duration = Duration::from_secs(20);
 
 type Reader = fn(&Path) -> Result<()>;
