@@ -1,4 +1,4 @@
-//! The catalogue of `zipsplat doctor`, and the command.
+//! The catalog of `zipsplat doctor`, and the command.
 
 use std::{collections::BTreeSet, ffi::OsString, sync::atomic::AtomicBool};
 use zipsplat_cli::{

@@ -242,6 +242,8 @@ impl Gaussians {
         Ok(Planned { shape, capacity, run, recorded })
     }
 
+    /// Reads back the Gaussians.
+    ///
     /// # Errors
     /// A failed transfer.
     pub fn scene(&self) -> Result<Scene> {
