@@ -9,8 +9,7 @@ use super::{
 use std::ffi::c_char;
 use zipsplat::gpu::{Device, DeviceInfo, DeviceOptions, Limits, list_devices};
 
-/// An open Vulkan device. Models and renderers share ownership of the device, so the context can be
-/// destroyed before them.
+/// An open Vulkan device.
 pub struct zs_context {
     pub(super) device: Device,
     /// Whether the caller owns the device.

@@ -87,7 +87,7 @@ pub struct zs_depth_options {
 pub struct zs_depth_view {
     /// sizeof(zs_depth_view).
     pub struct_size: u32,
-    /// Must be 0.
+    /// 0.
     pub reserved: u32,
     /// Width in pixels.
     pub width: u32,

@@ -92,9 +92,9 @@ pub enum zs_precision {
     ZS_PRECISION_BEST = 0,
     /// f32 throughout.
     ZS_PRECISION_EXACT = 1,
-    /// f16 matrix products, otherwise f32. Rejected on unsupported devices.
+    /// f16 matrix products, otherwise f32. Rejected if unsupported or failing its self-test.
     ZS_PRECISION_FAST = 2,
-    /// bf16 matrix products, otherwise f32. Rejected on unsupported devices.
+    /// bf16 matrix products, otherwise f32. Rejected if unsupported or failing its self-test.
     ZS_PRECISION_FAST_BF16 = 3,
     /// 8-bit linear layers of blocks, otherwise as ZS_PRECISION_FAST.
     ZS_PRECISION_TURBO = 4,
@@ -181,7 +181,7 @@ pub unsafe extern "C" fn zs_model_open(
     unsafe { load(context, options, model, checkpoint) }
 }
 
-/// Loads a checkpoint from memory, as zs_model_open. The bytes can be freed after the call.
+/// Loads a checkpoint from memory, as zs_model_open.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_model_from_memory(
     context: *const zs_context,

@@ -24,7 +24,7 @@ pub unsafe extern "C" fn zs_photo_open(path: *const c_char, photo: *mut *mut zs_
     unsafe { produce(photo, open) }
 }
 
-/// Decodes a photo from `size` bytes at `data`, as zs_photo_open. They can be freed after the call.
+/// Decodes a photo from `size` bytes at `data`, as zs_photo_open.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_photo_from_memory(
     data: *const c_void,

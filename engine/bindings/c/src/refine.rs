@@ -59,7 +59,7 @@ pub struct zs_refining {
     pub steps: u32,
     /// 0.
     pub reserved: u32,
-    /// Mean loss over the last step's photos.
+    /// Mean loss of the last step.
     pub loss: f64,
     /// Latest PSNR in dB of the held-out photos; NaN without any.
     pub psnr: f64,
@@ -114,19 +114,19 @@ pub struct zs_refine_info {
     pub steps: u32,
     /// Step of the returned scene; 0 if none improved it.
     pub best_step: u32,
-    /// Mean loss over the first step's photos, at that step's resolution; NaN without a step.
+    /// Mean loss of the first step, at its resolution; NaN without a step.
     pub first_loss: f64,
-    /// Mean loss over the last step's photos, at that step's resolution; NaN without a step.
+    /// Mean loss of the last step, at its resolution; NaN without a step.
     pub last_loss: f64,
-    /// PSNR in dB of the held-out photos before the first step; NaN without any.
+    /// Held-out PSNR in dB before the first step; NaN without held-out photos.
     pub psnr_before: f64,
-    /// PSNR in dB of the held-out photos with the returned scene; NaN without any.
+    /// Held-out PSNR in dB of the returned scene; NaN without held-out photos.
     pub psnr: f64,
     /// Duration in seconds.
     pub seconds: f64,
-    /// PSNR in dB of training photos at full size before the first step: the mean of up to 16.
+    /// Mean PSNR in dB of up to 16 full-size training photos before the first step.
     pub training_psnr_before: f64,
-    /// PSNR in dB of the same photos with the returned scene.
+    /// PSNR in dB of the same photos for the returned scene.
     pub training_psnr: f64,
 }
 
@@ -184,8 +184,8 @@ pub unsafe extern "C" fn zs_refine_options_default(options: *mut zs_refine_optio
 }
 
 /// Optimizes a copy of a scene to match `count` photos. `cameras` are of the whole photos, in the
-/// scene's world. The scene may come from any source. An early stop or a diverging loss still
-/// returns the best scene. `options` and `info` may be NULL.
+/// scene's world. An early stop or a diverging loss still returns the best scene. `options` and
+/// `info` may be NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_refine(
     context: *const zs_context,

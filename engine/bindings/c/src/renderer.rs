@@ -17,7 +17,7 @@ use zipsplat::{
 };
 
 /// A scene on a device, ready to draw. Caches its recordings for the last four sizes and kinds of
-/// picture. Concurrent calls wait for each other.
+/// picture.
 pub struct zs_renderer {
     /// Whether the caller owns the device.
     pub(super) adopted: bool,

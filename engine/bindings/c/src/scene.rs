@@ -24,8 +24,7 @@ use zipsplat::{
     stages::render::{DeviceScene, Renderer, WeakScene},
 };
 
-/// 3D Gaussians in host memory. A scene is independent of contexts and survives device loss.
-/// Renderers copy it, so it can be destroyed before them.
+/// 3D Gaussians in host memory. Independent of contexts; survives device loss.
 pub struct zs_scene {
     pub(super) scene: Scene,
     /// The device copy, while its model keeps it.
@@ -241,10 +240,10 @@ pub unsafe extern "C" fn zs_scene_open_dropping_invalid(
     unsafe { produce(scene, open) }
 }
 
-/// Decodes a scene from `size` bytes at `data`, as zs_scene_open. They can be freed after the call.
-/// `format` is NULL for PLY, SPZ and .glb, which are recognized by content, else "splat" or "gltf".
-/// A glTF must not refer to other files. If `dropped` is not NULL, invalid Gaussians are dropped
-/// and counted there; otherwise they are an error.
+/// Decodes a scene from `size` bytes at `data`, as zs_scene_open. `format` is NULL for PLY, SPZ and
+/// .glb, which are recognized by content, else "splat" or "gltf". A glTF must not refer to other
+/// files. If `dropped` is not NULL, invalid Gaussians are dropped and counted there; otherwise they
+/// are an error.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_from_memory(
     data: *const c_void,

@@ -30,7 +30,7 @@ pub enum zs_status {
     /// The driver or the validation layer reported an error.
     ZS_ERROR_DRIVER = 7,
     /// The device was reset or removed. Destroy every object of its context and create a new one.
-    /// Scenes are in host memory and survive.
+    /// Scenes survive.
     ZS_ERROR_DEVICE_LOST = 8,
     /// The progress callback canceled.
     ZS_ERROR_CANCELLED = 9,

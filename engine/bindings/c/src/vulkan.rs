@@ -128,9 +128,9 @@ pub struct zs_vulkan_target {
     pub wait_count: u32,
     /// Number of `signals`.
     pub signal_count: u32,
-    /// Semaphore values to wait for before writing. Read during the call.
+    /// Semaphore values to wait for before writing.
     pub waits: *const zs_semaphore_point,
-    /// Signaled when the picture is written and visible. Read during the call.
+    /// Signaled when the picture is written and visible.
     pub signals: *const zs_semaphore_point,
 }
 
