@@ -1,7 +1,8 @@
-/* An app with a Vulkan device of its own: zipsplat draws into the app's image, ordered by the app's timeline semaphore, and the
- * app goes on with it on the same queue. No pixel passes through the host, but for the check at the end.
- *     cc app_device.c $(pkg-config --cflags --libs zipsplat vulkan) -lpthread -o app_device && ./app_device
- * Under ZIPSPLAT_VALIDATION=1 the app's instance has the Khronos validation layer, and a message is a failure. */
+/* Draws into an app's own Vulkan image, ordered by the app's timeline semaphore. Pixels reach the
+ * host only for the final check.
+ *     cc app_device.c $(pkg-config --cflags --libs zipsplat vulkan) -lpthread -o app_device
+ *     ./app_device
+ * ZIPSPLAT_VALIDATION=1 enables the Khronos validation layer; its messages are failures. */
 #include <pthread.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -85,8 +86,8 @@ static uint32_t compute_family(VkPhysicalDevice physical) {
     return 0;
 }
 
-/* What zs_vulkan_requirements lists: extensions by their names, features in the structures that they are fields of. The optional
- * ones are left out, since drawing does not need them; an app that reconstructs enables them, too, and sets zs_vulkan_device.fast. */
+/* Enables required extensions and features. Drawing needs no optional ones. An app that
+ * reconstructs enables those, too, and sets zs_vulkan_device.fast. */
 static VkDevice create_device(VkPhysicalDevice physical, uint32_t family) {
     const zs_vulkan_requirement *required;
     size_t count;
@@ -141,7 +142,7 @@ static VkDeviceMemory allocate(VkPhysicalDevice physical, VkDevice device, VkMem
     return VK_NULL_HANDLE;
 }
 
-/* What the app does with each picture: here, copy it to a buffer that the host can read. */
+/* The app's use of a picture: a copy to a host-visible buffer. */
 static VkCommandBuffer record_copy(VkDevice device, VkCommandPool pool, VkImage image, VkBuffer buffer) {
     const VkCommandBufferAllocateInfo allocate_info = {.sType = VK_STRUCTURE_TYPE_COMMAND_BUFFER_ALLOCATE_INFO,
                                                        .commandPool = pool,
@@ -271,7 +272,7 @@ int main(void) {
     zs_scene *scene = make_scene();
     zs(zs_renderer_create(context, scene, &renderer), "renderer");
 
-    /* Even values: the app is done with the image. Odd values: the picture is in it. */
+    /* Even values: the image is free. Odd values: the picture is ready. */
     unsigned char *expected = malloc(BYTES);
     zs_semaphore_point free_again = {(uint64_t)(uintptr_t)timeline, 0}, drawn = free_again;
     zs_vulkan_target target;
@@ -286,7 +287,7 @@ int main(void) {
         submit(queue, copy, timeline, drawn.value, drawn.value + 1);
     }
 
-    /* The same picture into the second half of a buffer, and through the host. */
+    /* The same picture into the second half of a buffer, and into host memory. */
     const zs_camera camera = camera_of_frame(FRAMES - 1);
     const zs_picture picture = {.struct_size = sizeof picture, .pixels = expected};
     free_again.value = 2 * FRAMES, drawn.value = 2 * FRAMES + 1;

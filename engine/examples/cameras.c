@@ -1,6 +1,7 @@
-/* Photos without cameras to a scene, and the cameras that follow from it, as refine.c reads them:
+/* Reconstructs a scene from unposed photos and writes its cameras, as refine.c reads them:
  *     cc cameras.c $(pkg-config --cflags --libs zipsplat) -o cameras
- *     ./cameras MODEL scene.ply cameras.txt PHOTO...      MODEL: embedded, a checkpoint, or seeded:vits */
+ *     ./cameras MODEL scene.ply cameras.txt PHOTO...
+ * MODEL: embedded, a checkpoint, or seeded:vits */
 #include <stdio.h>
 #include <stdlib.h>
 #include <zipsplat.h>

@@ -1,7 +1,7 @@
-/* Photos without cameras to their depth, by Depth Anything 3, and to the cameras that took them:
+/* Estimates depth and cameras of unposed photos with Depth Anything 3:
  *     cc depth.c $(pkg-config --cflags --libs zipsplat) -o depth
  *     ./depth MODEL PREFIX PHOTO...      MODEL: a released model.safetensors, or seeded:da3-small
- * Writes PREFIX0.pfm and so on, the depth of each photo, and PREFIXcameras.txt, the cameras as refine.c reads them. */
+ * Writes depths PREFIX0.pfm, ... and PREFIXcameras.txt, as refine.c reads it. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <zipsplat.h>
@@ -25,7 +25,7 @@ static FILE *create(const char *prefix, const char *name) {
     return file;
 }
 
-/* A portable float map: its rows run from the bottom to the top, and -1 says that bytes run from the least to the most. */
+/* A portable float map: rows bottom-up; scale -1 means little-endian. */
 static int save_depth(const char *prefix, size_t index, const zs_depth_view *view) {
     char name[32];
     snprintf(name, sizeof name, "%zu.pfm", index);

@@ -1,6 +1,7 @@
-/* Photos to a scene and a picture of it:
+/* Reconstructs a scene from photos and draws a picture of it:
  *     cc reconstruct.c $(pkg-config --cflags --libs zipsplat) -o reconstruct
- *     ./reconstruct MODEL scene.ply picture.png PHOTO...      MODEL: embedded, a checkpoint, or seeded:vits */
+ *     ./reconstruct MODEL scene.ply picture.png PHOTO...
+ * MODEL: embedded, a checkpoint, or seeded:vits */
 #include <stdio.h>
 #include <stdlib.h>
 #include <zipsplat.h>
@@ -50,7 +51,7 @@ int main(int argc, char **argv) {
     CHECK(zs_reconstruct(model, images, count, &options, &scene));
     CHECK(zs_scene_save(scene, argv[2], NULL));
 
-    /* From where the first photo was taken, which is the world's origin, with a field of view of 60 degrees. */
+    /* At the first photo's camera, the world's origin, with a field of view of 60 degrees. */
     zs_camera camera = {.struct_size = sizeof camera, .width = SIDE, .height = SIDE, .rotation = {1, 0, 0, 0, 1, 0, 0, 0, 1}};
     camera.fx = camera.fy = 0.866 * SIDE, camera.cx = camera.cy = 0.5 * SIDE;
     zs_picture picture = {.struct_size = sizeof picture, .pixels = pixels};

@@ -1,6 +1,7 @@
-// As reconstruct.c, in C++17: objects destroy themselves, failures are exceptions, Gaussians are vectors.
+// reconstruct.c in C++17, with RAII, exceptions and vectors.
 //     c++ -std=c++17 reconstruct.cpp $(pkg-config --cflags --libs zipsplat) -o reconstruct
-//     ./reconstruct MODEL scene.ply picture.png PHOTO...      MODEL: embedded, a checkpoint, or seeded:vits
+//     ./reconstruct MODEL scene.ply picture.png PHOTO...
+// MODEL: embedded, a checkpoint, or seeded:vits
 #include <cstdio>
 #include <exception>
 #include <memory>
@@ -37,7 +38,7 @@ using Photo = Handle<zs_photo, zs_photo_destroy>;
 using Scene = Handle<zs_scene, zs_scene_destroy>;
 using Renderer = Handle<zs_renderer, zs_renderer_destroy>;
 
-// make<Scene>(zs_scene_open, "scene.ply"): calls a function that hands out an object through its last argument.
+// make<Scene>(zs_scene_open, "scene.ply") calls a constructor with an output argument.
 template <class H, class Function, class... Arguments>
 H make(Function function, Arguments... arguments) {
     typename H::pointer object = nullptr;
@@ -45,7 +46,7 @@ H make(Function function, Arguments... arguments) {
     return H(object);
 }
 
-// A structure of zeroes that says its size.
+// Creates a zeroed structure with its size set.
 template <class T>
 T sized() {
     T structure{};
@@ -67,7 +68,7 @@ struct Gaussians {
     }
 };
 
-// Draws from where the first photo was taken, which is the world's origin, with a field of view of 60 degrees.
+// Draws from the first photo's camera, the world's origin, with a field of view of 60 degrees.
 inline void draw(const zs_context *context, const zs_scene *scene, uint32_t side, const char *path) {
     auto camera = sized<zs_camera>();
     camera.width = camera.height = side;

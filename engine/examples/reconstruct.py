@@ -1,9 +1,10 @@
-"""As reconstruct.c, with ctypes and NumPy and nothing to build.
+"""reconstruct.c with ctypes and NumPy, without a build.
 
-usage: ZIPSPLAT_LIBRARY=/prefix/lib/libzipsplat.so python3 reconstruct.py MODEL scene.ply picture.png PHOTO...
+usage: ZIPSPLAT_LIBRARY=/prefix/lib/libzipsplat.so python3 reconstruct.py MODEL scene.ply
+           picture.png PHOTO...
 MODEL: embedded, a checkpoint, or seeded:vits
 
-Pictures go in and come out as arrays [height, width, channels] of uint8 or float32, Gaussians come out as arrays of float32.
+Pictures are arrays [height, width, channels] of uint8 or float32, Gaussians arrays of float32.
 """
 
 import ctypes
@@ -22,7 +23,7 @@ def fields(**named):
 
 
 class Sized(ctypes.Structure):
-    """A structure that says its size."""
+    """A structure with its size set."""
 
     def __init__(self, **values):
         super().__init__(struct_size=ctypes.sizeof(self), **values)
@@ -67,7 +68,7 @@ def call(name, *arguments):
 
 
 class Object:
-    """An object of the library, destroyed with this one."""
+    """An owned object of the library."""
 
     def __init__(self, kind, make, *arguments):
         self.kind, self.handle = kind, pointer()
@@ -78,12 +79,12 @@ class Object:
 
 
 def copied(address, kind, *shape):
-    """What lies in memory of the library, as an array."""
+    """Copies library memory to an array."""
     return np.ctypeslib.as_array(ctypes.cast(address, ctypes.POINTER(kind)), shape).copy()
 
 
 def photo(path):
-    """A picture file as an array [height, width, 3] of uint8."""
+    """Reads a picture as an array [height, width, 3] of uint8."""
     opened, image = Object("photo", "zs_photo_open", os.fsencode(path)), Image()
     call("zs_photo_get_image", opened.handle, ctypes.byref(image))
     return copied(image.pixels, ctypes.c_uint8, image.height, image.width, 3)
@@ -102,7 +103,7 @@ def reconstruct(model, pictures, ratio=1.0):
 
 
 def draw(context, scene, side):
-    """RGBA [side, side, 4] of uint8 from the world's origin, with a field of view of 60 degrees."""
+    """Draws RGBA [side, side, 4] uint8 from the origin, with a field of view of 60 degrees."""
     focal, identity = 0.866 * side, (9 * f64)(1, 0, 0, 0, 1, 0, 0, 0, 1)
     camera = Camera(width=side, height=side, fx=focal, fy=focal, cx=side / 2, cy=side / 2, rotation=identity)
     pixels = np.empty((side, side, 4), np.uint8)
@@ -113,14 +114,14 @@ def draw(context, scene, side):
 
 
 def save(pixels, path):
-    """Writes a picture of `draw` as PNG."""
+    """Writes a drawn picture as PNG."""
     height, width, _ = pixels.shape
     image = Image(format=RGBA8, width=width, height=height, pixels=pixels.ctypes.data)
     call("zs_image_save_png", ctypes.byref(image), os.fsencode(path))
 
 
 def gaussians(scene):
-    """A scene as a dictionary of arrays."""
+    """Returns a scene as a dictionary of arrays."""
     found = Gaussians()
     call("zs_scene_get_gaussians", scene.handle, ctypes.byref(found))
     n, k = found.count, (found.sh_degree + 1) ** 2

@@ -1,10 +1,10 @@
-/* A scene made sharp against photos whose cameras are known:
+/* Refines a scene against photos with known cameras:
  *     cc refine.c $(pkg-config --cflags --libs zipsplat) -o refine
  *     ./refine scene.ply cameras.txt sharp.ply PHOTO...
  *     ./refine model.safetensors cameras.txt sharp.ply PHOTO...
- * With a model the scene is what it makes of the photos, and its tokens are refined in place of its Gaussians.
- * cameras.txt has 16 numbers for each photo, in their order: fx fy cx cy in pixels, then the camera-to-world pose in the scene's
- * world, its rotation row by row and the camera's centre. */
+ * With a model, reconstructs the scene and refines its tokens.
+ * cameras.txt has 16 numbers per photo: fx fy cx cy in pixels, the row-major camera-to-world
+ * rotation and the camera's center, in the scene's world. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -85,7 +85,7 @@ int main(int argc, char **argv) {
     CHECK(zs_scene_save(sharp, argv[3], NULL));
     printf("%u steps in %.1f s: loss %.4f to %.4f; kept is step %u", info.steps, info.seconds, info.first_loss,
            info.last_loss, info.best_step);
-    /* Of 9 photos or more one is held out, and the step is kept that predicts it best. */
+    /* With 9 or more photos one is held out and selects the best step. */
     if (info.psnr == info.psnr) printf("; held-out photos %.2f to %.2f dB", info.psnr_before, info.psnr);
     printf("\n");
     result = EXIT_SUCCESS;

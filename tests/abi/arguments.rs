@@ -1,4 +1,4 @@
-//! Whatever is passed, a status comes back.
+//! Every call returns a status, for any arguments.
 
 use crate::calls::*;
 use std::{
@@ -13,7 +13,7 @@ use zipsplat_c::{zs_status::*, *};
 #[test]
 fn null_is_refused_everywhere() {
     let refused = [
-        // SAFETY: every entry point takes NULL for every pointer.
+        // SAFETY: every pointer may be NULL.
         unsafe { zs_device_count(null_mut()) },
         unsafe { zs_device_get(0, null_mut()) },
         unsafe { zs_context_options_default(null_mut(), 16) },
@@ -67,11 +67,11 @@ fn failures_leave_null_behind() {
     let context = context();
     let text = c_string("no such file");
     let mut scene = dangling_mut();
-    // SAFETY: a string, and where to put it.
+    // SAFETY: a string, an output pointer.
     fails(unsafe { zs_scene_open(text.as_ptr(), &mut scene) }, ZS_ERROR_IO, &["no such file"]);
     assert!(scene.is_null());
     let mut model = dangling_mut();
-    // SAFETY: a live context, bytes of that length, and where to put it.
+    // SAFETY: a live context, bytes of that length, an output pointer.
     let status = unsafe { zs_model_from_memory(context.handle, b"no model".as_ptr().cast(), 8, null(), &mut model) };
     fails(status, ZS_ERROR_FORMAT, &["model in memory"]);
     assert!(model.is_null());
@@ -79,11 +79,11 @@ fn failures_leave_null_behind() {
     let mut options = context_options();
     options.device = device.as_ptr();
     let mut other = dangling_mut();
-    // SAFETY: options that live as long as the call.
+    // SAFETY: options that outlive the call.
     fails(unsafe { zs_context_create(&options, &mut other) }, ZS_ERROR_NO_DEVICE, &["no such device"]);
     assert!(other.is_null());
     let bad = [b'x', 0xff, 0];
-    // SAFETY: a string, and where to put it.
+    // SAFETY: a string, an output pointer.
     fails(unsafe { zs_photo_open(bad.as_ptr().cast(), &mut null_mut()) }, ZS_ERROR_ARGUMENT, &["path", "UTF-8"]);
 }
 
@@ -98,7 +98,7 @@ fn context_options() -> zs_context_options {
 fn structures_of_other_sizes_are_refused() {
     for size in [0, 1, 4, 12, 17, 32, u32::MAX as usize, usize::MAX] {
         let mut options = context_options();
-        // SAFETY: nothing is written where the size is refused.
+        // SAFETY: a rejected size writes nothing.
         let status = unsafe { zs_context_options_default(&mut options, size) };
         fails(status, ZS_ERROR_ARGUMENT, &["zs_context_options", "struct_size"]);
         options.struct_size = size as u32;
@@ -128,9 +128,9 @@ fn structures_of_arrays_say_their_size() {
     let path = folder.path().join("photo.png");
     photos[0].save_png(&path).expect("a photo can be written");
     let path = c_string(path.to_str().expect("UTF-8"));
-    // SAFETY: a string, and where to put it.
+    // SAFETY: a string, an output pointer.
     let opened = Object::new(zs_photo_destroy, |out| unsafe { zs_photo_open(path.as_ptr(), out) });
-    // SAFETY: a live photo; nothing is written where the size is refused.
+    // SAFETY: a live photo; a rejected size writes nothing.
     let status = unsafe { zs_photo_get_image(opened.handle, &mut photo) };
     fails(status, ZS_ERROR_ARGUMENT, &["zs_image, struct_size"]);
 }
@@ -138,9 +138,9 @@ fn structures_of_arrays_say_their_size() {
 #[test]
 fn devices_are_described() {
     let mut count = 0;
-    // SAFETY: where to put it.
+    // SAFETY: an output pointer.
     ok(unsafe { zs_device_count(&mut count) });
-    // SAFETY: zeroes are a value of this structure.
+    // SAFETY: zeros are valid.
     let mut info: zs_device_info = unsafe { std::mem::zeroed() };
     info.struct_size = size_of::<zs_device_info>() as u32;
     // SAFETY: a structure of its size.
@@ -160,7 +160,7 @@ fn devices_are_described() {
         let number = c_string(index.to_string());
         for device in [number.as_ptr(), info.uuid.as_ptr()] {
             let options = zs_context_options { device, ..context_options() };
-            // SAFETY: options that live as long as the call, and where to put it.
+            // SAFETY: outlives the call; an output pointer.
             let context = Object::new(zs_context_destroy, |out| unsafe { zs_context_create(&options, out) });
             // SAFETY: as above.
             ok(unsafe { zs_context_get_info(context.handle, &mut info) });
@@ -172,10 +172,10 @@ fn devices_are_described() {
 #[test]
 fn memory_can_be_limited() {
     let options = zs_context_options { max_memory_bytes: 4096, ..context_options() };
-    // SAFETY: options that live as long as the call, and where to put it.
+    // SAFETY: outlives the call; an output pointer.
     let context = Object::new(zs_context_destroy, |out| unsafe { zs_context_create(&options, out) });
     let mut model = dangling_mut();
-    // SAFETY: a live context, bytes of that length, no options, and where to put it.
+    // SAFETY: a live context, bytes of that length, no options, an output pointer.
     let status =
         unsafe { zs_model_from_memory(context.handle, micro().as_ptr().cast(), micro().len(), null(), &mut model) };
     fails(status, ZS_ERROR_OUT_OF_MEMORY, &["4096 bytes"]);
@@ -184,7 +184,7 @@ fn memory_can_be_limited() {
 
 unsafe extern "C" fn stop_at_third(calls: *mut c_void, fraction: f64, stage: *const c_char) -> i32 {
     assert!((0.0..=1.0).contains(&fraction) && !stage.is_null());
-    // SAFETY: the counter of the test that passed it.
+    // SAFETY: the counter of the calling test.
     let calls = unsafe { &*calls.cast::<AtomicU32>() };
     (calls.fetch_add(1, Ordering::Relaxed) == 2).into()
 }
@@ -206,7 +206,7 @@ fn progress_is_told_and_can_stop() {
     let images: Vec<_> = photos.iter().map(image_of).collect();
     let options = zs_reconstruct_options { progress: Some(stop_at_third), user_data, ..reconstruct_options() };
     let mut scene = null_mut();
-    // SAFETY: live objects and arrays of their lengths.
+    // SAFETY: live objects, full arrays.
     let status = unsafe { zs_reconstruct(model.handle, images.as_ptr(), 2, &options, &mut scene) };
     fails(status, ZS_ERROR_CANCELLED, &[]);
     assert!(scene.is_null());
@@ -216,11 +216,10 @@ fn progress_is_told_and_can_stop() {
     // SAFETY: live objects, bytes of that length.
     let status = unsafe { zs_model_from_memory(context.handle, bytes, size, &options, &mut refused) };
     fails(status, ZS_ERROR_ARGUMENT, &["precision", "9"]);
-    // The model goes on working.
     reconstruct(&model, &images, &reconstruct_options());
 }
 
-/// The messages to a callback on the thread of the call, and when it stops that.
+/// Records a callback's messages and thread, and stops the call.
 struct Told {
     stages: Vec<(f64, String)>,
     most: usize,
@@ -228,7 +227,7 @@ struct Told {
 }
 
 unsafe extern "C" fn listen(told: *mut c_void, fraction: f64, stage: *const c_char) -> i32 {
-    // SAFETY: the test's own, which waits for the call.
+    // SAFETY: owned by the test, which waits for the call.
     let (told, stage) = unsafe { (&mut *told.cast::<Told>(), CStr::from_ptr(stage)) };
     assert_eq!(told.thread, thread::current().id());
     told.stages.push((fraction, stage.to_str().expect("UTF-8").to_owned()));
@@ -264,7 +263,7 @@ fn what_cannot_be_reconstructed_is_refused() {
     let options = reconstruct_options();
     let refused = |images: &[zs_image], count: usize, options: &zs_reconstruct_options, words: &[&str]| {
         let mut scene = dangling_mut();
-        // SAFETY: the sizes that are too large are refused before anything is read.
+        // SAFETY: oversized counts are rejected unread.
         let status = unsafe { zs_reconstruct(model.handle, images.as_ptr(), count, options, &mut scene) };
         fails(status, ZS_ERROR_ARGUMENT, words);
         assert!(scene.is_null());
@@ -312,7 +311,7 @@ fn what_cannot_be_drawn_is_refused() {
     let picture = picture_at(pixels.as_mut_ptr());
     let options = render_options(zs_pixel_format::ZS_PIXEL_RGBA8);
     let refused = |camera: &zs_camera, picture: &zs_picture, count: usize, options: &zs_render_options, word: &str| {
-        // SAFETY: what is too large is refused before anything is touched.
+        // SAFETY: oversized pictures are rejected unread.
         let status = unsafe { zs_render(renderer.handle, camera, picture, count, options) };
         fails(status, ZS_ERROR_ARGUMENT, &[word]);
     };
@@ -333,7 +332,7 @@ fn what_cannot_be_drawn_is_refused() {
     refused(&good, &picture, 1, &zs_render_options { depth: 7, ..options }, "depth");
     refused(&good, &picture, 1, &zs_render_options { near_plane: -1.0, ..options }, "near_plane");
     refused(&good, &picture, 1, &zs_render_options { background: [f32::NAN; 3], ..options }, "background");
-    // SAFETY: no cameras at all are none to draw.
+    // SAFETY: zero cameras are not accessed.
     ok(unsafe { zs_render(renderer.handle, null(), null(), 0, null()) });
     // SAFETY: as above.
     let status = unsafe { zs_render_to_vulkan(renderer.handle, &good, null(), null()) };
@@ -353,7 +352,7 @@ fn what_is_no_scene_is_refused() {
     let array = arrays(&gaussians);
     let refused = |array: &zs_gaussians, word: &str| {
         let mut scene = dangling_mut();
-        // SAFETY: what is too large is refused before anything is read.
+        // SAFETY: oversized arrays are rejected unread.
         fails(unsafe { zs_scene_create(array, &mut scene) }, ZS_ERROR_ARGUMENT, &[word]);
         assert!(scene.is_null());
     };
@@ -368,7 +367,7 @@ fn what_is_no_scene_is_refused() {
     refused(&zs_gaussians { opacities: opacity.as_ptr(), ..array }, "opacities");
     // SAFETY: arrays of their lengths.
     let scene = Object::new(zs_scene_destroy, |out| unsafe { zs_scene_create(&array, out) });
-    // SAFETY: a live scene; nothing is written where the size is refused.
+    // SAFETY: a live scene; a rejected size writes nothing.
     let status = unsafe { zs_scene_get_gaussians(scene.handle, &mut zs_gaussians { struct_size: 0, ..array }) };
     fails(status, ZS_ERROR_ARGUMENT, &["zs_gaussians", "struct_size"]);
     let path = c_string("scene.unknown");
@@ -379,7 +378,7 @@ fn what_is_no_scene_is_refused() {
 #[test]
 fn handles_that_cannot_be_adopted_are_refused() {
     let mut device = std::mem::MaybeUninit::uninit();
-    // SAFETY: room for the structure, which is filled where it succeeds.
+    // SAFETY: initialized on success.
     let device: zs_vulkan_device = unsafe {
         ok(zs_vulkan_device_default(device.as_mut_ptr(), size_of::<zs_vulkan_device>()));
         device.assume_init()
@@ -391,7 +390,7 @@ fn handles_that_cannot_be_adopted_are_refused() {
         (zs_vulkan_device { reserved: 1, ..device }, "reserved"),
     ] {
         let mut context = dangling_mut();
-        // SAFETY: null handles are refused before they are used.
+        // SAFETY: null handles are rejected before use.
         fails(unsafe { zs_context_adopt(&device, &mut context) }, ZS_ERROR_ARGUMENT, &[word]);
         assert!(context.is_null());
     }

@@ -1,4 +1,4 @@
-//! Calls as an app makes them, whose failures fail a test.
+//! Calls of the C ABI that panic on failure.
 
 use std::{
     ffi::{CStr, CString},
@@ -12,13 +12,13 @@ use zipsplat::{
 use zipsplat_c::*;
 use zipsplat_tests::architectures;
 
-/// An object that is destroyed with this one.
+/// An object, destroyed on drop.
 pub struct Object<T> {
     pub handle: *mut T,
     destroy: unsafe extern "C" fn(*mut T),
 }
 
-// SAFETY: the header says that any thread may use and destroy objects.
+// SAFETY: any thread may use and destroy objects.
 unsafe impl<T> Send for Object<T> {}
 // SAFETY: as above.
 unsafe impl<T> Sync for Object<T> {}
@@ -28,7 +28,7 @@ impl<T> Object<T> {
         made(Self::try_new(destroy, make))
     }
 
-    /// There is an object where the status is `ZS_OK`, and only there.
+    /// Asserts an object exactly on `ZS_OK`.
     pub fn try_new(
         destroy: unsafe extern "C" fn(*mut T),
         make: impl FnOnce(*mut *mut T) -> zs_status,
@@ -42,7 +42,7 @@ impl<T> Object<T> {
 
 impl<T> Drop for Object<T> {
     fn drop(&mut self) {
-        // SAFETY: made by `new`, destroyed once.
+        // SAFETY: created by `new`, destroyed once.
         unsafe { (self.destroy)(self.handle) }
     }
 }
@@ -57,7 +57,7 @@ pub fn ok(status: zs_status) {
     assert!(status == zs_status::ZS_OK, "{status:?}: {}", message());
 }
 
-/// Holds that a call failed with this status and a message that has all of `words`.
+/// Asserts a failure with this status and a message that contains all `words`.
 #[track_caller]
 pub fn fails(status: zs_status, expected: zs_status, words: &[&str]) {
     assert_eq!(status, expected, "{}", message());
@@ -67,17 +67,15 @@ pub fn fails(status: zs_status, expected: zs_status, words: &[&str]) {
 }
 
 pub fn message() -> String {
-    // SAFETY: a string of this thread's.
+    // SAFETY: a string of this thread.
     unsafe { CStr::from_ptr(zs_last_error()) }.to_str().expect("UTF-8").to_owned()
 }
 
-/// The smallest network, as a file.
 pub fn micro() -> &'static [u8] {
     static MICRO: OnceLock<Vec<u8>> = OnceLock::new();
     MICRO.get_or_init(|| micro_in(Dtype::F32))
 }
 
-/// The same in another type.
 pub fn micro_in(dtype: Dtype) -> Vec<u8> {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("micro.safetensors");
@@ -90,7 +88,7 @@ pub fn checkpoint() -> Checkpoint {
 }
 
 pub fn context() -> Object<zs_context> {
-    // SAFETY: no options, and where to put it.
+    // SAFETY: no options, an output pointer.
     Object::new(zs_context_destroy, |out| unsafe { zs_context_create(null(), out) })
 }
 
@@ -112,7 +110,7 @@ pub fn model_from(
     options: &zs_model_options,
 ) -> Result<Object<zs_model>, zs_status> {
     let load = |out| {
-        // SAFETY: a live context, bytes of that length, options, and where to put it.
+        // SAFETY: a live context, bytes of that length, options, an output pointer.
         unsafe { zs_model_from_memory(context.handle, bytes.as_ptr().cast(), bytes.len(), options, out) }
     };
     Object::try_new(zs_model_destroy, load)
@@ -120,17 +118,15 @@ pub fn model_from(
 
 pub fn model_options() -> zs_model_options {
     let mut options = std::mem::MaybeUninit::uninit();
-    // SAFETY: room for the options, which are filled where it succeeds.
+    // SAFETY: initialized on success.
     unsafe {
         ok(zs_model_options_default(options.as_mut_ptr(), size_of::<zs_model_options>()));
         options.assume_init()
     }
 }
 
-/// Side of the pictures of these tests.
 pub const SIDE: u32 = 5 * 14;
 
-/// Photos of noise.
 pub fn photos(count: u32) -> Vec<Image> {
     let noise = |i: u32| (i.wrapping_mul(2_654_435_761) >> 24) as u8;
     let photo = |view: u32| Image::new(SIDE, SIDE, (0..3 * SIDE * SIDE).map(|i| noise(i + (view << 20) + 1)).collect());
@@ -150,7 +146,7 @@ pub fn image_of(photo: &Image) -> zs_image {
 
 pub fn reconstruct_options() -> zs_reconstruct_options {
     let mut options = std::mem::MaybeUninit::uninit();
-    // SAFETY: room for the options, which are filled where it succeeds.
+    // SAFETY: initialized on success.
     unsafe {
         ok(zs_reconstruct_options_default(options.as_mut_ptr(), size_of::<zs_reconstruct_options>()));
         let mut options = options.assume_init();
@@ -172,7 +168,7 @@ pub fn try_reconstruct(
     images: &[zs_image],
     options: &zs_reconstruct_options,
 ) -> Result<Object<zs_scene>, zs_status> {
-    // SAFETY: live objects and arrays of their lengths.
+    // SAFETY: live objects, full arrays.
     let make = |out| unsafe { zs_reconstruct(model.handle, images.as_ptr(), images.len(), options, out) };
     Object::try_new(zs_scene_destroy, make)
 }
@@ -182,20 +178,20 @@ pub fn renderer(context: &Object<zs_context>, scene: &Object<zs_scene>) -> Objec
 }
 
 pub fn try_renderer(context: &Object<zs_context>, scene: &Object<zs_scene>) -> Result<Object<zs_renderer>, zs_status> {
-    // SAFETY: live objects, and where to put it.
+    // SAFETY: live objects, an output pointer.
     Object::try_new(zs_renderer_destroy, |out| unsafe { zs_renderer_create(context.handle, scene.handle, out) })
 }
 
 pub fn render_options(format: zs_pixel_format) -> zs_render_options {
     let mut options = std::mem::MaybeUninit::uninit();
-    // SAFETY: room for the options, which are filled where it succeeds.
+    // SAFETY: initialized on success.
     unsafe {
         ok(zs_render_options_default(options.as_mut_ptr(), size_of::<zs_render_options>()));
         zs_render_options { format: format as i32, ..options.assume_init() }
     }
 }
 
-/// A camera `right` of the world's origin, looking forward.
+/// A camera `right` of the origin, looking forward.
 pub fn camera(width: u32, height: u32, right: f64) -> zs_camera {
     let focal = f64::from(width);
     let rotation = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
@@ -210,26 +206,23 @@ pub fn camera_of(intrinsics: Intrinsics, rotation: [f64; 9], translation: [f64; 
     zs_camera { struct_size, reserved: 0, width, height, fx, fy, cx, cy, rotation, translation }
 }
 
-/// A picture without alpha and depth.
 pub fn picture_at(pixels: *mut u8) -> zs_picture {
     let (struct_size, none) = (size_of::<zs_picture>() as u32, null_mut());
     zs_picture { struct_size, reserved: 0, stride: 0, pixels: pixels.cast(), alpha: none, depth: none }
 }
 
-/// A scene of arrays.
 pub fn scene_of(scene: &Scene) -> Object<zs_scene> {
     let array = arrays(scene);
-    // SAFETY: arrays of their lengths, and where to put it.
+    // SAFETY: full arrays, an output pointer.
     Object::new(zs_scene_destroy, |out| unsafe { zs_scene_create(&array, out) })
 }
 
-/// A scene's Gaussians, by way of arrays.
 pub fn read(scene: &Object<zs_scene>) -> Scene {
     let mut found = arrays(&Scene::default());
     // SAFETY: a live scene and a structure of its size.
     ok(unsafe { zs_scene_get_gaussians(scene.handle, &mut found) });
     let (n, k) = (found.count as usize, (found.sh_degree as usize + 1).pow(2));
-    // SAFETY: arrays of the scene, which lives, of the lengths that the header says.
+    // SAFETY: arrays of a live scene, of their documented lengths.
     unsafe {
         Scene {
             means: std::slice::from_raw_parts(found.means.cast(), n).to_vec(),
@@ -242,7 +235,6 @@ pub fn read(scene: &Object<zs_scene>) -> Scene {
     }
 }
 
-/// A scene's arrays, as long as the scene lives.
 pub fn arrays(scene: &Scene) -> zs_gaussians {
     zs_gaussians {
         struct_size: size_of::<zs_gaussians>() as u32,
@@ -260,7 +252,6 @@ pub fn c_string(text: impl Into<Vec<u8>>) -> CString {
     CString::new(text).expect("no NUL")
 }
 
-/// All pixels of one picture.
 pub fn draw(renderer: &Object<zs_renderer>, camera: &zs_camera, options: &zs_render_options, bytes: usize) -> Vec<u8> {
     made(try_draw(renderer, camera, options, bytes))
 }
@@ -273,7 +264,7 @@ pub fn try_draw(
 ) -> Result<Vec<u8>, zs_status> {
     let mut pixels = vec![0; (camera.width * camera.height) as usize * bytes];
     let picture = picture_at(pixels.as_mut_ptr());
-    // SAFETY: live objects, and memory as large as the picture.
+    // SAFETY: live objects, and memory of the picture's size.
     match unsafe { zs_render(renderer.handle, camera, &picture, 1, options) } {
         zs_status::ZS_OK => Ok(pixels),
         status => Err(status),

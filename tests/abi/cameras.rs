@@ -1,4 +1,4 @@
-//! Cameras of photos by way of C: what Rust gives, and what is refused.
+//! Estimated cameras through C: equal to Rust's, and errors.
 
 use crate::{
     calls::*,
@@ -14,7 +14,7 @@ use zipsplat_c::{zs_status::*, *};
 use zipsplat_tests::{device::device, scenes::random_scene};
 
 fn empty() -> zs_camera {
-    // SAFETY: numbers, of which 0 is one.
+    // SAFETY: plain numbers, for which zero is valid.
     let camera: zs_camera = unsafe { std::mem::zeroed() };
     zs_camera { struct_size: size_of::<zs_camera>() as u32, ..camera }
 }
@@ -30,7 +30,7 @@ fn cameras_are_those_of_rust() {
     let made = rust.reconstruct(&photos, &Request::default(), |_| ControlFlow::Continue(())).expect("a scene");
     let found = made.cameras(&made.scene().expect("Gaussians"), None).expect("its own scene");
     assert!(found.iter().any(Result::is_ok), "{found:?}");
-    // SAFETY: a live scene, and arrays of its photos' number.
+    // SAFETY: a live scene, and one array element per photo.
     let status =
         unsafe { zs_scene_cameras(scene.handle, cameras.as_mut_ptr(), inliers.as_mut_ptr(), patches.as_mut_ptr(), 3) };
     ok(status);
@@ -66,7 +66,7 @@ fn scenes_of_files_have_no_photos() {
     let path = folder.path().join("scene.ply");
     zipsplat::types::write_ply(&random_scene(20, 0, 0.1), &path).expect("a scene can be written");
     let path = std::ffi::CString::new(path.to_str().expect("UTF-8")).expect("no NUL");
-    // SAFETY: a path, and where to put it.
+    // SAFETY: a path, an output pointer.
     let scene = Object::new(zs_scene_destroy, |out| unsafe { zs_scene_open(path.as_ptr(), out) });
     let mut camera = empty();
     // SAFETY: a live scene, and one camera.
@@ -74,7 +74,7 @@ fn scenes_of_files_have_no_photos() {
     fails(status, ZS_ERROR_ARGUMENT, &["scene to find cameras of", "without cameras"]);
 }
 
-/// The example's cameras are read by that of refinement.
+/// The refinement example can read the cameras of this one.
 #[test]
 fn cameras_in_c() {
     let folder = tempfile::tempdir().expect("a folder");

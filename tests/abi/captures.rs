@@ -1,4 +1,4 @@
-//! Photos with cameras from a file: what Rust reads, and the scene that the command makes of them.
+//! Captures through C: equal to Rust's, and the command's scene.
 
 use crate::calls::*;
 use std::{
@@ -21,7 +21,7 @@ use zipsplat_tests::{compare::assert_same, device::device};
 
 const COUNT: usize = 3;
 
-/// A folder with photos of a lens that distorts, their cameras, and points where asked for.
+/// A folder with distorted photos, their cameras, and optional points.
 fn capture(points: bool) -> TempDir {
     let folder = tempfile::tempdir().expect("a folder");
     std::fs::create_dir(folder.path().join("images")).expect("a folder");
@@ -46,12 +46,12 @@ fn capture(points: bool) -> TempDir {
 
 fn open(path: &Path) -> Object<zs_capture> {
     let path = c_string(path.to_str().expect("UTF-8"));
-    // SAFETY: a string, and where to put it.
+    // SAFETY: a string, an output pointer.
     Object::new(zs_capture_destroy, |out| unsafe { zs_capture_open(path.as_ptr(), out) })
 }
 
 fn text(pointer: *const c_char) -> String {
-    // SAFETY: a string of a capture that lives.
+    // SAFETY: a string of a live capture.
     unsafe { CStr::from_ptr(pointer) }.to_str().expect("UTF-8").to_owned()
 }
 
@@ -64,7 +64,7 @@ struct Found {
 
 fn all(capture: &Object<zs_capture>) -> Found {
     let (mut count, mut notes) = (0, null());
-    // SAFETY: a live object, and where to put what it says.
+    // SAFETY: a live object, and output pointers.
     ok(unsafe { zs_capture_get_count(capture.handle, &mut count, &mut notes) });
     let mut found = Found { cameras: Vec::new(), names: Vec::new(), paths: Vec::new(), notes: text(notes) };
     for i in 0..count {
@@ -79,7 +79,7 @@ fn all(capture: &Object<zs_capture>) -> Found {
 }
 
 fn photo(capture: &Object<zs_capture>, index: usize) -> Object<zs_photo> {
-    // SAFETY: a live object, and where to put it.
+    // SAFETY: a live object, an output pointer.
     Object::new(zs_photo_destroy, |out| unsafe { zs_capture_open_photo(capture.handle, index, null(), out) })
 }
 
@@ -106,7 +106,7 @@ fn photos_and_cameras_are_rusts() {
         assert_eq!(Path::new(&found.paths[i]), frame.photo.as_ref().expect("it is there"));
         let (photo, expected) = (photo(&capture, i), frame.open(&found.paths[i]).expect("a photo"));
         let image = pixels(&photo);
-        // SAFETY: the photo's memory, which lives.
+        // SAFETY: memory of a live photo.
         let rgb = unsafe { std::slice::from_raw_parts(image.pixels.cast::<u8>(), expected.rgb.len()) };
         assert_same("pixels", rgb, &expected.rgb);
     }
@@ -118,13 +118,13 @@ fn photos_are_found_by_name() {
     let capture = open(folder.path());
     for (path, expected) in [("elsewhere/images/1.png", 1), ("2.png", 2), ("3.png", COUNT)] {
         let (path, mut index) = (c_string(path), usize::MAX);
-        // SAFETY: a live object, a string, and where to put it.
+        // SAFETY: a live object, a string, an output pointer.
         ok(unsafe { zs_capture_find(capture.handle, path.as_ptr(), &mut index) });
         assert_eq!(index, expected);
     }
 }
 
-/// The unit that the cameras say, and the points where there are any, changes the scene, as it does in Rust.
+/// Cameras and points determine the scene's scale, as in Rust.
 #[test]
 fn the_unit_is_found_from_the_capture() {
     let (context, mut scenes) = (context(), Vec::new());
@@ -165,12 +165,12 @@ fn what_is_no_capture_is_refused() {
     let (mut out, mut index) = (null_mut(), 0);
     let open = |path: &Path, out: &mut *mut zs_capture| {
         let path = c_string(path.to_str().expect("UTF-8"));
-        // SAFETY: a string, and where to put it.
+        // SAFETY: a string, an output pointer.
         unsafe { zs_capture_open(path.as_ptr(), out) }
     };
     fails(open(&folder.path().join("none"), &mut out), ZS_ERROR_IO, &["none"]);
     fails(open(&folder.path().join("images"), &mut out), ZS_ERROR_ARGUMENT, &["images", "transforms.json"]);
-    // SAFETY: live objects or NULL, and where to put what they say.
+    // SAFETY: live objects or NULL, and output pointers.
     unsafe {
         let name = &mut null();
         fails(

@@ -1,4 +1,4 @@
-//! The header compiles everywhere, and programs find the library in every way that is offered.
+//! The header compiles as C and C++, and programs find the library by each supported method.
 
 use crate::{
     header::root,
@@ -20,7 +20,6 @@ fn as_c99_and_cpp17_shared_and_static() {
     }
 }
 
-/// The documented line, in a folder with an app.
 #[test]
 fn as_the_readme_says() {
     let readme = std::fs::read_to_string(root().join("engine/examples/README.md")).expect("how to embed");
@@ -43,7 +42,7 @@ fn a_prefix_that_cannot_be_written_is_refused_before_anything_is_built() {
     let file = folder.path().join("file");
     std::fs::write(&file, "").expect("a file");
     let mut install = Command::new(root().join("tools/install.sh"));
-    // Without a cargo, as under sudo.
+    // Without cargo, as under sudo.
     install.arg(file.join("prefix")).env_remove("ZIPSPLAT_LIBS").env("CARGO_HOME", folder.path());
     let failed = install.env("PATH", "/usr/bin:/bin").output().expect("the script runs");
     let message = String::from_utf8_lossy(&failed.stderr);
@@ -56,7 +55,6 @@ fn versions_agree() {
     assert_eq!(version, [env!("CARGO_PKG_VERSION")]);
 }
 
-/// Below the prefix, by the names that tools ask for.
 #[test]
 fn pkg_config_says_where_things_are() {
     let found = |prefix: &Path, lib: &str, variable: &str| {
@@ -101,7 +99,7 @@ fn nothing_else_is_exported() {
     assert!(symbols.contains("zs_reconstruct") && others.is_empty(), "{others:?}");
 }
 
-/// Where CMake is installed.
+/// Requires CMake.
 #[test]
 fn cmake_finds_both() {
     if Command::new("cmake").arg("--version").output().is_err() {

@@ -1,4 +1,4 @@
-//! Objects that are destroyed are gone, in whatever order.
+//! Destroyed objects release their memory, in any order.
 
 use crate::{
     calls::*,
@@ -7,13 +7,13 @@ use crate::{
 use std::path::PathBuf;
 use zipsplat_c::*;
 
-/// Stretches of cycles between which memory is looked at. Allocators and the driver's threads keep something now and then;
-/// what leaks grows in every one.
+/// Number of measured stretches of cycles. Allocators and driver threads occasionally grow; a leak
+/// grows in every stretch.
 const STRETCHES: usize = 4;
-/// Megabytes by which memory may grow in the stretch in which it grows least.
+/// Limit of the least growth, in MB.
 const LEAST_GROWTH: f64 = 0.5;
 
-/// Create, reconstruct, draw, destroy; the order of destruction depends on `cycle`.
+/// Create, reconstruct, draw, destroy, in an order that depends on `cycle`.
 fn cycle(cycle: usize) {
     let photos = photos(1);
     let context = context();
@@ -27,25 +27,23 @@ fn cycle(cycle: usize) {
     for i in [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]][cycle % 6] {
         objects[i] = None;
     }
-    // What it is made from is gone, but not what it needs.
     assert_eq!(draw(&renderer, &camera(32, 32, 0.0), &options, 4), early);
 }
 
-/// Bytes of this process in memory.
 fn resident_bytes() -> u64 {
     let statistics = std::fs::read_to_string("/proc/self/statm").expect("Linux");
     let pages: u64 = statistics.split(' ').nth(1).and_then(|pages| pages.parse().ok()).expect("a number of pages");
     4096 * pages
 }
 
-/// Megabytes by which memory grows over `cycles`.
+/// Memory growth in MB over `cycles`.
 fn growth(cycles: usize) -> f64 {
     let before = resident_bytes();
     (0..cycles).for_each(cycle);
     (resident_bytes() as f64 - before as f64) / 1e6
 }
 
-/// The process runs this test alone.
+/// Needs a process without other tests.
 #[test]
 fn memory_stays_flat() {
     let test = PathBuf::from(std::env::args_os().next().expect("the test's own path"));
@@ -60,7 +58,8 @@ fn every_order_of_destruction_works() {
     (0..6).for_each(cycle);
 }
 
-/// 1,000 cycles, or `ZIPSPLAT_CYCLES`: `cargo test --test abi -- --ignored`. The weights alone that a cycle loads are 1 MB.
+/// 1,000 cycles, or `ZIPSPLAT_CYCLES`: `cargo test --test abi -- --ignored`. Each loads 1 MB of
+/// weights.
 #[test]
 #[ignore = "takes minutes"]
 fn memory_stays_flat_over_many_cycles() {

@@ -1,4 +1,4 @@
-//! Depth of photos by way of C: what Rust gives, and what is refused.
+//! Depth through C: equal to Rust's, and errors.
 
 use crate::calls::*;
 use std::{
@@ -18,14 +18,13 @@ use zipsplat_tests::{architectures, device::device};
 
 fn options() -> zs_depth_options {
     let mut options = std::mem::MaybeUninit::uninit();
-    // SAFETY: room for the options, which are filled where it succeeds.
+    // SAFETY: initialized on success.
     unsafe {
         ok(zs_depth_options_default(options.as_mut_ptr(), size_of::<zs_depth_options>()));
         options.assume_init()
     }
 }
 
-/// The weights of a small network in a file, and on a context's device.
 fn model(context: &Object<zs_context>, folder: &Path, alone: bool) -> (DepthCheckpoint, Object<zs_depth_model>) {
     let network = if alone { architectures::depth_micro_alone() } else { architectures::depth_micro() };
     let checkpoint = DepthCheckpoint::seeded(network, "micro").expect("a network");
@@ -34,26 +33,25 @@ fn model(context: &Object<zs_context>, folder: &Path, alone: bool) -> (DepthChec
     let path = c_string(path.to_str().expect("UTF-8"));
     let mut of_model = model_options();
     of_model.precision = zs_precision::ZS_PRECISION_EXACT as i32;
-    // SAFETY: a live context, a path, options, and where to put it.
+    // SAFETY: a live context, a path, options, an output pointer.
     let open = |out| unsafe { zs_depth_model_open(context.handle, path.as_ptr(), &of_model, out) };
     (checkpoint, Object::new(zs_depth_model_destroy, open))
 }
 
 fn find(model: &Object<zs_depth_model>, photos: &[Image], options: &zs_depth_options) -> Object<zs_depths> {
     let images: Vec<zs_image> = photos.iter().map(image_of).collect();
-    // SAFETY: a live model, pictures, options, and where to put it.
+    // SAFETY: a live model, pictures, options, an output pointer.
     Object::new(zs_depths_destroy, |out| unsafe {
         zs_depth_find(model.handle, images.as_ptr(), images.len(), options, out)
     })
 }
 
-/// The depth and the camera of a photo; numbers of which 0 is one.
 fn get(depths: &Object<zs_depths>, index: usize) -> (zs_depth_view, zs_camera) {
-    // SAFETY: structures of numbers and pointers, of which 0 is one.
+    // SAFETY: numbers and pointers, for which zero is valid.
     let (mut view, mut camera): (zs_depth_view, zs_camera) = unsafe { (std::mem::zeroed(), std::mem::zeroed()) };
     view.struct_size = size_of::<zs_depth_view>() as u32;
     camera.struct_size = size_of::<zs_camera>() as u32;
-    // SAFETY: live depths and structures that say their size.
+    // SAFETY: live depths and structures with their size set.
     ok(unsafe { zs_depths_get(depths.handle, index, &mut view, &mut camera) });
     (view, camera)
 }
@@ -71,7 +69,7 @@ fn depth_is_that_of_rust() {
     for (i, (of_view, camera)) in truth.views.iter().zip(&cameras).enumerate() {
         let (view, found) = get(&depths, i);
         assert_eq!((view.width, view.height, found.width), (SIDE, SIDE, SIDE));
-        // SAFETY: arrays of the depths, which live.
+        // SAFETY: arrays of live depths.
         let [depth, confidence] = [view.depth, view.confidence]
             .map(|values| unsafe { std::slice::from_raw_parts(values, (SIDE * SIDE) as usize) });
         assert!(depth == of_view.depth && Some(confidence) == of_view.confidence.as_deref() && view.sky.is_null());
@@ -79,20 +77,18 @@ fn depth_is_that_of_rust() {
         assert_eq!(found.rotation, camera.pose.rotation.transpose().to_cols_array());
         assert_eq!(found.translation, camera.pose.translation.to_array());
     }
-    // One focal length, where nobody says.
     let shared = find(&model, &photos, &zs_depth_options { side: SIDE, ..options() });
     let lenses = [0, 1].map(|i| get(&shared, i).1).map(|camera| [camera.fx, camera.fy]);
     assert!(lenses[0] == lenses[1] && lenses[0][0] == lenses[0][1], "{lenses:?}");
     assert_ne!(lenses[0], [cameras[0].intrinsics.fx, cameras[0].intrinsics.fy]);
 
-    // The scene is that of Rust, too.
-    // SAFETY: live depths, and where to put it.
+    // SAFETY: live depths, and an output pointer. The scene equals Rust's.
     let scene = Object::new(zs_scene_destroy, |out| unsafe { zs_depths_scene(depths.handle, 3, out) });
     let expected = truth.scene(&cameras, &photos, Some(3));
     assert!(expected.len() > 20);
     assert!(read(&scene) == expected);
 
-    // Cameras that are given are those that come back, and depth is in their unit.
+    // Known cameras are returned unchanged and set the depth scale.
     let given: Vec<zs_camera> = cameras
         .iter()
         .map(|camera: &Camera| {
@@ -114,7 +110,7 @@ fn photos_by_themselves_have_sky_and_no_cameras() {
     let (view, camera) = get(&depths, 0);
     assert!(view.confidence.is_null() && !view.sky.is_null() && !view.depth.is_null());
     assert_eq!((camera.width, camera.height), (0, 0));
-    // SAFETY: live depths, and where to put it.
+    // SAFETY: live depths, an output pointer.
     let status = unsafe { zs_depths_scene(depths.handle, 0, &mut null_mut()) };
     fails(status, ZS_ERROR_ARGUMENT, &["cameras of the depths", "none"]);
 }
@@ -133,12 +129,12 @@ fn wrong_arguments_are_named() {
         (zs_depth_options { reserved: 1, ..options() }, ["reserved", "expected 0"]),
         (zs_depth_options { cameras: &camera, camera_count: 1, ..options() }, ["number of cameras", "0 or 2"]),
     ] {
-        // SAFETY: a live model, pictures, options, and where to put it.
+        // SAFETY: a live model, pictures, options, an output pointer.
         let status = unsafe { zs_depth_find(model.handle, images.as_ptr(), 2, &options, &mut null_mut()) };
         fails(status, ZS_ERROR_ARGUMENT, &words);
     }
     let depths = find(&model, &photos, &zs_depth_options { side: SIDE, ..options() });
-    // SAFETY: live objects; what is missing is NULL, which every entry point takes for every pointer.
+    // SAFETY: live objects or NULL, which every entry point accepts for every pointer.
     unsafe {
         for status in [
             zs_depth_model_open(null(), null(), null(), null_mut()),

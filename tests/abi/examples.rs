@@ -1,4 +1,4 @@
-//! The examples, as a reader would build and run them, on the device of these tests.
+//! Builds and runs the examples on the tests' device.
 
 use crate::{
     calls::{micro, photos},
@@ -24,7 +24,6 @@ fn example(name: &str) -> PathBuf {
     root().join("engine/examples").join(name)
 }
 
-/// A folder with a small network and two photos.
 fn inputs() -> (TempDir, Vec<PathBuf>) {
     let folder = tempfile::tempdir().expect("a folder");
     std::fs::write(folder.path().join("micro.safetensors"), micro()).expect("weights can be written");
@@ -35,7 +34,7 @@ fn inputs() -> (TempDir, Vec<PathBuf>) {
     (folder, names.to_vec())
 }
 
-/// Means of the scene that Rust makes of the same photos at the default size.
+/// Means of Rust's scene of the same photos at the default size.
 fn expected_means(checkpoint: &Checkpoint, photos: &[PathBuf]) -> Vec<[f32; 3]> {
     let side = checkpoint.picture_side();
     let view = |path: &PathBuf| fit(&Image::open(path).expect("a photo"), side, side).expect("a view").image;
@@ -45,8 +44,8 @@ fn expected_means(checkpoint: &Checkpoint, photos: &[PathBuf]) -> Vec<[f32; 3]> 
     done.expect("a scene").scene().unwrap().means
 }
 
-/// Holds that an example makes Rust's scene and a picture with a checkpoint and with the embedded model, and that it says what
-/// it should of so many Gaussians.
+/// Asserts that an example reproduces Rust's scene and draws a picture, with a checkpoint and with
+/// the embedded model. `said` is its expected output for a number of Gaussians.
 fn assert_reconstructs(example: impl Fn() -> Command, said: impl Fn(usize) -> String) {
     let (folder, photos) = inputs();
     let micro = folder.path().join("micro.safetensors");
@@ -96,14 +95,14 @@ fn reconstruct_in_python() {
     assert_reconstructs(run, |count| format!("({count}, 3)"));
 }
 
-/// The whole process: the engine's memory as well as the example's.
+/// Checks the whole process, engine and example.
 #[test]
 fn reconstruct_in_c_leaks_nothing_and_touches_nothing_invalid() {
     let (folder, photos) = inputs();
     let program = installation().compile(&example("reconstruct.c"), Linking::Sanitised, &[]);
     let [model, scene, picture] =
         ["micro.safetensors", "scene.ply", "picture.png"].map(|name| folder.path().join(name));
-    // Without the validation layer, which has leaks of its own.
+    // Without the validation layer, which leaks.
     let run = |model: &Path| {
         let mut command = runner(&program);
         command.arg(model).args([&scene, &picture]).args(&photos).env("ZIPSPLAT_VALIDATION", "0");
@@ -115,7 +114,7 @@ fn reconstruct_in_c_leaks_nothing_and_touches_nothing_invalid() {
     assert!(message.starts_with("ZS_ERROR_IO: ") && message.lines().count() == 1, "{message}");
 }
 
-/// The interpreter itself, which is not always what `python3` is.
+/// A Python with NumPy; `python3` may lack it.
 fn python_with_numpy() -> Option<PathBuf> {
     ["python3", "/usr/bin/python3"].iter().find_map(|name| {
         let found = Command::new(name).args(["-c", "import sys, numpy; print(sys.executable)"]).output().ok()?;
@@ -124,7 +123,7 @@ fn python_with_numpy() -> Option<PathBuf> {
     })
 }
 
-/// The values of a portable float map of one channel, from the top down.
+/// Values of a single-channel portable float map, top row first.
 fn portable_float_map(path: &Path) -> Vec<f32> {
     let bytes = std::fs::read(path).expect("a picture of floats");
     let text: Vec<&[u8]> = bytes.splitn(4, |byte| *byte == b'\n').collect();
@@ -169,7 +168,7 @@ fn depth_in_c() {
     assert!(message.starts_with("ZS_ERROR_IO: ") && message.lines().count() == 1, "{message}");
 }
 
-/// Under validation with synchronisation validation where these tests are; a message is a failure.
+/// With synchronization validation if the tests have it; a message is a failure.
 #[test]
 fn app_with_its_own_device() {
     let vulkan = installation().pkg_config(&["--cflags", "--libs", "vulkan"]);

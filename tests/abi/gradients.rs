@@ -1,4 +1,4 @@
-//! Gradients by way of C: Rust's bits, and slopes of what zs_render draws.
+//! Gradients through C: bitwise equal to Rust's, and slopes of zs_render.
 
 use crate::calls::*;
 use std::ptr::null;
@@ -12,7 +12,6 @@ use zipsplat_tests::{compare::assert_same, device::device, scenes::random_scene}
 const SIZE: [u32; 2] = [40, 30];
 const PIXELS: usize = (SIZE[0] * SIZE[1]) as usize;
 
-/// Weights of every pixel of two cameras, and room for gradients.
 struct Case {
     scene: Scene,
     cameras: [zs_camera; 2],
@@ -43,7 +42,6 @@ impl Case {
         })
     }
 
-    /// The status of differentiating, with what is found in `found`.
     fn run(&mut self, options: &zs_render_options) -> zs_status {
         let (context, scene) = (context(), scene_of(&self.scene));
         let renderer = renderer(&context, &scene);
@@ -53,17 +51,17 @@ impl Case {
         let struct_size = size_of::<zs_gradients>() as u32;
         let to = zs_gradients { struct_size, reserved: 0, means, scales, quats, opacities, sh_coeffs, cameras };
         let (cameras, weights) = (self.cameras.as_ptr(), weights.as_ptr());
-        // SAFETY: live objects and arrays of their lengths.
+        // SAFETY: live objects, full arrays.
         unsafe { zs_render_backward(renderer.handle, scene.handle, cameras, weights, 2, options, &to) }
     }
 
-    /// The sum of weights times what zs_render draws of another scene, by other cameras.
+    /// Weighted sum of zs_render's pictures of another scene and other cameras.
     fn sum(&self, scene: &Scene, cameras: &[zs_camera; 2], options: &zs_render_options) -> f64 {
         let (context, scene) = (context(), scene_of(scene));
         let renderer = renderer(&context, &scene);
         let mut drawn = self.weights.clone();
         let pictures = Self::pictures(&mut drawn);
-        // SAFETY: live objects, and memory as large as the pictures.
+        // SAFETY: live objects, and memory of the pictures' size.
         ok(unsafe { zs_render(renderer.handle, cameras.as_ptr(), pictures.as_ptr(), 2, options) });
         let terms = drawn.iter().flatten().zip(self.weights.iter().flatten());
         terms.map(|(value, weight)| f64::from(*value) * f64::from(*weight)).sum()
@@ -115,8 +113,8 @@ fn are_rusts_bits() {
     }
 }
 
-/// The strongest number of every kind, moved by a little. Gaussians end where their alpha is 1/255: such ends move, too, which the
-/// slope sees and the gradient does not.
+/// Perturbs the largest element of each kind. Gaussians end at alpha 1/255; slopes include the
+/// motion of that edge, gradients do not.
 #[test]
 fn are_slopes_of_pictures() {
     let options = options(zs_depth::ZS_DEPTH_ACCUMULATED);
@@ -135,7 +133,7 @@ fn are_slopes_of_pictures() {
                 3 => &mut scene.opacities[..],
                 4 => scene.sh_coeffs.as_flattened_mut(),
                 _ => {
-                    // Of the rotation of a camera that is not turned, w is a small turn by it.
+                    // For an unrotated camera, w is a small rotation.
                     let (camera, number) = (&mut cameras[at / CAMERA_NUMBERS], at % CAMERA_NUMBERS);
                     match number {
                         0..3 => {
@@ -168,7 +166,7 @@ fn what_has_none_is_refused_and_nothing_is_written() {
     case.cameras[1].fx = f64::NAN;
     fails(case.run(&good), ZS_ERROR_ARGUMENT, &["camera 1"]);
     assert!(case.found.iter().flatten().all(|value| *value == 7.0));
-    // SAFETY: nothing is there.
+    // SAFETY: all pointers are NULL.
     let status = unsafe { zs_render_backward(null(), null(), null(), null(), 0, null(), null()) };
     assert_eq!(status, ZS_ERROR_ARGUMENT);
 }

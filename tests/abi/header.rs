@@ -1,9 +1,8 @@
-//! The committed header is what the sources give: cbindgen's declarations, those of a source together.
+//! The committed header is the one that cbindgen generates, grouped by source file.
 
 use cbindgen::{Builder, Config, DocumentationStyle, EnumConfig, ExportConfig, Language, RenameRule, Style};
 use std::path::{Path, PathBuf};
 
-/// Sources in the order of the header.
 const SOURCES: [&str; 14] = [
     "version",
     "status",
@@ -25,7 +24,7 @@ pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().expect("the repository is there")
 }
 
-/// Enumerations that structures hold as plain numbers, which the header names all the same.
+/// Enumerations that structures store as integers but the header exports.
 const ENUMERATIONS: [&str; 10] = [
     "zs_device_kind",
     "zs_pixel_format",
@@ -76,7 +75,7 @@ fn text(ffi: &Path, name: &str) -> String {
     std::fs::read_to_string(ffi.join(format!("{name}.rs"))).expect("a source")
 }
 
-/// The text before all declarations. cbindgen writes ten lines of preprocessor for each enumeration instead.
+/// Text before the declarations: cbindgen would write ten preprocessor lines per enumeration.
 const BEFORE: &str = r#"// An enumeration of 32 bits: a type of its own in C++ and C23, a number in older C.
 #if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
 #define ZS_ENUM(name) enum name : int32_t; typedef enum name name; enum name : int32_t
@@ -99,8 +98,8 @@ const AFTER: &str = r"
 #endif // ZIPSPLAT_H
 ";
 
-/// cbindgen's header with types and functions of a source together, under the sentence that the source begins with. cbindgen
-/// sorts by kind; types come before their use in its order, and do so still, as each source uses those before it.
+/// Regroups cbindgen's header, sorted by kind, by source file under the file's title. Types stay
+/// before their use, because each source uses only earlier ones.
 fn by_source(header: &str, sources: &[String]) -> String {
     let (top, declarations) = header.split_once("#include <stdint.h>\n").expect("its includes");
     let mut sections = vec![String::new(); sources.len()];
@@ -119,12 +118,10 @@ fn by_source(header: &str, sources: &[String]) -> String {
     out + AFTER
 }
 
-/// Whether it is cbindgen's `extern "C"` or the guard's end.
 fn is_frame(item: &str) -> bool {
     item.starts_with("#ifdef __cplusplus") || item.starts_with("#endif")
 }
 
-/// The name that an item of C declares, behind its comment.
 fn declared(item: &str) -> &str {
     let code = item.lines().find(|line| !line.starts_with("//")).expect("a declaration");
     let word = |text: &str| text.find(|c: char| !c.is_alphanumeric() && c != '_').unwrap_or(text.len());
@@ -135,7 +132,6 @@ fn declared(item: &str) -> &str {
     enumeration.or(keyword).or_else(function).unwrap_or_else(|| panic!("what is declared here?\n{item}"))
 }
 
-/// Whether a source of Rust declares a name.
 fn declares(source: &str, name: &str) -> bool {
     let ends = |rest: &str| !rest.starts_with(|c: char| c.is_alphanumeric() || c == '_');
     ["const", "enum", "struct", "type", "fn"]
@@ -143,7 +139,7 @@ fn declares(source: &str, name: &str) -> bool {
         .any(|kind| source.split(&format!(" {kind} {name}")).skip(1).any(ends))
 }
 
-/// An enumeration by way of the macro; any other item as it is.
+/// Rewrites an enumeration to the macro; other items stay unchanged.
 fn plain_enumeration(item: &str) -> String {
     let Some((comment, code)) =
         item.split_once("enum zs_").filter(|(comment, _)| comment.lines().all(|l| l.starts_with("//")))
@@ -156,7 +152,6 @@ fn plain_enumeration(item: &str) -> String {
     format!("{comment}ZS_ENUM(zs_{name}) {{\n{body}\n}};")
 }
 
-/// A reader finds what an object is and what can be done with it in one place.
 #[test]
 fn types_and_functions_of_an_object_stand_together() {
     let header = std::fs::read_to_string(root().join("engine/bindings/c/include/zipsplat.h")).expect("the header");
@@ -179,7 +174,7 @@ fn types_and_functions_of_an_object_stand_together() {
     assert_eq!(conditions, 4, "the guard, the enumerations, and extern \"C\" from and to");
 }
 
-/// `ZIPSPLAT_WRITE_HEADER=1` writes it instead.
+/// `ZIPSPLAT_WRITE_HEADER=1` writes the header instead.
 #[test]
 fn is_what_the_sources_give() {
     let path = root().join("engine/bindings/c/include/zipsplat.h");

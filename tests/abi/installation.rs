@@ -1,4 +1,4 @@
-//! The library as `tools/install.sh` installs it, and programs built against that.
+//! The library as installed by `tools/install.sh`, and programs built against it.
 
 use crate::header::root;
 use std::{
@@ -15,16 +15,16 @@ pub struct Installation {
 pub enum Linking {
     Shared,
     Static,
-    /// Shared, with AddressSanitizer, which also looks for leaks of the whole process at its end.
+    /// Shared, with AddressSanitizer and its leak check at exit.
     Sanitised,
 }
 
-/// Installed once for all tests of a process, from what cargo built beside them.
+/// Installs the built library once per process.
 pub fn installation() -> &'static Installation {
     static INSTALLATION: OnceLock<Installation> = OnceLock::new();
     INSTALLATION.get_or_init(|| {
         let prefix = Path::new(env!("CARGO_TARGET_TMPDIR")).join("abi");
-        // Not `current_exe`: under another dynamic loader that is the loader.
+        // Not `current_exe`: under an explicit dynamic loader it names the loader.
         let test = PathBuf::from(std::env::args_os().next().expect("the test's own path"));
         let mut install = Command::new(root().join("tools/install.sh"));
         install.arg(&prefix).env("ZIPSPLAT_LIBS", test.parent().expect("a folder"));
@@ -40,7 +40,7 @@ impl Installation {
         success(command).split_whitespace().map(str::to_owned).collect()
     }
 
-    /// Builds a program of C (`.c`, as C99) or C++ (`.cpp`, as C++17), every warning an error.
+    /// Builds a C99 (`.c`) or C++17 (`.cpp`) program; warnings are errors.
     pub fn compile(&self, source: &Path, linking: Linking, more: &[&str]) -> PathBuf {
         let cpp = source.extension().is_some_and(|extension| extension == "cpp");
         let (compiler, standard) = if cpp { ("c++", "-std=c++17") } else { ("cc", "-std=c99") };
@@ -61,7 +61,6 @@ impl Installation {
         program
     }
 
-    /// As [`Installation::compile`], of a source that is written first.
     pub fn compile_text(&self, name: &str, text: &str, linking: Linking) -> PathBuf {
         let source = self.prefix.join(name);
         std::fs::write(&source, text).expect("the source can be written");
@@ -69,7 +68,7 @@ impl Installation {
     }
 }
 
-/// A program under the dynamic loader and with the driver that these tests run with.
+/// Runs a program with the tests' dynamic loader and driver.
 pub fn runner(program: &Path) -> Command {
     let triple = format!("{}_UNKNOWN_LINUX_GNU", std::env::consts::ARCH.to_uppercase());
     match std::env::var_os(format!("CARGO_TARGET_{triple}_RUNNER")) {
@@ -82,7 +81,6 @@ pub fn runner(program: &Path) -> Command {
     }
 }
 
-/// Standard output of a command that has to succeed.
 #[track_caller]
 pub fn success(mut command: Command) -> String {
     let Output { status, stdout, stderr } = command.output().unwrap_or_else(|error| panic!("{command:?}: {error}"));

@@ -1,5 +1,5 @@
-//! A device that is lost under an app: every call that works with it says so from then on, everything can be read that is in
-//! host memory and destroyed, and another context works as before.
+//! Device loss: device calls report it from then on, host memory stays readable, objects can be
+//! destroyed, and another context works.
 
 use crate::calls::*;
 use zipsplat::types::Scene;
@@ -30,7 +30,7 @@ fn losing_devices() {
             faults.set(function, call, DEVICE_LOST);
             let mut app = App::default();
             match app.run() {
-                // Work is cut by the time that it takes: this time there may have been fewer calls.
+                // Submissions are split by time: this run may have had fewer calls.
                 Ok(found) => assert!(found == truth, "{function}, call {call}: other results, and no failure"),
                 Err(status) => {
                     assert_eq!(status, ZS_ERROR_DEVICE_LOST, "{function}, call {call}: {}", message());
@@ -41,7 +41,7 @@ fn losing_devices() {
     }
 }
 
-/// The objects that an app has made on a device so far. Fields drop from first to last: what is made from something, after it.
+/// An app's objects so far. Fields drop in order: dependencies before dependents.
 #[derive(Default)]
 struct App {
     context: Option<Object<zs_context>>,
@@ -51,7 +51,6 @@ struct App {
 }
 
 impl App {
-    /// A reconstruction and pictures of it, up to what fails.
     fn run(&mut self) -> Result<(Scene, Vec<u8>), zs_status> {
         let context = self.context.insert(context());
         let model = self.model.insert(try_model(context)?);
@@ -64,7 +63,7 @@ impl App {
         Ok((read(scene), pixels))
     }
 
-    /// Whatever works with the device is refused; what is in host memory is as it was.
+    /// Asserts that device calls fail and host memory is unchanged.
     fn assert_lost(&self, truth: &(Scene, Vec<u8>)) {
         let context = self.context.as_ref().expect("opening a device fails nowhere");
         let lost = |what: &str, status: Option<zs_status>| {

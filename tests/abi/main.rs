@@ -1,5 +1,5 @@
-//! The C ABI, as C, C++ and Python see it.
-#![allow(unsafe_code)] // It is called as C calls it.
+//! The C ABI, from C, C++ and Python.
+#![allow(unsafe_code)] // The tests call the C ABI.
 
 mod arguments;
 mod calls;

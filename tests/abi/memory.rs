@@ -1,4 +1,4 @@
-//! Photos and scenes from memory and to it, and where a failure's message is.
+//! Photos and scenes from and to memory, and the address of error messages.
 
 use crate::{
     calls::*,
@@ -12,19 +12,19 @@ use zipsplat::types::{Image, SceneFormat, WriteOptions, encode_scene, read_scene
 use zipsplat_c::{zs_status::*, *};
 use zipsplat_tests::{compare::assert_same, scenes::random_scene};
 
-/// A message has one place a thread, so that no pointer to it dangles and each shows the newest.
+/// Each thread's message has a fixed address: no pointer dangles and all show the latest message.
 #[test]
 fn a_message_stays_where_it_is() {
     let open = |path: &str| {
         let path = c_string(path);
-        // SAFETY: a string, and where to put it.
+        // SAFETY: a string, an output pointer.
         unsafe { zs_scene_open(path.as_ptr(), &mut null_mut()) }
     };
     let before = zs_last_error();
     fails(open("first.ply"), ZS_ERROR_IO, &["first.ply"]);
     fails(open(&format!("second{}", "-".repeat(200))), ZS_ERROR_IO, &["second"]);
     assert_eq!(before, zs_last_error());
-    // SAFETY: a message of this thread's.
+    // SAFETY: a message of this thread.
     let text = || unsafe { CStr::from_ptr(before) }.to_str().expect("UTF-8").to_owned();
     assert!(text().contains("second"), "{}", text());
     scene_of(&random_scene(3, 0, 0.1));
@@ -33,7 +33,7 @@ fn a_message_stays_where_it_is() {
     assert_ne!(other, before as usize);
 }
 
-/// Arguments of a C function are evaluated in any order.
+/// C evaluates arguments in any order.
 #[test]
 fn a_call_and_its_message_stand_in_one_expression() {
     let program = r#"
@@ -61,7 +61,7 @@ fn from_memory(bytes: &[u8], format: Option<&str>, dropped: *mut u64) -> Result<
     let format = format.map(c_string);
     let format = format.as_ref().map_or(null(), |format| format.as_ptr());
     let (data, size) = (bytes.as_ptr().cast(), bytes.len());
-    // SAFETY: bytes of that length, a string or NULL, and where to put count and scene.
+    // SAFETY: bytes of that length, a string or NULL, and output pointers.
     Object::try_new(zs_scene_destroy, |out| unsafe { zs_scene_from_memory(data, size, format, dropped, out) })
 }
 
@@ -73,19 +73,19 @@ fn scenes_go_to_memory_and_come_back() {
     for extension in ["ply", "spz", "splat", "gltf", "glb"] {
         let format = c_string(extension);
         let encode = |out| {
-            // SAFETY: a live scene, a string, no options, and where to put it.
+            // SAFETY: a live scene, a string, an output pointer.
             unsafe { zs_scene_to_memory(scene.handle, format.as_ptr(), null(), out) }
         };
         let object = Object::new(zs_bytes_destroy, encode);
         let (mut data, mut size): (*const c_void, usize) = (null(), 0);
-        // SAFETY: a live object, and where to put pointer and size; the bytes live as long as the object.
+        // SAFETY: a live object and output pointers; the bytes live as long as the object.
         let bytes = unsafe {
             ok(zs_bytes_get(object.handle, &mut data, &mut size));
             std::slice::from_raw_parts(data.cast::<u8>(), size)
         };
         let path = folder.path().join(format!("scene.{extension}"));
         let text = c_string(path.to_str().expect("UTF-8"));
-        // SAFETY: a live scene, a string, no options.
+        // SAFETY: a live scene, a string.
         ok(unsafe { zs_scene_save(scene.handle, text.as_ptr(), null()) });
         assert!(std::fs::read(&path).expect("it was written") == bytes, "{extension}");
         let back = read(&made(from_memory(bytes, Some(extension), null_mut())));
@@ -93,7 +93,7 @@ fn scenes_go_to_memory_and_come_back() {
     }
     let format = c_string("obj");
     let mut bytes = null_mut();
-    // SAFETY: a live scene, a string, no options, and where to put it.
+    // SAFETY: a live scene, a string, an output pointer.
     let refused = unsafe { zs_scene_to_memory(scene.handle, format.as_ptr(), null(), &mut bytes) };
     fails(refused, ZS_ERROR_ARGUMENT, &["format", "obj", ".spz"]);
 }
@@ -104,7 +104,7 @@ fn scenes_in_memory_are_told_apart_and_checked() {
     let ply = encode_scene(&truth, SceneFormat::Ply, &WriteOptions::default()).expect("a valid scene");
     assert_eq!(read(&made(from_memory(&ply, None, null_mut()))).means, truth.means);
     truth.means[1] = [f32::NAN; 3];
-    // A .splat, which no writer of ours writes with such values.
+    // A .splat, because our writer rejects such values.
     let row = |i: usize| {
         let floats: [f32; 6] = std::array::from_fn(|j| if j < 3 { truth.means[i][j] } else { 0.1 });
         [floats.map(f32::to_le_bytes).as_flattened(), &[9; 8]].concat()
@@ -126,14 +126,14 @@ fn photos_come_from_memory() {
     photos(1)[0].save_png(&path).expect("a photo can be written");
     let bytes = std::fs::read(&path).expect("it was written");
     let decode = |bytes: &[u8]| {
-        // SAFETY: bytes of that length, and where to put it.
+        // SAFETY: bytes of that length, an output pointer.
         Object::try_new(zs_photo_destroy, |out| unsafe {
             zs_photo_from_memory(bytes.as_ptr().cast(), bytes.len(), out)
         })
     };
     let photo = made(decode(&bytes));
     let mut image = zs_image { format: 0, width: 0, height: 0, pixels: null(), ..image_of(&photos(1)[0]) };
-    // SAFETY: a live photo and a structure of its size; pixels of the photo, which lives.
+    // SAFETY: a live photo, a structure with its size set, and pixels of the photo.
     let rgb = unsafe {
         ok(zs_photo_get_image(photo.handle, &mut image));
         std::slice::from_raw_parts(image.pixels.cast::<u8>(), 3 * (image.width * image.height) as usize)

@@ -1,4 +1,4 @@
-//! An app learns which kernels are not used on its device.
+//! An app learns which kernels its device cannot use.
 
 use crate::calls::*;
 use std::{ffi::CStr, fs};
@@ -12,13 +12,12 @@ fn kernels_that_fail_their_test_are_named() {
     assert_succeeds(child("notes::failing_kernels", cache.path(), "export ZIPSPLAT_CACHE=\"$ZIPSPLAT_TEST_TARGET\""));
 }
 
-/// The precision and the notes of a model that was asked for one.
 fn precision_and_notes(context: &Object<zs_context>, precision: zs_precision) -> Result<(i32, String), zs_status> {
     let model = try_model_with(context, &zs_model_options { precision: precision as i32, ..model_options() })?;
-    // SAFETY: zeroes are a value of this structure.
+    // SAFETY: zeros are valid.
     let mut info: zs_model_info = unsafe { std::mem::zeroed() };
     info.struct_size = size_of::<zs_model_info>() as u32;
-    // SAFETY: a live model and a structure of its size; the notes are read while the model lives.
+    // SAFETY: a live model and a structure with its size set; the notes belong to the model.
     let notes = unsafe {
         ok(zs_model_get_info(model.handle, &mut info));
         CStr::from_ptr(info.notes)
@@ -36,7 +35,7 @@ fn failing_kernels() {
         Ok(found) => assert_eq!(found, (fast, String::new())),
         Err(_) => return eprintln!("not tested: {}", message()),
     }
-    // As if the kernels that `fast` does without had failed.
+    // Simulates failed kernels that `fast` can do without.
     let file = fs::read_dir(cache.join("self-test")).unwrap().next().expect("the test's result").unwrap().path();
     let mut known: serde_json::Value = serde_json::from_slice(&fs::read(&file).unwrap()).unwrap();
     let mut test: SelfTest = serde_json::from_value(known["result"].clone()).unwrap();

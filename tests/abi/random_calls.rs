@@ -1,11 +1,11 @@
-//! Random calls with random arguments, good and bad, on objects that come and go: a status, never a crash, and what succeeds
-//! keeps giving the same bits.
+//! Random valid and invalid calls on a changing set of objects return a status and never crash.
+//! Successful ones stay bitwise reproducible.
 
 use crate::calls::*;
 use std::ptr::{null, null_mut};
 use zipsplat_c::*;
 
-/// splitmix64
+/// splitmix64.
 struct Random(u64);
 
 impl Random {
@@ -20,18 +20,15 @@ impl Random {
         values[self.below(values.len())]
     }
 
-    /// Mostly the good value.
     fn mostly<T: Copy>(&mut self, good: T, bad: &[T]) -> T {
         if self.below(8) > 0 { good } else { self.of(bad) }
     }
 
-    /// One of the objects, or NULL.
     fn handle<T>(&mut self, pool: &[Object<T>]) -> *mut T {
         if pool.is_empty() || self.below(8) == 0 { null_mut() } else { pool[self.below(pool.len())].handle }
     }
 }
 
-/// Most objects of a kind.
 const POOL: usize = 3;
 
 #[derive(Default)]
@@ -43,7 +40,6 @@ struct World {
     succeeded: [u32; 8],
 }
 
-/// Keeps a new object, where there is one.
 fn keep<T>(
     pool: &mut Vec<Object<T>>,
     random: &mut Random,
@@ -67,7 +63,7 @@ impl World {
         let call = random.below(8);
         let done = match call {
             0 => keep(&mut self.contexts, random, zs_context_destroy, |out| {
-                // SAFETY: no options, and where to put it.
+                // SAFETY: no options, an output pointer.
                 unsafe { zs_context_create(null(), out) }
             }),
             1 => self.load(random),
@@ -95,7 +91,7 @@ impl World {
         let size = random.mostly(micro().len(), &[0, 1, 8, 100, micro().len() / 2, micro().len() - 1]);
         let mut bytes = micro()[..size].to_vec();
         for _ in 0..random.mostly(0, &[1, 10]) {
-            // In the header, most of which is JSON.
+            // In the header, which is mostly JSON.
             let at = random.below(bytes.len().clamp(1, 4000));
             if let Some(byte) = bytes.get_mut(at) {
                 *byte ^= 1 << random.below(8);
@@ -123,7 +119,7 @@ impl World {
         let list = [image, images[1]];
         let count = random.mostly(2, &[0, 1, 193, usize::MAX]);
         keep(&mut self.scenes, random, zs_scene_destroy, |out| {
-            // SAFETY: a live object or NULL; counts above the list's are refused before it is read.
+            // SAFETY: a live object or NULL; counts beyond the list are rejected before it is read.
             unsafe { zs_reconstruct(model, list.as_ptr(), count, &options, out) }
         })
     }
@@ -142,13 +138,13 @@ impl World {
         let format = 1 + random.below(5) as i32;
         options.format = random.mostly(format, &[0, 6, i32::MIN]);
         options.background[1] = random.mostly(0.5, &[f32::NAN, f32::INFINITY, 1e38]);
-        // SAFETY: a live object or NULL, memory as large as any of these pictures.
+        // SAFETY: a live object or NULL, and memory for the largest of these pictures.
         let status = unsafe { zs_render(renderer, &camera, &picture, 1, &options) };
         assert_ne!(status, zs_status::ZS_ERROR_INTERNAL, "{}", message());
         status == zs_status::ZS_OK
     }
 
-    /// Rarely more than are made, in any order.
+    /// Destroys more rarely than objects are created, in any order.
     fn destroy_one(&mut self, random: &mut Random) -> bool {
         fn one<T>(pool: &mut Vec<Object<T>>, random: &mut Random) -> bool {
             let some = !pool.is_empty();
@@ -172,7 +168,6 @@ fn end_in_a_status() {
     let images: Vec<_> = photos.iter().map(image_of).collect();
     let (mut random, mut world) = (Random(1), World::default());
     (0..400).for_each(|_| world.step(&mut random, &images));
-    // Neither everything failed nor everything succeeded.
     assert!(world.succeeded.iter().all(|count| *count > 3), "{:?}", world.succeeded);
     assert!(world.succeeded.iter().sum::<u32>() < 370, "{:?}", world.succeeded);
 }

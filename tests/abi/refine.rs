@@ -1,4 +1,4 @@
-//! Refinement by way of C: what Rust gives, the best so far where the callback stops it, and what is refused.
+//! Refinement through C: equal to Rust's, early stops and errors.
 
 use crate::{
     calls::*,
@@ -25,7 +25,6 @@ use zipsplat_tests::{
     scenes::{camera, random_scene},
 };
 
-/// A scene, photos of it, and the scene with its Gaussians moved.
 struct Place {
     cameras: Vec<Camera>,
     photos: Vec<Image>,
@@ -72,7 +71,7 @@ impl Place {
         let images: Vec<_> = self.photos.iter().map(image_of).collect();
         let (cameras, mut info) = (self.c_cameras(), empty_info());
         let (images, cameras, count) = (images.as_ptr(), cameras.as_ptr(), images.len());
-        // SAFETY: live objects and arrays of their lengths.
+        // SAFETY: live objects, full arrays.
         let refine =
             |out| unsafe { zs_refine(context.handle, scene.handle, images, cameras, count, options, &mut info, out) };
         let refined = Object::try_new(zs_scene_destroy, refine)?;
@@ -81,14 +80,14 @@ impl Place {
 }
 
 fn empty_info() -> zs_refine_info {
-    // SAFETY: zeroes are a value of this structure.
+    // SAFETY: zeros are valid.
     let info: zs_refine_info = unsafe { std::mem::zeroed() };
     zs_refine_info { struct_size: size_of::<zs_refine_info>() as u32, ..info }
 }
 
 fn options() -> zs_refine_options {
     let mut options = std::mem::MaybeUninit::uninit();
-    // SAFETY: room for the options, which are filled where it succeeds.
+    // SAFETY: initialized on success.
     unsafe {
         ok(zs_refine_options_default(options.as_mut_ptr(), size_of::<zs_refine_options>()));
         options.assume_init()
@@ -101,14 +100,13 @@ fn bits(scene: &Scene) -> Vec<u32> {
     fields.flatten().map(|x| x.to_bits()).collect()
 }
 
-/// A callback that notes what it is told and stops after a step.
 struct Told {
     steps: Vec<zs_refining>,
     stop_after: u32,
 }
 
 unsafe extern "C" fn listen(told: *mut c_void, now: *const zs_refining) -> i32 {
-    // SAFETY: the test's own, which waits for the call; what the library hands over.
+    // SAFETY: owned by the test, which waits for the call; `now` is the library's.
     let (told, now) = unsafe { (&mut *told.cast::<Told>(), *now) };
     told.steps.push(now);
     (now.step == told.stop_after).into()
@@ -155,7 +153,6 @@ fn a_refinement_that_is_stopped_hands_out_the_best_so_far() {
     let expected = place.in_rust(&Refine::default(), 5);
     assert_same("scene", &bits(&scene), &bits(&expected.scene));
     assert_eq!((info.ended, info.steps, told.steps.len()), (zs_refine_end::ZS_REFINE_STOPPED as i32, 5, 5));
-    // Of three photos none is held out.
     assert!(info.psnr.is_nan() && told.steps.iter().all(|now| now.psnr.is_nan()));
     let (scene, info) = made(place.in_c(&zs_refine_options { steps: 0, ..options() }));
     assert_same("no step", &bits(&scene), &bits(&place.moved));
@@ -169,7 +166,7 @@ fn what_cannot_be_refined_is_refused() {
     let (images, cameras): (Vec<_>, _) = (place.photos.iter().map(image_of).collect(), place.c_cameras());
     let call = |images: *const zs_image, cameras: *const zs_camera, count, options: *const _, info| {
         let mut refined = dangling_mut();
-        // SAFETY: live objects; arrays of their lengths, or counts that are refused before they are read.
+        // SAFETY: live objects; arrays of their lengths, or counts rejected before access.
         let status =
             unsafe { zs_refine(context.handle, scene.handle, images, cameras, count, options, info, &mut refined) };
         assert!(refined.is_null());
@@ -199,7 +196,7 @@ fn what_cannot_be_refined_is_refused() {
     let mut info = zs_refine_info { struct_size: 12, ..empty_info() };
     argument(call(photos, poses, 2, null(), &mut info), &["zs_refine_info, struct_size"]);
     assert_eq!(info.struct_size, 12);
-    // SAFETY: every entry point takes NULL for every pointer.
+    // SAFETY: every pointer may be NULL.
     let nulls = unsafe {
         let empty = scene_of(&Scene::default());
         let mut out = null_mut();
@@ -214,13 +211,11 @@ fn what_cannot_be_refined_is_refused() {
     assert_eq!(nulls, [ZS_ERROR_ARGUMENT; 5]);
 }
 
-/// A model that keeps the tokens of its scenes.
 fn model_with_tokens(context: &Object<zs_context>) -> Object<zs_model> {
     let precision = zs_precision::ZS_PRECISION_EXACT as i32;
     made(try_model_with(context, &zs_model_options { precision, tokens: 1, ..model_options() }))
 }
 
-/// In the first camera's world, and in that of cameras of which the first is elsewhere.
 #[test]
 fn tokens_are_refined_as_in_rust() {
     let (context, photos) = (context(), photos(2));
@@ -246,7 +241,7 @@ fn tokens_are_refined_as_in_rust() {
         let scene = reconstruct(&model, &images, &making);
         let options = zs_refine_options { steps: 6, what: zs_refine_what::ZS_REFINE_TOKENS as i32, ..options() };
         let mut info = empty_info();
-        // SAFETY: live objects and arrays of their lengths.
+        // SAFETY: live objects, full arrays.
         let refine = |out| unsafe {
             zs_refine(context.handle, scene.handle, images.as_ptr(), c_cameras.as_ptr(), 2, &options, &mut info, out)
         };
@@ -287,14 +282,13 @@ fn tokens_are_refined_as_in_rust() {
     }
 }
 
-/// The example, as a reader would build and run it.
 #[test]
 fn refine_in_c() {
     let mut place = place(4);
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name);
     write_ply(&place.moved, path("scene.ply")).expect("a scene can be written");
-    // Files hold logarithms of scales.
+    // Files store log scales.
     place.moved = read_ply(path("scene.ply")).expect("a scene");
     let mut cameras = String::new();
     for camera in &place.cameras {

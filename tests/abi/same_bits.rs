@@ -1,4 +1,4 @@
-//! The results through C are those of Rust, bit for bit.
+//! Results through C are bitwise equal to Rust's.
 
 use crate::calls::*;
 use glam::{DMat3, DVec3};
@@ -25,7 +25,7 @@ fn bits(scene: &Scene) -> Vec<u32> {
     fields.flatten().map(|x| x.to_bits()).collect()
 }
 
-/// A photo in another format: its bytes, their distance from row to row, and where the top row begins.
+/// Encodes a photo: bytes, row stride, and offset of the top row.
 fn encode(photo: &Image, format: zs_pixel_format, padding: usize, bottom_up: bool) -> (Vec<u8>, i64, usize) {
     let mut rows: Vec<Vec<u8>> = Vec::new();
     for row in photo.rgb.chunks_exact(3 * photo.width as usize) {
@@ -114,7 +114,7 @@ fn options_and_cameras_give_rusts_scene() {
         let expected = bits(&rust_scene(&photos, &request));
         assert_same(&format!("{request:?}"), &bits(&read(&reconstruct(&model, &images, &options))), &expected);
     }
-    // In another unit, by a power of two, which rounds nothing.
+    // Another scale, by an exact power of two.
     let mut far: Vec<_> = c_cameras.clone();
     far.iter_mut().flat_map(|camera| &mut camera.translation).for_each(|x| *x *= 4.0);
     let options = |cameras: &[zs_camera], unit| zs_reconstruct_options {
@@ -126,7 +126,6 @@ fn options_and_cameras_give_rusts_scene() {
     let mut expected = read(&reconstruct(&model, &images, &options(&c_cameras, 1.0)));
     expected.scale(4.0);
     assert_same("unit", &bits(&read(&reconstruct(&model, &images, &options(&far, 4.0)))), &bits(&expected));
-    // In the world of the cameras, in their unit.
     let first = cameras[0].pose;
     expected.place(1.0, &Pose { translation: 4.0 * first.translation, ..first });
     let own = zs_reconstruct_options { world: zs_world::ZS_WORLD_CAMERAS as i32, ..options(&far, 4.0) };
@@ -139,7 +138,6 @@ fn rust_camera(camera: &zs_camera) -> Camera {
     Camera { intrinsics: Intrinsics { width, height, fx, fy, cx, cy }, pose }
 }
 
-/// A frame as the bytes of a format.
 fn pixels(frame: &Frame, format: zs_pixel_format) -> Vec<u8> {
     let (rgb, alpha) = (frame.rgb.as_ref().unwrap(), frame.alpha.as_ref().unwrap());
     let byte = |value: f32| Image::from_rgb_f32(1, 1, &[value; 3]).unwrap().rgb[0];
@@ -179,7 +177,7 @@ fn pictures_are_rusts() {
             assert_same(&format!("{format:?}"), &draw(&renderer, camera, &options, bytes), &pixels(frame, format));
         }
     }
-    // All at once, with alpha and depth, rows apart and bottom-up.
+    // One batch with alpha and depth, padded rows, bottom-up.
     let mut memory: Vec<_> = cameras
         .map(|c| {
             let count = (c.width * c.height) as usize;
@@ -198,7 +196,7 @@ fn pictures_are_rusts() {
         })
         .collect();
     let options = zs_render_options { background, ..render_options(zs_pixel_format::ZS_PIXEL_RGB8) };
-    // SAFETY: live objects and memory as large as the pictures.
+    // SAFETY: live objects and memory of the pictures' size.
     ok(unsafe { zs_render(renderer.handle, cameras.as_ptr(), pictures.as_ptr(), 3, &options) });
     for ((camera, frame), (found, alpha, depth)) in cameras.iter().zip(&frames).zip(&memory) {
         let row = 3 * camera.width as usize;
@@ -217,16 +215,16 @@ fn scenes_come_back_from_arrays_and_files() {
     let scene = reconstruct(&model(&context), &[image_of(&photos[0])], &reconstruct_options());
     let gaussians = read(&scene);
     let array = arrays(&gaussians);
-    // SAFETY: arrays of their lengths, and where to put it.
+    // SAFETY: full arrays, an output pointer.
     let copy = Object::new(zs_scene_destroy, |out| unsafe { zs_scene_create(&array, out) });
     assert_same("copied", &bits(&read(&copy)), &bits(&gaussians));
     let folder = tempfile::tempdir().unwrap();
     for extension in ["ply", "spz", "splat", "gltf", "glb"] {
         let path = folder.path().join(format!("scene.{extension}"));
         let text = c_string(path.to_str().unwrap());
-        // SAFETY: a live scene, a string, no options.
+        // SAFETY: a live scene, a string.
         ok(unsafe { zs_scene_save(scene.handle, text.as_ptr(), std::ptr::null()) });
-        // SAFETY: a string, and where to put it.
+        // SAFETY: a string, an output pointer.
         let back = Object::new(zs_scene_destroy, |out| unsafe { zs_scene_open(text.as_ptr(), out) });
         assert_same(extension, &bits(&read(&back)), &bits(&zipsplat::types::read_scene(&path).unwrap()));
     }
@@ -243,11 +241,11 @@ fn gaussians_that_are_no_numbers_are_dropped_and_counted() {
     std::fs::write(&path, [row(1.0), row(f32::NAN), row(2.0), row(f32::INFINITY)].concat()).unwrap();
     let text = c_string(path.to_str().unwrap());
     let mut scene = std::ptr::null_mut();
-    // SAFETY: a string, and where to put it.
+    // SAFETY: a string, an output pointer.
     let refused = unsafe { zs_scene_open(text.as_ptr(), &mut scene) };
     fails(refused, zs_status::ZS_ERROR_FORMAT, &["scene.splat", "2 of 4"]);
     let mut dropped = 7;
-    // SAFETY: a string, and where to put count and scene.
+    // SAFETY: a string, and output pointers.
     let open = |out| unsafe { zs_scene_open_dropping_invalid(text.as_ptr(), &mut dropped, out) };
     let scene = Object::new(zs_scene_destroy, open);
     assert_eq!(read(&scene).means, [[1.0, 0.0, 1.0], [2.0, 0.0, 1.0]]);
@@ -269,7 +267,8 @@ fn a_model_computes_in_the_precision_that_was_asked_for() {
         (zs_precision::ZS_PRECISION_FAST_BF16, has(Precision::FastBf16)),
         (zs_precision::ZS_PRECISION_TURBO, has(Precision::Turbo)),
     ] {
-        // SAFETY: room for the options, which are filled where it succeeds; live objects; bytes of that length.
+        // SAFETY: capacity for the options, initialized on success; live objects; bytes of that
+        // length.
         let (status, model) = unsafe {
             let mut options = std::mem::MaybeUninit::<zs_model_options>::uninit();
             ok(zs_model_options_default(options.as_mut_ptr(), size_of::<zs_model_options>()));
@@ -288,7 +287,7 @@ fn a_model_computes_in_the_precision_that_was_asked_for() {
             unsafe { *out = model };
             zs_status::ZS_OK
         });
-        // SAFETY: a live object, a structure that says its size.
+        // SAFETY: a live object, a structure with its size set.
         let info = unsafe {
             let mut info: zs_model_info = std::mem::zeroed();
             info.struct_size = size_of::<zs_model_info>() as u32;

@@ -1,4 +1,4 @@
-//! `zipsplat batch`: the scenes of `reconstruct`, one capture after the other, going on where it was.
+//! `zipsplat batch`: the scenes of `reconstruct`, resume, failures.
 
 use crate::{Folder, Outcome, command, photo};
 use serde_json::Value;
@@ -6,7 +6,7 @@ use std::{path::Path, sync::atomic::AtomicBool, time::SystemTime};
 
 const WEIGHTS: &str = "--weights @/micro.safetensors --size 28x28";
 
-/// A folder with captures `all/1`, `all/2` (its photos in `images`) and `all/10`.
+/// Creates the captures `all/1`, `all/2` (photos in `images`) and `all/10`.
 fn captures() -> Folder {
     let folder = Folder::new();
     for (i, place) in ["all/1", "all/2/images", "all/10"].into_iter().enumerate() {
@@ -25,7 +25,7 @@ fn batch(folder: &Folder, line: &str) -> Outcome {
     folder.run(&format!("--json batch {WEIGHTS} {line}"))
 }
 
-/// The numbers of captures that were made, were there, failed and are left.
+/// Numbers of made, existing, failed and remaining captures.
 fn numbers(outcome: Outcome) -> [u64; 4] {
     let said: Value = serde_json::from_str(&outcome.out).unwrap_or_else(|_| panic!("{}", outcome.err));
     ["made", "unchanged", "failed", "left"].map(|name| said[name].as_u64().expect("a number"))
@@ -69,7 +69,7 @@ fn makes_the_scenes_of_pixels_of_reconstruct() {
     assert_eq!((&record["network"], &record["photos"]), (&"da3-micro".into(), &2.into()));
     assert_eq!(numbers(folder.run(&line)), [0, 2, 0, 0]);
 
-    // Of photos with cameras, and points that tell the scale of a network that sees each photo by itself.
+    // Photos with cameras, and points for the scale of a single-view network.
     folder.run("scene --seed 3 --views 2 --size 42x28 -o @/place").success();
     for weights in ["da3", "alone"] {
         let line = format!("@/place --weights @/{weights}.safetensors --size 42x42");
@@ -92,12 +92,11 @@ fn goes_on_where_it_was() {
     assert_eq!(numbers(batch(&folder, &format!("{line} --limit 1"))), [1, 0, 0, 2]);
     assert_eq!(super::names(&folder.path("out")), ["1.json", "1.ply"]);
     let first = times(&folder, &["out/1.ply"]);
-    // A scene that is not whole, or has no record, is none.
     std::fs::write(folder.path("out/2.ply"), "ply\ncomment zipsplat\n").expect("a file");
     assert_eq!(numbers(batch(&folder, line)), [2, 1, 0, 0]);
     assert_eq!(numbers(batch(&folder, line)), [0, 3, 0, 0]);
     assert_eq!(times(&folder, &["out/1.ply"]), first);
-    // A photo that changed, a photo more, and a scene that was cut are made again; the others stay.
+    // Changed photos, additional photos and truncated scenes: made again.
     photo(40, 30, 77).save_png(folder.path("all/1/1.png")).expect("a photo can be written");
     photo(40, 30, 78).save_png(folder.path("all/2/images/9.png")).expect("a photo can be written");
     assert_eq!(numbers(batch(&folder, line)), [2, 1, 0, 0]);
@@ -105,7 +104,6 @@ fn goes_on_where_it_was() {
     std::fs::write(folder.path("out/10.ply"), &scene[..scene.len() - 4]).expect("a file");
     assert_eq!(numbers(batch(&folder, line)), [1, 2, 0, 0]);
     assert!(std::fs::read(folder.path("out/10.ply")).expect("a scene") == scene);
-    // Other options, another scene.
     assert_eq!(numbers(batch(&folder, &format!("{line} --ratio 0.5"))), [3, 0, 0, 0]);
     assert_eq!(numbers(batch(&folder, &format!("{line} --ratio 0.5 --format spz"))), [3, 0, 0, 0]);
 }
@@ -121,7 +119,6 @@ fn one_that_fails_is_a_row_and_not_the_end() {
     let rows: Vec<&str> = table.lines().collect();
     assert!(rows.len() == 2 && rows[0] == "capture,error", "{table}");
     assert!(rows[1].contains("all/1") && rows[1].contains("1.png"), "{table}");
-    // Mended, it is made, and the table is gone.
     photo(40, 30, 7).save_png(folder.path("all/1/1.png")).expect("a photo can be written");
     assert_eq!(numbers(batch(&folder, "@/all -o @/out")), [1, 2, 0, 0]);
     assert!(!folder.path("out/failures.csv").exists());

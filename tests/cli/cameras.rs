@@ -1,4 +1,4 @@
-//! Cameras that COLMAP finds: with programs that stand for it, and with itself where it is installed.
+//! Cameras from COLMAP: with fake programs, and with COLMAP if installed.
 #![cfg(unix)]
 
 use crate::{Folder, Outcome};
@@ -11,7 +11,7 @@ use zipsplat::types::{
 use zipsplat_cli::{Terminal, run};
 use zipsplat_tests::processes::{child, target};
 
-/// The options that differ, as a version's help has them.
+/// Version-dependent options, as in the help of a version.
 pub const OPTIONS_3: [&str; 3] = [
     "--ImageReader.single_camera_per_folder arg --SiftExtraction.use_gpu arg (=1) --SiftExtraction.max_image_size arg",
     "--SiftMatching.use_gpu arg --ExhaustiveMatching.block_size arg",
@@ -24,7 +24,7 @@ const OPTIONS_4: [&str; 3] = [
 ];
 pub const COPIES: &str = "cp -r \"$0.model/.\" \"$out\"";
 
-/// A place of 4 photos in `@/place/images`, whose cameras are taken away.
+/// A place of 4 photos in `@/place/images`, without its cameras.
 pub fn place() -> (Folder, Vec<Frame>) {
     let folder = Folder::new();
     folder.run("scene --seed 3 --views 4 --size 42x28 -o @/place").success();
@@ -39,7 +39,7 @@ pub fn script(folder: &Folder, name: &str, text: &str) {
     fs::set_permissions(folder.path(name), fs::Permissions::from_mode(0o755)).expect("an executable script");
 }
 
-/// A program that stands for COLMAP: it writes down what it was called with and does `features`, `matches` and `mapper`.
+/// A fake COLMAP that logs its arguments and runs `features`, `matches` and `mapper`.
 pub fn colmap(folder: &Folder, name: &str, version: &str, options: [&str; 3], bodies: [&str; 3]) {
     let [features, matches, mapper] = bodies;
     let text = format!(
@@ -60,7 +60,7 @@ esac
     script(folder, name, &text);
 }
 
-/// A text model of some frames under the names that photos have for COLMAP, with a lens that distorts and a few points.
+/// Writes a text model of frames under COLMAP's photo names, with a distorted lens and points.
 pub fn model(at: &Path, frames: &[(&str, &Camera)]) {
     fs::create_dir_all(at).expect("a folder");
     let (mut cameras, mut images) = (String::new(), String::new());
@@ -77,6 +77,7 @@ pub fn model(at: &Path, frames: &[(&str, &Camera)]) {
     fs::write(at.join("points3D.txt"), points).expect("written");
 }
 
+<<<<<<< HEAD
 #[test]
 fn names_that_files_of_cameras_cannot_hold_are_refused_first() {
     use std::os::unix::ffi::OsStrExt;
@@ -91,6 +92,8 @@ fn names_that_files_of_cameras_cannot_hold_are_refused_first() {
 }
 
 /// The model of all of the place's photos for the program `name`.
+=======
+>>>>>>> h-p1
 fn whole_model(folder: &Folder, name: &str, frames: &[Frame]) {
     let names: Vec<String> = (0..frames.len()).map(|i| format!("0/{i:06}.png")).collect();
     let named: Vec<_> = names.iter().map(String::as_str).zip(frames.iter().map(|frame| &frame.camera)).collect();
@@ -101,7 +104,7 @@ pub fn args(folder: &Folder, name: &str) -> String {
     fs::read_to_string(folder.path(&format!("{name}.args"))).expect("what it was called with")
 }
 
-/// The log that an error names, which is removed.
+/// Removes and returns the log that an error names.
 #[track_caller]
 fn log_of(outcome: &Outcome) -> String {
     let path = outcome.err.split("all of them: ").nth(1).expect("a path of a log").trim();
@@ -138,7 +141,6 @@ fn cameras_are_what_colmap_found() {
         assert_eq!((cloud.positions[4], cloud.colors[4]), ([4.0, 2.0, 3.5], [10, 20, 30]));
         let log = fs::read_to_string(folder.path("place/colmap.log")).expect("a log");
         assert!(log.contains("Processed file [1/4]") && log.contains("000003.png"), "{log}");
-        // Another run replaces what this program wrote.
         folder.run(&line).success();
     }
     let (three, four) = (args(&folder, "three"), args(&folder, "four"));
@@ -187,7 +189,6 @@ fn the_largest_group_is_taken_and_lost_photos_are_named() {
     model(&folder.path("groups.model/0"), &[("0/000001.png", &truth[1].camera)]);
     let rest = [("0/000003.png", &truth[3].camera), ("0/000000.png", &truth[0].camera)];
     model(&folder.path("groups.model/1"), &rest);
-    // Another view of what is known.
     model(&folder.path("groups.model/2"), &rest[..1]);
     let text = folder.run("cameras @/place/images --colmap @/groups -o @/place/transforms.json").success();
     for words in [
@@ -220,7 +221,7 @@ fn photos_of_one_size_share_a_lens_and_folders_lie_in_folders() {
     let names: Vec<String> =
         read_poses(folder.path("transforms.json")).expect("cameras").frames.into_iter().map(|f| f.name).collect();
     assert_eq!(names, ["photos/10.png", "photos/a/b/2.png"]);
-    // A camera of another size than its photo's is not believed.
+    // Rejects a camera whose size is not its photo's.
     model(&folder.path("lists.model/0"), &[("0/000001.png", &camera(30, 40))]);
     folder.run(line).fails(3, &["10.png", "30x40", "40x30, as the photo is stored"]);
 }
@@ -250,7 +251,7 @@ fn what_goes_wrong_is_said_and_leaves_nothing() {
     assert_eq!(truth.len(), 4);
     let line = |option: &str| format!("cameras @/place/images {option} -o @/transforms.json");
     let install = "install";
-    // Arguments are written down beside the script: only what comes from the command counts.
+    // Arguments are logged beside the script and do not count.
     let left = |folder: &Folder| -> Vec<String> {
         folder.names().into_iter().filter(|name| !name.ends_with(".args")).collect()
     };
@@ -314,7 +315,7 @@ fn other_commands_find_cameras_too() {
         .fails(3, &["--poses find", "--start points"]);
 }
 
-/// True where a program runs; else says which test is skipped.
+/// Whether a program runs; otherwise prints the skipped test.
 pub fn installed(program: &str, test: &str) -> bool {
     let runs = std::process::Command::new(program).arg("help").output().is_ok();
     if !runs {
@@ -323,7 +324,7 @@ pub fn installed(program: &str, test: &str) -> bool {
     runs
 }
 
-/// Photos whose cameras are known exactly.
+/// Compares with exactly known cameras.
 #[test]
 fn colmap_itself_finds_the_cameras_of_a_place() {
     if !installed("colmap", "colmap_itself_finds_the_cameras_of_a_place") {
@@ -333,7 +334,7 @@ fn colmap_itself_finds_the_cameras_of_a_place() {
     folder.run("scene --seed 3 --views 16 --size 640x480 -o @/place").success();
     let truth = read_poses(folder.path("place")).expect("cameras").frames;
     let json = folder.run("cameras @/place/images -o @/place/found.json --json").json();
-    // COLMAP's threads draw at random: a photo may be lost, and a camera be off.
+    // COLMAP is not deterministic: a photo may be lost, a camera off.
     assert!(json["found"].as_u64() >= Some(12), "{json}");
     let found = read_poses(folder.path("place/found.json")).expect("cameras");
     let points = read_points(found.points.expect("points")).expect("points").positions;
@@ -359,7 +360,7 @@ fn colmap_itself_finds_the_cameras_of_a_place() {
     assert!(angle < 1.0 && median(&mut shares) < 0.05, "{angle} degrees: {angles:?}, {scales:?}");
 }
 
-/// Where standard error is no terminal, a program that takes long is reported by lines.
+/// Without a terminal, progress is printed in lines.
 #[test]
 fn progress_is_printed_without_a_terminal() {
     let (folder, _) = place();

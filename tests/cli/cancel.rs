@@ -1,4 +1,4 @@
-//! Cancelling.
+//! Cancellation.
 
 use crate::{Folder, Outcome, command, names};
 use std::{
@@ -37,7 +37,7 @@ fn a_cancelled_command_leaves_no_file() {
     }
 }
 
-/// Cancelled after twice as long each time, until a command is done: at whatever it is by then.
+/// Doubles the delay of the cancellation until a command finishes.
 #[test]
 fn a_command_that_is_cancelled_on_its_way_leaves_whole_files_alone() {
     let folder = Folder::new();
@@ -68,7 +68,7 @@ fn a_command_that_is_cancelled_on_its_way_leaves_whole_files_alone() {
     }
 }
 
-/// Cancelled after twice as long each time, until something was measured: of far more points than that takes.
+/// Doubles the delay until something was measured, long before all points are.
 #[test]
 fn a_sweep_that_is_cancelled_writes_what_it_measured() {
     let folder = Folder::new();
@@ -90,7 +90,7 @@ fn a_sweep_that_is_cancelled_writes_what_it_measured() {
     assert_eq!(check_whole(&folder.path("report")), 2);
 }
 
-/// Cancelled after twice as long each time, until there was something to write: long before the last step.
+/// Doubles the delay until there is a result, long before the last step.
 #[test]
 fn a_refinement_that_is_cancelled_writes_the_best_so_far() {
     let folder = Folder::new();
@@ -119,7 +119,6 @@ fn a_refinement_that_is_cancelled_writes_the_best_so_far() {
     }
 }
 
-/// Photos that would take minutes.
 #[test]
 fn taking_photos_of_a_place_can_be_cancelled() {
     let folder = Folder::new();
@@ -129,13 +128,12 @@ fn taking_photos_of_a_place_can_be_cancelled() {
     assert_eq!(folder.names(), before);
 }
 
-/// The outcome of a command that was cancelled so long after its start.
 fn cancelled_after(delay: Duration, line: &str) -> Outcome {
     let (cancelled, (ended, end)) = (AtomicBool::new(false), channel::<()>());
     std::thread::scope(|scope| {
         let cancelled = &cancelled;
         scope.spawn(move || {
-            // Ends early where the command does.
+            // Ends early with the command.
             let _ = end.recv_timeout(delay);
             cancelled.store(true, Ordering::Relaxed);
         });
@@ -145,7 +143,7 @@ fn cancelled_after(delay: Duration, line: &str) -> Outcome {
     })
 }
 
-/// Number of files in a folder and those below, each of which is a result and can be read to its end.
+/// Checks that every file is a complete result and returns their number.
 fn check_whole(folder: &Path) -> usize {
     let check = |path: &Path| match path.extension().and_then(|ext| ext.to_str()).unwrap_or_default() {
         "ply" => drop(read_scene(path).expect("a whole scene")),
@@ -169,7 +167,6 @@ fn check_whole(folder: &Path) -> usize {
     paths.map(count).sum()
 }
 
-/// Pictures of a GIF.
 fn frames(path: &Path) -> usize {
     let file = File::open(path).expect("a file");
     let mut decoder = gif::DecodeOptions::new().read_info(file).expect("a GIF");
@@ -202,7 +199,7 @@ fn ignores_that_it_should_end() {
     std::thread::sleep(Duration::from_secs(60));
 }
 
-/// A folder with a scene in it, and a process that writes a film of it there, of which some is written.
+/// Starts a process that writes a video of a scene, partially written on return.
 fn filming() -> (Folder, Child) {
     let folder = Folder::new();
     write_ply(&scenes::random_scene(300, 0, 0.1), folder.path("scene.ply")).expect("a scene can be written");
@@ -214,7 +211,7 @@ fn filming() -> (Folder, Child) {
     (folder, child)
 }
 
-/// A process of one test, which signals reach whatever these tests were started to ignore.
+/// Starts a test process with default signal handlers.
 fn started(name: &str, folder: &Folder) -> Child {
     child(name, &folder.path(""), "set -- env --default-signal \"$@\"").spawn().expect("bash")
 }
@@ -253,7 +250,7 @@ fn a_second_signal_ends_at_once() {
     assert_eq!(child.wait().expect("it ends").code(), Some(130));
 }
 
-/// The program does not say its version, which the command waits for.
+/// The program never prints its version, for which the command waits.
 #[test]
 #[cfg(unix)]
 fn a_second_signal_ends_the_programs_that_run() {
@@ -262,7 +259,7 @@ fn a_second_signal_ends_the_programs_that_run() {
     script(&folder, "sleeps", "#!/bin/sh\nsleep 60 & echo $! >\"$0.pid\"; wait\n");
     let pid = folder.path("sleeps.pid");
     let mut child = started("cancel::waits_for_another_program", &folder);
-    // Written whole.
+    // Completely written.
     while !std::fs::read_to_string(&pid).is_ok_and(|pid| pid.ends_with('\n')) {
         assert!(child.try_wait().expect("a child").is_none(), "it ended before it ran the program");
         std::thread::sleep(Duration::from_millis(5));

@@ -1,4 +1,4 @@
-//! COLMAP's processes end with the command, however that ends.
+//! COLMAP processes end with the command.
 #![cfg(unix)]
 
 use crate::{
@@ -12,10 +12,10 @@ use std::{
 };
 use zipsplat_tests::processes::{assert_succeeds, child, target};
 
-/// Waits for the end of the process whose number a file has.
+/// Waits for the end of the process with the id in this file.
 pub fn assert_ends(pid: &Path) {
     let pid = fs::read_to_string(pid).expect("a number");
-    // A process that was killed takes a moment to end; it would sleep for a minute.
+    // A killed process needs a moment; it would sleep for a minute.
     let begin = std::time::Instant::now();
     loop {
         let state = fs::read_to_string(format!("/proc/{}/stat", pid.trim())).unwrap_or_default();
@@ -34,7 +34,7 @@ fn ctrl_c_ends_all_of_colmaps_processes() {
     let (cancelled, pid) = (AtomicBool::new(false), folder.path("sleeps.pid"));
     let outcome = std::thread::scope(|scope| {
         scope.spawn(|| {
-            // Written whole.
+            // Completely written.
             while !fs::read_to_string(&pid).is_ok_and(|pid| pid.ends_with('\n')) {
                 std::thread::yield_now();
             }

@@ -9,7 +9,7 @@ use zipsplat_tests::{device::device, scenes};
 #[test]
 fn a_round_trip_keeps_every_value() {
     let folder = Folder::new();
-    // Seeded values have few bits, so that the short types hold them too.
+    // Seeded values fit the short types.
     for dtype in ["f32", "f16", "bf16"] {
         folder.run(&format!("convert @/micro.safetensors @/{dtype}.safetensors --dtype {dtype}")).success();
         folder.run(&format!("convert @/{dtype}.safetensors @/back.safetensors --dtype f32")).success();
@@ -105,7 +105,6 @@ fn a_far_gaussian_that_coarsens_an_spz_is_noted() {
     let outcome = folder.run("convert @/far.ply @/far.spz");
     let said = "multiples of 9.77e-4, not of 1.53e-5: 1 of 30 Gaussians lie beyond 128 units, the farthest 5000 away";
     assert!(outcome.err.contains(said), "{}", outcome.err);
-    // What the note says is what the file has.
     let means = read_scene(folder.path("far.spz")).expect("a scene").means;
     let steps = |value: f32| f64::from(value) * 1024.0;
     assert!(means.iter().flatten().all(|value| steps(*value).fract() == 0.0));

@@ -1,4 +1,4 @@
-//! Depth of photos, with random weights: what is written, and what is refused.
+//! Depth with random weights: outputs and errors.
 
 use crate::Folder;
 use zipsplat::types::{
@@ -7,7 +7,7 @@ use zipsplat::types::{
     read_ply, read_points,
 };
 
-/// A small network of random numbers.
+/// A small random network.
 const WEIGHTS: &str = "--weights @/da3.safetensors";
 
 #[test]
@@ -39,12 +39,10 @@ fn a_folder_gets_depth_cameras_and_points() {
     }
     let points = read_points(folder.path("out/points.ply")).unwrap().positions.len();
     assert!((100..=500).contains(&points) && json["points"] == points, "{points} points");
-    // Of the photos themselves, which other commands read.
     let poses = read_poses(folder.path("out/transforms.json")).unwrap();
     let sizes: Vec<_> = poses.frames.iter().map(|frame| frame.camera.intrinsics.width).collect();
     assert_eq!(sizes, [40, 40]);
     assert!(poses.frames.iter().all(|frame| frame.photo.is_some()), "{poses:?}");
-    // The same again, over its own files.
     let read =
         || ["points.ply", "depths.safetensors"].map(|name| std::fs::read(folder.path("out").join(name)).unwrap());
     let first = read();
@@ -64,7 +62,6 @@ fn wrong_arguments_are_named() {
     assert_eq!(folder.names(), ["alone.safetensors", "da3.safetensors", "micro.safetensors", "photos"]);
 }
 
-/// The focal lengths of all cameras.
 fn focals(poses: &Poses) -> Vec<[f64; 2]> {
     poses.frames.iter().map(|frame| frame.camera.intrinsics).map(|lens| [lens.fx, lens.fy]).collect()
 }
@@ -83,7 +80,6 @@ fn cameras_are_those_of_the_network() {
     assert_eq!(cameras(&found), cameras(&of_depth));
     let points = |poses: &Poses| read_points(poses.points.as_ref().expect("they lie beside it")).unwrap();
     assert!(points(&found).positions.len() > 500 && points(&found) == points(&of_depth));
-    // One focal length for both photos and axes, or each its own.
     let shared = focals(&found);
     assert!(shared[0][0] == shared[0][1] && shared[0] == shared[1], "{shared:?}");
     folder.run(&format!("{line} --focal-lengths own -o @/own.json")).success();
@@ -92,7 +88,7 @@ fn cameras_are_those_of_the_network() {
     let mean = |[fx, fy]: [f64; 2]| (fx * fy).sqrt();
     assert!(own.iter().any(|focal| (mean(*focal) / shared[0][0] - 1.0).abs() < 1e-9), "{own:?} {shared:?}");
 
-    // The model for COLMAP says the same, of photos as from their folder.
+    // The COLMAP model is equal, with photo names relative to their folder.
     for (model, points_of) in [("model", "points.ply"), ("depth/model", "depth/points.ply")] {
         let read = read_poses(folder.path(model)).unwrap();
         let names: Vec<&str> = read.frames.iter().map(|frame| frame.name.as_str()).collect();
@@ -133,13 +129,12 @@ fn a_network_that_finds_no_cameras_is_named() {
     cameras("--weights @/da3.safetensors").fails(3, &["--weights", "--with da3"]);
     folder.run("refine @/photos --poses da3 --start points -o @/s.ply").fails(3, &["--depth-weights", "no weights"]);
     folder.run("refine @/s.ply @/photos --poses da3 -o @/t.ply").fails(3, &["--poses da3", "--start points"]);
-    // The rays of random numbers agree on nothing.
+    // Random rays are inconsistent.
     let rays = format!("--with da3 {WEIGHTS} --find-size 64 --by rays");
     cameras(&rays).fails(3, &["rays that agree on a camera", "at least half"]);
     assert_eq!(folder.names(), ["alone.safetensors", "da3.safetensors", "micro.safetensors", "photos"]);
 }
 
-/// The fields of a scene's report that say what it is made of.
 fn made(json: &serde_json::Value) -> [u64; 4] {
     ["views", "tokens", "all_tokens", "gaussians"].map(|key| json[key].as_u64().unwrap_or_default())
 }
@@ -160,14 +155,13 @@ fn photos_become_a_gaussian_a_pixel() {
     assert_eq!(scene.len() as u64, gaussians);
     assert!(scene.opacities.iter().all(|opacity| (0.05..=0.951).contains(opacity)));
 
-    // Some of the patches, and some of their pixels.
     let [_, tokens, all, of_half] = made(&folder.run(&format!("{line} --ratio 0.5")).json());
     assert_eq!(all, 40);
     assert!((10..=20).contains(&tokens) && of_half < gaussians && of_half <= 196 * tokens, "{tokens}: {of_half}");
     let [_, tokens, _, few] = made(&folder.run(&format!("{line} --keep 3")).json());
     assert!(tokens == 40 && few > 60 && few <= 120, "{few}");
 
-    // The scene is that of the cameras that it found, given again or found on the way to a refinement.
+    // The scene follows from the estimated cameras, passed in or estimated during refinement.
     let cameras = read_poses(folder.path("cameras.json")).unwrap();
     assert_eq!(cameras.frames.len(), 2);
     let given = folder.run(&format!("{plain} --poses @/cameras.json --cameras-out @/again.json"));
@@ -185,7 +179,7 @@ fn photos_seen_by_themselves_need_cameras_and_points() {
     folder.run(line).fails(3, &["da3-micro-alone, which sees each photo by itself", "known cameras"]);
     let json = folder.run(&format!("{line} --poses @/place/transforms.json --json")).json();
     assert!(made(&json)[3] > 100, "{json}");
-    // At the distance of the points that the photos show.
+    // At the distance of the visible points.
     let (points, scene) =
         (read_points(folder.path("place/points.ply")).unwrap(), read_ply(folder.path("scene.ply")).unwrap());
     let first = read_poses(folder.path("place")).unwrap().frames[0].camera;
@@ -199,7 +193,7 @@ fn photos_seen_by_themselves_need_cameras_and_points() {
         middle(scene.means.iter().map(|mean| f64::from(mean[2])).collect()),
     ];
     assert!((0.3..3.0).contains(&(of_scene / of_points)), "{of_scene} {of_points}");
-    // Metres follow from the focal length that the network's pictures have.
+    // Metric depth needs the focal length of the network's input.
     let depth = |rest: &str| {
         let line = format!("depth @/place/images --weights @/alone.safetensors --size 42 -o @/out {rest}");
         folder.run(&line).success();
@@ -231,7 +225,7 @@ fn weights_are_known_by_their_tensors() {
     assert_eq!((&plan["tokens"], &plan["network"]), (&216.into(), &"da3-small".into()), "{plan}");
     assert!(plan["peak_bytes"].as_u64() > plan["weight_bytes"].as_u64());
 
-    // Rounded to 16 bits, which hold these numbers, or to 8, they give the same depth, or nearly.
+    // Weights rounded to 16 bits, which are exact, or to 8 bits.
     let values = |file: &str| {
         folder.run(&format!("depth @/photos --weights @/{file} --size 42 -o @/{file}.out")).success();
         let bytes = std::fs::read(folder.path(&format!("{file}.out/depths.safetensors"))).unwrap();
@@ -247,7 +241,6 @@ fn weights_are_known_by_their_tensors() {
         let apart: f32 = exact.iter().zip(&rounded).map(|(a, b)| (a / b).ln().abs()).sum::<f32>() / exact.len() as f32;
         assert!(apart < within, "{dtype}: {apart}");
     }
-    // Other commands say what they would take.
     let tradeoff = "bench tradeoff @/photos --weights @/da3.safetensors -o @/report";
     folder.run(tradeoff).fails(3, &["of Depth Anything 3", "of ZipSplat"]);
     let refused = |rest: &str| folder.run(&format!("reconstruct @/photos {WEIGHTS} -o @/s.ply {rest}"));
@@ -265,7 +258,7 @@ fn scenes_of_pixels_are_judged() {
     let [tokens, all] = ["tokens", "all_tokens"].map(|key| json[key].as_u64());
     assert_eq!((tokens, all, json["views"].as_array().map(Vec::len)), (Some(18), Some(18), Some(2)), "{json}");
     assert!(json["mean"]["psnr"].as_f64().is_some_and(f64::is_finite), "{json}");
-    // The scene that reconstruct makes of the same photos, in the cameras' unit.
+    // The scene equals that of `reconstruct`, in the cameras' scale.
     let inputs = json["inputs"].as_array().unwrap().iter().map(|name| format!("@/place/{}", name.as_str().unwrap()));
     let inputs: Vec<String> = inputs.collect();
     let line = format!("reconstruct {} --poses @/place {WEIGHTS} --size 42x28 -o @/scene.ply", inputs.join(" "));
@@ -283,7 +276,7 @@ fn scenes_of_pixels_are_judged() {
     eval("--refine 2:tokens").fails(3, &["--refine STEPS:tokens", "weights of ZipSplat"]);
     eval("--fit squares").fails(3, &["--fit squares", "weights of ZipSplat"]);
     eval("--keep 200").fails(3, &["--keep", "1 to 196"]);
-    // Who sees each photo by itself has a scale from points, and no cameras.
+    // Single-view networks get their scale from points and estimate no cameras.
     let alone = "eval @/place --views 3 --weights @/alone.safetensors --size 42x28";
     assert!(folder.run(&format!("{alone} --json")).json()["mean"]["psnr"].as_f64().is_some());
     folder.run(&format!("{alone} --pose-free")).fails(3, &["da3-micro-alone", "no camera decoder"]);
@@ -314,10 +307,8 @@ fn errors_are_told_where_there_is_a_truth() {
     let errors = &folder.run(&line).json()["errors"];
     let number = |errors: &serde_json::Value, key: &str| errors[key].as_f64();
     assert_eq!(errors["photos"], 3);
-    // Random numbers see a place that is not there.
     assert!(number(errors, "degrees").is_none_or(|degrees| degrees > 1.0), "{errors}");
     assert!(number(errors, "abs_rel") > Some(0.05) && number(errors, "within_1.25") < Some(0.99), "{errors}");
-    // Cameras that were given are not judged.
     let errors = &folder.run(&format!("{line} --poses @/place/transforms.json")).json()["errors"];
     assert!(errors["degrees"].is_null() && number(errors, "abs_rel").is_some(), "{errors}");
     std::fs::remove_dir_all(folder.path("place/depth")).unwrap();

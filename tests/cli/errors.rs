@@ -1,10 +1,10 @@
-//! Bad input: one error that names it, the right exit code, and no file.
+//! Invalid input: one error that names it, its exit code, no file.
 
 use crate::{Folder, zipsplat};
 use zipsplat::types::{poses::write_transforms, write_ply};
 use zipsplat_tests::scenes;
 
-/// Runs a line that has to fail with `code` and `words`, and holds that the folder is as it was.
+/// Asserts a failure with `code` and `words` that leaves the folder unchanged.
 #[track_caller]
 fn refused(folder: &Folder, line: &str, code: u8, words: &[&str]) {
     let before = folder.names();
@@ -47,11 +47,11 @@ fn photos() {
     ] {
         std::fs::write(folder.path(name), start).expect("a file");
         let advice = folder.line(advice);
-        // A video that is named goes to ffmpeg.
+        // A video goes to ffmpeg.
         if !kind.contains("video") {
             refused(&folder, &format!("reconstruct @/photos @/{name} {MICRO}"), 3, &[name, kind, &advice]);
         }
-        // A folder of nothing else says the same, with the command for the file where it is.
+        // A folder of nothing else fails the same way, with a command for its file.
         std::fs::write(folder.path(&format!("phone/{name}")), start).expect("a file");
         if name != "b.jpg" {
             let below = advice.replace(&folder.line("@/"), &folder.line("@/phone/"));
@@ -78,7 +78,7 @@ fn json_has_errors_as_objects() {
     assert!(json["error"].as_str().is_some_and(|text| text.contains("absent.ply: No such file")), "{json}");
     assert_eq!(error("--json info @/photos/1.png", 3)["kind"], "argument");
     assert_eq!(error("doctor --device nonesuch --json", 4)["kind"], "no_device");
-    // Digits of a driver's version, too: "llvmpipe (LLVM 19.1.7, 256 bits)".
+    // Also digits of a driver's version: "llvmpipe (LLVM 19.1.7, 256 bits)".
     for digits in ["256", "9", "7", "99999999999999999999"] {
         let json = error(&format!("doctor --device {digits} --json"), 4);
         assert!(json["error"].as_str().is_some_and(|text| text.contains("an index") && text.contains("0: ")), "{json}");
@@ -133,7 +133,7 @@ fn remedies_are_named() {
     assert_eq!((outcome.code, outcome.err.lines().count()), (3, 1), "{}", outcome.err);
 }
 
-/// New spellings reach the options that they will name.
+/// New spellings are aliases of the future options.
 #[test]
 fn new_names_are_aliases() {
     let folder = Folder::new();
@@ -215,7 +215,7 @@ fn poses() {
     refused(&folder, "render @/scene.ply --cameras @/none.json -o @/out", 3, &["cameras of", "at least one"]);
     let elsewhere = "render @/scene.ply --cameras @/one.json --relative-to 7.png -o @/out";
     refused(&folder, elsewhere, 3, &["7.png"]);
-    // No size, and the photos are not where the file says.
+    // Without a size, and without photos at the listed path.
     let camera = r#"{"transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]], "file_path": "./train/1"}"#;
     let text = format!("{{\"camera_angle_x\": 0.7, \"frames\": [{camera}]}}");
     std::fs::write(folder.path("nerf.json"), text).expect("a file");
@@ -319,7 +319,7 @@ fn outputs() {
     refused(&folder, &reconstruct("@/out.obj"), 3, &["--output", "out.obj", ".spz"]);
     write_ply(&scenes::random_scene(5, 0, 0.1), folder.path("scene.ply")).expect("a scene can be written");
     refused(&folder, "render @/scene.ply --wiggle -o @/scene.ply", 3, &["output", "scene.ply"]);
-    // A folder in which nobody can make a file; said before the weights or the scene are missed.
+    // An unwritable folder is reported before missing weights or scenes.
     for (line, named) in [
         ("reconstruct @/photos --weights @/absent.safetensors -o /proc/out.ply", "/proc/out.ply: "),
         ("render @/absent.ply --wiggle -o /proc/out", "/proc/out: "),

@@ -1,4 +1,4 @@
-//! `zipsplat eval`, and its numbers against scikit-image's.
+//! `zipsplat eval`, with metrics checked against scikit-image.
 
 use crate::{Folder, zipsplat};
 use glam::{DMat3, DVec3};
@@ -21,8 +21,8 @@ fn picture(value: impl Fn(usize, usize, usize) -> f64) -> Vec<f32> {
     pixels.flat_map(|(x, y)| [0, 1, 2].map(|c| value(x, y, c) as f32)).collect()
 }
 
-/// scikit-image 0.26.0: `peak_signal_noise_ratio`, and `structural_similarity` with `win_size=11` and `gaussian_weights=True`
-/// as the reference calls it, of the same pictures.
+/// scikit-image 0.26.0: `peak_signal_noise_ratio`, and `structural_similarity` with `win_size=11`
+/// and `gaussian_weights=True`, as in the reference.
 #[test]
 fn metrics_are_those_of_scikit_image() {
     let rough = |k: usize| picture(|x, y, c| ((x * x * 3 + y * (7 + k) + x * y * k + c * 29) % 97) as f64 / 96.0);
@@ -48,7 +48,6 @@ fn place() -> Folder {
     folder
 }
 
-/// The photos that a scene was reconstructed from, as arguments.
 fn inputs(json: &serde_json::Value) -> String {
     let names = json["inputs"].as_array().expect("names").iter();
     let paths: Vec<String> = names.map(|name| format!("@/place/{}", name.as_str().expect("a name"))).collect();
@@ -74,7 +73,7 @@ fn held_out_photos_are_compared() {
             assert!(told.is_some_and(|told| (told - written).abs() < 1e-3), "{name}: {written} and {told:?}");
         }
     }
-    // The capture's own unit is the network's, but for points of photos that were not chosen.
+    // The capture's scale is the network's, except for points of unused photos.
     assert!(json["unit"].as_f64().is_some_and(|unit| (0.5..2.0).contains(&unit)), "{}", json["unit"]);
     assert_eq!(read_ply(folder.path("out/scene.ply")).expect("a scene").len(), 2 * 6 * 4);
     let picture = Image::open(folder.path("out/comparison.png")).expect("a picture");
@@ -87,7 +86,7 @@ fn the_unit_of_the_cameras_does_not_matter() {
     let line = "eval @/place --views 3 --weights @/micro.safetensors --size 28x28 --json";
     let mean = |line: &str| folder.run(line).json()["mean"]["psnr"].as_f64().expect("a number");
     let before = mean(line);
-    // The same capture in a unit an eighth as long: powers of two keep every bit.
+    // The same capture at an eighth of the scale: powers of two are exact.
     let path = folder.path("place/transforms.json");
     let text = std::fs::read_to_string(&path).expect("cameras");
     let mut cameras: serde_json::Value = serde_json::from_str(&text).expect("JSON");
@@ -104,12 +103,11 @@ fn the_unit_of_the_cameras_does_not_matter() {
     zipsplat::types::write_points(&points, &scaled).expect("written");
     let after = mean(line);
     assert!((before - after).abs() < 1e-3, "{before} dB and {after} dB");
-    // A wrong unit is another input of the network.
     let wrong = mean(&format!("{line} --unit 1"));
     assert!((before - wrong).abs() > 1e-3, "{before} dB and {wrong} dB");
 }
 
-/// Where there is no point cloud, the cameras tell how far away the scene is, in any unit, to both commands.
+/// Without a point cloud, cameras give both commands the scale.
 #[test]
 fn without_points_the_unit_is_that_of_the_cameras() {
     let folder = place();
@@ -130,7 +128,6 @@ fn without_points_the_unit_is_that_of_the_cameras() {
     assert!(outcome.err.contains("no point cloud"), "{}", outcome.err);
     let found = outcome.json();
     assert_eq!((&found["unit"], &found["unit_from"]), (&json["unit"], &json["unit_from"]));
-    // A COLMAP model whose points are missing, and one whose points are empty.
     let poses = zipsplat::types::poses::read_poses(folder.path("place")).expect("cameras");
     let (mut cameras, mut images) = (String::new(), String::new());
     for (i, frame) in poses.frames.iter().enumerate() {
@@ -180,7 +177,6 @@ fn whole_photos_are_compared() {
     folder.run(&format!("{line} --fit squares --pose-free")).fails(3, &["--fit squares", "known cameras"]);
 }
 
-/// A scene that a renderer holds.
 fn splats(folder: &Folder) -> Renderer {
     folder.run("scene --seed 5 --views 4 --size 84x56 --splats -o @/place").success();
     let mut renderer = Renderer::new(device());
@@ -193,7 +189,7 @@ fn a_camera_stays_near_its_first_estimate() {
     let folder = Folder::new();
     let mut renderer = splats(&folder);
     let start = Camera { intrinsics: Intrinsics::from_fov(84, 56, 1.0, 0.7), pose: Pose::IDENTITY };
-    // Nothing of the scene is like this photo, some things far off are less unlike it.
+    // A photo unlike the scene; distant Gaussians are less unlike.
     let stripes =
         (0..84 * 56).flat_map(|i| [if i % 84 / 7 % 2 == 0 { 250 } else { 20 }, 120, (i / 84) as u8]).collect();
     let photo = Image::new(84, 56, stripes).expect("a picture");
@@ -202,7 +198,7 @@ fn a_camera_stays_near_its_first_estimate() {
     let angle = ((turn.x_axis.x + turn.y_axis.y + turn.z_axis.z - 1.0) / 2.0).clamp(-1.0, 1.0).acos();
     assert!(angle < MOST_TURN && shift < MOST_SHIFT, "{angle} radians and {shift}");
     assert!((angle - found.turn).abs() < 1e-6 && (shift - found.shift).abs() < 1e-6, "another movement is told");
-    // A photo without texture says nothing of its camera.
+    // A photo without texture does not determine its camera.
     let black = Image::new(84, 56, vec![3; 3 * 84 * 56]).expect("a picture");
     let found = align(&mut renderer, &black, &start, &|| Ok(())).expect("aligned");
     assert_eq!((found.camera, found.doubt), (start, Some(Doubt::Flat)));
@@ -223,7 +219,7 @@ fn a_camera_is_found_by_its_photo() {
     let (angle, distance) = (found.pose.rotation.x_axis.angle_between(DVec3::X), found.pose.translation.length());
     assert!(angle < 1e-3 && distance < 2e-3, "{angle} radians and {distance} from the truth");
     assert_eq!(found.intrinsics, truth.intrinsics);
-    // Adam's steps stay as long as they were.
+    // Adam's steps do not shrink.
     let found = Method::Adam.align(&mut renderer, &photo, &start, None, &|| Ok(())).expect("aligned");
     let error = found.camera.pose;
     let (angle, distance) = (error.rotation.x_axis.angle_between(DVec3::X), error.translation.length());
@@ -231,7 +227,6 @@ fn a_camera_is_found_by_its_photo() {
     assert!(likeness(&found.drawn) > likeness(&found.before) + 5.0, "the pictures are those of the cameras");
     let stop = || Err(Error::Cancelled);
     assert!(matches!(align(&mut renderer, &photo, &start, &stop), Err(Error::Cancelled)));
-    // Where nothing is better, next to nothing moves.
     let again = align(&mut renderer, &photo, &truth, &|| Ok(())).expect("aligned");
     assert!(again.turn < 1e-3 && again.shift < 1e-3 && again.doubt.is_none(), "{} and {}", again.turn, again.shift);
 }
@@ -244,18 +239,17 @@ fn pictures_without_cameras_are_aligned() {
     let json = folder.run(&format!("{line} --pose-free --csv @/s.csv -o @/out")).json();
     let psnr = |value: &serde_json::Value| value["psnr"].as_f64().expect("a number");
     let (before, after) = (psnr(&json["aligned"]["before"]), psnr(&json["mean"]));
-    // Alignment looks past holes and minds large differences less than squares do.
+    // Alignment ignores holes and is robust to large differences.
     assert!(after > before - 0.1, "{before} dB before, {after} after");
     let rows = json["aligned"]["rows"].as_array().expect("rows");
     let near = |row: &serde_json::Value| row["degrees"].as_f64().is_some_and(|degrees| (0.0..15.0).contains(&degrees));
     assert!(rows.len() == 2 && rows.iter().all(near), "{}", json["aligned"]);
     let csv = std::fs::read_to_string(folder.path("s.csv")).expect("the table was written");
     assert!(csv.lines().next().is_some_and(|line| line.ends_with("degrees,distance,doubt,lpips")), "{csv}");
-    // Random weights know nothing of the place, and the figures say so.
+    // Random weights are meaningless, and the report warns.
     let text = folder.run(&format!("eval @/place --views 2 --targets 2 {options} --pose-free"));
     assert!(text.err.contains("aligned pictures say little"), "{}", text.err);
     assert!(text.out.contains("degrees") && text.out.contains("doubt"), "{}", text.out);
-    // The network has seen the photos and nothing else.
     folder.run(&format!("reconstruct {} {options} -o @/scene.ply", inputs(&json))).success();
     let bytes = |name: &str| std::fs::read(folder.path(name)).expect("a scene");
     assert!(bytes("out/scene.ply") == bytes("scene.ply"), "two scenes of the same photos");

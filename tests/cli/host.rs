@@ -1,4 +1,4 @@
-//! A model hub and its storage on this machine, which break where a test says so.
+//! A local model hub and its storage, with faults.
 
 use sha2::{Digest, Sha256};
 use std::{
@@ -8,38 +8,35 @@ use std::{
     sync::{Arc, Mutex, MutexGuard},
 };
 
-/// A fault of the storage at one request for the file.
+/// A fault of the storage for one request.
 #[derive(Clone, Copy, Debug)]
 pub enum Act {
-    /// Closes the connection after so many bytes.
+    /// Closes the connection after this many bytes.
     Cut(usize),
-    /// Sends so many bytes and then nothing.
+    /// Stalls after this many bytes.
     Stall(usize),
-    /// Closes the connection after so many bytes, and the hub has another file from then on.
+    /// Closes the connection after this many bytes; the hub's file changes.
     Swap(usize),
-    /// Sends everything, whatever was asked for.
+    /// Ignores the requested range.
     Ignore,
-    /// Says that the bytes are others than those asked for.
+    /// Reports a range other than the requested one.
     Shift,
-    /// Answers with this status.
     Status(u16),
 }
 
-/// The state that hub and storage share.
 pub struct State {
     pub file: Vec<u8>,
-    /// SHA-256 and size as the hub says them, by default the file's.
+    /// SHA-256 and size as reported by the hub, by default the file's.
     pub etag: Option<String>,
     pub size: Option<u64>,
     pub acts: VecDeque<Act>,
-    /// Answer of the hub in place of the redirect.
+    /// The hub's response instead of the redirect.
     pub refuses: Option<u16>,
-    /// Method, path, range and whether there was a token, of each request.
+    /// Method, path, range and presence of a token, per request.
     pub requests: Vec<[String; 4]>,
     storage: u16,
 }
 
-/// A hub and its storage, which serve until the process ends.
 pub struct Host {
     pub port: u16,
     state: Arc<Mutex<State>>,
@@ -50,7 +47,7 @@ pub fn sha256(bytes: &[u8]) -> String {
 }
 
 impl Host {
-    /// Serves a file whose requests go as `acts` say, those behind as they should.
+    /// Serves a file with the faults `acts` for its first requests.
     pub fn new(file: Vec<u8>, acts: &[Act]) -> Self {
         let [hub, storage] = [0, 1].map(|_| TcpListener::bind("127.0.0.1:0").expect("a port"));
         let port = |listener: &TcpListener| listener.local_addr().expect("an address").port();
@@ -69,7 +66,6 @@ impl Host {
             std::thread::spawn(move || {
                 for stream in listener.incoming().flatten() {
                     let state = state.clone();
-                    // A client that goes away is no failure of the server.
                     std::thread::spawn(move || drop(serve(stream, &state)));
                 }
             });
@@ -81,7 +77,7 @@ impl Host {
         self.state.lock().expect("no server panicked")
     }
 
-    /// The ranges of the requests that the storage got; empty for the whole.
+    /// Requested ranges; empty for the whole file.
     pub fn ranges(&self) -> Vec<String> {
         let state = self.state();
         state.requests.iter().filter(|request| request[1] == "/blob").map(|request| request[2].clone()).collect()
@@ -116,7 +112,7 @@ fn serve(stream: TcpStream, state: &Mutex<State>) -> std::io::Result<()> {
     }
 }
 
-/// The hub first redirects within itself, as it does for repositories that were renamed.
+/// Redirects within the hub first, as for renamed repositories.
 fn hub(path: &str, state: &State) -> String {
     let end = "Content-Length: 0\r\nConnection: close\r\n\r\n";
     if let Some(status) = state.refuses {
@@ -138,7 +134,7 @@ fn hub(path: &str, state: &State) -> String {
     }
 }
 
-/// Neither ETag nor Last-Modified, as the storage behind the hub.
+/// No ETag and no Last-Modified, as in the real storage.
 fn blob(stream: &mut TcpStream, start: Option<&str>, state: &Mutex<State>) -> std::io::Result<()> {
     let (act, file) = {
         let mut state = state.lock().unwrap();
@@ -163,7 +159,6 @@ fn blob(stream: &mut TcpStream, start: Option<&str>, state: &Mutex<State>) -> st
         }
         Some(Act::Stall(count)) => {
             stream.write_all(&bytes[..count])?;
-            // Until the client gives up.
             stream.read(&mut [0]).map(drop)
         }
         _ => stream.write_all(bytes),

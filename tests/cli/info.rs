@@ -85,14 +85,13 @@ fn a_plan_takes_what_a_run_then_takes() {
         let end = |row: &serde_json::Value| row["offset"].as_u64().zip(row["bytes"].as_u64()).map(|(o, b)| o + b);
         assert!(rows.len() > 20 && rows.iter().all(|row| end(row) <= plan["arena_bytes"].as_u64()));
     }
-    // With pictures, from photos to the last of them.
     let shared = "--weights @/micro.safetensors --size 28x28 --json";
     let plan = folder.run(&format!("info --plan --views 2 --pictures 90x60 {shared}")).json();
     let drawing = "--pictures @/out -- --wiggle --frames 4 --size 90x60";
     let run = folder.run(&format!("reconstruct @/photos {shared} -o @/scene.ply {drawing}")).json();
     assert_eq!(plan["peak_bytes"], run["peak_bytes"]);
     assert!(plan["separate_bytes"].as_u64() > plan["peak_bytes"].as_u64(), "{plan}");
-    // With a refinement, from photos to its last step: of nine photos one is held out.
+    // With a refinement: from photos to its last step. One of nine photos is held out.
     folder.run("scene --seed 5 --views 9 --size 42x28 -o @/place").success();
     let photos = "@/place/images --poses @/place";
     for ratio in ["1", "0.5"] {
@@ -108,7 +107,6 @@ fn a_plan_takes_what_a_run_then_takes() {
         let number = |key: &str| plan[key].as_u64().expect("a number");
         assert!(number("refine_kept_bytes") > 3 * number("scene_bytes") && number("refine_arena_bytes") > 0, "{plan}");
     }
-    // With what a refinement may do beside moving Gaussians: all photos are learnt from where cameras move.
     let more = "--grow 2000 --refine-cameras --lpips-weight 0.05";
     let plan = folder.run(&format!("info --plan --views 9 --poses --refine 42x28 {more} {shared}")).json();
     let plain = folder.run(&format!("info --plan --views 9 --poses --refine 42x28 {shared}")).json();
@@ -121,7 +119,6 @@ fn a_plan_takes_what_a_run_then_takes() {
     }
     let grown_tokens = format!("info --plan --views 9 --refine 42x28:tokens --grow 2000 {shared}");
     assert_eq!(folder.run(&grown_tokens).code, 3);
-    // Photos that are small at first, and a scene that comes from a file.
     folder.run("scene --seed 5 --views 9 --size 400x384 -o @/large").success();
     let large = "@/large/images --poses @/large --ratio 0.5 --size 28x28";
     folder.run(&format!("reconstruct {large} --weights @/micro.safetensors -o @/scene.ply --overwrite")).success();

@@ -1,4 +1,4 @@
-//! The command line, run in process: results, errors with their exit codes, and that no failure leaves a file.
+//! The command line in process: results, exit codes, no partial files.
 
 mod batch;
 mod cameras;
@@ -41,7 +41,6 @@ use zipsplat::{
 use zipsplat_cli::{Terminal, run};
 use zipsplat_tests::architectures;
 
-/// The outcome of a command.
 #[derive(Debug)]
 struct Outcome {
     code: u8,
@@ -50,26 +49,23 @@ struct Outcome {
 }
 
 impl Outcome {
-    /// Standard output of a command that has to succeed.
     #[track_caller]
     fn success(self) -> String {
         assert_eq!(self.code, 0, "{}", self.err);
         self.out
     }
 
-    /// Standard output of a command that has to succeed, as JSON.
     #[track_caller]
     fn json(self) -> serde_json::Value {
         serde_json::from_str(&self.success()).expect("--json prints JSON and nothing else")
     }
 
-    /// Holds that the arguments were refused as no usage.
     #[track_caller]
     fn fails_usage(self) {
         assert_eq!((self.code, self.out.as_str()), (2, ""), "{}", self.err);
     }
 
-    /// Holds that the command failed with `code` and one line that has all of `words`.
+    /// Asserts a failure with `code` and one line that contains all `words`.
     #[track_caller]
     fn fails(self, code: u8, words: &[&str]) {
         assert_eq!((self.code, self.out.as_str()), (code, ""), "{}", self.err);
@@ -81,7 +77,6 @@ impl Outcome {
     }
 }
 
-/// Runs `zipsplat` with arguments separated by spaces.
 fn zipsplat(line: &str) -> Outcome {
     command(line, &AtomicBool::new(false))
 }
@@ -91,7 +86,7 @@ fn command(line: &str, cancelled: &AtomicBool) -> Outcome {
     Outcome { code, out: String::from_utf8(out).expect("results are text"), err }
 }
 
-/// As [`command`], with standard output as bytes: exit code, output and errors.
+/// Runs a command; returns exit code, standard output as bytes, and errors.
 fn raw_command(line: &str, cancelled: &AtomicBool) -> (u8, Vec<u8>, String) {
     let args = std::iter::once("zipsplat").chain(line.split_whitespace()).map(OsString::from);
     let (mut out, mut err) = (Vec::new(), Vec::new());
@@ -99,7 +94,7 @@ fn raw_command(line: &str, cancelled: &AtomicBool) -> (u8, Vec<u8>, String) {
     (code, out, String::from_utf8(err).expect("errors are text"))
 }
 
-/// A folder with two photos (`photos/1.png`, `photos/10.png`), a small network's weights and nothing else.
+/// A folder with `photos/1.png`, `photos/10.png` and a small network's weights.
 struct Folder(TempDir);
 
 impl Folder {
@@ -114,8 +109,8 @@ impl Folder {
         folder
     }
 
-    /// Weights of small networks of Depth Anything 3, whose cameras have fields of view near a right angle: `da3.safetensors`, and
-    /// `alone.safetensors` of one that sees each photo by itself.
+    /// Adds Depth Anything 3 weights with fields of view near 90 degrees: multi-view
+    /// `da3.safetensors` and single-view `alone.safetensors`.
     fn with_depth(self) -> Self {
         for (name, architecture) in [
             ("da3.safetensors", architectures::depth_micro()),
@@ -132,7 +127,7 @@ impl Folder {
         self.0.path().join(name)
     }
 
-    /// The line with every `@` replaced by this folder.
+    /// Replaces every `@` by this folder.
     fn line(&self, line: &str) -> String {
         line.replace('@', &self.0.path().display().to_string())
     }
@@ -141,13 +136,12 @@ impl Folder {
         zipsplat(&self.line(line))
     }
 
-    /// Names of all files and folders in it, sorted, hidden ones too.
+    /// Sorted names of all files and folders, including hidden ones.
     fn names(&self) -> Vec<String> {
         names(self.0.path())
     }
 }
 
-/// Multiplies a tensor of f32 in a file, where it is there.
 fn scale(file: &Path, name: &str, factor: f32) {
     let mut bytes = std::fs::read(file).expect("a file");
     let (length, header) = safetensors::SafeTensors::read_metadata(&bytes).expect("safetensors");
@@ -167,7 +161,6 @@ fn names(folder: &Path) -> Vec<String> {
     names
 }
 
-/// A picture with colour gradients, the same for the same shift.
 fn photo(width: u32, height: u32, shift: u32) -> Image {
     let pixel = |x: u32, y: u32| [5 * x + shift, 7 * y, 3 * (x + y)].map(|value| value as u8);
     let rgb = (0..height).flat_map(|y| (0..width).flat_map(move |x| pixel(x, y))).collect();

@@ -1,4 +1,4 @@
-//! Mapping that is tried again: programs that stand for COLMAP find something else each time.
+//! Retries of the mapper, with fake COLMAP programs that vary per attempt.
 #![cfg(unix)]
 
 use crate::{
@@ -8,7 +8,7 @@ use crate::{
 use std::fs;
 use zipsplat::types::{Camera, Intrinsics, poses::Frame};
 
-/// A place of 4 photos and a program whose mapper does `body` with the number of its call in `$n`; the tries find so many photos.
+/// Runs a fake mapper `body` with the attempt in `$n`; `found` are the expected photo counts.
 fn tried(body: &str, found: &[usize]) -> (Folder, Outcome) {
     let (folder, frames) = place();
     let options = [
@@ -27,7 +27,6 @@ fn tried(body: &str, found: &[usize]) -> (Folder, Outcome) {
     (folder, outcome)
 }
 
-/// Copies what its call finds, where it finds anything.
 const COPIES: &str = "cp -r \"${0%/*}/try$n/.\" \"$out\" || { echo 'failed to create sparse model'; exit 1; }";
 
 #[test]
@@ -72,7 +71,7 @@ fn four_fifths_of_many_photos_are_enough() {
     }
 }
 
-/// Few photos may not determine a lens: it is then kept as it was, if that joins as many of them.
+/// Few photos may not determine a lens: it is then fixed if that registers as many photos.
 #[test]
 fn an_unlikely_lens_is_mapped_again_with_a_fixed_one() {
     let (folder, frames) = place();

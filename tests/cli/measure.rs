@@ -1,4 +1,4 @@
-//! `zipsplat bench`: that it runs and that its numbers fit each other; no test asserts a time.
+//! `zipsplat bench`: it runs, and its numbers are consistent. No test asserts a time.
 
 use crate::Folder;
 use serde_json::Value;
@@ -15,9 +15,9 @@ fn ordered(ms: &Value) -> bool {
     0.0 <= number("min") && number("min") <= number("median") && number("median") <= number("max")
 }
 
-/// Whether a row has a share of a measured limit just where it should, and one that can be.
+/// Whether a row has a plausible fraction of a limit exactly where expected.
 fn shared(share: &Value, expected: bool) -> bool {
-    // On a busy machine the limit may have been measured while others had it.
+    // On a busy machine the measured limit may be too low.
     share.as_f64().map_or(share.is_null() && !expected, |share| expected && share > 0.0 && share < 20.0)
 }
 
@@ -34,7 +34,7 @@ fn limits_are_measured_by_work_that_is_done() {
             row["per_s"].as_f64().is_some_and(|rate| rate > 0.0 && rate.is_finite()) && ordered(&row["ms"]),
             "{row}"
         );
-        // Every value is exact, whatever the order of sums.
+        // All values are exact in any summation order.
         assert_eq!(row["difference"], 0.0, "{row}");
     }
     let text = Folder::new().run("bench peak --warmup 0 --repeats 1").success();
@@ -71,7 +71,6 @@ fn linear_layers_agree_with_f64() {
     let exact = rows.iter().filter(|row| row["kernel"] == "exact").count();
     assert_eq!((exact, rows.len() % exact), (3, 0), "one a shape and kernel");
     for row in rows {
-        // Both factors of a product are rounded: to 11 bits, or to 8.
         let most = match row["kernel"].as_str() {
             Some("exact") => 1e-5,
             Some("f16" | "f16 matrices") => 1e-3,
@@ -118,7 +117,7 @@ fn a_step_is_measured_beside_its_picture() {
     Folder::new().run("bench refine --pytorch=no-such-python").fails(3, &["--pytorch", "no-such-python", "numba"]);
 }
 
-/// A Python that prints what it was asked for as if it had measured it, and one that fails.
+/// A Python that prints its request as a result, and one that fails.
 #[cfg(unix)]
 #[test]
 fn pytorch_stands_beside_ours() {
@@ -176,15 +175,15 @@ fn depth_is_timed_by_backbone_and_head() {
 #[test]
 fn what_accuracy_costs_is_a_page_and_a_table() {
     let folder = Folder::new();
-    // One that shows some of the random network's Gaussians: pictures of nothing are equal.
+    // This one sees Gaussians: empty pictures would be equal.
     folder.run("scene --seed 3 --views 6 --size 42x28 -o @/place").success();
     let line = "bench tradeoff @/place --weights @/micro.safetensors --size 42x28 --views 2,3 --ratio 1,0.5 \
                 --select kmeans,kmeans:1,random:3 --keep 4,1 --refine 0,3,4:tokens --dtype f16,q8 --repeats 1 --targets 2 --unit 1.5 -o @/report --json";
     let points = folder.run(line).json();
     let points = points.as_array().expect("a list");
-    // Of each number of photos all tokens once, and half of them chosen in three ways; two of each,
-    // in each arithmetic. In the first all tokens and the first choice are refined twice, and made
-    // of rounded weights twice; and points are refined once.
+    // Per number of photos: all tokens, and half of them by three selections, twice, in each
+    // arithmetic. For the first number, all tokens and the first selection are also refined twice
+    // and run with rounded weights twice. Points are refined once.
     let has = |precision: &Precision| Arithmetic::of(*precision, device().limits()).is_some();
     let arithmetics = Precision::ALL.iter().filter(|precision| has(precision)).count();
     assert_eq!(points.len(), 2 * (1 + 3) * 2 * arithmetics + 2 * 2 * 2 + 2 * 2 * 2 + 2);
@@ -192,7 +191,6 @@ fn what_accuracy_costs_is_a_page_and_a_table() {
     assert_eq!(csv.lines().count(), 1 + points.len());
     let html = std::fs::read_to_string(folder.path("report/tradeoff.html")).expect("a page");
     assert_eq!(html.matches("<svg").count(), 1 + 12 + 8);
-    // A picture and a command for each point, and at the top two photos and what is recommended: data, nothing to be fetched.
     assert_eq!(html.matches("class=\"panel\"").count(), points.len());
     let cards = html.matches("class=\"card\"").count();
     assert!((3..=5).contains(&cards), "{cards}");
@@ -205,7 +203,6 @@ fn what_accuracy_costs_is_a_page_and_a_table() {
         assert_eq!(number("gaussians") == number("tokens") * number("keep"), !is_of_points, "{point}");
         assert_eq!(number("forward_ms") > 0.0, !is_of_points, "{point}");
         assert!(number("render_ms") > 0.0 && number("psnr") > 0.0, "{point}");
-        // What a point's command prints is what the point says.
         let command = point["command"].as_str().expect("a command");
         let (convert, command) = command.split_once(" && ").map_or((None, command), |(a, b)| (Some(a), b));
         let ours = |command: &str| command.strip_prefix("zipsplat ").expect("it is ours").to_owned();
@@ -215,13 +212,13 @@ fn what_accuracy_costs_is_a_page_and_a_table() {
         let is_refined = point["refine"] != "0";
         assert_eq!(number("refine_ms") > 0.0, is_refined, "{point}");
         assert!((number("total_ms") - number("forward_ms") - number("refine_ms")).abs() < 1e-6, "{point}");
-        // f16 holds every value of random weights, so that its pictures are the same and the PSNR infinite, which JSON has no number for.
+        // Random weights are exact in f16: the PSNR is infinite, which JSON cannot represent.
         assert_eq!(point["psnr_to_exact"].is_null(), is_exact || point["weights"] == "f16", "{point}");
         assert_eq!(point["psnr_to_f64"].is_null(), is_refined, "{point}");
         if !is_exact && point["select"] == "all" {
             assert!(number("psnr_to_exact").is_nan() || number("psnr_to_exact") > 40.0, "{point}");
         }
-        // Roundings of 24 bits, of 11, and of 8, through three blocks.
+        // Roundings of 24, 11 and 8 bits through three blocks.
         let most = match (point["precision"].as_str(), point["weights"].as_str()) {
             (Some("exact"), Some("own")) => 1e-5,
             (Some("exact"), Some("f16")) | (Some("fast"), _) => 1e-2,
@@ -233,7 +230,7 @@ fn what_accuracy_costs_is_a_page_and_a_table() {
         }
         assert!(is_refined || number("psnr_to_f64") > if is_exact { 80.0 } else { 40.0 }, "{point}");
         if number("views") == 3.0 {
-            // The file that both name lies in the folder of this test.
+            // The test's folder has the file that both name.
             let file = format!("{}.safetensors", point["weights"].as_str().expect("a type"));
             let in_folder = |command: &str| ours(command).replace(&file, &folder.path(&file).to_string_lossy());
             convert.iter().for_each(|convert| drop(crate::zipsplat(&in_folder(convert)).success()));
@@ -255,7 +252,7 @@ fn what_accuracy_costs_is_a_page_and_a_table() {
     assert!(!folder.path("r").exists());
 }
 
-/// However little time there is, the first point is measured.
+/// Measures the first point regardless of the budget.
 #[test]
 fn a_sweep_ends_when_its_time_is_over() {
     let folder = Folder::new();
@@ -272,7 +269,7 @@ fn a_sweep_ends_when_its_time_is_over() {
     folder.run(&format!("{line} --minutes 0 -o @/r")).fails_usage();
 }
 
-/// Pooled keys are compared with pooled ones in f64, and the command says how they are pooled.
+/// Pooled keys are compared with pooled f64, and the command has the pooling.
 #[test]
 fn pooled_keys_are_points_of_their_own() {
     let folder = Folder::new();

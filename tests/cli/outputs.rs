@@ -1,4 +1,4 @@
-//! Commands replace files: their own, and others only where that is asked for.
+//! Overwriting: commands replace their own files, others only on request.
 
 use crate::{Folder, names};
 use zipsplat::types::{Image, Scene, poses::write_transforms, write_ply};
@@ -46,11 +46,10 @@ fn every_command_replaces_its_own_files_and_no_others() {
         assert!(std::fs::read(&path).expect("a file") == mine, "{file} was replaced");
         folder.run(&format!("{line} --overwrite")).success();
         assert!(std::fs::read(&path).expect("a file") == written, "{file} is another");
-        // Nobody misses an empty file.
         std::fs::write(&path, "").expect("a file");
         folder.run(&line).success();
     }
-    // What cannot say who wrote it may be anyone's.
+    // A format without an author tag may be anyone's.
     let line = format!("reconstruct @/photos {micro} -o @/a.splat");
     folder.run(&line).success();
     folder.run(&line).fails(3, &["a.splat", "does not say"]);
@@ -86,7 +85,7 @@ fn what_a_longer_run_left_is_removed() {
     }
 }
 
-/// A file of ours that a run would replace stays where that run fails before it has drawn anything.
+/// A run that fails before drawing keeps existing files.
 #[test]
 fn nothing_is_removed_by_a_run_that_fails() {
     let folder = folder();

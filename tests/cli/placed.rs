@@ -1,4 +1,4 @@
-//! Cameras of photos without any, as they follow from a scene: `reconstruct --cameras-out` without `--poses`.
+//! Estimated cameras from a scene: `reconstruct --cameras-out` without `--poses`.
 
 use crate::Folder;
 use zipsplat::types::{Image, poses::read_poses};
@@ -26,7 +26,6 @@ fn cameras_follow_from_the_scene() {
         assert!(said["inliers"].as_u64() >= Some(6) && said["patches"] == 36, "{said}");
     }
     assert!(json["seconds"]["find cameras"].is_f64() && !folder.path("new/dir/points.ply").exists());
-    // The same cameras again.
     let before = std::fs::read(folder.path("new/dir/found.json")).expect("a file");
     let text = folder.run(&line.replace("--json", "--overwrite")).success();
     assert!(text.contains("of a photo's patches agree"), "{text}");

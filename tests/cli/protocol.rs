@@ -1,4 +1,4 @@
-//! `zipsplat eval --protocol`: one place in the layout of each data set, and what a series of scenes leaves.
+//! `zipsplat eval --protocol`: each data set's layout, and reports over several scenes.
 
 use crate::Folder;
 use glam::{DMat3, DVec3};
@@ -12,9 +12,9 @@ use zipsplat::types::{
 };
 use zipsplat_tests::golden::lpips_weights;
 
-/// How many times smaller photos are than their cameras say, as in images_4.
+/// Downscaling of photos relative to their cameras, as in images_4.
 const SMALLER: u32 = 4;
-/// Coefficients with which a fisheye lens is a pinhole, nearly: those of the tangent.
+/// Coefficients of the tangent: a fisheye lens close to a pinhole.
 const STRAIGHT: [f64; 4] = [1.0 / 3.0, 2.0 / 15.0, 17.0 / 315.0, 62.0 / 2835.0];
 const OPTIONS: &str = "--weights @/micro.safetensors --size 28x28 --lpips none";
 
@@ -24,7 +24,6 @@ fn place(folder: &Folder, seed: u32) -> Vec<Frame> {
     read_poses(folder.path("place")).expect("cameras").frames
 }
 
-/// Makes a folder and copies the place's photos there under other names.
 fn copy(folder: &Folder, to: &str, frames: &[Frame], name: impl Fn(usize) -> String) {
     std::fs::create_dir_all(folder.path(to)).expect("a folder");
     for (i, frame) in frames.iter().enumerate() {
@@ -39,7 +38,8 @@ fn write(folder: &Folder, to: &str, text: &str) {
     std::fs::write(path, text).expect("written");
 }
 
-/// DL3DV: intrinsics at full resolution at the top, OpenGL axes, names in images/ but photos in images_4/.
+/// DL3DV: full-resolution intrinsics at the top, OpenGL axes, names in images/, photos in
+/// images_4/.
 fn dl3dv(folder: &Folder, scene: &str, frames: &[Frame], k1: f64) {
     copy(folder, &format!("{scene}/images_4"), frames, |i| format!("frame_{i:05}.png"));
     let lens = frames[0].camera.intrinsics;
@@ -59,7 +59,8 @@ fn dl3dv(folder: &Folder, scene: &str, frames: &[Frame], k1: f64) {
     write(folder, &format!("{scene}/transforms.json"), &cameras.to_string());
 }
 
-/// RealEstate10K: an address, then microseconds, shares of the picture's sides, two zeros and world-to-camera a line.
+/// RealEstate10K: a URL, then lines of microseconds, relative intrinsics, two zeros,
+/// world-to-camera.
 fn re10k(folder: &Folder, scene: &str, frames: &[Frame]) {
     copy(folder, scene, frames, |i| format!("{}.png", 33_367 * (i + 1)));
     let mut text = "https://www.youtube.com/watch?v=none\n".to_owned();
@@ -74,7 +75,6 @@ fn re10k(folder: &Folder, scene: &str, frames: &[Frame]) {
     write(folder, &format!("{scene}.txt"), &text);
 }
 
-/// A COLMAP model as text with this camera.
 fn colmap(folder: &Folder, model: &str, frames: &[Frame], camera: &str, name: impl Fn(usize) -> String) {
     write(folder, &format!("{model}/cameras.txt"), &format!("# one\n1 {camera}\n"));
     let mut images = String::new();
@@ -86,7 +86,7 @@ fn colmap(folder: &Folder, model: &str, frames: &[Frame], camera: &str, name: im
     write(folder, &format!("{model}/images.txt"), &images);
 }
 
-/// Mip-NeRF 360: a pinhole at full resolution, photos in images_4/.
+/// Mip-NeRF 360: a full-resolution pinhole, photos in images_4/.
 fn mipnerf360(folder: &Folder, scene: &str, frames: &[Frame]) {
     let name = |i: usize| format!("_DSC{:04}.JPG", 8000 + i);
     copy(folder, &format!("{scene}/images_4"), frames, name);
@@ -143,7 +143,7 @@ fn every_layout_gives_the_same_figures() {
             assert!(same, "{protocol} {options}: {found:?}, as DL3DV {:?}", [psnr, ssim, gaussians]);
         }
     }
-    // Lenses are undone, and where they are not, photos are as they were.
+    // Lenses are undistorted; on request photos stay unchanged.
     let options = "--indices @/frames.json";
     let [straight, bent, kept, fisheye] = [
         run("dl3dv", "dl3dv", options),
@@ -159,7 +159,7 @@ fn every_layout_gives_the_same_figures() {
     assert!(outcome.code == 1 && outcome.err.contains("almost pinholes"), "{}", outcome.err);
 }
 
-/// Two scenes of 12 photos in `@/data`, as DL3DV has them.
+/// Two scenes of 12 photos in `@/data`, as in DL3DV.
 fn two_scenes(folder: &Folder) {
     for (scene, seed) in [("data/one", 5), ("data/two", 6)] {
         dl3dv(folder, scene, &place(folder, seed), 0.0);
@@ -177,7 +177,6 @@ fn a_series_keeps_what_was_done() {
     assert_eq!((&first["judged"], &first["unchanged"]), (&json!(3), &json!(0)));
     let all = folder.run(&format!("{line} --json")).json();
     assert_eq!((&all["judged"], &all["unchanged"]), (&json!(1), &json!(3)));
-    // Means are those of the rows, in the columns of the paper.
     let rows = all["scenes"].as_array().expect("rows");
     assert_eq!(rows.len(), 4);
     let of =
@@ -198,7 +197,7 @@ fn a_series_keeps_what_was_done() {
     assert_eq!(scenes.lines().count(), 5, "{scenes}");
     let page = std::fs::read_to_string(folder.path("out/page.html")).expect("a page");
     assert!(page.matches("src=\"data:image/jpeg;base64,").count() == 4 && !page.contains("http"), "no picture a row");
-    // Another way to judge has a line of its own; a photo that changed is judged again.
+    // Another evaluation gets its own line; a changed photo is evaluated again.
     let free = folder.run(&format!("{line} --pose-free --name A|B --json")).json();
     assert_eq!((&free["judged"], free["means"].as_array().map(Vec::len)), (&json!(4), Some(2)));
     let photo = folder.path("data/two/images_4/frame_00000.png");
@@ -207,7 +206,7 @@ fn a_series_keeps_what_was_done() {
     assert_eq!((&again["judged"], &again["unchanged"]), (&json!(2), &json!(2)));
 }
 
-/// Cameras are aligned as the paper's authors do, where nobody says otherwise; scenes of another system are found by name.
+/// The default alignment is the paper's; external scenes are found by name.
 #[test]
 fn a_protocol_aligns_cameras() {
     let folder = Folder::new();
@@ -222,7 +221,7 @@ fn a_protocol_aligns_cameras() {
     let [usual, adam, none] = [figure("", "a"), figure("--align adam", "b"), figure("--align none", "c")];
     assert!(usual == adam && usual > none + 1.0, "{usual}, {adam} and {none} dB");
     folder.run(&format!("{line} --align hope -o @/d")).fails_usage();
-    // Without LPIPS weights the table lacks a column, which is said.
+    // Without LPIPS weights the table lacks the column, with a note.
     let by_default = format!("{} --align none -o @/e", line.replace("--lpips none", ""));
     let said = folder.run(&by_default).err.contains("LPIPS is missing");
     assert_eq!(said, lpips_weights(LpipsNetwork::Vgg).is_none());
@@ -268,7 +267,7 @@ fn scenes_that_fail_are_listed() {
     assert!(!folder.path("out2").exists());
 }
 
-/// Pictures of the place: a file at each path.
+/// Writes a picture at each path.
 #[test]
 fn other_folders_of_photos_are_taken_where_asked() {
     let folder = Folder::new();

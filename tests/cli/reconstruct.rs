@@ -116,7 +116,6 @@ fn cameras_to_learn_from_are_cameras() {
     let run =
         || folder.run("reconstruct @/photos --weights @/micro.safetensors --size 28x28 --poses @/place -o @/s.ply");
     run().success();
-    // The other name comes first.
     write_transforms(folder.path("place/transforms.json"), &cameras[..1], &names[..1]).expect("cameras");
     let outcome = run();
     assert!(outcome.err.contains("not among the cameras: 10.png"), "{}", outcome.err);
@@ -134,7 +133,7 @@ fn some_of_many_photos_are_spread() {
     };
     let (text, three) = scene("@/photos --views 3");
     assert!(text.contains("from 3 views of"), "{text}");
-    // In steps of 4.5 from 1 to 10, halves rounded up.
+    // Steps of 4.5 from 1 to 10, halves rounded up.
     assert!(three == scene("@/photos/1.png @/photos/6.png @/photos/10.png").1, "another choice");
     let (text, one) = scene("@/photos --views 1");
     assert!(text.contains("from 1 view of") && one == scene("@/photos/1.png").1, "{text}");
@@ -158,7 +157,7 @@ fn cropping_much_is_said() {
     assert_eq!(run("--size 56x42"), "");
 }
 
-/// Only the trained size is any good, so no other one is advised.
+/// Only the trained size is good: the warning suggests no other.
 #[test]
 fn another_size_than_the_trained_one_is_said() {
     let folder = Folder::new();
@@ -215,7 +214,6 @@ fn poses_count_relative_to_the_first_view() {
     assert!(apart(&none) > 1e-3, "the cameras do not show: {}", apart(&none));
 }
 
-/// As COLMAP sees them.
 #[test]
 fn photos_with_cameras_are_taken_as_stored() {
     let folder = Folder::new();
@@ -231,7 +229,7 @@ fn photos_with_cameras_are_taken_as_stored() {
         folder.run(&line).success();
         read_ply(folder.path("s.ply")).expect("the scene can be read")
     };
-    // On its side, and on its head, where the shape of the picture tells nothing.
+    // Rotated by 90 and by 180 degrees; the latter keeps the picture's shape.
     for orientation in [6, 3] {
         let turned = with_orientation(&jpeg, orientation);
         assert!(scene(&turned, "--poses @/c.json") == scene(&jpeg, "--poses @/c.json"), "orientation {orientation}");
@@ -239,7 +237,7 @@ fn photos_with_cameras_are_taken_as_stored() {
     }
 }
 
-/// Structure from motion seldom places every photo.
+/// Structure from motion rarely places every photo.
 #[test]
 fn photos_without_cameras_are_left_out_and_named() {
     let folder = Folder::new();
@@ -255,7 +253,7 @@ fn photos_without_cameras_are_left_out_and_named() {
     let left = scene();
     folder.run(&format!("reconstruct @/photos/3.png @/photos/5.png {line}")).success();
     assert!(scene() == left, "the same photos");
-    // They are left out before some of many are chosen.
+    // Unposed photos are dropped before views are selected.
     assert_eq!(folder.run(&format!("reconstruct @/photos {line} --views 2")).json()["views"], 2);
     let line = line.replace(" --json", "");
     folder.run(&format!("reconstruct @/photos/1.png {line}")).fails(3, &["camera of", "1.png", "3.png"]);
@@ -331,7 +329,7 @@ fn pictures_are_those_of_the_two_commands_one_after_the_other() {
         for name in &found {
             let read = |at: &str| image::open(folder.path(&format!("{at}-{i}")).join(name)).unwrap().into_rgb16();
             let (ours, theirs) = (read("at-once"), read("after"));
-            // A PLY keeps logarithms of scales and of odds, whose rounding may move a value over the edge to the next level.
+            // A PLY stores logs and logits, whose rounding may move a value to the next level.
             let level = if name.contains("depth") { 1 } else { 257 };
             let most = ours.as_raw().iter().zip(theirs.as_raw()).map(|(a, b)| a.abs_diff(*b)).max();
             assert!(most <= Some(level), "{name:?}: {most:?}");

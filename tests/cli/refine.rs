@@ -25,12 +25,11 @@ fn points_become_a_scene_that_looks_like_the_photos() {
     assert_eq!((scene.len() as u64, losses.len()), (json["gaussians"].as_u64().expect("a number"), 30));
     let mean = |losses: &[f64]| losses.iter().sum::<f64>() / losses.len() as f64;
     assert!(mean(&losses[25..]) < 0.8 * mean(&losses[..5]), "{losses:?}");
-    // Of 10 photos one is held out.
     let held_out = json["refined"]["held_out"].as_array().expect("looks");
     let psnr = |i: usize| held_out[i][1].as_f64().expect("dB");
     assert!(psnr(held_out.len() - 1) > psnr(0) + 1.0, "{held_out:?}");
     assert!(json["explain"]["passes"].as_array().is_some_and(|passes| passes.len() > 10), "{}", json["explain"]);
-    // The scene is in the world of the cameras, and says so.
+    // The scene is in the cameras' world, and the file records it.
     let first = read_poses(folder.path("place")).expect("cameras").frames[0].camera.pose;
     let Some(World { origin: Origin::Cameras(pose), .. }) = read_world(folder.path("scene.ply")).expect("a world")
     else {
@@ -89,12 +88,11 @@ fn refined_cameras_are_written() {
         assert_eq!(given.intrinsics, found.intrinsics);
         !found.pose.matrix().abs_diff_eq(given.pose.matrix(), 1e-9)
     };
-    // Neither the first nor the one of 10 that is held out.
     assert_eq!((0..10).filter(|i| !moved(*i)).collect::<Vec<_>>(), [0, 5]);
     assert!((1e-3..2.0).contains(&degrees), "{degrees}");
     assert!(found.frames.iter().zip(&given.frames).all(|(found, given)| found.photo.is_some()
         && found.photo.as_ref().map(|path| path.file_name()) == given.photo.as_ref().map(|path| path.file_name())));
-    // Nobody asks for it here.
+    // Not requested here.
     let again = "refine @/scene.ply @/place/images --poses @/cameras.json --steps 0 -o @/again.ply --json";
     assert!(folder.run(again).json()["refined"]["cameras"].is_null());
     let reconstruct = format!("reconstruct {PHOTOS} --weights @/micro.safetensors --size 28x28 -o @/sharp.ply");
@@ -156,11 +154,11 @@ fn reconstructions_are_refined() {
     let line = format!("reconstruct {PHOTOS} --weights @/micro.safetensors --size 28x28 --json");
     let run = |options: &str| folder.run(&format!("{line} {options} -o @/sharp.ply --overwrite")).json();
     for (options, start, network) in [
-        // Weights that were not measured start from their own scene.
+        // Unmeasured weights default to their own scene.
         ("--refine=8", "the scene", true),
         ("--refine=8:tokens", "the network's tokens", true),
         ("--refine=8 --start both", "the scene and the capture's points", true),
-        // The network has nothing to add.
+        // The network adds nothing.
         ("--refine=8 --start points", "the capture's points", false),
     ] {
         let json = run(options);

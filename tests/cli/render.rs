@@ -74,7 +74,7 @@ fn depth_and_alpha_are_what_the_renderer_gives() {
     let image::DynamicImage::ImageLuma16(depth) = open("out/000.depth.png") else { panic!("depth has 16 bits") };
     let image::DynamicImage::ImageLuma8(alpha) = open("out/000.alpha.png") else { panic!("alpha has 8 bits") };
     assert_eq!((depth.dimensions(), alpha.dimensions()), ((48, 32), (48, 32)));
-    // The scene's Gaussians are 1 to 6 units away, some wider than 0.1.
+    // The Gaussians are 1 to 6 units away, some wider than 0.1.
     let seen = depth.pixels().zip(alpha.pixels()).filter(|(_, alpha)| alpha.0[0] > 64);
     let depths: Vec<u16> = seen.map(|(depth, _)| depth.0[0]).collect();
     assert!(depths.len() > 20, "{} pixels", depths.len());
@@ -108,7 +108,7 @@ fn paths_have_as_many_pictures_as_asked() {
         let files = contents(&folder, path);
         assert_eq!(files.len(), 6);
         let pictures: std::collections::BTreeSet<_> = files.values().collect();
-        // A wiggle passes its middle twice and the first picture is not drawn again at the end.
+        // A wiggle passes its center twice; the first picture does not repeat at the end.
         assert!(pictures.len() >= 5, "{} different pictures", pictures.len());
     }
 }
@@ -121,7 +121,7 @@ fn cameras_count_from_a_photo_and_fit_a_size() {
     folder.run(&format!("{line}/from --relative-to elsewhere/b.png")).success();
     let (all, from) = (contents(&folder, "all"), contents(&folder, "from"));
     assert_eq!(Image::size(folder.path("all/000.png")).expect("a picture"), (24, 24));
-    // b itself then stands at the origin, half a unit right of where the file has it; a's field of view differs.
+    // b is then the origin, half a unit right of its place in the file; a's field of view differs.
     assert_ne!(all["001.png"], from["001.png"]);
 }
 
@@ -129,7 +129,6 @@ fn cameras_count_from_a_photo_and_fit_a_size() {
 fn a_scene_finds_its_cameras_in_their_own_file() {
     let folder = folder();
     folder.run("scene --seed 4 --views 3 --size 28x28 -o @/place").success();
-    // A world of the cameras' own, far from the first photo.
     let path = folder.path("place/transforms.json");
     let text = std::fs::read_to_string(&path).expect("cameras");
     let mut cameras: serde_json::Value = serde_json::from_str(&text).expect("JSON");
@@ -138,14 +137,13 @@ fn a_scene_finds_its_cameras_in_their_own_file() {
         frame["transform_matrix"][0][3] = (x + 1000.0).into();
     }
     std::fs::write(&path, cameras.to_string()).expect("written");
-    // Weights that mean something: of random ones the cameras see nothing.
     folder.run("reconstruct @/place/images --poses @/place --unit 1 -o @/posed.ply").success();
     let found = folder.run("render @/posed.ply --cameras @/place -o @/found");
     assert_eq!(found.err, "", "the world needs no note");
     found.success();
     folder.run("render @/posed.ply --cameras @/place --relative-to 000.png -o @/named").success();
     assert_eq!(contents(&folder, "found"), contents(&folder, "named"));
-    // All formats say what their world is but .splat: all black, and said so.
+    // All formats but .splat store their world: a black picture gets a warning.
     for format in ["spz", "glb", "gltf"] {
         folder.run(&format!("convert @/posed.ply @/posed.{format}")).success();
         assert!(!says_empty(&folder, &format!("render @/posed.{format} --cameras @/place -o @/{format}")), "{format}");
@@ -157,14 +155,13 @@ fn a_scene_finds_its_cameras_in_their_own_file() {
     assert!(lost.err.contains("but the background") && lost.err.contains("--relative-to PHOTO"), "{}", lost.err);
     lost.success();
     assert!(!says_empty(&folder, "render @/posed.splat --cameras @/place --relative-to 000.png -o @/again"));
-    // Cameras of another file, without that photo.
     let text = std::fs::read_to_string(&path).expect("cameras").replace("000.png", "zero.png");
     std::fs::write(folder.path("other.json"), text).expect("written");
     let other = folder.run("render @/posed.ply --cameras @/other.json -o @/other");
     assert!(other.err.contains("images/000.png, which") && other.err.contains("--world cameras"), "{}", other.err);
 }
 
-/// A turned, moved world in another unit: what fits there fits as it is.
+/// A rotated, translated world in another scale stays as it is.
 #[test]
 fn a_scene_can_be_in_the_world_of_its_cameras() {
     let folder = folder();
@@ -197,7 +194,7 @@ fn a_scene_can_be_in_the_world_of_its_cameras() {
     let (said, own) = draw("own", "--world cameras", "--cameras @/place");
     assert_eq!(said, "", "there is nothing to say where all fits");
     close(&first, &own);
-    // Paths around the scene begin at its first photo whatever the world is.
+    // Paths start at the first photo in any world.
     for path in ["--wiggle", "--orbit", "--dolly"] {
         let path = format!("{path} --frames 3 --size 28x28");
         close(&draw("first", "", &path).1, &draw("own", "--world cameras", &path).1);
@@ -232,7 +229,7 @@ fn picture(folder: &Folder, name: &str) -> Image {
     Image::open(folder.path(name)).expect("a picture")
 }
 
-/// Whether a line that succeeds says that its pictures are empty.
+/// Whether a successful line reports empty pictures.
 fn says_empty(folder: &Folder, line: &str) -> bool {
     let outcome = folder.run(line);
     let said = outcome.err.contains("but the background");
@@ -246,7 +243,6 @@ fn only_own_pictures_are_replaced() {
     let line = "render @/scene.ply --cameras @/cameras.json --depth --alpha --normals --group 8 -o @/out";
     folder.run(line).success();
     let drawn = contents(&folder, "out");
-    // All that was drawn may be replaced, and nothing else by any of its names.
     folder.run(line).success();
     let mine = crate::photo(8, 6, 1);
     for name in ["000.png", "002.depth.png", "001.alpha.png", "000.normal.png", "002.tokens.png", "contact.png"] {
@@ -256,7 +252,7 @@ fn only_own_pictures_are_replaced() {
         folder.run(&format!("{line} --overwrite")).success();
         assert_eq!(contents(&folder, "out"), drawn);
     }
-    // Names that are not asked for are the user's own.
+    // Names of unrequested outputs belong to the user.
     mine.save_png(folder.path("out/000.alpha.png")).expect("a photo can be written");
     mine.save_png(folder.path("out/003.png")).expect("a photo can be written");
     folder.run("render @/scene.ply --cameras @/cameras.json --depth -o @/out").success();

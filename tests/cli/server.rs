@@ -1,4 +1,4 @@
-//! The server of a page against clients that lie, stall or read the command lines of others.
+//! The viewer's server against malicious and stalling clients.
 #![cfg(unix)]
 
 use crate::view::{ask, folder, served};
@@ -25,7 +25,7 @@ fn no_client_ends_or_holds_the_page() {
         };
         let answer = |mut stream: TcpStream| {
             let mut answer = Vec::new();
-            // A connection that is closed before its request is complete is reset.
+            // Closing an incomplete request resets the connection.
             let _ = stream.read_to_end(&mut answer);
             String::from_utf8_lossy(&answer).into_owned()
         };
@@ -53,7 +53,6 @@ fn no_client_ends_or_holds_the_page() {
         is_served("stalled bodies");
         let headers: Vec<_> = (0..200).map(|_| open("GET / HTTP/1.1\r\nHost:")).collect();
         is_served("stalled headers");
-        // Kept open while the server ends.
         std::mem::forget((bodies, headers));
     });
 }

@@ -1,4 +1,4 @@
-//! `zipsplat eval --scene`: one scene as other systems write it, judged by the same views.
+//! `zipsplat eval --scene`: an external scene, evaluated on the same views.
 
 use crate::Folder;
 use glam::{DMat3, DVec3};
@@ -8,7 +8,7 @@ use zipsplat::types::{
     read_ply, read_points, write_ply, write_points,
 };
 
-/// The cameras' unit in that of the first camera's scene.
+/// Scale of the cameras relative to the first camera's scene.
 const LENGTH: f64 = 3.0;
 
 fn world() -> Pose {
@@ -16,7 +16,8 @@ fn world() -> Pose {
     Pose { rotation, translation: DVec3::new(4.0, -2.0, 7.0) }
 }
 
-/// A place without a sky, whose cameras are in a world of their own, `@/place`, and its scene in that of the first camera, whose unit is three of it.
+/// A place without sky in `@/place`, whose cameras have their own world, and its scene in the first
+/// camera's space at a third of the scale.
 fn place(folder: &Folder) -> (Scene, Vec<Camera>) {
     folder.run("scene --seed 9 --views 8 --size 56x56 --splats -o @/place").success();
     let frames = read_poses(folder.path("place")).expect("cameras").frames;
@@ -35,7 +36,6 @@ fn place(folder: &Folder) -> (Scene, Vec<Camera>) {
     (scene, cameras)
 }
 
-/// A scene in another world, as a file.
 fn save(folder: &Folder, name: &str, scene: &Scene, scale: f64, pose: &Pose) {
     let mut scene = scene.clone();
     scene.place(scale, pose);
@@ -52,13 +52,14 @@ fn judge(folder: &Folder, options: &str) -> f64 {
 fn a_scene_is_judged_alike_in_every_layout() {
     let folder = Folder::new();
     let (scene, cameras) = place(&folder);
-    // The world of the cameras, as 3DGS and brush; the first camera's, as pose-free systems; its axes alone, as DepthSplat.
+    // The cameras' world (3DGS, brush), the first camera's (pose-free systems), its axes alone
+    // (DepthSplat).
     save(&folder, "cameras.ply", &scene, LENGTH, &world());
     save(&folder, "first.ply", &scene, 1.0, &Pose::IDENTITY);
     let axes = cameras[0].pose.rotation.transpose();
     let turned = Pose { rotation: axes * world().rotation, translation: axes * world().translation };
     save(&folder, "turned.ply", &scene, LENGTH, &turned);
-    // Anywhere, as MVSplat's, which is turned, moved and scaled for a viewer.
+    // Any similarity, as of MVSplat for viewers.
     let away = Pose { rotation: DMat3::from_rotation_y(2.0), translation: DVec3::new(-1.0, 0.5, 0.25) };
     save(&folder, "away.ply", &scene, 0.2, &away);
     let frames = read_poses(folder.path("place")).expect("cameras").frames;
@@ -70,7 +71,7 @@ fn a_scene_is_judged_alike_in_every_layout() {
     let moved: Vec<Camera> = cameras.iter().map(theirs).collect();
     let names: Vec<&str> = frames.iter().map(|frame| frame.name.trim_start_matches("images/")).collect();
     write_transforms(folder.path("theirs.json"), &moved, &names).expect("written");
-    // Plain opacities where logits belong, as NoPoSplat, C3G, AnySplat and MVSplat.
+    // Opacities instead of logits, as in NoPoSplat, C3G, AnySplat and MVSplat.
     let mut plain = scene.clone();
     plain.opacities.iter_mut().for_each(|opacity| *opacity = 1.0 / (1.0 + (-*opacity).exp()));
     save(&folder, "plain.ply", &plain, 1.0, &Pose::IDENTITY);
@@ -87,12 +88,10 @@ fn a_scene_is_judged_alike_in_every_layout() {
         let found = judge(&folder, &options);
         assert!((found - expected).abs() < 0.02, "{options}: {found} dB, {expected} dB");
     }
-    // What is said of a scene matters.
     for options in ["@/cameras.ply", "@/first.ply", "@/turned.ply --world cameras", "@/away.ply"] {
         let found = judge(&folder, options);
         assert!(found < expected - 3.0, "{options}: {found} dB, {expected} dB");
     }
-    // Files of ours say their world; other formats are read, too.
     folder.run("convert @/first.ply @/first.spz").success();
     let packed = judge(&folder, "@/first.spz --scene-unit 3");
     assert!((packed - expected).abs() < 0.5, "{packed} dB, {expected} dB");
@@ -129,7 +128,6 @@ fn pictures_of_a_scene_are_aligned_where_asked() {
     assert!(aligned > given + 1.0, "{given} dB, aligned {aligned} dB");
 }
 
-/// Values of a file of NumPy's that `scene` wrote.
 fn depth(folder: &Folder, number: usize) -> Vec<f32> {
     let bytes = std::fs::read(folder.path(&format!("place/depth/{number:03}.npy"))).expect("depth");
     bytes[128..].as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect()
@@ -140,7 +138,7 @@ fn a_gaussian_a_pixel_is_made_of_depth() {
     let folder = Folder::new();
     folder.run("scene --seed 9 --views 8 --size 84x56 --splats -o @/place").success();
     let line = "eval @/place --views 4 --lpips none --from-depth @/place/depth";
-    // At the size of the photos, these are the Gaussians of the inputs.
+    // At full photo size these are the input Gaussians.
     let json = folder.run(&format!("{line} --size 84x56 -o @/out --json")).json();
     let names: Vec<&str> = json["inputs"].as_array().expect("names").iter().filter_map(|name| name.as_str()).collect();
     let splats = read_ply(folder.path("place/splats.ply")).expect("a scene");
@@ -160,14 +158,14 @@ fn a_gaussian_a_pixel_is_made_of_depth() {
         start += count;
     }
     assert_eq!((at, json["gaussians"].as_u64()), (made.len(), Some(made.len() as u64)));
-    // Cropped and smaller, pixels are where the network sees them.
+    // Cropped and downscaled, pixels stay where the network sees them.
     let psnr = |json: &serde_json::Value| json["mean"]["psnr"].as_f64().expect("dB");
     let [whole, small] = ["84x56", "28x28"].map(|size| {
         let json = folder.run(&format!("{line} --size {size} --score-size 28x28 --json")).json();
         (json["gaussians"].as_u64().expect("a number"), psnr(&json))
     });
     assert!(small.0 <= 4 * 28 * 28 && whole.0 > 5 * small.0 && small.1 > whole.1 - 4.0, "{whole:?} {small:?}");
-    // An error of depth moves Gaussians along their rays, by as much as is asked for. The world is the first photo's camera.
+    // Depth noise moves Gaussians along their rays by its amount. The world is the first camera's.
     folder.run(&format!("{line} --size 84x56 --noise 5 --targets 1 -o @/noisy")).success();
     let noisy = read_ply(folder.path("noisy/scene.ply")).expect("a scene");
     let of_first = depth(&folder, 0).iter().filter(|z| **z > 0.0).count();
@@ -176,11 +174,9 @@ fn a_gaussian_a_pixel_is_made_of_depth() {
     let squares: f32 = pairs.map(|[a, b]| (b.length() / a.length() - 1.0).powi(2) + a.angle_between(b).powi(2)).sum();
     let error = (squares / of_first as f32).sqrt();
     assert!((0.03..0.07).contains(&error), "{error} of the depth");
-    // Refinement starts from what there is.
     let json = folder.run(&format!("{line} --size 28x28 --targets 1 --refine 2 --json")).json();
     assert_eq!((&json["refined"]["start"], &json["refined"]["steps"]), (&"the scene".into(), &2.into()));
     folder.run(&format!("{line} --noise 31")).fails_usage();
-    // What does not fit the photos is refused.
     let refuses = |words: &[&str]| folder.run(&format!("{line} --size 28x28")).fails(3, words);
     let file = folder.path("place/depth/000.npy");
     let bytes = std::fs::read(&file).expect("depth");

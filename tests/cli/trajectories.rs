@@ -1,4 +1,4 @@
-//! Camera paths of `zipsplat render`, and pictures as one file or one stream.
+//! Camera paths of `zipsplat render`; pictures as one file or stream.
 
 use crate::{Folder, names, raw_command};
 use glam::DMat3;
@@ -11,7 +11,8 @@ use std::{
 use zipsplat::types::{Camera, Image, Intrinsics, Pose, poses::write_transforms, write_ply};
 use zipsplat_tests::scenes;
 
-/// A folder with `scene.ply` and three cameras of one size (`cameras.json`), and of several (`sizes.json`).
+/// A folder with `scene.ply`, three cameras of one size (`cameras.json`), and of several
+/// (`sizes.json`).
 fn folder() -> Folder {
     let folder = Folder::new();
     write_ply(&scenes::random_scene(200, 1, 0.2), folder.path("scene.ply")).expect("a scene can be written");
@@ -27,7 +28,7 @@ fn folder() -> Folder {
     folder
 }
 
-/// RGB bytes of the numbered pictures of a folder.
+/// RGB bytes of a folder's numbered pictures.
 fn pictures(folder: &Folder, name: &str) -> Vec<Vec<u8>> {
     let numbered = |name: &String| name.starts_with(|c: char| c.is_ascii_digit());
     let files = names(&folder.path(name)).into_iter().filter(numbered);
@@ -58,7 +59,7 @@ fn every_path_draws_its_pictures() {
     assert_eq!([&given[0], &given[2]], [&spline[0], &spline[4]], "a spline ends at its last camera");
 }
 
-/// The first camera of a tilted capture has another up than the mean of all.
+/// The first camera of a tilted capture differs from the mean up direction.
 #[test]
 fn an_orbit_takes_its_up_from_cameras() {
     let folder = folder();
@@ -129,7 +130,7 @@ fn a_gif_has_every_picture_at_its_rate() {
             rgb.zip(picture).map(|(a, b)| f64::from(a.abs_diff(*b))).sum::<f64>() / picture.len() as f64
         };
         let differences: Vec<f64> = truth.iter().map(difference).collect();
-        // 256 colours for 851 pixels, which nearly all differ.
+        // 256 colors for 851 mostly different pixels.
         let own = differences[delays.len()];
         assert!(own < 8.0, "{own} levels");
         assert!(
@@ -173,7 +174,7 @@ fn raw_frames_are_the_pictures() {
     assert!(err.contains("size: 37x23"), "{err}");
 }
 
-/// Programs that stand for ffmpeg, one after another: starting one while another is written can fail.
+/// Fake ffmpeg programs, one test: starting one while writing another can fail.
 #[test]
 #[cfg(unix)]
 fn mp4_is_piped_to_ffmpeg() {
@@ -193,7 +194,7 @@ fn mp4_is_piped_to_ffmpeg() {
     script("broken", "");
     std::fs::write(folder.path("broken"), "#!/bin/sh\nexit 3\n").expect("a script");
 
-    // What these write does not say that it is ours.
+    // Their output has no author tag.
     let line = |program: &str| {
         format!("{RENDER} --orbit --frames 20 --size 37x23 --fps 24 --ffmpeg @/{program} --video @/out.mp4 --overwrite")
     };
@@ -259,7 +260,7 @@ fn unusable_requests_leave_no_file() {
     assert_eq!(folder.names(), before);
 }
 
-/// Runs a line that is cancelled as soon as a temporary file is there, and holds that it leaves none.
+/// Cancels a line once a temporary file exists, and asserts that none remains.
 #[track_caller]
 fn cancelled_under_way(folder: &Folder, line: &str) {
     let before = folder.names();

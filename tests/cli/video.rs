@@ -1,4 +1,4 @@
-//! Photos from videos: with programs that stand for ffmpeg, and with itself where it is installed.
+//! Photos from videos: with fake ffmpeg programs, and with ffmpeg if installed.
 #![cfg(unix)]
 
 use crate::{
@@ -12,7 +12,7 @@ use zipsplat::types::{
     poses::{Frame, read_poses},
 };
 
-/// Frames of a video through a program that stands for ffmpeg: of 6 frames 1, 2 and 4 are the sharp ones of their thirds.
+/// Frames from a fake ffmpeg: of 6 frames, 1, 2 and 4 are the sharpest of their thirds.
 #[test]
 fn videos_become_their_sharpest_frames() {
     let folder = Folder::new();
@@ -39,7 +39,7 @@ fn videos_become_their_sharpest_frames() {
     assert_eq!(made, ["ffmpeg.args", "scene.ply"]);
     let args = fs::read_to_string(folder.path("ffmpeg.args")).expect("arguments");
     assert!(args.contains("select='eq(n,1)+eq(n,2)+eq(n,4)'"), "{args}");
-    // With cameras the frames stay, and are named.
+    // With cameras the frames are kept and listed.
     colmap(&folder, "colmap", "3.8", OPTIONS_3, ["", "", COPIES]);
     let camera = zipsplat_tests::scenes::camera(16, 8);
     let moved = Camera { pose: zipsplat::types::Pose { rotation: DMat3::IDENTITY, translation: DVec3::X }, ..camera };
@@ -54,7 +54,6 @@ fn videos_become_their_sharpest_frames() {
     assert!(photo.rgb.iter().all(|value| value.abs_diff(200) < 3) && (photo.width, photo.height) == (16, 8));
     folder.run(cameras).fails(3, &["folder for frames", "frames", "does not exist yet"]);
     folder.run(&format!("{cameras} --overwrite")).success();
-    // A frame that is missing, words of ffmpeg's, and none.
     fs::remove_file(folder.path("scene.ply")).expect("removed");
     script(&folder, "short", &cats.replace("/ppm'", "/ppm' | head -c 400"));
     script(&folder, "says", &text("echo 'moov atom not found' >&2; exit 1", ""));
@@ -100,7 +99,7 @@ fn ffmpeg_itself_gives_frames_turned_as_the_file_says() {
         let json = folder.run(&line).json();
         assert_eq!((json["photos"].as_u64(), json["found"].as_u64()), (Some(5), Some(1)), "{json}");
     }
-    // A playlist reads no other file.
+    // A playlist must not read other files.
     fs::write(folder.path("list.mp4"), "ffconcat version 1.0\nfile plain.mp4\n").expect("written");
     let line = "cameras @/list.mp4 --views 5 --colmap @/colmap -o @/list.json --overwrite";
     folder.run(line).fails(3, &["list.mp4", "ffmpeg cannot read it"]);

@@ -1,4 +1,4 @@
-//! Pages for a browser, and the server that hands them out.
+//! Browser pages and their server.
 
 use crate::{Folder, Outcome, command};
 use base64::{Engine, prelude::BASE64_STANDARD};
@@ -49,7 +49,7 @@ fn a_page_has_its_scenes_within_it_and_asks_nobody() {
     }
     let policy = between(&page, "http-equiv=Content-Security-Policy content=\"", "\"");
     assert!(policy.contains("default-src 'none'") && policy.contains("connect-src 'none'"), "{policy}");
-    // A browser runs no other script than that of this sum.
+    // The browser runs only the script with this hash.
     let script = page.rsplit_once("<script>").expect("a script").1;
     let script = script.split_once("</script>").expect("its end").0;
     assert_eq!(base64(between(policy, "sha256-", "'")), Sha256::digest(script).to_vec());
@@ -117,7 +117,7 @@ fn photos_become_scenes_of_several_ratios() {
     assert_eq!((&config["grid"], config["views"].as_array().map(Vec::len)), (&serde_json::json!([2, 4]), Some(2)));
     assert!(config["views"][0]["photo"].as_str().is_some_and(|photo| photo.starts_with("data:image/jpeg;base64,")));
     assert_eq!(scene_within(&page, 2).len(), 16);
-    // Two ratios that keep as many tokens are one.
+    // Ratios with equal token counts are merged.
     assert_eq!(view("--ratios 0.5,1,0.51 --json").json()["gaussians"], serde_json::json!([64, 32]));
     assert_eq!(view("--ratios 0.5 --keep 2 --json").json()["gaussians"], serde_json::json!([16]));
 }
@@ -151,7 +151,6 @@ fn photos_and_scenes_have_options_of_their_own() {
     assert!(!folder.path("page.html").exists());
 }
 
-/// Hands on what is printed as it is printed.
 struct Printed(Sender<Vec<u8>>);
 
 impl Write for Printed {
@@ -165,12 +164,11 @@ impl Write for Printed {
     }
 }
 
-/// Sends a request and gives the status and the body of the answer.
+/// Sends a request; returns status and body.
 pub fn ask(port: &str, request: &str) -> (u16, Vec<u8>) {
     send(port, request, "")
 }
 
-/// As [`ask`], with a body.
 fn send(port: &str, request: &str, body: &str) -> (u16, Vec<u8>) {
     let mut stream = TcpStream::connect(format!("127.0.0.1:{port}")).expect("a server");
     stream
@@ -183,7 +181,6 @@ fn send(port: &str, request: &str, body: &str) -> (u16, Vec<u8>) {
     (header[9..12].parse().expect("a status"), answer[end + 4..].to_vec())
 }
 
-/// Ends a command when it is dropped.
 struct Ended<'a>(&'a AtomicBool);
 
 impl Drop for Ended<'_> {
@@ -192,7 +189,7 @@ impl Drop for Ended<'_> {
     }
 }
 
-/// Runs a command that serves, with its port and the path of its page, and ends it when `test` is done.
+/// Runs a server, calls `test` with port and page path, then stops the server.
 pub fn served(line: &str, test: impl FnOnce(&str, &str)) {
     let (cancelled, (send, printed)) = (AtomicBool::new(false), channel());
     std::thread::scope(|scope| {
@@ -206,7 +203,7 @@ pub fn served(line: &str, test: impl FnOnce(&str, &str)) {
         while !text.contains('\n') {
             text += &String::from_utf8_lossy(&printed.recv().expect("an address is printed"));
         }
-        // Also where the test fails: the server would be waited for.
+        // Also on a failing test, which would otherwise wait for the server.
         let ended = Ended(&cancelled);
         let address = text.lines().next().expect("a line").strip_prefix("http://127.0.0.1:").expect("this machine");
         let (port, path) = address.split_at(address.find('/').expect("a path"));
@@ -238,7 +235,6 @@ fn a_server_makes_scenes_of_the_ratio_that_is_asked_for() {
         for wrong in ["view/2", "made/0.5", "made/0.5/wrong", "made/half/exact", "refined", "refining", "record"] {
             assert_eq!(get(wrong).0, 404, "{wrong}");
         }
-        // A number that none can exceed overtakes no later request.
         assert_eq!([get(&format!("made/0.5/exact?{}", u64::MAX)).0, get("made/0.5/exact?1").0], [200, 200]);
         assert_eq!(get("made/NaN/exact").0, 500);
         let (status, words) = get("made/2/exact");

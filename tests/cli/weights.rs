@@ -1,4 +1,4 @@
-//! `zipsplat weights`, against a hub on this machine.
+//! `zipsplat weights`, against a local hub.
 
 use crate::{
     Folder, Outcome, command,
@@ -23,14 +23,13 @@ const PART: &str = "zipsplat-da3g-252p.tar.part";
 fn runs_a_line() {
     let Some(folder) = target() else { return };
     let line = std::fs::read_to_string(folder.join("line")).expect("a line");
-    // Without signals for a line that nobody stops, so that it has none to inherit.
+    // A never-cancelled flag: no signal handlers to inherit.
     let never = AtomicBool::new(false);
     let Outcome { code, out, err } =
         command(&line, if folder.join("stoppable").exists() { cancelled_by_signals() } else { &never });
     std::fs::write(folder.join("outcome"), json!([code, out, err]).to_string()).expect("written");
 }
 
-/// A folder, its cache (`@/cache`) and the processes that use them.
 struct Place {
     folder: Folder,
     environment: Vec<(&'static str, String)>,
@@ -76,12 +75,11 @@ impl Place {
     }
 }
 
-/// The weights that the hub has: not those of the paper, but as whole.
+/// The hub's weights, a small stand-in.
 fn weights() -> Vec<u8> {
     std::fs::read(Folder::new().path("micro.safetensors")).expect("weights")
 }
 
-/// The name of the conversion of a file.
 fn converted(file: &[u8]) -> String {
     format!("zipsplat-da3g-252p-{}-f16.safetensors", &sha256(file)[..12])
 }
@@ -114,15 +112,14 @@ fn named_weights_are_got_checked_converted_and_found() {
     list("cached");
     assert_eq!(place.run("weights path zipsplat").success().trim(), path);
     assert!(place.run("info --plan --views 2 --weights zipsplat").success().contains("MiB"));
-    // The token is the hub's alone, not that of where it redirects to.
+    // The token goes only to the hub, not to redirect targets.
     let requests = host.state().requests.clone();
     assert!(requests.iter().all(|[_, path, _, token]| (token == "true") == (path != "/blob")), "{requests:?}");
     assert_eq!(host.ranges(), [""]);
-    // Again, and without a network, nothing is loaded.
+    // Neither a repetition nor offline mode downloads.
     place.run(GET).success();
     place.run("weights get zipsplat --offline").success();
     assert_eq!(host.ranges().len(), 1);
-    // A file that has changed is noticed.
     host.state().etag = Some("0".repeat(64));
     let newer = place.run("weights get zipsplat");
     assert!(newer.err.contains("newer weights than"), "{}", newer.err);
@@ -146,14 +143,12 @@ fn weights_of_depth_stay_as_they_are() {
     let name = |of: &str| format!("{of}-{}.safetensors", &sha256(&file)[..12]);
     assert_eq!(place.cached(), [name("da3-small")]);
     assert!(std::fs::read(&path).expect("weights") == file);
-    // Its name is known wherever a file is.
     assert_eq!(place.run("info da3-small --json").json()["kind"], "Depth Anything 3");
     place.run("depth @/photos --weights da3-small --size 42 -o @/out").success();
     let line = "cameras @/photos --with da3 --weights da3-small --find-size 64 -o @/cameras.json";
     place.run(line).success();
     place.run("reconstruct @/photos --weights da3-small --size 42x42 -o @/scene.ply").success();
     place.run("depth @/photos --weights zipsplat -o @/out").fails(3, &["zipsplat, of ZipSplat", "da3-small"]);
-    // Nothing is loaded again, and another name is another file.
     place.run("weights get da3-small --yes").success();
     place.run("weights get da3-small --offline").success();
     assert_eq!(host.ranges().len(), 2);
@@ -165,7 +160,6 @@ fn weights_of_depth_stay_as_they_are() {
         cached.map(|row| row["name"].as_str().unwrap_or_default()).collect::<Vec<_>>(),
         ["da3-small", "da3-large"]
     );
-    // What is no such network is noticed.
     let host = Host::new(weights(), &[]);
     let place = Place::new(&host);
     place.run("weights get da3-small --yes").fails(3, &["da3-small"]);
@@ -210,7 +204,7 @@ fn another_run_goes_on_and_notices_another_file() {
     place.run(GET).success();
     assert_eq!(host.ranges()[asked..], [format!("bytes={third}-")]);
 
-    // What there is of a file that the host no longer has is of no use.
+    // A partial download of a removed file is discarded.
     let other: Vec<u8> = std::fs::read(place.folder.path("cache/weights").join(converted(&file))).expect("f16");
     let host = Host::new(file, &broken);
     let place = Place::new(&host);
@@ -222,7 +216,6 @@ fn another_run_goes_on_and_notices_another_file() {
     assert_eq!(host.ranges()[asked..], [""]);
     let archive = format!("zipsplat-da3g-252p-{}.tar", &sha256(&other)[..12]);
     assert_eq!(place.cached(), [converted(&other), archive]);
-    // A loaded file is converted again without a network.
     std::fs::remove_file(place.folder.path("cache/weights").join(converted(&other))).expect("removed");
     place.run("weights get zipsplat --offline").success();
     assert_eq!(place.cached(), [converted(&other)]);
@@ -314,7 +307,6 @@ fn what_cannot_be_got_is_refused() {
     place.run(GET).fails(3, &["no network by HF_HUB_OFFLINE"]);
     place.environment = vec![("HF_ENDPOINT", "hub".into())];
     place.run(GET).fails(3, &["HF_ENDPOINT: found hub"]);
-    // Nobody listens there.
     place.environment = vec![("HF_ENDPOINT", "http://127.0.0.1:1".into())];
     place.run(GET).fails(1, &["refused", "5 times in a row"]);
     assert!(host.state().requests.is_empty());

@@ -1,4 +1,4 @@
-//! Outputs and effects: each right where it is asked for, and of no cost where it is not.
+//! Optional outputs and effects: correct on request, free otherwise.
 
 use crate::render::{ALL, render};
 use std::num::NonZeroU32;
@@ -16,7 +16,7 @@ use zipsplat_tests::{
 
 const SIZE: [usize; 2] = [70, 53];
 
-/// The blend of `value` of every Gaussian, and the pixels that rounding decides.
+/// Blends `value` of every Gaussian; also returns the pixels that rounding decides.
 fn blended(scene: &Scene, camera: &Camera, value: impl Fn(usize) -> [f64; 3]) -> (Vec<f64>, Vec<u8>) {
     let mut splats = project::project(&reference_gaussians(scene), &reference_camera(camera), false);
     for (i, splat) in splats.iter_mut().enumerate() {
@@ -41,7 +41,7 @@ fn normals_are_blended_and_of_length_one() {
     for ((normal, got), unstable) in truth.chunks_exact_mut(3).zip(got.chunks_exact(3)).zip(&mut unstable) {
         let length = normal.iter().map(|v| v * v).sum::<f64>().sqrt();
         normal.iter_mut().for_each(|v| *v /= length.max(1e-10));
-        // Where normals cancel, rounding is amplified.
+        // Canceling normals amplify rounding.
         *unstable |= u8::from(length > 0.0 && length < 0.05);
         let unit = got.iter().map(|v| v * v).sum::<f32>().sqrt();
         assert!(if length == 0.0 { unit == 0.0 } else { (unit - 1.0).abs() < 1e-5 || *unstable != 0 }, "{got:?}");
@@ -51,7 +51,7 @@ fn normals_are_blended_and_of_length_one() {
 
 #[test]
 fn tokens_have_colors_of_their_own() {
-    // PCG by its definition in 64 bits, a byte a channel.
+    // PCG by its 64-bit definition, one byte per channel.
     let color = |token: usize| {
         let state = (token as u64 * 747_796_405 + 2_891_336_453) % (1 << 32);
         let word = ((state >> ((state >> 28) + 4)) ^ state) * 277_803_737 % (1 << 32);
@@ -76,7 +76,6 @@ fn tokens_have_colors_of_their_own() {
 fn what_is_not_asked_for_changes_nothing() {
     let (scene, cameras) = (random_scene(2_000, 1, 0.1), [camera(100, 60)]);
     let all = render(&scene, &cameras, &ALL).remove(0);
-    // A bit for each output.
     for wanted in 1..32 {
         let on = |output: u32| wanted >> output & 1 == 1;
         let request = RenderRequest {
@@ -99,7 +98,6 @@ fn what_is_not_asked_for_changes_nothing() {
     }
 }
 
-/// The plan of 5,000 Gaussians in a picture of 64 x 64.
 fn plan(request: &RenderRequest) -> Plan {
     let (len, sh_degree) = (5_000, 1);
     let mut rec = Recorder::new(&Limits::default());
@@ -117,7 +115,6 @@ fn plan(request: &RenderRequest) -> Plan {
     rec.finish().unwrap()
 }
 
-/// Names of kernels, and names of tensors with their bytes.
 fn contents(plan: &Plan) -> (Vec<String>, Vec<(String, u64)>) {
     let kernels = Profile::outline(plan).rows.into_iter().map(|row| row.kernel).collect();
     let mut tensors: Vec<_> = plan.arena_map().into_iter().map(|row| (row.name, row.bytes)).collect();
@@ -138,7 +135,7 @@ fn what_is_not_asked_for_costs_nothing() {
     let (_, alone) = contents(&plan(&RenderRequest { rgb: false, alpha: true, ..color }));
     assert!(!has(&alone, "/colors"), "{alone:?}");
 
-    // These are in no pass and no tensor but the picture itself.
+    // These add no pass and no tensor except the picture.
     let specialised = [
         RenderRequest { alpha: true, ..color },
         RenderRequest { depth: Some(Depth::Expected), ..color },

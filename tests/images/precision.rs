@@ -1,4 +1,4 @@
-//! Pictures of what a network gives in faster arithmetics against those of what it gives in f32.
+//! Pictures of networks in faster arithmetics against f32.
 
 use std::ops::ControlFlow;
 use zipsplat::{
@@ -15,7 +15,7 @@ use zipsplat_tests::{
     scenes::camera,
 };
 
-/// The scene of a golden's inputs and its own choice of tokens at the first ratio.
+/// Reconstructs a golden's inputs with its own token selection at the first ratio.
 fn reconstruct(golden: &Golden, config: &str, arithmetic: Arithmetic) -> Scene {
     let (ratio, prefix) = golden.compressions()[0].clone();
     let selection = Selection::Given(golden.u32(&format!("{prefix}/nearest_idx")));
@@ -27,7 +27,7 @@ fn reconstruct(golden: &Golden, config: &str, arithmetic: Arithmetic) -> Scene {
 #[test]
 fn every_arithmetic_gives_the_same_pictures() {
     let mut renderer = Renderer::new(device());
-    // From where the networks of random weights put their Gaussians, and from behind it.
+    // From in front of and behind the Gaussians of random networks.
     let mut cameras = [camera(96, 96), camera(96, 96)];
     cameras[1].pose.translation.z = -4.0;
     for config in ["micro.v2", "tiny.v3", "tiny_swiglu.v3", "small.v2"] {

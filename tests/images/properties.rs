@@ -1,4 +1,4 @@
-//! Properties that hold for every scene and camera, over seeded random ones.
+//! Properties of every scene and camera, over seeded random ones.
 
 use crate::render::{ALL, bits, render};
 use glam::{DMat3, DVec3};
@@ -12,7 +12,7 @@ use zipsplat_tests::{
     scenes::{camera, random_scene, reference_camera, reference_gaussians},
 };
 
-/// Scenes and cameras of all kinds: from specks to splats wider than the picture.
+/// Scenes and cameras of all kinds, from specks to splats larger than the picture.
 fn cases() -> impl Iterator<Item = (Scene, Camera)> {
     let poses = [(0.0, 0.0, 0.0), (0.3, 0.1, -0.2), (-0.5, -0.2, 0.4), (0.1, 2.9, 4.0)];
     let sizes = [(0.02, 90, 61), (0.1, 64, 64), (0.5, 33, 100), (3.0, 128, 17)];
@@ -35,7 +35,7 @@ fn the_order_of_gaussians_changes_nothing() {
                 shuffled.opacities.push(scene.opacities[i]);
                 shuffled.sh_coeffs.extend_from_slice(&scene.sh_coeffs[stride * i..][..stride]);
             }
-            // No two of these depths are equal: ties are broken by the index. Tokens follow the index, too.
+            // These depths are distinct; ties are broken by index. Tokens follow the index, too.
             let request = RenderRequest { token_group: None, ..ALL };
             assert_eq!(bits(&render(&scene, &[camera], &request)), bits(&render(&shuffled, &[camera], &request)));
         }
@@ -44,8 +44,8 @@ fn the_order_of_gaussians_changes_nothing() {
 
 #[test]
 fn cutting_a_picture_changes_nothing() {
-    // A part is drawn by moving the principal point, which rounds anew. Gaussians this small reach nowhere from where the
-    // part's view, being smaller, is clamped and the whole's is not.
+    // A crop moves the principal point, which rounds differently. These Gaussians are too small to
+    // reach from the region where only the crop's view is clamped.
     let (scene, whole) = (random_scene(2_000, 1, 0.05), camera(96, 80));
     let frame = render(&scene, &[whole], &ALL).remove(0);
     let unstable = rasterise::render(&reference_gaussians(&scene), &reference_camera(&whole), false, [0.0; 3]).unstable;
@@ -68,7 +68,7 @@ fn cutting_a_picture_changes_nothing() {
 #[test]
 fn the_scale_of_the_world_cancels() {
     for (mut scene, camera) in cases() {
-        // The near plane does not scale: the scene keeps away from it.
+        // The near plane does not scale, so the scene avoids it.
         let depth = |mean: &[f32; 3]| camera.view_matrix().transform_point3(DVec3::from(mean.map(f64::from))).z;
         for (opacity, mean) in scene.opacities.iter_mut().zip(&scene.means) {
             if (0.0..0.05).contains(&depth(mean)) {
@@ -76,7 +76,7 @@ fn the_scale_of_the_world_cancels() {
             }
         }
         let frame = render(&scene, &[camera], &ALL).remove(0);
-        // Powers of two round nothing.
+        // Powers of two are exact.
         for scale in [0.25f32, 4.0, 1024.0] {
             let scaled = |v: &[f32; 3]| v.map(|x| scale * x);
             let other = Scene {
@@ -116,7 +116,7 @@ fn tiny_worlds_are_drawn() {
     assert!(culled.rgb.is_some_and(|rgb| rgb.iter().all(|value| *value == 0.0)));
 }
 
-/// Rotations and spherical harmonics of every degree turn with a scene that is placed elsewhere.
+/// Rotations and spherical harmonics of every degree rotate with a placed scene.
 #[test]
 fn the_world_of_a_scene_does_not_show() {
     let (scene, camera) = (random_scene(800, 3, 0.15), camera(64, 48));
@@ -137,7 +137,7 @@ fn the_world_of_a_scene_does_not_show() {
 #[test]
 fn alpha_is_the_sum_of_weights_within_bounds() {
     for (mut scene, camera) in cases() {
-        // White whatever the direction: 0.5 + 0.28209479 c = 1.
+        // White in every direction: 0.5 + 0.28209479 c = 1.
         let stride = scene.sh_coeffs_per_gaussian();
         for coeffs in scene.sh_coeffs.chunks_exact_mut(stride) {
             coeffs.fill([0.0; 3]);

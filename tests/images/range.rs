@@ -1,4 +1,4 @@
-//! Scenes and cameras at the ends of what f32 holds: drawn right, or refused by name.
+//! Scenes and cameras at the limits of f32: drawn correctly or rejected by name.
 
 use crate::render::{ALL, bits, render};
 use glam::{DMat3, DQuat, DVec2, DVec3};
@@ -13,7 +13,7 @@ use zipsplat_tests::{
     scenes::{camera, random_scene, reference_camera, reference_gaussians},
 };
 
-/// Holds colour and alpha of a picture to brute force in f64. Something has to be seen.
+/// Compares color and alpha of a nonempty picture with brute force in f64.
 #[track_caller]
 fn hold(what: &str, scene: &Scene, camera: &Camera, antialiased: bool, tolerance: ImageTolerance) {
     let frame = render(scene, &[*camera], &RenderRequest { antialiased, ..ALL }).remove(0);
@@ -29,7 +29,7 @@ fn hold(what: &str, scene: &Scene, camera: &Camera, antialiased: bool, tolerance
     assert!(8 * seen > truth.alpha.len(), "{what}: little to see, {seen} pixels");
 }
 
-/// A turned camera before [`random_scene`], with an unround lens.
+/// A rotated camera before [`random_scene`], with an anisotropic lens.
 fn turned() -> Camera {
     let mut turned = camera(70, 53);
     (turned.intrinsics.fx, turned.intrinsics.fy) = (70.3, 68.9);
@@ -51,7 +51,6 @@ fn moved(scene: &Scene, camera: Camera, offset: DVec3) -> (Scene, Camera) {
 fn pictures_far_from_the_origin_equal_brute_force() {
     let scene = random_scene(300, 2, 0.3);
     for distance in [1e4, 1e5, 1e6, 1e7] {
-        // Coordinates that f32 does not hold.
         let offset = distance * DVec3::new(1.0 / 3.0, -0.1, 1.0 / 7.0);
         let (scene, camera) = moved(&scene, turned(), offset);
         hold(&format!("{distance:e} away"), &scene, &camera, false, ImageTolerance::RGB);
@@ -61,7 +60,7 @@ fn pictures_far_from_the_origin_equal_brute_force() {
 #[test]
 fn a_scene_that_moves_with_its_camera_is_the_same_picture() {
     let mut scene = random_scene(500, 2, 0.3);
-    // Whole eighths, which f32 holds up to 2e6.
+    // Multiples of 1/8, exact in f32 up to 2e6.
     scene.means.iter_mut().flatten().for_each(|x| *x = (8.0 * *x).round() / 8.0);
     let expected = bits(&render(&scene, &[turned()], &ALL));
     for offset in [[1e4, 2e4, -1e4], [-1e5, 1e5, 3e5], [1e6, -1e6, 1e6]] {
@@ -70,7 +69,8 @@ fn a_scene_that_moves_with_its_camera_is_the_same_picture() {
     }
 }
 
-/// `count` needles through the picture of `camera` whose centres lie `distance` pixels off it, in all directions.
+/// `count` needles through the picture of `camera`, centered `distance` pixels off it, in all
+/// directions.
 fn needles(camera: &Camera, count: usize, distance: f64) -> Scene {
     let mut scene = random_scene(count, 0, 0.1);
     let i = &camera.intrinsics;
@@ -80,7 +80,7 @@ fn needles(camera: &Camera, count: usize, distance: f64) -> Scene {
         let (along, depth) = (DVec2::from_angle(7.3 * turn * std::f64::consts::TAU), 1.0 + turn);
         let seen = size * DVec2::new((5.7 * turn).fract(), (3.1 * turn).fract());
         let slope = (seen + distance * along - DVec2::new(i.cx, i.cy)) / focal;
-        // Projected from within 15 % of the picture: the axis whose image runs along there.
+        // Projected from within 15 % of the picture; the axis with an image along that direction.
         let held = slope.clamp(-0.65 * size / focal, 0.65 * size / focal);
         let towards = 0.4 * (n % 3) as f64 - 0.4;
         let axis = (along / focal + towards * held).extend(towards);
@@ -107,7 +107,7 @@ fn rotations_of_any_length_are_drawn_as_what_they_are() {
     for length in [1e-44, 1e-41, 1e-38, 1e-30, 1e30, 3e38] {
         let mut scene = random_scene(200, 1, 0.3);
         scene.quats.iter_mut().flatten().for_each(|q| *q *= length);
-        // Of what length is left, one component is exact.
+        // Of the remaining length one component is exact.
         hold(&format!("rotations of length {length:e}"), &scene, &turned(), false, ImageTolerance::RGB);
     }
 }

@@ -1,4 +1,4 @@
-//! The result of the self-test that is kept between runs: whatever became of its file, the test is run again, never failed.
+//! The cached self-test result: a damaged file only causes a repetition.
 
 use std::{
     fs,
@@ -16,11 +16,10 @@ use zipsplat::{
 use zipsplat_tests::device::device;
 use zipsplat_tests::processes::{assert_succeeds, child, target};
 
-/// A process that computes in f16, with this cache folder; that must have `passed`, with kernels `noted` that did not, or be
-/// `refused`; or one that is `stopped` meanwhile.
+/// A process that computes in f16 with this cache. It must have `passed`, `noted` failed kernels,
+/// be `refused`, or is `stopped`.
 fn process(cache: &Path, expected: &str) -> std::process::Command {
     let mut command = child("cache::computes_in_f16", Path::new(expected), "");
-    // What is tested is not the kernels.
     command.env("ZIPSPLAT_CACHE", cache).env("ZIPSPLAT_VALIDATION", "0");
     command
 }
@@ -50,7 +49,7 @@ fn computes_in_f16() {
     }
 }
 
-/// A cache with a good result, its only file, and that.
+/// A cache whose only file is a good result: folder, file, contents.
 fn cache() -> (TempDir, PathBuf, Vec<u8>) {
     let folder = tempfile::tempdir().unwrap();
     assert_succeeds(process(folder.path(), "passed"));
@@ -78,7 +77,6 @@ fn a_damaged_result_is_found_anew() {
         assert_succeeds(process(folder.path(), "passed"));
         assert_eq!(parsed(&fs::read(&file).unwrap()), parsed(&good), "after {:?}", String::from_utf8_lossy(damaged));
     }
-    // Where it cannot be kept either.
     fs::remove_file(&file).unwrap();
     fs::create_dir(&file).unwrap();
     assert_succeeds(process(folder.path(), "passed"));
@@ -96,13 +94,12 @@ fn a_test_that_a_lost_device_ended_goes_on_with_the_other_kernels() {
         all.deviations.keys().all(|kernel| !kernel.contains("bf16") && !kernel.contains("i8")),
         "only what is used"
     );
-    // As if the first of two kernels of a group had lost it, on matrix units: `fast` does without.
+    // Simulates device loss in a group's first kernel on matrix units: `fast` does without.
     let mut begun = all.clone();
     begun.deviations.retain(|kernel, _| kernel == "ops/linear_f16_f32");
     begun.deviations.insert("ops/linear_matrix_f16_f32".into(), None);
     let known = serde_json::json!({ "begun": 0, "result": begun });
     fs::write(&file, known.to_string()).unwrap();
-    // It is named.
     assert_succeeds(process(folder.path(), "noted"));
     let mut expected = all;
     expected.deviations.insert("ops/linear_matrix_f16_f32".into(), None);
@@ -135,7 +132,7 @@ fn folders_that_cannot_be_written_to() {
     let mut permissions = locked.metadata().unwrap().permissions();
     permissions.set_readonly(true);
     fs::set_permissions(&locked, permissions).unwrap();
-    // For root every folder can be written to, but not this one.
+    // Root can write everywhere except /proc.
     for cache in [&taken, &locked, Path::new("/proc/nothing")] {
         assert_succeeds(process(cache, "passed"));
     }
@@ -160,7 +157,7 @@ fn processes_at_once_leave_one_result() {
     let processes = [0; 3].map(|_| process(folder.path(), "passed").spawn().unwrap());
     for process in processes {
         let out = process.wait_with_output().unwrap();
-        // One that came later must not take the others' work for a failure.
+        // A later process must not mistake work in progress for a failure.
         assert!(
             out.status.success(),
             "{}{}",
@@ -187,7 +184,7 @@ fn a_test_that_never_ended_is_tried_once_more() {
         known
     };
     let hour = Duration::from_secs(3600);
-    // Somebody may have ended it; and another process may be at it.
+    // An aborted test, and one in progress in another process.
     for (begun, age) in [(1, hour), (2, Duration::ZERO)] {
         write(begun, age);
         assert_succeeds(process(folder.path(), "passed"));

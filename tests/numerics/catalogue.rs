@@ -1,4 +1,4 @@
-//! The catalogue of `zipsplat doctor`, and the command.
+//! The catalog of `zipsplat doctor`, and the command.
 
 use std::{collections::BTreeSet, ffi::OsString, sync::atomic::AtomicBool};
 use zipsplat_cli::{
@@ -27,15 +27,15 @@ pub fn every_kernel_stays_within_its_bounds() {
     assert!(outside.is_empty(), "outside their bounds:\n{}", outside.join("\n"));
 }
 
-/// A table of case and fault: each fault that a case declares, fed through the case's own check as kernels with that fault
-/// compute it, lies so far outside the bound that no rounding brings it back.
+/// Injects each declared fault through its case's own check: the deviation exceeds the bound beyond
+/// any rounding.
 #[test]
 fn every_case_catches_the_faults_that_it_is_there_for() {
     let mut missed = Vec::new();
     for area in catalogue() {
         for case in &area.cases {
             let mut injected = BTreeSet::new();
-            // The largest take seconds a mode: what narrower factors round shows in smaller ones.
+            // The largest cases take seconds per mode; smaller ones cover narrower factors.
             let in_time = |mode: &&Mode| case.size < 50_000 || **mode == Mode::EXACT;
             for &mode in area.modes.iter().filter(in_time) {
                 let faults = case.inject(mode);

@@ -1,4 +1,5 @@
-//! Scene files with values that are no numbers, or out of their range: refused with their count, or left out and counted.
+//! Scene files with non-finite or out-of-range values: rejected with a count, or dropped and
+//! counted.
 
 use crate::catalogue::zipsplat;
 use std::path::Path;
@@ -9,15 +10,14 @@ use zipsplat::{
 use zipsplat_tests::scenes::random_scene;
 
 const COUNT: usize = 50;
-/// Gaussians that are spoilt.
 const BAD: [usize; 3] = [3, 4, 40];
-/// Formats that hold floats; an SPZ's integers are all numbers. No axis turns z.
+/// Formats with floats; an SPZ's integers are always valid. Their axes keep z.
 const NAMES: [&str; 4] = ["scene.ply", "ascii.ply", "scene.splat", "scene.glb"];
 
-/// Writes a scene in which z of the centres of [`BAD`] is `value`; returns the scene without those.
+/// Writes a scene with centers of z `value` at [`BAD`]; returns the scene without them.
 fn spoilt(path: &Path, value: f32) -> Scene {
     let mut scene = random_scene(COUNT, 1, 0.1);
-    // A .splat has the most visible first: all alike, they stay in their order.
+    // A .splat sorts by visibility: equal Gaussians keep their order.
     scene.scales.fill([0.1; 3]);
     scene.opacities.fill(0.5);
     let ascii = path.file_name().is_some_and(|name| name == "ascii.ply");
@@ -42,7 +42,6 @@ fn spoilt(path: &Path, value: f32) -> Scene {
     clean
 }
 
-/// The scene as text, `NaN`, `inf` and `-inf` among it.
 fn as_ascii(scene: &Scene, value: f32) -> Vec<u8> {
     let rest: Vec<String> = (0..9).map(|i| format!("f_rest_{i}")).collect();
     let names = "x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3".split(' ');
@@ -137,7 +136,6 @@ fn commands_say_how_to_go_on() {
         if name != "ascii.ply" {
             assert_eq!(read_scene(at("out.ply")).unwrap().means, clean.means);
         }
-        // The same picture as without them.
         written("clean.ply", &read_scene(at("out.ply")).unwrap());
         let (code, _, err) = run("render @/clean.ply --wiggle -o @/clean");
         assert_eq!((code, err.as_str()), (0, ""));

@@ -1,6 +1,7 @@
-//! Hard cases: whatever is asked for, no NaN, no hang, no panic, and nothing quietly wrong.
+//! Hard cases: no NaN, hang, panic or silent error.
 //!
-//! Tests that take long are ignored; `tools/test.sh -p zipsplat-tests --test numerics -- --ignored` runs them.
+//! Slow tests are ignored; `tools/test.sh -p zipsplat-tests --test numerics -- --ignored` runs
+//! them.
 
 mod cache;
 mod catalogue;
@@ -23,19 +24,16 @@ use zipsplat::{
 };
 use zipsplat_tests::{architectures, compare::Tolerance, device::device, networks::fast_arithmetics};
 
-/// The smallest network, with generated weights.
 fn micro() -> Checkpoint {
     Checkpoint::seeded_architecture(architectures::golden("micro"), "micro").expect("a network")
 }
 
-/// [`micro`] in one arithmetic.
 struct Mode {
     arithmetic: Arithmetic,
     model: Model,
 }
 
 impl Mode {
-    /// The tolerance for a field of its Gaussians.
     fn tolerance(&self, field: &str) -> Tolerance {
         match self.arithmetic.element {
             Element::F32 => Tolerance::of_field(field),
@@ -48,7 +46,7 @@ impl Mode {
     }
 }
 
-/// [`micro`] on the tests' device in every arithmetic that it has: first f32, then those with narrower factors, on matrix
+/// [`micro`] on the tests' device in every arithmetic: f32 first, then narrower factors, on matrix
 /// units and on lanes.
 fn modes() -> &'static [Mode] {
     static MODES: OnceLock<Vec<Mode>> = OnceLock::new();
@@ -61,7 +59,6 @@ fn modes() -> &'static [Mode] {
     })
 }
 
-/// [`micro`] in f32.
 fn model() -> &'static Model {
     &modes()[0].model
 }
@@ -70,7 +67,7 @@ fn reconstruct(model: &Model, images: &[Image], request: &Request) -> Scene {
     model.reconstruct(images, request, |_| ControlFlow::Continue(())).expect("a scene").scene().unwrap()
 }
 
-/// splitmix64: the same numbers for the same seed.
+/// splitmix64, reproducible from its seed.
 struct Random(u64);
 
 impl Random {
@@ -86,7 +83,6 @@ impl Random {
     }
 }
 
-/// A picture of noise.
 fn noise(width: u32, height: u32, seed: u64) -> Image {
     let mut random = Random(seed);
     let rgb = (0..3 * width * height).map(|_| (random.bits() >> 56) as u8).collect();

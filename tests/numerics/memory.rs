@@ -1,4 +1,4 @@
-//! Memory that is just enough, and a byte less.
+//! Just enough memory, and one byte less.
 
 use crate::{catalogue::zipsplat, micro, noise};
 use std::{ops::ControlFlow, path::Path};
@@ -21,7 +21,7 @@ fn a_plan_runs_in_its_peak_and_is_refused_below() {
         Device::open(&options).unwrap()
     };
     let load = |device: &Device| Model::load(device, &micro(), |_| ControlFlow::Continue(()));
-    // Also where bytes pass through memory of the host, which is not the device's.
+    // Also with staging buffers, as on discrete GPUs.
     for staged in [false, true] {
         let device = open(u64::MAX, staged);
         let model = load(&device).unwrap();
@@ -64,14 +64,13 @@ fn a_picture_needs_no_more_memory_after_others() {
         }
     };
     let mut renderer = renderer(bytes);
-    // Another scene, then other sizes of this one.
     for (before, side) in [(&smaller, 128), (&scene, 128), (&scene, 64)] {
         draw(&mut renderer, before, side).unwrap();
         assert!(draw(&mut renderer, &scene, 256).unwrap() == alone, "after {} at {side}", before.len());
     }
 }
 
-/// Least memory that a command runs in, by adding what its errors say is missing.
+/// Least memory of a command, by adding the shortage in its errors.
 fn least_memory(line: &str, output: &Path) -> u64 {
     let mut memory = 0;
     for _ in 0..8 {
@@ -110,7 +109,6 @@ fn commands_say_how_much_memory_is_missing() {
         assert!(at(output).exists());
         let (code, _, err) = zipsplat(&format!("{line} --memory {}", least - 1));
         assert!(code == 4 && err.contains("bytes are there"), "{code} {err}");
-        // More than the device has is no promise.
         let (code, _, err) = zipsplat(&format!("{line} --memory 16000000G"));
         assert_eq!(code, 0, "{err}");
     }

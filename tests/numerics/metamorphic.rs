@@ -1,4 +1,4 @@
-//! Changes of the input, and what each has to do to the output, with no truth at hand.
+//! Input changes with a known effect on the output.
 
 use crate::{Mode, modes, noise};
 use zipsplat::{
@@ -14,7 +14,6 @@ use zipsplat_tests::{
     scenes::{camera, random_scene},
 };
 
-/// Smooth pictures, different for different seeds.
 fn views(count: u32) -> Vec<Image> {
     (0..count).map(|i| noise(56, 42, u64::from(i) + 1)).collect()
 }
@@ -23,7 +22,7 @@ fn bits(values: &[f32]) -> Vec<u32> {
     values.iter().map(|v| v.to_bits()).collect()
 }
 
-/// Fields of the Gaussians, of `views` equal blocks of them the block `from[i]` in place i.
+/// Fields of the Gaussians, as `views` equal blocks with block `from[i]` in place i.
 fn fields(scene: &Scene, views: usize, from: &[usize]) -> [(&'static str, Vec<f32>); 5] {
     let order = |values: &[f32]| -> Vec<f32> {
         let block = values.len() / views;
@@ -38,7 +37,6 @@ fn fields(scene: &Scene, views: usize, from: &[usize]) -> [(&'static str, Vec<f3
     ]
 }
 
-/// Runs a check in every arithmetic of the device.
 #[track_caller]
 fn in_every_mode(check: fn(&Mode)) {
     modes().iter().for_each(check);
@@ -51,7 +49,8 @@ fn permuting_views_beyond_the_first_permutes_tokens() {
         let order = [0, 3, 1, 2];
         let permuted = order.map(|i| images[i].clone());
         let [plain, moved] = [&images[..], &permuted].map(|images| mode.reconstruct(images, &Request::default()));
-        // Sums over tokens run in another order: both scenes are within the tolerance of their common truth.
+        // Sums over tokens are reordered: both scenes are within the tolerance of their common
+        // truth.
         let expected = fields(&plain, 4, &order);
         for ((field, expected), (_, got)) in expected.iter().zip(fields(&moved, 4, &[0, 1, 2, 3])) {
             assert_close(field, &got, expected, mode.tolerance(field).times(2.0));
@@ -60,8 +59,8 @@ fn permuting_views_beyond_the_first_permutes_tokens() {
             let frames = Renderer::new(device()).render(scene, &[camera(64, 48)], &RenderRequest::default()).unwrap();
             frames[0].rgb.clone().unwrap()
         };
-        // Alike but for rounding: in f32 1e-4 of the parameters is 80 dB, and single contributions at 1/255 may come and go; with
-        // narrower factors each is as far from their common truth as its tolerance says, together twice as far: 6 dB.
+        // In f32, a parameter error of 1e-4 is 80 dB, and single contributions at 1/255 may differ.
+        // With narrower factors each may deviate by its tolerance, together by 6 dB more.
         let alike = psnr(&draw(&plain), &draw(&moved));
         let least = if mode.arithmetic == Arithmetic::EXACT {
             60.0
@@ -69,7 +68,7 @@ fn permuting_views_beyond_the_first_permutes_tokens() {
             ImageTolerance::of_network(mode.arithmetic).psnr - 6.1
         };
         assert!(alike > least, "{:?}: {alike} dB", mode.arithmetic);
-        // The first view is the reference: it may not be moved.
+        // The first view is the reference and must stay first.
         let swapped = [1, 0, 2, 3].map(|i| images[i].clone());
         let other = mode.reconstruct(&swapped, &Request::default());
         let (means, others) = (fields(&plain, 4, &[1, 0, 2, 3]), fields(&other, 4, &[0, 1, 2, 3]));
@@ -119,7 +118,7 @@ fn duplicated_views_give_the_same_gaussians() {
         let images = views(3);
         let doubled = [0, 1, 2, 1].map(|i| images[i].clone());
         let scene = mode.reconstruct(&doubled, &Request::default());
-        // Views 1 and 3 are the same to the network: every sum has the same terms in the same order.
+        // Views 1 and 3 are equal to the network: every sum has the same terms in the same order.
         let (first, second) = (fields(&scene, 4, &[1]), fields(&scene, 4, &[3]));
         for ((field, first), (_, second)) in first.iter().zip(second) {
             assert_same(field, &bits(&second), &bits(first));
@@ -147,7 +146,7 @@ fn draw(scene: &Scene, width: u32) -> Frame {
 fn a_scaled_scene_is_the_same_picture() {
     let scene = random_scene(1_000, 2, 0.1);
     let plain = draw(&scene, 64);
-    // Powers of two keep every bit, and no Gaussian comes near the near plane.
+    // Powers of two are exact, and Gaussians avoid the near plane.
     for factor in [0.125f32, 4.0, 1024.0] {
         let mut scaled = scene.clone();
         scaled.scale(factor);
@@ -164,7 +163,7 @@ fn a_mirrored_scene_is_the_mirrored_picture() {
     let scene = random_scene(1_000, 0, 0.1);
     let mut mirrored = scene.clone();
     mirrored.means.iter_mut().for_each(|mean| mean[0] = -mean[0]);
-    // A reflection in x turns rotations about y and z the other way.
+    // A reflection in x inverts rotations about y and z.
     mirrored.quats.iter_mut().for_each(|quat| (quat[2], quat[3]) = (-quat[2], -quat[3]));
     let (plain, mirrored) = (draw(&scene, 64).rgb.unwrap(), draw(&mirrored, 64).rgb.unwrap());
     let flipped: Vec<f32> =
@@ -178,7 +177,7 @@ fn a_mirrored_scene_is_the_mirrored_picture() {
 fn opaque_layers_hide_what_is_behind() {
     let front = random_scene(500, 0, 0.2);
     let mut wall = front.clone();
-    // Ten layers that each let a thousandth through.
+    // Ten layers that each transmit a thousandth.
     for i in 0..10 {
         wall.means.push([0.0, 0.0, 0.5 + 0.01 * i as f32]);
         wall.scales.push([20.0, 20.0, 1e-4]);
@@ -195,8 +194,8 @@ fn opaque_layers_hide_what_is_behind() {
     assert_same("rgb", &bits(&draw(&wall, 64).rgb.unwrap()), &bits(&draw(&alone, 64).rgb.unwrap()));
 }
 
-/// `count` Gaussians before a camera of focal length 64 whose places in the picture f32 holds exactly, wherever the principal
-/// point is: whole quarters of a pixel, at depths of 1, 2 and 4. Their deviation is `sigma` pixels.
+/// `count` Gaussians of deviation `sigma` pixels before a camera of focal length 64, with pixel
+/// positions exact in f32 for any principal point: quarter pixels at depths 1, 2 and 4.
 fn exactly_placed(count: usize, sigma: f32) -> Scene {
     let mut scene = random_scene(count, 1, 0.1);
     for i in 0..count {
@@ -212,8 +211,9 @@ fn exactly_placed(count: usize, sigma: f32) -> Scene {
 #[test]
 fn tiles_apart_are_the_picture_together() {
     let (width, height) = (64, 48);
-    // Drawn tile by tile, in parts that are tiles of the whole, and in parts across its tiles. A Gaussian beyond 0.15 of a part
-    // from its edge is projected from there, as gsplat does it: it must not reach the part, 3.4 deviations away.
+    // Drawn by tile, by aligned parts, and by unaligned parts. As in gsplat, projection clamps
+    // Gaussians beyond 0.15 of a part from its edge. They must not reach the part, 3.4 deviations
+    // away.
     for (size, [part_width, part_height]) in [(0.4, [16, 16]), (1.0, [32, 48]), (1.0, [32, 24]), (0.6, [32, 16])] {
         let scene = exactly_placed(3_000, size);
         let whole = draw(&scene, width as u32);

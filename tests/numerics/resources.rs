@@ -1,4 +1,4 @@
-//! Disks that fill up, processes that are killed or that share a device, and memory that must not grow.
+//! Full disks, killed and concurrent processes, memory growth.
 
 use crate::{micro, noise, reconstruct};
 use std::{
@@ -46,7 +46,7 @@ fn a_full_disk_leaves_what_was_there() {
     }
     let before = contents(folder.path());
     assert_eq!(before.len(), 7);
-    // No file may grow beyond 16 KiB, and writing on is an error rather than a signal.
+    // Limits files to 16 KiB; further writes return errors instead of a signal.
     assert_succeeds(child("resources::writes_to_a_full_disk", folder.path(), "trap '' XFSZ; ulimit -f 16"));
     assert!(contents(folder.path()) == before, "a file changed, or a part of one was left");
 }
@@ -105,7 +105,6 @@ fn writes_forever() {
     }
 }
 
-/// A scene as bits, from a device of this process alone.
 fn reconstructed() -> Vec<u8> {
     let device = Device::open(&DeviceOptions::default()).unwrap();
     let model = Model::load(&device, &micro(), |_| ControlFlow::Continue(())).unwrap();
@@ -137,7 +136,6 @@ fn reconstructs() {
     std::fs::write(file, reconstructed()).unwrap();
 }
 
-/// Pages of this process that are in memory.
 fn resident_bytes() -> u64 {
     let pages = std::fs::read_to_string("/proc/self/statm").expect("Linux");
     4096 * pages.split(' ').nth(1).and_then(|count| count.parse::<u64>().ok()).expect("a number of pages")
@@ -171,16 +169,16 @@ fn reconstructs_and_renders_again_and_again() {
             early = resident_bytes();
         }
     }
-    // Weights and arena of a round are a few MiB: what was kept of each would show.
+    // A round's weights and arena are a few MiB, so a leak would show.
     let grown = resident_bytes().saturating_sub(early);
     assert!(grown < 8 << 20, "{grown} bytes more after the second half of {rounds} rounds");
 }
 
-/// Vector widths of lavapipe, which are subgroups of 4, 8 and 16 and workgroups of as many.
+/// Vector widths of lavapipe: subgroups of 4, 8 and 16 lanes.
 const VECTORS: [u32; 3] = [128, 256, 512];
 
-/// Other subgroups and workgroups are other orders of every sum: each scene is within the tolerance of their common truth, of
-/// every token and of those that k-means chooses.
+/// Subgroup sizes change the order of every sum: each scene is within the tolerance of their common
+/// truth, with all tokens and with k-means.
 #[test]
 fn every_subgroup_size_gives_the_same_scene() {
     if !device().limits().cpu {
@@ -203,7 +201,6 @@ fn every_subgroup_size_gives_the_same_scene() {
     }
 }
 
-/// Gaussians one after another, packed as the goldens have them.
 #[test]
 #[ignore = "child of every_subgroup_size_gives_the_same_scene"]
 fn reconstructs_all_tokens_and_half() {

@@ -1,4 +1,4 @@
-//! Splatting at its extremes, beyond what `zipsplat doctor` has time for.
+//! Extreme splatting, too slow for `zipsplat doctor`.
 
 use zipsplat::{
     stages::render::{Depth, Frame, RenderRequest, Renderer},
@@ -28,7 +28,7 @@ fn draw(scene: &Scene, camera: Camera, request: &RenderRequest) -> Frame {
     frame
 }
 
-/// `count` round Gaussians of one grey at the same place.
+/// `count` coincident isotropic Gaussians of one gray.
 fn pile(count: usize, opacity: f32, sigma: f32) -> Scene {
     Scene {
         means: vec![[0.0, 0.0, 2.0]; count],
@@ -40,7 +40,7 @@ fn pile(count: usize, opacity: f32, sigma: f32) -> Scene {
     }
 }
 
-/// Alpha of `count` equal layers, blended until the next would leave 1e-4 or less.
+/// Alpha of `count` equal layers, blended until transmittance would reach 1e-4.
 fn stacked(count: usize, alpha: f64) -> f64 {
     let mut left = 1.0;
     for _ in 0..count {
@@ -59,7 +59,7 @@ fn a_million_gaussians_on_one_pixel() {
         let frame = draw(&pile(count, opacity, 1e-4), camera(1, 1), &ALPHA);
         let truth = stacked(count, f64::from(opacity.min(0.999)));
         let got = f64::from(frame.alpha.unwrap()[0]);
-        // Each of up to 2,300 layers is rounded a few times, relative to what it leaves.
+        // Up to 2,300 layers round a few times each, relative to their transmittance.
         assert!((got - truth).abs() < 1e-4 * 2e-2 + 1e-6, "opacity {opacity}: {got}, truth {truth}");
     }
 }
@@ -74,7 +74,6 @@ fn one_gaussian_over_every_tile_of_a_large_picture() {
 #[test]
 fn scenes_that_no_camera_sees() {
     let behind = |z: f32| Scene { means: vec![[0.0, 0.0, z]; 1000], ..pile(1000, 1.0, 0.5) };
-    // Behind, at the camera, before the near plane, and beyond the far one.
     for z in [-2.0, 0.0, 0.0099, 1.1e10, f32::MAX] {
         let frame = draw(&behind(z), camera(33, 17), &ALPHA);
         assert!(frame.alpha.unwrap().iter().all(|a| *a == 0.0), "at {z}");
@@ -93,7 +92,7 @@ fn pictures_one_pixel_wide() {
     }
 }
 
-/// Finite values that a file may hold, however absurd, are drawn or left out, never spread as NaN.
+/// Absurd but finite values are drawn or culled, without NaN.
 #[test]
 fn absurd_but_finite_values_spread_no_nan() {
     let extremes = [0.0f32, -0.0, 1e-45, 1e-38, 1e-20, 1e20, 1e38, f32::MAX];

@@ -15,7 +15,6 @@ fn plain(level: u8) -> Image {
     Image::new(SIDE, SIDE, vec![level; (3 * SIDE * SIDE) as usize]).unwrap()
 }
 
-/// Everything finite and in its range, as every scene has to be.
 #[track_caller]
 fn assert_sound(name: &str, scene: &Scene, tokens: usize) {
     scene.validate().unwrap_or_else(|error| panic!("{name}: {error}"));
@@ -60,7 +59,7 @@ fn uniform_identical_and_noisy_views() {
                 assert_close(&format!("{name}, {field}"), got, expected, mode.tolerance(field));
             }
             for ratio in [0.5, 1e-9] {
-                // Tokens of uniform views are nearly or entirely equal, and clusters empty.
+                // Tokens of uniform views are almost equal, and clusters empty.
                 let request = Request { ratio: Ratio::Fixed(ratio), ..Request::default() };
                 let kept = ((tokens as f64 * ratio) as usize).max(1);
                 assert_sound(name, &mode.reconstruct(&images, &request), kept);
@@ -98,8 +97,8 @@ fn encoded(image: &DynamicImage, format: ImageFormat) -> Vec<u8> {
     bytes.into_inner()
 }
 
-/// A baseline CMYK JPEG of 8 x 8 pixels, every value 128 + `level`, with the Adobe marker of inverted values, which every
-/// program writes.
+/// A baseline CMYK JPEG of 8 x 8 pixels of value 128 + `level`, with the usual Adobe marker of
+/// inverted values.
 fn cmyk_jpeg(level: i32) -> Vec<u8> {
     let mut out = vec![0xff, 0xd8];
     let mut segment = |marker: u8, body: &[u8]| {
@@ -110,7 +109,7 @@ fn cmyk_jpeg(level: i32) -> Vec<u8> {
     segment(0xee, b"Adobe\x00\x64\x00\x00\x00\x00\x00");
     segment(0xdb, &[&[0u8][..], &[1; 64]].concat());
     segment(0xc0, &[8, 0, 8, 0, 8, 4, 1, 0x11, 0, 2, 0x11, 0, 3, 0x11, 0, 4, 0x11, 0]);
-    // One code of one bit each: differences of 10 bits for DC, the end of a block for AC.
+    // One 1-bit code each: differences of 10 bits for DC, end of block for AC.
     let table = |class: u8, symbol: u8| [&[class, 1][..], &[0; 15], &[symbol]].concat();
     segment(0xc4, &table(0x00, 10));
     segment(0xc4, &table(0x10, 0));
@@ -154,7 +153,7 @@ fn grey_deep_transparent_and_cmyk_photos() {
         let view = photo.crop(2, 2, SIDE, SIDE).unwrap();
         assert_sound(name, &reconstruct(model(), &[view], &Request::default()), 16);
     }
-    // Inverted values multiply: 255 of each gives white, 1 of each black.
+    // Inverted values multiply: all 255 is white, all 1 black.
     for (level, expected) in [(127, 255u8), (-127, 0)] {
         let photo = opened(folder.path(), &cmyk_jpeg(level));
         assert_eq!((photo.width, photo.height), (8, 8));

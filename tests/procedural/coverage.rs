@@ -1,4 +1,4 @@
-//! The sum of many seeds.
+//! Coverage over many seeds.
 
 use std::collections::HashMap;
 

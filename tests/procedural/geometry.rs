@@ -1,4 +1,4 @@
-//! Depth and poses are those of the scene.
+//! Depth and poses match the scene.
 
 use glam::DVec3;
 use zipsplat::types::{Camera, Intrinsics};
@@ -6,13 +6,13 @@ use zipsplat_cli::procedural::{Capture, Photos, Setup};
 
 use crate::{capture, options, rays, setup};
 
-/// Bound on the relative error of an f32 intersection, away from silhouettes: sphere tracing stops at 1e-4 of a tube's
-/// radius and is refined after that; all else is closer.
+/// Relative error bound of an f32 intersection, away from silhouettes. Sphere tracing, the least
+/// accurate, stops at 1e-4 of a tube's radius before its refinement.
 const RELATIVE: f64 = 5e-4;
-/// Near a silhouette a ray in f32 may see what one beside it sees: within this many pixels.
+/// Near a silhouette, rounding may select the other surface, within this many pixels.
 const BESIDE: f64 = 0.02;
 
-/// Direction with z = 1 through a pixel's centre, shifted by `shift` pixels.
+/// Direction with z = 1 through a pixel's center, shifted by `shift` pixels.
 fn ray(i: &Intrinsics, x: u32, y: u32, shift: (f64, f64)) -> DVec3 {
     let (x, y) = (f64::from(x) + 0.5 + shift.0, f64::from(y) + 0.5 + shift.1);
     DVec3::new((x - i.cx) / i.fx, (y - i.cy) / i.fy, 1.0)
@@ -27,7 +27,7 @@ fn depth_is_that_of_brute_force_in_f64() {
         let capture = setup.shoot(&Photos::default(), &|| Ok(())).expect("nothing stops it");
         for (view, pose) in setup.poses().iter().enumerate() {
             let i = capture.cameras[view].intrinsics;
-            // z that a ray beside the pixel's centre sees; 0 in the sky.
+            // z of a ray near the pixel's center; 0 in the sky.
             let truth = |x: u32, y: u32, shift: (f64, f64)| {
                 let direction = ray(&i, x, y, shift);
                 let length = direction.length();
@@ -54,7 +54,7 @@ fn depth_is_that_of_brute_force_in_f64() {
     assert!(compared > 1500, "only {compared} pixels show a surface");
 }
 
-/// Pixel and z of a world point in a camera, where it is in the picture.
+/// Pixel and z of a world point, if in the picture.
 fn project(camera: &Camera, point: DVec3) -> Option<(u32, u32, f64)> {
     let p = camera.pose.inverse().transform(point);
     let i = &camera.intrinsics;
@@ -63,12 +63,12 @@ fn project(camera: &Camera, point: DVec3) -> Option<(u32, u32, f64)> {
     inside.then_some((x as u32, y as u32, p.z))
 }
 
-/// The overlap of a view's surfaces: how many another sees, by the depth in the pixel they land in, and the colour differences there.
+/// Overlap of a view: visible surfaces by the other view's depth, and their color differences.
 struct Reprojection {
     surfaces: usize,
     seen: usize,
     color_errors: Vec<f64>,
-    /// The same against the colour of another place of the picture.
+    /// Color differences at other positions of the picture.
     chance_errors: Vec<f64>,
 }
 
@@ -127,7 +127,7 @@ fn every_view_is_seen_by_two_others() {
             };
             let mut shares: Vec<f32> = (0..8).filter(|other| *other != view).map(share).collect();
             shares.sort_by(|a, b| b.total_cmp(a));
-            // The rule is held by 144 rays a view, and depth in a pixel's centre misses slanted and thin surfaces.
+            // The rule samples 144 rays per view, and pixel centers miss slanted and thin surfaces.
             let least = LEAST_OVERLAP - 0.15;
             assert!(shares[WITNESSES - 1] >= least, "seed {seed} ({}), view {view}: seen {shares:?}", capture.family);
         }

@@ -1,4 +1,4 @@
-//! Procedural scenes: what a seed gives, that depth and poses are exact, and how scenes are stored.
+//! Procedural scenes: determinism, exact depth and poses, storage.
 
 mod command;
 mod coverage;

@@ -1,4 +1,4 @@
-//! Pictures: repeatable, smooth, and of photo crops where there are any.
+//! Pictures: deterministic, antialiased, with optional photo crops.
 
 use std::fs;
 
@@ -29,7 +29,6 @@ fn beginning_elsewhere_keeps_the_place() {
     assert!(count >= 5, "{count} of 10 scenes begin at another view");
 }
 
-/// The means of blocks of 4x4 pixels.
 fn reduced(image: &Image) -> Vec<f64> {
     let (width, height) = (image.width as usize / 4, image.height as usize / 4);
     let block = |x: usize, y: usize, c: usize| {
@@ -42,7 +41,7 @@ fn reduced(image: &Image) -> Vec<f64> {
         .collect()
 }
 
-/// Mean difference of a small picture from a large one of the same, of 255.
+/// Mean difference, of 255, of a small picture from a downscaled large one.
 fn filter_error(seed: u64, supersample: bool) -> f64 {
     let [small, large] = [48, 192].map(|side| capture(seed, &Options { supersample, ..options(3, side) }));
     let pairs = small.images.iter().zip(&large.images).flat_map(|(small, large)| {
@@ -76,7 +75,7 @@ fn manifest(entries: &[(&str, &str)]) -> String {
 fn only_permissive_crops_are_read_and_show_in_scenes() {
     let folder = tempfile::tempdir().expect("a folder");
     crop(folder.path(), "free.png", 32, 32);
-    // The other is missing and must not be looked for.
+    // The other file is missing and must not be opened.
     fs::write(
         folder.path().join("manifest.json"),
         manifest(&[("free.png", "permissive"), ("not.png", "noncommercial")]),

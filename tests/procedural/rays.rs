@@ -1,10 +1,10 @@
-//! Where a ray meets primitives, in f64 and by other algorithms than the generator's: faces one by one, quadratics,
-//! bisection and all triangles.
+//! Reference ray intersections in f64, by other algorithms: single faces, quadratics, bisection,
+//! all triangles.
 
 use glam::{DMat3, DVec3};
 use zipsplat_cli::procedural::{HeightField, Primitive, Shape};
 
-/// Steps in which roots of a torus are looked for.
+/// Steps of the search for a torus's roots.
 const STEPS: usize = 4000;
 
 /// Distance along a unit direction to the nearest primitive.
@@ -90,7 +90,7 @@ fn torus(o: DVec3, d: DVec3, major: f64, minor: f64) -> Vec<f64> {
     vec![high]
 }
 
-/// Möller and Trumbore on all of them.
+/// Möller-Trumbore on all triangles.
 fn triangles(field: &HeightField, o: DVec3, d: DVec3) -> Vec<f64> {
     let corner = |i: usize, j: usize| field.corner(i, j).as_dvec3();
     let cells = (0..field.cells()).flat_map(|j| (0..field.cells()).map(move |i| (i, j)));

@@ -1,4 +1,4 @@
-//! Folders and streams hold what was captured.
+//! Folders and streams restore the captured data.
 
 use std::io::ErrorKind;
 use std::ops::ControlFlow;
@@ -67,7 +67,6 @@ fn a_stream_stops_when_told() {
 fn other_streams_are_refused() {
     let mut bytes = stream(0..1, &options(2, 16));
     let header = Header::read(bytes.as_slice()).expect("a header");
-    // The family's index.
     bytes[36 + 8] = 200;
     assert_eq!(Record::read(&header, &bytes[36..]).expect_err("no family").kind(), ErrorKind::InvalidData);
     bytes[0] = b'?';

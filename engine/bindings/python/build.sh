@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
-# Builds the wheel into a folder and checks it: the library for glibc 2.28 (by zig's linker), auditwheel, twine.
+# Builds and checks a wheel (auditwheel, twine) for glibc 2.28, linked by zig.
 # usage: engine/bindings/python/build.sh [FOLDER]      default target/wheels
-#   ZIPSPLAT_LIBRARY  a shared library that is there already: nothing is built
-#   ZIPSPLAT_CACHE    the tools' virtual environment lies here; default ~/.cache/zipsplat
+#   ZIPSPLAT_LIBRARY  existing shared library, skips the build
+#   ZIPSPLAT_CACHE    folder of the tools' virtual environment; default ~/.cache/zipsplat
 set -euo pipefail
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
 root=$(cd "$here/../../.." && pwd)
@@ -32,7 +32,7 @@ if [[ -z ${ZIPSPLAT_LIBRARY:-} ]]; then
 fi
 export ZIPSPLAT_LIBRARY
 if [[ $(uname -s) == Linux ]]; then
-  # What the library asks of the system says for which systems the wheel is.
+  # The library's newest glibc symbol determines the platform tag.
   newest=$(objdump -T "$ZIPSPLAT_LIBRARY" | grep -o 'GLIBC_2\.[0-9]*' | sort -Vu | tail -n 1)
   minor=${newest#GLIBC_2.}
   ((minor > 28)) || minor=28

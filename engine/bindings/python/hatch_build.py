@@ -1,4 +1,4 @@
-"""Puts the shared library, and what is generated from its header, into the wheel."""
+"""Adds the shared library and its generated declarations to the wheel."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ ROOT = HERE.parents[2]
 sys.path.insert(0, str(HERE))
 from declarations import module  # noqa: E402
 
-# The file that the package loads, by platform.
+# Library file by platform.
 LIBRARIES = {"linux": "libzipsplat.so", "darwin": "libzipsplat.dylib", "win32": "zipsplat.dll"}
 
 
 class Build(BuildHookInterface):  # type: ignore[type-arg]
     @property
     def generated(self) -> Path:
-        """The file of C declarations, which is there while the wheel is built."""
+        """Generated declarations, which exist during the build."""
         return Path(self.directory) / "_header.py"
 
     def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:
-        """Leaves the wheel alone behind."""
+        """Removes the generated file."""
         self.generated.unlink(missing_ok=True)
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """One wheel for every Python of a platform: the library has a C ABI and none of CPython's."""
+        """Adds the files. The tag covers every Python: the library does not use CPython's ABI."""
         name = LIBRARIES[sys.platform]
         library = Path(os.environ.get("ZIPSPLAT_LIBRARY", ROOT / "target" / "release" / name.replace("zipsplat", "zipsplat_c")))
         if not library.is_file():
@@ -50,7 +50,7 @@ class Build(BuildHookInterface):  # type: ignore[type-arg]
                 str(ROOT / "LICENSE"): "zipsplat/LICENSE",
             }
         )
-        # Those of the crates in the library, which tools/release.sh lists.
+        # Licenses of the library's crates, from tools/release.sh.
         licences = os.environ.get("ZIPSPLAT_LICENCES")
         if licences:
             build_data["force_include"][licences] = "zipsplat/THIRD-PARTY-LICENCES.txt"

@@ -1,4 +1,4 @@
-//! Steps of the optimiser.
+//! The Adam optimizer.
 
 use crate::{
     gpu::{Recorder, Tensor},
@@ -6,14 +6,14 @@ use crate::{
     ops::row_chunks,
 };
 
-/// The constants of Adam (Kingma and Ba 2015).
+/// Constants of Adam (Kingma and Ba 2015).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Adam {
-    /// Decay of the mean of gradients.
+    /// Decay of the first moment.
     pub beta1: f32,
-    /// Decay of the mean of squared gradients.
+    /// Decay of the second moment.
     pub beta2: f32,
-    /// The number that is added to the root of the latter.
+    /// Constant added to the root of the second moment.
     pub eps: f32,
 }
 
@@ -24,29 +24,30 @@ impl Default for Adam {
 }
 
 impl Adam {
-    /// The numbers that [`record_adam`] reads in step `step`, counted from 1: the rate, the corrections of both moments, and 0.
+    /// Input of [`record_adam`] for step `step`, from 1: rate, bias corrections of both moments, 0.
     pub fn schedule(&self, rate: f32, step: u32) -> [f32; 4] {
         let correction = |beta: f32| (1.0 / (1.0 - f64::from(beta).powi(step as i32))) as f32;
         [rate, correction(self.beta1), correction(self.beta2), 0.0]
     }
 }
 
-/// The space in which Adam steps, in place of that of a stored value.
+/// Space of Adam's steps for a stored value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Space {
     /// The value itself.
     Linear,
-    /// The logarithm of a positive value, which stays within 1e-30..1e30.
+    /// Logarithm of a positive value, clamped to 1e-30..1e30.
     Log,
-    /// ln(o / (1 - o)) of a value o in 0..1, which stays within 1e-6..1 - 1e-6.
+    /// Logit ln(o / (1 - o)) of a value o in 0..1, clamped to 1e-6..1 - 1e-6.
     Logit,
 }
 
-/// Records one step of Adam: `parameters` `[len]` move against `gradient` `[len]`, d loss / d value as stored.
+/// Records one step of Adam on `parameters` `[len]` against `gradient` `[len]`, d loss / d stored
+/// value.
 ///
-/// `moments` `[len]` each, of gradients in `space` and of their squares, are zero before the first step. `schedule` is
-/// [`Adam::schedule`], written by the host before every step; `rate` multiplies the rate in it. A value whose gradient, or
-/// the square of it, is not finite stays with its moments as it is.
+/// `moments`, `[len]` each, are in `space` and zero before the first step. The host writes
+/// [`Adam::schedule`] to `schedule` before every step; `rate` scales its rate. Non-finite gradients
+/// or squares leave a value and its moments unchanged.
 #[allow(clippy::too_many_arguments)]
 pub fn record_adam(
     rec: &mut Recorder,

@@ -1,16 +1,16 @@
-//! Cameras that are moved with the scene.
+//! Cameras optimized with the scene.
 
 use super::Adam;
 use crate::types::{Camera, Pose};
 use glam::{DMat3, DQuat, DVec3};
 
-/// Share of the steps before cameras move: what Gaussians lack at first is not the cameras' fault, and would move exact ones.
+/// Fraction of steps with fixed cameras: early scene errors would move exact cameras.
 const AFTER: f64 = 0.4;
 
 /// Adam on a camera-to-world pose.
 ///
-/// Each step begins at the pose itself: what moves is (w, v) = 0 in `pose o (exp(w^), v)`, a turn about the camera's own axes and a
-/// shift along them. The moments stay from step to step.
+/// Each step optimizes (w, v) = 0 in `pose o (exp(w^), v)`: rotation about and translation along
+/// the camera's own axes. Moments persist between steps.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct PoseAdam {
     first: [f64; 6],
@@ -19,8 +19,8 @@ pub struct PoseAdam {
 }
 
 impl PoseAdam {
-    /// The pose after one step against `gradient`, d loss / d (w, v), at the rates of turns in radians and of shifts. A gradient that
-    /// is not finite leaves the pose and the moments as they are.
+    /// Returns the pose after a step against `gradient`, d loss / d (w, v), with rates of rotation
+    /// in radians and of translation. A non-finite gradient changes nothing.
     pub fn step(&mut self, adam: Adam, pose: &Pose, gradient: [f64; 6], [turns, shifts]: [f64; 2]) -> Pose {
         if !gradient.iter().all(|g| g.is_finite()) {
             return *pose;
@@ -39,28 +39,27 @@ impl PoseAdam {
     }
 }
 
-/// The cameras of all photos, of which those that are learnt from move.
+/// Cameras of all photos; only training cameras move.
 pub(super) struct Cameras {
     cameras: Vec<Camera>,
-    /// None where a camera stays.
+    /// `None` for fixed cameras.
     adams: Vec<Option<PoseAdam>>,
-    /// Rates of turns in radians, and of shifts in the unit of the scene.
+    /// Rates of rotation in radians and of translation in scene units.
     rates: [f64; 2],
 }
 
 impl Cameras {
-    /// Cameras of which those of the photos `moving` move, at these rates.
+    /// Optimizes the cameras of the photos `moving` with these rates.
     pub fn new(cameras: &[Camera], moving: &[usize], rates: [f64; 2]) -> Self {
         let adam = |i| moving.contains(&i).then(PoseAdam::default);
         Self { cameras: cameras.to_vec(), adams: (0..cameras.len()).map(adam).collect(), rates }
     }
 
-    /// The cameras as they are.
     pub fn all(&self) -> &[Camera] {
         &self.cameras
     }
 
-    /// Moves a photo's camera against its gradient, where it moves, `along` the way from the first step to the last.
+    /// Moves a photo's camera against its gradient, at the fraction `along` of all steps.
     pub fn step(&mut self, photo: usize, gradient: [f32; 6], rate: f32, along: f64) {
         if let (Some(adam), true) = (&mut self.adams[photo], along >= AFTER) {
             let (rates, pose) = (self.rates.map(|each| each * f64::from(rate)), &mut self.cameras[photo].pose);
@@ -73,7 +72,7 @@ impl Cameras {
 mod tests {
     use super::*;
 
-    /// The pose of least squared distance from where points are seen is found from any side.
+    /// Least squares recovers a pose from any initialization.
     #[test]
     fn a_pose_finds_its_points() {
         let points = [DVec3::new(0.3, 0.2, 2.0), DVec3::new(-0.5, 0.1, 1.5), DVec3::new(0.2, -0.6, 1.0)];
@@ -85,7 +84,8 @@ mod tests {
         for step in 0..400 {
             let mut gradient = [0.0; 6];
             for point in points {
-                // d |pose(p) - truth(p)|^2: by a shift in the camera's frame, and by a turn, which moves p by w x p.
+                // Gradient of |pose(p) - truth(p)|^2: by a shift in the camera's frame, and by w x
+                // p for a turn.
                 let by_shift = 2.0 * (pose.rotation.transpose() * (pose.transform(point) - truth.transform(point)));
                 let by_turn = point.cross(by_shift);
                 let both = by_turn.to_array().into_iter().chain(by_shift.to_array());

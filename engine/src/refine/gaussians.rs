@@ -1,7 +1,7 @@
-//! Gaussians on the device while they are optimised, and the plans of a step.
+//! Gaussians under optimization, and the plans of a step.
 //!
-//! A step adds up the gradients of some photos, a plan run for each, and then moves all Gaussians at once. So memory grows
-//! neither with the photos of a step nor with those that there are.
+//! A step accumulates gradients over plan runs, then updates all Gaussians. Memory is independent
+//! of the number of photos.
 
 use super::{
     Adam, Look, Rates, Refine, Space,
@@ -19,17 +19,16 @@ use crate::{
 };
 use std::sync::Arc;
 
-/// 3D Gaussian Splatting's: gradients of a mean over a picture are small.
+/// As in 3D Gaussian Splatting: the gradient of a mean over a picture is small.
 pub(super) const ADAM: Adam = Adam { beta1: 0.9, beta2: 0.999, eps: 1e-15 };
-/// Least scale and, from 0 and from 1, least distance of an opacity: their logarithm and logit are optimised.
+/// Lower limits of scales and of opacities' distance from 0 and 1, for their logarithm and logit.
 const LEAST_SCALE: f32 = 1e-12;
 const OPACITY_MARGIN: f32 = 1e-4;
-/// Plans that are kept: sizes that alternate.
+/// Capacity of the plan cache.
 const PLANS: usize = 4;
-/// Pixels of a run, at most.
+/// Limit of pixels per run.
 const PIXELS_TOGETHER: usize = 1 << 20;
 
-/// A field of the Gaussians that a kernel of Adam moves.
 struct Field {
     values: Tensor,
     gradient: Tensor,
@@ -37,41 +36,37 @@ struct Field {
     len: usize,
     rate: f32,
     space: Space,
-    /// Gradient of the penalty, the same for each value: what gradients begin with.
+    /// Gradient of the penalty, equal for all values: the initial gradient.
     penalty: f32,
 }
 
-/// Gaussians, their gradients and their moments.
 pub(super) struct Gaussians {
-    /// All plans take turns in it.
     arena: Arena,
     memories: Vec<Arc<Resident>>,
-    /// The values that are moved, where they are the Gaussians themselves.
+    /// Optimized fields, unless tokens are optimized.
     fields: Vec<Field>,
     scene: SceneTensors,
-    /// Distance from cameras below which nothing is drawn.
     near: f32,
     gradients: Gradients,
     request: Refine,
     clear: Run,
     update: Run,
     schedule: Tensor,
-    /// The weights of LPIPS, where the request has a share of it.
+    /// LPIPS weights, if the loss includes LPIPS.
     look: Option<LpipsWeights>,
     steps: u32,
-    /// Last used last.
+    /// Least recently used first.
     plans: Vec<Planned>,
-    /// Photos of a run.
     together: usize,
-    /// Room for intersections of a camera in new plans; grows with what was drawn.
+    /// Capacity of new plans in intersections per camera; grows on demand.
     capacity: usize,
 }
 
 impl Gaussians {
-    /// Brings a scene to the arena's device, `unit` its distance from the cameras.
+    /// Uploads a scene at distance `unit` from the cameras.
     ///
     /// # Errors
-    /// [`Error::Memory`] where the device has too little.
+    /// [`Error::Memory`] if the device has too little.
     pub fn new(arena: &Arena, scene: &Scene, unit: f64, request: &Refine) -> Result<Self> {
         let (device, len) = (arena.device(), scene.len());
         let counts = [3 * len, 3 * len, 4 * len, len, 3 * scene.sh_coeffs.len()];
@@ -102,7 +97,7 @@ impl Gaussians {
         Ok(Self { fields: fields.into(), ..gaussians })
     }
 
-    /// Gaussians in the first of some memories, their gradients there with what they begin with, and a plan that moves them.
+    /// Wraps uploaded Gaussians with their initial gradients and an update plan.
     pub(super) fn of(
         arena: &Arena,
         request: &Refine,
@@ -135,10 +130,10 @@ impl Gaussians {
         })
     }
 
-    /// One step: adds up the gradients of some photos and moves all Gaussians against them. Returns what it found of each photo.
+    /// Accumulates the gradients of photos and updates all Gaussians. Returns each photo's results.
     ///
     /// # Errors
-    /// [`Error::Memory`] where the device has too little, and those of [`Run::execute`].
+    /// [`Error::Memory`] if the device has too little, and those of [`Run::execute`].
     pub fn step(&mut self, views: &[&View], rate: f32) -> Result<Vec<Found>> {
         let mut views = views.to_vec();
         views.sort_by_key(|view| view.size);
@@ -154,8 +149,8 @@ impl Gaussians {
         Ok(found)
     }
 
-    /// Adds the gradients of photos that are sorted by size; what was found of them, or nothing where there was too little room,
-    /// which is more the next time.
+    /// Accumulates the gradients of photos sorted by size. `None` if the capacity was exceeded; it
+    /// then grows.
     fn add_all(&mut self, views: &[&View]) -> Result<Option<Vec<Found>>> {
         let mut found = Vec::new();
         for alike in views.chunk_by(|a, b| a.size == b.size) {
@@ -178,13 +173,12 @@ impl Gaussians {
         Ok(Some(found))
     }
 
-    /// Sets the distance from cameras below which nothing is drawn, before anything is.
+    /// Sets the near plane, before the first draw.
     pub fn set_near(&mut self, near: f32) {
         self.near = near;
     }
 
-    /// The scene as a photo's camera sees it, `[height][width][rgb]`, and the number of its
-    /// intersections with tiles.
+    /// Draws a photo's camera: `[height][width][rgb]` and the number of tile intersections.
     ///
     /// # Errors
     /// As [`Gaussians::step`].
@@ -198,7 +192,8 @@ impl Gaussians {
         }
     }
 
-    /// Runs the plan of photos of one size and gives its index, or none where there was too little room.
+    /// Runs the plan of photos of one size and returns its index, or `None` if its capacity was
+    /// exceeded.
     fn run(&mut self, views: &[&View], learns: bool) -> Result<Option<usize>> {
         let [width, height] = views[0].size;
         let shape = FrameShape { cameras: views.len(), width, height };
@@ -225,7 +220,6 @@ impl Gaussians {
         Ok(Some(self.plans.len() - 1))
     }
 
-    /// The device that they are on.
     pub fn device(&self) -> &Device {
         self.arena.device()
     }
@@ -248,27 +242,27 @@ impl Gaussians {
         Ok(Planned { shape, capacity, run, recorded })
     }
 
-    /// The Gaussians as they are.
+    /// Reads back the Gaussians.
     ///
     /// # Errors
-    /// A transfer that fails.
+    /// A failed transfer.
     pub fn scene(&self) -> Result<Scene> {
         self.scene.read(&self.memories[0])
     }
 
-    /// Replaces the Gaussians with those of a scene of at most as many.
+    /// Replaces the Gaussians by a scene of at most as many.
     ///
     /// # Errors
-    /// A transfer that fails.
+    /// A failed transfer.
     pub fn show(&self, scene: &Scene) -> Result<()> {
         let SceneTensors { means, scales, quats, opacities, sh_coeffs, len, .. } = self.scene;
         write(&self.memories[0], [means, scales, quats, opacities, sh_coeffs], &padded(scene, len))
     }
 
-    /// Lets the host change the Gaussians. Those whose numbers `change` returns begin with moments of zero.
+    /// Edits the Gaussians on the host. `change` returns those whose moments reset to zero.
     ///
     /// # Errors
-    /// A transfer that fails.
+    /// A failed transfer.
     pub fn edit(&mut self, change: impl FnOnce(&mut Scene) -> Vec<usize>) -> Result<()> {
         let (mut scene, memory) = (self.scene()?, &self.memories[0]);
         let changed = change(&mut scene);
@@ -284,14 +278,14 @@ impl Gaussians {
         Ok(())
     }
 
-    /// Device time of a step by kernel, with the photos of one size that come first; the Gaussians are as before.
+    /// Profiles a step by kernel, on photos of the first size. The Gaussians stay unchanged.
     ///
     /// # Errors
     /// As [`Gaussians::step`].
     pub fn profile(&mut self, views: &[&View]) -> Result<Profile> {
         let size = views[0].size;
         let alike: Vec<&View> = views.iter().copied().filter(|view| view.size == size).take(self.together).collect();
-        // Afterwards there is a plan with room for every intersection.
+        // Grows the plan until every intersection fits.
         let index = loop {
             if let Some(index) = self.run(&alike, true)? {
                 break index;
@@ -306,18 +300,18 @@ impl Gaussians {
     }
 }
 
-/// Photos whose gradients are computed at once, where they are of one size and not large.
+/// Batch size of photos of equal, moderate size.
 pub(super) fn together(request: &Refine, limits: &Limits) -> usize {
     let usual = if limits.cpu || request.look.is_some() { 1 } else { request.views_per_step };
     request.together.filter(|_| request.look.is_none()).unwrap_or(usual).max(1)
 }
 
-/// Photos of so many pixels of one run, at most.
+/// Limit of photos of this many pixels per run.
 pub(super) fn most_together(pixels: usize) -> usize {
     (PIXELS_TOGETHER / pixels).max(1)
 }
 
-/// Room of a plan for intersections, of which there is `each` for each camera.
+/// Intersection capacity of a plan with `each` per camera.
 pub(super) fn room(limits: &Limits, each: usize, cameras: usize, learns: bool) -> usize {
     let most = limits.max_binding_bytes / intersection_bytes(learns);
     each.saturating_mul(cameras).min(most as usize)
@@ -335,7 +329,7 @@ pub(super) fn scene_gradients([means, scales, quats, opacities, sh_coeffs]: [Ten
     SceneGradients { means, scales, quats, opacities, sh_coeffs }
 }
 
-/// Writes a scene in the range in which it can be optimised.
+/// Writes a scene, clamped to the range of the optimizer.
 fn write(memory: &Resident, values: [Tensor; 5], scene: &Scene) -> Result<()> {
     let [means, scales, quats, opacities, sh_coeffs] = values;
     let positive = |scales: &[f32; 3]| scales.map(|scale| scale.max(LEAST_SCALE));
@@ -347,7 +341,6 @@ fn write(memory: &Resident, values: [Tensor; 5], scene: &Scene) -> Result<()> {
     memory.write(sh_coeffs, &scene.sh_coeffs)
 }
 
-/// A plan that fills tensors.
 pub(super) fn filling(
     arena: &Arena,
     memory: &Arc<Resident>,
@@ -358,7 +351,7 @@ pub(super) fn filling(
     Run::in_arena(arena, 0, rec.finish()?, [memory.clone()])
 }
 
-/// A plan that moves all Gaussians, and what the host tells it of each step.
+/// The plan that updates all Gaussians, and its schedule tensor.
 fn update(arena: &Arena, memory: &Arc<Resident>, fields: &[Field]) -> Result<(Run, Tensor)> {
     let mut rec = Recorder::new(arena.device().limits());
     let schedule = rec.input::<f32>("schedule", 4);

@@ -1,9 +1,9 @@
-//! Gaussians that nobody sees are put where they are needed.
+//! Relocation of unseen Gaussians.
 //!
-//! Source: 3D Gaussian splatting as Markov chain Monte Carlo (Kheradmand et al. 2024): dead Gaussians go to live ones that are drawn by
-//! opacity, and share the opacity and the size so that the picture hardly changes; nearly transparent ones wander.
-//! The paper adds Gaussians as it goes; here all that there may be exist from the first step on, and come alive: plans are recorded
-//! for a number of Gaussians.
+//! Source: 3D Gaussian splatting as Markov chain Monte Carlo (Kheradmand et al. 2024). Dead
+//! Gaussians move to live ones drawn by opacity. They share its opacity and size so that the
+//! picture hardly changes. Nearly transparent Gaussians wander. Plans have a fixed number of
+//! Gaussians, so unlike the paper all exist from the start and become alive over time.
 
 use crate::{
     random::Random,
@@ -11,39 +11,32 @@ use crate::{
 };
 use glam::{DMat3, DVec3};
 
-/// Opacity below which a Gaussian is dead.
 const DEAD: f32 = 0.005;
-/// Opacity below which a Gaussian is not drawn.
 const UNSEEN: f32 = 1.0 / 255.0;
-/// Gaussians at one place, at most.
 const TOGETHER: usize = 51;
-/// Share of the steps after which all Gaussians are alive, and after which none is moved any more.
+/// Fractions of the steps: all Gaussians are alive after the first, relocation ends at the second.
 const GROWN: f64 = 0.5;
 const LAST: f64 = 0.8;
-/// How often Gaussians are moved.
 const TIMES: usize = 20;
 
-/// A scene that may grow.
 pub(super) struct Growth {
     random: Random,
     steps: usize,
-    /// Gaussians at first, and at last.
     counts: [usize; 2],
 }
 
 impl Growth {
-    /// Growth of `first` Gaussians to at most `most` in so many steps.
+    /// Grows `first` Gaussians to at most `most` over these steps.
     pub fn new(first: usize, most: usize, steps: usize, seed: u64) -> Self {
         Self { random: Random::new(!seed), steps, counts: [first, most.max(first)] }
     }
 
-    /// True where Gaussians are moved after so many steps.
     pub fn is_due(&self, done: usize) -> bool {
         done.is_multiple_of(self.steps.div_ceil(TIMES)) && done as f64 <= LAST * self.steps as f64
     }
 
-    /// Moves Gaussians, of which more are alive the more steps are done; `rate` is the share of the first rate that is left. Returns
-    /// those that are no longer what they were.
+    /// Relocates Gaussians; more become alive with `done`. `rate` is the current fraction of the
+    /// initial rate. Returns the indices of changed Gaussians.
     pub fn apply(&mut self, scene: &mut Scene, done: usize, rate: f32) -> Vec<usize> {
         self.wander(scene, f64::from(rate));
         let (live, dead): (Vec<usize>, Vec<usize>) = (0..scene.len()).partition(|i| scene.opacities[*i] > DEAD);
@@ -68,7 +61,6 @@ impl Growth {
         changed
     }
 
-    /// `count` of the live Gaussians, drawn by opacity, in their order.
     fn choose(&mut self, scene: &Scene, live: &[usize], count: usize) -> Vec<usize> {
         let mut sum = 0.0;
         let add = |i: &usize| {
@@ -86,8 +78,8 @@ impl Growth {
         chosen
     }
 
-    /// Gives a Gaussian its share of the opacity and the size where there are `count` in its place. Returns what turns normal numbers
-    /// into offsets that are spread as the Gaussian was.
+    /// Splits a Gaussian's opacity and size among `count`. Returns the transform from normal
+    /// samples to offsets with the Gaussian's former spread.
     fn share(&self, scene: &mut Scene, i: usize, count: usize) -> DMat3 {
         let was = axes(scene, i);
         let (opacity, size) = shared(f64::from(scene.opacities[i]), count);
@@ -96,11 +88,11 @@ impl Growth {
         was
     }
 
-    /// Moves nearly transparent Gaussians at random, as far as they are large.
+    /// Perturbs nearly transparent Gaussians in proportion to their size.
     fn wander(&mut self, scene: &mut Scene, rate: f64) {
         for i in 0..scene.len() {
             let opacity = f64::from(scene.opacities[i]);
-            // 3DGS-MCMC's: a half where it is as good as dead, nothing from 0.1 on.
+            // As in 3DGS-MCMC: one half for dead Gaussians, almost 0 from opacity 0.1.
             let free = 1.0 / (1.0 + (100.0 * (opacity - f64::from(DEAD))).exp());
             if free > 1e-3 && opacity > f64::from(UNSEEN) {
                 let normal = DVec3::from([(); 3].map(|()| self.random.normal()));
@@ -111,13 +103,12 @@ impl Growth {
     }
 }
 
-/// The axes of a Gaussian, as long as its standard deviations: the columns.
+/// Returns axes scaled by the standard deviations, as columns.
 fn axes(scene: &Scene, i: usize) -> DMat3 {
     let scales = DVec3::from(scene.scales[i].map(f64::from));
     matrix_from_quaternion(scene.quats[i].map(f64::from)) * DMat3::from_diagonal(scales)
 }
 
-/// Makes Gaussian `to` the same as `from`.
 fn copy(scene: &mut Scene, from: usize, to: usize) {
     scene.means[to] = scene.means[from];
     scene.scales[to] = scene.scales[from];
@@ -127,8 +118,8 @@ fn copy(scene: &mut Scene, from: usize, to: usize) {
     scene.sh_coeffs.copy_within(from * width..(from + 1) * width, to * width);
 }
 
-/// The opacity of each of `count` Gaussians that together are as opaque as one, and their size in shares of its (equation 9 of the
-/// paper): what all of them hide along their middle axis is then the same.
+/// Returns the opacity of each of `count` coincident Gaussians as opaque as one, and their relative
+/// size (equation 9 of the paper). The total occlusion along the middle axis is preserved.
 fn shared(opacity: f64, count: usize) -> (f64, f64) {
     let each = 1.0 - (1.0 - opacity).powf(1.0 / count as f64);
     // Binomials of count over k + 1, times each^(k + 1), with alternating signs.
@@ -140,7 +131,7 @@ fn shared(opacity: f64, count: usize) -> (f64, f64) {
     (each, opacity / sum)
 }
 
-/// The scene with as many Gaussians as it may grow to; those that it has not are dead.
+/// Pads a scene with dead Gaussians to its final size.
 pub(super) fn padded(scene: &Scene, most: usize) -> Scene {
     let (mut padded, first) = (scene.clone(), scene.len());
     let most = most.max(first);
@@ -153,7 +144,6 @@ pub(super) fn padded(scene: &Scene, most: usize) -> Scene {
     padded
 }
 
-/// Leaves only the Gaussians that are drawn.
 pub(super) fn drop_unseen(scene: &mut Scene) {
     let seen: Vec<usize> = (0..scene.len()).filter(|i| scene.opacities[*i] >= UNSEEN).collect();
     scene.keep(&seen);
@@ -174,7 +164,7 @@ mod tests {
         }
     }
 
-    /// Along the middle axis of Gaussians of one place the light that is hidden, in all, is that which one hid: integrated here.
+    /// Numerically integrates the occlusion along the middle axis, before and after a split.
     #[test]
     fn shares_hide_what_one_hid() {
         for (opacity, count) in [(0.9, 2), (0.5, 3), (0.99, 10), (0.1, 51)] {
@@ -200,7 +190,7 @@ mod tests {
         let live = |scene: &Scene| scene.opacities.iter().filter(|opacity| **opacity > DEAD).count();
         assert_eq!((grown.len(), live(&grown)), (32, 8));
         let changed = growth.apply(&mut grown, 25, 0.0);
-        // Half of the way, counted by factors.
+        // Half of the growth, which is geometric.
         assert_eq!(live(&grown), 16);
         assert!((8..16).all(|i| changed.contains(&i)) && grown.means[16..] == padded(&start, 32).means[16..]);
         for i in 8..16 {

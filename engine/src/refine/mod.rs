@@ -1,4 +1,4 @@
-//! Refinement: tokens, Gaussians and cameras made to fit the photos.
+//! Refinement of tokens, Gaussians and cameras against photos.
 
 mod adam;
 mod cameras;
@@ -34,51 +34,49 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// From so many photos on one is held out, unless cameras are refined.
+/// Least number of photos with a held-out one by default.
 const HOLD_OUT_FROM: usize = 9;
-/// Gaussians by which the distance from the cameras is measured, at most.
+/// Sample size for the distance from the cameras.
 const SAMPLE: usize = 4096;
 
-/// How Gaussians are refined.
+/// Settings of a refinement.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Refine {
-    /// Steps of the optimiser.
+    /// Optimizer steps.
     pub steps: usize,
-    /// Photos of a step, at most all that are learnt from.
+    /// Photos per step, capped at the training photos.
     pub views_per_step: usize,
-    /// Most pixels of a photo along x and y; a larger one is compared at the largest size that fits. `None`: as they are.
+    /// Limits of a photo's width and height; larger ones are downscaled. `None` keeps full size.
     pub size: Option<[u32; 2]>,
-    /// Photos that are not learnt from: the best step is the one that predicts these best. `None`: 1 of 9 or more, and none where
-    /// cameras are refined, since those of held-out photos stay as wrong as they are.
+    /// Number of held-out photos, which select the best step. `None`: one of 9 or more, or none if
+    /// cameras are refined, because held-out cameras stay uncorrected.
     pub hold_out: Option<usize>,
-    /// The loss that is made less.
+    /// Pixel loss.
     pub loss: Loss,
-    /// A share of LPIPS in it, for photos that are large enough; photos of a step are then learnt from one after the other. `None`: no
-    /// weights of LPIPS are needed.
+    /// LPIPS term for photos large enough; it prevents batching. `None` needs no LPIPS weights.
     pub look: Option<Look>,
-    /// How far a step moves each value.
+    /// Learning rates.
     pub rates: Rates,
-    /// The cameras of the photos that are learnt from are moved, too: all but the first of them, which holds the world.
+    /// Also refines training cameras, except the first, which fixes the world.
     pub cameras: bool,
-    /// How many Gaussians there may be in the end: those that nobody sees, and those that are missing, are put where others are.
-    /// `None`: each stays the one that it was.
+    /// Final number of Gaussians: unseen and missing ones are relocated. `None` relocates none.
     pub grow: Option<usize>,
     /// Factor of the mean opacity in the loss.
     pub opacity_penalty: f32,
-    /// Factor of the mean scale in the loss, in shares of the scene's distance.
+    /// Factor of the mean scale in the loss, relative to the scene scale.
     pub scale_penalty: f32,
-    /// Whether photos are small in the first half.
+    /// Whether the first half uses downscaled photos.
     pub coarse: bool,
-    /// Photos of one size whose gradients are computed at once, at most. `None`: all of a step on a GPU, 1 on a CPU.
+    /// Batch limit for photos of one size. `None`: a whole step on a GPU, 1 on a CPU.
     pub together: Option<usize>,
-    /// Intersections of Gaussians with tiles of a photo that there is room for at first; it grows with what is drawn. `None`: by the
+    /// Initial capacity in tile intersections per photo, which grows on demand. `None`: from the
     /// number of Gaussians.
     pub room: Option<usize>,
-    /// Steps after which `progress` is shown the scene, over and over. `None`: never.
+    /// Steps between the scenes passed to `progress`. `None`: never.
     pub show: Option<usize>,
-    /// Seed of the photos' order.
+    /// Seed of the photo order.
     pub seed: u64,
-    /// Whether a step is timed by kernel.
+    /// Whether to profile a step by kernel.
     pub profile: bool,
 }
 
@@ -107,33 +105,33 @@ impl Default for Refine {
     }
 }
 
-/// A share of LPIPS in a loss.
+/// The LPIPS term of a loss.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Look {
     /// Factor of the distance.
     pub weight: f32,
-    /// The network that sees the pictures, whose weights [`Perceptual::file`](crate::perceptual::Perceptual::file) finds.
+    /// LPIPS network, with weights from [`Perceptual::file`](crate::perceptual::Perceptual::file).
     pub network: LpipsNetwork,
 }
 
-/// Adam's rates at first, which fall to a tenth.
+/// Initial rates of Adam, which decay to a tenth.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rates {
-    /// The rate of centres, in shares of the scene's distance from the cameras.
+    /// Rate of centers, relative to the scene scale.
     pub means: f32,
-    /// The rate of logarithms of scales.
+    /// Rate of log scales.
     pub scales: f32,
-    /// The rate of unit quaternions.
+    /// Rate of unit quaternions.
     pub quats: f32,
-    /// The rate of logits of opacities.
+    /// Rate of opacity logits.
     pub opacities: f32,
-    /// The rate of coefficients of spherical harmonics.
+    /// Rate of coefficients of spherical harmonics.
     pub sh_coeffs: f32,
-    /// The rate of tokens, where these are refined.
+    /// Rate of tokens, if refined.
     pub tokens: f32,
-    /// The rate of turns of cameras in radians, where these are refined.
+    /// Rate of camera rotations in radians, if refined.
     pub turns: f32,
-    /// The rate of their shifts, in shares of the scene's distance from the cameras.
+    /// Rate of camera translations, relative to the scene scale.
     pub shifts: f32,
 }
 
@@ -152,81 +150,81 @@ impl Default for Rates {
     }
 }
 
-/// How far a refinement is.
+/// Progress of a refinement.
 #[derive(Clone, Copy, Debug)]
 pub struct Refining<'a> {
-    /// Steps that are done.
+    /// Completed steps.
     pub step: usize,
-    /// All steps.
+    /// Total steps.
     pub steps: usize,
-    /// Mean loss of the photos of the last step.
+    /// Mean loss over the last step's photos.
     pub loss: Option<f32>,
-    /// PSNR of the held-out photos in dB, when they were looked at last.
+    /// Latest PSNR of the held-out photos in dB.
     pub psnr: Option<f64>,
-    /// Time that is left, as steps took so far.
+    /// Estimated time left.
     pub left: Duration,
-    /// The Gaussians after this step, where [`Refine::show`] asks for them.
+    /// Gaussians after this step, if [`Refine::show`] requests them.
     pub scene: Option<&'a Scene>,
 }
 
-/// Why a refinement ended before its last step.
+/// Reason for an early end.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Stopped {
-    /// `progress` asked for it.
+    /// Requested by `progress`.
     Cancelled,
     /// The loss became NaN or infinite, or grew.
     Diverged(String),
 }
 
-/// A refined scene.
+/// Result of a refinement.
 #[derive(Clone, Debug)]
 pub struct Refined {
-    /// The Gaussians after [`Refined::best_step`], in the world that they were given in, and in their order unless they grew; where
-    /// they did, those that are not drawn are left out.
+    /// Gaussians after [`Refined::best_step`], in their original world. The order is kept unless
+    /// they grew; then undrawn ones are dropped.
     pub scene: Scene,
-    /// The cameras after that step, of all photos; where they were not refined, as they were given.
+    /// Cameras of all photos after that step.
     pub cameras: Vec<Camera>,
-    /// Mean loss of the photos of each step.
+    /// Mean loss per step over its photos.
     pub losses: Vec<f32>,
-    /// Steps after which the scene was kept.
+    /// Steps before the kept scene.
     pub best_step: usize,
-    /// Steps, and the PSNR of the held-out photos after them, in dB; empty without such photos.
+    /// Steps and the held-out PSNR in dB after them; empty without held-out photos.
     pub held_out: Vec<(usize, f64)>,
-    /// Mean PSNR in dB of the training photos at their full size, at most 16 of them, evenly
-    /// spread: with the scene that was kept, and before the first step.
+    /// Mean PSNR in dB of at most 16 training photos at full size: with the kept scene, and before
+    /// the first step.
     pub training_psnr: [f64; 2],
-    /// Photos that were held out.
+    /// Indices of the held-out photos.
     pub held: Vec<usize>,
-    /// Steps, counted from 0, and the pixels along x and y of the largest photo from each of them on.
+    /// Steps, from 0, with a new size, and the largest photo's width and height from then on.
     pub sizes: Vec<(usize, [u32; 2])>,
     /// Time of all steps.
     pub took: Duration,
-    /// Most bytes that the device had allocated, whatever else is on it included.
+    /// Peak bytes allocated on the device, including other users of it.
     pub peak_bytes: u64,
-    /// Why it ended early, where it did.
+    /// Reason for an early end.
     pub stopped: Option<Stopped>,
-    /// Device time of a step by kernel, where it was asked for.
+    /// Profile of a step by kernel, if requested.
     pub profile: Option<Profile>,
 }
 
 impl Refined {
-    /// PSNR of the held-out photos with the scene that was kept, and before the first step.
+    /// Held-out PSNR with the kept scene and before the first step.
     pub fn psnr(&self) -> Option<[f64; 2]> {
         let kept = self.held_out.iter().find(|(step, _)| *step == self.best_step)?;
         Some([kept.1, self.held_out.first()?.1])
     }
 }
 
-/// Refines a scene's Gaussians so that each of `photos` is what the camera of the same index sees. Cameras are those of the
-/// whole photos, in the world of the scene.
+/// Refines a scene's Gaussians against `photos`. Cameras are of the whole photos, in the scene's
+/// world.
 ///
-/// Plans run in `arena`, which may be a model's own, so that no more memory is taken than the largest of all plans needs; where
-/// somebody else uses it now, in another one. `progress` is called after every step and may end the refinement: what was best
-/// until then is returned.
+/// Plans run in `arena`, which may be a model's, to share memory. If it is in use, they run in
+/// another one. `progress` runs after every step; if it ends the refinement, the best scene so far
+/// is returned.
 ///
 /// # Errors
-/// [`Error::Argument`] where the scene, a photo, a camera or the request cannot be used, or the weights of LPIPS that it asks for are
-/// missing; [`Error::Memory`] where the device has too little.
+/// [`Error::Argument`] for an unusable scene, photo, camera or request, or missing LPIPS weights.
+/// [`Error::Memory`] if the device has too little.
 pub fn refine_scene(
     arena: &Arena,
     scene: &Scene,
@@ -248,11 +246,10 @@ pub fn refine_scene(
     run(arena, make, photos, cameras, request, progress)
 }
 
-/// Refines a scene's tokens so that each of `photos` is what the camera of the same index sees, as [`refine_scene`] does: the head
-/// that makes Gaussians of them stays as it is. The scene is that of the tokens at the best step.
+/// Refines a scene's tokens through the frozen head, as [`refine_scene`].
 ///
 /// # Errors
-/// The errors of [`refine_scene`], and [`Error::Argument`] where the tokens are another head's.
+/// Those of [`refine_scene`], and [`Error::Argument`] if the tokens belong to another head.
 pub fn refine_tokens(
     arena: &Arena,
     head: &FrozenHead,
@@ -271,14 +268,13 @@ pub fn refine_tokens(
     run(arena, make, photos, cameras, request, progress)
 }
 
-/// Refuses to let the Gaussians of tokens grow.
 fn tokens_grow_not(request: &Refine) -> Result<()> {
     let refused =
         |most| Error::argument("Gaussians to grow to", most, "none where tokens are refined, which have theirs");
     request.grow.map_or(Ok(()), |most| Err(refused(most)))
 }
 
-/// Refines what `make` puts on the device, which is a scene in Gaussians and its distance from the cameras.
+/// Refines the Gaussians, scene and scene scale from `make`.
 fn run(
     arena: &Arena,
     make: impl FnOnce(&Arena, &Refine) -> Result<(Gaussians, (Scene, f64))>,
@@ -298,7 +294,6 @@ fn run(
     Refinement::new(gaussians, scene, photos, cameras, request)?.finish(&mut progress, begin)
 }
 
-/// The request with what follows from the number of photos filled in.
 fn filled(request: &Refine, count: usize) -> Result<Refine> {
     let held_out = request.hold_out.unwrap_or(usize::from(count >= HOLD_OUT_FROM && !request.cameras));
     if held_out >= count {
@@ -308,7 +303,7 @@ fn filled(request: &Refine, count: usize) -> Result<Refine> {
     Ok(Refine { hold_out: Some(held_out), views_per_step, ..request.clone() })
 }
 
-/// Median distance of Gaussians from the cameras that have them in their pictures.
+/// Median distance of Gaussians from the cameras that see them.
 fn distance(scene: &Scene, cameras: &[Camera]) -> f64 {
     let sample = scene.means.iter().step_by(scene.len().div_ceil(SAMPLE));
     let points: Vec<DVec3> = sample.map(|mean| DVec3::from(mean.map(f64::from))).collect();

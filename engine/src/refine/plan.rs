@@ -1,4 +1,4 @@
-//! The memory that a refinement takes, before it begins.
+//! Memory requirements of a refinement.
 
 use super::{
     Adam, Refine, Space, filled,
@@ -23,37 +23,37 @@ use crate::{
     types::{Image, NEAR},
 };
 
-/// The values that a refinement moves.
+/// Optimized parameters.
 #[derive(Clone, Copy, Debug)]
 pub enum Moved<'a> {
-    /// So many Gaussians, with harmonics up to a degree.
+    /// Number of Gaussians, and the degree of their harmonics.
     Gaussians(usize, u32),
-    /// So many tokens, through the head of a network.
+    /// Number of tokens, and the network of their head.
     Tokens(usize, &'a Architecture),
 }
 
-/// Bytes of a refinement.
+/// Memory plan of a refinement.
 pub struct RefinePlan {
-    /// Bytes of what stays: Gaussians, their gradients, moments; of tokens also these, the head's weights in
-    /// f32 and what its gradient needs of its forward pass; of a share of LPIPS the weights of its network.
+    /// Persistent bytes: Gaussians, gradients and moments. For tokens also the tokens, the head's
+    /// f32 weights and saved activations. With LPIPS also its weights.
     pub kept_bytes: u64,
-    /// The plans of a step, which take turns in the arena.
+    /// Plans of a step, which share the arena.
     pub plans: Vec<Plan>,
 }
 
 impl RefinePlan {
-    /// Bytes of an arena of its own.
+    /// Bytes of a separate arena.
     pub fn arena_bytes(&self) -> u64 {
         Arena::lane_bytes(&self.plans)
     }
 }
 
-/// Plans a refinement against `photos` photos of `[width, height]` pixels; needs no device. Pictures of more intersections than they
-/// have room for at first take more.
+/// Plans a refinement against `photos` photos of `[width, height]` pixels, without a device.
+/// Pictures that exceed the initial intersection capacity need more.
 ///
 /// # Errors
-/// [`Error::Argument`](crate::Error::Argument) where more photos are held out than there are or tokens are to grow, and
-/// [`Error::Memory`](crate::Error::Memory) where a device of these limits cannot hold or bind a tensor.
+/// [`Error::Argument`](crate::Error::Argument) if all photos are held out or tokens are to grow.
+/// [`Error::Memory`](crate::Error::Memory) if a tensor exceeds the device's limits.
 pub fn plan_refinement(
     limits: &Limits,
     moved: Moved<'_>,
@@ -99,7 +99,7 @@ pub fn plan_refinement(
             adam(&mut rec, tokens, d_tokens, [first, second], schedule, width);
             head.record_kept(&mut rec, tokens, &kept, &scene);
             plans.push(rec.finish()?);
-            // The tokens that were given stay, too.
+            // The original tokens stay, too.
             let mut given = ResidentLayout::new(limits);
             given.add::<f32>(width);
             kept_bytes += parameters.bytes() + given.bytes();
@@ -115,7 +115,7 @@ pub fn plan_refinement(
     Ok(RefinePlan { kept_bytes, plans })
 }
 
-/// Adds the plans in which photos of that size are drawn.
+/// Adds the plans that draw photos of this size.
 fn record_steps(
     limits: &Limits,
     plans: &mut Vec<Plan>,
@@ -149,7 +149,6 @@ fn record_steps(
     Ok(())
 }
 
-/// One field's step.
 fn adam(rec: &mut Recorder, values: Tensor, gradient: Tensor, moments: [Tensor; 2], schedule: Tensor, len: usize) {
     record_adam(rec, Adam::default(), values, gradient, moments, schedule, 1.0, Space::Linear, len);
 }

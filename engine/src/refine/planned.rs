@@ -1,4 +1,4 @@
-//! The plans of a step: photos of one size drawn, compared, and their gradients added up.
+//! Plans of a step: draw photos of one size, compare, accumulate gradients.
 
 use super::{Look, Refine, views::View};
 use crate::{
@@ -15,16 +15,14 @@ use crate::{
     },
 };
 
-/// A plan that draws photos' cameras and, where it learns from the photos, adds to the gradients.
+/// A plan that draws cameras and, for training, accumulates gradients.
 pub(super) struct Planned {
     pub shape: FrameShape,
-    /// Room for intersections.
     pub capacity: usize,
     pub run: Run,
     pub recorded: Recorded,
 }
 
-/// The tensors of a plan.
 #[derive(Clone, Copy)]
 pub(super) struct Recorded {
     pub cameras: Tensor,
@@ -38,22 +36,20 @@ pub(super) struct Learning {
     pub targets: Tensor,
     /// `[cameras]`.
     pub losses: Tensor,
-    /// Factor and value of LPIPS, where the loss has a share of it.
+    /// Factor and value of LPIPS, if in the loss.
     pub look: Option<(f32, Tensor)>,
-    /// `[cameras, 10]`, where cameras are moved, too.
+    /// `[cameras, 10]`, if cameras are refined.
     pub d_cameras: Option<Tensor>,
 }
 
-/// The findings of a step about a photo.
 pub(super) struct Found {
-    /// The index of the photo.
     pub photo: usize,
     pub loss: f32,
-    /// The gradient of its camera, d loss / d (w, v), where cameras are moved, too.
+    /// Camera gradient d loss / d (w, v), if cameras are refined.
     pub d_pose: Option<[f32; 6]>,
 }
 
-/// Records photos' cameras as they are drawn and, with a request and its gradients, what adds to these.
+/// Records drawing and, with a request, the accumulation of its gradients.
 pub(super) fn record_photos(
     rec: &mut Recorder,
     scene: &SceneTensors,
@@ -90,8 +86,8 @@ pub(super) fn record_photos(
     Recorded { cameras, learning, outputs }
 }
 
-/// Records the share of LPIPS of one picture, whose gradient is added to `d_frames`; none of one that is too small for it. Returns its
-/// factor and `[1]` f32.
+/// Records LPIPS of one picture and adds its gradient to `d_frames`, unless the picture is too
+/// small. Returns factor and value `[1]` f32.
 fn record_look(
     rec: &mut Recorder,
     lpips: &Lpips,
@@ -113,14 +109,13 @@ fn record_look(
     Some((weight, lpips.record(rec, pictures, Some((share, d_frames))).value))
 }
 
-/// Bytes of the largest list of a picture's intersections, for each.
+/// Bytes per intersection of a picture's largest list.
 pub(super) fn intersection_bytes(learns: bool) -> u64 {
     // The backward pass has six moments.
     if learns { 24 } else { 4 }
 }
 
 impl Planned {
-    /// Gives it its cameras and photos.
     pub fn write(&mut self, views: &[&View]) -> Result<()> {
         let cameras: Vec<CameraRows> = views.iter().map(|view| camera_rows(&view.camera)).collect();
         self.run.write(self.recorded.cameras, &cameras)?;
@@ -131,7 +126,6 @@ impl Planned {
         Ok(())
     }
 
-    /// The findings of its run about these photos.
     pub fn found(&self, views: &[&View]) -> Result<Vec<Found>> {
         let Learning { losses, look, d_cameras, .. } = self.recorded.learning.expect("it learns");
         let mut losses: Vec<f32> = self.run.read(losses)?;

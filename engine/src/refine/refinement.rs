@@ -1,4 +1,4 @@
-//! The loop of a refinement: steps, looks at the held-out photos, and when to stop.
+//! The refinement loop: steps, validation, stopping.
 
 use super::{
     Refine, Refined, Refining, Stopped,
@@ -17,14 +17,13 @@ use crate::{
 use rayon::prelude::*;
 use std::{ops::ControlFlow, time::Instant};
 
-/// How often the held-out photos are looked at, or the loss where there are none.
+/// Number of evaluations of held-out photos or, without any, of the loss.
 const LOOKS: usize = 20;
-/// Limit of training photos that are measured before and after.
+/// Limit of training photos measured before and after.
 const MEASURED: usize = 16;
-/// How many times its least value the mean loss of all photos may be before the refinement ends.
+/// Divergence limit: mean loss relative to its minimum.
 const GROWN: f32 = 2.0;
 
-/// A refinement under way.
 pub(super) struct Refinement<'a> {
     photos: &'a [Image],
     cameras: Cameras,
@@ -33,31 +32,29 @@ pub(super) struct Refinement<'a> {
     gaussians: Gaussians,
     growth: Option<Growth>,
     order: Order,
-    /// The photos that are learnt from, and those as they are compared now.
+    /// Training photos, and their views at the current size.
     learnt: Vec<usize>,
     views: Vec<View>,
-    /// How many times shorter their sides are than at last.
+    /// Factor of the current downscaling.
     shrink: u32,
     tested: Vec<View>,
     held: Vec<usize>,
     sizes: Vec<(usize, [u32; 2])>,
     losses: Vec<f32>,
     held_out: Vec<(usize, f64)>,
-    /// The step after which they were looked at last.
+    /// Step of the last evaluation.
     looked: Option<usize>,
-    /// The step with which photos of this size began, and the least mean loss of all of them since.
+    /// First step at the current size, and the least mean loss since then.
     began: usize,
     least: f32,
-    /// The mean loss of all photos, when it was looked at last.
     latest: f32,
     /// Fraction of the rates for the Gaussians.
     fraction: f32,
     kept: Kept,
-    /// The scene that is kept next, unless the loss says that it has become worse.
+    /// Next checkpoint, unless the loss reveals that it is worse.
     next: Option<Kept>,
 }
 
-/// The Gaussians after a step.
 #[derive(Clone)]
 struct Kept {
     step: usize,
@@ -66,11 +63,11 @@ struct Kept {
 }
 
 impl<'a> Refinement<'a> {
-    /// `scene` is what the Gaussians are before the first step, at a distance of `unit` from the cameras; `request` says how many
-    /// photos are held out.
+    /// Starts from `scene`, at distance `unit` from the cameras. `request` has the number of
+    /// held-out photos.
     ///
     /// # Errors
-    /// Where a camera is not its photo's.
+    /// A camera that does not match its photo.
     pub fn new(
         mut gaussians: Gaussians,
         (scene, unit): (Scene, f64),
@@ -81,7 +78,7 @@ impl<'a> Refinement<'a> {
         let (learnt, held) = split(photos.len(), request.hold_out.unwrap_or(0));
         let view = |i: &usize| View::new(*i, &photos[*i], &cameras[*i], request.size, 1);
         let tested = held.par_iter().map(view).collect::<Result<Vec<_>>>()?;
-        // The first camera holds the world.
+        // The first camera fixes the world.
         let moving = if request.cameras { &learnt[1..] } else { &[] };
         let rates = [f64::from(request.rates.turns), unit * f64::from(request.rates.shifts)];
         let growth = request.grow.map(|most| Growth::new(scene.len(), most, request.steps, request.seed));
@@ -112,7 +109,7 @@ impl<'a> Refinement<'a> {
         })
     }
 
-    /// Takes all steps, or as many as it should.
+    /// Runs all steps, or fewer on an early stop.
     ///
     /// # Errors
     /// As [`super::refine_scene`].
@@ -123,7 +120,7 @@ impl<'a> Refinement<'a> {
     ) -> Result<Refined> {
         let before = self.training_psnr(&self.kept.cameras.clone())?;
         self.fraction = rate_of_error(before);
-        // Held-out photos choose the best step, and LPIPS trades PSNR for detail. Otherwise the
+        // Held-out photos select the best step, and LPIPS trades PSNR for detail. Otherwise the
         // given scene is a candidate.
         let given = (self.held.is_empty() && self.request.look.is_none()).then(|| self.kept.clone());
         let stopped = self.run(progress, begin)?;
@@ -200,8 +197,7 @@ impl<'a> Refinement<'a> {
         Ok(None)
     }
 
-    /// Mean PSNR of the training photos at full size through these cameras, at most [`MEASURED`] of
-    /// them.
+    /// Mean PSNR of at most [`MEASURED`] training photos at full size through these cameras.
     ///
     /// # Errors
     /// [`Error::Argument`] if no photo's camera sees a Gaussian.
@@ -236,7 +232,6 @@ impl<'a> Refinement<'a> {
         self.views.iter_mut().for_each(|view| view.camera.pose = cameras[view.photo].pose);
     }
 
-    /// Brings the photos to the size of a step.
     fn resize(&mut self, step: usize) -> Result<()> {
         let shortest = |i: &usize| size(&self.photos[*i], self.request.size, 1).into_iter().min();
         let shortest = self.learnt.iter().filter_map(shortest).min().unwrap_or(0);
@@ -252,8 +247,8 @@ impl<'a> Refinement<'a> {
         Ok(())
     }
 
-    /// Marks the Gaussians to be kept where they predict the held-out photos best so far; without such photos, where the loss of
-    /// all photos is the least so far with photos of this size.
+    /// Marks a checkpoint when held-out PSNR improves. Without held-out photos, when the mean loss
+    /// at the current size improves.
     fn look(&mut self, step: usize) -> Result<()> {
         if self.looked == Some(step) {
             return Ok(());
@@ -267,7 +262,7 @@ impl<'a> Refinement<'a> {
             }
             let best = self.held_out.iter().fold(f64::NEG_INFINITY, |best, (_, psnr)| best.max(*psnr));
             self.held_out.push((step, sum));
-            // Not where it is NaN, either.
+            // False for NaN, too.
             let better = sum > best;
             if !better {
                 return Ok(());
@@ -281,7 +276,6 @@ impl<'a> Refinement<'a> {
         Ok(())
     }
 
-    /// The Gaussians as they are now.
     fn scene(&mut self) -> Result<Scene> {
         let mut scene = self.gaussians.scene()?;
         if self.growth.is_some() {
@@ -290,15 +284,14 @@ impl<'a> Refinement<'a> {
         Ok(scene)
     }
 
-    /// Keeps what was marked.
     fn keep(&mut self) {
         if let Some(next) = self.next.take() {
             self.kept = next;
         }
     }
 
-    /// Whether the mean loss of all photos is far above the least that it was with photos of this size. A loss is that of the
-    /// Gaussians before its step: it judges what was marked, not what they are now.
+    /// Whether the mean loss is far above its minimum at the current size. A loss belongs to the
+    /// Gaussians before its step: it validates the marked checkpoint, not the current state.
     fn grown(&mut self) -> Option<String> {
         let round = self.learnt.len().div_ceil(self.request.views_per_step);
         let last = self.losses.len().checked_sub(round).filter(|first| *first >= self.began)?;
@@ -317,7 +310,6 @@ impl<'a> Refinement<'a> {
     }
 }
 
-/// Peak signal-to-noise ratio of a drawn picture, clamped to 0..1, in dB.
 fn psnr(drawn: &[f32], view: &View) -> f64 {
     let square = |(drawn, value): (&f32, f32)| f64::from(drawn.clamp(0.0, 1.0) - value).powi(2);
     let squares: f64 = drawn.iter().zip(view.values()).map(square).sum();

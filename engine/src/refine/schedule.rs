@@ -1,34 +1,30 @@
-//! How a refinement goes along: the rate of each step, and how small photos are in it.
+//! Schedule of rates and photo sizes.
 
 use std::f64::consts::PI;
 
-/// Share of the rate that is left in the last step.
 const LAST: f64 = 0.1;
 /// Training PSNR in dB above which a scene's rate shrinks with its error.
 const GOOD: f64 = 20.0;
-/// Until which share of the steps the sides of photos are how many times shorter.
+/// Ends of the coarse phases, as fractions of the steps, and their downscaling factors.
 const COARSE: [(f64, u32); 2] = [(0.2, 4), (0.5, 2)];
-/// Shortest side of a photo that is made smaller, in pixels.
+/// Least shorter side of a downscaled photo, in pixels.
 const SHORTEST: u32 = 96;
 
-/// A cosine from the first rate to a tenth of it, from coarse photos to fine ones.
+/// Cosine decay of the rate to a tenth, and a coarse-to-fine order of photo sizes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Schedule {
     pub steps: usize,
-    /// The rate of the first step.
     pub rate: f32,
-    /// Whether photos are small at first.
     pub coarse: bool,
 }
 
 impl Schedule {
-    /// The rate of step `step`, counted from 0.
     pub fn rate(&self, step: usize) -> f32 {
         let along = step as f64 / (self.steps.max(2) - 1) as f64;
         self.rate * (LAST + (1.0 - LAST) * 0.5 * (1.0 + (PI * along).cos())) as f32
     }
 
-    /// How many times shorter the sides of photos are in that step, whose shortest side is this.
+    /// Downscaling factor in that step for photos with this shortest side.
     pub fn shrink(&self, step: usize, shortest: u32) -> u32 {
         let along = step as f64 / self.steps as f64;
         let fits = |(until, shrink): &&(f64, u32)| self.coarse && along < *until && shortest >= shrink * SHORTEST;
@@ -36,8 +32,9 @@ impl Schedule {
     }
 }
 
-/// Returns the fraction of the rates for a scene of this training PSNR: its error relative to that at
-/// 20 dB, at most 1. Adam's steps have full length at any gradient, which would harm a good scene.
+/// Returns the fraction of the rates for a scene of this training PSNR: its error relative to that
+/// at 20 dB, at most 1. Adam's steps have full length at any gradient, which would harm a good
+/// scene.
 pub(super) fn rate_of_error(psnr: f64) -> f32 {
     10f64.powf((GOOD - psnr) / 20.0).min(1.0) as f32
 }

@@ -1,4 +1,4 @@
-//! Gaussians to begin with where only points are known.
+//! Initialization of Gaussians from a point cloud.
 
 use crate::{
     Error, Result,
@@ -8,22 +8,22 @@ use glam::DVec3;
 use rayon::prelude::*;
 use rstar::{PointDistance, RTree, primitives::GeomWithData};
 
-/// Neighbours whose distance is a Gaussian's size.
+/// Neighbors for a Gaussian's size.
 const NEIGHBOURS: usize = 3;
-/// Largest size of a Gaussian as a share of its distance from the nearest camera: lone points are often wrong.
+/// Limit of a Gaussian's size relative to the nearest camera's distance: isolated points are often
+/// wrong.
 const LARGEST: f64 = 0.1;
-/// Opacity of all of them.
 const OPACITY: f32 = 0.5;
-/// The harmonic of degree 0, `1 / (2 sqrt(pi))`.
+/// Harmonic of degree 0, `1 / (2 sqrt(pi))`.
 const SH_0: f32 = 0.282_094_8;
-/// Colour of points without one.
+/// Color of points without one.
 const GREY: [u8; 3] = [128; 3];
 
-/// A round Gaussian at each point of a cloud, as far as its neighbours: its standard deviation is the root mean square of the
-/// distances to the nearest three other places (Kerbl et al. 2023), its colour the point's from all sides.
+/// Creates an isotropic Gaussian per point with the point's color. Its standard deviation is the
+/// root mean square distance to the three nearest points elsewhere (Kerbl et al. 2023).
 ///
 /// # Errors
-/// [`Error::Argument`] where the points lie at one place, or there are none.
+/// [`Error::Argument`] if there are no two distinct points.
 pub fn scene_of_points(cloud: &PointCloud, cameras: &[Camera]) -> Result<Scene> {
     let places = cloud.positions.iter().map(|at| GeomWithData::new(at.map(f64::from), ()));
     let tree = RTree::bulk_load(places.collect());
@@ -53,7 +53,7 @@ pub fn scene_of_points(cloud: &PointCloud, cameras: &[Camera]) -> Result<Scene> 
     })
 }
 
-/// Both scenes in one, with harmonics up to the higher degree of the two.
+/// Joins two scenes with the higher degree of harmonics.
 pub fn join(first: Scene, second: Scene) -> Scene {
     let degree = first.sh_degree.max(second.sh_degree);
     let [mut joined, other] = [first, second].map(|scene| with_degree(scene, degree));
@@ -61,7 +61,7 @@ pub fn join(first: Scene, second: Scene) -> Scene {
     joined
 }
 
-/// The scene with harmonics up to a degree no lower than its own; those that it has not are zero.
+/// Pads the harmonics with zeros to a degree no lower than the scene's.
 fn with_degree(mut scene: Scene, degree: u32) -> Scene {
     let (own, wanted) = (scene.sh_coeffs_per_gaussian(), (degree as usize + 1).pow(2));
     if own < wanted {
@@ -82,12 +82,12 @@ mod tests {
 
     #[test]
     fn gaussians_are_as_large_as_their_neighbours_are_far() {
-        // A row of points at distance 1, one of them twice.
+        // A row of points at distance 1, one of them duplicated.
         let positions: Vec<[f32; 3]> = [0.0, 1.0, 2.0, 3.0, 3.0].map(|x| [x, 0.0, 0.0]).to_vec();
         let cloud = PointCloud { positions, colors: vec![[255, 0, 128]; 5] };
         let scene = scene_of_points(&cloud, &[]).expect("a scene");
         scene.validate().expect("a valid scene");
-        // Of the point at 2, both at 3 are neighbours; of these, neither the other.
+        // Both points at 3 are neighbors of the point at 2; neither is the other's.
         let expected = [14.0f32, 6.0, 3.0, 14.0, 14.0].map(|squares| (squares / 3.0).sqrt());
         for (scale, expected) in scene.scales.iter().zip(expected) {
             assert!((scale[0] - expected).abs() < 1e-6, "{scale:?}, not {expected}");

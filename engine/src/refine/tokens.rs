@@ -1,4 +1,4 @@
-//! Scene tokens as what the optimiser moves: the head, whose weights are frozen, makes Gaussians of them.
+//! Optimization of scene tokens through the frozen head.
 //!
 //! Source: ZipSplat, section 4.2, "Test-time optimization".
 
@@ -19,7 +19,7 @@ use crate::{
 };
 use std::{ops::ControlFlow, sync::Arc};
 
-/// A model's head on a device, forwards and transposed, in f32 whatever the model computes in.
+/// A model's head on a device, forward and backward, always in f32.
 pub struct FrozenHead {
     head: Head,
     architecture: Architecture,
@@ -30,7 +30,7 @@ impl FrozenHead {
     /// Loads the head of a checkpoint.
     ///
     /// # Errors
-    /// [`Error::Memory`] where the device has too little, or where the checkpoint cannot be read.
+    /// [`Error::Memory`] if the device has too little; an unreadable checkpoint.
     pub fn load(device: &Device, checkpoint: &Checkpoint) -> Result<Self> {
         let architecture = checkpoint.architecture().clone();
         let arithmetic = Chosen::exact(device);
@@ -41,7 +41,7 @@ impl FrozenHead {
     }
 }
 
-/// The Gaussians of tokens, to be moved through them, and what they are before the first step.
+/// Returns optimizable Gaussians of tokens, and their initial scene.
 pub(super) fn gaussians(
     arena: &Arena,
     head: &FrozenHead,
@@ -66,14 +66,14 @@ pub(super) fn gaussians(
     filling(arena, &memory, [(first, 0.0), (second, 0.0)].into_iter())?.execute()?;
     let scene = scene_tensors(values, len, sh_degree);
 
-    // Once: the tokens' own Gaussians. The tokens that they were given as stay.
+    // Once: the Gaussians of a copy of the tokens; the originals stay unchanged.
     let mut rec = Recorder::new(device.limits());
     rec.copy(tokens.tensor(), moved);
     head.record_kept(&mut rec, moved, &kept, &scene);
     let given = [memory.clone(), weights.clone(), tokens.resident().clone()];
     Run::in_arena(arena, 0, rec.finish()?, given)?.execute()?;
 
-    // Every step: back through the head as it was run last, and forward again.
+    // Every step: backward through the last run, then forward again.
     let mut rec = Recorder::new(device.limits());
     let schedule = rec.input::<f32>("schedule", 4);
     let d_tokens = head.record_backward(&mut rec, &kept, &scene_gradients(gradients));
@@ -91,7 +91,7 @@ pub(super) fn gaussians(
     Ok((gaussians, scene))
 }
 
-/// The values that gradients begin with: those of the penalties.
+/// Initial gradients: those of the penalties.
 fn begin(gradients: [Tensor; 5], len: usize, request: &Refine) -> [(Tensor, f32); 5] {
     let mut begin = gradients.map(|gradient| (gradient, 0.0));
     begin[3].1 = request.opacity_penalty / len as f32;

@@ -1,4 +1,4 @@
-//! The photos of a refinement: which are held out, in which order the others come, and their sizes.
+//! Photos of a refinement: split, order, sizes.
 
 use crate::{
     Result,
@@ -7,9 +7,7 @@ use crate::{
     types::{Camera, Image, preprocess::PixelMap, resample::resize_lanczos},
 };
 
-/// A photo as it is compared, and its camera.
 pub(super) struct View {
-    /// The index among all photos.
     pub photo: usize,
     pub size: [u32; 2],
     /// `[height][width][rgb]`.
@@ -18,10 +16,10 @@ pub(super) struct View {
 }
 
 impl View {
-    /// Photo `i` at the largest size that fits into `most` and no larger than it is, its sides then divided by `shrink`.
+    /// Downscales photo `i` to fit `most`, then divides its sides by `shrink`.
     ///
     /// # Errors
-    /// Where the photo is empty or the camera is not the photo's.
+    /// An empty photo, or a camera that does not match it.
     pub fn new(i: usize, photo: &Image, camera: &Camera, most: Option<[u32; 2]>, shrink: u32) -> Result<Self> {
         photo.validate()?;
         check_camera(i, camera)?;
@@ -32,13 +30,11 @@ impl View {
         Ok(Self { photo: i, size: [width, height], rgb, camera })
     }
 
-    /// The photo's values in 0..1.
     pub fn values(&self) -> impl Iterator<Item = f32> {
         self.rgb.iter().map(|value| f32::from(*value) / 255.0)
     }
 }
 
-/// The size of a photo in a refinement.
 pub(super) fn size(photo: &Image, most: Option<[u32; 2]>, shrink: u32) -> [u32; 2] {
     let sides = [photo.width, photo.height];
     let fits = |[width, height]: [u32; 2]| {
@@ -48,13 +44,14 @@ pub(super) fn size(photo: &Image, most: Option<[u32; 2]>, shrink: u32) -> [u32; 
     sides.map(|side| ((f64::from(side) * scale).round() as u32).max(1))
 }
 
-/// The indices of the photos to learn from and of those that are held out, of `count`, evenly spread.
+/// Splits `count` photos into evenly spaced held-out ones and training ones, returned as training,
+/// held out.
 pub(super) fn split(count: usize, held_out: usize) -> (Vec<usize>, Vec<usize>) {
     let held: Vec<usize> = (0..held_out).map(|i| (2 * i + 1) * count / (2 * held_out)).collect();
     ((0..count).filter(|i| !held.contains(i)).collect(), held)
 }
 
-/// Numbers below `count` in a random order, all of them before any comes again.
+/// Endless random order of numbers below `count`, each once per round.
 pub(super) struct Order {
     count: usize,
     random: Random,

@@ -62,9 +62,11 @@ impl DepthStages {
 /// The tensors that the heads read, f32.
 #[derive(Clone, Debug)]
 pub struct DepthFeatures {
-    /// Four of the patches of all views, shallowest first: `[local | norm(global)]`, or `norm(x)` where views do not see each other.
+    /// Four layers of patch features of all views, shallowest first: `[local | norm(global)]`, or
+    /// `norm(x)` for single-view networks.
     pub layers: Vec<Rows>,
-    /// A row a view, where they do: `[local | global]` of its camera token behind the last out layer.
+    /// Camera tokens `[local | global]` after the last out layer, a row per view; `None` for
+    /// single-view networks.
     pub cameras: Option<Rows>,
 }
 
@@ -73,8 +75,8 @@ pub struct DepthFeatures {
 pub enum Reference {
     /// The view with this index.
     View(usize),
-    /// The network's own choice: the view that is nearest to the middle of what all are like. Of views within a thousandth of it the
-    /// first, so that rounding does not decide.
+    /// The network's choice: the view nearest to the mean. Among views within a thousandth of the
+    /// best, the first, so that rounding does not decide.
     Balanced,
 }
 
@@ -138,7 +140,7 @@ pub struct SceneTensors {
     pub sh_degree: u32,
 }
 
-/// Gradients of a scene, each like the values in [`SceneTensors`], as these are stored: quaternions of any length, for one.
+/// Gradients of the stored values in [`SceneTensors`], for example of unnormalized quaternions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SceneGradients {
     /// `[len, 3]`.

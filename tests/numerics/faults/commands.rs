@@ -1,4 +1,4 @@
-//! The command on devices that fail under it: one error that says what to do, and no part of a file.
+//! The command under device failures: one helpful error, no partial file.
 
 use crate::{catalogue::zipsplat, micro, noise};
 use std::path::{Path, PathBuf};
@@ -13,16 +13,13 @@ use zipsplat_tests::{
 };
 
 const RECONSTRUCT: &str = "reconstruct @/photos --weights @/micro.safetensors --size 28x28 -o @/out.ply";
-/// Pictures in flight, encoded and written meanwhile.
+/// Pictures in flight while others are encoded and written.
 const RENDER: &str = "render @/scene.ply --wiggle --frames 7 --size 40x30 -o @/out --video @/out.gif";
 
-/// Calls in which a device can be found to be lost.
 const WAITS: [&str; 3] = ["vkQueueSubmit2", "vkWaitSemaphores", "vkGetSemaphoreCounterValue"];
 
-/// Calls that take memory from the driver.
 const ALLOCATIONS: [&str; 3] = ["vkCreateBuffer", "vkAllocateMemory", "vkMapMemory"];
 
-/// Everything else that a driver may refuse.
 const OTHERS: [&str; 13] = [
     "vkBindBufferMemory",
     "vkCreateSemaphore",
@@ -50,7 +47,7 @@ fn reconstructions_fail() {
     let Some(folder) = target() else { return };
     let case = Case::new(&folder, RECONSTRUCT);
     case.fails_everywhere();
-    // In f16 kernels are tested before anything else, unless the result is known.
+    // f16 needs a self-test first, unless cached.
     let case = Case::new(&folder, &format!("{RECONSTRUCT} --precision fast"));
     let forget = || drop(std::fs::remove_dir_all(std::env::var("ZIPSPLAT_CACHE").unwrap()));
     forget();
@@ -58,7 +55,7 @@ fn reconstructions_fail() {
         forget();
         case.fails("vkQueueSubmit2", call, DEVICE_LOST, 4, LOST);
     }
-    // Too little memory for the test is no failure of the kernels: with enough it is done after all.
+    // Too little memory for the self-test is not a kernel failure: with enough, it runs again.
     forget();
     case.fails("vkAllocateMemory", 1, OUT_OF_DEVICE_MEMORY, 4, &["the driver refused"]);
     case.calls("vkAllocateMemory");
@@ -76,10 +73,9 @@ fn pictures_fail() {
     Case::new(&folder, RENDER).fails_everywhere();
 }
 
-/// Words of the error of a device that was lost: what happened, and what to do.
+/// Message of a lost device: cause and remedy.
 const LOST: &[&str] = &["the Vulkan device was lost", "again"];
 
-/// A command line in a folder.
 struct Case {
     folder: PathBuf,
     line: String,
@@ -114,7 +110,7 @@ impl Case {
         }
     }
 
-    /// The first, a middle and the last call of a function by the command on a sound device.
+    /// The first, a middle and the last call of a function by the command without faults.
     fn calls(&self, function: &str) -> Vec<u32> {
         self.faults.set(function, 0, 0);
         let (code, _, err) = zipsplat(&self.line);
@@ -123,13 +119,13 @@ impl Case {
         self.faults.calls(3)
     }
 
-    /// Holds that the command ends so where a function answers with `result` from a call on.
+    /// Asserts the command's failure if a function returns `result` from a call on.
     fn fails(&self, function: &str, call: u32, result: i32, code: u8, words: &[&str]) {
         self.faults.set(function, call, result);
         let (found, out, err) = zipsplat(&self.line);
         let context = format!("{function}, call {call}, {result}: {err}");
         if found == 0 {
-            // Work is cut by the time that it takes, so a last call may be missing.
+            // Submissions are split by time: a last call may be missing.
             assert!(self.faults.made() < call, "{context}: it was not told");
             return self.clear();
         }
@@ -142,7 +138,8 @@ impl Case {
         self.clear();
     }
 
-    /// The files that the command wrote, hidden ones too; only pictures of a path come one by one.
+    /// Files written by the command, including hidden ones; pictures of a path are written one by
+    /// one.
     fn written(&self) -> Vec<PathBuf> {
         let entries = |folder: &Path| -> Vec<PathBuf> {
             folder.read_dir().into_iter().flatten().map(|entry| entry.unwrap().path()).collect()

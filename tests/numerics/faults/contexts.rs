@@ -1,5 +1,5 @@
-//! The library on devices that fail under it: every call says so from then on, everything can be destroyed, and a device
-//! that is opened anew works as before.
+//! The library under device failures: calls report them, objects can be destroyed, and a reopened
+//! device works.
 
 use crate::{micro, noise};
 use std::ops::ControlFlow;
@@ -21,7 +21,7 @@ fn a_lost_device_stays_lost_and_another_works() {
     assert_survives("faults::contexts::losing_devices");
 }
 
-/// As a discrete GPU has it, too: bytes then come and go through submissions of their own.
+/// Also with staged transfers, as on discrete GPUs.
 #[test]
 #[ignore = "child of a_lost_device_stays_lost_and_another_works"]
 fn losing_devices() {
@@ -38,7 +38,7 @@ fn losing_devices() {
                 assert!(matches!(error, Error::DeviceLost), "{function}, call {call}: {error}");
             }
         }
-        // Refused, but not lost: nothing waits for what was never submitted.
+        // Rejected without device loss: a rejected submission is not waited for.
         let refusals =
             ["vkQueueSubmit2", "vkCreateFence", "vkCreateCommandPool", "vkAllocateMemory", "vkBeginCommandBuffer"];
         for function in refusals.into_iter().filter(|function| staged || *function != "vkCreateFence") {
@@ -53,7 +53,7 @@ fn losing_devices() {
     }
 }
 
-/// A scene from two photos and pictures of another, on a device of its own.
+/// A reconstruction and pictures of another scene, on a separate device.
 struct Work {
     faults: Faults,
     options: DeviceOptions,
@@ -62,7 +62,6 @@ struct Work {
     truth: (Scene, Vec<Frame>),
 }
 
-/// Everything that was made on a device.
 #[derive(Default)]
 struct Made {
     model: Option<Model>,
@@ -86,7 +85,6 @@ impl Work {
         Device::open(&self.options).expect("opening a device fails nowhere")
     }
 
-    /// All of the work, up to what fails; what was made of it stays alive.
     fn run(&self, device: &Device, made: &mut Made) -> Result<()> {
         let model = made.model.insert(Model::load(device, &micro(), |_| ControlFlow::Continue(()))?);
         made.scene =
@@ -105,15 +103,14 @@ impl Work {
         (made.scene.expect("a scene"), made.pictures)
     }
 
-    /// Calls of a function by all of the work, from the first to the last.
     fn calls(&self, function: &str) -> Vec<u32> {
         self.faults.set(function, 0, 0);
         assert!(self.sound() == self.truth, "other results after failures");
         self.faults.calls(3)
     }
 
-    /// The error where a function fails from a call on, after which the device is lost for good, where it is. None where there
-    /// are fewer calls this time: work is cut by the time that it takes.
+    /// Returns the error if a function fails from a call on; with `lost`, the device stays lost.
+    /// `None` if this run had fewer calls: submissions are split by time.
     fn fails(&self, function: &str, call: u32, result: i32, lost: bool) -> Option<Error> {
         self.faults.set(function, call, result);
         let (device, mut made) = (self.open(), Made::default());
@@ -129,7 +126,6 @@ impl Work {
         Some(error)
     }
 
-    /// Every call that works with the device gives the same error.
     fn assert_lost(&self, device: &Device, made: &mut Made, context: &str) {
         let lost = |name: &str, result: Result<()>| match result {
             Err(Error::DeviceLost) => {}
@@ -146,7 +142,6 @@ impl Work {
             let drawn = renderer.render_loaded(&[camera(20, 20)], &RenderRequest::default());
             assert!(matches!(drawn, Err(Error::DeviceLost | Error::Argument { .. })), "{context}, drawing: {drawn:?}");
         }
-        // What had been read before the loss is sound.
         assert!(made.pictures.iter().all(|frame| *frame == self.truth.1[0]), "{context}: a picture of a lost device");
     }
 }

@@ -1,4 +1,4 @@
-//! Devices that are lost and drivers that refuse, at every point of what commands and contexts do.
+//! Device loss and driver failures at every call of commands and contexts.
 
 mod commands;
 mod contexts;

@@ -1,5 +1,5 @@
-//! Files that are not what they say: every parser gives an error that names the file, or something sound; it never panics,
-//! hangs or takes memory by a count that it was told.
+//! Damaged files: parsers return an error that names the file, or a valid result. They never panic,
+//! hang or allocate by an untrusted count.
 
 mod mutate;
 mod seeds;
@@ -26,11 +26,11 @@ use zipsplat::{
 };
 use zipsplat_tests::{architectures::pico, golden};
 
-/// A format: sound files, and what reads one from a folder.
+/// A format: valid files and a reader.
 struct Parser {
     name: &'static str,
     seeds: Vec<Vec<u8>>,
-    /// The way back from damage to a file that is read: a checksum, the archive around it.
+    /// Repairs damaged content: checksum, surrounding archive.
     wrap: fn(&[u8]) -> Vec<u8>,
     read: fn(&Path, &[u8]) -> Result<(), Error>,
 }
@@ -151,10 +151,10 @@ fn parsers() -> Vec<Parser> {
     ]
 }
 
-/// No small file may take longer, also on a busy machine.
+/// Time limit for a small file, with a margin for busy machines.
 const PATIENCE: Duration = Duration::from_secs(20);
 
-/// Whether a file was read rather than refused, as one that cannot be used; or what is wrong with its parser.
+/// Whether a file was accepted or rejected as unusable; an error describes a parser's bug.
 fn judged(parser: &Parser, folder: &Path, bytes: &[u8]) -> Result<bool, String> {
     let start = Instant::now();
     let result = catch_unwind(AssertUnwindSafe(|| (parser.read)(folder, bytes)));
@@ -173,7 +173,7 @@ fn judged(parser: &Parser, folder: &Path, bytes: &[u8]) -> Result<bool, String> 
     }
 }
 
-/// Reads `rounds` damaged files a parser; `seed` chooses which.
+/// Reads `rounds` damaged files per parser, chosen by `seed`.
 fn fuzz(rounds: u64, seed: u64) {
     let mut problems = Vec::new();
     for parser in parsers() {
@@ -201,7 +201,7 @@ fn sound_files_are_read() {
     for parser in parsers() {
         let folder = tempfile::tempdir().unwrap();
         for seed in &parser.seeds {
-            // Points alone are no scene, and a pickle does not say whose weights it has.
+            // Points are not a scene, and a pickle does not name its network.
             let read = (parser.read)(folder.path(), &(parser.wrap)(seed));
             let unnamed = matches!(&read, Err(Error::Argument { .. } | Error::Format { .. }) if parser.name.contains("archive") || parser.name == "pickle");
             assert!(read.is_ok() || unnamed, "{}: {:?}", parser.name, read.err().map(|error| error.to_string()));
@@ -214,8 +214,9 @@ fn damaged_files_are_refused_or_read_soundly() {
     fuzz(300, 1);
 }
 
-/// `ZIPSPLAT_FUZZ_SEED=2 tools/test.sh -p zipsplat-tests --test numerics -- --ignored many_damaged_files`, with a new seed
-/// each time; below `ulimit -v 4000000` no count can take memory unseen.
+/// `ZIPSPLAT_FUZZ_SEED=2 tools/test.sh -p zipsplat-tests --test numerics -- --ignored
+/// many_damaged_files`, with a new seed each time. Under `ulimit -v 4000000` oversized allocations
+/// fail.
 #[test]
 #[ignore = "minutes"]
 fn many_damaged_files() {
@@ -223,7 +224,7 @@ fn many_damaged_files() {
     fuzz(number("ZIPSPLAT_FUZZ_ROUNDS", 20_000), number("ZIPSPLAT_FUZZ_SEED", 1) << 32);
 }
 
-/// Files that took cargo-fuzz to new places in a parser (`tests/fuzz`), by the name of the parser.
+/// Files that reached new code under cargo-fuzz (`tests/fuzz`), named by parser.
 #[test]
 fn what_a_fuzzer_found_is_refused_or_read_soundly() {
     let file = std::fs::File::open(golden::find("hostile.zip").expect("it is committed")).unwrap();

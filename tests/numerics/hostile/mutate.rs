@@ -1,8 +1,8 @@
-//! Damaged copies of a file, the same for the same number.
+//! Reproducible damaged copies of a file.
 
 use crate::Random;
 
-/// Lengths, counts and offsets that parsers stumble over.
+/// Lengths, counts and offsets at parsers' limits.
 const NUMBERS: [u64; 14] = [
     0,
     1,
@@ -20,7 +20,6 @@ const NUMBERS: [u64; 14] = [
     0xffff_ffff_ffff_ffff,
 ];
 
-/// The same in text.
 const WORDS: [&str; 16] = [
     "0",
     "-1",
@@ -40,7 +39,6 @@ const WORDS: [&str; 16] = [
     "0.0000000000000000000000000000000000000000000000001",
 ];
 
-/// One to four changes of `original`; `other` gives parts that belong elsewhere.
 pub fn mutated(original: &[u8], other: &[u8], random: &mut Random) -> Vec<u8> {
     let mut bytes = original.to_vec();
     for _ in 0..1 + random.below(4) {
@@ -86,7 +84,6 @@ fn overwrite(bytes: &mut [u8], at: usize, with: &[u8]) {
     bytes[at..end].copy_from_slice(&with[..end - at]);
 }
 
-/// Puts a word in place of the number or name around `at`.
 fn word(bytes: &mut Vec<u8>, at: usize, with: &str) {
     let part = |byte: &u8| byte.is_ascii_alphanumeric() || b"+-._".contains(byte);
     let start = bytes[..at].iter().rposition(|byte| !part(byte)).map_or(0, |i| i + 1);

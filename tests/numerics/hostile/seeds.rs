@@ -1,4 +1,4 @@
-//! Sound files of every format that is read, small enough to damage thousands of copies.
+//! Valid files of every format, small enough to damage thousands of copies.
 
 use flate2::{Compression, read::GzDecoder, write::GzEncoder};
 use serde_json::json;
@@ -21,18 +21,16 @@ fn in_folder(name: &str, write: impl FnOnce(&std::path::Path)) -> Vec<u8> {
     std::fs::read(path).unwrap()
 }
 
-/// A scene in the format of an extension.
 pub fn scene(extension: &str, sh_degree: u32) -> Vec<u8> {
     let scene: Scene = random_scene(7, sh_degree, 0.1);
     in_folder(&format!("scene.{extension}"), |path| write_scene(path, &scene, &WriteOptions::default()).unwrap())
 }
 
-/// A scene as an SPZ of version 4.
 pub fn spz4(sh_degree: u32) -> Vec<u8> {
     encode_scene(&random_scene(7, sh_degree, 0.1), SceneFormat::Spz, &WriteOptions { spz_version: 4 }).unwrap()
 }
 
-/// The inside of an SPZ, which damage behind the checksum would not reach.
+/// The decompressed SPZ: damage behind its checksum would not reach the parser.
 pub fn inflated(bytes: &[u8]) -> Vec<u8> {
     let mut out = Vec::new();
     GzDecoder::new(bytes).read_to_end(&mut out).unwrap();
@@ -45,7 +43,6 @@ pub fn deflated(bytes: &[u8]) -> Vec<u8> {
     out.finish().unwrap()
 }
 
-/// A PLY as text.
 pub fn ascii_ply() -> Vec<u8> {
     let names = "x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3";
     let properties: String = names.split(' ').map(|name| format!("property float {name}\n")).collect();
@@ -53,7 +50,6 @@ pub fn ascii_ply() -> Vec<u8> {
     format!("ply\nformat ascii 1.0\ncomment made here\nelement vertex 3\n{properties}end_header\n{rows}").into_bytes()
 }
 
-/// A PLY of SuperSplat's packed kind.
 pub fn packed_ply() -> Vec<u8> {
     std::fs::read(golden::find("scenes/scene.compressed.ply").expect("it is committed")).unwrap()
 }
@@ -133,7 +129,8 @@ pub fn safetensors() -> Vec<u8> {
     in_folder("weights.safetensors", |path| weights().save(path, Dtype::F16).unwrap())
 }
 
-/// The pickle that `torch.save` makes of [`pico`]: `{"model": {name: tensor}}`, every tensor a part of the one storage "0".
+/// The pickle that `torch.save` makes of [`pico`]: `{"model": {name: tensor}}`, all tensors in
+/// storage "0".
 pub fn pickle() -> Vec<u8> {
     let text = |text: &str| [b"X".as_slice(), &(text.len() as u32).to_le_bytes(), text.as_bytes()].concat();
     let int = |value: usize| [b"J".as_slice(), &(value as i32).to_le_bytes()].concat();
@@ -155,7 +152,7 @@ pub fn pickle() -> Vec<u8> {
     out
 }
 
-/// A pickle in the archive of `torch.save`, with a storage of as many zeros as [`pico`] has.
+/// Wraps a pickle in a `torch.save` archive, with zeros for the storage of [`pico`].
 pub fn archive(pickle: &[u8]) -> Vec<u8> {
     let all: usize = weights().parameters().iter().map(|(_, shape)| shape.iter().product::<usize>()).sum();
     let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
@@ -167,7 +164,6 @@ pub fn archive(pickle: &[u8]) -> Vec<u8> {
     zip.finish().unwrap().into_inner()
 }
 
-/// A photo of noise in a format.
 pub fn photo(format: image::ImageFormat) -> Vec<u8> {
     let noise = crate::noise(24, 17, 3);
     let mut bytes = Cursor::new(Vec::new());

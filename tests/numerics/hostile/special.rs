@@ -1,4 +1,4 @@
-//! Paths that are no regular file: a pipe that nobody writes would be waited for, and a device read without end.
+//! Paths of pipes and devices, which would block or never end.
 
 use std::{
     path::{Path, PathBuf},
@@ -19,12 +19,11 @@ use zipsplat::{
 
 use super::seeds::{self, LENS};
 
-/// So long does nobody wait for a refusal.
 const PATIENCE: Duration = Duration::from_secs(20);
 
 type Reader = fn(&Path) -> Result<()>;
 
-/// Every function that opens a file by its path, and the name that it expects of one.
+/// Every function that opens a path, with an expected file name.
 const READERS: [(&str, &str, Reader); 14] = [
     ("weights", "weights.pt", |path| Checkpoint::open(path, None).map(drop)),
     ("conversion", "weights.safetensors", |path| convert(path, path.with_extension("out"), Dtype::F16, None)),
@@ -42,7 +41,7 @@ const READERS: [(&str, &str, Reader); 14] = [
     ("size of a photo", "photo.png", |path| Image::size(path).map(drop)),
 ];
 
-/// The answer of a reader to a path, on a thread of its own, which is left behind if it hangs.
+/// The reader's answer, on a thread that is abandoned if it hangs.
 #[track_caller]
 fn refusal(name: &str, read: Reader, path: PathBuf) -> Error {
     let (send, receive) = mpsc::channel();
@@ -73,7 +72,7 @@ fn pipes_and_devices_are_refused() {
             let path = folder.path().join(format!("{kind}{i}")).join(file);
             let error = refusal(name, read, path);
             assert!(matches!(error, Error::Argument { .. }), "{name}: {error}");
-            // Cameras in a folder are looked for by name, and a pipe is none of them.
+            // Cameras in a folder are found by name; a pipe does not count.
             let said = error.to_string();
             assert!(
                 said.contains(&format!("found a {kind}, expected a regular file"))

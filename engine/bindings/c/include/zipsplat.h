@@ -1,51 +1,53 @@
 /*
- * zipsplat.h: photos without poses to a compact scene of 3D Gaussians, and pictures of it, on Vulkan.
+ * zipsplat.h: reconstructs scenes of 3D Gaussians from unposed photos and renders them, on Vulkan.
  *
- * Generated from engine/bindings/c/src. Copyright and licence: see LICENSE (Apache-2.0).
+ * Generated from engine/bindings/c/src. Copyright and license: see LICENSE (Apache-2.0).
  *
- *     zs_context    a device at work; creates
- *     zs_model      a network with its weights on the device; makes
- *     zs_scene      Gaussians in host memory, from a model, a file or your arrays; zs_refine makes them sharp; is drawn by
- *     zs_renderer   a scene on the device; zs_render_backward gives gradients of its pictures
- *     zs_photo      a photo from a file or its bytes, for those who have no pixels yet
- *     zs_capture    the cameras of photos, as a transforms.json or COLMAP has them
- *     zs_bytes      a scene's file in memory
+ *     zs_context    an open device
+ *     zs_model      a network with its weights on the device
+ *     zs_scene      Gaussians in host memory, from a model, a file or arrays
+ *     zs_renderer   a scene on the device
+ *     zs_photo      a decoded photo
+ *     zs_capture    photos and their cameras, from transforms.json or COLMAP
+ *     zs_bytes      an encoded scene file in memory
  *
- * Calls. Every function that can fail returns a zs_status: ZS_OK is 0, everything else a failure, whose message
- * zs_last_error has for the thread that called. A call that fails leaves nothing half made; one that creates an object sets
- * the pointer to NULL first. No C++ exception and no Rust panic leaves a function, and none ends the process, except where the
- * host has no memory left at all.
+ * Errors. Functions that can fail return a zs_status: ZS_OK is 0, any other value a failure.
+ * zs_last_error returns the calling thread's message. A failed call leaves no partial object; a
+ * constructor sets its output to NULL. No C++ exception and no Rust panic crosses this interface.
+ * Only exhausted host memory ends the process.
  *
- * Ownership. What a zs_..._create, _open, _adopt, _from_memory, _to_memory, zs_reconstruct or zs_refine hands out is yours; give
- * it back to its zs_..._destroy, once, on any thread, when no call uses it any more. Destroying NULL does nothing. Objects keep alive
- * what they are made from, so the order of destruction is free; only Vulkan handles of your own must outlive every object on
- * them. Pointers that you pass are read, or written, during the call only, unless their description says more. Pointers that you
- * get from functions returning const char * are never yours to free.
+ * Ownership. The caller owns every object from zs_..._create, _open, _adopt, _from_memory,
+ * _to_memory, zs_reconstruct and zs_refine. Destroy it once, on any thread, when no call uses it.
+ * Destroying NULL does nothing. Objects share ownership of their dependencies, so the order of
+ * destruction is free. Your own Vulkan handles must outlive every object created on them. Pointer
+ * arguments are accessed only during the call unless documented otherwise. Never free a returned
+ * const char *.
  *
- * Threads. Different objects may be used at the same time; so may one zs_context, zs_model or zs_scene. Calls on one
- * zs_renderer wait for each other. Callbacks run on the thread that made the call. Photos, weights and files are prepared by a
- * pool of threads, as many as there are cores or RAYON_NUM_THREADS says, which starts when it is first needed and ends with
- * the process; none of them calls you or touches your queue.
+ * Threads. Threads can share all objects; calls on one zs_renderer wait for each other. Callbacks
+ * run on the calling thread. A thread pool prepares photos, weights and files. It has
+ * RAYON_NUM_THREADS threads, by default one per core, starts on first use and lives as long as the
+ * process. Pool threads never run your callbacks and never touch your queue.
  *
- * Files. Besides the paths that you pass, a library keeps small ones in a folder of the user's: what the test of a device's
- * fast kernels found, and which tiles `zipsplat tune` found fastest. The folder is ZIPSPLAT_CACHE, or `zipsplat` in
- * XDG_CACHE_HOME or LOCALAPPDATA, or .cache/zipsplat in HOME, the first of these environment variables that is set. Where none
- * is, or nothing can be written, the test runs again in every process that needs it. Devices of yours (zs_context_adopt) and
- * ZS_PRECISION_EXACT need none of it.
+ * Cache. The library caches kernel self-test results and the tile sizes of `zipsplat tune` on disk.
+ * The folder is ZIPSPLAT_CACHE, else `zipsplat` in XDG_CACHE_HOME or LOCALAPPDATA, else
+ * .cache/zipsplat in HOME. Without a writable folder every process repeats the test. Adopted
+ * devices (zs_context_adopt) and ZS_PRECISION_EXACT need no cache.
  *
- * Structures that begin with struct_size may grow at their end in later versions. Where there is a ..._default function call
- * it, then set what you want to be different; otherwise set all fields to 0, then struct_size to the sizeof, in every element
- * of an array. A library takes the structures of its own version and of all earlier ones of the same ZS_ABI_VERSION, and
- * refuses larger ones. All others never change.
+ * Structures. Later versions may append fields to a structure that begins with struct_size.
+ * Initialize it with its ..._default function, or zero it and set struct_size to its sizeof, in
+ * every element of an array and also for outputs. A library accepts structures of its own and all
+ * earlier versions with the same ZS_ABI_VERSION and rejects larger ones. Other structures never
+ * change. NULL options are the defaults, which are 0 or NULL unless documented otherwise.
  *
- * Numbers in structures that stand for something (int32_t of an enumeration) are checked; one that is not known is refused.
- * Sizes are in bytes, counts in elements, lengths of pictures in pixels.
+ * Values. Strings are UTF-8. Unknown enumeration values are rejected. Sizes are in bytes, counts in
+ * elements, picture sides in pixels.
  *
- * World. Axes are x right, y down, z forward. That of a scene from photos is the first photo's camera. Where cameras are
- * given their unit is kept. Where none are, the scale is not metric: the network is trained to put what the photos see at a
- * median distance of about 1 from the first of them. That of a scene from a file or from arrays is its own.
+ * World. Axes are x right, y down, z forward. A scene from photos is in the first photo's camera
+ * space. Known cameras set its scale. Without them the scale is not metric: the median distance
+ * from the first camera to visible surfaces is about 1. Scenes from files and arrays keep their
+ * own world.
  *
- * Bits. The same call with the same inputs gives the same bits on the same device and driver, whatever else runs.
+ * Reproducibility. Equal calls on the same device and driver give bitwise equal results.
  */
 
 #ifndef ZIPSPLAT_H
@@ -65,11 +67,11 @@
 extern "C" {
 #endif
 
-/************************************************************************/
-/*  The version that the header was made for, and that of the library.  */
-/************************************************************************/
+/************************************************/
+/*  Versions of the header and of the library.  */
+/************************************************/
 
-// Version of the library that this header belongs to. Fixes of bugs raise the last number, additions the middle one.
+// Version of this header's library. Fixes raise the patch number, additions the minor one.
 #define ZS_VERSION_MAJOR 0
 
 // See ZS_VERSION_MAJOR.
@@ -78,58 +80,56 @@ extern "C" {
 // See ZS_VERSION_MAJOR.
 #define ZS_VERSION_PATCH 0
 
-// Version of the ABI. It rises when something here changes its meaning, size or place, and the shared library's file name
-// with it; additions keep it.
+// Version of the ABI, also in the shared library's file name. Incompatible changes raise it.
 #define ZS_ABI_VERSION 1
 
-// The ABI version of the library that is loaded. Where it is not ZS_ABI_VERSION, call nothing else.
+// Returns the loaded library's ABI version. If it is not ZS_ABI_VERSION, call nothing else.
 uint32_t zs_abi_version(void);
 
-// The version of the library that is loaded, as "0.1.0". Static: never free it.
+// Returns the loaded library's version, as "0.1.0".
 const char *zs_version(void);
 
-/****************************************************************************/
-/*  The ends of calls: a status, and a message for the thread that called.  */
-/****************************************************************************/
+/**************************************/
+/*  Status codes and error messages.  */
+/**************************************/
 
-// The end of a call. Numbers are never given a new meaning; later versions may add some, so treat one that you do not know
-// as a failure.
+// Result of a call. Values never change meaning. Later versions may add some: treat unknown ones
+// as failures.
 ZS_ENUM(zs_status) {
-    // The call did what it says.
+    // Success.
     ZS_OK = 0,
-    // A value you gave cannot be used: give another. The message names it, what was found and what is expected.
+    // An argument is invalid. The message names it, the value found and the value expected.
     ZS_ERROR_ARGUMENT = 1,
     // A file could not be opened, read or written.
     ZS_ERROR_IO = 2,
-    // A file's or buffer's bytes are not what its format allows.
+    // A file or buffer violates its format.
     ZS_ERROR_FORMAT = 3,
-    // A checkpoint's tensors are not those of its network.
+    // A checkpoint's tensors do not match its network.
     ZS_ERROR_WEIGHTS = 4,
-    // No Vulkan loader, no driver, or none whose device can run this. The message says what is missing.
+    // No Vulkan loader, driver or suitable device. The message lists missing requirements.
     ZS_ERROR_NO_DEVICE = 5,
-    // The device or the host has too little memory. Nothing was submitted; the message has the bytes.
+    // Too little device or host memory. Nothing was submitted; the message has the sizes.
     ZS_ERROR_OUT_OF_MEMORY = 6,
-    // The driver refused a call that should have worked, or the validation layer had something to say.
+    // The driver or the validation layer reported an error.
     ZS_ERROR_DRIVER = 7,
-    // The device is lost: it was reset or removed. Destroy everything that belongs to its context and create a new one;
-    // scenes are in host memory and survive.
+    // The device was reset or removed. Destroy every object of its context and create a new one.
+    // Scenes survive.
     ZS_ERROR_DEVICE_LOST = 8,
-    // Your progress callback asked to stop.
+    // The progress callback canceled.
     ZS_ERROR_CANCELLED = 9,
-    // The build of the library does not have what was asked for.
+    // Not available in this build of the library.
     ZS_ERROR_UNSUPPORTED = 10,
-    // A bug in the library. It goes on working, but the objects of this call are better destroyed.
+    // A bug in the library. Destroy the objects of this call; others stay usable.
     ZS_ERROR_INTERNAL = 11,
 };
 
-// A status's name as it is written here, "unknown status" for a number that is none. Static: never free it.
+// Returns the name of a status, "unknown status" for an unknown number.
 const char *zs_status_name(int32_t status);
 
-// The failure of the last call of this thread that failed, in one sentence of UTF-8 for a log or a developer; "" when
-// none has failed. A thread has one place for its message, the same until the thread ends: the pointer stays good, and the next
-// call of this thread that fails writes its message there. So a call and its message may stand in one expression, whichever
-// is evaluated first: printf("%s: %s", zs_status_name(zs_scene_open(path, &scene)), zs_last_error()). A message of more than
-// 16 KiB is cut. Copy one that you want to keep.
+// Returns the message of the calling thread's last failure, as UTF-8; "" if there is none. The
+// pointer stays valid until the thread ends; the next failure overwrites the message. A call and
+// its message may share an expression: printf("%s: %s", zs_status_name(zs_scene_open(path,
+// &scene)), zs_last_error()). Messages are truncated at 16 KiB.
 const char *zs_last_error(void);
 
 /***************************/
@@ -138,79 +138,78 @@ const char *zs_last_error(void);
 
 // Kinds of devices.
 ZS_ENUM(zs_device_kind) {
-    // Integrated in the processor, virtual, or unknown.
+    // Integrated, virtual or unknown.
     ZS_DEVICE_OTHER = 0,
-    // A graphics card.
+    // Discrete GPU.
     ZS_DEVICE_DISCRETE = 1,
-    // The processor itself, by way of lavapipe.
+    // CPU (lavapipe).
     ZS_DEVICE_CPU = 2,
 };
 
-// A Vulkan device at work: everything that runs on it is created from a context. Any number of threads may use a context at
-// the same time. Models and renderers keep what they need of it: it may be destroyed before them.
+// An open Vulkan device.
 typedef struct zs_context zs_context;
 
-// A device. Strings are UTF-8, end with NUL and are cut where they are too long.
+// Description of a device. Strings are UTF-8, NUL-terminated and truncated to fit.
 typedef struct zs_device_info {
-    // sizeof(zs_device_info); set it before the call.
+    // sizeof(zs_device_info).
     uint32_t struct_size;
-    // Number of the device, as zs_context_options.device takes it; 0 for an adopted device.
+    // Device number for zs_context_options.device; 0 for an adopted device.
     uint32_t index;
-    // 1 where the engine can use the device, else 0.
+    // 1 if the engine can use the device, else 0.
     uint32_t usable;
     // Kind of the device.
     zs_device_kind kind;
-    // Bytes of the memory that kernels work in.
+    // Bytes of device-local memory.
     uint64_t memory_bytes;
-    // The device's name.
+    // Device name.
     char name[256];
-    // The driver's name and version.
+    // Driver name and version.
     char driver[256];
-    // Reasons why the device is not usable; "" where it is.
+    // Missing requirements; "" if usable.
     char missing[512];
-    // UUID of the device, 32 hexadecimal digits: those that CUDA and nvidia-smi have for it.
+    // Device UUID as 32 hexadecimal digits, as in CUDA and nvidia-smi.
     char uuid[40];
 } zs_device_info;
 
-// Options of opening a device.
+// Options of zs_context_create.
 typedef struct zs_context_options {
-    // sizeof(zs_context_options); zs_context_options_default sets it.
+    // sizeof(zs_context_options).
     uint32_t struct_size;
-    // 1 to run under the Khronos validation layer with synchronisation validation, whose messages make calls fail with
-    // ZS_ERROR_DRIVER: for development. Default 0, or 1 where the environment variable ZIPSPLAT_VALIDATION is 1.
+    // 1 enables the Khronos validation layer with synchronization validation. Its messages make
+    // calls fail with ZS_ERROR_DRIVER. Default: 1 if the environment variable ZIPSPLAT_VALIDATION
+    // is 1, else 0.
     uint32_t validation;
-    // Uses at most so many bytes of the device's memory and leaves the rest to others: what needs more fails with
-    // ZS_ERROR_OUT_OF_MEMORY before anything runs. Default 0: all that there is.
+    // Device memory budget in bytes; 0 is unlimited. Work beyond it fails with
+    // ZS_ERROR_OUT_OF_MEMORY before submission.
     uint64_t max_memory_bytes;
-    // A device's number ("0"; digits are nothing else), a part of its name ("nvidia"), or its
-    // UUID, with or without GPU- and hyphens; NULL for the best. Default NULL.
+    // Device number, part of its name, or UUID with or without "GPU-" and hyphens. NULL selects
+    // the best device.
     const char *device;
 } zs_context_options;
 
-// Counts the Vulkan devices of this machine, usable or not. ZS_ERROR_NO_DEVICE where there is no Vulkan loader or no
-// driver.
+// Counts Vulkan devices, usable or not. ZS_ERROR_NO_DEVICE without a Vulkan loader or driver.
 zs_status zs_device_count(uint32_t *count);
 
-// Says what device number `index` is, from 0 to below zs_device_count.
+// Describes device `index`, less than zs_device_count.
 zs_status zs_device_get(uint32_t index, struct zs_device_info *info);
 
-// Fills `options` with the defaults. `size` is sizeof(zs_context_options).
+// Sets defaults; `size` is sizeof(zs_context_options).
 zs_status zs_context_options_default(struct zs_context_options *options, size_t size);
 
-// Opens a device of its own: instance, device and queue are the context's. `options` may be NULL.
+// Opens a device with an instance and queue of its own.
 zs_status zs_context_create(const struct zs_context_options *options, struct zs_context **context);
 
-// Says what device a context is on.
+// Describes the context's device.
 zs_status zs_context_get_info(const struct zs_context *context, struct zs_device_info *info);
 
-// Destroys a context. Its device closes when its last model and renderer are gone too. NULL is allowed.
+// Destroys a context. The device closes with its last model and renderer.
 void zs_context_destroy(struct zs_context *context);
 
 /*************************/
 /*  Pixels and cameras.  */
 /*************************/
 
-// Layouts of a pixel in memory. Colour is that of ordinary pictures (sRGB-encoded), red, green and blue from 0 to 1 or 255.
+// Pixel formats. Color is sRGB-encoded, from 0 to 1 or 255.
 ZS_ENUM(zs_pixel_format) {
     // 3 bytes: red, green, blue.
     ZS_PIXEL_RGB8 = 1,
@@ -224,45 +223,46 @@ ZS_ENUM(zs_pixel_format) {
     ZS_PIXEL_RGBA_F32 = 5,
 };
 
-// A photo in your memory, read during the call only. Its first row is the top one. Alpha is ignored; f32 values are clamped
-// to 0..1 and rounded to 8 bits, which is what networks are trained with.
+// A photo in the caller's memory, top row first. Alpha is ignored; f32 values are clamped to 0..1
+// and rounded to 8 bits.
 typedef struct zs_image {
-    // sizeof(zs_image); set it before the call.
+    // sizeof(zs_image).
     uint32_t struct_size;
-    // Layout of a pixel in memory.
+    // Pixel format.
     zs_pixel_format format;
-    // Pixels a row, 1 to 32768.
+    // Width in pixels, 1 to 32768.
     uint32_t width;
-    // Rows, 1 to 32768.
+    // Height in pixels, 1 to 32768.
     uint32_t height;
-    // Bytes from a row to the one below it; negative where the picture is stored bottom-up; 0 where row follows row.
+    // Bytes between rows: negative for bottom-up storage, 0 for contiguous rows.
     int64_t stride;
-    // The first pixel of the top row; of any alignment.
+    // First pixel of the top row, of any alignment.
     const void *pixels;
 } zs_image;
 
-// A pinhole camera. Axes are OpenCV's: x right, y down, z forward. Pixel centres are at +0.5: the top left corner of a
-// picture is (0, 0), so the principal point of a centred lens is (width / 2, height / 2).
+// A pinhole camera with OpenCV axes: x right, y down, z forward. Pixel centers are at +0.5: the
+// principal point of a centered lens is (width / 2, height / 2).
 typedef struct zs_camera {
-    // sizeof(zs_camera); set it before the call.
+    // sizeof(zs_camera).
     uint32_t struct_size;
     // Must be 0.
     uint32_t reserved;
-    // Pixels a row.
+    // Width in pixels.
     uint32_t width;
-    // Rows.
+    // Height in pixels.
     uint32_t height;
     // Horizontal focal length in pixels.
     double fx;
     // Vertical focal length in pixels.
     double fy;
-    // Principal point from the left edge, in pixels.
+    // Horizontal principal point in pixels from the left edge.
     double cx;
-    // Principal point from the top edge, in pixels.
+    // Vertical principal point in pixels from the top edge.
     double cy;
-    // Camera-to-world rotation, row by row: its columns are the camera's right, down and forward in the world.
+    // Camera-to-world rotation, row-major: the columns are the camera's right, down and forward
+    // axes.
     double rotation[9];
-    // The camera's centre in the world.
+    // Camera center in the world.
     double translation[3];
 } zs_camera;
 
@@ -270,566 +270,546 @@ typedef struct zs_camera {
 /*  Photos from files and bytes, and pictures to files.  */
 /*********************************************************/
 
-// A photo, decoded, in host memory. It never changes, so any number of threads may use it at the same time.
+// A decoded photo in host memory.
 typedef struct zs_photo zs_photo;
 
-// Reads a PNG, JPEG or WebP, told apart by content. The EXIF orientation is applied, alpha is dropped, and of 16-bit samples
-// the high byte is kept. Cameras of COLMAP, and of what is built on it, are of the pixels as stored, before that orientation: read
-// photos with such cameras by zs_capture_open_photo. `path` is UTF-8.
-zs_status zs_photo_open(const char *path,
-                        struct zs_photo **photo);
+// Opens a PNG, JPEG or WebP, recognized by content. Applies the EXIF orientation, drops alpha and
+// keeps the high byte of 16-bit samples. COLMAP cameras refer to unrotated pixels: use
+// zs_capture_open_photo for them.
+zs_status zs_photo_open(const char *path, struct zs_photo **photo);
 
-// As zs_photo_open, with a file's contents: `size` bytes at `data`, which are not needed any more when this returns.
+// Decodes a photo from `size` bytes at `data`, as zs_photo_open.
 zs_status zs_photo_from_memory(const void *data, size_t size, struct zs_photo **photo);
 
-// Fills `image` with where the photo's pixels are (ZS_PIXEL_RGB8), for zs_reconstruct or to read them: the photo's own
-// memory, there until it is destroyed. Set its struct_size before the call.
+// Fills `image` with the photo's pixels (ZS_PIXEL_RGB8), which point into the photo.
 zs_status zs_photo_get_image(const struct zs_photo *photo, struct zs_image *image);
 
-// Destroys a photo. NULL is allowed.
+// Destroys a photo.
 void zs_photo_destroy(struct zs_photo *photo);
 
-// Writes a picture in your memory as a PNG of 8 bits a channel, without alpha. The file appears whole or not at all; one of
-// that name is replaced. `path` is UTF-8.
-zs_status zs_image_save_png(const struct zs_image *image,
-                            const char *path);
+// Writes a PNG of 8 bits per channel without alpha. An existing file is replaced atomically.
+zs_status zs_image_save_png(const struct zs_image *image, const char *path);
 
-/**************************************************************/
-/*  Captures: photos and their cameras, as a file says them.  */
-/**************************************************************/
+/******************************************/
+/*  Captures: photos with known cameras.  */
+/******************************************/
 
-// The posed photos of a capture. It never changes, so any number of threads may use it at the same time.
+// Posed photos of a capture.
 typedef struct zs_capture zs_capture;
 
-// Reads the cameras of photos: a transforms.json of instant-ngp or nerfstudio, a COLMAP model's folder, text or binary, or a
-// folder that has one of these. Axes become OpenCV's; world and unit stay the file's. No photo is read but for its size, where
-// the file does not have it. `path` is UTF-8.
-zs_status zs_capture_open(const char *path,
-                          struct zs_capture **capture);
+// Opens a capture: a transforms.json (instant-ngp or nerfstudio), a COLMAP model folder (text or
+// binary), or a folder that contains either. Axes become OpenCV's; world and scale stay the
+// file's. Photos are read only for sizes that the file lacks.
+zs_status zs_capture_open(const char *path, struct zs_capture **capture);
 
-// Says how many photos a capture has, and what was ignored or left out in reading it, a note a line. The text is the capture's
-// own memory, there until it is destroyed. `notes` may be NULL.
-zs_status zs_capture_get_count(const struct zs_capture *capture,
-                               size_t *count,
-                               const char **notes);
+// Returns the number of photos and the notes about ignored data, one per line. `notes` points into
+// the capture and may be NULL.
+zs_status zs_capture_get_count(const struct zs_capture *capture, size_t *count, const char **notes);
 
-// Says what photo number `index` is: the camera that took it, where lens distortion is undone a pinhole camera; its name as the
-// file writes it; and where it lies, NULL where it was not found. Texts are the capture's own memory, there until it is destroyed.
-// Pointers for what is not wanted may be NULL. Set the camera's struct_size before the call.
+// Returns the undistorted pinhole camera, the name and the path of photo `index`. `name` is as
+// written in the file; the path is NULL if no photo was found. Strings point into the capture.
+// Outputs may be NULL.
 zs_status zs_capture_get(const struct zs_capture *capture,
                          size_t index,
                          struct zs_camera *camera,
                          const char **name,
                          const char **path);
 
-// Finds the number of the photo that lies at `path` (UTF-8) by its file name; where several have it, by the longest common end of
-// the path. Where none has it, `index` gets the number of photos. ZS_ERROR_ARGUMENT where several match as well.
-zs_status zs_capture_find(const struct zs_capture *capture,
-                          const char *path,
-                          size_t *index);
+// Finds the photo at `path` by file name, then by the longest common path suffix. Without a match
+// `index` is the number of photos. ZS_ERROR_ARGUMENT for an ambiguous match.
+zs_status zs_capture_find(const struct zs_capture *capture, const char *path, size_t *index);
 
-// Reads photo number `index` as its camera sees it: the pixels as they are stored, whatever the EXIF orientation says, and without
-// the distortion of its lens. `path` (UTF-8) is where it lies, NULL where the capture says it does.
+// Opens photo `index` undistorted, ignoring the EXIF orientation. `path` overrides the capture's
+// path; NULL keeps it.
 zs_status zs_capture_open_photo(const struct zs_capture *capture,
                                 size_t index,
                                 const char *path,
                                 struct zs_photo **photo);
 
-// Destroys a capture. NULL is allowed.
+// Destroys a capture.
 void zs_capture_destroy(struct zs_capture *capture);
 
-/**************************************************************/
-/*  Scenes: Gaussians in and out of arrays, files and bytes.  */
-/**************************************************************/
+/************************************************************/
+/*  Scenes: Gaussians from and to arrays, files and bytes.  */
+/************************************************************/
 
-// Bytes of the library's, such as a scene's file in memory. They never change.
+// Bytes owned by the library, such as an encoded scene file. Immutable.
 typedef struct zs_bytes zs_bytes;
 
-// 3D Gaussians in host memory. A scene never changes, so any number of threads may use it at the same time. It belongs to no
-// context: it outlives devices, also lost ones. A renderer copies what it needs, so a scene may be destroyed before it.
+// 3D Gaussians in host memory. Independent of contexts; survives device loss.
 typedef struct zs_scene zs_scene;
 
-// Gaussians as arrays, one a property, each as long as it says.
+// Gaussians as one array per property.
 typedef struct zs_gaussians {
-    // sizeof(zs_gaussians); set it before the call.
+    // sizeof(zs_gaussians).
     uint32_t struct_size;
-    // Highest band of spherical harmonics, 0 to 3. There are K = (sh_degree + 1)^2 coefficients a Gaussian and channel.
+    // Degree of spherical harmonics, 0 to 3: K = (sh_degree + 1)^2 coefficients per channel.
     uint32_t sh_degree;
     // N, the number of Gaussians.
     uint64_t count;
-    // N x 3 centres.
+    // N x 3 centers.
     const float *means;
-    // N x 3 standard deviations along the Gaussian's own axes: linear, not logarithms; not negative.
+    // N x 3 linear standard deviations along the Gaussian's axes, not negative.
     const float *scales;
-    // N x 4 rotations as quaternions w, x, y, z; of any length but zero.
+    // N x 4 quaternions w, x, y, z of any length but zero.
     const float *quats;
     // N opacities from 0 to 1.
     const float *opacities;
-    // N x K x 3 coefficients of spherical harmonics for red, green, blue: those of 3D Gaussian Splatting's files. The basis is
-    // real and orthonormal, band after band and from m = -l to l in each, negative where m is odd. It begins with 0.282095,
-    // -0.488603 y, 0.488603 z, -0.488603 x, where (x, y, z) is the unit vector in the world from the camera to the Gaussian's
-    // centre. Colour is 0.5 plus the sum of basis times coefficients, and not below 0.
+    // N x K x 3 coefficients of spherical harmonics for red, green, blue, as in 3D Gaussian
+    // Splatting. The basis is real and orthonormal, by band, then m = -l to l, negative for odd m.
+    // It begins with 0.282095, -0.488603 y, 0.488603 z, -0.488603 x. (x, y, z) is the unit vector
+    // in the world from the camera to the Gaussian's center. Color is max(0, 0.5 + sum of basis
+    // times coefficients).
     const float *sh_coeffs;
 } zs_gaussians;
 
-// Options of writing a scene.
+// Options of zs_scene_save.
 typedef struct zs_save_options {
-    // sizeof(zs_save_options); zs_save_options_default sets it.
+    // sizeof(zs_save_options).
     uint32_t struct_size;
-    // Version of an SPZ: 3; 2 for older readers; 4, packed by zstd, for those that know only the newest. Default 3.
+    // SPZ version: 2, 3 or 4 (zstd). Default 3.
     uint32_t spz_version;
 } zs_save_options;
 
-// Fills `gaussians` with how large a scene is and where its arrays are: the scene's own memory, there until it is destroyed.
-// Set its struct_size before the call.
-zs_status zs_scene_get_gaussians(const struct zs_scene *scene,
-                                 struct zs_gaussians *gaussians);
+// Fills `gaussians` with the scene's size and arrays, which point into the scene.
+zs_status zs_scene_get_gaussians(const struct zs_scene *scene, struct zs_gaussians *gaussians);
 
-// Makes a scene of your arrays, which are copied. All of them must be there, and every value finite and in its range.
+// Creates a scene from copies of arrays. All are required, with finite values in their range.
 zs_status zs_scene_create(const struct zs_gaussians *gaussians, struct zs_scene **scene);
 
-// Reads a scene file: PLY of 3D Gaussian Splatting, also packed (.compressed.ply), SPZ, .splat, glTF with KHR_gaussian_splatting
-// (.gltf, .glb). Whatever axes the format has, the scene's are x right, y down, z forward. `path` is UTF-8.
-zs_status zs_scene_open(const char *path,
-                        struct zs_scene **scene);
+// Opens a scene file: PLY of 3D Gaussian Splatting, .compressed.ply, SPZ, .splat, or glTF with
+// KHR_gaussian_splatting (.gltf, .glb). Axes become x right, y down, z forward. Rejects NaN,
+// infinite and out-of-range values.
+zs_status zs_scene_open(const char *path, struct zs_scene **scene);
 
-// As zs_scene_open, which refuses a file with values that are NaN, infinite or out of range: here Gaussians with such values are
-// left out, and `dropped` gets their number. `dropped` may be NULL.
-zs_status zs_scene_open_dropping_invalid(const char *path,
-                                         uint64_t *dropped,
-                                         struct zs_scene **scene);
+// Opens a scene file without its invalid Gaussians. `dropped` receives their number and may be
+// NULL.
+zs_status zs_scene_open_dropping_invalid(const char *path, uint64_t *dropped, struct zs_scene **scene);
 
-// As zs_scene_open, with a file's contents: `size` bytes at `data`, which are not needed any more when this returns. PLY, SPZ and
-// .glb are told apart by their first bytes; `format` names one that they do not tell ("splat", "gltf"), and may be NULL. A
-// glTF may name no other file. Where `dropped` is not NULL, Gaussians with values that are NaN, infinite or out of range are left
-// out and it gets their number; where it is NULL, such a scene is refused.
+// Decodes a scene from `size` bytes at `data`, as zs_scene_open. `format` is NULL for PLY, SPZ and
+// .glb, which are recognized by content, else "splat" or "gltf". A glTF must not refer to other
+// files. If `dropped` is not NULL, invalid Gaussians are dropped and counted there; otherwise they
+// are an error.
 zs_status zs_scene_from_memory(const void *data,
                                size_t size,
                                const char *format,
                                uint64_t *dropped,
                                struct zs_scene **scene);
 
-// Fills `options` with the defaults. `size` is sizeof(zs_save_options).
+// Sets defaults; `size` is sizeof(zs_save_options).
 zs_status zs_save_options_default(struct zs_save_options *options, size_t size);
 
-// Writes a scene in the format of the path's extension: .ply, .spz, .splat, .gltf or .glb. The file appears whole or not at
-// all; one of that name is replaced. `options` may be NULL. `path` is UTF-8.
-zs_status zs_scene_save(const struct zs_scene *scene,
-                        const char *path,
-                        const struct zs_save_options *options);
+// Writes a scene in the format of the path's extension: .ply, .spz, .splat, .gltf or .glb. An
+// existing file is replaced atomically.
+zs_status zs_scene_save(const struct zs_scene *scene, const char *path, const struct zs_save_options *options);
 
-// As zs_scene_save, to memory: what the file of `format` ("ply", "spz", "splat", "gltf" or "glb") would have is handed out
-// as an object, which is yours to destroy. `options` may be NULL.
+// Encodes a scene to memory. `format` is "ply", "spz", "splat", "gltf" or "glb".
 zs_status zs_scene_to_memory(const struct zs_scene *scene,
                              const char *format,
                              const struct zs_save_options *options,
                              struct zs_bytes **bytes);
 
-// Says where bytes are and how many: the object's own memory, there until it is destroyed.
+// Returns address and size of the bytes, which belong to the object.
 zs_status zs_bytes_get(const struct zs_bytes *bytes, const void **data, size_t *size);
 
-// Finds the cameras of the photos of a scene that zs_reconstruct made of `count` photos without cameras, in the scene's world: from
-// where the Gaussians of each of a photo's patches are. The photos are taken to share a field of view, which is found, too.
-// `cameras` is an array of `count`, each with its struct_size set; each gets the camera of the whole photo. `inliers` gets the number
-// of patches that agree with it and `patches` how many there were; both are arrays of `count` or NULL. A photo whose
-// camera is not found has a camera of width 0 and no inliers; where none is found, that is an error.
+// Estimates the cameras of the `count` unposed photos of a scene from zs_reconstruct, in the
+// scene's world. They follow from the Gaussians of each photo's patches and share an estimated
+// field of view.
+//
+// `cameras` is an array of `count` with struct_size set, for the cameras of the whole photos.
+// `inliers` receives the number of consistent patches and `patches` the total; both are arrays of
+// `count` or NULL. A photo without a camera gets width 0 and no inliers. No camera at all is an
+// error.
 zs_status zs_scene_cameras(const struct zs_scene *scene,
                            struct zs_camera *cameras,
                            uint32_t *inliers,
                            uint32_t *patches,
                            size_t count);
 
-// Destroys bytes. NULL is allowed.
+// Destroys bytes.
 void zs_bytes_destroy(struct zs_bytes *bytes);
 
-// Destroys a scene. NULL is allowed.
+// Destroys a scene.
 void zs_scene_destroy(struct zs_scene *scene);
 
 /*************/
 /*  Models.  */
 /*************/
 
-// Number formats of the network. Geometry is f32 always.
+// Number formats of the network. Geometry is always f32.
 ZS_ENUM(zs_precision) {
-    // ZS_PRECISION_FAST on a GPU with matrix units whose kernels passed their test, else ZS_PRECISION_EXACT.
+    // ZS_PRECISION_FAST on a GPU with matrix units that pass the self-test, else
+    // ZS_PRECISION_EXACT.
     ZS_PRECISION_BEST = 0,
     // f32 throughout.
     ZS_PRECISION_EXACT = 1,
-    // f16 factors of matrix products, all else f32. Refused where the device cannot, or fails the test.
+    // f16 matrix products, otherwise f32. Rejected if unsupported or failing its self-test.
     ZS_PRECISION_FAST = 2,
-    // bf16 factors of matrix products, all else f32: f32's range in 8 bits. Refused as ZS_PRECISION_FAST.
+    // bf16 matrix products, otherwise f32. Rejected if unsupported or failing its self-test.
     ZS_PRECISION_FAST_BF16 = 3,
-    // 8-bit factors in the linear layers of blocks, all else as ZS_PRECISION_FAST.
+    // 8-bit linear layers of blocks, otherwise as ZS_PRECISION_FAST.
     ZS_PRECISION_TURBO = 4,
 };
 
-// A network with its weights on a context's device. Any number of threads may reconstruct with a model at the same time.
+// A network with its weights on a device.
 typedef struct zs_model zs_model;
 
-// Called now and then while something takes long, on the thread that made the call, with the share that is done (0 to 1) and
-// what is under way (for a log; valid during the call). Return 0 to go on; anything else stops the work, which then ends
-// with ZS_ERROR_CANCELLED. It must return: no longjmp, no C++ exception. It may call zs_ functions, but not with the objects
-// of the call that it came from.
+// Progress callback on the calling thread. `fraction` is from 0 to 1; `stage`, for a log, is valid
+// during the callback. Return 0 to continue; any other value cancels with ZS_ERROR_CANCELLED. No
+// longjmp and no C++ exception may leave it. It may call zs_ functions, but not on the call's own
+// objects.
 typedef int32_t (*zs_progress)(void *user_data, double fraction, const char *stage);
 
-// Options of loading a model.
+// Options of zs_model_open.
 typedef struct zs_model_options {
-    // sizeof(zs_model_options); zs_model_options_default sets it.
+    // sizeof(zs_model_options).
     uint32_t struct_size;
     // Number formats. Default ZS_PRECISION_BEST.
     zs_precision precision;
-    // The network of a checkpoint that does not say: "vitg", "vits", "vitb", "vitl", "da3s", "da3b" or "da3l", and what else it
-    // leaves open, as in "vits:out_layers=5,7,11:alt_start=5:rope_start=5". NULL takes what the file says.
-    // Default NULL.
+    // Variant of a checkpoint that does not name its own: "vitg", "vits", "vitb", "vitl", "da3s",
+    // "da3b" or "da3l". Missing parameters follow, as in
+    // "vits:out_layers=5,7,11:alt_start=5:rope_start=5". NULL uses the file's.
     const char *variant;
-    // Told how far it is; may stop it. Default NULL.
+    // Progress callback.
     zs_progress progress;
-    // Given to `progress`.
+    // Argument of `progress`.
     void *user_data;
-    // 1 to be able to refine the tokens of its scenes with ZS_REFINE_TOKENS: the network's head stays on the device in f32 besides, and
-    // each scene keeps its tokens there until it is destroyed. Default 0.
+    // 1 enables ZS_REFINE_TOKENS: an f32 copy of the head and each scene's tokens stay on the
+    // device.
     uint32_t tokens;
-    // 0.
+    // Must be 0.
     uint32_t reserved;
 } zs_model_options;
 
-// Facts about a model.
+// Properties of a model.
 typedef struct zs_model_info {
-    // sizeof(zs_model_info); set it before the call.
+    // sizeof(zs_model_info).
     uint32_t struct_size;
-    // Side in pixels of the square pictures that it is best with.
+    // Native side of its square pictures, in pixels.
     uint32_t picture_side;
-    // Side of a patch in pixels: sizes of pictures are multiples of it.
+    // Side of a patch in pixels; picture sides are multiples of it.
     uint32_t patch;
-    // Gaussians that a token becomes. At ratio 1 there are width / patch * height / patch tokens a photo.
+    // Gaussians per token. At ratio 1 a photo has width / patch * height / patch tokens.
     uint32_t gaussians_per_token;
-    // Highest band of spherical harmonics of its scenes.
+    // Degree of spherical harmonics of its scenes.
     uint32_t sh_degree;
-    // Number formats in use: a zs_precision other than ZS_PRECISION_BEST.
+    // Number formats in use, never ZS_PRECISION_BEST.
     zs_precision precision;
-    // Bytes of its weights on the device.
+    // Bytes of weights on the device.
     uint64_t weight_bytes;
-    // Reasons why the model may be slow, one a line: GPUs that cannot be used, where a CPU is; kernels that failed the test before their
-    // first use and are not used, and where that leaves too few, ZS_PRECISION_BEST is ZS_PRECISION_EXACT. "" where there is none.
-    // Also what was rounded or assumed to read the weights. The model's own memory, there until it is destroyed.
+    // Warnings, one per line: unusable GPUs, kernels that failed their self-test, assumptions
+    // about the weights. Failed kernels can reduce ZS_PRECISION_BEST to ZS_PRECISION_EXACT. "" if
+    // there are none. Points into the model.
     const char *notes;
 } zs_model_info;
 
-// Fills `options` with the defaults. `size` is sizeof(zs_model_options).
+// Sets defaults; `size` is sizeof(zs_model_options).
 zs_status zs_model_options_default(struct zs_model_options *options, size_t size);
 
-// Loads a checkpoint onto a context's device: safetensors or a PyTorch archive at `path` (UTF-8), the model that is built
-// into the library for "embedded" (ZS_ERROR_UNSUPPORTED where none is), or random numbers for "seeded:VARIANT", to try things
-// out. `options` may be NULL.
+// Loads a checkpoint: safetensors or a PyTorch archive at `path`, the built-in model for
+// "embedded", or random weights for "seeded:VARIANT". ZS_ERROR_UNSUPPORTED without a built-in
+// model.
 zs_status zs_model_open(const struct zs_context *context,
                         const char *path,
                         const struct zs_model_options *options,
                         struct zs_model **model);
 
-// As zs_model_open, with a file's contents, which are not needed any more when this returns.
+// Loads a checkpoint from memory, as zs_model_open.
 zs_status zs_model_from_memory(const struct zs_context *context,
                                const void *data,
                                size_t size,
                                const struct zs_model_options *options,
                                struct zs_model **model);
 
-// Says what a model is.
+// Describes a model.
 zs_status zs_model_get_info(const struct zs_model *model, struct zs_model_info *info);
 
-// Destroys a model. NULL is allowed.
+// Destroys a model.
 void zs_model_destroy(struct zs_model *model);
 
 /****************************************/
 /*  Reconstruction: photos to a scene.  */
 /****************************************/
 
-// Share of the tokens that the paper keeps: 0.5 sqrt(2 / number of photos).
+// The paper's ratio: 0.5 sqrt(2 / number of photos).
 #define ZS_RATIO_AUTO 0.0
 
-// The length that is found from the cameras and, where there is a capture, from its points.
+// A scale estimated from the cameras and, if given, the capture's points.
 #define ZS_UNIT_AUTO 0.0
 
-// Ways to choose the tokens that are kept where the ratio is below 1.
+// Selection of the tokens kept at ratios below 1.
 ZS_ENUM(zs_selection) {
-    // The nearest token of each centroid of k-means: the method's own.
+    // The token nearest to each k-means centroid, as in the paper.
     ZS_SELECT_KMEANS = 0,
-    // Evenly spread.
+    // Evenly spaced.
     ZS_SELECT_STRIDE = 1,
-    // Random, by `seed`.
+    // Random, from `seed`.
     ZS_SELECT_RANDOM = 2,
 };
 
-// The world that a scene is in.
+// World of a scene.
 ZS_ENUM(zs_world) {
-    // The first photo's camera: x right, y down, z forward.
+    // The first photo's camera space.
     ZS_WORLD_FIRST_CAMERA = 0,
-    // The world of `cameras`, which then fit the scene as they are.
+    // The world of `cameras`.
     ZS_WORLD_CAMERAS = 1,
 };
 
-// Options of a reconstruction.
+// Options of zs_reconstruct.
 typedef struct zs_reconstruct_options {
-    // sizeof(zs_reconstruct_options); zs_reconstruct_options_default sets it.
+    // sizeof(zs_reconstruct_options).
     uint32_t struct_size;
-    // World of the scene; ZS_WORLD_CAMERAS needs `cameras`. Default ZS_WORLD_FIRST_CAMERA.
+    // World of the scene; ZS_WORLD_CAMERAS requires `cameras`. Default ZS_WORLD_FIRST_CAMERA.
     zs_world world;
-    // Share of the tokens that become Gaussians, above 0 and up to 1, or ZS_RATIO_AUTO. Fewer are faster and smaller.
-    // Default 1.
+    // Fraction of tokens that become Gaussians, in (0, 1], or ZS_RATIO_AUTO. Default 1.
     double ratio;
-    // Length in the unit of `cameras`, and of the scene, that the network takes for 1. It is trained with what the photos see at
-    // a median distance of about 1 from the first: with cameras in metres of a place 20 m away give 20, or ZS_UNIT_AUTO.
-    // Default 1.
+    // Scene scale: the length in units of `cameras` that the network treats as 1, or ZS_UNIT_AUTO.
+    // The network expects a median distance of about 1 from the first camera. For cameras in
+    // meters and a place 20 m away, use 20. Default 1.
     double unit;
-    // The way to choose the tokens that are kept. Default ZS_SELECT_KMEANS.
+    // Selection of the kept tokens. Default ZS_SELECT_KMEANS.
     zs_selection selection;
-    // Width of what the network sees of each photo, a multiple of the model's patch: photos are cropped around their centre
-    // to this shape and scaled to it. 0 for the model's own. Default 0.
+    // Width of the network's input, a multiple of the patch: photos are center-cropped and
+    // resized. 0 is the model's own.
     uint32_t width;
-    // Height of it; 0 together with `width`. Default 0.
+    // Height of the network's input; 0 exactly if `width` is 0.
     uint32_t height;
-    // Number of `cameras`: 0, or one for each photo. Default 0.
+    // Number of `cameras`: 0 or the number of photos.
     uint32_t camera_count;
-    // For ZS_SELECT_RANDOM: the same seed, the same choice. Default 0.
+    // Seed for ZS_SELECT_RANDOM.
     uint64_t seed;
-    // Cameras of the whole photos as you pass them, where they are known; the first one's becomes the world, or `world`
-    // says otherwise. Their unit is kept; `unit` says how far away the scene is in it. Default NULL.
+    // Known cameras of the whole photos. The first one becomes the world unless `world` overrides
+    // it. Their scale is kept.
     const struct zs_camera *cameras;
-    // Told how far it is; may stop it. Default NULL.
+    // Progress callback.
     zs_progress progress;
-    // Given to `progress`.
+    // Argument of `progress`.
     void *user_data;
-    // The capture that `cameras` are of, for ZS_UNIT_AUTO: its points and all its cameras then say how far away the scene is; where
-    // it is NULL, `cameras` do. Default NULL.
+    // Capture of `cameras`, for ZS_UNIT_AUTO: its points and all its cameras give the scale. NULL
+    // uses `cameras` alone.
     const struct zs_capture *capture;
-    // For many photos: attention across them sees the mean of `pool` x `pool` patches in place of each, 1 to 4. More are faster
-    // and less exact. Default 1.
+    // Pooling for many photos: cross-view attention reads means of `pool` x `pool` patches, 1 to
+    // 4. Larger values are faster and less exact. Default 1.
     uint64_t pool;
 } zs_reconstruct_options;
 
-// Fills `options` with the defaults. `size` is sizeof(zs_reconstruct_options).
+// Sets defaults; `size` is sizeof(zs_reconstruct_options).
 zs_status zs_reconstruct_options_default(struct zs_reconstruct_options *options, size_t size);
 
-// Reconstructs a scene from 1 to 192 photos of one place. It returns when the scene is there. The world is the first photo's
-// camera, or what `options` says. `options` may be NULL.
+// Reconstructs a scene from 1 to 192 photos of one place.
 zs_status zs_reconstruct(const struct zs_model *model,
                          const struct zs_image *images,
                          size_t image_count,
                          const struct zs_reconstruct_options *options,
                          struct zs_scene **scene);
 
-/***********************************************************************************/
-/*  Depth: photos to the depth of every pixel, and to the cameras that took them.  */
-/***********************************************************************************/
+/***************************************************/
+/*  Depth: per-pixel depth and cameras of photos.  */
+/***************************************************/
 
-// Sources of the cameras that a network finds.
+// Sources of estimated cameras.
 ZS_ENUM(zs_cameras_from) {
-    // The network's camera decoder.
+    // The camera decoder.
     ZS_CAMERAS_FROM_DECODER = 0,
-    // The rays of all pixels, principal point included. Photos whose rays agree on none have no camera.
+    // The ray maps, principal point included. Photos with inconsistent rays get no camera.
     ZS_CAMERAS_FROM_RAYS = 1,
 };
 
-// A network of Depth Anything 3 with its weights on a context's device. Any number of threads may use it at the same time.
+// A Depth Anything 3 network with its weights on a device.
 typedef struct zs_depth_model zs_depth_model;
 
-// Depth of photos, and the cameras that took them, in host memory. It never changes, so any number of threads may use it at the same
-// time.
+// Depth and cameras of photos in host memory.
 typedef struct zs_depths zs_depths;
 
-// Options of finding depth.
+// Options of zs_depth_find.
 typedef struct zs_depth_options {
-    // sizeof(zs_depth_options); zs_depth_options_default sets it.
+    // sizeof(zs_depth_options).
     uint32_t struct_size;
-    // Longer side of the photos as the network sees them, 14 to 8192 pixels: whole, each side the nearest multiple of 14. Of photos of
-    // different shapes it sees the middle that all have. Default 504.
+    // Longer side of the network's input, 14 to 8192 pixels. Each side is rounded to a multiple of
+    // 14. Photos of different shapes are cropped to their common center. Default 504.
     uint32_t side;
-    // Source of the cameras, where none are given. Default ZS_CAMERAS_FROM_DECODER.
+    // Source of estimated cameras. Default ZS_CAMERAS_FROM_DECODER.
     zs_cameras_from cameras_from;
-    // 1 where photos of one size may have different focal lengths; 0 gives them one, the median, weighted by how confident the network
-    // is of each photo's depth. Default 0.
+    // 1 estimates a focal length per photo. 0 shares one among photos of equal size: the median
+    // weighted by depth confidence.
     uint32_t own_focal_lengths;
-    // Number of `cameras`: 0, or one for each photo. Default 0.
+    // Number of `cameras`: 0 or the number of photos.
     uint32_t camera_count;
-    // 0.
+    // Must be 0.
     uint32_t reserved;
-    // Cameras of the whole photos as you pass them, where they are known, for networks that see all photos at once. Depth is then in
-    // their unit, and they are the cameras that are found. Default NULL.
+    // Known cameras of the whole photos, for multi-view networks. They set the depth scale and are
+    // returned unchanged.
     const struct zs_camera *cameras;
-    // Told how far it is; may stop it. Default NULL.
+    // Progress callback.
     zs_progress progress;
-    // Given to `progress`.
+    // Argument of `progress`.
     void *user_data;
 } zs_depth_options;
 
-// The depth of a photo, in the memory of its zs_depths, there until that is destroyed. Arrays are `[height][width]`.
+// Depth of a photo, in memory of its zs_depths. Arrays are `[height][width]`.
 typedef struct zs_depth_view {
-    // sizeof(zs_depth_view); set it before the call.
+    // sizeof(zs_depth_view).
     uint32_t struct_size;
     // 0.
     uint32_t reserved;
-    // Pixels a row.
+    // Width in pixels.
     uint32_t width;
-    // Rows.
+    // Height in pixels.
     uint32_t height;
-    // Along the camera's axis, in one unit for all photos that were seen at once: that of the cameras.
+    // Distance along the camera's axis, in the scale of the cameras, shared by all views of a
+    // call.
     const float *depth;
-    // From 1 on, where the network sees all photos at once; else NULL.
+    // Confidence, at least 1, from multi-view networks; else NULL.
     const float *confidence;
-    // From 0 on, above 0.3 sky, where the network sees each photo by itself; else NULL.
+    // Sky score, at least 0 and above 0.3 for sky, from single-view networks; else NULL.
     const float *sky;
 } zs_depth_view;
 
-// Loads a network of Depth Anything 3 onto a context's device: a released file (model.safetensors) at `path` (UTF-8), or random numbers
-// for "seeded:NAME", such as "seeded:da3-small". Of `options`, which may be NULL, `variant` has to be NULL and `tokens` 0.
+// Loads a Depth Anything 3 network: a released model.safetensors at `path`, or random weights for
+// "seeded:NAME", such as "seeded:da3-small". `options` may be NULL; its `variant` must be NULL and
+// `tokens` 0.
 zs_status zs_depth_model_open(const struct zs_context *context,
                               const char *path,
                               const struct zs_model_options *options,
                               struct zs_depth_model **model);
 
-// Destroys a depth model. NULL is allowed.
+// Destroys a depth model.
 void zs_depth_model_destroy(struct zs_depth_model *model);
 
-// Fills `options` with the defaults. `size` is sizeof(zs_depth_options).
+// Sets defaults; `size` is sizeof(zs_depth_options).
 zs_status zs_depth_options_default(struct zs_depth_options *options, size_t size);
 
-// Finds the depth of 1 to 192 photos of one place, and, with a network that sees all of them at once, the cameras that took them, in a
-// world about one of them. It returns when all is there. `options` may be NULL.
+// Estimates depth of 1 to 192 photos of one place. Multi-view networks also estimate cameras,
+// relative to one of them.
 zs_status zs_depth_find(const struct zs_depth_model *model,
                         const struct zs_image *images,
                         size_t image_count,
                         const struct zs_depth_options *options,
                         struct zs_depths **depths);
 
-// Says what was found of photo number `index`: its depth, and the camera that took it, of the whole photo, in the world of all; of a photo
-// whose camera nobody knows width and height are 0. Either may be NULL. Set their struct_size before the call.
+// Returns depth and camera of photo `index`. The camera is of the whole photo, in the common
+// world; width and height are 0 if unknown. Outputs may be NULL.
 zs_status zs_depths_get(const struct zs_depths *depths,
                         size_t index,
                         struct zs_depth_view *view,
                         struct zs_camera *camera);
 
-// Makes a scene of the depth of photos with cameras: a Gaussian for each pixel that the network is confident of, in the world of the
-// cameras; of each patch of 14 x 14 pixels at most `keep`, those that show most, or all for 0.
-zs_status zs_depths_scene(const struct zs_depths *depths,
-                          uint32_t keep,
-                          struct zs_scene **scene);
+// Creates a scene with a Gaussian per confident pixel of each posed photo, in the cameras' world.
+// Each patch of 14 x 14 pixels keeps its `keep` most visible Gaussians; 0 keeps all.
+zs_status zs_depths_scene(const struct zs_depths *depths, uint32_t keep, struct zs_scene **scene);
 
-// Destroys depths. NULL is allowed.
+// Destroys depths.
 void zs_depths_destroy(struct zs_depths *depths);
 
-/***************************************************/
-/*  Refinement: a scene made to look like photos.  */
-/***************************************************/
+/****************************************************/
+/*  Refinement: optimizes a scene to match photos.  */
+/****************************************************/
 
-// One photo is held out where there are 9 or more, else none.
+// Holds out one photo of 9 or more, else none.
 #define ZS_HOLD_OUT_AUTO -1
 
-// The values that a refinement moves.
+// Optimized parameters.
 ZS_ENUM(zs_refine_what) {
     // The scene's Gaussians.
     ZS_REFINE_GAUSSIANS = 0,
-    // The tokens of which the network's head makes its Gaussians: of a scene as zs_reconstruct made it, with a model that keeps them
-    // (zs_model_options.tokens).
+    // The tokens behind the Gaussians, for a scene from zs_reconstruct with
+    // zs_model_options.tokens.
     ZS_REFINE_TOKENS = 1,
 };
 
-// Reasons why a refinement ended.
+// Reasons for the end of a refinement.
 ZS_ENUM(zs_refine_end) {
-    // All steps were taken.
+    // All steps completed.
     ZS_REFINE_FINISHED = 0,
-    // Your progress callback asked to stop.
+    // The progress callback stopped it.
     ZS_REFINE_STOPPED = 1,
     // The loss grew, or became NaN or infinite.
     ZS_REFINE_DIVERGED = 2,
 };
 
-// Progress of a refinement. The library fills it, and later versions may add fields at its end.
+// Progress of a refinement. Later versions may append fields.
 typedef struct zs_refining {
-    // Bytes of this structure in the library's version.
+    // Size of this structure in the library's version.
     uint32_t struct_size;
-    // Steps that are done.
+    // Completed steps.
     uint32_t step;
-    // All steps.
+    // Total steps.
     uint32_t steps;
     // 0.
     uint32_t reserved;
-    // Mean loss of the photos of the last step.
+    // Mean loss of the last step.
     double loss;
-    // PSNR in dB of the held-out photos, when they were looked at last; NaN where none are held out.
+    // Latest PSNR in dB of the held-out photos; NaN without any.
     double psnr;
-    // Seconds that are left, as steps took so far.
+    // Estimated seconds left.
     double seconds_left;
 } zs_refining;
 
-// Called after each step, on the thread that made the call; `now` is valid during the callback. Return 0 to go on. Anything else
-// ends the refinement early and is no failure: the best scene so far is handed out. It must return: no longjmp, no C++
-// exception. It may call zs_ functions.
+// Callback after each step, on the calling thread. `now` is valid during the callback. Return 0 to
+// continue; any other value ends the refinement early and keeps the best scene. No longjmp and no
+// C++ exception may leave it. It may call zs_ functions.
 typedef int32_t (*zs_refine_progress)(void *user_data, const struct zs_refining *now);
 
-// Options of a refinement.
+// Options of zs_refine.
 typedef struct zs_refine_options {
-    // sizeof(zs_refine_options); zs_refine_options_default sets it.
+    // sizeof(zs_refine_options).
     uint32_t struct_size;
-    // Steps of the optimiser. Default 100.
+    // Optimizer steps. Default 100.
     uint32_t steps;
-    // Photos of a step, at least 1; more than there are to learn from count as all. Default 4.
+    // Photos per step, at least 1, capped at the number of training photos. Default 4.
     uint32_t views_per_step;
-    // Photos to hold out, evenly spread, fewer than there are, or ZS_HOLD_OUT_AUTO. Nothing is learnt from them: the scene that is
-    // handed out is that of the step that predicts them best. Default ZS_HOLD_OUT_AUTO.
+    // Number of held-out photos, evenly spaced, less than all, or ZS_HOLD_OUT_AUTO. The step with
+    // their best PSNR is returned. Default ZS_HOLD_OUT_AUTO.
     int32_t hold_out;
-    // Most pixels of a photo along x: a larger one is compared at the largest size that fits. 0 for photos as they are.
-    // Default 1600.
+    // Largest compared width in pixels; larger photos are downscaled. 0 keeps full size. Default
+    // 1600.
     uint32_t width;
-    // Most pixels along y; 0 together with `width`. Default 1600.
+    // Largest compared height; 0 exactly if `width` is 0. Default 1600.
     uint32_t height;
-    // Seed of the order of the photos: the same seed, the same scene. Default 0.
+    // Seed of the photo order.
     uint64_t seed;
-    // Told how far it is; may stop it. Default NULL.
+    // Progress callback.
     zs_refine_progress progress;
-    // Given to `progress`.
+    // Argument of `progress`.
     void *user_data;
-    // The values that are moved. Default ZS_REFINE_GAUSSIANS.
+    // Optimized parameters. Default ZS_REFINE_GAUSSIANS.
     zs_refine_what what;
-    // 0.
+    // Must be 0.
     uint32_t reserved;
 } zs_refine_options;
 
-// The outcome of a refinement.
+// Result of a refinement.
 typedef struct zs_refine_info {
-    // sizeof(zs_refine_info); set it before the call.
+    // sizeof(zs_refine_info).
     uint32_t struct_size;
-    // The reason why the refinement ended.
+    // Reason for the end.
     zs_refine_end ended;
-    // Steps that were taken.
+    // Completed steps.
     uint32_t steps;
-    // The step after which the scene was kept; 0 where none made it better.
+    // Step of the returned scene; 0 if none improved it.
     uint32_t best_step;
-    // Mean loss of the photos of the first step, at the size of that step; NaN where there was
-    // none.
+    // Mean loss of the first step, at its resolution; NaN without a step.
     double first_loss;
-    // Mean loss of the photos of the last step, at the size of that step; NaN where there was
-    // none.
+    // Mean loss of the last step, at its resolution; NaN without a step.
     double last_loss;
-    // PSNR in dB of the held-out photos before the first step; NaN where none are held out.
+    // Held-out PSNR in dB before the first step; NaN without held-out photos.
     double psnr_before;
-    // PSNR in dB of the held-out photos with the scene that was kept; NaN where none are held out.
+    // Held-out PSNR in dB of the returned scene; NaN without held-out photos.
     double psnr;
-    // Seconds that it took.
+    // Duration in seconds.
     double seconds;
-    // PSNR in dB of the training photos at full size before the first step: the mean of at most
-    // 16, evenly spread.
+    // Mean PSNR in dB of up to 16 full-size training photos before the first step.
     double training_psnr_before;
-    // PSNR in dB of the same photos with the scene that was kept.
+    // PSNR in dB of the same photos for the returned scene.
     double training_psnr;
 } zs_refine_info;
 
-// Fills `options` with the defaults. `size` is sizeof(zs_refine_options).
+// Sets defaults; `size` is sizeof(zs_refine_options).
 zs_status zs_refine_options_default(struct zs_refine_options *options, size_t size);
 
-// Makes a scene sharp: moves its Gaussians, or the tokens that it was made of, until each of `count` photos is what the camera of its number sees, and hands out the
-// result as a scene of its own. The scene may come from anywhere; `cameras` are those of the whole photos, in the scene's world.
-// It returns when the refinement has ended: after all steps, when `progress` asked to stop, or when the loss grew. That is
-// no failure: the scene is the best that there was. `options` may be NULL, and so may `info`, which is filled with what came
-// of it.
+// Optimizes a copy of a scene to match `count` photos. `cameras` are of the whole photos, in the
+// scene's world. An early stop or a diverging loss still returns the best scene. `options` and
+// `info` may be NULL.
 zs_status zs_refine(const struct zs_context *context,
                     const struct zs_scene *scene,
                     const struct zs_image *images,
@@ -839,52 +819,50 @@ zs_status zs_refine(const struct zs_context *context,
                     struct zs_refine_info *info,
                     struct zs_scene **refined);
 
-/*********************************************************************/
-/*  Renderers: a scene on a device, drawn into the caller's memory.  */
-/*********************************************************************/
+/*************************************************************/
+/*  Renderers: draw a scene from a device into host memory.  */
+/*************************************************************/
 
 // Kinds of depth along the camera's z axis, in world units.
 ZS_ENUM(zs_depth) {
-    // The mean depth of what is seen: the sum of depth times blending weight, over alpha. 0 where nothing is.
+    // Expected depth: the blended depth divided by alpha; 0 where alpha is 0.
     ZS_DEPTH_EXPECTED = 0,
-    // The sum of depth times blending weight.
+    // Sum of depth times blending weight.
     ZS_DEPTH_ACCUMULATED = 1,
 };
 
-// A scene on a context's device, ready to be drawn. It keeps what it recorded for the last four sizes and kinds of picture:
-// drawing the same kind again is fast. Threads that use one renderer at the same time wait for each other.
+// A scene on a device, ready to draw. Caches its recordings for the last four sizes and kinds of
+// picture.
 typedef struct zs_renderer zs_renderer;
 
-// Options of drawing.
+// Options of zs_render.
 typedef struct zs_render_options {
-    // sizeof(zs_render_options); zs_render_options_default sets it.
+    // sizeof(zs_render_options).
     uint32_t struct_size;
-    // Format of the pixels that are written. 8-bit colour is clamped and truncated, as in the pictures of the reference, 8-bit alpha
-    // is rounded, f32 values are neither. Where there is alpha it is what covers the background, and colour contains the
-    // background's share: on black, the default, it is premultiplied. Default ZS_PIXEL_RGBA8.
+    // Pixel format. 8-bit color is clamped and truncated, 8-bit alpha rounded, f32 unchanged.
+    // Color includes the background's part; on black it is premultiplied. Default ZS_PIXEL_RGBA8.
     zs_pixel_format format;
-    // Kind of depth that zs_picture.depth gets. Default ZS_DEPTH_EXPECTED.
+    // Kind of zs_picture.depth. Default ZS_DEPTH_EXPECTED.
     zs_depth depth;
-    // 1 to make Gaussians thinner than a pixel fainter by as much as drawing widens them (Mip-Splatting): for scenes that
-    // were made that way. Default 0.
+    // 1 fades Gaussians thinner than a pixel (Mip-Splatting), for scenes trained that way.
     uint32_t antialiased;
-    // Red, green and blue behind the scene. Default black.
+    // Background as red, green, blue. Default black.
     float background[3];
-    // Near plane: the camera depth below which Gaussians are culled, in the scene's unit. 0, the
-    // default, is 0.01, or less for scenes with an extent below 0.1.
+    // Near plane: Gaussians at smaller camera depth are culled. 0, the default, is 0.01, or less
+    // for scenes with an extent below 0.1.
     float near_plane;
 } zs_render_options;
 
-// Memory of a picture: yours for what you want of it, NULL for what you do not.
+// Output buffers of a picture; NULL skips one.
 typedef struct zs_picture {
-    // sizeof(zs_picture); set it before the call.
+    // sizeof(zs_picture).
     uint32_t struct_size;
     // Must be 0.
     uint32_t reserved;
-    // Bytes from a row of `pixels` to the one below it; negative to store the picture bottom-up; 0 for row after row. What
-    // lies between rows is left as it is.
+    // Bytes between rows of `pixels`: negative for bottom-up storage, 0 for contiguous rows.
+    // Padding between rows stays unchanged.
     int64_t stride;
-    // The first pixel of the top row, in the format of the options; of any alignment.
+    // First pixel of the top row, in the options' format, of any alignment.
     void *pixels;
     // height x width: alpha from 0 to 1.
     float *alpha;
@@ -892,60 +870,61 @@ typedef struct zs_picture {
     float *depth;
 } zs_picture;
 
-// Brings a scene to a context's device. The scene may be destroyed afterwards.
+// Uploads a scene to a context's device. The scene can be destroyed afterwards.
 zs_status zs_renderer_create(const struct zs_context *context,
                              const struct zs_scene *scene,
                              struct zs_renderer **renderer);
 
-// Draws another scene from now on. Cheap for one of the same number of Gaussians and degree. After a failure draw nothing
-// before another call of this has succeeded.
-zs_status zs_renderer_set_scene(const struct zs_renderer *renderer,
-                                const struct zs_scene *scene);
+// Replaces the scene. Cheap for an equal number of Gaussians and degree. After a failure, retry
+// successfully before drawing.
+zs_status zs_renderer_set_scene(const struct zs_renderer *renderer, const struct zs_scene *scene);
 
-// Destroys a renderer, after waiting for pictures on their way to zs_vulkan_target. NULL is allowed.
+// Destroys a renderer, after waiting for its copies to Vulkan targets.
 void zs_renderer_destroy(struct zs_renderer *renderer);
 
-// Fills `options` with the defaults. `size` is sizeof(zs_render_options).
+// Sets defaults; `size` is sizeof(zs_render_options).
 zs_status zs_render_options_default(struct zs_render_options *options, size_t size);
 
-// Draws `count` cameras, each into the picture of its number. It returns when all are written. Cameras of one size are drawn
-// together. After a failure some pictures may be written. `options` may be NULL.
+// Draws one picture per camera. Cameras of equal size are batched. After a failure some pictures
+// may be written.
 zs_status zs_render(const struct zs_renderer *renderer,
                     const struct zs_camera *cameras,
                     const struct zs_picture *pictures,
                     size_t count,
                     const struct zs_render_options *options);
 
-/********************************************************************************************/
-/*  Gradients: pictures' weights back to Gaussians and cameras, for an optimiser of yours.  */
-/********************************************************************************************/
+/******************************************************************/
+/*  Gradients of pictures with respect to Gaussians and cameras.  */
+/******************************************************************/
 
-// Memory of gradients: yours for those that you want, NULL for the others. Every array is written, not added to.
+// Output buffers of gradients; NULL skips one. Values are overwritten, not accumulated.
 typedef struct zs_gradients {
-    // sizeof(zs_gradients); set it before the call.
+    // sizeof(zs_gradients).
     uint32_t struct_size;
     // Must be 0.
     uint32_t reserved;
-    // N x 3 by the centres.
+    // N x 3, of the centers.
     float *means;
-    // N x 3 by the standard deviations, which are linear.
+    // N x 3, of the linear standard deviations.
     float *scales;
-    // N x 4 by the rotations as you pass them, of any length.
+    // N x 4, of the unnormalized rotations.
     float *quats;
-    // N by the opacities.
+    // N, of the opacities.
     float *opacities;
-    // N x K x 3 by the coefficients.
+    // N x K x 3, of the coefficients.
     float *sh_coeffs;
-    // count x 10 by the cameras: w x, y, z and v x, y, z, where the camera-to-world pose moves as pose o (exp(w^), v), R' = R exp(w^)
-    // and t' = t + R v; then fx, fy, cx, cy.
+    // count x 10, of the cameras: w x, y, z and v x, y, z, then fx, fy, cx, cy. The
+    // camera-to-world pose moves as pose o (exp(w^), v): R' = R exp(w^) and t' = t + R v.
     float *cameras;
 } zs_gradients;
 
-// Gives the gradients of the sum, over `count` cameras and all pixels, of what zs_render draws of `scene` times its weight. Weights
-// are what `weights` points to, read and not written: of ZS_PIXEL_RGB_F32, which `options` must have, of alpha and of depth; NULL is 0.
-// With the weights d loss / d pixel the gradients are those of the loss. Coefficients of bands that are 0 have gradients, too. The
-// scene need not be the renderer's: the renderer keeps one more on the device, and what it recorded for the last four sizes
-// and kinds. It returns when `gradients` is written; after a failure nothing is.
+// Computes the gradients of a weighted sum over all pixels of `count` cameras' pictures. With the
+// weights d loss / d pixel, these are the gradients of the loss.
+//
+// `weights` points to weights of color, alpha and depth, read only; NULL is 0. The format must be
+// ZS_PIXEL_RGB_F32. Zero-valued coefficients also get gradients. `scene` need not be the
+// renderer's: the renderer keeps a second scene and a cache of four recorded sizes and kinds on
+// the device. `gradients` is written only on success.
 zs_status zs_render_backward(const struct zs_renderer *renderer,
                              const struct zs_scene *scene,
                              const struct zs_camera *cameras,
@@ -954,46 +933,46 @@ zs_status zs_render_backward(const struct zs_renderer *renderer,
                              const struct zs_render_options *options,
                              const struct zs_gradients *gradients);
 
-/*****************************************************/
-/*  An app's own Vulkan device, images and buffers.  */
-/*****************************************************/
+/*********************************************************/
+/*  The caller's own Vulkan device, images and buffers.  */
+/*********************************************************/
 
 // Kinds of zs_vulkan_requirement.
 ZS_ENUM(zs_requirement_kind) {
-    // `name` is the least version for VkApplicationInfo.apiVersion and of the device, as "1.3".
+    // `name` is the minimum API version, as "1.3", for VkApplicationInfo.apiVersion and the
+    // device.
     ZS_REQUIRES_API_VERSION = 0,
-    // `name` is an extension of the device.
+    // `name` is a device extension.
     ZS_REQUIRES_DEVICE_EXTENSION = 1,
-    // `name` is a field to set to VK_TRUE of the structure `structure`, in the chain of VkDeviceCreateInfo.
+    // `name` is a field of `structure` to set to VK_TRUE in the VkDeviceCreateInfo chain.
     ZS_REQUIRES_FEATURE = 2,
 };
 
-// Something that has to be enabled on a device of yours.
+// A requirement for the caller's device.
 typedef struct zs_vulkan_requirement {
     // Kind of the requirement.
     zs_requirement_kind kind;
-    // 1 where only precisions other than exact need it: enable those that the device has, all of them, and say so in
+    // 1 if only faster precisions need it. Enable all that the device supports, then set
     // zs_vulkan_device.fast.
     uint32_t optional;
-    // Static: never free it.
     const char *name;
-    // Static; "" but for a feature.
+    // Static; "" unless a feature.
     const char *structure;
 } zs_vulkan_requirement;
 
 // vkGetInstanceProcAddr, cast to a function without arguments.
 typedef void (*zs_vulkan_function)(void);
 
-// Locks or unlocks a queue. It must return, and call nothing of this library.
+// Locks or unlocks a queue. Must return and must not call this library.
 typedef void (*zs_queue_lock)(void *user_data);
 
-// Vulkan handles of yours. Every one is used and none is destroyed; nothing is enabled on them.
+// Borrowed Vulkan handles. The library uses and never destroys them.
 typedef struct zs_vulkan_device {
-    // sizeof(zs_vulkan_device); zs_vulkan_device_default sets it.
+    // sizeof(zs_vulkan_device).
     uint32_t struct_size;
-    // Family of `queue`; it must be able to compute.
+    // Family of `queue`, with compute support.
     uint32_t queue_family;
-    // Your vkGetInstanceProcAddr; NULL for that of the system's loader. Default NULL.
+    // vkGetInstanceProcAddr; NULL uses the system's loader.
     zs_vulkan_function get_instance_proc_addr;
     // VkInstance.
     void *instance;
@@ -1001,90 +980,88 @@ typedef struct zs_vulkan_device {
     void *physical_device;
     // VkDevice.
     void *device;
-    // VkQueue. The engine submits to it from the threads that call the engine, never from one of its own.
+    // VkQueue. Submissions happen only on calling threads.
     void *queue;
-    // Called before each submission to `queue`, on the thread that submits; `unlock_queue` right after it, and never is the
-    // lock held while the engine waits. Do not hold the lock yourself when you call the engine. NULL where nobody else uses
-    // the queue while a call runs. Default NULL.
+    // Called on the submitting thread before each submission to `queue`, and `unlock_queue` right
+    // after it. The lock is never held while waiting. Do not hold it when calling the library.
+    // NULL if the queue is not shared during calls.
     zs_queue_lock lock_queue;
-    // Both or none.
+    // NULL exactly if `lock_queue` is.
     zs_queue_lock unlock_queue;
-    // Given to both.
+    // Argument of both callbacks.
     void *user_data;
-    // 1 where everything optional in zs_vulkan_requirements that the physical device has is enabled. Default 0, which leaves only
-    // ZS_PRECISION_EXACT.
+    // 1 if every supported optional requirement is enabled. 0 allows only ZS_PRECISION_EXACT.
     uint32_t fast;
     // Must be 0.
     uint32_t reserved;
 } zs_vulkan_device;
 
-// A value of a timeline semaphore of yours.
+// A value of a caller's timeline semaphore.
 typedef struct zs_semaphore_point {
     // VkSemaphore of type timeline, cast to uint64_t.
     uint64_t semaphore;
-    // To wait for, or to signal.
+    // Value to wait for or to signal.
     uint64_t value;
 } zs_semaphore_point;
 
-// An image or a buffer of yours that a picture is copied to on the device. Handles are cast to uint64_t. They must stay until
-// the signals were given, or, without signals, until the renderer is destroyed.
+// A caller's image or buffer as a copy destination. Handles are cast to uint64_t. They must
+// outlive the signals or, without signals, the renderer.
 typedef struct zs_vulkan_target {
-    // sizeof(zs_vulkan_target); zs_vulkan_target_default sets it.
+    // sizeof(zs_vulkan_target).
     uint32_t struct_size;
     // Must be 0.
     uint32_t reserved;
-    // VkImage with usage VK_IMAGE_USAGE_TRANSFER_DST_BIT, one sample and the format that zs_pixel_format names, owned by the
-    // queue's family or shared; 0 for a buffer. Default 0.
+    // VkImage with VK_IMAGE_USAGE_TRANSFER_DST_BIT, one sample and the format of the
+    // zs_pixel_format, owned by the queue's family or shared. 0 for a buffer.
     uint64_t image;
-    // First pixel that is written; the camera's width and height must fit behind it. Default 0.
+    // First column to write; the camera's size must fit from there.
     uint32_t x;
-    // First row that is written. Default 0.
+    // First row to write.
     uint32_t y;
-    // Mip level. Default 0.
+    // Mip level.
     uint32_t mip_level;
-    // Array layer. Default 0.
+    // Array layer.
     uint32_t array_layer;
-    // VkImageLayout that level and layer are in when the waits are over. Default VK_IMAGE_LAYOUT_UNDEFINED, which may lose
-    // what is there.
+    // VkImageLayout after the waits. Default VK_IMAGE_LAYOUT_UNDEFINED, which may discard
+    // contents.
     int32_t old_layout;
-    // VkImageLayout that they are in when the signals are given. Default VK_IMAGE_LAYOUT_SHADER_READ_ONLY_OPTIMAL.
+    // VkImageLayout at the signals. Default VK_IMAGE_LAYOUT_SHADER_READ_ONLY_OPTIMAL.
     int32_t new_layout;
-    // VkBuffer with usage VK_BUFFER_USAGE_TRANSFER_DST_BIT; 0 for an image. Rows follow each other. Default 0.
+    // VkBuffer with VK_BUFFER_USAGE_TRANSFER_DST_BIT and contiguous rows; 0 for an image.
     uint64_t buffer;
-    // First byte in the buffer, a multiple of 4. Default 0.
+    // First byte in the buffer, a multiple of 4.
     uint64_t buffer_offset;
-    // Bytes that may be written from there. Default 0.
+    // Writable bytes from there.
     uint64_t buffer_size;
-    // Number of `waits`. Default 0.
+    // Number of `waits`.
     uint32_t wait_count;
-    // Number of `signals`. Default 0.
+    // Number of `signals`.
     uint32_t signal_count;
-    // Points that have to be reached before the target is touched. Read during the call. Default NULL.
+    // Semaphore values to wait for before writing.
     const struct zs_semaphore_point *waits;
-    // Given when the picture is in the target and visible to every later use. Read during the call. Default NULL.
+    // Signaled when the picture is written and visible.
     const struct zs_semaphore_point *signals;
 } zs_vulkan_target;
 
-// Lists what has to be enabled on a device of yours before zs_context_adopt, and what may be; nothing else is used. Needs no
-// device. The list is static: never free it.
-zs_status zs_vulkan_requirements(const struct zs_vulkan_requirement **list,
-                                 size_t *count);
+// Lists required and optional features for zs_context_adopt. Needs no device.
+zs_status zs_vulkan_requirements(const struct zs_vulkan_requirement **list, size_t *count);
 
-// Fills `device` with the defaults. `size` is sizeof(zs_vulkan_device).
+// Sets defaults; `size` is sizeof(zs_vulkan_device).
 zs_status zs_vulkan_device_default(struct zs_vulkan_device *device, size_t size);
 
-// Makes a context of a device of yours, on which everything in zs_vulkan_requirements that is not optional is enabled: that cannot be checked.
-// Destroy the context and all its models and renderers before the device.
-zs_status zs_context_adopt(const struct zs_vulkan_device *device,
-                           struct zs_context **context);
+// Creates a context on the caller's device. All required features must be enabled; this cannot be
+// checked. Destroy the context and all its models and renderers before the device.
+zs_status zs_context_adopt(const struct zs_vulkan_device *device, struct zs_context **context);
 
-// Fills `target` with the defaults. `size` is sizeof(zs_vulkan_target).
+// Sets defaults; `size` is sizeof(zs_vulkan_target).
 zs_status zs_vulkan_target_default(struct zs_vulkan_target *target, size_t size);
 
-// Draws one camera into an image or buffer of yours, without a copy by the host: ZS_PIXEL_RGBA8, BGRA8 or RGBA_F32. The
-// renderer's context must be an adopted one. When this returns the scene is drawn and the copy to the target is submitted; it
-// begins when the waits are over and ends with the signals. Without semaphores it is ordered as everything on one queue. The
-// next picture of this renderer may wait for this copy, so do not make a wait depend on it. `options` may be NULL.
+// Draws one camera into an image or buffer without a host copy, as ZS_PIXEL_RGBA8, BGRA8 or
+// RGBA_F32. The renderer's context must be adopted.
+//
+// Returns when the scene is drawn and the copy is submitted. The copy starts after the waits and
+// ends with the signals. Without semaphores, queue order applies. The renderer's next picture may
+// wait for this copy, so no wait may depend on it.
 zs_status zs_render_to_vulkan(const struct zs_renderer *renderer,
                               const struct zs_camera *camera,
                               const struct zs_vulkan_target *target,

@@ -1,4 +1,4 @@
-//! Captures: photos and their cameras, as a file says them.
+//! Captures: photos with known cameras.
 
 use super::{
     photo::zs_photo,
@@ -13,7 +13,7 @@ use std::{
 };
 use zipsplat::types::poses::{Frame, Poses, read_poses};
 
-/// The posed photos of a capture. It never changes, so any number of threads may use it at the same time.
+/// Posed photos of a capture.
 pub struct zs_capture {
     pub(super) poses: Poses,
     names: Vec<CString>,
@@ -45,9 +45,9 @@ fn c_text(text: &str) -> CString {
     CString::new(text.replace('\0', " ")).expect("no NUL")
 }
 
-/// Reads the cameras of photos: a transforms.json of instant-ngp or nerfstudio, a COLMAP model's folder, text or binary, or a
-/// folder that has one of these. Axes become OpenCV's; world and unit stay the file's. No photo is read but for its size, where
-/// the file does not have it. `path` is UTF-8.
+/// Opens a capture: a transforms.json (instant-ngp or nerfstudio), a COLMAP model folder (text or
+/// binary), or a folder that contains either. Axes become OpenCV's; world and scale stay the
+/// file's. Photos are read only for sizes that the file lacks.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_open(path: *const c_char, capture: *mut *mut zs_capture) -> zs_status {
     // SAFETY: a string or NULL.
@@ -56,8 +56,8 @@ pub unsafe extern "C" fn zs_capture_open(path: *const c_char, capture: *mut *mut
     unsafe { produce(capture, open) }
 }
 
-/// Says how many photos a capture has, and what was ignored or left out in reading it, a note a line. The text is the capture's
-/// own memory, there until it is destroyed. `notes` may be NULL.
+/// Returns the number of photos and the notes about ignored data, one per line. `notes` points into
+/// the capture and may be NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_get_count(
     capture: *const zs_capture,
@@ -77,9 +77,9 @@ pub unsafe extern "C" fn zs_capture_get_count(
     })
 }
 
-/// Says what photo number `index` is: the camera that took it, where lens distortion is undone a pinhole camera; its name as the
-/// file writes it; and where it lies, NULL where it was not found. Texts are the capture's own memory, there until it is destroyed.
-/// Pointers for what is not wanted may be NULL. Set the camera's struct_size before the call.
+/// Returns the undistorted pinhole camera, the name and the path of photo `index`. `name` is as
+/// written in the file; the path is NULL if no photo was found. Strings point into the capture.
+/// Outputs may be NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_get(
     capture: *const zs_capture,
@@ -108,8 +108,8 @@ pub unsafe extern "C" fn zs_capture_get(
     })
 }
 
-/// Finds the number of the photo that lies at `path` (UTF-8) by its file name; where several have it, by the longest common end of
-/// the path. Where none has it, `index` gets the number of photos. ZS_ERROR_ARGUMENT where several match as well.
+/// Finds the photo at `path` by file name, then by the longest common path suffix. Without a match
+/// `index` is the number of photos. ZS_ERROR_ARGUMENT for an ambiguous match.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_find(
     capture: *const zs_capture,
@@ -126,8 +126,8 @@ pub unsafe extern "C" fn zs_capture_find(
     })
 }
 
-/// Reads photo number `index` as its camera sees it: the pixels as they are stored, whatever the EXIF orientation says, and without
-/// the distortion of its lens. `path` (UTF-8) is where it lies, NULL where the capture says it does.
+/// Opens photo `index` undistorted, ignoring the EXIF orientation. `path` overrides the capture's
+/// path; NULL keeps it.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_open_photo(
     capture: *const zs_capture,
@@ -149,10 +149,10 @@ pub unsafe extern "C" fn zs_capture_open_photo(
     unsafe { produce(photo, open) }
 }
 
-/// Destroys a capture. NULL is allowed.
+/// Destroys a capture.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_destroy(capture: *mut zs_capture) {
-    // SAFETY: an object that the caller gives up, or NULL.
+    // SAFETY: NULL or given up by the caller.
     unsafe { destroy(capture) }
 }
 

@@ -9,11 +9,10 @@ use super::{
 use std::ffi::c_char;
 use zipsplat::gpu::{Device, DeviceInfo, DeviceOptions, Limits, list_devices};
 
-/// A Vulkan device at work: everything that runs on it is created from a context. Any number of threads may use a context at
-/// the same time. Models and renderers keep what they need of it: it may be destroyed before them.
+/// An open Vulkan device.
 pub struct zs_context {
     pub(super) device: Device,
-    /// Whether the device is the app's.
+    /// Whether the caller owns the device.
     pub(super) adopted: bool,
 }
 
@@ -21,55 +20,56 @@ pub struct zs_context {
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_device_kind {
-    /// Integrated in the processor, virtual, or unknown.
+    /// Integrated, virtual or unknown.
     ZS_DEVICE_OTHER = 0,
-    /// A graphics card.
+    /// Discrete GPU.
     ZS_DEVICE_DISCRETE = 1,
-    /// The processor itself, by way of lavapipe.
+    /// CPU (lavapipe).
     ZS_DEVICE_CPU = 2,
 }
 
-/// A device. Strings are UTF-8, end with NUL and are cut where they are too long.
+/// Description of a device. Strings are UTF-8, NUL-terminated and truncated to fit.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_device_info {
-    /// sizeof(zs_device_info); set it before the call.
+    /// sizeof(zs_device_info).
     pub struct_size: u32,
-    /// Number of the device, as zs_context_options.device takes it; 0 for an adopted device.
+    /// Device number for zs_context_options.device; 0 for an adopted device.
     pub index: u32,
-    /// 1 where the engine can use the device, else 0.
+    /// 1 if the engine can use the device, else 0.
     pub usable: u32,
     /// Kind of the device.
     pub kind: zs_device_kind_value,
-    /// Bytes of the memory that kernels work in.
+    /// Bytes of device-local memory.
     pub memory_bytes: u64,
-    /// The device's name.
+    /// Device name.
     pub name: [c_char; 256],
-    /// The driver's name and version.
+    /// Driver name and version.
     pub driver: [c_char; 256],
-    /// Reasons why the device is not usable; "" where it is.
+    /// Missing requirements; "" if usable.
     pub missing: [c_char; 512],
-    /// UUID of the device, 32 hexadecimal digits: those that CUDA and nvidia-smi have for it.
+    /// Device UUID as 32 hexadecimal digits, as in CUDA and nvidia-smi.
     pub uuid: [c_char; 40],
 }
 
-/// In structures an enumeration is its number, so that a wrong one can be refused. cbindgen names it as the enumeration.
+/// An enumeration's number in structures, so that invalid values can be rejected.
 pub(super) type zs_device_kind_value = i32;
 
-/// Options of opening a device.
+/// Options of zs_context_create.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_context_options {
-    /// sizeof(zs_context_options); zs_context_options_default sets it.
+    /// sizeof(zs_context_options).
     pub struct_size: u32,
-    /// 1 to run under the Khronos validation layer with synchronisation validation, whose messages make calls fail with
-    /// ZS_ERROR_DRIVER: for development. Default 0, or 1 where the environment variable ZIPSPLAT_VALIDATION is 1.
+    /// 1 enables the Khronos validation layer with synchronization validation. Its messages make
+    /// calls fail with ZS_ERROR_DRIVER. Default: 1 if the environment variable ZIPSPLAT_VALIDATION
+    /// is 1, else 0.
     pub validation: u32,
-    /// Uses at most so many bytes of the device's memory and leaves the rest to others: what needs more fails with
-    /// ZS_ERROR_OUT_OF_MEMORY before anything runs. Default 0: all that there is.
+    /// Device memory budget in bytes; 0 is unlimited. Work beyond it fails with
+    /// ZS_ERROR_OUT_OF_MEMORY before submission.
     pub max_memory_bytes: u64,
-    /// A device's number ("0"; digits are nothing else), a part of its name ("nvidia"), or its
-    /// UUID, with or without GPU- and hyphens; NULL for the best. Default NULL.
+    /// Device number, part of its name, or UUID with or without "GPU-" and hyphens. NULL selects
+    /// the best device.
     pub device: *const c_char,
 }
 
@@ -92,7 +92,7 @@ unsafe impl Versioned for zs_device_info {
     }
 }
 
-// SAFETY: repr(C), two u32, a u64 and a pointer: no padding but at the end, where pointers have 4 bytes.
+// SAFETY: repr(C), two u32, a u64 and a pointer: padding only at the end for 4-byte pointers.
 unsafe impl Versioned for zs_context_options {
     const NAME: &str = "zs_context_options";
     const FIRST_SIZE: usize = 16 + POINTER;
@@ -102,8 +102,7 @@ unsafe impl Versioned for zs_context_options {
     }
 }
 
-/// Counts the Vulkan devices of this machine, usable or not. ZS_ERROR_NO_DEVICE where there is no Vulkan loader or no
-/// driver.
+/// Counts Vulkan devices, usable or not. ZS_ERROR_NO_DEVICE without a Vulkan loader or driver.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_device_count(count: *mut u32) -> zs_status {
     guard(|| {
@@ -119,7 +118,7 @@ pub unsafe extern "C" fn zs_device_count(count: *mut u32) -> zs_status {
     })
 }
 
-/// Says what device number `index` is, from 0 to below zs_device_count.
+/// Describes device `index`, less than zs_device_count.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_device_get(index: u32, info: *mut zs_device_info) -> zs_status {
     guard(|| {
@@ -132,14 +131,14 @@ pub unsafe extern "C" fn zs_device_get(index: u32, info: *mut zs_device_info) ->
     })
 }
 
-/// Fills `options` with the defaults. `size` is sizeof(zs_context_options).
+/// Sets defaults; `size` is sizeof(zs_context_options).
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_context_options_default(options: *mut zs_context_options, size: usize) -> zs_status {
     // SAFETY: the caller's structure of that size.
     unsafe { write_defaults(options, size) }
 }
 
-/// Opens a device of its own: instance, device and queue are the context's. `options` may be NULL.
+/// Opens a device with an instance and queue of its own.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_context_create(
     options: *const zs_context_options,
@@ -159,7 +158,7 @@ pub unsafe extern "C" fn zs_context_create(
     unsafe { produce(context, open) }
 }
 
-/// Says what device a context is on.
+/// Describes the context's device.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_context_get_info(context: *const zs_context, info: *mut zs_device_info) -> zs_status {
     guard(|| {
@@ -171,10 +170,10 @@ pub unsafe extern "C" fn zs_context_get_info(context: *const zs_context, info: *
     })
 }
 
-/// Destroys a context. Its device closes when its last model and renderer are gone too. NULL is allowed.
+/// Destroys a context. The device closes with its last model and renderer.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_context_destroy(context: *mut zs_context) {
-    // SAFETY: an object that the caller gives up, or NULL.
+    // SAFETY: NULL or given up by the caller.
     unsafe { destroy(context) }
 }
 
@@ -198,7 +197,7 @@ fn describe(device: &DeviceInfo) -> zs_device_info {
     }
 }
 
-/// Text of at most `N - 1` bytes, cut between characters, and NUL up to the end.
+/// Truncates text to `N - 1` bytes at a character boundary and pads it with NUL.
 fn fixed<const N: usize>(text: &str) -> [c_char; N] {
     let end = (0..N).rev().find(|end| text.is_char_boundary(*end)).unwrap_or(0).min(text.len());
     let mut out = [0; N];

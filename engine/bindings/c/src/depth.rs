@@ -1,4 +1,4 @@
-//! Depth: photos to the depth of every pixel, and to the cameras that took them.
+//! Depth: per-pixel depth and cameras of photos.
 
 use super::{
     context::zs_context,
@@ -28,77 +28,77 @@ use zipsplat::{
     weights::DepthCheckpoint,
 };
 
-/// A network of Depth Anything 3 with its weights on a context's device. Any number of threads may use it at the same time.
+/// A Depth Anything 3 network with its weights on a device.
 pub struct zs_depth_model {
     model: DepthModel,
 }
 
-/// Depth of photos, and the cameras that took them, in host memory. It never changes, so any number of threads may use it at the same
-/// time.
+/// Depth and cameras of photos in host memory.
 pub struct zs_depths {
     depths: Depths,
-    /// The pictures that the network saw.
+    /// Resized photos, the network's input.
     images: Vec<Image>,
-    /// The cameras of these and of the photos; none where nobody knows them.
+    /// Cameras of the views and of the whole photos; `None` if unknown.
     cameras: Vec<Option<[Camera; 2]>>,
 }
 
-/// Sources of the cameras that a network finds.
+/// Sources of estimated cameras.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_cameras_from {
-    /// The network's camera decoder.
+    /// The camera decoder.
     ZS_CAMERAS_FROM_DECODER = 0,
-    /// The rays of all pixels, principal point included. Photos whose rays agree on none have no camera.
+    /// The ray maps, principal point included. Photos with inconsistent rays get no camera.
     ZS_CAMERAS_FROM_RAYS = 1,
 }
 
 pub(super) type zs_cameras_from_value = i32;
 
-/// Options of finding depth.
+/// Options of zs_depth_find.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_depth_options {
-    /// sizeof(zs_depth_options); zs_depth_options_default sets it.
+    /// sizeof(zs_depth_options).
     pub struct_size: u32,
-    /// Longer side of the photos as the network sees them, 14 to 8192 pixels: whole, each side the nearest multiple of 14. Of photos of
-    /// different shapes it sees the middle that all have. Default 504.
+    /// Longer side of the network's input, 14 to 8192 pixels. Each side is rounded to a multiple of
+    /// 14. Photos of different shapes are cropped to their common center. Default 504.
     pub side: u32,
-    /// Source of the cameras, where none are given. Default ZS_CAMERAS_FROM_DECODER.
+    /// Source of estimated cameras. Default ZS_CAMERAS_FROM_DECODER.
     pub cameras_from: zs_cameras_from_value,
-    /// 1 where photos of one size may have different focal lengths; 0 gives them one, the median, weighted by how confident the network
-    /// is of each photo's depth. Default 0.
+    /// 1 estimates a focal length per photo. 0 shares one among photos of equal size: the median
+    /// weighted by depth confidence.
     pub own_focal_lengths: u32,
-    /// Number of `cameras`: 0, or one for each photo. Default 0.
+    /// Number of `cameras`: 0 or the number of photos.
     pub camera_count: u32,
-    /// 0.
+    /// Must be 0.
     pub reserved: u32,
-    /// Cameras of the whole photos as you pass them, where they are known, for networks that see all photos at once. Depth is then in
-    /// their unit, and they are the cameras that are found. Default NULL.
+    /// Known cameras of the whole photos, for multi-view networks. They set the depth scale and are
+    /// returned unchanged.
     pub cameras: *const zs_camera,
-    /// Told how far it is; may stop it. Default NULL.
+    /// Progress callback.
     pub progress: zs_progress,
-    /// Given to `progress`.
+    /// Argument of `progress`.
     pub user_data: *mut c_void,
 }
 
-/// The depth of a photo, in the memory of its zs_depths, there until that is destroyed. Arrays are `[height][width]`.
+/// Depth of a photo, in memory of its zs_depths. Arrays are `[height][width]`.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_depth_view {
-    /// sizeof(zs_depth_view); set it before the call.
+    /// sizeof(zs_depth_view).
     pub struct_size: u32,
     /// 0.
     pub reserved: u32,
-    /// Pixels a row.
+    /// Width in pixels.
     pub width: u32,
-    /// Rows.
+    /// Height in pixels.
     pub height: u32,
-    /// Along the camera's axis, in one unit for all photos that were seen at once: that of the cameras.
+    /// Distance along the camera's axis, in the scale of the cameras, shared by all views of a
+    /// call.
     pub depth: *const f32,
-    /// From 1 on, where the network sees all photos at once; else NULL.
+    /// Confidence, at least 1, from multi-view networks; else NULL.
     pub confidence: *const f32,
-    /// From 0 on, above 0.3 sky, where the network sees each photo by itself; else NULL.
+    /// Sky score, at least 0 and above 0.3 for sky, from single-view networks; else NULL.
     pub sky: *const f32,
 }
 
@@ -131,11 +131,12 @@ unsafe impl Versioned for zs_depth_view {
     }
 }
 
-// SAFETY: the arrays are those of an object that never changes.
+// SAFETY: the arrays belong to an immutable object.
 unsafe impl Sync for zs_depth_view {}
 
-/// Loads a network of Depth Anything 3 onto a context's device: a released file (model.safetensors) at `path` (UTF-8), or random numbers
-/// for "seeded:NAME", such as "seeded:da3-small". Of `options`, which may be NULL, `variant` has to be NULL and `tokens` 0.
+/// Loads a Depth Anything 3 network: a released model.safetensors at `path`, or random weights for
+/// "seeded:NAME", such as "seeded:da3-small". `options` may be NULL; its `variant` must be NULL and
+/// `tokens` 0.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_depth_model_open(
     context: *const zs_context,
@@ -164,22 +165,22 @@ pub unsafe extern "C" fn zs_depth_model_open(
     unsafe { produce(model, load) }
 }
 
-/// Destroys a depth model. NULL is allowed.
+/// Destroys a depth model.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_depth_model_destroy(model: *mut zs_depth_model) {
-    // SAFETY: an object that the caller gives up, or NULL.
+    // SAFETY: NULL or given up by the caller.
     unsafe { destroy(model) }
 }
 
-/// Fills `options` with the defaults. `size` is sizeof(zs_depth_options).
+/// Sets defaults; `size` is sizeof(zs_depth_options).
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_depth_options_default(options: *mut zs_depth_options, size: usize) -> zs_status {
     // SAFETY: the caller's structure of that size.
     unsafe { write_defaults(options, size) }
 }
 
-/// Finds the depth of 1 to 192 photos of one place, and, with a network that sees all of them at once, the cameras that took them, in a
-/// world about one of them. It returns when all is there. `options` may be NULL.
+/// Estimates depth of 1 to 192 photos of one place. Multi-view networks also estimate cameras,
+/// relative to one of them.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_depth_find(
     model: *const zs_depth_model,
@@ -216,7 +217,7 @@ pub unsafe extern "C" fn zs_depth_find(
         let mut depths = model.depths(&images, &request, progress)?;
         let cameras = match told {
             Some(told) => {
-                // Cameras at one place tell no unit: lengths stay the network's.
+                // Coincident cameras have no scale: depth keeps the network's.
                 depths.bring_to(&told).or_else(|error| if told.len() > 1 { Err(error) } else { Ok(()) })?;
                 told.into_iter().zip(known).map(|(of_view, of_photo)| Some([of_view, of_photo])).collect()
             }
@@ -229,8 +230,8 @@ pub unsafe extern "C" fn zs_depth_find(
     unsafe { produce(depths, find) }
 }
 
-/// Says what was found of photo number `index`: its depth, and the camera that took it, of the whole photo, in the world of all; of a photo
-/// whose camera nobody knows width and height are 0. Either may be NULL. Set their struct_size before the call.
+/// Returns depth and camera of photo `index`. The camera is of the whole photo, in the common
+/// world; width and height are 0 if unknown. Outputs may be NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_depths_get(
     depths: *const zs_depths,
@@ -266,8 +267,8 @@ pub unsafe extern "C" fn zs_depths_get(
     })
 }
 
-/// Makes a scene of the depth of photos with cameras: a Gaussian for each pixel that the network is confident of, in the world of the
-/// cameras; of each patch of 14 x 14 pixels at most `keep`, those that show most, or all for 0.
+/// Creates a scene with a Gaussian per confident pixel of each posed photo, in the cameras' world.
+/// Each patch of 14 x 14 pixels keeps its `keep` most visible Gaussians; 0 keeps all.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_depths_scene(depths: *const zs_depths, keep: u32, scene: *mut *mut zs_scene) -> zs_status {
     let make = || {
@@ -288,15 +289,15 @@ pub unsafe extern "C" fn zs_depths_scene(depths: *const zs_depths, keep: u32, sc
     unsafe { produce(scene, make) }
 }
 
-/// Destroys depths. NULL is allowed.
+/// Destroys depths.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_depths_destroy(depths: *mut zs_depths) {
-    // SAFETY: an object that the caller gives up, or NULL.
+    // SAFETY: NULL or given up by the caller.
     unsafe { destroy(depths) }
 }
 
 impl zs_depth_options {
-    /// Checks the numbers; whether cameras come from rays.
+    /// Validates the options; returns whether cameras come from rays.
     fn by_rays(&self) -> Result<bool, Failure> {
         if self.reserved != 0 {
             return Err(Failure::argument("zs_depth_options, reserved", self.reserved, "0"));
@@ -312,7 +313,6 @@ impl zs_depth_options {
     }
 }
 
-/// Cameras of whole photos as those of their views.
 fn of_views(cameras: &[Camera], views: &[View]) -> Result<Vec<Camera>, Error> {
     let of_view = |(i, (camera, view)): (usize, (&Camera, &View))| {
         let label = format!("camera {i}");
@@ -322,7 +322,7 @@ fn of_views(cameras: &[Camera], views: &[View]) -> Result<Vec<Camera>, Error> {
     cameras.iter().zip(views).enumerate().map(of_view).collect()
 }
 
-/// The cameras that a network says, of views and of whole photos.
+/// Estimated cameras, of views and of whole photos.
 fn found_cameras(
     depths: &Depths,
     views: &[View],
@@ -337,7 +337,7 @@ fn found_cameras(
     let mut cameras: Vec<Camera> = found.iter().flatten().copied().collect();
     if shared {
         let maps: Vec<PixelMap> = posed.iter().map(|&i| views[i].map).collect();
-        // Photos of one size are of one lens.
+        // Photos of equal size share a lens.
         let size = |i: &usize| views.iter().position(|view| view.map.from == views[*i].map.from).unwrap_or(*i);
         let weights: Vec<f64> = posed.iter().map(|&i| depths.views[i].mean_confidence()).collect();
         share_focal_lengths(&mut cameras, &maps, &posed.iter().map(size).collect::<Vec<_>>(), &weights);

@@ -1,4 +1,4 @@
-//! Gradients: pictures' weights back to Gaussians and cameras, for an optimiser of yours.
+//! Gradients of pictures with respect to Gaussians and cameras.
 
 use super::{
     picture::{zs_camera, zs_pixel_format},
@@ -12,26 +12,26 @@ use zipsplat::{
     types::Camera,
 };
 
-/// Memory of gradients: yours for those that you want, NULL for the others. Every array is written, not added to.
+/// Output buffers of gradients; NULL skips one. Values are overwritten, not accumulated.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_gradients {
-    /// sizeof(zs_gradients); set it before the call.
+    /// sizeof(zs_gradients).
     pub struct_size: u32,
     /// Must be 0.
     pub reserved: u32,
-    /// N x 3 by the centres.
+    /// N x 3, of the centers.
     pub means: *mut f32,
-    /// N x 3 by the standard deviations, which are linear.
+    /// N x 3, of the linear standard deviations.
     pub scales: *mut f32,
-    /// N x 4 by the rotations as you pass them, of any length.
+    /// N x 4, of the unnormalized rotations.
     pub quats: *mut f32,
-    /// N by the opacities.
+    /// N, of the opacities.
     pub opacities: *mut f32,
-    /// N x K x 3 by the coefficients.
+    /// N x K x 3, of the coefficients.
     pub sh_coeffs: *mut f32,
-    /// count x 10 by the cameras: w x, y, z and v x, y, z, where the camera-to-world pose moves as pose o (exp(w^), v), R' = R exp(w^)
-    /// and t' = t + R v; then fx, fy, cx, cy.
+    /// count x 10, of the cameras: w x, y, z and v x, y, z, then fx, fy, cx, cy. The
+    /// camera-to-world pose moves as pose o (exp(w^), v): R' = R exp(w^) and t' = t + R v.
     pub cameras: *mut f32,
 }
 
@@ -54,11 +54,13 @@ unsafe impl Versioned for zs_gradients {
     }
 }
 
-/// Gives the gradients of the sum, over `count` cameras and all pixels, of what zs_render draws of `scene` times its weight. Weights
-/// are what `weights` points to, read and not written: of ZS_PIXEL_RGB_F32, which `options` must have, of alpha and of depth; NULL is 0.
-/// With the weights d loss / d pixel the gradients are those of the loss. Coefficients of bands that are 0 have gradients, too. The
-/// scene need not be the renderer's: the renderer keeps one more on the device, and what it recorded for the last four sizes
-/// and kinds. It returns when `gradients` is written; after a failure nothing is.
+/// Computes the gradients of a weighted sum over all pixels of `count` cameras' pictures. With the
+/// weights d loss / d pixel, these are the gradients of the loss.
+///
+/// `weights` points to weights of color, alpha and depth, read only; NULL is 0. The format must be
+/// ZS_PIXEL_RGB_F32. Zero-valued coefficients also get gradients. `scene` need not be the
+/// renderer's: the renderer keeps a second scene and a cache of four recorded sizes and kinds on
+/// the device. `gradients` is written only on success.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_render_backward(
     renderer: *const zs_renderer,
@@ -105,10 +107,8 @@ pub unsafe extern "C" fn zs_render_backward(
 }
 
 impl zs_picture {
-    /// The weights of a camera's picture.
-    ///
     /// # Safety
-    /// Everything that is not NULL has values for every pixel.
+    /// Pointers that are not NULL have values for every pixel.
     unsafe fn weights(&self, camera: &Camera, i: usize) -> Result<Frame, Failure> {
         for (field, found) in [("reserved", i64::from(self.reserved)), ("stride", self.stride)] {
             if found != 0 {
@@ -135,7 +135,7 @@ impl zs_picture {
 
 impl zs_gradients {
     /// # Safety
-    /// Everything that is not NULL has room for all gradients of its kind.
+    /// Pointers that are not NULL have capacity for all gradients of their kind.
     unsafe fn write(&self, found: &HostGradients) -> Result<(), Failure> {
         let (scene, cameras) = (&found.scene, found.cameras.as_flattened());
         let fields = [

@@ -1,9 +1,10 @@
-//! The C ABI. `engine/bindings/c/include/zipsplat.h` is generated from these files
-//! (`tests/abi/header.rs`), their comments included, so they speak to whoever reads the header:
-//! what a pointer's caller owes is said there, not in `# Safety` sections.
+//! The C ABI.
+//! `tests/abi/header.rs` generates `engine/bindings/c/include/zipsplat.h` from these files, doc
+//! comments included. They address C callers, so caller obligations are in plain text, not in `#
+//! Safety` sections.
 //!
-//! Every entry point runs inside `status::guard`: no panic crosses, a failure leaves a message for its thread. Values that
-//! C can get wrong (enumerations, booleans) arrive as plain integers and are checked.
+//! Every entry point runs inside `status::guard`, which catches panics and stores the thread's
+//! message. Enumerations and booleans arrive as plain integers and are checked.
 #![allow(unsafe_code, non_camel_case_types, clippy::missing_safety_doc)]
 
 mod capture;
@@ -22,7 +23,7 @@ mod status;
 mod version;
 mod vulkan;
 
-/// The header's text on threads.
+/// Checks the header's thread-safety promises.
 const _: () = {
     const fn any_thread<T: Send + Sync>() {}
     any_thread::<zs_bytes>();

@@ -16,91 +16,91 @@ use std::{
 };
 use zipsplat::{Error, ops::Precision, reconstruct::Model, refine::FrozenHead, tune::Chosen, weights::Checkpoint};
 
-/// A network with its weights on a context's device. Any number of threads may reconstruct with a model at the same time.
+/// A network with its weights on a device.
 pub struct zs_model {
     pub(super) model: Model,
-    /// Side of the pictures it is best with.
+    /// Native picture side.
     pub(super) picture_side: u32,
-    /// The latest scene, which stays on the device for renderers.
+    /// Latest scene, kept on the device for renderers.
     pub(super) latest: LatestScene,
-    /// The head by which tokens of its scenes are refined, where they are kept.
+    /// Head for token refinement, if tokens are kept.
     pub(super) head: Option<Arc<FrozenHead>>,
     precision: Precision,
-    /// GPUs and kernels that are not used, one a line.
+    /// Unavailable GPUs and kernels, one per line.
     notes: CString,
 }
 
-/// Called now and then while something takes long, on the thread that made the call, with the share that is done (0 to 1) and
-/// what is under way (for a log; valid during the call). Return 0 to go on; anything else stops the work, which then ends
-/// with ZS_ERROR_CANCELLED. It must return: no longjmp, no C++ exception. It may call zs_ functions, but not with the objects
-/// of the call that it came from.
+/// Progress callback on the calling thread. `fraction` is from 0 to 1; `stage`, for a log, is valid
+/// during the callback. Return 0 to continue; any other value cancels with ZS_ERROR_CANCELLED. No
+/// longjmp and no C++ exception may leave it. It may call zs_ functions, but not on the call's own
+/// objects.
 pub type zs_progress = Option<unsafe extern "C" fn(user_data: *mut c_void, fraction: f64, stage: *const c_char) -> i32>;
 
-/// Options of loading a model.
+/// Options of zs_model_open.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_model_options {
-    /// sizeof(zs_model_options); zs_model_options_default sets it.
+    /// sizeof(zs_model_options).
     pub struct_size: u32,
     /// Number formats. Default ZS_PRECISION_BEST.
     pub precision: zs_precision_value,
-    /// The network of a checkpoint that does not say: "vitg", "vits", "vitb", "vitl", "da3s", "da3b" or "da3l", and what else it
-    /// leaves open, as in "vits:out_layers=5,7,11:alt_start=5:rope_start=5". NULL takes what the file says.
-    /// Default NULL.
+    /// Variant of a checkpoint that does not name its own: "vitg", "vits", "vitb", "vitl", "da3s",
+    /// "da3b" or "da3l". Missing parameters follow, as in
+    /// "vits:out_layers=5,7,11:alt_start=5:rope_start=5". NULL uses the file's.
     pub variant: *const c_char,
-    /// Told how far it is; may stop it. Default NULL.
+    /// Progress callback.
     pub progress: zs_progress,
-    /// Given to `progress`.
+    /// Argument of `progress`.
     pub user_data: *mut c_void,
-    /// 1 to be able to refine the tokens of its scenes with ZS_REFINE_TOKENS: the network's head stays on the device in f32 besides, and
-    /// each scene keeps its tokens there until it is destroyed. Default 0.
+    /// 1 enables ZS_REFINE_TOKENS: an f32 copy of the head and each scene's tokens stay on the
+    /// device.
     pub tokens: u32,
-    /// 0.
+    /// Must be 0.
     pub reserved: u32,
 }
 
-/// Facts about a model.
+/// Properties of a model.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_model_info {
-    /// sizeof(zs_model_info); set it before the call.
+    /// sizeof(zs_model_info).
     pub struct_size: u32,
-    /// Side in pixels of the square pictures that it is best with.
+    /// Native side of its square pictures, in pixels.
     pub picture_side: u32,
-    /// Side of a patch in pixels: sizes of pictures are multiples of it.
+    /// Side of a patch in pixels; picture sides are multiples of it.
     pub patch: u32,
-    /// Gaussians that a token becomes. At ratio 1 there are width / patch * height / patch tokens a photo.
+    /// Gaussians per token. At ratio 1 a photo has width / patch * height / patch tokens.
     pub gaussians_per_token: u32,
-    /// Highest band of spherical harmonics of its scenes.
+    /// Degree of spherical harmonics of its scenes.
     pub sh_degree: u32,
-    /// Number formats in use: a zs_precision other than ZS_PRECISION_BEST.
+    /// Number formats in use, never ZS_PRECISION_BEST.
     pub precision: zs_precision_value,
-    /// Bytes of its weights on the device.
+    /// Bytes of weights on the device.
     pub weight_bytes: u64,
-    /// Reasons why the model may be slow, one a line: GPUs that cannot be used, where a CPU is; kernels that failed the test before their
-    /// first use and are not used, and where that leaves too few, ZS_PRECISION_BEST is ZS_PRECISION_EXACT. "" where there is none.
-    /// Also what was rounded or assumed to read the weights. The model's own memory, there until it is destroyed.
+    /// Warnings, one per line: unusable GPUs, kernels that failed their self-test, assumptions
+    /// about the weights. Failed kernels can reduce ZS_PRECISION_BEST to ZS_PRECISION_EXACT. "" if
+    /// there are none. Points into the model.
     pub notes: *const c_char,
 }
 
-/// Number formats of the network. Geometry is f32 always.
+/// Number formats of the network. Geometry is always f32.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_precision {
-    /// ZS_PRECISION_FAST on a GPU with matrix units whose kernels passed their test, else ZS_PRECISION_EXACT.
+    /// ZS_PRECISION_FAST on a GPU with matrix units that pass the self-test, else
+    /// ZS_PRECISION_EXACT.
     ZS_PRECISION_BEST = 0,
     /// f32 throughout.
     ZS_PRECISION_EXACT = 1,
-    /// f16 factors of matrix products, all else f32. Refused where the device cannot, or fails the test.
+    /// f16 matrix products, otherwise f32. Rejected if unsupported or failing its self-test.
     ZS_PRECISION_FAST = 2,
-    /// bf16 factors of matrix products, all else f32: f32's range in 8 bits. Refused as ZS_PRECISION_FAST.
+    /// bf16 matrix products, otherwise f32. Rejected if unsupported or failing its self-test.
     ZS_PRECISION_FAST_BF16 = 3,
-    /// 8-bit factors in the linear layers of blocks, all else as ZS_PRECISION_FAST.
+    /// 8-bit linear layers of blocks, otherwise as ZS_PRECISION_FAST.
     ZS_PRECISION_TURBO = 4,
 }
 
 impl zs_precision {
-    /// The precision that a number asks for; `None` is the device's best.
     pub(super) fn wanted(number: i32) -> Result<Option<Precision>, Failure> {
         if number == Self::ZS_PRECISION_BEST as i32 {
             return Ok(None);
@@ -134,7 +134,7 @@ unsafe impl Versioned for zs_model_options {
     }
 }
 
-// SAFETY: repr(C), six u32, a u64 and a pointer: no padding but at the end, where pointers have 4 bytes.
+// SAFETY: repr(C), six u32, a u64 and a pointer: padding only at the end for 4-byte pointers.
 unsafe impl Versioned for zs_model_info {
     const NAME: &str = "zs_model_info";
     const FIRST_SIZE: usize = 32 + POINTER;
@@ -152,16 +152,16 @@ unsafe impl Versioned for zs_model_info {
     }
 }
 
-/// Fills `options` with the defaults. `size` is sizeof(zs_model_options).
+/// Sets defaults; `size` is sizeof(zs_model_options).
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_model_options_default(options: *mut zs_model_options, size: usize) -> zs_status {
     // SAFETY: the caller's structure of that size.
     unsafe { write_defaults(options, size) }
 }
 
-/// Loads a checkpoint onto a context's device: safetensors or a PyTorch archive at `path` (UTF-8), the model that is built
-/// into the library for "embedded" (ZS_ERROR_UNSUPPORTED where none is), or random numbers for "seeded:VARIANT", to try things
-/// out. `options` may be NULL.
+/// Loads a checkpoint: safetensors or a PyTorch archive at `path`, the built-in model for
+/// "embedded", or random weights for "seeded:VARIANT". ZS_ERROR_UNSUPPORTED without a built-in
+/// model.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_model_open(
     context: *const zs_context,
@@ -181,7 +181,7 @@ pub unsafe extern "C" fn zs_model_open(
     unsafe { load(context, options, model, checkpoint) }
 }
 
-/// As zs_model_open, with a file's contents, which are not needed any more when this returns.
+/// Loads a checkpoint from memory, as zs_model_open.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_model_from_memory(
     context: *const zs_context,
@@ -193,7 +193,7 @@ pub unsafe extern "C" fn zs_model_from_memory(
     let checkpoint = |variant: Option<&str>| {
         // SAFETY: the caller's array of that size.
         let bytes = unsafe { array(data.cast::<u8>(), size, "bytes of a model") }?;
-        // SAFETY: a checkpoint is dropped in `load`, before this call returns and the caller may free the bytes.
+        // SAFETY: `load` drops the checkpoint before this call returns.
         let bytes = unsafe { std::mem::transmute::<&[u8], &'static [u8]>(bytes) };
         Ok(Checkpoint::from_bytes("model in memory", bytes, variant)?)
     };
@@ -201,7 +201,7 @@ pub unsafe extern "C" fn zs_model_from_memory(
     unsafe { load(context, options, model, checkpoint) }
 }
 
-/// The checkpoint that is built in; where a build has none, that is no mistake of the caller's.
+/// Returns the built-in checkpoint. A build without one is not a caller's mistake.
 fn embedded() -> Result<Checkpoint, Failure> {
     Checkpoint::embedded().map_err(|error| match error {
         Error::Argument { .. } => Failure::unsupported(error.to_string()),
@@ -209,7 +209,7 @@ fn embedded() -> Result<Checkpoint, Failure> {
     })
 }
 
-/// Says what a model is.
+/// Describes a model.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_model_get_info(model: *const zs_model, info: *mut zs_model_info) -> zs_status {
     guard(|| {
@@ -231,17 +231,17 @@ pub unsafe extern "C" fn zs_model_get_info(model: *const zs_model, info: *mut zs
     })
 }
 
-/// Destroys a model. NULL is allowed.
+/// Destroys a model.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_model_destroy(model: *mut zs_model) {
-    // SAFETY: an object that the caller gives up, or NULL.
+    // SAFETY: NULL or given up by the caller.
     unsafe { destroy(model) }
 }
 
-/// Loads what `checkpoint` gives.
+/// Loads the checkpoint.
 ///
 /// # Safety
-/// `context` is NULL or an object, `options` NULL or a structure, `out` NULL or to be written.
+/// `context` and `options` are NULL or valid; `out` is NULL or writable.
 unsafe fn load(
     context: *const zs_context,
     options: *const zs_model_options,
@@ -263,7 +263,7 @@ unsafe fn load(
         let progress = |fraction| report(options.progress, options.user_data, fraction, "weights");
         let model = Model::load_with(&context.device, &checkpoint, chosen.arithmetic, progress)?;
         let head = (options.tokens == 1).then(|| FrozenHead::load(&context.device, &checkpoint)).transpose()?;
-        // No NUL is in what kernels and devices are called.
+        // Names of kernels and devices contain no NUL.
         let notes = [context.device.passed_over(), &chosen.notes, checkpoint.notes()].concat();
         let notes = CString::new(notes.join("\n")).unwrap_or_default();
         Ok(zs_model {
@@ -279,7 +279,6 @@ unsafe fn load(
     unsafe { produce(out, load) }
 }
 
-/// Tells how far a call is.
 pub(super) fn report(progress: zs_progress, user_data: *mut c_void, fraction: f64, stage: &str) -> ControlFlow<()> {
     let Some(progress) = progress else { return ControlFlow::Continue(()) };
     let stage = CString::new(stage).unwrap_or_default();

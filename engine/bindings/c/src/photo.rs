@@ -8,14 +8,14 @@ use super::{
 use std::ffi::{c_char, c_void};
 use zipsplat::types::Image;
 
-/// A photo, decoded, in host memory. It never changes, so any number of threads may use it at the same time.
+/// A decoded photo in host memory.
 pub struct zs_photo {
     pub(super) image: Image,
 }
 
-/// Reads a PNG, JPEG or WebP, told apart by content. The EXIF orientation is applied, alpha is dropped, and of 16-bit samples
-/// the high byte is kept. Cameras of COLMAP, and of what is built on it, are of the pixels as stored, before that orientation: read
-/// photos with such cameras by zs_capture_open_photo. `path` is UTF-8.
+/// Opens a PNG, JPEG or WebP, recognized by content. Applies the EXIF orientation, drops alpha and
+/// keeps the high byte of 16-bit samples. COLMAP cameras refer to unrotated pixels: use
+/// zs_capture_open_photo for them.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_photo_open(path: *const c_char, photo: *mut *mut zs_photo) -> zs_status {
     // SAFETY: a string or NULL.
@@ -24,7 +24,7 @@ pub unsafe extern "C" fn zs_photo_open(path: *const c_char, photo: *mut *mut zs_
     unsafe { produce(photo, open) }
 }
 
-/// As zs_photo_open, with a file's contents: `size` bytes at `data`, which are not needed any more when this returns.
+/// Decodes a photo from `size` bytes at `data`, as zs_photo_open.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_photo_from_memory(
     data: *const c_void,
@@ -38,8 +38,7 @@ pub unsafe extern "C" fn zs_photo_from_memory(
     unsafe { produce(photo, decode) }
 }
 
-/// Fills `image` with where the photo's pixels are (ZS_PIXEL_RGB8), for zs_reconstruct or to read them: the photo's own
-/// memory, there until it is destroyed. Set its struct_size before the call.
+/// Fills `image` with the photo's pixels (ZS_PIXEL_RGB8), which point into the photo.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_photo_get_image(photo: *const zs_photo, image: *mut zs_image) -> zs_status {
     guard(|| {
@@ -52,15 +51,14 @@ pub unsafe extern "C" fn zs_photo_get_image(photo: *const zs_photo, image: *mut 
     })
 }
 
-/// Destroys a photo. NULL is allowed.
+/// Destroys a photo.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_photo_destroy(photo: *mut zs_photo) {
-    // SAFETY: an object that the caller gives up, or NULL.
+    // SAFETY: NULL or given up by the caller.
     unsafe { destroy(photo) }
 }
 
-/// Writes a picture in your memory as a PNG of 8 bits a channel, without alpha. The file appears whole or not at all; one of
-/// that name is replaced. `path` is UTF-8.
+/// Writes a PNG of 8 bits per channel without alpha. An existing file is replaced atomically.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_image_save_png(image: *const zs_image, path: *const c_char) -> zs_status {
     guard(|| {

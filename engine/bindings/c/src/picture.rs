@@ -8,7 +8,7 @@ use glam::{DMat3, DVec3};
 use std::ffi::c_void;
 use zipsplat::types::{Camera, Image, Intrinsics, MAX_DECODED_BYTES, MAX_SIDE, Pose};
 
-/// Layouts of a pixel in memory. Colour is that of ordinary pictures (sRGB-encoded), red, green and blue from 0 to 1 or 255.
+/// Pixel formats. Color is sRGB-encoded, from 0 to 1 or 255.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_pixel_format {
@@ -49,59 +49,60 @@ impl zs_pixel_format {
     }
 }
 
-/// A photo in your memory, read during the call only. Its first row is the top one. Alpha is ignored; f32 values are clamped
-/// to 0..1 and rounded to 8 bits, which is what networks are trained with.
+/// A photo in the caller's memory, top row first. Alpha is ignored; f32 values are clamped to 0..1
+/// and rounded to 8 bits.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_image {
-    /// sizeof(zs_image); set it before the call.
+    /// sizeof(zs_image).
     pub struct_size: u32,
-    /// Layout of a pixel in memory.
+    /// Pixel format.
     pub format: zs_pixel_format_value,
-    /// Pixels a row, 1 to 32768.
+    /// Width in pixels, 1 to 32768.
     pub width: u32,
-    /// Rows, 1 to 32768.
+    /// Height in pixels, 1 to 32768.
     pub height: u32,
-    /// Bytes from a row to the one below it; negative where the picture is stored bottom-up; 0 where row follows row.
+    /// Bytes between rows: negative for bottom-up storage, 0 for contiguous rows.
     pub stride: i64,
-    /// The first pixel of the top row; of any alignment.
+    /// First pixel of the top row, of any alignment.
     pub pixels: *const c_void,
 }
 
-// SAFETY: the pixels are the caller's, who has nobody write them during a call.
+// SAFETY: the caller does not write the pixels during a call.
 unsafe impl Sync for zs_image {}
 
-/// A pinhole camera. Axes are OpenCV's: x right, y down, z forward. Pixel centres are at +0.5: the top left corner of a
-/// picture is (0, 0), so the principal point of a centred lens is (width / 2, height / 2).
+/// A pinhole camera with OpenCV axes: x right, y down, z forward. Pixel centers are at +0.5: the
+/// principal point of a centered lens is (width / 2, height / 2).
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_camera {
-    /// sizeof(zs_camera); set it before the call.
+    /// sizeof(zs_camera).
     pub struct_size: u32,
     /// Must be 0.
     pub reserved: u32,
-    /// Pixels a row.
+    /// Width in pixels.
     pub width: u32,
-    /// Rows.
+    /// Height in pixels.
     pub height: u32,
     /// Horizontal focal length in pixels.
     pub fx: f64,
     /// Vertical focal length in pixels.
     pub fy: f64,
-    /// Principal point from the left edge, in pixels.
+    /// Horizontal principal point in pixels from the left edge.
     pub cx: f64,
-    /// Principal point from the top edge, in pixels.
+    /// Vertical principal point in pixels from the top edge.
     pub cy: f64,
-    /// Camera-to-world rotation, row by row: its columns are the camera's right, down and forward in the world.
+    /// Camera-to-world rotation, row-major: the columns are the camera's right, down and forward
+    /// axes.
     pub rotation: [f64; 9],
-    /// The camera's centre in the world.
+    /// Camera center in the world.
     pub translation: [f64; 3],
 }
 
-/// Most pixels of one photo, as of one that is read from a file.
+/// Limit of pixels of one photo, shared with decoded files.
 const MAX_PIXELS: u64 = MAX_DECODED_BYTES / 3;
 
-// SAFETY: repr(C), four u32, an i64 and a pointer: no padding but at the end, where pointers have 4 bytes.
+// SAFETY: repr(C), four u32, an i64 and a pointer: padding only at the end for 4-byte pointers.
 unsafe impl Versioned for zs_image {
     const NAME: &str = "zs_image";
     const FIRST_SIZE: usize = 24 + POINTER;
@@ -153,7 +154,7 @@ impl zs_camera {
 
 impl zs_image {
     /// # Safety
-    /// All rows can be read.
+    /// All rows are readable.
     pub(super) unsafe fn image(&self, name: &str) -> Result<Image, Failure> {
         let field = |field: &str| format!("{name}, {field}");
         let (width, height, format) = (self.width, self.height, zs_pixel_format::of(self.format)?);
@@ -176,7 +177,7 @@ impl zs_image {
             available: 0,
         })?;
         for y in 0..height as isize {
-            // SAFETY: the caller says that every row can be read; the stride was checked not to wrap.
+            // SAFETY: the caller guarantees readable rows; the stride was checked not to wrap.
             let row = unsafe { std::slice::from_raw_parts(self.pixels.cast::<u8>().offset(y * stride), row_bytes) };
             append_rgb(&mut rgb, row, format);
         }
@@ -184,7 +185,7 @@ impl zs_image {
     }
 }
 
-/// Bytes from row to row: as long as a row or longer either way, and inside the address space over the whole picture.
+/// Returns the checked row stride: at least a row, within the address space for the whole picture.
 pub(super) fn checked_stride(stride: i64, row_bytes: usize, height: u32, name: &str) -> Result<isize, Failure> {
     let stride = if stride == 0 { row_bytes as i64 } else { stride };
     let fits =

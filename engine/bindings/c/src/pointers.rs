@@ -1,4 +1,4 @@
-//! Arguments that come through pointers: handles, structures that grow, strings, arrays.
+//! Pointer arguments: handles, versioned structures, strings, arrays.
 
 use super::status::{Failure, guard, zs_status};
 use std::{
@@ -8,18 +8,18 @@ use std::{
 
 type Result<T> = std::result::Result<T, Failure>;
 
-/// Bytes of a pointer.
 pub(super) const POINTER: usize = size_of::<*const ()>();
 
-/// A structure that begins with its size, so that later versions can add fields at its end.
+/// A structure that begins with its size, so that later versions can append fields.
 ///
 /// # Safety
-/// `repr(C)`, without padding, its first field the u32 `struct_size`, and any bytes behind that are a value.
+/// `repr(C)` without padding; the first field is the u32 `struct_size`; all other bit patterns are
+/// valid.
 pub(super) unsafe trait Versioned: Copy {
     const NAME: &str;
     /// Size in the first version of this ABI.
     const FIRST_SIZE: usize;
-    /// The values of fields that a caller's older structure lacks, and the whole where none is given.
+    /// Defaults for a NULL structure and for fields missing in older ones.
     fn defaults() -> Self;
 }
 
@@ -31,7 +31,7 @@ fn check_size<T: Versioned>(size: usize) -> Result<()> {
     Err(Failure::argument(format!("{}, struct_size", T::NAME), size, expected))
 }
 
-/// The size that a caller's structure says, one that can be.
+/// Returns the checked `struct_size` of a caller's structure.
 ///
 /// # Safety
 /// `pointer` points to a structure's first field.
@@ -41,10 +41,10 @@ unsafe fn given_size<T: Versioned>(pointer: *const T) -> Result<usize> {
     check_size::<T>(size).map(|()| size)
 }
 
-/// A copy of a caller's structure; the defaults where it is NULL.
+/// Copies a caller's structure; NULL gives the defaults.
 ///
 /// # Safety
-/// `pointer` is NULL or points to as many bytes as its first field says.
+/// `pointer` is NULL or points to as many bytes as its first field states.
 pub(super) unsafe fn read_versioned<T: Versioned>(pointer: *const T) -> Result<T> {
     let mut value = T::defaults();
     if pointer.is_null() {
@@ -57,7 +57,7 @@ pub(super) unsafe fn read_versioned<T: Versioned>(pointer: *const T) -> Result<T
     Ok(value)
 }
 
-/// As [`read_versioned`], of a structure that has to be there.
+/// Copies a structure that must not be NULL.
 ///
 /// # Safety
 /// As [`read_versioned`].
@@ -69,10 +69,10 @@ pub(super) unsafe fn read_given<T: Versioned>(pointer: *const T) -> Result<T> {
     unsafe { read_versioned(pointer) }
 }
 
-/// Copies of a caller's array of structures, all of one size; `count` 0 is an empty one, whatever the pointer.
+/// Copies an array of equally sized structures. With `count` 0 the pointer is ignored.
 ///
 /// # Safety
-/// `pointer` is NULL or points to `count` structures, each of as many bytes as the first field of the first says.
+/// `pointer` is NULL or points to `count` structures of the size in the first `struct_size`.
 pub(super) unsafe fn read_array<T: Versioned>(pointer: *const T, count: usize, name: &str) -> Result<Vec<T>> {
     if count == 0 {
         return Ok(Vec::new());
@@ -99,7 +99,7 @@ pub(super) unsafe fn read_array<T: Versioned>(pointer: *const T, count: usize, n
     (0..count).map(element).collect()
 }
 
-/// Fills a caller's structure as far as it reaches; `struct_size` stays the caller's.
+/// Fills a caller's structure up to its `struct_size`, which stays unchanged.
 ///
 /// # Safety
 /// As [`read_versioned`].
@@ -115,7 +115,7 @@ pub(super) unsafe fn write_versioned<T: Versioned>(pointer: *mut T, value: T) ->
     Ok(())
 }
 
-/// Writes the defaults of the version that the caller knows.
+/// Writes the defaults of the caller's version.
 ///
 /// # Safety
 /// `pointer` is NULL or points to `size` bytes.
@@ -125,20 +125,20 @@ pub(super) unsafe fn write_defaults<T: Versioned>(pointer: *mut T, size: usize) 
         if pointer.is_null() {
             return Err(Failure::argument(T::NAME, "NULL", "a structure"));
         }
-        // SAFETY: there is room for `size` bytes, as the caller says.
+        // SAFETY: the caller provides `size` bytes.
         unsafe { pointer.cast::<u32>().write_unaligned(size as u32) };
         // SAFETY: as above, and the size was just written.
         unsafe { write_versioned(pointer, T::defaults()) }
     })
 }
 
-/// Runs a constructor and hands its object out; NULL where it fails.
+/// Runs a constructor and outputs its object, or NULL on failure.
 ///
 /// # Safety
-/// `out` is NULL or can be written.
+/// `out` is NULL or writable.
 pub(super) unsafe fn produce<T>(out: *mut *mut T, body: impl FnOnce() -> Result<T>) -> zs_status {
     if !out.is_null() {
-        // SAFETY: the caller says that it can be written.
+        // SAFETY: the caller guarantees that it is writable.
         unsafe { out.write(std::ptr::null_mut()) };
     }
     guard(|| {
@@ -152,14 +152,14 @@ pub(super) unsafe fn produce<T>(out: *mut *mut T, body: impl FnOnce() -> Result<
     })
 }
 
-/// Takes an object back and drops it; NULL is none.
+/// Drops an object; NULL does nothing.
 ///
 /// # Safety
-/// `handle` is NULL or came from [`produce`] and is used nowhere any more.
+/// `handle` is NULL or came from [`produce`] and is no longer used.
 pub(super) unsafe fn destroy<T>(handle: *mut T) {
     if !handle.is_null() {
-        // SAFETY: made by `Box::into_raw` in `produce`, and given back once. There is no status to report a panic with, and
-        // its message is kept.
+        // SAFETY: created by `Box::into_raw` in `produce` and destroyed once. A panic has no status
+        // to return, but its message is kept.
         let _ = guard(|| {
             drop(unsafe { Box::from_raw(handle) });
             Ok(())
@@ -167,29 +167,25 @@ pub(super) unsafe fn destroy<T>(handle: *mut T) {
     }
 }
 
-/// An object of a call.
-///
 /// # Safety
-/// `handle` is NULL or an object that lives during the call.
+/// `handle` is NULL or an object that outlives the call.
 pub(super) unsafe fn borrow<'a, T>(handle: *const T, name: &str) -> Result<&'a T> {
     // SAFETY: the caller's promise.
     unsafe { handle.as_ref() }.ok_or_else(|| Failure::argument(name, "NULL", "an object that was created"))
 }
 
-/// An array of a call; `count` 0 is an empty one, whatever the pointer.
+/// Borrows an array argument. With `count` 0 the pointer is ignored.
 ///
 /// # Safety
-/// `pointer` is NULL or points to `count` elements that nobody writes during the call.
+/// `pointer` is NULL or points to `count` elements that are not written during the call.
 pub(super) unsafe fn array<'a, T>(pointer: *const T, count: usize, name: &str) -> Result<&'a [T]> {
     check_array(pointer, count, name)?;
     // SAFETY: checked above, and the caller's promise.
     Ok(if count == 0 { &[] } else { unsafe { std::slice::from_raw_parts(pointer, count) } })
 }
 
-/// As [`array`], to write to.
-///
 /// # Safety
-/// As [`array`], and nobody reads it either.
+/// As [`array`], without concurrent reads.
 pub(super) unsafe fn array_mut<'a, T>(pointer: *mut T, count: usize, name: &str) -> Result<&'a mut [T]> {
     check_array(pointer, count, name)?;
     // SAFETY: checked above, and the caller's promise.
@@ -213,17 +209,15 @@ fn check_array<T>(pointer: *const T, count: usize, name: &str) -> Result<()> {
     Ok(())
 }
 
-/// A string of a call.
-///
 /// # Safety
-/// `pointer` is NULL or a string that ends with NUL.
+/// `pointer` is NULL or a NUL-terminated string.
 pub(super) unsafe fn text<'a>(pointer: *const c_char, name: &str) -> Result<&'a str> {
     // SAFETY: the caller's promise.
     let found = unsafe { optional_text(pointer, name) }?;
     found.ok_or_else(|| Failure::argument(name, "NULL", "a string"))
 }
 
-/// As [`text`]; NULL is `None`.
+/// Borrows a string; NULL is `None`.
 ///
 /// # Safety
 /// As [`text`].
@@ -236,7 +230,6 @@ pub(super) unsafe fn optional_text<'a>(pointer: *const c_char, name: &str) -> Re
     bytes.to_str().map(Some).map_err(|error| Failure::argument(name, error, "UTF-8"))
 }
 
-/// The meaning of a progress callback's answer.
 pub(super) fn flow(stop: i32) -> ControlFlow<()> {
     if stop == 0 { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
 }
@@ -245,7 +238,7 @@ pub(super) fn flow(stop: i32) -> ControlFlow<()> {
 mod tests {
     use super::*;
 
-    /// A structure that had no `added` in the first version.
+    /// A structure that gained `added` after its first version.
     #[repr(C)]
     #[derive(Clone, Copy, Debug, PartialEq)]
     struct Grown {
@@ -266,7 +259,7 @@ mod tests {
     #[test]
     fn arrays_of_older_structures_get_defaults() {
         let older = [[8u32, 1], [8, 2], [8, 3]];
-        // SAFETY: three structures of the size that they say.
+        // SAFETY: three structures of their stated size.
         let found = unsafe { read_array::<Grown>(older.as_ptr().cast(), 3, "things") };
         let expected = [1, 2, 3].map(|first| Grown { struct_size: 8, first, added: 7 });
         assert!(found.is_ok_and(|found| found == expected));
@@ -275,7 +268,7 @@ mod tests {
     #[test]
     fn elements_of_other_sizes_are_refused() {
         let mixed = [[8u32, 1], [16, 2], [8, 3]];
-        // SAFETY: three structures of the size that the first of them says.
+        // SAFETY: three structures of the first one's stated size.
         let found = unsafe { read_array::<Grown>(mixed.as_ptr().cast(), 3, "things") };
         let message = found.err().map(|failure| failure.message).unwrap_or_default();
         assert!(message.contains("struct_size of things") && message.contains("16"), "{message}");

@@ -1,49 +1,51 @@
 /*
- * zipsplat.h: photos without poses to a compact scene of 3D Gaussians, and pictures of it, on Vulkan.
+ * zipsplat.h: reconstructs scenes of 3D Gaussians from unposed photos and renders them, on Vulkan.
  *
- * Generated from engine/bindings/c/src. Copyright and licence: see LICENSE (Apache-2.0).
+ * Generated from engine/bindings/c/src. Copyright and license: see LICENSE (Apache-2.0).
  *
- *     zs_context    a device at work; creates
- *     zs_model      a network with its weights on the device; makes
- *     zs_scene      Gaussians in host memory, from a model, a file or your arrays; zs_refine makes them sharp; is drawn by
- *     zs_renderer   a scene on the device; zs_render_backward gives gradients of its pictures
- *     zs_photo      a photo from a file or its bytes, for those who have no pixels yet
- *     zs_capture    the cameras of photos, as a transforms.json or COLMAP has them
- *     zs_bytes      a scene's file in memory
+ *     zs_context    an open device
+ *     zs_model      a network with its weights on the device
+ *     zs_scene      Gaussians in host memory, from a model, a file or arrays
+ *     zs_renderer   a scene on the device
+ *     zs_photo      a decoded photo
+ *     zs_capture    photos and their cameras, from transforms.json or COLMAP
+ *     zs_bytes      an encoded scene file in memory
  *
- * Calls. Every function that can fail returns a zs_status: ZS_OK is 0, everything else a failure, whose message
- * zs_last_error has for the thread that called. A call that fails leaves nothing half made; one that creates an object sets
- * the pointer to NULL first. No C++ exception and no Rust panic leaves a function, and none ends the process, except where the
- * host has no memory left at all.
+ * Errors. Functions that can fail return a zs_status: ZS_OK is 0, any other value a failure.
+ * zs_last_error returns the calling thread's message. A failed call leaves no partial object; a
+ * constructor sets its output to NULL. No C++ exception and no Rust panic crosses this interface.
+ * Only exhausted host memory ends the process.
  *
- * Ownership. What a zs_..._create, _open, _adopt, _from_memory, _to_memory, zs_reconstruct or zs_refine hands out is yours; give
- * it back to its zs_..._destroy, once, on any thread, when no call uses it any more. Destroying NULL does nothing. Objects keep alive
- * what they are made from, so the order of destruction is free; only Vulkan handles of your own must outlive every object on
- * them. Pointers that you pass are read, or written, during the call only, unless their description says more. Pointers that you
- * get from functions returning const char * are never yours to free.
+ * Ownership. The caller owns every object from zs_..._create, _open, _adopt, _from_memory,
+ * _to_memory, zs_reconstruct and zs_refine. Destroy it once, on any thread, when no call uses it.
+ * Destroying NULL does nothing. Objects share ownership of their dependencies, so the order of
+ * destruction is free. Your own Vulkan handles must outlive every object created on them. Pointer
+ * arguments are accessed only during the call unless documented otherwise. Never free a returned
+ * const char *.
  *
- * Threads. Different objects may be used at the same time; so may one zs_context, zs_model or zs_scene. Calls on one
- * zs_renderer wait for each other. Callbacks run on the thread that made the call. Photos, weights and files are prepared by a
- * pool of threads, as many as there are cores or RAYON_NUM_THREADS says, which starts when it is first needed and ends with
- * the process; none of them calls you or touches your queue.
+ * Threads. Threads can share all objects; calls on one zs_renderer wait for each other. Callbacks
+ * run on the calling thread. A thread pool prepares photos, weights and files. It has
+ * RAYON_NUM_THREADS threads, by default one per core, starts on first use and lives as long as the
+ * process. Pool threads never run your callbacks and never touch your queue.
  *
- * Files. Besides the paths that you pass, a library keeps small ones in a folder of the user's: what the test of a device's
- * fast kernels found, and which tiles `zipsplat tune` found fastest. The folder is ZIPSPLAT_CACHE, or `zipsplat` in
- * XDG_CACHE_HOME or LOCALAPPDATA, or .cache/zipsplat in HOME, the first of these environment variables that is set. Where none
- * is, or nothing can be written, the test runs again in every process that needs it. Devices of yours (zs_context_adopt) and
- * ZS_PRECISION_EXACT need none of it.
+ * Cache. The library caches kernel self-test results and the tile sizes of `zipsplat tune` on disk.
+ * The folder is ZIPSPLAT_CACHE, else `zipsplat` in XDG_CACHE_HOME or LOCALAPPDATA, else
+ * .cache/zipsplat in HOME. Without a writable folder every process repeats the test. Adopted
+ * devices (zs_context_adopt) and ZS_PRECISION_EXACT need no cache.
  *
- * Structures that begin with struct_size may grow at their end in later versions. Where there is a ..._default function call
- * it, then set what you want to be different; otherwise set all fields to 0, then struct_size to the sizeof, in every element
- * of an array. A library takes the structures of its own version and of all earlier ones of the same ZS_ABI_VERSION, and
- * refuses larger ones. All others never change.
+ * Structures. Later versions may append fields to a structure that begins with struct_size.
+ * Initialize it with its ..._default function, or zero it and set struct_size to its sizeof, in
+ * every element of an array and also for outputs. A library accepts structures of its own and all
+ * earlier versions with the same ZS_ABI_VERSION and rejects larger ones. Other structures never
+ * change. NULL options are the defaults, which are 0 or NULL unless documented otherwise.
  *
- * Numbers in structures that stand for something (int32_t of an enumeration) are checked; one that is not known is refused.
- * Sizes are in bytes, counts in elements, lengths of pictures in pixels.
+ * Values. Strings are UTF-8. Unknown enumeration values are rejected. Sizes are in bytes, counts in
+ * elements, picture sides in pixels.
  *
- * World. Axes are x right, y down, z forward. That of a scene from photos is the first photo's camera. Where cameras are
- * given their unit is kept. Where none are, the scale is not metric: the network is trained to put what the photos see at a
- * median distance of about 1 from the first of them. That of a scene from a file or from arrays is its own.
+ * World. Axes are x right, y down, z forward. A scene from photos is in the first photo's camera
+ * space. Known cameras set its scale. Without them the scale is not metric: the median distance
+ * from the first camera to visible surfaces is about 1. Scenes from files and arrays keep their
+ * own world.
  *
- * Bits. The same call with the same inputs gives the same bits on the same device and driver, whatever else runs.
+ * Reproducibility. Equal calls on the same device and driver give bitwise equal results.
  */

@@ -24,76 +24,75 @@ use zipsplat::{
     },
 };
 
-/// Ways to choose the tokens that are kept where the ratio is below 1.
+/// Selection of the tokens kept at ratios below 1.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_selection {
-    /// The nearest token of each centroid of k-means: the method's own.
+    /// The token nearest to each k-means centroid, as in the paper.
     ZS_SELECT_KMEANS = 0,
-    /// Evenly spread.
+    /// Evenly spaced.
     ZS_SELECT_STRIDE = 1,
-    /// Random, by `seed`.
+    /// Random, from `seed`.
     ZS_SELECT_RANDOM = 2,
 }
 
 pub(super) type zs_selection_value = i32;
 
-/// The world that a scene is in.
+/// World of a scene.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_world {
-    /// The first photo's camera: x right, y down, z forward.
+    /// The first photo's camera space.
     ZS_WORLD_FIRST_CAMERA = 0,
-    /// The world of `cameras`, which then fit the scene as they are.
+    /// The world of `cameras`.
     ZS_WORLD_CAMERAS = 1,
 }
 
 pub(super) type zs_world_value = i32;
 
-/// Share of the tokens that the paper keeps: 0.5 sqrt(2 / number of photos).
+/// The paper's ratio: 0.5 sqrt(2 / number of photos).
 pub const ZS_RATIO_AUTO: f64 = 0.0;
 
-/// The length that is found from the cameras and, where there is a capture, from its points.
+/// A scale estimated from the cameras and, if given, the capture's points.
 pub const ZS_UNIT_AUTO: f64 = 0.0;
 
-/// Options of a reconstruction.
+/// Options of zs_reconstruct.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_reconstruct_options {
-    /// sizeof(zs_reconstruct_options); zs_reconstruct_options_default sets it.
+    /// sizeof(zs_reconstruct_options).
     pub struct_size: u32,
-    /// World of the scene; ZS_WORLD_CAMERAS needs `cameras`. Default ZS_WORLD_FIRST_CAMERA.
+    /// World of the scene; ZS_WORLD_CAMERAS requires `cameras`. Default ZS_WORLD_FIRST_CAMERA.
     pub world: zs_world_value,
-    /// Share of the tokens that become Gaussians, above 0 and up to 1, or ZS_RATIO_AUTO. Fewer are faster and smaller.
-    /// Default 1.
+    /// Fraction of tokens that become Gaussians, in (0, 1], or ZS_RATIO_AUTO. Default 1.
     pub ratio: f64,
-    /// Length in the unit of `cameras`, and of the scene, that the network takes for 1. It is trained with what the photos see at
-    /// a median distance of about 1 from the first: with cameras in metres of a place 20 m away give 20, or ZS_UNIT_AUTO.
-    /// Default 1.
+    /// Scene scale: the length in units of `cameras` that the network treats as 1, or ZS_UNIT_AUTO.
+    /// The network expects a median distance of about 1 from the first camera. For cameras in
+    /// meters and a place 20 m away, use 20. Default 1.
     pub unit: f64,
-    /// The way to choose the tokens that are kept. Default ZS_SELECT_KMEANS.
+    /// Selection of the kept tokens. Default ZS_SELECT_KMEANS.
     pub selection: zs_selection_value,
-    /// Width of what the network sees of each photo, a multiple of the model's patch: photos are cropped around their centre
-    /// to this shape and scaled to it. 0 for the model's own. Default 0.
+    /// Width of the network's input, a multiple of the patch: photos are center-cropped and
+    /// resized. 0 is the model's own.
     pub width: u32,
-    /// Height of it; 0 together with `width`. Default 0.
+    /// Height of the network's input; 0 exactly if `width` is 0.
     pub height: u32,
-    /// Number of `cameras`: 0, or one for each photo. Default 0.
+    /// Number of `cameras`: 0 or the number of photos.
     pub camera_count: u32,
-    /// For ZS_SELECT_RANDOM: the same seed, the same choice. Default 0.
+    /// Seed for ZS_SELECT_RANDOM.
     pub seed: u64,
-    /// Cameras of the whole photos as you pass them, where they are known; the first one's becomes the world, or `world`
-    /// says otherwise. Their unit is kept; `unit` says how far away the scene is in it. Default NULL.
+    /// Known cameras of the whole photos. The first one becomes the world unless `world` overrides
+    /// it. Their scale is kept.
     pub cameras: *const zs_camera,
-    /// Told how far it is; may stop it. Default NULL.
+    /// Progress callback.
     pub progress: zs_progress,
-    /// Given to `progress`.
+    /// Argument of `progress`.
     pub user_data: *mut c_void,
-    /// The capture that `cameras` are of, for ZS_UNIT_AUTO: its points and all its cameras then say how far away the scene is; where
-    /// it is NULL, `cameras` do. Default NULL.
+    /// Capture of `cameras`, for ZS_UNIT_AUTO: its points and all its cameras give the scale. NULL
+    /// uses `cameras` alone.
     pub capture: *const zs_capture,
-    /// For many photos: attention across them sees the mean of `pool` x `pool` patches in place of each, 1 to 4. More are faster
-    /// and less exact. Default 1.
+    /// Pooling for many photos: cross-view attention reads means of `pool` x `pool` patches, 1 to
+    /// 4. Larger values are faster and less exact. Default 1.
     pub pool: u64,
 }
 
@@ -121,7 +120,7 @@ unsafe impl Versioned for zs_reconstruct_options {
     }
 }
 
-/// Fills `options` with the defaults. `size` is sizeof(zs_reconstruct_options).
+/// Sets defaults; `size` is sizeof(zs_reconstruct_options).
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_reconstruct_options_default(
     options: *mut zs_reconstruct_options,
@@ -131,8 +130,7 @@ pub unsafe extern "C" fn zs_reconstruct_options_default(
     unsafe { write_defaults(options, size) }
 }
 
-/// Reconstructs a scene from 1 to 192 photos of one place. It returns when the scene is there. The world is the first photo's
-/// camera, or what `options` says. `options` may be NULL.
+/// Reconstructs a scene from 1 to 192 photos of one place.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_reconstruct(
     model: *const zs_model,
@@ -158,7 +156,7 @@ pub unsafe extern "C" fn zs_reconstruct(
             (0, 0) => [*picture_side; 2],
             (width, height) => [width, height],
         };
-        // Whatever can be refused is refused before pixels are touched.
+        // Validates everything before touching pixels.
         let pool = usize::try_from(options.pool).unwrap_or(usize::MAX);
         Shape::new(model.architecture(), image_count, [width, height], (ratio, &selection), !cameras.is_empty())?
             .pooled(pool)?;
@@ -190,7 +188,7 @@ pub unsafe extern "C" fn zs_reconstruct(
                 told(PREPARED + (1.0 - PREPARED) * done, now.scope)
             }
         };
-        // Gives its memory back before the next one needs some.
+        // Frees the previous scene's memory first.
         *latest.lock().unwrap_or_else(|poisoned| poisoned.into_inner()) = None;
         let (made, tokens) = match head {
             None => (model.reconstruct(&images, &request, progress(0.0..1.0))?, None),
@@ -217,13 +215,13 @@ pub unsafe extern "C" fn zs_reconstruct(
     unsafe { produce(scene, reconstruct) }
 }
 
-/// Share of a reconstruction that bringing the photos to the network's size counts for in its progress.
+/// Fraction of the progress spent on resizing photos.
 const PREPARED: f64 = 0.1;
 
-/// Photos at the network's size, several at once. `progress` is asked on the calling thread.
+/// Resizes photos to the network's input in parallel. `progress` runs on the calling thread.
 ///
 /// # Safety
-/// All pixels can be read.
+/// All pixels are readable.
 unsafe fn prepare(
     images: &[zs_image],
     [width, height]: [u32; 2],
@@ -253,19 +251,20 @@ impl zs_reconstruct_options {
         Ok(if self.ratio == ZS_RATIO_AUTO { Ratio::Auto } else { Ratio::Fixed(self.ratio) })
     }
 
-    /// `None` is found from the cameras.
+    /// Returns the scale; `None` is estimated from the cameras.
     fn unit(&self) -> Result<Option<f64>, Failure> {
         if self.unit == ZS_UNIT_AUTO {
             return Ok(None);
         }
-        // The scene is f32.
+        // Scenes are f32.
         if !(self.unit as f32).is_normal() || self.unit < 0.0 {
             return Err(Failure::argument("unit", self.unit, "a length above 0, or ZS_UNIT_AUTO"));
         }
         Ok(Some(self.unit))
     }
 
-    /// The pose in the scene's world of its first camera, where that is another than the world.
+    /// Returns the first camera's pose in the scene's world, if the world is not that camera's
+    /// space.
     fn placed(&self, cameras: &[Camera]) -> Result<Option<Pose>, Failure> {
         match (self.world, cameras.first()) {
             (0, _) => Ok(None),

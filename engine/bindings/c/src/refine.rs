@@ -1,4 +1,4 @@
-//! Refinement: a scene made to look like photos.
+//! Refinement: optimizes a scene to match photos.
 
 use super::{
     context::zs_context,
@@ -17,29 +17,29 @@ use zipsplat::{
     types::{Camera, Image, Pose},
 };
 
-/// One photo is held out where there are 9 or more, else none.
+/// Holds out one photo of 9 or more, else none.
 pub const ZS_HOLD_OUT_AUTO: i32 = -1;
 
-/// The values that a refinement moves.
+/// Optimized parameters.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_refine_what {
     /// The scene's Gaussians.
     ZS_REFINE_GAUSSIANS = 0,
-    /// The tokens of which the network's head makes its Gaussians: of a scene as zs_reconstruct made it, with a model that keeps them
-    /// (zs_model_options.tokens).
+    /// The tokens behind the Gaussians, for a scene from zs_reconstruct with
+    /// zs_model_options.tokens.
     ZS_REFINE_TOKENS = 1,
 }
 
 pub(super) type zs_refine_what_value = i32;
 
-/// Reasons why a refinement ended.
+/// Reasons for the end of a refinement.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_refine_end {
-    /// All steps were taken.
+    /// All steps completed.
     ZS_REFINE_FINISHED = 0,
-    /// Your progress callback asked to stop.
+    /// The progress callback stopped it.
     ZS_REFINE_STOPPED = 1,
     /// The loss grew, or became NaN or infinite.
     ZS_REFINE_DIVERGED = 2,
@@ -47,93 +47,90 @@ pub enum zs_refine_end {
 
 pub(super) type zs_refine_end_value = i32;
 
-/// Progress of a refinement. The library fills it, and later versions may add fields at its end.
+/// Progress of a refinement. Later versions may append fields.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_refining {
-    /// Bytes of this structure in the library's version.
+    /// Size of this structure in the library's version.
     pub struct_size: u32,
-    /// Steps that are done.
+    /// Completed steps.
     pub step: u32,
-    /// All steps.
+    /// Total steps.
     pub steps: u32,
     /// 0.
     pub reserved: u32,
-    /// Mean loss of the photos of the last step.
+    /// Mean loss of the last step.
     pub loss: f64,
-    /// PSNR in dB of the held-out photos, when they were looked at last; NaN where none are held out.
+    /// Latest PSNR in dB of the held-out photos; NaN without any.
     pub psnr: f64,
-    /// Seconds that are left, as steps took so far.
+    /// Estimated seconds left.
     pub seconds_left: f64,
 }
 
-/// Called after each step, on the thread that made the call; `now` is valid during the callback. Return 0 to go on. Anything else
-/// ends the refinement early and is no failure: the best scene so far is handed out. It must return: no longjmp, no C++
-/// exception. It may call zs_ functions.
+/// Callback after each step, on the calling thread. `now` is valid during the callback. Return 0 to
+/// continue; any other value ends the refinement early and keeps the best scene. No longjmp and no
+/// C++ exception may leave it. It may call zs_ functions.
 pub type zs_refine_progress = Option<unsafe extern "C" fn(user_data: *mut c_void, now: *const zs_refining) -> i32>;
 
-/// Options of a refinement.
+/// Options of zs_refine.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_refine_options {
-    /// sizeof(zs_refine_options); zs_refine_options_default sets it.
+    /// sizeof(zs_refine_options).
     pub struct_size: u32,
-    /// Steps of the optimiser. Default 100.
+    /// Optimizer steps. Default 100.
     pub steps: u32,
-    /// Photos of a step, at least 1; more than there are to learn from count as all. Default 4.
+    /// Photos per step, at least 1, capped at the number of training photos. Default 4.
     pub views_per_step: u32,
-    /// Photos to hold out, evenly spread, fewer than there are, or ZS_HOLD_OUT_AUTO. Nothing is learnt from them: the scene that is
-    /// handed out is that of the step that predicts them best. Default ZS_HOLD_OUT_AUTO.
+    /// Number of held-out photos, evenly spaced, less than all, or ZS_HOLD_OUT_AUTO. The step with
+    /// their best PSNR is returned. Default ZS_HOLD_OUT_AUTO.
     pub hold_out: i32,
-    /// Most pixels of a photo along x: a larger one is compared at the largest size that fits. 0 for photos as they are.
-    /// Default 1600.
+    /// Largest compared width in pixels; larger photos are downscaled. 0 keeps full size. Default
+    /// 1600.
     pub width: u32,
-    /// Most pixels along y; 0 together with `width`. Default 1600.
+    /// Largest compared height; 0 exactly if `width` is 0. Default 1600.
     pub height: u32,
-    /// Seed of the order of the photos: the same seed, the same scene. Default 0.
+    /// Seed of the photo order.
     pub seed: u64,
-    /// Told how far it is; may stop it. Default NULL.
+    /// Progress callback.
     pub progress: zs_refine_progress,
-    /// Given to `progress`.
+    /// Argument of `progress`.
     pub user_data: *mut c_void,
-    /// The values that are moved. Default ZS_REFINE_GAUSSIANS.
+    /// Optimized parameters. Default ZS_REFINE_GAUSSIANS.
     pub what: zs_refine_what_value,
-    /// 0.
+    /// Must be 0.
     pub reserved: u32,
 }
 
-/// The outcome of a refinement.
+/// Result of a refinement.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_refine_info {
-    /// sizeof(zs_refine_info); set it before the call.
+    /// sizeof(zs_refine_info).
     pub struct_size: u32,
-    /// The reason why the refinement ended.
+    /// Reason for the end.
     pub ended: zs_refine_end_value,
-    /// Steps that were taken.
+    /// Completed steps.
     pub steps: u32,
-    /// The step after which the scene was kept; 0 where none made it better.
+    /// Step of the returned scene; 0 if none improved it.
     pub best_step: u32,
-    /// Mean loss of the photos of the first step, at the size of that step; NaN where there was
-    /// none.
+    /// Mean loss of the first step, at its resolution; NaN without a step.
     pub first_loss: f64,
-    /// Mean loss of the photos of the last step, at the size of that step; NaN where there was
-    /// none.
+    /// Mean loss of the last step, at its resolution; NaN without a step.
     pub last_loss: f64,
-    /// PSNR in dB of the held-out photos before the first step; NaN where none are held out.
+    /// Held-out PSNR in dB before the first step; NaN without held-out photos.
     pub psnr_before: f64,
-    /// PSNR in dB of the held-out photos with the scene that was kept; NaN where none are held out.
+    /// Held-out PSNR in dB of the returned scene; NaN without held-out photos.
     pub psnr: f64,
-    /// Seconds that it took.
+    /// Duration in seconds.
     pub seconds: f64,
-    /// PSNR in dB of the training photos at full size before the first step: the mean of at most
-    /// 16, evenly spread.
+    /// Mean PSNR in dB of up to 16 full-size training photos before the first step.
     pub training_psnr_before: f64,
-    /// PSNR in dB of the same photos with the scene that was kept.
+    /// PSNR in dB of the same photos for the returned scene.
     pub training_psnr: f64,
 }
 
-// SAFETY: repr(C), six values of four bytes, a u64, pointers and two values of four bytes: no padding.
+// SAFETY: repr(C), six 4-byte values, a u64, pointers and two 4-byte values: no padding.
 unsafe impl Versioned for zs_refine_options {
     const NAME: &str = "zs_refine_options";
     const FIRST_SIZE: usize = 32 + 2 * POINTER;
@@ -176,21 +173,19 @@ unsafe impl Versioned for zs_refine_info {
     }
 }
 
-/// Pixels of a photo along a side where nobody says.
+/// Default limit of a photo's side.
 const MOST_PIXELS: u32 = 1600;
 
-/// Fills `options` with the defaults. `size` is sizeof(zs_refine_options).
+/// Sets defaults; `size` is sizeof(zs_refine_options).
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_refine_options_default(options: *mut zs_refine_options, size: usize) -> zs_status {
     // SAFETY: the caller's structure of that size.
     unsafe { write_defaults(options, size) }
 }
 
-/// Makes a scene sharp: moves its Gaussians, or the tokens that it was made of, until each of `count` photos is what the camera of its number sees, and hands out the
-/// result as a scene of its own. The scene may come from anywhere; `cameras` are those of the whole photos, in the scene's world.
-/// It returns when the refinement has ended: after all steps, when `progress` asked to stop, or when the loss grew. That is
-/// no failure: the scene is the best that there was. `options` may be NULL, and so may `info`, which is filled with what came
-/// of it.
+/// Optimizes a copy of a scene to match `count` photos. `cameras` are of the whole photos, in the
+/// scene's world. An early stop or a diverging loss still returns the best scene. `options` and
+/// `info` may be NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_refine(
     context: *const zs_context,
@@ -213,8 +208,7 @@ pub unsafe extern "C" fn zs_refine(
         }
         let request = options.request()?;
         if !info.is_null() {
-            // Refused before anything that takes time.
-            // SAFETY: the caller's structure.
+            // SAFETY: the caller's structure. Checked before expensive work.
             unsafe { write_versioned(info, zs_refine_info::defaults()) }?;
         }
         let cameras: Vec<Camera> = cameras.iter().map(zs_camera::camera).collect::<Result<_, _>>()?;
@@ -273,7 +267,6 @@ impl zs_refine_options {
         Ok(Refine { steps, views_per_step, size, hold_out, seed: self.seed, ..Refine::default() })
     }
 
-    /// Tells the caller how far it is.
     fn tell(&self, now: &Refining<'_>) -> ControlFlow<()> {
         let Some(progress) = self.progress else { return ControlFlow::Continue(()) };
         let now = zs_refining {
@@ -299,7 +292,7 @@ impl ModelTokens {
         request: &Refine,
         progress: impl FnMut(Refining) -> ControlFlow<()>,
     ) -> Result<Refined, Error> {
-        // Tokens know no other world than that of the first camera.
+        // Tokens are in the first camera's space.
         let world = self.pose.unwrap_or(Pose::IDENTITY);
         let camera = |camera: &Camera| Camera { pose: camera.pose.relative_to(&world), ..*camera };
         let cameras: Vec<Camera> = cameras.iter().map(camera).collect();

@@ -1,4 +1,4 @@
-//! Renderers: a scene on a device, drawn into the caller's memory.
+//! Renderers: draw a scene from a device into host memory.
 
 use super::{
     context::zs_context,
@@ -16,23 +16,23 @@ use zipsplat::{
     types::Camera,
 };
 
-/// A scene on a context's device, ready to be drawn. It keeps what it recorded for the last four sizes and kinds of picture:
-/// drawing the same kind again is fast. Threads that use one renderer at the same time wait for each other.
+/// A scene on a device, ready to draw. Caches its recordings for the last four sizes and kinds of
+/// picture.
 pub struct zs_renderer {
-    /// Whether the device is the app's.
+    /// Whether the caller owns the device.
     pub(super) adopted: bool,
     renderer: Mutex<Renderer>,
-    /// Made when gradients are first asked for.
+    /// Created on the first request for gradients.
     differentiator: Mutex<Option<Differentiator>>,
 }
 
 impl zs_renderer {
-    /// Also where a panicking call held the lock: a renderer checks its plans anew every time.
+    /// Recovers a poisoned lock: a renderer validates its plans on every use.
     pub(super) fn lock(&self) -> MutexGuard<'_, Renderer> {
         self.renderer.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
     }
 
-    /// Without one where a panicking call held the lock.
+    /// Resets the value after a panic.
     pub(super) fn differentiator(&self) -> MutexGuard<'_, Option<Differentiator>> {
         self.differentiator.lock().unwrap_or_else(|poisoned| {
             let mut found = poisoned.into_inner();
@@ -46,33 +46,31 @@ impl zs_renderer {
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_depth {
-    /// The mean depth of what is seen: the sum of depth times blending weight, over alpha. 0 where nothing is.
+    /// Expected depth: the blended depth divided by alpha; 0 where alpha is 0.
     ZS_DEPTH_EXPECTED = 0,
-    /// The sum of depth times blending weight.
+    /// Sum of depth times blending weight.
     ZS_DEPTH_ACCUMULATED = 1,
 }
 
 pub(super) type zs_depth_value = i32;
 
-/// Options of drawing.
+/// Options of zs_render.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_render_options {
-    /// sizeof(zs_render_options); zs_render_options_default sets it.
+    /// sizeof(zs_render_options).
     pub struct_size: u32,
-    /// Format of the pixels that are written. 8-bit colour is clamped and truncated, as in the pictures of the reference, 8-bit alpha
-    /// is rounded, f32 values are neither. Where there is alpha it is what covers the background, and colour contains the
-    /// background's share: on black, the default, it is premultiplied. Default ZS_PIXEL_RGBA8.
+    /// Pixel format. 8-bit color is clamped and truncated, 8-bit alpha rounded, f32 unchanged.
+    /// Color includes the background's part; on black it is premultiplied. Default ZS_PIXEL_RGBA8.
     pub format: zs_pixel_format_value,
-    /// Kind of depth that zs_picture.depth gets. Default ZS_DEPTH_EXPECTED.
+    /// Kind of zs_picture.depth. Default ZS_DEPTH_EXPECTED.
     pub depth: zs_depth_value,
-    /// 1 to make Gaussians thinner than a pixel fainter by as much as drawing widens them (Mip-Splatting): for scenes that
-    /// were made that way. Default 0.
+    /// 1 fades Gaussians thinner than a pixel (Mip-Splatting), for scenes trained that way.
     pub antialiased: u32,
-    /// Red, green and blue behind the scene. Default black.
+    /// Background as red, green, blue. Default black.
     pub background: [f32; 3],
-    /// Near plane: the camera depth below which Gaussians are culled, in the scene's unit. 0, the
-    /// default, is 0.01, or less for scenes with an extent below 0.1.
+    /// Near plane: Gaussians at smaller camera depth are culled. 0, the default, is 0.01, or less
+    /// for scenes with an extent below 0.1.
     pub near_plane: f32,
 }
 
@@ -92,18 +90,18 @@ unsafe impl Versioned for zs_render_options {
     }
 }
 
-/// Memory of a picture: yours for what you want of it, NULL for what you do not.
+/// Output buffers of a picture; NULL skips one.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_picture {
-    /// sizeof(zs_picture); set it before the call.
+    /// sizeof(zs_picture).
     pub struct_size: u32,
     /// Must be 0.
     pub reserved: u32,
-    /// Bytes from a row of `pixels` to the one below it; negative to store the picture bottom-up; 0 for row after row. What
-    /// lies between rows is left as it is.
+    /// Bytes between rows of `pixels`: negative for bottom-up storage, 0 for contiguous rows.
+    /// Padding between rows stays unchanged.
     pub stride: i64,
-    /// The first pixel of the top row, in the format of the options; of any alignment.
+    /// First pixel of the top row, in the options' format, of any alignment.
     pub pixels: *mut c_void,
     /// height x width: alpha from 0 to 1.
     pub alpha: *mut f32,
@@ -111,7 +109,7 @@ pub struct zs_picture {
     pub depth: *mut f32,
 }
 
-// SAFETY: repr(C), two u32, an i64 and pointers: no padding but at the end, where pointers have 4 bytes.
+// SAFETY: repr(C), two u32, an i64 and pointers: padding only at the end for 4-byte pointers.
 unsafe impl Versioned for zs_picture {
     const NAME: &str = "zs_picture";
     const FIRST_SIZE: usize = 16 + 3 * POINTER;
@@ -121,10 +119,10 @@ unsafe impl Versioned for zs_picture {
     }
 }
 
-/// Pixels that are drawn before they are copied out.
+/// Pixels drawn before a readback.
 const PIXELS_AT_ONCE: u64 = 1 << 24;
 
-/// Brings a scene to a context's device. The scene may be destroyed afterwards.
+/// Uploads a scene to a context's device. The scene can be destroyed afterwards.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_renderer_create(
     context: *const zs_context,
@@ -142,8 +140,8 @@ pub unsafe extern "C" fn zs_renderer_create(
     unsafe { produce(renderer, create) }
 }
 
-/// Draws another scene from now on. Cheap for one of the same number of Gaussians and degree. After a failure draw nothing
-/// before another call of this has succeeded.
+/// Replaces the scene. Cheap for an equal number of Gaussians and degree. After a failure, retry
+/// successfully before drawing.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_renderer_set_scene(renderer: *const zs_renderer, scene: *const zs_scene) -> zs_status {
     guard(|| {
@@ -153,22 +151,22 @@ pub unsafe extern "C" fn zs_renderer_set_scene(renderer: *const zs_renderer, sce
     })
 }
 
-/// Destroys a renderer, after waiting for pictures on their way to zs_vulkan_target. NULL is allowed.
+/// Destroys a renderer, after waiting for its copies to Vulkan targets.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_renderer_destroy(renderer: *mut zs_renderer) {
-    // SAFETY: an object that the caller gives up, or NULL.
+    // SAFETY: NULL or given up by the caller.
     unsafe { destroy(renderer) }
 }
 
-/// Fills `options` with the defaults. `size` is sizeof(zs_render_options).
+/// Sets defaults; `size` is sizeof(zs_render_options).
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_render_options_default(options: *mut zs_render_options, size: usize) -> zs_status {
     // SAFETY: the caller's structure of that size.
     unsafe { write_defaults(options, size) }
 }
 
-/// Draws `count` cameras, each into the picture of its number. It returns when all are written. Cameras of one size are drawn
-/// together. After a failure some pictures may be written. `options` may be NULL.
+/// Draws one picture per camera. Cameras of equal size are batched. After a failure some pictures
+/// may be written.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_render(
     renderer: *const zs_renderer,
@@ -224,7 +222,6 @@ pub unsafe extern "C" fn zs_render(
 }
 
 impl zs_render_options {
-    /// The pixel format of options that can be drawn.
     pub(super) fn checked(&self) -> Result<zs_pixel_format, Failure> {
         if !self.near_plane.is_finite() || self.near_plane < 0.0 {
             return Err(Failure::argument("near_plane", self.near_plane, "0 or a positive distance"));
@@ -235,7 +232,6 @@ impl zs_render_options {
         zs_pixel_format::of(self.format)
     }
 
-    /// The request of all pictures together.
     pub(super) fn request(&self, format: zs_pixel_format, pictures: &[zs_picture]) -> Result<RenderRequest, Failure> {
         let depth = match self.depth {
             0 => Depth::Expected,
@@ -259,7 +255,7 @@ impl zs_render_options {
 
 impl zs_picture {
     /// # Safety
-    /// Everything that is not NULL has room for the frame.
+    /// Pointers that are not NULL have capacity for the frame.
     unsafe fn write(&self, frame: &Frame, format: zs_pixel_format, stride: isize) -> Result<(), Failure> {
         for (name, to, from) in [("alpha", self.alpha, &frame.alpha), ("depth", self.depth, &frame.depth)] {
             if let (false, Some(from)) = (to.is_null(), from) {
@@ -282,7 +278,7 @@ impl zs_picture {
     }
 }
 
-/// One row; `alpha` has values where the format has them.
+/// Encodes one row; `alpha` is filled if the format has it.
 fn encode_row(row: &mut [u8], colors: &[f32], alpha: &[f32], format: zs_pixel_format) {
     let byte = |value: f32| (value.clamp(0.0, 1.0) * 255.0) as u8;
     let alpha_byte = |value: f32| (value.clamp(0.0, 1.0) * 255.0).round_ties_even() as u8;

@@ -1,4 +1,4 @@
-//! Scenes: Gaussians in and out of arrays, files and bytes.
+//! Scenes: Gaussians from and to arrays, files and bytes.
 
 use super::{
     picture::zs_camera,
@@ -24,32 +24,30 @@ use zipsplat::{
     stages::render::{DeviceScene, Renderer, WeakScene},
 };
 
-/// 3D Gaussians in host memory. A scene never changes, so any number of threads may use it at the same time. It belongs to no
-/// context: it outlives devices, also lost ones. A renderer copies what it needs, so a scene may be destroyed before it.
+/// 3D Gaussians in host memory. Independent of contexts; survives device loss.
 pub struct zs_scene {
     pub(super) scene: Scene,
-    /// The same Gaussians on a device, for as long as the model that made them keeps them there.
+    /// The device copy, while its model keeps it.
     pub(super) on_device: Option<WeakScene>,
-    /// The tokens that a model made it of, where that model keeps them.
+    /// Source tokens, if the model keeps them.
     pub(super) tokens: Option<ModelTokens>,
-    /// Where its Gaussians were seen, where it was made of photos without cameras.
+    /// Pixel positions of its Gaussians, for scenes from photos without cameras.
     pub(super) seen: Option<Seen>,
 }
 
-/// The tokens of a scene, and what makes Gaussians of them.
+/// The tokens of a scene, and the head that decodes them.
 pub(super) struct ModelTokens {
     pub tokens: SceneTokens,
     pub head: Arc<FrozenHead>,
-    /// The model's.
     pub arena: Arena,
-    /// The pose in the scene's world of its first camera, where that is another than the world.
+    /// The first camera's pose in the scene's world, if the world is not that camera's space.
     pub pose: Option<Pose>,
 }
 
-/// Photos without cameras that a scene was made of.
+/// Unposed photos of a scene.
 pub(super) struct Seen {
     pub patches: Patches,
-    /// From each photo to what the network saw of it.
+    /// Maps from each photo to the network's input.
     pub maps: Vec<PixelMap>,
 }
 
@@ -57,19 +55,18 @@ pub(super) struct Seen {
 pub(super) type LatestScene = Mutex<Option<DeviceScene>>;
 
 impl zs_scene {
-    /// A scene that a model just made, in place of the one that it made before.
+    /// Wraps a model's new scene and releases the previous device copy.
     pub(super) fn on_device(scene: Scene, latest: &LatestScene, gaussians: DeviceScene) -> Self {
         let on_device = Some(gaussians.downgrade());
         *latest.lock().unwrap_or_else(|poisoned| poisoned.into_inner()) = Some(gaussians);
         Self { scene, on_device, tokens: None, seen: None }
     }
 
-    /// With the photos that it was made of.
     pub(super) fn seen(self, seen: Option<Seen>) -> Self {
         Self { seen, ..self }
     }
 
-    /// Lets a renderer draw it: from the device's own Gaussians where they still are there.
+    /// Loads the scene into a renderer, from the device copy if it still exists.
     pub(super) fn load(&self, renderer: &mut Renderer) -> Result<(), Error> {
         let shown = self.on_device.as_ref().and_then(WeakScene::upgrade).map(|gaussians| renderer.show(&gaussians));
         match shown {
@@ -85,43 +82,44 @@ impl From<Scene> for zs_scene {
     }
 }
 
-/// Bytes of the library's, such as a scene's file in memory. They never change.
+/// Bytes owned by the library, such as an encoded scene file. Immutable.
 pub struct zs_bytes {
     bytes: Vec<u8>,
 }
 
-/// Gaussians as arrays, one a property, each as long as it says.
+/// Gaussians as one array per property.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_gaussians {
-    /// sizeof(zs_gaussians); set it before the call.
+    /// sizeof(zs_gaussians).
     pub struct_size: u32,
-    /// Highest band of spherical harmonics, 0 to 3. There are K = (sh_degree + 1)^2 coefficients a Gaussian and channel.
+    /// Degree of spherical harmonics, 0 to 3: K = (sh_degree + 1)^2 coefficients per channel.
     pub sh_degree: u32,
     /// N, the number of Gaussians.
     pub count: u64,
-    /// N x 3 centres.
+    /// N x 3 centers.
     pub means: *const f32,
-    /// N x 3 standard deviations along the Gaussian's own axes: linear, not logarithms; not negative.
+    /// N x 3 linear standard deviations along the Gaussian's axes, not negative.
     pub scales: *const f32,
-    /// N x 4 rotations as quaternions w, x, y, z; of any length but zero.
+    /// N x 4 quaternions w, x, y, z of any length but zero.
     pub quats: *const f32,
     /// N opacities from 0 to 1.
     pub opacities: *const f32,
-    /// N x K x 3 coefficients of spherical harmonics for red, green, blue: those of 3D Gaussian Splatting's files. The basis is
-    /// real and orthonormal, band after band and from m = -l to l in each, negative where m is odd. It begins with 0.282095,
-    /// -0.488603 y, 0.488603 z, -0.488603 x, where (x, y, z) is the unit vector in the world from the camera to the Gaussian's
-    /// centre. Colour is 0.5 plus the sum of basis times coefficients, and not below 0.
+    /// N x K x 3 coefficients of spherical harmonics for red, green, blue, as in 3D Gaussian
+    /// Splatting. The basis is real and orthonormal, by band, then m = -l to l, negative for odd m.
+    /// It begins with 0.282095, -0.488603 y, 0.488603 z, -0.488603 x. (x, y, z) is the unit vector
+    /// in the world from the camera to the Gaussian's center. Color is max(0, 0.5 + sum of basis
+    /// times coefficients).
     pub sh_coeffs: *const f32,
 }
 
-/// Options of writing a scene.
+/// Options of zs_scene_save.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_save_options {
-    /// sizeof(zs_save_options); zs_save_options_default sets it.
+    /// sizeof(zs_save_options).
     pub struct_size: u32,
-    /// Version of an SPZ: 3; 2 for older readers; 4, packed by zstd, for those that know only the newest. Default 3.
+    /// SPZ version: 2, 3 or 4 (zstd). Default 3.
     pub spz_version: u32,
 }
 
@@ -154,8 +152,7 @@ unsafe impl Versioned for zs_save_options {
     }
 }
 
-/// Fills `gaussians` with how large a scene is and where its arrays are: the scene's own memory, there until it is destroyed.
-/// Set its struct_size before the call.
+/// Fills `gaussians` with the scene's size and arrays, which point into the scene.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_get_gaussians(scene: *const zs_scene, gaussians: *mut zs_gaussians) -> zs_status {
     guard(|| {
@@ -176,7 +173,7 @@ pub unsafe extern "C" fn zs_scene_get_gaussians(scene: *const zs_scene, gaussian
     })
 }
 
-/// Makes a scene of your arrays, which are copied. All of them must be there, and every value finite and in its range.
+/// Creates a scene from copies of arrays. All are required, with finite values in their range.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_create(gaussians: *const zs_gaussians, scene: *mut *mut zs_scene) -> zs_status {
     let create = || {
@@ -207,11 +204,12 @@ pub unsafe extern "C" fn zs_scene_create(gaussians: *const zs_gaussians, scene: 
     unsafe { produce(scene, create) }
 }
 
-/// More fill no device's memory, and their arrays' sizes stay far from wrapping.
+/// Keeps array sizes far from overflow; more Gaussians exceed any device's memory.
 const MAX_GAUSSIANS: usize = 1 << 28;
 
-/// Reads a scene file: PLY of 3D Gaussian Splatting, also packed (.compressed.ply), SPZ, .splat, glTF with KHR_gaussian_splatting
-/// (.gltf, .glb). Whatever axes the format has, the scene's are x right, y down, z forward. `path` is UTF-8.
+/// Opens a scene file: PLY of 3D Gaussian Splatting, .compressed.ply, SPZ, .splat, or glTF with
+/// KHR_gaussian_splatting (.gltf, .glb). Axes become x right, y down, z forward. Rejects NaN,
+/// infinite and out-of-range values.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_open(path: *const c_char, scene: *mut *mut zs_scene) -> zs_status {
     // SAFETY: a string or NULL.
@@ -220,8 +218,8 @@ pub unsafe extern "C" fn zs_scene_open(path: *const c_char, scene: *mut *mut zs_
     unsafe { produce(scene, open) }
 }
 
-/// As zs_scene_open, which refuses a file with values that are NaN, infinite or out of range: here Gaussians with such values are
-/// left out, and `dropped` gets their number. `dropped` may be NULL.
+/// Opens a scene file without its invalid Gaussians. `dropped` receives their number and may be
+/// NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_open_dropping_invalid(
     path: *const c_char,
@@ -242,10 +240,10 @@ pub unsafe extern "C" fn zs_scene_open_dropping_invalid(
     unsafe { produce(scene, open) }
 }
 
-/// As zs_scene_open, with a file's contents: `size` bytes at `data`, which are not needed any more when this returns. PLY, SPZ and
-/// .glb are told apart by their first bytes; `format` names one that they do not tell ("splat", "gltf"), and may be NULL. A
-/// glTF may name no other file. Where `dropped` is not NULL, Gaussians with values that are NaN, infinite or out of range are left
-/// out and it gets their number; where it is NULL, such a scene is refused.
+/// Decodes a scene from `size` bytes at `data`, as zs_scene_open. `format` is NULL for PLY, SPZ and
+/// .glb, which are recognized by content, else "splat" or "gltf". A glTF must not refer to other
+/// files. If `dropped` is not NULL, invalid Gaussians are dropped and counted there; otherwise they
+/// are an error.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_from_memory(
     data: *const c_void,
@@ -276,15 +274,15 @@ fn format_named(name: &str) -> Result<SceneFormat, Failure> {
     SceneFormat::named(name).ok_or_else(|| Failure::argument("format", name, SceneFormat::EXTENSIONS))
 }
 
-/// Fills `options` with the defaults. `size` is sizeof(zs_save_options).
+/// Sets defaults; `size` is sizeof(zs_save_options).
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_save_options_default(options: *mut zs_save_options, size: usize) -> zs_status {
     // SAFETY: the caller's structure of that size.
     unsafe { write_defaults(options, size) }
 }
 
-/// Writes a scene in the format of the path's extension: .ply, .spz, .splat, .gltf or .glb. The file appears whole or not at
-/// all; one of that name is replaced. `options` may be NULL. `path` is UTF-8.
+/// Writes a scene in the format of the path's extension: .ply, .spz, .splat, .gltf or .glb. An
+/// existing file is replaced atomically.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_save(
     scene: *const zs_scene,
@@ -299,8 +297,7 @@ pub unsafe extern "C" fn zs_scene_save(
     })
 }
 
-/// As zs_scene_save, to memory: what the file of `format` ("ply", "spz", "splat", "gltf" or "glb") would have is handed out
-/// as an object, which is yours to destroy. `options` may be NULL.
+/// Encodes a scene to memory. `format` is "ply", "spz", "splat", "gltf" or "glb".
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_to_memory(
     scene: *const zs_scene,
@@ -319,7 +316,7 @@ pub unsafe extern "C" fn zs_scene_to_memory(
     unsafe { produce(bytes, encode) }
 }
 
-/// Says where bytes are and how many: the object's own memory, there until it is destroyed.
+/// Returns address and size of the bytes, which belong to the object.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_bytes_get(bytes: *const zs_bytes, data: *mut *const c_void, size: *mut usize) -> zs_status {
     guard(|| {
@@ -336,11 +333,14 @@ pub unsafe extern "C" fn zs_bytes_get(bytes: *const zs_bytes, data: *mut *const 
     })
 }
 
-/// Finds the cameras of the photos of a scene that zs_reconstruct made of `count` photos without cameras, in the scene's world: from
-/// where the Gaussians of each of a photo's patches are. The photos are taken to share a field of view, which is found, too.
-/// `cameras` is an array of `count`, each with its struct_size set; each gets the camera of the whole photo. `inliers` gets the number
-/// of patches that agree with it and `patches` how many there were; both are arrays of `count` or NULL. A photo whose
-/// camera is not found has a camera of width 0 and no inliers; where none is found, that is an error.
+/// Estimates the cameras of the `count` unposed photos of a scene from zs_reconstruct, in the
+/// scene's world. They follow from the Gaussians of each photo's patches and share an estimated
+/// field of view.
+///
+/// `cameras` is an array of `count` with struct_size set, for the cameras of the whole photos.
+/// `inliers` receives the number of consistent patches and `patches` the total; both are arrays of
+/// `count` or NULL. A photo without a camera gets width 0 and no inliers. No camera at all is an
+/// error.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_cameras(
     scene: *const zs_scene,
@@ -359,7 +359,7 @@ pub unsafe extern "C" fn zs_scene_cameras(
         if count != maps.len() {
             return Err(Failure::argument("number of cameras", count, format!("{}, one a photo", maps.len())));
         }
-        // SAFETY: the caller's arrays; those that may be NULL are looked at only where they are not.
+        // SAFETY: the caller's arrays; optional ones are accessed only if not NULL.
         let (given, mut inliers, mut patches) = unsafe {
             let counts = |at: *mut u32, name| (!at.is_null()).then(|| array_mut(at, count, name)).transpose();
             (read_array(cameras, count, "cameras")?, counts(inliers, "inliers")?, counts(patches, "patches")?)
@@ -372,7 +372,7 @@ pub unsafe extern "C" fn zs_scene_cameras(
             let camera = found.as_ref().map_or(Versioned::defaults(), |found| {
                 zs_camera::from(&Camera { intrinsics: map.undo(&found.camera.intrinsics), ..found.camera })
             });
-            // SAFETY: the caller's array of structures, all as long as the first, as was just checked.
+            // SAFETY: the caller's array; its elements were just checked to have equal sizes.
             unsafe { write_versioned(cameras.byte_add(i * given[0].struct_size as usize), camera) }?;
             let counts = found.map_or([0; 2], |found| [found.inliers, found.pairs]);
             for (array, number) in [&mut inliers, &mut patches].into_iter().zip(counts) {
@@ -383,16 +383,16 @@ pub unsafe extern "C" fn zs_scene_cameras(
     })
 }
 
-/// Destroys bytes. NULL is allowed.
+/// Destroys bytes.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_bytes_destroy(bytes: *mut zs_bytes) {
-    // SAFETY: an object that the caller gives up, or NULL.
+    // SAFETY: NULL or given up by the caller.
     unsafe { destroy(bytes) }
 }
 
-/// Destroys a scene. NULL is allowed.
+/// Destroys a scene.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_destroy(scene: *mut zs_scene) {
-    // SAFETY: an object that the caller gives up, or NULL.
+    // SAFETY: NULL or given up by the caller.
     unsafe { destroy(scene) }
 }

@@ -1,4 +1,4 @@
-//! The ends of calls: a status, and a message for the thread that called.
+//! Status codes and error messages.
 
 use std::{
     any::Any,
@@ -8,41 +8,40 @@ use std::{
 };
 use zipsplat::Error;
 
-/// The end of a call. Numbers are never given a new meaning; later versions may add some, so treat one that you do not know
-/// as a failure.
+/// Result of a call. Values never change meaning. Later versions may add some: treat unknown ones
+/// as failures.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_status {
-    /// The call did what it says.
+    /// Success.
     ZS_OK = 0,
-    /// A value you gave cannot be used: give another. The message names it, what was found and what is expected.
+    /// An argument is invalid. The message names it, the value found and the value expected.
     ZS_ERROR_ARGUMENT = 1,
     /// A file could not be opened, read or written.
     ZS_ERROR_IO = 2,
-    /// A file's or buffer's bytes are not what its format allows.
+    /// A file or buffer violates its format.
     ZS_ERROR_FORMAT = 3,
-    /// A checkpoint's tensors are not those of its network.
+    /// A checkpoint's tensors do not match its network.
     ZS_ERROR_WEIGHTS = 4,
-    /// No Vulkan loader, no driver, or none whose device can run this. The message says what is missing.
+    /// No Vulkan loader, driver or suitable device. The message lists missing requirements.
     ZS_ERROR_NO_DEVICE = 5,
-    /// The device or the host has too little memory. Nothing was submitted; the message has the bytes.
+    /// Too little device or host memory. Nothing was submitted; the message has the sizes.
     ZS_ERROR_OUT_OF_MEMORY = 6,
-    /// The driver refused a call that should have worked, or the validation layer had something to say.
+    /// The driver or the validation layer reported an error.
     ZS_ERROR_DRIVER = 7,
-    /// The device is lost: it was reset or removed. Destroy everything that belongs to its context and create a new one;
-    /// scenes are in host memory and survive.
+    /// The device was reset or removed. Destroy every object of its context and create a new one.
+    /// Scenes survive.
     ZS_ERROR_DEVICE_LOST = 8,
-    /// Your progress callback asked to stop.
+    /// The progress callback canceled.
     ZS_ERROR_CANCELLED = 9,
-    /// The build of the library does not have what was asked for.
+    /// Not available in this build of the library.
     ZS_ERROR_UNSUPPORTED = 10,
-    /// A bug in the library. It goes on working, but the objects of this call are better destroyed.
+    /// A bug in the library. Destroy the objects of this call; others stay usable.
     ZS_ERROR_INTERNAL = 11,
 }
 
 use zs_status::*;
 
-/// Every status, for names and tests.
 pub(super) const STATUSES: [(zs_status, &CStr); 12] = [
     (ZS_OK, c"ZS_OK"),
     (ZS_ERROR_ARGUMENT, c"ZS_ERROR_ARGUMENT"),
@@ -58,27 +57,26 @@ pub(super) const STATUSES: [(zs_status, &CStr); 12] = [
     (ZS_ERROR_INTERNAL, c"ZS_ERROR_INTERNAL"),
 ];
 
-/// A status's name as it is written here, "unknown status" for a number that is none. Static: never free it.
+/// Returns the name of a status, "unknown status" for an unknown number.
 #[unsafe(no_mangle)]
 pub extern "C" fn zs_status_name(status: i32) -> *const c_char {
     let known = STATUSES.iter().find(|(known, _)| *known as i32 == status);
     known.map_or(c"unknown status", |(_, name)| name).as_ptr()
 }
 
-/// The failure of the last call of this thread that failed, in one sentence of UTF-8 for a log or a developer; "" when
-/// none has failed. A thread has one place for its message, the same until the thread ends: the pointer stays good, and the next
-/// call of this thread that fails writes its message there. So a call and its message may stand in one expression, whichever
-/// is evaluated first: printf("%s: %s", zs_status_name(zs_scene_open(path, &scene)), zs_last_error()). A message of more than
-/// 16 KiB is cut. Copy one that you want to keep.
+/// Returns the message of the calling thread's last failure, as UTF-8; "" if there is none. The
+/// pointer stays valid until the thread ends; the next failure overwrites the message. A call and
+/// its message may share an expression: printf("%s: %s", zs_status_name(zs_scene_open(path,
+/// &scene)), zs_last_error()). Messages are truncated at 16 KiB.
 #[unsafe(no_mangle)]
 pub extern "C" fn zs_last_error() -> *const c_char {
     LAST_ERROR.try_with(|last| last.0.as_ptr().cast()).unwrap_or(c"".as_ptr())
 }
 
-/// A thread's message at a place that never moves. Cells, as C reads it through a pointer from before it was written.
+/// A thread's message at a fixed address. Cells, because C may hold the pointer during a write.
 struct Message(Box<[Cell<u8>]>);
 
-/// Bytes of the longest message, with its NUL.
+/// Capacity of a message in bytes, including NUL.
 const MAX_MESSAGE: usize = 16 << 10;
 
 impl Message {
@@ -86,7 +84,7 @@ impl Message {
         Self(vec![Cell::new(0); MAX_MESSAGE].into())
     }
 
-    /// Replaces the message, cut between characters where it is too long.
+    /// Replaces the message, truncated at a character boundary.
     fn set(&self, message: &str) {
         let end = (0..MAX_MESSAGE.min(message.len() + 1)).rev().find(|end| message.is_char_boundary(*end)).unwrap_or(0);
         let bytes = message.as_bytes()[..end].iter().map(|byte| if *byte == 0 { b' ' } else { *byte });
@@ -98,7 +96,6 @@ thread_local! {
     static LAST_ERROR: Message = Message::new();
 }
 
-/// The failure of a call.
 pub(super) struct Failure {
     pub status: zs_status,
     pub message: String,
@@ -138,11 +135,11 @@ impl From<Error> for Failure {
     }
 }
 
-/// Runs an entry point: catches panics, keeps the message.
+/// Runs an entry point: catches panics and stores the message.
 pub(super) fn guard(body: impl FnOnce() -> Result<(), Failure>) -> zs_status {
     let result = catch_unwind(AssertUnwindSafe(body)).unwrap_or_else(|payload| Err(Failure::panicked(payload)));
     let Err(Failure { status, message }) = result else { return ZS_OK };
-    // A thread that is ending has no messages any more.
+    // Fails only on a thread that is ending.
     let _ = LAST_ERROR.try_with(|last| last.set(&message));
     status
 }
@@ -154,7 +151,7 @@ mod tests {
     #[test]
     fn a_panic_ends_as_an_internal_error() {
         assert_eq!(guard(|| panic!("index {} of {}", 3, 2)), ZS_ERROR_INTERNAL);
-        // SAFETY: the message of this thread, read before the next call.
+        // SAFETY: this thread's message, read before the next call.
         let message = unsafe { CStr::from_ptr(zs_last_error()) };
         assert_eq!(message.to_str(), Ok("a bug in zipsplat: index 3 of 2"));
     }
@@ -166,7 +163,7 @@ mod tests {
             let bytes: Vec<u8> = message.0.iter().map(Cell::get).collect();
             CStr::from_bytes_until_nul(&bytes).expect("it ends").to_str().expect("UTF-8").to_owned()
         };
-        // Two bytes each: the last one does not fit in front of the NUL.
+        // Two bytes each: the last one does not fit before the NUL.
         message.set(&"ä".repeat(MAX_MESSAGE));
         assert_eq!(found().len(), MAX_MESSAGE - 2);
         for (text, expected) in [("a\0b", "a b"), ("", "")] {

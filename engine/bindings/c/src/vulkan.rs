@@ -1,4 +1,4 @@
-//! An app's own Vulkan device, images and buffers.
+//! The caller's own Vulkan device, images and buffers.
 
 use super::{
     context::zs_context,
@@ -20,46 +20,46 @@ use zipsplat::{
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_requirement_kind {
-    /// `name` is the least version for VkApplicationInfo.apiVersion and of the device, as "1.3".
+    /// `name` is the minimum API version, as "1.3", for VkApplicationInfo.apiVersion and the
+    /// device.
     ZS_REQUIRES_API_VERSION = 0,
-    /// `name` is an extension of the device.
+    /// `name` is a device extension.
     ZS_REQUIRES_DEVICE_EXTENSION = 1,
-    /// `name` is a field to set to VK_TRUE of the structure `structure`, in the chain of VkDeviceCreateInfo.
+    /// `name` is a field of `structure` to set to VK_TRUE in the VkDeviceCreateInfo chain.
     ZS_REQUIRES_FEATURE = 2,
 }
 
 pub(super) type zs_requirement_kind_value = i32;
 
-/// Something that has to be enabled on a device of yours.
+/// A requirement for the caller's device.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_vulkan_requirement {
     /// Kind of the requirement.
     pub kind: zs_requirement_kind_value,
-    /// 1 where only precisions other than exact need it: enable those that the device has, all of them, and say so in
+    /// 1 if only faster precisions need it. Enable all that the device supports, then set
     /// zs_vulkan_device.fast.
     pub optional: u32,
-    /// Static: never free it.
     pub name: *const c_char,
-    /// Static; "" but for a feature.
+    /// Static; "" unless a feature.
     pub structure: *const c_char,
 }
 
 /// vkGetInstanceProcAddr, cast to a function without arguments.
 pub type zs_vulkan_function = Option<unsafe extern "C" fn()>;
 
-/// Locks or unlocks a queue. It must return, and call nothing of this library.
+/// Locks or unlocks a queue. Must return and must not call this library.
 pub type zs_queue_lock = Option<unsafe extern "C" fn(user_data: *mut c_void)>;
 
-/// Vulkan handles of yours. Every one is used and none is destroyed; nothing is enabled on them.
+/// Borrowed Vulkan handles. The library uses and never destroys them.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_vulkan_device {
-    /// sizeof(zs_vulkan_device); zs_vulkan_device_default sets it.
+    /// sizeof(zs_vulkan_device).
     pub struct_size: u32,
-    /// Family of `queue`; it must be able to compute.
+    /// Family of `queue`, with compute support.
     pub queue_family: u32,
-    /// Your vkGetInstanceProcAddr; NULL for that of the system's loader. Default NULL.
+    /// vkGetInstanceProcAddr; NULL uses the system's loader.
     pub get_instance_proc_addr: zs_vulkan_function,
     /// VkInstance.
     pub instance: *mut c_void,
@@ -67,71 +67,70 @@ pub struct zs_vulkan_device {
     pub physical_device: *mut c_void,
     /// VkDevice.
     pub device: *mut c_void,
-    /// VkQueue. The engine submits to it from the threads that call the engine, never from one of its own.
+    /// VkQueue. Submissions happen only on calling threads.
     pub queue: *mut c_void,
-    /// Called before each submission to `queue`, on the thread that submits; `unlock_queue` right after it, and never is the
-    /// lock held while the engine waits. Do not hold the lock yourself when you call the engine. NULL where nobody else uses
-    /// the queue while a call runs. Default NULL.
+    /// Called on the submitting thread before each submission to `queue`, and `unlock_queue` right
+    /// after it. The lock is never held while waiting. Do not hold it when calling the library.
+    /// NULL if the queue is not shared during calls.
     pub lock_queue: zs_queue_lock,
-    /// Both or none.
+    /// NULL exactly if `lock_queue` is.
     pub unlock_queue: zs_queue_lock,
-    /// Given to both.
+    /// Argument of both callbacks.
     pub user_data: *mut c_void,
-    /// 1 where everything optional in zs_vulkan_requirements that the physical device has is enabled. Default 0, which leaves only
-    /// ZS_PRECISION_EXACT.
+    /// 1 if every supported optional requirement is enabled. 0 allows only ZS_PRECISION_EXACT.
     pub fast: u32,
     /// Must be 0.
     pub reserved: u32,
 }
 
-/// A value of a timeline semaphore of yours.
+/// A value of a caller's timeline semaphore.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_semaphore_point {
     /// VkSemaphore of type timeline, cast to uint64_t.
     pub semaphore: u64,
-    /// To wait for, or to signal.
+    /// Value to wait for or to signal.
     pub value: u64,
 }
 
-/// An image or a buffer of yours that a picture is copied to on the device. Handles are cast to uint64_t. They must stay until
-/// the signals were given, or, without signals, until the renderer is destroyed.
+/// A caller's image or buffer as a copy destination. Handles are cast to uint64_t. They must
+/// outlive the signals or, without signals, the renderer.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_vulkan_target {
-    /// sizeof(zs_vulkan_target); zs_vulkan_target_default sets it.
+    /// sizeof(zs_vulkan_target).
     pub struct_size: u32,
     /// Must be 0.
     pub reserved: u32,
-    /// VkImage with usage VK_IMAGE_USAGE_TRANSFER_DST_BIT, one sample and the format that zs_pixel_format names, owned by the
-    /// queue's family or shared; 0 for a buffer. Default 0.
+    /// VkImage with VK_IMAGE_USAGE_TRANSFER_DST_BIT, one sample and the format of the
+    /// zs_pixel_format, owned by the queue's family or shared. 0 for a buffer.
     pub image: u64,
-    /// First pixel that is written; the camera's width and height must fit behind it. Default 0.
+    /// First column to write; the camera's size must fit from there.
     pub x: u32,
-    /// First row that is written. Default 0.
+    /// First row to write.
     pub y: u32,
-    /// Mip level. Default 0.
+    /// Mip level.
     pub mip_level: u32,
-    /// Array layer. Default 0.
+    /// Array layer.
     pub array_layer: u32,
-    /// VkImageLayout that level and layer are in when the waits are over. Default VK_IMAGE_LAYOUT_UNDEFINED, which may lose
-    /// what is there.
+    /// VkImageLayout after the waits. Default VK_IMAGE_LAYOUT_UNDEFINED, which may discard
+    /// contents.
     pub old_layout: i32,
-    /// VkImageLayout that they are in when the signals are given. Default VK_IMAGE_LAYOUT_SHADER_READ_ONLY_OPTIMAL.
+    /// VkImageLayout at the signals. Default VK_IMAGE_LAYOUT_SHADER_READ_ONLY_OPTIMAL.
     pub new_layout: i32,
-    /// VkBuffer with usage VK_BUFFER_USAGE_TRANSFER_DST_BIT; 0 for an image. Rows follow each other. Default 0.
+    /// VkBuffer with VK_BUFFER_USAGE_TRANSFER_DST_BIT and contiguous rows; 0 for an image.
     pub buffer: u64,
-    /// First byte in the buffer, a multiple of 4. Default 0.
+    /// First byte in the buffer, a multiple of 4.
     pub buffer_offset: u64,
-    /// Bytes that may be written from there. Default 0.
+    /// Writable bytes from there.
     pub buffer_size: u64,
-    /// Number of `waits`. Default 0.
+    /// Number of `waits`.
     pub wait_count: u32,
-    /// Number of `signals`. Default 0.
+    /// Number of `signals`.
     pub signal_count: u32,
-    /// Points that have to be reached before the target is touched. Read during the call. Default NULL.
+    /// Semaphore values to wait for before writing.
     pub waits: *const zs_semaphore_point,
-    /// Given when the picture is in the target and visible to every later use. Read during the call. Default NULL.
+    /// Signaled when the picture is written and visible.
     pub signals: *const zs_semaphore_point,
 }
 
@@ -158,7 +157,7 @@ unsafe impl Versioned for zs_vulkan_device {
     }
 }
 
-/// VK_IMAGE_LAYOUT_SHADER_READ_ONLY_OPTIMAL
+/// VK_IMAGE_LAYOUT_SHADER_READ_ONLY_OPTIMAL.
 const SHADER_READ_ONLY: i32 = 5;
 
 // SAFETY: repr(C), pairs of four bytes, u64 and pointers: no padding.
@@ -187,10 +186,9 @@ unsafe impl Versioned for zs_vulkan_target {
     }
 }
 
-/// Pointers to static text.
 struct Requirements(Vec<zs_vulkan_requirement>);
 
-// SAFETY: nothing is ever written behind these pointers.
+// SAFETY: the data behind these pointers is never written.
 unsafe impl Send for Requirements {}
 // SAFETY: as above.
 unsafe impl Sync for Requirements {}
@@ -209,8 +207,7 @@ static REQUIREMENTS: LazyLock<Requirements> = LazyLock::new(|| {
     Requirements(needed.chain(optional).map(entry).collect())
 });
 
-/// Lists what has to be enabled on a device of yours before zs_context_adopt, and what may be; nothing else is used. Needs no
-/// device. The list is static: never free it.
+/// Lists required and optional features for zs_context_adopt. Needs no device.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_vulkan_requirements(
     list: *mut *const zs_vulkan_requirement,
@@ -229,15 +226,15 @@ pub unsafe extern "C" fn zs_vulkan_requirements(
     })
 }
 
-/// Fills `device` with the defaults. `size` is sizeof(zs_vulkan_device).
+/// Sets defaults; `size` is sizeof(zs_vulkan_device).
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_vulkan_device_default(device: *mut zs_vulkan_device, size: usize) -> zs_status {
     // SAFETY: the caller's structure of that size.
     unsafe { write_defaults(device, size) }
 }
 
-/// Makes a context of a device of yours, on which everything in zs_vulkan_requirements that is not optional is enabled: that cannot be checked.
-/// Destroy the context and all its models and renderers before the device.
+/// Creates a context on the caller's device. All required features must be enabled; this cannot be
+/// checked. Destroy the context and all its models and renderers before the device.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_context_adopt(device: *const zs_vulkan_device, context: *mut *mut zs_context) -> zs_status {
     let adopt = || {
@@ -249,7 +246,7 @@ pub unsafe extern "C" fn zs_context_adopt(device: *const zs_vulkan_device, conte
         let user_data = UserData(given.user_data);
         let queue_lock = match (given.lock_queue, given.unlock_queue) {
             (Some(lock), Some(unlock)) => Some(QueueLock {
-                // SAFETY: the caller's functions, with the caller's data, on any thread that calls the engine.
+                // SAFETY: the caller's functions and data, valid on any calling thread.
                 lock: Box::new(move || unsafe { lock(user_data.get()) }),
                 // SAFETY: as above.
                 unlock: Box::new(move || unsafe { unlock(user_data.get()) }),
@@ -267,18 +264,18 @@ pub unsafe extern "C" fn zs_context_adopt(device: *const zs_vulkan_device, conte
             queue_lock,
             fast: given.fast != 0,
         };
-        // SAFETY: the caller vouches for the handles, as the header says.
+        // SAFETY: the caller guarantees valid handles.
         Ok(zs_context { device: unsafe { Device::adopt(adopted) }?, adopted: true })
     };
     // SAFETY: the caller's pointer.
     unsafe { produce(context, adopt) }
 }
 
-/// A callback that a caller gives, called on whatever thread.
+/// A caller's pointer for callbacks on any thread.
 #[derive(Clone, Copy)]
 struct UserData(*mut c_void);
 
-// SAFETY: the engine only hands it on; the header says on which threads.
+// SAFETY: the engine only passes it on, on documented threads.
 unsafe impl Send for UserData {}
 // SAFETY: as above.
 unsafe impl Sync for UserData {}
@@ -289,17 +286,19 @@ impl UserData {
     }
 }
 
-/// Fills `target` with the defaults. `size` is sizeof(zs_vulkan_target).
+/// Sets defaults; `size` is sizeof(zs_vulkan_target).
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_vulkan_target_default(target: *mut zs_vulkan_target, size: usize) -> zs_status {
     // SAFETY: the caller's structure of that size.
     unsafe { write_defaults(target, size) }
 }
 
-/// Draws one camera into an image or buffer of yours, without a copy by the host: ZS_PIXEL_RGBA8, BGRA8 or RGBA_F32. The
-/// renderer's context must be an adopted one. When this returns the scene is drawn and the copy to the target is submitted; it
-/// begins when the waits are over and ends with the signals. Without semaphores it is ordered as everything on one queue. The
-/// next picture of this renderer may wait for this copy, so do not make a wait depend on it. `options` may be NULL.
+/// Draws one camera into an image or buffer without a host copy, as ZS_PIXEL_RGBA8, BGRA8 or
+/// RGBA_F32. The renderer's context must be adopted.
+///
+/// Returns when the scene is drawn and the copy is submitted. The copy starts after the waits and
+/// ends with the signals. Without semaphores, queue order applies. The renderer's next picture may
+/// wait for this copy, so no wait may depend on it.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_render_to_vulkan(
     renderer: *const zs_renderer,
@@ -323,7 +322,7 @@ pub unsafe extern "C" fn zs_render_to_vulkan(
                 return Err(Failure::argument("pixel format", format!("{other:?}"), expected));
             }
         };
-        // SAFETY: a structure or NULL, whose handles the caller vouches for.
+        // SAFETY: a structure or NULL with valid handles.
         let target = unsafe { read_versioned(target)?.target(&camera, layout) }?;
         let (background, antialiased) = (options.background, options.antialiased != 0);
         let request = RenderRequest { background, antialiased, ..RenderRequest::default() };
@@ -333,7 +332,7 @@ pub unsafe extern "C" fn zs_render_to_vulkan(
 
 impl zs_vulkan_target {
     /// # Safety
-    /// The header's words about handles hold.
+    /// The handles meet the documented requirements.
     unsafe fn target(&self, camera: &zipsplat::types::Camera, layout: PixelLayout) -> Result<Target, Failure> {
         let points = |pointer, count: u32, name| {
             // SAFETY: the caller's array.
@@ -357,7 +356,7 @@ impl zs_vulkan_target {
                 old_layout: self.old_layout,
                 new_layout: self.new_layout,
             };
-            // SAFETY: the caller vouches for the handles and the place.
+            // SAFETY: the caller guarantees the handles and the place.
             return Ok(unsafe { Target::image(place, waits, signals) });
         }
         let needed = u64::from(width) * u64::from(height) * layout.bytes() as u64;
@@ -365,7 +364,7 @@ impl zs_vulkan_target {
             let found = format!("{} bytes at {}", self.buffer_size, self.buffer_offset);
             return Err(Failure::argument("buffer", found, format!("{needed} bytes at a multiple of 4")));
         }
-        // SAFETY: the caller vouches for the handles; the size was checked.
+        // SAFETY: the caller guarantees the handles; the size was checked.
         Ok(unsafe { Target::buffer(self.buffer, self.buffer_offset, waits, signals) })
     }
 }

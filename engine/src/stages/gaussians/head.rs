@@ -127,7 +127,7 @@ impl Head {
     }
 }
 
-/// GELU, or its backward pass with a `gradient`, in which `out` may alias it.
+/// GELU, or its backward pass for a `gradient`; then `out` may alias the gradient.
 fn gelu(rec: &mut Recorder, source: Rows, gradient: Option<Rows>, out: Rows) {
     let backward = gradient.is_some();
     let rows = [source, gradient.unwrap_or(source), out];

@@ -41,7 +41,7 @@ impl<'a> Machine<'a> {
             b'.' => return self.pop().map(Some),                           // STOP
             0x80 => drop(self.number(1)?),                                 // PROTO
             0x95 => drop(self.number(8)?),                                 // FRAME
-            b'N' | 0x88 | 0x89 => self.push_other(),                       // NONE, NEWTRUE, NEWFALSE
+            b'N' | 0x88 | 0x89 => self.push_other(),                       // NONE, NEW*
             b'G' => self.skip(8)?,                                         // BINFLOAT
             b'K' => self.integer(1)?,                                      // BININT1
             b'M' => self.integer(2)?,                                      // BININT2
@@ -54,7 +54,7 @@ impl<'a> Machine<'a> {
             0x8c => self.unicode(1)?,                                      // SHORT_BINUNICODE
             0x8d => self.unicode(8)?,                                      // BINUNICODE8
             b'}' => self.push(Object::Dict(Vec::new())),                   // EMPTY_DICT
-            b']' | b')' => self.push(Object::Sequence(Vec::new())),        // EMPTY_LIST, EMPTY_TUPLE
+            b']' | b')' => self.push(Object::Sequence(Vec::new())),        // EMPTY_*
             b'(' => self.marks.push(self.stack.len()),                     // MARK
             b't' => self.pop_mark().map(|items| self.sequence(items))?,    // TUPLE
             0x85..=0x87 => self.tuple(usize::from(opcode - 0x84))?,        // TUPLE1, TUPLE2, TUPLE3

@@ -1,4 +1,4 @@
-"""Photos without poses to a compact scene of 3D Gaussians, on any Vulkan device.
+"""Reconstructs scenes of 3D Gaussians from unposed photos, on any Vulkan device.
 
     import zipsplat
 
@@ -6,8 +6,8 @@
     scene = model.reconstruct("photos/")
     scene.save("scene.ply")
 
-Cameras have OpenCV axes (x right, y down, z forward), matrices say which way they go (camera_to_world, world_to_camera), arrays of
-pictures are [height, width, channels]. Other threads run while a call does.
+Camera axes are OpenCV's: x right, y down, z forward. Matrix names state their direction
+(camera_to_world, world_to_camera). Pictures are [height, width, channels]. Calls release the GIL.
 """
 
 from ._native import lib as _lib

@@ -1,6 +1,6 @@
-"""The shared library: calls whose failures are exceptions, and objects that are destroyed with their owners.
+"""The shared library: calls that raise on failure, and owned objects.
 
-cffi lets other threads of Python run while a call of the library does.
+cffi releases the GIL during calls.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ if lib.zs_abi_version() != lib.ZS_ABI_VERSION:
 
 
 def text(pointer: Any) -> str:
-    """A string of the library's."""
+    """Decodes a C string; NULL is empty."""
     return str(ffi.string(pointer).decode("utf-8", "replace")) if pointer else ""
 
 
 class _Calls:
-    """Calls under way, of all threads. The interpreter waits for them before it ends, and begins no other."""
+    """Running calls of all threads. At exit the interpreter waits for them and starts no others."""
 
     def __init__(self) -> None:
         self.changed = threading.Condition()
         self.running = 0
         self.ending = False
-        # The process that uses the library, once one does.
+        # Process that uses the library.
         self.process: Optional[int] = None
 
     def __enter__(self) -> None:
@@ -67,7 +67,7 @@ class _Calls:
             self.changed.notify_all()
 
     def end(self) -> None:
-        """Asks calls that can be stopped to stop, and waits for all."""
+        """Stops interruptible calls and waits for all."""
         with self.changed:
             self.ending = True
             while self.running > 0 and self.process == os.getpid():
@@ -75,12 +75,12 @@ class _Calls:
 
 
 def _after_fork() -> None:
-    # Another thread may have held the lock.
+    # The lock may be held by a thread of the parent.
     _calls.changed = threading.Condition()
 
 
 _calls = _Calls()
-# Whatever finalisers do at the end they do after the last call: the first of them registers them all.
+# Registers the exit handler after weakref's, so that calls end before finalizers run.
 weakref.finalize(_calls, int)
 atexit.register(_calls.end)
 if hasattr(os, "register_at_fork"):
@@ -89,10 +89,10 @@ _thread = threading.local()
 
 
 def call(function: str, *arguments: Any) -> None:
-    """Calls a function of the library that returns a status.
+    """Calls a library function that returns a status.
 
     Raises:
-        Error: what failed, by its status; or whatever a progress function raised.
+        Error: a subclass by status, or an exception of a progress function.
     """
     with _calls:
         status = getattr(lib, function)(*arguments)
@@ -109,7 +109,7 @@ def call(function: str, *arguments: Any) -> None:
 
 
 class Handle:
-    """An object of the library, destroyed when nobody has it any more."""
+    """An object of the library, destroyed with its last reference."""
 
     def __init__(self, kind: str, make: str, *arguments: Any) -> None:
         out = ffi.new(f"zs_{kind} **")
@@ -119,13 +119,13 @@ class Handle:
 
 
 def _destroy(function: Callable[[Any], None], pointer: Any, process: int) -> None:
-    # A forked child has a copy of the memory and nothing of the device.
+    # A forked child cannot use the device.
     if process == os.getpid():
         function(pointer)
 
 
 def structure(kind: str, **values: Any) -> Any:
-    """A structure that says its size."""
+    """Creates a structure with its size set."""
     made = ffi.new(f"zs_{kind} *")
     made.struct_size = ffi.sizeof(f"zs_{kind}")
     for name, value in values.items():
@@ -134,7 +134,7 @@ def structure(kind: str, **values: Any) -> Any:
 
 
 def options(kind: str, **values: Any) -> Any:
-    """Options with the library's defaults but for some values."""
+    """Creates options with defaults and the given values."""
     made = ffi.new(f"zs_{kind}_options *")
     call(f"zs_{kind}_options_default", made, ffi.sizeof(f"zs_{kind}_options"))
     for name, value in values.items():
@@ -143,7 +143,7 @@ def options(kind: str, **values: Any) -> Any:
 
 
 class _Memory:
-    """Memory of an object of the library's, as NumPy asks for it; the array keeps the object alive."""
+    """Array interface over library memory; the array keeps the owner alive."""
 
     def __init__(self, owner: object, address: int, shape: tuple[int, ...], kind: str) -> None:
         self.owner = owner
@@ -151,39 +151,39 @@ class _Memory:
 
 
 def array_at(owner: object, pointer: Any, shape: tuple[int, ...], kind: str = "<f4") -> npt.NDArray[Any]:
-    """An array in memory of the library's, read only, that keeps its owner alive."""
+    """Returns a read-only array over library memory that keeps its owner alive."""
     if 0 in shape:
         return np.zeros(shape, kind)
     return np.asarray(_Memory(owner, int(ffi.cast("uintptr_t", pointer)), shape, kind))
 
 
 class Told:
-    """A function of Python's that a call tells how far it is, and that may stop it by returning False."""
+    """A progress function that may stop the call by returning False."""
 
     def __init__(self, function: Optional[Callable[..., object]]) -> None:
         self.function = function
         self.handle = ffi.new_handle(self)
 
     def tell(self, *now: object) -> int:
-        """1 to stop."""
+        """Returns 1 to stop."""
         stopped = _calls.ending or (self.function is not None and self.function(*now) is False)
         return 1 if stopped else 0
 
 
 def _raised(_kind: object, value: BaseException, _trace: object) -> None:
-    # The call stops, and raises it: also what Ctrl-C raises in whatever Python runs just then.
+    # Stops the call, which then raises the exception, Ctrl-C included.
     _thread.raised = value
 
 
 @ffi.callback("int32_t(void *, double, const char *)", error=1, onerror=_raised)  # type: ignore[untyped-decorator]
 def progress(told: Any, fraction: float, stage: Any) -> int:
-    """The progress of a reconstruction or of loading a model, as the library tells it."""
+    """Progress callback of reconstruction and model loading."""
     found: Told = ffi.from_handle(told)
     return found.tell(fraction, text(stage))
 
 
 @ffi.callback("int32_t(void *, const struct zs_refining *)", error=1, onerror=_raised)  # type: ignore[untyped-decorator]
 def refine_progress(told: Any, now: Any) -> int:
-    """The progress of a refinement, as the library tells it."""
+    """Progress callback of a refinement."""
     found: Told = ffi.from_handle(told)
     return found.tell(now)

@@ -1,4 +1,4 @@
-"""Tensors of torch: the library's pictures and gradients as a function that autograd knows."""
+"""Differentiable rasterization for torch."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from . import gsplat
 
 
 class Torch:
-    """What is done with tensors: computed on the host, as the library's device need not be torch's, and given back on theirs."""
+    """Tensor operations on the host; results return to the tensors' device."""
 
     def __init__(self, device: Any) -> None:
         self.device = device
@@ -39,7 +39,7 @@ class Torch:
 
 
 class _Rasterise(torch.autograd.Function):  # type: ignore[misc]
-    """Gaussians and cameras to colours, alphas and accumulated depths."""
+    """Gaussians and cameras to colors, alphas and accumulated depths."""
 
     @staticmethod
     def forward(

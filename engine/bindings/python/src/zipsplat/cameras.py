@@ -1,4 +1,4 @@
-"""Cameras: pinholes with OpenCV axes, and those of photos in files."""
+"""Pinhole cameras with OpenCV axes, and captures: photos with cameras."""
 
 from __future__ import annotations
 
@@ -19,18 +19,17 @@ PathLike = Union[str, "os.PathLike[str]"]
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A pinhole camera. Its axes are OpenCV's: x right, y down, z forward. The top left corner of a picture is (0, 0), so pixel
-    centres are at +0.5.
+    """A pinhole camera with OpenCV axes: x right, y down, z forward. Pixel centers are at +0.5.
 
     Attributes:
-        width: Pixels a row.
-        height: Rows.
+        width: Width in pixels.
+        height: Height in pixels.
         fx: Horizontal focal length in pixels.
         fy: Vertical focal length in pixels.
-        cx: Principal point from the left edge, in pixels.
-        cy: Principal point from the top edge, in pixels.
-        camera_to_world: [4, 4] float64: the rotation's columns are the camera's right, down and forward in the world; then its
-            centre, in world units.
+        cx: Horizontal principal point in pixels from the left edge.
+        cy: Vertical principal point in pixels from the top edge.
+        camera_to_world: [4, 4] float64 pose. The rotation's columns are the camera's right, down
+            and forward axes; the translation is its center in world units.
     """
 
     width: int
@@ -59,14 +58,14 @@ class Camera:
         camera_to_world: Optional[Matrix] = None,
         world_to_camera: Optional[Matrix] = None,
     ) -> Camera:
-        """A camera of matrices with OpenCV axes.
+        """Creates a camera from matrices with OpenCV axes.
 
         Args:
             K: [3, 3] intrinsics in pixels.
-            width: Pixels a row.
-            height: Rows.
-            camera_to_world: [4, 4] or [3, 4] pose, in world units; this or the other.
-            world_to_camera: Its inverse, the "viewmat".
+            width: Width in pixels.
+            height: Height in pixels.
+            camera_to_world: [4, 4] or [3, 4] pose in world units; either this or its inverse.
+            world_to_camera: Inverse pose, the "viewmat".
         """
         [camera] = cameras(
             [K], width, height, camera_to_world=_one(camera_to_world), world_to_camera=_one(world_to_camera)
@@ -77,7 +76,7 @@ class Camera:
     def from_fov(
         cls, width: int, height: int, degrees: float = 60.0, *, camera_to_world: Optional[Matrix] = None
     ) -> Camera:
-        """A camera with a horizontal field of view, centred, square pixels; at the world's origin where no pose is given."""
+        """Creates a centered camera from a horizontal field of view, by default at the origin."""
         focal = width / (2 * math.tan(math.radians(degrees) / 2))
         pose = np.eye(4) if camera_to_world is None else np.asarray(camera_to_world, np.float64)
         return cls(width, height, focal, focal, width / 2, height / 2, pose)
@@ -93,7 +92,7 @@ class Camera:
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], np.float64)
 
     def relative_to(self, other: Camera) -> Camera:
-        """The same camera in a world whose origin and axes are another camera's."""
+        """Returns this camera relative to another camera's space."""
         pose = other.world_to_camera @ self.camera_to_world
         return Camera(self.width, self.height, self.fx, self.fy, self.cx, self.cy, pose)
 
@@ -106,14 +105,14 @@ def cameras(
     camera_to_world: Optional[Union[Sequence[Matrix], npt.NDArray[Any]]] = None,
     world_to_camera: Optional[Union[Sequence[Matrix], npt.NDArray[Any]]] = None,
 ) -> list[Camera]:
-    """Cameras of matrices with OpenCV axes.
+    """Creates cameras from matrices with OpenCV axes.
 
     Args:
-        Ks: [C, 3, 3] intrinsics in pixels, or [3, 3] of all.
-        width: Pixels a row.
-        height: Rows.
-        camera_to_world: [C, 4, 4] or [C, 3, 4] poses in world units; these or the others.
-        world_to_camera: Their inverses, the "viewmats".
+        Ks: [C, 3, 3] intrinsics in pixels, or shared [3, 3].
+        width: Width in pixels.
+        height: Height in pixels.
+        camera_to_world: [C, 4, 4] or [C, 3, 4] poses in world units; either these or inverses.
+        world_to_camera: Inverse poses, the "viewmats".
     """
     if (camera_to_world is None) == (world_to_camera is None):
         raise ValueError("expected camera_to_world or world_to_camera, one of them")
@@ -141,9 +140,9 @@ class Photo:
     """A photo of a capture.
 
     Attributes:
-        name: Its name as the file writes it.
-        path: Where it lies; None where it was not found near the file.
-        camera: The camera that took it, in the file's world and unit; where lens distortion is undone a pinhole camera.
+        name: Name as written in the file.
+        path: Path of the photo; None if not found near the file.
+        camera: Undistorted pinhole camera, in the file's world and scale.
     """
 
     name: str
@@ -152,14 +151,13 @@ class Photo:
 
 
 class Capture(Sequence[Photo]):
-    """The posed photos of a file: transforms.json (instant-ngp, nerfstudio), or a COLMAP model, text or binary. It is a sequence
-    of photos, and Model.reconstruct and Scene.refine take it whole.
+    """Posed photos of a transforms.json (instant-ngp, nerfstudio) or COLMAP model.
 
-    Photos are read as their cameras see them: pixels as they are stored, whatever the EXIF orientation says, and without the
-    distortion of their lens.
+    A sequence of photos, accepted by Model.reconstruct and Scene.refine. Photos are read
+    undistorted, ignoring the EXIF orientation.
 
     Attributes:
-        notes: What was ignored or left out in reading it, in words.
+        notes: Descriptions of ignored data.
     """
 
     def __init__(self, path: PathLike) -> None:
@@ -168,29 +166,30 @@ class Capture(Sequence[Photo]):
         call("zs_capture_get_count", self._handle.pointer, count, notes)
         self.notes: list[str] = text(notes[0]).splitlines()
         self._photos = [self._photo(index) for index in range(count[0])]
-        # Whatever has to stay while this does.
+        # Keeps a temporary folder alive.
         self._keeps: object = None
 
     @classmethod
     def open(cls, path: PathLike) -> Capture:
-        """Reads a transforms.json, a COLMAP model's folder, or a folder that has one of these.
+        """Opens a transforms.json, a COLMAP model folder, or a folder that contains either.
 
         Raises:
-            IoError, FormatError, ArgumentError: it cannot be read, is malformed, or there is none.
+            IoError, FormatError, ArgumentError: it is unreadable, malformed or missing.
         """
         return cls(path)
 
     @property
     def cameras(self) -> list[Camera]:
-        """The cameras of all photos."""
+        """Cameras of all photos."""
         return [photo.camera for photo in self._photos]
 
     def find(self, path: PathLike) -> Optional[int]:
-        """The number of the photo at `path` by its file name; where several have it, by the longest common end of the path. None
-        where none has it.
+        """Returns the index of a photo by file name, then by the longest common path suffix.
+
+        None without a match.
 
         Raises:
-            ArgumentError: several match as well.
+            ArgumentError: the match is ambiguous.
         """
         index = ffi.new("size_t *")
         call("zs_capture_find", self._handle.pointer, os.fsencode(path), index)
@@ -216,7 +215,7 @@ class Capture(Sequence[Photo]):
 
 
 def from_native(found: Any) -> Camera:
-    """A camera of the library's."""
+    """Converts a camera of the library."""
     pose = np.eye(4)
     pose[:3, :3] = np.reshape(list(found.rotation), (3, 3))
     pose[:3, 3] = list(found.translation)
@@ -224,7 +223,7 @@ def from_native(found: Any) -> Camera:
 
 
 def native(cameras: Sequence[Camera]) -> Any:
-    """Cameras as the library takes them."""
+    """Converts cameras for the library."""
     out = ffi.new("zs_camera[]", len(cameras))
     for to, camera in zip(out, cameras):
         if not isinstance(camera, Camera):

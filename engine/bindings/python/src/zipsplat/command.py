@@ -1,4 +1,4 @@
-"""What the command `zipsplat` does and the library does not: cameras by COLMAP, figures of a capture, the page of a scene."""
+"""Functions that run the `zipsplat` command: COLMAP cameras, evaluation, HTML viewer."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ def find_cameras(
     views: Optional[int] = None,
     python: Optional[PathLike] = None,
 ) -> Capture:
-    """The cameras of photos that have none, by the command `zipsplat cameras` and COLMAP.
+    """Estimates cameras by `zipsplat cameras` and COLMAP.
 
     Args:
         photos: A folder, a video, or paths of photos.
-        output: A transforms.json to write, with points.ply beside it; None for a temporary one.
-        views: Takes at most so many, evenly spread.
-        python: A Python that has pycolmap, where there is no COLMAP.
+        output: Path of the transforms.json, with points.ply beside it; None for a temporary one.
+        views: Limit of photos, evenly spaced.
+        python: A Python with pycolmap, if COLMAP is missing.
 
     Raises:
-        CommandError: the command or COLMAP is not installed, or fails.
+        CommandError: the command or COLMAP is missing or fails.
     """
     from .cameras import Capture
     from .images import paths_of
@@ -49,20 +49,20 @@ def find_cameras(
     arguments += [] if python is None else ["--python", os.fspath(python)]
     run(arguments)
     capture = Capture.open(output)
-    # Its points are read where the distance of the scene is asked for.
+    # The scene scale is computed from its points.
     capture._keeps = folder
     return capture
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """How well photos that a reconstruction has not seen are predicted.
+    """Quality of the predictions of held-out photos.
 
     Attributes:
-        psnr: Mean PSNR in dB over the compared photos.
+        psnr: Mean PSNR in dB over the held-out photos.
         ssim: Mean SSIM.
-        nearest_psnr: Mean PSNR of the input photo that was taken nearest, a trivial prediction.
-        report: Everything that `zipsplat eval --json` says.
+        nearest_psnr: Mean PSNR of the nearest input photo as a baseline.
+        report: Full output of `zipsplat eval --json`.
     """
 
     psnr: float
@@ -72,16 +72,16 @@ class Evaluation:
 
 
 def evaluate(folder: PathLike, *, views: int = 8, refine: int = 0, options: tuple[str, ...] = ()) -> Evaluation:
-    """Reconstructs a capture from some of its photos and compares pictures of it with the others, by `zipsplat eval`.
+    """Evaluates a reconstruction of a capture on held-out photos, by `zipsplat eval`.
 
     Args:
         folder: Photos and their cameras: a transforms.json or a COLMAP model.
-        views: Photos to reconstruct from.
-        refine: Steps of a refinement before the comparison.
+        views: Number of photos to reconstruct from.
+        refine: Refinement steps before the evaluation.
         options: More options of the command, such as ("--ratio", "0.5").
 
     Raises:
-        CommandError: the command is not installed, or fails.
+        CommandError: the command is missing or fails.
     """
     arguments = ["eval", os.fspath(folder), "--views", str(views), *options]
     arguments += ["--refine", str(refine)] if refine else []
@@ -91,13 +91,13 @@ def evaluate(folder: PathLike, *, views: int = 8, refine: int = 0, options: tupl
 
 
 class Page:
-    """A page in one file that shows a scene, to look around in; a notebook shows it in a frame."""
+    """A self-contained HTML viewer; notebooks show it in a frame."""
 
     def __init__(self, text: str, height: int) -> None:
         self.text, self.height = text, height
 
     def save(self, path: PathLike) -> None:
-        """Writes the page, to open by a double click or to mail."""
+        """Writes the page."""
         Path(path).write_text(self.text, encoding="utf-8")
 
     def _repr_html_(self) -> str:
@@ -109,7 +109,7 @@ class Page:
 
 
 def view(ply: bytes, height: int, cameras: Optional[PathLike]) -> Page:
-    """The page of a scene."""
+    """Returns the viewer page of a scene."""
     with tempfile.TemporaryDirectory(prefix="zipsplat-") as folder:
         scene, page = Path(folder) / "scene.ply", Path(folder) / "scene.html"
         scene.write_bytes(ply)
@@ -119,10 +119,10 @@ def view(ply: bytes, height: int, cameras: Optional[PathLike]) -> Page:
 
 
 def run(arguments: list[str]) -> str:
-    """What the command prints as JSON: the one of ZIPSPLAT_COMMAND, or of the PATH.
+    """Runs the command, from ZIPSPLAT_COMMAND or the PATH, and parses its JSON output.
 
     Raises:
-        CommandError: it is not installed, or fails, with its message.
+        CommandError: it is missing or fails, with its message.
     """
     name = os.environ.get("ZIPSPLAT_COMMAND", "zipsplat")
     program: Union[str, None] = shutil.which(name)

@@ -11,17 +11,17 @@ from ._native import Handle, call, ffi, lib, options, structure, text
 
 @dataclass(frozen=True)
 class Device:
-    """What a Vulkan device is.
+    """Description of a Vulkan device.
 
     Attributes:
-        index: Its number, as Context takes it.
-        name: Its name.
-        driver: The driver's name and version.
-        kind: "discrete", a graphics card; "cpu", the processor by way of lavapipe; or "other".
-        memory_bytes: Bytes of the memory that kernels work in.
-        usable: Whether the engine can use it.
-        missing: Why it is not usable; "" where it is.
-        uuid: Its UUID, 32 hexadecimal digits: those that CUDA and nvidia-smi have for it.
+        index: Device number for Context.
+        name: Device name.
+        driver: Driver name and version.
+        kind: "discrete", "cpu" (lavapipe) or "other".
+        memory_bytes: Bytes of device-local memory.
+        usable: Whether the engine can use the device.
+        missing: Missing requirements; "" if usable.
+        uuid: Device UUID as 32 hexadecimal digits, as in CUDA and nvidia-smi.
     """
 
     index: int
@@ -35,10 +35,10 @@ class Device:
 
 
 def devices() -> list[Device]:
-    """The Vulkan devices of this machine, usable or not.
+    """Lists the Vulkan devices, usable or not.
 
     Raises:
-        NoDeviceError: there is no Vulkan loader or no driver.
+        NoDeviceError: there is no Vulkan loader or driver.
     """
     count = ffi.new("uint32_t *")
     call("zs_device_count", count)
@@ -51,15 +51,15 @@ def devices() -> list[Device]:
 
 
 class Context:
-    """A Vulkan device at work. Any number of threads may use it at the same time.
+    """An open Vulkan device. Threads can share it.
 
     Args:
-        device: A device's number, a part of its name, or its UUID; None for the best.
-        max_memory_bytes: Most bytes of the device's memory to use; None for all that there is.
-        validation: Whether to run under the Khronos validation layer, for development; None where the environment says so.
+        device: Device number, part of its name, or UUID; None selects the best.
+        max_memory_bytes: Device memory budget; None is unlimited.
+        validation: Enables the Khronos validation layer; None follows the environment.
 
     Raises:
-        NoDeviceError: no device can be used, or none is called so.
+        NoDeviceError: no usable device matches.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class Context:
 
     @property
     def device(self) -> Device:
-        """The device that it is on."""
+        """Description of the context's device."""
         info = structure("device_info")
         call("zs_context_get_info", self._handle.pointer, info)
         return _device(info)
@@ -91,7 +91,7 @@ _default: Optional[Context] = None
 
 
 def default_context() -> Context:
-    """The context on the best device that everything shares which is given no other."""
+    """Returns the shared context on the best device."""
     global _default
     with _lock:
         if _default is None:

@@ -1,4 +1,4 @@
-"""Depth: networks that find how far away every pixel of photos is, and where the photos were taken."""
+"""Depth estimation: per-pixel depth and cameras of photos."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ _CAMERAS_FROM = {"decoder": lib.ZS_CAMERAS_FROM_DECODER, "rays": lib.ZS_CAMERAS_
 
 
 class Depths:
-    """Depth of photos, and the cameras that took them.
+    """Depth and cameras of photos.
 
     Attributes:
-        depth: [photos, height, width] float32 along each camera's axis, in one unit for all photos that were seen at once: that of the
-            cameras.
-        confidence: The same shape, from 1 on, where the network sees all photos at once; else None.
-        sky: The same shape, from 0 on, above 0.3 sky, where the network sees each photo by itself; else None.
-        cameras: The camera of each whole photo, in the world of all; None of a photo whose camera nobody knows.
+        depth: [photos, height, width] float32 along each camera's axis, in the cameras' scale,
+            shared by all photos of a multi-view network.
+        confidence: Same shape, at least 1, from multi-view networks; else None.
+        sky: Same shape, at least 0 and above 0.3 for sky, from single-view networks; else None.
+        cameras: Cameras of the whole photos, in a common world; None for unknown ones.
     """
 
     def __init__(self, handle: Handle, count: int, context: Context) -> None:
@@ -41,10 +41,10 @@ class Depths:
         self.cameras: list[Optional[Camera]] = [view[3] for view in views]
 
     def scene(self, *, keep: Optional[int] = None) -> Scene:
-        """A Gaussian for each pixel that the network is confident of, in the world of the cameras.
+        """Creates a Gaussian per confident pixel, in the cameras' world.
 
         Args:
-            keep: At most so many of each patch of 14 x 14 pixels, those that show most; None for all.
+            keep: Limit per patch of 14 x 14 pixels, most visible first; None keeps all.
 
         Raises:
             ArgumentError: no photo has a camera.
@@ -73,10 +73,10 @@ def _stacked(views: list[Any]) -> Optional[npt.NDArray[np.float32]]:
 
 
 class DepthModel:
-    """A network of Depth Anything 3 with its weights on a device. Any number of threads may use it at the same time.
+    """A Depth Anything 3 network with its weights on a device. Threads can share it.
 
     Attributes:
-        context: The device.
+        context: Device of the network.
     """
 
     def __init__(self, handle: Handle, context: Context) -> None:
@@ -94,12 +94,12 @@ class DepthModel:
         """Loads a network onto a device.
 
         Args:
-            weights: A released file (model.safetensors of da3-small, da3-base, ...), or "seeded:NAME", random numbers to try things
-                out with.
+            weights: A released model.safetensors (da3-small, da3-base, ...), or random weights for
+                "seeded:NAME".
             precision: "best", "exact", "fast", "fast-bf16" or "turbo".
             context: The device; None for the best.
-            progress: Told the share that is done and what is under way. Where it returns False, CancelledError is raised; what it
-                raises comes out of the call.
+            progress: Receives fraction and stage. Returning False raises CancelledError; its
+                exceptions propagate.
 
         Raises:
             NoDeviceError, WeightsError, FormatError, IoError, OutOfMemoryError, ArgumentError.
@@ -120,21 +120,21 @@ class DepthModel:
         own_focal_lengths: bool = False,
         progress: Optional[Progress] = None,
     ) -> Depths:
-        """The depth of 1 to 192 photos of one place, and, with a network that sees all of them at once, the cameras that took them.
+        """Estimates depth of 1 to 192 photos of one place; multi-view networks also cameras.
 
         Args:
-            images: Photos, as Model.reconstruct takes them.
-            cameras: Cameras of the whole photos, where they are known; depth is then in their unit.
-            side: Longer side of the photos as the network sees them, in pixels.
-            cameras_from: "decoder", the network's camera decoder, or "rays", those of all pixels, principal point included.
-            own_focal_lengths: Whether photos of one size may have different focal lengths; else they share the median.
-            progress: Told the share that is done and what is under way. Where it returns False, CancelledError is raised; what it
-                raises comes out of the call.
+            images: Photos, as for Model.reconstruct.
+            cameras: Known cameras of the whole photos, which set the depth scale.
+            side: Longer side of the network's input in pixels.
+            cameras_from: "decoder", or "rays", which also estimates the principal point.
+            own_focal_lengths: Estimates a focal length per photo instead of one per photo size.
+            progress: Receives fraction and stage. Returning False raises CancelledError; its
+                exceptions propagate.
 
         Raises:
-            ArgumentError, ValueError, TypeError: something given cannot be used.
+            ArgumentError, ValueError, TypeError: an argument is invalid.
             IoError, FormatError: a photo cannot be read.
-            OutOfMemoryError, DeviceLostError, DriverError: the device.
+            OutOfMemoryError, DeviceLostError, DriverError: the device failed.
         """
         sources, posed, _capture = matched(images, cameras)
         told = Told(progress)

@@ -1,14 +1,14 @@
-"""Failures of the library, an exception for each status of the C interface."""
+"""Exceptions, one per status of the C interface."""
 
 from __future__ import annotations
 
 
 class Error(Exception):
-    """A call of the library failed.
+    """A failed library call.
 
     Attributes:
-        status: The number of the C interface's zs_status.
-        name: Its name, such as "ZS_ERROR_ARGUMENT".
+        status: Value of the zs_status.
+        name: Name of the status, such as "ZS_ERROR_ARGUMENT".
     """
 
     status: int = 0
@@ -16,7 +16,7 @@ class Error(Exception):
 
 
 class ArgumentError(Error, ValueError):
-    """A value cannot be used; the message names it, what was found and what is expected."""
+    """An invalid argument; the message names it, the value found and the value expected."""
 
 
 class IoError(Error, OSError):
@@ -24,47 +24,47 @@ class IoError(Error, OSError):
 
 
 class FormatError(Error, ValueError):
-    """A file's or buffer's bytes are not what its format allows."""
+    """A file or buffer violates its format."""
 
 
 class WeightsError(Error, ValueError):
-    """A checkpoint's tensors are not those of its network."""
+    """A checkpoint's tensors do not match its network."""
 
 
 class NoDeviceError(Error, RuntimeError):
-    """There is no Vulkan loader, no driver, or none whose device can run this."""
+    """No Vulkan loader, driver or suitable device."""
 
 
 class OutOfMemoryError(Error, MemoryError):
-    """The device or the host has too little memory; nothing was submitted."""
+    """Too little device or host memory; nothing was submitted."""
 
 
 class DriverError(Error, RuntimeError):
-    """The driver refused a call that should have worked."""
+    """The driver reported an error."""
 
 
 class DeviceLostError(Error, RuntimeError):
-    """The device was reset or removed: make a new Context. Scenes survive."""
+    """The device was reset or removed: create a new Context. Scenes survive."""
 
 
 class CancelledError(Error):
-    """The progress function asked to stop."""
+    """The progress function canceled."""
 
 
 class UnsupportedError(Error, NotImplementedError):
-    """This build of the library does not have it."""
+    """Not available in this build of the library."""
 
 
 class InternalError(Error, RuntimeError):
-    """A bug of the library."""
+    """A bug in the library."""
 
 
 class ForkError(RuntimeError):
-    """The process was forked after the library had been used: a device does not survive that."""
+    """The process was forked after using the library; devices do not survive a fork."""
 
 
 class CommandError(RuntimeError):
-    """The command `zipsplat` failed, or is not installed."""
+    """The `zipsplat` command is missing or failed."""
 
 
 # In the order of zs_status.

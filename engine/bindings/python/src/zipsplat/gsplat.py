@@ -1,9 +1,9 @@
-"""gsplat's `rasterization` on any Vulkan device, with its argument names, shapes and results: code moves over by an import.
+"""gsplat's `rasterization` on any Vulkan device, with its arguments, shapes and results.
 
     from zipsplat.gsplat import rasterization        # for: from gsplat import rasterization
 
-NumPy's arrays go in and come out; where tensors of torch go in tensors come out, which remember what they came from: gradients
-reach means, quats, scales, opacities, colors, viewmats and backgrounds. The rules are gsplat 1.5's.
+NumPy arrays return NumPy arrays. Torch tensors are differentiable in means, quats, scales,
+opacities, colors, viewmats and backgrounds. The semantics are gsplat 1.5's.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from .scene import Scene
 Array = npt.NDArray[Any]
 
 _MODES = ("RGB", "D", "ED", "RGB+D", "RGB+ED")
-# The first function of spherical harmonics, and what is added to their sum.
+# Harmonic of degree 0, and the offset of colors.
 _SH_0, _OFFSET = 0.28209479177387814, 0.5
-# Colours from which on nothing is cut off at 0, nor its gradient.
+# Least shifted color, which keeps clamping at 0 away from values and gradients.
 _LEAST = 1e-3
-# Depths below it are of nothing.
+# Alpha below it counts as empty in expected depth.
 _LEAST_ALPHA = 1e-10
 
 
 class _Meta(dict[str, Any]):
-    """What a picture was drawn with; of what gsplat keeps between its passes there is nothing."""
+    """Metadata of a picture, without gsplat's intermediate results."""
 
     def __missing__(self, key: str) -> Any:
         raise KeyError(
@@ -81,28 +81,29 @@ def rasterization(
     """Draws N Gaussians with C cameras.
 
     Args:
-        means: [N, 3] centres, world units.
+        means: [N, 3] centers, world units.
         quats: [N, 4] rotations w, x, y, z, of any length but zero.
         scales: [N, 3] standard deviations, world units.
         opacities: [N] from 0 to 1.
-        colors: [N, D] or [C, N, D] values of any number of channels; with `sh_degree` [N, K, 3] or [C, N, K, 3] coefficients.
-        viewmats: [C, 4, 4] world to camera, OpenCV axes. They are rigid; their gradient is that along rigid motions.
-        Ks: [C, 3, 3] intrinsics in pixels. They have no gradient, as in gsplat.
-        width: Pixels a row.
-        height: Rows.
-        sh_degree: The highest band of spherical harmonics that counts.
-        backgrounds: [C, D] behind the scene.
+        colors: [N, D] or [C, N, D] values; with `sh_degree` [N, K, 3] or [C, N, K, 3] coefficients.
+        viewmats: [C, 4, 4] rigid world-to-camera matrices; gradients are along rigid motions.
+        Ks: [C, 3, 3] intrinsics in pixels, without gradients, as in gsplat.
+        width: Width in pixels.
+        height: Height in pixels.
+        sh_degree: Degree of spherical harmonics to use.
+        backgrounds: [C, D] colors behind the scene.
         render_mode: "RGB", "D" accumulated depth, "ED" expected depth, "RGB+D" or "RGB+ED".
         rasterize_mode: "classic" or "antialiased".
-        packed, tile_size, channel_chunk, segmented: change nothing here.
+        packed, tile_size, channel_chunk, segmented: Ignored.
         context: The device; None for the best.
 
     Returns:
-        Colours [C, height, width, X], where depth is the last channel; alphas [C, height, width, 1]; and width, height and n_cameras.
+        Colors [C, height, width, X] with depth as the last channel; alphas [C, height, width, 1];
+        metadata with width, height and n_cameras.
 
     Raises:
-        NotImplementedError: an argument asks for what is not there; it is named.
-        ValueError, ArgumentError: a shape or value cannot be used.
+        NotImplementedError: an argument requests an unsupported feature.
+        ValueError, ArgumentError: a shape or value is invalid.
     """
     refused = {
         "far_plane": far_plane != 1e10,
@@ -119,7 +120,7 @@ def rasterization(
         "tangential_coeffs": tangential_coeffs is not None,
         "thin_prism_coeffs": thin_prism_coeffs is not None,
         "ftheta_coeffs": ftheta_coeffs is not None,
-        # GLOBAL is gsplat's name for none.
+        # gsplat's GLOBAL is no rolling shutter.
         "rolling_shutter": rolling_shutter is not None and getattr(rolling_shutter, "name", "") != "GLOBAL",
         "viewmats_rs": viewmats_rs is not None,
     }
@@ -192,7 +193,7 @@ def rasterization(
 
 
 class _How:
-    """How all pictures of a call are drawn."""
+    """Drawing settings shared by all pictures of a call."""
 
     def __init__(self, width: int, height: int, antialiased: bool, context: Context, near: float = 0.01) -> None:
         self.width, self.height, self.antialiased, self.near, self.context = width, height, antialiased, near, context
@@ -217,7 +218,7 @@ def _draw(
     sh_degree: Optional[int],
     mode: str,
 ) -> list[Any]:
-    """Colours, alphas and accumulated depths of cameras that see the same colours; None where not asked for."""
+    """Returns colors, alphas and accumulated depths of cameras with shared colors, or None."""
     depth = mode != "RGB"
     if not mode.startswith("RGB"):
         _, alphas, depths = xp.rasterise(how, geometry, None, viewmats, Ks, True)
@@ -225,7 +226,7 @@ def _draw(
     if sh_degree is not None:
         coeffs = colors[:, : (sh_degree + 1) ** 2]
         return list(xp.rasterise(how, geometry, coeffs, viewmats, Ks, depth))
-    # Three channels at a time, as colours that are not below 0: moved up, which the picture takes back.
+    # Batches of three channels, shifted above 0; the result is shifted back.
     channels = int(colors.shape[1])
     lowest = xp.lowest(colors)
     moved = lowest - 1 if lowest < _LEAST else 0.0
@@ -244,7 +245,7 @@ def _draw(
 
 
 class _Renderers(threading.local):
-    """A renderer for each thread, of the device that was used last."""
+    """A renderer per thread, for the most recent device."""
 
     def __init__(self) -> None:
         self.renderer: Optional[Renderer] = None
@@ -270,7 +271,7 @@ def _scene(geometry: Sequence[Array], coeffs: Optional[Array]) -> Scene:
 def _forward(
     how: _How, geometry: Sequence[Array], coeffs: Optional[Array], viewmats: Array, Ks: Array, depth: bool
 ) -> tuple[Optional[Array], Array, Optional[Array]]:
-    """Colours [C, height, width, 3], alphas and accumulated depths [C, height, width, 1]."""
+    """Returns colors [C, height, width, 3], alphas and depths [C, height, width, 1]."""
     views, shape = how.cameras(viewmats, Ks), (len(viewmats), how.height, how.width)
     rgb = None if coeffs is None else np.empty((*shape, 3), np.float32)
     alphas, depths = np.empty((*shape, 1), np.float32), np.empty((*shape, 1), np.float32) if depth else None
@@ -289,7 +290,7 @@ def _backward(
     weights: Sequence[Optional[Array]],
     of_cameras: bool,
 ) -> tuple[dict[str, Array], Optional[Array]]:
-    """Gradients by means, scales, quats, opacities and sh_coeffs, and by viewmats where these are wanted."""
+    """Returns gradients of means, scales, quats, opacities, sh_coeffs and, on request, viewmats."""
     scene, views = _scene(geometry, coeffs), how.cameras(viewmats, Ks)
     found = {
         name: np.zeros(getattr(scene, name).shape, np.float32)
@@ -309,22 +310,22 @@ def _backward(
 
 
 def _by_viewmats(viewmats: Array, moved: Array) -> Array:
-    """The gradient by world-to-camera matrices from that by (w, v), where camera-to-world moves as R exp(w^), t + R v: of those
-    that agree on rigid motions the smallest.
+    """Converts a gradient of (w, v), with camera-to-world R exp(w^), t + R v, to world-to-camera.
 
-    A viewmat [A | b] then moves as exp(-w^) [A | b] - [0 | v], so that w = -(sum of a x d over its columns) and v = -d of b.
+    Returns the smallest gradient that agrees on rigid motions. A viewmat [A | b] moves as
+    exp(-w^) [A | b] - [0 | v], so w = -(sum of a x d over its columns) and v = -d of b.
     """
     out = np.zeros(viewmats.shape, np.float32)
     for to, matrix, (w, v) in zip(out, viewmats, ((row[:3], row[3:6]) for row in moved.astype(np.float64))):
         turn = w - np.cross(matrix[:3, 3], v)
         to[:3, 3] = -v
-        # The sum over three orthonormal axes of a x (w x a) is 2 w.
+        # Summed over three orthonormal axes, a x (w x a) is 2 w.
         to[:3, :3] = np.stack([-0.5 * np.cross(turn, matrix[:3, axis]) for axis in range(3)], axis=1)
     return out
 
 
 class _Numpy:
-    """What is done with arrays of NumPy."""
+    """Array operations with NumPy."""
 
     @staticmethod
     def array(values: Any) -> Array:
@@ -344,7 +345,7 @@ class _Numpy:
 
 
 def _library(fields: Sequence[Any]) -> Any:
-    """What works with these arrays: torch where one is a tensor."""
+    """Returns the array backend: torch if any field is a tensor."""
     for field in fields:
         if type(field).__module__.split(".")[0] == "torch":
             from ._torch import Torch

@@ -1,4 +1,4 @@
-"""Photos from wherever Python has them, and pictures to files."""
+"""Photos from files, bytes and arrays, and pictures to files."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy.typing as npt
 from ._native import Handle, array_at, call, ffi, lib, structure
 from .cameras import Camera, Capture, PathLike
 
-# The files of a folder that are taken for photos.
+# Recognized photo extensions.
 EXTENSIONS = frozenset({".png", ".jpg", ".jpeg", ".webp"})
 
 Image = Union[PathLike, bytes, npt.NDArray[Any], Any]
@@ -22,7 +22,7 @@ Cameras = Union[PathLike, Capture, Sequence[Camera]]
 
 
 def photos_in(folder: PathLike) -> list[Path]:
-    """The photos of a folder (PNG, JPEG, WebP) in natural order of their names, hidden files left out.
+    """Lists the visible photos (PNG, JPEG, WebP) of a folder in natural order.
 
     Raises:
         ValueError: there are none.
@@ -35,23 +35,25 @@ def photos_in(folder: PathLike) -> list[Path]:
 
 
 def read_photo(path: PathLike) -> npt.NDArray[np.uint8]:
-    """A photo file as [height, width, 3] uint8, its EXIF orientation applied. The array is read only.
+    """Reads a photo as read-only [height, width, 3] uint8 with its EXIF orientation applied.
 
     Raises:
-        IoError, FormatError: it cannot be read, or is no PNG, JPEG or WebP.
+        IoError, FormatError: it is unreadable, or not a PNG, JPEG or WebP.
     """
     return _array(Handle("photo", "zs_photo_open", os.fsencode(path)))
 
 
 def save_png(path: PathLike, pixels: npt.ArrayLike) -> None:
-    """Writes [height, width, 3 or 4] uint8 from 0 to 255 or float from 0 to 1 as a PNG; alpha is dropped. The file appears whole or
-    not at all."""
+    """Writes [height, width, 3 or 4] pixels as a PNG without alpha.
+
+    Values are uint8 from 0 to 255 or float from 0 to 1. An existing file is replaced atomically.
+    """
     images, _kept = native([pixels])
     call("zs_image_save_png", images, os.fsencode(path))
 
 
 def native(sources: Sequence[Any]) -> tuple[Any, list[object]]:
-    """Images as the library takes them, and what has to live as long. Files are decoded several at once."""
+    """Converts images for the library, with references to keep alive. Decodes in parallel."""
     with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
         loaded = list(pool.map(_load, range(len(sources)), sources))
     out = ffi.new("zs_image[]", len(loaded))
@@ -68,9 +70,9 @@ def native(sources: Sequence[Any]) -> tuple[Any, list[object]]:
 
 
 def matched(images: Images, cameras: Optional[Cameras]) -> tuple[list[Any], Optional[list[Camera]], Optional[Capture]]:
-    """Images, and their cameras where there are any, one each, with the capture that these are of.
+    """Matches images with cameras; returns images, cameras if any, and their capture.
 
-    Photos without a camera in a capture are left out: structure from motion seldom places every photo.
+    Photos without a camera in a capture are dropped: structure from motion rarely places all.
     """
     capture = images if isinstance(images, Capture) else None
     if capture is not None and cameras is not None:
@@ -100,7 +102,7 @@ def matched(images: Images, cameras: Optional[Cameras]) -> tuple[list[Any], Opti
 
 
 def listed(images: Any) -> list[Any]:
-    """The images that somebody means: those of folders, too."""
+    """Expands folders to their images."""
     if isinstance(images, (str, os.PathLike)):
         images = [images]
     elif isinstance(images, bytes) or hasattr(images, "__array_interface__") and getattr(images, "ndim", 3) == 3:
@@ -113,7 +115,7 @@ def listed(images: Any) -> list[Any]:
 
 
 class _Posed:
-    """A photo as its camera sees it."""
+    """An undistorted photo of a capture."""
 
     def __init__(self, capture: Capture, index: int, path: Optional[PathLike]) -> None:
         self.capture, self.index, self.path = capture, index, path
@@ -145,7 +147,7 @@ def _load(index: int, source: Any) -> Any:
 
 
 def _pixels(name: str, source: Any) -> npt.NDArray[Any]:
-    """[height, width, 3 or 4] of uint8 or float32 whose rows have no gaps."""
+    """Returns a contiguous [height, width, 3 or 4] array of uint8 or float32."""
     if hasattr(source, "detach"):
         source = source.detach().cpu()
     elif hasattr(source, "getbands"):
@@ -179,7 +181,7 @@ def _array(photo: Handle) -> npt.NDArray[np.uint8]:
 
 
 def _natural(name: str) -> list[tuple[Any, ...]]:
-    """Orders numbers in names by value: 2.png before 10.png."""
+    """Sort key by numeric value: 2.png before 10.png."""
     parts: list[tuple[Any, ...]] = []
     at = 0
     while at < len(name):
@@ -197,10 +199,10 @@ def _natural(name: str) -> list[tuple[Any, ...]]:
 
 
 def paths_of(images: Images) -> Iterable[str]:
-    """The paths of images, for the command.
+    """Returns the paths of images, for the command.
 
     Raises:
-        TypeError: some are no files.
+        TypeError: an image is not a file.
     """
     for image in [images] if isinstance(images, (str, os.PathLike)) else images:
         if not isinstance(image, (str, os.PathLike)):

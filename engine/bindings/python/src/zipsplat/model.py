@@ -1,4 +1,4 @@
-"""Models: networks that make scenes of photos."""
+"""Models: networks that reconstruct scenes from photos."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ PRECISIONS = {
 }
 _SELECTIONS = {"kmeans": lib.ZS_SELECT_KMEANS, "stride": lib.ZS_SELECT_STRIDE, "random": lib.ZS_SELECT_RANDOM}
 _WORLDS = {"first_camera": lib.ZS_WORLD_FIRST_CAMERA, "cameras": lib.ZS_WORLD_CAMERAS}
-# Share of the progress that the reconstruction counts for where a refinement follows.
+# Fraction of the progress for reconstruction before a refinement.
 _RECONSTRUCTED = 0.2
 
 
 class Model:
-    """A network with its weights on a device. Any number of threads may reconstruct with it at the same time.
+    """A network with its weights on a device. Threads can share a model.
 
     Attributes:
-        context: The device.
-        picture_side: Side in pixels of the square pictures that it is best with.
-        patch: Side of a patch in pixels: sizes of pictures are multiples of it.
-        gaussians_per_token: Gaussians that a token becomes.
-        sh_degree: Highest band of spherical harmonics of its scenes.
+        context: Device of the model.
+        picture_side: Native side of its square pictures, in pixels.
+        patch: Side of a patch in pixels; picture sides are multiples of it.
+        gaussians_per_token: Gaussians per token.
+        sh_degree: Degree of spherical harmonics of its scenes.
         precision: Number formats in use: "exact", "fast", "fast-bf16" or "turbo".
-        weight_bytes: Bytes of its weights on the device.
-        notes: Why it may be slow, and what was rounded or assumed to read the weights, in words.
+        weight_bytes: Bytes of weights on the device.
+        notes: Warnings about speed and about assumptions made while loading.
     """
 
     def __init__(self, handle: Handle, context: Context) -> None:
@@ -68,13 +68,13 @@ class Model:
         """Loads a checkpoint onto a device.
 
         Args:
-            weights: "embedded", the demonstration that is built in; a checkpoint's path or bytes, safetensors or PyTorch; or
-                "seeded:VARIANT", random numbers to try things out with.
+            weights: "embedded" for the built-in model; path or bytes of a safetensors or PyTorch
+                checkpoint; or "seeded:VARIANT" for random weights.
             precision: "best", "exact", "fast", "fast-bf16" or "turbo".
-            variant: The network of a checkpoint that does not say: "vitg", "vits", ...
+            variant: Variant of a checkpoint that does not name its own: "vitg", "vits", ...
             context: The device; None for the best.
-            progress: Told the share that is done and what is under way. Where it returns False, CancelledError is raised; what it
-                raises comes out of the call.
+            progress: Receives fraction and stage. Returning False raises CancelledError; its
+                exceptions propagate.
 
         Raises:
             NoDeviceError, WeightsError, FormatError, IoError, OutOfMemoryError, ArgumentError.
@@ -104,32 +104,33 @@ class Model:
         size: Optional[tuple[int, int]] = None,
         progress: Optional[Progress] = None,
     ) -> Scene:
-        """A scene of 1 to 192 photos of one place.
+        """Reconstructs a scene from 1 to 192 photos of one place.
 
         Args:
-            images: Photos: a folder, or a sequence of paths, encoded bytes, PIL images, arrays [height, width, 3 or 4] of uint8 from
-                0 to 255 or float32 from 0 to 1 (NumPy, torch, or whatever has DLPack), or a Capture.
-            cameras: Cameras of the whole photos, where they are known: a sequence of Camera, one for each, or a Capture or its path,
-                in which photos are found by their names. None with a Capture for `images`, which has its own.
-            ratio: Share of the tokens that become Gaussians, above 0 and up to 1; "auto" is 0.5 sqrt(2 / photos).
-            refine: Steps of Scene.refine that follow; they need cameras.
-            world: "first_camera": the scene's world is the first photo's camera, x right, y down, z forward. "cameras": the world of
-                the cameras. "auto": the world of the cameras where there are any.
-            unit: Length in the cameras' unit that the network takes for 1; "auto" finds it from the capture's points or the
-                cameras. The scene keeps the cameras' unit.
-            select: Which tokens are kept: "kmeans", the method's own, "stride" or "random".
-            seed: For "random", and for the order of photos of a refinement.
-            pool: For many photos: attention across them sees the mean of pool x pool patches in place of each, 1 to 4; more are faster
-                and less exact.
-            size: Width and height of what the network sees of each photo, multiples of `patch`: photos are cropped around their
-                centre to this shape. None for the model's own.
-            progress: Told the share that is done and what is under way. Where it returns False the work stops: CancelledError is
-                raised, but from a refinement the best scene so far is returned. What it raises comes out of the call.
+            images: A folder, a Capture, or a sequence of paths, encoded bytes, PIL images or arrays
+                (NumPy, torch, DLPack): [height, width, 3 or 4], uint8 or float32 from 0 to 1.
+            cameras: Known cameras of the whole photos: a sequence of Camera, or a Capture or its
+                path, with photos matched by name. None if `images` is a Capture.
+            ratio: Fraction of tokens that become Gaussians, in (0, 1]; "auto" is
+                0.5 sqrt(2 / photos).
+            refine: Steps of Scene.refine afterwards; they need cameras.
+            world: "first_camera" for the first photo's camera space, "cameras" for the cameras'
+                world, "auto" for the cameras' world if known.
+            unit: Scene scale: the length in the cameras' unit that the network treats as 1; "auto"
+                estimates it from the capture's points or the cameras.
+            select: Selection of kept tokens: "kmeans" as in the paper, "stride" or "random".
+            seed: Seed of "random" and of a refinement's photo order.
+            pool: Pooling for many photos: cross-view attention reads means of pool x pool patches,
+                1 to 4. Larger values are faster and less exact.
+            size: Width and height of the network's input, multiples of `patch`; photos are
+                center-cropped. None for the model's own.
+            progress: Receives fraction and stage. Returning False raises CancelledError, or ends a
+                refinement early with its best scene. Its exceptions propagate.
 
         Raises:
-            ArgumentError, ValueError, TypeError: something given cannot be used.
+            ArgumentError, ValueError, TypeError: an argument is invalid.
             IoError, FormatError: a photo cannot be read.
-            OutOfMemoryError, DeviceLostError, DriverError: the device.
+            OutOfMemoryError, DeviceLostError, DriverError: the device failed.
         """
         sources, posed, capture = matched(images, cameras)
         if refine and posed is None:

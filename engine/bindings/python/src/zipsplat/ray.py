@@ -1,11 +1,13 @@
-"""Thousands of captures to scenes on a cluster, by Ray Data: an actor with a model on each device.
+"""Reconstructs many captures on a cluster with Ray Data: one actor and model per device.
 
-usage: python -m zipsplat.ray INPUTS... -o OUT [--address ADDRESS] [--actors N] [--tries K] [--ratio R] [--format ply]
+usage: python -m zipsplat.ray INPUTS... -o OUT [--address ADDRESS] [--actors N] [--tries K]
+                              [--ratio R] [--format ply]
 
-INPUTS are folders of photos, or folders of such folders; they and OUT may lie wherever fsspec reads (s3://, gs://, local). Each capture
-becomes OUT/NAME.FORMAT and OUT/NAME.json, which says what it was made of. Run the same command again to go on: a capture is
-finished where its record has the hash of its photos' names, sizes and times and of the options. One that fails, or whose worker dies
-K times, is a row of OUT/failures.csv and is left alone. OUT/report.json has captures a second and the share of time of each step.
+INPUTS are photo folders, or folders of them; they and OUT may be on any fsspec file system. Each
+capture becomes OUT/NAME.FORMAT and a record OUT/NAME.json. Run the command again to resume: a
+capture is finished if its record matches the hash of its photos' names, sizes and times and of the
+options. Failed captures, and those whose worker died K times, are rows of OUT/failures.csv.
+OUT/report.json has throughput and time shares.
 """
 
 from __future__ import annotations
@@ -28,7 +30,7 @@ EXTENSIONS = (".png", ".jpg", ".jpeg", ".webp")
 
 @dataclass(frozen=True)
 class Options:
-    """What scenes depend on besides their photos."""
+    """Options that determine a scene."""
 
     ratio: str = "1"
     weights: str = "embedded"
@@ -38,7 +40,7 @@ class Options:
 
 @dataclass(frozen=True)
 class Row:
-    """A capture: its name, where its photos lie, and the hash of what its scene is made of."""
+    """A capture: its name, photo folder, and input hash."""
 
     name: str
     photos: list[str]
@@ -46,10 +48,10 @@ class Row:
 
 
 def captures(inputs: list[str], options: Options) -> list[Row]:
-    """The captures of folders, each with a name of its own.
+    """Finds captures in folders and names them uniquely.
 
     Raises:
-        ValueError: an input has none, or two have the same name.
+        ValueError: an input has none, or two share a name.
     """
     found: dict[str, Row] = {}
     for place in inputs:
@@ -96,7 +98,7 @@ def _row(system: Any, root: str, entries: list[dict[str, Any]], options: Options
 
 
 class Store:
-    """Where scenes and their records lie. A file appears whole: it is moved, or put by one request, into its place."""
+    """Storage of scenes and records. Files are written atomically, by rename or a single put."""
 
     def __init__(self, out: str) -> None:
         self.system, self.root = fsspec.core.url_to_fs(out)
@@ -108,7 +110,7 @@ class Store:
         return f"{self.root.rstrip('/')}/{name}"
 
     def read(self, name: str) -> Optional[bytes]:
-        """A file's contents; None where there is none."""
+        """Returns a file's contents; None if it does not exist."""
         try:
             return bytes(self.system.cat_file(self.path(name)))
         except FileNotFoundError:
@@ -125,24 +127,24 @@ class Store:
         os.replace(beside, path)
 
     def record(self, row: Row) -> Optional[dict[str, Any]]:
-        """The record of a finished capture: None where it is not finished, or was made of something else."""
+        """Returns the record of a finished capture; None if unfinished or outdated."""
         data = self.read(f"{row.name}.json")
         record: dict[str, Any] = json.loads(data) if data else {}
         return record if record.get("hash") == row.hash else None
 
     def tries(self, row: Row) -> int:
-        """How often a worker has begun a capture that it did not end."""
+        """Returns the number of started but unfinished attempts."""
         return len(self.read(f".tries/{row.name}.{row.hash[:16]}") or b"")
 
     def try_again(self, row: Row, tries: int) -> None:
-        """Notes that a worker begins."""
+        """Records the start of an attempt."""
         if self.local:
             self.system.makedirs(self.path(".tries"), exist_ok=True)
         self.write(f".tries/{row.name}.{row.hash[:16]}", b"x" * tries)
 
 
 class Worker:
-    """An actor: a model on a device of its own, kept from capture to capture."""
+    """An actor: a model on its device, reused across captures."""
 
     def __init__(self, out: str, options: Options, tries: int) -> None:
         import zipsplat
@@ -153,12 +155,12 @@ class Worker:
         self.loaded = time.time() - began
 
     def __call__(self, batch: dict[str, Any]) -> dict[str, Any]:
-        """A row of a table in, what became of it out."""
+        """Maps a table row to its result."""
         rows = [Row(**json.loads(row)) for row in batch["row"]]
         return {"result": [json.dumps(self.one(row)) for row in rows]}
 
     def one(self, row: Row) -> dict[str, Any]:
-        """Makes a capture's scene, but where it is there already, or was begun too often."""
+        """Reconstructs a capture, unless finished or tried too often."""
         record = self.store.record(row)
         if record is not None:
             return record
@@ -168,7 +170,7 @@ class Worker:
         self.store.try_again(row, tries + 1)
         try:
             return self._make(row)
-        except Exception as error:  # noqa: BLE001 A capture that fails is a row and not the end.
+        except Exception as error:  # noqa: BLE001 A failed capture must not end the run.
             return {"name": row.name, "error": f"{type(error).__name__}: {error}"}
 
     def _make(self, row: Row) -> dict[str, Any]:
@@ -203,11 +205,12 @@ def _open_all(paths: list[str]) -> Iterator[Any]:
 
 
 def device() -> Optional[str]:
-    """The device that Ray gave this actor, as Vulkan knows it: by its UUID, as Vulkan does not see the variable by which Ray hides
-    others. None, the best, where Ray gave none.
+    """Returns the UUID of the device that Ray assigned; None, the best, without an assignment.
+
+    Vulkan ignores the variable that hides other devices.
 
     Raises:
-        RuntimeError: Ray gave one by its number, and nvidia-smi does not say its UUID.
+        RuntimeError: Ray assigned an index, and nvidia-smi does not map it to a UUID.
     """
     given = os.environ.get("CUDA_VISIBLE_DEVICES", "").split(",")[0].strip()
     if not given or given.startswith("GPU-"):
@@ -234,15 +237,15 @@ def run(
     actors: Optional[int] = None,
     tries: int = 3,
 ) -> dict[str, Any]:
-    """Makes all scenes, and returns the report.
+    """Reconstructs all captures and returns the report.
 
     Args:
-        inputs: Folders of photos, or folders of such folders, wherever fsspec reads.
-        out: The folder of the scenes, as well.
-        options: What scenes depend on.
-        address: A cluster's; None for a local one.
-        actors: Most of them; None for one a GPU, or one a core where there is none.
-        tries: How often a capture is begun before it is left alone.
+        inputs: Photo folders, or folders of them, on any fsspec file system.
+        out: Output folder on any fsspec file system.
+        options: Options that determine a scene.
+        address: Address of a cluster; None for a local one.
+        actors: Limit of actors; None for one per GPU, or per core without GPUs.
+        tries: Limit of attempts per capture.
     """
     import ray
     import ray.data
@@ -309,7 +312,7 @@ def _write_failures(store: Store, failures: list[dict[str, Any]]) -> None:
 
 
 def main(arguments: Optional[list[str]] = None) -> int:
-    """The command line; its exit code is 1 where captures failed."""
+    """Runs the command line; returns 1 if captures failed."""
     parser = argparse.ArgumentParser(prog="python -m zipsplat.ray", description=(__doc__ or "").split("\n")[0])
     parser.add_argument("inputs", nargs="+", help="folders of photos, or folders of such folders")
     parser.add_argument("-o", "--output", required=True, help="folder of the scenes")
@@ -332,7 +335,7 @@ def main(arguments: Optional[list[str]] = None) -> int:
 
 
 if __name__ == "__main__":
-    # Workers know what is in a module by its name.
+    # Ray pickles by module name, which must not be __main__.
     from zipsplat.ray import main as _main
 
     sys.exit(_main())

@@ -1,4 +1,4 @@
-"""Renderers: scenes to pictures."""
+"""Renderers: draw scenes."""
 
 from __future__ import annotations
 
@@ -18,13 +18,12 @@ _DEPTHS = {"expected": lib.ZS_DEPTH_EXPECTED, "accumulated": lib.ZS_DEPTH_ACCUMU
 
 @dataclass(frozen=True)
 class Pictures:
-    """Pictures of one camera, or, with a first axis C, of several.
+    """Pictures of one camera or, with a leading axis C, of several.
 
     Attributes:
-        rgb: [C, height, width, 3] uint8, clamped and truncated as in `zipsplat render`, or float32, which is neither; in front of
-            the background.
-        alpha: [C, height, width] float32 from 0 to 1, where asked for.
-        depth: [C, height, width] float32 along the camera's z axis in world units, where asked for.
+        rgb: [C, height, width, 3] over the background: uint8, clamped and truncated, or float32.
+        alpha: [C, height, width] float32 from 0 to 1, if requested.
+        depth: [C, height, width] float32 along the camera's z axis in world units, if requested.
     """
 
     rgb: npt.NDArray[Any]
@@ -33,12 +32,13 @@ class Pictures:
 
 
 class Renderer:
-    """A scene on a device, ready to be drawn. Drawing pictures of the same size and kind again is fast. Threads that use one
-    renderer wait for each other.
+    """A scene on a device, ready to draw. Repeated sizes and kinds of picture are fast.
+
+    Concurrent calls wait for each other.
 
     Args:
-        scene: The scene, which the renderer copies to the device.
-        context: The device; None for the one that the scene was made on, or the best.
+        scene: Scene to upload.
+        context: The device; None for the scene's own or the best.
     """
 
     def __init__(self, scene: Scene, context: Optional[Context] = None) -> None:
@@ -46,7 +46,7 @@ class Renderer:
         self._handle = Handle("renderer", "zs_renderer_create", self.context._handle.pointer, scene._handle.pointer)
 
     def set_scene(self, scene: Scene) -> None:
-        """Draws another scene from now on. Cheap for one of the same number of Gaussians and degree."""
+        """Replaces the scene. Cheap for an equal number of Gaussians and degree."""
         call("zs_renderer_set_scene", self._handle.pointer, scene._handle.pointer)
 
     def render(
@@ -59,21 +59,21 @@ class Renderer:
         antialiased: bool = False,
         dtype: npt.DTypeLike = np.uint8,
     ) -> Pictures:
-        """Pictures of the scene.
+        """Draws the scene.
 
         Args:
             cameras: A camera, or several of one size, in the scene's world.
-            alpha: Whether to give what covers the background.
-            depth: "expected", the mean depth of what is seen, 0 where nothing is; "accumulated", the sum of depth times blending
-                weight; or None.
-            background: Red, green, blue behind the scene, from 0 to 1.
-            antialiased: Makes Gaussians thinner than a pixel fainter by as much as drawing widens them (Mip-Splatting): for scenes
-                that were made that way.
-            dtype: uint8 or float32, of the colours.
+            alpha: Whether to return alpha.
+            depth: "expected", blended depth over alpha, 0 where empty; "accumulated", the sum of
+                depth times blending weight; or None.
+            background: Background as red, green, blue, from 0 to 1.
+            antialiased: Fades Gaussians thinner than a pixel (Mip-Splatting), for scenes trained
+                that way.
+            dtype: uint8 or float32, of the colors.
 
         Raises:
-            ArgumentError, ValueError: a camera cannot be drawn with, or sizes differ.
-            TypeError: an element is no camera.
+            ArgumentError, ValueError: a camera is invalid, or sizes differ.
+            TypeError: an element is not a camera.
         """
         single = isinstance(cameras, Camera)
         given: Any = cameras
@@ -109,7 +109,7 @@ class Renderer:
 def pictures(
     rgb: Optional[npt.NDArray[Any]], alpha: Optional[npt.NDArray[Any]], depth: Optional[npt.NDArray[Any]]
 ) -> Any:
-    """Where pictures are, as the library takes them: arrays without gaps whose first axis is the camera."""
+    """Describes contiguous output arrays, with cameras as the first axis, for the library."""
     planes = (("pixels", "void *", rgb), ("alpha", "float *", alpha), ("depth", "float *", depth))
     found = [(name, kind, plane) for name, kind, plane in planes if plane is not None]
     out = ffi.new("zs_picture[]", len(found[0][2]) if found else 0)

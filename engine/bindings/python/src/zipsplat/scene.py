@@ -1,4 +1,4 @@
-"""Scenes: 3D Gaussians in memory, from and to arrays and files."""
+"""Scenes: 3D Gaussians from and to arrays, files and bytes."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ FIELDS = ("means", "scales", "quats", "opacities", "sh_coeffs")
 
 @dataclass(frozen=True)
 class Refinement:
-    """The outcome of a refinement.
+    """Result of a refinement.
 
     Attributes:
-        ended: Why it ended: "finished", "stopped" by the progress function, or "diverged".
-        steps: Steps that were taken.
-        best_step: The step after which the scene was kept; 0 where none made it better.
-        first_loss: Mean loss of the photos of the first step; NaN where there was none.
-        last_loss: Mean loss of the photos of the last step; NaN where there was none.
-        psnr_before: PSNR in dB of the held-out photos before the first step; NaN where none are held out.
-        psnr: The same with the scene that was kept.
-        seconds: Seconds that it took.
+        ended: "finished", "stopped" by the progress function, or "diverged".
+        steps: Completed steps.
+        best_step: Step of the returned scene; 0 if none improved it.
+        first_loss: Mean loss over the first step's photos; NaN without a step.
+        last_loss: Mean loss over the last step's photos; NaN without a step.
+        psnr_before: PSNR in dB of the held-out photos before the first step; NaN without any.
+        psnr: The same with the returned scene.
+        seconds: Duration in seconds.
     """
 
     ended: str
@@ -50,14 +50,14 @@ class Refinement:
 
 @dataclass(frozen=True)
 class Refining:
-    """How far a refinement is.
+    """Progress of a refinement.
 
     Attributes:
-        step: Steps that are done.
-        steps: All steps.
-        loss: Mean loss of the photos of the last step.
-        psnr: PSNR in dB of the held-out photos, when they were looked at last; NaN where none are held out.
-        seconds_left: Seconds that are left, as steps took so far.
+        step: Completed steps.
+        steps: Total steps.
+        loss: Mean loss over the last step's photos.
+        psnr: Latest PSNR in dB of the held-out photos; NaN without any.
+        seconds_left: Estimated seconds left.
     """
 
     step: int
@@ -68,20 +68,21 @@ class Refining:
 
 
 class Scene:
-    """3D Gaussians in host memory. A scene never changes, so any number of threads may use it; it outlives devices. The world has
-    axes x right, y down, z forward.
+    """Immutable 3D Gaussians in host memory. Threads can share a scene; it survives device loss.
+
+    World axes are x right, y down, z forward.
 
     Attributes:
-        means: [N, 3] float32 centres, world units.
-        scales: [N, 3] float32 standard deviations along the Gaussian's own axes, world units: linear, not logarithms.
-        quats: [N, 4] float32 rotations w, x, y, z; of any length but zero.
+        means: [N, 3] float32 centers, world units.
+        scales: [N, 3] float32 linear standard deviations along the Gaussian's axes, world units.
+        quats: [N, 4] float32 rotations w, x, y, z, of any length but zero.
         opacities: [N] float32 from 0 to 1.
-        sh_coeffs: [N, K, 3] float32 coefficients of spherical harmonics for red, green, blue, as 3D Gaussian Splatting's files
-            have them; K = (sh_degree + 1) ** 2.
-        sh_degree: The highest band, 0 to 3.
-        refinement: What came of the refinement that made it; None where none did.
+        sh_coeffs: [N, K, 3] float32 coefficients of spherical harmonics for red, green, blue, as in
+            3D Gaussian Splatting; K = (sh_degree + 1) ** 2.
+        sh_degree: Degree of spherical harmonics, 0 to 3.
+        refinement: Result of the refinement behind the scene; None without one.
 
-    The arrays lie in the library's memory: they are not copied, cannot be written, and keep what they need alive.
+    The arrays are read-only views of library memory and keep it alive.
     """
 
     def __init__(
@@ -100,12 +101,14 @@ class Scene:
 
     @classmethod
     def open(cls, path: PathLike, *, drop_invalid: bool = False) -> Scene:
-        """Reads a scene file: PLY, also packed (.compressed.ply), SPZ, .splat, glTF with KHR_gaussian_splatting (.gltf, .glb).
-        Whatever axes the format has, the scene's are x right, y down, z forward.
+        """Opens a scene file: PLY, .compressed.ply, SPZ, .splat, .gltf or .glb.
+
+        glTF uses KHR_gaussian_splatting. Axes become x right, y down, z forward.
 
         Args:
             path: The file.
-            drop_invalid: Leaves out Gaussians with values that are NaN, infinite or out of range, and does not refuse the file.
+            drop_invalid: Drops Gaussians with NaN, infinite or out-of-range values instead of
+                rejecting the file.
         """
         if drop_invalid:
             return cls(Handle("scene", "zs_scene_open_dropping_invalid", os.fsencode(path), ffi.NULL))
@@ -113,8 +116,10 @@ class Scene:
 
     @classmethod
     def from_bytes(cls, data: bytes, format: Optional[str] = None, *, drop_invalid: bool = False) -> Scene:
-        """As `open`, with a file's contents. PLY, SPZ and .glb are told apart by their first bytes; `format` names one that they do
-        not tell: "splat" or "gltf"."""
+        """Decodes a scene file in memory, as `open`.
+
+        PLY, SPZ and .glb are recognized by content; `format` is "splat" or "gltf" otherwise.
+        """
         dropped = ffi.new("uint64_t *") if drop_invalid else ffi.NULL
         return cls(Handle("scene", "zs_scene_from_memory", data, len(data), _name(format), dropped))
 
@@ -127,10 +132,10 @@ class Scene:
         opacities: npt.ArrayLike,
         sh_coeffs: npt.ArrayLike,
     ) -> Scene:
-        """A scene of a copy of arrays, shaped as the attributes are. NumPy's, or what NumPy makes one of.
+        """Creates a scene from copies of arrays, shaped like the attributes.
 
         Raises:
-            ValueError, ArgumentError: a shape is not that, or a value is not finite or out of range.
+            ValueError, ArgumentError: a shape is invalid, or a value not finite or out of range.
         """
         arrays = [np.ascontiguousarray(array, np.float32) for array in (means, scales, quats, opacities, sh_coeffs)]
         count = len(arrays[0]) if arrays[0].ndim else 0
@@ -144,17 +149,18 @@ class Scene:
         return cls(Handle("scene", "zs_scene_create", found))
 
     def save(self, path: PathLike, *, spz_version: int = 3) -> None:
-        """Writes the scene in the format of the path's extension: .ply, .spz, .splat, .gltf or .glb. The file appears whole or not
-        at all; one of that name is replaced.
+        """Writes the scene in the format of the path's extension: .ply, .spz, .splat, .gltf, .glb.
+
+        An existing file is replaced atomically.
 
         Args:
             path: The file.
-            spz_version: Version of an SPZ: 3; 2 for older readers; 4 for those that know only the newest.
+            spz_version: SPZ version: 2, 3 or 4.
         """
         call("zs_scene_save", self._handle.pointer, os.fsencode(path), options("save", spz_version=spz_version))
 
     def to_bytes(self, format: str, *, spz_version: int = 3) -> bytes:
-        """What the file of a format would have: "ply", "spz", "splat", "gltf" or "glb"."""
+        """Encodes the scene as "ply", "spz", "splat", "gltf" or "glb"."""
         made = options("save", spz_version=spz_version)
         found = Handle("bytes", "zs_scene_to_memory", self._handle.pointer, _name(format), made)
         data, size = ffi.new("void **"), ffi.new("size_t *")
@@ -174,24 +180,24 @@ class Scene:
         progress: Optional[Callable[[Refining], Optional[bool]]] = None,
         context: Optional[Context] = None,
     ) -> Scene:
-        """The scene made sharp: its Gaussians moved until each photo is what its camera sees.
+        """Returns a copy of the scene, optimized to match photos.
 
         Args:
-            images: Photos, as Model.reconstruct takes them.
-            cameras: Their cameras, in the scene's world; none with a Capture.
-            steps: Steps of the optimiser.
-            views_per_step: Photos of a step.
-            hold_out: Photos that nothing is learnt from, evenly spread: the scene is that of the step that predicts them best.
-                "auto" is 1 of 9 or more.
-            size: Most pixels of a photo along x and y: a larger one is compared at the largest size that fits; None for photos as
-                they are.
-            seed: Of the order of the photos: the same seed, the same scene.
-            progress: Told how far it is after each step. Where it returns False the refinement ends, which is no failure: the scene
-                is the best so far. What it raises comes out of the call.
-            context: The device; None for the one that the scene was made on, or the best.
+            images: Photos, as for Model.reconstruct.
+            cameras: Their cameras, in the scene's world; None with a Capture.
+            steps: Optimizer steps.
+            views_per_step: Photos per step.
+            hold_out: Number of held-out photos, which select the best step; "auto" is one of 9 or
+                more.
+            size: Limits of a photo's width and height; larger ones are downscaled. None for full
+                size.
+            seed: Seed of the photo order.
+            progress: Called after each step. Returning False ends the refinement with its best
+                scene. Its exceptions propagate.
+            context: The device; None for the scene's own or the best.
 
         Returns:
-            A scene of its own, with what came of it in `refinement`.
+            The refined scene, with its result in `refinement`.
         """
         sources, posed, _ = matched(images, cameras)
         if posed is None:
@@ -216,20 +222,20 @@ class Scene:
         return Scene(Handle("scene", "zs_refine", *arguments), context, _refinement(info))
 
     def render(self, cameras: Any, **how: Any) -> Any:
-        """Pictures of the scene: `Renderer(scene).render(cameras, ...)`. For many calls keep a Renderer."""
+        """Draws the scene once; for repeated calls keep a Renderer."""
         from .renderer import Renderer
 
         return Renderer(self).render(cameras, **how)
 
     def show(self, height: int = 600, *, cameras: Optional[PathLike] = None) -> command.Page:
-        """The scene in a notebook, to look around in: what `zipsplat view -o` writes, in a frame.
+        """Shows the scene in a notebook, by `zipsplat view`.
 
         Args:
-            height: Pixels of the frame.
-            cameras: A transforms.json or COLMAP model in the scene's world, to look through.
+            height: Height of the frame in pixels.
+            cameras: A transforms.json or COLMAP model in the scene's world.
 
         Raises:
-            CommandError: the command `zipsplat` is not installed, or fails.
+            CommandError: the `zipsplat` command is missing or fails.
         """
         return command.view(self.to_bytes("ply"), height, cameras)
 
@@ -266,5 +272,5 @@ def _refinement(info: Any) -> Refinement:
 
 
 def relative(cameras: Sequence[Camera]) -> list[Camera]:
-    """Cameras in the world of the first of them."""
+    """Returns cameras relative to the first one."""
     return [camera.relative_to(cameras[0]) for camera in cameras]
