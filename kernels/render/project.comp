@@ -48,7 +48,7 @@ layout(set = 0, binding = 11) writeonly buffer Indices { uint indices[]; };
 layout(push_constant) uniform Push { uint pairs; uint first_pair; uint camera_count; uint width; uint height; float near; };
 
 const float FAR = 1e10;
-const float EXTENT_MAX = 3.33; // standard deviations; beyond it, opacity 1 is below ALPHA_MIN
+const float EXTENT_MAX = 3.33; // standard deviations at which even opacity 1 falls below ALPHA_MIN
 
 // Least d' conic d over pixel centers from `from` to `to`. The form is convex: the minimum is at
 // the center or on an edge facing it.
