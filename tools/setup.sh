@@ -77,7 +77,7 @@ find_gpu() {
   return 1
 }
 
-# use_lavapipe VERSION SUITE: unpacks Debian's lavapipe, by default uses the distribution's.
+# use_lavapipe VERSION SUITE: unpacks Debian's lavapipe, or falls back to the distribution's.
 use_lavapipe() {
   local prefix=$cache/lavapipe$1 version
   # Subgroups of 16 on CPUs with AVX-512; lavapipe's default is 8.

@@ -3,7 +3,7 @@
     da3.py CAPTURE... --weights FILE [--seconds 20] [--views 8] [--size WxH]
 
 A capture is a folder of images with cameras and optionally depth/NAME.npy. The first row of each
-table has the median errors of cameras (position relative to their extent) and depth. The other rows
+capture has the median errors of cameras (position relative to their extent) and depth. The others
 refine for equal seconds and score held-out photos: the capture's cameras and points, COLMAP's, and
 the network's cameras with points or one Gaussian per pixel. Seeded weights only test the script.
 $ZIPSPLAT is the command.

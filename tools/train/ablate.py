@@ -15,8 +15,8 @@ from pathlib import Path
 from safetensors import safe_open
 
 HERE = Path(__file__).resolve().parent
-# Small enough for a CPU. AdamW as in the paper: Muon's larger steps would hide the differences.
-# The color branch fits 64 Gaussians per token.
+# Small enough for a CPU, where AdamW's steps take much less time than Muon's. The color branch
+# fits 64 Gaussians per token.
 SMALL = {
     "size": 56, "views": [2, 2], "evaluate": [2, 2], "targets": 2, "batch_views": 8, "record_views": 6, "scenes": 64, "ratio": 0.5,
     "progressive": False, "geometry_until": 0, "geometry_after": 0, "architecture.gaussians_per_token": 32, "anchor_cells": [4, 8],

@@ -38,7 +38,7 @@ def widen_colors(tensors, model, cells):
     """Returns weights for `model`, which has twice the color width and a wider head.
 
     New channels copy the old ones. One per cell also carries the part of the cell's brightness
-    that is linearly independent of the old channels; the head adds it to the cell's Gaussian.
+    that the old channels do not predict; the head adds it to the color of the cell's Gaussian.
     All other new weights start without effect.
     """
     a, new = model.architecture, model.state_dict()

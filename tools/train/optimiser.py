@@ -3,7 +3,8 @@
 import torch
 import torch.distributed as dist
 
-# Input and output layers: Muon's steps are equally long in all directions, unsuited to these.
+# First layer of the camera encoder, last of the head: Muon's steps, equally long in all
+# directions, do not suit these.
 ENDS = ("pose_branch.fc1.weight", "gaussian_head.1.weight")
 
 
