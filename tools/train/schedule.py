@@ -62,7 +62,7 @@ class Schedule:
         return self.config["learning_rate"] * min(done / warmup, falling)
 
     def draw(self, done, rng):
-        """Draws views and ratio; their ranges grow from fewest views and ratio 1 in the first half."""
+        """Draws views and ratio; ranges grow from fewest views and ratio 1 in the first half."""
         grown = min(2 * done, 1) if self.config["progressive"] else 1
         low, high = self.config["views"]
         views = rng.randint(low, round(low + (high - low) * grown))
