@@ -1,20 +1,19 @@
 #!/usr/bin/env bash
-# Photos alone become a scene that can be shown: COLMAP finds their cameras (on Debian it is installed where it is missing), the scene
-# is reconstructed, refined against the photos, and flown through: out/photos/contact.png. Without arguments the photos are those
-# of a bunch of bananas, which come with the project, and a procedural place is shown, too, that the model has never seen,
-# reconstructed from 8 photos and compared with others: out/place/comparison.png.
-# usage: tools/demo.sh [PHOTO|FOLDER|VIDEO...]      ZIPSPLAT_WEIGHTS: a checkpoint, default the embedded model
+# Reconstructs photos without cameras: estimates cameras with COLMAP, reconstructs, refines, renders
+# a flight (out/photos/contact.png). Without arguments uses the repository's banana photos, and then
+# compares renders of a procedural scene with held-out photos (out/place/comparison.png).
+# usage: tools/demo.sh [PHOTO|FOLDER|VIDEO...]      ZIPSPLAT_WEIGHTS: default the embedded model
 set -euo pipefail
 # shellcheck source-path=SCRIPTDIR
 source "$(dirname "${BASH_SOURCE[0]}")/setup.sh"
 
 out=$root/out
-seed=2199023255552 # 2^41: training counts from 0
+seed=2199023255552 # 2^41, unused in training
 views=24 side=640
 weights=(${ZIPSPLAT_WEIGHTS:+--weights "$ZIPSPLAT_WEIGHTS"})
 mkdir -p "$out/photos"
 
-# picture_size CAMERAS: that of their first photo, scaled so that the longer side is no more than $side.
+# picture_size CAMERAS: size of the first photo, scaled to at most $side on the longer side.
 picture_size() {
   awk -F '[:,]' -v side="$side" '
     /"w":/ && !w { w = $2 + 0 }
@@ -23,7 +22,8 @@ picture_size() {
 }
 
 stage build cargo build --manifest-path "$root/Cargo.toml" --release -p zipsplat-cli
-command -v colmap > /dev/null || python3 -c 'import pycolmap' 2> /dev/null || apt_install colmap || true # zipsplat says what is missing
+# Without COLMAP, zipsplat reports it as missing.
+command -v colmap > /dev/null || python3 -c 'import pycolmap' 2> /dev/null || apt_install colmap || true
 photos=("${@:-$root/tests/data/bananas}")
 stage 'cameras, scene and refinement' zipsplat reconstruct "${photos[@]}" --views $views --poses find \
   --cameras-out "$out/photos/transforms.json" --refine=200 --refine-size ${side}x$side ${weights[@]+"${weights[@]}"} \

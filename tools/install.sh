@@ -1,11 +1,12 @@
 #!/usr/bin/env bash
-# Builds the C library and installs it under PREFIX: include/zipsplat.h, lib/libzipsplat.{so,a}, and what pkg-config and CMake
-# need to find them. PREFIX can be moved afterwards.
+# Builds the C library and installs header, libraries, pkg-config and CMake files under PREFIX.
+# PREFIX is relocatable.
 # usage: tools/install.sh PREFIX
-#   DESTDIR         put before PREFIX, for packages
-#   ZIPSPLAT_LIBDIR where libraries go below PREFIX: lib (default), lib64, lib/x86_64-linux-gnu
-#   ZIPSPLAT_LIBS   a folder that has the libraries already: nothing is built. For a PREFIX that only root can write:
-#                   cargo build --release -p zipsplat-c && sudo ZIPSPLAT_LIBS=target/release tools/install.sh /usr/local
+#   DESTDIR         prefix of PREFIX, for packages
+#   ZIPSPLAT_LIBDIR library folder below PREFIX: lib (default), lib64, lib/x86_64-linux-gnu
+#   ZIPSPLAT_LIBS   folder of built libraries; skips the build. For a PREFIX owned by root:
+#                   cargo build --release -p zipsplat-c
+#                   sudo ZIPSPLAT_LIBS=target/release tools/install.sh /usr/local
 set -euo pipefail
 
 die() { echo "zipsplat: $*" >&2; exit 1; }
@@ -25,7 +26,7 @@ done
 if [[ -z $libs ]]; then
   PATH=$PATH:${CARGO_HOME:-$HOME/.cargo}/bin
   echo "zipsplat: building the C library, which takes some minutes the first time" >&2
-  # With the command: both then use one set of features, and neither build invalidates the other.
+  # Together with the command: one set of features, so neither build invalidates the other.
   cargo build --manifest-path "$root/Cargo.toml" --release -p zipsplat-c -p zipsplat-cli
   libs=${CARGO_TARGET_DIR:-$root/target}/release
 fi
@@ -34,7 +35,7 @@ fi
 header=$root/engine/bindings/c/include/zipsplat.h
 number() { awk -v name="ZS_$1" '$1 == "#define" && $2 == name { print $3 }' "$header"; }
 version=$(number VERSION_MAJOR).$(number VERSION_MINOR).$(number VERSION_PATCH) abi=$(number ABI_VERSION)
-# What Rust's standard library takes from the system when it is linked statically.
+# System libraries of a statically linked Rust standard library.
 case $(uname -s) in
   Darwin) shared=libzipsplat.$abi.dylib link=libzipsplat.dylib system='-framework CoreFoundation -liconv -lm' ;;
   *) shared=libzipsplat.so.$abi link=libzipsplat.so system='-lgcc_s -lpthread -ldl -lm' ;;
@@ -44,10 +45,10 @@ install -m 644 "$header" "$prefix/include/zipsplat.h"
 install -m 755 "$libs/${link/zipsplat/zipsplat_c}" "$prefix/$lib/$shared"
 ln -sf "$shared" "$prefix/$lib/$link"
 install -m 644 "$libs/libzipsplat_c.a" "$prefix/$lib/libzipsplat.a"
-# The way from the folder of libraries to PREFIX.
+# Relative path from the library folder to PREFIX.
 up=$(printf '%s\n' "$lib" | sed 's:/*$::; s:[^/][^/]*:..:g')
 
-# pc NAME DESCRIPTION LIBS
+# pc NAME DESCRIPTION LIBS: writes a pkg-config file.
 pc() {
   cat > "$prefix/$lib/pkgconfig/$1.pc" << END
 prefix=\${pcfiledir}/../$up
@@ -82,7 +83,7 @@ if(NOT TARGET zipsplat::zipsplat)
     INTERFACE_INCLUDE_DIRECTORIES "\${_zipsplat}/include")
 endif()
 END
-# Versions of one ABI fit programs that were built for it or an earlier one of the same.
+# Satisfies programs that request this version or an earlier one of the same ABI.
 cat > "$prefix/$lib/cmake/zipsplat/zipsplat-config-version.cmake" << END
 set(PACKAGE_VERSION "$version")
 if(NOT PACKAGE_FIND_VERSION VERSION_GREATER PACKAGE_VERSION AND PACKAGE_FIND_VERSION_MAJOR EQUAL $(number VERSION_MAJOR))

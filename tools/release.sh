@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
-# Builds what is given to users into a folder: the command, the C library, the Python wheel, each with the licences of all that is in
-# it, an SBOM (CycloneDX) and SHA256SUMS. On Linux they run with glibc 2.28 and later: zig links them, and the symbols' versions are
+# Builds the release files: command, C library and Python wheel, each with third-party licenses,
+# an SBOM (CycloneDX) and SHA256SUMS. On Linux, zig links against glibc 2.28; symbol versions are
 # checked.
 # usage: tools/release.sh [FOLDER]      default target/release-files
-#   ZIPSPLAT_CACHE  the tools' virtual environment lies here; default ~/.cache/zipsplat
+#   ZIPSPLAT_CACHE  folder of the build tools' virtual environment; default ~/.cache/zipsplat
 set -euo pipefail
 root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
 out=${1:-$root/target/release-files}
@@ -32,7 +32,7 @@ built=${CARGO_TARGET_DIR:-$root/target}/$target/dist
 command=$built/zipsplat
 [[ -e $command ]] || command=$built/zipsplat.exe
 
-# fits FILE: that it is not larger than it should be and runs where it should.
+# fits FILE: checks its size and glibc version.
 fits() {
   local megabytes newest
   megabytes=$(($(wc -c < "$1") / 1000000))
@@ -46,7 +46,7 @@ fits() {
 fits "$command"
 fits "$built/$library"
 
-# archive NAME FOLDER: a .tar.gz that is the same for the same files.
+# archive NAME FOLDER: writes a reproducible .tar.gz.
 archive() {
   tar --sort=name --owner=0 --group=0 --numeric-owner --mtime="@${SOURCE_DATE_EPOCH:-$(git log -1 --format=%ct)}" -C "$2/.." -c "$(basename "$2")" |
     gzip -9n > "$out/$1.tar.gz"

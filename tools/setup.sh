@@ -1,17 +1,17 @@
 #!/usr/bin/env bash
-# Chooses the Vulkan driver, installs what is missing, and exports what cargo needs to run programs on that driver.
-# zipsplat, demo.sh, test.sh and .ci/run source this file; on its own it runs a cargo command in the same way.
+# Selects the Vulkan driver, installs missing packages and exports cargo's runner for that driver.
+# Sourced by zipsplat, demo.sh, test.sh and .ci/run; on its own it runs a cargo command.
 # usage: tools/setup.sh [cargo run --release -- info]
-#   ZIPSPLAT_DRIVER  auto: a GPU, else lavapipe (default) | system: what the Vulkan loader finds | lavapipe | lavapipe25 |
-#                    wide-lavapipe | swiftshader
-#   ZIPSPLAT_PROFILE cargo's profile of the command; default release
+#   ZIPSPLAT_DRIVER  auto: a GPU, else lavapipe (default) | system: the Vulkan loader's |
+#                    lavapipe | lavapipe25 | wide-lavapipe | swiftshader
+#   ZIPSPLAT_PROFILE cargo profile of the command; default release
 #   ZIPSPLAT_CACHE   drivers, compiled shaders and libshaderc; default ~/.cache/zipsplat
 set -euo pipefail
 
 root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
 cache=${ZIPSPLAT_CACHE:-${XDG_CACHE_HOME:-$HOME/.cache}/zipsplat}
 mkdir -p "$cache"
-export MESA_SHADER_CACHE_DIR="$cache/mesa" # a lavapipe kernel takes up to a second to compile
+export MESA_SHADER_CACHE_DIR="$cache/mesa" # lavapipe compiles for up to a second per kernel
 PATH=$PATH:${CARGO_HOME:-$HOME/.cargo}/bin
 
 say() { echo "zipsplat: $*" >&2; }
@@ -21,11 +21,11 @@ die() { say "$@"; exit 1; }
 [[ $cache != *[[:space:]]* ]] ||
   die "the cache folder is '$cache', and cargo runs nothing from a path with spaces: set ZIPSPLAT_CACHE"
 
-# zipsplat ARGS...: the command, built where something changed, in the caller's folder on the driver that was chosen.
+# zipsplat ARGS...: builds and runs the command on the selected driver.
 zipsplat() { cargo "${run_zipsplat[@]}" "$@"; }
 run_zipsplat=(run --manifest-path "$root/Cargo.toml" --profile "${ZIPSPLAT_PROFILE:-release}" --quiet -p zipsplat-cli --)
 
-# stage NAME COMMAND...: runs COMMAND and says how long it took.
+# stage NAME COMMAND...: runs COMMAND and prints its time.
 stage() {
   local TIMEFORMAT="zipsplat: $1 took %1R s"
   time "${@:2}"
@@ -40,7 +40,8 @@ apt_install() {
   [[ ${#missing[@]} != 0 ]] || return 0
   [[ $EUID == 0 ]] || as_root=(sudo -n)
   say "installing ${missing[*]}"
-  "${as_root[@]}" apt-get -qq update 2> /dev/null || true # a broken third-party source is no reason to stop
+  # Ignores broken third-party sources.
+  "${as_root[@]}" apt-get -qq update 2> /dev/null || true
   "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive \
     apt-get -qq -y --no-install-recommends install "${missing[@]}" > /dev/null ||
     { say "that failed; please run: sudo apt-get update && sudo apt-get install ${missing[*]}"; return 1; }
@@ -56,7 +57,7 @@ check_rust() {
     die "needs Rust $wanted or newer and found ${found:-none}: install it from https://rustup.rs"
 }
 
-# offers_device PATTERN: whether the Vulkan loader finds a device of at least Vulkan 1.3 whose type matches.
+# offers_device PATTERN: whether the loader finds a Vulkan 1.3 device whose type matches.
 offers_device() {
   vulkaninfo --summary 2> /dev/null | awk -v type="PHYSICAL_DEVICE_TYPE_($1)" '
     /apiVersion/ { match($0, /1\.[0-9]+/); minor = substr($0, RSTART + 2, RLENGTH - 2) + 0 }
@@ -76,10 +77,10 @@ find_gpu() {
   return 1
 }
 
-# use_lavapipe VERSION SUITE: Debian's lavapipe unpacked in the cache; where that cannot be had, the distribution's.
+# use_lavapipe VERSION SUITE: unpacks Debian's lavapipe, or falls back to the distribution's.
 use_lavapipe() {
   local prefix=$cache/lavapipe$1 version
-  # Subgroups of 16 where the processor has vectors that wide: 1.4 times as fast as lavapipe's own choice of 8.
+  # Subgroups of 16 on CPUs with AVX-512; lavapipe's default is 8.
   if grep -qsw avx512f /proc/cpuinfo; then export LP_NATIVE_VECTOR_WIDTH=${LP_NATIVE_VECTOR_WIDTH:-512}; fi
   if [[ $(uname -m) == x86_64 ]] && "$root/tools/lavapipe.sh" "$prefix" "$2"; then
     export CARGO_TARGET_X86_64_UNKNOWN_LINUX_GNU_RUNNER=$prefix/run
@@ -95,7 +96,7 @@ use_lavapipe() {
   note "Vulkan on the CPU: Mesa $version"
 }
 
-# use_driver NAME: one that tools/NAME.sh makes, behind use_lavapipe, with the loader and the layers of that.
+# use_driver NAME: selects the driver of tools/NAME.sh with lavapipe's loader and layers.
 use_driver() {
   "$root/tools/$1.sh" "$cache/$1" "$cache/lavapipe26" || die "no $1"
   export CARGO_TARGET_X86_64_UNKNOWN_LINUX_GNU_RUNNER=$cache/$1/run
@@ -119,10 +120,10 @@ if [[ -e /etc/debian_version ]]; then
   esac
 else
   case ${ZIPSPLAT_DRIVER:-auto} in
-    auto | system) ;; # what the Vulkan loader finds
+    auto | system) ;; # the Vulkan loader's driver
     *) die "ZIPSPLAT_DRIVER is '$ZIPSPLAT_DRIVER': expected auto or system, as others are unpacked on Debian and Ubuntu only" ;;
   esac
 fi
 
-# Run rather than sourced.
+# Executed, not sourced.
 if [[ ${BASH_SOURCE[0]} == "$0" && $# != 0 ]]; then exec "$@"; fi

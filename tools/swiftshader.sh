@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Unpacks SwiftShader, a Vulkan on the CPU that shares no code with Mesa, under PREFIX, from Debian's package of Chromium
-# (32 MB to download, 6 MB on disk). Loader and validation layers are those of tools/lavapipe.sh, unpacked under LAVAPIPE.
+# Unpacks SwiftShader (Vulkan on the CPU, unrelated to Mesa) under PREFIX from Debian's Chromium
+# (32 MB to download, 6 MB on disk). Loader and layers are those of tools/lavapipe.sh in LAVAPIPE.
 # usage: tools/swiftshader.sh PREFIX LAVAPIPE      then: PREFIX/run PROGRAM ARGS...
 set -euo pipefail
 
@@ -28,4 +28,4 @@ export VK_LAYER_PATH=$root/usr/share/vulkan/explicit_layer.d VK_LOADER_LAYERS_DI
 exec $root/usr/lib/x86_64-linux-gnu/ld-linux-x86-64.so.2 --library-path $root/usr/lib/x86_64-linux-gnu "\$@"
 END
 chmod +x run.part
-mv run.part run # last: it marks PREFIX as complete
+mv run.part run # last: marks PREFIX as complete

@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
-# Compiles the kernels as the driver of AMD's GPUs does (RADV of Mesa 25), with no such GPU: nothing is executed. Prints
-# registers, shared memory and occupancy of each kernel, the worst of its variants. A kernel that is refused, or whose
-# registers spill to memory, is a failure.
-# usage: tools/test-radv.sh [FAMILY...]      such as navi31 (matrix units), navi21, vega10: the default is these
+# Compiles the kernels with AMD's driver (RADV of Mesa 25) without a GPU; nothing is executed.
+# Prints each kernel's registers, shared memory and occupancy, the worst over its variants. Fails on
+# rejected kernels and on register spills.
+# usage: tools/test-radv.sh [FAMILY...]      default navi31 (matrix units), navi21, vega10
 set -eEuo pipefail
 export ZIPSPLAT_DRIVER=lavapipe25
 # shellcheck source-path=SCRIPTDIR
@@ -37,7 +37,7 @@ for RADV_FORCE_FAMILY in "$@"; do
   said=$work/$RADV_FORCE_FAMILY.log
   forward() { zipsplat bench forward --quiet --weights seeded:vits --views 2 --ratio 0.5 --precision "$1"; }
   {
-    # What nothing has computed is wrong, say doctor and the self-tests of every precision. For what comes then, the latter have passed.
+    # Doctor and self-tests fail, as nothing computes. Their results are patched to passed.
     zipsplat doctor --quiet || [[ $? == 5 ]]
     for precision in fast fast-bf16 turbo; do forward $precision || [[ $? == 3 ]]; done
     sed -Ei 's/":(null|[0-9.e+]+)([,}])/":0.0\2/g; s/"begun":0.0/"begun":0/' "$ZIPSPLAT_CACHE"/self-test/*.json

@@ -1,11 +1,11 @@
 #!/usr/bin/env bash
-# Every test, on lavapipe with Vulkan validation and synchronisation validation on: a message of the layer is a failure.
+# Runs all tests on lavapipe with validation and synchronization validation; layer messages fail.
 # usage: tools/test.sh [ARGS of cargo test]
 set -euo pipefail
-# Where setup.sh unpacks none, what the Vulkan loader finds.
+# setup.sh only unpacks lavapipe on Debian and Ubuntu.
 [[ -e /etc/debian_version ]] && driver=lavapipe || driver=system
 export ZIPSPLAT_DRIVER=${ZIPSPLAT_DRIVER:-$driver}
-# Subgroups of 8: with wider vectors lavapipe has no matrices, and their kernels would go untested.
+# Subgroups of 8: lavapipe's wider vectors have no cooperative matrices.
 export LP_NATIVE_VECTOR_WIDTH=${LP_NATIVE_VECTOR_WIDTH:-256}
 # shellcheck source-path=SCRIPTDIR
 source "$(dirname "${BASH_SOURCE[0]}")/setup.sh"

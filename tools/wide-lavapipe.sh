@@ -1,7 +1,6 @@
 #!/usr/bin/env bash
-# Makes a lavapipe with subgroups of 32, as most GPUs have them, under PREFIX, from that which tools/lavapipe.sh unpacked under
-# LAVAPIPE. Lavapipe computes with vectors of any width and gives subgroups as many invocations, but never more than 16: the
-# copy's comparisons with that limit are changed to 32.
+# Makes a lavapipe with subgroups of 32 under PREFIX from the one in LAVAPIPE. Lavapipe limits
+# subgroups to 16 at any vector width; this patches the limit in a copy.
 # usage: tools/wide-lavapipe.sh PREFIX LAVAPIPE      then: PREFIX/run PROGRAM ARGS...
 set -euo pipefail
 
@@ -13,8 +12,8 @@ exec 9> "$prefix/lock" && flock 9 # checkouts share the cache
 [[ ! -x $prefix/run || $library -nt $prefix/run ]] || exit 0
 [[ -e $library ]] || { echo "zipsplat: $root has no unpacked lavapipe, which is there on x86-64 only" >&2; exit 1; }
 
-# min(width / 32, 16) as compilers write it: cmp width, 512; mov lanes, 16. In another number of places than in Mesa 25 and 26
-# some may be something else.
+# min(width / 32, 16), compiled: cmp width, 512; mov lanes, 16. Another count of matches than in
+# Mesa 25 and 26 would include unrelated code.
 perl -0777 -pe '
   s/(\x3d|\x81[\xf8-\xff])\0\x02\0\0([\xb8-\xbf])\x10\0\0\0/$1\0\x04\0\0$2\x20\0\0\0/g == 8
     or die "zipsplat: $ARGV does not compare widths with 512 in 8 places, as Mesa 25 and 26 do: it cannot be widened\n"
@@ -29,4 +28,4 @@ export VK_LAYER_PATH=$root/usr/share/vulkan/explicit_layer.d VK_LOADER_LAYERS_DI
 exec $root/usr/lib/x86_64-linux-gnu/ld-linux-x86-64.so.2 --library-path $root/usr/lib/x86_64-linux-gnu "\$@"
 END
 chmod +x "$prefix/run.part"
-mv "$prefix/run.part" "$prefix/run" # last: it marks PREFIX as complete
+mv "$prefix/run.part" "$prefix/run" # last: marks PREFIX as complete

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Seconds of `zipsplat batch` beside those of a shell loop of `zipsplat reconstruct`, over the same captures, by turns.
-# usage: tools/bench/batch.sh [CAPTURES] [PHOTOS] [OPTIONS of both]      default 12 captures of 4 photos
+# Compares seconds of `zipsplat batch` and of a loop of `zipsplat reconstruct` over equal captures.
+# usage: tools/bench/batch.sh [CAPTURES] [PHOTOS] [OPTIONS of both]      default 12 of 4 photos
 #   ZIPSPLAT  the command; default the checkout's
 set -euo pipefail
 zipsplat=${ZIPSPLAT:-$(dirname "${BASH_SOURCE[0]}")/../zipsplat}

@@ -1,4 +1,4 @@
-"""The command zipsplat for scripts: what ZIPSPLAT in the environment says, any words before it included, else the checkout's."""
+"""Runs zipsplat: the command line in $ZIPSPLAT, by default the checkout's script."""
 
 import json
 import os
@@ -11,7 +11,7 @@ COMMAND = shlex.split(os.environ.get("ZIPSPLAT", "")) or [str(Path(__file__).par
 
 
 def zipsplat(*words):
-    """The result of a command, as JSON. RuntimeError has the last line that it says where it fails."""
+    """Returns a command's JSON result. RuntimeError has its error message."""
     run = subprocess.run([*COMMAND, *map(str, words), "--json"], capture_output=True, text=True, check=False)
     if run.returncode:
         line = run.stderr.strip().splitlines()[-1]
@@ -20,7 +20,7 @@ def zipsplat(*words):
 
 
 def timed(*words):
-    """The result of a command, as JSON, and the seconds of CPU time that it took."""
+    """Returns a command's JSON result and its CPU seconds."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     said = zipsplat(*words)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)

@@ -1,10 +1,12 @@
-"""What Depth Anything 3 is worth on captures: da3.py CAPTURE... --weights FILE [--seconds 20] [--views 8] [--size WxH]
+"""Measures Depth Anything 3 on captures.
 
-A capture is a folder with images and their cameras, with depth/NAME.npy where that is known, as `zipsplat scene` writes it. The network
-and COLMAP see the photos alone. A first row of Markdown says how far off the network's cameras and depth are (medians; the position as
-a share of the cameras' extent). Each of the others is a way to a scene, refined for the same seconds, with the PSNR of photos that it
-has not seen, drawn with the cameras of that way: the capture's cameras and points, COLMAP's, the network's cameras with points of its
-depth, and with a Gaussian for each pixel. With seeded: weights the numbers mean nothing but that it runs. ZIPSPLAT in the environment is the command.
+    da3.py CAPTURE... --weights FILE [--seconds 20] [--views 8] [--size WxH]
+
+A capture is a folder of images with cameras and optionally depth/NAME.npy. The first row of each
+capture has the median errors of cameras (position relative to their extent) and depth. The others
+refine for equal seconds and score held-out photos: the capture's cameras and points, COLMAP's, and
+the network's cameras with points or one Gaussian per pixel. Seeded weights only test the script.
+$ZIPSPLAT is the command.
 """
 
 import argparse
@@ -13,12 +15,12 @@ from pathlib import Path
 
 from command import zipsplat
 
-# Steps that tell how long one takes.
+# Refinement steps that measure the time of a step.
 PROBE = 4
 
 
 def refined(words, options):
-    """The figures of a scene after as many steps as the seconds are enough for, as cells."""
+    """Refines for the given seconds; returns table cells."""
     shown = ["--views", options.views, "--score-size", options.size, "--lpips", "none", *words]
     probe = zipsplat("eval", *shown, "--refine", PROBE)["refined"]
     steps = max(1, round(options.seconds * PROBE / probe["seconds"]))
@@ -29,7 +31,7 @@ def refined(words, options):
 
 
 def errors(photos, capture, folder, options):
-    """How far off the network is, as cells."""
+    """Returns the network's errors as table cells."""
     words = ["--weights", options.weights, "--truth", capture, "-o", folder / "depth"]
     off = zipsplat("depth", photos, *words)["errors"]
     told = {
@@ -43,12 +45,12 @@ def errors(photos, capture, folder, options):
 
 
 def rows(capture, folder, options):
-    """Each way's name, and what gives its cells."""
+    """Returns {row name: function that computes its cells}."""
     photos = folder / "images"
     photos.symlink_to((capture / "images").resolve())
 
     def found(name, *words):
-        """The photos with the cameras that a command finds."""
+        """Estimates cameras with a command; returns the arguments that use them."""
         place = folder / f"{name}.json"
         zipsplat("cameras", photos, *words, "-o", place)
         return [photos, "--poses", place]

@@ -1,9 +1,10 @@
-"""What depth has to be good for: depth_noise.py [--seeds 1,2,3] [--noise 0,1,5,10] [--steps 100] [--size 126x126]
+"""Measures refinement from noisy depth.
 
-For each procedural place (`zipsplat scene`, exact depth and cameras) it makes a Gaussian a pixel of 8 input photos at their exact depth, and
-with errors of so many percent, smooth over 14 pixels (`zipsplat eval --from-depth --noise`), refines each in the same steps, and draws the
-other photos. Beside it stands the refinement from the place's points. Prints a table of Markdown: PSNR of held-out photos before and
-after, means over places. ZIPSPLAT in the environment is the command.
+    depth_noise.py [--seeds 1,2,3] [--noise 0,1,5,10] [--steps 100] [--size 126x126]
+
+Initializes one Gaussian per pixel of 8 photos of each procedural place, from exact depth and with
+smooth relative errors in percent, and refines with equal steps. The baseline starts from the
+place's points. Prints mean PSNR of held-out photos as Markdown. $ZIPSPLAT is the command.
 """
 
 import argparse
@@ -14,7 +15,7 @@ from command import zipsplat
 
 
 def judged(place, options, *words):
-    """PSNR of the held-out photos."""
+    """Returns the PSNR of held-out photos."""
     line = ["eval", place, "--views", options.views, "--size", options.size, "--lpips", "none", *words]
     return zipsplat(*line)["mean"]["psnr"]
 

@@ -1,9 +1,10 @@
-"""How good found cameras are: found_cameras.py [--refine] [--python PYTHON] CAPTURE...
+"""Measures estimated cameras: found_cameras.py [--refine] [--python PYTHON] CAPTURE...
 
-For each folder with transforms.json and images it finds the cameras of the photos alone (`zipsplat cameras`), compares them with the given
-ones after a similarity brings both together, and with --refine refines with either (`zipsplat eval --views 8 --refine 100`). Prints
-a row of Markdown each: capture, found, rotation, position, focal length, points, PSNR of held-out photos with given and with found
-cameras, time. PYTHON has pycolmap; ZIPSPLAT in the environment is the command.
+For each folder with transforms.json and images, estimates cameras (`zipsplat cameras`), aligns them
+with the given ones by a similarity, and with --refine refines with both (`zipsplat eval --views 8
+--refine 100`). Prints a Markdown row per capture: registered photos, errors of rotation, position
+and focal length, points, PSNR of held-out photos with given and estimated cameras, seconds.
+PYTHON has pycolmap; $ZIPSPLAT is the command.
 """
 
 import argparse
@@ -17,7 +18,7 @@ from command import zipsplat
 
 
 def cameras(path):
-    """The poses of a transforms.json by the names of the photos, and their focal lengths."""
+    """Returns poses and focal lengths of a transforms.json by photo name."""
     text = json.loads(path.read_text())
     frames = {Path(frame["file_path"]).name: frame for frame in text["frames"]}
     poses = {name: np.array(frame["transform_matrix"]) for name, frame in frames.items()}
@@ -25,7 +26,7 @@ def cameras(path):
 
 
 def aligned(found, given):
-    """The scale, rotation and shift that bring points to others in the sense of least squares (Umeyama 1991)."""
+    """Least-squares similarity (scale, rotation, shift) from `found` to `given` (Umeyama 1991)."""
     (a, b), (ma, mb) = (found, given), (found.mean(0), given.mean(0))
     u, sizes, vt = np.linalg.svd((b - mb).T @ (a - ma))
     sign = np.diag([1, 1, np.sign(np.linalg.det(u @ vt))])
@@ -35,7 +36,7 @@ def aligned(found, given):
 
 
 def errors(found, given):
-    """Median turn in degrees, and median distance as a share of the extent of the given cameras."""
+    """Median rotation error in degrees and position error relative to the cameras' extent."""
     a, b = (np.array([poses[name] for name in sorted(found)]) for poses in (found, given))
     scale, rotation, shift = aligned(a[:, :3, 3], b[:, :3, 3])
     away = np.linalg.norm(scale * a[:, :3, 3] @ rotation.T + shift - b[:, :3, 3], axis=1)
@@ -45,7 +46,7 @@ def errors(found, given):
 
 
 def row(capture, folder, options):
-    """The figures of a capture, as cells."""
+    """Returns a capture's table cells."""
     photos = folder / "images"
     photos.symlink_to((capture / "images").resolve())
     out = folder / "found.json"

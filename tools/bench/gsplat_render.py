@@ -1,8 +1,8 @@
-"""Times gsplat on a scene: gsplat_render.py SCENE.ply WIDTH HEIGHT REPEATS. Prints the milliseconds of a frame, the
-median of blocks of REPEATS frames.
-Without arguments it only says whether it could.
+"""Times gsplat on a scene: gsplat_render.py SCENE.ply WIDTH HEIGHT REPEATS.
 
-The camera is that of `zipsplat bench render`: at the world's origin, looking along z, as wide as what it sees is far.
+Prints the milliseconds of a frame, the median over blocks of REPEATS frames. Without arguments it
+only checks its imports. The camera is that of `zipsplat bench render`: at the origin, along z, with
+a view as wide as it is distant.
 """
 
 import statistics
@@ -36,7 +36,7 @@ gaussians = {
 view = torch.eye(4, device="cuda")[None]
 intrinsics = torch.tensor([[[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]]], device="cuda")
 
-# Frames in a row, so that the GPU works on one while Python launches the next: alone, a small one would be all launching.
+# Consecutive frames, so that launching overlaps with the GPU's work.
 times = []
 with torch.no_grad():
     for _ in range(2 + BLOCKS):

@@ -1,9 +1,9 @@
-"""Times Depth Anything 3 in our own PyTorch code (tools/train/depth.py), for `zipsplat bench depth --pytorch`.
+"""Times Depth Anything 3 in PyTorch (tools/train/depth.py), for `zipsplat bench depth --pytorch`.
 
     python pytorch_depth.py ARCHITECTURE WARMUP REPEATS VIEWSxWIDTHxHEIGHT...
 
-ARCHITECTURE is the engine's, as JSON. Prints JSON: device, and for each case the milliseconds of every run of the backbone and of
-the heads, in f32. Weights are random: no time depends on them.
+ARCHITECTURE is the engine's, as JSON. Prints JSON: device, and per case the milliseconds of each
+run of backbone and heads, in f32. Weights are random.
 """
 
 import json
@@ -16,7 +16,7 @@ from depth import DepthAnything3, architecture_from_json
 
 
 def timed(work, device):
-    """The result of `work` and its milliseconds."""
+    """Returns the result of `work` and its milliseconds."""
 
     def synchronise():
         if device == "cuda":

@@ -1,9 +1,9 @@
-"""Times the forward pass of our own PyTorch code (tools/train/model.py), for `zipsplat bench forward --pytorch`.
+"""Times the forward pass in PyTorch (tools/train/model.py), for `zipsplat bench forward --pytorch`.
 
     python pytorch_forward.py --architecture JSON --views 4,8 --ratio 1,0.5 --size 252x252 --warmup 5 --repeats 20
 
-Prints a JSON list: device, and for each number of views, ratio and precision the milliseconds of every run and the peak of
-memory in bytes (on GPUs). Weights are random: no time depends on them.
+Prints JSON: per number of views, ratio and precision the milliseconds of each run and, on GPUs, the
+peak memory in bytes. Weights are random.
 """
 
 import argparse
@@ -18,7 +18,7 @@ from weights import Architecture
 
 
 def precisions(device, chosen):
-    """Name -> (autocast to, TensorFloat-32, torch.compile), of those that make sense on the device."""
+    """Returns {name: (autocast type, TensorFloat-32, torch.compile)} for the device."""
     known = {
         "f32": (None, False, False),
         "tf32": (None, True, False),
@@ -55,18 +55,18 @@ def main():
     parser.add_argument("--size", required=True, type=lambda text: [int(part) for part in text.split("x")])
     parser.add_argument("--warmup", type=int, default=5)
     parser.add_argument("--repeats", type=int, default=20)
-    parser.add_argument("--precision", nargs="*", help="f32, tf32, bf16, bf16-compiled; default all that suit the device")
+    parser.add_argument("--precision", nargs="*", help="f32, tf32, bf16, bf16-compiled; default all of the device")
     args = parser.parse_args()
 
     device = "cuda" if torch.cuda.is_available() else "cpu"
     width, height = args.size
-    with torch.device(device):  # a CPU takes a minute for the random numbers of the largest
+    with torch.device(device):  # on a GPU for speed
         model = network.ZipSplat(Architecture.from_json(args.architecture)).eval()
     rows = []
     for name, (autocast, tf32, compiled) in precisions(device, args.precision).items():
         torch.backends.cuda.matmul.allow_tf32 = torch.backends.cudnn.allow_tf32 = tf32
         if compiled:
-            # Block by block, as in training: the whole would be compiled anew for every number of views.
+            # By block, as in training: the whole model would recompile for every number of views.
             for kind in (network.Block, network.CrossBlock):
                 kind.forward = torch.compile(kind.forward, dynamic=True)
         for views, ratio in zip(args.views, args.ratio):
@@ -86,7 +86,7 @@ def main():
                 row["peak_bytes"] = torch.cuda.max_memory_allocated() if device == "cuda" else None
             except torch.cuda.OutOfMemoryError:
                 row["failed"] = "out of memory"
-            except Exception as error:  # a compiler that fails costs its rows and no others
+            except Exception as error:  # a compiler failure only costs its rows
                 row["failed"] = f"{type(error).__name__}: {error}".splitlines()[0]
             rows.append(row)
     name = torch.cuda.get_device_name() if device == "cuda" else f"CPU, {torch.get_num_threads()} threads"

@@ -1,9 +1,11 @@
-"""Times a step of a refinement by our own PyTorch code (tools/train/rasterise.py), for `zipsplat bench refine --pytorch`:
-pytorch_refine.py SCENE.ply WIDTH HEIGHT PHOTOS WARMUP REPEATS. Prints a JSON object: device, torch, and of every run the
-milliseconds of the pictures alone and of a step: pictures, 0.8 L1 + 0.2 (1 - SSIM), gradients, Adam.
-Without arguments it only says whether it could.
+"""Times refinement in PyTorch (tools/train/rasterise.py), for `zipsplat bench refine --pytorch`.
 
-The cameras are those of `zipsplat bench refine`: at the world's origin and beside it, looking along z, as wide as what they see is far.
+    pytorch_refine.py SCENE.ply WIDTH HEIGHT PHOTOS WARMUP REPEATS
+
+Prints JSON: device, torch, and the milliseconds of each run of rendering alone and of a step
+(rendering, 0.8 L1 + 0.2 (1 - SSIM), gradients, Adam). Without arguments it only checks its imports.
+The cameras are those of `zipsplat bench refine`: near the origin, along z, each with a view as wide
+as it is distant.
 """
 
 import json

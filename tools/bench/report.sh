@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
-# Everything that this project wants to know of a GPU, into text files: limits, hard cases, tiles, rates, pictures, the forward
-# pass, and last what other implementations need for the same on that GPU. A part that fails or takes too long costs no other.
-# usage: tools/bench/report.sh OUT      the numbers of this folder's README; takes minutes on a large GPU
+# Writes a GPU's limits, doctor, tuning, rates, renders and forward times to text files, and other
+# implementations' times last. A failed part does not stop the rest.
+# usage: tools/bench/report.sh OUT      minutes on a large GPU
 #   WEIGHTS   default seeded:vitg     VIEWS  default "24 48 96 192"
 #   RUNS      default "--warmup 1 --repeats 5"; the paper's are "--warmup 5 --repeats 20"
-#   PATIENCE  seconds that a part may take, default 300
-#   PYTHON    a Python with PyTorch (and gsplat): its times on the same device in the same run
-#   ZIPSPLAT  a built program to run as it is, with the Vulkan driver that is there; else it is set up and built
+#   PATIENCE  timeout of a part in seconds, default 300
+#   PYTHON    Python with PyTorch (and gsplat), timed in the same run
+#   ZIPSPLAT  built program to run on the system's driver; default: set up and build
 set -euo pipefail
 out=${1:?usage: tools/bench/report.sh OUT}
 mkdir -p "$out"
@@ -22,7 +22,7 @@ fi
 read -ra runs <<< "${RUNS:---warmup 1 --repeats 5}"
 read -ra views <<< "${VIEWS:-24 48 96 192}"
 
-# report NAME ARGS...: adds what the command says to NAME.txt.
+# report NAME ARGS...: appends the command's output to NAME.txt.
 report() {
   say "${*:2}"
   timeout "${PATIENCE:-300}" "${program[@]}" "${@:2}" >> "$out/$1.txt" 2>&1 || say "failed, see $out/$1.txt"

@@ -1,12 +1,15 @@
-"""Scenes as PLY files for the scripts beside this one."""
+"""Reads PLY scenes for benchmarks."""
 
 import numpy as np
 import torch
 
 
 def read_ply(path, device):
-    """Gaussians as the file has them: means [N, 3], scales [N, 3] (logarithms), quats [N, 4] wxyz, opacities [N, 1] (logits),
-    sh [N, K, 3]; and the degree of the harmonics."""
+    """Reads raw Gaussians and their SH degree.
+
+    means [N, 3], scales [N, 3] (logarithms), quats [N, 4] wxyz, opacities [N, 1] (logits),
+    sh [N, K, 3].
+    """
     with open(path, "rb") as file:
         names = []
         while (line := file.readline().decode().split()) != ["end_header"]:

@@ -1,10 +1,11 @@
 #!/usr/bin/env python3
-"""When is the network's forward pass worth its time? Refines captures from every start, and draws the PSNR of held-out photos over
-seconds, mean over the captures, as starts.png beside this file; the table goes to standard output, as Markdown.
+"""Compares initializations of refinement: PSNR of held-out photos over seconds, mean over captures.
+
 usage: starts.py CAPTURE... [--out FOLDER] [options below]
 
-Each capture and start is one run of `zipsplat eval --refine N`, whose held-out input photos are looked at as it goes; what has
-run already is read from the folder. Needs matplotlib (python3 -m pip install matplotlib) and a built zipsplat.
+Writes starts.png next to this file and prints a Markdown table. Runs `zipsplat eval --refine N` for
+each capture and initialization; finished runs are read from FOLDER. Needs matplotlib and a built
+zipsplat.
 """
 
 import argparse
@@ -31,14 +32,14 @@ def arguments():
     parser.add_argument("captures", nargs="+", type=Path)
     parser.add_argument("--out", type=Path, default=Path("starts"), help="folder for the runs")
     parser.add_argument("--png", type=Path, default=Path(__file__).with_name("starts.png"))
-    parser.add_argument("--zipsplat", default="zipsplat", help="the command, with any words before it")
+    parser.add_argument("--zipsplat", default="zipsplat", help="command line of zipsplat")
     parser.add_argument("--starts", default="points,scene,both,tokens")
-    parser.add_argument("--steps", default="10,25,50,100,200", help="steps in the table; the last is how many there are")
-    parser.add_argument("--views", type=int, default=20, help="photos, those that are held out included")
+    parser.add_argument("--steps", default="10,25,50,100,200", help="steps in the table; the last ends a run")
+    parser.add_argument("--views", type=int, default=20, help="photos, including held-out ones")
     parser.add_argument("--hold-out", type=int, default=4)
-    parser.add_argument("--size", default="84x84", help="of the photos that are compared")
+    parser.add_argument("--size", default="84x84", help="size of the compared pictures")
     parser.add_argument("--options", default="--ratio auto", help="more options of eval")
-    parser.add_argument("--cpu", action="store_true", help="count CPU time over cores: on a machine that others use")
+    parser.add_argument("--cpu", action="store_true", help="count CPU time over cores, for a shared machine")
     args = parser.parse_args()
     args.steps = [int(steps) for steps in args.steps.split(",")]
     args.starts = args.starts.split(",")
@@ -46,7 +47,7 @@ def arguments():
 
 
 def run(args, capture, start):
-    """What eval says, and the seconds that the whole command took, of this start."""
+    """Returns the result of eval with wall and CPU seconds."""
     path = args.out / f"{capture.name}.{start}.json"
     if not path.exists():
         steps = args.steps[-1]
@@ -64,7 +65,7 @@ def run(args, capture, start):
 
 
 def curve(args, said, start):
-    """Steps, seconds and dB: those of the forward pass and of the steps, of which all take as long."""
+    """Returns (step, seconds, dB) at each evaluation, including the forward pass."""
     rate = said["cpu"] / said["wall"] if args.cpu else 1
     forward = 0 if start == "points" else said["seconds"]
     refined = said["refined"]
@@ -73,7 +74,7 @@ def curve(args, said, start):
 
 
 def at(curve, step):
-    """Seconds and dB after a step, between two looks in proportion."""
+    """Interpolates seconds and dB at a step."""
     before = max(place for place in curve if place[0] <= step)
     after = min(place for place in curve if place[0] >= step)
     along = (step - before[0]) / max(1, after[0] - before[0])

@@ -1,10 +1,11 @@
 #!/usr/bin/env python3
-"""What more photos and fewer tokens cost and give (figures 11 to 13 of the paper): views.py CAPTURE [options]
+"""Compares numbers of photos, ratios and pooling (figures 11 to 13 of the paper).
 
-For each number of input photos, each ratio and each side of pooled patches (`--pools`) one run of `zipsplat eval`, judged by some of the other photos, evenly spread (the same ones at
-every ratio, others with other inputs), beside what `info --plan` says that it takes: PSNR, Gaussians, time of the forward pass, peak memory and the planned one. A table goes to standard output, as
-Markdown; with --png the pictures of one number of photos at all ratios go side by side into a file. What has run already is read from
-the folder. Where the machine is shared, --cpu counts CPU time over cores. Needs Pillow for --png.
+usage: views.py CAPTURE [options]
+
+Runs `zipsplat eval` for each number of input photos, ratio and pooling (`--pools`) on evenly spaced
+held-out photos. Prints PSNR, Gaussians, forward time, measured and planned peak memory as Markdown.
+--png tiles the renders of one number of photos. Finished runs are read from --out.
 """
 
 import argparse
@@ -21,24 +22,24 @@ def arguments():
     parser.add_argument("capture", type=Path)
     parser.add_argument("--views", default="8,24,96,176", help="numbers of input photos")
     parser.add_argument("--ratios", default="1,auto,0.1,0.01")
-    parser.add_argument("--pools", default="1", help="sides of the groups of patches that attention across photos sees as one")
+    parser.add_argument("--pools", default="1", help="sides of the patch groups pooled for global attention")
     parser.add_argument("--targets", type=int, default=8)
     parser.add_argument("--size", default="84x84")
     parser.add_argument("--out", type=Path, default=Path("views"), help="folder for the runs")
     parser.add_argument("--options", default="", help="more options of eval and info, such as --weights")
-    parser.add_argument("--png", type=Path, help="file for the pictures")
-    parser.add_argument("--pictures", type=int, default=24, help="the number of photos that --png shows")
-    parser.add_argument("--cpu", action="store_true", help="count CPU time over cores")
+    parser.add_argument("--png", type=Path, help="file for the renders; needs Pillow")
+    parser.add_argument("--pictures", type=int, default=24, help="number of photos that --png shows")
+    parser.add_argument("--cpu", action="store_true", help="count CPU time over cores, for a shared machine")
     return parser.parse_args()
 
 
 def place(args, views, ratio, pool="1"):
-    """The folder of a run."""
+    """Returns the folder of a run."""
     return args.out / (f"{args.capture.name}.{views}.{ratio}" + ("" if pool == "1" else f".{pool}"))
 
 
 def run(args, views, ratio, pool):
-    """What eval says, with the planned bytes and the CPU time of the forward pass."""
+    """Returns the result of eval with planned bytes and CPU time."""
     folder = place(args, views, ratio, pool)
     path = folder / "eval.json"
     if path.exists():
@@ -52,7 +53,7 @@ def run(args, views, ratio, pool):
 
 
 def picture(args, ratios):
-    """The held-out photos, and below them what is drawn at each ratio, from what eval has written."""
+    """Saves the held-out photos above their renders at each ratio."""
     from PIL import Image
 
     side, rows = int(args.size.split("x")[0]), []

@@ -1,9 +1,9 @@
-"""Trains the same network with one thing changed at a time, from one start on the same scenes, and prints the table.
+"""Trains variants of one network from the same weights on the same scenes and prints the table.
 
-    python tools/train/ablate.py --zipsplat target/release/zipsplat --backbone engine/models/nano.safetensors --out DIR --steps 120
+    python tools/train/ablate.py --backbone engine/models/nano.safetensors --out DIR --steps 120
 
-The rows are those of the paper's table 4b and c, and learned queries in place of the scene's tokens. A run that has ended is not
-begun again. `--set NAME=JSON` changes a setting in all of them.
+The rows follow the paper's table 4b and c, and add learned queries. Finished runs are skipped.
+`--set NAME=JSON` changes a setting of all runs.
 """
 
 import argparse
@@ -15,14 +15,15 @@ from pathlib import Path
 from safetensors import safe_open
 
 HERE = Path(__file__).resolve().parent
-# The least that shows a difference on a CPU, by the paper's optimiser, whose step is much the shorter one there; the colour branch is wide enough for 64 Gaussians a token in all.
+# Small enough for a CPU, where AdamW's steps take much less time than Muon's. The color branch
+# fits 64 Gaussians per token.
 SMALL = {
     "size": 56, "views": [2, 2], "evaluate": [2, 2], "targets": 2, "batch_views": 8, "record_views": 6, "scenes": 64, "ratio": 0.5,
     "progressive": False, "geometry_until": 0, "geometry_after": 0, "architecture.gaussians_per_token": 32, "anchor_cells": [4, 8],
     "architecture.color_width": 192, "architecture.color_heads": 3, "architecture.color_hidden": 192, "architecture.head_hidden": 768,
     "log_seconds": 1, "ema": 0.98, "muon": False,
 }  # fmt: skip
-# What learned queries can be compared with: they have no patch to be held to.
+# Losses that learned queries cannot have, since they belong to no patch.
 FREE = {"losses.anchor": 0, "losses.ray": 0, "losses.color": 0}
 TOKENS = 2 * (56 // 14) ** 2
 
@@ -50,8 +51,8 @@ VARIANTS = {
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--zipsplat", default="target/release/zipsplat")
-    parser.add_argument("--backbone", required=True, help="weights whose backbone all start from")
-    parser.add_argument("--out", type=Path, required=True, help="a folder for each run")
+    parser.add_argument("--backbone", required=True, help="weights that provide the initial backbone")
+    parser.add_argument("--out", type=Path, required=True, help="folder with one subfolder per run")
     parser.add_argument("--steps", type=int, default=120)
     parser.add_argument("--set", action="append", default=[], metavar="NAME=JSON", help="changes a setting of all runs")
     parser.add_argument("--only", type=int, nargs="+", help="numbers of the runs, counted from 0")

@@ -1,19 +1,19 @@
-"""A backbone to start from: one that this project trained, or Depth Anything 3's as it is released."""
+"""Initial backbones: trained by this project or released by Depth Anything 3."""
 
 import torch
 from safetensors import safe_open
 
 from weights import ARCHITECTURE_KEY
 
-# Names in a release (model.safetensors of da3-small, da3-base, da3-large, da3-giant), and ours.
+# Name prefixes in releases (model.safetensors of da3-small to da3-giant) and in our files.
 RELEASED = {"model.backbone.pretrained.": "backbone.backbone.", "model.cam_enc.": "backbone.cam_enc."}
 
-# Releases see pictures in this range, ZipSplat in 0..1.
+# Releases normalize pictures with these; ZipSplat reads 0..1.
 MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 
 def read(path):
-    """{name: f32 tensor} of the backbone and its camera encoder in a file of weights."""
+    """Returns {name: f32 tensor} of a file's backbone and camera encoder."""
     with safe_open(path, "pt") as file:
         names = list(file.keys())
         released = ARCHITECTURE_KEY not in (file.metadata() or {})
@@ -32,7 +32,7 @@ def read(path):
 
 
 def take_in_range(tensors):
-    """Lets the patches' convolution read 0..1 where it read (x - MEAN) / DEVIATION."""
+    """Folds the input normalization (x - MEAN) / DEVIATION into the patch embedding."""
     weight, bias = (tensors[f"backbone.backbone.patch_embed.proj.{part}"] for part in ("weight", "bias"))
     weight /= weight.new_tensor(DEVIATION)[:, None, None]
     bias -= torch.einsum("ocyx,c->o", weight, weight.new_tensor(MEAN))
@@ -40,7 +40,7 @@ def take_in_range(tensors):
 
 @torch.no_grad()
 def take_over(model, path):
-    """Gives a model the backbone and the camera encoder of a file; the rest stays as it is."""
+    """Copies backbone and camera encoder of a file into a model."""
     found, own = read(path), {name: p for name, p in model.named_parameters() if name.startswith("backbone.")}
     wrong = [f"{name} is missing" for name in own.keys() - found.keys()]
     wrong += [f"{name} is unexpected" for name in found.keys() - own.keys()]

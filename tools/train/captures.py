@@ -1,4 +1,4 @@
-"""Real photos with cameras and depth, RealEstate10K's and DL3DV's, as records like the generator's."""
+"""Photos with cameras and depth (RealEstate10K, DL3DV) as records like the generator's."""
 
 import json
 import sys
@@ -11,24 +11,24 @@ from PIL import Image
 from safetensors import safe_open
 
 EXTENSIONS = ("", ".png", ".jpg", ".jpeg", ".webp", ".JPG", ".PNG")
-# A photo, its lens (fx, fy, cx, cy) in shares of the picture's sides, where the camera stands (camera to world, x right, y down, z
-# forward), and the folder and the name of its depth.
+# lens: fx, fy, cx, cy relative to the photo's sides. pose: camera to world, x right, y down,
+# z forward. depth: folder and name.
 Frame = namedtuple("Frame", "photo lens pose depth")
-# All depths of a folder, as `zipsplat depth` writes them.
+# Depth file of `zipsplat depth`.
 DEPTHS = "depths.safetensors"
-# From so many scenes one is kept for evaluation; of two at least, one always.
+# One scene in this many is for validation, at least one if there are two.
 UNSEEN = 32
 READERS = 4
 
 
 def find_photo(folders, name):
-    """The photo of this name, with an extension or without, in the first of some folders that has it."""
+    """Returns the first photo of this name in the folders, with or without an extension."""
     places = (folder / f"{name}{extension}" for folder in folders for extension in EXTENSIONS)
     return next((place for place in places if place.is_file()), None)
 
 
 def re10k(file, depths):
-    """The frames of a camera file NAME.txt of RealEstate10K; the photos are in NAME/ or beside the file."""
+    """Reads the frames of a RealEstate10K file NAME.txt; photos are in NAME/ or its folder."""
     frames = []
     for i, line in enumerate(file.read_text().splitlines()[1:], 2):
         fields = line.split()
@@ -44,7 +44,7 @@ def re10k(file, depths):
 
 
 def dl3dv(file, depths):
-    """The frames of a transforms.json; what lenses bend is ignored, as the paper's authors do."""
+    """Reads the frames of a transforms.json and, like the paper's authors, ignores distortion."""
     shared, frames = json.loads(file.read_text()), []
     for i, own in enumerate(shared["frames"]):
         fields = {**shared, **own}
@@ -64,7 +64,7 @@ def dl3dv(file, depths):
 
 
 def read_depth(folder, name):
-    """[height, width] z in the cameras' unit: NAME.npy, as `zipsplat scene` writes it, else out of `zipsplat depth`'s file."""
+    """Returns [height, width] z in camera units from NAME.npy or a file of `zipsplat depth`."""
     place = folder / f"{name}.npy"
     if not place.is_file() and (folder / DEPTHS).is_file():
         with safe_open(folder / DEPTHS, "np") as file:
@@ -76,7 +76,7 @@ def read_depth(folder, name):
 
 
 def scenes_of(kind, folder):
-    """The camera files of a folder, by name of their scenes, and what reads them."""
+    """Returns a reader, {scene name: camera file} and a description of the expected files."""
     if kind == "re10k":
         files = {path.stem: path for path in folder.glob("*.txt") if path.open("rb").read(4) == b"http"}
         return re10k, files, "camera files NAME.txt that begin with an address"
@@ -88,12 +88,12 @@ def scenes_of(kind, folder):
 
 
 class Captures:
-    """An endless stream of records (`data.record`) of folders of scenes, each folder as often as any other.
+    """An endless stream of records (`data.record`) that alternates between data sets.
 
-    `sources` are (`re10k` or `dl3dv`, folder, folder of depths or None): a photo's depth, 0 where there is none, is in DEPTHS/SCENE/, else
-    in `depth` beside the photos, as `read_depth` says. A record's views are of one stretch
-    of frames, whose length is drawn between two: a half of them as far from each other as they go, the others between them. Lengths
-    are in units of the median depth. Scenes that cannot be read are named and left out.
+    `sources` are (`re10k` or `dl3dv`, folder, folder of depths or None). Depth (0: unknown) is in
+    DEPTHS/SCENE/, by default in `depth` next to the photos. Half of a record's views are farthest
+    points of a random run of frames, the others random ones of it. `gap` bounds the run's length.
+    The unit is the median depth. Unreadable scenes are reported and skipped.
     """
 
     def __init__(self, sources, record, gap, seed, count=None, unseen=False):
@@ -114,7 +114,7 @@ class Captures:
         return [(name, read, files[name], depths and depths / name) for name in chosen]
 
     def read_into(self, buffer):
-        """Fills an array of bytes with records; how many of them were left in the stream."""
+        """Fills a byte array with records; returns their number."""
         rows = buffer.view(self.record)
         count = len(rows) if self.count is None else min(len(rows), self.count - self.next)
         for row in rows[:count]:
@@ -122,7 +122,7 @@ class Captures:
         return count
 
     def fill(self, row):
-        """One record. Its number decides which it is, but for scenes that were left out."""
+        """Fills one record; its number seeds the choice of scene."""
         rng = np.random.default_rng((self.seed, self.next))
         source = self.sources[self.next % len(self.sources)]
         row["seed"] = self.seed + self.next
@@ -161,7 +161,7 @@ class Captures:
             pose[:, 3] /= unit
 
     def view(self, frame):
-        """The middle of a photo at the record's size, its lens in pixels, and its depth."""
+        """Returns the center crop at the record's size, its lens in pixels, and its depth."""
         photo = Image.open(frame.photo).convert("RGB")
         sides, size = np.array(photo.size), np.array((self.width, self.height))
         scale = (size / sides).max()
@@ -170,7 +170,6 @@ class Captures:
         lens = frame.lens * np.tile(sides, 2)
         lens[2:] -= corner
         depth = read_depth(*frame.depth)
-        # A network sees whole patches.
         if depth.ndim != 2 or abs(depth.shape[1] * sides[1] / (depth.shape[0] * sides[0]) - 1) > 0.05:
             raise ValueError(f"{frame.depth[1]}: found depth {list(depth.shape)}, expected the shape of its photo, {sides[1]}x{sides[0]}")
         x, y = (

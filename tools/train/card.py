@@ -1,9 +1,9 @@
-"""Measures the embedded model (or --weights) and prints the tables of engine/models/README.md as Markdown.
+"""Prints the tables of engine/models/README.md for the embedded model or --weights.
 
     python tools/train/card.py --zipsplat target/release/zipsplat --captures FOLDER
 
-Every number is the mean that `zipsplat eval` prints. Scenes are procedural ones that training never sees; captures are the
-folders of FOLDER that have a transforms.json. Without cameras pictures are aligned with 4 photos of each.
+Numbers are means of `zipsplat eval`. Procedural scenes are disjoint from training. Captures are
+subfolders of FOLDER with a transforms.json. Without cameras, renders are aligned with 4 photos.
 """
 
 import argparse
@@ -12,7 +12,7 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-# Training counts seeds up from 0 and evaluates itself from 2^40 on.
+# Training seeds count up from 0, its validation's from 2^40.
 FIRST_SEED, SCENES, SCENE_VIEWS = 1 << 41, 20, 16
 INPUTS, RATIOS = (4, 8), (1, 0.5, 0.25)
 CAPTURE_INPUTS = 8
@@ -25,7 +25,7 @@ def main():
     parser.add_argument("--zipsplat", default="target/release/zipsplat")
     parser.add_argument("--weights", help="instead of the embedded model")
     parser.add_argument("--captures", help="folder of captures")
-    parser.add_argument("--out", help="folder to keep every comparison.png in")
+    parser.add_argument("--out", help="folder for every comparison.png")
     args = parser.parse_args()
     weights = ["--weights", args.weights] if args.weights else []
     captures = sorted(path.parent for path in Path(args.captures).glob("*/transforms.json")) if args.captures else []
@@ -70,7 +70,7 @@ def average(means):
 
 
 def gain(mean):
-    """dB above the better of the two trivial predictions."""
+    """Returns the dB above the better of the two trivial predictions."""
     return mean["psnr"] - max(mean["nearest_psnr"], mean["mean_color_psnr"])
 
 

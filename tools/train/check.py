@@ -1,7 +1,7 @@
-"""Compares the network with golden data, or dumps a small golden of given weights for the engine's tests.
+"""Compares the network with golden data, or writes a small golden for the engine's tests.
 
-python tools/train/check.py goldens FOLDER                   # golden/FORMAT.md of the engine's tests
-python tools/train/check.py dump WEIGHTS OUT.safetensors     # images_u8, camera, pose, and gauss for each ratio
+    python tools/train/check.py goldens FOLDER                   # tests/data
+    python tools/train/check.py dump WEIGHTS OUT.safetensors     # Gaussians for each ratio
 """
 
 import argparse
@@ -17,7 +17,7 @@ from depth import DepthAnything3, architecture_from_json
 from model import ZipSplat, nearest_tokens
 from weights import Architecture, load, seeded
 
-# Widest error of a tap over the truth's root mean square that f32 rounding explains.
+# Bound on a tap's maximum error over the truth's RMS, from f32 rounding.
 TOLERANCE = 3e-5
 
 # Columns of packed Gaussians.
@@ -44,7 +44,7 @@ GOLDENS = [
 ]  # fmt: skip
 
 
-# Depth Anything 3 of a tiny size, and the views that its goldens choose.
+# A tiny Depth Anything 3, and the reference view of each of its goldens.
 DEPTH = """{"name": "da3_tiny", "features": 32, "channels": [16, 24, 32, 48], "backbone": {"width": 128, "depth": 6,
     "heads": 2, "ffn": "gelu", "ffn_hidden": 512, "patch": 14, "position_grid": 37, "alt_start": 2, "qk_norm_start": 2,
     "rope_start": 2, "out_layers": [2, 3, 4, 5]}}"""
@@ -69,7 +69,7 @@ def priors_of(golden):
 
 @torch.no_grad()
 def compare(model, golden):
-    """{tap: widest error over root mean square} at every ratio of a golden, with the golden's own cluster tokens."""
+    """Returns {tap: maximum error / RMS} at every ratio, with the golden's kept tokens."""
     dtype = model.color_embed.proj.weight.dtype
     images = (golden["in/images_u8"].float() / 255).to(dtype)[None]
     priors = priors_of(golden)
@@ -98,7 +98,7 @@ def depth_model():
 
 @torch.no_grad()
 def compare_depth(model, golden, reference):
-    """{tap: widest error over root mean square} of features, heads and cameras."""
+    """Returns {tap: maximum error / RMS} of features, heads and cameras."""
     images = golden["in/images_u8"].to(model.head.norm.weight.dtype) / 255
     mean, deviations = (images.new_tensor(values)[:, None, None] for values in (MEAN, DEVIATION))
     features, tokens = model.features((images - mean) / deviations, reference)
@@ -120,7 +120,7 @@ def goldens(folder):
             golden = load_file(path)
             for dtype, limit in ((torch.float64, 1e-6), (torch.float32, TOLERANCE)):
                 errors = compare(model.to(dtype), golden)
-                # A short raw quaternion or a clamped exponential widens the error of the packed Gaussians.
+                # Short raw quaternions and clamped exponentials amplify errors.
                 bad = {k: e for k, e in errors.items() if not e <= limit * (4 if k.endswith("gauss") else 1)}
                 print(f"{path.name} {dtype}: {len(errors)} taps, worst {max(errors.values()):.1e}", bad or "")
                 failed += len(bad)
@@ -136,9 +136,9 @@ def goldens(folder):
 
 @torch.no_grad()
 def dump(weights, out):
-    """Two views with and without priors; the truth is the f64 forward of the weights as stored.
+    """Writes two views and their Gaussians in f64, with and without priors.
 
-    Beside it, by field, how far the f32 forward deviates: what f32 can reach with these weights.
+    Also stores the deviation of the f32 forward pass by field, as a bound for the engine.
     """
     architecture, state, _ = load(weights)
     model = ZipSplat(architecture).eval()

@@ -1,4 +1,4 @@
-"""Procedural scenes from the generator (`zipsplat scene --shards`), in a pool on the device that is kept filled."""
+"""Procedural scenes from the generator (`zipsplat scene --shards`), pooled on the device."""
 
 import queue
 import subprocess
@@ -14,19 +14,20 @@ import torch.nn.functional as F
 MAGIC, FORMAT = b"ZSSCENES", 1
 HEADER = np.dtype([("magic", "S8"), ("format", "<u4"), ("generator", "<u4"), ("scenes", "<u8"), ("vhw", "<u4", 3)])
 
-# Of B scenes with V context and C target views, in the frame of the first context view with unit median distance:
-# images [B, V, 3, H, W] 0..1, poses [B, V, 4, 4] camera to world, intrinsics [B, V, 4] fx, fy, cx, cy;
-# colors [B, C, H, W, 3] 0..1, depth [B, C, H, W] (0: sky), viewmats, target_intrinsics of the targets;
-# points [B, M, 3] on surfaces that the context sees; anchors [B, V * T, rows, columns, 3] what the
-# centres of the cells of the context's patches see.
+# B scenes of V context and C target views, in the frame of the first context view, with unit
+# median distance:
+# images [B, V, 3, H, W] 0..1, poses [B, V, 4, 4] camera to world, intrinsics [B, V, 4] fx fy cx cy;
+# colors [B, C, H, W, 3] 0..1, depth [B, C, H, W] (0: sky), viewmats, target_intrinsics: targets;
+# points [B, M, 3]: visible surface points; anchors [B, V * T, rows, columns, 3]: surface points at
+# the centers of each patch's cells.
 Batch = namedtuple("Batch", "images poses intrinsics colors depth viewmats target_intrinsics points anchors")
 
-# Where anchors put the sky, and what is farther than it, in median distances.
+# Distance of the sky in anchors, and the largest one, in median distances.
 SKY = 12.0
 
 
 def record(views, height, width):
-    """A scene in the stream."""
+    """Returns the NumPy type of a scene in the stream."""
     return np.dtype(
         [("seed", "<u8"), ("family", "<u4"), ("path", "<u4"), ("intrinsics", "<f4", (views, 4)),
          ("poses", "<f4", (views, 3, 4)), ("overlap", "<f4", (views, views)), ("colors", "u1", (views, height, width, 3)),
@@ -35,7 +36,7 @@ def record(views, height, width):
 
 
 class Shards:
-    """A stream of scenes; the record's layout is documented in the generator (tools/src/procedural/shards.rs)."""
+    """A stream of records; their layout is documented in tools/src/procedural/shards.rs."""
 
     def __init__(self, command, log=subprocess.DEVNULL):
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log)
@@ -45,7 +46,7 @@ class Shards:
         self.record = record(*header["vhw"][0].tolist())
 
     def read_into(self, buffer):
-        """Fills an array of bytes with records; how many of them were left in the stream."""
+        """Fills a byte array with records; returns their number."""
         view, filled = memoryview(buffer), 0
         while filled < len(view) and (count := self.process.stdout.readinto(view[filled:])):
             filled += count
@@ -57,7 +58,7 @@ class Shards:
 
 
 def generator_command(zipsplat, size, views, first_seed, textures=None, scenes=None):
-    # Training comes first: the pool has scenes to go on with.
+    # Training has priority on the CPU: the pool already holds scenes.
     command = ["nice", "-n", "5", zipsplat, "scene", "--shards", "-", "--views", str(views), "--size", f"{size}x{size}"]
     command += ["--first-seed", str(first_seed)]
     command += ["--textures", textures] if textures else []
@@ -65,11 +66,10 @@ def generator_command(zipsplat, size, views, first_seed, textures=None, scenes=N
 
 
 class Pool:
-    """Scenes on the device. `sample` draws from those that are there and takes in what a thread has read meanwhile.
+    """Scenes on the device; a thread reads new ones, `sample` draws and replaces the oldest.
 
-    Once full, the pool takes in a scene for every `reuse` that are drawn, and the generator rests meanwhile: on a
-    machine whose cores also train, that leaves them the time. 0 takes all that come. `waited` counts the seconds in
-    which training stood still because there were too few scenes.
+    A full pool accepts one scene per `reuse` draws, so that the generator leaves the CPU to
+    training; 0 accepts all. `waited` counts seconds that training waited for scenes.
     """
 
     FIELDS = ("intrinsics", "poses", "overlap", "colors", "depths")
@@ -82,7 +82,7 @@ class Pool:
         self.waited = 0.0
         self.rows = self.columns(capacity, device=self.device)
         self.ready, self.free = queue.Queue(), queue.Queue()
-        # With a GPU they fill while its kernels are compiled.
+        # On a GPU, filling overlaps with compilation.
         for _ in range(64 if self.device.type == "cuda" else 4):
             self.free.put((self.columns(self.block, pin_memory=self.device.type == "cuda"), None))
         threading.Thread(target=self.read, daemon=True).start()
@@ -100,7 +100,7 @@ class Pool:
                 copied.synchronize()
             try:
                 count = self.shards.read_into(buffer.view(np.uint8))
-            except Exception as error:  # the thread that waits for scenes has to know
+            except Exception as error:  # forwarded to the waiting thread
                 self.ready.put((None, error, 0))
                 return
             for name, column in columns.items():
@@ -108,7 +108,7 @@ class Pool:
             self.ready.put((columns, count, int(buffer["seed"][count - 1])))
 
     def take_in(self, wait=False):
-        """Copies one block of scenes over the oldest ones, if one is ready; how many they were."""
+        """Overwrites the oldest scenes by one block if it is ready; returns the number."""
         try:
             columns, count, seed = self.ready.get(timeout=60) if wait else self.ready.get_nowait()
         except queue.Empty:
@@ -133,7 +133,7 @@ class Pool:
         return min(self.taken, self.capacity)
 
     def fill(self, count):
-        """Waits until there are `count` scenes."""
+        """Waits for `count` scenes."""
         while self.filled() < min(count, self.capacity):
             started = time.perf_counter()
             if not self.take_in(wait=True):
@@ -150,10 +150,11 @@ class Pool:
         return batch(*self.split(chosen, views, targets, spread), points, cells, patch, loose)
 
     def split(self, chosen, views, targets, spread):
-        """Rows, and for each of them its context views [B, V] and targets [B, C], at random.
+        """Returns rows and random context [B, V] and target [B, C] views of each.
 
-        The context is spread over a scene's views with probability `spread`, as for an evaluation on captures. Otherwise
-        views that overlap with the first are likelier. Views that two of the context cover are likelier as targets.
+        With probability `spread` the context is a farthest-point sample, as in `eval` on captures.
+        Otherwise views that overlap the first are likelier. Targets favor views that two context
+        views cover.
         """
         rows = {name: value[chosen] for name, value in self.rows.items()}
         overlap = rows["overlap"]
@@ -182,7 +183,7 @@ def farthest(positions, first, count):
 
 
 def fixed_split(rows, views, targets):
-    """Context views spread evenly over a scene's views, the targets between them: for evaluation."""
+    """Evenly spaced context views with targets between them, for evaluation."""
     count, device = rows["poses"].shape[1], rows["poses"].device
     context = torch.linspace(0, count - 1, views, device=device).round().long()
     others = torch.tensor([i for i in range(count) if i not in context.tolist()], device=device)
@@ -197,7 +198,7 @@ def pick(values, index):
 
 
 def inverse(poses):
-    """Of rigid motions [..., 4, 4]."""
+    """Inverts rigid motions [..., 4, 4]."""
     rotation = poses[..., :3, :3].mT
     result = poses.clone()
     result[..., :3, :3] = rotation
@@ -206,9 +207,9 @@ def inverse(poses):
 
 
 def batch(rows, context, targets, points, cells, patch, loose=None):
-    """Moves scenes into the frame of their first context view, where the median distance of what is seen becomes 1.
+    """Moves scenes into the frame of their first context view and scales to unit median distance.
 
-    In the scenes that are `loose` [B] the other cameras stand anywhere, whatever the pictures say.
+    In `loose` [B] scenes the other cameras get random poses, independent of the pictures.
     """
     poses = torch.eye(4, device=context.device).repeat(*rows["poses"].shape[:2], 1, 1)
     poses[:, :, :3] = rows["poses"]
@@ -222,7 +223,7 @@ def batch(rows, context, targets, points, cells, patch, loose=None):
     cameras = pick(relative, context)
     if loose is not None:
         cameras[:, 1:] = torch.where(loose[:, None, None, None], anywhere(cameras[:, 1:]), cameras[:, 1:])
-    # Sky gives no point: a surface's stands in, so that shapes stay fixed.
+    # Sky pixels repeat a surface point to keep shapes fixed.
     seen = cloud.isfinite().all(-1)
     cloud = torch.where(seen[..., None], cloud, pick(cloud, seen.float().argmax(1)[:, None]).nan_to_num(1.0))
 
@@ -242,16 +243,16 @@ def batch(rows, context, targets, points, cells, patch, loose=None):
 
 
 def anywhere(poses):
-    """As many poses that are turned about any axis, by any angle, and moved by some median distances."""
+    """Returns random poses of the same shape: any rotation, a few median distances away."""
     axis = torch.randn_like(poses[..., :3, 3])
-    # Mostly around the vertical, as people go.
+    # Mostly around the vertical, like a walking photographer.
     axis = F.normalize(axis * axis.new_tensor((0.4, 1.0, 0.4)), dim=-1)
     angle = torch.pi * torch.rand_like(axis[..., :1])
     x, y, z = axis.unbind(-1)
     zero = torch.zeros_like(x)
     cross = torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), -1).unflatten(-1, (3, 3))
     angle = angle[..., None]
-    turn = angle.sin() * cross + (1 - angle.cos()) * (cross @ cross)  # Rodrigues, without the identity
+    turn = angle.sin() * cross + (1 - angle.cos()) * (cross @ cross)  # Rodrigues minus the identity
     result = torch.eye(4, device=poses.device).expand_as(poses).clone()
     result[..., :3, :3] += turn
     result[..., :3, 3] = torch.randn_like(axis) * 2 * torch.rand_like(axis[..., :1])
@@ -260,14 +261,14 @@ def anywhere(poses):
 
 @cache
 def cell_centres(views, height, width, rows, columns, patch, device):
-    """Pixel indices [V * T * cells] of the centres of a grid of cells in every patch of V pictures, patch by patch."""
+    """Pixel indices [V * T * cells] of the cell centers of all patches, patch by patch."""
     pixels = torch.arange(views * height * width).view(views, height // patch, patch, width // patch, patch)
     y, x = (((torch.arange(count) + 0.5) * patch / count).long() for count in (rows, columns))
     return pixels[:, :, y][..., x].permute(0, 1, 3, 2, 4).flatten().to(device)
 
 
 def unproject(depth, intrinsics, poses, index):
-    """World points [B, M, 3] of pixels `index` [B, M] of depth [B, V, H, W], counted over all views; NaN in the sky."""
+    """World points [B, M, 3] of pixels `index` [B, M] into depth [B, V, H, W]; NaN in the sky."""
     h, w = depth.shape[2:]
     view, pixel = index // (h * w), index % (h * w)
     z = depth.flatten(1).gather(1, index)

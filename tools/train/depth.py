@@ -1,6 +1,6 @@
-"""Depth Anything 3 (small to giant, without the head for Gaussians) with the parameter names of its releases, to compare with.
+"""Depth Anything 3 (small to giant) as a reference, with the parameter names of its releases.
 
-Shapes: V views, T patches a view, D width, F features; gh x gw patches and H x W pixels of a view.
+Shapes: V views, T patches a view, D width, F features; gh x gw patches, H x W pixels of a view.
 """
 
 import json
@@ -14,12 +14,12 @@ from model import VisionTransformer
 
 EPS = 1e-5
 HIDDEN = 32
-# The share of a pixel's place in a feature, and the base of its frequencies.
+# Amplitude and frequency base of the positional encoding.
 SHARE, BASE = 0.1, 100.0
 
 
 class Backbone(nn.Module):
-    """Only here for the names of its parts."""
+    """Holds submodules under the releases' parameter names."""
 
     def __init__(self, a):
         super().__init__()
@@ -46,12 +46,12 @@ class Fusion(nn.Module):
 
     def forward(self, level, below, size):
         x = level if below is None else below + self.resConfUnit1(level)
-        # Before the map is enlarged, which is the same for a fourth of the work.
+        # Commutes with the resize and costs a quarter before it.
         return resized(self.out_conv(self.resConfUnit2(x)), size)
 
 
 class ChannelNorm(nn.LayerNorm):
-    """Over the channels of [V, C, h, w]."""
+    """Normalizes the channels of [V, C, h, w]."""
 
     def forward(self, x):
         return super().forward(x.movedim(1, -1)).movedim(-1, 1)
@@ -62,7 +62,7 @@ def resized(x, size):
 
 
 def placed(x, aspect):
-    """[V, C, h, w] and the places of its pixels on a rectangle of this width over height whose half diagonal is 1."""
+    """Adds positions to [V, C, h, w], in a rectangle of this aspect with half diagonal 1."""
     channels, h, w = x.shape[1:]
     diagonal = (aspect**2 + 1) ** 0.5
     frequency = BASE ** (-torch.arange(channels // 4, dtype=torch.float64) / (channels // 4))
@@ -78,12 +78,12 @@ def placed(x, aspect):
 
 
 def convolutions(*channels):
-    """3 x 3 convolutions, one behind the other."""
+    """A chain of 3 x 3 convolutions."""
     return nn.Sequential(*(nn.Conv2d(i, o, 3, padding=1) for i, o in zip(channels, channels[1:])))
 
 
 class Head(nn.Module):
-    """Depth with its confidence and rays with theirs, of every view alone."""
+    """Depth, rays and their confidences, view by view."""
 
     def __init__(self, a):
         super().__init__()
@@ -105,7 +105,7 @@ class Head(nn.Module):
         parts["output_conv2"] = nn.Sequential(
             nn.Conv2d(f // 2, HIDDEN, 3, padding=1), nn.ReLU(), nn.Conv2d(HIDDEN, 2, 1)
         )
-        # Four tails share the norm, which files hold at the first of them.
+        # All four ray heads use the norm that files store under the first.
         rays = {"0": nn.Conv2d(f // 2, HIDDEN, 3, padding=1), "5": nn.Conv2d(HIDDEN, 7, 1)}
         parts["output_conv1_aux"] = nn.ModuleDict({"3": convolutions(f, f // 2, f, f // 2, f, f // 2)})
         parts["output_conv2_aux"] = nn.ModuleDict(
@@ -114,7 +114,10 @@ class Head(nn.Module):
         self.scratch = nn.ModuleDict(parts)
 
     def forward(self, features, size, patch):
-        """Four features [V, T, 2D], shallowest first -> logits of depth [V, 2, H, W] and of rays [V, 7, 8gh, 8gw]."""
+        """Features [V, T, 2D], shallowest first, to logits.
+
+        Depth [V, 2, H, W], rays [V, 7, 8gh, 8gw].
+        """
         rows, columns = (side // patch for side in size)
         aspect = size[1] / size[0]
         levels = []
@@ -145,7 +148,7 @@ class CameraDecoder(nn.Module):
         self.fc_fov = nn.Sequential(nn.Linear(width, 2), nn.ReLU())
 
     def forward(self, tokens):
-        """[V, 2D] -> centre, quaternion xyzw and fields of view of each camera [V, 9]."""
+        """[V, 2D] -> center, quaternion xyzw and fields of view [V, 9]."""
         x = self.backbone(tokens)
         return torch.cat((self.fc_t(x), self.fc_qvec(x), self.fc_fov(x)), -1)
 
@@ -159,9 +162,9 @@ class DepthAnything3(nn.Module):
         self.cam_dec = CameraDecoder(2 * a.backbone.width)
 
     def features(self, images, reference=0):
-        """[V, 3, H, W], normalised -> four features [V, T, 2D], shallowest first, and camera tokens [V, 2D].
+        """Normalized [V, 3, H, W] -> four features [V, T, 2D] and camera tokens [V, 2D].
 
-        The view `reference` goes first; to find it takes no time to speak of.
+        Features are sorted shallowest first. `reference` is the index of the reference view.
         """
         vit, taps = self.backbone.pretrained, {}
         a = vit.architecture
@@ -175,7 +178,7 @@ class DepthAnything3(nn.Module):
         return features, tokens[back]
 
     def heads(self, features, tokens, size, at_once=8):
-        """Logits of depth and rays of all views, so many at once, and their cameras."""
+        """Returns logits of depth and rays, `at_once` views per batch, and cameras."""
         parts = zip(*(feature.split(at_once) for feature in features))
         found = [self.head(part, size, self.architecture.backbone.patch) for part in parts]
         depth, rays = (torch.cat(parts) for parts in zip(*found))
@@ -183,7 +186,7 @@ class DepthAnything3(nn.Module):
 
 
 def architecture_from_json(text):
-    """The engine's `zipsplat::weights::DepthArchitecture`, which documents the fields."""
+    """Parses the engine's `zipsplat::weights::DepthArchitecture`."""
     a = json.loads(text, object_hook=lambda fields: SimpleNamespace(**fields))
     alt_start = a.backbone.alt_start
     a.backbone.is_global = lambda block: block >= alt_start and block % 2 == 1

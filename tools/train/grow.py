@@ -1,4 +1,4 @@
-"""Weights of a larger network from those of a smaller one; pictures start nearly as they were."""
+"""Weights of a larger network from those of a smaller one, with nearly the same output."""
 
 import math
 
@@ -12,9 +12,9 @@ HEAD = [f"gaussian_head.gaussian_head.{layer}" for layer in ("0.fc1", "0.fc2", "
 
 @torch.no_grad()
 def refine(tensors, architecture, count):
-    """`tensors` with `count` Gaussians a token, on a finer grid.
+    """Returns weights with `count` Gaussians a token on a finer grid.
 
-    What the head says of a Gaussian, it says of those between by interpolation; sizes shrink with the spacing.
+    Interpolates the head's outputs between grid points and shrinks scales with the spacing.
     """
     old, new = math.isqrt(architecture.gaussians_per_token), math.isqrt(count)
     if old < 2 or old**2 != architecture.gaussians_per_token or new**2 != count or new < old:
@@ -29,16 +29,17 @@ def refine(tensors, architecture, count):
     name = HEAD[-1]
     weight, bias = (tensors[f"{name}.{part}"].unflatten(0, (old**2, -1)) for part in ("weight", "bias"))
     weight, bias = torch.einsum("no,owi->nwi", grid, weight), grid @ bias
-    bias[:, 3:6] -= math.log(new / old)  # of their softplus, which is an exponential for small Gaussians
+    bias[:, 3:6] -= math.log(new / old)  # softplus is near exp for small Gaussians
     return {**tensors, f"{name}.weight": weight.flatten(0, 1), f"{name}.bias": bias.flatten()}
 
 
 @torch.no_grad()
 def widen_colors(tensors, model, cells):
-    """`tensors` for `model`, whose colour branch is twice as wide, with its head on top.
+    """Returns weights for `model`, which has twice the color width and a wider head.
 
-    The new channels are the old ones again. One a cell also carries what the old ones cannot tell of the cell's brightness,
-    and the head adds that to the color of the cell's Gaussian. What else is new starts without effect.
+    New channels copy the old ones. One per cell also carries the part of the cell's brightness
+    that the old channels do not predict; the head adds it to the color of the cell's Gaussian.
+    All other new weights start without effect.
     """
     a, new = model.architecture, model.state_dict()
     count = cells[0] * cells[1]
@@ -51,7 +52,7 @@ def widen_colors(tensors, model, cells):
         raise SystemExit(f"found cells {cells}, expected one a Gaussian, and head_hidden {hidden + 2 * count} at least")
 
     def grown(old, like):
-        """`old` in the first rows, which see nothing new; further ones are random."""
+        """Pads `old` with zero columns and appends the random rows of `like`."""
         return torch.cat((F.pad(old, (0, like.shape[1] - old.shape[1])), like[len(old) :]))
 
     out = dict(tensors)
@@ -68,7 +69,7 @@ def widen_colors(tensors, model, cells):
             out[name] = grown(old, like)
         elif name.endswith(("attn.q_proj.bias", "fc1.bias")) or name.startswith("gaussian_head"):
             out[name] = F.pad(old, [pad for size, was in zip(like.shape[::-1], old.shape[::-1]) for pad in (0, size - was)])
-        else:  # what makes colour channels
+        else:  # color channels
             rows = F.pad(old, (0, like.shape[1] - old.shape[1])) if old.ndim == 2 else old
             out[name] = torch.cat((rows, rows))
 
@@ -78,7 +79,7 @@ def widen_colors(tensors, model, cells):
     detail = brightness - torch.linalg.solve(seen @ old.T, seen @ brightness.T).T @ old
     embed, fc1, fc2, last = (out[f"{name}.weight"] for name in ("color_embed.proj", *HEAD))
     embed[old_width : old_width + count] += detail.view(count, *embed.shape[1:])
-    out["color_embed.proj.bias"][old_width : old_width + count] -= 0.5 * detail.sum(1)  # grey is 0
+    out["color_embed.proj.bias"][old_width : old_width + count] -= 0.5 * detail.sum(1)  # gray is 0
     one = torch.eye(count)
     fc1[hidden : hidden + 2 * count] = 0
     for sign, row in ((1, hidden), (-1, hidden + count)):
@@ -91,6 +92,6 @@ def widen_colors(tensors, model, cells):
 
 
 def picture_covariance(patch):
-    """[3 * patch^2, 3 * patch^2]: how alike the values of a patch of a picture are, more so the nearer they lie."""
+    """Prior covariance [3 * patch^2, 3 * patch^2] of a patch's values; decays with distance."""
     pixels = torch.cartesian_prod(*[torch.arange(patch).float()] * 2)
     return torch.kron(0.9 + 0.1 * torch.eye(3), torch.exp(-torch.cdist(pixels, pixels) / patch))

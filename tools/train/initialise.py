@@ -1,4 +1,4 @@
-"""Weights to start training from."""
+"""Initialization of a network that trains from scratch."""
 
 import math
 
@@ -11,12 +11,11 @@ SH0 = 0.28209479177387814  # the constant spherical harmonic
 
 @torch.no_grad()
 def initialise(model, cells, depth=0.9, size=0.5, opacity=-1.5, jitter=0.02, coupled=True):
-    """Weights to start training from.
+    """Initializes all weights.
 
-    All Gaussians of a token start at one place (but for `jitter`), nearly transparent, `depth` in front of the first
-    camera, each in the color that its one of the `cells` (rows, columns) of the patch has in the picture; `size` and
-    `opacity` are raw values, before activation. Where they are not `coupled`, each starts with random weights of its own, as
-    an ordinary layer does.
+    A token's Gaussians start at one point (up to `jitter`), nearly transparent, `depth` in front
+    of the first camera, in the color of their cell of the patch's `cells` (rows, columns). `size`
+    and `opacity` are raw values before activation. Unless `coupled`, the head's weights are random.
     """
     a = model.architecture
     for name, parameter in model.named_parameters():
@@ -29,7 +28,7 @@ def initialise(model, cells, depth=0.9, size=0.5, opacity=-1.5, jitter=0.02, cou
             residual = name.endswith((".attn.proj.weight", ".mlp.fc2.weight", ".mlp.w3.weight"))
             nn.init.trunc_normal_(parameter, std=std / math.sqrt(2 * a.depth) if residual else std)
     vit = model.backbone.backbone
-    # Pictures are 0..1: grey becomes 0, and their contrast 1.
+    # Maps 0..1 to zero mean and unit contrast.
     for conv in (vit.patch_embed.proj, model.color_embed.proj):
         conv.weight.mul_(3)
         conv.bias.copy_(-0.5 * conv.weight.sum((1, 2, 3)))
@@ -57,9 +56,9 @@ def initialise(model, cells, depth=0.9, size=0.5, opacity=-1.5, jitter=0.02, cou
 
 
 def see_colors(model, cells):
-    """Lets the colours of a patch's cells through to its Gaussians.
+    """Routes the mean colors of a patch's cells to its Gaussians.
 
-    The color branch carries them beside the tokens; the head's MLP starts as the identity, as gelu(x) - gelu(-x) = x.
+    The color branch carries them. The head's MLP starts as the identity: gelu(x) - gelu(-x) = x.
     """
     a = model.architecture
     count, inputs = cells[0] * cells[1], a.width + a.color_width
@@ -76,7 +75,7 @@ def see_colors(model, cells):
     mlp.fc1.weight[: 2 * inputs] += through
     mlp.fc2.weight.mul_(0.1)
     mlp.fc2.weight[:, : 2 * inputs] += through.T
-    # Colours alone: the least of the tokens' much larger values would drown them.
+    # Colors see no tokens, whose much larger values would dominate.
     hidden = torch.cat((torch.arange(a.width, inputs), torch.arange(inputs + a.width, 2 * inputs)))
     mlp.fc1.weight[hidden] = through[hidden]
     mlp.fc2.weight[a.width :] = 0
@@ -88,7 +87,7 @@ def see_colors(model, cells):
 
 
 def cell_means(cells, patch):
-    """[rows * columns, patch, patch]: weights of the pixels of a patch in the mean of each of its cells."""
+    """[rows * columns, patch, patch]: weights that average the pixels of each cell."""
     (rows, columns), pixel = cells, torch.arange(patch)
     cell = (pixel * rows // patch)[:, None] * columns + (pixel * columns // patch)
     weights = F.one_hot(cell, rows * columns).movedim(-1, 0).float()
@@ -96,7 +95,7 @@ def cell_means(cells, patch):
 
 
 def wave_grid(side, width):
-    """[side^2, width] smooth embeddings of a grid: waves along y and x, periods from four grids down to four cells."""
+    """[side^2, width]: sines along y and x, with periods from four grids down to four cells."""
     quarter = width // 4
     frequency = 2 * math.pi / (4 * side * (1 / side) ** (torch.arange(quarter) / max(quarter - 1, 1)))
     waves = torch.arange(side)[:, None] * frequency

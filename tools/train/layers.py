@@ -1,4 +1,4 @@
-"""Layers of the network: patches, attention with rotated positions, and the blocks of them.
+"""Layers: patch embedding, attention with rotary embedding, transformer blocks.
 
 Shapes: B scenes, n tokens, D width.
 """
@@ -51,7 +51,7 @@ class PatchEmbed(nn.Module):
 
 
 def rotate(x, rope):
-    """Turns pairs of channels of [..., n, head_dim] by the angles of `rope_table`."""
+    """Rotates pairs of channels of [..., n, head_dim] by the angles of `rope_table`."""
     cos, sin = rope
     pairs = x.unflatten(-1, (2, 2, -1))
     turned = torch.stack((-pairs[..., 1, :], pairs[..., 0, :]), -2).flatten(-3)
@@ -60,9 +60,9 @@ def rotate(x, rope):
 
 @cache
 def rope_table(rows, columns, views, head_dim, dtype, device):
-    """cos and sin [n, head_dim] of a local block (`views` 0), or of a global one, where all patches are at (1, 1).
+    """cos and sin [n, head_dim] of a local block (`views` 0) or a global one (patches at (1, 1)).
 
-    The first half of a head turns with y, the other with x.
+    The first half of a head encodes y, the second x.
     """
     y, x = torch.meshgrid(torch.arange(rows) + 1, torch.arange(columns) + 1, indexing="ij")
     patches = torch.stack((y, x), -1).flatten(0, 1)
@@ -134,6 +134,6 @@ class CrossBlock(nn.Module):
         self.ls2 = LayerScale(width)
 
     def forward(self, queries, context):
-        """What the block adds to the queries."""
+        """Returns the residual to add to the queries."""
         delta = self.ls1(self.attn(self.norm_q(queries), self.norm_kv(context)))
         return delta + self.ls2(self.mlp(self.norm2(queries + delta)))

@@ -1,4 +1,4 @@
-"""What training minimises: pictures, geometry, and bounds on the Gaussians (ZipSplat, section 3.3 and appendix A)."""
+"""Training losses: pictures, geometry, bounds on Gaussians (ZipSplat, section 3.3, appendix A)."""
 
 import math
 
@@ -11,7 +11,7 @@ from initialise import SH0
 
 
 def ssim(a, b):
-    """Mean structural similarity of [N, 3, H, W] in 0..1, windows of 7 x 7 of equal weight."""
+    """Mean structural similarity of [N, 3, H, W] in 0..1, uniform 7 x 7 windows."""
 
     def mean(x):
         return F.avg_pool2d(F.avg_pool2d(x, (7, 1), 1), (1, 7), 1)
@@ -26,7 +26,7 @@ def ssim(a, b):
 
 
 def gradient_difference(a, b, scales=3):
-    """Mean |difference| of horizontal and vertical image gradients of [N, 3, H, W], over halved resolutions."""
+    """Mean absolute difference of image gradients of [N, 3, H, W] over halved resolutions."""
     total = 0
     for _ in range(scales):
         difference = a - b
@@ -36,9 +36,9 @@ def gradient_difference(a, b, scales=3):
 
 
 class Lpips(nn.Module):
-    """LPIPS 0.1 by VGG16 (Zhang et al. 2018), with the weights that `tools/lpips.py` writes; gradients reach the first picture."""
+    """LPIPS 0.1 by VGG16 (Zhang et al. 2018), differentiable in the first picture."""
 
-    # Pictures are halved before these convolutions; the features of those before them, and of the last, are compared.
+    # Convolutions after a pooling. Features are compared before each pooling and at the end.
     POOLED = (2, 4, 7, 10)
     SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
 
@@ -51,7 +51,7 @@ class Lpips(nn.Module):
             self.register_buffer(name.lower(), torch.tensor(getattr(self, name))[:, None, None], persistent=False)
 
     def forward(self, a, b):
-        """The mean distance of pairs of [N, 3, H, W], clipped to 0..1."""
+        """Mean distance of pairs of [N, 3, H, W], clipped to 0..1."""
         x = (2 * torch.cat((a, b)).clamp(0, 1) - 1 - self.shift) / self.scale
         distance = tap = 0
         for i in range(13):
@@ -67,10 +67,9 @@ class Lpips(nn.Module):
 
 
 def chamfer(means, points, free, sample):
-    """Mean distance from Gaussians to their nearest point, smooth near 0; only `free` [B, N] Gaussians are pulled.
+    """Mean distance of `free` [B, N] Gaussians to their nearest point, over a random `sample`.
 
-    A random `sample` of the Gaussians stands for all. The paper's square is replaced by the distance beyond 1, so that
-    one stray Gaussian does not outweigh the rest.
+    Quadratic near 0, linear beyond 1 (the paper: quadratic), so outliers do not dominate.
     """
     b, n = means.shape[:2]
     if n > sample:
@@ -86,35 +85,35 @@ def chamfer(means, points, free, sample):
 
 
 def signed_log(x):
-    """The inverse of what the head applies to means: near and far errors count alike."""
+    """Inverse of the head's activation of means: weighs near and far errors alike."""
     return x.sign() * torch.log1p(x.abs())
 
 
 def of_tokens(values, tokens):
-    """values [B, V * T, ...] of the tokens [B, K] that were kept; None stands for all."""
+    """Gathers [B, V * T, ...] at the kept tokens [B, K]; None keeps all."""
     if tokens is None:
         return values
     return values.gather(1, tokens.view(*tokens.shape, *[1] * (values.ndim - 2)).expand(-1, -1, *values.shape[2:]))
 
 
 def middles(values, tokens, cells):
-    """Means [B, tokens, cells, 3] of the consecutive Gaussians of [B, N, 3] that belong to a cell."""
+    """Means [B, tokens, cells, 3] of [B, N, 3], whose consecutive Gaussians share a cell."""
     return values.unflatten(1, (tokens, cells, -1)).mean(3)
 
 
 def anchor(means, anchors, tokens):
-    """Distance of each token's Gaussians to what the cells of its patch see, on the head's scale.
+    """Distance of a token's Gaussians to the surface in its patch's cells, on the head's scale.
 
-    `anchors` [B, V * T, rows, columns, 3]; G / cells consecutive Gaussians belong to a cell. Not in the paper,
-    whose backbone is pretrained and knows geometry: from scratch, tokens that all start in one place tend to merge into
-    one opaque cloud. Its weight fades out, so that placement is free in the end.
+    `anchors` [B, V * T, rows, columns, 3]; G / cells consecutive Gaussians share a cell. Not in the
+    paper, whose backbone is pretrained: from scratch, tokens merge into one opaque cloud. The
+    weight fades out during training.
     """
     anchors = of_tokens(anchors, tokens).flatten(2, 3)
     return F.smooth_l1_loss(middles(signed_log(means), *anchors.shape[1:3]), signed_log(anchors), beta=0.1)
 
 
 def color(constants, batch, tokens):
-    """How far the Gaussians' constant colours are from the mean colours of their cells: what stands in for pictures."""
+    """L1 between Gaussians' constant colors and their cells' means, for steps without rendering."""
     patches, cells = batch.anchors.shape[1], batch.anchors.shape[2:4]
     views, height, width = batch.images.shape[1], *batch.images.shape[-2:]
     patch = math.isqrt(height * width * views // patches)
@@ -125,9 +124,9 @@ def color(constants, batch, tokens):
 
 
 def ray(means, batch, given, tokens):
-    """How far beside the rays of their cells Gaussians lie, by the distance of what those see, where cameras are `given`.
+    """Distance of Gaussians to the rays of their cells, relative to depth, for `given` cameras.
 
-    Depth has to be guessed, this follows from the cameras. Learnt from pictures alone it stays as coarse as the depth.
+    Cameras determine rays exactly, but pictures determine depth only coarsely.
     """
     patches = batch.anchors.shape[1] // batch.poses.shape[1]
     eyes = batch.poses[..., :3, 3].repeat_interleave(patches, 1)[:, :, None]
@@ -143,10 +142,10 @@ def ray(means, batch, given, tokens):
 
 
 def total(gaussians, tokens, pictures, given, batch, weights, sample=1024, perceptual=None):
-    """The weighted sum, and its parts by name.
+    """Returns the weighted sum and the losses by name.
 
-    `tokens` are the model's; `pictures` of None leave geometry alone; `given` [B] says which scenes' cameras the model
-    was told; `sample` is that of `chamfer`.
+    `tokens` are the kept ones, `pictures` None skips rendering losses, `given` [B] marks scenes
+    with known cameras, `sample` goes to `chamfer`.
     """
     means, scales, opacity = gaussians[..., :3], gaussians[..., 3:6], gaussians[..., 10]
     parts = {"position": F.relu(torch.log1p(means.abs()) - 3).square().mean()}
@@ -166,10 +165,10 @@ def total(gaussians, tokens, pictures, given, batch, weights, sample=1024, perce
 
 
 def seen(means, pictures, batch, sample, perceptual):
-    """The parts that need the targets drawn."""
+    """Returns the losses that need rendered targets."""
     rgb, truth = (x.flatten(0, 1).movedim(-1, 1) for x in (pictures.rgb, batch.colors))
     surface = batch.depth > 0
-    # sum of weight * (depth - truth): a Gaussian answers for its own depth, and for its weight where it is wrong.
+    # sum of weight * (depth - truth): gradients reach depth, and weight at wrong depth.
     depth_error = (pictures.depth - pictures.alpha * batch.depth).abs() / batch.depth.clamp_min(0.5)
     parts = {
         "l1": (rgb - truth).abs().mean(),

@@ -1,6 +1,7 @@
-"""The ZipSplat network over a batch of scenes, with the parameter names of the engine's weight files.
+"""The ZipSplat network over a batch of scenes, with the parameter names of the engine's files.
 
-Shapes: B scenes, V views, T patches a view, n = T + 1 tokens a view, D width, K scene tokens, G Gaussians a token.
+Shapes: B scenes, V views, T patches a view, n = T + 1 tokens a view, D width, K scene tokens,
+G Gaussians a token.
 """
 
 from functools import cache
@@ -35,7 +36,7 @@ class VisionTransformer(nn.Module):
         self.norm = nn.LayerNorm(a.width, BACKBONE_EPS)
 
     def position_embedding(self, rows, columns):
-        """[1, rows * columns, D]: the learned grid, resampled as the reference does (bicubic, +0.1 on the scale)."""
+        """[1, rows * columns, D]: resampled as in the reference (bicubic, +0.1 on the scale)."""
         grid = self.architecture.position_grid
         learned = self.pos_embed[:, 1:]
         if (rows, columns) == (grid, grid):
@@ -44,9 +45,9 @@ class VisionTransformer(nn.Module):
         return torch.einsum("ip,jq,pqd->ijd", y, x, learned[0].unflatten(0, (grid, grid))).flatten(0, 1)[None]
 
     def forward(self, images, camera_tokens, taps):
-        """[B, V, 3, H, W] -> for each of `out_layers`, ascending: (local, global) tokens of the patches [B, V, T, D].
+        """[B, V, 3, H, W] -> for each of `out_layers`: (local, global) patch tokens [B, V, T, D].
 
-        `camera_tokens` [B, V, D] or None for the learned ones.
+        `camera_tokens` [B, V, D], or None for the learned ones.
         """
         a = self.architecture
         b, v = images.shape[:2]
@@ -80,7 +81,7 @@ class VisionTransformer(nn.Module):
 
 @cache
 def cubic_weights(size, grid, dtype, device):
-    """[size, grid] weights that resample `grid` points to `size` (cubic convolution, A = -0.75)."""
+    """[size, grid] weights of cubic convolution (A = -0.75)."""
     a = -0.75
     source = (torch.arange(size, dtype=torch.float64) + 0.5) / ((size + 0.1) / grid) - 0.5
     base = source.floor()
@@ -95,7 +96,7 @@ def cubic_weights(size, grid, dtype, device):
 
 
 def quats_from_matrices(m):
-    """[..., 3, 3] rotations to xyzw quaternions with w >= 0, by the largest of the four."""
+    """[..., 3, 3] rotations to xyzw quaternions, w >= 0; divides by the largest component."""
     diagonal = m.diagonal(dim1=-2, dim2=-1)
     signs = m.new_tensor([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
     size = (1 + diagonal @ signs.T).clamp_min(0).sqrt()  # twice |w|, |x|, |y|, |z|
@@ -127,7 +128,7 @@ class CameraEncoder(nn.Module):
         self.pose_branch = Mlp(9, a.camera_pose_hidden, a.width)
 
     def forward(self, poses, intrinsics, size):
-        """Camera-to-world poses [B, V, 4, 4] and [B, V, 4] fx, fy, cx, cy of (H, W) pictures -> [B, V, D]."""
+        """Poses [B, V, 4, 4] camera to world, [B, V, 4] fx, fy, cx, cy, (H, W) -> [B, V, D]."""
         rotation = poses[..., :3, :3].transpose(-1, -2)
         translation = -(rotation @ poses[..., :3, 3:])[..., 0]
         height, width = size
@@ -139,7 +140,7 @@ class CameraEncoder(nn.Module):
 
 
 class Backbone(nn.Module):
-    """Only here for the names of its parts."""
+    """Holds submodules under the released parameter names."""
 
     def __init__(self, a):
         super().__init__()
@@ -160,18 +161,18 @@ class GaussianHead(nn.Module):
 
 @cache
 def first_tokens(n, count, device):
-    """Evenly spread over n; on the CPU in f32, whose rounding is part of the definition."""
+    """Evenly spaced indices; on the CPU in f32, whose rounding is part of the definition."""
     return torch.linspace(0, n - 1, count).round().long().to(device)
 
 
 @torch.no_grad()
 def nearest_tokens(tokens, count, iterations=5):
-    """k-means over [B, N, D]: the token nearest to each of `count` final centroids, [B, count]."""
+    """k-means over [B, N, D]: indices [B, count] of the tokens nearest to the centroids."""
     tokens = tokens.float()
     n = tokens.shape[1]
     clusters = torch.arange(count, device=tokens.device)
     centroids = tokens[:, first_tokens(n, count, tokens.device)]
-    # Products in bf16 would decide a third of the tokens otherwise.
+    # bf16 products would change a third of the choices.
     with torch.autocast(tokens.device.type, enabled=False):
         for _ in range(iterations):
             assigned = (squared_distances(tokens, centroids).argmin(-1, keepdim=True) == clusters).to(tokens)
@@ -181,12 +182,12 @@ def nearest_tokens(tokens, count, iterations=5):
 
 
 def squared_distances(a, b):
-    """[B, N, M] between [B, N, D] and [B, M, D], without the |a|^2 that does not change which is nearest."""
+    """[B, N, M] of [B, N, D] and [B, M, D] without |a|^2, which does not affect the nearest."""
     return (b * b).sum(-1)[:, None] - 2 * (a @ b.transpose(1, 2))
 
 
 def activate(raw, sh_degree):
-    """[..., 11 + 3K] of the head -> means 3, scales 3, unit quats 4 (wxyz), opacity 1, SH coefficients K x 3."""
+    """[..., 11 + 3K] -> means 3, scales 3, unit quats 4 (wxyz), opacity 1, SH K x 3."""
     means, scales, quats, opacity, sh = raw.split((3, 3, 4, 1, 3 * (sh_degree + 1) ** 2), -1)
     means = means.clamp(-5, 5)
     means = means.sign() * torch.expm1(means.abs())
@@ -196,8 +197,9 @@ def activate(raw, sh_degree):
 
 
 class ZipSplat(nn.Module):
-    """With `queries` so many learned ones stand for the tokens of the scene, as in C3G (2025): the same Gaussians' number
-    whatever the scene. Only training knows them, to compare; the engine does not.
+    """The network. `queries` > 0 uses learned queries instead of scene tokens, as C3G (2025) does.
+
+    Learned queries are for comparison in training; the engine does not support them.
     """
 
     def __init__(self, architecture, queries=0):
@@ -220,15 +222,15 @@ class ZipSplat(nn.Module):
         )
 
     def prepare(self, images, priors=None, given=None, taps=None):
-        """Layer tokens, deepest first, each [B, V * T, D], and colour tokens [B, V * T, Dc] of [B, V, 3, H, W] in 0..1.
+        """[B, V, 3, H, W] in 0..1 -> layer tokens [B, V * T, D], deepest first, and color tokens.
 
-        `priors` is (poses [B, V, 4, 4] camera to world, intrinsics [B, V, 4] fx, fy, cx, cy in pixels) or None, and
-        `given` [B] says for which scenes they count (None: all).
+        `priors` is (poses [B, V, 4, 4] camera to world, intrinsics [B, V, 4] fx, fy, cx, cy in
+        pixels) or None; `given` [B] selects the scenes that use them (None: all).
         """
         taps = {} if taps is None else taps
         vit, camera_tokens = self.backbone.backbone, None
         if priors is not None:
-            # In bf16 rotations would be off by up to 0.3 degrees.
+            # In bf16, rotations would deviate by up to 0.3 degrees.
             with torch.autocast(images.device.type, enabled=False):
                 camera_tokens = self.backbone.cam_enc(*priors, images.shape[-2:])
             if given is not None:
@@ -246,9 +248,9 @@ class ZipSplat(nn.Module):
         return layers, color
 
     def decode(self, layers, color, ratio=1.0, indices=None, taps=None):
-        """Packed Gaussians [B, K * G, 11 + 3K'] from what `prepare` gives, and the tokens [B, K] that they come from.
+        """Returns packed Gaussians [B, K * G, 11 + 3K'] and their token indices [B, K].
 
-        `indices` [B, K] replace the clustering; None stands for all tokens, or for learned queries.
+        `indices` [B, K] override clustering. Returned indices are None for all tokens or queries.
         """
         taps = {} if taps is None else taps
         if self.queries is not None:
@@ -273,12 +275,12 @@ class ZipSplat(nn.Module):
         return self.gaussians(scene, color, taps), indices
 
     def gaussians(self, scene, color, taps):
-        """Packed Gaussians [B, K * G, 11 + 3K'] of scene tokens [B, K, D] and their colours [B, K, Dc]."""
+        """Scene tokens [B, K, D], colors [B, K, Dc] -> packed Gaussians [B, K * G, 11 + 3K']."""
         with torch.autocast(scene.device.type, enabled=False):
             raw = taps["raw"] = self.gaussian_head(torch.cat((scene, color), -1).to(self.color_embed.proj.weight.dtype))
             packed = raw.unflatten(-1, (-1, self.architecture.gaussian_width)).flatten(1, 2)
             return activate(packed, self.architecture.sh_degree)
 
     def forward(self, images, ratio=1.0, priors=None, given=None):
-        """[B, V, 3, H, W] in 0..1 -> packed Gaussians [B, K * G, 11 + 3K'] in the frame of view 0, and their tokens."""
+        """[B, V, 3, H, W] in 0..1 -> packed Gaussians in the frame of view 0, token indices."""
         return self.decode(*self.prepare(images, priors, given), ratio)

@@ -1,16 +1,17 @@
-"""What changes the weights: Muon for the matrices between layers, AdamW for the rest, or for all."""
+"""Muon for the matrices between layers, AdamW for the rest, or AdamW for all."""
 
 import torch
 import torch.distributed as dist
 
-# They read cameras and write Gaussians; a step of Muon, which is as long in every direction, does not suit those.
+# First layer of the camera encoder, last of the head: Muon's steps, equally long in all
+# directions, do not suit these.
 ENDS = ("pose_branch.fc1.weight", "gaussian_head.1.weight")
 
 
 class Optimiser:
-    """Processes share Muon's work: each changes some of the matrices and sends them to the others.
+    """Both optimizers. Processes split Muon's matrices and broadcast the results.
 
-    The backbone's rate is `backbone_rate` times that of the rest; at 0 it stays as it is.
+    The backbone's rate is `backbone_rate` times the others'; 0 freezes it.
     """
 
     def __init__(self, model, weight_decay, rank, processes, backbone_rate=1.0, muon=True):
@@ -23,22 +24,22 @@ class Optimiser:
         self.parameters = list(model.parameters())
 
         def groups(parameters, decay):
-            """One for each share of the rate."""
+            """One group per rate factor."""
             of_shares = [(share, [p for p in parameters if shares[p] == share]) for share in sorted(set(shares.values()))]
             return [{"params": chosen, "weight_decay": decay, "share": share} for share, chosen in of_shares if chosen]
 
         wide, narrow = ([p for p in rest if (p.ndim > 1) == is_wide] for is_wide in (True, False))
         self.adamw = torch.optim.AdamW(groups(wide, weight_decay) + groups(narrow, 0.0), lr=0.0, betas=(0.9, 0.95), fused=True)
-        # Steps as long as AdamW's, so that both take the same rate.
+        # RMS matched to AdamW, so both use the same rate.
         shared = groups(self.shares[rank], weight_decay)
         self.muon = torch.optim.Muon(shared, lr=0.0, adjust_lr_fn="match_rms_adamw") if shared else None
 
     @torch.no_grad()
     def step(self, rate, clip):
-        """Clips the gradients to a norm of `clip`, changes the weights, and gives the norm that was found."""
+        """Clips gradients to the norm `clip`, updates the weights and returns the norm."""
         norm = torch.nn.utils.clip_grad_norm_(self.parameters, clip)
         for p in self.parameters:
-            p.grad.nan_to_num_(0, 0, 0)  # of steps whose gradients are not finite, without asking the device
+            p.grad.nan_to_num_(0, 0, 0)  # skips a non-finite step without a readback
         for optimiser in filter(None, (self.adamw, self.muon)):
             for group in optimiser.param_groups:
                 group["lr"] = rate * group["share"]
@@ -51,7 +52,7 @@ class Optimiser:
         return norm
 
     def state_dict(self):
-        """Muon's is left out: each process has its own, and it is 20 steps long."""
+        """Omits Muon's state: processes differ, and it spans about 20 steps."""
         return self.adamw.state_dict()
 
     def load_state_dict(self, state):

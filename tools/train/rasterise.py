@@ -1,7 +1,7 @@
-"""Differentiable pictures of batches of Gaussians by the rules of gsplat 1.5.3 (classic mode), which are the engine's.
+"""Differentiable batch rendering by the rules of gsplat 1.5.3 (classic mode), like the engine's.
 
-The projection is PyTorch everywhere. Blending has three implementations of one formula: Triton on GPUs, numba on CPUs,
-and plain PyTorch (every Gaussian at every pixel) as the truth that the others are tested against.
+Projection is PyTorch. Blending is Triton on GPUs, numba on CPUs, and plain PyTorch (every Gaussian
+at every pixel) as the reference in tests.
 
 Shapes: B scenes, C cameras a scene, N Gaussians, P = B * C pictures.
 """
@@ -16,10 +16,10 @@ Pictures = namedtuple("Pictures", "rgb alpha depth reached")
 
 
 def rasterise(gaussians, viewmats, intrinsics, size, sh_degree=1, blend=None):
-    """Draws packed Gaussians [B, N, 11 + 3K] for cameras viewmats [B, C, 4, 4], intrinsics [B, C, 4] fx, fy, cx, cy.
+    """Renders Gaussians [B, N, 11 + 3K], viewmats [B, C, 4, 4], intrinsics [B, C, 4] fx fy cx cy.
 
-    Gives rgb [B, C, H, W, 3], alpha [B, C, H, W], depth (not divided by alpha) and `reached` [B, N]: which Gaussians
-    change a pixel of any picture by a level of 8 bits.
+    Returns rgb [B, C, H, W, 3], alpha [B, C, H, W], depth (not divided by alpha), and `reached`
+    [B, N]: Gaussians with a weight above 1/255 in a pixel.
     """
     splats, bounds = project(gaussians, viewmats, intrinsics, size, sh_degree)
     blend = blend or default_blend(gaussians.device)
@@ -38,7 +38,7 @@ def default_blend(device):
 
 
 def project(gaussians, viewmats, intrinsics, size, sh_degree):
-    """Splats [B, C, N, 10] and the pixels that they can touch: bounds [B, C, N, 4] i32, x0, y0, x1, y1 (exclusive)."""
+    """Splats [B, C, N, 10] and pixel bounds [B, C, N, 4] i32: x0, y0, x1, y1 (exclusive)."""
     height, width = size
     means, scales, quats, opacity, sh = gaussians.split((3, 3, 4, 1, gaussians.shape[-1] - 11), -1)
     rotation, translation = viewmats[..., :3, :3], viewmats[..., :3, 3]
@@ -49,12 +49,12 @@ def project(gaussians, viewmats, intrinsics, size, sh_degree):
     visible = depth >= NEAR
     z = torch.where(visible, depth, 1)
     u, v = x / z, y / z
-    # The reach of the Jacobian is limited to somewhat beyond the picture.
+    # The Jacobian is clamped to 15 % beyond the picture.
     margin_x, margin_y = 0.15 * width / fx, 0.15 * height / fy
     u_near = u.clamp(-(cx / fx + margin_x), (width - cx) / fx + margin_x)
     v_near = v.clamp(-(cy / fy + margin_y), (height - cy) / fy + margin_y)
 
-    # Columns of the ellipsoid's axes in camera space, [B, C, N, 3 (space), 3 (axes)], then in the picture.
+    # Ellipsoid axes in camera space [B, C, N, 3 (space), 3 (axes)], then projected.
     axes = torch.einsum("bcij,bnjk->bcnik", rotation, rotations(quats) * scales[..., None, :])
     axis_x = (fx / z)[..., None] * (axes[..., 0, :] - u_near[..., None] * axes[..., 2, :])
     axis_y = (fy / z)[..., None] * (axes[..., 1, :] - v_near[..., None] * axes[..., 2, :])
@@ -92,7 +92,7 @@ def rotations(quats):
 
 
 def shade(sh, directions, sh_degree):
-    """Colours [B, C, N, 3] of coefficients [B, N, K * 3] seen along `directions` [B, C, N, 3], not unit."""
+    """Colors [B, C, N, 3] of [B, N, K * 3]; `directions` [B, C, N, 3] have any length."""
     if sh_degree > 1:
         raise ValueError(f"found SH degree {sh_degree}, training knows 0 and 1")
     sh = sh.unflatten(-1, (-1, 3))[:, None]
@@ -106,7 +106,7 @@ def shade(sh, directions, sh_degree):
 
 
 def blend_plain(splats, bounds, size):
-    """Planes [P, 5, H, W] (r, g, b, depth, alpha) and `reached` [P, N], by every Gaussian at every pixel."""
+    """Planes [P, 5, H, W] (r, g, b, depth, alpha) and `reached` [P, N], all pairs."""
     height, width = size
     y, x = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")
     pixels = torch.stack((x, y), -1).flatten(0, 1).to(splats)

@@ -1,4 +1,4 @@
-"""Blending on CPUs: a thread a picture, its Gaussians front to back, each over the pixels of its ellipse."""
+"""Blending on CPUs: one thread per picture, front to back, pixels inside each ellipse."""
 
 import math
 
@@ -8,7 +8,7 @@ import torch
 
 from splats import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, SPLAT, depth_order
 
-# OpenMP's threads spin between calls, which costs many times the work where other processes use the cores.
+# OpenMP's spinning threads slow down other processes.
 numba.config.THREADING_LAYER = "workqueue"
 
 F = np.float32
@@ -43,7 +43,7 @@ class Blend(torch.autograd.Function):
 
 @numba.njit(inline="always")
 def span(a, b, c, mean_x, dy, limit, x0, x1):
-    """Pixels of a row where sigma <= limit: a half a pixel wider than the exact chord."""
+    """Pixels of a row with sigma <= limit, half a pixel wider on each side."""
     # a / 2 dx^2 + b dy dx + c / 2 dy^2 - limit = 0
     linear = b * dy
     discriminant = linear * linear - a * (c * dy * dy - F(2) * limit)
@@ -94,7 +94,7 @@ def forward(splats, bounds, order, planes, reached):
 
 @numba.njit(parallel=True, fastmath=True, cache=True)
 def backward(splats, bounds, order, planes, grad, grad_splats):
-    """Front to back again: what lies behind a Gaussian is the whole less what is up to it."""
+    """Front to back: the color behind a Gaussian is the total minus the sum up to it."""
     height, width = planes.shape[2:]
     for p in numba.prange(splats.shape[0]):
         transmittance = np.ones((height, width), F)
@@ -108,7 +108,7 @@ def backward(splats, bounds, order, planes, grad, grad_splats):
             if x0 >= x1 or y0 >= y1:
                 continue
             limit = F(math.log(opacity / MIN_ALPHA))
-            # Moments of d loss / d sigma around the mean, and sums of the weight times the gradient of each channel.
+            # Moments of d loss / d sigma about the mean, channel sums of weight times gradient.
             m0 = mx = my = mxx = mxy = myy = vr = vg = vb = vz = F(0)
             for y in range(y0, y1):
                 dy = mean_y - (F(y) + F(0.5))

@@ -1,4 +1,4 @@
-"""Blending on GPUs without a compiler for CUDA: a warp a tile of 8 x 8 pixels, chunks of Gaussians front to back."""
+"""Blending on GPUs: one warp per tile of 8 x 8 pixels, chunks of Gaussians front to back."""
 
 import torch
 import triton
@@ -7,7 +7,7 @@ import triton.language as tl
 from splats import MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, SPLAT, depth_order
 
 TILE = tl.constexpr(8)
-# Gaussians that a program blends at a time, and those that it looks through at a time for its list.
+# Gaussians that a program blends, and scans for its list, per iteration.
 CHUNK = 8
 SCAN = 256
 SPLAT = tl.constexpr(SPLAT)
@@ -29,7 +29,7 @@ class Blend(torch.autograd.Function):
         height, width = size
         grid = (triton.cdiv(width, TILE.value) * triton.cdiv(height, TILE.value), pictures)
         order = depth_order(splats)
-        # Room for every Gaussian in every tile: no count travels to the host, so that a step never waits for one.
+        # Capacity for every Gaussian in every tile: avoids a readback of counts.
         lists = torch.empty(pictures, grid[0], n, dtype=torch.int32, device=splats.device)
         counts = torch.empty(pictures, grid[0], dtype=torch.int32, device=splats.device)
         planes = splats.new_empty(pictures, 5, height, width)
@@ -65,7 +65,7 @@ class Blend(torch.autograd.Function):
 
 @triton.jit
 def list_kernel(bounds, order, lists, counts, n, width, SCAN: tl.constexpr):
-    """The Gaussians whose bounds meet the program's tile, near to far."""
+    """Lists the Gaussians whose bounds meet the program's tile, near to far."""
     tile, picture = tl.program_id(0), tl.program_id(1).to(tl.int64)
     tiles_x = tl.cdiv(width, TILE)
     x0, y0 = tile % tiles_x * TILE, tile // tiles_x * TILE
@@ -95,7 +95,7 @@ def multiply(a, b):
 
 @triton.jit
 def chunk_alpha(row, present, x, y):
-    """[CHUNK, pixels] alpha, and what gradients need of it: dx, dy and the conic."""
+    """[CHUNK, pixels] alpha, and inputs of its gradient: dx, dy and the conic."""
     dx = tl.load(row, mask=present, other=0.0)[:, None] - x[None, :]
     dy = tl.load(row + 1, mask=present, other=0.0)[:, None] - y[None, :]
     a = tl.load(row + 2, mask=present, other=1.0)
@@ -119,7 +119,7 @@ def forward_kernel(splats, lists, counts, planes, reached, n, height, width, CHU
     entry = picture * tl.num_programs(0) + tile
     count = tl.load(counts + entry)
 
-    # 0 once a pixel is done
+    # 0 in finished pixels.
     transmittance = tl.where(inside, 1.0, 0.0)
     red = tl.zeros([TILE * TILE], tl.float32)
     green = tl.zeros([TILE * TILE], tl.float32)
@@ -140,7 +140,7 @@ def forward_kernel(splats, lists, counts, planes, reached, n, height, width, CHU
         blue += tl.sum(weight * tl.load(row + 8, mask=present, other=0.0)[:, None], 0)
         depth += tl.sum(weight * tl.load(row + 9, mask=present, other=0.0)[:, None], 0)
         opaque += tl.sum(weight, 0)
-        # Several tiles may store the same 1.
+        # Tiles race with the same value.
         tl.store(reached + picture * n + g, 1, mask=present & (tl.max(weight, 1) > MIN_ALPHA))
         last = tl.min(after, 0)
         transmittance = tl.where(last > MIN_TRANSMITTANCE, last, 0.0)
@@ -157,7 +157,7 @@ def forward_kernel(splats, lists, counts, planes, reached, n, height, width, CHU
 
 @triton.jit
 def backward_kernel(splats, lists, counts, planes, grad, grad_splats, n, height, width, CHUNK: tl.constexpr):
-    """Front to back again: what lies behind a Gaussian is the whole less what is up to it."""
+    """Front to back: the color behind a Gaussian is the total minus the sum up to it."""
     tile, picture = tl.program_id(0), tl.program_id(1).to(tl.int64)
     tiles_x = tl.cdiv(width, TILE)
     pixel = tl.arange(0, TILE * TILE)

@@ -1,4 +1,4 @@
-"""A run's settings, and those that change while it goes on."""
+"""Settings of a run and their schedules."""
 
 import json
 import math
@@ -21,7 +21,7 @@ def read_config(path, changes):
 
 
 def validate(config):
-    """Refuses settings that contradict each other, by name."""
+    """Rejects contradictory settings by name."""
 
     def expect(name, found, good, expected):
         if not good:
@@ -50,7 +50,7 @@ def validate(config):
 
 
 class Schedule:
-    """What changes with the share of the run that is done, 0 to 1."""
+    """Values that depend on the completed fraction of the run, 0 to 1."""
 
     def __init__(self, config):
         self.config = config
@@ -62,7 +62,7 @@ class Schedule:
         return self.config["learning_rate"] * min(done / warmup, falling)
 
     def draw(self, done, rng):
-        """Views and ratio of a step: from the least views and ratio 1 to their full ranges over the first half."""
+        """Draws views and ratio; ranges grow from fewest views and ratio 1 in the first half."""
         grown = min(2 * done, 1) if self.config["progressive"] else 1
         low, high = self.config["views"]
         views = rng.randint(low, round(low + (high - low) * grown))
@@ -71,10 +71,10 @@ class Schedule:
         return views, max(round(rng.uniform(least, 1) * 20) / 20, 0.05)
 
     def draws_pictures(self, done, rng):
-        """Geometry comes first, and now and then later; such a step takes half the time."""
+        """Whether a step renders: not in the first phase, later with a fixed probability."""
         return done >= self.config["geometry_until"] and rng.random() >= self.config["geometry_after"]
 
     def weights(self, done):
-        """Of the losses: the anchors' fades out."""
+        """Loss weights, with anchors fading out."""
         fade = max(1 - done / self.config["anchor_until"], 0)
         return {**self.config["losses"], "anchor": self.config["losses"]["anchor"] * fade}

@@ -1,11 +1,11 @@
-"""What a Gaussian is once it is projected, and the constants of its blending, for every implementation of it."""
+"""Projected Gaussians: layout and constants shared by all renderers."""
 
 NEAR = 0.01
 BLUR = 0.3  # added to the diagonal of a projected covariance, square pixels
 MIN_ALPHA = 1 / 255
 MAX_ALPHA = 0.999
 MIN_TRANSMITTANCE = 1e-4
-# What a splat holds: mean (pixels), conic, opacity, colour, depth.
+# Values per splat: mean (pixels) 2, conic 3, opacity 1, color 3, depth 1.
 SPLAT = 10
 
 

@@ -1,16 +1,16 @@
-"""Trains the network on procedural scenes that a generator makes beside it.
+"""Trains the network on procedural scenes, generated during training, or on photos.
 
-    python tools/train/train.py --config tools/train/nano.json --out DIR --minutes 25 --zipsplat target/release/zipsplat
+    python tools/train/train.py --config tools/train/nano.json --out DIR --minutes 25
 
-On CPUs a process a core is faster than one with a thread a core: `torchrun --nproc-per-node 2 tools/train/train.py ...`.
-DIR receives model.safetensors (averaged weights, f16, for the engine), state.pt (to go on from), log.csv, curve.png and
-samples/. `--resume DIR` goes on where a run stopped, within the same time box; `--resume FILE.safetensors` starts a new
-schedule from weights.
+On CPUs use one process per core: `torchrun --nproc-per-node 2 tools/train/train.py ...`.
+DIR receives model.safetensors (averaged weights, f16), state.pt (checkpoint), log.csv, curve.png
+and samples/. `--resume DIR` continues within the same time budget; `--resume FILE.safetensors`
+starts a new schedule from weights.
 """
 
 import os
 
-os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # before PyTorch: on CPUs the generator needs the cores, too
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # before PyTorch; the generator shares the cores
 
 import argparse
 import copy
@@ -43,7 +43,7 @@ from rasterise import rasterise
 from schedule import Schedule, read_config
 
 ROOT = Path(__file__).resolve().parents[2]
-# Seeds of the scenes that are only for evaluation; those of training start at 0, of its second process at 2^36.
+# Seeds: training from 0, its second process from 2^36, validation from 2^40.
 UNSEEN_SEED = 1 << 40
 SEEDS_A_PROCESS = 1 << 36
 UNSEEN_SCENES = 16
@@ -81,7 +81,7 @@ class Trainer:
             self.compile()
         self.schedule = Schedule(config)
 
-        # The same weights so far; from here on every process draws its own.
+        # The initial weights are the same in all processes, later random numbers differ.
         torch.manual_seed(config["seed"] + self.rank)
 
         self.shards = self.stream(self.first_seed + self.rank * SEEDS_A_PROCESS, config["scenes"])
@@ -95,7 +95,7 @@ class Trainer:
             unseen.close()
 
     def stream(self, seed, scenes, unseen=False):
-        """Scenes of the generator, or of folders with photos: so many, or without an end where `scenes` is 0."""
+        """Opens a stream of `scenes` records (0: endless), generated or from photos."""
         args, size, views = self.args, self.config["size"], self.config["record_views"]
         if args.data:
             sources = [(*source, args.depths) for source in args.data]
@@ -104,15 +104,15 @@ class Trainer:
         return Shards(command, open(self.out / "generator.log", "ab"))
 
     def done(self):
-        """The share of the run that is done."""
+        """Returns the completed fraction of the run."""
         return self.step / self.args.steps if self.args.steps else self.elapsed / (60 * self.args.minutes)
 
     def stop(self, *_):
-        """Ends the run after the step that is under way, and saves."""
+        """Ends the run after the current step, then saves."""
         self.stopped = True
 
     def begin(self, model):
-        """Makes weights, or takes them over from --resume; gives the rest of the state of a run that goes on."""
+        """Initializes weights or loads --resume; returns the state of a resumed run."""
         if not self.args.resume:
             initialise(model, self.config["anchor_cells"], **self.config["initial"])
             if self.args.backbone:
@@ -141,7 +141,7 @@ class Trainer:
         return state
 
     def compile(self):
-        """Blocks and projection one by one: a few graphs for every number of views and ratio."""
+        """Compiles blocks and projection separately: few graphs for all views and ratios."""
         import layers
         import rasterise as drawing
 
@@ -171,7 +171,7 @@ class Trainer:
         scenes = max(self.config["batch_views"] // self.processes // views, 1)
         draw = self.schedule.draws_pictures(done, self.rng)
         given = torch.rand(scenes, device=self.device) < self.config["priors"]
-        # Cameras that the model is not told are where the pictures say.
+        # Cameras are only random in steps that do not render.
         loose = None if draw else given & (torch.rand(scenes, device=self.device) < self.config["loose"])
         data = self.pool.sample(scenes, views, self.config["targets"], self.config["spread"], *self.geometry(), loose)
         gaussians, tokens, pictures = self.forward(self.model, data, ratio, given, draw)
@@ -194,7 +194,7 @@ class Trainer:
             return {name: value.detach() for name, value in parts.items()}
 
     def share_gradients(self):
-        """Averages them over all processes, moves the clock of all to the first one's time, and stops all where one is to."""
+        """Averages gradients, adopts the first process's clock, stops all if one stops."""
         now = time.perf_counter() - self.started
         if self.processes == 1:
             self.elapsed = now
@@ -208,8 +208,8 @@ class Trainer:
             gradient.copy_(mean.view_as(gradient))
 
     def warm_up(self):
-        """Compiles what is compiled at first use, before the clock starts."""
-        # A number of scenes are the same ones in every run.
+        """Compiles everything before the clock starts."""
+        # A fixed number of scenes is the same set in every run.
         self.pool.fill(self.config["scenes"] or min(self.config["batch_views"], self.pool.capacity))
         for views, ratio in zip(self.config["views"], (1.0, 0.5)):
             scenes = max(self.config["batch_views"] // views, 1)
@@ -267,9 +267,9 @@ class Trainer:
               + "  ".join(f"{name} {row[name]:.3g}" for name in shown if name in row), flush=True)  # fmt: skip
 
     @torch.no_grad()
-    @torch.compiler.set_stance("force_eager")  # graphs of its own would take minutes to compile
+    @torch.compiler.set_stance("force_eager")  # compiling evaluation would take minutes
     def evaluate(self):
-        """PSNR of the averaged weights on the unseen scenes (or on the fixed ones to learn by heart), and a picture."""
+        """Returns the PSNR of averaged weights on validation scenes (or few fixed ones)."""
         views, targets = self.config["evaluate"]
         count = min(UNSEEN_SCENES, self.evaluated.filled())
         size = 8
@@ -294,7 +294,7 @@ class Trainer:
         return scores
 
     def picture(self, data, grid):
-        """A row a scene: two inputs; for two targets the truth, with priors, without, and the depth with priors."""
+        """Saves rows: two inputs; two targets as truth, with and without priors, depth."""
         (given, depth), (plain, _) = grid
         nearness = (1 / (1 + depth))[..., None].expand_as(given)
         lines = []
@@ -309,7 +309,7 @@ class Trainer:
         Image.fromarray(pixels).save(self.out / "samples" / f"{self.step + self.steps_before:07}.png")
 
     def attempt(self, part):
-        """What it gives; a failure of what is only to be looked at never costs the run."""
+        """Returns the part's result; a failure of diagnostics does not end the run."""
         try:
             return part()
         except Exception as error:
@@ -371,7 +371,7 @@ class Trainer:
 
 
 def source(text):
-    """A data set and its folder."""
+    """Parses KIND:FOLDER of a data set."""
     kind, _, folder = text.partition(":")
     if kind not in ("re10k", "dl3dv") or not Path(folder).is_dir():
         raise argparse.ArgumentTypeError(f"found {text}, expected re10k:FOLDER or dl3dv:FOLDER, of a folder that is there")
@@ -383,19 +383,19 @@ def main():
     parser.add_argument("--config", required=True)
     parser.add_argument("--out", required=True)
     length = parser.add_mutually_exclusive_group(required=True)
-    length.add_argument("--minutes", type=float, help="the time box of the whole schedule")
-    length.add_argument("--steps", type=int, help="so many steps instead, whatever time they take")
+    length.add_argument("--minutes", type=float, help="length of the whole schedule")
+    length.add_argument("--steps", type=int, help="length of the whole schedule in steps")
     parser.add_argument(
-        "--stop-after", type=float, default=math.inf, help="minutes after which this call saves and ends"
+        "--stop-after", type=float, default=math.inf, help="minutes until this call saves and ends"
     )
-    parser.add_argument("--resume", help="the folder of a run, or weights")
-    parser.add_argument("--backbone", help="weights whose backbone to start from: ours, or a release of Depth Anything 3")
-    parser.add_argument("--zipsplat", default=ROOT / "target/release/zipsplat", help="the command that generates scenes")
+    parser.add_argument("--resume", help="folder of a run to continue, or initial weights")
+    parser.add_argument("--backbone", help="weights with the initial backbone: ours or Depth Anything 3's")
+    parser.add_argument("--zipsplat", default=ROOT / "target/release/zipsplat", help="command that generates scenes")
     parser.add_argument("--data", type=source, action="append", metavar="KIND:FOLDER",
-                        help="photos in place of the generator's: re10k or dl3dv; several times for a mixture")  # fmt: skip
-    parser.add_argument("--depths", type=Path, help="FOLDER/SCENE/NAME.npy for the photos of --data; else depth/ beside them")
+                        help="photos instead of generated scenes: re10k or dl3dv; repeat for a mixture")  # fmt: skip
+    parser.add_argument("--depths", type=Path, help="FOLDER/SCENE/NAME.npy for --data; default depth/ next to the photos")
     parser.add_argument("--textures", help="folder of photo crops for the generator")
-    parser.add_argument("--lpips", help="lpips_vgg.safetensors as tools/lpips.py writes it, for the perceptual loss")
+    parser.add_argument("--lpips", help="lpips_vgg.safetensors by tools/lpips.py; enables the perceptual loss")
     parser.add_argument(
         "--set", action="append", default=[], metavar="NAME=JSON", help="changes a setting of the configuration"
     )
@@ -405,7 +405,7 @@ def main():
     if not Path(args.config).is_file():
         parser.error(f"--config: found no file {args.config} from {Path.cwd()}; those of the repository lie in {ROOT / 'tools/train'}")
     torch.backends.cudnn.allow_tf32 = True
-    torch.backends.cuda.enable_cudnn_sdp(False)  # it plans anew for every number of views and tokens
+    torch.backends.cuda.enable_cudnn_sdp(False)  # it re-plans for every shape
     sys.stdout.reconfigure(line_buffering=True)
     Trainer(args, read_config(args.config, args.set)).run()
 

@@ -1,4 +1,4 @@
-"""The network's shape, its weight files (safetensors, as the engine reads and writes them) and its seeded weights."""
+"""Architecture, weight files (safetensors, as in the engine) and seeded weights."""
 
 import json
 from dataclasses import asdict, dataclass
@@ -11,13 +11,13 @@ from safetensors.torch import save_file
 
 ARCHITECTURE_KEY = "zipsplat.architecture"
 
-# Seeded matrices that are twice as large.
+# Seeded matrices of double amplitude.
 HEADS = ("gaussian_head.gaussian_head.1.weight", "model.head.", "model.cam_dec.")
 
 
 @dataclass(frozen=True)
 class Architecture:
-    """The same fields as the engine's `zipsplat::weights::Architecture`, which documents them."""
+    """Fields as documented in the engine's `zipsplat::weights::Architecture`."""
 
     name: str
     width: int
@@ -61,7 +61,7 @@ class Architecture:
 
 
 def save(path, architecture, tensors, dtype=torch.float16, metadata=None):
-    """Writes weights for the engine; `metadata` are further strings for the header."""
+    """Writes weights for the engine; `metadata` adds strings to the header."""
     tensors = {name: tensor.detach().cpu().to(dtype).contiguous() for name, tensor in tensors.items()}
     if bad := [name for name, tensor in tensors.items() if not torch.isfinite(tensor).all()]:
         raise ValueError(f"{path}: {bad} hold values that {dtype} does not, or NaN")
@@ -71,7 +71,7 @@ def save(path, architecture, tensors, dtype=torch.float16, metadata=None):
 
 
 def load(path):
-    """(architecture, {name: f32 tensor}, metadata) of a file that the engine or `save` wrote."""
+    """Returns (architecture, {name: f32 tensor}, metadata) of a file."""
     with safe_open(path, "pt") as file:
         metadata = file.metadata() or {}
         if ARCHITECTURE_KEY not in metadata:
@@ -81,7 +81,8 @@ def load(path):
 
 
 def seeded(key, name, shape):
-    """A parameter of the engine's `seeded:` weights: splitmix64 started by the FNV-1a hash of its name."""
+    """A parameter of `seeded:` weights: splitmix64, seeded by the FNV-1a hash of its name."""
+
     seed = 0xCBF29CE484222325
     for byte in f"{key}/{name}".encode():
         seed = ((seed ^ byte) * 0x100000001B3) & 0xFFFFFFFFFFFFFFFF

@@ -25,7 +25,7 @@ type ReadLine = fn(&Path) -> Result<Option<String>>;
 pub(super) type Encoder<'a> = Box<dyn FnOnce(&mut dyn Write) -> std::io::Result<()> + 'a>;
 
 impl Format {
-    /// Writes a scene, whatever the path's extension.
+    /// Writes a scene, ignoring the path's extension.
     pub fn write_file(&self, path: &Path, scene: &Scene, options: &WriteOptions, world: Option<&World>) -> Result<()> {
         scene.validate()?;
         write_atomic(path, (self.write)(scene, options, world)?)

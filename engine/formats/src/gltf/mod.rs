@@ -49,7 +49,7 @@ impl From<String> for Fault {
 type Parsed<T> = std::result::Result<T, Fault>;
 
 /// Reads all Gaussians of the default scene of a `.gltf` or `.glb`, with node transforms applied.
-/// Buffers may be embedded, base64, or files beside it. The degree is the maximum of all
+/// Buffers may be embedded, base64, or files in its folder. The degree is the maximum of all
 /// primitives.
 ///
 /// # Errors

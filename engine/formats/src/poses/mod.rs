@@ -177,7 +177,7 @@ const TRANSFORMS: [&str; 2] = ["transforms.json", "transforms_train.json"];
 /// Accepts a `transforms.json`, a COLMAP model folder (`cameras` and `images` as `.bin` or `.txt`),
 /// or a folder with one of these, directly or under `sparse/0`. Without `transforms.json`, a
 /// folder's `transforms_train.json` is read. A text file that starts with a URL is RealEstate10K,
-/// with frames beside it or in a folder of its name.
+/// with frames next to it or in a folder of its name.
 ///
 /// # Errors
 /// [`Error::Io`] for failed reads, [`Error::Format`] with file, frame and field for malformed

@@ -19,7 +19,7 @@ pub(super) fn is_file(path: &Path) -> bool {
         && read_file(path).is_ok_and(|bytes| bytes.starts_with(b"http"))
 }
 
-/// Reads a camera file. Frames are named by microseconds, beside the file or in a folder of its
+/// Reads a camera file. Frames are named by microseconds, next to the file or in a folder of its
 /// name.
 pub(super) fn read(path: &Path) -> Result<Poses> {
     let bytes = read_file(path)?;

@@ -87,7 +87,7 @@ pub(super) fn read_points(path: &Path) -> Result<PointCloud> {
     }
 }
 
-/// Searches `images` beside the model and up to two folders above.
+/// Searches `images` next to the model and up to two folders above.
 fn find_photo(model: &Path, name: &str) -> Option<PathBuf> {
     let places = model.ancestors().take(3).flat_map(|folder| [folder.join("images").join(name), folder.join(name)]);
     places.into_iter().find(|path| path.is_file())
