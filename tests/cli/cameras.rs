@@ -77,7 +77,6 @@ pub fn model(at: &Path, frames: &[(&str, &Camera)]) {
     fs::write(at.join("points3D.txt"), points).expect("written");
 }
 
-<<<<<<< HEAD
 #[test]
 fn names_that_files_of_cameras_cannot_hold_are_refused_first() {
     use std::os::unix::ffi::OsStrExt;
@@ -91,9 +90,6 @@ fn names_that_files_of_cameras_cannot_hold_are_refused_first() {
     assert!(!folder.path("unused.args").exists() && !folder.path("transforms.json").exists());
 }
 
-/// The model of all of the place's photos for the program `name`.
-=======
->>>>>>> h-p1
 fn whole_model(folder: &Folder, name: &str, frames: &[Frame]) {
     let names: Vec<String> = (0..frames.len()).map(|i| format!("0/{i:06}.png")).collect();
     let named: Vec<_> = names.iter().map(String::as_str).zip(frames.iter().map(|frame| &frame.camera)).collect();
