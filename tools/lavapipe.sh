@@ -9,9 +9,10 @@ prefix=$(realpath -m "${1:?usage: tools/lavapipe.sh PREFIX [SUITE]}")
 suite=${2:-trixie-backports}
 mkdir -p "$prefix"
 exec 9> "$prefix/lock" && flock 9 # checkouts share the cache
-[[ ! -x $prefix/run ]] || exit 0
 
 say() { echo "zipsplat: $*" >&2; }
+
+unpack() {
 # Debian's configured mirror. Other repositories (Docker's) may also end in /debian.
 # shellcheck disable=SC2016 # $(REPO_URI) is apt's
 mirror=$(apt-get indextargets --format '$(REPO_URI)' 'Created-By: Packages' 'Origin: Debian' |
@@ -52,14 +53,26 @@ apt-get -c "$apt/apt.conf" -qq --download-only install \
   libvulkan1 mesa-vulkan-drivers vulkan-validationlayers > /dev/null
 for package in "$apt"/archives/*.deb; do dpkg-deb -x "$package" "$root"; done
 rm -r "$apt"
+}
+[[ -x $prefix/run ]] || unpack
 
-# A newer C library than the system's needs its own dynamic loader.
+# A newer C library than the system's needs its own dynamic loader, which takes no scripts.
 cat > "$prefix/run.part" << 'END'
 #!/usr/bin/env bash
 root=$(dirname "$(realpath "$0")")/root
+program=$(command -v -- "$1") || { echo "zipsplat: found no program $1" >&2; exit 127; }
+set -- "$program" "${@:2}"
+while [[ $(head -c 2 "$1" | tr -d '\0') == '#!' ]]; do
+  read -r _ interpreter option < <(sed -n '1s/^#! */#! /p' "$1")
+  [[ $interpreter != */env ]] || { interpreter=$(command -v -- "$option") && option=; }
+  set -- "$interpreter" ${option:+"$option"} "$@"
+done
+# Subgroups of 16 where the processor has vectors that wide are 1.4 times as fast as the default of 8.
+if grep -qsw avx512f /proc/cpuinfo; then export LP_NATIVE_VECTOR_WIDTH=${LP_NATIVE_VECTOR_WIDTH:-512}; fi
 export VK_DRIVER_FILES=$root/usr/share/vulkan/icd.d/lvp_icd.json
 export VK_LAYER_PATH=$root/usr/share/vulkan/explicit_layer.d VK_LOADER_LAYERS_DISABLE='~implicit~'
-exec "$root/usr/lib/x86_64-linux-gnu/ld-linux-x86-64.so.2" --library-path "$root/usr/lib/x86_64-linux-gnu" "$@"
+libraries=$root/usr/lib/x86_64-linux-gnu
+exec "$libraries/ld-linux-x86-64.so.2" --library-path "$libraries${LD_LIBRARY_PATH:+:$LD_LIBRARY_PATH}" "$@"
 END
 chmod +x "$prefix/run.part"
 mv "$prefix/run.part" "$prefix/run" # last: marks PREFIX as complete

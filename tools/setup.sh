@@ -25,6 +25,15 @@ die() { say "$@"; exit 1; }
 zipsplat() { cargo "${run_zipsplat[@]}" "$@"; }
 run_zipsplat=(run --manifest-path "$root/Cargo.toml" --profile "${ZIPSPLAT_PROFILE:-release}" --quiet -p zipsplat-cli --)
 
+# build ARGS...: cargo build, with a line if it takes longer than a second or waits for another.
+build() {
+  { sleep 1 > /dev/null 2>&1 && say "building (or waiting for another build); the first time takes minutes"; } &
+  local timer=$! status=0
+  cargo build --manifest-path "$root/Cargo.toml" --quiet "$@" || status=$?
+  kill $timer 2> /dev/null || true
+  return $status
+}
+
 # stage NAME COMMAND...: runs COMMAND and prints its time.
 stage() {
   local TIMEFORMAT="zipsplat: $1 took %1R s"
@@ -80,8 +89,6 @@ find_gpu() {
 # use_lavapipe VERSION SUITE: unpacks Debian's lavapipe, or falls back to the distribution's.
 use_lavapipe() {
   local prefix=$cache/lavapipe$1 version
-  # Subgroups of 16 on CPUs with AVX-512; lavapipe's default is 8.
-  if grep -qsw avx512f /proc/cpuinfo; then export LP_NATIVE_VECTOR_WIDTH=${LP_NATIVE_VECTOR_WIDTH:-512}; fi
   if [[ $(uname -m) == x86_64 ]] && "$root/tools/lavapipe.sh" "$prefix" "$2"; then
     export CARGO_TARGET_X86_64_UNKNOWN_LINUX_GNU_RUNNER=$prefix/run
     note "Vulkan on the CPU: $prefix"

@@ -242,7 +242,10 @@ pub(super) fn missing_features(limits: &Limits, found: &Found) -> Vec<String> {
     }
     // Before Mesa 25, lavapipe silently ends loops after 65,535 iterations.
     if let Some(major) = found.llvmpipe_major.filter(|m| *m < 25) {
-        missing.push(format!("lavapipe 25 or later (Mesa {major} computes long loops wrongly)"));
+        missing.push(format!(
+            "lavapipe 25 or later (Mesa {major} computes long loops wrongly; the sources' tools/run-on-lavapipe PROGRAM runs \
+             a program on a newer one)"
+        ));
     }
     let absent = REQUIRED.iter().filter(|feature| !found.features.have(&[**feature]));
     missing.extend(absent.map(|feature| feature.name.to_string_lossy().into_owned()));
