@@ -1,16 +1,15 @@
-//! Random numbers that depend on nothing but a seed, a stream and how many were drawn before.
+//! Random numbers by seed, stream and counter.
 
-/// The golden ratio in 64 bits: the increment of SplitMix64.
+/// Increment of SplitMix64: the golden ratio in 64 bits.
 const INCREMENT: u64 = 0x9e37_79b9_7f4a_7c15;
 
-/// SplitMix64 (Steele, Lea and Flood 2014): a counter through a mixing function, so streams are
-/// independent and cheap.
+/// SplitMix64 (Steele, Lea and Flood 2014): a mixed counter, so streams are independent and cheap.
 pub(super) struct Rng {
     state: u64,
 }
 
 impl Rng {
-    /// The stream `stream` of `seed`.
+    /// Creates a stream of `seed`.
     pub fn new(seed: u64, stream: u64) -> Self {
         Self { state: mix(mix(seed.wrapping_add(INCREMENT)).wrapping_add(stream.wrapping_mul(INCREMENT))) }
     }
@@ -54,13 +53,13 @@ impl Rng {
         low + self.bits() as usize % (high - low + 1)
     }
 
-    /// One of a list that is not empty.
+    /// Returns an element of a nonempty list.
     pub fn pick<T: Copy>(&mut self, choices: &[T]) -> T {
         choices[self.bits() as usize % choices.len()]
     }
 }
 
-/// SplitMix64's finaliser: a bijection that turns neighbouring counters into unrelated words.
+/// SplitMix64's finalizer, a bijection that decorrelates neighboring counters.
 pub(super) fn mix(mut word: u64) -> u64 {
     word = (word ^ (word >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     word = (word ^ (word >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);

@@ -1,4 +1,4 @@
-//! The networks that make a capture's scene, of which one is kept on the device.
+//! Networks that make a capture's scene; one stays on the device.
 
 use super::Batch;
 use crate::{
@@ -20,31 +20,31 @@ use zipsplat::{
     weights::{Checkpoint, DepthCheckpoint},
 };
 
-/// The things that a network is shown.
+/// Input of a network.
 pub enum Input {
-    /// With the length that it takes for 1.
+    /// With the length that is 1 for the network.
     Tokens(Views, f64),
-    /// With the points beside the cameras.
+    /// With the points file of the cameras.
     Pixels(Shown, Option<PathBuf>),
 }
 
-/// A network on the device.
+/// Network on the device.
 pub enum Maker<'a> {
     Tokens { model: Box<Model>, checkpoint: &'a Checkpoint, size: Size },
     Pixels(Box<Seer>),
 }
 
-/// A capture's scene.
+/// Scene of a capture.
 pub struct Scened {
     pub scene: Scene,
-    /// The photo whose camera is the scene's world, where the network has found it.
+    /// Photo whose estimated camera is the scene's world.
     pub first: Option<String>,
-    /// The network's part of the scene's record.
+    /// Network's part of the scene's record.
     pub record: Value,
 }
 
 impl<'a> Maker<'a> {
-    /// A network of tokens, and whatever a scene of it depends on but its capture.
+    /// Loads a token network and records the settings of its scenes.
     pub fn of_tokens(batch: &Batch, session: &mut Session<'_>, checkpoint: &'a Checkpoint) -> Result<(Self, String)> {
         session.notes(checkpoint.notes());
         batch.quality.check(checkpoint.architecture())?;
@@ -59,7 +59,7 @@ impl<'a> Maker<'a> {
         Ok((Self::Tokens { model: Box::new(model), checkpoint, size }, made_with))
     }
 
-    /// The same of a network of pixels.
+    /// Loads a pixel network and records the settings of its scenes.
     pub fn of_pixels(batch: &Batch, session: &mut Session<'_>, checkpoint: &DepthCheckpoint) -> Result<(Self, String)> {
         let squares = batch.fit.fit == Fit::Squares;
         refuse("--fit squares", squares, "weights of Depth Anything 3", "weights of ZipSplat")?;
@@ -75,10 +75,10 @@ impl<'a> Maker<'a> {
         Ok((Self::Pixels(Box::new(seer)), made_with))
     }
 
-    /// Reads a capture's photos as the network sees them; those with frames have known cameras.
+    /// Reads the photos at the network's size; frames carry known cameras.
     ///
     /// # Errors
-    /// Errors of photos that cannot be read, or are not those of their cameras.
+    /// Unreadable photos, or photos that differ from their cameras.
     pub fn prepare(
         &self,
         batch: &Batch,

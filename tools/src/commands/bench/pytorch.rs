@@ -1,4 +1,5 @@
-//! The forward pass, depth and a refinement's step in PyTorch on this machine, to compare with: our own code in `tools/train`, run by an installed Python.
+//! Network, depth and refinement step in PyTorch: our code in `tools/train`, run by an installed
+//! Python.
 
 use crate::options::Size;
 use serde::Deserialize;
@@ -9,7 +10,7 @@ use zipsplat::{
     weights::{Architecture, DepthArchitecture},
 };
 
-/// The files that Python runs, under the names it imports.
+/// Python's files by import name.
 const FILES: [(&str, &str); 4] = [
     ("pytorch_forward.py", include_str!("../../../bench/pytorch_forward.py")),
     ("model.py", include_str!("../../../train/model.py")),
@@ -17,7 +18,6 @@ const FILES: [(&str, &str); 4] = [
     ("weights.py", include_str!("../../../train/weights.py")),
 ];
 
-/// The same for depth.
 const DEPTH_FILES: [(&str, &str); 5] = [
     ("pytorch_depth.py", include_str!("../../../bench/pytorch_depth.py")),
     ("depth.py", include_str!("../../../train/depth.py")),
@@ -26,7 +26,6 @@ const DEPTH_FILES: [(&str, &str); 5] = [
     FILES[3],
 ];
 
-/// The same for a step.
 const REFINE_FILES: [(&str, &str); 6] = [
     ("pytorch_refine.py", include_str!("../../../bench/pytorch_refine.py")),
     super::python::SCENE,
@@ -39,7 +38,7 @@ const REFINE_FILES: [(&str, &str); 6] = [
 const REFINE_NEEDED: &str = "a Python with torch, numpy and, without a CUDA GPU, numba";
 const NEEDED: &str = "a Python with torch, numpy and safetensors";
 
-/// The time and memory that PyTorch needed.
+/// Time and memory of PyTorch.
 #[derive(Deserialize)]
 pub struct Pytorch {
     pub device: String,
@@ -52,23 +51,23 @@ pub struct Row {
     pub precision: String,
     pub views: usize,
     pub ratio: f64,
-    /// The times of every run; absent where it failed.
+    /// Times of every run; absent after a failure.
     pub ms: Option<Vec<f64>>,
-    /// On GPUs.
+    /// GPU memory.
     pub peak_bytes: Option<u64>,
     pub failed: Option<String>,
 }
 
-/// Holds that `python` has what is needed.
+/// Checks that `python` has the needed packages.
 ///
 /// # Errors
-/// [`Error::Argument`] where it does not run or lacks something, with what it said.
+/// [`Error::Argument`] if it does not run or lacks a package, with its message.
 pub fn check(python: &Path) -> Result<()> {
     let mut command = Command::new(python);
     super::python::run("--pytorch", NEEDED, command.args(["-c", "import torch, numpy, safetensors"])).map(drop)
 }
 
-/// Times a network for each of `cases`: views, and share of the tokens.
+/// Times a network for each case: views, and share of the tokens.
 ///
 /// # Errors
 /// As [`check`].
@@ -92,7 +91,7 @@ pub fn forward(
         .map_err(|error| Error::argument("--pytorch", format!("{}: {error}", python.display()), NEEDED))
 }
 
-/// The times of depth.
+/// Times of depth.
 #[derive(Deserialize)]
 pub struct Depth {
     pub device: String,
@@ -100,14 +99,14 @@ pub struct Depth {
     pub rows: Vec<DepthRow>,
 }
 
-/// The milliseconds of every run.
+/// Milliseconds of every run.
 #[derive(Deserialize)]
 pub struct DepthRow {
     pub backbone_ms: Vec<f64>,
     pub heads_ms: Vec<f64>,
 }
 
-/// Times a depth network, without its head for Gaussians, for each of `cases`: views, and their size.
+/// Times a depth network without its Gaussian head for each case: views, and their size.
 ///
 /// # Errors
 /// As [`check`].
@@ -136,7 +135,7 @@ pub struct Steps {
     pub step_ms: Vec<f64>,
 }
 
-/// Holds that `python` has what a step needs.
+/// Checks that `python` has the packages of a step.
 ///
 /// # Errors
 /// As [`check`].
@@ -145,7 +144,7 @@ pub fn check_refine(python: &Path) -> Result<()> {
     super::python::run("--pytorch", REFINE_NEEDED, command.args(["-c", REFINE_FILES[0].1])).map(drop)
 }
 
-/// Times steps on a scene, of so many photos each.
+/// Times steps on a scene with a batch of photos each.
 ///
 /// # Errors
 /// As [`check`].
@@ -171,7 +170,7 @@ pub fn refine(
 mod tests {
     use super::*;
 
-    /// Modules of tools/train and tools/bench that a script imports, by way of others, too.
+    /// Includes indirect imports of tools/train and tools/bench.
     #[test]
     fn scripts_find_what_they_import() {
         let tools = Path::new(env!("CARGO_MANIFEST_DIR"));

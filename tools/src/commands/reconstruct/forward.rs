@@ -1,4 +1,4 @@
-//! The network's part of `zipsplat reconstruct`: views of the photos to Gaussians.
+//! Network pass of `zipsplat reconstruct`.
 
 use super::Reconstruct;
 use super::placed::Placed;
@@ -25,10 +25,10 @@ use zipsplat::{
     weights::Checkpoint,
 };
 
-/// The stage whose bytes a second are told.
+/// Stage whose bytes per second are reported.
 pub const LOAD_WEIGHTS: &str = "load weights";
 
-/// A forward pass that nothing speaks against.
+/// Checked forward pass.
 pub struct Planned<'a> {
     command: &'a Reconstruct,
     checkpoint: &'a Checkpoint,
@@ -39,42 +39,42 @@ pub struct Planned<'a> {
     shape: Shape,
 }
 
-/// The outcome of a network's run, and how it came about.
+/// Result of a forward pass.
 pub struct Forward {
-    /// The network's arena, where it is still there: what comes next runs in it.
+    /// Arena for the next pass, if it is still allocated.
     pub arena: Option<Arena>,
-    /// The tokens, where these are to be moved.
+    /// Tokens for token refinement.
     pub tokens: Option<SceneTokens>,
-    /// The Gaussians on the host, thinned where that was asked for.
+    /// Gaussians on the host, after any pruning.
     pub scene: Scene,
-    /// The same on the device, where they are there.
+    /// Gaussians on the device, if resident.
     pub on_device: Option<DeviceScene>,
-    /// The cameras that follow from the scene, where they are asked for.
+    /// Cameras estimated from the scene, if requested.
     pub found: Option<Placed>,
-    /// The length in the cameras' unit that the network took for 1.
+    /// Length in the cameras' unit that is 1 for the network.
     pub length: f64,
     /// Time of each stage.
     pub times: Vec<(String, Duration)>,
-    /// The account of stages for `--explain`.
+    /// Stage report of `--explain`.
     pub explanation: Option<Explanation>,
     pub peak_bytes: u64,
-    /// The views that the scene comes from, in words.
+    /// Description of the views.
     pub views_told: String,
-    /// The tokens and cameras in words, and the unit.
+    /// Description of tokens, cameras and unit.
     pub told: String,
-    /// Bytes of weights that were loaded a second.
+    /// Loaded bytes per second of weights.
     pub rate: u64,
-    /// What it says for programs.
+    /// Fields of the JSON record.
     pub json: Vec<(&'static str, Value)>,
-    /// The network, whose weights stay on the device as the plan says.
+    /// Keeps the weights on the device for as long as planned.
     pub _model: Option<Model>,
 }
 
 impl Forward {
-    /// Checks what is asked of the network, before a device is opened.
+    /// Checks the network's options before a device is opened.
     ///
     /// # Errors
-    /// [`zipsplat::Error::Argument`] for what cannot be used.
+    /// [`zipsplat::Error::Argument`] for unusable options.
     pub fn plan<'a>(
         command: &'a Reconstruct,
         session: &mut Session<'_>,
@@ -102,14 +102,14 @@ impl Forward {
         Ok(Planned { command, checkpoint, photos, poses, frames, size, shape })
     }
 
-    /// How fast the weights were loaded, in words.
+    /// Formats the loading rate of the weights.
     pub fn rate_told(&self) -> String {
         format!("  ({}/s)", bytes(self.rate))
     }
 }
 
 impl Planned<'_> {
-    /// Runs it.
+    /// Runs the pass.
     ///
     /// # Errors
     /// Those of reading photos and of [`zipsplat::reconstruct::Model::reconstruct`].
@@ -180,7 +180,6 @@ impl Planned<'_> {
     }
 }
 
-/// The tokens of a scene in words, and the unit.
 fn told(
     result: &Reconstruction,
     all: usize,
@@ -195,7 +194,6 @@ fn told(
     format!("the network's: {tokens} of {all}, {each} each, {} precision\n{unit}{cameras}", precision.name())
 }
 
-/// Bytes a second.
 pub fn rate(bytes: u64, took: Duration) -> u64 {
     (bytes as f64 / took.as_secs_f64().max(1e-9)) as u64
 }

@@ -1,4 +1,4 @@
-//! The refinement of `zipsplat reconstruct --refine`.
+//! Refinement in `zipsplat reconstruct --refine`.
 
 use super::{Forward, Reconstruct};
 use crate::{
@@ -15,34 +15,34 @@ use zipsplat::{
     weights::Checkpoint,
 };
 
-/// The thing that a refinement begins with.
+/// Initialization of a refinement.
 #[derive(Clone, Copy)]
 pub enum From {
     Scene(Start),
     Tokens,
 }
 
-/// The things that a refinement may need.
+/// Inputs of a refinement.
 pub struct Given<'a> {
     pub device: &'a Device,
-    /// The network's weights, where it has tokens.
+    /// Weights, if tokens are refined.
     pub checkpoint: Option<&'a Checkpoint>,
-    /// The network's results, where it ran.
+    /// Network results, if it ran.
     pub forward: Option<&'a Forward>,
 }
 
-/// The outcome of --refine.
+/// Result of --refine.
 pub struct Made {
     pub refined: Refined,
-    /// The start, in words.
+    /// Description of the initialization.
     pub started: String,
-    /// The cameras that it was given.
+    /// Known cameras.
     pub cameras: Vec<Camera>,
     pub request: Refine,
 }
 
 impl Reconstruct {
-    /// The thing that these steps begin with.
+    /// Returns the initialization of these steps.
     pub fn start_of(&self, steps: Steps, cloud: Option<&PointCloud>) -> From {
         match steps.tokens {
             true => From::Tokens,
@@ -50,10 +50,10 @@ impl Reconstruct {
         }
     }
 
-    /// Makes the scene look like the photos, in the world of the first one's camera.
+    /// Refines the scene, in the world of the first camera.
     ///
     /// # Errors
-    /// As [`refinement::refine`], and where a photo or what it begins with is missing.
+    /// As [`refinement::refine`]; a missing photo or initialization.
     pub fn refine_scene(
         &self,
         session: &mut Session<'_>,

@@ -1,4 +1,5 @@
-// Shows the picture and the command of the point that is pointed at or touched, until another one is or the page is.
+// Shows picture and command of the point under the pointer, until another one or the page is
+// selected.
 let shown = null;
 function show(panel) {
   if (shown) shown.hidden = true;

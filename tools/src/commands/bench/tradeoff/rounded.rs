@@ -1,4 +1,4 @@
-//! The same weights in fewer bytes.
+//! Weights rounded to smaller types.
 
 use super::Tradeoff;
 use crate::session::Session;
@@ -8,28 +8,27 @@ use zipsplat::{
     weights::{Checkpoint, Dtype},
 };
 
-/// A checkpoint's weights rounded to another type.
+/// Checkpoint rounded to another type.
 pub struct Rounded {
-    /// Name of the type.
     pub dtype: &'static str,
     pub checkpoint: Checkpoint,
-    /// The file that it reads lies in here.
+    /// Holds the checkpoint's file.
     _folder: TempDir,
 }
 
-/// Name of a type of weights, where they are as they are stored.
+/// Name of the weights' stored type.
 pub const OWN: &str = "own";
 
-/// A type to round to; none for weights as they are stored.
+/// Parses a type to round to; `None` for weights as stored.
 pub fn parse(text: &str) -> Result<Option<Dtype>> {
     let expected = || Error::argument("--dtype", text, format!("{OWN}, f16, bf16 or q8, as a list"));
     if text == OWN { Ok(None) } else { text.parse().map(Some).map_err(|_| expected()) }
 }
 
-/// The weights in each of the types asked for, but for one that they have already.
+/// Rounds the weights to each requested type, except their own.
 ///
 /// # Errors
-/// A value that a type cannot hold, a full disk, [`Error::Cancelled`].
+/// A value outside the type's range, a full disk, [`Error::Cancelled`].
 pub fn all(args: &Tradeoff, session: &Session<'_>, checkpoint: &Checkpoint) -> Result<Vec<Rounded>> {
     let mut dtypes: Vec<Dtype> = args.dtype.iter().flatten().copied().collect();
     dtypes.dedup();
