@@ -18,7 +18,7 @@ use zipsplat_reference::{heads::convolution::convolution, widen};
 const REASON: &str = "a sum of n products and a bias is off by gamma_(n+1) (|x| |w| + |b|) in any order (Higham 2002, section \
     4.2), n being taps times channels; what is added to it costs one rounding more. Pixels outside are exactly 0";
 
-/// A map `[height, width, channels]` and its zero-padded convolution.
+/// Map `[height, width, channels]` and its zero-padded convolution.
 struct Problem {
     size: [usize; 2],
     channels: usize,
@@ -38,16 +38,14 @@ enum Fault {
     Zero,
     NoBias,
     NoResidual,
-    /// No ReLU.
     Unrectified,
     LastTap,
     LastChannel,
-    /// Transposed kernel.
     TurnedTaps,
     /// Edge padding instead of zeros.
     RepeatedEdge,
     NeighbourPixel,
-    /// Results rounded to 11 bits.
+    /// 11-bit results.
     Half,
 }
 
@@ -80,7 +78,6 @@ impl Problem {
         convolution(x, [self.size[1], self.channels], self.shape, weight, bias)
     }
 
-    /// Adds the residual.
     fn added(&self, values: Vec<f64>) -> Vec<f64> {
         match &self.residual {
             Some(residual) => values.iter().zip(residual).map(|(x, &r)| x + f64::from(r)).collect(),
@@ -95,7 +92,6 @@ impl Problem {
         rows.flat_map(|row| (0..row.len()).map(|i| value(row, i / taps, i % taps)).collect::<Vec<_>>()).collect()
     }
 
-    /// Convolution with edge padding.
     fn with_repeated_edge(&self) -> Vec<f64> {
         let ([height, width], [side, step], padding) = (self.size, self.shape, self.shape[0] / 2);
         let x = self.seen(self.rectified);
@@ -127,7 +123,7 @@ impl case::Problem for Problem {
     fn compute(&self, device: &Device, _: Mode) -> Result<Vec<f32>> {
         let ([out_height, out_width], taps) = (self.out_size(), self.shape[0].pow(2));
         let inner = taps * self.channels;
-        // Channels run fastest on the device.
+        // Channels are innermost on the device.
         let turned = self
             .weight
             .chunks(inner)

@@ -27,7 +27,7 @@ const C1: f64 = 1e-4;
 const C2: f64 = 9e-4;
 const MIDDLE: f64 = 0.5;
 
-/// A picture `[height, WIDTH, 3]` and its target.
+/// Picture `[height, WIDTH, 3]` and target.
 struct Problem {
     loss: Loss,
     frames: Vec<f32>,
@@ -38,9 +38,7 @@ struct Problem {
 enum Fault {
     Zero,
     HalfResult,
-    /// Negative gradient.
     Reversed,
-    /// Sum instead of mean.
     Sum,
     /// Half of 1 - SSIM, as in some papers.
     HalfDssim,
@@ -49,7 +47,7 @@ enum Fault {
     NeighbourPixel,
 }
 
-/// Filters a zero-padded line by the window.
+/// Convolves a zero-padded line with the window.
 fn filtered<const N: usize>(
     line: &[[Bounded; N]],
     p: usize,
@@ -82,7 +80,6 @@ fn moments(line: &[[Bounded; 4]]) -> Vec<[Bounded; 4]> {
     (0..line.len()).map(at).collect()
 }
 
-/// Transposes an image `[height, width]`.
 fn turned<T: Copy>(image: &[Vec<T>]) -> Vec<Vec<T>> {
     (0..image[0].len()).map(|x| image.iter().map(|row| row[x]).collect()).collect()
 }
@@ -110,7 +107,7 @@ impl Problem {
         [vec![value], gradient].concat()
     }
 
-    /// Error bounds of the loss and of each gradient.
+    /// Error bounds of the loss and its gradients.
     fn errors(&self) -> Vec<f64> {
         let (weight, dssim_weight) = match self.loss {
             Loss::L1 | Loss::Mse => (1.0, 0.0),
@@ -138,7 +135,7 @@ impl Problem {
                 errors[1 + at] = ((gradient + Bounded::rounded(dssim_weight) * by_dssim) * mean).error;
             }
         }
-        // Sums of a run, a subgroup and the image, then the mean and a weight.
+        // Sums of a run, a subgroup and the image, then mean and weight.
         errors[0] = (sums[0] + gamma(2 * RUN + 128 + 8) * sums[1]) / count as f64;
         errors
     }

@@ -16,7 +16,7 @@ const REASON: &str = "the share of a neighbour is a quotient of whole numbers, o
 /// Roundings per result.
 const ROUNDINGS: usize = 9;
 
-/// A map `[height, width, channels]` to resize, with optional positions of columns and rows.
+/// Map `[height, width, channels]` to resize, with optional positions of columns and rows.
 struct Problem {
     size: [usize; 2],
     to: [usize; 2],
@@ -30,7 +30,6 @@ enum Fault {
     Zero,
     /// Aligns pixel centers instead of corners.
     MiddlesOnMiddles,
-    /// Nearest-neighbor sampling.
     Nearest,
     /// Swapped rows and columns.
     Turned,
@@ -38,7 +37,7 @@ enum Fault {
     /// Swapped positions of columns and rows.
     TurnedPositions,
     NeighbourPixel,
-    /// Results rounded to 11 bits.
+    /// 11-bit results.
     Half,
 }
 
@@ -70,7 +69,7 @@ impl Problem {
         resize(&widen(&self.x), [self.size[1], self.channels], self.to)
     }
 
-    /// Samples the source at `[y, x]` for each result, bilinearly or by nearest neighbor.
+    /// Samples at `[y, x]` for each result, bilinearly or by nearest neighbor.
     fn sampled(&self, place: impl Fn(usize, usize) -> f64, nearest: bool) -> Vec<f64> {
         let [height, width] = self.size;
         let at = |y: usize, x: usize, c: usize| f64::from(self.x[(y * width + x) * self.channels + c]);

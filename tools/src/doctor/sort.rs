@@ -1,4 +1,4 @@
-//! Depth sort of Gaussians and its prefix sums.
+//! Depth sort and its prefix sums.
 
 use super::{Area, Case, Catches, Mode, Worst, case, trial::Trial};
 use crate::noise::Noise;
@@ -18,7 +18,6 @@ struct Sort {
 
 #[derive(Clone, Copy, Debug)]
 enum Fault {
-    /// No output.
     Zero,
     /// Shifted by one item.
     Shifted,
@@ -33,7 +32,7 @@ enum Fault {
 type Sorted = [Vec<u32>; 2];
 
 impl Sort {
-    /// Stable sort of keys and values by a part of the key.
+    /// Stably sorts by a part of the key.
     fn sorted(&self, part: impl Fn(u32) -> u32) -> Vec<(u32, u32)> {
         let mut pairs: Vec<(u32, u32)> = self.keys.iter().copied().zip(0..).collect();
         pairs.sort_by_key(|pair| part(pair.0));
@@ -92,14 +91,11 @@ impl case::Problem for Sort {
     }
 }
 
-/// Input of a prefix sum.
 struct Scan(Vec<u32>);
 
 #[derive(Clone, Copy, Debug)]
 enum ScanFault {
-    /// Returns the input.
     AsItWas,
-    /// Inclusive sums.
     Inclusive,
     /// Sums restart here.
     Restarts(usize),

@@ -1,14 +1,12 @@
-//! Results of faulty attention.
+//! Faulty attention.
 
 use super::{super::bound::half, HEADS, Keys, Problem};
 
-/// Faults of attention.
 #[derive(Clone, Copy, Debug)]
 pub enum Fault {
     Zero,
     /// Ignores keys from this index on.
     KeysFrom(usize),
-    /// Ignores one key.
     Key(usize),
     LastKey,
     /// Ignores every second key.
@@ -16,7 +14,6 @@ pub enum Fault {
     NeighbourValue,
     /// Values of the other head.
     NeighbourHead,
-    /// Scores not divided by the root of the channels.
     NoScale,
     /// exp of f32 scores without subtracting the maximum.
     NoMaximum,
@@ -24,15 +21,13 @@ pub enum Fault {
     SumsNotScaled,
     /// Total weight not rescaled when the maximum rises.
     TotalNotScaled,
-    /// No division by the total weight.
     NoTotal,
-    /// Sums rounded to 11 bits.
+    /// 11-bit sums.
     HalfSum,
-    /// Weights rounded to 11 bits.
+    /// 11-bit weights.
     HalfWeights,
-    /// Scores rounded to 11 bits.
+    /// 11-bit scores.
     HalfScores,
-    /// Ignores patch counts of pooled keys.
     NoCounts,
     /// Patch count of the next key.
     NeighbourCount,
@@ -41,14 +36,14 @@ pub enum Fault {
 }
 
 impl Fault {
-    /// Whether 16-bit rounding hides it.
+    /// True if 16-bit rounding hides it.
     pub fn is_fine(self) -> bool {
         matches!(self, Fault::LastKey | Fault::HalfSum | Fault::HalfWeights | Fault::HalfScores)
     }
 }
 
 impl Problem {
-    /// The result of one query, `[dim]`, from its scores.
+    /// Faulty result of one query, `[dim]`.
     pub fn wrong(&self, scores: &[f64], head: usize, keys: &Keys, fault: Fault) -> Vec<f64> {
         let round: fn(f64) -> f64 = if matches!(fault, Fault::HalfSum) { half } else { |x| x };
         let counted = |(key, score): (usize, &f64)| match fault {

@@ -26,7 +26,7 @@ pub fn area() -> Area {
     add("random", Catches::from(SUMS).and(&[LastTerm, CutIntegers, Unsigned]), || random(384), 384);
     add("random", Catches::from(SUMS).and(&[LastTerm, CutIntegers, Unsigned]), || random(588), 588);
     add("random", Catches::from(SUMS).and(&[TermsFrom(1504)]), || random(1536), 1536);
-    // When many terms round, only whole numbers reveal 11-bit sums.
+    // With many rounding terms, only whole numbers reveal 11-bit sums.
     add("random", [Zero, NeighbourColumn, NeighbourRow, TermsFrom(3968)].into(), || random(4096), 4096);
     let halves = [Zero, NeighbourColumn, NeighbourRow, TermsFrom(4096), TermsFrom(7680)];
     add("random", halves.into(), || random(8192), 8192);
@@ -102,8 +102,7 @@ fn far(factor: f32, rows: usize) -> Problem {
     scaled(factor, Problem::random(rows, 64, 64))
 }
 
-/// Nonzero whole numbers up to 7. f16, bf16 and f32 sums hold them exactly, and no 8-bit rounding
-/// is near a tie.
+/// Nonzero whole numbers up to 7: exact in f16, bf16 and f32 sums, and far from 8-bit ties.
 fn whole(inner: usize) -> Problem {
     let mut problem = Problem { whole: true, ..random(inner) };
     for x in problem.x.iter_mut().chain(&mut problem.weight).chain(&mut problem.bias) {
@@ -121,8 +120,8 @@ fn alone() -> Problem {
     problem
 }
 
-/// Whole numbers from 64 to 127 whose products cancel, except one pair in 32. Each row's maximum is
-/// 127, exact in 8-bit integers.
+/// Whole numbers from 64 to 127 whose products cancel, except one pair in 32. Row maxima of 127 are
+/// exact in 8-bit integers.
 fn cancelling() -> Problem {
     let mut problem = Problem { whole: true, ..Problem::random(9, 512, 40) };
     let mut noise = Noise(73);
@@ -147,8 +146,8 @@ fn outliers() -> Problem {
     problem
 }
 
-/// Row r has the channels r, r + rows, r + 2 rows and so on. With few terms per sum, a wrong index
-/// shows; every channel counts.
+/// Row r has the channels r, r + rows, r + 2 rows and so on. Few terms reveal a wrong index; every
+/// channel counts.
 fn one_hot(inner: usize, rows: usize) -> Problem {
     let mut problem = Problem::random(rows, inner, 8);
     problem.x.iter_mut().enumerate().for_each(|(i, x)| *x = if i / inner == i % inner % rows { 1.0 } else { 0.0 });

@@ -1,4 +1,4 @@
-//! Results of faulty linear layers.
+//! Faulty linear layers.
 
 use super::{super::Mode, super::bound::half, Held, Problem, Truth};
 use rayon::prelude::*;
@@ -6,13 +6,12 @@ use std::f64::consts::PI;
 use zipsplat::{gpu::Element, kernels::limits::GROUP_FOLD};
 use zipsplat_reference::ops::activation::{gelu, sigmoid};
 
-/// Faults of a linear layer.
 #[derive(Clone, Copy, Debug)]
 pub enum Fault {
     Zero,
-    /// Sums rounded to 11 bits.
+    /// 11-bit sums.
     HalfSum,
-    /// Factors rounded to f16.
+    /// f16 factors.
     HalfFactors,
     /// 8-bit integers truncated instead of rounded.
     CutIntegers,
@@ -25,22 +24,20 @@ pub enum Fault {
     AnyTerm,
     NeighbourColumn,
     NeighbourRow,
-    /// The last row, or column, repeats the one before.
+    /// The last row or column repeats the one before.
     LastRow,
     LastColumn,
-    /// Rows past the workgroup fold repeat earlier ones.
+    /// Rows beyond the workgroup fold repeat earlier ones.
     Folded,
-    /// Writes past the last row.
+    /// Writes beyond the last row.
     PastEnd,
     NoBias,
     NoActivation,
-    /// Tanh approximation of GELU.
     TanhGelu,
     /// SiLU as e^x / (1 + e^x) in f32.
     OverflowingExp,
-    /// Swapped gate and value.
     SwappedGate,
-    /// Results rounded to f16.
+    /// f16 results.
     HalfResult,
     NoScale,
     NoResidual,
@@ -55,7 +52,7 @@ pub enum Fault {
 }
 
 impl Problem {
-    /// Results of faulty layers, `[rows, out_columns]`.
+    /// Returns faulty results, `[rows, out_columns]`.
     pub fn wrong(&self, truth: &Truth, fault: Fault, mode: Mode) -> Vec<Vec<f64>> {
         let (columns, wide) = (self.columns, self.out_columns());
         let result = |place: &dyn Fn(usize, usize) -> usize| -> Vec<Vec<f64>> {
@@ -124,7 +121,7 @@ impl Problem {
         }
     }
 
-    /// Sums over the selected channels, rounding each partial sum.
+    /// Sums the selected channels, rounding each partial sum.
     fn sums(&self, held: &Held, round: fn(f64) -> f64, has: impl Fn(usize) -> bool + Sync) -> Vec<f64> {
         let one = |i: usize| {
             let (row, column) = (i / self.columns, i % self.columns);

@@ -37,7 +37,7 @@ pub fn q8_area() -> Area {
     Area { kernel: "ops/linear of q8 weights", size: "terms of a sum (K)", reason: REASON, modes: Mode::Q8, cases }
 }
 
-/// Scales the weights of each group of a column.
+/// Scales each weight group of a column.
 fn sized(mut problem: Problem, factor: impl Fn(usize) -> f32) -> Problem {
     let groups = problem.weight.chunks_mut(Q8::GROUP).enumerate();
     groups.for_each(|(g, group)| group.iter_mut().for_each(|w| *w *= factor(g)));
@@ -68,12 +68,11 @@ fn one_hot() -> Problem {
 }
 
 impl Problem {
-    /// The stored weights.
     pub(super) fn q8(&self) -> Q8 {
         Q8::round(&self.weight).expect("weights within f16")
     }
 
-    /// The stored weights after faulty expansion.
+    /// Returns weights after a faulty expansion.
     pub(super) fn wrongly_expanded(&self, fault: Fault) -> Vec<f64> {
         let Q8 { integers, scales } = self.q8();
         let groups = self.inner / Q8::GROUP;

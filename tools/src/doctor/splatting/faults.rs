@@ -1,4 +1,4 @@
-//! Pictures of faulty renderers.
+//! Faulty renderers.
 
 use super::{
     super::bound::half,
@@ -12,7 +12,6 @@ use zipsplat_reference::render::{
     sh,
 };
 
-/// Faults of a picture.
 #[derive(Clone, Copy, Debug)]
 pub enum Fault {
     Blank,
@@ -23,23 +22,23 @@ pub enum Fault {
     /// Drops one Gaussian.
     Missing,
     BackToFront,
-    /// Samples pixels at their corners.
+    /// Samples at pixel corners.
     HalfPixel,
     NeighbourColor,
-    /// Colors rounded to 11 bits.
+    /// 11-bit colors.
     HalfColors,
     /// Colors not clamped at 0.
     NegativeColors,
     /// Band 0 only.
     NoBands,
-    /// View directions in camera space instead of world space.
+    /// View directions in camera space.
     DirectionInCamera,
     /// Inverted antialiasing setting.
     OtherAntialiasing,
     Unrotated,
     /// Determinants as differences of products in f32.
     CancellingDeterminant,
-    /// Mirrors Gaussians behind the camera to the front.
+    /// Mirrors Gaussians behind the camera.
     BehindDrawn,
     /// Draws Gaussians before the near plane.
     NearDrawn,
@@ -57,10 +56,10 @@ pub enum Fault {
     TilesWrap,
 }
 
-/// Planes of a picture: red, green, blue; alpha; accumulated depth.
+/// Planes of a picture: color, alpha, accumulated depth.
 pub type Picture = [Vec<f32>; 3];
 
-/// Thresholds of blending.
+/// Blending thresholds.
 #[derive(Clone, Copy)]
 struct Rules {
     faint: f64,
@@ -175,7 +174,7 @@ fn blend(splats: &[Splat], place: [f64; 2], rules: Rules) -> [f64; 5] {
     pixel
 }
 
-/// First splat with alpha above 1/20 at its nearest pixel, or else the most opaque.
+/// Returns the first splat with alpha above 1/20 at its nearest pixel, or else the most opaque.
 fn most_visible(splats: &[Splat], size: [usize; 2]) -> Option<usize> {
     let own = |splat: &Splat| {
         let nearest = [0, 1].map(|axis| splat.mean[axis].floor().clamp(0.0, size[axis] as f64 - 1.0) + 0.5);

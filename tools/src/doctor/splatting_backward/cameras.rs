@@ -16,7 +16,6 @@ const REASON: &str = "a sum of n numbers in any order: gamma_n of the sum of the
 
 /// Numbers of two cameras.
 const NUMBERS: usize = 20;
-/// Initial value.
 const BEFORE: f32 = 0.75;
 
 /// `[rows, NUMBERS]`.
@@ -26,7 +25,6 @@ struct Problem(Vec<f32>);
 enum Fault {
     Zero,
     HalfSums,
-    /// Overwrites the initial values.
     Overwritten,
     LastRow,
     NeighbourNumber,

@@ -1,4 +1,4 @@
-//! Backward pass of rendering by kernel: pixels to splats, splats to Gaussians and cameras.
+//! Backward pass of rendering by kernel.
 
 mod cameras;
 mod color;
@@ -21,7 +21,6 @@ fn added_to(trial: &mut Trial<'_>, len: usize, before: f32) -> Tensor {
     tensor
 }
 
-/// Drops the bounds of faulty values.
 fn rounded(values: &[Bounded]) -> Vec<f32> {
     values.iter().map(|value| value.value as f32).collect()
 }

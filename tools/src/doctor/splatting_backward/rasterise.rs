@@ -30,10 +30,9 @@ const MIN_TRANSMITTANCE: f64 = 1e-4;
 const BACKGROUND: [f64; 3] = [0.25, 0.5, 0.125];
 /// Distance in pixels above or below the picture from which a splat uses its ridge.
 const FAR_OFF: f32 = 256.0;
-/// Values of a slot: moments, red, green, blue, depth.
+/// Moments, red, green, blue, depth.
 const VALUES: usize = 10;
 
-/// A splat as the kernel reads it.
 #[derive(Clone, Copy)]
 struct Splat {
     place: [f32; 2],
@@ -43,8 +42,8 @@ struct Splat {
     depth: f32,
 }
 
-/// Splats from near to far with a slot per tile, and each pixel's gradient of red, green, blue,
-/// alpha and depth.
+/// Splats from near to far with a slot per tile, and pixel gradients of red, green, blue, alpha and
+/// depth.
 struct Problem {
     splats: Vec<Splat>,
     frames: Vec<f32>,
@@ -57,7 +56,6 @@ enum Fault {
     Unwritten,
     /// Ignores splats behind.
     NothingBehind,
-    /// No background behind the splats.
     NoBackground,
     /// Gradients of clamped alphas.
     Unclamped,
@@ -96,7 +94,6 @@ fn tiles() -> [usize; 2] {
     [WIDTH, HEIGHT].map(|side| side.div_ceil(TILE) as usize)
 }
 
-/// Pixel centers with their tiles.
 fn pixels() -> impl Iterator<Item = (usize, [f64; 2])> {
     (0..HEIGHT).flat_map(|y| (0..WIDTH).map(move |x| [x, y])).map(|[x, y]| {
         let tile = (y / TILE) as usize * tiles()[0] + (x / TILE) as usize;
@@ -185,7 +182,7 @@ impl Problem {
         Self { splats, frames, d_frames }
     }
 
-    /// Sums over tiles of every splat's contributions `[splats, tiles, VALUES]`, with bounds.
+    /// Sums contributions over tiles, `[splats, tiles, VALUES]`, with bounds.
     fn slots(&self, fault: Option<Fault>) -> Vec<Bounded> {
         let count = tiles()[0] * tiles()[1];
         let mut slots = vec![Bounded::exact(0.0); self.splats.len() * count * VALUES];
@@ -213,7 +210,7 @@ impl Problem {
     }
 }
 
-/// Values of a pixel: red, green, blue without the background, alpha, depth.
+/// Returns red, green, blue without the background, alpha, depth.
 fn frame(splats: &[Splat], at: [f64; 2]) -> [f64; 5] {
     let ellipses: Vec<Ellipse> = splats.iter().map(Splat::ellipse).collect();
     // A splat's weight is its gradient with unit red.
@@ -304,7 +301,7 @@ impl case::Problem for Problem {
     }
 }
 
-/// Splats of 1 to 10 pixels across the picture, each modified by `change`.
+/// Splats of 1 to 10 pixels across the picture.
 fn splats(count: usize, change: impl Fn(usize, &mut Splat)) -> Vec<Splat> {
     let mut noise = Noise(count as u64 + 7);
     let mut one = |i: usize| {
