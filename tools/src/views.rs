@@ -1,4 +1,4 @@
-//! The parts of photos that the network sees: the middle of each, or all of it as squares side by side.
+//! Network views of photos: center crops, or square tiles.
 
 use crate::{options::Size, photos, protocol::Filter, session::Stage, table::counted};
 use clap::{Args, ValueEnum};
@@ -14,58 +14,56 @@ use zipsplat::{
     },
 };
 
-/// How photos of another shape than the network's are fitted to it.
 #[derive(Args, Debug)]
 pub struct FitOption {
-    /// Part of a photo that the network sees where it is not as wide as high
+    /// Part of a nonsquare photo for the network
     #[arg(long, alias = "crop", value_enum, value_name = "HOW", default_value = "crop")]
     pub fit: Fit,
 }
 
-/// The part of a photo that the network sees.
+/// Part of a photo for the network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Fit {
-    /// The middle, in the shape of --size
+    /// Center crop, in the shape of --size
     Crop,
-    /// The whole photo, as square views side by side, each with a camera turned to it: for known cameras. Twice the views of photos up
-    /// to 2:1, and the time and memory of so many
+    /// Whole photo, as square tiles with a camera turned to each: for known cameras. Twice the
+    /// views, time and memory for photos up to 2:1
     #[value(alias = "tiles")]
     Squares,
 }
 
-/// How photos are seen by the network and compared.
+/// Preparation of photos for the network and for comparison.
 #[derive(Clone, Copy, Debug)]
 pub struct Seeing {
-    /// The part of each photo that the network sees.
+    /// Part of each photo for the network.
     pub fit: Fit,
-    /// The size of the pictures that it sees.
+    /// Network input size.
     pub size: Size,
-    /// Size at which photos are compared.
+    /// Comparison size.
     pub compared: Size,
-    /// Whether photos are compared as a whole, at the scale of `compared`, and not only what cropping to it leaves.
+    /// Compares whole photos at the scale of `compared`, instead of crops.
     pub whole: bool,
-    /// How photos become small.
+    /// Downscaling filter.
     pub filter: Filter,
 }
 
-/// The views of photos.
+/// Network views of photos.
 pub struct Views {
-    /// Pictures of the network's size.
+    /// Network input pictures.
     pub images: Vec<Image>,
-    /// Their cameras, in the world of the first photo's; none where photos have none.
+    /// Cameras in the first photo's world; empty without known cameras.
     pub cameras: Vec<Camera>,
-    /// The note about them.
     pub note: Option<String>,
 }
 
-/// A picture for the network, and its camera, where there is one.
+/// Network input picture, and any known camera.
 pub type Seen = (Image, Option<Camera>);
 
 impl Fit {
-    /// Refuses what squares cannot be made for.
+    /// Checks the requirements of tiles.
     ///
     /// # Errors
-    /// [`Error::Argument`] for another size than a square, and for photos without cameras.
+    /// [`Error::Argument`] for a nonsquare size, or photos without cameras.
     pub fn check(self, size: Size, posed: bool) -> Result<()> {
         match self {
             Self::Squares if !posed => {
@@ -79,10 +77,10 @@ impl Fit {
         }
     }
 
-    /// How many views these photos become; only their headers are read.
+    /// Counts the views by the photos' headers.
     ///
     /// # Errors
-    /// Where a photo cannot be read, or the views are more than a reconstruction takes.
+    /// An unreadable photo, or too many views.
     pub fn count(self, photos: &[PathBuf]) -> Result<usize> {
         if self == Self::Crop {
             return Ok(photos.len());
@@ -96,10 +94,10 @@ impl Fit {
         Ok(views)
     }
 
-    /// The views of one photo, their cameras in the world of `camera`.
+    /// Returns the views of one photo, with cameras in the world of `camera`.
     ///
     /// # Errors
-    /// Where the camera is not that of the photo.
+    /// A camera of another photo.
     pub fn views(self, photo: &Image, camera: Option<&Camera>, size: Size, label: &str) -> Result<Vec<Seen>> {
         match (self, camera) {
             (Self::Squares, Some(camera)) => {
@@ -114,10 +112,10 @@ impl Fit {
         }
     }
 
-    /// Reads photos that have these frames, one each, or none, and makes views of them.
+    /// Reads photos, with one frame each or none, and makes their views.
     ///
     /// # Errors
-    /// Where a photo cannot be read or is not that of its camera.
+    /// An unreadable photo, or a camera of another photo.
     pub fn load(self, photos: &[PathBuf], frames: &[&Frame], size: Size, stage: &Stage<'_>) -> Result<Views> {
         let read = photos::read(photos, frames, stage, |i, photo| {
             let camera = frames.get(i).map(|frame| &frame.camera);
@@ -129,7 +127,7 @@ impl Fit {
         Ok(Views::new(self, views.into_iter().flatten(), &world, &sizes, size))
     }
 
-    /// Cameras as the network is told them, in the world of the first, and its pose where that is not the world they are in.
+    /// Returns cameras in the first one's world, and its pose if that is another world.
     pub fn told(self, cameras: Vec<Camera>) -> (Vec<Camera>, Option<Pose>) {
         match (self, cameras.first().map(|camera| camera.pose)) {
             (Self::Squares, Some(first)) => {
@@ -142,12 +140,12 @@ impl Fit {
 }
 
 impl Seeing {
-    /// The middle of each photo, which is all that is compared.
+    /// Crops photos to `size` for both uses.
     pub fn cropped(size: Size) -> Self {
         Self { fit: Fit::Crop, size, compared: size, whole: false, filter: Filter::Lanczos }
     }
 
-    /// The pictures that the network sees of a photo.
+    /// Returns the network views of a photo.
     ///
     /// # Errors
     /// As [`Fit::views`].
@@ -161,7 +159,7 @@ impl Seeing {
         }
     }
 
-    /// A photo as it is compared.
+    /// Returns a photo at the comparison size.
     ///
     /// # Errors
     /// As [`Filter::cropped`].
@@ -172,7 +170,8 @@ impl Seeing {
 }
 
 impl Views {
-    /// The views whose cameras are in the world of photos of these sizes, in which the first one's camera has the pose `world`.
+    /// Collects views; photo sizes are for the note. The first camera has the pose `world` in the
+    /// cameras' world.
     pub fn new(fit: Fit, seen: impl Iterator<Item = Seen>, world: &Pose, photos: &[[u32; 2]], size: Size) -> Self {
         let (images, cameras): (Vec<_>, Vec<_>) = seen.unzip();
         let cameras: Vec<Camera> = cameras.into_iter().flatten().collect();
@@ -192,10 +191,10 @@ impl Views {
     }
 }
 
-/// The camera of a photo as that of what a map makes of it.
+/// Returns a photo's camera after a pixel map.
 ///
 /// # Errors
-/// Where it is not valid or not the photo's.
+/// An invalid camera, or one of another photo.
 pub fn seen_through(camera: &Camera, map: &PixelMap, label: &str) -> Result<Camera> {
     camera.validate(label)?;
     Ok(Camera { intrinsics: map.apply(&camera.intrinsics, label)?, ..*camera })

@@ -7,10 +7,9 @@ use zipsplat::{
 };
 
 const STYLE: &str = include_str!("report.css");
-/// JPEG quality.
 const QUALITY: u8 = 85;
 
-/// Start of a page, through its heading.
+/// Returns the start of a page, through its heading.
 pub fn begin(title: &str) -> String {
     let title = escape(title);
     format!(
@@ -20,7 +19,7 @@ pub fn begin(title: &str) -> String {
     )
 }
 
-/// Data URL of a picture, downscaled to a longer side of at most `most` pixels.
+/// Returns a data URL of a picture, at most `most` pixels long.
 ///
 /// # Errors
 /// Encoding failures.
