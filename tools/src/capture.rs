@@ -111,9 +111,6 @@ impl Choice {
 
     /// Perturbs all inputs but the first: rotates by degrees, and moves by as many percent of the
     /// unit, in pseudorandom directions.
-    ///
-    /// # Errors
-    /// As [`Unit::of`].
     pub fn disturb(&mut self, degrees: f64, unit: Option<f64>) -> Result<()> {
         if degrees == 0.0 {
             return Ok(());
@@ -155,9 +152,6 @@ impl Choice {
     }
 
     /// Returns a digest of frames, photos and points.
-    ///
-    /// # Errors
-    /// A missing file.
     pub fn digest(&self) -> Result<String> {
         let mut parts = vec![self.inputs.len().to_string()];
         for frame in self.frames() {
@@ -179,9 +173,6 @@ impl Choice {
     }
 
     /// Reads the point cloud into the first input's world and a unit.
-    ///
-    /// # Errors
-    /// If it cannot be read.
     pub fn points(&self, unit: &Unit) -> Result<Option<PointCloud>> {
         let to_world = self.poses.frames[self.inputs[0]].camera.pose.inverse();
         let cloud = self.poses.points.as_ref().map(read_cloud).transpose()?;
@@ -254,9 +245,6 @@ impl Capture {
     }
 
     /// Adds LPIPS to the scores.
-    ///
-    /// # Errors
-    /// As [`Perceptual::distance`].
     pub fn look(&self, scores: &mut [Score], drawn: &[Vec<f32>], lpips: &mut Perceptual) -> Result<()> {
         for ((score, drawn), view) in scores.iter_mut().zip(drawn).zip(&self.targets) {
             let size = [view.image.width, view.image.height];
@@ -284,9 +272,6 @@ fn alike(image: &Image, to: &Image) -> Image {
 }
 
 /// Renders the loaded scene, `[height][width][rgb]` in 0..1.
-///
-/// # Errors
-/// As [`Renderer::render_loaded`].
 pub fn draw(renderer: &mut Renderer, camera: &Camera) -> Result<Vec<f32>> {
     let frame = renderer.render_loaded(&[*camera], &RenderRequest::default())?.remove(0);
     Ok(frame.rgb.unwrap_or_default().into_iter().map(|value| value.clamp(0.0, 1.0)).collect())

@@ -57,9 +57,6 @@ pub struct Reading {
 
 impl PhotoArgs {
     /// Calls [`Reading::list`].
-    ///
-    /// # Errors
-    /// As [`Reading::list`].
     pub fn list(
         &self,
         session: &mut Session<'_>,
@@ -74,9 +71,6 @@ impl Reading {
     /// Lists the photos as [`list`], and converts videos and HEIC with ffmpeg: `frames` per video,
     /// or a default number. The folder of converted photos lies beside their camera file, if any,
     /// and may exist if the flag allows it.
-    ///
-    /// # Errors
-    /// As [`list`], [`FrameFolder`], [`sharpest_frames`] and [`to_jpeg`].
     pub fn list(
         &self,
         session: &mut Session<'_>,
@@ -192,9 +186,6 @@ fn list_folder(session: &mut Session<'_>, folder: &Path) -> Result<Vec<PathBuf>>
 }
 
 /// Returns the photos directly in a folder, in natural order.
-///
-/// # Errors
-/// If the folder cannot be read.
 pub fn directly_in(folder: &Path) -> Result<Vec<PathBuf>> {
     let mut found = visible(folder)?;
     found.retain(|path| path.is_file() && is_photo(path));
@@ -203,9 +194,6 @@ pub fn directly_in(folder: &Path) -> Result<Vec<PathBuf>> {
 }
 
 /// Returns the nested folders, in natural order.
-///
-/// # Errors
-/// If the folder cannot be read.
 pub fn folders_in(folder: &Path) -> Result<Vec<PathBuf>> {
     let mut found = visible(folder)?;
     found.retain(|path| path.is_dir());

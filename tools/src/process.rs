@@ -32,9 +32,6 @@ const WATCH: &str = "read -r group || exit; read -r _; kill -s KILL -- \"-$group
 
 impl Running {
     /// Starts a program in its own group: Ctrl-C reaches only this command, which ends it.
-    ///
-    /// # Errors
-    /// Those of the system.
     pub fn start(command: &mut Command) -> io::Result<Self> {
         set_group(command);
         // Held during the start, so that [`end_all`] finds the process.
@@ -187,9 +184,6 @@ pub fn run(command: &mut Command, stage: &Stage<'_>, mut line: impl FnMut(&str) 
 }
 
 /// Checks that a program runs with `-version`; `name` and `expected` are for the message.
-///
-/// # Errors
-/// [`Error::Argument`].
 pub fn check(program: &Path, name: &str, expected: &str) -> Result<()> {
     let mut command = Command::new(program);
     command.arg("-version").stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
@@ -202,9 +196,6 @@ pub fn check(program: &Path, name: &str, expected: &str) -> Result<()> {
 }
 
 /// Returns a program's output and errors; ignores its exit code.
-///
-/// # Errors
-/// As [`run`].
 pub fn printed(command: &mut Command, stage: &Stage<'_>) -> Result<String> {
     let mut text = String::new();
     run(command, stage, |line| {

@@ -113,9 +113,6 @@ impl<'a> Session<'a> {
     }
 
     /// Runs `body` with progress, and returns its result and time.
-    ///
-    /// # Errors
-    /// Those of `body`, and [`Error::Cancelled`].
     pub fn stage<T>(&self, name: &str, body: impl FnOnce(&Stage<'_>) -> Result<T>) -> Result<(T, Duration)> {
         let stage = Stage::new(name, &self.task, self.terminal.cancelled);
         stage.check()?;
@@ -131,9 +128,6 @@ impl<'a> Session<'a> {
 
     /// Chooses the arithmetic of a precision, or of the device's best. The first use on a device
     /// self-tests its kernels, with progress.
-    ///
-    /// # Errors
-    /// As [`Chosen::of_with`].
     pub fn choose(&self, device: &Device, precision: Option<Precision>) -> Result<Chosen> {
         let chosen = self.stage("first use", |stage| {
             Chosen::of_with(device, precision, |kernel, done| {
@@ -145,9 +139,6 @@ impl<'a> Session<'a> {
     }
 
     /// Loads weights, with progress.
-    ///
-    /// # Errors
-    /// As [`Model::load_with`].
     pub fn load_model(
         &self,
         device: &Device,
@@ -158,9 +149,6 @@ impl<'a> Session<'a> {
     }
 
     /// Reconstructs, with progress.
-    ///
-    /// # Errors
-    /// As [`Model::reconstruct`].
     pub fn reconstruct(
         &self,
         model: &Model,
@@ -176,9 +164,6 @@ impl<'a> Session<'a> {
     }
 
     /// Reconstructs a scene and any requested tokens from one backbone pass, with progress.
-    ///
-    /// # Errors
-    /// As [`Model::reconstruct`].
     pub fn reconstruct_with_tokens(
         &self,
         model: &Model,

@@ -5,9 +5,6 @@ use std::{path::Path, time::SystemTime};
 use zipsplat::{Error, Result};
 
 /// Returns a file's name, size and time.
-///
-/// # Errors
-/// A missing file.
 pub fn stamp(path: &Path) -> Result<String> {
     let failed = |error| Error::io(path, error);
     let found = path.metadata().map_err(failed)?;

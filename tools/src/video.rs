@@ -33,9 +33,6 @@ pub struct FrameFolder {
 
 impl FrameFolder {
     /// Creates a temporary folder.
-    ///
-    /// # Errors
-    /// [`Error::Io`].
     pub fn temporary() -> Result<Self> {
         let scratch = Scratch::new()?;
         // The scratch folder removes itself.

@@ -95,9 +95,6 @@ impl Fit {
     }
 
     /// Returns the views of one photo, with cameras in the world of `camera`.
-    ///
-    /// # Errors
-    /// A camera of another photo.
     pub fn views(self, photo: &Image, camera: Option<&Camera>, size: Size, label: &str) -> Result<Vec<Seen>> {
         match (self, camera) {
             (Self::Squares, Some(camera)) => {
@@ -146,9 +143,6 @@ impl Seeing {
     }
 
     /// Returns the network views of a photo.
-    ///
-    /// # Errors
-    /// As [`Fit::views`].
     pub fn views(self, photo: &Image, camera: &Camera, label: &str) -> Result<Vec<Seen>> {
         match (self.fit, self.filter) {
             (Fit::Crop, Filter::Bilinear) => {
@@ -160,9 +154,6 @@ impl Seeing {
     }
 
     /// Returns a photo at the comparison size.
-    ///
-    /// # Errors
-    /// As [`Filter::cropped`].
     pub fn compare(self, photo: &Image) -> Result<View> {
         let Size(width, height) = self.compared;
         if self.whole { self.filter.whole(photo, width, height) } else { self.filter.cropped(photo, width, height) }

@@ -31,9 +31,6 @@ pub struct Ffmpeg {
 }
 
 /// Checks that ffmpeg runs.
-///
-/// # Errors
-/// [`Error::Argument`].
 pub fn check(program: &Path) -> Result<()> {
     process::check(program, "ffmpeg", "an installed ffmpeg for MP4 (see --ffmpeg); .gif and .apng need none")
 }

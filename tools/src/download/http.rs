@@ -116,9 +116,6 @@ impl Client {
 
     /// Requests a file's bytes from `start` on, through redirects. Returns the answer, of status
     /// 200, 206 or 416, and the hub's hash and size.
-    ///
-    /// # Errors
-    /// As [`Client::ask`].
     pub fn get(&self, url: &str, start: u64) -> Result<(Response<Body>, Told), Failure> {
         self.follow(false, url, start)
     }

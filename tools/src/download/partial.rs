@@ -57,9 +57,6 @@ pub struct Lock {
 
 impl Lock {
     /// Waits for other processes with the file of `base`.
-    ///
-    /// # Errors
-    /// [`Error::Io`], [`Error::Cancelled`].
     pub fn new(base: &Path, stage: &Stage<'_>) -> Result<Self> {
         let [.., path] = paths(base);
         let failed = |error| Error::io(&path, error);
@@ -132,9 +129,6 @@ pub fn kept(base: &Path) -> Option<(u64, Promise)> {
 
 impl Partial {
     /// Resumes or begins a file under its [`Lock`]. Drops bytes of another promise.
-    ///
-    /// # Errors
-    /// [`Error::Io`].
     pub fn open(base: &Path, promise: &Promise) -> Result<Self> {
         let [path, promise_path, _] = paths(base);
         let goes_on =
@@ -148,26 +142,17 @@ impl Partial {
     }
 
     /// Returns the number of contiguous bytes.
-    ///
-    /// # Errors
-    /// [`Error::Io`].
     pub fn length(&self) -> Result<u64> {
         self.file.metadata().map(|found| found.len()).map_err(|error| Error::io(&self.path, error))
     }
 
     /// Writes bytes at `start`, at most the file's length.
-    ///
-    /// # Errors
-    /// [`Error::Io`].
     pub fn write(&mut self, start: u64, bytes: &[u8]) -> Result<()> {
         let written = self.file.seek(SeekFrom::Start(start)).and_then(|_| self.file.write_all(bytes));
         written.map_err(|error| Error::io(&self.path, error))
     }
 
     /// Drops all bytes.
-    ///
-    /// # Errors
-    /// [`Error::Io`].
     pub fn clear(&mut self) -> Result<()> {
         self.file.set_len(0).map_err(|error| Error::io(&self.path, error))
     }

@@ -20,9 +20,6 @@ pub fn begin(title: &str) -> String {
 }
 
 /// Returns a data URL of a picture, at most `most` pixels long.
-///
-/// # Errors
-/// Encoding failures.
 pub fn picture(image: &Image, most: u32) -> Result<String> {
     let scale = (f64::from(most) / f64::from(image.width.max(image.height))).min(1.0);
     let [width, height] = [image.width, image.height].map(|side| ((f64::from(side) * scale).round() as u32).max(1));

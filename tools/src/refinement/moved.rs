@@ -36,9 +36,6 @@ fn parse_weight(text: &str) -> Result<f32, String> {
 
 impl Moved {
     /// Rejects LPIPS without its weights.
-    ///
-    /// # Errors
-    /// As [`Perceptual::file`].
     pub fn check(&self) -> Result<()> {
         self.lpips_weight.map_or(Ok(()), |_| Perceptual::file(LpipsNetwork::Vgg).map(drop))
     }

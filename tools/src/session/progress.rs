@@ -93,9 +93,6 @@ impl<'a> Stage<'a> {
     }
 
     /// Maps the items with `body`, with progress by count.
-    ///
-    /// # Errors
-    /// Those of `body`, and [`Error::Cancelled`].
     pub fn each<T, U>(&self, items: &[T], mut body: impl FnMut(&T) -> Result<U>) -> Result<Vec<U>> {
         let (name, all) = (self.bar.message(), items.len());
         let step = |(i, item)| {

@@ -35,9 +35,6 @@ pub struct Served<'a> {
 
 impl Served<'_> {
     /// Answers a path; `None` for unknown ones. Requests with side effects have a `body`.
-    ///
-    /// # Errors
-    /// Those of the requested content.
     pub fn answer(&self, path: &str, body: Option<&[u8]>) -> Result<Option<Answer>> {
         match (path, body) {
             ("record", Some(body)) => self.record(body).map(Some),

@@ -59,9 +59,6 @@ impl InputCamera {
     }
 
     /// Returns the undistorted photo as a JPEG, at most `side` pixels long; `None` without a photo.
-    ///
-    /// # Errors
-    /// If the photo cannot be read.
     pub fn jpeg(&self, side: Option<u32>) -> Result<Option<Vec<u8>>> {
         let Some(file) = &self.file else { return Ok(None) };
         let photo = self.frame.open(file)?;

@@ -61,9 +61,6 @@ pub struct Made {
 
 impl Made {
     /// Encodes a line of JSON, then the scene at full precision.
-    ///
-    /// # Errors
-    /// As [`encode_scene`].
     pub fn encode(mut self) -> Result<Vec<u8>> {
         let begin = Instant::now();
         let ply = encode_scene(&self.scene, SceneFormat::Ply, &WriteOptions::default())?;
@@ -92,9 +89,6 @@ impl Live<'_> {
     }
 
     /// Returns the scene of a ratio unless `overtaken`.
-    ///
-    /// # Errors
-    /// As [`Live::make`].
     pub fn make_unless(&self, ratio: f64, precision: Precision, overtaken: impl Fn() -> bool) -> Result<Made> {
         let overtaken = || overtaken() || self.cancelled.load(Ordering::Relaxed);
         let go_on = |_: Progress<'_>| if overtaken() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
@@ -136,9 +130,6 @@ impl Live<'_> {
     }
 
     /// Returns the first precision's tokens for refinement.
-    ///
-    /// # Errors
-    /// As [`Model::tokens`].
     pub fn tokens(&self) -> Result<SceneTokens> {
         let sources = self.lock(&|| self.cancelled.load(Ordering::Relaxed))?;
         sources[0].model.tokens(&sources[0].features, &self.request, |_| ControlFlow::Continue(()))

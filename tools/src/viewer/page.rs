@@ -91,9 +91,6 @@ pub enum Requests {
 }
 
 /// Writes a page with the embedded `scenes`, in configuration order.
-///
-/// # Errors
-/// Those of writing.
 pub fn write_page(out: &mut dyn Write, config: &Config, requests: Requests, scenes: &[Vec<u8>]) -> Result<()> {
     let names: Vec<&str> = config.scenes.iter().map(|scene| scene.name.as_str()).collect();
     let mut rest = PAGE;

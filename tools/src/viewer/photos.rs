@@ -90,9 +90,6 @@ pub(super) struct Photographed {
 
 impl FromPhotos {
     /// Opens the network of the scenes.
-    ///
-    /// # Errors
-    /// Those of opening its weights.
     pub fn network(&self) -> Result<Network> {
         self.weights.open_network()
     }
@@ -272,9 +269,6 @@ impl FromPhotos {
 
 impl Ready<'_> {
     /// Returns the input pictures, by address or embedded.
-    ///
-    /// # Errors
-    /// As [`Image::jpeg`].
     pub fn views(&self, within: bool) -> Result<Vec<View>> {
         let view = |(i, name): (usize, &String)| {
             let photo = if within { within_page(&self.view(i)?) } else { format!("view/{i}") };
@@ -284,9 +278,6 @@ impl Ready<'_> {
     }
 
     /// Returns an input picture as a JPEG.
-    ///
-    /// # Errors
-    /// As [`Image::jpeg`].
     pub fn view(&self, index: usize) -> Result<Vec<u8>> {
         self.live.images[index].jpeg(QUALITY)
     }

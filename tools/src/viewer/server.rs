@@ -75,9 +75,6 @@ struct Connection {
 
 impl Server {
     /// Binds `port`, or a free one for 0.
-    ///
-    /// # Errors
-    /// A used or privileged port.
     pub fn new(port: u16) -> Result<Self> {
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port))?;
         listener.set_nonblocking(true)?;

@@ -74,9 +74,6 @@ impl Watched {
     }
 
     /// Refines to the end or until stopped; `progress` gets the finished fraction.
-    ///
-    /// # Errors
-    /// As [`refine_scene`] and [`refine_tokens`].
     pub fn run(&self, live: &Live<'_>, mut progress: impl FnMut(f64) -> ControlFlow<()>) -> Result<()> {
         let told = |at: Refining<'_>| {
             self.tell(&at);

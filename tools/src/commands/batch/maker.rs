@@ -106,9 +106,6 @@ impl<'a> Maker<'a> {
     }
 
     /// Makes the scene.
-    ///
-    /// # Errors
-    /// As [`Model::reconstruct`] and [`Seer::see`].
     pub fn make(&self, batch: &Batch, input: Input, stage: &Stage<'_>) -> Result<Scened> {
         match (input, self) {
             (Input::Tokens(Views { images, cameras, note }, unit), Self::Tokens { model, checkpoint, .. }) => {

@@ -21,9 +21,6 @@ pub fn check(python: &Path) -> Result<()> {
 }
 
 /// Returns gsplat's milliseconds per frame over `repeats` consecutive frames.
-///
-/// # Errors
-/// As [`check`].
 pub fn milliseconds(python: &Path, scene: &Scene, size: Size, repeats: u32) -> Result<f64> {
     let folder = python::folder(&FILES)?;
     let file = folder.path().join("scene.ply");

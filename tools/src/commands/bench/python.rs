@@ -26,9 +26,6 @@ pub fn run(option: &str, needed: &str, command: &mut Command) -> Result<String> 
 }
 
 /// Writes the files into a temporary folder.
-///
-/// # Errors
-/// [`Error::Io`].
 pub fn folder(files: &[(&str, &str)]) -> Result<tempfile::TempDir> {
     let folder = tempfile::tempdir().map_err(|error| Error::io("temporary folder", error))?;
     for (name, text) in files {

@@ -68,9 +68,6 @@ pub fn check(python: &Path) -> Result<()> {
 }
 
 /// Times a network for each case: views, and share of the tokens.
-///
-/// # Errors
-/// As [`check`].
 pub fn forward(
     python: &Path,
     architecture: &Architecture,
@@ -107,9 +104,6 @@ pub struct DepthRow {
 }
 
 /// Times a depth network without its Gaussian head for each case: views, and their size.
-///
-/// # Errors
-/// As [`check`].
 pub fn depth(
     python: &Path,
     architecture: &DepthArchitecture,
@@ -136,18 +130,12 @@ pub struct Steps {
 }
 
 /// Checks that `python` has the packages of a step.
-///
-/// # Errors
-/// As [`check`].
 pub fn check_refine(python: &Path) -> Result<()> {
     let mut command = Command::new(python);
     super::python::run("--pytorch", REFINE_NEEDED, command.args(["-c", REFINE_FILES[0].1])).map(drop)
 }
 
 /// Times steps on a scene with a batch of photos each.
-///
-/// # Errors
-/// As [`check`].
 pub fn refine(
     python: &Path,
     scene: &Scene,

@@ -33,9 +33,6 @@ pub struct Errors {
 
 impl Truth {
     /// Reads the cameras of a capture.
-    ///
-    /// # Errors
-    /// As [`read_poses`].
     pub fn open(folder: &Path) -> Result<Self> {
         Ok(Self { poses: read_poses(folder)?, folder: folder.to_owned() })
     }

@@ -10,9 +10,6 @@ const SHOWN: usize = 24;
 const PICTURE: u32 = 1008;
 
 /// Returns the whole page.
-///
-/// # Errors
-/// If a picture cannot be read or encoded.
 pub fn page(means: &Means, rows: &[Row]) -> Result<String> {
     let cells = |line: &[String], tag: &str| {
         line.iter().map(|cell| format!("<{tag}>{}", html::escape(cell))).collect::<String>()

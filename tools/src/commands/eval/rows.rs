@@ -47,9 +47,6 @@ impl Row {
     }
 
     /// Writes the record.
-    ///
-    /// # Errors
-    /// If the file cannot be written.
     pub fn write(&self, file: &Path) -> Result<()> {
         write_atomic(file, |out| {
             serde_json::to_writer_pretty(&mut *out, self)?;
@@ -59,9 +56,6 @@ impl Row {
 }
 
 /// Reads all records of a protocol by method, setting and scene.
-///
-/// # Errors
-/// If a folder cannot be read.
 pub fn read_all(folder: &Path, protocol: Protocol) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     for way in folders_in(folder)? {

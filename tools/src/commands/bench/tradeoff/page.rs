@@ -22,9 +22,6 @@ const DEVIATIONS: &str = "The same network in f64 on the CPU, for reconstruction
     Pictures are drawn by the device from its own Gaussians and from those of f64.";
 
 /// Returns the whole page.
-///
-/// # Errors
-/// If a picture cannot be encoded.
 pub fn page(args: &Tradeoff, device: &str, weights: &str, captures: &[Capture], sweep: &Sweep) -> Result<String> {
     let points = &sweep.points;
     let pictures: Vec<String> =

@@ -12,9 +12,6 @@ use zipsplat::{
 };
 
 /// Refines a scene against the photos of a capture, as `zipsplat eval --refine STEPS` does.
-///
-/// # Errors
-/// As [`refine_scene`], and [`Error::Cancelled`].
 pub fn refine(
     device: &Device,
     (model, checkpoint): (&Model, &Checkpoint),
