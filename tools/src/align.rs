@@ -110,8 +110,8 @@ pub enum Doubt {
 
 /// Moves `camera` to minimize the squared error between its rendering and `photo`, of equal size.
 /// The scene should be at a distance of about 1. Intrinsics stay fixed; a prior discourages large
-/// steps. The scene is rendered over the photo, and the error is divided by the mean alpha, so
-/// holes do not count. The loss is robust to large differences.
+/// steps. The scene covers the photo, and the error is divided by the mean alpha, so holes do not
+/// count. The loss is robust.
 ///
 /// Levenberg-Marquardt over 6 degrees of freedom with central differences, coarse to fine. At full
 /// size the initial camera stays if none is better. `check` runs before each rendering.
@@ -173,8 +173,8 @@ struct Search<'a> {
     prior: f64,
 }
 
-/// Maps six numbers to a rotation (radians about the camera's axes) and a shift (along them),
-/// bounded by a ball. Near 0 the slope is [`MOST_TURN`] or [`MOST_SHIFT`].
+/// Maps six numbers to a rotation (radians) and a shift on the camera's axes, bounded by a ball.
+/// Near 0 the slope is [`MOST_TURN`] or [`MOST_SHIFT`].
 fn turn_and_shift(movement: &Vector6<f64>) -> [DVec3; 2] {
     [(0, MOST_TURN), (3, MOST_SHIFT)].map(|(i, most)| {
         let free = DVec3::from_slice(&movement.as_slice()[i..i + 3]);
@@ -182,8 +182,7 @@ fn turn_and_shift(movement: &Vector6<f64>) -> [DVec3; 2] {
     })
 }
 
-/// Returns the rotation (radians about the first camera's axes) and shift (along them) between two
-/// cameras.
+/// Rotation (radians) and shift on the first camera's axes.
 fn between(from: &Camera, to: &Camera) -> [DVec3; 2] {
     let movement = to.pose.relative_to(&from.pose);
     [DQuat::from_mat3(&movement.rotation).to_scaled_axis(), movement.translation]
@@ -224,7 +223,7 @@ impl<'a> Search<'a> {
     }
 
     /// Robust residuals of the scene over the photo, divided by the root of the mean alpha.
-    /// Otherwise seeing less of the scene would be a gain.
+    /// Otherwise hiding the scene would be a gain.
     fn pixels(&self, movements: &[Vector6<f64>]) -> Option<Vec<DVector<f64>>> {
         let cameras: Vec<Camera> = movements.iter().map(|movement| moved(&self.start, movement)).collect();
         let request = RenderRequest { alpha: true, ..RenderRequest::default() };

@@ -36,9 +36,8 @@ pub struct Choice {
 
 /// Photos and cameras of a capture. World: the first input's camera.
 pub struct Capture {
-    /// Network input pictures with cameras.
+    /// Network input.
     pub views: Views,
-    /// Input photos.
     pub inputs: Vec<Posed>,
     /// Held-out photos.
     pub targets: Vec<Posed>,
@@ -66,18 +65,12 @@ pub struct Score {
 
 impl Choice {
     /// Chooses `views` frames by farthest-point sampling of positions, and all other frames or
-    /// `targets` evenly spread ones. Frames without a photo are skipped.
-    ///
-    /// # Errors
-    /// Unreadable cameras, or too few photos.
+    /// `targets` evenly spread ones. Skips frames without a photo.
     pub fn new(folder: &Path, views: usize, targets: Option<usize>) -> Result<Self> {
         Self::of(read_poses(folder)?, folder, views, targets)
     }
 
-    /// Chooses from known frames as [`Choice::new`]; `folder` is for messages.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for too few photos.
+    /// As [`Choice::new`], from known frames; `folder` is for messages.
     pub fn of(poses: Poses, folder: &Path, views: usize, targets: Option<usize>) -> Result<Self> {
         let found: Vec<usize> = (0..poses.frames.len()).filter(|i| poses.frames[*i].photo.is_some()).collect();
         if found.len() <= views {
@@ -95,9 +88,6 @@ impl Choice {
     }
 
     /// Selects given frames; the scene name is for messages.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for an unknown frame, or one without a photo.
     pub fn given(poses: Poses, scene: &str, inputs: Vec<usize>, targets: Vec<usize>) -> Result<Self> {
         let frame = |i: usize| poses.frames.get(i).and_then(|frame| frame.photo.as_ref());
         if let Some(i) = inputs.iter().chain(&targets).find(|i| frame(**i).is_none()) {
@@ -109,8 +99,8 @@ impl Choice {
         Ok(Self { poses, inputs, targets })
     }
 
-    /// Perturbs all inputs but the first: rotates by degrees, and moves by as many percent of the
-    /// unit, in pseudorandom directions.
+    /// Perturbs all inputs but the first: rotates by degrees, and moves by percent of the unit, in
+    /// pseudorandom directions.
     pub fn disturb(&mut self, degrees: f64, unit: Option<f64>) -> Result<()> {
         if degrees == 0.0 {
             return Ok(());
@@ -131,27 +121,25 @@ impl Choice {
         Ok(())
     }
 
-    /// Returns the input photos.
     pub fn inputs(&self) -> Vec<PathBuf> {
         self.inputs.iter().filter_map(|i| self.poses.frames[*i].photo.clone()).collect()
     }
 
-    /// Returns the input frames, then the targets.
+    /// Input frames, then targets.
     pub fn frames(&self) -> impl Iterator<Item = &Frame> {
         self.inputs.iter().chain(&self.targets).map(|i| &self.poses.frames[*i])
     }
 
-    /// Returns the input frames.
     pub fn input_frames(&self) -> Vec<&Frame> {
         self.inputs.iter().map(|i| &self.poses.frames[*i]).collect()
     }
 
-    /// Finds a frame by name, chosen or not.
+    /// Finds a frame, chosen or not.
     pub fn frame(&self, name: &str) -> Option<&Frame> {
         self.poses.frames.iter().find(|frame| frame.name == name)
     }
 
-    /// Returns a digest of frames, photos and points.
+    /// Digest of frames, photos and points.
     pub fn digest(&self) -> Result<String> {
         let mut parts = vec![self.inputs.len().to_string()];
         for frame in self.frames() {
@@ -162,28 +150,24 @@ impl Choice {
         Ok(digest(&parts))
     }
 
-    /// Returns the notes of the camera reader.
+    /// Notes of the camera reader.
     pub fn notes(&self) -> &[String] {
         &self.poses.notes
     }
 
-    /// Returns the point cloud's file.
+    /// File of the point cloud.
     pub fn cloud(&self) -> Option<&Path> {
         self.poses.points.as_deref()
     }
 
-    /// Reads the point cloud into the first input's world and a unit.
+    /// Point cloud in the first input's world and a unit.
     pub fn points(&self, unit: &Unit) -> Result<Option<PointCloud>> {
         let to_world = self.poses.frames[self.inputs[0]].camera.pose.inverse();
         let cloud = self.poses.points.as_ref().map(read_cloud).transpose()?;
         Ok(cloud.map(|cloud| placed(cloud, &to_world, unit.length)))
     }
 
-    /// Reads the photos. `unit` is the length in the cameras' unit that becomes 1, by default
-    /// [`Unit::of`].
-    ///
-    /// # Errors
-    /// If a photo or the point cloud cannot be read.
+    /// `unit` is the length in the cameras' unit that becomes 1, by default [`Unit::of`].
     pub fn load(&self, seeing: Seeing, unit: Option<f64>, stage: &Stage<'_>) -> Result<Capture> {
         let frames: Vec<&Frame> = self.frames().collect();
         let paths: Vec<PathBuf> = frames.iter().filter_map(|frame| frame.photo.clone()).collect();
@@ -213,12 +197,12 @@ impl Choice {
 }
 
 impl Capture {
-    /// Returns notes on the photos and the unit.
+    /// Notes on photos and unit.
     pub fn notes(&self) -> impl Iterator<Item = String> {
         self.views.note.clone().into_iter().chain(self.unit.doubt())
     }
 
-    /// Returns the network input pictures.
+    /// Network input.
     pub fn images(&self) -> Vec<Image> {
         self.views.images.clone()
     }
@@ -227,12 +211,12 @@ impl Capture {
         self.views.cameras.clone()
     }
 
-    /// Returns the training views at the compared size.
+    /// Training views at the compared size.
     pub fn learnt(&self) -> (Vec<Image>, Vec<Camera>) {
         self.inputs.iter().map(|input| (input.image.clone(), input.camera)).unzip()
     }
 
-    /// Returns the input nearest to a photo.
+    /// Input nearest to a photo.
     pub fn nearest(&self, view: &Posed) -> &Posed {
         let distance = |other: &&Posed| other.camera.pose.translation.distance(view.camera.pose.translation);
         let nearest = self.inputs.iter().min_by(|a, b| distance(a).total_cmp(&distance(b)));
@@ -244,7 +228,6 @@ impl Capture {
         self.targets.par_iter().zip(drawn).map(|(view, drawn)| self.score(view, drawn)).collect()
     }
 
-    /// Adds LPIPS to the scores.
     pub fn look(&self, scores: &mut [Score], drawn: &[Vec<f32>], lpips: &mut Perceptual) -> Result<()> {
         for ((score, drawn), view) in scores.iter_mut().zip(drawn).zip(&self.targets) {
             let size = [view.image.width, view.image.height];
@@ -266,7 +249,7 @@ impl Capture {
     }
 }
 
-/// Resizes a picture to another's size: photos of a capture may differ.
+/// Resizes to another photo's size, which may differ.
 fn alike(image: &Image, to: &Image) -> Image {
     resize_lanczos(image, to.width, to.height).expect("neither is empty")
 }
@@ -278,7 +261,6 @@ pub fn draw(renderer: &mut Renderer, camera: &Camera) -> Result<Vec<f32>> {
 }
 
 impl Score {
-    /// Returns the mean of each score.
     pub fn mean(scores: &[Self]) -> Self {
         let mean = |value: fn(&Self) -> f64| scores.iter().map(value).sum::<f64>() / scores.len() as f64;
         Self {
@@ -310,7 +292,7 @@ pub fn farthest_points(points: &[DVec3], count: usize) -> Vec<usize> {
     chosen
 }
 
-/// Returns a direction by index; consecutive ones spread evenly.
+/// Direction by index; consecutive ones spread evenly.
 pub fn spread(k: usize) -> DVec3 {
     // R2 sequence (Roberts 2018).
     let [u, v] = [0.754_877_666_246_693, 0.569_840_290_998_053].map(|step| (0.5 + step * k as f64).fract());
@@ -319,7 +301,7 @@ pub fn spread(k: usize) -> DVec3 {
     DVec3::new((1.0 - z * z).sqrt() * cos, (1.0 - z * z).sqrt() * sin, z)
 }
 
-/// Reads a frame's photo at the compared size, relative to the camera `world`.
+/// Reads a photo at the compared size, relative to the camera `world`.
 fn posed(frame: &Frame, photo: &Image, seeing: Seeing, world: &Pose, label: &str) -> Result<Posed> {
     let view = seeing.compare(photo)?;
     let camera = seen_through(&frame.camera, &view.map, label)?;

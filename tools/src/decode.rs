@@ -18,15 +18,14 @@ use zipsplat::{
 
 /// Output options for [`read_ppm`].
 pub const AS_PPM: [&str; 6] = ["-f", "image2pipe", "-c:v", "ppm", "-pix_fmt", "rgb24"];
-/// Containers of videos and HEIC. Excludes playlists such as ffconcat, which name other files and
-/// addresses.
+/// Containers of videos and HEIC; excludes playlists, which name other files and addresses.
 const CONTAINERS: &str = "mov,matroska,avi,mpegts";
 const QUALITY: u8 = 95;
 /// Limit of ffmpeg lines in a message.
 const MOST_LINES: usize = 3;
 
-/// Runs ffmpeg on a file. A separate thread decodes its output with `read`; `take` gets the
-/// results. Returns ffmpeg's warnings.
+/// Runs ffmpeg on a file. A thread decodes its output with `read`; `take` gets the results. Returns
+/// ffmpeg's warnings.
 ///
 /// # Errors
 /// [`Error::Format`] with ffmpeg's message for an unreadable file, [`Error::Io`] without a message,
@@ -76,7 +75,7 @@ pub fn decode<T: Send + 'static>(
     }
 }
 
-/// Returns ffmpeg options to read this file only, without references.
+/// Options to read this file only, without references.
 pub fn input(file: &Path) -> impl Iterator<Item = OsString> {
     // A path may look like an option or a protocol.
     let mut name = OsString::from("file:");
@@ -85,7 +84,7 @@ pub fn input(file: &Path) -> impl Iterator<Item = OsString> {
     limits.map(OsString::from).into_iter().chain([name])
 }
 
-/// Returns ffmpeg's first distinct messages about a file, without its memory addresses.
+/// First distinct messages about a file, without ffmpeg's memory addresses.
 fn words(said: &str, file: &Path) -> String {
     let name = format!("file:{}: ", file.display());
     let mut lines: Vec<&str> = Vec::new();
@@ -103,10 +102,7 @@ fn words(said: &str, file: &Path) -> String {
     lines.join("; ")
 }
 
-/// Fills a buffer; returns false at the end of the stream.
-///
-/// # Errors
-/// Those of reading, and a truncated stream.
+/// Fills a buffer; false at the end of the stream.
 pub fn read_whole(from: &mut impl BufRead, to: &mut [u8]) -> io::Result<bool> {
     if from.fill_buf()?.is_empty() {
         return Ok(false);
@@ -115,9 +111,6 @@ pub fn read_whole(from: &mut impl BufRead, to: &mut [u8]) -> io::Result<bool> {
 }
 
 /// Reads a `P6` picture of maximum 255; `None` at the end of the stream.
-///
-/// # Errors
-/// Those of reading, and another format.
 pub fn read_ppm(from: &mut BufReader<ChildStdout>) -> io::Result<Option<Image>> {
     if from.fill_buf()?.is_empty() {
         return Ok(None);
@@ -146,10 +139,6 @@ pub fn read_ppm(from: &mut BufReader<ChildStdout>) -> io::Result<Option<Image>> 
     Ok(Some(Image { width, height, rgb }))
 }
 
-/// Writes a JPEG.
-///
-/// # Errors
-/// Those of [`Image::jpeg`]; [`Error::Io`].
 pub fn save_jpeg(image: &Image, path: &Path) -> Result<()> {
     let bytes = image.jpeg(QUALITY)?;
     write_atomic(path, |out| out.write_all(&bytes))

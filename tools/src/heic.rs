@@ -21,8 +21,8 @@ pub fn is_heic(path: &Path) -> bool {
     open_file(path).is_ok_and(|mut file| file.read_exact(&mut start).is_ok()) && is_heic_start(&start)
 }
 
-/// Converts HEIC pictures to upright JPEGs in a folder, in order: `IMG_1.HEIC` to `IMG_1.jpg`,
-/// duplicates to `IMG_1-1.jpg` and so on.
+/// Converts HEIC pictures to upright JPEGs in order: `IMG_1.HEIC` to `IMG_1.jpg`, duplicates to
+/// `IMG_1-1.jpg`.
 ///
 /// # Errors
 /// [`Error::Format`] with the conversion command if ffmpeg cannot read a picture; [`Error::Io`];
@@ -50,7 +50,7 @@ fn read(ffmpeg: &Path, picture: &Path, stage: &Stage<'_>) -> Result<Image> {
         joined |= line.contains("Tile Grid");
         Ok(())
     })?;
-    // Phones split a picture into tiles; older ffmpeg versions return only the first.
+    // Phones split pictures into tiles; older ffmpeg versions return only the first.
     if pictures > 1 && !joined {
         return Err(Error::format(picture, None, "ffmpeg finds tiles and cannot join them: 7.1 and later can"));
     }
@@ -63,7 +63,7 @@ fn read(ffmpeg: &Path, picture: &Path, stage: &Stage<'_>) -> Result<Image> {
     image.ok_or_else(|| Error::format(picture, None, format!("ffmpeg gives no picture: {said}")))
 }
 
-/// Adds the conversion command without ffmpeg.
+/// Adds the conversion command.
 fn advised(picture: &Path, error: Error) -> Error {
     let why = match error {
         Error::Cancelled => return error,

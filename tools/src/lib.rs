@@ -1,6 +1,6 @@
 //! The `zipsplat` command as a library: [`run`] maps arguments to an exit code.
 //!
-//! `commands` has one file per command, which connects the engine to options and output.
+//! `commands` has one file per command.
 
 pub mod align;
 mod animation;
@@ -71,7 +71,7 @@ struct Cli {
     command: Command,
 }
 
-/// Minimum bytes of the first clause of short help.
+/// Minimum bytes of short help.
 const SHORTEST_CLAUSE: usize = 30;
 /// Options in `-h` of large commands; `--help` shows all.
 const SHORT_HELP: [(&str, &[&str]); 2] = [
@@ -82,7 +82,7 @@ const SHORT_HELP: [(&str, &[&str]); 2] = [
     ("eval", &["folders", "output", "weights", "poses", "views", "targets", "pose_free", "refine", "csv"]),
 ];
 
-/// Hides the other options of these commands from `-h`, and shortens their help.
+/// Hides the other options from `-h`, and shortens all help.
 fn short_help(command: clap::Command) -> clap::Command {
     let command = command.mut_args(shortened);
     SHORT_HELP.into_iter().fold(command, |command, (name, shown)| {
@@ -138,7 +138,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>, terminal: Terminal<'_>) -> 
     }
 }
 
-/// Exit code of a cancelled command: 128 plus SIGINT.
+/// 128 plus SIGINT.
 const CANCELLED: u8 = 130;
 
 fn exit_code(error: &Error) -> u8 {

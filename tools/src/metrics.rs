@@ -30,7 +30,7 @@ pub fn mean_color(picture: &[f32]) -> Vec<f32> {
 /// 2004): the mean over channels and complete windows, with K1 = 0.01, K2 = 0.03.
 ///
 /// Matches scikit-image's `structural_similarity(a, b, win_size=11, data_range=1, channel_axis=-1,
-/// gaussian_weights=True)`. Variances are sample variances.
+/// gaussian_weights=True)`, with sample variances.
 pub fn ssim(a: &[f32], b: &[f32], width: usize, height: usize) -> f64 {
     assert!(a.len() == 3 * width * height && b.len() == a.len() && width.min(height) > 2 * RADIUS);
     let mean = |value: &dyn Fn(f64, f64) -> f64, channel: usize| {
@@ -54,7 +54,7 @@ pub fn ssim(a: &[f32], b: &[f32], width: usize, height: usize) -> f64 {
     sum / count as f64
 }
 
-/// Returns Gaussian-weighted means of all complete windows.
+/// Gaussian-weighted means of complete windows.
 fn filter(values: &[f64], width: usize) -> Vec<f64> {
     let taps: [f64; 2 * RADIUS + 1] =
         std::array::from_fn(|i| (-0.5 * ((i as f64 - RADIUS as f64) / SIGMA).powi(2)).exp());

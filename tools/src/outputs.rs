@@ -46,7 +46,6 @@ const MARKS: [(&[u8], &[u8]); 21] = [
     (b"Method,P,K", b"Method,P,K"),
 ];
 
-/// Overwrite option.
 #[derive(Args, Clone, Copy)]
 pub struct Overwrite {
     /// Replace files of other programs; own files are always replaced
@@ -55,21 +54,17 @@ pub struct Overwrite {
 }
 
 impl Overwrite {
-    /// Returns true if `--overwrite` is given.
     pub fn is_given(self) -> bool {
         self.overwrite
     }
 
-    /// Checks that a file is writable and replaces none of other programs.
+    /// Checks that a file is writable and replaces no other program's.
     pub fn check_file(self, path: &Path) -> Result<()> {
         check_file(path)?;
         self.check_replaced([path])
     }
 
     /// Checks that files replace only own ones.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] names the first that does not.
     pub fn check_replaced<P: AsRef<Path>>(self, files: impl IntoIterator<Item = P>) -> Result<()> {
         let mut files = files.into_iter();
         match files.find(|file| !self.overwrite && is_file(file.as_ref()) && !is_own(file.as_ref())) {
@@ -84,12 +79,11 @@ impl Overwrite {
     }
 }
 
-/// Returns true for a nonempty regular file; pipes and devices are not replaced.
+/// True for a nonempty regular file; pipes and devices are not replaced.
 fn is_file(path: &Path) -> bool {
     path.metadata().is_ok_and(|found| found.is_file() && found.len() > 0)
 }
 
-/// Detects a file of this program.
 pub fn is_own(path: &Path) -> bool {
     let read = || {
         let (mut file, mut bytes) = (File::open(path)?, Vec::new());
@@ -103,8 +97,8 @@ pub fn is_own(path: &Path) -> bool {
     read().is_ok_and(|bytes| MARKS.iter().any(|(start, mark)| bytes.starts_with(start) && holds(&bytes, mark)))
 }
 
-/// Removes `own` files of a longer earlier run: names that begin with a number of at least three
-/// digits, from `count` on.
+/// Removes `own` files of a longer earlier run: names that begin with at least three digits, from
+/// `count` on.
 pub fn remove_stale(folder: &Path, count: usize, own: impl Fn(&Path) -> bool) -> Result<()> {
     let failed = |error| Error::io(folder, error);
     for entry in folder.read_dir().map_err(failed)? {
@@ -120,7 +114,7 @@ pub fn remove_stale(folder: &Path, count: usize, own: impl Fn(&Path) -> bool) ->
     Ok(())
 }
 
-/// Checks `path` by creating and removing a temporary file beside it.
+/// Creates and removes a temporary file beside `path`.
 fn check_file(path: &Path) -> Result<()> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     if path.is_dir() || path.file_name().is_none() {
@@ -146,8 +140,8 @@ pub fn check_folder(path: &Path) -> Result<()> {
     }
 }
 
-/// Writes a scene with its world, if known, so that `render` interprets cameras in that world.
-/// Returns a note if the format cannot store it.
+/// Writes a scene with its world, so that `render` interprets cameras in it. Returns a note if the
+/// format cannot store it.
 pub fn save_scene(path: &Path, scene: &Scene, options: &WriteOptions, world: Option<&World>) -> Result<Option<String>> {
     write_scene_in(path, scene, options, world)?;
     let keeps = SceneFormat::of_extension(path).is_none_or(|format| format.keeps_world(options));
@@ -162,13 +156,13 @@ pub fn save_scene(path: &Path, scene: &Scene, options: &WriteOptions, world: Opt
     })
 }
 
-/// Writes rows as CSV (RFC 4180) with field names.
+/// CSV (RFC 4180) with field names.
 pub fn save_csv(path: &Path, rows: &[impl Serialize]) -> Result<()> {
     let table = csv(rows);
     write_atomic(path, |out| out.write_all(table.as_bytes()))
 }
 
-/// Formats rows as CSV with field names; fields are numbers, text or absent.
+/// Fields are numbers, text or absent.
 pub fn csv(rows: &[impl Serialize]) -> String {
     let mut table = csv::Writer::from_writer(Vec::new());
     rows.iter().for_each(|row| table.serialize(row).expect("flat rows of one type, written to memory"));
@@ -176,7 +170,6 @@ pub fn csv(rows: &[impl Serialize]) -> String {
     String::from_utf8(bytes).expect("fields are text")
 }
 
-/// Creates a folder if missing.
 pub fn make_folder(path: &Path) -> Result<()> {
     std::fs::create_dir_all(path).map_err(|error| Error::io(path, error))
 }
@@ -185,25 +178,24 @@ pub fn save_picture(path: &Path, image: &Image) -> Result<()> {
     save_png(path, [image.width, image.height], (ColorType::Rgb, BitDepth::Eight), &image.rgb)
 }
 
-/// Writes alpha in 0..1 as 8-bit gray.
+/// Alpha in 0..1 as 8-bit gray.
 pub fn save_alpha(path: &Path, width: u32, height: u32, alpha: &[f32]) -> Result<()> {
     let levels: Vec<u8> = alpha.iter().map(|a| (a.clamp(0.0, 1.0) * 255.0).round() as u8).collect();
     save_png(path, [width, height], (ColorType::Grayscale, BitDepth::Eight), &levels)
 }
 
-/// Writes depth in world units as 16-bit gray, [`DEPTH_LEVELS`] per unit, saturated.
+/// Depth as 16-bit gray, [`DEPTH_LEVELS`] per world unit, saturated.
 pub fn save_depth(path: &Path, width: u32, height: u32, depth: &[f32]) -> Result<()> {
     save_depth_levels(path, [width, height], depth, DEPTH_LEVELS)
 }
 
-/// As [`save_depth`] at other levels per unit.
 pub fn save_depth_levels(path: &Path, size: [u32; 2], depth: &[f32], levels: f32) -> Result<()> {
     // Casting saturates; PNG is big-endian.
     let levels: Vec<u8> = depth.iter().flat_map(|d| ((d * levels).round() as u16).to_be_bytes()).collect();
     save_png(path, size, (ColorType::Grayscale, BitDepth::Sixteen), &levels)
 }
 
-/// Writes a PNG with the author mark for [`is_own`].
+/// Writes the author mark for [`is_own`].
 fn save_png(path: &Path, [width, height]: [u32; 2], (color, depth): (ColorType, BitDepth), bytes: &[u8]) -> Result<()> {
     write_atomic(path, |out| {
         let mut encoder = png::Encoder::new(out, width, height);

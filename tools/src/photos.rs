@@ -26,14 +26,12 @@ use zipsplat::{
     },
 };
 
-/// Photo extensions in folders.
 const EXTENSIONS: [&str; 4] = ["png", "jpg", "jpeg", "webp"];
-/// Limit of files or folders named in a message.
+/// Limit of names in a message.
 const NAMED: usize = 5;
-/// Cropped share of the photos' area that needs a warning.
+/// Cropped share of the area that needs a warning.
 const CROPPED: f64 = 0.1;
 
-/// Photos of a command.
 #[derive(Args)]
 pub struct PhotoArgs {
     /// Photos (PNG, JPEG, WebP; HEIC with ffmpeg), folders of them in natural order, or videos, by
@@ -56,7 +54,6 @@ pub struct Reading {
 }
 
 impl PhotoArgs {
-    /// Calls [`Reading::list`].
     pub fn list(
         &self,
         session: &mut Session<'_>,
@@ -68,9 +65,8 @@ impl PhotoArgs {
 }
 
 impl Reading {
-    /// Lists the photos as [`list`], and converts videos and HEIC with ffmpeg: `frames` per video,
-    /// or a default number. The folder of converted photos lies beside their camera file, if any,
-    /// and may exist if the flag allows it.
+    /// Lists the photos as [`list`], and converts videos and HEIC: `frames` per video, or a
+    /// default. The folder of converted photos lies beside their camera file, if any.
     pub fn list(
         &self,
         session: &mut Session<'_>,
@@ -112,9 +108,6 @@ impl Reading {
 
 /// Lists files as given, and photos of folders in natural order. Notes skipped files, except hidden
 /// ones.
-///
-/// # Errors
-/// A missing path, or a folder without photos.
 pub fn list(session: &mut Session<'_>, paths: &[PathBuf]) -> Result<Vec<PathBuf>> {
     let mut photos = Vec::new();
     for path in paths {
@@ -139,7 +132,7 @@ fn list_path(session: &mut Session<'_>, path: &Path, recursive: bool) -> Result<
     }
 }
 
-/// Lists photos of a folder and its nested folders. Links to folders are skipped against cycles.
+/// Skips links to folders against cycles.
 fn list_below(folder: &Path, photos: &mut Vec<PathBuf>) -> Result<()> {
     let mut entries = visible(folder)?;
     entries.sort_by(by_name);
@@ -164,7 +157,7 @@ fn list_folder(session: &mut Session<'_>, folder: &Path) -> Result<Vec<PathBuf>>
         if !below.is_empty() {
             return Err(Error::argument(what, "none", format!("files there, or the folder that has them: {below}")));
         }
-        // An error about the file's format and conversion is more helpful.
+        // The first file's format may explain the missing photos.
         others.first().map_or(Ok((0, 0)), Image::size)?;
         let expected = format!("files that end in {}", EXTENSIONS.join(", "));
         return Err(Error::argument(what, "none", expected));
@@ -185,7 +178,7 @@ fn list_folder(session: &mut Session<'_>, folder: &Path) -> Result<Vec<PathBuf>>
     Ok(photos)
 }
 
-/// Returns the photos directly in a folder, in natural order.
+/// Photos directly in a folder, in natural order.
 pub fn directly_in(folder: &Path) -> Result<Vec<PathBuf>> {
     let mut found = visible(folder)?;
     found.retain(|path| path.is_file() && is_photo(path));
@@ -193,7 +186,7 @@ pub fn directly_in(folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(found)
 }
 
-/// Returns the nested folders, in natural order.
+/// Nested folders, in natural order.
 pub fn folders_in(folder: &Path) -> Result<Vec<PathBuf>> {
     let mut found = visible(folder)?;
     found.retain(|path| path.is_dir());
@@ -210,7 +203,7 @@ fn photos_among(files: Vec<PathBuf>) -> (Vec<PathBuf>, Vec<PathBuf>) {
     files.into_iter().partition(|path| is_photo(path) || is_heic(path) && !is_copied(path))
 }
 
-/// Returns the entries of a folder except hidden ones, such as macOS's `._000.jpg`.
+/// Excludes hidden files, such as macOS's `._000.jpg`.
 fn visible(folder: &Path) -> Result<Vec<PathBuf>> {
     let failed = |error| Error::io(folder, error);
     let mut found = Vec::new();
@@ -228,7 +221,6 @@ fn is_photo(path: &Path) -> bool {
     extension.is_some_and(|e| EXTENSIONS.contains(&e.as_str()))
 }
 
-/// Names the folders with photos, for messages.
 fn folders_of_photos(mut folders: Vec<PathBuf>) -> String {
     let has_photos = |folder: &PathBuf| visible(folder).is_ok_and(|files| files.iter().any(|file| is_photo(file)));
     folders.retain(has_photos);
@@ -246,9 +238,6 @@ fn named(paths: &[PathBuf], name: impl Fn(&PathBuf) -> String) -> String {
 
 /// Keeps photos with a camera among `poses`, and notes the others: structure from motion often
 /// skips photos.
-///
-/// # Errors
-/// No photo with a camera, or an ambiguous one.
 pub fn posed(session: &mut Session<'_>, photos: Vec<PathBuf>, poses: &Poses) -> Result<Vec<PathBuf>> {
     let (mut kept, mut others) = (Vec::new(), Vec::new());
     for photo in photos {
@@ -256,7 +245,7 @@ pub fn posed(session: &mut Session<'_>, photos: Vec<PathBuf>, poses: &Poses) -> 
         to.push(photo);
     }
     if kept.is_empty() {
-        // Reports the expected names for the first one.
+        // Reports the expected names of the first one.
         poses.frames_of(&others[..others.len().min(1)])?;
     }
     if !others.is_empty() {
@@ -265,12 +254,12 @@ pub fn posed(session: &mut Session<'_>, photos: Vec<PathBuf>, poses: &Poses) -> 
     Ok(kept)
 }
 
-/// Names the first few files.
+/// First few file names.
 pub fn names(files: &[PathBuf]) -> String {
     named(files, |path| path.file_name().unwrap_or_default().to_string_lossy().into_owned())
 }
 
-/// Selects at most `count` photos, evenly spread, with the first and the last.
+/// At most `count` photos, evenly spread, with the first and the last.
 pub fn spread(photos: Vec<PathBuf>, count: usize) -> Vec<PathBuf> {
     if photos.len() <= count {
         return photos;
@@ -310,7 +299,7 @@ fn end_of_digits(text: &str) -> usize {
 /// by [`Frame::open`]: COLMAP's cameras apply to pixels without the EXIF orientation.
 ///
 /// # Errors
-/// The first photo's in order that cannot be read, and those of `make`.
+/// That of the first unreadable photo, and those of `make`.
 pub fn read<T: Send>(
     photos: &[PathBuf],
     frames: &[&Frame],
@@ -328,7 +317,7 @@ pub fn read<T: Send>(
     photos.par_iter().enumerate().map(read).collect::<Vec<_>>().into_iter().collect()
 }
 
-/// Returns a warning if much of these photos is cropped.
+/// Warning about much cropping.
 pub fn cropping(photos: &[[u32; 2]], Size(width, height): Size) -> Option<String> {
     let area = |width: u32, height: u32| f64::from(width) * f64::from(height);
     let kept = |[w, h]: &[u32; 2]| {

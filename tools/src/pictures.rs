@@ -18,35 +18,31 @@ use zipsplat::{
     types::{Camera, Image, resample::resize_lanczos},
 };
 
-/// Contact sheet file.
 pub const SHEET: &str = "contact.png";
-/// Limit of a contact sheet's sides; pictures are scaled down to fit.
+/// Contact sheet limit; pictures are scaled down to fit.
 const SHEET_SIDE: u32 = 4096;
 /// Pictures per write batch; another batch may queue.
 const BATCH: u64 = 8;
-/// Pixels per write batch.
 const BATCH_PIXELS: u64 = 1 << 24;
-/// Deviation from the background of a visible pixel: half a level of 256.
+/// Half a level of 256.
 const VISIBLE: f32 = 0.5 / 255.0;
 
-/// Destinations of pictures.
 #[derive(Default)]
 pub struct Sinks<'a> {
     pub folder: Option<&'a Path>,
-    /// Raw bytes of the pictures.
+    /// Raw bytes.
     pub raw: Option<&'a mut dyn Write>,
     pub animation: Option<Animation>,
 }
 
-/// Result of drawing.
 pub struct Drawn {
-    /// Thumbnails of a folder's pictures for its contact sheet.
+    /// Thumbnails for a contact sheet.
     pub small: Vec<Image>,
     /// True if only the background is visible.
     pub empty: bool,
 }
 
-/// Names the optional files of a picture beside `000.png`.
+/// Optional files beside `000.png`.
 fn layers(request: &RenderRequest) -> [(&'static str, bool); 5] {
     [
         ("", request.rgb),
@@ -61,14 +57,12 @@ fn file(folder: &Path, number: usize, layer: &str) -> PathBuf {
     folder.join(format!("{number:03}{layer}.png"))
 }
 
-/// Returns the files of a picture folder.
 pub fn files(folder: &Path, count: usize, request: &RenderRequest) -> impl Iterator<Item = PathBuf> {
     let asked = layers(request).into_iter().filter(|(_, asked)| *asked);
     let files = asked.flat_map(move |(layer, _)| (0..count).map(move |number| (number, layer)));
     files.map(|(number, layer)| file(folder, number, layer)).chain([folder.join(SHEET)])
 }
 
-/// Renders and writes every picture.
 pub fn draw(
     renderer: &mut Renderer,
     cameras: &[Camera],
@@ -101,7 +95,7 @@ pub fn sheet_columns(frames: usize) -> usize {
     (1..).find(|columns| columns * columns >= frames).unwrap_or(frames)
 }
 
-/// Returns the pictures per batch: up to [`BATCH`], fewer for large ones.
+/// Up to [`BATCH`], fewer for large pictures.
 fn batch(cameras: &[Camera]) -> usize {
     let pixels = |camera: &Camera| u64::from(camera.intrinsics.width) * u64::from(camera.intrinsics.height);
     let largest = cameras.iter().map(pixels).max().unwrap_or(0).max(1);
@@ -114,7 +108,6 @@ struct Writer<'a> {
     encoder: Option<Box<dyn Encoder>>,
     drawn: Drawn,
     background: [f32; 3],
-    /// Total number of pictures.
     frames: usize,
 }
 
@@ -158,7 +151,7 @@ impl Writer<'_> {
     }
 }
 
-/// Returns true for a picture of only background.
+/// True for only background.
 fn is_empty(frame: &Frame, background: [f32; 3]) -> bool {
     let pixels = frame.rgb.as_deref().unwrap_or_default().chunks_exact(3);
     let mut pairs = pixels.flat_map(|pixel| pixel.iter().zip(background));
@@ -169,7 +162,7 @@ fn image(frame: &Frame) -> Result<Image> {
     Image::from_rgb_f32(frame.width, frame.height, frame.rgb.as_deref().unwrap_or_default())
 }
 
-/// Writes a picture and returns its thumbnail.
+/// Returns the thumbnail.
 fn save(folder: &Path, number: usize, frame: &Frame, image: &Image, frames: usize) -> Result<Image> {
     let &Frame { width, height, .. } = frame;
     let path = |layer: &str| file(folder, number, layer);

@@ -14,15 +14,15 @@ use std::{
 };
 use zipsplat::{Error, Result};
 
-/// Interval between checks for a program's end or cancellation.
+/// Interval between checks for the end or cancellation.
 pub const POLL: Duration = Duration::from_millis(10);
 /// Timeout for the last output of an ended process.
 const LAST_WORDS: Duration = Duration::from_secs(2);
 
-/// Running process groups, for [`end_all`].
+/// Process groups for [`end_all`].
 static STARTED: Mutex<Vec<u32>> = Mutex::new(Vec::new());
 
-/// Process in its own group. The group ends when this is dropped or this command is killed.
+/// Process in its own group, which ends on drop or with this command.
 pub struct Running(pub Child, Option<Child>);
 
 /// Reads a group number, then kills the group at the end of standard input, which closes with this
@@ -31,12 +31,12 @@ pub struct Running(pub Child, Option<Child>);
 const WATCH: &str = "read -r group || exit; read -r _; kill -s KILL -- \"-$group\"";
 
 impl Running {
-    /// Starts a program in its own group: Ctrl-C reaches only this command, which ends it.
+    /// Starts a program in its own group: only this command receives Ctrl-C.
     pub fn start(command: &mut Command) -> io::Result<Self> {
         set_group(command);
-        // Held during the start, so that [`end_all`] finds the process.
+        // So that [`end_all`] finds the process.
         let mut started = lock(&STARTED);
-        // Started first, so that a later kill of this command ends the program.
+        // Before the program, so that a kill of this command ends it.
         let mut watch = watch();
         let child = match command.spawn() {
             Ok(child) => child,
@@ -54,9 +54,6 @@ impl Running {
     }
 
     /// Waits for the end, or for cancellation.
-    ///
-    /// # Errors
-    /// [`Error::Io`] naming `program`, and [`Error::Cancelled`].
     pub fn wait(&mut self, program: &OsStr, stage: &Stage<'_>) -> Result<ExitStatus> {
         loop {
             if let Some(status) = self.0.try_wait().map_err(|source| Error::io(program, source))? {
@@ -90,7 +87,7 @@ fn set_group(command: &mut Command) {
     std::os::unix::process::CommandExt::process_group(command, 0);
 }
 
-/// Starts a shell that ends a group if this command is killed; `None` without a shell.
+/// Shell that ends a group if this command is killed; `None` without a shell.
 #[cfg(unix)]
 fn watch() -> Option<Child> {
     let mut command = Command::new("/bin/sh");
@@ -114,7 +111,7 @@ fn end_watch(watch: &mut Option<Child>) {
 impl Drop for Running {
     fn drop(&mut self) {
         self.end();
-        // Before `wait`: afterwards the number may belong to another process.
+        // After `wait` the number may belong to another process.
         end_watch(&mut self.1);
         lock(&STARTED).retain(|id| *id != self.0.id());
         // Reaps the child.
@@ -145,14 +142,14 @@ fn lock(started: &Mutex<Vec<u32>>) -> std::sync::MutexGuard<'_, Vec<u32>> {
 /// Runs a program and passes every line of its output and errors to `line`.
 ///
 /// # Errors
-/// [`Error::Io`] naming a program that cannot start, the first of `line`, and [`Error::Cancelled`].
+/// [`Error::Io`] for a failed start, the first of `line`, and [`Error::Cancelled`].
 pub fn run(command: &mut Command, stage: &Stage<'_>, mut line: impl FnMut(&str) -> Result<()>) -> Result<ExitStatus> {
     let program = command.get_program().to_owned();
     let failed = |source| Error::io(&program, source);
     let (reader, writer) = io::pipe().map_err(failed)?;
     command.stdin(Stdio::null()).stdout(writer.try_clone().map_err(failed)?).stderr(writer);
     let mut running = Running::start(command).map_err(failed)?;
-    // Drops this command's pipe ends, so that the reader sees the end.
+    // Drops our pipe ends, so that the reader sees the end.
     command.stdout(Stdio::null()).stderr(Stdio::null());
     let (send, lines) = channel();
     std::thread::spawn(move || {
@@ -183,7 +180,7 @@ pub fn run(command: &mut Command, stage: &Stage<'_>, mut line: impl FnMut(&str) 
     running.wait(&program, stage)
 }
 
-/// Checks that a program runs with `-version`; `name` and `expected` are for the message.
+/// Checks that a program runs; `name` and `expected` are for the message.
 pub fn check(program: &Path, name: &str, expected: &str) -> Result<()> {
     let mut command = Command::new(program);
     command.arg("-version").stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
@@ -195,7 +192,7 @@ pub fn check(program: &Path, name: &str, expected: &str) -> Result<()> {
     Err(Error::argument(name, format!("{}: {reason}", program.display()), expected))
 }
 
-/// Returns a program's output and errors; ignores its exit code.
+/// Output and errors of a program with any exit code.
 pub fn printed(command: &mut Command, stage: &Stage<'_>) -> Result<String> {
     let mut text = String::new();
     run(command, stage, |line| {
@@ -206,7 +203,7 @@ pub fn printed(command: &mut Command, stage: &Stage<'_>) -> Result<String> {
     Ok(text)
 }
 
-/// Reads a stream in a thread: a full pipe would block the writer.
+/// Reads in a thread: a full pipe would block the writer.
 pub fn listen(stream: impl Read + Send + 'static) -> std::thread::JoinHandle<String> {
     std::thread::spawn(move || said(stream))
 }
@@ -218,9 +215,9 @@ fn said(mut stream: impl Read) -> String {
     String::from_utf8_lossy(&said).into_owned()
 }
 
-/// Returns a program's failure with its message, or its exit status.
+/// Failure by a program's message, or its exit status.
 pub fn failure(program: &Path, said: &str, status: impl ToString) -> Error {
     let words = if said.trim().is_empty() { status.to_string() } else { said.trim().to_owned() };
-    // Not a broken pipe, which is reserved for our own output.
+    // A broken pipe means our own output.
     Error::io(program, io::Error::other(words))
 }

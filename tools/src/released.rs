@@ -4,17 +4,14 @@ use crate::download::{Client, TAG};
 use std::path::{Path, PathBuf};
 use zipsplat::{Error, Result, tune::cache_folder, weights::DepthCheckpoint};
 
-/// Released weights.
 pub struct Released {
-    /// Name for `--weights`.
     pub name: &'static str,
     pub what: &'static str,
     pub licence: &'static str,
-    /// Terms of the license for a user.
+    /// License terms for a user.
     pub terms: &'static str,
-    /// Approximate download size in bytes.
+    /// Approximate download size.
     pub bytes: u64,
-    /// Kind of network.
     pub kind: Kind,
     repository: &'static str,
     file: &'static str,
@@ -22,7 +19,6 @@ pub struct Released {
     kept_as: &'static str,
 }
 
-/// Kind of network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// ZipSplat, converted to f16 safetensors.
@@ -31,7 +27,6 @@ pub enum Kind {
     Depth,
 }
 
-/// All released weights.
 pub const RELEASED: [Released; 7] = [
     Released {
         name: "zipsplat",
@@ -88,7 +83,7 @@ const APACHE: &str = "Apache-2.0";
 const FREE: &str = "any use; keep the notices";
 const NO_COMMERCE: &str = "name the authors; no commercial use";
 
-/// Returns weights of Depth Anything 3, with the stricter of its licenses.
+/// With the stricter of two licenses.
 const fn of_depth(name: &'static str, repository: &'static str, kept_as: &'static str) -> Released {
     Released {
         name,
@@ -107,28 +102,24 @@ const fn of_depth(name: &'static str, repository: &'static str, kept_as: &'stati
 const CONVERTED: &str = "-f16.safetensors";
 
 impl Released {
-    /// Finds weights by name.
     pub fn named(name: &str) -> Option<&'static Self> {
         RELEASED.iter().find(|released| released.name == name)
     }
 
-    /// Returns the address at the hub.
     pub fn address(&self, client: &Client) -> String {
         client.address(self.repository, "main", self.file)
     }
 
-    /// Returns the download command.
     pub fn command(&self) -> String {
         format!("zipsplat weights get {}", self.name)
     }
 
-    /// Returns the base path of download and conversion.
+    /// Base path of download and conversion.
     pub fn base(&self, folder: &Path) -> PathBuf {
         folder.join(self.kept_as)
     }
 
-    /// Returns the path of a file's conversion, with its hash; the file itself for unconverted
-    /// weights.
+    /// A file's conversion, with its hash; the file itself for unconverted weights.
     pub fn converted(&self, loaded: &Path) -> PathBuf {
         let stem = loaded.file_stem().unwrap_or_default().to_string_lossy();
         match self.kind {
@@ -137,7 +128,7 @@ impl Released {
         }
     }
 
-    /// Returns usable cached weights, newest first.
+    /// Usable cached weights, newest first.
     pub fn cached(&self, folder: &Path) -> Vec<PathBuf> {
         match self.kind {
             Kind::Tokens => self.tagged(folder, CONVERTED),
@@ -145,7 +136,7 @@ impl Released {
         }
     }
 
-    /// Returns verified, unconverted downloads, newest first.
+    /// Verified, unconverted downloads, newest first.
     pub fn loaded(&self, folder: &Path) -> Vec<PathBuf> {
         self.tagged(folder, &self.kept_as[self.stem().len()..])
     }
@@ -154,7 +145,7 @@ impl Released {
         self.kept_as.rsplit_once('.').map_or(self.kept_as, |(stem, _)| stem)
     }
 
-    /// Returns files named by these weights, a hash, and `ending`.
+    /// Files named by these weights, a hash, and `ending`.
     fn tagged(&self, folder: &Path, ending: &str) -> Vec<PathBuf> {
         let tag = |name: &str| {
             let tag = name.strip_prefix(self.stem())?.strip_prefix('-')?.strip_suffix(ending)?;
@@ -169,16 +160,13 @@ impl Released {
     }
 }
 
-/// Returns the weights folder of the user's cache.
-///
-/// # Errors
-/// [`Error::Argument`] if the environment defines none.
+/// Weights folder of the user's cache.
 pub fn folder() -> Result<PathBuf> {
     let cache = cache_folder().map(|cache| cache.join("weights"));
     cache.ok_or_else(|| Error::argument("cache folder", "none", "ZIPSPLAT_CACHE, or HOME, in the environment"))
 }
 
-/// Returns the file of named weights; `None` if `name` is no name.
+/// Finds a named file; `None` if `name` is no name.
 ///
 /// # Errors
 /// [`Error::Argument`] for an unknown bare word, and for uncached weights with the download
@@ -208,16 +196,13 @@ fn check_name(name: &str) -> Result<()> {
     Err(Error::argument("weights", name, expected))
 }
 
-/// Returns true for Depth Anything 3, by name or by a file's tensors.
+/// True for Depth Anything 3, by name or by a file's tensors.
 pub fn is_of_depth(text: &str) -> bool {
     Released::named(text).map_or_else(|| DepthCheckpoint::is_meant(text), |released| released.kind == Kind::Depth)
 }
 
 /// Opens weights of Depth Anything 3: a name, `seeded:NAME`, or a file. `whole` includes any
 /// Gaussian head.
-///
-/// # Errors
-/// As [`find`] and [`DepthCheckpoint::open`]; [`Error::Argument`] for another network's name.
 pub fn open_depth(text: &str, whole: bool) -> Result<DepthCheckpoint> {
     if Released::named(text).is_some_and(|released| released.kind != Kind::Depth) {
         let names = RELEASED.iter().filter(|released| released.kind == Kind::Depth).map(|released| released.name);

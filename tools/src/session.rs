@@ -27,7 +27,7 @@ use zipsplat::{
     weights::Checkpoint,
 };
 
-/// Interval between checks for Ctrl-C while waiting for an answer.
+/// Interval between checks for Ctrl-C.
 const POLL: Duration = Duration::from_millis(50);
 /// Value of `--device` without a device.
 const NO_DEVICE: &str = "none";
@@ -64,17 +64,15 @@ pub struct Global {
     pub quiet: bool,
 }
 
-/// Global options and terminal of a command.
 pub struct Session<'a> {
     global: Global,
     terminal: Terminal<'a>,
     /// Standard output carries data, so the result goes to standard error.
     piped: bool,
-    /// Exit code of a successful command.
     code: u8,
-    /// Task of the stages, such as one of several scenes.
+    /// Label of the stages, such as one of several scenes.
     task: String,
-    /// Earliest time of the next progress line, for all stages.
+    /// Of all stages.
     next_line: Mutex<Instant>,
 }
 
@@ -96,18 +94,17 @@ impl<'a> Session<'a> {
         Ok(device)
     }
 
-    /// Returns the device request, for a later opening.
+    /// For a later opening.
     pub fn device_options(&self) -> DeviceOptions {
         let Global { device, memory, .. } = &self.global;
         DeviceOptions { selector: device.clone(), max_memory_bytes: *memory, ..DeviceOptions::default() }
     }
 
-    /// Returns true for `--device none`, a plan for an ordinary device.
+    /// True for `--device none`, a plan for an ordinary device.
     pub fn plans_for_none(&self) -> bool {
         self.global.device.as_deref() == Some(NO_DEVICE)
     }
 
-    /// Returns true for an explicit device.
     pub fn names_device(&self) -> bool {
         self.global.device.is_some()
     }
@@ -126,8 +123,7 @@ impl<'a> Session<'a> {
         Ok((value, start.elapsed()))
     }
 
-    /// Chooses the arithmetic of a precision, or of the device's best. The first use on a device
-    /// self-tests its kernels, with progress.
+    /// The first use of a precision on a device self-tests its kernels, with progress.
     pub fn choose(&self, device: &Device, precision: Option<Precision>) -> Result<Chosen> {
         let chosen = self.stage("first use", |stage| {
             Chosen::of_with(device, precision, |kernel, done| {
@@ -138,7 +134,6 @@ impl<'a> Session<'a> {
         Ok(chosen?.0)
     }
 
-    /// Loads weights, with progress.
     pub fn load_model(
         &self,
         device: &Device,
@@ -148,7 +143,6 @@ impl<'a> Session<'a> {
         self.stage("load weights", |stage| Model::load_with(device, checkpoint, arithmetic, |done| stage.at(done)))
     }
 
-    /// Reconstructs, with progress.
     pub fn reconstruct(
         &self,
         model: &Model,
@@ -163,7 +157,7 @@ impl<'a> Session<'a> {
         })
     }
 
-    /// Reconstructs a scene and any requested tokens from one backbone pass, with progress.
+    /// Runs the backbone once for a scene and any requested tokens.
     pub fn reconstruct_with_tokens(
         &self,
         model: &Model,
@@ -209,7 +203,6 @@ impl<'a> Session<'a> {
         std::mem::replace(&mut self.terminal.out, Box::leak(Box::new(std::io::sink())))
     }
 
-    /// Returns the stop flag.
     pub fn cancelled(&self) -> &'a AtomicBool {
         self.terminal.cancelled
     }
@@ -224,7 +217,6 @@ impl<'a> Session<'a> {
         self.code
     }
 
-    /// Prints a note.
     pub fn note(&mut self, text: impl Display) {
         if !self.global.quiet {
             // A failed note does not stop the command.
@@ -232,15 +224,11 @@ impl<'a> Session<'a> {
         }
     }
 
-    /// Prints notes.
     pub fn notes<T: Display>(&mut self, texts: impl IntoIterator<Item = T>) {
         texts.into_iter().for_each(|text| self.note(text));
     }
 
     /// Asks on standard error and reads a line of standard input.
-    ///
-    /// # Errors
-    /// [`Error::Cancelled`]; [`Error::Io`] without an interactive input.
     pub fn ask(&mut self, question: &str) -> Result<String> {
         let asked = write!(self.terminal.err, "{question}").and_then(|()| self.terminal.err.flush());
         asked.map_err(|error| Error::io("standard error", error))?;
@@ -259,7 +247,6 @@ impl<'a> Session<'a> {
         }
     }
 
-    /// Prints an error as one line, as JSON with `--json`.
     pub fn complain(&mut self, error: &Error, code: u8) {
         let mut lines: Vec<_> = error.to_string().lines().map(|line| line.trim().to_owned()).collect();
         if let Error::Memory { needed, available, .. } = error {
@@ -274,12 +261,12 @@ impl<'a> Session<'a> {
     }
 }
 
-/// Returns the one-line JSON of an error.
+/// One-line JSON of an error.
 pub fn error_as_json(text: &str, kind: &str, code: u8) -> String {
     serde_json::json!({ "error": text, "kind": kind, "exit_code": code }).to_string()
 }
 
-/// Returns the kind of an error for programs.
+/// Kind of an error for programs.
 fn kind(error: &Error) -> &'static str {
     match error {
         Error::Argument { .. } => "argument",

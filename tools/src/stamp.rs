@@ -4,7 +4,7 @@ use sha2::{Digest, Sha256};
 use std::{path::Path, time::SystemTime};
 use zipsplat::{Error, Result};
 
-/// Returns a file's name, size and time.
+/// Name, size and time.
 pub fn stamp(path: &Path) -> Result<String> {
     let failed = |error| Error::io(path, error);
     let found = path.metadata().map_err(failed)?;
@@ -12,7 +12,6 @@ pub fn stamp(path: &Path) -> Result<String> {
     Ok(format!("{} {} {}\n", path.file_name().unwrap_or_default().to_string_lossy(), found.len(), time.as_nanos()))
 }
 
-/// Returns a hexadecimal digest of several texts.
 pub fn digest(parts: &[String]) -> String {
     let mut hash = Sha256::new();
     parts.iter().for_each(|part| hash.update(part));

@@ -13,7 +13,6 @@ use std::{
 };
 use zipsplat::{Error, Result};
 
-/// Video extensions.
 const EXTENSIONS: [&str; 8] = ["mp4", "mov", "m4v", "avi", "mkv", "webm", "3gp", "mts"];
 /// Default number of photos from a video.
 pub const FRAMES: usize = 24;
@@ -24,7 +23,7 @@ const REGULAR: &str = "setpts=N/25/TB";
 /// Excludes cover pictures.
 const PICTURES: [&str; 2] = ["-map", "0:v:0"];
 
-/// Folder for ffmpeg's photos, removed on drop unless kept.
+/// Removed on drop unless kept.
 pub struct FrameFolder {
     path: PathBuf,
     kept: bool,
@@ -39,10 +38,7 @@ impl FrameFolder {
         Ok(Self { path: scratch.path().to_owned(), kept: true, _scratch: Some(scratch) })
     }
 
-    /// Creates `frames` beside a camera file, or uses and keeps an existing one with `overwrite`.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for an existing folder without `overwrite`, [`Error::Io`].
+    /// Creates `frames` beside a camera file, or keeps an existing one with `overwrite`.
     pub fn beside(file: &Path, overwrite: bool) -> Result<Self> {
         let path = file.with_file_name("frames");
         file.parent().map_or(Ok(()), make_folder)?;
@@ -63,7 +59,6 @@ impl FrameFolder {
         &self.path
     }
 
-    /// Keeps the folder.
     pub fn keep(&mut self) {
         self.kept = true;
     }
@@ -78,14 +73,13 @@ impl Drop for FrameFolder {
     }
 }
 
-/// Detects a video by its extension.
 pub fn is_video(path: &Path) -> bool {
     let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
     extension.is_some_and(|extension| EXTENSIONS.contains(&extension.as_str()))
 }
 
-/// Writes the sharpest frame of each of `count` equal parts of a video, upright and in order, such
-/// as `clip-00042.jpg` by frame number.
+/// Writes the sharpest frame of each of `count` equal parts, upright and in order, such as
+/// `clip-00042.jpg` by frame number.
 ///
 /// # Errors
 /// [`Error::Argument`] without ffmpeg, [`Error::Format`] with ffmpeg's message for an unreadable
@@ -113,7 +107,7 @@ pub fn sharpest_frames(
     Ok(photos)
 }
 
-/// Returns each frame's sharpness, the variance of the Laplacian, and ffmpeg's warnings.
+/// Sharpness by frame, and ffmpeg's warnings.
 fn judge(ffmpeg: &Path, video: &Path, stage: &Stage<'_>) -> Result<(Vec<f64>, String)> {
     let filter = format!("scale={SIDE}:{SIDE}:flags=area,format=gray,{REGULAR}");
     let mut sharpness = Vec::new();
@@ -134,14 +128,13 @@ fn judge(ffmpeg: &Path, video: &Path, stage: &Stage<'_>) -> Result<(Vec<f64>, St
     Ok((sharpness, said))
 }
 
-/// Returns the sharpest frame of each of `count` equal parts, the first of ties.
+/// Sharpest frame of each of `count` equal parts, the first of ties.
 fn sharpest(sharpness: &[f64], count: usize) -> Vec<usize> {
     let (all, count) = (sharpness.len(), count.min(sharpness.len()));
     let part = |i: usize| i * all / count..(i + 1) * all / count;
     (0..count).filter_map(|i| part(i).rev().max_by(|a, b| sharpness[*a].total_cmp(&sharpness[*b]))).collect()
 }
 
-/// Writes frames in ascending order.
 fn take(ffmpeg: &Path, video: &Path, chosen: &[usize], folder: &Path, stage: &Stage<'_>) -> Result<Vec<PathBuf>> {
     let numbers: Vec<String> = chosen.iter().map(|frame| format!("eq(n,{frame})")).collect();
     let filter = format!("select='{}',{REGULAR}", numbers.join("+"));
@@ -167,7 +160,7 @@ fn take(ffmpeg: &Path, video: &Path, chosen: &[usize], folder: &Path, stage: &St
     Ok(photos)
 }
 
-/// Returns the variance of the Laplacian, a measure of edges.
+/// Measure of edges.
 fn laplacian_variance(grey: &[u8], width: usize) -> f64 {
     let height = grey.len() / width;
     let at = |x: usize, y: usize| f64::from(grey[y * width + x]);

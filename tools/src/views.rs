@@ -21,7 +21,6 @@ pub struct FitOption {
     pub fit: Fit,
 }
 
-/// Part of a photo for the network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Fit {
     /// Center crop, in the shape of --size
@@ -32,38 +31,30 @@ pub enum Fit {
     Squares,
 }
 
-/// Preparation of photos for the network and for comparison.
+/// Use of photos by the network and in comparisons.
 #[derive(Clone, Copy, Debug)]
 pub struct Seeing {
-    /// Part of each photo for the network.
     pub fit: Fit,
     /// Network input size.
     pub size: Size,
-    /// Comparison size.
     pub compared: Size,
-    /// Compares whole photos at the scale of `compared`, instead of crops.
+    /// Compares whole photos at the scale of `compared`, not crops.
     pub whole: bool,
-    /// Downscaling filter.
     pub filter: Filter,
 }
 
-/// Network views of photos.
 pub struct Views {
-    /// Network input pictures.
     pub images: Vec<Image>,
-    /// Cameras in the first photo's world; empty without known cameras.
+    /// In the first photo's world; empty without known cameras.
     pub cameras: Vec<Camera>,
     pub note: Option<String>,
 }
 
-/// Network input picture, and any known camera.
+/// Network input, and any known camera.
 pub type Seen = (Image, Option<Camera>);
 
 impl Fit {
     /// Checks the requirements of tiles.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for a nonsquare size, or photos without cameras.
     pub fn check(self, size: Size, posed: bool) -> Result<()> {
         match self {
             Self::Squares if !posed => {
@@ -77,10 +68,7 @@ impl Fit {
         }
     }
 
-    /// Counts the views by the photos' headers.
-    ///
-    /// # Errors
-    /// An unreadable photo, or too many views.
+    /// Counts views by photo headers.
     pub fn count(self, photos: &[PathBuf]) -> Result<usize> {
         if self == Self::Crop {
             return Ok(photos.len());
@@ -94,7 +82,7 @@ impl Fit {
         Ok(views)
     }
 
-    /// Returns the views of one photo, with cameras in the world of `camera`.
+    /// Views of one photo, in the world of `camera`.
     pub fn views(self, photo: &Image, camera: Option<&Camera>, size: Size, label: &str) -> Result<Vec<Seen>> {
         match (self, camera) {
             (Self::Squares, Some(camera)) => {
@@ -109,10 +97,7 @@ impl Fit {
         }
     }
 
-    /// Reads photos, with one frame each or none, and makes their views.
-    ///
-    /// # Errors
-    /// An unreadable photo, or a camera of another photo.
+    /// Reads photos, with one frame each or none.
     pub fn load(self, photos: &[PathBuf], frames: &[&Frame], size: Size, stage: &Stage<'_>) -> Result<Views> {
         let read = photos::read(photos, frames, stage, |i, photo| {
             let camera = frames.get(i).map(|frame| &frame.camera);
@@ -124,7 +109,7 @@ impl Fit {
         Ok(Views::new(self, views.into_iter().flatten(), &world, &sizes, size))
     }
 
-    /// Returns cameras in the first one's world, and its pose if that is another world.
+    /// Cameras in the first one's world, and its pose in another world.
     pub fn told(self, cameras: Vec<Camera>) -> (Vec<Camera>, Option<Pose>) {
         match (self, cameras.first().map(|camera| camera.pose)) {
             (Self::Squares, Some(first)) => {
@@ -137,12 +122,11 @@ impl Fit {
 }
 
 impl Seeing {
-    /// Crops photos to `size` for both uses.
+    /// Crops for both uses.
     pub fn cropped(size: Size) -> Self {
         Self { fit: Fit::Crop, size, compared: size, whole: false, filter: Filter::Lanczos }
     }
 
-    /// Returns the network views of a photo.
     pub fn views(self, photo: &Image, camera: &Camera, label: &str) -> Result<Vec<Seen>> {
         match (self.fit, self.filter) {
             (Fit::Crop, Filter::Bilinear) => {
@@ -153,7 +137,6 @@ impl Seeing {
         }
     }
 
-    /// Returns a photo at the comparison size.
     pub fn compare(self, photo: &Image) -> Result<View> {
         let Size(width, height) = self.compared;
         if self.whole { self.filter.whole(photo, width, height) } else { self.filter.cropped(photo, width, height) }
@@ -161,8 +144,7 @@ impl Seeing {
 }
 
 impl Views {
-    /// Collects views; photo sizes are for the note. The first camera has the pose `world` in the
-    /// cameras' world.
+    /// Photo sizes are for the note. The first camera has the pose `world` in the cameras' world.
     pub fn new(fit: Fit, seen: impl Iterator<Item = Seen>, world: &Pose, photos: &[[u32; 2]], size: Size) -> Self {
         let (images, cameras): (Vec<_>, Vec<_>) = seen.unzip();
         let cameras: Vec<Camera> = cameras.into_iter().flatten().collect();
@@ -182,10 +164,7 @@ impl Views {
     }
 }
 
-/// Returns a photo's camera after a pixel map.
-///
-/// # Errors
-/// An invalid camera, or one of another photo.
+/// Camera after a pixel map.
 pub fn seen_through(camera: &Camera, map: &PixelMap, label: &str) -> Result<Camera> {
     camera.validate(label)?;
     Ok(Camera { intrinsics: map.apply(&camera.intrinsics, label)?, ..*camera })

@@ -5,7 +5,7 @@ const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 const unit = a => a.map(value => value / Math.hypot(...a));
 const median = values => values.sort((a, b) => a - b)[values.length >> 1];
 
-// Rotates a vector by radians about a unit axis.
+// Radians about a unit axis.
 function turned(v, axis, angle) {
     const c = Math.cos(angle), s = Math.sin(angle), along = dot(axis, v) * (1 - c);
     const [x, y, z] = axis;
@@ -22,12 +22,11 @@ class ViewCamera {
         this.place([0, 0, 0], [[1, 0, 0], [0, 1, 0], [0, 0, 1]], 1);
     }
 
-    // Places the camera with right, down and forward axes; the orbit center is `distance` ahead.
+    // Axes: right, down, forward; the orbit center is `distance` ahead.
     place(eye, axes, distance) {
         Object.assign(this, { eye: [...eye], axes: axes.map(axis => [...axis]), distance });
     }
 
-    // Returns the focal length in pixels.
     focal(width, height) { return Math.min(width, height) / 2 / Math.tan(this.fov * Math.PI / 360); }
 
     get target() { return add(this.eye, this.axes[2], this.distance); }
@@ -40,14 +39,13 @@ class ViewCamera {
         this.axes = this.axes.map(axis => turned(turned(axis, this.axes[0], -tilt), this.up, yaw)).map(unit);
     }
 
-    // Orbits the center ahead.
     orbit(yaw, pitch) {
         const target = this.target;
         this.look(yaw, pitch);
         this.eye = add(target, this.axes[2], -this.distance);
     }
 
-    // Moves by multiples of the orbit distance.
+    // In multiples of the orbit distance.
     move(right, down, forward) {
         for (const [i, step] of [right, down, forward].entries()) this.eye = add(this.eye, this.axes[i], step * this.distance);
     }
@@ -66,8 +64,7 @@ class ViewCamera {
         this.place(matrix.map(row => row[3]), [0, 1, 2].map(i => matrix.slice(0, 3).map(row => row[i])), distance);
     }
 
-    // Returns a key of nerfstudio's camera_path.json: OpenGL axes, row-major, vertical field of
-    // view.
+    // Key of nerfstudio's camera_path.json: OpenGL axes, row-major, vertical field of view.
     asKey(width, height) {
         const [right, down, forward] = this.axes;
         const rows = [0, 1, 2].map(i => [right[i], -down[i], -forward[i], this.eye[i]]);
@@ -76,7 +73,7 @@ class ViewCamera {
     }
 }
 
-// Returns the scene's distance ahead of a camera; none if few points are in view.
+// Scene's distance ahead of a camera; none if few points are in view.
 function distanceAhead(points, eye, axes) {
     const depths = [], count = points.length / 3;
     for (let i = 0; i < count; ++i) {
@@ -86,8 +83,8 @@ function distanceAhead(points, eye, axes) {
     return depths.length > count / 2 ? median(depths) : null;
 }
 
-// Chooses the first view: from the origin, the first photo's camera, if the scene lies ahead, else
-// from in front of the scene.
+// From the origin, the first photo's camera, if the scene lies ahead, else from in front of the
+// scene.
 function firstView(points) {
     const axes = [[1, 0, 0], [0, 1, 0], [0, 0, 1]], ahead = distanceAhead(points, [0, 0, 0], axes);
     const all = Array.from({ length: points.length / 3 }, (_, i) => Array.from(points.subarray(3 * i, 3 * i + 3)));

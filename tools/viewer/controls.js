@@ -76,7 +76,6 @@ class Controls {
         requestAnimationFrame(step);
     }
 
-    // Moves by the held keys for a number of seconds.
     hold(seconds) {
         for (const key of this.keys) {
             if (FLY[key]) this.camera.move(...FLY[key].map(direction => 0.6 * seconds * direction));

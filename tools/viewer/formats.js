@@ -33,7 +33,7 @@ const PLY_TYPES = {
     float: [4, "getFloat32"], float32: [4, "getFloat32"], double: [8, "getFloat64"], float64: [8, "getFloat64"],
 };
 
-// Returns a PLY's data offset, count, stride, and each property's offset and reader.
+// Data offset, count, stride, and each property's offset and reader.
 function plyHeader(bytes) {
     const text = new TextDecoder("latin1").decode(bytes.subarray(0, 1 << 16));
     const end = /(^|\n)end_header\r?\n/.exec(text);
@@ -73,7 +73,7 @@ function readPly(bytes, progress) {
     const degree = [0, 3, 8, 15].indexOf(perChannel);
     if (degree < 0) throw new Error(`The PLY has ${3 * perChannel} coefficients f_rest, where 0, 9, 24 or 45 are usual.`);
     const view = new DataView(bytes.buffer, bytes.byteOffset), all = [...properties.values()];
-    // Fast path for files with only floats.
+    // Fast path for float-only files.
     const values = all.every(({ read }) => read === "getFloat32") && new Float32Array(bytes.slice(start, start + count * row).buffer);
     const reader = name => {
         const { at, read } = properties.get(name);
@@ -95,7 +95,7 @@ function readPly(bytes, progress) {
     return scene;
 }
 
-// Returns the factor of coefficient k under a half turn about x.
+// Factor of coefficient k under a half turn about x.
 function aboutX(k) {
     const l = Math.floor(Math.sqrt(k)), order = Math.abs(k - l * (l + 1)), negative = k < l * (l + 1);
     return negative !== ((l + order) % 2 === 1) ? -1 : 1;
@@ -173,7 +173,7 @@ function readSplat(bytes, progress) {
 const GLTF = "KHR_gaussian_splatting";
 const GLTF_TYPES = { 5120: [1, "getInt8", 127], 5121: [1, "getUint8", 255], 5122: [2, "getInt16", 32767], 5123: [2, "getUint16", 65535], 5126: [4, "getFloat32", 1] };
 
-// Returns a glTF's JSON and buffers, from .glb chunks or base64.
+// JSON and buffers, from .glb chunks or base64.
 function gltfParts(bytes) {
     const parsed = text => {
         try {
@@ -195,7 +195,7 @@ function gltfParts(bytes) {
     return of(parsed(bytes.subarray(20, end)), end < bytes.length && bytes.subarray(end + 8, end + 8 + view.getUint32(end, true)));
 }
 
-// Returns an accessor's count, and a reader of component c of element i.
+// Count, and a reader of component c of element i.
 function gltfNumbers({ accessors, bufferViews }, buffers, index, width) {
     const accessor = accessors?.[index], from = bufferViews?.[accessor?.bufferView], type = GLTF_TYPES[accessor?.componentType];
     const shape = ["SCALAR", "VEC2", "VEC3", "VEC4"][width - 1], bytes = buffers[from?.buffer];
@@ -246,7 +246,7 @@ function readGltf(bytes, progress) {
     return scene;
 }
 
-// Reads a scene by its first bytes, a .splat by its name.
+// By first bytes, a .splat by its name.
 async function readScene(bytes, name, progress) {
     const starts = text => [...text].every((c, i) => bytes[i] === c.charCodeAt(0));
     if (!bytes.length) throw new Error("The file is empty.");

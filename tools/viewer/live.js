@@ -5,7 +5,7 @@ const LEAST_RATIO = 0.01;
 // order.
 let lastRequest = Date.now() * 1000;
 
-// Returns a server response, or throws its message.
+// Server response, or an error with its message.
 async function asked(address, options) {
     const answer = await fetch(address, options).catch(error => {
         throw error.name === "AbortError" ? error : new Error("zipsplat view does not answer: it may have ended.");
@@ -14,7 +14,6 @@ async function asked(address, options) {
     return answer;
 }
 
-// Returns a scene of the server and its description.
 async function made(address, signal) {
     const bytes = new Uint8Array(await (await asked(address, { signal })).arrayBuffer()), end = bytes.indexOf(10);
     return { facts: JSON.parse(new TextDecoder().decode(bytes.subarray(0, end))), bytes: bytes.slice(end + 1).buffer };

@@ -42,7 +42,7 @@ class Page {
 
     get scene() { return this.scenes[this.current]; }
 
-    // Returns the scene's name for derived files.
+    // Name for derived files.
     get stem() { return (this.scene?.name || "scene").replace(/\.\w+$/, "").replace(/\s+/g, "-"); }
 
     say(text, failed = false) {
@@ -51,7 +51,6 @@ class Page {
         element("message").hidden = !text;
     }
 
-    // Shows a scene, loading it on demand.
     choose(index) {
         this.current = Math.max(0, Math.min(this.scenes.length - 1, index));
         const { scene } = this;
@@ -84,7 +83,7 @@ class Page {
         this.worker.postMessage({ load: index, bytes, name: scene.name, view }, [bytes]);
     }
 
-    // Replaces a scene; resolves when it is shown.
+    // Resolves when the new scene is shown.
     swap(index, facts, bytes) {
         const scene = this.scenes[index];
         scene.done?.();
@@ -95,7 +94,7 @@ class Page {
         });
     }
 
-    // Returns a scene's bytes: dropped, embedded or from the server.
+    // Dropped, embedded or from the server.
     async bytes(scene) {
         if (scene.file) return scene.file.arrayBuffer();
         const { inlined } = scene;
@@ -165,7 +164,7 @@ class Page {
         this.change();
     }
 
-    // Resets the view, to the first input camera if known.
+    // To the first input camera if known.
     reset() {
         const { camera, scene } = this;
         if (!scene?.sample) return;
@@ -179,7 +178,7 @@ class Page {
         this.change();
     }
 
-    // Selects an input camera, with any photo as overlay.
+    // Input camera, with any photo as overlay.
     through(index, withPhoto = true) {
         const { camera, canvas, scene } = this, all = config.cameras ?? [];
         if (!all.length || !scene?.sample) return;
@@ -193,7 +192,7 @@ class Page {
         this.change();
     }
 
-    // Schedules a redraw; `moving` during camera motion.
+    // `moving` during camera motion.
     change(moving = false) {
         if (moving) {
             this.moved = performance.now();
@@ -220,8 +219,8 @@ class Page {
         if (moving) this.change();
     }
 
-    // Returns the scene's color picture from an input camera: RGBA bytes, rows from the top. The
-    // page needs a redraw afterwards.
+    // Color picture from an input camera: RGBA bytes, rows from the top. The page needs a redraw
+    // afterwards.
     seen(input, width, height) {
         const { renderer, background, scene } = this, camera = new ViewCamera();
         camera.through(input, width, height, 1);
@@ -243,7 +242,7 @@ class Page {
     // Inputs of the depth order: line of sight and eye.
     view() { return [...this.camera.axes[2], ...this.camera.eye]; }
 
-    // Measures frames per second, and lowers the resolution of slow motion.
+    // Measures frames per second; slow motion gets fewer pixels.
     measure(now, moving) {
         const { times } = this;
         if (!moving) return void (times.length = 0);
@@ -275,13 +274,12 @@ class Page {
             scene ? `${this.current + 1} of ${scenes.length}: ${[scene.name, ...facts.slice(0, 2)].join(", ")}${config.note ? `. ${config.note}` : ""}` : "";
     }
 
-    // Appends a dropped or opened file.
     add(file) {
         this.scenes.push({ name: file.name, bytes: file.size, file, extension: "" });
         this.choose(this.scenes.length - 1);
     }
 
-    // Saves the scene's original bytes.
+    // Original bytes.
     saveScene() {
         const { scene } = this, blob = scene.file ?? scene.blob;
         if (blob) this.download(scene.file?.name ?? `${this.stem}${scene.extension}`, blob);

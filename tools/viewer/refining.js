@@ -41,7 +41,6 @@ class Refining {
         this.plot(losses, steps);
     }
 
-    // Plots the loss of each step.
     plot(losses, steps) {
         const canvas = element("losses"), context = canvas.getContext("2d"), most = Math.max(...losses, 1e-9);
         canvas.width = canvas.clientWidth;

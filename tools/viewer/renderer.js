@@ -3,13 +3,13 @@
 
 const TEXTURE_WIDTH = 4096;
 
-// View modes as shader constants, as --depth (mean visible depth), --normals (shortest axis) and
-// --group (token colors) of `zipsplat render`.
+// View modes of the shaders, as --depth (mean visible depth), --normals (shortest axis) and --group
+// (token colors) of `zipsplat render`.
 const SHOWN = { color: 0, depth: 1, normals: 2, tokens: 3 };
 // Depth colors, near to far.
 const PALETTE = [[1, 0.95, 0.65], [0.98, 0.62, 0.25], [0.8, 0.25, 0.42], [0.4, 0.13, 0.5], [0.08, 0.07, 0.25]];
 
-// Gaussians per instance, to amortize the instance cost of drivers.
+// Gaussians per instance: amortizes the cost of instances.
 const BATCH = 128;
 // Textures of projected Gaussians, three texels each: center and long axis; short axis, number,
 // opacity; color.
@@ -20,7 +20,7 @@ ivec2 place_of(uint at) { return ivec2(at % ${TEXTURE_WIDTH}u, at / ${TEXTURE_WI
 uvec4 texel(usampler2D source, uint at) { return texelFetch(source, place_of(at), 0); }
 `;
 
-// Projects a Gaussian once for its four corners, in drawing order. Invisible ones get opacity 0.
+// Projects once for four corners, in drawing order. Invisible Gaussians get opacity 0.
 const PROJECT_FRAGMENT = `#version 300 es
 precision highp float;
 precision highp int;
@@ -169,7 +169,7 @@ void main() {
     blended = vec4(color.rgb * alpha, alpha);
 }`;
 
-// Finds the Gaussian that covers a pixel with a minimum alpha.
+// Finds the Gaussian with a minimum alpha at a pixel.
 const PICK_FRAGMENT = `#version 300 es
 precision highp float;
 precision highp int;
@@ -249,7 +249,7 @@ class Renderer {
         return { program, uniforms };
     }
 
-    // Corners of a batch: four vertices and two triangles per Gaussian.
+    // Four vertices and two triangles per Gaussian.
     quadArray() {
         const { gl } = this, array = gl.createVertexArray();
         const corners = Uint16Array.from({ length: 6 * BATCH }, (_, i) => 4 * Math.floor(i / 6) + [0, 1, 2, 2, 1, 3][i % 6]);
@@ -270,7 +270,7 @@ class Renderer {
         return buffer;
     }
 
-    // Uploads a scene packed by the worker.
+    // Scene packed by the worker.
     upload({ count, degree, gaussians, harmonics }) {
         const { gl } = this, most = gl.getParameter(gl.MAX_TEXTURE_SIZE);
         const texture = (texels, format = gl.RGBA32UI) => {
@@ -298,7 +298,7 @@ class Renderer {
         return scene;
     }
 
-    // Fills a texture with words, row by row.
+    // Row by row.
     fill(texture, words, channels) {
         const { gl } = this, texels = words.length / channels, whole = Math.floor(texels / TEXTURE_WIDTH);
         const put = (y, width, rows, from) => width && rows &&
@@ -308,13 +308,12 @@ class Renderer {
         put(whole, texels - whole * TEXTURE_WIDTH, 1, channels * whole * TEXTURE_WIDTH);
     }
 
-    // Frees the resources of `upload`.
     release(scene) {
         for (const name of ["gaussians", "harmonics", "order", ...PROJECTED]) this.gl.deleteTexture(scene[name]);
         this.gl.deleteFramebuffer(scene.projection);
     }
 
-    // Sets the drawing order, far to near.
+    // Far to near.
     sort(scene, order) {
         this.fill(scene.order, order, 1);
         scene.drawn = order.length;
@@ -336,8 +335,7 @@ class Renderer {
         gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, frame.texture, 0);
     }
 
-    // Draws a scene, or only the background. `view` has the mode (see SHOWN), Gaussians per token,
-    // hovered token, and depth range.
+    // `view`: mode (see SHOWN), Gaussians per token, hovered token, depth range.
     draw(scene, camera, background, view = {}) {
         const { gl, frame, show } = this, { width, height } = frame, { shown = "color", range = [0, 1] } = view;
         if (scene?.drawn) this.project(scene, camera, view);
@@ -364,7 +362,7 @@ class Renderer {
         gl.drawArrays(gl.TRIANGLES, 0, 3);
     }
 
-    // Projects the Gaussians in drawing order.
+    // In drawing order.
     project(scene, camera, { shown = "color", group = 1, hovered = -1 } = {}) {
         const { gl, projector: { program, uniforms } } = this, { width, height } = this.frame;
         const focal = camera.focal(width, height), [right, down, forward] = camera.axes;
@@ -385,7 +383,6 @@ class Renderer {
         gl.drawArrays(gl.TRIANGLES, 0, 3);
     }
 
-    // Binds a scene's textures to samplers by name.
     bind(uniforms, scene, names) {
         for (const [unit, name] of names.entries()) {
             this.gl.activeTexture(this.gl.TEXTURE0 + unit);
@@ -394,7 +391,7 @@ class Renderer {
         }
     }
 
-    // Activates a program for the last projected scene, and returns its uniforms.
+    // For the last projected scene.
     use({ program, uniforms }, scene) {
         const { gl } = this;
         gl.useProgram(program);
@@ -409,8 +406,7 @@ class Renderer {
         this.gl.drawElementsInstanced(this.gl.TRIANGLES, 6 * BATCH, this.gl.UNSIGNED_SHORT, 0, Math.ceil(drawn / BATCH));
     }
 
-    // Returns the nearest Gaussian at a pixel with alpha of at least a half, else a tenth; none if
-    // both fail.
+    // Nearest Gaussian with alpha of at least a half, else a tenth.
     pick(scene, camera, x, y) {
         if (!scene?.drawn) return null;
         const { gl } = this, { width, height } = this.frame, found = new Uint32Array(4);
@@ -428,8 +424,7 @@ class Renderer {
         return null;
     }
 
-    // Reads blended values of the last picture, rows from the top: four floats per pixel, with
-    // alpha last.
+    // Blended values, rows from the top: four floats per pixel, alpha last.
     values(x, y, width, height) {
         const { gl, frame } = this, values = new Float32Array(4 * width * height);
         gl.bindFramebuffer(gl.FRAMEBUFFER, frame.buffer);
@@ -440,7 +435,7 @@ class Renderer {
         });
     }
 
-    // Reads the last picture, rows from the top: four bytes per pixel.
+    // Rows from the top, four bytes per pixel.
     bytes() {
         const { gl, frame: { width, height } } = this, rows = new Uint8Array(4 * width * height), bytes = new Uint8Array(rows.length);
         gl.bindFramebuffer(gl.FRAMEBUFFER, null);

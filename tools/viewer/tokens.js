@@ -11,7 +11,7 @@ class Tokens {
         canvas.addEventListener("pointerleave", () => this.leave());
     }
 
-    // Returns the current scene's Gaussians per token, or 0.
+    // Of the current scene, or 0.
     get group() { return this.page.scene?.group ?? 0; }
 
     leave() {
@@ -21,7 +21,7 @@ class Tokens {
         this.page.change();
     }
 
-    // Finds the hovered token, once per frame.
+    // Once per frame.
     point(x, y) {
         if (this.page.views.shown !== "tokens") return;
         const waits = this.at;
@@ -42,7 +42,7 @@ class Tokens {
         page.change();
     }
 
-    // Returns view, row and column of a token's patch, if known.
+    // View, row and column, if known.
     patch(token) {
         const index = this.page.scene?.patches?.[token], [rows, columns] = config.grid ?? [];
         if (index === undefined || !config.views?.length) return null;
@@ -61,7 +61,7 @@ class Tokens {
         if (this.hovered === token) this.drawPatch(photo, patch);
     }
 
-    // Returns a network input picture.
+    // Network input.
     async photo(view) {
         if (!this.photos.has(view)) {
             const photo = new Image();

@@ -11,7 +11,6 @@ class Views {
         element("palette").style.background = `linear-gradient(90deg, ${stops})`;
     }
 
-    // Selects one of SHOWN.
     show(shown) {
         const { page } = this;
         if (shown === "tokens" && !page.tokens.group) {
@@ -25,13 +24,12 @@ class Views {
         page.change();
     }
 
-    // Returns the renderer's options.
     drawn() {
         const { shown, page: { tokens } } = this;
         return { shown, group: tokens.group || 1, hovered: tokens.hovered, range: shown === "depth" ? this.depths() : [0, 1] };
     }
 
-    // Returns the palette's depth range, of most visible points.
+    // Palette range, of most visible points.
     depths() {
         const { camera, scene } = this.page, points = scene?.sample ?? [], depths = [];
         for (let i = 0; i < points.length; i += 3) {
@@ -46,7 +44,7 @@ class Views {
         return range;
     }
 
-    // Lists skipped effects with reasons.
+    // Skipped effects with reasons.
     tellLeftOut() {
         const { scene } = this.page, whole = number => number.toLocaleString("en"), facts = [];
         if (scene?.drawable) {

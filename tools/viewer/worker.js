@@ -9,7 +9,7 @@ const FAINTEST = 1 / 255; // weaker Gaussians are invisible
 const SAMPLE = 4096;
 const scenes = new Map();
 
-// Packs a scene as texels of 4 words for renderer.js.
+// Texels of 4 words for renderer.js.
 function pack(scene) {
     const { count, means, scales, quats, opacities, colors, rest } = scene;
     const gaussians = new Uint32Array(12 * count), values = new Float32Array(gaussians.buffer);
@@ -37,7 +37,7 @@ function pack(scene) {
     return { gaussians, harmonics: new Uint32Array(harmonics.buffer), dropped };
 }
 
-// Samples means for the first view.
+// Means for the first view.
 function sampled({ means, count }) {
     const step = Math.max(1, Math.floor(count / SAMPLE)), points = [];
     for (let i = 0; i < count; i += step) points.push(means[3 * i], means[3 * i + 1], means[3 * i + 2]);
@@ -58,8 +58,7 @@ async function load(id, buffer, name, view) {
 
 const counts = [new Uint32Array(65536), new Uint32Array(65536)];
 
-// Returns indices of visible Gaussians beyond the near plane, far to near: a stable radix sort by
-// depth bits.
+// Visible Gaussians beyond the near plane, far to near: a stable radix sort by depth bits.
 function sorted({ means, count, opacities, depths, indices }, [fx, fy, fz, ex, ey, ez]) {
     const bits = new Uint32Array(depths.buffer), [low, high] = counts;
     low.fill(0);

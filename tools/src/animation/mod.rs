@@ -36,7 +36,6 @@ pub struct Animation {
 
 /// Animation writer. Dropping it unfinished leaves no file.
 pub trait Encoder {
-    /// Appends pictures of the encoder's size.
     fn push(&mut self, images: &[Image]) -> Result<()>;
 
     /// Finishes and renames the file.
@@ -79,7 +78,7 @@ impl Animation {
         Ok(Self { path: path.into(), format, fps, ffmpeg: ffmpeg.into() })
     }
 
-    /// Creates the file, for `frames` pictures of one size.
+    /// Creates the file.
     pub fn begin(&self, size: (u32, u32), frames: usize) -> Result<Box<dyn Encoder>> {
         Ok(match self.format {
             Format::Gif => Box::new(gif::Gif::begin(&self.path, size, self.fps)?),
@@ -89,10 +88,6 @@ impl Animation {
     }
 }
 
-/// Returns the common size.
-///
-/// # Errors
-/// [`Error::Argument`] names the first camera of another size.
 pub fn common_size(cameras: &[Camera]) -> Result<(u32, u32)> {
     let size = |camera: &Camera| (camera.intrinsics.width, camera.intrinsics.height);
     let first = cameras.first().map(size).unwrap_or_default();
@@ -106,7 +101,6 @@ pub fn common_size(cameras: &[Camera]) -> Result<(u32, u32)> {
     }
 }
 
-/// Adds the path to an encoder's error.
 fn failed(path: &Path) -> impl Fn(Box<dyn std::error::Error + Send + Sync>) -> Error {
     move |error| Error::io(path, std::io::Error::other(error))
 }

@@ -122,7 +122,7 @@ fn every(findings: &[Finding]) -> Table {
     table
 }
 
-/// Formats the worst case of each kernel and mode, and every failure.
+/// The worst case of each kernel and mode, and every failure.
 fn worst(findings: &[Finding]) -> Table {
     let heads = ["kernel", "mode", "worst case", "cases", "size", "worst error", "bound", "share", ""];
     let mut table = Table::new(3, &heads);
@@ -140,7 +140,6 @@ fn worst(findings: &[Finding]) -> Table {
     table
 }
 
-/// Formats size, error, bound, share and failure.
 fn cells(finding: &Finding) -> [String; 5] {
     let Worst { error, bound, share } = finding.worst;
     let number = |x: f64| if x == 0.0 { "0".into() } else { format!("{x:.1e}") };

@@ -88,12 +88,11 @@ pub struct Refine {
     explain: bool,
 }
 
-/// Initial scene and its world.
 struct Started {
     scene: Scene,
     cameras: Vec<Camera>,
     world: World,
-    /// Pose of the scene in the world of the known cameras.
+    /// In the world of the known cameras.
     pose: Pose,
 }
 
@@ -140,7 +139,6 @@ impl Refine {
         self.report(session, device.limits().name.clone(), (&photos, &started.cameras), refined, &request)
     }
 
-    /// Splits the scene's file from those of the photos.
     fn files(&self) -> (Option<&PathBuf>, &[PathBuf]) {
         match self.files.split_first() {
             Some((scene, photos)) if self.start.needs()[0] => (Some(scene), photos),
@@ -148,7 +146,7 @@ impl Refine {
         }
     }
 
-    /// Reads the initialization, and maps cameras and points to its world.
+    /// Reads the initialization; maps cameras and points to its world.
     fn start(
         &self,
         session: &mut Session<'_>,

@@ -102,7 +102,7 @@ impl View {
         if self.is_of_photos()? { self.show_photos(session) } else { self.show_scenes(session) }
     }
 
-    /// Returns true for photos, false for scenes.
+    /// True for photos, false for scenes.
     fn is_of_photos(&self) -> Result<bool> {
         let is_photo =
             |path: &PathBuf| path.is_dir() || is_video(path) || is_heic(path) || Image::size_as_stored(path).is_ok();
@@ -167,7 +167,7 @@ impl View {
         }
     }
 
-    /// Serves pixel scenes, which are made before the page opens.
+    /// Serves pixel scenes, made before the page opens.
     fn show_pixels(
         &self,
         session: &mut Session<'_>,
@@ -191,7 +191,7 @@ impl View {
         }
     }
 
-    /// Writes a page with scenes of several ratios, and the refined one.
+    /// Writes scenes of several ratios, and the refined one.
     fn write_ratios(
         &self,
         session: &mut Session<'_>,
@@ -298,8 +298,7 @@ impl View {
         let server = Server::new(self.port).map_err(|error| Error::io(format!("port {}", self.port), error))?;
         let address = server.address();
         session.report(&json!({ "address": address }), format!("{address}\nCtrl-C ends it."))?;
-        // Only the file name is on the browser's command line, which other users can read: it holds
-        // the secret address.
+        // Other users can read the browser's command line: the secret address stays in a file.
         let redirect = self.open.then(|| redirect(&address)).transpose()?;
         redirect.as_ref().map(|file| open_in_browser(file.path())).transpose()?;
         let cancelled = session.cancelled();
@@ -320,7 +319,7 @@ impl View {
     }
 }
 
-/// Returns a private page that redirects to `address`, deleted on drop.
+/// Private page that redirects to `address`, deleted on drop.
 fn redirect(address: &str) -> Result<NamedTempFile> {
     let failed = |error| Error::io(std::env::temp_dir(), error);
     let mut file = tempfile::Builder::new().prefix("zipsplat-").suffix(".html").tempfile().map_err(failed)?;

@@ -194,7 +194,6 @@ impl Get {
         fetched.map(drop)
     }
 
-    /// Shows size and license, and asks for consent.
     fn consent(
         &self,
         session: &mut Session<'_>,
@@ -244,12 +243,12 @@ impl Get {
     }
 }
 
-/// Waits for other processes that download or convert these weights.
+/// Waits for other processes with these weights.
 fn lock(session: &Session<'_>, released: &Released, folder: &Path) -> Result<Lock> {
     Ok(session.stage("wait for another process", |stage| Lock::new(&released.base(folder), stage))?.0)
 }
 
-/// Returns true if the environment forbids the network, by the hub client's values.
+/// True if the environment forbids the network, by the hub client's values.
 fn is_offline() -> bool {
     let value = std::env::var("HF_HUB_OFFLINE").unwrap_or_default().to_lowercase();
     ["1", "true", "yes", "on"].contains(&value.as_str())

@@ -30,9 +30,9 @@ enum Fault {
     NoCorrection,
     SwappedDecays,
     NoEpsilon,
-    /// Steps the value instead of its logarithm or logit.
+    /// Steps the stored value, not its logarithm or logit.
     WrongSpace,
-    /// Uses the gradient by the stored value instead of its logarithm or logit.
+    /// Uses the gradient by the stored value.
     NoChainRule,
     NeighbourGradient,
     /// Uses non-finite gradients.

@@ -6,26 +6,26 @@
 use serde::Serialize;
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-/// Unit roundoff: relative error bound of one f32 rounding.
+/// Unit roundoff.
 pub const U: f64 = f32::EPSILON as f64 / 2.0;
-/// Relative bound of one unit in the last place.
+/// Unit in the last place.
 pub const ULP: f64 = f32::EPSILON as f64;
-/// Error bound of flushing a subnormal.
+/// Error of flushing a subnormal.
 pub const TINY: f64 = f32::MIN_POSITIVE as f64;
 /// Vulkan's relative limit for a division.
 pub const DIVISION: f64 = 2.5 * ULP;
 /// Vulkan's relative limit for sqrt, as 1 / inversesqrt.
 pub const ROOT: f64 = 4.5 * ULP;
 
-/// Returns the relative error bound of `n` roundings, `n u / (1 - n u)`. Also bounds a sum of `n`
-/// terms in any order, relative to their magnitudes (Higham, Accuracy and Stability of Numerical
-/// Algorithms, lemma 3.1 and section 4.2).
+/// Relative error bound of `n` roundings, `n u / (1 - n u)`, and of a sum of `n` terms in any
+/// order, relative to their magnitudes (Higham, Accuracy and Stability of Numerical Algorithms,
+/// lemma 3.1 and section 4.2).
 pub fn gamma(n: usize) -> f64 {
     let nu = n as f64 * U;
     if nu < 1.0 { nu / (1.0 - nu) } else { f64::INFINITY }
 }
 
-/// Returns the maximum additions per term when 4 to 128 lanes sum `n` terms.
+/// Most additions per term when 4 to 128 lanes sum `n` terms.
 pub fn by_lanes(n: usize) -> usize {
     n.min((n.div_ceil(4) + 4).max(n.div_ceil(128) + 128))
 }
@@ -36,12 +36,12 @@ pub fn half(x: f64) -> f64 {
     if rounded.abs() > 65504.0 { rounded * f64::INFINITY } else { rounded }
 }
 
-/// Returns Vulkan's relative limit for exp(x) and exp2(x).
+/// Vulkan's relative limit for exp(x) and exp2(x).
 pub fn exponential(x: f64) -> f64 {
     (3.0 + 2.0 * x.abs()) * ULP
 }
 
-/// Returns Vulkan's absolute limit for log(x).
+/// Vulkan's absolute limit for log(x).
 pub fn logarithm(x: f64) -> f64 {
     if (0.5..=2.0).contains(&x) { (-21f64).exp2() } else { 3.0 * ULP * x.ln().abs() }
 }
@@ -95,33 +95,29 @@ impl Worst {
     }
 }
 
-/// Value with the error bound of its f32 computation, by running error analysis (Wilkinson, Error
-/// analysis revisited, 1986).
+/// Value with its f32 error bound, by running error analysis (Wilkinson, Error analysis revisited,
+/// 1986).
 #[derive(Clone, Copy, Debug)]
 pub struct Bounded {
-    /// Exact value.
     pub value: f64,
-    /// Error bound.
     pub error: f64,
 }
 
 impl Bounded {
-    /// Converts a number that f32 holds.
+    /// Number that f32 holds.
     pub fn exact(value: impl Into<f64>) -> Self {
         Self { value: value.into(), error: 0.0 }
     }
 
-    /// Rounds a number to f32.
     pub fn rounded(value: f64) -> Self {
         Self::new(value, 0.0, U)
     }
 
-    /// Combines a result's operand error `carried` and the operation's relative limit `own`.
+    /// Adds the operands' error `carried` and the operation's relative limit `own`.
     fn new(value: f64, carried: f64, own: f64) -> Self {
         Self { value, error: carried + own * (value.abs() + carried) + TINY }
     }
 
-    /// Returns the square root of a nonnegative value.
     pub fn sqrt(self) -> Self {
         let value = self.value.max(0.0).sqrt();
         let lowest = (self.value - self.error).max(0.0).sqrt();
@@ -140,7 +136,7 @@ impl Bounded {
         Self::new(value, value * self.error.exp_m1(), exponential(self.value.abs() + self.error))
     }
 
-    /// Returns the minimum; its error is at most the operands'.
+    /// The error is at most the operands'.
     pub fn min(self, other: Self) -> Self {
         Self { value: self.value.min(other.value), error: self.error.max(other.error) }
     }

@@ -4,28 +4,26 @@ use super::{Mode, Worst};
 use std::fmt::Debug;
 use zipsplat::{Result, gpu::Device};
 
-/// Error over bound of a caught fault. Rounding within the bound may cancel one bound.
+/// Error over bound of a caught fault; rounding may cancel one bound.
 pub const CAUGHT: f64 = 2.0;
 
 pub(super) trait Problem: 'static {
-    /// Device result.
     type Output;
     /// Exact result and error bounds.
     type Truth;
     /// Simulated kernel faults.
     type Fault: Copy + Debug + 'static;
 
-    /// Runs the kernels.
     fn compute(&self, device: &Device, mode: Mode) -> Result<Self::Output>;
 
-    /// Computes the truth in f64 from the device's inputs.
+    /// Truth in f64 from the device's inputs.
     fn truth(&self, mode: Mode) -> Self::Truth;
 
-    /// Returns the worst element of an output.
+    /// Worst element of an output.
     fn judge(&self, truth: &Self::Truth, output: &Self::Output, mode: Mode) -> Worst;
 
-    /// Simulates a fault on the host. Empty if the mode's rounding hides it; every returned output
-    /// must be caught.
+    /// Simulates a fault on the host. Empty if the mode's rounding hides it; each output must be
+    /// caught.
     fn faulty(&self, truth: &Self::Truth, fault: Self::Fault, mode: Mode) -> Vec<Self::Output>;
 }
 
@@ -85,7 +83,6 @@ impl Case {
         Self { name: name.into(), size, catches, checks: Box::new(Made { make, faults }) }
     }
 
-    /// Computes the case on a device and compares.
     pub(super) fn check(&self, device: &Device, mode: Mode) -> Result<Worst> {
         self.checks.check(device, mode)
     }

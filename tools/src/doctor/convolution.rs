@@ -23,7 +23,6 @@ struct Problem {
     size: [usize; 2],
     channels: usize,
     columns: usize,
-    /// Kernel side and stride.
     shape: [usize; 2],
     rectified: bool,
     x: Vec<f32>,
@@ -45,7 +44,6 @@ enum Fault {
     /// Edge padding instead of zeros.
     RepeatedEdge,
     NeighbourPixel,
-    /// 11-bit results.
     Half,
 }
 
@@ -59,7 +57,7 @@ impl Problem {
         Self { size, channels, columns, shape, rectified: false, x, weight, bias, residual: None }
     }
 
-    /// Adds a ReLU before the convolution and a residual after it.
+    /// Adds a ReLU before and a residual after the convolution.
     fn residual(self) -> Self {
         let residual = Noise(17).values(self.out_size().iter().product::<usize>() * self.columns);
         Self { rectified: true, residual: Some(residual), ..self }
@@ -85,7 +83,7 @@ impl Problem {
         }
     }
 
-    /// Maps each weight, given its channel and tap.
+    /// By channel and tap.
     fn weighed(&self, value: impl Fn(&[f32], usize, usize) -> f32) -> Vec<f32> {
         let taps = self.shape[0].pow(2);
         let rows = self.weight.chunks(taps * self.channels);

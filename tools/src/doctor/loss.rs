@@ -47,7 +47,7 @@ enum Fault {
     NeighbourPixel,
 }
 
-/// Convolves a zero-padded line with the window.
+/// Zero-padded.
 fn filtered<const N: usize>(
     line: &[[Bounded; N]],
     p: usize,
@@ -107,7 +107,6 @@ impl Problem {
         [vec![value], gradient].concat()
     }
 
-    /// Error bounds of the loss and its gradients.
     fn errors(&self) -> Vec<f64> {
         let (weight, dssim_weight) = match self.loss {
             Loss::L1 | Loss::Mse => (1.0, 0.0),

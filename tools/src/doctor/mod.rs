@@ -1,8 +1,8 @@
 //! Numerical catalogue: device results against f64, with bounds from the number format.
 //!
-//! An area covers related kernels and justifies its bound. Cases have hard inputs, truth from
-//! `zipsplat_reference`, per-element bounds and simulated faults. Bounds are never loosened to
-//! pass. `tests/numerics/catalogue.rs` injects each fault, whose error must exceed twice the bound.
+//! An area covers related kernels. Cases have hard inputs, truth from `zipsplat_reference`,
+//! per-element bounds and simulated faults. Bounds are never loosened to pass.
+//! `tests/numerics/catalogue.rs` injects each fault, whose error must exceed twice the bound.
 
 mod adam;
 mod attention;
@@ -51,7 +51,6 @@ pub struct Mode {
 
 #[derive(Clone, Copy, Debug)]
 struct Factors {
-    /// Relative rounding error bound.
     unit: f64,
     /// Values below may be flushed.
     tiny: f64,
@@ -61,8 +60,7 @@ struct Factors {
 }
 
 impl Factors {
-    /// Returns the error bound of a sum of `n` products, relative to their magnitudes, without
-    /// factor rounding.
+    /// Error bound of a sum of `n` products, relative to their magnitudes, without factor rounding.
     fn sum(&self, n: usize) -> f64 {
         bound::gamma(self.roundings * n)
     }

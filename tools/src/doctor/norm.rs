@@ -22,7 +22,7 @@ const REASON: &str = "the mean is off by d <= gamma mean|x|, of which the second
 
 const EPS: f32 = 1e-6;
 
-/// Error bounds of a normalized row, without weight and bias.
+/// Without weight and bias.
 pub fn normed_errors(row: &[f64], eps: f64) -> Vec<f64> {
     let n = row.len() as f64;
     let mean_of = |f: &dyn Fn(f64) -> f64| row.iter().map(|&x| f(x)).sum::<f64>() / n;
@@ -48,7 +48,6 @@ pub fn normed_errors(row: &[f64], eps: f64) -> Vec<f64> {
     row.iter().map(error).collect()
 }
 
-/// Error bounds of `normed * weight + bias`.
 pub fn affine_errors(errors: &[f64], truth: &[f64], weight: &[f32], bias: &[f32]) -> Vec<f64> {
     let columns = weight.iter().zip(bias).map(|(&w, &b)| (f64::from(w.abs()), f64::from(b.abs())));
     let error = |(i, (w, b)): (usize, (f64, f64))| {
@@ -72,7 +71,6 @@ pub enum Fault {
     OnePass,
     /// Mean from one f32 sum, uncorrected.
     UncorrectedMean,
-    /// 11-bit sums.
     HalfSum,
     LastChannel,
     /// Variance divided by n - 1.
@@ -86,7 +84,7 @@ pub enum Fault {
 }
 
 impl Fault {
-    /// Faulty mean and variance of a row.
+    /// Mean and variance.
     pub fn moments(self, row: &[f64]) -> [f64; 2] {
         let n = row.len() as f64;
         let summed = |round: fn(f64) -> f64, values: &mut dyn Iterator<Item = f64>| {

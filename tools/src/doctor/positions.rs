@@ -30,7 +30,7 @@ const REASON: &str = "as ops/layer_norm over a head's channels; a rotation mixes
 const EPS: f32 = 1e-5;
 const HEADS: usize = 2;
 
-/// Projection of a view with `rows x columns` patches and a camera token.
+/// View of `rows x columns` patches and a camera token.
 #[derive(Clone, Copy)]
 struct Problem {
     rows: usize,
@@ -38,7 +38,7 @@ struct Problem {
     dim: usize,
     norm: bool,
     global: bool,
-    /// Maps a random number in (-1, 1).
+    /// Of a random number in (-1, 1).
     value: fn(f32) -> f32,
 }
 
@@ -79,7 +79,7 @@ impl Problem {
     fn positions(&self) -> Vec<[f64; 2]> {
         let Self { rows, columns, .. } = *self;
         match self.global {
-            // Shifted to put patches at the origin: only differences matter.
+            // Patches at the origin: only differences matter.
             true => global_positions(rows, columns).into_iter().map(|place| place.map(|step| step - 1.0)).collect(),
             false => local_positions(rows, columns),
         }
@@ -196,7 +196,7 @@ impl case::Problem for Problem {
     }
 }
 
-/// Position embedding resampled in f64 on the host; only the f32 rounding differs.
+/// Resampled in f64 on the host; only the f32 rounding differs.
 struct Embedding {
     rows: usize,
     columns: usize,

@@ -10,7 +10,7 @@ use zipsplat::{
 
 const REASON: &str = "whole numbers: as the stable sort and the running sum of the host, exactly";
 
-/// Keys sorted by their lowest `bits` bits, with indices as values.
+/// Keys, of which the lowest `bits` bits count, with indices as values.
 struct Sort {
     keys: Vec<u32>,
     bits: u32,
@@ -19,7 +19,6 @@ struct Sort {
 #[derive(Clone, Copy, Debug)]
 enum Fault {
     Zero,
-    /// Shifted by one item.
     Shifted,
     LastItem,
     Unstable,
@@ -32,7 +31,7 @@ enum Fault {
 type Sorted = [Vec<u32>; 2];
 
 impl Sort {
-    /// Stably sorts by a part of the key.
+    /// Stable, by a part of the key.
     fn sorted(&self, part: impl Fn(u32) -> u32) -> Vec<(u32, u32)> {
         let mut pairs: Vec<(u32, u32)> = self.keys.iter().copied().zip(0..).collect();
         pairs.sort_by_key(|pair| part(pair.0));
@@ -151,7 +150,7 @@ impl case::Problem for Scan {
     }
 }
 
-/// Bits of a positive float depth, the renderer's sort key.
+/// Bits of a positive float depth.
 fn depths(seed: u64, count: usize) -> Vec<u32> {
     Noise(seed).values(count).into_iter().map(|r| (1.0 + r).mul_add(50.0, 0.01).to_bits()).collect()
 }

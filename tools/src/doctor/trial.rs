@@ -9,7 +9,6 @@ use zipsplat::{
 /// NaN as f32 and as f16 pairs; out of range as an index.
 pub const UNWRITTEN: u32 = 0xffff_ffff;
 
-/// Plan under construction.
 pub struct Trial<'a> {
     device: &'a Device,
     pub rec: Recorder,
@@ -27,12 +26,11 @@ impl<'a> Trial<'a> {
         tensor
     }
 
-    /// Fills a tensor with NaN before other writes.
+    /// Fills a tensor with NaN.
     pub fn blank(&mut self, tensor: Tensor) {
         self.rec.fill(tensor, UNWRITTEN);
     }
 
-    /// Adds an output of `len` values.
     pub fn output<T>(&mut self, len: usize) -> Tensor {
         let tensor = self.rec.tensor::<T>("output", len);
         self.blank(tensor);
@@ -49,7 +47,6 @@ impl<'a> Trial<'a> {
         Ok(run)
     }
 
-    /// Runs the plan and reads one result.
     pub fn result<T: Pod>(self, output: Tensor) -> Result<Vec<T>> {
         self.run()?.read(output)
     }

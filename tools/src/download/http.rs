@@ -15,19 +15,18 @@ use zipsplat::{Error, Result};
 const HUB: &str = "https://huggingface.co";
 /// Limit of redirects.
 const HOPS: usize = 10;
-/// Variables with a file of root certificates that replace the built-in ones.
+/// Variables that override the built-in root certificates with a file.
 const ROOTS: [&str; 2] = ["SSL_CERT_FILE", "REQUESTS_CA_BUNDLE"];
 
-/// Failure of a request, by the use of a retry.
+/// Failure of a request.
 #[derive(Debug)]
 pub enum Failure {
-    /// A retry may help: a broken or silent connection, or a busy host.
+    /// A retry may help: broken or silent connection, busy host.
     Passing(String),
     /// A retry would fail alike.
     Lasting(Error),
 }
 
-/// Client of one hub.
 #[derive(Clone)]
 pub struct Client {
     agent: Agent,
@@ -37,7 +36,7 @@ pub struct Client {
     pub patience: Duration,
 }
 
-/// Hash and size from the hub's answer before its redirect; the storage reports neither.
+/// Hash and size from the hub; the storage behind its redirect reports neither.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Told {
     /// Lowercase hexadecimal.
@@ -46,7 +45,7 @@ pub struct Told {
 }
 
 impl Told {
-    /// Adds the headers of an answer; earlier answers win. Only the hub's ETag is a hash.
+    /// Earlier answers win. Only the hub's ETag is a hash.
     fn hear(&mut self, headers: &HeaderMap, is_hub: bool) {
         let etag = || text(headers, ETAG.as_str()).filter(|_| is_hub);
         let digest = text(headers, "x-linked-etag")
@@ -58,7 +57,6 @@ impl Told {
     }
 }
 
-/// Returns true for a hexadecimal SHA-256.
 pub fn is_sha256(text: &str) -> bool {
     text.len() == 64 && text.bytes().all(|byte| byte.is_ascii_hexdigit())
 }
@@ -68,12 +66,8 @@ fn text<'a>(headers: &'a HeaderMap, name: &str) -> Option<&'a str> {
 }
 
 impl Client {
-    /// Creates a client from the environment: `HF_ENDPOINT` names a mirror, `HF_TOKEN` a token for
-    /// the hub only, `HTTPS_PROXY`, `ALL_PROXY` and `NO_PROXY` a proxy, `SSL_CERT_FILE` root
-    /// certificates.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for an invalid endpoint; those of reading the certificates.
+    /// Reads the environment: `HF_ENDPOINT` names a mirror, `HF_TOKEN` a token for the hub only,
+    /// `HTTPS_PROXY`, `ALL_PROXY` and `NO_PROXY` a proxy, `SSL_CERT_FILE` root certificates.
     pub fn from_environment(patience: Duration) -> Result<Self> {
         let set = |name: &str| env::var(name).ok().filter(|value| !value.trim().is_empty());
         let endpoint = set("HF_ENDPOINT").map_or(HUB.into(), |mirror| mirror.trim().trim_end_matches('/').to_owned());
@@ -83,7 +77,7 @@ impl Client {
         let roots = ROOTS.iter().find_map(|name| set(name)).map(|path| root_certificates(PathBuf::from(path)));
         let config = Agent::config_builder()
             .user_agent(concat!("zipsplat/", env!("CARGO_PKG_VERSION")))
-            // Redirects are followed here, to read the hub's headers and withhold the token.
+            // Followed here, to read the hub's headers and withhold the token.
             .max_redirects(0)
             .max_redirects_will_error(false)
             .http_status_as_error(false)
@@ -97,15 +91,11 @@ impl Client {
         Ok(Self { agent: config.into(), endpoint, token: set("HF_TOKEN"), patience })
     }
 
-    /// Returns the address of a repository's file.
     pub fn address(&self, repository: &str, revision: &str, file: &str) -> String {
         format!("{}/{repository}/resolve/{revision}/{file}", self.endpoint)
     }
 
     /// Asks the hub for a file's hash and size.
-    ///
-    /// # Errors
-    /// An unreachable hub, or a missing file.
     pub fn ask(&self, url: &str) -> Result<Told, Failure> {
         let (response, mut told) = self.follow(true, url, 0)?;
         if told.size.is_none() && response.status() == StatusCode::OK {
@@ -114,8 +104,8 @@ impl Client {
         Ok(told)
     }
 
-    /// Requests a file's bytes from `start` on, through redirects. Returns the answer, of status
-    /// 200, 206 or 416, and the hub's hash and size.
+    /// Requests bytes from `start` on, through redirects. Returns the answer, of status 200, 206 or
+    /// 416, and the hub's hash and size.
     pub fn get(&self, url: &str, start: u64) -> Result<(Response<Body>, Told), Failure> {
         self.follow(false, url, start)
     }
@@ -155,7 +145,6 @@ impl Client {
     }
 }
 
-/// Reads a PEM file.
 fn root_certificates(path: PathBuf) -> Result<RootCerts> {
     let pem = std::fs::read(&path).map_err(|error| Error::io(&path, error))?;
     let mut certificates = Vec::new();
@@ -168,7 +157,6 @@ fn root_certificates(path: PathBuf) -> Result<RootCerts> {
     Ok(RootCerts::new_with_certs(&certificates))
 }
 
-/// Returns scheme, host and port.
 fn origin(url: &str) -> Option<(String, String)> {
     let uri: Uri = url.parse().ok()?;
     let scheme = uri.scheme_str().filter(|scheme| ["http", "https"].contains(scheme))?;

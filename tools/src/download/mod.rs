@@ -32,7 +32,7 @@ const WAITING: usize = 16;
 /// Interval between checks for Ctrl-C.
 const POLL: Duration = Duration::from_millis(50);
 
-/// Asks the hub for the file's current size and hash; `sha256` replaces an unreported hash.
+/// Asks the hub for size and hash; `sha256` replaces an unreported hash.
 ///
 /// # Errors
 /// [`Error::Io`] for an unreachable hub; [`Error::Argument`] for a missing size or hash, or another
@@ -68,7 +68,7 @@ pub fn promise(client: &Client, url: &str, sha256: Option<&str>, stage: &Stage<'
 ///
 /// # Errors
 /// [`Error::Io`] of the disk, or after retries without progress; [`Error::Format`] for other bytes
-/// than promised, or a changed file; [`Error::Cancelled`].
+/// than promised; [`Error::Cancelled`].
 pub fn fetch(
     client: &Client,
     promise: &Promise,
@@ -102,12 +102,11 @@ pub fn fetch(
     }
 }
 
-/// Consecutive tries without progress.
 #[derive(Default)]
 struct Tries(u32);
 
 impl Tries {
-    /// Counts a failure and waits with exponential backoff, up to the timeout.
+    /// Waits with exponential backoff, up to the timeout.
     ///
     /// # Errors
     /// [`Error::Io`] with the reason after the last try; [`Error::Cancelled`].
@@ -125,7 +124,7 @@ impl Tries {
     }
 }
 
-/// Runs `work` in a thread, which is abandoned on cancellation.
+/// Runs `work` in a thread that cancellation abandons.
 fn apart<T: Send + 'static>(stage: &Stage<'_>, work: impl FnOnce() -> T + Send + 'static) -> Result<T> {
     let (send, done) = channel();
     std::thread::spawn(move || {
@@ -141,7 +140,7 @@ fn apart<T: Send + 'static>(stage: &Stage<'_>, work: impl FnOnce() -> T + Send +
     }
 }
 
-/// Reason for the end of a connection, including the end of the file.
+/// Reason for the end of a connection.
 enum Stop {
     Passing(String),
     Lasting(Error),
@@ -195,7 +194,7 @@ fn load(client: &Client, promise: &Promise, partial: &mut Partial, stage: &Stage
     }
 }
 
-/// Sends the bytes of one connection; ends early without a receiver.
+/// Sends bytes until the receiver is gone.
 fn stream(client: &Client, promise: &Promise, start: u64, send: &SyncSender<Event>) -> Stop {
     let (response, told) = match client.get(&promise.url, start) {
         Ok(answer) => answer,
@@ -225,7 +224,7 @@ fn stream(client: &Client, promise: &Promise, start: u64, send: &SyncSender<Even
     }
 }
 
-/// Returns the file offset of an answer to a promised file.
+/// File offset of an answer to a promised file.
 fn check_answer(
     promise: &Promise,
     told: &Told,

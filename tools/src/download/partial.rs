@@ -16,7 +16,6 @@ const BLOCK: usize = 1 << 20;
 /// Digits of the hash in a file name.
 pub const TAG: usize = 12;
 
-/// Expected file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Promise {
     pub url: String,
@@ -27,20 +26,19 @@ pub struct Promise {
 }
 
 impl Promise {
-    /// Returns the hash digits for file names.
     pub fn tag(&self) -> &str {
         &self.sha256[..TAG]
     }
 
-    /// Returns the path of the whole file: `base` with the tag in its name.
+    /// `base` with the tag in its name.
     pub fn path(&self, base: &Path) -> PathBuf {
         let part = |part: Option<&std::ffi::OsStr>| part.unwrap_or_default().to_string_lossy().into_owned();
         base.with_file_name(format!("{}-{}.{}", part(base.file_stem()), self.tag(), part(base.extension())))
     }
 }
 
-/// Bytes so far (`BASE.part`) and [`Promise`] (`BASE.part.json`) of a file. It is renamed when its
-/// hash is right.
+/// Bytes so far (`BASE.part`) and [`Promise`] (`BASE.part.json`). The file is renamed when its hash
+/// is right.
 pub struct Partial {
     path: PathBuf,
     promise_path: PathBuf,
@@ -49,14 +47,14 @@ pub struct Partial {
     promise: Promise,
 }
 
-/// Exclusive lock on a file's download and conversion, across processes.
+/// Cross-process lock on a file's download and conversion.
 pub struct Lock {
     path: PathBuf,
     _file: File,
 }
 
 impl Lock {
-    /// Waits for other processes with the file of `base`.
+    /// Waits for other processes.
     pub fn new(base: &Path, stage: &Stage<'_>) -> Result<Self> {
         let [.., path] = paths(base);
         let failed = |error| Error::io(&path, error);
@@ -87,7 +85,7 @@ impl Drop for Lock {
     }
 }
 
-/// Returns true if `path` still names an open file.
+/// True if `path` still names an open file.
 fn is_at(file: &File, path: &Path) -> io::Result<bool> {
     #[cfg(unix)]
     {
@@ -112,7 +110,6 @@ fn open(path: &Path) -> Result<File> {
     })
 }
 
-/// Returns the paths of bytes, promise and lock.
 fn paths(base: &Path) -> [PathBuf; 3] {
     [".part", ".part.json", ".lock"].map(|ending| {
         let mut name = base.as_os_str().to_owned();
@@ -121,7 +118,7 @@ fn paths(base: &Path) -> [PathBuf; 3] {
     })
 }
 
-/// Returns the number of bytes and the promise of a partial file.
+/// Number of bytes and promise of a partial file.
 pub fn kept(base: &Path) -> Option<(u64, Promise)> {
     let [path, promise, _] = paths(base);
     Some((path.metadata().ok()?.len(), serde_json::from_slice(&std::fs::read(promise).ok()?).ok()?))
@@ -141,7 +138,7 @@ impl Partial {
         Ok(Self { path, promise_path, base: base.to_owned(), file, promise: promise.clone() })
     }
 
-    /// Returns the number of contiguous bytes.
+    /// Number of contiguous bytes.
     pub fn length(&self) -> Result<u64> {
         self.file.metadata().map(|found| found.len()).map_err(|error| Error::io(&self.path, error))
     }
@@ -152,7 +149,6 @@ impl Partial {
         written.map_err(|error| Error::io(&self.path, error))
     }
 
-    /// Drops all bytes.
     pub fn clear(&mut self) -> Result<()> {
         self.file.set_len(0).map_err(|error| Error::io(&self.path, error))
     }

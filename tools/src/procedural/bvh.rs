@@ -27,7 +27,7 @@ impl Aabb {
         side.x * side.y + side.y * side.z + side.z * side.x
     }
 
-    /// Returns the entry distance before `limit`.
+    /// Entry distance before `limit`.
     fn enter(&self, origin: Vec3A, inverse: Vec3A, limit: f32) -> Option<f32> {
         let (a, b) = ((self.low - origin) * inverse, (self.high - origin) * inverse);
         let (enter, leave) = (a.min(b).max_element().max(0.0), a.max(b).min_element().min(limit));
@@ -43,7 +43,6 @@ struct Node {
     count: u32,
 }
 
-/// Hierarchy over primitive indices.
 pub(super) struct Bvh {
     nodes: Vec<Node>,
     items: Vec<u32>,
@@ -82,7 +81,7 @@ impl Bvh {
         self.build(boxes, start + left, end, depth + 1);
     }
 
-    /// Returns cost, axis and left item count of an axis's cheapest split.
+    /// Cost, axis and left item count.
     fn best_split(&mut self, boxes: &[Aabb], start: usize, end: usize, axis: usize) -> (f32, usize, usize) {
         let items = &mut self.items[start..end];
         sort_along(items, boxes, axis);
@@ -103,7 +102,7 @@ impl Bvh {
         best
     }
 
-    /// Returns distance and primitive of the nearest hit.
+    /// Distance and primitive.
     pub fn nearest(
         &self,
         primitives: &[Primitive],
@@ -120,7 +119,7 @@ impl Bvh {
         best
     }
 
-    /// Returns true for any hit before `limit`.
+    /// True for any hit before `limit`.
     pub fn occluded(&self, primitives: &[Primitive], origin: Vec3A, direction: Vec3A, limit: f32) -> bool {
         let mut found = false;
         self.visit(origin, direction, limit, |item, limit| {
@@ -131,7 +130,7 @@ impl Bvh {
         found
     }
 
-    /// Calls `hit(item, limit)` along the ray, nearest boxes first. It returns the new limit.
+    /// Calls `hit(item, limit)`, which returns the new limit, nearest boxes first.
     fn visit(&self, origin: Vec3A, direction: Vec3A, mut limit: f32, mut hit: impl FnMut(usize, f32) -> Option<f32>) {
         let inverse = direction.recip();
         let (mut stack, mut depth) = ([(0u32, 0f32); STACK], 0);

@@ -26,9 +26,9 @@ const BRIGHTNESS: RangeInclusive<f32> = 0.15..=0.85;
 /// Field of view of the longer side in degrees, skewed toward narrow.
 const FIELD_OF_VIEW: [f32; 2] = [28.0, 92.0];
 
-/// Four rays per pixel, at distinct row and column offsets.
+/// Four rays at distinct row and column offsets.
 const ROTATED_GRID: [(f32, f32); 4] = [(-0.125, -0.375), (0.375, -0.125), (0.125, 0.375), (-0.375, 0.125)];
-/// Two rays beside the central one, at distinct row and column offsets.
+/// With the central ray, distinct row and column offsets.
 const BESIDE_CENTRE: [(f32, f32); 2] = [(-0.33, 0.25), (0.33, -0.25)];
 
 /// Cancellation check; its error ends the work.
@@ -205,7 +205,7 @@ impl Setup {
         })
     }
 
-    /// Returns the median distance of all points from the first camera, in meters.
+    /// From the first camera to all points, in meters.
     fn median_distance(&self, frames: &[Frame]) -> f64 {
         let Lens { width, .. } = self.lens;
         let first = self.views[0].eye;
@@ -248,7 +248,7 @@ impl Setup {
         Ok(Frame { light, depth: rows.iter().flatten().map(|(_, depth)| *depth).collect() })
     }
 
-    /// Returns color and z at a picture point; `pixel` is the filter width in pixels.
+    /// Color and z; `pixel` is the filter width in pixels.
     fn look(&self, view: View, x: f32, y: f32, pixel: f32, photos: &Photos) -> (Seen, f32) {
         let ray = self.lens.ray(x, y);
         let length = ray.length();
@@ -263,7 +263,7 @@ struct Frame {
     depth: Vec<f32>,
 }
 
-/// Estimates a shared exposure from few rays; `None` for dull, dark or overexposed views.
+/// Shared exposure from few rays; `None` for dull, dark or overexposed views.
 fn expose(world: &World, lens: Lens, views: &[View], photos: &Photos, rng: &mut Rng) -> Option<Development> {
     let pixel = lens.width as f32 / survey::GRID as f32 / lens.focal / 4.0;
     let look = |view: &View| {

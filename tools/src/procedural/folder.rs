@@ -70,7 +70,6 @@ pub fn write_folder(folder: &Path, capture: &Capture, crops: &[Crop]) -> Result<
     })
 }
 
-/// Samples colored world points.
 fn points(capture: &Capture) -> Vec<([f32; 3], [u8; 3])> {
     let mut points = Vec::new();
     for (view, image) in capture.images.iter().enumerate() {

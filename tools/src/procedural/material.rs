@@ -21,9 +21,7 @@ pub(super) struct Material {
 pub(super) enum Role {
     /// Earth, grass, gravel, paving.
     Ground,
-    /// Indoor floors.
     Floor,
-    /// Indoor walls.
     Wall,
     /// Masonry and plaster outdoors.
     Facade,
@@ -34,7 +32,6 @@ pub(super) enum Role {
     Metal,
     /// Window panes.
     Glass,
-    /// Wall pictures.
     Picture,
     Anything,
 }
@@ -94,7 +91,7 @@ impl Palette<'_> {
         Some(Texture { pattern, period, offset: offset(rng), colors: [tint; 3], stain })
     }
 
-    /// Returns grass or earth for level ground, rock for slopes.
+    /// Grass or earth on level ground, rock on slopes.
     pub fn terrain(&self, rng: &mut Rng) -> Material {
         let crops = self.photos.crops().len();
         let photo = (crops > 0 && rng.chance(self.photo_share)).then(|| rng.count(0, crops.max(1) - 1));
@@ -205,7 +202,7 @@ fn offset(rng: &mut Rng) -> Vec3A {
     20.0 * Vec3A::new(rng.unit(), rng.unit(), rng.unit())
 }
 
-/// Returns three matching linear colors.
+/// Matching linear colors.
 fn colors(rng: &mut Rng, role: Role) -> [Vec3A; 3] {
     let (hues, saturation, value) = match role {
         Role::Ground => ([0.06, 0.32], [0.1, 0.5], [0.25, 0.7]),
@@ -233,7 +230,7 @@ fn colors(rng: &mut Rng, role: Role) -> [Vec3A; 3] {
     three
 }
 
-/// Converts hue, saturation and value in 0..1 (sRGB) to linear RGB.
+/// sRGB hue, saturation and value in 0..1 to linear RGB.
 fn from_hsv(hue: f32, saturation: f32, value: f32) -> Vec3A {
     let channel = |shift: f32| {
         let k = (6.0 * hue.rem_euclid(1.0) + shift) % 6.0;

@@ -2,7 +2,7 @@
 
 use glam::{Vec2, Vec3A, Vec4, Vec4Swizzles};
 
-/// Hashes lattice coordinates to 32 bits.
+/// Hash of lattice coordinates.
 pub(super) fn hash(x: i32, y: i32, z: i32) -> u32 {
     let mut word = (x as u32).wrapping_mul(0x8da6_b343)
         ^ (y as u32).wrapping_mul(0xd816_3841)
@@ -11,7 +11,7 @@ pub(super) fn hash(x: i32, y: i32, z: i32) -> u32 {
     word ^ (word >> 13)
 }
 
-/// Hashes lattice coordinates to [0, 1).
+/// Hash in [0, 1).
 pub(super) fn hash_unit(x: i32, y: i32, z: i32) -> f32 {
     (hash(x, y, z) >> 8) as f32 / (1 << 24) as f32
 }
@@ -25,7 +25,7 @@ pub(super) fn smoothstep(low: f32, high: f32, x: f32) -> f32 {
 /// Footprints, in features, at which fading starts and ends.
 const FADE: [f32; 2] = [0.3, 1.1];
 
-/// Returns the remaining contrast of unit features at footprint `width`.
+/// Remaining contrast of unit features at footprint `width`.
 pub(super) fn fade(width: f32) -> f32 {
     1.0 - smoothstep(FADE[0], FADE[1], width)
 }
@@ -49,7 +49,7 @@ const fn lattice() -> [u8; SIDE * SIDE * SIDE] {
     values
 }
 
-/// Value noise: random lattice values in 0..1, interpolated cubically.
+/// Random lattice values in 0..1, interpolated cubically.
 pub(super) fn value_noise(p: Vec3A) -> f32 {
     let floor = p.floor();
     let f = p - floor;
@@ -66,7 +66,7 @@ pub(super) fn value_noise(p: Vec3A) -> f32 {
     (faces.x + (faces.y - faces.x) * s.z) / 255.0
 }
 
-/// Fractal sum of value noise around 0.5, mostly in 0..1, without octaves below `width`.
+/// Sum of value noise around 0.5, mostly in 0..1, without octaves below `width`.
 pub(super) fn fbm(p: Vec3A, octaves: usize, width: f32) -> f32 {
     let (mut sum, mut weight, mut frequency) = (0.5, 0.5, 1.0);
     for octave in 0..octaves {

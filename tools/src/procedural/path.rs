@@ -50,12 +50,12 @@ pub(super) struct Stage {
     pub distance: [f32; 2],
     /// Elevation above the target.
     pub elevation: [f32; 2],
-    /// Central azimuth of the cameras.
+    /// Central azimuth.
     pub front: f32,
     /// Maximum azimuth deviation from `front`.
     pub freedom: f32,
     pub bounds: [Vec3A; 2],
-    /// Paths that suit the scene.
+    /// Allowed paths.
     pub paths: &'static [PathKind],
 }
 
@@ -76,15 +76,14 @@ impl View {
         Self { eye, rotation: level * Mat3A::from_rotation_z(roll) }
     }
 
-    /// Transforms a point to camera axes.
+    /// In camera axes.
     pub fn to_camera(self, point: Vec3A) -> Vec3A {
         self.rotation.transpose() * (point - self.eye)
     }
 }
 
 impl Stage {
-    /// Returns a path of `views`; `span` is the fraction of a full path. `reach` scales distances
-    /// for the lens.
+    /// `span` is the fraction of a full path; `reach` scales distances for the lens.
     pub fn path(&self, kind: PathKind, views: usize, span: f32, reach: f32, rng: &mut Rng) -> Vec<View> {
         let distance = reach * rng.range(self.distance[0], self.distance[1]);
         let unsteady =

@@ -39,7 +39,6 @@ struct Pyramid {
     levels: Vec<Level>,
 }
 
-/// Square of sRGB pixels.
 struct Level {
     side: usize,
     rgb: Vec<[u8; 3]>,
@@ -77,7 +76,7 @@ impl Photos {
         &self.crops
     }
 
-    /// Samples linear RGB of a photo over the mirrored unit square, with footprint `width`.
+    /// Linear RGB over the mirrored unit square, with footprint `width`.
     pub(super) fn sample(&self, photo: usize, uv: Vec2, width: f32) -> Vec3A {
         let Pyramid { levels } = &self.pyramids[photo];
         let level = (width * levels[0].side as f32).max(1.0).log2().min((levels.len() - 1) as f32);

@@ -9,7 +9,6 @@ pub(super) struct Rng {
 }
 
 impl Rng {
-    /// Creates a stream of `seed`.
     pub fn new(seed: u64, stream: u64) -> Self {
         Self { state: mix(mix(seed.wrapping_add(INCREMENT)).wrapping_add(stream.wrapping_mul(INCREMENT))) }
     }
@@ -39,7 +38,6 @@ impl Rng {
         self.range(-1.0, 1.0)
     }
 
-    /// An angle in [-pi, pi).
     pub fn angle(&mut self) -> f32 {
         std::f32::consts::PI * self.signed()
     }
@@ -53,7 +51,7 @@ impl Rng {
         low + self.bits() as usize % (high - low + 1)
     }
 
-    /// Returns an element of a nonempty list.
+    /// From a nonempty list.
     pub fn pick<T: Copy>(&mut self, choices: &[T]) -> T {
         choices[self.bits() as usize % choices.len()]
     }

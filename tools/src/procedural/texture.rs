@@ -56,17 +56,16 @@ pub(super) enum Pattern {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Texture {
     pub pattern: Pattern,
-    /// Meters per period of the pattern.
+    /// Meters.
     pub period: f32,
-    /// Offset in meters against repeated patterns.
+    /// Meters, against repeated patterns.
     pub offset: Vec3A,
     pub colors: [Vec3A; 3],
-    /// Strength of stains, and meters per period.
+    /// Strength, and meters per period.
     pub stain: (f32, f32),
 }
 
 impl Texture {
-    /// Returns the albedo.
     pub fn color(&self, place: &Place, photos: &Photos) -> Vec3A {
         let p = (place.position + self.offset) / self.period;
         let uv = (place.uv + self.offset.xy()) / self.period;
@@ -118,7 +117,7 @@ impl Texture {
         color * (1.0 + 2.0 * amount * (stain - 0.5)).max(0.1)
     }
 
-    /// Interpolates the three colors at 0, 1/2 and 1.
+    /// Three colors at 0, 1/2 and 1.
     fn ramp(&self, t: f32) -> Vec3A {
         let t = 2.0 * t.clamp(0.0, 1.0);
         let [first, second, third] = self.colors;
@@ -141,20 +140,20 @@ fn contrast(noise: f32) -> f32 {
     0.5 + 1.7 * (noise - 0.5)
 }
 
-/// Averages a pulse wave of duty cycle `share` and period 1 over `width` around `x`.
+/// Pulse wave of duty cycle `share` and period 1, averaged over `width`.
 fn pulse(x: f32, share: f32, width: f32) -> f32 {
     let integral = |x: f32| x.floor() * share + (x - x.floor()).min(share);
     let width = width.max(1e-3);
     ((integral(x + width / 2.0) - integral(x - width / 2.0)) / width).clamp(0.0, 1.0)
 }
 
-/// Averages a checkerboard of unit squares.
+/// Unit squares.
 fn checker(uv: Vec2, width: f32) -> f32 {
     let (a, b) = (pulse(uv.x / 2.0, 0.5, width / 2.0), pulse(uv.y / 2.0, 0.5, width / 2.0));
     a * b + (1.0 - a) * (1.0 - b)
 }
 
-/// Places one disc in each unit square.
+/// One disc per unit square.
 fn spots(uv: Vec2, radius: f32, width: f32) -> f32 {
     let cell = uv.floor();
     let word = hash(cell.x as i32, cell.y as i32, 11);

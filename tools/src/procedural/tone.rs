@@ -20,7 +20,7 @@ pub(super) struct Development {
 }
 
 impl Development {
-    /// Chooses an exposure for a mean scene `luminance`.
+    /// Exposure for a mean scene `luminance`.
     pub fn new(rng: &mut Rng, luminance: f32) -> Self {
         let exposure = rng.scale(0.15, 0.30) / luminance.max(1e-4);
         let warmth = rng.range(-0.1, 0.1);
@@ -30,7 +30,6 @@ impl Development {
         Self { gain: exposure * balance, blur, noise, seed: rng.bits() }
     }
 
-    /// Returns the sRGB bytes of a view.
     pub fn develop(&self, view: usize, width: usize, mut linear: Vec<Vec3A>) -> Vec<u8> {
         if self.blur > 0.0 {
             linear = blur(&blur(&linear, width, self.blur, Axis::X), width, self.blur, Axis::Y);
@@ -44,7 +43,7 @@ impl Development {
         linear.iter().enumerate().flat_map(pixel).collect()
     }
 
-    /// Returns developed brightness, 0..1.
+    /// Developed, 0..1.
     pub fn brightness(&self, light: Vec3A) -> f32 {
         linear_to_srgb(soft_clip(light * self.gain)).element_sum() / 3.0
     }

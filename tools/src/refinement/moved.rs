@@ -8,7 +8,6 @@ use zipsplat::{
     stages::lpips::LpipsNetwork,
 };
 
-/// Options beyond moving the existing Gaussians.
 #[derive(Args, Debug)]
 pub struct Moved {
     /// Also refine the photos' cameras, except the first photo's and held-out ones
@@ -35,12 +34,10 @@ fn parse_weight(text: &str) -> Result<f32, String> {
 }
 
 impl Moved {
-    /// Rejects LPIPS without its weights.
     pub fn check(&self) -> Result<()> {
         self.lpips_weight.map_or(Ok(()), |_| Perceptual::file(LpipsNetwork::Vgg).map(drop))
     }
 
-    /// Adds the options to a request.
     pub fn request(&self, request: Refine) -> Refine {
         let look = self.lpips_weight.filter(|weight| *weight > 0.0);
         let look = look.map(|weight| Look { weight, network: LpipsNetwork::Vgg });

@@ -18,9 +18,8 @@ use zipsplat::{Error, Result};
 const PATIENCE: Duration = Duration::from_secs(1);
 /// Delay before the first progress line off a terminal.
 pub(super) const FIRST_LINE: Duration = Duration::from_secs(5);
-/// Interval between progress lines.
 const BETWEEN_LINES: Duration = Duration::from_secs(30);
-/// Smallest fraction for an estimate of the remaining time.
+/// Smallest fraction for an estimate.
 const ESTIMABLE: f64 = 0.02;
 const STEPS: u64 = 1000;
 
@@ -45,7 +44,7 @@ impl<'a> Stage<'a> {
         Self { bar: bar.with_message(name.to_owned()).with_prefix(task.to_owned()), cancelled }
     }
 
-    /// Runs `body` with its progress on standard error.
+    /// Runs `body` with progress on standard error.
     pub(super) fn shown<T>(&self, next_line: &Mutex<Instant>, body: impl FnOnce(&Self) -> T) -> T {
         let result = std::thread::scope(|scope| {
             // Dropped with the body, also on a panic, which ends the wait.
@@ -74,25 +73,21 @@ impl<'a> Stage<'a> {
         if self.cancelled.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
 
-    /// Creates a hidden stage with the same cancellation, for parallel steps.
+    /// Hidden stage with the same cancellation, for parallel steps.
     pub fn silent(&self) -> Stage<'_> {
         Stage { bar: ProgressBar::hidden(), cancelled: self.cancelled }
     }
 
-    /// Sets the shown name.
     pub fn name(&self, name: &str) {
         self.bar.set_message(name.to_owned());
     }
 
-    /// As [`Stage::at`], with an error on cancellation.
-    ///
-    /// # Errors
-    /// [`Error::Cancelled`].
+    /// As [`Stage::at`], with [`Error::Cancelled`].
     pub fn reach(&self, fraction: f64) -> Result<()> {
         if self.at(fraction).is_break() { Err(Error::Cancelled) } else { Ok(()) }
     }
 
-    /// Maps the items with `body`, with progress by count.
+    /// Progress is by count.
     pub fn each<T, U>(&self, items: &[T], mut body: impl FnMut(&T) -> Result<U>) -> Result<Vec<U>> {
         let (name, all) = (self.bar.message(), items.len());
         let step = |(i, item)| {
@@ -102,13 +97,13 @@ impl<'a> Stage<'a> {
         items.iter().enumerate().map(step).collect()
     }
 
-    /// Returns [`Error::Cancelled`] on cancellation.
+    /// [`Error::Cancelled`] on cancellation.
     pub fn check(&self) -> Result<()> {
         if self.cancelled.load(Ordering::Relaxed) { Err(Error::Cancelled) } else { Ok(()) }
     }
 }
 
-/// Draws the bar of a long stage until it ends.
+/// Shows the bar of a long stage.
 fn show_bar(bar: &ProgressBar, done: &Receiver<()>) {
     if done.recv_timeout(PATIENCE) == Err(RecvTimeoutError::Timeout) {
         bar.set_draw_target(ProgressDrawTarget::stderr());

@@ -19,17 +19,14 @@ use zipsplat::{
 const BYTES: &str = "application/octet-stream";
 const JSON: &str = "application/json";
 
-/// Content of a page's server.
 pub struct Served<'a> {
     pub config: &'a Config,
-    /// Scenes of files.
     pub scenes: &'a [Scene],
     /// Photos for scenes on demand.
     pub ready: Option<&'a Ready<'a>>,
     /// Running refinement.
     pub watched: Option<&'a Watched>,
     pub studio: &'a Studio,
-    /// Stop flag.
     pub cancelled: &'a AtomicBool,
 }
 
@@ -112,7 +109,7 @@ fn number(path: &str, folder: &str) -> Option<usize> {
     path.strip_prefix(folder)?.parse().ok()
 }
 
-/// Parses `RATIO/PRECISION` with an optional `?NUMBER`.
+/// Parses `RATIO/PRECISION[?NUMBER]`.
 fn asked(words: &str) -> Option<(f64, Precision, Option<u64>)> {
     let (words, number) = words.split_once('?').map_or((words, None), |(words, number)| (words, Some(number)));
     let (ratio, name) = words.split_once('/')?;

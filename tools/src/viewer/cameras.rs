@@ -31,7 +31,6 @@ pub struct InputCamera {
     fy: f64,
     cx: f64,
     cy: f64,
-    /// Address of the camera's photo.
     photo: Option<String>,
     #[serde(skip)]
     frame: Frame,
@@ -40,7 +39,7 @@ pub struct InputCamera {
 }
 
 impl InputCamera {
-    /// Returns the camera of a photo at a pose in the scene's world.
+    /// Camera of a photo at a pose in the scene's world.
     pub fn new(frame: Frame, pose: &Pose, file: Option<PathBuf>) -> Self {
         let Intrinsics { width, height, fx, fy, cx, cy } = frame.camera.intrinsics;
         let (r, t) = (pose.rotation, pose.translation);
@@ -48,7 +47,6 @@ impl InputCamera {
         Self { name: frame.name.clone(), matrix, width, height, fx, fy, cx, cy, photo: None, frame, file }
     }
 
-    /// Returns true if the photo is available.
     pub fn has_photo(&self) -> bool {
         self.file.is_some()
     }
@@ -58,7 +56,7 @@ impl InputCamera {
         self.photo = Some(address);
     }
 
-    /// Returns the undistorted photo as a JPEG, at most `side` pixels long; `None` without a photo.
+    /// Undistorted JPEG, at most `side` pixels long; `None` without a photo.
     pub fn jpeg(&self, side: Option<u32>) -> Result<Option<Vec<u8>>> {
         let Some(file) = &self.file else { return Ok(None) };
         let photo = self.frame.open(file)?;
@@ -76,9 +74,6 @@ impl InputCamera {
 
 /// Reads cameras into the scene's world, with notes; `world` is the scene file's. Photos come from
 /// the camera file's folder or by name from `photos`; none with `without_photos`.
-///
-/// # Errors
-/// As [`read_cameras`]; a missing camera of the photo `relative_to`.
 pub fn input_cameras(
     file: &Path,
     relative_to: Option<&Path>,
@@ -97,7 +92,7 @@ pub fn input_cameras(
     Ok((poses.frames.into_iter().map(camera).collect(), poses.notes))
 }
 
-/// Returns the mean up direction, assuming photos are upright on average.
+/// Mean up direction, assuming upright photos on average.
 pub fn vertical(cameras: &[InputCamera]) -> Option<[f64; 3]> {
     let up = cameras.iter().map(|camera| -DVec3::from(camera.matrix.map(|row| row[1]))).sum::<DVec3>();
     up.try_normalize().map(DVec3::into)

@@ -22,31 +22,27 @@ use zipsplat::{
     weights::Checkpoint,
 };
 
-/// Interval between checks of a waiting request for being overtaken.
+/// Interval of a waiting request's checks.
 const POLL: Duration = Duration::from_millis(5);
 
 /// Photos with features on the device.
 pub struct Live<'a> {
-    /// Device of the features.
     pub device: Device,
     pub(super) checkpoint: Checkpoint,
     pub(super) quality: &'a Quality,
     /// Network input pictures.
     pub(super) images: Vec<Image>,
     pub(super) request: Request,
-    /// Pose of the network's world in the scene's world, if different.
+    /// Network's world in the scene's, if different.
     pub(super) turned: Option<Pose>,
-    /// Names of the photos.
     pub(super) name: String,
-    /// Features by precision; the first one is the initial choice.
+    /// By precision; the first one is initial.
     pub(super) sources: Mutex<Vec<Source>>,
-    /// Highest number of a running request, or 0.
+    /// Highest running request, or 0.
     pub(super) latest: AtomicU64,
-    /// Stop flag.
     pub(super) cancelled: &'a AtomicBool,
 }
 
-/// Model and its features of the photos.
 pub(super) struct Source {
     pub precision: Precision,
     pub model: Model,
@@ -74,8 +70,8 @@ impl Made {
 }
 
 impl Live<'_> {
-    /// Returns the scene of a ratio unless a call with a higher `number` overtakes it. Requests may
-    /// arrive out of order. The default is the next number.
+    /// Returns the scene of a ratio unless a higher `number` overtakes it: requests may arrive out
+    /// of order. The default is the next number.
     ///
     /// # Errors
     /// As [`Model::reconstruct_features`]; [`Error::Cancelled`] if overtaken.
@@ -88,7 +84,7 @@ impl Live<'_> {
         made
     }
 
-    /// Returns the scene of a ratio unless `overtaken`.
+    /// As [`Live::make`], unless `overtaken`.
     pub fn make_unless(&self, ratio: f64, precision: Precision, overtaken: impl Fn() -> bool) -> Result<Made> {
         let overtaken = || overtaken() || self.cancelled.load(Ordering::Relaxed);
         let go_on = |_: Progress<'_>| if overtaken() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
@@ -129,28 +125,26 @@ impl Live<'_> {
         Ok(Made { scene, shown })
     }
 
-    /// Returns the first precision's tokens for refinement.
+    /// Tokens of the first precision, for refinement.
     pub fn tokens(&self) -> Result<SceneTokens> {
         let sources = self.lock(&|| self.cancelled.load(Ordering::Relaxed))?;
         sources[0].model.tokens(&sources[0].features, &self.request, |_| ControlFlow::Continue(()))
     }
 
-    /// Returns views and patches.
     pub fn grid(&self) -> ViewGrid {
         self.sources.lock().unwrap_or_else(|poisoned| poisoned.into_inner())[0].features.grid()
     }
 
-    /// Returns `Break` on cancellation.
+    /// `Break` on cancellation.
     pub fn go_on(&self) -> ControlFlow<()> {
         if self.cancelled.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
 
-    /// Returns the initial precision.
+    /// Initial precision.
     pub fn first_precision(&self) -> Precision {
         self.sources.lock().unwrap_or_else(|poisoned| poisoned.into_inner())[0].precision
     }
 
-    /// Returns the choices of a page.
     pub fn ratios(&self) -> Ratios {
         let tokens = self.grid().tokens();
         let first = self.first_precision();
@@ -163,7 +157,7 @@ impl Live<'_> {
         Ratios { tokens, ratio: self.quality.ratio_of(self.images.len()), precisions }
     }
 
-    /// Waits for the sources unless `overtaken`.
+    /// Waits unless `overtaken`.
     fn lock(&self, overtaken: &dyn Fn() -> bool) -> Result<MutexGuard<'_, Vec<Source>>> {
         loop {
             match self.sources.try_lock() {

@@ -9,7 +9,6 @@ use zipsplat::types::LeftOut;
 
 const PAGE: &str = include_str!("../../viewer/page.html");
 const STYLE: &str = include_str!("../../viewer/style.css");
-/// Page scripts, in order.
 const SCRIPT: &str = concat!(
     include_str!("../../viewer/camera.js"),
     include_str!("../../viewer/controls.js"),
@@ -22,62 +21,55 @@ const SCRIPT: &str = concat!(
     include_str!("../../viewer/refining.js"),
     include_str!("../../viewer/page.js"),
 );
-/// Worker script.
 const WORKER: &str = concat!(include_str!("../../viewer/formats.js"), include_str!("../../viewer/worker.js"));
 
-/// Content of a page.
 #[derive(Default, Serialize)]
 pub struct Config {
     /// Scenes in slider order.
     pub scenes: Vec<ShownScene>,
-    /// Input cameras in the scenes' world.
+    /// In the scenes' world.
     pub cameras: Vec<InputCamera>,
-    /// Up direction of the world, if known.
+    /// If known.
     pub up: Option<[f64; 3]>,
-    /// Network input photos, if the scenes are reconstructions.
+    /// Empty for scene files.
     pub views: Vec<View>,
-    /// Rows and columns of their patches.
+    /// Patch rows and columns of a view.
     pub grid: [usize; 2],
     /// Choices of scenes on demand.
     pub live: Option<Ratios>,
-    /// True during a refinement.
+    /// During a refinement.
     pub refines: bool,
     /// Sentence under the slider.
     pub note: Option<String>,
 }
 
-/// Description of a scene, known before loading.
+/// Scene before loading.
 #[derive(Default, Serialize)]
 pub struct ShownScene {
     pub name: String,
-    /// File size.
     pub bytes: u64,
     /// Consecutive Gaussians per token.
     pub group: Option<usize>,
     /// Patch of each token, see [`zipsplat::reconstruct::Reconstruction::patches`].
     pub patches: Vec<u32>,
-    /// Stages with milliseconds.
+    /// Milliseconds by stage.
     pub times: Vec<(String, f64)>,
-    /// Skipped stages with reasons.
+    /// Skipped stages.
     pub left_out: Vec<LeftOut>,
 }
 
-/// Network input picture.
+/// Network input.
 #[derive(Serialize)]
 pub struct View {
     pub name: String,
-    /// Address of the picture.
     pub photo: String,
 }
 
-/// Scenes on demand.
 #[derive(Serialize)]
 pub struct Ratios {
-    /// Tokens at ratio 1.
     pub tokens: usize,
-    /// Initial ratio.
     pub ratio: f64,
-    /// Supported precisions, the initial one first.
+    /// The initial one first.
     pub precisions: Vec<&'static str>,
 }
 
@@ -86,7 +78,6 @@ pub struct Ratios {
 pub enum Requests {
     /// No requests: the scenes are embedded.
     None,
-    /// The page's own server.
     Server,
 }
 

@@ -70,9 +70,8 @@ const MOST_RATIOS: usize = 8;
 /// Photos with features on the device, and their cameras.
 pub struct Ready<'a> {
     pub live: Live<'a>,
-    /// Input cameras in the scene's world.
+    /// In the scene's world.
     pub cameras: Vec<InputCamera>,
-    /// Names of the network's input pictures.
     names: Vec<String>,
     photos: Vec<PathBuf>,
     frames: Vec<Frame>,
@@ -84,12 +83,11 @@ pub struct Ready<'a> {
 pub(super) struct Photographed {
     pub photos: Vec<PathBuf>,
     pub known: Option<Known>,
-    /// Frames of a video.
     pub folder: Option<FrameFolder>,
 }
 
 impl FromPhotos {
-    /// Opens the network of the scenes.
+    /// Opens the network.
     pub fn network(&self) -> Result<Network> {
         self.weights.open_network()
     }
@@ -116,7 +114,7 @@ impl FromPhotos {
         Ok(Photographed { photos, known, folder })
     }
 
-    /// Returns the first given option, for rejection with scene files.
+    /// First given option, for rejection with scene files.
     pub fn given(&self) -> Option<&'static str> {
         let options = [
             ("--weights", !self.weights.is_embedded()),
@@ -129,20 +127,15 @@ impl FromPhotos {
         options.into_iter().find(|(_, given)| *given).map(|(option, _)| option)
     }
 
-    /// Returns true for listed ratios.
     pub fn lists_ratios(&self) -> bool {
         !self.ratios.is_empty()
     }
 
-    /// Returns true for a requested refinement.
     pub fn refines(&self) -> bool {
         self.refine.steps().is_some()
     }
 
     /// Uploads photos and runs the network up to its features.
-    ///
-    /// # Errors
-    /// Those of `reconstruct` with the same photos.
     pub fn prepare<'a, 's: 'a>(
         &'a self,
         session: &mut Session<'s>,
@@ -203,7 +196,7 @@ impl FromPhotos {
         Ok(Ready { live, cameras, names, photos, frames, cloud, _folder: folder })
     }
 
-    /// Returns the length that is 1 for the network.
+    /// Length that is 1 for the network.
     fn length(
         &self,
         session: &mut Session<'_>,
@@ -217,7 +210,7 @@ impl FromPhotos {
         Ok(unit.length)
     }
 
-    /// Returns the ratios of a written page in descending order, without equal numbers of tokens.
+    /// Ratios of a written page, descending, without equal numbers of tokens.
     ///
     /// # Errors
     /// [`Error::Argument`] for one outside (0, 1], or too many.
@@ -235,9 +228,6 @@ impl FromPhotos {
     }
 
     /// Prepares a requested refinement.
-    ///
-    /// # Errors
-    /// If a photo cannot be read, or without an initialization.
     pub fn watched(&self, session: &mut Session<'_>, ready: &Ready<'_>) -> Result<Option<Watched>> {
         let (Some(steps), Some(first)) = (self.refine.steps(), ready.frames.first()) else { return Ok(None) };
         let live = &ready.live;
@@ -268,7 +258,6 @@ impl FromPhotos {
 }
 
 impl Ready<'_> {
-    /// Returns the input pictures, by address or embedded.
     pub fn views(&self, within: bool) -> Result<Vec<View>> {
         let view = |(i, name): (usize, &String)| {
             let photo = if within { within_page(&self.view(i)?) } else { format!("view/{i}") };
@@ -277,18 +266,16 @@ impl Ready<'_> {
         self.names.iter().enumerate().map(view).collect()
     }
 
-    /// Returns an input picture as a JPEG.
     pub fn view(&self, index: usize) -> Result<Vec<u8>> {
         self.live.images[index].jpeg(QUALITY)
     }
 
-    /// Returns the number of input pictures.
     pub fn view_count(&self) -> usize {
         self.names.len()
     }
 }
 
-/// Returns the photos' cameras in the first one's world.
+/// Cameras in the first one's world.
 pub(super) fn input_cameras(photos: &[PathBuf], frames: &[&Frame]) -> Vec<InputCamera> {
     let world = frames.first().map_or(Pose::IDENTITY, |first| first.camera.pose);
     let camera = |(photo, frame): (&PathBuf, &&Frame)| {

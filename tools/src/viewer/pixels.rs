@@ -30,10 +30,7 @@ pub struct OfPixels {
 }
 
 impl FromPhotos {
-    /// Runs a network and makes a scene for each ratio.
-    ///
-    /// # Errors
-    /// Those of `reconstruct` with the same photos and weights.
+    /// Makes a scene for each ratio.
     pub fn of_pixels(
         &self,
         session: &mut Session<'_>,

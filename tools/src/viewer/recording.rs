@@ -31,10 +31,8 @@ pub struct Studio {
     bar: ProgressBar,
 }
 
-/// Requested recording.
 #[derive(Deserialize)]
 pub struct Wanted {
-    /// Address of the scene.
     pub scene: String,
     /// camera_path.json.
     path: serde_json::Value,
@@ -95,7 +93,7 @@ impl Studio {
         Ok((kind, bytes))
     }
 
-    /// Returns the finished fraction of the recording.
+    /// Finished fraction.
     pub fn done(&self) -> f64 {
         self.bar.position() as f64 / self.bar.length().unwrap_or(1).max(1) as f64
     }

@@ -33,13 +33,13 @@ const POLL: Duration = Duration::from_millis(100);
 const TOKEN_BYTES: usize = 16;
 /// Limit of concurrent requests, as one may take long.
 const WORKERS: usize = 4;
-/// Limit of a request body in bytes.
+/// Request body limit in bytes.
 const BODY: usize = 16 << 20;
-/// Limit of a request header in bytes.
+/// Request header limit in bytes.
 const HEADER: usize = 1 << 16;
 /// Timeout of a request's header and of its body.
 const PATIENCE: Duration = Duration::from_secs(10);
-/// Limit of connections with incomplete requests. A new one closes the oldest.
+/// Limit of incomplete requests; a new one closes the oldest connection.
 const INCOMPLETE: usize = 64;
 
 /// Loopback server whose paths all begin with a random token.
@@ -61,7 +61,6 @@ struct Job {
     reply: oneshot::Sender<Reply>,
 }
 
-/// State of all connections.
 struct Site {
     token: String,
     port: u16,
@@ -85,7 +84,6 @@ impl Server {
         Ok(Self { listener, token, port })
     }
 
-    /// Returns the address of the page.
     pub fn address(&self) -> String {
         format!("http://127.0.0.1:{}/{}/", self.port, self.token)
     }
@@ -164,7 +162,7 @@ impl Connection {
 }
 
 impl Site {
-    /// Checks a request and passes it to a worker. A refused request's body is not read.
+    /// Checks a request and passes it to a worker, without a refused request's body.
     async fn reply(&self, request: Request<Incoming>, complete: &AtomicBool) -> Reply {
         if !is_own(request.headers(), self.port) {
             return text(StatusCode::FORBIDDEN, "not from this page");

@@ -31,13 +31,12 @@ pub enum Start {
 /// Observable refinement.
 pub struct Watched {
     start: Start,
-    /// Gaussians per token and the tokens' patches, for token refinement.
     tokens: Option<(usize, Vec<u32>)>,
     photos: Vec<Image>,
     cameras: Vec<Camera>,
     request: Refine,
     now: Mutex<Now>,
-    /// Flag to end early with the best so far.
+    /// Ends early with the best so far.
     pub stop: AtomicBool,
 }
 
@@ -46,9 +45,8 @@ pub struct Watched {
 struct Now {
     step: usize,
     steps: usize,
-    /// Loss of each step.
     losses: Vec<f32>,
-    /// Steps with held-out PSNR in dB.
+    /// Steps and dB.
     psnr: Vec<(usize, f64)>,
     seconds_left: f64,
     /// Increases with every new scene.
@@ -60,7 +58,7 @@ struct Now {
 }
 
 impl Watched {
-    /// Creates a refinement without starting it.
+    /// Does not start it.
     pub fn new(
         start: Start,
         tokens: Option<(usize, Vec<u32>)>,
@@ -73,7 +71,7 @@ impl Watched {
         Self { start, tokens, photos, cameras, request: Refine { show, ..request }, now, stop: AtomicBool::new(false) }
     }
 
-    /// Refines to the end or until stopped; `progress` gets the finished fraction.
+    /// Refines until the end or `stop`; `progress` gets the finished fraction.
     pub fn run(&self, live: &Live<'_>, mut progress: impl FnMut(f64) -> ControlFlow<()>) -> Result<()> {
         let told = |at: Refining<'_>| {
             self.tell(&at);
@@ -91,12 +89,10 @@ impl Watched {
         self.end(refined)
     }
 
-    /// Returns the state as JSON.
     pub fn state(&self) -> Vec<u8> {
         serde_json::to_vec(&*self.now()).expect("plain values")
     }
 
-    /// Returns the latest scene.
     pub fn scene(&self) -> Option<Made> {
         let now = self.now();
         let name = match now.ended {

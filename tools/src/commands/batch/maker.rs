@@ -20,7 +20,6 @@ use zipsplat::{
     weights::{Checkpoint, DepthCheckpoint},
 };
 
-/// Input of a network.
 pub enum Input {
     /// With the length that is 1 for the network.
     Tokens(Views, f64),
@@ -28,23 +27,20 @@ pub enum Input {
     Pixels(Shown, Option<PathBuf>),
 }
 
-/// Network on the device.
 pub enum Maker<'a> {
     Tokens { model: Box<Model>, checkpoint: &'a Checkpoint, size: Size },
     Pixels(Box<Seer>),
 }
 
-/// Scene of a capture.
 pub struct Scened {
     pub scene: Scene,
     /// Photo whose estimated camera is the scene's world.
     pub first: Option<String>,
-    /// Network's part of the scene's record.
     pub record: Value,
 }
 
 impl<'a> Maker<'a> {
-    /// Loads a token network and records the settings of its scenes.
+    /// Loads a token network; the text identifies the settings of its scenes.
     pub fn of_tokens(batch: &Batch, session: &mut Session<'_>, checkpoint: &'a Checkpoint) -> Result<(Self, String)> {
         session.notes(checkpoint.notes());
         batch.quality.check(checkpoint.architecture())?;
@@ -59,7 +55,7 @@ impl<'a> Maker<'a> {
         Ok((Self::Tokens { model: Box::new(model), checkpoint, size }, made_with))
     }
 
-    /// Loads a pixel network and records the settings of its scenes.
+    /// Loads a pixel network, likewise.
     pub fn of_pixels(batch: &Batch, session: &mut Session<'_>, checkpoint: &DepthCheckpoint) -> Result<(Self, String)> {
         let squares = batch.fit.fit == Fit::Squares;
         refuse("--fit squares", squares, "weights of Depth Anything 3", "weights of ZipSplat")?;
@@ -76,9 +72,6 @@ impl<'a> Maker<'a> {
     }
 
     /// Reads the photos at the network's size; frames carry known cameras.
-    ///
-    /// # Errors
-    /// Unreadable photos, or photos that differ from their cameras.
     pub fn prepare(
         &self,
         batch: &Batch,
@@ -105,7 +98,6 @@ impl<'a> Maker<'a> {
         }
     }
 
-    /// Makes the scene.
     pub fn make(&self, batch: &Batch, input: Input, stage: &Stage<'_>) -> Result<Scened> {
         match (input, self) {
             (Input::Tokens(Views { images, cameras, note }, unit), Self::Tokens { model, checkpoint, .. }) => {

@@ -57,7 +57,7 @@ struct Row {
     arena_bytes: u64,
 }
 
-/// Compared parts, by prefix of their stage names.
+/// Prefixes of stage names.
 const PARTS: [&str; 2] = ["backbone", "heads"];
 
 impl Depth {
@@ -154,8 +154,7 @@ fn part_of(row: &ProfileRow) -> String {
     }
 }
 
-/// Returns the sum of the medians of all stages whose names start with `part`, in device
-/// milliseconds.
+/// Sum of the median device times of stages that start with `part`.
 fn milliseconds(rows: &[Row], part: &str) -> f64 {
     let stages = rows.iter().map(|row| &row.part).filter(|row| row.kernel.is_empty() && row.stage.starts_with(part));
     stages.map(|row| row.ms.median).sum()
@@ -198,7 +197,6 @@ fn compare(found: &pytorch::Depth, measured: &[((usize, Size), [f64; 2])]) -> St
     format!("PyTorch {} on {}\n{table}", found.torch, found.device)
 }
 
-/// Returns PyTorch's times as rows; `rows` are ours.
 fn theirs(found: &pytorch::Depth, rows: &[Row]) -> Vec<Row> {
     let totals = rows.iter().filter(|row| row.part.stage.is_empty());
     let of = |(theirs, ours): (&pytorch::DepthRow, &Row)| {

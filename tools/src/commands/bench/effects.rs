@@ -16,19 +16,17 @@ use zipsplat::{
     types::Scene,
 };
 
-/// Gaussians per token, for token colors.
+/// Gaussians per token.
 const GROUP: NonZeroU32 = NonZeroU32::new(32).expect("not 0");
 
 #[derive(Serialize)]
 struct Row {
     effect: &'static str,
-    /// Effect disabled.
     off: Spread,
-    /// Effect enabled.
     on: Spread,
 }
 
-/// Measures every effect on a scene; bands above 0 come first.
+/// Measures every effect; bands above 0 come first.
 pub fn run(session: &mut Session<'_>, device: &Device, scene: &Scene, size: Size, repeats: &Repeats) -> Result<()> {
     let stride = scene.sh_coeffs_per_gaussian();
     let sh_coeffs = scene.sh_coeffs.iter().copied().step_by(stride).collect();

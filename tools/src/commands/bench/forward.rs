@@ -58,7 +58,6 @@ pub struct Forward {
     pytorch: Option<PathBuf>,
 }
 
-/// Time and memory of another implementation.
 struct Compared {
     text: String,
     rows: Vec<Row>,
@@ -69,7 +68,6 @@ struct Row {
     precision: &'static str,
     views: usize,
     tokens: usize,
-    /// Share of all tokens.
     ratio: f64,
     pool: usize,
     #[serde(flatten)]
@@ -139,7 +137,7 @@ impl Forward {
         compared
     }
 
-    /// Compares with PyTorch; `totals` are in measurement order.
+    /// `totals` are in measurement order.
     fn compare(&self, python: &Path, checkpoint: &Checkpoint, size: Size, totals: &[Row]) -> Result<Compared> {
         let cases: Vec<(usize, f64)> = totals.iter().map(|row| (row.views, row.ratio)).collect();
         let Repeats { warmup, repeats } = self.repeats;
@@ -195,7 +193,7 @@ impl Forward {
             renderer.show(&made.gaussians)?;
             renderer.render_loaded(&[camera], &drawing).map(drop)
         };
-        // Frees the arena of an earlier run, so that the first time includes its allocation.
+        // Times the first run with its allocation.
         model.arena().release()?;
         let (mut renderer, mut of_host) = (Renderer::new(device), Renderer::new(device));
         let mut on_device = || {

@@ -44,7 +44,7 @@ struct Row {
     device_gflop_per_s: f64,
     /// Share of the measured rate of lanes or matrix units.
     peak_share: Option<f64>,
-    /// Largest difference from f64 over the largest value, in the checked rows.
+    /// Largest difference from f64 over the largest value.
     difference: f64,
 }
 
@@ -72,7 +72,6 @@ impl Gemm {
         session.report(&rows, table)
     }
 
-    /// Measures every available kernel.
     fn measure(
         &self,
         device: &Device,
@@ -114,7 +113,6 @@ fn larger_or_nan(most: f64, value: f64) -> f64 {
     if value > most || value.is_nan() { value } else { most }
 }
 
-/// Returns the available kernels with the limit of each.
 fn kernels(device: &Device, stage: &Stage<'_>) -> Result<Vec<(String, LinearKernel, Rate)>> {
     let limits = device.limits();
     let lanes = peak::fma(device, peak::BRIEFLY, stage)?;
@@ -145,7 +143,7 @@ fn kernels(device: &Device, stage: &Stage<'_>) -> Result<Vec<(String, LinearKern
     Ok(kernels)
 }
 
-/// Returns device times and the product `[rows, columns]`.
+/// Device times, and the product `[rows, columns]`.
 fn on_device(
     device: &Device,
     [rows, inner, columns]: [usize; 3],

@@ -55,7 +55,6 @@ enum What {
     Tradeoff(Box<tradeoff::Tradeoff>),
 }
 
-/// Limit of the runs of one benchmark.
 const MOST: i64 = 1_000_000;
 
 #[derive(Args, Clone, Copy)]
@@ -90,7 +89,6 @@ fn timed_device(session: &mut Session<'_>) -> Result<Device> {
     Ok(device)
 }
 
-/// Milliseconds of several runs.
 #[derive(Clone, Copy, Debug, Serialize)]
 struct Spread {
     median: f64,
@@ -99,8 +97,7 @@ struct Spread {
 }
 
 impl Spread {
-    /// Returns the spread of at least one time. An even number has the mean of the middle two as
-    /// median.
+    /// An even number of times has the mean of the middle two as median.
     fn of(times: impl IntoIterator<Item = Duration>) -> Self {
         let mut ms: Vec<f64> = times.into_iter().map(|time| 1e3 * time.as_secs_f64()).collect();
         ms.sort_by(f64::total_cmp);
@@ -115,7 +112,6 @@ impl Spread {
     }
 }
 
-/// Formats a share for a table; empty for `None`.
 fn percent(share: Option<f64>) -> String {
     share.map_or_else(String::new, |share| format!("{:.1} %", 100.0 * share))
 }
@@ -126,17 +122,15 @@ impl fmt::Display for Spread {
     }
 }
 
-/// Rows of several profiles with a common name.
 struct Group {
     name: String,
     /// Commands of one run.
     count: u32,
-    /// FLOPs of one run.
     flops: u64,
     ms: Spread,
 }
 
-/// Groups the profiles of one plan by `name`, in order of first use.
+/// Groups profiles of one plan by `name`, in order of first use.
 fn group(profiles: &[Profile], name: impl Fn(&ProfileRow) -> String) -> Vec<Group> {
     let mut order: Vec<String> = Vec::new();
     let mut known: HashMap<String, (u32, u64, Vec<Duration>)> = HashMap::new();
@@ -160,7 +154,6 @@ fn group(profiles: &[Profile], name: impl Fn(&ProfileRow) -> String) -> Vec<Grou
     order.into_iter().map(finish).collect()
 }
 
-/// Returns the outermost scope.
 fn stage_of(row: &ProfileRow) -> String {
     row.scope.split('/').next().unwrap_or_default().to_owned()
 }

@@ -9,7 +9,6 @@ use zipsplat::{
     gpu::{Profile, ProfileRow, Run},
 };
 
-/// Times of a plan, or of a part of it.
 #[derive(Clone, Serialize)]
 pub struct Part {
     /// Empty for all stages.
@@ -38,17 +37,13 @@ impl Part {
         }
     }
 
-    /// Returns times from outside our plans.
     pub fn of(stage: String, ms: Spread) -> Self {
         Self { stage, kernel: String::new(), commands: 0, ms, gflop: 0.0, gflop_per_s: 0.0, peak_share: None }
     }
 }
 
-/// Runs a plan and calls `write` before each run to upload its inputs. Measures the whole on the
-/// host, and stages and kernels by timestamps. `stage_of` names a command's stage.
-///
-/// # Errors
-/// Those of the run, and [`zipsplat::Error::Cancelled`].
+/// Measures the whole on the host, and stages and kernels by timestamps. `write` uploads the inputs
+/// of each run. `stage_of` names a command's stage.
 pub fn measure(
     run: &mut Run,
     write: impl Fn(&mut Run) -> Result<()>,
@@ -88,7 +83,6 @@ pub fn measure(
     Ok(parts)
 }
 
-/// Formats the times as a table.
 pub fn table<'a>(parts: impl IntoIterator<Item = &'a Part>) -> Table {
     let headings = ["stage", "kernel", "commands", "ms: median (min..max)", "GFLOP", "GFLOP/s", "of peak"];
     let mut table = Table::new(2, &headings);

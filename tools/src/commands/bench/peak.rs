@@ -1,4 +1,4 @@
-//! `zipsplat bench peak`: measured device limits, the basis of shares in other benchmarks.
+//! `zipsplat bench peak`: measured device limits, the basis of shares elsewhere.
 
 use super::{Repeats, Spread, timed_device};
 use crate::{
@@ -29,13 +29,13 @@ const WAKING: Duration = Duration::from_millis(500);
 const LONG_ENOUGH: Duration = Duration::from_millis(20);
 /// Limit of iterations, so that sums stay exact.
 const MOST_ITERATIONS: u32 = 1 << 18;
-/// Invocations that fill a device many times over, on a GPU and on a CPU.
+/// Invocations that fill a GPU or CPU many times over.
 const THREADS: [usize; 2] = [1 << 22, 1 << 14];
 /// The same in subgroups, for matrix units.
 const SUBGROUPS: [usize; 2] = [1 << 15, 1 << 12];
-/// Tolerance relative to the largest value. Factors and sums are exact by construction.
+/// Tolerance relative to the largest value; results are exact by construction.
 const EQUAL: f64 = 1e-3;
-/// Repeats for rates measured within other benchmarks.
+/// Repeats within other benchmarks.
 pub const BRIEFLY: Repeats = Repeats { warmup: 1, repeats: 5 };
 
 /// Measured device limits: arithmetic on lanes and matrix units, and bandwidth
@@ -53,14 +53,12 @@ pub struct Peak {
 
 #[derive(Clone, Debug, Serialize)]
 pub struct Rate {
-    /// Measured operation.
     pub what: String,
     /// Median rate per second: GFLOP (also for integers), or GB read and written.
     pub per_s: f64,
     pub unit: &'static str,
-    /// Time of one dispatch or copy.
     ms: Spread,
-    /// Largest difference from the truth over the largest value.
+    /// Largest difference over the largest value.
     difference: f64,
 }
 
@@ -91,13 +89,12 @@ impl fmt::Display for Rate {
 }
 
 impl Rate {
-    /// Returns the share of this limit for a rate in the same unit.
     pub fn share(&self, per_s: f64) -> Option<f64> {
         (per_s > 0.0).then(|| per_s / self.per_s)
     }
 }
 
-/// Measures the limit of an arithmetic's matrix products: its fastest matrix units, or else lanes.
+/// Limit of matrix products: the fastest matrix units, or else lanes.
 pub fn of_products(device: &Device, arithmetic: Arithmetic, repeats: Repeats, stage: &Stage<'_>) -> Result<Rate> {
     match arithmetic.quantised.or(arithmetic.linear) {
         Some(units) => matrices(device, units, repeats, stage),
@@ -105,7 +102,6 @@ pub fn of_products(device: &Device, arithmetic: Arithmetic, repeats: Repeats, st
     }
 }
 
-/// Measures f32 multiply-adds on lanes.
 pub fn fma(device: &Device, repeats: Repeats, stage: &Stage<'_>) -> Result<Rate> {
     // A run-time factor 1, unknown to compilers, and an exact term.
     let of = |iterations| FmaChains { threads: pick(THREADS, device), iterations, factor: 1.0, term: 0.0625 };
@@ -125,7 +121,6 @@ pub fn fma(device: &Device, repeats: Repeats, stage: &Stage<'_>) -> Result<Rate>
     })
 }
 
-/// Measures matrix products on matrix units.
 pub fn matrices(device: &Device, units: Units, repeats: Repeats, stage: &Stage<'_>) -> Result<Rate> {
     let [m, n, k] = [units.shape.m, units.shape.n, units.shape.k].map(|side| side as usize);
     // Small integers: products and sums are exact in every type.
@@ -153,7 +148,6 @@ pub fn matrices(device: &Device, units: Units, repeats: Repeats, stage: &Stage<'
     })
 }
 
-/// Measures copies on the device.
 pub fn copies(device: &Device, repeats: Repeats, stage: &Stage<'_>) -> Result<Rate> {
     let len = (COPIED.min(device.limits().max_binding_bytes) / 16 * 16) as usize;
     let mut rec = Recorder::new(device.limits());
@@ -168,7 +162,7 @@ pub fn copies(device: &Device, repeats: Repeats, stage: &Stage<'_>) -> Result<Ra
     Ok(Rate { what: "copy".into(), per_s, unit: "GB/s", ms, difference: wrong as f64 })
 }
 
-/// Returns the device times of `counted` commands, after the warm-up.
+/// Times `counted` commands, after the warm-up.
 fn timed(
     device: &Device,
     run: &mut Run,
@@ -191,11 +185,9 @@ fn timed(
     Ok(Spread::of(times))
 }
 
-/// Plan result, and inputs with their contents.
 type Recorded = (Tensor, Vec<(Tensor, Vec<u8>)>);
 
-/// Finds an iteration count that takes [`LONG_ENOUGH`]. Returns it, the times and the result's
-/// words.
+/// Raises the iterations to [`LONG_ENOUGH`]. Returns them, the times and the result's words.
 fn sustained(
     device: &Device,
     repeats: Repeats,
@@ -226,7 +218,7 @@ fn pick([gpu, cpu]: [usize; 2], device: &Device) -> usize {
     if device.limits().cpu { cpu } else { gpu }
 }
 
-/// Largest difference of repeating results from `truth`, over its largest value. Keeps NaN.
+/// Largest difference over the largest of `truth`, which repeats. Keeps NaN.
 fn difference(found: &[f32], truth: &[f64]) -> f64 {
     let most = |most: f64, value: f64| if value > most || value.is_nan() { value } else { most };
     let largest = truth.iter().map(|value| value.abs()).fold(0.0, most);

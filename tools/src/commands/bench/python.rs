@@ -6,14 +6,9 @@ use std::{
 };
 use zipsplat::{Error, Result};
 
-/// Scene reader of the scripts.
 pub const SCENE: (&str, &str) = ("scene.py", include_str!("../../../bench/scene.py"));
 
-/// Runs `command` and returns its output. `option` names the Python option, `needed` its
-/// requirement.
-///
-/// # Errors
-/// [`Error::Argument`] if it does not run or fails, with its last line.
+/// Returns the output of `command`. `option` names the Python option, `needed` its requirement.
 pub fn run(option: &str, needed: &str, command: &mut Command) -> Result<String> {
     let python = command.get_program().display().to_string();
     let failed = |said: &str| Error::argument(option, format!("{python}: {said}"), needed);
@@ -25,7 +20,6 @@ pub fn run(option: &str, needed: &str, command: &mut Command) -> Result<String> 
     Ok(String::from_utf8_lossy(&output.stdout).into_owned())
 }
 
-/// Writes the files into a temporary folder.
 pub fn folder(files: &[(&str, &str)]) -> Result<tempfile::TempDir> {
     let folder = tempfile::tempdir().map_err(|error| Error::io("temporary folder", error))?;
     for (name, text) in files {

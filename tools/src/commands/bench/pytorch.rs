@@ -1,5 +1,4 @@
-//! Network, depth and refinement step in PyTorch: our code in `tools/train`, run by an installed
-//! Python.
+//! Network, depth and refinement step in PyTorch, by `tools/train`.
 
 use crate::options::Size;
 use serde::Deserialize;
@@ -38,7 +37,6 @@ const REFINE_FILES: [(&str, &str); 6] = [
 const REFINE_NEEDED: &str = "a Python with torch, numpy and, without a CUDA GPU, numba";
 const NEEDED: &str = "a Python with torch, numpy and safetensors";
 
-/// Time and memory of PyTorch.
 #[derive(Deserialize)]
 pub struct Pytorch {
     pub device: String,
@@ -51,17 +49,13 @@ pub struct Row {
     pub precision: String,
     pub views: usize,
     pub ratio: f64,
-    /// Times of every run; absent after a failure.
+    /// Absent after a failure.
     pub ms: Option<Vec<f64>>,
-    /// GPU memory.
     pub peak_bytes: Option<u64>,
     pub failed: Option<String>,
 }
 
 /// Checks that `python` has the needed packages.
-///
-/// # Errors
-/// [`Error::Argument`] if it does not run or lacks a package, with its message.
 pub fn check(python: &Path) -> Result<()> {
     let mut command = Command::new(python);
     super::python::run("--pytorch", NEEDED, command.args(["-c", "import torch, numpy, safetensors"])).map(drop)
@@ -88,7 +82,6 @@ pub fn forward(
         .map_err(|error| Error::argument("--pytorch", format!("{}: {error}", python.display()), NEEDED))
 }
 
-/// Times of depth.
 #[derive(Deserialize)]
 pub struct Depth {
     pub device: String,
@@ -96,14 +89,13 @@ pub struct Depth {
     pub rows: Vec<DepthRow>,
 }
 
-/// Milliseconds of every run.
 #[derive(Deserialize)]
 pub struct DepthRow {
     pub backbone_ms: Vec<f64>,
     pub heads_ms: Vec<f64>,
 }
 
-/// Times a depth network without its Gaussian head for each case: views, and their size.
+/// Times a depth network for each case: views, and their size.
 pub fn depth(
     python: &Path,
     architecture: &DepthArchitecture,
@@ -120,7 +112,6 @@ pub fn depth(
         .map_err(|error| Error::argument("--pytorch", format!("{}: {error}", python.display()), NEEDED))
 }
 
-/// Times of pictures and of steps.
 #[derive(Deserialize)]
 pub struct Steps {
     pub device: String,
@@ -129,13 +120,12 @@ pub struct Steps {
     pub step_ms: Vec<f64>,
 }
 
-/// Checks that `python` has the packages of a step.
+/// Checks for the packages of a step.
 pub fn check_refine(python: &Path) -> Result<()> {
     let mut command = Command::new(python);
     super::python::run("--pytorch", REFINE_NEEDED, command.args(["-c", REFINE_FILES[0].1])).map(drop)
 }
 
-/// Times steps on a scene with a batch of photos each.
 pub fn refine(
     python: &Path,
     scene: &Scene,

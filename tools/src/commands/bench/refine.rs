@@ -28,9 +28,8 @@ use zipsplat::{
 
 /// Limit by host memory.
 const MOST_GAUSSIANS: i64 = 50_000_000;
-/// Number of progress checks in a loop; its times exclude them.
+/// Number of progress checks, excluded from times.
 const LOOKS: usize = 20;
-/// Highest spherical-harmonics degree of tools/train.
 const PYTORCH_DEGREE: u32 = 1;
 
 /// Time of a refinement step, by pass, and of the picture of the same cameras
@@ -76,11 +75,9 @@ struct Row {
     what: String,
     commands: u32,
     ms: Spread,
-    /// Ratio to the picture's time.
     pictures: Option<f64>,
     bandwidth_share: Option<f64>,
     fma_share: Option<f64>,
-    /// Peak memory of the refinement.
     peak_bytes: u64,
 }
 
@@ -125,7 +122,7 @@ impl Refine {
     fn measure(&self, device: &Device, case: &Case, limits: &Limits, stage: &Stage<'_>) -> Result<Vec<Row>> {
         let Repeats { warmup, repeats } = self.repeats;
         let runs = warmup + repeats;
-        // Exact capacity, so that bytes and arithmetic match those in use.
+        // Exact capacity: bytes and arithmetic are those in use.
         let room = case.intersections(device)?;
         let (mut profiles, mut peak_bytes) = (Vec::new(), 0);
         for i in 0..runs {
@@ -175,7 +172,6 @@ impl Refine {
         Ok(rows)
     }
 
-    /// Times consecutive steps without progress checks.
     fn host(&self, device: &Device, case: &Case, room: usize, stage: &Stage<'_>) -> Result<Spread> {
         let (warmup, counted) = (self.repeats.warmup as usize, self.repeats.repeats as usize);
         let steps = (2 * (warmup + counted)).max(3 * LOOKS);
@@ -230,7 +226,7 @@ impl Case {
         }
     }
 
-    /// Returns the largest number of tile intersections of a photo.
+    /// Largest number of tile intersections of a photo.
     fn intersections(&self, device: &Device) -> Result<usize> {
         let mut renderer = Renderer::new(device);
         renderer.load(&self.scene)?;

@@ -68,7 +68,7 @@ struct Row {
     width: u32,
     height: u32,
     sh_degree: u32,
-    /// Intersections of Gaussians with tiles.
+    /// Tile intersections.
     intersections: usize,
     /// Pass; `device` for all, `host` for a frame in host memory, `in flight` for pipelined frames,
     /// `gsplat`.
@@ -76,9 +76,8 @@ struct Row {
     commands: u32,
     ms: Spread,
     frames_per_s: f64,
-    /// Bytes of the tensors of a pass, each once per command.
+    /// Bytes of a pass's tensors, each once per command.
     bytes: Option<u64>,
-    /// Share of the copy bandwidth.
     bandwidth_share: Option<f64>,
 }
 
@@ -121,7 +120,7 @@ impl Render {
     ) -> Result<Vec<Row>> {
         let (camera, request) = (noise::camera(size.0, size.1), RenderRequest::default());
         let Repeats { warmup, repeats } = self.repeats;
-        // Exact capacity, so that tensor bytes are bytes in use.
+        // Exact capacity: tensor bytes are bytes in use.
         let mut renderer = Renderer::new(device);
         renderer.render(scene, &[camera], &request)?;
         let intersections = renderer.intersections();
@@ -211,7 +210,6 @@ fn table(rows: &[Row]) -> Table {
     table
 }
 
-/// Returns our device time over gsplat's.
 fn ratio(rows: &[Row], gsplat: &Row) -> f64 {
     let case = |row: &Row| (row.gaussians, row.width, row.height, row.sh_degree);
     let ours = rows.iter().find(|row| row.what == "device" && case(row) == case(gsplat));

@@ -158,7 +158,7 @@ impl Depth {
         session.report(&json, text)
     }
 
-    /// Checks the options against the photos.
+    /// Checks the output files.
     fn check(&self, files: &[PathBuf]) -> Result<()> {
         let names = names(files);
         let pictures = names.iter().flat_map(|name| [picture(name, "depth"), picture(name, "colors")]);
@@ -172,7 +172,7 @@ impl Depth {
         }
     }
 
-    /// Returns the frames of known cameras, and their points file.
+    /// Frames and points file of known cameras.
     fn known(&self, files: &[PathBuf]) -> Result<Option<(Vec<Frame>, Option<PathBuf>)>> {
         let Some(poses) = &self.poses else { return Ok(None) };
         let poses = read_poses(poses)?;
@@ -181,7 +181,7 @@ impl Depth {
         Ok(Some((frames, poses.points)))
     }
 
-    /// Writes 16-bit depth with a common scale, and colored depth; returns the levels of one unit.
+    /// Writes 16-bit depth at a common scale, and colored depth; returns the levels of one unit.
     fn save_pictures(&self, depths: &Depths, names: &[String]) -> Result<f32> {
         let size = [depths.width, depths.height];
         let behind: Vec<Vec<f32>> = depths.views.iter().map(DepthView::depth_behind_sky).collect();
@@ -195,7 +195,7 @@ impl Depth {
     }
 }
 
-/// Returns unique names of photos: the stem, numbered if repeated.
+/// Unique names of photos: the stem, numbered if repeated.
 fn names(files: &[PathBuf]) -> Vec<String> {
     let stem = |file: &PathBuf| file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let stems: Vec<String> = files.iter().map(stem).collect();
@@ -245,7 +245,6 @@ fn save_values(path: &Path, depths: &Depths, names: &[String]) -> Result<()> {
     write_atomic(path, |out| out.write_all(&file))
 }
 
-/// Colors from near to far.
 const COLORS: [[f64; 3]; 6] = [
     [250.0, 230.0, 120.0],
     [245.0, 150.0, 70.0],

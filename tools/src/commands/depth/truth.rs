@@ -13,7 +13,7 @@ use zipsplat::{
     },
 };
 
-/// Known cameras of a capture, with any exact depth.
+/// Known cameras, with any exact depth.
 pub struct Truth {
     poses: Poses,
     folder: PathBuf,
@@ -32,7 +32,6 @@ pub struct Errors {
 }
 
 impl Truth {
-    /// Reads the cameras of a capture.
     pub fn open(folder: &Path) -> Result<Self> {
         Ok(Self { poses: read_poses(folder)?, folder: folder.to_owned() })
     }
@@ -62,7 +61,6 @@ impl Truth {
 }
 
 impl Errors {
-    /// Formats the errors in one line.
     pub fn told(&self) -> String {
         let mut parts = Vec::new();
         if let Some([degrees, away, focal]) = self.cameras {
@@ -89,7 +87,7 @@ impl Errors {
     }
 }
 
-/// Returns the medians of camera errors: angle, distance over the extent, focal length.
+/// Medians of angle, distance over the extent, and focal length.
 fn cameras(pairs: &[(Camera, Camera)]) -> Option<[f64; 3]> {
     let (similarity, _) = Similarity::between(pairs)?;
     let centres = pairs.iter().map(|(_, truth)| truth.pose.translation);
@@ -104,7 +102,7 @@ fn cameras(pairs: &[(Camera, Camera)]) -> Option<[f64; 3]> {
     Some([0, 1, 2].map(|k| median(errors.iter().map(|error| error[k]).collect())))
 }
 
-/// Returns true over predicted depth of the known pixels, nearest sampled.
+/// True over predicted depth of known pixels, nearest sampled.
 fn ratios(view: &DepthView, map: &PixelMap, ([width, height], truth): &([u32; 2], Vec<f32>)) -> Vec<f64> {
     let ([columns, _], [from_width, from_height]) = (map.to, map.from);
     let at = |i: usize, axis: usize, from: u32, to: u32| {
@@ -120,8 +118,8 @@ fn ratios(view: &DepthView, map: &PixelMap, ([width, height], truth): &([u32; 2]
     view.depth.iter().enumerate().filter_map(ratio).collect()
 }
 
-/// Returns medians of AbsRel and of the share within a factor of 1.25, at the scale of the median
-/// of photo medians.
+/// Medians of AbsRel and of the share within a factor of 1.25, scaled by the median of photo
+/// medians.
 fn depth(photos: Vec<Vec<f64>>) -> Option<[f64; 2]> {
     let photos: Vec<Vec<f64>> = photos.into_iter().filter(|ratios| !ratios.is_empty()).collect();
     if photos.is_empty() {

@@ -8,7 +8,6 @@ use crate::{
 };
 use serde::Serialize;
 
-/// Alignment of one picture's camera.
 #[derive(Serialize)]
 pub struct AlignedScore {
     view: String,
@@ -19,9 +18,9 @@ pub struct AlignedScore {
     /// With the given camera.
     before_psnr: f64,
     before_ssim: f64,
-    /// Angle between aligned and given camera.
+    /// From the given camera.
     degrees: f64,
-    /// Distance between them, in the cameras' unit.
+    /// In the cameras' unit.
     distance: f64,
     doubt: Option<Doubt>,
     pub lpips: Option<f64>,
@@ -48,12 +47,12 @@ fn scores(capture: &Capture, found: &[Aligned]) -> Vec<AlignedScore> {
     found.iter().zip(before).zip(after).map(row).collect()
 }
 
-/// Summary of alignments, with the scores before.
+/// Summary of alignments.
 #[derive(Serialize)]
 pub struct Alignment {
-    /// Median angle between aligned and given cameras.
+    /// Median.
     degrees: f64,
-    /// Median distance, in the cameras' unit.
+    /// Median, in the cameras' unit.
     distance: f64,
     /// Means with the given cameras.
     before: Before,
@@ -69,7 +68,6 @@ struct Before {
 }
 
 impl Alignment {
-    /// Compares the targets with their predictions before and after alignment.
     pub fn new(capture: &Capture, found: &[Aligned]) -> Self {
         let rows = scores(capture, found);
         let median = |value: fn(&AlignedScore) -> f64| {
@@ -87,7 +85,6 @@ impl Alignment {
         }
     }
 
-    /// Formats each picture's scores and their mean.
     pub fn table(&self, mean: &Score) -> Table {
         let mut table = Table::new(
             1,
@@ -110,7 +107,7 @@ impl Alignment {
         table
     }
 
-    /// Returns a warning about unreliable scores.
+    /// Warning about unreliable scores.
     pub fn doubts(&self) -> Option<String> {
         let count = |doubt| self.rows.iter().filter(|row| row.doubt == Some(doubt)).count();
         let [flat, bound, color] = [Doubt::Flat, Doubt::Bound, Doubt::Color].map(count);
@@ -133,7 +130,6 @@ impl Alignment {
             .then(|| format!("{} of {of} aligned pictures say little: {}", self.doubtful, reasons.join("; ")))
     }
 
-    /// Formats the alignment.
     pub fn told(&self) -> String {
         let Self { degrees, distance, before: Before { psnr, ssim }, .. } = self;
         format!(

@@ -1,4 +1,4 @@
-//! Model, renderer and LPIPS for all captures of a run, on one device.
+//! Model, renderer and LPIPS of a run.
 
 use super::{Eval, alignment::Alignment};
 use crate::{
@@ -22,7 +22,6 @@ use zipsplat::{
     weights::Checkpoint,
 };
 
-/// Evaluates captures.
 pub struct Judge<'a> {
     pub(super) eval: &'a Eval,
     weights: &'a Weighed,
@@ -32,20 +31,20 @@ pub struct Judge<'a> {
     arithmetic: Arithmetic,
     /// Loaded by the first reconstruction.
     model: Option<Model>,
-    /// Pixel network, loaded likewise.
+    /// Loaded likewise.
     pub(super) seer: Option<Seer>,
     renderer: Renderer,
     lpips: Option<Perceptual>,
 }
 
-/// Scene of a capture with its scores.
+/// Scene with its scores.
 pub struct Judged {
     pub capture: Capture,
     pub made: Made,
     /// Predictions of the targets, `[height][width][rgb]` in 0..1.
     pub drawn: Vec<Vec<f32>>,
     pub scores: Vec<Score>,
-    /// Present after camera alignment.
+    /// After camera alignment.
     pub alignment: Option<Alignment>,
 }
 
@@ -59,7 +58,6 @@ pub struct Made {
     pub started: &'static str,
 }
 
-/// Network statistics.
 pub struct Network {
     pub tokens: usize,
     pub all_tokens: usize,
@@ -68,14 +66,12 @@ pub struct Network {
 }
 
 impl Made {
-    /// Returns an external scene.
     pub fn given(scene: Scene) -> Self {
         Self { scene, network: None, refined: None, started: "" }
     }
 }
 
 impl<'a> Judge<'a> {
-    /// Opens the device.
     pub fn new(eval: &'a Eval, weights: &'a Weighed, seeing: Seeing, session: &mut Session<'_>) -> Result<Self> {
         let device = session.device()?;
         let gradients = eval.aligning().is_some_and(|method| method == crate::align::Method::Adam);
@@ -86,13 +82,12 @@ impl<'a> Judge<'a> {
         Ok(Self { eval, weights, seeing, device, precision, arithmetic, model, seer, renderer, lpips })
     }
 
-    /// Returns true if alignment and scores include LPIPS.
+    /// True if alignment and scores include LPIPS.
     pub fn has_lpips(&self) -> bool {
         self.lpips.is_some()
     }
 
-    /// Evaluates a capture's scene, reconstructed or read from a file. `name` is the capture's in a
-    /// data set.
+    /// Evaluates a reconstruction or an external scene. `name` is the capture's in a data set.
     pub fn judge(&mut self, session: &mut Session<'_>, choice: &Choice, name: Option<&str>) -> Result<Judged> {
         let (eval, seeing) = (self.eval, self.seeing);
         let (capture, _) = session.stage("load photos", |stage| choice.load(seeing, eval.unit, stage))?;
@@ -115,7 +110,7 @@ impl<'a> Judge<'a> {
         Ok(Judged { capture, made, drawn, scores, alignment })
     }
 
-    /// Refines an external scene if requested, and uploads it to the renderer.
+    /// Refines an external scene if requested, and uploads it.
     fn refined(
         &mut self,
         session: &mut Session<'_>,
@@ -137,7 +132,6 @@ impl<'a> Judge<'a> {
         Ok(made)
     }
 
-    /// Makes the scene of a capture, and uploads it to the renderer.
     fn reconstruct(
         &mut self,
         session: &mut Session<'_>,
@@ -193,7 +187,6 @@ impl<'a> Judge<'a> {
         Ok(Made { scene, network, refined, started })
     }
 
-    /// Renders with given or aligned cameras.
     fn draw(&mut self, session: &Session<'_>, capture: &Capture) -> Result<(Vec<Vec<f32>>, Option<Alignment>)> {
         let Self { renderer, lpips, .. } = self;
         let targets = &capture.targets;
@@ -218,7 +211,7 @@ impl<'a> Judge<'a> {
     }
 }
 
-/// Refines a scene against the inputs at the compared size.
+/// Refines against the inputs at the compared size.
 fn refine(
     eval: &Eval,
     session: &mut Session<'_>,

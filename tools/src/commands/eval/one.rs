@@ -94,7 +94,7 @@ pub fn run(eval: &Eval, session: &mut Session<'_>) -> Result<()> {
     session.report(&json, text)
 }
 
-/// Adds the remedy to a folder's missing-cameras error.
+/// Adds the remedy to a missing-cameras error.
 fn without_cameras(error: Error) -> Error {
     match error {
         Error::Argument { what, found, expected } if what == "poses" => {
@@ -104,7 +104,6 @@ fn without_cameras(error: Error) -> Error {
     }
 }
 
-/// Writes the scene and the comparison if requested.
 fn save(eval: &Eval, judged: &Judged) -> Result<()> {
     let Some(folder) = &eval.output else { return Ok(()) };
     let Judged { capture, made, drawn, .. } = judged;
@@ -129,14 +128,13 @@ pub fn cells_of(score: &Score) -> [String; 6] {
     cells(&score.view, [score.psnr, score.ssim, score.nearest_psnr, score.mean_color_psnr], score.lpips)
 }
 
-/// Formats PSNR, SSIM, LPIPS, and PSNR of the two baselines.
 pub fn cells(view: &str, [psnr, ssim, nearest, color]: [f64; 4], lpips: Option<f64>) -> [String; 6] {
     let db = |value: f64| format!("{value:.2} dB");
     let lpips = lpips.map_or("-".into(), |lpips| format!("{lpips:.3}"));
     [view.to_owned(), db(psnr), format!("{ssim:.3}"), lpips, db(nearest), db(color)]
 }
 
-/// Shows evenly spread photos, two per row: photo, prediction, nearest input.
+/// Evenly spread photos, two per row: photo, prediction, nearest input.
 fn comparison(capture: &Capture, drawn: &[Vec<f32>]) -> Result<Image> {
     let targets = &capture.targets;
     let shown = targets.len().min(SHOWN);

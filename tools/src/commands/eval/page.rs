@@ -9,7 +9,6 @@ const SHOWN: usize = 24;
 /// Longer side of a picture in pixels.
 const PICTURE: u32 = 1008;
 
-/// Returns the whole page.
 pub fn page(means: &Means, rows: &[Row]) -> Result<String> {
     let cells = |line: &[String], tag: &str| {
         line.iter().map(|cell| format!("<{tag}>{}", html::escape(cell))).collect::<String>()

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use zipsplat::{Result, types::write_atomic};
 
-/// Scores of one scene for one method and choice of frames.
+/// Scores of a scene for one method and choice of frames.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Row {
     pub generator: String,
@@ -34,19 +34,17 @@ pub struct Row {
 }
 
 impl Row {
-    /// Returns the file of a scene's record; its picture lies in the same folder.
+    /// Record of a scene; its picture lies beside it.
     pub fn file(folder: &Path, scene: &str) -> PathBuf {
         folder.join(format!("{scene}.json"))
     }
 
-    /// Reads a record, if valid.
     pub fn read(file: &Path) -> Option<Self> {
         let row: Self = serde_json::from_slice(&std::fs::read(file).ok()?).ok()?;
         let place = file.parent()?.to_owned();
         (row.generator == MADE_BY).then_some(Self { place, ..row })
     }
 
-    /// Writes the record.
     pub fn write(&self, file: &Path) -> Result<()> {
         write_atomic(file, |out| {
             serde_json::to_writer_pretty(&mut *out, self)?;
@@ -71,7 +69,6 @@ pub fn read_all(folder: &Path, protocol: Protocol) -> Result<Vec<Row>> {
     Ok(rows)
 }
 
-/// Returns a protocol's name on the command line.
 pub fn name_of(protocol: Protocol) -> String {
     protocol.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned())
 }
@@ -110,7 +107,6 @@ impl Means {
         Self { title: protocol.title().into(), headings, lines: ways.iter().map(line).collect() }
     }
 
-    /// Formats as Markdown.
     pub fn markdown(&self) -> String {
         let row = |cells: &[String]| format!("| {} |\n", cells.join(" | "));
         let rule = self.headings.iter().enumerate().map(|(i, _)| if i < 3 { "---" } else { "---:" }.to_owned());
@@ -120,7 +116,6 @@ impl Means {
         text
     }
 
-    /// Formats as CSV.
     pub fn csv(&self) -> String {
         let mut table = csv::Writer::from_writer(Vec::new());
         let lines = std::iter::once(&self.headings).chain(&self.lines);
@@ -129,7 +124,6 @@ impl Means {
     }
 }
 
-/// Formats scenes, Gaussians, PSNR, SSIM and LPIPS.
 fn cells(rows: &[&Row]) -> [String; 5] {
     if rows.is_empty() {
         return Default::default();
@@ -146,7 +140,7 @@ fn cells(rows: &[&Row]) -> [String; 5] {
     ]
 }
 
-/// Formats as in the paper's tables: `820`, `62K`, `1.3M`.
+/// As in the paper's tables: `820`, `62K`, `1.3M`.
 fn short(count: f64) -> String {
     match count {
         ..1e3 => format!("{count:.0}"),

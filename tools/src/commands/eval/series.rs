@@ -35,7 +35,6 @@ const FAILURES: &str = "failures.csv";
 /// Photos in the picture of a scene.
 const SHOWN: usize = 4;
 
-/// Options within a protocol.
 #[derive(Args)]
 pub struct Options {
     /// Evaluate scenes of a data set by the paper's protocol
@@ -65,7 +64,6 @@ pub struct Options {
     limit: Option<usize>,
 }
 
-/// Settings common to all scenes of a run.
 struct Series<'a> {
     eval: &'a Eval,
     protocol: Protocol,
@@ -264,7 +262,6 @@ impl Eval {
     }
 }
 
-/// Returns the default name of a method.
 fn method_of(weights: &Network, eval: &Eval) -> String {
     if let Some(folder) = eval.theirs.given() {
         return folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
@@ -279,13 +276,12 @@ fn method_of(weights: &Network, eval: &Eval) -> String {
     }
 }
 
-/// Makes a folder name.
 fn slug(name: &str) -> String {
     let letters = name.chars().map(|c| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '-' });
     letters.collect()
 }
 
-/// Shows evenly spread photos above their predictions.
+/// Evenly spread photos above their predictions.
 fn pictures(judged: &Judged) -> Result<Image> {
     let targets = &judged.capture.targets;
     let shown = targets.len().min(SHOWN);

@@ -19,10 +19,9 @@ use zipsplat::{
     },
 };
 
-/// Threshold of the alignment note: camera error over their spread.
+/// Camera error over their spread that needs a note.
 const APART: f64 = 0.05;
 
-/// External scene to evaluate.
 #[derive(Args)]
 pub struct Theirs {
     /// Evaluate this external scene of the input photos: PLY, SPZ, .splat or glTF; with --protocol
@@ -56,7 +55,6 @@ pub struct Theirs {
     input: SceneInput,
 }
 
-/// World of an external scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Whose {
     /// The first input's camera: pose-free systems, ours
@@ -82,27 +80,23 @@ fn parse_noise(text: &str) -> Result<f64, String> {
 }
 
 impl Theirs {
-    /// Returns true for any option about reading a scene.
+    /// True for any option about reading a scene.
     pub fn says(&self) -> bool {
         self.input.is_given()
     }
 
-    /// Returns the scene's file or the depth folder; `None` for a reconstruction.
+    /// Scene file or depth folder; `None` for a reconstruction.
     pub fn given(&self) -> Option<&Path> {
         self.scene.as_deref().or(self.from_depth.as_deref())
     }
 
-    /// Formats the options for the scores' hash.
+    /// Options of the scores' hash.
     pub fn told(&self) -> String {
         let Self { scene, from_depth, noise, world, scene_cameras, scene_unit, opacities, .. } = self;
         format!("{scene:?} {from_depth:?} {noise:?} {world:?} {scene_cameras:?} {scene_unit:?} {opacities:?}")
     }
 
-    /// Returns the external scene of a capture, in its world and unit. `name` is the capture's in a
-    /// data set.
-    ///
-    /// # Errors
-    /// If a file cannot be read, or the scene's world is unknown.
+    /// External scene in a capture's world and unit. `name` is the capture's in a data set.
     pub fn make(
         &self,
         session: &mut Session<'_>,
@@ -120,10 +114,7 @@ impl Theirs {
         }
     }
 
-    /// Returns the file of the external scene, by protocol scene name.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for a folder without that scene.
+    /// File of the external scene, by protocol scene name.
     pub fn file(&self, name: Option<&str>) -> Result<Option<PathBuf>> {
         let (Some(path), Some(name)) = (&self.scene, name) else { return Ok(self.scene.clone()) };
         let files = SceneFormat::ALL.iter().map(|format| path.join(format!("{name}{}", format.extension())));
@@ -132,10 +123,7 @@ impl Theirs {
         found.map(Some).ok_or_else(|| Error::argument("--scene", path.display(), expected))
     }
 
-    /// Reads the scene into the world and unit of a capture.
-    ///
-    /// # Errors
-    /// If it or its cameras cannot be read, or its world is unknown.
+    /// Reads the scene into a capture's world and unit.
     fn read(
         &self,
         session: &mut Session<'_>,
@@ -198,8 +186,8 @@ impl Theirs {
     }
 }
 
-/// Maps a scene through the cameras' world to the world and unit of a capture, whose first input
-/// has pose `first`.
+/// Maps a scene through the cameras' world to a capture's world and unit; its first input has pose
+/// `first`.
 pub fn place(scene: &mut Scene, to_cameras: &Similarity, first: &Pose, capture: &Capture) {
     // The capture's world is the first input's camera, in its own unit.
     let pose = first.inverse().compose(&to_cameras.pose);
@@ -226,8 +214,7 @@ fn take_plain(scene: &mut Scene, file: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Returns the similarity from the scene's cameras to the same photos' frames, and the residual
-/// over their spread.
+/// Similarity from the scene's cameras to the photos' frames, and the residual over their spread.
 pub fn aligned(theirs: &Poses, frames: &[&Frame]) -> Result<(Similarity, f64)> {
     let mut pairs = Vec::new();
     for frame in frames {

@@ -148,7 +148,7 @@ fn devices(session: &mut Session<'_>) -> Result<()> {
     session.report(&devices, text)
 }
 
-/// Formats rows, columns and terms of the matrix units, by factor type.
+/// Formats matrix-unit sizes by factor type.
 fn matrices(limits: &Limits) -> String {
     let sides = |shape: MatrixShape| format!("{} x {} x {}", shape.m, shape.n, shape.k);
     let Matrices { f16, bf16, i8 } = limits.matrices;
@@ -159,7 +159,7 @@ fn matrices(limits: &Limits) -> String {
     if all.is_empty() { "none".into() } else { all.join(", ") }
 }
 
-/// Returns the arithmetic of `turbo` on 8-bit integers.
+/// Arithmetic of `turbo`.
 fn turbo(limits: &Limits) -> &'static str {
     match Arithmetic::of(Precision::Turbo, limits) {
         Some(Arithmetic { quantised: Some(_), .. }) => "8-bit integers on matrix units",
@@ -250,7 +250,7 @@ fn scene(session: &mut Session<'_>, path: &str, input: &SceneInput) -> Result<()
     session.report(&json, text)
 }
 
-/// Returns the range of each column; `None` without rows.
+/// `None` without rows.
 fn ranges<const N: usize>(rows: impl Iterator<Item = [f32; N]>) -> [Option<[f32; 2]>; N] {
     rows.fold([None; N], |ranges: [Option<[f32; 2]>; N], row| {
         std::array::from_fn(|i| {

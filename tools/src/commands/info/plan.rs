@@ -26,7 +26,6 @@ const LARGEST: usize = 20;
 
 #[derive(Clone, Copy, Debug)]
 pub struct Refinement {
-    /// Size of the photos.
     size: Size,
     tokens: bool,
 }
@@ -163,7 +162,7 @@ fn show_depth(session: &mut Session<'_>, info: &Info, views: usize, checkpoint: 
     session.report(&json, text)
 }
 
-/// Returns the largest tensors, or all by first use, and a note on the rest.
+/// Largest tensors, or all by first use, and a note on the rest.
 fn table(mut rows: Vec<ArenaRow>, all: bool) -> (Table, String) {
     let count = rows.len();
     if !all {
@@ -187,8 +186,7 @@ fn device_name(limits: &Limits) -> &str {
     if limits.name == Limits::default().name { "an ordinary device" } else { &limits.name }
 }
 
-/// Opens the device; `None` if there is none and none was requested, or for a plan of an ordinary
-/// device.
+/// `None` without any device, or for a plan of an ordinary device.
 fn device(session: &mut Session<'_>) -> Result<Option<Device>> {
     if session.plans_for_none() {
         return Ok(None);

@@ -28,7 +28,6 @@ use zipsplat::{
 /// Stage whose bytes per second are reported.
 pub const LOAD_WEIGHTS: &str = "load weights";
 
-/// Checked forward pass.
 pub struct Planned<'a> {
     command: &'a Reconstruct,
     checkpoint: &'a Checkpoint,
@@ -39,42 +38,34 @@ pub struct Planned<'a> {
     shape: Shape,
 }
 
-/// Result of a forward pass.
 pub struct Forward {
-    /// Arena for the next pass, if it is still allocated.
+    /// Arena for the next pass, if still allocated.
     pub arena: Option<Arena>,
-    /// Tokens for token refinement.
     pub tokens: Option<SceneTokens>,
-    /// Gaussians on the host, after any pruning.
+    /// After any pruning.
     pub scene: Scene,
-    /// Gaussians on the device, if resident.
+    /// If resident.
     pub on_device: Option<DeviceScene>,
-    /// Cameras estimated from the scene, if requested.
+    /// If requested.
     pub found: Option<Placed>,
     /// Length in the cameras' unit that is 1 for the network.
     pub length: f64,
-    /// Time of each stage.
     pub times: Vec<(String, Duration)>,
-    /// Stage report of `--explain`.
     pub explanation: Option<Explanation>,
     pub peak_bytes: u64,
-    /// Description of the views.
     pub views_told: String,
-    /// Description of tokens, cameras and unit.
+    /// Tokens, cameras and unit.
     pub told: String,
-    /// Loaded bytes per second of weights.
+    /// Bytes per second of loaded weights.
     pub rate: u64,
     /// Fields of the JSON record.
     pub json: Vec<(&'static str, Value)>,
-    /// Keeps the weights on the device for as long as planned.
+    /// Keeps the weights as planned.
     pub _model: Option<Model>,
 }
 
 impl Forward {
-    /// Checks the network's options before a device is opened.
-    ///
-    /// # Errors
-    /// [`zipsplat::Error::Argument`] for unusable options.
+    /// Checks the options before a device is opened.
     pub fn plan<'a>(
         command: &'a Reconstruct,
         session: &mut Session<'_>,
@@ -102,7 +93,6 @@ impl Forward {
         Ok(Planned { command, checkpoint, photos, poses, frames, size, shape })
     }
 
-    /// Formats the loading rate of the weights.
     pub fn rate_told(&self) -> String {
         format!("  ({}/s)", bytes(self.rate))
     }
@@ -110,9 +100,6 @@ impl Forward {
 
 impl Planned<'_> {
     /// Runs the pass.
-    ///
-    /// # Errors
-    /// Those of reading photos and of [`zipsplat::reconstruct::Model::reconstruct`].
     pub fn run(self, session: &mut Session<'_>, device: &Device) -> Result<Forward> {
         let Self { command, checkpoint, photos, poses, frames, size, shape } = self;
         let (quality, fit) = (&command.quality, command.fit.fit);

@@ -19,7 +19,6 @@ use zipsplat::{
     weights::DepthCheckpoint,
 };
 
-/// Reason for rejecting token options.
 const PIXELS: &str = "weights of Depth Anything 3";
 
 impl Reconstruct {
@@ -37,7 +36,7 @@ impl Reconstruct {
         self.quality.check_pixels(checkpoint)
     }
 
-    /// Returns the network's request for a scene.
+    /// Request for a scene.
     pub fn question<'a>(&'a self, checkpoint: &'a DepthCheckpoint) -> Question<'a> {
         let question = self.quality.question(checkpoint);
         let side = question.side.or(self.finding.search.find_size);
@@ -46,8 +45,8 @@ impl Reconstruct {
 }
 
 impl Forward {
-    /// Returns the scene in the world of the first camera, with known cameras or those that the
-    /// network has `seen`.
+    /// Scene in the world of the first camera, with known cameras or those that the network has
+    /// `seen`.
     ///
     /// # Errors
     /// As [`Question::ask`]; [`Error::Argument`] for unknown depth scales, or without confident

@@ -13,14 +13,13 @@ use zipsplat::{
     },
 };
 
-/// Cameras of views of one size.
 pub struct Placed {
     found: Vec<Result<FoundCamera>>,
     size: Size,
 }
 
 impl Placed {
-    /// Returns the estimates, one per photo.
+    /// One estimate per photo.
     pub fn new(found: Vec<Result<FoundCamera>>, size: Size) -> Self {
         Self { found, size }
     }
@@ -58,7 +57,6 @@ impl Placed {
         Ok((!lost.is_empty()).then(|| format!("without a camera: {}", names(&lost))))
     }
 
-    /// Formats the result in one line.
     pub fn told(&self) -> String {
         let found: Vec<&FoundCamera> = self.found.iter().flatten().collect();
         let mut shares: Vec<f64> = found.iter().map(|found| found.inliers as f64 / found.pairs as f64).collect();
@@ -68,7 +66,7 @@ impl Placed {
         format!("cameras of {} of {of}: {:.0} % of a photo's patches agree (median)\n", found.len(), 100.0 * median)
     }
 
-    /// Returns the camera of each photo as JSON, null for failures.
+    /// Null for failures.
     pub fn as_json(&self) -> Value {
         let one = |found: &Result<FoundCamera>| match found {
             Ok(FoundCamera { camera, inliers, pairs }) => {

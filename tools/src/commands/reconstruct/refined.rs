@@ -22,27 +22,22 @@ pub enum From {
     Tokens,
 }
 
-/// Inputs of a refinement.
 pub struct Given<'a> {
     pub device: &'a Device,
-    /// Weights, if tokens are refined.
+    /// For token refinement.
     pub checkpoint: Option<&'a Checkpoint>,
-    /// Network results, if it ran.
+    /// If the network ran.
     pub forward: Option<&'a Forward>,
 }
 
-/// Result of --refine.
 pub struct Made {
     pub refined: Refined,
-    /// Description of the initialization.
     pub started: String,
-    /// Known cameras.
     pub cameras: Vec<Camera>,
     pub request: Refine,
 }
 
 impl Reconstruct {
-    /// Returns the initialization of these steps.
     pub fn start_of(&self, steps: Steps, cloud: Option<&PointCloud>) -> From {
         match steps.tokens {
             true => From::Tokens,
@@ -50,10 +45,7 @@ impl Reconstruct {
         }
     }
 
-    /// Refines the scene, in the world of the first camera.
-    ///
-    /// # Errors
-    /// As [`refinement::refine`]; a missing photo or initialization.
+    /// Refines in the world of the first camera.
     pub fn refine_scene(
         &self,
         session: &mut Session<'_>,

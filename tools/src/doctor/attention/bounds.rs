@@ -11,11 +11,10 @@ use zipsplat::gpu::Element;
 
 struct Weights {
     highest: f64,
-    /// Index of the highest score.
     first: usize,
     /// Limit of increases of the running maximum.
     rises: usize,
-    /// Sum of all true weights, relative to the highest.
+    /// Relative to the highest weight.
     total: f64,
     /// Relative rounding of a multiplied weight.
     unit: f64,
@@ -38,14 +37,13 @@ impl Weights {
         Self { highest, first, rises, total, unit, least }
     }
 
-    /// Relative error bound of the weight of a score `below` the highest: exp and each rescale.
-    /// exp(0) is assumed to be 1.
+    /// Error of the weight of a score `below` the highest: exp and each rescale. exp(0) is assumed
+    /// to be 1.
     fn relative(&self, below: f64) -> f64 {
         (3.0 * (1 + self.rises) as f64 + 2.0 * below) * ULP + self.unit
     }
 }
 
-/// Sums of one channel.
 #[derive(Clone, Copy, Default)]
 struct Channel {
     /// Weighted deviations of values, times their weights' errors.
@@ -59,12 +57,10 @@ struct Channel {
     lost: f64,
     /// Weighted errors of the values.
     shifted: f64,
-    /// Nonzero values.
     terms: usize,
 }
 
 impl Problem {
-    /// Scores of one query with error bounds.
     pub fn scores(&self, mode: Mode, (query, head): (&[f64], usize), keys: &Keys) -> Row {
         let factors = mode.factors();
         let scale = 1.0 / (self.dim as f64).sqrt();
@@ -93,7 +89,7 @@ impl Problem {
         Row { scores, errors }
     }
 
-    /// Error bounds of one query's output `[dim]`.
+    /// By channel of one query.
     pub fn bounds(&self, mode: Mode, row: &Row, head: usize, keys: &Keys, out: &[f64]) -> Vec<f64> {
         let factors = mode.factors();
         let weights = Weights::new(mode, &row.scores);

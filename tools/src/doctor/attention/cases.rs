@@ -90,7 +90,7 @@ pub fn area() -> Area {
     Area { kernel: "ops/attention", size: "keys", reason: REASON, modes: Mode::FLOATS, cases }
 }
 
-/// Gives channel c nonzero values in the c-th part of the keys only, so that a missing part shows.
+/// Nonzero values of channel c only in the c-th part of the keys: a missing part shows.
 fn sliced(queries: usize, keys: usize) -> Problem {
     let mut problem = Problem::random(queries, keys, 64, 1.0);
     for (i, v) in problem.v.iter_mut().enumerate() {
@@ -116,7 +116,7 @@ fn identical(keys: usize) -> Problem {
     problem
 }
 
-/// Makes the i-th dominating key parallel to the i-th query.
+/// The i-th dominating key is parallel to the i-th query.
 fn dominated(keys: usize, dim: usize, dominating: &[usize]) -> Problem {
     let mut problem = Problem::random(dominating.len(), keys, dim, 4.0);
     let width = problem.width();
@@ -127,7 +127,7 @@ fn dominated(keys: usize, dim: usize, dominating: &[usize]) -> Problem {
     problem
 }
 
-/// Increases scores with every key, which forces rescaling.
+/// Increasing scores force rescaling.
 fn rising(keys: usize) -> Problem {
     let mut problem = Problem::random(5, keys, 64, 1.0);
     problem.q.fill(1.0);

@@ -9,24 +9,19 @@ pub enum Fault {
     KeysFrom(usize),
     Key(usize),
     LastKey,
-    /// Ignores every second key.
     HalfOfKeys,
     NeighbourValue,
-    /// Values of the other head.
     NeighbourHead,
     NoScale,
-    /// exp of f32 scores without subtracting the maximum.
+    /// exp of f32 scores without the maximum.
     NoMaximum,
     /// Sums not rescaled when the maximum rises.
     SumsNotScaled,
     /// Total weight not rescaled when the maximum rises.
     TotalNotScaled,
     NoTotal,
-    /// 11-bit sums.
     HalfSum,
-    /// 11-bit weights.
     HalfWeights,
-    /// 11-bit scores.
     HalfScores,
     NoCounts,
     /// Patch count of the next key.
@@ -36,14 +31,13 @@ pub enum Fault {
 }
 
 impl Fault {
-    /// True if 16-bit rounding hides it.
+    /// Hidden by 16-bit rounding.
     pub fn is_fine(self) -> bool {
         matches!(self, Fault::LastKey | Fault::HalfSum | Fault::HalfWeights | Fault::HalfScores)
     }
 }
 
 impl Problem {
-    /// Faulty result of one query, `[dim]`.
     pub fn wrong(&self, scores: &[f64], head: usize, keys: &Keys, fault: Fault) -> Vec<f64> {
         let round: fn(f64) -> f64 = if matches!(fault, Fault::HalfSum) { half } else { |x| x };
         let counted = |(key, score): (usize, &f64)| match fault {

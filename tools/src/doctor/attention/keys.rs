@@ -20,7 +20,7 @@ pub struct Keys {
 pub struct Pooled {
     /// Patches per mean.
     pub counts: Vec<f64>,
-    /// Error bounds of keys and values.
+    /// Error bounds.
     pub off: [Vec<f64>; 2],
 }
 
@@ -60,8 +60,7 @@ impl Keys {
     }
 }
 
-/// Means, counts and error bounds: a sum, a division and 16-bit storage, where f16 may round either
-/// way.
+/// A sum, a division and 16-bit storage, where f16 may round either way.
 fn means(pool: Pool, x: &[f64], width: usize, mode: Mode) -> (Vec<f64>, Vec<f64>, Vec<f64>) {
     let (means, counts) = pool.means(x, width);
     let sizes = pool.means(&x.iter().map(|x| x.abs()).collect::<Vec<_>>(), width).0;

@@ -30,7 +30,7 @@ struct Problem {
     v: Vec<f32>,
 }
 
-/// Result `[queries, HEADS, dim]` and inputs as stored on the device.
+/// Result `[queries, HEADS, dim]` and inputs as on the device.
 struct Truth {
     values: Vec<f64>,
     bounds: Vec<f64>,
@@ -45,7 +45,7 @@ struct Row {
 }
 
 impl Problem {
-    /// Random values; `size` scales queries and keys.
+    /// `size` scales queries and keys.
     fn random(queries: usize, keys: usize, dim: usize, size: f32) -> Self {
         let mut noise = Noise((keys * 64 + queries) as u64);
         let width = HEADS * dim;
@@ -58,7 +58,6 @@ impl Problem {
         HEADS * self.dim
     }
 
-    /// Keys before pooling.
     fn tokens(&self) -> usize {
         self.k.len() / self.width()
     }

@@ -32,7 +32,7 @@ struct Problem {
 struct Found {
     /// Token nearest to each centroid, and the final assignment.
     runs: Vec<[Vec<u32>; 2]>,
-    /// Origin of the matrix-unit comparison.
+    /// For matrix units.
     origin: Option<Vec<f32>>,
 }
 
@@ -182,7 +182,7 @@ pub fn area() -> Area {
         };
         cases.push(Case::new(name, count, catches, make));
     };
-    // Runs of 16 tokens in well-separated blobs: rounding cannot change an assignment.
+    // Well-separated blobs of 16 tokens: rounding cannot change an assignment.
     for count in [64, 512, 4096] {
         let blobs = || Catches::from([LastTokenMoved, NextToken, NoRounds, LastMember, OtherEveryRun]);
         add("blobs", count, count / 16, blobs(), |token, r| (token / 16 * 8) as f32 + r);

@@ -32,7 +32,7 @@ pub struct Problem {
     pub targets: Vec<f32>,
 }
 
-/// Chosen target per point, and the origin of the matrix-unit comparison.
+/// Target per point, and the origin for matrix units.
 pub struct Chosen {
     pub targets: Vec<u32>,
     pub origin: Option<Vec<f32>>,
@@ -55,7 +55,6 @@ pub enum Fault {
     LaterOfTwo,
     NextIndex,
     LastTarget,
-    /// Ignores the last four channels.
     LastChannels,
     /// |t|^2 - 2 p t in f32, without an offset.
     Products,
@@ -76,7 +75,7 @@ impl Truth {
         self.nearest.iter().map(|[first, _]| first.0).collect()
     }
 
-    /// Returns the excess squared distance of the chosen targets.
+    /// Excess squared distance of the chosen targets.
     pub fn excess(&self, chosen: &Chosen, width: usize) -> Worst {
         let squared = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
         let origin = chosen.origin.as_deref().map(widen);
@@ -116,7 +115,6 @@ impl Truth {
             Fault::LastChannels => width - 4,
             _ => width,
         };
-        // Index of the minimum of a faulty score.
         let least = |targets: usize, score: &dyn Fn(&[f64], &[f64]) -> f64| -> Vec<u32> {
             let of = |point: &[f64]| {
                 let scores = self.targets.chunks(width).take(targets).map(|target| score(point, target));
@@ -158,7 +156,7 @@ impl Truth {
     }
 }
 
-/// Origin of the matrix-unit comparison.
+/// For matrix units.
 pub fn host_origin(mode: Mode, targets: &[f32], width: usize) -> Option<Vec<f32>> {
     let count = targets.len() / width;
     mode.matrix.then(|| origin(&widen(targets), width, count.min(64)).into_iter().map(|x| x as f32).collect())

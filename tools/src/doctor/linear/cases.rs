@@ -13,7 +13,6 @@ const REASON: &str = "|error| <= gamma_(n+1) (|x| |W| + |b|) in every element, w
     numbers whose sums stay below 2^24 are added exactly in any order. The truth is that of the factors as the mode holds \
     them, 11 or 8 bits or 8-bit integers; sums of integers are exact, and only their scales are rounded";
 
-/// Faults of plain sums.
 const SUMS: [Fault; 4] = [Zero, HalfSum, NeighbourColumn, NeighbourRow];
 
 pub fn area() -> Area {
@@ -120,7 +119,7 @@ fn alone() -> Problem {
     problem
 }
 
-/// Whole numbers from 64 to 127 whose products cancel, except one pair in 32. Row maxima of 127 are
+/// Whole numbers from 64 to 127 whose products cancel, except one pair in 32. Row maxima are 127,
 /// exact in 8-bit integers.
 fn cancelling() -> Problem {
     let mut problem = Problem { whole: true, ..Problem::random(9, 512, 40) };
@@ -146,8 +145,7 @@ fn outliers() -> Problem {
     problem
 }
 
-/// Row r has the channels r, r + rows, r + 2 rows and so on. Few terms reveal a wrong index; every
-/// channel counts.
+/// Row r has the channels r, r + rows, r + 2 rows and so on: few terms reveal a wrong index.
 fn one_hot(inner: usize, rows: usize) -> Problem {
     let mut problem = Problem::random(rows, inner, 8);
     problem.x.iter_mut().enumerate().for_each(|(i, x)| *x = if i / inner == i % inner % rows { 1.0 } else { 0.0 });

@@ -9,9 +9,7 @@ use zipsplat_reference::ops::activation::{gelu, sigmoid};
 #[derive(Clone, Copy, Debug)]
 pub enum Fault {
     Zero,
-    /// 11-bit sums.
     HalfSum,
-    /// f16 factors.
     HalfFactors,
     /// 8-bit integers truncated instead of rounded.
     CutIntegers,
@@ -37,11 +35,9 @@ pub enum Fault {
     /// SiLU as e^x / (1 + e^x) in f32.
     OverflowingExp,
     SwappedGate,
-    /// f16 results.
     HalfResult,
     NoScale,
     NoResidual,
-    /// Scale applied after the residual.
     ScaledResidual,
     /// Integer weights read as unsigned.
     NoSign,
@@ -52,7 +48,6 @@ pub enum Fault {
 }
 
 impl Problem {
-    /// Returns faulty results, `[rows, out_columns]`.
     pub fn wrong(&self, truth: &Truth, fault: Fault, mode: Mode) -> Vec<Vec<f64>> {
         let (columns, wide) = (self.columns, self.out_columns());
         let result = |place: &dyn Fn(usize, usize) -> usize| -> Vec<Vec<f64>> {
@@ -121,7 +116,7 @@ impl Problem {
         }
     }
 
-    /// Sums the selected channels, rounding each partial sum.
+    /// Rounds each partial sum.
     fn sums(&self, held: &Held, round: fn(f64) -> f64, has: impl Fn(usize) -> bool + Sync) -> Vec<f64> {
         let one = |i: usize| {
             let (row, column) = (i / self.columns, i % self.columns);

@@ -25,7 +25,7 @@ use zipsplat::{
 };
 use zipsplat_reference::ops::activation::{gelu, sigmoid, silu};
 
-/// One layer and its input: `x [rows, inner]`, `weight [columns, inner]`.
+/// Layer and input: `x [rows, inner]`, `weight [columns, inner]`.
 struct Problem {
     rows: usize,
     inner: usize,
@@ -40,7 +40,7 @@ struct Problem {
     whole: bool,
 }
 
-/// Result `[rows, out_columns]`, and factors as stored on the device.
+/// Result `[rows, out_columns]`, and factors as on the device.
 struct Truth {
     values: Vec<f64>,
     errors: Vec<f64>,
@@ -81,7 +81,6 @@ impl Problem {
         }
     }
 
-    /// Returns the engine's kernel.
     fn kernel(&self, device: &Device, mode: Mode) -> LinearKernel {
         match mode.units(device).filter(|_| self.columns.is_multiple_of(8)) {
             Some(units) => LinearKernel::Matrix(units, mode.weights),
@@ -89,7 +88,7 @@ impl Problem {
         }
     }
 
-    /// Relative error of expanding an 8-bit weight on matrix units. f16 may round either way; bf16
+    /// Relative error of an expanded 8-bit weight on matrix units. f16 may round either way; bf16
     /// rounds to nearest.
     fn expanding(&self, mode: Mode) -> f64 {
         let becomes_factor = mode.weights == Weights::Q8 && mode.matrix && self.columns.is_multiple_of(8);
@@ -135,7 +134,7 @@ impl Problem {
         Sum { value: value + bias, error }
     }
 
-    /// Applies the epilogue to sums `[rows, columns]`.
+    /// Epilogue of sums `[rows, columns]`.
     fn finish(&self, sums: &[f64]) -> Vec<f64> {
         let values: Vec<f64> = match self.activation {
             Activation::None => sums.to_vec(),
@@ -179,7 +178,7 @@ impl Problem {
         errors.iter().zip(sums).map(scaled).enumerate().map(one).collect()
     }
 
-    /// Guard row past the end, which kernels must not write.
+    /// Past the end: kernels must not write it.
     fn guard(&self) -> usize {
         self.out_columns()
     }

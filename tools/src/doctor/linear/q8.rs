@@ -10,7 +10,6 @@ use zipsplat::ops::{Activation, Q8};
 const REASON: &str = "That of ops/linear, for the weights that the integers and scales stand for: f32 holds each product of the two. \
     On matrix units it becomes a factor, which moves it by 2^-10 as f16, by a conversion that may round either way, and by 2^-8 as bf16";
 
-/// Faults of plain sums.
 const SUMS: [Fault; 3] = [Zero, NeighbourColumn, NeighbourRow];
 
 pub fn q8_area() -> Area {
@@ -37,7 +36,6 @@ pub fn q8_area() -> Area {
     Area { kernel: "ops/linear of q8 weights", size: "terms of a sum (K)", reason: REASON, modes: Mode::Q8, cases }
 }
 
-/// Scales each weight group of a column.
 fn sized(mut problem: Problem, factor: impl Fn(usize) -> f32) -> Problem {
     let groups = problem.weight.chunks_mut(Q8::GROUP).enumerate();
     groups.for_each(|(g, group)| group.iter_mut().for_each(|w| *w *= factor(g)));
@@ -72,7 +70,6 @@ impl Problem {
         Q8::round(&self.weight).expect("weights within f16")
     }
 
-    /// Returns weights after a faulty expansion.
     pub(super) fn wrongly_expanded(&self, fault: Fault) -> Vec<f64> {
         let Q8 { integers, scales } = self.q8();
         let groups = self.inner / Q8::GROUP;

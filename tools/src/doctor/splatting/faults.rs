@@ -19,21 +19,17 @@ pub enum Fault {
     Unwritten,
     /// Drops the last nonempty tile.
     LastTile,
-    /// Drops one Gaussian.
     Missing,
     BackToFront,
     /// Samples at pixel corners.
     HalfPixel,
     NeighbourColor,
-    /// 11-bit colors.
     HalfColors,
     /// Colors not clamped at 0.
     NegativeColors,
-    /// Band 0 only.
     NoBands,
     /// View directions in camera space.
     DirectionInCamera,
-    /// Inverted antialiasing setting.
     OtherAntialiasing,
     Unrotated,
     /// Determinants as differences of products in f32.
@@ -56,7 +52,7 @@ pub enum Fault {
     TilesWrap,
 }
 
-/// Planes of a picture: color, alpha, accumulated depth.
+/// Color, alpha, accumulated depth.
 pub type Picture = [Vec<f32>; 3];
 
 /// Blending thresholds.
@@ -69,7 +65,7 @@ struct Rules {
 
 const RULES: Rules = Rules { faint: MIN_ALPHA, opaque: 0.999, left: 1e-4 };
 
-/// Renders with a fault. `before` is the camera of the tiles from 0 on.
+/// `before` is the camera of the tiles from 0 on.
 pub fn wrong(scene: &Scene, camera: &Camera, antialiased: bool, fault: Fault, before: Option<&Camera>) -> Picture {
     let (mut scene, mut camera, mut antialiased, mut rules) = (gaussians(scene), *camera, antialiased, RULES);
     let i = &mut camera.intrinsics;
@@ -174,7 +170,7 @@ fn blend(splats: &[Splat], place: [f64; 2], rules: Rules) -> [f64; 5] {
     pixel
 }
 
-/// Returns the first splat with alpha above 1/20 at its nearest pixel, or else the most opaque.
+/// First splat with alpha above 1/20 at its nearest pixel, or else the most opaque.
 fn most_visible(splats: &[Splat], size: [usize; 2]) -> Option<usize> {
     let own = |splat: &Splat| {
         let nearest = [0, 1].map(|axis| splat.mean[axis].floor().clamp(0.0, size[axis] as f64 - 1.0) + 0.5);

@@ -1,5 +1,5 @@
-//! Truth and error bounds of a picture: the f64 reference, and the kernels' formulas in running
-//! error analysis.
+//! Truth and error bounds of a picture: the f64 reference, and running error analysis of the
+//! kernels' formulas.
 
 use super::super::bound::{Bounded, U, ULP};
 use glam::DVec3;
@@ -32,7 +32,6 @@ struct Splat {
     depth: Bounded,
 }
 
-/// Renders with the reference.
 pub fn truth(scene: &Scene, camera: &Camera, antialiased: bool) -> Rendering {
     rasterise::render(&gaussians(scene), &reference_camera(camera), antialiased, [0.0; 3])
 }
@@ -53,7 +52,7 @@ pub fn reference_camera(camera: &Camera) -> project::Camera {
     project::Camera::new(&view, &k, [i.width as usize, i.height as usize])
 }
 
-/// Returns the bounds of every pixel of [`truth`], row-major.
+/// Bounds of [`truth`], row-major.
 pub fn bounds(scene: &Scene, camera: &Camera, antialiased: bool) -> Vec<PixelBounds> {
     let seen = project::project(&gaussians(scene), &reference_camera(camera), antialiased);
     let mut splats: Vec<(f64, Splat)> = Vec::new();
@@ -113,7 +112,7 @@ fn splat(scene: &Scene, n: usize, camera: &Camera, antialiased: bool, color: [f6
     if beyond == [false; 2] { splat } else { ridge(splat, beyond[1].then_some(f64::from(i.height))) }
 }
 
-/// Returns the Gaussian's offset from the camera center, which the kernel stores as two numbers.
+/// Offset from the camera center, which the kernel stores as two numbers.
 pub fn offset(scene: &Scene, n: usize, camera: &Camera) -> [Bounded; 3] {
     [0, 1, 2].map(|c| {
         let centre = camera.pose.translation[c];
@@ -122,7 +121,7 @@ pub fn offset(scene: &Scene, n: usize, camera: &Camera) -> [Bounded; 3] {
     })
 }
 
-/// Returns true if a center uses its ridge. Near the threshold the splat keeps the larger bound.
+/// True if a center uses its ridge. Near the threshold the splat keeps the larger bound.
 fn far_off(place: [Bounded; 2], size: [f64; 2]) -> [bool; 2] {
     [0, 1].map(|a| {
         let Bounded { value, error } = place[a];
@@ -130,8 +129,8 @@ fn far_off(place: [Bounded; 2], size: [f64; 2]) -> [bool; 2] {
     })
 }
 
-/// Mirrors kernels/shared/ridge.glsl, which computes in double precision and rounds the result.
-/// `height` is set for a row outside the picture.
+/// Mirrors kernels/shared/ridge.glsl: double precision, rounded result. `height` is set for a row
+/// outside the picture.
 fn ridge(splat: Splat, height: Option<f64>) -> Splat {
     let ([x, y], [a, k, p]) = (splat.place.map(|at| at.value), splat.conic);
     let row = height.map(|height| y.clamp(0.0, height));
@@ -145,7 +144,7 @@ fn ridge(splat: Splat, height: Option<f64>) -> Splat {
     }
 }
 
-/// Returns the Gaussian's axes in camera space.
+/// Axes in camera space.
 pub fn axes(quat: [f32; 4], view: impl Fn(usize, usize) -> Bounded) -> [[Bounded; 3]; 3] {
     let q = quat.map(Bounded::exact);
     let largest = Bounded::exact(quat.iter().fold(0.0f32, |most, x| most.max(x.abs())));
@@ -161,9 +160,9 @@ pub fn axes(quat: [f32; 4], view: impl Fn(usize, usize) -> Bounded) -> [[Bounded
     [0, 1, 2].map(|r| [0, 1, 2].map(|c| Bounded::dot([0, 1, 2].map(|k| view(r, k)), [0, 1, 2].map(|k| rotation[k][c]))))
 }
 
-/// Bounds the reference's color. A basis function of band l has a slope of at most `sqrt((2l + 1) l
-/// (l + 1) / 4 pi)`, here 2.6, and a value of at most 1.5. The direction's error is two roundings
-/// of an offset and its normalization.
+/// A basis function of band l has a slope of at most `sqrt((2l + 1) l (l + 1) / 4 pi)`, here 2.6,
+/// and a value of at most 1.5. The direction's error is two roundings of an offset and its
+/// normalization.
 fn colors(scene: &Scene, n: usize, color: [f64; 3]) -> [Bounded; 3] {
     let off = 12.0 * ULP;
     let k = scene.sh_coeffs_per_gaussian();
@@ -242,7 +241,7 @@ fn alpha(splat: &Splat, place: [f64; 2]) -> Bounded {
     (splat.opacity * exponent.exp2()).min(Bounded::rounded(MAX_ALPHA))
 }
 
-/// Returns true if f32 depth order equals f64's: exact or far enough apart.
+/// True if depths are exact or far enough apart in f32.
 pub fn orders_depths(scene: &Scene, camera: &Camera) -> bool {
     let forward = camera.pose.rotation.z_axis;
     let mut depths: Vec<(f64, f64)> = (scene.means.iter())

@@ -25,7 +25,6 @@ const REASON: &str = "gamma_n of a sum over n tiles; harmonics have slopes of at
 
 /// Moments, red, green, blue, depth.
 const VALUES: usize = 10;
-/// Initial coefficient gradient.
 const BEFORE: f32 = 0.5;
 const SLOPE: f64 = 5.0;
 const SECOND_SLOPE: f64 = 12.0;
@@ -55,7 +54,6 @@ enum Fault {
     /// Gradients of colors clamped at 0.
     Unheld,
     NoBands,
-    /// Overwrites coefficient gradients.
     Overwritten,
     /// No center gradient through color.
     NoDirection,
@@ -100,7 +98,7 @@ impl Problem {
         (self.degree as usize + 1).pow(2)
     }
 
-    /// Sum of a Gaussian's slots, of their magnitudes, and slot count.
+    /// Sum of slots, of their magnitudes, and slot count.
     fn sum(&self, n: usize, fault: Option<Fault>) -> ([f64; VALUES], [f64; VALUES], usize) {
         let (mut sum, mut magnitudes) = ([0.0; VALUES], [0.0; VALUES]);
         if self.full && fault != Some(Fault::FullCounts) {
@@ -119,7 +117,6 @@ impl Problem {
         (sum, magnitudes, end - first)
     }
 
-    /// Gradients of a pair and of its coefficients.
     fn gradient(&self, n: usize, fault: Option<Fault>) -> (Vec<f64>, Vec<f64>) {
         let (mut sum, ..) = self.sum(n, fault);
         let width = 3 * self.bases();

@@ -59,12 +59,10 @@ enum Fault {
     NotNormalised,
     /// Gradient by ln opacity.
     LogOpacity,
-    /// No antialiasing compensation.
     NoCompensation,
     NeighbourGaussian,
 }
 
-/// Gradients of a Gaussian and its camera contribution.
 struct Found {
     gaussian: [Bounded; VALUES],
     camera: [Bounded; CAMERA],
@@ -216,7 +214,7 @@ impl Problem {
         [-Bounded::dot(turn, [x, y, z]), a, b, c].map(|d| by * d)
     }
 
-    /// Gradients and bounds of each Gaussian, then the camera's sum.
+    /// Each Gaussian's gradients, then the camera's sum.
     fn all(&self, fault: Option<Fault>) -> Vec<Bounded> {
         let conics = self.conics();
         let found: Vec<Found> = (0..self.scene.len()).map(|n| self.gradient(n, conics[n], fault)).collect();

@@ -28,7 +28,7 @@ const HEIGHT: u32 = 23;
 const MAX_ALPHA: f64 = 0.999;
 const MIN_TRANSMITTANCE: f64 = 1e-4;
 const BACKGROUND: [f64; 3] = [0.25, 0.5, 0.125];
-/// Distance in pixels above or below the picture from which a splat uses its ridge.
+/// Distance in pixels above or below the picture from which splats use their ridge.
 const FAR_OFF: f32 = 256.0;
 /// Moments, red, green, blue, depth.
 const VALUES: usize = 10;
@@ -101,7 +101,7 @@ fn pixels() -> impl Iterator<Item = (usize, [f64; 2])> {
     })
 }
 
-/// Contribution of one splat to a pixel.
+/// By splat and pixel.
 type Share = [Bounded; VALUES];
 
 /// Mirrors kernels/render/rasterise_backward.comp on one pixel; `None` if rounding may flip a
@@ -182,7 +182,7 @@ impl Problem {
         Self { splats, frames, d_frames }
     }
 
-    /// Sums contributions over tiles, `[splats, tiles, VALUES]`, with bounds.
+    /// Sums over tiles, `[splats, tiles, VALUES]`.
     fn slots(&self, fault: Option<Fault>) -> Vec<Bounded> {
         let count = tiles()[0] * tiles()[1];
         let mut slots = vec![Bounded::exact(0.0); self.splats.len() * count * VALUES];
@@ -210,7 +210,7 @@ impl Problem {
     }
 }
 
-/// Returns red, green, blue without the background, alpha, depth.
+/// Red, green, blue without the background, alpha, depth.
 fn frame(splats: &[Splat], at: [f64; 2]) -> [f64; 5] {
     let ellipses: Vec<Ellipse> = splats.iter().map(Splat::ellipse).collect();
     // A splat's weight is its gradient with unit red.
@@ -301,7 +301,7 @@ impl case::Problem for Problem {
     }
 }
 
-/// Splats of 1 to 10 pixels across the picture.
+/// 1 to 10 pixels wide.
 fn splats(count: usize, change: impl Fn(usize, &mut Splat)) -> Vec<Splat> {
     let mut noise = Noise(count as u64 + 7);
     let mut one = |i: usize| {

@@ -17,16 +17,14 @@ use zipsplat::{
     weights::Architecture,
 };
 
-/// Reconstruction to measure.
 #[derive(Clone)]
 pub struct Case<'a> {
     pub capture: &'a Capture,
-    /// Point cloud of the capture.
     pub cloud: Option<&'a PointCloud>,
     pub shape: Shape,
     pub request: Request,
     pub precision: &'a str,
-    /// Type of the rounded weights, or [`OWN`].
+    /// Rounded type, or [`OWN`].
     pub weights: &'a str,
     pub select: String,
     /// Share of tokens as on the command line.
@@ -34,12 +32,11 @@ pub struct Case<'a> {
     pub settings: String,
     /// Gaussians per token.
     pub keep: &'a [usize],
-    /// Refinements of this case.
     pub refine: Vec<(Start, Steps)>,
 }
 
-/// Returns the combinations in the first arithmetic, without those with equal results. First values
-/// of lists come first; each ratio is combined with every number of photos.
+/// Returns the combinations in the first arithmetic, without equal results. First values of lists
+/// come first; each ratio is combined with every number of photos.
 pub fn all<'a>(
     args: &Tradeoff,
     architecture: &Architecture,
@@ -78,20 +75,19 @@ pub fn all<'a>(
             cases.push(case);
         }
     }
-    // Stable: the order of lists is kept.
+    // Stable.
     cases.sort_by_key(|case| !case.is_first(args));
     Ok(cases)
 }
 
 impl Case<'_> {
-    /// Returns true for all tokens or the first selection, with the first pooling.
+    /// True for all tokens or the first selection, with the first pooling.
     pub fn is_first(&self, args: &Tradeoff) -> bool {
         let chosen = self.shape.kept == Kept::All || self.request.selection == args.select[0];
         chosen && self.request.pool == args.pool[0]
     }
 
-    /// Returns the refinements of this case. Refinement from points alone belongs to a capture's
-    /// first case.
+    /// Refinement from points alone belongs to a capture's first case.
     fn refinements(&self, args: &Tradeoff, is_new: bool) -> Vec<(Start, Steps)> {
         let default: &[Start] = if self.cloud.is_some() { &[Start::Points, Start::Scene] } else { &[Start::Scene] };
         let starts = args.start.as_deref().unwrap_or(default);
@@ -106,7 +102,7 @@ impl Case<'_> {
         pairs.filter(follows).collect()
     }
 
-    /// Returns true for the baseline.
+    /// True for the baseline.
     pub fn is_exact(&self) -> bool {
         self.precision == Precision::Exact.name() && self.weights == OWN
     }
@@ -115,7 +111,6 @@ impl Case<'_> {
         arithmetic(self.precision, self.weights)
     }
 
-    /// Returns the command of this case with `more` options.
     pub fn command(&self, args: &Tradeoff, more: &str) -> String {
         let folder = args.folder.to_string_lossy();
         let mut options = format!("--views {}", self.capture.inputs.len());

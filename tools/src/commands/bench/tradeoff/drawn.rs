@@ -13,7 +13,6 @@ use zipsplat::{
     types::{Image, Scene, write_ply},
 };
 
-/// Predictions of the target photos and their times.
 pub struct Drawn {
     pub pictures: Vec<Vec<f32>>,
     times: Vec<Duration>,
@@ -21,7 +20,6 @@ pub struct Drawn {
 }
 
 impl Drawn {
-    /// Adds the scores to a point.
     pub fn point(&self, point: Point, scene: &Scene) -> Result<Point> {
         Ok(Point {
             gaussians: scene.len(),
@@ -33,14 +31,12 @@ impl Drawn {
         })
     }
 
-    /// Returns the prediction of the first target.
     pub fn picture(&self, capture: &Capture) -> Result<Image> {
         let Image { width, height, .. } = capture.targets[0].image;
         Image::from_rgb_f32(width, height, &self.pictures[0])
     }
 }
 
-/// Renders the target views.
 pub fn compare(renderer: &mut Renderer, capture: &Capture) -> Result<Drawn> {
     // The first picture of a scene also builds the plan.
     draw(renderer, &capture.targets[0].camera)?;
@@ -54,7 +50,6 @@ pub fn compare(renderer: &mut Renderer, capture: &Capture) -> Result<Drawn> {
     Ok(Drawn { pictures, times, score })
 }
 
-/// Returns the PLY size in bytes.
 fn file_bytes(scene: &Scene) -> Result<u64> {
     let folder = tempfile::tempdir().map_err(|error| zipsplat::Error::io("temporary folder", error))?;
     let path = folder.path().join("scene.ply");
@@ -62,7 +57,7 @@ fn file_bytes(scene: &Scene) -> Result<u64> {
     Ok(path.metadata().map_err(|error| zipsplat::Error::io(&path, error))?.len())
 }
 
-/// Returns the PSNR against pictures of the f64 Gaussians, with the same ones kept.
+/// PSNR against pictures of the f64 Gaussians, with the same ones kept.
 pub fn psnr_to_f64(
     renderer: &mut Renderer,
     compared: &Compared,

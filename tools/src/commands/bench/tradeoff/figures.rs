@@ -1,8 +1,7 @@
-//! Plots: the Pareto front of time and PSNR, and our counterparts of the paper's figures 1, 8, 10,
-//! 11 and 12.
+//! Plots: the Pareto front, and counterparts of the paper's figures 1, 8, 10, 11 and 12.
 //!
-//! Each plot varies one setting, by color. Others stay at the first precision, all Gaussians of a
-//! token and no refinement.
+//! Each varies one setting, by color. Others stay at the first precision, all Gaussians and no
+//! refinement.
 
 use super::{
     point::{Point, front, name},
@@ -39,7 +38,6 @@ const STEPS: Meaning = ("steps of refinement", Point::refinement);
 /// Index in the sweep and point.
 type Numbered<'a> = (usize, &'a Point);
 
-/// Plots time and PSNR of every point.
 pub fn pareto(points: &[Point]) -> String {
     let all: Vec<Numbered<'_>> = points.iter().enumerate().collect();
     let place = |p: &Point| (p.total_ms, p.psnr);
@@ -51,7 +49,6 @@ pub fn pareto(points: &[Point]) -> String {
     plot(log("photos to refined Gaussians, ms"), PSNR, meaning.0, &series, Some(&line))
 }
 
-/// Returns heading and plot of the other figures.
 pub fn figures(sweep: &Sweep) -> Vec<(&'static str, String)> {
     let all: Vec<Numbered<'_>> = sweep.points.iter().enumerate().collect();
     let held = sweep.points.first().map_or(1, |p| p.pool);
@@ -113,7 +110,7 @@ fn those<'a>(points: &[Numbered<'a>], keeps: impl Fn(&Point) -> bool) -> Vec<Num
     points.iter().copied().filter(|(_, p)| keeps(p)).collect()
 }
 
-/// Plots deviations from f64; empty without f64 results.
+/// Plots deviations from f64; empty without results.
 pub fn deviations(points: &[Point]) -> Vec<(&'static str, String)> {
     let keep = points.iter().map(|p| p.keep).max().unwrap_or(0);
     let own = name(&Selection::KMEANS);
@@ -144,7 +141,7 @@ fn mib(bytes: u64) -> f64 {
     bytes as f64 / f64::from(1 << 20)
 }
 
-/// Plots a line for each value of the setting, from left to right.
+/// Plots a line per value, from left to right.
 fn by(
     points: &[Numbered<'_>],
     x: Axis<'_>,
@@ -162,7 +159,7 @@ fn by(
     plot(x, y, meaning.0, &series, None)
 }
 
-/// Groups the points by value, in order of first use.
+/// Groups points by value, in order of first use.
 fn series(points: &[Numbered<'_>], (_, value): Meaning, place: impl Fn(&Point) -> (f64, f64)) -> Vec<Series> {
     let mut series: Vec<Series> = Vec::new();
     for (i, p) in points {

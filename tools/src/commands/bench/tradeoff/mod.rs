@@ -33,10 +33,10 @@ use zipsplat::{
 
 /// Accuracy against time: a sweep over a capture, as a page with plots and pictures, and as a table
 ///
-/// Reconstructs every combination of the lists from photos of the capture and compares it with the
-/// held-out photos. Options without effect are not varied: at ratio 1 there is no selection. The
-/// most informative combinations come first, and --minutes limits the sweep. The page recommends
-/// three settings, fast, balanced and best, and shows picture and command of every point.
+/// Reconstructs every combination of the lists and compares it with held-out photos. Options
+/// without effect are not varied: at ratio 1 there is no selection. The most informative
+/// combinations come first, within --minutes. The page recommends three settings, fast, balanced
+/// and best, and shows picture and command of every point.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat bench tradeoff capture/ -o report/
@@ -114,7 +114,7 @@ pub struct Tradeoff {
     overwrite: Overwrite,
 }
 
-/// Time limit of a sweep; `None` measures every point.
+/// `None` measures every point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Minutes(Option<Duration>);
 
@@ -181,8 +181,7 @@ impl Tradeoff {
         session.report(&sweep.points, text)
     }
 
-    /// Returns the arithmetics asked for, or all that device and weights support. `exact`, the
-    /// baseline, comes first.
+    /// Returns the arithmetics asked for, or all supported ones, the baseline `exact` first.
     fn arithmetics(
         &self,
         session: &mut Session<'_>,

@@ -1,5 +1,4 @@
-// Shows picture and command of the point under the pointer, until another one or the page is
-// selected.
+// Shows picture and command of the selected point.
 let shown = null;
 function show(panel) {
   if (shown) shown.hidden = true;

@@ -21,7 +21,6 @@ const DEVIATIONS: &str = "The same network in f64 on the CPU, for reconstruction
     precisions take the tokens that the first one chose, so that these are errors of arithmetic and not other choices of near ties. \
     Pictures are drawn by the device from its own Gaussians and from those of f64.";
 
-/// Returns the whole page.
 pub fn page(args: &Tradeoff, device: &str, weights: &str, captures: &[Capture], sweep: &Sweep) -> Result<String> {
     let points = &sweep.points;
     let pictures: Vec<String> =
@@ -73,7 +72,6 @@ fn card(name: &str, picture: &str, about: &str) -> String {
     format!("<div class=\"card\"><img alt=\"{name}\" src=\"{picture}\"><b>{name}</b>{about}</div>")
 }
 
-/// Returns the panel that the page shows for point `i`.
 fn panel(i: usize, p: &Point, picture: &str) -> String {
     format!("<div class=\"panel\" id=\"p{i}\" hidden><img alt=\"\" src=\"{picture}\"><div>{}</div></div>", about(p))
 }
@@ -92,7 +90,7 @@ fn took(ms: f64) -> String {
     time(Duration::from_secs_f64(ms / 1e3))
 }
 
-/// Formats rows of points, `marked` ones green.
+/// Rows of points, `marked` ones green.
 fn table(points: &[Point], rows: impl Iterator<Item = usize>, marked: &[usize]) -> String {
     let mut html = String::from(
         "<table><tr><th>photos<th>precision<th class=\"wide\">weights<th>r<th class=\"wide\">tokens by<th class=\"wide\">kept of a token<th>steps\

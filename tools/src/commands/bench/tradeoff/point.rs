@@ -1,54 +1,47 @@
-//! Settings and results of one combination.
+//! Settings and results of a combination.
 
 use super::rounded::OWN;
 use crate::table::counted;
 use serde::Serialize;
 use zipsplat::reconstruct::Selection;
 
-/// Settings and results.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Point {
     pub views: usize,
     pub precision: String,
     /// Type of the rounded weights; `own` as stored.
     pub weights: String,
-    /// Bytes of the weights on the device.
     pub weight_bytes: u64,
-    /// Kept tokens over all tokens.
+    /// Kept share.
     pub ratio: f64,
-    /// Ratio as on the command line, including `auto`.
+    /// As on the command line, including `auto`.
     #[serde(skip)]
     pub asked_ratio: String,
     /// Selection; `all` without any.
     pub select: String,
-    /// Pooling factor of attention across photos.
     pub pool: usize,
-    /// Gaussians kept per token.
     pub keep: usize,
-    /// Refinement steps as on the command line; `0` for none.
+    /// As on the command line; `0` for none.
     pub refine: String,
-    /// Initialization of the refinement; empty for none.
+    /// Empty without refinement.
     pub init: String,
     pub tokens: usize,
     pub gaussians: usize,
     /// Photos to Gaussians, median.
     pub forward_ms: f64,
-    /// Refinement time of a single run.
+    /// Single run.
     pub refine_ms: f64,
-    /// Forward pass and refinement.
     pub total_ms: f64,
     /// One picture, median.
     pub render_ms: f64,
     pub peak_bytes: u64,
-    /// Size of the PLY file.
     pub file_bytes: u64,
-    /// Mean PSNR against held-out photos.
     pub psnr: f64,
     pub ssim: f64,
     /// PSNR against the pictures of `exact` with equal settings; absent for `exact`.
     pub psnr_to_exact: Option<f64>,
-    /// PSNR against pictures of the f64 Gaussians for the same tokens; absent for refined
-    /// Gaussians. This and all errors are absent if f64 would take too long.
+    /// PSNR against the f64 Gaussians of the same tokens; absent after refinement. This and all
+    /// errors are absent if f64 would take too long.
     pub psnr_to_f64: Option<f64>,
     /// Relative rms deviations from f64 by stage, before pruning and refinement.
     pub error_backbone: Option<f64>,
@@ -58,14 +51,13 @@ pub struct Point {
     pub error_quats: Option<f64>,
     pub error_opacities: Option<f64>,
     pub error_sh_coeffs: Option<f64>,
-    /// Mean number of input views per token; absent without k-means.
+    /// Mean over tokens; absent without k-means.
     pub views_per_cluster: Option<f64>,
-    /// Command that reproduces the point.
     pub command: String,
 }
 
 impl Point {
-    /// Returns a refinement of the capture's points, without a network.
+    /// Refinement of the capture's points, without a network.
     pub fn of_points(views: usize, precision: &str) -> Self {
         let words = |word: &str| word.to_owned();
         Self {
@@ -79,12 +71,11 @@ impl Point {
         }
     }
 
-    /// Returns true if only the capture's points were refined.
+    /// True if only the capture's points were refined.
     pub fn is_of_points(&self) -> bool {
         self.init == "points"
     }
 
-    /// Returns the steps, and any initialization other than the scene.
     pub fn refinement(&self) -> String {
         match self.init.as_str() {
             "points" => format!("{} from points", self.refine),
@@ -93,17 +84,14 @@ impl Point {
         }
     }
 
-    /// Returns true for refined Gaussians.
     pub fn is_refined(&self) -> bool {
         self.refine != "0"
     }
 
-    /// Returns the precision and any type of rounded weights.
     pub fn arithmetic(&self) -> String {
         arithmetic(&self.precision, &self.weights)
     }
 
-    /// Formats the settings.
     pub fn settings(&self) -> String {
         let photos = counted(self.views, "photo");
         if self.is_of_points() {
@@ -124,12 +112,10 @@ impl Point {
     }
 }
 
-/// Joins precision and any type of rounded weights.
 pub fn arithmetic(precision: &str, weights: &str) -> String {
     if weights == OWN { precision.into() } else { format!("{precision}, {weights} weights") }
 }
 
-/// Returns the name of a selection on the command line.
 pub fn name(selection: &Selection) -> String {
     match selection {
         Selection::Kmeans(rounds) => format!("kmeans:{rounds}"),
@@ -139,7 +125,7 @@ pub fn name(selection: &Selection) -> String {
     }
 }
 
-/// Returns the Pareto front of time and PSNR, by time.
+/// Pareto front of time and PSNR, by time.
 pub fn front(points: &[Point]) -> Vec<usize> {
     let mut order: Vec<usize> = (0..points.len()).collect();
     order.sort_by(|a, b| {
@@ -155,9 +141,9 @@ pub fn front(points: &[Point]) -> Vec<usize> {
     order
 }
 
-/// Returns three recommended points of the front, or fewer if it is short. `best` has the highest
-/// PSNR. `fast` is the fastest point with half of the front's gain in dB. `balanced` lies between
-/// them, farthest above their connecting line in dB over log time.
+/// Recommends up to three points of the front. `best` has the highest PSNR. `fast` is the fastest
+/// with half of the front's gain in dB. `balanced` is farthest above their connecting line in dB
+/// over log time.
 pub fn recommended(points: &[Point]) -> Vec<(&'static str, usize)> {
     let front = front(points);
     let (Some(first), Some(best)) = (front.first(), front.last()) else { return Vec::new() };

@@ -8,7 +8,6 @@ use zipsplat::{
     weights::{Checkpoint, Dtype},
 };
 
-/// Checkpoint rounded to another type.
 pub struct Rounded {
     pub dtype: &'static str,
     pub checkpoint: Checkpoint,
@@ -16,19 +15,15 @@ pub struct Rounded {
     _folder: TempDir,
 }
 
-/// Name of the weights' stored type.
 pub const OWN: &str = "own";
 
-/// Parses a type to round to; `None` for weights as stored.
+/// `None` for weights as stored.
 pub fn parse(text: &str) -> Result<Option<Dtype>> {
     let expected = || Error::argument("--dtype", text, format!("{OWN}, f16, bf16 or q8, as a list"));
     if text == OWN { Ok(None) } else { text.parse().map(Some).map_err(|_| expected()) }
 }
 
 /// Rounds the weights to each requested type, except their own.
-///
-/// # Errors
-/// A value outside the type's range, a full disk, [`Error::Cancelled`].
 pub fn all(args: &Tradeoff, session: &Session<'_>, checkpoint: &Checkpoint) -> Result<Vec<Rounded>> {
     let mut dtypes: Vec<Dtype> = args.dtype.iter().flatten().copied().collect();
     dtypes.dedup();

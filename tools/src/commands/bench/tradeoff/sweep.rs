@@ -33,17 +33,15 @@ use zipsplat::{
     weights::{Architecture, Checkpoint},
 };
 
-/// Results of a sweep.
 #[derive(Default)]
 pub struct Sweep {
     pub points: Vec<Point>,
-    /// Stage times with every token, for each number of views.
+    /// Stage times with every token, by number of views.
     pub stages: Vec<(usize, StageTimes)>,
-    /// Prediction of the first target, for each point.
+    /// Prediction of the first target, by point.
     pub pictures: Vec<Image>,
-    /// Number of points of the whole sweep.
     pub planned: usize,
-    /// Baseline pictures of `exact`, by number of views, settings and Gaussians kept.
+    /// Pictures of `exact`, by number of views, settings and Gaussians kept.
     drawn_exactly: HashMap<(usize, String, usize), Vec<f32>>,
 }
 
@@ -68,9 +66,6 @@ struct Forward {
 }
 
 /// Checks every combination without a device.
-///
-/// # Errors
-/// That of the first invalid combination.
 pub fn check(args: &Tradeoff, architecture: &Architecture, Size(width, height): Size) -> Result<()> {
     let all = architecture.gaussians_per_token;
     args.keep.iter().flatten().try_for_each(|keep| keep.of(all).map(drop))?;
@@ -83,8 +78,7 @@ pub fn check(args: &Tradeoff, architecture: &Architecture, Size(width, height): 
     Ok(())
 }
 
-/// Measures combinations until the time limit. The other value tells whether the command should
-/// stop.
+/// Measures until the time limit. The other value tells whether the command should stop.
 ///
 /// # Errors
 /// If a reconstruction or a picture fails; [`Error::Cancelled`] before the first point.
@@ -132,11 +126,9 @@ pub fn run(
     }
 }
 
-/// Type of the weights, checkpoint and arithmetic.
 type Network<'a> = (&'a str, &'a Checkpoint, (Precision, Arithmetic));
 
-/// Returns the cases in measurement order, with their network: first every network with first
-/// choices, then the others.
+/// Measurement order, with the network's index: first choices with every network, then the others.
 fn passes<'a>(args: &Tradeoff, networks: &[Network<'a>], cases: &[Case<'a>]) -> Vec<(usize, Vec<Case<'a>>)> {
     let mut passes = Vec::new();
     for begins in [true, false] {
@@ -161,7 +153,6 @@ fn passes<'a>(args: &Tradeoff, networks: &[Network<'a>], cases: &[Case<'a>]) -> 
 }
 
 impl Bench<'_> {
-    /// Measures until the time limit.
     fn run(&mut self, networks: &[Network<'_>], passes: &[(usize, Vec<Case<'_>>)], stage: &Stage<'_>) -> Result<()> {
         for (i, cases) in passes {
             stage.name("load weights");
@@ -180,12 +171,11 @@ impl Bench<'_> {
         Ok(())
     }
 
-    /// Returns the share of the time spent.
     fn spent(&self) -> f64 {
         self.args.minutes.0.map_or(0.0, |time| self.began.elapsed().div_duration_f64(time))
     }
 
-    /// Measures a case; `Break` at the time limit.
+    /// `Break` at the time limit.
     fn measure(&mut self, model: &Model, case: &Case<'_>, stage: &Stage<'_>) -> Result<ControlFlow<()>> {
         let forward = self.forward(model, case, stage)?;
         for keep in case.keep {
@@ -205,12 +195,12 @@ impl Bench<'_> {
         Ok(ControlFlow::Continue(()))
     }
 
-    /// Adds a point; `Break` at the time limit.
+    /// `Break` at the time limit.
     fn add(&mut self, (point, picture): (Point, Image), stage: &Stage<'_>) -> ControlFlow<()> {
         self.sweep.points.push(point);
         self.sweep.pictures.push(picture);
         let spent = self.spent();
-        // Cancellation takes effect at the next point; this one counts.
+        // This point counts; the next one cancels.
         let _ = stage.at(spent.max(self.sweep.points.len() as f64 / self.sweep.planned as f64).min(1.0));
         if spent < 1.0 { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
     }
@@ -238,7 +228,6 @@ impl Bench<'_> {
         Ok(Forward { made, scene, ms: Spread::of(times).median, views_per_cluster, compared })
     }
 
-    /// Measures one number of Gaussians per token.
     fn point(&mut self, model: &Model, case: &Case<'_>, forward: &Forward, keep: usize) -> Result<(Point, Image)> {
         let (capture, all) = (case.capture, model.architecture().gaussians_per_token);
         let mut scene = forward.scene.clone();
@@ -267,7 +256,6 @@ impl Bench<'_> {
         Ok((point, drawn.picture(capture)?))
     }
 
-    /// Measures a refinement of all Gaussians or of the capture's points.
     fn refined(
         &mut self,
         model: &Model,
@@ -301,7 +289,7 @@ impl Bench<'_> {
         Ok((point, drawn.picture(case.capture)?))
     }
 
-    /// Returns the settings of a case, with all Gaussians and without refinement.
+    /// Settings with all Gaussians and without refinement.
     fn settings(&self, model: &Model, case: &Case<'_>, forward: &Forward) -> Point {
         let shape = case.shape;
         let error = |of: fn(&Errors) -> f64| forward.compared.as_ref().map(|compared| of(&compared.errors));
@@ -333,7 +321,7 @@ impl Bench<'_> {
     }
 }
 
-/// Returns the chosen tokens, and with k-means the mean number of views per cluster.
+/// Chosen tokens, and with k-means the mean number of views per cluster.
 fn chosen(model: &Model, case: &Case<'_>, images: &[Image]) -> Result<(Vec<u32>, Option<f64>)> {
     let (all, count) = (case.shape.grid.tokens(), case.shape.tokens);
     match (case.shape.kept, &case.request.selection) {
@@ -345,8 +333,7 @@ fn chosen(model: &Model, case: &Case<'_>, images: &[Image]) -> Result<(Vec<u32>,
     }
 }
 
-/// Returns the k-means tokens and mean number of views per cluster. A separate run: observation
-/// would distort time and memory.
+/// A separate run: observation would distort time and memory.
 fn clusters(model: &Model, case: &Case<'_>, images: &[Image]) -> Result<(Vec<u32>, f64)> {
     let (plan, tensors) = model.record(case.shape, true)?;
     let mut run = model.run(plan)?;

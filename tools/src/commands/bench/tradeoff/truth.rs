@@ -18,7 +18,7 @@ use zipsplat_reference::{
     model::{Architecture, Model as Reference},
 };
 
-/// Limit of FLOPs for an f64 reference, some seconds on a CPU.
+/// Limit of an f64 reference, some seconds on a CPU.
 pub const MOST_FLOPS: u64 = 20_000_000_000;
 
 /// Relative rms deviations from f64.
@@ -35,14 +35,13 @@ pub struct Errors {
     pub sh_coeffs: f64,
 }
 
-/// Deviations and the f64 Gaussians for the same tokens.
+/// Deviations from f64 for the same tokens.
 pub struct Compared {
     pub errors: Errors,
     pub scene: Scene,
     pub truth: Scene,
 }
 
-/// Network in f64 with cached results.
 pub struct Truth<'a> {
     checkpoint: &'a Checkpoint,
     /// Loaded on demand: large networks never need it.
@@ -53,7 +52,6 @@ pub struct Truth<'a> {
     known: HashMap<(usize, String), Known>,
 }
 
-/// Results for the tokens of the first precision.
 struct Known {
     chosen: Vec<u32>,
     /// Every tap after clustering.
@@ -61,16 +59,12 @@ struct Known {
 }
 
 impl<'a> Truth<'a> {
-    /// Returns the reference network of a checkpoint.
     pub fn new(checkpoint: &'a Checkpoint) -> Self {
         Self { checkpoint, reference: None, tokens: HashMap::new(), known: HashMap::new() }
     }
 
-    /// Compares a model's reconstruction with f64. `settings` exclude precision. The `chosen`
-    /// tokens of the first call apply to all later calls with the same settings.
-    ///
-    /// # Errors
-    /// If the checkpoint cannot be read or the reconstruction fails.
+    /// Compares a model's reconstruction with f64. `settings` exclude precision. The first call's
+    /// `chosen` tokens apply to all later calls with equal settings.
     pub fn compare(
         &mut self,
         model: &Model,
