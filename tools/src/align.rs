@@ -182,13 +182,13 @@ fn turn_and_shift(movement: &Vector6<f64>) -> [DVec3; 2] {
     })
 }
 
-/// Rotation (radians) and shift on the first camera's axes.
+/// Returns rotation (radians) and shift on the first camera's axes.
 fn between(from: &Camera, to: &Camera) -> [DVec3; 2] {
     let movement = to.pose.relative_to(&from.pose);
     [DQuat::from_mat3(&movement.rotation).to_scaled_axis(), movement.translation]
 }
 
-/// Pseudo-Huber residual: quadratic for small differences, linear for large ones.
+/// Returns the Pseudo-Huber residual: quadratic for small differences, linear for large ones.
 fn robust(difference: f64) -> f64 {
     let root = (2.0 * ((1.0 + (difference / LARGE).powi(2)).sqrt() - 1.0)).sqrt();
     (LARGE * root).copysign(difference)
@@ -222,7 +222,7 @@ impl<'a> Search<'a> {
         Ok(self)
     }
 
-    /// Robust residuals of the scene over the photo, divided by the root of the mean alpha.
+    /// Returns robust residuals of the scene over the photo, divided by the root of the mean alpha.
     /// Otherwise hiding the scene would be a gain.
     fn pixels(&self, movements: &[Vector6<f64>]) -> Option<Vec<DVector<f64>>> {
         let cameras: Vec<Camera> = movements.iter().map(|movement| moved(&self.start, movement)).collect();

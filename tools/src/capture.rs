@@ -70,7 +70,7 @@ impl Choice {
         Self::of(read_poses(folder)?, folder, views, targets)
     }
 
-    /// As [`Choice::new`], from known frames; `folder` is for messages.
+    /// Chooses from known frames, as [`Choice::new`]; `folder` is for messages.
     pub fn of(poses: Poses, folder: &Path, views: usize, targets: Option<usize>) -> Result<Self> {
         let found: Vec<usize> = (0..poses.frames.len()).filter(|i| poses.frames[*i].photo.is_some()).collect();
         if found.len() <= views {
@@ -125,7 +125,7 @@ impl Choice {
         self.inputs.iter().filter_map(|i| self.poses.frames[*i].photo.clone()).collect()
     }
 
-    /// Input frames, then targets.
+    /// Returns the inputs, then the targets.
     pub fn frames(&self) -> impl Iterator<Item = &Frame> {
         self.inputs.iter().chain(&self.targets).map(|i| &self.poses.frames[*i])
     }
@@ -139,7 +139,7 @@ impl Choice {
         self.poses.frames.iter().find(|frame| frame.name == name)
     }
 
-    /// Digest of frames, photos and points.
+    /// Hashes frames, photos and points.
     pub fn digest(&self) -> Result<String> {
         let mut parts = vec![self.inputs.len().to_string()];
         for frame in self.frames() {
@@ -150,24 +150,23 @@ impl Choice {
         Ok(digest(&parts))
     }
 
-    /// Notes of the camera reader.
     pub fn notes(&self) -> &[String] {
         &self.poses.notes
     }
 
-    /// File of the point cloud.
     pub fn cloud(&self) -> Option<&Path> {
         self.poses.points.as_deref()
     }
 
-    /// Point cloud in the first input's world and a unit.
+    /// Reads the point cloud into the first input's world and a unit.
     pub fn points(&self, unit: &Unit) -> Result<Option<PointCloud>> {
         let to_world = self.poses.frames[self.inputs[0]].camera.pose.inverse();
         let cloud = self.poses.points.as_ref().map(read_cloud).transpose()?;
         Ok(cloud.map(|cloud| placed(cloud, &to_world, unit.length)))
     }
 
-    /// `unit` is the length in the cameras' unit that becomes 1, by default [`Unit::of`].
+    /// Reads the photos. `unit` is the length in the cameras' unit that becomes 1, by default
+    /// [`Unit::of`].
     pub fn load(&self, seeing: Seeing, unit: Option<f64>, stage: &Stage<'_>) -> Result<Capture> {
         let frames: Vec<&Frame> = self.frames().collect();
         let paths: Vec<PathBuf> = frames.iter().filter_map(|frame| frame.photo.clone()).collect();
@@ -197,12 +196,10 @@ impl Choice {
 }
 
 impl Capture {
-    /// Notes on photos and unit.
     pub fn notes(&self) -> impl Iterator<Item = String> {
         self.views.note.clone().into_iter().chain(self.unit.doubt())
     }
 
-    /// Network input.
     pub fn images(&self) -> Vec<Image> {
         self.views.images.clone()
     }
@@ -211,12 +208,12 @@ impl Capture {
         self.views.cameras.clone()
     }
 
-    /// Training views at the compared size.
+    /// Returns training views at the compared size.
     pub fn learnt(&self) -> (Vec<Image>, Vec<Camera>) {
         self.inputs.iter().map(|input| (input.image.clone(), input.camera)).unzip()
     }
 
-    /// Input nearest to a photo.
+    /// Returns the input nearest to a photo.
     pub fn nearest(&self, view: &Posed) -> &Posed {
         let distance = |other: &&Posed| other.camera.pose.translation.distance(view.camera.pose.translation);
         let nearest = self.inputs.iter().min_by(|a, b| distance(a).total_cmp(&distance(b)));
@@ -292,7 +289,7 @@ pub fn farthest_points(points: &[DVec3], count: usize) -> Vec<usize> {
     chosen
 }
 
-/// Direction by index; consecutive ones spread evenly.
+/// Returns a direction by index; consecutive ones spread evenly.
 pub fn spread(k: usize) -> DVec3 {
     // R2 sequence (Roberts 2018).
     let [u, v] = [0.754_877_666_246_693, 0.569_840_290_998_053].map(|step| (0.5 + step * k as f64).fract());

@@ -75,7 +75,7 @@ pub fn decode<T: Send + 'static>(
     }
 }
 
-/// Options to read this file only, without references.
+/// Returns options to read this file only, without references.
 pub fn input(file: &Path) -> impl Iterator<Item = OsString> {
     // A path may look like an option or a protocol.
     let mut name = OsString::from("file:");
@@ -84,7 +84,7 @@ pub fn input(file: &Path) -> impl Iterator<Item = OsString> {
     limits.map(OsString::from).into_iter().chain([name])
 }
 
-/// First distinct messages about a file, without ffmpeg's memory addresses.
+/// Returns the first distinct messages about a file, without ffmpeg's memory addresses.
 fn words(said: &str, file: &Path) -> String {
     let name = format!("file:{}: ", file.display());
     let mut lines: Vec<&str> = Vec::new();

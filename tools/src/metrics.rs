@@ -54,7 +54,7 @@ pub fn ssim(a: &[f32], b: &[f32], width: usize, height: usize) -> f64 {
     sum / count as f64
 }
 
-/// Gaussian-weighted means of complete windows.
+/// Returns Gaussian-weighted means of complete windows.
 fn filter(values: &[f64], width: usize) -> Vec<f64> {
     let taps: [f64; 2 * RADIUS + 1] =
         std::array::from_fn(|i| (-0.5 * ((i as f64 - RADIUS as f64) / SIGMA).powi(2)).exp());

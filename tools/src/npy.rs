@@ -6,7 +6,7 @@ use zipsplat::{Error, Result};
 const MAGIC: &[u8] = b"\x93NUMPY";
 const START: &str = "{'descr': '<f4', 'fortran_order': False, 'shape': (";
 
-/// Format 1.0: a header padded to 128 bytes, then the values.
+/// Encodes format 1.0: a header padded to 128 bytes, then the values.
 pub fn encode([height, width]: [u32; 2], values: &[f32]) -> Vec<u8> {
     let header = format!("{START}{height}, {width}), }}");
     let mut bytes = [MAGIC, b"\x01\x00\x76\x00"].concat();

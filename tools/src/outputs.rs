@@ -79,7 +79,7 @@ impl Overwrite {
     }
 }
 
-/// True for a nonempty regular file; pipes and devices are not replaced.
+/// Returns true for a nonempty regular file; pipes and devices are not replaced.
 fn is_file(path: &Path) -> bool {
     path.metadata().is_ok_and(|found| found.is_file() && found.len() > 0)
 }
@@ -156,13 +156,13 @@ pub fn save_scene(path: &Path, scene: &Scene, options: &WriteOptions, world: Opt
     })
 }
 
-/// CSV (RFC 4180) with field names.
+/// Writes CSV (RFC 4180) with field names.
 pub fn save_csv(path: &Path, rows: &[impl Serialize]) -> Result<()> {
     let table = csv(rows);
     write_atomic(path, |out| out.write_all(table.as_bytes()))
 }
 
-/// Fields are numbers, text or absent.
+/// Formats fields that are numbers, text or absent.
 pub fn csv(rows: &[impl Serialize]) -> String {
     let mut table = csv::Writer::from_writer(Vec::new());
     rows.iter().for_each(|row| table.serialize(row).expect("flat rows of one type, written to memory"));
@@ -178,13 +178,13 @@ pub fn save_picture(path: &Path, image: &Image) -> Result<()> {
     save_png(path, [image.width, image.height], (ColorType::Rgb, BitDepth::Eight), &image.rgb)
 }
 
-/// Alpha in 0..1 as 8-bit gray.
+/// Writes alpha in 0..1 as 8-bit gray.
 pub fn save_alpha(path: &Path, width: u32, height: u32, alpha: &[f32]) -> Result<()> {
     let levels: Vec<u8> = alpha.iter().map(|a| (a.clamp(0.0, 1.0) * 255.0).round() as u8).collect();
     save_png(path, [width, height], (ColorType::Grayscale, BitDepth::Eight), &levels)
 }
 
-/// Depth as 16-bit gray, [`DEPTH_LEVELS`] per world unit, saturated.
+/// Writes depth as 16-bit gray, [`DEPTH_LEVELS`] per world unit, saturated.
 pub fn save_depth(path: &Path, width: u32, height: u32, depth: &[f32]) -> Result<()> {
     save_depth_levels(path, [width, height], depth, DEPTH_LEVELS)
 }

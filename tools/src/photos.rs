@@ -178,7 +178,7 @@ fn list_folder(session: &mut Session<'_>, folder: &Path) -> Result<Vec<PathBuf>>
     Ok(photos)
 }
 
-/// Photos directly in a folder, in natural order.
+/// Returns photos directly in a folder, in natural order.
 pub fn directly_in(folder: &Path) -> Result<Vec<PathBuf>> {
     let mut found = visible(folder)?;
     found.retain(|path| path.is_file() && is_photo(path));
@@ -186,7 +186,7 @@ pub fn directly_in(folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(found)
 }
 
-/// Nested folders, in natural order.
+/// Returns nested folders, in natural order.
 pub fn folders_in(folder: &Path) -> Result<Vec<PathBuf>> {
     let mut found = visible(folder)?;
     found.retain(|path| path.is_dir());
@@ -254,12 +254,12 @@ pub fn posed(session: &mut Session<'_>, photos: Vec<PathBuf>, poses: &Poses) -> 
     Ok(kept)
 }
 
-/// First few file names.
+/// Returns the first few file names.
 pub fn names(files: &[PathBuf]) -> String {
     named(files, |path| path.file_name().unwrap_or_default().to_string_lossy().into_owned())
 }
 
-/// At most `count` photos, evenly spread, with the first and the last.
+/// Returns at most `count` photos, evenly spread, with the first and the last.
 pub fn spread(photos: Vec<PathBuf>, count: usize) -> Vec<PathBuf> {
     if photos.len() <= count {
         return photos;
@@ -317,7 +317,7 @@ pub fn read<T: Send>(
     photos.par_iter().enumerate().map(read).collect::<Vec<_>>().into_iter().collect()
 }
 
-/// Warning about much cropping.
+/// Warns about much cropping.
 pub fn cropping(photos: &[[u32; 2]], Size(width, height): Size) -> Option<String> {
     let area = |width: u32, height: u32| f64::from(width) * f64::from(height);
     let kept = |[w, h]: &[u32; 2]| {

@@ -42,7 +42,7 @@ pub struct Drawn {
     pub empty: bool,
 }
 
-/// Optional files beside `000.png`.
+/// Returns optional files beside `000.png`.
 fn layers(request: &RenderRequest) -> [(&'static str, bool); 5] {
     [
         ("", request.rgb),
@@ -95,7 +95,7 @@ pub fn sheet_columns(frames: usize) -> usize {
     (1..).find(|columns| columns * columns >= frames).unwrap_or(frames)
 }
 
-/// Up to [`BATCH`], fewer for large pictures.
+/// Returns up to [`BATCH`], fewer for large pictures.
 fn batch(cameras: &[Camera]) -> usize {
     let pixels = |camera: &Camera| u64::from(camera.intrinsics.width) * u64::from(camera.intrinsics.height);
     let largest = cameras.iter().map(pixels).max().unwrap_or(0).max(1);
@@ -151,7 +151,7 @@ impl Writer<'_> {
     }
 }
 
-/// True for only background.
+/// Returns true for only background.
 fn is_empty(frame: &Frame, background: [f32; 3]) -> bool {
     let pixels = frame.rgb.as_deref().unwrap_or_default().chunks_exact(3);
     let mut pairs = pixels.flat_map(|pixel| pixel.iter().zip(background));

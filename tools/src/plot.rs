@@ -46,8 +46,8 @@ pub struct Axis<'a> {
     pub scale: Scale,
 }
 
-/// Plot with a legend titled `meaning`. Omits non-finite points and series past the sixth, which
-/// the legend counts. `beneath` is a gray line without points.
+/// Returns a plot with a legend titled `meaning`. Omits non-finite points and series past the
+/// sixth, which the legend counts. `beneath` is a gray line without points.
 pub fn plot(x: Axis<'_>, y: Axis<'_>, meaning: &str, series: &[Series], beneath: Option<&Series>) -> String {
     let shown = &series[..series.len().min(COLORS.len())];
     let place = |at: &At| At { x: x.position(at.x), y: y.position(at.y), of: at.of };
@@ -152,7 +152,7 @@ impl Axis<'_> {
     }
 }
 
-/// Range with a margin; never empty.
+/// Returns a range with a margin; never empty.
 fn extent(values: impl Iterator<Item = f64>) -> Range<f64> {
     let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)));
     if low > high {

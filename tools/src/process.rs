@@ -87,7 +87,7 @@ fn set_group(command: &mut Command) {
     std::os::unix::process::CommandExt::process_group(command, 0);
 }
 
-/// Shell that ends a group if this command is killed; `None` without a shell.
+/// Starts a shell that ends a group if this command is killed; `None` without a shell.
 #[cfg(unix)]
 fn watch() -> Option<Child> {
     let mut command = Command::new("/bin/sh");
@@ -192,7 +192,7 @@ pub fn check(program: &Path, name: &str, expected: &str) -> Result<()> {
     Err(Error::argument(name, format!("{}: {reason}", program.display()), expected))
 }
 
-/// Output and errors of a program with any exit code.
+/// Returns output and errors of a program with any exit code.
 pub fn printed(command: &mut Command, stage: &Stage<'_>) -> Result<String> {
     let mut text = String::new();
     run(command, stage, |line| {
@@ -215,7 +215,7 @@ fn said(mut stream: impl Read) -> String {
     String::from_utf8_lossy(&said).into_owned()
 }
 
-/// Failure by a program's message, or its exit status.
+/// Returns a failure with a program's message, or its exit status.
 pub fn failure(program: &Path, said: &str, status: impl ToString) -> Error {
     let words = if said.trim().is_empty() { status.to_string() } else { said.trim().to_owned() };
     // A broken pipe means our own output.

@@ -83,7 +83,7 @@ const APACHE: &str = "Apache-2.0";
 const FREE: &str = "any use; keep the notices";
 const NO_COMMERCE: &str = "name the authors; no commercial use";
 
-/// With the stricter of two licenses.
+/// Takes the stricter of two licenses.
 const fn of_depth(name: &'static str, repository: &'static str, kept_as: &'static str) -> Released {
     Released {
         name,
@@ -114,12 +114,12 @@ impl Released {
         format!("zipsplat weights get {}", self.name)
     }
 
-    /// Base path of download and conversion.
+    /// Returns the base path of download and conversion.
     pub fn base(&self, folder: &Path) -> PathBuf {
         folder.join(self.kept_as)
     }
 
-    /// A file's conversion, with its hash; the file itself for unconverted weights.
+    /// Returns a file's conversion, with its hash; the file itself for unconverted weights.
     pub fn converted(&self, loaded: &Path) -> PathBuf {
         let stem = loaded.file_stem().unwrap_or_default().to_string_lossy();
         match self.kind {
@@ -128,7 +128,7 @@ impl Released {
         }
     }
 
-    /// Usable cached weights, newest first.
+    /// Returns usable cached weights, newest first.
     pub fn cached(&self, folder: &Path) -> Vec<PathBuf> {
         match self.kind {
             Kind::Tokens => self.tagged(folder, CONVERTED),
@@ -136,7 +136,7 @@ impl Released {
         }
     }
 
-    /// Verified, unconverted downloads, newest first.
+    /// Returns verified, unconverted downloads, newest first.
     pub fn loaded(&self, folder: &Path) -> Vec<PathBuf> {
         self.tagged(folder, &self.kept_as[self.stem().len()..])
     }
@@ -145,7 +145,7 @@ impl Released {
         self.kept_as.rsplit_once('.').map_or(self.kept_as, |(stem, _)| stem)
     }
 
-    /// Files named by these weights, a hash, and `ending`.
+    /// Returns files named by these weights, a hash, and `ending`.
     fn tagged(&self, folder: &Path, ending: &str) -> Vec<PathBuf> {
         let tag = |name: &str| {
             let tag = name.strip_prefix(self.stem())?.strip_prefix('-')?.strip_suffix(ending)?;
@@ -160,7 +160,7 @@ impl Released {
     }
 }
 
-/// Weights folder of the user's cache.
+/// Returns the weights folder of the user's cache.
 pub fn folder() -> Result<PathBuf> {
     let cache = cache_folder().map(|cache| cache.join("weights"));
     cache.ok_or_else(|| Error::argument("cache folder", "none", "ZIPSPLAT_CACHE, or HOME, in the environment"))
@@ -196,7 +196,7 @@ fn check_name(name: &str) -> Result<()> {
     Err(Error::argument("weights", name, expected))
 }
 
-/// True for Depth Anything 3, by name or by a file's tensors.
+/// Returns true for Depth Anything 3, by name or by a file's tensors.
 pub fn is_of_depth(text: &str) -> bool {
     Released::named(text).map_or_else(|| DepthCheckpoint::is_meant(text), |released| released.kind == Kind::Depth)
 }

@@ -94,13 +94,13 @@ impl<'a> Session<'a> {
         Ok(device)
     }
 
-    /// For a later opening.
+    /// Returns the request for a later opening.
     pub fn device_options(&self) -> DeviceOptions {
         let Global { device, memory, .. } = &self.global;
         DeviceOptions { selector: device.clone(), max_memory_bytes: *memory, ..DeviceOptions::default() }
     }
 
-    /// True for `--device none`, a plan for an ordinary device.
+    /// Returns true for `--device none`, a plan for an ordinary device.
     pub fn plans_for_none(&self) -> bool {
         self.global.device.as_deref() == Some(NO_DEVICE)
     }
@@ -123,7 +123,7 @@ impl<'a> Session<'a> {
         Ok((value, start.elapsed()))
     }
 
-    /// The first use of a precision on a device self-tests its kernels, with progress.
+    /// Self-tests the kernels on the first use of a precision on a device, with progress.
     pub fn choose(&self, device: &Device, precision: Option<Precision>) -> Result<Chosen> {
         let chosen = self.stage("first use", |stage| {
             Chosen::of_with(device, precision, |kernel, done| {
@@ -261,12 +261,12 @@ impl<'a> Session<'a> {
     }
 }
 
-/// One-line JSON of an error.
+/// Returns the one-line JSON of an error.
 pub fn error_as_json(text: &str, kind: &str, code: u8) -> String {
     serde_json::json!({ "error": text, "kind": kind, "exit_code": code }).to_string()
 }
 
-/// Kind of an error for programs.
+/// Returns the kind of an error for programs.
 fn kind(error: &Error) -> &'static str {
     match error {
         Error::Argument { .. } => "argument",

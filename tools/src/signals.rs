@@ -19,7 +19,7 @@ pub fn cancelled_by_signals() -> &'static AtomicBool {
     &STOP
 }
 
-/// True for an ignored SIGHUP, as under nohup; a handler would undo that.
+/// Returns true for an ignored SIGHUP, as under nohup; a handler would undo that.
 fn outlives_terminal() -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let ignored = status.lines().find_map(|line| u64::from_str_radix(line.strip_prefix("SigIgn:")?.trim(), 16).ok());

@@ -10,7 +10,7 @@ pub struct Table {
 }
 
 impl Table {
-    /// `left` is the number of left-aligned columns.
+    /// Takes the number of left-aligned columns.
     pub fn new(left: usize, headings: &[&str]) -> Self {
         Self { left, rows: vec![headings.iter().map(ToString::to_string).collect()] }
     }
@@ -40,24 +40,24 @@ impl fmt::Display for Table {
     }
 }
 
-/// Four significant digits.
+/// Formats four significant digits.
 pub fn significant(value: f64) -> String {
     let digits = if value.abs() > 0.0 { (3.0 - value.abs().log10().floor()).max(0.0) } else { 4.0 };
     if digits > 8.0 { format!("{value:.3e}") } else { format!("{value:.*}", digits as usize) }
 }
 
-/// `1 view`, `2 views`.
+/// Formats `1 view`, `2 views`.
 pub fn counted(count: usize, what: &str) -> String {
     let plural = if count == 1 { "" } else { "s" };
     format!("{} {what}{plural}", HumanCount(count as u64))
 }
 
-/// `1.20 GiB`.
+/// Formats `1.20 GiB`.
 pub fn bytes(count: u64) -> String {
     HumanBytes(count).to_string()
 }
 
-/// `1.234 s`, `12.3 ms`.
+/// Formats `1.234 s`, `12.3 ms`.
 pub fn time(duration: Duration) -> String {
     let seconds = duration.as_secs_f64();
     if seconds < 1.0 { format!("{:.1} ms", 1e3 * seconds) } else { format!("{seconds:.3} s") }

@@ -128,7 +128,7 @@ fn judge(ffmpeg: &Path, video: &Path, stage: &Stage<'_>) -> Result<(Vec<f64>, St
     Ok((sharpness, said))
 }
 
-/// Sharpest frame of each of `count` equal parts, the first of ties.
+/// Returns the sharpest frame of each of `count` equal parts, the first of ties.
 fn sharpest(sharpness: &[f64], count: usize) -> Vec<usize> {
     let (all, count) = (sharpness.len(), count.min(sharpness.len()));
     let part = |i: usize| i * all / count..(i + 1) * all / count;
@@ -160,7 +160,7 @@ fn take(ffmpeg: &Path, video: &Path, chosen: &[usize], folder: &Path, stage: &St
     Ok(photos)
 }
 
-/// Measure of edges.
+/// Measures edges.
 fn laplacian_variance(grey: &[u8], width: usize) -> f64 {
     let height = grey.len() / width;
     let at = |x: usize, y: usize| f64::from(grey[y * width + x]);

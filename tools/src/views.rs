@@ -82,7 +82,7 @@ impl Fit {
         Ok(views)
     }
 
-    /// Views of one photo, in the world of `camera`.
+    /// Returns the views of one photo, in the world of `camera`.
     pub fn views(self, photo: &Image, camera: Option<&Camera>, size: Size, label: &str) -> Result<Vec<Seen>> {
         match (self, camera) {
             (Self::Squares, Some(camera)) => {
@@ -109,7 +109,7 @@ impl Fit {
         Ok(Views::new(self, views.into_iter().flatten(), &world, &sizes, size))
     }
 
-    /// Cameras in the first one's world, and its pose in another world.
+    /// Returns cameras in the first one's world, and its pose in another world.
     pub fn told(self, cameras: Vec<Camera>) -> (Vec<Camera>, Option<Pose>) {
         match (self, cameras.first().map(|camera| camera.pose)) {
             (Self::Squares, Some(first)) => {
@@ -144,7 +144,7 @@ impl Seeing {
 }
 
 impl Views {
-    /// Photo sizes are for the note. The first camera has the pose `world` in the cameras' world.
+    /// Takes photo sizes for the note. The first camera has the pose `world` in the cameras' world.
     pub fn new(fit: Fit, seen: impl Iterator<Item = Seen>, world: &Pose, photos: &[[u32; 2]], size: Size) -> Self {
         let (images, cameras): (Vec<_>, Vec<_>) = seen.unzip();
         let cameras: Vec<Camera> = cameras.into_iter().flatten().collect();
@@ -164,7 +164,7 @@ impl Views {
     }
 }
 
-/// Camera after a pixel map.
+/// Returns the camera after a pixel map.
 pub fn seen_through(camera: &Camera, map: &PixelMap, label: &str) -> Result<Camera> {
     camera.validate(label)?;
     Ok(Camera { intrinsics: map.apply(&camera.intrinsics, label)?, ..*camera })

@@ -51,7 +51,7 @@ impl Ffmpeg {
         Ok(Self { program: program.into(), child, said, file })
     }
 
-    /// ffmpeg's message, or `reason`.
+    /// Returns ffmpeg's message, or `reason`.
     fn failure(&mut self, reason: String) -> Error {
         let said = self.said.take().and_then(|said| said.join().ok()).unwrap_or_default();
         failure(&self.program, &said, reason)

@@ -33,8 +33,8 @@ use zipsplat::{
   zipsplat convert model.safetensors da3-base.safetensors --dtype f16
   zipsplat convert seeded:vits random.safetensors")]
 pub struct Convert {
-    /// Scene (PLY, SPZ, .splat or glTF), checkpoint of ZipSplat or Depth Anything 3, a name of `zipsplat weights list`, or
-    /// seeded:VARIANT[:KEY]
+    /// Scene (PLY, SPZ, .splat or glTF), checkpoint of ZipSplat or Depth Anything 3, a name of
+    /// `zipsplat weights list`, or seeded:VARIANT[:KEY]
     input: String,
     /// File to write
     output: PathBuf,

@@ -102,7 +102,7 @@ impl View {
         if self.is_of_photos()? { self.show_photos(session) } else { self.show_scenes(session) }
     }
 
-    /// True for photos, false for scenes.
+    /// Returns true for photos, false for scenes.
     fn is_of_photos(&self) -> Result<bool> {
         let is_photo =
             |path: &PathBuf| path.is_dir() || is_video(path) || is_heic(path) || Image::size_as_stored(path).is_ok();
@@ -319,7 +319,7 @@ impl View {
     }
 }
 
-/// Private page that redirects to `address`, deleted on drop.
+/// Writes a private page that redirects to `address`, deleted on drop.
 fn redirect(address: &str) -> Result<NamedTempFile> {
     let failed = |error| Error::io(std::env::temp_dir(), error);
     let mut file = tempfile::Builder::new().prefix("zipsplat-").suffix(".html").tempfile().map_err(failed)?;

@@ -248,7 +248,7 @@ fn lock(session: &Session<'_>, released: &Released, folder: &Path) -> Result<Loc
     Ok(session.stage("wait for another process", |stage| Lock::new(&released.base(folder), stage))?.0)
 }
 
-/// True if the environment forbids the network, by the hub client's values.
+/// Returns true if the environment forbids the network, by the hub client's values.
 fn is_offline() -> bool {
     let value = std::env::var("HF_HUB_OFFLINE").unwrap_or_default().to_lowercase();
     ["1", "true", "yes", "on"].contains(&value.as_str())

@@ -17,15 +17,15 @@ pub const DIVISION: f64 = 2.5 * ULP;
 /// Vulkan's relative limit for sqrt, as 1 / inversesqrt.
 pub const ROOT: f64 = 4.5 * ULP;
 
-/// Relative error bound of `n` roundings, `n u / (1 - n u)`, and of a sum of `n` terms in any
-/// order, relative to their magnitudes (Higham, Accuracy and Stability of Numerical Algorithms,
-/// lemma 3.1 and section 4.2).
+/// Returns the relative error bound of `n` roundings, `n u / (1 - n u)`, and of a sum of `n` terms
+/// in any order, relative to their magnitudes (Higham, Accuracy and Stability of Numerical
+/// Algorithms, lemma 3.1 and section 4.2).
 pub fn gamma(n: usize) -> f64 {
     let nu = n as f64 * U;
     if nu < 1.0 { nu / (1.0 - nu) } else { f64::INFINITY }
 }
 
-/// Most additions per term when 4 to 128 lanes sum `n` terms.
+/// Returns the most additions per term when 4 to 128 lanes sum `n` terms.
 pub fn by_lanes(n: usize) -> usize {
     n.min((n.div_ceil(4) + 4).max(n.div_ceil(128) + 128))
 }
@@ -36,12 +36,12 @@ pub fn half(x: f64) -> f64 {
     if rounded.abs() > 65504.0 { rounded * f64::INFINITY } else { rounded }
 }
 
-/// Vulkan's relative limit for exp(x) and exp2(x).
+/// Returns Vulkan's relative limit for exp(x) and exp2(x).
 pub fn exponential(x: f64) -> f64 {
     (3.0 + 2.0 * x.abs()) * ULP
 }
 
-/// Vulkan's absolute limit for log(x).
+/// Returns Vulkan's absolute limit for log(x).
 pub fn logarithm(x: f64) -> f64 {
     if (0.5..=2.0).contains(&x) { (-21f64).exp2() } else { 3.0 * ULP * x.ln().abs() }
 }
@@ -104,7 +104,7 @@ pub struct Bounded {
 }
 
 impl Bounded {
-    /// Number that f32 holds.
+    /// Converts a number that f32 holds.
     pub fn exact(value: impl Into<f64>) -> Self {
         Self { value: value.into(), error: 0.0 }
     }
@@ -136,7 +136,7 @@ impl Bounded {
         Self::new(value, value * self.error.exp_m1(), exponential(self.value.abs() + self.error))
     }
 
-    /// The error is at most the operands'.
+    /// Returns the minimum, with the larger error of the operands.
     pub fn min(self, other: Self) -> Self {
         Self { value: self.value.min(other.value), error: self.error.max(other.error) }
     }

@@ -16,10 +16,10 @@ pub(super) trait Problem: 'static {
 
     fn compute(&self, device: &Device, mode: Mode) -> Result<Self::Output>;
 
-    /// Truth in f64 from the device's inputs.
+    /// Computes the truth in f64 from the device's inputs.
     fn truth(&self, mode: Mode) -> Self::Truth;
 
-    /// Worst element of an output.
+    /// Returns the worst element of an output.
     fn judge(&self, truth: &Self::Truth, output: &Self::Output, mode: Mode) -> Worst;
 
     /// Simulates a fault on the host. Empty if the mode's rounding hides it; each output must be

@@ -83,7 +83,7 @@ impl Problem {
         }
     }
 
-    /// By channel and tap.
+    /// Maps weights by channel and tap.
     fn weighed(&self, value: impl Fn(&[f32], usize, usize) -> f32) -> Vec<f32> {
         let taps = self.shape[0].pow(2);
         let rows = self.weight.chunks(taps * self.channels);

@@ -47,7 +47,7 @@ enum Fault {
 }
 
 impl Fault {
-    /// Faulty value `c` of a raw Gaussian.
+    /// Returns the faulty value `c` of a raw Gaussian.
     fn apply(self, raw: &[f64], c: usize, right: f64) -> f64 {
         let x = raw[c];
         let single = |x: f64| x as f32;
@@ -126,14 +126,14 @@ fn run(device: &Device, raw: &[f32]) -> Result<Vec<f32>> {
         .collect())
 }
 
-/// expm1 at `x >= 0`. Below 0.35: a series to x^7 / 5040; above: exp(x) - 1.
+/// Bounds expm1 at `x >= 0`. Below 0.35: a series to x^7 / 5040; above: exp(x) - 1.
 fn mean_error(x: f64) -> f64 {
     let series = x.powi(7) / 5040.0 * 1.1 + gamma(14) * x.exp_m1();
     let difference = x.exp() * exponential(x) + U * x.exp_m1();
     TINY + if x < 0.35 { series } else { difference }
 }
 
-/// softplus(x - 4) before its clamps.
+/// Bounds softplus(x - 4) before its clamps.
 fn scale_error(x: f64) -> f64 {
     let z = x - 4.0;
     if z > 20.0 {
@@ -147,7 +147,7 @@ fn scale_error(x: f64) -> f64 {
     TINY + carried + if u < 0.5 { series } else { direct }
 }
 
-/// Divided by the largest component, then by the length.
+/// Bounds a division by the largest component, then by the length.
 fn quat_error(component: f64, length: f64) -> f64 {
     // Short quaternions are divided by 1e-12, which amplifies flushed values.
     let flushed = if length < 2e-12 { TINY * 1e12 } else { TINY };

@@ -47,7 +47,7 @@ enum Fault {
     NeighbourPixel,
 }
 
-/// Zero-padded.
+/// Convolves a zero-padded line.
 fn filtered<const N: usize>(
     line: &[[Bounded; N]],
     p: usize,
@@ -64,7 +64,7 @@ fn filtered<const N: usize>(
     sums
 }
 
-/// Windowed means of a and d = a - b, sum of the variances of a and b, and variance of d.
+/// Returns windowed means of a and d = a - b, sum of the variances of a and b, and variance of d.
 fn moments(line: &[[Bounded; 4]]) -> Vec<[Bounded; 4]> {
     let at = |p: usize| {
         let centre = line[(p / RUN * RUN + RUN / 2).min(line.len() - 1)];
@@ -84,7 +84,8 @@ fn turned<T: Copy>(image: &[Vec<T>]) -> Vec<Vec<T>> {
     (0..image[0].len()).map(|x| image.iter().map(|row| row[x]).collect()).collect()
 }
 
-/// 1 - SSIM and half its derivatives by the means of a - MIDDLE, squares and squared difference.
+/// Returns 1 - SSIM and half its derivatives by the means of a - MIDDLE, squares and squared
+/// difference.
 fn dssim([a, d, variances, variance]: [Bounded; 4]) -> (Bounded, [Bounded; 3]) {
     let (one, b) = (Bounded::exact(1.0), a - d);
     let means = a * a + b * b + Bounded::rounded(C1);
@@ -139,7 +140,7 @@ impl Problem {
         errors
     }
 
-    /// Gradient of the summed 1 - SSIM in one color, and its terms.
+    /// Returns the gradient of the summed 1 - SSIM in one color, and its terms.
     fn color(&self, color: usize) -> (Vec<Bounded>, Vec<Bounded>) {
         let pair = |i: usize| [self.frames[i], self.targets[i]].map(Bounded::exact);
         let rows: Vec<Vec<[Bounded; 4]>> = (0..self.frames.len() / (3 * WIDTH))

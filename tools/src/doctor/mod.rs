@@ -60,7 +60,8 @@ struct Factors {
 }
 
 impl Factors {
-    /// Error bound of a sum of `n` products, relative to their magnitudes, without factor rounding.
+    /// Returns the error bound of a sum of `n` products, relative to their magnitudes, without
+    /// factor rounding.
     fn sum(&self, n: usize) -> f64 {
         bound::gamma(self.roundings * n)
     }

@@ -22,7 +22,7 @@ const REASON: &str = "the mean is off by d <= gamma mean|x|, of which the second
 
 const EPS: f32 = 1e-6;
 
-/// Without weight and bias.
+/// Returns bounds without weight and bias.
 pub fn normed_errors(row: &[f64], eps: f64) -> Vec<f64> {
     let n = row.len() as f64;
     let mean_of = |f: &dyn Fn(f64) -> f64| row.iter().map(|&x| f(x)).sum::<f64>() / n;
@@ -84,7 +84,7 @@ pub enum Fault {
 }
 
 impl Fault {
-    /// Mean and variance.
+    /// Returns mean and variance.
     pub fn moments(self, row: &[f64]) -> [f64; 2] {
         let n = row.len() as f64;
         let summed = |round: fn(f64) -> f64, values: &mut dyn Iterator<Item = f64>| {

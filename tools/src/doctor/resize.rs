@@ -50,7 +50,7 @@ impl Problem {
         Self { positions: Some(positions), ..self }
     }
 
-    /// Columns in the first half of the channels, or rows if `turned`.
+    /// Adds columns to the first half of the channels, or rows if `turned`.
     fn added(&self, values: Vec<f64>, turned: bool) -> Vec<f64> {
         let Some(positions) = &self.positions else { return values };
         let (half, width) = (self.channels / 2, self.to[1]);
@@ -67,7 +67,7 @@ impl Problem {
         resize(&widen(&self.x), [self.size[1], self.channels], self.to)
     }
 
-    /// At `[y, x]`, bilinear or nearest.
+    /// Samples at `[y, x]`, bilinearly or by nearest neighbor.
     fn sampled(&self, place: impl Fn(usize, usize) -> f64, nearest: bool) -> Vec<f64> {
         let [height, width] = self.size;
         let at = |y: usize, x: usize, c: usize| f64::from(self.x[(y * width + x) * self.channels + c]);

@@ -10,7 +10,7 @@ use zipsplat::{
 
 const REASON: &str = "whole numbers: as the stable sort and the running sum of the host, exactly";
 
-/// Keys, of which the lowest `bits` bits count, with indices as values.
+/// Keys sorted by their lowest `bits` bits, with indices as values.
 struct Sort {
     keys: Vec<u32>,
     bits: u32,
@@ -31,7 +31,7 @@ enum Fault {
 type Sorted = [Vec<u32>; 2];
 
 impl Sort {
-    /// Stable, by a part of the key.
+    /// Sorts stably by a part of the key.
     fn sorted(&self, part: impl Fn(u32) -> u32) -> Vec<(u32, u32)> {
         let mut pairs: Vec<(u32, u32)> = self.keys.iter().copied().zip(0..).collect();
         pairs.sort_by_key(|pair| part(pair.0));

@@ -45,7 +45,7 @@ pub struct Told {
 }
 
 impl Told {
-    /// Earlier answers win. Only the hub's ETag is a hash.
+    /// Keeps earlier answers. Only the hub's ETag is a hash.
     fn hear(&mut self, headers: &HeaderMap, is_hub: bool) {
         let etag = || text(headers, ETAG.as_str()).filter(|_| is_hub);
         let digest = text(headers, "x-linked-etag")

@@ -224,7 +224,7 @@ fn stream(client: &Client, promise: &Promise, start: u64, send: &SyncSender<Even
     }
 }
 
-/// File offset of an answer to a promised file.
+/// Returns the file offset of an answer to a promised file.
 fn check_answer(
     promise: &Promise,
     told: &Told,

@@ -30,7 +30,7 @@ impl Promise {
         &self.sha256[..TAG]
     }
 
-    /// `base` with the tag in its name.
+    /// Adds the tag to the name of `base`.
     pub fn path(&self, base: &Path) -> PathBuf {
         let part = |part: Option<&std::ffi::OsStr>| part.unwrap_or_default().to_string_lossy().into_owned();
         base.with_file_name(format!("{}-{}.{}", part(base.file_stem()), self.tag(), part(base.extension())))
@@ -85,7 +85,7 @@ impl Drop for Lock {
     }
 }
 
-/// True if `path` still names an open file.
+/// Returns true if `path` still names an open file.
 fn is_at(file: &File, path: &Path) -> io::Result<bool> {
     #[cfg(unix)]
     {
@@ -118,7 +118,7 @@ fn paths(base: &Path) -> [PathBuf; 3] {
     })
 }
 
-/// Number of bytes and promise of a partial file.
+/// Returns number of bytes and promise of a partial file.
 pub fn kept(base: &Path) -> Option<(u64, Promise)> {
     let [path, promise, _] = paths(base);
     Some((path.metadata().ok()?.len(), serde_json::from_slice(&std::fs::read(promise).ok()?).ok()?))
@@ -138,7 +138,7 @@ impl Partial {
         Ok(Self { path, promise_path, base: base.to_owned(), file, promise: promise.clone() })
     }
 
-    /// Number of contiguous bytes.
+    /// Returns the number of contiguous bytes.
     pub fn length(&self) -> Result<u64> {
         self.file.metadata().map(|found| found.len()).map_err(|error| Error::io(&self.path, error))
     }

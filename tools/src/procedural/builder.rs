@@ -32,14 +32,14 @@ impl Builder<'_> {
         self.put(Shape::Ellipsoid { radii: Vec3A::from(radii) }, centre, Mat3A::from_rotation_z(heading), material);
     }
 
-    /// On `base`.
+    /// Adds a cylinder on `base`.
     pub fn can(&mut self, base: Vec3A, radius: f32, height: f32, material: Material) {
         let shape = Shape::Cylinder { radius, half_height: height / 2.0 };
         let rotation = Mat3A::from_rotation_z(self.rng.angle());
         self.put(shape, base + Vec3A::Z * (height / 2.0), rotation, material);
     }
 
-    /// Cylinder between two points.
+    /// Adds a cylinder between two points.
     pub fn rod(&mut self, from: Vec3A, to: Vec3A, radius: f32, material: Material) {
         let along = (to - from).normalize_or(Vec3A::Z);
         let x = along.any_orthonormal_vector();
@@ -52,7 +52,7 @@ impl Builder<'_> {
         );
     }
 
-    /// The y axis is up if possible.
+    /// Adds a rectangle; its y axis is up if possible.
     pub fn rectangle(&mut self, centre: Vec3A, half: [f32; 2], normal: Vec3A, material: Material) {
         self.put(Shape::Rectangle { half: Vec2::from(half) }, centre, facing(normal), material);
     }
@@ -70,7 +70,7 @@ impl Builder<'_> {
         }
     }
 
-    /// On `base`, about `size` wide.
+    /// Adds a primitive on `base`, about `size` wide.
     pub fn solid(&mut self, base: Vec3A, size: f32) {
         let material = self.draw(Role::Anything);
         let heading = self.rng.angle();
@@ -222,7 +222,7 @@ impl Builder<'_> {
     }
 }
 
-/// Axes with z along the normal; y is up, or the world's y for a level surface.
+/// Returns axes with z along the normal; y is up, or the world's y for a level surface.
 pub(super) fn facing(normal: Vec3A) -> Mat3A {
     let up = if normal.z.abs() > 0.9 { Vec3A::Y } else { Vec3A::Z };
     let x = up.cross(normal).normalize();

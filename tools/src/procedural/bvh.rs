@@ -5,7 +5,7 @@ use glam::Vec3A;
 use super::shape::Primitive;
 
 const LEAF: usize = 2;
-/// Depth from which nodes are halved, which bounds the stack for up to 2^11 primitives.
+/// Depth where halving of nodes starts, to bound the stack for up to 2^11 primitives.
 const DEEP: usize = 20;
 const STACK: usize = 32;
 
@@ -27,7 +27,7 @@ impl Aabb {
         side.x * side.y + side.y * side.z + side.z * side.x
     }
 
-    /// Entry distance before `limit`.
+    /// Returns the entry distance before `limit`.
     fn enter(&self, origin: Vec3A, inverse: Vec3A, limit: f32) -> Option<f32> {
         let (a, b) = ((self.low - origin) * inverse, (self.high - origin) * inverse);
         let (enter, leave) = (a.min(b).max_element().max(0.0), a.max(b).min_element().min(limit));
@@ -81,7 +81,7 @@ impl Bvh {
         self.build(boxes, start + left, end, depth + 1);
     }
 
-    /// Cost, axis and left item count.
+    /// Returns cost, axis and left item count.
     fn best_split(&mut self, boxes: &[Aabb], start: usize, end: usize, axis: usize) -> (f32, usize, usize) {
         let items = &mut self.items[start..end];
         sort_along(items, boxes, axis);
@@ -102,7 +102,7 @@ impl Bvh {
         best
     }
 
-    /// Distance and primitive.
+    /// Returns distance and primitive.
     pub fn nearest(
         &self,
         primitives: &[Primitive],
@@ -119,7 +119,7 @@ impl Bvh {
         best
     }
 
-    /// True for any hit before `limit`.
+    /// Returns true for any hit before `limit`.
     pub fn occluded(&self, primitives: &[Primitive], origin: Vec3A, direction: Vec3A, limit: f32) -> bool {
         let mut found = false;
         self.visit(origin, direction, limit, |item, limit| {

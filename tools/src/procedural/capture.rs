@@ -205,7 +205,7 @@ impl Setup {
         })
     }
 
-    /// From the first camera to all points, in meters.
+    /// Returns the median distance from the first camera in meters.
     fn median_distance(&self, frames: &[Frame]) -> f64 {
         let Lens { width, .. } = self.lens;
         let first = self.views[0].eye;
@@ -248,7 +248,7 @@ impl Setup {
         Ok(Frame { light, depth: rows.iter().flatten().map(|(_, depth)| *depth).collect() })
     }
 
-    /// Color and z; `pixel` is the filter width in pixels.
+    /// Returns color and z; `pixel` is the filter width in pixels.
     fn look(&self, view: View, x: f32, y: f32, pixel: f32, photos: &Photos) -> (Seen, f32) {
         let ray = self.lens.ray(x, y);
         let length = ray.length();
@@ -263,7 +263,7 @@ struct Frame {
     depth: Vec<f32>,
 }
 
-/// Shared exposure from few rays; `None` for dull, dark or overexposed views.
+/// Estimates a shared exposure from few rays; `None` for dull, dark or overexposed views.
 fn expose(world: &World, lens: Lens, views: &[View], photos: &Photos, rng: &mut Rng) -> Option<Development> {
     let pixel = lens.width as f32 / survey::GRID as f32 / lens.focal / 4.0;
     let look = |view: &View| {

@@ -74,7 +74,7 @@ impl HeightField {
         Vec3A::new(self.half_side, self.half_side, self.max_height)
     }
 
-    /// Cell and offset in it, 0..1.
+    /// Returns the cell and the offset in it, 0..1.
     fn cell(&self, p: Vec2) -> ([usize; 2], Vec2) {
         let scaled = (p + self.half_side) / self.step();
         let clamped = scaled.clamp(Vec2::ZERO, Vec2::splat(self.cells as f32 - 1e-3));
@@ -82,14 +82,14 @@ impl HeightField {
         ([floor.x as usize, floor.y as usize], clamped - floor)
     }
 
-    /// `None` outside.
+    /// Returns `None` outside.
     pub(super) fn height(&self, p: Vec2) -> Option<f32> {
         let ([i, j], f) = self.cell(p);
         let [low, dx, dy] = self.plane(i, j, f.x >= f.y);
         p.abs().cmple(Vec2::splat(self.half_side)).all().then_some(low + dx * f.x + dy * f.y)
     }
 
-    /// Corner height, and slopes per cell, of one triangle.
+    /// Returns corner height, and slopes per cell, of one triangle.
     fn plane(&self, i: usize, j: usize, lower: bool) -> [f32; 3] {
         let row = self.cells + 1;
         let at = j * row + i;
@@ -97,7 +97,7 @@ impl HeightField {
         if lower { [h00, h10 - h00, h11 - h10] } else { [h00, h11 - h01, h01 - h00] }
     }
 
-    /// Smooth.
+    /// Interpolates the normal.
     pub(super) fn normal(&self, p: Vec2) -> Vec3A {
         let ([i, j], f) = self.cell(p);
         let row = self.cells + 1;
@@ -177,7 +177,7 @@ struct Walk {
 }
 
 impl Walk {
-    /// Distance and axis of the exit from `size` cells after `first`.
+    /// Returns distance and axis of the exit from `size` cells after `first`.
     fn leave(&self, first: [isize; 2], size: isize) -> (f32, usize) {
         let exit = |axis: usize| {
             let inverse = self.inverse[axis];
@@ -189,7 +189,7 @@ impl Walk {
         if x < y { (x, 0) } else { (y, 1) }
     }
 
-    /// Possibly outside.
+    /// Returns a cell possibly outside.
     fn cell(&self, axis: usize, direction: Vec2, t: f32) -> isize {
         ((self.origin[axis] + direction[axis] * t - self.low) / self.step).floor() as isize
     }

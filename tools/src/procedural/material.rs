@@ -202,7 +202,7 @@ fn offset(rng: &mut Rng) -> Vec3A {
     20.0 * Vec3A::new(rng.unit(), rng.unit(), rng.unit())
 }
 
-/// Matching linear colors.
+/// Returns matching linear colors.
 fn colors(rng: &mut Rng, role: Role) -> [Vec3A; 3] {
     let (hues, saturation, value) = match role {
         Role::Ground => ([0.06, 0.32], [0.1, 0.5], [0.25, 0.7]),
@@ -230,7 +230,7 @@ fn colors(rng: &mut Rng, role: Role) -> [Vec3A; 3] {
     three
 }
 
-/// sRGB hue, saturation and value in 0..1 to linear RGB.
+/// Converts sRGB hue, saturation and value in 0..1 to linear RGB.
 fn from_hsv(hue: f32, saturation: f32, value: f32) -> Vec3A {
     let channel = |shift: f32| {
         let k = (6.0 * hue.rem_euclid(1.0) + shift) % 6.0;

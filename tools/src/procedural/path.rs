@@ -76,14 +76,14 @@ impl View {
         Self { eye, rotation: level * Mat3A::from_rotation_z(roll) }
     }
 
-    /// In camera axes.
     pub fn to_camera(self, point: Vec3A) -> Vec3A {
         self.rotation.transpose() * (point - self.eye)
     }
 }
 
 impl Stage {
-    /// `span` is the fraction of a full path; `reach` scales distances for the lens.
+    /// Returns a path; `span` is its fraction of a full path, and `reach` scales distances for the
+    /// lens.
     pub fn path(&self, kind: PathKind, views: usize, span: f32, reach: f32, rng: &mut Rng) -> Vec<View> {
         let distance = reach * rng.range(self.distance[0], self.distance[1]);
         let unsteady =

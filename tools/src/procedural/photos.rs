@@ -76,7 +76,7 @@ impl Photos {
         &self.crops
     }
 
-    /// Linear RGB over the mirrored unit square, with footprint `width`.
+    /// Samples linear RGB over the mirrored unit square, with footprint `width`.
     pub(super) fn sample(&self, photo: usize, uv: Vec2, width: f32) -> Vec3A {
         let Pyramid { levels } = &self.pyramids[photo];
         let level = (width * levels[0].side as f32).max(1.0).log2().min((levels.len() - 1) as f32);
@@ -88,7 +88,7 @@ impl Photos {
         srgb_to_linear(fine.lerp(levels[level as usize + 1].sample(uv), rest))
     }
 
-    /// Triplanar projection along the normal's nearest axes.
+    /// Projects along the normal's nearest axes.
     pub(super) fn sample_projected(&self, photo: usize, p: Vec3A, normal: Vec3A, width: f32) -> Vec3A {
         let weights = (normal.abs() - 0.45).max(Vec3A::ZERO);
         let weights = weights / weights.element_sum();
@@ -121,7 +121,7 @@ impl Level {
         Self { side, rgb: (0..side * side).map(pixel).collect() }
     }
 
-    /// Bilinear, sRGB 0..1.
+    /// Returns bilinear sRGB in 0..1.
     fn sample(&self, uv: Vec2) -> Vec3A {
         let last = self.side - 1;
         // Mirrors beyond the unit square.

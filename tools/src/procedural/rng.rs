@@ -18,22 +18,22 @@ impl Rng {
         mix(self.state)
     }
 
-    /// Uniform in [0, 1).
+    /// Returns a number in [0, 1).
     pub fn unit(&mut self) -> f32 {
         (self.bits() >> 40) as f32 / (1u64 << 24) as f32
     }
 
-    /// Uniform in [low, high).
+    /// Returns a number in [low, high).
     pub fn range(&mut self, low: f32, high: f32) -> f32 {
         low + (high - low) * self.unit()
     }
 
-    /// Log-uniform in [low, high), both positive.
+    /// Returns a log-uniform number in [low, high), both positive.
     pub fn scale(&mut self, low: f32, high: f32) -> f32 {
         low * (high / low).powf(self.unit())
     }
 
-    /// Uniform in [-1, 1).
+    /// Returns a number in [-1, 1).
     pub fn signed(&mut self) -> f32 {
         self.range(-1.0, 1.0)
     }
@@ -46,18 +46,18 @@ impl Rng {
         self.unit() < probability
     }
 
-    /// Uniform in `low..=high`.
+    /// Returns an integer in `low..=high`.
     pub fn count(&mut self, low: usize, high: usize) -> usize {
         low + self.bits() as usize % (high - low + 1)
     }
 
-    /// From a nonempty list.
+    /// Picks from a nonempty list.
     pub fn pick<T: Copy>(&mut self, choices: &[T]) -> T {
         choices[self.bits() as usize % choices.len()]
     }
 }
 
-/// SplitMix64's finalizer, a bijection that decorrelates neighboring counters.
+/// Decorrelates neighboring counters: SplitMix64's bijective finalizer.
 pub(super) fn mix(mut word: u64) -> u64 {
     word = (word ^ (word >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     word = (word ^ (word >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);

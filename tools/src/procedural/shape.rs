@@ -61,13 +61,13 @@ pub struct Primitive {
 }
 
 impl Primitive {
-    /// First distance in (0, `limit`) along a unit direction.
+    /// Returns the first distance in (0, `limit`) along a unit direction.
     pub(super) fn intersect(&self, origin: Vec3A, direction: Vec3A, limit: f32) -> Option<f32> {
         let t = self.shape.intersect(self.to_local * (origin - self.centre), self.to_local * direction, limit)?;
         (t > 0.0 && t < limit).then_some(t)
     }
 
-    /// Half sides of the world-axis bounding box.
+    /// Returns the half sides of the world-axis bounding box.
     pub(super) fn extent(&self) -> Vec3A {
         let half = match &self.shape {
             Shape::Box { half } => *half,
@@ -98,7 +98,7 @@ impl Shape {
         }
     }
 
-    /// True inside a solid or under a height field.
+    /// Returns true inside a solid or under a height field.
     pub(super) fn contains(&self, p: Vec3A) -> bool {
         match self {
             Self::Box { half } => p.abs().cmple(*half).all(),
@@ -110,7 +110,7 @@ impl Shape {
         }
     }
 
-    /// Outward unit normal at a local surface point.
+    /// Returns the outward unit normal at a local surface point.
     pub(super) fn normal(&self, p: Vec3A) -> Vec3A {
         match self {
             Self::Box { half } => axis_of(p / *half),
@@ -129,7 +129,7 @@ impl Shape {
         }
     }
 
-    /// Metric coordinates: unrolled on cylinders, else on the nearest box face.
+    /// Returns metric coordinates: unrolled on cylinders, else on the nearest box face.
     pub(super) fn surface_coordinates(&self, p: Vec3A, normal: Vec3A) -> Vec2 {
         match self {
             Self::Cylinder { radius, .. } if normal.z.abs() < 0.5 => Vec2::new(p.y.atan2(p.x) * radius, p.z),
@@ -147,7 +147,7 @@ impl Shape {
     }
 }
 
-/// Nearest signed axis.
+/// Returns the nearest signed axis.
 fn axis_of(v: Vec3A) -> Vec3A {
     let size = v.abs();
     if size.x >= size.y && size.x >= size.z {
@@ -159,12 +159,12 @@ fn axis_of(v: Vec3A) -> Vec3A {
     }
 }
 
-/// First positive end.
+/// Returns the first positive end.
 fn nearer(interval: Option<[f32; 2]>) -> Option<f32> {
     interval.map(|[enter, leave]| if enter > 0.0 { enter } else { leave })
 }
 
-/// Unit sphere from the ray's closest point: no cancellation for distant origins.
+/// Intersects the unit sphere from the ray's closest point: no cancellation for distant origins.
 fn sphere(origin: Vec3A, direction: Vec3A) -> Option<[f32; 2]> {
     let a = direction.length_squared();
     let middle = -origin.dot(direction) / a;
@@ -197,8 +197,8 @@ fn torus_gradient(p: Vec3A, major: f32) -> Vec3A {
     (p - ring).normalize_or(Vec3A::Z)
 }
 
-/// Sphere tracing (Hart 1996) in the bounding cylinder, then Newton steps: quartic roots lose too
-/// many bits in f32.
+/// Traces spheres (Hart 1996) in the bounding cylinder, then takes Newton steps: quartic roots lose
+/// too many bits in f32.
 fn torus(origin: Vec3A, direction: Vec3A, major: f32, minor: f32, limit: f32) -> Option<f32> {
     let [enter, leave] = cylinder(origin, direction, major + minor, minor)?;
     let end = leave.min(limit);

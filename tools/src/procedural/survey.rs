@@ -26,18 +26,18 @@ pub(super) struct Lens {
 }
 
 impl Lens {
-    /// Camera-space direction with z = 1 through a picture point.
+    /// Returns the camera-space direction with z = 1 through a picture point.
     pub fn ray(&self, x: f32, y: f32) -> Vec3A {
         Vec3A::new((x - 0.5 * self.width as f32) / self.focal, (y - 0.5 * self.height as f32) / self.focal, 1.0)
     }
 
-    /// For a camera-space point.
+    /// Returns true for a camera-space point in the picture.
     fn shows(&self, p: Vec3A) -> bool {
         let half = Vec2::new(self.width as f32, self.height as f32) / (2.0 * self.focal);
         p.z > 0.0 && p.x.abs() <= half.x * p.z && p.y.abs() <= half.y * p.z
     }
 
-    /// World-space unit directions.
+    /// Returns world-space unit directions.
     pub fn grid(&self, view: View) -> impl Iterator<Item = Vec3A> {
         let at = |k: usize, side: usize| (k as f32 + 0.5) / GRID as f32 * side as f32;
         let (width, height, lens) = (self.width, self.height, *self);
@@ -45,7 +45,7 @@ impl Lens {
     }
 }
 
-/// As [`super::Capture::overlap`]; `None` beyond the limits.
+/// Returns [`super::Capture::overlap`]; `None` beyond the limits.
 pub(super) fn overlap(world: &World, lens: Lens, views: &[View]) -> Option<Vec<f32>> {
     if views.iter().any(|view| world.contains(view.eye)) {
         return None;

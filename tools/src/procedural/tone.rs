@@ -20,7 +20,7 @@ pub(super) struct Development {
 }
 
 impl Development {
-    /// Exposure for a mean scene `luminance`.
+    /// Chooses an exposure for a mean scene `luminance`.
     pub fn new(rng: &mut Rng, luminance: f32) -> Self {
         let exposure = rng.scale(0.15, 0.30) / luminance.max(1e-4);
         let warmth = rng.range(-0.1, 0.1);
@@ -43,7 +43,7 @@ impl Development {
         linear.iter().enumerate().flat_map(pixel).collect()
     }
 
-    /// Developed, 0..1.
+    /// Returns developed brightness, 0..1.
     pub fn brightness(&self, light: Vec3A) -> f32 {
         linear_to_srgb(soft_clip(light * self.gain)).element_sum() / 3.0
     }
@@ -54,7 +54,7 @@ fn soft_clip(light: Vec3A) -> Vec3A {
     light.min(Vec3A::splat(SHOULDER)) + (1.0 - SHOULDER) * over / (1.0 + over)
 }
 
-/// Within 0.002 of the sRGB curve, by fast square roots.
+/// Approximates sRGB within 0.002, by fast square roots.
 pub(super) fn linear_to_srgb(light: Vec3A) -> Vec3A {
     let root = |v: Vec3A| Vec3A::new(v.x.sqrt(), v.y.sqrt(), v.z.sqrt());
     let half = root(light.max(Vec3A::ZERO));
@@ -63,7 +63,7 @@ pub(super) fn linear_to_srgb(light: Vec3A) -> Vec3A {
     0.6620 * half + 0.6841 * quarter - 0.3236 * eighth - 0.0225 * light
 }
 
-/// Within 0.003 of the sRGB curve, by a cubic.
+/// Approximates sRGB within 0.003, by a cubic.
 pub(super) fn srgb_to_linear(srgb: Vec3A) -> Vec3A {
     srgb * (srgb * (srgb * 0.3053 + 0.6822) + 0.0125)
 }
@@ -74,7 +74,7 @@ enum Axis {
     Y,
 }
 
-/// Three Gaussian taps along an axis; the border repeats.
+/// Applies three Gaussian taps along an axis; the border repeats.
 fn blur(pixels: &[Vec3A], width: usize, sigma: f32, axis: Axis) -> Vec<Vec3A> {
     let side = (-0.5 / (sigma * sigma)).exp();
     let (side, middle) = (side / (1.0 + 2.0 * side), 1.0 / (1.0 + 2.0 * side));
@@ -88,7 +88,7 @@ fn blur(pixels: &[Vec3A], width: usize, sigma: f32, axis: Axis) -> Vec<Vec3A> {
     (0..pixels.len()).map(tap).collect()
 }
 
-/// Approximately normal, variance 1: sums of three uniforms per channel.
+/// Returns approximately normal numbers of variance 1: sums of three uniforms per channel.
 fn gaussian(counter: u64) -> Vec3A {
     let (a, b) = (mix(counter), mix(!counter));
     let channel = |k: u32| {

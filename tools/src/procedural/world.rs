@@ -36,7 +36,7 @@ pub(super) struct Sky {
     /// Cloud cover.
     pub clouds: f32,
     pub offset: Vec3A,
-    /// Meters at which haze hides two thirds of a surface.
+    /// Meters of haze that hide two thirds of a surface.
     pub haze: f32,
 }
 
@@ -85,13 +85,13 @@ impl World {
         self.primitives.iter().any(|p| p.shape.contains(p.to_local * (point - p.centre)))
     }
 
-    /// True for a surface between two points, except within `slack` meters of the second.
+    /// Returns true for a surface between two points, except within `slack` meters of the second.
     pub(super) fn blocked(&self, from: Vec3A, to: Vec3A, slack: f32) -> bool {
         let length = (to - from).length();
         self.bvh.occluded(&self.primitives, from, (to - from) / length, length - slack)
     }
 
-    /// Along a unit direction; `pixel` is the angle of one pixel.
+    /// Returns the light along a unit direction; `pixel` is the angle of one pixel.
     pub(super) fn look(&self, origin: Vec3A, direction: Vec3A, pixel: f32, photos: &Photos) -> Seen {
         let Some((t, index)) = self.bvh.nearest(&self.primitives, origin, direction, FAR) else {
             return Seen { light: self.sky.color(direction), distance: None, region: u32::MAX };
@@ -119,7 +119,7 @@ impl World {
         Seen { light, distance: Some(t), region: (index as u32) << 4 | face << 1 | u32::from(lit) }
     }
 
-    /// Lambert and Blinn-Phong, and the visibility of the key light by one shadow ray.
+    /// Returns Lambert and Blinn-Phong, and the visibility of the key light by one shadow ray.
     fn shade(&self, surface: &Surface, albedo: Vec3A) -> (Vec3A, bool) {
         let Surface { point, normal, direction, material, reach } = *surface;
         let [above, below] = self.light.ambient;
@@ -148,7 +148,7 @@ impl World {
         (light, lit)
     }
 
-    /// Ambient attenuation near a room's other surfaces.
+    /// Returns the ambient attenuation near a room's other surfaces.
     fn corner_shade(&self, point: Vec3A, normal: Vec3A) -> f32 {
         let Some(Room { low, high }) = self.room else { return 1.0 };
         let gaps = (point - low).min(high - point).max(Vec3A::ZERO);

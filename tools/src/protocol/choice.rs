@@ -117,7 +117,8 @@ mod tests {
     use glam::DVec3;
     use zipsplat::types::{Camera, Intrinsics, Pose, poses::Frame};
 
-    /// First scenes in the reference's files for DL3DV with 6 inputs and for RealEstate10K.
+    /// Compares the first scenes in the reference's files for DL3DV with 6 inputs and for
+    /// RealEstate10K.
     #[test]
     fn frames_are_those_of_the_reference() {
         let frames: Vec<usize> = (0..279).collect();
@@ -126,7 +127,7 @@ mod tests {
         assert_eq!(even(&frames, 6), [0, 55, 111, 166, 222, 278]);
     }
 
-    /// Frames along a line with doubling steps; the third has no photo.
+    /// Places frames on a line with doubling steps; the third has no photo.
     fn line(count: i32) -> Poses {
         let frame = |i: i32| Frame {
             name: i.to_string(),

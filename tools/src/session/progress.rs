@@ -73,7 +73,7 @@ impl<'a> Stage<'a> {
         if self.cancelled.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
 
-    /// Hidden stage with the same cancellation, for parallel steps.
+    /// Creates a hidden stage with the same cancellation, for parallel steps.
     pub fn silent(&self) -> Stage<'_> {
         Stage { bar: ProgressBar::hidden(), cancelled: self.cancelled }
     }
@@ -82,12 +82,12 @@ impl<'a> Stage<'a> {
         self.bar.set_message(name.to_owned());
     }
 
-    /// As [`Stage::at`], with [`Error::Cancelled`].
+    /// Sets the finished fraction, or returns [`Error::Cancelled`].
     pub fn reach(&self, fraction: f64) -> Result<()> {
         if self.at(fraction).is_break() { Err(Error::Cancelled) } else { Ok(()) }
     }
 
-    /// Progress is by count.
+    /// Reports progress by count.
     pub fn each<T, U>(&self, items: &[T], mut body: impl FnMut(&T) -> Result<U>) -> Result<Vec<U>> {
         let (name, all) = (self.bar.message(), items.len());
         let step = |(i, item)| {
@@ -97,7 +97,7 @@ impl<'a> Stage<'a> {
         items.iter().enumerate().map(step).collect()
     }
 
-    /// [`Error::Cancelled`] on cancellation.
+    /// Returns [`Error::Cancelled`] on cancellation.
     pub fn check(&self) -> Result<()> {
         if self.cancelled.load(Ordering::Relaxed) { Err(Error::Cancelled) } else { Ok(()) }
     }

@@ -39,7 +39,7 @@ pub struct InputCamera {
 }
 
 impl InputCamera {
-    /// Camera of a photo at a pose in the scene's world.
+    /// Places a photo's camera in the scene's world.
     pub fn new(frame: Frame, pose: &Pose, file: Option<PathBuf>) -> Self {
         let Intrinsics { width, height, fx, fy, cx, cy } = frame.camera.intrinsics;
         let (r, t) = (pose.rotation, pose.translation);
@@ -56,7 +56,7 @@ impl InputCamera {
         self.photo = Some(address);
     }
 
-    /// Undistorted JPEG, at most `side` pixels long; `None` without a photo.
+    /// Encodes the undistorted photo, at most `side` pixels long; `None` without a photo.
     pub fn jpeg(&self, side: Option<u32>) -> Result<Option<Vec<u8>>> {
         let Some(file) = &self.file else { return Ok(None) };
         let photo = self.frame.open(file)?;
@@ -92,7 +92,7 @@ pub fn input_cameras(
     Ok((poses.frames.into_iter().map(camera).collect(), poses.notes))
 }
 
-/// Mean up direction, assuming upright photos on average.
+/// Returns the mean up direction, assuming upright photos on average.
 pub fn vertical(cameras: &[InputCamera]) -> Option<[f64; 3]> {
     let up = cameras.iter().map(|camera| -DVec3::from(camera.matrix.map(|row| row[1]))).sum::<DVec3>();
     up.try_normalize().map(DVec3::into)

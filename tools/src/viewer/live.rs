@@ -84,7 +84,7 @@ impl Live<'_> {
         made
     }
 
-    /// As [`Live::make`], unless `overtaken`.
+    /// Acts as [`Live::make`], unless `overtaken`.
     pub fn make_unless(&self, ratio: f64, precision: Precision, overtaken: impl Fn() -> bool) -> Result<Made> {
         let overtaken = || overtaken() || self.cancelled.load(Ordering::Relaxed);
         let go_on = |_: Progress<'_>| if overtaken() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
@@ -125,7 +125,7 @@ impl Live<'_> {
         Ok(Made { scene, shown })
     }
 
-    /// Tokens of the first precision, for refinement.
+    /// Returns the first precision's tokens, for refinement.
     pub fn tokens(&self) -> Result<SceneTokens> {
         let sources = self.lock(&|| self.cancelled.load(Ordering::Relaxed))?;
         sources[0].model.tokens(&sources[0].features, &self.request, |_| ControlFlow::Continue(()))
@@ -135,12 +135,11 @@ impl Live<'_> {
         self.sources.lock().unwrap_or_else(|poisoned| poisoned.into_inner())[0].features.grid()
     }
 
-    /// `Break` on cancellation.
+    /// Breaks on cancellation.
     pub fn go_on(&self) -> ControlFlow<()> {
         if self.cancelled.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
 
-    /// Initial precision.
     pub fn first_precision(&self) -> Precision {
         self.sources.lock().unwrap_or_else(|poisoned| poisoned.into_inner())[0].precision
     }

@@ -21,7 +21,7 @@ pub use watched::Watched;
 
 use base64::{Engine, prelude::BASE64_STANDARD};
 
-/// Data URL of an embedded JPEG.
+/// Returns a data URL of an embedded JPEG.
 pub fn within_page(jpeg: &[u8]) -> String {
     format!("data:image/jpeg;base64,{}", BASE64_STANDARD.encode(jpeg))
 }

@@ -114,7 +114,7 @@ impl FromPhotos {
         Ok(Photographed { photos, known, folder })
     }
 
-    /// First given option, for rejection with scene files.
+    /// Returns the first given option, for rejection with scene files.
     pub fn given(&self) -> Option<&'static str> {
         let options = [
             ("--weights", !self.weights.is_embedded()),
@@ -196,7 +196,7 @@ impl FromPhotos {
         Ok(Ready { live, cameras, names, photos, frames, cloud, _folder: folder })
     }
 
-    /// Length that is 1 for the network.
+    /// Returns the length that is 1 for the network.
     fn length(
         &self,
         session: &mut Session<'_>,
@@ -210,7 +210,7 @@ impl FromPhotos {
         Ok(unit.length)
     }
 
-    /// Ratios of a written page, descending, without equal numbers of tokens.
+    /// Returns the ratios of a written page, descending, without equal numbers of tokens.
     ///
     /// # Errors
     /// [`Error::Argument`] for one outside (0, 1], or too many.
@@ -275,7 +275,7 @@ impl Ready<'_> {
     }
 }
 
-/// Cameras in the first one's world.
+/// Returns cameras in the first one's world.
 pub(super) fn input_cameras(photos: &[PathBuf], frames: &[&Frame]) -> Vec<InputCamera> {
     let world = frames.first().map_or(Pose::IDENTITY, |first| first.camera.pose);
     let camera = |(photo, frame): (&PathBuf, &&Frame)| {

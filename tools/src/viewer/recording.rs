@@ -93,7 +93,7 @@ impl Studio {
         Ok((kind, bytes))
     }
 
-    /// Finished fraction.
+    /// Returns the finished fraction.
     pub fn done(&self) -> f64 {
         self.bar.position() as f64 / self.bar.length().unwrap_or(1).max(1) as f64
     }

@@ -109,13 +109,14 @@ fn row(renderer: &mut Renderer, captures: &[Capture], method: Method, start: f64
     Ok(Row { method: name, photos, start, degrees: median(degrees), percent: median(percents), nearer, ms })
 }
 
-/// Rotation by `degrees` and shift by as many percent of distance 1, in directions by `i`.
+/// Returns a rotation by `degrees` and a shift by as many percent of distance 1, in directions by
+/// `i`.
 fn wrong(i: usize, degrees: f64) -> Pose {
     let [axis, direction] = [2 * i, 2 * i + 1].map(crate::capture::spread);
     Pose { rotation: DMat3::from_axis_angle(axis, degrees.to_radians()), translation: degrees / 100.0 * direction }
 }
 
-/// Degrees, and percent of distance 1.
+/// Returns degrees, and percent of distance 1.
 fn between(a: &Pose, b: &Pose) -> [f64; 2] {
     let movement = b.relative_to(a);
     let turn = DQuat::from_mat3(&movement.rotation).to_scaled_axis().length().to_degrees();

@@ -26,7 +26,8 @@ use zipsplat::{
 /// Time of Depth Anything 3, backbone and heads, by kernel, and its memory
 #[derive(Args)]
 pub struct Depth {
-    /// Weights of Depth Anything 3: a name of `zipsplat weights list`, a released file, or seeded:NAME for random numbers
+    /// Weights of Depth Anything 3: a name of `zipsplat weights list`, a released file, or
+    /// seeded:NAME for random numbers
     #[arg(long, value_name = "NAME|PATH|seeded:NAME")]
     weights: String,
     /// Numbers of views
@@ -154,7 +155,7 @@ fn part_of(row: &ProfileRow) -> String {
     }
 }
 
-/// Sum of the median device times of stages that start with `part`.
+/// Sums the median device times of stages that start with `part`.
 fn milliseconds(rows: &[Row], part: &str) -> f64 {
     let stages = rows.iter().map(|row| &row.part).filter(|row| row.kernel.is_empty() && row.stage.starts_with(part));
     stages.map(|row| row.ms.median).sum()

@@ -137,7 +137,7 @@ impl Forward {
         compared
     }
 
-    /// `totals` are in measurement order.
+    /// Compares times; `totals` are in measurement order.
     fn compare(&self, python: &Path, checkpoint: &Checkpoint, size: Size, totals: &[Row]) -> Result<Compared> {
         let cases: Vec<(usize, f64)> = totals.iter().map(|row| (row.views, row.ratio)).collect();
         let Repeats { warmup, repeats } = self.repeats;

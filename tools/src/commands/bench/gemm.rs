@@ -108,7 +108,7 @@ impl Gemm {
     }
 }
 
-/// `f64::max` that keeps NaN.
+/// Returns `f64::max`, or NaN.
 fn larger_or_nan(most: f64, value: f64) -> f64 {
     if value > most || value.is_nan() { value } else { most }
 }
@@ -143,7 +143,7 @@ fn kernels(device: &Device, stage: &Stage<'_>) -> Result<Vec<(String, LinearKern
     Ok(kernels)
 }
 
-/// Device times, and the product `[rows, columns]`.
+/// Returns device times, and the product `[rows, columns]`.
 fn on_device(
     device: &Device,
     [rows, inner, columns]: [usize; 3],

@@ -97,7 +97,7 @@ struct Spread {
 }
 
 impl Spread {
-    /// An even number of times has the mean of the middle two as median.
+    /// Takes the mean of the middle two as median of an even number.
     fn of(times: impl IntoIterator<Item = Duration>) -> Self {
         let mut ms: Vec<f64> = times.into_iter().map(|time| 1e3 * time.as_secs_f64()).collect();
         ms.sort_by(f64::total_cmp);
@@ -106,7 +106,7 @@ impl Spread {
         Self { median, min: middle(0), max: middle(ms.len().saturating_sub(1)) }
     }
 
-    /// GFLOP/s at the median.
+    /// Returns GFLOP/s at the median.
     fn rate(&self, flops: u64) -> f64 {
         flops as f64 / (1e6 * self.median.max(1e-6))
     }

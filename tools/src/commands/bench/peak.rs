@@ -23,7 +23,7 @@ use zipsplat_reference::measure::{fma::chains, matrix::products};
 
 /// Bytes of the bandwidth copy, beyond all caches. Binding limits may reduce it.
 const COPIED: u64 = 512 << 20;
-/// Time in which an idle GPU reaches its sustained clock.
+/// Warm-up of an idle GPU to its sustained clock.
 const WAKING: Duration = Duration::from_millis(500);
 /// Shortest dispatch time; dispatches grow to at most twice this.
 const LONG_ENOUGH: Duration = Duration::from_millis(20);
@@ -94,7 +94,7 @@ impl Rate {
     }
 }
 
-/// Limit of matrix products: the fastest matrix units, or else lanes.
+/// Measures the limit of matrix products: the fastest matrix units, or else lanes.
 pub fn of_products(device: &Device, arithmetic: Arithmetic, repeats: Repeats, stage: &Stage<'_>) -> Result<Rate> {
     match arithmetic.quantised.or(arithmetic.linear) {
         Some(units) => matrices(device, units, repeats, stage),
@@ -218,7 +218,7 @@ fn pick([gpu, cpu]: [usize; 2], device: &Device) -> usize {
     if device.limits().cpu { cpu } else { gpu }
 }
 
-/// Largest difference over the largest of `truth`, which repeats. Keeps NaN.
+/// Returns the largest difference over the largest value. `truth` repeats; NaN stays NaN.
 fn difference(found: &[f32], truth: &[f64]) -> f64 {
     let most = |most: f64, value: f64| if value > most || value.is_nan() { value } else { most };
     let largest = truth.iter().map(|value| value.abs()).fold(0.0, most);

@@ -226,7 +226,7 @@ impl Case {
         }
     }
 
-    /// Largest number of tile intersections of a photo.
+    /// Returns the largest number of tile intersections of a photo.
     fn intersections(&self, device: &Device) -> Result<usize> {
         let mut renderer = Renderer::new(device);
         renderer.load(&self.scene)?;

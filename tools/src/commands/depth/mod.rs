@@ -46,8 +46,9 @@ use zipsplat::{
 pub struct Depth {
     #[command(flatten)]
     input: PhotoArgs,
-    /// Weights of Depth Anything 3: a name that `zipsplat weights get` takes (da3-small, da3-base, da3-large, da3-giant, da3mono-large,
-    /// da3metric-large), a released model.safetensors, or seeded:NAME for random numbers
+    /// Weights of Depth Anything 3: a name for `zipsplat weights get` (da3-small, da3-base,
+    /// da3-large, da3-giant, da3mono-large, da3metric-large), a released model.safetensors, or
+    /// seeded:NAME for random numbers
     #[arg(long, value_name = "NAME|PATH|seeded:NAME")]
     weights: String,
     /// Folder to write to
@@ -172,7 +173,7 @@ impl Depth {
         }
     }
 
-    /// Frames and points file of known cameras.
+    /// Returns frames and points file of known cameras.
     fn known(&self, files: &[PathBuf]) -> Result<Option<(Vec<Frame>, Option<PathBuf>)>> {
         let Some(poses) = &self.poses else { return Ok(None) };
         let poses = read_poses(poses)?;
@@ -195,7 +196,7 @@ impl Depth {
     }
 }
 
-/// Unique names of photos: the stem, numbered if repeated.
+/// Returns unique names of photos: the stem, numbered if repeated.
 fn names(files: &[PathBuf]) -> Vec<String> {
     let stem = |file: &PathBuf| file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let stems: Vec<String> = files.iter().map(stem).collect();

@@ -87,7 +87,7 @@ impl Errors {
     }
 }
 
-/// Medians of angle, distance over the extent, and focal length.
+/// Returns medians of angle, distance over the extent, and focal length.
 fn cameras(pairs: &[(Camera, Camera)]) -> Option<[f64; 3]> {
     let (similarity, _) = Similarity::between(pairs)?;
     let centres = pairs.iter().map(|(_, truth)| truth.pose.translation);
@@ -102,7 +102,7 @@ fn cameras(pairs: &[(Camera, Camera)]) -> Option<[f64; 3]> {
     Some([0, 1, 2].map(|k| median(errors.iter().map(|error| error[k]).collect())))
 }
 
-/// True over predicted depth of known pixels, nearest sampled.
+/// Returns true over predicted depth of known pixels, nearest sampled.
 fn ratios(view: &DepthView, map: &PixelMap, ([width, height], truth): &([u32; 2], Vec<f32>)) -> Vec<f64> {
     let ([columns, _], [from_width, from_height]) = (map.to, map.from);
     let at = |i: usize, axis: usize, from: u32, to: u32| {
@@ -118,8 +118,8 @@ fn ratios(view: &DepthView, map: &PixelMap, ([width, height], truth): &([u32; 2]
     view.depth.iter().enumerate().filter_map(ratio).collect()
 }
 
-/// Medians of AbsRel and of the share within a factor of 1.25, scaled by the median of photo
-/// medians.
+/// Returns medians of AbsRel and of the share within a factor of 1.25, scaled by the median of
+/// photo medians.
 fn depth(photos: Vec<Vec<f64>>) -> Option<[f64; 2]> {
     let photos: Vec<Vec<f64>> = photos.into_iter().filter(|ratios| !ratios.is_empty()).collect();
     if photos.is_empty() {

@@ -107,7 +107,7 @@ impl Alignment {
         table
     }
 
-    /// Warning about unreliable scores.
+    /// Warns about unreliable scores.
     pub fn doubts(&self) -> Option<String> {
         let count = |doubt| self.rows.iter().filter(|row| row.doubt == Some(doubt)).count();
         let [flat, bound, color] = [Doubt::Flat, Doubt::Bound, Doubt::Color].map(count);

@@ -17,8 +17,8 @@ const SMOOTH: usize = 14;
 /// Bound of an error in standard deviations, which keeps depth positive.
 const MOST: f64 = 3.0;
 
-/// Scene of the inputs at the network's size, in the capture's world and unit, with depth from a
-/// folder and relative errors of deviation `noise`.
+/// Returns a scene of the inputs at the network's size, in the capture's world and unit, with depth
+/// from a folder and relative errors of deviation `noise`.
 ///
 /// # Errors
 /// [`Error::Io`] and [`Error::Format`] for a depth file; [`Error::Argument`] for another shape than
@@ -40,8 +40,8 @@ pub fn scene(folder: &Path, noise: f64, choice: &Choice, capture: &Capture) -> R
     Ok(scene)
 }
 
-/// Unit normal numbers that vary over [`SMOOTH`] pixels: a grid, interpolated with weights whose
-/// squares sum to 1.
+/// Returns unit normal numbers that vary over [`SMOOTH`] pixels: a grid, interpolated with weights
+/// whose squares sum to 1.
 fn smooth(seed: u64, width: usize, height: usize) -> Vec<f64> {
     let mut noise = Noise(seed);
     let columns = width / SMOOTH + 2;
@@ -60,7 +60,7 @@ fn smooth(seed: u64, width: usize, height: usize) -> Vec<f64> {
     (0..width * height).map(value).collect()
 }
 
-/// Depth of each camera pixel, nearest sampled, in the capture's unit.
+/// Returns the depth of each camera pixel, nearest sampled, in the capture's unit.
 fn seen(folder: &Path, frame: &Frame, camera: &Camera, unit: f64) -> Result<Vec<f32>> {
     let file = folder.join(Path::new(&frame.name).file_stem().unwrap_or_default()).with_extension("npy");
     if frame.lens.is_some() {

@@ -82,7 +82,7 @@ impl<'a> Judge<'a> {
         Ok(Self { eval, weights, seeing, device, precision, arithmetic, model, seer, renderer, lpips })
     }
 
-    /// True if alignment and scores include LPIPS.
+    /// Returns true if alignment and scores include LPIPS.
     pub fn has_lpips(&self) -> bool {
         self.lpips.is_some()
     }

@@ -134,7 +134,7 @@ pub fn cells(view: &str, [psnr, ssim, nearest, color]: [f64; 4], lpips: Option<f
     [view.to_owned(), db(psnr), format!("{ssim:.3}"), lpips, db(nearest), db(color)]
 }
 
-/// Evenly spread photos, two per row: photo, prediction, nearest input.
+/// Shows evenly spread photos, two per row: photo, prediction, nearest input.
 fn comparison(capture: &Capture, drawn: &[Vec<f32>]) -> Result<Image> {
     let targets = &capture.targets;
     let shown = targets.len().min(SHOWN);

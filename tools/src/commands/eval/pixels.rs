@@ -35,8 +35,8 @@ impl Eval {
 }
 
 impl Judge<'_> {
-    /// Scene as by `reconstruct`, in the capture's world and unit. Without known cameras, estimated
-    /// ones place it.
+    /// Makes the scene as `reconstruct`, in the capture's world and unit. Without known cameras,
+    /// estimated ones place it.
     pub(super) fn of_pixels(
         &mut self,
         session: &mut Session<'_>,

@@ -34,7 +34,7 @@ pub struct Row {
 }
 
 impl Row {
-    /// Record of a scene; its picture lies beside it.
+    /// Returns the record of a scene; its picture lies beside it.
     pub fn file(folder: &Path, scene: &str) -> PathBuf {
         folder.join(format!("{scene}.json"))
     }
@@ -140,7 +140,7 @@ fn cells(rows: &[&Row]) -> [String; 5] {
     ]
 }
 
-/// As in the paper's tables: `820`, `62K`, `1.3M`.
+/// Formats as the paper's tables: `820`, `62K`, `1.3M`.
 fn short(count: f64) -> String {
     match count {
         ..1e3 => format!("{count:.0}"),

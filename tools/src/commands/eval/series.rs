@@ -281,7 +281,7 @@ fn slug(name: &str) -> String {
     letters.collect()
 }
 
-/// Evenly spread photos above their predictions.
+/// Shows evenly spread photos above their predictions.
 fn pictures(judged: &Judged) -> Result<Image> {
     let targets = &judged.capture.targets;
     let shown = targets.len().min(SHOWN);

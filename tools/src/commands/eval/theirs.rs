@@ -80,23 +80,24 @@ fn parse_noise(text: &str) -> Result<f64, String> {
 }
 
 impl Theirs {
-    /// True for any option about reading a scene.
+    /// Returns true for any option about reading a scene.
     pub fn says(&self) -> bool {
         self.input.is_given()
     }
 
-    /// Scene file or depth folder; `None` for a reconstruction.
+    /// Returns the scene file or depth folder; `None` for a reconstruction.
     pub fn given(&self) -> Option<&Path> {
         self.scene.as_deref().or(self.from_depth.as_deref())
     }
 
-    /// Options of the scores' hash.
+    /// Formats the options for the scores' hash.
     pub fn told(&self) -> String {
         let Self { scene, from_depth, noise, world, scene_cameras, scene_unit, opacities, .. } = self;
         format!("{scene:?} {from_depth:?} {noise:?} {world:?} {scene_cameras:?} {scene_unit:?} {opacities:?}")
     }
 
-    /// External scene in a capture's world and unit. `name` is the capture's in a data set.
+    /// Returns the external scene in a capture's world and unit. `name` is the capture's in a data
+    /// set.
     pub fn make(
         &self,
         session: &mut Session<'_>,
@@ -114,7 +115,7 @@ impl Theirs {
         }
     }
 
-    /// File of the external scene, by protocol scene name.
+    /// Returns the file of the external scene, by protocol scene name.
     pub fn file(&self, name: Option<&str>) -> Result<Option<PathBuf>> {
         let (Some(path), Some(name)) = (&self.scene, name) else { return Ok(self.scene.clone()) };
         let files = SceneFormat::ALL.iter().map(|format| path.join(format!("{name}{}", format.extension())));
@@ -214,7 +215,8 @@ fn take_plain(scene: &mut Scene, file: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Similarity from the scene's cameras to the photos' frames, and the residual over their spread.
+/// Returns the similarity from the scene's cameras to the photos' frames, and the residual over
+/// their spread.
 pub fn aligned(theirs: &Poses, frames: &[&Frame]) -> Result<(Similarity, f64)> {
     let mut pairs = Vec::new();
     for frame in frames {

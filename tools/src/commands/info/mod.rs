@@ -36,7 +36,8 @@ use zipsplat::{
   zipsplat info --plan --weights seeded:da3-base --views 24 --size 504x336"
 )]
 pub struct Info {
-    /// Checkpoint of ZipSplat or Depth Anything 3, seeded:VARIANT[:KEY], or scene (PLY, SPZ, .splat or glTF)
+    /// Checkpoint of ZipSplat or Depth Anything 3, seeded:VARIANT[:KEY], or scene (PLY, SPZ, .splat
+    /// or glTF)
     file: Option<String>,
     #[command(flatten)]
     scene_input: SceneInput,
@@ -98,7 +99,7 @@ impl Info {
     }
 }
 
-/// An unreadable path counts as a checkpoint; [`Checkpoint::open`] reports it.
+/// Treats an unreadable path as a checkpoint; [`Checkpoint::open`] reports it.
 fn is_scene(path: &Path) -> Result<bool> {
     if path.is_dir() {
         return Err(Error::argument("file", format!("the folder {}", path.display()), "a checkpoint or scene"));
@@ -159,7 +160,6 @@ fn matrices(limits: &Limits) -> String {
     if all.is_empty() { "none".into() } else { all.join(", ") }
 }
 
-/// Arithmetic of `turbo`.
 fn turbo(limits: &Limits) -> &'static str {
     match Arithmetic::of(Precision::Turbo, limits) {
         Some(Arithmetic { quantised: Some(_), .. }) => "8-bit integers on matrix units",
@@ -250,7 +250,7 @@ fn scene(session: &mut Session<'_>, path: &str, input: &SceneInput) -> Result<()
     session.report(&json, text)
 }
 
-/// `None` without rows.
+/// Returns `None` without rows.
 fn ranges<const N: usize>(rows: impl Iterator<Item = [f32; N]>) -> [Option<[f32; 2]>; N] {
     rows.fold([None; N], |ranges: [Option<[f32; 2]>; N], row| {
         std::array::from_fn(|i| {

@@ -162,7 +162,7 @@ fn show_depth(session: &mut Session<'_>, info: &Info, views: usize, checkpoint: 
     session.report(&json, text)
 }
 
-/// Largest tensors, or all by first use, and a note on the rest.
+/// Returns the largest tensors, or all by first use, and a note on the rest.
 fn table(mut rows: Vec<ArenaRow>, all: bool) -> (Table, String) {
     let count = rows.len();
     if !all {
@@ -186,7 +186,7 @@ fn device_name(limits: &Limits) -> &str {
     if limits.name == Limits::default().name { "an ordinary device" } else { &limits.name }
 }
 
-/// `None` without any device, or for a plan of an ordinary device.
+/// Returns `None` without any device, or for a plan of an ordinary device.
 fn device(session: &mut Session<'_>) -> Result<Option<Device>> {
     if session.plans_for_none() {
         return Ok(None);

@@ -36,7 +36,6 @@ impl Reconstruct {
         self.quality.check_pixels(checkpoint)
     }
 
-    /// Request for a scene.
     pub fn question<'a>(&'a self, checkpoint: &'a DepthCheckpoint) -> Question<'a> {
         let question = self.quality.question(checkpoint);
         let side = question.side.or(self.finding.search.find_size);
@@ -45,8 +44,8 @@ impl Reconstruct {
 }
 
 impl Forward {
-    /// Scene in the world of the first camera, with known cameras or those that the network has
-    /// `seen`.
+    /// Makes the scene in the world of the first camera, with known cameras or those that the
+    /// network has `seen`.
     ///
     /// # Errors
     /// As [`Question::ask`]; [`Error::Argument`] for unknown depth scales, or without confident

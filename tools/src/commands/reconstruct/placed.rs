@@ -19,7 +19,7 @@ pub struct Placed {
 }
 
 impl Placed {
-    /// One estimate per photo.
+    /// Takes one estimate per photo.
     pub fn new(found: Vec<Result<FoundCamera>>, size: Size) -> Self {
         Self { found, size }
     }
@@ -66,7 +66,7 @@ impl Placed {
         format!("cameras of {} of {of}: {:.0} % of a photo's patches agree (median)\n", found.len(), 100.0 * median)
     }
 
-    /// Null for failures.
+    /// Returns null for failures.
     pub fn as_json(&self) -> Value {
         let one = |found: &Result<FoundCamera>| match found {
             Ok(FoundCamera { camera, inliers, pairs }) => {

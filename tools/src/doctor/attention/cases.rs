@@ -90,7 +90,7 @@ pub fn area() -> Area {
     Area { kernel: "ops/attention", size: "keys", reason: REASON, modes: Mode::FLOATS, cases }
 }
 
-/// Nonzero values of channel c only in the c-th part of the keys: a missing part shows.
+/// Limits channel c to the c-th part of the keys: a missing part shows.
 fn sliced(queries: usize, keys: usize) -> Problem {
     let mut problem = Problem::random(queries, keys, 64, 1.0);
     for (i, v) in problem.v.iter_mut().enumerate() {
@@ -102,7 +102,7 @@ fn sliced(queries: usize, keys: usize) -> Problem {
     problem
 }
 
-/// Three views whose last groups have fewer patches.
+/// Takes three views whose last groups have fewer patches.
 fn pooled(pool: Pool) -> Problem {
     Problem { pool: Some(pool), ..Problem::random(17, 3 * pool.tokens(), 64, 1.0) }
 }
@@ -116,7 +116,7 @@ fn identical(keys: usize) -> Problem {
     problem
 }
 
-/// The i-th dominating key is parallel to the i-th query.
+/// Aligns the i-th dominating key with the i-th query.
 fn dominated(keys: usize, dim: usize, dominating: &[usize]) -> Problem {
     let mut problem = Problem::random(dominating.len(), keys, dim, 4.0);
     let width = problem.width();
@@ -127,7 +127,7 @@ fn dominated(keys: usize, dim: usize, dominating: &[usize]) -> Problem {
     problem
 }
 
-/// Increasing scores force rescaling.
+/// Forces rescaling by increasing scores.
 fn rising(keys: usize) -> Problem {
     let mut problem = Problem::random(5, keys, 64, 1.0);
     problem.q.fill(1.0);

@@ -31,7 +31,7 @@ pub enum Fault {
 }
 
 impl Fault {
-    /// Hidden by 16-bit rounding.
+    /// Returns true if 16-bit rounding hides it.
     pub fn is_fine(self) -> bool {
         matches!(self, Fault::LastKey | Fault::HalfSum | Fault::HalfWeights | Fault::HalfScores)
     }

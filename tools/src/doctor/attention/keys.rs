@@ -41,7 +41,7 @@ impl Keys {
         self.pooled.as_ref().map_or(1.0, |pooled| pooled.counts[key])
     }
 
-    /// Logarithm added to a key's score, and the sum's error bound.
+    /// Returns the logarithm added to a key's score, and the sum's error bound.
     pub fn more(&self, key: usize, score: f64) -> (f64, f64) {
         let count = self.count(key);
         let more = count.ln();
@@ -60,7 +60,7 @@ impl Keys {
     }
 }
 
-/// A sum, a division and 16-bit storage, where f16 may round either way.
+/// Bounds a sum, a division and 16-bit storage, where f16 may round either way.
 fn means(pool: Pool, x: &[f64], width: usize, mode: Mode) -> (Vec<f64>, Vec<f64>, Vec<f64>) {
     let (means, counts) = pool.means(x, width);
     let sizes = pool.means(&x.iter().map(|x| x.abs()).collect::<Vec<_>>(), width).0;

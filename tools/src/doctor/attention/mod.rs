@@ -45,7 +45,7 @@ struct Row {
 }
 
 impl Problem {
-    /// `size` scales queries and keys.
+    /// Scales random queries and keys by `size`.
     fn random(queries: usize, keys: usize, dim: usize, size: f32) -> Self {
         let mut noise = Noise((keys * 64 + queries) as u64);
         let width = HEADS * dim;

@@ -156,7 +156,7 @@ impl Truth {
     }
 }
 
-/// For matrix units.
+/// Returns the origin for matrix units.
 pub fn host_origin(mode: Mode, targets: &[f32], width: usize) -> Option<Vec<f32>> {
     let count = targets.len() / width;
     mode.matrix.then(|| origin(&widen(targets), width, count.min(64)).into_iter().map(|x| x as f32).collect())

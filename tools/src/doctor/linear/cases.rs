@@ -96,12 +96,12 @@ fn scaled(factor: f32, mut problem: Problem) -> Problem {
     problem
 }
 
-/// Sums that overflow and underflow exp.
+/// Overflows and underflows exp.
 fn far(factor: f32, rows: usize) -> Problem {
     scaled(factor, Problem::random(rows, 64, 64))
 }
 
-/// Nonzero whole numbers up to 7: exact in f16, bf16 and f32 sums, and far from 8-bit ties.
+/// Uses nonzero whole numbers up to 7: exact in f16, bf16 and f32 sums, and far from 8-bit ties.
 fn whole(inner: usize) -> Problem {
     let mut problem = Problem { whole: true, ..random(inner) };
     for x in problem.x.iter_mut().chain(&mut problem.weight).chain(&mut problem.bias) {
@@ -110,7 +110,7 @@ fn whole(inner: usize) -> Problem {
     problem
 }
 
-/// One input per sum, from -10 to 10; gates and values read different channels.
+/// Uses one input per sum, from -10 to 10; gates and values read different channels.
 fn alone() -> Problem {
     let mut problem = Problem::random(2001, 4, 8);
     problem.x.iter_mut().enumerate().for_each(|(i, x)| *x = ((i / 4 * (1 + i % 4)) % 2001) as f32 / 100.0 - 10.0);
@@ -119,7 +119,7 @@ fn alone() -> Problem {
     problem
 }
 
-/// Whole numbers from 64 to 127 whose products cancel, except one pair in 32. Row maxima are 127,
+/// Cancels products of whole numbers from 64 to 127, except one pair in 32. Row maxima are 127,
 /// exact in 8-bit integers.
 fn cancelling() -> Problem {
     let mut problem = Problem { whole: true, ..Problem::random(9, 512, 40) };
@@ -145,7 +145,7 @@ fn outliers() -> Problem {
     problem
 }
 
-/// Row r has the channels r, r + rows, r + 2 rows and so on: few terms reveal a wrong index.
+/// Gives row r the channels r, r + rows, r + 2 rows and so on: few terms reveal a wrong index.
 fn one_hot(inner: usize, rows: usize) -> Problem {
     let mut problem = Problem::random(rows, inner, 8);
     problem.x.iter_mut().enumerate().for_each(|(i, x)| *x = if i / inner == i % inner % rows { 1.0 } else { 0.0 });

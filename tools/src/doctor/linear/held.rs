@@ -20,7 +20,7 @@ pub struct Held {
 }
 
 impl Held {
-    /// `round` makes the integers.
+    /// Rounds the factors; `round` makes the integers.
     pub fn new(problem: &Problem, mode: Mode, round: fn(f64) -> f64) -> Self {
         let factor = problem.factor(mode);
         let stored = if factor == Element::I8 { Element::F16 } else { factor };
@@ -55,7 +55,7 @@ fn rounded(values: &[f32], element: Element) -> Vec<f64> {
     }
 }
 
-/// As `pack_matrix`.
+/// Rounds as `pack_matrix`.
 fn integers(weight: &[f32], inner: usize) -> Vec<f64> {
     let row = |row: &[f32]| {
         let largest = row.iter().fold(0f32, |most, x| most.max(x.abs()));
@@ -66,7 +66,7 @@ fn integers(weight: &[f32], inner: usize) -> Vec<f64> {
     weight.chunks(inner).flat_map(row).collect()
 }
 
-/// As `quantise_rows.comp`; returns the near-ties.
+/// Rounds as `quantise_rows.comp`; returns the near-ties.
 fn quantise(row: &mut [f64], round: fn(f64) -> f64) -> Vec<(usize, f64)> {
     let scale = row.iter().fold(0.0, |most: f64, x| most.max(x.abs())) / 127.0;
     let mut moves = Vec::new();

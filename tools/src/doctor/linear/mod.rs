@@ -73,7 +73,7 @@ impl Problem {
         if self.activation == Activation::SwiGlu { self.columns / 2 } else { self.columns }
     }
 
-    /// Factor type; matrix units and dot products write whole vectors.
+    /// Returns the factor type; matrix units and dot products write whole vectors.
     fn factor(&self, mode: Mode) -> Element {
         match mode.factor {
             Element::I8 if !self.columns.is_multiple_of(8) => Element::F16,
@@ -88,8 +88,8 @@ impl Problem {
         }
     }
 
-    /// Relative error of an expanded 8-bit weight on matrix units. f16 may round either way; bf16
-    /// rounds to nearest.
+    /// Returns the relative error of an expanded 8-bit weight on matrix units. f16 may round either
+    /// way; bf16 rounds to nearest.
     fn expanding(&self, mode: Mode) -> f64 {
         let becomes_factor = mode.weights == Weights::Q8 && mode.matrix && self.columns.is_multiple_of(8);
         match mode.factor {
@@ -134,7 +134,7 @@ impl Problem {
         Sum { value: value + bias, error }
     }
 
-    /// Epilogue of sums `[rows, columns]`.
+    /// Applies the epilogue to sums `[rows, columns]`.
     fn finish(&self, sums: &[f64]) -> Vec<f64> {
         let values: Vec<f64> = match self.activation {
             Activation::None => sums.to_vec(),
@@ -178,7 +178,7 @@ impl Problem {
         errors.iter().zip(sums).map(scaled).enumerate().map(one).collect()
     }
 
-    /// Past the end: kernels must not write it.
+    /// Returns a row past the end that kernels must not write.
     fn guard(&self) -> usize {
         self.out_columns()
     }
@@ -254,7 +254,7 @@ impl case::Problem for Problem {
     }
 }
 
-/// GELU's slope is at most 1.13; `shared/gelu.glsl` fits erf to 1.2e-7.
+/// Bounds GELU: its slope is at most 1.13, and `shared/gelu.glsl` fits erf to 1.2e-7.
 fn gelu_error(&Sum { value: z, error }: &Sum) -> f64 {
     let t = z.abs() * std::f64::consts::FRAC_1_SQRT_2;
     let decayed = (-t * t).exp();
@@ -264,7 +264,7 @@ fn gelu_error(&Sum { value: z, error }: &Sum) -> f64 {
     1.13 * error + own + TINY
 }
 
-/// SiLU's slope is at most 1.1.
+/// Bounds SwiGLU: SiLU's slope is at most 1.1.
 fn swiglu_error(gate: &Sum, value: &Sum) -> f64 {
     let silu = silu(gate.value);
     let own = silu.abs() * ((1.0 - sigmoid(gate.value)) * exponential(gate.value) + DIVISION + ULP);

@@ -57,7 +57,7 @@ fn extreme() -> Problem {
     problem
 }
 
-/// Row r has only channel r.
+/// Gives row r only channel r.
 fn one_hot() -> Problem {
     let mut problem = Problem::random(96, 96, 8);
     problem.x.iter_mut().enumerate().for_each(|(i, x)| *x = if i / 96 == i % 96 { 1.0 } else { 0.0 });

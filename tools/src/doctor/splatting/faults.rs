@@ -65,7 +65,7 @@ struct Rules {
 
 const RULES: Rules = Rules { faint: MIN_ALPHA, opaque: 0.999, left: 1e-4 };
 
-/// `before` is the camera of the tiles from 0 on.
+/// Renders with a fault; `before` is the camera of the tiles from 0 on.
 pub fn wrong(scene: &Scene, camera: &Camera, antialiased: bool, fault: Fault, before: Option<&Camera>) -> Picture {
     let (mut scene, mut camera, mut antialiased, mut rules) = (gaussians(scene), *camera, antialiased, RULES);
     let i = &mut camera.intrinsics;
@@ -170,7 +170,7 @@ fn blend(splats: &[Splat], place: [f64; 2], rules: Rules) -> [f64; 5] {
     pixel
 }
 
-/// First splat with alpha above 1/20 at its nearest pixel, or else the most opaque.
+/// Returns the first splat with alpha above 1/20 at its nearest pixel, or else the most opaque.
 fn most_visible(splats: &[Splat], size: [usize; 2]) -> Option<usize> {
     let own = |splat: &Splat| {
         let nearest = [0, 1].map(|axis| splat.mean[axis].floor().clamp(0.0, size[axis] as f64 - 1.0) + 0.5);

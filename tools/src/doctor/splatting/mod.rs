@@ -86,7 +86,7 @@ fn turned(mut scene: Scene, pose: Pose) -> (Scene, Camera) {
     (scene, Camera { pose, ..camera(70, 53) })
 }
 
-/// Needles centered `distance` pixels outside in all directions.
+/// Centers needles `distance` pixels outside in all directions.
 fn needles_off(count: usize, distance: f64) -> Scene {
     let mut scene = scene(count, 0, |i, mean, scales, _| {
         let along = DVec3::from_array([(i as f64).cos(), (i as f64).sin(), 0.0]);
@@ -201,7 +201,7 @@ pub fn area() -> Area {
     Area { kernel: "render", size: "Gaussians", reason: REASON, modes: Mode::ONLY_EXACT, cases }
 }
 
-/// 2048 tiles per picture: the last tile indices exceed 65,535.
+/// Takes 2048 tiles per picture: the last tile indices exceed 65,535.
 fn many_tiles() -> Case {
     const BEFORE: usize = 32;
     let make = || {

@@ -23,7 +23,7 @@ pub type PixelBounds = [f64; 5];
 /// Splat as stored by the kernels.
 struct Splat {
     place: [Bounded; 2],
-    /// Row at which `place.x` lies on the ridge, if not the center's.
+    /// Row where `place.x` lies on the ridge, if not the center's.
     row: Option<f64>,
     /// Inverse covariance as squares: A, k, P.
     conic: [Bounded; 3],
@@ -52,7 +52,7 @@ pub fn reference_camera(camera: &Camera) -> project::Camera {
     project::Camera::new(&view, &k, [i.width as usize, i.height as usize])
 }
 
-/// Bounds of [`truth`], row-major.
+/// Returns the bounds of [`truth`], row-major.
 pub fn bounds(scene: &Scene, camera: &Camera, antialiased: bool) -> Vec<PixelBounds> {
     let seen = project::project(&gaussians(scene), &reference_camera(camera), antialiased);
     let mut splats: Vec<(f64, Splat)> = Vec::new();
@@ -112,7 +112,7 @@ fn splat(scene: &Scene, n: usize, camera: &Camera, antialiased: bool, color: [f6
     if beyond == [false; 2] { splat } else { ridge(splat, beyond[1].then_some(f64::from(i.height))) }
 }
 
-/// Offset from the camera center, which the kernel stores as two numbers.
+/// Returns the offset from the camera center, which the kernel stores as two numbers.
 pub fn offset(scene: &Scene, n: usize, camera: &Camera) -> [Bounded; 3] {
     [0, 1, 2].map(|c| {
         let centre = camera.pose.translation[c];
@@ -121,7 +121,7 @@ pub fn offset(scene: &Scene, n: usize, camera: &Camera) -> [Bounded; 3] {
     })
 }
 
-/// True if a center uses its ridge. Near the threshold the splat keeps the larger bound.
+/// Returns true if a center uses its ridge. Near the threshold the splat keeps the larger bound.
 fn far_off(place: [Bounded; 2], size: [f64; 2]) -> [bool; 2] {
     [0, 1].map(|a| {
         let Bounded { value, error } = place[a];
@@ -144,7 +144,7 @@ fn ridge(splat: Splat, height: Option<f64>) -> Splat {
     }
 }
 
-/// Axes in camera space.
+/// Returns the axes in camera space.
 pub fn axes(quat: [f32; 4], view: impl Fn(usize, usize) -> Bounded) -> [[Bounded; 3]; 3] {
     let q = quat.map(Bounded::exact);
     let largest = Bounded::exact(quat.iter().fold(0.0f32, |most, x| most.max(x.abs())));
@@ -160,9 +160,9 @@ pub fn axes(quat: [f32; 4], view: impl Fn(usize, usize) -> Bounded) -> [[Bounded
     [0, 1, 2].map(|r| [0, 1, 2].map(|c| Bounded::dot([0, 1, 2].map(|k| view(r, k)), [0, 1, 2].map(|k| rotation[k][c]))))
 }
 
-/// A basis function of band l has a slope of at most `sqrt((2l + 1) l (l + 1) / 4 pi)`, here 2.6,
-/// and a value of at most 1.5. The direction's error is two roundings of an offset and its
-/// normalization.
+/// Bounds colors. A basis function of band l has a slope of at most `sqrt((2l + 1) l (l + 1) / 4
+/// pi)`, here 2.6, and a value of at most 1.5. The direction's error is two roundings of an offset
+/// and its normalization.
 fn colors(scene: &Scene, n: usize, color: [f64; 3]) -> [Bounded; 3] {
     let off = 12.0 * ULP;
     let k = scene.sh_coeffs_per_gaussian();
@@ -195,7 +195,7 @@ impl Pixel {
     }
 }
 
-/// Bounds of a pixel; near a threshold, both outcomes are allowed.
+/// Bounds a pixel; near a threshold, allows both outcomes.
 fn pixel(splats: &[(f64, Splat)], place: [f64; 2]) -> PixelBounds {
     let zero = Bounded::exact(0.0);
     let mut pixel = Pixel { rgb: [zero; 3], depth: zero, left: Bounded::exact(1.0) };
@@ -241,7 +241,7 @@ fn alpha(splat: &Splat, place: [f64; 2]) -> Bounded {
     (splat.opacity * exponent.exp2()).min(Bounded::rounded(MAX_ALPHA))
 }
 
-/// True if depths are exact or far enough apart in f32.
+/// Returns true if depths are exact or far enough apart in f32.
 pub fn orders_depths(scene: &Scene, camera: &Camera) -> bool {
     let forward = camera.pose.rotation.z_axis;
     let mut depths: Vec<(f64, f64)> = (scene.means.iter())

@@ -98,7 +98,7 @@ impl Problem {
         (self.degree as usize + 1).pow(2)
     }
 
-    /// Sum of slots, of their magnitudes, and slot count.
+    /// Sums slots and their magnitudes, and counts slots.
     fn sum(&self, n: usize, fault: Option<Fault>) -> ([f64; VALUES], [f64; VALUES], usize) {
         let (mut sum, mut magnitudes) = ([0.0; VALUES], [0.0; VALUES]);
         if self.full && fault != Some(Fault::FullCounts) {

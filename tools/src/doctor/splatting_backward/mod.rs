@@ -13,7 +13,7 @@ pub use rasterise::area as rasterise;
 use super::{bound::Bounded, trial::Trial};
 use zipsplat::gpu::Tensor;
 
-/// With initial values for accumulation.
+/// Creates initial values for accumulation.
 fn added_to(trial: &mut Trial<'_>, len: usize, before: f32) -> Tensor {
     let tensor = trial.rec.tensor::<f32>("sums", len);
     trial.rec.fill(tensor, before.to_bits());

@@ -28,7 +28,7 @@ const HEIGHT: u32 = 23;
 const MAX_ALPHA: f64 = 0.999;
 const MIN_TRANSMITTANCE: f64 = 1e-4;
 const BACKGROUND: [f64; 3] = [0.25, 0.5, 0.125];
-/// Distance in pixels above or below the picture from which splats use their ridge.
+/// Pixels above or below the picture where splats start to use their ridge.
 const FAR_OFF: f32 = 256.0;
 /// Moments, red, green, blue, depth.
 const VALUES: usize = 10;
@@ -168,7 +168,7 @@ fn pixel(
 }
 
 impl Problem {
-    /// Random gradients, 0 where rounding may flip a threshold.
+    /// Creates random gradients, 0 where rounding may flip a threshold.
     fn new(splats: Vec<Splat>) -> Self {
         let mut noise = Noise(splats.len() as u64);
         let (mut frames, mut d_frames) = (Vec::new(), Vec::new());
@@ -210,7 +210,7 @@ impl Problem {
     }
 }
 
-/// Red, green, blue without the background, alpha, depth.
+/// Returns red, green, blue without the background, alpha, depth.
 fn frame(splats: &[Splat], at: [f64; 2]) -> [f64; 5] {
     let ellipses: Vec<Ellipse> = splats.iter().map(Splat::ellipse).collect();
     // A splat's weight is its gradient with unit red.
@@ -301,7 +301,7 @@ impl case::Problem for Problem {
     }
 }
 
-/// 1 to 10 pixels wide.
+/// Creates splats 1 to 10 pixels wide.
 fn splats(count: usize, change: impl Fn(usize, &mut Splat)) -> Vec<Splat> {
     let mut noise = Noise(count as u64 + 7);
     let mut one = |i: usize| {

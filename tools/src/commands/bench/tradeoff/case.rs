@@ -81,13 +81,13 @@ pub fn all<'a>(
 }
 
 impl Case<'_> {
-    /// True for all tokens or the first selection, with the first pooling.
+    /// Returns true for all tokens or the first selection, with the first pooling.
     pub fn is_first(&self, args: &Tradeoff) -> bool {
         let chosen = self.shape.kept == Kept::All || self.request.selection == args.select[0];
         chosen && self.request.pool == args.pool[0]
     }
 
-    /// Refinement from points alone belongs to a capture's first case.
+    /// Limits refinement from points alone to a capture's first case.
     fn refinements(&self, args: &Tradeoff, is_new: bool) -> Vec<(Start, Steps)> {
         let default: &[Start] = if self.cloud.is_some() { &[Start::Points, Start::Scene] } else { &[Start::Scene] };
         let starts = args.start.as_deref().unwrap_or(default);
@@ -102,7 +102,7 @@ impl Case<'_> {
         pairs.filter(follows).collect()
     }
 
-    /// True for the baseline.
+    /// Returns true for the baseline.
     pub fn is_exact(&self) -> bool {
         self.precision == Precision::Exact.name() && self.weights == OWN
     }

@@ -57,7 +57,7 @@ fn file_bytes(scene: &Scene) -> Result<u64> {
     Ok(path.metadata().map_err(|error| zipsplat::Error::io(&path, error))?.len())
 }
 
-/// PSNR against pictures of the f64 Gaussians, with the same ones kept.
+/// Returns the PSNR against pictures of the f64 Gaussians, with the same ones kept.
 pub fn psnr_to_f64(
     renderer: &mut Renderer,
     compared: &Compared,

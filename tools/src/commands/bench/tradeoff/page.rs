@@ -90,7 +90,7 @@ fn took(ms: f64) -> String {
     time(Duration::from_secs_f64(ms / 1e3))
 }
 
-/// Rows of points, `marked` ones green.
+/// Colors `marked` rows green.
 fn table(points: &[Point], rows: impl Iterator<Item = usize>, marked: &[usize]) -> String {
     let mut html = String::from(
         "<table><tr><th>photos<th>precision<th class=\"wide\">weights<th>r<th class=\"wide\">tokens by<th class=\"wide\">kept of a token<th>steps\

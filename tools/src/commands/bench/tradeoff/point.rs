@@ -57,7 +57,7 @@ pub struct Point {
 }
 
 impl Point {
-    /// Refinement of the capture's points, without a network.
+    /// Returns a refinement of the capture's points, without a network.
     pub fn of_points(views: usize, precision: &str) -> Self {
         let words = |word: &str| word.to_owned();
         Self {
@@ -71,7 +71,7 @@ impl Point {
         }
     }
 
-    /// True if only the capture's points were refined.
+    /// Returns true if only the capture's points were refined.
     pub fn is_of_points(&self) -> bool {
         self.init == "points"
     }
@@ -125,7 +125,7 @@ pub fn name(selection: &Selection) -> String {
     }
 }
 
-/// Pareto front of time and PSNR, by time.
+/// Returns the Pareto front of time and PSNR, by time.
 pub fn front(points: &[Point]) -> Vec<usize> {
     let mut order: Vec<usize> = (0..points.len()).collect();
     order.sort_by(|a, b| {

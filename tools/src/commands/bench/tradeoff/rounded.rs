@@ -17,7 +17,7 @@ pub struct Rounded {
 
 pub const OWN: &str = "own";
 
-/// `None` for weights as stored.
+/// Returns `None` for weights as stored.
 pub fn parse(text: &str) -> Result<Option<Dtype>> {
     let expected = || Error::argument("--dtype", text, format!("{OWN}, f16, bf16 or q8, as a list"));
     if text == OWN { Ok(None) } else { text.parse().map(Some).map_err(|_| expected()) }

@@ -128,7 +128,8 @@ pub fn run(
 
 type Network<'a> = (&'a str, &'a Checkpoint, (Precision, Arithmetic));
 
-/// Measurement order, with the network's index: first choices with every network, then the others.
+/// Returns measurement order, with the network's index: first choices with every network, then the
+/// others.
 fn passes<'a>(args: &Tradeoff, networks: &[Network<'a>], cases: &[Case<'a>]) -> Vec<(usize, Vec<Case<'a>>)> {
     let mut passes = Vec::new();
     for begins in [true, false] {
@@ -175,7 +176,7 @@ impl Bench<'_> {
         self.args.minutes.0.map_or(0.0, |time| self.began.elapsed().div_duration_f64(time))
     }
 
-    /// `Break` at the time limit.
+    /// Breaks at the time limit.
     fn measure(&mut self, model: &Model, case: &Case<'_>, stage: &Stage<'_>) -> Result<ControlFlow<()>> {
         let forward = self.forward(model, case, stage)?;
         for keep in case.keep {
@@ -195,7 +196,7 @@ impl Bench<'_> {
         Ok(ControlFlow::Continue(()))
     }
 
-    /// `Break` at the time limit.
+    /// Breaks at the time limit.
     fn add(&mut self, (point, picture): (Point, Image), stage: &Stage<'_>) -> ControlFlow<()> {
         self.sweep.points.push(point);
         self.sweep.pictures.push(picture);
@@ -289,7 +290,7 @@ impl Bench<'_> {
         Ok((point, drawn.picture(case.capture)?))
     }
 
-    /// Settings with all Gaussians and without refinement.
+    /// Returns settings with all Gaussians and without refinement.
     fn settings(&self, model: &Model, case: &Case<'_>, forward: &Forward) -> Point {
         let shape = case.shape;
         let error = |of: fn(&Errors) -> f64| forward.compared.as_ref().map(|compared| of(&compared.errors));
@@ -321,7 +322,7 @@ impl Bench<'_> {
     }
 }
 
-/// Chosen tokens, and with k-means the mean number of views per cluster.
+/// Returns the chosen tokens, and with k-means the mean number of views per cluster.
 fn chosen(model: &Model, case: &Case<'_>, images: &[Image]) -> Result<(Vec<u32>, Option<f64>)> {
     let (all, count) = (case.shape.grid.tokens(), case.shape.tokens);
     match (case.shape.kept, &case.request.selection) {
@@ -333,7 +334,7 @@ fn chosen(model: &Model, case: &Case<'_>, images: &[Image]) -> Result<(Vec<u32>,
     }
 }
 
-/// A separate run: observation would distort time and memory.
+/// Runs separately: observation would distort time and memory.
 fn clusters(model: &Model, case: &Case<'_>, images: &[Image]) -> Result<(Vec<u32>, f64)> {
     let (plan, tensors) = model.record(case.shape, true)?;
     let mut run = model.run(plan)?;

@@ -125,7 +125,7 @@ fn observe(model: &Model, images: &[Image], request: &Request) -> Result<(HashMa
     Ok((taps, tensors.read(&run)?))
 }
 
-/// Relative rms difference; NaN for missing values.
+/// Returns the relative rms difference; NaN for missing values.
 fn relative<'a>(found: &[f32], truth: impl IntoIterator<Item = &'a f64>) -> f64 {
     let (mut count, mut squares, mut apart) = (0, 0.0, 0.0);
     for (found, truth) in found.iter().zip(truth) {
