@@ -24,7 +24,7 @@ const SHEET_SIDE: u32 = 4096;
 /// Pictures per write batch; another batch may queue.
 const BATCH: u64 = 8;
 const BATCH_PIXELS: u64 = 1 << 24;
-/// Half a level of 256.
+/// Visible deviation from the background: half a level of 256.
 const VISIBLE: f32 = 0.5 / 255.0;
 
 #[derive(Default)]

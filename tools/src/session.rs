@@ -72,7 +72,7 @@ pub struct Session<'a> {
     code: u8,
     /// Label of the stages, such as one of several scenes.
     task: String,
-    /// Of all stages.
+    /// Common to all stages.
     next_line: Mutex<Instant>,
 }
 

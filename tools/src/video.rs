@@ -107,7 +107,7 @@ pub fn sharpest_frames(
     Ok(photos)
 }
 
-/// Sharpness by frame, and ffmpeg's warnings.
+/// Returns each frame's sharpness, and ffmpeg's warnings.
 fn judge(ffmpeg: &Path, video: &Path, stage: &Stage<'_>) -> Result<(Vec<f64>, String)> {
     let filter = format!("scale={SIDE}:{SIDE}:flags=area,format=gray,{REGULAR}");
     let mut sharpness = Vec::new();

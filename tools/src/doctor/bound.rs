@@ -136,7 +136,7 @@ impl Bounded {
         Self::new(value, value * self.error.exp_m1(), exponential(self.value.abs() + self.error))
     }
 
-    /// Returns the minimum, with the larger error of the operands.
+    /// Returns the minimum; its error is at most the operands'.
     pub fn min(self, other: Self) -> Self {
         Self { value: self.value.min(other.value), error: self.error.max(other.error) }
     }

@@ -9,9 +9,7 @@ pub const CAUGHT: f64 = 2.0;
 
 pub(super) trait Problem: 'static {
     type Output;
-    /// Exact result and error bounds.
     type Truth;
-    /// Simulated kernel faults.
     type Fault: Copy + Debug + 'static;
 
     fn compute(&self, device: &Device, mode: Mode) -> Result<Self::Output>;
@@ -19,7 +17,6 @@ pub(super) trait Problem: 'static {
     /// Computes the truth in f64 from the device's inputs.
     fn truth(&self, mode: Mode) -> Self::Truth;
 
-    /// Returns the worst element of an output.
     fn judge(&self, truth: &Self::Truth, output: &Self::Output, mode: Mode) -> Worst;
 
     /// Simulates a fault on the host. Empty if the mode's rounding hides it; each output must be

@@ -145,7 +145,6 @@ pub fn activations() -> Area {
 const GELU_REASON: &str = "erf is a fit to 1.2e-7, and the density's exp is allowed 3 + 2|x| units; both are multiplied by the gradient \
     with a few roundings more";
 
-/// Values and gradients.
 struct Slopes(Vec<f32>, Vec<f32>);
 
 #[derive(Clone, Copy, Debug)]

@@ -84,7 +84,6 @@ pub enum Fault {
 }
 
 impl Fault {
-    /// Returns mean and variance.
     pub fn moments(self, row: &[f64]) -> [f64; 2] {
         let n = row.len() as f64;
         let summed = |round: fn(f64) -> f64, values: &mut dyn Iterator<Item = f64>| {

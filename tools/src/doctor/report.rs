@@ -6,7 +6,6 @@ use zipsplat::gpu::Limits;
 
 const WIDTH: f64 = 720.0;
 const HEIGHT: f64 = 300.0;
-/// Margin for the left and bottom labels.
 const LEFT: f64 = 70.0;
 const BELOW: f64 = 40.0;
 /// Limit of decades shown, from the largest down.

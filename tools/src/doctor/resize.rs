@@ -30,7 +30,6 @@ enum Fault {
     /// Aligns pixel centers instead of corners.
     MiddlesOnMiddles,
     Nearest,
-    /// Swapped rows and columns.
     Turned,
     NoPositions,
     /// Swapped positions of columns and rows.

@@ -22,9 +22,7 @@ enum Fault {
     Shifted,
     LastItem,
     Unstable,
-    /// Ignores the highest 8-bit digit.
     HighestDigit,
-    /// Unsorted values.
     KeysAlone,
 }
 

@@ -32,14 +32,12 @@ impl Builder<'_> {
         self.put(Shape::Ellipsoid { radii: Vec3A::from(radii) }, centre, Mat3A::from_rotation_z(heading), material);
     }
 
-    /// Adds a cylinder on `base`.
     pub fn can(&mut self, base: Vec3A, radius: f32, height: f32, material: Material) {
         let shape = Shape::Cylinder { radius, half_height: height / 2.0 };
         let rotation = Mat3A::from_rotation_z(self.rng.angle());
         self.put(shape, base + Vec3A::Z * (height / 2.0), rotation, material);
     }
 
-    /// Adds a cylinder between two points.
     pub fn rod(&mut self, from: Vec3A, to: Vec3A, radius: f32, material: Material) {
         let along = (to - from).normalize_or(Vec3A::Z);
         let x = along.any_orthonormal_vector();
@@ -169,7 +167,7 @@ impl Builder<'_> {
         }
     }
 
-    /// Returns the height of its top.
+    /// Adds a table; returns the height of its top.
     pub fn table(&mut self, base: Vec3A, half: [f32; 2], height: f32, heading: f32) {
         let (top, legs) = (self.draw(Role::Wood), self.draw(Role::Wood));
         let board = 0.025 * (1.0 + self.rng.unit());

@@ -102,7 +102,6 @@ impl Bvh {
         best
     }
 
-    /// Returns distance and primitive.
     pub fn nearest(
         &self,
         primitives: &[Primitive],
@@ -119,7 +118,6 @@ impl Bvh {
         best
     }
 
-    /// Returns true for any hit before `limit`.
     pub fn occluded(&self, primitives: &[Primitive], origin: Vec3A, direction: Vec3A, limit: f32) -> bool {
         let mut found = false;
         self.visit(origin, direction, limit, |item, limit| {

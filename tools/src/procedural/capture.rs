@@ -17,7 +17,6 @@ use super::world::{Seen, World};
 
 /// Path attempts per place.
 const PATHS: usize = 20;
-/// Limit of places per seed.
 const PLACES: u64 = 1000;
 /// Minimum standard deviation of a view's brightness, 0..1.
 const LEAST_CONTRAST: f32 = 0.05;

@@ -4,7 +4,6 @@ use glam::{Vec2, Vec3A, Vec3Swizzles};
 
 use super::slab::slab;
 
-/// Cells along a side of a block.
 const BLOCK: usize = 8;
 
 /// Heights over `[-half_side, half_side]` in x and y. The diagonal of a cell joins its low and high
@@ -97,7 +96,6 @@ impl HeightField {
         if lower { [h00, h10 - h00, h11 - h10] } else { [h00, h11 - h01, h01 - h00] }
     }
 
-    /// Interpolates the normal.
     pub(super) fn normal(&self, p: Vec2) -> Vec3A {
         let ([i, j], f) = self.cell(p);
         let row = self.cells + 1;
@@ -172,7 +170,6 @@ struct Walk {
     origin: Vec2,
     inverse: Vec2,
     step: f32,
-    /// Lower grid bound in both axes.
     low: f32,
 }
 

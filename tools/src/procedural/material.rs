@@ -9,9 +9,7 @@ use super::texture::{Pattern, Texture};
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Material {
     pub texture: Texture,
-    /// Highlight strength.
     pub specular: f32,
-    /// Blinn-Phong exponent.
     pub shininess: f32,
     /// Emission as a factor of albedo.
     pub glow: f32,
@@ -30,7 +28,6 @@ pub(super) enum Role {
     Fabric,
     Stone,
     Metal,
-    /// Window panes.
     Glass,
     Picture,
     Anything,
@@ -91,7 +88,7 @@ impl Palette<'_> {
         Some(Texture { pattern, period, offset: offset(rng), colors: [tint; 3], stain })
     }
 
-    /// Grass or earth on level ground, rock on slopes.
+    /// Returns grass or earth for level ground, rock for slopes.
     pub fn terrain(&self, rng: &mut Rng) -> Material {
         let crops = self.photos.crops().len();
         let photo = (crops > 0 && rng.chance(self.photo_share)).then(|| rng.count(0, crops.max(1) - 1));
@@ -202,7 +199,6 @@ fn offset(rng: &mut Rng) -> Vec3A {
     20.0 * Vec3A::new(rng.unit(), rng.unit(), rng.unit())
 }
 
-/// Returns matching linear colors.
 fn colors(rng: &mut Rng, role: Role) -> [Vec3A; 3] {
     let (hues, saturation, value) = match role {
         Role::Ground => ([0.06, 0.32], [0.1, 0.5], [0.25, 0.7]),

@@ -15,7 +15,6 @@ pub(super) fn hash_unit(x: i32, y: i32, z: i32) -> f32 {
     (hash(x, y, z) >> 8) as f32 / (1 << 24) as f32
 }
 
-/// Steps cubically from 0 at `low` to 1 at `high`.
 pub(super) fn smoothstep(low: f32, high: f32, x: f32) -> f32 {
     let t = ((x - low) / (high - low)).clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)

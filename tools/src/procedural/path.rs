@@ -55,7 +55,6 @@ pub(super) struct Stage {
     /// Maximum azimuth deviation from `front`.
     pub freedom: f32,
     pub bounds: [Vec3A; 2],
-    /// Allowed paths.
     pub paths: &'static [PathKind],
 }
 

@@ -18,12 +18,10 @@ impl Rng {
         mix(self.state)
     }
 
-    /// Returns a number in [0, 1).
     pub fn unit(&mut self) -> f32 {
         (self.bits() >> 40) as f32 / (1u64 << 24) as f32
     }
 
-    /// Returns a number in [low, high).
     pub fn range(&mut self, low: f32, high: f32) -> f32 {
         low + (high - low) * self.unit()
     }
@@ -33,7 +31,6 @@ impl Rng {
         low * (high / low).powf(self.unit())
     }
 
-    /// Returns a number in [-1, 1).
     pub fn signed(&mut self) -> f32 {
         self.range(-1.0, 1.0)
     }
@@ -46,7 +43,6 @@ impl Rng {
         self.unit() < probability
     }
 
-    /// Returns an integer in `low..=high`.
     pub fn count(&mut self, low: usize, high: usize) -> usize {
         low + self.bits() as usize % (high - low + 1)
     }

@@ -147,7 +147,6 @@ impl Shape {
     }
 }
 
-/// Returns the nearest signed axis.
 fn axis_of(v: Vec3A) -> Vec3A {
     let size = v.abs();
     if size.x >= size.y && size.x >= size.z {

@@ -31,13 +31,11 @@ impl Lens {
         Vec3A::new((x - 0.5 * self.width as f32) / self.focal, (y - 0.5 * self.height as f32) / self.focal, 1.0)
     }
 
-    /// Returns true for a camera-space point in the picture.
     fn shows(&self, p: Vec3A) -> bool {
         let half = Vec2::new(self.width as f32, self.height as f32) / (2.0 * self.focal);
         p.z > 0.0 && p.x.abs() <= half.x * p.z && p.y.abs() <= half.y * p.z
     }
 
-    /// Returns world-space unit directions.
     pub fn grid(&self, view: View) -> impl Iterator<Item = Vec3A> {
         let at = |k: usize, side: usize| (k as f32 + 0.5) / GRID as f32 * side as f32;
         let (width, height, lens) = (self.width, self.height, *self);

@@ -12,7 +12,6 @@ const SHOULDER: f32 = 0.65;
 pub(super) struct Development {
     /// Exposure times white balance, per channel.
     pub gain: Vec3A,
-    /// Standard deviation in pixels.
     pub blur: f32,
     /// Standard deviation of sRGB noise, 0..1.
     pub noise: f32,
@@ -43,7 +42,6 @@ impl Development {
         linear.iter().enumerate().flat_map(pixel).collect()
     }
 
-    /// Returns developed brightness, 0..1.
     pub fn brightness(&self, light: Vec3A) -> f32 {
         linear_to_srgb(soft_clip(light * self.gain)).element_sum() / 3.0
     }

@@ -33,7 +33,6 @@ pub(super) struct Light {
 pub(super) struct Sky {
     pub zenith: Vec3A,
     pub horizon: Vec3A,
-    /// Cloud cover.
     pub clouds: f32,
     pub offset: Vec3A,
     /// Meters of haze that hide two thirds of a surface.
@@ -57,7 +56,6 @@ pub struct World {
 }
 
 pub(super) struct Seen {
-    /// Linear light.
     pub light: Vec3A,
     /// Distance to the surface; `None` in the sky.
     pub distance: Option<f32>,

@@ -31,7 +31,7 @@ pub struct Config {
     pub cameras: Vec<InputCamera>,
     /// If known.
     pub up: Option<[f64; 3]>,
-    /// Empty for scene files.
+    /// Network input; empty for scene files.
     pub views: Vec<View>,
     /// Patch rows and columns of a view.
     pub grid: [usize; 2],

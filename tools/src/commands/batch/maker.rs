@@ -40,7 +40,7 @@ pub struct Scened {
 }
 
 impl<'a> Maker<'a> {
-    /// Loads a token network; the text identifies the settings of its scenes.
+    /// Loads a token network; the returned text identifies the settings of its scenes.
     pub fn of_tokens(batch: &Batch, session: &mut Session<'_>, checkpoint: &'a Checkpoint) -> Result<(Self, String)> {
         session.notes(checkpoint.notes());
         batch.quality.check(checkpoint.architecture())?;

@@ -58,7 +58,6 @@ struct Row {
     arena_bytes: u64,
 }
 
-/// Prefixes of stage names.
 const PARTS: [&str; 2] = ["backbone", "heads"];
 
 impl Depth {

@@ -16,7 +16,6 @@ use zipsplat::{
     types::Scene,
 };
 
-/// Gaussians per token.
 const GROUP: NonZeroU32 = NonZeroU32::new(32).expect("not 0");
 
 #[derive(Serialize)]

@@ -23,7 +23,6 @@ use zipsplat_reference::{ops::linear::linear, widen};
 /// Rows, inner dimension and columns: ViT-S with 4 views; ViT-G with one view, up and down.
 const SHAPES: [[usize; 3]; 3] = [[1296, 384, 1536], [324, 1536, 6144], [1300, 1536, 384]];
 
-/// Rows compared with f64.
 const CHECKED_ROWS: usize = 16;
 
 /// Time of linear layers, exact (also with 8-bit weights) and fast, by every tile of lanes
@@ -44,7 +43,7 @@ struct Row {
     device_gflop_per_s: f64,
     /// Share of the measured rate of lanes or matrix units.
     peak_share: Option<f64>,
-    /// Largest difference from f64 over the largest value.
+    /// Largest difference over the largest value.
     difference: f64,
 }
 
@@ -108,7 +107,7 @@ impl Gemm {
     }
 }
 
-/// Returns `f64::max`, or NaN.
+/// Keeps NaN.
 fn larger_or_nan(most: f64, value: f64) -> f64 {
     if value > most || value.is_nan() { value } else { most }
 }

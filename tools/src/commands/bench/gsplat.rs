@@ -17,7 +17,7 @@ pub fn check(python: &Path) -> Result<()> {
     run(Command::new(python).arg("-c").arg(FILES[0].1)).map(drop)
 }
 
-/// Milliseconds per frame over `repeats` consecutive frames.
+/// Returns milliseconds per frame over `repeats` consecutive frames.
 pub fn milliseconds(python: &Path, scene: &Scene, size: Size, repeats: u32) -> Result<f64> {
     let folder = python::folder(&FILES)?;
     let file = folder.path().join("scene.ply");

@@ -187,7 +187,7 @@ fn timed(
 
 type Recorded = (Tensor, Vec<(Tensor, Vec<u8>)>);
 
-/// Raises the iterations to [`LONG_ENOUGH`]. Returns them, the times and the result's words.
+/// Raises the iterations up to [`LONG_ENOUGH`]. Returns them, the times and the result's words.
 fn sustained(
     device: &Device,
     repeats: Repeats,

@@ -20,7 +20,6 @@ pub struct Keys {
 pub struct Pooled {
     /// Patches per mean.
     pub counts: Vec<f64>,
-    /// Error bounds.
     pub off: [Vec<f64>; 2],
 }
 

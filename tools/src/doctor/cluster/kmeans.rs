@@ -48,13 +48,11 @@ enum Fault {
     LastTokenMoved,
     /// Ties go to the last cluster.
     LastOfEqual,
-    /// Token after the nearest.
     NextToken,
     /// Means without the cluster's last member.
     LastMember,
     /// Empty clusters keep their centroid.
     EmptyStays,
-    /// Initial centroids only.
     NoRounds,
     OtherEveryRun,
 }

@@ -51,7 +51,6 @@ pub enum Fault {
     SecondNearest,
     /// Ties go to the last target.
     LastOfEqual,
-    /// Later of the two nearest.
     LaterOfTwo,
     NextIndex,
     LastTarget,
@@ -75,7 +74,7 @@ impl Truth {
         self.nearest.iter().map(|[first, _]| first.0).collect()
     }
 
-    /// Excess squared distance of the chosen targets.
+    /// Returns the excess squared distance of the chosen targets.
     pub fn excess(&self, chosen: &Chosen, width: usize) -> Worst {
         let squared = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
         let origin = chosen.origin.as_deref().map(widen);

@@ -17,7 +17,6 @@ pub enum Fault {
     Blank,
     /// No output, not even the background.
     Unwritten,
-    /// Drops the last nonempty tile.
     LastTile,
     Missing,
     BackToFront,
@@ -42,7 +41,6 @@ pub enum Fault {
     FaintDrawn,
     /// Alphas not clamped at 0.999.
     OpaqueUnclamped,
-    /// No early termination.
     NeverStops,
     /// Principal point at the center.
     CentredPrincipal,

@@ -20,7 +20,6 @@ const MIN_TRANSMITTANCE: f64 = 1e-4;
 /// Bounds of red, green, blue, alpha, depth.
 pub type PixelBounds = [f64; 5];
 
-/// Splat as stored by the kernels.
 struct Splat {
     place: [Bounded; 2],
     /// Row where `place.x` lies on the ridge, if not the center's.
@@ -144,7 +143,6 @@ fn ridge(splat: Splat, height: Option<f64>) -> Splat {
     }
 }
 
-/// Returns the axes in camera space.
 pub fn axes(quat: [f32; 4], view: impl Fn(usize, usize) -> Bounded) -> [[Bounded; 3]; 3] {
     let q = quat.map(Bounded::exact);
     let largest = Bounded::exact(quat.iter().fold(0.0f32, |most, x| most.max(x.abs())));

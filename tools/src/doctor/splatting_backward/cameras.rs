@@ -31,7 +31,6 @@ enum Fault {
 }
 
 impl Problem {
-    /// Returns `[from, rows]`.
     fn terms(&self, number: usize) -> impl Iterator<Item = f64> {
         self.0.iter().skip(number).step_by(NUMBERS).map(|x| f64::from(*x))
     }

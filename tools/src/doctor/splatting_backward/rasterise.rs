@@ -54,12 +54,10 @@ struct Problem {
 enum Fault {
     Zero,
     Unwritten,
-    /// Ignores splats behind.
     NothingBehind,
     NoBackground,
     /// Gradients of clamped alphas.
     Unclamped,
-    /// No early termination.
     NeverStops,
     /// Gradients of alphas below 1/255.
     FaintDrawn,

@@ -63,7 +63,6 @@ impl Family {
     }
 }
 
-/// Lighting and camera positions of a family.
 struct Setting {
     light: Light,
     sky: Sky,

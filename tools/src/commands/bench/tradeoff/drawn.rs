@@ -38,7 +38,7 @@ impl Drawn {
 }
 
 pub fn compare(renderer: &mut Renderer, capture: &Capture) -> Result<Drawn> {
-    // The first picture of a scene also builds the plan.
+    // Also builds the plan.
     draw(renderer, &capture.targets[0].camera)?;
     let (mut pictures, mut times) = (Vec::new(), Vec::new());
     for view in &capture.targets {
