@@ -72,7 +72,7 @@ pub struct Session<'a> {
     code: u8,
     /// Label of the stages, such as one of several scenes.
     task: String,
-    /// Common to all stages.
+    /// Time of the next progress line of all stages.
     next_line: Mutex<Instant>,
 }
 

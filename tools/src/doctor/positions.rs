@@ -38,7 +38,7 @@ struct Problem {
     dim: usize,
     norm: bool,
     global: bool,
-    /// Of a random number in (-1, 1).
+    /// Maps a random number in (-1, 1).
     value: fn(f32) -> f32,
 }
 

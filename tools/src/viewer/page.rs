@@ -27,9 +27,9 @@ const WORKER: &str = concat!(include_str!("../../viewer/formats.js"), include_st
 pub struct Config {
     /// Scenes in slider order.
     pub scenes: Vec<ShownScene>,
-    /// In the scenes' world.
+    /// Input cameras in the scenes' world.
     pub cameras: Vec<InputCamera>,
-    /// If known.
+    /// Up direction of the world, if known.
     pub up: Option<[f64; 3]>,
     /// Network input; empty for scene files.
     pub views: Vec<View>,
@@ -37,7 +37,7 @@ pub struct Config {
     pub grid: [usize; 2],
     /// Choices of scenes on demand.
     pub live: Option<Ratios>,
-    /// During a refinement.
+    /// True during a refinement.
     pub refines: bool,
     /// Sentence under the slider.
     pub note: Option<String>,
@@ -69,7 +69,7 @@ pub struct View {
 pub struct Ratios {
     pub tokens: usize,
     pub ratio: f64,
-    /// The initial one first.
+    /// Supported precisions, the initial one first.
     pub precisions: Vec<&'static str>,
 }
 

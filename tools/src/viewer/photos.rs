@@ -70,7 +70,7 @@ const MOST_RATIOS: usize = 8;
 /// Photos with features on the device, and their cameras.
 pub struct Ready<'a> {
     pub live: Live<'a>,
-    /// In the scene's world.
+    /// Input cameras in the scene's world.
     pub cameras: Vec<InputCamera>,
     names: Vec<String>,
     photos: Vec<PathBuf>,

@@ -46,7 +46,7 @@ struct Now {
     step: usize,
     steps: usize,
     losses: Vec<f32>,
-    /// Steps and dB.
+    /// Steps and held-out PSNR in dB.
     psnr: Vec<(usize, f64)>,
     seconds_left: f64,
     /// Increases with every new scene.

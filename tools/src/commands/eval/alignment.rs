@@ -15,12 +15,12 @@ pub struct AlignedScore {
     ssim: f64,
     nearest_psnr: f64,
     mean_color_psnr: f64,
-    /// With the given camera.
+    /// PSNR with the given camera.
     before_psnr: f64,
     before_ssim: f64,
-    /// From the given camera.
+    /// Angle from the given camera.
     degrees: f64,
-    /// In the cameras' unit.
+    /// Distance in the cameras' unit.
     distance: f64,
     doubt: Option<Doubt>,
     pub lpips: Option<f64>,
@@ -50,9 +50,9 @@ fn scores(capture: &Capture, found: &[Aligned]) -> Vec<AlignedScore> {
 /// Summary of alignments.
 #[derive(Serialize)]
 pub struct Alignment {
-    /// Median.
+    /// Median angle.
     degrees: f64,
-    /// Median, in the cameras' unit.
+    /// Median distance, in the cameras' unit.
     distance: f64,
     /// Means with the given cameras.
     before: Before,

@@ -31,7 +31,7 @@ pub struct Judge<'a> {
     arithmetic: Arithmetic,
     /// Loaded by the first reconstruction.
     model: Option<Model>,
-    /// Loaded likewise.
+    /// Pixel network, loaded likewise.
     pub(super) seer: Option<Seer>,
     renderer: Renderer,
     lpips: Option<Perceptual>,
@@ -44,7 +44,7 @@ pub struct Judged {
     /// Predictions of the targets, `[height][width][rgb]` in 0..1.
     pub drawn: Vec<Vec<f32>>,
     pub scores: Vec<Score>,
-    /// After camera alignment.
+    /// Result of camera alignment.
     pub alignment: Option<Alignment>,
 }
 

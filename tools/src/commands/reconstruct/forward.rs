@@ -42,11 +42,11 @@ pub struct Forward {
     /// Arena for the next pass, if still allocated.
     pub arena: Option<Arena>,
     pub tokens: Option<SceneTokens>,
-    /// After any pruning.
+    /// Gaussians on the host, after any pruning.
     pub scene: Scene,
-    /// If resident.
+    /// Gaussians on the device, if resident.
     pub on_device: Option<DeviceScene>,
-    /// If requested.
+    /// Estimated cameras, if requested.
     pub found: Option<Placed>,
     /// Length in the cameras' unit that is 1 for the network.
     pub length: f64,

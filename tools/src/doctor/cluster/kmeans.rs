@@ -32,7 +32,7 @@ struct Problem {
 struct Found {
     /// Token nearest to each centroid, and the final assignment.
     runs: Vec<[Vec<u32>; 2]>,
-    /// For matrix units.
+    /// Origin for matrix units.
     origin: Option<Vec<f32>>,
 }
 

@@ -99,7 +99,7 @@ fn pixels() -> impl Iterator<Item = (usize, [f64; 2])> {
     })
 }
 
-/// By splat and pixel.
+/// Contribution of a splat to a pixel.
 type Share = [Bounded; VALUES];
 
 /// Mirrors kernels/render/rasterise_backward.comp on one pixel; `None` if rounding may flip a

@@ -58,7 +58,7 @@ struct Bench<'a> {
 struct Forward {
     made: Reconstruction,
     scene: Scene,
-    /// Median.
+    /// Median time.
     ms: f64,
     views_per_cluster: Option<f64>,
     /// Absent if f64 would take too long.
