@@ -1,4 +1,4 @@
-//! `zipsplat cameras`: camera estimation.
+//! `zipsplat cameras`.
 
 use crate::{
     cameras::{Finder, Finding, ModelOption, Place, Searching},
@@ -17,15 +17,15 @@ use zipsplat::Result;
 
 /// Estimate cameras of photos with COLMAP or Depth Anything 3
 ///
-/// COLMAP 3 or 4, or pycolmap, is a separate program; it runs on the CPU without a display. Writes
-/// transforms.json with the lens distortion, points.ply for `refine --start points`, and
-/// colmap.log. Of several unconnected groups the largest is taken. If it has fewer than four fifths
-/// of the photos (or of up to 12, not all), COLMAP retries up to twice with other seeds and looser
-/// thresholds. Photos of one size, camera and focal length share a lens.
+/// COLMAP 3 or 4, or pycolmap, is a separate program for the CPU. Writes transforms.json with the
+/// lens distortion, points.ply for `refine --start points`, and colmap.log. Takes the largest of
+/// unconnected groups. With less than four fifths of the photos (or of up to 12, not all), COLMAP
+/// retries up to twice with other seeds and looser thresholds. Photos of one size, camera and focal
+/// length share a lens.
 ///
-/// --with da3 estimates all cameras with Depth Anything 3, and handles two photos, little overlap
-/// and little texture. It needs --weights and no other program. Cameras are less accurate than
-/// successful COLMAP ones. points.ply has all confident pixels, in the network's unit.
+/// --with da3 uses Depth Anything 3, also for two photos, little overlap or little texture. It
+/// needs --weights and no other program. Cameras are less accurate than successful COLMAP ones.
+/// points.ply has all confident pixels, in the network's unit.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat cameras photos/ -o transforms.json
@@ -40,8 +40,7 @@ pub struct Cameras {
     output: PathBuf,
     #[command(flatten)]
     overwrite: Overwrite,
-    /// Limit of photos, evenly spread, with the first and the last, and of frames of a video
-    /// [default: all, and 24 of a video]
+    /// Limit of photos, evenly spread, and of frames of a video [default: all, and 24 of a video]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..))]
     views: Option<u32>,
     /// Program or network that estimates the cameras

@@ -1,4 +1,4 @@
-//! `zipsplat compare`: similarity of pictures.
+//! `zipsplat compare`.
 
 use crate::{
     metrics::{psnr, ssim, values},
@@ -16,8 +16,8 @@ use zipsplat::{Error, Result, perceptual::Perceptual, types::Image};
 
 /// PSNR, SSIM and LPIPS of two pictures, or of the pictures of two folders
 ///
-/// Folders match by file name without extension. Both pictures of a pair have one size. PSNR and
-/// SSIM are those of scikit-image (Gaussian windows of 11 pixels), LPIPS is version 0.1.
+/// Folders match by file name without extension. PSNR and SSIM are those of scikit-image (Gaussian
+/// windows of 11 pixels), LPIPS is version 0.1.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat compare drawn.png photo.png

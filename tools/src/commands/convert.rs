@@ -1,4 +1,4 @@
-//! `zipsplat convert`: checkpoints to safetensors, scenes to other formats.
+//! `zipsplat convert`.
 
 use crate::{
     options::{CHECKPOINTS, SceneInput, open_checkpoint, refuse},
@@ -19,8 +19,8 @@ use zipsplat::{
 
 /// Convert a scene's format, or a checkpoint (PyTorch, safetensors or seeded) to safetensors
 ///
-/// A scene's format is read from its first bytes (for .splat and .gltf, its name), and written by
-/// the output's name. Scenes keep their coordinates, so a transforms.json still fits. All formats
+/// Reads a scene by its first bytes (.splat and .gltf by name), and writes the format of the
+/// output's name. Scenes keep their coordinates, so a transforms.json still fits. All formats
 /// except .splat keep the photo whose camera is the world.
 #[derive(Args)]
 #[command(after_help = "Examples:
@@ -47,7 +47,7 @@ pub struct Convert {
     #[arg(long, value_name = "TYPE")]
     dtype: Option<String>,
     /// Network of an unnamed checkpoint: vitg (DA3-Giant, the only one with released weights),
-    /// vits, vitb, vitl, or the reference's recipes da3s, da3b, da3l; with further fields as in
+    /// vits, vitb, vitl, or the reference's da3s, da3b, da3l; with further fields as in
     /// vits:out_layers=5,7,11:alt_start=5:rope_start=5
     #[arg(long, value_name = "V")]
     variant: Option<String>,

@@ -1,4 +1,4 @@
-//! `zipsplat doctor`: correctness of a device.
+//! `zipsplat doctor`.
 
 use crate::{
     doctor::{Finding, Worst, catalogue, report},

@@ -1,4 +1,4 @@
-//! `zipsplat refine`: refinement of any scene.
+//! `zipsplat refine`.
 
 use crate::{
     cameras::{Finding, Known, origin},
@@ -26,8 +26,8 @@ use zipsplat::{
 
 /// Refine a scene's Gaussians against photos with known cameras
 ///
-/// Any scene in the cameras' world, or in the camera of a photo given by its file or --relative-to.
-/// --start points initializes from a structure-from-motion point cloud and needs no scene. Of 9
+/// Takes any scene in the cameras' world, or in the camera of a photo given by its file or
+/// --relative-to. --start points needs no scene, but a structure-from-motion point cloud. Of 9
 /// photos or more one is held out, and the best step by that photo is written. Ctrl-C ends early
 /// and writes the best so far.
 #[derive(Args)]

@@ -1,4 +1,4 @@
-//! `zipsplat scene`: procedural scenes for demos, tests and training.
+//! `zipsplat scene`.
 
 use crate::{
     options::Size,

@@ -1,4 +1,4 @@
-//! `zipsplat tune`: the fastest kernel tiles by measurement.
+//! `zipsplat tune`.
 
 use crate::{session::Session, table::Table};
 use clap::Args;

@@ -1,4 +1,4 @@
-//! `zipsplat view`: scenes in a browser.
+//! `zipsplat view`.
 
 use crate::{
     heic::is_heic,
@@ -31,13 +31,13 @@ use zipsplat::{
 
 /// View scenes, or scenes made from photos, in a browser
 ///
-/// Several scene files share one slider. Photos become scenes of any compression ratio, with a
-/// slider, and are refined live with --refine. -o writes a self-contained page without network
-/// access. Otherwise the page is served on this machine, for anyone with the printed address, until
-/// Ctrl-C. The browser renders by the rules of `render`.
+/// Several scene files share one slider. Photos become scenes of any compression ratio, and are
+/// refined live with --refine. -o writes a self-contained page without network access. Otherwise
+/// this machine serves the page, for anyone with the printed address, until Ctrl-C. The browser
+/// renders by the rules of `render`.
 ///
-/// Weights of Depth Anything 3 make one Gaussian per pixel, as in `reconstruct`. Their --ratios are
-/// made before the page opens, without refinement: use `reconstruct --refine`.
+/// Weights of Depth Anything 3 make one Gaussian per pixel, as in `reconstruct`, at the --ratios
+/// and without refinement: use `reconstruct --refine`.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat view scene.ply

@@ -1,4 +1,4 @@
-//! `zipsplat weights`: named weights and their download.
+//! `zipsplat weights`.
 
 use crate::{
     download::{Client, Lock, Promise, fetch, is_sha256, kept, promise},
@@ -22,8 +22,8 @@ use zipsplat::{
 
 /// List, download and locate named weights
 ///
-/// `get` stores weights in the cache folder, those of ZipSplat as f16 safetensors and those of
-/// Depth Anything 3 as released. Every --weights takes their names.
+/// `get` stores weights in the cache folder, those of ZipSplat as f16 safetensors. Every --weights
+/// takes their names.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat weights list

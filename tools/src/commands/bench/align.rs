@@ -1,4 +1,4 @@
-//! `zipsplat bench align`: recovery of perturbed cameras, against known cameras.
+//! `zipsplat bench align`.
 
 use super::Spread;
 use crate::{
@@ -21,11 +21,11 @@ use zipsplat::{
 /// Every photo of this number is aligned; the others make the scene.
 const ALIGNED_OF: usize = 3;
 
-/// How well each way of `eval --align` recovers perturbed cameras, on procedural places
+/// Recovery of perturbed cameras by each way of `eval --align`, on procedural places
 ///
-/// Every third photo of a place is held out. The others make a scene of one Gaussian per pixel,
-/// from exact depth. The held-out cameras are rotated and moved, then aligned. Errors are medians
-/// over all photos: degrees, and shifts in percent of the scene's distance.
+/// Every third photo of a place is held out; the others make a scene from exact depth. Held-out
+/// cameras are rotated and moved, then aligned. Errors are medians over all photos: degrees, and
+/// shifts in percent of the scene's distance.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat bench align

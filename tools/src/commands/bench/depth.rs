@@ -1,4 +1,4 @@
-//! `zipsplat bench depth`: depth, rays and cameras from noise.
+//! `zipsplat bench depth`.
 
 use super::{
     Repeats, Spread,

@@ -1,4 +1,4 @@
-//! `zipsplat bench render --effects`: the cost of each effect.
+//! `zipsplat bench render --effects`.
 
 use super::{Repeats, Spread};
 use crate::{

@@ -1,4 +1,4 @@
-//! `zipsplat bench forward`: Gaussians from noise.
+//! `zipsplat bench forward`.
 
 use super::{
     Repeats, Spread,

@@ -1,4 +1,4 @@
-//! `zipsplat bench gemm`: every kernel of linear layers, checked against f64.
+//! `zipsplat bench gemm`.
 
 use super::{
     Repeats, Spread,

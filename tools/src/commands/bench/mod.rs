@@ -1,4 +1,4 @@
-//! `zipsplat bench`: times on a device, as medians with least and greatest.
+//! `zipsplat bench`: medians with least and greatest times.
 
 mod align;
 mod depth;

@@ -1,4 +1,4 @@
-//! `zipsplat bench peak`: measured device limits, the basis of shares elsewhere.
+//! `zipsplat bench peak`.
 
 use super::{Repeats, Spread, timed_device};
 use crate::{

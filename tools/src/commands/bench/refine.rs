@@ -1,4 +1,4 @@
-//! `zipsplat bench refine`: refinement steps, and pictures of the same views.
+//! `zipsplat bench refine`.
 
 use super::{
     Group, Repeats, Spread, group,

@@ -1,4 +1,4 @@
-//! `zipsplat bench render`: pictures of random scenes.
+//! `zipsplat bench render`.
 
 use super::{
     Repeats, Spread, effects, group, gsplat,

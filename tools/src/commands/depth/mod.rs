@@ -1,4 +1,4 @@
-//! `zipsplat depth`: depth, points and cameras of photos, by Depth Anything 3.
+//! `zipsplat depth`.
 
 mod truth;
 
@@ -30,12 +30,11 @@ use zipsplat::{
     },
 };
 
-/// Depth, points and cameras of photos, with or without known cameras, by Depth Anything 3
+/// Depth, points and cameras of photos by Depth Anything 3
 ///
-/// Writes depths.safetensors (depth, confidence and rays of all views), and for each photo 16-bit
-/// and colored depth pictures. Multi-view networks also write transforms.json for --poses of
-/// `reconstruct` and `refine`, and points.ply for `refine --start points`. Lengths are in the
-/// network's unit.
+/// Writes depths.safetensors (depth, confidence and rays), and 16-bit and colored depth pictures.
+/// Multi-view networks also write transforms.json for --poses of `reconstruct` and `refine`, and
+/// points.ply for `refine --start points`. Lengths are in the network's unit.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat depth photos/ --weights da3-small -o depth/
@@ -80,8 +79,8 @@ pub struct Depth {
     views: Option<u32>,
     #[command(flatten)]
     model: ModelOption,
-    /// Also print errors of cameras and depth against this capture: transforms.json or a COLMAP
-    /// model, and any depth/NAME.npy, as `scene` writes it
+    /// Also print errors against this capture: transforms.json or a COLMAP model, and any
+    /// depth/NAME.npy, as `scene` writes it
     #[arg(long, alias = "ground-truth", value_name = "CAPTURE")]
     truth: Option<PathBuf>,
     #[command(flatten)]

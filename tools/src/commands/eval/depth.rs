@@ -17,8 +17,8 @@ const SMOOTH: usize = 14;
 /// Bound of an error in standard deviations, which keeps depth positive.
 const MOST: f64 = 3.0;
 
-/// Returns a scene of the inputs at the network's size, in the capture's world and unit, with depth
-/// from a folder and relative errors of deviation `noise`.
+/// Returns a scene of the inputs at the network's size, in the capture's world and unit. Depth from
+/// a folder gets relative errors of deviation `noise`.
 ///
 /// # Errors
 /// [`Error::Io`] and [`Error::Format`] for a depth file; [`Error::Argument`] for another shape than

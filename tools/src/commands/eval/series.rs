@@ -45,8 +45,7 @@ pub struct Options {
     #[arg(long, alias = "frame-range", value_name = "FRAMES", value_delimiter = ',', requires = "protocol")]
     gap: Vec<usize>,
     /// Choose the frames of index files, one per number of inputs: {"SCENE": {"context": [0, 19,
-    /// ..], "target": [1, 6, ..]}}, counted from 0 in the order of the camera file. Other scenes
-    /// are skipped
+    /// ..], "target": [1, 6, ..]}}, in the order of the camera file. Skips other scenes
     #[arg(long, value_name = "FILE", value_delimiter = ',', requires = "protocol",
         conflicts_with_all = ["gap", "views", "targets"])]
     indices: Vec<PathBuf>,

@@ -28,9 +28,9 @@ pub struct Theirs {
     /// a folder of NAME.ply and the like. No reconstruction
     #[arg(long, value_name = "FILE", conflicts_with_all = ["refine", "ratio", "keep", "disturb", "fit"])]
     scene: Option<PathBuf>,
-    /// Evaluate a pixel-aligned scene, one Gaussian per input pixel, at exact depth:
-    /// FOLDER/NAME.npy for each photo NAME, f32 [height, width], z in the cameras' unit, 0 for
-    /// unknown, as `scene` writes it; with --protocol FOLDER/SCENE/NAME.npy. No reconstruction;
+    /// Evaluate a pixel-aligned scene, one Gaussian per input pixel, at exact depth. Reads
+    /// FOLDER/NAME.npy for each photo NAME, as `scene` writes it: f32 [height, width], z in the
+    /// cameras' unit, 0 for unknown. With --protocol FOLDER/SCENE/NAME.npy. No reconstruction;
     /// --refine starts from it
     #[arg(long, value_name = "FOLDER", conflicts_with_all = ["scene", "ratio", "keep", "disturb", "fit", "pose_free"])]
     from_depth: Option<PathBuf>,
@@ -42,7 +42,7 @@ pub struct Theirs {
     #[arg(long, alias = "scene-frame", value_enum, value_name = "WHOSE", requires = "scene")]
     world: Option<Whose>,
     /// Cameras of the input photos in the scene's world, for --world aligned, in any format of
-    /// `--poses`; with --protocol a folder of NAME.json, or of COLMAP models NAME/
+    /// `--poses`; with --protocol a folder of NAME.json or COLMAP models NAME/
     #[arg(long, value_name = "PATH", requires = "scene")]
     scene_cameras: Option<PathBuf>,
     /// Length in the cameras' unit that is 1 in the scene; --world aligned derives it [default: 1]

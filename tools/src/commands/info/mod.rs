@@ -1,4 +1,4 @@
-//! `zipsplat info`: devices, checkpoints, scenes and plans.
+//! `zipsplat info`.
 
 mod plan;
 

@@ -1,4 +1,4 @@
-//! `zipsplat info --plan`: map of the arena.
+//! `zipsplat info --plan`.
 
 use super::Info;
 use crate::{

@@ -1,4 +1,4 @@
-//! `zipsplat bench tradeoff`: accuracy against time, as a page and a table.
+//! `zipsplat bench tradeoff`.
 
 mod case;
 mod drawn;
@@ -34,9 +34,9 @@ use zipsplat::{
 /// Accuracy against time: a sweep over a capture, as a page with plots and pictures, and as a table
 ///
 /// Reconstructs every combination of the lists and compares it with held-out photos. Options
-/// without effect are not varied: at ratio 1 there is no selection. The most informative
-/// combinations come first, within --minutes. The page recommends three settings, fast, balanced
-/// and best, and shows picture and command of every point.
+/// without effect are not varied. The most informative combinations come first, within --minutes.
+/// The page recommends three settings, fast, balanced and best, and shows picture and command of
+/// every point.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat bench tradeoff capture/ -o report/
@@ -70,9 +70,9 @@ pub struct Tradeoff {
     /// Gaussians kept per token, by visibility [default: all, a half, a quarter]
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     keep: Option<Vec<Keep>>,
-    /// Refinement steps, or 100:tokens to refine the scene's tokens; for every number of photos and
-    /// share of the tokens, in the first arithmetic, with the first selection and all Gaussians. 0,
-    /// no refinement, is always included
+    /// Refinement steps, or 100:tokens to refine the scene's tokens. Combined with every number of
+    /// photos and share of the tokens, with all Gaussians and first values otherwise. Always
+    /// includes 0, no refinement
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "0,10,50")]
     refine: Vec<Steps>,
     /// Initializations of the refinement. Points need no network, and follow on every number of
@@ -82,9 +82,9 @@ pub struct Tradeoff {
     /// Arithmetics: exact, fast, fast-bf16, turbo [default: all that the device has]
     #[arg(long, value_name = "LIST", value_delimiter = ',', value_enum)]
     precision: Option<Vec<PrecisionName>>,
-    /// Types to round the weights to, as `convert --dtype` does: f16, bf16, q8; for every number of
-    /// photos and share of the tokens, in the first arithmetic, with the first selection and number
-    /// of Gaussians. own, the weights as stored, is always included
+    /// Types to round the weights to, as `convert --dtype` does: f16, bf16, q8. Combined with every
+    /// number of photos and share of the tokens, and first values otherwise. Always includes own,
+    /// the weights as stored
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "q8", value_parser = rounded::parse)]
     dtype: Vec<Option<Dtype>>,
     /// Limit of photos to compare with
