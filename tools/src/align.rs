@@ -1,4 +1,4 @@
-//! Aligns a camera near an initial estimate by comparing renderings with the photo.
+//! Camera alignment near an initial estimate, by comparing renderings with the photo.
 
 pub mod adam;
 
@@ -19,50 +19,49 @@ use zipsplat::{
     types::{Camera, Image, Pose, resample::resize_lanczos},
 };
 
-/// Maximum rotation in radians: 15 degrees. Farther away, blurred pictures match any photo.
+/// Limit of rotation in radians. Farther away, blurred pictures match any photo.
 pub const MOST_TURN: f64 = std::f64::consts::PI / 12.0;
-/// Maximum shift, for a scene at a distance of about 1.
+/// Limit of shift, for a scene at a distance of about 1.
 pub const MOST_SHIFT: f64 = 0.25;
-/// Fraction of a limit from which the camera counts as stopped there.
+/// Fraction of a limit that counts as reaching it.
 const STOPPED: f64 = 0.9;
-/// Required relative gain in squared error at 0.71 of the maximum movement.
+/// Required relative gain in squared error at 0.71 of the movement limit.
 const PRIOR: f64 = 0.1;
-/// Minimum standard deviation of photo values, in 0..1, for alignment.
+/// Minimum standard deviation of photo values, in 0..1.
 const TEXTURE: f64 = 0.02;
-/// Threshold of the robust loss, in 0..1: large differences indicate occlusion.
+/// Threshold of the robust loss, in 0..1: larger differences indicate occlusion.
 const LARGE: f64 = 0.01;
-/// Minimum mean alpha in a division.
 const LEAST_SEEN: f64 = 1e-3;
 /// Shorter side of the coarsest picture.
 const SMALLEST: u32 = 20;
-/// Half the length of central differences, in pixels that what is at distance 1 moves.
+/// Half the length of central differences, in pixels of motion at distance 1.
 const DIFFERENCE: f64 = 0.5;
 /// Relative gain or step length that ends a level.
 const TOLERANCE: f64 = 1e-4;
 /// Limit of iterations per level, with at most 7 renderings each.
 const PATIENCE: usize = 12;
 
-/// How a camera is searched for.
+/// Alignment method.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Method {
-    /// Least squares, from small pictures to large ones; the camera stays near where it was
+    /// Least squares, coarse to fine, near the initial camera
     LevenbergMarquardt,
-    /// As ZipSplat's authors do: at most 200 steps of Adam, with a term of LPIPS where its weights
-    /// are; the camera may go anywhere
+    /// Method of ZipSplat's authors: at most 200 steps of Adam, with LPIPS if its weights are
+    /// available, without a movement limit
     Adam,
 }
 
 impl Method {
-    /// The finished fraction of an alignment at a step, if it takes as many as it may.
+    /// Returns the finished fraction at a step, if all steps are taken.
     pub fn fraction(self, step: usize) -> f64 {
         match self {
-            // The number of renderings depends on the content.
+            // Unknown: the number of renderings depends on the content.
             Self::LevenbergMarquardt => 0.0,
             Self::Adam => (step as f64 / adam::STEPS as f64).min(1.0),
         }
     }
 
-    /// Aligns a camera in this way; only Adam uses LPIPS. Before each step `check` is asked.
+    /// Aligns a camera; only Adam uses LPIPS. `check` runs before each step.
     ///
     /// # Errors
     /// As [`align`].
@@ -83,21 +82,21 @@ impl Method {
 
 /// Result of [`align`].
 pub struct Aligned {
-    /// The camera.
+    /// Aligned camera.
     pub camera: Camera,
     /// Rendering from the camera, `[height][width][rgb]` in 0..1.
     pub drawn: Vec<f32>,
     /// Rendering from the initial camera.
     pub before: Vec<f32>,
-    /// Rotation between the two cameras, in radians.
+    /// Rotation from the initial camera, in radians.
     pub turn: f64,
-    /// Distance between the two cameras, in the unit of their poses.
+    /// Distance from the initial camera, in the unit of the poses.
     pub shift: f64,
-    /// Reason to distrust the camera, if any.
+    /// Reason to distrust the camera.
     pub doubt: Option<Doubt>,
 }
 
-/// Why an alignment says little.
+/// Reason for an unreliable alignment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Doubt {
@@ -105,16 +104,14 @@ pub enum Doubt {
     Flat,
     /// The camera reached its movement limit.
     Bound,
-    /// The picture is no more like the photo than a single colour is, the mean of the nearest input
-    /// photo.
+    /// The picture matches no better than one color, the mean of the nearest input photo.
     Color,
 }
 
-/// Rotates and shifts `camera` to minimize the squared error between its rendering and `photo`, of
-/// the camera's size. The scene should be at a distance of about 1. Intrinsics stay fixed, and
-/// movement is bounded by 15 degrees and 0.25, with a prior against large steps. Holes do not
-/// count: the rendering is drawn over the photo, and its error is divided by the mean alpha. The
-/// loss is robust to large differences.
+/// Moves `camera` to minimize the squared error between its rendering and `photo`, of equal size.
+/// The scene should be at a distance of about 1. Intrinsics stay fixed; a prior discourages large
+/// steps. The scene covers the photo, and the error is divided by the mean alpha, so holes do not
+/// count. The loss is robust.
 ///
 /// Levenberg-Marquardt over 6 degrees of freedom with central differences, coarse to fine. At full
 /// size the initial camera stays if none is better. `check` runs before each rendering.
@@ -165,21 +162,19 @@ pub fn align(
     Ok(Aligned { camera: found, drawn, before, turn, shift, doubt: stopped.then_some(Doubt::Bound) })
 }
 
-/// Search at one picture size.
 struct Search<'a> {
     renderer: RefCell<&'a mut Renderer>,
     check: &'a dyn Fn() -> Result<()>,
-    /// Error of a failed rendering.
     failure: RefCell<Result<()>>,
     truth: DVector<f64>,
     start: Camera,
     movement: Vector6<f64>,
-    /// The cost of a movement: so much times its length is a residual.
+    /// Weight of the movement's length as a residual.
     prior: f64,
 }
 
-/// Maps six numbers to a rotation (radians about the camera's own axes) and a shift (along them),
-/// bounded by a ball. Near 0, one maps to [`MOST_TURN`] or [`MOST_SHIFT`].
+/// Maps six numbers to a rotation (radians) and a shift on the camera's axes, bounded by a ball.
+/// Near 0 the slope is [`MOST_TURN`] or [`MOST_SHIFT`].
 fn turn_and_shift(movement: &Vector6<f64>) -> [DVec3; 2] {
     [(0, MOST_TURN), (3, MOST_SHIFT)].map(|(i, most)| {
         let free = DVec3::from_slice(&movement.as_slice()[i..i + 3]);
@@ -187,13 +182,13 @@ fn turn_and_shift(movement: &Vector6<f64>) -> [DVec3; 2] {
     })
 }
 
-/// Rotation (radians about the first camera's own axes) and shift (along them) between two cameras.
+/// Returns rotation (radians) and shift on the first camera's axes.
 fn between(from: &Camera, to: &Camera) -> [DVec3; 2] {
     let movement = to.pose.relative_to(&from.pose);
     [DQuat::from_mat3(&movement.rotation).to_scaled_axis(), movement.translation]
 }
 
-/// Pseudo-Huber residual: quadratic for small differences, linear for large ones.
+/// Returns the Pseudo-Huber residual: quadratic for small differences, linear for large ones.
 fn robust(difference: f64) -> f64 {
     let root = (2.0 * ((1.0 + (difference / LARGE).powi(2)).sqrt() - 1.0)).sqrt();
     (LARGE * root).copysign(difference)
@@ -218,8 +213,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Starts from a movement and scales the prior by the error there: a poor fit does not justify
-    /// a large step.
+    /// Scales the prior by the initial error: a poor fit does not justify a large step.
     fn from(mut self, movement: Vector6<f64>) -> Result<Self> {
         self.movement = movement;
         let error = self.pixels(&[movement]).map(|pixels| pixels[0].norm_squared());
@@ -228,8 +222,8 @@ impl<'a> Search<'a> {
         Ok(self)
     }
 
-    /// Robust pixel residuals of the scene drawn over the photo, divided by the root of the mean
-    /// alpha. The division removes the gain from seeing less of the scene.
+    /// Returns robust residuals of the scene over the photo, divided by the root of the mean alpha.
+    /// Otherwise hiding the scene would be a gain.
     fn pixels(&self, movements: &[Vector6<f64>]) -> Option<Vec<DVector<f64>>> {
         let cameras: Vec<Camera> = movements.iter().map(|movement| moved(&self.start, movement)).collect();
         let request = RenderRequest { alpha: true, ..RenderRequest::default() };
@@ -260,7 +254,6 @@ impl LeastSquaresProblem<f64, Dyn, U6> for Search<'_> {
         self.movement
     }
 
-    /// Pixel residuals, then the movement's six.
     fn residuals(&self) -> Option<DVector<f64>> {
         let pixels = self.pixels(&[self.movement])?.remove(0);
         let prior = self.movement.iter().map(|value| self.prior * value);

@@ -1,4 +1,4 @@
-//! Captures: photos with cameras, some to reconstruct from and the others to compare with.
+//! Captures: photos with cameras, split into inputs and targets.
 
 use crate::{
     metrics::{mean_color, psnr, ssim, values},
@@ -27,33 +27,31 @@ use zipsplat::{
     },
 };
 
-/// A capture's frames, chosen before any photo is read.
+/// Frames of a capture, chosen before any photo is read.
 pub struct Choice {
     poses: Poses,
     inputs: Vec<usize>,
     targets: Vec<usize>,
 }
 
-/// A capture's photos as they are compared, and their cameras. The world is the first input's camera.
+/// Photos and cameras of a capture. World: the first input's camera.
 pub struct Capture {
-    /// The pictures that the network sees of the inputs, and their cameras.
+    /// Network input.
     pub views: Views,
-    /// To reconstruct from.
     pub inputs: Vec<Posed>,
-    /// To compare with.
+    /// Held-out photos.
     pub targets: Vec<Posed>,
-    /// The length that the cameras were divided by: the network's 1 in the capture's own unit.
+    /// Divisor of the cameras' lengths: the network's 1 in the capture's unit.
     pub unit: Unit,
 }
 
-/// A photo and its camera.
 pub struct Posed {
     pub name: String,
     pub image: Image,
     pub camera: Camera,
 }
 
-/// How alike a drawn picture and the photo are, and how alike two trivial predictions; dB but for SSIM.
+/// Similarity of a photo to its prediction and to two baselines, in dB except SSIM.
 #[derive(Clone, Serialize)]
 pub struct Score {
     pub view: String,
@@ -61,24 +59,18 @@ pub struct Score {
     pub ssim: f64,
     pub nearest_psnr: f64,
     pub mean_color_psnr: f64,
-    /// None without the weights of LPIPS, and of pictures that are too small for it.
+    /// Absent without LPIPS weights, or for pictures that are too small.
     pub lpips: Option<f64>,
 }
 
 impl Choice {
-    /// Chooses `views` frames by farthest-point sampling of where they were taken, and of the others `targets`, evenly
-    /// spread, or all. Frames without a photo do not count.
-    ///
-    /// # Errors
-    /// Where the cameras cannot be read or there are too few photos.
+    /// Chooses `views` frames by farthest-point sampling of positions, and all other frames or
+    /// `targets` evenly spread ones. Skips frames without a photo.
     pub fn new(folder: &Path, views: usize, targets: Option<usize>) -> Result<Self> {
         Self::of(read_poses(folder)?, folder, views, targets)
     }
 
-    /// As [`Choice::new`], of frames that are known; `folder` is for messages.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] where there are too few photos.
+    /// Chooses from known frames, as [`Choice::new`]; `folder` is for messages.
     pub fn of(poses: Poses, folder: &Path, views: usize, targets: Option<usize>) -> Result<Self> {
         let found: Vec<usize> = (0..poses.frames.len()).filter(|i| poses.frames[*i].photo.is_some()).collect();
         if found.len() <= views {
@@ -95,10 +87,7 @@ impl Choice {
         Ok(Self { inputs: chosen.into_iter().map(|i| found[i]).collect(), targets, poses })
     }
 
-    /// These frames of a scene; its name is for messages.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] where one is not there or has no photo.
+    /// Selects given frames; the scene name is for messages.
     pub fn given(poses: Poses, scene: &str, inputs: Vec<usize>, targets: Vec<usize>) -> Result<Self> {
         let frame = |i: usize| poses.frames.get(i).and_then(|frame| frame.photo.as_ref());
         if let Some(i) = inputs.iter().chain(&targets).find(|i| frame(**i).is_none()) {
@@ -110,11 +99,8 @@ impl Choice {
         Ok(Self { poses, inputs, targets })
     }
 
-    /// Turns the cameras of all inputs but the first by an angle in degrees about any axes, and moves them by as many percent of the
-    /// unit, in any directions.
-    ///
-    /// # Errors
-    /// As [`Unit::of`].
+    /// Perturbs all inputs but the first: rotates by degrees, and moves by percent of the unit, in
+    /// pseudorandom directions.
     pub fn disturb(&mut self, degrees: f64, unit: Option<f64>) -> Result<()> {
         if degrees == 0.0 {
             return Ok(());
@@ -135,30 +121,25 @@ impl Choice {
         Ok(())
     }
 
-    /// The photos to reconstruct from.
     pub fn inputs(&self) -> Vec<PathBuf> {
         self.inputs.iter().filter_map(|i| self.poses.frames[*i].photo.clone()).collect()
     }
 
-    /// The frames to reconstruct from, then those to compare with.
+    /// Returns the inputs, then the targets.
     pub fn frames(&self) -> impl Iterator<Item = &Frame> {
         self.inputs.iter().chain(&self.targets).map(|i| &self.poses.frames[*i])
     }
 
-    /// The frames to reconstruct from.
     pub fn input_frames(&self) -> Vec<&Frame> {
         self.inputs.iter().map(|i| &self.poses.frames[*i]).collect()
     }
 
-    /// The frame of this name, chosen or not.
+    /// Finds a frame, chosen or not.
     pub fn frame(&self, name: &str) -> Option<&Frame> {
         self.poses.frames.iter().find(|frame| frame.name == name)
     }
 
-    /// A short text for frames, photos and points: another one where any of them is another.
-    ///
-    /// # Errors
-    /// Where a file is not there.
+    /// Hashes frames, photos and points.
     pub fn digest(&self) -> Result<String> {
         let mut parts = vec![self.inputs.len().to_string()];
         for frame in self.frames() {
@@ -169,30 +150,23 @@ impl Choice {
         Ok(digest(&parts))
     }
 
-    /// Notes of the reader of the cameras.
     pub fn notes(&self) -> &[String] {
         &self.poses.notes
     }
 
-    /// The file of the capture's cloud, where there is one.
     pub fn cloud(&self) -> Option<&Path> {
         self.poses.points.as_deref()
     }
 
-    /// The points of the capture's cloud in the world of the first input and in a unit, where there is a cloud.
-    ///
-    /// # Errors
-    /// Where it cannot be read.
+    /// Reads the point cloud into the first input's world and a unit.
     pub fn points(&self, unit: &Unit) -> Result<Option<PointCloud>> {
         let to_world = self.poses.frames[self.inputs[0]].camera.pose.inverse();
         let cloud = self.poses.points.as_ref().map(read_cloud).transpose()?;
         Ok(cloud.map(|cloud| placed(cloud, &to_world, unit.length)))
     }
 
-    /// Reads the photos. `unit` is the length in the cameras' unit that becomes 1, or else that of [`Unit::of`].
-    ///
-    /// # Errors
-    /// Where a photo or the point cloud cannot be read.
+    /// Reads the photos. `unit` is the length in the cameras' unit that becomes 1, by default
+    /// [`Unit::of`].
     pub fn load(&self, seeing: Seeing, unit: Option<f64>, stage: &Stage<'_>) -> Result<Capture> {
         let frames: Vec<&Frame> = self.frames().collect();
         let paths: Vec<PathBuf> = frames.iter().filter_map(|frame| frame.photo.clone()).collect();
@@ -222,42 +196,35 @@ impl Choice {
 }
 
 impl Capture {
-    /// Notes on the photos and the unit.
     pub fn notes(&self) -> impl Iterator<Item = String> {
         self.views.note.clone().into_iter().chain(self.unit.doubt())
     }
 
-    /// The pictures to reconstruct from.
     pub fn images(&self) -> Vec<Image> {
         self.views.images.clone()
     }
 
-    /// Their cameras.
     pub fn cameras(&self) -> Vec<Camera> {
         self.views.cameras.clone()
     }
 
-    /// The inputs as they are compared, and their cameras.
+    /// Returns training views at the compared size.
     pub fn learnt(&self) -> (Vec<Image>, Vec<Camera>) {
         self.inputs.iter().map(|input| (input.image.clone(), input.camera)).unzip()
     }
 
-    /// The input that was taken nearest to a photo.
+    /// Returns the input nearest to a photo.
     pub fn nearest(&self, view: &Posed) -> &Posed {
         let distance = |other: &&Posed| other.camera.pose.translation.distance(view.camera.pose.translation);
         let nearest = self.inputs.iter().min_by(|a, b| distance(a).total_cmp(&distance(b)));
         nearest.expect("a capture has an input")
     }
 
-    /// Compares what was drawn in each target's place, `[height][width][rgb]` in 0..1, with it.
+    /// Scores the predictions of the targets, `[height][width][rgb]` in 0..1.
     pub fn scores(&self, drawn: &[Vec<f32>]) -> Vec<Score> {
         self.targets.par_iter().zip(drawn).map(|(view, drawn)| self.score(view, drawn)).collect()
     }
 
-    /// Adds to scores how different what was drawn looks from each target, by LPIPS.
-    ///
-    /// # Errors
-    /// As [`Perceptual::distance`].
     pub fn look(&self, scores: &mut [Score], drawn: &[Vec<f32>], lpips: &mut Perceptual) -> Result<()> {
         for ((score, drawn), view) in scores.iter_mut().zip(drawn).zip(&self.targets) {
             let size = [view.image.width, view.image.height];
@@ -279,22 +246,18 @@ impl Capture {
     }
 }
 
-/// A picture in the size of another: photos of a capture may differ in shape.
+/// Resizes to another photo's size, which may differ.
 fn alike(image: &Image, to: &Image) -> Image {
     resize_lanczos(image, to.width, to.height).expect("neither is empty")
 }
 
-/// The scene that a renderer holds as a camera sees it, `[height][width][rgb]` in 0..1.
-///
-/// # Errors
-/// As [`Renderer::render_loaded`].
+/// Renders the loaded scene, `[height][width][rgb]` in 0..1.
 pub fn draw(renderer: &mut Renderer, camera: &Camera) -> Result<Vec<f32>> {
     let frame = renderer.render_loaded(&[*camera], &RenderRequest::default())?.remove(0);
     Ok(frame.rgb.unwrap_or_default().into_iter().map(|value| value.clamp(0.0, 1.0)).collect())
 }
 
 impl Score {
-    /// The mean of each number.
     pub fn mean(scores: &[Self]) -> Self {
         let mean = |value: fn(&Self) -> f64| scores.iter().map(value).sum::<f64>() / scores.len() as f64;
         Self {
@@ -308,12 +271,12 @@ impl Score {
     }
 }
 
-/// The first point, then always the one that is farthest from all before; in ascending order.
+/// Selects the first point, then always the farthest from all selected ones; in ascending order.
 pub fn farthest_points(points: &[DVec3], count: usize) -> Vec<usize> {
     let mut chosen = vec![0];
     let mut distances: Vec<f64> = points.iter().map(|point| point.distance(points[0])).collect();
     while chosen.len() < count {
-        // Of equal ones the first that is left.
+        // Ties go to the first free point.
         let free = (0..points.len()).filter(|i| !chosen.contains(i));
         let next = free.reduce(|best, i| if distances[i] > distances[best] { i } else { best });
         let Some(next) = next else { break };
@@ -326,16 +289,16 @@ pub fn farthest_points(points: &[DVec3], count: usize) -> Vec<usize> {
     chosen
 }
 
-/// The direction of a number; those of many are spread evenly.
+/// Returns a direction by index; consecutive ones spread evenly.
 pub fn spread(k: usize) -> DVec3 {
-    // The R2 sequence (Roberts 2018).
+    // R2 sequence (Roberts 2018).
     let [u, v] = [0.754_877_666_246_693, 0.569_840_290_998_053].map(|step| (0.5 + step * k as f64).fract());
     let z: f64 = 2.0 * u - 1.0;
     let (sin, cos) = (TAU * v).sin_cos();
     DVec3::new((1.0 - z * z).sqrt() * cos, (1.0 - z * z).sqrt() * sin, z)
 }
 
-/// A frame's photo as it is compared, in the world of a camera that stands at `world`.
+/// Reads a photo at the compared size, relative to the camera `world`.
 fn posed(frame: &Frame, photo: &Image, seeing: Seeing, world: &Pose, label: &str) -> Result<Posed> {
     let view = seeing.compare(photo)?;
     let camera = seen_through(&frame.camera, &view.map, label)?;

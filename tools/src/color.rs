@@ -1,6 +1,6 @@
 //! Command-line colors.
 
-/// Basic CSS colors (Color Module Level 4) and the second spelling of gray.
+/// Basic CSS colors (Color Module Level 4), and `grey`.
 const NAMED: [(&str, u32); 17] = [
     ("black", 0x000000),
     ("silver", 0xc0c0c0),
@@ -21,7 +21,7 @@ const NAMED: [(&str, u32); 17] = [
     ("aqua", 0x00ffff),
 ];
 
-/// Red, green and blue in 0..1 of `R,G,B`, `#rrggbb`, `#rgb` or a name.
+/// Parses `R,G,B`, `#rrggbb`, `#rgb` or a name to 0..1.
 pub fn parse(text: &str) -> Result<[f32; 3], String> {
     let text = text.trim();
     let color = match text.strip_prefix('#') {
@@ -45,7 +45,7 @@ fn hexadecimal(digits: &str) -> Option<u32> {
         u32::from_str_radix(digits, 16).ok().filter(|_| digits.bytes().all(|digit| digit.is_ascii_hexdigit()))?;
     match digits.len() {
         6 => Some(value),
-        // Each digit twice.
+        // Doubles each digit.
         3 => Some(0x11 * ((value & 0xf00) << 8 | (value & 0xf0) << 4 | value & 0xf)),
         _ => None,
     }

@@ -1,4 +1,4 @@
-//! Pictures out of files that an installed ffmpeg reads.
+//! Decoding by an installed ffmpeg.
 
 use crate::{
     process::{POLL, Running, failure, listen},
@@ -16,21 +16,20 @@ use zipsplat::{
     types::{Image, write_atomic},
 };
 
-/// Options for pictures that [`read_ppm`] reads.
+/// Output options for [`read_ppm`].
 pub const AS_PPM: [&str; 6] = ["-f", "image2pipe", "-c:v", "ppm", "-pix_fmt", "rgb24"];
-/// Containers of videos and of HEIC. Playlists, such as ffconcat, name other files and addresses.
+/// Containers of videos and HEIC; excludes playlists, which name other files and addresses.
 const CONTAINERS: &str = "mov,matroska,avi,mpegts";
-/// Quality of the photos, of 100.
 const QUALITY: u8 = 95;
-/// Lines of ffmpeg's that a message has room for.
+/// Limit of ffmpeg lines in a message.
 const MOST_LINES: usize = 3;
 
-/// Runs ffmpeg on a file with these options for what it makes of it, and gives what `read` reads of that, on a thread of
-/// its own, to `take`. Returns ffmpeg's complaints, where it went on all the same.
+/// Runs ffmpeg on a file. A thread decodes its output with `read`; `take` gets the results. Returns
+/// ffmpeg's warnings.
 ///
 /// # Errors
-/// [`Error::Format`] in ffmpeg's words where the file cannot be read, [`Error::Io`] where ffmpeg fails without any, those of `take`,
-/// and [`Error::Cancelled`].
+/// [`Error::Format`] with ffmpeg's message for an unreadable file, [`Error::Io`] without a message,
+/// those of `take`, and [`Error::Cancelled`].
 pub fn decode<T: Send + 'static>(
     (ffmpeg, file): (&Path, &Path),
     options: &[&str],
@@ -69,14 +68,14 @@ pub fn decode<T: Send + 'static>(
     let said = words(&said.and_then(|said| said.join().ok()).unwrap_or_default(), file);
     match broken {
         None if status.success() => Ok(said),
-        // Who is killed says nothing.
+        // A killed process has no message.
         _ if said.is_empty() => Err(failure(ffmpeg, "", broken.map_or(status.to_string(), |e| e.to_string()))),
         _ if said.contains("matches no streams") => Err(Error::format(file, None, "ffmpeg finds no pictures in it")),
         _ => Err(Error::format(file, None, format!("ffmpeg cannot read it: {said}"))),
     }
 }
 
-/// Options of ffmpeg that read this file and nothing that it names.
+/// Returns options to read this file only, without references.
 pub fn input(file: &Path) -> impl Iterator<Item = OsString> {
     // A path may look like an option or a protocol.
     let mut name = OsString::from("file:");
@@ -85,7 +84,7 @@ pub fn input(file: &Path) -> impl Iterator<Item = OsString> {
     limits.map(OsString::from).into_iter().chain([name])
 }
 
-/// The first of ffmpeg's words about a file, each once, without where in its memory who says so.
+/// Returns the first distinct messages about a file, without ffmpeg's memory addresses.
 fn words(said: &str, file: &Path) -> String {
     let name = format!("file:{}: ", file.display());
     let mut lines: Vec<&str> = Vec::new();
@@ -103,10 +102,7 @@ fn words(said: &str, file: &Path) -> String {
     lines.join("; ")
 }
 
-/// Fills a buffer; false where nothing is left.
-///
-/// # Errors
-/// Those of reading, and where it is filled in part.
+/// Fills a buffer; false at the end of the stream.
 pub fn read_whole(from: &mut impl BufRead, to: &mut [u8]) -> io::Result<bool> {
     if from.fill_buf()?.is_empty() {
         return Ok(false);
@@ -114,17 +110,14 @@ pub fn read_whole(from: &mut impl BufRead, to: &mut [u8]) -> io::Result<bool> {
     from.read_exact(to).map(|()| true)
 }
 
-/// A picture as `P6`, its width, height and 255, and its bytes; none where nothing is left.
-///
-/// # Errors
-/// Those of reading, and where it begins otherwise.
+/// Reads a `P6` picture of maximum 255; `None` at the end of the stream.
 pub fn read_ppm(from: &mut BufReader<ChildStdout>) -> io::Result<Option<Image>> {
     if from.fill_buf()?.is_empty() {
         return Ok(None);
     }
     let mut words = [const { String::new() }; 4];
     for word in &mut words {
-        // One white byte ends each.
+        // One whitespace byte ends each field.
         let mut byte = [0];
         loop {
             from.read_exact(&mut byte)?;
@@ -146,10 +139,6 @@ pub fn read_ppm(from: &mut BufReader<ChildStdout>) -> io::Result<Option<Image>> 
     Ok(Some(Image { width, height, rgb }))
 }
 
-/// Writes a photo.
-///
-/// # Errors
-/// Those of [`Image::jpeg`], [`Error::Io`].
 pub fn save_jpeg(image: &Image, path: &Path) -> Result<()> {
     let bytes = image.jpeg(QUALITY)?;
     write_atomic(path, |out| out.write_all(&bytes))

@@ -1,4 +1,4 @@
-//! `--explain`: passes that ran, and those left out.
+//! `--explain`: executed and skipped passes.
 
 use crate::table::{Table, bytes};
 use serde::Serialize;
@@ -8,25 +8,24 @@ use zipsplat::{
     types::LeftOut,
 };
 
-/// Passes that ran or were left out.
+/// Executed and skipped passes.
 #[derive(Serialize)]
 pub struct Explanation {
     passes: Vec<Pass>,
     left_out: Vec<LeftOut>,
 }
 
-/// A group of commands.
 #[derive(Serialize)]
 struct Pass {
     pass: String,
     commands: u32,
     seconds: f64,
-    /// Bytes of tensors read and written, each counted once per command.
+    /// Tensor bytes read and written, each once per command.
     bytes: u64,
 }
 
 impl Explanation {
-    /// One pass per kernel and scope.
+    /// Returns one pass per kernel and scope.
     pub fn of_kernels(profile: &Profile, left_out: Vec<LeftOut>) -> Self {
         let pass = |row: &ProfileRow| {
             let pass = if row.kernel.starts_with(&row.scope) {
@@ -39,7 +38,7 @@ impl Explanation {
         Self { passes: profile.rows.iter().map(pass).collect(), left_out }
     }
 
-    /// One pass per timed stage.
+    /// Returns one pass per timed stage.
     pub fn of_stages(times: &StageTimes, outline: &Profile, left_out: Vec<LeftOut>) -> Self {
         let pass = |(stage, time): &(String, Duration)| {
             let inside = |row: &&ProfileRow| row.scope.split('/').next() == Some(stage);

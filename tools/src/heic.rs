@@ -1,4 +1,4 @@
-//! Photos as phones keep them, HEIC, by an installed ffmpeg that reads them.
+//! HEIC photos by an installed ffmpeg.
 
 use crate::{
     decode::{AS_PPM, decode, input, read_ppm, save_jpeg},
@@ -15,17 +15,18 @@ use zipsplat::{
     types::{Image, is_heic_start, open_file},
 };
 
-/// True where a file is a HEIC picture, by its first bytes; others, and those that cannot be read, are none.
+/// Detects HEIC by the first bytes; false for unreadable files.
 pub fn is_heic(path: &Path) -> bool {
     let mut start = [0; 12];
     open_file(path).is_ok_and(|mut file| file.read_exact(&mut start).is_ok()) && is_heic_start(&start)
 }
 
-/// Writes HEIC pictures, turned as they say, as JPEG to a folder: `IMG_1.jpg` for `IMG_1.HEIC`, of more that share the name `IMG_1-1.jpg`
-/// and so on. Returns them in order.
+/// Converts HEIC pictures to upright JPEGs in order: `IMG_1.HEIC` to `IMG_1.jpg`, duplicates to
+/// `IMG_1-1.jpg`.
 ///
 /// # Errors
-/// [`Error::Format`] with the command that converts a picture where no ffmpeg reads it; [`Error::Io`]; [`Error::Cancelled`].
+/// [`Error::Format`] with the conversion command if ffmpeg cannot read a picture; [`Error::Io`];
+/// [`Error::Cancelled`].
 pub fn to_jpeg(session: &Session<'_>, ffmpeg: &Path, pictures: &[&PathBuf], folder: &Path) -> Result<Vec<PathBuf>> {
     let numbered: Vec<(usize, &&PathBuf)> = pictures.iter().enumerate().collect();
     let (photos, _) = session.stage("read HEIC", |stage| {
@@ -43,13 +44,13 @@ pub fn to_jpeg(session: &Session<'_>, ffmpeg: &Path, pictures: &[&PathBuf], fold
 
 fn read(ffmpeg: &Path, picture: &Path, stage: &Stage<'_>) -> Result<Image> {
     let (mut pictures, mut joined) = (0, false);
-    // Without an output it says what it finds, and ends with an error.
+    // Without an output ffmpeg prints the streams and fails.
     process::run(Command::new(ffmpeg).args(["-nostdin", "-hide_banner"]).args(input(picture)), stage, |line| {
         pictures += usize::from(line.contains("Stream #") && line.contains("Video:"));
         joined |= line.contains("Tile Grid");
         Ok(())
     })?;
-    // Phones cut a picture into tiles, of which older versions give the first.
+    // Phones split pictures into tiles; older ffmpeg versions return only the first.
     if pictures > 1 && !joined {
         return Err(Error::format(picture, None, "ffmpeg finds tiles and cannot join them: 7.1 and later can"));
     }
@@ -62,7 +63,7 @@ fn read(ffmpeg: &Path, picture: &Path, stage: &Stage<'_>) -> Result<Image> {
     image.ok_or_else(|| Error::format(picture, None, format!("ffmpeg gives no picture: {said}")))
 }
 
-/// The error with the command that converts a picture without ffmpeg.
+/// Adds the conversion command.
 fn advised(picture: &Path, error: Error) -> Error {
     let why = match error {
         Error::Cancelled => return error,

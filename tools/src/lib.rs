@@ -1,6 +1,6 @@
-//! The `zipsplat` command as a library: [`run`] turns arguments into an exit code.
+//! The `zipsplat` command as a library: [`run`] maps arguments to an exit code.
 //!
-//! Each command is one file of `commands`; it says what to do with the engine and how to show the result, no more.
+//! `commands` has one file per command.
 
 pub mod align;
 mod animation;
@@ -71,9 +71,9 @@ struct Cli {
     command: Command,
 }
 
-/// Bytes of an option's help that its first clause has at least.
+/// Minimum bytes of short help.
 const SHORTEST_CLAUSE: usize = 30;
-/// Options that `-h` shows of commands with many; `--help` shows all.
+/// Options in `-h` of large commands; `--help` shows all.
 const SHORT_HELP: [(&str, &[&str]); 2] = [
     (
         "reconstruct",
@@ -82,7 +82,7 @@ const SHORT_HELP: [(&str, &[&str]); 2] = [
     ("eval", &["folders", "output", "weights", "poses", "views", "targets", "pose_free", "refine", "csv"]),
 ];
 
-/// Hides all other options of these commands from `-h`, which has a line or two for each.
+/// Hides the other options from `-h`, and shortens all help.
 fn short_help(command: clap::Command) -> clap::Command {
     let command = command.mut_args(shortened);
     SHORT_HELP.into_iter().fold(command, |command, (name, shown)| {
@@ -97,7 +97,7 @@ fn short_help(command: clap::Command) -> clap::Command {
     })
 }
 
-/// Cuts an option's help on `-h` to its first clause.
+/// Cuts help on `-h` to its first clause.
 fn shortened(arg: clap::Arg) -> clap::Arg {
     let Some(long) = arg.get_long_help().or(arg.get_help()).map(ToString::to_string) else { return arg };
     let ends = [". ", "; ", ": ", " ["].into_iter().flat_map(|end| long.match_indices(end)).map(|(at, _)| at);
@@ -105,9 +105,9 @@ fn shortened(arg: clap::Arg) -> clap::Arg {
     arg.help(long[..end].to_owned()).long_help(long)
 }
 
-/// Runs a command line, program name first, and returns its exit code: 0 done, 1 failed, 2 wrong usage, 3 a file or
-/// argument that cannot be used, 4 no device, a lost one or too little memory, 5 a device that computes wrongly, 130
-/// cancelled.
+/// Runs a command line, program name first, and returns its exit code: 0 success, 1 failure, 2
+/// wrong usage, 3 unusable file or argument, 4 no device, device loss or out of memory, 5 wrong
+/// results of a device, 130 cancelled.
 pub fn run(args: impl IntoIterator<Item = OsString>, terminal: Terminal<'_>) -> u8 {
     let args = refinement::join_steps(args);
     let parsed = short_help(Cli::command()).try_get_matches_from(&args).and_then(|found| Cli::from_arg_matches(&found));
@@ -120,7 +120,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>, terminal: Terminal<'_>) -> 
             if code != 0 && args.iter().take_while(|arg| *arg != "--").any(|arg| arg == "--json") {
                 text = session::error_as_json(text.trim_start_matches("error: ").trim_end(), "usage", code) + "\n";
             }
-            // Nobody is left to tell where the stream is closed.
+            // The stream may be closed.
             let _ = stream.write_all(text.as_bytes());
             return code;
         }
@@ -138,14 +138,14 @@ pub fn run(args: impl IntoIterator<Item = OsString>, terminal: Terminal<'_>) -> 
     }
 }
 
-/// Exit code of a command that was stopped from outside: 128 and the number of SIGINT, as shells have it.
+/// 128 plus SIGINT.
 const CANCELLED: u8 = 130;
 
 fn exit_code(error: &Error) -> u8 {
     match error {
         Error::Argument { .. } | Error::Format { .. } | Error::Weights { .. } => 3,
         Error::Io { source, .. } => match source.kind() {
-            // Whoever read our output has seen enough.
+            // The reader of our output is done.
             ErrorKind::BrokenPipe => 0,
             ErrorKind::NotFound
             | ErrorKind::PermissionDenied

@@ -2,19 +2,17 @@
 
 use zipsplat::types::Image;
 
-/// Standard deviation of SSIM's windows, in pixels.
+/// Standard deviation of SSIM windows in pixels.
 const SIGMA: f64 = 1.5;
-/// Radius of a window in pixels.
 const RADIUS: usize = 5;
-/// Pixels of a window.
 const PIXELS: f64 = ((2 * RADIUS + 1) * (2 * RADIUS + 1)) as f64;
 
-/// A picture's values in 0..1.
+/// Returns a picture's values in 0..1.
 pub fn values(image: &Image) -> Vec<f32> {
     image.rgb.iter().map(|value| f32::from(*value) / 255.0).collect()
 }
 
-/// Peak signal-to-noise ratio in dB of values in 0..1; infinite for equal pictures.
+/// Returns the peak signal-to-noise ratio in dB of values in 0..1; infinite for equal pictures.
 pub fn psnr(a: &[f32], b: &[f32]) -> f64 {
     assert_eq!(a.len(), b.len());
     let squares: f64 = a.iter().zip(b).map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2)).sum();
@@ -28,12 +26,11 @@ pub fn mean_color(picture: &[f32]) -> Vec<f32> {
     (0..picture.len()).map(|i| (sums[i % 3] * 3.0 / picture.len() as f64) as f32).collect()
 }
 
-/// Structural similarity of two `[height][width][rgb]` pictures in 0..1 (Wang et al. 2004): the
-/// mean over channels and complete windows, with K1 = 0.01, K2 = 0.03.
+/// Returns the structural similarity of two `[height][width][rgb]` pictures in 0..1 (Wang et al.
+/// 2004): the mean over channels and complete windows, with K1 = 0.01, K2 = 0.03.
 ///
-/// Matches the reference's evaluation by scikit-image: `structural_similarity(a, b, win_size=11,
-/// data_range=1, channel_axis=-1, gaussian_weights=True)`. Variances are sample variances, n / (n -
-/// 1) times the plain ones.
+/// Matches scikit-image's `structural_similarity(a, b, win_size=11, data_range=1, channel_axis=-1,
+/// gaussian_weights=True)`, with sample variances.
 pub fn ssim(a: &[f32], b: &[f32], width: usize, height: usize) -> f64 {
     assert!(a.len() == 3 * width * height && b.len() == a.len() && width.min(height) > 2 * RADIUS);
     let mean = |value: &dyn Fn(f64, f64) -> f64, channel: usize| {
@@ -57,7 +54,7 @@ pub fn ssim(a: &[f32], b: &[f32], width: usize, height: usize) -> f64 {
     sum / count as f64
 }
 
-/// Gaussian-weighted means of all complete windows.
+/// Returns Gaussian-weighted means of complete windows.
 fn filter(values: &[f64], width: usize) -> Vec<f64> {
     let taps: [f64; 2 * RADIUS + 1] =
         std::array::from_fn(|i| (-0.5 * ((i as f64 - RADIUS as f64) / SIGMA).powi(2)).exp());

@@ -13,23 +13,21 @@ impl Noise {
         z ^ (z >> 31)
     }
 
-    /// Uniform in `low..high`.
     pub fn uniform(&mut self, low: f32, high: f32) -> f32 {
         low + (high - low) * ((self.bits() >> 40) as f32 / (1 << 24) as f32)
     }
 
-    /// `len` values, uniform in -1..1.
+    /// Returns uniform values in -1..1.
     pub fn values(&mut self, len: usize) -> Vec<f32> {
         (0..len).map(|_| self.uniform(-1.0, 1.0)).collect()
     }
 
-    /// A picture of random bytes.
     pub fn image(&mut self, width: u32, height: u32) -> Image {
         let rgb = (0..3 * width as usize * height as usize).map(|_| (self.bits() >> 56) as u8).collect();
         Image { width, height, rgb }
     }
 
-    /// `count` Gaussians in view of [`camera`], with coverage roughly independent of `count`.
+    /// Returns Gaussians in view of [`camera`], with coverage roughly independent of `count`.
     pub fn scene(&mut self, count: usize, sh_degree: u32) -> Scene {
         let size = 2.0 / (count.max(1) as f32).sqrt();
         let mut scene = Scene { sh_degree, ..Scene::default() };
@@ -48,7 +46,7 @@ impl Noise {
     }
 }
 
-/// At the world's origin along z; the longer side is as wide as the distance.
+/// Returns a camera at the origin along z; the longer side is as wide as the distance.
 pub fn camera(width: u32, height: u32) -> Camera {
     let focal = f64::from(width.max(height));
     let (cx, cy) = (f64::from(width) / 2.0, f64::from(height) / 2.0);

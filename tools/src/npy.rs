@@ -4,10 +4,9 @@ use std::path::Path;
 use zipsplat::{Error, Result};
 
 const MAGIC: &[u8] = b"\x93NUMPY";
-/// Start of the header.
 const START: &str = "{'descr': '<f4', 'fortran_order': False, 'shape': (";
 
-/// A file of NumPy's format 1.0: a header padded to 128 bytes, then the values.
+/// Encodes format 1.0: a header padded to 128 bytes, then the values.
 pub fn encode([height, width]: [u32; 2], values: &[f32]) -> Vec<u8> {
     let header = format!("{START}{height}, {width}), }}");
     let mut bytes = [MAGIC, b"\x01\x00\x76\x00"].concat();
@@ -16,11 +15,7 @@ pub fn encode([height, width]: [u32; 2], values: &[f32]) -> Vec<u8> {
     bytes
 }
 
-/// Reads the size and values of an array in NumPy's formats 1.0 to 3.0.
-///
-/// # Errors
-/// [`Error::Io`] for a read failure; [`Error::Format`] for another type, order or number of axes,
-/// or missing values.
+/// Reads size and values in formats 1.0 to 3.0.
 pub fn read(path: &Path) -> Result<([u32; 2], Vec<f32>)> {
     let bytes = std::fs::read(path).map_err(|error| Error::io(path, error))?;
     let malformed = |found: &str| {

@@ -1,4 +1,4 @@
-//! Where results go: checked before any work, written whole or not at all.
+//! Output files: checked before any work, written atomically.
 
 use clap::Args;
 use png::{BitDepth, ColorType, Compression};
@@ -13,16 +13,15 @@ use zipsplat::{
     types::{Image, Origin, Scene, SceneFormat, Unfinished, World, WriteOptions, write_atomic, write_scene_in},
 };
 
-/// Levels of a depth picture for one world unit.
+/// Levels of a depth picture per world unit.
 pub const DEPTH_LEVELS: f32 = 1000.0;
-/// The name of this program in files that it writes.
+/// Author mark in written files.
 pub const MADE_BY: &str = "zipsplat";
-/// The first line of logs of other programs.
+/// First line of logs of other programs.
 pub const LOG_START: &str = "zipsplat: what COLMAP said";
-/// Bytes at a file's start and end that are searched for it.
+/// Bytes searched for a mark at each end of a file.
 const SEARCHED: u64 = 1 << 16;
-/// How files begin, and what stands in those that this program has written. A `.splat` has room for nothing and is not among
-/// them.
+/// File signatures with their author marks. `.splat` has none.
 const MARKS: [(&[u8], &[u8]); 21] = [
     (b"\x89PNG", b"tEXtSoftware\0zipsplat"),
     (b"ply\n", b"\ncomment zipsplat"),
@@ -47,30 +46,25 @@ const MARKS: [(&[u8], &[u8]); 21] = [
     (b"Method,P,K", b"Method,P,K"),
 ];
 
-/// Whether to replace files of others.
 #[derive(Args, Clone, Copy)]
 pub struct Overwrite {
-    /// Replace files that this program has not written; its own are replaced anyway
+    /// Replace files of other programs; own files are always replaced
     #[arg(long)]
     overwrite: bool,
 }
 
 impl Overwrite {
-    /// Whether files of others are replaced.
     pub fn is_given(self) -> bool {
         self.overwrite
     }
 
-    /// Checks that a file can be written at `path`, before anything is computed for it, and that it replaces none of others.
+    /// Checks that a file is writable and replaces no other program's.
     pub fn check_file(self, path: &Path) -> Result<()> {
         check_file(path)?;
         self.check_replaced([path])
     }
 
-    /// Checks that files replace none but those that this program has written.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] naming the first that does.
+    /// Checks that files replace only own ones.
     pub fn check_replaced<P: AsRef<Path>>(self, files: impl IntoIterator<Item = P>) -> Result<()> {
         let mut files = files.into_iter();
         match files.find(|file| !self.overwrite && is_file(file.as_ref()) && !is_own(file.as_ref())) {
@@ -85,12 +79,11 @@ impl Overwrite {
     }
 }
 
-/// Whether there is a regular file with something in it: an empty one is no loss, a pipe or a device is not replaced.
+/// Returns true for a nonempty regular file; pipes and devices are not replaced.
 fn is_file(path: &Path) -> bool {
     path.metadata().is_ok_and(|found| found.is_file() && found.len() > 0)
 }
 
-/// Whether this program wrote a file, so that nobody misses it where it is replaced.
 pub fn is_own(path: &Path) -> bool {
     let read = || {
         let (mut file, mut bytes) = (File::open(path)?, Vec::new());
@@ -104,8 +97,8 @@ pub fn is_own(path: &Path) -> bool {
     read().is_ok_and(|bytes| MARKS.iter().any(|(start, mark)| bytes.starts_with(start) && holds(&bytes, mark)))
 }
 
-/// Removes of the files of a folder whose names begin with a number of three digits and more those from `count` on that are
-/// `own`: an earlier run wrote more of them.
+/// Removes `own` files of a longer earlier run: names that begin with at least three digits, from
+/// `count` on.
 pub fn remove_stale(folder: &Path, count: usize, own: impl Fn(&Path) -> bool) -> Result<()> {
     let failed = |error| Error::io(folder, error);
     for entry in folder.read_dir().map_err(failed)? {
@@ -121,7 +114,7 @@ pub fn remove_stale(folder: &Path, count: usize, own: impl Fn(&Path) -> bool) ->
     Ok(())
 }
 
-/// Checks that a file can be written at `path`: one is made beside it, and removed.
+/// Creates and removes a temporary file beside `path`.
 fn check_file(path: &Path) -> Result<()> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     if path.is_dir() || path.file_name().is_none() {
@@ -129,13 +122,13 @@ fn check_file(path: &Path) -> Result<()> {
     }
     match folder {
         Some(folder) if !folder.is_dir() => Err(Error::argument("output folder", folder.display(), "one that exists")),
-        // A pipe or a device is written straight.
+        // Pipes and devices are written directly.
         _ if path.exists() && !path.is_file() => Ok(()),
         _ => Unfinished::begin(path).map(drop),
     }
 }
 
-/// Checks that files can be written to a folder at `path`, made where it is missing, before anything is computed for it.
+/// Checks that a folder is writable, creating it if missing.
 pub fn check_folder(path: &Path) -> Result<()> {
     if path.exists() && !path.is_dir() {
         return Err(Error::argument("output", format!("the file {}", path.display()), "a folder"));
@@ -147,8 +140,8 @@ pub fn check_folder(path: &Path) -> Result<()> {
     }
 }
 
-/// Writes a scene and the world that it is in, where that is known: `render` then reads the file of its cameras as the scene
-/// means them. Returns what there is to say where the format has no room for the world.
+/// Writes a scene with its world, so that `render` interprets cameras in it. Returns a note if the
+/// format cannot store it.
 pub fn save_scene(path: &Path, scene: &Scene, options: &WriteOptions, world: Option<&World>) -> Result<Option<String>> {
     write_scene_in(path, scene, options, world)?;
     let keeps = SceneFormat::of_extension(path).is_none_or(|format| format.keeps_world(options));
@@ -163,13 +156,13 @@ pub fn save_scene(path: &Path, scene: &Scene, options: &WriteOptions, world: Opt
     })
 }
 
-/// Writes rows as CSV (RFC 4180) under the names of their fields.
+/// Writes CSV (RFC 4180) with field names.
 pub fn save_csv(path: &Path, rows: &[impl Serialize]) -> Result<()> {
     let table = csv(rows);
     write_atomic(path, |out| out.write_all(table.as_bytes()))
 }
 
-/// Rows as CSV under the names of their fields, which are numbers, text or absent.
+/// Formats fields that are numbers, text or absent.
 pub fn csv(rows: &[impl Serialize]) -> String {
     let mut table = csv::Writer::from_writer(Vec::new());
     rows.iter().for_each(|row| table.serialize(row).expect("flat rows of one type, written to memory"));
@@ -177,35 +170,32 @@ pub fn csv(rows: &[impl Serialize]) -> String {
     String::from_utf8(bytes).expect("fields are text")
 }
 
-/// Makes a folder for files, where there is none.
 pub fn make_folder(path: &Path) -> Result<()> {
     std::fs::create_dir_all(path).map_err(|error| Error::io(path, error))
 }
 
-/// Writes a picture.
 pub fn save_picture(path: &Path, image: &Image) -> Result<()> {
     save_png(path, [image.width, image.height], (ColorType::Rgb, BitDepth::Eight), &image.rgb)
 }
 
-/// Writes alpha in 0..1 as 8-bit grey.
+/// Writes alpha in 0..1 as 8-bit gray.
 pub fn save_alpha(path: &Path, width: u32, height: u32, alpha: &[f32]) -> Result<()> {
     let levels: Vec<u8> = alpha.iter().map(|a| (a.clamp(0.0, 1.0) * 255.0).round() as u8).collect();
     save_png(path, [width, height], (ColorType::Grayscale, BitDepth::Eight), &levels)
 }
 
-/// Writes depth in world units as 16-bit grey, [`DEPTH_LEVELS`] a unit; what is farther than that holds is the brightest.
+/// Writes depth as 16-bit gray, [`DEPTH_LEVELS`] per world unit, saturated.
 pub fn save_depth(path: &Path, width: u32, height: u32, depth: &[f32]) -> Result<()> {
     save_depth_levels(path, [width, height], depth, DEPTH_LEVELS)
 }
 
-/// As [`save_depth`], with other levels a unit.
 pub fn save_depth_levels(path: &Path, size: [u32; 2], depth: &[f32], levels: f32) -> Result<()> {
-    // Casting saturates; PNG is big endian.
+    // Casting saturates; PNG is big-endian.
     let levels: Vec<u8> = depth.iter().flat_map(|d| ((d * levels).round() as u16).to_be_bytes()).collect();
     save_png(path, size, (ColorType::Grayscale, BitDepth::Sixteen), &levels)
 }
 
-/// Writes a PNG that says what made it, for [`is_own`].
+/// Writes the author mark for [`is_own`].
 fn save_png(path: &Path, [width, height]: [u32; 2], (color, depth): (ColorType, BitDepth), bytes: &[u8]) -> Result<()> {
     write_atomic(path, |out| {
         let mut encoder = png::Encoder::new(out, width, height);

@@ -1,4 +1,4 @@
-//! Photos from files and folders to views of the network's size.
+//! Photos from files and folders to network input.
 
 use crate::{
     heic::{is_heic, to_jpeg},
@@ -26,28 +26,26 @@ use zipsplat::{
     },
 };
 
-/// Extensions of the files of a folder that are taken for photos.
 const EXTENSIONS: [&str; 4] = ["png", "jpg", "jpeg", "webp"];
-/// Files or folders that a message names.
+/// Limit of names in a message.
 const NAMED: usize = 5;
-/// Share of the photos' area that may be cropped away without a word.
+/// Cropped share of the area that needs a warning.
 const CROPPED: f64 = 0.1;
 
-/// The photos of a command.
 #[derive(Args)]
 pub struct PhotoArgs {
-    /// Photos (PNG, JPEG, WebP; HEIC where ffmpeg reads it), folders of them, taken in natural order of their names, or videos, of
-    /// which the sharpest frames are taken
+    /// Photos (PNG, JPEG, WebP; HEIC with ffmpeg), folders of them in natural order, or videos, by
+    /// their sharpest frames
     #[arg(required = true)]
     photos: Vec<PathBuf>,
     #[command(flatten)]
     reading: Reading,
 }
 
-/// How folders and videos are read.
+/// Reading of folders and videos.
 #[derive(Args)]
 pub struct Reading {
-    /// Also take the photos of folders in folders
+    /// Include photos of nested folders
     #[arg(long)]
     recursive: bool,
     /// Program that reads videos and HEIC
@@ -56,10 +54,6 @@ pub struct Reading {
 }
 
 impl PhotoArgs {
-    /// As [`Reading::list`].
-    ///
-    /// # Errors
-    /// As [`Reading::list`].
     pub fn list(
         &self,
         session: &mut Session<'_>,
@@ -71,11 +65,8 @@ impl PhotoArgs {
 }
 
 impl Reading {
-    /// The photos as [`list`] has them, and the folder of those that ffmpeg makes: of each video `frames`, or a usual number, and of
-    /// HEIC pictures JPEG. The folder lies beside the file that will name them, where there is one, and may exist where that says so.
-    ///
-    /// # Errors
-    /// As [`list`], [`FrameFolder`], [`sharpest_frames`] and [`to_jpeg`].
+    /// Lists the photos as [`list`], and converts videos and HEIC: `frames` per video, or a
+    /// default. The folder of converted photos lies beside their camera file, if any.
     pub fn list(
         &self,
         session: &mut Session<'_>,
@@ -115,11 +106,8 @@ impl Reading {
     }
 }
 
-/// The photos that `paths` stand for: files as they are, of folders the photos inside by natural order. Other files of a
-/// folder are left out, which is noted, but for hidden ones.
-///
-/// # Errors
-/// Where a path does not exist or a folder has no photo.
+/// Lists files as given, and photos of folders in natural order. Notes skipped files, except hidden
+/// ones.
 pub fn list(session: &mut Session<'_>, paths: &[PathBuf]) -> Result<Vec<PathBuf>> {
     let mut photos = Vec::new();
     for path in paths {
@@ -144,7 +132,7 @@ fn list_path(session: &mut Session<'_>, path: &Path, recursive: bool) -> Result<
     }
 }
 
-/// The photos of a folder, then those of each folder in it; links to folders are not followed, which may lead round.
+/// Skips links to folders against cycles.
 fn list_below(folder: &Path, photos: &mut Vec<PathBuf>) -> Result<()> {
     let mut entries = visible(folder)?;
     entries.sort_by(by_name);
@@ -153,7 +141,6 @@ fn list_below(folder: &Path, photos: &mut Vec<PathBuf>) -> Result<()> {
     entries.iter().filter(|path| path.is_dir() && !path.is_symlink()).try_for_each(|path| list_below(path, photos))
 }
 
-/// The natural order of paths.
 fn by_name(a: &PathBuf, b: &PathBuf) -> Ordering {
     natural(&a.to_string_lossy(), &b.to_string_lossy()).then_with(|| a.cmp(b))
 }
@@ -170,7 +157,7 @@ fn list_folder(session: &mut Session<'_>, folder: &Path) -> Result<Vec<PathBuf>>
         if !below.is_empty() {
             return Err(Error::argument(what, "none", format!("files there, or the folder that has them: {below}")));
         }
-        // What it is, and how it is converted, says more than that it is not what was looked for.
+        // The first file's format may explain the missing photos.
         others.first().map_or(Ok((0, 0)), Image::size)?;
         let expected = format!("files that end in {}", EXTENSIONS.join(", "));
         return Err(Error::argument(what, "none", expected));
@@ -191,10 +178,7 @@ fn list_folder(session: &mut Session<'_>, folder: &Path) -> Result<Vec<PathBuf>>
     Ok(photos)
 }
 
-/// The photos that lie in a folder itself, in natural order; there may be none.
-///
-/// # Errors
-/// Where the folder cannot be read.
+/// Returns photos directly in a folder, in natural order.
 pub fn directly_in(folder: &Path) -> Result<Vec<PathBuf>> {
     let mut found = visible(folder)?;
     found.retain(|path| path.is_file() && is_photo(path));
@@ -202,10 +186,7 @@ pub fn directly_in(folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(found)
 }
 
-/// The folders in a folder, in natural order.
-///
-/// # Errors
-/// Where the folder cannot be read.
+/// Returns nested folders, in natural order.
 pub fn folders_in(folder: &Path) -> Result<Vec<PathBuf>> {
     let mut found = visible(folder)?;
     found.retain(|path| path.is_dir());
@@ -213,8 +194,8 @@ pub fn folders_in(folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(found)
 }
 
-/// Splits files into photos and others. A HEIC picture beside a photo of the same name is its
-/// original, and no second photo.
+/// Splits files into photos and others. A HEIC picture with a photo of the same name is its
+/// original, and is skipped.
 fn photos_among(files: Vec<PathBuf>) -> (Vec<PathBuf>, Vec<PathBuf>) {
     let stems: HashSet<OsString> =
         files.iter().filter(|path| is_photo(path)).filter_map(|path| Some(path.file_stem()?.to_owned())).collect();
@@ -222,8 +203,7 @@ fn photos_among(files: Vec<PathBuf>) -> (Vec<PathBuf>, Vec<PathBuf>) {
     files.into_iter().partition(|path| is_photo(path) || is_heic(path) && !is_copied(path))
 }
 
-/// The files and folders of a folder, but for hidden ones. Those are no photos whatever they are called: macOS puts `._000.jpg`
-/// beside `000.jpg` on foreign disks.
+/// Excludes hidden files, such as macOS's `._000.jpg`.
 fn visible(folder: &Path) -> Result<Vec<PathBuf>> {
     let failed = |error| Error::io(folder, error);
     let mut found = Vec::new();
@@ -241,7 +221,6 @@ fn is_photo(path: &Path) -> bool {
     extension.is_some_and(|e| EXTENSIONS.contains(&e.as_str()))
 }
 
-/// The folders among these that have photos directly in them, for messages.
 fn folders_of_photos(mut folders: Vec<PathBuf>) -> String {
     let has_photos = |folder: &PathBuf| visible(folder).is_ok_and(|files| files.iter().any(|file| is_photo(file)));
     folders.retain(has_photos);
@@ -249,7 +228,6 @@ fn folders_of_photos(mut folders: Vec<PathBuf>) -> String {
     named(&folders, |folder| folder.join("").display().to_string())
 }
 
-/// The first few of some paths, by what `name` calls them.
 fn named(paths: &[PathBuf], name: impl Fn(&PathBuf) -> String) -> String {
     let mut names: Vec<String> = paths.iter().take(NAMED).map(name).collect();
     if paths.len() > NAMED {
@@ -258,11 +236,8 @@ fn named(paths: &[PathBuf], name: impl Fn(&PathBuf) -> String) -> String {
     names.join(", ")
 }
 
-/// The photos that have a camera among `poses`. The others are left out, which is noted: structure from motion seldom places
-/// every photo.
-///
-/// # Errors
-/// Where none has a camera, or one may have several.
+/// Keeps photos with a camera among `poses`, and notes the others: structure from motion often
+/// skips photos.
 pub fn posed(session: &mut Session<'_>, photos: Vec<PathBuf>, poses: &Poses) -> Result<Vec<PathBuf>> {
     let (mut kept, mut others) = (Vec::new(), Vec::new());
     for photo in photos {
@@ -270,7 +245,7 @@ pub fn posed(session: &mut Session<'_>, photos: Vec<PathBuf>, poses: &Poses) -> 
         to.push(photo);
     }
     if kept.is_empty() {
-        // Says for the first of them which names were looked for.
+        // Reports the expected names of the first one.
         poses.frames_of(&others[..others.len().min(1)])?;
     }
     if !others.is_empty() {
@@ -294,7 +269,7 @@ pub fn names(files: &[PathBuf]) -> String {
     named(files, |path| path.file_name().unwrap_or_default().to_string_lossy().into_owned())
 }
 
-/// `count` of the photos at most, evenly spread, the first and the last among them.
+/// Returns at most `count` photos, evenly spread, with the first and the last.
 pub fn spread(photos: Vec<PathBuf>, count: usize) -> Vec<PathBuf> {
     if photos.len() <= count {
         return photos;
@@ -303,7 +278,7 @@ pub fn spread(photos: Vec<PathBuf>, count: usize) -> Vec<PathBuf> {
     (0..count).map(|i| photos[(i * last + steps / 2) / steps].clone()).collect()
 }
 
-/// Orders numbers in names by value: `2.png` before `10.png`.
+/// Compares digits by value: `2.png` before `10.png`.
 fn natural(a: &str, b: &str) -> Ordering {
     let (mut a, mut b) = (a, b);
     loop {
@@ -330,12 +305,11 @@ fn end_of_digits(text: &str) -> usize {
     text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len())
 }
 
-/// Reads photos and gives what `make` makes of each, by its index, several at once. Those that have `frames`, one each, are
-/// read as [`Frame::open`] does: cameras of COLMAP, and of what is built on it, are of a photo's pixels before its EXIF
-/// orientation is applied.
+/// Reads photos concurrently and maps them with `make`, by index. Photos with `frames` are read as
+/// by [`Frame::open`]: COLMAP's cameras apply to pixels without the EXIF orientation.
 ///
 /// # Errors
-/// The first photo's, in their order, that cannot be read, and those of `make`.
+/// That of the first unreadable photo, and those of `make`.
 pub fn read<T: Send>(
     photos: &[PathBuf],
     frames: &[&Frame],
@@ -353,7 +327,7 @@ pub fn read<T: Send>(
     photos.par_iter().enumerate().map(read).collect::<Vec<_>>().into_iter().collect()
 }
 
-/// The warning where much of photos of these sizes is cropped away to that of the network's input.
+/// Warns about much cropping.
 pub fn cropping(photos: &[[u32; 2]], Size(width, height): Size) -> Option<String> {
     let area = |width: u32, height: u32| f64::from(width) * f64::from(height);
     let kept = |[w, h]: &[u32; 2]| {

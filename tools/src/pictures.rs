@@ -1,4 +1,4 @@
-//! Pictures of a scene, encoded and written while the next ones are drawn.
+//! Pictures of a scene, written while the next ones render.
 
 use crate::{
     animation::{Animation, Encoder},
@@ -18,35 +18,31 @@ use zipsplat::{
     types::{Camera, Image, resample::resize_lanczos},
 };
 
-/// File with all pictures together.
 pub const SHEET: &str = "contact.png";
-/// Longest side of a contact sheet: pictures are made smaller to fit.
+/// Contact sheet limit; pictures are scaled down to fit.
 const SHEET_SIDE: u32 = 4096;
-/// Pictures that are written at once, and as many again that wait for it.
+/// Pictures per write batch; another batch may queue.
 const BATCH: u64 = 8;
-/// Pixels of them together, where they are large.
 const BATCH_PIXELS: u64 = 1 << 24;
-/// The deviation from the background below which a pixel is taken for it: half a level of 256.
+/// Visible deviation from the background: half a level of 256.
 const VISIBLE: f32 = 0.5 / 255.0;
 
-/// Where pictures go.
 #[derive(Default)]
 pub struct Sinks<'a> {
     pub folder: Option<&'a Path>,
-    /// Bytes of the pictures.
+    /// Raw bytes.
     pub raw: Option<&'a mut dyn Write>,
     pub animation: Option<Animation>,
 }
 
-/// The rest of pictures when they are where they go.
 pub struct Drawn {
-    /// The pictures of a folder, as small as its contact sheet needs them.
+    /// Thumbnails for a contact sheet.
     pub small: Vec<Image>,
-    /// Whether all are the background and nothing else.
+    /// True if only the background is visible.
     pub empty: bool,
 }
 
-/// Names of the files that one picture becomes beside `000.png`, and whether a request asks for them.
+/// Returns optional files beside `000.png`.
 fn layers(request: &RenderRequest) -> [(&'static str, bool); 5] {
     [
         ("", request.rgb),
@@ -61,14 +57,12 @@ fn file(folder: &Path, number: usize, layer: &str) -> PathBuf {
     folder.join(format!("{number:03}{layer}.png"))
 }
 
-/// The files of a folder that pictures are written to.
 pub fn files(folder: &Path, count: usize, request: &RenderRequest) -> impl Iterator<Item = PathBuf> {
     let asked = layers(request).into_iter().filter(|(_, asked)| *asked);
     let files = asked.flat_map(move |(layer, _)| (0..count).map(move |number| (number, layer)));
     files.map(|(number, layer)| file(folder, number, layer)).chain([folder.join(SHEET)])
 }
 
-/// Draws every picture and brings it where it goes.
 pub fn draw(
     renderer: &mut Renderer,
     cameras: &[Camera],
@@ -84,7 +78,7 @@ pub fn draw(
         let drawing = scope.spawn(move || {
             renderer.render_each(cameras, request, |index, frame| {
                 stage.reach(index as f64 / cameras.len() as f64)?;
-                // Nobody receives where writing has failed, and that error is the one to tell.
+                // The receiver is gone after a write error, which is reported.
                 sender.send(frame).map_err(|_| Error::Cancelled)
             })
         });
@@ -96,12 +90,12 @@ pub fn draw(
     Ok(writer.drawn)
 }
 
-/// As many columns as rows.
+/// Returns a square layout.
 pub fn sheet_columns(frames: usize) -> usize {
     (1..).find(|columns| columns * columns >= frames).unwrap_or(frames)
 }
 
-/// How many pictures are written at once: up to [`BATCH`], fewer where they are large.
+/// Returns up to [`BATCH`], fewer for large pictures.
 fn batch(cameras: &[Camera]) -> usize {
     let pixels = |camera: &Camera| u64::from(camera.intrinsics.width) * u64::from(camera.intrinsics.height);
     let largest = cameras.iter().map(pixels).max().unwrap_or(0).max(1);
@@ -110,16 +104,15 @@ fn batch(cameras: &[Camera]) -> usize {
 
 struct Writer<'a> {
     sinks: Sinks<'a>,
-    /// No sink is made before there is something to put into it.
+    /// Created with the first picture.
     encoder: Option<Box<dyn Encoder>>,
     drawn: Drawn,
     background: [f32; 3],
-    /// Pictures in all.
     frames: usize,
 }
 
 impl Writer<'_> {
-    /// Writes pictures in their order, whatever waits at once, until no more come.
+    /// Writes queued pictures in order until the channel closes.
     fn write_all(&mut self, frames: Receiver<Frame>, batch: usize) -> Result<()> {
         let mut done = 0;
         while let Ok(first) = frames.recv() {
@@ -158,7 +151,7 @@ impl Writer<'_> {
     }
 }
 
-/// Whether a picture is the background all over.
+/// Returns true for only background.
 fn is_empty(frame: &Frame, background: [f32; 3]) -> bool {
     let pixels = frame.rgb.as_deref().unwrap_or_default().chunks_exact(3);
     let mut pairs = pixels.flat_map(|pixel| pixel.iter().zip(background));
@@ -169,7 +162,7 @@ fn image(frame: &Frame) -> Result<Image> {
     Image::from_rgb_f32(frame.width, frame.height, frame.rgb.as_deref().unwrap_or_default())
 }
 
-/// Writes a picture and returns it as small as the contact sheet needs it.
+/// Returns the thumbnail.
 fn save(folder: &Path, number: usize, frame: &Frame, image: &Image, frames: usize) -> Result<Image> {
     let &Frame { width, height, .. } = frame;
     let path = |layer: &str| file(folder, number, layer);

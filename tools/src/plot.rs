@@ -1,9 +1,9 @@
-//! Plots as SVG with a legend beside them, for reports.
+//! SVG plots with a legend, for reports.
 
 use plotters::prelude::*;
 use std::{fmt::Write, ops::Range};
 
-/// Pixels of a plot; browsers scale it.
+/// Plot size in pixels; browsers scale it.
 const SIZE: (u32, u32) = (440, 330);
 /// Colors for any color vision (Okabe and Ito); their number limits the series.
 const COLORS: [RGBColor; 6] = [
@@ -14,28 +14,25 @@ const COLORS: [RGBColor; 6] = [
     RGBColor(230, 159, 0),
     RGBColor(86, 180, 233),
 ];
-/// Color of the background line.
 const GREY: RGBColor = RGBColor(150, 150, 150);
 
-/// A plot point.
 #[derive(Clone, Copy, Debug)]
 pub struct At {
     pub x: f64,
     pub y: f64,
-    /// Index for the page: the circle's `data-point`.
+    /// Index for the page, as `data-point` of the circle.
     pub of: Option<usize>,
 }
 
-/// The points that are drawn in one colour.
+/// Points of one color.
 #[derive(Debug)]
 pub struct Series {
     pub name: String,
     pub points: Vec<At>,
-    /// Whether a line joins the points in order.
+    /// Joins the points in order.
     pub line: bool,
 }
 
-/// Axis scale.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Scale {
     Linear,
@@ -43,14 +40,13 @@ pub enum Scale {
     Log,
 }
 
-/// An axis.
 #[derive(Clone, Copy)]
 pub struct Axis<'a> {
     pub label: &'a str,
     pub scale: Scale,
 }
 
-/// A plot and its legend with the heading `meaning`. Omits non-finite points and series past the
+/// Returns a plot with a legend titled `meaning`. Omits non-finite points and series past the
 /// sixth, which the legend counts. `beneath` is a gray line without points.
 pub fn plot(x: Axis<'_>, y: Axis<'_>, meaning: &str, series: &[Series], beneath: Option<&Series>) -> String {
     let shown = &series[..series.len().min(COLORS.len())];
@@ -156,7 +152,7 @@ impl Axis<'_> {
     }
 }
 
-/// The range of values with a margin; never empty.
+/// Returns a range with a margin; never empty.
 fn extent(values: impl Iterator<Item = f64>) -> Range<f64> {
     let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)));
     if low > high {
@@ -182,7 +178,7 @@ mod tests {
         let points = series("a", &[(1.0, 10.0), (0.0, 1.0), (f64::NAN, 1.0), (100.0, 1.0)]);
         let html = plot(LOG, Axis { label: "up", ..LOG }, "letters", &[points], None);
         assert!(html.contains("<svg") && html.contains("across") && html.contains("up"));
-        // Numbers stay those of the points that are drawn.
+        // Circles keep the numbers of the drawn points.
         let circles: Vec<&str> = html.split("<circle").skip(1).map(|circle| &circle[..16]).collect();
         assert_eq!(circles, [" data-point=\"0\" ", " data-point=\"30\""], "{html}");
         assert!(plot(LOG, LOG, "nothing", &[], None).contains("<svg"));
@@ -193,7 +189,7 @@ mod tests {
         let all: Vec<Series> = ('a'..='h').map(|name| series(&name.to_string(), &[(1.0, 1.0)])).collect();
         let html = plot(LOG, LOG, "letters", &all, Some(&series("front", &[(1.0, 1.0), (2.0, 2.0)])));
         assert_eq!(html.matches("<circle").count(), 6);
-        // What colours mean, the line beneath, six series, and what is left out.
+        // Title, background line, six series, and the omitted count.
         assert_eq!(html.matches("<li>").count(), 1 + 1 + 6 + 1);
         assert!(html.contains("2 more") && html.contains("front"), "{html}");
         let mut colors: Vec<&str> =

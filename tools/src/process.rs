@@ -1,4 +1,4 @@
-//! Other programs, which end with this command's interest in them.
+//! Child processes that end with this command.
 
 use crate::session::Stage;
 use std::{
@@ -14,33 +14,29 @@ use std::{
 };
 use zipsplat::{Error, Result};
 
-/// Between looks at whether a program is done, or this command should stop.
+/// Interval between checks for the end or cancellation.
 pub const POLL: Duration = Duration::from_millis(10);
-/// For a process that no longer reads, or has ended, to be heard.
+/// Timeout for the last output of an ended process.
 const LAST_WORDS: Duration = Duration::from_secs(2);
 
-/// The processes that this command runs, for [`end_all`].
+/// Process groups for [`end_all`].
 static STARTED: Mutex<Vec<u32>> = Mutex::new(Vec::new());
 
-/// A process in a group of its own, ended with all of the group when this is dropped, or when this
-/// command is killed.
+/// Process in its own group, which ends on drop or with this command.
 pub struct Running(pub Child, Option<Child>);
 
-/// Reads a group's number, and ends the group when standard input ends, as it does with this
+/// Reads a group number, then kills the group at the end of standard input, which closes with this
 /// command.
 #[cfg(unix)]
 const WATCH: &str = "read -r group || exit; read -r _; kill -s KILL -- \"-$group\"";
 
 impl Running {
-    /// Starts a program. Ctrl-C in a terminal goes to a whole group: what is started here is ended by this command alone.
-    ///
-    /// # Errors
-    /// The errors of the system.
+    /// Starts a program in its own group: only this command receives Ctrl-C.
     pub fn start(command: &mut Command) -> io::Result<Self> {
         set_group(command);
-        // Locked while it starts: whoever ends all finds it in the list.
+        // So that [`end_all`] finds the process.
         let mut started = lock(&STARTED);
-        // First, so that a kill of this command at any later time ends the program, too.
+        // Before the program, so that a kill of this command ends it.
         let mut watch = watch();
         let child = match command.spawn() {
             Ok(child) => child,
@@ -50,17 +46,14 @@ impl Running {
             }
         };
         if let Some(group) = watch.as_mut().and_then(|watch| watch.stdin.as_mut()) {
-            // A watcher that has ended cannot watch.
+            // The watcher may have ended.
             let _ = writeln!(group, "{}", child.id());
         }
         started.push(child.id());
         Ok(Self(child, watch))
     }
 
-    /// Waits for its end, and looks whether this command should stop.
-    ///
-    /// # Errors
-    /// [`Error::Io`] naming `program`, and [`Error::Cancelled`].
+    /// Waits for the end, or for cancellation.
     pub fn wait(&mut self, program: &OsStr, stage: &Stage<'_>) -> Result<ExitStatus> {
         loop {
             if let Some(status) = self.0.try_wait().map_err(|source| Error::io(program, source))? {
@@ -71,7 +64,7 @@ impl Running {
         }
     }
 
-    /// Waits a moment for its end, then ends it.
+    /// Waits briefly for the end, then kills the process.
     pub fn end_soon(&mut self) {
         let asked = Instant::now();
         while asked.elapsed() < LAST_WORDS && matches!(self.0.try_wait(), Ok(None)) {
@@ -94,7 +87,7 @@ fn set_group(command: &mut Command) {
     std::os::unix::process::CommandExt::process_group(command, 0);
 }
 
-/// Starts a shell that ends a group if this command is killed; none on systems without one.
+/// Starts a shell that ends a group if this command is killed; `None` without a shell.
 #[cfg(unix)]
 fn watch() -> Option<Child> {
     let mut command = Command::new("/bin/sh");
@@ -118,19 +111,19 @@ fn end_watch(watch: &mut Option<Child>) {
 impl Drop for Running {
     fn drop(&mut self) {
         self.end();
-        // First: the number of a child that was waited for may be another's.
+        // After `wait` the number may belong to another process.
         end_watch(&mut self.1);
         lock(&STARTED).retain(|id| *id != self.0.id());
-        // A child that is not waited for stays in the system's table.
+        // Reaps the child.
         let _ = self.0.wait();
     }
 }
 
-/// Ends every process that this command runs, with its group, and lets no other start: for a command that ends at once.
+/// Kills all child groups and blocks further starts, before an immediate exit.
 pub fn end_all() {
     let started = lock(&STARTED);
     started.iter().for_each(|id| end_group(*id));
-    // Never unlocked: the process ends.
+    // Stays locked until the exit.
     std::mem::forget(started);
 }
 
@@ -146,17 +139,17 @@ fn lock(started: &Mutex<Vec<u32>>) -> std::sync::MutexGuard<'_, Vec<u32>> {
     started.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
 }
 
-/// Runs a program to its end and gives every line of its output and errors, as they come, to `line`.
+/// Runs a program and passes every line of its output and errors to `line`.
 ///
 /// # Errors
-/// [`Error::Io`] naming the program where it cannot be started, the first of `line`, and [`Error::Cancelled`].
+/// [`Error::Io`] for a failed start, the first of `line`, and [`Error::Cancelled`].
 pub fn run(command: &mut Command, stage: &Stage<'_>, mut line: impl FnMut(&str) -> Result<()>) -> Result<ExitStatus> {
     let program = command.get_program().to_owned();
     let failed = |source| Error::io(&program, source);
     let (reader, writer) = io::pipe().map_err(failed)?;
     command.stdin(Stdio::null()).stdout(writer.try_clone().map_err(failed)?).stderr(writer);
     let mut running = Running::start(command).map_err(failed)?;
-    // The command holds ends of the pipe, which has no end as long as anybody could write to it.
+    // Drops our pipe ends, so that the reader sees the end.
     command.stdout(Stdio::null()).stderr(Stdio::null());
     let (send, lines) = channel();
     std::thread::spawn(move || {
@@ -176,7 +169,7 @@ pub fn run(command: &mut Command, stage: &Stage<'_>, mut line: impl FnMut(&str) 
             Ok(text) => line(&text)?,
             Err(RecvTimeoutError::Disconnected) => break,
             Err(RecvTimeoutError::Timeout) if running.0.try_wait().map_err(failed)?.is_some() => {
-                // What it left running may hold the pipe open.
+                // A surviving grandchild may hold the pipe open.
                 if ended.get_or_insert_with(Instant::now).elapsed() > LAST_WORDS {
                     break;
                 }
@@ -187,10 +180,7 @@ pub fn run(command: &mut Command, stage: &Stage<'_>, mut line: impl FnMut(&str) 
     running.wait(&program, stage)
 }
 
-/// Checks that a program runs, asked for its version as ffmpeg is; `name` and `expected` are for the message.
-///
-/// # Errors
-/// [`Error::Argument`] where it does not.
+/// Checks that a program runs; `name` and `expected` are for the message.
 pub fn check(program: &Path, name: &str, expected: &str) -> Result<()> {
     let mut command = Command::new(program);
     command.arg("-version").stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
@@ -202,10 +192,7 @@ pub fn check(program: &Path, name: &str, expected: &str) -> Result<()> {
     Err(Error::argument(name, format!("{}: {reason}", program.display()), expected))
 }
 
-/// The words that a program prints, output and errors together, where it runs; its exit code is not asked.
-///
-/// # Errors
-/// As [`run`].
+/// Returns output and errors of a program with any exit code.
 pub fn printed(command: &mut Command, stage: &Stage<'_>) -> Result<String> {
     let mut text = String::new();
     run(command, stage, |line| {
@@ -216,21 +203,21 @@ pub fn printed(command: &mut Command, stage: &Stage<'_>) -> Result<String> {
     Ok(text)
 }
 
-/// The words of a stream to its end, read on the side: a full pipe would stop who writes to it.
+/// Reads in a thread: a full pipe would block the writer.
 pub fn listen(stream: impl Read + Send + 'static) -> std::thread::JoinHandle<String> {
     std::thread::spawn(move || said(stream))
 }
 
 fn said(mut stream: impl Read) -> String {
     let mut said = Vec::new();
-    // What was said until it broke off is all there is to tell.
+    // Keeps the text before a read error.
     let _ = stream.read_to_end(&mut said);
     String::from_utf8_lossy(&said).into_owned()
 }
 
-/// A program's failure in its own words, or by its exit status.
+/// Returns a failure with a program's message, or its exit status.
 pub fn failure(program: &Path, said: &str, status: impl ToString) -> Error {
     let words = if said.trim().is_empty() { status.to_string() } else { said.trim().to_owned() };
-    // Not a broken pipe: that means that nobody reads our own output.
+    // A broken pipe means our own output.
     Error::io(program, io::Error::other(words))
 }

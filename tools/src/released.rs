@@ -1,37 +1,32 @@
-//! Weights that have a name: what can be got, and what of it lies in the cache folder.
+//! Named weights, downloadable or cached.
 
 use crate::download::{Client, TAG};
 use std::path::{Path, PathBuf};
 use zipsplat::{Error, Result, tune::cache_folder, weights::DepthCheckpoint};
 
-/// Released weights.
 pub struct Released {
-    /// Name that `--weights` takes.
     pub name: &'static str,
     pub what: &'static str,
     pub licence: &'static str,
-    /// The licence's meaning for a user.
+    /// License terms for a user.
     pub terms: &'static str,
-    /// About how many bytes come over the network.
+    /// Approximate download size.
     pub bytes: u64,
-    /// The network that they are of.
     pub kind: Kind,
     repository: &'static str,
     file: &'static str,
-    /// Name of the file in the cache, before the hash is in it.
+    /// File name in the cache, without the hash.
     kept_as: &'static str,
 }
 
-/// A kind of network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// ZipSplat: weights are converted to f16 safetensors.
+    /// ZipSplat, converted to f16 safetensors.
     Tokens,
-    /// Depth Anything 3: weights stay as they are.
+    /// Depth Anything 3, unconverted.
     Depth,
 }
 
-/// All that there are.
 pub const RELEASED: [Released; 7] = [
     Released {
         name: "zipsplat",
@@ -88,7 +83,7 @@ const APACHE: &str = "Apache-2.0";
 const FREE: &str = "any use; keep the notices";
 const NO_COMMERCE: &str = "name the authors; no commercial use";
 
-/// Weights of Depth Anything 3, with the stricter of its licences.
+/// Takes the stricter of two licenses.
 const fn of_depth(name: &'static str, repository: &'static str, kept_as: &'static str) -> Released {
     Released {
         name,
@@ -103,31 +98,28 @@ const fn of_depth(name: &'static str, repository: &'static str, kept_as: &'stati
     }
 }
 
-/// The end of the names of converted weights, after the hash of the file that they were made from.
+/// Suffix of converted weights, after the source's hash.
 const CONVERTED: &str = "-f16.safetensors";
 
 impl Released {
-    /// The weights of this name.
     pub fn named(name: &str) -> Option<&'static Self> {
         RELEASED.iter().find(|released| released.name == name)
     }
 
-    /// Their address at the hub.
     pub fn address(&self, client: &Client) -> String {
         client.address(self.repository, "main", self.file)
     }
 
-    /// The command that gets them.
     pub fn command(&self) -> String {
         format!("zipsplat weights get {}", self.name)
     }
 
-    /// A path beside which the loaded file and its conversion lie.
+    /// Returns the base path of download and conversion.
     pub fn base(&self, folder: &Path) -> PathBuf {
         folder.join(self.kept_as)
     }
 
-    /// The path of the conversion of a loaded file, which has its hash in its name; the file itself, where weights stay as they are.
+    /// Returns a file's conversion, with its hash; the file itself for unconverted weights.
     pub fn converted(&self, loaded: &Path) -> PathBuf {
         let stem = loaded.file_stem().unwrap_or_default().to_string_lossy();
         match self.kind {
@@ -136,7 +128,7 @@ impl Released {
         }
     }
 
-    /// The weights that are there to use, the newest first.
+    /// Returns usable cached weights, newest first.
     pub fn cached(&self, folder: &Path) -> Vec<PathBuf> {
         match self.kind {
             Kind::Tokens => self.tagged(folder, CONVERTED),
@@ -144,7 +136,7 @@ impl Released {
         }
     }
 
-    /// Files that were loaded and checked and are as they came, the newest first.
+    /// Returns verified, unconverted downloads, newest first.
     pub fn loaded(&self, folder: &Path) -> Vec<PathBuf> {
         self.tagged(folder, &self.kept_as[self.stem().len()..])
     }
@@ -153,7 +145,7 @@ impl Released {
         self.kept_as.rsplit_once('.').map_or(self.kept_as, |(stem, _)| stem)
     }
 
-    /// Files called after these weights, a hash, and `ending`.
+    /// Returns files named by these weights, a hash, and `ending`.
     fn tagged(&self, folder: &Path, ending: &str) -> Vec<PathBuf> {
         let tag = |name: &str| {
             let tag = name.strip_prefix(self.stem())?.strip_prefix('-')?.strip_suffix(ending)?;
@@ -168,20 +160,17 @@ impl Released {
     }
 }
 
-/// The folder of weights in the user's cache.
-///
-/// # Errors
-/// [`Error::Argument`] where the environment names no such folder.
+/// Returns the weights folder of the user's cache.
 pub fn folder() -> Result<PathBuf> {
     let cache = cache_folder().map(|cache| cache.join("weights"));
     cache.ok_or_else(|| Error::argument("cache folder", "none", "ZIPSPLAT_CACHE, or HOME, in the environment"))
 }
 
-/// The file of weights that are named so; none, where that is no name.
+/// Finds a named file; `None` if `name` is no name.
 ///
 /// # Errors
-/// [`Error::Argument`] for an unknown bare word, and where they are not in the cache, with the
-/// command that gets them.
+/// [`Error::Argument`] for an unknown bare word, and for uncached weights with the download
+/// command.
 pub fn find(name: &str) -> Result<Option<PathBuf>> {
     let Some(released) = Released::named(name) else { return check_name(name).map(|()| None) };
     let folder = folder()?;
@@ -207,16 +196,13 @@ fn check_name(name: &str) -> Result<()> {
     Err(Error::argument("weights", name, expected))
 }
 
-/// Whether a choice of weights means a network of Depth Anything 3: by its name, or by the names of a file's tensors.
+/// Returns true for Depth Anything 3, by name or by a file's tensors.
 pub fn is_of_depth(text: &str) -> bool {
     Released::named(text).map_or_else(|| DepthCheckpoint::is_meant(text), |released| released.kind == Kind::Depth)
 }
 
-/// Opens weights of Depth Anything 3: those of a name, `seeded:NAME`, or a file. Where they have a head for Gaussians, it comes with them
-/// if the `whole` network is asked for.
-///
-/// # Errors
-/// As [`find`] and [`DepthCheckpoint::open`]; [`Error::Argument`] for the name of another network's weights.
+/// Opens weights of Depth Anything 3: a name, `seeded:NAME`, or a file. `whole` includes any
+/// Gaussian head.
 pub fn open_depth(text: &str, whole: bool) -> Result<DepthCheckpoint> {
     if Released::named(text).is_some_and(|released| released.kind != Kind::Depth) {
         let names = RELEASED.iter().filter(|released| released.kind == Kind::Depth).map(|released| released.name);

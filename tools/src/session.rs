@@ -1,4 +1,4 @@
-//! One run of a command: its device, its output, its stages with their progress, and cancelling.
+//! One run of a command: device, output, stages and cancellation.
 
 mod progress;
 
@@ -27,21 +27,20 @@ use zipsplat::{
     weights::Checkpoint,
 };
 
-/// The time after which a wait for an answer looks for Ctrl-C.
+/// Interval between checks for Ctrl-C.
 const POLL: Duration = Duration::from_millis(50);
-/// The name of no device for `--device`.
+/// Value of `--device` without a device.
 const NO_DEVICE: &str = "none";
 
-/// The streams of a command, and the flag that stops it.
+/// Streams and stop flag of a command.
 pub struct Terminal<'a> {
     /// Results.
     pub out: &'a mut dyn Write,
     /// Errors and notes.
     pub err: &'a mut dyn Write,
-    /// Whether progress is shown on the process' standard error: as a bar on a terminal, else as a
-    /// line now and then.
+    /// Shows progress on standard error: a bar on a terminal, else occasional lines.
     pub progress: bool,
-    /// Set from outside to stop: the command then ends with exit code 130 and leaves no partial file.
+    /// Stop flag: the command ends with exit code 130 and leaves no partial file.
     pub cancelled: &'a AtomicBool,
 }
 
@@ -52,28 +51,26 @@ pub struct Global {
     /// all digits; with `info --plan` also none, for an ordinary one [default: the best]
     #[arg(long, global = true, value_name = "NAME|INDEX", help_heading = "Options of every command")]
     pub device: Option<String>,
-    /// Use at most so many bytes of the device's memory and leave the rest to others, such as 3G; K, M and G count in 1024s
-    /// [default: all of it]
+    /// Limit of used device memory in bytes, such as 3G; K, M and G count in 1024s [default: all of
+    /// it]
     #[arg(long, alias = "max-memory", global = true, value_name = "BYTES", value_parser = parse_bytes, help_heading = "Options of every command")]
     pub memory: Option<u64>,
-    /// Print the result as JSON to standard output, and an error as one line of JSON to standard error: {"error", "kind",
-    /// "exit_code"}
+    /// Print the result as JSON to standard output, and an error as one line of JSON to standard
+    /// error: {"error", "kind", "exit_code"}
     #[arg(long, global = true, help_heading = "Options of every command")]
     pub json: bool,
-    /// Print neither result nor notes nor progress, only errors; --json still prints
+    /// Print only errors, without result, notes and progress; --json still prints
     #[arg(long, short, global = true, help_heading = "Options of every command")]
     pub quiet: bool,
 }
 
-/// The global options and the terminal of a command.
 pub struct Session<'a> {
     global: Global,
     terminal: Terminal<'a>,
-    /// Standard output carries a command's data: its result then goes to standard error.
+    /// Standard output carries data, so the result goes to standard error.
     piped: bool,
-    /// Exit code of a command that did what it should.
     code: u8,
-    /// Part of the command that the stages belong to, such as one of many scenes.
+    /// Label of the stages, such as one of several scenes.
     task: String,
     began: Instant,
     /// Earliest time of the next line of progress, for all stages.
@@ -92,38 +89,34 @@ impl<'a> Session<'a> {
         self.began.elapsed()
     }
 
-    /// Shows the progress of the following stages as parts of this task.
+    /// Labels the following stages with this task.
     pub fn begin_task(&mut self, task: &str) {
         self.task = format!("{task}: ");
     }
 
-    /// Opens the device that `--device` names, or the best one; GPUs that were passed over are noted.
+    /// Opens the requested device, or the best one, and notes rejected GPUs.
     pub fn device(&mut self) -> Result<Device> {
         let device = Device::open(&self.device_options())?;
         device.passed_over().iter().for_each(|why| self.note(format_args!("{why}: a CPU is used")));
         Ok(device)
     }
 
-    /// The device that the user asked for, for those that open it later.
+    /// Returns the request for a later opening.
     pub fn device_options(&self) -> DeviceOptions {
         let Global { device, memory, .. } = &self.global;
         DeviceOptions { selector: device.clone(), max_memory_bytes: *memory, ..DeviceOptions::default() }
     }
 
-    /// Whether the user asked for no device: a plan is then made for an ordinary one.
+    /// Returns true for `--device none`, a plan for an ordinary device.
     pub fn plans_for_none(&self) -> bool {
         self.global.device.as_deref() == Some(NO_DEVICE)
     }
 
-    /// Whether the user named a device.
     pub fn names_device(&self) -> bool {
         self.global.device.is_some()
     }
 
-    /// Runs `body`, with a progress bar where it takes long, and returns its result and time.
-    ///
-    /// # Errors
-    /// The body's, and [`Error::Cancelled`].
+    /// Runs `body` with progress, and returns its result and time.
     pub fn stage<T>(&self, name: &str, body: impl FnOnce(&Stage<'_>) -> Result<T>) -> Result<(T, Duration)> {
         let stage = Stage::new(name, &self.task, self.terminal.cancelled);
         stage.check()?;
@@ -137,11 +130,7 @@ impl<'a> Session<'a> {
         Ok((value, start.elapsed()))
     }
 
-    /// The arithmetic of a precision, or of the device's best. Where the precision is used there for the first time, the bar tells of
-    /// the kernels that are tested.
-    ///
-    /// # Errors
-    /// As [`Chosen::of_with`].
+    /// Self-tests the kernels on the first use of a precision on a device, with progress.
     pub fn choose(&self, device: &Device, precision: Option<Precision>) -> Result<Chosen> {
         let chosen = self.stage("first use", |stage| {
             Chosen::of_with(device, precision, |kernel, done| {
@@ -152,10 +141,6 @@ impl<'a> Session<'a> {
         Ok(chosen?.0)
     }
 
-    /// Loads weights, with progress.
-    ///
-    /// # Errors
-    /// As [`Model::load_with`].
     pub fn load_model(
         &self,
         device: &Device,
@@ -165,10 +150,6 @@ impl<'a> Session<'a> {
         self.stage("load weights", |stage| Model::load_with(device, checkpoint, arithmetic, |done| stage.at(done)))
     }
 
-    /// Reconstructs, with progress.
-    ///
-    /// # Errors
-    /// As [`Model::reconstruct`].
     pub fn reconstruct(
         &self,
         model: &Model,
@@ -183,10 +164,7 @@ impl<'a> Session<'a> {
         })
     }
 
-    /// Reconstructs a scene and, where asked, its tokens, with progress. The backbone runs once for both.
-    ///
-    /// # Errors
-    /// As [`Model::reconstruct`].
+    /// Runs the backbone once for a scene and any requested tokens.
     pub fn reconstruct_with_tokens(
         &self,
         model: &Model,
@@ -210,7 +188,7 @@ impl<'a> Session<'a> {
         Ok((made, Some(tokens), took))
     }
 
-    /// Prints a command's result: `value` with `--json`, else `text` unless `--quiet`.
+    /// Prints the result: `value` with `--json`, else `text` unless `--quiet`.
     pub fn report(&mut self, value: &impl Serialize, text: impl Display) -> Result<()> {
         let (out, name) = match self.piped {
             true => (&mut *self.terminal.err, "standard error"),
@@ -226,49 +204,43 @@ impl<'a> Session<'a> {
         printed.and_then(|()| out.flush()).map_err(|error| Error::io(name, error))
     }
 
-    /// Standard output for a command's data, from a stage's body; its result then goes to standard error.
+    /// Takes standard output for data; the result then goes to standard error.
     pub fn take_output(&mut self) -> &'a mut dyn Write {
         self.piped = true;
         std::mem::replace(&mut self.terminal.out, Box::leak(Box::new(std::io::sink())))
     }
 
-    /// Set when the command should stop.
     pub fn cancelled(&self) -> &'a AtomicBool {
         self.terminal.cancelled
     }
 
-    /// Lets the command end with another exit code than 0, though nothing went wrong on the way.
+    /// Sets the exit code of a successful command.
     pub fn end_with(&mut self, code: u8) {
         self.code = code;
     }
 
-    /// Exit code of a command that returned no error.
+    /// Returns the exit code of a successful command.
     pub fn code(&self) -> u8 {
         self.code
     }
 
-    /// Says something worth knowing that is no result.
     pub fn note(&mut self, text: impl Display) {
         if !self.global.quiet {
-            // A note that cannot be printed is no reason to stop.
+            // A failed note does not stop the command.
             let _ = writeln!(self.terminal.err, "note: {text}");
         }
     }
 
-    /// Says each of these, as [`Session::note`] does.
     pub fn notes<T: Display>(&mut self, texts: impl IntoIterator<Item = T>) {
         texts.into_iter().for_each(|text| self.note(text));
     }
 
-    /// Asks on standard error and waits for a line of standard input.
-    ///
-    /// # Errors
-    /// [`Error::Cancelled`]; [`Error::Io`] where nobody can be asked.
+    /// Asks on standard error and reads a line of standard input.
     pub fn ask(&mut self, question: &str) -> Result<String> {
         let asked = write!(self.terminal.err, "{question}").and_then(|()| self.terminal.err.flush());
         asked.map_err(|error| Error::io("standard error", error))?;
         let (send, answer) = channel();
-        // A read goes on through signals: a thread waits for it, which is left behind where the command should stop.
+        // Signals do not interrupt a read: its thread is abandoned on cancellation.
         std::thread::spawn(move || {
             let mut line = String::new();
             let _ = send.send(std::io::stdin().read_line(&mut line).map(|_| line));
@@ -282,7 +254,6 @@ impl<'a> Session<'a> {
         }
     }
 
-    /// Prints an error as one line, with `--json` as an object.
     pub fn complain(&mut self, error: &Error, code: u8) {
         let mut lines: Vec<_> = error.to_string().lines().map(|line| line.trim().to_owned()).collect();
         if let Error::Memory { needed, available, .. } = error {
@@ -292,17 +263,17 @@ impl<'a> Session<'a> {
         }
         let text = lines.join("; ");
         let line = if self.global.json { error_as_json(&text, kind(error), code) } else { format!("error: {text}") };
-        // The exit code says it all the same.
+        // The exit code still reports the error.
         let _ = writeln!(self.terminal.err, "{line}");
     }
 }
 
-/// An error as `--json` has it: an object in one line.
+/// Returns the one-line JSON of an error.
 pub fn error_as_json(text: &str, kind: &str, code: u8) -> String {
     serde_json::json!({ "error": text, "kind": kind, "exit_code": code }).to_string()
 }
 
-/// The name by which a program can tell errors apart.
+/// Returns the kind of an error for programs.
 fn kind(error: &Error) -> &'static str {
     match error {
         Error::Argument { .. } => "argument",
@@ -317,7 +288,7 @@ fn kind(error: &Error) -> &'static str {
     }
 }
 
-/// A number of bytes, or of 1024 to the power of 1, 2 or 3 of them.
+/// Parses a number of bytes with an optional binary suffix.
 fn parse_bytes(text: &str) -> Result<u64, String> {
     let (number, unit) = match text.strip_suffix(['K', 'M', 'G']) {
         Some(number) if text.ends_with('K') => (number, 1 << 10),

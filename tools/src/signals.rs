@@ -3,8 +3,8 @@
 use crate::{CANCELLED, process};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Flag for [`Terminal::cancelled`](crate::Terminal), set by SIGINT, SIGTERM or SIGHUP. A second
-/// signal ends the process and its children at once, without removing temporary files.
+/// Returns a flag for [`Terminal::cancelled`](crate::Terminal), set by SIGINT, SIGTERM or SIGHUP. A
+/// second signal ends the process and its children at once, without removing temporary files.
 pub fn cancelled_by_signals() -> &'static AtomicBool {
     static STOP: AtomicBool = AtomicBool::new(false);
     if !outlives_terminal() {
@@ -19,7 +19,7 @@ pub fn cancelled_by_signals() -> &'static AtomicBool {
     &STOP
 }
 
-/// Whether SIGHUP is ignored, as under nohup; a handler would undo that.
+/// Returns true for an ignored SIGHUP, as under nohup; a handler would undo that.
 fn outlives_terminal() -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let ignored = status.lines().find_map(|line| u64::from_str_radix(line.strip_prefix("SigIgn:")?.trim(), 16).ok());

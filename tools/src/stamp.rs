@@ -1,13 +1,10 @@
-//! Input stamps that let a repeated command skip finished work.
+//! Input stamps for skipping finished work.
 
 use sha2::{Digest, Sha256};
 use std::{path::Path, time::SystemTime};
 use zipsplat::{Error, Result};
 
-/// A file's name, size and time.
-///
-/// # Errors
-/// Where it is not there.
+/// Returns name, size and time.
 pub fn stamp(path: &Path) -> Result<String> {
     let failed = |error| Error::io(path, error);
     let found = path.metadata().map_err(failed)?;
@@ -15,7 +12,6 @@ pub fn stamp(path: &Path) -> Result<String> {
     Ok(format!("{} {} {}\n", path.file_name().unwrap_or_default().to_string_lossy(), found.len(), time.as_nanos()))
 }
 
-/// Hexadecimal digest of several texts.
 pub fn digest(parts: &[String]) -> String {
     let mut hash = Sha256::new();
     parts.iter().for_each(|part| hash.update(part));

@@ -1,26 +1,24 @@
-//! Aligned text: tables, sizes and times.
+//! Text tables, sizes and times.
 
 use indicatif::{HumanBytes, HumanCount};
 use std::{fmt, time::Duration};
 
-/// Rows under headings. The first columns are aligned to the left, the others to the right.
+/// Table with left-aligned first columns.
 pub struct Table {
     left: usize,
     rows: Vec<Vec<String>>,
 }
 
 impl Table {
-    /// An empty table, `left` of whose columns are aligned to the left.
+    /// Takes the number of left-aligned columns.
     pub fn new(left: usize, headings: &[&str]) -> Self {
         Self { left, rows: vec![headings.iter().map(ToString::to_string).collect()] }
     }
 
-    /// A table of lines as long as the headings.
     pub fn of(left: usize, headings: &[String], lines: &[Vec<String>]) -> Self {
         Self { left, rows: std::iter::once(headings.to_vec()).chain(lines.iter().cloned()).collect() }
     }
 
-    /// Adds a row with a cell for each heading.
     pub fn row<const N: usize>(&mut self, cells: [String; N]) {
         self.rows.push(cells.into());
     }
@@ -42,24 +40,24 @@ impl fmt::Display for Table {
     }
 }
 
-/// A length with four significant digits.
+/// Formats four significant digits.
 pub fn significant(value: f64) -> String {
     let digits = if value.abs() > 0.0 { (3.0 - value.abs().log10().floor()).max(0.0) } else { 4.0 };
     if digits > 8.0 { format!("{value:.3e}") } else { format!("{value:.*}", digits as usize) }
 }
 
-/// `1 view`, `2 views`.
+/// Formats `1 view`, `2 views`.
 pub fn counted(count: usize, what: &str) -> String {
     let plural = if count == 1 { "" } else { "s" };
     format!("{} {what}{plural}", HumanCount(count as u64))
 }
 
-/// `1.20 GiB`.
+/// Formats `1.20 GiB`.
 pub fn bytes(count: u64) -> String {
     HumanBytes(count).to_string()
 }
 
-/// `1.234 s`, `12.3 ms`.
+/// Formats `1.234 s`, `12.3 ms`.
 pub fn time(duration: Duration) -> String {
     let seconds = duration.as_secs_f64();
     if seconds < 1.0 { format!("{:.1} ms", 1e3 * seconds) } else { format!("{seconds:.3} s") }

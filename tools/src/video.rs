@@ -13,18 +13,17 @@ use std::{
 };
 use zipsplat::{Error, Result};
 
-/// Extensions of the files that are taken for videos.
 const EXTENSIONS: [&str; 8] = ["mp4", "mov", "m4v", "avi", "mkv", "webm", "3gp", "mts"];
-/// Photos of a video where nobody says how many.
+/// Default number of photos from a video.
 pub const FRAMES: usize = 24;
-/// Sides of the grey pictures in which sharpness is judged: small enough that noise does not count.
+/// Size of gray pictures for sharpness, small enough to suppress noise.
 const SIDE: usize = 512;
-/// One timestamp a frame: ffmpeg drops and doubles frames of others to make them regular.
+/// Regular timestamps; otherwise ffmpeg drops and duplicates frames.
 const REGULAR: &str = "setpts=N/25/TB";
-/// The pictures of a video, and not of its cover.
+/// Excludes cover pictures.
 const PICTURES: [&str; 2] = ["-map", "0:v:0"];
 
-/// A folder for photos that ffmpeg makes, which goes with them unless it is kept.
+/// Removed on drop unless kept.
 pub struct FrameFolder {
     path: PathBuf,
     kept: bool,
@@ -32,20 +31,14 @@ pub struct FrameFolder {
 }
 
 impl FrameFolder {
-    /// One that nobody will miss.
-    ///
-    /// # Errors
-    /// [`Error::Io`] where none can be made.
+    /// Creates a temporary folder.
     pub fn temporary() -> Result<Self> {
         let scratch = Scratch::new()?;
-        // It removes itself.
+        // The scratch folder removes itself.
         Ok(Self { path: scratch.path().to_owned(), kept: true, _scratch: Some(scratch) })
     }
 
-    /// `frames` beside a file that will name them. One that exists is taken where `overwrite`, and stays.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] where it exists and is not to be taken, [`Error::Io`] where it cannot be made.
+    /// Creates `frames` beside a camera file, or keeps an existing one with `overwrite`.
     pub fn beside(file: &Path, overwrite: bool) -> Result<Self> {
         let path = file.with_file_name("frames");
         file.parent().map_or(Ok(()), make_folder)?;
@@ -66,7 +59,6 @@ impl FrameFolder {
         &self.path
     }
 
-    /// Keeps it and what is in it.
     pub fn keep(&mut self) {
         self.kept = true;
     }
@@ -75,24 +67,23 @@ impl FrameFolder {
 impl Drop for FrameFolder {
     fn drop(&mut self) {
         if !self.kept {
-            // What cannot be removed is left for who can.
+            // Cleanup is best effort.
             let _ = std::fs::remove_dir_all(&self.path);
         }
     }
 }
 
-/// True where a file is a video, by its extension.
 pub fn is_video(path: &Path) -> bool {
     let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
     extension.is_some_and(|extension| EXTENSIONS.contains(&extension.as_str()))
 }
 
-/// Writes the sharpest frame of each of `count` equal parts of a video to a folder, turned as the file says: the name of
-/// the video and the number of the frame, such as `clip-00042.jpg`. Returns them in order.
+/// Writes the sharpest frame of each of `count` equal parts, upright and in order, such as
+/// `clip-00042.jpg` by frame number.
 ///
 /// # Errors
-/// [`Error::Argument`] where ffmpeg does not run, [`Error::Format`] in ffmpeg's words where the video cannot be read,
-/// [`Error::Io`] where a photo cannot be written, [`Error::Cancelled`].
+/// [`Error::Argument`] without ffmpeg, [`Error::Format`] with ffmpeg's message for an unreadable
+/// video, [`Error::Io`], [`Error::Cancelled`].
 pub fn sharpest_frames(
     session: &mut Session<'_>,
     ffmpeg: &Path,
@@ -116,7 +107,7 @@ pub fn sharpest_frames(
     Ok(photos)
 }
 
-/// The sharpness of each frame, the variance of the Laplacian, and what ffmpeg has to say about the video.
+/// Returns each frame's sharpness, and ffmpeg's warnings.
 fn judge(ffmpeg: &Path, video: &Path, stage: &Stage<'_>) -> Result<(Vec<f64>, String)> {
     let filter = format!("scale={SIDE}:{SIDE}:flags=area,format=gray,{REGULAR}");
     let mut sharpness = Vec::new();
@@ -137,14 +128,13 @@ fn judge(ffmpeg: &Path, video: &Path, stage: &Stage<'_>) -> Result<(Vec<f64>, St
     Ok((sharpness, said))
 }
 
-/// The sharpest frame of each of `count` equal parts, of equal ones the first.
+/// Returns the sharpest frame of each of `count` equal parts, the first of ties.
 fn sharpest(sharpness: &[f64], count: usize) -> Vec<usize> {
     let (all, count) = (sharpness.len(), count.min(sharpness.len()));
     let part = |i: usize| i * all / count..(i + 1) * all / count;
     (0..count).filter_map(|i| part(i).rev().max_by(|a, b| sharpness[*a].total_cmp(&sharpness[*b]))).collect()
 }
 
-/// Writes frames of a video, which are in ascending order.
 fn take(ffmpeg: &Path, video: &Path, chosen: &[usize], folder: &Path, stage: &Stage<'_>) -> Result<Vec<PathBuf>> {
     let numbers: Vec<String> = chosen.iter().map(|frame| format!("eq(n,{frame})")).collect();
     let filter = format!("select='{}',{REGULAR}", numbers.join("+"));
@@ -170,7 +160,7 @@ fn take(ffmpeg: &Path, video: &Path, chosen: &[usize], folder: &Path, stage: &St
     Ok(photos)
 }
 
-/// The variance of the Laplacian of a grey picture: how much of it is edges.
+/// Measures edges.
 fn laplacian_variance(grey: &[u8], width: usize) -> f64 {
     let height = grey.len() / width;
     let at = |x: usize, y: usize| f64::from(grey[y * width + x]);

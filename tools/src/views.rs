@@ -1,4 +1,4 @@
-//! The parts of photos that the network sees: the middle of each, or all of it as squares side by side.
+//! Network views of photos: center crops, or square tiles.
 
 use crate::{options::Size, photos, protocol::Filter, session::Stage, table::counted};
 use clap::{Args, ValueEnum};
@@ -14,58 +14,47 @@ use zipsplat::{
     },
 };
 
-/// How photos of another shape than the network's are fitted to it.
 #[derive(Args, Debug)]
 pub struct FitOption {
-    /// Part of a photo that the network sees where it is not as wide as high
+    /// Part of a nonsquare photo for the network
     #[arg(long, alias = "crop", value_enum, value_name = "HOW", default_value = "crop")]
     pub fit: Fit,
 }
 
-/// The part of a photo that the network sees.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Fit {
-    /// The middle, in the shape of --size
+    /// Center crop, in the shape of --size
     Crop,
-    /// The whole photo, as square views side by side, each with a camera turned to it: for known cameras. Twice the views of photos up
-    /// to 2:1, and the time and memory of so many
+    /// Whole photo, as square tiles with a camera turned to each: for known cameras. Twice the
+    /// views, time and memory for photos up to 2:1
     #[value(alias = "tiles")]
     Squares,
 }
 
-/// How photos are seen by the network and compared.
+/// Use of photos by the network and in comparisons.
 #[derive(Clone, Copy, Debug)]
 pub struct Seeing {
-    /// The part of each photo that the network sees.
     pub fit: Fit,
-    /// The size of the pictures that it sees.
+    /// Network input size.
     pub size: Size,
-    /// Size at which photos are compared.
     pub compared: Size,
-    /// Whether photos are compared as a whole, at the scale of `compared`, and not only what cropping to it leaves.
+    /// Compares whole photos at the scale of `compared`, not crops.
     pub whole: bool,
-    /// How photos become small.
     pub filter: Filter,
 }
 
-/// The views of photos.
 pub struct Views {
-    /// Pictures of the network's size.
     pub images: Vec<Image>,
-    /// Their cameras, in the world of the first photo's; none where photos have none.
+    /// In the first photo's world; empty without known cameras.
     pub cameras: Vec<Camera>,
-    /// The note about them.
     pub note: Option<String>,
 }
 
-/// A picture for the network, and its camera, where there is one.
+/// Network input, and any known camera.
 pub type Seen = (Image, Option<Camera>);
 
 impl Fit {
-    /// Refuses what squares cannot be made for.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for another size than a square, and for photos without cameras.
+    /// Checks the requirements of tiles.
     pub fn check(self, size: Size, posed: bool) -> Result<()> {
         match self {
             Self::Squares if !posed => {
@@ -79,10 +68,7 @@ impl Fit {
         }
     }
 
-    /// How many views these photos become; only their headers are read.
-    ///
-    /// # Errors
-    /// Where a photo cannot be read, or the views are more than a reconstruction takes.
+    /// Counts views by photo headers.
     pub fn count(self, photos: &[PathBuf]) -> Result<usize> {
         if self == Self::Crop {
             return Ok(photos.len());
@@ -96,10 +82,7 @@ impl Fit {
         Ok(views)
     }
 
-    /// The views of one photo, their cameras in the world of `camera`.
-    ///
-    /// # Errors
-    /// Where the camera is not that of the photo.
+    /// Returns the views of one photo, in the world of `camera`.
     pub fn views(self, photo: &Image, camera: Option<&Camera>, size: Size, label: &str) -> Result<Vec<Seen>> {
         match (self, camera) {
             (Self::Squares, Some(camera)) => {
@@ -114,10 +97,7 @@ impl Fit {
         }
     }
 
-    /// Reads photos that have these frames, one each, or none, and makes views of them.
-    ///
-    /// # Errors
-    /// Where a photo cannot be read or is not that of its camera.
+    /// Reads photos, with one frame each or none.
     pub fn load(self, photos: &[PathBuf], frames: &[&Frame], size: Size, stage: &Stage<'_>) -> Result<Views> {
         let read = photos::read(photos, frames, stage, |i, photo| {
             let camera = frames.get(i).map(|frame| &frame.camera);
@@ -129,7 +109,7 @@ impl Fit {
         Ok(Views::new(self, views.into_iter().flatten(), &world, &sizes, size))
     }
 
-    /// Cameras as the network is told them, in the world of the first, and its pose where that is not the world they are in.
+    /// Returns cameras in the first one's world, and its pose in another world.
     pub fn told(self, cameras: Vec<Camera>) -> (Vec<Camera>, Option<Pose>) {
         match (self, cameras.first().map(|camera| camera.pose)) {
             (Self::Squares, Some(first)) => {
@@ -142,15 +122,11 @@ impl Fit {
 }
 
 impl Seeing {
-    /// The middle of each photo, which is all that is compared.
+    /// Crops for both uses.
     pub fn cropped(size: Size) -> Self {
         Self { fit: Fit::Crop, size, compared: size, whole: false, filter: Filter::Lanczos }
     }
 
-    /// The pictures that the network sees of a photo.
-    ///
-    /// # Errors
-    /// As [`Fit::views`].
     pub fn views(self, photo: &Image, camera: &Camera, label: &str) -> Result<Vec<Seen>> {
         match (self.fit, self.filter) {
             (Fit::Crop, Filter::Bilinear) => {
@@ -161,10 +137,6 @@ impl Seeing {
         }
     }
 
-    /// A photo as it is compared.
-    ///
-    /// # Errors
-    /// As [`Filter::cropped`].
     pub fn compare(self, photo: &Image) -> Result<View> {
         let Size(width, height) = self.compared;
         if self.whole { self.filter.whole(photo, width, height) } else { self.filter.cropped(photo, width, height) }
@@ -172,7 +144,7 @@ impl Seeing {
 }
 
 impl Views {
-    /// The views whose cameras are in the world of photos of these sizes, in which the first one's camera has the pose `world`.
+    /// Takes photo sizes for the note. The first camera has the pose `world` in the cameras' world.
     pub fn new(fit: Fit, seen: impl Iterator<Item = Seen>, world: &Pose, photos: &[[u32; 2]], size: Size) -> Self {
         let (images, cameras): (Vec<_>, Vec<_>) = seen.unzip();
         let cameras: Vec<Camera> = cameras.into_iter().flatten().collect();
@@ -192,10 +164,7 @@ impl Views {
     }
 }
 
-/// The camera of a photo as that of what a map makes of it.
-///
-/// # Errors
-/// Where it is not valid or not the photo's.
+/// Returns the camera after a pixel map.
 pub fn seen_through(camera: &Camera, map: &PixelMap, label: &str) -> Result<Camera> {
     camera.validate(label)?;
     Ok(Camera { intrinsics: map.apply(&camera.intrinsics, label)?, ..*camera })

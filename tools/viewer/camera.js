@@ -1,11 +1,11 @@
-// The camera: x right, y down, z forward, as everywhere in ZipSplat.
+// Camera: x right, y down, z forward, as everywhere in ZipSplat.
 
 const add = (a, b, factor = 1) => a.map((value, i) => value + factor * b[i]);
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 const unit = a => a.map(value => value / Math.hypot(...a));
 const median = values => values.sort((a, b) => a - b)[values.length >> 1];
 
-// A vector turned by an angle in radians about a unit axis.
+// Radians about a unit axis.
 function turned(v, axis, angle) {
     const c = Math.cos(angle), s = Math.sin(angle), along = dot(axis, v) * (1 - c);
     const [x, y, z] = axis;
@@ -13,26 +13,25 @@ function turned(v, axis, angle) {
     return v.map((value, i) => value * c + across[i] * s + axis[i] * along);
 }
 
-const STEEPEST = 0.05; // radians between the line of sight and the vertical
+const STEEPEST = 0.05; // minimum angle to the vertical, radians
 
 class ViewCamera {
     constructor() {
-        this.fov = 50; // degrees, of the picture's shorter side
+        this.fov = 50; // degrees, shorter side
         this.up = [0, -1, 0];
         this.place([0, 0, 0], [[1, 0, 0], [0, 1, 0], [0, 0, 1]], 1);
     }
 
-    // Stands at `eye` with the axes right, down, forward; what it turns around is `distance` ahead.
+    // Axes: right, down, forward; the orbit center is `distance` ahead.
     place(eye, axes, distance) {
         Object.assign(this, { eye: [...eye], axes: axes.map(axis => [...axis]), distance });
     }
 
-    // The focal length in pixels of a picture.
     focal(width, height) { return Math.min(width, height) / 2 / Math.tan(this.fov * Math.PI / 360); }
 
     get target() { return add(this.eye, this.axes[2], this.distance); }
 
-    // Turns the line of sight where the camera stands: yaw about the vertical, pitch about its right.
+    // Rotates in place: yaw about the vertical, pitch about the right axis.
     look(yaw, pitch) {
         const angle = Math.acos(Math.max(-1, Math.min(1, dot(this.axes[2], this.up))));
         const steepest = Math.min(STEEPEST, angle, Math.PI - angle);
@@ -40,33 +39,32 @@ class ViewCamera {
         this.axes = this.axes.map(axis => turned(turned(axis, this.axes[0], -tilt), this.up, yaw)).map(unit);
     }
 
-    // Goes around what it turns around.
     orbit(yaw, pitch) {
         const target = this.target;
         this.look(yaw, pitch);
         this.eye = add(target, this.axes[2], -this.distance);
     }
 
-    // Moves by steps of the distance to what it turns around.
+    // In multiples of the orbit distance.
     move(right, down, forward) {
         for (const [i, step] of [right, down, forward].entries()) this.eye = add(this.eye, this.axes[i], step * this.distance);
     }
 
-    // Goes nearer to what it turns around, or farther from it.
+    // Scales the orbit distance.
     zoom(factor) {
         const target = this.target;
         this.distance = Math.max(1e-3, this.distance * factor);
         this.eye = add(target, this.axes[2], -this.distance);
     }
 
-    // Looks through an input camera, whole in a picture of this size.
+    // Matches an input camera, whole in a picture of this size.
     through({ matrix, width, height, fy }, pictureWidth, pictureHeight, distance) {
         const focal = fy * Math.min(pictureWidth / width, pictureHeight / height);
         this.fov = Math.atan(Math.min(pictureWidth, pictureHeight) / 2 / focal) * 360 / Math.PI;
         this.place(matrix.map(row => row[3]), [0, 1, 2].map(i => matrix.slice(0, 3).map(row => row[i])), distance);
     }
 
-    // As nerfstudio's camera_path.json has it: OpenGL axes, row-major, with the vertical field of view.
+    // Key of nerfstudio's camera_path.json: OpenGL axes, row-major, vertical field of view.
     asKey(width, height) {
         const [right, down, forward] = this.axes;
         const rows = [0, 1, 2].map(i => [right[i], -down[i], -forward[i], this.eye[i]]);
@@ -75,7 +73,7 @@ class ViewCamera {
     }
 }
 
-// How far ahead of a camera the scene lies, by points of it; none where the camera sees little.
+// Scene's distance ahead of a camera; none if few points are in view.
 function distanceAhead(points, eye, axes) {
     const depths = [], count = points.length / 3;
     for (let i = 0; i < count; ++i) {
@@ -85,8 +83,8 @@ function distanceAhead(points, eye, axes) {
     return depths.length > count / 2 ? median(depths) : null;
 }
 
-// The first view of a scene: from the origin, where the first photo's camera stands, if the scene lies ahead of it, as wide as
-// most of the scene; else from in front of the scene.
+// From the origin, the first photo's camera, if the scene lies ahead, else from in front of the
+// scene.
 function firstView(points) {
     const axes = [[1, 0, 0], [0, 1, 0], [0, 0, 1]], ahead = distanceAhead(points, [0, 0, 0], axes);
     const all = Array.from({ length: points.length / 3 }, (_, i) => Array.from(points.subarray(3 * i, 3 * i + 3)));

@@ -1,7 +1,7 @@
-// Mouse, touch and keys that move the camera. `changed` is called after each movement.
+// Camera control by mouse, touch and keys. `changed` runs after each movement.
 
-const TURN = 0.005; // radians a pixel
-const TAP = 1 / 30; // seconds for which a key that is only touched counts
+const TURN = 0.005; // radians per pixel
+const TAP = 1 / 30; // seconds of movement for a short key press
 const FLY = { KeyW: [0, 0, 1], KeyS: [0, 0, -1], KeyA: [-1, 0, 0], KeyD: [1, 0, 0], KeyQ: [0, 1, 0], KeyE: [0, -1, 0] };
 const TURNS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
@@ -37,7 +37,7 @@ class Controls {
         addEventListener("blur", () => this.keys.clear());
     }
 
-    // Pixels that a pan moves are those that what the camera turns around moves in the picture.
+    // Moves points at the orbit distance by the panned pixels.
     pan(dx, dy) {
         const { camera, canvas } = this, focal = camera.focal(canvas.clientWidth, canvas.clientHeight);
         camera.move(-dx / focal, -dy / focal, 0);
@@ -60,10 +60,10 @@ class Controls {
         this.changed();
     }
 
-    // Dragging right turns the scene to the right, whichever way its vertical points in the camera.
+    // Dragging right turns the scene right, also upside down.
     get handed() { return dot(this.camera.axes[1], this.camera.up) > 0 ? -1 : 1; }
 
-    // Moves at once, and on with every picture for as long as keys are held.
+    // Moves at once, then with every frame while keys are held.
     start() {
         let last = performance.now();
         const step = now => {
@@ -76,7 +76,6 @@ class Controls {
         requestAnimationFrame(step);
     }
 
-    // Moves as the held keys do in so many seconds.
     hold(seconds) {
         for (const key of this.keys) {
             if (FLY[key]) this.camera.move(...FLY[key].map(direction => 0.6 * seconds * direction));

@@ -1,15 +1,16 @@
-// Reads scenes in the worker: PLY as 3D Gaussian splatting writes it, SPZ versions 2 and 3, .splat, glTF with
+// Scene readers of the worker: PLY of 3D Gaussian splatting, SPZ 2 and 3, .splat, glTF with
 // KHR_gaussian_splatting.
 //
-// A scene has `count` Gaussians on the axes of the engine (x right, y down, z forward): means [N, 3], scales [N, 3] linear,
-// quats [N, 4] wxyz, opacities [N], colours [N, 3], the coefficients of degree 0 as a colour, and `rest` [N, K - 1, 3], the
-// coefficients above degree 0 as half floats. What cannot be read throws an Error with words for the user.
+// A scene has `count` Gaussians in the engine's axes (x right, y down, z forward): means [N, 3],
+// scales [N, 3] linear, quats [N, 4] wxyz, opacities [N], colors [N, 3] from degree 0, and `rest`
+// [N, K - 1, 3], higher coefficients as half floats. Unreadable files throw an Error with a message
+// for the user.
 
 const SH_0 = 0.2820947917738781;
 
 const floats = new Float32Array(1), floatBits = new Uint32Array(floats.buffer);
 
-// Bits of the nearest half float. Too large is infinity's largest neighbour, too small is 0.
+// Rounds to half-float bits. Overflow saturates, underflow becomes 0.
 function half(value) {
     floats[0] = value;
     const bits = floatBits[0], sign = bits >>> 16 & 0x8000, magnitude = (bits & 0x7fffffff) + 0x1000;
@@ -32,7 +33,7 @@ const PLY_TYPES = {
     float: [4, "getFloat32"], float32: [4, "getFloat32"], double: [8, "getFloat64"], float64: [8, "getFloat64"],
 };
 
-// The bytes where a PLY's Gaussians start, how many and how long they are, and the place and reader of each property.
+// Data offset, count, stride, and each property's offset and reader.
 function plyHeader(bytes) {
     const text = new TextDecoder("latin1").decode(bytes.subarray(0, 1 << 16));
     const end = /(^|\n)end_header\r?\n/.exec(text);
@@ -72,7 +73,7 @@ function readPly(bytes, progress) {
     const degree = [0, 3, 8, 15].indexOf(perChannel);
     if (degree < 0) throw new Error(`The PLY has ${3 * perChannel} coefficients f_rest, where 0, 9, 24 or 45 are usual.`);
     const view = new DataView(bytes.buffer, bytes.byteOffset), all = [...properties.values()];
-    // Floats alone, as most files have them, are read at once.
+    // Fast path for float-only files.
     const values = all.every(({ read }) => read === "getFloat32") && new Float32Array(bytes.slice(start, start + count * row).buffer);
     const reader = name => {
         const { at, read } = properties.get(name);
@@ -94,7 +95,7 @@ function readPly(bytes, progress) {
     return scene;
 }
 
-// What coefficient k is multiplied with under half a turn about x.
+// Factor of coefficient k under a half turn about x.
 function aboutX(k) {
     const l = Math.floor(Math.sqrt(k)), order = Math.abs(k - l * (l + 1)), negative = k < l * (l + 1);
     return negative !== ((l + order) % 2 === 1) ? -1 : 1;
@@ -172,7 +173,7 @@ function readSplat(bytes, progress) {
 const GLTF = "KHR_gaussian_splatting";
 const GLTF_TYPES = { 5120: [1, "getInt8", 127], 5121: [1, "getUint8", 255], 5122: [2, "getInt16", 32767], 5123: [2, "getUint16", 65535], 5126: [4, "getFloat32", 1] };
 
-// A glTF's JSON and its buffers' bytes: of a .glb's second chunk, or base64 in the file.
+// JSON and buffers, from .glb chunks or base64.
 function gltfParts(bytes) {
     const parsed = text => {
         try {
@@ -194,7 +195,7 @@ function gltfParts(bytes) {
     return of(parsed(bytes.subarray(20, end)), end < bytes.length && bytes.subarray(end + 8, end + 8 + view.getUint32(end, true)));
 }
 
-// The numbers of an accessor: how many there are, and a reader of component c of number i.
+// Count, and a reader of component c of element i.
 function gltfNumbers({ accessors, bufferViews }, buffers, index, width) {
     const accessor = accessors?.[index], from = bufferViews?.[accessor?.bufferView], type = GLTF_TYPES[accessor?.componentType];
     const shape = ["SCALAR", "VEC2", "VEC3", "VEC4"][width - 1], bytes = buffers[from?.buffer];
@@ -228,7 +229,7 @@ function readGltf(bytes, progress) {
         for (let m = 0; m <= 2 * l; ++m) bands.push(numbers(`${GLTF}:SH_DEGREE_${l}_COEF_${m}`, 3));
     const { count } = means, scene = emptyScene(count, degree), turn = [-1, -1, 1];
     if ([scales, quats, opacities, ...bands].some(other => other.count !== count)) throw new Error(`The glTF has not ${count} of each number of its Gaussians.`);
-    // Half a turn about z to the engine's axes, which negates harmonics of odd order.
+    // A half turn about z to the engine's axes negates harmonics of odd order.
     const signs = bands.map((_, k) => Math.abs(k - Math.floor(Math.sqrt(k)) * (Math.floor(Math.sqrt(k)) + 1)) % 2 ? -1 : 1);
     for (let i = 0; i < count; ++i) {
         for (let c = 0; c < 3; ++c) {
@@ -245,7 +246,7 @@ function readGltf(bytes, progress) {
     return scene;
 }
 
-// The scene of a file, told by its first bytes, a .splat by its name.
+// By first bytes, a .splat by its name.
 async function readScene(bytes, name, progress) {
     const starts = text => [...text].every((c, i) => bytes[i] === c.charCodeAt(0));
     if (!bytes.length) throw new Error("The file is empty.");

@@ -1,10 +1,11 @@
-// The compression ratio as a slider: the server keeps the features of the photos and makes a scene of each ratio that is asked for.
+// Compression-ratio slider: the server makes scenes from cached features.
 
 const LEAST_RATIO = 0.01;
-// Rises with every request, also of pages opened later: the server drops those below the highest, in whatever order they arrive.
+// Increases with every request, also across pages: the server cancels lower numbers in any arrival
+// order.
 let lastRequest = Date.now() * 1000;
 
-// An answer of the server, or an error with its words.
+// Server response, or an error with its message.
 async function asked(address, options) {
     const answer = await fetch(address, options).catch(error => {
         throw error.name === "AbortError" ? error : new Error("zipsplat view does not answer: it may have ended.");
@@ -13,7 +14,6 @@ async function asked(address, options) {
     return answer;
 }
 
-// A scene of the server's and the line about it before it.
 async function made(address, signal) {
     const bytes = new Uint8Array(await (await asked(address, { signal })).arrayBuffer()), end = bytes.indexOf(10);
     return { facts: JSON.parse(new TextDecoder().decode(bytes.subarray(0, end))), bytes: bytes.slice(end + 1).buffer };
@@ -33,10 +33,10 @@ class Live {
         this.ask();
     }
 
-    // From the least ratio to 1, a tenth as many tokens for the same way anywhere.
+    // Logarithmic scale from the least ratio to 1.
     get ratio() { return Number(Math.max(LEAST_RATIO, LEAST_RATIO ** (1 - element("ratio").value / 100)).toPrecision(3)); }
 
-    // Asks for the scene of the ratio; what was asked for before and is not there yet is dropped, here and by the server.
+    // Requests the scene of the ratio and cancels pending requests.
     async ask() {
         this.waiting?.abort();
         const waiting = this.waiting = new AbortController(), begin = performance.now();

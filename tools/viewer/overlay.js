@@ -1,6 +1,6 @@
-// What lies over the picture: the input cameras, and the photo of the one that is looked through, with how like it the picture is.
+// Overlay of input cameras, and of the current one's photo with its PSNR.
 
-const MOST_PIXELS = 1 << 20; // of a photo that is compared
+const MOST_PIXELS = 1 << 20; // pixel limit of a compared photo
 
 class Overlay {
     constructor(page) {
@@ -18,7 +18,6 @@ class Overlay {
         this.page.change();
     }
 
-    // Shows the photo of an input camera, where there is one.
     stand(input) {
         if (!input.photo) return;
         this.input = input;
@@ -30,7 +29,7 @@ class Overlay {
         this.wipe();
     }
 
-    // Says how like the photo the scene's picture is, once both are there and where the scene is another than before.
+    // Once for each scene.
     compare(scene) {
         const { page, photo } = this, { naturalWidth, naturalHeight } = photo;
         if (photo.hidden || !photo.complete || !naturalWidth || !scene?.drawable || scene.sorting || this.compared === scene.drawable) return;
@@ -48,17 +47,17 @@ class Overlay {
 
     leave() { this.photo.hidden = element("photos").hidden = true; }
 
-    // The photo is seen to the left of the wiper.
+    // Photo left of the wiper.
     wipe() { this.photo.style.clipPath = `inset(0 ${100 - element("wiper").value}% 0 0)`; }
 
-    // Where a point is in the page, if it is before the camera.
+    // Page position of a point in front of the camera.
     project(point) {
         const { camera, canvas } = this.page, focal = camera.focal(canvas.clientWidth, canvas.clientHeight);
         const [x, y, z] = camera.axes.map(axis => dot(axis, add(point, camera.eye, -1)));
         return z > 0.01 ? [focal * x / z + canvas.clientWidth / 2, focal * y / z + canvas.clientHeight / 2] : null;
     }
 
-    // A camera's centre and the corners of its picture, a share of the scene's distance ahead of it.
+    // Camera center and picture corners, at a share of the scene's distance.
     frustum({ matrix, width, height, fx, fy, cx, cy }) {
         const size = 0.08 * this.page.camera.distance, eye = matrix.slice(0, 3).map(row => row[3]);
         const corner = (u, v) => matrix.slice(0, 3).map(row =>
@@ -82,7 +81,6 @@ class Overlay {
         }
     }
 
-    // A click on a camera looks through it.
     pick({ clientX, clientY }) {
         const moved = Math.hypot(clientX - this.pressed?.[0], clientY - this.pressed?.[1]) > 4;
         if (!this.shown || moved) return;

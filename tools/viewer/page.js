@@ -1,12 +1,12 @@
-// The page: loads scenes, draws when something changed, and answers buttons, keys and dropped files.
+// Page logic: loads scenes, draws on changes, and handles buttons, keys and dropped files.
 
 const element = id => document.getElementById(id);
 const config = JSON.parse(element("config").textContent);
 const counted = (count, what) => `${count.toLocaleString("en")} ${what}${count === 1 ? "" : "s"}`;
 const sized = bytes => bytes < 1e6 ? `${(bytes / 1e3).toFixed(1)} kB` : `${(bytes / 1e6).toFixed(1)} MB`;
 
-const SLOW = 60; // milliseconds a picture, beyond which moving pictures are drawn coarser
-const REST = 250; // milliseconds without movement after which a picture is drawn in full
+const SLOW = 60; // milliseconds per frame; slower motion lowers the resolution
+const REST = 250; // idle milliseconds before full resolution
 
 class Page {
     constructor() {
@@ -42,7 +42,7 @@ class Page {
 
     get scene() { return this.scenes[this.current]; }
 
-    // The scene's name as that of files that are made of it.
+    // Name for derived files.
     get stem() { return (this.scene?.name || "scene").replace(/\.\w+$/, "").replace(/\s+/g, "-"); }
 
     say(text, failed = false) {
@@ -51,7 +51,6 @@ class Page {
         element("message").hidden = !text;
     }
 
-    // Shows a scene, which is loaded where it is not yet.
     choose(index) {
         this.current = Math.max(0, Math.min(this.scenes.length - 1, index));
         const { scene } = this;
@@ -77,14 +76,14 @@ class Page {
         }
     }
 
-    // Hands a scene's bytes to the worker, with the view for which its Gaussians are to be in order, once there is one.
+    // Sends a scene to the worker, with any view for its first depth order.
     read(index, bytes) {
         const scene = this.scenes[index], view = this.home && this.view();
         if (!scene.file) scene.blob = new Blob([bytes]);
         this.worker.postMessage({ load: index, bytes, name: scene.name, view }, [bytes]);
     }
 
-    // Puts another scene in the place of one; done when it is on show.
+    // Resolves when the new scene is shown.
     swap(index, facts, bytes) {
         const scene = this.scenes[index];
         scene.done?.();
@@ -95,7 +94,7 @@ class Page {
         });
     }
 
-    // A scene's bytes: of a dropped file, of those within the page, or of those that zipsplat view serves.
+    // Dropped, embedded or from the server.
     async bytes(scene) {
         if (scene.file) return scene.file.arrayBuffer();
         const { inlined } = scene;
@@ -165,7 +164,7 @@ class Page {
         this.change();
     }
 
-    // The first view: through the first input camera where these are known.
+    // To the first input camera if known.
     reset() {
         const { camera, scene } = this;
         if (!scene?.sample) return;
@@ -179,7 +178,7 @@ class Page {
         this.change();
     }
 
-    // Looks through an input camera, with its photo over the picture where that is there.
+    // Input camera, with any photo as overlay.
     through(index, withPhoto = true) {
         const { camera, canvas, scene } = this, all = config.cameras ?? [];
         if (!all.length || !scene?.sample) return;
@@ -193,7 +192,7 @@ class Page {
         this.change();
     }
 
-    // Something is to be drawn anew; `moving` where the camera is on its way.
+    // `moving` during camera motion.
     change(moving = false) {
         if (moving) {
             this.moved = performance.now();
@@ -220,8 +219,8 @@ class Page {
         if (moving) this.change();
     }
 
-    // The scene in colours as an input camera sees it in a picture of a size: rows from the top, four bytes a pixel. What is on show
-    // is to be drawn again.
+    // Color picture from an input camera: RGBA bytes, rows from the top. The page needs a redraw
+    // afterwards.
     seen(input, width, height) {
         const { renderer, background, scene } = this, camera = new ViewCamera();
         camera.through(input, width, height, 1);
@@ -230,7 +229,7 @@ class Page {
         return renderer.bytes();
     }
 
-    // Asks for the order of a scene's Gaussians as they are seen now, once the last answer is there.
+    // Requests a new depth order after the last answer.
     order(scene) {
         if (!scene?.drawable || scene.sorting) return;
         const view = this.view();
@@ -240,10 +239,10 @@ class Page {
         this.worker.postMessage({ sort: this.current, view });
     }
 
-    // What the order depends on: the line of sight and the eye.
+    // Inputs of the depth order: line of sight and eye.
     view() { return [...this.camera.axes[2], ...this.camera.eye]; }
 
-    // Pictures a second while something moves; where they are slow, moving ones get fewer pixels.
+    // Measures frames per second; slow motion gets fewer pixels.
     measure(now, moving) {
         const { times } = this;
         if (!moving) return void (times.length = 0);
@@ -275,13 +274,12 @@ class Page {
             scene ? `${this.current + 1} of ${scenes.length}: ${[scene.name, ...facts.slice(0, 2)].join(", ")}${config.note ? `. ${config.note}` : ""}` : "";
     }
 
-    // A file that was dropped or opened stands beside the scenes that there are.
     add(file) {
         this.scenes.push({ name: file.name, bytes: file.size, file, extension: "" });
         this.choose(this.scenes.length - 1);
     }
 
-    // The scene as its bytes came.
+    // Original bytes.
     saveScene() {
         const { scene } = this, blob = scene.file ?? scene.blob;
         if (blob) this.download(scene.file?.name ?? `${this.stem}${scene.extension}`, blob);
@@ -295,7 +293,7 @@ class Page {
         setTimeout(() => URL.revokeObjectURL(link.href), 10000);
     }
 
-    // What was drawn is gone after the page shows it: it is drawn again and read at once.
+    // Redraws before reading, because the page clears a shown picture.
     picture() {
         this.moved = 0;
         this.draw(performance.now());

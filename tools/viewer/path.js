@@ -1,13 +1,13 @@
-// Key cameras: kept, played as a smooth path, saved as nerfstudio's camera_path.json, and recorded.
+// Key cameras: smooth playback, nerfstudio's camera_path.json, recording.
 
 const FPS = 30;
 
-// The value of a uniform Catmull-Rom spline between b and c, for numbers of each component.
+// Uniform Catmull-Rom spline between b and c, by component.
 function spline(a, b, c, d, t) {
     return b.map((_, i) => b[i] + 0.5 * t * (c[i] - a[i] + t * (2 * a[i] - 5 * b[i] + 4 * c[i] - d[i] + t * (3 * (b[i] - c[i]) + d[i] - a[i]))));
 }
 
-// The unit quaternion wxyz of a rotation whose columns are these axes.
+// From orthonormal axes, wxyz.
 function quaternion([right, down, forward]) {
     const m = (row, column) => [right, down, forward][column][row];
     const q = [1 + m(0, 0) + m(1, 1) + m(2, 2), 1 + m(0, 0) - m(1, 1) - m(2, 2), 1 - m(0, 0) + m(1, 1) - m(2, 2), 1 - m(0, 0) - m(1, 1) + m(2, 2)];
@@ -17,7 +17,6 @@ function quaternion([right, down, forward]) {
     return unit([[q[0], wx, wy, wz], [wx, q[1], xy, xz], [wy, xy, q[2], yz], [wz, xz, yz, q[3]]][largest]);
 }
 
-// The axes of a unit quaternion.
 function axesOf([w, x, y, z]) {
     return [
         [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)],
@@ -40,11 +39,10 @@ class Path {
 
     get seconds() { return Math.max(0.1, Math.min(300, Number(element("seconds").value) || 4)); }
 
-    // Keeps the view as a key camera.
     keep() {
         const { eye, axes, fov, distance } = this.page.camera, last = this.keys.at(-1);
         let turn = quaternion(axes);
-        // Of the two quaternions of a rotation the one nearer to the last key's: the path turns the short way.
+        // The nearer of two quaternions takes the short way.
         if (last && last.turn.reduce((sum, value, i) => sum + value * turn[i], 0) < 0) turn = turn.map(value => -value);
         this.keys.push({ eye: [...eye], turn, fov, distance });
         this.changed();
@@ -57,7 +55,7 @@ class Path {
         element("play").disabled = count < 2;
     }
 
-    // The camera at a share of the way, from the first key to the last.
+    // At a fraction of the path.
     at(share) {
         const { keys } = this, place = share * (keys.length - 1), first = Math.min(Math.floor(place), Math.max(0, keys.length - 2));
         const key = i => keys[Math.max(0, Math.min(keys.length - 1, i))];
@@ -69,7 +67,7 @@ class Path {
         return camera;
     }
 
-    // Plays the path on the page, until it is over or somebody takes the camera.
+    // Until its end or user input.
     play() {
         if (this.keys.length < 2) return;
         if (this.playing) return void (this.playing = null);
@@ -86,7 +84,7 @@ class Path {
         requestAnimationFrame(step);
     }
 
-    // As `zipsplat render --cameras` and nerfstudio read it: a camera a picture.
+    // For `zipsplat render --cameras` and nerfstudio, one camera per frame.
     file() {
         const { clientWidth: width, clientHeight: height } = this.page.canvas, { keys, seconds } = this;
         const count = keys.length > 1 ? Math.max(2, Math.round(FPS * seconds)) : 1;
@@ -101,7 +99,7 @@ class Path {
 
     say(text) { element("recorded").textContent = text; }
 
-    // Has the server draw the path, or says the command that does.
+    // Records on the server, or shows the command.
     async record() {
         const { page } = this, { scene } = page, format = element("format").value, name = page.stem;
         if (!scene.source) {

@@ -1,6 +1,6 @@
-// A refinement on the server, watched: its scene every few steps, the loss, and a button that ends it.
+// Live refinement on the server: scenes, loss, and a stop button.
 
-const OFTEN = 250; // milliseconds between looks
+const OFTEN = 250; // polling interval in milliseconds
 
 class Refining {
     constructor(page) {
@@ -41,7 +41,6 @@ class Refining {
         this.plot(losses, steps);
     }
 
-    // The loss of each step.
     plot(losses, steps) {
         const canvas = element("losses"), context = canvas.getContext("2d"), most = Math.max(...losses, 1e-9);
         canvas.width = canvas.clientWidth;

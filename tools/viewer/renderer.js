@@ -1,17 +1,18 @@
-// Draws Gaussians with WebGL2 by the rules of the engine's kernels/render: EWA splatting with the same blur and cut-offs,
-// spherical harmonics to degree 3, far to near, at half precision a channel, truncated to 8 bits.
+// WebGL2 renderer with the rules of kernels/render: EWA splatting with equal blur and cut-offs,
+// spherical harmonics to degree 3, far to near, half-precision channels, truncated to 8 bits.
 
 const TEXTURE_WIDTH = 4096;
 
-// What a picture shows: a number of the shaders. Depth is the mean depth of what is seen, a normal the shortest axis, tokens have
-// colours of their own: as --depth, --normals and --group of `zipsplat render`.
+// View modes of the shaders, as --depth (mean visible depth), --normals (shortest axis) and --group
+// (token colors) of `zipsplat render`.
 const SHOWN = { color: 0, depth: 1, normals: 2, tokens: 3 };
-// Colours of depths, near to far.
+// Depth colors, near to far.
 const PALETTE = [[1, 0.95, 0.65], [0.98, 0.62, 0.25], [0.8, 0.25, 0.42], [0.4, 0.13, 0.5], [0.08, 0.07, 0.25]];
 
-// Gaussians of an instance: a driver that starts each instance anew has little else to do where an instance is one.
+// Gaussians per instance: amortizes the cost of instances.
 const BATCH = 128;
-// The textures of Gaussians as they are seen, three texels each: centre and long axis; short axis, number, opacity; colour.
+// Textures of projected Gaussians, three texels each: center and long axis; short axis, number,
+// opacity; color.
 const PROJECTED = ["ellipses", "short_axes", "colors"];
 
 const TEXELS = `
@@ -19,7 +20,7 @@ ivec2 place_of(uint at) { return ivec2(at % ${TEXTURE_WIDTH}u, at / ${TEXTURE_WI
 uvec4 texel(usampler2D source, uint at) { return texelFetch(source, place_of(at), 0); }
 `;
 
-// Computes a Gaussian once for its four corners, in the order in which they are drawn. One that is not seen gets opacity 0.
+// Projects once for four corners, in drawing order. Invisible Gaussians get opacity 0.
 const PROJECT_FRAGMENT = `#version 300 es
 precision highp float;
 precision highp int;
@@ -168,7 +169,7 @@ void main() {
     blended = vec4(color.rgb * alpha, alpha);
 }`;
 
-// The Gaussian that covers a pixel, of those with at least so much alpha there.
+// Finds the Gaussian with a minimum alpha at a pixel.
 const PICK_FRAGMENT = `#version 300 es
 precision highp float;
 precision highp int;
@@ -248,7 +249,7 @@ class Renderer {
         return { program, uniforms };
     }
 
-    // The corners of a batch: four vertices and two triangles a Gaussian.
+    // Four vertices and two triangles per Gaussian.
     quadArray() {
         const { gl } = this, array = gl.createVertexArray();
         const corners = Uint16Array.from({ length: 6 * BATCH }, (_, i) => 4 * Math.floor(i / 6) + [0, 1, 2, 2, 1, 3][i % 6]);
@@ -259,7 +260,7 @@ class Renderer {
         return array;
     }
 
-    // A picture of one pixel, which holds the number of a Gaussian.
+    // One-pixel target for a Gaussian's number.
     pickBuffer() {
         const { gl } = this, buffer = gl.createFramebuffer(), texture = gl.createTexture();
         gl.bindTexture(gl.TEXTURE_2D, texture);
@@ -269,7 +270,7 @@ class Renderer {
         return buffer;
     }
 
-    // Brings a scene that the worker packed to the device.
+    // Scene packed by the worker.
     upload({ count, degree, gaussians, harmonics }) {
         const { gl } = this, most = gl.getParameter(gl.MAX_TEXTURE_SIZE);
         const texture = (texels, format = gl.RGBA32UI) => {
@@ -297,7 +298,7 @@ class Renderer {
         return scene;
     }
 
-    // Puts words into a texture of so many channels, row by row.
+    // Row by row.
     fill(texture, words, channels) {
         const { gl } = this, texels = words.length / channels, whole = Math.floor(texels / TEXTURE_WIDTH);
         const put = (y, width, rows, from) => width && rows &&
@@ -307,13 +308,12 @@ class Renderer {
         put(whole, texels - whole * TEXTURE_WIDTH, 1, channels * whole * TEXTURE_WIDTH);
     }
 
-    // Frees what `upload` made.
     release(scene) {
         for (const name of ["gaussians", "harmonics", "order", ...PROJECTED]) this.gl.deleteTexture(scene[name]);
         this.gl.deleteFramebuffer(scene.projection);
     }
 
-    // Takes the order, far to near, in which a scene is drawn.
+    // Far to near.
     sort(scene, order) {
         this.fill(scene.order, order, 1);
         scene.drawn = order.length;
@@ -335,8 +335,7 @@ class Renderer {
         gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, frame.texture, 0);
     }
 
-    // Draws a scene, or only the background, as a camera sees it. `view` says what is shown: see SHOWN; the Gaussians of a token, the
-    // token that is pointed at, and the range of depths.
+    // `view`: mode (see SHOWN), Gaussians per token, hovered token, depth range.
     draw(scene, camera, background, view = {}) {
         const { gl, frame, show } = this, { width, height } = frame, { shown = "color", range = [0, 1] } = view;
         if (scene?.drawn) this.project(scene, camera, view);
@@ -363,7 +362,7 @@ class Renderer {
         gl.drawArrays(gl.TRIANGLES, 0, 3);
     }
 
-    // Computes each Gaussian as a camera sees it, in the order in which they are drawn.
+    // In drawing order.
     project(scene, camera, { shown = "color", group = 1, hovered = -1 } = {}) {
         const { gl, projector: { program, uniforms } } = this, { width, height } = this.frame;
         const focal = camera.focal(width, height), [right, down, forward] = camera.axes;
@@ -384,7 +383,6 @@ class Renderer {
         gl.drawArrays(gl.TRIANGLES, 0, 3);
     }
 
-    // Binds textures of a scene to the samplers of their names.
     bind(uniforms, scene, names) {
         for (const [unit, name] of names.entries()) {
             this.gl.activeTexture(this.gl.TEXTURE0 + unit);
@@ -393,7 +391,7 @@ class Renderer {
         }
     }
 
-    // Makes a program ready to draw a scene's Gaussians as they were projected last, and gives its uniforms.
+    // For the last projected scene.
     use({ program, uniforms }, scene) {
         const { gl } = this;
         gl.useProgram(program);
@@ -408,7 +406,7 @@ class Renderer {
         this.gl.drawElementsInstanced(this.gl.TRIANGLES, 6 * BATCH, this.gl.UNSIGNED_SHORT, 0, Math.ceil(drawn / BATCH));
     }
 
-    // The nearest Gaussian that covers half of what is behind it at a pixel of the picture, else a tenth; none where nothing does.
+    // Nearest Gaussian with alpha of at least a half, else a tenth.
     pick(scene, camera, x, y) {
         if (!scene?.drawn) return null;
         const { gl } = this, { width, height } = this.frame, found = new Uint32Array(4);
@@ -426,7 +424,7 @@ class Renderer {
         return null;
     }
 
-    // What was blended in a part of the last picture, rows from the top: four floats a pixel, the last of them alpha.
+    // Blended values, rows from the top: four floats per pixel, alpha last.
     values(x, y, width, height) {
         const { gl, frame } = this, values = new Float32Array(4 * width * height);
         gl.bindFramebuffer(gl.FRAMEBUFFER, frame.buffer);
@@ -437,7 +435,7 @@ class Renderer {
         });
     }
 
-    // The last picture, rows from the top: four bytes a pixel.
+    // Rows from the top, four bytes per pixel.
     bytes() {
         const { gl, frame: { width, height } } = this, rows = new Uint8Array(4 * width * height), bytes = new Uint8Array(rows.length);
         gl.bindFramebuffer(gl.FRAMEBUFFER, null);

@@ -1,4 +1,4 @@
-// Tokens: the one that is pointed at, and the patch of the photo that it is of.
+// Hovered token and its photo patch.
 
 class Tokens {
     constructor(page) {
@@ -11,7 +11,7 @@ class Tokens {
         canvas.addEventListener("pointerleave", () => this.leave());
     }
 
-    // Gaussians of a token of the scene on show, where that is known.
+    // Of the current scene, or 0.
     get group() { return this.page.scene?.group ?? 0; }
 
     leave() {
@@ -21,7 +21,7 @@ class Tokens {
         this.page.change();
     }
 
-    // Finds the token at a place of the page, once a picture.
+    // Once per frame.
     point(x, y) {
         if (this.page.views.shown !== "tokens") return;
         const waits = this.at;
@@ -42,7 +42,7 @@ class Tokens {
         page.change();
     }
 
-    // The view, row and column of a token's patch, where these are known.
+    // View, row and column, if known.
     patch(token) {
         const index = this.page.scene?.patches?.[token], [rows, columns] = config.grid ?? [];
         if (index === undefined || !config.views?.length) return null;
@@ -61,7 +61,7 @@ class Tokens {
         if (this.hovered === token) this.drawPatch(photo, patch);
     }
 
-    // A picture that the network saw.
+    // Network input.
     async photo(view) {
         if (!this.photos.has(view)) {
             const photo = new Image();

@@ -1,6 +1,6 @@
-// What a picture shows: colours, depth, normals or tokens; and what it does without.
+// View modes: color, depth, normals or tokens; and skipped effects.
 
-const NEAREST = 0.01; // nearer to the camera nothing is drawn
+const NEAREST = 0.01; // near plane
 
 class Views {
     constructor(page) {
@@ -11,7 +11,6 @@ class Views {
         element("palette").style.background = `linear-gradient(90deg, ${stops})`;
     }
 
-    // Shows one of SHOWN.
     show(shown) {
         const { page } = this;
         if (shown === "tokens" && !page.tokens.group) {
@@ -25,13 +24,12 @@ class Views {
         page.change();
     }
 
-    // How the renderer draws it.
     drawn() {
         const { shown, page: { tokens } } = this;
         return { shown, group: tokens.group || 1, hovered: tokens.hovered, range: shown === "depth" ? this.depths() : [0, 1] };
     }
 
-    // The range of depths that the palette spans: that of most of what is before the camera.
+    // Palette range, of most visible points.
     depths() {
         const { camera, scene } = this.page, points = scene?.sample ?? [], depths = [];
         for (let i = 0; i < points.length; i += 3) {
@@ -46,7 +44,7 @@ class Views {
         return range;
     }
 
-    // Says what the picture does without, and why.
+    // Skipped effects with reasons.
     tellLeftOut() {
         const { scene } = this.page, whole = number => number.toLocaleString("en"), facts = [];
         if (scene?.drawable) {

@@ -1,15 +1,15 @@
-// Works beside the page: reads scenes, packs them for textures, and sorts their Gaussians by depth.
+// Worker: reads scenes, packs textures and sorts by depth.
 //
-// In: { load, bytes, name, view } and { sort, view }, where load and sort are a scene's number and view, which a load may lack, the
-// line of sight and the eye. Out: { load, progress }, { load, failed } with words,
-// { load, count, degree, dropped, faint, gaussians, harmonics, sample, order } and { sort, order }.
+// In: { load, bytes, name, view } and { sort, view }: scene numbers, and the view's line of sight
+// and eye (optional for load). Out: { load, progress }, { load, failed } with a message, { load,
+// count, degree, dropped, faint, gaussians, harmonics, sample, order } and { sort, order }.
 
 const NEAR = 0.01;
-const FAINTEST = 1 / 255; // weaker Gaussians show in no picture
+const FAINTEST = 1 / 255; // weaker Gaussians are invisible
 const SAMPLE = 4096;
 const scenes = new Map();
 
-// A scene as texels of 4 words; renderer.js has the shader that reads them.
+// Texels of 4 words for renderer.js.
 function pack(scene) {
     const { count, means, scales, quats, opacities, colors, rest } = scene;
     const gaussians = new Uint32Array(12 * count), values = new Float32Array(gaussians.buffer);
@@ -37,7 +37,7 @@ function pack(scene) {
     return { gaussians, harmonics: new Uint32Array(harmonics.buffer), dropped };
 }
 
-// Some of the means, by which the page finds a first view.
+// Means for the first view.
 function sampled({ means, count }) {
     const step = Math.max(1, Math.floor(count / SAMPLE)), points = [];
     for (let i = 0; i < count; i += step) points.push(means[3 * i], means[3 * i + 1], means[3 * i + 2]);
@@ -58,7 +58,7 @@ async function load(id, buffer, name, view) {
 
 const counts = [new Uint32Array(65536), new Uint32Array(65536)];
 
-// Indices of the Gaussians beyond the near plane that are not too faint, far to near: a stable radix sort by the bits of their depth.
+// Visible Gaussians beyond the near plane, far to near: a stable radix sort by depth bits.
 function sorted({ means, count, opacities, depths, indices }, [fx, fy, fz, ex, ey, ez]) {
     const bits = new Uint32Array(depths.buffer), [low, high] = counts;
     low.fill(0);

@@ -17,20 +17,16 @@ use zipsplat::{
     types::{Camera, Image},
 };
 
-/// Maximum number of steps.
 pub(super) const STEPS: usize = 200;
 /// Learning rate of rotations in radians and of shifts.
 const RATE: f64 = 5e-3;
-/// Loss change that ends the search, after [`PATIENCE`] steps below it.
+/// Loss change that ends the search after [`PATIENCE`] smaller ones.
 const FLAT: f64 = 1e-5;
 const PATIENCE: usize = 5;
-/// Weight of LPIPS in the loss.
 const LPIPS: f64 = 0.05;
-/// Minimum sum of the weights.
 const EPS: f64 = 1e-8;
 
-/// Moves `camera` for at most 200 steps to match its rendering to the photo. Returns the last pose,
-/// without a distance limit.
+/// Takes at most 200 steps, without a distance limit, and returns the last pose.
 ///
 /// # Errors
 /// As [`super::align`].
@@ -71,10 +67,10 @@ pub struct Descent {
 }
 
 impl Descent {
-    /// Before the first step. `truth` is the photo, `[height][width][rgb]`, of the camera's size.
+    /// Starts an alignment. `truth` is the photo, `[height][width][rgb]`, at the camera's size.
     ///
     /// # Errors
-    /// [`Error::Argument`] where the renderer has no scene.
+    /// [`Error::Argument`] if the renderer has no scene.
     pub fn new(renderer: &Renderer, truth: &[f32], camera: &Camera) -> Result<Self> {
         let scene =
             renderer.scene().ok_or_else(|| Error::argument("scene to align to", "none", "one that was loaded"))?;
@@ -93,7 +89,7 @@ impl Descent {
         Ok(loss)
     }
 
-    /// The loss, and its gradient by (w, v) = 0 where the pose moves as pose o (exp(w^), v).
+    /// Returns the loss and its gradient at (w, v) = 0, where the pose is pose o (exp(w^), v).
     ///
     /// # Errors
     /// As [`Renderer::render_loaded`].
@@ -118,7 +114,6 @@ impl Descent {
     }
 }
 
-/// The pictures that are drawn.
 const SEEN: RenderRequest = RenderRequest {
     rgb: true,
     alpha: true,
@@ -131,8 +126,8 @@ const SEEN: RenderRequest = RenderRequest {
     layout: None,
 };
 
-/// Alpha-weighted mean absolute difference, and its gradient `[pixels, 4]` by red, green, blue and
-/// alpha, including the weights.
+/// Returns the alpha-weighted mean absolute difference and its gradient `[pixels, 4]` by red,
+/// green, blue and alpha.
 fn weighted_difference(rgb: &[f32], alpha: &[f32], truth: &[f32]) -> (f64, Vec<f32>) {
     let differences = rgb.iter().zip(truth).map(|(a, b)| f64::from(*a) - f64::from(*b));
     let differences: Vec<f64> = differences.collect();
@@ -148,8 +143,8 @@ fn weighted_difference(rgb: &[f32], alpha: &[f32], truth: &[f32]) -> (f64, Vec<f
     (loss, differences.chunks_exact(3).zip(alpha).flat_map(d_pixel).collect())
 }
 
-/// LPIPS term of picture and photo `[pixels, 3]` times alpha. Adds its gradient to `d_frames`
-/// `[pixels, 4]`, including alpha.
+/// Returns LPIPS between picture and photo `[pixels, 3]`, both times alpha. Adds its gradient to
+/// `d_frames` `[pixels, 4]`.
 fn look_of_what_is_seen(
     lpips: &mut Perceptual,
     [rgb, truth]: [&[f32]; 2],
@@ -168,7 +163,6 @@ fn look_of_what_is_seen(
     Ok(LPIPS * value)
 }
 
-/// Plan of the backward pass.
 struct Backward {
     run: Run,
     cameras: Tensor,
@@ -179,7 +173,7 @@ struct Backward {
 }
 
 impl Backward {
-    /// Creates a plan with a margin over `intersections`.
+    /// Allocates a margin over `intersections`.
     fn new(scene: &DeviceScene, arena: &Arena, camera: &Camera, intersections: usize) -> Result<Self> {
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
         let (shape, capacity) = (FrameShape { cameras: 1, width, height }, intersections + intersections / 4 + 1024);
@@ -197,7 +191,7 @@ impl Backward {
         Ok(Self { run, cameras, d_frames, d_cameras, outputs, capacity })
     }
 
-    /// Pose gradient; `None` if the capacity was exceeded.
+    /// Returns the pose gradient; `None` beyond the capacity.
     fn pose_gradient(&mut self, camera: &Camera, d_frames: &[f32]) -> Result<Option<[f64; 6]>> {
         self.run.write(self.cameras, &[camera_rows(camera)])?;
         self.run.write(self.d_frames, d_frames)?;

@@ -17,7 +17,7 @@ use zipsplat::{
     types::{Image, Unfinished},
 };
 
-/// Widely supported H.264. Its chroma subsampling needs even sides.
+/// Widely supported H.264. Chroma subsampling needs even sides.
 const ENCODING: &str = "-vf crop=trunc(iw/2)*2:trunc(ih/2)*2 -c:v libx264 -crf 18 -pix_fmt yuv420p -movflags +faststart \
                         -metadata comment=zipsplat -f mp4";
 
@@ -30,10 +30,7 @@ pub struct Ffmpeg {
     file: Unfinished,
 }
 
-/// Whether ffmpeg runs.
-///
-/// # Errors
-/// [`Error::Argument`] where it does not.
+/// Checks that ffmpeg runs.
 pub fn check(program: &Path) -> Result<()> {
     process::check(program, "ffmpeg", "an installed ffmpeg for MP4 (see --ffmpeg); .gif and .apng need none")
 }
@@ -54,7 +51,7 @@ impl Ffmpeg {
         Ok(Self { program: program.into(), child, said, file })
     }
 
-    /// Ffmpeg's message, or the given reason.
+    /// Returns ffmpeg's message, or `reason`.
     fn failure(&mut self, reason: String) -> Error {
         let said = self.said.take().and_then(|said| said.join().ok()).unwrap_or_default();
         failure(&self.program, &said, reason)

@@ -14,7 +14,7 @@ use zipsplat::{
     types::{Image, Unfinished},
 };
 
-/// Maximum number of pixels sampled for NeuQuant's palette.
+/// Limit of pixels sampled for NeuQuant's palette.
 const SAMPLES: u64 = 1 << 16;
 
 pub struct Gif {
@@ -41,7 +41,7 @@ impl Gif {
 impl Encoder for Gif {
     fn push(&mut self, images: &[Image]) -> Result<()> {
         let (fps, pushed) = (u64::from(self.fps), self.pushed);
-        // Rounded due times in hundredths of a second, so that rounding does not accumulate.
+        // Rounds due times, so that errors do not accumulate.
         let due = |i: u64| (100 * i + fps / 2) / fps;
         let encode = |(i, image): (usize, &Image)| {
             let (width, height) = (side(image.width, "GIF")?, side(image.height, "GIF")?);
@@ -66,7 +66,7 @@ impl Encoder for Gif {
     }
 }
 
-/// NeuQuant's sampling step, from 1 to 30.
+/// Returns NeuQuant's sampling step, from 1 to 30.
 fn speed(image: &Image) -> i32 {
     let pixels = u64::from(image.width) * u64::from(image.height);
     (pixels / SAMPLES).clamp(1, 30) as i32

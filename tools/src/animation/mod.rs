@@ -1,5 +1,4 @@
-//! Pictures one after another as one file: GIF and animated PNG from here, MP4 by an installed
-//! ffmpeg.
+//! Animations: built-in GIF and animated PNG, MP4 by an installed ffmpeg.
 
 mod apng;
 mod ffmpeg;
@@ -15,9 +14,9 @@ use zipsplat::{
     types::{Camera, Image},
 };
 
-/// A GIF's delays count in hundredths of a second, and viewers slow down those below two.
+/// Delays are in hundredths of a second, and viewers slow down those below two.
 const GIF_MAX_FPS: u16 = 50;
-/// Most pictures a second.
+/// Limit of pictures per second.
 pub const MAX_FPS: u16 = 240;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -27,7 +26,7 @@ enum Format {
     Mp4,
 }
 
-/// An animation that is to be written, checked before any work.
+/// Checked settings of an animation.
 pub struct Animation {
     path: PathBuf,
     format: Format,
@@ -35,19 +34,20 @@ pub struct Animation {
     ffmpeg: PathBuf,
 }
 
-/// Takes the pictures. Dropped before it is finished, it leaves no file.
+/// Animation writer. Dropping it unfinished leaves no file.
 pub trait Encoder {
-    /// The next pictures, each of the size that the encoder was made for.
     fn push(&mut self, images: &[Image]) -> Result<()>;
 
-    /// Ends the file and gives it its name.
+    /// Finishes and renames the file.
     fn finish(self: Box<Self>, stage: &Stage<'_>) -> Result<()>;
 }
 
 impl Animation {
+    /// Checks path and rate.
+    ///
     /// # Errors
-    /// [`Error::Argument`] where the extension is of no known format, the rate is out of its range,
-    /// `path` is no file's, or ffmpeg is needed and does not run.
+    /// [`Error::Argument`] for an unknown extension, a rate out of range, no file path, or missing
+    /// ffmpeg.
     pub fn new(path: &Path, fps: u16, ffmpeg: &Path) -> Result<Self> {
         let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
         let format = match extension.as_deref() {
@@ -78,7 +78,7 @@ impl Animation {
         Ok(Self { path: path.into(), format, fps, ffmpeg: ffmpeg.into() })
     }
 
-    /// Begins the file, for `frames` pictures of one size.
+    /// Creates the file.
     pub fn begin(&self, size: (u32, u32), frames: usize) -> Result<Box<dyn Encoder>> {
         Ok(match self.format {
             Format::Gif => Box::new(gif::Gif::begin(&self.path, size, self.fps)?),
@@ -88,10 +88,6 @@ impl Animation {
     }
 }
 
-/// The one size of all pictures.
-///
-/// # Errors
-/// [`Error::Argument`] naming the first camera of another.
 pub fn common_size(cameras: &[Camera]) -> Result<(u32, u32)> {
     let size = |camera: &Camera| (camera.intrinsics.width, camera.intrinsics.height);
     let first = cameras.first().map(size).unwrap_or_default();
@@ -105,12 +101,11 @@ pub fn common_size(cameras: &[Camera]) -> Result<(u32, u32)> {
     }
 }
 
-/// An encoder's own error as that of its file.
 fn failed(path: &Path) -> impl Fn(Box<dyn std::error::Error + Send + Sync>) -> Error {
     move |error| Error::io(path, std::io::Error::other(error))
 }
 
-/// Sides that a format counts in fewer bits.
+/// Converts a side to a format's narrower integer.
 fn side<T: TryFrom<u32>>(side: u32, format: impl Display) -> Result<T> {
     T::try_from(side).map_err(|_| Error::argument(format!("size of a {format}"), side, "fewer pixels a side"))
 }

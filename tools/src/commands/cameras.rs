@@ -1,4 +1,4 @@
-//! `zipsplat cameras`: the cameras of photos that have none.
+//! `zipsplat cameras`.
 
 use crate::{
     cameras::{Finder, Finding, ModelOption, Place, Searching},
@@ -15,17 +15,17 @@ use serde_json::json;
 use std::path::PathBuf;
 use zipsplat::Result;
 
-/// The cameras of photos that have none, found by COLMAP or by Depth Anything 3
+/// Estimate cameras of photos with COLMAP or Depth Anything 3
 ///
-/// COLMAP, an open program for structure from motion, is installed apart: version 3 or 4, or pycolmap, in Python. It runs on the
-/// CPU and needs no display. What it finds is written as transforms.json, with the distortion of the lens, so that the photos
-/// stay as they are, and beside it points.ply, from which `refine --start points` begins, and colmap.log. Of photos in several groups
-/// that nothing joins the largest group is taken; where that has fewer than four fifths of the photos, or of up to 12 not all, COLMAP
-/// tries up to twice more, with other random numbers and looser thresholds. Photos of one size, camera and focal length share a lens.
+/// COLMAP 3 or 4, or pycolmap, is a separate program for the CPU. Writes transforms.json with the
+/// lens distortion, points.ply for `refine --start points`, and colmap.log. Takes the largest of
+/// unconnected groups. With less than four fifths of the photos (or of up to 12, not all), COLMAP
+/// retries up to twice with other seeds and looser thresholds. Photos of one size, camera and focal
+/// length share a lens.
 ///
-/// With --with da3 a network of Depth Anything 3 sees all photos at once and says where they were taken, also where photos are two, or
-/// have little in common, or show little texture. It needs its --weights and no other program. Cameras are less exact than COLMAP's
-/// where that succeeds; points.ply has the points of all pixels that the network is confident of, in a unit of the network's.
+/// --with da3 uses Depth Anything 3, also for two photos, little overlap or little texture. It
+/// needs --weights and no other program. Cameras are less accurate than successful COLMAP ones.
+/// points.ply has all confident pixels, in the network's unit.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat cameras photos/ -o transforms.json
@@ -35,16 +35,15 @@ use zipsplat::Result;
 pub struct Cameras {
     #[command(flatten)]
     input: PhotoArgs,
-    /// File to write, .json; the frames of a video go to the folder frames beside it
+    /// File to write, .json; frames of a video go to the folder frames beside it
     #[arg(long, short, value_name = "FILE")]
     output: PathBuf,
     #[command(flatten)]
     overwrite: Overwrite,
-    /// Take at most so many of the photos, evenly spread, the first and the last among them, and so many frames of a video
-    /// [default: all, and 24 of a video]
+    /// Limit of photos, evenly spread, and of frames of a video [default: all, and 24 of a video]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..))]
     views: Option<u32>,
-    /// The program or network that finds them
+    /// Program or network that estimates the cameras
     #[arg(long, alias = "method", value_enum, value_name = "FINDER", default_value = "colmap")]
     with: Finder,
     /// Weights of Depth Anything 3, as `depth` takes them

@@ -1,4 +1,4 @@
-//! `zipsplat compare`: how alike pictures are.
+//! `zipsplat compare`.
 
 use crate::{
     metrics::{psnr, ssim, values},
@@ -14,10 +14,10 @@ use serde_json::json;
 use std::path::{Path, PathBuf};
 use zipsplat::{Error, Result, perceptual::Perceptual, types::Image};
 
-/// How alike two pictures are, or the pictures of two folders: PSNR, SSIM and LPIPS
+/// PSNR, SSIM and LPIPS of two pictures, or of the pictures of two folders
 ///
-/// Pictures of folders go together by name, whatever the extension. Both of a pair have one size. PSNR and SSIM are those of
-/// scikit-image (windows of 11 pixels, Gaussian), LPIPS is version 0.1.
+/// Folders match by file name without extension. PSNR and SSIM are those of scikit-image (Gaussian
+/// windows of 11 pixels), LPIPS is version 0.1.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat compare drawn.png photo.png
@@ -26,31 +26,29 @@ use zipsplat::{Error, Result, perceptual::Perceptual, types::Image};
 pub struct Compare {
     /// A picture, or a folder of pictures
     first: PathBuf,
-    /// The picture or the folder to compare with
+    /// Picture or folder to compare with
     second: PathBuf,
     #[command(flatten)]
     lpips: LpipsOption,
-    /// Table to write: name, psnr, ssim, lpips, a row for each pair
+    /// Table to write: name, psnr, ssim, lpips; a row per pair
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
-    /// Picture of the differences to write, four times as strong; of folders a folder of them
+    /// Picture of the differences to write, amplified four times; a folder for folders
     #[arg(long, value_name = "FILE|DIR")]
     difference: Option<PathBuf>,
     #[command(flatten)]
     overwrite: Overwrite,
 }
 
-/// A pair of pictures and how alike they are.
 #[derive(Clone, Serialize)]
 struct Row {
     name: String,
-    /// dB; none where the pictures are equal.
+    /// dB; absent for equal pictures.
     psnr: Option<f64>,
     ssim: f64,
     lpips: Option<f64>,
 }
 
-/// Two pictures of one name.
 struct Pair {
     name: String,
     files: [PathBuf; 2],
@@ -87,7 +85,6 @@ impl Compare {
         session.report(&json!({ "pictures": rows, "mean": mean }), table.to_string().trim_end())
     }
 
-    /// The pairs of two pictures or of two folders.
     fn pairs(&self, session: &mut Session<'_>) -> Result<Vec<Pair>> {
         let [first, second] = [&self.first, &self.second];
         match [first.is_dir(), second.is_dir()] {
@@ -167,7 +164,7 @@ fn compare(pair: &Pair, lpips: Option<&mut Perceptual>) -> Result<Row> {
     Ok(Row { name: pair.name.clone(), psnr, ssim: ssim(&x, &y, width as usize, height as usize), lpips })
 }
 
-/// The mean of each number; of PSNR over pictures that differ.
+/// Returns the means; PSNR skips equal pictures.
 fn mean(rows: &[Row]) -> Row {
     let mean = |values: Vec<f64>| (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64);
     Row {

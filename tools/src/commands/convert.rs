@@ -1,4 +1,4 @@
-//! `zipsplat convert`: checkpoints to safetensors, scenes to other formats.
+//! `zipsplat convert`.
 
 use crate::{
     options::{CHECKPOINTS, SceneInput, open_checkpoint, refuse},
@@ -17,11 +17,11 @@ use zipsplat::{
     weights::Dtype,
 };
 
-/// A scene to another format, or a checkpoint (PyTorch, safetensors or seeded) to safetensors that name their network
+/// Convert a scene's format, or a checkpoint (PyTorch, safetensors or seeded) to safetensors
 ///
-/// A scene's format is read from its first bytes (of a .splat or .gltf, its name) and written as the output's name says. Cameras
-/// stay where they are: no format holds them, and a transforms.json beside the scene still fits after converting. All but a
-/// .splat keep which photo's camera the scene counts from.
+/// Reads a scene by its first bytes (.splat and .gltf by name), and writes the format of the
+/// output's name. Scenes keep their coordinates, so a transforms.json still fits. All formats
+/// except .splat keep the photo whose camera is the world.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat convert scene.ply scene.spz
@@ -33,8 +33,8 @@ use zipsplat::{
   zipsplat convert model.safetensors da3-base.safetensors --dtype f16
   zipsplat convert seeded:vits random.safetensors")]
 pub struct Convert {
-    /// Scene (PLY, SPZ, .splat or glTF), checkpoint of ZipSplat or Depth Anything 3, a name of `zipsplat weights list`, or
-    /// seeded:VARIANT[:KEY]
+    /// Scene (PLY, SPZ, .splat or glTF), checkpoint of ZipSplat or Depth Anything 3, a name of
+    /// `zipsplat weights list`, or seeded:VARIANT[:KEY]
     input: String,
     /// File to write
     output: PathBuf,
@@ -42,15 +42,16 @@ pub struct Convert {
     overwrite: Overwrite,
     #[command(flatten)]
     scene_input: SceneInput,
-    /// Numbers of a checkpoint: f32, f16, bf16, or q8, which rounds matrices to 8 bits with a scale for each 32 [default: f32]
+    /// Type of a checkpoint: f32, f16, bf16, or q8, 8-bit matrices with a scale per 32 values
+    /// [default: f32]
     #[arg(long, value_name = "TYPE")]
     dtype: Option<String>,
-    /// Network of a checkpoint that does not say: vitg (DA3-Giant, the only one with released weights), vits, vitb, vitl, or
-    /// the reference's recipes da3s, da3b, da3l; what else the file leaves open follows, as in
+    /// Network of an unnamed checkpoint: vitg (DA3-Giant, the only one with released weights),
+    /// vits, vitb, vitl, or the reference's da3s, da3b, da3l; with further fields as in
     /// vits:out_layers=5,7,11:alt_start=5:rope_start=5
     #[arg(long, value_name = "V")]
     variant: Option<String>,
-    /// Version of an SPZ: 2 for older readers, 3, or 4 for those that know only the newest [default: 3]
+    /// SPZ version: 2, 3, or 4, for older to newer readers [default: 3]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=4))]
     spz_version: Option<u32>,
 }
@@ -58,7 +59,7 @@ pub struct Convert {
 impl Convert {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         self.overwrite.check_file(&self.output)?;
-        // What cannot be opened is no scene, which opening the checkpoint then complains about.
+        // An unreadable file is left to the checkpoint reader's error.
         let input = SceneFormat::of_file(Path::new(&self.input)).unwrap_or(None);
         match (SceneFormat::of_extension(&self.output), input) {
             (Some(output), _) => self.scene(session, output),
@@ -114,7 +115,6 @@ impl Convert {
         self.report(session, (&architecture.name, json!(architecture)), architecture.parameter_count(), dtype)
     }
 
-    /// The outcome of a checkpoint.
     fn report(
         &self,
         session: &mut Session<'_>,

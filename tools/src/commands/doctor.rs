@@ -1,4 +1,4 @@
-//! `zipsplat doctor`: whether a device computes what it should.
+//! `zipsplat doctor`.
 
 use crate::{
     doctor::{Finding, Worst, catalogue, report},
@@ -11,10 +11,10 @@ use serde::Serialize;
 use std::path::PathBuf;
 use zipsplat::{Error, Result, gpu::Limits, types::write_atomic};
 
-/// Exit code where a result is outside its bound.
+/// Exit code for a result outside its bound.
 const OUTSIDE: u8 = 5;
 
-/// Whether this device and driver can be trusted: hard cases of every kernel beside the truth in f64
+/// Check this device and driver: hard cases of every kernel against f64
 #[derive(Args)]
 #[command(
     after_help = "A bound follows from the number format and from what Vulkan promises, so nothing may lie outside: exit \
@@ -30,10 +30,10 @@ pub struct Doctor {
     /// Only kernels whose name contains this
     #[arg(long, value_name = "KERNEL")]
     only: Option<String>,
-    /// Print every case, not only the worst of each kernel
+    /// Print every case, not only each kernel's worst
     #[arg(long)]
     verbose: bool,
-    /// Write a page with error and bound against problem size
+    /// Write a page with error and bound over problem size
     #[arg(long, value_name = "FILE.html")]
     report: Option<PathBuf>,
     #[command(flatten)]
@@ -112,7 +112,6 @@ impl Doctor {
     }
 }
 
-/// A row a case.
 fn every(findings: &[Finding]) -> Table {
     let mut table = Table::new(3, &["kernel", "case", "mode", "size", "worst error", "bound", "share", ""]);
     for finding in findings {
@@ -123,7 +122,7 @@ fn every(findings: &[Finding]) -> Table {
     table
 }
 
-/// The worst case of each kernel in each mode, and all that lie outside.
+/// Lists the worst case of each kernel and mode, and every failure.
 fn worst(findings: &[Finding]) -> Table {
     let heads = ["kernel", "mode", "worst case", "cases", "size", "worst error", "bound", "share", ""];
     let mut table = Table::new(3, &heads);
@@ -141,7 +140,6 @@ fn worst(findings: &[Finding]) -> Table {
     table
 }
 
-/// Size, error, bound, share, and what is wrong.
 fn cells(finding: &Finding) -> [String; 5] {
     let Worst { error, bound, share } = finding.worst;
     let number = |x: f64| if x == 0.0 { "0".into() } else { format!("{x:.1e}") };

@@ -21,7 +21,6 @@ use crate::session::Session;
 use clap::Subcommand;
 use zipsplat::{Error, Result};
 
-/// The commands.
 #[derive(Subcommand)]
 pub enum Command {
     Reconstruct(reconstruct::Reconstruct),

@@ -1,4 +1,4 @@
-//! `zipsplat refine`: a scene that is made to look like photos.
+//! `zipsplat refine`.
 
 use crate::{
     cameras::{Finding, Known, Similarity, to_scene},
@@ -24,12 +24,12 @@ use zipsplat::{
     },
 };
 
-/// A scene made sharp: its Gaussians are moved until it looks like photos with known cameras
+/// Refine a scene's Gaussians against photos with known cameras
 ///
-/// The scene may come from anywhere. Its world is that of the cameras, or the camera of a photo, as its file says or
-/// --relative-to does. Where structure from motion left a point cloud, --start points begins with a Gaussian at each of its
-/// points and needs no scene. Of 9 photos or more one is held out, and what is written is the step that predicts it best.
-/// Ctrl-C ends early and writes the best so far.
+/// Takes any scene in the cameras' world, or in the camera of a photo given by its file or
+/// --relative-to. --start points needs no scene, but a structure-from-motion point cloud. Of 9
+/// photos or more one is held out, and the best step by that photo is written. Ctrl-C ends early
+/// and writes the best so far.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat refine scene.ply photos/ --poses transforms.json -o better.ply
@@ -38,7 +38,8 @@ use zipsplat::{
   zipsplat refine scene.spz photos/ --poses colmap/ --start both --size 504x504 -o better.ply
   zipsplat refine scene.ply photos/ --poses rough.json --refine-cameras --refined-cameras exact.json -o better.ply")]
 pub struct Refine {
-    /// Scene (PLY, SPZ, .splat or glTF; none with --start points), then photos (PNG, JPEG, WebP) or folders of them
+    /// Scene (PLY, SPZ, .splat or glTF; none with --start points), then photos (PNG, JPEG, WebP) or
+    /// folders of them
     #[arg(required = true, value_name = "SCENE, PHOTOS")]
     files: Vec<PathBuf>,
     /// Scene to write: .ply, .spz, .splat, .glb or .gltf
@@ -48,44 +49,45 @@ pub struct Refine {
     overwrite: Overwrite,
     #[command(flatten)]
     input: SceneInput,
-    /// Cameras: transforms.json, or a COLMAP model's folder, where photos are matched by file name; with --start points also
-    /// find, where COLMAP finds them, or da3, where Depth Anything 3 does
+    /// Cameras: transforms.json, or a COLMAP model's folder, matched by file name; with --start
+    /// points also find (COLMAP) or da3 (Depth Anything 3)
     #[arg(long, visible_alias = "cameras", value_name = "PATH|find|da3")]
     poses: PathBuf,
     #[command(flatten)]
     finding: Finding,
-    /// Photo whose camera is the scene's world [default: the one that the scene's file names, else the cameras' own world]
+    /// Photo whose camera is the scene's world [default: the scene file's, else the cameras' own
+    /// world]
     #[arg(long, value_name = "PHOTO")]
     relative_to: Option<PathBuf>,
-    /// Start of the refinement
+    /// Initialization of the refinement
     #[arg(long, alias = "init", value_enum, value_name = "WHAT", default_value = "scene")]
     start: Start,
-    /// Steps of the optimiser
+    /// Steps of the optimizer
     #[arg(long, value_name = "N", default_value_t = refine::Refine::default().steps)]
     steps: usize,
-    /// Most pixels of a photo along x and y: a larger one is compared at the largest size that fits
+    /// Largest compared size; larger photos are scaled down to fit
     #[arg(long, alias = "max-image-size", value_name = "WxH", default_value = MOST_PIXELS)]
     size: Size,
-    /// Photos of a step
+    /// Photos per step
     #[arg(long, alias = "views-per-step", value_name = "N", default_value_t = refine::Refine::default().views_per_step)]
     batch: usize,
-    /// Photos to hold out, evenly spread; 0 learns from all [default: 1 of 9 or more, none with --refine-cameras]
+    /// Held-out photos, evenly spread; 0 learns from all [default: 1 of 9 or more, none with
+    /// --refine-cameras]
     #[arg(long, alias = "holdout-views", value_name = "K")]
     hold_out: Option<usize>,
     #[command(flatten)]
     moved: Moved,
-    /// File for the cameras as they were refined: a transforms.json in the world of the cameras given
+    /// File for the refined cameras: a transforms.json in the world of the known cameras
     #[arg(long, alias = "cameras-out", value_name = "FILE", requires = "refine_cameras")]
     refined_cameras: Option<PathBuf>,
     /// Seed of the order of the photos
     #[arg(long, value_name = "SEED", default_value_t = 0)]
     seed: u64,
-    /// Also print the passes of a step, with time and bytes, and what was refined and how
+    /// Also print time and bytes of each pass of a step, and the settings
     #[arg(long)]
     explain: bool,
 }
 
-/// The scene that a refinement starts from, and the world that it is in.
 struct Started {
     scene: Scene,
     cameras: Vec<Camera>,
@@ -137,7 +139,6 @@ impl Refine {
         self.report(session, device.limits().name.clone(), (&photos, &started.cameras), refined, &request)
     }
 
-    /// The scene's file, where there has to be one, and those of the photos.
     fn files(&self) -> (Option<&PathBuf>, &[PathBuf]) {
         match self.files.split_first() {
             Some((scene, photos)) if self.start.needs()[0] => (Some(scene), photos),
@@ -145,7 +146,7 @@ impl Refine {
         }
     }
 
-    /// Reads what is to be refined, and brings cameras and points to its world.
+    /// Reads the initialization; maps cameras and points to its world.
     fn start(
         &self,
         session: &mut Session<'_>,

@@ -1,4 +1,4 @@
-//! `zipsplat scene`: procedural scenes for demos, tests and training.
+//! `zipsplat scene`.
 
 use crate::{
     options::Size,
@@ -21,21 +21,21 @@ use zipsplat::{
     types::{Origin, Pose, World, WriteOptions, write_atomic},
 };
 
-/// Bytes that are handed to the operating system at once: a scene of 10 views at 126x126 has 0.8 MB.
+/// Write buffer, about one scene of 10 views at 126x126.
 const BUFFER: usize = 1 << 20;
 
-/// Procedural scenes: photos with exact depth and poses, endless and seeded
+/// Procedural scenes: seeded photos with exact depth and poses
 ///
-/// Writes images/000.png, depth/000.npy (f32, 0 in the sky) and on, transforms.json with the cameras, points.ply with some of
-/// the points that the photos show, and scene.json. World: the first photo's camera, x right, y down, z forward; the median
-/// distance of what is seen from it is 1.
+/// Writes images/000.png, depth/000.npy (f32, 0 in the sky) and on, transforms.json, points.ply
+/// with visible points, and scene.json. World: the first photo's camera, x right, y down, z
+/// forward; the median visible distance from it is 1.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat scene --seed 7 --views 24 -o scene/
   zipsplat scene --shards - --views 10 --size 126x126 --textures crops/ | python train.py
   zipsplat scene --shards unseen.bin --first-seed 1000000 --scenes 100")]
 pub struct Scene {
-    /// Number of the scene; with --shards the first of them
+    /// Seed of the scene; with --shards of the first
     #[arg(long, visible_alias = "first-seed", value_name = "N", default_value = "0")]
     seed: u64,
     /// Photos of a scene
@@ -44,22 +44,22 @@ pub struct Scene {
     /// Size of the photos
     #[arg(long, value_name = "WxH", default_value = "252x252")]
     size: Size,
-    /// Square photo crops with a manifest.json; those of a permissive licence become surfaces
+    /// Square photo crops with a manifest.json; permissively licensed ones become surfaces
     #[arg(long, value_name = "FOLDER")]
     textures: Option<PathBuf>,
-    /// Four rays for every pixel; otherwise three at edges and one elsewhere
+    /// Four rays per pixel; otherwise three at edges and one elsewhere
     #[arg(long)]
     supersample: bool,
-    /// Also write splats.ply: a Gaussian for every pixel that shows a surface, from its exact depth
+    /// Also write splats.ply: one Gaussian per surface pixel, from exact depth
     #[arg(long, conflicts_with = "shards")]
     splats: bool,
-    /// Folder to write to, made where it is missing
+    /// Folder to write to, created if missing
     #[arg(long, short, value_name = "FOLDER", required_unless_present = "shards", conflicts_with = "shards")]
     output: Option<PathBuf>,
     /// Stream scenes as flat binary for training, to a file or with - to standard output
     #[arg(long, value_name = "FILE|-")]
     shards: Option<PathBuf>,
-    /// Scenes of the stream [default: until its reader has enough]
+    /// Number of streamed scenes [default: until the reader closes the pipe]
     #[arg(long, value_name = "N", requires = "shards")]
     scenes: Option<u64>,
     #[command(flatten)]
@@ -116,7 +116,7 @@ impl Scene {
 
     fn stream(&self, path: &Path, options: &Options, photos: &Photos, session: &mut Session<'_>) -> Result<()> {
         let to_stdout = path == Path::new("-");
-        // A pipe ends when its reader does; a file would fill the disk.
+        // A pipe ends with its reader; a file would fill the disk.
         let is_pipe = to_stdout || path.metadata().is_ok_and(|found| !found.is_file() && !found.is_dir());
         if self.scenes.is_none() && !is_pipe {
             return Err(Error::argument("--scenes", "nothing", "a number, as the stream goes to a file"));
@@ -137,7 +137,7 @@ impl Scene {
             write_atomic(path, write)
         };
         match result {
-            // A reader that closes its end has seen enough.
+            // The reader closed the pipe: a normal end.
             Err(Error::Io { source, .. }) if source.kind() == ErrorKind::BrokenPipe => {}
             Err(Error::Io { source, .. }) if source.kind() == ErrorKind::Interrupted => return Err(Error::Cancelled),
             other => other?,

@@ -1,4 +1,4 @@
-//! `zipsplat tune`: the fastest tiles of kernels, by measurement.
+//! `zipsplat tune`.
 
 use crate::{session::Session, table::Table};
 use clap::Args;
@@ -9,7 +9,7 @@ use zipsplat::{
     tune::{Measured, Tuning},
 };
 
-/// Measure which tiles of linear layers, attention and k-means are fastest on this device, for all later runs
+/// Measure the fastest tiles of linear layers, attention and k-means on this device, for later runs
 #[derive(Args)]
 #[command(
     after_help = "What is found is kept in the cache folder for this device, driver and version of the kernels. Results \
@@ -35,7 +35,7 @@ impl Tune {
         let device = session.device()?;
         let limits = device.limits();
         limits.check_timestamps()?;
-        // What lost the device, or a driver refused, it would again.
+        // Keeps earlier results, including tiles that failed.
         let mut tuning = Tuning::known(&device).unwrap_or_default();
         let started = Instant::now();
         let outcome = session.stage("tune", |stage| {
@@ -45,7 +45,7 @@ impl Tune {
             })
         });
         let time = started.elapsed();
-        // Also where somebody ends it, or the device is lost: each tile was measured at every size.
+        // Also after cancellation or device loss: completed measurements are valid.
         tuning.keep(&device)?;
         let mut table = Table::new(3, &["kernel", "factors", "tile", "values", "ms", ""]);
         for measured in &tuning.measured {

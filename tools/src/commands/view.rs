@@ -1,4 +1,4 @@
-//! `zipsplat view`: scenes in a browser.
+//! `zipsplat view`.
 
 use crate::{
     heic::is_heic,
@@ -29,15 +29,15 @@ use zipsplat::{
     weights::DepthCheckpoint,
 };
 
-/// Scenes, or photos and what becomes of them, in a browser
+/// View scenes, or scenes made from photos, in a browser
 ///
-/// Scenes of files are shown as they are, several behind one slider. Of photos the page shows a scene of any compression ratio, with a
-/// slider, and its refinement while it goes on (--refine). With -o a page in one file, which needs nothing else and asks nobody for
-/// anything: open it by a double click, or mail it. Otherwise the page is served on this machine, to whoever has the address that
-/// is printed, until Ctrl-C. The browser draws, by the rules of `render`.
+/// Several scene files share one slider. Photos become scenes of any compression ratio, and are
+/// refined live with --refine. -o writes a self-contained page without network access. Otherwise
+/// this machine serves the page, for anyone with the printed address, until Ctrl-C. The browser
+/// renders by the rules of `render`.
 ///
-/// With weights of Depth Anything 3 each pixel of the photos becomes a Gaussian, as `reconstruct` makes them. Scenes of the --ratios are
-/// made before the page is there, and the page refines none: `reconstruct --refine` does.
+/// Weights of Depth Anything 3 make one Gaussian per pixel, as in `reconstruct`, at the --ratios
+/// and without refinement: use `reconstruct --refine`.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat view scene.ply
@@ -49,7 +49,8 @@ use zipsplat::{
   zipsplat view photos/ --weights da3-small --ratios 1,0.3
   zipsplat view tenth.ply half.ply all.ply -o compared.html")]
 pub struct View {
-    /// Scenes (PLY, SPZ, .splat or glTF), or photos (PNG, JPEG, WebP; HEIC where ffmpeg reads it), folders of them and videos
+    /// Scenes (PLY, SPZ, .splat or glTF), or photos (PNG, JPEG, WebP; HEIC with ffmpeg), folders of
+    /// them and videos
     #[arg(required = true, value_name = "SCENES|PHOTOS")]
     files: Vec<PathBuf>,
     #[command(flatten)]
@@ -59,21 +60,21 @@ pub struct View {
     output: Option<PathBuf>,
     #[command(flatten)]
     overwrite: Overwrite,
-    /// Keep every bit of the scenes in the page, as PLY, and not a byte or a few for each value, as SPZ: up to ten times as large
+    /// Keep full precision in the page, as PLY instead of SPZ: up to ten times as large
     #[arg(long, alias = "lossless", requires = "output")]
     exact: bool,
-    /// Cameras to look through, in the first scene's world: transforms.json, a COLMAP model's folder, and whatever else render
-    /// --cameras takes; for photos those that took them, or find, where COLMAP finds them
+    /// Cameras in the first scene's world: transforms.json, a COLMAP model's folder, or any format
+    /// of render --cameras; for photos their known cameras, or find, with COLMAP
     #[arg(long, visible_alias = "cameras", value_name = "PATH|find")]
     poses: Option<PathBuf>,
-    /// Folder of the photos that the cameras took, to lay over the picture [default: where the cameras' file says; with -o, none].
-    /// A written page holds them small
+    /// Folder of the cameras' photos for the overlay [default: the camera file's; with -o, none]. A
+    /// written page holds thumbnails
     #[arg(long, value_name = "DIR", requires = "poses")]
     photos: Option<PathBuf>,
-    /// Photo whose camera is the scene's world [default: the one that the scene's file names]
+    /// Photo whose camera is the scene's world [default: the scene file's]
     #[arg(long, value_name = "PHOTO", requires = "poses")]
     relative_to: Option<PathBuf>,
-    /// Every N Gaussians of a scene's file are of one token, for the view of tokens
+    /// Gaussians per token in the scene's file, for the view of tokens
     #[arg(long, alias = "gaussians-per-token", value_name = "N")]
     group: Option<NonZeroUsize>,
     /// Port to serve at [default: a free one]
@@ -86,7 +87,7 @@ pub struct View {
     from: FromPhotos,
 }
 
-/// Longer side of the photos of cameras within a page, in pixels.
+/// Longer side of thumbnails in a page, in pixels.
 const SMALL: u32 = 640;
 
 impl View {
@@ -101,7 +102,7 @@ impl View {
         if self.is_of_photos()? { self.show_photos(session) } else { self.show_scenes(session) }
     }
 
-    /// Whether the files are photos; otherwise they are scenes.
+    /// Returns true for photos, false for scenes.
     fn is_of_photos(&self) -> Result<bool> {
         let is_photo =
             |path: &PathBuf| path.is_dir() || is_video(path) || is_heic(path) || Image::size_as_stored(path).is_ok();
@@ -166,7 +167,7 @@ impl View {
         }
     }
 
-    /// Shows scenes of pixels, which are made before the page is there.
+    /// Serves pixel scenes, made before the page opens.
     fn show_pixels(
         &self,
         session: &mut Session<'_>,
@@ -190,7 +191,7 @@ impl View {
         }
     }
 
-    /// Writes a page with scenes of several ratios, and the refined one.
+    /// Writes scenes of several ratios, and the refined one.
     fn write_ratios(
         &self,
         session: &mut Session<'_>,
@@ -228,7 +229,7 @@ impl View {
         let world = read_world(&self.files[0])?;
         let photo_of = |frame: &Frame| match &self.photos {
             Some(folder) => Some(folder.join(Path::new(&frame.name).file_name()?)).filter(|file| file.is_file()),
-            // Who mails a page says which photos go with it.
+            // A written page embeds photos only on request.
             None if self.output.is_some() => None,
             None => frame.photo.clone(),
         };
@@ -297,8 +298,7 @@ impl View {
         let server = Server::new(self.port).map_err(|error| Error::io(format!("port {}", self.port), error))?;
         let address = server.address();
         session.report(&json!({ "address": address }), format!("{address}\nCtrl-C ends it."))?;
-        // Its name is on the browser's command line, which every user can read: the address and its
-        // token are within.
+        // Other users can read the browser's command line: the secret address stays in a file.
         let redirect = self.open.then(|| redirect(&address)).transpose()?;
         redirect.as_ref().map(|file| open_in_browser(file.path())).transpose()?;
         let cancelled = session.cancelled();
@@ -307,7 +307,7 @@ impl View {
         let served = Served { config, scenes, ready, watched, studio: &studio, cancelled };
         std::thread::scope(|scope| {
             if let (Some(watched), Some(ready)) = (watched, ready) {
-                // The page says where it fails.
+                // The page reports failures.
                 scope.spawn(|| watched.run(&ready.live, |_| ready.live.go_on()));
             }
             let stopped = || cancelled.load(Ordering::Relaxed);
@@ -319,7 +319,7 @@ impl View {
     }
 }
 
-/// A page for this user alone that leads to `address`. It lasts as long as the value.
+/// Writes a private page that redirects to `address`, deleted on drop.
 fn redirect(address: &str) -> Result<NamedTempFile> {
     let failed = |error| Error::io(std::env::temp_dir(), error);
     let mut file = tempfile::Builder::new().prefix("zipsplat-").suffix(".html").tempfile().map_err(failed)?;

@@ -1,4 +1,4 @@
-//! `zipsplat weights`: weights that have a name, and getting them.
+//! `zipsplat weights`.
 
 use crate::{
     download::{Client, Lock, Promise, fetch, is_sha256, kept, promise},
@@ -20,10 +20,10 @@ use zipsplat::{
     weights::{Checkpoint, DepthCheckpoint, Dtype},
 };
 
-/// Weights that have a name: list them, get them, say where they are
+/// List, download and locate named weights
 ///
-/// `get` keeps weights in the cache folder, those of ZipSplat as f16 safetensors and those of Depth Anything 3 as they are released, and
-/// every --weights takes their name.
+/// `get` stores weights in the cache folder, those of ZipSplat as f16 safetensors. Every --weights
+/// takes their names.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat weights list
@@ -57,23 +57,23 @@ impl Weights {
     }
 }
 
-/// The weights that there are: built in, cached, and what can be got, with size and licence
+/// List built-in, cached and downloadable weights, with size and license
 #[derive(Args)]
 struct List {}
 
-/// The path of weights in the cache
+/// Print the path of cached weights
 #[derive(Args)]
 struct Where {
     /// Name, such as zipsplat or da3-small
     name: String,
 }
 
-/// Load weights, check their SHA-256, and keep them in the cache folder
+/// Download weights, check their SHA-256, and store them in the cache folder
 ///
-/// Those of ZipSplat are converted to f16 safetensors; those of Depth Anything 3 stay as they are. The SHA-256 is the one that the host
-/// says for the file, over an encrypted connection.
-/// Size and licence are shown, and nothing is loaded before a yes. Where the network breaks, the same command goes on from
-/// there, also after Ctrl-C. Where the weights are there already, the host is only asked whether it has newer ones.
+/// Weights of ZipSplat are converted to f16 safetensors; those of Depth Anything 3 stay as they
+/// are. The SHA-256 is the host's, over an encrypted connection. Size and license are shown before
+/// a confirmation. Run the command again to resume after a network error or Ctrl-C. Cached weights
+/// are only checked for updates.
 #[derive(Args)]
 #[command(after_help = "Environment:
   HF_ENDPOINT     a mirror in place of https://huggingface.co
@@ -84,24 +84,24 @@ struct Where {
 struct Get {
     /// Name, such as zipsplat or da3-small
     name: String,
-    /// Accept the licence and the size without being asked
+    /// Accept license and size without confirmation
     #[arg(long, short)]
     yes: bool,
-    /// Use no network: what is loaded already is taken or converted
+    /// Use no network: only cached or downloaded files
     #[arg(long)]
     offline: bool,
-    /// Keep the file that was loaded beside what it is converted to, where it is
+    /// Keep the downloaded file beside its conversion
     #[arg(long, alias = "keep-download")]
     keep: bool,
-    /// Give up a connection on which nothing comes for so long, and go on over another
+    /// Timeout of a silent connection before a retry
     #[arg(long, value_name = "SECONDS", default_value = "30", value_parser = parse_seconds)]
     timeout: Duration,
-    /// SHA-256 that the file must have, for mirrors that do not say it
+    /// SHA-256 of the file, for mirrors that do not report it
     #[arg(long, value_name = "HEX", value_parser = parse_sha256)]
     sha256: Option<String>,
 }
 
-/// Most times the known size that a host may promise: another file, or more than the disk has.
+/// Limit of a promised size over the known one, against a wrong file or a full disk.
 const MOST_TIMES: u64 = 2;
 
 fn parse_seconds(text: &str) -> Result<Duration, String> {
@@ -161,7 +161,7 @@ impl Get {
         }
         std::fs::create_dir_all(&folder).map_err(|error| Error::io(&folder, error))?;
         let _lock = lock(session, released, &folder)?;
-        // Another process may have done it meanwhile.
+        // Another process may have finished meanwhile.
         if is_converted() {
             return report(session, released, &converted);
         }
@@ -171,7 +171,6 @@ impl Get {
         self.convert(session, released, &loaded)
     }
 
-    /// Loads the file.
     fn load(
         &self,
         session: &mut Session<'_>,
@@ -195,7 +194,6 @@ impl Get {
         fetched.map(drop)
     }
 
-    /// Shows what will be loaded under which licence, and asks.
     fn consent(
         &self,
         session: &mut Session<'_>,
@@ -231,7 +229,7 @@ impl Get {
     fn convert(&self, session: &mut Session<'_>, released: &Released, archive: &Path) -> Result<()> {
         let converted = released.converted(archive);
         if released.kind == Kind::Depth {
-            // What cannot be used is noticed now.
+            // Rejects unusable files now.
             DepthCheckpoint::open(archive, false)?;
             return report(session, released, archive);
         }
@@ -245,12 +243,12 @@ impl Get {
     }
 }
 
-/// Waits until no other process loads or converts these weights.
+/// Waits for other processes with these weights.
 fn lock(session: &Session<'_>, released: &Released, folder: &Path) -> Result<Lock> {
     Ok(session.stage("wait for another process", |stage| Lock::new(&released.base(folder), stage))?.0)
 }
 
-/// True where the environment forbids the network, by the values that the hub's own client takes.
+/// Returns true if the environment forbids the network, by the hub client's values.
 fn is_offline() -> bool {
     let value = std::env::var("HF_HUB_OFFLINE").unwrap_or_default().to_lowercase();
     ["1", "true", "yes", "on"].contains(&value.as_str())

@@ -1,4 +1,4 @@
-//! Adam optimizer steps.
+//! Adam steps.
 
 use super::{Area, Case, Catches, Mode, Worst, bound::Bounded, case, trial::Trial};
 use crate::noise::Noise;
@@ -15,7 +15,6 @@ const REASON: &str = "running error analysis of a step in the stored value: prod
 const ADAM: Adam = Adam { beta1: 0.9, beta2: 0.999, eps: 1e-8 };
 const RATE: f32 = 0.03125;
 
-/// Values before step `step`.
 struct Problem {
     space: Space,
     step: u32,
@@ -27,15 +26,13 @@ struct Problem {
 #[derive(Clone, Copy, Debug)]
 enum Fault {
     Zero,
-    /// Adds the gradient.
     Ascent,
-    /// No bias correction.
     NoCorrection,
     SwappedDecays,
     NoEpsilon,
-    /// Steps the value instead of its logarithm or logit.
+    /// Steps the stored value, not its logarithm or logit.
     WrongSpace,
-    /// Uses the gradient by the stored value instead of its logarithm or logit.
+    /// Uses the gradient by the stored value.
     NoChainRule,
     NeighbourGradient,
     /// Uses non-finite gradients.
@@ -53,7 +50,6 @@ impl Problem {
         Self { space, step, values, gradient, moments: [first, second] }
     }
 
-    /// Value and moments `i` after the step.
     fn stepped(&self, i: usize, fault: Option<Fault>) -> [f64; 3] {
         let (p, mut g) = (f64::from(self.values[i]), f64::from(self.gradient[i]));
         let moments = [0, 1].map(|k| f64::from(self.moments[k][i]));
@@ -92,7 +88,6 @@ impl Problem {
         [value, after.moments[0], after.moments[1]]
     }
 
-    /// Error bounds of value and moments `i`.
     fn errors(&self, i: usize) -> [f64; 3] {
         let exact = Bounded::exact;
         let (p, one) = (exact(self.values[i]), exact(1.0));

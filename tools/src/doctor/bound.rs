@@ -1,4 +1,4 @@
-//! Error bounds of f32, from the unit roundoff and Vulkan's precision limits.
+//! f32 error bounds from the unit roundoff and Vulkan's precision limits.
 //!
 //! Additions and multiplications are correctly rounded (Vulkan specification, "Precision and
 //! Operation of SPIR-V Instructions"). A device may flush subnormals and fuse multiply-adds.
@@ -6,54 +6,54 @@
 use serde::Serialize;
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-/// Unit roundoff: relative error bound of one rounding to f32.
+/// Unit roundoff.
 pub const U: f64 = f32::EPSILON as f64 / 2.0;
-/// Relative bound of one unit in the last place.
+/// Unit in the last place.
 pub const ULP: f64 = f32::EPSILON as f64;
-/// Error bound of flushing a subnormal to zero.
+/// Error of flushing a subnormal.
 pub const TINY: f64 = f32::MIN_POSITIVE as f64;
 /// Vulkan's relative limit for a division.
 pub const DIVISION: f64 = 2.5 * ULP;
-/// Vulkan's relative limit for sqrt, the inverse of inversesqrt.
+/// Vulkan's relative limit for sqrt, as 1 / inversesqrt.
 pub const ROOT: f64 = 4.5 * ULP;
 
-/// Relative error bound of `n` roundings: `n u / (1 - n u)`. Also bounds a sum of `n` terms in any
-/// order, relative to their magnitudes (Higham, Accuracy and Stability of Numerical Algorithms,
-/// lemma 3.1 and section 4.2).
+/// Returns the relative error bound of `n` roundings, `n u / (1 - n u)`, and of a sum of `n` terms
+/// in any order, relative to their magnitudes (Higham, Accuracy and Stability of Numerical
+/// Algorithms, lemma 3.1 and section 4.2).
 pub fn gamma(n: usize) -> f64 {
     let nu = n as f64 * U;
     if nu < 1.0 { nu / (1.0 - nu) } else { f64::INFINITY }
 }
 
-/// Additions per term, at most, when the 4 to 128 lanes of a subgroup sum `n` terms.
+/// Returns the most additions per term when 4 to 128 lanes sum `n` terms.
 pub fn by_lanes(n: usize) -> usize {
     n.min((n.div_ceil(4) + 4).max(n.div_ceil(128) + 128))
 }
 
-/// Rounds to the 11 bits of f16; infinite beyond its range.
+/// Rounds to f16's 11 bits; infinite beyond its range.
 pub fn half(x: f64) -> f64 {
     let rounded = f64::from(f32::from_bits(((x as f32).to_bits() + 0x1000) & !0x1fff));
     if rounded.abs() > 65504.0 { rounded * f64::INFINITY } else { rounded }
 }
 
-/// Vulkan's relative limit for exp(x) and exp2(x).
+/// Returns Vulkan's relative limit for exp(x) and exp2(x).
 pub fn exponential(x: f64) -> f64 {
     (3.0 + 2.0 * x.abs()) * ULP
 }
 
-/// Vulkan's absolute limit for log(x).
+/// Returns Vulkan's absolute limit for log(x).
 pub fn logarithm(x: f64) -> f64 {
     if (0.5..=2.0).contains(&x) { (-21f64).exp2() } else { 3.0 * ULP * x.ln().abs() }
 }
 
-/// The element with the largest error relative to its bound.
+/// Element with the largest error over its bound.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Worst {
-    /// Distance from the truth, or the number of differing elements. Infinite for NaN.
+    /// Distance from the truth, or number of differing elements. Infinite for NaN.
     pub error: f64,
     /// Error bound.
     pub bound: f64,
-    /// Error over bound; above 1 the result is wrong.
+    /// Error over bound; above 1 is wrong.
     pub share: f64,
 }
 
@@ -64,7 +64,7 @@ impl Worst {
     /// Failed comparison.
     pub const UNKNOWN: Self = Self { error: f64::INFINITY, bound: f64::INFINITY, share: f64::INFINITY };
 
-    /// Compares one value; a non-finite value is wrong.
+    /// Compares one value; non-finite ones are wrong.
     pub fn one(got: f64, truth: f64, bound: f64) -> Self {
         let error = if got.is_finite() { (got - truth).abs() } else { f64::INFINITY };
         let share = match error {
@@ -82,46 +82,42 @@ impl Worst {
         (0..got.len()).map(one).fold(Self::NONE, Self::or)
     }
 
-    /// Counts differing elements; the bound is 0.
+    /// Counts differing elements, with bound 0.
     pub fn differing<T: PartialEq>(got: &[T], truth: &[T]) -> Self {
         assert_eq!(got.len(), truth.len(), "as many results as truths");
         Self::one(got.iter().zip(truth).filter(|(a, b)| a != b).count() as f64, 0.0, 0.0)
     }
 
-    /// The worse of two.
+    /// Returns the worse of two.
     pub fn or(self, other: Self) -> Self {
         let [mine, theirs] = [self, other].map(|w| (w.share, w.bound));
         if theirs > mine { other } else { self }
     }
 }
 
-/// A value and the error bound of its f32 computation, by running error analysis (Wilkinson, Error
-/// analysis revisited, 1986).
+/// Value with its f32 error bound, by running error analysis (Wilkinson, Error analysis revisited,
+/// 1986).
 #[derive(Clone, Copy, Debug)]
 pub struct Bounded {
-    /// Exact value.
     pub value: f64,
-    /// Error bound.
     pub error: f64,
 }
 
 impl Bounded {
-    /// A number that f32 holds.
+    /// Converts a number that f32 holds.
     pub fn exact(value: impl Into<f64>) -> Self {
         Self { value: value.into(), error: 0.0 }
     }
 
-    /// A number rounded to f32 once.
     pub fn rounded(value: f64) -> Self {
         Self::new(value, 0.0, U)
     }
 
-    /// A result with operand error `carried` and an operation's relative limit `own`.
+    /// Adds the operands' error `carried` and the operation's relative limit `own`.
     fn new(value: f64, carried: f64, own: f64) -> Self {
         Self { value, error: carried + own * (value.abs() + carried) + TINY }
     }
 
-    /// Square root of a nonnegative value.
     pub fn sqrt(self) -> Self {
         let value = self.value.max(0.0).sqrt();
         let lowest = (self.value - self.error).max(0.0).sqrt();
@@ -129,30 +125,26 @@ impl Bounded {
         Self::new(value, carried.min((self.value.max(0.0) + self.error).sqrt()), ROOT)
     }
 
-    /// 2 to its power.
     pub fn exp2(self) -> Self {
         let value = self.value.exp2();
         let carried = value * (std::f64::consts::LN_2 * self.error).exp_m1();
         Self::new(value, carried, exponential(self.value.abs() + self.error))
     }
 
-    /// e to its power.
     pub fn exp(self) -> Self {
         let value = self.value.exp();
         Self::new(value, value * self.error.exp_m1(), exponential(self.value.abs() + self.error))
     }
 
-    /// Minimum; its error is at most the operands'.
+    /// Returns the minimum; its error is at most the operands'.
     pub fn min(self, other: Self) -> Self {
         Self { value: self.value.min(other.value), error: self.error.max(other.error) }
     }
 
-    /// Maximum.
     pub fn max(self, other: Self) -> Self {
         Self { value: self.value.max(other.value), error: self.error.max(other.error) }
     }
 
-    /// Dot product.
     pub fn dot<const N: usize>(a: [Self; N], b: [Self; N]) -> Self {
         let products = a.into_iter().zip(b).map(|(a, b)| a * b);
         products.reduce(|sum, product| sum + product).unwrap_or(Self::exact(0.0))

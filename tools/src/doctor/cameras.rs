@@ -1,4 +1,4 @@
-//! Known cameras as camera encoder input, computed on the host.
+//! Camera encoder input, computed on the host.
 
 use super::{
     Area, Case, Catches, Mode, Worst,
@@ -19,12 +19,11 @@ const REASON: &str = "computed in f64 and rounded to f32 once, which moves a val
 
 struct Problem(Vec<Camera>);
 
-/// Faults of an encoding `(t, q xyzw, fov)`.
+/// Faults of `(t, q xyzw, fov)`.
 #[derive(Clone, Copy, Debug)]
 enum Fault {
     Zero,
     CameraToWorld,
-    /// Quaternion of the inverse rotation.
     Conjugate,
     /// Quaternion as wxyz.
     RealFirst,
@@ -37,7 +36,6 @@ enum Fault {
     Degrees,
     /// Fields of view from the principal point.
     OffCentre,
-    /// Translations rounded to f16.
     HalfTranslation,
     NeighbourCamera,
 }
@@ -89,7 +87,7 @@ impl case::Problem for Problem {
     fn judge(&self, truth: &Self::Truth, output: &Self::Output, _: Mode) -> Worst {
         let mut worst = Worst::NONE;
         for (camera, (got, truth)) in self.0.iter().zip(output.iter().zip(truth)) {
-            // Either sign is right for a half turn, whose w is 0.
+            // At half turns, w is 0 and either sign is right.
             let turned = got[3..7].iter().zip(&truth[3..7]).map(|(&a, b)| f64::from(a) * b).sum::<f64>() < 0.0;
             let sign = if turned && got[6].abs() < 1e-6 { -1.0 } else { 1.0 };
             let slack = 1e-14 * (1.0 + camera.pose.translation.length());

@@ -1,33 +1,26 @@
-//! A case: a device computation, its truth and its faulty results.
+//! Device computation with truth and simulated faults.
 
 use super::{Mode, Worst};
 use std::fmt::Debug;
 use zipsplat::{Result, gpu::Device};
 
-/// Error over bound at which a fault counts as caught. Rounding within the bound may cancel one
-/// bound.
+/// Error over bound of a caught fault; rounding may cancel one bound.
 pub const CAUGHT: f64 = 2.0;
 
-/// The parts of a case.
 pub(super) trait Problem: 'static {
-    /// The device's result.
     type Output;
-    /// The exact result and error bounds.
     type Truth;
-    /// Simulated kernel faults.
     type Fault: Copy + Debug + 'static;
 
-    /// Runs the kernels.
     fn compute(&self, device: &Device, mode: Mode) -> Result<Self::Output>;
 
-    /// Computes the truth in f64 from the device's inputs in this mode.
+    /// Computes the truth in f64 from the device's inputs.
     fn truth(&self, mode: Mode) -> Self::Truth;
 
-    /// Returns the worst element of an output.
     fn judge(&self, truth: &Self::Truth, output: &Self::Output, mode: Mode) -> Worst;
 
-    /// Simulates a fault on the host. Empty if the mode's own rounding is as large; every returned
-    /// output must be caught.
+    /// Simulates a fault on the host. Empty if the mode's rounding hides it; each output must be
+    /// caught.
     fn faulty(&self, truth: &Self::Truth, fault: Self::Fault, mode: Mode) -> Vec<Self::Output>;
 }
 
@@ -42,24 +35,23 @@ impl<F: Copy, const N: usize> From<[F; N]> for Catches<F> {
 }
 
 impl<F: Copy> Catches<F> {
-    /// Adds faults.
     pub fn and(mut self, more: &[F]) -> Self {
         self.0.extend_from_slice(more);
         self
     }
 }
 
-/// An injected fault, checked by its case.
+/// Injected fault with its check.
 #[derive(Clone, Debug)]
 pub struct Injected {
-    /// The fault's name: `last term`.
+    /// Name, such as `last term`.
     pub fault: String,
     /// Smallest error over bound among the fault's outputs.
     pub share: f64,
 }
 
 impl Injected {
-    /// Whether the error exceeds any rounding.
+    /// Returns true if the error exceeds any rounding.
     pub fn is_caught(&self) -> bool {
         self.share > CAUGHT
     }
@@ -67,11 +59,11 @@ impl Injected {
 
 /// One hard input.
 pub struct Case {
-    /// The case's name.
+    /// Name of the case.
     pub name: String,
     /// Problem size for the report.
     pub size: usize,
-    /// Names of the faults that the case catches.
+    /// Names of the caught faults.
     pub catches: Vec<String>,
     checks: Box<dyn Checks>,
 }
@@ -88,18 +80,17 @@ impl Case {
         Self { name: name.into(), size, catches, checks: Box::new(Made { make, faults }) }
     }
 
-    /// Computes the case on a device and compares.
     pub(super) fn check(&self, device: &Device, mode: Mode) -> Result<Worst> {
         self.checks.check(device, mode)
     }
 
-    /// Checks the injected faults, without a device.
+    /// Checks the injected faults without a device.
     pub fn inject(&self, mode: Mode) -> Vec<Injected> {
         self.checks.inject(mode)
     }
 }
 
-/// A type-erased problem. Problems are large, so each is built on use.
+/// Type-erased problem, built on use because it is large.
 trait Checks {
     fn check(&self, device: &Device, mode: Mode) -> Result<Worst>;
     fn inject(&self, mode: Mode) -> Vec<Injected>;
@@ -129,7 +120,6 @@ impl<P: Problem, M: Fn() -> P> Checks for Made<M, P::Fault> {
     }
 }
 
-/// Formats `LastTerm` as "last term".
 fn name_of(fault: &impl Debug) -> String {
     let mut name = String::new();
     for letter in format!("{fault:?}").chars() {

@@ -18,12 +18,11 @@ use zipsplat_reference::{heads::convolution::convolution, widen};
 const REASON: &str = "a sum of n products and a bias is off by gamma_(n+1) (|x| |w| + |b|) in any order (Higham 2002, section \
     4.2), n being taps times channels; what is added to it costs one rounding more. Pixels outside are exactly 0";
 
-/// A map `[height, width, channels]` and its zero-padded convolution.
+/// Map `[height, width, channels]` and its zero-padded convolution.
 struct Problem {
     size: [usize; 2],
     channels: usize,
     columns: usize,
-    /// Kernel side and stride.
     shape: [usize; 2],
     rectified: bool,
     x: Vec<f32>,
@@ -38,16 +37,13 @@ enum Fault {
     Zero,
     NoBias,
     NoResidual,
-    /// No ReLU.
     Unrectified,
     LastTap,
     LastChannel,
-    /// Transposed kernel.
     TurnedTaps,
     /// Edge padding instead of zeros.
     RepeatedEdge,
     NeighbourPixel,
-    /// Results rounded to 11 bits.
     Half,
 }
 
@@ -61,7 +57,7 @@ impl Problem {
         Self { size, channels, columns, shape, rectified: false, x, weight, bias, residual: None }
     }
 
-    /// Adds a ReLU before the convolution and a residual after it.
+    /// Adds a ReLU before and a residual after the convolution.
     fn residual(self) -> Self {
         let residual = Noise(17).values(self.out_size().iter().product::<usize>() * self.columns);
         Self { rectified: true, residual: Some(residual), ..self }
@@ -80,7 +76,6 @@ impl Problem {
         convolution(x, [self.size[1], self.channels], self.shape, weight, bias)
     }
 
-    /// Adds the residual.
     fn added(&self, values: Vec<f64>) -> Vec<f64> {
         match &self.residual {
             Some(residual) => values.iter().zip(residual).map(|(x, &r)| x + f64::from(r)).collect(),
@@ -88,14 +83,13 @@ impl Problem {
         }
     }
 
-    /// Maps each weight, given its channel and tap.
+    /// Maps weights by channel and tap.
     fn weighed(&self, value: impl Fn(&[f32], usize, usize) -> f32) -> Vec<f32> {
         let taps = self.shape[0].pow(2);
         let rows = self.weight.chunks(taps * self.channels);
         rows.flat_map(|row| (0..row.len()).map(|i| value(row, i / taps, i % taps)).collect::<Vec<_>>()).collect()
     }
 
-    /// Convolution with edge padding.
     fn with_repeated_edge(&self) -> Vec<f64> {
         let ([height, width], [side, step], padding) = (self.size, self.shape, self.shape[0] / 2);
         let x = self.seen(self.rectified);
@@ -127,7 +121,7 @@ impl case::Problem for Problem {
     fn compute(&self, device: &Device, _: Mode) -> Result<Vec<f32>> {
         let ([out_height, out_width], taps) = (self.out_size(), self.shape[0].pow(2));
         let inner = taps * self.channels;
-        // Channels run fastest on the device.
+        // Channels are innermost on the device.
         let turned = self
             .weight
             .chunks(inner)

@@ -21,17 +21,16 @@ use zipsplat_reference::{
 const REASON: &str = "each activation's slope times the rounding of its argument, plus Vulkan's limits for exp (3 + 2|x| units), log \
     (2^-21 near 1) and division; series by their first term left out; clamped values exactly";
 
-/// Values of a raw Gaussian with spherical harmonics of band 0.
+/// Values of a raw Gaussian with band 0.
 const WIDTH: usize = 14;
 
-/// Raw Gaussians `[count, WIDTH]`.
 struct Problem(Vec<f32>);
 
 #[derive(Clone, Copy, Debug)]
 enum Fault {
     Zero,
     HalfResult,
-    /// Means not clamped to +-5 before exp.
+    /// No clamp of means to +-5 before exp.
     NoClamp,
     /// Means by exp(x) - 1 in f32.
     CancellingExp,
@@ -40,16 +39,15 @@ enum Fault {
     /// Scales by log(1 + exp(x)) in f32.
     CancellingLog,
     NotNormalised,
-    /// Squares in f32, which overflow and underflow.
+    /// f32 squares, which overflow and underflow.
     SquaresOfF32,
-    /// Division by a length of 0.
     DividedByLength,
     NoSigmoid,
     NeighbourGaussian,
 }
 
 impl Fault {
-    /// Faulty value `c` of a raw Gaussian, given the correct activation.
+    /// Returns the faulty value `c` of a raw Gaussian.
     fn apply(self, raw: &[f64], c: usize, right: f64) -> f64 {
         let x = raw[c];
         let single = |x: f64| x as f32;
@@ -110,7 +108,6 @@ impl case::Problem for Problem {
     }
 }
 
-/// Activates `raw [count, WIDTH]` into the same layout.
 fn run(device: &Device, raw: &[f32]) -> Result<Vec<f32>> {
     let count = raw.len() / WIDTH;
     let mut trial = Trial::new(device);
@@ -129,14 +126,14 @@ fn run(device: &Device, raw: &[f32]) -> Result<Vec<f32>> {
         .collect())
 }
 
-/// Error of expm1 at `x >= 0`. Below 0.35: a series truncated at x^7 / 5040; above: exp(x) - 1.
+/// Bounds expm1 at `x >= 0`. Below 0.35: a series to x^7 / 5040; above: exp(x) - 1.
 fn mean_error(x: f64) -> f64 {
     let series = x.powi(7) / 5040.0 * 1.1 + gamma(14) * x.exp_m1();
     let difference = x.exp() * exponential(x) + U * x.exp_m1();
     TINY + if x < 0.35 { series } else { difference }
 }
 
-/// Error of softplus(x - 4) before its clamps.
+/// Bounds softplus(x - 4) before its clamps.
 fn scale_error(x: f64) -> f64 {
     let z = x - 4.0;
     if z > 20.0 {
@@ -144,13 +141,13 @@ fn scale_error(x: f64) -> f64 {
     }
     let u = z.exp();
     let carried = sigmoid(z) * (U * z.abs() + exponential(z));
-    // Series of 2 atanh(u / (2 + u)), with a truncation error below 1e-8.
+    // Series of 2 atanh(u / (2 + u)), truncated below 1e-8.
     let series = softplus(z) * (1e-8 + DIVISION + gamma(12));
     let direct = U + logarithm(1.0 + u);
     TINY + carried + if u < 0.5 { series } else { direct }
 }
 
-/// Error of a quaternion component divided by the largest component, then by the length.
+/// Bounds a division by the largest component, then by the length.
 fn quat_error(component: f64, length: f64) -> f64 {
     // Short quaternions are divided by 1e-12, which amplifies flushed values.
     let flushed = if length < 2e-12 { TINY * 1e12 } else { TINY };
@@ -162,10 +159,10 @@ fn opacity_error(x: f64) -> f64 {
     opacity * ((1.0 - opacity) * exponential(x) + U + DIVISION) + TINY
 }
 
-/// Clamped and saturated values have the same bits on every device.
+/// Clamped and saturated values, bit-equal on every device.
 struct Clamps;
 
-/// Ends of each clamped value: mean (bits chosen by the device), scale, opacity.
+/// Ends of clamped values: mean (bits by the device), scale, opacity.
 #[derive(Clone)]
 struct Ends {
     means: Vec<[u32; 2]>,
@@ -175,11 +172,10 @@ struct Ends {
 
 #[derive(Clone, Copy, Debug)]
 enum ClampFault {
-    /// One value slightly past its bound.
+    /// One value slightly beyond its bound.
     MeanPassed,
     LargeScalePassed,
     SmallScalePassed,
-    /// Another clamp for negative means.
     Uneven,
     /// Opacities saturate below 1.
     OpacityBelow,

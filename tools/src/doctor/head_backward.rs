@@ -1,4 +1,4 @@
-//! Gradients of the Gaussian head's activations and of GELU.
+//! Gradients of the head's activations and of GELU.
 
 use super::{
     Area, Case, Mode, Worst,
@@ -17,7 +17,7 @@ use zipsplat_reference::{gaussians::activate_backward::activate_backward, ops::g
 const REASON: &str = "running error analysis of each derivative: exp 3 + 2|x| units, division 2.5, the length of a quaternion as \
     a root; harmonics exactly";
 
-/// Values of a Gaussian with spherical harmonics of band 0.
+/// Values of a Gaussian with band 0.
 const WIDTH: usize = 14;
 
 /// Raw Gaussians and gradients of activated ones, both `[count, WIDTH]`.
@@ -30,9 +30,8 @@ struct Activations {
 enum Fault {
     Zero,
     HalfResult,
-    /// Identity activations.
     NotActivated,
-    /// Gradients past the clamps of means and scales.
+    /// Gradients beyond the clamps of means and scales.
     NoClamp,
     /// Quaternion gradients along the quaternion.
     AlongItself,
@@ -48,7 +47,6 @@ impl Activations {
         Self { raw, gradient: noise.values(count * WIDTH) }
     }
 
-    /// Error bound of a gradient.
     fn error(&self, i: usize) -> f64 {
         let (x, d) = (Bounded::exact(self.raw[i]), Bounded::exact(self.gradient[i]));
         let one = Bounded::exact(1.0);
@@ -147,7 +145,6 @@ pub fn activations() -> Area {
 const GELU_REASON: &str = "erf is a fit to 1.2e-7, and the density's exp is allowed 3 + 2|x| units; both are multiplied by the gradient \
     with a few roundings more";
 
-/// Values and gradients.
 struct Slopes(Vec<f32>, Vec<f32>);
 
 #[derive(Clone, Copy, Debug)]
@@ -181,7 +178,7 @@ impl case::Problem for Slopes {
             let (x, g) = (f64::from(self.0[i]), f64::from(self.1[i]).abs());
             let density = (-x * x / 2.0).exp() * 0.4;
             let of_density = x.abs() * density * (exponential(x * x / 2.0) + x * x * U + gamma(6));
-            // The rounded argument of erf counts too; its slope is twice the density.
+            // Includes the rounded argument of erf, whose slope is twice the density.
             let of_erf = 1.2e-7 + density * (exponential(x * x / 2.0) + x.abs() * gamma(3)) + gamma(3);
             g * (of_density + of_erf + gamma(3)) + TINY
         })

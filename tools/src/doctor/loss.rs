@@ -27,7 +27,7 @@ const C1: f64 = 1e-4;
 const C2: f64 = 9e-4;
 const MIDDLE: f64 = 0.5;
 
-/// A picture `[height, WIDTH, 3]` and its target.
+/// Picture `[height, WIDTH, 3]` and target.
 struct Problem {
     loss: Loss,
     frames: Vec<f32>,
@@ -38,9 +38,7 @@ struct Problem {
 enum Fault {
     Zero,
     HalfResult,
-    /// Negative gradient.
     Reversed,
-    /// Sum instead of mean.
     Sum,
     /// Half of 1 - SSIM, as in some papers.
     HalfDssim,
@@ -49,7 +47,7 @@ enum Fault {
     NeighbourPixel,
 }
 
-/// Filters a zero-padded line by the window.
+/// Convolves a zero-padded line.
 fn filtered<const N: usize>(
     line: &[[Bounded; N]],
     p: usize,
@@ -66,7 +64,7 @@ fn filtered<const N: usize>(
     sums
 }
 
-/// Windowed means of a and d = a - b, sum of the variances of a and b, and variance of d.
+/// Returns windowed means of a and d = a - b, sum of the variances of a and b, and variance of d.
 fn moments(line: &[[Bounded; 4]]) -> Vec<[Bounded; 4]> {
     let at = |p: usize| {
         let centre = line[(p / RUN * RUN + RUN / 2).min(line.len() - 1)];
@@ -82,12 +80,12 @@ fn moments(line: &[[Bounded; 4]]) -> Vec<[Bounded; 4]> {
     (0..line.len()).map(at).collect()
 }
 
-/// Transposes an image `[height, width]`.
 fn turned<T: Copy>(image: &[Vec<T>]) -> Vec<Vec<T>> {
     (0..image[0].len()).map(|x| image.iter().map(|row| row[x]).collect()).collect()
 }
 
-/// 1 - SSIM and half its derivatives by the means of a - MIDDLE, squares and squared difference.
+/// Returns 1 - SSIM and half its derivatives by the means of a - MIDDLE, squares and squared
+/// difference.
 fn dssim([a, d, variances, variance]: [Bounded; 4]) -> (Bounded, [Bounded; 3]) {
     let (one, b) = (Bounded::exact(1.0), a - d);
     let means = a * a + b * b + Bounded::rounded(C1);
@@ -110,7 +108,6 @@ impl Problem {
         [vec![value], gradient].concat()
     }
 
-    /// Error bounds of the loss and of each gradient.
     fn errors(&self) -> Vec<f64> {
         let (weight, dssim_weight) = match self.loss {
             Loss::L1 | Loss::Mse => (1.0, 0.0),
@@ -138,12 +135,12 @@ impl Problem {
                 errors[1 + at] = ((gradient + Bounded::rounded(dssim_weight) * by_dssim) * mean).error;
             }
         }
-        // Sums of a run, a subgroup and the image, then the mean and a weight.
+        // Sums of a run, a subgroup and the image, then mean and weight.
         errors[0] = (sums[0] + gamma(2 * RUN + 128 + 8) * sums[1]) / count as f64;
         errors
     }
 
-    /// Gradient of the summed 1 - SSIM in one color, and its terms.
+    /// Returns the gradient of the summed 1 - SSIM in one color, and its terms.
     fn color(&self, color: usize) -> (Vec<Bounded>, Vec<Bounded>) {
         let pair = |i: usize| [self.frames[i], self.targets[i]].map(Bounded::exact);
         let rows: Vec<Vec<[Bounded; 4]>> = (0..self.frames.len() / (3 * WIDTH))

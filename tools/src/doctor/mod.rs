@@ -1,9 +1,8 @@
-//! Numerical catalogue: device results compared with f64 under bounds from the number format.
+//! Numerical catalogue: device results against f64, with bounds from the number format.
 //!
-//! An area covers related kernels and justifies its bound. Its cases have hard inputs, truth from
-//! `zipsplat_reference`, per-element bounds and the faults that they must catch. Bounds are never
-//! loosened to pass. `tests/numerics/catalogue.rs` injects each fault, whose error must exceed
-//! twice the bound.
+//! An area covers related kernels. Cases have hard inputs, truth from `zipsplat_reference`,
+//! per-element bounds and simulated faults. Bounds are never loosened to pass.
+//! `tests/numerics/catalogue.rs` injects each fault, whose error must exceed twice the bound.
 
 mod adam;
 mod attention;
@@ -42,20 +41,18 @@ use zipsplat::{
 pub struct Mode {
     /// Type of the factors.
     pub factor: Element,
-    /// Whether matrix units multiply; otherwise each lane computes one result.
+    /// Matrix units; otherwise each lane computes one result.
     pub matrix: bool,
     /// Weight layout on the device.
     pub weights: Weights,
-    /// Whether lanes tile the factors in shared memory.
+    /// Lanes tile the factors in shared memory.
     pub tiled: bool,
 }
 
-/// Rounding of a mode's matrix factors.
 #[derive(Clone, Copy, Debug)]
 struct Factors {
-    /// Relative rounding error bound.
     unit: f64,
-    /// Values below it may be flushed.
+    /// Values below may be flushed.
     tiny: f64,
     /// Roundings per term of a sum: matrix units may truncate (Fasi, Higham, Mikaitis and Pranesh,
     /// Numerical behavior of NVIDIA tensor cores, 2021).
@@ -63,7 +60,8 @@ struct Factors {
 }
 
 impl Factors {
-    /// Error bound of a sum of `n` products, relative to their magnitudes, without factor rounding.
+    /// Returns the error bound of a sum of `n` products, relative to their magnitudes, without
+    /// factor rounding.
     fn sum(&self, n: usize) -> f64 {
         bound::gamma(self.roundings * n)
     }
@@ -91,7 +89,7 @@ impl Mode {
         Mode::BF16_MATRIX,
         Mode::I8_MATRIX,
     ];
-    /// Modes of linear layers with 8-bit weights.
+    /// Linear layers with 8-bit weights.
     const Q8: &[Mode] = &[
         Mode { weights: Weights::Q8, ..Mode::EXACT },
         Mode { weights: Weights::Q8, ..Mode::TILED },
@@ -100,14 +98,14 @@ impl Mode {
         Mode { weights: Weights::Q8, ..Mode::F16_MATRIX },
         Mode { weights: Weights::Q8, ..Mode::BF16_MATRIX },
     ];
-    /// Modes of attention.
+    /// Attention.
     const FLOATS: &[Mode] = &[Mode::EXACT, Mode::F16, Mode::BF16, Mode::F16_MATRIX, Mode::BF16_MATRIX];
-    /// Modes of the nearest-row search.
+    /// Nearest-row search.
     const NEAREST: &[Mode] = &[Mode::EXACT, Mode::F16_MATRIX];
-    /// Mode of kernels that are always f32: norms, softmax, geometry.
+    /// Kernels that are always f32.
     const ONLY_EXACT: &[Mode] = &[Mode::EXACT];
 
-    /// Name in the report.
+    /// Returns the name in the report.
     pub fn name(self) -> &'static str {
         match (self.factor, self.matrix) {
             (Element::F32, _) if self.tiled => "exact tiles",
@@ -121,7 +119,7 @@ impl Mode {
         }
     }
 
-    /// Whether a device supports it.
+    /// Returns true if a device supports it.
     pub fn is_on(self, limits: &Limits) -> bool {
         let stored = self.factor == Element::F32 || limits.half_storage;
         let tiled = !self.tiled || LaneTile::candidates(limits, self.factor).len() > 1;
@@ -129,7 +127,6 @@ impl Mode {
         stored && tiled && multiplied && (!self.matrix || limits.matrices.of(self.factor).is_some())
     }
 
-    /// Linear kernel on lanes with the given factor type.
     fn on_lanes(self, factor: Element) -> LinearKernel {
         let tiles = if self.tiled { Tiles::always(1) } else { Tiles::BY_RULE };
         match factor {
@@ -138,7 +135,6 @@ impl Mode {
         }
     }
 
-    /// The device's matrix units for this mode.
     fn units(self, device: &Device) -> Option<Units> {
         Units::of(self.factor, device.limits()).filter(|_| self.matrix)
     }
@@ -164,7 +160,7 @@ impl Serialize for Mode {
 
 /// Cases of one kernel.
 pub struct Area {
-    /// Name of the kernel or kernels, as in a profile.
+    /// Kernel names, as in a profile.
     pub kernel: &'static str,
     /// Unit of the case sizes.
     pub size: &'static str,
@@ -176,7 +172,7 @@ pub struct Area {
     pub cases: Vec<Case>,
 }
 
-/// Result of one case in one mode.
+/// Result of one case and mode.
 #[derive(Clone, Debug, Serialize)]
 pub struct Finding {
     /// Kernel.
@@ -187,19 +183,19 @@ pub struct Finding {
     pub mode: Mode,
     /// Problem size.
     pub size: usize,
-    /// Whether every element is within its bound.
+    /// True if every element is within its bound.
     pub holds: bool,
-    /// The worst element; non-finite errors are null in JSON.
+    /// Worst element; non-finite errors are null in JSON.
     #[serde(flatten)]
     pub worst: Worst,
     /// Reason for a failed computation.
     pub failed: Option<String>,
-    /// Faults that the case catches.
+    /// Names of the caught faults.
     pub catches: Vec<String>,
 }
 
 impl Area {
-    /// Returns the cases in every mode that a device supports.
+    /// Returns the cases in every supported mode.
     pub fn on(&self, limits: &Limits) -> impl Iterator<Item = (&Case, Mode)> {
         let modes = self.modes.iter().copied().filter(|mode| mode.is_on(limits));
         modes.flat_map(|mode| self.cases.iter().map(move |case| (case, mode)))

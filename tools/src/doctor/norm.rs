@@ -22,11 +22,11 @@ const REASON: &str = "the mean is off by d <= gamma mean|x|, of which the second
 
 const EPS: f32 = 1e-6;
 
-/// Error bounds of a normalized row, before the exact weight and bias.
+/// Returns bounds without weight and bias.
 pub fn normed_errors(row: &[f64], eps: f64) -> Vec<f64> {
     let n = row.len() as f64;
     let mean_of = |f: &dyn Fn(f64) -> f64| row.iter().map(|&x| f(x)).sum::<f64>() / n;
-    // A sum and a division, which counts as five roundings.
+    // A sum and a division, counted as five roundings.
     let additions = by_lanes(row.len());
     let sum = gamma(additions + 6);
     let mean = mean_of(&|x| x);
@@ -48,7 +48,6 @@ pub fn normed_errors(row: &[f64], eps: f64) -> Vec<f64> {
     row.iter().map(error).collect()
 }
 
-/// Error bounds of `normed * weight + bias`.
 pub fn affine_errors(errors: &[f64], truth: &[f64], weight: &[f32], bias: &[f32]) -> Vec<f64> {
     let columns = weight.iter().zip(bias).map(|(&w, &b)| (f64::from(w.abs()), f64::from(b.abs())));
     let error = |(i, (w, b)): (usize, (f64, f64))| {
@@ -58,7 +57,6 @@ pub fn affine_errors(errors: &[f64], truth: &[f64], weight: &[f32], bias: &[f32]
     columns.enumerate().map(error).collect()
 }
 
-/// Rows `[rows, width]`.
 struct Problem {
     width: usize,
     x: Vec<f32>,
@@ -66,7 +64,6 @@ struct Problem {
     bias: Vec<f32>,
 }
 
-/// Faults of a norm.
 #[derive(Clone, Copy, Debug)]
 pub enum Fault {
     Zero,
@@ -74,7 +71,6 @@ pub enum Fault {
     OnePass,
     /// Mean from one f32 sum, uncorrected.
     UncorrectedMean,
-    /// Sums rounded to 11 bits.
     HalfSum,
     LastChannel,
     /// Variance divided by n - 1.
@@ -82,14 +78,12 @@ pub enum Fault {
     NoEpsilon,
     NoBias,
     NeighbourRow,
-    /// Rows past the workgroup fold repeat earlier rows.
+    /// Rows beyond the workgroup fold repeat earlier ones.
     Folded,
-    /// Infinite f32 squares.
     OverflowingSquares,
 }
 
 impl Fault {
-    /// Mean and variance of a row with the fault.
     pub fn moments(self, row: &[f64]) -> [f64; 2] {
         let n = row.len() as f64;
         let summed = |round: fn(f64) -> f64, values: &mut dyn Iterator<Item = f64>| {
@@ -190,14 +184,14 @@ pub fn area() -> Area {
     add("mean 1e4, spread 1e-2", 1, [Zero, NoBias].into(), |r, _| 1e4 + 1e-2 * r);
     for width in [3, 64, 384, 1536, 4096] {
         let random = Catches::from([Zero, NoBias, HalfSum, LastChannel, NeighbourRow]);
-        // The last channel is large enough that its omission is detectable.
+        // A large last channel makes its omission detectable.
         let last: fn(f32, usize) -> f32 =
             if width > 1000 { |r, c| if c % 512 == 511 { 20.0 * r } else { r } } else { |r, _| r };
         add("random", width, if width < 1000 { random.and(&[Unbiased]) } else { random }, last);
         let offset = Catches::from([Zero, OnePass, HalfSum, NeighbourRow]);
         let offset = if width < 64 { offset } else { offset.and(&[UncorrectedMean]) };
         match width {
-            // Rounding this many terms may cost more than a hundredth.
+            // Rounding many terms may cost more than a hundredth.
             4096 => add("mean 1e4, spread 1e-1", width, offset, |r, _| 1e4 + 1e-1 * r),
             _ => add("mean 1e4, spread 1e-2", width, offset, |r, _| 1e4 + 1e-2 * r),
         }

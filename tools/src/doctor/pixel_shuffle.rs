@@ -12,7 +12,7 @@ use zipsplat_reference::{heads::pixel_shuffle::pixel_shuffle, widen};
 
 const REASON: &str = "every result is one value and one bias, whose sum rounds once";
 
-/// Values `[height, width, side, side, channels]` that become pixels.
+/// Values `[height, width, side, side, channels]`.
 struct Problem {
     width: usize,
     side: usize,
@@ -24,12 +24,11 @@ struct Problem {
 enum Fault {
     Zero,
     NoBias,
-    /// Transposed taps.
     TurnedTaps,
     InOrder,
     /// Bias of the next channel.
     NeighbourBias,
-    /// Results rounded to 11 bits.
+    /// 11-bit results.
     Half,
 }
 

@@ -1,4 +1,4 @@
-//! Attention preprocessing of queries and keys: head norm, rotary position encoding, scale.
+//! Preprocessing of queries and keys: head norm, rotary positions, scale.
 
 use super::{
     Area, Case, Catches, Mode, Worst,
@@ -30,7 +30,7 @@ const REASON: &str = "as ops/layer_norm over a head's channels; a rotation mixes
 const EPS: f32 = 1e-5;
 const HEADS: usize = 2;
 
-/// Projection of a view with `rows x columns` patches and a camera token.
+/// View of `rows x columns` patches and a camera token.
 #[derive(Clone, Copy)]
 struct Problem {
     rows: usize,
@@ -58,13 +58,11 @@ enum Fault {
     NoEpsilon,
     /// Variance as the difference of two f32 sums.
     OnePass,
-    /// Swapped heads.
     NeighbourHead,
-    /// Workgroups past the fold repeat earlier ones.
+    /// Workgroups beyond the fold repeat earlier ones.
     Folded,
 }
 
-/// Projection and norm.
 struct Inputs {
     projection: Vec<f32>,
     weight: Vec<f32>,
@@ -81,7 +79,7 @@ impl Problem {
     fn positions(&self) -> Vec<[f64; 2]> {
         let Self { rows, columns, .. } = *self;
         match self.global {
-            // Shifted to put patches at the origin: only differences matter.
+            // Patches at the origin: only differences matter.
             true => global_positions(rows, columns).into_iter().map(|place| place.map(|step| step - 1.0)).collect(),
             false => local_positions(rows, columns),
         }
@@ -91,7 +89,6 @@ impl Problem {
         f64::from(1.0 / (self.dim as f32).sqrt())
     }
 
-    /// Heads before rotation.
     fn plain(&self, inputs: &Inputs) -> Vec<f64> {
         let x = widen(&inputs.projection);
         if self.norm { layer_norm(&x, &inputs.weight, &inputs.bias, EPS.into()) } else { x }
@@ -158,7 +155,6 @@ impl case::Problem for Problem {
         }
         let partner = |i: usize| if i % (dim / 2) < dim / 4 { i + dim / 4 } else { i - dim / 4 };
         let bound = |i: usize| {
-            // Sine and cosine are at most 1.
             let carried = errors[i] + errors[partner(i)];
             let mixed = plain[i].abs() + plain[partner(i)].abs() + carried;
             scale * (carried + 5.0 * U * mixed + 2.0 * TINY) + TINY
@@ -200,7 +196,7 @@ impl case::Problem for Problem {
     }
 }
 
-/// Position embedding resampled to another grid in f64 on the host; only the f32 rounding differs.
+/// Resampled in f64 on the host; only the f32 rounding differs.
 struct Embedding {
     rows: usize,
     columns: usize,
@@ -212,10 +208,8 @@ const WIDTH: usize = 3;
 #[derive(Clone, Copy, Debug)]
 enum EmbeddingFault {
     Zero,
-    /// Column-major patches.
     Transposed,
     NeighbourPatch,
-    /// Nearest-neighbor sampling.
     NotInterpolated,
 }
 

@@ -1,4 +1,4 @@
-//! HTML report: per kernel, errors and bounds against problem size, with justifications.
+//! HTML report: errors, bounds and justifications by kernel.
 
 use super::{Area, Finding, Mode, Worst};
 use std::{collections::BTreeMap, fmt::Write};
@@ -6,10 +6,9 @@ use zipsplat::gpu::Limits;
 
 const WIDTH: f64 = 720.0;
 const HEIGHT: f64 = 300.0;
-/// Margin for the left and bottom labels.
 const LEFT: f64 = 70.0;
 const BELOW: f64 = 40.0;
-/// Maximum number of decades shown, from the largest down.
+/// Limit of decades shown, from the largest down.
 const DECADES: f64 = 24.0;
 
 const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;margin:2rem auto;max-width:60rem;padding:0 1rem;color:#222}\
@@ -52,7 +51,6 @@ pub fn page(limits: &Limits, areas: &[Area], findings: &[Finding]) -> String {
     out + "</html>\n"
 }
 
-/// Log-log plot of error and bound against size.
 fn plot(area: &Area, mode: Mode, findings: &[&Finding]) -> String {
     let shown = |x: f64| x.is_finite() && x > 0.0;
     let values = || findings.iter().flat_map(|f| [f.worst.error, f.worst.bound]).filter(|&x| shown(x)).map(f64::log10);

@@ -13,10 +13,9 @@ use zipsplat_reference::{heads::resize::resize, widen};
 const REASON: &str = "the share of a neighbour is a quotient of whole numbers, off by 2.5 units in the last place at most (Vulkan \
     specification); three weighted means and the sum behind them round 9 times. No value is larger than the four neighbours together";
 
-/// Roundings per result.
 const ROUNDINGS: usize = 9;
 
-/// A map `[height, width, channels]` to resize, with optional positions of columns and rows.
+/// Map `[height, width, channels]`, with optional positions of columns and rows.
 struct Problem {
     size: [usize; 2],
     to: [usize; 2],
@@ -30,15 +29,12 @@ enum Fault {
     Zero,
     /// Aligns pixel centers instead of corners.
     MiddlesOnMiddles,
-    /// Nearest-neighbor sampling.
     Nearest,
-    /// Swapped rows and columns.
     Turned,
     NoPositions,
     /// Swapped positions of columns and rows.
     TurnedPositions,
     NeighbourPixel,
-    /// Results rounded to 11 bits.
     Half,
 }
 
@@ -53,7 +49,7 @@ impl Problem {
         Self { positions: Some(positions), ..self }
     }
 
-    /// Adds positions: columns in the first half of the channels, or rows if `turned`.
+    /// Adds columns to the first half of the channels, or rows if `turned`.
     fn added(&self, values: Vec<f64>, turned: bool) -> Vec<f64> {
         let Some(positions) = &self.positions else { return values };
         let (half, width) = (self.channels / 2, self.to[1]);
@@ -70,7 +66,7 @@ impl Problem {
         resize(&widen(&self.x), [self.size[1], self.channels], self.to)
     }
 
-    /// Samples the source at `[y, x]` for each result, bilinearly or by nearest neighbor.
+    /// Samples at `[y, x]`, bilinearly or by nearest neighbor.
     fn sampled(&self, place: impl Fn(usize, usize) -> f64, nearest: bool) -> Vec<f64> {
         let [height, width] = self.size;
         let at = |y: usize, x: usize, c: usize| f64::from(self.x[(y * width + x) * self.channels + c]);

@@ -1,4 +1,4 @@
-//! Depth sort of Gaussians and its prefix sums.
+//! Depth sort and its prefix sums.
 
 use super::{Area, Case, Catches, Mode, Worst, case, trial::Trial};
 use crate::noise::Noise;
@@ -18,22 +18,18 @@ struct Sort {
 
 #[derive(Clone, Copy, Debug)]
 enum Fault {
-    /// No output.
     Zero,
-    /// Shifted by one item.
     Shifted,
     LastItem,
     Unstable,
-    /// Ignores the highest 8-bit digit.
     HighestDigit,
-    /// Unsorted values.
     KeysAlone,
 }
 
 type Sorted = [Vec<u32>; 2];
 
 impl Sort {
-    /// Stable sort of keys and values by a part of the key.
+    /// Sorts stably by a part of the key.
     fn sorted(&self, part: impl Fn(u32) -> u32) -> Vec<(u32, u32)> {
         let mut pairs: Vec<(u32, u32)> = self.keys.iter().copied().zip(0..).collect();
         pairs.sort_by_key(|pair| part(pair.0));
@@ -92,14 +88,11 @@ impl case::Problem for Sort {
     }
 }
 
-/// Input of a prefix sum.
 struct Scan(Vec<u32>);
 
 #[derive(Clone, Copy, Debug)]
 enum ScanFault {
-    /// Returns the input.
     AsItWas,
-    /// Inclusive sums.
     Inclusive,
     /// Sums restart here.
     Restarts(usize),
@@ -155,7 +148,7 @@ impl case::Problem for Scan {
     }
 }
 
-/// Bits of a positive float depth, the renderer's sort key.
+/// Bits of a positive float depth.
 fn depths(seed: u64, count: usize) -> Vec<u32> {
     Noise(seed).values(count).into_iter().map(|r| (1.0 + r).mul_add(50.0, 0.01).to_bits()).collect()
 }

@@ -1,4 +1,4 @@
-//! A plan on the device under test, with outputs that reveal unwritten values.
+//! Plan on the tested device whose outputs reveal unwritten values.
 
 use bytemuck::Pod;
 use zipsplat::{
@@ -6,36 +6,31 @@ use zipsplat::{
     gpu::{Device, Recorder, Run, Tensor},
 };
 
-/// NaN as f32 and as pairs of f16; out of range as an index.
+/// NaN as f32 and as f16 pairs; out of range as an index.
 pub const UNWRITTEN: u32 = 0xffff_ffff;
 
-/// A plan under construction.
 pub struct Trial<'a> {
     device: &'a Device,
-    /// Recorder of the plan.
     pub rec: Recorder,
     inputs: Vec<(Tensor, Vec<u8>)>,
 }
 
 impl<'a> Trial<'a> {
-    /// Creates an empty plan.
     pub fn new(device: &'a Device) -> Self {
         Self { device, rec: Recorder::new(device.limits()), inputs: Vec::new() }
     }
 
-    /// Uploads a tensor.
     pub fn input<T: Pod>(&mut self, values: &[T]) -> Tensor {
         let tensor = self.rec.input::<T>("input", values.len());
         self.inputs.push((tensor, bytemuck::cast_slice(values).to_vec()));
         tensor
     }
 
-    /// Fills a tensor with NaN before other writes.
+    /// Fills a tensor with NaN.
     pub fn blank(&mut self, tensor: Tensor) {
         self.rec.fill(tensor, UNWRITTEN);
     }
 
-    /// Creates an output tensor of `len` values.
     pub fn output<T>(&mut self, len: usize) -> Tensor {
         let tensor = self.rec.tensor::<T>("output", len);
         self.blank(tensor);
@@ -43,7 +38,6 @@ impl<'a> Trial<'a> {
         tensor
     }
 
-    /// Runs the plan.
     pub fn run(self) -> Result<Run> {
         let mut run = Run::new(self.device, self.rec.finish()?)?;
         for (tensor, bytes) in &self.inputs {
@@ -53,7 +47,6 @@ impl<'a> Trial<'a> {
         Ok(run)
     }
 
-    /// Runs the plan and reads one result.
     pub fn result<T: Pod>(self, output: Tensor) -> Result<Vec<T>> {
         self.run()?.read(output)
     }

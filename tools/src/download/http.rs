@@ -1,4 +1,4 @@
-//! Requests to a model hub and to the storage that it redirects to.
+//! Requests to a model hub and its storage.
 
 use std::{env, io, path::PathBuf, time::Duration};
 use ureq::{
@@ -11,42 +11,41 @@ use ureq::{
 };
 use zipsplat::{Error, Result};
 
-/// The hub that has the released weights.
+/// Hub of the released weights.
 const HUB: &str = "https://huggingface.co";
-/// Most redirects from one address.
+/// Limit of redirects.
 const HOPS: usize = 10;
-/// Variables that name a file of root certificates to trust in place of those that are built in.
+/// Variables that override the built-in root certificates with a file.
 const ROOTS: [&str; 2] = ["SSL_CERT_FILE", "REQUESTS_CA_BUNDLE"];
 
-/// The failure of a request, by whether another try may do better.
+/// Failure of a request.
 #[derive(Debug)]
 pub enum Failure {
-    /// Another try may do better: the connection broke or stalled, or the host is busy.
+    /// A retry may help: broken or silent connection, busy host.
     Passing(String),
-    /// Another try would fail in the same way.
+    /// A retry would fail alike.
     Lasting(Error),
 }
 
-/// A client of one hub.
 #[derive(Clone)]
 pub struct Client {
     agent: Agent,
     endpoint: String,
     token: Option<String>,
-    /// A connection on which nothing comes for so long is given up.
+    /// Timeout of a silent connection.
     pub patience: Duration,
 }
 
-/// The hash and size of a file, which a hub says before it redirects to its storage, which says neither.
+/// Hash and size from the hub; the storage behind its redirect reports neither.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Told {
-    /// Lowercase hexadecimal digits.
+    /// Lowercase hexadecimal.
     pub sha256: Option<String>,
     pub size: Option<u64>,
 }
 
 impl Told {
-    /// Takes what the headers of one answer say; earlier answers count more. An ETag is a hash at the hub alone.
+    /// Keeps earlier answers. Only the hub's ETag is a hash.
     fn hear(&mut self, headers: &HeaderMap, is_hub: bool) {
         let etag = || text(headers, ETAG.as_str()).filter(|_| is_hub);
         let digest = text(headers, "x-linked-etag")
@@ -58,7 +57,6 @@ impl Told {
     }
 }
 
-/// True for a SHA-256 in hexadecimal digits.
 pub fn is_sha256(text: &str) -> bool {
     text.len() == 64 && text.bytes().all(|byte| byte.is_ascii_hexdigit())
 }
@@ -68,11 +66,8 @@ fn text<'a>(headers: &'a HeaderMap, name: &str) -> Option<&'a str> {
 }
 
 impl Client {
-    /// A client as the environment asks for: `HF_ENDPOINT` names a mirror, `HF_TOKEN` a token that is sent to the hub and to
-    /// nobody else, `HTTPS_PROXY`, `ALL_PROXY` and `NO_PROXY` a proxy, `SSL_CERT_FILE` root certificates.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] where the endpoint is no address; those of reading the certificates.
+    /// Reads the environment: `HF_ENDPOINT` names a mirror, `HF_TOKEN` a token for the hub only,
+    /// `HTTPS_PROXY`, `ALL_PROXY` and `NO_PROXY` a proxy, `SSL_CERT_FILE` root certificates.
     pub fn from_environment(patience: Duration) -> Result<Self> {
         let set = |name: &str| env::var(name).ok().filter(|value| !value.trim().is_empty());
         let endpoint = set("HF_ENDPOINT").map_or(HUB.into(), |mirror| mirror.trim().trim_end_matches('/').to_owned());
@@ -82,29 +77,25 @@ impl Client {
         let roots = ROOTS.iter().find_map(|name| set(name)).map(|path| root_certificates(PathBuf::from(path)));
         let config = Agent::config_builder()
             .user_agent(concat!("zipsplat/", env!("CARGO_PKG_VERSION")))
-            // The hash and size that the hub tells would be lost, and the token would have to be held back.
+            // Followed here, to read the hub's headers and withhold the token.
             .max_redirects(0)
             .max_redirects_will_error(false)
             .http_status_as_error(false)
             .tls_config(TlsConfig::builder().root_certs(roots.transpose()?.unwrap_or(RootCerts::WebPki)).build())
             .timeout_resolve(Some(patience))
             .timeout_connect(Some(patience))
-            // Of a body of gigabytes the time in total says nothing.
+            // A total timeout does not suit gigabytes.
             .timeout_per_read(Some(patience))
             .timeout_per_write(Some(patience))
             .build();
         Ok(Self { agent: config.into(), endpoint, token: set("HF_TOKEN"), patience })
     }
 
-    /// The address of a file in a repository of the hub.
     pub fn address(&self, repository: &str, revision: &str, file: &str) -> String {
         format!("{}/{repository}/resolve/{revision}/{file}", self.endpoint)
     }
 
-    /// The hash and size that the hub says for a file, without the file.
-    ///
-    /// # Errors
-    /// Where the hub cannot be asked, or has no such file.
+    /// Asks the hub for a file's hash and size.
     pub fn ask(&self, url: &str) -> Result<Told, Failure> {
         let (response, mut told) = self.follow(true, url, 0)?;
         if told.size.is_none() && response.status() == StatusCode::OK {
@@ -113,11 +104,8 @@ impl Client {
         Ok(told)
     }
 
-    /// The answer that has a file's bytes from `start` on, wherever the hub redirects to, and what the hub said on the way. Its
-    /// status is 200, 206 or 416.
-    ///
-    /// # Errors
-    /// As [`Client::ask`].
+    /// Requests bytes from `start` on, through redirects. Returns the answer, of status 200, 206 or
+    /// 416, and the hub's hash and size.
     pub fn get(&self, url: &str, start: u64) -> Result<(Response<Body>, Told), Failure> {
         self.follow(false, url, start)
     }
@@ -157,7 +145,6 @@ impl Client {
     }
 }
 
-/// The certificates of a PEM file.
 fn root_certificates(path: PathBuf) -> Result<RootCerts> {
     let pem = std::fs::read(&path).map_err(|error| Error::io(&path, error))?;
     let mut certificates = Vec::new();
@@ -170,14 +157,13 @@ fn root_certificates(path: PathBuf) -> Result<RootCerts> {
     Ok(RootCerts::new_with_certs(&certificates))
 }
 
-/// Scheme, host and port of an address.
 fn origin(url: &str) -> Option<(String, String)> {
     let uri: Uri = url.parse().ok()?;
     let scheme = uri.scheme_str().filter(|scheme| ["http", "https"].contains(scheme))?;
     Some((scheme.to_owned(), uri.authority()?.as_str().to_lowercase()))
 }
 
-/// The address that a redirect leads to; none, where that would no longer be encrypted.
+/// Resolves a redirect; `None` if it would end encryption.
 fn redirected(from: &str, location: &str) -> Option<String> {
     let (scheme, authority) = origin(from)?;
     let to = match location {
@@ -209,7 +195,7 @@ fn check_status(url: &str, status: StatusCode, has_token: bool) -> Result<(), Fa
     }
 }
 
-/// The failure of a request, or of reading its answer, from the client's error.
+/// Classifies a client error.
 pub fn failure(url: &str, error: &ureq::Error, patience: Duration) -> Failure {
     match error {
         ureq::Error::Timeout(_) => Failure::Passing(format!("nothing came for {} s", patience.as_secs_f64())),

@@ -1,4 +1,4 @@
-//! Large files from a model hub: loaded in as many pieces as the network breaks them into, and checked before they count.
+//! Resumable, verified downloads of large files from a model hub.
 
 mod http;
 mod partial;
@@ -22,21 +22,21 @@ pub use partial::{Lock, Promise, TAG, kept};
 use http::{Failure, Told, failure};
 use partial::Partial;
 
-/// Tries in a row that bring nothing before a download is given up.
+/// Limit of consecutive retries without progress.
 const TRIES: u32 = 5;
-/// Times that a file is begun again.
+/// Limit of restarts from the beginning.
 const RESTARTS: u32 = 3;
-/// Bytes that are handed on at once, and how many of these may wait for the disk.
+/// Bytes per block, and number of blocks queued for the disk.
 const CHUNK: usize = 1 << 18;
 const WAITING: usize = 16;
-/// The time after which a wait looks for Ctrl-C.
+/// Interval between checks for Ctrl-C.
 const POLL: Duration = Duration::from_millis(50);
 
-/// The hub's promise of a file as it is now; `sha256` stands in where the hub does not say it.
+/// Asks the hub for size and hash; `sha256` replaces an unreported hash.
 ///
 /// # Errors
-/// [`Error::Io`] where the hub cannot be asked; [`Error::Argument`] where it says no size or no hash, or another hash than
-/// `sha256`; [`Error::Cancelled`].
+/// [`Error::Io`] for an unreachable hub; [`Error::Argument`] for a missing size or hash, or another
+/// hash than `sha256`; [`Error::Cancelled`].
 pub fn promise(client: &Client, url: &str, sha256: Option<&str>, stage: &Stage<'_>) -> Result<Promise> {
     let mut tries = Tries::default();
     let told = loop {
@@ -63,13 +63,12 @@ pub fn promise(client: &Client, url: &str, sha256: Option<&str>, stage: &Stage<'
     }
 }
 
-/// Loads the file that `promise` is about, checks it, and only then gives it its name,
-/// [`Promise::path`]. The caller has its [`Lock`]. Where the network fails, what came is kept, and
-/// another call goes on from there. `notes` gets what a user should know.
+/// Downloads a file, checks it and renames it to [`Promise::path`]. The caller holds its [`Lock`].
+/// After a network failure, another call resumes. `notes` gets messages for the user.
 ///
 /// # Errors
-/// [`Error::Io`] of the disk, or of a network that brought nothing several times; [`Error::Format`] where the bytes are not those
-/// that the host promised, or it now has others; [`Error::Cancelled`].
+/// [`Error::Io`] of the disk, or after retries without progress; [`Error::Format`] for other bytes
+/// than promised; [`Error::Cancelled`].
 pub fn fetch(
     client: &Client,
     promise: &Promise,
@@ -103,15 +102,14 @@ pub fn fetch(
     }
 }
 
-/// The number of tries in a row that brought nothing.
 #[derive(Default)]
 struct Tries(u32);
 
 impl Tries {
-    /// Counts a try that brought nothing and waits before the next, each time twice as long, but no longer than for an answer.
+    /// Waits with exponential backoff, up to the timeout.
     ///
     /// # Errors
-    /// [`Error::Io`] with the reason where that was the last; [`Error::Cancelled`].
+    /// [`Error::Io`] with the reason after the last try; [`Error::Cancelled`].
     fn failed(&mut self, url: &str, reason: &str, patience: Duration, stage: &Stage<'_>) -> Result<()> {
         self.0 += 1;
         if self.0 == TRIES {
@@ -126,11 +124,11 @@ impl Tries {
     }
 }
 
-/// Runs `work` in a thread of its own, which is left behind where the command should stop.
+/// Runs `work` in a thread that cancellation abandons.
 fn apart<T: Send + 'static>(stage: &Stage<'_>, work: impl FnOnce() -> T + Send + 'static) -> Result<T> {
     let (send, done) = channel();
     std::thread::spawn(move || {
-        // Nobody waits for it where the command was stopped.
+        // The receiver is gone after cancellation.
         let _ = send.send(work());
     });
     loop {
@@ -142,11 +140,11 @@ fn apart<T: Send + 'static>(stage: &Stage<'_>, work: impl FnOnce() -> T + Send +
     }
 }
 
-/// The reason why no more bytes come over one connection; the end of the file is a passing reason, too.
+/// Reason for the end of a connection.
 enum Stop {
     Passing(String),
     Lasting(Error),
-    /// The bytes that are there do not fit those of the host.
+    /// Local bytes differ from the host's.
     Restart(String),
 }
 
@@ -159,15 +157,14 @@ impl From<Failure> for Stop {
     }
 }
 
-/// An event of one connection.
 enum Event {
-    /// The place in the file of the next bytes.
+    /// File offset of the next bytes.
     From(u64),
     Bytes(Vec<u8>),
     End(Stop),
 }
 
-/// Loads over one connection, until that ends, what is still missing.
+/// Downloads missing bytes over one connection.
 fn load(client: &Client, promise: &Promise, partial: &mut Partial, stage: &Stage<'_>) -> Result<Stop> {
     let (send, events) = sync_channel(WAITING);
     let (client, wanted, start) = (client.clone(), promise.clone(), partial.length()?);
@@ -197,7 +194,7 @@ fn load(client: &Client, promise: &Promise, partial: &mut Partial, stage: &Stage
     }
 }
 
-/// Sends what comes over one connection; ends early where nobody listens any more.
+/// Sends bytes until the receiver is gone.
 fn stream(client: &Client, promise: &Promise, start: u64, send: &SyncSender<Event>) -> Stop {
     let (response, told) = match client.get(&promise.url, start) {
         Ok(answer) => answer,
@@ -227,7 +224,7 @@ fn stream(client: &Client, promise: &Promise, start: u64, send: &SyncSender<Even
     }
 }
 
-/// The place in the file of an answer's bytes, if they are of the file that was promised.
+/// Returns the file offset of an answer to a promised file.
 fn check_answer(
     promise: &Promise,
     told: &Told,
@@ -257,7 +254,7 @@ fn check_answer(
             Some(length) if length != size => {
                 Err(Stop::Restart(format!("Content-Length: found {length}, expected {size}")))
             }
-            // It may ignore that not all was asked for.
+            // The host may ignore the range.
             _ => Ok(0),
         },
     }

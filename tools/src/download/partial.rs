@@ -1,4 +1,4 @@
-//! A file that is on its way: its bytes so far, and beside them what it shall become.
+//! Partial download with its promised hash and size.
 
 use super::POLL;
 use crate::session::Stage;
@@ -11,37 +11,34 @@ use std::{
 };
 use zipsplat::{Error, Result, types::write_atomic};
 
-/// Bytes that are hashed at once.
+/// Bytes per hashed block.
 const BLOCK: usize = 1 << 20;
-/// Digits of a hash in the name of its file.
+/// Digits of the hash in a file name.
 pub const TAG: usize = 12;
 
-/// A file as it will be when it is whole.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Promise {
-    /// Address that it comes from.
     pub url: String,
-    /// Bytes.
+    /// Size in bytes.
     pub size: u64,
-    /// Lowercase hexadecimal digits.
+    /// Lowercase hexadecimal.
     pub sha256: String,
 }
 
 impl Promise {
-    /// The digits of the hash that stand in the names of files.
     pub fn tag(&self) -> &str {
         &self.sha256[..TAG]
     }
 
-    /// The path of the whole file: beside `base`, with the tag in its name.
+    /// Adds the tag to the name of `base`.
     pub fn path(&self, base: &Path) -> PathBuf {
         let part = |part: Option<&std::ffi::OsStr>| part.unwrap_or_default().to_string_lossy().into_owned();
         base.with_file_name(format!("{}-{}.{}", part(base.file_stem()), self.tag(), part(base.extension())))
     }
 }
 
-/// The bytes so far (`BASE.part`) and the [`Promise`] (`BASE.part.json`) of a file that gets its own name when it is whole and
-/// its hash is right.
+/// Bytes so far (`BASE.part`) and [`Promise`] (`BASE.part.json`). The file is renamed when its hash
+/// is right.
 pub struct Partial {
     path: PathBuf,
     promise_path: PathBuf,
@@ -50,17 +47,14 @@ pub struct Partial {
     promise: Promise,
 }
 
-/// Exclusive use, among processes, of a file's download and of all that is made of it.
+/// Cross-process lock on a file's download and conversion.
 pub struct Lock {
     path: PathBuf,
     _file: File,
 }
 
 impl Lock {
-    /// Waits for other processes that load the file of `base`.
-    ///
-    /// # Errors
-    /// [`Error::Io`], [`Error::Cancelled`].
+    /// Waits for other processes.
     pub fn new(base: &Path, stage: &Stage<'_>) -> Result<Self> {
         let [.., path] = paths(base);
         let failed = |error| Error::io(&path, error);
@@ -76,7 +70,7 @@ impl Lock {
                 }
                 std::thread::sleep(POLL);
             }
-            // The process before has removed it, and a third may have made another.
+            // The previous owner may have removed the file, and another process recreated it.
             if is_at(&file, &path).map_err(failed)? {
                 return Ok(Self { path, _file: file });
             }
@@ -86,12 +80,12 @@ impl Lock {
 
 impl Drop for Lock {
     fn drop(&mut self) {
-        // A file that stays is locked by the next process.
+        // A remaining file is locked by the next process.
         let _ = std::fs::remove_file(&self.path);
     }
 }
 
-/// Whether `path` still leads to an open file.
+/// Returns true if `path` still names an open file.
 fn is_at(file: &File, path: &Path) -> io::Result<bool> {
     #[cfg(unix)]
     {
@@ -104,7 +98,7 @@ fn is_at(file: &File, path: &Path) -> io::Result<bool> {
     file.metadata().and_then(|_| path.try_exists())
 }
 
-/// Opens a file of the cache, which it makes where it is missing, and follows no link.
+/// Opens or creates a cache file without following links.
 fn open(path: &Path) -> Result<File> {
     let mut options = OpenOptions::new();
     options.create(true).truncate(false).read(true).write(true);
@@ -116,7 +110,6 @@ fn open(path: &Path) -> Result<File> {
     })
 }
 
-/// The paths of the bytes so far, of the promise and of the lock.
 fn paths(base: &Path) -> [PathBuf; 3] {
     [".part", ".part.json", ".lock"].map(|ending| {
         let mut name = base.as_os_str().to_owned();
@@ -125,18 +118,14 @@ fn paths(base: &Path) -> [PathBuf; 3] {
     })
 }
 
-/// The number of bytes that are there of the file that `base` names, and its promise.
+/// Returns number of bytes and promise of a partial file.
 pub fn kept(base: &Path) -> Option<(u64, Promise)> {
     let [path, promise, _] = paths(base);
     Some((path.metadata().ok()?.len(), serde_json::from_slice(&std::fs::read(promise).ok()?).ok()?))
 }
 
 impl Partial {
-    /// Resumes a file, or begins it, under its [`Lock`]. Bytes that belong to another promise are
-    /// dropped.
-    ///
-    /// # Errors
-    /// [`Error::Io`].
+    /// Resumes or begins a file under its [`Lock`]. Drops bytes of another promise.
     pub fn open(base: &Path, promise: &Promise) -> Result<Self> {
         let [path, promise_path, _] = paths(base);
         let goes_on =
@@ -149,35 +138,25 @@ impl Partial {
         Ok(Self { path, promise_path, base: base.to_owned(), file, promise: promise.clone() })
     }
 
-    /// Bytes that are there, from the first on.
-    ///
-    /// # Errors
-    /// [`Error::Io`].
+    /// Returns the number of contiguous bytes.
     pub fn length(&self) -> Result<u64> {
         self.file.metadata().map(|found| found.len()).map_err(|error| Error::io(&self.path, error))
     }
 
-    /// Writes bytes that belong at `start`, which is no further than the file's length.
-    ///
-    /// # Errors
-    /// [`Error::Io`].
+    /// Writes bytes at `start`, at most the file's length.
     pub fn write(&mut self, start: u64, bytes: &[u8]) -> Result<()> {
         let written = self.file.seek(SeekFrom::Start(start)).and_then(|_| self.file.write_all(bytes));
         written.map_err(|error| Error::io(&self.path, error))
     }
 
-    /// Drops what is there.
-    ///
-    /// # Errors
-    /// [`Error::Io`].
     pub fn clear(&mut self) -> Result<()> {
         self.file.set_len(0).map_err(|error| Error::io(&self.path, error))
     }
 
-    /// Gives the file its own name, [`Promise::path`], where its hash is the promised one; else removes it.
+    /// Renames the file to [`Promise::path`] if its hash is right, else removes it.
     ///
     /// # Errors
-    /// [`Error::Format`] where the hash is another, [`Error::Cancelled`], [`Error::Io`].
+    /// [`Error::Format`] for another hash, [`Error::Cancelled`], [`Error::Io`].
     pub fn finish(mut self, stage: &Stage<'_>) -> Result<()> {
         let found = self.hash(stage)?;
         let Self { path, promise_path, base, file, promise } = self;
@@ -191,7 +170,7 @@ impl Partial {
         }
         file.sync_all().map_err(failed)?;
         std::fs::rename(&path, promise.path(&base)).map_err(failed)?;
-        // Without its file it means nothing.
+        // Useless without its file.
         let _ = std::fs::remove_file(promise_path);
         Ok(())
     }

@@ -7,10 +7,9 @@ use zipsplat::{
 };
 
 const STYLE: &str = include_str!("report.css");
-/// JPEG quality.
 const QUALITY: u8 = 85;
 
-/// Start of a page, through its heading.
+/// Returns the start of a page, through its heading.
 pub fn begin(title: &str) -> String {
     let title = escape(title);
     format!(
@@ -20,10 +19,7 @@ pub fn begin(title: &str) -> String {
     )
 }
 
-/// Data URL of a picture, downscaled to a longer side of at most `most` pixels.
-///
-/// # Errors
-/// Encoding failures.
+/// Returns a data URL of a picture, at most `most` pixels long.
 pub fn picture(image: &Image, most: u32) -> Result<String> {
     let scale = (f64::from(most) / f64::from(image.width.max(image.height))).min(1.0);
     let [width, height] = [image.width, image.height].map(|side| ((f64::from(side) * scale).round() as u32).max(1));

@@ -1,4 +1,4 @@
-//! Builds primitives and the objects of rooms, tables and streets.
+//! Primitives and objects of rooms, tables and streets.
 
 use std::f32::consts::FRAC_PI_2;
 
@@ -8,7 +8,6 @@ use super::material::{Material, Palette, Role};
 use super::rng::Rng;
 use super::shape::{Primitive, Shape};
 
-/// Primitives so far, random numbers and materials.
 pub(super) struct Builder<'a> {
     pub rng: Rng,
     pub palette: Palette<'a>,
@@ -24,7 +23,6 @@ impl Builder<'_> {
         self.primitives.push(Primitive { shape, rotation, centre, to_local: rotation.transpose(), material });
     }
 
-    /// An upright box by its half sides.
     pub fn block(&mut self, centre: Vec3A, half: [f32; 3], heading: f32, material: Material) {
         self.put(Shape::Box { half: Vec3A::from(half) }, centre, Mat3A::from_rotation_z(heading), material);
     }
@@ -34,14 +32,12 @@ impl Builder<'_> {
         self.put(Shape::Ellipsoid { radii: Vec3A::from(radii) }, centre, Mat3A::from_rotation_z(heading), material);
     }
 
-    /// A cylinder on `base`.
     pub fn can(&mut self, base: Vec3A, radius: f32, height: f32, material: Material) {
         let shape = Shape::Cylinder { radius, half_height: height / 2.0 };
         let rotation = Mat3A::from_rotation_z(self.rng.angle());
         self.put(shape, base + Vec3A::Z * (height / 2.0), rotation, material);
     }
 
-    /// A cylinder between two points.
     pub fn rod(&mut self, from: Vec3A, to: Vec3A, radius: f32, material: Material) {
         let along = (to - from).normalize_or(Vec3A::Z);
         let x = along.any_orthonormal_vector();
@@ -54,12 +50,11 @@ impl Builder<'_> {
         );
     }
 
-    /// A rectangle with a normal; its y axis is up if possible.
+    /// Adds a rectangle; its y axis is up if possible.
     pub fn rectangle(&mut self, centre: Vec3A, half: [f32; 2], normal: Vec3A, material: Material) {
         self.put(Shape::Rectangle { half: Vec2::from(half) }, centre, facing(normal), material);
     }
 
-    /// Walls, floor and ceiling of a room, facing inward.
     pub fn shell(&mut self, low: Vec3A, high: Vec3A) {
         let (centre, half) = ((low + high) / 2.0, (high - low) / 2.0);
         let (floor, ceiling) = (self.draw(Role::Floor), self.draw(Role::Wall));
@@ -73,7 +68,7 @@ impl Builder<'_> {
         }
     }
 
-    /// A single primitive on `base`, about `size` wide.
+    /// Adds a primitive on `base`, about `size` wide.
     pub fn solid(&mut self, base: Vec3A, size: f32) {
         let material = self.draw(Role::Anything);
         let heading = self.rng.angle();
@@ -101,7 +96,6 @@ impl Builder<'_> {
         }
     }
 
-    /// A small object for tables and shelves.
     pub fn thing(&mut self, base: Vec3A, size: f32) {
         match self.rng.count(0, 8) {
             0 => self.cup(base, size),
@@ -173,7 +167,7 @@ impl Builder<'_> {
         }
     }
 
-    /// A tabletop on legs; returns the height of its top.
+    /// Adds a table; returns the height of its top.
     pub fn table(&mut self, base: Vec3A, half: [f32; 2], height: f32, heading: f32) {
         let (top, legs) = (self.draw(Role::Wood), self.draw(Role::Wood));
         let board = 0.025 * (1.0 + self.rng.unit());
@@ -226,7 +220,7 @@ impl Builder<'_> {
     }
 }
 
-/// Axes of a surface with this normal: z is the normal, y is up, or the world's y if level.
+/// Returns axes with z along the normal; y is up, or the world's y for a level surface.
 pub(super) fn facing(normal: Vec3A) -> Mat3A {
     let up = if normal.z.abs() > 0.9 { Vec3A::Y } else { Vec3A::Z };
     let x = up.cross(normal).normalize();

@@ -1,12 +1,11 @@
-//! Bounding volume hierarchy, split by the surface area heuristic (Wald 2007, full sweeps).
+//! Bounding volume hierarchy by the surface area heuristic (Wald 2007, full sweeps).
 
 use glam::Vec3A;
 
 use super::shape::Primitive;
 
-/// Maximum primitives per leaf.
 const LEAF: usize = 2;
-/// Depth from which nodes are halved, to bound the stack for up to 2^11 primitives.
+/// Depth where halving of nodes starts, to bound the stack for up to 2^11 primitives.
 const DEEP: usize = 20;
 const STACK: usize = 32;
 
@@ -28,7 +27,7 @@ impl Aabb {
         side.x * side.y + side.y * side.z + side.z * side.x
     }
 
-    /// Entry distance of a ray, if before `limit`.
+    /// Returns the entry distance before `limit`.
     fn enter(&self, origin: Vec3A, inverse: Vec3A, limit: f32) -> Option<f32> {
         let (a, b) = ((self.low - origin) * inverse, (self.high - origin) * inverse);
         let (enter, leave) = (a.min(b).max_element().max(0.0), a.max(b).min_element().min(limit));
@@ -44,7 +43,6 @@ struct Node {
     count: u32,
 }
 
-/// The hierarchy; items are indices of primitives.
 pub(super) struct Bvh {
     nodes: Vec<Node>,
     items: Vec<u32>,
@@ -83,7 +81,7 @@ impl Bvh {
         self.build(boxes, start + left, end, depth + 1);
     }
 
-    /// Cost, axis and left item count of the cheapest split along an axis.
+    /// Returns cost, axis and left item count.
     fn best_split(&mut self, boxes: &[Aabb], start: usize, end: usize, axis: usize) -> (f32, usize, usize) {
         let items = &mut self.items[start..end];
         sort_along(items, boxes, axis);
@@ -104,7 +102,6 @@ impl Bvh {
         best
     }
 
-    /// Nearest hit before `limit`: distance and primitive.
     pub fn nearest(
         &self,
         primitives: &[Primitive],
@@ -121,19 +118,17 @@ impl Bvh {
         best
     }
 
-    /// Whether anything is hit before `limit`.
     pub fn occluded(&self, primitives: &[Primitive], origin: Vec3A, direction: Vec3A, limit: f32) -> bool {
         let mut found = false;
         self.visit(origin, direction, limit, |item, limit| {
             found = primitives[item].intersect(origin, direction, limit).is_some();
-            // A limit below 0 ends the visit.
+            // A negative limit ends the visit.
             found.then_some(-1.0)
         });
         found
     }
 
-    /// Calls `hit(item, limit)` for items in boxes along the ray, nearest first. It returns the new
-    /// limit.
+    /// Calls `hit(item, limit)`, which returns the new limit, nearest boxes first.
     fn visit(&self, origin: Vec3A, direction: Vec3A, mut limit: f32, mut hit: impl FnMut(usize, f32) -> Option<f32>) {
         let inverse = direction.recip();
         let (mut stack, mut depth) = ([(0u32, 0f32); STACK], 0);
@@ -162,7 +157,7 @@ impl Bvh {
             let below = depth;
             push(&mut stack, &mut depth, index + 1, limit);
             push(&mut stack, &mut depth, node.first, limit);
-            // The nearer child on top.
+            // Nearer child on top.
             if depth == below + 2 && stack[below].1 < stack[below + 1].1 {
                 stack.swap(below, below + 1);
             }

@@ -1,4 +1,4 @@
-//! Generates pictures from a seed.
+//! Pictures of procedural scenes.
 
 use std::ops::RangeInclusive;
 
@@ -15,20 +15,19 @@ use super::survey::{self, Lens};
 use super::tone::Development;
 use super::world::{Seen, World};
 
-/// Paths tried per place.
+/// Path attempts per place.
 const PATHS: usize = 20;
-/// Limit of places built per seed.
 const PLACES: u64 = 1000;
-/// Minimum contrast of a view: standard deviation of brightness, 0..1.
+/// Minimum standard deviation of a view's brightness, 0..1.
 const LEAST_CONTRAST: f32 = 0.05;
-/// Mean brightness of a view.
+/// Range of a view's mean brightness.
 const BRIGHTNESS: RangeInclusive<f32> = 0.15..=0.85;
-/// Field of view of the longer side in degrees; narrow ones are more frequent.
+/// Field of view of the longer side in degrees, skewed toward narrow.
 const FIELD_OF_VIEW: [f32; 2] = [28.0, 92.0];
 
-/// Four rays per pixel that sample row and column edges at four offsets.
+/// Four rays at distinct row and column offsets.
 const ROTATED_GRID: [(f32, f32); 4] = [(-0.125, -0.375), (0.375, -0.125), (0.125, 0.375), (-0.375, 0.125)];
-/// Two rays that, with the central one, sample such edges at three offsets.
+/// With the central ray, distinct row and column offsets.
 const BESIDE_CENTRE: [(f32, f32); 2] = [(-0.33, 0.25), (0.33, -0.25)];
 
 /// Cancellation check; its error ends the work.
@@ -39,23 +38,23 @@ pub type GoOn<'a> = &'a (dyn Fn() -> Result<()> + Sync);
 pub struct Options {
     /// Pictures per scene.
     pub views: usize,
-    /// Pixels a row.
+    /// Picture width.
     pub width: u32,
-    /// Rows.
+    /// Picture height.
     pub height: u32,
-    /// Whether every pixel gets four rays, not only edges.
+    /// Four rays for every pixel, not only at edges.
     pub supersample: bool,
     /// Starts at a random view of the path and appends the skipped ones.
     pub random_first: bool,
 }
 
-/// A place and its camera path, in meters.
+/// Place and camera path, in meters.
 pub struct Setup {
     /// Seed.
     pub seed: u64,
-    /// The kind of place.
+    /// Kind of place.
     pub family: Family,
-    /// The kind of path.
+    /// Kind of path.
     pub path: PathKind,
     /// Scene contents.
     pub world: World,
@@ -71,27 +70,28 @@ pub struct Setup {
 pub struct Capture {
     /// Seed.
     pub seed: u64,
-    /// The kind of place.
+    /// Kind of place.
     pub family: Family,
-    /// The kind of path.
+    /// Kind of path.
     pub path: PathKind,
     /// Meters per unit of length.
     pub metres: f64,
-    /// One for each view.
+    /// Camera of each view.
     pub cameras: Vec<Camera>,
-    /// One for each view.
+    /// Photo of each view.
     pub images: Vec<Image>,
-    /// `[views][height][width]` z along the camera's axis at pixel centers; 0 in the sky.
+    /// `[views][height][width]` z at pixel centers; 0 in the sky.
     pub depths: Vec<Vec<f32>>,
-    /// `[views][views]`: share of the first view's surfaces visible in the second, by a grid of
-    /// rays.
+    /// `[views][views]`: share of the first view's surfaces visible in the second.
     pub overlap: Vec<f32>,
 }
 
 impl Options {
+    /// Checks the settings.
+    ///
     /// # Errors
-    /// [`Error::Argument`] when there are no views, a side is empty or beyond 4096 pixels, or one
-    /// is more than 8 times the other.
+    /// [`Error::Argument`] without views, for a side of 0 or beyond 4096 pixels, or an aspect ratio
+    /// beyond 8.
     pub fn validate(&self) -> Result<()> {
         if !(1..=1024).contains(&self.views) {
             return Err(Error::argument("views", self.views, "1 to 1024"));
@@ -112,7 +112,7 @@ impl Options {
 }
 
 impl Setup {
-    /// Builds places and proposes paths until one passes the survey.
+    /// Builds places and paths until one passes the survey.
     ///
     /// # Errors
     /// As [`Options::validate`] and `go_on`.
@@ -129,10 +129,10 @@ impl Setup {
 
     fn try_place(seed: u64, place: u64, options: &Options, photos: &Photos) -> Option<Self> {
         let mut rng = Rng::new(seed, 2 * place);
-        // Depends on the seed only, so retries do not skew the family distribution.
+        // By seed only, so retries keep the family distribution.
         let family = Rng::new(seed, u64::MAX).pick(&Family::ALL);
         let (world, stage) = family.build(Rng::new(seed, 2 * place + 1), photos);
-        // Drawn once, so retries do not skew the path distribution.
+        // Drawn once, so retries keep the path distribution.
         let path = rng.pick(stage.paths);
         for attempt in 0..PATHS {
             let span = 1.0 - 0.8 * attempt as f32 / PATHS as f32;
@@ -153,7 +153,7 @@ impl Setup {
         None
     }
 
-    /// Camera poses (OpenCV, camera-to-world), in meters.
+    /// Returns the poses (OpenCV, camera-to-world), in meters.
     pub fn poses(&self) -> Vec<Pose> {
         let pose = |view: &View| {
             let cols = [view.rotation.x_axis, view.rotation.y_axis, view.rotation.z_axis].map(|axis| axis.as_dvec3());
@@ -162,7 +162,7 @@ impl Setup {
         self.views.iter().map(pose).collect()
     }
 
-    /// Takes the photos.
+    /// Renders the photos.
     ///
     /// # Errors
     /// As `go_on`, called for every row of pixels.
@@ -204,7 +204,7 @@ impl Setup {
         })
     }
 
-    /// Median distance of all views' points from the first camera, in meters.
+    /// Returns the median distance from the first camera in meters.
     fn median_distance(&self, frames: &[Frame]) -> f64 {
         let Lens { width, .. } = self.lens;
         let first = self.views[0].eye;
@@ -247,7 +247,7 @@ impl Setup {
         Ok(Frame { light, depth: rows.iter().flatten().map(|(_, depth)| *depth).collect() })
     }
 
-    /// Color and z at a picture point; `pixel` is the filter width in pixels.
+    /// Returns color and z; `pixel` is the filter width in pixels.
     fn look(&self, view: View, x: f32, y: f32, pixel: f32, photos: &Photos) -> (Seen, f32) {
         let ray = self.lens.ray(x, y);
         let length = ray.length();
@@ -262,7 +262,7 @@ struct Frame {
     depth: Vec<f32>,
 }
 
-/// Shared exposure of all views from a few rays each; `None` for dull, dark or overexposed views.
+/// Estimates a shared exposure from few rays; `None` for dull, dark or overexposed views.
 fn expose(world: &World, lens: Lens, views: &[View], photos: &Photos, rng: &mut Rng) -> Option<Development> {
     let pixel = lens.width as f32 / survey::GRID as f32 / lens.focal / 4.0;
     let look = |view: &View| {
@@ -283,9 +283,8 @@ fn expose(world: &World, lens: Lens, views: &[View], photos: &Photos, rng: &mut 
     lights.iter().all(worth).then_some(development)
 }
 
-/// World points in the frame of a [`Capture`].
 impl Capture {
-    /// World point of a pixel; `None` in the sky.
+    /// Returns the world point of a pixel; `None` in the sky.
     pub fn point(&self, view: usize, x: u32, y: u32) -> Option<DVec3> {
         let Camera { intrinsics: i, pose } = &self.cameras[view];
         let z = f64::from(self.depths[view][(y * i.width + x) as usize]);

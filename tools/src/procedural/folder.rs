@@ -1,4 +1,4 @@
-//! A capture as a folder in nerfstudio's layout.
+//! Folder of a capture, in nerfstudio's layout.
 
 use std::path::{Path, PathBuf};
 
@@ -12,10 +12,9 @@ use crate::{
     outputs::{MADE_BY, is_own, remove_stale, save_picture},
 };
 
-/// Pixels between point-cloud samples, along x and y.
+/// Pixels between samples of the point cloud, along x and y.
 const POINT_STEP: usize = 8;
 
-/// File with the scene's parameters.
 const SCENE: &str = "scene.json";
 
 fn photo(number: usize) -> String {
@@ -26,20 +25,19 @@ fn depth(number: usize) -> String {
     format!("depth/{number:03}.npy")
 }
 
-/// The files that a capture of `views` photos becomes, but for depth where the folder is one of
-/// ours: numbers have no room to say who wrote them.
+/// Returns the files of a capture to check before overwriting. A folder of ours excludes depth,
+/// because its format has no author field.
 pub fn files(folder: &Path, views: usize) -> Vec<PathBuf> {
     let depths = if is_own(&folder.join(SCENE)) { 0 } else { views };
     let fixed = ["transforms.json", "points.ply", SCENE].map(str::to_owned);
     (0..views).map(photo).chain((0..depths).map(depth)).chain(fixed).map(|name| folder.join(name)).collect()
 }
 
-/// Writes `images/000.png` and so on, `depth/000.npy` (f32 `[height][width]`, z in camera units, 0
-/// in the sky), `transforms.json`, `points.ply` (sampled points) and `scene.json` (parameters and
-/// view overlap). Removes surplus photos and depth of an earlier capture.
+/// Writes `images/000.png` and so on, `depth/000.npy` (f32 `[height][width]`, z, 0 in the sky),
+/// `transforms.json`, `points.ply` and `scene.json`. Removes surplus files of an earlier capture.
 ///
 /// # Errors
-/// [`Error::Io`] when the folder or a file cannot be written.
+/// [`Error::Io`].
 pub fn write_folder(folder: &Path, capture: &Capture, crops: &[Crop]) -> Result<()> {
     for sub in ["images", "depth"] {
         let path = folder.join(sub);
@@ -72,7 +70,6 @@ pub fn write_folder(folder: &Path, capture: &Capture, crops: &[Crop]) -> Result<
     })
 }
 
-/// Every [`POINT_STEP`]th pixel's world point with its color.
 fn points(capture: &Capture) -> Vec<([f32; 3], [u8; 3])> {
     let mut points = Vec::new();
     for (view, image) in capture.images.iter().enumerate() {

@@ -4,11 +4,10 @@ use glam::{Vec2, Vec3A, Vec3Swizzles};
 
 use super::slab::slab;
 
-/// Cells along a side of a block.
 const BLOCK: usize = 8;
 
-/// Heights over `[-half_side, half_side]` in x and y. Each cell is cut from its low corner to its
-/// high one.
+/// Heights over `[-half_side, half_side]` in x and y. The diagonal of a cell joins its low and high
+/// corners.
 pub struct HeightField {
     half_side: f32,
     cells: usize,
@@ -17,13 +16,11 @@ pub struct HeightField {
     normals: Vec<Vec3A>,
     /// Lowest and highest corner of each cell.
     ranges: Vec<[f32; 2]>,
-    /// Height range of each block of cells.
     blocks: Vec<[f32; 2]>,
     max_height: f32,
 }
 
 impl HeightField {
-    /// Samples `height` on a grid of `cells` x `cells`.
     pub(super) fn new(half_side: f32, cells: usize, height: impl Fn(Vec2) -> f32) -> Self {
         let step = 2.0 * half_side / cells as f32;
         let at = |i: usize, j: usize| Vec2::new(i as f32, j as f32) * step - half_side;
@@ -56,17 +53,17 @@ impl HeightField {
         Self { half_side, cells, heights, normals, ranges, blocks, max_height }
     }
 
-    /// Side of a cell in metres.
+    /// Returns the side of a cell in meters.
     pub fn step(&self) -> f32 {
         2.0 * self.half_side / self.cells as f32
     }
 
-    /// Cells along a side.
+    /// Returns the cells along a side.
     pub fn cells(&self) -> usize {
         self.cells
     }
 
-    /// The grid point in column `i` and row `j`.
+    /// Returns the grid point in column `i` and row `j`.
     pub fn corner(&self, i: usize, j: usize) -> Vec3A {
         let xy = Vec2::new(i as f32, j as f32) * self.step() - self.half_side;
         xy.extend(self.heights[j * (self.cells + 1) + i]).into()
@@ -76,7 +73,7 @@ impl HeightField {
         Vec3A::new(self.half_side, self.half_side, self.max_height)
     }
 
-    /// Cell of `p` and the offset in it, 0..1.
+    /// Returns the cell and the offset in it, 0..1.
     fn cell(&self, p: Vec2) -> ([usize; 2], Vec2) {
         let scaled = (p + self.half_side) / self.step();
         let clamped = scaled.clamp(Vec2::ZERO, Vec2::splat(self.cells as f32 - 1e-3));
@@ -84,14 +81,14 @@ impl HeightField {
         ([floor.x as usize, floor.y as usize], clamped - floor)
     }
 
-    /// Height at `p`; `None` outside the field.
+    /// Returns `None` outside.
     pub(super) fn height(&self, p: Vec2) -> Option<f32> {
         let ([i, j], f) = self.cell(p);
         let [low, dx, dy] = self.plane(i, j, f.x >= f.y);
         p.abs().cmple(Vec2::splat(self.half_side)).all().then_some(low + dx * f.x + dy * f.y)
     }
 
-    /// Corner height and slopes per cell of one triangle.
+    /// Returns corner height, and slopes per cell, of one triangle.
     fn plane(&self, i: usize, j: usize, lower: bool) -> [f32; 3] {
         let row = self.cells + 1;
         let at = j * row + i;
@@ -99,7 +96,6 @@ impl HeightField {
         if lower { [h00, h10 - h00, h11 - h10] } else { [h00, h11 - h01, h01 - h00] }
     }
 
-    /// Interpolated between the corners for smooth shading.
     pub(super) fn normal(&self, p: Vec2) -> Vec3A {
         let ([i, j], f) = self.cell(p);
         let row = self.cells + 1;
@@ -109,7 +105,7 @@ impl HeightField {
         low.lerp(high, f.y).normalize()
     }
 
-    /// Walks the cells under the ray (Amanatides and Woo 1987), skipping blocks above or below it.
+    /// Walks the cells under the ray (Amanatides and Woo 1987), skipping blocks by height.
     pub(super) fn intersect(&self, origin: Vec3A, direction: Vec3A, limit: f32) -> Option<f32> {
         let [enter, leave] = slab(origin, direction, self.extent() + 1e-3)?;
         let (mut t, end) = (enter.max(0.0), leave.min(limit));
@@ -154,7 +150,7 @@ impl HeightField {
         let step = self.step();
         let corner = Vec2::new(i as f32, j as f32) * step - self.half_side;
         let (f, df) = ((o.xy() - corner) / step, d.xy() / step);
-        // Prevents gaps between neighboring cells and triangles.
+        // Prevents gaps between cells and triangles.
         let slack = 1e-4 * (1.0 + to);
         let hit = |lower: bool| {
             let [low, dx, dy] = self.plane(i, j, lower);
@@ -170,18 +166,15 @@ impl HeightField {
     }
 }
 
-/// A ray over a grid.
 struct Walk {
     origin: Vec2,
     inverse: Vec2,
-    /// Side of a cell.
     step: f32,
-    /// Lower bound of the grid in both axes.
     low: f32,
 }
 
 impl Walk {
-    /// Distance and axis at which the ray leaves `size` cells from `first`.
+    /// Returns distance and axis of the exit from `size` cells after `first`.
     fn leave(&self, first: [isize; 2], size: isize) -> (f32, usize) {
         let exit = |axis: usize| {
             let inverse = self.inverse[axis];
@@ -193,7 +186,7 @@ impl Walk {
         if x < y { (x, 0) } else { (y, 1) }
     }
 
-    /// Index of the cell along an axis at `t`; may be outside.
+    /// Returns a cell possibly outside.
     fn cell(&self, axis: usize, direction: Vec2, t: f32) -> isize {
         ((self.origin[axis] + direction[axis] * t - self.low) / self.step).floor() as isize
     }

@@ -9,38 +9,31 @@ use super::texture::{Pattern, Texture};
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Material {
     pub texture: Texture,
-    /// Strength of the highlight.
     pub specular: f32,
-    /// Blinn-Phong's exponent.
     pub shininess: f32,
-    /// Emission, times albedo.
+    /// Emission as a factor of albedo.
     pub glow: f32,
 }
 
-/// Surface role.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Role {
     /// Earth, grass, gravel, paving.
     Ground,
-    /// Floors indoors.
     Floor,
-    /// Walls indoors.
     Wall,
-    /// Masonry and render outdoors.
+    /// Masonry and plaster outdoors.
     Facade,
     Wood,
     Foliage,
     Fabric,
     Stone,
     Metal,
-    /// Window panes.
     Glass,
-    /// A picture on a wall.
     Picture,
     Anything,
 }
 
-/// Draws materials. `detail` is the size of a typical feature in meters.
+/// Material generator; `detail` is a typical feature size in meters.
 pub(super) struct Palette<'a> {
     pub photos: &'a Photos,
     pub detail: f32,
@@ -95,7 +88,7 @@ impl Palette<'_> {
         Some(Texture { pattern, period, offset: offset(rng), colors: [tint; 3], stain })
     }
 
-    /// Grass or earth on level ground, rock on slopes.
+    /// Returns grass or earth for level ground, rock for slopes.
     pub fn terrain(&self, rng: &mut Rng) -> Material {
         let crops = self.photos.crops().len();
         let photo = (crops > 0 && rng.chance(self.photo_share)).then(|| rng.count(0, crops.max(1) - 1));
@@ -111,7 +104,7 @@ impl Palette<'_> {
     }
 }
 
-/// A pattern and its period in units of [`Palette::detail`].
+/// Pattern and its period in units of [`Palette::detail`].
 type Drawn = (Pattern, f32);
 
 fn pattern(rng: &mut Rng, role: Role) -> Drawn {
@@ -206,7 +199,6 @@ fn offset(rng: &mut Rng) -> Vec3A {
     20.0 * Vec3A::new(rng.unit(), rng.unit(), rng.unit())
 }
 
-/// Three matching colors, linear.
 fn colors(rng: &mut Rng, role: Role) -> [Vec3A; 3] {
     let (hues, saturation, value) = match role {
         Role::Ground => ([0.06, 0.32], [0.1, 0.5], [0.25, 0.7]),
@@ -234,7 +226,7 @@ fn colors(rng: &mut Rng, role: Role) -> [Vec3A; 3] {
     three
 }
 
-/// Linear RGB of hue, saturation and brightness in 0..1 (as sRGB).
+/// Converts sRGB hue, saturation and value in 0..1 to linear RGB.
 fn from_hsv(hue: f32, saturation: f32, value: f32) -> Vec3A {
     let channel = |shift: f32| {
         let k = (6.0 * hue.rem_euclid(1.0) + shift) % 6.0;

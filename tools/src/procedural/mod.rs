@@ -1,5 +1,5 @@
-//! Procedural scenes: primitives with procedural or photographed surfaces along realistic camera
-//! paths, with exact depth and poses. A seed gives the same bytes on any number of threads.
+//! Procedural scenes: textured primitives along realistic camera paths, with exact depth and poses.
+//! A seed gives the same bytes on any number of threads.
 //!
 //! Procedural training data transfers to photos: LRM-Zero (Xie et al. 2024) and MegaSynth (Jiang et
 //! al. 2025).

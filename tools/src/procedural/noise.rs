@@ -2,7 +2,6 @@
 
 use glam::{Vec2, Vec3A, Vec4, Vec4Swizzles};
 
-/// Mixes lattice coordinates into 32 bits.
 pub(super) fn hash(x: i32, y: i32, z: i32) -> u32 {
     let mut word = (x as u32).wrapping_mul(0x8da6_b343)
         ^ (y as u32).wrapping_mul(0xd816_3841)
@@ -11,28 +10,27 @@ pub(super) fn hash(x: i32, y: i32, z: i32) -> u32 {
     word ^ (word >> 13)
 }
 
-/// Uniform in [0, 1).
+/// Hashes to [0, 1).
 pub(super) fn hash_unit(x: i32, y: i32, z: i32) -> f32 {
     (hash(x, y, z) >> 8) as f32 / (1 << 24) as f32
 }
 
-/// Cubic step from 0 at `low` to 1 at `high`.
 pub(super) fn smoothstep(low: f32, high: f32, x: f32) -> f32 {
     let t = ((x - low) / (high - low)).clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
 }
 
-/// Widths, in features, at which a pattern begins to fade and is gone.
+/// Footprints, in features, where fading starts and ends.
 const FADE: [f32; 2] = [0.3, 1.1];
 
-/// Remaining contrast of a pattern with features of size 1 at footprint `width`.
+/// Returns the remaining contrast of unit features at footprint `width`.
 pub(super) fn fade(width: f32) -> f32 {
     1.0 - smoothstep(FADE[0], FADE[1], width)
 }
 
 /// Side of the lattice table, a power of two. Octaves with unrelated periods hide the repetition.
 const SIDE: usize = 32;
-/// Fits in the L1 cache at 32 KiB.
+/// 32 KiB fit in the L1 cache.
 static LATTICE: [u8; SIDE * SIDE * SIDE] = lattice();
 
 const fn lattice() -> [u8; SIDE * SIDE * SIDE] {
@@ -49,7 +47,7 @@ const fn lattice() -> [u8; SIDE * SIDE * SIDE] {
     values
 }
 
-/// Value noise: random values at lattice points, 0..1, cubic steps between them.
+/// Interpolates random lattice values in 0..1 cubically.
 pub(super) fn value_noise(p: Vec3A) -> f32 {
     let floor = p.floor();
     let f = p - floor;
@@ -66,7 +64,7 @@ pub(super) fn value_noise(p: Vec3A) -> f32 {
     (faces.x + (faces.y - faces.x) * s.z) / 255.0
 }
 
-/// Fractal sum of value noise around 0.5, mostly in 0..1, without octaves finer than `width`.
+/// Sums octaves of value noise around 0.5, mostly in 0..1, except those below `width`.
 pub(super) fn fbm(p: Vec3A, octaves: usize, width: f32) -> f32 {
     let (mut sum, mut weight, mut frequency) = (0.5, 0.5, 1.0);
     for octave in 0..octaves {
@@ -82,7 +80,7 @@ pub(super) fn fbm(p: Vec3A, octaves: usize, width: f32) -> f32 {
     sum
 }
 
-/// Voronoi cells of jittered lattice points: approximate border distance, and the cell's hash.
+/// Returns approximate border distance and hash of a Voronoi cell of jittered lattice points.
 pub(super) fn voronoi(p: Vec2) -> (f32, u32) {
     let floor = p.floor();
     let (x, y) = (floor.x as i32, floor.y as i32);

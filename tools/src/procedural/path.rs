@@ -7,19 +7,19 @@ use glam::{Mat3A, Vec3A};
 
 use super::rng::Rng;
 
-/// How somebody moves while taking photos.
+/// Motion of a photographer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum PathKind {
-    /// Around the subject, half a turn or more.
+    /// At least half a circle around the subject.
     Orbit,
-    /// Around the subject, a quarter turn or less.
+    /// At most a quarter circle around the subject.
     Arc,
-    /// Towards or past the subject.
+    /// Toward or past the subject.
     Walk,
     /// Sideways in rows, looking ahead.
     Sweep,
-    /// On the spot, with the arms' reach.
+    /// Within arm's reach.
     Handheld,
 }
 
@@ -36,28 +36,25 @@ impl fmt::Display for PathKind {
 }
 
 impl PathKind {
-    /// All of them.
+    /// All kinds.
     pub const ALL: [Self; 5] = [Self::Orbit, Self::Arc, Self::Walk, Self::Sweep, Self::Handheld];
-    /// Sampling weights of unrestricted scenes: orbits are most common.
+    /// Sampling weights for unrestricted scenes, mostly orbits.
     pub(super) const ALL_AROUND: [Self; 7] =
         [Self::Orbit, Self::Orbit, Self::Orbit, Self::Arc, Self::Walk, Self::Sweep, Self::Handheld];
 }
 
-/// Allowed camera positions, in meters and radians.
+/// Camera constraints, in meters and radians.
 pub(super) struct Stage {
-    /// Target point.
     pub target: Vec3A,
-    /// Distance of the cameras from the target, at a field of view of 55 degrees.
+    /// Camera distance from the target, for a field of view of 55 degrees.
     pub distance: [f32; 2],
-    /// The elevation of the cameras above the target.
+    /// Elevation above the target.
     pub elevation: [f32; 2],
-    /// Central azimuth of the cameras.
+    /// Central azimuth.
     pub front: f32,
     /// Maximum azimuth deviation from `front`.
     pub freedom: f32,
-    /// Bounds of the cameras.
     pub bounds: [Vec3A; 2],
-    /// The paths that suit the scene.
     pub paths: &'static [PathKind],
 }
 
@@ -70,7 +67,7 @@ pub(super) struct View {
 }
 
 impl View {
-    /// Looks from `eye` to `target`, the world's z up, turned by `roll` around the line of sight.
+    /// Looks from `eye` to `target` with z up, rolled around the line of sight.
     fn towards(eye: Vec3A, target: Vec3A, roll: f32) -> Self {
         let forward = (target - eye).normalize_or(Vec3A::Y);
         let right = forward.cross(Vec3A::Z).normalize_or(Vec3A::X);
@@ -78,20 +75,19 @@ impl View {
         Self { eye, rotation: level * Mat3A::from_rotation_z(roll) }
     }
 
-    /// A point in the camera's axes.
     pub fn to_camera(self, point: Vec3A) -> Vec3A {
         self.rotation.transpose() * (point - self.eye)
     }
 }
 
 impl Stage {
-    /// A path of `views`; `span` is the fraction of a full path. `reach` scales distances for the
+    /// Returns a path; `span` is its fraction of a full path, and `reach` scales distances for the
     /// lens.
     pub fn path(&self, kind: PathKind, views: usize, span: f32, reach: f32, rng: &mut Rng) -> Vec<View> {
         let distance = reach * rng.range(self.distance[0], self.distance[1]);
         let unsteady =
             Unsteady { roll: rng.range(0.0, 0.05), aim: rng.range(0.0, 0.04) * distance, step: rng.range(0.0, 0.3) };
-        // Steps between photos are uneven.
+        // Uneven steps between photos.
         let mut times: Vec<f32> = (0..views)
             .map(|i| (i as f32 + unsteady.step * rng.signed()) / (views.max(2) - 1) as f32)
             .map(|t| (2.0 * t - 1.0).clamp(-1.0, 1.0))
@@ -137,7 +133,7 @@ impl Stage {
     fn walk(&self, times: &[f32], span: f32, distance: f32, rng: &mut Rng) -> Vec<(Vec3A, Vec3A)> {
         let (azimuth, elevation) = (self.any_azimuth(0.3, rng), rng.range(self.elevation[0], self.elevation[1]));
         let start = self.target + distance * Self::direction(azimuth, elevation);
-        // 0 walks straight to the target, a quarter turn passes it.
+        // 0 heads for the target, a quarter turn passes it.
         let course = azimuth + PI + rng.range(-1.4, 1.4);
         let stride = 0.5 * span * distance * rng.range(0.5, 1.1) * Self::direction(course, 0.0);
         let (curve, bob) = (0.15 * distance * rng.signed() * Self::direction(course + PI / 2.0, 0.0), 0.015 * distance);
@@ -180,7 +176,6 @@ impl Stage {
     }
 }
 
-/// Handheld jitter.
 struct Unsteady {
     roll: f32,
     aim: f32,

@@ -12,46 +12,44 @@ use zipsplat::{
 
 use super::tone::srgb_to_linear;
 
-/// The only licence class whose crops may colour what is trained on and shipped.
+/// License class whose crops may color training data and releases.
 const PERMISSIVE: &str = "permissive";
 
-/// One entry of a texture folder's `manifest.json`; other fields are the folder's own.
+/// Entry of a texture folder's `manifest.json`; other fields are ignored.
 #[derive(Clone, Debug, Deserialize)]
 pub struct Crop {
     /// Name in the folder.
     pub file: String,
-    /// Where it comes from.
+    /// Source of the photo.
     pub repo: String,
-    /// The photo's licence, in words.
+    /// Name of the photo's license.
     pub licence: String,
-    /// `permissive` for those that are used.
+    /// License class; only `permissive` crops are used.
     pub licence_class: String,
 }
 
-/// Photo crops with their pyramids of halved sizes.
+/// Photo crops with their mipmaps.
 #[derive(Default)]
 pub struct Photos {
     crops: Vec<Crop>,
     pyramids: Vec<Pyramid>,
 }
 
-/// Levels from the full size to one pixel.
 struct Pyramid {
     levels: Vec<Level>,
 }
 
-/// A square of sRGB pixels.
 struct Level {
     side: usize,
     rgb: Vec<[u8; 3]>,
 }
 
 impl Photos {
-    /// Reads the crops with a permissive licence from a folder with a `manifest.json`.
+    /// Reads the permissively licensed crops of a folder's `manifest.json`.
     ///
     /// # Errors
     /// [`Error::Io`] and [`Error::Format`] for the manifest and the pictures; [`Error::Format`]
-    /// when none is permissive or one is not square.
+    /// without permissive crops, or for one that is not square.
     pub fn open(folder: &Path) -> Result<Self> {
         let manifest = folder.join("manifest.json");
         let file = BufReader::new(open_file(&manifest)?);
@@ -73,13 +71,12 @@ impl Photos {
         Ok(Self { crops, pyramids })
     }
 
-    /// The crops that were read, in the manifest's order.
+    /// Returns the crops in manifest order.
     pub fn crops(&self) -> &[Crop] {
         &self.crops
     }
 
-    /// Linear RGB of a photo that fills the unit square and is mirrored beyond it; `width` is the
-    /// pixel's.
+    /// Samples linear RGB over the mirrored unit square, with footprint `width`.
     pub(super) fn sample(&self, photo: usize, uv: Vec2, width: f32) -> Vec3A {
         let Pyramid { levels } = &self.pyramids[photo];
         let level = (width * levels[0].side as f32).max(1.0).log2().min((levels.len() - 1) as f32);
@@ -91,7 +88,7 @@ impl Photos {
         srgb_to_linear(fine.lerp(levels[level as usize + 1].sample(uv), rest))
     }
 
-    /// Along the axes that the normal is nearest to, blended where two are.
+    /// Projects along the normal's nearest axes.
     pub(super) fn sample_projected(&self, photo: usize, p: Vec3A, normal: Vec3A, width: f32) -> Vec3A {
         let weights = (normal.abs() - 0.45).max(Vec3A::ZERO);
         let weights = weights / weights.element_sum();
@@ -124,10 +121,10 @@ impl Level {
         Self { side, rgb: (0..side * side).map(pixel).collect() }
     }
 
-    /// Bilinear, sRGB 0..1.
+    /// Returns bilinear sRGB in 0..1.
     fn sample(&self, uv: Vec2) -> Vec3A {
         let last = self.side - 1;
-        // Mirrored: up through the unit square, then back.
+        // Mirrors beyond the unit square.
         let fold = |x: f32| 1.0 - (x.rem_euclid(2.0) - 1.0).abs();
         let at = (Vec2::new(fold(uv.x), fold(uv.y)) * self.side as f32 - 0.5).max(Vec2::ZERO);
         let (x, y) = ((at.x as usize).min(last), (at.y as usize).min(last));

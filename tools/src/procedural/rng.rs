@@ -1,16 +1,14 @@
-//! Random numbers that depend on nothing but a seed, a stream and how many were drawn before.
+//! Random numbers by seed, stream and counter.
 
-/// The golden ratio in 64 bits: the increment of SplitMix64.
+/// Increment of SplitMix64: the golden ratio in 64 bits.
 const INCREMENT: u64 = 0x9e37_79b9_7f4a_7c15;
 
-/// SplitMix64 (Steele, Lea and Flood 2014): a counter through a mixing function, so streams are
-/// independent and cheap.
+/// SplitMix64 (Steele, Lea and Flood 2014): a mixed counter, so streams are independent and cheap.
 pub(super) struct Rng {
     state: u64,
 }
 
 impl Rng {
-    /// The stream `stream` of `seed`.
     pub fn new(seed: u64, stream: u64) -> Self {
         Self { state: mix(mix(seed.wrapping_add(INCREMENT)).wrapping_add(stream.wrapping_mul(INCREMENT))) }
     }
@@ -20,27 +18,23 @@ impl Rng {
         mix(self.state)
     }
 
-    /// Uniform in [0, 1).
     pub fn unit(&mut self) -> f32 {
         (self.bits() >> 40) as f32 / (1u64 << 24) as f32
     }
 
-    /// Uniform in [low, high).
     pub fn range(&mut self, low: f32, high: f32) -> f32 {
         low + (high - low) * self.unit()
     }
 
-    /// Log-uniform in [low, high), both positive.
+    /// Returns a log-uniform number in [low, high), both positive.
     pub fn scale(&mut self, low: f32, high: f32) -> f32 {
         low * (high / low).powf(self.unit())
     }
 
-    /// Uniform in [-1, 1).
     pub fn signed(&mut self) -> f32 {
         self.range(-1.0, 1.0)
     }
 
-    /// An angle in [-pi, pi).
     pub fn angle(&mut self) -> f32 {
         std::f32::consts::PI * self.signed()
     }
@@ -49,18 +43,17 @@ impl Rng {
         self.unit() < probability
     }
 
-    /// Uniform in `low..=high`.
     pub fn count(&mut self, low: usize, high: usize) -> usize {
         low + self.bits() as usize % (high - low + 1)
     }
 
-    /// One of a list that is not empty.
+    /// Picks from a nonempty list.
     pub fn pick<T: Copy>(&mut self, choices: &[T]) -> T {
         choices[self.bits() as usize % choices.len()]
     }
 }
 
-/// SplitMix64's finaliser: a bijection that turns neighbouring counters into unrelated words.
+/// Decorrelates neighboring counters: SplitMix64's bijective finalizer.
 pub(super) fn mix(mut word: u64) -> u64 {
     word = (word ^ (word >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     word = (word ^ (word >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);

@@ -1,4 +1,4 @@
-//! Primitives and where a ray meets them, in each primitive's own frame.
+//! Primitives and ray intersections in local coordinates.
 
 use std::sync::Arc;
 
@@ -8,10 +8,10 @@ use super::height_field::HeightField;
 use super::material::Material;
 use super::slab::slab;
 
-/// Sphere tracing of a torus ends here; rays that graze it need the most.
+/// Limit of sphere-tracing steps, for rays that graze a torus.
 const TORUS_STEPS: usize = 96;
 
-/// A primitive's surface around its own origin. Lengths are in metres.
+/// Surface around the origin; lengths in meters.
 #[derive(Clone)]
 pub enum Shape {
     /// All `|x_i| <= half_i`.
@@ -24,7 +24,7 @@ pub enum Shape {
         /// Half axes.
         radii: Vec3A,
     },
-    /// Around z, closed by two discs; a rod is a thin one.
+    /// Around z, with two end discs.
     Cylinder {
         /// Radius of the discs.
         radius: f32,
@@ -33,12 +33,12 @@ pub enum Shape {
     },
     /// Around z.
     Torus {
-        /// Radius of the circle in the tube's centre.
+        /// Radius of the tube's center circle.
         major: f32,
         /// Radius of the tube.
         minor: f32,
     },
-    /// In the plane z = 0, seen from both sides.
+    /// In the plane z = 0, two-sided.
     Rectangle {
         /// Half of each side.
         half: Vec2,
@@ -47,27 +47,27 @@ pub enum Shape {
     HeightField(Arc<HeightField>),
 }
 
-/// A shape that stands somewhere and is made of something.
+/// Shape with pose and material.
 #[derive(Clone)]
 pub struct Primitive {
-    /// The surface.
+    /// Surface.
     pub shape: Shape,
     /// World from local axes.
     pub rotation: Mat3A,
-    /// The local origin in the world.
+    /// Local origin in the world.
     pub centre: Vec3A,
     pub(super) to_local: Mat3A,
     pub(super) material: Material,
 }
 
 impl Primitive {
-    /// Distance along a ray with a unit direction to the first hit in (0, `limit`).
+    /// Returns the first distance in (0, `limit`) along a unit direction.
     pub(super) fn intersect(&self, origin: Vec3A, direction: Vec3A, limit: f32) -> Option<f32> {
         let t = self.shape.intersect(self.to_local * (origin - self.centre), self.to_local * direction, limit)?;
         (t > 0.0 && t < limit).then_some(t)
     }
 
-    /// Half sides of a box around the centre, along the world's axes.
+    /// Returns the half sides of the world-axis bounding box.
     pub(super) fn extent(&self) -> Vec3A {
         let half = match &self.shape {
             Shape::Box { half } => *half,
@@ -98,7 +98,7 @@ impl Shape {
         }
     }
 
-    /// Whether a local point is inside a solid or under a height field.
+    /// Returns true inside a solid or under a height field.
     pub(super) fn contains(&self, p: Vec3A) -> bool {
         match self {
             Self::Box { half } => p.abs().cmple(*half).all(),
@@ -110,7 +110,7 @@ impl Shape {
         }
     }
 
-    /// Outward unit normal at a local point on the surface.
+    /// Returns the outward unit normal at a local surface point.
     pub(super) fn normal(&self, p: Vec3A) -> Vec3A {
         match self {
             Self::Box { half } => axis_of(p / *half),
@@ -129,8 +129,7 @@ impl Shape {
         }
     }
 
-    /// Metric surface coordinates for planar patterns: the side is unrolled on cylinders, the
-    /// nearest face of a box elsewhere.
+    /// Returns metric coordinates: unrolled on cylinders, else on the nearest box face.
     pub(super) fn surface_coordinates(&self, p: Vec3A, normal: Vec3A) -> Vec2 {
         match self {
             Self::Cylinder { radius, .. } if normal.z.abs() < 0.5 => Vec2::new(p.y.atan2(p.x) * radius, p.z),
@@ -148,7 +147,6 @@ impl Shape {
     }
 }
 
-/// The signed axis that a vector is nearest to.
 fn axis_of(v: Vec3A) -> Vec3A {
     let size = v.abs();
     if size.x >= size.y && size.x >= size.z {
@@ -160,13 +158,12 @@ fn axis_of(v: Vec3A) -> Vec3A {
     }
 }
 
-/// The first positive end of a ray's interval inside a solid.
+/// Returns the first positive end.
 fn nearer(interval: Option<[f32; 2]>) -> Option<f32> {
     interval.map(|[enter, leave]| if enter > 0.0 { enter } else { leave })
 }
 
-/// The unit sphere, measured from the ray's point nearest to the centre: no cancellation when the
-/// origin is far away.
+/// Intersects the unit sphere from the ray's closest point: no cancellation for distant origins.
 fn sphere(origin: Vec3A, direction: Vec3A) -> Option<[f32; 2]> {
     let a = direction.length_squared();
     let middle = -origin.dot(direction) / a;
@@ -199,8 +196,8 @@ fn torus_gradient(p: Vec3A, major: f32) -> Vec3A {
     (p - ring).normalize_or(Vec3A::Z)
 }
 
-/// Sphere tracing (Hart 1996) inside the bounding cylinder, then Newton steps: the quartic's roots
-/// lose too many bits in f32.
+/// Traces spheres (Hart 1996) in the bounding cylinder, then takes Newton steps: quartic roots lose
+/// too many bits in f32.
 fn torus(origin: Vec3A, direction: Vec3A, major: f32, minor: f32, limit: f32) -> Option<f32> {
     let [enter, leave] = cylinder(origin, direction, major + minor, minor)?;
     let end = leave.min(limit);

@@ -1,27 +1,26 @@
 //! Scenes as flat binary for training, little-endian, without padding:
 //!
-//! | part | type | what |
+//! | part | type | content |
 //! |---|---|---|
 //! | magic | 8 bytes | `ZSSCENES` |
 //! | format | u32 | 1 |
 //! | generator | u32 | [`VERSION`] of the generator |
-//! | scenes | u64 | how many follow; 0: until the stream ends |
+//! | scenes | u64 | number of scenes; 0: until the stream ends |
 //! | views V, height H, width W | 3 u32 | of every scene |
 //!
-//! then per scene [`Header::scene_bytes`] bytes:
+//! then [`Header::scene_bytes`] bytes per scene:
 //!
-//! | part | type | what |
+//! | part | type | content |
 //! |---|---|---|
 //! | seed | u64 | |
-//! | family, path | 2 u32 | indices in the order of [`Family::ALL`] and [`PathKind`] |
-//! | intrinsics | f32 `[V][4]` | fx, fy, cx, cy in pixels, centres at +0.5 |
+//! | family, path | 2 u32 | indices in [`Family::ALL`] and [`PathKind`] |
+//! | intrinsics | f32 `[V][4]` | fx, fy, cx, cy in pixels, centers at +0.5 |
 //! | poses | f32 `[V][3][4]` | camera-to-world, OpenCV axes, row-major; the first is the identity |
-//! | overlap | f32 `[V][V]` | share of the first view's surfaces that the second sees |
-//! | colours | u8 `[V][H][W][3]` | sRGB |
+//! | overlap | f32 `[V][V]` | share of the first view's surfaces visible in the second |
+//! | colors | u8 `[V][H][W][3]` | sRGB |
 //! | depths | f16 `[V][H][W]` | z, 0 in the sky |
 //!
-//! The world is the first view's camera, which may be any of the path; the median distance of all pixels' points to it
-//! is 1.
+//! World: the first view's camera, any view of the path; the median distance of all points is 1.
 
 use std::io::{ErrorKind, Read, Result, Write};
 use std::ops::{ControlFlow, Range};
@@ -35,13 +34,13 @@ use super::{Capture, Family, Options, PathKind, Photos, Setup, VERSION};
 
 const MAGIC: [u8; 8] = *b"ZSSCENES";
 const FORMAT: u32 = 1;
-/// Scenes a thread that are made at once; the writer holds as many again.
+/// Scenes per thread in a batch; the writer holds another batch.
 const BATCH: u64 = 4;
 
-/// The start of a stream.
+/// Stream header.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Header {
-    /// How many follow; 0 until the stream ends.
+    /// Number of scenes; 0 until the stream ends.
     pub scenes: u64,
     /// V.
     pub views: u32,
@@ -51,14 +50,14 @@ pub struct Header {
     pub width: u32,
 }
 
-/// A scene as it is read back.
+/// Decoded scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Record {
-    /// The seed that it was made from.
+    /// Seed of the scene.
     pub seed: u64,
-    /// The kind of place.
+    /// Kind of place.
     pub family: Family,
-    /// The kind of path.
+    /// Kind of path.
     pub path: PathKind,
     /// `[V]` fx, fy, cx, cy.
     pub intrinsics: Vec<[f32; 4]>,
@@ -73,7 +72,7 @@ pub struct Record {
 }
 
 impl Header {
-    /// Bytes of one scene.
+    /// Returns the bytes of one scene.
     pub fn scene_bytes(&self) -> usize {
         let [v, h, w] = [self.views, self.height, self.width].map(|n| n as usize);
         16 + v * (16 + 48 + 4 * v) + v * h * w * 5
@@ -82,8 +81,7 @@ impl Header {
     /// Reads and checks magic and format.
     ///
     /// # Errors
-    /// `InvalidData` when the stream is not one of these or of another format; the reader's own
-    /// errors.
+    /// `InvalidData` for another format; those of the reader.
     pub fn read(mut from: impl Read) -> Result<Self> {
         let magic: [u8; 8] = take(&mut from)?;
         let format = u32::from_le_bytes(take(&mut from)?);
@@ -107,10 +105,10 @@ impl Header {
 }
 
 impl Record {
-    /// The next scene of a stream.
+    /// Reads the next scene.
     ///
     /// # Errors
-    /// `UnexpectedEof` when the stream ends first, `InvalidData` when an index names nothing.
+    /// `UnexpectedEof` at the end of the stream, `InvalidData` for an index out of range.
     pub fn read(header: &Header, mut from: impl Read) -> Result<Self> {
         let mut bytes = vec![0; header.scene_bytes()];
         from.read_exact(&mut bytes)?;
@@ -141,14 +139,13 @@ fn take<const N: usize>(mut from: impl Read) -> Result<[u8; N]> {
     Ok(bytes)
 }
 
-/// Makes the scenes of `seeds` on all threads and writes them in order; the next batch is made
-/// while one is written. A range that ends at `u64::MAX` is announced as endless. `written` is
-/// called with the number of scenes after each batch and may stop the stream.
+/// Generates the scenes of `seeds` on all threads and writes them in order, one batch ahead. A
+/// range to `u64::MAX` is marked endless. `written` gets the number of scenes after each batch and
+/// may stop the stream.
 ///
 /// # Errors
-/// [`zipsplat::Error::Argument`] as the source of an error when the options are unusable; the
-/// writer's errors, `BrokenPipe` when the reader went away; `Interrupted` when `written` stopped
-/// it.
+/// [`zipsplat::Error::Argument`] as the source for unusable options; those of the writer,
+/// `BrokenPipe` for a closed pipe; `Interrupted` if `written` stopped it.
 pub fn write(
     mut to: impl Write,
     seeds: Range<u64>,
@@ -169,7 +166,7 @@ pub fn write(
             while next < seeds.end {
                 let end = seeds.end.min(next.saturating_add(batch));
                 let batch = (next..end).into_par_iter().map(make).collect();
-                // Nobody receives when writing failed or was stopped.
+                // The receiver is gone after a write error or stop.
                 if sender.send(batch).is_err() {
                     break;
                 }
@@ -177,7 +174,7 @@ pub fn write(
             }
         });
         let mut done = 0;
-        // Owned here, so that returning early tells the other thread to stop.
+        // Owned here, so that an early return stops the other thread.
         for batch in receiver {
             for scene in batch.map_err(std::io::Error::other)? {
                 to.write_all(&scene)?;

@@ -1,15 +1,15 @@
-//! A capture as Gaussians from its exact depth, a reference reconstruction.
+//! Gaussians of a capture's exact depth, a reference reconstruction.
 
 use super::Capture;
 use zipsplat::{depth::add_view, types::Scene};
 
 impl Capture {
-    /// One isotropic Gaussian per surface pixel of every photo, in the capture's world.
+    /// Returns one isotropic Gaussian per surface pixel, in the capture's world.
     pub fn splats(&self) -> Scene {
         self.splats_of(0..self.images.len())
     }
 
-    /// Gaussians of some of the photos.
+    /// Returns the Gaussians of selected photos.
     pub fn splats_of(&self, views: impl Iterator<Item = usize>) -> Scene {
         let mut scene = Scene { sh_degree: 0, ..Scene::default() };
         views.for_each(|i| add_view(&mut scene, &self.cameras[i], &self.images[i], &self.depths[i]));

@@ -1,4 +1,4 @@
-//! Tests proposed views with few rays for content and overlap.
+//! Content and overlap checks of proposed views, with few rays.
 
 use glam::{Vec2, Vec3A};
 
@@ -7,17 +7,17 @@ use super::world::World;
 
 /// Rays along each side of a view.
 pub(super) const GRID: usize = 12;
-/// Minimum share of a view that shows surfaces.
+/// Minimum share of surfaces in a view.
 const LEAST_SURFACE: f32 = 0.55;
 /// Minimum distance, relative to the median.
 const NEAREST: f32 = 0.22;
 
-/// Share of a view's surfaces that [`WITNESSES`] other views must see, each.
+/// Minimum share of a view's surfaces visible in each of [`WITNESSES`] other views.
 pub const LEAST_OVERLAP: f32 = 0.35;
 /// Number of overlapping views required.
 pub const WITNESSES: usize = 2;
 
-/// Pinhole in pixels, the principal point in the centre.
+/// Pinhole in pixels, with a centered principal point.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Lens {
     pub width: usize,
@@ -26,18 +26,16 @@ pub(super) struct Lens {
 }
 
 impl Lens {
-    /// Camera-space direction with z = 1 through a point of the picture, in pixels.
+    /// Returns the camera-space direction with z = 1 through a picture point.
     pub fn ray(&self, x: f32, y: f32) -> Vec3A {
         Vec3A::new((x - 0.5 * self.width as f32) / self.focal, (y - 0.5 * self.height as f32) / self.focal, 1.0)
     }
 
-    /// Whether a camera-space point is in the picture.
     fn shows(&self, p: Vec3A) -> bool {
         let half = Vec2::new(self.width as f32, self.height as f32) / (2.0 * self.focal);
         p.z > 0.0 && p.x.abs() <= half.x * p.z && p.y.abs() <= half.y * p.z
     }
 
-    /// Unit directions in the world of a regular grid over a view.
     pub fn grid(&self, view: View) -> impl Iterator<Item = Vec3A> {
         let at = |k: usize, side: usize| (k as f32 + 0.5) / GRID as f32 * side as f32;
         let (width, height, lens) = (self.width, self.height, *self);
@@ -45,8 +43,7 @@ impl Lens {
     }
 }
 
-/// `[views][views]`: share of the first view's surfaces visible in the second. `None` if a view or
-/// the overlap fails the limits.
+/// Returns [`super::Capture::overlap`]; `None` beyond the limits.
 pub(super) fn overlap(world: &World, lens: Lens, views: &[View]) -> Option<Vec<f32>> {
     if views.iter().any(|view| world.contains(view.eye)) {
         return None;

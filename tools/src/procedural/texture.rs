@@ -1,5 +1,5 @@
-//! Surface patterns. Each is averaged over the pixel's footprint, in closed form or by fading, so
-//! that pictures taken from different distances agree.
+//! Surface patterns, averaged over the pixel's footprint in closed form or by fading, for
+//! consistency across distances.
 
 use std::f32::consts::TAU;
 
@@ -8,23 +8,22 @@ use glam::{Vec2, Vec3, Vec3A, Vec3Swizzles};
 use super::noise::{fade, fbm, hash, hash_unit, smoothstep, voronoi};
 use super::photos::Photos;
 
-/// A place on a surface. Lengths are in metres, in the primitive's own frame.
+/// Surface point; lengths in meters, in the primitive's frame.
 pub(super) struct Place {
     pub position: Vec3A,
     pub normal: Vec3A,
     /// On the unrolled surface.
     pub uv: Vec2,
-    /// Width that one pixel covers.
+    /// Width of one pixel.
     pub footprint: f32,
 }
 
-/// The property that varies over the surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Pattern {
     Checker,
-    /// Share of the first colour.
+    /// Share of the first color.
     Stripes(f32),
-    /// Length of a brick over its height, share of the height that is mortar, shift between rows.
+    /// Brick aspect ratio, mortar share of the height, shift between rows.
     Bricks {
         aspect: f32,
         mortar: f32,
@@ -43,31 +42,30 @@ pub(super) enum Pattern {
     Voronoi {
         border: f32,
     },
-    /// Boards of this aspect with grain.
+    /// Boards of this aspect ratio with grain.
     Planks(f32),
-    /// A photo by index, projected along the nearest axes.
+    /// Index of a photo, projected along the nearest axes.
     Photo(usize),
-    /// Different cover on level and on steep ground.
+    /// Different cover on level and steep ground.
     Slope {
         photo: Option<usize>,
     },
 }
 
-/// A pattern in colours. All colours are linear RGB.
+/// Colored pattern in linear RGB.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Texture {
     pub pattern: Pattern,
-    /// Metres per period of the pattern.
+    /// Meters.
     pub period: f32,
-    /// Metres; keeps equal patterns from repeating.
+    /// Meters, against repeated patterns.
     pub offset: Vec3A,
     pub colors: [Vec3A; 3],
-    /// Stains: how much, and metres per period.
+    /// Strength, and meters per period.
     pub stain: (f32, f32),
 }
 
 impl Texture {
-    /// Albedo.
     pub fn color(&self, place: &Place, photos: &Photos) -> Vec3A {
         let p = (place.position + self.offset) / self.period;
         let uv = (place.uv + self.offset.xy()) / self.period;
@@ -119,7 +117,7 @@ impl Texture {
         color * (1.0 + 2.0 * amount * (stain - 0.5)).max(0.1)
     }
 
-    /// From the first colour at 0 through the second to the third at 1.
+    /// Interpolates three colors at 0, 1/2 and 1.
     fn ramp(&self, t: f32) -> Vec3A {
         let t = 2.0 * t.clamp(0.0, 1.0);
         let [first, second, third] = self.colors;
@@ -137,25 +135,25 @@ impl Texture {
     }
 }
 
-/// Spreads fractal noise, which gathers around one half, over 0..1.
+/// Spreads fractal noise over 0..1.
 fn contrast(noise: f32) -> f32 {
     0.5 + 1.7 * (noise - 0.5)
 }
 
-/// Average over `width` around `x` of a wave that is 1 for the first `share` of each period of 1.
+/// Averages a pulse wave of duty cycle `share` and period 1 over `width`.
 fn pulse(x: f32, share: f32, width: f32) -> f32 {
     let integral = |x: f32| x.floor() * share + (x - x.floor()).min(share);
     let width = width.max(1e-3);
     ((integral(x + width / 2.0) - integral(x - width / 2.0)) / width).clamp(0.0, 1.0)
 }
 
-/// Average of unit squares in two colours.
+/// Averages unit squares.
 fn checker(uv: Vec2, width: f32) -> f32 {
     let (a, b) = (pulse(uv.x / 2.0, 0.5, width / 2.0), pulse(uv.y / 2.0, 0.5, width / 2.0));
     a * b + (1.0 - a) * (1.0 - b)
 }
 
-/// One disc somewhere in each unit square.
+/// Places one disc per unit square.
 fn spots(uv: Vec2, radius: f32, width: f32) -> f32 {
     let cell = uv.floor();
     let word = hash(cell.x as i32, cell.y as i32, 11);

@@ -1,27 +1,25 @@
-//! From linear light to a photo's bytes: white balance, exposure, highlights, sRGB, blur and noise.
+//! Camera model from linear light to sRGB bytes.
 
 use glam::Vec3A;
 
 use super::rng::{Rng, mix};
 
-/// Above this linear light, highlights roll off instead of clipping.
+/// Linear light above which highlights roll off.
 const SHOULDER: f32 = 0.65;
 
-/// How a camera develops its pictures; the same for all views of a scene.
+/// Camera processing, equal for all views of a scene.
 #[derive(Clone, Debug)]
 pub(super) struct Development {
     /// Exposure times white balance, per channel.
     pub gain: Vec3A,
-    /// Standard deviation in pixels.
     pub blur: f32,
-    /// Standard deviation of the noise in sRGB, 0..1.
+    /// Standard deviation of sRGB noise, 0..1.
     pub noise: f32,
-    /// The seed of the noise.
     pub seed: u64,
 }
 
 impl Development {
-    /// An exposure that brings the mean `luminance` of a scene near to that of photos.
+    /// Chooses an exposure for a mean scene `luminance`.
     pub fn new(rng: &mut Rng, luminance: f32) -> Self {
         let exposure = rng.scale(0.15, 0.30) / luminance.max(1e-4);
         let warmth = rng.range(-0.1, 0.1);
@@ -31,7 +29,6 @@ impl Development {
         Self { gain: exposure * balance, blur, noise, seed: rng.bits() }
     }
 
-    /// sRGB bytes of a view's linear pixels.
     pub fn develop(&self, view: usize, width: usize, mut linear: Vec<Vec3A>) -> Vec<u8> {
         if self.blur > 0.0 {
             linear = blur(&blur(&linear, width, self.blur, Axis::X), width, self.blur, Axis::Y);
@@ -45,7 +42,6 @@ impl Development {
         linear.iter().enumerate().flat_map(pixel).collect()
     }
 
-    /// Developed brightness 0..1, for judging contrast.
     pub fn brightness(&self, light: Vec3A) -> f32 {
         linear_to_srgb(soft_clip(light * self.gain)).element_sum() / 3.0
     }
@@ -56,7 +52,7 @@ fn soft_clip(light: Vec3A) -> Vec3A {
     light.min(Vec3A::splat(SHOULDER)) + (1.0 - SHOULDER) * over / (1.0 + over)
 }
 
-/// Within 0.002 of the sRGB curve, by square roots, which are much faster than powers.
+/// Approximates sRGB within 0.002, by fast square roots.
 pub(super) fn linear_to_srgb(light: Vec3A) -> Vec3A {
     let root = |v: Vec3A| Vec3A::new(v.x.sqrt(), v.y.sqrt(), v.z.sqrt());
     let half = root(light.max(Vec3A::ZERO));
@@ -65,7 +61,7 @@ pub(super) fn linear_to_srgb(light: Vec3A) -> Vec3A {
     0.6620 * half + 0.6841 * quarter - 0.3236 * eighth - 0.0225 * light
 }
 
-/// Within 0.003 of the sRGB curve, by a cubic.
+/// Approximates sRGB within 0.003, by a cubic.
 pub(super) fn srgb_to_linear(srgb: Vec3A) -> Vec3A {
     srgb * (srgb * (srgb * 0.3053 + 0.6822) + 0.0125)
 }
@@ -76,7 +72,7 @@ enum Axis {
     Y,
 }
 
-/// Three taps of a Gaussian along an axis; the border repeats.
+/// Applies three Gaussian taps along an axis; the border repeats.
 fn blur(pixels: &[Vec3A], width: usize, sigma: f32, axis: Axis) -> Vec<Vec3A> {
     let side = (-0.5 / (sigma * sigma)).exp();
     let (side, middle) = (side / (1.0 + 2.0 * side), 1.0 / (1.0 + 2.0 * side));
@@ -90,7 +86,7 @@ fn blur(pixels: &[Vec3A], width: usize, sigma: f32, axis: Axis) -> Vec<Vec3A> {
     (0..pixels.len()).map(tap).collect()
 }
 
-/// Roughly normal, variance 1: sums of three uniforms per channel.
+/// Returns approximately normal numbers of variance 1: sums of three uniforms per channel.
 fn gaussian(counter: u64) -> Vec3A {
     let (a, b) = (mix(counter), mix(!counter));
     let channel = |k: u32| {

@@ -9,15 +9,15 @@ use super::photos::Photos;
 use super::shape::{Primitive, Shape};
 use super::texture::Place;
 
-/// Maximum surface distance in meters.
+/// Limit of surface distance in meters.
 const FAR: f32 = 1e4;
 
-/// The light that casts shadows.
+/// Shadow-casting light.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Key {
-    /// Towards it.
+    /// Direction toward the sun.
     Sun(Vec3A),
-    /// A lamp here; its light is given at the reference distance in metres.
+    /// Lamp position and reference distance in meters of its light.
     Lamp(Vec3A, f32),
 }
 
@@ -29,26 +29,24 @@ pub(super) struct Light {
     pub ambient: [Vec3A; 2],
 }
 
-/// The sky behind everything.
 #[derive(Clone, Debug)]
 pub(super) struct Sky {
     pub zenith: Vec3A,
     pub horizon: Vec3A,
-    /// Share of the sky that is clouded.
     pub clouds: f32,
     pub offset: Vec3A,
-    /// Metres at which haze hides two thirds of a surface.
+    /// Meters of haze that hide two thirds of a surface.
     pub haze: f32,
 }
 
-/// The inside of a room. Its corners get less ambient light.
+/// Room interior, whose corners get less ambient light.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Room {
     pub low: Vec3A,
     pub high: Vec3A,
 }
 
-/// A scene in metres, z up.
+/// Scene in meters, z up.
 pub struct World {
     primitives: Vec<Primitive>,
     bvh: Bvh,
@@ -57,13 +55,11 @@ pub struct World {
     room: Option<Room>,
 }
 
-/// Result of a ray.
 pub(super) struct Seen {
-    /// Linear light.
     pub light: Vec3A,
     /// Distance to the surface; `None` in the sky.
     pub distance: Option<f32>,
-    /// Surface, face and shadow identity; differing neighbors mark an edge to smooth.
+    /// Surface, face and shadow identity; differing neighbors mark an edge for antialiasing.
     pub region: u32,
 }
 
@@ -72,28 +68,28 @@ impl World {
         Self { bvh: Bvh::new(&primitives), primitives, light, sky, room }
     }
 
-    /// Everything that has a surface.
+    /// Returns all primitives.
     pub fn primitives(&self) -> &[Primitive] {
         &self.primitives
     }
 
-    /// Distance along a unit direction to the nearest surface, metres.
+    /// Returns the distance in meters to the nearest surface along a unit direction.
     pub fn distance(&self, origin: Vec3A, direction: Vec3A) -> Option<f32> {
         self.bvh.nearest(&self.primitives, origin, direction, FAR).map(|(t, _)| t)
     }
 
-    /// Whether a point is inside a solid.
+    /// Returns true inside a solid.
     pub fn contains(&self, point: Vec3A) -> bool {
         self.primitives.iter().any(|p| p.shape.contains(p.to_local * (point - p.centre)))
     }
 
-    /// Whether a surface lies between two points, except within `slack` metres of the second.
+    /// Returns true for a surface between two points, except within `slack` meters of the second.
     pub(super) fn blocked(&self, from: Vec3A, to: Vec3A, slack: f32) -> bool {
         let length = (to - from).length();
         self.bvh.occluded(&self.primitives, from, (to - from) / length, length - slack)
     }
 
-    /// Light along a unit direction; `pixel` is the angle that one pixel covers.
+    /// Returns the light along a unit direction; `pixel` is the angle of one pixel.
     pub(super) fn look(&self, origin: Vec3A, direction: Vec3A, pixel: f32, photos: &Photos) -> Seen {
         let Some((t, index)) = self.bvh.nearest(&self.primitives, origin, direction, FAR) else {
             return Seen { light: self.sky.color(direction), distance: None, region: u32::MAX };
@@ -121,7 +117,7 @@ impl World {
         Seen { light, distance: Some(t), region: (index as u32) << 4 | face << 1 | u32::from(lit) }
     }
 
-    /// Lambert and Blinn-Phong, with one shadow ray; also whether the key light arrives.
+    /// Returns Lambert and Blinn-Phong, and the visibility of the key light by one shadow ray.
     fn shade(&self, surface: &Surface, albedo: Vec3A) -> (Vec3A, bool) {
         let Surface { point, normal, direction, material, reach } = *surface;
         let [above, below] = self.light.ambient;
@@ -150,7 +146,7 @@ impl World {
         (light, lit)
     }
 
-    /// Ambient attenuation near the walls, floor and ceiling of a room, except the surface's own.
+    /// Returns the ambient attenuation near a room's other surfaces.
     fn corner_shade(&self, point: Vec3A, normal: Vec3A) -> f32 {
         let Some(Room { low, high }) = self.room else { return 1.0 };
         let gaps = (point - low).min(high - point).max(Vec3A::ZERO);

@@ -1,19 +1,19 @@
-//! Selection of a scene's input and target frames.
+//! Selection of input and target frames.
 
 use super::{Indices, Protocol};
 use crate::capture::{Choice, farthest_points};
 use std::path::Path;
 use zipsplat::{Error, Result, types::poses::Poses};
 
-/// One table column: number and selection of input frames.
+/// Table column: number and selection of input frames.
 pub struct Setting {
-    /// Input frames.
+    /// Number of input frames.
     pub views: usize,
     rule: Rule,
 }
 
 enum Rule {
-    /// Frames of a file.
+    /// Frames of an index file.
     Given(Indices),
     /// Farthest-point sampling from the first frames, or from all.
     Farthest(Option<usize>),
@@ -22,11 +22,11 @@ enum Rule {
 }
 
 impl Protocol {
-    /// Settings of a protocol, from index files or by number of inputs. `gaps` override the
-    /// paper's, one per number or one for all.
+    /// Returns the settings of index files or of numbers of inputs. `gaps` override the paper's,
+    /// one per number or one for all.
     ///
     /// # Errors
-    /// As [`Indices::open`], and [`Error::Argument`] for a wrong number of gaps.
+    /// As [`Indices::open`]; [`Error::Argument`] for a wrong number of gaps.
     pub fn settings(self, views: &[u32], gaps: &[usize], files: &[impl AsRef<Path>]) -> Result<Vec<Setting>> {
         if !files.is_empty() {
             let setting = |file: &_| {
@@ -49,12 +49,12 @@ impl Protocol {
 }
 
 impl Setting {
-    /// The setting's name: `6v`.
+    /// Returns the setting's name, such as `6v`.
     pub fn name(&self) -> String {
         format!("{}v", self.views)
     }
 
-    /// Short name of the selection rule.
+    /// Returns the short name of the selection.
     pub fn rule(&self) -> String {
         match &self.rule {
             Rule::Given(indices) => format!("indices-{}", indices.digest()),
@@ -64,10 +64,10 @@ impl Setting {
         }
     }
 
-    /// Selects the frames of a scene; `None` if a file lists none for it.
+    /// Selects the frames of a scene; `None` if an index file lacks it.
     ///
     /// # Errors
-    /// [`Error::Argument`] for too few frames, or file indices out of range.
+    /// [`Error::Argument`] for too few frames, or indices out of range.
     pub fn choose(&self, scene: &str, poses: Poses, targets: usize) -> Result<Option<Choice>> {
         let found: Vec<usize> = (0..poses.frames.len()).filter(|i| poses.frames[*i].photo.is_some()).collect();
         let gap = match &self.rule {
@@ -99,15 +99,14 @@ impl Setting {
     }
 }
 
-/// Selects `count` frames other than inputs at equal steps from the first, as the reference for
-/// DL3DV.
+/// Selects non-input frames at equal steps from the first, as the reference for DL3DV.
 fn spread(window: &[usize], inputs: &[usize], count: usize) -> Vec<usize> {
     let others: Vec<usize> = window.iter().copied().filter(|i| !inputs.contains(i)).collect();
     let step = (others.len() / count).max(1);
     others.into_iter().step_by(step).take(count).collect()
 }
 
-/// Selects `count` frames from first to last, rounded down, as the reference for RealEstate10K.
+/// Selects frames from first to last, rounded down, as the reference for RealEstate10K.
 fn even(window: &[usize], count: usize) -> Vec<usize> {
     (0..count).map(|i| window[i * (window.len() - 1) / (count - 1).max(1)]).collect()
 }
@@ -118,7 +117,8 @@ mod tests {
     use glam::DVec3;
     use zipsplat::types::{Camera, Intrinsics, Pose, poses::Frame};
 
-    /// The first scene of the reference's files for DL3DV with 6 inputs and for RealEstate10K.
+    /// Compares the first scenes in the reference's files for DL3DV with 6 inputs and for
+    /// RealEstate10K.
     #[test]
     fn frames_are_those_of_the_reference() {
         let frames: Vec<usize> = (0..279).collect();
@@ -127,7 +127,7 @@ mod tests {
         assert_eq!(even(&frames, 6), [0, 55, 111, 166, 222, 278]);
     }
 
-    /// Frames along a line with doubling steps; the third has no photo.
+    /// Places frames on a line with doubling steps; the third has no photo.
     fn line(count: i32) -> Poses {
         let frame = |i: i32| Frame {
             name: i.to_string(),

@@ -1,4 +1,4 @@
-//! Downscaling filters. The choice moves PSNR by up to 1 dB (table 6 of the paper).
+//! Downscaling filters; the choice affects PSNR (table 6 of the paper).
 
 use clap::ValueEnum;
 use image::{ImageBuffer, Rgb, imageops};
@@ -10,18 +10,17 @@ use zipsplat::{
     },
 };
 
-/// A filter against aliasing.
+/// Antialiasing filter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Filter {
     /// Pillow's LANCZOS after the crop, as in every other command
     Lanczos,
-    /// Bilinear with antialiasing before the crop, as the paper's tables: PyTorch's
-    /// interpolate(mode="bilinear", antialias=True)
+    /// Bilinear with antialiasing before the crop, as in the paper's tables (PyTorch's interpolate)
     Bilinear,
 }
 
 impl Filter {
-    /// Crops a photo's center to the aspect ratio of `width` x `height` and resizes it.
+    /// Center-crops a photo to an aspect ratio and resizes it.
     ///
     /// # Errors
     /// [`Error::Argument`] for a side of zero, or inconsistent photo fields.
@@ -32,7 +31,7 @@ impl Filter {
         }
     }
 
-    /// A whole photo at the scale of [`Filter::cropped`].
+    /// Resizes a whole photo at the scale of [`Filter::cropped`].
     ///
     /// # Errors
     /// As [`Filter::cropped`].
@@ -44,8 +43,8 @@ impl Filter {
     }
 }
 
-/// Scales a photo to cover `width` x `height`, with antialiased bilinear weights. Like the
-/// reference, makes sides even and truncates values.
+/// Scales a photo to cover a size, with antialiased bilinear weights. Like the reference, rounds
+/// sides to even and truncates values.
 ///
 /// # Errors
 /// As [`Filter::cropped`].
@@ -69,7 +68,6 @@ fn cover(photo: &Image, width: u32, height: u32) -> Result<View> {
     Ok(View { image: Image::new(to_width, to_height, rgb)?, map })
 }
 
-/// Center crop.
 fn middle(view: View, width: u32, height: u32) -> Result<View> {
     let View { image, map } = view;
     let (left, top) = ((image.width - width) / 2, (image.height - height) / 2);

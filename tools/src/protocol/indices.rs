@@ -5,13 +5,13 @@ use serde::Deserialize;
 use std::{collections::HashMap, path::Path};
 use zipsplat::{Error, Result};
 
-/// Frames by scene; scenes without frames are excluded from an evaluation.
+/// Frames by scene; unlisted scenes are skipped.
 pub struct Indices {
     scenes: HashMap<String, Option<Entry>>,
     digest: String,
 }
 
-/// Frames of one scene, as indices into its camera file. Other JSON fields are ignored.
+/// Indices into a scene's camera file. Other JSON fields are ignored.
 #[derive(Clone, Deserialize)]
 pub struct Entry {
     /// Input frames.
@@ -24,8 +24,8 @@ impl Indices {
     /// Reads a file.
     ///
     /// # Errors
-    /// [`Error::Io`] for a read failure; [`Error::Format`] for another format, no complete scene,
-    /// or unequal input counts.
+    /// [`Error::Io`]; [`Error::Format`] for another format, no complete scene, or unequal input
+    /// counts.
     pub fn open(path: &Path) -> Result<Self> {
         let text = std::fs::read_to_string(path).map_err(|error| Error::io(path, error))?;
         let malformed = |reason: String| Error::format(path, None, reason);
@@ -52,17 +52,17 @@ impl Indices {
         Ok(Self { scenes, digest: digest(&[text])[..8].to_owned() })
     }
 
-    /// Number of inputs per scene.
+    /// Returns the number of inputs per scene.
     pub fn views(&self) -> usize {
         self.scenes.values().flatten().next().map_or(0, |entry| entry.context.len())
     }
 
-    /// Digest of the file's content.
+    /// Returns the digest of the file.
     pub fn digest(&self) -> &str {
         &self.digest
     }
 
-    /// Frames of a scene, if listed.
+    /// Returns the frames of a scene.
     pub fn of(&self, scene: &str) -> Option<&Entry> {
         self.scenes.get(scene)?.as_ref()
     }

@@ -1,4 +1,4 @@
-//! Evaluation protocols of papers: data set layouts, input and target frames, and photo resizing.
+//! Evaluation protocols of papers: layouts, frames, and resizing.
 
 mod choice;
 mod filter;
@@ -12,7 +12,7 @@ pub use places::Place;
 
 use clap::ValueEnum;
 
-/// A data set and the way in which it is judged by.
+/// Data set with its evaluation protocol.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Protocol {
     /// DL3DV: transforms.json and images_4; 6, 12 and 24 of the first 50, 100 and 150 frames
@@ -21,12 +21,12 @@ pub enum Protocol {
     Re10k,
     /// Mip-NeRF 360: a COLMAP model and images_4; 32, 64 and 128 photos
     Mipnerf360,
-    /// ScanNet++: dslr/colmap and dslr/resized_images, fisheye undone; 32, 64 and 128 photos
+    /// ScanNet++: dslr/colmap and dslr/resized_images, undistorted; 32, 64 and 128 photos
     Scannetpp,
 }
 
 impl Protocol {
-    /// The data set's name as its authors write it.
+    /// Returns the data set's official name.
     pub fn title(self) -> &'static str {
         match self {
             Self::Dl3dv => "DL3DV",
@@ -36,7 +36,7 @@ impl Protocol {
         }
     }
 
-    /// Numbers of input photos in the paper's tables 1 to 3.
+    /// Returns the numbers of inputs in the paper's tables 1 to 3.
     fn views(self) -> &'static [u32] {
         match self {
             Self::Dl3dv => &[6, 12, 24],
@@ -45,7 +45,7 @@ impl Protocol {
         }
     }
 
-    /// The frames from which so many inputs are taken: the paper's gaps for DL3DV, else all.
+    /// Returns the paper's gap for DL3DV, else `None` for all frames.
     fn gap(self, views: u32) -> Option<usize> {
         match (self, views) {
             (Self::Dl3dv, 6) => Some(50),

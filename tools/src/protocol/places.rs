@@ -1,4 +1,4 @@
-//! Scenes in the data sets' folder layouts.
+//! Data set folder layouts.
 
 use super::Protocol;
 use std::{
@@ -14,7 +14,7 @@ use zipsplat::{
     },
 };
 
-/// One scene of a data set.
+/// Scene of a data set.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Place {
     /// Name, as in index files.
@@ -26,12 +26,11 @@ pub struct Place {
 }
 
 impl Protocol {
-    /// Finds scenes by name in folders, each a scene or a folder of scenes. `images` overrides the
-    /// photo folder within a scene.
+    /// Finds scenes in folders, each a scene or a folder of scenes. `images` overrides a scene's
+    /// photo folder.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a folder without scenes or a duplicate name; [`Error::Io`] for a
-    /// read failure.
+    /// [`Error::Argument`] without scenes or for a duplicate name; [`Error::Io`].
     pub fn places(self, folders: &[PathBuf], images: Option<&Path>) -> Result<Vec<Place>> {
         let mut places: Vec<Place> = Vec::new();
         for folder in folders {
@@ -55,7 +54,7 @@ impl Protocol {
         Ok(places)
     }
 
-    /// A scene's files, for messages.
+    /// Describes a scene's files, for messages.
     fn layout(self) -> &'static str {
         match self {
             Self::Dl3dv => "a folder with a transforms.json, directly or in nerfstudio/",
@@ -65,7 +64,7 @@ impl Protocol {
         }
     }
 
-    /// The scene at a path, if any.
+    /// Returns the scene at a path.
     fn at(self, path: &Path, images: Option<&Path>) -> Result<Option<Place>> {
         let place = |cameras: PathBuf, base: &Path, usual: &[&str]| {
             let whole = path.canonicalize().map_err(|error| Error::io(path, error))?;
@@ -105,11 +104,10 @@ impl Protocol {
 }
 
 impl Place {
-    /// Reads the scene's cameras and photos. `distorted` keeps the photos and ignores lens
-    /// distortion.
+    /// Reads cameras and photos. `distorted` ignores lens distortion.
     ///
     /// # Errors
-    /// As [`read_poses`], and [`Error::Argument`] for a fisheye lens with ignored distortion.
+    /// As [`read_poses`]; [`Error::Argument`] for an ignored fisheye distortion.
     pub fn read(&self, distorted: bool) -> Result<Poses> {
         let mut poses = read_poses(&self.cameras)?;
         for frame in &mut poses.frames {
@@ -129,14 +127,13 @@ impl Place {
     }
 }
 
-/// Whether a text file begins with an address, as in RealEstate10K.
+/// Detects an address in the first line, as in RealEstate10K.
 fn is_addressed(path: &Path) -> bool {
     let mut start = [0; 4];
     path.extension().is_some_and(|extension| extension == "txt")
         && File::open(path).and_then(|mut file| file.read_exact(&mut start)).is_ok_and(|()| start == *b"http")
 }
 
-/// The files and folders in a folder.
 fn entries(folder: &Path) -> Result<Vec<PathBuf>> {
     let failed = |error| Error::io(folder, error);
     let entries = folder.read_dir().map_err(failed)?;

@@ -1,4 +1,4 @@
-//! What a refinement may do beside moving the Gaussians that there are.
+//! Optional parts of a refinement.
 
 use clap::Args;
 use zipsplat::{
@@ -8,17 +8,17 @@ use zipsplat::{
     stages::lpips::LpipsNetwork,
 };
 
-/// The choice of what moves beside the Gaussians that there are.
 #[derive(Args, Debug)]
 pub struct Moved {
-    /// Move the photos' cameras, too, where they are not exact. The first photo's camera stays, and so do those of held-out photos
+    /// Also refine the photos' cameras, except the first photo's and held-out ones
     #[arg(long, alias = "optimize-cameras")]
     refine_cameras: bool,
-    /// Let the scene grow to at most N Gaussians: those that nobody sees, and those that are missing, are put where others are
+    /// Let the scene grow to at most N Gaussians: invisible ones are relocated, and missing ones
+    /// added
     #[arg(long, alias = "max-gaussians", value_name = "N", value_parser = parse_count)]
     pub(super) grow: Option<usize>,
-    /// Add so much of LPIPS (VGG) to the loss, 0.05 in the paper's training: a step takes many times as long. Its weights are not ours to
-    /// ship: `python3 tools/lpips.py` fetches them [default: 0]
+    /// Weight of LPIPS (VGG) in the loss, 0.05 in the paper's training: steps take many times as
+    /// long. `python3 tools/lpips.py` downloads its weights, which we cannot ship [default: 0]
     #[arg(long, value_name = "WEIGHT", value_parser = parse_weight)]
     lpips_weight: Option<f32>,
 }
@@ -34,15 +34,10 @@ fn parse_weight(text: &str) -> Result<f32, String> {
 }
 
 impl Moved {
-    /// Refuses a share of LPIPS without its weights, before anything is computed.
-    ///
-    /// # Errors
-    /// As [`Perceptual::file`].
     pub fn check(&self) -> Result<()> {
         self.lpips_weight.map_or(Ok(()), |_| Perceptual::file(LpipsNetwork::Vgg).map(drop))
     }
 
-    /// The request with that in it.
     pub fn request(&self, request: Refine) -> Refine {
         let look = self.lpips_weight.filter(|weight| *weight > 0.0);
         let look = look.map(|weight| Look { weight, network: LpipsNetwork::Vgg });

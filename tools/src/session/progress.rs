@@ -1,4 +1,4 @@
-//! Progress of a command's stages: a bar on a terminal, else a line now and then.
+//! Progress of stages: a bar on a terminal, else occasional lines.
 
 use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
 use std::{
@@ -14,42 +14,40 @@ use std::{
 };
 use zipsplat::{Error, Result};
 
-/// Work that takes no longer than this shows no progress.
+/// Delay before progress is shown.
 const PATIENCE: Duration = Duration::from_secs(1);
-/// Time from a command's start to its first line of progress, where standard error is no terminal.
+/// Delay before the first progress line off a terminal.
 pub(super) const FIRST_LINE: Duration = Duration::from_secs(5);
-/// Time between two such lines.
 const BETWEEN_LINES: Duration = Duration::from_secs(30);
-/// Smallest finished fraction from which the remaining time is estimated.
+/// Smallest fraction for an estimate.
 const ESTIMABLE: f64 = 0.02;
-/// Steps of a progress bar.
 const STEPS: u64 = 1000;
 
-/// A part of a command that may take long.
+/// Part of a command with progress.
 pub struct Stage<'a> {
     bar: ProgressBar,
     cancelled: &'a AtomicBool,
 }
 
 impl<'a> Stage<'a> {
-    /// A stage that is not shown yet, as a part of `task`.
+    /// Creates a hidden stage of `task`.
     pub(super) fn new(name: &str, task: &str, cancelled: &'a AtomicBool) -> Self {
         let bar = ProgressBar::with_draw_target(Some(STEPS), ProgressDrawTarget::hidden());
         let style =
             ProgressStyle::with_template("{spinner} {prefix}{msg:16} [{bar:32}] {percent:>3} % {elapsed}{left}");
         let left = |state: &ProgressState, out: &mut dyn fmt::Write| {
             let left = time_left(state.elapsed(), state.pos());
-            // A string takes all that is written.
+            // Writing to a string cannot fail.
             let _ = left.map_or(Ok(()), |left| write!(out, ", {left:#} left"));
         };
         bar.set_style(style.expect("the template is valid").with_key("left", left));
         Self { bar: bar.with_message(name.to_owned()).with_prefix(task.to_owned()), cancelled }
     }
 
-    /// Runs `body` while its progress is shown on standard error.
+    /// Runs `body` with progress on standard error.
     pub(super) fn shown<T>(&self, next_line: &Mutex<Instant>, body: impl FnOnce(&Self) -> T) -> T {
         let result = std::thread::scope(|scope| {
-            // Dropped when the body is done, also by a panic: that ends the wait.
+            // Dropped with the body, also on a panic, which ends the wait.
             let (_done, done) = channel::<()>();
             let bar = &self.bar;
             scope.spawn(move || match stderr().is_terminal() {
@@ -62,42 +60,34 @@ impl<'a> Stage<'a> {
         result
     }
 
-    /// A stage that shows its progress nowhere but in `bar`.
+    /// Creates a stage that reports to `bar` only.
     pub fn told_to(bar: &ProgressBar, cancelled: &'a AtomicBool) -> Self {
         bar.set_length(STEPS);
         bar.set_position(0);
         Self { bar: bar.clone(), cancelled }
     }
 
-    /// Moves the progress to `fraction` of all; `Break` where the command should stop.
+    /// Sets the finished fraction; `Break` on cancellation.
     pub fn at(&self, fraction: f64) -> ControlFlow<()> {
         self.bar.set_position((fraction * STEPS as f64) as u64);
         if self.cancelled.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
 
-    /// The same work without a progress that is shown, for one of several steps at once; it stops
-    /// as this does.
+    /// Creates a hidden stage with the same cancellation, for parallel steps.
     pub fn silent(&self) -> Stage<'_> {
         Stage { bar: ProgressBar::hidden(), cancelled: self.cancelled }
     }
 
-    /// Changes the name that is shown.
     pub fn name(&self, name: &str) {
         self.bar.set_message(name.to_owned());
     }
 
-    /// As [`Stage::at`], with stopping as an error.
-    ///
-    /// # Errors
-    /// [`Error::Cancelled`].
+    /// Sets the finished fraction, or returns [`Error::Cancelled`].
     pub fn reach(&self, fraction: f64) -> Result<()> {
         if self.at(fraction).is_break() { Err(Error::Cancelled) } else { Ok(()) }
     }
 
-    /// The results of `body` for each item; the progress is that of their count.
-    ///
-    /// # Errors
-    /// The body's, and [`Error::Cancelled`].
+    /// Reports progress by count.
     pub fn each<T, U>(&self, items: &[T], mut body: impl FnMut(&T) -> Result<U>) -> Result<Vec<U>> {
         let (name, all) = (self.bar.message(), items.len());
         let step = |(i, item)| {
@@ -107,13 +97,13 @@ impl<'a> Stage<'a> {
         items.iter().enumerate().map(step).collect()
     }
 
-    /// [`Error::Cancelled`] where the command should stop.
+    /// Returns [`Error::Cancelled`] on cancellation.
     pub fn check(&self) -> Result<()> {
         if self.cancelled.load(Ordering::Relaxed) { Err(Error::Cancelled) } else { Ok(()) }
     }
 }
 
-/// Draws a bar from when a stage has taken long until it is done.
+/// Shows the bar of a long stage.
 fn show_bar(bar: &ProgressBar, done: &Receiver<()>) {
     if done.recv_timeout(PATIENCE) == Err(RecvTimeoutError::Timeout) {
         bar.set_draw_target(ProgressDrawTarget::stderr());
@@ -121,7 +111,7 @@ fn show_bar(bar: &ProgressBar, done: &Receiver<()>) {
     }
 }
 
-/// Prints a line of progress whenever one is due, until a stage is done.
+/// Prints progress lines until a stage ends.
 fn print_lines(bar: &ProgressBar, done: &Receiver<()>, next_line: &Mutex<Instant>) {
     let due = || next_line.lock().unwrap_or_else(PoisonError::into_inner);
     loop {
@@ -134,13 +124,12 @@ fn print_lines(bar: &ProgressBar, done: &Receiver<()>, next_line: &Mutex<Instant
         // Another stage may have printed one meanwhile.
         if *due <= Instant::now() {
             *due = Instant::now() + BETWEEN_LINES;
-            // A line that cannot be printed is no reason to stop.
+            // A failed line does not stop the command.
             let _ = writeln!(stderr(), "{}", progress_line(bar));
         }
     }
 }
 
-/// How far a stage is, as a line.
 fn progress_line(bar: &ProgressBar) -> String {
     let (elapsed, name) = (bar.elapsed(), format!("{}{}", bar.prefix(), bar.message()));
     match time_left(elapsed, bar.position()) {
@@ -149,7 +138,7 @@ fn progress_line(bar: &ProgressBar) -> String {
     }
 }
 
-/// The time that a stage still takes, from how long its finished steps took.
+/// Estimates the remaining time from the finished steps.
 fn time_left(elapsed: Duration, steps: u64) -> Option<HumanDuration> {
     let fraction = steps as f64 / STEPS as f64;
     (fraction >= ESTIMABLE).then(|| HumanDuration(elapsed.mul_f64((1.0 / fraction - 1.0).max(0.0))))

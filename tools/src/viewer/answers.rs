@@ -1,4 +1,4 @@
-//! The requests of a page to its server.
+//! Requests of a page to its server.
 
 use super::{
     Config, Live, Requests, Studio, Watched,
@@ -19,25 +19,19 @@ use zipsplat::{
 const BYTES: &str = "application/octet-stream";
 const JSON: &str = "application/json";
 
-/// Everything that a page may ask for.
 pub struct Served<'a> {
     pub config: &'a Config,
-    /// Scenes of files.
     pub scenes: &'a [Scene],
-    /// Photos that scenes are made of.
+    /// Photos for scenes on demand.
     pub ready: Option<&'a Ready<'a>>,
-    /// The refinement under way.
+    /// Running refinement.
     pub watched: Option<&'a Watched>,
     pub studio: &'a Studio,
-    /// Set when the command should stop.
     pub cancelled: &'a AtomicBool,
 }
 
 impl Served<'_> {
-    /// The answer for a path of the page's; none where there is nothing. What changes something has a `body`.
-    ///
-    /// # Errors
-    /// Those of what is asked for.
+    /// Answers a path; `None` for unknown ones. Requests with side effects have a `body`.
     pub fn answer(&self, path: &str, body: Option<&[u8]>) -> Result<Option<Answer>> {
         match (path, body) {
             ("record", Some(body)) => self.record(body).map(Some),
@@ -82,7 +76,8 @@ impl Served<'_> {
         Ok(Some(("image/jpeg", ready.view(i)?)))
     }
 
-    /// The scene at `made/RATIO/PRECISION?NUMBER`, which one of a higher number overtakes unless it is to be `kept`, or at `refined`.
+    /// Returns the scene at `refined` or `made/RATIO/PRECISION?NUMBER`. Higher numbers overtake it
+    /// unless `kept`.
     fn made(&self, path: &str, kept: bool) -> Result<Option<Made>> {
         if path == "refined" {
             return Ok(self.watched.and_then(Watched::scene));
@@ -114,7 +109,7 @@ fn number(path: &str, folder: &str) -> Option<usize> {
     path.strip_prefix(folder)?.parse().ok()
 }
 
-/// `RATIO/PRECISION`, and `?NUMBER` behind it or not.
+/// Parses `RATIO/PRECISION[?NUMBER]`.
 fn asked(words: &str) -> Option<(f64, Precision, Option<u64>)> {
     let (words, number) = words.split_once('?').map_or((words, None), |(words, number)| (words, Some(number)));
     let (ratio, name) = words.split_once('/')?;

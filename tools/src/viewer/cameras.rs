@@ -1,4 +1,4 @@
-//! The cameras that a viewer knows.
+//! Input cameras of a viewer.
 
 use glam::DVec3;
 use serde::Serialize;
@@ -12,15 +12,15 @@ use zipsplat::{
     },
 };
 
-/// The lens of cameras whose file says none: 60 degrees.
+/// Default lens: 60 degrees.
 const SIDE: u32 = 512;
 const FOV: f64 = 60.0;
 
-/// The quality of JPEGs that are served, and of those within a page.
+/// Quality of served and embedded JPEGs.
 pub const QUALITY: u8 = 90;
 pub const SMALL_QUALITY: u8 = 75;
 
-/// A camera to look through, as the page takes it: lengths in pixels, camera-to-world, x right, y down, z forward.
+/// JSON camera of a page: lengths in pixels, camera-to-world, x right, y down, z forward.
 #[derive(Serialize)]
 pub struct InputCamera {
     name: String,
@@ -31,7 +31,6 @@ pub struct InputCamera {
     fy: f64,
     cx: f64,
     cy: f64,
-    /// The address of the camera's photo, where there is one.
     photo: Option<String>,
     #[serde(skip)]
     frame: Frame,
@@ -40,7 +39,7 @@ pub struct InputCamera {
 }
 
 impl InputCamera {
-    /// The camera of a photo at a pose in the scene's world.
+    /// Places a photo's camera in the scene's world.
     pub fn new(frame: Frame, pose: &Pose, file: Option<PathBuf>) -> Self {
         let Intrinsics { width, height, fx, fy, cx, cy } = frame.camera.intrinsics;
         let (r, t) = (pose.rotation, pose.translation);
@@ -48,20 +47,16 @@ impl InputCamera {
         Self { name: frame.name.clone(), matrix, width, height, fx, fy, cx, cy, photo: None, frame, file }
     }
 
-    /// True where there is a photo of the camera.
     pub fn has_photo(&self) -> bool {
         self.file.is_some()
     }
 
-    /// Says where the page finds the photo.
+    /// Sets the photo's address.
     pub fn at(&mut self, address: String) {
         self.photo = Some(address);
     }
 
-    /// The photo as the camera sees it, as a JPEG, at most `side` pixels long where that is given; none where there is no photo.
-    ///
-    /// # Errors
-    /// A photo that cannot be read.
+    /// Encodes the undistorted photo, at most `side` pixels long; `None` without a photo.
     pub fn jpeg(&self, side: Option<u32>) -> Result<Option<Vec<u8>>> {
         let Some(file) = &self.file else { return Ok(None) };
         let photo = self.frame.open(file)?;
@@ -77,11 +72,8 @@ impl InputCamera {
     }
 }
 
-/// The cameras of a file in the scene's world, and what there is to say about them. `world` is what the scene's file says of it.
-/// Photos are those near the file, or those of the same names in `photos`; none with `without_photos`.
-///
-/// # Errors
-/// As [`read_cameras`]; where the file has none for the photo `relative_to`.
+/// Reads cameras into the scene's world, with notes; `world` is the scene file's. Photos come from
+/// the camera file's folder or by name from `photos`; none with `without_photos`.
 pub fn input_cameras(
     file: &Path,
     relative_to: Option<&Path>,
@@ -100,7 +92,7 @@ pub fn input_cameras(
     Ok((poses.frames.into_iter().map(camera).collect(), poses.notes))
 }
 
-/// The direction against gravity: photos are taken upright on average.
+/// Returns the mean up direction, assuming upright photos on average.
 pub fn vertical(cameras: &[InputCamera]) -> Option<[f64; 3]> {
     let up = cameras.iter().map(|camera| -DVec3::from(camera.matrix.map(|row| row[1]))).sum::<DVec3>();
     up.try_normalize().map(DVec3::into)

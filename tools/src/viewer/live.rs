@@ -1,5 +1,5 @@
-//! Scenes of any compression ratio, made while somebody looks: the features of the photos stay on the device, and what follows from
-//! them is computed again.
+//! Scenes of any compression ratio on demand. The photos' features stay on the device; the rest is
+//! recomputed.
 
 use super::page::{Ratios, ShownScene};
 use crate::options::Quality;
@@ -22,48 +22,41 @@ use zipsplat::{
     weights::Checkpoint,
 };
 
-/// The time after which a request that waits for another looks whether it was overtaken.
+/// Interval of a waiting request's checks.
 const POLL: Duration = Duration::from_millis(5);
 
-/// Photos whose features are on the device.
+/// Photos with features on the device.
 pub struct Live<'a> {
-    /// The device that they are on.
     pub device: Device,
     pub(super) checkpoint: Checkpoint,
     pub(super) quality: &'a Quality,
-    /// The pictures that the network sees, and what is known of them.
+    /// Network input pictures.
     pub(super) images: Vec<Image>,
     pub(super) request: Request,
-    /// The pose of the network's world in that of the scene, where it is another.
+    /// Network's world in the scene's, if different.
     pub(super) turned: Option<Pose>,
-    /// Names of the photos.
     pub(super) name: String,
-    /// The network's features in each precision that was asked for so far, the first of them the one to begin with.
+    /// By precision; the first one is initial.
     pub(super) sources: Mutex<Vec<Source>>,
-    /// The highest number of a request under way, or 0.
+    /// Highest running request, or 0.
     pub(super) latest: AtomicU64,
-    /// Set when the command should stop.
     pub(super) cancelled: &'a AtomicBool,
 }
 
-/// A model and its features of the photos.
 pub(super) struct Source {
     pub precision: Precision,
     pub model: Model,
     pub features: Features,
 }
 
-/// A scene and what the page is told of it.
+/// Scene with its JSON description.
 pub struct Made {
     pub scene: Scene,
     pub shown: ShownScene,
 }
 
 impl Made {
-    /// One line of JSON about the scene, then the scene with all its bits.
-    ///
-    /// # Errors
-    /// As [`encode_scene`].
+    /// Encodes a line of JSON, then the scene at full precision.
     pub fn encode(mut self) -> Result<Vec<u8>> {
         let begin = Instant::now();
         let ply = encode_scene(&self.scene, SceneFormat::Ply, &WriteOptions::default())?;
@@ -77,24 +70,21 @@ impl Made {
 }
 
 impl Live<'_> {
-    /// The scene of a ratio, unless a later call overtakes this one: one of a higher `number`, which is the next where nobody says,
-    /// as requests do not arrive in the order in which they were sent.
+    /// Returns the scene of a ratio unless a higher `number` overtakes it: requests may arrive out
+    /// of order. The default is the next number.
     ///
     /// # Errors
-    /// As [`Model::reconstruct_features`], and [`Error::Cancelled`] where it was overtaken.
+    /// As [`Model::reconstruct_features`]; [`Error::Cancelled`] if overtaken.
     pub fn make(&self, ratio: f64, precision: Precision, number: Option<u64>) -> Result<Made> {
         let own = number.unwrap_or_else(|| self.latest.load(Ordering::SeqCst).saturating_add(1));
         self.latest.fetch_max(own, Ordering::SeqCst);
         let made = self.make_unless(ratio, precision, || self.latest.load(Ordering::SeqCst) > own);
-        // A request that is done overtakes none, however high its number.
+        // A finished request overtakes none.
         let _ = self.latest.compare_exchange(own, 0, Ordering::SeqCst, Ordering::SeqCst);
         made
     }
 
-    /// The scene of a ratio, unless `overtaken`.
-    ///
-    /// # Errors
-    /// As [`Live::make`].
+    /// Acts as [`Live::make`], unless `overtaken`.
     pub fn make_unless(&self, ratio: f64, precision: Precision, overtaken: impl Fn() -> bool) -> Result<Made> {
         let overtaken = || overtaken() || self.cancelled.load(Ordering::Relaxed);
         let go_on = |_: Progress<'_>| if overtaken() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
@@ -135,31 +125,25 @@ impl Live<'_> {
         Ok(Made { scene, shown })
     }
 
-    /// The tokens of the first precision's features, to be refined.
-    ///
-    /// # Errors
-    /// As [`Model::tokens`].
+    /// Returns the first precision's tokens, for refinement.
     pub fn tokens(&self) -> Result<SceneTokens> {
         let sources = self.lock(&|| self.cancelled.load(Ordering::Relaxed))?;
         sources[0].model.tokens(&sources[0].features, &self.request, |_| ControlFlow::Continue(()))
     }
 
-    /// The views and their patches.
     pub fn grid(&self) -> ViewGrid {
         self.sources.lock().unwrap_or_else(|poisoned| poisoned.into_inner())[0].features.grid()
     }
 
-    /// Whether what runs should go on.
+    /// Breaks on cancellation.
     pub fn go_on(&self) -> ControlFlow<()> {
         if self.cancelled.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
 
-    /// The precision to begin with.
     pub fn first_precision(&self) -> Precision {
         self.sources.lock().unwrap_or_else(|poisoned| poisoned.into_inner())[0].precision
     }
 
-    /// The choices that a page has.
     pub fn ratios(&self) -> Ratios {
         let tokens = self.grid().tokens();
         let first = self.first_precision();
@@ -172,12 +156,12 @@ impl Live<'_> {
         Ratios { tokens, ratio: self.quality.ratio_of(self.images.len()), precisions }
     }
 
-    /// The sources, once nobody else uses them.
+    /// Waits unless `overtaken`.
     fn lock(&self, overtaken: &dyn Fn() -> bool) -> Result<MutexGuard<'_, Vec<Source>>> {
         loop {
             match self.sources.try_lock() {
                 Ok(sources) => return Ok(sources),
-                // A panic leaves no source half made.
+                // Sources stay complete across a panic.
                 Err(TryLockError::Poisoned(poisoned)) => return Ok(poisoned.into_inner()),
                 Err(TryLockError::WouldBlock) if overtaken() => return Err(Error::Cancelled),
                 Err(TryLockError::WouldBlock) => std::thread::sleep(POLL),

@@ -1,5 +1,4 @@
-//! The viewer of scenes: a page for a browser, and the server that hands it out on this machine. The page's own parts are in
-//! `tools/viewer`.
+//! Scene viewer: browser page and local server. The page's sources are in `tools/viewer`.
 
 mod answers;
 mod cameras;
@@ -22,7 +21,7 @@ pub use watched::Watched;
 
 use base64::{Engine, prelude::BASE64_STANDARD};
 
-/// The address of a JPEG that is within a page.
+/// Returns a data URL of an embedded JPEG.
 pub fn within_page(jpeg: &[u8]) -> String {
     format!("data:image/jpeg;base64,{}", BASE64_STANDARD.encode(jpeg))
 }

@@ -1,4 +1,4 @@
-//! One HTML file with everything in it: style, scripts, and the scenes where these are to be within the page.
+//! Self-contained HTML page: style, scripts and optional scenes.
 
 use super::InputCamera;
 use base64::{Engine, prelude::BASE64_STANDARD, write::EncoderWriter};
@@ -9,7 +9,6 @@ use zipsplat::types::LeftOut;
 
 const PAGE: &str = include_str!("../../viewer/page.html");
 const STYLE: &str = include_str!("../../viewer/style.css");
-/// The scripts of the page, in this order.
 const SCRIPT: &str = concat!(
     include_str!("../../viewer/camera.js"),
     include_str!("../../viewer/controls.js"),
@@ -22,80 +21,67 @@ const SCRIPT: &str = concat!(
     include_str!("../../viewer/refining.js"),
     include_str!("../../viewer/page.js"),
 );
-/// The script that runs beside it.
 const WORKER: &str = concat!(include_str!("../../viewer/formats.js"), include_str!("../../viewer/worker.js"));
 
-/// The contents of a page.
 #[derive(Default, Serialize)]
 pub struct Config {
-    /// The scenes, in the order of the slider.
+    /// Scenes in slider order.
     pub scenes: Vec<ShownScene>,
-    /// Cameras to look through, in the world of the scenes.
+    /// Input cameras in the scenes' world.
     pub cameras: Vec<InputCamera>,
-    /// The world's direction against gravity, where it is known.
+    /// Up direction of the world, if known.
     pub up: Option<[f64; 3]>,
-    /// The photos as the network saw them, where it made the scenes.
+    /// Network input; empty for scene files.
     pub views: Vec<View>,
-    /// Rows and columns of the patches of each of them.
+    /// Patch rows and columns of a view.
     pub grid: [usize; 2],
-    /// Scenes of any ratio can be asked for.
+    /// Choices of scenes on demand.
     pub live: Option<Ratios>,
-    /// A refinement is under way.
+    /// True during a refinement.
     pub refines: bool,
-    /// The sentence under the slider.
+    /// Sentence under the slider.
     pub note: Option<String>,
 }
 
-/// A scene as the page names it before it is loaded.
+/// Scene before loading.
 #[derive(Default, Serialize)]
 pub struct ShownScene {
-    /// The name of its file.
     pub name: String,
-    /// The size of its file.
     pub bytes: u64,
-    /// Gaussians of a token, which follow each other.
+    /// Consecutive Gaussians per token.
     pub group: Option<usize>,
-    /// The patch that each token is of, see [`zipsplat::reconstruct::Reconstruction::patches`].
+    /// Patch of each token, see [`zipsplat::reconstruct::Reconstruction::patches`].
     pub patches: Vec<u32>,
-    /// Stages and the milliseconds that each took.
+    /// Milliseconds by stage.
     pub times: Vec<(String, f64)>,
-    /// The stages that were not needed, and why.
+    /// Skipped stages.
     pub left_out: Vec<LeftOut>,
 }
 
-/// A picture that the network saw.
+/// Network input.
 #[derive(Serialize)]
 pub struct View {
-    /// The photo's name.
     pub name: String,
-    /// The picture's address.
     pub photo: String,
 }
 
-/// The scenes that can be asked for.
 #[derive(Serialize)]
 pub struct Ratios {
-    /// Tokens at ratio 1.
     pub tokens: usize,
-    /// The ratio to begin with.
     pub ratio: f64,
-    /// Precisions that the device computes in, the one to begin with first.
+    /// Supported precisions, the initial one first.
     pub precisions: Vec<&'static str>,
 }
 
-/// Whom a page may ask for anything.
+/// Allowed requests of a page.
 #[derive(Clone, Copy)]
 pub enum Requests {
-    /// Nobody: its scenes are within it.
+    /// No requests: the scenes are embedded.
     None,
-    /// The server that it comes from.
     Server,
 }
 
-/// Writes a page. `scenes` are the bytes of those that are within it, in the order of the configuration.
-///
-/// # Errors
-/// The errors of writing.
+/// Writes a page with the embedded `scenes`, in configuration order.
 pub fn write_page(out: &mut dyn Write, config: &Config, requests: Requests, scenes: &[Vec<u8>]) -> Result<()> {
     let names: Vec<&str> = config.scenes.iter().map(|scene| scene.name.as_str()).collect();
     let mut rest = PAGE;
@@ -106,7 +92,7 @@ pub fn write_page(out: &mut dyn Write, config: &Config, requests: Requests, scen
             "policy" => out.write_all(policy(requests).as_bytes())?,
             "title" => out.write_all(escaped(&names.join(", ")).as_bytes())?,
             "style" => out.write_all(STYLE.as_bytes())?,
-            // Within a script of JSON no character ends the element but this one.
+            // Only this character can end a JSON script element.
             "config" => out.write_all(serde_json::to_string(config)?.replace('<', "\\u003c").as_bytes())?,
             "worker" => out.write_all(WORKER.as_bytes())?,
             "scenes" => scenes.iter().enumerate().try_for_each(|(i, bytes)| write_scene(out, i, bytes))?,
@@ -127,7 +113,7 @@ fn write_scene(out: &mut dyn Write, index: usize, bytes: &[u8]) -> Result<()> {
     out.write_all(b"</script>\n")
 }
 
-/// A page runs its own script and no other, and asks nobody else for anything.
+/// Restricts a page to its own script and the allowed requests.
 fn policy(requests: Requests) -> String {
     let script = BASE64_STANDARD.encode(Sha256::digest(SCRIPT));
     let (connect, image) = match requests {

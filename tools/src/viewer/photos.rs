@@ -1,4 +1,4 @@
-//! The way from photos to what a page shows of them.
+//! Preparation of photos for a page.
 
 use super::{
     Live, Watched,
@@ -34,7 +34,7 @@ use zipsplat::{
     weights::Checkpoint,
 };
 
-/// How scenes are made of photos, and what becomes of them.
+/// Options of scenes from photos.
 #[derive(Args)]
 #[command(next_help_heading = "Options of photos")]
 pub struct FromPhotos {
@@ -46,32 +46,32 @@ pub struct FromPhotos {
     pub quality: Quality,
     #[command(flatten)]
     pub(super) fit: FitOption,
-    /// Take at most so many of the photos, evenly spread, the first and the last among them, and so many frames of a video
+    /// Limit of photos, evenly spread, with the first and the last, and of frames of a video
     /// [default: all, and 24 of a video]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_VIEWS as i64))]
     views: Option<u32>,
     #[command(flatten)]
     finding: Finding,
-    /// Length in the cameras' unit that the network takes for 1, as of reconstruct
+    /// Length in the cameras' unit that is 1 for the network, as in reconstruct
     #[arg(long, value_name = "LENGTH", requires = "poses", value_parser = parse_length)]
     pub(super) unit: Option<f64>,
-    /// Ratios of the scenes in a written page, and of those of pixels, at most 8 [default: 1,0.5,0.25,0.1, as many as differ]
+    /// Ratios of the scenes in a written page, and of pixel scenes, at most 8 [default:
+    /// 1,0.5,0.25,0.1 without duplicates]
     #[arg(long, value_name = "R,R,..", value_delimiter = ',')]
     ratios: Vec<f64>,
     #[command(flatten)]
     refine: RefineOptions,
 }
 
-/// Ratios of a written page where nobody says, and the most.
+/// Default and maximum number of ratios in a written page.
 const RATIOS: [f64; 4] = [1.0, 0.5, 0.25, 0.1];
 const MOST_RATIOS: usize = 8;
 
-/// Photos whose features are on the device, and what is known of where they were taken.
+/// Photos with features on the device, and their cameras.
 pub struct Ready<'a> {
     pub live: Live<'a>,
-    /// The input cameras, in the world of the scene.
+    /// Input cameras in the scene's world.
     pub cameras: Vec<InputCamera>,
-    /// The names of the pictures that the network sees.
     names: Vec<String>,
     photos: Vec<PathBuf>,
     frames: Vec<Frame>,
@@ -79,24 +79,20 @@ pub struct Ready<'a> {
     _folder: Option<FrameFolder>,
 }
 
-/// Photos, and their cameras, where these are known.
+/// Photos with any known cameras.
 pub(super) struct Photographed {
     pub photos: Vec<PathBuf>,
     pub known: Option<Known>,
-    /// Frames of a video.
     pub folder: Option<FrameFolder>,
 }
 
 impl FromPhotos {
-    /// The network that makes scenes of photos.
-    ///
-    /// # Errors
-    /// Those of opening its weights.
+    /// Opens the network.
     pub fn network(&self) -> Result<Network> {
         self.weights.open_network()
     }
 
-    /// The photos that are asked for and have cameras, where these are known or found.
+    /// Selects the photos, and reads or estimates their cameras.
     pub(super) fn photographed(
         &self,
         session: &mut Session<'_>,
@@ -118,7 +114,7 @@ impl FromPhotos {
         Ok(Photographed { photos, known, folder })
     }
 
-    /// The first option that says something, where scenes are shown and none is made.
+    /// Returns the first given option, for rejection with scene files.
     pub fn given(&self) -> Option<&'static str> {
         let options = [
             ("--weights", !self.weights.is_embedded()),
@@ -131,20 +127,15 @@ impl FromPhotos {
         options.into_iter().find(|(_, given)| *given).map(|(option, _)| option)
     }
 
-    /// Whether ratios are listed.
     pub fn lists_ratios(&self) -> bool {
         !self.ratios.is_empty()
     }
 
-    /// Whether a refinement is asked for.
     pub fn refines(&self) -> bool {
         self.refine.steps().is_some()
     }
 
-    /// Brings photos to the device and runs the network up to its features.
-    ///
-    /// # Errors
-    /// Those of `reconstruct` with the same photos.
+    /// Uploads photos and runs the network up to its features.
     pub fn prepare<'a, 's: 'a>(
         &'a self,
         session: &mut Session<'s>,
@@ -184,7 +175,7 @@ impl FromPhotos {
         let name = |path: &PathBuf| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let mut names = Vec::new();
         for photo in &photos {
-            // Squares of one photo follow each other.
+            // Crops of one photo are consecutive.
             let views = fit.count(std::slice::from_ref(photo))?;
             names.extend(std::iter::repeat_n(name(photo), views));
         }
@@ -205,7 +196,7 @@ impl FromPhotos {
         Ok(Ready { live, cameras, names, photos, frames, cloud, _folder: folder })
     }
 
-    /// The length that the network takes for 1.
+    /// Returns the length that is 1 for the network.
     fn length(
         &self,
         session: &mut Session<'_>,
@@ -219,10 +210,10 @@ impl FromPhotos {
         Ok(unit.length)
     }
 
-    /// The ratios of a written page, the largest first, each once by the tokens that it keeps.
+    /// Returns the ratios of a written page, descending, without equal numbers of tokens.
     ///
     /// # Errors
-    /// [`Error::Argument`] for one outside (0, 1], and for too many.
+    /// [`Error::Argument`] for one outside (0, 1], or too many.
     pub fn ratios(&self, tokens: usize) -> Result<Vec<f64>> {
         let mut ratios = if self.ratios.is_empty() { RATIOS.to_vec() } else { self.ratios.clone() };
         if let Some(wrong) = ratios.iter().find(|ratio| !(**ratio > 0.0 && **ratio <= 1.0)) {
@@ -236,10 +227,7 @@ impl FromPhotos {
         Ok(ratios)
     }
 
-    /// The refinement that was asked for, ready to begin.
-    ///
-    /// # Errors
-    /// Where a photo cannot be read, or there is nothing to start from.
+    /// Prepares a requested refinement.
     pub fn watched(&self, session: &mut Session<'_>, ready: &Ready<'_>) -> Result<Option<Watched>> {
         let (Some(steps), Some(first)) = (self.refine.steps(), ready.frames.first()) else { return Ok(None) };
         let live = &ready.live;
@@ -270,10 +258,6 @@ impl FromPhotos {
 }
 
 impl Ready<'_> {
-    /// The pictures that the network sees, at addresses of the server, or within the page.
-    ///
-    /// # Errors
-    /// As [`Image::jpeg`].
     pub fn views(&self, within: bool) -> Result<Vec<View>> {
         let view = |(i, name): (usize, &String)| {
             let photo = if within { within_page(&self.view(i)?) } else { format!("view/{i}") };
@@ -282,21 +266,16 @@ impl Ready<'_> {
         self.names.iter().enumerate().map(view).collect()
     }
 
-    /// A picture that the network sees, as a JPEG.
-    ///
-    /// # Errors
-    /// As [`Image::jpeg`].
     pub fn view(&self, index: usize) -> Result<Vec<u8>> {
         self.live.images[index].jpeg(QUALITY)
     }
 
-    /// Pictures that the network sees.
     pub fn view_count(&self) -> usize {
         self.names.len()
     }
 }
 
-/// The cameras of photos in the world of the first.
+/// Returns cameras in the first one's world.
 pub(super) fn input_cameras(photos: &[PathBuf], frames: &[&Frame]) -> Vec<InputCamera> {
     let world = frames.first().map_or(Pose::IDENTITY, |first| first.camera.pose);
     let camera = |(photo, frame): (&PathBuf, &&Frame)| {

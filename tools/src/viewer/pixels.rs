@@ -1,4 +1,4 @@
-//! Scenes of pixels that a network of Depth Anything 3 makes of photos, for a page.
+//! Pixel scenes by Depth Anything 3, for a page.
 
 use super::{
     FromPhotos,
@@ -21,19 +21,16 @@ use zipsplat::{
     weights::DepthCheckpoint,
 };
 
-/// Scenes of pixels, one for each ratio, and the cameras of the photos in their world.
+/// Pixel scenes by ratio, and the photos' cameras in their world.
 pub struct OfPixels {
     pub scenes: Vec<(ShownScene, Scene)>,
     pub cameras: Vec<InputCamera>,
-    /// Frames of a video, while the page needs them.
+    /// Keeps the frames of a video.
     _folder: Option<FrameFolder>,
 }
 
 impl FromPhotos {
-    /// Shows photos to a network, once for each ratio.
-    ///
-    /// # Errors
-    /// Those of `reconstruct` with the same photos and weights.
+    /// Makes a scene for each ratio.
     pub fn of_pixels(
         &self,
         session: &mut Session<'_>,

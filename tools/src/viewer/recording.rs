@@ -1,4 +1,4 @@
-//! Recording: a page's camera path, drawn by the engine as `render --cameras` does, as one file.
+//! Recording of a page's camera path, rendered as by `render --cameras`.
 
 use super::server::Answer;
 use crate::{
@@ -20,10 +20,10 @@ use zipsplat::{
     types::{Intrinsics, Scene, poses::read_cameras},
 };
 
-/// Most pictures of a recording.
+/// Limit of pictures in a recording.
 const MOST: usize = 10_000;
 
-/// The place where recordings are made, one at a time.
+/// Recorder, one recording at a time.
 pub struct Studio {
     options: DeviceOptions,
     ffmpeg: PathBuf,
@@ -31,19 +31,16 @@ pub struct Studio {
     bar: ProgressBar,
 }
 
-/// A recording that a page asks for.
 #[derive(Deserialize)]
 pub struct Wanted {
-    /// The address that the page has its scene from.
     pub scene: String,
-    /// A camera_path.json.
+    /// camera_path.json.
     path: serde_json::Value,
     background: [f32; 3],
     fps: u16,
     format: Format,
 }
 
-/// The kind of file.
 #[derive(Clone, Copy, Deserialize)]
 #[serde(rename_all = "lowercase")]
 enum Format {
@@ -53,16 +50,16 @@ enum Format {
 }
 
 impl Studio {
-    /// One that opens the device of `options` when it needs it, unless there is one already.
+    /// Creates a recorder with a device, or opens that of `options` on first use.
     pub fn new(device: Option<&Device>, options: DeviceOptions, ffmpeg: PathBuf) -> Self {
         Self { options, ffmpeg, renderer: Mutex::new(device.map(Renderer::new)), bar: ProgressBar::hidden() }
     }
 
-    /// Draws a scene along a path.
+    /// Renders a scene along a path.
     ///
     /// # Errors
-    /// [`Error::Argument`] for a path without cameras, or too many, or where MP4 is wanted and there is no ffmpeg; those of
-    /// drawing; [`Error::Cancelled`].
+    /// [`Error::Argument`] for no camera, too many, or MP4 without ffmpeg; those of rendering;
+    /// [`Error::Cancelled`].
     pub fn record(&self, scene: &Scene, wanted: &Wanted, cancelled: &AtomicBool) -> Result<Answer> {
         let folder = Scratch::new()?;
         let path = folder.path().join("camera_path.json");
@@ -96,7 +93,7 @@ impl Studio {
         Ok((kind, bytes))
     }
 
-    /// The share of the recording under way that is drawn.
+    /// Returns the finished fraction.
     pub fn done(&self) -> f64 {
         self.bar.position() as f64 / self.bar.length().unwrap_or(1).max(1) as f64
     }

@@ -1,4 +1,4 @@
-//! HTTP server of a page, for browsers on this machine only.
+//! Local HTTP server of a page.
 
 use http_body_util::{BodyExt, Full, LengthLimitError, Limited};
 use hyper::{
@@ -31,18 +31,18 @@ use tokio::{
 /// Interval between checks for Ctrl-C.
 const POLL: Duration = Duration::from_millis(100);
 const TOKEN_BYTES: usize = 16;
-/// Requests answered concurrently: one may take long, and the page goes on asking.
+/// Limit of concurrent requests, as one may take long.
 const WORKERS: usize = 4;
-/// Limit of a request's body, in bytes.
+/// Request body limit in bytes.
 const BODY: usize = 16 << 20;
-/// Limit of a request's header, in bytes.
+/// Request header limit in bytes.
 const HEADER: usize = 1 << 16;
-/// Time limits of a request's header and of its body.
+/// Timeout of a request's header and of its body.
 const PATIENCE: Duration = Duration::from_secs(10);
-/// Limit of connections whose request is incomplete. The oldest gives way to a new one.
+/// Limit of incomplete requests; a new one closes the oldest connection.
 const INCOMPLETE: usize = 64;
 
-/// A server on the loopback interface whose paths all begin with a random token.
+/// Loopback server whose paths all begin with a random token.
 pub struct Server {
     listener: TcpListener,
     token: String,
@@ -54,21 +54,19 @@ pub type Answer = (&'static str, Vec<u8>);
 
 type Reply = (StatusCode, Answer);
 
-/// A request for a worker: the path behind the token, a POST's body, and the way to its connection.
+/// Request for a worker: path behind the token, a POST's body, and reply channel.
 struct Job {
     path: String,
     body: Option<Bytes>,
     reply: oneshot::Sender<Reply>,
 }
 
-/// The state that connections share.
 struct Site {
     token: String,
     port: u16,
     jobs: Sender<Job>,
 }
 
-/// A connection and whether its request is complete.
 struct Connection {
     task: AbortHandle,
     complete: Arc<AtomicBool>,
@@ -76,9 +74,6 @@ struct Connection {
 
 impl Server {
     /// Binds `port`, or a free one for 0.
-    ///
-    /// # Errors
-    /// Those of the system: the port is taken or needs privileges.
     pub fn new(port: u16) -> Result<Self> {
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port))?;
         listener.set_nonblocking(true)?;
@@ -89,13 +84,12 @@ impl Server {
         Ok(Self { listener, token, port })
     }
 
-    /// The address of the page.
     pub fn address(&self) -> String {
         format!("http://127.0.0.1:{}/{}/", self.port, self.token)
     }
 
     /// Serves until `stopped`. `answer` gets the path behind the token and the body of a POST; its
-    /// errors become answers, too.
+    /// errors become answers.
     ///
     /// # Errors
     /// Those of the system, before the first request.
@@ -113,7 +107,7 @@ impl Server {
             }
             let site = Site { token: self.token.clone(), port: self.port, jobs };
             let served = runtime.block_on(self.accept(site, stopped));
-            // Ends all connections. Workers end when no connection can send a job.
+            // Ends all connections, then all workers.
             drop(runtime);
             served
         })
@@ -156,7 +150,7 @@ impl Connection {
             .max_buf_size(HEADER)
             .serve_connection(TokioIo::new(stream), service);
         let task = tokio::spawn(async {
-            // Errors are the client's: it went away, or sent no HTTP.
+            // Client errors: disconnection or invalid HTTP.
             let _ = serving.await;
         });
         Self { task: task.abort_handle(), complete }
@@ -168,7 +162,7 @@ impl Connection {
 }
 
 impl Site {
-    /// Checks a request and has a worker answer it. No body of a refused request is read.
+    /// Checks a request and passes it to a worker, without a refused request's body.
     async fn reply(&self, request: Request<Incoming>, complete: &AtomicBool) -> Reply {
         if !is_own(request.headers(), self.port) {
             return text(StatusCode::FORBIDDEN, "not from this page");
@@ -199,7 +193,7 @@ impl Site {
     }
 }
 
-/// Reads a body within the limits of size and time.
+/// Reads a body within size and time limits.
 async fn read(body: Incoming) -> std::result::Result<Bytes, Reply> {
     let too_large = || text(StatusCode::PAYLOAD_TOO_LARGE, "the body is too large");
     if body.size_hint().lower() > BODY as u64 {
@@ -213,7 +207,7 @@ async fn read(body: Incoming) -> std::result::Result<Bytes, Reply> {
     }
 }
 
-/// Answers requests until no more can come.
+/// Answers requests until the channel closes.
 fn work<E: ToString>(
     queue: &Mutex<Receiver<Job>>,
     answer: impl Fn(&str, Option<&[u8]>) -> std::result::Result<Option<Answer>, E>,
@@ -236,8 +230,8 @@ fn work<E: ToString>(
     }
 }
 
-/// True if the request addresses this machine by its own name, which pages of other sites cannot
-/// cause, and comes from no page but ours. Browsers omit port 80.
+/// Returns true for a request by this machine's name from our own page. Other sites' pages fail
+/// this check. Browsers omit port 80.
 fn is_own(headers: &HeaderMap, port: u16) -> bool {
     let is_here = |authority: &str| {
         let (name, given) = authority.split_once(':').unwrap_or((authority, "80"));

@@ -1,4 +1,4 @@
-//! A refinement that somebody watches: its scene every few steps, its loss, and a way to end it.
+//! Refinement with live scenes, loss and a stop flag.
 
 use super::{
     live::{Live, Made},
@@ -20,48 +20,45 @@ use zipsplat::{
     types::{Camera, Image, Scene},
 };
 
-/// Scenes that are shown on the way.
+/// Number of intermediate scenes.
 const SHOWN: usize = 50;
 
-/// The thing that is refined.
 pub enum Start {
     Scene(Scene),
     Tokens(SceneTokens),
 }
 
-/// A refinement to be watched.
+/// Observable refinement.
 pub struct Watched {
     start: Start,
-    /// Gaussians of a token and the tokens' patches, where they stay together.
     tokens: Option<(usize, Vec<u32>)>,
     photos: Vec<Image>,
     cameras: Vec<Camera>,
     request: Refine,
     now: Mutex<Now>,
-    /// Set to end early with the best so far.
+    /// Ends early with the best so far.
     pub stop: AtomicBool,
 }
 
-/// How far a refinement is, as the page takes it.
+/// JSON progress of a refinement.
 #[derive(Clone, Default, Serialize)]
 struct Now {
     step: usize,
     steps: usize,
-    /// The loss of each step.
     losses: Vec<f32>,
-    /// Steps, and the PSNR of the held-out photos after them in dB.
+    /// Steps and held-out PSNR in dB.
     psnr: Vec<(usize, f64)>,
     seconds_left: f64,
-    /// Rises with every scene that there is to see.
+    /// Increases with every new scene.
     version: usize,
-    /// The way it ended, where it did.
+    /// Final message.
     ended: Option<String>,
     #[serde(skip)]
     scene: Option<Scene>,
 }
 
 impl Watched {
-    /// One that has not begun.
+    /// Does not start it.
     pub fn new(
         start: Start,
         tokens: Option<(usize, Vec<u32>)>,
@@ -74,10 +71,7 @@ impl Watched {
         Self { start, tokens, photos, cameras, request: Refine { show, ..request }, now, stop: AtomicBool::new(false) }
     }
 
-    /// Refines to the end, or until it is stopped; `progress` gets the share that is done.
-    ///
-    /// # Errors
-    /// As [`refine_scene`] and [`refine_tokens`].
+    /// Refines until the end or `stop`; `progress` gets the finished fraction.
     pub fn run(&self, live: &Live<'_>, mut progress: impl FnMut(f64) -> ControlFlow<()>) -> Result<()> {
         let told = |at: Refining<'_>| {
             self.tell(&at);
@@ -85,7 +79,7 @@ impl Watched {
             if self.stop.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { share }
         };
         let (photos, cameras, request) = (&self.photos, &self.cameras, &self.request);
-        // Of its own: the slider goes on using the model's.
+        // Separate arena: the slider uses the model's meanwhile.
         let arena = Arena::new(&live.device);
         let refined = match &self.start {
             Start::Scene(scene) => refine_scene(&arena, scene, photos, cameras, request, told),
@@ -95,12 +89,10 @@ impl Watched {
         self.end(refined)
     }
 
-    /// The state as JSON.
     pub fn state(&self) -> Vec<u8> {
         serde_json::to_vec(&*self.now()).expect("plain values")
     }
 
-    /// The scene as it was last, where there was one.
     pub fn scene(&self) -> Option<Made> {
         let now = self.now();
         let name = match now.ended {

@@ -1,4 +1,4 @@
-//! The networks that make a capture's scene, of which one is kept on the device.
+//! Networks that make a capture's scene; one stays on the device.
 
 use super::Batch;
 use crate::{
@@ -20,21 +20,18 @@ use zipsplat::{
     weights::{Checkpoint, DepthCheckpoint},
 };
 
-/// The things that a network is shown.
 pub enum Input {
-    /// With the length that it takes for 1.
+    /// With the length that is 1 for the network.
     Tokens(Views, f64),
-    /// With the points beside the cameras.
+    /// With the points file of the cameras.
     Pixels(Shown, Option<PathBuf>),
 }
 
-/// A network on the device.
 pub enum Maker<'a> {
     Tokens { model: Box<Model>, checkpoint: &'a Checkpoint, size: Size },
     Pixels(Box<Seer>),
 }
 
-/// A capture's scene.
 pub struct Scened {
     pub scene: Scene,
     /// The world of the first photo, if the network found the cameras.
@@ -44,7 +41,7 @@ pub struct Scened {
 }
 
 impl<'a> Maker<'a> {
-    /// A network of tokens, and whatever a scene of it depends on but its capture.
+    /// Loads a token network; the returned text identifies the settings of its scenes.
     pub fn of_tokens(batch: &Batch, session: &mut Session<'_>, checkpoint: &'a Checkpoint) -> Result<(Self, String)> {
         session.notes(checkpoint.notes());
         batch.quality.check(checkpoint.architecture())?;
@@ -59,7 +56,7 @@ impl<'a> Maker<'a> {
         Ok((Self::Tokens { model: Box::new(model), checkpoint, size }, made_with))
     }
 
-    /// The same of a network of pixels.
+    /// Loads a pixel network, likewise.
     pub fn of_pixels(batch: &Batch, session: &mut Session<'_>, checkpoint: &DepthCheckpoint) -> Result<(Self, String)> {
         let squares = batch.fit.fit == Fit::Squares;
         refuse("--fit squares", squares, "weights of Depth Anything 3", "weights of ZipSplat")?;
@@ -75,10 +72,7 @@ impl<'a> Maker<'a> {
         Ok((Self::Pixels(Box::new(seer)), made_with))
     }
 
-    /// Reads a capture's photos as the network sees them; those with frames have known cameras.
-    ///
-    /// # Errors
-    /// Errors of photos that cannot be read, or are not those of their cameras.
+    /// Reads the photos at the network's size; frames carry known cameras.
     pub fn prepare(
         &self,
         batch: &Batch,
@@ -105,10 +99,6 @@ impl<'a> Maker<'a> {
         }
     }
 
-    /// Makes the scene.
-    ///
-    /// # Errors
-    /// As [`Model::reconstruct`] and [`Seer::see`].
     pub fn make(&self, batch: &Batch, input: Input, stage: &Stage<'_>) -> Result<Scened> {
         match (input, self) {
             (Input::Tokens(Views { images, cameras, note }, unit), Self::Tokens { model, checkpoint, .. }) => {

@@ -1,4 +1,4 @@
-//! `zipsplat bench align`: how well cameras that are a little wrong are found again, where the truth is known.
+//! `zipsplat bench align`.
 
 use super::Spread;
 use crate::{
@@ -18,14 +18,14 @@ use zipsplat::{
     types::{Camera, Pose},
 };
 
-/// A photo of so many is aligned; the others make the scene.
+/// Every photo of this number is aligned; the others make the scene.
 const ALIGNED_OF: usize = 3;
 
-/// How well wrong cameras are found again by each way of `eval --align`, on procedural places whose cameras are known
+/// Recovery of perturbed cameras by each way of `eval --align`, on procedural places
 ///
-/// Of each place every third photo is left out. The others, with their exact depth, make a scene of a Gaussian a pixel. The cameras
-/// of those left out are turned and moved, and then searched for from there. Errors are medians over all photos: degrees, and shifts
-/// in percent of the scene's distance.
+/// Every third photo of a place is held out; the others make a scene from exact depth. Held-out
+/// cameras are rotated and moved, then aligned. Errors are medians over all photos: degrees, and
+/// shifts in percent of the scene's distance.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat bench align
@@ -40,12 +40,11 @@ pub struct Align {
     /// Size of the photos
     #[arg(long, value_name = "WxH", default_value = "84x84")]
     size: Size,
-    /// Degrees by which cameras are wrong, and percent by which they are moved
+    /// Degrees of rotation error; also the shift in percent
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "1,2,5")]
     degrees: Vec<f64>,
 }
 
-/// The outcome of one way from one distance.
 #[derive(Serialize)]
 struct Row {
     method: &'static str,
@@ -53,7 +52,7 @@ struct Row {
     start: f64,
     degrees: f64,
     percent: f64,
-    /// Photos whose camera is nearer to the truth than it was, by both.
+    /// Photos whose camera improved in both angle and position.
     nearer: usize,
     ms: Spread,
 }
@@ -110,13 +109,14 @@ fn row(renderer: &mut Renderer, captures: &[Capture], method: Method, start: f64
     Ok(Row { method: name, photos, start, degrees: median(degrees), percent: median(percents), nearer, ms })
 }
 
-/// A turn by so many degrees and a shift by as many percent of the distance 1, in directions by number.
+/// Returns a rotation by `degrees` and a shift by as many percent of distance 1, in directions by
+/// `i`.
 fn wrong(i: usize, degrees: f64) -> Pose {
     let [axis, direction] = [2 * i, 2 * i + 1].map(crate::capture::spread);
     Pose { rotation: DMat3::from_axis_angle(axis, degrees.to_radians()), translation: degrees / 100.0 * direction }
 }
 
-/// Degrees and percent of the distance 1 between poses.
+/// Returns degrees, and percent of distance 1.
 fn between(a: &Pose, b: &Pose) -> [f64; 2] {
     let movement = b.relative_to(a);
     let turn = DQuat::from_mat3(&movement.rotation).to_scaled_axis().length().to_degrees();

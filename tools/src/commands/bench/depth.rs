@@ -1,4 +1,4 @@
-//! `zipsplat bench depth`: photos of noise to depth, rays and cameras.
+//! `zipsplat bench depth`.
 
 use super::{
     Repeats, Spread,
@@ -23,10 +23,11 @@ use zipsplat::{
     types::Image,
 };
 
-/// Time of Depth Anything 3, its backbone beside its heads, by kernel, and its memory
+/// Time of Depth Anything 3, backbone and heads, by kernel, and its memory
 #[derive(Args)]
 pub struct Depth {
-    /// Weights of Depth Anything 3: a name of `zipsplat weights list`, a released file, or seeded:NAME for random numbers
+    /// Weights of Depth Anything 3: a name of `zipsplat weights list`, a released file, or
+    /// seeded:NAME for random numbers
     #[arg(long, value_name = "NAME|PATH|seeded:NAME")]
     weights: String,
     /// Numbers of views
@@ -39,12 +40,11 @@ pub struct Depth {
     arithmetic: ArithmeticOption,
     #[command(flatten)]
     repeats: Repeats,
-    /// Also time the same network in PyTorch, by this Python, on its GPU or else on the CPU, and print the ratio
+    /// Also time the network in PyTorch with this Python, on its GPU or CPU
     #[arg(long, value_name = "PYTHON")]
     pytorch: Option<PathBuf>,
 }
 
-/// Times of one shape, or of a part of it.
 #[derive(Clone, Serialize)]
 struct Row {
     precision: &'static str,
@@ -58,7 +58,6 @@ struct Row {
     arena_bytes: u64,
 }
 
-/// The parts of a network that are compared, by what the names of their stages begin with.
 const PARTS: [&str; 2] = ["backbone", "heads"];
 
 impl Depth {
@@ -88,7 +87,7 @@ impl Depth {
         for &(views, size) in &cases {
             let name = format!("{views} views of {size}");
             let found = match session.stage(&name, |stage| self.measure(&model, (views, size), &peak, stage)) {
-                // What is too large does not cost what was measured before.
+                // Running out of memory keeps the earlier measurements.
                 Err(error @ Error::Memory { .. }) if !rows.is_empty() => {
                     session.note(format!("{name}: {error}"));
                     continue;
@@ -112,7 +111,7 @@ impl Depth {
             rows.extend(theirs(&found, &rows));
             Ok(())
         });
-        // Ours, whatever became of the other.
+        // Our results, even if PyTorch fails.
         session.report(&rows, text)?;
         compared
     }
@@ -147,7 +146,6 @@ impl Depth {
     }
 }
 
-/// The backbone, or the head.
 fn part_of(row: &ProfileRow) -> String {
     let mut scopes = row.scope.split('/');
     match (scopes.next(), scopes.next()) {
@@ -156,7 +154,7 @@ fn part_of(row: &ProfileRow) -> String {
     }
 }
 
-/// The device's milliseconds of all stages whose names begin with `part`: the sum of their medians.
+/// Sums the median device times of stages that start with `part`.
 fn milliseconds(rows: &[Row], part: &str) -> f64 {
     let stages = rows.iter().map(|row| &row.part).filter(|row| row.kernel.is_empty() && row.stage.starts_with(part));
     stages.map(|row| row.ms.median).sum()
@@ -179,7 +177,6 @@ fn spread(ms: &[f64]) -> Spread {
     Spread::of(ms.iter().map(|ms| Duration::from_secs_f64(ms / 1e3)))
 }
 
-/// PyTorch's times beside ours.
 fn compare(found: &pytorch::Depth, measured: &[((usize, Size), [f64; 2])]) -> String {
     let mut table =
         Table::new(1, &["PyTorch f32", "views", "size", "ms: median (min..max)", "ours", "its time / ours"]);
@@ -200,7 +197,6 @@ fn compare(found: &pytorch::Depth, measured: &[((usize, Size), [f64; 2])]) -> St
     format!("PyTorch {} on {}\n{table}", found.torch, found.device)
 }
 
-/// The same as rows; `rows` are ours.
 fn theirs(found: &pytorch::Depth, rows: &[Row]) -> Vec<Row> {
     let totals = rows.iter().filter(|row| row.part.stage.is_empty());
     let of = |(theirs, ours): (&pytorch::DepthRow, &Row)| {

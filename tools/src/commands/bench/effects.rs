@@ -1,4 +1,4 @@
-//! `zipsplat bench render --effects`: what each effect costs on and off.
+//! `zipsplat bench render --effects`.
 
 use super::{Repeats, Spread};
 use crate::{
@@ -16,20 +16,16 @@ use zipsplat::{
     types::Scene,
 };
 
-/// Gaussians of a token, where tokens have colours.
 const GROUP: NonZeroU32 = NonZeroU32::new(32).expect("not 0");
 
-/// Device times of a frame.
 #[derive(Serialize)]
 struct Row {
     effect: &'static str,
-    /// Not asked for.
     off: Spread,
-    /// Asked for.
     on: Spread,
 }
 
-/// Measures every effect on a scene, whose bands above 0 are the first of them.
+/// Measures every effect; bands above 0 come first.
 pub fn run(session: &mut Session<'_>, device: &Device, scene: &Scene, size: Size, repeats: &Repeats) -> Result<()> {
     let stride = scene.sh_coeffs_per_gaussian();
     let sh_coeffs = scene.sh_coeffs.iter().copied().step_by(stride).collect();

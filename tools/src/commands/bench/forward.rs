@@ -1,4 +1,4 @@
-//! `zipsplat bench forward`: photos of noise to Gaussians.
+//! `zipsplat bench forward`.
 
 use super::{
     Repeats, Spread,
@@ -39,37 +39,35 @@ pub struct Forward {
     /// Shares of the tokens that become Gaussians, or auto
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "1", value_parser = parse_ratio)]
     ratio: Vec<Ratio>,
-    /// Sides of the groups of patches that attention across views sees as one
+    /// Pooling factors of attention across views
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "1")]
     pool: Vec<usize>,
-    /// Pixels of each view [default: what the weights are best with]
+    /// Pixels of each view [default: the weights' best size]
     #[arg(long, value_name = "WxH")]
     size: Option<Size>,
     #[command(flatten)]
     arithmetic: ArithmeticOption,
-    /// Also time photos to a picture of this size: the first, the next, with Gaussians through the host, and from kept features
+    /// Also time photos to a picture of this size: first, next, through the host, and from kept
+    /// features
     #[arg(long, value_name = "WxH")]
     pictures: Option<Size>,
     #[command(flatten)]
     repeats: Repeats,
-    /// Also time the same network in PyTorch, by this Python, on its GPU or else on the CPU, and print the ratio
+    /// Also time the network in PyTorch with this Python, on its GPU or CPU
     #[arg(long, value_name = "PYTHON")]
     pytorch: Option<PathBuf>,
 }
 
-/// The time and memory that another implementation needed.
 struct Compared {
     text: String,
     rows: Vec<Row>,
 }
 
-/// Times of one shape, or of a part of it.
 #[derive(Clone, Serialize)]
 struct Row {
     precision: &'static str,
     views: usize,
     tokens: usize,
-    /// Share of all tokens that these are.
     ratio: f64,
     pool: usize,
     #[serde(flatten)]
@@ -109,7 +107,7 @@ impl Forward {
             let name = format!("{views} views");
             let measured = session.stage(&name, |stage| self.measure(&model, &images[..*views], request, &peak, stage));
             let measured = match measured {
-                // What is too large does not cost what was measured before.
+                // Running out of memory keeps the earlier measurements.
                 Err(error @ Error::Memory { .. }) if !rows.is_empty() => {
                     session.note(format!("{name}: {error}"));
                     continue;
@@ -126,7 +124,7 @@ impl Forward {
             rows.extend(measured.into_iter().map(|row| Row { precision: precision.name(), ..row }));
         }
         let compared = self.pytorch.as_ref().map_or(Ok(()), |python| {
-            // PyTorch pools nothing.
+            // PyTorch has no pooling.
             let is_like = |row: &&Row| row.part.stage.is_empty() && row.pool == 1;
             let totals: Vec<Row> = rows.iter().filter(is_like).cloned().collect();
             let (compared, _) = session.stage("PyTorch", |_| self.compare(python, &checkpoint, size, &totals))?;
@@ -134,12 +132,12 @@ impl Forward {
             rows.extend(compared.rows);
             Ok(())
         });
-        // Ours, whatever became of the other.
+        // Our results, even if PyTorch fails.
         session.report(&rows, text)?;
         compared
     }
 
-    /// PyTorch's times beside ours, `totals` in the order in which they were measured.
+    /// Compares times; `totals` are in measurement order.
     fn compare(&self, python: &Path, checkpoint: &Checkpoint, size: Size, totals: &[Row]) -> Result<Compared> {
         let cases: Vec<(usize, f64)> = totals.iter().map(|row| (row.views, row.ratio)).collect();
         let Repeats { warmup, repeats } = self.repeats;
@@ -173,7 +171,7 @@ impl Forward {
         Ok(Compared { text: format!("PyTorch {} on {}\n{table}", found.torch, found.device), rows })
     }
 
-    /// Times from photos to a first picture, by the road that the Gaussians take.
+    /// Times photos to a first picture, for each path of the Gaussians.
     fn to_picture(
         &self,
         model: &Model,
@@ -195,7 +193,7 @@ impl Forward {
             renderer.show(&made.gaussians)?;
             renderer.render_loaded(&[camera], &drawing).map(drop)
         };
-        // A model that has run keeps its memory: the first time is that of another arena.
+        // Times the first run with its allocation.
         model.arena().release()?;
         let (mut renderer, mut of_host) = (Renderer::new(device), Renderer::new(device));
         let mut on_device = || {

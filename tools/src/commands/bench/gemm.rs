@@ -1,4 +1,4 @@
-//! `zipsplat bench gemm`: every kernel of linear layers, checked against a product in f64.
+//! `zipsplat bench gemm`.
 
 use super::{
     Repeats, Spread,
@@ -20,13 +20,12 @@ use zipsplat::{
 };
 use zipsplat_reference::{ops::linear::linear, widen};
 
-/// Rows, inner dimension and columns: ViT-S with 4 views, then ViT-G of one view, up and down.
+/// Rows, inner dimension and columns: ViT-S with 4 views; ViT-G with one view, up and down.
 const SHAPES: [[usize; 3]; 3] = [[1296, 384, 1536], [324, 1536, 6144], [1300, 1536, 384]];
 
-/// Rows of a product that are compared with f64.
 const CHECKED_ROWS: usize = 16;
 
-/// Time of linear layers, exact (also with weights of 8 bits) and fast, by every tile of lanes
+/// Time of linear layers, exact (also with 8-bit weights) and fast, by every tile of lanes
 #[derive(Args)]
 pub struct Gemm {
     #[command(flatten)]
@@ -35,16 +34,16 @@ pub struct Gemm {
 
 #[derive(Serialize)]
 struct Row {
-    /// `exact`, `exact q8` with weights of 8 bits, or what computes it in `fast`, and the tile where it is in shared memory.
+    /// `exact`, `exact q8` with 8-bit weights, or the unit of `fast`, and any shared-memory tile.
     kernel: String,
     rows: usize,
     inner: usize,
     columns: usize,
     device_ms: Spread,
     device_gflop_per_s: f64,
-    /// The share of the measured rate of what multiplies: lanes, or matrix units.
+    /// Share of the measured rate of lanes or matrix units.
     peak_share: Option<f64>,
-    /// Largest difference from the product in f64 over its largest value, in the checked rows.
+    /// Largest difference over the largest value.
     difference: f64,
 }
 
@@ -72,7 +71,6 @@ impl Gemm {
         session.report(&rows, table)
     }
 
-    /// Every kernel that the device has.
     fn measure(
         &self,
         device: &Device,
@@ -109,12 +107,11 @@ impl Gemm {
     }
 }
 
-/// As `f64::max`, which would hide a NaN.
+/// Keeps NaN.
 fn larger_or_nan(most: f64, value: f64) -> f64 {
     if value > most || value.is_nan() { value } else { most }
 }
 
-/// The kernels of linear layers that a device has, with the limit of each.
 fn kernels(device: &Device, stage: &Stage<'_>) -> Result<Vec<(String, LinearKernel, Rate)>> {
     let limits = device.limits();
     let lanes = peak::fma(device, peak::BRIEFLY, stage)?;
@@ -145,7 +142,7 @@ fn kernels(device: &Device, stage: &Stage<'_>) -> Result<Vec<(String, LinearKern
     Ok(kernels)
 }
 
-/// Device times and the product `[rows, columns]`.
+/// Returns device times, and the product `[rows, columns]`.
 fn on_device(
     device: &Device,
     [rows, inner, columns]: [usize; 3],

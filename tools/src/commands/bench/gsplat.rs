@@ -1,4 +1,4 @@
-//! gsplat on the same scene, for a ratio: needs Python with PyTorch and gsplat, and a CUDA GPU.
+//! gsplat on the same scene: needs Python with PyTorch and gsplat, and a CUDA GPU.
 
 use super::python;
 use crate::options::Size;
@@ -8,22 +8,16 @@ use zipsplat::{
     types::{Scene, write_ply},
 };
 
-/// The files that Python runs, under the names that it imports.
+/// Python's files by import name.
 const FILES: [(&str, &str); 2] = [("gsplat_render.py", include_str!("../../../bench/gsplat_render.py")), python::SCENE];
 const NEEDED: &str = "a Python with PyTorch and gsplat, on a CUDA GPU";
 
-/// Holds that `python` can do it.
-///
-/// # Errors
-/// [`Error::Argument`] where it does not run or lacks something, with what it said.
+/// Checks that `python` can run gsplat.
 pub fn check(python: &Path) -> Result<()> {
     run(Command::new(python).arg("-c").arg(FILES[0].1)).map(drop)
 }
 
-/// Milliseconds that gsplat takes for one of `repeats` frames in a row.
-///
-/// # Errors
-/// As [`check`].
+/// Returns milliseconds per frame over `repeats` consecutive frames.
 pub fn milliseconds(python: &Path, scene: &Scene, size: Size, repeats: u32) -> Result<f64> {
     let folder = python::folder(&FILES)?;
     let file = folder.path().join("scene.ply");

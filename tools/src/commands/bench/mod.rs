@@ -1,4 +1,4 @@
-//! `zipsplat bench`: times on a device, each the median of many with its least and greatest.
+//! `zipsplat bench`: medians with least and greatest times.
 
 mod align;
 mod depth;
@@ -23,8 +23,8 @@ use zipsplat::{
     gpu::{Device, Profile, ProfileRow},
 };
 
-/// Times of the forward pass, of depth, of a matrix product, of drawing, of refining, of finding cameras; a device's limits; what
-/// accuracy costs in time
+/// Times of the network, depth, matrix products, rendering, refinement and alignment; device
+/// limits; accuracy against time
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat bench forward --weights seeded:vits --views 2,4,8 --ratio 1,auto
@@ -55,16 +55,14 @@ enum What {
     Tradeoff(Box<tradeoff::Tradeoff>),
 }
 
-/// Most runs of one benchmark.
 const MOST: i64 = 1_000_000;
 
-/// How often.
 #[derive(Args, Clone, Copy)]
 struct Repeats {
-    /// Runs before those that count
+    /// Untimed runs before the measurement
     #[arg(long, value_name = "N", default_value = "5", value_parser = clap::value_parser!(u32).range(..=MOST))]
     warmup: u32,
-    /// Runs that count
+    /// Timed runs
     #[arg(long, value_name = "N", default_value = "20", value_parser = clap::value_parser!(u32).range(1..=MOST))]
     repeats: u32,
 }
@@ -84,14 +82,13 @@ impl Bench {
     }
 }
 
-/// Opens the device of a benchmark, which has to have timestamps.
+/// Opens a device that has timestamps.
 fn timed_device(session: &mut Session<'_>) -> Result<Device> {
     let device = session.device()?;
     device.limits().check_timestamps()?;
     Ok(device)
 }
 
-/// Milliseconds of several runs.
 #[derive(Clone, Copy, Debug, Serialize)]
 struct Spread {
     median: f64,
@@ -100,7 +97,7 @@ struct Spread {
 }
 
 impl Spread {
-    /// The spread of at least one time. The median of an even number is the mean of the middle two.
+    /// Takes the mean of the middle two as median of an even number.
     fn of(times: impl IntoIterator<Item = Duration>) -> Self {
         let mut ms: Vec<f64> = times.into_iter().map(|time| 1e3 * time.as_secs_f64()).collect();
         ms.sort_by(f64::total_cmp);
@@ -109,13 +106,12 @@ impl Spread {
         Self { median, min: middle(0), max: middle(ms.len().saturating_sub(1)) }
     }
 
-    /// GFLOP/s at the median.
+    /// Returns GFLOP/s at the median.
     fn rate(&self, flops: u64) -> f64 {
         flops as f64 / (1e6 * self.median.max(1e-6))
     }
 }
 
-/// A share as tables have it; nothing where there is none.
 fn percent(share: Option<f64>) -> String {
     share.map_or_else(String::new, |share| format!("{:.1} %", 100.0 * share))
 }
@@ -126,17 +122,15 @@ impl fmt::Display for Spread {
     }
 }
 
-/// Rows of every profile that have something in common.
 struct Group {
     name: String,
     /// Commands of one run.
     count: u32,
-    /// Arithmetic of one run.
     flops: u64,
     ms: Spread,
 }
 
-/// Rows of the profiles of one plan, gathered by `name`, in the order of first use.
+/// Groups profiles of one plan by `name`, in order of first use.
 fn group(profiles: &[Profile], name: impl Fn(&ProfileRow) -> String) -> Vec<Group> {
     let mut order: Vec<String> = Vec::new();
     let mut known: HashMap<String, (u32, u64, Vec<Duration>)> = HashMap::new();
@@ -160,7 +154,6 @@ fn group(profiles: &[Profile], name: impl Fn(&ProfileRow) -> String) -> Vec<Grou
     order.into_iter().map(finish).collect()
 }
 
-/// The outermost scope.
 fn stage_of(row: &ProfileRow) -> String {
     row.scope.split('/').next().unwrap_or_default().to_owned()
 }

@@ -9,7 +9,6 @@ use zipsplat::{
     gpu::{Profile, ProfileRow, Run},
 };
 
-/// The times of a plan, or of a part of it.
 #[derive(Clone, Serialize)]
 pub struct Part {
     /// Empty for all stages.
@@ -20,7 +19,7 @@ pub struct Part {
     pub ms: Spread,
     pub gflop: f64,
     pub gflop_per_s: f64,
-    /// The share of the measured rate of what multiplies matrices; absent where there is no arithmetic to speak of.
+    /// Share of the measured matrix-product rate; absent without significant arithmetic.
     pub peak_share: Option<f64>,
 }
 
@@ -38,17 +37,13 @@ impl Part {
         }
     }
 
-    /// The times of something that is not of a plan of ours.
     pub fn of(stage: String, ms: Spread) -> Self {
         Self { stage, kernel: String::new(), commands: 0, ms, gflop: 0.0, gflop_per_s: 0.0, peak_share: None }
     }
 }
 
-/// Runs a plan, whose inputs `write` writes before each run: the whole as the host sees it, then every stage by the device's timestamps,
-/// and its kernels. `stage_of` names the stage of a command.
-///
-/// # Errors
-/// Those of running, and [`zipsplat::Error::Cancelled`].
+/// Measures the whole on the host, and stages and kernels by timestamps. `write` uploads the inputs
+/// of each run. `stage_of` names a command's stage.
 pub fn measure(
     run: &mut Run,
     write: impl Fn(&mut Run) -> Result<()>,
@@ -88,7 +83,6 @@ pub fn measure(
     Ok(parts)
 }
 
-/// The times as a table.
 pub fn table<'a>(parts: impl IntoIterator<Item = &'a Part>) -> Table {
     let headings = ["stage", "kernel", "commands", "ms: median (min..max)", "GFLOP", "GFLOP/s", "of peak"];
     let mut table = Table::new(2, &headings);

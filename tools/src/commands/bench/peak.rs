@@ -1,4 +1,4 @@
-//! `zipsplat bench peak`: what a device does at most, measured, for all other benchmarks to give their share of.
+//! `zipsplat bench peak`.
 
 use super::{Repeats, Spread, timed_device};
 use crate::{
@@ -21,24 +21,24 @@ use zipsplat::{
 };
 use zipsplat_reference::measure::{fma::chains, matrix::products};
 
-/// Bytes that are copied to measure the memory's bandwidth: far more than caches hold. Less where a binding takes less.
+/// Bytes of the bandwidth copy, beyond all caches. Binding limits may reduce it.
 const COPIED: u64 = 512 << 20;
-/// A GPU that was idle takes some of a second of work to reach the clock that it then keeps.
+/// Warm-up of an idle GPU to its sustained clock.
 const WAKING: Duration = Duration::from_millis(500);
-/// Dispatches grow until they take so long, or up to twice as long.
+/// Shortest dispatch time; dispatches grow to at most twice this.
 const LONG_ENOUGH: Duration = Duration::from_millis(20);
-/// Most iterations, so that sums stay exact; no device is that fast.
+/// Limit of iterations, so that sums stay exact.
 const MOST_ITERATIONS: u32 = 1 << 18;
-/// Invocations that fill a device many times over, so that its last ones do not matter: of a GPU, of a CPU.
+/// Invocations that fill a GPU or CPU many times over.
 const THREADS: [usize; 2] = [1 << 22, 1 << 14];
-/// The same of subgroups with matrices.
+/// The same in subgroups, for matrix units.
 const SUBGROUPS: [usize; 2] = [1 << 15, 1 << 12];
-/// The difference that passes for equal, relative to the largest value. Factors and sums are chosen to be exact.
+/// Tolerance relative to the largest value; results are exact by construction.
 const EQUAL: f64 = 1e-3;
-/// The repeats with which benchmarks measure these rates beside their own.
+/// Repeats within other benchmarks.
 pub const BRIEFLY: Repeats = Repeats { warmup: 1, repeats: 5 };
 
-/// The device's measured limits: multiplications and additions on lanes and on matrix units, and bandwidth
+/// Measured device limits: arithmetic on lanes and matrix units, and bandwidth
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat bench peak
@@ -51,17 +51,14 @@ pub struct Peak {
     repeats: Repeats,
 }
 
-/// A measured limit.
 #[derive(Clone, Debug, Serialize)]
 pub struct Rate {
-    /// The work that is repeated.
     pub what: String,
-    /// A second, at the median: GFLOP (of whole numbers, too), or GB read and written.
+    /// Median rate per second: GFLOP (also for integers), or GB read and written.
     pub per_s: f64,
     pub unit: &'static str,
-    /// The time of one dispatch or copy.
     ms: Spread,
-    /// Largest difference from the truth over the largest value.
+    /// Largest difference over the largest value.
     difference: f64,
 }
 
@@ -92,13 +89,12 @@ impl fmt::Display for Rate {
 }
 
 impl Rate {
-    /// Share of this limit that a rate in the same unit is; nothing for nothing.
     pub fn share(&self, per_s: f64) -> Option<f64> {
         (per_s > 0.0).then(|| per_s / self.per_s)
     }
 }
 
-/// The rate that limits matrix products of an arithmetic: that of its fastest matrix units, or else of lanes.
+/// Measures the limit of matrix products: the fastest matrix units, or else lanes.
 pub fn of_products(device: &Device, arithmetic: Arithmetic, repeats: Repeats, stage: &Stage<'_>) -> Result<Rate> {
     match arithmetic.quantised.or(arithmetic.linear) {
         Some(units) => matrices(device, units, repeats, stage),
@@ -106,9 +102,8 @@ pub fn of_products(device: &Device, arithmetic: Arithmetic, repeats: Repeats, st
     }
 }
 
-/// f32 multiplications and additions on lanes.
 pub fn fma(device: &Device, repeats: Repeats, stage: &Stage<'_>) -> Result<Rate> {
-    // Factor 1, which no compiler knows, and a term that is added exactly.
+    // A run-time factor 1, unknown to compilers, and an exact term.
     let of = |iterations| FmaChains { threads: pick(THREADS, device), iterations, factor: 1.0, term: 0.0625 };
     let record = |rec: &mut Recorder, iterations| (of(iterations).record(rec), Vec::new());
     let (iterations, ms, found) = sustained(device, repeats, stage, record)?;
@@ -126,10 +121,9 @@ pub fn fma(device: &Device, repeats: Repeats, stage: &Stage<'_>) -> Result<Rate>
     })
 }
 
-/// Products of matrices on matrix units.
 pub fn matrices(device: &Device, units: Units, repeats: Repeats, stage: &Stage<'_>) -> Result<Rate> {
     let [m, n, k] = [units.shape.m, units.shape.n, units.shape.k].map(|side| side as usize);
-    // Small whole numbers, whose products and sums are exact in every type.
+    // Small integers: products and sums are exact in every type.
     let whole = |len: usize| -> Vec<f32> { (0..len).map(|i| (i * i % 11 % 9) as f32 - 4.0).collect() };
     let (a, b) = (whole(2 * m * k), whole(MatrixProducts::products(device.limits()) * k * n));
     let of = |iterations| MatrixProducts { units, subgroups: pick(SUBGROUPS, device), iterations, swaps: 0 };
@@ -154,7 +148,6 @@ pub fn matrices(device: &Device, units: Units, repeats: Repeats, stage: &Stage<'
     })
 }
 
-/// Bytes read and written by a copy on the device.
 pub fn copies(device: &Device, repeats: Repeats, stage: &Stage<'_>) -> Result<Rate> {
     let len = (COPIED.min(device.limits().max_binding_bytes) / 16 * 16) as usize;
     let mut rec = Recorder::new(device.limits());
@@ -169,7 +162,7 @@ pub fn copies(device: &Device, repeats: Repeats, stage: &Stage<'_>) -> Result<Ra
     Ok(Rate { what: "copy".into(), per_s, unit: "GB/s", ms, difference: wrong as f64 })
 }
 
-/// Device times of a run's commands that are `counted`, after the warm-up and once the device is awake.
+/// Times `counted` commands, after the warm-up.
 fn timed(
     device: &Device,
     run: &mut Run,
@@ -192,10 +185,9 @@ fn timed(
     Ok(Spread::of(times))
 }
 
-/// A plan's result, and its inputs with their contents.
 type Recorded = (Tensor, Vec<(Tensor, Vec<u8>)>);
 
-/// Times of a plan of one dispatch with as many iterations as take long enough: those, the times, and the result's words.
+/// Raises the iterations up to [`LONG_ENOUGH`]. Returns them, the times and the result's words.
 fn sustained(
     device: &Device,
     repeats: Repeats,
@@ -212,7 +204,7 @@ fn sustained(
         for (tensor, bytes) in &inputs {
             run.write(*tensor, bytes)?;
         }
-        // A CPU compiles what it runs for the first time.
+        // A CPU driver compiles on the first run.
         run.profile()?;
         if run.profile()?.total("").0 < LONG_ENOUGH && iterations < MOST_ITERATIONS {
             iterations *= 2;
@@ -222,12 +214,11 @@ fn sustained(
     }
 }
 
-/// The one of GPUs, or of CPUs.
 fn pick([gpu, cpu]: [usize; 2], device: &Device) -> usize {
     if device.limits().cpu { cpu } else { gpu }
 }
 
-/// Largest difference of results, which repeat, from `truth`, over the largest of that. NaN where one is.
+/// Returns the largest difference over the largest value. `truth` repeats; NaN stays NaN.
 fn difference(found: &[f32], truth: &[f64]) -> f64 {
     let most = |most: f64, value: f64| if value > most || value.is_nan() { value } else { most };
     let largest = truth.iter().map(|value| value.abs()).fold(0.0, most);

@@ -1,4 +1,4 @@
-//! Scripts that an installed Python runs, to compare with.
+//! Benchmark scripts for an installed Python.
 
 use std::{
     fs,
@@ -6,13 +6,9 @@ use std::{
 };
 use zipsplat::{Error, Result};
 
-/// The module that reads scenes, for scripts that take one.
 pub const SCENE: (&str, &str) = ("scene.py", include_str!("../../../bench/scene.py"));
 
-/// Runs `command` and returns what it printed. `option` named the Python, and `needed` is what it has to be.
-///
-/// # Errors
-/// [`Error::Argument`] where it cannot be run or ends in an error, with the last line that it said.
+/// Returns the output of `command`. `option` names the Python option, `needed` its requirement.
 pub fn run(option: &str, needed: &str, command: &mut Command) -> Result<String> {
     let python = command.get_program().display().to_string();
     let failed = |said: &str| Error::argument(option, format!("{python}: {said}"), needed);
@@ -24,10 +20,6 @@ pub fn run(option: &str, needed: &str, command: &mut Command) -> Result<String> 
     Ok(String::from_utf8_lossy(&output.stdout).into_owned())
 }
 
-/// A temporary folder with files: what Python runs, under the names that it imports.
-///
-/// # Errors
-/// [`Error::Io`] where they cannot be written.
 pub fn folder(files: &[(&str, &str)]) -> Result<tempfile::TempDir> {
     let folder = tempfile::tempdir().map_err(|error| Error::io("temporary folder", error))?;
     for (name, text) in files {

@@ -1,4 +1,4 @@
-//! The forward pass, depth and a refinement's step in PyTorch on this machine, to compare with: our own code in `tools/train`, run by an installed Python.
+//! Network, depth and refinement step in PyTorch, by `tools/train`.
 
 use crate::options::Size;
 use serde::Deserialize;
@@ -9,7 +9,7 @@ use zipsplat::{
     weights::{Architecture, DepthArchitecture},
 };
 
-/// The files that Python runs, under the names it imports.
+/// Python's files by import name.
 const FILES: [(&str, &str); 4] = [
     ("pytorch_forward.py", include_str!("../../../bench/pytorch_forward.py")),
     ("model.py", include_str!("../../../train/model.py")),
@@ -17,7 +17,6 @@ const FILES: [(&str, &str); 4] = [
     ("weights.py", include_str!("../../../train/weights.py")),
 ];
 
-/// The same for depth.
 const DEPTH_FILES: [(&str, &str); 5] = [
     ("pytorch_depth.py", include_str!("../../../bench/pytorch_depth.py")),
     ("depth.py", include_str!("../../../train/depth.py")),
@@ -26,7 +25,6 @@ const DEPTH_FILES: [(&str, &str); 5] = [
     FILES[3],
 ];
 
-/// The same for a step.
 const REFINE_FILES: [(&str, &str); 6] = [
     ("pytorch_refine.py", include_str!("../../../bench/pytorch_refine.py")),
     super::python::SCENE,
@@ -39,7 +37,6 @@ const REFINE_FILES: [(&str, &str); 6] = [
 const REFINE_NEEDED: &str = "a Python with torch, numpy and, without a CUDA GPU, numba";
 const NEEDED: &str = "a Python with torch, numpy and safetensors";
 
-/// The time and memory that PyTorch needed.
 #[derive(Deserialize)]
 pub struct Pytorch {
     pub device: String,
@@ -52,26 +49,19 @@ pub struct Row {
     pub precision: String,
     pub views: usize,
     pub ratio: f64,
-    /// The times of every run; absent where it failed.
+    /// Absent after a failure.
     pub ms: Option<Vec<f64>>,
-    /// On GPUs.
     pub peak_bytes: Option<u64>,
     pub failed: Option<String>,
 }
 
-/// Holds that `python` has what is needed.
-///
-/// # Errors
-/// [`Error::Argument`] where it does not run or lacks something, with what it said.
+/// Checks that `python` has the needed packages.
 pub fn check(python: &Path) -> Result<()> {
     let mut command = Command::new(python);
     super::python::run("--pytorch", NEEDED, command.args(["-c", "import torch, numpy, safetensors"])).map(drop)
 }
 
-/// Times a network for each of `cases`: views, and share of the tokens.
-///
-/// # Errors
-/// As [`check`].
+/// Times a network for each case: views, and share of the tokens.
 pub fn forward(
     python: &Path,
     architecture: &Architecture,
@@ -92,7 +82,6 @@ pub fn forward(
         .map_err(|error| Error::argument("--pytorch", format!("{}: {error}", python.display()), NEEDED))
 }
 
-/// The times of depth.
 #[derive(Deserialize)]
 pub struct Depth {
     pub device: String,
@@ -100,17 +89,13 @@ pub struct Depth {
     pub rows: Vec<DepthRow>,
 }
 
-/// The milliseconds of every run.
 #[derive(Deserialize)]
 pub struct DepthRow {
     pub backbone_ms: Vec<f64>,
     pub heads_ms: Vec<f64>,
 }
 
-/// Times a depth network, without its head for Gaussians, for each of `cases`: views, and their size.
-///
-/// # Errors
-/// As [`check`].
+/// Times a depth network for each case: views, and their size.
 pub fn depth(
     python: &Path,
     architecture: &DepthArchitecture,
@@ -127,7 +112,6 @@ pub fn depth(
         .map_err(|error| Error::argument("--pytorch", format!("{}: {error}", python.display()), NEEDED))
 }
 
-/// Times of pictures and of steps.
 #[derive(Deserialize)]
 pub struct Steps {
     pub device: String,
@@ -136,19 +120,12 @@ pub struct Steps {
     pub step_ms: Vec<f64>,
 }
 
-/// Holds that `python` has what a step needs.
-///
-/// # Errors
-/// As [`check`].
+/// Checks for the packages of a step.
 pub fn check_refine(python: &Path) -> Result<()> {
     let mut command = Command::new(python);
     super::python::run("--pytorch", REFINE_NEEDED, command.args(["-c", REFINE_FILES[0].1])).map(drop)
 }
 
-/// Times steps on a scene, of so many photos each.
-///
-/// # Errors
-/// As [`check`].
 pub fn refine(
     python: &Path,
     scene: &Scene,
@@ -171,7 +148,7 @@ pub fn refine(
 mod tests {
     use super::*;
 
-    /// Modules of tools/train and tools/bench that a script imports, by way of others, too.
+    /// Includes indirect imports of tools/train and tools/bench.
     #[test]
     fn scripts_find_what_they_import() {
         let tools = Path::new(env!("CARGO_MANIFEST_DIR"));

@@ -1,4 +1,4 @@
-//! `zipsplat bench refine`: a step of a refinement beside the picture of the same views.
+//! `zipsplat bench refine`.
 
 use super::{
     Group, Repeats, Spread, group,
@@ -26,14 +26,13 @@ use zipsplat::{
     types::{Camera, Image, Scene},
 };
 
-/// As many as a host has memory for.
+/// Limit by host memory.
 const MOST_GAUSSIANS: i64 = 50_000_000;
-/// A step of this many the loop looks at how far it is, which no time here includes.
+/// Number of progress checks, excluded from times.
 const LOOKS: usize = 20;
-/// Degrees of spherical harmonics that tools/train knows.
 const PYTORCH_DEGREE: u32 = 1;
 
-/// Time of a step of a refinement, by pass, beside the picture of the same photos' cameras
+/// Time of a refinement step, by pass, and of the picture of the same cameras
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat bench refine
@@ -55,17 +54,16 @@ pub struct Refine {
     #[arg(long, value_name = "DEGREE", default_value = "1",
         value_parser = clap::value_parser!(u32).range(0..=i64::from(Scene::MAX_SH_DEGREE)))]
     sh: u32,
-    /// Photos of a step, all at once
+    /// Photos per step, in one batch
     #[arg(long, value_name = "N", default_value = "1", value_parser = clap::value_parser!(u32).range(1..=64))]
     photos: u32,
-    /// Also time the same step with PyTorch on this machine, by this Python, which has torch, numpy and numba
+    /// Also time the step in PyTorch with this Python, which needs torch, numpy and numba
     #[arg(long, value_name = "PYTHON", num_args = 0..=1, require_equals = true, default_missing_value = "python3")]
     pytorch: Option<PathBuf>,
     #[command(flatten)]
     repeats: Repeats,
 }
 
-/// Times of one case, or of a pass of it.
 #[derive(Serialize)]
 struct Row {
     gaussians: usize,
@@ -73,19 +71,16 @@ struct Row {
     height: u32,
     sh_degree: u32,
     photos: usize,
-    /// Pass; `step` for all of them, `picture` for the same cameras' pictures alone, `host` for a step as the host sees it.
+    /// Pass; `step` for all, `picture` for rendering the same cameras, `host` for host time.
     what: String,
     commands: u32,
     ms: Spread,
-    /// Over the picture's time.
     pictures: Option<f64>,
     bandwidth_share: Option<f64>,
     fma_share: Option<f64>,
-    /// The most memory that the refinement took.
     peak_bytes: u64,
 }
 
-/// The thing that is refined.
 struct Case {
     scene: Scene,
     size: Size,
@@ -93,7 +88,6 @@ struct Case {
     cameras: Vec<Camera>,
 }
 
-/// The most that the device does.
 struct Limits {
     copy: Rate,
     fma: Rate,
@@ -128,7 +122,7 @@ impl Refine {
     fn measure(&self, device: &Device, case: &Case, limits: &Limits, stage: &Stage<'_>) -> Result<Vec<Row>> {
         let Repeats { warmup, repeats } = self.repeats;
         let runs = warmup + repeats;
-        // Room for what there is and no more, so that bytes and arithmetic are those in use.
+        // Exact capacity: bytes and arithmetic are those in use.
         let room = case.intersections(device)?;
         let (mut profiles, mut peak_bytes) = (Vec::new(), 0);
         for i in 0..runs {
@@ -178,7 +172,6 @@ impl Refine {
         Ok(rows)
     }
 
-    /// Times of steps in a row in which the loop does not look at how far it is.
     fn host(&self, device: &Device, case: &Case, room: usize, stage: &Stage<'_>) -> Result<Spread> {
         let (warmup, counted) = (self.repeats.warmup as usize, self.repeats.repeats as usize);
         let steps = (2 * (warmup + counted)).max(3 * LOOKS);
@@ -202,7 +195,6 @@ impl Refine {
         }
     }
 
-    /// PyTorch's times.
     fn theirs(&self, python: &std::path::Path, case: &Case) -> Result<[Row; 2]> {
         let Repeats { warmup, repeats } = self.repeats;
         let found = pytorch::refine(python, &case.scene, case.size, case.photos.len(), [warmup, repeats])?;
@@ -234,7 +226,7 @@ impl Case {
         }
     }
 
-    /// The most intersections of the Gaussians with tiles of a photo.
+    /// Returns the largest number of tile intersections of a photo.
     fn intersections(&self, device: &Device) -> Result<usize> {
         let mut renderer = Renderer::new(device);
         renderer.load(&self.scene)?;
@@ -266,7 +258,6 @@ impl Case {
         refine_scene(&Arena::new(device), &self.scene, &self.photos, &self.cameras, &request, |now| progress(now.step))
     }
 
-    /// A row of which nothing was measured.
     fn row(&self) -> Row {
         Row {
             gaussians: self.scene.len(),
@@ -285,7 +276,6 @@ impl Case {
     }
 }
 
-/// The pass that a row of a profile belongs to.
 fn pass(row: &zipsplat::gpu::ProfileRow) -> String {
     match row.scope.split('/').collect::<Vec<_>>()[..] {
         [_, "by_depth", ..] => "sort by depth".into(),

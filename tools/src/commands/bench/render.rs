@@ -1,4 +1,4 @@
-//! `zipsplat bench render`: drawing random scenes.
+//! `zipsplat bench render`.
 
 use super::{
     Repeats, Spread, effects, group, gsplat,
@@ -25,7 +25,7 @@ use zipsplat::{
     types::Scene,
 };
 
-/// As many as a host has memory for.
+/// Limit by host memory.
 const MOST_GAUSSIANS: i64 = 50_000_000;
 /// Time of a frame, by pass
 #[derive(Args)]
@@ -42,7 +42,7 @@ pub struct Render {
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "36000,102000",
         value_parser = clap::value_parser!(u32).range(1..=MOST_GAUSSIANS))]
     gaussians: Vec<u32>,
-    /// Sizes of the picture
+    /// Sizes of the pictures
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "252x252")]
     size: Vec<Size>,
     /// Degrees of the spherical harmonics, 0 to 3
@@ -52,33 +52,32 @@ pub struct Render {
     /// Print comma-separated values
     #[arg(long, conflicts_with = "effects")]
     csv: bool,
-    /// Measure instead, on the first of each list, every effect off and on
+    /// Instead measure every effect off and on, with the first value of each list
     #[arg(long, conflicts_with = "gsplat")]
     effects: bool,
-    /// Also time gsplat on the same scenes, with this Python, which has PyTorch and gsplat, on a CUDA GPU
+    /// Also time gsplat with this Python, which needs PyTorch and gsplat, on a CUDA GPU
     #[arg(long, value_name = "PYTHON", num_args = 0..=1, require_equals = true, default_missing_value = "python3")]
     gsplat: Option<PathBuf>,
     #[command(flatten)]
     repeats: Repeats,
 }
 
-/// Times of one scene and size, or of a pass of it.
 #[derive(Serialize)]
 struct Row {
     gaussians: usize,
     width: u32,
     height: u32,
     sh_degree: u32,
-    /// Tiles that Gaussians touch.
+    /// Tile intersections.
     intersections: usize,
-    /// Pass; `device` for all of them, `host` for a frame in the host's memory, `in flight` for one of many, `gsplat`.
+    /// Pass; `device` for all, `host` for a frame in host memory, `in flight` for pipelined frames,
+    /// `gsplat`.
     what: String,
     commands: u32,
     ms: Spread,
     frames_per_s: f64,
-    /// The bytes of the tensors that a pass touches, each once a command.
+    /// Bytes of a pass's tensors, each once per command.
     bytes: Option<u64>,
-    /// The share of the bandwidth of a copy.
     bandwidth_share: Option<f64>,
 }
 
@@ -121,7 +120,7 @@ impl Render {
     ) -> Result<Vec<Row>> {
         let (camera, request) = (noise::camera(size.0, size.1), RenderRequest::default());
         let Repeats { warmup, repeats } = self.repeats;
-        // Room for what there is and no more, so that bytes of tensors are bytes in use.
+        // Exact capacity: tensor bytes are bytes in use.
         let mut renderer = Renderer::new(device);
         renderer.render(scene, &[camera], &request)?;
         let intersections = renderer.intersections();
@@ -139,7 +138,7 @@ impl Render {
         }
         let cameras = vec![camera; repeats as usize];
         let mut in_flight = Duration::ZERO;
-        // The first time makes plans.
+        // The first run records plans.
         for _ in 0..2 {
             let start = Instant::now();
             renderer.render_each(&cameras, &request, |_, _| stage.reach(1.0))?;
@@ -176,7 +175,6 @@ impl Render {
     }
 }
 
-/// The pass that a row of a profile belongs to.
 fn pass(row: &ProfileRow) -> String {
     match row.scope.split('/').nth(1) {
         Some("by_depth") => "sort by depth".into(),
@@ -212,14 +210,12 @@ fn table(rows: &[Row]) -> Table {
     table
 }
 
-/// Our device time over that of gsplat on the same scene.
 fn ratio(rows: &[Row], gsplat: &Row) -> f64 {
     let case = |row: &Row| (row.gaussians, row.width, row.height, row.sh_degree);
     let ours = rows.iter().find(|row| row.what == "device" && case(row) == case(gsplat));
     ours.map_or(f64::NAN, |ours| ours.ms.median / gsplat.ms.median)
 }
 
-/// A row of `--csv`.
 #[derive(Serialize)]
 struct Line<'a> {
     pass: &'a str,

@@ -1,4 +1,4 @@
-//! `zipsplat depth`: depth, points and cameras of photos, by a network of Depth Anything 3.
+//! `zipsplat depth`.
 
 mod truth;
 
@@ -30,11 +30,11 @@ use zipsplat::{
     },
 };
 
-/// Depth, points and cameras of photos that may have none, by Depth Anything 3
+/// Depth, points and cameras of photos by Depth Anything 3
 ///
-/// The folder gets depths.safetensors (depth, confidence and rays of all views), and of each photo a picture of its depth in 16 bits and one
-/// in colours. Networks that see all photos at once also give transforms.json, the photos' cameras, and points.ply: `reconstruct`
-/// and `refine` take the one as --poses, and `refine --start points` begins from the other. Lengths are in a unit of the network's.
+/// Writes depths.safetensors (depth, confidence and rays), and 16-bit and colored depth pictures.
+/// Multi-view networks also write transforms.json for --poses of `reconstruct` and `refine`, and
+/// points.ply for `refine --start points`. Lengths are in the network's unit.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat depth photos/ --weights da3-small -o depth/
@@ -45,8 +45,9 @@ use zipsplat::{
 pub struct Depth {
     #[command(flatten)]
     input: PhotoArgs,
-    /// Weights of Depth Anything 3: a name that `zipsplat weights get` takes (da3-small, da3-base, da3-large, da3-giant, da3mono-large,
-    /// da3metric-large), a released model.safetensors, or seeded:NAME for random numbers
+    /// Weights of Depth Anything 3: a name for `zipsplat weights get` (da3-small, da3-base,
+    /// da3-large, da3-giant, da3mono-large, da3metric-large), a released model.safetensors, or
+    /// seeded:NAME for random numbers
     #[arg(long, value_name = "NAME|PATH|seeded:NAME")]
     weights: String,
     /// Folder to write to
@@ -54,38 +55,38 @@ pub struct Depth {
     output: PathBuf,
     #[command(flatten)]
     overwrite: Overwrite,
-    /// Known cameras of all photos. A network that sees all photos at once is told them; of others they place the points
+    /// Known cameras of all photos. Multi-view networks use them as input; with others they place
+    /// the points
     #[arg(long, alias = "cameras", value_name = "FILE")]
     poses: Option<PathBuf>,
     #[command(flatten)]
     cameras: CamerasFrom,
-    /// Depth in metres, by da3metric-large: it needs the cameras' focal lengths, and their positions in metres. Without it depth of a
-    /// network that sees each photo by itself is brought to the points beside the cameras
+    /// Depth in meters, by da3metric-large, from the cameras' focal lengths and positions in
+    /// meters. Without it, depth of single-view networks is aligned to the cameras' points
     #[arg(long, alias = "metric", requires = "poses")]
     metres: bool,
-    /// The photo, counted from 1, that the world is about [default: the network's choice]
+    /// Reference photo of the world, counted from 1 [default: the network's choice]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     reference: Option<u32>,
-    /// Longer side of the photos as the network sees them, in pixels
+    /// Longer side of the photos for the network, in pixels
     #[arg(long, alias = "input-size", value_name = "PIXELS", default_value = "504", value_parser = clap::value_parser!(u32).range(14..=8192))]
     size: u32,
-    /// Points at most
+    /// Limit of points
     #[arg(long, alias = "max-points", value_name = "N", default_value = "200000")]
     points: usize,
-    /// Take at most so many of the photos, evenly spread, and so many frames of a video [default: all, and 24 of a video]
+    /// Limit of photos, evenly spread, and of frames of a video [default: all, and 24 of a video]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     views: Option<u32>,
     #[command(flatten)]
     model: ModelOption,
-    /// Also say how far off cameras and depth are from those of this capture: transforms.json or a COLMAP model, and depth/NAME.npy for
-    /// each photo, where there is any, as `scene` writes it
+    /// Also print errors against this capture: transforms.json or a COLMAP model, and any
+    /// depth/NAME.npy, as `scene` writes it
     #[arg(long, alias = "ground-truth", value_name = "CAPTURE")]
     truth: Option<PathBuf>,
     #[command(flatten)]
     arithmetic: ArithmeticOption,
 }
 
-/// Files of the folder.
 const VALUES: &str = "depths.safetensors";
 const CAMERAS: &str = "transforms.json";
 const POINTS: &str = "points.ply";
@@ -157,7 +158,7 @@ impl Depth {
         session.report(&json, text)
     }
 
-    /// Checks that what is made of photos can be written.
+    /// Checks the output files.
     fn check(&self, files: &[PathBuf]) -> Result<()> {
         let names = names(files);
         let pictures = names.iter().flat_map(|name| [picture(name, "depth"), picture(name, "colors")]);
@@ -171,7 +172,7 @@ impl Depth {
         }
     }
 
-    /// The frames of photos whose cameras are known, and the points beside them.
+    /// Returns frames and points file of known cameras.
     fn known(&self, files: &[PathBuf]) -> Result<Option<(Vec<Frame>, Option<PathBuf>)>> {
         let Some(poses) = &self.poses else { return Ok(None) };
         let poses = read_poses(poses)?;
@@ -180,7 +181,7 @@ impl Depth {
         Ok(Some((frames, poses.points)))
     }
 
-    /// Writes depths in 16 bits, one scale for all, and colours of each by itself; gives the levels of a unit.
+    /// Writes 16-bit depth at a common scale, and colored depth; returns the levels of one unit.
     fn save_pictures(&self, depths: &Depths, names: &[String]) -> Result<f32> {
         let size = [depths.width, depths.height];
         let behind: Vec<Vec<f32>> = depths.views.iter().map(DepthView::depth_behind_sky).collect();
@@ -194,7 +195,7 @@ impl Depth {
     }
 }
 
-/// What files of photos are called by: their names, with their number where several share one.
+/// Returns unique names of photos: the stem, numbered if repeated.
 fn names(files: &[PathBuf]) -> Vec<String> {
     let stem = |file: &PathBuf| file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let stems: Vec<String> = files.iter().map(stem).collect();
@@ -209,8 +210,8 @@ fn picture(name: &str, what: &str) -> String {
     format!("{name}.{what}.png")
 }
 
-/// Writes what the network said: `depth` and `confidence` `[views, height, width]`, `rays` `[views, rows, columns, 6]` (direction, origin)
-/// with their `ray_confidence`, `sky`; the photos' names as metadata.
+/// Writes `depth` and `confidence` `[views, height, width]`, `rays` `[views, rows, columns, 6]`
+/// (direction, origin), `ray_confidence`, `sky`, and photo names as metadata.
 fn save_values(path: &Path, depths: &Depths, names: &[String]) -> Result<()> {
     let (views, size) = (depths.views.len(), [depths.height as usize, depths.width as usize]);
     let all = |of: &dyn Fn(&DepthView) -> Option<Vec<f32>>| {
@@ -236,7 +237,7 @@ fn save_values(path: &Path, depths: &Depths, names: &[String]) -> Result<()> {
     let views = there.iter().map(|(name, shape, bytes)| {
         (*name, TensorView::new(Dtype::F32, shape.clone(), bytes).expect("as many bytes as the shape has"))
     });
-    // One entry: of several the order would differ from run to run.
+    // One entry: several would have no fixed order.
     let photos = serde_json::to_string(names).expect("names are text");
     let metadata = HashMap::from([("zipsplat.photos".to_owned(), photos)]);
     let file =
@@ -244,7 +245,6 @@ fn save_values(path: &Path, depths: &Depths, names: &[String]) -> Result<()> {
     write_atomic(path, |out| out.write_all(&file))
 }
 
-/// Colours from near to far.
 const COLORS: [[f64; 3]; 6] = [
     [250.0, 230.0, 120.0],
     [245.0, 150.0, 70.0],
@@ -254,7 +254,7 @@ const COLORS: [[f64; 3]; 6] = [
     [15.0, 15.0, 50.0],
 ];
 
-/// Depth in colours: by how near a pixel is, between the nearest and the farthest fiftieth.
+/// Colors inverse depth between its 2nd and 98th percentiles.
 fn colored(depth: &[f32], [width, height]: [u32; 2]) -> Result<Image> {
     let nearness: Vec<f64> = depth.iter().map(|&depth| 1.0 / f64::from(depth.max(f32::MIN_POSITIVE))).collect();
     let mut sorted = nearness.clone();

@@ -1,4 +1,4 @@
-//! The errors of depth and cameras, where a capture has their truth.
+//! Errors of depth and cameras against ground truth.
 
 use crate::{cameras::Similarity, depth::Seen, npy};
 use glam::DQuat;
@@ -13,37 +13,33 @@ use zipsplat::{
     },
 };
 
-/// The truth of a capture: its cameras, and the exact depth of photos beside them.
+/// Known cameras, with any exact depth.
 pub struct Truth {
     poses: Poses,
     folder: PathBuf,
 }
 
-/// How far off a network was: medians over photos.
+/// Medians of the errors over photos.
 pub struct Errors {
-    /// Photos with a camera here and there.
+    /// Photos with both an estimated and a true camera.
     photos: usize,
-    /// Degrees, the distance as a share of the cameras' extent, and the focal length as a share of itself, after a similarity; none where
-    /// cameras were given, or are at one place.
+    /// Degrees, distance over the cameras' extent, and relative focal length, after a similarity;
+    /// absent for given or coinciding cameras.
     cameras: Option<[f64; 3]>,
-    /// Mean error of depth as a share of depth (AbsRel), each photo's, of one scale for all; and the share of pixels that are within a
-    /// factor of 1.25. None where the capture has no depth.
+    /// AbsRel and the share of pixels within a factor of 1.25, with one scale for all photos;
+    /// absent without depth.
     depth: Option<[f64; 2]>,
 }
 
 impl Truth {
-    /// Reads the cameras of a capture.
-    ///
-    /// # Errors
-    /// As [`read_poses`].
     pub fn open(folder: &Path) -> Result<Self> {
         Ok(Self { poses: read_poses(folder)?, folder: folder.to_owned() })
     }
 
-    /// The errors of what a network said; its cameras are only judged where it `found` them.
+    /// Returns the errors of a prediction; cameras count only if the network `found` them.
     ///
     /// # Errors
-    /// [`Error::Argument`] where no photo is among the capture's; those of depth that cannot be read.
+    /// [`Error::Argument`] without a common photo; those of reading depth.
     pub fn errors(&self, seen: &Seen, found: bool) -> Result<Errors> {
         let (mut pairs, mut depths) = (Vec::new(), Vec::new());
         let frames = seen.frames()?;
@@ -65,7 +61,6 @@ impl Truth {
 }
 
 impl Errors {
-    /// The errors in words, a line.
     pub fn told(&self) -> String {
         let mut parts = Vec::new();
         if let Some([degrees, away, focal]) = self.cameras {
@@ -83,7 +78,6 @@ impl Errors {
         }
     }
 
-    /// The same for programs.
     pub fn as_json(&self) -> Value {
         let [degrees, away, focal] = self.cameras.map_or([None; 3], |errors| errors.map(Some));
         let [abs_rel, within] = self.depth.map_or([None; 2], |errors| errors.map(Some));
@@ -93,7 +87,7 @@ impl Errors {
     }
 }
 
-/// Medians of the errors of cameras, found and true: turn, distance as a share of the extent, focal length.
+/// Returns medians of angle, distance over the extent, and focal length.
 fn cameras(pairs: &[(Camera, Camera)]) -> Option<[f64; 3]> {
     let (similarity, _) = Similarity::between(pairs)?;
     let centres = pairs.iter().map(|(_, truth)| truth.pose.translation);
@@ -108,7 +102,7 @@ fn cameras(pairs: &[(Camera, Camera)]) -> Option<[f64; 3]> {
     Some([0, 1, 2].map(|k| median(errors.iter().map(|error| error[k]).collect())))
 }
 
-/// How many times farther than a view says its pixels truly are, where that is known, nearest sampled.
+/// Returns true over predicted depth of known pixels, nearest sampled.
 fn ratios(view: &DepthView, map: &PixelMap, ([width, height], truth): &([u32; 2], Vec<f32>)) -> Vec<f64> {
     let ([columns, _], [from_width, from_height]) = (map.to, map.from);
     let at = |i: usize, axis: usize, from: u32, to: u32| {
@@ -124,8 +118,8 @@ fn ratios(view: &DepthView, map: &PixelMap, ([width, height], truth): &([u32; 2]
     view.depth.iter().enumerate().filter_map(ratio).collect()
 }
 
-/// The medians over photos of the mean error of depth, as a share of depth, and of the share of pixels within a factor of 1.25, of one
-/// scale for all photos: the median of their medians.
+/// Returns medians of AbsRel and of the share within a factor of 1.25, scaled by the median of
+/// photo medians.
 fn depth(photos: Vec<Vec<f64>>) -> Option<[f64; 2]> {
     let photos: Vec<Vec<f64>> = photos.into_iter().filter(|ratios| !ratios.is_empty()).collect();
     if photos.is_empty() {
@@ -135,7 +129,7 @@ fn depth(photos: Vec<Vec<f64>>) -> Option<[f64; 2]> {
     let mean = |ratios: &[f64], of: &dyn Fn(f64) -> f64| {
         ratios.iter().map(|ratio| of(ratio / scale)).sum::<f64>() / ratios.len() as f64
     };
-    // What is said, over what is true, is the ratio's inverse.
+    // Predicted over true depth is the inverse ratio.
     let relative = |ratio: f64| (1.0 / ratio - 1.0).abs();
     let within = |ratio: f64| f64::from(u8::from(ratio.max(1.0 / ratio) < 1.25));
     let of_photos = |of: &dyn Fn(f64) -> f64| median(photos.iter().map(|ratios| mean(ratios, of)).collect());
@@ -166,7 +160,7 @@ mod tests {
         };
         let exact: Vec<(Camera, Camera)> = (0..4).map(|k| (world.apply(&truth(k)), truth(k))).collect();
         assert!(cameras(&exact).expect("places").iter().all(|error| error.abs() < 1e-6));
-        // Two are turned by a degree to each side, and all zoom by a tenth.
+        // Two cameras turn by a degree, and all zoom by a tenth.
         let mut off = exact.clone();
         for (k, (found, _)) in off.iter_mut().enumerate() {
             found.intrinsics.fx *= 1.1;
@@ -180,7 +174,7 @@ mod tests {
     fn errors_of_depth_are_shares_of_it() {
         let exact = vec![vec![2.0; 9], vec![2.0; 5]];
         assert_eq!(depth(exact), Some([0.0, 1.0]));
-        // A photo that says a tenth too much, beside two that are right.
+        // One photo is a tenth too far, two are exact.
         let [relative, within] =
             depth(vec![vec![1.0; 4], vec![1.0, 1.0, 1.0, 1.0 / 1.4], vec![1.0 / 1.1; 4]]).expect("depth");
         assert!((relative - 0.1).abs() < 1e-9 && within == 1.0, "{relative} {within}");
@@ -189,7 +183,7 @@ mod tests {
 
     #[test]
     fn pixels_are_found_in_the_truth() {
-        // A photo of 4 x 2 pixels, of which the right half becomes 4 x 4, and whose truth has 8 x 4.
+        // A photo of 4 x 2 pixels: its right half becomes 4 x 4, with true depth of 8 x 4.
         let map = PixelMap { from: [4, 2], to: [4, 4], scale: [2.0, 2.0], offset: [-4.0, 0.0] };
         let truth: Vec<f32> = (0..32).map(|i| i as f32).collect();
         let view = DepthView {

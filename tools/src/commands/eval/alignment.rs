@@ -1,4 +1,4 @@
-//! The report of `eval` on pictures whose cameras were aligned.
+//! `eval` report on aligned cameras.
 
 use super::one::{cells, cells_of};
 use crate::{
@@ -8,7 +8,6 @@ use crate::{
 };
 use serde::Serialize;
 
-/// How one picture's camera was aligned.
 #[derive(Serialize)]
 pub struct AlignedScore {
     view: String,
@@ -16,12 +15,12 @@ pub struct AlignedScore {
     ssim: f64,
     nearest_psnr: f64,
     mean_color_psnr: f64,
-    /// With the camera given.
+    /// PSNR with the given camera.
     before_psnr: f64,
     before_ssim: f64,
-    /// Angle between the camera found and the one given.
+    /// Angle from the given camera.
     degrees: f64,
-    /// Distance between them, in the unit of the cameras.
+    /// Distance in the cameras' unit.
     distance: f64,
     doubt: Option<Doubt>,
     pub lpips: Option<f64>,
@@ -48,16 +47,16 @@ fn scores(capture: &Capture, found: &[Aligned]) -> Vec<AlignedScore> {
     found.iter().zip(before).zip(after).map(row).collect()
 }
 
-/// How far pictures' cameras were aligned, and what they scored before.
+/// Summary of alignments.
 #[derive(Serialize)]
 pub struct Alignment {
-    /// Median angle between the camera found and the one given.
+    /// Median angle.
     degrees: f64,
-    /// Median distance between them, in the unit of the cameras.
+    /// Median distance, in the cameras' unit.
     distance: f64,
-    /// Means with the cameras given.
+    /// Means with the given cameras.
     before: Before,
-    /// Pictures whose figure says little.
+    /// Pictures with unreliable scores.
     doubtful: usize,
     pub rows: Vec<AlignedScore>,
 }
@@ -69,7 +68,6 @@ struct Before {
 }
 
 impl Alignment {
-    /// Compares what was drawn in the targets' place, before and after it was aligned, with them.
     pub fn new(capture: &Capture, found: &[Aligned]) -> Self {
         let rows = scores(capture, found);
         let median = |value: fn(&AlignedScore) -> f64| {
@@ -87,7 +85,6 @@ impl Alignment {
         }
     }
 
-    /// The pictures' figures, and their mean.
     pub fn table(&self, mean: &Score) -> Table {
         let mut table = Table::new(
             1,
@@ -110,7 +107,7 @@ impl Alignment {
         table
     }
 
-    /// The warning where some figures say little.
+    /// Warns about unreliable scores.
     pub fn doubts(&self) -> Option<String> {
         let count = |doubt| self.rows.iter().filter(|row| row.doubt == Some(doubt)).count();
         let [flat, bound, color] = [Doubt::Flat, Doubt::Bound, Doubt::Color].map(count);
@@ -133,7 +130,6 @@ impl Alignment {
             .then(|| format!("{} of {of} aligned pictures say little: {}", self.doubtful, reasons.join("; ")))
     }
 
-    /// The alignment in words.
     pub fn told(&self) -> String {
         let Self { degrees, distance, before: Before { psnr, ssim }, .. } = self;
         format!(

@@ -1,4 +1,4 @@
-//! A pixel-aligned scene: one Gaussian for each pixel of the input photos, at a depth that is known.
+//! Pixel-aligned scene: one Gaussian per input pixel, at known depth.
 
 use crate::{
     capture::{Capture, Choice},
@@ -12,17 +12,17 @@ use zipsplat::{
     types::{Camera, Intrinsics, Scene, poses::Frame},
 };
 
-/// Pixels over which an error of depth is smooth.
+/// Correlation length of depth errors in pixels.
 const SMOOTH: usize = 14;
-/// Bounds of an error, in standard deviations: beyond them depth might end at the camera.
+/// Bound of an error in standard deviations, which keeps depth positive.
 const MOST: f64 = 3.0;
 
-/// The scene of a capture's inputs as a network sees them, in the capture's world and unit, from depth in a folder, which gets an error
-/// of so large a share.
+/// Returns a scene of the inputs at the network's size, in the capture's world and unit. Depth from
+/// a folder gets relative errors of deviation `noise`.
 ///
 /// # Errors
-/// [`Error::Io`] and [`Error::Format`] for a photo's depth; [`Error::Argument`] where it has another shape than the photo, or the photo's
-/// lens distorts, and where no pixel has a depth.
+/// [`Error::Io`] and [`Error::Format`] for a depth file; [`Error::Argument`] for another shape than
+/// the photo's, a distorted lens, or no known depth.
 pub fn scene(folder: &Path, noise: f64, choice: &Choice, capture: &Capture) -> Result<Scene> {
     let mut scene = Scene { sh_degree: 0, ..Scene::default() };
     let views = capture.views.cameras.iter().zip(&capture.views.images);
@@ -40,12 +40,12 @@ pub fn scene(folder: &Path, noise: f64, choice: &Choice, capture: &Capture) -> R
     Ok(scene)
 }
 
-/// Normal numbers of deviation 1 that change over [`SMOOTH`] pixels: independent ones on a grid, and between them sums whose weights have
-/// squares that add up to 1.
+/// Returns unit normal numbers that vary over [`SMOOTH`] pixels: a grid, interpolated with weights
+/// whose squares sum to 1.
 fn smooth(seed: u64, width: usize, height: usize) -> Vec<f64> {
     let mut noise = Noise(seed);
     let columns = width / SMOOTH + 2;
-    // The sum of twelve is as good as normal.
+    // Twelve uniform numbers approximate a normal one.
     let mut normal = || (0..12).map(|_| f64::from(noise.uniform(-0.5, 0.5))).sum::<f64>().clamp(-MOST, MOST);
     let grid: Vec<f64> = (0..columns * (height / SMOOTH + 2)).map(|_| normal()).collect();
     let parts = |at: usize| {
@@ -60,7 +60,7 @@ fn smooth(seed: u64, width: usize, height: usize) -> Vec<f64> {
     (0..width * height).map(value).collect()
 }
 
-/// The depth of each pixel that a camera sees of a photo, nearest sampled, in the capture's unit.
+/// Returns the depth of each camera pixel, nearest sampled, in the capture's unit.
 fn seen(folder: &Path, frame: &Frame, camera: &Camera, unit: f64) -> Result<Vec<f32>> {
     let file = folder.join(Path::new(&frame.name).file_stem().unwrap_or_default()).with_extension("npy");
     if frame.lens.is_some() {
@@ -83,7 +83,7 @@ fn seen(folder: &Path, frame: &Frame, camera: &Camera, unit: f64) -> Result<Vec<
     Ok(rows.iter().flat_map(row).collect())
 }
 
-/// The pixels of `to` along an axis that rays through those of `from` meet.
+/// Maps the pixels of `from` to those of `to` along an axis.
 fn pixels(axis: usize, from: &Intrinsics, to: &Intrinsics) -> Vec<usize> {
     let lens = |i: &Intrinsics| if axis == 0 { (i.fx, i.cx, i.width) } else { (i.fy, i.cy, i.height) };
     let ((f, c, count), (to_f, to_c, most)) = (lens(from), lens(to));

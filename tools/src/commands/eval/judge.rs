@@ -1,4 +1,4 @@
-//! What judges a capture: a model, a renderer and LPIPS, on one device for all captures of a run.
+//! Model, renderer and LPIPS of a run.
 
 use super::{Eval, alignment::Alignment};
 use crate::{
@@ -22,7 +22,6 @@ use zipsplat::{
     weights::Checkpoint,
 };
 
-/// The judge of captures.
 pub struct Judge<'a> {
     pub(super) eval: &'a Eval,
     weights: &'a Weighed,
@@ -30,36 +29,35 @@ pub struct Judge<'a> {
     pub(super) device: Device,
     pub precision: Precision,
     arithmetic: Arithmetic,
-    /// Loaded where the first capture is reconstructed.
+    /// Loaded by the first reconstruction.
     model: Option<Model>,
-    /// The same of a network of pixels.
+    /// Pixel network, loaded likewise.
     pub(super) seer: Option<Seer>,
     renderer: Renderer,
     lpips: Option<Perceptual>,
 }
 
-/// A capture's scene and how it was judged.
+/// Scene with its scores.
 pub struct Judged {
     pub capture: Capture,
     pub made: Made,
-    /// The pictures in the targets' places, `[height][width][rgb]` in 0..1.
+    /// Predictions of the targets, `[height][width][rgb]` in 0..1.
     pub drawn: Vec<Vec<f32>>,
     pub scores: Vec<Score>,
-    /// Where cameras were searched for.
+    /// Result of camera alignment.
     pub alignment: Option<Alignment>,
 }
 
-/// A scene and how it was made. Its world is the first input's camera, its unit the network's.
+/// Scene with its origin. World: the first input's camera; unit: the network's.
 pub struct Made {
     pub scene: Scene,
-    /// None of a scene that was not reconstructed here.
+    /// Absent for external scenes.
     pub network: Option<Network>,
     pub refined: Option<Refined>,
-    /// What the refinement started from.
+    /// Initialization of the refinement.
     pub started: &'static str,
 }
 
-/// What the network did.
 pub struct Network {
     pub tokens: usize,
     pub all_tokens: usize,
@@ -68,14 +66,12 @@ pub struct Network {
 }
 
 impl Made {
-    /// A scene that was not made here.
     pub fn given(scene: Scene) -> Self {
         Self { scene, network: None, refined: None, started: "" }
     }
 }
 
 impl<'a> Judge<'a> {
-    /// Opens the device.
     pub fn new(eval: &'a Eval, weights: &'a Weighed, seeing: Seeing, session: &mut Session<'_>) -> Result<Self> {
         let device = session.device()?;
         let gradients = eval.aligning().is_some_and(|method| method == crate::align::Method::Adam);
@@ -91,8 +87,7 @@ impl<'a> Judge<'a> {
         self.lpips.is_some()
     }
 
-    /// Reconstructs a capture from the frames chosen, or reads a scene of it, and compares it with the others. `name` is the capture's in
-    /// a data set.
+    /// Evaluates a reconstruction or an external scene. `name` is the capture's in a data set.
     pub fn judge(&mut self, session: &mut Session<'_>, choice: &Choice, name: Option<&str>) -> Result<Judged> {
         let (eval, seeing) = (self.eval, self.seeing);
         let (capture, _) = session.stage("load photos", |stage| choice.load(seeing, eval.unit, stage))?;
@@ -115,7 +110,7 @@ impl<'a> Judge<'a> {
         Ok(Judged { capture, made, drawn, scores, alignment })
     }
 
-    /// Refines a scene that is there, where that is asked for; the renderer then holds it.
+    /// Refines an external scene if requested, and uploads it.
     fn refined(
         &mut self,
         session: &mut Session<'_>,
@@ -137,7 +132,6 @@ impl<'a> Judge<'a> {
         Ok(made)
     }
 
-    /// Makes the scene of a capture, which the renderer then holds.
     fn reconstruct(
         &mut self,
         session: &mut Session<'_>,
@@ -182,7 +176,7 @@ impl<'a> Judge<'a> {
             scene = refined.scene.clone();
         }
         match &world {
-            // Nothing was changed on the host.
+            // The host has not changed the scene.
             None if refined.is_none() && scene.len() == result.gaussians.len() => {
                 self.renderer.show(&result.gaussians)?;
             }
@@ -193,7 +187,6 @@ impl<'a> Judge<'a> {
         Ok(Made { scene, network, refined, started })
     }
 
-    /// The pictures of what the renderer holds, with the cameras given or with aligned ones.
     fn draw(&mut self, session: &Session<'_>, capture: &Capture) -> Result<(Vec<Vec<f32>>, Option<Alignment>)> {
         let Self { renderer, lpips, .. } = self;
         let targets = &capture.targets;
@@ -218,7 +211,7 @@ impl<'a> Judge<'a> {
     }
 }
 
-/// Refines a scene against the inputs as they are compared.
+/// Refines against the inputs at the compared size.
 fn refine(
     eval: &Eval,
     session: &mut Session<'_>,

@@ -1,4 +1,4 @@
-//! One capture, photo by photo.
+//! Photo-by-photo report of one capture.
 
 use super::{
     Eval, VIEWS,
@@ -17,7 +17,6 @@ use zipsplat::{
     types::{Image, World, WriteOptions, contact_sheet},
 };
 
-/// Files of the folder.
 const SCENE: &str = "scene.ply";
 const COMPARISON: &str = "comparison.png";
 /// Held-out photos in the picture.
@@ -71,7 +70,7 @@ pub fn run(eval: &Eval, session: &mut Session<'_>) -> Result<()> {
     let refined = made.refined.as_ref();
     let network = made.network.as_ref();
     let how = match (network, eval.theirs.given()) {
-        // The network did not make these Gaussians.
+        // The points replaced the network's Gaussians.
         _ if made.started == refinement::Start::Points.name() => "of the capture's points".to_owned(),
         (Some(network), _) => format!("of {} tokens in {:.2} s", network.tokens, network.took.as_secs_f64()),
         (None, Some(file)) => format!("of {}", file.display()),
@@ -101,7 +100,7 @@ pub fn run(eval: &Eval, session: &mut Session<'_>) -> Result<()> {
     session.report(&json, text)
 }
 
-/// Adds the remedy to the error about a folder without cameras.
+/// Adds the remedy to a missing-cameras error.
 fn without_cameras(error: Error) -> Error {
     match error {
         Error::Argument { what, found, expected } if what == "poses" => {
@@ -117,7 +116,7 @@ fn save(eval: &Eval, choice: &Choice, judged: &Judged) -> Result<()> {
     let Judged { capture, made, drawn, .. } = judged;
     outputs::make_folder(folder)?;
     let mut scene = made.scene.clone();
-    // Drawn and compared in the network's unit, kept in that of the cameras that it was given.
+    // The network's unit is for rendering; files use the known cameras' unit.
     if !eval.pose_free {
         scene.scale(capture.unit.length as f32);
     }
@@ -136,14 +135,13 @@ pub fn cells_of(score: &Score) -> [String; 6] {
     cells(&score.view, [score.psnr, score.ssim, score.nearest_psnr, score.mean_color_psnr], score.lpips)
 }
 
-/// PSNR, SSIM, LPIPS and the PSNR of the two predictions.
 pub fn cells(view: &str, [psnr, ssim, nearest, color]: [f64; 4], lpips: Option<f64>) -> [String; 6] {
     let db = |value: f64| format!("{value:.2} dB");
     let lpips = lpips.map_or("-".into(), |lpips| format!("{lpips:.3}"));
     [view.to_owned(), db(psnr), format!("{ssim:.3}"), lpips, db(nearest), db(color)]
 }
 
-/// For some of the photos, evenly spread, two in a row: the photo, what was drawn, the nearest input.
+/// Shows evenly spread photos, two per row: photo, prediction, nearest input.
 fn comparison(capture: &Capture, drawn: &[Vec<f32>]) -> Result<Image> {
     let targets = &capture.targets;
     let shown = targets.len().min(SHOWN);

@@ -1,18 +1,14 @@
-//! The page of a protocol: its table, and pictures of its scenes.
+//! Page of a protocol: table and pictures.
 
 use super::rows::{Means, Row};
 use crate::html;
 use zipsplat::{Result, types::Image};
 
-/// Scenes of a setting whose pictures are shown.
+/// Scenes shown per setting.
 const SHOWN: usize = 24;
-/// Pixels of a picture's longer side, at most.
+/// Longer side of a picture in pixels.
 const PICTURE: u32 = 1008;
 
-/// The whole page.
-///
-/// # Errors
-/// Where a picture cannot be read or encoded.
 pub fn page(means: &Means, rows: &[Row]) -> Result<String> {
     let cells = |line: &[String], tag: &str| {
         line.iter().map(|cell| format!("<{tag}>{}", html::escape(cell))).collect::<String>()

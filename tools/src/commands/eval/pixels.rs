@@ -1,4 +1,4 @@
-//! A scene of pixels that a network of Depth Anything 3 makes of a capture's inputs.
+//! `eval` of pixel scenes by Depth Anything 3.
 
 use super::{
     Eval,
@@ -20,7 +20,7 @@ use zipsplat::{
 };
 
 impl Eval {
-    /// Checks the options of such a network, and gives the size of what is compared.
+    /// Checks the options and returns the compared size.
     pub(super) fn check_pixels(&self, checkpoint: &DepthCheckpoint) -> Result<Size> {
         let tokens = self.refine.is_some_and(|steps| steps.tokens);
         for (option, given) in [("--fit squares", self.fit.fit == Fit::Squares), ("--refine STEPS:tokens", tokens)] {
@@ -35,8 +35,8 @@ impl Eval {
 }
 
 impl Judge<'_> {
-    /// The scene as `reconstruct` makes it of the whole photos, in the capture's world and unit. Without the cameras, those that the
-    /// network finds say where it is.
+    /// Makes the scene as `reconstruct`, in the capture's world and unit. Without known cameras,
+    /// estimated ones place it.
     pub(super) fn of_pixels(
         &mut self,
         session: &mut Session<'_>,

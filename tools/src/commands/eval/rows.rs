@@ -1,4 +1,4 @@
-//! The records of scenes that were judged, and their means in the shape of the paper's tables.
+//! Records of evaluated scenes, and their means in the paper's layout.
 
 use crate::{outputs::MADE_BY, photos::folders_in, protocol::Protocol};
 use clap::ValueEnum;
@@ -6,50 +6,45 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use zipsplat::{Result, types::write_atomic};
 
-/// One scene, judged in one way with one choice of its frames.
+/// Scores of a scene for one method and choice of frames.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Row {
     pub generator: String,
     pub protocol: String,
-    /// What made the scene, in the user's words.
+    /// Display name of the method.
     pub method: String,
-    /// Whether it was given the cameras.
+    /// True with known cameras.
     pub posed: bool,
     pub scene: String,
     pub views: usize,
-    /// The rule by which frames were chosen: `gap50`.
+    /// Frame selection rule, such as `gap50`.
     pub rule: String,
-    /// What the figures were made of.
+    /// Hash of the inputs of the scores.
     pub hash: String,
     pub targets: usize,
     pub gaussians: usize,
     pub psnr: f64,
     pub ssim: f64,
     pub lpips: Option<f64>,
-    /// From photos to Gaussians, where that was done here.
+    /// Reconstruction time, if it ran here.
     pub seconds: Option<f64>,
-    /// The folder of its way and its setting, which say how it was judged.
+    /// Folder of method and setting.
     #[serde(skip)]
     pub place: PathBuf,
 }
 
 impl Row {
-    /// The file of a scene's record, beside which its picture lies.
+    /// Returns the record of a scene; its picture lies beside it.
     pub fn file(folder: &Path, scene: &str) -> PathBuf {
         folder.join(format!("{scene}.json"))
     }
 
-    /// A record that is there, where it is one.
     pub fn read(file: &Path) -> Option<Self> {
         let row: Self = serde_json::from_slice(&std::fs::read(file).ok()?).ok()?;
         let place = file.parent()?.to_owned();
         (row.generator == MADE_BY).then_some(Self { place, ..row })
     }
 
-    /// Writes the record.
-    ///
-    /// # Errors
-    /// Where it cannot be written.
     pub fn write(&self, file: &Path) -> Result<()> {
         write_atomic(file, |out| {
             serde_json::to_writer_pretty(&mut *out, self)?;
@@ -58,10 +53,7 @@ impl Row {
     }
 }
 
-/// All records of a protocol in a folder, by way, setting and scene.
-///
-/// # Errors
-/// Where a folder cannot be read.
+/// Reads all records of a protocol by method, setting and scene.
 pub fn read_all(folder: &Path, protocol: Protocol) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     for way in folders_in(folder)? {
@@ -77,12 +69,11 @@ pub fn read_all(folder: &Path, protocol: Protocol) -> Result<Vec<Row>> {
     Ok(rows)
 }
 
-/// A protocol's name on the command line.
 pub fn name_of(protocol: Protocol) -> String {
     protocol.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned())
 }
 
-/// Means over scenes: a line for each way to judge, a group of columns for each setting.
+/// Means over scenes: a line per method, a column group per setting.
 pub struct Means {
     pub title: String,
     pub headings: Vec<String>,
@@ -116,7 +107,6 @@ impl Means {
         Self { title: protocol.title().into(), headings, lines: ways.iter().map(line).collect() }
     }
 
-    /// As Markdown.
     pub fn markdown(&self) -> String {
         let row = |cells: &[String]| format!("| {} |\n", cells.join(" | "));
         let rule = self.headings.iter().enumerate().map(|(i, _)| if i < 3 { "---" } else { "---:" }.to_owned());
@@ -126,7 +116,6 @@ impl Means {
         text
     }
 
-    /// As CSV.
     pub fn csv(&self) -> String {
         let mut table = csv::Writer::from_writer(Vec::new());
         let lines = std::iter::once(&self.headings).chain(&self.lines);
@@ -135,7 +124,6 @@ impl Means {
     }
 }
 
-/// Scenes, Gaussians, PSNR, SSIM and LPIPS.
 fn cells(rows: &[&Row]) -> [String; 5] {
     if rows.is_empty() {
         return Default::default();
@@ -152,7 +140,7 @@ fn cells(rows: &[&Row]) -> [String; 5] {
     ]
 }
 
-/// `820`, `62K`, `1.3M`, as the paper's tables have them.
+/// Formats as the paper's tables: `820`, `62K`, `1.3M`.
 fn short(count: f64) -> String {
     match count {
         ..1e3 => format!("{count:.0}"),

@@ -1,4 +1,4 @@
-//! Scenes of a data set, judged by a protocol, in a folder that keeps what was done.
+//! Evaluation of a data set by a protocol, resumable through its folder.
 
 use super::{
     Eval, TARGETS,
@@ -28,7 +28,6 @@ use zipsplat::{
     types::{Image, contact_sheet, write_atomic},
 };
 
-/// Files of the folder.
 const SCENES: &str = "scenes.csv";
 const TABLES: [&str; 2] = ["table.md", "table.csv"];
 const PAGE: &str = "page.html";
@@ -36,60 +35,55 @@ const FAILURES: &str = "failures.csv";
 /// Photos in the picture of a scene.
 const SHOWN: usize = 4;
 
-/// What a protocol leaves open.
 #[derive(Args)]
 pub struct Options {
-    /// Judge scenes of a data set as the paper does
+    /// Evaluate scenes of a data set by the paper's protocol
     #[arg(long, value_enum, value_name = "DATA", conflicts_with = "poses")]
     pub protocol: Option<Protocol>,
-    /// Take inputs and the photos to compare with from so many first frames: one number, or one for each of --views [default: of dl3dv
-    /// 50, 100 and 150 for 6, 12 and 24 inputs; else all]
+    /// Choose inputs and targets from this number of first frames: one value, or one per number of
+    /// --views [default: for dl3dv 50, 100 and 150 with 6, 12 and 24 inputs; else all]
     #[arg(long, alias = "frame-range", value_name = "FRAMES", value_delimiter = ',', requires = "protocol")]
     gap: Vec<usize>,
-    /// Take the frames that files say, one file for each number of inputs: {"SCENE": {"context": [0, 19, ..], "target": [1, 6, ..]}},
-    /// counted from 0 in the order of the camera file. Scenes that are not in them are left out
+    /// Choose the frames of index files, one per number of inputs: {"SCENE": {"context": [0, 19,
+    /// ..], "target": [1, 6, ..]}}, in the order of the camera file. Skips other scenes
     #[arg(long, value_name = "FILE", value_delimiter = ',', requires = "protocol",
         conflicts_with_all = ["gap", "views", "targets"])]
     indices: Vec<PathBuf>,
     /// Folder of the photos within a scene [default: the data set's, such as images_4]
     #[arg(long, value_name = "NAME", requires = "protocol")]
     images: Option<PathBuf>,
-    /// Leave the distortion of lenses in the photos, as the paper's authors do with DL3DV
+    /// Keep the lens distortion of the photos, as the paper's authors do with DL3DV
     #[arg(long, requires = "protocol")]
     keep_distortion: bool,
     /// Name of the method in the tables [default: that of the weights]
     #[arg(long, value_name = "NAME", requires = "protocol")]
     name: Option<String>,
-    /// Judge at most so many scenes in this run
+    /// Limit of evaluated scenes in this run
     #[arg(long, value_name = "N", requires = "protocol")]
     limit: Option<usize>,
 }
 
-/// What is the same for all scenes of a run.
 struct Series<'a> {
     eval: &'a Eval,
     protocol: Protocol,
     method: String,
-    /// The folder of this way to judge.
+    /// Folder of method and setting.
     folder: PathBuf,
 }
 
-/// What became of a scene.
 enum Outcome {
     Judged,
     Unchanged,
-    /// It is not in the file of indices.
+    /// Missing from the index file.
     Unknown,
 }
 
-/// A row of failures.csv.
 #[derive(Serialize)]
 struct Failure {
     capture: String,
     error: String,
 }
 
-/// The scenes so far by their outcome.
 #[derive(Default)]
 struct Tally {
     judged: usize,
@@ -121,7 +115,7 @@ pub fn run(eval: &Eval, protocol: Protocol, session: &mut Session<'_>) -> Result
     let folder = out.join(format!("{}-{posed}-{}", slug(&method), &way[..8]));
     let series = Series { eval, protocol, method, folder };
 
-    // A list of an earlier run says nothing of this one.
+    // Removes the failure list of an earlier run.
     std::fs::remove_file(out.join(FAILURES)).ok();
     let mut tally = Tally::default();
     let ended = series.run(&places, &settings, &mut judge, &mut tally, session);
@@ -144,7 +138,7 @@ pub fn run(eval: &Eval, protocol: Protocol, session: &mut Session<'_>) -> Result
 }
 
 impl Series<'_> {
-    /// Judges scenes until one ends all, or the limit is reached.
+    /// Evaluates scenes until a fatal error or the limit.
     fn run(
         &self,
         places: &[Place],
@@ -160,7 +154,7 @@ impl Series<'_> {
                 break;
             }
             let scene = format!("{} of {all}, {} {}", i + 1, place.name, setting.name());
-            // Scenes that are there already take no time.
+            // Existing records take no time.
             let rest = began.elapsed().checked_div(tally.judged as u32).map(|each| each * (all - i) as u32);
             let rest = rest.map_or_else(String::new, |rest| format!(", all in about {}", HumanDuration(rest)));
             session.begin_task(&format!("{scene}{rest}"));
@@ -168,7 +162,7 @@ impl Series<'_> {
                 Ok(Outcome::Judged) => tally.judged += 1,
                 Ok(Outcome::Unchanged) => tally.unchanged += 1,
                 Ok(Outcome::Unknown) => tally.unknown += 1,
-                // Nothing that follows would do better.
+                // Later scenes would fail alike.
                 Err(error @ (Error::Cancelled | Error::DeviceLost | Error::NoDevice(_))) => return Err(error),
                 Err(error) => {
                     session.note(format!("{scene}: {error}"));
@@ -251,7 +245,7 @@ impl Series<'_> {
 }
 
 impl Eval {
-    /// Whatever figures depend on but a scene and its frames.
+    /// Identifies the settings of the scores, except scene and frames.
     fn made_with(&self, weights: &Network, seeing: Seeing, precision: &str) -> Result<String> {
         let weights = weights.provenance();
         let of_file = if Path::new(weights).is_file() { stamp(Path::new(weights))? } else { String::new() };
@@ -267,7 +261,6 @@ impl Eval {
     }
 }
 
-/// The name of a method in tables, where the user has none.
 fn method_of(weights: &Network, eval: &Eval) -> String {
     if let Some(folder) = eval.theirs.given() {
         return folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
@@ -282,13 +275,12 @@ fn method_of(weights: &Network, eval: &Eval) -> String {
     }
 }
 
-/// A name as that of a folder.
 fn slug(name: &str) -> String {
     let letters = name.chars().map(|c| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '-' });
     letters.collect()
 }
 
-/// Some of the photos, evenly spread, and below them what was drawn in their place.
+/// Shows evenly spread photos above their predictions.
 fn pictures(judged: &Judged) -> Result<Image> {
     let targets = &judged.capture.targets;
     let shown = targets.len().min(SHOWN);

@@ -1,4 +1,4 @@
-//! Scenes that other systems made of the input photos.
+//! External scenes of the input photos.
 
 use super::{depth, judge::Made};
 use crate::{
@@ -19,52 +19,51 @@ use zipsplat::{
     },
 };
 
-/// Share of their spread that cameras may be apart after an alignment before a note says so.
+/// Camera error over their spread that needs a note.
 const APART: f64 = 0.05;
 
-/// The scene that is judged, where it is not one that is reconstructed.
 #[derive(Args)]
 pub struct Theirs {
-    /// Judge this scene, which another system made of the input photos: PLY, SPZ, .splat or glTF; with --protocol a folder of NAME.ply
-    /// and the like for each scene. Nothing is reconstructed
+    /// Evaluate this external scene of the input photos: PLY, SPZ, .splat or glTF; with --protocol
+    /// a folder of NAME.ply and the like. No reconstruction
     #[arg(long, value_name = "FILE", conflicts_with_all = ["refine", "ratio", "keep", "disturb", "fit"])]
     scene: Option<PathBuf>,
-    /// Judge a scene of one Gaussian for each pixel that a network would see of the input photos, as pixel-aligned methods make it, here at
-    /// the exact depth: FOLDER/NAME.npy beside each photo NAME, f32 [height, width], z in the cameras' unit, 0 where there is none, as
-    /// `scene` writes it; with --protocol FOLDER/SCENE/NAME.npy. Nothing is reconstructed; --refine starts from it
+    /// Evaluate a pixel-aligned scene, one Gaussian per input pixel, at exact depth. Reads
+    /// FOLDER/NAME.npy for each photo NAME, as `scene` writes it: f32 [height, width], z in the
+    /// cameras' unit, 0 for unknown. With --protocol FOLDER/SCENE/NAME.npy. No reconstruction;
+    /// --refine starts from it
     #[arg(long, value_name = "FOLDER", conflicts_with_all = ["scene", "ratio", "keep", "disturb", "fit", "pose_free"])]
     from_depth: Option<PathBuf>,
-    /// Give that depth an error, to see what quality of depth a scene needs: so many percent of it, standard deviation, smooth over
-    /// patches of 14 pixels, as networks err, and another one in each photo
+    /// Add errors to that depth: standard deviation in percent, smooth over patches of 14 pixels
+    /// like network errors, independent between photos
     #[arg(long, alias = "depth-noise", value_name = "PERCENT", requires = "from_depth", default_value = "0", value_parser = parse_noise)]
     noise: f64,
-    /// World of that scene [default: aligned with --scene-cameras, else what its file says, else first]
+    /// World of that scene [default: aligned with --scene-cameras, else the file's, else first]
     #[arg(long, alias = "scene-frame", value_enum, value_name = "WHOSE", requires = "scene")]
     world: Option<Whose>,
-    /// Cameras of the input photos in the scene's world, for --world aligned: what `--poses` reads; with --protocol a folder of NAME.json,
-    /// or of COLMAP models NAME/
+    /// Cameras of the input photos in the scene's world, for --world aligned, in any format of
+    /// `--poses`; with --protocol a folder of NAME.json or COLMAP models NAME/
     #[arg(long, value_name = "PATH", requires = "scene")]
     scene_cameras: Option<PathBuf>,
-    /// Length in the cameras' unit that is 1 in the scene; with --world aligned it follows from the cameras [default: 1]
+    /// Length in the cameras' unit that is 1 in the scene; --world aligned derives it [default: 1]
     #[arg(long, value_name = "LENGTH", requires = "scene", value_parser = parse_length)]
     scene_unit: Option<f64>,
-    /// How the scene's file has opacities: as logits, as 3DGS has them, or plain, from 0 to 1
+    /// Opacities of the scene's file: logits, as in 3DGS, or plain, from 0 to 1
     #[arg(long, value_enum, value_name = "HOW", default_value = "logit", requires = "scene")]
     opacities: Opacities,
     #[command(flatten)]
     input: SceneInput,
 }
 
-/// The world of another system's scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Whose {
-    /// The first input photo's camera: pose-free systems, ours
+    /// The first input's camera: pose-free systems, ours
     First,
-    /// The cameras' origin, but the axes of the first input photo's camera: DepthSplat
+    /// The cameras' origin with the axes of the first input's camera: DepthSplat
     Turned,
     /// The world of the cameras: 3DGS, brush
     Cameras,
-    /// Any: the similarity between its cameras and those given brings it here
+    /// Any: a similarity between its cameras and the known ones maps it here
     Aligned,
 }
 
@@ -74,33 +73,31 @@ enum Opacities {
     Plain,
 }
 
-/// Percent that leave a depth above 0.
+/// Parses percent that keep depth above 0.
 fn parse_noise(text: &str) -> Result<f64, String> {
     let percent = text.parse().ok().filter(|percent| (0.0..=30.0).contains(percent));
     percent.ok_or_else(|| "expected percent from 0 to 30".into())
 }
 
 impl Theirs {
-    /// Whether something is said of how a scene is read.
+    /// Returns true for any option about reading a scene.
     pub fn says(&self) -> bool {
         self.input.is_given()
     }
 
-    /// The scene's file or the folder of depth; none where a scene is reconstructed.
+    /// Returns the scene file or depth folder; `None` for a reconstruction.
     pub fn given(&self) -> Option<&Path> {
         self.scene.as_deref().or(self.from_depth.as_deref())
     }
 
-    /// The options as figures depend on them.
+    /// Formats the options for the scores' hash.
     pub fn told(&self) -> String {
         let Self { scene, from_depth, noise, world, scene_cameras, scene_unit, opacities, .. } = self;
         format!("{scene:?} {from_depth:?} {noise:?} {world:?} {scene_cameras:?} {scene_unit:?} {opacities:?}")
     }
 
-    /// The scene of a capture, in its world and unit, where it is not to be reconstructed. `name` is the capture's in a data set.
-    ///
-    /// # Errors
-    /// Where a file cannot be read, or the scene's world cannot be told.
+    /// Returns the external scene in a capture's world and unit. `name` is the capture's in a data
+    /// set.
     pub fn make(
         &self,
         session: &mut Session<'_>,
@@ -118,10 +115,7 @@ impl Theirs {
         }
     }
 
-    /// The file of the scene, of the one of a protocol with this name; none where ours is judged.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] where a folder has no scene of that name.
+    /// Returns the file of the external scene, by protocol scene name.
     pub fn file(&self, name: Option<&str>) -> Result<Option<PathBuf>> {
         let (Some(path), Some(name)) = (&self.scene, name) else { return Ok(self.scene.clone()) };
         let files = SceneFormat::ALL.iter().map(|format| path.join(format!("{name}{}", format.extension())));
@@ -130,10 +124,7 @@ impl Theirs {
         found.map(Some).ok_or_else(|| Error::argument("--scene", path.display(), expected))
     }
 
-    /// Reads the scene and brings it to the world and unit of a capture.
-    ///
-    /// # Errors
-    /// Where it or its cameras cannot be read, or its world cannot be told.
+    /// Reads the scene into a capture's world and unit.
     fn read(
         &self,
         session: &mut Session<'_>,
@@ -185,7 +176,6 @@ impl Theirs {
         Ok(Made::given(scene))
     }
 
-    /// The file of the scene's cameras.
     fn cameras(&self, path: &Path, name: Option<&str>) -> Result<PathBuf> {
         let Some(name) = name else { return Ok(path.to_owned()) };
         let places = [path.join(format!("{name}.json")), path.join(name)];
@@ -197,7 +187,8 @@ impl Theirs {
     }
 }
 
-/// Brings a scene to the world and unit of a capture, whose first input has this pose, by way of the cameras' world.
+/// Maps a scene through the cameras' world to a capture's world and unit; its first input has pose
+/// `first`.
 pub fn place(scene: &mut Scene, to_cameras: &Similarity, first: &Pose, capture: &Capture) {
     // The capture's world is the first input's camera, in its own unit.
     let pose = first.inverse().compose(&to_cameras.pose);
@@ -205,13 +196,13 @@ pub fn place(scene: &mut Scene, to_cameras: &Similarity, first: &Pose, capture: 
     scene.place(to_cameras.scale / capture.unit.length, &pose);
 }
 
-/// Whether what was read as logits may be plain opacities.
+/// Detects plain opacities that were read as logits.
 fn are_plain(scene: &Scene) -> bool {
-    // The logistic function of 0 and of 1.
+    // Logistic function of 0 and 1.
     !scene.is_empty() && scene.opacities.iter().all(|opacity| (0.5..=0.731_06).contains(opacity))
 }
 
-/// Undoes the logistic function that was taken of plain opacities.
+/// Undoes the logistic function of plain opacities.
 fn take_plain(scene: &mut Scene, file: &Path) -> Result<()> {
     for (i, opacity) in scene.opacities.iter_mut().enumerate() {
         let plain = (f64::from(*opacity) / (1.0 - f64::from(*opacity))).ln();
@@ -224,8 +215,8 @@ fn take_plain(scene: &mut Scene, file: &Path) -> Result<()> {
     Ok(())
 }
 
-/// The similarity from the world of a scene's cameras to that of the same photos' frames, and how far cameras then are apart, as a
-/// share of their spread.
+/// Returns the similarity from the scene's cameras to the photos' frames, and the residual over
+/// their spread.
 pub fn aligned(theirs: &Poses, frames: &[&Frame]) -> Result<(Similarity, f64)> {
     let mut pairs = Vec::new();
     for frame in frames {

@@ -1,4 +1,4 @@
-//! `zipsplat info`: devices, checkpoints, scenes and plans.
+//! `zipsplat info`.
 
 mod plan;
 
@@ -22,7 +22,7 @@ use zipsplat::{
     weights::{Checkpoint, DepthCheckpoint},
 };
 
-/// Devices, or what is in a checkpoint or scene, or the memory that a reconstruction will take
+/// Devices, contents of a checkpoint or scene, or memory of a reconstruction
 #[derive(Args)]
 #[command(
     mut_args(for_plans),
@@ -36,11 +36,12 @@ use zipsplat::{
   zipsplat info --plan --weights seeded:da3-base --views 24 --size 504x336"
 )]
 pub struct Info {
-    /// Checkpoint of ZipSplat or Depth Anything 3, seeded:VARIANT[:KEY], or scene (PLY, SPZ, .splat or glTF)
+    /// Checkpoint of ZipSplat or Depth Anything 3, seeded:VARIANT[:KEY], or scene (PLY, SPZ, .splat
+    /// or glTF)
     file: Option<String>,
     #[command(flatten)]
     scene_input: SceneInput,
-    /// Show where every tensor of a reconstruction will lie; needs no device, but then assumes an ordinary one
+    /// Print the memory plan of a reconstruction; without a device, for an ordinary one
     #[arg(long, requires = "views", conflicts_with = "file")]
     plan: bool,
     #[command(flatten)]
@@ -53,21 +54,21 @@ pub struct Info {
     /// Plan for known cameras
     #[arg(long, requires = "plan")]
     poses: bool,
-    /// Also plan pictures of this size of the scene, two in flight as zipsplat render has them
+    /// Also plan pictures of this size, two in flight as in zipsplat render
     #[arg(long, value_name = "WxH", requires = "plan")]
     pictures: Option<Size>,
-    /// Also plan a refinement of the scene against as many photos of this size; :tokens moves the network's tokens, from which its head
-    /// makes Gaussians, and not the Gaussians themselves
+    /// Also plan a refinement of the scene against as many photos of this size; with :tokens of the
+    /// network's tokens instead of the Gaussians
     #[arg(long, value_name = "WxH[:tokens|gaussians]", requires = "plan")]
     refine: Option<Refinement>,
     #[command(flatten)]
     moved: Moved,
-    /// Show every tensor of the plan, by first use, not only the largest
+    /// Print every tensor of the plan, by first use, not only the largest
     #[arg(long, requires = "plan")]
     all: bool,
 }
 
-/// Lets options that only plans take say so where there is none.
+/// Makes plan options require --plan.
 fn for_plans(arg: Arg) -> Arg {
     match arg.get_id().as_str() {
         "weights" | "ratio" | "select" | "pool" | "keep" | "size" | "precision" => arg.requires("plan"),
@@ -77,7 +78,7 @@ fn for_plans(arg: Arg) -> Arg {
 }
 
 impl Info {
-    /// Whether it plans, for which no device is needed.
+    /// Returns true for `--plan`, which needs no device.
     pub fn plans(&self) -> bool {
         self.plan
     }
@@ -98,7 +99,7 @@ impl Info {
     }
 }
 
-/// A path that cannot be opened is none, which [`Checkpoint::open`] then complains about.
+/// Treats an unreadable path as a checkpoint; [`Checkpoint::open`] reports it.
 fn is_scene(path: &Path) -> Result<bool> {
     if path.is_dir() {
         return Err(Error::argument("file", format!("the folder {}", path.display()), "a checkpoint or scene"));
@@ -148,7 +149,7 @@ fn devices(session: &mut Session<'_>) -> Result<()> {
     session.report(&devices, text)
 }
 
-/// Rows, columns and terms of the matrices that a device multiplies as one, by the type of their factors.
+/// Formats matrix-unit sizes by factor type.
 fn matrices(limits: &Limits) -> String {
     let sides = |shape: MatrixShape| format!("{} x {} x {}", shape.m, shape.n, shape.k);
     let Matrices { f16, bf16, i8 } = limits.matrices;
@@ -159,7 +160,6 @@ fn matrices(limits: &Limits) -> String {
     if all.is_empty() { "none".into() } else { all.join(", ") }
 }
 
-/// The arithmetic that multiplies the 8-bit integers of `turbo`.
 fn turbo(limits: &Limits) -> &'static str {
     match Arithmetic::of(Precision::Turbo, limits) {
         Some(Arithmetic { quantised: Some(_), .. }) => "8-bit integers on matrix units",
@@ -195,7 +195,6 @@ fn depth_checkpoint(session: &mut Session<'_>, checkpoint: &DepthCheckpoint) -> 
     weights(session, &json, checkpoint.provenance(), &name)
 }
 
-/// The sizes of weights, and the fields of their architecture.
 fn weights(session: &mut Session<'_>, json: &Value, source: &str, name: &str) -> Result<()> {
     let number = |value: &Value| value.as_u64().unwrap_or_default();
     let stored = json["stored"].as_object().into_iter().flatten();
@@ -229,7 +228,7 @@ fn scene(session: &mut Session<'_>, path: &str, input: &SceneInput) -> Result<()
     let bounds = ranges(scene.means.iter().copied());
     let [scales] = ranges(scene.scales.as_flattened().iter().map(|scale| [*scale]));
     let [opacities] = ranges(scene.opacities.iter().map(|opacity| [*opacity]));
-    // The least of every axis, and the greatest.
+    // Minimum and maximum corner.
     let corners = || Some([0, 1].map(|end| bounds.map(|range| range.map_or(f32::NAN, |range| range[end]))));
     let json = json!({
         "path": path, "gaussians": count, "dropped": dropped, "sh_degree": degree, "bounds": bounds[0].and_then(|_| corners()),
@@ -251,7 +250,7 @@ fn scene(session: &mut Session<'_>, path: &str, input: &SceneInput) -> Result<()
     session.report(&json, text)
 }
 
-/// The least and the greatest value of each column; none of no row.
+/// Returns `None` without rows.
 fn ranges<const N: usize>(rows: impl Iterator<Item = [f32; N]>) -> [Option<[f32; 2]>; N] {
     rows.fold([None; N], |ranges: [Option<[f32; 2]>; N], row| {
         std::array::from_fn(|i| {

@@ -1,4 +1,4 @@
-//! `zipsplat info --plan`: the map of the arena.
+//! `zipsplat info --plan`.
 
 use super::Info;
 use crate::{
@@ -21,13 +21,11 @@ use zipsplat::{
     weights::DepthCheckpoint,
 };
 
-/// Tensors that are shown where not all are asked for.
+/// Tensors shown by default.
 const LARGEST: usize = 20;
 
-/// A refinement that is planned.
 #[derive(Clone, Copy, Debug)]
 pub struct Refinement {
-    /// The size of the photos.
     size: Size,
     tokens: bool,
 }
@@ -37,7 +35,7 @@ impl FromStr for Refinement {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let (size, moved) = text.split_once(':').unwrap_or((text, "gaussians"));
-        // What is moved is told as `--refine` of a reconstruction has it.
+        // Same wording as `--refine` of a reconstruction.
         let Steps { tokens, .. } =
             format!("0:{moved}").parse().map_err(|_| "expected WxH, WxH:gaussians or WxH:tokens")?;
         Ok(Self { size: size.parse()?, tokens })
@@ -81,7 +79,7 @@ pub fn show(session: &mut Session<'_>, info: &Info, views: usize) -> Result<()> 
     let of_refinement = refined.iter().flat_map(|refined| &refined.plans);
     let first_lane = Arena::lane_bytes([&plan].into_iter().chain(&pictures).chain(of_refinement));
     let arena = first_lane + (Arena::LANES as u64 - 1) * of_pictures;
-    // What as many arenas as there are plans under way would take.
+    // Sum of separate arenas.
     let own = refined.as_ref().map_or(0, RefinePlan::arena_bytes);
     let separate = weights + scene + kept + plan.arena_bytes() + own + Arena::LANES as u64 * of_pictures;
     let rows = plan.arena_map();
@@ -122,7 +120,7 @@ pub fn show(session: &mut Session<'_>, info: &Info, views: usize) -> Result<()> 
     session.report(&json, text + &smaller)
 }
 
-/// The map of a plan from photos to depth, and to the patches that are kept.
+/// Prints the plan from photos to depth, with the cached patches.
 fn show_depth(session: &mut Session<'_>, info: &Info, views: usize, checkpoint: &DepthCheckpoint) -> Result<()> {
     for (option, given) in [
         ("--pictures", info.pictures.is_some()),
@@ -164,7 +162,7 @@ fn show_depth(session: &mut Session<'_>, info: &Info, views: usize, checkpoint: 
     session.report(&json, text)
 }
 
-/// The tensors of a map, the largest or all by first use, and what is said of the others.
+/// Returns the largest tensors, or all by first use, and a note on the rest.
 fn table(mut rows: Vec<ArenaRow>, all: bool) -> (Table, String) {
     let count = rows.len();
     if !all {
@@ -188,7 +186,7 @@ fn device_name(limits: &Limits) -> &str {
     if limits.name == Limits::default().name { "an ordinary device" } else { &limits.name }
 }
 
-/// The device; none where there is none and none was asked for, or where the plan is to be an ordinary device's.
+/// Returns `None` without any device, or for a plan of an ordinary device.
 fn device(session: &mut Session<'_>) -> Result<Option<Device>> {
     if session.plans_for_none() {
         return Ok(None);

@@ -1,4 +1,4 @@
-//! The network's part of `zipsplat reconstruct`: views of the photos to Gaussians.
+//! Network pass of `zipsplat reconstruct`.
 
 use super::Reconstruct;
 use super::placed::Placed;
@@ -29,7 +29,6 @@ use zipsplat::{
 pub const LOAD_PHOTOS: &str = "load photos";
 pub const LOAD_WEIGHTS: &str = "load weights";
 
-/// A forward pass that nothing speaks against.
 pub struct Planned<'a> {
     command: &'a Reconstruct,
     checkpoint: &'a Checkpoint,
@@ -40,42 +39,34 @@ pub struct Planned<'a> {
     shape: Shape,
 }
 
-/// The outcome of a network's run, and how it came about.
 pub struct Forward {
-    /// The network's arena, where it is still there: what comes next runs in it.
+    /// Arena for the next pass, if still allocated.
     pub arena: Option<Arena>,
-    /// The tokens, where these are to be moved.
     pub tokens: Option<SceneTokens>,
-    /// The Gaussians on the host, thinned where that was asked for.
+    /// Gaussians on the host, after any pruning.
     pub scene: Scene,
-    /// The same on the device, where they are there.
+    /// Gaussians on the device, if resident.
     pub on_device: Option<DeviceScene>,
-    /// The cameras that follow from the scene, where they are asked for.
+    /// Estimated cameras, if requested.
     pub found: Option<Placed>,
-    /// The length in the cameras' unit that the network took for 1.
+    /// Length in the cameras' unit that is 1 for the network.
     pub length: f64,
-    /// Time of each stage.
     pub times: Vec<(String, Duration)>,
-    /// The account of stages for `--explain`.
     pub explanation: Option<Explanation>,
     pub peak_bytes: u64,
-    /// The views that the scene comes from, in words.
     pub views_told: String,
-    /// The tokens and cameras in words, and the unit.
+    /// Tokens, cameras and unit.
     pub told: String,
-    /// Bytes of weights that were loaded a second.
+    /// Bytes per second of loaded weights.
     pub rate: u64,
-    /// What it says for programs.
+    /// Fields of the JSON record.
     pub json: Vec<(&'static str, Value)>,
-    /// The network, whose weights stay on the device as the plan says.
+    /// Keeps the weights as planned.
     pub _model: Option<Model>,
 }
 
 impl Forward {
-    /// Checks what is asked of the network, before a device is opened.
-    ///
-    /// # Errors
-    /// [`zipsplat::Error::Argument`] for what cannot be used.
+    /// Checks the options before a device is opened.
     pub fn plan<'a>(
         command: &'a Reconstruct,
         session: &mut Session<'_>,
@@ -103,17 +94,13 @@ impl Forward {
         Ok(Planned { command, checkpoint, photos, poses, frames, size, shape })
     }
 
-    /// How fast the weights were loaded, in words.
     pub fn rate_told(&self) -> String {
         format!("  ({}/s)", bytes(self.rate))
     }
 }
 
 impl Planned<'_> {
-    /// Runs it.
-    ///
-    /// # Errors
-    /// Those of reading photos and of [`zipsplat::reconstruct::Model::reconstruct`].
+    /// Runs the pass.
     pub fn run(self, session: &mut Session<'_>, device: &Device) -> Result<Forward> {
         let Self { command, checkpoint, photos, poses, frames, size, shape } = self;
         let (quality, fit) = (&command.quality, command.fit.fit);
@@ -181,7 +168,6 @@ impl Planned<'_> {
     }
 }
 
-/// The tokens of a scene in words, and the unit.
 fn told(
     result: &Reconstruction,
     all: usize,
@@ -196,7 +182,6 @@ fn told(
     format!("the network's: {tokens} of {all}, {each} each, {} precision\n{unit}{cameras}", precision.name())
 }
 
-/// Bytes a second.
 pub fn rate(bytes: u64, took: Duration) -> u64 {
     (bytes as f64 / took.as_secs_f64().max(1e-9)) as u64
 }

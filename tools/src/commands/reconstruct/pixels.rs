@@ -1,4 +1,4 @@
-//! The scene of a depth network: a Gaussian for each pixel of the photos that it is confident of.
+//! Pixel scenes: one Gaussian per confident pixel of a depth network.
 
 use super::{
     Reconstruct,
@@ -19,11 +19,10 @@ use zipsplat::{
     weights::DepthCheckpoint,
 };
 
-/// What the options of a network of tokens are refused for.
 const PIXELS: &str = "weights of Depth Anything 3";
 
 impl Reconstruct {
-    /// Refuses what has no meaning where each pixel becomes a Gaussian.
+    /// Rejects options that do not apply to pixel scenes.
     pub fn check_pixels(&self, checkpoint: &DepthCheckpoint) -> Result<()> {
         let tokens = self.refine.steps().is_some_and(|steps| steps.tokens);
         for (option, given) in [
@@ -37,7 +36,6 @@ impl Reconstruct {
         self.quality.check_pixels(checkpoint)
     }
 
-    /// The question that a network is asked for its scene.
     pub fn question<'a>(&'a self, checkpoint: &'a DepthCheckpoint) -> Question<'a> {
         let question = self.quality.question(checkpoint);
         let side = question.side.or(self.finding.search.find_size);
@@ -46,10 +44,12 @@ impl Reconstruct {
 }
 
 impl Forward {
-    /// The scene of photos with cameras, in the world of the first one's, by what the network has `seen` where it has found them.
+    /// Makes the scene in the world of the first camera, with known cameras or those that the
+    /// network has `seen`.
     ///
     /// # Errors
-    /// As [`Question::ask`]; [`Error::Argument`] where nothing tells the scale of each photo's depth, or no pixel is confident.
+    /// As [`Question::ask`]; [`Error::Argument`] for unknown depth scales, or without confident
+    /// pixels.
     pub fn of_pixels(
         command: &Reconstruct,
         session: &mut Session<'_>,

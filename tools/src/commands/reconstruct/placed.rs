@@ -1,4 +1,4 @@
-//! The cameras of photos without any, as they follow from a scene.
+//! Cameras estimated from a scene.
 
 use crate::{cameras::path_from, options::Size, outputs::make_folder, photos::names, table::counted};
 use serde_json::{Map, Value, json};
@@ -13,22 +13,22 @@ use zipsplat::{
     },
 };
 
-/// The cameras of views of one size.
 pub struct Placed {
     found: Vec<Result<FoundCamera>>,
     size: Size,
 }
 
 impl Placed {
-    /// The cameras of views of this size, one of each photo.
+    /// Takes one estimate per photo.
     pub fn new(found: Vec<Result<FoundCamera>>, size: Size) -> Self {
         Self { found, size }
     }
 
-    /// Writes the cameras of the whole photos, with the numbers of patches that agree. Returns a note where photos have none.
+    /// Writes the cameras of the whole photos, with their inliers. Returns a note on photos without
+    /// a camera.
     ///
     /// # Errors
-    /// [`Error::Argument`] where no photo has a camera; those of photos that cannot be read; [`Error::Io`].
+    /// [`Error::Argument`] without any camera; those of reading photos; [`Error::Io`].
     pub fn save(&self, path: &Path, photos: &[PathBuf]) -> Result<Option<String>> {
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let (mut frames, mut fields, mut lost) = (Vec::new(), Vec::new(), Vec::new());
@@ -57,7 +57,6 @@ impl Placed {
         Ok((!lost.is_empty()).then(|| format!("without a camera: {}", names(&lost))))
     }
 
-    /// The outcome in words, as a line.
     pub fn told(&self) -> String {
         let found: Vec<&FoundCamera> = self.found.iter().flatten().collect();
         let mut shares: Vec<f64> = found.iter().map(|found| found.inliers as f64 / found.pairs as f64).collect();
@@ -67,7 +66,7 @@ impl Placed {
         format!("cameras of {} of {of}: {:.0} % of a photo's patches agree (median)\n", found.len(), 100.0 * median)
     }
 
-    /// The same for programs: photo by photo, null where there is no camera.
+    /// Returns null for failures.
     pub fn as_json(&self) -> Value {
         let one = |found: &Result<FoundCamera>| match found {
             Ok(FoundCamera { camera, inliers, pairs }) => {

@@ -1,4 +1,4 @@
-//! The refinement of `zipsplat reconstruct --refine`.
+//! Refinement in `zipsplat reconstruct --refine`.
 
 use super::{
     Reconstruct,
@@ -18,28 +18,24 @@ use zipsplat::{
     weights::Checkpoint,
 };
 
-/// The thing that a refinement begins with.
+/// Initialization of a refinement.
 #[derive(Clone, Copy)]
 pub enum From {
     Scene(Start),
     Tokens,
 }
 
-/// The things that a refinement may need.
 pub struct Given<'a> {
     pub device: &'a Device,
-    /// The network's weights, where it has tokens.
+    /// For token refinement.
     pub checkpoint: Option<&'a Checkpoint>,
-    /// The network's results, where it ran.
+    /// If the network ran.
     pub forward: Option<&'a Forward>,
 }
 
-/// The outcome of --refine.
 pub struct Made {
     pub refined: Refined,
-    /// The start, in words.
     pub started: String,
-    /// The cameras that it was given.
     pub cameras: Vec<Camera>,
     pub request: Refine,
     /// Time to read the photos.
@@ -47,7 +43,6 @@ pub struct Made {
 }
 
 impl Reconstruct {
-    /// The thing that these steps begin with.
     pub fn start_of(&self, steps: Steps, cloud: Option<&PointCloud>) -> From {
         match steps.tokens {
             true => From::Tokens,
@@ -55,10 +50,7 @@ impl Reconstruct {
         }
     }
 
-    /// Makes the scene look like the photos, in the world of the first one's camera.
-    ///
-    /// # Errors
-    /// As [`refinement::refine`], and where a photo or what it begins with is missing.
+    /// Refines in the world of the first camera.
     pub fn refine_scene(
         &self,
         session: &mut Session<'_>,

@@ -9,18 +9,16 @@ use super::{
 };
 use zipsplat::gpu::Element;
 
-/// Rounding errors of a row's weights.
 struct Weights {
     highest: f64,
-    /// Index of the highest score.
     first: usize,
-    /// Maximum number of increases of the running maximum.
+    /// Limit of increases of the running maximum.
     rises: usize,
-    /// Sum of all true weights; the highest is 1.
+    /// Relative to the highest weight.
     total: f64,
     /// Relative rounding of a multiplied weight.
     unit: f64,
-    /// Weights below it may be flushed.
+    /// Weights below may be flushed.
     least: f64,
 }
 
@@ -33,40 +31,36 @@ impl Weights {
             }
         }
         let total = scores.iter().map(|score| (score - highest).exp()).sum();
-        // On lanes weights stay f32.
+        // Lanes keep f32 weights.
         let (unit, least) =
             if mode.matrix { (mode.factors().unit, mode.factors().tiny.max(TINY)) } else { (0.0, TINY) };
         Self { highest, first, rises, total, unit, least }
     }
 
-    /// Relative error bound of the weight of a score `below` the highest: that of exp and of each
-    /// rescale. exp(0) is assumed to be 1.
+    /// Returns the relative error of a score `below` the highest, after exp and each rescale.
+    /// exp(0) is assumed to be 1.
     fn relative(&self, below: f64) -> f64 {
         (3.0 * (1 + self.rises) as f64 + 2.0 * below) * ULP + self.unit
     }
 }
 
-/// The sums for one channel.
 #[derive(Clone, Copy, Default)]
 struct Channel {
     /// Weighted deviations of values, times their weights' errors.
     moved: f64,
     /// Largest distance of a value from the result.
     range: f64,
-    /// Weighted magnitudes.
     size: f64,
-    /// As `moved`, when one key dominates.
+    /// `moved` for one dominating key.
     beside: f64,
     /// Loss from flushed subnormals.
     lost: f64,
     /// Weighted errors of the values.
     shifted: f64,
-    /// Number of nonzero values.
     terms: usize,
 }
 
 impl Problem {
-    /// Scores of one query with error bounds.
     pub fn scores(&self, mode: Mode, (query, head): (&[f64], usize), keys: &Keys) -> Row {
         let factors = mode.factors();
         let scale = 1.0 / (self.dim as f64).sqrt();
@@ -95,7 +89,7 @@ impl Problem {
         Row { scores, errors }
     }
 
-    /// Error bounds of one query's output `out [dim]`.
+    /// Returns the error bounds of one query's channels.
     pub fn bounds(&self, mode: Mode, row: &Row, head: usize, keys: &Keys, out: &[f64]) -> Vec<f64> {
         let factors = mode.factors();
         let weights = Weights::new(mode, &row.scores);
@@ -103,7 +97,7 @@ impl Problem {
         let of_head = |key: usize| &keys.v[place(key)..][..self.dim];
         let least = factors.tiny.max(TINY);
         let mut channels = vec![Channel::default(); self.dim];
-        // Shares of the weights: lower bound, upper bound, possibly flushed.
+        // Weight shares: lower bound, upper bound, possibly flushed.
         let (mut kept, mut grown, mut lost) = (0.0, 0.0, 0.0);
         let first_error = row.errors[weights.first];
         let first_value = of_head(weights.first);
@@ -118,7 +112,6 @@ impl Problem {
             if p * weights.total < 2.0 * weights.least {
                 lost += p;
             }
-            // Relative to the weight of the highest score.
             let own = weights.relative(0.0);
             let beside = if key == weights.first {
                 0.0
@@ -140,14 +133,14 @@ impl Problem {
                 }
             }
         }
-        // A term of the weights' sum passes through a lane's additions and the subgroup's.
+        // Additions of a lane, then of the subgroup.
         let total = gamma(by_lanes(self.keys()) + weights.rises + 6);
         let output = if mode.factor == Element::F32 { 0.0 } else { factors.unit };
         let bound = |(channel, out): (&Channel, &f64)| {
             let Channel { moved, range, size, beside, lost: flushed, shifted, terms } = *channel;
             let shifted = shifted / kept;
             let carried = (moved / kept).min(range).min(beside) + shifted;
-            // Computed weights, not exact ones.
+            // By computed weights.
             let size = (size * grown / kept).min(out.abs() + range) + shifted;
             let summed = factors.sum(terms + weights.rises + 1) * size;
             let near = out.abs() + carried + summed;

@@ -15,9 +15,8 @@ const REASON: &str = "a score is off by d <= gamma_(D+2) sum|q k|, so its weight
     Pooled keys and values are off by gamma_n mean|x| and a division, and as 16 bits by their rounding; the logarithm of their count by \
     what Vulkan allows it";
 
-/// Key count that exceeds 65,536 and 131,072.
+/// Beyond 65,536 and 131,072.
 const MANY: usize = 200_000;
-/// Dominating keys, one per query.
 const DOMINATING: [usize; 6] = [0, 65_535, 65_536, 131_071, 131_072, MANY - 1];
 
 pub fn area() -> Area {
@@ -91,8 +90,7 @@ pub fn area() -> Area {
     Area { kernel: "ops/attention", size: "keys", reason: REASON, modes: Mode::FLOATS, cases }
 }
 
-/// Gives channel c nonzero values only in the c-th part of the keys. A missing part empties its
-/// channels, which exceeds any rounding.
+/// Limits channel c to the c-th part of the keys: a missing part shows.
 fn sliced(queries: usize, keys: usize) -> Problem {
     let mut problem = Problem::random(queries, keys, 64, 1.0);
     for (i, v) in problem.v.iter_mut().enumerate() {
@@ -104,7 +102,7 @@ fn sliced(queries: usize, keys: usize) -> Problem {
     problem
 }
 
-/// Tokens of three views, whose last groups have fewer patches.
+/// Takes three views whose last groups have fewer patches.
 fn pooled(pool: Pool) -> Problem {
     Problem { pool: Some(pool), ..Problem::random(17, 3 * pool.tokens(), 64, 1.0) }
 }
@@ -118,7 +116,7 @@ fn identical(keys: usize) -> Problem {
     problem
 }
 
-/// The i-th dominating key is parallel to the i-th query.
+/// Aligns the i-th dominating key with the i-th query.
 fn dominated(keys: usize, dim: usize, dominating: &[usize]) -> Problem {
     let mut problem = Problem::random(dominating.len(), keys, dim, 4.0);
     let width = problem.width();
@@ -129,7 +127,7 @@ fn dominated(keys: usize, dim: usize, dominating: &[usize]) -> Problem {
     problem
 }
 
-/// Scores increase with every key and force repeated rescaling.
+/// Forces rescaling by increasing scores.
 fn rising(keys: usize) -> Problem {
     let mut problem = Problem::random(5, keys, 64, 1.0);
     problem.q.fill(1.0);

@@ -1,38 +1,28 @@
-//! Results of faulty attention.
+//! Faulty attention.
 
 use super::{super::bound::half, HEADS, Keys, Problem};
 
-/// Faults of attention.
 #[derive(Clone, Copy, Debug)]
 pub enum Fault {
     Zero,
     /// Ignores keys from this index on.
     KeysFrom(usize),
-    /// Ignores one key.
     Key(usize),
     LastKey,
-    /// Ignores every second key.
     HalfOfKeys,
     NeighbourValue,
-    /// Values of the other head.
     NeighbourHead,
-    /// Scores not divided by the root of the channels.
     NoScale,
-    /// exp of f32 scores without subtracting the maximum.
+    /// exp of f32 scores without the maximum.
     NoMaximum,
     /// Sums not rescaled when the maximum rises.
     SumsNotScaled,
     /// Total weight not rescaled when the maximum rises.
     TotalNotScaled,
-    /// No division by the total weight.
     NoTotal,
-    /// Sums rounded to 11 bits.
     HalfSum,
-    /// Weights rounded to 11 bits.
     HalfWeights,
-    /// Scores rounded to 11 bits.
     HalfScores,
-    /// Ignores patch counts of pooled keys.
     NoCounts,
     /// Patch count of the next key.
     NeighbourCount,
@@ -41,14 +31,13 @@ pub enum Fault {
 }
 
 impl Fault {
-    /// Whether 16-bit rounding hides it.
+    /// Returns true if 16-bit rounding hides it.
     pub fn is_fine(self) -> bool {
         matches!(self, Fault::LastKey | Fault::HalfSum | Fault::HalfWeights | Fault::HalfScores)
     }
 }
 
 impl Problem {
-    /// The result of one query, `[dim]`, from its scores.
     pub fn wrong(&self, scores: &[f64], head: usize, keys: &Keys, fault: Fault) -> Vec<f64> {
         let round: fn(f64) -> f64 = if matches!(fault, Fault::HalfSum) { half } else { |x| x };
         let counted = |(key, score): (usize, &f64)| match fault {

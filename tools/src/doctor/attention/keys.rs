@@ -1,4 +1,4 @@
-//! Attention keys and values, per token or averaged over groups of patches.
+//! Attention keys and values of tokens, or means of patch groups.
 
 use super::{
     super::{
@@ -10,18 +10,16 @@ use super::{
 use zipsplat::gpu::Element;
 use zipsplat_reference::ops::split_heads::Pool;
 
-/// Keys and values `[keys, HEADS, dim]`.
+/// `[keys, HEADS, dim]`.
 pub struct Keys {
     pub k: Vec<f64>,
     pub v: Vec<f64>,
     pub pooled: Option<Pooled>,
 }
 
-/// Counts and error bounds of means.
 pub struct Pooled {
     /// Patches per mean.
     pub counts: Vec<f64>,
-    /// Error bounds of a device's keys and values.
     pub off: [Vec<f64>; 2],
 }
 
@@ -38,12 +36,11 @@ impl Keys {
         }
     }
 
-    /// Patches averaged into a key.
     pub fn count(&self, key: usize) -> f64 {
         self.pooled.as_ref().map_or(1.0, |pooled| pooled.counts[key])
     }
 
-    /// Logarithm added to a key's score, and the sum's error bound.
+    /// Returns the logarithm added to a key's score, and the sum's error bound.
     pub fn more(&self, key: usize, score: f64) -> (f64, f64) {
         let count = self.count(key);
         let more = count.ln();
@@ -53,19 +50,16 @@ impl Keys {
         }
     }
 
-    /// Error bound of the i-th number of the keys.
     pub fn key_off(&self, i: usize) -> f64 {
         self.pooled.as_ref().map_or(0.0, |pooled| pooled.off[0][i])
     }
 
-    /// Error bound of the i-th number of the values.
     pub fn value_off(&self, i: usize) -> f64 {
         self.pooled.as_ref().map_or(0.0, |pooled| pooled.off[1][i])
     }
 }
 
-/// Means, their counts and error bounds: a sum, a division and 16-bit storage, where f16 may round
-/// either way.
+/// Bounds a sum, a division and 16-bit storage, where f16 may round either way.
 fn means(pool: Pool, x: &[f64], width: usize, mode: Mode) -> (Vec<f64>, Vec<f64>, Vec<f64>) {
     let (means, counts) = pool.means(x, width);
     let sizes = pool.means(&x.iter().map(|x| x.abs()).collect::<Vec<_>>(), width).0;

@@ -21,17 +21,16 @@ use zipsplat_reference::ops::{attention::attention_to_means, split_heads};
 
 const HEADS: usize = 2;
 
-/// One sequence: `q [queries, HEADS, dim]`, `k` and `v [keys, HEADS, dim]`, before pooling.
+/// One sequence before pooling: `q [queries, HEADS, dim]`, `k` and `v [keys, HEADS, dim]`.
 struct Problem {
     dim: usize,
-    /// Patch groups averaged into keys and values.
     pool: Option<Pool>,
     q: Vec<f32>,
     k: Vec<f32>,
     v: Vec<f32>,
 }
 
-/// A result `[queries, HEADS, dim]` and its inputs as the device holds them.
+/// Result `[queries, HEADS, dim]` and inputs as on the device.
 struct Truth {
     values: Vec<f64>,
     bounds: Vec<f64>,
@@ -40,15 +39,13 @@ struct Truth {
     keys: Keys,
 }
 
-/// Scores of one query and head, by key.
 struct Row {
     scores: Vec<f64>,
-    /// Error bounds of the scores.
     errors: Vec<f64>,
 }
 
 impl Problem {
-    /// Random values; queries and keys times `size`.
+    /// Scales random queries and keys by `size`.
     fn random(queries: usize, keys: usize, dim: usize, size: f32) -> Self {
         let mut noise = Noise((keys * 64 + queries) as u64);
         let width = HEADS * dim;
@@ -61,7 +58,6 @@ impl Problem {
         HEADS * self.dim
     }
 
-    /// Keys before pooling.
     fn tokens(&self) -> usize {
         self.k.len() / self.width()
     }
@@ -85,7 +81,6 @@ impl Problem {
         }
     }
 
-    /// Values as the device holds them.
     fn held(values: &[f32], mode: Mode) -> Vec<f64> {
         mode.factor.decode(&mode.factor.encode(values)).into_iter().map(f64::from).collect()
     }

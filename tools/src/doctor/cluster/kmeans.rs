@@ -23,17 +23,16 @@ const REASON: &str = "coordinates are whole multiples of 2^-6 whose squared dist
 
 const WIDTH: usize = 8;
 
-/// Tokens `[_, WIDTH]` to form k clusters.
+/// Tokens `[_, WIDTH]` and number of clusters.
 struct Problem {
     x: Vec<f32>,
     k: usize,
 }
 
-/// Clusters of each run.
 struct Found {
     /// Token nearest to each centroid, and the final assignment.
     runs: Vec<[Vec<u32>; 2]>,
-    /// Origin of the matrix-unit comparison.
+    /// Origin for matrix units.
     origin: Option<Vec<f32>>,
 }
 
@@ -49,15 +48,12 @@ enum Fault {
     LastTokenMoved,
     /// Ties go to the last cluster.
     LastOfEqual,
-    /// The token after the nearest.
     NextToken,
-    /// Means lack the cluster's last member.
+    /// Means without the cluster's last member.
     LastMember,
     /// Empty clusters keep their centroid.
     EmptyStays,
-    /// Initial centroids only.
     NoRounds,
-    /// Runs differ.
     OtherEveryRun,
 }
 
@@ -88,7 +84,6 @@ impl Problem {
         Ok(Some(trial.result(origin)?))
     }
 
-    /// Tokens nearest to the given centroids.
     fn nearest_to(&self, centroids: &[f64]) -> Vec<u32> {
         let centroids: Vec<f32> = centroids.iter().map(|&c| c as f32).collect();
         nearest::Truth::new(&centroids, &self.x, WIDTH).first()
@@ -140,7 +135,7 @@ impl case::Problem for Problem {
     fn faulty(&self, truth: &Truth, fault: Fault, mode: Mode) -> Vec<Found> {
         let (mut nearest, mut assigned) = (truth.nearest.first(), truth.assigned.clone());
         let count = (self.x.len() / WIDTH) as u32;
-        // Within the rounding of matrix units.
+        // Hidden by matrix-unit rounding.
         if matches!(fault, Fault::LastMember) && mode.matrix {
             return Vec::new();
         }
@@ -185,7 +180,7 @@ pub fn area() -> Area {
         };
         cases.push(Case::new(name, count, catches, make));
     };
-    // Runs of 16 tokens in well-separated blobs: rounding cannot change an assignment.
+    // Well-separated blobs of 16 tokens: rounding cannot change an assignment.
     for count in [64, 512, 4096] {
         let blobs = || Catches::from([LastTokenMoved, NextToken, NoRounds, LastMember, OtherEveryRun]);
         add("blobs", count, count / 16, blobs(), |token, r| (token / 16 * 8) as f32 + r);

@@ -9,7 +9,6 @@ pub use nearest::area as nearest;
 use super::Mode;
 use zipsplat::{gpu::Device, ops::NearestKernel};
 
-/// Nearest-row kernel of a mode.
 fn kernel(mode: Mode, device: &Device) -> NearestKernel {
     mode.units(device).map_or(NearestKernel::Lanes, NearestKernel::Matrix)
 }

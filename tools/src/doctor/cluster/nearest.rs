@@ -32,40 +32,34 @@ pub struct Problem {
     pub targets: Vec<f32>,
 }
 
-/// Chosen target per point, and the origin of the matrix-unit comparison.
+/// Target per point, and the origin for matrix units.
 pub struct Chosen {
     pub targets: Vec<u32>,
     pub origin: Option<Vec<f32>>,
 }
 
-/// Points, targets, and each point's two nearest targets with their distances.
+/// Points, targets, and each point's two nearest targets with distances.
 pub struct Truth {
     points: Vec<f64>,
     targets: Vec<f64>,
     nearest: Vec<[(u32, f64); 2]>,
 }
 
-/// Faults of the search.
 #[derive(Clone, Copy, Debug)]
 pub enum Fault {
-    /// Always the first target.
     First,
     SecondNearest,
     /// Ties go to the last target.
     LastOfEqual,
-    /// The later of the two nearest.
     LaterOfTwo,
-    /// The next index.
     NextIndex,
-    /// Ignores the last target.
     LastTarget,
-    /// Ignores the last four channels.
     LastChannels,
-    /// t|^2 - 2 p t in f32 about 0.
+    /// |t|^2 - 2 p t in f32, without an offset.
     Products,
-    /// Sums of squares rounded to 11 bits.
+    /// 11-bit sums of squares.
     HalfSum,
-    /// Points past the workgroup fold repeat earlier ones.
+    /// Points beyond the workgroup fold repeat earlier ones.
     Folded,
 }
 
@@ -76,12 +70,11 @@ impl Truth {
         Self { points, targets, nearest }
     }
 
-    /// The nearest targets.
     pub fn first(&self) -> Vec<u32> {
         self.nearest.iter().map(|[first, _]| first.0).collect()
     }
 
-    /// Squared distance of the chosen targets in excess of the nearest.
+    /// Returns the excess squared distance of the chosen targets.
     pub fn excess(&self, chosen: &Chosen, width: usize) -> Worst {
         let squared = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
         let origin = chosen.origin.as_deref().map(widen);
@@ -114,7 +107,6 @@ impl Truth {
         worst
     }
 
-    /// Targets that a fault chooses.
     pub fn wrong(&self, fault: Fault, width: usize) -> Vec<u32> {
         let count = self.targets.len() / width;
         let nearest = || self.nearest.iter().map(|[first, _]| first.0);
@@ -122,7 +114,6 @@ impl Truth {
             Fault::LastChannels => width - 4,
             _ => width,
         };
-        // Index of the minimum of a faulty score.
         let least = |targets: usize, score: &dyn Fn(&[f64], &[f64]) -> f64| -> Vec<u32> {
             let of = |point: &[f64]| {
                 let scores = self.targets.chunks(width).take(targets).map(|target| score(point, target));
@@ -164,7 +155,7 @@ impl Truth {
     }
 }
 
-/// Origin of the matrix-unit comparison.
+/// Returns the origin for matrix units.
 pub fn host_origin(mode: Mode, targets: &[f32], width: usize) -> Option<Vec<f32>> {
     let count = targets.len() / width;
     mode.matrix.then(|| origin(&widen(targets), width, count.min(64)).into_iter().map(|x| x as f32).collect())
@@ -212,7 +203,6 @@ pub fn area() -> Area {
             let mut noise = Noise((points + targets + width) as u64);
             let mut rows = |count: usize| noise.values(count * width).into_iter().map(value).collect::<Vec<f32>>();
             let (points, mut targets) = (rows(points), rows(targets));
-            // The last target is a point's nearest.
             let last = targets.len() - width;
             targets[last..].copy_from_slice(&points[..width]);
             Problem { width, points, targets }

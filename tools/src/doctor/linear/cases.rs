@@ -13,7 +13,6 @@ const REASON: &str = "|error| <= gamma_(n+1) (|x| |W| + |b|) in every element, w
     numbers whose sums stay below 2^24 are added exactly in any order. The truth is that of the factors as the mode holds \
     them, 11 or 8 bits or 8-bit integers; sums of integers are exact, and only their scales are rounded";
 
-/// Faults of plain sums.
 const SUMS: [Fault; 4] = [Zero, HalfSum, NeighbourColumn, NeighbourRow];
 
 pub fn area() -> Area {
@@ -26,7 +25,7 @@ pub fn area() -> Area {
     add("random", Catches::from(SUMS).and(&[LastTerm, CutIntegers, Unsigned]), || random(384), 384);
     add("random", Catches::from(SUMS).and(&[LastTerm, CutIntegers, Unsigned]), || random(588), 588);
     add("random", Catches::from(SUMS).and(&[TermsFrom(1504)]), || random(1536), 1536);
-    // When many terms round, only whole numbers reveal 11-bit sums.
+    // With many rounding terms, only whole numbers reveal 11-bit sums.
     add("random", [Zero, NeighbourColumn, NeighbourRow, TermsFrom(3968)].into(), || random(4096), 4096);
     let halves = [Zero, NeighbourColumn, NeighbourRow, TermsFrom(4096), TermsFrom(7680)];
     add("random", halves.into(), || random(8192), 8192);
@@ -97,13 +96,12 @@ fn scaled(factor: f32, mut problem: Problem) -> Problem {
     problem
 }
 
-/// Sums that overflow and underflow exp.
+/// Overflows and underflows exp.
 fn far(factor: f32, rows: usize) -> Problem {
     scaled(factor, Problem::random(rows, 64, 64))
 }
 
-/// Nonzero whole numbers up to 7. f16, bf16 and f32 sums hold them exactly, and no 8-bit rounding
-/// is near a tie.
+/// Uses nonzero whole numbers up to 7: exact in f16, bf16 and f32 sums, and far from 8-bit ties.
 fn whole(inner: usize) -> Problem {
     let mut problem = Problem { whole: true, ..random(inner) };
     for x in problem.x.iter_mut().chain(&mut problem.weight).chain(&mut problem.bias) {
@@ -112,7 +110,7 @@ fn whole(inner: usize) -> Problem {
     problem
 }
 
-/// One input per sum, from -10 to 10; gates and values read different channels.
+/// Uses one input per sum, from -10 to 10; gates and values read different channels.
 fn alone() -> Problem {
     let mut problem = Problem::random(2001, 4, 8);
     problem.x.iter_mut().enumerate().for_each(|(i, x)| *x = ((i / 4 * (1 + i % 4)) % 2001) as f32 / 100.0 - 10.0);
@@ -121,8 +119,8 @@ fn alone() -> Problem {
     problem
 }
 
-/// Whole numbers from 64 to 127 whose products cancel, except one pair in 32. Each row's maximum is
-/// 127, exact in 8-bit integers.
+/// Cancels products of whole numbers from 64 to 127, except one pair in 32. Row maxima are 127,
+/// exact in 8-bit integers.
 fn cancelling() -> Problem {
     let mut problem = Problem { whole: true, ..Problem::random(9, 512, 40) };
     let mut noise = Noise(73);
@@ -147,8 +145,7 @@ fn outliers() -> Problem {
     problem
 }
 
-/// Row r has the channels r, r + rows, r + 2 rows and so on. With few terms per sum, a wrong index
-/// shows; every channel counts.
+/// Gives row r the channels r, r + rows, r + 2 rows and so on: few terms reveal a wrong index.
 fn one_hot(inner: usize, rows: usize) -> Problem {
     let mut problem = Problem::random(rows, inner, 8);
     problem.x.iter_mut().enumerate().for_each(|(i, x)| *x = if i / inner == i % inner % rows { 1.0 } else { 0.0 });

@@ -1,4 +1,4 @@
-//! Results of faulty linear layers.
+//! Faulty linear layers.
 
 use super::{super::Mode, super::bound::half, Held, Problem, Truth};
 use rayon::prelude::*;
@@ -6,13 +6,10 @@ use std::f64::consts::PI;
 use zipsplat::{gpu::Element, kernels::limits::GROUP_FOLD};
 use zipsplat_reference::ops::activation::{gelu, sigmoid};
 
-/// Faults of a linear layer.
 #[derive(Clone, Copy, Debug)]
 pub enum Fault {
     Zero,
-    /// Sums rounded to 11 bits.
     HalfSum,
-    /// Factors rounded to f16.
     HalfFactors,
     /// 8-bit integers truncated instead of rounded.
     CutIntegers,
@@ -25,26 +22,22 @@ pub enum Fault {
     AnyTerm,
     NeighbourColumn,
     NeighbourRow,
-    /// The last row, or column, repeats the one before.
+    /// The last row or column repeats the one before.
     LastRow,
     LastColumn,
-    /// Rows past the workgroup fold repeat earlier ones.
+    /// Rows beyond the workgroup fold repeat earlier ones.
     Folded,
-    /// Writes past the last row.
+    /// Writes beyond the last row.
     PastEnd,
     NoBias,
     NoActivation,
-    /// Tanh approximation of GELU.
     TanhGelu,
     /// SiLU as e^x / (1 + e^x) in f32.
     OverflowingExp,
-    /// Swapped gate and value.
     SwappedGate,
-    /// Results rounded to f16.
     HalfResult,
     NoScale,
     NoResidual,
-    /// Scale applied after the residual.
     ScaledResidual,
     /// Integer weights read as unsigned.
     NoSign,
@@ -55,7 +48,6 @@ pub enum Fault {
 }
 
 impl Problem {
-    /// Results of faulty layers, `[rows, out_columns]`.
     pub fn wrong(&self, truth: &Truth, fault: Fault, mode: Mode) -> Vec<Vec<f64>> {
         let (columns, wide) = (self.columns, self.out_columns());
         let result = |place: &dyn Fn(usize, usize) -> usize| -> Vec<Vec<f64>> {
@@ -124,7 +116,7 @@ impl Problem {
         }
     }
 
-    /// Sums over the selected channels, rounding each partial sum.
+    /// Rounds each partial sum.
     fn sums(&self, held: &Held, round: fn(f64) -> f64, has: impl Fn(usize) -> bool + Sync) -> Vec<f64> {
         let one = |i: usize| {
             let (row, column) = (i / self.columns, i % self.columns);

@@ -1,13 +1,13 @@
-//! Factors of a linear layer as a device holds them.
+//! Factors of a linear layer as stored on a device.
 
 use super::{super::Mode, Problem};
 use zipsplat::{gpu::Element, ops::Weights};
 
-/// Distance from a rounding tie within which a device may round either way: a division and a
-/// product of values up to 127, `127 (2.5 + 0.5)` units.
+/// Distance from a tie within which rounding may go either way: a division and a product of values
+/// up to 127, `127 (2.5 + 0.5)` units.
 const NEAR_TIE: f64 = 5e-5;
 
-/// Factors in f64 after the mode's rounding.
+/// Rounded factors in f64.
 pub struct Held {
     /// `[rows, inner]`
     pub x: Vec<f64>,
@@ -15,12 +15,12 @@ pub struct Held {
     pub weight: Vec<f64>,
     /// Nonzero channels of each row.
     pub channels: Vec<Vec<usize>>,
-    /// Channels of each row near an 8-bit rounding tie, with their step size.
+    /// Channels near an 8-bit tie, with their step size.
     pub moves: Vec<Vec<(usize, f64)>>,
 }
 
 impl Held {
-    /// Rounds a problem's factors; `round` makes the integers.
+    /// Rounds the factors; `round` makes the integers.
     pub fn new(problem: &Problem, mode: Mode, round: fn(f64) -> f64) -> Self {
         let factor = problem.factor(mode);
         let stored = if factor == Element::I8 { Element::F16 } else { factor };
@@ -55,7 +55,7 @@ fn rounded(values: &[f32], element: Element) -> Vec<f64> {
     }
 }
 
-/// Weights as `pack_matrix` rounds them.
+/// Rounds as `pack_matrix`.
 fn integers(weight: &[f32], inner: usize) -> Vec<f64> {
     let row = |row: &[f32]| {
         let largest = row.iter().fold(0f32, |most, x| most.max(x.abs()));
@@ -66,7 +66,7 @@ fn integers(weight: &[f32], inner: usize) -> Vec<f64> {
     weight.chunks(inner).flat_map(row).collect()
 }
 
-/// Rounds a row as `quantise_rows.comp` does; returns the near-ties.
+/// Rounds as `quantise_rows.comp`; returns the near-ties.
 fn quantise(row: &mut [f64], round: fn(f64) -> f64) -> Vec<(usize, f64)> {
     let scale = row.iter().fold(0.0, |most: f64, x| most.max(x.abs())) / 127.0;
     let mut moves = Vec::new();

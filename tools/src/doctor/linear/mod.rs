@@ -1,4 +1,4 @@
-//! Linear layers with their epilogues: GELU, SwiGLU, layer scale, residual.
+//! Linear layers with GELU, SwiGLU, layer scale and residual.
 
 mod cases;
 mod faults;
@@ -25,7 +25,7 @@ use zipsplat::{
 };
 use zipsplat_reference::ops::activation::{gelu, sigmoid, silu};
 
-/// One layer and its input: `x [rows, inner]`, `weight [columns, inner]`.
+/// Layer and input: `x [rows, inner]`, `weight [columns, inner]`.
 struct Problem {
     rows: usize,
     inner: usize,
@@ -34,13 +34,13 @@ struct Problem {
     weight: Vec<f32>,
     bias: Vec<f32>,
     activation: Activation,
-    /// Whether layer scale and residual apply.
+    /// Layer scale and residual.
     scaled: bool,
-    /// Whether all values are whole numbers with exact partial sums in f32, in any order.
+    /// Whole numbers with exact f32 partial sums in any order.
     whole: bool,
 }
 
-/// A result `[rows, out_columns]`, and the factors as the device holds them.
+/// Result `[rows, out_columns]`, and factors as on the device.
 struct Truth {
     values: Vec<f64>,
     errors: Vec<f64>,
@@ -48,7 +48,7 @@ struct Truth {
     sums: Vec<f64>,
 }
 
-/// A sum with bias, and its error bound.
+/// Sum with bias, and error bound.
 struct Sum {
     value: f64,
     error: f64,
@@ -73,7 +73,7 @@ impl Problem {
         if self.activation == Activation::SwiGlu { self.columns / 2 } else { self.columns }
     }
 
-    /// Multiplication type of the factors; matrix units and dot products write whole vectors.
+    /// Returns the factor type; matrix units and dot products write whole vectors.
     fn factor(&self, mode: Mode) -> Element {
         match mode.factor {
             Element::I8 if !self.columns.is_multiple_of(8) => Element::F16,
@@ -81,7 +81,6 @@ impl Problem {
         }
     }
 
-    /// The kernel that the engine selects.
     fn kernel(&self, device: &Device, mode: Mode) -> LinearKernel {
         match mode.units(device).filter(|_| self.columns.is_multiple_of(8)) {
             Some(units) => LinearKernel::Matrix(units, mode.weights),
@@ -89,8 +88,8 @@ impl Problem {
         }
     }
 
-    /// Relative error of expanding an 8-bit weight on matrix units. The f16 conversion may round
-    /// either way; the bf16 conversion rounds to nearest.
+    /// Returns the relative error of an expanded 8-bit weight on matrix units. f16 may round either
+    /// way; bf16 rounds to nearest.
     fn expanding(&self, mode: Mode) -> f64 {
         let becomes_factor = mode.weights == Weights::Q8 && mode.matrix && self.columns.is_multiple_of(8);
         match mode.factor {
@@ -100,11 +99,10 @@ impl Problem {
         }
     }
 
-    /// Sum `column` of `row` with its error bound.
     fn sum(&self, held: &Held, mode: Mode, row: usize, column: usize) -> Sum {
         let (x, w) = (&held.x[row * self.inner..][..self.inner], &held.weight[column * self.inner..][..self.inner]);
         let bias = f64::from(self.bias[column]);
-        // A subnormal factor may be flushed.
+        // Subnormal factors may be flushed.
         let least = mode.factors().tiny.max(TINY);
         let is_tiny = |x: f64| x != 0.0 && x.abs() < least;
         let (mut value, mut size, mut lost, mut terms) = (0.0, 0.0, 0.0, 0);
@@ -118,8 +116,8 @@ impl Problem {
             }
         }
         let error = match self.factor(mode) {
-            // The integer sum is exact. Converted to f32, it is multiplied by two scales, one
-            // divided on the device, before the bias.
+            // The integer sum is exact. Its f32 conversion is scaled twice, with one device
+            // division, before the bias.
             Element::I8 => {
                 let moved = held.moves[row].iter().map(|&(k, by)| by * w[k].abs()).sum::<f64>();
                 gamma(10) * (value.abs() + moved + bias.abs()) + moved
@@ -146,14 +144,12 @@ impl Problem {
         if self.scaled { self.added(&values, |value, gamma, residual| value * gamma + residual) } else { values }
     }
 
-    /// Maps each gate and value.
     fn gated<T: Copy, R>(&self, sums: &[T], function: impl Fn(T, T) -> R) -> Vec<R> {
         let half = self.columns / 2;
         let rows = sums.chunks(self.columns.max(1));
         rows.flat_map(|row| (0..half).map(|j| function(row[j], row[half + j])).collect::<Vec<_>>()).collect()
     }
 
-    /// Maps each value, layer scale and residual.
     fn added(&self, values: &[f64], function: impl Fn(f64, f64, f64) -> f64) -> Vec<f64> {
         let (gamma, stream) = (self.gamma(), self.stream());
         let one = |(i, &value): (usize, &f64)| function(value, gamma[i % self.columns].into(), stream[i].into());
@@ -182,7 +178,7 @@ impl Problem {
         errors.iter().zip(sums).map(scaled).enumerate().map(one).collect()
     }
 
-    /// Guard row past the end, which kernels must not write.
+    /// Returns a row past the end that kernels must not write.
     fn guard(&self) -> usize {
         self.out_columns()
     }
@@ -258,7 +254,7 @@ impl case::Problem for Problem {
     }
 }
 
-/// Bound of GELU's error. Its slope is at most 1.13; `shared/gelu.glsl` fits erf to 1.2e-7.
+/// Bounds GELU: its slope is at most 1.13, and `shared/gelu.glsl` fits erf to 1.2e-7.
 fn gelu_error(&Sum { value: z, error }: &Sum) -> f64 {
     let t = z.abs() * std::f64::consts::FRAC_1_SQRT_2;
     let decayed = (-t * t).exp();
@@ -268,7 +264,7 @@ fn gelu_error(&Sum { value: z, error }: &Sum) -> f64 {
     1.13 * error + own + TINY
 }
 
-/// Error bound of silu(gate) * value. SiLU's slope is at most 1.1.
+/// Bounds SwiGLU: SiLU's slope is at most 1.1.
 fn swiglu_error(gate: &Sum, value: &Sum) -> f64 {
     let silu = silu(gate.value);
     let own = silu.abs() * ((1.0 - sigmoid(gate.value)) * exponential(gate.value) + DIVISION + ULP);

@@ -10,7 +10,6 @@ use zipsplat::ops::{Activation, Q8};
 const REASON: &str = "That of ops/linear, for the weights that the integers and scales stand for: f32 holds each product of the two. \
     On matrix units it becomes a factor, which moves it by 2^-10 as f16, by a conversion that may round either way, and by 2^-8 as bf16";
 
-/// Faults of plain sums.
 const SUMS: [Fault; 3] = [Zero, NeighbourColumn, NeighbourRow];
 
 pub fn q8_area() -> Area {
@@ -37,7 +36,6 @@ pub fn q8_area() -> Area {
     Area { kernel: "ops/linear of q8 weights", size: "terms of a sum (K)", reason: REASON, modes: Mode::Q8, cases }
 }
 
-/// Scales the weights of each group of a column.
 fn sized(mut problem: Problem, factor: impl Fn(usize) -> f32) -> Problem {
     let groups = problem.weight.chunks_mut(Q8::GROUP).enumerate();
     groups.for_each(|(g, group)| group.iter_mut().for_each(|w| *w *= factor(g)));
@@ -59,7 +57,7 @@ fn extreme() -> Problem {
     problem
 }
 
-/// Row r has only channel r.
+/// Gives row r only channel r.
 fn one_hot() -> Problem {
     let mut problem = Problem::random(96, 96, 8);
     problem.x.iter_mut().enumerate().for_each(|(i, x)| *x = if i / 96 == i % 96 { 1.0 } else { 0.0 });
@@ -68,12 +66,10 @@ fn one_hot() -> Problem {
 }
 
 impl Problem {
-    /// The stored weights.
     pub(super) fn q8(&self) -> Q8 {
         Q8::round(&self.weight).expect("weights within f16")
     }
 
-    /// The stored weights after faulty expansion.
     pub(super) fn wrongly_expanded(&self, fault: Fault) -> Vec<f64> {
         let Q8 { integers, scales } = self.q8();
         let groups = self.inner / Q8::GROUP;

@@ -1,4 +1,4 @@
-//! Pictures of faulty renderers.
+//! Faulty renderers.
 
 use super::{
     super::bound::half,
@@ -12,34 +12,28 @@ use zipsplat_reference::render::{
     sh,
 };
 
-/// Faults of a picture.
 #[derive(Clone, Copy, Debug)]
 pub enum Fault {
     Blank,
     /// No output, not even the background.
     Unwritten,
-    /// Drops the last nonempty tile.
     LastTile,
-    /// Drops one Gaussian.
     Missing,
     BackToFront,
-    /// Samples pixels at their corners.
+    /// Samples at pixel corners.
     HalfPixel,
     NeighbourColor,
-    /// Colors rounded to 11 bits.
     HalfColors,
     /// Colors not clamped at 0.
     NegativeColors,
-    /// Band 0 only.
     NoBands,
-    /// View directions in camera space instead of world space.
+    /// View directions in camera space.
     DirectionInCamera,
-    /// Inverted antialiasing setting.
     OtherAntialiasing,
     Unrotated,
     /// Determinants as differences of products in f32.
     CancellingDeterminant,
-    /// Mirrors Gaussians behind the camera to the front.
+    /// Mirrors Gaussians behind the camera.
     BehindDrawn,
     /// Draws Gaussians before the near plane.
     NearDrawn,
@@ -47,7 +41,6 @@ pub enum Fault {
     FaintDrawn,
     /// Alphas not clamped at 0.999.
     OpaqueUnclamped,
-    /// No early termination.
     NeverStops,
     /// Principal point at the center.
     CentredPrincipal,
@@ -57,10 +50,10 @@ pub enum Fault {
     TilesWrap,
 }
 
-/// Planes of a picture: red, green, blue; alpha; accumulated depth.
+/// Color, alpha, accumulated depth.
 pub type Picture = [Vec<f32>; 3];
 
-/// Thresholds of blending.
+/// Blending thresholds.
 #[derive(Clone, Copy)]
 struct Rules {
     faint: f64,
@@ -70,7 +63,7 @@ struct Rules {
 
 const RULES: Rules = Rules { faint: MIN_ALPHA, opaque: 0.999, left: 1e-4 };
 
-/// Renders with a fault. `before` is the camera of the tiles from 0 on.
+/// Renders with a fault; `before` is the camera of the tiles from 0 on.
 pub fn wrong(scene: &Scene, camera: &Camera, antialiased: bool, fault: Fault, before: Option<&Camera>) -> Picture {
     let (mut scene, mut camera, mut antialiased, mut rules) = (gaussians(scene), *camera, antialiased, RULES);
     let i = &mut camera.intrinsics;
@@ -175,7 +168,7 @@ fn blend(splats: &[Splat], place: [f64; 2], rules: Rules) -> [f64; 5] {
     pixel
 }
 
-/// First splat with alpha above 1/20 at its nearest pixel, or else the most opaque.
+/// Returns the first splat with alpha above 1/20 at its nearest pixel, or else the most opaque.
 fn most_visible(splats: &[Splat], size: [usize; 2]) -> Option<usize> {
     let own = |splat: &Splat| {
         let nearest = [0, 1].map(|axis| splat.mean[axis].floor().clamp(0.0, size[axis] as f64 - 1.0) + 0.5);

@@ -1,4 +1,4 @@
-//! Rendering: projection, sorting and blending of Gaussians.
+//! Rendering: projection, sorting and blending.
 
 mod faults;
 pub mod picture;
@@ -19,13 +19,12 @@ use zipsplat_reference::render::rasterise::Rendering;
 const REASON: &str = "running error analysis (Wilkinson) of projection and blending, formula by formula: every value carries what \
     rounding may have added; where alpha may lie on either side of 1/255, or transmittance of 1e-4, both pictures are allowed";
 
-/// A picture of a scene.
 #[derive(Clone)]
 struct Problem {
     scene: Scene,
     camera: Camera,
     antialiased: bool,
-    /// Camera and number of pictures that precede it in the batch.
+    /// Camera and number of preceding pictures in the batch.
     before: Option<(Camera, usize)>,
 }
 
@@ -71,7 +70,6 @@ impl case::Problem for Problem {
     }
 }
 
-/// Gaussians, each modified by `change`.
 fn scene(count: usize, degree: u32, change: impl Fn(usize, &mut [f32; 3], &mut [f32; 3], &mut f32)) -> Scene {
     let mut scene = Noise(count as u64 + 1).scene(count, degree);
     for i in 0..count {
@@ -80,7 +78,7 @@ fn scene(count: usize, degree: u32, change: impl Fn(usize, &mut [f32; 3], &mut [
     scene
 }
 
-/// Moves the scene to keep its appearance from a rotated camera.
+/// Keeps the scene's appearance from a rotated camera.
 fn turned(mut scene: Scene, pose: Pose) -> (Scene, Camera) {
     for mean in &mut scene.means {
         *mean = pose.transform(DVec3::from(mean.map(f64::from))).as_vec3().to_array();
@@ -88,8 +86,7 @@ fn turned(mut scene: Scene, pose: Pose) -> (Scene, Camera) {
     (scene, Camera { pose, ..camera(70, 53) })
 }
 
-/// Needles through the picture of [`camera`], centered `distance` pixels outside it in all
-/// directions.
+/// Centers needles `distance` pixels outside in all directions.
 fn needles_off(count: usize, distance: f64) -> Scene {
     let mut scene = scene(count, 0, |i, mean, scales, _| {
         let along = DVec3::from_array([(i as f64).cos(), (i as f64).sin(), 0.0]);
@@ -190,7 +187,7 @@ pub fn area() -> Area {
     (far_off.intrinsics.cx, far_off.intrinsics.cy) = (-60.0, 400.0);
     add("principal point outside", [CentredPrincipal].into(), (scene(200, 0, keep), far_off), false);
     for degrees in [1.0f32, 179.0] {
-        // The default camera's view of the scene through a narrower or wider lens.
+        // The default view through a narrower or wider lens.
         let (half, mut lens) = ((0.5 * degrees).to_radians().tan(), still());
         let f = f64::from(lens.intrinsics.width) / 2.0 / f64::from(half);
         (lens.intrinsics.fx, lens.intrinsics.fy) = (f, f);
@@ -204,7 +201,7 @@ pub fn area() -> Area {
     Area { kernel: "render", size: "Gaussians", reason: REASON, modes: Mode::ONLY_EXACT, cases }
 }
 
-/// A batch of pictures with 2048 tiles each; tile indices of the last exceed 65,535.
+/// Takes 2048 tiles per picture: the last tile indices exceed 65,535.
 fn many_tiles() -> Case {
     const BEFORE: usize = 32;
     let make = || {

@@ -1,5 +1,5 @@
-//! A picture's truth and per-value error bounds: the reference in f64, and the kernels' formulas in
-//! running error analysis.
+//! Truth and error bounds of a picture: the f64 reference, and running error analysis of the
+//! kernels' formulas.
 
 use super::super::bound::{Bounded, U, ULP};
 use glam::DVec3;
@@ -17,13 +17,12 @@ const LONG: f64 = 1e8;
 const MAX_ALPHA: f64 = 0.999;
 const MIN_TRANSMITTANCE: f64 = 1e-4;
 
-/// Bounds of a pixel: red, green, blue, alpha, depth.
+/// Bounds of red, green, blue, alpha, depth.
 pub type PixelBounds = [f64; 5];
 
-/// The kernels' record of a Gaussian.
 struct Splat {
     place: [Bounded; 2],
-    /// Row at which `place.x` lies on the ridge, if not the center's.
+    /// Row where `place.x` lies on the ridge, if not the center's.
     row: Option<f64>,
     /// Inverse covariance as squares: A, k, P.
     conic: [Bounded; 3],
@@ -32,12 +31,10 @@ struct Splat {
     depth: Bounded,
 }
 
-/// Renders with the reference.
 pub fn truth(scene: &Scene, camera: &Camera, antialiased: bool) -> Rendering {
     rasterise::render(&gaussians(scene), &reference_camera(camera), antialiased, [0.0; 3])
 }
 
-/// Converts the scene for the reference.
 pub fn gaussians(scene: &Scene) -> Gaussians {
     Gaussians {
         means: scene.means.iter().map(|v| v.map(f64::from)).collect(),
@@ -48,14 +45,13 @@ pub fn gaussians(scene: &Scene) -> Gaussians {
     }
 }
 
-/// Converts the camera for the reference.
 pub fn reference_camera(camera: &Camera) -> project::Camera {
     let (view, i) = (camera.view_matrix().transpose().to_cols_array(), &camera.intrinsics);
     let k = i.matrix().transpose().to_cols_array();
     project::Camera::new(&view, &k, [i.width as usize, i.height as usize])
 }
 
-/// Bounds of every pixel of [`truth`], row-major.
+/// Returns the bounds of [`truth`], row-major.
 pub fn bounds(scene: &Scene, camera: &Camera, antialiased: bool) -> Vec<PixelBounds> {
     let seen = project::project(&gaussians(scene), &reference_camera(camera), antialiased);
     let mut splats: Vec<(f64, Splat)> = Vec::new();
@@ -115,7 +111,7 @@ fn splat(scene: &Scene, n: usize, camera: &Camera, antialiased: bool, color: [f6
     if beyond == [false; 2] { splat } else { ridge(splat, beyond[1].then_some(f64::from(i.height))) }
 }
 
-/// Offset of the Gaussian from the camera center, which the kernel stores as two numbers.
+/// Returns the offset from the camera center, which the kernel stores as two numbers.
 pub fn offset(scene: &Scene, n: usize, camera: &Camera) -> [Bounded; 3] {
     [0, 1, 2].map(|c| {
         let centre = camera.pose.translation[c];
@@ -124,8 +120,7 @@ pub fn offset(scene: &Scene, n: usize, camera: &Camera) -> [Bounded; 3] {
     })
 }
 
-/// Whether a center is definitely far enough outside to use its ridge. Near the threshold the splat
-/// keeps the larger bound.
+/// Returns true if a center uses its ridge. Near the threshold the splat keeps the larger bound.
 fn far_off(place: [Bounded; 2], size: [f64; 2]) -> [bool; 2] {
     [0, 1].map(|a| {
         let Bounded { value, error } = place[a];
@@ -133,8 +128,8 @@ fn far_off(place: [Bounded; 2], size: [f64; 2]) -> [bool; 2] {
     })
 }
 
-/// Mirrors kernels/shared/ridge.glsl, which computes in double precision and rounds the result.
-/// `height` is set if the center's row is outside the picture.
+/// Mirrors kernels/shared/ridge.glsl: double precision, rounded result. `height` is set for a row
+/// outside the picture.
 fn ridge(splat: Splat, height: Option<f64>) -> Splat {
     let ([x, y], [a, k, p]) = (splat.place.map(|at| at.value), splat.conic);
     let row = height.map(|height| y.clamp(0.0, height));
@@ -148,7 +143,6 @@ fn ridge(splat: Splat, height: Option<f64>) -> Splat {
     }
 }
 
-/// The Gaussian's axes in camera space: world-to-camera times its rotation.
 pub fn axes(quat: [f32; 4], view: impl Fn(usize, usize) -> Bounded) -> [[Bounded; 3]; 3] {
     let q = quat.map(Bounded::exact);
     let largest = Bounded::exact(quat.iter().fold(0.0f32, |most, x| most.max(x.abs())));
@@ -164,9 +158,9 @@ pub fn axes(quat: [f32; 4], view: impl Fn(usize, usize) -> Bounded) -> [[Bounded
     [0, 1, 2].map(|r| [0, 1, 2].map(|c| Bounded::dot([0, 1, 2].map(|k| view(r, k)), [0, 1, 2].map(|k| rotation[k][c]))))
 }
 
-/// The reference's color with its bound. A basis function of band l has a slope of at most
-/// `sqrt((2l + 1) l (l + 1) / 4 pi)`, here 2.6, and a value of at most 1.5. The direction's error
-/// is two roundings of an offset and its normalization.
+/// Bounds colors. A basis function of band l has a slope of at most `sqrt((2l + 1) l (l + 1) / 4
+/// pi)`, here 2.6, and a value of at most 1.5. The direction's error is two roundings of an offset
+/// and its normalization.
 fn colors(scene: &Scene, n: usize, color: [f64; 3]) -> [Bounded; 3] {
     let off = 12.0 * ULP;
     let k = scene.sh_coeffs_per_gaussian();
@@ -174,12 +168,12 @@ fn colors(scene: &Scene, n: usize, color: [f64; 3]) -> [Bounded; 3] {
     std::array::from_fn(|c| {
         let higher: f64 = coeffs[1..].iter().map(|rgb| f64::from(rgb[c]).abs()).sum();
         let all = higher + f64::from(coeffs[0][c]).abs();
-        // Up to 20 roundings in a basis function, as many in the sum.
+        // Up to 20 roundings in a basis function, and in the sum.
         Bounded { value: color[c], error: 2.6 * off * higher + 40.0 * U * (0.5 + 1.5 * all) }
     })
 }
 
-/// Blending state of a pixel, as in kernels/render/rasterise.comp.
+/// Blending state, as in kernels/render/rasterise.comp.
 struct Pixel {
     rgb: [Bounded; 3],
     depth: Bounded,
@@ -194,13 +188,12 @@ impl Pixel {
         self.left.error += weight;
     }
 
-    /// Upper bound of the remaining transmittance.
     fn most(&self) -> f64 {
         self.left.value + self.left.error
     }
 }
 
-/// Bounds of a pixel; near a threshold, both outcomes are allowed.
+/// Bounds a pixel; near a threshold, allows both outcomes.
 fn pixel(splats: &[(f64, Splat)], place: [f64; 2]) -> PixelBounds {
     let zero = Bounded::exact(0.0);
     let mut pixel = Pixel { rgb: [zero; 3], depth: zero, left: Bounded::exact(1.0) };
@@ -218,7 +211,7 @@ fn pixel(splats: &[(f64, Splat)], place: [f64; 2]) -> PixelBounds {
         }
         let after = pixel.left * (Bounded::exact(1.0) - alpha);
         if (after.value - MIN_TRANSMITTANCE).abs() <= after.error {
-            // Termination is uncertain here: later splats may or may not contribute.
+            // Uncertain termination: later splats may contribute.
             let behind = || splats[at..].iter().map(|(_, splat)| splat);
             let color = behind().flat_map(|s| s.color).map(high).fold(0.0, f64::max);
             pixel.allow(pixel.most(), [color; 3], behind().map(|s| high(s.depth)).fold(0.0, f64::max));
@@ -246,7 +239,7 @@ fn alpha(splat: &Splat, place: [f64; 2]) -> Bounded {
     (splat.opacity * exponent.exp2()).min(Bounded::rounded(MAX_ALPHA))
 }
 
-/// Whether f32 orders depths as f64 does: they are exact or far enough apart.
+/// Returns true if depths are exact or far enough apart in f32.
 pub fn orders_depths(scene: &Scene, camera: &Camera) -> bool {
     let forward = camera.pose.rotation.z_axis;
     let mut depths: Vec<(f64, f64)> = (scene.means.iter())

@@ -16,7 +16,6 @@ const REASON: &str = "a sum of n numbers in any order: gamma_n of the sum of the
 
 /// Numbers of two cameras.
 const NUMBERS: usize = 20;
-/// Initial value.
 const BEFORE: f32 = 0.75;
 
 /// `[rows, NUMBERS]`.
@@ -26,14 +25,12 @@ struct Problem(Vec<f32>);
 enum Fault {
     Zero,
     HalfSums,
-    /// Overwrites the initial values.
     Overwritten,
     LastRow,
     NeighbourNumber,
 }
 
 impl Problem {
-    /// Terms `[from, rows]` of a number.
     fn terms(&self, number: usize) -> impl Iterator<Item = f64> {
         self.0.iter().skip(number).step_by(NUMBERS).map(|x| f64::from(*x))
     }

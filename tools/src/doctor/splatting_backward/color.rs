@@ -23,9 +23,8 @@ use zipsplat_reference::{render::backward::of_color, widen};
 const REASON: &str = "gamma_n of a sum over n tiles; harmonics have slopes of at most 2.6 on the sphere, and their polynomials values, \
     slopes and second slopes of at most 1.5, 5 and 12, which the rounding of the direction and of 40 operations moves";
 
-/// Values of a pair: moments, red, green, blue, depth.
+/// Moments, red, green, blue, depth.
 const VALUES: usize = 10;
-/// Initial coefficient gradient.
 const BEFORE: f32 = 0.5;
 const SLOPE: f64 = 5.0;
 const SECOND_SLOPE: f64 = 12.0;
@@ -43,7 +42,7 @@ struct Problem {
     starts: Vec<u32>,
     /// `[slots, VALUES]`.
     slots: Vec<f32>,
-    /// Whether intersections exceed the capacity.
+    /// Intersections exceed the capacity.
     full: bool,
 }
 
@@ -54,9 +53,7 @@ enum Fault {
     LastTile,
     /// Gradients of colors clamped at 0.
     Unheld,
-    /// Band 0 only.
     NoBands,
-    /// Overwrites coefficient gradients instead of adding.
     Overwritten,
     /// No center gradient through color.
     NoDirection,
@@ -101,7 +98,7 @@ impl Problem {
         (self.degree as usize + 1).pow(2)
     }
 
-    /// Sum of a Gaussian's slots, sum of their magnitudes, and slot count.
+    /// Sums slots and their magnitudes, and counts slots.
     fn sum(&self, n: usize, fault: Option<Fault>) -> ([f64; VALUES], [f64; VALUES], usize) {
         let (mut sum, mut magnitudes) = ([0.0; VALUES], [0.0; VALUES]);
         if self.full && fault != Some(Fault::FullCounts) {
@@ -120,7 +117,6 @@ impl Problem {
         (sum, magnitudes, end - first)
     }
 
-    /// Gradients of a pair and of its coefficients.
     fn gradient(&self, n: usize, fault: Option<Fault>) -> (Vec<f64>, Vec<f64>) {
         let (mut sum, ..) = self.sum(n, fault);
         let width = 3 * self.bases();
@@ -236,7 +232,6 @@ impl case::Problem for Problem {
     }
 }
 
-/// Tiles of a Gaussian, possibly 0.
 fn few(i: usize) -> u32 {
     (i % 5) as u32
 }
@@ -257,7 +252,7 @@ pub fn area() -> Area {
     add("over 20,000 tiles", 3, many.into(), || Problem::new(3, 1, |_| 20_000));
     add("scene and camera 1e6 off", 65, banded(), || {
         let near = Problem::new(65, 3, |_| 2);
-        // Offsets that f32 holds there.
+        // Exact f32 offsets.
         let coarse = |mean: [f32; 3]| mean.map(|x| (x * 4.0).round() / 4.0 + 0.25);
         Problem { means: near.means.iter().map(|mean| coarse(*mean)).collect(), ..near }.moved(DVec3::splat(1e6))
     });

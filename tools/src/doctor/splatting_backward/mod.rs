@@ -1,4 +1,4 @@
-//! Backward pass of rendering by kernel: pixels to splats, splats to Gaussians and cameras.
+//! Backward pass of rendering by kernel.
 
 mod cameras;
 mod color;
@@ -13,7 +13,7 @@ pub use rasterise::area as rasterise;
 use super::{bound::Bounded, trial::Trial};
 use zipsplat::gpu::Tensor;
 
-/// Creates a tensor with initial values for accumulation.
+/// Creates initial values for accumulation.
 fn added_to(trial: &mut Trial<'_>, len: usize, before: f32) -> Tensor {
     let tensor = trial.rec.tensor::<f32>("sums", len);
     trial.rec.fill(tensor, before.to_bits());
@@ -21,7 +21,6 @@ fn added_to(trial: &mut Trial<'_>, len: usize, before: f32) -> Tensor {
     tensor
 }
 
-/// Drops the bounds of faulty values.
 fn rounded(values: &[Bounded]) -> Vec<f32> {
     values.iter().map(|value| value.value as f32).collect()
 }

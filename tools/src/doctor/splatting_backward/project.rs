@@ -28,12 +28,11 @@ const REASON: &str = "running error analysis of the kernel, formula by formula; 
     allowed a thousandth of that, and 1e-7 of the longest of its row";
 
 const BLUR: f64 = 0.3;
-/// Values of a Gaussian: center, standard deviations, quaternion, opacity.
+/// Center, standard deviations, quaternion, opacity.
 const VALUES: usize = 11;
-/// Numbers of the camera.
 const CAMERA: usize = 10;
 
-/// Gaussians before one camera, and the gradients of their splats `[N, 10]`.
+/// Gaussians before one camera, and splat gradients `[N, 10]`.
 #[derive(Clone)]
 struct Problem {
     scene: Scene,
@@ -52,20 +51,18 @@ enum Fault {
     FixedShape,
     /// Depth does not affect the splat shape.
     NoDepthOfShape,
-    /// Center gradients past the clamped borders.
+    /// Center gradients beyond the clamped borders.
     Unheld,
     /// Rotation gradients in camera space.
     TurnInCamera,
     /// Quaternions treated as unit length.
     NotNormalised,
-    /// Gradient by ln opacity instead of opacity.
+    /// Gradient by ln opacity.
     LogOpacity,
-    /// No antialiasing compensation.
     NoCompensation,
     NeighbourGaussian,
 }
 
-/// Gradients of a Gaussian and its contribution to the camera's.
 struct Found {
     gaussian: [Bounded; VALUES],
     camera: [Bounded; CAMERA],
@@ -89,7 +86,6 @@ impl Problem {
         Self { scene, camera, antialiased, pairs }
     }
 
-    /// One Gaussian for the reference.
     fn one(&self, n: usize) -> Gaussians {
         let all = gaussians(&self.scene);
         let coeffs = all.sh_coeffs.len() / all.means.len();
@@ -102,7 +98,6 @@ impl Problem {
         }
     }
 
-    /// A, k, P of every splat.
     fn conics(&self) -> Vec<[f64; 3]> {
         let splats = project(&gaussians(&self.scene), &reference_camera(&self.camera), self.antialiased);
         let conic = |splat: Option<zipsplat_reference::render::project::Splat>| {
@@ -205,7 +200,6 @@ impl Problem {
         }
     }
 
-    /// Converts a rotation gradient to a quaternion gradient.
     fn quat(&self, n: usize, turn: Vector, as_unit: bool) -> [Bounded; 4] {
         let q = self.scene.quats[n].map(Bounded::exact);
         let largest = q.iter().fold(Bounded::exact(0.0), |most, q| {
@@ -220,7 +214,7 @@ impl Problem {
         [-Bounded::dot(turn, [x, y, z]), a, b, c].map(|d| by * d)
     }
 
-    /// Gradients and bounds of each Gaussian, then the camera's sum.
+    /// Returns each Gaussian's gradients, then the camera's sum.
     fn all(&self, fault: Option<Fault>) -> Vec<Bounded> {
         let conics = self.conics();
         let found: Vec<Found> = (0..self.scene.len()).map(|n| self.gradient(n, conics[n], fault)).collect();
@@ -320,7 +314,6 @@ impl case::Problem for Problem {
     }
 }
 
-/// Gaussians with high opacities, each modified by `change`.
 fn scene(count: usize, change: impl Fn(usize, &mut [f32; 3], &mut [f32; 3])) -> Scene {
     let mut scene = Noise(count as u64 + 3).scene(count, 0);
     for i in 0..count {

@@ -28,12 +28,11 @@ const HEIGHT: u32 = 23;
 const MAX_ALPHA: f64 = 0.999;
 const MIN_TRANSMITTANCE: f64 = 1e-4;
 const BACKGROUND: [f64; 3] = [0.25, 0.5, 0.125];
-/// Distance in pixels above or below the picture from which a splat uses its ridge.
+/// Pixels above or below the picture where splats start to use their ridge.
 const FAR_OFF: f32 = 256.0;
-/// Values of a slot: moments, red, green, blue, depth.
+/// Moments, red, green, blue, depth.
 const VALUES: usize = 10;
 
-/// A splat as the kernel reads it.
 #[derive(Clone, Copy)]
 struct Splat {
     place: [f32; 2],
@@ -43,8 +42,8 @@ struct Splat {
     depth: f32,
 }
 
-/// Splats from near to far with a slot per tile, and each pixel's gradient of red, green, blue,
-/// alpha and depth.
+/// Splats from near to far with a slot per tile, and pixel gradients of red, green, blue, alpha and
+/// depth.
 struct Problem {
     splats: Vec<Splat>,
     frames: Vec<f32>,
@@ -55,13 +54,10 @@ struct Problem {
 enum Fault {
     Zero,
     Unwritten,
-    /// Ignores splats behind.
     NothingBehind,
-    /// No background behind the splats.
     NoBackground,
     /// Gradients of clamped alphas.
     Unclamped,
-    /// No early termination.
     NeverStops,
     /// Gradients of alphas below 1/255.
     FaintDrawn,
@@ -96,7 +92,6 @@ fn tiles() -> [usize; 2] {
     [WIDTH, HEIGHT].map(|side| side.div_ceil(TILE) as usize)
 }
 
-/// Pixel centers with their tiles.
 fn pixels() -> impl Iterator<Item = (usize, [f64; 2])> {
     (0..HEIGHT).flat_map(|y| (0..WIDTH).map(move |x| [x, y])).map(|[x, y]| {
         let tile = (y / TILE) as usize * tiles()[0] + (x / TILE) as usize;
@@ -104,7 +99,7 @@ fn pixels() -> impl Iterator<Item = (usize, [f64; 2])> {
     })
 }
 
-/// Contribution of one splat to a pixel.
+/// Contribution of a splat to a pixel.
 type Share = [Bounded; VALUES];
 
 /// Mirrors kernels/render/rasterise_backward.comp on one pixel; `None` if rounding may flip a
@@ -171,7 +166,7 @@ fn pixel(
 }
 
 impl Problem {
-    /// Random gradients, 0 where rounding may flip a threshold.
+    /// Creates random gradients, 0 where rounding may flip a threshold.
     fn new(splats: Vec<Splat>) -> Self {
         let mut noise = Noise(splats.len() as u64);
         let (mut frames, mut d_frames) = (Vec::new(), Vec::new());
@@ -185,7 +180,7 @@ impl Problem {
         Self { splats, frames, d_frames }
     }
 
-    /// Sums over tiles of every splat's contributions `[splats, tiles, VALUES]`, with bounds.
+    /// Sums over tiles, `[splats, tiles, VALUES]`.
     fn slots(&self, fault: Option<Fault>) -> Vec<Bounded> {
         let count = tiles()[0] * tiles()[1];
         let mut slots = vec![Bounded::exact(0.0); self.splats.len() * count * VALUES];
@@ -213,7 +208,7 @@ impl Problem {
     }
 }
 
-/// Values of a pixel: red, green, blue without the background, alpha, depth.
+/// Returns red, green, blue without the background, alpha, depth.
 fn frame(splats: &[Splat], at: [f64; 2]) -> [f64; 5] {
     let ellipses: Vec<Ellipse> = splats.iter().map(Splat::ellipse).collect();
     // A splat's weight is its gradient with unit red.
@@ -304,7 +299,7 @@ impl case::Problem for Problem {
     }
 }
 
-/// Splats of 1 to 10 pixels across the picture, each modified by `change`.
+/// Creates splats 1 to 10 pixels wide.
 fn splats(count: usize, change: impl Fn(usize, &mut Splat)) -> Vec<Splat> {
     let mut noise = Noise(count as u64 + 7);
     let mut one = |i: usize| {

@@ -1,4 +1,4 @@
-//! Primitives of all kinds, scattered and stacked, outdoors or between walls.
+//! Scattered and stacked primitives, outdoors or between walls.
 
 use std::f32::consts::PI;
 use std::sync::Arc;

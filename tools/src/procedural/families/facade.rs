@@ -1,4 +1,4 @@
-//! The front of a house, with a street before it.
+//! House front with a street.
 
 use std::f32::consts::FRAC_PI_2;
 
@@ -36,7 +36,7 @@ pub(super) fn build(b: &mut Builder) -> Setting {
 
     let (mut light, sky) = daylight(&mut b.rng);
     if let Key::Sun(towards) = &mut light.key {
-        // Mostly from the street's side: fronts in the shade are dull.
+        // Mostly from the street's side: shaded fronts are dull.
         let sunny = b.rng.chance(0.75);
         towards.y = if sunny { -towards.y.abs() } else { towards.y };
     }
@@ -80,7 +80,6 @@ fn door(b: &mut Builder, half_width: f32, trim: Material) {
     }
 }
 
-/// Something on the street.
 fn before(b: &mut Builder, half_width: f32) {
     let place = Vec3A::new(half_width * b.rng.signed(), -b.rng.range(0.6, 5.0), 0.08);
     match b.rng.count(0, 5) {

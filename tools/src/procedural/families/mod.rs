@@ -1,4 +1,4 @@
-//! Kinds of places. Each builds its primitives and says from where photos of it are taken.
+//! Kinds of places: primitives and camera positions.
 
 mod clutter;
 mod facade;
@@ -18,19 +18,19 @@ use super::photos::Photos;
 use super::rng::Rng;
 use super::world::{Key, Light, Room, Sky, World};
 
-/// A kind of place.
+/// Kind of place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Family {
-    /// A furnished room from inside.
+    /// Furnished room from inside.
     Room,
-    /// Things on a table.
+    /// Objects on a table.
     Table,
-    /// The front of a house.
+    /// House front.
     Facade,
     /// Hills with trees, rocks and houses.
     Terrain,
-    /// Primitives of all kinds in a heap, outdoors or between walls.
+    /// Heap of primitives, outdoors or between walls.
     Clutter,
 }
 
@@ -47,7 +47,7 @@ impl fmt::Display for Family {
 }
 
 impl Family {
-    /// All of them.
+    /// All families.
     pub const ALL: [Self; 5] = [Self::Room, Self::Table, Self::Facade, Self::Terrain, Self::Clutter];
 
     pub(super) fn build(self, rng: Rng, photos: &Photos) -> (World, Stage) {
@@ -63,7 +63,6 @@ impl Family {
     }
 }
 
-/// The setting that a family adds to its primitives.
 struct Setting {
     light: Light,
     sky: Sky,
@@ -71,7 +70,6 @@ struct Setting {
     stage: Stage,
 }
 
-/// A sun above the horizon, and skylight from white to blue.
 fn daylight(rng: &mut Rng) -> (Light, Sky) {
     let (azimuth, elevation) = (rng.angle(), rng.range(0.35, 1.25));
     let sun = Vec3A::new(azimuth.cos() * elevation.cos(), azimuth.sin() * elevation.cos(), elevation.sin());
@@ -92,7 +90,7 @@ fn daylight(rng: &mut Rng) -> (Light, Sky) {
     (Light { key: Key::Sun(sun), color, ambient }, sky)
 }
 
-/// A lamp in a room, and light from its walls. No sky is seen.
+/// Returns a lamp and light from the walls, without a visible sky.
 fn lamplight(rng: &mut Rng, lamp: Vec3A, reference: f32) -> (Light, Sky) {
     let warmth = rng.range(0.0, 0.3);
     let color = rng.range(0.5, 1.2) * Vec3A::new(1.0, 1.0 - 0.5 * warmth, 1.0 - warmth);
@@ -102,7 +100,7 @@ fn lamplight(rng: &mut Rng, lamp: Vec3A, reference: f32) -> (Light, Sky) {
     (Light { key: Key::Lamp(lamp, reference), color, ambient }, sky)
 }
 
-/// Up to `count` places in a disc that keep `gap` from each other.
+/// Returns up to `count` places in a disc, at least `gap` apart.
 fn scatter(rng: &mut Rng, count: usize, radius: f32, gap: f32) -> Vec<Vec2> {
     let mut places: Vec<Vec2> = Vec::new();
     for _ in 0..8 * count {
@@ -114,8 +112,7 @@ fn scatter(rng: &mut Rng, count: usize, radius: f32, gap: f32) -> Vec<Vec2> {
     places
 }
 
-/// Pictures or shelves with things along a wall: `origin` is the middle of its foot, `normal`
-/// points into the room.
+/// Adds pictures or shelves to a wall: `origin` is the middle of its foot, `normal` points inward.
 fn hang(b: &mut Builder, origin: Vec3A, normal: Vec3A, half_width: f32, height: f32) {
     let along = Vec3A::Z.cross(normal);
     let axes = super::builder::facing(normal);

@@ -1,4 +1,4 @@
-//! Things on a table, close up.
+//! Close-up of objects on a table.
 
 use std::f32::consts::PI;
 

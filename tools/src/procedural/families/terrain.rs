@@ -24,7 +24,7 @@ pub(super) fn build(b: &mut Builder) -> Setting {
     b.palette.detail = b.rng.scale(0.8, 2.5);
     let (cover, plain) = (b.palette.terrain(&mut b.rng), b.draw(Role::Ground));
     b.put(Shape::HeightField(field.clone()), Vec3A::ZERO, Mat3A::IDENTITY, cover);
-    // Water or a plain, beyond the hills and in the deepest valleys.
+    // Water or a plain, in deep valleys and beyond the hills.
     b.rectangle(Vec3A::Z * (-0.45 * relief), [400.0; 2], Vec3A::Z, plain);
 
     let radius = b.rng.range(6.0, 0.55 * half_side);

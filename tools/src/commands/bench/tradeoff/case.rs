@@ -1,4 +1,4 @@
-//! The reconstructions of a sweep.
+//! Reconstructions of a sweep.
 
 use super::{
     Tradeoff,
@@ -17,29 +17,26 @@ use zipsplat::{
     weights::Architecture,
 };
 
-/// A reconstruction that is to be measured.
 #[derive(Clone)]
 pub struct Case<'a> {
     pub capture: &'a Capture,
-    /// The capture's points.
     pub cloud: Option<&'a PointCloud>,
     pub shape: Shape,
     pub request: Request,
     pub precision: &'a str,
-    /// The type that the weights are rounded to, or [`OWN`].
+    /// Rounded type, or [`OWN`].
     pub weights: &'a str,
     pub select: String,
-    /// The share of tokens as the command line takes it, and all settings.
+    /// Share of tokens as on the command line.
     pub ratio: String,
     pub settings: String,
-    /// Numbers of Gaussians of a token.
+    /// Gaussians per token.
     pub keep: &'a [usize],
-    /// The refinements that follow.
     pub refine: Vec<(Start, Steps)>,
 }
 
-/// Returns the combinations in the first arithmetic, without those with equal results. The first
-/// values of lists come first; each ratio is combined with every number of photos.
+/// Returns the combinations in the first arithmetic, without equal results. First values of lists
+/// come first; each ratio is combined with every number of photos.
 pub fn all<'a>(
     args: &Tradeoff,
     architecture: &Architecture,
@@ -78,26 +75,26 @@ pub fn all<'a>(
             cases.push(case);
         }
     }
-    // Stable: the order of lists is kept.
+    // Stable.
     cases.sort_by_key(|case| !case.is_first(args));
     Ok(cases)
 }
 
 impl Case<'_> {
-    /// True where all tokens are taken or the first way to choose chooses, with the first pooling.
+    /// Returns true for all tokens or the first selection, with the first pooling.
     pub fn is_first(&self, args: &Tradeoff) -> bool {
         let chosen = self.shape.kept == Kept::All || self.request.selection == args.select[0];
         chosen && self.request.pool == args.pool[0]
     }
 
-    /// The refinements that follow on it; one from points alone only on a capture's first case.
+    /// Limits refinement from points alone to a capture's first case.
     fn refinements(&self, args: &Tradeoff, is_new: bool) -> Vec<(Start, Steps)> {
         let default: &[Start] = if self.cloud.is_some() { &[Start::Points, Start::Scene] } else { &[Start::Scene] };
         let starts = args.start.as_deref().unwrap_or(default);
         let pairs = args.refine.iter().flat_map(|steps| starts.iter().map(move |start| (*start, *steps)));
         let follows = |(start, steps): &(Start, Steps)| match start {
             _ if steps.count == 0 || !self.is_first(args) => false,
-            // Tokens have no other start than the scene.
+            // Token refinement always starts from the scene.
             _ if steps.tokens => *start == Start::Scene,
             Start::Points => is_new,
             _ => true,
@@ -105,7 +102,7 @@ impl Case<'_> {
         pairs.filter(follows).collect()
     }
 
-    /// True of what others are compared with.
+    /// Returns true for the baseline.
     pub fn is_exact(&self) -> bool {
         self.precision == Precision::Exact.name() && self.weights == OWN
     }
@@ -114,7 +111,6 @@ impl Case<'_> {
         arithmetic(self.precision, self.weights)
     }
 
-    /// The command that shows the case with `more` options.
     pub fn command(&self, args: &Tradeoff, more: &str) -> String {
         let folder = args.folder.to_string_lossy();
         let mut options = format!("--views {}", self.capture.inputs.len());

@@ -1,4 +1,4 @@
-//! Pictures of a point, and what they give.
+//! Pictures of a point, and their scores.
 
 use super::{point::Point, truth::Compared};
 use crate::{
@@ -13,7 +13,6 @@ use zipsplat::{
     types::{Image, Scene, write_ply},
 };
 
-/// The pictures in place of the photos, and how long each took.
 pub struct Drawn {
     pub pictures: Vec<Vec<f32>>,
     times: Vec<Duration>,
@@ -21,7 +20,6 @@ pub struct Drawn {
 }
 
 impl Drawn {
-    /// A point with what the pictures of its scene gave.
     pub fn point(&self, point: Point, scene: &Scene) -> Result<Point> {
         Ok(Point {
             gaussians: scene.len(),
@@ -33,16 +31,14 @@ impl Drawn {
         })
     }
 
-    /// The picture in place of the first photo.
     pub fn picture(&self, capture: &Capture) -> Result<Image> {
         let Image { width, height, .. } = capture.targets[0].image;
         Image::from_rgb_f32(width, height, &self.pictures[0])
     }
 }
 
-/// Draws what a renderer shows in place of the photos.
 pub fn compare(renderer: &mut Renderer, capture: &Capture) -> Result<Drawn> {
-    // The first picture of a scene also builds the plan.
+    // Also builds the plan.
     draw(renderer, &capture.targets[0].camera)?;
     let (mut pictures, mut times) = (Vec::new(), Vec::new());
     for view in &capture.targets {
@@ -54,7 +50,6 @@ pub fn compare(renderer: &mut Renderer, capture: &Capture) -> Result<Drawn> {
     Ok(Drawn { pictures, times, score })
 }
 
-/// Bytes of a scene as a PLY file.
 fn file_bytes(scene: &Scene) -> Result<u64> {
     let folder = tempfile::tempdir().map_err(|error| zipsplat::Error::io("temporary folder", error))?;
     let path = folder.path().join("scene.ply");
@@ -62,7 +57,7 @@ fn file_bytes(scene: &Scene) -> Result<u64> {
     Ok(path.metadata().map_err(|error| zipsplat::Error::io(&path, error))?.len())
 }
 
-/// PSNR of pictures of a reconstruction's Gaussians against those of f64, of which the same are kept.
+/// Returns the PSNR against pictures of the f64 Gaussians, with the same ones kept.
 pub fn psnr_to_f64(
     renderer: &mut Renderer,
     compared: &Compared,

@@ -1,6 +1,6 @@
-//! The plots: the front of time and PSNR, and those of the paper's figures 1, 8, 10, 11 and 12, with our numbers.
+//! Plots: the Pareto front, and counterparts of the paper's figures 1, 8, 10, 11 and 12.
 //!
-//! A colour has one meaning in each of them: what else was varied is held, at the first precision, all Gaussians of a token and no
+//! Each varies one setting, by color. Others stay at the first precision, all Gaussians and no
 //! refinement.
 
 use super::{
@@ -24,7 +24,7 @@ const GAUSSIANS: Axis<'_> = log("Gaussians");
 const VIEWS: Axis<'_> = linear("input photos");
 const SHARE: Axis<'_> = log("share of tokens");
 
-/// The meaning of a colour: a name for it, and the value of a point.
+/// Name of a color's setting, and its value at a point.
 type Meaning = (&'static str, fn(&Point) -> String);
 
 const PHOTOS: Meaning = ("input photos", |p| p.views.to_string());
@@ -35,10 +35,9 @@ const KEPT: Meaning = ("Gaussians a token", |p| p.keep.to_string());
 const POOL: Meaning = ("side of pooled patches", |p| p.pool.to_string());
 const STEPS: Meaning = ("steps of refinement", Point::refinement);
 
-/// A point and its number in the sweep.
+/// Index in the sweep and point.
 type Numbered<'a> = (usize, &'a Point);
 
-/// The plot that stands on top: time and PSNR of every point.
 pub fn pareto(points: &[Point]) -> String {
     let all: Vec<Numbered<'_>> = points.iter().enumerate().collect();
     let place = |p: &Point| (p.total_ms, p.psnr);
@@ -50,7 +49,6 @@ pub fn pareto(points: &[Point]) -> String {
     plot(log("photos to refined Gaussians, ms"), PSNR, meaning.0, &series, Some(&line))
 }
 
-/// Heading and plot of each of the others.
 pub fn figures(sweep: &Sweep) -> Vec<(&'static str, String)> {
     let all: Vec<Numbered<'_>> = sweep.points.iter().enumerate().collect();
     let held = sweep.points.first().map_or(1, |p| p.pool);
@@ -112,7 +110,7 @@ fn those<'a>(points: &[Numbered<'a>], keeps: impl Fn(&Point) -> bool) -> Vec<Num
     points.iter().copied().filter(|(_, p)| keeps(p)).collect()
 }
 
-/// The same for deviations from f64; none where nothing was compared with it.
+/// Plots deviations from f64; empty without results.
 pub fn deviations(points: &[Point]) -> Vec<(&'static str, String)> {
     let keep = points.iter().map(|p| p.keep).max().unwrap_or(0);
     let own = name(&Selection::KMEANS);
@@ -143,7 +141,7 @@ fn mib(bytes: u64) -> f64 {
     bytes as f64 / f64::from(1 << 20)
 }
 
-/// A line a value of what colours mean, joined from left to right.
+/// Plots a line per value, from left to right.
 fn by(
     points: &[Numbered<'_>],
     x: Axis<'_>,
@@ -152,7 +150,7 @@ fn by(
     place: impl Fn(&Point) -> (f64, f64),
 ) -> String {
     let mut series = series(points, meaning, place);
-    // Every way to choose ends at choosing all.
+    // Every selection ends at all tokens.
     if let Some(all) = series.iter().position(|series| series.name == "all").filter(|_| series.len() > 1) {
         let all = series.remove(all);
         series.iter_mut().for_each(|series| series.points.extend(&all.points));
@@ -161,7 +159,7 @@ fn by(
     plot(x, y, meaning.0, &series, None)
 }
 
-/// The points of each value of what colours mean, in the order of their first.
+/// Groups points by value, in order of first use.
 fn series(points: &[Numbered<'_>], (_, value): Meaning, place: impl Fn(&Point) -> (f64, f64)) -> Vec<Series> {
     let mut series: Vec<Series> = Vec::new();
     for (i, p) in points {

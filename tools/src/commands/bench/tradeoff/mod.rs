@@ -1,4 +1,4 @@
-//! `zipsplat bench tradeoff`: what accuracy costs in time, as a page to look at and a table.
+//! `zipsplat bench tradeoff`.
 
 mod case;
 mod drawn;
@@ -31,12 +31,12 @@ use zipsplat::{
     weights::{Checkpoint, Dtype},
 };
 
-/// What accuracy costs in time: a sweep over a capture, as a page with plots and pictures, and as a table
+/// Accuracy against time: a sweep over a capture, as a page with plots and pictures, and as a table
 ///
-/// Reconstructs every combination of the lists from photos of the capture and compares it with the
-/// other photos. Options without effect are not varied: at ratio 1 there is no selection. The most
-/// informative combinations come first, and --minutes limits the sweep. The page begins with three
-/// settings, fast, balanced and best, and shows picture and command of every point.
+/// Reconstructs every combination of the lists and compares it with held-out photos. Options
+/// without effect are not varied. The most informative combinations come first, within --minutes.
+/// The page recommends three settings, fast, balanced and best, and shows picture and command of
+/// every point.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat bench tradeoff capture/ -o report/
@@ -60,51 +60,51 @@ pub struct Tradeoff {
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "1,0.25,0.5,0.1,0.05",
         value_parser = parse_ratio)]
     ratio: Vec<Ratio>,
-    /// How those tokens are chosen: kmeans[:ROUNDS], stride, random[:SEED]
+    /// Token selections: kmeans[:ROUNDS], stride, random[:SEED]
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "kmeans,kmeans:1,kmeans:10,stride,random",
         value_parser = parse_selection)]
     select: Vec<Selection>,
-    /// Sides of the groups of patches that attention across photos sees as one
+    /// Pooling factors of attention across photos
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "1")]
     pool: Vec<usize>,
-    /// Numbers of Gaussians of every token that are kept, the ones that show most [default: all, a half, a quarter]
+    /// Gaussians kept per token, by visibility [default: all, a half, a quarter]
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     keep: Option<Vec<Keep>>,
-    /// Steps of refinement, or as 100:tokens of the scene's tokens. They follow on every number of
-    /// photos and share of the tokens, in the first arithmetic, with the first way to choose and
-    /// all Gaussians. 0, the scene itself, is always there
+    /// Refinement steps, or 100:tokens to refine the scene's tokens. Combined with every number of
+    /// photos and share of the tokens, with all Gaussians and first values otherwise. Always
+    /// includes 0, no refinement
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "0,10,50")]
     refine: Vec<Steps>,
-    /// Initializations of the refinement. From points it needs no network, and follows on every
-    /// number of photos [default: scene, and points where the capture has some]
+    /// Initializations of the refinement. Points need no network, and follow on every number of
+    /// photos [default: scene, and points if the capture has them]
     #[arg(long, value_name = "LIST", value_delimiter = ',', value_enum)]
     start: Option<Vec<Start>>,
     /// Arithmetics: exact, fast, fast-bf16, turbo [default: all that the device has]
     #[arg(long, value_name = "LIST", value_delimiter = ',', value_enum)]
     precision: Option<Vec<PrecisionName>>,
-    /// Types to round the weights to, as `convert --dtype` does: f16, bf16, q8. They follow on every number of photos and share of the
-    /// tokens, in the first arithmetic, with the first way to choose and the first number of Gaussians. own, the weights as they are
-    /// stored, is always there
+    /// Types to round the weights to, as `convert --dtype` does: f16, bf16, q8. Combined with every
+    /// number of photos and share of the tokens, and first values otherwise. Always includes own,
+    /// the weights as stored
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "q8", value_parser = rounded::parse)]
     dtype: Vec<Option<Dtype>>,
-    /// Photos to compare with, at most
+    /// Limit of photos to compare with
     #[arg(long, value_name = "N", default_value = "6", value_parser = clap::value_parser!(u32).range(1..))]
     targets: u32,
     #[command(flatten)]
     weights: Weights,
-    /// Pixels that the network sees of each photo [default: what the weights are best with]
+    /// Pixels of each photo for the network [default: the weights' best size]
     #[arg(long, value_name = "WxH")]
     size: Option<Size>,
-    /// Length in the cameras' unit that becomes the network's 1 [default: as of `eval`]
+    /// Length in the cameras' unit that is 1 for the network [default: as of `eval`]
     #[arg(long, value_name = "LENGTH", value_parser = parse_length)]
     unit: Option<f64>,
-    /// Runs before those that are timed
+    /// Untimed runs before the measurement
     #[arg(long, value_name = "N", default_value = "1")]
     warmup: u32,
-    /// Runs that are timed
+    /// Timed runs
     #[arg(long, value_name = "N", default_value = "3", value_parser = clap::value_parser!(u32).range(1..))]
     repeats: u32,
-    /// Time for the sweep; the point that is being measured is finished
+    /// Time limit of the sweep; the current point is finished
     #[arg(long, value_name = "N|all", default_value = "5")]
     minutes: Minutes,
     /// Folder for tradeoff.html and tradeoff.csv
@@ -114,7 +114,7 @@ pub struct Tradeoff {
     overwrite: Overwrite,
 }
 
-/// Time for a sweep; none measures every point.
+/// `None` measures every point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Minutes(Option<Duration>);
 
@@ -181,7 +181,7 @@ impl Tradeoff {
         session.report(&sweep.points, text)
     }
 
-    /// The arithmetics asked for, or all that the device and the weights have; `exact` first, which the others are compared with.
+    /// Returns the arithmetics asked for, or all supported ones, the baseline `exact` first.
     fn arithmetics(
         &self,
         session: &mut Session<'_>,

@@ -1,4 +1,4 @@
-// Shows the picture and the command of the point that is pointed at or touched, until another one is or the page is.
+// Shows picture and command of the selected point.
 let shown = null;
 function show(panel) {
   if (shown) shown.hidden = true;

@@ -1,4 +1,4 @@
-//! The report: one HTML file that needs no other.
+//! Self-contained HTML report.
 
 use super::{
     Tradeoff, figures,
@@ -14,17 +14,13 @@ use std::time::Duration;
 use zipsplat::Result;
 
 const SCRIPT: &str = include_str!("page.js");
-/// Pixels of a picture's longer side, at most.
+/// Longer side of a picture in pixels.
 const PICTURE: u32 = 252;
 
 const DEVIATIONS: &str = "The same network in f64 on the CPU, for reconstructions of at most 20 GFLOP from the most photos. All \
     precisions take the tokens that the first one chose, so that these are errors of arithmetic and not other choices of near ties. \
     Pictures are drawn by the device from its own Gaussians and from those of f64.";
 
-/// The whole page.
-///
-/// # Errors
-/// Where a picture cannot be encoded.
 pub fn page(args: &Tradeoff, device: &str, weights: &str, captures: &[Capture], sweep: &Sweep) -> Result<String> {
     let points = &sweep.points;
     let pictures: Vec<String> =
@@ -72,12 +68,10 @@ fn figure(heading: &str, plot: &str) -> String {
     format!("<figure><figcaption>{heading}</figcaption>{plot}</figure>")
 }
 
-/// A picture with its name and what there is to say about it.
 fn card(name: &str, picture: &str, about: &str) -> String {
     format!("<div class=\"card\"><img alt=\"{name}\" src=\"{picture}\"><b>{name}</b>{about}</div>")
 }
 
-/// The picture and the command of a point, which the page shows where its number is pointed at.
 fn panel(i: usize, p: &Point, picture: &str) -> String {
     format!("<div class=\"panel\" id=\"p{i}\" hidden><img alt=\"\" src=\"{picture}\"><div>{}</div></div>", about(p))
 }
@@ -96,7 +90,7 @@ fn took(ms: f64) -> String {
     time(Duration::from_secs_f64(ms / 1e3))
 }
 
-/// Rows of points, `marked` ones green.
+/// Colors `marked` rows green.
 fn table(points: &[Point], rows: impl Iterator<Item = usize>, marked: &[usize]) -> String {
     let mut html = String::from(
         "<table><tr><th>photos<th>precision<th class=\"wide\">weights<th>r<th class=\"wide\">tokens by<th class=\"wide\">kept of a token<th>steps\

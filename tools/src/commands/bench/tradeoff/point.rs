@@ -1,57 +1,49 @@
-//! One combination of settings and what it gave.
+//! Settings and results of a combination.
 
 use super::rounded::OWN;
 use crate::table::counted;
 use serde::Serialize;
 use zipsplat::reconstruct::Selection;
 
-/// Settings and results.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Point {
     pub views: usize,
     pub precision: String,
-    /// The type that the weights are rounded to; `own` where they are as they are stored.
+    /// Type of the rounded weights; `own` as stored.
     pub weights: String,
-    /// Bytes of the weights on the device.
     pub weight_bytes: u64,
-    /// Tokens over all tokens.
+    /// Kept share.
     pub ratio: f64,
-    /// The share as the command line has it: `auto`, too.
+    /// As on the command line, including `auto`.
     #[serde(skip)]
     pub asked_ratio: String,
-    /// `all` where every token is kept.
+    /// Selection; `all` without any.
     pub select: String,
-    /// Side of the groups of patches that attention across photos sees as one.
     pub pool: usize,
-    /// Gaussians of each token that are kept.
     pub keep: usize,
-    /// Steps of refinement as the command line has them, `0` where there is none.
+    /// As on the command line; `0` for none.
     pub refine: String,
-    /// Initialization of the refinement as the command line has it; empty where there is none.
+    /// Empty without refinement.
     pub init: String,
     pub tokens: usize,
     pub gaussians: usize,
     /// Photos to Gaussians, median.
     pub forward_ms: f64,
-    /// The refinement, run once.
+    /// Single run.
     pub refine_ms: f64,
-    /// Both together.
     pub total_ms: f64,
     /// One picture, median.
     pub render_ms: f64,
     pub peak_bytes: u64,
-    /// The size of the PLY file.
     pub file_bytes: u64,
-    /// Against held-out photos, means.
     pub psnr: f64,
     pub ssim: f64,
-    /// The PSNR of the pictures against those of `exact` with the same other settings; absent for `exact`.
+    /// PSNR against the pictures of `exact` with equal settings; absent for `exact`.
     pub psnr_to_exact: Option<f64>,
-    /// The PSNR of the pictures against those of the Gaussians that f64 gives for the same tokens; this and all errors are absent where
-    /// f64 would take too long, the PSNR also where the Gaussians are refined.
+    /// PSNR against the f64 Gaussians of the same tokens; absent after refinement. This and all
+    /// errors are absent if f64 would take too long.
     pub psnr_to_f64: Option<f64>,
-    /// Deviations from f64 of what each stage gives, of the Gaussians before any are left out or refined: the rms of the difference over
-    /// that of the truth.
+    /// Relative rms deviations from f64 by stage, before pruning and refinement.
     pub error_backbone: Option<f64>,
     pub error_fuse: Option<f64>,
     pub error_means: Option<f64>,
@@ -59,14 +51,13 @@ pub struct Point {
     pub error_quats: Option<f64>,
     pub error_opacities: Option<f64>,
     pub error_sh_coeffs: Option<f64>,
-    /// Input views that a token stands for, mean; absent without k-means.
+    /// Mean over tokens; absent without k-means.
     pub views_per_cluster: Option<f64>,
-    /// The command that shows the same.
     pub command: String,
 }
 
 impl Point {
-    /// A refinement of the points of a capture, to which no network adds.
+    /// Returns a refinement of the capture's points, without a network.
     pub fn of_points(views: usize, precision: &str) -> Self {
         let words = |word: &str| word.to_owned();
         Self {
@@ -80,12 +71,11 @@ impl Point {
         }
     }
 
-    /// Whether it is a refinement of the points of a capture.
+    /// Returns true if only the capture's points were refined.
     pub fn is_of_points(&self) -> bool {
         self.init == "points"
     }
 
-    /// The steps of refinement, with their initialization where it is not the scene alone.
     pub fn refinement(&self) -> String {
         match self.init.as_str() {
             "points" => format!("{} from points", self.refine),
@@ -94,17 +84,14 @@ impl Point {
         }
     }
 
-    /// Whether its Gaussians are refined.
     pub fn is_refined(&self) -> bool {
         self.refine != "0"
     }
 
-    /// The precision, and the type of the weights where they are rounded.
     pub fn arithmetic(&self) -> String {
         arithmetic(&self.precision, &self.weights)
     }
 
-    /// The settings in words.
     pub fn settings(&self) -> String {
         let photos = counted(self.views, "photo");
         if self.is_of_points() {
@@ -125,12 +112,10 @@ impl Point {
     }
 }
 
-/// A precision, and the type of the weights where they are rounded.
 pub fn arithmetic(precision: &str, weights: &str) -> String {
     if weights == OWN { precision.into() } else { format!("{precision}, {weights} weights") }
 }
 
-/// The name of a selection, as the command line takes it.
 pub fn name(selection: &Selection) -> String {
     match selection {
         Selection::Kmeans(rounds) => format!("kmeans:{rounds}"),
@@ -140,7 +125,7 @@ pub fn name(selection: &Selection) -> String {
     }
 }
 
-/// Indices of the points that no other beats in both time and PSNR, by time.
+/// Returns the Pareto front of time and PSNR, by time.
 pub fn front(points: &[Point]) -> Vec<usize> {
     let mut order: Vec<usize> = (0..points.len()).collect();
     order.sort_by(|a, b| {
@@ -156,9 +141,9 @@ pub fn front(points: &[Point]) -> Vec<usize> {
     order
 }
 
-/// Three points to begin with, by name: `best` is the most accurate of the front; `fast` the fastest with half of what the front
-/// has to win in dB; `balanced` the one between them that lies farthest above the line that joins them, in dB over the logarithm of
-/// time. Where there are fewer, those.
+/// Recommends up to three points of the front. `best` has the highest PSNR. `fast` is the fastest
+/// with half of the front's gain in dB. `balanced` is farthest above their connecting line in dB
+/// over log time.
 pub fn recommended(points: &[Point]) -> Vec<(&'static str, usize)> {
     let front = front(points);
     let (Some(first), Some(best)) = (front.first(), front.last()) else { return Vec::new() };
@@ -182,7 +167,6 @@ pub fn recommended(points: &[Point]) -> Vec<(&'static str, usize)> {
 pub(super) mod tests {
     use super::*;
 
-    /// A point that took so long and reached so much.
     pub fn point(forward_ms: f64, psnr: f64) -> Point {
         Point {
             views: 4,
@@ -231,7 +215,7 @@ pub(super) mod tests {
 
     #[test]
     fn three_points_of_the_front_are_recommended() {
-        // The front: 10, 14, 17, 19.5, 20 dB; half of it is won at 17.
+        // Front: 10, 14, 17, 19.5, 20 dB; half of the gain is reached at 17.
         let all = [(1.0, 10.0), (2.0, 14.0), (3.0, 13.0), (4.0, 17.0), (8.0, 19.5), (64.0, 20.0)];
         let points: Vec<Point> = all.map(|(ms, psnr)| point(ms, psnr)).into();
         assert_eq!(recommended(&points), [("fast", 3), ("balanced", 4), ("best", 5)]);

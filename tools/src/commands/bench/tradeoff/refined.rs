@@ -1,4 +1,4 @@
-//! Refinements of a reconstruction, in so many steps each.
+//! Refinements of a reconstruction.
 
 use crate::{capture::Capture, refinement::Steps, session::Stage};
 use std::ops::ControlFlow;
@@ -12,9 +12,6 @@ use zipsplat::{
 };
 
 /// Refines a scene against the photos of a capture, as `zipsplat eval --refine STEPS` does.
-///
-/// # Errors
-/// As [`refine_scene`], and [`Error::Cancelled`] where the command should stop.
 pub fn refine(
     device: &Device,
     (model, checkpoint): (&Model, &Checkpoint),

@@ -1,4 +1,4 @@
-//! The same weights in fewer bytes.
+//! Weights rounded to smaller types.
 
 use super::Tradeoff;
 use crate::session::Session;
@@ -8,28 +8,22 @@ use zipsplat::{
     weights::{Checkpoint, Dtype},
 };
 
-/// A checkpoint's weights rounded to another type.
 pub struct Rounded {
-    /// Name of the type.
     pub dtype: &'static str,
     pub checkpoint: Checkpoint,
-    /// The file that it reads lies in here.
+    /// Holds the checkpoint's file.
     _folder: TempDir,
 }
 
-/// Name of a type of weights, where they are as they are stored.
 pub const OWN: &str = "own";
 
-/// A type to round to; none for weights as they are stored.
+/// Returns `None` for weights as stored.
 pub fn parse(text: &str) -> Result<Option<Dtype>> {
     let expected = || Error::argument("--dtype", text, format!("{OWN}, f16, bf16 or q8, as a list"));
     if text == OWN { Ok(None) } else { text.parse().map(Some).map_err(|_| expected()) }
 }
 
-/// The weights in each of the types asked for, but for one that they have already.
-///
-/// # Errors
-/// A value that a type cannot hold, a full disk, [`Error::Cancelled`].
+/// Rounds the weights to each requested type, except their own.
 pub fn all(args: &Tradeoff, session: &Session<'_>, checkpoint: &Checkpoint) -> Result<Vec<Rounded>> {
     let mut dtypes: Vec<Dtype> = args.dtype.iter().flatten().copied().collect();
     dtypes.dedup();

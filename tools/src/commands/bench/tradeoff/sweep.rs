@@ -1,4 +1,4 @@
-//! Every combination of settings, measured.
+//! Measurement of every combination of settings.
 
 use super::{
     Minutes, Tradeoff,
@@ -33,21 +33,18 @@ use zipsplat::{
     weights::{Architecture, Checkpoint},
 };
 
-/// The results of a sweep.
 #[derive(Default)]
 pub struct Sweep {
     pub points: Vec<Point>,
-    /// Time of each stage with every token, for each number of views.
+    /// Stage times with every token, by number of views.
     pub stages: Vec<(usize, StageTimes)>,
-    /// The picture in place of the first photo, of each point.
+    /// Prediction of the first target, by point.
     pub pictures: Vec<Image>,
-    /// Number of points of the whole sweep.
     pub planned: usize,
-    /// Pictures of `exact`, which those of others are compared with, by number of views, settings and Gaussians kept.
+    /// Pictures of `exact`, by number of views, settings and Gaussians kept.
     drawn_exactly: HashMap<(usize, String, usize), Vec<f32>>,
 }
 
-/// The means of a sweep, and its results so far.
 struct Bench<'a> {
     args: &'a Tradeoff,
     device: &'a Device,
@@ -58,21 +55,17 @@ struct Bench<'a> {
     began: Instant,
 }
 
-/// The results of a reconstruction.
 struct Forward {
     made: Reconstruction,
     scene: Scene,
-    /// Median.
+    /// Median time.
     ms: f64,
     views_per_cluster: Option<f64>,
-    /// Absent where f64 would take too long.
+    /// Absent if f64 would take too long.
     compared: Option<Compared>,
 }
 
-/// Whether every combination can be reconstructed, and so many Gaussians of a token kept; needs no device.
-///
-/// # Errors
-/// That of the first that cannot.
+/// Checks every combination without a device.
 pub fn check(args: &Tradeoff, architecture: &Architecture, Size(width, height): Size) -> Result<()> {
     let all = architecture.gaussians_per_token;
     args.keep.iter().flatten().try_for_each(|keep| keep.of(all).map(drop))?;
@@ -85,11 +78,10 @@ pub fn check(args: &Tradeoff, architecture: &Architecture, Size(width, height): 
     Ok(())
 }
 
-/// Measures every combination, or as many as there is time for. The other value is whether the
-/// command should stop.
+/// Measures until the time limit. The other value tells whether the command should stop.
 ///
 /// # Errors
-/// Where a reconstruction or a picture fails; [`Error::Cancelled`] where there is no point yet.
+/// If a reconstruction or a picture fails; [`Error::Cancelled`] before the first point.
 pub fn run(
     args: &Tradeoff,
     session: &mut Session<'_>,
@@ -134,11 +126,10 @@ pub fn run(
     }
 }
 
-/// A network's type of weights, its checkpoint and its arithmetic.
 type Network<'a> = (&'a str, &'a Checkpoint, (Precision, Arithmetic));
 
-/// The cases in the order in which they are measured, with the number of their network: first with
-/// every network those that begin with the first choice, then the others.
+/// Returns measurement order, with the network's index: first choices with every network, then the
+/// others.
 fn passes<'a>(args: &Tradeoff, networks: &[Network<'a>], cases: &[Case<'a>]) -> Vec<(usize, Vec<Case<'a>>)> {
     let mut passes = Vec::new();
     for begins in [true, false] {
@@ -163,7 +154,6 @@ fn passes<'a>(args: &Tradeoff, networks: &[Network<'a>], cases: &[Case<'a>]) -> 
 }
 
 impl Bench<'_> {
-    /// Measures until the time is over.
     fn run(&mut self, networks: &[Network<'_>], passes: &[(usize, Vec<Case<'_>>)], stage: &Stage<'_>) -> Result<()> {
         for (i, cases) in passes {
             stage.name("load weights");
@@ -182,12 +172,11 @@ impl Bench<'_> {
         Ok(())
     }
 
-    /// The share of the time that is over.
     fn spent(&self) -> f64 {
         self.args.minutes.0.map_or(0.0, |time| self.began.elapsed().div_duration_f64(time))
     }
 
-    /// Measures a case; `Break` where the time is over.
+    /// Breaks at the time limit.
     fn measure(&mut self, model: &Model, case: &Case<'_>, stage: &Stage<'_>) -> Result<ControlFlow<()>> {
         let forward = self.forward(model, case, stage)?;
         for keep in case.keep {
@@ -207,17 +196,16 @@ impl Bench<'_> {
         Ok(ControlFlow::Continue(()))
     }
 
-    /// Adds a point; `Break` where the time is over.
+    /// Breaks at the time limit.
     fn add(&mut self, (point, picture): (Point, Image), stage: &Stage<'_>) -> ControlFlow<()> {
         self.sweep.points.push(point);
         self.sweep.pictures.push(picture);
         let spent = self.spent();
-        // Stopping is heard before the next: this one counts.
+        // This point counts; the next one cancels.
         let _ = stage.at(spent.max(self.sweep.points.len() as f64 / self.sweep.planned as f64).min(1.0));
         if spent < 1.0 { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
     }
 
-    /// Photos to Gaussians.
     fn forward(&mut self, model: &Model, case: &Case<'_>, stage: &Stage<'_>) -> Result<Forward> {
         let (images, capture, shape) = (case.capture.images(), case.capture, case.shape);
         let flops = model.plan(shape)?.plan.flops();
@@ -241,7 +229,6 @@ impl Bench<'_> {
         Ok(Forward { made, scene, ms: Spread::of(times).median, views_per_cluster, compared })
     }
 
-    /// The same with so many Gaussians kept of each token, and its picture.
     fn point(&mut self, model: &Model, case: &Case<'_>, forward: &Forward, keep: usize) -> Result<(Point, Image)> {
         let (capture, all) = (case.capture, model.architecture().gaussians_per_token);
         let mut scene = forward.scene.clone();
@@ -270,7 +257,6 @@ impl Bench<'_> {
         Ok((point, drawn.picture(capture)?))
     }
 
-    /// The same with all Gaussians, or the capture's points, refined, and its picture.
     fn refined(
         &mut self,
         model: &Model,
@@ -304,7 +290,7 @@ impl Bench<'_> {
         Ok((point, drawn.picture(case.capture)?))
     }
 
-    /// A case's settings, with all Gaussians and without refinement, and what its forward pass gave.
+    /// Returns settings with all Gaussians and without refinement.
     fn settings(&self, model: &Model, case: &Case<'_>, forward: &Forward) -> Point {
         let shape = case.shape;
         let error = |of: fn(&Errors) -> f64| forward.compared.as_ref().map(|compared| of(&compared.errors));
@@ -336,7 +322,7 @@ impl Bench<'_> {
     }
 }
 
-/// The tokens that a model chooses, and with k-means the mean over clusters of the number of views that their tokens come from.
+/// Returns the chosen tokens, and with k-means the mean number of views per cluster.
 fn chosen(model: &Model, case: &Case<'_>, images: &[Image]) -> Result<(Vec<u32>, Option<f64>)> {
     let (all, count) = (case.shape.grid.tokens(), case.shape.tokens);
     match (case.shape.kept, &case.request.selection) {
@@ -348,8 +334,7 @@ fn chosen(model: &Model, case: &Case<'_>, images: &[Image]) -> Result<(Vec<u32>,
     }
 }
 
-/// The tokens that k-means chooses and the mean number of views of a cluster. A run of its own: what is observed takes memory
-/// and time that a reconstruction does not.
+/// Runs separately: observation would distort time and memory.
 fn clusters(model: &Model, case: &Case<'_>, images: &[Image]) -> Result<(Vec<u32>, f64)> {
     let (plan, tensors) = model.record(case.shape, true)?;
     let mut run = model.run(plan)?;

@@ -1,7 +1,7 @@
-//! How far a reconstruction is from the same computed in f64, stage by stage.
+//! Deviation of a reconstruction from f64, stage by stage.
 //!
-//! The truth takes the tokens that the first precision chose, and so do all precisions that are compared with it: rounding may
-//! turn a near tie of k-means around, which is another choice and no error of arithmetic.
+//! All precisions use the tokens of the first one: rounding may flip a near tie of k-means, which
+//! is no arithmetic error.
 
 use crate::capture::Capture;
 use std::{collections::HashMap, ops::Range};
@@ -18,15 +18,15 @@ use zipsplat_reference::{
     model::{Architecture, Model as Reference},
 };
 
-/// Reconstructions of at most so much arithmetic are computed in f64, which takes a CPU some seconds each.
+/// Limit of an f64 reference, some seconds on a CPU.
 pub const MOST_FLOPS: u64 = 20_000_000_000;
 
-/// Deviations from f64: the rms of the difference over that of the truth.
+/// Relative rms deviations from f64.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Errors {
-    /// Tokens of all output layers, as clustering and fusion take them.
+    /// Tokens of all output layers, the input of clustering and fusion.
     pub backbone: f64,
-    /// Scene tokens behind the last block.
+    /// Scene tokens after the last block.
     pub fuse: f64,
     pub means: f64,
     pub scales: f64,
@@ -35,17 +35,16 @@ pub struct Errors {
     pub sh_coeffs: f64,
 }
 
-/// A reconstruction beside the truth, both of the same tokens.
+/// Deviations from f64 for the same tokens.
 pub struct Compared {
     pub errors: Errors,
     pub scene: Scene,
     pub truth: Scene,
 }
 
-/// A network in f64, and what it gave so far.
 pub struct Truth<'a> {
     checkpoint: &'a Checkpoint,
-    /// Read when it is needed: a large network is never small enough.
+    /// Loaded on demand: large networks never need it.
     reference: Option<Reference>,
     /// By number of views and pooling.
     tokens: HashMap<[usize; 2], Tokens>,
@@ -53,24 +52,19 @@ pub struct Truth<'a> {
     known: HashMap<(usize, String), Known>,
 }
 
-/// The results for the tokens that the first precision chose.
 struct Known {
     chosen: Vec<u32>,
-    /// Every tap behind clustering.
+    /// Every tap after clustering.
     taps: Taps,
 }
 
 impl<'a> Truth<'a> {
-    /// The reference's network that a checkpoint holds.
     pub fn new(checkpoint: &'a Checkpoint) -> Self {
         Self { checkpoint, reference: None, tokens: HashMap::new(), known: HashMap::new() }
     }
 
-    /// Compares a model's reconstruction with the truth. `settings` are those that do not concern precision; `chosen` are the
-    /// tokens that this model chooses with them, which the first call of such settings decides for all others.
-    ///
-    /// # Errors
-    /// Where the checkpoint cannot be read or the reconstruction fails.
+    /// Compares a model's reconstruction with f64. `settings` exclude precision. The first call's
+    /// `chosen` tokens apply to all later calls with equal settings.
     pub fn compare(
         &mut self,
         model: &Model,
@@ -120,7 +114,6 @@ impl<'a> Truth<'a> {
     }
 }
 
-/// A reconstruction with all its intermediate tensors.
 fn observe(model: &Model, images: &[Image], request: &Request) -> Result<(HashMap<String, Vec<f32>>, Scene)> {
     let shape = model.shape(images, request)?;
     let (plan, tensors) = model.record(shape, true)?;
@@ -132,7 +125,7 @@ fn observe(model: &Model, images: &[Image], request: &Request) -> Result<(HashMa
     Ok((taps, tensors.read(&run)?))
 }
 
-/// The rms of the difference over that of the truth; NaN where something is missing.
+/// Returns the relative rms difference; NaN for missing values.
 fn relative<'a>(found: &[f32], truth: impl IntoIterator<Item = &'a f64>) -> f64 {
     let (mut count, mut squares, mut apart) = (0, 0.0, 0.0);
     for (found, truth) in found.iter().zip(truth) {
@@ -143,7 +136,6 @@ fn relative<'a>(found: &[f32], truth: impl IntoIterator<Item = &'a f64>) -> f64 
     if count == found.len() { (apart / squares).sqrt() } else { f64::NAN }
 }
 
-/// A checkpoint's network as the reference has it.
 fn reference(checkpoint: &Checkpoint) -> Result<Reference> {
     let a = checkpoint.architecture();
     let architecture = Architecture {
@@ -170,7 +162,6 @@ fn reference(checkpoint: &Checkpoint) -> Result<Reference> {
     Ok(Reference { architecture, weights: checkpoint.parameters().iter().map(read).collect::<Result<_>>()? })
 }
 
-/// The camera of a view, as the reference takes it.
 fn prior(Camera { intrinsics, pose }: &Camera) -> Prior {
     let Intrinsics { width, height, fx, fy, cx, cy } = *intrinsics;
     let mut rows = [0.0; 12];
@@ -179,7 +170,6 @@ fn prior(Camera { intrinsics, pose }: &Camera) -> Prior {
     Prior { camera: [width.into(), height.into(), fx, fy, cx, cy], pose: rows }
 }
 
-/// Pictures of one size as the reference takes them.
 fn channel_major(images: &[Image]) -> Images {
     let [width, height] = images.first().map_or([0; 2], |image| [image.width, image.height].map(|side| side as usize));
     let channels = images.iter().flat_map(|image| (0..3).flat_map(|channel| image.rgb[channel..].iter().step_by(3)));
