@@ -202,7 +202,7 @@ fn a_scene_can_be_in_the_world_of_its_cameras() {
     assert_eq!(folder.run("reconstruct @/place/images --world cameras -o @/x.ply").code, 2);
 
     // The same photos in another reconstruction's world, by name alone: aligned, and said so.
-    write_transforms(&folder.path("other.json"), &poses.frames.iter().map(|f| f.camera).collect::<Vec<_>>(), &names)
+    write_transforms(folder.path("other.json"), &poses.frames.iter().map(|f| f.camera).collect::<Vec<_>>(), &names)
         .expect("cameras");
     for scene in ["first", "own"] {
         let outcome = folder.run(&format!("render @/{scene}.ply --cameras @/other.json -o @/other"));
@@ -217,7 +217,7 @@ fn a_scene_can_be_in_the_world_of_its_cameras() {
         let center = frame.camera.pose.translation;
         Camera { pose: Pose { translation: -center, ..frame.camera.pose }, ..frame.camera }
     });
-    write_transforms(&folder.path("mirrored.json"), &mirrored.collect::<Vec<_>>(), &names).expect("cameras");
+    write_transforms(folder.path("mirrored.json"), &mirrored.collect::<Vec<_>>(), &names).expect("cameras");
     let refused = folder.run("render @/own.ply --cameras @/mirrored.json -o @/mirrored");
     refused.fails(3, &["cameras of", "mirrored.json", "another direction"]);
     let kept = folder.run("refine @/first.ply @/place/images --poses @/other.json --steps 2 -o @/refined.ply");

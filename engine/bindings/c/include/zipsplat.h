@@ -955,6 +955,7 @@ typedef struct zs_vulkan_requirement {
     // 1 if only faster precisions need it. Enable all that the device supports, then set
     // zs_vulkan_device.fast.
     uint32_t optional;
+    // Name as Vulkan has it; static.
     const char *name;
     // Static; "" unless a feature.
     const char *structure;

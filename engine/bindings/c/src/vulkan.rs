@@ -40,6 +40,7 @@ pub struct zs_vulkan_requirement {
     /// 1 if only faster precisions need it. Enable all that the device supports, then set
     /// zs_vulkan_device.fast.
     pub optional: u32,
+    /// Name as Vulkan has it; static.
     pub name: *const c_char,
     /// Static; "" unless a feature.
     pub structure: *const c_char,
