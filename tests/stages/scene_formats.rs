@@ -334,6 +334,7 @@ fn files_say_which_world_a_scene_is_in() {
             origin: Origin::Photo("images/photo é 1.jpg".into()),
             landmarks,
             lens: Some(scenes::camera(640, 480).intrinsics),
+            up: Some(DVec3::NEG_Y),
         };
         assert_eq!(said(Some(&photo)), Some(photo).filter(|_| keeps), "{name}");
         let Some(World { origin: Origin::Cameras(found), .. }) = said(Some(&Origin::Cameras(pose).into())) else {

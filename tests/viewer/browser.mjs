@@ -132,7 +132,7 @@ export function spread({ data }) {
 }
 
 // Returns a PLY of random Gaussians of degree 3 ahead of the origin, the same on every call.
-export function randomPly(count, scales = [-7, -1.5], opacities = [-3, 5]) {
+export function randomPly(count, scales = [-7, -1.5], opacities = [-3, 5], unit = 1) {
     let state = 1;
     const random = (least, most) => {
         state = (state * 48271) % 2147483647;
@@ -141,7 +141,7 @@ export function randomPly(count, scales = [-7, -1.5], opacities = [-3, 5]) {
     const names = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", ...Array.from({ length: 45 }, (_, i) => `f_rest_${i}`),
         "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"];
     const header = `ply\nformat binary_little_endian 1.0\nelement vertex ${count}\n${names.map(name => `property float ${name}\n`).join("")}end_header\n`;
-    const range = name => /^[xy]$/.test(name) ? [-1, 1] : name === "z" ? [1, 4] : name === "opacity" ? opacities
+    const range = name => /^[xy]$/.test(name) ? [-unit, unit] : name === "z" ? [unit, 4 * unit] : name === "opacity" ? opacities
         : /^scale/.test(name) ? scales : /^f_rest/.test(name) ? [-0.2, 0.2] : [-1, 1];
     const rows = Float32Array.from({ length: count * names.length }, (_, i) => random(...range(names[i % names.length])));
     return Buffer.concat([Buffer.from(header), Buffer.from(rows.buffer)]);

@@ -45,6 +45,15 @@ test("depth, normals and tokens are those of render", async () => {
     }
 });
 
+test("tiny scenes are not clipped", async () => {
+    writeFileSync(at("tiny.ply"), randomPly(3000, [-11, -9], [-3, 5], 1e-4));
+    zipsplat("view", "tiny.ply", "-o", "page.html", "--exact");
+    const tab = await opened("page.html");
+    assert.ok(await tab.run(() => zipsplat.scene.near) < 1e-5);
+    assert.ok(await tab.run(() => zipsplat.scene.drawable.drawn) > 2000);
+    await tab.close();
+});
+
 test("what was left out is counted", async () => {
     const ply = randomPly(3000, [-7, -1.5], [-9, 5]), values = new Float32Array(ply.buffer.slice(ply.byteOffset + ply.length - 4 * 59 * 3000, ply.byteOffset + ply.length));
     // Opacity logit, the 52nd of 59 numbers: 1/255 is -ln 254.

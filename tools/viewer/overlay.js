@@ -54,7 +54,7 @@ class Overlay {
     project(point) {
         const { camera, canvas } = this.page, focal = camera.focal(canvas.clientWidth, canvas.clientHeight);
         const [x, y, z] = camera.axes.map(axis => dot(axis, add(point, camera.eye, -1)));
-        return z > 0.01 ? [focal * x / z + canvas.clientWidth / 2, focal * y / z + canvas.clientHeight / 2] : null;
+        return z > (this.page.scene?.near ?? 0.01) ? [focal * x / z + canvas.clientWidth / 2, focal * y / z + canvas.clientHeight / 2] : null;
     }
 
     // Camera center and picture corners, at a share of the scene's distance.

@@ -150,7 +150,7 @@ class Page {
             return this.failed(index, error.message);
         }
         if (before) this.renderer.release(before);
-        Object.assign(scene, { count: data.count, sample: data.sample, faint: data.faint, failed: null, sortedFor: data.view }, scene.next);
+        Object.assign(scene, { count: data.count, sample: data.sample, faint: data.faint, near: data.near, failed: null, sortedFor: data.view }, scene.next);
         if (data.order) this.renderer.sort(scene.drawable, data.order);
         scene.done?.();
         element("save-scene").disabled = false;

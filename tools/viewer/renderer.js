@@ -32,13 +32,14 @@ uniform usampler2D harmonics;
 uniform mat3 view;
 uniform vec3 eye;
 uniform vec2 focal, size;
+uniform float near;
 uniform int degree, show, hovered; // the token that is pointed at; -1: none
 uniform uint group; // Gaussians of a token
 layout(location = 0) out uvec4 ellipse;
 layout(location = 1) out uvec4 short_axis;
 layout(location = 2) out uvec4 color;
 
-const float BLUR = 0.3, ALPHA_MIN = 1.0 / 255.0, NEAR = 0.01, SCALE_MAX = 1e8;
+const float BLUR = 0.3, ALPHA_MIN = 1.0 / 255.0, SCALE_MAX = 1e8;
 
 ${TEXELS}
 mat3 rotation(vec4 q) {
@@ -101,7 +102,7 @@ void main() {
     uvec4 first = texel(gaussians, 3u * index), second = texel(gaussians, 3u * index + 1u), third = texel(gaussians, 3u * index + 2u);
     vec3 offset = uintBitsToFloat(first.xyz) - eye, p = view * offset;
     float opacity = uintBitsToFloat(first.w);
-    if (!(p.z >= NEAR && opacity >= ALPHA_MIN)) return;
+    if (!(p.z >= near && opacity >= ALPHA_MIN)) return;
 
     vec2 half_size = 0.5 * size, limit = half_size / focal * 1.3;
     vec2 slope = clamp(p.xy / p.z, -limit, limit);
@@ -271,7 +272,7 @@ class Renderer {
     }
 
     // Scene packed by the worker.
-    upload({ count, degree, gaussians, harmonics }) {
+    upload({ count, degree, near, gaussians, harmonics }) {
         const { gl } = this, most = gl.getParameter(gl.MAX_TEXTURE_SIZE);
         const texture = (texels, format = gl.RGBA32UI) => {
             const height = Math.max(1, Math.ceil(texels / TEXTURE_WIDTH));
@@ -283,7 +284,7 @@ class Renderer {
             gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
             return texture;
         };
-        const scene = { count, degree, drawn: 0, gaussians: texture(3 * count), harmonics: texture(harmonics.length / 4) };
+        const scene = { count, degree, near, drawn: 0, gaussians: texture(3 * count), harmonics: texture(harmonics.length / 4) };
         this.fill(scene.gaussians, gaussians, 4);
         this.fill(scene.harmonics, harmonics, 4);
         scene.order = texture(count, gl.R32UI);
@@ -372,6 +373,7 @@ class Renderer {
         gl.uniform3fv(uniforms.eye, camera.eye);
         gl.uniform2f(uniforms.focal, focal, focal);
         gl.uniform2f(uniforms.size, width, height);
+        gl.uniform1f(uniforms.near, scene.near);
         gl.uniform1i(uniforms.degree, scene.degree);
         gl.uniform1i(uniforms.show, SHOWN[shown]);
         gl.uniform1ui(uniforms.group, group);

@@ -1,7 +1,5 @@
 // View modes: color, depth, normals or tokens; and skipped effects.
 
-const NEAREST = 0.01; // near plane
-
 class Views {
     constructor(page) {
         this.page = page;
@@ -34,7 +32,7 @@ class Views {
         const { camera, scene } = this.page, points = scene?.sample ?? [], depths = [];
         for (let i = 0; i < points.length; i += 3) {
             const depth = dot(camera.axes[2], [0, 1, 2].map(c => points[i + c] - camera.eye[c]));
-            if (depth > NEAREST) depths.push(depth);
+            if (depth > scene.near) depths.push(depth);
         }
         depths.sort((a, b) => a - b);
         const at = share => depths[Math.floor(share * (depths.length - 1))] ?? 1;
@@ -48,9 +46,9 @@ class Views {
     tellLeftOut() {
         const { scene } = this.page, whole = number => number.toLocaleString("en"), facts = [];
         if (scene?.drawable) {
-            const { count, faint, drawable: { drawn } } = scene;
+            const { count, faint, near, drawable: { drawn } } = scene;
             facts.push(`${whole(drawn)} of ${counted(count, "Gaussian")} drawn: ${whole(faint)} are fainter than 1/255, ` +
-                `${whole(count - faint - drawn)} lie behind the camera or nearer than ${NEAREST}.`);
+                `${whole(count - faint - drawn)} lie behind the camera or nearer than ${near}.`);
             if (scene.late !== undefined) facts.push(`The order by depth was ${Math.round(scene.late)} ms late.`);
             facts.push(...scene.left_out?.map(({ what, why }) => `No ${what}: ${why}.`) ?? []);
         }

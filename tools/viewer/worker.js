@@ -2,9 +2,8 @@
 //
 // In: { load, bytes, name, view } and { sort, view }: scene numbers, and the view's line of sight
 // and eye (optional for load). Out: { load, progress }, { load, failed } with a message, { load,
-// count, degree, dropped, faint, gaussians, harmonics, sample, order } and { sort, order }.
+// count, degree, dropped, faint, near, gaussians, harmonics, sample, order } and { sort, order }.
 
-const NEAR = 0.01;
 const FAINTEST = 1 / 255; // weaker Gaussians are invisible
 const SAMPLE = 4096;
 const scenes = new Map();
@@ -44,22 +43,32 @@ function sampled({ means, count }) {
     return new Float32Array(points);
 }
 
+const median = values => [...values].sort((a, b) => a - b)[values.length >> 1];
+
+// Near plane: 0.01, less for scenes with an extent below 0.1, as zipsplat render has it.
+function nearPlane(sample, scales) {
+    const axis = k => sample.filter((_, i) => i % 3 === k), axes = [0, 1, 2].map(axis), center = axes.map(median);
+    const distance = median(axes[0].map((_, i) => Math.hypot(...axes.map((values, k) => values[i] - center[k]))));
+    const extent = distance || median(scales.slice(0, 3 * SAMPLE).filter((_, i) => i % 3 === 0));
+    return extent < 0.1 && extent > 0 ? 0.01 * 2 ** Math.max(Math.floor(Math.log2(extent)), -100) : 0.01;
+}
+
 async function load(id, buffer, name, view) {
     const progress = fraction => postMessage({ load: id, progress: fraction });
     const scene = await readScene(new Uint8Array(buffer), name, progress);
     if (!scene.count) throw new Error("The scene has no Gaussians.");
     const { gaussians, harmonics, dropped } = pack(scene), { count, degree, means, opacities } = scene;
     if (dropped === count) throw new Error("The scene has no Gaussian with finite values.");
-    scenes.set(id, { means, count, opacities, depths: new Float32Array(count), indices: new Uint32Array(count) });
-    const sample = sampled(scene), faint = opacities.reduce((sum, opacity) => sum + !(opacity >= FAINTEST), 0);
+    scenes.set(id, { means, count, opacities, near, depths: new Float32Array(count), indices: new Uint32Array(count) });
+    const faint = opacities.reduce((sum, opacity) => sum + !(opacity >= FAINTEST), 0);
     const order = view && sorted(scenes.get(id), view);
-    postMessage({ load: id, count, degree, dropped, faint, gaussians, harmonics, sample, order, view }, [gaussians.buffer, harmonics.buffer]);
+    postMessage({ load: id, count, degree, dropped, faint, near, gaussians, harmonics, sample, order, view }, [gaussians.buffer, harmonics.buffer]);
 }
 
 const counts = [new Uint32Array(65536), new Uint32Array(65536)];
 
 // Visible Gaussians beyond the near plane, far to near: a stable radix sort by depth bits.
-function sorted({ means, count, opacities, depths, indices }, [fx, fy, fz, ex, ey, ez]) {
+function sorted({ means, count, opacities, near, depths, indices }, [fx, fy, fz, ex, ey, ez]) {
     const bits = new Uint32Array(depths.buffer), [low, high] = counts;
     low.fill(0);
     high.fill(0);
@@ -67,13 +76,13 @@ function sorted({ means, count, opacities, depths, indices }, [fx, fy, fz, ex, e
     for (let i = 0; i < count; ++i) {
         const depth = (means[3 * i] - ex) * fx + (means[3 * i + 1] - ey) * fy + (means[3 * i + 2] - ez) * fz;
         depths[i] = opacities[i] >= FAINTEST ? depth : 0;
-        if (!(depths[i] >= NEAR)) continue;
+        if (!(depths[i] >= near)) continue;
         ++low[bits[i] & 0xffff];
         ++high[bits[i] >>> 16];
         ++seen;
     }
     for (const digit of counts) for (let i = 0, sum = 0; i < 65536; ++i) sum += digit[i], digit[i] = sum - digit[i];
-    for (let i = 0; i < count; ++i) if (depths[i] >= NEAR) indices[low[bits[i] & 0xffff]++] = i;
+    for (let i = 0; i < count; ++i) if (depths[i] >= near) indices[low[bits[i] & 0xffff]++] = i;
     const order = new Uint32Array(seen);
     for (let k = 0; k < seen; ++k) order[seen - 1 - high[bits[indices[k]] >>> 16]++] = indices[k];
     return order;

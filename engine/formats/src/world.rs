@@ -6,6 +6,7 @@ use glam::DVec3;
 
 use super::camera::{Camera, Intrinsics, Pose, matrix_from_quaternion, quaternion_from_matrix};
 use super::poses::Frame;
+use super::trajectory::mean_up;
 
 /// Prefix of this engine's metadata: a comment in PLY and SPZ, an extra in glTF.
 pub(super) const MADE_BY: &str = "zipsplat";
@@ -13,6 +14,7 @@ const PHOTO: &str = "origin: ";
 const CAMERAS: &str = "world: cameras, first ";
 const CAMERA: &str = "camera ";
 const LENS: &str = "lens ";
+const UP: &str = "up ";
 /// Separator of fields. Names of photos with control characters are not stored.
 const SEPARATOR: char = '\t';
 
@@ -26,6 +28,8 @@ pub struct World {
     pub landmarks: Vec<(String, DVec3)>,
     /// Size and field of view of the first photo.
     pub lens: Option<Intrinsics>,
+    /// The cameras' mean up, if they agree on one.
+    pub up: Option<DVec3>,
 }
 
 /// Coordinate frame of a scene.
@@ -55,7 +59,9 @@ impl World {
         let farthest = frames.iter().skip(1).max_by(|a, b| from_first(a).total_cmp(&from_first(b)));
         let landmarks = frames.first().into_iter().chain(farthest.filter(|frame| from_first(frame) > 0.0));
         let landmarks = landmarks.map(|frame| (frame.name.clone(), center(frame))).collect();
-        Self { origin, landmarks, lens: frames.first().map(|frame| frame.camera.intrinsics) }
+        let cameras: Vec<Camera> = frames.iter().map(|frame| frame.camera).collect();
+        let up = mean_up(&cameras).ok().map(|up| to_world.rotation * up);
+        Self { origin, landmarks, lens: cameras.first().map(|camera| camera.intrinsics), up }
     }
 
     /// Formats a line for [`World::parse`], without the world if a photo's name has control
@@ -70,7 +76,8 @@ impl World {
             let Intrinsics { fx, fy, cx, cy, width, height } = lens;
             format!("{SEPARATOR}{LENS}{width} {height} {fx} {fy} {cx} {cy}")
         });
-        format!("{MADE_BY} {}{landmarks}{}", world.origin, lens.unwrap_or_default())
+        let up = world.up.map(|up| format!("{SEPARATOR}{UP}{} {} {}", up.x, up.y, up.z));
+        format!("{MADE_BY} {}{landmarks}{}{}", world.origin, lens.unwrap_or_default(), up.unwrap_or_default())
     }
 
     /// Parses a line of [`World::line`].
@@ -84,19 +91,19 @@ impl World {
             Some((words.next()?.to_owned(), center)).filter(|(_, center)| center.is_finite())
         };
         let lens = |text: &str| {
-            let numbers = text.strip_prefix(LENS)?.split(' ').map(|number| number.parse().ok());
-            let [width, height, fx, fy, cx, cy] = numbers.collect::<Option<Vec<f64>>>()?.try_into().ok()?;
+            let [width, height, fx, fy, cx, cy] = numbers(text.strip_prefix(LENS)?)?;
             let lens = Intrinsics { fx, fy, cx, cy, width: width as u32, height: height as u32 };
             Camera { intrinsics: lens, pose: Pose::IDENTITY }.validate("lens").is_ok().then_some(lens)
         };
-        let lens = parts.clone().find_map(lens);
-        Some(Self { origin, landmarks: parts.filter_map(landmark).collect(), lens })
+        let up = |text: &str| DVec3::from_array(numbers(text.strip_prefix(UP)?)?).try_normalize();
+        let (lens, up) = (parts.clone().find_map(lens), parts.clone().find_map(up));
+        Some(Self { origin, landmarks: parts.filter_map(landmark).collect(), lens, up })
     }
 }
 
 impl From<Origin> for World {
     fn from(origin: Origin) -> Self {
-        Self { origin, landmarks: Vec::new(), lens: None }
+        Self { origin, landmarks: Vec::new(), lens: None, up: None }
     }
 }
 
@@ -105,14 +112,18 @@ impl Origin {
         if let Some(photo) = said.strip_prefix(PHOTO) {
             return Some(Self::Photo(photo.into()));
         }
-        let numbers = said.strip_prefix(CAMERAS)?.split(' ').map(str::parse);
-        let numbers: Vec<f64> = numbers.collect::<std::result::Result<_, _>>().ok()?;
-        let [w, x, y, z, tx, ty, tz] = numbers.try_into().ok()?;
+        let [w, x, y, z, tx, ty, tz] = numbers(said.strip_prefix(CAMERAS)?)?;
         let quat: [f64; 4] = [w, x, y, z];
         let length = quat.iter().map(|q| q * q).sum::<f64>().sqrt();
         let pose = Pose { rotation: matrix_from_quaternion(quat), translation: [tx, ty, tz].into() };
         (length.is_normal() && pose.rotation.is_finite() && pose.translation.is_finite()).then_some(Self::Cameras(pose))
     }
+}
+
+/// Parses numbers separated by spaces.
+fn numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
+    let numbers: Option<Vec<f64>> = text.split(' ').map(|number| number.parse().ok()).collect();
+    numbers?.try_into().ok()
 }
 
 impl fmt::Display for Origin {

@@ -55,8 +55,8 @@ pub struct CameraArgs {
     /// From the first view's camera straight toward the scene
     #[arg(long)]
     dolly: bool,
-    /// Once around the scene: about the mean up of the cameras of a file, as of --cameras, else
-    /// about the first view's
+    /// Once around the scene: about the mean up of the cameras of a file, as of --cameras, or of
+    /// the photos that it was made from
     #[arg(long, value_name = "PATH", num_args = 0..=1, require_equals = true)]
     orbit: Option<Option<PathBuf>>,
     /// A small figure of eight in front of the scene: the path if none is named
@@ -99,10 +99,14 @@ impl CameraArgs {
             (Some(Some(file)), _) => {
                 let (cameras, notes) = self.of_file(file, world, &lens, true)?;
                 lens = self.lens(Some(&cameras[0].intrinsics))?;
-                (level(&cameras)?, notes)
+                (level(&Pose { translation: DVec3::ZERO, ..cameras[0].pose }, mean_up(&cameras)?), notes)
             }
             (_, Some(Origin::Cameras(first))) => (*first, Vec::new()),
             _ => (Pose::IDENTITY, Vec::new()),
+        };
+        let home = match world.and_then(|world| world.up) {
+            Some(up) if matches!(self.orbit, Some(None)) => level(&home, up),
+            _ => home,
         };
         let with_lens = |poses: Vec<Pose>| poses.into_iter().map(|pose| Camera { intrinsics: lens, pose }).collect();
         let path = if self.orbit.is_some() {
@@ -278,13 +282,11 @@ fn seen_from<'a>(scene: &'a Scene, home: &Pose) -> Cow<'a, Scene> {
     Cow::Owned(scene)
 }
 
-/// Returns the upright pose at the world's origin that looks as the first camera does. Up is the
-/// mean of the cameras'.
-fn level(cameras: &[Camera]) -> Result<Pose> {
-    let up = mean_up(cameras)?;
-    let forward = cameras[0].pose.rotation.z_axis.reject_from_normalized(up);
+/// Turns a pose upright; it looks in the same compass direction.
+fn level(pose: &Pose, up: DVec3) -> Pose {
+    let forward = pose.rotation.z_axis.reject_from_normalized(up);
     let forward = forward.try_normalize().unwrap_or_else(|| up.any_orthonormal_vector());
-    Ok(Pose { rotation: DMat3::from_cols(forward.cross(up), -up, forward), translation: DVec3::ZERO })
+    Pose { rotation: DMat3::from_cols(forward.cross(up), -up, forward), ..*pose }
 }
 
 /// Returns the cameras in an order for a path. Where their own order is a detour, each is followed

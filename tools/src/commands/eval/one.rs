@@ -43,11 +43,11 @@ pub fn run(eval: &Eval, session: &mut Session<'_>) -> Result<()> {
         Some(known) => Choice::of(known.poses.clone(), folder, views, targets)?,
         None => Choice::new(folder, views, targets).map_err(without_cameras)?,
     };
-    choice.notes().iter().for_each(|note| session.note(note));
     choice.disturb(eval.disturb, eval.unit)?;
     if let (None, Network::Tokens(checkpoint)) = (eval.theirs.given(), &weights) {
         eval.check_shape(checkpoint, seeing, &choice)?;
     }
+    choice.notes().iter().for_each(|note| session.note(note));
     let mut judge = Judge::new(eval, &weights, seeing, session)?;
     let judged = judge.judge(session, &choice, None)?;
 
