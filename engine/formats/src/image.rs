@@ -15,7 +15,6 @@ use crate::{Error, Result};
 
 /// Maximum side that is read, against broken and hostile files.
 pub const MAX_SIDE: u32 = 32_768;
-/// Bytes that identify a file type.
 const MARK: u64 = 12;
 /// Decoding limit in bytes: 350 megapixels of RGB8.
 pub const MAX_DECODED_BYTES: u64 = 1 << 30;
@@ -52,9 +51,9 @@ impl Image {
     /// as Pillow's `convert("RGB")`, and keeps the high byte of 16-bit samples.
     ///
     /// # Errors
-    /// [`Error::Io`] for failed reads. [`Error::Format`] for other formats, damage, truncation, or
-    /// more than 32,768 pixels a side or 1 GiB decoded. For HEIC, AVIF, TIFF, BMP, GIF and videos
-    /// it contains a conversion command.
+    ///
+    /// [`Error::Format`] for other formats, damage, truncation, or more than 32,768 pixels a side
+    /// or 1 GiB decoded.
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
         let (mut decoded, orientation) = decode(path.as_ref())?;
         decoded.apply_orientation(orientation);
@@ -62,9 +61,6 @@ impl Image {
     }
 
     /// Decodes bytes as [`Image::open`]; errors name "photo in memory".
-    ///
-    /// # Errors
-    /// [`Error::Format`], see [`Image::open`].
     pub fn decode(bytes: &[u8]) -> Result<Self> {
         let name = Path::new("photo in memory");
         refuse_other_kind(name, bytes)?;
@@ -76,9 +72,6 @@ impl Image {
 
     /// Reads as [`Image::open`], without applying the EXIF orientation. COLMAP's cameras refer to
     /// these pixels.
-    ///
-    /// # Errors
-    /// See [`Image::open`].
     pub fn open_as_stored(path: impl AsRef<Path>) -> Result<Self> {
         let (decoded, _) = decode(path.as_ref())?;
         Self::new(decoded.width(), decoded.height(), into_rgb(decoded))
@@ -94,9 +87,6 @@ impl Image {
     }
 
     /// Reads width and height as of [`Image::open_as_stored`] from the header.
-    ///
-    /// # Errors
-    /// See [`Image::size`].
     pub fn size_as_stored(path: impl AsRef<Path>) -> Result<(u32, u32)> {
         Ok(stored_size(path.as_ref())?.0)
     }
@@ -128,7 +118,8 @@ impl Image {
     /// Writes a PNG atomically.
     ///
     /// # Errors
-    /// [`Error::Argument`] if the fields disagree, [`Error::Io`] for failed writes.
+    ///
+    /// [`Error::Argument`] if the fields disagree.
     pub fn save_png(&self, path: impl AsRef<Path>) -> Result<()> {
         self.validate()?;
         write_atomic(path.as_ref(), |out| {
@@ -232,7 +223,6 @@ fn read(path: &Path) -> Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// Rejects known types other than photos.
 fn refuse_other_kind(path: &Path, start: &[u8]) -> Result<()> {
     let Some((kind, advice)) = other_kind(start, path) else { return Ok(()) };
     Err(Error::format(path, None, format!("found {kind}, expected PNG, JPEG or WebP: {advice}")))
@@ -244,8 +234,6 @@ pub fn is_heic_start(start: &[u8]) -> bool {
     start.get(4..8) == Some(b"ftyp") && start.get(8..12).is_some_and(|brand| BRANDS.contains(&brand))
 }
 
-/// Identifies other camera, phone and scanner files by their first bytes, with a conversion
-/// command.
 fn other_kind(start: &[u8], path: &Path) -> Option<(&'static str, String)> {
     let quoted = |path: &Path| {
         let path = path.to_string_lossy();
@@ -266,7 +254,6 @@ fn other_kind(start: &[u8], path: &Path) -> Option<(&'static str, String)> {
     match (start.get(4..8), start.get(8..12)) {
         (Some(b"ftyp"), Some(b"avif" | b"avis")) => Some(("an AVIF picture", photo("magick", "", ".png"))),
         _ if is_heic_start(start) => Some(("a HEIC picture", photo("heif-convert", "", ".jpg"))),
-        // Canon's raw format.
         (Some(b"ftyp"), Some(b"crx ")) => None,
         (Some(b"ftyp"), _) => Some(("a video (MP4 or QuickTime)", photos())),
         (_, Some(b"AVI ")) if start.starts_with(b"RIFF") => Some(("a video (AVI)", photos())),

@@ -9,7 +9,6 @@ use crate::{Error, Result};
 /// lenses, which may see half the world.
 const ZOOM: [f64; 2] = [0.7, 4.0];
 const FISHEYE_ZOOM: [f64; 2] = [1.0, 4.0];
-/// Bisection steps of the zoom.
 const HALVINGS: usize = 40;
 /// Sampled points per side of the border, and steps from the center to each.
 const SIDE_POINTS: u32 = 16;
@@ -129,8 +128,7 @@ impl Lens {
         Intrinsics { fx: i.fx * zoom, fy: i.fy * zoom, ..i }
     }
 
-    /// Returns true if the photo fills the pinhole's picture at a zoom. Polynomials fold back far
-    /// from the center, so radii must grow toward each border point.
+    /// Polynomials fold back far from the center, so radii must grow toward each border point.
     fn fills(&self, zoom: f64) -> bool {
         let (i, pinhole) = (&self.intrinsics, self.zoomed(zoom));
         let (w, h) = (f64::from(i.width), f64::from(i.height));
@@ -155,7 +153,6 @@ impl Lens {
 /// Rounding tolerance at the photo's border, in pixels.
 const EDGE: f64 = 1e-6;
 
-/// Samples a photo by Catmull-Rom interpolation, clamped to the edge.
 fn sample(photo: &Image, x: f64, y: f64) -> [u8; 3] {
     let taps = |at: f64, count: u32| {
         let (first, t) = ((at - 0.5).floor(), (at - 0.5) - (at - 0.5).floor());

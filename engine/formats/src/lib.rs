@@ -1,4 +1,4 @@
-//! Images, cameras, 3D Gaussian scenes and their files. Needs no GPU.
+//! Images, cameras, 3D Gaussian scenes and their files.
 
 mod axes;
 mod bounded;

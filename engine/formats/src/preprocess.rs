@@ -88,9 +88,6 @@ impl PixelMap {
 }
 
 /// Maps cameras of whole photos to views, relative to the first view's camera.
-///
-/// # Errors
-/// See [`Camera::validate`] and [`PixelMap::apply`].
 pub fn view_cameras(cameras: &[Camera], views: &[View]) -> Result<Vec<Camera>> {
     let of_view = |(i, (camera, view)): (usize, (&Camera, &View))| {
         let label = format!("camera {i}");
@@ -124,9 +121,6 @@ pub fn cropped(photo: &Image, width: u32, height: u32) -> Result<View> {
 }
 
 /// Resizes a whole photo by the scale of [`cropped`], without cropping.
-///
-/// # Errors
-/// See [`cropped`].
 pub fn whole(photo: &Image, width: u32, height: u32) -> Result<View> {
     photo.validate()?;
     let scale = (f64::from(width) / f64::from(photo.width)).max(f64::from(height) / f64::from(photo.height));

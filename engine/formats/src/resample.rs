@@ -36,10 +36,8 @@ struct Taps {
 
 /// Fraction bits of Pillow's weights: 32 minus 8 for the sample and 2 for overshoot.
 const FRACTION_BITS: u32 = 22;
-/// Rounding offset.
 const HALF: i32 = 1 << (FRACTION_BITS - 1);
 
-/// Converts a weighted sum, including [`HALF`], to a sample.
 fn sample(sum: i32) -> u8 {
     (sum >> FRACTION_BITS).clamp(0, 255) as u8
 }
@@ -97,7 +95,6 @@ fn lanczos3(x: f64) -> f64 {
     if (-3.0..3.0).contains(&x) { sinc(x) * sinc(x / 3.0) } else { 0.0 }
 }
 
-/// Returns the inputs with centers in `low..high`, by Pillow's rounding.
 fn window(low: f64, high: f64, inputs: u32) -> Range<usize> {
     (low + 0.5).max(0.0) as usize..((high + 0.5) as usize).min(inputs as usize)
 }

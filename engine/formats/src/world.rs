@@ -73,7 +73,6 @@ impl World {
         format!("{MADE_BY} {}{landmarks}{}", world.origin, lens.unwrap_or_default())
     }
 
-    /// Parses a line of [`World::line`].
     pub(super) fn parse(line: &str) -> Option<Self> {
         let mut parts = line.strip_prefix(MADE_BY)?.strip_prefix(' ')?.split(SEPARATOR);
         let origin = Origin::parse(parts.next()?)?;

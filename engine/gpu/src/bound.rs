@@ -28,7 +28,6 @@ impl Range {
     }
 }
 
-/// A plan and the memory that it runs in.
 pub(super) struct Bound<'a> {
     pub shared: &'a Shared,
     pub plan: &'a Plan,

@@ -9,7 +9,6 @@ use super::{
 use crate::Result;
 use ash::vk;
 
-/// One descriptor set per dispatch.
 pub(super) struct Descriptors {
     device: Device,
     pool: vk::DescriptorPool,
@@ -37,7 +36,6 @@ impl Descriptors {
         Ok(descriptors)
     }
 
-    /// Returns the descriptor set of a dispatch.
     pub fn of(&self, command: usize) -> vk::DescriptorSet {
         self.sets[command]
     }

@@ -40,8 +40,7 @@ pub struct DeviceOptions {
 }
 
 impl Default for DeviceOptions {
-    /// Picks the best device. `ZIPSPLAT_VALIDATION=1` enables validation, `ZIPSPLAT_BOUND=1` robust
-    /// access.
+    /// `ZIPSPLAT_VALIDATION=1` enables validation, `ZIPSPLAT_BOUND=1` robust access.
     fn default() -> Self {
         let is_set = |name| std::env::var(name).is_ok_and(|v| v == "1");
         let (validation, bound) = (is_set("ZIPSPLAT_VALIDATION"), is_set("ZIPSPLAT_BOUND"));
@@ -53,13 +52,11 @@ impl Default for DeviceOptions {
 #[derive(Clone)]
 pub struct Device(pub(super) Arc<Shared>);
 
-/// State shared by all runs on a device.
 pub(super) struct Shared {
     pub raw: ash::Device,
     pub queue: Queue,
     pub family: u32,
     pub limits: Limits,
-    /// Bytes of allocated device memory.
     pub allocated: AtomicU64,
     /// Measured FLOPs per millisecond by stage, for splitting long plans. Stages count FLOPs
     /// differently.
@@ -70,12 +67,10 @@ pub(super) struct Shared {
     pub lost: AtomicBool,
     pub pipelines: Pipelines,
     allocator: Mutex<Option<Allocator>>,
-    /// Whether device and instance are destroyed on drop.
     owned: bool,
     pub instance: Instance,
 }
 
-/// The parts of [`Shared`].
 pub(super) struct SharedParts {
     pub instance: Instance,
     pub physical: vk::PhysicalDevice,
@@ -251,7 +246,6 @@ impl Shared {
         AllocatorGuard(lock(&self.allocator))
     }
 
-    /// Fails with the validation messages since the last call.
     pub fn check_messages(&self) -> Result<()> {
         if self.instance.debug.is_some() {
             // The layer reports shader errors only after completion.
@@ -278,7 +272,6 @@ impl Drop for Shared {
     }
 }
 
-/// Guard of the allocator, which lives as long as the device.
 pub(super) struct AllocatorGuard<'a>(MutexGuard<'a, Option<Allocator>>);
 
 impl std::ops::Deref for AllocatorGuard<'_> {

@@ -3,7 +3,6 @@
 /// Alignment of every tensor: Vulkan's upper bound on minimum offset alignments.
 pub(super) const ALIGNMENT: u64 = 256;
 
-/// Size of a tensor, and its first and last command.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Lifetime {
     pub bytes: u64,

@@ -16,9 +16,6 @@ impl Shared {
 
     /// Fails if the device is lost. Drivers may answer later calls with success or unrelated
     /// errors, and mapped memory stays accessible.
-    ///
-    /// # Errors
-    /// [`Error::DeviceLost`].
     pub fn check_lost(&self) -> Result<()> {
         if self.lost.load(Ordering::Relaxed) { Err(Error::DeviceLost) } else { Ok(()) }
     }

@@ -13,10 +13,8 @@ use std::sync::{
     atomic::{AtomicU64, Ordering},
 };
 
-/// Size of the staging block, for device memory that is not host visible.
 const STAGING_BYTES: u64 = 16 << 20;
 
-/// A few large buffers.
 pub(super) struct Memory {
     shared: Arc<Shared>,
     blocks: Vec<Block>,
@@ -27,11 +25,9 @@ struct Block {
     buffer: vk::Buffer,
     allocation: Option<Allocation>,
     bytes: u64,
-    /// Device address, if [`Limits::addresses`](super::Limits::addresses).
     address: u64,
     /// Whether it counts as device memory. Host-cached memory is system memory on discrete GPUs.
     counted: bool,
-    /// Whether the memory is mapped: host visible and coherent.
     mapped: bool,
 }
 
@@ -62,12 +58,10 @@ impl Memory {
         Ok(memory)
     }
 
-    /// Bytes of all blocks.
     pub fn bytes(&self) -> u64 {
         self.blocks.iter().map(|block| block.bytes).sum()
     }
 
-    /// Returns true if uploads and readbacks need no staging.
     pub fn is_seen_by_host(&self) -> bool {
         self.blocks.iter().all(|block| block.mapped)
     }
@@ -120,7 +114,7 @@ impl Memory {
         Ok(())
     }
 
-    /// Locks the staging block. It is host-cached because uncached reads are very slow.
+    /// It is host-cached because uncached reads are very slow.
     fn staging(&self) -> Result<std::sync::MutexGuard<'_, Option<Block>>> {
         let mut staging = lock(&self.staging);
         if staging.is_none() {
@@ -160,7 +154,6 @@ impl Block {
             let available = shared.limits.memory_bytes.saturating_sub(shared.allocated.load(Ordering::Relaxed));
             Error::Memory { what: format!("{what}, which the driver refused,"), needed: bytes, available }
         };
-        // SAFETY: a plain buffer; freed in `free`.
         let buffer = unsafe { shared.raw.create_buffer(&info, None) }.map_err(|_| refused())?;
         let counted = location == MemoryLocation::GpuOnly;
         shared.allocated.fetch_add(if counted { bytes } else { 0 }, Ordering::Relaxed);
@@ -198,7 +191,6 @@ impl Block {
         Ok(block)
     }
 
-    /// Returns the host address of a mapped range.
     fn bytes_at(&self, offset: u64, len: usize) -> Option<*mut u8> {
         assert!(offset + len as u64 <= self.bytes, "host access outside a block");
         let base = self.allocation.as_ref()?.mapped_ptr().filter(|_| self.mapped)?;
@@ -224,7 +216,6 @@ fn unmapped() -> Error {
 /// Sizes of tensors that stay on the device, such as weights and scenes.
 #[derive(Debug)]
 pub struct ResidentLayout {
-    /// Distinguishes tensors of different layouts.
     id: u64,
     blocks: Vec<u64>,
     block_bytes: u64,
@@ -274,9 +265,6 @@ impl Resident {
     }
 
     /// Writes a tensor from its start.
-    ///
-    /// # Errors
-    /// A failed transfer.
     pub fn write<T: Pod>(&self, tensor: Tensor, data: &[T]) -> Result<()> {
         let bytes: &[u8] = bytemuck::cast_slice(data);
         assert!(bytes.len() as u64 <= tensor.bytes, "{} bytes into {}", bytes.len(), tensor.bytes);
@@ -284,9 +272,6 @@ impl Resident {
     }
 
     /// Reads a tensor. Runs that write it must have finished.
-    ///
-    /// # Errors
-    /// A failed transfer.
     pub fn read<T: Pod>(&self, tensor: Tensor) -> Result<Vec<T>> {
         let mut data = vec![T::zeroed(); tensor.bytes as usize / size_of::<T>()];
         self.memory.read(self.block(tensor), tensor.offset, bytemuck::cast_slice_mut(&mut data))?;

@@ -21,8 +21,8 @@ pub struct DeviceInfo {
 }
 
 impl DeviceInfo {
-    /// Returns true if a selector matches this device. Digits match an index only; other selectors
-    /// match a UUID, as printed by `nvidia-smi -L`, or part of a name.
+    /// Digits match an index only; other selectors match a UUID, as printed by `nvidia-smi -L`, or
+    /// part of a name.
     pub(super) fn is_selected(&self, selector: &str) -> bool {
         let uuid = selector.strip_prefix("GPU-").unwrap_or(selector).replace('-', "");
         match selector {
@@ -34,7 +34,6 @@ impl DeviceInfo {
         }
     }
 
-    /// Describes the missing requirements.
     pub(super) fn lacks(&self) -> String {
         format!("{} lacks {}", self.limits.name, self.missing.join(", "))
     }
@@ -49,7 +48,6 @@ pub fn list_devices() -> Result<Vec<DeviceInfo>> {
     Ok(devices(&instance)?.into_iter().map(|(_, info)| info).collect())
 }
 
-/// Lists an instance's devices with their handles.
 pub(super) fn devices(instance: &Instance) -> Result<Vec<(vk::PhysicalDevice, DeviceInfo)>> {
     // SAFETY: the instance is alive.
     let physical = unsafe { instance.raw.enumerate_physical_devices() }
@@ -64,7 +62,6 @@ pub(super) fn devices(instance: &Instance) -> Result<Vec<(vk::PhysicalDevice, De
     Ok(physical.into_iter().enumerate().map(info).collect())
 }
 
-/// Requirements of a device beyond [`Limits`].
 pub(super) struct Found {
     pub api: u32,
     pub queue_family: Option<u32>,
@@ -76,10 +73,8 @@ pub(super) struct Found {
     pub llvmpipe_major: Option<u32>,
 }
 
-/// PCI vendor ID.
 const INTEL: u32 = 0x8086;
 
-/// Queries a device's limits and features.
 pub(super) fn probe(instance: &Instance, device: vk::PhysicalDevice) -> (Limits, Found) {
     let knows = |minor, patch| instance.validates(vk::make_api_version(0, 1, minor, patch));
     let (validated, entry, instance) = (instance.debug.is_some(), &instance.entry, &instance.raw);
@@ -231,7 +226,6 @@ fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Lists the requirements that a device lacks.
 pub(super) fn missing_features(limits: &Limits, found: &Found) -> Vec<String> {
     let mut missing = Vec::new();
     if found.api < vk::API_VERSION_1_3 {

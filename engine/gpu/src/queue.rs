@@ -38,7 +38,6 @@ impl Queue {
         result
     }
 
-    /// Waits for all submissions.
     pub fn wait_idle(&self, device: &ash::Device) -> VkResult<()> {
         let queue = lock(&self.raw);
         // SAFETY: the queue is locked.

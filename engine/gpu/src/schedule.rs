@@ -16,8 +16,7 @@ const FLOPS_PER_BYTE: u64 = 4;
 /// Maximum pieces per submission.
 pub(super) const MAX_PIECES: usize = 1024;
 
-/// Initial estimate of FLOPs per millisecond. Below most devices of its kind, so that the first
-/// submissions are not too long.
+/// Below most devices of its kind, so that the first submissions are not too long.
 pub(super) fn first_guess(limits: &Limits) -> u64 {
     match (limits.cpu, limits.discrete) {
         (true, _) => 10_000_000,
@@ -46,7 +45,6 @@ pub(super) fn learned(known: u64, cost: u64, took: Duration, late: bool, patient
 /// A command, or some workgroups of a long dispatch.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Piece {
-    /// Command index in the plan.
     pub command: usize,
     /// First workgroup and count along each axis; dispatches only.
     pub base: [u32; 3],
@@ -61,27 +59,23 @@ pub(super) struct Cursor {
 }
 
 impl Command {
-    /// Returns the bytes of all tensors that the command accesses.
     pub(super) fn bytes(&self) -> u64 {
         let mut bytes = 0;
         self.operation.for_each_access(|tensor, _, _| bytes += tensor.bytes);
         bytes
     }
 
-    /// Returns the equivalent FLOPs of the command.
     pub(super) fn cost(&self) -> u64 {
         self.flops.max(self.bytes() * FLOPS_PER_BYTE)
     }
 }
 
 impl Cursor {
-    /// Returns a cursor past the plan's end.
     pub fn at_end(plan: &Plan) -> Self {
         Self { command: plan.commands.len(), done: 0 }
     }
 
     /// Takes pieces of one stage with a total cost of about `budget`; returns them and their cost.
-    /// Splits larger dispatches along their longest axis.
     pub fn next_pieces(&mut self, plan: &Plan, budget: u64) -> (Vec<Piece>, u64) {
         let (first, mut pieces, mut cost) = (self.command, Vec::new(), 0);
         while cost < budget && pieces.len() < MAX_PIECES {
@@ -100,7 +94,6 @@ impl Cursor {
         (pieces, cost)
     }
 
-    /// Returns a piece that fits `room`, its cost, and whether it completes the command.
     fn next_piece(&mut self, command: &Command, room: u64) -> (Piece, u64, bool) {
         let mut piece = Piece { command: self.command, base: [0; 3], groups: [1; 3] };
         let Operation::Dispatch(dispatch) = &command.operation else { return (piece, command.cost(), true) };
@@ -116,8 +109,7 @@ impl Cursor {
     }
 }
 
-/// Returns the split axis, for the smallest pieces. Kernels use only group indices, so folded
-/// dispatches may be split along x, too.
+/// Kernels use only group indices, so folded dispatches may be split along x, too.
 fn longest_axis(groups: [u32; 3]) -> usize {
     (0..3).rev().max_by_key(|&i| groups[i]).unwrap_or(0)
 }
@@ -127,7 +119,6 @@ mod tests {
     use super::*;
     use crate::{Binding, Kernel, Limits, LocalSize, Module, Needs, Recorder, Tensor};
 
-    /// A kernel for plans that never run.
     struct Idle {
         values: Tensor,
     }
@@ -160,7 +151,6 @@ mod tests {
         }
     }
 
-    /// Simulates the times of consecutive full submissions at a given speed.
     fn submissions(flops_per_ms: f64, limits: &Limits) -> Vec<Duration> {
         let mut known = first_guess(limits);
         let mut submit = |_| {
@@ -205,7 +195,6 @@ mod tests {
         }
     }
 
-    /// Every workgroup is in exactly one piece for any budget, which no piece exceeds by much.
     #[test]
     fn pieces_cover_a_plan_once() {
         let mut rec = Recorder::new(&Limits::default());

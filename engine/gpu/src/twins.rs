@@ -13,16 +13,12 @@ use ash::vk;
 
 pub(super) struct Twins {
     memory: Memory,
-    /// Staging offset of each allocation that has one.
     offsets: Vec<Option<u64>>,
-    /// Copies the inputs to the device.
     pub upload: vk::CommandBuffer,
-    /// Copies the outputs to the host.
     pub download: vk::CommandBuffer,
 }
 
 impl Twins {
-    /// Records the copies into two command buffers of the run.
     pub fn new(
         device: &Device,
         plan: &Plan,
@@ -62,7 +58,6 @@ impl Twins {
         self.memory.write(0, twin + offset, bytes).map(|()| true)
     }
 
-    /// Reads from an allocation's staging buffer; false if it has none.
     pub fn read(&self, allocation: usize, offset: u64, bytes: &mut [u8]) -> Result<bool> {
         let Some(twin) = self.offsets[allocation] else { return Ok(false) };
         self.memory.read(0, twin + offset, bytes).map(|()| true)

@@ -12,7 +12,6 @@ use std::{
 /// Minimum mean squared sine of the angles between optical axes and their mean direction. Above it,
 /// the axes' nearest point measures distance; below, it may be anywhere.
 const CONVERGING: f64 = 0.05;
-/// Maximum ratio between the distances of the first and the median camera from that point.
 const FARTHER: f64 = 2.0;
 
 /// The network's unit of length in the cameras' unit, and its source. In training, the median depth
@@ -158,7 +157,6 @@ fn smallest_eigenvalue(m: DMat3) -> f64 {
     mean + 2.0 * radius * (angle + 2.0 * std::f64::consts::FRAC_PI_3).cos()
 }
 
-/// Returns the root mean square of distances between cameras.
 fn of_spread(cameras: &[Pose]) -> Option<f64> {
     let count = cameras.len() as f64;
     let centre = cameras.iter().map(|pose| pose.translation).sum::<DVec3>() / count;

@@ -7,7 +7,6 @@ use crate::{Scene, axes::HalfTurn::AboutX, camera::unit_quaternion};
 
 /// Bits of a position's magnitude: 24 with sign.
 pub(super) const POSITION_BITS: u32 = 23;
-/// Maximum fractional bits written.
 pub(super) const MAX_FRACTIONAL_BITS: u32 = 16;
 /// Natural logarithm of the smallest scale, and levels per factor of e.
 const MIN_LOG_SCALE: f32 = -10.0;
@@ -27,7 +26,6 @@ pub(super) struct Layout {
     pub fractional_bits: u32,
 }
 
-/// Returns the maximum fractional bits that fit every position.
 pub(super) fn fractional_bits(scene: &Scene) -> Result<u32> {
     let farthest = scene.means.iter().flatten().fold(0f32, |farthest, value| farthest.max(value.abs()));
     let limit = (1 << POSITION_BITS) as f32 - 1.0;
@@ -46,7 +44,6 @@ impl Layout {
         if self.version == 2 { 3 } else { 4 }
     }
 
-    /// Number of coefficients above degree 0.
     fn rest(&self) -> usize {
         (self.sh_degree as usize + 1).pow(2) - 1
     }
@@ -56,12 +53,10 @@ impl Layout {
         [9, 1, 3, 3, self.rotation_bytes(), 3 * self.rest()]
     }
 
-    /// Returns the bytes per Gaussian over all sections.
     pub(super) fn gaussian_bytes(&self) -> usize {
         self.section_bytes().iter().sum()
     }
 
-    /// Passes the sections to `write` in file order.
     pub(super) fn encode(
         &self,
         scene: &Scene,
@@ -133,7 +128,6 @@ impl Layout {
     }
 }
 
-/// Rounds and saturates.
 fn byte(value: f32) -> u8 {
     value.round() as u8
 }

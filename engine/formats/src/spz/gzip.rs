@@ -13,7 +13,6 @@ const START: [u8; 10] = [0x1f, 0x8b, 8, 16, 0, 0, 0, 0, 0, 0xff];
 /// Empty final deflate block.
 const LAST_BLOCK: [u8; 2] = [3, 0];
 
-/// An unfinished stream.
 pub(super) struct Gzip<'a> {
     out: &'a mut dyn Write,
     sum: Crc,

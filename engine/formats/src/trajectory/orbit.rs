@@ -8,9 +8,7 @@ use crate::{Error, Result};
 
 /// Fraction of the Gaussians within the orbit's radius, before its margin.
 const RADIUS_QUANTILE: f64 = 0.9;
-/// Orbit radius over scene radius.
 const RADIUS_MARGIN: f64 = 1.2;
-/// OpenCV axes: y points down.
 const UP: DVec3 = DVec3::NEG_Y;
 
 /// Cameras on a sphere that look at its center. Angles are in degrees: azimuth turns right,
@@ -65,7 +63,6 @@ impl Orbit {
     }
 }
 
-/// Returns the quantile of a non-empty set, interpolated between ranks.
 fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
     let rank = share * (values.len() - 1) as f64;
     let (_, &mut low, above) = values.select_nth_unstable_by(rank as usize, f64::total_cmp);
