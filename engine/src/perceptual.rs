@@ -104,10 +104,8 @@ impl Perceptual {
 
     /// Returns the distance of clamped images and its gradient for the first.
     ///
-    /// # Errors
-    /// As [`Perceptual::distance`].
-    ///
     /// # Panics
+    ///
     /// If loaded without gradients.
     pub fn gradient(&mut self, pictures: [&[f32]; 2], size: [u32; 2]) -> Result<(f64, Vec<f32>)> {
         assert!(self.has_gradients, "weights that were loaded with gradients");

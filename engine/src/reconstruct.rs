@@ -57,18 +57,13 @@ struct Recorded {
     run: Run,
     tensors: Tensors,
     layout: ResidentLayout,
-    /// Reusable scene memories.
     scenes: Vec<SceneMemory>,
 }
 
-/// Maximum cached scene memories.
 const SCENES: usize = 2;
 
 impl Reconstruction {
     /// Reads the Gaussians.
-    ///
-    /// # Errors
-    /// Failed transfers.
     pub fn scene(&self) -> Result<Scene> {
         self.gaussians.read()
     }
@@ -236,9 +231,6 @@ impl Model {
     }
 
     /// Writes the inputs.
-    ///
-    /// # Errors
-    /// Failed transfers; unusable cameras.
     pub fn write_inputs(
         &self,
         run: &mut Run,

@@ -1,5 +1,3 @@
-//! Shared focal lengths.
-
 use crate::types::{Camera, Intrinsics, preprocess::PixelMap};
 use std::collections::BTreeSet;
 

@@ -1,5 +1,3 @@
-//! Relative scale of two worlds.
-
 use glam::DVec3;
 use nalgebra::{Matrix3, Vector3};
 

@@ -1,7 +1,6 @@
 use super::*;
 use glam::{DMat3, DQuat, EulerRot};
 
-/// For images of 252 x 252 pixels.
 const FOCAL: f64 = 210.0;
 
 /// At depths 1 to 3, or on an oblique plane.

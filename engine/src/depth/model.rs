@@ -1,5 +1,3 @@
-//! A depth network on a device.
-
 use super::{
     DepthNetwork, DepthShape, DepthTensors,
     output::{Depths, read},
@@ -15,7 +13,6 @@ use crate::{
 };
 use std::ops::ControlFlow;
 
-/// ImageNet statistics.
 const MEAN: [f32; 3] = [0.485, 0.456, 0.406];
 const DEVIATION: [f32; 3] = [0.229, 0.224, 0.225];
 
@@ -42,7 +39,6 @@ pub struct DepthRequest {
 }
 
 impl Default for DepthRequest {
-    /// No cameras, every patch.
     fn default() -> Self {
         Self { cameras: None, reference: None, ratio: Ratio::Fixed(1.0), selection: Selection::KMEANS }
     }
@@ -145,9 +141,6 @@ impl DepthModel {
     }
 
     /// Writes the inputs.
-    ///
-    /// # Errors
-    /// Failed transfers; unusable cameras.
     pub fn write_inputs(
         &self,
         run: &mut Run,

@@ -50,7 +50,6 @@ pub struct Sequences {
     pub pool: Option<Pool>,
 }
 
-/// Epsilon of all q/k norms.
 pub(super) const QK_NORM_EPS: f32 = 1e-5;
 
 impl Block {

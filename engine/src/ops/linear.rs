@@ -134,7 +134,6 @@ impl LinearKernel {
     }
 }
 
-/// Byte offset of 8-bit weights' scales.
 pub(super) fn scales_at(columns: usize, inner: usize) -> usize {
     (columns * inner).next_multiple_of(SLICE)
 }
@@ -186,7 +185,6 @@ impl Linear {
         }
     }
 
-    /// Merges split-K partial sums.
     fn merge(&self, rec: &mut Recorder, sums: Rows, parts: usize, out: Rows, epilogue: Epilogue) {
         let kernel = ops::LinearMerge {
             sums: sums.tensor,

@@ -1,5 +1,3 @@
-//! Nearest-row search.
-
 use super::{
     Rows, Tile, Units,
     tile::choose,
@@ -13,10 +11,8 @@ use crate::{
     },
 };
 
-/// Rows averaged for the origin.
 const ORIGIN_ROWS: usize = 256;
 
-/// Target partitions, to fill the device.
 const SHARES: usize = 8;
 
 /// Nearest-row kernel.

@@ -1,5 +1,3 @@
-//! Layer normalization.
-
 use super::{Columns, Rows, row_chunks};
 use crate::{
     gpu::{Element, Recorder, Tensor},

@@ -63,15 +63,9 @@ impl Index<HostParameter> for Parameters {
 /// Source of parameter values.
 pub trait ParameterSource {
     /// Reads values in C order.
-    ///
-    /// # Errors
-    /// Failed reads.
     fn read_f32(&self, name: &str, out: &mut [f32]) -> Result<()>;
 
     /// Reads a weight of [`ParameterLayout::with_q8`].
-    ///
-    /// # Errors
-    /// Failed reads.
     fn read_q8(&self, name: &str) -> Result<Q8> {
         unreachable!("{name} has no weights of 8 bits")
     }

@@ -69,7 +69,6 @@ impl From<Rows> for Columns {
     }
 }
 
-/// Slice alignment in bytes.
 pub(super) const SLICE: usize = 256;
 
 /// Scratch budget: fills any device, small next to the activations.

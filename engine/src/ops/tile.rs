@@ -1,5 +1,3 @@
-//! Matrix kernel tiles and their selection.
-
 use super::Units;
 use crate::gpu::{Element, Limits};
 use std::fmt;
@@ -29,15 +27,12 @@ impl Tiles {
         1 << (14 + 2 * class)
     }
 
-    /// Selected candidate for a number of values.
     pub(super) fn of(&self, values: usize) -> Option<usize> {
         let class = values.max(1).ilog2().saturating_sub(13) as usize / 2;
         self.0[class.min(Self::CLASSES - 1)].map(usize::from)
     }
 }
 
-/// Split-K terms per partial sum.
-///
 /// Splits long 16-bit sums with few tiles. Depends on the shape alone, so tuning never changes
 /// bits.
 pub(super) fn share(factor: Element, inner: usize, rows: usize, columns: usize) -> usize {
@@ -70,9 +65,6 @@ const BUSY: usize = 256;
 
 /// Returns the measured candidate, else the first of `by_rule` defaults that fills the device, else
 /// the last default.
-///
-/// # Panics
-/// If the list is empty.
 pub(super) fn choose<T: Copy>(
     candidates: &[T],
     measured: Option<usize>,
@@ -165,7 +157,6 @@ impl Tile {
         [0, 1].map(|axis| (self.subgroups[axis] * self.repeats[axis] * matrix[axis]) as usize)
     }
 
-    /// Subgroups per workgroup.
     pub(super) fn all_subgroups(&self) -> u32 {
         self.subgroups[0] * self.subgroups[1]
     }

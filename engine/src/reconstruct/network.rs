@@ -1,5 +1,3 @@
-//! The whole network.
-
 use super::{Kept, Shape};
 use crate::{
     Result,
@@ -25,7 +23,6 @@ pub struct Tensors {
     scene: SceneTensors,
 }
 
-/// Photo inputs.
 #[derive(Clone, Debug)]
 pub(super) struct Inputs {
     /// `[views, 3, height, width]` f32, RGB in 0..1.
@@ -53,7 +50,6 @@ pub(super) struct FeatureTensors {
 }
 
 impl FeatureTensors {
-    /// Allocates persistent features.
     pub fn lay_out(layout: &mut ResidentLayout, architecture: &Architecture, grid: ViewGrid) -> Self {
         let (tokens, width) = (grid.tokens(), architecture.width);
         let mut layer = |_| Rows::new(layout.add::<f32>(tokens * width), tokens, width);
@@ -86,9 +82,6 @@ impl Network {
     }
 
     /// Lays out a checkpoint's network without a device.
-    ///
-    /// # Errors
-    /// As [`Checkpoint::suits`].
     pub fn of(checkpoint: &Checkpoint, limits: &Limits, arithmetic: Arithmetic) -> Result<Self> {
         checkpoint.suits(arithmetic)?;
         let q8 = checkpoint.q8_names().map(String::from);
@@ -144,7 +137,6 @@ impl Network {
         inputs
     }
 
-    /// Records features to Gaussians.
     pub(super) fn record_decoding(
         &self,
         rec: &mut Recorder,
@@ -208,9 +200,6 @@ impl Tensors {
     }
 
     /// Reads the scene of [`Network::record`].
-    ///
-    /// # Errors
-    /// Failed transfers.
     pub fn read(&self, run: &Run) -> Result<Scene> {
         Ok(Scene {
             means: run.read(self.scene.means)?,

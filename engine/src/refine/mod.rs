@@ -34,9 +34,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// Least number of photos with a held-out one by default.
 const HOLD_OUT_FROM: usize = 9;
-/// Sample size for the distance from the cameras.
 const SAMPLE: usize = 4096;
 
 /// Settings of a refinement.
@@ -59,7 +57,7 @@ pub struct Refine {
     pub rates: Rates,
     /// Also refines training cameras, except the first, which fixes the world.
     pub cameras: bool,
-    /// Final number of Gaussians: unseen and missing ones are relocated. `None` relocates none.
+    /// Final number of Gaussians: unseen and missing ones are relocated.
     pub grow: Option<usize>,
     /// Factor of the mean opacity in the loss.
     pub opacity_penalty: f32,
@@ -218,11 +216,11 @@ impl Refined {
 /// Refines a scene's Gaussians against `photos`. Cameras are of the whole photos, in the scene's
 /// world.
 ///
-/// Plans run in `arena`, which may be a model's, to share memory. If it is in use, they run in
-/// another one. `progress` runs after every step; if it ends the refinement, the best scene so far
-/// is returned.
+/// Plans run in `arena`, which may be a model's, to share memory. `progress` runs after every step;
+/// if it ends the refinement, the best scene so far is returned.
 ///
 /// # Errors
+///
 /// [`Error::Argument`] for an unusable scene, photo, camera or request, or missing LPIPS weights.
 /// [`Error::Memory`] if the device has too little.
 pub fn refine_scene(
@@ -274,7 +272,6 @@ fn tokens_grow_not(request: &Refine) -> Result<()> {
     request.grow.map_or(Ok(()), |most| Err(refused(most)))
 }
 
-/// Refines the Gaussians, scene and scene scale from `make`.
 fn run(
     arena: &Arena,
     make: impl FnOnce(&Arena, &Refine) -> Result<(Gaussians, (Scene, f64))>,
@@ -303,7 +300,6 @@ fn filled(request: &Refine, count: usize) -> Result<Refine> {
     Ok(Refine { hold_out: Some(held_out), views_per_step, ..request.clone() })
 }
 
-/// Median distance of Gaussians from the cameras that see them.
 fn distance(scene: &Scene, cameras: &[Camera]) -> f64 {
     let sample = scene.means.iter().step_by(scene.len().div_ceil(SAMPLE));
     let points: Vec<DVec3> = sample.map(|mean| DVec3::from(mean.map(f64::from))).collect();

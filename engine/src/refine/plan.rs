@@ -1,5 +1,3 @@
-//! Memory requirements of a refinement.
-
 use super::{
     Adam, Refine, Space, filled,
     gaussians::{most_together, room, scene_gradients, scene_tensors, together},
@@ -34,8 +32,7 @@ pub enum Moved<'a> {
 
 /// Memory plan of a refinement.
 pub struct RefinePlan {
-    /// Persistent bytes: Gaussians, gradients and moments. For tokens also the tokens, the head's
-    /// f32 weights and saved activations. With LPIPS also its weights.
+    /// Persistent bytes: Gaussians, gradients and moments.
     pub kept_bytes: u64,
     /// Plans of a step, which share the arena.
     pub plans: Vec<Plan>,
@@ -115,7 +112,6 @@ pub fn plan_refinement(
     Ok(RefinePlan { kept_bytes, plans })
 }
 
-/// Adds the plans that draw photos of this size.
 fn record_steps(
     limits: &Limits,
     plans: &mut Vec<Plan>,

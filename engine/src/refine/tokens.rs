@@ -41,7 +41,6 @@ impl FrozenHead {
     }
 }
 
-/// Returns optimizable Gaussians of tokens, and their initial scene.
 pub(super) fn gaussians(
     arena: &Arena,
     head: &FrozenHead,
@@ -91,7 +90,6 @@ pub(super) fn gaussians(
     Ok((gaussians, scene))
 }
 
-/// Initial gradients: those of the penalties.
 fn begin(gradients: [Tensor; 5], len: usize, request: &Refine) -> [(Tensor, f32); 5] {
     let mut begin = gradients.map(|gradient| (gradient, 0.0));
     begin[3].1 = request.opacity_penalty / len as f32;

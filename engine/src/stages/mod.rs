@@ -186,9 +186,6 @@ impl SceneTensors {
     }
 
     /// The Gaussians, on the host.
-    ///
-    /// # Errors
-    /// A transfer that fails.
     pub fn read(&self, memory: &Resident) -> Result<Scene> {
         Ok(Scene {
             means: memory.read(self.means)?,
@@ -201,7 +198,6 @@ impl SceneTensors {
     }
 }
 
-/// Coefficients up to a degree.
 fn coeffs_of(degree: u32) -> usize {
     (degree as usize + 1).pow(2)
 }

@@ -13,7 +13,6 @@ use std::{collections::BTreeMap, fs, ops::ControlFlow, path::Path, time::Duratio
 const ATTEMPTS: u32 = 2;
 /// A test without progress for this long is unfinished.
 const PATIENCE: Duration = Duration::from_secs(120);
-/// Name of the failure of unfinished tests.
 const UNFINISHED: &str = "the self-test";
 
 /// Deviations of a device's kernels.
@@ -25,16 +24,12 @@ pub struct SelfTest {
 
 struct Group {
     operation: &'static dyn Operation,
-    /// Name and result type.
     kernels: Vec<(String, Element)>,
     candidates: Vec<Candidate>,
 }
 
 impl SelfTest {
     /// Tests every fast kernel.
-    ///
-    /// # Errors
-    /// Device failures.
     pub fn run(device: &Device) -> Result<Self> {
         let mut test = Self::default();
         test.run_groups(device, Group::all(device.limits()), |_, _| ControlFlow::Continue(()), |_| ())?;

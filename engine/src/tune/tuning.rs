@@ -1,5 +1,3 @@
-//! Tile measurements.
-
 use super::{COLUMNS, Candidate, OPERATIONS, Operation, cache::cache_file};
 use crate::{
     Error, Result,
@@ -38,7 +36,6 @@ pub struct Measured {
 /// Milliseconds that end a measurement; larger sizes reuse the best tile.
 const LONGEST: f64 = 50.0;
 const REPEATS: usize = 5;
-/// Warm-up before a measurement.
 const WAKING: Duration = Duration::from_millis(100);
 
 impl Measured {

@@ -21,7 +21,6 @@ pub(super) fn is_archive(file: &[u8]) -> bool {
     file.starts_with(b"PK\x03\x04")
 }
 
-/// [`Error::Format`] if malformed.
 pub(super) fn contents(path: &Path, file: &[u8]) -> Result<Contents> {
     let malformed = |reason: String| Error::format(path, None, reason);
     let mut archive = Archive::open(file).map_err(malformed)?;
@@ -85,12 +84,9 @@ fn conf(pickle: &Pickle) -> Result<(Conf, Option<u32>), String> {
 
 struct Archive<'a> {
     zip: ZipArchive<Cursor<&'a [u8]>>,
-    /// With trailing slash.
     root: String,
-    /// Rejects overlapping entries.
     unclaimed: usize,
     length: usize,
-    /// Ranges of known storages.
     storages: HashMap<String, Range<usize>>,
 }
 

@@ -83,7 +83,6 @@ impl LaneTile {
         tiles.filter(|tile| tile.fits(limits, shared_bytes(tile))).collect()
     }
 
-    /// Lanes per workgroup.
     pub(super) fn lanes(&self) -> u32 {
         self.sides.iter().product::<u32>() / self.lane.iter().product::<u32>()
     }
@@ -110,7 +109,6 @@ impl fmt::Display for LaneTile {
     }
 }
 
-/// Whether ops/linear_uniform applies.
 fn is_uniform(limits: &Limits, types: [Element; 2]) -> bool {
     types == [Element::F32; 2] && divides_panels(limits)
 }

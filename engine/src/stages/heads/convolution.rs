@@ -1,5 +1,3 @@
-//! Convolutions of feature maps.
-
 use crate::{
     gpu::Recorder,
     kernels::{heads as kernels, limits::LINEAR_ROWS, ops::Im2col},

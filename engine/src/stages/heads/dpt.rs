@@ -19,9 +19,7 @@ pub(super) struct Dpt {
     fusion: Fusion,
     neck: Convolution,
     depth: Tail,
-    /// For joint views.
     rays: Option<RayHead>,
-    /// For separate views.
     sky: Option<Tail>,
     placed: bool,
 }

@@ -9,7 +9,6 @@ use crate::{
 /// Fusion steps, shallowest first.
 pub(super) struct Fusion {
     steps: [Step; 4],
-    /// Suffix of observed names.
     suffix: &'static str,
 }
 

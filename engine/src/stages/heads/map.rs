@@ -1,5 +1,3 @@
-//! Resizing of feature maps.
-
 use super::position::Positions;
 use crate::{
     gpu::{Element, Recorder, Tensor},

@@ -121,7 +121,6 @@ fn tap_of(layers: Tensor, tap: Option<usize>) -> (Tensor, u32) {
     (layers, tap.expect("no more layers than TAPS have taps") as u32)
 }
 
-/// Adds a layer's distance and optionally its gradient.
 fn compare(
     rec: &mut Recorder,
     [a, b]: [FeatureMap; 2],

@@ -34,7 +34,6 @@ const PAIR_NUMBERS: usize = 10;
 const PART: usize = 64;
 /// Alignment of bands, as in [`rasterise`].
 const BAND: usize = 64;
-/// Operations per Gaussian and pixel.
 const FLOPS: u64 = 60;
 
 /// Records rendering, `loss` (frames `[cameras, height, width, channels]` to gradients) and the
@@ -83,7 +82,6 @@ struct Backward<'a> {
     lists: &'a TileLists,
 }
 
-/// Gradients per intersection.
 struct Slots {
     /// `[pairs + 1]`.
     starts: Tensor,
@@ -94,7 +92,6 @@ struct Slots {
 }
 
 impl Backward<'_> {
-    /// Pixels to intersections.
     fn rasterise(&self, rec: &mut Recorder, frames: Tensor, d_frames: Tensor) -> Slots {
         let &Backward { splats, lists, shape, request, capacity, .. } = self;
         let starts = rec.tensor::<u32>("slots", splats.pairs + 1);

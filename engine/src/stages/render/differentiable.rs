@@ -1,5 +1,3 @@
-//! Image gradients for external optimizers.
-
 use super::{
     CAMERA_NUMBERS, CameraRows, Depth, Frame, FrameShape, Gradients, RenderOutputs, RenderRequest, SceneGradients,
     SceneTensors, camera_rows, first_capacity,
@@ -15,7 +13,6 @@ use std::sync::Arc;
 
 /// Six moments, an intersection's largest tensor.
 const INTERSECTION_BYTES: u64 = 24;
-/// Maximum cached plans.
 const PLANS: usize = 4;
 
 /// Gradients on the host.
@@ -36,7 +33,7 @@ pub struct Wanted {
     pub cameras: bool,
 }
 
-/// Differentiates images on one device, replaying cached plans. Sums over cameras are in order.
+/// Differentiates images on one device, replaying cached plans.
 pub struct Differentiator {
     arena: Arena,
     memory: Option<Memory>,
@@ -130,7 +127,6 @@ impl Differentiator {
         Ok(())
     }
 
-    /// Accumulates one camera's gradients.
     fn add(
         &mut self,
         camera: &Camera,

@@ -4,9 +4,7 @@ use super::{CameraRows, Frame, FrameShape, RenderRequest, Renderer, camera_rows,
 use crate::{Error, Result, gpu::Arena, types::Camera};
 use std::{collections::VecDeque, ops::Range};
 
-/// Maximum pixels per submission.
 const PIXELS_TOGETHER: usize = 1 << 20;
-/// Maximum Gaussian-camera pairs per submission.
 const PAIRS_TOGETHER: usize = 1 << 21;
 
 pub(super) fn pictures_together(most: usize, gaussians: usize, [width, height]: [u32; 2]) -> usize {
@@ -14,7 +12,6 @@ pub(super) fn pictures_together(most: usize, gaussians: usize, [width, height]: 
     most.min(PIXELS_TOGETHER / pixels).min(PAIRS_TOGETHER / gaussians.max(1)).max(1)
 }
 
-/// An in-flight submission.
 struct Flight {
     cameras: Range<usize>,
     shape: FrameShape,
@@ -41,7 +38,6 @@ impl Renderer {
         self.settle().and(result)
     }
 
-    /// Consecutive cameras of one size.
     fn groups(&self, cameras: &[Camera]) -> Vec<(Range<usize>, FrameShape)> {
         let mut groups: Vec<(Range<usize>, FrameShape)> = Vec::new();
         for (i, camera) in cameras.iter().enumerate() {

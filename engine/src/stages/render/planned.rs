@@ -1,5 +1,3 @@
-//! Cached rendering plans.
-
 use super::{
     CameraRows, DeviceScene, Frame, FrameShape, RenderOutputs, RenderRequest, SceneTensors, flights::pictures_together,
     record,
@@ -16,7 +14,6 @@ const GPU_TOGETHER: usize = 8;
 pub(super) struct Key {
     pub shape: FrameShape,
     pub request: RenderRequest,
-    /// Arena lane.
     pub turn: usize,
 }
 
@@ -49,7 +46,6 @@ pub fn plan_pictures(
     rec.finish()
 }
 
-/// Default images per submission.
 pub(super) fn together(limits: &Limits) -> usize {
     if limits.cpu { 1 } else { GPU_TOGETHER }
 }

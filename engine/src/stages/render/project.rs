@@ -1,5 +1,3 @@
-//! Projection of Gaussians to splats.
-
 use super::{FrameShape, RenderRequest, SceneTensors};
 use crate::{
     gpu::{Recorder, Tensor},

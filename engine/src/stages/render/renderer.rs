@@ -1,5 +1,3 @@
-//! Repeated rendering of a device scene.
-
 use super::{
     CameraRows, DeviceScene, Frame, FrameShape, PixelLayout, RenderRequest, SceneMemory, SceneTensors, camera_rows,
     planned::{Key, Planned, first_capacity, planned_capacity, together},
@@ -12,23 +10,18 @@ use crate::{
     types::{Camera, LeftOut, Scene},
 };
 
-/// Maximum cached plans.
 const PLANS: usize = 4;
 /// Renders scenes on one device, replaying cached plans in a shared arena.
 pub struct Renderer {
     arena: Arena,
     scene: Option<DeviceScene>,
-    /// Memory of [`Renderer::load`].
     uploaded: Option<SceneMemory>,
     /// Least recently used first.
     plans: Vec<Planned>,
     /// Intersections per camera of new plans; grows on demand.
     capacity: usize,
-    /// Of the last rendering.
     intersections: usize,
-    /// Largest batch known to fit.
     cameras_at_once: usize,
-    /// Maximum batch of [`Renderer::render_each`].
     pub(super) together: usize,
 }
 
@@ -78,9 +71,6 @@ impl Renderer {
     }
 
     /// Uploads a scene for [`Renderer::render_loaded`].
-    ///
-    /// # Errors
-    /// As [`Renderer::render`].
     pub fn load(&mut self, scene: &Scene) -> Result<()> {
         scene.validate()?;
         self.scene = None;
@@ -191,9 +181,6 @@ impl Renderer {
     }
 
     /// Profiles one camera by kernel.
-    ///
-    /// # Errors
-    /// As [`Renderer::render_loaded`].
     pub fn profile(&mut self, camera: &Camera, request: &RenderRequest) -> Result<Profile> {
         check(std::slice::from_ref(camera), request)?;
         let _claim = self.claim();
@@ -205,7 +192,6 @@ impl Renderer {
         plan.run.profile()
     }
 
-    /// Renders one size in the largest batches that fit.
     pub(super) fn render_alike(
         &mut self,
         cameras: &[CameraRows],
@@ -297,7 +283,6 @@ impl Renderer {
         self.cameras_at_once = usize::MAX;
     }
 
-    /// Allocates a scene, releasing plans if needed.
     fn allocate(&mut self, len: usize, sh_degree: u32) -> Result<SceneMemory> {
         let mut layout = ResidentLayout::new(self.limits());
         let tensors = SceneTensors::lay_out(&mut layout, len, sh_degree);
@@ -316,7 +301,6 @@ impl Renderer {
         self.arena.release()
     }
 
-    /// Claims the arena, or a new one if busy.
     pub(super) fn claim(&mut self) -> Claim {
         if let Some(claim) = self.arena.claim() {
             return claim;
