@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 #[derive(Debug)]
 pub(super) enum Source {
+    /// One tensor per parameter.
     Stored {
         file: Bytes,
         tensors: Vec<Stored>,
