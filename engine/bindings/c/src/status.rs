@@ -65,9 +65,8 @@ pub extern "C" fn zs_status_name(status: i32) -> *const c_char {
 }
 
 /// Returns the message of the calling thread's last failure, as UTF-8; "" if there is none. The
-/// pointer stays valid until the thread ends; the next failure overwrites the message. A call and
-/// its message may share an expression: printf("%s: %s", zs_status_name(zs_scene_open(path,
-/// &scene)), zs_last_error()). Messages are truncated at 16 KiB.
+/// pointer stays valid until the thread ends; the next failure overwrites the message. Messages are
+/// truncated at 16 KiB.
 #[unsafe(no_mangle)]
 pub extern "C" fn zs_last_error() -> *const c_char {
     LAST_ERROR.try_with(|last| last.0.as_ptr().cast()).unwrap_or(c"".as_ptr())
@@ -84,7 +83,6 @@ impl Message {
         Self(vec![Cell::new(0); MAX_MESSAGE].into())
     }
 
-    /// Replaces the message, truncated at a character boundary.
     fn set(&self, message: &str) {
         let end = (0..MAX_MESSAGE.min(message.len() + 1)).rev().find(|end| message.is_char_boundary(*end)).unwrap_or(0);
         let bytes = message.as_bytes()[..end].iter().map(|byte| if *byte == 0 { b' ' } else { *byte });

@@ -226,7 +226,7 @@ pub unsafe extern "C" fn zs_vulkan_requirements(
     })
 }
 
-/// Sets defaults; `size` is sizeof(zs_vulkan_device).
+/// Sets defaults.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_vulkan_device_default(device: *mut zs_vulkan_device, size: usize) -> zs_status {
     // SAFETY: the caller's structure of that size.
@@ -286,7 +286,7 @@ impl UserData {
     }
 }
 
-/// Sets defaults; `size` is sizeof(zs_vulkan_target).
+/// Sets defaults.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_vulkan_target_default(target: *mut zs_vulkan_target, size: usize) -> zs_status {
     // SAFETY: the caller's structure of that size.
