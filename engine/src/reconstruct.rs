@@ -78,10 +78,7 @@ impl Reconstruction {
 }
 
 impl Model {
-    /// Loads a checkpoint in f32. `progress` gets the fraction done and may cancel.
-    ///
-    /// # Errors
-    /// [`Error::Memory`], [`Error::Cancelled`], errors of the checkpoint.
+    /// Loads a checkpoint in f32.
     pub fn load(
         device: &Device,
         checkpoint: &Checkpoint,
@@ -91,9 +88,6 @@ impl Model {
     }
 
     /// [`Model::load`] with an arithmetic.
-    ///
-    /// # Errors
-    /// As [`Model::load`] and [`Network::of`].
     pub fn load_with(
         device: &Device,
         checkpoint: &Checkpoint,
@@ -123,9 +117,6 @@ impl Model {
 
     /// Reconstructs a scene from images of one size, divisible by the patch, reusing the last plan.
     /// Concurrent calls use separate arenas.
-    ///
-    /// # Errors
-    /// [`Error::Argument`], [`Error::Memory`] before submission, [`Error::Cancelled`].
     pub fn reconstruct(
         &self,
         images: &[Image],
@@ -188,17 +179,11 @@ impl Model {
     }
 
     /// Plans a reconstruction.
-    ///
-    /// # Errors
-    /// [`Error::Memory`].
     pub fn plan(&self, shape: Shape) -> Result<NetworkPlan> {
         self.network.plan(self.device.limits(), shape)
     }
 
     /// Returns the shape of a request.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for invalid input.
     pub fn shape(&self, images: &[Image], request: &Request) -> Result<Shape> {
         let size = size_of(images)?;
         // The scene is f32.
@@ -223,9 +208,6 @@ impl Model {
     }
 
     /// Allocates a plan.
-    ///
-    /// # Errors
-    /// [`Error::Memory`].
     pub fn run(&self, plan: Plan) -> Result<Run> {
         Run::with_resident(&self.device, plan, Some(self.parameters.resident.clone()))
     }

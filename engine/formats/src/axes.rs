@@ -22,8 +22,8 @@ impl HalfTurn {
         [w, x, y, z]
     }
 
-    /// Returns the factor of coefficient `k` of real spherical harmonics. With `k = l (l + 1) + m`,
-    /// negating y negates negative m, negating z odd l + m; a half turn about z negates odd m.
+    /// With `k = l (l + 1) + m`, negating y negates negative m, negating z odd l + m; a half turn
+    /// about z negates odd m.
     pub fn sh(self, k: usize) -> f32 {
         let l = k.isqrt();
         let (order, negative) = (k.abs_diff(l * (l + 1)), k < l * (l + 1));

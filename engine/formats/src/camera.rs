@@ -32,13 +32,12 @@ impl Intrinsics {
         Self { width, height, fx: focal(w, hfov), fy: focal(h, vfov), cx: w / 2.0, cy: h / 2.0 }
     }
 
-    /// Returns the horizontal field of view in radians; ignores the principal point, as the
-    /// reference.
+    /// Returns the horizontal field of view in radians.
     pub fn hfov(&self) -> f64 {
         2.0 * (f64::from(self.width) / (2.0 * self.fx)).atan()
     }
 
-    /// Returns the vertical field of view in radians; ignores the principal point.
+    /// Returns the vertical field of view in radians.
     pub fn vfov(&self) -> f64 {
         2.0 * (f64::from(self.height) / (2.0 * self.fy)).atan()
     }
@@ -48,7 +47,7 @@ impl Intrinsics {
         DMat3::from_cols_array_2d(&[[self.fx, 0.0, 0.0], [0.0, self.fy, 0.0], [self.cx, self.cy, 1.0]])
     }
 
-    /// Returns the intrinsics of a crop that starts at (`left`, `top`). A negative start pads.
+    /// Returns the intrinsics of a crop that starts at (`left`, `top`).
     pub fn crop(&self, left: i32, top: i32, width: u32, height: u32) -> Self {
         Self { width, height, cx: self.cx - f64::from(left), cy: self.cy - f64::from(top), ..*self }
     }
@@ -129,9 +128,6 @@ impl Camera {
     }
 
     /// Checks for finite values, a non-empty picture, positive focal lengths and a valid rotation.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] with the field and `name`, such as `camera 3`.
     pub fn validate(&self, name: &str) -> Result<()> {
         let Self { intrinsics: i, pose } = self;
         let fail = |field: &str, found: String, expected: &str| {
@@ -164,9 +160,6 @@ impl Camera {
 /// Returns the camera encoder's input per view: `[t (3), quaternion xyzw (4), vfov, hfov]` of the
 /// world-to-camera pose, in radians. Poses must be relative to the first view, at the model's
 /// scale.
-///
-/// # Errors
-/// [`Error::Argument`] with the index of the first invalid camera.
 pub fn prior_encoding(cameras: &[Camera]) -> Result<Vec<[f32; 9]>> {
     let encode = |(i, camera): (usize, &Camera)| {
         camera.validate(&format!("camera {i}"))?;
@@ -181,9 +174,6 @@ pub fn prior_encoding(cameras: &[Camera]) -> Result<Vec<[f32; 9]>> {
 /// Returns the input of Depth Anything 3's camera encoder per view: `[center (3), quaternion xyzw
 /// (4), vfov, hfov]` of the camera-to-world pose, in radians. Poses are relative to the first;
 /// centers are divided by their median distance from it, at least 0.1.
-///
-/// # Errors
-/// [`Error::Argument`] with the index of the first invalid camera.
 pub fn relative_encoding(cameras: &[Camera]) -> Result<Vec<[f32; 9]>> {
     cameras.iter().enumerate().try_for_each(|(i, camera)| camera.validate(&format!("camera {i}")))?;
     let poses: Vec<Pose> = cameras.iter().map(|camera| camera.pose.relative_to(&cameras[0].pose)).collect();
@@ -198,8 +188,7 @@ pub fn relative_encoding(cameras: &[Camera]) -> Result<Vec<[f32; 9]>> {
     Ok(cameras.iter().zip(&poses).map(encode).collect())
 }
 
-/// Returns the unit quaternion `wxyz` of a rotation, `w >= 0`. Divides by its largest component, so
-/// nothing cancels near half turns.
+/// Returns the unit quaternion `wxyz` of a rotation, `w >= 0`.
 pub fn quaternion_from_matrix(rotation: &DMat3) -> [f64; 4] {
     let [x, y, z] = rotation.transpose().to_cols_array_2d();
     let squares =

@@ -1,5 +1,3 @@
-//! Interface of a scene format's module.
-
 use std::io::Write;
 use std::path::Path;
 

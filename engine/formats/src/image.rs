@@ -78,9 +78,6 @@ impl Image {
     }
 
     /// Reads width and height as of [`Image::open`] from the header.
-    ///
-    /// # Errors
-    /// See [`Image::open`]; damage after the header is not detected.
     pub fn size(path: impl AsRef<Path>) -> Result<(u32, u32)> {
         let ((width, height), orientation) = stored_size(path.as_ref())?;
         Ok(if swaps_sides(orientation) { (height, width) } else { (width, height) })
@@ -92,9 +89,6 @@ impl Image {
     }
 
     /// Converts a camera of the oriented photo to the stored pixels, which camera files refer to.
-    ///
-    /// # Errors
-    /// See [`Image::size`]; [`Error::Argument`] for mirrored photos.
     pub fn camera_as_stored(path: impl AsRef<Path>, camera: &Camera) -> Result<Camera> {
         let orientation = stored_size(path.as_ref())?.1;
         let (lens, [right, down, forward]) =
@@ -116,10 +110,6 @@ impl Image {
     }
 
     /// Writes a PNG atomically.
-    ///
-    /// # Errors
-    ///
-    /// [`Error::Argument`] if the fields disagree.
     pub fn save_png(&self, path: impl AsRef<Path>) -> Result<()> {
         self.validate()?;
         write_atomic(path.as_ref(), |out| {
@@ -130,9 +120,6 @@ impl Image {
     }
 
     /// Encodes a JPEG of `quality` 1 to 100.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] when the fields disagree or a side is longer than a JPEG can have.
     pub fn jpeg(&self, quality: u8) -> Result<Vec<u8>> {
         self.validate()?;
         let mut bytes = Vec::new();
@@ -144,9 +131,6 @@ impl Image {
 
     /// Converts `[height][width][rgb]` floats: clamps to 0..1, multiplies by 255 and truncates, as
     /// the reference's viewer. NaN becomes 0.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] if a side is zero or the length is not `3 * width * height`.
     pub fn from_rgb_f32(width: u32, height: u32, rgb: &[f32]) -> Result<Self> {
         Self::new(width, height, rgb.iter().map(|value| (value.clamp(0.0, 1.0) * 255.0) as u8).collect())
     }
@@ -184,10 +168,6 @@ impl Image {
 }
 
 /// Arranges images on black in rows of `columns`, each at the top left of equal cells.
-///
-/// # Errors
-/// [`Error::Argument`] without images or columns, or if the sheet exceeds the limits of
-/// [`Image::open`].
 pub fn contact_sheet(images: &[Image], columns: usize) -> Result<Image> {
     if images.is_empty() || columns == 0 {
         let found = format!("{} images in {columns} columns", images.len());
@@ -228,7 +208,7 @@ fn refuse_other_kind(path: &Path, start: &[u8]) -> Result<()> {
     Err(Error::format(path, None, format!("found {kind}, expected PNG, JPEG or WebP: {advice}")))
 }
 
-/// Returns true if a file starts as HEIC (brands of ISO/IEC 23008-12). Needs twelve bytes.
+/// Returns true if a file starts as HEIC (brands of ISO/IEC 23008-12).
 pub fn is_heic_start(start: &[u8]) -> bool {
     const BRANDS: [&[u8]; 8] = [b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1"];
     start.get(4..8) == Some(b"ftyp") && start.get(8..12).is_some_and(|brand| BRANDS.contains(&brand))

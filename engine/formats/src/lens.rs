@@ -1,12 +1,9 @@
-//! Lens distortion, and undistortion to pinhole cameras.
-
 use rayon::prelude::*;
 
 use super::{Image, Intrinsics};
 use crate::{Error, Result};
 
-/// Search range of the pinhole's focal length relative to the lens. The lower bound limits fisheye
-/// lenses, which may see half the world.
+/// The lower bound limits fisheye lenses, which may see half the world.
 const ZOOM: [f64; 2] = [0.7, 4.0];
 const FISHEYE_ZOOM: [f64; 2] = [1.0, 4.0];
 const HALVINGS: usize = 40;
@@ -80,9 +77,6 @@ impl Distortion {
 impl Lens {
     /// Returns the pinhole camera of the photo's size with the widest view that the photo fills. It
     /// keeps the principal point and scales both focal lengths by one zoom.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] with `name` for coefficients without such a camera.
     pub fn pinhole(&self, name: &str) -> Result<Intrinsics> {
         let [mut low, mut high] = match self.distortion {
             Distortion::Perspective { .. } => ZOOM,
@@ -104,9 +98,6 @@ impl Lens {
 
     /// Undistorts a photo to [`Lens::pinhole`] at the photo's own resolution, by cubic
     /// interpolation.
-    ///
-    /// # Errors
-    /// See [`Lens::pinhole`]; [`Error::Argument`] if the photo's fields disagree.
     pub fn undistort(&self, photo: &Image) -> Result<Image> {
         photo.validate()?;
         let (lens, pinhole) = (self.intrinsics, self.pinhole("photo")?);

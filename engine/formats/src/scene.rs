@@ -1,5 +1,3 @@
-//! Scenes of 3D Gaussians as arrays per field.
-
 use std::path::Path;
 
 use glam::{DQuat, DVec3};
@@ -73,8 +71,7 @@ impl Scene {
         if distance > 0.0 { distance } else { median(self.scales.iter().step_by(step).map(size)) }
     }
 
-    /// Returns the near plane: [`NEAR`], scaled down for scenes with an extent below 0.1. It steps
-    /// by powers of two, so that optimization rarely changes it.
+    /// Returns the near plane: [`NEAR`], scaled down for scenes with an extent below 0.1.
     pub fn near(&self) -> f32 {
         near(self.extent())
     }
@@ -228,9 +225,6 @@ impl Scene {
     }
 
     /// Checks array lengths and that all values are finite and in range.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] with the number of invalid Gaussians and the first of them.
     pub fn validate(&self) -> Result<()> {
         self.check_lengths()?;
         let n = self.len();

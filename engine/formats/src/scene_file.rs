@@ -76,8 +76,7 @@ impl SceneFormat {
         Self::named(path.as_ref().extension()?.to_str()?)
     }
 
-    /// Detects a format by a file's first bytes, else by extension. `.splat` and `.gltf` have no
-    /// magic bytes.
+    /// Detects a format by a file's first bytes, else by extension.
     pub fn of_file(path: impl AsRef<Path>) -> Result<Option<Self>> {
         let path = path.as_ref();
         let (mut start, by_extension) = (Vec::new(), Self::of_extension(path));
@@ -109,19 +108,11 @@ impl SceneFormat {
 
 /// Reads a scene of any format, detected as [`SceneFormat::of_file`]. Converts to axes x right, y
 /// down, z forward.
-///
-/// # Errors
-///
-/// [`Error::Format`] for unknown or damaged files, and values that are not finite or out of range.
 pub fn read_scene(path: impl AsRef<Path>) -> Result<Scene> {
     read_scene_unchecked(path.as_ref())?.validated(path.as_ref())
 }
 
-/// Reads as [`read_scene`], without validating values: NaN passes. See [`Scene::drop_invalid`] and
-/// [`Scene::validate`].
-///
-/// # Errors
-/// See [`read_scene`], except for values.
+/// Reads as [`read_scene`], without validating values: NaN passes.
 pub fn read_scene_unchecked(path: impl AsRef<Path>) -> Result<Scene> {
     let path = path.as_ref();
     let format = SceneFormat::of_file(path)?.ok_or_else(|| no_scene(path))?;
@@ -129,10 +120,7 @@ pub fn read_scene_unchecked(path: impl AsRef<Path>) -> Result<Scene> {
 }
 
 /// Decodes a scene as [`read_scene`], detected by its first bytes, else of `format`, which `.splat`
-/// and `.gltf` need. A glTF may not refer to other files. Errors name "scene in memory".
-///
-/// # Errors
-/// [`Error::Format`], see [`read_scene`].
+/// and `.gltf` need. A glTF may not refer to other files.
 pub fn decode_scene(bytes: &[u8], format: Option<SceneFormat>) -> Result<Scene> {
     decode_scene_unchecked(bytes, format)?.validated(Path::new(IN_MEMORY))
 }
@@ -152,11 +140,6 @@ fn no_scene(name: &Path) -> Error {
 
 /// Writes a scene atomically, in the format of the extension. No format stores cameras; see
 /// [`write_transforms`](super::poses::write_transforms).
-///
-/// # Errors
-///
-/// [`Error::Argument`] if the extension is unknown, the scene is invalid or the format cannot store
-/// it.
 pub fn write_scene(path: impl AsRef<Path>, scene: &Scene, options: &WriteOptions) -> Result<()> {
     write_scene_in(path, scene, options, None)
 }

@@ -1,5 +1,3 @@
-//! Square crops of a whole photo.
-//!
 //! Networks trained on squares handle other shapes badly, and their camera encoders ignore
 //! principal points. So each square gets its own camera: same position, turned to the square's
 //! center, with a centered principal point.

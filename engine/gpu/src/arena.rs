@@ -60,7 +60,7 @@ impl Arena {
         free.is_ok().then(|| Claim(self.clone()))
     }
 
-    /// Claims the arena. If it is already claimed, returns an unclaimed new arena.
+    /// Claims the arena, or a new one if it is already claimed.
     pub fn claimed(&self) -> (Self, Option<Claim>) {
         match self.claim() {
             Some(claim) => (self.clone(), Some(claim)),
@@ -75,9 +75,6 @@ impl Arena {
     }
 
     /// Frees the memory; the next run allocates it again. The caller must hold the claim.
-    ///
-    /// # Errors
-    /// [`Error::DeviceLost`](crate::Error::DeviceLost).
     pub fn release(&self) -> Result<()> {
         self.0.lanes.iter().try_for_each(|lane| lock(lane).as_ref().map_or(Ok(()), |lane| lane.release()))
     }
@@ -156,7 +153,7 @@ impl Lane {
         lock(&self.state).empty(&self.device)
     }
 
-    /// Returns the memory. Callers must not store it: a stored reference keeps it allocated.
+    /// Callers must not store it: a stored reference keeps it allocated.
     pub fn memory(&self) -> Arc<Memory> {
         lock(&self.state).memory.clone()
     }

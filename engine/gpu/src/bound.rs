@@ -1,5 +1,3 @@
-//! Tensors resolved to buffer ranges.
-
 use super::{
     device::Shared,
     memory::{Memory, Resident},

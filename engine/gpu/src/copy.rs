@@ -1,5 +1,3 @@
-//! Buffer copies outside of plans.
-
 use super::{
     barrier::{STAGES, memory_barrier},
     device::Shared,

@@ -1,5 +1,3 @@
-//! Selection and state of a Vulkan device.
-
 use super::{
     bfloat16,
     features::{ADDRESSES, BYTES, DOT_PRODUCTS, Features, HALVES, MATRICES, REQUIRED},
@@ -58,8 +56,7 @@ pub(super) struct Shared {
     pub family: u32,
     pub limits: Limits,
     pub allocated: AtomicU64,
-    /// Measured FLOPs per millisecond by stage, for splitting long plans. Stages count FLOPs
-    /// differently.
+    /// Measured FLOPs per millisecond by stage, for splitting long plans.
     pub flops_per_ms: Mutex<HashMap<String, u64>>,
     pub staged: bool,
     index: usize,
@@ -134,9 +131,6 @@ impl Device {
     }
 
     /// Fails if the device is lost.
-    ///
-    /// # Errors
-    /// [`Error::DeviceLost`].
     pub fn check_lost(&self) -> Result<()> {
         self.0.check_lost()
     }

@@ -1,5 +1,3 @@
-//! Vulkan features: required ones and those for fast kernels.
-
 use ash::vk;
 use std::ffi::CStr;
 

@@ -42,7 +42,7 @@ impl Run {
         Ok(())
     }
 
-    /// Waits for the started submission. Outputs are readable afterwards.
+    /// Waits for the started submission.
     pub fn finish(&mut self) -> Result<()> {
         self.settle()?;
         self.device.0.check_messages()

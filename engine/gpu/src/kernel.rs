@@ -6,7 +6,7 @@ use std::hash::{Hash, Hasher};
 /// A kernel's code and interface.
 #[derive(Debug)]
 pub struct Module {
-    /// Path below `kernels/`, such as `render/project`. Also the debug label and profile row.
+    /// Path below `kernels/`, such as `render/project`.
     pub name: &'static str,
     /// SPIR-V, little endian.
     pub spirv: &'static [u8],

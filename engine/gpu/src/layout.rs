@@ -19,7 +19,6 @@ pub(super) struct Placement {
 }
 
 /// Places each lifetime, largest first, at its lowest free offset in blocks of up to `block_bytes`.
-/// Returns the placements and block sizes.
 ///
 /// `Err` holds the index of a lifetime that exceeds a block.
 pub(super) fn place(lifetimes: &[Lifetime], block_bytes: u64) -> Result<(Vec<Placement>, Vec<u64>), usize> {

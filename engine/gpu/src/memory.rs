@@ -1,5 +1,3 @@
-//! Blocks of device memory, their uploads and readbacks.
-
 use super::{Device, Tensor, device::Shared, layout::ALIGNMENT, lock::lock, tensor::Home};
 use crate::{Error, Result};
 use ash::vk;
@@ -32,12 +30,10 @@ struct Block {
 }
 
 impl Memory {
-    /// Allocates blocks of these sizes, or fails before any allocation.
     pub fn new(device: &Device, what: &str, sizes: &[u64]) -> Result<Self> {
         Self::at(device, what, sizes, MemoryLocation::GpuOnly)
     }
 
-    /// Allocates one host-visible, host-cached block on any device.
     pub fn seen_by_host(device: &Device, what: &str, bytes: u64) -> Result<Self> {
         Self::at(device, what, &[bytes], MemoryLocation::GpuToCpu)
     }
@@ -256,9 +252,6 @@ pub struct Resident {
 
 impl Resident {
     /// Allocates a layout.
-    ///
-    /// # Errors
-    /// [`Error::Memory`] if the device has too little memory.
     pub fn new(device: &Device, layout: &ResidentLayout) -> Result<Self> {
         let memory = Memory::new(device, "resident memory", &layout.blocks)?;
         Ok(Self { memory, layout: layout.id })

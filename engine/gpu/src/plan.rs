@@ -1,5 +1,3 @@
-//! A recorded plan: commands and tensor offsets.
-
 use super::{
     kernel::Module,
     layout::Placement,

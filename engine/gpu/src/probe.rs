@@ -1,5 +1,3 @@
-//! Enumeration of devices, their limits and their missing features.
-
 use super::{
     bfloat16,
     features::{ADDRESSES, BYTES, DOT_PRODUCTS, Features, HALVES, MATRICES, REQUIRED},
@@ -40,9 +38,6 @@ impl DeviceInfo {
 }
 
 /// Lists every Vulkan device, usable or not.
-///
-/// # Errors
-/// [`Error::NoDevice`] if there is no Vulkan loader or no driver.
 pub fn list_devices() -> Result<Vec<DeviceInfo>> {
     let instance = Instance::new(false)?;
     Ok(devices(&instance)?.into_iter().map(|(_, info)| info).collect())
@@ -182,7 +177,6 @@ pub(super) fn probe(instance: &Instance, device: vk::PhysicalDevice) -> (Limits,
     (limits, found)
 }
 
-/// Optional matrix features that the list of shapes does not show.
 struct Offers {
     bf16: bool,
     i8: bool,

@@ -1,5 +1,3 @@
-//! The submission queue, optionally shared with an app.
-
 use super::lock::lock;
 use ash::{prelude::VkResult, vk};
 use std::sync::Mutex;

@@ -1,5 +1,3 @@
-//! Recording of kernel calls into a plan.
-
 use super::{
     Element, Kernel, Limits, Needs, Plan, Tensor,
     layout::{self, Lifetime},

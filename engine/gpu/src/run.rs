@@ -76,10 +76,6 @@ struct Clock {
 
 impl Run {
     /// Allocates a plan's arena.
-    ///
-    /// # Errors
-    ///
-    /// [`Error::Memory`] if the device has too little memory.
     pub fn new(device: &Device, plan: Plan) -> Result<Self> {
         Self::with_resident(device, plan, [])
     }
@@ -193,17 +189,11 @@ impl Run {
     }
 
     /// Runs the plan to completion.
-    ///
-    /// # Errors
-    /// [`Error::DeviceLost`], a driver error, or validation messages.
     pub fn execute(&mut self) -> Result<StageTimes> {
         self.execute_with(|_| ControlFlow::Continue(()))
     }
 
     /// Runs the plan to completion. Calls `progress` between submissions, which may stop the run.
-    ///
-    /// # Errors
-    /// See [`Run::execute`]; [`Error::Cancelled`] if stopped.
     pub fn execute_with(&mut self, mut progress: impl FnMut(Progress<'_>) -> ControlFlow<()>) -> Result<StageTimes> {
         self.begin()?;
         // Set before a panic in `progress` can unwind.

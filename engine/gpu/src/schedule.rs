@@ -25,9 +25,8 @@ pub(super) fn first_guess(limits: &Limits) -> u64 {
     }
 }
 
-/// Updates the speed estimate `known` from a submission's cost and time. `late`: it may have ended
-/// earlier, so `took` is an upper bound. `patient`: CPUs, which compile kernels during first
-/// submissions and have no watchdog.
+/// `late`: it may have ended earlier, so `took` is an upper bound. `patient`: CPUs, which compile
+/// kernels during first submissions and have no watchdog.
 pub(super) fn learned(known: u64, cost: u64, took: Duration, late: bool, patient: bool) -> u64 {
     let (known, ms) = (known as f64, 1e3 * took.as_secs_f64());
     // Fixed overhead dominates below a millisecond: such a time is only a lower bound on speed.
@@ -42,7 +41,6 @@ pub(super) fn learned(known: u64, cost: u64, took: Duration, late: bool, patient
     next.max(1e5) as u64
 }
 
-/// A command, or some workgroups of a long dispatch.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Piece {
     pub command: usize,
@@ -165,7 +163,6 @@ mod tests {
     #[test]
     fn submissions_settle_at_their_length() {
         let kind = |cpu, discrete| Limits { cpu, discrete, ..Limits::default() };
-        // A loaded CPU, slow integrated and discrete GPUs, and the fastest device.
         for (flops_per_ms, limits) in [(2e6, kind(true, false)), (2e7, kind(false, false)), (1e8, kind(false, true))] {
             let times = submissions(flops_per_ms, &limits);
             assert!(times[0] <= Duration::from_secs(1), "{flops_per_ms}: first {:?}", times[0]);
@@ -179,7 +176,6 @@ mod tests {
     #[test]
     fn what_says_nothing_of_the_speed_changes_nothing() {
         let known = 1_000_000;
-        // A tiny plan, and one that ended while the host compiled the next kernels.
         assert_eq!(learned(known, 10, Duration::from_micros(50), false, false), known);
         assert_eq!(learned(known, 10, Duration::from_secs(3), true, false), known);
         assert!(learned(known, 10 * known, Duration::from_micros(50), true, false) > known);

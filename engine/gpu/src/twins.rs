@@ -1,5 +1,4 @@
 //! Staging buffers for a plan's inputs and outputs, on devices whose memory is not host visible.
-//! Copies are part of the submission, so readback of one run overlaps with the next.
 
 use super::{
     Device, Plan,

@@ -3,8 +3,7 @@ use std::collections::BTreeSet;
 
 /// Sets one focal length per lens, the weighted median of the cameras' geometric means.
 ///
-/// `maps` relate views to photos; `lenses` indexes each photo's lens. Lenses without weight are
-/// unchanged.
+/// `maps` relate views to photos; `lenses` indexes each photo's lens.
 pub fn share_focal_lengths(cameras: &mut [Camera], maps: &[PixelMap], lenses: &[usize], weights: &[f64]) {
     for lens in lenses.iter().collect::<BTreeSet<_>>() {
         let of_lens: Vec<usize> = (0..cameras.len()).filter(|&i| lenses[i] == *lens).collect();

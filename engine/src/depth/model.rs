@@ -29,7 +29,7 @@ pub struct DepthModel {
 pub struct DepthRequest {
     /// Known cameras, at image size.
     pub cameras: Option<Vec<Camera>>,
-    /// Reference view without cameras. Defaults to the most typical of three or more, else the
+    /// Reference view without cameras; by default the most typical of three or more, else the
     /// first.
     pub reference: Option<usize>,
     /// Ratio of patches in [`Depths::scene`].
@@ -45,11 +45,7 @@ impl Default for DepthRequest {
 }
 
 impl DepthModel {
-    /// Loads a checkpoint. Heads are always f32. `progress` gets the fraction done and may cancel.
-    ///
-    /// # Errors
-    /// [`Memory`](crate::Error::Memory), [`Cancelled`](crate::Error::Cancelled), errors of the
-    /// checkpoint.
+    /// Loads a checkpoint. Heads are always f32.
     pub fn load(
         device: &Device,
         checkpoint: &DepthCheckpoint,
@@ -77,10 +73,6 @@ impl DepthModel {
     }
 
     /// Estimates depth of images of one size, divisible by the patch.
-    ///
-    /// # Errors
-    /// [`Argument`](crate::Error::Argument), [`Memory`](crate::Error::Memory) before submission,
-    /// [`Cancelled`](crate::Error::Cancelled).
     pub fn depths(
         &self,
         images: &[Image],
@@ -108,9 +100,6 @@ impl DepthModel {
     }
 
     /// Returns the shape of a request.
-    ///
-    /// # Errors
-    /// [`Argument`](crate::Error::Argument) for invalid input.
     pub fn shape(&self, images: &[Image], request: &DepthRequest) -> Result<DepthShape> {
         let size = size_of(images)?;
         let chosen = (request.ratio, &request.selection);
@@ -120,9 +109,6 @@ impl DepthModel {
     }
 
     /// Records a plan, optionally observed.
-    ///
-    /// # Errors
-    /// [`Memory`](crate::Error::Memory).
     pub fn record(&self, shape: DepthShape, observe: bool) -> Result<(Plan, DepthTensors)> {
         let mut rec = Recorder::new(self.device.limits());
         if observe {
@@ -133,9 +119,6 @@ impl DepthModel {
     }
 
     /// Allocates a plan.
-    ///
-    /// # Errors
-    /// [`Memory`](crate::Error::Memory).
     pub fn run(&self, plan: Plan) -> Result<Run> {
         Run::with_resident(&self.device, plan, Some(self.parameters.resident.clone()))
     }

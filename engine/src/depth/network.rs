@@ -54,9 +54,6 @@ impl DepthNetwork {
     }
 
     /// Returns the shape for `views` images of `[width, height]` pixels.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for invalid input.
     pub fn shape(
         &self,
         views: usize,
@@ -102,9 +99,6 @@ impl DepthNetwork {
     }
 
     /// Plans without a device.
-    ///
-    /// # Errors
-    /// [`Error::Memory`].
     pub fn plan(&self, limits: &Limits, shape: DepthShape) -> Result<(Plan, DepthTensors)> {
         let mut rec = Recorder::new(limits);
         let tensors = self.record(&mut rec, shape);

@@ -122,7 +122,6 @@ impl Depths {
 pub const METRIC_FOCAL: f64 = 300.0;
 
 pub(super) const SKY: f32 = 0.3;
-/// Minimum pixels of sky and of the rest.
 const FEWEST: usize = 10;
 const BEHIND: f64 = 0.99;
 

@@ -1,5 +1,3 @@
-//! A pre-norm transformer block.
-
 use super::{
     Activation, Attention, AttentionKernel, Epilogue, Heads, Linear, Norm, ParameterLayout, Part, Pool, Rotary, Rows,
     row_chunks,

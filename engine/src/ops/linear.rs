@@ -1,5 +1,3 @@
-//! Linear layers with fused epilogues.
-
 mod dots;
 mod lanes;
 

@@ -103,8 +103,7 @@ impl Nearest {
         NearestRows { rows, values: halves, scales, norms, count }
     }
 
-    /// Returns nearest targets, `[points]` u32. Ties ([`Nearest::TIE`]) go to the first. The source
-    /// rows must be unchanged.
+    /// Returns nearest targets, `[points]` u32. Ties ([`Nearest::TIE`]) go to the first.
     pub fn record(&self, rec: &mut Recorder, points: NearestRows, targets: NearestRows) -> Tensor {
         let out = rec.tensor::<u32>("nearest", points.count);
         self.record_into(rec, points, targets, out);

@@ -213,10 +213,7 @@ impl ParameterLayout {
         self.layout.bytes()
     }
 
-    /// Allocates and loads the parameters. `progress` gets the fraction done and may cancel.
-    ///
-    /// # Errors
-    /// [`Error::Memory`]; errors of `source`; [`Error::Cancelled`].
+    /// Allocates and loads the parameters.
     pub fn load(
         &self,
         device: &Device,

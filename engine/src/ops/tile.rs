@@ -3,7 +3,7 @@ use crate::gpu::{Element, Limits};
 use std::fmt;
 
 /// Tile selection by result size, in [`Tiles::CLASSES`] classes from 2^14 values by factors of
-/// four. Defaults to a rule.
+/// four.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Tiles([Option<u8>; Tiles::CLASSES]);
 
@@ -129,7 +129,7 @@ impl Tile {
         tiles.filter(|tile| tile.fits(limits, shared_bytes(tile))).collect()
     }
 
-    /// Candidates of cluster/nearest_matrix, larger first. Two sets of sums halve the tiles.
+    /// Candidates of cluster/nearest_matrix, larger first.
     pub fn nearest(limits: &Limits, units: Units) -> Vec<Self> {
         const GPU: &[Layout] = &[([2, 4], [64, 32]), ([2, 2], [64, 32]), ([2, 2], [32, 32])];
         const CPU: &[Layout] = &[([2, 2], [16, 8])];

@@ -106,9 +106,6 @@ impl Network {
     }
 
     /// Plans the forward pass to device Gaussians, without a device.
-    ///
-    /// # Errors
-    /// [`Error::Memory`](crate::Error::Memory).
     pub fn plan(&self, limits: &Limits, shape: Shape) -> Result<NetworkPlan> {
         let mut layout = ResidentLayout::new(limits);
         let into = SceneTensors::lay_out(&mut layout, self.gaussians_of(shape), self.architecture.sh_degree as u32);

@@ -93,9 +93,6 @@ pub enum Kept {
 
 impl Shape {
     /// Returns the shape for `views` images of `[width, height]` pixels.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for invalid input.
     pub fn new(
         architecture: &Architecture,
         views: usize,
@@ -109,9 +106,6 @@ impl Shape {
     }
 
     /// Sets [`Request::pool`].
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for an invalid side.
     pub fn pooled(self, pool: usize) -> Result<Self> {
         Pool::check(pool)?;
         Ok(Self { pool, ..self })

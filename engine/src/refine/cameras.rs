@@ -8,7 +8,7 @@ const AFTER: f64 = 0.4;
 /// Adam on a camera-to-world pose.
 ///
 /// Each step optimizes (w, v) = 0 in `pose o (exp(w^), v)`: rotation about and translation along
-/// the camera's own axes. Moments persist between steps.
+/// the camera's own axes.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct PoseAdam {
     first: [f64; 6],

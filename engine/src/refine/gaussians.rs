@@ -58,7 +58,6 @@ pub(super) struct Gaussians {
 }
 
 impl Gaussians {
-    /// Uploads a scene at distance `unit` from the cameras.
     pub fn new(arena: &Arena, scene: &Scene, unit: f64, request: &Refine) -> Result<Self> {
         let (device, len) = (arena.device(), scene.len());
         let counts = [3 * len, 3 * len, 4 * len, len, 3 * scene.sh_coeffs.len()];
@@ -160,7 +159,6 @@ impl Gaussians {
         Ok(Some(found))
     }
 
-    /// Sets the near plane, before the first draw.
     pub fn set_near(&mut self, near: f32) {
         self.near = near;
     }
@@ -230,7 +228,6 @@ impl Gaussians {
         self.scene.read(&self.memories[0])
     }
 
-    /// Replaces the Gaussians by a scene of at most as many.
     pub fn show(&self, scene: &Scene) -> Result<()> {
         let SceneTensors { means, scales, quats, opacities, sh_coeffs, len, .. } = self.scene;
         write(&self.memories[0], [means, scales, quats, opacities, sh_coeffs], &padded(scene, len))

@@ -46,8 +46,8 @@ pub struct Refine {
     pub views_per_step: usize,
     /// Limits of a photo's width and height; larger ones are downscaled. `None` keeps full size.
     pub size: Option<[u32; 2]>,
-    /// Number of held-out photos, which select the best step. `None`: one of 9 or more, or none if
-    /// cameras are refined, because held-out cameras stay uncorrected.
+    /// Number of held-out photos, which select the best step. `None`: one of 9 or more, none if
+    /// cameras are refined.
     pub hold_out: Option<usize>,
     /// Pixel loss.
     pub loss: Loss,
@@ -55,7 +55,7 @@ pub struct Refine {
     pub look: Option<Look>,
     /// Learning rates.
     pub rates: Rates,
-    /// Also refines training cameras, except the first, which fixes the world.
+    /// Also refines training cameras, except the first.
     pub cameras: bool,
     /// Final number of Gaussians: unseen and missing ones are relocated.
     pub grow: Option<usize>,
@@ -79,7 +79,6 @@ pub struct Refine {
 }
 
 impl Default for Refine {
-    /// 100 steps of 4 photos, one held out of 9 or more.
     fn default() -> Self {
         Self {
             steps: 100,
@@ -177,8 +176,7 @@ pub enum Stopped {
 /// Result of a refinement.
 #[derive(Clone, Debug)]
 pub struct Refined {
-    /// Gaussians after [`Refined::best_step`], in their original world. The order is kept unless
-    /// they grew; then undrawn ones are dropped.
+    /// Gaussians after [`Refined::best_step`], in their original world.
     pub scene: Scene,
     /// Cameras of all photos after that step.
     pub cameras: Vec<Camera>,
@@ -188,12 +186,11 @@ pub struct Refined {
     pub best_step: usize,
     /// Steps and the held-out PSNR in dB after them; empty without held-out photos.
     pub held_out: Vec<(usize, f64)>,
-    /// Mean PSNR in dB of at most 16 training photos at full size: with the kept scene, and before
-    /// the first step.
+    /// Mean PSNR in dB of at most 16 training photos: with the kept scene, and before.
     pub training_psnr: [f64; 2],
     /// Indices of the held-out photos.
     pub held: Vec<usize>,
-    /// Steps, from 0, with a new size, and the largest photo's width and height from then on.
+    /// Steps with a new size, and the largest photo's width and height from then on.
     pub sizes: Vec<(usize, [u32; 2])>,
     /// Time of all steps.
     pub took: Duration,
@@ -222,7 +219,6 @@ impl Refined {
 /// # Errors
 ///
 /// [`Error::Argument`] for an unusable scene, photo, camera or request, or missing LPIPS weights.
-/// [`Error::Memory`] if the device has too little.
 pub fn refine_scene(
     arena: &Arena,
     scene: &Scene,

@@ -49,8 +49,8 @@ impl RefinePlan {
 /// Pictures that exceed the initial intersection capacity need more.
 ///
 /// # Errors
+///
 /// [`Error::Argument`](crate::Error::Argument) if all photos are held out or tokens are to grow.
-/// [`Error::Memory`](crate::Error::Memory) if a tensor exceeds the device's limits.
 pub fn plan_refinement(
     limits: &Limits,
     moved: Moved<'_>,

@@ -33,7 +33,6 @@ pub(super) struct Learning {
     pub targets: Tensor,
     /// `[cameras]`.
     pub losses: Tensor,
-    /// Factor and value of LPIPS, if in the loss.
     pub look: Option<(f32, Tensor)>,
     /// `[cameras, 10]`, if cameras are refined.
     pub d_cameras: Option<Tensor>,

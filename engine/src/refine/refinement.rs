@@ -1,5 +1,3 @@
-//! The refinement loop: steps, validation, stopping.
-
 use super::{
     Refine, Refined, Refining, Stopped,
     cameras::Cameras,

@@ -1,4 +1,4 @@
-//! Stages of the networks, the renderer and the losses. Each records its own dispatches.
+//! Stages of the networks, the renderer and the losses.
 
 mod architecture;
 pub mod backbone;
@@ -202,7 +202,6 @@ fn coeffs_of(degree: u32) -> usize {
     (degree as usize + 1).pow(2)
 }
 
-/// Every patch embedded by a convolution whose stride is its size: a row a token.
 fn embed_patches(rec: &mut Recorder, images: Tensor, grid: ViewGrid, linear: &Linear) -> Rows {
     let (view, patches) = (3 * grid.patch * grid.patch * grid.patches(), grid.patches());
     let out = Rows::scratch(rec, "embedded", grid.tokens(), linear.columns, Element::F32);

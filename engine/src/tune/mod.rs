@@ -38,7 +38,6 @@ trait Operation: Sync {
 
     fn deviation(&self, device: &Device, candidate: Candidate, output: Element) -> Result<Option<f64>>;
 
-    /// A run with `rows` rows of [`COLUMNS`] results.
     fn timed(&self, device: &Device, candidate: Candidate, rows: usize) -> Result<Run>;
 
     fn chosen<'a>(&self, arithmetic: &'a mut Arithmetic) -> Vec<&'a mut Option<Units>>;

@@ -67,10 +67,10 @@ impl Tuning {
         write_atomic(&file, |out| out.write_all(&bytes))
     }
 
-    /// Measures every usable tile, keeping earlier results on errors. `progress` gets the next tile
-    /// and the fraction done, and may cancel.
+    /// Measures every usable tile, keeping earlier results on errors.
     ///
     /// # Errors
+    ///
     /// [`Error::DeviceLost`], which marks the tile unusable; [`Error::Cancelled`].
     pub fn measure(&mut self, device: &Device, mut progress: impl FnMut(&str, f64) -> ControlFlow<()>) -> Result<()> {
         let mut tiles = Vec::new();

@@ -51,9 +51,9 @@ impl DepthCheckpoint {
     }
 
     /// Opens a released `model.safetensors` or a saved file, optionally with the Gaussian head.
-    /// Unneeded tensors are ignored.
     ///
     /// # Errors
+    ///
     /// [`Error::Io`] and [`Error::Format`]; [`Error::Argument`] for an unknown network or without
     /// Gaussian head; [`Error::Weights`] lists missing, unexpected and misshapen tensors.
     pub fn open(path: impl AsRef<Path>, gaussians: bool) -> Result<Self> {

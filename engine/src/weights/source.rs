@@ -41,7 +41,6 @@ impl Source {
         }
     }
 
-    /// Reads a matrix of whole groups in 8 bits.
     pub fn read_q8(&self, provenance: &str, index: usize, parameters: &[(String, Vec<usize>)]) -> Result<Q8> {
         let (name, shape) = &parameters[index];
         match self {

@@ -1,5 +1,3 @@
-//! glTF buffers and accessors.
-
 use std::borrow::Cow;
 use std::collections::HashMap;
 use std::path::{Component, Path, PathBuf};

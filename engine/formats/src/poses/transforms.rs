@@ -135,10 +135,6 @@ impl<'a> Fields<'a> {
 
 /// Writes cameras for nerfstudio: OpenGL axes, shared intrinsics at the top. `names` are photo
 /// paths relative to the file.
-///
-/// # Errors
-///
-/// [`Error::Argument`] for an invalid camera or different numbers of cameras and names.
 pub fn write_transforms(path: impl AsRef<Path>, cameras: &[Camera], names: &[impl AsRef<str>]) -> Result<()> {
     if cameras.len() != names.len() {
         return Err(Error::argument("names", names.len(), format!("one for each of {} cameras", cameras.len())));

@@ -83,7 +83,6 @@ impl Layout {
         write(rest.flat_map(level).collect())
     }
 
-    /// Decodes `count` Gaussians from `body`, which has exactly their bytes.
     pub(super) fn decode(&self, body: &[u8], count: usize) -> Scene {
         let mut rest = body;
         let mut section = |bytes: usize| {

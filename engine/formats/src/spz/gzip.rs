@@ -6,7 +6,7 @@ use std::io::Write;
 use flate2::{Compress, Compression, Crc, FlushCompress};
 use rayon::prelude::*;
 
-/// Bytes per part. Matches across parts are lost, which costs little at this size.
+/// Matches across parts are lost, which costs little at this size.
 const PART: usize = 1 << 20;
 /// Deflate with a comment; no name, time or system.
 const START: [u8; 10] = [0x1f, 0x8b, 8, 16, 0, 0, 0, 0, 0, 0xff];

@@ -1,5 +1,3 @@
-//! Camera paths around a scene in the first view's camera frame.
-
 use glam::DVec3;
 
 use super::super::{Pose, Scene};
@@ -24,9 +22,6 @@ pub struct Orbit {
 impl Orbit {
     /// Returns the reference's turntable: center is the per-axis (lower) median of the means,
     /// radius 1.2 times the 0.9 quantile of distances, linearly interpolated.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] if the scene is empty.
     pub fn around(scene: &Scene) -> Result<Self> {
         if scene.is_empty() {
             return Err(Error::argument("scene", "no Gaussians", "at least one to look at"));
@@ -55,8 +50,7 @@ impl Orbit {
         path(frames).map(|t| self.pose(start + degrees * t, elevation)).collect()
     }
 
-    /// Returns `frames` cameras on a figure eight about the front, for scenes without a back. The
-    /// reference uses 16 degrees of azimuth and 2 of elevation.
+    /// Returns `frames` cameras on a figure eight about the front, for scenes without a back.
     pub fn wiggle(&self, frames: usize, azimuth: f64, elevation: f64) -> Vec<Pose> {
         let turn = std::f64::consts::TAU;
         path(frames).map(|t| self.pose(azimuth * (turn * t).sin(), elevation * (2.0 * turn * t).sin())).collect()

@@ -1,5 +1,3 @@
-//! Copies of results into an app's images and buffers on the device.
-
 use super::Run;
 use crate::{
     Error, Result, Tensor,
@@ -72,10 +70,6 @@ impl Target {
 impl Run {
     /// Submits a copy of an output to `target` without waiting. The next write to this run, and its
     /// drop, wait for the copy.
-    ///
-    /// # Errors
-    ///
-    /// [`Error::Argument`] for invalid handles or layouts, [`Error::DeviceLost`].
     ///
     /// # Panics
     ///

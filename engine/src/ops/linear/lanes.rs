@@ -1,5 +1,3 @@
-//! Linear layers on lanes: kernels and tiles.
-
 use super::{
     super::{
         rows::Rows,

@@ -41,7 +41,6 @@ impl Convolution {
         Self { layer: p.planar_convolution(name, channels, 3, false), side: 3, step: 1 }
     }
 
-    /// A 1 x 1 convolution with `NAME.weight` `[outputs, inputs]`.
     pub(super) fn linear(p: &mut ParameterLayout, name: &str, [inputs, outputs]: [usize; 2]) -> Self {
         Self { layer: p.exact_linear(name, inputs, outputs), side: 1, step: 1 }
     }

@@ -1,5 +1,3 @@
-//! Dense heads: depth, rays and sky.
-
 use super::{
     convolution::{Convolution, How},
     fusion::Fusion,

@@ -1,5 +1,3 @@
-//! Fuses levels from deep to shallow.
-
 use super::convolution::{Convolution, How};
 use crate::{
     gpu::Recorder,

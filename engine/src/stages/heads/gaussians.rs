@@ -1,5 +1,3 @@
-//! The head for pixel-aligned Gaussians.
-
 use super::{
     convolution::{Convolution, How},
     fusion::Fusion,

@@ -1,5 +1,3 @@
-//! Backward pass of rendering.
-//!
 //! Every Gaussian-tile intersection has a slot, written once. Gaussians sum their consecutive slots
 //! in order, without atomics.
 

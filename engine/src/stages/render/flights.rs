@@ -21,9 +21,6 @@ struct Flight {
 impl Renderer {
     /// Renders each camera, passing images to `done` in order. The device draws ahead, batching
     /// small images.
-    ///
-    /// # Errors
-    /// As [`Renderer::render_loaded`], and the first error of `done`.
     pub fn render_each(
         &mut self,
         cameras: &[Camera],
@@ -93,7 +90,6 @@ impl Renderer {
         plan.run.start()
     }
 
-    /// Delivers the oldest images, redrawn if over capacity.
     fn land(
         &mut self,
         flights: &mut VecDeque<Flight>,

@@ -49,7 +49,6 @@ impl RenderRequest {
         3 * triples.into_iter().filter(|on| *on).count() + singles.into_iter().filter(|on| *on).count()
     }
 
-    /// Returns the near plane, [`NEAR`] until a scene sets it.
     pub(super) fn near_plane(&self) -> f32 {
         self.near.unwrap_or(NEAR)
     }

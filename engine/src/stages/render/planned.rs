@@ -28,9 +28,6 @@ pub(super) struct Planned {
 
 /// Plans the first batch of [`Renderer::render_each`](super::Renderer::render_each), without a
 /// device.
-///
-/// # Errors
-/// [`Error::Memory`](crate::Error::Memory).
 pub fn plan_pictures(
     limits: &Limits,
     scene: &SceneTensors,

@@ -62,9 +62,6 @@ impl Renderer {
     }
 
     /// Renders `scene` with each camera.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for invalid input; [`Error::Memory`] if one image does not fit.
     pub fn render(&mut self, scene: &Scene, cameras: &[Camera], request: &RenderRequest) -> Result<Vec<Frame>> {
         self.load(scene)?;
         self.render_loaded(cameras, request)
@@ -91,9 +88,6 @@ impl Renderer {
     }
 
     /// Selects a device scene and its arena.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for another device's scene; [`Error::DeviceLost`].
     pub fn show(&mut self, scene: &DeviceScene) -> Result<()> {
         self.device().check_lost()?;
         if !scene.resident().is_on(self.arena.device()) {
@@ -154,9 +148,6 @@ impl Renderer {
 
     /// Renders into an application's image or buffer on the device. On return the copy is
     /// submitted; the next rendering of this size waits for it.
-    ///
-    /// # Errors
-    /// As [`Renderer::render_loaded`] and [`Run::present`](crate::gpu::Run::present).
     pub fn render_to(
         &mut self,
         camera: &Camera,

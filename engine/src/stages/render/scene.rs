@@ -47,9 +47,6 @@ pub struct SceneMemory {
 
 impl SceneMemory {
     /// Allocates a layout.
-    ///
-    /// # Errors
-    /// [`Error::Memory`](crate::Error::Memory).
     pub fn new(device: &Device, layout: &ResidentLayout, tensors: SceneTensors) -> Result<Self> {
         let memory = Arc::new(Resident::new(device, layout)?);
         Ok(Self { memory, tensors, arena: None, user: Weak::new() })

@@ -1,5 +1,3 @@
-//! Camera encoder: poses and intrinsics to tokens.
-
 use crate::{
     gpu::{Element, Recorder, Tensor},
     ops::{Activation, Block, Epilogue, Ffn, Heads, Linear, Norm, ParameterLayout, Rows, Sequences},
