@@ -142,7 +142,6 @@ impl Model {
         progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
     ) -> Result<Reconstruction> {
         if recorded.as_ref().is_none_or(|recorded| recorded.shape != shape) {
-            // Frees memory first.
             *recorded = None;
             *recorded = Some(self.record_for(arena, shape)?);
         }
@@ -150,7 +149,6 @@ impl Model {
         let free = match scenes.iter().position(SceneMemory::is_free) {
             Some(free) => free,
             None => {
-                // Owners keep their scenes.
                 scenes.truncate(SCENES - 1);
                 scenes.push(SceneMemory::new(&self.device, layout, *tensors.scene())?.made_in(arena));
                 scenes.len() - 1
@@ -186,7 +184,6 @@ impl Model {
     /// Returns the shape of a request.
     pub fn shape(&self, images: &[Image], request: &Request) -> Result<Shape> {
         let size = size_of(images)?;
-        // The scene is f32.
         if !(request.unit as f32).is_normal() || request.unit < 0.0 {
             return Err(Error::argument("unit", request.unit, "a length above 0"));
         }

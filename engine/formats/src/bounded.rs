@@ -11,7 +11,6 @@ use crate::{Error, Result};
 /// Longest side of Depth Anything 3's input, in pixels.
 pub const DEFAULT_BOUND: u32 = 504;
 
-/// Parameter of OpenCV's cubic kernel.
 const A: f64 = -0.75;
 const BITS: i32 = 11;
 

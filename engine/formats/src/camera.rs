@@ -179,7 +179,6 @@ pub fn relative_encoding(cameras: &[Camera]) -> Result<Vec<[f32; 9]>> {
     let poses: Vec<Pose> = cameras.iter().map(|camera| camera.pose.relative_to(&cameras[0].pose)).collect();
     let mut distances: Vec<f64> = poses.iter().map(|pose| pose.translation.length()).collect();
     distances.sort_by(f64::total_cmp);
-    // The lower median.
     let unit = distances.get(distances.len().saturating_sub(1) / 2).map_or(1.0, |median| median.max(0.1));
     let encode = |(camera, pose): (&Camera, &Pose)| {
         let ([w, x, y, z], t) = (quaternion_from_matrix(&pose.rotation), pose.translation / unit);

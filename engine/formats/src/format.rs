@@ -15,7 +15,6 @@ pub(super) struct Format {
 
 type ReadLine = fn(&Path) -> Result<Option<String>>;
 
-/// Writes a checked scene; only I/O can fail.
 pub(super) type Encoder<'a> = Box<dyn FnOnce(&mut dyn Write) -> std::io::Result<()> + 'a>;
 
 impl Format {

@@ -243,7 +243,6 @@ fn other_kind(start: &[u8], path: &Path) -> Option<(&'static str, String)> {
         }
         // `[0]` is an animation's first frame.
         _ if start.starts_with(b"GIF8") => Some(("a GIF picture", photo("magick", "[0]", ".png"))),
-        // Four reserved bytes follow magic and size.
         _ if start.starts_with(b"BM") && start.get(6..10) == Some(&[0; 4]) => {
             Some(("a BMP picture", photo("magick", "", ".png")))
         }

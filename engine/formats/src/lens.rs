@@ -7,7 +7,6 @@ use crate::{Error, Result};
 const ZOOM: [f64; 2] = [0.7, 4.0];
 const FISHEYE_ZOOM: [f64; 2] = [1.0, 4.0];
 const HALVINGS: usize = 40;
-/// Sampled points per side of the border, and steps from the center to each.
 const SIDE_POINTS: u32 = 16;
 const STEPS: u32 = 8;
 
@@ -50,7 +49,6 @@ impl Distortion {
 
     /// Distorts a direction.
     pub fn apply(&self, [x, y]: [f64; 2]) -> [f64; 2] {
-        // 1 + a s + b s^2 + ...
         let series = |k: &[f64], s: f64| 1.0 + s * k.iter().rev().fold(0.0, |sum, k| sum * s + k);
         let squared = x * x + y * y;
         match self {

@@ -190,7 +190,6 @@ impl Scene {
         let mut kept = Vec::new();
         for start in (0..self.len()).step_by(group.max(1)) {
             let mut order: Vec<usize> = (start..self.len().min(start + group.max(1))).collect();
-            // A stable sort keeps the first of equals.
             order.sort_by(|a, b| visible[*b].total_cmp(&visible[*a]));
             order.truncate(count);
             order.sort_unstable();

@@ -2,7 +2,6 @@ use std::f64::consts::PI;
 
 use glam::{DMat3, DVec3};
 
-/// Coefficients up to degree 3.
 const COEFFS: usize = 16;
 
 /// Returns `M` with `c' = M c`: color of `c'` in direction `R d` equals that of `c` in `d`. Entries

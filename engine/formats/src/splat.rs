@@ -32,7 +32,6 @@ fn encoder<'a>(scene: &'a Scene, _: &WriteOptions, _: Option<&World>) -> Result<
 }
 
 fn encode(scene: &Scene, i: usize) -> [u8; ROW] {
-    // Casting saturates.
     let level = |value: f32| (255.0 * value).round() as u8;
     let [r, g, b] = scene.sh_coeffs[i * scene.sh_coeffs_per_gaussian()].map(|dc| level(0.5 + sh_constant() * dc));
     let rotation = unit_quaternion(scene.quats[i]).map(|q| (128.0 * q + 128.0).round() as u8);

@@ -9,7 +9,6 @@ use super::{Camera, Image, Intrinsics, Pose, preprocess::PixelMap, resample::res
 use crate::{Error, Result};
 
 const NEARLY_SQUARE: f64 = 1.1;
-/// Samples per pixel and axis.
 const SAMPLES: u32 = 4;
 
 /// Returns the number of squares: longer side over shorter side, rounded up.
@@ -32,7 +31,6 @@ pub fn squares(photo: &Image, camera: &Camera, side: u32, label: &str) -> Result
         return Err(Error::argument("side of the squares", side, "at least 1"));
     }
     let lens = PixelMap::identity(photo).apply(&camera.intrinsics, label)?;
-    // Limits the resolution to that of the samples.
     let fine = f64::from(side * SAMPLES) / f64::from(photo.width.min(photo.height));
     let small = |length: u32| ((f64::from(length) * fine.min(1.0)).round() as u32).max(1);
     let photo = &resize_lanczos(photo, small(photo.width), small(photo.height))?;
@@ -57,7 +55,6 @@ fn turned(lens: &Intrinsics, [left, top]: [f64; 2], edge: f64, side: u32) -> (DM
     let ray = |x: f64, y: f64| DVec3::new((x - lens.cx) / lens.fx, (y - lens.cy) / lens.fy, 1.0).normalize();
     let (x, y) = (left + edge / 2.0, top + edge / 2.0);
     let (right, bottom) = (left + edge, top + edge);
-    // Bisects the angle, not the pixels.
     let middle_x = ray(left, y) + ray(right, y);
     let middle_y = ray(x, top) + ray(x, bottom);
     let axis = DVec3::new(middle_x.x / middle_x.z, middle_y.y / middle_y.z, 1.0);

@@ -58,8 +58,6 @@ impl World {
         Self { origin, landmarks, lens: frames.first().map(|frame| frame.camera.intrinsics) }
     }
 
-    /// Formats a line for [`World::parse`], without the world if a photo's name has control
-    /// characters.
     pub(super) fn line(world: Option<&Self>) -> String {
         let is_named = |world: &&Self| !matches!(&world.origin, Origin::Photo(name) if name.contains(char::is_control));
         let Some(world) = world.filter(is_named) else { return MADE_BY.into() };

@@ -89,7 +89,6 @@ impl Device {
         let instance = Instance::adopt(adopted.get_instance_proc_addr, vk::Instance::from_raw(instance))?;
         let physical = vk::PhysicalDevice::from_raw(physical);
         let (mut limits, found) = probe(&instance, physical);
-        // The requirements do not include these features.
         limits.matrices.bf16 = None;
         limits.addresses = false;
         if !adopted.fast {

@@ -105,7 +105,6 @@ pub(super) struct Lane {
 struct State {
     memory: Arc<Memory>,
     sizes: Vec<u64>,
-    /// Incremented whenever the memory is replaced.
     generation: u64,
     user: u64,
 }
@@ -128,7 +127,6 @@ impl Lane {
         }))
     }
 
-    /// Waits for all submissions, then grows the memory to fit a plan's blocks.
     pub fn reserve(&self, blocks: &[u64]) -> Result<u64> {
         self.settle()?;
         let mut state = lock(&self.state);

@@ -12,7 +12,6 @@ use ash::vk;
 pub(super) struct Descriptors {
     device: Device,
     pool: vk::DescriptorPool,
-    /// By command index; null for commands that are no dispatch.
     sets: Vec<vk::DescriptorSet>,
 }
 

@@ -56,7 +56,6 @@ pub(super) struct Shared {
     pub family: u32,
     pub limits: Limits,
     pub allocated: AtomicU64,
-    /// Measured FLOPs per millisecond by stage, for splitting long plans.
     pub flops_per_ms: Mutex<HashMap<String, u64>>,
     pub staged: bool,
     index: usize,

@@ -99,7 +99,6 @@ impl Limits {
 }
 
 impl Default for Limits {
-    /// Typical desktop limits, for plans made without a device.
     fn default() -> Self {
         Self {
             name: "none".into(),

@@ -85,7 +85,6 @@ impl Pipelines {
         )?[0];
         self.label(raw, module.name);
         match lock(&self.made).entry(key) {
-            // Another thread was faster.
             Entry::Occupied(known) => {
                 // SAFETY: made above and unused.
                 unsafe { self.raw.destroy_pipeline(raw, None) };
@@ -163,7 +162,6 @@ pub(super) struct Pipeline {
     pub layout: vk::PipelineLayout,
 }
 
-/// Handles; null if not created.
 #[derive(Clone, Copy, Default)]
 struct Layout {
     set: vk::DescriptorSetLayout,

@@ -13,7 +13,6 @@ pub(super) const SUBMISSION: Duration = Duration::from_millis(100);
 /// Approximate FLOPs in the time of one byte's transfer, on CPUs and GPUs alike.
 const FLOPS_PER_BYTE: u64 = 4;
 
-/// Maximum pieces per submission.
 pub(super) const MAX_PIECES: usize = 1024;
 
 /// Below most devices of its kind, so that the first submissions are not too long.
@@ -73,7 +72,6 @@ impl Cursor {
         Self { command: plan.commands.len(), done: 0 }
     }
 
-    /// Takes pieces of one stage with a total cost of about `budget`; returns them and their cost.
     pub fn next_pieces(&mut self, plan: &Plan, budget: u64) -> (Vec<Piece>, u64) {
         let (first, mut pieces, mut cost) = (self.command, Vec::new(), 0);
         while cost < budget && pieces.len() < MAX_PIECES {
@@ -209,8 +207,6 @@ mod tests {
             while cursor.command < plan.commands.len() {
                 let (pieces, cost) = cursor.next_pieces(&plan, budget);
                 assert!(!pieces.is_empty());
-                // The smallest piece is one group along the longest axis, with all groups of the
-                // others.
                 let least = pieces.iter().map(|piece| least_cost(&plan.commands[piece.command])).max().unwrap_or(0);
                 assert!(cost <= budget.saturating_add(least), "found {cost}, expected {budget} or {least} more");
                 for piece in &pieces {

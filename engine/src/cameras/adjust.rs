@@ -5,7 +5,6 @@ use crate::types::{Camera, Pose};
 use glam::{DMat3, DQuat, DVec2, DVec3};
 
 const STEPS: usize = 50;
-/// Relative gain.
 const TOLERANCE: f64 = 1e-12;
 const MOST_DAMPING: f64 = 1e12;
 /// Rotation, translation, log focal length.
@@ -68,7 +67,6 @@ fn normal_equations(camera: &Camera, pairs: &[Pair], scale: f64, lens: bool) -> 
             }
         }
     }
-    // Keeps the focal length fixed.
     if !lens {
         matrix[UNKNOWNS - 1][UNKNOWNS - 1] = 1.0;
     }

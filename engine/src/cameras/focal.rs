@@ -44,7 +44,6 @@ mod tests {
             Camera { intrinsics, pose: Pose::IDENTITY }
         };
         let map = |scale: [f64; 2]| PixelMap { from: [40, 30], to: [40, 30], scale, offset: [0.0; 2] };
-        // Half the width, a quarter of the height.
         let maps = [map([1.0; 2]), map([0.5, 1.0]), map([1.0, 0.25]), map([1.0; 2])];
         let mut cameras = [camera(32.0, 50.0), camera(200.0, 400.0), camera(38.0, 9.5), camera(7.0, 8.0)];
         share_focal_lengths(&mut cameras, &maps, &[4, 4, 4, 9], &[1.0, 1.1, 1.2, 0.0]);

@@ -143,7 +143,6 @@ fn pose(points: [DVec3; 3], bearings: [DVec3; 3], distances: DVec3) -> Option<Po
     if !turn.is_finite() {
         return None;
     }
-    // Only nearly a rotation.
     let x = turn.x_axis.normalize();
     let y = (turn.y_axis - x * x.dot(turn.y_axis)).normalize();
     let rotation = DMat3::from_cols(x, y, x.cross(y)).transpose();

@@ -34,7 +34,6 @@ pub struct DepthTensors {
     pub(super) images: Tensor,
     pub(super) backbone: Vec<Tensor>,
     pub(super) heads: HeadTensors,
-    /// Initial or kept patches, unless all are kept.
     pub(super) indices: Option<Tensor>,
     /// `[tokens]` u32, from k-means.
     pub(super) chosen: Option<Tensor>,

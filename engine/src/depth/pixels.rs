@@ -59,7 +59,6 @@ impl Depths {
                     round
                 }
             };
-            // Ranked last.
             for (i, _) in at.iter().enumerate().filter(|(_, at)| !view.shows(**at)) {
                 (made.opacities[i], made.scales[i]) = (0.0, [0.0; 3]);
             }

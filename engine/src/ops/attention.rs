@@ -278,7 +278,6 @@ impl Attention {
     fn tile(&self, limits: &Limits, units: Units) -> Tile {
         let (channels, heads) = (self.channels(), self.heads.count * self.sequences);
         let candidates = Tile::attention(limits, units, channels);
-        // Wider heads may not fit every measured tile.
         let tuned = Tile::attention(limits, units, Tile::TUNED_CHANNELS);
         let measured = units.tiles.of(self.queries * heads * channels).and_then(|index| tuned.get(index));
         let measured = measured.and_then(|tile| candidates.iter().position(|candidate| candidate == tile));

@@ -88,7 +88,6 @@ impl Nearest {
             return NearestRows { rows, values, scales: rows, norms: rows, count };
         };
         let halves = rec.tensor::<[u16; 2]>("halves", count * self.width.next_multiple_of(8));
-        // Read as vec4.
         let [scales, norms] = ["scales", "norms"].map(|name| rec.tensor::<f32>(name, count.next_multiple_of(4)));
         let kernel = kernels::Halves {
             source: rows,

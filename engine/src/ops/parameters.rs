@@ -252,7 +252,6 @@ impl ParameterLayout {
         let inner = row.iter().product::<usize>();
         let has_q8 = Q8::fits(inner) && self.q8.contains(&format!("{name}.weight"));
         let weights = if has_q8 { Weights::Q8 } else { Weights::Factors };
-        // Other kernels write whole vectors.
         let vectors = columns.is_multiple_of(if gated { 8 } else { 4 });
         let kernel = match arithmetic {
             Arithmetic { quantised: Some(units), .. } if vectors => LinearKernel::Matrix(units, weights),

@@ -5,7 +5,6 @@ use crate::{
     kernels::ops::{ScanApply, ScanReduce},
 };
 
-/// Minimum items per workgroup.
 const SHARE: usize = 1024;
 const MAX_BLOCKS: usize = 1024;
 

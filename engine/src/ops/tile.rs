@@ -42,7 +42,6 @@ pub(super) fn share(factor: Element, inner: usize, rows: usize, columns: usize) 
         return inner;
     }
     let parts = (BUSY / 2 / workgroups).min(2 * inner / LONG);
-    // A multiple of every kernel's depth.
     inner.div_ceil(parts).next_multiple_of(128)
 }
 
@@ -60,7 +59,6 @@ pub struct Tile {
 /// Subgroups; rows and columns of each.
 type Layout = ([u32; 2], [u32; 2]);
 
-/// Workgroups that fill a large GPU.
 const BUSY: usize = 256;
 
 /// Returns the measured candidate, else the first of `by_rule` defaults that fills the device, else

@@ -27,7 +27,6 @@ pub struct Tensors {
 pub(super) struct Inputs {
     /// `[views, 3, height, width]` f32, RGB in 0..1.
     pub images: Tensor,
-    /// See [`Backbone::inputs`](crate::stages::backbone::Backbone::inputs).
     pub backbone: Vec<Tensor>,
 }
 
@@ -35,7 +34,6 @@ pub(super) struct Inputs {
 pub(super) struct Choice {
     /// `[1]` f32 scene scale.
     pub unit: Option<Tensor>,
-    /// Initial or kept tokens, unless all are kept.
     pub indices: Option<Tensor>,
     /// `[tokens]` u32, from k-means.
     pub chosen: Option<Tensor>,

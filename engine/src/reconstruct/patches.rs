@@ -91,7 +91,6 @@ impl Patches {
         }
         let ViewGrid { rows, columns, patch, .. } = self.grid;
         let size = [columns, rows].map(|count| (count * patch) as u32);
-        // Any pixel of the patch is possible.
         Ok(find_cameras(&self.pairs(scene)?, size, focal, patch as f64))
     }
 }

@@ -40,7 +40,6 @@ impl PoseAdam {
 /// Cameras of all photos; only training cameras move.
 pub(super) struct Cameras {
     cameras: Vec<Camera>,
-    /// `None` for fixed cameras.
     adams: Vec<Option<PoseAdam>>,
     /// Rates of rotation in radians and of translation in scene units.
     rates: [f64; 2],

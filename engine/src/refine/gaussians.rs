@@ -39,7 +39,6 @@ struct Field {
 pub(super) struct Gaussians {
     arena: Arena,
     memories: Vec<Arc<Resident>>,
-    /// Optimized fields, unless tokens are optimized.
     fields: Vec<Field>,
     scene: SceneTensors,
     near: f32,
@@ -120,7 +119,6 @@ impl Gaussians {
         })
     }
 
-    /// Accumulates the gradients of photos and updates all Gaussians.
     pub fn step(&mut self, views: &[&View], rate: f32) -> Result<Vec<Found>> {
         let mut views = views.to_vec();
         views.sort_by_key(|view| view.size);
@@ -174,8 +172,6 @@ impl Gaussians {
         }
     }
 
-    /// Runs the plan of photos of one size and returns its index, or `None` if its capacity was
-    /// exceeded.
     fn run(&mut self, views: &[&View], learns: bool) -> Result<Option<usize>> {
         let [width, height] = views[0].size;
         let shape = FrameShape { cameras: views.len(), width, height };
@@ -249,11 +245,9 @@ impl Gaussians {
         Ok(())
     }
 
-    /// The Gaussians stay unchanged.
     pub fn profile(&mut self, views: &[&View]) -> Result<Profile> {
         let size = views[0].size;
         let alike: Vec<&View> = views.iter().copied().filter(|view| view.size == size).take(self.together).collect();
-        // Grows the plan until every intersection fits.
         let index = loop {
             if let Some(index) = self.run(&alike, true)? {
                 break index;
@@ -294,7 +288,6 @@ pub(super) fn scene_gradients([means, scales, quats, opacities, sh_coeffs]: [Ten
     SceneGradients { means, scales, quats, opacities, sh_coeffs }
 }
 
-/// Writes a scene, clamped to the range of the optimizer.
 fn write(memory: &Resident, values: [Tensor; 5], scene: &Scene) -> Result<()> {
     let [means, scales, quats, opacities, sh_coeffs] = values;
     let positive = |scales: &[f32; 3]| scales.map(|scale| scale.max(LEAST_SCALE));

@@ -99,7 +99,6 @@ impl Growth {
     }
 }
 
-/// Returns axes scaled by the standard deviations, as columns.
 fn axes(scene: &Scene, i: usize) -> DMat3 {
     let scales = DVec3::from(scene.scales[i].map(f64::from));
     matrix_from_quaternion(scene.quats[i].map(f64::from)) * DMat3::from_diagonal(scales)
@@ -184,7 +183,6 @@ mod tests {
         let live = |scene: &Scene| scene.opacities.iter().filter(|opacity| **opacity > DEAD).count();
         assert_eq!((grown.len(), live(&grown)), (32, 8));
         let changed = growth.apply(&mut grown, 25, 0.0);
-        // Half of the growth, which is geometric.
         assert_eq!(live(&grown), 16);
         assert!((8..16).all(|i| changed.contains(&i)) && grown.means[16..] == padded(&start, 32).means[16..]);
         for i in 8..16 {

@@ -96,7 +96,6 @@ pub fn plan_refinement(
             adam(&mut rec, tokens, d_tokens, [first, second], schedule, width);
             head.record_kept(&mut rec, tokens, &kept, &scene);
             plans.push(rec.finish()?);
-            // The original tokens stay, too.
             let mut given = ResidentLayout::new(limits);
             given.add::<f32>(width);
             kept_bytes += parameters.bytes() + given.bytes();

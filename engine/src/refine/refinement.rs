@@ -56,7 +56,6 @@ struct Kept {
 }
 
 impl<'a> Refinement<'a> {
-    /// `request` has the number of held-out photos.
     pub fn new(
         mut gaussians: Gaussians,
         (scene, unit): (Scene, f64),
@@ -182,7 +181,6 @@ impl<'a> Refinement<'a> {
         Ok(None)
     }
 
-    /// Mean PSNR of at most [`MEASURED`] training photos at full size through these cameras.
     fn training_psnr(&mut self, cameras: &[Camera]) -> Result<f64> {
         let step = self.learnt.len().div_ceil(MEASURED);
         let (measured, others): (Vec<usize>, Vec<usize>) = (0..self.learnt.len()).partition(|i| i % step == 0);
@@ -271,8 +269,8 @@ impl<'a> Refinement<'a> {
         }
     }
 
-    /// Whether the mean loss is far above its minimum at the current size. A loss belongs to the
-    /// Gaussians before its step: it validates the marked checkpoint, not the current state.
+    /// A loss belongs to the Gaussians before its step: it validates the marked checkpoint, not the
+    /// current state.
     fn grown(&mut self) -> Option<String> {
         let round = self.learnt.len().div_ceil(self.request.views_per_step);
         let last = self.losses.len().checked_sub(round).filter(|first| *first >= self.began)?;

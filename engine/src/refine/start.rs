@@ -77,7 +77,6 @@ mod tests {
 
     #[test]
     fn gaussians_are_as_large_as_their_neighbours_are_far() {
-        // A row of points at distance 1, one of them duplicated.
         let positions: Vec<[f32; 3]> = [0.0, 1.0, 2.0, 3.0, 3.0].map(|x| [x, 0.0, 0.0]).to_vec();
         let cloud = PointCloud { positions, colors: vec![[255, 0, 128]; 5] };
         let scene = scene_of_points(&cloud, &[]).expect("a scene");

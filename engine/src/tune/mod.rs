@@ -57,7 +57,6 @@ enum Candidate {
 
 /// Channels of all heads, or targets, in timed runs.
 const COLUMNS: usize = 1024;
-/// Terms, or keys, in timed runs.
 const TERMS: usize = 1024;
 
 impl Candidate {

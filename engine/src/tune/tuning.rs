@@ -96,7 +96,6 @@ impl Tuning {
             match outcome {
                 Err(Error::DeviceLost) => return Err(Error::DeviceLost),
                 Ok(Some(times)) => times.into_iter().for_each(|(values, ms)| self.add(tile, values, ms)),
-                // Wrong or rejected.
                 _ => {}
             }
         }

@@ -133,7 +133,6 @@ impl Checkpoint {
         Self::from_file(path, Bytes::open(path)?, architecture)
     }
 
-    /// `path` is for messages only.
     fn from_file(
         path: &Path,
         file: Bytes,
@@ -274,7 +273,6 @@ impl ParameterSource for Checkpoint {
     }
 }
 
-/// Matches tensors to `parameters` exactly.
 pub(super) fn matching(
     path: &Path,
     network: &str,

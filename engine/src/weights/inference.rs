@@ -186,7 +186,6 @@ impl Shapes<'_> {
         let degrees: Vec<usize> = (0..=3).filter(|d| degree.is_none_or(|known| known == *d)).filter(fits).collect();
         match degrees[..] {
             [degree] => Ok((values / width(degree), degree)),
-            // Reported with misshapen tensors.
             [] => Ok((gaussians.unwrap_or(32), degree.unwrap_or(1))),
             _ => {
                 let found = format!("none, and {values} values a token are Gaussians of degrees {degrees:?}");

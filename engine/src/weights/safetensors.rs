@@ -218,7 +218,6 @@ mod tests {
                 assert!(header.len() > least && header.len().is_multiple_of(PREFIX), "{variant}: {}", header.len());
                 let parsed: Metadata = serde_json::from_str(&header).expect("the format's own parser takes it");
                 let values = checkpoint.architecture().parameter_count();
-                // Some tensors keep wider types.
                 let expected = values as f64 * bytes;
                 let most = if dtype == Dtype::Q8 { 1.05 * expected } else { expected };
                 assert!((expected..=most).contains(&(parsed.data_len() as f64)), "{variant}: {}", parsed.data_len());

@@ -15,7 +15,6 @@ pub(super) enum Source {
 }
 
 impl Source {
-    /// `provenance` is for messages.
     pub fn read(
         &self,
         provenance: &str,

@@ -125,7 +125,6 @@ impl Stored {
         Self::new(dtype, shape, strides, offset, end)
     }
 
-    /// Adds scales `[rows, width / Q8_GROUP]` f16.
     pub fn with_scales(self, scales: &Self) -> Result<Self, String> {
         let expected = match self.shape[..] {
             [rows, width] if Q8::fits(width) => [rows, width / Q8::GROUP],

@@ -149,7 +149,6 @@ impl Scalar {
         }
     }
 
-    /// Signed values are clamped to -1.
     fn one(self) -> f32 {
         match self {
             Self::I8 => f32::from(i8::MAX),

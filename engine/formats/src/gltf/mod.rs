@@ -69,7 +69,6 @@ fn read_unchecked(mut source: Source<'_>) -> Result<Scene> {
     let shown = document.visit(|primitive, to_world| {
         let part = place(read_primitive(&document, &buffers, primitive)?, to_world)?;
         count += part.len();
-        // Shared meshes let a small file request any number.
         if count > buffers.len() {
             let bytes = buffers.len();
             return Err(format!("nodes show {count} Gaussians from {bytes} bytes, expected fewer than bytes").into());

@@ -12,7 +12,6 @@ use rayon::prelude::*;
 use super::super::Scene;
 use super::table::{Column, Parsed, Ply, Scalar, Table};
 
-/// Gaussians per range.
 const CHUNK: usize = 256;
 /// Width of the coefficients' range, centered on 0.
 const SH_RANGE: f32 = 8.0;
@@ -85,7 +84,6 @@ fn rest_columns(ply: &Ply<'_>, sh: Option<&Table>, count: usize) -> Parsed<(Vec<
     Ok((columns, sh_degree))
 }
 
-/// Value range of a chunk: positions, log scales, display colors.
 struct Range {
     means: [[f32; 3]; 2],
     scales: [[f32; 3]; 2],

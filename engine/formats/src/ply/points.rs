@@ -35,7 +35,6 @@ fn cloud(source: Source<'_>) -> Parsed<PointCloud> {
         positions.extend(rows.chunks_exact(table.row_bytes).map(|row| super::read(&at, row)));
         if let Some(color) = &color {
             let rows = rows.chunks_exact(table.row_bytes);
-            // Casting saturates.
             colors.extend(rows.map(|row| super::read(color, row).map(|value| value as u8)));
         }
         Ok(())

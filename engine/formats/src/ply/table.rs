@@ -26,7 +26,6 @@ impl Fault {
 
 pub(super) type Parsed<T> = Result<T, Fault>;
 
-/// Elements are read in file order.
 pub(super) struct Ply<'a> {
     ascii: bool,
     elements: Vec<Element>,

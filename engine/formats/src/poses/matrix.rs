@@ -51,7 +51,6 @@ fn parse_camera(element: &Value, lens: &Intrinsics, label: &str) -> Result<Camer
     }
     let pose = match (element.get("matrix"), element.get("viewmat")) {
         (Some(matrix), None) => pose(matrix)?,
-        // The inverse requires a valid rotation.
         (None, Some(viewmat)) => checked(Camera { intrinsics: *lens, pose: pose(viewmat)? }, label)?.pose.inverse(),
         _ => return Err(format!("{label}: expected a matrix, or an object with either matrix or viewmat")),
     };

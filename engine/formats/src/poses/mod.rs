@@ -125,7 +125,6 @@ impl Poses {
         };
         let mut found = named(photo.file_name());
         if found.is_empty() {
-            // Frames may be named without extension.
             found = named(photo.file_stem());
         }
         let common = |frame: &Frame| common_folders(photo, Path::new(&frame.name));
@@ -215,7 +214,6 @@ pub fn read_cloud(path: impl AsRef<Path>) -> Result<PointCloud> {
     if is_colmap { colmap::read_points(path) } else { super::read_points(path) }
 }
 
-/// Validates a camera and orthonormalizes its rotation; errors name `label`.
 fn checked(mut camera: Camera, label: &str) -> Result<Camera, String> {
     camera.validate(label).map_err(|error| error.to_string())?;
     camera.pose.rotation = matrix_from_quaternion(quaternion_from_matrix(&camera.pose.rotation));

@@ -124,7 +124,6 @@ fn of_axes(cameras: &[Pose], first: &Pose) -> Option<f64> {
     let (mut sum, mut moment) = (DMat3::ZERO, DVec3::ZERO);
     for pose in cameras {
         let axis = pose.rotation.z_axis;
-        // Projects onto the plane perpendicular to the axis.
         let across = DMat3::IDENTITY - DMat3::from_cols(axis * axis.x, axis * axis.y, axis * axis.z);
         sum += across;
         moment += across * pose.translation;
@@ -183,7 +182,6 @@ mod tests {
         let orbit = Orbit { center: DVec3::new(30.0, -10.0, 200.0), radius: 40.0 };
         let (length, source) = found(orbit.sweep(7, 13.0, 200.0, -25.0));
         assert!((length - 40.0).abs() < 1e-9 && source == Source::Axes, "{length} {source:?}");
-        // The first camera's own distance, within twice the median.
         let mut cameras = orbit.sweep(7, 13.0, 200.0, -25.0);
         cameras[0].translation = orbit.center - 20.5 * cameras[0].rotation.z_axis;
         assert!((found(cameras.clone()).0 - 20.5).abs() < 1e-9);

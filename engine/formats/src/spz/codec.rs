@@ -93,7 +93,6 @@ impl Layout {
         let [positions, alphas, colors, scales] = [9, 1, 3, 3].map(&mut section);
         let (rotations, sh) = (section(self.rotation_bytes()), section(3 * self.rest()));
         let one = (1u32 << self.fractional_bits) as f32;
-        // The arithmetic shift extends the sign of the third byte.
         let fixed = |b: &[u8; 3]| (i32::from_le_bytes([0, b[0], b[1], b[2]]) >> 8) as f32 / one;
         let triples = |bytes| <[u8]>::as_chunks::<3>(bytes).0;
         let quats = if self.version == 2 {
@@ -134,7 +133,6 @@ fn byte(value: f32) -> u8 {
 /// Quantizes coefficient `k` to its bucket's center; 128 represents 0, 128 levels represent 1.
 fn sh_level(value: f32, k: usize) -> u8 {
     let bucket = if k < 4 { SH_BUCKETS[0] } else { SH_BUCKETS[1] };
-    // Prevents overflow far out of range.
     let level = (128.0 * value).round().clamp(-256.0, 256.0) as i32 + 128;
     (level + bucket / 2).div_euclid(bucket).saturating_mul(bucket).clamp(0, 255) as u8
 }

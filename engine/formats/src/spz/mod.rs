@@ -33,7 +33,6 @@ const MAGIC: u32 = 0x5053_474e;
 const HEADER: usize = 16;
 /// Flag for records after the attributes. They do not affect these and are skipped.
 const HAS_EXTENSIONS: u8 = 2;
-/// Maximum bytes of skipped records.
 const MAX_EXTENSIONS: u64 = 1 << 20;
 /// Limit on bytes inflated per file byte, beyond real compression, against hostile files.
 const MAX_INFLATION: u64 = 64;
@@ -58,7 +57,6 @@ fn read_line(path: &Path) -> Result<Option<String>> {
     Ok(decoder.header().and_then(|header| header.comment()).map(|bytes| String::from_utf8_lossy(bytes).into_owned()))
 }
 
-/// Stores the world in the gzip comment; version 4 cannot store it.
 fn encoder<'a>(scene: &'a Scene, options: &WriteOptions, world: Option<&World>) -> Result<Encoder<'a>> {
     let (version, comment) = (options.spz_version, World::line(world));
     if !matches!(version, 2..=4) {

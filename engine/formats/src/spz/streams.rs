@@ -96,7 +96,6 @@ struct Stream {
     plain: usize,
 }
 
-/// Their bytes must end with the file.
 fn streams(bytes: &[u8], table: usize, sections: &[usize]) -> Parsed<Vec<Stream>> {
     let expected: Vec<usize> = sections.iter().copied().filter(|bytes| *bytes > 0).collect();
     let listed = usize::from(bytes[15]);

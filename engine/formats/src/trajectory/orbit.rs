@@ -4,7 +4,6 @@ use super::super::{Pose, Scene};
 use super::{looking, path};
 use crate::{Error, Result};
 
-/// Fraction of the Gaussians within the orbit's radius, before its margin.
 const RADIUS_QUANTILE: f64 = 0.9;
 const RADIUS_MARGIN: f64 = 1.2;
 const UP: DVec3 = DVec3::NEG_Y;

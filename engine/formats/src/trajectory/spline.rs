@@ -18,7 +18,6 @@ const LOOKING: f64 = 0.9;
 pub struct Spline {
     keys: Vec<Key>,
     intervals: Vec<f64>,
-    /// Point of each camera's axis nearest to the common target, if any.
     targets: Option<Vec<DVec3>>,
 }
 
@@ -136,7 +135,6 @@ fn intervals(cameras: &[Camera], closed: bool) -> Vec<f64> {
     roots.into_iter().map(|root| if least > 0.0 { root.max(least) } else { 1.0 }).collect()
 }
 
-/// Open ends are extrapolated.
 fn tangents(keys: &[Key], intervals: &[f64], i: usize) -> (DVec3, DQuat) {
     let closed = intervals.len() == keys.len();
     let before = i.checked_sub(1).or(closed.then_some(keys.len() - 1));

@@ -100,7 +100,6 @@ impl Convolution {
         }
     }
 
-    /// Zero-padded, optionally after ReLU.
     fn bordered(&self, rec: &mut Recorder, source: FeatureMap, rectified: bool) -> FeatureMap {
         let (padding, channels) = (self.padding(), source.channels());
         if padding == 0 && !rectified {
@@ -139,7 +138,6 @@ impl Convolution {
     fn uniform(&self, rec: &mut Recorder, source: FeatureMap, out: FeatureMap, how: How) {
         let (Self { layer, side, step }, [tile_rows, vectors]) = (self, UNIFORM_TILE);
         let tile_columns = vectors * rec.limits().subgroup_size;
-        // Input lines per output line, plus overlap.
         let seen = step + side;
         let each = [out.line_bytes(), seen * source.line_bytes(), out.width * NARROWEST];
         for lines in row_chunks(rec, out.height, &each) {

@@ -44,7 +44,6 @@ impl Fusion {
         Self { steps: [0, 1, 2, 3].map(step), suffix }
     }
 
-    /// Returns a map of twice the shallowest size.
     pub fn record(&self, rec: &mut Recorder, tap: &str, levels: &[FeatureMap; 4]) -> FeatureMap {
         let mut below: Option<FeatureMap> = None;
         for (j, step) in self.steps.iter().enumerate().rev() {

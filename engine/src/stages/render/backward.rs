@@ -26,11 +26,8 @@ pub struct Gradients {
 
 /// Gradients per camera.
 pub const CAMERA_NUMBERS: usize = 10;
-/// Gradients per Gaussian-camera pair.
 const PAIR_NUMBERS: usize = 10;
-/// Alignment of parts, as in [`project`].
 const PART: usize = 64;
-/// Alignment of bands, as in [`rasterise`].
 const BAND: usize = 64;
 const FLOPS: u64 = 60;
 
@@ -154,7 +151,6 @@ impl Backward<'_> {
             let len = part.min(scene.len - first);
             let of = |tensor: Tensor, words: usize| tensor.slice::<u32>(words * first, words * len);
             let pair = |tensor: Tensor, words: usize| of(tensor, words * shape.cameras);
-            // Placeholders, if unused.
             let d = gradients.scene.map(|d| [(d.means, 3), (d.scales, 3), (d.quats, 4), (d.opacities, 1)]);
             let [d_means, d_scales, d_quats, d_opacities] =
                 d.map_or([d_pairs; 4], |d| d.map(|(tensor, words)| of(tensor, words)));

@@ -31,7 +31,6 @@ impl Renderer {
         let _claim = self.claim();
         let rows: Vec<CameraRows> = cameras.iter().map(camera_rows).collect();
         let result = self.fly(&self.groups(cameras), &rows, request, &mut done);
-        // Even after an error.
         self.settle().and(result)
     }
 

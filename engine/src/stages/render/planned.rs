@@ -65,7 +65,6 @@ impl Planned {
         Ok(Self { key, scene: *scene.tensors(), capacity, run, cameras, outputs })
     }
 
-    /// Required capacity, at most 2^32.
     pub fn needed(&self) -> Result<usize> {
         let status: Vec<u32> = self.run.read(self.outputs.status)?;
         Ok(RenderOutputs::needed(&status).unwrap_or(1 << 32))

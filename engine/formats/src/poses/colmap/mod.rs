@@ -251,7 +251,6 @@ impl<'a> Values<'a> {
         self.take(field).map(f64::from_le_bytes)
     }
 
-    /// Reads up to a zero byte.
     fn name(&mut self) -> Parsed<String> {
         let rest = &self.bytes[self.at..];
         let end = rest.iter().position(|&byte| byte == 0).ok_or_else(|| self.fault("truncated: a name expected"))?;

@@ -82,7 +82,6 @@ impl Transformer {
         Inputs { positions, rotary: (!rotary.is_empty()).then_some(rotary), poses: poses.first().copied() }
     }
 
-    /// Global blocks pool `pool` x `pool` keys.
     pub fn record(
         &self,
         rec: &mut Recorder,
