@@ -26,7 +26,7 @@
  * Threads. Threads can share all objects; calls on one zs_renderer wait for each other. Callbacks
  * run on the calling thread; no longjmp and no C++ exception may leave them. A thread pool prepares
  * photos, weights and files. It has RAYON_NUM_THREADS threads, by default one per core, and lives
- * as long as the process. Pool threads never run your callbacks and never touch your queue.
+ * as long as the process.
  *
  * Cache. The library caches kernel self-test results and the tile sizes of `zipsplat tune` on disk.
  * The folder is ZIPSPLAT_CACHE, else `zipsplat` in XDG_CACHE_HOME or LOCALAPPDATA, else
@@ -94,12 +94,11 @@ const char *zs_version(void);
 /*  Status codes and error messages.  */
 /**************************************/
 
-// Result of a call. Values never change meaning. Later versions may add some: treat unknown ones
-// as failures.
+// Result of a call. Later versions may add values: treat unknown ones as failures.
 ZS_ENUM(zs_status) {
     // Success.
     ZS_OK = 0,
-    // An argument is invalid. The message names it, the value found and the value expected.
+    // An argument is invalid.
     ZS_ERROR_ARGUMENT = 1,
     // A file could not be opened, read or written.
     ZS_ERROR_IO = 2,
@@ -107,9 +106,9 @@ ZS_ENUM(zs_status) {
     ZS_ERROR_FORMAT = 3,
     // A checkpoint's tensors do not match its network.
     ZS_ERROR_WEIGHTS = 4,
-    // No Vulkan loader, driver or suitable device. The message lists missing requirements.
+    // No Vulkan loader, driver or suitable device.
     ZS_ERROR_NO_DEVICE = 5,
-    // Too little device or host memory. Nothing was submitted; the message has the sizes.
+    // Too little device or host memory. Nothing was submitted.
     ZS_ERROR_OUT_OF_MEMORY = 6,
     // The driver or the validation layer reported an error.
     ZS_ERROR_DRIVER = 7,
@@ -127,9 +126,8 @@ ZS_ENUM(zs_status) {
 // Returns the name of a status, "unknown status" for an unknown number.
 const char *zs_status_name(int32_t status);
 
-// Returns the message of the calling thread's last failure, as UTF-8; "" if there is none. The
-// pointer stays valid until the thread ends; the next failure overwrites the message. Messages are
-// truncated at 16 KiB.
+// Returns the message of the calling thread's last failure, or "". The pointer stays valid until
+// the thread ends; the next failure overwrites the text, of at most 16 KiB.
 const char *zs_last_error(void);
 
 /***************************/
@@ -239,8 +237,8 @@ typedef struct zs_image {
     const void *pixels;
 } zs_image;
 
-// A pinhole camera with OpenCV axes: x right, y down, z forward. Pixel centers are at +0.5: the
-// principal point of a centered lens is (width / 2, height / 2).
+// A pinhole camera with OpenCV axes: x right, y down, z forward. Intrinsics are in pixels, whose
+// centers are at +0.5.
 typedef struct zs_camera {
     // sizeof(zs_camera).
     uint32_t struct_size;
@@ -250,13 +248,13 @@ typedef struct zs_camera {
     uint32_t width;
     // Height.
     uint32_t height;
-    // Horizontal focal length in pixels.
+    // Focal length along x.
     double fx;
-    // Vertical focal length in pixels.
+    // Focal length along y.
     double fy;
-    // Horizontal principal point in pixels from the left edge.
+    // Principal point from the left edge.
     double cx;
-    // Vertical principal point in pixels from the top edge.
+    // Principal point from the top edge.
     double cy;
     // Camera-to-world rotation, row-major: columns are the right, down and forward axes.
     double rotation[9];
@@ -296,12 +294,12 @@ zs_status zs_image_save_png(const struct zs_image *image, const char *path);
 typedef struct zs_capture zs_capture;
 
 // Opens a capture: a transforms.json (instant-ngp or nerfstudio), a COLMAP model folder (text or
-// binary), or a folder that contains either. Axes become OpenCV's; world and scale stay the
-// file's. Photos are read only for sizes that the file lacks.
+// binary), or a folder that contains either. World and scale stay the file's. Photos are read only
+// for sizes that the file lacks.
 zs_status zs_capture_open(const char *path, struct zs_capture **capture);
 
-// Returns the number of photos and the notes about ignored data, one per line. `notes` points into
-// the capture and may be NULL.
+// Returns the number of photos and, unless NULL, notes about ignored data, one per line, in the
+// capture's memory.
 zs_status zs_capture_get_count(const struct zs_capture *capture, size_t *count, const char **notes);
 
 // Returns the undistorted pinhole camera, the name and the path of photo `index`. `name` is as
@@ -347,7 +345,7 @@ typedef struct zs_gaussians {
     uint64_t count;
     // N x 3 centers.
     const float *means;
-    // N x 3 linear standard deviations along the Gaussian's axes, not negative.
+    // N x 3 linear standard deviations, not negative.
     const float *scales;
     // N x 4 quaternions w, x, y, z of any length but zero.
     const float *quats;
@@ -451,9 +449,9 @@ ZS_ENUM(zs_precision) {
 // A network with its weights on a device.
 typedef struct zs_model zs_model;
 
-// Progress callback on the calling thread. `fraction` is from 0 to 1; `stage`, for a log, is valid
-// during the callback. Return 0 to continue; any other value cancels with ZS_ERROR_CANCELLED. It
-// may call zs_ functions, but not on the call's own objects.
+// Progress callback. `fraction` is from 0 to 1; `stage`, for a log, is valid during the callback.
+// Return 0 to continue; any other value cancels with ZS_ERROR_CANCELLED. It may call zs_
+// functions, but not on the call's own objects.
 typedef int32_t (*zs_progress)(void *user_data, double fraction, const char *stage);
 
 // Options of zs_model_open.
@@ -486,15 +484,15 @@ typedef struct zs_model_info {
     uint32_t patch;
     // Gaussians per token. At ratio 1 a photo has width / patch * height / patch tokens.
     uint32_t gaussians_per_token;
-    // Degree of spherical harmonics of its scenes.
+    // SH degree of its scenes.
     uint32_t sh_degree;
     // Number formats in use, never ZS_PRECISION_BEST.
     zs_precision precision;
     // Weights on the device.
     uint64_t weight_bytes;
-    // Warnings, one per line: unusable GPUs, kernels that failed their self-test, assumptions
-    // about the weights. Failed kernels can reduce ZS_PRECISION_BEST to ZS_PRECISION_EXACT. "" if
-    // there are none. Points into the model.
+    // Warnings, one per line, in the model's memory: unusable GPUs, kernels that failed their
+    // self-test, assumptions about the weights. Failed kernels can reduce ZS_PRECISION_BEST to
+    // ZS_PRECISION_EXACT.
     const char *notes;
 } zs_model_info;
 
@@ -572,15 +570,13 @@ typedef struct zs_reconstruct_options {
     uint32_t camera_count;
     // Seed for ZS_SELECT_RANDOM.
     uint64_t seed;
-    // Known cameras of the whole photos. The first one becomes the world unless `world` overrides
-    // it. Their scale is kept.
+    // Known cameras of the whole photos.
     const struct zs_camera *cameras;
     // Progress callback.
     zs_progress progress;
     // Argument of `progress`.
     void *user_data;
-    // Capture of `cameras`, for ZS_UNIT_AUTO: its points and all its cameras give the scale. NULL
-    // uses `cameras` alone.
+    // Capture whose points and cameras give the scale for ZS_UNIT_AUTO; NULL uses `cameras` alone.
     const struct zs_capture *capture;
     // Pooling for many photos: cross-view attention reads means of `pool` x `pool` patches, 1 to
     // 4. Larger values are faster and less exact. Default 1.
@@ -659,8 +655,7 @@ typedef struct zs_depth_view {
 } zs_depth_view;
 
 // Loads a Depth Anything 3 network: a released model.safetensors at `path`, or random weights for
-// "seeded:NAME", such as "seeded:da3-small". `options` may be NULL; its `variant` must be NULL and
-// `tokens` 0.
+// "seeded:NAME", such as "seeded:da3-small". The options' `variant` must be NULL and `tokens` 0.
 zs_status zs_depth_model_open(const struct zs_context *context,
                               const char *path,
                               const struct zs_model_options *options,
@@ -737,9 +732,8 @@ typedef struct zs_refining {
     double seconds_left;
 } zs_refining;
 
-// Callback after each step, on the calling thread. `now` is valid during the callback. Return 0 to
-// continue; any other value ends the refinement early and keeps the best scene. It may call zs_
-// functions.
+// Callback after each step. `now` is valid during the callback. Return 0 to continue; any other
+// value ends the refinement early and keeps the best scene. It may call zs_ functions.
 typedef int32_t (*zs_refine_progress)(void *user_data, const struct zs_refining *now);
 
 // Options of zs_refine.
@@ -800,8 +794,8 @@ typedef struct zs_refine_info {
 zs_status zs_refine_options_default(struct zs_refine_options *options, size_t size);
 
 // Optimizes a copy of a scene to match `count` photos. `cameras` are of the whole photos, in the
-// scene's world. An early stop or a diverging loss still returns the best scene. `options` and
-// `info` may be NULL.
+// scene's world. An early stop or a diverging loss still returns the best scene. `info` may be
+// NULL.
 zs_status zs_refine(const struct zs_context *context,
                     const struct zs_scene *scene,
                     const struct zs_image *images,
@@ -853,7 +847,7 @@ typedef struct zs_picture {
     uint32_t reserved;
     // As zs_image.stride; padding between rows stays unchanged.
     int64_t stride;
-    // First pixel of the top row, in the options' format, of any alignment.
+    // As zs_image.pixels, in the options' format.
     void *pixels;
     // height x width: alpha from 0 to 1.
     float *alpha;
@@ -912,8 +906,7 @@ typedef struct zs_gradients {
 //
 // `weights` points to weights of color, alpha and depth, read only; NULL is 0. The format must be
 // ZS_PIXEL_RGB_F32. Zero-valued coefficients also get gradients. `scene` need not be the
-// renderer's: the renderer keeps a second scene and a cache of four recorded sizes and kinds on
-// the device. `gradients` is written only on success.
+// renderer's, which keeps a second scene on the device. `gradients` is written only on success.
 zs_status zs_render_backward(const struct zs_renderer *renderer,
                              const struct zs_scene *scene,
                              const struct zs_camera *cameras,
@@ -955,7 +948,7 @@ typedef void (*zs_vulkan_function)(void);
 // Locks or unlocks a queue. Must return and must not call this library.
 typedef void (*zs_queue_lock)(void *user_data);
 
-// Borrowed Vulkan handles. The library uses and never destroys them.
+// Borrowed Vulkan handles, never destroyed.
 typedef struct zs_vulkan_device {
     // sizeof(zs_vulkan_device).
     uint32_t struct_size;
@@ -1039,7 +1032,7 @@ zs_status zs_vulkan_requirements(const struct zs_vulkan_requirement **list, size
 zs_status zs_vulkan_device_default(struct zs_vulkan_device *device, size_t size);
 
 // Creates a context on the caller's device. All required features must be enabled; this cannot be
-// checked. Destroy the context and all its models and renderers before the device.
+// checked.
 zs_status zs_context_adopt(const struct zs_vulkan_device *device, struct zs_context **context);
 
 // Sets defaults.

@@ -133,8 +133,7 @@ unsafe impl Versioned for zs_depth_view {
 unsafe impl Sync for zs_depth_view {}
 
 /// Loads a Depth Anything 3 network: a released model.safetensors at `path`, or random weights for
-/// "seeded:NAME", such as "seeded:da3-small". `options` may be NULL; its `variant` must be NULL and
-/// `tokens` 0.
+/// "seeded:NAME", such as "seeded:da3-small". The options' `variant` must be NULL and `tokens` 0.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_depth_model_open(
     context: *const zs_context,

@@ -58,8 +58,7 @@ unsafe impl Versioned for zs_gradients {
 ///
 /// `weights` points to weights of color, alpha and depth, read only; NULL is 0. The format must be
 /// ZS_PIXEL_RGB_F32. Zero-valued coefficients also get gradients. `scene` need not be the
-/// renderer's: the renderer keeps a second scene and a cache of four recorded sizes and kinds on
-/// the device. `gradients` is written only on success.
+/// renderer's, which keeps a second scene on the device. `gradients` is written only on success.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_render_backward(
     renderer: *const zs_renderer,

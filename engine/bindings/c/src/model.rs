@@ -27,9 +27,9 @@ pub struct zs_model {
     notes: CString,
 }
 
-/// Progress callback on the calling thread. `fraction` is from 0 to 1; `stage`, for a log, is valid
-/// during the callback. Return 0 to continue; any other value cancels with ZS_ERROR_CANCELLED. It
-/// may call zs_ functions, but not on the call's own objects.
+/// Progress callback. `fraction` is from 0 to 1; `stage`, for a log, is valid during the callback.
+/// Return 0 to continue; any other value cancels with ZS_ERROR_CANCELLED. It may call zs_
+/// functions, but not on the call's own objects.
 pub type zs_progress = Option<unsafe extern "C" fn(user_data: *mut c_void, fraction: f64, stage: *const c_char) -> i32>;
 
 /// Options of zs_model_open.
@@ -66,15 +66,15 @@ pub struct zs_model_info {
     pub patch: u32,
     /// Gaussians per token. At ratio 1 a photo has width / patch * height / patch tokens.
     pub gaussians_per_token: u32,
-    /// Degree of spherical harmonics of its scenes.
+    /// SH degree of its scenes.
     pub sh_degree: u32,
     /// Number formats in use, never ZS_PRECISION_BEST.
     pub precision: zs_precision_value,
     /// Weights on the device.
     pub weight_bytes: u64,
-    /// Warnings, one per line: unusable GPUs, kernels that failed their self-test, assumptions
-    /// about the weights. Failed kernels can reduce ZS_PRECISION_BEST to ZS_PRECISION_EXACT. "" if
-    /// there are none. Points into the model.
+    /// Warnings, one per line, in the model's memory: unusable GPUs, kernels that failed their
+    /// self-test, assumptions about the weights. Failed kernels can reduce ZS_PRECISION_BEST to
+    /// ZS_PRECISION_EXACT.
     pub notes: *const c_char,
 }
 

@@ -71,8 +71,8 @@ pub struct zs_image {
 // SAFETY: the caller does not write the pixels during a call.
 unsafe impl Sync for zs_image {}
 
-/// A pinhole camera with OpenCV axes: x right, y down, z forward. Pixel centers are at +0.5: the
-/// principal point of a centered lens is (width / 2, height / 2).
+/// A pinhole camera with OpenCV axes: x right, y down, z forward. Intrinsics are in pixels, whose
+/// centers are at +0.5.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_camera {
@@ -84,13 +84,13 @@ pub struct zs_camera {
     pub width: u32,
     /// Height.
     pub height: u32,
-    /// Horizontal focal length in pixels.
+    /// Focal length along x.
     pub fx: f64,
-    /// Vertical focal length in pixels.
+    /// Focal length along y.
     pub fy: f64,
-    /// Horizontal principal point in pixels from the left edge.
+    /// Principal point from the left edge.
     pub cx: f64,
-    /// Vertical principal point in pixels from the top edge.
+    /// Principal point from the top edge.
     pub cy: f64,
     /// Camera-to-world rotation, row-major: columns are the right, down and forward axes.
     pub rotation: [f64; 9],

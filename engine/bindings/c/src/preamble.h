@@ -26,7 +26,7 @@
  * Threads. Threads can share all objects; calls on one zs_renderer wait for each other. Callbacks
  * run on the calling thread; no longjmp and no C++ exception may leave them. A thread pool prepares
  * photos, weights and files. It has RAYON_NUM_THREADS threads, by default one per core, and lives
- * as long as the process. Pool threads never run your callbacks and never touch your queue.
+ * as long as the process.
  *
  * Cache. The library caches kernel self-test results and the tile sizes of `zipsplat tune` on disk.
  * The folder is ZIPSPLAT_CACHE, else `zipsplat` in XDG_CACHE_HOME or LOCALAPPDATA, else

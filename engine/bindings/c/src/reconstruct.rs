@@ -80,15 +80,13 @@ pub struct zs_reconstruct_options {
     pub camera_count: u32,
     /// Seed for ZS_SELECT_RANDOM.
     pub seed: u64,
-    /// Known cameras of the whole photos. The first one becomes the world unless `world` overrides
-    /// it. Their scale is kept.
+    /// Known cameras of the whole photos.
     pub cameras: *const zs_camera,
     /// Progress callback.
     pub progress: zs_progress,
     /// Argument of `progress`.
     pub user_data: *mut c_void,
-    /// Capture of `cameras`, for ZS_UNIT_AUTO: its points and all its cameras give the scale. NULL
-    /// uses `cameras` alone.
+    /// Capture whose points and cameras give the scale for ZS_UNIT_AUTO; NULL uses `cameras` alone.
     pub capture: *const zs_capture,
     /// Pooling for many photos: cross-view attention reads means of `pool` x `pool` patches, 1 to
     /// 4. Larger values are faster and less exact. Default 1.

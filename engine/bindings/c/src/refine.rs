@@ -66,9 +66,8 @@ pub struct zs_refining {
     pub seconds_left: f64,
 }
 
-/// Callback after each step, on the calling thread. `now` is valid during the callback. Return 0 to
-/// continue; any other value ends the refinement early and keeps the best scene. It may call zs_
-/// functions.
+/// Callback after each step. `now` is valid during the callback. Return 0 to continue; any other
+/// value ends the refinement early and keeps the best scene. It may call zs_ functions.
 pub type zs_refine_progress = Option<unsafe extern "C" fn(user_data: *mut c_void, now: *const zs_refining) -> i32>;
 
 /// Options of zs_refine.
@@ -182,8 +181,8 @@ pub unsafe extern "C" fn zs_refine_options_default(options: *mut zs_refine_optio
 }
 
 /// Optimizes a copy of a scene to match `count` photos. `cameras` are of the whole photos, in the
-/// scene's world. An early stop or a diverging loss still returns the best scene. `options` and
-/// `info` may be NULL.
+/// scene's world. An early stop or a diverging loss still returns the best scene. `info` may be
+/// NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_refine(
     context: *const zs_context,

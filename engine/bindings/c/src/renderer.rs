@@ -98,7 +98,7 @@ pub struct zs_picture {
     pub reserved: u32,
     /// As zs_image.stride; padding between rows stays unchanged.
     pub stride: i64,
-    /// First pixel of the top row, in the options' format, of any alignment.
+    /// As zs_image.pixels, in the options' format.
     pub pixels: *mut c_void,
     /// height x width: alpha from 0 to 1.
     pub alpha: *mut f32,

@@ -94,7 +94,7 @@ pub struct zs_gaussians {
     pub count: u64,
     /// N x 3 centers.
     pub means: *const f32,
-    /// N x 3 linear standard deviations along the Gaussian's axes, not negative.
+    /// N x 3 linear standard deviations, not negative.
     pub scales: *const f32,
     /// N x 4 quaternions w, x, y, z of any length but zero.
     pub quats: *const f32,
