@@ -116,7 +116,6 @@ impl Model {
     }
 
     /// Reconstructs a scene from images of one size, divisible by the patch, reusing the last plan.
-    /// Concurrent calls use separate arenas.
     pub fn reconstruct(
         &self,
         images: &[Image],

@@ -15,6 +15,10 @@ const A: f64 = -0.75;
 const BITS: i32 = 11;
 
 /// Resizes photos as [`bounded`]. If sizes differ, crops all to the common center.
+///
+/// # Errors
+///
+/// [`Error::Argument`] if the bound is less than a patch or a photo's fields disagree.
 pub fn bounded_views(photos: &[Image], bound: u32) -> Result<Vec<View>> {
     let scaled = photos.par_iter().map(|photo| bounded(photo, bound)).collect::<Result<Vec<_>>>()?;
     let least = |side: fn(&Image) -> u32| scaled.iter().map(side).min().unwrap_or_default();

@@ -128,6 +128,10 @@ impl Camera {
     }
 
     /// Checks for finite values, a non-empty picture, positive focal lengths and a valid rotation.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Argument`] with the field and `name`, such as `camera 3`.
     pub fn validate(&self, name: &str) -> Result<()> {
         let Self { intrinsics: i, pose } = self;
         let fail = |field: &str, found: String, expected: &str| {
@@ -160,6 +164,10 @@ impl Camera {
 /// Returns the camera encoder's input per view: `[t (3), quaternion xyzw (4), vfov, hfov]` of the
 /// world-to-camera pose, in radians. Poses must be relative to the first view, at the model's
 /// scale.
+///
+/// # Errors
+///
+/// [`Error::Argument`] with the index of the first invalid camera.
 pub fn prior_encoding(cameras: &[Camera]) -> Result<Vec<[f32; 9]>> {
     let encode = |(i, camera): (usize, &Camera)| {
         camera.validate(&format!("camera {i}"))?;
@@ -174,6 +182,10 @@ pub fn prior_encoding(cameras: &[Camera]) -> Result<Vec<[f32; 9]>> {
 /// Returns the input of Depth Anything 3's camera encoder per view: `[center (3), quaternion xyzw
 /// (4), vfov, hfov]` of the camera-to-world pose, in radians. Poses are relative to the first;
 /// centers are divided by their median distance from it, at least 0.1.
+///
+/// # Errors
+///
+/// [`Error::Argument`] with the index of the first invalid camera.
 pub fn relative_encoding(cameras: &[Camera]) -> Result<Vec<[f32; 9]>> {
     cameras.iter().enumerate().try_for_each(|(i, camera)| camera.validate(&format!("camera {i}")))?;
     let poses: Vec<Pose> = cameras.iter().map(|camera| camera.pose.relative_to(&cameras[0].pose)).collect();

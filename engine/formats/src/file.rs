@@ -11,6 +11,10 @@ use tempfile::NamedTempFile;
 use crate::{Error, Result};
 
 /// Opens a regular file, or a link to one.
+///
+/// # Errors
+///
+/// [`Error::Io`] with `path`; [`Error::Argument`] if it is not a regular file.
 pub fn open_file(path: impl AsRef<Path>) -> Result<File> {
     let path = path.as_ref();
     let failed = |source| Error::io(path, source);

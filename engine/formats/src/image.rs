@@ -78,6 +78,10 @@ impl Image {
     }
 
     /// Reads width and height as of [`Image::open`] from the header.
+    ///
+    /// # Errors
+    ///
+    /// See [`Image::open`]; damage after the header is not detected.
     pub fn size(path: impl AsRef<Path>) -> Result<(u32, u32)> {
         let ((width, height), orientation) = stored_size(path.as_ref())?;
         Ok(if swaps_sides(orientation) { (height, width) } else { (width, height) })
@@ -89,6 +93,10 @@ impl Image {
     }
 
     /// Converts a camera of the oriented photo to the stored pixels, which camera files refer to.
+    ///
+    /// # Errors
+    ///
+    /// See [`Image::size`]; [`Error::Argument`] for mirrored photos.
     pub fn camera_as_stored(path: impl AsRef<Path>, camera: &Camera) -> Result<Camera> {
         let orientation = stored_size(path.as_ref())?.1;
         let (lens, [right, down, forward]) =
@@ -110,6 +118,10 @@ impl Image {
     }
 
     /// Writes a PNG atomically.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Argument`] if the fields disagree.
     pub fn save_png(&self, path: impl AsRef<Path>) -> Result<()> {
         self.validate()?;
         write_atomic(path.as_ref(), |out| {
@@ -120,6 +132,10 @@ impl Image {
     }
 
     /// Encodes a JPEG of `quality` 1 to 100.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Argument`] when the fields disagree or a side is longer than a JPEG can have.
     pub fn jpeg(&self, quality: u8) -> Result<Vec<u8>> {
         self.validate()?;
         let mut bytes = Vec::new();
@@ -131,6 +147,10 @@ impl Image {
 
     /// Converts `[height][width][rgb]` floats: clamps to 0..1, multiplies by 255 and truncates, as
     /// the reference's viewer. NaN becomes 0.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Argument`] if a side is zero or the length is not `3 * width * height`.
     pub fn from_rgb_f32(width: u32, height: u32, rgb: &[f32]) -> Result<Self> {
         Self::new(width, height, rgb.iter().map(|value| (value.clamp(0.0, 1.0) * 255.0) as u8).collect())
     }
@@ -168,6 +188,11 @@ impl Image {
 }
 
 /// Arranges images on black in rows of `columns`, each at the top left of equal cells.
+///
+/// # Errors
+///
+/// [`Error::Argument`] without images or columns, or if the sheet exceeds the limits of
+/// [`Image::open`].
 pub fn contact_sheet(images: &[Image], columns: usize) -> Result<Image> {
     if images.is_empty() || columns == 0 {
         let found = format!("{} images in {columns} columns", images.len());

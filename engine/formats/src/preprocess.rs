@@ -54,6 +54,10 @@ impl PixelMap {
 
     /// Maps intrinsics of the photo to the result. Intrinsics of another resolution are scaled
     /// first.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Argument`] with `label` if the aspect ratios differ by more than 1 %.
     pub fn apply(&self, intrinsics: &Intrinsics, label: &str) -> Result<Intrinsics> {
         let [width, height] = self.from;
         let stretch =
@@ -106,6 +110,10 @@ pub fn fit(photo: &Image, width: u32, height: u32) -> Result<View> {
 }
 
 /// Crops and resizes as [`fit`], to any size.
+///
+/// # Errors
+///
+/// [`Error::Argument`] if a side is zero, or the photo's fields disagree.
 pub fn cropped(photo: &Image, width: u32, height: u32) -> Result<View> {
     photo.validate()?;
     let rect = crop_to_aspect(photo.width, photo.height, f64::from(width) / f64::from(height));

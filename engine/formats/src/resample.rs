@@ -10,6 +10,10 @@ use crate::{Error, Result};
 
 /// Resizes as Pillow's `resize(.., LANCZOS)` on 8-bit RGB: two fixed-point passes, rounded to 8
 /// bits between.
+///
+/// # Errors
+///
+/// [`Error::Argument`] if a side is zero or the image's fields disagree.
 pub fn resize_lanczos(image: &Image, width: u32, height: u32) -> Result<Image> {
     image.validate()?;
     if width == 0 || height == 0 {

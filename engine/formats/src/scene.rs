@@ -199,6 +199,10 @@ impl Scene {
     }
 
     /// Removes Gaussians with invalid values, in order, and returns their number.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Argument`] if the arrays' lengths disagree.
     pub fn drop_invalid(&mut self) -> Result<usize> {
         self.check_lengths()?;
         let before = self.len();
@@ -224,6 +228,10 @@ impl Scene {
     }
 
     /// Checks array lengths and that all values are finite and in range.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Argument`] with the number of invalid Gaussians and the first of them.
     pub fn validate(&self) -> Result<()> {
         self.check_lengths()?;
         let n = self.len();

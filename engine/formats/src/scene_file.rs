@@ -108,11 +108,19 @@ impl SceneFormat {
 
 /// Reads a scene of any format, detected as [`SceneFormat::of_file`]. Converts to axes x right, y
 /// down, z forward.
+///
+/// # Errors
+///
+/// [`Error::Format`] for unknown or damaged files, and values that are not finite or out of range.
 pub fn read_scene(path: impl AsRef<Path>) -> Result<Scene> {
     read_scene_unchecked(path.as_ref())?.validated(path.as_ref())
 }
 
 /// Reads as [`read_scene`], without validating values: NaN passes.
+///
+/// # Errors
+///
+/// See [`read_scene`], except for values.
 pub fn read_scene_unchecked(path: impl AsRef<Path>) -> Result<Scene> {
     let path = path.as_ref();
     let format = SceneFormat::of_file(path)?.ok_or_else(|| no_scene(path))?;
@@ -126,6 +134,10 @@ pub fn decode_scene(bytes: &[u8], format: Option<SceneFormat>) -> Result<Scene> 
 }
 
 /// Decodes as [`decode_scene`], without validating values.
+///
+/// # Errors
+///
+/// See [`decode_scene`], except for values.
 pub fn decode_scene_unchecked(bytes: &[u8], format: Option<SceneFormat>) -> Result<Scene> {
     let name = Path::new(IN_MEMORY);
     let format = SceneFormat::told(bytes, format).ok_or_else(|| no_scene(name))?;
@@ -140,6 +152,11 @@ fn no_scene(name: &Path) -> Error {
 
 /// Writes a scene atomically, in the format of the extension. No format stores cameras; see
 /// [`write_transforms`](super::poses::write_transforms).
+///
+/// # Errors
+///
+/// [`Error::Argument`] if the extension is unknown, the scene is invalid or the format cannot store
+/// it.
 pub fn write_scene(path: impl AsRef<Path>, scene: &Scene, options: &WriteOptions) -> Result<()> {
     write_scene_in(path, scene, options, None)
 }
@@ -159,6 +176,10 @@ pub fn write_scene_in(
 }
 
 /// Encodes the file that [`write_scene`] writes.
+///
+/// # Errors
+///
+/// [`Error::Argument`] if the scene is invalid or the format cannot store it.
 pub fn encode_scene(scene: &Scene, format: SceneFormat, options: &WriteOptions) -> Result<Vec<u8>> {
     scene.validate()?;
     let (mut bytes, name) = (Vec::new(), Path::new(IN_MEMORY));

@@ -20,6 +20,10 @@ fn sh_constant() -> f32 {
 }
 
 /// Writes a `.splat` atomically, largest and most opaque Gaussians first for progressive viewers.
+///
+/// # Errors
+///
+/// [`Error::Argument`] if the scene is invalid.
 pub fn write_splat(scene: &Scene, path: impl AsRef<Path>) -> Result<()> {
     FORMAT.write_file(path.as_ref(), scene, &WriteOptions::default(), None)
 }
@@ -44,6 +48,11 @@ fn encode(scene: &Scene, i: usize) -> [u8; ROW] {
 }
 
 /// Reads a `.splat` of degree 0. Quaternions keep their rounded length.
+///
+/// # Errors
+///
+/// [`Error::Format`] for an incomplete Gaussian, values that are not finite, a negative standard
+/// deviation or a zero rotation.
 pub fn read_splat(path: impl AsRef<Path>) -> Result<Scene> {
     read_unchecked(Source::open(path.as_ref())?)?.validated(path.as_ref())
 }

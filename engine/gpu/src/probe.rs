@@ -38,6 +38,10 @@ impl DeviceInfo {
 }
 
 /// Lists every Vulkan device, usable or not.
+///
+/// # Errors
+///
+/// [`Error::NoDevice`] if there is no Vulkan loader or no driver.
 pub fn list_devices() -> Result<Vec<DeviceInfo>> {
     let instance = Instance::new(false)?;
     Ok(devices(&instance)?.into_iter().map(|(_, info)| info).collect())

@@ -76,6 +76,10 @@ struct Clock {
 
 impl Run {
     /// Allocates a plan's arena.
+    ///
+    /// # Errors
+    ///
+    /// Both precede any submission.
     pub fn new(device: &Device, plan: Plan) -> Result<Self> {
         Self::with_resident(device, plan, [])
     }
@@ -189,6 +193,10 @@ impl Run {
     }
 
     /// Runs the plan to completion.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::DeviceLost`], a driver error, or validation messages.
     pub fn execute(&mut self) -> Result<StageTimes> {
         self.execute_with(|_| ControlFlow::Continue(()))
     }

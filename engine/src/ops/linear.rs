@@ -55,8 +55,7 @@ pub enum LinearKernel {
 pub enum Weights {
     /// In the factor type.
     Factors,
-    /// [`Q8`](super::Q8): integers, then f16 scales at a 256-byte boundary. Panels interleave
-    /// blocks of four terms by four columns.
+    /// [`Q8`](super::Q8): integers, then f16 scales at a 256-byte boundary.
     Q8,
 }
 

@@ -106,6 +106,10 @@ impl Shape {
     }
 
     /// Sets [`Request::pool`].
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Argument`] for an invalid side.
     pub fn pooled(self, pool: usize) -> Result<Self> {
         Pool::check(pool)?;
         Ok(Self { pool, ..self })

@@ -1,5 +1,3 @@
-//! Relocation of unseen Gaussians.
-//!
 //! Source: 3D Gaussian splatting as Markov chain Monte Carlo (Kheradmand et al. 2024). Plans have a
 //! fixed number of Gaussians, so unlike the paper all exist from the start and become alive over
 //! time.

@@ -44,7 +44,7 @@ pub struct Refine {
     pub steps: usize,
     /// Photos per step, capped at the training photos.
     pub views_per_step: usize,
-    /// Limits of a photo's width and height; larger ones are downscaled. `None` keeps full size.
+    /// Limits of a photo's width and height; larger ones are downscaled.
     pub size: Option<[u32; 2]>,
     /// Number of held-out photos, which select the best step. `None`: one of 9 or more, none if
     /// cameras are refined.
@@ -213,8 +213,7 @@ impl Refined {
 /// Refines a scene's Gaussians against `photos`. Cameras are of the whole photos, in the scene's
 /// world.
 ///
-/// Plans run in `arena`, which may be a model's, to share memory. `progress` runs after every step;
-/// if it ends the refinement, the best scene so far is returned.
+/// `progress` runs after every step; if it ends the refinement, the best scene so far is returned.
 ///
 /// # Errors
 ///

@@ -46,7 +46,6 @@ impl RefinePlan {
 }
 
 /// Plans a refinement against `photos` photos of `[width, height]` pixels, without a device.
-/// Pictures that exceed the initial intersection capacity need more.
 ///
 /// # Errors
 ///

@@ -28,6 +28,10 @@ pub struct FrozenHead {
 
 impl FrozenHead {
     /// Loads the head of a checkpoint.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Memory`] if the device has too little; an unreadable checkpoint.
     pub fn load(device: &Device, checkpoint: &Checkpoint) -> Result<Self> {
         let architecture = checkpoint.architecture().clone();
         let arithmetic = Chosen::exact(device);

@@ -186,6 +186,10 @@ impl Checkpoint {
     }
 
     /// Reads a matrix of whole groups in 8 bits.
+    ///
+    /// # Errors
+    ///
+    /// As [`Checkpoint::read_f32`], and for values or scales out of range.
     pub fn read_q8(&self, name: &str) -> Result<Q8> {
         self.source.read_q8(&self.provenance, self.find(name)?, &self.parameters)
     }

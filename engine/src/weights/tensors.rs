@@ -10,6 +10,11 @@ pub struct Tensors {
 
 impl Tensors {
     /// Opens a file with exactly these tensors.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Io`] and [`Error::Format`]; [`Error::Weights`] lists missing, unexpected and
+    /// misshapen tensors.
     pub fn open(path: &Path, network: &str, parameters: &[(String, Vec<usize>)]) -> Result<Self> {
         let mut file = Vec::new();
         open_file(path)?.read_to_end(&mut file).map_err(|error| Error::io(path, error))?;

@@ -39,6 +39,10 @@ const COMMENT: &str = "comment ";
 const MIN_SCALE: f32 = 1e-6;
 
 /// Writes a binary little-endian PLY of f32 properties atomically.
+///
+/// # Errors
+///
+/// [`Error::Argument`] if the scene is invalid.
 pub fn write_ply(scene: &Scene, path: impl AsRef<Path>) -> Result<()> {
     scene.validate()?;
     write_atomic(path.as_ref(), encoder(scene, START))
@@ -112,6 +116,11 @@ fn ln(value: f32) -> f32 {
 
 /// Reads a 3D Gaussian Splatting PLY, binary little endian or ASCII, with properties in any order
 /// and type. The number of `f_rest_*` determines the degree, 0 to 3.
+///
+/// # Errors
+///
+/// [`Error::Format`] for truncation, a missing property, or values that are not finite after
+/// activation.
 pub fn read_ply(path: impl AsRef<Path>) -> Result<Scene> {
     read_unchecked(Source::open(path.as_ref())?)?.validated(path.as_ref())
 }

@@ -118,6 +118,10 @@ impl Poses {
     }
 
     /// Returns the frame of a photo, matched as in [`Poses::frames_of`]; `None` if no name matches.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Argument`] for several equal matches.
     pub fn frame_of(&self, photo: impl AsRef<Path>) -> Result<Option<&Frame>> {
         let photo = photo.as_ref();
         let named = |name: Option<&OsStr>| -> Vec<&Frame> {
@@ -161,6 +165,11 @@ const TRANSFORMS: [&str; 2] = ["transforms.json", "transforms_train.json"];
 /// or a folder with one of these, directly or under `sparse/0`. Without `transforms.json`, a
 /// folder's `transforms_train.json` is read. A text file that starts with a URL is RealEstate10K,
 /// with frames next to it or in a folder of its name.
+///
+/// # Errors
+///
+/// [`Error::Format`] with file, frame and field for malformed files, [`Error::Argument`] if `path`
+/// has no known cameras.
 pub fn read_poses(path: impl AsRef<Path>) -> Result<Poses> {
     let path = path.as_ref();
     let found = path.metadata().map_err(|source| Error::io(path, source))?;

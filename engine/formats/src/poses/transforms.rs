@@ -135,6 +135,10 @@ impl<'a> Fields<'a> {
 
 /// Writes cameras for nerfstudio: OpenGL axes, shared intrinsics at the top. `names` are photo
 /// paths relative to the file.
+///
+/// # Errors
+///
+/// [`Error::Argument`] for an invalid camera or different numbers of cameras and names.
 pub fn write_transforms(path: impl AsRef<Path>, cameras: &[Camera], names: &[impl AsRef<str>]) -> Result<()> {
     if cameras.len() != names.len() {
         return Err(Error::argument("names", names.len(), format!("one for each of {} cameras", cameras.len())));
@@ -146,6 +150,10 @@ pub fn write_transforms(path: impl AsRef<Path>, cameras: &[Camera], names: &[imp
 
 /// Writes posed photos as [`write_transforms`], with OpenCV distortion and the point cloud's
 /// relative path.
+///
+/// # Errors
+///
+/// [`Error::Argument`] for an invalid camera.
 pub fn write_frames(path: impl AsRef<Path>, frames: &[Frame], points: Option<&str>) -> Result<()> {
     write_frames_with(path, frames, points, &[])
 }

@@ -43,6 +43,10 @@ impl Unit {
     /// Determines the scene scale: `given`, else from `points` visible to `views`, else from all
     /// `cameras` of the capture. The frame of `views` is the first view's camera; `origin` is its
     /// pose in the world of `cameras`.
+    ///
+    /// # Errors
+    ///
+    /// A point cloud that cannot be read.
     pub fn of(
         given: Option<f64>,
         cameras: &[Pose],

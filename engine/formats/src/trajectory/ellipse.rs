@@ -27,6 +27,11 @@ pub struct Ellipse {
 impl Ellipse {
     /// Fits the ellipse with the mean and covariance of the camera centers in the plane. For
     /// parallel view axes the target is `center`.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Argument`] without cameras, for an invalid camera, coincident cameras, or an
+    /// undefined mean up.
     pub fn around(cameras: &[Camera], center: DVec3) -> Result<Self> {
         for (i, camera) in cameras.iter().enumerate() {
             camera.validate(&format!("camera {i}"))?;
@@ -66,6 +71,10 @@ impl Ellipse {
 }
 
 /// Returns the normalized mean of the cameras' up vectors.
+///
+/// # Errors
+///
+/// [`Error::Argument`] if their mean vanishes.
 pub fn mean_up(cameras: &[Camera]) -> Result<DVec3> {
     let up = cameras.iter().map(|camera| -camera.pose.rotation.y_axis).sum::<DVec3>() / cameras.len().max(1) as f64;
     if up.length() < 1e-3 {

@@ -21,6 +21,10 @@ pub struct Orbit {
 impl Orbit {
     /// Returns the reference's turntable: center is the per-axis (lower) median of the means,
     /// radius 1.2 times the 0.9 quantile of distances, linearly interpolated.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Argument`] if the scene is empty.
     pub fn around(scene: &Scene) -> Result<Self> {
         if scene.is_empty() {
             return Err(Error::argument("scene", "no Gaussians", "at least one to look at"));

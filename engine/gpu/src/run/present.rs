@@ -71,6 +71,10 @@ impl Run {
     /// Submits a copy of an output to `target` without waiting. The next write to this run, and its
     /// drop, wait for the copy.
     ///
+    /// # Errors
+    ///
+    /// [`Error::Argument`] for invalid handles or layouts, [`Error::DeviceLost`].
+    ///
     /// # Panics
     ///
     /// If the tensor is not an output of this plan.

@@ -19,8 +19,11 @@ struct Flight {
 }
 
 impl Renderer {
-    /// Renders each camera, passing images to `done` in order. The device draws ahead, batching
-    /// small images.
+    /// Renders each camera, passing images to `done` in order.
+    ///
+    /// # Errors
+    ///
+    /// As [`Renderer::render_loaded`], and the first error of `done`.
     pub fn render_each(
         &mut self,
         cameras: &[Camera],

@@ -62,6 +62,10 @@ impl Renderer {
     }
 
     /// Renders `scene` with each camera.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Argument`] for invalid input; [`Error::Memory`] if one image does not fit.
     pub fn render(&mut self, scene: &Scene, cameras: &[Camera], request: &RenderRequest) -> Result<Vec<Frame>> {
         self.load(scene)?;
         self.render_loaded(cameras, request)
@@ -88,6 +92,10 @@ impl Renderer {
     }
 
     /// Selects a device scene and its arena.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Argument`] for another device's scene; [`Error::DeviceLost`].
     pub fn show(&mut self, scene: &DeviceScene) -> Result<()> {
         self.device().check_lost()?;
         if !scene.resident().is_on(self.arena.device()) {

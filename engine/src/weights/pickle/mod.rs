@@ -1,5 +1,3 @@
-//! Reads `torch.save` pickles without executing code.
-//!
 //! Objects refer to each other by index in one bounded list, so sharing, cycles and depth are
 //! harmless. Calls build tensors, dictionaries and plain data only.
 
