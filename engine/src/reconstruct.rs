@@ -115,7 +115,7 @@ impl Model {
         &self.arena
     }
 
-    /// Reconstructs a scene from images of one size, divisible by the patch, reusing the last plan.
+    /// Reconstructs a scene from images of one size, divisible by the patch.
     pub fn reconstruct(
         &self,
         images: &[Image],

@@ -84,7 +84,7 @@ impl Pose {
         Self { rotation: self.rotation * inner.rotation, translation: self.transform(inner.translation) }
     }
 
-    /// Returns the pose relative to `first`, which maps to the identity.
+    /// Returns the pose relative to `first`.
     pub fn relative_to(&self, first: &Self) -> Self {
         first.inverse().compose(self)
     }

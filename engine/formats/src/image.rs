@@ -13,7 +13,7 @@ use super::camera::{Camera, Intrinsics, Pose};
 use super::file::{open_file, write_atomic};
 use crate::{Error, Result};
 
-/// Maximum side that is read, against broken and hostile files.
+/// Maximum side that is read.
 pub const MAX_SIDE: u32 = 32_768;
 const MARK: u64 = 12;
 /// Decoding limit in bytes: 350 megapixels of RGB8.
@@ -92,7 +92,7 @@ impl Image {
         Ok(stored_size(path.as_ref())?.0)
     }
 
-    /// Converts a camera of the oriented photo to the stored pixels, which camera files refer to.
+    /// Converts a camera of the oriented photo to the stored pixels.
     ///
     /// # Errors
     ///

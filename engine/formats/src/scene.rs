@@ -198,7 +198,7 @@ impl Scene {
         kept
     }
 
-    /// Removes Gaussians with invalid values, in order, and returns their number.
+    /// Removes invalid Gaussians and returns their number.
     ///
     /// # Errors
     ///

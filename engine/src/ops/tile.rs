@@ -107,8 +107,7 @@ impl Tile {
         tiles.filter(|tile| tile.fits(limits, shared_bytes(tile))).collect()
     }
 
-    /// Candidates of ops/attention_matrix, 16-query defaults first, larger first. 32 queries need
-    /// more registers.
+    /// Candidates of ops/attention_matrix, 16-query defaults first, larger first.
     pub fn attention(limits: &Limits, units: Units, channels: usize) -> Vec<Self> {
         let shape = units.shape;
         let queries: &[u32] = if limits.cpu { &[8] } else { &[16, 32] };

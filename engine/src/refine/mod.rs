@@ -184,7 +184,7 @@ pub struct Refined {
     pub losses: Vec<f32>,
     /// Steps before the kept scene.
     pub best_step: usize,
-    /// Steps and the held-out PSNR in dB after them; empty without held-out photos.
+    /// Steps and the held-out PSNR in dB after them.
     pub held_out: Vec<(usize, f64)>,
     /// Mean PSNR in dB of at most 16 training photos: with the kept scene, and before.
     pub training_psnr: [f64; 2],
@@ -194,7 +194,7 @@ pub struct Refined {
     pub sizes: Vec<(usize, [u32; 2])>,
     /// Time of all steps.
     pub took: Duration,
-    /// Peak bytes allocated on the device, including other users of it.
+    /// Peak bytes allocated on the device.
     pub peak_bytes: u64,
     /// Reason for an early end.
     pub stopped: Option<Stopped>,

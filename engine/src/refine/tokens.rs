@@ -19,7 +19,7 @@ use crate::{
 };
 use std::{ops::ControlFlow, sync::Arc};
 
-/// A model's head on a device, forward and backward, always in f32.
+/// A model's f32 head on a device, forward and backward.
 pub struct FrozenHead {
     head: Head,
     architecture: Architecture,

@@ -33,7 +33,7 @@ pub struct Wanted {
     pub cameras: bool,
 }
 
-/// Differentiates images on one device, replaying cached plans.
+/// Differentiates images on one device.
 pub struct Differentiator {
     arena: Arena,
     memory: Option<Memory>,

@@ -11,7 +11,7 @@ use crate::{
 };
 
 const PLANS: usize = 4;
-/// Renders scenes on one device, replaying cached plans in a shared arena.
+/// Renders scenes on one device.
 pub struct Renderer {
     arena: Arena,
     scene: Option<DeviceScene>,
