@@ -1,8 +1,7 @@
 //! Compiles `kernels/**/*.comp` to SPIR-V and generates the typed kernel table (`kernels.rs`).
 //!
 //! SPIR-V is committed under `kernels/spirv/` with a manifest of source hashes, so builds need no
-//! shaderc. Stale SPIR-V fails the build; with feature `compile-kernels` it is recompiled and
-//! rewritten.
+//! shaderc.
 
 #[path = "build/codegen.rs"]
 mod codegen;

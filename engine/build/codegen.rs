@@ -1,5 +1,3 @@
-//! Generation of the kernel table's Rust source.
-
 use crate::{
     elements::Element,
     reflect::{COOPERATIVE_MATRIX, DOT_PRODUCT_PACKED, Interface, Member, STORAGE_BUFFER_16_BIT, Scalar},
@@ -7,8 +5,6 @@ use crate::{
 };
 use std::{collections::BTreeMap, fmt::Write, path::Path};
 
-/// Returns the source of `kernels.rs`: constants of limits.glsl, one struct per kernel, all
-/// modules.
 pub fn table(root: &Path, kernels: &[(&Source, Interface)], limits: &str) -> String {
     let mut areas = BTreeMap::<&str, String>::new();
     let mut all = String::new();
@@ -94,7 +90,6 @@ fn kernel_struct(root: &Path, stem: &str, modules: &[(&Source, Interface)]) -> S
     )
 }
 
-/// Returns the expression that selects the module for a call's element types.
 fn module_index(modules: &[(&Source, Interface)]) -> String {
     let elements = &modules[0].0.elements;
     if elements.is_empty() {
@@ -112,7 +107,6 @@ fn module_index(modules: &[(&Source, Interface)]) -> String {
     format!("match {found} {{ {arms}types => panic!(\"no module for {{types:?}}\") }}")
 }
 
-/// Returns a kernel struct's fields: buffers, push constants and specialization constants.
 fn fields(interface: &Interface) -> String {
     let mut fields = String::new();
     for b in &interface.buffers {
@@ -129,7 +123,6 @@ fn fields(interface: &Interface) -> String {
     fields
 }
 
-/// Returns the `Module` of one choice of element types.
 fn module(root: &Path, source: &Source, interface: &Interface) -> String {
     let (name, kernel) = (&source.name, &source.kernel);
     let push_bytes = interface.push.iter().map(|m| m.offset + 4 * m.count).max().unwrap_or(0);
@@ -168,7 +161,6 @@ fn module(root: &Path, source: &Source, interface: &Interface) -> String {
     )
 }
 
-/// Returns the index of the buffer for an address constant: `weight_address` names `Weight`.
 fn addressed(interface: &Interface, member: &Member) -> Option<usize> {
     let name = member.name.strip_suffix("_address")?;
     let buffer = interface.buffers.iter().position(|b| b.name == name);

@@ -6,12 +6,7 @@
 //!
 //! `#pragma factor f16 bf16 i8` declares the type `FACTOR`, one of those listed. Floating-point
 //! factors get the same macros and `pack_FACTOR4(x)`, four 16-bit factors in two words.
-//! `shared/matrices.glsl` uses `FACTOR_COMPONENT` and `FACTOR_SUM`, the component types of
-//! matrices, and `FACTOR_IS_I8`, 0 or 1.
-//!
-//! A module never mixes two 16-bit types, and combines 8-bit factors only with f16.
 
-/// Type of an element or factor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Element {
     F32,
@@ -23,12 +18,10 @@ pub enum Element {
 impl Element {
     const ALL: [Element; 4] = [Element::F32, Element::F16, Element::Bf16, Element::I8];
 
-    /// Returns the name used in module names.
     pub fn name(self) -> &'static str {
         ["f32", "f16", "bf16", "i8"][self as usize]
     }
 
-    /// Returns the macros of type `t`.
     fn macros(self, t: &str) -> String {
         let halves = "#extension GL_EXT_shader_16bit_storage : require\n";
         match self {
@@ -52,7 +45,6 @@ impl Element {
         }
     }
 
-    /// Returns the macros of the factor type.
     fn factor_macros(self) -> String {
         let (extension, component, sum, pack) = match self {
             Element::F32 => panic!("matrix units take no f32"),
@@ -80,7 +72,6 @@ const BF16_BITS: &str = "#ifndef BF16_BITS\n#define BF16_BITS\nuvec4 bf16_bits(v
     return (bits + 0x7fffu + ((bits >> 16) & 1u)) >> 16;\n}\n\
     uvec2 bf16_packed(vec4 x) {\n    uvec4 bits = bf16_bits(x);\n    return bits.xz | bits.yw << 16;\n}\n#endif\n";
 
-/// Name of the factor type.
 pub const FACTOR: &str = "FACTOR";
 
 enum Declaration<'a> {
@@ -118,7 +109,6 @@ pub fn choices(text: &str) -> Vec<Vec<(String, Element)>> {
     choices
 }
 
-/// Inserts the macros of these types into `text`.
 pub fn defined(text: &str, elements: &[(String, Element)]) -> String {
     let chosen = |name: &str| elements.iter().find(|(n, _)| n == name).expect("a choice of this text").1;
     let line = |line: &str| match declaration(line) {

@@ -3,11 +3,8 @@
 use std::collections::{BTreeMap, HashMap};
 
 pub struct Interface {
-    /// Storage buffers by binding number.
     pub buffers: Vec<Buffer>,
-    /// Push constants by offset.
     pub push: Vec<Member>,
-    /// Specialization constants by ID, without ID 0.
     pub constants: Vec<(u32, String, Scalar)>,
     /// Workgroup size; `None` if ID 0 sets it to whole subgroups.
     pub local_size: Option<[u32; 3]>,
@@ -45,7 +42,6 @@ enum Type {
     Other,
 }
 
-/// Optional capabilities.
 pub const STORAGE_BUFFER_16_BIT: u32 = 4433;
 pub const DOT_PRODUCT_PACKED: u32 = 6018;
 pub const COOPERATIVE_MATRIX: u32 = 6022;
@@ -77,7 +73,6 @@ struct Tables {
     capabilities: Vec<u32>,
 }
 
-/// Parses the interface of module `name`.
 pub fn reflect(name: &str, bytes: &[u8]) -> Interface {
     let words: Vec<u32> = bytes.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
     assert!(words.first() == Some(&0x0723_0203), "kernels/spirv/{name}.spv is not SPIR-V");

@@ -1,5 +1,3 @@
-//! Kernel sources, their hashes and the committed SPIR-V.
-
 use crate::elements::{self, Element};
 use sha2::{Digest, Sha256};
 use std::{
@@ -8,30 +6,24 @@ use std::{
     path::Path,
 };
 
-/// A `.comp` file with one choice of element types (see `elements.rs`).
 pub struct Source {
     /// Path below `kernels/` without its extension, such as `render/project`.
     pub kernel: String,
     /// Kernel name with any element types other than f32: `ops/layer_norm_f16`.
     pub name: String,
-    /// Chosen element types by name.
     pub elements: Vec<(String, Element)>,
-    /// Source with resolved includes.
     #[cfg_attr(not(feature = "compile-kernels"), allow(dead_code))]
     pub text: String,
-    /// First sentence of the header comment.
     pub summary: String,
     hash: String,
 }
 
 impl Source {
-    /// Returns the factor type of its matrices.
     pub fn factor(&self) -> Option<Element> {
         self.elements.iter().find(|(name, _)| name == elements::FACTOR).map(|(_, element)| *element)
     }
 }
 
-/// Finds all kernels below `root`, sorted by name.
 pub fn find(root: &Path) -> Vec<Source> {
     let mut sources = Vec::new();
     for area in folders(root) {
@@ -114,7 +106,6 @@ fn remove_orphans(root: &Path, kernels: &[Source]) {
     }
 }
 
-/// Loads a kernel's modules, f32 first.
 fn load(root: &Path, kernel: String) -> Vec<Source> {
     let text = with_includes(root, &format!("{kernel}.comp"), &mut BTreeSet::new());
     let summary = text
@@ -158,7 +149,6 @@ fn with_includes(root: &Path, file: &str, seen: &mut BTreeSet<String>) -> String
     text
 }
 
-/// Lists the folders of `kernels/`: areas and others.
 pub fn folders(root: &Path) -> Vec<String> {
     entries(root).into_iter().filter(|n| root.join(n).is_dir()).collect()
 }

@@ -5,14 +5,12 @@ use std::{
     ptr,
 };
 
-/// spv_const_binary_t.
 #[repr(C)]
 struct Binary {
     code: *const u32,
     words: usize,
 }
 
-/// spv_diagnostic_t.
 #[repr(C)]
 struct Diagnostic {
     line: usize,
@@ -38,7 +36,6 @@ unsafe extern "C" {
     fn spvDiagnosticDestroy(diagnostic: *mut Diagnostic);
 }
 
-/// Validates a module.
 pub fn validate(words: &[u32]) -> Result<(), String> {
     let binary = Binary { code: words.as_ptr(), words: words.len() };
     // SAFETY: declarations match the header; every object is created, used and destroyed here.

@@ -27,9 +27,7 @@
 //!
 //! Crates below: [`types`] (`zipsplat-formats`, without GPU) and [`gpu`] (`zipsplat-gpu`, all
 //! Vulkan, no kernels). Modules depend only on earlier ones: `ops` <- `tune` <- `stages` <-
-//! `weights` <- `perceptual` <- `cameras` <- `reconstruct` <- `depth` <- `refine`. `ops`
-//! records dispatches. `tune` selects its kernels as an [`ops::Arithmetic`], by self-tests and
-//! timings. `stages` declare parameters, which `weights` reads.
+//! `weights` <- `perceptual` <- `cameras` <- `reconstruct` <- `depth` <- `refine`.
 
 pub mod cameras;
 pub mod depth;

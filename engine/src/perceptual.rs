@@ -79,9 +79,6 @@ impl Perceptual {
 
     /// Loads `convolutions.I.weight` `[outputs, side, side, inputs]`, `convolutions.I.bias`,
     /// `taps.I.weight`.
-    ///
-    /// # Errors
-    /// [`Error::Io`], [`Error::Format`], [`Error::Weights`], [`Error::Memory`].
     pub fn open(device: &Device, network: LpipsNetwork, path: &Path, gradients: bool) -> Result<Self> {
         let weights = LpipsWeights::open(device, network, path, gradients)?;
         let (device, has_gradients, prepared) = (device.clone(), gradients, [None, None]);
@@ -95,19 +92,14 @@ impl Perceptual {
 
     /// Returns the distance of images `[height][width][rgb]` in 0..1, unclamped, of size `[width,
     /// height]`.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for invalid sizes; [`Error::Memory`].
     pub fn distance(&mut self, pictures: [&[f32]; 2], size: [u32; 2]) -> Result<f64> {
         Ok(self.run(pictures, size, false)?.0)
     }
 
     /// Returns the distance of clamped images and its gradient for the first.
     ///
-    /// # Errors
-    /// As [`Perceptual::distance`].
-    ///
     /// # Panics
+    ///
     /// If loaded without gradients.
     pub fn gradient(&mut self, pictures: [&[f32]; 2], size: [u32; 2]) -> Result<(f64, Vec<f32>)> {
         assert!(self.has_gradients, "weights that were loaded with gradients");

@@ -1,5 +1,3 @@
-//! Seeded random numbers.
-
 use std::f64::consts::TAU;
 
 const INCREMENT: u64 = 0x9e37_79b9_7f4a_7c15;
@@ -12,7 +10,6 @@ impl Random {
         Self(seed)
     }
 
-    /// Number `i` of a seed.
     pub fn nth(seed: u64, i: u64) -> u64 {
         mixed(seed.wrapping_add((i + 1).wrapping_mul(INCREMENT)))
     }
@@ -22,7 +19,6 @@ impl Random {
         mixed(self.0)
     }
 
-    /// Uniform below `count`.
     pub fn below(&mut self, count: usize) -> usize {
         ((u128::from(self.next()) * count as u128) >> 64) as usize
     }

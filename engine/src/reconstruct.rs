@@ -57,18 +57,13 @@ struct Recorded {
     run: Run,
     tensors: Tensors,
     layout: ResidentLayout,
-    /// Reusable scene memories.
     scenes: Vec<SceneMemory>,
 }
 
-/// Maximum cached scene memories.
 const SCENES: usize = 2;
 
 impl Reconstruction {
     /// Reads the Gaussians.
-    ///
-    /// # Errors
-    /// Failed transfers.
     pub fn scene(&self) -> Result<Scene> {
         self.gaussians.read()
     }
@@ -83,10 +78,7 @@ impl Reconstruction {
 }
 
 impl Model {
-    /// Loads a checkpoint in f32. `progress` gets the fraction done and may cancel.
-    ///
-    /// # Errors
-    /// [`Error::Memory`], [`Error::Cancelled`], errors of the checkpoint.
+    /// Loads a checkpoint in f32.
     pub fn load(
         device: &Device,
         checkpoint: &Checkpoint,
@@ -96,9 +88,6 @@ impl Model {
     }
 
     /// [`Model::load`] with an arithmetic.
-    ///
-    /// # Errors
-    /// As [`Model::load`] and [`Network::of`].
     pub fn load_with(
         device: &Device,
         checkpoint: &Checkpoint,
@@ -126,11 +115,7 @@ impl Model {
         &self.arena
     }
 
-    /// Reconstructs a scene from images of one size, divisible by the patch, reusing the last plan.
-    /// Concurrent calls use separate arenas.
-    ///
-    /// # Errors
-    /// [`Error::Argument`], [`Error::Memory`] before submission, [`Error::Cancelled`].
+    /// Reconstructs a scene from images of one size, divisible by the patch.
     pub fn reconstruct(
         &self,
         images: &[Image],
@@ -156,7 +141,6 @@ impl Model {
         progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
     ) -> Result<Reconstruction> {
         if recorded.as_ref().is_none_or(|recorded| recorded.shape != shape) {
-            // Frees memory first.
             *recorded = None;
             *recorded = Some(self.record_for(arena, shape)?);
         }
@@ -164,7 +148,6 @@ impl Model {
         let free = match scenes.iter().position(SceneMemory::is_free) {
             Some(free) => free,
             None => {
-                // Owners keep their scenes.
                 scenes.truncate(SCENES - 1);
                 scenes.push(SceneMemory::new(&self.device, layout, *tensors.scene())?.made_in(arena));
                 scenes.len() - 1
@@ -193,20 +176,13 @@ impl Model {
     }
 
     /// Plans a reconstruction.
-    ///
-    /// # Errors
-    /// [`Error::Memory`].
     pub fn plan(&self, shape: Shape) -> Result<NetworkPlan> {
         self.network.plan(self.device.limits(), shape)
     }
 
     /// Returns the shape of a request.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for invalid input.
     pub fn shape(&self, images: &[Image], request: &Request) -> Result<Shape> {
         let size = size_of(images)?;
-        // The scene is f32.
         if !(request.unit as f32).is_normal() || request.unit < 0.0 {
             return Err(Error::argument("unit", request.unit, "a length above 0"));
         }
@@ -228,17 +204,11 @@ impl Model {
     }
 
     /// Allocates a plan.
-    ///
-    /// # Errors
-    /// [`Error::Memory`].
     pub fn run(&self, plan: Plan) -> Result<Run> {
         Run::with_resident(&self.device, plan, Some(self.parameters.resident.clone()))
     }
 
     /// Writes the inputs.
-    ///
-    /// # Errors
-    /// Failed transfers; unusable cameras.
     pub fn write_inputs(
         &self,
         run: &mut Run,

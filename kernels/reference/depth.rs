@@ -152,7 +152,6 @@ impl Head<'_> {
         Map { values: add(&x.values, &positions(aspect, [height, width, x.channels])), ..x.clone() }
     }
 
-    /// Four levels of equal width, shallowest first.
     fn levels(&self, features: &[Map]) -> Vec<Map> {
         let level = |(j, x): (usize, &Map)| {
             let mut x = x.clone();
@@ -177,7 +176,6 @@ impl Head<'_> {
         features.iter().enumerate().map(level).collect()
     }
 
-    /// One map at twice the size of the first level.
     fn fused(&self, levels: &[Map], suffix: &str) -> Map {
         let relu = |x: &Map| Map { values: x.values.iter().map(|x| x.max(0.0)).collect(), ..x.clone() };
         let unit = |x: &Map, name: &str| {
@@ -202,7 +200,6 @@ impl Head<'_> {
         below.expect("four levels")
     }
 
-    /// The map at image size.
     fn up(&self, levels: &[Map]) -> Map {
         let neck = self.convolved(&self.fused(levels, ""), "scratch.output_conv1", 1);
         self.placed(&resized(&neck, self.full))
@@ -230,7 +227,6 @@ fn resized(x: &Map, size: [usize; 2]) -> Map {
     Map { values: resize(&x.values, [x.size[1], x.channels], size), size, channels: x.channels }
 }
 
-/// Decodes a camera token: center, quaternion, fields of view.
 fn decoded(weights: &Scope, token: &[f64]) -> Vec<f64> {
     let relu = |x: Vec<f64>| x.into_iter().map(|x| x.max(0.0)).collect::<Vec<_>>();
     let hidden = relu(weights.linear("backbone.2", &relu(weights.linear("backbone.0", token))));

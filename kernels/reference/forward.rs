@@ -95,7 +95,6 @@ fn backbone(model: &Model, images: &Images, priors: Option<&[Prior]>, pool: Pool
     features
 }
 
-/// Class token and patches of each view, with positions.
 fn embed(model: &Model, images: &Images) -> Vec<f64> {
     let weights = model.scope("backbone.backbone");
     let projection = weights.scope("patch_embed.proj");

@@ -1,8 +1,7 @@
 //! ZipSplat in plain f64, the reference of tests and `zipsplat doctor`.
 //!
 //! Modules mirror the kernels, without tiling, fusion or streaming, so that they share no mistake.
-//! Activations are row-major `[f64]`, weights stored f32. `stages/references.rs` checks references
-//! against PyTorch dumps.
+//! Activations are row-major `[f64]`, weights stored f32.
 
 pub mod backbone;
 pub mod cluster;

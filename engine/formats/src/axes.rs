@@ -1,9 +1,8 @@
 //! Conversion between the engine's axes (x right, y down, z forward) and formats with y up.
 //!
 //! Both conversions are half turns and their own inverse. About x: x right, y up, z backward (SPZ,
-//! OpenGL). About z: x left, y up, z forward (glTF). Standard deviations do not change.
+//! OpenGL). About z: x left, y up, z forward (glTF).
 
-/// Half turn about an axis.
 #[derive(Clone, Copy)]
 pub enum HalfTurn {
     AboutX,
@@ -11,7 +10,6 @@ pub enum HalfTurn {
 }
 
 impl HalfTurn {
-    /// Turns a point or direction.
     pub fn point(self, [x, y, z]: [f32; 3]) -> [f32; 3] {
         match self {
             Self::AboutX => [x, -y, -z],
@@ -19,14 +17,13 @@ impl HalfTurn {
         }
     }
 
-    /// Turns a rotation's axis: the conjugate of `wxyz` by the half turn.
     pub fn quat(self, [w, x, y, z]: [f32; 4]) -> [f32; 4] {
         let [x, y, z] = self.point([x, y, z]);
         [w, x, y, z]
     }
 
-    /// Returns the factor of coefficient `k` of real spherical harmonics. With `k = l (l + 1) + m`,
-    /// negating y negates negative m, negating z odd l + m; a half turn about z negates odd m.
+    /// With `k = l (l + 1) + m`, negating y negates negative m, negating z odd l + m; a half turn
+    /// about z negates odd m.
     pub fn sh(self, k: usize) -> f32 {
         let l = k.isqrt();
         let (order, negative) = (k.abs_diff(l * (l + 1)), k < l * (l + 1));

@@ -11,14 +11,13 @@ use crate::{Error, Result};
 /// Longest side of Depth Anything 3's input, in pixels.
 pub const DEFAULT_BOUND: u32 = 504;
 
-/// Parameter of OpenCV's cubic kernel.
 const A: f64 = -0.75;
-/// Fraction bits of its weights.
 const BITS: i32 = 11;
 
 /// Resizes photos as [`bounded`]. If sizes differ, crops all to the common center.
 ///
 /// # Errors
+///
 /// [`Error::Argument`] if the bound is less than a patch or a photo's fields disagree.
 pub fn bounded_views(photos: &[Image], bound: u32) -> Result<Vec<View>> {
     let scaled = photos.par_iter().map(|photo| bounded(photo, bound)).collect::<Result<Vec<_>>>()?;
@@ -53,8 +52,7 @@ pub fn bounded(photo: &Image, bound: u32) -> Result<Image> {
     resized(&first, size, grows)
 }
 
-/// Resizes by cubic interpolation or area means, horizontally first. Rounds as OpenCV: means in
-/// f32, interpolation in fixed point, exact in f64.
+/// Rounds as OpenCV: means in f32, interpolation in fixed point, exact in f64.
 fn resized(photo: &Image, [width, height]: [u32; 2], cubic: bool) -> Result<Image> {
     if [photo.width, photo.height] == [width, height] {
         return Ok(photo.clone());
@@ -74,7 +72,6 @@ fn resized(photo: &Image, [width, height]: [u32; 2], cubic: bool) -> Result<Imag
     Image::new(width, height, ys.par_iter().flat_map_iter(down).collect())
 }
 
-/// Returns each output's inputs with their area weights.
 fn area_taps(inputs: u32, outputs: u32) -> Vec<Vec<(usize, f64)>> {
     let scale = f64::from(inputs) / f64::from(outputs);
     let tap = |i: u32| {
@@ -87,7 +84,6 @@ fn area_taps(inputs: u32, outputs: u32) -> Vec<Vec<(usize, f64)>> {
     (0..outputs).map(tap).collect()
 }
 
-/// Returns each output's four inputs, clamped to the edge, with weights of [`BITS`] bits.
 fn cubic_taps(inputs: u32, outputs: u32) -> Vec<Vec<(usize, f64)>> {
     let scale = f64::from(inputs) / f64::from(outputs);
     let near = |u: f64| ((A + 2.0) * u - (A + 3.0)) * u * u + 1.0;

@@ -32,13 +32,12 @@ impl Intrinsics {
         Self { width, height, fx: focal(w, hfov), fy: focal(h, vfov), cx: w / 2.0, cy: h / 2.0 }
     }
 
-    /// Returns the horizontal field of view in radians; ignores the principal point, as the
-    /// reference.
+    /// Returns the horizontal field of view in radians.
     pub fn hfov(&self) -> f64 {
         2.0 * (f64::from(self.width) / (2.0 * self.fx)).atan()
     }
 
-    /// Returns the vertical field of view in radians; ignores the principal point.
+    /// Returns the vertical field of view in radians.
     pub fn vfov(&self) -> f64 {
         2.0 * (f64::from(self.height) / (2.0 * self.fy)).atan()
     }
@@ -48,7 +47,7 @@ impl Intrinsics {
         DMat3::from_cols_array_2d(&[[self.fx, 0.0, 0.0], [0.0, self.fy, 0.0], [self.cx, self.cy, 1.0]])
     }
 
-    /// Returns the intrinsics of a crop that starts at (`left`, `top`). A negative start pads.
+    /// Returns the intrinsics of a crop that starts at (`left`, `top`).
     pub fn crop(&self, left: i32, top: i32, width: u32, height: u32) -> Self {
         Self { width, height, cx: self.cx - f64::from(left), cy: self.cy - f64::from(top), ..*self }
     }
@@ -85,7 +84,7 @@ impl Pose {
         Self { rotation: self.rotation * inner.rotation, translation: self.transform(inner.translation) }
     }
 
-    /// Returns the pose relative to `first`, which maps to the identity.
+    /// Returns the pose relative to `first`.
     pub fn relative_to(&self, first: &Self) -> Self {
         first.inverse().compose(self)
     }
@@ -131,6 +130,7 @@ impl Camera {
     /// Checks for finite values, a non-empty picture, positive focal lengths and a valid rotation.
     ///
     /// # Errors
+    ///
     /// [`Error::Argument`] with the field and `name`, such as `camera 3`.
     pub fn validate(&self, name: &str) -> Result<()> {
         let Self { intrinsics: i, pose } = self;
@@ -166,6 +166,7 @@ impl Camera {
 /// scale.
 ///
 /// # Errors
+///
 /// [`Error::Argument`] with the index of the first invalid camera.
 pub fn prior_encoding(cameras: &[Camera]) -> Result<Vec<[f32; 9]>> {
     let encode = |(i, camera): (usize, &Camera)| {
@@ -183,13 +184,13 @@ pub fn prior_encoding(cameras: &[Camera]) -> Result<Vec<[f32; 9]>> {
 /// centers are divided by their median distance from it, at least 0.1.
 ///
 /// # Errors
+///
 /// [`Error::Argument`] with the index of the first invalid camera.
 pub fn relative_encoding(cameras: &[Camera]) -> Result<Vec<[f32; 9]>> {
     cameras.iter().enumerate().try_for_each(|(i, camera)| camera.validate(&format!("camera {i}")))?;
     let poses: Vec<Pose> = cameras.iter().map(|camera| camera.pose.relative_to(&cameras[0].pose)).collect();
     let mut distances: Vec<f64> = poses.iter().map(|pose| pose.translation.length()).collect();
     distances.sort_by(f64::total_cmp);
-    // The lower median.
     let unit = distances.get(distances.len().saturating_sub(1) / 2).map_or(1.0, |median| median.max(0.1));
     let encode = |(camera, pose): (&Camera, &Pose)| {
         let ([w, x, y, z], t) = (quaternion_from_matrix(&pose.rotation), pose.translation / unit);
@@ -198,8 +199,7 @@ pub fn relative_encoding(cameras: &[Camera]) -> Result<Vec<[f32; 9]>> {
     Ok(cameras.iter().zip(&poses).map(encode).collect())
 }
 
-/// Returns the unit quaternion `wxyz` of a rotation, `w >= 0`. Divides by its largest component, so
-/// nothing cancels near half turns.
+/// Returns the unit quaternion `wxyz` of a rotation, `w >= 0`.
 pub fn quaternion_from_matrix(rotation: &DMat3) -> [f64; 4] {
     let [x, y, z] = rotation.transpose().to_cols_array_2d();
     let squares =

@@ -10,9 +10,10 @@ use tempfile::NamedTempFile;
 
 use crate::{Error, Result};
 
-/// Opens a regular file, or a link to one. Pipes and devices could block or never end.
+/// Opens a regular file, or a link to one.
 ///
 /// # Errors
+///
 /// [`Error::Io`] with `path`; [`Error::Argument`] if it is not a regular file.
 pub fn open_file(path: impl AsRef<Path>) -> Result<File> {
     let path = path.as_ref();
@@ -24,7 +25,6 @@ pub fn open_file(path: impl AsRef<Path>) -> Result<File> {
     File::open(path).map_err(failed)
 }
 
-/// Reads a file opened by [`open_file`].
 pub(crate) fn read_file(path: &Path) -> Result<Vec<u8>> {
     let (mut file, mut bytes) = (open_file(path)?, Vec::new());
     file.read_to_end(&mut bytes).map_err(|source| Error::io(path, source))?;
@@ -47,9 +47,6 @@ fn kind_of(kind: FileType) -> &'static str {
 
 /// Writes a temporary file and renames it to `path`: readers never see a partial file. Writes
 /// directly to other file types, such as pipes and `/dev/stdout`.
-///
-/// # Errors
-/// [`Error::Io`] with `path`.
 pub fn write_atomic(path: &Path, write: impl FnOnce(&mut dyn Write) -> std::io::Result<()>) -> Result<()> {
     let special = path.metadata().is_ok_and(|found| !found.is_file());
     let written = if special { write_through(path, write) } else { write_beside(path, write) };
@@ -69,10 +66,9 @@ fn write_beside(path: &Path, write: impl FnOnce(&mut dyn Write) -> std::io::Resu
     Ok(())
 }
 
-/// Prefix of temporary files. Any such file that no process has locked is stale.
+/// Any such file that no process has locked is stale.
 const PREFIX: &str = ".zipsplat-";
 
-/// Creates a temporary file in the folder of `path`, locked until it is closed.
 fn temporary(path: &Path) -> std::io::Result<NamedTempFile> {
     let folder = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     remove_stale(folder);
@@ -86,7 +82,6 @@ fn temporary(path: &Path) -> std::io::Result<NamedTempFile> {
     }
 }
 
-/// Removes the temporary files of killed processes, once per process and folder.
 fn remove_stale(folder: &Path) {
     static CLEAN: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
     let Ok(whole) = folder.canonicalize() else { return };
@@ -114,7 +109,6 @@ fn create_in(folder: &Path) -> std::io::Result<NamedTempFile> {
     builder.tempfile_in(folder).map_err(plain)
 }
 
-/// Removes the useless temporary name from an error.
 fn plain(error: std::io::Error) -> std::io::Error {
     let words = error.to_string();
     let reason = words.split(" at path ").next().unwrap_or(&words);
@@ -129,18 +123,12 @@ pub struct Unfinished {
 
 impl Unfinished {
     /// Creates the temporary file for `path`.
-    ///
-    /// # Errors
-    /// [`Error::Io`] with `path`.
     pub fn begin(path: &Path) -> Result<Self> {
         let file = temporary(path).map_err(|source| Error::io(path, source))?;
         Ok(Self { file, path: path.to_owned() })
     }
 
     /// Returns a writer that appends to the file.
-    ///
-    /// # Errors
-    /// [`Error::Io`] with the file.
     pub fn writer(&self) -> Result<BufWriter<File>> {
         let file = self.file.as_file().try_clone();
         file.map(BufWriter::new).map_err(|source| Error::io(&self.path, source))
@@ -152,9 +140,6 @@ impl Unfinished {
     }
 
     /// Renames the file to its final path, replacing any existing file.
-    ///
-    /// # Errors
-    /// [`Error::Io`] with the file.
     pub fn finish(self) -> Result<()> {
         let Self { file, path } = self;
         file.persist(&path).map(drop).map_err(|error| Error::io(path, error.error))

@@ -1,5 +1,3 @@
-//! Interface of a scene format's module.
-
 use std::io::Write;
 use std::path::Path;
 
@@ -9,23 +7,17 @@ use crate::Result;
 pub(super) struct Format {
     /// Possible magic bytes; empty if only the extension identifies the format.
     pub marks: &'static [&'static [u8]],
-    /// Whether it stores spherical harmonics above degree 0.
     pub view_dependence: bool,
-    /// Reads a scene without validating its values.
     pub read: fn(Source<'_>) -> Result<Scene>,
-    /// Reads the line of [`World::line`] from a file, if the format can store it.
     pub world: Option<ReadLine>,
-    /// Checks that the format can store a valid scene, and returns its encoder.
     pub write: for<'a> fn(&'a Scene, &WriteOptions, Option<&World>) -> Result<Encoder<'a>>,
 }
 
 type ReadLine = fn(&Path) -> Result<Option<String>>;
 
-/// Writes a checked scene; only I/O can fail.
 pub(super) type Encoder<'a> = Box<dyn FnOnce(&mut dyn Write) -> std::io::Result<()> + 'a>;
 
 impl Format {
-    /// Writes a scene, ignoring the path's extension.
     pub fn write_file(&self, path: &Path, scene: &Scene, options: &WriteOptions, world: Option<&World>) -> Result<()> {
         scene.validate()?;
         write_atomic(path, (self.write)(scene, options, world)?)

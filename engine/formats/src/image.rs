@@ -13,9 +13,8 @@ use super::camera::{Camera, Intrinsics, Pose};
 use super::file::{open_file, write_atomic};
 use crate::{Error, Result};
 
-/// Maximum side that is read, against broken and hostile files.
+/// Maximum side that is read.
 pub const MAX_SIDE: u32 = 32_768;
-/// Bytes that identify a file type.
 const MARK: u64 = 12;
 /// Decoding limit in bytes: 350 megapixels of RGB8.
 pub const MAX_DECODED_BYTES: u64 = 1 << 30;
@@ -52,9 +51,9 @@ impl Image {
     /// as Pillow's `convert("RGB")`, and keeps the high byte of 16-bit samples.
     ///
     /// # Errors
-    /// [`Error::Io`] for failed reads. [`Error::Format`] for other formats, damage, truncation, or
-    /// more than 32,768 pixels a side or 1 GiB decoded. For HEIC, AVIF, TIFF, BMP, GIF and videos
-    /// it contains a conversion command.
+    ///
+    /// [`Error::Format`] for other formats, damage, truncation, or more than 32,768 pixels a side
+    /// or 1 GiB decoded.
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
         let (mut decoded, orientation) = decode(path.as_ref())?;
         decoded.apply_orientation(orientation);
@@ -62,9 +61,6 @@ impl Image {
     }
 
     /// Decodes bytes as [`Image::open`]; errors name "photo in memory".
-    ///
-    /// # Errors
-    /// [`Error::Format`], see [`Image::open`].
     pub fn decode(bytes: &[u8]) -> Result<Self> {
         let name = Path::new("photo in memory");
         refuse_other_kind(name, bytes)?;
@@ -76,9 +72,6 @@ impl Image {
 
     /// Reads as [`Image::open`], without applying the EXIF orientation. COLMAP's cameras refer to
     /// these pixels.
-    ///
-    /// # Errors
-    /// See [`Image::open`].
     pub fn open_as_stored(path: impl AsRef<Path>) -> Result<Self> {
         let (decoded, _) = decode(path.as_ref())?;
         Self::new(decoded.width(), decoded.height(), into_rgb(decoded))
@@ -87,6 +80,7 @@ impl Image {
     /// Reads width and height as of [`Image::open`] from the header.
     ///
     /// # Errors
+    ///
     /// See [`Image::open`]; damage after the header is not detected.
     pub fn size(path: impl AsRef<Path>) -> Result<(u32, u32)> {
         let ((width, height), orientation) = stored_size(path.as_ref())?;
@@ -94,16 +88,14 @@ impl Image {
     }
 
     /// Reads width and height as of [`Image::open_as_stored`] from the header.
-    ///
-    /// # Errors
-    /// See [`Image::size`].
     pub fn size_as_stored(path: impl AsRef<Path>) -> Result<(u32, u32)> {
         Ok(stored_size(path.as_ref())?.0)
     }
 
-    /// Converts a camera of the oriented photo to the stored pixels, which camera files refer to.
+    /// Converts a camera of the oriented photo to the stored pixels.
     ///
     /// # Errors
+    ///
     /// See [`Image::size`]; [`Error::Argument`] for mirrored photos.
     pub fn camera_as_stored(path: impl AsRef<Path>, camera: &Camera) -> Result<Camera> {
         let orientation = stored_size(path.as_ref())?.1;
@@ -128,7 +120,8 @@ impl Image {
     /// Writes a PNG atomically.
     ///
     /// # Errors
-    /// [`Error::Argument`] if the fields disagree, [`Error::Io`] for failed writes.
+    ///
+    /// [`Error::Argument`] if the fields disagree.
     pub fn save_png(&self, path: impl AsRef<Path>) -> Result<()> {
         self.validate()?;
         write_atomic(path.as_ref(), |out| {
@@ -141,6 +134,7 @@ impl Image {
     /// Encodes a JPEG of `quality` 1 to 100.
     ///
     /// # Errors
+    ///
     /// [`Error::Argument`] when the fields disagree or a side is longer than a JPEG can have.
     pub fn jpeg(&self, quality: u8) -> Result<Vec<u8>> {
         self.validate()?;
@@ -155,6 +149,7 @@ impl Image {
     /// the reference's viewer. NaN becomes 0.
     ///
     /// # Errors
+    ///
     /// [`Error::Argument`] if a side is zero or the length is not `3 * width * height`.
     pub fn from_rgb_f32(width: u32, height: u32, rgb: &[f32]) -> Result<Self> {
         Self::new(width, height, rgb.iter().map(|value| (value.clamp(0.0, 1.0) * 255.0) as u8).collect())
@@ -195,6 +190,7 @@ impl Image {
 /// Arranges images on black in rows of `columns`, each at the top left of equal cells.
 ///
 /// # Errors
+///
 /// [`Error::Argument`] without images or columns, or if the sheet exceeds the limits of
 /// [`Image::open`].
 pub fn contact_sheet(images: &[Image], columns: usize) -> Result<Image> {
@@ -232,20 +228,17 @@ fn read(path: &Path) -> Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// Rejects known types other than photos.
 fn refuse_other_kind(path: &Path, start: &[u8]) -> Result<()> {
     let Some((kind, advice)) = other_kind(start, path) else { return Ok(()) };
     Err(Error::format(path, None, format!("found {kind}, expected PNG, JPEG or WebP: {advice}")))
 }
 
-/// Returns true if a file starts as HEIC (brands of ISO/IEC 23008-12). Needs twelve bytes.
+/// Returns true if a file starts as HEIC (brands of ISO/IEC 23008-12).
 pub fn is_heic_start(start: &[u8]) -> bool {
     const BRANDS: [&[u8]; 8] = [b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1"];
     start.get(4..8) == Some(b"ftyp") && start.get(8..12).is_some_and(|brand| BRANDS.contains(&brand))
 }
 
-/// Identifies other camera, phone and scanner files by their first bytes, with a conversion
-/// command.
 fn other_kind(start: &[u8], path: &Path) -> Option<(&'static str, String)> {
     let quoted = |path: &Path| {
         let path = path.to_string_lossy();
@@ -266,7 +259,6 @@ fn other_kind(start: &[u8], path: &Path) -> Option<(&'static str, String)> {
     match (start.get(4..8), start.get(8..12)) {
         (Some(b"ftyp"), Some(b"avif" | b"avis")) => Some(("an AVIF picture", photo("magick", "", ".png"))),
         _ if is_heic_start(start) => Some(("a HEIC picture", photo("heif-convert", "", ".jpg"))),
-        // Canon's raw format.
         (Some(b"ftyp"), Some(b"crx ")) => None,
         (Some(b"ftyp"), _) => Some(("a video (MP4 or QuickTime)", photos())),
         (_, Some(b"AVI ")) if start.starts_with(b"RIFF") => Some(("a video (AVI)", photos())),
@@ -276,7 +268,6 @@ fn other_kind(start: &[u8], path: &Path) -> Option<(&'static str, String)> {
         }
         // `[0]` is an animation's first frame.
         _ if start.starts_with(b"GIF8") => Some(("a GIF picture", photo("magick", "[0]", ".png"))),
-        // Four reserved bytes follow magic and size.
         _ if start.starts_with(b"BM") && start.get(6..10) == Some(&[0; 4]) => {
             Some(("a BMP picture", photo("magick", "", ".png")))
         }

@@ -1,5 +1,3 @@
-//! Skipped passes and effects.
-
 /// A pass or effect that a request does not need.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct LeftOut {

@@ -1,17 +1,12 @@
-//! Lens distortion, and undistortion to pinhole cameras.
-
 use rayon::prelude::*;
 
 use super::{Image, Intrinsics};
 use crate::{Error, Result};
 
-/// Search range of the pinhole's focal length relative to the lens. The lower bound limits fisheye
-/// lenses, which may see half the world.
+/// The lower bound limits fisheye lenses, which may see half the world.
 const ZOOM: [f64; 2] = [0.7, 4.0];
 const FISHEYE_ZOOM: [f64; 2] = [1.0, 4.0];
-/// Bisection steps of the zoom.
 const HALVINGS: usize = 40;
-/// Sampled points per side of the border, and steps from the center to each.
 const SIDE_POINTS: u32 = 16;
 const STEPS: u32 = 8;
 
@@ -54,7 +49,6 @@ impl Distortion {
 
     /// Distorts a direction.
     pub fn apply(&self, [x, y]: [f64; 2]) -> [f64; 2] {
-        // 1 + a s + b s^2 + ...
         let series = |k: &[f64], s: f64| 1.0 + s * k.iter().rev().fold(0.0, |sum, k| sum * s + k);
         let squared = x * x + y * y;
         match self {
@@ -83,6 +77,7 @@ impl Lens {
     /// keeps the principal point and scales both focal lengths by one zoom.
     ///
     /// # Errors
+    ///
     /// [`Error::Argument`] with `name` for coefficients without such a camera.
     pub fn pinhole(&self, name: &str) -> Result<Intrinsics> {
         let [mut low, mut high] = match self.distortion {
@@ -107,6 +102,7 @@ impl Lens {
     /// interpolation.
     ///
     /// # Errors
+    ///
     /// See [`Lens::pinhole`]; [`Error::Argument`] if the photo's fields disagree.
     pub fn undistort(&self, photo: &Image) -> Result<Image> {
         photo.validate()?;
@@ -129,8 +125,7 @@ impl Lens {
         Intrinsics { fx: i.fx * zoom, fy: i.fy * zoom, ..i }
     }
 
-    /// Returns true if the photo fills the pinhole's picture at a zoom. Polynomials fold back far
-    /// from the center, so radii must grow toward each border point.
+    /// Polynomials fold back far from the center, so radii must grow toward each border point.
     fn fills(&self, zoom: f64) -> bool {
         let (i, pinhole) = (&self.intrinsics, self.zoomed(zoom));
         let (w, h) = (f64::from(i.width), f64::from(i.height));
@@ -155,7 +150,6 @@ impl Lens {
 /// Rounding tolerance at the photo's border, in pixels.
 const EDGE: f64 = 1e-6;
 
-/// Samples a photo by Catmull-Rom interpolation, clamped to the edge.
 fn sample(photo: &Image, x: f64, y: f64) -> [u8; 3] {
     let taps = |at: f64, count: u32| {
         let (first, t) = ((at - 0.5).floor(), (at - 0.5) - (at - 0.5).floor());

@@ -1,4 +1,4 @@
-//! Images, cameras, 3D Gaussian scenes and their files. Needs no GPU.
+//! Images, cameras, 3D Gaussian scenes and their files. Failed reads and writes give [`Error::Io`].
 
 mod axes;
 mod bounded;

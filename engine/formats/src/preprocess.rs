@@ -56,6 +56,7 @@ impl PixelMap {
     /// first.
     ///
     /// # Errors
+    ///
     /// [`Error::Argument`] with `label` if the aspect ratios differ by more than 1 %.
     pub fn apply(&self, intrinsics: &Intrinsics, label: &str) -> Result<Intrinsics> {
         let [width, height] = self.from;
@@ -88,9 +89,6 @@ impl PixelMap {
 }
 
 /// Maps cameras of whole photos to views, relative to the first view's camera.
-///
-/// # Errors
-/// See [`Camera::validate`] and [`PixelMap::apply`].
 pub fn view_cameras(cameras: &[Camera], views: &[View]) -> Result<Vec<Camera>> {
     let of_view = |(i, (camera, view)): (usize, (&Camera, &View))| {
         let label = format!("camera {i}");
@@ -114,6 +112,7 @@ pub fn fit(photo: &Image, width: u32, height: u32) -> Result<View> {
 /// Crops and resizes as [`fit`], to any size.
 ///
 /// # Errors
+///
 /// [`Error::Argument`] if a side is zero, or the photo's fields disagree.
 pub fn cropped(photo: &Image, width: u32, height: u32) -> Result<View> {
     photo.validate()?;
@@ -124,9 +123,6 @@ pub fn cropped(photo: &Image, width: u32, height: u32) -> Result<View> {
 }
 
 /// Resizes a whole photo by the scale of [`cropped`], without cropping.
-///
-/// # Errors
-/// See [`cropped`].
 pub fn whole(photo: &Image, width: u32, height: u32) -> Result<View> {
     photo.validate()?;
     let scale = (f64::from(width) / f64::from(photo.width)).max(f64::from(height) / f64::from(photo.height));

@@ -9,9 +9,10 @@ use super::Image;
 use crate::{Error, Result};
 
 /// Resizes as Pillow's `resize(.., LANCZOS)` on 8-bit RGB: two fixed-point passes, rounded to 8
-/// bits between. Skips a pass that changes no size.
+/// bits between.
 ///
 /// # Errors
+///
 /// [`Error::Argument`] if a side is zero or the image's fields disagree.
 pub fn resize_lanczos(image: &Image, width: u32, height: u32) -> Result<Image> {
     image.validate()?;
@@ -36,10 +37,8 @@ struct Taps {
 
 /// Fraction bits of Pillow's weights: 32 minus 8 for the sample and 2 for overshoot.
 const FRACTION_BITS: u32 = 22;
-/// Rounding offset.
 const HALF: i32 = 1 << (FRACTION_BITS - 1);
 
-/// Converts a weighted sum, including [`HALF`], to a sample.
 fn sample(sum: i32) -> u8 {
     (sum >> FRACTION_BITS).clamp(0, 255) as u8
 }
@@ -97,7 +96,6 @@ fn lanczos3(x: f64) -> f64 {
     if (-3.0..3.0).contains(&x) { sinc(x) * sinc(x / 3.0) } else { 0.0 }
 }
 
-/// Returns the inputs with centers in `low..high`, by Pillow's rounding.
 fn window(low: f64, high: f64, inputs: u32) -> Range<usize> {
     (low + 0.5).max(0.0) as usize..((high + 0.5) as usize).min(inputs as usize)
 }

@@ -1,5 +1,3 @@
-//! Scenes of 3D Gaussians as arrays per field.
-
 use std::path::Path;
 
 use glam::{DQuat, DVec3};
@@ -10,9 +8,7 @@ use crate::{Error, Result};
 
 /// Default near plane in world units, as in gsplat.
 pub const NEAR: f32 = 0.01;
-/// Scene extent below which the near plane shrinks with the scene.
 const SMALL: f64 = 0.1;
-/// Maximum number of Gaussians that measure a scene's extent.
 const SAMPLE: usize = 4096;
 
 /// Returns the near plane of a scene of this extent.
@@ -21,7 +17,6 @@ pub fn near(extent: f64) -> f32 {
     if extent < SMALL && extent > 0.0 { NEAR * extent.log2().floor().max(-100.0).exp2() as f32 } else { NEAR }
 }
 
-/// Returns the median, 0 for no values.
 fn median(values: impl Iterator<Item = f64>) -> f64 {
     let mut values: Vec<f64> = values.collect();
     let middle = values.len() / 2;
@@ -76,8 +71,7 @@ impl Scene {
         if distance > 0.0 { distance } else { median(self.scales.iter().step_by(step).map(size)) }
     }
 
-    /// Returns the near plane: [`NEAR`], scaled down for scenes with an extent below 0.1. It steps
-    /// by powers of two, so that optimization rarely changes it.
+    /// Returns the near plane: [`NEAR`], scaled down for scenes with an extent below 0.1.
     pub fn near(&self) -> f32 {
         near(self.extent())
     }
@@ -96,9 +90,10 @@ impl Scene {
     }
 
     /// Unpacks the decoder's rows of 11 + 3 K: mean 3, scale 3, quaternion wxyz 4, opacity 1,
-    /// coefficients `[K][rgb]`. Does not validate; see [`Scene::validate`].
+    /// coefficients `[K][rgb]`.
     ///
     /// # Errors
+    ///
     /// [`Error::Argument`] if the degree is above 3 or the last row is incomplete.
     pub fn from_packed(packed: &[f32], sh_degree: u32) -> Result<Self> {
         check_degree(sh_degree)?;
@@ -130,7 +125,6 @@ impl Scene {
         }
     }
 
-    /// Returns a zeroed scene, for readers to fill.
     pub(super) fn zeroed(count: usize, sh_degree: u32) -> Self {
         Self {
             means: vec![[0.0; 3]; count],
@@ -142,7 +136,6 @@ impl Scene {
         }
     }
 
-    /// Returns a parallel iterator over the Gaussians from index `start`.
     pub(super) fn rows_mut(&mut self, start: usize) -> impl IndexedParallelIterator<Item = GaussianMut<'_>> {
         let k = self.sh_coeffs_per_gaussian();
         let fields = (
@@ -197,7 +190,6 @@ impl Scene {
         let mut kept = Vec::new();
         for start in (0..self.len()).step_by(group.max(1)) {
             let mut order: Vec<usize> = (start..self.len().min(start + group.max(1))).collect();
-            // A stable sort keeps the first of equals.
             order.sort_by(|a, b| visible[*b].total_cmp(&visible[*a]));
             order.truncate(count);
             order.sort_unstable();
@@ -206,9 +198,10 @@ impl Scene {
         kept
     }
 
-    /// Removes Gaussians with invalid values, in order, and returns their number.
+    /// Removes invalid Gaussians and returns their number.
     ///
     /// # Errors
+    ///
     /// [`Error::Argument`] if the arrays' lengths disagree.
     pub fn drop_invalid(&mut self) -> Result<usize> {
         self.check_lengths()?;
@@ -237,6 +230,7 @@ impl Scene {
     /// Checks array lengths and that all values are finite and in range.
     ///
     /// # Errors
+    ///
     /// [`Error::Argument`] with the number of invalid Gaussians and the first of them.
     pub fn validate(&self) -> Result<()> {
         self.check_lengths()?;
@@ -251,7 +245,6 @@ impl Scene {
         Ok(())
     }
 
-    /// Validates a scene read from `path`.
     pub(super) fn validated(self, path: &Path) -> Result<Self> {
         self.validate().map_err(|error| Error::format(path, None, error.to_string()))?;
         Ok(self)
@@ -275,7 +268,6 @@ impl Scene {
     }
 }
 
-/// Mutable fields of a Gaussian of [`Scene`].
 pub(super) struct GaussianMut<'a> {
     pub mean: &'a mut [f32; 3],
     pub scale: &'a mut [f32; 3],
@@ -284,7 +276,6 @@ pub(super) struct GaussianMut<'a> {
     pub sh: &'a mut [[f32; 3]],
 }
 
-/// Valid values of a field.
 struct Values {
     field: &'static str,
     expected: &'static str,
@@ -318,7 +309,6 @@ fn finite(values: &[f32]) -> bool {
     values.iter().all(|value| value.is_finite())
 }
 
-/// Coefficients per channel up to `degree`.
 fn coeffs(degree: u32) -> usize {
     (degree as usize + 1).pow(2)
 }

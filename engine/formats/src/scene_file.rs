@@ -19,7 +19,6 @@ macro_rules! listed {
     ($first:literal, $($rest:literal),+) => { concat!($first, ", ", listed!($($rest),+)) };
 }
 
-/// Generates the enumeration from the table: name, extension, module.
 macro_rules! formats {
     ($($(#[$doc:meta])* $name:ident $extension:literal $format:path;)*) => {
         /// Format of a scene file.
@@ -77,11 +76,7 @@ impl SceneFormat {
         Self::named(path.as_ref().extension()?.to_str()?)
     }
 
-    /// Detects a format by a file's first bytes, else by extension. `.splat` and `.gltf` have no
-    /// magic bytes.
-    ///
-    /// # Errors
-    /// [`Error::Io`] for failed reads.
+    /// Detects a format by a file's first bytes, else by extension.
     pub fn of_file(path: impl AsRef<Path>) -> Result<Option<Self>> {
         let path = path.as_ref();
         let (mut start, by_extension) = (Vec::new(), Self::of_extension(path));
@@ -91,8 +86,7 @@ impl SceneFormat {
         Ok(Self::told(&start, by_extension))
     }
 
-    /// Detects by first bytes, else returns `otherwise`. A format without magic bytes in
-    /// `otherwise` wins.
+    /// A format without magic bytes in `otherwise` wins.
     fn told(start: &[u8], otherwise: Option<Self>) -> Option<Self> {
         let marked = |format: &Self| format.format().marks.iter().any(|mark| start.starts_with(mark));
         otherwise
@@ -116,16 +110,16 @@ impl SceneFormat {
 /// down, z forward.
 ///
 /// # Errors
-/// [`Error::Io`] for failed reads. [`Error::Format`] for unknown or damaged files, and values that
-/// are not finite or out of range.
+///
+/// [`Error::Format`] for unknown or damaged files, and values that are not finite or out of range.
 pub fn read_scene(path: impl AsRef<Path>) -> Result<Scene> {
     read_scene_unchecked(path.as_ref())?.validated(path.as_ref())
 }
 
-/// Reads as [`read_scene`], without validating values: NaN passes. See [`Scene::drop_invalid`] and
-/// [`Scene::validate`].
+/// Reads as [`read_scene`], without validating values: NaN passes.
 ///
 /// # Errors
+///
 /// See [`read_scene`], except for values.
 pub fn read_scene_unchecked(path: impl AsRef<Path>) -> Result<Scene> {
     let path = path.as_ref();
@@ -134,10 +128,7 @@ pub fn read_scene_unchecked(path: impl AsRef<Path>) -> Result<Scene> {
 }
 
 /// Decodes a scene as [`read_scene`], detected by its first bytes, else of `format`, which `.splat`
-/// and `.gltf` need. A glTF may not refer to other files. Errors name "scene in memory".
-///
-/// # Errors
-/// [`Error::Format`], see [`read_scene`].
+/// and `.gltf` need. A glTF may not refer to other files.
 pub fn decode_scene(bytes: &[u8], format: Option<SceneFormat>) -> Result<Scene> {
     decode_scene_unchecked(bytes, format)?.validated(Path::new(IN_MEMORY))
 }
@@ -145,6 +136,7 @@ pub fn decode_scene(bytes: &[u8], format: Option<SceneFormat>) -> Result<Scene> 
 /// Decodes as [`decode_scene`], without validating values.
 ///
 /// # Errors
+///
 /// See [`decode_scene`], except for values.
 pub fn decode_scene_unchecked(bytes: &[u8], format: Option<SceneFormat>) -> Result<Scene> {
     let name = Path::new(IN_MEMORY);
@@ -152,7 +144,6 @@ pub fn decode_scene_unchecked(bytes: &[u8], format: Option<SceneFormat>) -> Resu
     (format.format().read)(Source::memory(name, bytes))
 }
 
-/// File name in errors for bytes in memory.
 const IN_MEMORY: &str = "scene in memory";
 
 fn no_scene(name: &Path) -> Error {
@@ -163,17 +154,15 @@ fn no_scene(name: &Path) -> Error {
 /// [`write_transforms`](super::poses::write_transforms).
 ///
 /// # Errors
+///
 /// [`Error::Argument`] if the extension is unknown, the scene is invalid or the format cannot store
-/// it; [`Error::Io`] for failed writes.
+/// it.
 pub fn write_scene(path: impl AsRef<Path>, scene: &Scene, options: &WriteOptions) -> Result<()> {
     write_scene_in(path, scene, options, None)
 }
 
 /// Writes as [`write_scene`], with the scene's world for [`read_world`](super::read_world) if known
 /// and [`SceneFormat::keeps_world`].
-///
-/// # Errors
-/// See [`write_scene`].
 pub fn write_scene_in(
     path: impl AsRef<Path>,
     scene: &Scene,
@@ -189,6 +178,7 @@ pub fn write_scene_in(
 /// Encodes the file that [`write_scene`] writes.
 ///
 /// # Errors
+///
 /// [`Error::Argument`] if the scene is invalid or the format cannot store it.
 pub fn encode_scene(scene: &Scene, format: SceneFormat, options: &WriteOptions) -> Result<Vec<u8>> {
     scene.validate()?;
@@ -199,9 +189,6 @@ pub fn encode_scene(scene: &Scene, format: SceneFormat, options: &WriteOptions) 
 }
 
 /// Reads a scene's world, if this engine stored it in the file.
-///
-/// # Errors
-/// [`Error::Io`] for failed reads.
 pub fn read_world(path: impl AsRef<Path>) -> Result<Option<World>> {
     let path = path.as_ref();
     let Some(read) = SceneFormat::of_file(path)?.and_then(|format| format.format().world) else { return Ok(None) };

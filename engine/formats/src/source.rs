@@ -8,9 +8,7 @@ use std::path::Path;
 use super::file::open_file;
 use crate::{Error, Result};
 
-/// Sequential bytes of a scene.
 pub(super) struct Source<'a> {
-    /// File path, or the name of bytes in memory in errors.
     pub name: &'a Path,
     content: Content<'a>,
 }
@@ -31,7 +29,6 @@ impl<'a> Source<'a> {
         Self { name, content: Content::Memory(Cursor::new(bytes)) }
     }
 
-    /// Returns the total number of bytes.
     pub(super) fn length(&self) -> u64 {
         match &self.content {
             Content::File { length, .. } => *length,
@@ -39,12 +36,10 @@ impl<'a> Source<'a> {
         }
     }
 
-    /// Returns the folder for referenced files; `None` for bytes in memory.
     pub(super) fn folder(&self) -> Option<&'a Path> {
         matches!(self.content, Content::File { .. }).then(|| self.name.parent().unwrap_or(Path::new("")))
     }
 
-    /// Reads the remaining bytes.
     pub(super) fn rest(&mut self) -> Result<Cow<'a, [u8]>> {
         match &mut self.content {
             Content::File { file, .. } => {

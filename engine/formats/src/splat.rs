@@ -12,7 +12,6 @@ use crate::{Error, Result};
 pub(super) const FORMAT: Format =
     Format { marks: &[], view_dependence: false, read: read_unchecked, world: None, write: encoder };
 
-/// Bytes per Gaussian.
 const ROW: usize = 32;
 
 /// Harmonic of degree 0: `1 / (2 sqrt(pi))`.
@@ -23,7 +22,8 @@ fn sh_constant() -> f32 {
 /// Writes a `.splat` atomically, largest and most opaque Gaussians first for progressive viewers.
 ///
 /// # Errors
-/// [`Error::Argument`] if the scene is invalid, [`Error::Io`] for failed writes.
+///
+/// [`Error::Argument`] if the scene is invalid.
 pub fn write_splat(scene: &Scene, path: impl AsRef<Path>) -> Result<()> {
     FORMAT.write_file(path.as_ref(), scene, &WriteOptions::default(), None)
 }
@@ -36,7 +36,6 @@ fn encoder<'a>(scene: &'a Scene, _: &WriteOptions, _: Option<&World>) -> Result<
 }
 
 fn encode(scene: &Scene, i: usize) -> [u8; ROW] {
-    // Casting saturates.
     let level = |value: f32| (255.0 * value).round() as u8;
     let [r, g, b] = scene.sh_coeffs[i * scene.sh_coeffs_per_gaussian()].map(|dc| level(0.5 + sh_constant() * dc));
     let rotation = unit_quaternion(scene.quats[i]).map(|q| (128.0 * q + 128.0).round() as u8);
@@ -51,13 +50,13 @@ fn encode(scene: &Scene, i: usize) -> [u8; ROW] {
 /// Reads a `.splat` of degree 0. Quaternions keep their rounded length.
 ///
 /// # Errors
-/// [`Error::Io`] for failed reads. [`Error::Format`] for an incomplete Gaussian, values that are
-/// not finite, a negative standard deviation or a zero rotation.
+///
+/// [`Error::Format`] for an incomplete Gaussian, values that are not finite, a negative standard
+/// deviation or a zero rotation.
 pub fn read_splat(path: impl AsRef<Path>) -> Result<Scene> {
     read_unchecked(Source::open(path.as_ref())?)?.validated(path.as_ref())
 }
 
-/// Reads as [`read_splat`], without validating values.
 fn read_unchecked(mut source: Source<'_>) -> Result<Scene> {
     let bytes = source.rest()?;
     let (rows, rest) = bytes.as_chunks::<ROW>();

@@ -1,5 +1,3 @@
-//! Square crops of a whole photo.
-//!
 //! Networks trained on squares handle other shapes badly, and their camera encoders ignore
 //! principal points. So each square gets its own camera: same position, turned to the square's
 //! center, with a centered principal point.
@@ -10,9 +8,7 @@ use rayon::prelude::*;
 use super::{Camera, Image, Intrinsics, Pose, preprocess::PixelMap, resample::resize_lanczos};
 use crate::{Error, Result};
 
-/// Below this aspect ratio one square shows nearly the whole photo.
 const NEARLY_SQUARE: f64 = 1.1;
-/// Samples per pixel and axis.
 const SAMPLES: u32 = 4;
 
 /// Returns the number of squares: longer side over shorter side, rounded up.
@@ -35,7 +31,6 @@ pub fn squares(photo: &Image, camera: &Camera, side: u32, label: &str) -> Result
         return Err(Error::argument("side of the squares", side, "at least 1"));
     }
     let lens = PixelMap::identity(photo).apply(&camera.intrinsics, label)?;
-    // Limits the resolution to that of the samples.
     let fine = f64::from(side * SAMPLES) / f64::from(photo.width.min(photo.height));
     let small = |length: u32| ((f64::from(length) * fine.min(1.0)).round() as u32).max(1);
     let photo = &resize_lanczos(photo, small(photo.width), small(photo.height))?;
@@ -55,13 +50,11 @@ pub fn squares(photo: &Image, camera: &Camera, side: u32, label: &str) -> Result
     (0..count).map(square).collect()
 }
 
-/// Returns the rotation and intrinsics of a square, given its first pixel and side. The view
-/// contains the centers of all four edges.
+/// The view contains the centers of all four edges.
 fn turned(lens: &Intrinsics, [left, top]: [f64; 2], edge: f64, side: u32) -> (DMat3, Intrinsics) {
     let ray = |x: f64, y: f64| DVec3::new((x - lens.cx) / lens.fx, (y - lens.cy) / lens.fy, 1.0).normalize();
     let (x, y) = (left + edge / 2.0, top + edge / 2.0);
     let (right, bottom) = (left + edge, top + edge);
-    // Bisects the angle, not the pixels.
     let middle_x = ray(left, y) + ray(right, y);
     let middle_y = ray(x, top) + ray(x, bottom);
     let axis = DVec3::new(middle_x.x / middle_x.z, middle_y.y / middle_y.z, 1.0);
@@ -77,7 +70,6 @@ fn turned(lens: &Intrinsics, [left, top]: [f64; 2], edge: f64, side: u32) -> (DM
     (turn, Intrinsics { width: side, height: side, fx: focal, fy: focal, cx: middle, cy: middle })
 }
 
-/// Samples the photo in a turned camera: mean of bilinear samples.
 fn sample(photo: &Image, lens: &Intrinsics, to: &Intrinsics, turn: &DMat3) -> Result<Image> {
     let offset = |sample: u32| (f64::from(sample) + 0.5) / f64::from(SAMPLES);
     let pixel = |x: u32, y: u32| {
@@ -95,7 +87,6 @@ fn sample(photo: &Image, lens: &Intrinsics, to: &Intrinsics, turn: &DMat3) -> Re
     Image::new(to.width, to.height, rgb)
 }
 
-/// Interpolates the color at a pixel position, clamped to the edge.
 fn bilinear(photo: &Image, x: f64, y: f64) -> [f64; 3] {
     let axis = |place: f64, length: u32| {
         let place = (place - 0.5).clamp(0.0, f64::from(length - 1));

@@ -64,8 +64,6 @@ impl World {
         Self { origin, landmarks, lens: cameras.first().map(|camera| camera.intrinsics), up }
     }
 
-    /// Formats a line for [`World::parse`], without the world if a photo's name has control
-    /// characters.
     pub(super) fn line(world: Option<&Self>) -> String {
         let is_named = |world: &&Self| !matches!(&world.origin, Origin::Photo(name) if name.contains(char::is_control));
         let Some(world) = world.filter(is_named) else { return MADE_BY.into() };
@@ -80,7 +78,6 @@ impl World {
         format!("{MADE_BY} {}{landmarks}{}{}", world.origin, lens.unwrap_or_default(), up.unwrap_or_default())
     }
 
-    /// Parses a line of [`World::line`].
     pub(super) fn parse(line: &str) -> Option<Self> {
         let mut parts = line.strip_prefix(MADE_BY)?.strip_prefix(' ')?.split(SEPARATOR);
         let origin = Origin::parse(parts.next()?)?;

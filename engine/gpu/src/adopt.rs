@@ -39,8 +39,7 @@ pub fn requirements() -> Vec<Requirement> {
     [Requirement::ApiVersion(c"1.3")].into_iter().chain(REQUIRED.map(feature)).collect()
 }
 
-/// Returns the features for matrix units, integer dot products and 16-bit floats. Exact precision
-/// needs none of these.
+/// Returns the features for matrix units, integer dot products and 16-bit floats.
 pub fn fast_requirements() -> Vec<Requirement> {
     let extension = Requirement::DeviceExtension(ash::khr::cooperative_matrix::NAME);
     let features = HALVES.into_iter().chain(MATRICES).chain(BYTES).chain(DOT_PRODUCTS);
@@ -90,7 +89,6 @@ impl Device {
         let instance = Instance::adopt(adopted.get_instance_proc_addr, vk::Instance::from_raw(instance))?;
         let physical = vk::PhysicalDevice::from_raw(physical);
         let (mut limits, found) = probe(&instance, physical);
-        // The requirements do not include these features.
         limits.matrices.bf16 = None;
         limits.addresses = false;
         if !adopted.fast {

@@ -13,11 +13,10 @@ use std::sync::{
     atomic::{AtomicBool, AtomicU64, Ordering},
 };
 
-/// Name of an arena's memory in errors.
 const WORKING: &str = "working memory on the device";
 
 /// Scratch memory shared by plans that never run at the same time. All plans of a lane start at
-/// offset 0, so a lane has the size of its largest plan. Cloning shares the memory.
+/// offset 0, so a lane has the size of its largest plan.
 #[derive(Clone)]
 pub struct Arena(Arc<Lanes>);
 
@@ -61,7 +60,7 @@ impl Arena {
         free.is_ok().then(|| Claim(self.clone()))
     }
 
-    /// Claims the arena. If it is already claimed, returns an unclaimed new arena.
+    /// Claims the arena, or a new one if it is already claimed.
     pub fn claimed(&self) -> (Self, Option<Claim>) {
         match self.claim() {
             Some(claim) => (self.clone(), Some(claim)),
@@ -76,14 +75,10 @@ impl Arena {
     }
 
     /// Frees the memory; the next run allocates it again. The caller must hold the claim.
-    ///
-    /// # Errors
-    /// [`Error::DeviceLost`](crate::Error::DeviceLost).
     pub fn release(&self) -> Result<()> {
         self.0.lanes.iter().try_for_each(|lane| lock(lane).as_ref().map_or(Ok(()), |lane| lane.release()))
     }
 
-    /// Returns a lane, created at first use.
     pub(super) fn lane(&self, lane: usize) -> Result<Arc<Lane>> {
         let mut lane = lock(&self.0.lanes[lane]);
         match &*lane {
@@ -99,24 +94,18 @@ impl Drop for Claim {
     }
 }
 
-/// Memory for one plan at a time, and the timeline of its submissions.
 pub(super) struct Lane {
     device: Device,
     timeline: vk::Semaphore,
-    /// Largest timeline value of any submission.
     signalled: AtomicU64,
-    /// Largest timeline value already waited for.
     waited: AtomicU64,
     state: Mutex<State>,
 }
 
 struct State {
     memory: Arc<Memory>,
-    /// Bytes of each block.
     sizes: Vec<u64>,
-    /// Incremented whenever the memory is replaced.
     generation: u64,
-    /// Id of the lane's last run.
     user: u64,
 }
 
@@ -138,12 +127,6 @@ impl Lane {
         }))
     }
 
-    /// Waits for all submissions, then grows the memory to fit a plan's blocks. Returns its
-    /// generation.
-    ///
-    /// # Errors
-    /// [`Error::Memory`](crate::Error::Memory) if the device has too little memory. The lane is
-    /// then empty.
     pub fn reserve(&self, blocks: &[u64]) -> Result<u64> {
         self.settle()?;
         let mut state = lock(&self.state);
@@ -168,17 +151,16 @@ impl Lane {
         lock(&self.state).empty(&self.device)
     }
 
-    /// Returns the memory. Callers must not store it: a stored reference keeps it allocated.
+    /// Callers must not store it: a stored reference keeps it allocated.
     pub fn memory(&self) -> Arc<Memory> {
         lock(&self.state).memory.clone()
     }
 
-    /// Marks a run as the lane's last. Returns false if another run may have overwritten its data.
+    /// Returns false if another run may have overwritten its data.
     pub fn used_by(&self, run: u64) -> bool {
         std::mem::replace(&mut lock(&self.state).user, run) == run
     }
 
-    /// Returns true if this run used the lane last, so its data is intact.
     pub fn holds(&self, run: u64) -> bool {
         lock(&self.state).user == run
     }
@@ -187,12 +169,10 @@ impl Lane {
         self.timeline
     }
 
-    /// Returns an unused timeline value.
     pub fn next_value(&self) -> Result<u64> {
         Ok(self.value()?.max(self.signalled.load(Ordering::Relaxed)) + 1)
     }
 
-    /// Records a submission that signals `value`, if it is in flight.
     pub fn submitted(&self, value: u64, result: &Result<()>) {
         if is_under_way(result) {
             self.signalled.fetch_max(value, Ordering::Relaxed);
@@ -205,7 +185,6 @@ impl Lane {
             .map_err(|e| self.device.0.failed("vkGetSemaphoreCounterValue", e))
     }
 
-    /// Waits for a timeline value that a submission will signal.
     pub fn wait(&self, value: u64) -> Result<()> {
         let (semaphores, values) = ([self.timeline], [value]);
         let info = vk::SemaphoreWaitInfo::default().semaphores(&semaphores).values(&values);
@@ -218,14 +197,12 @@ impl Lane {
         Ok(())
     }
 
-    /// Waits for all submissions of this lane.
     pub fn settle(&self) -> Result<()> {
         let last = self.signalled.load(Ordering::Relaxed);
         if last > self.waited.load(Ordering::Relaxed) { self.wait(last) } else { Ok(()) }
     }
 }
 
-/// Returns block sizes that fit both.
 fn grown(sizes: &[u64], blocks: &[u64]) -> Vec<u64> {
     let bytes = |of: &[u64], i: usize| of.get(i).copied().unwrap_or(0);
     (0..sizes.len().max(blocks.len())).map(|i| bytes(sizes, i).max(bytes(blocks, i))).collect()

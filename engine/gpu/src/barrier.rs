@@ -1,8 +1,5 @@
-//! Memory barriers.
-
 use ash::vk;
 
-/// All write access of a plan's commands.
 pub(super) const WRITES: vk::AccessFlags2 = vk::AccessFlags2::from_raw(
     vk::AccessFlags2::SHADER_STORAGE_WRITE.as_raw() | vk::AccessFlags2::TRANSFER_WRITE.as_raw(),
 );
@@ -17,7 +14,6 @@ pub(super) const STAGES: vk::PipelineStageFlags2 = vk::PipelineStageFlags2::from
         | vk::PipelineStageFlags2::DRAW_INDIRECT.as_raw(),
 );
 
-/// Makes earlier writes visible to `access`.
 pub(super) fn memory_barrier(
     raw: &ash::Device,
     commands: vk::CommandBuffer,

@@ -23,7 +23,6 @@ pub struct Features {
 }
 
 impl Features {
-    /// Requests the bf16 type and bf16 matrices.
     pub fn matrices() -> Self {
         Self { in_buffers: vk::TRUE, matrices: vk::TRUE, ..Self::default() }
     }

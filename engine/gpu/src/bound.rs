@@ -1,5 +1,3 @@
-//! Tensors resolved to buffer ranges.
-
 use super::{
     device::Shared,
     memory::{Memory, Resident},
@@ -28,7 +26,6 @@ impl Range {
     }
 }
 
-/// A plan and the memory that it runs in.
 pub(super) struct Bound<'a> {
     pub shared: &'a Shared,
     pub plan: &'a Plan,

@@ -11,20 +11,18 @@ use super::{
 use crate::Result;
 use ash::vk;
 
-/// Encodes pieces into one command buffer.
 pub(super) struct Encoder<'a> {
     bound: &'a Bound<'a>,
     descriptors: &'a Descriptors,
     commands: vk::CommandBuffer,
     reads: Vec<Range>,
     writes: Vec<Range>,
-    /// Timestamps around each piece, for profiles.
     queries: Option<vk::QueryPool>,
     next_query: u32,
 }
 
 impl<'a> Encoder<'a> {
-    /// Starts recording. Writes of earlier submissions become visible.
+    /// Writes of earlier submissions become visible.
     pub fn begin(
         bound: &'a Bound<'a>,
         descriptors: &'a Descriptors,
@@ -75,7 +73,7 @@ impl<'a> Encoder<'a> {
         Ok(())
     }
 
-    /// Ends recording. Results become visible to the host.
+    /// Results become visible to the host.
     pub fn end(self) -> Result<()> {
         self.barrier(STAGES, vk::PipelineStageFlags2::HOST, vk::AccessFlags2::HOST_READ);
         // SAFETY: recording.

@@ -1,5 +1,3 @@
-//! Buffer copies outside of plans.
-
 use super::{
     barrier::{STAGES, memory_barrier},
     device::Shared,
@@ -8,8 +6,7 @@ use super::{
 use crate::Result;
 use ash::vk;
 
-/// Records copies `(from, to, region)` after all earlier submissions. Results are visible to the
-/// device and the host.
+/// Records copies `(from, to, region)` after all earlier submissions.
 pub(super) fn record_copies(
     shared: &Shared,
     commands: vk::CommandBuffer,
@@ -31,7 +28,6 @@ pub(super) fn record_copies(
     unsafe { raw.end_command_buffer(commands) }.map_err(|e| driver("vkEndCommandBuffer", e))
 }
 
-/// Copies between buffers after all earlier submissions, and waits.
 pub(super) fn copy_now(shared: &Shared, from: vk::Buffer, to: vk::Buffer, region: vk::BufferCopy) -> Result<()> {
     shared.check_lost()?;
     let raw = &shared.raw;

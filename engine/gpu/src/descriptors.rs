@@ -9,11 +9,9 @@ use super::{
 use crate::Result;
 use ash::vk;
 
-/// One descriptor set per dispatch.
 pub(super) struct Descriptors {
     device: Device,
     pool: vk::DescriptorPool,
-    /// By command index; null for commands that are no dispatch.
     sets: Vec<vk::DescriptorSet>,
 }
 
@@ -37,7 +35,6 @@ impl Descriptors {
         Ok(descriptors)
     }
 
-    /// Returns the descriptor set of a dispatch.
     pub fn of(&self, command: usize) -> vk::DescriptorSet {
         self.sets[command]
     }

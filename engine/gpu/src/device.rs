@@ -1,5 +1,3 @@
-//! Selection and state of a Vulkan device.
-
 use super::{
     bfloat16,
     features::{ADDRESSES, BYTES, DOT_PRODUCTS, Features, HALVES, MATRICES, REQUIRED},
@@ -40,8 +38,7 @@ pub struct DeviceOptions {
 }
 
 impl Default for DeviceOptions {
-    /// Picks the best device. `ZIPSPLAT_VALIDATION=1` enables validation, `ZIPSPLAT_BOUND=1` robust
-    /// access.
+    /// `ZIPSPLAT_VALIDATION=1` enables validation, `ZIPSPLAT_BOUND=1` robust access.
     fn default() -> Self {
         let is_set = |name| std::env::var(name).is_ok_and(|v| v == "1");
         let (validation, bound) = (is_set("ZIPSPLAT_VALIDATION"), is_set("ZIPSPLAT_BOUND"));
@@ -53,16 +50,12 @@ impl Default for DeviceOptions {
 #[derive(Clone)]
 pub struct Device(pub(super) Arc<Shared>);
 
-/// State shared by all runs on a device.
 pub(super) struct Shared {
     pub raw: ash::Device,
     pub queue: Queue,
     pub family: u32,
     pub limits: Limits,
-    /// Bytes of allocated device memory.
     pub allocated: AtomicU64,
-    /// Measured FLOPs per millisecond by stage, for splitting long plans. Stages count FLOPs
-    /// differently.
     pub flops_per_ms: Mutex<HashMap<String, u64>>,
     pub staged: bool,
     index: usize,
@@ -70,12 +63,10 @@ pub(super) struct Shared {
     pub lost: AtomicBool,
     pub pipelines: Pipelines,
     allocator: Mutex<Option<Allocator>>,
-    /// Whether device and instance are destroyed on drop.
     owned: bool,
     pub instance: Instance,
 }
 
-/// The parts of [`Shared`].
 pub(super) struct SharedParts {
     pub instance: Instance,
     pub physical: vk::PhysicalDevice,
@@ -139,9 +130,6 @@ impl Device {
     }
 
     /// Fails if the device is lost.
-    ///
-    /// # Errors
-    /// [`Error::DeviceLost`].
     pub fn check_lost(&self) -> Result<()> {
         self.0.check_lost()
     }
@@ -251,7 +239,6 @@ impl Shared {
         AllocatorGuard(lock(&self.allocator))
     }
 
-    /// Fails with the validation messages since the last call.
     pub fn check_messages(&self) -> Result<()> {
         if self.instance.debug.is_some() {
             // The layer reports shader errors only after completion.
@@ -278,7 +265,6 @@ impl Drop for Shared {
     }
 }
 
-/// Guard of the allocator, which lives as long as the device.
 pub(super) struct AllocatorGuard<'a>(MutexGuard<'a, Option<Allocator>>);
 
 impl std::ops::Deref for AllocatorGuard<'_> {

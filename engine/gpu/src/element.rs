@@ -1,5 +1,3 @@
-//! Number types of kernels.
-
 use half::{bf16, f16};
 
 /// Number type of a kernel variant (`#pragma element` and `#pragma factor` in its source).

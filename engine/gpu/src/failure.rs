@@ -1,5 +1,3 @@
-//! Errors of failed Vulkan calls.
-
 use crate::{Error, Result};
 use ash::vk;
 

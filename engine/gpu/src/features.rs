@@ -1,9 +1,6 @@
-//! Vulkan features: required ones and those for fast kernels.
-
 use ash::vk;
 use std::ffi::CStr;
 
-/// Supported or enabled features of a device.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Features {
     pub v10: vk::PhysicalDeviceFeatures,
@@ -13,7 +10,6 @@ pub(super) struct Features {
     pub matrix: vk::PhysicalDeviceCooperativeMatrixFeaturesKHR<'static>,
 }
 
-/// A feature and the structure that declares it.
 #[derive(Clone, Copy)]
 pub(super) struct Feature {
     pub name: &'static CStr,
@@ -21,7 +17,6 @@ pub(super) struct Feature {
     field: fn(&mut Features) -> &mut vk::Bool32,
 }
 
-/// Features required of every device.
 pub(super) const REQUIRED: [Feature; 6] = [
     Feature { name: c"timelineSemaphore", structure: V12, field: |f| &mut f.v12.timeline_semaphore },
     Feature { name: c"scalarBlockLayout", structure: V12, field: |f| &mut f.v12.scalar_block_layout },
@@ -31,12 +26,11 @@ pub(super) const REQUIRED: [Feature; 6] = [
     Feature { name: c"computeFullSubgroups", structure: V13, field: |f| &mut f.v13.compute_full_subgroups },
 ];
 
-/// Feature for 16-bit floats in buffers.
 pub(super) const HALVES: [Feature; 1] =
     [Feature { name: c"storageBuffer16BitAccess", structure: V11, field: |f| &mut f.v11.storage_buffer16_bit_access }];
 
-/// Features for matrix units. `vulkanMemoryModelDeviceScope` is needed because enabling the memory
-/// model restricts atomics to workgroups in every kernel.
+/// `vulkanMemoryModelDeviceScope` is needed because enabling the memory model restricts atomics to
+/// workgroups in every kernel.
 pub(super) const MATRICES: [Feature; 4] = [
     Feature { name: c"shaderFloat16", structure: V12, field: |f| &mut f.v12.shader_float16 },
     Feature { name: c"vulkanMemoryModel", structure: V12, field: |f| &mut f.v12.vulkan_memory_model },
@@ -48,17 +42,14 @@ pub(super) const MATRICES: [Feature; 4] = [
     Feature { name: c"cooperativeMatrix", structure: MATRIX, field: |f| &mut f.matrix.cooperative_matrix },
 ];
 
-/// Features for kernels that read buffers by address.
 pub(super) const ADDRESSES: [Feature; 2] = [
     Feature { name: c"shaderInt64", structure: V10, field: |f| &mut f.v10.shader_int64 },
     Feature { name: c"bufferDeviceAddress", structure: V12, field: |f| &mut f.v12.buffer_device_address },
 ];
 
-/// Additional feature for 8-bit matrices.
 pub(super) const BYTES: [Feature; 1] =
     [Feature { name: c"shaderInt8", structure: V12, field: |f| &mut f.v12.shader_int8 }];
 
-/// Feature for 8-bit dot products on lanes.
 pub(super) const DOT_PRODUCTS: [Feature; 1] =
     [Feature { name: c"shaderIntegerDotProduct", structure: V13, field: |f| &mut f.v13.shader_integer_dot_product }];
 

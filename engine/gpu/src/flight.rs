@@ -14,7 +14,6 @@ impl Run {
         Ok(self)
     }
 
-    /// Creates staging buffers for the lane's current memory.
     pub(super) fn make_twins(&mut self) -> Result<()> {
         let arena = self.lane.memory();
         if let Some(twins) = self.twins.take() {
@@ -30,9 +29,6 @@ impl Run {
 
     /// Submits the whole plan without waiting. [`Run::finish`], writes and other runs of the lane
     /// wait for it.
-    ///
-    /// # Errors
-    /// See [`Run::execute`].
     pub fn start(&mut self) -> Result<()> {
         self.begin()?;
         self.encode_all()?;
@@ -46,16 +42,12 @@ impl Run {
         Ok(())
     }
 
-    /// Waits for the started submission. Outputs are readable afterwards.
-    ///
-    /// # Errors
-    /// See [`Run::execute`].
+    /// Waits for the started submission.
     pub fn finish(&mut self) -> Result<()> {
         self.settle()?;
         self.device.0.check_messages()
     }
 
-    /// Waits for the started submission and for copies to a target.
     pub(super) fn settle(&mut self) -> Result<()> {
         if self.under_way || self.presenting.is_some() {
             self.lane.wait(self.signalled)?;

@@ -1,5 +1,3 @@
-//! Vulkan instance and validation.
-
 use super::failure::driver;
 use crate::{Error, Result};
 use ash::{ext, khr, vk};
@@ -10,15 +8,12 @@ use std::{
 
 const VALIDATION_LAYER: &CStr = c"VK_LAYER_KHRONOS_validation";
 
-/// A loaded instance. `messages` collects validation messages.
 pub(super) struct Instance {
     pub raw: ash::Instance,
     pub debug: Option<ext::debug_utils::Instance>,
     messenger: vk::DebugUtilsMessengerEXT,
     pub messages: Box<Mutex<Vec<String>>>,
-    /// Vulkan version of the validation layer, if enabled.
     layer_version: Option<u32>,
-    /// Whether the instance is destroyed on drop.
     owned: bool,
     pub entry: ash::Entry,
 }
@@ -81,7 +76,6 @@ impl Instance {
         Ok(instance)
     }
 
-    /// Adopts an app's instance, through the app's loader if given.
     pub fn adopt(get_instance_proc_addr: Option<unsafe extern "C" fn()>, instance: vk::Instance) -> Result<Self> {
         let entry = match get_instance_proc_addr {
             // SAFETY: the caller vouches that it is `vkGetInstanceProcAddr`, which has this type.
@@ -98,8 +92,7 @@ impl Instance {
         Ok(Self { debug: None, messenger, messages: Box::default(), layer_version: None, owned: false, raw, entry })
     }
 
-    /// Returns true if validation is off or knows this Vulkan version. Older layers reject newer
-    /// features.
+    /// Older layers reject newer features.
     pub fn validates(&self, version: u32) -> bool {
         self.layer_version.is_none_or(|layer| layer >= version)
     }
@@ -147,7 +140,6 @@ fn layer_version(entry: &ash::Entry) -> u32 {
     validation.map_or(0, |layer| layer.spec_version)
 }
 
-/// Returns true if the layer, or without one the loader or a driver, has an instance extension.
 fn has_extension(entry: &ash::Entry, layer: Option<&CStr>, name: &CStr) -> bool {
     // SAFETY: plain query.
     let found = unsafe { entry.enumerate_instance_extension_properties(layer) };

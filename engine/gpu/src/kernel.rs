@@ -6,7 +6,7 @@ use std::hash::{Hash, Hasher};
 /// A kernel's code and interface.
 #[derive(Debug)]
 pub struct Module {
-    /// Path below `kernels/`, such as `render/project`. Also the debug label and profile row.
+    /// Path below `kernels/`, such as `render/project`.
     pub name: &'static str,
     /// SPIR-V, little endian.
     pub spirv: &'static [u8],
@@ -26,7 +26,6 @@ pub struct Module {
 }
 
 impl Hash for Module {
-    /// Hashes the kernel's code.
     fn hash<H: Hasher>(&self, state: &mut H) {
         self.spirv.hash(state);
     }
@@ -68,7 +67,6 @@ pub enum LocalSize {
 }
 
 impl LocalSize {
-    /// Returns the invocations along x, y and z for a subgroup size.
     pub(super) fn xyz(self, subgroup: u32, constants: &[u32]) -> [u32; 3] {
         match self {
             LocalSize::Fixed(size) => size,

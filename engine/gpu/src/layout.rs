@@ -3,7 +3,6 @@
 /// Alignment of every tensor: Vulkan's upper bound on minimum offset alignments.
 pub(super) const ALIGNMENT: u64 = 256;
 
-/// Size of a tensor, and its first and last command.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Lifetime {
     pub bytes: u64,
@@ -20,7 +19,6 @@ pub(super) struct Placement {
 }
 
 /// Places each lifetime, largest first, at its lowest free offset in blocks of up to `block_bytes`.
-/// Returns the placements and block sizes.
 ///
 /// `Err` holds the index of a lifetime that exceeds a block.
 pub(super) fn place(lifetimes: &[Lifetime], block_bytes: u64) -> Result<(Vec<Placement>, Vec<u64>), usize> {

@@ -1,5 +1,3 @@
-//! Device limits and features that plans depend on.
-
 use super::element::Element;
 use crate::{Error, Result};
 
@@ -45,8 +43,7 @@ pub struct Limits {
     /// Whether kernels may read buffers by address. Enabled only for drivers that turn uniform
     /// loads into vector loads.
     pub addresses: bool,
-    /// Cache key of measurements: device, driver and validation state. Validation is included
-    /// because its messages fail correct kernels.
+    /// Cache key of measurements: device, driver and validation state.
     pub identity: String,
 }
 
@@ -95,14 +92,13 @@ impl Limits {
 }
 
 impl Limits {
-    /// Returns the device's UUID as 32 hexadecimal digits, as in CUDA, or "none" without a device.
+    /// Returns the device's UUID as 32 hexadecimal digits, or "none" without a device.
     pub fn uuid(&self) -> &str {
         self.identity.split('-').next().unwrap_or_default()
     }
 }
 
 impl Default for Limits {
-    /// Typical desktop limits, for plans made without a device.
     fn default() -> Self {
         Self {
             name: "none".into(),

@@ -1,5 +1,3 @@
-//! Mutexes of shared tables.
-
 use std::sync::{Mutex, MutexGuard};
 
 /// Locks a mutex even if poisoned: its tables have no invariants to break.

@@ -14,11 +14,8 @@ impl Shared {
         driver(call, result)
     }
 
-    /// Fails if the device is lost. Drivers may answer later calls with success or unrelated
-    /// errors, and mapped memory stays accessible.
-    ///
-    /// # Errors
-    /// [`Error::DeviceLost`].
+    /// Drivers may answer later calls with success or unrelated errors, and mapped memory stays
+    /// accessible.
     pub fn check_lost(&self) -> Result<()> {
         if self.lost.load(Ordering::Relaxed) { Err(Error::DeviceLost) } else { Ok(()) }
     }

@@ -1,5 +1,3 @@
-//! Blocks of device memory, their uploads and readbacks.
-
 use super::{Device, Tensor, device::Shared, layout::ALIGNMENT, lock::lock, tensor::Home};
 use crate::{Error, Result};
 use ash::vk;
@@ -13,10 +11,8 @@ use std::sync::{
     atomic::{AtomicU64, Ordering},
 };
 
-/// Size of the staging block, for device memory that is not host visible.
 const STAGING_BYTES: u64 = 16 << 20;
 
-/// A few large buffers.
 pub(super) struct Memory {
     shared: Arc<Shared>,
     blocks: Vec<Block>,
@@ -27,21 +23,17 @@ struct Block {
     buffer: vk::Buffer,
     allocation: Option<Allocation>,
     bytes: u64,
-    /// Device address, if [`Limits::addresses`](super::Limits::addresses).
     address: u64,
     /// Whether it counts as device memory. Host-cached memory is system memory on discrete GPUs.
     counted: bool,
-    /// Whether the memory is mapped: host visible and coherent.
     mapped: bool,
 }
 
 impl Memory {
-    /// Allocates blocks of these sizes, or fails before any allocation.
     pub fn new(device: &Device, what: &str, sizes: &[u64]) -> Result<Self> {
         Self::at(device, what, sizes, MemoryLocation::GpuOnly)
     }
 
-    /// Allocates one host-visible, host-cached block on any device.
     pub fn seen_by_host(device: &Device, what: &str, bytes: u64) -> Result<Self> {
         Self::at(device, what, &[bytes], MemoryLocation::GpuToCpu)
     }
@@ -62,12 +54,10 @@ impl Memory {
         Ok(memory)
     }
 
-    /// Bytes of all blocks.
     pub fn bytes(&self) -> u64 {
         self.blocks.iter().map(|block| block.bytes).sum()
     }
 
-    /// Returns true if uploads and readbacks need no staging.
     pub fn is_seen_by_host(&self) -> bool {
         self.blocks.iter().all(|block| block.mapped)
     }
@@ -120,7 +110,7 @@ impl Memory {
         Ok(())
     }
 
-    /// Locks the staging block. It is host-cached because uncached reads are very slow.
+    /// It is host-cached because uncached reads are very slow.
     fn staging(&self) -> Result<std::sync::MutexGuard<'_, Option<Block>>> {
         let mut staging = lock(&self.staging);
         if staging.is_none() {
@@ -160,7 +150,6 @@ impl Block {
             let available = shared.limits.memory_bytes.saturating_sub(shared.allocated.load(Ordering::Relaxed));
             Error::Memory { what: format!("{what}, which the driver refused,"), needed: bytes, available }
         };
-        // SAFETY: a plain buffer; freed in `free`.
         let buffer = unsafe { shared.raw.create_buffer(&info, None) }.map_err(|_| refused())?;
         let counted = location == MemoryLocation::GpuOnly;
         shared.allocated.fetch_add(if counted { bytes } else { 0 }, Ordering::Relaxed);
@@ -198,7 +187,6 @@ impl Block {
         Ok(block)
     }
 
-    /// Returns the host address of a mapped range.
     fn bytes_at(&self, offset: u64, len: usize) -> Option<*mut u8> {
         assert!(offset + len as u64 <= self.bytes, "host access outside a block");
         let base = self.allocation.as_ref()?.mapped_ptr().filter(|_| self.mapped)?;
@@ -224,7 +212,6 @@ fn unmapped() -> Error {
 /// Sizes of tensors that stay on the device, such as weights and scenes.
 #[derive(Debug)]
 pub struct ResidentLayout {
-    /// Distinguishes tensors of different layouts.
     id: u64,
     blocks: Vec<u64>,
     block_bytes: u64,
@@ -265,18 +252,12 @@ pub struct Resident {
 
 impl Resident {
     /// Allocates a layout.
-    ///
-    /// # Errors
-    /// [`Error::Memory`] if the device has too little memory.
     pub fn new(device: &Device, layout: &ResidentLayout) -> Result<Self> {
         let memory = Memory::new(device, "resident memory", &layout.blocks)?;
         Ok(Self { memory, layout: layout.id })
     }
 
     /// Writes a tensor from its start.
-    ///
-    /// # Errors
-    /// A failed transfer.
     pub fn write<T: Pod>(&self, tensor: Tensor, data: &[T]) -> Result<()> {
         let bytes: &[u8] = bytemuck::cast_slice(data);
         assert!(bytes.len() as u64 <= tensor.bytes, "{} bytes into {}", bytes.len(), tensor.bytes);
@@ -284,9 +265,6 @@ impl Resident {
     }
 
     /// Reads a tensor. Runs that write it must have finished.
-    ///
-    /// # Errors
-    /// A failed transfer.
     pub fn read<T: Pod>(&self, tensor: Tensor) -> Result<Vec<T>> {
         let mut data = vec![T::zeroed(); tensor.bytes as usize / size_of::<T>()];
         self.memory.read(self.block(tensor), tensor.offset, bytemuck::cast_slice_mut(&mut data))?;

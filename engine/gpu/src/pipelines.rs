@@ -11,11 +11,9 @@ use std::{
     sync::Mutex,
 };
 
-/// Cache of a device's pipelines.
 pub(super) struct Pipelines {
     raw: ash::Device,
     debug: Option<ext::debug_utils::Device>,
-    /// Subgroup size, and whether the device can be asked for it.
     subgroup: u32,
     subgroup_control: bool,
     made: Mutex<HashMap<(&'static str, Vec<u32>), Pipeline>>,
@@ -32,7 +30,7 @@ impl Pipelines {
         Self { raw, debug, subgroup, subgroup_control, made: Mutex::default(), layouts: Mutex::default() }
     }
 
-    /// Destroys all pipelines. None may be in use.
+    /// None may be in use.
     pub fn destroy(&self) {
         let raw = &self.raw;
         for pipeline in lock(&self.made).values() {
@@ -44,7 +42,6 @@ impl Pipelines {
         }
     }
 
-    /// Returns the pipeline for a module and its specialization constants.
     pub fn get(&self, module: &'static Module, constants: &[u32]) -> Result<Pipeline> {
         let key = (module.name, constants.to_vec());
         if let Some(found) = lock(&self.made).get(&key) {
@@ -88,7 +85,6 @@ impl Pipelines {
         )?[0];
         self.label(raw, module.name);
         match lock(&self.made).entry(key) {
-            // Another thread was faster.
             Entry::Occupied(known) => {
                 // SAFETY: made above and unused.
                 unsafe { self.raw.destroy_pipeline(raw, None) };
@@ -98,7 +94,6 @@ impl Pipelines {
         }
     }
 
-    /// Returns the layout of a module's bindings.
     pub fn set_layout(&self, module: &'static Module) -> Result<vk::DescriptorSetLayout> {
         self.layout(module).map(|layout| layout.set)
     }
@@ -117,7 +112,6 @@ impl Pipelines {
         Ok(layout)
     }
 
-    /// Creates the handles in order, up to the first failure.
     fn make_layout(&self, module: &'static Module, layout: &mut Layout) -> Result<()> {
         let bindings: Vec<_> = module
             .bindings
@@ -168,7 +162,6 @@ pub(super) struct Pipeline {
     pub layout: vk::PipelineLayout,
 }
 
-/// Handles; null if not created.
 #[derive(Clone, Copy, Default)]
 struct Layout {
     set: vk::DescriptorSetLayout,

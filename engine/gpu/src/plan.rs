@@ -1,5 +1,3 @@
-//! A recorded plan: commands and tensor offsets.
-
 use super::{
     kernel::Module,
     layout::Placement,
@@ -32,19 +30,15 @@ pub(super) enum Operation {
 #[derive(Debug)]
 pub(super) struct Command {
     pub operation: Operation,
-    /// Index into [`Plan::scopes`].
     pub scope: u32,
     /// Required FLOPs; 0 for commands bound by memory.
     pub flops: u64,
 }
 
-/// How the host uses an allocation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Role {
     Scratch,
-    /// Written by the host before every run.
     Input,
-    /// Keeps its contents between runs.
     Constant,
 }
 
@@ -53,9 +47,7 @@ pub(super) struct Allocation {
     pub name: String,
     pub bytes: u64,
     pub role: Role,
-    /// Whether it lives until the plan's end.
     pub kept: bool,
-    /// Whether the host reads it.
     pub output: bool,
 }
 

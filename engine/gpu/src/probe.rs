@@ -1,5 +1,3 @@
-//! Enumeration of devices, their limits and their missing features.
-
 use super::{
     bfloat16,
     features::{ADDRESSES, BYTES, DOT_PRODUCTS, Features, HALVES, MATRICES, REQUIRED},
@@ -21,8 +19,8 @@ pub struct DeviceInfo {
 }
 
 impl DeviceInfo {
-    /// Returns true if a selector matches this device. Digits match an index only; other selectors
-    /// match a UUID, as printed by `nvidia-smi -L`, or part of a name.
+    /// Digits match an index only; other selectors match a UUID, as printed by `nvidia-smi -L`, or
+    /// part of a name.
     pub(super) fn is_selected(&self, selector: &str) -> bool {
         let uuid = selector.strip_prefix("GPU-").unwrap_or(selector).replace('-', "");
         match selector {
@@ -34,7 +32,6 @@ impl DeviceInfo {
         }
     }
 
-    /// Describes the missing requirements.
     pub(super) fn lacks(&self) -> String {
         format!("{} lacks {}", self.limits.name, self.missing.join(", "))
     }
@@ -43,13 +40,13 @@ impl DeviceInfo {
 /// Lists every Vulkan device, usable or not.
 ///
 /// # Errors
+///
 /// [`Error::NoDevice`] if there is no Vulkan loader or no driver.
 pub fn list_devices() -> Result<Vec<DeviceInfo>> {
     let instance = Instance::new(false)?;
     Ok(devices(&instance)?.into_iter().map(|(_, info)| info).collect())
 }
 
-/// Lists an instance's devices with their handles.
 pub(super) fn devices(instance: &Instance) -> Result<Vec<(vk::PhysicalDevice, DeviceInfo)>> {
     // SAFETY: the instance is alive.
     let physical = unsafe { instance.raw.enumerate_physical_devices() }
@@ -64,7 +61,6 @@ pub(super) fn devices(instance: &Instance) -> Result<Vec<(vk::PhysicalDevice, De
     Ok(physical.into_iter().enumerate().map(info).collect())
 }
 
-/// Requirements of a device beyond [`Limits`].
 pub(super) struct Found {
     pub api: u32,
     pub queue_family: Option<u32>,
@@ -76,10 +72,8 @@ pub(super) struct Found {
     pub llvmpipe_major: Option<u32>,
 }
 
-/// PCI vendor ID.
 const INTEL: u32 = 0x8086;
 
-/// Queries a device's limits and features.
 pub(super) fn probe(instance: &Instance, device: vk::PhysicalDevice) -> (Limits, Found) {
     let knows = |minor, patch| instance.validates(vk::make_api_version(0, 1, minor, patch));
     let (validated, entry, instance) = (instance.debug.is_some(), &instance.entry, &instance.raw);
@@ -187,7 +181,6 @@ pub(super) fn probe(instance: &Instance, device: vk::PhysicalDevice) -> (Limits,
     (limits, found)
 }
 
-/// Optional matrix features that the list of shapes does not show.
 struct Offers {
     bf16: bool,
     i8: bool,
@@ -231,7 +224,6 @@ fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Lists the requirements that a device lacks.
 pub(super) fn missing_features(limits: &Limits, found: &Found) -> Vec<String> {
     let mut missing = Vec::new();
     if found.api < vk::API_VERSION_1_3 {

@@ -1,5 +1,3 @@
-//! Device time by scope and kernel.
-
 use super::{
     Run,
     failure::driver,
@@ -80,6 +78,7 @@ impl Run {
     /// Runs the plan with a timestamp around every command, which prevents overlap of commands.
     ///
     /// # Errors
+    ///
     /// See [`Run::execute`]; [`Error::NoDevice`](crate::Error::NoDevice) without timestamps.
     pub fn profile(&mut self) -> Result<Profile> {
         self.device.limits().check_timestamps()?;

@@ -1,5 +1,3 @@
-//! The submission queue, optionally shared with an app.
-
 use super::lock::lock;
 use ash::{prelude::VkResult, vk};
 use std::sync::Mutex;
@@ -38,7 +36,6 @@ impl Queue {
         result
     }
 
-    /// Waits for all submissions.
     pub fn wait_idle(&self, device: &ash::Device) -> VkResult<()> {
         let queue = lock(&self.raw);
         // SAFETY: the queue is locked.

@@ -1,5 +1,3 @@
-//! Recording of kernel calls into a plan.
-
 use super::{
     Element, Kernel, Limits, Needs, Plan, Tensor,
     layout::{self, Lifetime},
@@ -269,11 +267,9 @@ impl Operation {
     }
 }
 
-/// The dispatch just recorded.
 pub struct Recorded<'a>(Option<&'a mut Command>);
 
 impl Recorded<'_> {
-    /// Declares the required FLOPs, for profiles and for splitting submissions.
     pub fn flops(self, flops: u64) {
         if let Some(command) = self.0 {
             command.flops = flops;
@@ -283,9 +279,7 @@ impl Recorded<'_> {
 
 /// Counts along x, y and z; a single number counts along x.
 pub trait Threads: Copy {
-    /// Returns all three counts.
     fn xyz(self) -> [u32; 3];
-    /// Returns true for a single number.
     fn one_dimensional(self) -> bool {
         true
     }

@@ -32,7 +32,6 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// Maximum submissions in flight.
 const IN_FLIGHT: usize = 2;
 
 /// Progress of a run.
@@ -48,25 +47,18 @@ pub struct Progress<'a> {
 pub struct Run {
     pub(super) device: Device,
     pub(super) plan: Plan,
-    /// Distinguishes runs of one lane.
     id: u64,
     pub(super) lane: Arc<Lane>,
-    /// Generation of the lane's memory that descriptors and batches refer to.
     generation: u64,
     pub(super) twins: Option<Twins>,
-    /// Whether [`Run::in_flight`] was called.
     pub(super) flies: bool,
     residents: Vec<Arc<Resident>>,
     descriptors: Descriptors,
     pub(super) pool: vk::CommandPool,
-    /// Timeline value of this run's last submission.
     pub(super) signalled: u64,
     pub(super) batches: Vec<Batch>,
-    /// Inputs written since the last execution.
     written: Vec<bool>,
-    /// Whether a started submission may be in flight.
     pub(super) under_way: bool,
-    /// Commands of the last copy to a target.
     pub(super) presenting: Option<vk::CommandBuffer>,
 }
 
@@ -76,7 +68,6 @@ pub(super) struct Batch {
     first_command: usize,
 }
 
-/// Timing state of one execution.
 struct Clock {
     times: StageTimes,
     last: Instant,
@@ -87,16 +78,13 @@ impl Run {
     /// Allocates a plan's arena.
     ///
     /// # Errors
-    /// [`Error::Memory`] if the device has too little memory, or a driver error. Both precede any
-    /// submission.
+    ///
+    /// Both precede any submission.
     pub fn new(device: &Device, plan: Plan) -> Result<Self> {
         Self::with_resident(device, plan, [])
     }
 
     /// Allocates as [`Run::new`], for a plan with tensors of these residents.
-    ///
-    /// # Errors
-    /// See [`Run::new`].
     pub fn with_resident(
         device: &Device,
         plan: Plan,
@@ -108,10 +96,8 @@ impl Run {
     /// Creates a run as [`Run::with_resident`], in a lane of a shared arena. Another run of the
     /// lane invalidates inputs and outputs.
     ///
-    /// # Errors
-    /// See [`Run::new`].
-    ///
     /// # Panics
+    ///
     /// If the plan has constants, which other runs would overwrite.
     pub fn in_arena(
         arena: &Arena,
@@ -166,10 +152,8 @@ impl Run {
 
     /// Writes a tensor from its start.
     ///
-    /// # Errors
-    /// A failed transfer.
-    ///
     /// # Panics
+    ///
     /// If the data is longer than the tensor, or the tensor belongs to another plan.
     pub fn write<T: Pod>(&mut self, tensor: Tensor, data: &[T]) -> Result<()> {
         let bytes: &[u8] = bytemuck::cast_slice(data);
@@ -186,10 +170,8 @@ impl Run {
 
     /// Reads an output tensor.
     ///
-    /// # Errors
-    /// A failed transfer.
-    ///
     /// # Panics
+    ///
     /// If the tensor is not an output of this plan, or a started submission was not finished.
     pub fn read<T: Pod>(&self, tensor: Tensor) -> Result<Vec<T>> {
         let id = tensor.allocation();
@@ -213,15 +195,13 @@ impl Run {
     /// Runs the plan to completion.
     ///
     /// # Errors
+    ///
     /// [`Error::DeviceLost`], a driver error, or validation messages.
     pub fn execute(&mut self) -> Result<StageTimes> {
         self.execute_with(|_| ControlFlow::Continue(()))
     }
 
     /// Runs the plan to completion. Calls `progress` between submissions, which may stop the run.
-    ///
-    /// # Errors
-    /// See [`Run::execute`]; [`Error::Cancelled`] if stopped.
     pub fn execute_with(&mut self, mut progress: impl FnMut(Progress<'_>) -> ControlFlow<()>) -> Result<StageTimes> {
         self.begin()?;
         // Set before a panic in `progress` can unwind.
@@ -275,7 +255,6 @@ impl Run {
         Ok(clock.times)
     }
 
-    /// Waits for the oldest submission and records its time.
     fn finish_one(&self, under_way: &mut VecDeque<(u64, usize, Instant)>, clock: &mut Clock) -> Result<()> {
         let Some((value, index, submitted)) = under_way.pop_front() else { return Ok(()) };
         let late = self.lane.value()? >= value;
@@ -288,7 +267,6 @@ impl Run {
         Ok(())
     }
 
-    /// Encodes the remaining commands.
     pub(super) fn encode_all(&mut self) -> Result<()> {
         let mut cursor = if self.batches.is_empty() { Cursor::default() } else { Cursor::at_end(&self.plan) };
         while cursor.command < self.plan.commands.len() {
@@ -336,7 +314,6 @@ impl Run {
         encoder.end()
     }
 
-    /// Submits, and returns the timeline value that signals completion.
     pub(crate) fn submit(&mut self, commands: vk::CommandBuffer) -> Result<u64> {
         self.device.0.check_lost()?;
         let value = self.lane.next_value()?;
@@ -369,7 +346,6 @@ impl Run {
             .map_err(|e| driver("vkAllocateCommandBuffers", e))
     }
 
-    /// Cost budget of a submission that starts with a command.
     pub(super) fn budget(&self, command: usize) -> u64 {
         self.speed(self.plan.stage(command)) * SUBMISSION.as_millis() as u64
     }
@@ -379,7 +355,6 @@ impl Run {
         known.unwrap_or_else(|| first_guess(self.device.limits()))
     }
 
-    /// Updates the speed estimate of a stage from a submission's time.
     fn learn(&self, batch: &Batch, took: Duration, late: bool) {
         let stage = self.plan.stage(batch.first_command);
         let next = learned(self.speed(stage), batch.cost, took, late, self.device.limits().cpu);

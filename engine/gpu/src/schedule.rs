@@ -13,11 +13,9 @@ pub(super) const SUBMISSION: Duration = Duration::from_millis(100);
 /// Approximate FLOPs in the time of one byte's transfer, on CPUs and GPUs alike.
 const FLOPS_PER_BYTE: u64 = 4;
 
-/// Maximum pieces per submission.
 pub(super) const MAX_PIECES: usize = 1024;
 
-/// Initial estimate of FLOPs per millisecond. Below most devices of its kind, so that the first
-/// submissions are not too long.
+/// Below most devices of its kind, so that the first submissions are not too long.
 pub(super) fn first_guess(limits: &Limits) -> u64 {
     match (limits.cpu, limits.discrete) {
         (true, _) => 10_000_000,
@@ -26,9 +24,8 @@ pub(super) fn first_guess(limits: &Limits) -> u64 {
     }
 }
 
-/// Updates the speed estimate `known` from a submission's cost and time. `late`: it may have ended
-/// earlier, so `took` is an upper bound. `patient`: CPUs, which compile kernels during first
-/// submissions and have no watchdog.
+/// `late`: it may have ended earlier, so `took` is an upper bound. `patient`: CPUs, which compile
+/// kernels during first submissions and have no watchdog.
 pub(super) fn learned(known: u64, cost: u64, took: Duration, late: bool, patient: bool) -> u64 {
     let (known, ms) = (known as f64, 1e3 * took.as_secs_f64());
     // Fixed overhead dominates below a millisecond: such a time is only a lower bound on speed.
@@ -43,10 +40,8 @@ pub(super) fn learned(known: u64, cost: u64, took: Duration, late: bool, patient
     next.max(1e5) as u64
 }
 
-/// A command, or some workgroups of a long dispatch.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Piece {
-    /// Command index in the plan.
     pub command: usize,
     /// First workgroup and count along each axis; dispatches only.
     pub base: [u32; 3],
@@ -61,27 +56,22 @@ pub(super) struct Cursor {
 }
 
 impl Command {
-    /// Returns the bytes of all tensors that the command accesses.
     pub(super) fn bytes(&self) -> u64 {
         let mut bytes = 0;
         self.operation.for_each_access(|tensor, _, _| bytes += tensor.bytes);
         bytes
     }
 
-    /// Returns the equivalent FLOPs of the command.
     pub(super) fn cost(&self) -> u64 {
         self.flops.max(self.bytes() * FLOPS_PER_BYTE)
     }
 }
 
 impl Cursor {
-    /// Returns a cursor past the plan's end.
     pub fn at_end(plan: &Plan) -> Self {
         Self { command: plan.commands.len(), done: 0 }
     }
 
-    /// Takes pieces of one stage with a total cost of about `budget`; returns them and their cost.
-    /// Splits larger dispatches along their longest axis.
     pub fn next_pieces(&mut self, plan: &Plan, budget: u64) -> (Vec<Piece>, u64) {
         let (first, mut pieces, mut cost) = (self.command, Vec::new(), 0);
         while cost < budget && pieces.len() < MAX_PIECES {
@@ -100,7 +90,6 @@ impl Cursor {
         (pieces, cost)
     }
 
-    /// Returns a piece that fits `room`, its cost, and whether it completes the command.
     fn next_piece(&mut self, command: &Command, room: u64) -> (Piece, u64, bool) {
         let mut piece = Piece { command: self.command, base: [0; 3], groups: [1; 3] };
         let Operation::Dispatch(dispatch) = &command.operation else { return (piece, command.cost(), true) };
@@ -116,8 +105,7 @@ impl Cursor {
     }
 }
 
-/// Returns the split axis, for the smallest pieces. Kernels use only group indices, so folded
-/// dispatches may be split along x, too.
+/// Kernels use only group indices, so folded dispatches may be split along x, too.
 fn longest_axis(groups: [u32; 3]) -> usize {
     (0..3).rev().max_by_key(|&i| groups[i]).unwrap_or(0)
 }
@@ -127,7 +115,6 @@ mod tests {
     use super::*;
     use crate::{Binding, Kernel, Limits, LocalSize, Module, Needs, Recorder, Tensor};
 
-    /// A kernel for plans that never run.
     struct Idle {
         values: Tensor,
     }
@@ -160,7 +147,6 @@ mod tests {
         }
     }
 
-    /// Simulates the times of consecutive full submissions at a given speed.
     fn submissions(flops_per_ms: f64, limits: &Limits) -> Vec<Duration> {
         let mut known = first_guess(limits);
         let mut submit = |_| {
@@ -175,7 +161,6 @@ mod tests {
     #[test]
     fn submissions_settle_at_their_length() {
         let kind = |cpu, discrete| Limits { cpu, discrete, ..Limits::default() };
-        // A loaded CPU, slow integrated and discrete GPUs, and the fastest device.
         for (flops_per_ms, limits) in [(2e6, kind(true, false)), (2e7, kind(false, false)), (1e8, kind(false, true))] {
             let times = submissions(flops_per_ms, &limits);
             assert!(times[0] <= Duration::from_secs(1), "{flops_per_ms}: first {:?}", times[0]);
@@ -189,7 +174,6 @@ mod tests {
     #[test]
     fn what_says_nothing_of_the_speed_changes_nothing() {
         let known = 1_000_000;
-        // A tiny plan, and one that ended while the host compiled the next kernels.
         assert_eq!(learned(known, 10, Duration::from_micros(50), false, false), known);
         assert_eq!(learned(known, 10, Duration::from_secs(3), true, false), known);
         assert!(learned(known, 10 * known, Duration::from_micros(50), true, false) > known);
@@ -205,7 +189,6 @@ mod tests {
         }
     }
 
-    /// Every workgroup is in exactly one piece for any budget, which no piece exceeds by much.
     #[test]
     fn pieces_cover_a_plan_once() {
         let mut rec = Recorder::new(&Limits::default());
@@ -224,8 +207,6 @@ mod tests {
             while cursor.command < plan.commands.len() {
                 let (pieces, cost) = cursor.next_pieces(&plan, budget);
                 assert!(!pieces.is_empty());
-                // The smallest piece is one group along the longest axis, with all groups of the
-                // others.
                 let least = pieces.iter().map(|piece| least_cost(&plan.commands[piece.command])).max().unwrap_or(0);
                 assert!(cost <= budget.saturating_add(least), "found {cost}, expected {budget} or {least} more");
                 for piece in &pieces {

@@ -10,9 +10,7 @@ pub struct Tensor {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Home {
-    /// Allocation number in the plan, placed when the plan is finished.
     Arena(u32),
-    /// Block in the resident memory of a layout.
     Resident { layout: u64, block: u32 },
 }
 
@@ -43,9 +41,8 @@ impl Tensor {
         self.bytes
     }
 
-    /// Returns the tensor's allocation number.
-    ///
     /// # Panics
+    ///
     /// If the tensor is resident: use [`Resident`](super::Resident) to write and read it.
     pub(super) fn allocation(self) -> usize {
         match self.home {

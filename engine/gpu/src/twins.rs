@@ -1,5 +1,4 @@
 //! Staging buffers for a plan's inputs and outputs, on devices whose memory is not host visible.
-//! Copies are part of the submission, so readback of one run overlaps with the next.
 
 use super::{
     Device, Plan,
@@ -13,16 +12,12 @@ use ash::vk;
 
 pub(super) struct Twins {
     memory: Memory,
-    /// Staging offset of each allocation that has one.
     offsets: Vec<Option<u64>>,
-    /// Copies the inputs to the device.
     pub upload: vk::CommandBuffer,
-    /// Copies the outputs to the host.
     pub download: vk::CommandBuffer,
 }
 
 impl Twins {
-    /// Records the copies into two command buffers of the run.
     pub fn new(
         device: &Device,
         plan: &Plan,
@@ -62,7 +57,6 @@ impl Twins {
         self.memory.write(0, twin + offset, bytes).map(|()| true)
     }
 
-    /// Reads from an allocation's staging buffer; false if it has none.
     pub fn read(&self, allocation: usize, offset: u64, bytes: &mut [u8]) -> Result<bool> {
         let Some(twin) = self.offsets[allocation] else { return Ok(false) };
         self.memory.read(0, twin + offset, bytes).map(|()| true)

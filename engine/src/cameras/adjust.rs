@@ -4,11 +4,8 @@ use super::Pair;
 use crate::types::{Camera, Pose};
 use glam::{DMat3, DQuat, DVec2, DVec3};
 
-/// Maximum steps.
 const STEPS: usize = 50;
-/// Relative gain.
 const TOLERANCE: f64 = 1e-12;
-/// Maximum damping.
 const MOST_DAMPING: f64 = 1e12;
 /// Rotation, translation, log focal length.
 const UNKNOWNS: usize = 7;
@@ -16,7 +13,6 @@ const UNKNOWNS: usize = 7;
 type Vector = [f64; UNKNOWNS];
 type Matrix = [Vector; UNKNOWNS];
 
-/// Refines a camera with noise of `scale` pixels, and optionally one focal length.
 pub fn adjusted(camera: &Camera, pairs: &[Pair], scale: f64, lens: bool) -> Camera {
     let (mut best, mut loss, mut damping) = (*camera, loss(camera, pairs, scale), 1e-3);
     for _ in 0..STEPS {
@@ -71,14 +67,12 @@ fn normal_equations(camera: &Camera, pairs: &[Pair], scale: f64, lens: bool) -> 
             }
         }
     }
-    // Keeps the focal length fixed.
     if !lens {
         matrix[UNKNOWNS - 1][UNKNOWNS - 1] = 1.0;
     }
     (matrix, gradient)
 }
 
-/// Derivatives with respect to the unknowns of [`moved`].
 fn slopes(camera: &Camera, pair: &Pair, lens: bool) -> [Vector; 2] {
     let (intrinsics, axes) = (&camera.intrinsics, camera.pose.rotation.transpose());
     let at = axes * (pair.point - camera.pose.translation);

@@ -1,12 +1,9 @@
-//! Shared focal lengths.
-
 use crate::types::{Camera, Intrinsics, preprocess::PixelMap};
 use std::collections::BTreeSet;
 
 /// Sets one focal length per lens, the weighted median of the cameras' geometric means.
 ///
-/// `maps` relate views to photos; `lenses` indexes each photo's lens. Lenses without weight are
-/// unchanged.
+/// `maps` relate views to photos; `lenses` indexes each photo's lens.
 pub fn share_focal_lengths(cameras: &mut [Camera], maps: &[PixelMap], lenses: &[usize], weights: &[f64]) {
     for lens in lenses.iter().collect::<BTreeSet<_>>() {
         let of_lens: Vec<usize> = (0..cameras.len()).filter(|&i| lenses[i] == *lens).collect();
@@ -47,7 +44,6 @@ mod tests {
             Camera { intrinsics, pose: Pose::IDENTITY }
         };
         let map = |scale: [f64; 2]| PixelMap { from: [40, 30], to: [40, 30], scale, offset: [0.0; 2] };
-        // Half the width, a quarter of the height.
         let maps = [map([1.0; 2]), map([0.5, 1.0]), map([1.0, 0.25]), map([1.0; 2])];
         let mut cameras = [camera(32.0, 50.0), camera(200.0, 400.0), camera(38.0, 9.5), camera(7.0, 8.0)];
         share_focal_lengths(&mut cameras, &maps, &[4, 4, 4, 9], &[1.0, 1.1, 1.2, 0.0]);

@@ -59,12 +59,10 @@ pub struct Search {
 pub const FEWEST: usize = 6;
 /// With a known focal length.
 const TRIES: usize = 1000;
-/// Confidence that stops RANSAC.
 const CERTAINTY: f64 = 0.9999;
 /// Relative to the longer side, for 100 to 20 degrees.
 const FOCALS: [f64; 9] = [0.42, 0.53, 0.66, 0.83, 1.04, 1.3, 1.63, 2.04, 2.84];
 const TRIES_OF_FOCAL: usize = 200;
-/// Rounds of local optimization.
 const ROUNDS: usize = 3;
 
 /// Estimates a camera of `[width, height]` pixels with a centered principal point.
@@ -148,7 +146,6 @@ impl Ransac<'_> {
         }
     }
 
-    /// Best of three random pairs.
     fn sample(&mut self, lens: &Intrinsics) -> Option<Camera> {
         let mut chosen = [0; 3];
         for i in 0..3 {
@@ -199,7 +196,6 @@ fn agreeing(camera: &Camera, pairs: &[Pair], tolerance: f64) -> Vec<Pair> {
     pairs.iter().filter(agrees).copied().collect()
 }
 
-/// Given the inlier ratio.
 fn needed_tries(share: f64) -> usize {
     let all_good = share.powi(3).clamp(1e-9, 1.0 - 1e-9);
     ((1.0 - CERTAINTY).ln() / (1.0 - all_good).ln()).ceil() as usize

@@ -7,9 +7,7 @@
 use crate::types::Pose;
 use glam::{DMat3, DVec3};
 
-/// Relative rounding threshold.
 const TINY: f64 = 1e-12;
-/// Newton iterations.
 const POLISH: usize = 3;
 
 /// Poses that see `points` in front along unit `bearings`.
@@ -43,7 +41,6 @@ fn symmetric([xx, yy, zz]: [f64; 3], [xy, xz, yz]: [f64; 3]) -> DMat3 {
     DMat3::from_cols_array(&[xx, xy, xz, xy, yy, yz, xz, yz, zz])
 }
 
-/// Real line pair in a pencil of conics.
 fn lines(first: DMat3, second: DMat3) -> Option<[DVec3; 2]> {
     let ([a, b, c], [p, q, r]) = (columns(first), columns(second));
     let det = |x: DVec3, y: DVec3, z: DVec3| x.dot(y.cross(z));
@@ -125,7 +122,6 @@ fn meets(line: DVec3, conic: DMat3) -> Vec<DVec3> {
     quadratic_roots(products).into_iter().map(|t| u + t * v).collect()
 }
 
-/// Newton's method on squared point distances.
 fn polished(mut distances: DVec3, conics: [DMat3; 3], squares: [f64; 3]) -> DVec3 {
     for _ in 0..POLISH {
         let along = conics.map(|conic| conic * distances);
@@ -147,7 +143,6 @@ fn pose(points: [DVec3; 3], bearings: [DVec3; 3], distances: DVec3) -> Option<Po
     if !turn.is_finite() {
         return None;
     }
-    // Only nearly a rotation.
     let x = turn.x_axis.normalize();
     let y = (turn.y_axis - x * x.dot(turn.y_axis)).normalize();
     let rotation = DMat3::from_cols(x, y, x.cross(y)).transpose();

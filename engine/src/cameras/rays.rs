@@ -26,17 +26,14 @@ pub struct RayMap {
     pub confidence: Vec<f32>,
 }
 
-/// Reweighting rounds.
 const ROUNDS: usize = 30;
 /// Medians at a quarter of the weight.
 const TYPICAL: f64 = 2.0;
 /// Inlier threshold in radians.
 const TOLERANCE: f64 = 0.1;
-/// Required inlier ratio.
 const AGREEING: f64 = 0.5;
 
 struct Ray {
-    /// Unit direction.
     direction: DVec3,
     /// Unit direction, for an image spanning -1 to 1 at distance 1.
     pixel: DVec3,
@@ -76,7 +73,6 @@ impl RayMap {
         Ok(FoundCamera { camera, inliers: agreeing.len(), pairs })
     }
 
-    /// Rays with nonzero direction.
     fn rays(&self) -> Result<Vec<Ray>> {
         let (w, h) = (self.width as usize, self.height as usize);
         let lengths = [self.directions.len(), self.origins.len(), self.confidence.len()];
@@ -101,7 +97,6 @@ fn angle(map: &DMat3, ray: &Ray) -> f64 {
     (*map * ray.pixel).angle_between(ray.direction)
 }
 
-/// Robust map from pixels to directions.
 fn homography(rays: &[Ray]) -> DMat3 {
     let mut map = DMat3::IDENTITY;
     let mut weights: Vec<f64> = rays.iter().map(|ray| ray.weight).collect();

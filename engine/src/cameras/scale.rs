@@ -1,5 +1,3 @@
-//! Relative scale of two worlds.
-
 use glam::DVec3;
 use nalgebra::{Matrix3, Vector3};
 
@@ -16,7 +14,6 @@ pub fn scale_between(from: &[DVec3], to: &[DVec3]) -> Option<f64> {
     let svd = covariance.svd(true, true);
     let (u, v) = (svd.u?, svd.v_t?);
     let turn = if (u.determinant() * v.determinant()) < 0.0 { -1.0 } else { 1.0 };
-    // Sorted in descending order.
     let scale = (svd.singular_values[0] + svd.singular_values[1] + turn * svd.singular_values[2]) / variance;
     (scale.is_normal() && scale > 0.0).then_some(scale)
 }
@@ -31,7 +28,6 @@ mod tests {
         let from = [DVec3::new(1.0, 0.0, 0.5), DVec3::new(-0.3, 2.0, 0.1), DVec3::new(0.2, 0.4, -1.0)];
         let turn = DQuat::from_axis_angle(DVec3::new(1.0, 2.0, -0.5).normalize(), 2.0);
         let to = from.map(|point| 0.3 * (turn * point) + DVec3::new(5.0, -2.0, 1.0));
-        // Two points determine the scale.
         for count in [2, 3] {
             let scale = scale_between(&from[..count], &to[..count]).expect("the points differ");
             assert!((scale - 0.3).abs() < 1e-12, "{scale}");

@@ -1,10 +1,8 @@
 use super::*;
 use glam::{DMat3, DQuat, EulerRot};
 
-/// For images of 252 x 252 pixels.
 const FOCAL: f64 = 210.0;
 
-/// At depths 1 to 3, or on an oblique plane.
 fn seen(random: &mut Random, count: usize, planar: bool) -> (Camera, Vec<Pair>) {
     let mut number = |range: f64| range * (2.0 * random.unit() - 1.0);
     let rotation = DMat3::from_quat(DQuat::from_euler(EulerRot::XYZ, number(3.0), number(1.5), number(3.0)));

@@ -11,7 +11,6 @@ use glam::DVec3;
 /// In units of `PIXEL`.
 const SCALES: [f64; 2] = [1e-5, 30.0];
 const PIXEL: f64 = 0.1;
-/// Degree 2.
 const COEFFS: usize = 9;
 const SH_DEGREE: u32 = 2;
 /// Coefficient scale by degree.

@@ -1,5 +1,3 @@
-//! A depth network on a device.
-
 use super::{
     DepthNetwork, DepthShape, DepthTensors,
     output::{Depths, read},
@@ -15,7 +13,6 @@ use crate::{
 };
 use std::ops::ControlFlow;
 
-/// ImageNet statistics.
 const MEAN: [f32; 3] = [0.485, 0.456, 0.406];
 const DEVIATION: [f32; 3] = [0.229, 0.224, 0.225];
 
@@ -32,7 +29,7 @@ pub struct DepthModel {
 pub struct DepthRequest {
     /// Known cameras, at image size.
     pub cameras: Option<Vec<Camera>>,
-    /// Reference view without cameras. Defaults to the most typical of three or more, else the
+    /// Reference view without cameras; by default the most typical of three or more, else the
     /// first.
     pub reference: Option<usize>,
     /// Ratio of patches in [`Depths::scene`].
@@ -42,18 +39,13 @@ pub struct DepthRequest {
 }
 
 impl Default for DepthRequest {
-    /// No cameras, every patch.
     fn default() -> Self {
         Self { cameras: None, reference: None, ratio: Ratio::Fixed(1.0), selection: Selection::KMEANS }
     }
 }
 
 impl DepthModel {
-    /// Loads a checkpoint. Heads are always f32. `progress` gets the fraction done and may cancel.
-    ///
-    /// # Errors
-    /// [`Memory`](crate::Error::Memory), [`Cancelled`](crate::Error::Cancelled), errors of the
-    /// checkpoint.
+    /// Loads a checkpoint. Heads are always f32.
     pub fn load(
         device: &Device,
         checkpoint: &DepthCheckpoint,
@@ -81,10 +73,6 @@ impl DepthModel {
     }
 
     /// Estimates depth of images of one size, divisible by the patch.
-    ///
-    /// # Errors
-    /// [`Argument`](crate::Error::Argument), [`Memory`](crate::Error::Memory) before submission,
-    /// [`Cancelled`](crate::Error::Cancelled).
     pub fn depths(
         &self,
         images: &[Image],
@@ -112,9 +100,6 @@ impl DepthModel {
     }
 
     /// Returns the shape of a request.
-    ///
-    /// # Errors
-    /// [`Argument`](crate::Error::Argument) for invalid input.
     pub fn shape(&self, images: &[Image], request: &DepthRequest) -> Result<DepthShape> {
         let size = size_of(images)?;
         let chosen = (request.ratio, &request.selection);
@@ -124,9 +109,6 @@ impl DepthModel {
     }
 
     /// Records a plan, optionally observed.
-    ///
-    /// # Errors
-    /// [`Memory`](crate::Error::Memory).
     pub fn record(&self, shape: DepthShape, observe: bool) -> Result<(Plan, DepthTensors)> {
         let mut rec = Recorder::new(self.device.limits());
         if observe {
@@ -137,17 +119,11 @@ impl DepthModel {
     }
 
     /// Allocates a plan.
-    ///
-    /// # Errors
-    /// [`Memory`](crate::Error::Memory).
     pub fn run(&self, plan: Plan) -> Result<Run> {
         Run::with_resident(&self.device, plan, Some(self.parameters.resident.clone()))
     }
 
     /// Writes the inputs.
-    ///
-    /// # Errors
-    /// Failed transfers; unusable cameras.
     pub fn write_inputs(
         &self,
         run: &mut Run,

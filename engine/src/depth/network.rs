@@ -34,7 +34,6 @@ pub struct DepthTensors {
     pub(super) images: Tensor,
     pub(super) backbone: Vec<Tensor>,
     pub(super) heads: HeadTensors,
-    /// Initial or kept patches, unless all are kept.
     pub(super) indices: Option<Tensor>,
     /// `[tokens]` u32, from k-means.
     pub(super) chosen: Option<Tensor>,
@@ -54,9 +53,6 @@ impl DepthNetwork {
     }
 
     /// Returns the shape for `views` images of `[width, height]` pixels.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for invalid input.
     pub fn shape(
         &self,
         views: usize,
@@ -102,9 +98,6 @@ impl DepthNetwork {
     }
 
     /// Plans without a device.
-    ///
-    /// # Errors
-    /// [`Error::Memory`].
     pub fn plan(&self, limits: &Limits, shape: DepthShape) -> Result<(Plan, DepthTensors)> {
         let mut rec = Recorder::new(limits);
         let tensors = self.record(&mut rec, shape);

@@ -1,5 +1,3 @@
-//! Outputs of a depth network.
-
 use crate::{
     Error, Result,
     cameras::{FoundCamera, RayMap, decoded_camera, scale_between},
@@ -123,11 +121,8 @@ impl Depths {
 /// Focal length of metric depth in pixels.
 pub const METRIC_FOCAL: f64 = 300.0;
 
-/// Sky threshold.
 pub(super) const SKY: f32 = 0.3;
-/// Minimum pixels of sky and of the rest.
 const FEWEST: usize = 10;
-/// Quantile used as sky depth.
 const BEHIND: f64 = 0.99;
 
 impl DepthView {

@@ -1,16 +1,11 @@
-//! Isotropic Gaussians from depth and color.
-
 use super::{DepthView, Depths, output::SKY, pixel_gaussians};
 use crate::types::{Camera, Image, Scene};
 use glam::DVec3;
 
-/// Constant spherical harmonic.
 const SH0: f32 = 0.282_094_79;
 /// In pixels, enough to hide the grid.
 const SIGMA: f64 = 0.6;
-/// Opacity at full confidence.
 const OPACITY: f32 = 0.95;
-/// Opacity threshold.
 const FAINT: f32 = 0.05;
 
 /// Adds an isotropic Gaussian per pixel of positive depth.
@@ -64,7 +59,6 @@ impl Depths {
                     round
                 }
             };
-            // Ranked last.
             for (i, _) in at.iter().enumerate().filter(|(_, at)| !view.shows(**at)) {
                 (made.opacities[i], made.scales[i]) = (0.0, [0.0; 3]);
             }

@@ -1,5 +1,3 @@
-//! Point cloud from depth.
-
 use super::Depths;
 use crate::types::{Camera, Image};
 use glam::DVec3;
@@ -29,7 +27,6 @@ impl Depths {
         kept.iter().step_by(step).map(point).collect()
     }
 
-    /// Confidence threshold.
     pub(super) fn least_confidence(&self) -> f32 {
         let mut all: Vec<f32> =
             self.views.iter().filter_map(|view| view.confidence.as_ref()).flatten().copied().collect();

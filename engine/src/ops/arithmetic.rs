@@ -1,5 +1,3 @@
-//! Precisions and the kernels that each selects.
-
 use super::tile::Tiles;
 use crate::gpu::{Element, Limits, MatrixShape};
 
@@ -20,7 +18,7 @@ impl Precision {
     /// Every precision, slowest first.
     pub const ALL: [Self; 4] = [Self::Exact, Self::FastBf16, Self::Fast, Self::Turbo];
 
-    /// The default: `Fast` with matrix units, else `Exact`. CPUs convert f16 slowly.
+    /// The default: `Fast` with matrix units, else `Exact`.
     pub fn best(limits: &Limits) -> Self {
         if !limits.cpu && limits.matrices.f16.is_some() { Precision::Fast } else { Precision::Exact }
     }

@@ -1,5 +1,3 @@
-//! Multi-head attention.
-
 use super::{
     Columns, Norm, Pool, Rows, Tile, Units,
     tile::choose,
@@ -190,7 +188,6 @@ impl Attention {
         out
     }
 
-    /// Keys per panel.
     fn panel(&self, limits: &Limits) -> usize {
         if self.is_uniform(limits) {
             (UNIFORM_TILE[1] * limits.subgroup_size) as usize
@@ -199,7 +196,6 @@ impl Attention {
         }
     }
 
-    /// Whether ops/attention_uniform applies.
     fn is_uniform(&self, limits: &Limits) -> bool {
         let [queries, lanes] = [UNIFORM_TILE[0], limits.subgroup_size].map(|n| n as usize);
         limits.addresses
@@ -282,7 +278,6 @@ impl Attention {
     fn tile(&self, limits: &Limits, units: Units) -> Tile {
         let (channels, heads) = (self.channels(), self.heads.count * self.sequences);
         let candidates = Tile::attention(limits, units, channels);
-        // Wider heads may not fit every measured tile.
         let tuned = Tile::attention(limits, units, Tile::TUNED_CHANNELS);
         let measured = units.tiles.of(self.queries * heads * channels).and_then(|index| tuned.get(index));
         let measured = measured.and_then(|tile| candidates.iter().position(|candidate| candidate == tile));

@@ -1,5 +1,3 @@
-//! A pre-norm transformer block.
-
 use super::{
     Activation, Attention, AttentionKernel, Epilogue, Heads, Linear, Norm, ParameterLayout, Part, Pool, Rotary, Rows,
     row_chunks,
@@ -50,7 +48,6 @@ pub struct Sequences {
     pub pool: Option<Pool>,
 }
 
-/// Epsilon of all q/k norms.
 pub(super) const QK_NORM_EPS: f32 = 1e-5;
 
 impl Block {

@@ -1,5 +1,3 @@
-//! Feature maps of convolutions.
-
 use super::{Rows, rows::aligned_rows};
 use crate::gpu::{Element, Recorder, Tensor};
 use std::ops::Range;

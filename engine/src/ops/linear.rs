@@ -1,5 +1,3 @@
-//! Linear layers with fused epilogues.
-
 mod dots;
 mod lanes;
 
@@ -57,8 +55,7 @@ pub enum LinearKernel {
 pub enum Weights {
     /// In the factor type.
     Factors,
-    /// [`Q8`](super::Q8): integers, then f16 scales at a 256-byte boundary. Panels interleave
-    /// blocks of four terms by four columns.
+    /// [`Q8`](super::Q8): integers, then f16 scales at a 256-byte boundary.
     Q8,
 }
 
@@ -134,7 +131,6 @@ impl LinearKernel {
     }
 }
 
-/// Byte offset of 8-bit weights' scales.
 pub(super) fn scales_at(columns: usize, inner: usize) -> usize {
     (columns * inner).next_multiple_of(SLICE)
 }
@@ -186,7 +182,6 @@ impl Linear {
         }
     }
 
-    /// Merges split-K partial sums.
     fn merge(&self, rec: &mut Recorder, sums: Rows, parts: usize, out: Rows, epilogue: Epilogue) {
         let kernel = ops::LinearMerge {
             sums: sums.tensor,

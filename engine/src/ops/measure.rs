@@ -40,7 +40,7 @@ impl FmaChains {
         2 * self.threads as u64 * u64::from(Self::CHAINS * Self::STEPS) * u64::from(self.iterations)
     }
 
-    /// Returns `[threads]` f32 chain sums. Chain `c` of invocation `t` starts at `t % 16 + 16 c`.
+    /// Returns `[threads]` f32 chain sums.
     pub fn record(&self, rec: &mut Recorder) -> Tensor {
         let out = rec.tensor::<f32>("out", self.threads);
         let kernel = kernels::Fma {

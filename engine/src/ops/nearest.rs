@@ -1,5 +1,3 @@
-//! Nearest-row search.
-
 use super::{
     Rows, Tile, Units,
     tile::choose,
@@ -13,10 +11,8 @@ use crate::{
     },
 };
 
-/// Rows averaged for the origin.
 const ORIGIN_ROWS: usize = 256;
 
-/// Target partitions, to fill the device.
 const SHARES: usize = 8;
 
 /// Nearest-row kernel.
@@ -92,7 +88,6 @@ impl Nearest {
             return NearestRows { rows, values, scales: rows, norms: rows, count };
         };
         let halves = rec.tensor::<[u16; 2]>("halves", count * self.width.next_multiple_of(8));
-        // Read as vec4.
         let [scales, norms] = ["scales", "norms"].map(|name| rec.tensor::<f32>(name, count.next_multiple_of(4)));
         let kernel = kernels::Halves {
             source: rows,
@@ -107,8 +102,7 @@ impl Nearest {
         NearestRows { rows, values: halves, scales, norms, count }
     }
 
-    /// Returns nearest targets, `[points]` u32. Ties ([`Nearest::TIE`]) go to the first. The source
-    /// rows must be unchanged.
+    /// Returns nearest targets, `[points]` u32. Ties ([`Nearest::TIE`]) go to the first.
     pub fn record(&self, rec: &mut Recorder, points: NearestRows, targets: NearestRows) -> Tensor {
         let out = rec.tensor::<u32>("nearest", points.count);
         self.record_into(rec, points, targets, out);

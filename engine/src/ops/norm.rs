@@ -1,5 +1,3 @@
-//! Layer normalization.
-
 use super::{Columns, Rows, row_chunks};
 use crate::{
     gpu::{Element, Recorder, Tensor},
@@ -43,7 +41,6 @@ impl Norm {
         patches: usize,
     ) {
         let Columns { of: out, first: out_column, .. } = out.into();
-        // Views are whole: input and output rows differ.
         let (view, input_view) = (patches.max(1), patches.max(1) + patches.min(1));
         let widths = [input_view * input.row_bytes(), view * input.row_bytes(), view * out.row_bytes()];
         for part in row_chunks(rec, out.count / view, &widths) {

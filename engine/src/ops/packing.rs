@@ -1,5 +1,3 @@
-//! Parameter layouts of the kernels.
-
 use super::{Lanes, LinearKernel, Units, Weights, linear::scales_at, q8::Q8, rows::SLICE};
 use crate::{gpu::Element, kernels::limits::PANEL_COLUMNS, kernels::limits::Q8_GROUP};
 use half::f16;
@@ -21,7 +19,6 @@ pub(super) enum Packing {
     Reordered { order: Order, inner: usize, columns: usize, kernel: LinearKernel },
 }
 
-/// Order of a checkpoint's matrix.
 #[derive(Clone, Copy)]
 pub(super) enum Order {
     /// `[inner / taps, taps, columns]`, taps reversed: a convolution's gradient.
@@ -77,10 +74,6 @@ impl Packing {
         matches!(self, Packing::Matrix { kernel, .. } if kernel.weights() == Weights::Q8)
     }
 
-    /// Packs values.
-    ///
-    /// # Panics
-    /// If the kernel takes [`Q8`].
     pub fn pack(self, source: &[f32], packed: &mut Vec<u8>) {
         packed.clear();
         match self {
@@ -122,10 +115,6 @@ impl Packing {
         }
     }
 
-    /// Packs 8-bit weights.
-    ///
-    /// # Panics
-    /// If the kernel does not take [`Q8`].
     pub fn pack_q8(self, source: &Q8, packed: &mut Vec<u8>) {
         let Packing::Matrix { inner, columns, gated, kernel } = self else { panic!("a matrix") };
         packed.clear();

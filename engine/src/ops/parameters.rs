@@ -63,15 +63,9 @@ impl Index<HostParameter> for Parameters {
 /// Source of parameter values.
 pub trait ParameterSource {
     /// Reads values in C order.
-    ///
-    /// # Errors
-    /// Failed reads.
     fn read_f32(&self, name: &str, out: &mut [f32]) -> Result<()>;
 
     /// Reads a weight of [`ParameterLayout::with_q8`].
-    ///
-    /// # Errors
-    /// Failed reads.
     fn read_q8(&self, name: &str) -> Result<Q8> {
         unreachable!("{name} has no weights of 8 bits")
     }
@@ -219,10 +213,7 @@ impl ParameterLayout {
         self.layout.bytes()
     }
 
-    /// Allocates and loads the parameters. `progress` gets the fraction done and may cancel.
-    ///
-    /// # Errors
-    /// [`Error::Memory`]; errors of `source`; [`Error::Cancelled`].
+    /// Allocates and loads the parameters.
     pub fn load(
         &self,
         device: &Device,
@@ -261,7 +252,6 @@ impl ParameterLayout {
         let inner = row.iter().product::<usize>();
         let has_q8 = Q8::fits(inner) && self.q8.contains(&format!("{name}.weight"));
         let weights = if has_q8 { Weights::Q8 } else { Weights::Factors };
-        // Other kernels write whole vectors.
         let vectors = columns.is_multiple_of(if gated { 8 } else { 4 });
         let kernel = match arithmetic {
             Arithmetic { quantised: Some(units), .. } if vectors => LinearKernel::Matrix(units, weights),

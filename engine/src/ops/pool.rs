@@ -1,5 +1,3 @@
-//! Pooling of keys and values.
-
 use super::row_chunks;
 use crate::{Error, Result, gpu::Recorder};
 use std::ops::Range;
@@ -51,7 +49,6 @@ impl Pool {
         pool.map_or(tokens, |pool| tokens / pool.tokens() * pool.keys())
     }
 
-    /// [`row_chunks`] of whole views.
     pub(super) fn chunks(
         pool: Option<Self>,
         rec: &Recorder,

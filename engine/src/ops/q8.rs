@@ -1,5 +1,3 @@
-//! 8-bit weights.
-
 use crate::kernels::limits::Q8_GROUP;
 use half::f16;
 use rayon::prelude::*;

@@ -69,7 +69,6 @@ impl From<Rows> for Columns {
     }
 }
 
-/// Slice alignment in bytes.
 pub(super) const SLICE: usize = 256;
 
 /// Scratch budget: fills any device, small next to the activations.
@@ -84,7 +83,6 @@ pub(super) fn aligned_rows(bytes: usize) -> usize {
 pub(crate) fn row_chunks(rec: &Recorder, rows: usize, widths: &[usize]) -> impl Iterator<Item = Range<usize>> + use<> {
     let bytes = rec.limits().max_binding_bytes.min(SCRATCH_BYTES) as usize;
     let widest = widths.iter().copied().fold(1, usize::max);
-    // The largest power of two is a multiple of the rest.
     let alignment = widths.iter().copied().map(aligned_rows).fold(1, usize::max);
     let step = (bytes / widest).max(alignment) / alignment * alignment;
     (0..rows).step_by(step).map(move |first| first..rows.min(first + step))

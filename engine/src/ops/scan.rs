@@ -5,9 +5,7 @@ use crate::{
     kernels::ops::{ScanApply, ScanReduce},
 };
 
-/// Minimum items per workgroup.
 const SHARE: usize = 1024;
-/// Maximum workgroups.
 const MAX_BLOCKS: usize = 1024;
 
 /// Replaces the first `count` u32 by exclusive prefix sums modulo 2^32.

@@ -12,7 +12,6 @@ use crate::{
 const DIGIT_BITS: u32 = RADIX.ilog2();
 /// Minimum items per workgroup, which bounds the digit table.
 const SHARE: usize = 1024;
-/// Maximum workgroups.
 const MAX_BLOCKS: usize = 1024;
 
 /// Returns `item_count[0]` of `capacity` pairs sorted by the lowest `bits` bits.

@@ -1,11 +1,9 @@
-//! Matrix kernel tiles and their selection.
-
 use super::Units;
 use crate::gpu::{Element, Limits};
 use std::fmt;
 
 /// Tile selection by result size, in [`Tiles::CLASSES`] classes from 2^14 values by factors of
-/// four. Defaults to a rule.
+/// four.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Tiles([Option<u8>; Tiles::CLASSES]);
 
@@ -29,15 +27,12 @@ impl Tiles {
         1 << (14 + 2 * class)
     }
 
-    /// Selected candidate for a number of values.
     pub(super) fn of(&self, values: usize) -> Option<usize> {
         let class = values.max(1).ilog2().saturating_sub(13) as usize / 2;
         self.0[class.min(Self::CLASSES - 1)].map(usize::from)
     }
 }
 
-/// Split-K terms per partial sum.
-///
 /// Splits long 16-bit sums with few tiles. Depends on the shape alone, so tuning never changes
 /// bits.
 pub(super) fn share(factor: Element, inner: usize, rows: usize, columns: usize) -> usize {
@@ -47,7 +42,6 @@ pub(super) fn share(factor: Element, inner: usize, rows: usize, columns: usize) 
         return inner;
     }
     let parts = (BUSY / 2 / workgroups).min(2 * inner / LONG);
-    // A multiple of every kernel's depth.
     inner.div_ceil(parts).next_multiple_of(128)
 }
 
@@ -65,14 +59,10 @@ pub struct Tile {
 /// Subgroups; rows and columns of each.
 type Layout = ([u32; 2], [u32; 2]);
 
-/// Workgroups that fill a large GPU.
 const BUSY: usize = 256;
 
 /// Returns the measured candidate, else the first of `by_rule` defaults that fills the device, else
 /// the last default.
-///
-/// # Panics
-/// If the list is empty.
 pub(super) fn choose<T: Copy>(
     candidates: &[T],
     measured: Option<usize>,
@@ -117,8 +107,7 @@ impl Tile {
         tiles.filter(|tile| tile.fits(limits, shared_bytes(tile))).collect()
     }
 
-    /// Candidates of ops/attention_matrix, 16-query defaults first, larger first. 32 queries need
-    /// more registers.
+    /// Candidates of ops/attention_matrix, 16-query defaults first, larger first.
     pub fn attention(limits: &Limits, units: Units, channels: usize) -> Vec<Self> {
         let shape = units.shape;
         let queries: &[u32] = if limits.cpu { &[8] } else { &[16, 32] };
@@ -137,7 +126,7 @@ impl Tile {
         tiles.filter(|tile| tile.fits(limits, shared_bytes(tile))).collect()
     }
 
-    /// Candidates of cluster/nearest_matrix, larger first. Two sets of sums halve the tiles.
+    /// Candidates of cluster/nearest_matrix, larger first.
     pub fn nearest(limits: &Limits, units: Units) -> Vec<Self> {
         const GPU: &[Layout] = &[([2, 4], [64, 32]), ([2, 2], [64, 32]), ([2, 2], [32, 32])];
         const CPU: &[Layout] = &[([2, 2], [16, 8])];
@@ -165,7 +154,6 @@ impl Tile {
         [0, 1].map(|axis| (self.subgroups[axis] * self.repeats[axis] * matrix[axis]) as usize)
     }
 
-    /// Subgroups per workgroup.
     pub(super) fn all_subgroups(&self) -> u32 {
         self.subgroups[0] * self.subgroups[1]
     }

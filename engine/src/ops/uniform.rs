@@ -5,7 +5,6 @@ use crate::{gpu::Limits, kernels::limits::PANEL_COLUMNS};
 /// Rows per workgroup and vectors per lane, for a CPU's 16 registers.
 pub(crate) const UNIFORM_TILE: [u32; 2] = [6, 2];
 
-/// Whether uniform kernels apply.
 pub(crate) fn divides_panels(limits: &Limits) -> bool {
     limits.addresses && PANEL_COLUMNS.is_multiple_of(UNIFORM_TILE[1] * limits.subgroup_size)
 }

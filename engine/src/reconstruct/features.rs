@@ -1,5 +1,3 @@
-//! Features and scene tokens kept on the device.
-
 use super::{Model, Patches, Reconstruction, Request, Shape, network::FeatureTensors, write_choice};
 use crate::{
     Result,
@@ -72,9 +70,6 @@ impl SceneTokens {
 
 impl Model {
     /// Runs the backbone, with cameras, unit and pooling of `request`.
-    ///
-    /// # Errors
-    /// As [`Model::reconstruct`].
     pub fn features(
         &self,
         images: &[Image],
@@ -96,9 +91,6 @@ impl Model {
 
     /// Decodes features bit-identically to [`Model::reconstruct`], with ratio and selection of
     /// `request`.
-    ///
-    /// # Errors
-    /// As [`Model::reconstruct`].
     pub fn reconstruct_features(
         &self,
         features: &Features,
@@ -132,9 +124,6 @@ impl Model {
     }
 
     /// Fuses features for [`crate::refine::refine_tokens`], with ratio and selection of `request`.
-    ///
-    /// # Errors
-    /// As [`Model::reconstruct`].
     pub fn tokens(
         &self,
         features: &Features,

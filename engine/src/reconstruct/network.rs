@@ -1,5 +1,3 @@
-//! The whole network.
-
 use super::{Kept, Shape};
 use crate::{
     Result,
@@ -25,12 +23,10 @@ pub struct Tensors {
     scene: SceneTensors,
 }
 
-/// Photo inputs.
 #[derive(Clone, Debug)]
 pub(super) struct Inputs {
     /// `[views, 3, height, width]` f32, RGB in 0..1.
     pub images: Tensor,
-    /// See [`Backbone::inputs`](crate::stages::backbone::Backbone::inputs).
     pub backbone: Vec<Tensor>,
 }
 
@@ -38,7 +34,6 @@ pub(super) struct Inputs {
 pub(super) struct Choice {
     /// `[1]` f32 scene scale.
     pub unit: Option<Tensor>,
-    /// Initial or kept tokens, unless all are kept.
     pub indices: Option<Tensor>,
     /// `[tokens]` u32, from k-means.
     pub chosen: Option<Tensor>,
@@ -53,7 +48,6 @@ pub(super) struct FeatureTensors {
 }
 
 impl FeatureTensors {
-    /// Allocates persistent features.
     pub fn lay_out(layout: &mut ResidentLayout, architecture: &Architecture, grid: ViewGrid) -> Self {
         let (tokens, width) = (grid.tokens(), architecture.width);
         let mut layer = |_| Rows::new(layout.add::<f32>(tokens * width), tokens, width);
@@ -86,9 +80,6 @@ impl Network {
     }
 
     /// Lays out a checkpoint's network without a device.
-    ///
-    /// # Errors
-    /// As [`Checkpoint::suits`].
     pub fn of(checkpoint: &Checkpoint, limits: &Limits, arithmetic: Arithmetic) -> Result<Self> {
         checkpoint.suits(arithmetic)?;
         let q8 = checkpoint.q8_names().map(String::from);
@@ -113,9 +104,6 @@ impl Network {
     }
 
     /// Plans the forward pass to device Gaussians, without a device.
-    ///
-    /// # Errors
-    /// [`Error::Memory`](crate::Error::Memory).
     pub fn plan(&self, limits: &Limits, shape: Shape) -> Result<NetworkPlan> {
         let mut layout = ResidentLayout::new(limits);
         let into = SceneTensors::lay_out(&mut layout, self.gaussians_of(shape), self.architecture.sh_degree as u32);
@@ -144,7 +132,6 @@ impl Network {
         inputs
     }
 
-    /// Records features to Gaussians.
     pub(super) fn record_decoding(
         &self,
         rec: &mut Recorder,
@@ -208,9 +195,6 @@ impl Tensors {
     }
 
     /// Reads the scene of [`Network::record`].
-    ///
-    /// # Errors
-    /// Failed transfers.
     pub fn read(&self, run: &Run) -> Result<Scene> {
         Ok(Scene {
             means: run.read(self.scene.means)?,

@@ -1,5 +1,3 @@
-//! Source patches of tokens, and derived cameras.
-
 use super::{Request, Shape, network::Choice};
 use crate::{
     Error, Result,
@@ -16,7 +14,6 @@ pub struct Patches {
     grid: ViewGrid,
     /// Unless all are kept.
     kept: Option<Vec<u32>>,
-    /// Whether cameras were known.
     posed: bool,
 }
 
@@ -94,7 +91,6 @@ impl Patches {
         }
         let ViewGrid { rows, columns, patch, .. } = self.grid;
         let size = [columns, rows].map(|count| (count * patch) as u32);
-        // Any pixel of the patch is possible.
         Ok(find_cameras(&self.pairs(scene)?, size, focal, patch as f64))
     }
 }

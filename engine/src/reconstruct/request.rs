@@ -1,5 +1,3 @@
-//! Reconstruction requests and shapes.
-
 use crate::{
     Error, Result,
     ops::Pool,
@@ -62,7 +60,6 @@ pub struct Request {
 }
 
 impl Default for Request {
-    /// Every token, no cameras.
     fn default() -> Self {
         Self { ratio: Ratio::Fixed(1.0), selection: Selection::KMEANS, cameras: None, unit: 1.0, pool: 1 }
     }
@@ -96,9 +93,6 @@ pub enum Kept {
 
 impl Shape {
     /// Returns the shape for `views` images of `[width, height]` pixels.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for invalid input.
     pub fn new(
         architecture: &Architecture,
         views: usize,
@@ -114,6 +108,7 @@ impl Shape {
     /// Sets [`Request::pool`].
     ///
     /// # Errors
+    ///
     /// [`Error::Argument`] for an invalid side.
     pub fn pooled(self, pool: usize) -> Result<Self> {
         Pool::check(pool)?;
@@ -140,8 +135,6 @@ impl Shape {
 }
 
 impl Kept {
-    /// # Errors
-    /// [`Error::Argument`] for invalid input.
     pub(crate) fn of(grid: ViewGrid, chosen: (Ratio, &Selection)) -> Result<(usize, Self)> {
         let all = grid.tokens();
         if let Selection::Kmeans(rounds) = chosen.1
@@ -170,7 +163,6 @@ impl Kept {
 }
 
 impl Selection {
-    /// Kept tokens or initial centroids.
     pub(crate) fn indices(&self, all: usize, tokens: usize) -> Vec<u32> {
         match self {
             Self::Kmeans(_) | Self::Stride => even_indices(all, tokens),

@@ -1,5 +1,3 @@
-//! The Adam optimizer.
-
 use crate::{
     gpu::{Recorder, Tensor},
     kernels::refine as kernels,

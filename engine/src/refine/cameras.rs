@@ -1,5 +1,3 @@
-//! Cameras optimized with the scene.
-
 use super::Adam;
 use crate::types::{Camera, Pose};
 use glam::{DMat3, DQuat, DVec3};
@@ -10,7 +8,7 @@ const AFTER: f64 = 0.4;
 /// Adam on a camera-to-world pose.
 ///
 /// Each step optimizes (w, v) = 0 in `pose o (exp(w^), v)`: rotation about and translation along
-/// the camera's own axes. Moments persist between steps.
+/// the camera's own axes.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct PoseAdam {
     first: [f64; 6],
@@ -42,14 +40,12 @@ impl PoseAdam {
 /// Cameras of all photos; only training cameras move.
 pub(super) struct Cameras {
     cameras: Vec<Camera>,
-    /// `None` for fixed cameras.
     adams: Vec<Option<PoseAdam>>,
     /// Rates of rotation in radians and of translation in scene units.
     rates: [f64; 2],
 }
 
 impl Cameras {
-    /// Optimizes the cameras of the photos `moving` with these rates.
     pub fn new(cameras: &[Camera], moving: &[usize], rates: [f64; 2]) -> Self {
         let adam = |i| moving.contains(&i).then(PoseAdam::default);
         Self { cameras: cameras.to_vec(), adams: (0..cameras.len()).map(adam).collect(), rates }
@@ -59,7 +55,6 @@ impl Cameras {
         &self.cameras
     }
 
-    /// Moves a photo's camera against its gradient, at the fraction `along` of all steps.
     pub fn step(&mut self, photo: usize, gradient: [f32; 6], rate: f32, along: f64) {
         if let (Some(adam), true) = (&mut self.adams[photo], along >= AFTER) {
             let (rates, pose) = (self.rates.map(|each| each * f64::from(rate)), &mut self.cameras[photo].pose);
@@ -72,7 +67,6 @@ impl Cameras {
 mod tests {
     use super::*;
 
-    /// Least squares recovers a pose from any initialization.
     #[test]
     fn a_pose_finds_its_points() {
         let points = [DVec3::new(0.3, 0.2, 2.0), DVec3::new(-0.5, 0.1, 1.5), DVec3::new(0.2, -0.6, 1.0)];

@@ -1,5 +1,3 @@
-//! Gaussians under optimization, and the plans of a step.
-//!
 //! A step accumulates gradients over plan runs, then updates all Gaussians. Memory is independent
 //! of the number of photos.
 
@@ -24,9 +22,7 @@ pub(super) const ADAM: Adam = Adam { beta1: 0.9, beta2: 0.999, eps: 1e-15 };
 /// Lower limits of scales and of opacities' distance from 0 and 1, for their logarithm and logit.
 const LEAST_SCALE: f32 = 1e-12;
 const OPACITY_MARGIN: f32 = 1e-4;
-/// Capacity of the plan cache.
 const PLANS: usize = 4;
-/// Limit of pixels per run.
 const PIXELS_TOGETHER: usize = 1 << 20;
 
 struct Field {
@@ -43,7 +39,6 @@ struct Field {
 pub(super) struct Gaussians {
     arena: Arena,
     memories: Vec<Arc<Resident>>,
-    /// Optimized fields, unless tokens are optimized.
     fields: Vec<Field>,
     scene: SceneTensors,
     near: f32,
@@ -52,7 +47,6 @@ pub(super) struct Gaussians {
     clear: Run,
     update: Run,
     schedule: Tensor,
-    /// LPIPS weights, if the loss includes LPIPS.
     look: Option<LpipsWeights>,
     steps: u32,
     /// Least recently used first.
@@ -63,10 +57,6 @@ pub(super) struct Gaussians {
 }
 
 impl Gaussians {
-    /// Uploads a scene at distance `unit` from the cameras.
-    ///
-    /// # Errors
-    /// [`Error::Memory`] if the device has too little.
     pub fn new(arena: &Arena, scene: &Scene, unit: f64, request: &Refine) -> Result<Self> {
         let (device, len) = (arena.device(), scene.len());
         let counts = [3 * len, 3 * len, 4 * len, len, 3 * scene.sh_coeffs.len()];
@@ -97,7 +87,6 @@ impl Gaussians {
         Ok(Self { fields: fields.into(), ..gaussians })
     }
 
-    /// Wraps uploaded Gaussians with their initial gradients and an update plan.
     pub(super) fn of(
         arena: &Arena,
         request: &Refine,
@@ -130,10 +119,6 @@ impl Gaussians {
         })
     }
 
-    /// Accumulates the gradients of photos and updates all Gaussians. Returns each photo's results.
-    ///
-    /// # Errors
-    /// [`Error::Memory`] if the device has too little, and those of [`Run::execute`].
     pub fn step(&mut self, views: &[&View], rate: f32) -> Result<Vec<Found>> {
         let mut views = views.to_vec();
         views.sort_by_key(|view| view.size);
@@ -149,8 +134,7 @@ impl Gaussians {
         Ok(found)
     }
 
-    /// Accumulates the gradients of photos sorted by size. `None` if the capacity was exceeded; it
-    /// then grows.
+    /// `None` if the capacity was exceeded; it then grows.
     fn add_all(&mut self, views: &[&View]) -> Result<Option<Vec<Found>>> {
         let mut found = Vec::new();
         for alike in views.chunk_by(|a, b| a.size == b.size) {
@@ -173,15 +157,11 @@ impl Gaussians {
         Ok(Some(found))
     }
 
-    /// Sets the near plane, before the first draw.
     pub fn set_near(&mut self, near: f32) {
         self.near = near;
     }
 
     /// Draws a photo's camera: `[height][width][rgb]` and the number of tile intersections.
-    ///
-    /// # Errors
-    /// As [`Gaussians::step`].
     pub fn draw(&mut self, view: &View) -> Result<(Vec<f32>, usize)> {
         loop {
             if let Some(index) = self.run(&[view], false)? {
@@ -192,8 +172,6 @@ impl Gaussians {
         }
     }
 
-    /// Runs the plan of photos of one size and returns its index, or `None` if its capacity was
-    /// exceeded.
     fn run(&mut self, views: &[&View], learns: bool) -> Result<Option<usize>> {
         let [width, height] = views[0].size;
         let shape = FrameShape { cameras: views.len(), width, height };
@@ -242,27 +220,16 @@ impl Gaussians {
         Ok(Planned { shape, capacity, run, recorded })
     }
 
-    /// Reads back the Gaussians.
-    ///
-    /// # Errors
-    /// A failed transfer.
     pub fn scene(&self) -> Result<Scene> {
         self.scene.read(&self.memories[0])
     }
 
-    /// Replaces the Gaussians by a scene of at most as many.
-    ///
-    /// # Errors
-    /// A failed transfer.
     pub fn show(&self, scene: &Scene) -> Result<()> {
         let SceneTensors { means, scales, quats, opacities, sh_coeffs, len, .. } = self.scene;
         write(&self.memories[0], [means, scales, quats, opacities, sh_coeffs], &padded(scene, len))
     }
 
-    /// Edits the Gaussians on the host. `change` returns those whose moments reset to zero.
-    ///
-    /// # Errors
-    /// A failed transfer.
+    /// `change` returns those whose moments reset to zero.
     pub fn edit(&mut self, change: impl FnOnce(&mut Scene) -> Vec<usize>) -> Result<()> {
         let (mut scene, memory) = (self.scene()?, &self.memories[0]);
         let changed = change(&mut scene);
@@ -278,14 +245,9 @@ impl Gaussians {
         Ok(())
     }
 
-    /// Profiles a step by kernel, on photos of the first size. The Gaussians stay unchanged.
-    ///
-    /// # Errors
-    /// As [`Gaussians::step`].
     pub fn profile(&mut self, views: &[&View]) -> Result<Profile> {
         let size = views[0].size;
         let alike: Vec<&View> = views.iter().copied().filter(|view| view.size == size).take(self.together).collect();
-        // Grows the plan until every intersection fits.
         let index = loop {
             if let Some(index) = self.run(&alike, true)? {
                 break index;
@@ -300,18 +262,15 @@ impl Gaussians {
     }
 }
 
-/// Batch size of photos of equal, moderate size.
 pub(super) fn together(request: &Refine, limits: &Limits) -> usize {
     let usual = if limits.cpu || request.look.is_some() { 1 } else { request.views_per_step };
     request.together.filter(|_| request.look.is_none()).unwrap_or(usual).max(1)
 }
 
-/// Limit of photos of this many pixels per run.
 pub(super) fn most_together(pixels: usize) -> usize {
     (PIXELS_TOGETHER / pixels).max(1)
 }
 
-/// Intersection capacity of a plan with `each` per camera.
 pub(super) fn room(limits: &Limits, each: usize, cameras: usize, learns: bool) -> usize {
     let most = limits.max_binding_bytes / intersection_bytes(learns);
     each.saturating_mul(cameras).min(most as usize)
@@ -329,7 +288,6 @@ pub(super) fn scene_gradients([means, scales, quats, opacities, sh_coeffs]: [Ten
     SceneGradients { means, scales, quats, opacities, sh_coeffs }
 }
 
-/// Writes a scene, clamped to the range of the optimizer.
 fn write(memory: &Resident, values: [Tensor; 5], scene: &Scene) -> Result<()> {
     let [means, scales, quats, opacities, sh_coeffs] = values;
     let positive = |scales: &[f32; 3]| scales.map(|scale| scale.max(LEAST_SCALE));
@@ -351,7 +309,6 @@ pub(super) fn filling(
     Run::in_arena(arena, 0, rec.finish()?, [memory.clone()])
 }
 
-/// The plan that updates all Gaussians, and its schedule tensor.
 fn update(arena: &Arena, memory: &Arc<Resident>, fields: &[Field]) -> Result<(Run, Tensor)> {
     let mut rec = Recorder::new(arena.device().limits());
     let schedule = rec.input::<f32>("schedule", 4);

@@ -1,9 +1,6 @@
-//! Relocation of unseen Gaussians.
-//!
-//! Source: 3D Gaussian splatting as Markov chain Monte Carlo (Kheradmand et al. 2024). Dead
-//! Gaussians move to live ones drawn by opacity. They share its opacity and size so that the
-//! picture hardly changes. Nearly transparent Gaussians wander. Plans have a fixed number of
-//! Gaussians, so unlike the paper all exist from the start and become alive over time.
+//! Source: 3D Gaussian splatting as Markov chain Monte Carlo (Kheradmand et al. 2024). Plans have a
+//! fixed number of Gaussians, so unlike the paper all exist from the start and become alive over
+//! time.
 
 use crate::{
     random::Random,
@@ -26,7 +23,6 @@ pub(super) struct Growth {
 }
 
 impl Growth {
-    /// Grows `first` Gaussians to at most `most` over these steps.
     pub fn new(first: usize, most: usize, steps: usize, seed: u64) -> Self {
         Self { random: Random::new(!seed), steps, counts: [first, most.max(first)] }
     }
@@ -35,8 +31,8 @@ impl Growth {
         done.is_multiple_of(self.steps.div_ceil(TIMES)) && done as f64 <= LAST * self.steps as f64
     }
 
-    /// Relocates Gaussians; more become alive with `done`. `rate` is the current fraction of the
-    /// initial rate. Returns the indices of changed Gaussians.
+    /// `rate` is the current fraction of the initial rate. Returns the indices of changed
+    /// Gaussians.
     pub fn apply(&mut self, scene: &mut Scene, done: usize, rate: f32) -> Vec<usize> {
         self.wander(scene, f64::from(rate));
         let (live, dead): (Vec<usize>, Vec<usize>) = (0..scene.len()).partition(|i| scene.opacities[*i] > DEAD);
@@ -78,8 +74,7 @@ impl Growth {
         chosen
     }
 
-    /// Splits a Gaussian's opacity and size among `count`. Returns the transform from normal
-    /// samples to offsets with the Gaussian's former spread.
+    /// Returns the transform from normal samples to offsets with the Gaussian's former spread.
     fn share(&self, scene: &mut Scene, i: usize, count: usize) -> DMat3 {
         let was = axes(scene, i);
         let (opacity, size) = shared(f64::from(scene.opacities[i]), count);
@@ -88,7 +83,6 @@ impl Growth {
         was
     }
 
-    /// Perturbs nearly transparent Gaussians in proportion to their size.
     fn wander(&mut self, scene: &mut Scene, rate: f64) {
         for i in 0..scene.len() {
             let opacity = f64::from(scene.opacities[i]);
@@ -103,7 +97,6 @@ impl Growth {
     }
 }
 
-/// Returns axes scaled by the standard deviations, as columns.
 fn axes(scene: &Scene, i: usize) -> DMat3 {
     let scales = DVec3::from(scene.scales[i].map(f64::from));
     matrix_from_quaternion(scene.quats[i].map(f64::from)) * DMat3::from_diagonal(scales)
@@ -119,7 +112,7 @@ fn copy(scene: &mut Scene, from: usize, to: usize) {
 }
 
 /// Returns the opacity of each of `count` coincident Gaussians as opaque as one, and their relative
-/// size (equation 9 of the paper). The total occlusion along the middle axis is preserved.
+/// size (equation 9 of the paper).
 fn shared(opacity: f64, count: usize) -> (f64, f64) {
     let each = 1.0 - (1.0 - opacity).powf(1.0 / count as f64);
     // Binomials of count over k + 1, times each^(k + 1), with alternating signs.
@@ -131,7 +124,6 @@ fn shared(opacity: f64, count: usize) -> (f64, f64) {
     (each, opacity / sum)
 }
 
-/// Pads a scene with dead Gaussians to its final size.
 pub(super) fn padded(scene: &Scene, most: usize) -> Scene {
     let (mut padded, first) = (scene.clone(), scene.len());
     let most = most.max(first);
@@ -164,7 +156,6 @@ mod tests {
         }
     }
 
-    /// Numerically integrates the occlusion along the middle axis, before and after a split.
     #[test]
     fn shares_hide_what_one_hid() {
         for (opacity, count) in [(0.9, 2), (0.5, 3), (0.99, 10), (0.1, 51)] {
@@ -190,7 +181,6 @@ mod tests {
         let live = |scene: &Scene| scene.opacities.iter().filter(|opacity| **opacity > DEAD).count();
         assert_eq!((grown.len(), live(&grown)), (32, 8));
         let changed = growth.apply(&mut grown, 25, 0.0);
-        // Half of the growth, which is geometric.
         assert_eq!(live(&grown), 16);
         assert!((8..16).all(|i| changed.contains(&i)) && grown.means[16..] == padded(&start, 32).means[16..]);
         for i in 8..16 {

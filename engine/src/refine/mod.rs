@@ -34,9 +34,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// Least number of photos with a held-out one by default.
 const HOLD_OUT_FROM: usize = 9;
-/// Sample size for the distance from the cameras.
 const SAMPLE: usize = 4096;
 
 /// Settings of a refinement.
@@ -46,10 +44,10 @@ pub struct Refine {
     pub steps: usize,
     /// Photos per step, capped at the training photos.
     pub views_per_step: usize,
-    /// Limits of a photo's width and height; larger ones are downscaled. `None` keeps full size.
+    /// Limits of a photo's width and height; larger ones are downscaled.
     pub size: Option<[u32; 2]>,
-    /// Number of held-out photos, which select the best step. `None`: one of 9 or more, or none if
-    /// cameras are refined, because held-out cameras stay uncorrected.
+    /// Number of held-out photos, which select the best step. `None`: one of 9 or more, none if
+    /// cameras are refined.
     pub hold_out: Option<usize>,
     /// Pixel loss.
     pub loss: Loss,
@@ -57,9 +55,9 @@ pub struct Refine {
     pub look: Option<Look>,
     /// Learning rates.
     pub rates: Rates,
-    /// Also refines training cameras, except the first, which fixes the world.
+    /// Also refines training cameras, except the first.
     pub cameras: bool,
-    /// Final number of Gaussians: unseen and missing ones are relocated. `None` relocates none.
+    /// Final number of Gaussians: unseen and missing ones are relocated.
     pub grow: Option<usize>,
     /// Factor of the mean opacity in the loss.
     pub opacity_penalty: f32,
@@ -81,7 +79,6 @@ pub struct Refine {
 }
 
 impl Default for Refine {
-    /// 100 steps of 4 photos, one held out of 9 or more.
     fn default() -> Self {
         Self {
             steps: 100,
@@ -179,8 +176,7 @@ pub enum Stopped {
 /// Result of a refinement.
 #[derive(Clone, Debug)]
 pub struct Refined {
-    /// Gaussians after [`Refined::best_step`], in their original world. The order is kept unless
-    /// they grew; then undrawn ones are dropped.
+    /// Gaussians after [`Refined::best_step`], in their original world.
     pub scene: Scene,
     /// Cameras of all photos after that step.
     pub cameras: Vec<Camera>,
@@ -188,18 +184,17 @@ pub struct Refined {
     pub losses: Vec<f32>,
     /// Steps before the kept scene.
     pub best_step: usize,
-    /// Steps and the held-out PSNR in dB after them; empty without held-out photos.
+    /// Steps and the held-out PSNR in dB after them.
     pub held_out: Vec<(usize, f64)>,
-    /// Mean PSNR in dB of at most 16 training photos at full size: with the kept scene, and before
-    /// the first step.
+    /// Mean PSNR in dB of at most 16 training photos: with the kept scene, and before.
     pub training_psnr: [f64; 2],
     /// Indices of the held-out photos.
     pub held: Vec<usize>,
-    /// Steps, from 0, with a new size, and the largest photo's width and height from then on.
+    /// Steps with a new size, and the largest photo's width and height from then on.
     pub sizes: Vec<(usize, [u32; 2])>,
     /// Time of all steps.
     pub took: Duration,
-    /// Peak bytes allocated on the device, including other users of it.
+    /// Peak bytes allocated on the device.
     pub peak_bytes: u64,
     /// Reason for an early end.
     pub stopped: Option<Stopped>,
@@ -218,13 +213,11 @@ impl Refined {
 /// Refines a scene's Gaussians against `photos`. Cameras are of the whole photos, in the scene's
 /// world.
 ///
-/// Plans run in `arena`, which may be a model's, to share memory. If it is in use, they run in
-/// another one. `progress` runs after every step; if it ends the refinement, the best scene so far
-/// is returned.
+/// `progress` runs after every step; if it ends the refinement, the best scene so far is returned.
 ///
 /// # Errors
+///
 /// [`Error::Argument`] for an unusable scene, photo, camera or request, or missing LPIPS weights.
-/// [`Error::Memory`] if the device has too little.
 pub fn refine_scene(
     arena: &Arena,
     scene: &Scene,
@@ -274,7 +267,6 @@ fn tokens_grow_not(request: &Refine) -> Result<()> {
     request.grow.map_or(Ok(()), |most| Err(refused(most)))
 }
 
-/// Refines the Gaussians, scene and scene scale from `make`.
 fn run(
     arena: &Arena,
     make: impl FnOnce(&Arena, &Refine) -> Result<(Gaussians, (Scene, f64))>,
@@ -303,7 +295,6 @@ fn filled(request: &Refine, count: usize) -> Result<Refine> {
     Ok(Refine { hold_out: Some(held_out), views_per_step, ..request.clone() })
 }
 
-/// Median distance of Gaussians from the cameras that see them.
 fn distance(scene: &Scene, cameras: &[Camera]) -> f64 {
     let sample = scene.means.iter().step_by(scene.len().div_ceil(SAMPLE));
     let points: Vec<DVec3> = sample.map(|mean| DVec3::from(mean.map(f64::from))).collect();

@@ -1,5 +1,3 @@
-//! Memory requirements of a refinement.
-
 use super::{
     Adam, Refine, Space, filled,
     gaussians::{most_together, room, scene_gradients, scene_tensors, together},
@@ -34,8 +32,7 @@ pub enum Moved<'a> {
 
 /// Memory plan of a refinement.
 pub struct RefinePlan {
-    /// Persistent bytes: Gaussians, gradients and moments. For tokens also the tokens, the head's
-    /// f32 weights and saved activations. With LPIPS also its weights.
+    /// Persistent bytes: Gaussians, gradients and moments.
     pub kept_bytes: u64,
     /// Plans of a step, which share the arena.
     pub plans: Vec<Plan>,
@@ -49,11 +46,10 @@ impl RefinePlan {
 }
 
 /// Plans a refinement against `photos` photos of `[width, height]` pixels, without a device.
-/// Pictures that exceed the initial intersection capacity need more.
 ///
 /// # Errors
+///
 /// [`Error::Argument`](crate::Error::Argument) if all photos are held out or tokens are to grow.
-/// [`Error::Memory`](crate::Error::Memory) if a tensor exceeds the device's limits.
 pub fn plan_refinement(
     limits: &Limits,
     moved: Moved<'_>,
@@ -99,7 +95,6 @@ pub fn plan_refinement(
             adam(&mut rec, tokens, d_tokens, [first, second], schedule, width);
             head.record_kept(&mut rec, tokens, &kept, &scene);
             plans.push(rec.finish()?);
-            // The original tokens stay, too.
             let mut given = ResidentLayout::new(limits);
             given.add::<f32>(width);
             kept_bytes += parameters.bytes() + given.bytes();
@@ -115,7 +110,6 @@ pub fn plan_refinement(
     Ok(RefinePlan { kept_bytes, plans })
 }
 
-/// Adds the plans that draw photos of this size.
 fn record_steps(
     limits: &Limits,
     plans: &mut Vec<Plan>,

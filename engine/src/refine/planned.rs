@@ -1,5 +1,3 @@
-//! Plans of a step: draw photos of one size, compare, accumulate gradients.
-
 use super::{Look, Refine, views::View};
 use crate::{
     Result,
@@ -15,7 +13,6 @@ use crate::{
     },
 };
 
-/// A plan that draws cameras and, for training, accumulates gradients.
 pub(super) struct Planned {
     pub shape: FrameShape,
     pub capacity: usize,
@@ -36,7 +33,6 @@ pub(super) struct Learning {
     pub targets: Tensor,
     /// `[cameras]`.
     pub losses: Tensor,
-    /// Factor and value of LPIPS, if in the loss.
     pub look: Option<(f32, Tensor)>,
     /// `[cameras, 10]`, if cameras are refined.
     pub d_cameras: Option<Tensor>,
@@ -49,7 +45,6 @@ pub(super) struct Found {
     pub d_pose: Option<[f32; 6]>,
 }
 
-/// Records drawing and, with a request, the accumulation of its gradients.
 pub(super) fn record_photos(
     rec: &mut Recorder,
     scene: &SceneTensors,
@@ -87,7 +82,7 @@ pub(super) fn record_photos(
 }
 
 /// Records LPIPS of one picture and adds its gradient to `d_frames`, unless the picture is too
-/// small. Returns factor and value `[1]` f32.
+/// small.
 fn record_look(
     rec: &mut Recorder,
     lpips: &Lpips,

@@ -1,5 +1,3 @@
-//! The refinement loop: steps, validation, stopping.
-
 use super::{
     Refine, Refined, Refining, Stopped,
     cameras::Cameras,
@@ -19,7 +17,6 @@ use std::{ops::ControlFlow, time::Instant};
 
 /// Number of evaluations of held-out photos or, without any, of the loss.
 const LOOKS: usize = 20;
-/// Limit of training photos measured before and after.
 const MEASURED: usize = 16;
 /// Divergence limit: mean loss relative to its minimum.
 const GROWN: f32 = 2.0;
@@ -32,23 +29,19 @@ pub(super) struct Refinement<'a> {
     gaussians: Gaussians,
     growth: Option<Growth>,
     order: Order,
-    /// Training photos, and their views at the current size.
     learnt: Vec<usize>,
     views: Vec<View>,
-    /// Factor of the current downscaling.
     shrink: u32,
     tested: Vec<View>,
     held: Vec<usize>,
     sizes: Vec<(usize, [u32; 2])>,
     losses: Vec<f32>,
     held_out: Vec<(usize, f64)>,
-    /// Step of the last evaluation.
     looked: Option<usize>,
     /// First step at the current size, and the least mean loss since then.
     began: usize,
     least: f32,
     latest: f32,
-    /// Fraction of the rates for the Gaussians.
     fraction: f32,
     kept: Kept,
     /// Next checkpoint, unless the loss reveals that it is worse.
@@ -63,11 +56,6 @@ struct Kept {
 }
 
 impl<'a> Refinement<'a> {
-    /// Starts from `scene`, at distance `unit` from the cameras. `request` has the number of
-    /// held-out photos.
-    ///
-    /// # Errors
-    /// A camera that does not match its photo.
     pub fn new(
         mut gaussians: Gaussians,
         (scene, unit): (Scene, f64),
@@ -109,10 +97,6 @@ impl<'a> Refinement<'a> {
         })
     }
 
-    /// Runs all steps, or fewer on an early stop.
-    ///
-    /// # Errors
-    /// As [`super::refine_scene`].
     pub fn finish(
         mut self,
         progress: &mut dyn FnMut(Refining<'_>) -> ControlFlow<()>,
@@ -197,10 +181,6 @@ impl<'a> Refinement<'a> {
         Ok(None)
     }
 
-    /// Mean PSNR of at most [`MEASURED`] training photos at full size through these cameras.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] if no photo's camera sees a Gaussian.
     fn training_psnr(&mut self, cameras: &[Camera]) -> Result<f64> {
         let step = self.learnt.len().div_ceil(MEASURED);
         let (measured, others): (Vec<usize>, Vec<usize>) = (0..self.learnt.len()).partition(|i| i % step == 0);
@@ -222,7 +202,6 @@ impl<'a> Refinement<'a> {
         Ok(found.iter().map(|(psnr, _)| psnr).sum::<f64>() / found.len() as f64)
     }
 
-    /// Moves the cameras of a step's photos against their gradients.
     fn move_cameras(&mut self, step: usize, found: &[Found]) {
         let along = step as f64 / self.request.steps as f64;
         for Found { photo, d_pose, .. } in found {
@@ -290,8 +269,8 @@ impl<'a> Refinement<'a> {
         }
     }
 
-    /// Whether the mean loss is far above its minimum at the current size. A loss belongs to the
-    /// Gaussians before its step: it validates the marked checkpoint, not the current state.
+    /// A loss belongs to the Gaussians before its step: it validates the marked checkpoint, not the
+    /// current state.
     fn grown(&mut self) -> Option<String> {
         let round = self.learnt.len().div_ceil(self.request.views_per_step);
         let last = self.losses.len().checked_sub(round).filter(|first| *first >= self.began)?;

@@ -1,5 +1,3 @@
-//! Schedule of rates and photo sizes.
-
 use std::f64::consts::PI;
 
 const LAST: f64 = 0.1;
@@ -24,7 +22,6 @@ impl Schedule {
         self.rate * (LAST + (1.0 - LAST) * 0.5 * (1.0 + (PI * along).cos())) as f32
     }
 
-    /// Downscaling factor in that step for photos with this shortest side.
     pub fn shrink(&self, step: usize, shortest: u32) -> u32 {
         let along = step as f64 / self.steps as f64;
         let fits = |(until, shrink): &&(f64, u32)| self.coarse && along < *until && shortest >= shrink * SHORTEST;

@@ -1,5 +1,3 @@
-//! Initialization of Gaussians from a point cloud.
-
 use crate::{
     Error, Result,
     types::{Camera, PointCloud, Scene},
@@ -8,7 +6,6 @@ use glam::DVec3;
 use rayon::prelude::*;
 use rstar::{PointDistance, RTree, primitives::GeomWithData};
 
-/// Neighbors for a Gaussian's size.
 const NEIGHBOURS: usize = 3;
 /// Limit of a Gaussian's size relative to the nearest camera's distance: isolated points are often
 /// wrong.
@@ -16,7 +13,6 @@ const LARGEST: f64 = 0.1;
 const OPACITY: f32 = 0.5;
 /// Harmonic of degree 0, `1 / (2 sqrt(pi))`.
 const SH_0: f32 = 0.282_094_8;
-/// Color of points without one.
 const GREY: [u8; 3] = [128; 3];
 
 /// Creates an isotropic Gaussian per point with the point's color. Its standard deviation is the
@@ -61,7 +57,6 @@ pub fn join(first: Scene, second: Scene) -> Scene {
     joined
 }
 
-/// Pads the harmonics with zeros to a degree no lower than the scene's.
 fn with_degree(mut scene: Scene, degree: u32) -> Scene {
     let (own, wanted) = (scene.sh_coeffs_per_gaussian(), (degree as usize + 1).pow(2));
     if own < wanted {
@@ -82,7 +77,6 @@ mod tests {
 
     #[test]
     fn gaussians_are_as_large_as_their_neighbours_are_far() {
-        // A row of points at distance 1, one of them duplicated.
         let positions: Vec<[f32; 3]> = [0.0, 1.0, 2.0, 3.0, 3.0].map(|x| [x, 0.0, 0.0]).to_vec();
         let cloud = PointCloud { positions, colors: vec![[255, 0, 128]; 5] };
         let scene = scene_of_points(&cloud, &[]).expect("a scene");

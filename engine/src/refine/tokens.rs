@@ -19,7 +19,7 @@ use crate::{
 };
 use std::{ops::ControlFlow, sync::Arc};
 
-/// A model's head on a device, forward and backward, always in f32.
+/// A model's f32 head on a device, forward and backward.
 pub struct FrozenHead {
     head: Head,
     architecture: Architecture,
@@ -30,6 +30,7 @@ impl FrozenHead {
     /// Loads the head of a checkpoint.
     ///
     /// # Errors
+    ///
     /// [`Error::Memory`] if the device has too little; an unreadable checkpoint.
     pub fn load(device: &Device, checkpoint: &Checkpoint) -> Result<Self> {
         let architecture = checkpoint.architecture().clone();
@@ -41,7 +42,6 @@ impl FrozenHead {
     }
 }
 
-/// Returns optimizable Gaussians of tokens, and their initial scene.
 pub(super) fn gaussians(
     arena: &Arena,
     head: &FrozenHead,
@@ -91,7 +91,6 @@ pub(super) fn gaussians(
     Ok((gaussians, scene))
 }
 
-/// Initial gradients: those of the penalties.
 fn begin(gradients: [Tensor; 5], len: usize, request: &Refine) -> [(Tensor, f32); 5] {
     let mut begin = gradients.map(|gradient| (gradient, 0.0));
     begin[3].1 = request.opacity_penalty / len as f32;

@@ -1,5 +1,3 @@
-//! Photos of a refinement: split, order, sizes.
-
 use crate::{
     Result,
     random::Random,
@@ -17,9 +15,6 @@ pub(super) struct View {
 
 impl View {
     /// Downscales photo `i` to fit `most`, then divides its sides by `shrink`.
-    ///
-    /// # Errors
-    /// An empty photo, or a camera that does not match it.
     pub fn new(i: usize, photo: &Image, camera: &Camera, most: Option<[u32; 2]>, shrink: u32) -> Result<Self> {
         photo.validate()?;
         check_camera(i, camera)?;

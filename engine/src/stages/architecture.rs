@@ -1,5 +1,3 @@
-//! Sizes of a ZipSplat network.
-
 mod backbone;
 mod depth;
 

@@ -27,8 +27,6 @@ pub fn auto_ratio(views: usize) -> f64 {
 }
 
 /// Returns evenly spread indices, bit-equal to PyTorch's f32 `linspace`, rounded half to even.
-///
-/// The second half counts down with a fused multiply-add.
 pub fn even_indices(tokens: usize, count: usize) -> Vec<u32> {
     let last = (tokens - 1) as f32;
     let step = last / (count - 1).max(1) as f32;
@@ -61,8 +59,6 @@ pub fn random_indices(tokens: usize, count: usize, seed: u64) -> Vec<u32> {
 
 /// Records k-means from the tokens `initial` `[clusters]`. Returns each centroid's nearest token,
 /// `[clusters]` u32.
-///
-/// Means of two tokens are equidistant; [`Nearest::record`] resolves such ties by index.
 pub fn record(
     rec: &mut Recorder,
     kernel: NearestKernel,

@@ -28,7 +28,7 @@ impl Fuse {
         Self { cross, own }
     }
 
-    /// Fuses `layers`, deepest first, for the `count` tokens `chosen` or all. Returns scene tokens.
+    /// Fuses `layers`, deepest first, for the `count` tokens `chosen` or all.
     pub fn record(
         &self,
         rec: &mut Recorder,

@@ -111,7 +111,6 @@ impl Pictures {
         rec.dispatch_groups(kernel, cameras);
     }
 
-    /// Writes losses to `sums`; returns row-filtered derivatives of 1 - SSIM.
     fn dssim(&self, rec: &mut Recorder, weight: f32, groups: [u32; 3], sums: Tensor) -> Tensor {
         let FrameShape { cameras, width, height } = self.shape;
         let (rows, columns, run) = (cameras * height as usize, width as usize, RUN as u32);

@@ -1,4 +1,4 @@
-//! Stages of the networks, the renderer and the losses. Each records its own dispatches.
+//! Stages of the networks, the renderer and the losses.
 
 mod architecture;
 pub mod backbone;
@@ -38,13 +38,13 @@ pub struct Stages {
 }
 
 impl Stages {
-    /// Declares the parameters, in the order and with the names of the reference's `state_dict`.
+    /// Declares the parameters, named as in the reference's `state_dict`.
     pub fn new(p: &mut ParameterLayout, a: &Architecture) -> Self {
         Self { backbone: backbone(p, a), fuse: Fuse::new(p, a), gaussians: Gaussians::new(p, a) }
     }
 }
 
-/// The stages of a network that finds depth.
+/// The stages of a depth network.
 pub struct DepthStages {
     /// From pixels to features.
     pub backbone: DepthBackbone,
@@ -70,7 +70,7 @@ pub struct DepthFeatures {
     pub cameras: Option<Rows>,
 }
 
-/// The view whose camera the world is about, where no cameras are known.
+/// Reference view, if no cameras are known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reference {
     /// The view with this index.
@@ -80,7 +80,7 @@ pub enum Reference {
     Balanced,
 }
 
-/// Shape of the input: `views` pictures of `rows` x `columns` patches.
+/// `views` pictures of `rows` x `columns` patches.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ViewGrid {
     /// Pictures.
@@ -110,7 +110,7 @@ impl ViewGrid {
     }
 }
 
-/// The pictures of one plan: all of one size.
+/// Pictures of one plan, of one size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FrameShape {
     /// Pictures.
@@ -136,11 +136,11 @@ pub struct SceneTensors {
     pub sh_coeffs: Tensor,
     /// Gaussians.
     pub len: usize,
-    /// Degree of the coefficients; bands above that are all zero need not be here.
+    /// Degree of the coefficients, without zero bands above.
     pub sh_degree: u32,
 }
 
-/// Gradients of the stored values in [`SceneTensors`], for example of unnormalized quaternions.
+/// Gradients of the stored values, such as unnormalized quaternions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SceneGradients {
     /// `[len, 3]`.
@@ -156,7 +156,7 @@ pub struct SceneGradients {
 }
 
 impl SceneTensors {
-    /// The tensors of `len` Gaussians that a plan makes for the host.
+    /// Tensors of `len` Gaussians that the host reads.
     pub fn output(rec: &mut Recorder, len: usize, sh_degree: u32) -> Self {
         let tensors = Self {
             means: rec.tensor::<[f32; 3]>("means", len),
@@ -172,7 +172,7 @@ impl SceneTensors {
         tensors
     }
 
-    /// The tensors of `len` Gaussians, laid out to be kept.
+    /// Lays out resident tensors of `len` Gaussians.
     pub fn lay_out(layout: &mut ResidentLayout, len: usize, sh_degree: u32) -> Self {
         Self {
             means: layout.add::<[f32; 3]>(len),
@@ -185,10 +185,7 @@ impl SceneTensors {
         }
     }
 
-    /// The Gaussians, on the host.
-    ///
-    /// # Errors
-    /// A transfer that fails.
+    /// Reads the Gaussians.
     pub fn read(&self, memory: &Resident) -> Result<Scene> {
         Ok(Scene {
             means: memory.read(self.means)?,
@@ -201,12 +198,10 @@ impl SceneTensors {
     }
 }
 
-/// Coefficients up to a degree.
 fn coeffs_of(degree: u32) -> usize {
     (degree as usize + 1).pow(2)
 }
 
-/// Every patch embedded by a convolution whose stride is its size: a row a token.
 fn embed_patches(rec: &mut Recorder, images: Tensor, grid: ViewGrid, linear: &Linear) -> Rows {
     let (view, patches) = (3 * grid.patch * grid.patch * grid.patches(), grid.patches());
     let out = Rows::scratch(rec, "embedded", grid.tokens(), linear.columns, Element::F32);

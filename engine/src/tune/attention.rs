@@ -1,5 +1,3 @@
-//! Attention tests and timings.
-
 use super::{COLUMNS, Candidate, Operation, TERMS, kernel_name, noise::encoded_noise, self_test::deviation};
 use crate::{
     Result,

@@ -28,10 +28,7 @@ impl Chosen {
         Self::of_with(device, precision, |_, _| ControlFlow::Continue(()))
     }
 
-    /// [`Chosen::of`], with progress of the first self-test. `progress` may cancel.
-    ///
-    /// # Errors
-    /// As [`Chosen::of`], and [`Error::Cancelled`].
+    /// [`Chosen::of`], with progress of the first self-test.
     pub fn of_with(
         device: &Device,
         precision: Option<Precision>,

@@ -1,5 +1,3 @@
-//! Linear layer tests and timings.
-
 use super::{
     COLUMNS, Candidate, Operation, TERMS, kernel_name,
     noise::{encoded_noise, noise},
@@ -121,7 +119,6 @@ struct Layer {
 }
 
 impl Layer {
-    /// Returns a run on random numbers and its result.
     fn run(&self, device: &Device, tested: LinearKernel) -> Result<(Run, Tensor)> {
         let ([rows, inner, columns], kernel, factor) = (self.sizes, self.kernel, tested.factor());
         let weight = match tested.weights() {

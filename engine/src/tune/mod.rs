@@ -20,15 +20,11 @@ use crate::{
     ops::{Arithmetic, LaneTile, Lanes, Tile, Tiles, Units},
 };
 
-/// An operation with exact and fast kernels.
 trait Operation: Sync {
-    /// Cache and message name.
     fn name(&self) -> &'static str;
 
-    /// Fast factor types on lanes.
     fn lanes(&self) -> &'static [Element];
 
-    /// Factor types on matrix units.
     fn factors(&self) -> &'static [Element];
 
     fn tiles(&self, limits: &Limits, units: Units) -> Vec<Tile>;
@@ -38,19 +34,14 @@ trait Operation: Sync {
         Vec::new()
     }
 
-    /// Name and result type of each kernel.
     fn kernels(&self, on_units: bool, factor: Element) -> Vec<(String, Element)>;
 
-    /// See [`self_test::deviation`].
     fn deviation(&self, device: &Device, candidate: Candidate, output: Element) -> Result<Option<f64>>;
 
-    /// A run with `rows` rows of [`COLUMNS`] results.
     fn timed(&self, device: &Device, candidate: Candidate, rows: usize) -> Result<Run>;
 
-    /// Matrix unit fields.
     fn chosen<'a>(&self, arithmetic: &'a mut Arithmetic) -> Vec<&'a mut Option<Units>>;
 
-    /// Lane tile fields, with factor types.
     fn chosen_on_lanes<'a>(&self, _arithmetic: &'a mut Arithmetic) -> Vec<(Element, &'a mut Tiles)> {
         Vec::new()
     }
@@ -66,7 +57,6 @@ enum Candidate {
 
 /// Channels of all heads, or targets, in timed runs.
 const COLUMNS: usize = 1024;
-/// Terms, or keys, in timed runs.
 const TERMS: usize = 1024;
 
 impl Candidate {
@@ -110,7 +100,6 @@ impl dyn Operation {
     }
 }
 
-/// Whether lanes support a factor type besides f32.
 fn on_lanes(limits: &Limits, factor: Element) -> bool {
     if factor == Element::I8 { limits.dot_products } else { limits.half_storage }
 }

@@ -1,5 +1,3 @@
-//! Nearest-row search tests and timings.
-
 use super::{COLUMNS, Candidate, Operation, TERMS, kernel_name, noise::noise, self_test::deviation};
 use crate::{
     Result,

@@ -1,5 +1,3 @@
-//! Random numbers for tests and timings.
-
 use crate::gpu::Element;
 
 /// Distinct rows, since the host generates them slowly.

@@ -1,5 +1,3 @@
-//! Self-test of fast kernels, once per device and driver.
-
 use super::{Candidate, OPERATIONS, Operation, cache::cache_file, on_lanes};
 use crate::{
     Error, Result,
@@ -13,40 +11,34 @@ use std::{collections::BTreeMap, fs, ops::ControlFlow, path::Path, time::Duratio
 const ATTEMPTS: u32 = 2;
 /// A test without progress for this long is unfinished.
 const PATIENCE: Duration = Duration::from_secs(120);
-/// Name of the failure of unfinished tests.
 const UNFINISHED: &str = "the self-test";
 
 /// Deviations of a device's kernels.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct SelfTest {
-    /// Relative to tolerance: above 1 fails. `None` without a number.
+    /// Relative to tolerance: above 1 fails.
     pub deviations: BTreeMap<String, Option<f64>>,
 }
 
 struct Group {
     operation: &'static dyn Operation,
-    /// Name and result type.
     kernels: Vec<(String, Element)>,
     candidates: Vec<Candidate>,
 }
 
 impl SelfTest {
     /// Tests every fast kernel.
-    ///
-    /// # Errors
-    /// Device failures.
     pub fn run(device: &Device) -> Result<Self> {
         let mut test = Self::default();
         test.run_groups(device, Group::all(device.limits()), |_, _| ControlFlow::Continue(()), |_| ())?;
         Ok(test)
     }
 
-    /// Returns cached or new results for `wanted`. `progress` gets the next kernel and the fraction
-    /// done, and may cancel.
+    /// Returns cached or new results for `wanted`.
     ///
     /// # Errors
-    /// [`Error::DeviceLost`], [`Error::Memory`], [`Error::Cancelled`]. Other failures fail their
-    /// kernel.
+    ///
+    /// Other failures fail their kernel.
     pub fn of(device: &Device, wanted: Arithmetic, progress: impl FnMut(&str, f64) -> ControlFlow<()>) -> Result<Self> {
         let file = cache_file(device, "self-test");
         let Record { begun, result } = file.as_deref().and_then(Record::read).unwrap_or_default();
@@ -189,8 +181,7 @@ pub(super) fn worse(a: Option<f64>, b: Option<f64>) -> Option<f64> {
     a.zip(b).map(|(a, b)| a.max(b))
 }
 
-/// Largest difference relative to `limit` times the exact rms; `None` if not finite. Vulkan may
-/// round the stored type either way.
+/// Largest difference relative to `limit` times the exact rms; `None` if not finite.
 pub(super) fn deviation(limit: f64, stored: f64, exact: &[f32], fast: &[f32]) -> Option<f64> {
     let rms = (exact.iter().map(|x| f64::from(*x).powi(2)).sum::<f64>() / exact.len() as f64).sqrt();
     let largest = exact.iter().fold(0.0, |most, x| f64::from(x.abs()).max(most));
@@ -209,7 +200,7 @@ struct Record {
 }
 
 impl Record {
-    /// `None` if damaged. A test in progress does not count as begun.
+    /// A test in progress does not count as begun.
     fn read(file: &Path) -> Option<Self> {
         let mut known: Self = serde_json::from_slice(&fs::read(file).ok()?).ok()?;
         let age = fs::metadata(file).and_then(|found| found.modified()).ok()?.elapsed().unwrap_or(PATIENCE);

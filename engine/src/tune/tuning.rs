@@ -1,5 +1,3 @@
-//! Tile measurements.
-
 use super::{COLUMNS, Candidate, OPERATIONS, Operation, cache::cache_file};
 use crate::{
     Error, Result,
@@ -38,7 +36,6 @@ pub struct Measured {
 /// Milliseconds that end a measurement; larger sizes reuse the best tile.
 const LONGEST: f64 = 50.0;
 const REPEATS: usize = 5;
-/// Warm-up before a measurement.
 const WAKING: Duration = Duration::from_millis(100);
 
 impl Measured {
@@ -70,10 +67,10 @@ impl Tuning {
         write_atomic(&file, |out| out.write_all(&bytes))
     }
 
-    /// Measures every usable tile, keeping earlier results on errors. `progress` gets the next tile
-    /// and the fraction done, and may cancel.
+    /// Measures every usable tile, keeping earlier results on errors.
     ///
     /// # Errors
+    ///
     /// [`Error::DeviceLost`], which marks the tile unusable; [`Error::Cancelled`].
     pub fn measure(&mut self, device: &Device, mut progress: impl FnMut(&str, f64) -> ControlFlow<()>) -> Result<()> {
         let mut tiles = Vec::new();
@@ -99,7 +96,6 @@ impl Tuning {
             match outcome {
                 Err(Error::DeviceLost) => return Err(Error::DeviceLost),
                 Ok(Some(times)) => times.into_iter().for_each(|(values, ms)| self.add(tile, values, ms)),
-                // Wrong or rejected.
                 _ => {}
             }
         }

@@ -1,5 +1,3 @@
-//! Weights of a ZipSplat network.
-
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::ops::{ControlFlow, Deref};
@@ -20,10 +18,8 @@ use crate::{Error, Result};
 pub struct Checkpoint {
     architecture: Architecture,
     parameters: Vec<(String, Vec<usize>)>,
-    /// Preferred image side in pixels.
     picture_side: u32,
     source: Source,
-    /// As in [`Checkpoint::parse`].
     provenance: String,
     notes: Vec<String>,
 }
@@ -33,7 +29,6 @@ const EMBEDDED: &[u8] = include_bytes!(concat!(env!("CARGO_MANIFEST_DIR"), "/mod
 
 type Known = (Architecture, Option<String>);
 
-/// Contents of a file.
 #[derive(Debug)]
 pub(super) enum Bytes {
     Mapped(Mmap),
@@ -79,9 +74,6 @@ impl Checkpoint {
     }
 
     /// Opens a path or `seeded:VARIANT[:KEY]`.
-    ///
-    /// # Errors
-    /// As [`Checkpoint::open`].
     pub fn parse(text: &str, variant: Option<&str>) -> Result<Self> {
         let Some(seed) = text.strip_prefix("seeded:") else { return Self::open(text, variant) };
         let (name, key) = seed.split_once(':').map_or((seed, None), |(name, key)| (name, Some(key)));
@@ -110,9 +102,6 @@ impl Checkpoint {
     }
 
     /// Opens a file's contents, called `name` in messages.
-    ///
-    /// # Errors
-    /// As [`Checkpoint::open`].
     pub fn from_bytes(name: &str, bytes: impl Into<Cow<'static, [u8]>>, variant: Option<&str>) -> Result<Self> {
         Self::from_file(Path::new(name), Bytes::Held(bytes.into()), |contents, path| {
             inference::architecture(contents, path, variant)
@@ -144,7 +133,6 @@ impl Checkpoint {
         Self::from_file(path, Bytes::open(path)?, architecture)
     }
 
-    /// `path` is for messages only.
     fn from_file(
         path: &Path,
         file: Bytes,
@@ -200,6 +188,7 @@ impl Checkpoint {
     /// Reads a matrix of whole groups in 8 bits.
     ///
     /// # Errors
+    ///
     /// As [`Checkpoint::read_f32`], and for values or scales out of range.
     pub fn read_q8(&self, name: &str) -> Result<Q8> {
         self.source.read_q8(&self.provenance, self.find(name)?, &self.parameters)
@@ -253,9 +242,6 @@ impl Checkpoint {
     }
 
     /// [`Checkpoint::save`] with progress; canceling leaves no file.
-    ///
-    /// # Errors
-    /// As [`Checkpoint::save`], and [`Error::Cancelled`].
     pub fn save_with(
         &self,
         path: impl AsRef<Path>,
@@ -291,7 +277,6 @@ impl ParameterSource for Checkpoint {
     }
 }
 
-/// Matches tensors to `parameters` exactly.
 pub(super) fn matching(
     path: &Path,
     network: &str,

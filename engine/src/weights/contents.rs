@@ -1,12 +1,9 @@
-//! Contents of a checkpoint file.
-
 use std::collections::HashMap;
 
 use super::tensor::{Stored, StoredDtype};
 use super::{Architecture, DepthArchitecture};
 use crate::types::preprocess::PATCH;
 
-/// Largest plausible image side.
 pub(super) const MAX_PICTURE_SIDE: u32 = 8192;
 
 /// Added by distributed training and compilation.
@@ -15,13 +12,9 @@ const WRAPPERS: [&str; 2] = ["module", "_orig_mod"];
 #[derive(Debug, Default)]
 pub(super) struct Contents {
     pub tensors: HashMap<String, Stored>,
-    /// In our metadata.
     pub architecture: Option<Architecture>,
-    /// In our metadata.
     pub depth_architecture: Option<DepthArchitecture>,
-    /// Training image side, if stated.
     pub picture_side: Option<u32>,
-    /// Of a PyTorch checkpoint.
     pub conf: Conf,
 }
 
@@ -37,7 +30,6 @@ pub(super) struct Conf {
     pub sh_degree: Option<usize>,
 }
 
-/// Adds a tensor under its unwrapped name.
 pub(super) fn add(
     tensors: &mut HashMap<String, Stored>,
     name: &str,
@@ -56,7 +48,6 @@ pub(super) fn is_picture_side(side: u32) -> bool {
 }
 
 impl Contents {
-    /// Number of f64 tensors.
     pub fn doubles(&self) -> usize {
         self.tensors.values().filter(|tensor| tensor.dtype == StoredDtype::F64).count()
     }

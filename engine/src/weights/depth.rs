@@ -1,5 +1,3 @@
-//! Weights of Depth Anything 3.
-
 use std::{collections::BTreeMap, ops::ControlFlow, path::Path};
 
 use super::checkpoint::{Bytes, matching};
@@ -18,7 +16,6 @@ pub struct DepthCheckpoint {
     parameters: Vec<(String, Vec<usize>)>,
     source: Source,
     provenance: String,
-    /// Of the source, requested or not.
     of_gaussians: bool,
 }
 
@@ -36,18 +33,12 @@ impl DepthCheckpoint {
     }
 
     /// Opens with the Gaussian head, if there is one.
-    ///
-    /// # Errors
-    /// Errors of `open`.
     pub fn whole(open: impl Fn(bool) -> Result<Self>) -> Result<Self> {
         let found = open(false)?;
         if found.of_gaussians { open(true) } else { Ok(found) }
     }
 
     /// Opens `seeded:NAME` or a path.
-    ///
-    /// # Errors
-    /// As [`DepthCheckpoint::open`].
     pub fn parse(text: &str, gaussians: bool) -> Result<Self> {
         match text.strip_prefix("seeded:") {
             Some(name) => {
@@ -60,9 +51,9 @@ impl DepthCheckpoint {
     }
 
     /// Opens a released `model.safetensors` or a saved file, optionally with the Gaussian head.
-    /// Unneeded tensors are ignored.
     ///
     /// # Errors
+    ///
     /// [`Error::Io`] and [`Error::Format`]; [`Error::Argument`] for an unknown network or without
     /// Gaussian head; [`Error::Weights`] lists missing, unexpected and misshapen tensors.
     pub fn open(path: impl AsRef<Path>, gaussians: bool) -> Result<Self> {
@@ -78,9 +69,6 @@ impl DepthCheckpoint {
     }
 
     /// Opens a file with a known architecture.
-    ///
-    /// # Errors
-    /// As [`DepthCheckpoint::open`].
     pub fn open_architecture(path: impl AsRef<Path>, architecture: DepthArchitecture) -> Result<Self> {
         let path = path.as_ref();
         let file = Bytes::open(path)?;
@@ -89,9 +77,6 @@ impl DepthCheckpoint {
     }
 
     /// Generates reproducible weights.
-    ///
-    /// # Errors
-    /// As [`DepthArchitecture::validate`].
     pub fn seeded(architecture: DepthArchitecture, key: &str) -> Result<Self> {
         architecture.validate()?;
         let (parameters, provenance) = (architecture.parameters(), format!("seeded:{key}"));
@@ -126,9 +111,6 @@ impl DepthCheckpoint {
     }
 
     /// Writes safetensors; 8-bit weights load as f32.
-    ///
-    /// # Errors
-    /// As [`Checkpoint::save_with`](super::Checkpoint::save_with).
     pub fn save_with(
         &self,
         path: impl AsRef<Path>,
@@ -154,9 +136,6 @@ impl DepthCheckpoint {
     }
 
     /// Reads a tensor in C order.
-    ///
-    /// # Errors
-    /// As [`Checkpoint::read_f32`](super::Checkpoint::read_f32).
     pub fn read_f32(&self, name: &str, out: &mut [f32]) -> Result<()> {
         self.source.read(&self.provenance, self.find(name)?, &self.parameters, out)
     }
@@ -193,7 +172,6 @@ fn with_or_without(known: DepthArchitecture, gaussians: bool) -> Result<DepthArc
     Ok(DepthArchitecture { gaussians, ..known })
 }
 
-/// Gaussian head, or unused tails of the ray head.
 fn is_unused(name: &str) -> bool {
     let tails = [GAUSSIANS, "model.head.scratch.output_conv1_aux.", "model.head.scratch.output_conv2_aux."];
     tails.iter().any(|tail| name.starts_with(tail))
@@ -206,7 +184,6 @@ impl Shapes<'_> {
         self.0.tensors.get(name)?.shape.get(axis).copied()
     }
 
-    /// Matches the released network.
     fn architecture(&self, path: &Path) -> Result<DepthArchitecture> {
         let block = |i: usize, part: &str| format!("{BACKBONE}.blocks.{i}.{part}");
         let width = self.axis(&format!("{BACKBONE}.norm.weight"), 0);

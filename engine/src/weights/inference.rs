@@ -1,5 +1,3 @@
-//! Architecture inference.
-
 use std::path::Path;
 
 use super::contents::{Conf, Contents};
@@ -13,8 +11,6 @@ use crate::{
 const BACKBONE: &str = "backbone.backbone";
 const MAX_NAME: usize = 64;
 
-/// Returns the architecture and a note on assumptions.
-///
 /// Facts that shapes do not show come from `variant`, the training configuration, or the named
 /// network of this size. All known recipes start global attention and rotary embedding with q/k
 /// norm.
@@ -83,7 +79,6 @@ impl Size {
     }
 }
 
-/// The requested network, or one of this size.
 fn like(wanted: &Variant, size: &Size, file: &str) -> Result<Option<Architecture>> {
     let all = VARIANTS.iter().chain(&RECIPES).map(|name| Architecture::named(name)).collect::<Result<Vec<_>>>()?;
     if let Some(name) = wanted.name {
@@ -179,7 +174,6 @@ impl Shapes<'_> {
         Ok(())
     }
 
-    /// Gaussians per token and SH degree.
     fn decoded(&self, gaussians: Option<usize>, degree: Option<usize>) -> Result<(usize, usize)> {
         let width = |degree: usize| 11 + 3 * (degree + 1).pow(2);
         let Some(values) = self.axis("gaussian_head.gaussian_head.1.bias", 0) else {
@@ -192,7 +186,6 @@ impl Shapes<'_> {
         let degrees: Vec<usize> = (0..=3).filter(|d| degree.is_none_or(|known| known == *d)).filter(fits).collect();
         match degrees[..] {
             [degree] => Ok((values / width(degree), degree)),
-            // Reported with misshapen tensors.
             [] => Ok((gaussians.unwrap_or(32), degree.unwrap_or(1))),
             _ => {
                 let found = format!("none, and {values} values a token are Gaussians of degrees {degrees:?}");

@@ -1,5 +1,3 @@
-//! The safetensors format.
-
 use std::io::{self, Write};
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -22,7 +20,6 @@ const Q8_ENDS: [&str; 2] = [".q8", ".q8_scales"];
 const PREFIX: usize = 8;
 const MAX_HEADER: u64 = 100_000_000;
 
-/// Locates the tensors; [`Error::Format`] for an invalid header.
 pub(super) fn contents(path: &Path, file: &[u8]) -> Result<Contents> {
     let malformed = |reason: String| Error::format(path, None, reason);
     let length = file.first_chunk::<PREFIX>().map(|bytes| u64::from_le_bytes(*bytes));
@@ -77,7 +74,6 @@ pub(super) fn contents(path: &Path, file: &[u8]) -> Result<Contents> {
     Ok(found)
 }
 
-/// Values begin at `start`.
 fn stored(info: &TensorInfo, integers: bool, start: usize) -> Result<Stored, String> {
     let dtype = match info.dtype {
         FileDtype::F64 if !integers => StoredDtype::F64,
@@ -93,18 +89,15 @@ fn stored(info: &TensorInfo, integers: bool, start: usize) -> Result<Stored, Str
 }
 
 pub(super) enum Stated<'a> {
-    /// With the preferred image side.
     Scene(&'a Architecture, u32),
     Depth(&'a DepthArchitecture),
 }
 
-/// Weights to be saved.
 pub(super) trait Weights: ParameterSource {
     fn parameters(&self) -> &[(String, Vec<usize>)];
     fn network(&self) -> Stated<'_>;
 }
 
-/// Writes atomically; `progress` may cancel.
 pub(super) fn save(
     checkpoint: &impl Weights,
     path: &Path,
@@ -119,7 +112,6 @@ pub(super) fn save(
     file.finish()
 }
 
-/// `path` is for messages only.
 fn write(
     checkpoint: &impl Weights,
     dtype: Dtype,
@@ -191,7 +183,6 @@ fn q8_bytes(values: &Q8) -> Vec<u8> {
     bytemuck::cast_slice(&values.integers).iter().copied().chain(scales).collect()
 }
 
-/// [`Error::Argument`] for values beyond `dtype`.
 fn encode(name: &str, values: &[f32], dtype: Dtype) -> Result<Vec<u8>> {
     let held = |value: f32| match dtype {
         Dtype::F16 => f16::from_f32(value).is_finite(),
@@ -227,7 +218,6 @@ mod tests {
                 assert!(header.len() > least && header.len().is_multiple_of(PREFIX), "{variant}: {}", header.len());
                 let parsed: Metadata = serde_json::from_str(&header).expect("the format's own parser takes it");
                 let values = checkpoint.architecture().parameter_count();
-                // Some tensors keep wider types.
                 let expected = values as f64 * bytes;
                 let most = if dtype == Dtype::Q8 { 1.05 * expected } else { expected };
                 assert!((expected..=most).contains(&(parsed.data_len() as f64)), "{variant}: {}", parsed.data_len());

@@ -1,5 +1,3 @@
-//! Sources of parameter values.
-
 use super::{Dtype, checkpoint::Bytes, safetensors::too_small, seeded, tensor::Stored};
 use crate::{Error, Result, ops::Q8};
 use std::collections::BTreeMap;
@@ -17,10 +15,6 @@ pub(super) enum Source {
 }
 
 impl Source {
-    /// `provenance` is for messages.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for a wrong length, [`Error::Format`] for nonfinite values.
     pub fn read(
         &self,
         provenance: &str,
@@ -46,10 +40,6 @@ impl Source {
         }
     }
 
-    /// Reads a matrix of whole groups in 8 bits.
-    ///
-    /// # Errors
-    /// As [`Source::read`], and for values or scales out of range.
     pub fn read_q8(&self, provenance: &str, index: usize, parameters: &[(String, Vec<usize>)]) -> Result<Q8> {
         let (name, shape) = &parameters[index];
         match self {

@@ -1,5 +1,3 @@
-//! Tensors in mapped files.
-
 use std::str::FromStr;
 
 use half::{bf16, f16};
@@ -92,7 +90,6 @@ pub(super) struct Stored {
     pub shape: Vec<usize>,
     strides: Vec<usize>,
     offset: usize,
-    /// Offset of the Q8 scales.
     scales: Option<usize>,
 }
 
@@ -128,7 +125,6 @@ impl Stored {
         Self::new(dtype, shape, strides, offset, end)
     }
 
-    /// Adds scales `[rows, width / Q8_GROUP]` f16.
     pub fn with_scales(self, scales: &Self) -> Result<Self, String> {
         let expected = match self.shape[..] {
             [rows, width] if Q8::fits(width) => [rows, width / Q8::GROUP],
@@ -152,8 +148,6 @@ impl Stored {
         values * self.dtype.size() + self.scales.map_or(0, |_| Q8::scales_of(values) * size_of::<f16>())
     }
 
-    /// # Panics
-    /// If the tensor is not Q8.
     pub fn read_q8(&self, file: &[u8]) -> Q8 {
         let (Some(at), values) = (self.scales, self.shape.iter().product::<usize>()) else { panic!("no integers") };
         let scales = file[at..][..Q8::scales_of(values) * size_of::<f16>()].as_chunks().0;
@@ -163,7 +157,6 @@ impl Stored {
         }
     }
 
-    /// Reads all elements in C order.
     pub fn read(&self, file: &[u8], out: &mut [f32]) {
         let bytes = &file[self.offset..];
         match self.dtype {

@@ -1,5 +1,3 @@
-//! Tensors of other networks.
-
 use super::{checkpoint::matching, safetensors, tensor::Stored};
 use crate::{Error, Result, ops::ParameterSource, types::open_file};
 use std::{collections::HashMap, io::Read, path::Path};
@@ -14,6 +12,7 @@ impl Tensors {
     /// Opens a file with exactly these tensors.
     ///
     /// # Errors
+    ///
     /// [`Error::Io`] and [`Error::Format`]; [`Error::Weights`] lists missing, unexpected and
     /// misshapen tensors.
     pub fn open(path: &Path, network: &str, parameters: &[(String, Vec<usize>)]) -> Result<Self> {
@@ -27,8 +26,6 @@ impl Tensors {
 }
 
 impl ParameterSource for Tensors {
-    /// # Panics
-    /// For unknown names or wrong lengths.
     fn read_f32(&self, name: &str, out: &mut [f32]) -> Result<()> {
         self.tensors[name].read(&self.file, out);
         Ok(())

@@ -21,7 +21,6 @@ pub(super) fn is_archive(file: &[u8]) -> bool {
     file.starts_with(b"PK\x03\x04")
 }
 
-/// [`Error::Format`] if malformed.
 pub(super) fn contents(path: &Path, file: &[u8]) -> Result<Contents> {
     let malformed = |reason: String| Error::format(path, None, reason);
     let mut archive = Archive::open(file).map_err(malformed)?;
@@ -39,7 +38,6 @@ pub(super) fn contents(path: &Path, file: &[u8]) -> Result<Contents> {
     let mut found = Contents { conf, picture_side, ..Contents::default() };
     let holder = MODEL.iter().find_map(|key| pickle.entries(pickle.get(pickle.root, key)?));
     let is_tensor = |&&(_, value): &&(Id, Id)| matches!(pickle.object(value), Object::Tensor(_));
-    // May contain counters.
     let bare = || pickle.entries(pickle.root).map(|all| all.iter().filter(is_tensor).collect::<Vec<_>>());
     let model = holder.map(|all| all.iter().collect()).or_else(bare).filter(|model: &Vec<_>| !model.is_empty());
     let absent = || malformed("data.pkl: found no dictionary `model`, nor tensors in its place".into());
@@ -85,12 +83,9 @@ fn conf(pickle: &Pickle) -> Result<(Conf, Option<u32>), String> {
 
 struct Archive<'a> {
     zip: ZipArchive<Cursor<&'a [u8]>>,
-    /// With trailing slash.
     root: String,
-    /// Rejects overlapping entries.
     unclaimed: usize,
     length: usize,
-    /// Ranges of known storages.
     storages: HashMap<String, Range<usize>>,
 }
 
@@ -111,7 +106,6 @@ impl<'a> Archive<'a> {
         Ok(archive)
     }
 
-    /// Verifies the checksum.
     fn entry(&mut self, name: &str) -> Result<Range<usize>, String> {
         let full = format!("{}{name}", self.root);
         let context = |reason: String| format!("{name}: {reason}");

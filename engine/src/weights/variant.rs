@@ -1,5 +1,3 @@
-//! User-specified architecture details.
-
 use std::ops::RangeInclusive;
 
 use super::Architecture;
@@ -17,7 +15,6 @@ pub(super) struct Variant<'a> {
     pub sh_degree: Option<usize>,
 }
 
-/// Field names for messages.
 const FIELDS: &str = "out_layers=A,B,.., alt_start, rope_start, camera_heads, gaussians_per_token or sh_degree";
 /// [`Architecture::validate`] is stricter.
 const NUMBERS: RangeInclusive<usize> = 0..=1 << 16;

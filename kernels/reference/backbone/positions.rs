@@ -38,7 +38,6 @@ fn taps(outputs: usize, inputs: usize) -> Vec<[(usize, f64); 4]> {
     (0..outputs).map(tap).collect()
 }
 
-/// Keys' kernel.
 fn cubic(d: f64) -> f64 {
     const A: f64 = -0.75;
     let d = d.abs();

@@ -2,8 +2,6 @@
 
 /// Returns for each view of `tokens [views, width]`: mean similarity to others, length, variance of
 /// normalized channels, and summed distance from the middles of their ranges.
-///
-/// The least distance is the reference view.
 pub fn scores(tokens: &[f64], width: usize) -> Vec<[f64; 4]> {
     let unit = |token: &[f64]| {
         let length = token.iter().map(|x| x * x).sum::<f64>().sqrt();

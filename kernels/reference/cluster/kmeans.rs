@@ -24,8 +24,6 @@ pub fn cluster_count(tokens: usize, ratio: f64) -> usize {
 }
 
 /// Returns initial tokens: f32 `linspace(0, N - 1, K)`, rounded half to even.
-///
-/// PyTorch fills the second half from its end by fused multiply-add.
 pub fn initial_indices(tokens: usize, k: usize) -> Vec<u32> {
     if k == 1 {
         return vec![0];
@@ -45,7 +43,6 @@ pub fn kmeans(x: &[f64], width: usize, k: usize) -> Clusters {
         centroids = mean(x, &assignment, k, width);
         assignments.push(assignment);
     }
-    // Two tokens on the centroid tie.
     let gap = |near: f64, far: f64| if far > 0.0 { (far - near) / far } else { 0.0 };
     Clusters {
         nearest: nearest(&centroids, x, width),

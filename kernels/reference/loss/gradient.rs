@@ -38,7 +38,6 @@ pub fn dssim(a: &[f64], b: &[f64], width: usize) -> (f64, Vec<f64>) {
         let below = [ma * ma + mb * mb + 1e-4, aa - ma * ma + bb - mb * mb + 9e-4];
         let ssim = above[0] * above[1] / (below[0] * below[1]);
         sum += 1.0 - ssim;
-        // By the means of a, a^2 and ab.
         let both = below[0] * below[1];
         let by_a = 2.0 * mb * (above[1] - above[0]) / both - ssim * 2.0 * ma * (1.0 / below[0] - 1.0 / below[1]);
         let (by_aa, by_ab) = (-ssim / below[1], 2.0 * above[0] / both);

@@ -1,6 +1,5 @@
 //! Feature comparison.
 
-/// Added to feature lengths.
 const EPSILON: f64 = 1e-10;
 
 /// Sums weighted squared differences of unit features `[pixels, channels]` per pixel.

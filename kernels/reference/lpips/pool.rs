@@ -13,7 +13,6 @@ pub fn pool_backward(picture: &[f64], shape: [usize; 2], side: usize, step: usiz
     gradient
 }
 
-/// Index of each window's first largest value.
 fn places(picture: &[f64], [width, channels]: [usize; 2], side: usize, step: usize) -> Vec<usize> {
     let height = picture.len() / (width * channels);
     let corners = |length: usize| (0..=length - side).step_by(step);

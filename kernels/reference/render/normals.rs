@@ -3,8 +3,7 @@
 use super::project::{Camera, Gaussians};
 use glam::{DMat3, DQuat, DVec3};
 
-/// Returns the shortest axis of Gaussian `i`, world space, facing the camera. Equally short axes
-/// may give any.
+/// Returns the shortest axis of Gaussian `i`, world space, facing the camera.
 pub fn normal(gaussians: &Gaussians, i: usize, camera: &Camera) -> [f64; 3] {
     let [w, x, y, z] = gaussians.quats[i];
     let axes = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize());

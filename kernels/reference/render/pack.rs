@@ -1,7 +1,6 @@
 //! 8-bit images.
 
-/// Packs RGBA to bytes: color truncated, alpha rounded half to even. The product with 255 is
-/// rounded to f32, as in image writers.
+/// Packs RGBA to bytes: color truncated, alpha rounded half to even.
 pub fn pack(frames: &[[f64; 4]], blue_first: bool) -> Vec<[u8; 4]> {
     let steps: Vec<f32> = (1..=255).map(|step| step as f32).collect();
     let scaled = |value: f64| (value * 255.0) as f32;

@@ -24,9 +24,9 @@
  * const char *.
  *
  * Threads. Threads can share all objects; calls on one zs_renderer wait for each other. Callbacks
- * run on the calling thread. A thread pool prepares photos, weights and files. It has
- * RAYON_NUM_THREADS threads, by default one per core, starts on first use and lives as long as the
- * process. Pool threads never run your callbacks and never touch your queue.
+ * run on the calling thread; no longjmp and no C++ exception may leave them. A thread pool prepares
+ * photos, weights and files. It has RAYON_NUM_THREADS threads, by default one per core, and lives
+ * as long as the process.
  *
  * Cache. The library caches kernel self-test results and the tile sizes of `zipsplat tune` on disk.
  * The folder is ZIPSPLAT_CACHE, else `zipsplat` in XDG_CACHE_HOME or LOCALAPPDATA, else
@@ -34,10 +34,11 @@
  * devices (zs_context_adopt) and ZS_PRECISION_EXACT need no cache.
  *
  * Structures. Later versions may append fields to a structure that begins with struct_size.
- * Initialize it with its ..._default function, or zero it and set struct_size to its sizeof, in
- * every element of an array and also for outputs. A library accepts structures of its own and all
- * earlier versions with the same ZS_ABI_VERSION and rejects larger ones. Other structures never
- * change. NULL options are the defaults, which are 0 or NULL unless documented otherwise.
+ * Initialize it with its ..._default function, whose `size` is its sizeof, or zero it and set
+ * struct_size, in every element of an array and also for outputs. A library accepts structures of
+ * its own and all earlier versions with the same ZS_ABI_VERSION and rejects larger ones. Other
+ * structures never change. NULL options are the defaults, which are 0 or NULL unless documented
+ * otherwise.
  *
  * Values. Strings are UTF-8. Unknown enumeration values are rejected. Sizes are in bytes, counts in
  * elements, picture sides in pixels.
@@ -93,12 +94,11 @@ const char *zs_version(void);
 /*  Status codes and error messages.  */
 /**************************************/
 
-// Result of a call. Values never change meaning. Later versions may add some: treat unknown ones
-// as failures.
+// Result of a call. Later versions may add values: treat unknown ones as failures.
 ZS_ENUM(zs_status) {
     // Success.
     ZS_OK = 0,
-    // An argument is invalid. The message names it, the value found and the value expected.
+    // An argument is invalid.
     ZS_ERROR_ARGUMENT = 1,
     // A file could not be opened, read or written.
     ZS_ERROR_IO = 2,
@@ -106,9 +106,9 @@ ZS_ENUM(zs_status) {
     ZS_ERROR_FORMAT = 3,
     // A checkpoint's tensors do not match its network.
     ZS_ERROR_WEIGHTS = 4,
-    // No Vulkan loader, driver or suitable device. The message lists missing requirements.
+    // No Vulkan loader, driver or suitable device.
     ZS_ERROR_NO_DEVICE = 5,
-    // Too little device or host memory. Nothing was submitted; the message has the sizes.
+    // Too little device or host memory. Nothing was submitted.
     ZS_ERROR_OUT_OF_MEMORY = 6,
     // The driver or the validation layer reported an error.
     ZS_ERROR_DRIVER = 7,
@@ -126,10 +126,8 @@ ZS_ENUM(zs_status) {
 // Returns the name of a status, "unknown status" for an unknown number.
 const char *zs_status_name(int32_t status);
 
-// Returns the message of the calling thread's last failure, as UTF-8; "" if there is none. The
-// pointer stays valid until the thread ends; the next failure overwrites the message. A call and
-// its message may share an expression: printf("%s: %s", zs_status_name(zs_scene_open(path,
-// &scene)), zs_last_error()). Messages are truncated at 16 KiB.
+// Returns the message of the calling thread's last failure, or "". The pointer stays valid until
+// the thread ends; the next failure overwrites the text, of at most 16 KiB.
 const char *zs_last_error(void);
 
 /***************************/
@@ -149,25 +147,25 @@ ZS_ENUM(zs_device_kind) {
 // An open Vulkan device.
 typedef struct zs_context zs_context;
 
-// Description of a device. Strings are UTF-8, NUL-terminated and truncated to fit.
+// Description of a device; strings are NUL-terminated and truncated to fit.
 typedef struct zs_device_info {
     // sizeof(zs_device_info).
     uint32_t struct_size;
-    // Device number for zs_context_options.device; 0 for an adopted device.
+    // Device number for zs_context_options.device; 0 if adopted.
     uint32_t index;
-    // 1 if the engine can use the device, else 0.
+    // 1 if the engine can use the device.
     uint32_t usable;
-    // Kind of the device.
+    // Kind.
     zs_device_kind kind;
-    // Bytes of device-local memory.
+    // Device-local memory.
     uint64_t memory_bytes;
-    // Device name.
+    // Name.
     char name[256];
     // Driver name and version.
     char driver[256];
     // Missing requirements; "" if usable.
     char missing[512];
-    // Device UUID as 32 hexadecimal digits, as in CUDA and nvidia-smi.
+    // UUID as 32 hexadecimal digits, as in nvidia-smi.
     char uuid[40];
 } zs_device_info;
 
@@ -175,34 +173,33 @@ typedef struct zs_device_info {
 typedef struct zs_context_options {
     // sizeof(zs_context_options).
     uint32_t struct_size;
-    // 1 enables the Khronos validation layer with synchronization validation. Its messages make
-    // calls fail with ZS_ERROR_DRIVER. Default: 1 if the environment variable ZIPSPLAT_VALIDATION
-    // is 1, else 0.
+    // 1 enables the Khronos validation layer, whose messages fail calls with ZS_ERROR_DRIVER.
+    // Default 1 if the environment variable ZIPSPLAT_VALIDATION is 1, else 0.
     uint32_t validation;
-    // Device memory budget in bytes; 0 is unlimited. Work beyond it fails with
-    // ZS_ERROR_OUT_OF_MEMORY before submission.
+    // Device memory budget; 0 is unlimited. Work beyond it fails with ZS_ERROR_OUT_OF_MEMORY
+    // before submission.
     uint64_t max_memory_bytes;
     // Device number, part of its name, or UUID with or without "GPU-" and hyphens. NULL selects
     // the best device.
     const char *device;
 } zs_context_options;
 
-// Counts Vulkan devices, usable or not. ZS_ERROR_NO_DEVICE without a Vulkan loader or driver.
+// Counts Vulkan devices, usable or not; ZS_ERROR_NO_DEVICE without a loader or driver.
 zs_status zs_device_count(uint32_t *count);
 
 // Describes device `index`, less than zs_device_count.
 zs_status zs_device_get(uint32_t index, struct zs_device_info *info);
 
-// Sets defaults; `size` is sizeof(zs_context_options).
+// Sets defaults.
 zs_status zs_context_options_default(struct zs_context_options *options, size_t size);
 
-// Opens a device with an instance and queue of its own.
+// Opens a device with its own instance and queue.
 zs_status zs_context_create(const struct zs_context_options *options, struct zs_context **context);
 
 // Describes the context's device.
 zs_status zs_context_get_info(const struct zs_context *context, struct zs_device_info *info);
 
-// Destroys a context. The device closes with its last model and renderer.
+// Destroys a context; its device closes with its last model and renderer.
 void zs_context_destroy(struct zs_context *context);
 
 /*************************/
@@ -213,13 +210,13 @@ void zs_context_destroy(struct zs_context *context);
 ZS_ENUM(zs_pixel_format) {
     // 3 bytes: red, green, blue.
     ZS_PIXEL_RGB8 = 1,
-    // 4 bytes: red, green, blue, alpha. VK_FORMAT_R8G8B8A8_UNORM.
+    // VK_FORMAT_R8G8B8A8_UNORM.
     ZS_PIXEL_RGBA8 = 2,
-    // 4 bytes: blue, green, red, alpha. VK_FORMAT_B8G8R8A8_UNORM.
+    // VK_FORMAT_B8G8R8A8_UNORM.
     ZS_PIXEL_BGRA8 = 3,
     // 3 f32: red, green, blue.
     ZS_PIXEL_RGB_F32 = 4,
-    // 4 f32: red, green, blue, alpha. VK_FORMAT_R32G32B32A32_SFLOAT.
+    // VK_FORMAT_R32G32B32A32_SFLOAT.
     ZS_PIXEL_RGBA_F32 = 5,
 };
 
@@ -230,9 +227,9 @@ typedef struct zs_image {
     uint32_t struct_size;
     // Pixel format.
     zs_pixel_format format;
-    // Width in pixels, 1 to 32768.
+    // 1 to 32768.
     uint32_t width;
-    // Height in pixels, 1 to 32768.
+    // 1 to 32768.
     uint32_t height;
     // Bytes between rows: negative for bottom-up storage, 0 for contiguous rows.
     int64_t stride;
@@ -240,27 +237,26 @@ typedef struct zs_image {
     const void *pixels;
 } zs_image;
 
-// A pinhole camera with OpenCV axes: x right, y down, z forward. Pixel centers are at +0.5: the
-// principal point of a centered lens is (width / 2, height / 2).
+// A pinhole camera with OpenCV axes: x right, y down, z forward. Intrinsics are in pixels, whose
+// centers are at +0.5.
 typedef struct zs_camera {
     // sizeof(zs_camera).
     uint32_t struct_size;
     // Must be 0.
     uint32_t reserved;
-    // Width in pixels.
+    // Width.
     uint32_t width;
-    // Height in pixels.
+    // Height.
     uint32_t height;
-    // Horizontal focal length in pixels.
+    // Focal length along x.
     double fx;
-    // Vertical focal length in pixels.
+    // Focal length along y.
     double fy;
-    // Horizontal principal point in pixels from the left edge.
+    // Principal point from the left edge.
     double cx;
-    // Vertical principal point in pixels from the top edge.
+    // Principal point from the top edge.
     double cy;
-    // Camera-to-world rotation, row-major: the columns are the camera's right, down and forward
-    // axes.
+    // Camera-to-world rotation, row-major: columns are the right, down and forward axes.
     double rotation[9];
     // Camera center in the world.
     double translation[3];
@@ -278,10 +274,10 @@ typedef struct zs_photo zs_photo;
 // zs_capture_open_photo for them.
 zs_status zs_photo_open(const char *path, struct zs_photo **photo);
 
-// Decodes a photo from `size` bytes at `data`, as zs_photo_open.
+// Decodes a photo from memory, as zs_photo_open.
 zs_status zs_photo_from_memory(const void *data, size_t size, struct zs_photo **photo);
 
-// Fills `image` with the photo's pixels (ZS_PIXEL_RGB8), which point into the photo.
+// Returns the photo's pixels (ZS_PIXEL_RGB8), which point into the photo.
 zs_status zs_photo_get_image(const struct zs_photo *photo, struct zs_image *image);
 
 // Destroys a photo.
@@ -298,12 +294,12 @@ zs_status zs_image_save_png(const struct zs_image *image, const char *path);
 typedef struct zs_capture zs_capture;
 
 // Opens a capture: a transforms.json (instant-ngp or nerfstudio), a COLMAP model folder (text or
-// binary), or a folder that contains either. Axes become OpenCV's; world and scale stay the
-// file's. Photos are read only for sizes that the file lacks.
+// binary), or a folder that contains either. World and scale stay the file's. Photos are read only
+// for sizes that the file lacks.
 zs_status zs_capture_open(const char *path, struct zs_capture **capture);
 
-// Returns the number of photos and the notes about ignored data, one per line. `notes` points into
-// the capture and may be NULL.
+// Returns the number of photos and, unless NULL, notes about ignored data, one per line, in the
+// capture's memory.
 zs_status zs_capture_get_count(const struct zs_capture *capture, size_t *count, const char **notes);
 
 // Returns the undistorted pinhole camera, the name and the path of photo `index`. `name` is as
@@ -333,7 +329,7 @@ void zs_capture_destroy(struct zs_capture *capture);
 /*  Scenes: Gaussians from and to arrays, files and bytes.  */
 /************************************************************/
 
-// Bytes owned by the library, such as an encoded scene file. Immutable.
+// Bytes owned by the library, such as an encoded scene file.
 typedef struct zs_bytes zs_bytes;
 
 // 3D Gaussians in host memory. Independent of contexts; survives device loss.
@@ -345,11 +341,11 @@ typedef struct zs_gaussians {
     uint32_t struct_size;
     // Degree of spherical harmonics, 0 to 3: K = (sh_degree + 1)^2 coefficients per channel.
     uint32_t sh_degree;
-    // N, the number of Gaussians.
+    // N.
     uint64_t count;
     // N x 3 centers.
     const float *means;
-    // N x 3 linear standard deviations along the Gaussian's axes, not negative.
+    // N x 3 linear standard deviations, not negative.
     const float *scales;
     // N x 4 quaternions w, x, y, z of any length but zero.
     const float *quats;
@@ -371,15 +367,14 @@ typedef struct zs_save_options {
     uint32_t spz_version;
 } zs_save_options;
 
-// Fills `gaussians` with the scene's size and arrays, which point into the scene.
+// Returns the scene's size and arrays, which point into the scene.
 zs_status zs_scene_get_gaussians(const struct zs_scene *scene, struct zs_gaussians *gaussians);
 
 // Creates a scene from copies of arrays. All are required, with finite values in their range.
 zs_status zs_scene_create(const struct zs_gaussians *gaussians, struct zs_scene **scene);
 
 // Opens a scene file: PLY of 3D Gaussian Splatting, .compressed.ply, SPZ, .splat, or glTF with
-// KHR_gaussian_splatting (.gltf, .glb). Axes become x right, y down, z forward. Rejects NaN,
-// infinite and out-of-range values.
+// KHR_gaussian_splatting (.gltf, .glb). Rejects NaN, infinite and out-of-range values.
 zs_status zs_scene_open(const char *path, struct zs_scene **scene);
 
 // Opens a scene file without its invalid Gaussians. `dropped` receives their number and may be
@@ -396,7 +391,7 @@ zs_status zs_scene_from_memory(const void *data,
                                uint64_t *dropped,
                                struct zs_scene **scene);
 
-// Sets defaults; `size` is sizeof(zs_save_options).
+// Sets defaults.
 zs_status zs_save_options_default(struct zs_save_options *options, size_t size);
 
 // Writes a scene in the format of the path's extension: .ply, .spz, .splat, .gltf or .glb. An
@@ -454,17 +449,16 @@ ZS_ENUM(zs_precision) {
 // A network with its weights on a device.
 typedef struct zs_model zs_model;
 
-// Progress callback on the calling thread. `fraction` is from 0 to 1; `stage`, for a log, is valid
-// during the callback. Return 0 to continue; any other value cancels with ZS_ERROR_CANCELLED. No
-// longjmp and no C++ exception may leave it. It may call zs_ functions, but not on the call's own
-// objects.
+// Progress callback. `fraction` is from 0 to 1; `stage`, for a log, is valid during the callback.
+// Return 0 to continue; any other value cancels with ZS_ERROR_CANCELLED. It may call zs_
+// functions, but not on the call's own objects.
 typedef int32_t (*zs_progress)(void *user_data, double fraction, const char *stage);
 
 // Options of zs_model_open.
 typedef struct zs_model_options {
     // sizeof(zs_model_options).
     uint32_t struct_size;
-    // Number formats. Default ZS_PRECISION_BEST.
+    // Number formats.
     zs_precision precision;
     // Variant of a checkpoint that does not name its own: "vitg", "vits", "vitb", "vitl", "da3s",
     // "da3b" or "da3l". Missing parameters follow, as in
@@ -474,8 +468,7 @@ typedef struct zs_model_options {
     zs_progress progress;
     // Argument of `progress`.
     void *user_data;
-    // 1 enables ZS_REFINE_TOKENS: an f32 copy of the head and each scene's tokens stay on the
-    // device.
+    // 1 enables ZS_REFINE_TOKENS: an f32 head and each scene's tokens stay on the device.
     uint32_t tokens;
     // Must be 0.
     uint32_t reserved;
@@ -485,25 +478,25 @@ typedef struct zs_model_options {
 typedef struct zs_model_info {
     // sizeof(zs_model_info).
     uint32_t struct_size;
-    // Native side of its square pictures, in pixels.
+    // Native side of its square pictures.
     uint32_t picture_side;
-    // Side of a patch in pixels; picture sides are multiples of it.
+    // Patch side; picture sides are multiples of it.
     uint32_t patch;
     // Gaussians per token. At ratio 1 a photo has width / patch * height / patch tokens.
     uint32_t gaussians_per_token;
-    // Degree of spherical harmonics of its scenes.
+    // SH degree of its scenes.
     uint32_t sh_degree;
     // Number formats in use, never ZS_PRECISION_BEST.
     zs_precision precision;
-    // Bytes of weights on the device.
+    // Weights on the device.
     uint64_t weight_bytes;
-    // Warnings, one per line: unusable GPUs, kernels that failed their self-test, assumptions
-    // about the weights. Failed kernels can reduce ZS_PRECISION_BEST to ZS_PRECISION_EXACT. "" if
-    // there are none. Points into the model.
+    // Warnings, one per line, in the model's memory: unusable GPUs, kernels that failed their
+    // self-test, assumptions about the weights. Failed kernels can reduce ZS_PRECISION_BEST to
+    // ZS_PRECISION_EXACT.
     const char *notes;
 } zs_model_info;
 
-// Sets defaults; `size` is sizeof(zs_model_options).
+// Sets defaults.
 zs_status zs_model_options_default(struct zs_model_options *options, size_t size);
 
 // Loads a checkpoint: safetensors or a PyTorch archive at `path`, the built-in model for
@@ -559,41 +552,38 @@ ZS_ENUM(zs_world) {
 typedef struct zs_reconstruct_options {
     // sizeof(zs_reconstruct_options).
     uint32_t struct_size;
-    // World of the scene; ZS_WORLD_CAMERAS requires `cameras`. Default ZS_WORLD_FIRST_CAMERA.
+    // World of the scene; ZS_WORLD_CAMERAS requires `cameras`.
     zs_world world;
     // Fraction of tokens that become Gaussians, in (0, 1], or ZS_RATIO_AUTO. Default 1.
     double ratio;
     // Scene scale: the length in units of `cameras` that the network treats as 1, or ZS_UNIT_AUTO.
-    // The network expects a median distance of about 1 from the first camera. For cameras in
-    // meters and a place 20 m away, use 20. Default 1.
+    // The network expects a median distance of about 1 from the first camera. Default 1.
     double unit;
-    // Selection of the kept tokens. Default ZS_SELECT_KMEANS.
+    // Selection of the kept tokens.
     zs_selection selection;
     // Width of the network's input, a multiple of the patch: photos are center-cropped and
     // resized. 0 is the model's own.
     uint32_t width;
     // Height of the network's input; 0 exactly if `width` is 0.
     uint32_t height;
-    // Number of `cameras`: 0 or the number of photos.
+    // 0 or the number of photos.
     uint32_t camera_count;
     // Seed for ZS_SELECT_RANDOM.
     uint64_t seed;
-    // Known cameras of the whole photos. The first one becomes the world unless `world` overrides
-    // it. Their scale is kept.
+    // Known cameras of the whole photos.
     const struct zs_camera *cameras;
     // Progress callback.
     zs_progress progress;
     // Argument of `progress`.
     void *user_data;
-    // Capture of `cameras`, for ZS_UNIT_AUTO: its points and all its cameras give the scale. NULL
-    // uses `cameras` alone.
+    // Capture whose points and cameras give the scale for ZS_UNIT_AUTO; NULL uses `cameras` alone.
     const struct zs_capture *capture;
     // Pooling for many photos: cross-view attention reads means of `pool` x `pool` patches, 1 to
     // 4. Larger values are faster and less exact. Default 1.
     uint64_t pool;
 } zs_reconstruct_options;
 
-// Sets defaults; `size` is sizeof(zs_reconstruct_options).
+// Sets defaults.
 zs_status zs_reconstruct_options_default(struct zs_reconstruct_options *options, size_t size);
 
 // Reconstructs a scene from 1 to 192 photos of one place.
@@ -618,7 +608,7 @@ ZS_ENUM(zs_cameras_from) {
 // A Depth Anything 3 network with its weights on a device.
 typedef struct zs_depth_model zs_depth_model;
 
-// Depth and cameras of photos in host memory.
+// Depth and cameras of photos.
 typedef struct zs_depths zs_depths;
 
 // Options of zs_depth_find.
@@ -628,12 +618,12 @@ typedef struct zs_depth_options {
     // Longer side of the network's input, 14 to 8192 pixels. Each side is rounded to a multiple of
     // 14. Photos of different shapes are cropped to their common center. Default 504.
     uint32_t side;
-    // Source of estimated cameras. Default ZS_CAMERAS_FROM_DECODER.
+    // Source of estimated cameras.
     zs_cameras_from cameras_from;
-    // 1 estimates a focal length per photo. 0 shares one among photos of equal size: the median
-    // weighted by depth confidence.
+    // 1 estimates a focal length per photo; 0 shares the confidence-weighted median among photos
+    // of equal size.
     uint32_t own_focal_lengths;
-    // Number of `cameras`: 0 or the number of photos.
+    // 0 or the number of photos.
     uint32_t camera_count;
     // Must be 0.
     uint32_t reserved;
@@ -652,12 +642,11 @@ typedef struct zs_depth_view {
     uint32_t struct_size;
     // 0.
     uint32_t reserved;
-    // Width in pixels.
+    // Width.
     uint32_t width;
-    // Height in pixels.
+    // Height.
     uint32_t height;
-    // Distance along the camera's axis, in the scale of the cameras, shared by all views of a
-    // call.
+    // Distance along the camera's axis, in the scale of the cameras, shared by all views.
     const float *depth;
     // Confidence, at least 1, from multi-view networks; else NULL.
     const float *confidence;
@@ -666,8 +655,7 @@ typedef struct zs_depth_view {
 } zs_depth_view;
 
 // Loads a Depth Anything 3 network: a released model.safetensors at `path`, or random weights for
-// "seeded:NAME", such as "seeded:da3-small". `options` may be NULL; its `variant` must be NULL and
-// `tokens` 0.
+// "seeded:NAME", such as "seeded:da3-small". The options' `variant` must be NULL and `tokens` 0.
 zs_status zs_depth_model_open(const struct zs_context *context,
                               const char *path,
                               const struct zs_model_options *options,
@@ -676,7 +664,7 @@ zs_status zs_depth_model_open(const struct zs_context *context,
 // Destroys a depth model.
 void zs_depth_model_destroy(struct zs_depth_model *model);
 
-// Sets defaults; `size` is sizeof(zs_depth_options).
+// Sets defaults.
 zs_status zs_depth_options_default(struct zs_depth_options *options, size_t size);
 
 // Estimates depth of 1 to 192 photos of one place. Multi-view networks also estimate cameras,
@@ -712,8 +700,7 @@ void zs_depths_destroy(struct zs_depths *depths);
 ZS_ENUM(zs_refine_what) {
     // The scene's Gaussians.
     ZS_REFINE_GAUSSIANS = 0,
-    // The tokens behind the Gaussians, for a scene from zs_reconstruct with
-    // zs_model_options.tokens.
+    // The tokens behind the Gaussians; needs zs_model_options.tokens.
     ZS_REFINE_TOKENS = 1,
 };
 
@@ -727,7 +714,7 @@ ZS_ENUM(zs_refine_end) {
     ZS_REFINE_DIVERGED = 2,
 };
 
-// Progress of a refinement. Later versions may append fields.
+// Progress of a refinement.
 typedef struct zs_refining {
     // Size of this structure in the library's version.
     uint32_t struct_size;
@@ -745,9 +732,8 @@ typedef struct zs_refining {
     double seconds_left;
 } zs_refining;
 
-// Callback after each step, on the calling thread. `now` is valid during the callback. Return 0 to
-// continue; any other value ends the refinement early and keeps the best scene. No longjmp and no
-// C++ exception may leave it. It may call zs_ functions.
+// Callback after each step. `now` is valid during the callback. Return 0 to continue; any other
+// value ends the refinement early and keeps the best scene. It may call zs_ functions.
 typedef int32_t (*zs_refine_progress)(void *user_data, const struct zs_refining *now);
 
 // Options of zs_refine.
@@ -772,7 +758,7 @@ typedef struct zs_refine_options {
     zs_refine_progress progress;
     // Argument of `progress`.
     void *user_data;
-    // Optimized parameters. Default ZS_REFINE_GAUSSIANS.
+    // Optimized parameters.
     zs_refine_what what;
     // Must be 0.
     uint32_t reserved;
@@ -790,11 +776,11 @@ typedef struct zs_refine_info {
     uint32_t best_step;
     // Mean loss of the first step, at its resolution; NaN without a step.
     double first_loss;
-    // Mean loss of the last step, at its resolution; NaN without a step.
+    // Mean loss of the last step, likewise.
     double last_loss;
     // Held-out PSNR in dB before the first step; NaN without held-out photos.
     double psnr_before;
-    // Held-out PSNR in dB of the returned scene; NaN without held-out photos.
+    // Held-out PSNR in dB of the returned scene.
     double psnr;
     // Duration in seconds.
     double seconds;
@@ -804,12 +790,12 @@ typedef struct zs_refine_info {
     double training_psnr;
 } zs_refine_info;
 
-// Sets defaults; `size` is sizeof(zs_refine_options).
+// Sets defaults.
 zs_status zs_refine_options_default(struct zs_refine_options *options, size_t size);
 
 // Optimizes a copy of a scene to match `count` photos. `cameras` are of the whole photos, in the
-// scene's world. An early stop or a diverging loss still returns the best scene. `options` and
-// `info` may be NULL.
+// scene's world. An early stop or a diverging loss still returns the best scene. `info` may be
+// NULL.
 zs_status zs_refine(const struct zs_context *context,
                     const struct zs_scene *scene,
                     const struct zs_image *images,
@@ -842,11 +828,11 @@ typedef struct zs_render_options {
     // Pixel format. 8-bit color is clamped and truncated, 8-bit alpha rounded, f32 unchanged.
     // Color includes the background's part; on black it is premultiplied. Default ZS_PIXEL_RGBA8.
     zs_pixel_format format;
-    // Kind of zs_picture.depth. Default ZS_DEPTH_EXPECTED.
+    // Kind of zs_picture.depth.
     zs_depth depth;
     // 1 fades Gaussians thinner than a pixel (Mip-Splatting), for scenes trained that way.
     uint32_t antialiased;
-    // Background as red, green, blue. Default black.
+    // Background as red, green, blue.
     float background[3];
     // Near plane: Gaussians at smaller camera depth are culled. 0, the default, is 0.01, or less
     // for scenes with an extent below 0.1.
@@ -859,10 +845,9 @@ typedef struct zs_picture {
     uint32_t struct_size;
     // Must be 0.
     uint32_t reserved;
-    // Bytes between rows of `pixels`: negative for bottom-up storage, 0 for contiguous rows.
-    // Padding between rows stays unchanged.
+    // As zs_image.stride; padding between rows stays unchanged.
     int64_t stride;
-    // First pixel of the top row, in the options' format, of any alignment.
+    // As zs_image.pixels, in the options' format.
     void *pixels;
     // height x width: alpha from 0 to 1.
     float *alpha;
@@ -870,7 +855,7 @@ typedef struct zs_picture {
     float *depth;
 } zs_picture;
 
-// Uploads a scene to a context's device. The scene can be destroyed afterwards.
+// Uploads a scene to a context's device.
 zs_status zs_renderer_create(const struct zs_context *context,
                              const struct zs_scene *scene,
                              struct zs_renderer **renderer);
@@ -879,14 +864,13 @@ zs_status zs_renderer_create(const struct zs_context *context,
 // successfully before drawing.
 zs_status zs_renderer_set_scene(const struct zs_renderer *renderer, const struct zs_scene *scene);
 
-// Destroys a renderer, after waiting for its copies to Vulkan targets.
+// Destroys a renderer, after its copies to Vulkan targets.
 void zs_renderer_destroy(struct zs_renderer *renderer);
 
-// Sets defaults; `size` is sizeof(zs_render_options).
+// Sets defaults.
 zs_status zs_render_options_default(struct zs_render_options *options, size_t size);
 
-// Draws one picture per camera. Cameras of equal size are batched. After a failure some pictures
-// may be written.
+// Draws one picture per camera. After a failure some pictures may be written.
 zs_status zs_render(const struct zs_renderer *renderer,
                     const struct zs_camera *cameras,
                     const struct zs_picture *pictures,
@@ -903,28 +887,26 @@ typedef struct zs_gradients {
     uint32_t struct_size;
     // Must be 0.
     uint32_t reserved;
-    // N x 3, of the centers.
+    // N x 3.
     float *means;
-    // N x 3, of the linear standard deviations.
+    // N x 3.
     float *scales;
-    // N x 4, of the unnormalized rotations.
+    // N x 4, of unnormalized rotations.
     float *quats;
-    // N, of the opacities.
+    // N.
     float *opacities;
-    // N x K x 3, of the coefficients.
+    // N x K x 3.
     float *sh_coeffs;
     // count x 10, of the cameras: w x, y, z and v x, y, z, then fx, fy, cx, cy. The
     // camera-to-world pose moves as pose o (exp(w^), v): R' = R exp(w^) and t' = t + R v.
     float *cameras;
 } zs_gradients;
 
-// Computes the gradients of a weighted sum over all pixels of `count` cameras' pictures. With the
-// weights d loss / d pixel, these are the gradients of the loss.
+// Computes the gradients of a weighted sum over all pixels of `count` cameras' pictures.
 //
 // `weights` points to weights of color, alpha and depth, read only; NULL is 0. The format must be
 // ZS_PIXEL_RGB_F32. Zero-valued coefficients also get gradients. `scene` need not be the
-// renderer's: the renderer keeps a second scene and a cache of four recorded sizes and kinds on
-// the device. `gradients` is written only on success.
+// renderer's, which keeps a second scene on the device. `gradients` is written only on success.
 zs_status zs_render_backward(const struct zs_renderer *renderer,
                              const struct zs_scene *scene,
                              const struct zs_camera *cameras,
@@ -967,7 +949,7 @@ typedef void (*zs_vulkan_function)(void);
 // Locks or unlocks a queue. Must return and must not call this library.
 typedef void (*zs_queue_lock)(void *user_data);
 
-// Borrowed Vulkan handles. The library uses and never destroys them.
+// Borrowed Vulkan handles, never destroyed.
 typedef struct zs_vulkan_device {
     // sizeof(zs_vulkan_device).
     uint32_t struct_size;
@@ -1047,14 +1029,14 @@ typedef struct zs_vulkan_target {
 // Lists required and optional features for zs_context_adopt. Needs no device.
 zs_status zs_vulkan_requirements(const struct zs_vulkan_requirement **list, size_t *count);
 
-// Sets defaults; `size` is sizeof(zs_vulkan_device).
+// Sets defaults.
 zs_status zs_vulkan_device_default(struct zs_vulkan_device *device, size_t size);
 
 // Creates a context on the caller's device. All required features must be enabled; this cannot be
-// checked. Destroy the context and all its models and renderers before the device.
+// checked.
 zs_status zs_context_adopt(const struct zs_vulkan_device *device, struct zs_context **context);
 
-// Sets defaults; `size` is sizeof(zs_vulkan_target).
+// Sets defaults.
 zs_status zs_vulkan_target_default(struct zs_vulkan_target *target, size_t size);
 
 // Draws one camera into an image or buffer without a host copy, as ZS_PIXEL_RGBA8, BGRA8 or

@@ -46,8 +46,8 @@ fn c_text(text: &str) -> CString {
 }
 
 /// Opens a capture: a transforms.json (instant-ngp or nerfstudio), a COLMAP model folder (text or
-/// binary), or a folder that contains either. Axes become OpenCV's; world and scale stay the
-/// file's. Photos are read only for sizes that the file lacks.
+/// binary), or a folder that contains either. World and scale stay the file's. Photos are read only
+/// for sizes that the file lacks.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_open(path: *const c_char, capture: *mut *mut zs_capture) -> zs_status {
     // SAFETY: a string or NULL.
@@ -56,8 +56,8 @@ pub unsafe extern "C" fn zs_capture_open(path: *const c_char, capture: *mut *mut
     unsafe { produce(capture, open) }
 }
 
-/// Returns the number of photos and the notes about ignored data, one per line. `notes` points into
-/// the capture and may be NULL.
+/// Returns the number of photos and, unless NULL, notes about ignored data, one per line, in the
+/// capture's memory.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_get_count(
     capture: *const zs_capture,

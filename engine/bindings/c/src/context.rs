@@ -12,7 +12,6 @@ use zipsplat::gpu::{Device, DeviceInfo, DeviceOptions, Limits, list_devices};
 /// An open Vulkan device.
 pub struct zs_context {
     pub(super) device: Device,
-    /// Whether the caller owns the device.
     pub(super) adopted: bool,
 }
 
@@ -28,27 +27,27 @@ pub enum zs_device_kind {
     ZS_DEVICE_CPU = 2,
 }
 
-/// Description of a device. Strings are UTF-8, NUL-terminated and truncated to fit.
+/// Description of a device; strings are NUL-terminated and truncated to fit.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_device_info {
     /// sizeof(zs_device_info).
     pub struct_size: u32,
-    /// Device number for zs_context_options.device; 0 for an adopted device.
+    /// Device number for zs_context_options.device; 0 if adopted.
     pub index: u32,
-    /// 1 if the engine can use the device, else 0.
+    /// 1 if the engine can use the device.
     pub usable: u32,
-    /// Kind of the device.
+    /// Kind.
     pub kind: zs_device_kind_value,
-    /// Bytes of device-local memory.
+    /// Device-local memory.
     pub memory_bytes: u64,
-    /// Device name.
+    /// Name.
     pub name: [c_char; 256],
     /// Driver name and version.
     pub driver: [c_char; 256],
     /// Missing requirements; "" if usable.
     pub missing: [c_char; 512],
-    /// Device UUID as 32 hexadecimal digits, as in CUDA and nvidia-smi.
+    /// UUID as 32 hexadecimal digits, as in nvidia-smi.
     pub uuid: [c_char; 40],
 }
 
@@ -61,12 +60,11 @@ pub(super) type zs_device_kind_value = i32;
 pub struct zs_context_options {
     /// sizeof(zs_context_options).
     pub struct_size: u32,
-    /// 1 enables the Khronos validation layer with synchronization validation. Its messages make
-    /// calls fail with ZS_ERROR_DRIVER. Default: 1 if the environment variable ZIPSPLAT_VALIDATION
-    /// is 1, else 0.
+    /// 1 enables the Khronos validation layer, whose messages fail calls with ZS_ERROR_DRIVER.
+    /// Default 1 if the environment variable ZIPSPLAT_VALIDATION is 1, else 0.
     pub validation: u32,
-    /// Device memory budget in bytes; 0 is unlimited. Work beyond it fails with
-    /// ZS_ERROR_OUT_OF_MEMORY before submission.
+    /// Device memory budget; 0 is unlimited. Work beyond it fails with ZS_ERROR_OUT_OF_MEMORY
+    /// before submission.
     pub max_memory_bytes: u64,
     /// Device number, part of its name, or UUID with or without "GPU-" and hyphens. NULL selects
     /// the best device.
@@ -102,7 +100,7 @@ unsafe impl Versioned for zs_context_options {
     }
 }
 
-/// Counts Vulkan devices, usable or not. ZS_ERROR_NO_DEVICE without a Vulkan loader or driver.
+/// Counts Vulkan devices, usable or not; ZS_ERROR_NO_DEVICE without a loader or driver.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_device_count(count: *mut u32) -> zs_status {
     guard(|| {
@@ -131,14 +129,14 @@ pub unsafe extern "C" fn zs_device_get(index: u32, info: *mut zs_device_info) ->
     })
 }
 
-/// Sets defaults; `size` is sizeof(zs_context_options).
+/// Sets defaults.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_context_options_default(options: *mut zs_context_options, size: usize) -> zs_status {
     // SAFETY: the caller's structure of that size.
     unsafe { write_defaults(options, size) }
 }
 
-/// Opens a device with an instance and queue of its own.
+/// Opens a device with its own instance and queue.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_context_create(
     options: *const zs_context_options,
@@ -170,7 +168,7 @@ pub unsafe extern "C" fn zs_context_get_info(context: *const zs_context, info: *
     })
 }
 
-/// Destroys a context. The device closes with its last model and renderer.
+/// Destroys a context; its device closes with its last model and renderer.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_context_destroy(context: *mut zs_context) {
     // SAFETY: NULL or given up by the caller.

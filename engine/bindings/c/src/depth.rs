@@ -33,10 +33,9 @@ pub struct zs_depth_model {
     model: DepthModel,
 }
 
-/// Depth and cameras of photos in host memory.
+/// Depth and cameras of photos.
 pub struct zs_depths {
     depths: Depths,
-    /// Resized photos, the network's input.
     images: Vec<Image>,
     /// Cameras of the views and of the whole photos; `None` if unknown.
     cameras: Vec<Option<[Camera; 2]>>,
@@ -63,12 +62,12 @@ pub struct zs_depth_options {
     /// Longer side of the network's input, 14 to 8192 pixels. Each side is rounded to a multiple of
     /// 14. Photos of different shapes are cropped to their common center. Default 504.
     pub side: u32,
-    /// Source of estimated cameras. Default ZS_CAMERAS_FROM_DECODER.
+    /// Source of estimated cameras.
     pub cameras_from: zs_cameras_from_value,
-    /// 1 estimates a focal length per photo. 0 shares one among photos of equal size: the median
-    /// weighted by depth confidence.
+    /// 1 estimates a focal length per photo; 0 shares the confidence-weighted median among photos
+    /// of equal size.
     pub own_focal_lengths: u32,
-    /// Number of `cameras`: 0 or the number of photos.
+    /// 0 or the number of photos.
     pub camera_count: u32,
     /// Must be 0.
     pub reserved: u32,
@@ -89,12 +88,11 @@ pub struct zs_depth_view {
     pub struct_size: u32,
     /// 0.
     pub reserved: u32,
-    /// Width in pixels.
+    /// Width.
     pub width: u32,
-    /// Height in pixels.
+    /// Height.
     pub height: u32,
-    /// Distance along the camera's axis, in the scale of the cameras, shared by all views of a
-    /// call.
+    /// Distance along the camera's axis, in the scale of the cameras, shared by all views.
     pub depth: *const f32,
     /// Confidence, at least 1, from multi-view networks; else NULL.
     pub confidence: *const f32,
@@ -135,8 +133,7 @@ unsafe impl Versioned for zs_depth_view {
 unsafe impl Sync for zs_depth_view {}
 
 /// Loads a Depth Anything 3 network: a released model.safetensors at `path`, or random weights for
-/// "seeded:NAME", such as "seeded:da3-small". `options` may be NULL; its `variant` must be NULL and
-/// `tokens` 0.
+/// "seeded:NAME", such as "seeded:da3-small". The options' `variant` must be NULL and `tokens` 0.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_depth_model_open(
     context: *const zs_context,
@@ -172,7 +169,7 @@ pub unsafe extern "C" fn zs_depth_model_destroy(model: *mut zs_depth_model) {
     unsafe { destroy(model) }
 }
 
-/// Sets defaults; `size` is sizeof(zs_depth_options).
+/// Sets defaults.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_depth_options_default(options: *mut zs_depth_options, size: usize) -> zs_status {
     // SAFETY: the caller's structure of that size.
@@ -297,7 +294,6 @@ pub unsafe extern "C" fn zs_depths_destroy(depths: *mut zs_depths) {
 }
 
 impl zs_depth_options {
-    /// Validates the options; returns whether cameras come from rays.
     fn by_rays(&self) -> Result<bool, Failure> {
         if self.reserved != 0 {
             return Err(Failure::argument("zs_depth_options, reserved", self.reserved, "0"));
@@ -322,7 +318,6 @@ fn of_views(cameras: &[Camera], views: &[View]) -> Result<Vec<Camera>, Error> {
     cameras.iter().zip(views).enumerate().map(of_view).collect()
 }
 
-/// Estimated cameras, of views and of whole photos.
 fn found_cameras(
     depths: &Depths,
     views: &[View],

@@ -20,15 +20,15 @@ pub struct zs_gradients {
     pub struct_size: u32,
     /// Must be 0.
     pub reserved: u32,
-    /// N x 3, of the centers.
+    /// N x 3.
     pub means: *mut f32,
-    /// N x 3, of the linear standard deviations.
+    /// N x 3.
     pub scales: *mut f32,
-    /// N x 4, of the unnormalized rotations.
+    /// N x 4, of unnormalized rotations.
     pub quats: *mut f32,
-    /// N, of the opacities.
+    /// N.
     pub opacities: *mut f32,
-    /// N x K x 3, of the coefficients.
+    /// N x K x 3.
     pub sh_coeffs: *mut f32,
     /// count x 10, of the cameras: w x, y, z and v x, y, z, then fx, fy, cx, cy. The
     /// camera-to-world pose moves as pose o (exp(w^), v): R' = R exp(w^) and t' = t + R v.
@@ -54,13 +54,11 @@ unsafe impl Versioned for zs_gradients {
     }
 }
 
-/// Computes the gradients of a weighted sum over all pixels of `count` cameras' pictures. With the
-/// weights d loss / d pixel, these are the gradients of the loss.
+/// Computes the gradients of a weighted sum over all pixels of `count` cameras' pictures.
 ///
 /// `weights` points to weights of color, alpha and depth, read only; NULL is 0. The format must be
 /// ZS_PIXEL_RGB_F32. Zero-valued coefficients also get gradients. `scene` need not be the
-/// renderer's: the renderer keeps a second scene and a cache of four recorded sizes and kinds on
-/// the device. `gradients` is written only on success.
+/// renderer's, which keeps a second scene on the device. `gradients` is written only on success.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_render_backward(
     renderer: *const zs_renderer,

@@ -23,7 +23,6 @@ mod status;
 mod version;
 mod vulkan;
 
-/// Checks the header's thread-safety promises.
 const _: () = {
     const fn any_thread<T: Send + Sync>() {}
     any_thread::<zs_bytes>();

@@ -19,21 +19,17 @@ use zipsplat::{Error, ops::Precision, reconstruct::Model, refine::FrozenHead, tu
 /// A network with its weights on a device.
 pub struct zs_model {
     pub(super) model: Model,
-    /// Native picture side.
     pub(super) picture_side: u32,
-    /// Latest scene, kept on the device for renderers.
     pub(super) latest: LatestScene,
-    /// Head for token refinement, if tokens are kept.
     pub(super) head: Option<Arc<FrozenHead>>,
     precision: Precision,
     /// Unavailable GPUs and kernels, one per line.
     notes: CString,
 }
 
-/// Progress callback on the calling thread. `fraction` is from 0 to 1; `stage`, for a log, is valid
-/// during the callback. Return 0 to continue; any other value cancels with ZS_ERROR_CANCELLED. No
-/// longjmp and no C++ exception may leave it. It may call zs_ functions, but not on the call's own
-/// objects.
+/// Progress callback. `fraction` is from 0 to 1; `stage`, for a log, is valid during the callback.
+/// Return 0 to continue; any other value cancels with ZS_ERROR_CANCELLED. It may call zs_
+/// functions, but not on the call's own objects.
 pub type zs_progress = Option<unsafe extern "C" fn(user_data: *mut c_void, fraction: f64, stage: *const c_char) -> i32>;
 
 /// Options of zs_model_open.
@@ -42,7 +38,7 @@ pub type zs_progress = Option<unsafe extern "C" fn(user_data: *mut c_void, fract
 pub struct zs_model_options {
     /// sizeof(zs_model_options).
     pub struct_size: u32,
-    /// Number formats. Default ZS_PRECISION_BEST.
+    /// Number formats.
     pub precision: zs_precision_value,
     /// Variant of a checkpoint that does not name its own: "vitg", "vits", "vitb", "vitl", "da3s",
     /// "da3b" or "da3l". Missing parameters follow, as in
@@ -52,8 +48,7 @@ pub struct zs_model_options {
     pub progress: zs_progress,
     /// Argument of `progress`.
     pub user_data: *mut c_void,
-    /// 1 enables ZS_REFINE_TOKENS: an f32 copy of the head and each scene's tokens stay on the
-    /// device.
+    /// 1 enables ZS_REFINE_TOKENS: an f32 head and each scene's tokens stay on the device.
     pub tokens: u32,
     /// Must be 0.
     pub reserved: u32,
@@ -65,21 +60,21 @@ pub struct zs_model_options {
 pub struct zs_model_info {
     /// sizeof(zs_model_info).
     pub struct_size: u32,
-    /// Native side of its square pictures, in pixels.
+    /// Native side of its square pictures.
     pub picture_side: u32,
-    /// Side of a patch in pixels; picture sides are multiples of it.
+    /// Patch side; picture sides are multiples of it.
     pub patch: u32,
     /// Gaussians per token. At ratio 1 a photo has width / patch * height / patch tokens.
     pub gaussians_per_token: u32,
-    /// Degree of spherical harmonics of its scenes.
+    /// SH degree of its scenes.
     pub sh_degree: u32,
     /// Number formats in use, never ZS_PRECISION_BEST.
     pub precision: zs_precision_value,
-    /// Bytes of weights on the device.
+    /// Weights on the device.
     pub weight_bytes: u64,
-    /// Warnings, one per line: unusable GPUs, kernels that failed their self-test, assumptions
-    /// about the weights. Failed kernels can reduce ZS_PRECISION_BEST to ZS_PRECISION_EXACT. "" if
-    /// there are none. Points into the model.
+    /// Warnings, one per line, in the model's memory: unusable GPUs, kernels that failed their
+    /// self-test, assumptions about the weights. Failed kernels can reduce ZS_PRECISION_BEST to
+    /// ZS_PRECISION_EXACT.
     pub notes: *const c_char,
 }
 
@@ -152,7 +147,7 @@ unsafe impl Versioned for zs_model_info {
     }
 }
 
-/// Sets defaults; `size` is sizeof(zs_model_options).
+/// Sets defaults.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_model_options_default(options: *mut zs_model_options, size: usize) -> zs_status {
     // SAFETY: the caller's structure of that size.
@@ -201,7 +196,7 @@ pub unsafe extern "C" fn zs_model_from_memory(
     unsafe { load(context, options, model, checkpoint) }
 }
 
-/// Returns the built-in checkpoint. A build without one is not a caller's mistake.
+/// A build without one is not a caller's mistake.
 fn embedded() -> Result<Checkpoint, Failure> {
     Checkpoint::embedded().map_err(|error| match error {
         Error::Argument { .. } => Failure::unsupported(error.to_string()),
@@ -238,9 +233,8 @@ pub unsafe extern "C" fn zs_model_destroy(model: *mut zs_model) {
     unsafe { destroy(model) }
 }
 
-/// Loads the checkpoint.
-///
 /// # Safety
+///
 /// `context` and `options` are NULL or valid; `out` is NULL or writable.
 unsafe fn load(
     context: *const zs_context,

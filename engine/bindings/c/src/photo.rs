@@ -24,7 +24,7 @@ pub unsafe extern "C" fn zs_photo_open(path: *const c_char, photo: *mut *mut zs_
     unsafe { produce(photo, open) }
 }
 
-/// Decodes a photo from `size` bytes at `data`, as zs_photo_open.
+/// Decodes a photo from memory, as zs_photo_open.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_photo_from_memory(
     data: *const c_void,
@@ -38,7 +38,7 @@ pub unsafe extern "C" fn zs_photo_from_memory(
     unsafe { produce(photo, decode) }
 }
 
-/// Fills `image` with the photo's pixels (ZS_PIXEL_RGB8), which point into the photo.
+/// Returns the photo's pixels (ZS_PIXEL_RGB8), which point into the photo.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_photo_get_image(photo: *const zs_photo, image: *mut zs_image) -> zs_status {
     guard(|| {

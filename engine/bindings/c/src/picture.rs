@@ -14,13 +14,13 @@ use zipsplat::types::{Camera, Image, Intrinsics, MAX_DECODED_BYTES, MAX_SIDE, Po
 pub enum zs_pixel_format {
     /// 3 bytes: red, green, blue.
     ZS_PIXEL_RGB8 = 1,
-    /// 4 bytes: red, green, blue, alpha. VK_FORMAT_R8G8B8A8_UNORM.
+    /// VK_FORMAT_R8G8B8A8_UNORM.
     ZS_PIXEL_RGBA8 = 2,
-    /// 4 bytes: blue, green, red, alpha. VK_FORMAT_B8G8R8A8_UNORM.
+    /// VK_FORMAT_B8G8R8A8_UNORM.
     ZS_PIXEL_BGRA8 = 3,
     /// 3 f32: red, green, blue.
     ZS_PIXEL_RGB_F32 = 4,
-    /// 4 f32: red, green, blue, alpha. VK_FORMAT_R32G32B32A32_SFLOAT.
+    /// VK_FORMAT_R32G32B32A32_SFLOAT.
     ZS_PIXEL_RGBA_F32 = 5,
 }
 
@@ -58,9 +58,9 @@ pub struct zs_image {
     pub struct_size: u32,
     /// Pixel format.
     pub format: zs_pixel_format_value,
-    /// Width in pixels, 1 to 32768.
+    /// 1 to 32768.
     pub width: u32,
-    /// Height in pixels, 1 to 32768.
+    /// 1 to 32768.
     pub height: u32,
     /// Bytes between rows: negative for bottom-up storage, 0 for contiguous rows.
     pub stride: i64,
@@ -71,8 +71,8 @@ pub struct zs_image {
 // SAFETY: the caller does not write the pixels during a call.
 unsafe impl Sync for zs_image {}
 
-/// A pinhole camera with OpenCV axes: x right, y down, z forward. Pixel centers are at +0.5: the
-/// principal point of a centered lens is (width / 2, height / 2).
+/// A pinhole camera with OpenCV axes: x right, y down, z forward. Intrinsics are in pixels, whose
+/// centers are at +0.5.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_camera {
@@ -80,20 +80,19 @@ pub struct zs_camera {
     pub struct_size: u32,
     /// Must be 0.
     pub reserved: u32,
-    /// Width in pixels.
+    /// Width.
     pub width: u32,
-    /// Height in pixels.
+    /// Height.
     pub height: u32,
-    /// Horizontal focal length in pixels.
+    /// Focal length along x.
     pub fx: f64,
-    /// Vertical focal length in pixels.
+    /// Focal length along y.
     pub fy: f64,
-    /// Horizontal principal point in pixels from the left edge.
+    /// Principal point from the left edge.
     pub cx: f64,
-    /// Vertical principal point in pixels from the top edge.
+    /// Principal point from the top edge.
     pub cy: f64,
-    /// Camera-to-world rotation, row-major: the columns are the camera's right, down and forward
-    /// axes.
+    /// Camera-to-world rotation, row-major: columns are the right, down and forward axes.
     pub rotation: [f64; 9],
     /// Camera center in the world.
     pub translation: [f64; 3],

@@ -31,9 +31,8 @@ fn check_size<T: Versioned>(size: usize) -> Result<()> {
     Err(Failure::argument(format!("{}, struct_size", T::NAME), size, expected))
 }
 
-/// Returns the checked `struct_size` of a caller's structure.
-///
 /// # Safety
+///
 /// `pointer` points to a structure's first field.
 unsafe fn given_size<T: Versioned>(pointer: *const T) -> Result<usize> {
     // SAFETY: the size is the first field of every version.
@@ -57,9 +56,8 @@ pub(super) unsafe fn read_versioned<T: Versioned>(pointer: *const T) -> Result<T
     Ok(value)
 }
 
-/// Copies a structure that must not be NULL.
-///
 /// # Safety
+///
 /// As [`read_versioned`].
 pub(super) unsafe fn read_given<T: Versioned>(pointer: *const T) -> Result<T> {
     if pointer.is_null() {
@@ -115,9 +113,8 @@ pub(super) unsafe fn write_versioned<T: Versioned>(pointer: *mut T, value: T) ->
     Ok(())
 }
 
-/// Writes the defaults of the caller's version.
-///
 /// # Safety
+///
 /// `pointer` is NULL or points to `size` bytes.
 pub(super) unsafe fn write_defaults<T: Versioned>(pointer: *mut T, size: usize) -> zs_status {
     guard(|| {
@@ -152,9 +149,8 @@ pub(super) unsafe fn produce<T>(out: *mut *mut T, body: impl FnOnce() -> Result<
     })
 }
 
-/// Drops an object; NULL does nothing.
-///
 /// # Safety
+///
 /// `handle` is NULL or came from [`produce`] and is no longer used.
 pub(super) unsafe fn destroy<T>(handle: *mut T) {
     if !handle.is_null() {
@@ -174,9 +170,10 @@ pub(super) unsafe fn borrow<'a, T>(handle: *const T, name: &str) -> Result<&'a T
     unsafe { handle.as_ref() }.ok_or_else(|| Failure::argument(name, "NULL", "an object that was created"))
 }
 
-/// Borrows an array argument. With `count` 0 the pointer is ignored.
+/// With `count` 0 the pointer is ignored.
 ///
 /// # Safety
+///
 /// `pointer` is NULL or points to `count` elements that are not written during the call.
 pub(super) unsafe fn array<'a, T>(pointer: *const T, count: usize, name: &str) -> Result<&'a [T]> {
     check_array(pointer, count, name)?;
@@ -217,9 +214,8 @@ pub(super) unsafe fn text<'a>(pointer: *const c_char, name: &str) -> Result<&'a 
     found.ok_or_else(|| Failure::argument(name, "NULL", "a string"))
 }
 
-/// Borrows a string; NULL is `None`.
-///
 /// # Safety
+///
 /// As [`text`].
 pub(super) unsafe fn optional_text<'a>(pointer: *const c_char, name: &str) -> Result<Option<&'a str>> {
     if pointer.is_null() {
@@ -238,7 +234,6 @@ pub(super) fn flow(stop: i32) -> ControlFlow<()> {
 mod tests {
     use super::*;
 
-    /// A structure that gained `added` after its first version.
     #[repr(C)]
     #[derive(Clone, Copy, Debug, PartialEq)]
     struct Grown {

@@ -24,9 +24,9 @@
  * const char *.
  *
  * Threads. Threads can share all objects; calls on one zs_renderer wait for each other. Callbacks
- * run on the calling thread. A thread pool prepares photos, weights and files. It has
- * RAYON_NUM_THREADS threads, by default one per core, starts on first use and lives as long as the
- * process. Pool threads never run your callbacks and never touch your queue.
+ * run on the calling thread; no longjmp and no C++ exception may leave them. A thread pool prepares
+ * photos, weights and files. It has RAYON_NUM_THREADS threads, by default one per core, and lives
+ * as long as the process.
  *
  * Cache. The library caches kernel self-test results and the tile sizes of `zipsplat tune` on disk.
  * The folder is ZIPSPLAT_CACHE, else `zipsplat` in XDG_CACHE_HOME or LOCALAPPDATA, else
@@ -34,10 +34,11 @@
  * devices (zs_context_adopt) and ZS_PRECISION_EXACT need no cache.
  *
  * Structures. Later versions may append fields to a structure that begins with struct_size.
- * Initialize it with its ..._default function, or zero it and set struct_size to its sizeof, in
- * every element of an array and also for outputs. A library accepts structures of its own and all
- * earlier versions with the same ZS_ABI_VERSION and rejects larger ones. Other structures never
- * change. NULL options are the defaults, which are 0 or NULL unless documented otherwise.
+ * Initialize it with its ..._default function, whose `size` is its sizeof, or zero it and set
+ * struct_size, in every element of an array and also for outputs. A library accepts structures of
+ * its own and all earlier versions with the same ZS_ABI_VERSION and rejects larger ones. Other
+ * structures never change. NULL options are the defaults, which are 0 or NULL unless documented
+ * otherwise.
  *
  * Values. Strings are UTF-8. Unknown enumeration values are rejected. Sizes are in bytes, counts in
  * elements, picture sides in pixels.

@@ -62,34 +62,31 @@ pub const ZS_UNIT_AUTO: f64 = 0.0;
 pub struct zs_reconstruct_options {
     /// sizeof(zs_reconstruct_options).
     pub struct_size: u32,
-    /// World of the scene; ZS_WORLD_CAMERAS requires `cameras`. Default ZS_WORLD_FIRST_CAMERA.
+    /// World of the scene; ZS_WORLD_CAMERAS requires `cameras`.
     pub world: zs_world_value,
     /// Fraction of tokens that become Gaussians, in (0, 1], or ZS_RATIO_AUTO. Default 1.
     pub ratio: f64,
     /// Scene scale: the length in units of `cameras` that the network treats as 1, or ZS_UNIT_AUTO.
-    /// The network expects a median distance of about 1 from the first camera. For cameras in
-    /// meters and a place 20 m away, use 20. Default 1.
+    /// The network expects a median distance of about 1 from the first camera. Default 1.
     pub unit: f64,
-    /// Selection of the kept tokens. Default ZS_SELECT_KMEANS.
+    /// Selection of the kept tokens.
     pub selection: zs_selection_value,
     /// Width of the network's input, a multiple of the patch: photos are center-cropped and
     /// resized. 0 is the model's own.
     pub width: u32,
     /// Height of the network's input; 0 exactly if `width` is 0.
     pub height: u32,
-    /// Number of `cameras`: 0 or the number of photos.
+    /// 0 or the number of photos.
     pub camera_count: u32,
     /// Seed for ZS_SELECT_RANDOM.
     pub seed: u64,
-    /// Known cameras of the whole photos. The first one becomes the world unless `world` overrides
-    /// it. Their scale is kept.
+    /// Known cameras of the whole photos.
     pub cameras: *const zs_camera,
     /// Progress callback.
     pub progress: zs_progress,
     /// Argument of `progress`.
     pub user_data: *mut c_void,
-    /// Capture of `cameras`, for ZS_UNIT_AUTO: its points and all its cameras give the scale. NULL
-    /// uses `cameras` alone.
+    /// Capture whose points and cameras give the scale for ZS_UNIT_AUTO; NULL uses `cameras` alone.
     pub capture: *const zs_capture,
     /// Pooling for many photos: cross-view attention reads means of `pool` x `pool` patches, 1 to
     /// 4. Larger values are faster and less exact. Default 1.
@@ -120,7 +117,7 @@ unsafe impl Versioned for zs_reconstruct_options {
     }
 }
 
-/// Sets defaults; `size` is sizeof(zs_reconstruct_options).
+/// Sets defaults.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_reconstruct_options_default(
     options: *mut zs_reconstruct_options,
@@ -215,12 +212,12 @@ pub unsafe extern "C" fn zs_reconstruct(
     unsafe { produce(scene, reconstruct) }
 }
 
-/// Fraction of the progress spent on resizing photos.
 const PREPARED: f64 = 0.1;
 
-/// Resizes photos to the network's input in parallel. `progress` runs on the calling thread.
+/// `progress` runs on the calling thread.
 ///
 /// # Safety
+///
 /// All pixels are readable.
 unsafe fn prepare(
     images: &[zs_image],

@@ -26,8 +26,7 @@ pub const ZS_HOLD_OUT_AUTO: i32 = -1;
 pub enum zs_refine_what {
     /// The scene's Gaussians.
     ZS_REFINE_GAUSSIANS = 0,
-    /// The tokens behind the Gaussians, for a scene from zs_reconstruct with
-    /// zs_model_options.tokens.
+    /// The tokens behind the Gaussians; needs zs_model_options.tokens.
     ZS_REFINE_TOKENS = 1,
 }
 
@@ -47,7 +46,7 @@ pub enum zs_refine_end {
 
 pub(super) type zs_refine_end_value = i32;
 
-/// Progress of a refinement. Later versions may append fields.
+/// Progress of a refinement.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_refining {
@@ -67,9 +66,8 @@ pub struct zs_refining {
     pub seconds_left: f64,
 }
 
-/// Callback after each step, on the calling thread. `now` is valid during the callback. Return 0 to
-/// continue; any other value ends the refinement early and keeps the best scene. No longjmp and no
-/// C++ exception may leave it. It may call zs_ functions.
+/// Callback after each step. `now` is valid during the callback. Return 0 to continue; any other
+/// value ends the refinement early and keeps the best scene. It may call zs_ functions.
 pub type zs_refine_progress = Option<unsafe extern "C" fn(user_data: *mut c_void, now: *const zs_refining) -> i32>;
 
 /// Options of zs_refine.
@@ -96,7 +94,7 @@ pub struct zs_refine_options {
     pub progress: zs_refine_progress,
     /// Argument of `progress`.
     pub user_data: *mut c_void,
-    /// Optimized parameters. Default ZS_REFINE_GAUSSIANS.
+    /// Optimized parameters.
     pub what: zs_refine_what_value,
     /// Must be 0.
     pub reserved: u32,
@@ -116,11 +114,11 @@ pub struct zs_refine_info {
     pub best_step: u32,
     /// Mean loss of the first step, at its resolution; NaN without a step.
     pub first_loss: f64,
-    /// Mean loss of the last step, at its resolution; NaN without a step.
+    /// Mean loss of the last step, likewise.
     pub last_loss: f64,
     /// Held-out PSNR in dB before the first step; NaN without held-out photos.
     pub psnr_before: f64,
-    /// Held-out PSNR in dB of the returned scene; NaN without held-out photos.
+    /// Held-out PSNR in dB of the returned scene.
     pub psnr: f64,
     /// Duration in seconds.
     pub seconds: f64,
@@ -173,10 +171,9 @@ unsafe impl Versioned for zs_refine_info {
     }
 }
 
-/// Default limit of a photo's side.
 const MOST_PIXELS: u32 = 1600;
 
-/// Sets defaults; `size` is sizeof(zs_refine_options).
+/// Sets defaults.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_refine_options_default(options: *mut zs_refine_options, size: usize) -> zs_status {
     // SAFETY: the caller's structure of that size.
@@ -184,8 +181,8 @@ pub unsafe extern "C" fn zs_refine_options_default(options: *mut zs_refine_optio
 }
 
 /// Optimizes a copy of a scene to match `count` photos. `cameras` are of the whole photos, in the
-/// scene's world. An early stop or a diverging loss still returns the best scene. `options` and
-/// `info` may be NULL.
+/// scene's world. An early stop or a diverging loss still returns the best scene. `info` may be
+/// NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_refine(
     context: *const zs_context,
@@ -284,7 +281,6 @@ impl zs_refine_options {
 }
 
 impl ModelTokens {
-    /// Refines the tokens of a scene; cameras and result are in its world.
     fn refine(
         &self,
         photos: &[Image],

@@ -19,10 +19,8 @@ use zipsplat::{
 /// A scene on a device, ready to draw. Caches its recordings for the last four sizes and kinds of
 /// picture.
 pub struct zs_renderer {
-    /// Whether the caller owns the device.
     pub(super) adopted: bool,
     renderer: Mutex<Renderer>,
-    /// Created on the first request for gradients.
     differentiator: Mutex<Option<Differentiator>>,
 }
 
@@ -63,11 +61,11 @@ pub struct zs_render_options {
     /// Pixel format. 8-bit color is clamped and truncated, 8-bit alpha rounded, f32 unchanged.
     /// Color includes the background's part; on black it is premultiplied. Default ZS_PIXEL_RGBA8.
     pub format: zs_pixel_format_value,
-    /// Kind of zs_picture.depth. Default ZS_DEPTH_EXPECTED.
+    /// Kind of zs_picture.depth.
     pub depth: zs_depth_value,
     /// 1 fades Gaussians thinner than a pixel (Mip-Splatting), for scenes trained that way.
     pub antialiased: u32,
-    /// Background as red, green, blue. Default black.
+    /// Background as red, green, blue.
     pub background: [f32; 3],
     /// Near plane: Gaussians at smaller camera depth are culled. 0, the default, is 0.01, or less
     /// for scenes with an extent below 0.1.
@@ -98,10 +96,9 @@ pub struct zs_picture {
     pub struct_size: u32,
     /// Must be 0.
     pub reserved: u32,
-    /// Bytes between rows of `pixels`: negative for bottom-up storage, 0 for contiguous rows.
-    /// Padding between rows stays unchanged.
+    /// As zs_image.stride; padding between rows stays unchanged.
     pub stride: i64,
-    /// First pixel of the top row, in the options' format, of any alignment.
+    /// As zs_image.pixels, in the options' format.
     pub pixels: *mut c_void,
     /// height x width: alpha from 0 to 1.
     pub alpha: *mut f32,
@@ -119,10 +116,9 @@ unsafe impl Versioned for zs_picture {
     }
 }
 
-/// Pixels drawn before a readback.
 const PIXELS_AT_ONCE: u64 = 1 << 24;
 
-/// Uploads a scene to a context's device. The scene can be destroyed afterwards.
+/// Uploads a scene to a context's device.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_renderer_create(
     context: *const zs_context,
@@ -151,22 +147,21 @@ pub unsafe extern "C" fn zs_renderer_set_scene(renderer: *const zs_renderer, sce
     })
 }
 
-/// Destroys a renderer, after waiting for its copies to Vulkan targets.
+/// Destroys a renderer, after its copies to Vulkan targets.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_renderer_destroy(renderer: *mut zs_renderer) {
     // SAFETY: NULL or given up by the caller.
     unsafe { destroy(renderer) }
 }
 
-/// Sets defaults; `size` is sizeof(zs_render_options).
+/// Sets defaults.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_render_options_default(options: *mut zs_render_options, size: usize) -> zs_status {
     // SAFETY: the caller's structure of that size.
     unsafe { write_defaults(options, size) }
 }
 
-/// Draws one picture per camera. Cameras of equal size are batched. After a failure some pictures
-/// may be written.
+/// Draws one picture per camera. After a failure some pictures may be written.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_render(
     renderer: *const zs_renderer,

@@ -29,13 +29,11 @@ pub struct zs_scene {
     pub(super) scene: Scene,
     /// The device copy, while its model keeps it.
     pub(super) on_device: Option<WeakScene>,
-    /// Source tokens, if the model keeps them.
     pub(super) tokens: Option<ModelTokens>,
     /// Pixel positions of its Gaussians, for scenes from photos without cameras.
     pub(super) seen: Option<Seen>,
 }
 
-/// The tokens of a scene, and the head that decodes them.
 pub(super) struct ModelTokens {
     pub tokens: SceneTokens,
     pub head: Arc<FrozenHead>,
@@ -44,14 +42,12 @@ pub(super) struct ModelTokens {
     pub pose: Option<Pose>,
 }
 
-/// Unposed photos of a scene.
 pub(super) struct Seen {
     pub patches: Patches,
     /// Maps from each photo to the network's input.
     pub maps: Vec<PixelMap>,
 }
 
-/// A model's latest scene, kept on its device.
 pub(super) type LatestScene = Mutex<Option<DeviceScene>>;
 
 impl zs_scene {
@@ -66,7 +62,6 @@ impl zs_scene {
         Self { seen, ..self }
     }
 
-    /// Loads the scene into a renderer, from the device copy if it still exists.
     pub(super) fn load(&self, renderer: &mut Renderer) -> Result<(), Error> {
         let shown = self.on_device.as_ref().and_then(WeakScene::upgrade).map(|gaussians| renderer.show(&gaussians));
         match shown {
@@ -82,7 +77,7 @@ impl From<Scene> for zs_scene {
     }
 }
 
-/// Bytes owned by the library, such as an encoded scene file. Immutable.
+/// Bytes owned by the library, such as an encoded scene file.
 pub struct zs_bytes {
     bytes: Vec<u8>,
 }
@@ -95,11 +90,11 @@ pub struct zs_gaussians {
     pub struct_size: u32,
     /// Degree of spherical harmonics, 0 to 3: K = (sh_degree + 1)^2 coefficients per channel.
     pub sh_degree: u32,
-    /// N, the number of Gaussians.
+    /// N.
     pub count: u64,
     /// N x 3 centers.
     pub means: *const f32,
-    /// N x 3 linear standard deviations along the Gaussian's axes, not negative.
+    /// N x 3 linear standard deviations, not negative.
     pub scales: *const f32,
     /// N x 4 quaternions w, x, y, z of any length but zero.
     pub quats: *const f32,
@@ -152,7 +147,7 @@ unsafe impl Versioned for zs_save_options {
     }
 }
 
-/// Fills `gaussians` with the scene's size and arrays, which point into the scene.
+/// Returns the scene's size and arrays, which point into the scene.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_get_gaussians(scene: *const zs_scene, gaussians: *mut zs_gaussians) -> zs_status {
     guard(|| {
@@ -208,8 +203,7 @@ pub unsafe extern "C" fn zs_scene_create(gaussians: *const zs_gaussians, scene: 
 const MAX_GAUSSIANS: usize = 1 << 28;
 
 /// Opens a scene file: PLY of 3D Gaussian Splatting, .compressed.ply, SPZ, .splat, or glTF with
-/// KHR_gaussian_splatting (.gltf, .glb). Axes become x right, y down, z forward. Rejects NaN,
-/// infinite and out-of-range values.
+/// KHR_gaussian_splatting (.gltf, .glb). Rejects NaN, infinite and out-of-range values.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_open(path: *const c_char, scene: *mut *mut zs_scene) -> zs_status {
     // SAFETY: a string or NULL.
@@ -274,7 +268,7 @@ fn format_named(name: &str) -> Result<SceneFormat, Failure> {
     SceneFormat::named(name).ok_or_else(|| Failure::argument("format", name, SceneFormat::EXTENSIONS))
 }
 
-/// Sets defaults; `size` is sizeof(zs_save_options).
+/// Sets defaults.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_save_options_default(options: *mut zs_save_options, size: usize) -> zs_status {
     // SAFETY: the caller's structure of that size.

@@ -8,14 +8,13 @@ use std::{
 };
 use zipsplat::Error;
 
-/// Result of a call. Values never change meaning. Later versions may add some: treat unknown ones
-/// as failures.
+/// Result of a call. Later versions may add values: treat unknown ones as failures.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_status {
     /// Success.
     ZS_OK = 0,
-    /// An argument is invalid. The message names it, the value found and the value expected.
+    /// An argument is invalid.
     ZS_ERROR_ARGUMENT = 1,
     /// A file could not be opened, read or written.
     ZS_ERROR_IO = 2,
@@ -23,9 +22,9 @@ pub enum zs_status {
     ZS_ERROR_FORMAT = 3,
     /// A checkpoint's tensors do not match its network.
     ZS_ERROR_WEIGHTS = 4,
-    /// No Vulkan loader, driver or suitable device. The message lists missing requirements.
+    /// No Vulkan loader, driver or suitable device.
     ZS_ERROR_NO_DEVICE = 5,
-    /// Too little device or host memory. Nothing was submitted; the message has the sizes.
+    /// Too little device or host memory. Nothing was submitted.
     ZS_ERROR_OUT_OF_MEMORY = 6,
     /// The driver or the validation layer reported an error.
     ZS_ERROR_DRIVER = 7,
@@ -64,10 +63,8 @@ pub extern "C" fn zs_status_name(status: i32) -> *const c_char {
     known.map_or(c"unknown status", |(_, name)| name).as_ptr()
 }
 
-/// Returns the message of the calling thread's last failure, as UTF-8; "" if there is none. The
-/// pointer stays valid until the thread ends; the next failure overwrites the message. A call and
-/// its message may share an expression: printf("%s: %s", zs_status_name(zs_scene_open(path,
-/// &scene)), zs_last_error()). Messages are truncated at 16 KiB.
+/// Returns the message of the calling thread's last failure, or "". The pointer stays valid until
+/// the thread ends; the next failure overwrites the text, of at most 16 KiB.
 #[unsafe(no_mangle)]
 pub extern "C" fn zs_last_error() -> *const c_char {
     LAST_ERROR.try_with(|last| last.0.as_ptr().cast()).unwrap_or(c"".as_ptr())
@@ -84,7 +81,6 @@ impl Message {
         Self(vec![Cell::new(0); MAX_MESSAGE].into())
     }
 
-    /// Replaces the message, truncated at a character boundary.
     fn set(&self, message: &str) {
         let end = (0..MAX_MESSAGE.min(message.len() + 1)).rev().find(|end| message.is_char_boundary(*end)).unwrap_or(0);
         let bytes = message.as_bytes()[..end].iter().map(|byte| if *byte == 0 { b' ' } else { *byte });

@@ -52,7 +52,7 @@ pub type zs_vulkan_function = Option<unsafe extern "C" fn()>;
 /// Locks or unlocks a queue. Must return and must not call this library.
 pub type zs_queue_lock = Option<unsafe extern "C" fn(user_data: *mut c_void)>;
 
-/// Borrowed Vulkan handles. The library uses and never destroys them.
+/// Borrowed Vulkan handles, never destroyed.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_vulkan_device {
@@ -227,7 +227,7 @@ pub unsafe extern "C" fn zs_vulkan_requirements(
     })
 }
 
-/// Sets defaults; `size` is sizeof(zs_vulkan_device).
+/// Sets defaults.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_vulkan_device_default(device: *mut zs_vulkan_device, size: usize) -> zs_status {
     // SAFETY: the caller's structure of that size.
@@ -235,7 +235,7 @@ pub unsafe extern "C" fn zs_vulkan_device_default(device: *mut zs_vulkan_device,
 }
 
 /// Creates a context on the caller's device. All required features must be enabled; this cannot be
-/// checked. Destroy the context and all its models and renderers before the device.
+/// checked.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_context_adopt(device: *const zs_vulkan_device, context: *mut *mut zs_context) -> zs_status {
     let adopt = || {
@@ -287,7 +287,7 @@ impl UserData {
     }
 }
 
-/// Sets defaults; `size` is sizeof(zs_vulkan_target).
+/// Sets defaults.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_vulkan_target_default(target: *mut zs_vulkan_target, size: usize) -> zs_status {
     // SAFETY: the caller's structure of that size.

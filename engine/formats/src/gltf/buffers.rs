@@ -1,5 +1,3 @@
-//! glTF buffers and accessors.
-
 use std::borrow::Cow;
 use std::collections::HashMap;
 use std::path::{Component, Path, PathBuf};
@@ -10,7 +8,6 @@ use super::{Document, Parsed, document::Buffer};
 use crate::file::read_file;
 use crate::{Error, Result};
 
-/// Bytes of all buffers, which may share files.
 pub(super) struct Buffers<'a> {
     contents: Vec<Cow<'a, [u8]>>,
     of_buffer: Vec<usize>,
@@ -21,8 +18,8 @@ impl<'a> Buffers<'a> {
         self.contents.iter().map(|bytes| bytes.len()).sum()
     }
 
-    /// Opens buffers. `binary` is the container's chunk, used by the buffer without a URI. Files
-    /// must be in `folder` or below; errors name `path`.
+    /// `binary` is the container's chunk, used by the buffer without a URI. Files must be in
+    /// `folder` or below; errors name `path`.
     pub(super) fn open(
         buffers: &[Buffer],
         binary: Option<&'a [u8]>,
@@ -71,7 +68,7 @@ impl<'a> Buffers<'a> {
         self.of_buffer.get(buffer).map(|content| &*self.contents[*content])
     }
 
-    /// Reads an accessor of `N` components as floats. Checks lengths before allocating.
+    /// Checks lengths before allocating.
     pub(super) fn values<const N: usize>(&self, document: &Document, index: usize) -> Parsed<Vec<[f32; N]>> {
         let fail = |reason: String| format!("accessor {index}: {reason}");
         let accessor = document.accessors.get(index).ok_or_else(|| fail("there is none".into()))?;
@@ -102,13 +99,11 @@ impl<'a> Buffers<'a> {
     }
 }
 
-/// Decodes a `data:` URI.
 fn embedded(uri: &str) -> std::result::Result<Vec<u8>, String> {
     let (_, data) = uri.split_once(";base64,").ok_or("found a data address without base64")?;
     STANDARD.decode(data).map_err(|error| format!("base64: {error}"))
 }
 
-/// Converts a relative URI to a path that stays in the folder.
 fn beside(uri: &str) -> Option<PathBuf> {
     let mut bytes = Vec::new();
     let mut rest = uri.as_bytes();
@@ -125,7 +120,6 @@ fn beside(uri: &str) -> Option<PathBuf> {
     (!uri.contains(':') && path.components().all(inside) && path.file_name().is_some()).then_some(path)
 }
 
-/// Component types of Gaussian attributes.
 #[derive(Clone, Copy)]
 enum Scalar {
     I8,
@@ -155,7 +149,6 @@ impl Scalar {
         }
     }
 
-    /// Returns the integer that represents 1. Signed values are clamped to -1.
     fn one(self) -> f32 {
         match self {
             Self::I8 => f32::from(i8::MAX),
@@ -166,7 +159,6 @@ impl Scalar {
         }
     }
 
-    /// Reads the value at the start of `bytes`, which must be long enough.
     fn read(self, bytes: &[u8], normalized: bool) -> f32 {
         let two = || [bytes[0], bytes[1]];
         let value = match self {

@@ -10,7 +10,6 @@ use crate::world::MADE_BY;
 
 /// Supported required extensions; the second only permits small integers for floats.
 const KNOWN: [&str; 2] = [EXTENSION, "KHR_mesh_quantization"];
-/// Chunk types "JSON" and "BIN\0" of the binary container.
 const JSON_CHUNK: u32 = 0x4e4f_534a;
 const BIN_CHUNK: u32 = 0x004e_4942;
 
@@ -68,7 +67,6 @@ struct Mesh {
 
 #[derive(Deserialize)]
 pub(super) struct Primitive {
-    /// Accessors by name.
     pub attributes: HashMap<String, usize>,
     #[serde(default)]
     extensions: HashMap<String, serde_json::Value>,
@@ -106,7 +104,6 @@ pub(super) struct Buffer {
     pub byte_length: usize,
 }
 
-/// Returns the JSON and the binary container's binary chunk.
 pub(super) fn unpack(bytes: &[u8]) -> Parsed<(&[u8], Option<&[u8]>)> {
     if !bytes.starts_with(b"glTF") {
         return Ok((bytes, None));
@@ -150,13 +147,11 @@ impl Document {
         }
     }
 
-    /// Returns the line about the file that this engine stored in it.
     pub(super) fn line(&self) -> Option<&str> {
         self.asset.extras.get(MADE_BY)?.as_str()
     }
 
-    /// Visits the default scene's Gaussian primitives with their transforms to the world. Nodes may
-    /// share meshes, so visits can far outnumber bytes.
+    /// Nodes may share meshes, so visits can far outnumber bytes.
     pub(super) fn visit(&self, mut visit: impl FnMut(&Primitive, &DMat4) -> Parsed<()>) -> Parsed<()> {
         let mut seen = vec![false; self.nodes.len()];
         let mut waiting: Vec<_> = self.roots()?.into_iter().rev().map(|node| (node, DMat4::IDENTITY)).collect();
@@ -195,7 +190,6 @@ impl Document {
 }
 
 impl Node {
-    /// Returns the transform to the parent.
     fn matrix(&self) -> DMat4 {
         if let Some(columns) = &self.matrix {
             return DMat4::from_cols_array(columns);
@@ -207,7 +201,6 @@ impl Node {
 }
 
 impl Primitive {
-    /// Returns true for Gaussians; fails for unknown kinds of Gaussians.
     fn has_gaussians(&self) -> Parsed<bool> {
         let Some(extension) = self.extensions.get(EXTENSION) else { return Ok(false) };
         for (property, expected) in [("kernel", "ellipse"), ("colorSpace", "srgb_rec709_display")] {

@@ -29,12 +29,10 @@ pub(super) const BINARY: Format = Format {
 pub(super) const TEXT: Format =
     Format { marks: &[], view_dependence: true, read: read_unchecked, world: Some(read_line), write: write::text };
 
-/// Extension name and prefix of its attributes.
 const EXTENSION: &str = "KHR_gaussian_splatting";
 /// Relative tolerance for non-uniform scale and shear of nodes.
 const SHEAR_TOLERANCE: f64 = 1e-4;
 
-/// Failure reason and byte offset, if known.
 struct Fault {
     offset: Option<usize>,
     reason: String,
@@ -53,13 +51,13 @@ type Parsed<T> = std::result::Result<T, Fault>;
 /// primitives.
 ///
 /// # Errors
-/// [`Error::Io`] for failed reads. [`Error::Format`] for damage, no Gaussians, an unknown required
-/// extension (including compressed Gaussians), or non-uniform node scale.
+///
+/// [`Error::Format`] for damage, no Gaussians, an unknown required extension (including compressed
+/// Gaussians), or non-uniform node scale.
 pub fn read_gltf(path: impl AsRef<Path>) -> Result<Scene> {
     read_unchecked(Source::open(path.as_ref())?)?.validated(path.as_ref())
 }
 
-/// Reads as [`read_gltf`], without validating values.
 fn read_unchecked(mut source: Source<'_>) -> Result<Scene> {
     let (bytes, path) = (source.rest()?, source.name);
     let fail = |Fault { offset, reason }: Fault| Error::format(path, offset.map(|at| at as u64), reason);
@@ -71,7 +69,6 @@ fn read_unchecked(mut source: Source<'_>) -> Result<Scene> {
     let shown = document.visit(|primitive, to_world| {
         let part = place(read_primitive(&document, &buffers, primitive)?, to_world)?;
         count += part.len();
-        // Shared meshes let a small file request any number.
         if count > buffers.len() {
             let bytes = buffers.len();
             return Err(format!("nodes show {count} Gaussians from {bytes} bytes, expected fewer than bytes").into());
@@ -86,14 +83,12 @@ fn read_unchecked(mut source: Source<'_>) -> Result<Scene> {
     Ok(joined(parts))
 }
 
-/// Reads the line of [`World::line`](super::World), if present.
 fn read_line(path: &Path) -> Result<Option<String>> {
     let bytes = Source::open(path)?.rest()?;
     let document = unpack(&bytes).and_then(|(json, _)| Document::parse(json)).ok();
     Ok(document.and_then(|document| document.line().map(str::to_owned)))
 }
 
-/// Reads a primitive's Gaussians in its local frame.
 fn read_primitive(document: &Document, buffers: &Buffers, primitive: &Primitive) -> Parsed<Scene> {
     let attribute = |name: &str| {
         let accessor = primitive.attributes.get(name);
@@ -132,7 +127,6 @@ fn read_primitive(document: &Document, buffers: &Buffers, primitive: &Primitive)
     Ok(Scene { means, scales, quats, opacities: opacities.into_flattened(), sh_coeffs, sh_degree })
 }
 
-/// Transforms Gaussians to the world and the engine's axes.
 fn place(mut part: Scene, to_world: &DMat4) -> Parsed<Scene> {
     if *to_world != DMat4::IDENTITY {
         transform(&mut part, to_world)?;
@@ -157,7 +151,6 @@ fn transform(part: &mut Scene, to_world: &DMat4) -> Parsed<()> {
     Ok(())
 }
 
-/// Joins all parts at their highest degree.
 fn joined(mut parts: Vec<Scene>) -> Scene {
     if parts.len() == 1 {
         return parts.remove(0);

@@ -1,5 +1,3 @@
-//! Writing glTF.
-
 use std::path::Path;
 
 use base64::{Engine, engine::general_purpose::STANDARD};
@@ -13,7 +11,6 @@ use crate::{Scene, World, axes::HalfTurn::AboutZ, camera::unit_quaternion, world
 const FLOAT: u32 = 5126;
 const ARRAY_BUFFER: u32 = 34962;
 
-/// Concatenated attribute data and the JSON that describes it.
 #[derive(Default)]
 struct Attributes {
     data: Vec<u8>,
@@ -36,11 +33,12 @@ impl Attributes {
 }
 
 /// Writes a glTF in one file: `.glb` if `binary`, else JSON with base64. Lossless floats, except
-/// that quaternions are normalized. Writes atomically.
+/// that quaternions are normalized.
 ///
 /// # Errors
+///
 /// [`Error::Argument`] if the scene is invalid, empty (not allowed in glTF) or above a `.glb`'s 4
-/// GiB; [`Error::Io`] for failed writes.
+/// GiB.
 pub fn write_gltf(scene: &Scene, path: impl AsRef<Path>, binary: bool) -> Result<()> {
     let format = if binary { &super::BINARY } else { &super::TEXT };
     format.write_file(path.as_ref(), scene, &WriteOptions::default(), None)
@@ -54,7 +52,6 @@ pub(super) fn text<'a>(scene: &'a Scene, _: &WriteOptions, world: Option<&World>
     encoder(scene, false, world)
 }
 
-/// Stores the world in the asset's extras.
 fn encoder<'a>(scene: &'a Scene, binary: bool, world: Option<&World>) -> Result<Encoder<'a>> {
     if scene.is_empty() {
         return Err(Error::argument("scene", "no Gaussians", "at least one in a glTF"));

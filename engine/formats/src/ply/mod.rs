@@ -30,7 +30,6 @@ pub(super) const FORMAT: Format = Format {
 
 pub use points::{PointCloud, read_points, write_points};
 
-/// Gaussians encoded per write.
 const BATCH: usize = 1 << 16;
 /// Margin of opacities from 0 and 1, where the logit is infinite.
 const OPACITY_MARGIN: f32 = 1e-6;
@@ -42,13 +41,13 @@ const MIN_SCALE: f32 = 1e-6;
 /// Writes a binary little-endian PLY of f32 properties atomically.
 ///
 /// # Errors
-/// [`Error::Argument`] if the scene is invalid, [`Error::Io`] for failed writes.
+///
+/// [`Error::Argument`] if the scene is invalid.
 pub fn write_ply(scene: &Scene, path: impl AsRef<Path>) -> Result<()> {
     scene.validate()?;
     write_atomic(path.as_ref(), encoder(scene, START))
 }
 
-/// Reads the line of [`World::line`] from the header, if present.
 fn read_line(path: &Path) -> Result<Option<String>> {
     let mut start = Vec::new();
     let read = Source::open(path)?.take(MAX_HEADER as u64).read_to_end(&mut start);
@@ -78,7 +77,6 @@ fn encoder<'a>(scene: &'a Scene, start: &str) -> Encoder<'a> {
     })
 }
 
-/// Returns the header up to its elements.
 fn start(world: Option<&World>) -> String {
     format!("{START}{COMMENT}{}\n", World::line(world))
 }
@@ -117,16 +115,16 @@ fn ln(value: f32) -> f32 {
 }
 
 /// Reads a 3D Gaussian Splatting PLY, binary little endian or ASCII, with properties in any order
-/// and type. The number of `f_rest_*` determines the degree, 0 to 3. Quaternions keep their length.
+/// and type. The number of `f_rest_*` determines the degree, 0 to 3.
 ///
 /// # Errors
-/// [`Error::Io`] for failed reads. [`Error::Format`] for truncation, a missing property, or values
-/// that are not finite after activation.
+///
+/// [`Error::Format`] for truncation, a missing property, or values that are not finite after
+/// activation.
 pub fn read_ply(path: impl AsRef<Path>) -> Result<Scene> {
     read_unchecked(Source::open(path.as_ref())?)?.validated(path.as_ref())
 }
 
-/// Reads as [`read_ply`], without validating values.
 fn read_unchecked(source: Source<'_>) -> Result<Scene> {
     let path = source.name;
     let decode = |mut ply: Ply<'_>| if packed::is(&ply) { packed::decode(&mut ply) } else { decode(&mut ply) };
@@ -157,7 +155,6 @@ fn decode(ply: &mut Ply<'_>) -> Parsed<Scene> {
     Ok(scene)
 }
 
-/// Returns the RGB columns per coefficient, and the degree.
 fn sh_columns(table: &Table) -> Parsed<(Vec<[Column; 3]>, u32)> {
     let rest = table.names().filter(|name| name.starts_with("f_rest_")).count();
     let Some(sh_degree) = (0..=Scene::MAX_SH_DEGREE).find(|degree| 3 * degree * (degree + 2) == rest as u32) else {

@@ -12,17 +12,14 @@ use rayon::prelude::*;
 use super::super::Scene;
 use super::table::{Column, Parsed, Ply, Scalar, Table};
 
-/// Gaussians per range.
 const CHUNK: usize = 256;
 /// Width of the coefficients' range, centered on 0.
 const SH_RANGE: f32 = 8.0;
 
-/// Returns true for packed files.
 pub(super) fn is(ply: &Ply<'_>) -> bool {
     ply.has("vertex", "packed_position")
 }
 
-/// Decodes a whole file.
 pub(super) fn decode(ply: &mut Ply<'_>) -> Parsed<Scene> {
     let vertices = ply.table("vertex")?;
     let mut words = Vec::new();
@@ -69,7 +66,6 @@ pub(super) fn decode(ply: &mut Ply<'_>) -> Parsed<Scene> {
     Ok(scene)
 }
 
-/// Returns the RGB columns per coefficient above degree 0, and the degree.
 fn rest_columns(ply: &Ply<'_>, sh: Option<&Table>, count: usize) -> Parsed<(Vec<[Column; 3]>, u32)> {
     let Some(table) = sh else { return Ok((Vec::new(), 0)) };
     if table.count != count {
@@ -88,7 +84,6 @@ fn rest_columns(ply: &Ply<'_>, sh: Option<&Table>, count: usize) -> Parsed<(Vec<
     Ok((columns, sh_degree))
 }
 
-/// Value range of a chunk: positions, log scales, display colors.
 struct Range {
     means: [[f32; 3]; 2],
     scales: [[f32; 3]; 2],
@@ -119,12 +114,10 @@ fn ranges(ply: &mut Ply<'_>, table: &Table) -> Parsed<Vec<Range>> {
     Ok(ranges)
 }
 
-/// Interpolates in a range, exact at both ends.
 fn within([min, max]: &[[f32; 3]; 2], shares: [f32; 3]) -> [f32; 3] {
     std::array::from_fn(|axis| min[axis] * (1.0 - shares[axis]) + max[axis] * shares[axis])
 }
 
-/// Returns the lowest `bits` of a word as a fraction.
 fn share(word: u32, bits: u32) -> f32 {
     let most = (1 << bits) - 1;
     (word & most) as f32 / most as f32

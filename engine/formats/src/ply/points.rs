@@ -1,5 +1,3 @@
-//! Point clouds of structure from motion.
-
 use std::path::Path;
 
 use super::super::{file::write_atomic, source::Source};
@@ -18,8 +16,9 @@ pub struct PointCloud {
 /// Reads positions and 8-bit colors of a PLY's vertices.
 ///
 /// # Errors
-/// [`Error::Io`](crate::Error::Io) for failed reads. [`Error::Format`](crate::Error::Format) for
-/// truncation, missing x, y or z, or values that are not finite.
+///
+/// [`Error::Format`](crate::Error::Format) for truncation, missing x, y or z, or values that are
+/// not finite.
 pub fn read_points(path: impl AsRef<Path>) -> Result<PointCloud> {
     let path = path.as_ref();
     cloud(Source::open(path)?).map_err(|fault| fault.of(path))
@@ -36,7 +35,6 @@ fn cloud(source: Source<'_>) -> Parsed<PointCloud> {
         positions.extend(rows.chunks_exact(table.row_bytes).map(|row| super::read(&at, row)));
         if let Some(color) = &color {
             let rows = rows.chunks_exact(table.row_bytes);
-            // Casting saturates.
             colors.extend(rows.map(|row| super::read(color, row).map(|value| value as u8)));
         }
         Ok(())
@@ -48,9 +46,6 @@ fn cloud(source: Source<'_>) -> Parsed<PointCloud> {
 }
 
 /// Writes a binary little-endian PLY of positions and 8-bit colors atomically.
-///
-/// # Errors
-/// [`Error::Io`](crate::Error::Io) for failed writes.
 pub fn write_points(path: impl AsRef<Path>, points: &[([f32; 3], [u8; 3])]) -> Result<()> {
     let mut header = format!("{}element vertex {}\n", super::start(None), points.len());
     ["x", "y", "z"].iter().for_each(|name| header += &format!("property float {name}\n"));

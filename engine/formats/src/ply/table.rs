@@ -6,20 +6,16 @@ use std::path::Path;
 use crate::Error;
 use crate::source::Source;
 
-/// Maximum bytes of the header.
 pub(super) const MAX_HEADER: usize = 1 << 16;
 /// Rows per read: files are never entirely in memory.
 const BATCH: usize = 1 << 16;
 
 pub(super) enum Fault {
-    /// Failed read.
     Unread(std::io::Error),
-    /// Malformed bytes at an offset.
     Damaged { offset: u64, reason: String },
 }
 
 impl Fault {
-    /// Converts to the error of a file.
     pub(super) fn of(self, path: &Path) -> Error {
         match self {
             Self::Unread(source) => Error::io(path, source),
@@ -30,21 +26,17 @@ impl Fault {
 
 pub(super) type Parsed<T> = Result<T, Fault>;
 
-/// A PLY file with a parsed header. Elements are read in file order.
 pub(super) struct Ply<'a> {
     ascii: bool,
     elements: Vec<Element>,
-    /// Values from the end of the last element read.
     values: Chain<Cursor<Vec<u8>>, Source<'a>>,
-    /// Number of elements read or skipped.
     passed: usize,
-    /// Offset and length of all values, in bytes.
     body: u64,
     body_bytes: u64,
 }
 
 impl<'a> Ply<'a> {
-    /// Parses the header. Compares counts of binary files with the file's length before allocating.
+    /// Compares counts of binary files with the file's length before allocating.
     pub(super) fn open(mut source: Source<'a>) -> Parsed<Self> {
         let (mut start, length) = (Vec::new(), source.length());
         source.by_ref().take(MAX_HEADER as u64).read_to_end(&mut start).map_err(Fault::Unread)?;
@@ -54,7 +46,6 @@ impl<'a> Ply<'a> {
         Ok(Self { ascii, elements, values, passed: 0, body: body as u64, body_bytes })
     }
 
-    /// Returns true if the element has this property.
     pub(super) fn has(&self, element: &str, property: &str) -> bool {
         let found = self.elements.iter().find(|found| found.name == element);
         found.is_some_and(|element| element.properties.iter().any(|(name, _)| name == property))
@@ -64,7 +55,6 @@ impl<'a> Ply<'a> {
         self.elements.iter().any(|found| found.name == element)
     }
 
-    /// Returns an element's layout.
     pub(super) fn table(&self, name: &str) -> Parsed<Table> {
         let Some(position) = self.elements.iter().position(|element| element.name == name) else {
             return Err(self.fault(format!("the header names no {name} element")));
@@ -102,7 +92,7 @@ impl<'a> Ply<'a> {
     }
 
     /// Passes an element's rows to `each` in order: batches with the index of their first row.
-    /// ASCII values become f32. Earlier elements can no longer be read.
+    /// ASCII values become f32.
     pub(super) fn rows(&mut self, table: &Table, mut each: impl FnMut(usize, &[u8]) -> Parsed<()>) -> Parsed<()> {
         if table.position < self.passed {
             let (name, before) = (&table.name, &self.elements[self.passed - 1].name);
@@ -168,26 +158,20 @@ impl<'a> Ply<'a> {
     }
 }
 
-/// An element's row layout.
 pub(super) struct Table {
-    /// Element index in the file.
     position: usize,
     name: String,
-    /// Number of rows.
     pub count: usize,
-    /// Bytes per row.
     pub row_bytes: usize,
     columns: Vec<(String, Column)>,
     body: u64,
 }
 
 impl Table {
-    /// Returns the property names in file order.
     pub(super) fn names(&self) -> impl Iterator<Item = &str> {
         self.columns.iter().map(|(name, _)| name.as_str())
     }
 
-    /// Finds a property.
     pub(super) fn column(&self, name: &str) -> Parsed<Column> {
         let found = self.columns.iter().find(|(column, _)| column == name);
         found.map(|(_, column)| *column).ok_or_else(|| {
@@ -196,7 +180,6 @@ impl Table {
         })
     }
 
-    /// Finds a property of a given type.
     pub(super) fn typed(&self, name: &str, scalar: Scalar) -> Parsed<Column> {
         let column = self.column(name)?;
         if column.scalar != scalar {
@@ -214,7 +197,6 @@ impl Table {
 struct Header {
     ascii: bool,
     elements: Vec<Element>,
-    /// Offset of the elements' values.
     body: usize,
 }
 
@@ -323,7 +305,6 @@ impl Scalar {
     }
 }
 
-/// A property's position in a row.
 #[derive(Clone, Copy)]
 pub(super) struct Column {
     offset: usize,
@@ -331,7 +312,6 @@ pub(super) struct Column {
 }
 
 impl Column {
-    /// Reads the value from a row.
     pub(super) fn read(self, row: &[u8]) -> f32 {
         match self.scalar {
             Scalar::I8 => f32::from(i8::from_le_bytes(self.bytes(row))),
@@ -345,7 +325,6 @@ impl Column {
         }
     }
 
-    /// Reads the u32 value from a row.
     pub(super) fn word(self, row: &[u8]) -> u32 {
         u32::from_le_bytes(self.bytes(row))
     }

@@ -7,10 +7,9 @@ use super::super::{Camera, Intrinsics};
 use super::matrix::{from_opengl, rigid_matrix, whole};
 use super::{Frame, Poses, checked};
 
-/// Tolerance of `aspect`, which some writers round.
 const ASPECT_TOLERANCE: f64 = 1e-2;
 
-/// Parses the cameras in order. Assumes square pixels and ignores `aspect`, as nerfstudio does.
+/// Assumes square pixels and ignores `aspect`, as nerfstudio does.
 pub(super) fn parse(file: &Value) -> Result<Poses, String> {
     check_perspective(file, "camera_type")?;
     let side = |key: &str| whole(file, key, "the file")?.ok_or_else(|| format!("{key}: expected a number of pixels"));

@@ -1,5 +1,3 @@
-//! Poses as JSON matrices.
-
 use glam::{DMat3, DMat4, DVec3};
 use serde_json::Value;
 
@@ -35,7 +33,6 @@ pub(super) fn from_opengl(matrix: DMat4) -> Pose {
     Pose { rotation: pose.rotation * DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)), ..pose }
 }
 
-/// Parses a list of matrices or objects; `lens` is the default lens.
 pub(super) fn parse_list(list: &[Value], lens: &Intrinsics) -> Result<Poses, String> {
     let mut poses = Poses::default();
     for (i, element) in list.iter().enumerate() {
@@ -54,7 +51,6 @@ fn parse_camera(element: &Value, lens: &Intrinsics, label: &str) -> Result<Camer
     }
     let pose = match (element.get("matrix"), element.get("viewmat")) {
         (Some(matrix), None) => pose(matrix)?,
-        // The inverse requires a valid rotation.
         (None, Some(viewmat)) => checked(Camera { intrinsics: *lens, pose: pose(viewmat)? }, label)?.pose.inverse(),
         _ => return Err(format!("{label}: expected a matrix, or an object with either matrix or viewmat")),
     };
@@ -80,7 +76,6 @@ fn parse_lens(camera: &Value, label: &str) -> Result<Option<Intrinsics>, String>
     }
 }
 
-/// Parses a whole number of pixels.
 pub(super) fn whole(value: &Value, key: &str, label: &str) -> Result<Option<u32>, String> {
     let Some(value) = value.get(key).filter(|value| !value.is_null()) else { return Ok(None) };
     let side = value.as_f64().filter(|side| side.fract() == 0.0 && (1.0..=f64::from(u32::MAX)).contains(side));

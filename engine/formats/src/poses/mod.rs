@@ -51,7 +51,6 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// Creates a frame; errors name `label`.
     fn new(name: String, photo: Option<PathBuf>, lens: Lens, pose: Pose, label: &str) -> Result<Self, String> {
         let camera = checked(Camera { intrinsics: lens.intrinsics, pose }, label)?;
         if lens.distortion.is_none() {
@@ -63,9 +62,6 @@ impl Frame {
 
     /// Opens a photo as seen by this frame's camera: undistorted, with pixels as stored regardless
     /// of EXIF orientation.
-    ///
-    /// # Errors
-    /// See [`Image::open`].
     pub fn open(&self, path: impl AsRef<Path>) -> Result<Image> {
         let photo = Image::open_as_stored(path)?;
         match &self.lens {
@@ -77,18 +73,12 @@ impl Frame {
 
 impl Poses {
     /// Determines the scene scale for a reconstruction from `views`, see [`Unit::of`].
-    ///
-    /// # Errors
-    /// See [`Unit::of`].
     pub fn unit(&self, given: Option<f64>, views: &[Camera], origin: &Pose) -> Result<Unit> {
         let cameras: Vec<Pose> = self.frames.iter().map(|frame| frame.camera.pose).collect();
         Unit::of(given, &cameras, self.points.as_deref(), views, origin)
     }
 
     /// Returns the cameras of `photos`, matched as in [`Poses::frames_of`].
-    ///
-    /// # Errors
-    /// See [`Poses::frames_of`].
     pub fn for_photos(&self, photos: &[impl AsRef<Path>]) -> Result<Vec<Camera>> {
         Ok(self.frames_of(photos)?.into_iter().map(|frame| frame.camera).collect())
     }
@@ -115,7 +105,6 @@ impl Poses {
         Ok(frames)
     }
 
-    /// Returns the error for a photo without a camera.
     fn lacks(&self, photo: &Path) -> Error {
         let what = format!("camera of {}", photo.display());
         let is_same = |place: &&PathBuf| [photo.file_name(), photo.file_stem()].contains(&place.file_name());
@@ -131,6 +120,7 @@ impl Poses {
     /// Returns the frame of a photo, matched as in [`Poses::frames_of`]; `None` if no name matches.
     ///
     /// # Errors
+    ///
     /// [`Error::Argument`] for several equal matches.
     pub fn frame_of(&self, photo: impl AsRef<Path>) -> Result<Option<&Frame>> {
         let photo = photo.as_ref();
@@ -139,7 +129,6 @@ impl Poses {
         };
         let mut found = named(photo.file_name());
         if found.is_empty() {
-            // Frames may be named without extension.
             found = named(photo.file_stem());
         }
         let common = |frame: &Frame| common_folders(photo, Path::new(&frame.name));
@@ -154,7 +143,6 @@ impl Poses {
         }
     }
 
-    /// Lists the photos with cameras, for messages.
     fn names(&self) -> String {
         let names: Vec<&str> = self.frames.iter().take(3).map(|frame| frame.name.as_str()).collect();
         let more = if self.frames.len() > names.len() { ", ..." } else { "" };
@@ -162,7 +150,6 @@ impl Poses {
     }
 }
 
-/// Counts the common folders directly above the file.
 fn common_folders(a: &Path, b: &Path) -> usize {
     let above = |path: &Path| path.parent().map(Path::to_path_buf).unwrap_or_default();
     let (a, b) = (above(a), above(b));
@@ -180,8 +167,9 @@ const TRANSFORMS: [&str; 2] = ["transforms.json", "transforms_train.json"];
 /// with frames next to it or in a folder of its name.
 ///
 /// # Errors
-/// [`Error::Io`] for failed reads, [`Error::Format`] with file, frame and field for malformed
-/// files, [`Error::Argument`] if `path` has no known cameras.
+///
+/// [`Error::Format`] with file, frame and field for malformed files, [`Error::Argument`] if `path`
+/// has no known cameras.
 pub fn read_poses(path: impl AsRef<Path>) -> Result<Poses> {
     let path = path.as_ref();
     let found = path.metadata().map_err(|source| Error::io(path, source))?;
@@ -210,9 +198,6 @@ pub fn read_poses(path: impl AsRef<Path>) -> Result<Poses> {
 /// List elements are camera-to-world matrices with OpenCV axes (4 x 4 or flat), or objects with
 /// `matrix` (the same) or `viewmat` (world-to-camera). Objects may have their own lens: `fx`,
 /// `width`, `height`, and optionally `fy`, `cx`, `cy`. The default is `lens`.
-///
-/// # Errors
-/// See [`read_poses`].
 pub fn read_cameras(path: impl AsRef<Path>, lens: &Intrinsics) -> Result<Poses> {
     let path = path.as_ref();
     if path.is_file() && path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json")) {
@@ -232,16 +217,12 @@ pub fn read_cameras(path: impl AsRef<Path>, lens: &Intrinsics) -> Result<Poses> 
 }
 
 /// Reads a point cloud in its cameras' world: a PLY, or COLMAP's `points3D.bin` or `points3D.txt`.
-///
-/// # Errors
-/// See [`read_points`](super::read_points).
 pub fn read_cloud(path: impl AsRef<Path>) -> Result<PointCloud> {
     let path = path.as_ref();
     let is_colmap = path.file_stem().is_some_and(|stem| stem == "points3D");
     if is_colmap { colmap::read_points(path) } else { super::read_points(path) }
 }
 
-/// Validates a camera and orthonormalizes its rotation; errors name `label`.
 fn checked(mut camera: Camera, label: &str) -> Result<Camera, String> {
     camera.validate(label).map_err(|error| error.to_string())?;
     camera.pose.rotation = matrix_from_quaternion(quaternion_from_matrix(&camera.pose.rotation));

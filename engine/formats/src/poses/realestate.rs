@@ -13,14 +13,12 @@ use crate::{Error, Result};
 /// world-to-camera matrix.
 const NUMBERS: usize = 19;
 
-/// Returns true for a text file that starts with a URL.
 pub(super) fn is_file(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension == "txt")
         && read_file(path).is_ok_and(|bytes| bytes.starts_with(b"http"))
 }
 
-/// Reads a camera file. Frames are named by microseconds, next to the file or in a folder of its
-/// name.
+/// Frames are named by microseconds, next to the file or in a folder of its name.
 pub(super) fn read(path: &Path) -> Result<Poses> {
     let bytes = read_file(path)?;
     let text = str::from_utf8(&bytes).map_err(|error| Error::format(path, None, error.to_string()))?;
@@ -55,13 +53,11 @@ pub(super) fn read(path: &Path) -> Result<Poses> {
     Ok(poses)
 }
 
-/// Scales relative intrinsics to pixels.
 fn intrinsics(shares: &[f64], width: u32, height: u32) -> Intrinsics {
     let [w, h] = [width, height].map(f64::from);
     Intrinsics { width, height, fx: shares[0] * w, fy: shares[1] * h, cx: shares[2] * w, cy: shares[3] * h }
 }
 
-/// Converts a 3 x 4 world-to-camera matrix to camera-to-world.
 fn pose(rows: &[f64]) -> Pose {
     let column = |i: usize| DVec3::new(rows[i], rows[4 + i], rows[8 + i]);
     Pose { rotation: DMat3::from_cols(column(0), column(1), column(2)), translation: column(3) }.inverse()

@@ -11,10 +11,8 @@ use super::matrix::{from_opengl, rigid_matrix};
 use super::{Frame, Poses};
 use crate::{Error, Result};
 
-/// Extensions tried if `file_path` has none.
 const EXTENSIONS: [&str; 6] = ["png", "jpg", "jpeg", "webp", "JPG", "PNG"];
 
-/// Parse result; [`read`] adds the file name to errors.
 type Parsed<T> = std::result::Result<T, String>;
 
 pub(super) fn read(path: &Path) -> Result<Poses> {
@@ -50,7 +48,6 @@ fn parse(shared: &Value, folder: &Path) -> Parsed<Poses> {
     Ok(poses)
 }
 
-/// Finds a photo by name, with or without extension.
 pub(super) fn find_photo(folder: &Path, name: &str) -> Option<PathBuf> {
     let path = folder.join(name);
     let extended = EXTENSIONS.iter().map(|extension| {
@@ -82,7 +79,6 @@ impl<'a> Fields<'a> {
         self.get(key).map(|value| value.as_f64().ok_or_else(|| self.lacks(key))).transpose()
     }
 
-    /// Returns the stored size, or the photo's.
     fn size(&self, photo: Option<&Path>) -> Parsed<Option<(u32, u32)>> {
         let side = |key: &str| {
             let Some(side) = self.number(key)? else { return Ok(None) };
@@ -95,8 +91,7 @@ impl<'a> Fields<'a> {
         }
     }
 
-    /// Parses OpenCV coefficients. Without `k5` and `k6`, nerfstudio's `k4` is the coefficient of
-    /// r⁸.
+    /// Without `k5` and `k6`, nerfstudio's `k4` is the coefficient of r⁸.
     fn distortion(&self) -> Parsed<Distortion> {
         let k = |key: &str| Ok::<_, String>(self.number(key)?.unwrap_or(0.0));
         let [k1, k2, k3, k4] = [k("k1")?, k("k2")?, k("k3")?, k("k4")?];
@@ -142,8 +137,8 @@ impl<'a> Fields<'a> {
 /// paths relative to the file.
 ///
 /// # Errors
-/// [`Error::Argument`] for an invalid camera or different numbers of cameras and names,
-/// [`Error::Io`] for failed writes.
+///
+/// [`Error::Argument`] for an invalid camera or different numbers of cameras and names.
 pub fn write_transforms(path: impl AsRef<Path>, cameras: &[Camera], names: &[impl AsRef<str>]) -> Result<()> {
     if cameras.len() != names.len() {
         return Err(Error::argument("names", names.len(), format!("one for each of {} cameras", cameras.len())));
@@ -157,15 +152,13 @@ pub fn write_transforms(path: impl AsRef<Path>, cameras: &[Camera], names: &[imp
 /// relative path.
 ///
 /// # Errors
-/// [`Error::Argument`] for an invalid camera, [`Error::Io`] for failed writes.
+///
+/// [`Error::Argument`] for an invalid camera.
 pub fn write_frames(path: impl AsRef<Path>, frames: &[Frame], points: Option<&str>) -> Result<()> {
     write_frames_with(path, frames, points, &[])
 }
 
 /// Writes frames as [`write_frames`], with optional extra fields per frame.
-///
-/// # Errors
-/// See [`write_frames`].
 pub fn write_frames_with(
     path: impl AsRef<Path>,
     frames: &[Frame],
@@ -200,10 +193,8 @@ pub fn write_frames_with(
     })
 }
 
-/// Camera model without distortion.
 const PINHOLE: &str = "PINHOLE";
 
-/// Returns a frame's model, intrinsics and nonzero coefficients, as parsed by [`Fields`].
 fn lens_fields(frame: &Frame) -> Map<String, Value> {
     let Some(lens) = &frame.lens else {
         let model = ("camera_model".to_owned(), json!(PINHOLE));

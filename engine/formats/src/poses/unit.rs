@@ -12,7 +12,6 @@ use std::{
 /// Minimum mean squared sine of the angles between optical axes and their mean direction. Above it,
 /// the axes' nearest point measures distance; below, it may be anywhere.
 const CONVERGING: f64 = 0.05;
-/// Maximum ratio between the distances of the first and the median camera from that point.
 const FARTHER: f64 = 2.0;
 
 /// The network's unit of length in the cameras' unit, and its source. In training, the median depth
@@ -46,6 +45,7 @@ impl Unit {
     /// pose in the world of `cameras`.
     ///
     /// # Errors
+    ///
     /// A point cloud that cannot be read.
     pub fn of(
         given: Option<f64>,
@@ -128,7 +128,6 @@ fn of_axes(cameras: &[Pose], first: &Pose) -> Option<f64> {
     let (mut sum, mut moment) = (DMat3::ZERO, DVec3::ZERO);
     for pose in cameras {
         let axis = pose.rotation.z_axis;
-        // Projects onto the plane perpendicular to the axis.
         let across = DMat3::IDENTITY - DMat3::from_cols(axis * axis.x, axis * axis.y, axis * axis.z);
         sum += across;
         moment += across * pose.translation;
@@ -158,7 +157,6 @@ fn smallest_eigenvalue(m: DMat3) -> f64 {
     mean + 2.0 * radius * (angle + 2.0 * std::f64::consts::FRAC_PI_3).cos()
 }
 
-/// Returns the root mean square of distances between cameras.
 fn of_spread(cameras: &[Pose]) -> Option<f64> {
     let count = cameras.len() as f64;
     let centre = cameras.iter().map(|pose| pose.translation).sum::<DVec3>() / count;
@@ -188,7 +186,6 @@ mod tests {
         let orbit = Orbit { center: DVec3::new(30.0, -10.0, 200.0), radius: 40.0 };
         let (length, source) = found(orbit.sweep(7, 13.0, 200.0, -25.0));
         assert!((length - 40.0).abs() < 1e-9 && source == Source::Axes, "{length} {source:?}");
-        // The first camera's own distance, within twice the median.
         let mut cameras = orbit.sweep(7, 13.0, 200.0, -25.0);
         cameras[0].translation = orbit.center - 20.5 * cameras[0].rotation.z_axis;
         assert!((found(cameras.clone()).0 - 20.5).abs() < 1e-9);

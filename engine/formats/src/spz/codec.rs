@@ -7,7 +7,6 @@ use crate::{Scene, axes::HalfTurn::AboutX, camera::unit_quaternion};
 
 /// Bits of a position's magnitude: 24 with sign.
 pub(super) const POSITION_BITS: u32 = 23;
-/// Maximum fractional bits written.
 pub(super) const MAX_FRACTIONAL_BITS: u32 = 16;
 /// Natural logarithm of the smallest scale, and levels per factor of e.
 const MIN_LOG_SCALE: f32 = -10.0;
@@ -27,7 +26,6 @@ pub(super) struct Layout {
     pub fractional_bits: u32,
 }
 
-/// Returns the maximum fractional bits that fit every position.
 pub(super) fn fractional_bits(scene: &Scene) -> Result<u32> {
     let farthest = scene.means.iter().flatten().fold(0f32, |farthest, value| farthest.max(value.abs()));
     let limit = (1 << POSITION_BITS) as f32 - 1.0;
@@ -46,7 +44,6 @@ impl Layout {
         if self.version == 2 { 3 } else { 4 }
     }
 
-    /// Number of coefficients above degree 0.
     fn rest(&self) -> usize {
         (self.sh_degree as usize + 1).pow(2) - 1
     }
@@ -56,12 +53,10 @@ impl Layout {
         [9, 1, 3, 3, self.rotation_bytes(), 3 * self.rest()]
     }
 
-    /// Returns the bytes per Gaussian over all sections.
     pub(super) fn gaussian_bytes(&self) -> usize {
         self.section_bytes().iter().sum()
     }
 
-    /// Passes the sections to `write` in file order.
     pub(super) fn encode(
         &self,
         scene: &Scene,
@@ -88,7 +83,6 @@ impl Layout {
         write(rest.flat_map(level).collect())
     }
 
-    /// Decodes `count` Gaussians from `body`, which has exactly their bytes.
     pub(super) fn decode(&self, body: &[u8], count: usize) -> Scene {
         let mut rest = body;
         let mut section = |bytes: usize| {
@@ -99,7 +93,6 @@ impl Layout {
         let [positions, alphas, colors, scales] = [9, 1, 3, 3].map(&mut section);
         let (rotations, sh) = (section(self.rotation_bytes()), section(3 * self.rest()));
         let one = (1u32 << self.fractional_bits) as f32;
-        // The arithmetic shift extends the sign of the third byte.
         let fixed = |b: &[u8; 3]| (i32::from_le_bytes([0, b[0], b[1], b[2]]) >> 8) as f32 / one;
         let triples = |bytes| <[u8]>::as_chunks::<3>(bytes).0;
         let quats = if self.version == 2 {
@@ -133,7 +126,6 @@ impl Layout {
     }
 }
 
-/// Rounds and saturates.
 fn byte(value: f32) -> u8 {
     value.round() as u8
 }
@@ -141,7 +133,6 @@ fn byte(value: f32) -> u8 {
 /// Quantizes coefficient `k` to its bucket's center; 128 represents 0, 128 levels represent 1.
 fn sh_level(value: f32, k: usize) -> u8 {
     let bucket = if k < 4 { SH_BUCKETS[0] } else { SH_BUCKETS[1] };
-    // Prevents overflow far out of range.
     let level = (128.0 * value).round().clamp(-256.0, 256.0) as i32 + 128;
     (level + bucket / 2).div_euclid(bucket).saturating_mul(bucket).clamp(0, 255) as u8
 }

@@ -6,14 +6,13 @@ use std::io::Write;
 use flate2::{Compress, Compression, Crc, FlushCompress};
 use rayon::prelude::*;
 
-/// Bytes per part. Matches across parts are lost, which costs little at this size.
+/// Matches across parts are lost, which costs little at this size.
 const PART: usize = 1 << 20;
 /// Deflate with a comment; no name, time or system.
 const START: [u8; 10] = [0x1f, 0x8b, 8, 16, 0, 0, 0, 0, 0, 0xff];
 /// Empty final deflate block.
 const LAST_BLOCK: [u8; 2] = [3, 0];
 
-/// An unfinished stream.
 pub(super) struct Gzip<'a> {
     out: &'a mut dyn Write,
     sum: Crc,

@@ -33,11 +33,9 @@ const MAGIC: u32 = 0x5053_474e;
 const HEADER: usize = 16;
 /// Flag for records after the attributes. They do not affect these and are skipped.
 const HAS_EXTENSIONS: u8 = 2;
-/// Maximum bytes of skipped records.
 const MAX_EXTENSIONS: u64 = 1 << 20;
 /// Limit on bytes inflated per file byte, beyond real compression, against hostile files.
 const MAX_INFLATION: u64 = 64;
-/// Bytes inflated regardless of file size.
 const ALWAYS_INFLATED: u64 = 64 << 20;
 
 /// Writes an SPZ of `version` 2, 3 or 4 atomically.
@@ -48,19 +46,17 @@ const ALWAYS_INFLATED: u64 = 64 << 20;
 /// of range are clamped.
 ///
 /// # Errors
-/// [`Error::Argument`] if the scene is invalid, a position exceeds 2²³ or the version is unknown;
-/// [`Error::Io`] for failed writes.
+///
+/// [`Error::Argument`] if the scene is invalid, a position exceeds 2²³ or the version is unknown.
 pub fn write_spz(scene: &Scene, path: impl AsRef<Path>, version: u32) -> Result<()> {
     FORMAT.write_file(path.as_ref(), scene, &WriteOptions { spz_version: version }, None)
 }
 
-/// Reads the line of [`World::line`] from the gzip comment, if present.
 fn read_line(path: &Path) -> Result<Option<String>> {
     let decoder = GzDecoder::new(Source::open(path)?);
     Ok(decoder.header().and_then(|header| header.comment()).map(|bytes| String::from_utf8_lossy(bytes).into_owned()))
 }
 
-/// Stores the world in the gzip comment; version 4 cannot store it.
 fn encoder<'a>(scene: &'a Scene, options: &WriteOptions, world: Option<&World>) -> Result<Encoder<'a>> {
     let (version, comment) = (options.spz_version, World::line(world));
     if !matches!(version, 2..=4) {
@@ -85,20 +81,19 @@ fn encoder<'a>(scene: &'a Scene, options: &WriteOptions, world: Option<&World>) 
 /// Reads an SPZ of version 2, 3 or 4 and degree 0 to 3.
 ///
 /// # Errors
-/// [`Error::Io`] for failed reads. [`Error::Format`] for damage, truncation, trailing data, or an
-/// unknown version, degree or axes. Offsets refer to the inflated stream; in version 4 to the file.
+///
+/// [`Error::Format`] for damage, truncation, trailing data, or an unknown version, degree or axes.
+/// Offsets refer to the inflated stream; in version 4 to the file.
 pub fn read_spz(path: impl AsRef<Path>) -> Result<Scene> {
     read_unchecked(Source::open(path.as_ref())?)?.validated(path.as_ref())
 }
 
-/// Reads as [`read_spz`], without validating values.
 fn read_unchecked(mut source: Source<'_>) -> Result<Scene> {
     let bytes = source.rest()?;
     decode(&bytes).map_err(|Fault { offset, reason }| Error::format(source.name, offset.map(|at| at as u64), reason))
 }
 
 impl Layout {
-    /// Returns the layout of a header; its two bytes have the same place in all versions.
     fn of_header(version: u32, sh_degree: u8, fractional_bits: u8) -> std::result::Result<Self, Fault> {
         let fault = |offset: usize, reason: String| Err(Fault { offset: Some(offset), reason });
         if u32::from(sh_degree) > Scene::MAX_SH_DEGREE {
@@ -112,7 +107,6 @@ impl Layout {
     }
 }
 
-/// Failure reason and byte offset, in the inflated stream or a file of version 4.
 struct Fault {
     offset: Option<usize>,
     reason: String,

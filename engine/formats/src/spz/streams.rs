@@ -14,11 +14,9 @@ const VERSION: u32 = 4;
 /// Limit on bytes per file byte, as in deflate.
 const MAX_INFLATION: u64 = 1032;
 const HEADER: usize = 32;
-/// Bytes of a table entry: compressed and plain size.
 const ENTRY: usize = 16;
 /// Minimum window limit that the zstd specification recommends.
 const MIN_WINDOW: u64 = 8 << 20;
-/// Extension for axes, and its value for the usual ones.
 const COORDINATE_SYSTEM: u32 = 0xadbe_0003;
 const RIGHT_UP_BACK: u32 = 4;
 
@@ -28,7 +26,6 @@ fn fault<T>(offset: usize, reason: String) -> Parsed<T> {
     Err(Fault { offset: Some(offset), reason })
 }
 
-/// Decodes a whole file.
 pub(super) fn decode(bytes: &[u8]) -> Parsed<Scene> {
     if bytes.len() < HEADER {
         return fault(bytes.len(), format!("truncated: found {} bytes, expected a header of {HEADER}", bytes.len()));
@@ -51,7 +48,6 @@ pub(super) fn decode(bytes: &[u8]) -> Parsed<Scene> {
     }
     let sections: Vec<usize> = layout.section_bytes().map(|section| section * count as usize).to_vec();
     let streams = streams(bytes, table, &sections)?;
-    // Concatenates the sections as in older versions.
     let mut body = vec![0; sections.iter().sum()];
     let mut parts = Vec::new();
     let mut rest = &mut body[..];
@@ -68,7 +64,6 @@ pub(super) fn decode(bytes: &[u8]) -> Parsed<Scene> {
     Ok(layout.decode(&body, count as usize))
 }
 
-/// Reads a little-endian word; the offset must be in bounds.
 fn word(bytes: &[u8], at: usize) -> u32 {
     u32::from_le_bytes(std::array::from_fn(|byte| bytes[at + byte]))
 }
@@ -94,16 +89,13 @@ fn check_axes(zone: &[u8]) -> Parsed<()> {
     Ok(())
 }
 
-/// A compressed section.
 struct Stream {
-    /// Index in the table, from 1.
     number: usize,
     offset: usize,
     packed: usize,
     plain: usize,
 }
 
-/// Returns the streams of non-empty sections in the table. Their bytes must end with the file.
 fn streams(bytes: &[u8], table: usize, sections: &[usize]) -> Parsed<Vec<Stream>> {
     let expected: Vec<usize> = sections.iter().copied().filter(|bytes| *bytes > 0).collect();
     let listed = usize::from(bytes[15]);
@@ -160,7 +152,6 @@ fn inflate(packed: &[u8], section: &mut [u8]) -> std::result::Result<(), String>
     }
 }
 
-/// Writes a scene of `count` Gaussians, compressing sections in parallel.
 pub(super) fn write(layout: &Layout, scene: &Scene, count: u32, out: &mut dyn Write) -> std::io::Result<()> {
     let mut sections = Vec::new();
     layout.encode(scene, |section| {

@@ -1,5 +1,3 @@
-//! A straight path along a camera's view axis.
-
 use super::super::{Camera, Intrinsics};
 use super::path;
 use crate::{Error, Result};

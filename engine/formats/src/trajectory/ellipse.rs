@@ -1,5 +1,3 @@
-//! An ellipse around a scene, fitted to its cameras.
-
 use glam::{DMat3, DVec3};
 
 use super::super::{Camera, Pose};
@@ -27,10 +25,11 @@ pub struct Ellipse {
 }
 
 impl Ellipse {
-    /// Fits the ellipse with the mean and covariance of the camera centers in the plane. Cameras
-    /// evenly on a circle give that circle. For parallel view axes the target is `center`.
+    /// Fits the ellipse with the mean and covariance of the camera centers in the plane. For
+    /// parallel view axes the target is `center`.
     ///
     /// # Errors
+    ///
     /// [`Error::Argument`] without cameras, for an invalid camera, coincident cameras, or an
     /// undefined mean up.
     pub fn around(cameras: &[Camera], center: DVec3) -> Result<Self> {
@@ -74,6 +73,7 @@ impl Ellipse {
 /// Returns the normalized mean of the cameras' up vectors.
 ///
 /// # Errors
+///
 /// [`Error::Argument`] if their mean vanishes.
 pub fn mean_up(cameras: &[Camera]) -> Result<DVec3> {
     let up = cameras.iter().map(|camera| -camera.pose.rotation.y_axis).sum::<DVec3>() / cameras.len().max(1) as f64;

@@ -1,16 +1,11 @@
-//! Camera paths around a scene in the first view's camera frame.
-
 use glam::DVec3;
 
 use super::super::{Pose, Scene};
 use super::{looking, path};
 use crate::{Error, Result};
 
-/// Fraction of the Gaussians within the orbit's radius, before its margin.
 const RADIUS_QUANTILE: f64 = 0.9;
-/// Orbit radius over scene radius.
 const RADIUS_MARGIN: f64 = 1.2;
-/// OpenCV axes: y points down.
 const UP: DVec3 = DVec3::NEG_Y;
 
 /// Cameras on a sphere that look at its center. Angles are in degrees: azimuth turns right,
@@ -28,6 +23,7 @@ impl Orbit {
     /// radius 1.2 times the 0.9 quantile of distances, linearly interpolated.
     ///
     /// # Errors
+    ///
     /// [`Error::Argument`] if the scene is empty.
     pub fn around(scene: &Scene) -> Result<Self> {
         if scene.is_empty() {
@@ -57,15 +53,13 @@ impl Orbit {
         path(frames).map(|t| self.pose(start + degrees * t, elevation)).collect()
     }
 
-    /// Returns `frames` cameras on a figure eight about the front, for scenes without a back. The
-    /// reference uses 16 degrees of azimuth and 2 of elevation.
+    /// Returns `frames` cameras on a figure eight about the front, for scenes without a back.
     pub fn wiggle(&self, frames: usize, azimuth: f64, elevation: f64) -> Vec<Pose> {
         let turn = std::f64::consts::TAU;
         path(frames).map(|t| self.pose(azimuth * (turn * t).sin(), elevation * (2.0 * turn * t).sin())).collect()
     }
 }
 
-/// Returns the quantile of a non-empty set, interpolated between ranks.
 fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
     let rank = share * (values.len() - 1) as f64;
     let (_, &mut low, above) = values.select_nth_unstable_by(rank as usize, f64::total_cmp);

@@ -17,9 +17,7 @@ const LOOKING: f64 = 0.9;
 #[derive(Clone, Debug)]
 pub struct Spline {
     keys: Vec<Key>,
-    /// Time from each camera to the next, cyclic for closed paths.
     intervals: Vec<f64>,
-    /// Point of each camera's axis nearest to the common target, if any.
     targets: Option<Vec<DVec3>>,
 }
 
@@ -27,9 +25,7 @@ pub struct Spline {
 struct Key {
     camera: Camera,
     rotation: DQuat,
-    /// Time derivative of the center.
     velocity: DVec3,
-    /// Squad's inner control rotation.
     control: DQuat,
 }
 
@@ -98,7 +94,6 @@ impl Spline {
         if closed { closed_path(frames).map(camera).collect() } else { path(frames).map(camera).collect() }
     }
 
-    /// Returns the position at a time.
     fn position(&self, mut time: f64) -> f64 {
         for (i, interval) in self.intervals.iter().enumerate() {
             if time < *interval {
@@ -118,7 +113,6 @@ impl Key {
     }
 }
 
-/// Returns the point of each camera's axis nearest to the common target, if any.
 fn targets(cameras: &[Camera]) -> Option<Vec<DVec3>> {
     let centre = cameras.iter().map(|camera| camera.pose.translation).sum::<DVec3>() / cameras.len() as f64;
     let focus = focus(cameras, centre);
@@ -141,7 +135,6 @@ fn intervals(cameras: &[Camera], closed: bool) -> Vec<f64> {
     roots.into_iter().map(|root| if least > 0.0 { root.max(least) } else { 1.0 }).collect()
 }
 
-/// Returns velocity and inner control rotation at a key. Open ends are extrapolated.
 fn tangents(keys: &[Key], intervals: &[f64], i: usize) -> (DVec3, DQuat) {
     let closed = intervals.len() == keys.len();
     let before = i.checked_sub(1).or(closed.then_some(keys.len() - 1));

@@ -35,7 +35,6 @@ impl Run {
         Ok(())
     }
 
-    /// Recreates descriptors for the current memory. Commands follow on demand.
     fn rebind(&mut self) -> Result<()> {
         self.settle()?;
         self.discard_batches();
@@ -45,7 +44,6 @@ impl Run {
         self.make_twins()
     }
 
-    /// Prepares a submission of the plan.
     pub(crate) fn begin(&mut self) -> Result<()> {
         self.bind()?;
         self.check_inputs()

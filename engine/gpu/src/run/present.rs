@@ -1,5 +1,3 @@
-//! Copies of results into an app's images and buffers on the device.
-
 use super::Run;
 use crate::{
     Error, Result, Tensor,
@@ -74,10 +72,11 @@ impl Run {
     /// drop, wait for the copy.
     ///
     /// # Errors
-    /// [`Error::Argument`] for invalid handles or layouts, [`Error::DeviceLost`], or a driver
-    /// error.
+    ///
+    /// [`Error::Argument`] for invalid handles or layouts, [`Error::DeviceLost`].
     ///
     /// # Panics
+    ///
     /// If the tensor is not an output of this plan.
     pub fn present(&mut self, tensor: Tensor, target: &Target) -> Result<()> {
         let handle = match target.place {

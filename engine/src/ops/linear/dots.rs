@@ -10,7 +10,6 @@ use crate::{
     kernels::ops,
 };
 
-/// Default candidates.
 const BY_RULE: usize = 2;
 
 impl Linear {

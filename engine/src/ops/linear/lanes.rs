@@ -1,5 +1,3 @@
-//! Linear layers on lanes: kernels and tiles.
-
 use super::{
     super::{
         rows::Rows,
@@ -83,7 +81,6 @@ impl LaneTile {
         tiles.filter(|tile| tile.fits(limits, shared_bytes(tile))).collect()
     }
 
-    /// Lanes per workgroup.
     pub(super) fn lanes(&self) -> u32 {
         self.sides.iter().product::<u32>() / self.lane.iter().product::<u32>()
     }
@@ -110,7 +107,6 @@ impl fmt::Display for LaneTile {
     }
 }
 
-/// Whether ops/linear_uniform applies.
 fn is_uniform(limits: &Limits, types: [Element; 2]) -> bool {
     types == [Element::F32; 2] && divides_panels(limits)
 }

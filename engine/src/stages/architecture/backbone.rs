@@ -1,5 +1,3 @@
-//! Sizes of a backbone.
-
 use crate::ops::Ffn;
 use serde::{Deserialize, Serialize};
 

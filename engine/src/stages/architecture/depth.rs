@@ -1,5 +1,3 @@
-//! Sizes of a Depth Anything 3 network.
-
 use super::{BackboneArchitecture, CameraEncoderArchitecture, MAX_DEPTH, MAX_SIZE};
 use crate::{
     Error, Result,

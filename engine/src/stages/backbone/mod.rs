@@ -18,13 +18,10 @@ pub trait Backbone: Send + Sync {
     fn inputs(&self, rec: &mut Recorder, grid: ViewGrid, cameras: bool) -> Vec<Tensor>;
 
     /// Records the backbone for `images` `[views, 3, height, width]` f32, RGB in 0..1. Returns f32
-    /// tokens per out layer, deepest first. Global attention pools `pool` x `pool` keys.
+    /// tokens per out layer, deepest first.
     fn record(&self, rec: &mut Recorder, images: Tensor, inputs: &[Tensor], grid: ViewGrid, pool: usize) -> Vec<Rows>;
 
     /// Writes the inputs, with cameras in network units.
-    ///
-    /// # Errors
-    /// Failed transfers; unusable cameras.
     fn write(
         &self,
         run: &mut Run,

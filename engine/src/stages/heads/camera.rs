@@ -1,5 +1,3 @@
-//! Camera decoder.
-
 use super::convolution::{Convolution, How};
 use crate::{
     gpu::{Recorder, Tensor},

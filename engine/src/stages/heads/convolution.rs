@@ -1,5 +1,3 @@
-//! Convolutions of feature maps.
-
 use crate::{
     gpu::Recorder,
     kernels::{heads as kernels, limits::LINEAR_ROWS, ops::Im2col},
@@ -43,7 +41,6 @@ impl Convolution {
         Self { layer: p.planar_convolution(name, channels, 3, false), side: 3, step: 1 }
     }
 
-    /// A 1 x 1 convolution with `NAME.weight` `[outputs, inputs]`.
     pub(super) fn linear(p: &mut ParameterLayout, name: &str, [inputs, outputs]: [usize; 2]) -> Self {
         Self { layer: p.exact_linear(name, inputs, outputs), side: 1, step: 1 }
     }
@@ -103,7 +100,6 @@ impl Convolution {
         }
     }
 
-    /// Zero-padded, optionally after ReLU.
     fn bordered(&self, rec: &mut Recorder, source: FeatureMap, rectified: bool) -> FeatureMap {
         let (padding, channels) = (self.padding(), source.channels());
         if padding == 0 && !rectified {
@@ -142,7 +138,6 @@ impl Convolution {
     fn uniform(&self, rec: &mut Recorder, source: FeatureMap, out: FeatureMap, how: How) {
         let (Self { layer, side, step }, [tile_rows, vectors]) = (self, UNIFORM_TILE);
         let tile_columns = vectors * rec.limits().subgroup_size;
-        // Input lines per output line, plus overlap.
         let seen = step + side;
         let each = [out.line_bytes(), seen * source.line_bytes(), out.width * NARROWEST];
         for lines in row_chunks(rec, out.height, &each) {

@@ -1,5 +1,3 @@
-//! Dense heads: depth, rays and sky.
-
 use super::{
     convolution::{Convolution, How},
     fusion::Fusion,
@@ -19,9 +17,7 @@ pub(super) struct Dpt {
     fusion: Fusion,
     neck: Convolution,
     depth: Tail,
-    /// For joint views.
     rays: Option<RayHead>,
-    /// For separate views.
     sky: Option<Tail>,
     placed: bool,
 }

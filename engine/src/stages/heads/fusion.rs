@@ -1,5 +1,3 @@
-//! Fuses levels from deep to shallow.
-
 use super::convolution::{Convolution, How};
 use crate::{
     gpu::Recorder,
@@ -9,7 +7,6 @@ use crate::{
 /// Fusion steps, shallowest first.
 pub(super) struct Fusion {
     steps: [Step; 4],
-    /// Suffix of observed names.
     suffix: &'static str,
 }
 
@@ -47,7 +44,6 @@ impl Fusion {
         Self { steps: [0, 1, 2, 3].map(step), suffix }
     }
 
-    /// Returns a map of twice the shallowest size.
     pub fn record(&self, rec: &mut Recorder, tap: &str, levels: &[FeatureMap; 4]) -> FeatureMap {
         let mut below: Option<FeatureMap> = None;
         for (j, step) in self.steps.iter().enumerate().rev() {

@@ -1,5 +1,3 @@
-//! The head for pixel-aligned Gaussians.
-
 use super::{
     convolution::{Convolution, How},
     fusion::Fusion,
@@ -16,7 +14,6 @@ use crate::{
 /// Pixel offset 2, scale 3, quaternion 4, SH 27, depth offset, opacity.
 pub const GAUSSIAN_VALUES: usize = 38;
 
-/// Image channels, padded to vec4.
 const PICTURE: usize = 4;
 
 pub(super) struct GaussianHead {

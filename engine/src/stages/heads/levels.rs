@@ -16,7 +16,6 @@ pub(super) struct Levels {
     norm: Option<Norm>,
     placed: bool,
     projects: [Linear; 4],
-    /// Layers with biases.
     spread: [(Linear, Tensor); 2],
     reduce: Convolution,
     layers: [Convolution; 4],

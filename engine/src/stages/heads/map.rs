@@ -1,5 +1,3 @@
-//! Resizing of feature maps.
-
 use super::position::Positions;
 use crate::{
     gpu::{Element, Recorder, Tensor},
@@ -19,7 +17,6 @@ impl FeatureMap {
         let channels = self.channels();
         let out = Self::scratch(rec, name, size, channels);
         let table = positions.map(|positions| positions.table(rec, size, channels));
-        // Input lines per output line, plus overlap.
         let seen = self.height.div_ceil(out.height) + 1;
         for lines in row_chunks(rec, out.height, &[out.line_bytes(), seen * self.line_bytes()]) {
             let place = |line: usize| line * (self.height - 1) / (out.height - 1).max(1);
@@ -44,7 +41,6 @@ impl FeatureMap {
         out
     }
 
-    /// Transposed convolution of stride `side`.
     pub(super) fn spread(&self, rec: &mut Recorder, name: &str, side: usize, layer: &Linear, bias: Tensor) -> Self {
         let values = layer.apply(rec, "spread", self.rows, Element::F32, Default::default());
         let values = Self::new(values, self.size());

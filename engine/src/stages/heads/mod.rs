@@ -78,9 +78,6 @@ impl DepthHeads {
 
 impl HeadTensors {
     /// Writes positions and, for Gaussians, normalized `images` `[views, 3, pixels]`.
-    ///
-    /// # Errors
-    /// Failed transfers.
     pub fn write(&self, run: &mut Run, images: &[f32]) -> Result<()> {
         for (view, planes) in self.gaussians.iter().zip(images.chunks(images.len() / self.views.len())) {
             let area = planes.len() / 3;

@@ -6,9 +6,7 @@ use crate::{
     stages::ViewGrid,
 };
 
-/// Ratio of frequencies.
 const BASE: f64 = 100.0;
-/// Weight of the embedding.
 const SHARE: f64 = 0.1;
 
 pub(super) struct Positions {
@@ -23,7 +21,6 @@ impl Positions {
         Self { aspect: grid.columns as f64 / grid.rows as f64, tables: Vec::new() }
     }
 
-    /// See [`position_table`].
     pub fn table(&mut self, rec: &mut Recorder, [height, width]: [usize; 2], channels: usize) -> Tensor {
         let shape = [height, width, channels];
         if let Some((_, tensor)) = self.tables.iter().find(|(other, _)| *other == shape) {

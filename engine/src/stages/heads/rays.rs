@@ -1,5 +1,3 @@
-//! Ray branch of the dense head.
-
 use super::{
     convolution::{Convolution, How},
     fusion::Fusion,

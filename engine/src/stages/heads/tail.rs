@@ -1,5 +1,3 @@
-//! The last two layers of a head.
-
 use super::convolution::{Convolution, How};
 use crate::{
     gpu::{Recorder, Tensor},

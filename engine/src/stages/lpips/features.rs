@@ -1,5 +1,3 @@
-//! LPIPS convolutions and pooling.
-
 use crate::{
     gpu::{Element, Recorder},
     kernels::{lpips as kernels, ops::Im2col},

@@ -1,7 +1,6 @@
 //! LPIPS: perceptual image distance.
 //!
-//! Source: Zhang et al. 2018, version 0.1. Features are normalized per pixel at five layers;
-//! weighted squared differences are averaged over pixels.
+//! Source: Zhang et al. 2018, version 0.1.
 
 mod features;
 mod network;
@@ -54,7 +53,7 @@ pub struct LpipsTensors {
 
 impl Lpips {
     /// Declares `convolutions.I.weight` `[outputs, side, side, inputs]`, `convolutions.I.bias`,
-    /// `taps.I.weight`. `gradients` adds transposed convolutions.
+    /// `taps.I.weight`.
     pub fn new(p: &mut ParameterLayout, network: LpipsNetwork, gradients: bool) -> Self {
         let (mut inputs, mut taps) = (3, 0..TAPS);
         let layer = |(i, recipe): (usize, Recipe)| {
@@ -121,7 +120,6 @@ fn tap_of(layers: Tensor, tap: Option<usize>) -> (Tensor, u32) {
     (layers, tap.expect("no more layers than TAPS have taps") as u32)
 }
 
-/// Adds a layer's distance and optionally its gradient.
 fn compare(
     rec: &mut Recorder,
     [a, b]: [FeatureMap; 2],

@@ -1,5 +1,3 @@
-//! LPIPS networks.
-
 use super::features::Pool;
 
 /// Feature network.
@@ -16,9 +14,7 @@ pub(super) struct Recipe {
     pub side: usize,
     pub step: usize,
     pub padding: usize,
-    /// Pooling before the convolution.
     pub pool: Option<Pool>,
-    /// Whether features are compared.
     pub tap: bool,
 }
 

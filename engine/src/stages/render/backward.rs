@@ -1,5 +1,3 @@
-//! Backward pass of rendering.
-//!
 //! Every Gaussian-tile intersection has a slot, written once. Gaussians sum their consecutive slots
 //! in order, without atomics.
 
@@ -28,13 +26,9 @@ pub struct Gradients {
 
 /// Gradients per camera.
 pub const CAMERA_NUMBERS: usize = 10;
-/// Gradients per Gaussian-camera pair.
 const PAIR_NUMBERS: usize = 10;
-/// Alignment of parts, as in [`project`].
 const PART: usize = 64;
-/// Alignment of bands, as in [`rasterise`].
 const BAND: usize = 64;
-/// Operations per Gaussian and pixel.
 const FLOPS: u64 = 60;
 
 /// Records rendering, `loss` (frames `[cameras, height, width, channels]` to gradients) and the
@@ -83,7 +77,6 @@ struct Backward<'a> {
     lists: &'a TileLists,
 }
 
-/// Gradients per intersection.
 struct Slots {
     /// `[pairs + 1]`.
     starts: Tensor,
@@ -94,7 +87,6 @@ struct Slots {
 }
 
 impl Backward<'_> {
-    /// Pixels to intersections.
     fn rasterise(&self, rec: &mut Recorder, frames: Tensor, d_frames: Tensor) -> Slots {
         let &Backward { splats, lists, shape, request, capacity, .. } = self;
         let starts = rec.tensor::<u32>("slots", splats.pairs + 1);
@@ -159,7 +151,6 @@ impl Backward<'_> {
             let len = part.min(scene.len - first);
             let of = |tensor: Tensor, words: usize| tensor.slice::<u32>(words * first, words * len);
             let pair = |tensor: Tensor, words: usize| of(tensor, words * shape.cameras);
-            // Placeholders, if unused.
             let d = gradients.scene.map(|d| [(d.means, 3), (d.scales, 3), (d.quats, 4), (d.opacities, 1)]);
             let [d_means, d_scales, d_quats, d_opacities] =
                 d.map_or([d_pairs; 4], |d| d.map(|(tensor, words)| of(tensor, words)));

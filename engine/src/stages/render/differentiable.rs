@@ -1,5 +1,3 @@
-//! Image gradients for external optimizers.
-
 use super::{
     CAMERA_NUMBERS, CameraRows, Depth, Frame, FrameShape, Gradients, RenderOutputs, RenderRequest, SceneGradients,
     SceneTensors, camera_rows, first_capacity,
@@ -15,7 +13,6 @@ use std::sync::Arc;
 
 /// Six moments, an intersection's largest tensor.
 const INTERSECTION_BYTES: u64 = 24;
-/// Maximum cached plans.
 const PLANS: usize = 4;
 
 /// Gradients on the host.
@@ -36,7 +33,7 @@ pub struct Wanted {
     pub cameras: bool,
 }
 
-/// Differentiates images on one device, replaying cached plans. Sums over cameras are in order.
+/// Differentiates images on one device.
 pub struct Differentiator {
     arena: Arena,
     memory: Option<Memory>,
@@ -71,10 +68,12 @@ impl Differentiator {
     /// Returns gradients of the sum of pixels times `weights`. `None` weights are zero.
     ///
     /// # Errors
+    ///
     /// [`Error::Argument`] for invalid input or rotations out of range; [`Error::Memory`] if one
     /// image does not fit.
     ///
     /// # Panics
+    ///
     /// If `request` has outputs without gradients.
     pub fn differentiate(
         &mut self,
@@ -130,7 +129,6 @@ impl Differentiator {
         Ok(())
     }
 
-    /// Accumulates one camera's gradients.
     fn add(
         &mut self,
         camera: &Camera,

@@ -4,9 +4,7 @@ use super::{CameraRows, Frame, FrameShape, RenderRequest, Renderer, camera_rows,
 use crate::{Error, Result, gpu::Arena, types::Camera};
 use std::{collections::VecDeque, ops::Range};
 
-/// Maximum pixels per submission.
 const PIXELS_TOGETHER: usize = 1 << 20;
-/// Maximum Gaussian-camera pairs per submission.
 const PAIRS_TOGETHER: usize = 1 << 21;
 
 pub(super) fn pictures_together(most: usize, gaussians: usize, [width, height]: [u32; 2]) -> usize {
@@ -14,7 +12,6 @@ pub(super) fn pictures_together(most: usize, gaussians: usize, [width, height]: 
     most.min(PIXELS_TOGETHER / pixels).min(PAIRS_TOGETHER / gaussians.max(1)).max(1)
 }
 
-/// An in-flight submission.
 struct Flight {
     cameras: Range<usize>,
     shape: FrameShape,
@@ -22,10 +19,10 @@ struct Flight {
 }
 
 impl Renderer {
-    /// Renders each camera, passing images to `done` in order. The device draws ahead, batching
-    /// small images.
+    /// Renders each camera, passing images to `done` in order.
     ///
     /// # Errors
+    ///
     /// As [`Renderer::render_loaded`], and the first error of `done`.
     pub fn render_each(
         &mut self,
@@ -37,11 +34,9 @@ impl Renderer {
         let _claim = self.claim();
         let rows: Vec<CameraRows> = cameras.iter().map(camera_rows).collect();
         let result = self.fly(&self.groups(cameras), &rows, request, &mut done);
-        // Even after an error.
         self.settle().and(result)
     }
 
-    /// Consecutive cameras of one size.
     fn groups(&self, cameras: &[Camera]) -> Vec<(Range<usize>, FrameShape)> {
         let mut groups: Vec<(Range<usize>, FrameShape)> = Vec::new();
         for (i, camera) in cameras.iter().enumerate() {
@@ -97,7 +92,6 @@ impl Renderer {
         plan.run.start()
     }
 
-    /// Delivers the oldest images, redrawn if over capacity.
     fn land(
         &mut self,
         flights: &mut VecDeque<Flight>,

@@ -1,5 +1,3 @@
-//! Render requests and results.
-
 use super::PixelLayout;
 use crate::types::{LeftOut, NEAR, Scene};
 use std::num::NonZeroU32;
@@ -28,7 +26,6 @@ pub struct RenderRequest {
 }
 
 impl Default for RenderRequest {
-    /// Color on black.
     fn default() -> Self {
         Self {
             rgb: true,
@@ -52,17 +49,14 @@ impl RenderRequest {
         3 * triples.into_iter().filter(|on| *on).count() + singles.into_iter().filter(|on| *on).count()
     }
 
-    /// Returns the near plane, [`NEAR`] until a scene sets it.
     pub(super) fn near_plane(&self) -> f32 {
         self.near.unwrap_or(NEAR)
     }
 
-    /// Sets an unset near plane.
     pub(super) fn with_near(self, near: f32) -> Self {
         Self { near: self.near.or(Some(near)), ..self }
     }
 
-    /// Skipped effects; SH bands above `used_degree` are zero.
     pub(super) fn left_out(&self, stored_degree: u32, used_degree: u32) -> Vec<LeftOut> {
         let asked = [
             ("color", self.rgb),

@@ -17,7 +17,6 @@ pub(super) struct TileLists {
     pub pair_indices: Tensor,
     /// `[tiles + 1]`.
     pub tile_offsets: Tensor,
-    /// See [`super::RenderOutputs::status`].
     pub status: Tensor,
 }
 

@@ -43,7 +43,7 @@ pub struct RenderOutputs {
     pub frames: Tensor,
     /// Frames in [`RenderRequest::layout`].
     pub pixels: Tensor,
-    /// `[3]` u32: intersections drawn, needed modulo 2^32, wrapped. See [`RenderOutputs::needed`].
+    /// `[3]` u32: intersections drawn, needed modulo 2^32, wrapped.
     pub status: Tensor,
 }
 
@@ -94,7 +94,6 @@ impl FrameShape {
         [self.width.div_ceil(TILE), self.height.div_ceil(TILE)]
     }
 
-    /// Tiles of all images.
     fn tiles(&self) -> usize {
         let [x, y] = self.grid();
         self.cameras * x as usize * y as usize

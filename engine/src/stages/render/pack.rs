@@ -1,5 +1,3 @@
-//! Pixel layouts for other programs.
-
 use crate::{
     gpu::{Recorder, Tensor},
     kernels::render::Pack,
@@ -23,7 +21,6 @@ impl PixelLayout {
     }
 }
 
-/// Alignment of parts.
 const PART: usize = 64;
 
 pub(super) fn record(rec: &mut Recorder, frames: Tensor, layout: PixelLayout) -> Tensor {

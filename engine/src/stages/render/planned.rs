@@ -1,5 +1,3 @@
-//! Cached rendering plans.
-
 use super::{
     CameraRows, DeviceScene, Frame, FrameShape, RenderOutputs, RenderRequest, SceneTensors, flights::pictures_together,
     record,
@@ -16,7 +14,6 @@ const GPU_TOGETHER: usize = 8;
 pub(super) struct Key {
     pub shape: FrameShape,
     pub request: RenderRequest,
-    /// Arena lane.
     pub turn: usize,
 }
 
@@ -31,9 +28,6 @@ pub(super) struct Planned {
 
 /// Plans the first batch of [`Renderer::render_each`](super::Renderer::render_each), without a
 /// device.
-///
-/// # Errors
-/// [`Error::Memory`](crate::Error::Memory).
 pub fn plan_pictures(
     limits: &Limits,
     scene: &SceneTensors,
@@ -49,7 +43,6 @@ pub fn plan_pictures(
     rec.finish()
 }
 
-/// Default images per submission.
 pub(super) fn together(limits: &Limits) -> usize {
     if limits.cpu { 1 } else { GPU_TOGETHER }
 }
@@ -72,7 +65,6 @@ impl Planned {
         Ok(Self { key, scene: *scene.tensors(), capacity, run, cameras, outputs })
     }
 
-    /// Required capacity, at most 2^32.
     pub fn needed(&self) -> Result<usize> {
         let status: Vec<u32> = self.run.read(self.outputs.status)?;
         Ok(RenderOutputs::needed(&status).unwrap_or(1 << 32))

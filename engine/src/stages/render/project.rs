@@ -1,5 +1,3 @@
-//! Projection of Gaussians to splats.
-
 use super::{FrameShape, RenderRequest, SceneTensors};
 use crate::{
     gpu::{Recorder, Tensor},
@@ -9,7 +7,7 @@ use crate::{
 use glam::DVec4;
 
 /// A camera for kernels: rows of the world-to-camera rotation with the center, then `(fx, fy, cx,
-/// cy)` in pixels. Rounding residuals follow, for precision far from the origin.
+/// cy)` in pixels.
 pub type CameraRows = [[f32; 4]; 8];
 
 /// Converts a camera to 48-bit precision.

@@ -1,5 +1,3 @@
-//! Numeric range of the kernels.
-
 use super::RenderRequest;
 use crate::{Error, Result, types::Camera};
 use std::borrow::Cow;
@@ -23,7 +21,6 @@ pub(super) fn check(cameras: &[Camera], request: &RenderRequest) -> Result<()> {
     Ok(())
 }
 
-/// Checks that the kernels can draw with camera `i`.
 pub(crate) fn check_camera(i: usize, camera: &Camera) -> Result<()> {
     camera.validate(&format!("camera {i}"))?;
     let size = (camera.intrinsics.width, camera.intrinsics.height);
@@ -36,7 +33,6 @@ pub(crate) fn check_camera(i: usize, camera: &Camera) -> Result<()> {
     })
 }
 
-/// Returns the field, value and expected range on failure.
 fn check_range(camera: &Camera) -> Result<(), (&'static str, f64, String)> {
     let (i, centre) = (&camera.intrinsics, camera.pose.translation);
     for (field, focal) in [("fx", i.fx), ("fy", i.fy)] {

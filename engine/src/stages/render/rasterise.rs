@@ -1,5 +1,3 @@
-//! Tile lists to images.
-
 use super::{Depth, FrameShape, RenderRequest, intersect::TileLists, project::Splats};
 use crate::{
     gpu::{Recorder, Tensor},
@@ -10,7 +8,6 @@ use crate::{
 const BAND: usize = 64;
 /// Small images have few tiles; CPU workgroups take whole tiles.
 const GPU_PIXELS: u32 = 64;
-/// Operations per Gaussian and pixel.
 const BLEND_FLOPS: u64 = 24;
 
 pub(super) fn record(

@@ -1,5 +1,3 @@
-//! Repeated rendering of a device scene.
-
 use super::{
     CameraRows, DeviceScene, Frame, FrameShape, PixelLayout, RenderRequest, SceneMemory, SceneTensors, camera_rows,
     planned::{Key, Planned, first_capacity, planned_capacity, together},
@@ -12,23 +10,18 @@ use crate::{
     types::{Camera, LeftOut, Scene},
 };
 
-/// Maximum cached plans.
 const PLANS: usize = 4;
-/// Renders scenes on one device, replaying cached plans in a shared arena.
+/// Renders scenes on one device.
 pub struct Renderer {
     arena: Arena,
     scene: Option<DeviceScene>,
-    /// Memory of [`Renderer::load`].
     uploaded: Option<SceneMemory>,
     /// Least recently used first.
     plans: Vec<Planned>,
     /// Intersections per camera of new plans; grows on demand.
     capacity: usize,
-    /// Of the last rendering.
     intersections: usize,
-    /// Largest batch known to fit.
     cameras_at_once: usize,
-    /// Maximum batch of [`Renderer::render_each`].
     pub(super) together: usize,
 }
 
@@ -71,6 +64,7 @@ impl Renderer {
     /// Renders `scene` with each camera.
     ///
     /// # Errors
+    ///
     /// [`Error::Argument`] for invalid input; [`Error::Memory`] if one image does not fit.
     pub fn render(&mut self, scene: &Scene, cameras: &[Camera], request: &RenderRequest) -> Result<Vec<Frame>> {
         self.load(scene)?;
@@ -78,9 +72,6 @@ impl Renderer {
     }
 
     /// Uploads a scene for [`Renderer::render_loaded`].
-    ///
-    /// # Errors
-    /// As [`Renderer::render`].
     pub fn load(&mut self, scene: &Scene) -> Result<()> {
         scene.validate()?;
         self.scene = None;
@@ -103,6 +94,7 @@ impl Renderer {
     /// Selects a device scene and its arena.
     ///
     /// # Errors
+    ///
     /// [`Error::Argument`] for another device's scene; [`Error::DeviceLost`].
     pub fn show(&mut self, scene: &DeviceScene) -> Result<()> {
         self.device().check_lost()?;
@@ -164,9 +156,6 @@ impl Renderer {
 
     /// Renders into an application's image or buffer on the device. On return the copy is
     /// submitted; the next rendering of this size waits for it.
-    ///
-    /// # Errors
-    /// As [`Renderer::render_loaded`] and [`Run::present`](crate::gpu::Run::present).
     pub fn render_to(
         &mut self,
         camera: &Camera,
@@ -191,9 +180,6 @@ impl Renderer {
     }
 
     /// Profiles one camera by kernel.
-    ///
-    /// # Errors
-    /// As [`Renderer::render_loaded`].
     pub fn profile(&mut self, camera: &Camera, request: &RenderRequest) -> Result<Profile> {
         check(std::slice::from_ref(camera), request)?;
         let _claim = self.claim();
@@ -205,7 +191,6 @@ impl Renderer {
         plan.run.profile()
     }
 
-    /// Renders one size in the largest batches that fit.
     pub(super) fn render_alike(
         &mut self,
         cameras: &[CameraRows],
@@ -297,7 +282,6 @@ impl Renderer {
         self.cameras_at_once = usize::MAX;
     }
 
-    /// Allocates a scene, releasing plans if needed.
     fn allocate(&mut self, len: usize, sh_degree: u32) -> Result<SceneMemory> {
         let mut layout = ResidentLayout::new(self.limits());
         let tensors = SceneTensors::lay_out(&mut layout, len, sh_degree);
@@ -316,7 +300,6 @@ impl Renderer {
         self.arena.release()
     }
 
-    /// Claims the arena, or a new one if busy.
     pub(super) fn claim(&mut self) -> Claim {
         if let Some(claim) = self.arena.claim() {
             return claim;

@@ -1,5 +1,3 @@
-//! Gaussians on a device.
-
 use super::{SceneTensors, range::drawable};
 use crate::stages::coeffs_of;
 use crate::{
@@ -30,7 +28,6 @@ struct Gaussians {
     arena: Option<Arena>,
     /// Source degree; bands above [`SceneTensors::sh_degree`] are zero.
     stored_degree: u32,
-    /// Near plane.
     near: f32,
 }
 
@@ -50,9 +47,6 @@ pub struct SceneMemory {
 
 impl SceneMemory {
     /// Allocates a layout.
-    ///
-    /// # Errors
-    /// [`Error::Memory`](crate::Error::Memory).
     pub fn new(device: &Device, layout: &ResidentLayout, tensors: SceneTensors) -> Result<Self> {
         let memory = Arc::new(Resident::new(device, layout)?);
         Ok(Self { memory, tensors, arena: None, user: Weak::new() })
@@ -87,9 +81,6 @@ impl SceneMemory {
     }
 
     /// Uploads a scene without zero SH bands.
-    ///
-    /// # Errors
-    /// Failed transfers.
     pub fn write(&mut self, scene: &Scene) -> Result<DeviceScene> {
         let Self { memory, tensors, .. } = self;
         memory.write(tensors.means, &scene.means)?;
@@ -114,9 +105,6 @@ impl SceneMemory {
 
 impl DeviceScene {
     /// Reads the Gaussians.
-    ///
-    /// # Errors
-    /// Failed transfers.
     pub fn read(&self) -> Result<Scene> {
         self.0.tensors.read(&self.0.memory)
     }
@@ -155,7 +143,6 @@ impl DeviceScene {
         self.0.arena.as_ref()
     }
 
-    /// Returns the near plane.
     pub(super) fn near(&self) -> f32 {
         self.0.near
     }
@@ -165,7 +152,6 @@ impl DeviceScene {
     }
 }
 
-/// Highest SH degree with nonzero coefficients.
 pub(super) fn used_degree(scene: &Scene) -> u32 {
     let stride = scene.sh_coeffs_per_gaussian();
     let zero = |degree: u32| {

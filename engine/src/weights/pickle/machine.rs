@@ -1,5 +1,3 @@
-//! The pickle stack machine.
-
 use std::collections::HashMap;
 
 use super::{Callable, Id, Object, Storage, Tensor, size, sizes, text};
@@ -15,10 +13,8 @@ pub(super) struct Machine<'a> {
     /// The first is [`Object::Other`].
     pub objects: Vec<Object<'a>>,
     stack: Vec<Id>,
-    /// Stack heights at marks.
     marks: Vec<usize>,
     memo: HashMap<u64, Id>,
-    /// Elements of all containers.
     references: usize,
 }
 
@@ -28,7 +24,6 @@ impl<'a> Machine<'a> {
         Self { bytes, at: 0, objects: vec![Object::Other], stack, marks, memo, references: 0 }
     }
 
-    /// Returns the root at the end.
     pub fn step(&mut self) -> Result<Option<Id>, String> {
         let root = self.run()?;
         let held = self.objects.len() + self.references + self.stack.len() + self.marks.len() + self.memo.len();
@@ -291,7 +286,6 @@ impl<'a> Machine<'a> {
     }
 }
 
-/// Plain data types and constructors in training checkpoints.
 fn is_plain_data(module: &str, name: &str) -> bool {
     const BUILTINS: [&str; 10] =
         ["bool", "bytearray", "bytes", "complex", "dict", "float", "frozenset", "int", "list", "set"];

@@ -1,8 +1,5 @@
-//! Reads `torch.save` pickles without executing code.
-//!
-//! A pickle is a stack machine program (Python's `pickletools`). Objects refer to each other by
-//! index in one bounded list, so sharing, cycles and depth are harmless. Calls build tensors,
-//! dictionaries and plain data only.
+//! Objects refer to each other by index in one bounded list, so sharing, cycles and depth are
+//! harmless. Calls build tensors, dictionaries and plain data only.
 
 mod machine;
 
@@ -10,10 +7,8 @@ use machine::Machine;
 
 pub(super) type Id = usize;
 
-/// Pickle object.
 #[derive(Debug)]
 pub(super) enum Object<'a> {
-    /// Ignored values.
     Other,
     Int(i64),
     Text(&'a str),
@@ -26,14 +21,12 @@ pub(super) enum Object<'a> {
     Tensor(Box<Tensor<'a>>),
 }
 
-/// Allowed callables of `REDUCE`.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Callable {
     OrderedDict,
     DefaultDict,
     RebuildTensor,
     RebuildParameter,
-    /// Ignored values: numbers, sets, paths.
     PlainData,
 }
 

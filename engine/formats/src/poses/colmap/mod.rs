@@ -72,7 +72,6 @@ pub(super) fn read(folder: &Path) -> Result<Poses> {
     Ok(poses)
 }
 
-/// Reads `points3D.bin` or `points3D.txt`, in the model's world.
 pub(super) fn read_points(path: &Path) -> Result<PointCloud> {
     let bytes = read_file(path)?;
     let binary = path.extension().is_some_and(|extension| extension == "bin");
@@ -87,13 +86,11 @@ pub(super) fn read_points(path: &Path) -> Result<PointCloud> {
     }
 }
 
-/// Searches `images` next to the model and up to two folders above.
 fn find_photo(model: &Path, name: &str) -> Option<PathBuf> {
     let places = model.ancestors().take(3).flat_map(|folder| [folder.join("images").join(name), folder.join(name)]);
     places.into_iter().find(|path| path.is_file())
 }
 
-/// Failure reason and byte offset in a binary file.
 struct Fault {
     offset: Option<u64>,
     reason: String,
@@ -107,7 +104,6 @@ impl Fault {
 
 type Parsed<T> = std::result::Result<T, Fault>;
 
-/// Position and color.
 type Point = ([f32; 3], [u8; 3]);
 
 struct View {
@@ -150,7 +146,6 @@ fn unknown_model(model: impl std::fmt::Display) -> String {
     format!("camera model {model}, expected one of {}; undistort the photos in COLMAP", known.join(", "))
 }
 
-/// A line's fields.
 struct Line<'a> {
     number: usize,
     text: &'a str,
@@ -169,7 +164,6 @@ impl<'a> Line<'a> {
     }
 }
 
-/// Returns the lines with their numbers from 1.
 fn lines(bytes: &[u8]) -> Parsed<impl Iterator<Item = Line<'_>>> {
     let text = std::str::from_utf8(bytes)
         .map_err(|error| Fault { offset: Some(error.valid_up_to() as u64), reason: "not UTF-8 text".into() })?;
@@ -228,7 +222,6 @@ fn text_points(bytes: &[u8]) -> Parsed<Vec<Point>> {
     lines(bytes)?.filter(|line| !is_comment(line)).map(point).collect()
 }
 
-/// A binary file's values.
 struct Values<'a> {
     bytes: &'a [u8],
     at: usize,
@@ -258,7 +251,6 @@ impl<'a> Values<'a> {
         self.take(field).map(f64::from_le_bytes)
     }
 
-    /// Reads up to a zero byte.
     fn name(&mut self) -> Parsed<String> {
         let rest = &self.bytes[self.at..];
         let end = rest.iter().position(|&byte| byte == 0).ok_or_else(|| self.fault("truncated: a name expected"))?;

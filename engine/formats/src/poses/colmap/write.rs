@@ -1,5 +1,3 @@
-//! Writing a COLMAP model as text.
-
 use std::path::{Path, PathBuf};
 
 use super::super::Frame;
@@ -17,8 +15,8 @@ pub fn colmap_files(folder: impl AsRef<Path>) -> [PathBuf; 3] {
 /// Without matches, points have no tracks and images no 2D points.
 ///
 /// # Errors
-/// [`Error::Argument`] for an invalid camera, a name with spaces, or a lens without a COLMAP model;
-/// [`Error::Io`] for failed writes.
+///
+/// [`Error::Argument`] for an invalid camera, a name with spaces, or a lens without a COLMAP model.
 pub fn write_colmap(folder: impl AsRef<Path>, frames: &[Frame], points: &[([f32; 3], [u8; 3])]) -> Result<()> {
     let mut lenses: Vec<String> = Vec::new();
     let mut images = format!("{MADE_BY}# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then a line of its points\n");
@@ -51,7 +49,6 @@ pub fn write_colmap(folder: impl AsRef<Path>, frames: &[Frame], points: &[([f32;
     Ok(())
 }
 
-/// Returns a frame's model, size and parameters.
 fn camera(frame: &Frame) -> Result<String> {
     let Intrinsics { width, height, fx, fy, cx, cy } =
         frame.lens.map_or(frame.camera.intrinsics, |lens| lens.intrinsics);

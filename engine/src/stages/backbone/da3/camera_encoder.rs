@@ -1,5 +1,3 @@
-//! Camera encoder: poses and intrinsics to tokens.
-
 use crate::{
     gpu::{Element, Recorder, Tensor},
     ops::{Activation, Block, Epilogue, Ffn, Heads, Linear, Norm, ParameterLayout, Rows, Sequences},
@@ -32,7 +30,6 @@ impl CameraEncoder {
             trunk: (0..a.depth).map(|i| block(p, i)).collect(),
             token_norm: p.norm(&format!("{root}.token_norm"), width, EPS),
             trunk_norm: p.norm(&format!("{root}.trunk_norm"), width, EPS),
-            // Geometry stays f32.
             fc1: p.exact_linear(&format!("{root}.pose_branch.fc1"), POSE_ENCODING, a.pose_hidden),
             fc2: p.exact_linear(&format!("{root}.pose_branch.fc2"), a.pose_hidden, width),
         }

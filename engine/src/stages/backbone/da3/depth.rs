@@ -1,5 +1,3 @@
-//! The backbone for depth heads.
-
 use super::transformer::{OutLayer, Transformer};
 use crate::{
     Result,
@@ -59,9 +57,6 @@ impl DepthBackbone {
     }
 
     /// Writes the inputs.
-    ///
-    /// # Errors
-    /// Failed transfers; unusable cameras.
     pub fn write(
         &self,
         run: &mut Run,

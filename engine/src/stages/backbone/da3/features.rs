@@ -1,5 +1,3 @@
-//! Out-layer features.
-
 use crate::{
     gpu::{Element, Recorder},
     kernels::backbone as kernels,

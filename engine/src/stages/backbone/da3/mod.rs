@@ -22,14 +22,12 @@ use crate::{
 use features::Features;
 use transformer::Transformer;
 
-/// ZipSplat's backbone.
 pub struct Da3 {
     transformer: Transformer,
     features: Features,
 }
 
 impl Da3 {
-    /// Declares the parameters.
     pub fn new(p: &mut ParameterLayout, a: &Architecture) -> Self {
         Self { transformer: Transformer::new(p, &a.backbone()), features: Features::new(p, a) }
     }

@@ -3,7 +3,6 @@
 /// Bicubic parameter of the reference.
 const A: f64 = -0.75;
 
-/// The reference's grid size offset.
 const OFFSET: f64 = 0.1;
 
 /// Angle of channel pair j of h: position * BASE^(-2j / h).

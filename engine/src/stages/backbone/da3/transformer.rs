@@ -14,7 +14,6 @@ use crate::{
     stages::{BackboneArchitecture, Reference, ViewGrid, embed_patches},
 };
 
-/// Epsilon of the blocks' norms.
 const EPS: f32 = 1e-6;
 
 pub(super) struct Transformer {
@@ -32,9 +31,7 @@ pub(super) struct Transformer {
 /// Tokens at an out layer, camera tokens first.
 #[derive(Clone, Copy)]
 pub(super) struct OutLayer {
-    /// Latest local block's output.
     pub local: Rows,
-    /// Residual stream.
     pub global: Rows,
 }
 
@@ -85,8 +82,6 @@ impl Transformer {
         Inputs { positions, rotary: (!rotary.is_empty()).then_some(rotary), poses: poses.first().copied() }
     }
 
-    /// Records all blocks and calls `out` at each out layer. Global blocks pool `pool` x `pool`
-    /// keys.
     pub fn record(
         &self,
         rec: &mut Recorder,
