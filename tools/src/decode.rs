@@ -26,10 +26,6 @@ const MOST_LINES: usize = 3;
 
 /// Runs ffmpeg on a file. A thread decodes its output with `read`; `take` gets the results. Returns
 /// ffmpeg's warnings.
-///
-/// # Errors
-/// [`Error::Format`] with ffmpeg's message for an unreadable file, [`Error::Io`] without a message,
-/// those of `take`, and [`Error::Cancelled`].
 pub fn decode<T: Send + 'static>(
     (ffmpeg, file): (&Path, &Path),
     options: &[&str],

@@ -23,10 +23,6 @@ pub fn is_heic(path: &Path) -> bool {
 
 /// Converts HEIC pictures to upright JPEGs in order: `IMG_1.HEIC` to `IMG_1.jpg`, duplicates to
 /// `IMG_1-1.jpg`.
-///
-/// # Errors
-/// [`Error::Format`] with the conversion command if ffmpeg cannot read a picture; [`Error::Io`];
-/// [`Error::Cancelled`].
 pub fn to_jpeg(session: &Session<'_>, ffmpeg: &Path, pictures: &[&PathBuf], folder: &Path) -> Result<Vec<PathBuf>> {
     let numbered: Vec<(usize, &&PathBuf)> = pictures.iter().enumerate().collect();
     let (photos, _) = session.stage("read HEIC", |stage| {

@@ -255,9 +255,6 @@ pub fn posed(session: &mut Session<'_>, photos: Vec<PathBuf>, poses: &Poses) -> 
 }
 
 /// Returns the path of a photo as text, as files of cameras hold it.
-///
-/// # Errors
-/// [`Error::Argument`] if the path is not UTF-8.
 pub fn text(path: &Path) -> Result<&str> {
     path.to_str().ok_or_else(|| {
         Error::argument("name of a photo", format!("{path:?}"), "UTF-8, as files of cameras hold it: rename the photo")
@@ -307,9 +304,6 @@ fn end_of_digits(text: &str) -> usize {
 
 /// Reads photos concurrently and maps them with `make`, by index. Photos with `frames` are read as
 /// by [`Frame::open`]: COLMAP's cameras apply to pixels without the EXIF orientation.
-///
-/// # Errors
-/// That of the first unreadable photo, and those of `make`.
 pub fn read<T: Send>(
     photos: &[PathBuf],
     frames: &[&Frame],

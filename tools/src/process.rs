@@ -140,9 +140,6 @@ fn lock(started: &Mutex<Vec<u32>>) -> std::sync::MutexGuard<'_, Vec<u32>> {
 }
 
 /// Runs a program and passes every line of its output and errors to `line`.
-///
-/// # Errors
-/// [`Error::Io`] for a failed start, the first of `line`, and [`Error::Cancelled`].
 pub fn run(command: &mut Command, stage: &Stage<'_>, mut line: impl FnMut(&str) -> Result<()>) -> Result<ExitStatus> {
     let program = command.get_program().to_owned();
     let failed = |source| Error::io(&program, source);

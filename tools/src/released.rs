@@ -167,10 +167,6 @@ pub fn folder() -> Result<PathBuf> {
 }
 
 /// Finds a named file; `None` if `name` is no name.
-///
-/// # Errors
-/// [`Error::Argument`] for an unknown bare word, and for uncached weights with the download
-/// command.
 pub fn find(name: &str) -> Result<Option<PathBuf>> {
     let Some(released) = Released::named(name) else { return check_name(name).map(|()| None) };
     let folder = folder()?;

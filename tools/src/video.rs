@@ -80,10 +80,6 @@ pub fn is_video(path: &Path) -> bool {
 
 /// Writes the sharpest frame of each of `count` equal parts, upright and in order, such as
 /// `clip-00042.jpg` by frame number.
-///
-/// # Errors
-/// [`Error::Argument`] without ffmpeg, [`Error::Format`] with ffmpeg's message for an unreadable
-/// video, [`Error::Io`], [`Error::Cancelled`].
 pub fn sharpest_frames(
     session: &mut Session<'_>,
     ffmpeg: &Path,

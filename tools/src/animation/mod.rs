@@ -44,10 +44,6 @@ pub trait Encoder {
 
 impl Animation {
     /// Checks path and rate.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for an unknown extension, a rate out of range, no file path, or missing
-    /// ffmpeg.
     pub fn new(path: &Path, fps: u16, ffmpeg: &Path) -> Result<Self> {
         let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
         let format = match extension.as_deref() {

@@ -33,10 +33,6 @@ const WAITING: usize = 16;
 const POLL: Duration = Duration::from_millis(50);
 
 /// Asks the hub for size and hash; `sha256` replaces an unreported hash.
-///
-/// # Errors
-/// [`Error::Io`] for an unreachable hub; [`Error::Argument`] for a missing size or hash, or another
-/// hash than `sha256`; [`Error::Cancelled`].
 pub fn promise(client: &Client, url: &str, sha256: Option<&str>, stage: &Stage<'_>) -> Result<Promise> {
     let mut tries = Tries::default();
     let told = loop {
@@ -65,10 +61,6 @@ pub fn promise(client: &Client, url: &str, sha256: Option<&str>, stage: &Stage<'
 
 /// Downloads a file, checks it and renames it to [`Promise::path`]. The caller holds its [`Lock`].
 /// After a network failure, another call resumes. `notes` gets messages for the user.
-///
-/// # Errors
-/// [`Error::Io`] of the disk, or after retries without progress; [`Error::Format`] for other bytes
-/// than promised; [`Error::Cancelled`].
 pub fn fetch(
     client: &Client,
     promise: &Promise,
@@ -107,9 +99,6 @@ struct Tries(u32);
 
 impl Tries {
     /// Waits with exponential backoff, up to the timeout.
-    ///
-    /// # Errors
-    /// [`Error::Io`] with the reason after the last try; [`Error::Cancelled`].
     fn failed(&mut self, url: &str, reason: &str, patience: Duration, stage: &Stage<'_>) -> Result<()> {
         self.0 += 1;
         if self.0 == TRIES {

@@ -154,9 +154,6 @@ impl Partial {
     }
 
     /// Renames the file to [`Promise::path`] if its hash is right, else removes it.
-    ///
-    /// # Errors
-    /// [`Error::Format`] for another hash, [`Error::Cancelled`], [`Error::Io`].
     pub fn finish(mut self, stage: &Stage<'_>) -> Result<()> {
         let found = self.hash(stage)?;
         let Self { path, promise_path, base, file, promise } = self;

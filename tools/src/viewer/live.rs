@@ -72,9 +72,6 @@ impl Made {
 impl Live<'_> {
     /// Returns the scene of a ratio unless a higher `number` overtakes it: requests may arrive out
     /// of order. The default is the next number.
-    ///
-    /// # Errors
-    /// As [`Model::reconstruct_features`]; [`Error::Cancelled`] if overtaken.
     pub fn make(&self, ratio: f64, precision: Precision, number: Option<u64>) -> Result<Made> {
         let own = number.unwrap_or_else(|| self.latest.load(Ordering::SeqCst).saturating_add(1));
         self.latest.fetch_max(own, Ordering::SeqCst);

@@ -211,9 +211,6 @@ impl FromPhotos {
     }
 
     /// Returns the ratios of a written page, descending, without equal numbers of tokens.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for one outside (0, 1], or too many.
     pub fn ratios(&self, tokens: usize) -> Result<Vec<f64>> {
         let mut ratios = if self.ratios.is_empty() { RATIOS.to_vec() } else { self.ratios.clone() };
         if let Some(wrong) = ratios.iter().find(|ratio| !(**ratio > 0.0 && **ratio <= 1.0)) {

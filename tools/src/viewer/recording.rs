@@ -56,10 +56,6 @@ impl Studio {
     }
 
     /// Renders a scene along a path.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for no camera, too many, or MP4 without ffmpeg; those of rendering;
-    /// [`Error::Cancelled`].
     pub fn record(&self, scene: &Scene, wanted: &Wanted, cancelled: &AtomicBool) -> Result<Answer> {
         let folder = Scratch::new()?;
         let path = folder.path().join("camera_path.json");

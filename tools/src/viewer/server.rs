@@ -90,9 +90,6 @@ impl Server {
 
     /// Serves until `stopped`. `answer` gets the path behind the token and the body of a POST; its
     /// errors become answers.
-    ///
-    /// # Errors
-    /// Those of the system, before the first request.
     pub fn serve<E: ToString>(
         &self,
         answer: impl Fn(&str, Option<&[u8]>) -> std::result::Result<Option<Answer>, E> + Sync,

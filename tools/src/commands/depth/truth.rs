@@ -37,9 +37,6 @@ impl Truth {
     }
 
     /// Returns the errors of a prediction; cameras count only if the network `found` them.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] without a common photo; those of reading depth.
     pub fn errors(&self, seen: &Seen, found: bool) -> Result<Errors> {
         let (mut pairs, mut depths) = (Vec::new(), Vec::new());
         let frames = seen.frames()?;

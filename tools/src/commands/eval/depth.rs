@@ -19,10 +19,6 @@ const MOST: f64 = 3.0;
 
 /// Returns a scene of the inputs at the network's size, in the capture's world and unit. Depth from
 /// a folder gets relative errors of deviation `noise`.
-///
-/// # Errors
-/// [`Error::Io`] and [`Error::Format`] for a depth file; [`Error::Argument`] for another shape than
-/// the photo's, a distorted lens, or no known depth.
 pub fn scene(folder: &Path, noise: f64, choice: &Choice, capture: &Capture) -> Result<Scene> {
     let mut scene = Scene { sh_degree: 0, ..Scene::default() };
     let views = capture.views.cameras.iter().zip(&capture.views.images);

@@ -46,10 +46,6 @@ impl Reconstruct {
 impl Forward {
     /// Makes the scene in the world of the first camera, with known cameras or those that the
     /// network has `seen`.
-    ///
-    /// # Errors
-    /// As [`Question::ask`]; [`Error::Argument`] for unknown depth scales, or without confident
-    /// pixels.
     pub fn of_pixels(
         command: &Reconstruct,
         session: &mut Session<'_>,

@@ -26,9 +26,6 @@ impl Placed {
 
     /// Writes the cameras of the whole photos, with their inliers. Returns a note on photos without
     /// a camera.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] without any camera; those of reading photos; [`Error::Io`].
     pub fn save(&self, path: &Path, photos: &[PathBuf]) -> Result<Option<String>> {
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let (mut frames, mut fields, mut lost) = (Vec::new(), Vec::new(), Vec::new());

@@ -79,9 +79,6 @@ pub fn check(args: &Tradeoff, architecture: &Architecture, Size(width, height): 
 }
 
 /// Measures until the time limit. The other value tells whether the command should stop.
-///
-/// # Errors
-/// If a reconstruction or a picture fails; [`Error::Cancelled`] before the first point.
 pub fn run(
     args: &Tradeoff,
     session: &mut Session<'_>,
