@@ -188,7 +188,6 @@ impl Batch {
         Ok(works)
     }
 
-    /// Returns the captures of an input.
     fn captures(&self, input: &Path) -> Result<Vec<PathBuf>> {
         let found = input.metadata().map_err(|error| Error::io(input, error))?;
         if !found.is_dir() {

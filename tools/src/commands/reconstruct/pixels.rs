@@ -1,4 +1,4 @@
-//! Pixel scenes: one Gaussian per confident pixel of a depth network.
+//! Pixel scenes.
 
 use super::{
     Reconstruct,
@@ -44,8 +44,7 @@ impl Reconstruct {
 }
 
 impl Forward {
-    /// Makes the scene in the world of the first camera, with known cameras or those that the
-    /// network has `seen`.
+    /// Uses known cameras, or those that the network has `seen`. World: the first camera.
     pub fn of_pixels(
         command: &Reconstruct,
         session: &mut Session<'_>,
