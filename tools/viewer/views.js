@@ -1,4 +1,4 @@
-// View modes: color, depth, normals or tokens; and skipped effects.
+// View modes and skipped effects.
 
 const NEAREST = 0.01; // near plane
 
@@ -44,7 +44,6 @@ class Views {
         return range;
     }
 
-    // Skipped effects with reasons.
     tellLeftOut() {
         const { scene } = this.page, whole = number => number.toLocaleString("en"), facts = [];
         if (scene?.drawable) {

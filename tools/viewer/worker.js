@@ -1,11 +1,11 @@
-// Worker: reads scenes, packs textures and sorts by depth.
+// Reads scenes, packs textures and sorts by depth.
 //
-// In: { load, bytes, name, view } and { sort, view }: scene numbers, and the view's line of sight
-// and eye (optional for load). Out: { load, progress }, { load, failed } with a message, { load,
-// count, degree, dropped, faint, gaussians, harmonics, sample, order } and { sort, order }.
+// In: { load, bytes, name, view } and { sort, view }: scene numbers, and line of sight and eye
+// (optional for load). Out: { load, progress }, { load, failed } with a message, { load, count,
+// degree, dropped, faint, gaussians, harmonics, sample, order } and { sort, order }.
 
 const NEAR = 0.01;
-const FAINTEST = 1 / 255; // weaker Gaussians are invisible
+const FAINTEST = 1 / 255; // weaker ones are invisible
 const SAMPLE = 4096;
 const scenes = new Map();
 
@@ -37,7 +37,7 @@ function pack(scene) {
     return { gaussians, harmonics: new Uint32Array(harmonics.buffer), dropped };
 }
 
-// Means for the first view.
+// For the first view.
 function sampled({ means, count }) {
     const step = Math.max(1, Math.floor(count / SAMPLE)), points = [];
     for (let i = 0; i < count; i += step) points.push(means[3 * i], means[3 * i + 1], means[3 * i + 2]);
