@@ -1,7 +1,7 @@
-//! Goldens: safetensors dumps of the PyTorch implementation in f64 (see `data/README.md`).
+//! Goldens: safetensors dumps of the PyTorch implementation (see `data/README.md`).
 //!
-//! Small ones are committed in `tests/data`. Large ones come from `../shared/golden/data` beside
-//! the repository. A test whose golden is absent prints a line and passes.
+//! Large ones come from `../shared/golden/data`. A test whose golden is absent prints a line and
+//! passes.
 
 use std::collections::BTreeSet;
 use std::env;
@@ -13,11 +13,10 @@ use safetensors::tensor::{Metadata, TensorInfo};
 use safetensors::{Dtype, SafeTensors};
 use zipsplat::{perceptual::Perceptual, stages::lpips::LpipsNetwork};
 
-/// Length of the u64 header size that starts a safetensors file.
+/// Header size of safetensors.
 const LENGTH_BYTES: usize = 8;
 
-/// Lists golden folders in search order: `ZIPSPLAT_GRADIENTS` (gradients, depth networks),
-/// committed, shared.
+/// In search order: `ZIPSPLAT_GRADIENTS` (gradients, depth networks), committed, shared.
 fn folders() -> Vec<PathBuf> {
     let tests = Path::new(env!("CARGO_MANIFEST_DIR"));
     let beside = [tests.join("data"), tests.join("../../shared/golden/data")];
@@ -28,13 +27,13 @@ fn folders() -> Vec<PathBuf> {
 pub fn find(file: &str) -> Option<PathBuf> {
     let found = folders().into_iter().map(|folder| folder.join(file)).find(|path| path.is_file());
     if found.is_none() {
-        // The test harness swallows `println!` of a passing test.
+        // The harness swallows `println!` of a passing test.
         let _ = writeln!(io::stderr(), "golden {file} is absent (tests/data, ../shared/golden/data): not compared");
     }
     found
 }
 
-/// Returns the path of downloaded LPIPS weights, or prints a line and returns `None`.
+/// Returns the path of LPIPS weights, or prints a line and returns `None`.
 pub fn lpips_weights(network: LpipsNetwork) -> Option<PathBuf> {
     let found = Perceptual::file(network);
     if let Err(error) = &found {
@@ -49,8 +48,7 @@ pub fn interleaved<T: Copy>(planes: &[T], pixels: usize) -> Vec<T> {
     planes.chunks(3 * pixels).flat_map(picture).collect()
 }
 
-/// Lists the `.safetensors` files that start with `prefix`, sorted: `micro.v` lists the cases of
-/// `micro`, `raster.` the scenes.
+/// Lists the `.safetensors` files that start with `prefix`, sorted.
 pub fn list(prefix: &str) -> Vec<String> {
     let entries = folders().into_iter().filter_map(|folder| fs::read_dir(folder).ok()).flatten();
     let names = entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok());
@@ -65,7 +63,7 @@ pub fn json(file: &str) -> Option<serde_json::Value> {
     Some(serde_json::from_str(&text).unwrap_or_else(|error| panic!("{}: {error}", path.display())))
 }
 
-/// An open golden. Accessors panic with the key's name if it is absent or of another type.
+/// Open golden. Accessors panic with the key's name if it is absent or of another type.
 pub struct Golden {
     file: String,
     bytes: Vec<u8>,
