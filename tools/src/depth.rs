@@ -35,7 +35,7 @@ pub struct CamerasFrom {
     /// Source of the cameras that Depth Anything 3 estimates
     #[arg(long, alias = "camera-source", value_enum, value_name = "HOW", default_value = "decoder")]
     by: By,
-    /// Focal lengths of those cameras
+    /// Their focal lengths
     #[arg(long, value_enum, value_name = "WHOSE", default_value = "shared")]
     focal_lengths: FocalLengths,
 }
@@ -58,7 +58,6 @@ enum FocalLengths {
     Own,
 }
 
-/// Request to a network.
 pub struct Question<'a> {
     pub checkpoint: &'a DepthCheckpoint,
     /// Longer side of the network's input [default: Depth Anything 3's own].
@@ -69,7 +68,6 @@ pub struct Question<'a> {
 }
 
 impl Quality {
-    /// Returns the request for a scene.
     pub fn question<'a>(&'a self, checkpoint: &'a DepthCheckpoint) -> Question<'a> {
         Question {
             checkpoint,
@@ -114,14 +112,12 @@ pub struct Seen {
     pub cameras: Option<Vec<Camera>>,
     /// Photos without a camera.
     pub lost: Vec<PathBuf>,
-    /// For the user.
     pub notes: Vec<String>,
     pub network: String,
     pub precision: Precision,
     pub times: Vec<(&'static str, Duration)>,
 }
 
-/// Network on a device, with its request.
 pub struct Seer {
     model: DepthModel,
     precision: Precision,
@@ -141,8 +137,7 @@ pub struct Shown {
 }
 
 impl Question<'_> {
-    /// Runs the network on photos. Multi-view networks take the cameras of `known` frames as input,
-    /// in their unit of length.
+    /// Multi-view networks take the cameras of `known` frames as input, in their unit of length.
     pub fn ask(self, session: &mut Session<'_>, photos: &[PathBuf], known: &[&Frame]) -> Result<Seen> {
         let (shown, reading) = session.stage("load photos", |stage| Shown::read(self.side, photos, known, stage))?;
         let device = session.device()?;
@@ -163,7 +158,7 @@ impl Question<'_> {
 }
 
 impl Shown {
-    /// Reads photos at a longer side of `side`, and the cameras of their frames, if any.
+    /// `side` is the longer side; `known` frames have cameras.
     pub fn read(side: Option<u32>, photos: &[PathBuf], known: &[&Frame], stage: &Stage<'_>) -> Result<Self> {
         let read = photos::read(photos, known, stage, |_, photo| Ok(photo))?;
         let views = bounded_views(&read, side.unwrap_or(DEFAULT_BOUND))?;
@@ -171,7 +166,7 @@ impl Shown {
         Ok(Self { photos: photos.to_vec(), views, told })
     }
 
-    /// Counts the patches of all photos, of `side` pixels.
+    /// Of all photos, of `side` pixels.
     pub fn patches(&self, side: usize) -> usize {
         let of = |view: &View| (view.image.width as usize / side) * (view.image.height as usize / side);
         self.views.iter().map(of).sum()
@@ -179,12 +174,11 @@ impl Shown {
 }
 
 impl Seer {
-    /// Reads photos by [`Shown::read`].
     pub fn show(&self, photos: &[PathBuf], known: &[&Frame], stage: &Stage<'_>) -> Result<Shown> {
         Shown::read(self.side, photos, known, stage)
     }
 
-    /// Sets the share of patches in the scene.
+    /// Share of patches in the scene.
     pub fn keep(&mut self, ratio: Ratio) {
         self.request.ratio = ratio;
     }
@@ -193,7 +187,6 @@ impl Seer {
         self.precision
     }
 
-    /// Runs the network.
     pub fn see(&self, shown: Shown, stage: &Stage<'_>) -> Result<Seen> {
         let (Shown { photos, views, told }, begun) = (shown, Instant::now());
         let images: Vec<Image> = views.iter().map(|view| view.image.clone()).collect();
@@ -225,7 +218,6 @@ impl Seer {
 }
 
 impl Seen {
-    /// Takes cameras from the network's results, and removes photos without one.
     fn find_cameras(&mut self, CamerasFrom { by, focal_lengths }: CamerasFrom) -> Result<()> {
         let found: Vec<Result<Camera>> = match by {
             By::Decoder => self.depths.cameras()?.into_iter().map(Ok).collect(),
@@ -273,7 +265,7 @@ impl Seen {
         self.views.iter().map(|view| view.image.clone()).collect()
     }
 
-    /// Returns cameras of the stored photos, named by path; empty without cameras.
+    /// Named by path; empty without cameras.
     pub fn frames(&self) -> Result<Vec<Frame>> {
         let frame = |(i, camera): (usize, &Camera)| {
             let photo = &self.photos[i];
@@ -298,14 +290,14 @@ impl Seen {
         Ok(scene)
     }
 
-    /// Returns the number of patches in the scene, and of all.
+    /// In the scene, and all.
     pub fn patches(&self) -> [usize; 2] {
         let [columns, rows] = [self.depths.width, self.depths.height].map(|side| side as usize / self.depths.patch);
         let all = self.views.len() * columns * rows;
         [self.depths.patches.as_ref().map_or(all, Vec::len), all]
     }
 
-    /// Returns at most `most` points of confident pixels; none without cameras.
+    /// None without cameras.
     pub fn points(&self, most: usize) -> Vec<([f32; 3], [u8; 3])> {
         let Some(cameras) = &self.cameras else { return Vec::new() };
         self.depths.points(cameras, &self.images(), most)
@@ -319,7 +311,6 @@ fn keep<T>(list: &mut Vec<T>, kept: &[bool]) -> Vec<T> {
     goes.into_iter().map(|(item, _)| item).collect()
 }
 
-/// Converts cameras of photos to those of their views.
 fn of_views(frames: &[&Frame], views: &[View]) -> Result<Vec<Camera>> {
     let camera = |(frame, view): (&&Frame, &View)| {
         Ok(Camera { intrinsics: view.map.apply(&frame.camera.intrinsics, &frame.name)?, ..frame.camera })

@@ -19,10 +19,12 @@ use zipsplat::{
 
 #[derive(Args)]
 pub struct Weights {
-    /// Checkpoint, name in `zipsplat weights list`, or seeded:VARIANT for random weights [default: built-in]
+    /// Checkpoint, name in `zipsplat weights list`, or seeded:VARIANT for random weights [default:
+    /// built-in]
     #[arg(long, value_name = "PATH|NAME|seeded:VARIANT[:KEY]")]
     weights: Option<String>,
-    /// Network, if the checkpoint lacks it: vitg, vitl, vitb, vits, da3s, da3b, da3l[:out_layers=5,7,11]
+    /// Network, if the checkpoint lacks it: vitg, vitl, vitb, vits, da3s, da3b,
+    /// da3l[:out_layers=5,7,11]
     #[arg(long, value_name = "V", requires = "weights")]
     variant: Option<String>,
 }
@@ -35,7 +37,7 @@ impl Weights {
         }
     }
 
-    /// Opens the kind of network that the file's tensors show.
+    /// By the file's tensors.
     pub fn open_network(&self) -> Result<Network> {
         match &self.weights {
             Some(weights) if is_of_depth(weights) => {
@@ -46,29 +48,26 @@ impl Weights {
         }
     }
 
-    /// Formats the options as arguments.
     pub fn as_arguments(&self) -> Vec<&str> {
         let named = [("--weights", &self.weights), ("--variant", &self.variant)];
         named.iter().filter_map(|(name, value)| Some([*name, value.as_deref()?])).flatten().collect()
     }
 
-    /// Formats the options as arguments of `zipsplat convert`.
+    /// For `zipsplat convert`.
     pub fn as_input(&self) -> Vec<&str> {
         let variant = self.variant.iter().flat_map(|variant| ["--variant", variant]);
         [self.weights.as_deref().unwrap_or(BUILT_IN)].into_iter().chain(variant).collect()
     }
 
-    /// Returns true for the built-in weights.
     pub fn is_embedded(&self) -> bool {
         self.weights.as_deref().is_none_or(|weights| weights == BUILT_IN)
     }
 
-    /// Opens other weights of the given variant.
     pub fn open_as(&self, weights: &str) -> Result<Checkpoint> {
         open_checkpoint(weights, self.variant.as_deref(), CHECKPOINTS)
     }
 
-    /// Acts as [`Weights::open_as`], for a file that might be a scene.
+    /// The file might be a scene.
     pub fn open_unless_scene(&self, file: &str) -> Result<Checkpoint> {
         let expected = format!("{CHECKPOINTS}, or a scene ({})", SceneFormat::EXTENSIONS);
         open_checkpoint(file, self.variant.as_deref(), &expected)
@@ -93,7 +92,6 @@ impl Network {
 
 pub const BUILT_IN: &str = "built-in";
 
-/// Kinds of checkpoints, for messages.
 pub const CHECKPOINTS: &str = "a checkpoint (safetensors, or PyTorch's archive)";
 
 /// Opens a checkpoint; rejects other files by their first bytes.
@@ -167,7 +165,6 @@ pub struct SceneInput {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Invalid {
-    /// Reject the file
     Refuse,
     /// Drop and count them
     Drop,
@@ -178,7 +175,7 @@ impl SceneInput {
         self.invalid.is_some()
     }
 
-    /// Reads a scene, and notes and returns the number of dropped Gaussians.
+    /// Notes and returns the number of dropped Gaussians.
     pub fn read(&self, session: &mut Session<'_>, path: &Path) -> Result<(Scene, usize)> {
         let (mut scene, _) = session.stage("read scene", |_| read_scene_unchecked(path))?;
         if self.invalid != Some(Invalid::Drop) {
@@ -204,19 +201,17 @@ pub struct ArithmeticOption {
 }
 
 impl Quality {
-    /// Checks the options that depend on the network.
     pub fn check(&self, architecture: &Architecture) -> Result<()> {
         Pool::check(self.pool)?;
         let all = architecture.gaussians_per_token;
         self.keep.of(all).map(drop)
     }
 
-    /// Returns the Gaussians kept per token; `None` for all.
+    /// `None` for all.
     pub fn kept(&self) -> Option<u32> {
         self.keep.0
     }
 
-    /// Returns the ratio for a number of views.
     pub fn ratio_of(&self, views: usize) -> f64 {
         match self.ratio {
             Ratio::Fixed(ratio) => ratio,
@@ -228,12 +223,11 @@ impl Quality {
         self.size
     }
 
-    /// Returns the longer side of pictures of any shape, if requested.
+    /// Longer side of pictures of any shape.
     pub fn side(&self) -> Option<u32> {
         self.size.map(|Size(width, height)| width.max(height))
     }
 
-    /// Returns the Gaussians kept per token.
     pub fn group(&self, architecture: &Architecture) -> usize {
         self.keep.0.map_or(architecture.gaussians_per_token, |keep| keep as usize)
     }
@@ -245,7 +239,6 @@ impl Quality {
         }
     }
 
-    /// Returns the requested size, or the network's best.
     pub fn size_for(&self, checkpoint: &Checkpoint) -> Size {
         Size::or_best(self.size, checkpoint)
     }
@@ -288,8 +281,7 @@ impl PrecisionName {
 }
 
 impl ArithmeticOption {
-    /// Returns the requested precision, or the device's best, and its arithmetic. Notes kernels
-    /// that failed their test.
+    /// Returns the requested precision, or the device's best. Notes kernels that failed their test.
     pub fn choose(&self, session: &mut Session<'_>, device: &Device) -> Result<(Precision, Arithmetic)> {
         let Chosen { precision, arithmetic, notes } = session.choose(device, self.asked())?;
         notes.iter().for_each(|note| session.note(note));
@@ -313,7 +305,6 @@ impl ArithmeticOption {
 pub struct Keep(Option<u32>);
 
 impl Keep {
-    /// Returns the number, at most `all` per token.
     pub fn of(self, all: usize) -> Result<usize> {
         match self.0 {
             Some(keep) if keep as usize > all => {
@@ -336,12 +327,11 @@ impl FromStr for Keep {
     }
 }
 
-/// Width and height in pixels.
+/// In pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Size(pub u32, pub u32);
 
 impl Size {
-    /// Returns the requested size, or the network's best.
     pub fn or_best(asked: Option<Self>, checkpoint: &Checkpoint) -> Self {
         asked.unwrap_or(Self(checkpoint.picture_side(), checkpoint.picture_side()))
     }
@@ -370,7 +360,7 @@ pub fn parse_ratio(text: &str) -> Result<Ratio, String> {
     }
 }
 
-/// Parses a positive length.
+/// Positive.
 pub fn parse_length(text: &str) -> Result<f64, String> {
     let length = text.parse().ok().filter(|length: &f64| length.is_finite() && *length > 0.0);
     length.ok_or_else(|| "expected a number above 0".into())

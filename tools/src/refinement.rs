@@ -47,14 +47,13 @@ pub enum Start {
 const ENOUGH: usize = 500;
 
 impl Start {
-    /// Returns the requested start, else points for the built-in model if there are enough. Other
-    /// weights default to their scene.
+    /// Points only for the built-in model, if there are enough.
     pub fn or_best(asked: Option<Self>, cloud: Option<&PointCloud>, embedded: bool) -> Self {
         let enough = embedded && cloud.is_some_and(|cloud| cloud.positions.len() >= ENOUGH);
         asked.unwrap_or(if enough { Self::Points } else { Self::Scene })
     }
 
-    /// Returns true for a scene, and for points.
+    /// A scene, and points.
     pub fn needs(self) -> [bool; 2] {
         [self != Self::Points, self != Self::Scene]
     }
@@ -67,7 +66,7 @@ impl Start {
         }
     }
 
-    /// Returns the initial Gaussians. Unneeded arguments may be `None`.
+    /// Unneeded arguments may be `None`.
     pub fn scene(self, scene: Option<Scene>, cloud: Option<&PointCloud>, cameras: &[Camera]) -> Result<Scene> {
         let lacks = |found: &str, expected: &str| Error::argument("start of the refinement", found, expected);
         let of_scene = || scene.ok_or_else(|| lacks("no scene", "a scene, or --start points"));
@@ -84,10 +83,8 @@ impl Start {
     }
 }
 
-/// Name of the start of token refinement.
 pub const TOKENS: &str = "the network's tokens";
 
-/// Steps of `--refine` without a value.
 pub const DEFAULT_STEPS: &str = "100";
 
 /// Joins `--refine` with a following number of steps, so that `--refine`, `--refine=N` and
@@ -107,10 +104,9 @@ pub fn join_steps(args: impl IntoIterator<Item = OsString>) -> Vec<OsString> {
     joined
 }
 
-/// Default limit of a photo's pixels along x and y.
+/// Along x and y.
 pub const MOST_PIXELS: &str = "1600x1600";
 
-/// Value of `--refine`: steps and target.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Steps {
     pub count: usize,
@@ -201,8 +197,7 @@ impl RefineOptions {
     }
 }
 
-/// Writes the refined cameras for `--poses` and other programs. `to_world` maps the scene to the
-/// cameras' world.
+/// `to_world` maps the scene to the cameras' world.
 pub fn save_cameras(
     path: &Path,
     refined: &Refined,
@@ -219,7 +214,7 @@ pub fn save_cameras(
     write_frames(path, &moved, None)
 }
 
-/// Returns the median rotation in degrees and shift of the moved cameras, if any.
+/// Median rotation in degrees, and shift, of the moved cameras.
 pub fn camera_movement(given: &[Camera], refined: &Refined) -> Option<[f64; 2]> {
     let pairs = given.iter().zip(&refined.cameras).filter(|(given, refined)| given != refined);
     let movements: Vec<Pose> = pairs.map(|(given, refined)| refined.pose.relative_to(&given.pose)).collect();
@@ -245,7 +240,7 @@ pub fn placed(mut cloud: PointCloud, pose: &Pose, unit: f64) -> PointCloud {
     cloud
 }
 
-/// Refines with progress. Cancellation returns the best so far.
+/// Cancellation returns the best so far.
 pub fn refine(
     session: &Session<'_>,
     arena: &Arena,
@@ -272,14 +267,12 @@ pub fn refine(
     }
 }
 
-/// Formats the progress.
 fn told(at: &Refining<'_>) -> String {
     let loss = at.loss.map(|loss| format!(", loss {loss:.4}")).unwrap_or_default();
     let psnr = at.psnr.map(|psnr| format!(", {psnr:.2} dB")).unwrap_or_default();
     format!("refine{loss}{psnr}")
 }
 
-/// Formats the outcome.
 pub fn summary(refined: &Refined, start: &str, given: &[Camera]) -> String {
     let (steps, step, [after, before]) = (refined.losses.len(), refined.best_step, refined.training_psnr);
     let training = counted(given.len() - refined.held.len(), "training photo");
@@ -295,7 +288,6 @@ pub fn summary(refined: &Refined, start: &str, given: &[Camera]) -> String {
     )
 }
 
-/// Returns the outcome as JSON.
 pub fn as_json(refined: &Refined, start: &str, given: &[Camera]) -> Value {
     let cameras = camera_movement(given, refined);
     json!({
@@ -308,7 +300,7 @@ pub fn as_json(refined: &Refined, start: &str, given: &[Camera]) -> Value {
     })
 }
 
-/// Returns the settings for `--explain`; photos have their files' names.
+/// For `--explain`.
 pub fn explain(refined: &Refined, request: &Refine, start: &str, photos: &[PathBuf]) -> Table {
     let name = |i: &usize| photos[*i].file_name().unwrap_or_default().to_string_lossy().into_owned();
     let held: Vec<String> = refined.held.iter().map(name).collect();
@@ -361,7 +353,6 @@ fn ended(refined: &Refined) -> String {
 /// Photos below which a refinement without held-out ones overfits.
 const FEW: usize = 6;
 
-/// Warns about a refinement that ended early or had few photos.
 pub fn doubt(refined: &Refined) -> Option<String> {
     let training = refined.cameras.len() - refined.held.len();
     match &refined.stopped {

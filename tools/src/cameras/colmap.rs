@@ -1,4 +1,4 @@
-//! COLMAP as a program: its location, the commands of its steps, and progress from its output.
+//! COLMAP as a program: commands of its steps, and progress from its output.
 
 use super::find::{Pairs, Searching};
 use crate::{process, session::Stage};
@@ -10,7 +10,7 @@ use std::{
 use zipsplat::{Error, Result};
 
 const PYCOLMAP: &str = include_str!("pycolmap.py");
-/// Limit of features per photo: matching cost is quadratic in them.
+/// Per photo: matching cost is quadratic in them.
 const FEATURES: u32 = 8192;
 /// Photos per matching block: smaller blocks report progress more often.
 const BLOCK: u32 = 8;
@@ -34,16 +34,15 @@ pub enum Step {
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct Mapping {
     seed: u32,
-    /// Minimum triangulation angle of the first pair, in degrees.
+    /// Of the first pair, in degrees.
     first_angle: u32,
-    /// Minimum points shared by the first pair.
+    /// Shared by the first pair.
     first_points: u32,
-    /// Minimum points to register a further photo.
+    /// To register a further photo.
     points: u32,
     pub refines_lens: bool,
 }
 
-/// Facts from COLMAP's output.
 #[derive(Default)]
 pub struct Told {
     /// Per photo.
@@ -60,7 +59,7 @@ pub struct Told {
     last: Vec<String>,
 }
 
-/// Lines of output in an error.
+/// In an error.
 const LAST: usize = 3;
 
 impl Mapping {
@@ -91,7 +90,7 @@ impl fmt::Display for Colmap {
 }
 
 impl Colmap {
-    /// Returns the requested program, else `colmap`, else pycolmap of `python3`.
+    /// The requested program, else `colmap`, else pycolmap of `python3`.
     pub fn of(searching: &Searching, stage: &Stage<'_>) -> Result<Self> {
         let tried = match (&searching.python, &searching.colmap) {
             (Some(python), _) => Self::pycolmap(python, stage),
@@ -101,7 +100,6 @@ impl Colmap {
                 Self::native(Path::new("colmap"), stage).or_else(|why| python().map_err(|_| why))
             }
         };
-        // Cancellation is no reason to suggest an installation.
         stage.check()?;
         tried.map_err(|why| {
             let expected = format!(
@@ -139,8 +137,8 @@ impl Colmap {
         &self.program
     }
 
-    /// Returns a step's command. `folder` has `images` and gets `database.db`; models go to
-    /// `models`. Uses neither GPU nor display.
+    /// `folder` has `images` and gets `database.db`; models go to `models`. Uses neither GPU nor
+    /// display.
     pub fn command(
         &self,
         step: Step,
@@ -255,7 +253,7 @@ impl Told {
         far
     }
 
-    /// Returns true if a step failed for lack of a result, so that another attempt may succeed.
+    /// Returns true if another attempt may succeed.
     pub fn found_nothing(&mut self, step: Step, status: ExitStatus) -> bool {
         let no_start = std::mem::take(&mut self.no_start);
         matches!(step, Step::Cameras(_)) && no_start && status.code() == Some(1)

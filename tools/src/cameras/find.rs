@@ -37,7 +37,7 @@ const COLMAP: &str = "colmap";
 const DA3: &str = "da3";
 /// Default longer side of the photos for COLMAP.
 const SIDE: u32 = 1600;
-/// Default limit for exhaustive matching, whose cost is quadratic in photos.
+/// Limit for exhaustive matching, whose cost is quadratic in photos.
 const ALL_PAIRS: usize = 100;
 /// Number of photos up to which every lost one justifies a retry.
 const FEW_PHOTOS: usize = 12;
@@ -97,28 +97,24 @@ pub enum Pairs {
 /// Cameras with their estimation, if any.
 pub struct Known {
     pub poses: Poses,
-    /// Absent for cameras of a file.
     pub found: Option<Found>,
 }
 
-/// Estimated cameras. Owns the temporary points file.
+/// Owns the temporary points file.
 pub struct Found {
     /// Results of the network, if one was used.
     pub seen: Option<Box<Seen>>,
-    /// Photos without a camera.
     pub lost: Vec<PathBuf>,
-    /// Photos with a camera.
     pub count: usize,
     /// Sizes of groups among the lost photos that COLMAP registered separately.
     pub groups: Vec<usize>,
     pub points: usize,
     /// Median focal length over the photo's longer side.
     pub focal: f64,
-    /// Number of mapper runs.
     pub mappings: usize,
     pub program: String,
     pub times: Vec<(&'static str, Duration)>,
-    /// COLMAP's output, if it estimated the cameras.
+    /// Of COLMAP.
     pub(super) log: Option<Log>,
     pub(super) _work: Scratch,
 }
@@ -136,15 +132,14 @@ struct Search<'a> {
 }
 
 impl Finder {
-    /// Returns the finder that a word requests; a file of that name is `./find`.
+    /// A file of that name is `./find`.
     pub fn named(poses: &Path) -> Option<Self> {
         let finders = [(FIND, Self::Colmap), (COLMAP, Self::Colmap), (DA3, Self::Da3)];
         let mut finders = finders.into_iter().filter(|(word, _)| *word != COLMAP || !poses.exists());
         finders.find(|(word, _)| poses == Path::new(word)).map(|(_, finder)| finder)
     }
 
-    /// Estimates the cameras of photos. Frames are named after the files, or after paths if files
-    /// share a name.
+    /// Frames are named after files, or after paths if files share a name.
     pub fn find(self, session: &mut Session<'_>, photos: &[PathBuf], finding: &Finding) -> Result<(Poses, Found)> {
         photos.iter().try_for_each(|photo| text(Path::new(photo.file_name().unwrap_or_default())).map(drop))?;
         match self {
@@ -163,14 +158,13 @@ impl Known {
         Ok(Self { poses, found: Some(found) })
     }
 
-    /// Returns true if `poses` requests estimation.
     pub fn to_find(poses: &Path) -> bool {
         Finder::named(poses).is_some()
     }
 }
 
 impl Found {
-    /// Estimates cameras, in a world and unit of COLMAP's choice.
+    /// In a world and unit of COLMAP's choice.
     fn by_colmap(session: &mut Session<'_>, photos: &[PathBuf], searching: &Searching) -> Result<(Poses, Self)> {
         let (colmap, _) = session.stage("look for COLMAP", |stage| Colmap::of(searching, stage))?;
         if photos.len() < 2 {
@@ -201,7 +195,6 @@ impl Found {
         Ok((poses, Self { seen: None, lost, count, groups, points, focal, mappings, program, times, log, _work }))
     }
 
-    /// Formats the outcome.
     pub fn told(&self) -> String {
         let mut text = format!("{} of {}", self.count, counted(self.count + self.lost.len(), "photo"));
         text += &format!(", {}, by {}", counted(self.points, "point"), self.program);
@@ -233,7 +226,7 @@ impl<'a> Search<'a> {
         Ok(Self { colmap, work, pairs, side, log: Log::new()?, told: Told::default(), times: Vec::new() })
     }
 
-    /// Runs a step; returns its status if it failed.
+    /// Returns the status of a failed step.
     fn run(&mut self, session: &Session<'_>, step: Step, models: &Path) -> Result<Option<ExitStatus>> {
         let folders = [self.work.folder.path(), models];
         let photos = self.work.photos.len();
@@ -253,13 +246,13 @@ impl<'a> Search<'a> {
             let why = "COLMAP found no room left for its files; TMPDIR says where they go";
             return Err(process::failure(&std::env::temp_dir(), why, status));
         }
-        // The mapper fails this way if there is nothing to find.
+        // Only if there is nothing to find.
         let found_nothing = told.found_nothing(step, status);
         Ok(Some(status).filter(|status| !status.success() && !found_nothing))
     }
 
-    /// Returns the groups that COLMAP joined, largest first, and the number of attempts. Retries if
-    /// few photos are joined or the focal length is implausible.
+    /// Returns the groups, largest first, and the number of attempts. Retries if few photos are
+    /// joined or the focal length is implausible.
     fn map(&mut self, session: &Session<'_>) -> Result<(Vec<Poses>, usize)> {
         let photos = self.work.photos.len();
         let enough = if photos <= FEW_PHOTOS { photos } else { (ENOUGH * photos as f64) as usize };
@@ -294,7 +287,7 @@ impl<'a> Search<'a> {
         Ok((best, attempts))
     }
 
-    /// Returns a step's failure with COLMAP's last words, and keeps the log.
+    /// Keeps the log.
     fn failure(&mut self, step: Step, status: ExitStatus) -> Error {
         let said = match self.told.last_words() {
             words if words.is_empty() => String::new(),
@@ -310,7 +303,6 @@ impl<'a> Search<'a> {
     }
 }
 
-/// Returns the median focal length over the longer side.
 pub(super) fn focal(frames: &[Frame]) -> f64 {
     let focal = |Frame { camera: Camera { intrinsics, .. }, .. }: &Frame| {
         intrinsics.fx / f64::from(intrinsics.width.max(intrinsics.height))
@@ -320,7 +312,6 @@ pub(super) fn focal(frames: &[Frame]) -> f64 {
     focals[focals.len() / 2]
 }
 
-/// Explains the lack of any camera.
 fn nothing(photos: usize, told: &Told) -> Error {
     let mut features = told.features.clone();
     features.sort_unstable();

@@ -16,7 +16,7 @@ use zipsplat::{
 };
 
 impl Found {
-    /// Estimates cameras, in the world of one of them, and points of confident pixels.
+    /// In the world of one of them, with points of confident pixels.
     pub(super) fn by_network(
         session: &mut Session<'_>,
         photos: &[PathBuf],
@@ -31,7 +31,6 @@ impl Found {
         Self::by_question(session, photos, question)
     }
 
-    /// Acts as [`Found::by_network`], with a given question.
     pub fn by_question(session: &mut Session<'_>, photos: &[PathBuf], question: Question<'_>) -> Result<(Poses, Self)> {
         check_finds_cameras(question.checkpoint.architecture())?;
         let seen = question.ask(session, photos, &[])?;

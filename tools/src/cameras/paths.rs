@@ -23,15 +23,14 @@ const WIGGLE_ELEVATION: f64 = 2.0;
 
 /// Length of the given order over that of the nearest-neighbor order, above which it is no path.
 const DETOUR: f64 = 1.5;
-/// Errors of landmark centers over their distance: in the same world, and after alignment by the
-/// first pose.
+/// Over their distance: in the same world, and after alignment by the first pose.
 const SAME_WORLD: f64 = 0.1;
 const ALIGNED: f64 = 0.3;
-/// Default limit of the longest side of a path's pictures.
+/// Of a path's pictures.
 const SIDE: u32 = 1280;
-/// Default horizontal field of view of a path, in degrees.
+/// In degrees.
 const FOV: f64 = 60.0;
-/// Default size for cameras without one.
+/// For cameras without one.
 const SIZE: Size = Size(252, 252);
 
 #[derive(Args)]
@@ -44,17 +43,17 @@ pub struct CameraArgs {
     /// with matrix or viewmat and fx, fy, cx, cy, width, height
     #[arg(long, alias = "poses", value_name = "PATH")]
     cameras: Option<PathBuf>,
-    /// Smooth path through the cameras of a file, as of --cameras
+    /// Smooth path through the cameras of a file
     #[arg(long, value_name = "PATH")]
     spline: Option<PathBuf>,
-    /// Once around an ellipse fitted to the cameras of a file, as of --cameras
+    /// Once around an ellipse fitted to the cameras of a file
     #[arg(long, value_name = "PATH")]
     ellipse: Option<PathBuf>,
     /// From the first view's camera straight toward the scene
     #[arg(long)]
     dolly: bool,
-    /// Once around the scene, about the mean up of the cameras of a file, as of --cameras, else
-    /// about the first view's
+    /// Once around the scene, about the mean up of the cameras of a file, else about the first
+    /// view's
     #[arg(long, value_name = "PATH", num_args = 0..=1, require_equals = true)]
     orbit: Option<Option<PathBuf>>,
     /// Small figure of eight in front of the scene, the default path
@@ -89,7 +88,7 @@ pub struct CameraArgs {
 }
 
 impl CameraArgs {
-    /// Returns the cameras for a scene, and notes. `world` is the scene file's.
+    /// Also returns notes. `world` is the scene file's.
     pub fn cameras(&self, scene: &Scene, world: Option<&World>) -> Result<(Vec<Camera>, Vec<String>)> {
         let frames = self.frames as usize;
         let mut lens = self.lens(world.and_then(|world| world.lens.as_ref()))?;
@@ -105,7 +104,6 @@ impl CameraArgs {
         let with_lens = |poses: Vec<Pose>| poses.into_iter().map(|pose| Camera { intrinsics: lens, pose }).collect();
         let path = if self.orbit.is_some() {
             let orbit = Orbit::around(&seen_from(scene, &home))?;
-            // One step more would repeat the first.
             with_lens(orbit.sweep(frames + 1, 0.0, 360.0, 0.0)[..frames].to_vec())
         } else if self.dolly {
             let camera = Camera { intrinsics: lens, pose: Pose::IDENTITY };
@@ -150,7 +148,7 @@ impl CameraArgs {
         }
     }
 
-    /// Returns the lens of the options, else of the first photo `own`.
+    /// The options' lens, else that of the first photo `own`.
     fn lens(&self, own: Option<&Intrinsics>) -> Result<Intrinsics> {
         let size = self.size.or(own.map(shown)).unwrap_or(SIZE);
         if let (Some(own), None) = (own, self.fov) {
@@ -192,8 +190,7 @@ impl CameraArgs {
     }
 }
 
-/// Returns the similarity from a file's cameras to the scene's world, and a note. `world` is the
-/// scene file's.
+/// From a file's cameras to the scene's world, with a note. `world` is the scene file's.
 pub fn to_scene(
     relative_to: Option<&Path>,
     poses: &Poses,
@@ -263,7 +260,6 @@ fn aligned(given: &Pose, poses: &Poses, world: &World) -> Option<Result<(Similar
     Some(if off(&onto) <= ALIGNED * length { Ok((onto, names)) } else { Err(names) })
 }
 
-/// Returns the scene in the frame of a pose.
 fn seen_from<'a>(scene: &'a Scene, home: &Pose) -> Cow<'a, Scene> {
     if *home == Pose::IDENTITY {
         return Cow::Borrowed(scene);
@@ -273,8 +269,7 @@ fn seen_from<'a>(scene: &'a Scene, home: &Pose) -> Cow<'a, Scene> {
     Cow::Owned(scene)
 }
 
-/// Returns the upright pose at the origin with the first camera's direction; up is the cameras'
-/// mean.
+/// Upright at the origin, in the first camera's direction; up is the cameras' mean.
 fn level(cameras: &[Camera]) -> Result<Pose> {
     let up = mean_up(cameras)?;
     let forward = cameras[0].pose.rotation.z_axis.reject_from_normalized(up);
@@ -282,7 +277,7 @@ fn level(cameras: &[Camera]) -> Result<Pose> {
     Ok(Pose { rotation: DMat3::from_cols(forward.cross(up), -up, forward), translation: DVec3::ZERO })
 }
 
-/// Orders cameras for a path: their own order, or nearest neighbors if that is a detour.
+/// Keeps the given order unless nearest neighbors make a shorter path.
 fn by_nearness(cameras: Vec<Camera>) -> (Vec<Camera>, Option<String>) {
     let length = |cameras: &[Camera]| -> f64 { cameras.windows(2).map(|pair| distance(&pair[0], &pair[1])).sum() };
     let (mut chain, mut left) = (vec![cameras[0]], cameras[1..].to_vec());
@@ -311,7 +306,7 @@ fn origin_pose(poses: &Poses, photo: &Path) -> Result<Pose> {
     Ok(poses.for_photos(&[photo])?[0].pose)
 }
 
-/// Returns the photo's size, limited to [`SIDE`].
+/// At most [`SIDE`].
 fn shown(intrinsics: &Intrinsics) -> Size {
     let (width, height) = (intrinsics.width, intrinsics.height);
     let scale = f64::from(SIDE) / f64::from(width.max(height));
@@ -319,7 +314,7 @@ fn shown(intrinsics: &Intrinsics) -> Size {
     Size(side(width), side(height))
 }
 
-/// Crops the center for another size, as `reconstruct` crops photos.
+/// As `reconstruct` crops photos.
 fn cropped(intrinsics: &Intrinsics, Size(width, height): Size) -> Intrinsics {
     let aspect = f64::from(width) / f64::from(height.max(1));
     let rect = crop_to_aspect(intrinsics.width, intrinsics.height, aspect);

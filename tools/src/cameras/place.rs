@@ -20,7 +20,7 @@ use zipsplat::{
 pub struct Place<'a>(pub &'a Path);
 
 impl Place<'_> {
-    /// Returns `points.ply` for `transforms.json`, `garden.points.ply` for `garden.json`.
+    /// `points.ply` for `transforms.json`, `garden.points.ply` for `garden.json`.
     fn beside(&self, name: &str) -> PathBuf {
         match self.0.file_stem() {
             Some(stem) if stem != "transforms" => {
@@ -36,14 +36,12 @@ impl Place<'_> {
         [self.0.to_owned(), self.beside("points.ply"), self.beside("colmap.log")]
     }
 
-    /// Checks the outputs before estimation.
     pub fn check(&self, overwrite: Overwrite) -> Result<()> {
         self.check_alone(overwrite)?;
         let existing = self.files().into_iter().filter(|file| file.exists());
         existing.into_iter().try_for_each(|file| overwrite.check_file(&file))
     }
 
-    /// Acts as [`Place::check`], for cameras alone.
     pub fn check_alone(&self, overwrite: Overwrite) -> Result<()> {
         if self.0.extension().is_none_or(|extension| !extension.eq_ignore_ascii_case("json")) {
             return Err(Error::argument("file of cameras", self.0.display(), "one that ends in .json"));
@@ -54,7 +52,7 @@ impl Place<'_> {
         }
     }
 
-    /// Writes cameras with the lenses of the unchanged photos, points, and COLMAP's log.
+    /// Keeps the lenses of the unchanged photos.
     pub fn save(&self, poses: &Poses, found: &Found) -> Result<()> {
         let [cameras, points, log] = self.files();
         self.0.parent().map_or(Ok(()), make_folder)?;
@@ -95,7 +93,6 @@ impl ModelOption {
         overwrite.check_replaced(colmap_files(folder))
     }
 
-    /// Writes the model if requested. Frames have their photos.
     pub fn save(&self, frames: &[Frame], points: Option<&Path>) -> Result<()> {
         let Some(folder) = &self.colmap_model else { return Ok(()) };
         let photos = frames.iter().map(|frame| frame.photo.as_deref().unwrap_or(Path::new(&frame.name)));
@@ -114,7 +111,7 @@ impl ModelOption {
     }
 }
 
-/// Returns a photo's path relative to a folder above it, else its whole path.
+/// Relative to a folder above it, else whole.
 pub fn path_from(folder: &Path, photo: &Path) -> Result<String> {
     let whole = |path: &Path| path.canonicalize().map_err(|source| Error::io(path, source));
     let (folder, photo) = (whole(folder)?, whole(photo)?);

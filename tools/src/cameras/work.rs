@@ -1,4 +1,4 @@
-//! Photos in COLMAP's working folder.
+//! COLMAP's working folder.
 
 use crate::{scratch::Scratch, session::Stage};
 use std::{
@@ -15,10 +15,10 @@ use zipsplat::{
     },
 };
 
-/// Photos in their own folder, under short names for COLMAP's files.
+/// Under short names for COLMAP's files.
 pub(super) struct Work {
     pub folder: Scratch,
-    /// Each photo, and its copy's name.
+    /// With its copy's name.
     pub photos: Vec<(PathBuf, String)>,
 }
 
@@ -43,8 +43,7 @@ impl Work {
         Ok(work)
     }
 
-    /// Returns the model with the photos' own paths, in their order, and the photos without a
-    /// camera.
+    /// With the photos' own paths, in their order, and the photos without a camera.
     pub fn named(&self, model: Poses) -> Result<(Poses, Vec<PathBuf>)> {
         let mut frames: HashMap<String, Frame> =
             model.frames.into_iter().map(|frame| (frame.name.clone(), frame)).collect();
@@ -80,7 +79,7 @@ pub(super) fn make_folder(path: &Path) -> Result<()> {
     std::fs::create_dir_all(path).map_err(|source| Error::io(path, source))
 }
 
-/// Returns the extension of a format that every COLMAP reads, by first bytes.
+/// Of a format that every COLMAP reads, by first bytes.
 fn kind(photo: &Path) -> Result<Option<&'static str>> {
     let mut start = [0; 4];
     let read = std::io::Read::read_exact(&mut open_file(photo)?, &mut start);
@@ -92,7 +91,7 @@ fn kind(photo: &Path) -> Result<Option<&'static str>> {
     })
 }
 
-/// Links a photo, or copies it if the system cannot.
+/// Copies if the system cannot link.
 fn link(photo: &Path, to: &Path) -> Result<()> {
     let failed = |source| Error::io(photo, source);
     let photo = photo.canonicalize().map_err(failed)?;
@@ -103,7 +102,7 @@ fn link(photo: &Path, to: &Path) -> Result<()> {
     linked.map_err(failed)
 }
 
-/// Numbers the photos' lenses from 0. Photos of equal size, EXIF camera and focal length share one.
+/// Counts from 0. Photos of equal size, EXIF camera and focal length share one.
 pub fn lenses(photos: &[PathBuf]) -> Result<Vec<usize>> {
     let mut known = HashMap::new();
     let lens = |photo: &PathBuf| {
@@ -113,7 +112,7 @@ pub fn lenses(photos: &[PathBuf]) -> Result<Vec<usize>> {
     photos.iter().map(lens).collect()
 }
 
-/// Returns camera and lens from EXIF: a phone may have several lenses.
+/// A phone may have several lenses.
 fn optics(photo: &Path) -> Option<String> {
     let read = exif::Reader::new().read_from_container(&mut BufReader::new(File::open(photo).ok()?)).ok()?;
     let tags = [exif::Tag::Model, exif::Tag::FocalLength, exif::Tag::FocalLengthIn35mmFilm];

@@ -104,7 +104,6 @@ struct Failure {
     error: String,
 }
 
-/// Number of captures by outcome.
 #[derive(Default)]
 struct Tally {
     made: usize,
@@ -165,7 +164,6 @@ impl Batch {
         }
     }
 
-    /// Returns the captures under unique names.
     fn works(&self) -> Result<Vec<Work>> {
         let mut folders = Vec::new();
         for input in &self.inputs {
@@ -216,7 +214,7 @@ impl Batch {
         Ok(!photos_of(folder)?.is_empty() || self.posed && read_poses(folder).is_ok())
     }
 
-    /// Identifies the settings of a scene, except its capture.
+    /// All but the capture.
     fn made_with(&self, weights: &str, size: &str, precision: &str) -> Result<String> {
         let of_file = if Path::new(weights).is_file() { stamp(Path::new(weights))? } else { String::new() };
         let Quality { ratio, select, pool, .. } = &self.quality;
@@ -236,7 +234,6 @@ struct Runner<'a> {
 }
 
 impl Runner<'_> {
-    /// Overlaps decoding, reconstruction and writing.
     fn run(&self, stage: &Stage<'_>) -> Result<Tally> {
         let tally = Mutex::new(Tally::default());
         let limit = self.batch.limit.unwrap_or(usize::MAX);
@@ -287,7 +284,7 @@ impl Runner<'_> {
         ended.map(|()| tally.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner()))
     }
 
-    /// Reads a capture's photos; `None` if its scene is finished.
+    /// `None` if its scene is finished.
     fn prepare(&self, work: &Work, stage: &Stage<'_>) -> Result<Option<Prepared>> {
         let poses = if self.batch.posed { Some(read_poses(&work.folder)?) } else { None };
         let mut photos = match &poses {
@@ -325,7 +322,6 @@ impl Runner<'_> {
         Ok(Made { scene, world, record })
     }
 
-    /// Hashes the inputs and options of a scene.
     fn hash(&self, photos: &[PathBuf], poses: Option<&Poses>) -> Result<String> {
         let mut parts = vec![self.made_with.clone()];
         for photo in photos {
@@ -338,7 +334,6 @@ impl Runner<'_> {
         Ok(digest(&parts))
     }
 
-    /// Adds a failed capture, at once also to the file.
     fn failed(&self, tally: &Mutex<Tally>, work: &Work, error: &Error) {
         let failures = &mut lock(tally).failures;
         failures.push(Failure { capture: work.folder.display().to_string(), error: error.to_string() });
@@ -354,7 +349,7 @@ impl Runner<'_> {
     }
 }
 
-/// Writes a scene, then the record that marks it complete.
+/// The record marks the scene complete.
 fn write(work: &Work, made: Made) -> Result<()> {
     std::fs::remove_file(&work.record).ok();
     outputs::save_scene(&work.scene, &made.scene, &WriteOptions::default(), made.world.as_ref())?;
@@ -367,14 +362,14 @@ fn write(work: &Work, made: Made) -> Result<()> {
     })
 }
 
-/// Returns true for a complete scene of equal inputs and options.
+/// Complete, of equal inputs and options.
 fn is_finished(work: &Work, hash: &str) -> bool {
     let read = || serde_json::from_slice::<Value>(&std::fs::read(&work.record).ok()?).ok();
     let bytes = work.scene.metadata().map(|found| found.len()).ok();
     read().is_some_and(|record| record["hash"] == hash && bytes.is_some() && record["bytes"].as_u64() == bytes)
 }
 
-/// Returns the photos of a folder, or else of its images/.
+/// The folder's, or else those of its images/.
 fn photos_of(folder: &Path) -> Result<Vec<PathBuf>> {
     let photos = photos::directly_in(folder)?;
     let below = folder.join("images");

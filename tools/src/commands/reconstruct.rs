@@ -102,7 +102,7 @@ pub struct Reconstruct {
     explain: bool,
     #[command(flatten, next_help_heading = REFINEMENT)]
     refine: RefineOptions,
-    /// File for the refined cameras: a transforms.json in the world of the known cameras
+    /// File for the refined cameras: a transforms.json in the known cameras' world
     #[arg(long, help_heading = REFINEMENT, value_name = "FILE", requires = "refine_cameras")]
     refined_cameras: Option<PathBuf>,
     /// Also draw the scene into a folder, as zipsplat render does
@@ -134,7 +134,6 @@ enum WorldName {
 }
 
 impl WorldName {
-    /// Returns the world of a scene of these frames.
     fn of(self, frames: &[&Frame]) -> Option<World> {
         match self {
             Self::First => World::of_first(frames),
@@ -143,8 +142,7 @@ impl WorldName {
     }
 }
 
-/// Warns about coarse positions in the cameras' world. `forward` has the length of the network's
-/// unit.
+/// `forward` has the length of the network's unit.
 fn coarse(first: &Pose, forward: Option<&Forward>) -> Option<String> {
     // Positions are f32.
     let (step, length) = (first.translation.length() * f64::from(f32::EPSILON), forward?.length);
@@ -307,7 +305,6 @@ impl Reconstruct {
         session.report(&json, text)
     }
 
-    /// Rejects options that do not apply to this network.
     fn check_network(&self, session: &mut Session<'_>, network: &Network) -> Result<()> {
         match network {
             Network::Tokens(checkpoint) => {
@@ -323,7 +320,6 @@ impl Reconstruct {
         if finds { Place(place).check(self.overwrite) } else { Place(place).check_alone(self.overwrite) }
     }
 
-    /// Checks the options before any slow step.
     fn check(&self) -> Result<()> {
         self.overwrite.check_file(&self.output)?;
         if SceneFormat::of_extension(&self.output).is_none() {
@@ -334,7 +330,6 @@ impl Reconstruct {
         self.refine.check()
     }
 
-    /// Returns true if cameras are estimated before the scene.
     fn finds(&self, network: &Network) -> bool {
         self.poses.as_deref().is_some_and(Known::to_find) || self.finds_by_itself(network)
     }
@@ -346,7 +341,6 @@ impl Reconstruct {
         own && matches!(network, Network::Pixels(_))
     }
 
-    /// Selects the photos, with known or estimated cameras if any.
     fn captured(&self, session: &mut Session<'_>, network: &Network) -> Result<Captured> {
         let named_in =
             self.cameras_out.as_deref().or(self.refined_cameras.as_deref()).map(|file| (file, self.overwrite));
@@ -385,7 +379,6 @@ impl Reconstruct {
         Ok(Captured { photos, poses, frame_folder, found })
     }
 
-    /// Checks and returns the drawing of --pictures.
     fn drawing(&self) -> Result<Option<Render>> {
         let Some(folder) = &self.pictures else { return Ok(None) };
         let known = self.poses.as_ref().filter(|poses| !Known::to_find(poses));

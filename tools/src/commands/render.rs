@@ -94,7 +94,6 @@ pub struct Render {
 /// Full width at half maximum of a Gaussian, in standard deviations.
 const WIDTH: f64 = 2.354_820_045;
 
-/// Makes each Gaussian an opaque dot of its color.
 fn show_points(scene: &mut Scene, width: f64) {
     scene.scales.fill([(width / WIDTH) as f32; 3]);
     scene.opacities.fill(1.0);
@@ -123,8 +122,7 @@ impl Render {
         session.report(&json, text)
     }
 
-    /// Draws and reports the requested outputs. `load` uploads the scene once its cameras are
-    /// checked.
+    /// `load` uploads the scene once its cameras are checked.
     pub fn draw(
         &self,
         session: &mut Session<'_>,
@@ -172,12 +170,10 @@ impl Render {
         self.told(device, [scene.len(), dropped], &cameras, took, explanation)
     }
 
-    /// Checks the options before any work.
     pub fn check(&self) -> Result<()> {
         self.sinks().map(drop)
     }
 
-    /// Parses render options for another command's scene.
     pub fn of_words(scene: &Path, folder: &Path, force: bool, words: &[String]) -> Result<Self> {
         let command = Self::augment_args(Command::new("--pictures").no_binary_name(true));
         let own = [scene.as_os_str(), "--output".as_ref(), folder.as_os_str()];
@@ -221,7 +217,6 @@ impl Render {
         self.output.as_deref().filter(|_| !self.is_piped())
     }
 
-    /// Returns the checked outputs, except standard output.
     fn sinks(&self) -> Result<Sinks<'_>> {
         let folder = self.folder();
         folder.map_or(Ok(()), outputs::check_folder)?;

@@ -61,8 +61,8 @@ pub struct Depth {
     poses: Option<PathBuf>,
     #[command(flatten)]
     cameras: CamerasFrom,
-    /// Depth in meters, by da3metric-large and the cameras' focal lengths. Without it, depth of
-    /// single-view networks is aligned to the cameras' points
+    /// Depth in meters, by da3metric-large and the cameras' focal lengths; positions must be in
+    /// meters. Otherwise depth of single-view networks is aligned to the cameras' points
     #[arg(long, alias = "metric", requires = "poses")]
     metres: bool,
     /// Reference photo of the world, counted from 1 [default: the network's choice]

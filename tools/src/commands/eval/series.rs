@@ -244,7 +244,7 @@ impl Series<'_> {
 }
 
 impl Eval {
-    /// Identifies the settings of the scores, except scene and frames.
+    /// All but scene and frames.
     fn made_with(&self, weights: &Network, seeing: Seeing, precision: &str) -> Result<String> {
         let weights = weights.provenance();
         let of_file = if Path::new(weights).is_file() { stamp(Path::new(weights))? } else { String::new() };
@@ -279,7 +279,6 @@ fn slug(name: &str) -> String {
     letters.collect()
 }
 
-/// Shows photos above their predictions.
 fn pictures(judged: &Judged) -> Result<Image> {
     let targets = &judged.capture.targets;
     let shown = targets.len().min(SHOWN);

@@ -1,4 +1,4 @@
-//! External scenes of the input photos.
+//! External scenes.
 
 use super::{depth, judge::Made};
 use crate::{
@@ -95,8 +95,7 @@ impl Theirs {
         format!("{scene:?} {from_depth:?} {noise:?} {world:?} {scene_cameras:?} {scene_unit:?} {opacities:?}")
     }
 
-    /// Returns the external scene in a capture's world and unit. `name` is the capture's in a data
-    /// set.
+    /// `name` is the capture's in a data set.
     pub fn make(
         &self,
         session: &mut Session<'_>,
@@ -184,14 +183,13 @@ impl Theirs {
     }
 }
 
-/// Maps a scene through the cameras' world to a capture's, whose first input has pose `first`.
+/// The capture's first input has pose `first`.
 pub fn place(scene: &mut Scene, to_cameras: &Similarity, first: &Pose, capture: &Capture) {
     let pose = first.inverse().compose(&to_cameras.pose);
     let pose = Pose { translation: pose.translation / capture.unit.length, ..pose };
     scene.place(to_cameras.scale / capture.unit.length, &pose);
 }
 
-/// Detects plain opacities that were read as logits.
 fn are_plain(scene: &Scene) -> bool {
     // Logistic function of 0 and 1.
     !scene.is_empty() && scene.opacities.iter().all(|opacity| (0.5..=0.731_06).contains(opacity))

@@ -179,7 +179,7 @@ impl Tradeoff {
         session.report(&sweep.points, text)
     }
 
-    /// Returns the requested arithmetics, or all supported ones, `exact` first.
+    /// All by default, `exact` first.
     fn arithmetics(
         &self,
         session: &mut Session<'_>,
