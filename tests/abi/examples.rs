@@ -44,8 +44,7 @@ fn expected_means(checkpoint: &Checkpoint, photos: &[PathBuf]) -> Vec<[f32; 3]> 
     done.expect("a scene").scene().unwrap().means
 }
 
-/// Asserts Rust's scene and a picture, with a checkpoint and with the embedded model. `said` is the
-/// expected output for a number of Gaussians.
+/// `said` is the expected output for a number of Gaussians.
 fn assert_reconstructs(example: impl Fn() -> Command, said: impl Fn(usize) -> String) {
     let (folder, photos) = inputs();
     let micro = folder.path().join("micro.safetensors");

@@ -98,7 +98,7 @@ const AFTER: &str = r"
 #endif // ZIPSPLAT_H
 ";
 
-/// Groups declarations by source file under its title. Each source uses only types of earlier ones.
+/// Groups declarations by source file. Each source uses only types of earlier ones.
 fn by_source(header: &str, sources: &[String]) -> String {
     let (top, declarations) = header.split_once("#include <stdint.h>\n").expect("its includes");
     let mut sections = vec![String::new(); sources.len()];

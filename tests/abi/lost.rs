@@ -1,5 +1,4 @@
-//! Device loss: later device calls report it, host memory stays readable, objects can be destroyed,
-//! and another context works.
+//! Device loss: host memory stays readable, objects can be destroyed, and another context works.
 
 use crate::calls::*;
 use zipsplat::types::Scene;

@@ -27,7 +27,6 @@ fn folder() -> Folder {
     folder
 }
 
-/// Of numbered pictures.
 fn pictures(folder: &Folder, name: &str) -> Vec<Vec<u8>> {
     let numbered = |name: &String| name.starts_with(|c: char| c.is_ascii_digit());
     let files = names(&folder.path(name)).into_iter().filter(numbered);

@@ -18,7 +18,7 @@ pub struct ImageTolerance {
 }
 
 impl ImageTolerance {
-    // Twice the worst deviation of gsplat's formulas in f32 from f64.
+    // Twice the worst deviation of gsplat's formulas in f32.
 
     /// Color and alpha in `[0, 1]`.
     pub const RGB: ImageTolerance = ImageTolerance { absolute: 8e-6, relative: 0.0, psnr: 110.0 };
@@ -37,7 +37,7 @@ impl ImageTolerance {
     /// f64 against truth stored in f32.
     pub const STORED: ImageTolerance = ImageTolerance { absolute: 1e-7, relative: 1e-7, psnr: 140.0 };
 
-    /// Returns the tolerance of a faster arithmetic. Gaussians of similar depth may swap, so single
+    /// Returns the tolerance of a faster arithmetic. Gaussians of similar depth may swap: single
     /// pixels are unbounded.
     pub fn of_network(arithmetic: Arithmetic) -> Self {
         let coarser = factor_rounding(arithmetic) / Element::F16.roundoff();
@@ -56,13 +56,13 @@ pub struct Picture<'a, T> {
     pub channels: usize,
 }
 
-/// Asserts that a picture matches the truth and returns the PSNR in dB of the compared pixels.
+/// Asserts that a picture matches the truth; returns the PSNR in dB of the compared pixels.
 ///
-/// Nonzero `unstable` pixels (`&[]` for none), which rounding decides, only need to be finite.
+/// Nonzero `unstable` pixels (`&[]` for none) only need to be finite.
 ///
 /// # Panics
-/// If sizes differ, a value is not finite, or the deviation is larger. Saves and names the picture,
-/// the truth and the amplified difference.
+/// If sizes differ, a value is not finite, or the deviation is larger. Saves the pictures and the
+/// difference.
 #[track_caller]
 pub fn assert_images_close<G: Float, T: Float>(
     name: &str,
@@ -130,7 +130,6 @@ fn measure(
     Ok(psnr)
 }
 
-/// The largest finite difference is white.
 fn save(
     name: &str,
     got: &[f64],

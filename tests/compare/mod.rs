@@ -31,7 +31,7 @@ pub struct Deviation {
 }
 
 impl Deviation {
-    /// Measures `got` against `truth`; fails for different lengths or non-finite values.
+    /// Fails for different lengths or non-finite values.
     pub fn measure(got: &[impl Float], truth: &[impl Float]) -> Result<Deviation, String> {
         if got.len() != truth.len() {
             return Err(format!("{} values, truth has {}", got.len(), truth.len()));
@@ -187,10 +187,9 @@ pub fn columns(rows: &[impl Float], width: usize, start: usize, end: usize) -> V
 /// Relative difference of a tie; f32 rounding is 1e-6.
 const TIE: f64 = 1e-4;
 
-/// Asserts cluster representatives: each centroid's nearest token, or the second nearest in a tie.
+/// Asserts each centroid's nearest token, or the second nearest in a tie.
 ///
-/// The centroid of a cluster of two is equidistant from both. `top2 [K, 2]` and `gap [K]`
-/// (relative) are `nearest_top2` and `nearest_gap`.
+/// `top2 [K, 2]` and `gap [K]` (relative) are `nearest_top2` and `nearest_gap`.
 ///
 /// # Panics
 /// If lengths differ or an index is neither.

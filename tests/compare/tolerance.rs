@@ -14,10 +14,8 @@ pub struct Tolerance {
 /// Half an ulp of 1.
 const F32_ROUNDING: f64 = f32::EPSILON as f64 / 2.0;
 
-/// Network taps (without digits and compression prefix) and fields of Gaussians, in f32.
-///
-/// About three times the worst f32 deviation of PyTorch. A wrong LayerNorm epsilon exceeds it in
-/// `tiny_eps`.
+/// Network taps (without digits and compression prefix) and fields of Gaussians, in f32: about
+/// three times PyTorch's worst deviation.
 const F32: &[(&str, Tolerance)] = &[
     // |x| <= 1 times 588 weights; interpolating the position embedding in f32 adds 1e-5.
     ("bb/tokens", Tolerance { max: 3e-5, rms: 4e-6 }),
@@ -50,21 +48,20 @@ impl Tolerance {
 
     /// Returns the tolerance of taps with rounded factors and f16 weights.
     ///
-    /// A block passes about four roundings in a row, at random sqrt(4) = 2 of them. The residual
-    /// stream deviates no more. The maximum over millions of elements is 8 times that.
+    /// A block passes about four roundings in a row, at random sqrt(4) = 2 of them. The maximum
+    /// over millions of elements is 8 times that.
     pub fn tap_in(arithmetic: Arithmetic) -> Tolerance {
         let u = factor_rounding(arithmetic);
         Tolerance { max: 16.0 * u, rms: 2.0 * u }
     }
 
-    /// Returns the tolerance of such Gaussians: twice the reference's deviation under autocast, 2
-    /// unit roundoffs. exp amplifies.
+    /// Returns the tolerance of such Gaussians: twice the reference's deviation under autocast.
     pub fn gaussians_in(arithmetic: Arithmetic) -> Tolerance {
         let u = factor_rounding(arithmetic);
         Tolerance { max: (200.0 * u).min(2.0), rms: 4.0 * u }
     }
 
-    /// Returns the f32 tolerance of a golden's key such as `bb/block3` or `r0.5/ca1_delta`.
+    /// Returns the f32 tolerance of a key such as `bb/block3` or `r0.5/ca1_delta`.
     ///
     /// # Panics
     /// If the table lacks it.
@@ -91,8 +88,8 @@ impl Tolerance {
     /// One exp of |x| <= 20: Vulkan allows 3 + 2 |x| ulp.
     pub const EXPONENTIAL: Tolerance = Tolerance { max: 1e-5, rms: 1e-5 };
 
-    /// Returns the tolerance of a mean of f32 `terms` of one sign: a rounding per doubling, and 2.5
-    /// ulp for the division.
+    /// Returns the tolerance of a mean of f32 `terms` of one sign: a rounding per doubling, 2.5 ulp
+    /// for the division.
     pub fn mean_of(terms: usize) -> Tolerance {
         let max = F32_ROUNDING * (5.0 + (terms.max(1) as f64).log2());
         Tolerance { max, rms: max / 2.0 }
@@ -108,8 +105,8 @@ impl Tolerance {
         Tolerance { max: self.max * factor, rms: self.rms * factor }
     }
 
-    /// Returns the tolerance of f32 sums of `terms` comparable products: sqrt(terms) roundings,
-    /// times 8 for the tail over millions of elements.
+    /// Returns the tolerance of sums of comparable f32 products: sqrt(terms) roundings, times 8 for
+    /// the tail over millions of elements.
     pub fn sum_of(terms: usize) -> Tolerance {
         let walk = F32_ROUNDING * (terms.max(4) as f64).sqrt();
         Tolerance { max: 8.0 * walk, rms: 2.0 * walk }
@@ -130,7 +127,7 @@ impl Tolerance {
     }
 
     /// Returns the tolerance of sums of rounded factors: each term moves by up to 2 unit roundoffs
-    /// at random, and the sum by as much relative to its rms.
+    /// at random.
     pub fn sum_of_rounded(element: Element, terms: usize) -> Tolerance {
         let u = element.roundoff();
         Tolerance::sum_of(terms).and(Tolerance { max: 8.0 * u, rms: 2.0 * u })
@@ -139,9 +136,8 @@ impl Tolerance {
 
 /// Bounds a product's deviation from the rounding of both factors, relative to its rms.
 ///
-/// Float factors each move it by less than the unit roundoff. A row of 8-bit integers is uniform
-/// with an rms of about a quarter of its range: half of 1/127 is 4 times as much, 1/sqrt(3) at
-/// random, times sqrt(2) for both.
+/// A row of 8-bit integers is uniform with an rms of about a quarter of its range: half of 1/127 is
+/// 4 times as much, 1/sqrt(3) at random, times sqrt(2) for both.
 pub(super) fn factor_rounding(arithmetic: Arithmetic) -> f64 {
     match arithmetic.has_integers() {
         true => 4.0 * Element::I8.roundoff() * (2f64 / 3.0).sqrt(),

@@ -15,13 +15,13 @@ pub const OUT_OF_DEVICE_MEMORY: i32 = -2;
 /// `VK_ERROR_DEVICE_LOST`.
 pub const DEVICE_LOST: i32 = -4;
 
-/// Runs an ignored test in a process under the layer, and asserts silent validation.
+/// Runs an ignored test in a process under the layer, under silent validation.
 #[track_caller]
 pub fn assert_survives(name: &str) {
     let (own, work) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let at = |name: &str| own.path().join(name);
     build_layer(&own);
-    // Messages during device destruction cannot fail a test, so the layer prints them.
+    // Messages during device destruction cannot fail a test.
     let settings = std::fs::read_to_string(tests().join("vk_layer_settings.txt")).unwrap();
     let printing =
         "khronos_validation.debug_action = VK_DBG_LAYER_ACTION_LOG_MSG\nkhronos_validation.log_filename = stdout\n";

@@ -44,8 +44,7 @@ fn the_order_of_gaussians_changes_nothing() {
 
 #[test]
 fn cutting_a_picture_changes_nothing() {
-    // Moving the principal point rounds differently. These Gaussians are too small to reach from
-    // where only the crop's view is clamped.
+    // Gaussians too small to reach from where only the crop's view is clamped.
     let (scene, whole) = (random_scene(2_000, 1, 0.05), camera(96, 80));
     let frame = render(&scene, &[whole], &ALL).remove(0);
     let unstable = rasterise::render(&reference_gaussians(&scene), &reference_camera(&whole), false, [0.0; 3]).unstable;

@@ -29,7 +29,6 @@ fn hold(what: &str, scene: &Scene, camera: &Camera, antialiased: bool, tolerance
     assert!(8 * seen > truth.alpha.len(), "{what}: little to see, {seen} pixels");
 }
 
-/// With an anisotropic lens.
 fn turned() -> Camera {
     let mut turned = camera(70, 53);
     (turned.intrinsics.fx, turned.intrinsics.fy) = (70.3, 68.9);

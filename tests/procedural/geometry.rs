@@ -6,8 +6,7 @@ use zipsplat_cli::procedural::{Capture, Photos, Setup};
 
 use crate::{capture, options, rays, setup};
 
-/// Of an f32 intersection, away from silhouettes. Sphere tracing stops at 1e-4 of a tube's radius
-/// before its refinement.
+/// Away from silhouettes. Sphere tracing stops at 1e-4 of a tube's radius before its refinement.
 const RELATIVE: f64 = 5e-4;
 /// Pixels within which rounding may select the other surface.
 const BESIDE: f64 = 0.02;

@@ -31,7 +31,6 @@ fn images() -> [Image; 2] {
     [0, 100].map(|first| Image::new(SIZE[0], SIZE[1], (0..3 * PIXELS as u8).map(|i| first + 4 * i).collect()).unwrap())
 }
 
-/// Pixel and depth.
 fn pixel(camera: &Camera, mean: [f32; 3]) -> (usize, f64) {
     let at = camera.pose.inverse().transform(mean.map(f64::from).into());
     let lens = camera.intrinsics;

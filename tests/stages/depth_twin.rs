@@ -63,7 +63,6 @@ fn both(a: &DepthArchitecture, pictures: &[Image], reference: usize) -> (Vec<Dep
     (said(a, pictures, &request).views, views(&weights, &sizes, &normalised(pictures), reference))
 }
 
-/// From `first` on.
 fn every(values: &[f64], first: usize, step: usize) -> Vec<f64> {
     values[first..].iter().step_by(step).copied().collect()
 }

@@ -23,7 +23,6 @@ fn matrix(values: &[f64]) -> DMat3 {
     DMat3::from_cols_slice(values).transpose()
 }
 
-/// In degrees.
 fn degrees(a: DMat3, b: DMat3) -> f64 {
     let turn = a * b.transpose();
     let skew = DVec3::new(turn.y_axis.z - turn.z_axis.y, turn.z_axis.x - turn.x_axis.z, turn.x_axis.y - turn.y_axis.x);

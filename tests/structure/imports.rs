@@ -1,9 +1,8 @@
-//! Layers of the engine. The crates enforce the rest: only `engine/gpu` uses Vulkan, and the
-//! references do not use the engine.
+//! Layers of the engine.
 
 use crate::source::{Source, files, paths, tokens};
 
-/// Each uses only earlier ones; the first three are crates. `error` is `Error` and `Result`.
+/// Each uses only earlier ones. `error` is `Error` and `Result`.
 const LAYERS: [&str; 13] = [
     "error",
     "gpu",

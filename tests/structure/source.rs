@@ -71,8 +71,7 @@ fn string_length(text: &str) -> usize {
     text.len()
 }
 
-/// Paths that start with one of `roots`, with groups expanded: `crate::{a::B, c::*}` gives
-/// `crate::a::B` and `crate::c`.
+/// `crate::{a::B, c::*}` gives `crate::a::B` and `crate::c`.
 pub fn paths(tokens: &[String], roots: &[&str]) -> Vec<Vec<String>> {
     let mut found = Vec::new();
     let mut at = 0;

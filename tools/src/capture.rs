@@ -85,7 +85,6 @@ impl Choice {
         Ok(Self { inputs: chosen.into_iter().map(|i| found[i]).collect(), targets, poses })
     }
 
-    /// `scene` is for messages.
     pub fn given(poses: Poses, scene: &str, inputs: Vec<usize>, targets: Vec<usize>) -> Result<Self> {
         let frame = |i: usize| poses.frames.get(i).and_then(|frame| frame.photo.as_ref());
         if let Some(i) = inputs.iter().chain(&targets).find(|i| frame(**i).is_none()) {
@@ -292,7 +291,6 @@ pub fn spread(k: usize) -> DVec3 {
     DVec3::new((1.0 - z * z).sqrt() * cos, (1.0 - z * z).sqrt() * sin, z)
 }
 
-/// World: the camera `world`.
 fn posed(frame: &Frame, photo: &Image, seeing: Seeing, world: &Pose, label: &str) -> Result<Posed> {
     let view = seeing.compare(photo)?;
     let camera = seen_through(&frame.camera, &view.map, label)?;

@@ -91,7 +91,6 @@ impl Quality {
     }
 }
 
-/// Rejects a network without cameras.
 pub fn check_finds_cameras(network: &DepthArchitecture) -> Result<()> {
     if network.multi_view() {
         return Ok(());
@@ -132,7 +131,6 @@ pub struct Seer {
 pub struct Shown {
     photos: Vec<PathBuf>,
     views: Vec<View>,
-    /// Known cameras.
     told: Option<Vec<Camera>>,
 }
 

@@ -300,7 +300,6 @@ pub fn as_json(refined: &Refined, start: &str, given: &[Camera]) -> Value {
     })
 }
 
-/// For `--explain`.
 pub fn explain(refined: &Refined, request: &Refine, start: &str, photos: &[PathBuf]) -> Table {
     let name = |i: &usize| photos[*i].file_name().unwrap_or_default().to_string_lossy().into_owned();
     let held: Vec<String> = refined.held.iter().map(name).collect();

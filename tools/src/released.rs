@@ -113,7 +113,6 @@ impl Released {
         format!("zipsplat weights get {}", self.name)
     }
 
-    /// Base path of download and conversion.
     pub fn base(&self, folder: &Path) -> PathBuf {
         folder.join(self.kept_as)
     }

@@ -65,7 +65,6 @@ impl Fit {
         }
     }
 
-    /// By photo headers.
     pub fn count(self, photos: &[PathBuf]) -> Result<usize> {
         if self == Self::Crop {
             return Ok(photos.len());
@@ -79,7 +78,6 @@ impl Fit {
         Ok(views)
     }
 
-    /// In the world of `camera`.
     pub fn views(self, photo: &Image, camera: Option<&Camera>, size: Size, label: &str) -> Result<Vec<Seen>> {
         match (self, camera) {
             (Self::Squares, Some(camera)) => {

@@ -2,8 +2,8 @@
 // KHR_gaussian_splatting.
 //
 // A scene has `count` Gaussians in the engine's axes: means [N, 3], scales [N, 3] linear, quats [N,
-// 4] wxyz, opacities [N], colors [N, 3] from degree 0, and `rest` [N, K - 1, 3], higher
-// coefficients as half floats. Unreadable files throw an Error with a message for the user.
+// 4] wxyz, opacities [N], colors [N, 3] from degree 0, and `rest` [N, K - 1, 3], half floats.
+// Errors are for the user.
 
 const SH_0 = 0.2820947917738781;
 

@@ -34,7 +34,6 @@ class Live {
     // Logarithmic, from the least ratio to 1.
     get ratio() { return Number(Math.max(LEAST_RATIO, LEAST_RATIO ** (1 - element("ratio").value / 100)).toPrecision(3)); }
 
-    // Cancels pending requests.
     async ask() {
         this.waiting?.abort();
         const waiting = this.waiting = new AbortController(), begin = performance.now();

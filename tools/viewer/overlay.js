@@ -48,7 +48,6 @@ class Overlay {
 
     wipe() { this.photo.style.clipPath = `inset(0 ${100 - element("wiper").value}% 0 0)`; }
 
-    // In front of the camera.
     project(point) {
         const { camera, canvas } = this.page, focal = camera.focal(canvas.clientWidth, canvas.clientHeight);
         const [x, y, z] = camera.axes.map(axis => dot(axis, add(point, camera.eye, -1)));

@@ -1,5 +1,3 @@
-// Page logic.
-
 const element = id => document.getElementById(id);
 const config = JSON.parse(element("config").textContent);
 const counted = (count, what) => `${count.toLocaleString("en")} ${what}${count === 1 ? "" : "s"}`;
@@ -235,7 +233,6 @@ class Page {
         this.worker.postMessage({ sort: this.current, view });
     }
 
-    // Line of sight and eye.
     view() { return [...this.camera.axes[2], ...this.camera.eye]; }
 
     // Slow motion gets fewer pixels.

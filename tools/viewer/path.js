@@ -66,7 +66,6 @@ class Path {
         return camera;
     }
 
-    // Until its end or user input.
     play() {
         if (this.keys.length < 2) return;
         if (this.playing) return void (this.playing = null);

@@ -1,5 +1,3 @@
-// Live refinement.
-
 const OFTEN = 250; // milliseconds between polls
 
 class Refining {

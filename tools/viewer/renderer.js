@@ -1,5 +1,5 @@
-// WebGL2 renderer with the rules of kernels/render: EWA splatting with equal blur and cut-offs,
-// spherical harmonics to degree 3, far to near, half-precision channels, truncated to 8 bits.
+// WebGL2 renderer with the rules of kernels/render: EWA splatting with equal blur and cut-offs, far
+// to near, half-precision channels, truncated to 8 bits.
 
 const TEXTURE_WIDTH = 4096;
 
@@ -8,7 +8,7 @@ const SHOWN = { color: 0, depth: 1, normals: 2, tokens: 3 };
 // Near to far.
 const PALETTE = [[1, 0.95, 0.65], [0.98, 0.62, 0.25], [0.8, 0.25, 0.42], [0.4, 0.13, 0.5], [0.08, 0.07, 0.25]];
 
-// Gaussians per instance: instances are costly.
+// Instances are costly.
 const BATCH = 128;
 // Three texels per projected Gaussian: center and long axis; short axis, number, opacity; color.
 const PROJECTED = ["ellipses", "short_axes", "colors"];
@@ -167,7 +167,7 @@ void main() {
     blended = vec4(color.rgb * alpha, alpha);
 }`;
 
-// Gaussian with a minimum alpha at a pixel.
+// With a minimum alpha at a pixel.
 const PICK_FRAGMENT = `#version 300 es
 precision highp float;
 precision highp int;
@@ -257,7 +257,6 @@ class Renderer {
         return array;
     }
 
-    // One pixel for a Gaussian's number.
     pickBuffer() {
         const { gl } = this, buffer = gl.createFramebuffer(), texture = gl.createTexture();
         gl.bindTexture(gl.TEXTURE_2D, texture);

@@ -9,7 +9,6 @@ const FAINTEST = 1 / 255; // weaker ones are invisible
 const SAMPLE = 4096;
 const scenes = new Map();
 
-// Texels of 4 words for renderer.js.
 function pack(scene) {
     const { count, means, scales, quats, opacities, colors, rest } = scene;
     const gaussians = new Uint32Array(12 * count), values = new Float32Array(gaussians.buffer);

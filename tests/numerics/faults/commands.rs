@@ -119,7 +119,6 @@ impl Case {
         self.faults.calls(3)
     }
 
-    /// `function` returns `result` from a call on.
     fn fails(&self, function: &str, call: u32, result: i32, code: u8, words: &[&str]) {
         self.faults.set(function, call, result);
         let (found, out, err) = zipsplat(&self.line);

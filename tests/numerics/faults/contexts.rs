@@ -108,8 +108,7 @@ impl Work {
         self.faults.calls(3)
     }
 
-    /// Returns the error if a function fails from a call on; with `lost`, the device stays lost.
-    /// `None` if this run had fewer calls.
+    /// With `lost`, the device stays lost. `None` if this run had fewer calls.
     fn fails(&self, function: &str, call: u32, result: i32, lost: bool) -> Option<Error> {
         self.faults.set(function, call, result);
         let (device, mut made) = (self.open(), Made::default());

@@ -226,7 +226,6 @@ impl<'a> Search<'a> {
         Ok(Self { colmap, work, pairs, side, log: Log::new()?, told: Told::default(), times: Vec::new() })
     }
 
-    /// Returns the status of a failed step.
     fn run(&mut self, session: &Session<'_>, step: Step, models: &Path) -> Result<Option<ExitStatus>> {
         let folders = [self.work.folder.path(), models];
         let photos = self.work.photos.len();
@@ -367,7 +366,6 @@ impl Log {
         self.0.path()
     }
 
-    /// Keeps the file, and returns its path.
     fn keep(&mut self) -> Result<PathBuf> {
         self.0.disable_cleanup(true);
         Ok(self.path().to_owned())

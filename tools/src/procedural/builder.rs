@@ -68,7 +68,6 @@ impl Builder<'_> {
         }
     }
 
-    /// On `base`, about `size` wide.
     pub fn solid(&mut self, base: Vec3A, size: f32) {
         let material = self.draw(Role::Anything);
         let heading = self.rng.angle();

@@ -78,7 +78,6 @@ fn seen(folder: &Path, frame: &Frame, camera: &Camera, unit: f64) -> Result<Vec<
     Ok(rows.iter().flat_map(row).collect())
 }
 
-/// Along an axis.
 fn pixels(axis: usize, from: &Intrinsics, to: &Intrinsics) -> Vec<usize> {
     let lens = |i: &Intrinsics| if axis == 0 { (i.fx, i.cx, i.width) } else { (i.fy, i.cy, i.height) };
     let ((f, c, count), (to_f, to_c, most)) = (lens(from), lens(to));
