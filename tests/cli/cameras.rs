@@ -11,7 +11,7 @@ use zipsplat::types::{
 use zipsplat_cli::{Terminal, run};
 use zipsplat_tests::processes::{child, target};
 
-/// In the help of COLMAP 3.
+/// Version-dependent options in COLMAP 3's help.
 pub const OPTIONS_3: [&str; 3] = [
     "--ImageReader.single_camera_per_folder arg --SiftExtraction.use_gpu arg (=1) --SiftExtraction.max_image_size arg",
     "--SiftMatching.use_gpu arg --ExhaustiveMatching.block_size arg",

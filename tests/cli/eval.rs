@@ -188,7 +188,7 @@ fn a_camera_stays_near_its_first_estimate() {
     let folder = Folder::new();
     let mut renderer = splats(&folder);
     let start = Camera { intrinsics: Intrinsics::from_fov(84, 56, 1.0, 0.7), pose: Pose::IDENTITY };
-    // Distant Gaussians are less unlike.
+    // A photo unlike the scene.
     let stripes =
         (0..84 * 56).flat_map(|i| [if i % 84 / 7 % 2 == 0 { 250 } else { 20 }, 120, (i / 84) as u8]).collect();
     let photo = Image::new(84, 56, stripes).expect("a picture");

@@ -8,7 +8,7 @@ use std::{
     sync::{Arc, Mutex, MutexGuard},
 };
 
-/// Of the storage, for one request.
+/// Fault of the storage for one request.
 #[derive(Clone, Copy, Debug)]
 pub enum Act {
     /// Closes the connection after this many bytes.

@@ -8,7 +8,7 @@ use zipsplat::stages::render::{Frame, RenderRequest, Renderer, plan_pictures};
 use zipsplat::types::{Camera, Image, Scene};
 use zipsplat_tests::{networks, scenes::camera};
 
-/// Memory can be counted.
+/// An own device, to count its memory.
 fn alone(staged: bool) -> (Device, Model) {
     let device = Device::open(&DeviceOptions { staged, ..DeviceOptions::default() }).unwrap();
     let model = networks::model_on(&device, "micro", Arithmetic::EXACT);

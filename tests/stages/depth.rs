@@ -54,7 +54,6 @@ fn cameras(golden: &Golden) -> Option<Vec<Camera>> {
     })
 }
 
-/// With all taps.
 struct Observed {
     run: Run,
     depths: Depths,
@@ -74,7 +73,6 @@ impl Observed {
         Self { run, depths }
     }
 
-    /// Once for each view if the tap is per view.
     fn taps(&self, name: &str) -> Vec<Vec<f32>> {
         let named = self.run.observed().iter().filter(|(other, _)| other == name);
         named.map(|(_, tensor)| self.run.read(*tensor).unwrap()).collect()

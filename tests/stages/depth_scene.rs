@@ -82,7 +82,7 @@ fn sky_and_what_has_no_depth_are_left_out() {
     depths.views[1].sky = Some([0.0, 0.31, 0.29, 0.0, 0.5, 0.0, 0.0, 0.0].into());
     let scene = depths.scene(&cameras(), &images(), None);
     assert_eq!(pixels(&scene), [0, 4, 5, 3, 6, 7, 10, 15, 12, 13, 16, 17]);
-    // Nor displaced.
+    // NaN pixels displace no others of their patch.
     depths.views[1].depth[1] = f32::NAN;
     let kept = depths.scene(&cameras(), &images(), Some(2));
     assert_eq!(pixels(&kept), [4, 5, 6, 7, 10, 15, 16, 17]);
@@ -107,7 +107,6 @@ fn chosen_patches_stand_for_all() {
     let mut depths = numbered();
     depths.patches = Some(vec![1, 2]);
     assert_eq!(pixels(&depths.scene(&cameras(), &images(), None)), [2, 3, 6, 7, 10, 11, 14, 15]);
-    // With their patches.
     depths.keep_views(&[false, true]);
     assert_eq!((depths.views.len(), &depths.patches), (1, &Some(vec![0])));
     let scene = depths.scene(&cameras()[1..], &images()[1..], None);

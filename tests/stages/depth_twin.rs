@@ -56,7 +56,6 @@ fn weights(a: &DepthArchitecture) -> (Weights, Sizes) {
     (weights, sizes)
 }
 
-/// Device and f64.
 fn both(a: &DepthArchitecture, pictures: &[Image], reference: usize) -> (Vec<DepthView>, Vec<View>) {
     let request = DepthRequest { reference: Some(reference), ..DepthRequest::default() };
     let (weights, sizes) = weights(a);

@@ -111,7 +111,6 @@ fn networks_are_as_large_as_released() {
         let parameters = DepthArchitecture::named(name).unwrap().parameters();
         let count: usize = parameters.iter().map(|(_, shape)| shape.iter().product::<usize>()).sum();
         let found = count as f64 / 1e6;
-        // Files include unused parameters.
         assert!(
             found <= 1.02 * millions && found > 0.9 * millions,
             "{name}: {found} M parameters, released {millions} M"

@@ -21,7 +21,6 @@ fn tap_tolerance(arithmetic: Arithmetic, key: &str) -> Tolerance {
     }
 }
 
-/// Of cases with priors.
 fn cameras(golden: &Golden) -> Option<Vec<Camera>> {
     golden.has("in/camera").then(|| {
         let (cameras, poses) = (golden.f64("in/camera"), golden.f64("in/pose"));
@@ -36,7 +35,6 @@ fn cameras(golden: &Golden) -> Option<Vec<Camera>> {
     })
 }
 
-/// With all taps.
 fn observe(model: &Model, images: &[Image], request: &Request) -> (HashMap<String, Vec<f32>>, Run) {
     let shape = model.shape(images, request).unwrap();
     let (plan, tensors) = model.record(shape, true).unwrap();

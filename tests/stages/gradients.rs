@@ -143,7 +143,6 @@ fn through_a_head_of_odd_width() {
     assert_close("d_tokens", &run.read::<f32>(d_tokens).unwrap(), &truth, rms(1e-5));
 }
 
-/// On one plan.
 struct Steps {
     run: Run,
     tokens: Tensor,

@@ -35,7 +35,7 @@ fn dynamic(image: &Image) -> DynamicImage {
     DynamicImage::ImageRgb8(image::RgbImage::from_vec(image.width, image.height, image.rgb.clone()).unwrap())
 }
 
-/// Without an extension.
+/// Under a name without extension.
 fn open(bytes: &[u8]) -> Result<Image, Error> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("photo");
@@ -125,7 +125,7 @@ fn bilinear_is_that_of_f64() {
 fn a_pass_whose_size_matches_changes_nothing() {
     let photo = noise(60, 40);
     assert_eq!(resize_lanczos(&photo, 60, 40).unwrap(), photo);
-    // Filtered independently.
+    // Columns are filtered independently.
     let column = photo.crop(7, 0, 1, 40).unwrap();
     let (all, one) = (resize_lanczos(&photo, 60, 25).unwrap(), resize_lanczos(&column, 1, 25).unwrap());
     assert_eq!(all.crop(7, 0, 1, 25).unwrap(), one);
@@ -199,7 +199,6 @@ fn squares_show_what_their_cameras_see() {
                     assert!(apart < 4.0, "{apart} levels at ({x}, {y}) of a square of {width}x{height}");
                 }
             }
-            // Inside the square.
             for (x, y) in (0..height).flat_map(|y| (0..width).map(move |x| (x, y))) {
                 let d = view.pose.rotation.transpose() * pose.rotation * ray(&intrinsics, x, y);
                 let i = &view.intrinsics;

@@ -52,7 +52,7 @@ fn assert_format_error(path: &Path, parts: &[&str]) {
     }
 }
 
-/// Edited by `change`.
+/// `change` edits transforms.json.
 fn capture(change: impl FnOnce(&mut Value)) -> (tempfile::TempDir, PathBuf) {
     let (cameras, names) = cameras();
     let folder = tempfile::tempdir().unwrap();

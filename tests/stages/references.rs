@@ -298,7 +298,6 @@ fn forward_pass(model: &Model, golden: &Golden) {
     assert_eq!(compared, taps.count(), "{}: every tap is compared", golden.file());
 }
 
-/// Returns their number.
 fn compare_taps(golden: &Golden, prefix: &str, taps: &forward::Taps) -> usize {
     let mut compared = 0;
     for (name, values) in taps {

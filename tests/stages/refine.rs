@@ -120,7 +120,7 @@ fn scenes_are_shown_on_the_way() {
 fn a_loss_that_grows_ends_with_the_last_good_scene() {
     let cameras = cameras(2);
     let (scene, photos) = photos(&cameras);
-    // The first step makes the scene worse.
+    // Too large: the first step makes the scene worse.
     let rates = Rates { means: 10.0, ..Rates::default() };
     let request = Refine { steps: 20, views_per_step: 2, rates, ..Refine::default() };
     let refined = refine(&scene, &photos, &cameras, &request);
@@ -236,7 +236,7 @@ fn lpips_is_a_share_of_the_loss_where_asked() {
         };
         (0..3).map(of).collect::<Vec<f64>>().iter().sum::<f64>() / 3.0
     };
-    // The loss falls.
+    // Short steps, so that the loss falls.
     let Rates { means, scales, sh_coeffs, .. } = Rates::default();
     let rates = Rates { means: 0.02 * means, scales: 0.02 * scales, sh_coeffs: 0.02 * sh_coeffs, ..Rates::default() };
     let rates = Rates { quats: 0.0, opacities: 0.0, ..rates };

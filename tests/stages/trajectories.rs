@@ -35,7 +35,6 @@ fn assert_rotation(rotation: DMat3) {
     assert!(rotation.determinant() > 0.0, "{rotation}");
 }
 
-/// In any number.
 fn difference(a: &Camera, b: &Camera) -> f64 {
     let lens = |c: &Camera| [c.intrinsics.fx, c.intrinsics.fy, c.intrinsics.cx, c.intrinsics.cy];
     let numbers = |c: &Camera| [&c.pose.matrix().to_cols_array()[..], &lens(c)].concat();
@@ -69,7 +68,7 @@ fn splines_pass_their_cameras_smoothly() {
     }
 }
 
-/// In the time that `sample` divides equally.
+/// `sample` divides the time equally.
 #[test]
 fn velocity_does_not_jump() {
     let frames = Spline::through(&uneven(6), true).unwrap().sample(100_000);

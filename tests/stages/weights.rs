@@ -51,7 +51,6 @@ fn pico_weights() -> Checkpoint {
     Checkpoint::seeded_architecture(pico(), "pico").unwrap()
 }
 
-/// And the size of their data.
 fn header(tensors: &[(String, Vec<usize>)]) -> (Vec<u8>, usize) {
     let mut end = 0;
     let infos = tensors.iter().map(|(name, shape)| {

@@ -122,7 +122,6 @@ impl Choice {
         self.inputs.iter().filter_map(|i| self.poses.frames[*i].photo.clone()).collect()
     }
 
-    /// Inputs, then targets.
     pub fn frames(&self) -> impl Iterator<Item = &Frame> {
         self.inputs.iter().chain(&self.targets).map(|i| &self.poses.frames[*i])
     }
@@ -135,7 +134,6 @@ impl Choice {
         self.poses.frames.iter().find(|frame| frame.name == name)
     }
 
-    /// Hashes frames, photos and points.
     pub fn digest(&self) -> Result<String> {
         let mut parts = vec![self.inputs.len().to_string()];
         for frame in self.frames() {
@@ -264,7 +262,7 @@ impl Score {
     }
 }
 
-/// Starts with the first point; sorted.
+/// Starts with the first point, and sorts the result.
 pub fn farthest_points(points: &[DVec3], count: usize) -> Vec<usize> {
     let mut chosen = vec![0];
     let mut distances: Vec<f64> = points.iter().map(|point| point.distance(points[0])).collect();

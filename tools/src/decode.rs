@@ -21,7 +21,7 @@ pub const AS_PPM: [&str; 6] = ["-f", "image2pipe", "-c:v", "ppm", "-pix_fmt", "r
 /// Videos and HEIC; excludes playlists, which name other files and addresses.
 const CONTAINERS: &str = "mov,matroska,avi,mpegts";
 const QUALITY: u8 = 95;
-/// In a message.
+/// Lines in a message.
 const MOST_LINES: usize = 3;
 
 /// Decodes ffmpeg's output in a thread with `read`; `take` gets the results. Returns ffmpeg's

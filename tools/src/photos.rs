@@ -27,7 +27,7 @@ use zipsplat::{
 };
 
 const EXTENSIONS: [&str; 4] = ["png", "jpg", "jpeg", "webp"];
-/// In a message.
+/// Names in a message.
 const NAMED: usize = 5;
 /// Share of the area that needs a warning.
 const CROPPED: f64 = 0.1;

@@ -38,12 +38,10 @@ fn pixel(i: &Intrinsics, [x, y]: [f64; 2]) -> [f64; 2] {
     [i.fx * x + i.cx, i.fy * y + i.cy]
 }
 
-/// Well inside every picture.
 fn spots() -> Vec<[f64; 2]> {
     (-2..=2).flat_map(|row| (-2..=2).map(move |column| [0.2 * f64::from(column), 0.15 * f64::from(row)])).collect()
 }
 
-/// Bright spots.
 fn photo(lens: &Intrinsics, distort: Distort) -> Image {
     let centres: Vec<_> = spots().into_iter().map(|spot| pixel(lens, distort(spot))).collect();
     let light = |x: f64, y: f64| {
@@ -80,7 +78,7 @@ fn assert_undone(name: &str, frame: &Frame, folder: &Path, lens: &Intrinsics, di
         let off = (found[0] - truth[0]).hypot(found[1] - truth[1]);
         assert!(off < 0.15, "{name}: spot {spot:?} at {found:?}, not {truth:?}, in the photo at {bent:?}");
     }
-    // Within the photo, and filling it.
+    // The undistorted picture lies within the photo and fills it.
     let border = (0..=60).map(|k| f64::from(k) / 60.0);
     let [w, h] = SIZE.map(f64::from);
     let points = border.flat_map(|t| [[t * w, 0.0], [t * w, h], [0.0, t * h], [w, t * h]]);

@@ -165,7 +165,7 @@ fn damaged_documents_are_refused() {
     shared["nodes"] = vec![json!({ "mesh": 0 }); 1000].into();
     shared["scenes"][0]["nodes"] = (0..1000).collect();
     assert!(failure("scene.gltf", shared.to_string().as_bytes()).contains("expected fewer than bytes"));
-    // 10^10, without a Gaussian.
+    // 10^10 nodes times primitives, without a Gaussian.
     let empty = json!({ "attributes": shared["meshes"][0]["primitives"][0]["attributes"],
                         "extensions": shared["meshes"][0]["primitives"][0]["extensions"] });
     shared["meshes"][0]["primitives"] = vec![empty; 10_000].into();

@@ -191,7 +191,7 @@ fn pickles_that_are_not_sound() {
         let found = reason(&pickled(&many.repeat(1 << 20)));
         assert!(found.contains("more than 1048576 objects"), "{:?}: {found}", many.escape_ascii());
     }
-    // No more than their bytes.
+    // Cycles and doubling cost no more than their bytes.
     let doubling = [b"]q\x00h\x00a".as_slice(), &b"q\x01h\x01h\x01\x86".repeat(1000), b"."].concat();
     assert!(reason(&pickled(&doubling)).contains("no dictionary `model`"));
 }
@@ -250,7 +250,7 @@ fn archives_that_are_damaged() {
     assert!(reason(&pickled(&model(&[("a", b"N".to_vec())]))).contains("no named tensor"));
 }
 
-/// Checking each would be quadratic.
+/// Checking the bytes of each entry would be quadratic.
 #[test]
 fn entries_that_share_bytes() {
     let keys: Vec<String> = (0..8).map(|i| format!("data/{i}")).collect();

@@ -55,7 +55,7 @@ fn open(root: &[u8], variant: Option<&str>) -> Result<Checkpoint, Error> {
     Checkpoint::from_bytes("trained.tar", saved(root), variant)
 }
 
-/// Compiled and distributed.
+/// Names of a compiled, distributed model.
 fn wrapped(name: &str) -> String {
     format!(
         "module.{}",
@@ -153,7 +153,7 @@ fn sizes_that_no_network_has_are_refused() {
     }
 }
 
-/// Of numpy and the scheduler, in pickle protocol 2.
+/// Data of numpy and the scheduler, in pickle protocol 2.
 #[test]
 fn plain_data_beside_the_model_is_read_over() {
     let dtype = [
@@ -197,7 +197,7 @@ fn doubles_are_rounded_and_noted() {
             name.clone(),
             View { kind: "DoubleStorage", key: &key, elements, offset: 0, shape, strides: &strides }.pickle(),
         ));
-        // Half a step of f32.
+        // Off by less than half a step of f32.
         let values = read(&seeded, name).into_iter().map(|value| f64::from(value) * (1.0 + 1e-9));
         storages.push((format!("data/{key}"), values.flat_map(f64::to_le_bytes).collect::<Vec<u8>>()));
     }

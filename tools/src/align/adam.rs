@@ -53,7 +53,7 @@ pub fn align(
     Ok(Aligned { camera: descent.camera, drawn, before, turn, shift, doubt: None })
 }
 
-/// State of an alignment.
+/// Alignment state.
 pub struct Descent {
     /// Current camera.
     pub camera: Camera,

@@ -163,9 +163,8 @@ impl CameraArgs {
         Ok(Intrinsics::from_fov(width, height, hfov, vfov))
     }
 
-    /// Reads a file's cameras. Their world is the camera of the requested photo, or of the scene's
-    /// photo if the file has it. Crops them to a requested size, or with `alike` to the first
-    /// one's.
+    /// Reads a file's cameras, in the world of the requested photo, or of the scene's photo if the
+    /// file has it. Crops them to a requested size, or with `alike` to the first one's.
     fn of_file(
         &self,
         path: &Path,
@@ -190,7 +189,7 @@ impl CameraArgs {
     }
 }
 
-/// From a file's cameras to the scene's world, with a note. `world` is the scene file's.
+/// Maps a file's cameras to the scene's world, with a note. `world` is the scene file's.
 pub fn to_scene(
     relative_to: Option<&Path>,
     poses: &Poses,
@@ -236,9 +235,8 @@ pub fn to_scene(
     }
 }
 
-/// Compares a scene's landmarks with the same cameras of a file. Returns `None` if they agree after
-/// `given` or are absent; otherwise the similarity by pose and distance, or an error if none fits.
-/// Both name the photos.
+/// Returns `None` if the landmarks agree after `given` or are absent; otherwise the similarity by
+/// pose and distance, or an error if none fits. Both name the photos.
 fn aligned(given: &Pose, poses: &Poses, world: &World) -> Option<Result<(Similarity, String), String>> {
     let [(first, from), (last, to)] = &world.landmarks[..] else { return None };
     let [a, b] = [first, last].map(|name| origin_pose(poses, Path::new(name)).ok());
@@ -277,7 +275,7 @@ fn level(cameras: &[Camera]) -> Result<Pose> {
     Ok(Pose { rotation: DMat3::from_cols(forward.cross(up), -up, forward), translation: DVec3::ZERO })
 }
 
-/// Keeps the given order unless nearest neighbors make a shorter path.
+/// Keeps the given order unless nearest neighbors are shorter by [`DETOUR`].
 fn by_nearness(cameras: Vec<Camera>) -> (Vec<Camera>, Option<String>) {
     let length = |cameras: &[Camera]| -> f64 { cameras.windows(2).map(|pair| distance(&pair[0], &pair[1])).sum() };
     let (mut chain, mut left) = (vec![cameras[0]], cameras[1..].to_vec());

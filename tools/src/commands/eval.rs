@@ -35,17 +35,16 @@ const TARGETS: usize = 8;
 /// Evaluate the prediction of photos that a reconstruction has not seen
 ///
 /// Reconstructs a capture from some of its photos with their cameras, renders the scene from the
-/// cameras of the other photos, and compares. The network's unit of length is the median distance
-/// from the first camera of the capture's points (ply_file_path of transforms.json, points.ply, or
-/// COLMAP's points3D); without points, the distance of the point that the cameras look at, else the
-/// distance between cameras. PSNR and SSIM are also given for two trivial predictions: the nearest
-/// input photo, and its mean color.
+/// other cameras, and compares. The network's unit of length is the median distance from the first
+/// camera of the capture's points (ply_file_path of transforms.json, points.ply, or COLMAP's
+/// points3D); without points, the distance of the point that the cameras look at, else the distance
+/// between cameras. PSNR and SSIM are also given for two trivial predictions: the nearest input
+/// photo, and its mean color.
 ///
-/// --pose-free gives the network the photos alone. The scene's cameras are then the network's
-/// guess, so each picture is aligned with its photo, within 15 degrees and 0.25 of the network's
-/// unit around the known camera. A wider search can gain more. The table has the movements, and
-/// marks unreliable scores: flat, a photo without texture, which is not aligned; bound, a camera at
-/// its movement limit; color, a picture no better than one color.
+/// --pose-free gives the network the photos alone. Each picture is then aligned with its photo,
+/// within 15 degrees and 0.25 of the network's unit around the known camera. The table has the
+/// movements, and marks unreliable scores: flat, a photo without texture, which is not aligned;
+/// bound, a camera at its movement limit; color, a picture no better than one color.
 ///
 /// With weights of Depth Anything 3 the scene is that of `reconstruct`: each confident pixel of the
 /// whole photos, whose longer side is --size. With --pose-free, estimated cameras place it in the
@@ -53,10 +52,10 @@ const TARGETS: usize = 8;
 ///
 /// With --protocol the folders are scenes of a data set, or folders of them, evaluated as in the
 /// paper's tables 1 to 3: 8 photos of each, downscaled by its filter, and cameras aligned as by its
-/// authors, known to the network or not. OUT has a folder per setting, with a record and a picture
-/// of every scene; scenes.csv, a row per scene; table.md and table.csv, means in the paper's
-/// layout; and page.html, with pictures. Run the command again to resume. A failed scene is a row
-/// of failures.csv; the others continue, and the exit code is 1.
+/// authors. OUT has a folder per setting, with a record and a picture of every scene; scenes.csv, a
+/// row per scene; table.md and table.csv, means in the paper's layout; and page.html, with
+/// pictures. Run the command again to resume. A failed scene is a row of failures.csv; the others
+/// continue, and the exit code is 1.
 #[derive(Args)]
 #[command(group(ArgGroup::new("moved").args(["refine_cameras", "grow", "lpips_weight"]).multiple(true).requires("refine")))]
 #[command(after_help = "Examples:
@@ -180,7 +179,6 @@ impl Eval {
         }
     }
 
-    /// Checks the options that need no capture, and opens the weights.
     fn begin(&self, session: &mut Session<'_>) -> Result<(Network, Seeing)> {
         let (network, fit) = (self.weights.open_network()?, self.fit.fit);
         let size = match &network {
@@ -220,7 +218,6 @@ impl Eval {
         shape.pooled(self.quality.pool).map(drop)
     }
 
-    /// Returns the cameras of a folder's photos, if they are elsewhere.
     fn known(&self, folder: &PathBuf, session: &mut Session<'_>) -> Result<Option<Known>> {
         let Some(path) = &self.poses else { return Ok(None) };
         let photos = photos::list(session, std::slice::from_ref(folder))?;
