@@ -165,6 +165,7 @@ pub struct SceneInput {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Invalid {
+    /// Reject the file
     Refuse,
     /// Drop and count them
     Drop,
