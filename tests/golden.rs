@@ -15,7 +15,7 @@ use zipsplat::{perceptual::Perceptual, stages::lpips::LpipsNetwork};
 /// Header size of safetensors.
 const LENGTH_BYTES: usize = 8;
 
-/// In search order: `ZIPSPLAT_GRADIENTS` (gradients, depth networks), committed, shared.
+/// `ZIPSPLAT_GRADIENTS` (gradients, depth networks), committed, shared.
 fn folders() -> Vec<PathBuf> {
     let tests = Path::new(env!("CARGO_MANIFEST_DIR"));
     let beside = [tests.join("data"), tests.join("../../shared/golden/data")];

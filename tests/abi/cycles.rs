@@ -12,7 +12,6 @@ const STRETCHES: usize = 4;
 /// In MB, of the stretch that grows least.
 const LEAST_GROWTH: f64 = 0.5;
 
-/// The order depends on `cycle`.
 fn cycle(cycle: usize) {
     let photos = photos(1);
     let context = context();

@@ -138,7 +138,6 @@ fn declares(source: &str, name: &str) -> bool {
         .any(|kind| source.split(&format!(" {kind} {name}")).skip(1).any(ends))
 }
 
-/// Uses the macro; other items stay.
 fn plain_enumeration(item: &str) -> String {
     let Some((comment, code)) =
         item.split_once("enum zs_").filter(|(comment, _)| comment.lines().all(|l| l.starts_with("//")))

@@ -19,7 +19,6 @@ pub enum Linking {
     Sanitised,
 }
 
-/// Once per process.
 pub fn installation() -> &'static Installation {
     static INSTALLATION: OnceLock<Installation> = OnceLock::new();
     INSTALLATION.get_or_init(|| {

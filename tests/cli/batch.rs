@@ -1,5 +1,3 @@
-//! `zipsplat batch`.
-
 use crate::{Folder, Outcome, command, photo};
 use serde_json::Value;
 use std::{path::Path, sync::atomic::AtomicBool, time::SystemTime};

@@ -142,7 +142,6 @@ fn cancelled_after(delay: Duration, line: &str) -> Outcome {
     })
 }
 
-/// Returns their number.
 fn check_whole(folder: &Path) -> usize {
     let check = |path: &Path| match path.extension().and_then(|ext| ext.to_str()).unwrap_or_default() {
         "ply" => drop(read_scene(path).expect("a whole scene")),

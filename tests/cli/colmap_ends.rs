@@ -12,7 +12,6 @@ use std::{
 };
 use zipsplat_tests::processes::{assert_succeeds, child, target};
 
-/// Waits for the end of the process with the id in this file.
 pub fn assert_ends(pid: &Path) {
     let pid = fs::read_to_string(pid).expect("a number");
     // Otherwise it sleeps for a minute.

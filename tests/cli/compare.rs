@@ -1,5 +1,3 @@
-//! `zipsplat compare`.
-
 use crate::Folder;
 use std::path::Path;
 use zipsplat::{stages::lpips::LpipsNetwork, types::Image};

@@ -1,5 +1,3 @@
-//! `zipsplat eval`.
-
 use crate::{Folder, zipsplat};
 use glam::{DMat3, DVec3};
 use zipsplat::{

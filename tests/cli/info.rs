@@ -1,5 +1,3 @@
-//! `zipsplat info`.
-
 use crate::Folder;
 use zipsplat::stages::lpips::LpipsNetwork;
 use zipsplat::types::{Origin, Scene, World, WriteOptions, write_ply, write_scene_in};

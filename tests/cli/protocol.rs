@@ -1,5 +1,3 @@
-//! `zipsplat eval --protocol`.
-
 use crate::Folder;
 use glam::{DMat3, DVec3};
 use serde_json::{Value, json};

@@ -1,5 +1,3 @@
-//! `zipsplat reconstruct`.
-
 use crate::{Folder, names, zipsplat};
 use glam::{DMat3, DVec3};
 use zipsplat::types::{Camera, Intrinsics, Pose, poses::write_transforms, read_ply, read_scene};

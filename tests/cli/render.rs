@@ -1,5 +1,3 @@
-//! `zipsplat render`.
-
 use crate::{Folder, names};
 use glam::{DMat3, DVec3};
 use std::collections::BTreeMap;

@@ -1,5 +1,3 @@
-//! `zipsplat eval --scene`.
-
 use crate::Folder;
 use glam::{DMat3, DVec3};
 use zipsplat::types::{

@@ -11,7 +11,7 @@ use std::{
 use zipsplat::types::{Camera, Image, Intrinsics, Pose, poses::write_transforms, write_ply};
 use zipsplat_tests::scenes;
 
-/// `scene.ply`, and three cameras of one size (`cameras.json`), and of several (`sizes.json`).
+/// Scene, and three cameras of one size (`cameras.json`) and of several (`sizes.json`).
 fn folder() -> Folder {
     let folder = Folder::new();
     write_ply(&scenes::random_scene(200, 1, 0.2), folder.path("scene.ply")).expect("a scene can be written");

@@ -1,7 +1,4 @@
-//! Comparison with truth.
-//!
-//! Deviations are relative to the rms of the truth: small elements carry the rounding of large
-//! neighbors. NaN and infinity fail.
+//! Comparison with truth. Deviations are relative to the rms of the truth. NaN and infinity fail.
 
 mod images;
 mod tolerance;
@@ -101,9 +98,7 @@ where
     }
 }
 
-/// Asserts that a network tap matches the golden.
-///
-/// `got` is the full tensor; a subsampled golden is compared through `@sub` and `@sum`.
+/// Asserts that a network tap, the full tensor, matches the golden or its `@sub` and `@sum`.
 ///
 /// # Panics
 /// As [`assert_close`].

@@ -55,7 +55,7 @@ impl Tolerance {
         Tolerance { max: 16.0 * u, rms: 2.0 * u }
     }
 
-    /// Returns the tolerance of such Gaussians: twice the reference's deviation under autocast.
+    /// Returns the tolerance of such Gaussians: twice the reference's under autocast.
     pub fn gaussians_in(arithmetic: Arithmetic) -> Tolerance {
         let u = factor_rounding(arithmetic);
         Tolerance { max: (200.0 * u).min(2.0), rms: 4.0 * u }

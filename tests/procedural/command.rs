@@ -1,5 +1,3 @@
-//! `zipsplat scene`.
-
 use std::sync::atomic::AtomicBool;
 
 use zipsplat_cli::procedural::shards::Header;

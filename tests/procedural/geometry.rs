@@ -67,7 +67,6 @@ struct Reprojection {
     surfaces: usize,
     seen: usize,
     color_errors: Vec<f64>,
-    /// At other positions.
     chance_errors: Vec<f64>,
 }
 

@@ -53,7 +53,6 @@ fn released_layouts_are_read() {
         };
         assert!(values(&read) == values(&seeded), "{name}");
     }
-    // Only unused parameters are ignored.
     let known = |name: &str| seeded.parameters().iter().any(|(other, _)| other == name);
     let unread: Vec<&String> = tensors.iter().map(|(name, _)| name).filter(|name| !known(name)).collect();
     assert!(unread.iter().all(|name| name.contains("_aux.")), "{unread:?}");

@@ -99,7 +99,6 @@ fn bilinear_matches_every_golden() {
     }
 }
 
-/// Triangle weights, as wide as an output pixel.
 #[test]
 fn bilinear_is_that_of_f64() {
     let photo = noise(38, 27);

@@ -67,10 +67,8 @@ pub struct Session<'a> {
     /// Standard output carries data, so the result goes to standard error.
     piped: bool,
     code: u8,
-    /// Such as one of several scenes.
     task: String,
     began: Instant,
-    /// Shared by all stages.
     next_line: Mutex<Instant>,
 }
 

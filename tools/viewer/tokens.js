@@ -40,7 +40,6 @@ class Tokens {
         page.change();
     }
 
-    // View, row and column.
     patch(token) {
         const index = this.page.scene?.patches?.[token], [rows, columns] = config.grid ?? [];
         if (index === undefined || !config.views?.length) return null;

@@ -151,7 +151,6 @@ fn parsers() -> Vec<Parser> {
     ]
 }
 
-/// With a margin for busy machines.
 const PATIENCE: Duration = Duration::from_secs(20);
 
 /// Accepted or rejected; an error describes a parser's bug.

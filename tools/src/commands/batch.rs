@@ -1,5 +1,3 @@
-//! `zipsplat batch`.
-
 mod maker;
 
 use crate::{
@@ -37,10 +35,10 @@ const FAILURES: &str = "failures.csv";
 /// Many captures to scenes, with one model kept on the device
 ///
 /// A capture is a folder with photos, directly or in images/. Each becomes OUT/NAME.ply and
-/// OUT/NAME.json, a record of its inputs. Decoding, reconstruction and writing of consecutive
-/// captures overlap. Run the same command again to resume: a capture is finished if its scene
-/// exists and was made of the same photos, by name, size and time, with the same options. A failed
-/// capture is a row of OUT/failures.csv; the others continue, and the exit code is 1.
+/// OUT/NAME.json, a record of its inputs. Run the same command again to resume: a capture is
+/// finished if its scene exists and was made of the same photos, by name, size and time, with the
+/// same options. A failed capture is a row of OUT/failures.csv; the others continue, and the exit
+/// code is 1.
 ///
 /// With weights of Depth Anything 3 each confident pixel becomes a Gaussian, as in `reconstruct`.
 /// Without --posed the network also estimates the cameras.

@@ -1,5 +1,3 @@
-//! `zipsplat cameras`.
-
 use crate::{
     cameras::{Finder, Finding, ModelOption, Place, Searching},
     depth::CamerasFrom,

@@ -1,5 +1,3 @@
-//! `zipsplat compare`.
-
 use crate::{
     metrics::{psnr, ssim, values},
     outputs::{self, Overwrite},

@@ -1,5 +1,3 @@
-//! `zipsplat convert`.
-
 use crate::{
     options::{CHECKPOINTS, SceneInput, open_checkpoint, refuse},
     outputs::{self, Overwrite},

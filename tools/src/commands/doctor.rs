@@ -122,7 +122,7 @@ fn every(findings: &[Finding]) -> Table {
     table
 }
 
-/// Lists every failure, and the worst case of each kernel and mode.
+/// Lists the worst case of each kernel and mode, and every failure.
 fn worst(findings: &[Finding]) -> Table {
     let heads = ["kernel", "mode", "worst case", "cases", "size", "worst error", "bound", "share", ""];
     let mut table = Table::new(3, &heads);

@@ -1,5 +1,3 @@
-//! `zipsplat eval`.
-
 mod alignment;
 mod depth;
 mod judge;

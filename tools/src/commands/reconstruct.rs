@@ -1,5 +1,3 @@
-//! `zipsplat reconstruct`.
-
 mod forward;
 mod pixels;
 mod placed;

@@ -1,5 +1,3 @@
-//! `zipsplat refine`.
-
 use crate::{
     cameras::{Finding, Known, Similarity, to_scene},
     explain::Explanation,

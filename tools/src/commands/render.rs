@@ -1,5 +1,3 @@
-//! `zipsplat render`.
-
 use crate::{
     animation::{self, Animation, MAX_FPS},
     cameras::CameraArgs,

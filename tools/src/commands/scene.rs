@@ -1,5 +1,3 @@
-//! `zipsplat scene`.
-
 use crate::{
     options::Size,
     outputs::{self, Overwrite},

@@ -1,5 +1,3 @@
-//! `zipsplat tune`.
-
 use crate::{session::Session, table::Table};
 use clap::Args;
 use serde::Serialize;

@@ -1,5 +1,3 @@
-//! `zipsplat view`.
-
 use crate::{
     heic::is_heic,
     options::{Network, SceneInput, refuse},
@@ -33,8 +31,7 @@ use zipsplat::{
 ///
 /// Several scene files share one slider. Photos become scenes of any compression ratio, refined
 /// live with --refine. -o writes a self-contained page without network access. Otherwise this
-/// machine serves the page, for anyone with the printed address, until Ctrl-C. The browser renders
-/// by the rules of `render`.
+/// machine serves the page, for anyone with the printed address, until Ctrl-C.
 ///
 /// Weights of Depth Anything 3 make one Gaussian per pixel, as in `reconstruct`, at the --ratios
 /// and without refinement: use `reconstruct --refine`.

@@ -1,5 +1,3 @@
-//! `zipsplat weights`.
-
 use crate::{
     download::{Client, Lock, Promise, fetch, is_sha256, kept, promise},
     options::BUILT_IN,

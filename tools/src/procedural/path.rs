@@ -85,7 +85,6 @@ impl Stage {
         let distance = reach * rng.range(self.distance[0], self.distance[1]);
         let unsteady =
             Unsteady { roll: rng.range(0.0, 0.05), aim: rng.range(0.0, 0.04) * distance, step: rng.range(0.0, 0.3) };
-        // Uneven steps.
         let mut times: Vec<f32> = (0..views)
             .map(|i| (i as f32 + unsteady.step * rng.signed()) / (views.max(2) - 1) as f32)
             .map(|t| (2.0 * t - 1.0).clamp(-1.0, 1.0))

@@ -1,5 +1,3 @@
-//! `zipsplat bench align`.
-
 use super::Spread;
 use crate::{
     align::{Aligned, Method},

@@ -1,5 +1,3 @@
-//! `zipsplat bench depth`.
-
 use super::{
     Repeats, Spread,
     parts::{self, Part},

@@ -1,5 +1,3 @@
-//! `zipsplat bench render --effects`.
-
 use super::{Repeats, Spread};
 use crate::{
     noise,

@@ -1,5 +1,3 @@
-//! `zipsplat bench forward`.
-
 use super::{
     Repeats, Spread,
     parts::{self, Part},

@@ -1,5 +1,3 @@
-//! `zipsplat bench gemm`.
-
 use super::{
     Repeats, Spread,
     peak::{self, Rate},

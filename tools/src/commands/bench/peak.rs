@@ -1,5 +1,3 @@
-//! `zipsplat bench peak`.
-
 use super::{Repeats, Spread, timed_device};
 use crate::{
     session::{Session, Stage},

@@ -1,5 +1,3 @@
-//! `zipsplat bench refine`.
-
 use super::{
     Group, Repeats, Spread, group,
     peak::{self, Rate},

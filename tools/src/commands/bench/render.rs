@@ -1,5 +1,3 @@
-//! `zipsplat bench render`.
-
 use super::{
     Repeats, Spread, effects, group, gsplat,
     peak::{self, Rate},

@@ -1,5 +1,3 @@
-//! `zipsplat depth`.
-
 mod truth;
 
 use crate::{

@@ -47,11 +47,9 @@ fn scores(capture: &Capture, found: &[Aligned]) -> Vec<AlignedScore> {
 
 #[derive(Serialize)]
 pub struct Alignment {
-    /// Median.
     degrees: f64,
     /// Median, in the cameras' unit.
     distance: f64,
-    /// With the given cameras.
     before: Before,
     /// With unreliable scores.
     doubtful: usize,

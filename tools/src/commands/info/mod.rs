@@ -1,5 +1,3 @@
-//! `zipsplat info`.
-
 mod plan;
 
 use self::plan::Refinement;

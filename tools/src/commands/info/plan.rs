@@ -1,5 +1,3 @@
-//! `zipsplat info --plan`.
-
 use super::Info;
 use crate::{
     options::{Network as Weights, Quality, Size, refuse},

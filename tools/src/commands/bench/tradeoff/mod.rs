@@ -1,5 +1,3 @@
-//! `zipsplat bench tradeoff`.
-
 mod case;
 mod drawn;
 mod figures;
