@@ -5,7 +5,7 @@ use zipsplat::weights::{Architecture, DepthArchitecture, Ffn};
 /// Returns the network of a golden: `tiny`, `tiny_eps`, `tiny_rect`, `tiny_swiglu`, `micro`,
 /// `small` or `giant_slice`.
 ///
-/// The seed of the weights is `tiny` for `tiny_rect`, the golden's name otherwise.
+/// Weights are seeded by the golden's name, `tiny` for `tiny_rect`.
 pub fn golden(name: &str) -> Architecture {
     match name {
         "tiny" | "tiny_eps" | "tiny_rect" => Architecture::new(name, 128, 6, 2, &[3, 4, 5]),
@@ -34,7 +34,7 @@ pub fn golden(name: &str) -> Architecture {
     }
 }
 
-/// Returns a minimal Depth Anything 3 network without the Gaussian head, with cross-view attention.
+/// Returns a minimal multi-view Depth Anything 3 network without the Gaussian head.
 pub fn depth_micro() -> DepthArchitecture {
     DepthArchitecture::new("da3-micro", [64, 4, 1], Ffn::Gelu, [0, 1, 2, 3], (8, [8, 8, 8, 8]))
 }

@@ -3,7 +3,7 @@
 use std::sync::OnceLock;
 use zipsplat::gpu::{Device, DeviceOptions};
 
-/// Returns the process's one device, under validation if `ZIPSPLAT_VALIDATION` is 1.
+/// Returns the process's device, validated if `ZIPSPLAT_VALIDATION` is 1.
 pub fn device() -> &'static Device {
     static DEVICE: OnceLock<Device> = OnceLock::new();
     DEVICE.get_or_init(|| Device::open(&DeviceOptions::default()).expect("a Vulkan device; tools/test.sh brings one"))

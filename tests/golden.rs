@@ -1,7 +1,6 @@
-//! Goldens: safetensors dumps of the PyTorch implementation in f64 (see `data/README.md`).
+//! Goldens: safetensors dumps of the PyTorch implementation (see `data/README.md`).
 //!
-//! Small ones are committed in `tests/data`. Large ones come from `../shared/golden/data` beside
-//! the repository. A test whose golden is absent prints a line and passes.
+//! A test whose golden is absent prints a line and passes.
 
 use std::collections::BTreeSet;
 use std::env;
@@ -13,28 +12,27 @@ use safetensors::tensor::{Metadata, TensorInfo};
 use safetensors::{Dtype, SafeTensors};
 use zipsplat::{perceptual::Perceptual, stages::lpips::LpipsNetwork};
 
-/// Length of the u64 header size that starts a safetensors file.
+/// Header size of safetensors.
 const LENGTH_BYTES: usize = 8;
 
-/// Lists golden folders in search order: `ZIPSPLAT_GRADIENTS` (gradients, depth networks),
-/// committed, shared.
+/// `ZIPSPLAT_GRADIENTS` (gradients, depth networks), committed, shared.
 fn folders() -> Vec<PathBuf> {
     let tests = Path::new(env!("CARGO_MANIFEST_DIR"));
     let beside = [tests.join("data"), tests.join("../../shared/golden/data")];
     env::var_os("ZIPSPLAT_GRADIENTS").map(PathBuf::from).into_iter().chain(beside).collect()
 }
 
-/// Returns the path of a golden file, or prints a line and returns `None`.
+/// Finds a golden file, or prints a line.
 pub fn find(file: &str) -> Option<PathBuf> {
     let found = folders().into_iter().map(|folder| folder.join(file)).find(|path| path.is_file());
     if found.is_none() {
-        // The test harness swallows `println!` of a passing test.
+        // The harness swallows `println!` of a passing test.
         let _ = writeln!(io::stderr(), "golden {file} is absent (tests/data, ../shared/golden/data): not compared");
     }
     found
 }
 
-/// Returns the path of downloaded LPIPS weights, or prints a line and returns `None`.
+/// Finds LPIPS weights, or prints a line.
 pub fn lpips_weights(network: LpipsNetwork) -> Option<PathBuf> {
     let found = Perceptual::file(network);
     if let Err(error) = &found {
@@ -49,8 +47,7 @@ pub fn interleaved<T: Copy>(planes: &[T], pixels: usize) -> Vec<T> {
     planes.chunks(3 * pixels).flat_map(picture).collect()
 }
 
-/// Lists the `.safetensors` files that start with `prefix`, sorted: `micro.v` lists the cases of
-/// `micro`, `raster.` the scenes.
+/// Lists the `.safetensors` files that start with `prefix`, sorted.
 pub fn list(prefix: &str) -> Vec<String> {
     let entries = folders().into_iter().filter_map(|folder| fs::read_dir(folder).ok()).flatten();
     let names = entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok());
@@ -58,14 +55,14 @@ pub fn list(prefix: &str) -> Vec<String> {
     matching.collect::<BTreeSet<_>>().into_iter().collect()
 }
 
-/// Reads a JSON golden, or prints a line and returns `None`.
+/// Reads a JSON golden, or prints a line.
 pub fn json(file: &str) -> Option<serde_json::Value> {
     let path = find(file)?;
     let text = fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
     Some(serde_json::from_str(&text).unwrap_or_else(|error| panic!("{}: {error}", path.display())))
 }
 
-/// An open golden. Accessors panic with the key's name if it is absent or of another type.
+/// Open golden. Accessors panic for absent keys or other types.
 pub struct Golden {
     file: String,
     bytes: Vec<u8>,
@@ -74,7 +71,7 @@ pub struct Golden {
 }
 
 impl Golden {
-    /// Opens `file` (such as `micro.v2.safetensors`), or prints a line and returns `None`.
+    /// Opens `file` (such as `micro.v2.safetensors`), or prints a line.
     pub fn open(file: &str) -> Option<Golden> {
         let path = find(file)?;
         let bytes = fs::read(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
@@ -83,7 +80,7 @@ impl Golden {
         Some(Golden { file: file.to_owned(), bytes, data_start: LENGTH_BYTES + header_len, header })
     }
 
-    /// Opens a golden committed in `tests/data`.
+    /// Opens a committed golden.
     pub fn committed(file: &str) -> Golden {
         Golden::open(file).unwrap_or_else(|| panic!("golden {file} must be in tests/data"))
     }
@@ -98,13 +95,12 @@ impl Golden {
         self.header.info(key).is_some()
     }
 
-    /// Returns all keys, sorted.
+    /// Returns the sorted keys.
     pub fn keys(&self) -> Vec<String> {
         self.header.tensors().into_keys().collect::<BTreeSet<_>>().into_iter().collect()
     }
 
-    /// Returns the sorted keys that end with `suffix`, without it: `stems("/x")` lists the cases of
-    /// `kmeans`.
+    /// Returns the sorted keys that end with `suffix`, without it.
     pub fn stems(&self, suffix: &str) -> Vec<String> {
         self.keys().iter().filter_map(|key| key.strip_suffix(suffix)).map(str::to_owned).collect()
     }

@@ -10,7 +10,7 @@ use zipsplat::{
     weights::Checkpoint,
 };
 
-/// Returns the device's arithmetics other than f32, with and without matrix units.
+/// Returns the arithmetics other than f32.
 pub fn fast_arithmetics() -> Vec<Arithmetic> {
     let fast = [Precision::Fast, Precision::FastBf16, Precision::Turbo];
     let found = fast.into_iter().filter_map(|precision| Arithmetic::of(precision, device().limits()));

@@ -1,6 +1,6 @@
 //! Photos as cameras write them.
 
-/// Adds an EXIF segment with an orientation and an end marker, as in a thumbnail, to a JPEG.
+/// Adds an EXIF segment with an orientation and an end marker to a JPEG.
 pub fn with_orientation(jpeg: &[u8], orientation: u8) -> Vec<u8> {
     let mut exif = b"Exif\0\0II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0".to_vec();
     exif.extend([orientation, 0, 0, 0, 0, 0, 0, 0, 0xff, 0xd9]);

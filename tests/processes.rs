@@ -5,7 +5,6 @@ use std::{
     process::{Command, Stdio},
 };
 
-/// Variable with a child's target; tests meant for children return early without it.
 const TARGET: &str = "ZIPSPLAT_TEST_TARGET";
 
 /// Returns the target of a child process.
@@ -13,8 +12,7 @@ pub fn target() -> Option<PathBuf> {
     std::env::var_os(TARGET).map(PathBuf::from)
 }
 
-/// Builds a command that reruns this program with the one test `name`, through the same loader and
-/// `shell`.
+/// Reruns this program with the one test `name`, through the same loader and `shell`.
 pub fn child(name: &str, target: &Path, shell: &str) -> Command {
     let line = std::fs::read("/proc/self/cmdline").expect("Linux");
     let words: Vec<String> =

@@ -39,7 +39,7 @@ pub fn golden_cameras(golden: &Golden) -> Vec<Camera> {
     viewmats.chunks_exact(16).zip(intrinsics(golden)).map(camera).collect()
 }
 
-/// Returns `count` random Gaussians in front of [`camera`], the same on every call.
+/// Returns the same `count` Gaussians in front of [`camera`] on every call.
 pub fn random_scene(count: usize, sh_degree: u32, size: f32) -> Scene {
     let mut state = 0x9e37_79b9_7f4a_7c15u64;
     let mut random = |low: f32, high: f32| {

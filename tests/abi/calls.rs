@@ -12,7 +12,7 @@ use zipsplat::{
 use zipsplat_c::*;
 use zipsplat_tests::architectures;
 
-/// An object, destroyed on drop.
+/// Destroyed on drop.
 pub struct Object<T> {
     pub handle: *mut T,
     destroy: unsafe extern "C" fn(*mut T),
@@ -28,7 +28,6 @@ impl<T> Object<T> {
         made(Self::try_new(destroy, make))
     }
 
-    /// Asserts an object exactly on `ZS_OK`.
     pub fn try_new(
         destroy: unsafe extern "C" fn(*mut T),
         make: impl FnOnce(*mut *mut T) -> zs_status,
@@ -57,7 +56,7 @@ pub fn ok(status: zs_status) {
     assert!(status == zs_status::ZS_OK, "{status:?}: {}", message());
 }
 
-/// Asserts a failure with this status and a message that contains all `words`.
+/// The message contains all `words`.
 #[track_caller]
 pub fn fails(status: zs_status, expected: zs_status, words: &[&str]) {
     assert_eq!(status, expected, "{}", message());
@@ -191,7 +190,7 @@ pub fn render_options(format: zs_pixel_format) -> zs_render_options {
     }
 }
 
-/// A camera `right` of the origin, looking forward.
+/// `right` of the origin, looking forward.
 pub fn camera(width: u32, height: u32, right: f64) -> zs_camera {
     let focal = f64::from(width);
     let rotation = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];

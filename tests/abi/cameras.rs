@@ -1,4 +1,4 @@
-//! Estimated cameras through C: equal to Rust's, and errors.
+//! Estimated cameras through C.
 
 use crate::{
     calls::*,

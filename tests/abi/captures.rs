@@ -1,4 +1,4 @@
-//! Captures through C: equal to Rust's, and the command's scene.
+//! Captures through C.
 
 use crate::calls::*;
 use std::{
@@ -21,7 +21,7 @@ use zipsplat_tests::{compare::assert_same, device::device};
 
 const COUNT: usize = 3;
 
-/// A folder with distorted photos, their cameras, and optional points.
+/// Distorted photos, their cameras, and optional points.
 fn capture(points: bool) -> TempDir {
     let folder = tempfile::tempdir().expect("a folder");
     std::fs::create_dir(folder.path().join("images")).expect("a folder");
@@ -124,7 +124,6 @@ fn photos_are_found_by_name() {
     }
 }
 
-/// Cameras and points determine the scene's scale, as in Rust.
 #[test]
 fn the_unit_is_found_from_the_capture() {
     let (context, mut scenes) = (context(), Vec::new());

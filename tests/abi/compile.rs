@@ -1,4 +1,4 @@
-//! The header compiles as C and C++, and programs find the library by each supported method.
+//! The header compiles as C and C++, and programs find the library.
 
 use crate::{
     header::root,
@@ -71,7 +71,6 @@ fn pkg_config_says_where_things_are() {
         let prefix = folder.path().join(lib.replace('/', "-"));
         let mut install = Command::new(root().join("tools/install.sh"));
         install.arg(&prefix).env("ZIPSPLAT_LIBS", folder.path());
-        // The default.
         if lib != "lib" {
             install.env("ZIPSPLAT_LIBDIR", lib);
         }
@@ -99,7 +98,6 @@ fn nothing_else_is_exported() {
     assert!(symbols.contains("zs_reconstruct") && others.is_empty(), "{others:?}");
 }
 
-/// Requires CMake.
 #[test]
 fn cmake_finds_both() {
     if Command::new("cmake").arg("--version").output().is_err() {

@@ -1,4 +1,4 @@
-//! Destroyed objects release their memory, in any order.
+//! Destroyed objects release their memory.
 
 use crate::{
     calls::*,
@@ -7,13 +7,11 @@ use crate::{
 use std::path::PathBuf;
 use zipsplat_c::*;
 
-/// Number of measured stretches of cycles. Allocators and driver threads occasionally grow; a leak
-/// grows in every stretch.
+/// Allocators and driver threads occasionally grow; a leak grows in every stretch.
 const STRETCHES: usize = 4;
-/// Limit of the least growth, in MB.
+/// In MB, of the stretch that grows least.
 const LEAST_GROWTH: f64 = 0.5;
 
-/// Create, reconstruct, draw, destroy, in an order that depends on `cycle`.
 fn cycle(cycle: usize) {
     let photos = photos(1);
     let context = context();
@@ -36,7 +34,7 @@ fn resident_bytes() -> u64 {
     4096 * pages
 }
 
-/// Memory growth in MB over `cycles`.
+/// In MB.
 fn growth(cycles: usize) -> f64 {
     let before = resident_bytes();
     (0..cycles).for_each(cycle);

@@ -1,4 +1,4 @@
-//! Depth through C: equal to Rust's, and errors.
+//! Depth through C.
 
 use crate::calls::*;
 use std::{

@@ -1,4 +1,4 @@
-//! Builds and runs the examples on the tests' device.
+//! Examples on the tests' device.
 
 use crate::{
     calls::{micro, photos},
@@ -34,7 +34,7 @@ fn inputs() -> (TempDir, Vec<PathBuf>) {
     (folder, names.to_vec())
 }
 
-/// Means of Rust's scene of the same photos at the default size.
+/// From Rust, at the default size.
 fn expected_means(checkpoint: &Checkpoint, photos: &[PathBuf]) -> Vec<[f32; 3]> {
     let side = checkpoint.picture_side();
     let view = |path: &PathBuf| fit(&Image::open(path).expect("a photo"), side, side).expect("a view").image;
@@ -44,8 +44,7 @@ fn expected_means(checkpoint: &Checkpoint, photos: &[PathBuf]) -> Vec<[f32; 3]> 
     done.expect("a scene").scene().unwrap().means
 }
 
-/// Asserts that an example reproduces Rust's scene and draws a picture, with a checkpoint and with
-/// the embedded model. `said` is its expected output for a number of Gaussians.
+/// `said` is the expected output for a number of Gaussians.
 fn assert_reconstructs(example: impl Fn() -> Command, said: impl Fn(usize) -> String) {
     let (folder, photos) = inputs();
     let micro = folder.path().join("micro.safetensors");
@@ -95,7 +94,6 @@ fn reconstruct_in_python() {
     assert_reconstructs(run, |count| format!("({count}, 3)"));
 }
 
-/// Checks the whole process, engine and example.
 #[test]
 fn reconstruct_in_c_leaks_nothing_and_touches_nothing_invalid() {
     let (folder, photos) = inputs();
@@ -114,7 +112,7 @@ fn reconstruct_in_c_leaks_nothing_and_touches_nothing_invalid() {
     assert!(message.starts_with("ZS_ERROR_IO: ") && message.lines().count() == 1, "{message}");
 }
 
-/// A Python with NumPy; `python3` may lack it.
+/// `python3` may lack NumPy.
 fn python_with_numpy() -> Option<PathBuf> {
     ["python3", "/usr/bin/python3"].iter().find_map(|name| {
         let found = Command::new(name).args(["-c", "import sys, numpy; print(sys.executable)"]).output().ok()?;
@@ -123,7 +121,7 @@ fn python_with_numpy() -> Option<PathBuf> {
     })
 }
 
-/// Values of a single-channel portable float map, top row first.
+/// Single channel, top row first.
 fn portable_float_map(path: &Path) -> Vec<f32> {
     let bytes = std::fs::read(path).expect("a picture of floats");
     let text: Vec<&[u8]> = bytes.splitn(4, |byte| *byte == b'\n').collect();
@@ -168,7 +166,7 @@ fn depth_in_c() {
     assert!(message.starts_with("ZS_ERROR_IO: ") && message.lines().count() == 1, "{message}");
 }
 
-/// With synchronization validation if the tests have it; a message is a failure.
+/// With synchronization validation if the tests have it.
 #[test]
 fn app_with_its_own_device() {
     let vulkan = installation().pkg_config(&["--cflags", "--libs", "vulkan"]);

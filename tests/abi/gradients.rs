@@ -1,4 +1,4 @@
-//! Gradients through C: bitwise equal to Rust's, and slopes of zs_render.
+//! Gradients through C.
 
 use crate::calls::*;
 use std::ptr::null;
@@ -55,7 +55,7 @@ impl Case {
         unsafe { zs_render_backward(renderer.handle, scene.handle, cameras, weights, 2, options, &to) }
     }
 
-    /// Weighted sum of zs_render's pictures of another scene and other cameras.
+    /// Weighted sum of zs_render's pictures.
     fn sum(&self, scene: &Scene, cameras: &[zs_camera; 2], options: &zs_render_options) -> f64 {
         let (context, scene) = (context(), scene_of(scene));
         let renderer = renderer(&context, &scene);
@@ -113,8 +113,8 @@ fn are_rusts_bits() {
     }
 }
 
-/// Perturbs the largest element of each kind. Gaussians end at alpha 1/255; slopes include the
-/// motion of that edge, gradients do not.
+/// Perturbs the largest element of each kind. Slopes include the motion of the edge at alpha 1/255,
+/// gradients do not.
 #[test]
 fn are_slopes_of_pictures() {
     let options = options(zs_depth::ZS_DEPTH_ACCUMULATED);

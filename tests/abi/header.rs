@@ -1,4 +1,4 @@
-//! The committed header is the one that cbindgen generates, grouped by source file.
+//! The committed header is cbindgen's, grouped by source file.
 
 use cbindgen::{Builder, Config, DocumentationStyle, EnumConfig, ExportConfig, Language, RenameRule, Style};
 use std::path::{Path, PathBuf};
@@ -24,7 +24,7 @@ pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().expect("the repository is there")
 }
 
-/// Enumerations that structures store as integers but the header exports.
+/// Stored as integers by structures.
 const ENUMERATIONS: [&str; 10] = [
     "zs_device_kind",
     "zs_pixel_format",
@@ -75,7 +75,7 @@ fn text(ffi: &Path, name: &str) -> String {
     std::fs::read_to_string(ffi.join(format!("{name}.rs"))).expect("a source")
 }
 
-/// Text before the declarations: cbindgen would write ten preprocessor lines per enumeration.
+/// cbindgen would write ten preprocessor lines per enumeration.
 const BEFORE: &str = r#"// An enumeration of 32 bits: a type of its own in C++ and C23, a number in older C.
 #if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
 #define ZS_ENUM(name) enum name : int32_t; typedef enum name name; enum name : int32_t
@@ -98,8 +98,7 @@ const AFTER: &str = r"
 #endif // ZIPSPLAT_H
 ";
 
-/// Regroups cbindgen's header, sorted by kind, by source file under the file's title. Types stay
-/// before their use, because each source uses only earlier ones.
+/// Groups declarations by source file. Each source uses only types of earlier ones.
 fn by_source(header: &str, sources: &[String]) -> String {
     let (top, declarations) = header.split_once("#include <stdint.h>\n").expect("its includes");
     let mut sections = vec![String::new(); sources.len()];
@@ -139,7 +138,6 @@ fn declares(source: &str, name: &str) -> bool {
         .any(|kind| source.split(&format!(" {kind} {name}")).skip(1).any(ends))
 }
 
-/// Rewrites an enumeration to the macro; other items stay unchanged.
 fn plain_enumeration(item: &str) -> String {
     let Some((comment, code)) =
         item.split_once("enum zs_").filter(|(comment, _)| comment.lines().all(|l| l.starts_with("//")))

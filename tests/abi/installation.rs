@@ -1,4 +1,4 @@
-//! The library as installed by `tools/install.sh`, and programs built against it.
+//! The library as installed by `tools/install.sh`.
 
 use crate::header::root;
 use std::{
@@ -19,7 +19,6 @@ pub enum Linking {
     Sanitised,
 }
 
-/// Installs the built library once per process.
 pub fn installation() -> &'static Installation {
     static INSTALLATION: OnceLock<Installation> = OnceLock::new();
     INSTALLATION.get_or_init(|| {
@@ -40,7 +39,7 @@ impl Installation {
         success(command).split_whitespace().map(str::to_owned).collect()
     }
 
-    /// Builds a C99 (`.c`) or C++17 (`.cpp`) program; warnings are errors.
+    /// C99 (`.c`) or C++17 (`.cpp`); warnings are errors.
     pub fn compile(&self, source: &Path, linking: Linking, more: &[&str]) -> PathBuf {
         let cpp = source.extension().is_some_and(|extension| extension == "cpp");
         let (compiler, standard) = if cpp { ("c++", "-std=c++17") } else { ("cc", "-std=c99") };
@@ -68,7 +67,7 @@ impl Installation {
     }
 }
 
-/// Runs a program with the tests' dynamic loader and driver.
+/// With the tests' dynamic loader and driver.
 pub fn runner(program: &Path) -> Command {
     let triple = format!("{}_UNKNOWN_LINUX_GNU", std::env::consts::ARCH.to_uppercase());
     match std::env::var_os(format!("CARGO_TARGET_{triple}_RUNNER")) {

@@ -1,5 +1,4 @@
-//! Device loss: device calls report it from then on, host memory stays readable, objects can be
-//! destroyed, and another context works.
+//! Device loss: host memory stays readable, objects can be destroyed, and another context works.
 
 use crate::calls::*;
 use zipsplat::types::Scene;
@@ -41,7 +40,7 @@ fn losing_devices() {
     }
 }
 
-/// An app's objects so far. Fields drop in order: dependencies before dependents.
+/// Fields drop in order: dependencies before dependents.
 #[derive(Default)]
 struct App {
     context: Option<Object<zs_context>>,
@@ -63,7 +62,6 @@ impl App {
         Ok((read(scene), pixels))
     }
 
-    /// Asserts that device calls fail and host memory is unchanged.
     fn assert_lost(&self, truth: &(Scene, Vec<u8>)) {
         let context = self.context.as_ref().expect("opening a device fails nowhere");
         let lost = |what: &str, status: Option<zs_status>| {

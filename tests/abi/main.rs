@@ -1,5 +1,5 @@
 //! The C ABI, from C, C++ and Python.
-#![allow(unsafe_code)] // The tests call the C ABI.
+#![allow(unsafe_code)]
 
 mod arguments;
 mod calls;

@@ -1,4 +1,4 @@
-//! Photos and scenes from and to memory, and the address of error messages.
+//! Photos and scenes from and to memory; error messages.
 
 use crate::{
     calls::*,
@@ -12,7 +12,7 @@ use zipsplat::types::{Image, SceneFormat, WriteOptions, encode_scene, read_scene
 use zipsplat_c::{zs_status::*, *};
 use zipsplat_tests::{compare::assert_same, scenes::random_scene};
 
-/// Each thread's message has a fixed address: no pointer dangles and all show the latest message.
+/// Each thread has one address: no pointer dangles.
 #[test]
 fn a_message_stays_where_it_is() {
     let open = |path: &str| {

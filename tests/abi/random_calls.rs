@@ -1,5 +1,5 @@
-//! Random valid and invalid calls on a changing set of objects return a status and never crash.
-//! Successful ones stay bitwise reproducible.
+//! Random valid and invalid calls on a changing set of objects. Successful ones stay bitwise
+//! reproducible.
 
 use crate::calls::*;
 use std::ptr::{null, null_mut};
@@ -144,7 +144,7 @@ impl World {
         status == zs_status::ZS_OK
     }
 
-    /// Destroys more rarely than objects are created, in any order.
+    /// More rarely than objects are created.
     fn destroy_one(&mut self, random: &mut Random) -> bool {
         fn one<T>(pool: &mut Vec<Object<T>>, random: &mut Random) -> bool {
             let some = !pool.is_empty();

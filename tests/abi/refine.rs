@@ -1,4 +1,4 @@
-//! Refinement through C: equal to Rust's, early stops and errors.
+//! Refinement through C.
 
 use crate::{
     calls::*,

@@ -25,7 +25,7 @@ fn bits(scene: &Scene) -> Vec<u32> {
     fields.flatten().map(|x| x.to_bits()).collect()
 }
 
-/// Encodes a photo: bytes, row stride, and offset of the top row.
+/// Bytes, row stride, and offset of the top row.
 fn encode(photo: &Image, format: zs_pixel_format, padding: usize, bottom_up: bool) -> (Vec<u8>, i64, usize) {
     let mut rows: Vec<Vec<u8>> = Vec::new();
     for row in photo.rgb.chunks_exact(3 * photo.width as usize) {

@@ -1,12 +1,10 @@
-//! `zipsplat batch`: the scenes of `reconstruct`, resume, failures.
-
 use crate::{Folder, Outcome, command, photo};
 use serde_json::Value;
 use std::{path::Path, sync::atomic::AtomicBool, time::SystemTime};
 
 const WEIGHTS: &str = "--weights @/micro.safetensors --size 28x28";
 
-/// Creates the captures `all/1`, `all/2` (photos in `images`) and `all/10`.
+/// `all/1`, `all/2` (photos in `images`) and `all/10`.
 fn captures() -> Folder {
     let folder = Folder::new();
     for (i, place) in ["all/1", "all/2/images", "all/10"].into_iter().enumerate() {
@@ -25,7 +23,7 @@ fn batch(folder: &Folder, line: &str) -> Outcome {
     folder.run(&format!("--json batch {WEIGHTS} {line}"))
 }
 
-/// Numbers of made, existing, failed and remaining captures.
+/// Made, existing, failed and remaining.
 fn numbers(outcome: Outcome) -> [u64; 4] {
     let said: Value = serde_json::from_str(&outcome.out).unwrap_or_else(|_| panic!("{}", outcome.err));
     ["made", "unchanged", "failed", "left"].map(|name| said[name].as_u64().expect("a number"))
@@ -69,7 +67,7 @@ fn makes_the_scenes_of_pixels_of_reconstruct() {
     assert_eq!((&record["network"], &record["photos"]), (&"da3-micro".into(), &2.into()));
     assert_eq!(numbers(folder.run(&line)), [0, 2, 0, 0]);
 
-    // Photos with cameras, and points for the scale of a single-view network.
+    // Points set the scale of a single-view network.
     folder.run("scene --seed 3 --views 2 --size 42x28 -o @/place").success();
     for weights in ["da3", "alone"] {
         let line = format!("@/place --weights @/{weights}.safetensors --size 42x42");
@@ -96,7 +94,6 @@ fn goes_on_where_it_was() {
     assert_eq!(numbers(batch(&folder, line)), [2, 1, 0, 0]);
     assert_eq!(numbers(batch(&folder, line)), [0, 3, 0, 0]);
     assert_eq!(times(&folder, &["out/1.ply"]), first);
-    // Changed photos, additional photos and truncated scenes: made again.
     photo(40, 30, 77).save_png(folder.path("all/1/1.png")).expect("a photo can be written");
     photo(40, 30, 78).save_png(folder.path("all/2/images/9.png")).expect("a photo can be written");
     assert_eq!(numbers(batch(&folder, line)), [2, 1, 0, 0]);

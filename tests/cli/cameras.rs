@@ -1,4 +1,4 @@
-//! Cameras from COLMAP: with fake programs, and with COLMAP if installed.
+//! Cameras from COLMAP, fake or installed.
 #![cfg(unix)]
 
 use crate::{Folder, Outcome};
@@ -11,7 +11,7 @@ use zipsplat::types::{
 use zipsplat_cli::{Terminal, run};
 use zipsplat_tests::processes::{child, target};
 
-/// Version-dependent options, as in the help of a version.
+/// Version-dependent options in COLMAP 3's help.
 pub const OPTIONS_3: [&str; 3] = [
     "--ImageReader.single_camera_per_folder arg --SiftExtraction.use_gpu arg (=1) --SiftExtraction.max_image_size arg",
     "--SiftMatching.use_gpu arg --ExhaustiveMatching.block_size arg",
@@ -24,7 +24,7 @@ const OPTIONS_4: [&str; 3] = [
 ];
 pub const COPIES: &str = "cp -r \"$0.model/.\" \"$out\"";
 
-/// A place of 4 photos in `@/place/images`, without its cameras.
+/// 4 photos in `@/place/images`, without their cameras.
 pub fn place() -> (Folder, Vec<Frame>) {
     let folder = Folder::new();
     folder.run("scene --seed 3 --views 4 --size 42x28 -o @/place").success();
@@ -39,7 +39,7 @@ pub fn script(folder: &Folder, name: &str, text: &str) {
     fs::set_permissions(folder.path(name), fs::Permissions::from_mode(0o755)).expect("an executable script");
 }
 
-/// A fake COLMAP that logs its arguments and runs `features`, `matches` and `mapper`.
+/// Logs its arguments and runs `features`, `matches` and `mapper`.
 pub fn colmap(folder: &Folder, name: &str, version: &str, options: [&str; 3], bodies: [&str; 3]) {
     let [features, matches, mapper] = bodies;
     let text = format!(
@@ -60,7 +60,7 @@ esac
     script(folder, name, &text);
 }
 
-/// Writes a text model of frames under COLMAP's photo names, with a distorted lens and points.
+/// In text, under COLMAP's photo names, with a distorted lens and points.
 pub fn model(at: &Path, frames: &[(&str, &Camera)]) {
     fs::create_dir_all(at).expect("a folder");
     let (mut cameras, mut images) = (String::new(), String::new());
@@ -100,7 +100,6 @@ pub fn args(folder: &Folder, name: &str) -> String {
     fs::read_to_string(folder.path(&format!("{name}.args"))).expect("what it was called with")
 }
 
-/// Removes and returns the log that an error names.
 #[track_caller]
 fn log_of(outcome: &Outcome) -> String {
     let path = outcome.err.split("all of them: ").nth(1).expect("a path of a log").trim();
@@ -217,7 +216,7 @@ fn photos_of_one_size_share_a_lens_and_folders_lie_in_folders() {
     let names: Vec<String> =
         read_poses(folder.path("transforms.json")).expect("cameras").frames.into_iter().map(|f| f.name).collect();
     assert_eq!(names, ["photos/10.png", "photos/a/b/2.png"]);
-    // Rejects a camera whose size is not its photo's.
+    // A camera whose size is not its photo's.
     model(&folder.path("lists.model/0"), &[("0/000001.png", &camera(30, 40))]);
     folder.run(line).fails(3, &["10.png", "30x40", "40x30, as the photo is stored"]);
 }
@@ -247,7 +246,7 @@ fn what_goes_wrong_is_said_and_leaves_nothing() {
     assert_eq!(truth.len(), 4);
     let line = |option: &str| format!("cameras @/place/images {option} -o @/transforms.json");
     let install = "install";
-    // Arguments are logged beside the script and do not count.
+    // The log lies beside the script.
     let left = |folder: &Folder| -> Vec<String> {
         folder.names().into_iter().filter(|name| !name.ends_with(".args")).collect()
     };
@@ -311,7 +310,7 @@ fn other_commands_find_cameras_too() {
         .fails(3, &["--poses find", "--start points"]);
 }
 
-/// Whether a program runs; otherwise prints the skipped test.
+/// Prints the skipped test.
 pub fn installed(program: &str, test: &str) -> bool {
     let runs = std::process::Command::new(program).arg("help").output().is_ok();
     if !runs {
@@ -320,7 +319,6 @@ pub fn installed(program: &str, test: &str) -> bool {
     runs
 }
 
-/// Compares with exactly known cameras.
 #[test]
 fn colmap_itself_finds_the_cameras_of_a_place() {
     if !installed("colmap", "colmap_itself_finds_the_cameras_of_a_place") {
@@ -356,7 +354,6 @@ fn colmap_itself_finds_the_cameras_of_a_place() {
     assert!(angle < 1.0 && median(&mut shares) < 0.05, "{angle} degrees: {angles:?}, {scales:?}");
 }
 
-/// Without a terminal, progress is printed in lines.
 #[test]
 fn progress_is_printed_without_a_terminal() {
     let (folder, _) = place();

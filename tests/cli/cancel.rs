@@ -37,7 +37,7 @@ fn a_cancelled_command_leaves_no_file() {
     }
 }
 
-/// Doubles the delay of the cancellation until a command finishes.
+/// Doubles the delay until a command finishes.
 #[test]
 fn a_command_that_is_cancelled_on_its_way_leaves_whole_files_alone() {
     let folder = Folder::new();
@@ -68,7 +68,7 @@ fn a_command_that_is_cancelled_on_its_way_leaves_whole_files_alone() {
     }
 }
 
-/// Doubles the delay until something was measured, long before all points are.
+/// Doubles the delay until something was measured.
 #[test]
 fn a_sweep_that_is_cancelled_writes_what_it_measured() {
     let folder = Folder::new();
@@ -90,7 +90,7 @@ fn a_sweep_that_is_cancelled_writes_what_it_measured() {
     assert_eq!(check_whole(&folder.path("report")), 2);
 }
 
-/// Doubles the delay until there is a result, long before the last step.
+/// Doubles the delay until there is a result.
 #[test]
 fn a_refinement_that_is_cancelled_writes_the_best_so_far() {
     let folder = Folder::new();
@@ -133,7 +133,6 @@ fn cancelled_after(delay: Duration, line: &str) -> Outcome {
     std::thread::scope(|scope| {
         let cancelled = &cancelled;
         scope.spawn(move || {
-            // Ends early with the command.
             let _ = end.recv_timeout(delay);
             cancelled.store(true, Ordering::Relaxed);
         });
@@ -143,7 +142,6 @@ fn cancelled_after(delay: Duration, line: &str) -> Outcome {
     })
 }
 
-/// Checks that every file is a complete result and returns their number.
 fn check_whole(folder: &Path) -> usize {
     let check = |path: &Path| match path.extension().and_then(|ext| ext.to_str()).unwrap_or_default() {
         "ply" => drop(read_scene(path).expect("a whole scene")),
@@ -199,7 +197,7 @@ fn ignores_that_it_should_end() {
     std::thread::sleep(Duration::from_secs(60));
 }
 
-/// Starts a process that writes a video of a scene, partially written on return.
+/// A video is partially written on return.
 fn filming() -> (Folder, Child) {
     let folder = Folder::new();
     write_ply(&scenes::random_scene(300, 0, 0.1), folder.path("scene.ply")).expect("a scene can be written");
@@ -211,7 +209,7 @@ fn filming() -> (Folder, Child) {
     (folder, child)
 }
 
-/// Starts a test process with default signal handlers.
+/// With default signal handlers.
 fn started(name: &str, folder: &Folder) -> Child {
     child(name, &folder.path(""), "set -- env --default-signal \"$@\"").spawn().expect("bash")
 }
@@ -250,7 +248,7 @@ fn a_second_signal_ends_at_once() {
     assert_eq!(child.wait().expect("it ends").code(), Some(130));
 }
 
-/// The program never prints its version, for which the command waits.
+/// The command waits for the program's version.
 #[test]
 #[cfg(unix)]
 fn a_second_signal_ends_the_programs_that_run() {

@@ -12,10 +12,9 @@ use std::{
 };
 use zipsplat_tests::processes::{assert_succeeds, child, target};
 
-/// Waits for the end of the process with the id in this file.
 pub fn assert_ends(pid: &Path) {
     let pid = fs::read_to_string(pid).expect("a number");
-    // A killed process needs a moment; it would sleep for a minute.
+    // Otherwise it sleeps for a minute.
     let begin = std::time::Instant::now();
     loop {
         let state = fs::read_to_string(format!("/proc/{}/stat", pid.trim())).unwrap_or_default();

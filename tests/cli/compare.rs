@@ -1,5 +1,3 @@
-//! `zipsplat compare`.
-
 use crate::Folder;
 use std::path::Path;
 use zipsplat::{stages::lpips::LpipsNetwork, types::Image};
@@ -12,7 +10,7 @@ fn grey(value: u8, width: u32, height: u32) -> Image {
     Image { width, height, rgb: vec![value; 3 * (width * height) as usize] }
 }
 
-/// Folders `a` and `b` with two pairs and one unpaired picture.
+/// Two pairs and one unpaired picture.
 fn folder() -> Folder {
     let folder = Folder::new();
     for name in ["a", "b"] {
@@ -32,7 +30,7 @@ fn two_pictures_are_compared() {
     let json = folder.run("compare @/a/one.png @/b/one.png --lpips none --json").json();
     let row = &json["pictures"][0];
     assert!((row["psnr"].as_f64().expect("dB") - 13.979).abs() < 1e-3, "{row}");
-    // Uniform pictures differ only in their means: (2 a b + c) / (a^2 + b^2 + c).
+    // Uniform pictures: (2 a b + c) / (a^2 + b^2 + c).
     let (a, b) = (100.0 / 255.0, 151.0 / 255.0f64);
     let ssim = (2.0 * a * b + 1e-4) / (a * a + b * b + 1e-4);
     assert!((row["ssim"].as_f64().expect("a number") - ssim).abs() < 1e-6, "{row}");
@@ -48,7 +46,7 @@ fn folders_are_compared_by_name() {
     assert!(outcome.err.contains("1 picture without a partner") && outcome.err.contains("three"), "{}", outcome.err);
     let json = outcome.json();
     assert_eq!(json["pictures"].as_array().expect("rows").len(), 2);
-    // Identical pictures, with infinite PSNR, do not count.
+    // Infinite PSNR does not count.
     assert_eq!(json["mean"]["psnr"], json["pictures"][0]["psnr"]);
     let csv = std::fs::read_to_string(folder.path("scores.csv")).expect("a table");
     assert!(csv.starts_with("name,psnr,ssim,lpips\n") && csv.lines().count() == 3, "{csv}");

@@ -1,5 +1,3 @@
-//! `zipsplat convert`.
-
 use crate::Folder;
 use zipsplat::ops::{Arithmetic, Precision};
 use zipsplat::types::{read_scene, write_ply};

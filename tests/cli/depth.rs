@@ -1,4 +1,4 @@
-//! Depth with random weights: outputs and errors.
+//! Depth with random weights.
 
 use crate::Folder;
 use zipsplat::types::{
@@ -7,7 +7,6 @@ use zipsplat::types::{
     read_ply, read_points,
 };
 
-/// A small random network.
 const WEIGHTS: &str = "--weights @/da3.safetensors";
 
 #[test]
@@ -88,7 +87,7 @@ fn cameras_are_those_of_the_network() {
     let mean = |[fx, fy]: [f64; 2]| (fx * fy).sqrt();
     assert!(own.iter().any(|focal| (mean(*focal) / shared[0][0] - 1.0).abs() < 1e-9), "{own:?} {shared:?}");
 
-    // The COLMAP model is equal, with photo names relative to their folder.
+    // Photo names are relative to their folder.
     for (model, points_of) in [("model", "points.ply"), ("depth/model", "depth/points.ply")] {
         let read = read_poses(folder.path(model)).unwrap();
         let names: Vec<&str> = read.frames.iter().map(|frame| frame.name.as_str()).collect();
@@ -161,7 +160,7 @@ fn photos_become_a_gaussian_a_pixel() {
     let [_, tokens, _, few] = made(&folder.run(&format!("{line} --keep 3")).json());
     assert!(tokens == 40 && few > 60 && few <= 120, "{few}");
 
-    // The scene follows from the estimated cameras, passed in or estimated during refinement.
+    // Passed in, or estimated during refinement.
     let cameras = read_poses(folder.path("cameras.json")).unwrap();
     assert_eq!(cameras.frames.len(), 2);
     let given = folder.run(&format!("{plain} --poses @/cameras.json --cameras-out @/again.json"));
@@ -179,7 +178,6 @@ fn photos_seen_by_themselves_need_cameras_and_points() {
     folder.run(line).fails(3, &["da3-micro-alone, which sees each photo by itself", "known cameras"]);
     let json = folder.run(&format!("{line} --poses @/place/transforms.json --json")).json();
     assert!(made(&json)[3] > 100, "{json}");
-    // At the distance of the visible points.
     let (points, scene) =
         (read_points(folder.path("place/points.ply")).unwrap(), read_ply(folder.path("scene.ply")).unwrap());
     let first = read_poses(folder.path("place")).unwrap().frames[0].camera;
@@ -225,7 +223,7 @@ fn weights_are_known_by_their_tensors() {
     assert_eq!((&plan["tokens"], &plan["network"]), (&216.into(), &"da3-small".into()), "{plan}");
     assert!(plan["peak_bytes"].as_u64() > plan["weight_bytes"].as_u64());
 
-    // Weights rounded to 16 bits, which are exact, or to 8 bits.
+    // Exact in 16 bits, rounded to 8.
     let values = |file: &str| {
         folder.run(&format!("depth @/photos --weights @/{file} --size 42 -o @/{file}.out")).success();
         let bytes = std::fs::read(folder.path(&format!("{file}.out/depths.safetensors"))).unwrap();
@@ -258,7 +256,7 @@ fn scenes_of_pixels_are_judged() {
     let [tokens, all] = ["tokens", "all_tokens"].map(|key| json[key].as_u64());
     assert_eq!((tokens, all, json["views"].as_array().map(Vec::len)), (Some(18), Some(18), Some(2)), "{json}");
     assert!(json["mean"]["psnr"].as_f64().is_some_and(f64::is_finite), "{json}");
-    // The scene equals that of `reconstruct`, in the cameras' scale.
+    // In the cameras' scale.
     let inputs = json["inputs"].as_array().unwrap().iter().map(|name| format!("@/place/{}", name.as_str().unwrap()));
     let inputs: Vec<String> = inputs.collect();
     let line = format!("reconstruct {} --poses @/place {WEIGHTS} --size 42x28 -o @/scene.ply", inputs.join(" "));
@@ -276,7 +274,7 @@ fn scenes_of_pixels_are_judged() {
     eval("--refine 2:tokens").fails(3, &["--refine STEPS:tokens", "weights of ZipSplat"]);
     eval("--fit squares").fails(3, &["--fit squares", "weights of ZipSplat"]);
     eval("--keep 200").fails(3, &["--keep", "1 to 196"]);
-    // Single-view networks get their scale from points and estimate no cameras.
+    // Single-view networks get their scale from points.
     let alone = "eval @/place --views 3 --weights @/alone.safetensors --size 42x28";
     assert!(folder.run(&format!("{alone} --json")).json()["mean"]["psnr"].as_f64().is_some());
     folder.run(&format!("{alone} --pose-free")).fails(3, &["da3-micro-alone", "no camera decoder"]);

@@ -4,7 +4,7 @@ use crate::{Folder, zipsplat};
 use zipsplat::types::{poses::write_transforms, write_ply};
 use zipsplat_tests::scenes;
 
-/// Asserts a failure with `code` and `words` that leaves the folder unchanged.
+/// The folder stays unchanged.
 #[track_caller]
 fn refused(folder: &Folder, line: &str, code: u8, words: &[&str]) {
     let before = folder.names();
@@ -51,7 +51,6 @@ fn photos() {
         if !kind.contains("video") {
             refused(&folder, &format!("reconstruct @/photos @/{name} {MICRO}"), 3, &[name, kind, &advice]);
         }
-        // A folder of nothing else fails the same way, with a command for its file.
         std::fs::write(folder.path(&format!("phone/{name}")), start).expect("a file");
         if name != "b.jpg" {
             let below = advice.replace(&folder.line("@/"), &folder.line("@/phone/"));
@@ -215,7 +214,6 @@ fn poses() {
     refused(&folder, "render @/scene.ply --cameras @/none.json -o @/out", 3, &["cameras of", "at least one"]);
     let elsewhere = "render @/scene.ply --cameras @/one.json --relative-to 7.png -o @/out";
     refused(&folder, elsewhere, 3, &["7.png"]);
-    // Without a size, and without photos at the listed path.
     let camera = r#"{"transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]], "file_path": "./train/1"}"#;
     let text = format!("{{\"camera_angle_x\": 0.7, \"frames\": [{camera}]}}");
     std::fs::write(folder.path("nerf.json"), text).expect("a file");
@@ -319,7 +317,7 @@ fn outputs() {
     refused(&folder, &reconstruct("@/out.obj"), 3, &["--output", "out.obj", ".spz"]);
     write_ply(&scenes::random_scene(5, 0, 0.1), folder.path("scene.ply")).expect("a scene can be written");
     refused(&folder, "render @/scene.ply --wiggle -o @/scene.ply", 3, &["output", "scene.ply"]);
-    // An unwritable folder is reported before missing weights or scenes.
+    // Reported before missing weights or scenes.
     for (line, named) in [
         ("reconstruct @/photos --weights @/absent.safetensors -o /proc/out.ply", "/proc/out.ply: "),
         ("render @/absent.ply --wiggle -o /proc/out", "/proc/out: "),

@@ -1,5 +1,3 @@
-//! `zipsplat eval`, with metrics checked against scikit-image.
-
 use crate::{Folder, zipsplat};
 use glam::{DMat3, DVec3};
 use zipsplat::{
@@ -22,7 +20,7 @@ fn picture(value: impl Fn(usize, usize, usize) -> f64) -> Vec<f32> {
 }
 
 /// scikit-image 0.26.0: `peak_signal_noise_ratio`, and `structural_similarity` with `win_size=11`
-/// and `gaussian_weights=True`, as in the reference.
+/// and `gaussian_weights=True`.
 #[test]
 fn metrics_are_those_of_scikit_image() {
     let rough = |k: usize| picture(|x, y, c| ((x * x * 3 + y * (7 + k) + x * y * k + c * 29) % 97) as f64 / 96.0);
@@ -41,7 +39,7 @@ fn metrics_are_those_of_scikit_image() {
     }
 }
 
-/// A place of 6 photos in `@/place`.
+/// 6 photos in `@/place`.
 fn place() -> Folder {
     let folder = Folder::new();
     folder.run("scene --seed 5 --views 6 --size 42x28 -o @/place").success();
@@ -86,7 +84,7 @@ fn the_unit_of_the_cameras_does_not_matter() {
     let line = "eval @/place --views 3 --weights @/micro.safetensors --size 28x28 --json";
     let mean = |line: &str| folder.run(line).json()["mean"]["psnr"].as_f64().expect("a number");
     let before = mean(line);
-    // The same capture at an eighth of the scale: powers of two are exact.
+    // At an eighth of the scale.
     let path = folder.path("place/transforms.json");
     let text = std::fs::read_to_string(&path).expect("cameras");
     let mut cameras: serde_json::Value = serde_json::from_str(&text).expect("JSON");
@@ -107,7 +105,6 @@ fn the_unit_of_the_cameras_does_not_matter() {
     assert!((before - wrong).abs() > 1e-3, "{before} dB and {wrong} dB");
 }
 
-/// Without a point cloud, cameras give both commands the scale.
 #[test]
 fn without_points_the_unit_is_that_of_the_cameras() {
     let folder = place();
@@ -189,7 +186,7 @@ fn a_camera_stays_near_its_first_estimate() {
     let folder = Folder::new();
     let mut renderer = splats(&folder);
     let start = Camera { intrinsics: Intrinsics::from_fov(84, 56, 1.0, 0.7), pose: Pose::IDENTITY };
-    // A photo unlike the scene; distant Gaussians are less unlike.
+    // A photo unlike the scene.
     let stripes =
         (0..84 * 56).flat_map(|i| [if i % 84 / 7 % 2 == 0 { 250 } else { 20 }, 120, (i / 84) as u8]).collect();
     let photo = Image::new(84, 56, stripes).expect("a picture");
@@ -198,7 +195,6 @@ fn a_camera_stays_near_its_first_estimate() {
     let angle = ((turn.x_axis.x + turn.y_axis.y + turn.z_axis.z - 1.0) / 2.0).clamp(-1.0, 1.0).acos();
     assert!(angle < MOST_TURN && shift < MOST_SHIFT, "{angle} radians and {shift}");
     assert!((angle - found.turn).abs() < 1e-6 && (shift - found.shift).abs() < 1e-6, "another movement is told");
-    // A photo without texture does not determine its camera.
     let black = Image::new(84, 56, vec![3; 3 * 84 * 56]).expect("a picture");
     let found = align(&mut renderer, &black, &start, &|| Ok(())).expect("aligned");
     assert_eq!((found.camera, found.doubt), (start, Some(Doubt::Flat)));
@@ -239,14 +235,13 @@ fn pictures_without_cameras_are_aligned() {
     let json = folder.run(&format!("{line} --pose-free --csv @/s.csv -o @/out")).json();
     let psnr = |value: &serde_json::Value| value["psnr"].as_f64().expect("a number");
     let (before, after) = (psnr(&json["aligned"]["before"]), psnr(&json["mean"]));
-    // Alignment ignores holes and is robust to large differences.
     assert!(after > before - 0.1, "{before} dB before, {after} after");
     let rows = json["aligned"]["rows"].as_array().expect("rows");
     let near = |row: &serde_json::Value| row["degrees"].as_f64().is_some_and(|degrees| (0.0..15.0).contains(&degrees));
     assert!(rows.len() == 2 && rows.iter().all(near), "{}", json["aligned"]);
     let csv = std::fs::read_to_string(folder.path("s.csv")).expect("the table was written");
     assert!(csv.lines().next().is_some_and(|line| line.ends_with("degrees,distance,doubt,lpips")), "{csv}");
-    // Random weights are meaningless, and the report warns.
+    // Random weights: the report warns.
     let text = folder.run(&format!("eval @/place --views 2 --targets 2 {options} --pose-free"));
     assert!(text.err.contains("aligned pictures say little"), "{}", text.err);
     assert!(text.out.contains("degrees") && text.out.contains("doubt"), "{}", text.out);

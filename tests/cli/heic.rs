@@ -1,4 +1,4 @@
-//! HEIC photos, through fake ffmpeg programs.
+//! HEIC photos, by fake ffmpeg programs.
 #![cfg(unix)]
 
 use crate::{Folder, cameras::script};
@@ -8,7 +8,7 @@ use zipsplat::types::{Image, poses::read_poses};
 const START: &[u8] = b"\0\0\0\x18ftypheic\0\0\0\0";
 const LINE: &str = "--weights @/micro.safetensors --size 28x28 -o @/scene.ply --ffmpeg @/";
 
-/// A folder `phone` with two HEIC photos, and fake programs: name, probe output, decoder output.
+/// Two HEIC photos, and fake programs: name, probe output, decoder output.
 fn phone(programs: &[(&str, &str, &str)]) -> Folder {
     let folder = Folder::new();
     fs::create_dir(folder.path("phone")).expect("a folder");
@@ -42,7 +42,7 @@ fn heic_pictures_are_photos() {
         }
     }
     assert_eq!(folder.names(), before);
-    // Beside a photo of the same name, the HEIC is its original.
+    // A photo of the same name replaces the HEIC.
     let outcome = folder.run(&format!("reconstruct @/phone/IMG_1.HEIC @/photos --json {LINE}one"));
     assert_eq!(outcome.json()["photos"], 3);
     fs::copy(folder.path("photos/1.png"), folder.path("phone/IMG_1.png")).expect("copied");

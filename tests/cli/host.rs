@@ -1,4 +1,4 @@
-//! A local model hub and its storage, with faults.
+//! A local model hub and its storage.
 
 use sha2::{Digest, Sha256};
 use std::{
@@ -8,31 +8,29 @@ use std::{
     sync::{Arc, Mutex, MutexGuard},
 };
 
-/// A fault of the storage for one request.
+/// Fault of the storage for one request.
 #[derive(Clone, Copy, Debug)]
 pub enum Act {
     /// Closes the connection after this many bytes.
     Cut(usize),
-    /// Stalls after this many bytes.
+    /// After this many bytes.
     Stall(usize),
-    /// Closes the connection after this many bytes; the hub's file changes.
+    /// As [`Act::Cut`]; the hub's file changes.
     Swap(usize),
-    /// Ignores the requested range.
     Ignore,
-    /// Reports a range other than the requested one.
     Shift,
     Status(u16),
 }
 
 pub struct State {
     pub file: Vec<u8>,
-    /// SHA-256 and size as reported by the hub, by default the file's.
+    /// By default the file's.
     pub etag: Option<String>,
     pub size: Option<u64>,
     pub acts: VecDeque<Act>,
-    /// The hub's response instead of the redirect.
+    /// Instead of the redirect.
     pub refuses: Option<u16>,
-    /// Method, path, range and presence of a token, per request.
+    /// Method, path, range and presence of a token.
     pub requests: Vec<[String; 4]>,
     storage: u16,
 }
@@ -47,7 +45,7 @@ pub fn sha256(bytes: &[u8]) -> String {
 }
 
 impl Host {
-    /// Serves a file with the faults `acts` for its first requests.
+    /// With the faults `acts` for the first requests.
     pub fn new(file: Vec<u8>, acts: &[Act]) -> Self {
         let [hub, storage] = [0, 1].map(|_| TcpListener::bind("127.0.0.1:0").expect("a port"));
         let port = |listener: &TcpListener| listener.local_addr().expect("an address").port();
@@ -77,7 +75,7 @@ impl Host {
         self.state.lock().expect("no server panicked")
     }
 
-    /// Requested ranges; empty for the whole file.
+    /// Empty for the whole file.
     pub fn ranges(&self) -> Vec<String> {
         let state = self.state();
         state.requests.iter().filter(|request| request[1] == "/blob").map(|request| request[2].clone()).collect()
@@ -134,7 +132,7 @@ fn hub(path: &str, state: &State) -> String {
     }
 }
 
-/// No ETag and no Last-Modified, as in the real storage.
+/// As in the real storage, without ETag and Last-Modified.
 fn blob(stream: &mut TcpStream, start: Option<&str>, state: &Mutex<State>) -> std::io::Result<()> {
     let (act, file) = {
         let mut state = state.lock().unwrap();

@@ -1,5 +1,3 @@
-//! `zipsplat info`.
-
 use crate::Folder;
 use zipsplat::stages::lpips::LpipsNetwork;
 use zipsplat::types::{Origin, Scene, World, WriteOptions, write_ply, write_scene_in};
@@ -91,7 +89,7 @@ fn a_plan_takes_what_a_run_then_takes() {
     let run = folder.run(&format!("reconstruct @/photos {shared} -o @/scene.ply {drawing}")).json();
     assert_eq!(plan["peak_bytes"], run["peak_bytes"]);
     assert!(plan["separate_bytes"].as_u64() > plan["peak_bytes"].as_u64(), "{plan}");
-    // With a refinement: from photos to its last step. One of nine photos is held out.
+    // One of nine photos is held out.
     folder.run("scene --seed 5 --views 9 --size 42x28 -o @/place").success();
     let photos = "@/place/images --poses @/place";
     for ratio in ["1", "0.5"] {

@@ -1,4 +1,4 @@
-//! The command line in process: results, exit codes, no partial files.
+//! The command line, in process.
 
 mod batch;
 mod cameras;
@@ -65,7 +65,7 @@ impl Outcome {
         assert_eq!((self.code, self.out.as_str()), (2, ""), "{}", self.err);
     }
 
-    /// Asserts a failure with `code` and one line that contains all `words`.
+    /// One line contains all `words`.
     #[track_caller]
     fn fails(self, code: u8, words: &[&str]) {
         assert_eq!((self.code, self.out.as_str()), (code, ""), "{}", self.err);
@@ -86,7 +86,7 @@ fn command(line: &str, cancelled: &AtomicBool) -> Outcome {
     Outcome { code, out: String::from_utf8(out).expect("results are text"), err }
 }
 
-/// Runs a command; returns exit code, standard output as bytes, and errors.
+/// Exit code, standard output and errors.
 fn raw_command(line: &str, cancelled: &AtomicBool) -> (u8, Vec<u8>, String) {
     let args = std::iter::once("zipsplat").chain(line.split_whitespace()).map(OsString::from);
     let (mut out, mut err) = (Vec::new(), Vec::new());
@@ -94,7 +94,7 @@ fn raw_command(line: &str, cancelled: &AtomicBool) -> (u8, Vec<u8>, String) {
     (code, out, String::from_utf8(err).expect("errors are text"))
 }
 
-/// A folder with `photos/1.png`, `photos/10.png` and a small network's weights.
+/// `photos/1.png`, `photos/10.png` and a small network's weights.
 struct Folder(TempDir);
 
 impl Folder {
@@ -127,7 +127,6 @@ impl Folder {
         self.0.path().join(name)
     }
 
-    /// Replaces every `@` by this folder.
     fn line(&self, line: &str) -> String {
         line.replace('@', &self.0.path().display().to_string())
     }
@@ -136,7 +135,7 @@ impl Folder {
         zipsplat(&self.line(line))
     }
 
-    /// Sorted names of all files and folders, including hidden ones.
+    /// Sorted, also hidden ones.
     fn names(&self) -> Vec<String> {
         names(self.0.path())
     }

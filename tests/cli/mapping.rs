@@ -1,4 +1,4 @@
-//! Retries of the mapper, with fake COLMAP programs that vary per attempt.
+//! Retries of the mapper.
 #![cfg(unix)]
 
 use crate::{
@@ -8,7 +8,7 @@ use crate::{
 use std::fs;
 use zipsplat::types::{Camera, Intrinsics, poses::Frame};
 
-/// Runs a fake mapper `body` with the attempt in `$n`; `found` are the expected photo counts.
+/// `$n` in `body` is the attempt; `found` are the expected photo counts.
 fn tried(body: &str, found: &[usize]) -> (Folder, Outcome) {
     let (folder, frames) = place();
     let options = [
@@ -71,7 +71,7 @@ fn four_fifths_of_many_photos_are_enough() {
     }
 }
 
-/// Few photos may not determine a lens: it is then fixed if that registers as many photos.
+/// The lens is fixed if that registers as many photos.
 #[test]
 fn an_unlikely_lens_is_mapped_again_with_a_fixed_one() {
     let (folder, frames) = place();

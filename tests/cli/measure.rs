@@ -1,4 +1,4 @@
-//! `zipsplat bench`: it runs, and its numbers are consistent. No test asserts a time.
+//! `zipsplat bench`. No test asserts a time.
 
 use crate::Folder;
 use serde_json::Value;
@@ -15,7 +15,7 @@ fn ordered(ms: &Value) -> bool {
     0.0 <= number("min") && number("min") <= number("median") && number("median") <= number("max")
 }
 
-/// Whether a row has a plausible fraction of a limit exactly where expected.
+/// Plausible exactly where expected.
 fn shared(share: &Value, expected: bool) -> bool {
     // On a busy machine the measured limit may be too low.
     share.as_f64().map_or(share.is_null() && !expected, |share| expected && share > 0.0 && share < 20.0)
@@ -34,7 +34,7 @@ fn limits_are_measured_by_work_that_is_done() {
             row["per_s"].as_f64().is_some_and(|rate| rate > 0.0 && rate.is_finite()) && ordered(&row["ms"]),
             "{row}"
         );
-        // All values are exact in any summation order.
+        // Exact in any summation order.
         assert_eq!(row["difference"], 0.0, "{row}");
     }
     let text = Folder::new().run("bench peak --warmup 0 --repeats 1").success();
@@ -117,7 +117,7 @@ fn a_step_is_measured_beside_its_picture() {
     Folder::new().run("bench refine --pytorch=no-such-python").fails(3, &["--pytorch", "no-such-python", "numba"]);
 }
 
-/// A Python that prints its request as a result, and one that fails.
+/// One Python prints its request as a result, one fails.
 #[cfg(unix)]
 #[test]
 fn pytorch_stands_beside_ours() {
@@ -175,15 +175,15 @@ fn depth_is_timed_by_backbone_and_head() {
 #[test]
 fn what_accuracy_costs_is_a_page_and_a_table() {
     let folder = Folder::new();
-    // This one sees Gaussians: empty pictures would be equal.
+    // Empty pictures would be equal.
     folder.run("scene --seed 3 --views 6 --size 42x28 -o @/place").success();
     let line = "bench tradeoff @/place --weights @/micro.safetensors --size 42x28 --views 2,3 --ratio 1,0.5 \
                 --select kmeans,kmeans:1,random:3 --keep 4,1 --refine 0,3,4:tokens --dtype f16,q8 --repeats 1 --targets 2 --unit 1.5 -o @/report --json";
     let points = folder.run(line).json();
     let points = points.as_array().expect("a list");
     // Per number of photos: all tokens, and half of them by three selections, twice, in each
-    // arithmetic. For the first number, all tokens and the first selection are also refined twice
-    // and run with rounded weights twice. Points are refined once.
+    // arithmetic. First values are also refined twice and run with rounded weights twice. Points
+    // are refined once.
     let has = |precision: &Precision| Arithmetic::of(*precision, device().limits()).is_some();
     let arithmetics = Precision::ALL.iter().filter(|precision| has(precision)).count();
     assert_eq!(points.len(), 2 * (1 + 3) * 2 * arithmetics + 2 * 2 * 2 + 2 * 2 * 2 + 2);
@@ -212,7 +212,7 @@ fn what_accuracy_costs_is_a_page_and_a_table() {
         let is_refined = point["refine"] != "0";
         assert_eq!(number("refine_ms") > 0.0, is_refined, "{point}");
         assert!((number("total_ms") - number("forward_ms") - number("refine_ms")).abs() < 1e-6, "{point}");
-        // Random weights are exact in f16: the PSNR is infinite, which JSON cannot represent.
+        // Exact in f16: JSON cannot represent the infinite PSNR.
         assert_eq!(point["psnr_to_exact"].is_null(), is_exact || point["weights"] == "f16", "{point}");
         assert_eq!(point["psnr_to_f64"].is_null(), is_refined, "{point}");
         if !is_exact && point["select"] == "all" {
@@ -230,7 +230,6 @@ fn what_accuracy_costs_is_a_page_and_a_table() {
         }
         assert!(is_refined || number("psnr_to_f64") > if is_exact { 80.0 } else { 40.0 }, "{point}");
         if number("views") == 3.0 {
-            // The test's folder has the file that both name.
             let file = format!("{}.safetensors", point["weights"].as_str().expect("a type"));
             let in_folder = |command: &str| ours(command).replace(&file, &folder.path(&file).to_string_lossy());
             convert.iter().for_each(|convert| drop(crate::zipsplat(&in_folder(convert)).success()));
@@ -252,7 +251,6 @@ fn what_accuracy_costs_is_a_page_and_a_table() {
     assert!(!folder.path("r").exists());
 }
 
-/// Measures the first point regardless of the budget.
 #[test]
 fn a_sweep_ends_when_its_time_is_over() {
     let folder = Folder::new();
@@ -269,7 +267,7 @@ fn a_sweep_ends_when_its_time_is_over() {
     folder.run(&format!("{line} --minutes 0 -o @/r")).fails_usage();
 }
 
-/// Pooled keys are compared with pooled f64, and the command has the pooling.
+/// Compared with pooled f64.
 #[test]
 fn pooled_keys_are_points_of_their_own() {
     let folder = Folder::new();

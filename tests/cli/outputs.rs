@@ -49,7 +49,7 @@ fn every_command_replaces_its_own_files_and_no_others() {
         std::fs::write(&path, "").expect("a file");
         folder.run(&line).success();
     }
-    // A format without an author tag may be anyone's.
+    // No author tag.
     let line = format!("reconstruct @/photos {micro} -o @/a.splat");
     folder.run(&line).success();
     folder.run(&line).fails(3, &["a.splat", "does not say"]);
@@ -85,7 +85,6 @@ fn what_a_longer_run_left_is_removed() {
     }
 }
 
-/// A run that fails before drawing keeps existing files.
 #[test]
 fn nothing_is_removed_by_a_run_that_fails() {
     let folder = folder();

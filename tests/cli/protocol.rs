@@ -1,5 +1,3 @@
-//! `zipsplat eval --protocol`: each data set's layout, and reports over several scenes.
-
 use crate::Folder;
 use glam::{DMat3, DVec3};
 use serde_json::{Value, json};
@@ -12,13 +10,13 @@ use zipsplat::types::{
 };
 use zipsplat_tests::golden::lpips_weights;
 
-/// Downscaling of photos relative to their cameras, as in images_4.
+/// As in images_4.
 const SMALLER: u32 = 4;
-/// Coefficients of the tangent: a fisheye lens close to a pinhole.
+/// Of the tangent: a fisheye lens close to a pinhole.
 const STRAIGHT: [f64; 4] = [1.0 / 3.0, 2.0 / 15.0, 17.0 / 315.0, 62.0 / 2835.0];
 const OPTIONS: &str = "--weights @/micro.safetensors --size 28x28 --lpips none";
 
-/// A place of 12 photos of 84x56 in `@/place`, and its frames.
+/// 12 photos of 84x56 in `@/place`.
 fn place(folder: &Folder, seed: u32) -> Vec<Frame> {
     folder.run(&format!("scene --seed {seed} --views 12 --size 84x56 -o @/place")).success();
     read_poses(folder.path("place")).expect("cameras").frames
@@ -38,8 +36,7 @@ fn write(folder: &Folder, to: &str, text: &str) {
     std::fs::write(path, text).expect("written");
 }
 
-/// DL3DV: full-resolution intrinsics at the top, OpenGL axes, names in images/, photos in
-/// images_4/.
+/// Full-resolution intrinsics at the top, OpenGL axes, names in images/, photos in images_4/.
 fn dl3dv(folder: &Folder, scene: &str, frames: &[Frame], k1: f64) {
     copy(folder, &format!("{scene}/images_4"), frames, |i| format!("frame_{i:05}.png"));
     let lens = frames[0].camera.intrinsics;
@@ -59,8 +56,7 @@ fn dl3dv(folder: &Folder, scene: &str, frames: &[Frame], k1: f64) {
     write(folder, &format!("{scene}/transforms.json"), &cameras.to_string());
 }
 
-/// RealEstate10K: a URL, then lines of microseconds, relative intrinsics, two zeros,
-/// world-to-camera.
+/// A URL, then lines of microseconds, relative intrinsics, two zeros, world-to-camera.
 fn re10k(folder: &Folder, scene: &str, frames: &[Frame]) {
     copy(folder, scene, frames, |i| format!("{}.png", 33_367 * (i + 1)));
     let mut text = "https://www.youtube.com/watch?v=none\n".to_owned();
@@ -86,7 +82,7 @@ fn colmap(folder: &Folder, model: &str, frames: &[Frame], camera: &str, name: im
     write(folder, &format!("{model}/images.txt"), &images);
 }
 
-/// Mip-NeRF 360: a full-resolution pinhole, photos in images_4/.
+/// A full-resolution pinhole, photos in images_4/.
 fn mipnerf360(folder: &Folder, scene: &str, frames: &[Frame]) {
     let name = |i: usize| format!("_DSC{:04}.JPG", 8000 + i);
     copy(folder, &format!("{scene}/images_4"), frames, name);
@@ -96,7 +92,7 @@ fn mipnerf360(folder: &Folder, scene: &str, frames: &[Frame]) {
     colmap(folder, &format!("{scene}/sparse/0"), frames, &camera, name);
 }
 
-/// ScanNet++: a fisheye lens, photos in dslr/resized_images/.
+/// A fisheye lens, photos in dslr/resized_images/.
 fn scannetpp(folder: &Folder, scene: &str, frames: &[Frame], [k1, k2, k3, k4]: [f64; 4]) {
     let name = |i: usize| format!("DSC{i:05}.JPG");
     copy(folder, &format!("{scene}/dslr/resized_images"), frames, name);
@@ -106,7 +102,7 @@ fn scannetpp(folder: &Folder, scene: &str, frames: &[Frame], [k1, k2, k3, k4]: [
     colmap(folder, &format!("{scene}/dslr/colmap"), frames, &camera, name);
 }
 
-/// PSNR, SSIM and Gaussians of the only scene.
+/// Of the only scene.
 fn figures(json: &Value) -> [f64; 3] {
     let [row] = &json["scenes"].as_array().expect("rows")[..] else { panic!("not one row: {json}") };
     assert_eq!(row["scene"], "one");
@@ -143,7 +139,6 @@ fn every_layout_gives_the_same_figures() {
             assert!(same, "{protocol} {options}: {found:?}, as DL3DV {:?}", [psnr, ssim, gaussians]);
         }
     }
-    // Lenses are undistorted; on request photos stay unchanged.
     let options = "--indices @/frames.json";
     let [straight, bent, kept, fisheye] = [
         run("dl3dv", "dl3dv", options),
@@ -159,7 +154,7 @@ fn every_layout_gives_the_same_figures() {
     assert!(outcome.code == 1 && outcome.err.contains("almost pinholes"), "{}", outcome.err);
 }
 
-/// Two scenes of 12 photos in `@/data`, as in DL3DV.
+/// 12 photos each, in `@/data`.
 fn two_scenes(folder: &Folder) {
     for (scene, seed) in [("data/one", 5), ("data/two", 6)] {
         dl3dv(folder, scene, &place(folder, seed), 0.0);
@@ -206,7 +201,7 @@ fn a_series_keeps_what_was_done() {
     assert_eq!((&again["judged"], &again["unchanged"]), (&json!(2), &json!(2)));
 }
 
-/// The default alignment is the paper's; external scenes are found by name.
+/// External scenes are found by name.
 #[test]
 fn a_protocol_aligns_cameras() {
     let folder = Folder::new();
@@ -221,7 +216,6 @@ fn a_protocol_aligns_cameras() {
     let [usual, adam, none] = [figure("", "a"), figure("--align adam", "b"), figure("--align none", "c")];
     assert!(usual == adam && usual > none + 1.0, "{usual}, {adam} and {none} dB");
     folder.run(&format!("{line} --align hope -o @/d")).fails_usage();
-    // Without LPIPS weights the table lacks the column, with a note.
     let by_default = format!("{} --align none -o @/e", line.replace("--lpips none", ""));
     let said = folder.run(&by_default).err.contains("LPIPS is missing");
     assert_eq!(said, lpips_weights(LpipsNetwork::Vgg).is_none());
@@ -267,7 +261,6 @@ fn scenes_that_fail_are_listed() {
     assert!(!folder.path("out2").exists());
 }
 
-/// Writes a picture at each path.
 #[test]
 fn other_folders_of_photos_are_taken_where_asked() {
     let folder = Folder::new();

@@ -1,5 +1,3 @@
-//! `zipsplat reconstruct`.
-
 use crate::{Folder, names, zipsplat};
 use glam::{DMat3, DVec3};
 use zipsplat::types::{Camera, Intrinsics, Pose, poses::write_transforms, read_ply, read_scene};
@@ -229,7 +227,7 @@ fn photos_with_cameras_are_taken_as_stored() {
         folder.run(&line).success();
         read_ply(folder.path("s.ply")).expect("the scene can be read")
     };
-    // Rotated by 90 and by 180 degrees; the latter keeps the picture's shape.
+    // By 90 and by 180 degrees.
     for orientation in [6, 3] {
         let turned = with_orientation(&jpeg, orientation);
         assert!(scene(&turned, "--poses @/c.json") == scene(&jpeg, "--poses @/c.json"), "orientation {orientation}");
@@ -237,7 +235,6 @@ fn photos_with_cameras_are_taken_as_stored() {
     }
 }
 
-/// Structure from motion rarely places every photo.
 #[test]
 fn photos_without_cameras_are_left_out_and_named() {
     let folder = Folder::new();
@@ -253,7 +250,7 @@ fn photos_without_cameras_are_left_out_and_named() {
     let left = scene();
     folder.run(&format!("reconstruct @/photos/3.png @/photos/5.png {line}")).success();
     assert!(scene() == left, "the same photos");
-    // Unposed photos are dropped before views are selected.
+    // Dropped before views are selected.
     assert_eq!(folder.run(&format!("reconstruct @/photos {line} --views 2")).json()["views"], 2);
     let line = line.replace(" --json", "");
     folder.run(&format!("reconstruct @/photos/1.png {line}")).fails(3, &["camera of", "1.png", "3.png"]);
@@ -329,7 +326,7 @@ fn pictures_are_those_of_the_two_commands_one_after_the_other() {
         for name in &found {
             let read = |at: &str| image::open(folder.path(&format!("{at}-{i}")).join(name)).unwrap().into_rgb16();
             let (ours, theirs) = (read("at-once"), read("after"));
-            // A PLY stores logs and logits, whose rounding may move a value to the next level.
+            // Rounding of logs and logits may move a value to the next level.
             let level = if name.contains("depth") { 1 } else { 257 };
             let most = ours.as_raw().iter().zip(theirs.as_raw()).map(|(a, b)| a.abs_diff(*b)).max();
             assert!(most <= Some(level), "{name:?}: {most:?}");

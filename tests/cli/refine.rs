@@ -5,7 +5,7 @@ use std::sync::atomic::AtomicBool;
 use zipsplat::types::{Origin, World, poses::read_poses, read_scene, read_world, write_ply};
 use zipsplat_tests::scenes;
 
-/// A place of 10 photos in `@/place`.
+/// 10 photos in `@/place`.
 fn place() -> Folder {
     let folder = Folder::new();
     folder.run("scene --seed 5 --views 10 --size 42x28 -o @/place").success();
@@ -29,7 +29,6 @@ fn points_become_a_scene_that_looks_like_the_photos() {
     let psnr = |i: usize| held_out[i][1].as_f64().expect("dB");
     assert!(psnr(held_out.len() - 1) > psnr(0) + 1.0, "{held_out:?}");
     assert!(json["explain"]["passes"].as_array().is_some_and(|passes| passes.len() > 10), "{}", json["explain"]);
-    // The scene is in the cameras' world, and the file records it.
     let first = read_poses(folder.path("place")).expect("cameras").frames[0].camera.pose;
     let Some(World { origin: Origin::Cameras(pose), .. }) = read_world(folder.path("scene.ply")).expect("a world")
     else {
@@ -92,7 +91,6 @@ fn refined_cameras_are_written() {
     assert!((1e-3..2.0).contains(&degrees), "{degrees}");
     assert!(found.frames.iter().zip(&given.frames).all(|(found, given)| found.photo.is_some()
         && found.photo.as_ref().map(|path| path.file_name()) == given.photo.as_ref().map(|path| path.file_name())));
-    // Not requested here.
     let again = "refine @/scene.ply @/place/images --poses @/cameras.json --steps 0 -o @/again.ply --json";
     assert!(folder.run(again).json()["refined"]["cameras"].is_null());
     let reconstruct = format!("reconstruct {PHOTOS} --weights @/micro.safetensors --size 28x28 -o @/sharp.ply");
@@ -158,7 +156,6 @@ fn reconstructions_are_refined() {
         ("--refine=8", "the scene", true),
         ("--refine=8:tokens", "the network's tokens", true),
         ("--refine=8 --start both", "the scene and the capture's points", true),
-        // The network adds nothing.
         ("--refine=8 --start points", "the capture's points", false),
     ] {
         let json = run(options);

@@ -1,12 +1,10 @@
-//! `zipsplat render`.
-
 use crate::{Folder, names};
 use glam::{DMat3, DVec3};
 use std::collections::BTreeMap;
 use zipsplat::types::{Camera, Image, Pose, poses::write_transforms, write_ply};
 use zipsplat_tests::scenes;
 
-/// A folder with `scene.ply` and three cameras, the first and last wider than the second.
+/// `scene.ply` and three cameras, the first and last wider than the second.
 fn folder() -> Folder {
     let folder = Folder::new();
     write_ply(&scenes::random_scene(200, 1, 0.2), folder.path("scene.ply")).expect("a scene can be written");
@@ -43,7 +41,7 @@ fn every_camera_gets_a_picture_and_again_the_same() {
 #[test]
 fn gaussians_are_drawn_as_points() {
     let folder = folder();
-    // One large, faint Gaussian in the middle, red in every direction.
+    // In the middle, red in every direction.
     let mut scene = scenes::random_scene(1, 0, 0.2);
     (scene.means[0], scene.scales[0], scene.opacities[0]) = ([0.0, 0.0, 2.0], [1.0; 3], 0.2);
     scene.sh_coeffs[0] = [1.7, -1.7, -1.7];
@@ -143,7 +141,7 @@ fn a_scene_finds_its_cameras_in_their_own_file() {
     found.success();
     folder.run("render @/posed.ply --cameras @/place --relative-to 000.png -o @/named").success();
     assert_eq!(contents(&folder, "found"), contents(&folder, "named"));
-    // All formats but .splat store their world: a black picture gets a warning.
+    // All formats but .splat store their world.
     for format in ["spz", "glb", "gltf"] {
         folder.run(&format!("convert @/posed.ply @/posed.{format}")).success();
         assert!(!says_empty(&folder, &format!("render @/posed.{format} --cameras @/place -o @/{format}")), "{format}");
@@ -161,7 +159,7 @@ fn a_scene_finds_its_cameras_in_their_own_file() {
     assert!(other.err.contains("images/000.png, which") && other.err.contains("--world cameras"), "{}", other.err);
 }
 
-/// A rotated, translated world in another scale stays as it is.
+/// In another scale.
 #[test]
 fn a_scene_can_be_in_the_world_of_its_cameras() {
     let folder = folder();
@@ -194,7 +192,6 @@ fn a_scene_can_be_in_the_world_of_its_cameras() {
     let (said, own) = draw("own", "--world cameras", "--cameras @/place");
     assert_eq!(said, "", "there is nothing to say where all fits");
     close(&first, &own);
-    // Paths start at the first photo in any world.
     for path in ["--wiggle", "--orbit", "--dolly"] {
         let path = format!("{path} --frames 3 --size 28x28");
         close(&draw("first", "", &path).1, &draw("own", "--world cameras", &path).1);
@@ -212,7 +209,7 @@ fn a_scene_can_be_in_the_world_of_its_cameras() {
             contents(&folder, "other").into_keys().map(|f| picture(&folder, &format!("other/{f}"))).collect();
         close(&first, &other);
     }
-    // No similarity makes these of a mirrored world those of the scene.
+    // A mirrored world.
     let mirrored = poses.frames.iter().map(|frame| {
         let center = frame.camera.pose.translation;
         Camera { pose: Pose { translation: -center, ..frame.camera.pose }, ..frame.camera }
@@ -229,7 +226,6 @@ fn picture(folder: &Folder, name: &str) -> Image {
     Image::open(folder.path(name)).expect("a picture")
 }
 
-/// Whether a successful line reports empty pictures.
 fn says_empty(folder: &Folder, line: &str) -> bool {
     let outcome = folder.run(line);
     let said = outcome.err.contains("but the background");
@@ -252,7 +248,7 @@ fn only_own_pictures_are_replaced() {
         folder.run(&format!("{line} --overwrite")).success();
         assert_eq!(contents(&folder, "out"), drawn);
     }
-    // Names of unrequested outputs belong to the user.
+    // Unrequested outputs belong to the user.
     mine.save_png(folder.path("out/000.alpha.png")).expect("a photo can be written");
     mine.save_png(folder.path("out/003.png")).expect("a photo can be written");
     folder.run("render @/scene.ply --cameras @/cameras.json --depth -o @/out").success();
@@ -289,7 +285,7 @@ fn explaining_names_passes_and_what_was_left_out() {
     let json = folder.run(&format!("{line} --normals --background 1,1,1 --json")).json();
     let passes = json["explain"]["passes"].as_array().expect("a list");
     let normals = passes.iter().find(|pass| pass["pass"] == "render/normals").expect("it ran");
-    // 200 Gaussians: means, scales, quats and normals, and one camera.
+    // Means, scales, quats and normals, and one camera.
     assert_eq!(normals["bytes"].as_u64(), Some(200 * (12 + 12 + 16 + 12) + 128));
     let left_out = json["explain"]["left_out"].as_array().expect("a list");
     let has = |what: &str| left_out.iter().any(|left| left["what"] == what);

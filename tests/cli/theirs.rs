@@ -1,5 +1,3 @@
-//! `zipsplat eval --scene`: an external scene, evaluated on the same views.
-
 use crate::Folder;
 use glam::{DMat3, DVec3};
 use zipsplat::types::{
@@ -8,7 +6,7 @@ use zipsplat::types::{
     read_ply, read_points, write_ply, write_points,
 };
 
-/// Scale of the cameras relative to the first camera's scene.
+/// Of the cameras, relative to the first camera's scene.
 const LENGTH: f64 = 3.0;
 
 fn world() -> Pose {
@@ -16,7 +14,7 @@ fn world() -> Pose {
     Pose { rotation, translation: DVec3::new(4.0, -2.0, 7.0) }
 }
 
-/// A place without sky in `@/place`, whose cameras have their own world, and its scene in the first
+/// Without sky, in `@/place`, whose cameras have their own world, and its scene in the first
 /// camera's space at a third of the scale.
 fn place(folder: &Folder) -> (Scene, Vec<Camera>) {
     folder.run("scene --seed 9 --views 8 --size 56x56 --splats -o @/place").success();
@@ -71,7 +69,7 @@ fn a_scene_is_judged_alike_in_every_layout() {
     let moved: Vec<Camera> = cameras.iter().map(theirs).collect();
     let names: Vec<&str> = frames.iter().map(|frame| frame.name.trim_start_matches("images/")).collect();
     write_transforms(folder.path("theirs.json"), &moved, &names).expect("written");
-    // Opacities instead of logits, as in NoPoSplat, C3G, AnySplat and MVSplat.
+    // As in NoPoSplat, C3G, AnySplat and MVSplat.
     let mut plain = scene.clone();
     plain.opacities.iter_mut().for_each(|opacity| *opacity = 1.0 / (1.0 + (-*opacity).exp()));
     save(&folder, "plain.ply", &plain, 1.0, &Pose::IDENTITY);
@@ -138,7 +136,7 @@ fn a_gaussian_a_pixel_is_made_of_depth() {
     let folder = Folder::new();
     folder.run("scene --seed 9 --views 8 --size 84x56 --splats -o @/place").success();
     let line = "eval @/place --views 4 --lpips none --from-depth @/place/depth";
-    // At full photo size these are the input Gaussians.
+    // At full photo size.
     let json = folder.run(&format!("{line} --size 84x56 -o @/out --json")).json();
     let names: Vec<&str> = json["inputs"].as_array().expect("names").iter().filter_map(|name| name.as_str()).collect();
     let splats = read_ply(folder.path("place/splats.ply")).expect("a scene");
@@ -158,14 +156,14 @@ fn a_gaussian_a_pixel_is_made_of_depth() {
         start += count;
     }
     assert_eq!((at, json["gaussians"].as_u64()), (made.len(), Some(made.len() as u64)));
-    // Cropped and downscaled, pixels stay where the network sees them.
+    // Pixels stay where the network sees them.
     let psnr = |json: &serde_json::Value| json["mean"]["psnr"].as_f64().expect("dB");
     let [whole, small] = ["84x56", "28x28"].map(|size| {
         let json = folder.run(&format!("{line} --size {size} --score-size 28x28 --json")).json();
         (json["gaussians"].as_u64().expect("a number"), psnr(&json))
     });
     assert!(small.0 <= 4 * 28 * 28 && whole.0 > 5 * small.0 && small.1 > whole.1 - 4.0, "{whole:?} {small:?}");
-    // Depth noise moves Gaussians along their rays by its amount. The world is the first camera's.
+    // Moves Gaussians along their rays. The world is the first camera's.
     folder.run(&format!("{line} --size 84x56 --noise 5 --targets 1 -o @/noisy")).success();
     let noisy = read_ply(folder.path("noisy/scene.ply")).expect("a scene");
     let of_first = depth(&folder, 0).iter().filter(|z| **z > 0.0).count();

@@ -11,8 +11,7 @@ use std::{
 use zipsplat::types::{Camera, Image, Intrinsics, Pose, poses::write_transforms, write_ply};
 use zipsplat_tests::scenes;
 
-/// A folder with `scene.ply`, three cameras of one size (`cameras.json`), and of several
-/// (`sizes.json`).
+/// Scene, and three cameras of one size (`cameras.json`) and of several (`sizes.json`).
 fn folder() -> Folder {
     let folder = Folder::new();
     write_ply(&scenes::random_scene(200, 1, 0.2), folder.path("scene.ply")).expect("a scene can be written");
@@ -28,7 +27,6 @@ fn folder() -> Folder {
     folder
 }
 
-/// RGB bytes of a folder's numbered pictures.
 fn pictures(folder: &Folder, name: &str) -> Vec<Vec<u8>> {
     let numbered = |name: &String| name.starts_with(|c: char| c.is_ascii_digit());
     let files = names(&folder.path(name)).into_iter().filter(numbered);
@@ -59,7 +57,7 @@ fn every_path_draws_its_pictures() {
     assert_eq!([&given[0], &given[2]], [&spline[0], &spline[4]], "a spline ends at its last camera");
 }
 
-/// The first camera of a tilted capture differs from the mean up direction.
+/// A tilted capture.
 #[test]
 fn an_orbit_takes_its_up_from_cameras() {
     let folder = folder();
@@ -174,7 +172,7 @@ fn raw_frames_are_the_pictures() {
     assert!(err.contains("size: 37x23"), "{err}");
 }
 
-/// Fake ffmpeg programs, one test: starting one while writing another can fail.
+/// One test: starting a program while writing another can fail.
 #[test]
 #[cfg(unix)]
 fn mp4_is_piped_to_ffmpeg() {
@@ -194,7 +192,7 @@ fn mp4_is_piped_to_ffmpeg() {
     script("broken", "");
     std::fs::write(folder.path("broken"), "#!/bin/sh\nexit 3\n").expect("a script");
 
-    // Their output has no author tag.
+    // No author tag.
     let line = |program: &str| {
         format!("{RENDER} --orbit --frames 20 --size 37x23 --fps 24 --ffmpeg @/{program} --video @/out.mp4 --overwrite")
     };
@@ -260,7 +258,7 @@ fn unusable_requests_leave_no_file() {
     assert_eq!(folder.names(), before);
 }
 
-/// Cancels a line once a temporary file exists, and asserts that none remains.
+/// Waits for a temporary file; none must remain.
 #[track_caller]
 fn cancelled_under_way(folder: &Folder, line: &str) {
     let before = folder.names();

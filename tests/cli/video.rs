@@ -1,4 +1,4 @@
-//! Photos from videos: with fake ffmpeg programs, and with ffmpeg if installed.
+//! Photos from videos, by fake ffmpeg programs or an installed one.
 #![cfg(unix)]
 
 use crate::{
@@ -12,7 +12,7 @@ use zipsplat::types::{
     poses::{Frame, read_poses},
 };
 
-/// Frames from a fake ffmpeg: of 6 frames, 1, 2 and 4 are the sharpest of their thirds.
+/// Of 6 frames, 1, 2 and 4 are the sharpest of their thirds.
 #[test]
 fn videos_become_their_sharpest_frames() {
     let folder = Folder::new();
@@ -39,7 +39,6 @@ fn videos_become_their_sharpest_frames() {
     assert_eq!(made, ["ffmpeg.args", "scene.ply"]);
     let args = fs::read_to_string(folder.path("ffmpeg.args")).expect("arguments");
     assert!(args.contains("select='eq(n,1)+eq(n,2)+eq(n,4)'"), "{args}");
-    // With cameras the frames are kept and listed.
     colmap(&folder, "colmap", "3.8", OPTIONS_3, ["", "", COPIES]);
     let camera = zipsplat_tests::scenes::camera(16, 8);
     let moved = Camera { pose: zipsplat::types::Pose { rotation: DMat3::IDENTITY, translation: DVec3::X }, ..camera };

@@ -49,7 +49,7 @@ fn a_page_has_its_scenes_within_it_and_asks_nobody() {
     }
     let policy = between(&page, "http-equiv=Content-Security-Policy content=\"", "\"");
     assert!(policy.contains("default-src 'none'") && policy.contains("connect-src 'none'"), "{policy}");
-    // The browser runs only the script with this hash.
+    // The script with this hash.
     let script = page.rsplit_once("<script>").expect("a script").1;
     let script = script.split_once("</script>").expect("its end").0;
     assert_eq!(base64(between(policy, "sha256-", "'")), Sha256::digest(script).to_vec());
@@ -117,7 +117,6 @@ fn photos_become_scenes_of_several_ratios() {
     assert_eq!((&config["grid"], config["views"].as_array().map(Vec::len)), (&serde_json::json!([2, 4]), Some(2)));
     assert!(config["views"][0]["photo"].as_str().is_some_and(|photo| photo.starts_with("data:image/jpeg;base64,")));
     assert_eq!(scene_within(&page, 2).len(), 16);
-    // Ratios with equal token counts are merged.
     assert_eq!(view("--ratios 0.5,1,0.51 --json").json()["gaussians"], serde_json::json!([64, 32]));
     assert_eq!(view("--ratios 0.5 --keep 2 --json").json()["gaussians"], serde_json::json!([16]));
 }
@@ -164,7 +163,6 @@ impl Write for Printed {
     }
 }
 
-/// Sends a request; returns status and body.
 pub fn ask(port: &str, request: &str) -> (u16, Vec<u8>) {
     send(port, request, "")
 }
@@ -189,7 +187,7 @@ impl Drop for Ended<'_> {
     }
 }
 
-/// Runs a server, calls `test` with port and page path, then stops the server.
+/// Calls `test` with port and page path, then stops the server.
 pub fn served(line: &str, test: impl FnOnce(&str, &str)) {
     let (cancelled, (send, printed)) = (AtomicBool::new(false), channel());
     std::thread::scope(|scope| {
@@ -203,7 +201,7 @@ pub fn served(line: &str, test: impl FnOnce(&str, &str)) {
         while !text.contains('\n') {
             text += &String::from_utf8_lossy(&printed.recv().expect("an address is printed"));
         }
-        // Also on a failing test, which would otherwise wait for the server.
+        // A failing test would otherwise wait for the server.
         let ended = Ended(&cancelled);
         let address = text.lines().next().expect("a line").strip_prefix("http://127.0.0.1:").expect("this machine");
         let (port, path) = address.split_at(address.find('/').expect("a path"));

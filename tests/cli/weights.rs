@@ -23,7 +23,7 @@ const PART: &str = "zipsplat-da3g-252p.tar.part";
 fn runs_a_line() {
     let Some(folder) = target() else { return };
     let line = std::fs::read_to_string(folder.join("line")).expect("a line");
-    // A never-cancelled flag: no signal handlers to inherit.
+    // No signal handlers to inherit.
     let never = AtomicBool::new(false);
     let Outcome { code, out, err } =
         command(&line, if folder.join("stoppable").exists() { cancelled_by_signals() } else { &never });
@@ -75,7 +75,6 @@ impl Place {
     }
 }
 
-/// The hub's weights, a small stand-in.
 fn weights() -> Vec<u8> {
     std::fs::read(Folder::new().path("micro.safetensors")).expect("weights")
 }
@@ -116,7 +115,6 @@ fn named_weights_are_got_checked_converted_and_found() {
     let requests = host.state().requests.clone();
     assert!(requests.iter().all(|[_, path, _, token]| (token == "true") == (path != "/blob")), "{requests:?}");
     assert_eq!(host.ranges(), [""]);
-    // Neither a repetition nor offline mode downloads.
     place.run(GET).success();
     place.run("weights get zipsplat --offline").success();
     assert_eq!(host.ranges().len(), 1);
@@ -204,7 +202,7 @@ fn another_run_goes_on_and_notices_another_file() {
     place.run(GET).success();
     assert_eq!(host.ranges()[asked..], [format!("bytes={third}-")]);
 
-    // A partial download of a removed file is discarded.
+    // Of a removed file.
     let other: Vec<u8> = std::fs::read(place.folder.path("cache/weights").join(converted(&file))).expect("f16");
     let host = Host::new(file, &broken);
     let place = Place::new(&host);

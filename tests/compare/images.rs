@@ -1,4 +1,4 @@
-//! Comparison of pictures; a failure saves them as PNG.
+//! Comparison of pictures; failures are saved as PNG.
 
 use std::path::{Path, PathBuf};
 use std::{env, fs};
@@ -6,66 +6,63 @@ use std::{env, fs};
 use super::{Float, tolerance::factor_rounding};
 use zipsplat::{gpu::Element, ops::Arithmetic};
 
-/// Limits on a picture's deviation from truth, per value `absolute + relative * |truth|`.
+/// Limit on a picture's deviation per value, `absolute + relative * |truth|`.
 #[derive(Clone, Copy, Debug)]
 pub struct ImageTolerance {
-    /// Absolute part, in the picture's unit.
+    /// In the picture's unit.
     pub absolute: f64,
-    /// Part relative to the true value.
+    /// Relative to the true value.
     pub relative: f64,
-    /// Minimum PSNR in dB against the truth's range; 0 disables it.
+    /// In dB against the truth's range; 0 disables it.
     pub psnr: f64,
 }
 
 impl ImageTolerance {
-    // f32 against f64 away from unstable pixels: twice the worst deviation of gsplat's formulas in
-    // f32.
+    // Twice the worst deviation of gsplat's formulas in f32.
 
     /// Color and alpha in `[0, 1]`.
     pub const RGB: ImageTolerance = ImageTolerance { absolute: 8e-6, relative: 0.0, psnr: 110.0 };
-    /// Accumulated depth (D), world units, of a scene a few units deep.
+    /// Accumulated depth, in world units, of a scene a few units deep.
     pub const DEPTH: ImageTolerance = ImageTolerance { absolute: 4e-5, relative: 0.0, psnr: 110.0 };
-    /// Expected depth (ED): division by small alphas.
+    /// Expected depth: division by small alphas.
     pub const EXPECTED_DEPTH: ImageTolerance = ImageTolerance { absolute: 6e-5, relative: 0.0, psnr: 110.0 };
-    /// Color and alpha of `edge`: the inverse covariance of needles and discs is ill-conditioned.
+    /// Color and alpha of `edge`: inverse covariances are ill-conditioned.
     pub const RGB_EDGE: ImageTolerance = ImageTolerance { absolute: 1.5e-4, relative: 0.0, psnr: 90.0 };
-    /// `edge` antialiased: a needle's determinant before the blur cancels.
+    /// `edge` antialiased: a needle's determinant cancels.
     pub const RGB_EDGE_ANTIALIASED: ImageTolerance = ImageTolerance { absolute: 8e-3, relative: 0.0, psnr: 60.0 };
     /// Depths of `edge`, up to a thousand units.
     pub const DEPTH_EDGE: ImageTolerance = ImageTolerance { absolute: 2e-4, relative: 2e-4, psnr: 80.0 };
     /// Depths of `edge` antialiased.
     pub const DEPTH_EDGE_ANTIALIASED: ImageTolerance = ImageTolerance { absolute: 1e-2, relative: 2.5e-2, psnr: 50.0 };
-    /// f64 references against stored truth: rounding to f32 only.
+    /// f64 against truth stored in f32.
     pub const STORED: ImageTolerance = ImageTolerance { absolute: 1e-7, relative: 1e-7, psnr: 140.0 };
 
-    /// Tolerance of a network's scene in a faster arithmetic against f32. Gaussians of similar
-    /// depth may swap, so single pixels are unbounded. f16 stays below 8-bit rounding.
+    /// Returns the tolerance of a faster arithmetic. Gaussians of similar depth may swap: single
+    /// pixels are unbounded.
     pub fn of_network(arithmetic: Arithmetic) -> Self {
         let coarser = factor_rounding(arithmetic) / Element::F16.roundoff();
         Self { absolute: f64::INFINITY, relative: 0.0, psnr: 45.0 - 20.0 * coarser.log10() }
     }
 }
 
-/// A picture, row-major and interleaved.
+/// Row-major, interleaved picture.
 #[derive(Clone, Copy, Debug)]
 pub struct Picture<'a, T> {
     /// `[height, width, channels]`.
     pub values: &'a [T],
     /// Width in pixels.
     pub width: usize,
-    /// Channels: 1 (alpha, depth) or 3 (RGB).
+    /// 1 (alpha, depth) or 3 (RGB).
     pub channels: usize,
 }
 
-/// Asserts that a picture matches the truth within `tolerance` and returns the PSNR in dB of the
-/// compared pixels.
+/// Asserts that a picture matches the truth; returns the PSNR in dB of the compared pixels.
 ///
-/// Skips pixels with nonzero `unstable` (`&[]` for none): rounding decides a threshold there. They
-/// must still be finite.
+/// Nonzero `unstable` pixels (`&[]` for none) only need to be finite.
 ///
 /// # Panics
-/// If sizes differ, a value is not finite, or the deviation is larger. Saves the picture, the truth
-/// and the amplified difference, and names them.
+/// If sizes differ, a value is not finite, or the deviation is larger. Saves the pictures and the
+/// difference.
 #[track_caller]
 pub fn assert_images_close<G: Float, T: Float>(
     name: &str,
@@ -133,8 +130,6 @@ fn measure(
     Ok(psnr)
 }
 
-/// Saves picture, truth and |difference| (largest finite value white) in the target folder; returns
-/// their paths.
 fn save(
     name: &str,
     got: &[f64],
@@ -158,7 +153,7 @@ fn save(
     ];
     let mut paths = Vec::new();
     for (what, values, white) in pictures {
-        // Non-finite values are shown white.
+        // Non-finite values are white.
         let byte = |x: &f64| if x.is_finite() { (x / white * 255.0).round().clamp(0.0, 255.0) as u8 } else { 255 };
         let bytes: Vec<u8> = values.iter().map(byte).collect();
         let height = bytes.len() / (width * channels);

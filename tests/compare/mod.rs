@@ -1,7 +1,4 @@
-//! Comparison with truth.
-//!
-//! Array deviations are relative to the rms of the truth, not to each element: small elements carry
-//! the rounding of large neighbors. NaN and infinity fail. Integers are compared exactly.
+//! Comparison with truth. Deviations are relative to the rms of the truth. NaN and infinity fail.
 
 mod images;
 mod tolerance;
@@ -13,25 +10,25 @@ use crate::golden::Golden;
 pub use images::{ImageTolerance, Picture, assert_images_close};
 pub use tolerance::Tolerance;
 
-/// A float convertible to f64.
+/// Float convertible to f64.
 pub trait Float: Copy + Into<f64> {}
 impl<T: Copy + Into<f64>> Float for T {}
 
 /// Deviation between two arrays.
 #[derive(Clone, Copy, Debug)]
 pub struct Deviation {
-    /// Largest |got - truth| over the rms of the truth.
+    /// Maximum of |got - truth| over the rms of the truth.
     pub max: f64,
     /// Rms of got - truth over the rms of the truth.
     pub rms: f64,
-    /// Index of the largest deviation and both values.
+    /// Index and values of the largest deviation.
     pub worst: (usize, f64, f64),
-    /// Rms of the truth, or 1 if the truth is all zeros.
+    /// Rms of the truth, or 1 for zeros.
     pub scale: f64,
 }
 
 impl Deviation {
-    /// Measures `got` against `truth`; fails if lengths differ or a value is not finite.
+    /// Fails for different lengths or non-finite values.
     pub fn measure(got: &[impl Float], truth: &[impl Float]) -> Result<Deviation, String> {
         if got.len() != truth.len() {
             return Err(format!("{} values, truth has {}", got.len(), truth.len()));
@@ -71,7 +68,7 @@ impl fmt::Display for Deviation {
     }
 }
 
-/// Asserts that `got` matches `truth` within `tolerance`; returns the deviation.
+/// Asserts that `got` matches `truth`; returns the deviation.
 ///
 /// # Panics
 /// If the lengths differ, a value is not finite, or the deviation is larger.
@@ -84,7 +81,7 @@ pub fn assert_close(name: &str, got: &[impl Float], truth: &[impl Float], tolera
     }
 }
 
-/// Asserts equal integers; a failure names the first difference and their number.
+/// Asserts equal integers.
 ///
 /// # Panics
 /// If lengths or values differ.
@@ -101,9 +98,7 @@ where
     }
 }
 
-/// Asserts that a network tap matches the golden within the table's tolerance.
-///
-/// `got` is the full tensor; a subsampled golden is compared through `@sub` and `@sum`.
+/// Asserts that a network tap, the full tensor, matches the golden or its `@sub` and `@sum`.
 ///
 /// # Panics
 /// As [`assert_close`].
@@ -112,7 +107,7 @@ pub fn assert_tap(golden: &Golden, key: &str, got: &[impl Float]) -> Deviation {
     assert_tap_within(golden, key, got, Tolerance::of_tap(key))
 }
 
-/// [`assert_tap`] with an explicit tolerance.
+/// Acts as [`assert_tap`] with an explicit tolerance.
 #[track_caller]
 pub fn assert_tap_within(golden: &Golden, key: &str, got: &[impl Float], tolerance: Tolerance) -> Deviation {
     let name = format!("{} {key}", golden.file());
@@ -134,7 +129,7 @@ pub fn assert_tap_within(golden: &Golden, key: &str, got: &[impl Float], toleran
     assert_close(&name, &kept, &golden.f32(&sub_key), tolerance)
 }
 
-/// Asserts [sum, sum |x|, sum x^2] of `got` within the Cauchy-Schwarz bound of `tolerance.rms`.
+/// Compares [sum, sum |x|, sum x^2] within the Cauchy-Schwarz bound of `tolerance.rms`.
 #[track_caller]
 fn assert_sums(name: &str, got: &[impl Float], truth: &[f64], tolerance: Tolerance) {
     let values = || got.iter().map(|&x| -> f64 { x.into() });
@@ -150,21 +145,20 @@ fn assert_sums(name: &str, got: &[impl Float], truth: &[f64], tolerance: Toleran
     }
 }
 
-/// Column ranges of packed Gaussians `[n, 11 + 3K]` by field.
+/// Columns of packed Gaussians `[n, 11 + 3K]` by field.
 const GAUSSIAN_FIELDS: [(&str, usize, usize); 4] =
     [("means", 0, 3), ("scales", 3, 6), ("quats", 6, 10), ("opacities", 10, 11)];
 
-/// Asserts packed Gaussians `[n, width]`, each field within its own tolerance and relative to its
-/// own rms.
+/// Asserts packed Gaussians `[n, width]`, each field relative to its own rms.
 ///
 /// # Panics
-/// As [`assert_close`], with the field's name.
+/// As [`assert_close`].
 #[track_caller]
 pub fn assert_gaussians_close(name: &str, got: &[impl Float], truth: &[impl Float], width: usize) {
     assert_gaussians_within(name, got, truth, width, Tolerance::of_field);
 }
 
-/// [`assert_gaussians_close`] with tolerances by field name.
+/// Acts as [`assert_gaussians_close`] with tolerances by field name.
 #[track_caller]
 pub fn assert_gaussians_within(
     name: &str,
@@ -185,14 +179,12 @@ pub fn columns(rows: &[impl Float], width: usize, start: usize, end: usize) -> V
     rows.chunks(width).flat_map(|row| row[start..end].iter().map(|&x| x.into())).collect()
 }
 
-/// Relative difference below which two distances tie. True ties differ by f32 rounding, 1e-6.
+/// Relative difference of a tie; f32 rounding is 1e-6.
 const TIE: f64 = 1e-4;
 
-/// Asserts the golden's rule for cluster representatives: each centroid's nearest token, or the
-/// second nearest in a tie.
+/// Asserts each centroid's nearest token, or the second nearest in a tie.
 ///
-/// The centroid of a cluster of two is equidistant from both, so rounding decides. `top2 [K, 2]`
-/// and `gap [K]` (relative) are `nearest_top2` and `nearest_gap`.
+/// `top2 [K, 2]` and `gap [K]` (relative) are `nearest_top2` and `nearest_gap`.
 ///
 /// # Panics
 /// If lengths differ or an index is neither.
@@ -212,7 +204,7 @@ pub fn assert_nearest(name: &str, got: &[u32], top2: &[i64], gap: &[f32]) {
 }
 
 /// Asserts that representatives are as near to `centroids [K, width]` as any of `tokens [N,
-/// width]`. Repeated tokens may tie in any number.
+/// width]`.
 ///
 /// # Panics
 /// If lengths differ, an index is out of range, or another token is nearer.

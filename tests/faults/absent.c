@@ -16,7 +16,6 @@ static PFN_vkGetDeviceProcAddr next_device;
 #define INSTANCE(NAME) ((PFN_##NAME)next_instance(newest_instance, #NAME))
 #define DEVICE(NAME) ((PFN_##NAME)next_device(device, #NAME))
 
-/* One host-visible memory type. */
 static VKAPI_ATTR void VKAPI_CALL own_vkGetPhysicalDeviceMemoryProperties(VkPhysicalDevice physical,
                                                                           VkPhysicalDeviceMemoryProperties *memory) {
   (void)physical;
@@ -68,7 +67,6 @@ static VKAPI_ATTR VkResult VKAPI_CALL own_vkMapMemory(VkDevice d, VkDeviceMemory
   return VK_SUCCESS;
 }
 
-/* Every wait succeeds at once. */
 static VKAPI_ATTR VkResult VKAPI_CALL own_vkGetSemaphoreCounterValue(VkDevice d, VkSemaphore semaphore, uint64_t *value) {
   (void)d, (void)semaphore;
   *value = 1ull << 62;

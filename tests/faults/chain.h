@@ -7,7 +7,6 @@
 static PFN_vkGetInstanceProcAddr next_instance;
 static VkInstance newest_instance;
 
-/* Returns the layer's own function of this name, or NULL. */
 static PFN_vkVoidFunction own(const char *name);
 static VKAPI_ATTR PFN_vkVoidFunction VKAPI_CALL device_function(VkDevice device, const char *name);
 

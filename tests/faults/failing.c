@@ -67,7 +67,6 @@ static struct device *find(const void *object) {
   return found;
 }
 
-/* Returns VK_SUCCESS if the call proceeds to the driver. */
 static VkResult fails(struct device *device, const char *function, int loses) {
   VkResult result = VK_SUCCESS;
   if (!strcmp(function, device->function) && ++device->calls >= device->first && device->first) result = device->result;

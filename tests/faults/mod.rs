@@ -6,7 +6,6 @@ use tempfile::TempDir;
 
 const LAYER: &str = "VK_LAYER_ZIPSPLAT_faults";
 
-/// Variable naming the layer's fault file.
 const FAULTS: &str = "ZIPSPLAT_FAULTS";
 
 /// `VK_ERROR_OUT_OF_HOST_MEMORY`.
@@ -16,20 +15,18 @@ pub const OUT_OF_DEVICE_MEMORY: i32 = -2;
 /// `VK_ERROR_DEVICE_LOST`.
 pub const DEVICE_LOST: i32 = -4;
 
-/// Runs an ignored test in a process under the layer and asserts that validation stays silent, also
-/// while devices are destroyed.
+/// Runs an ignored test in a process under the layer, under silent validation.
 #[track_caller]
 pub fn assert_survives(name: &str) {
     let (own, work) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let at = |name: &str| own.path().join(name);
     build_layer(&own);
-    // Messages during device destruction cannot fail a test, so the layer prints them to standard
-    // output.
+    // Messages during device destruction cannot fail a test.
     let settings = std::fs::read_to_string(tests().join("vk_layer_settings.txt")).unwrap();
     let printing =
         "khronos_validation.debug_action = VK_DBG_LAYER_ACTION_LOG_MSG\nkhronos_validation.log_filename = stdout\n";
     std::fs::write(at("settings.txt"), settings + printing).unwrap();
-    // Tests take less than a minute; longer is a hang.
+    // Longer is a hang.
     let mut command = child(name, work.path(), "set -- timeout --kill-after=5 600 \"$@\"");
     let layers = match std::env::var("VK_LAYER_PATH") {
         Ok(path) => ("VK_LAYER_PATH", format!("{path}:{}", own.path().display())),
@@ -41,7 +38,6 @@ pub fn assert_survives(name: &str) {
     assert!(!printed.contains("VUID"), "{printed}");
 }
 
-/// Returns this crate's folder.
 fn tests() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
@@ -67,7 +63,7 @@ fn build_layer(folder: &TempDir) {
 pub struct Faults(PathBuf);
 
 impl Faults {
-    /// Returns the faults of the layer this process runs under.
+    /// Returns the faults of this process's layer.
     ///
     /// # Panics
     /// Outside a process of [`assert_survives`].
@@ -86,7 +82,7 @@ impl Faults {
         text.split(' ').nth(1).and_then(|calls| calls.parse().ok()).expect("what the layer wrote")
     }
 
-    /// Returns up to `count` of these calls, including the first and the last.
+    /// Returns up to `count` of these calls, with the first and the last.
     pub fn calls(&self, count: u32) -> Vec<u32> {
         let last = self.made();
         assert!(last > 0, "never called");

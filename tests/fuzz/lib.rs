@@ -1,5 +1,5 @@
-//! Bodies of the fuzz targets. An error passes. A panic, a hang, an allocation of a claimed size or
-//! an invalid result fails.
+//! Bodies of the fuzz targets. A panic, a hang, an allocation of a claimed size or an invalid
+//! result fails.
 
 use std::io::{Cursor, Write};
 use std::path::{Path, PathBuf};
@@ -15,7 +15,6 @@ use zipsplat::{
     weights::Checkpoint,
 };
 
-/// Writes the bytes to a file of this process.
 fn stored(name: &str, bytes: &[u8]) -> PathBuf {
     static FOLDER: OnceLock<TempDir> = OnceLock::new();
     let folder = FOLDER.get_or_init(|| {

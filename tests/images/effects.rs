@@ -16,7 +16,7 @@ use zipsplat_tests::{
 
 const SIZE: [usize; 2] = [70, 53];
 
-/// Blends `value` of every Gaussian; also returns the pixels that rounding decides.
+/// Also returns the pixels that rounding decides.
 fn blended(scene: &Scene, camera: &Camera, value: impl Fn(usize) -> [f64; 3]) -> (Vec<f64>, Vec<u8>) {
     let mut splats = project::project(&reference_gaussians(scene), &reference_camera(camera), false);
     for (i, splat) in splats.iter_mut().enumerate() {
@@ -51,7 +51,7 @@ fn normals_are_blended_and_of_length_one() {
 
 #[test]
 fn tokens_have_colors_of_their_own() {
-    // PCG by its 64-bit definition, one byte per channel.
+    // PCG by its 64-bit definition.
     let color = |token: usize| {
         let state = (token as u64 * 747_796_405 + 2_891_336_453) % (1 << 32);
         let word = ((state >> ((state >> 28) + 4)) ^ state) * 277_803_737 % (1 << 32);
@@ -135,7 +135,6 @@ fn what_is_not_asked_for_costs_nothing() {
     let (_, alone) = contents(&plan(&RenderRequest { rgb: false, alpha: true, ..color }));
     assert!(!has(&alone, "/colors"), "{alone:?}");
 
-    // These add no pass and no tensor except the picture.
     let specialised = [
         RenderRequest { alpha: true, ..color },
         RenderRequest { depth: Some(Depth::Expected), ..color },

@@ -15,7 +15,7 @@ use zipsplat_tests::{
     scenes::camera,
 };
 
-/// Reconstructs a golden's inputs with its own token selection at the first ratio.
+/// Uses the golden's own tokens at the first ratio.
 fn reconstruct(golden: &Golden, config: &str, arithmetic: Arithmetic) -> Scene {
     let (ratio, prefix) = golden.compressions()[0].clone();
     let selection = Selection::Given(golden.u32(&format!("{prefix}/nearest_idx")));

@@ -1,4 +1,4 @@
-//! Properties of every scene and camera, over seeded random ones.
+//! Properties of every scene and camera.
 
 use crate::render::{ALL, bits, render};
 use glam::{DMat3, DVec3};
@@ -12,7 +12,7 @@ use zipsplat_tests::{
     scenes::{camera, random_scene, reference_camera, reference_gaussians},
 };
 
-/// Scenes and cameras of all kinds, from specks to splats larger than the picture.
+/// From specks to splats larger than the picture.
 fn cases() -> impl Iterator<Item = (Scene, Camera)> {
     let poses = [(0.0, 0.0, 0.0), (0.3, 0.1, -0.2), (-0.5, -0.2, 0.4), (0.1, 2.9, 4.0)];
     let sizes = [(0.02, 90, 61), (0.1, 64, 64), (0.5, 33, 100), (3.0, 128, 17)];
@@ -35,7 +35,7 @@ fn the_order_of_gaussians_changes_nothing() {
                 shuffled.opacities.push(scene.opacities[i]);
                 shuffled.sh_coeffs.extend_from_slice(&scene.sh_coeffs[stride * i..][..stride]);
             }
-            // These depths are distinct; ties are broken by index. Tokens follow the index, too.
+            // Distinct depths: ties are broken by index.
             let request = RenderRequest { token_group: None, ..ALL };
             assert_eq!(bits(&render(&scene, &[camera], &request)), bits(&render(&shuffled, &[camera], &request)));
         }
@@ -44,8 +44,7 @@ fn the_order_of_gaussians_changes_nothing() {
 
 #[test]
 fn cutting_a_picture_changes_nothing() {
-    // A crop moves the principal point, which rounds differently. These Gaussians are too small to
-    // reach from the region where only the crop's view is clamped.
+    // Gaussians too small to reach from where only the crop's view is clamped.
     let (scene, whole) = (random_scene(2_000, 1, 0.05), camera(96, 80));
     let frame = render(&scene, &[whole], &ALL).remove(0);
     let unstable = rasterise::render(&reference_gaussians(&scene), &reference_camera(&whole), false, [0.0; 3]).unstable;
@@ -98,7 +97,6 @@ fn the_scale_of_the_world_cancels() {
     }
 }
 
-/// The near plane shrinks with a tiny world, unless the request sets it.
 #[test]
 fn tiny_worlds_are_drawn() {
     let (scene, camera) = (random_scene(1_500, 0, 0.1), camera(64, 64));
@@ -116,7 +114,6 @@ fn tiny_worlds_are_drawn() {
     assert!(culled.rgb.is_some_and(|rgb| rgb.iter().all(|value| *value == 0.0)));
 }
 
-/// Rotations and spherical harmonics of every degree rotate with a placed scene.
 #[test]
 fn the_world_of_a_scene_does_not_show() {
     let (scene, camera) = (random_scene(800, 3, 0.15), camera(64, 48));

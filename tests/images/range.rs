@@ -13,7 +13,7 @@ use zipsplat_tests::{
     scenes::{camera, random_scene, reference_camera, reference_gaussians},
 };
 
-/// Compares color and alpha of a nonempty picture with brute force in f64.
+/// Compares color and alpha with brute force in f64.
 #[track_caller]
 fn hold(what: &str, scene: &Scene, camera: &Camera, antialiased: bool, tolerance: ImageTolerance) {
     let frame = render(scene, &[*camera], &RenderRequest { antialiased, ..ALL }).remove(0);
@@ -29,7 +29,6 @@ fn hold(what: &str, scene: &Scene, camera: &Camera, antialiased: bool, tolerance
     assert!(8 * seen > truth.alpha.len(), "{what}: little to see, {seen} pixels");
 }
 
-/// A rotated camera before [`random_scene`], with an anisotropic lens.
 fn turned() -> Camera {
     let mut turned = camera(70, 53);
     (turned.intrinsics.fx, turned.intrinsics.fy) = (70.3, 68.9);
@@ -40,7 +39,7 @@ fn turned() -> Camera {
     turned
 }
 
-/// Scene and camera, moved by `offset`; means are rounded to f32 there.
+/// Rounds means to f32 there.
 fn moved(scene: &Scene, camera: Camera, offset: DVec3) -> (Scene, Camera) {
     let mean = |mean: &[f32; 3]| (DVec3::from(mean.map(f64::from)) + offset).as_vec3().to_array();
     let pose = Pose { translation: camera.pose.translation + offset, ..camera.pose };
@@ -69,8 +68,7 @@ fn a_scene_that_moves_with_its_camera_is_the_same_picture() {
     }
 }
 
-/// `count` needles through the picture of `camera`, centered `distance` pixels off it, in all
-/// directions.
+/// Centered `distance` pixels off the picture, in all directions.
 fn needles(camera: &Camera, count: usize, distance: f64) -> Scene {
     let mut scene = random_scene(count, 0, 0.1);
     let i = &camera.intrinsics;
@@ -80,7 +78,7 @@ fn needles(camera: &Camera, count: usize, distance: f64) -> Scene {
         let (along, depth) = (DVec2::from_angle(7.3 * turn * std::f64::consts::TAU), 1.0 + turn);
         let seen = size * DVec2::new((5.7 * turn).fract(), (3.1 * turn).fract());
         let slope = (seen + distance * along - DVec2::new(i.cx, i.cy)) / focal;
-        // Projected from within 15 % of the picture; the axis with an image along that direction.
+        // Projected from within 15 % of the picture.
         let held = slope.clamp(-0.65 * size / focal, 0.65 * size / focal);
         let towards = 0.4 * (n % 3) as f64 - 0.4;
         let axis = (along / focal + towards * held).extend(towards);

@@ -99,7 +99,7 @@ fn brute_force(scene: &Scene, camera: &Camera, request: &RenderRequest) -> Rende
 #[test]
 fn equals_brute_force_at_every_degree_and_shape() {
     let mut renderer = Renderer::new(device());
-    // Splats from subpixel to beyond the picture, whose sides are not multiples of a tile.
+    // From subpixel to beyond the picture, whose sides are not multiples of a tile.
     for (sh_degree, size, antialiased) in [(0, 0.01, true), (1, 0.1, false), (2, 0.5, true), (3, 3.0, false)] {
         let scene = random_scene(300, sh_degree, size);
         let camera = camera(70, 53);
@@ -170,7 +170,7 @@ fn several_cameras_are_as_each_alone() {
 #[test]
 fn pictures_in_flight_are_as_each_alone() {
     let scene = random_scene(3_000, 1, 0.2);
-    // Batches and single cameras of alternating sizes, more than the plan cache holds.
+    // More sizes than the plan cache holds.
     let cameras: Vec<Camera> = (0..23)
         .map(|i| {
             let (width, height) = if (9..12).contains(&i) { (61, 90) } else { (90, 61) };
@@ -183,7 +183,7 @@ fn pictures_in_flight_are_as_each_alone() {
     let expected: Vec<_> = cameras.iter().map(|camera| bits(&render(&scene, &[*camera], &ALL))).collect();
     let staged = Device::open(&DeviceOptions { staged: true, ..DeviceOptions::default() }).unwrap();
     for device in [device(), &staged] {
-        // Capacity of one intersection: every plan overflows while others are in flight.
+        // Capacity of one intersection: every plan overflows in flight.
         for (capacity, together) in [(0, 1), (0, 8), (1, 1), (1, 8)] {
             let mut renderer = Renderer::with_capacity(device, capacity).together(together);
             renderer.load(&scene).unwrap();
@@ -233,7 +233,6 @@ fn an_empty_scene_is_background() {
     assert!(render(&random_scene(10, 0, 0.1), &[], &request).is_empty());
 }
 
-/// Draws with [`record`] under a binding limit.
 fn draw_within(max_binding_bytes: u64, scene: &Scene, camera: &Camera) -> Vec<u32> {
     let mut rec = Recorder::new(&Limits { max_binding_bytes, ..device().limits().clone() });
     let tensors = SceneTensors {
@@ -264,8 +263,7 @@ fn draw_within(max_binding_bytes: u64, scene: &Scene, camera: &Camera) -> Vec<u3
 #[test]
 fn small_bindings_cut_scenes_and_pictures() {
     let (scene, camera) = (random_scene(2_500, 3, 0.05), camera(100, 200));
-    // 2,500 Gaussians of 192 bytes of coefficients, and 200 rows of 4,400 bytes: two parts and four
-    // bands.
+    // 192 bytes of coefficients, rows of 4,400 bytes: two parts and four bands.
     assert_eq!(draw_within(288 << 10, &scene, &camera), draw_within(128 << 20, &scene, &camera));
 }
 
@@ -284,7 +282,7 @@ fn what_cannot_be_drawn_is_refused() {
     for result in refused {
         assert!(matches!(result, Err(Error::Argument { .. })), "{result:?}");
     }
-    // 3,000 Gaussians over each of 16,384 tiles exceed one binding.
+    // Exceeds one binding.
     let everywhere = random_scene(3_000, 0, 300.0);
     match renderer.render(&everywhere, &[camera(2048, 2048)], &RenderRequest::default()) {
         Err(Error::Memory { what, needed, available }) => {

@@ -1,4 +1,4 @@
-//! The cached self-test result: a damaged file only causes a repetition.
+//! The cached self-test result.
 
 use std::{
     fs,
@@ -16,8 +16,8 @@ use zipsplat::{
 use zipsplat_tests::device::device;
 use zipsplat_tests::processes::{assert_succeeds, child, target};
 
-/// A process that computes in f16 with this cache. It must have `passed`, `noted` failed kernels,
-/// be `refused`, or is `stopped`.
+/// Computes in f16 with this cache. It must have `passed`, `noted` failed kernels, be `refused`, or
+/// is `stopped`.
 fn process(cache: &Path, expected: &str) -> std::process::Command {
     let mut command = child("cache::computes_in_f16", Path::new(expected), "");
     command.env("ZIPSPLAT_CACHE", cache).env("ZIPSPLAT_VALIDATION", "0");
@@ -49,7 +49,7 @@ fn computes_in_f16() {
     }
 }
 
-/// A cache whose only file is a good result: folder, file, contents.
+/// Folder, file and contents of a good result.
 fn cache() -> (TempDir, PathBuf, Vec<u8>) {
     let folder = tempfile::tempdir().unwrap();
     assert_succeeds(process(folder.path(), "passed"));
@@ -94,7 +94,7 @@ fn a_test_that_a_lost_device_ended_goes_on_with_the_other_kernels() {
         all.deviations.keys().all(|kernel| !kernel.contains("bf16") && !kernel.contains("i8")),
         "only what is used"
     );
-    // Simulates device loss in a group's first kernel on matrix units: `fast` does without.
+    // Device loss in a group's first kernel on matrix units: `fast` does without.
     let mut begun = all.clone();
     begun.deviations.retain(|kernel, _| kernel == "ops/linear_f16_f32");
     begun.deviations.insert("ops/linear_matrix_f16_f32".into(), None);

@@ -1,4 +1,4 @@
-//! The catalog of `zipsplat doctor`, and the command.
+//! The catalog of `zipsplat doctor`.
 
 use std::{collections::BTreeSet, ffi::OsString, sync::atomic::AtomicBool};
 use zipsplat_cli::{
@@ -27,15 +27,14 @@ pub fn every_kernel_stays_within_its_bounds() {
     assert!(outside.is_empty(), "outside their bounds:\n{}", outside.join("\n"));
 }
 
-/// Injects each declared fault through its case's own check: the deviation exceeds the bound beyond
-/// any rounding.
+/// Injects each declared fault through its case's own check.
 #[test]
 fn every_case_catches_the_faults_that_it_is_there_for() {
     let mut missed = Vec::new();
     for area in catalogue() {
         for case in &area.cases {
             let mut injected = BTreeSet::new();
-            // The largest cases take seconds per mode; smaller ones cover narrower factors.
+            // The largest cases take seconds per mode.
             let in_time = |mode: &&Mode| case.size < 50_000 || **mode == Mode::EXACT;
             for &mode in area.modes.iter().filter(in_time) {
                 let faults = case.inject(mode);

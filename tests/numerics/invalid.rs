@@ -1,5 +1,4 @@
-//! Scene files with non-finite or out-of-range values: rejected with a count, or dropped and
-//! counted.
+//! Scene files with non-finite or out-of-range values.
 
 use crate::catalogue::zipsplat;
 use std::path::Path;
@@ -11,10 +10,10 @@ use zipsplat_tests::scenes::random_scene;
 
 const COUNT: usize = 50;
 const BAD: [usize; 3] = [3, 4, 40];
-/// Formats with floats; an SPZ's integers are always valid. Their axes keep z.
+/// Formats with floats; their axes keep z.
 const NAMES: [&str; 4] = ["scene.ply", "ascii.ply", "scene.splat", "scene.glb"];
 
-/// Writes a scene with centers of z `value` at [`BAD`]; returns the scene without them.
+/// Sets centers at [`BAD`] to z `value`; returns the scene without them.
 fn spoilt(path: &Path, value: f32) -> Scene {
     let mut scene = random_scene(COUNT, 1, 0.1);
     // A .splat sorts by visibility: equal Gaussians keep their order.

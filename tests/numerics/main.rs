@@ -46,8 +46,7 @@ impl Mode {
     }
 }
 
-/// [`micro`] on the tests' device in every arithmetic: f32 first, then narrower factors, on matrix
-/// units and on lanes.
+/// f32 first, then narrower factors, on matrix units and on lanes.
 fn modes() -> &'static [Mode] {
     static MODES: OnceLock<Vec<Mode>> = OnceLock::new();
     MODES.get_or_init(|| {
@@ -67,7 +66,7 @@ fn reconstruct(model: &Model, images: &[Image], request: &Request) -> Scene {
     model.reconstruct(images, request, |_| ControlFlow::Continue(())).expect("a scene").scene().unwrap()
 }
 
-/// splitmix64, reproducible from its seed.
+/// splitmix64.
 struct Random(u64);
 
 impl Random {

@@ -21,7 +21,7 @@ fn a_plan_runs_in_its_peak_and_is_refused_below() {
         Device::open(&options).unwrap()
     };
     let load = |device: &Device| Model::load(device, &micro(), |_| ControlFlow::Continue(()));
-    // Also with staging buffers, as on discrete GPUs.
+    // As on discrete GPUs.
     for staged in [false, true] {
         let device = open(u64::MAX, staged);
         let model = load(&device).unwrap();
@@ -70,7 +70,7 @@ fn a_picture_needs_no_more_memory_after_others() {
     }
 }
 
-/// Least memory of a command, by adding the shortage in its errors.
+/// Adds the shortage in its errors.
 fn least_memory(line: &str, output: &Path) -> u64 {
     let mut memory = 0;
     for _ in 0..8 {

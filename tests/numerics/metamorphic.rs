@@ -22,7 +22,7 @@ fn bits(values: &[f32]) -> Vec<u32> {
     values.iter().map(|v| v.to_bits()).collect()
 }
 
-/// Fields of the Gaussians, as `views` equal blocks with block `from[i]` in place i.
+/// As `views` equal blocks with block `from[i]` in place i.
 fn fields(scene: &Scene, views: usize, from: &[usize]) -> [(&'static str, Vec<f32>); 5] {
     let order = |values: &[f32]| -> Vec<f32> {
         let block = values.len() / views;
@@ -49,8 +49,7 @@ fn permuting_views_beyond_the_first_permutes_tokens() {
         let order = [0, 3, 1, 2];
         let permuted = order.map(|i| images[i].clone());
         let [plain, moved] = [&images[..], &permuted].map(|images| mode.reconstruct(images, &Request::default()));
-        // Sums over tokens are reordered: both scenes are within the tolerance of their common
-        // truth.
+        // Sums are reordered: both are within the tolerance of their common truth.
         let expected = fields(&plain, 4, &order);
         for ((field, expected), (_, got)) in expected.iter().zip(fields(&moved, 4, &[0, 1, 2, 3])) {
             assert_close(field, &got, expected, mode.tolerance(field).times(2.0));
@@ -59,8 +58,8 @@ fn permuting_views_beyond_the_first_permutes_tokens() {
             let frames = Renderer::new(device()).render(scene, &[camera(64, 48)], &RenderRequest::default()).unwrap();
             frames[0].rgb.clone().unwrap()
         };
-        // In f32, a parameter error of 1e-4 is 80 dB, and single contributions at 1/255 may differ.
-        // With narrower factors each may deviate by its tolerance, together by 6 dB more.
+        // In f32, a parameter error of 1e-4 is 80 dB. With narrower factors each may deviate by its
+        // tolerance, together by 6 dB more.
         let alike = psnr(&draw(&plain), &draw(&moved));
         let least = if mode.arithmetic == Arithmetic::EXACT {
             60.0
@@ -68,7 +67,7 @@ fn permuting_views_beyond_the_first_permutes_tokens() {
             ImageTolerance::of_network(mode.arithmetic).psnr - 6.1
         };
         assert!(alike > least, "{:?}: {alike} dB", mode.arithmetic);
-        // The first view is the reference and must stay first.
+        // The first view is the reference.
         let swapped = [1, 0, 2, 3].map(|i| images[i].clone());
         let other = mode.reconstruct(&swapped, &Request::default());
         let (means, others) = (fields(&plain, 4, &[1, 0, 2, 3]), fields(&other, 4, &[0, 1, 2, 3]));
@@ -118,7 +117,7 @@ fn duplicated_views_give_the_same_gaussians() {
         let images = views(3);
         let doubled = [0, 1, 2, 1].map(|i| images[i].clone());
         let scene = mode.reconstruct(&doubled, &Request::default());
-        // Views 1 and 3 are equal to the network: every sum has the same terms in the same order.
+        // Views 1 and 3 are equal: every sum has the same terms in the same order.
         let (first, second) = (fields(&scene, 4, &[1]), fields(&scene, 4, &[3]));
         for ((field, first), (_, second)) in first.iter().zip(second) {
             assert_same(field, &bits(&second), &bits(first));
@@ -146,7 +145,7 @@ fn draw(scene: &Scene, width: u32) -> Frame {
 fn a_scaled_scene_is_the_same_picture() {
     let scene = random_scene(1_000, 2, 0.1);
     let plain = draw(&scene, 64);
-    // Powers of two are exact, and Gaussians avoid the near plane.
+    // Gaussians avoid the near plane.
     for factor in [0.125f32, 4.0, 1024.0] {
         let mut scaled = scene.clone();
         scaled.scale(factor);
@@ -194,8 +193,8 @@ fn opaque_layers_hide_what_is_behind() {
     assert_same("rgb", &bits(&draw(&wall, 64).rgb.unwrap()), &bits(&draw(&alone, 64).rgb.unwrap()));
 }
 
-/// `count` Gaussians of deviation `sigma` pixels before a camera of focal length 64, with pixel
-/// positions exact in f32 for any principal point: quarter pixels at depths 1, 2 and 4.
+/// `sigma` in pixels, before a camera of focal length 64, with exact pixel positions: quarter
+/// pixels at depths 1, 2 and 4.
 fn exactly_placed(count: usize, sigma: f32) -> Scene {
     let mut scene = random_scene(count, 1, 0.1);
     for i in 0..count {
@@ -211,9 +210,8 @@ fn exactly_placed(count: usize, sigma: f32) -> Scene {
 #[test]
 fn tiles_apart_are_the_picture_together() {
     let (width, height) = (64, 48);
-    // Drawn by tile, by aligned parts, and by unaligned parts. As in gsplat, projection clamps
-    // Gaussians beyond 0.15 of a part from its edge. They must not reach the part, 3.4 deviations
-    // away.
+    // Whole, by aligned and by unaligned parts. Projection clamps Gaussians beyond 0.15 of a part
+    // from its edge; they must not reach the part, 3.4 deviations away.
     for (size, [part_width, part_height]) in [(0.4, [16, 16]), (1.0, [32, 48]), (1.0, [32, 24]), (0.6, [32, 16])] {
         let scene = exactly_placed(3_000, size);
         let whole = draw(&scene, width as u32);

@@ -46,7 +46,7 @@ fn a_full_disk_leaves_what_was_there() {
     }
     let before = contents(folder.path());
     assert_eq!(before.len(), 7);
-    // Limits files to 16 KiB; further writes return errors instead of a signal.
+    // 16 KiB per file; further writes return errors instead of a signal.
     assert_succeeds(child("resources::writes_to_a_full_disk", folder.path(), "trap '' XFSZ; ulimit -f 16"));
     assert!(contents(folder.path()) == before, "a file changed, or a part of one was left");
 }
@@ -169,16 +169,15 @@ fn reconstructs_and_renders_again_and_again() {
             early = resident_bytes();
         }
     }
-    // A round's weights and arena are a few MiB, so a leak would show.
+    // A round takes a few MiB.
     let grown = resident_bytes().saturating_sub(early);
     assert!(grown < 8 << 20, "{grown} bytes more after the second half of {rounds} rounds");
 }
 
-/// Vector widths of lavapipe: subgroups of 4, 8 and 16 lanes.
+/// Of lavapipe: subgroups of 4, 8 and 16 lanes.
 const VECTORS: [u32; 3] = [128, 256, 512];
 
-/// Subgroup sizes change the order of every sum: each scene is within the tolerance of their common
-/// truth, with all tokens and with k-means.
+/// Sums are reordered: each is within the tolerance of their common truth.
 #[test]
 fn every_subgroup_size_gives_the_same_scene() {
     if !device().limits().cpu {

@@ -1,4 +1,4 @@
-//! Extreme splatting, too slow for `zipsplat doctor`.
+//! Cases too slow for `zipsplat doctor`.
 
 use zipsplat::{
     stages::render::{Depth, Frame, RenderRequest, Renderer},
@@ -28,7 +28,7 @@ fn draw(scene: &Scene, camera: Camera, request: &RenderRequest) -> Frame {
     frame
 }
 
-/// `count` coincident isotropic Gaussians of one gray.
+/// Coincident, isotropic, gray.
 fn pile(count: usize, opacity: f32, sigma: f32) -> Scene {
     Scene {
         means: vec![[0.0, 0.0, 2.0]; count],
@@ -40,7 +40,7 @@ fn pile(count: usize, opacity: f32, sigma: f32) -> Scene {
     }
 }
 
-/// Alpha of `count` equal layers, blended until transmittance would reach 1e-4.
+/// Equal layers, until transmittance would reach 1e-4.
 fn stacked(count: usize, alpha: f64) -> f64 {
     let mut left = 1.0;
     for _ in 0..count {
@@ -59,7 +59,7 @@ fn a_million_gaussians_on_one_pixel() {
         let frame = draw(&pile(count, opacity, 1e-4), camera(1, 1), &ALPHA);
         let truth = stacked(count, f64::from(opacity.min(0.999)));
         let got = f64::from(frame.alpha.unwrap()[0]);
-        // Up to 2,300 layers round a few times each, relative to their transmittance.
+        // 2,300 layers round a few times each.
         assert!((got - truth).abs() < 1e-4 * 2e-2 + 1e-6, "opacity {opacity}: {got}, truth {truth}");
     }
 }
@@ -92,7 +92,6 @@ fn pictures_one_pixel_wide() {
     }
 }
 
-/// Absurd but finite values are drawn or culled, without NaN.
 #[test]
 fn absurd_but_finite_values_spread_no_nan() {
     let extremes = [0.0f32, -0.0, 1e-45, 1e-38, 1e-20, 1e20, 1e38, f32::MAX];

@@ -1,4 +1,4 @@
-//! Photos of every kind, through the whole network.
+//! Photos of every kind.
 
 use crate::{Mode, model, modes, noise, reconstruct};
 use image::{DynamicImage, ImageFormat};
@@ -59,7 +59,7 @@ fn uniform_identical_and_noisy_views() {
                 assert_close(&format!("{name}, {field}"), got, expected, mode.tolerance(field));
             }
             for ratio in [0.5, 1e-9] {
-                // Tokens of uniform views are almost equal, and clusters empty.
+                // Clusters are empty.
                 let request = Request { ratio: Ratio::Fixed(ratio), ..Request::default() };
                 let kept = ((tokens as f64 * ratio) as usize).max(1);
                 assert_sound(name, &mode.reconstruct(&images, &request), kept);
@@ -97,8 +97,7 @@ fn encoded(image: &DynamicImage, format: ImageFormat) -> Vec<u8> {
     bytes.into_inner()
 }
 
-/// A baseline CMYK JPEG of 8 x 8 pixels of value 128 + `level`, with the usual Adobe marker of
-/// inverted values.
+/// 8 x 8 pixels of value 128 + `level`, baseline, with the usual Adobe marker of inverted values.
 fn cmyk_jpeg(level: i32) -> Vec<u8> {
     let mut out = vec![0xff, 0xd8];
     let mut segment = |marker: u8, body: &[u8]| {
@@ -153,7 +152,7 @@ fn grey_deep_transparent_and_cmyk_photos() {
         let view = photo.crop(2, 2, SIDE, SIDE).unwrap();
         assert_sound(name, &reconstruct(model(), &[view], &Request::default()), 16);
     }
-    // Inverted values multiply: all 255 is white, all 1 black.
+    // Inverted values multiply.
     for (level, expected) in [(127, 255u8), (-127, 0)] {
         let photo = opened(folder.path(), &cmyk_jpeg(level));
         assert_eq!((photo.width, photo.height), (8, 8));

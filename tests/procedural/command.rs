@@ -1,11 +1,9 @@
-//! `zipsplat scene`.
-
 use std::sync::atomic::AtomicBool;
 
 use zipsplat_cli::procedural::shards::Header;
 use zipsplat_cli::{Terminal, run};
 
-/// Exit code, standard output and errors of an argument line.
+/// Exit code, standard output and errors.
 fn zipsplat(line: &str) -> (u8, Vec<u8>, String) {
     let (mut out, mut err, cancelled) = (Vec::new(), Vec::new(), AtomicBool::new(false));
     let args = std::iter::once("zipsplat").chain(line.split_whitespace()).map(Into::into);

@@ -6,13 +6,12 @@ use zipsplat_cli::procedural::{Capture, Photos, Setup};
 
 use crate::{capture, options, rays, setup};
 
-/// Relative error bound of an f32 intersection, away from silhouettes. Sphere tracing, the least
-/// accurate, stops at 1e-4 of a tube's radius before its refinement.
+/// Away from silhouettes. Sphere tracing stops at 1e-4 of a tube's radius before its refinement.
 const RELATIVE: f64 = 5e-4;
-/// Near a silhouette, rounding may select the other surface, within this many pixels.
+/// Pixels within which rounding may select the other surface.
 const BESIDE: f64 = 0.02;
 
-/// Direction with z = 1 through a pixel's center, shifted by `shift` pixels.
+/// z is 1; `shift` in pixels.
 fn ray(i: &Intrinsics, x: u32, y: u32, shift: (f64, f64)) -> DVec3 {
     let (x, y) = (f64::from(x) + 0.5 + shift.0, f64::from(y) + 0.5 + shift.1);
     DVec3::new((x - i.cx) / i.fx, (y - i.cy) / i.fy, 1.0)
@@ -27,7 +26,7 @@ fn depth_is_that_of_brute_force_in_f64() {
         let capture = setup.shoot(&Photos::default(), &|| Ok(())).expect("nothing stops it");
         for (view, pose) in setup.poses().iter().enumerate() {
             let i = capture.cameras[view].intrinsics;
-            // z of a ray near the pixel's center; 0 in the sky.
+            // 0 in the sky.
             let truth = |x: u32, y: u32, shift: (f64, f64)| {
                 let direction = ray(&i, x, y, shift);
                 let length = direction.length();
@@ -63,12 +62,11 @@ fn project(camera: &Camera, point: DVec3) -> Option<(u32, u32, f64)> {
     inside.then_some((x as u32, y as u32, p.z))
 }
 
-/// Overlap of a view: visible surfaces by the other view's depth, and their color differences.
+/// Visible surfaces by the other view's depth.
 struct Reprojection {
     surfaces: usize,
     seen: usize,
     color_errors: Vec<f64>,
-    /// Color differences at other positions of the picture.
     chance_errors: Vec<f64>,
 }
 
@@ -127,7 +125,7 @@ fn every_view_is_seen_by_two_others() {
             };
             let mut shares: Vec<f32> = (0..8).filter(|other| *other != view).map(share).collect();
             shares.sort_by(|a, b| b.total_cmp(a));
-            // The rule samples 144 rays per view, and pixel centers miss slanted and thin surfaces.
+            // The rule samples 144 rays, and pixel centers miss slanted and thin surfaces.
             let least = LEAST_OVERLAP - 0.15;
             assert!(shares[WITNESSES - 1] >= least, "seed {seed} ({}), view {view}: seen {shares:?}", capture.family);
         }

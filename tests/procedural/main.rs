@@ -1,4 +1,4 @@
-//! Procedural scenes: determinism, exact depth and poses, storage.
+//! Procedural scenes.
 
 mod command;
 mod coverage;

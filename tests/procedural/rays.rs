@@ -1,13 +1,12 @@
-//! Reference ray intersections in f64, by other algorithms: single faces, quadratics, bisection,
-//! all triangles.
+//! Ray intersections in f64, by other algorithms: single faces, quadratics, bisection, all
+//! triangles.
 
 use glam::{DMat3, DVec3};
 use zipsplat_cli::procedural::{HeightField, Primitive, Shape};
 
-/// Steps of the search for a torus's roots.
+/// For a torus's roots.
 const STEPS: usize = 4000;
 
-/// Distance along a unit direction to the nearest primitive.
 pub fn nearest(primitives: &[Primitive], origin: DVec3, direction: DVec3) -> Option<f64> {
     primitives.iter().filter_map(|primitive| intersect(primitive, origin, direction)).min_by(f64::total_cmp)
 }
@@ -72,7 +71,7 @@ fn cylinder(o: DVec3, d: DVec3, radius: f64, half_height: f64) -> Vec<f64> {
     hits
 }
 
-/// First sign change of the quartic `(|p|² + R² - r²)² - 4 R² (x² + y²)`, by steps and bisection.
+/// First root of `(|p|² + R² - r²)² - 4 R² (x² + y²)`, by steps and bisection.
 fn torus(o: DVec3, d: DVec3, major: f64, minor: f64) -> Vec<f64> {
     let value = |t: f64| {
         let p = o + d * t;
@@ -90,7 +89,7 @@ fn torus(o: DVec3, d: DVec3, major: f64, minor: f64) -> Vec<f64> {
     vec![high]
 }
 
-/// Möller-Trumbore on all triangles.
+/// Möller-Trumbore.
 fn triangles(field: &HeightField, o: DVec3, d: DVec3) -> Vec<f64> {
     let corner = |i: usize, j: usize| field.corner(i, j).as_dvec3();
     let cells = (0..field.cells()).flat_map(|j| (0..field.cells()).map(move |i| (i, j)));

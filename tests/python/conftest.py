@@ -12,7 +12,6 @@ import pytest
 import zipsplat
 
 PHOTOS = Path(os.environ["ZIPSPLAT_PHOTOS"])
-# A small network input suffices for tests of the bindings.
 SIZE = (70, 70)
 
 

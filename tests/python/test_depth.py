@@ -27,7 +27,7 @@ def test_depth_cameras_and_scene_of_photos(depth_model: zipsplat.DepthModel, pho
     size = zipsplat.read_photo(photos[0]).shape
     first, second = found.cameras
     assert first is not None and second is not None
-    # Cameras refer to whole photos, which share a focal length.
+    # Whole photos share a focal length.
     assert (first.height, first.width) == size[:2] and first.fx == first.fy == second.fx
     assert math.isclose(float(np.linalg.det(first.camera_to_world[:3, :3])), 1, abs_tol=1e-6)
     scene = found.scene(keep=2)

@@ -66,7 +66,7 @@ def test_pictures_and_gradients_are_the_goldens(path: Path) -> None:
             assert apart(got[stable], truth[stable]) < 3e-5, name
         expected, _, _ = zipsplat.rasterization(*fields, width, height, render_mode="ED", **how)
         assert apart(expected[..., 0][stable], golden[f"{mode}/ED"][stable]) < 3e-4
-        # Remove the background, which contributes its color times the transmittance.
+        # The background is its color times the transmittance.
         weights = [golden[f"{mode}/v_{name}"] for name in ("rgb", "alpha", "depth")]
         weights[1] = weights[1] - weights[0] @ golden["bg"].astype(np.float64)
         how_native = gsplat._How(width, height, mode == "antialiased", zipsplat.default_context())
@@ -99,7 +99,6 @@ def test_channels_are_any_number_and_any_sign() -> None:
     fields = place()
     whole, alphas, _ = zipsplat.rasterization(**fields, width=48, height=32)
     assert whole.shape == (2, 32, 48, 5) and whole.min() < -0.2
-    # Each channel is linear and independent.
     for channel in range(5):
         alone, _, _ = zipsplat.rasterization(
             **{**fields, "colors": 2 * fields["colors"][:, channel : channel + 1]}, width=48, height=32
@@ -107,7 +106,6 @@ def test_channels_are_any_number_and_any_sign() -> None:
         assert np.allclose(alone[..., 0], 2 * whole[..., channel], atol=2e-5)
     lit, _, _ = zipsplat.rasterization(**fields, width=48, height=32, backgrounds=np.ones((2, 5)))
     assert np.allclose(lit, whole + 1 - alphas, atol=1e-6)
-    # Per-camera colors.
     own = np.stack([fields["colors"], 0.5 * fields["colors"]])
     both, _, _ = zipsplat.rasterization(**{**fields, "colors": own}, width=48, height=32)
     assert np.allclose(both[0], whole[0], atol=1e-6) and np.allclose(both[1], 0.5 * whole[1], atol=2e-5)
@@ -208,7 +206,7 @@ def test_tensors_give_gsplats_pictures_and_gradients() -> None:
     off = (np.abs(colors.detach().numpy() - expected[0].detach().numpy()) > 1e-4).mean()
     assert off < 2e-3, "all but a few pixels at a threshold"
     assert apart(alphas.detach(), expected[1].detach()) < 1e-3
-    # Pixels where rounding crosses a threshold have no weight.
+    # Rounding crosses a threshold elsewhere.
     same = (torch.abs(colors - expected[0]).amax(-1, keepdim=True) < 1e-4).float().detach()
     weights = [weight * same for weight in weights]
     got, truth = gradients(colors, alphas), gradients(*expected)

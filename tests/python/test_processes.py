@@ -26,7 +26,7 @@ def test_threads_share_a_model(model: zipsplat.Model, photos: list[Path], scene:
 
 
 def test_other_threads_run_during_a_call(model: zipsplat.Model, photos: list[Path]) -> None:
-    # The library calls no Python here, so the counter advances only if the GIL is released.
+    # Advances only if the GIL is released.
     camera = zipsplat.Camera.from_fov(1600, 1200)
     renderer = zipsplat.Renderer(model.reconstruct(photos, size=SIZE))
     renderer.render(camera)

@@ -145,7 +145,6 @@ def test_a_refinement_makes_it_more_like_the_photos(model: zipsplat.Model, captu
         return float(np.mean((scene.render(opened.cameras).rgb - photos) ** 2))
 
     assert apart(sharp) < apart(model.reconstruct(opened, size=SIZE))
-    # The same holds in the world of the first camera.
     first = model.reconstruct(opened, size=SIZE, refine=15, world="first_camera")
     assert first.refinement is not None
     assert first.refinement.last_loss == pytest.approx(sharp.refinement.last_loss, rel=0.2)

@@ -25,7 +25,7 @@ def test_arrays_lie_in_place_are_read_only_and_keep_the_scene_alive(scene: zipsp
         means[0, 0] = 1
     del made
     gc.collect()
-    # More scenes would reuse its memory if it were freed.
+    # More scenes would reuse freed memory.
     others = [
         zipsplat.Scene.from_arrays(scene.means + 1, scene.scales, scene.quats, scene.opacities, scene.sh_coeffs)
         for _ in range(3)
@@ -170,7 +170,6 @@ def test_figures_and_cameras_come_from_the_command(
     assert 0 < found.psnr < 99 and 0 < found.ssim <= 1 and len(found.report["views"]) == 1
     with pytest.raises(zipsplat.CommandError, match="none"):
         zipsplat.evaluate(tmp_path / "none")
-    # A fake COLMAP command that records its arguments.
     double = tmp_path / "double"
     made = json.dumps(json.loads((capture / "transforms.json").read_text()))
     double.write_text(f"#!/bin/sh\nfor last; do :; done\ncat > \"$last\" <<'END'\n{made}\nEND\n")

@@ -1,4 +1,4 @@
-//! Pose search for a photo, against the steps of ZipSplat's authors.
+//! Pose search, against ZipSplat's authors.
 
 use glam::{DMat3, DVec3};
 use zipsplat::perceptual::Perceptual;
@@ -19,8 +19,7 @@ fn row(pose: &Pose) -> Vec<f64> {
     [&pose.rotation.transpose().to_cols_array()[..], &pose.translation.to_array()].concat()
 }
 
-/// Checks `steps` of two photos against the golden. Its loss is the mean of both, which Adam
-/// ignores.
+/// The golden's loss is the mean of both photos, which Adam ignores.
 fn check_steps(golden: &Golden, below: &str, mut lpips: Option<Perceptual>, steps: usize) {
     let mut renderer = Renderer::new(device());
     renderer.load(&golden_scene(golden)).unwrap();
@@ -62,7 +61,7 @@ fn the_steps_with_lpips_are_those_of_the_authors() {
     let Some(path) = lpips_weights(LpipsNetwork::Vgg) else { return };
     for golden in golden::list("grad_pose").into_iter().filter_map(|file| Golden::open(&file)) {
         let lpips = Perceptual::open(device(), LpipsNetwork::Vgg, &path, true).unwrap();
-        // The LPIPS term acts from the first step; each costs ten times a plain one.
+        // LPIPS acts from the first step.
         check_steps(&golden, "lpips/", Some(lpips), 6);
     }
 }

@@ -1,4 +1,4 @@
-//! One arena from photos to pictures: kept stages keep their bits, and nothing is allocated twice.
+//! One arena from photos to pictures.
 
 use std::ops::ControlFlow;
 use zipsplat::gpu::{Arena, Device, DeviceOptions};
@@ -8,7 +8,7 @@ use zipsplat::stages::render::{Frame, RenderRequest, Renderer, plan_pictures};
 use zipsplat::types::{Camera, Image, Scene};
 use zipsplat_tests::{networks, scenes::camera};
 
-/// A device of its own, so that memory can be counted.
+/// An own device, to count its memory.
 fn alone(staged: bool) -> (Device, Model) {
     let device = Device::open(&DeviceOptions { staged, ..DeviceOptions::default() }).unwrap();
     let model = networks::model_on(&device, "micro", Arithmetic::EXACT);
@@ -57,7 +57,6 @@ fn a_scene_of_kept_features_is_that_of_the_photos() {
         let whole = reconstruct(&model, &photos, &request);
         assert!(kept.scene().unwrap() == whole.scene().unwrap(), "{request:?}");
         assert_eq!((kept.tokens, &kept.patches), (whole.tokens, &whole.patches));
-        // The scene has exactly those patches.
         let given = Request { selection: Selection::Given(kept.patches.indices()), ..Request::default() };
         let again = model.reconstruct_features(&features, &given, |_| ControlFlow::Continue(())).unwrap();
         assert!(again.scene().unwrap() == kept.scene().unwrap(), "{request:?}");
@@ -92,7 +91,6 @@ fn a_scene_that_somebody_has_stays_as_it_is() {
     let second = reconstruct(&model, &other, &request);
     assert!(second.scene().unwrap() != before && first.scene().unwrap() == before);
     assert_eq!(device.allocated_bytes(), bytes + first.gaussians.bytes());
-    // Shown scenes alternate between two.
     let mut renderer = Renderer::new(&device);
     renderer.show(&first.gaussians).unwrap();
     let drawn = pictures(&mut renderer);
@@ -126,7 +124,6 @@ fn pictures_are_drawn_from_the_devices_own_gaussians_in_the_networks_arena() {
         let mut other = Renderer::new(&device);
         other.load(&scene).unwrap();
         assert!(pictures(&mut other) == own, "another road, other bits");
-        // Both plans still run in the grown memory.
         assert!(reconstruct(&model, &photos(2), &request).scene().unwrap() == scene);
         assert!(pictures(&mut renderer) == own);
     }
@@ -142,7 +139,7 @@ fn who_finds_the_arena_in_use_takes_another() {
     renderer.show(&first.gaussians).unwrap();
     let drawn = pictures(&mut renderer);
 
-    // From a progress callback, while the network runs.
+    // From a progress callback.
     let mut inner = Vec::new();
     let outer = model
         .reconstruct(&photos, &request, |_| {

@@ -8,7 +8,7 @@ use zipsplat::types::{
 use zipsplat_tests::compare::{Tolerance, assert_close};
 use zipsplat_tests::golden::Golden;
 
-/// The goldens' cameras, poses and orbits are computed in f32.
+/// The goldens are computed in f32.
 const F32_RUN: Tolerance = Tolerance { max: 2e-6, rms: 3e-7 };
 
 fn goldens() -> Golden {
@@ -52,7 +52,7 @@ fn quaternions_follow_the_reference() {
     let golden = goldens();
     let rotations: Vec<DMat3> = golden.f64("quat/R").chunks(9).map(matrix).collect();
     let found: Vec<f64> = rotations.iter().flat_map(quaternion_from_matrix).collect();
-    // The matrices are rounded to f32, so near half turns only they are the truth.
+    // Near half turns, matrices rounded to f32 are the truth.
     assert_close("quat/wxyz", &found, &golden.f64("quat/wxyz"), F32_RUN);
     for (rotation, wxyz) in rotations.iter().zip(found.chunks(4)) {
         assert!(wxyz[0] >= 0.0, "{wxyz:?}");
@@ -124,7 +124,7 @@ fn orbits_follow_the_reference() {
     let orbit = Orbit { center, radius: golden.f64("orbit/radius")[0] };
     let angles = golden.f64("orbit/az").into_iter().zip(golden.f64("orbit/el"));
     for ((azimuth, elevation), truth) in angles.zip(poses(&golden, "orbit/pose")) {
-        // Near the poles the f32 reference divides by the cosine; at them it branches.
+        // The f32 reference divides by the cosine, and branches at the poles.
         let steepness = elevation.to_radians().cos();
         let allowed = if steepness < 1e-6 { 1e-6 } else { (1e-7 / steepness).max(1e-6) };
         let found = orbit.pose(azimuth, elevation);

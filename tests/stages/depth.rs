@@ -1,4 +1,4 @@
-//! Depth networks against PyTorch dumps, tap by tap.
+//! Depth networks against PyTorch, tap by tap.
 
 use serde_json::Value;
 use std::collections::BTreeSet;
@@ -28,7 +28,7 @@ fn architecture(config: &str) -> DepthArchitecture {
     found
 }
 
-/// The Gaussian head is included if the golden has Gaussians.
+/// With the Gaussian head if the golden has Gaussians.
 fn model(golden: &Golden) -> DepthModel {
     let config = config(golden);
     let architecture = DepthArchitecture { gaussians: golden.has("gs/means"), ..architecture(config) };
@@ -54,7 +54,6 @@ fn cameras(golden: &Golden) -> Option<Vec<Camera>> {
     })
 }
 
-/// A run on a golden's pictures with all taps.
 struct Observed {
     run: Run,
     depths: Depths,
@@ -74,7 +73,6 @@ impl Observed {
         Self { run, depths }
     }
 
-    /// Returns a tap, once for each view if it is per view.
     fn taps(&self, name: &str) -> Vec<Vec<f32>> {
         let named = self.run.observed().iter().filter(|(other, _)| other == name);
         named.map(|(_, tensor)| self.run.read(*tensor).unwrap()).collect()
@@ -86,7 +84,7 @@ fn planar(values: &[f32], channels: usize, step: usize) -> Vec<f32> {
     (0..channels).step_by(step).flat_map(|c| values[c..].iter().step_by(channels)).copied().collect()
 }
 
-/// At least three times the deviation of PyTorch's f32.
+/// At least three times PyTorch's f32 deviation.
 fn tolerance(tap: &str) -> Tolerance {
     let max = match tap {
         _ if tap.starts_with("bb/feat") => 1.5e-5,
@@ -100,7 +98,6 @@ fn compare(golden: &Golden, key: &str, got: &[f32], tolerance: Tolerance) {
     assert_close(&format!("{} {key}", golden.file()), got, &golden.f64(key), tolerance);
 }
 
-/// Checks blocks, features and the reference view.
 fn check_backbone(golden: &Golden, observed: &Observed) -> usize {
     let mut compared = 0;
     let alt = architecture(config(golden)).backbone.alt_start;
@@ -115,11 +112,11 @@ fn check_backbone(golden: &Golden, observed: &Observed) -> usize {
     }
     for key in golden.keys().into_iter().filter(|key| key.starts_with("bb/")) {
         let block = key.strip_prefix("bb/block").map(|block| 1 + block.parse::<usize>().expect("a number"));
-        // The golden's last tap before the first global block includes camera tokens.
+        // The last tap before the first global block includes camera tokens.
         let tap = if block == Some(alt) { "bb/alt_in" } else { &key };
         let Some(mut got) = observed.taps(tap).into_iter().next().filter(|_| !key.contains("ref_")) else { continue };
         if block.is_some_and(|block| block >= alt) {
-            // From here on PyTorch has the reference view first.
+            // PyTorch has the reference view first from here on.
             let per_view = got.len() / golden.shape(&key)[0];
             got[..(reference + 1) * per_view].rotate_right(per_view);
         }
@@ -135,7 +132,6 @@ fn check_heads(golden: &Golden, observed: &Observed) -> usize {
     for key in golden.keys().into_iter().filter(dense) {
         let (taps, shape) = (observed.taps(&key), golden.shape(&key));
         assert!(!taps.is_empty(), "{}: {key} is not observed", golden.file());
-        // Channels that the golden subsamples.
         let step = if key.ends_with("/up") { 2 } else { 1 };
         let channels = step * shape[1];
         let got: Vec<f32> = taps[taps.len() - shape[0]..].iter().flat_map(|tap| planar(tap, channels, step)).collect();
@@ -145,7 +141,7 @@ fn check_heads(golden: &Golden, observed: &Observed) -> usize {
     compared
 }
 
-/// Compares logarithms of depths, which span many magnitudes.
+/// Logarithms of depths, which span many magnitudes.
 fn check_outputs(golden: &Golden, observed: &Observed) -> usize {
     let views = &observed.depths.views;
     let mut compared = 0;
@@ -183,7 +179,7 @@ fn check_outputs(golden: &Golden, observed: &Observed) -> usize {
     compared
 }
 
-/// Compares the decoder's world-to-camera matrices and intrinsics.
+/// World-to-camera.
 fn check_cameras(golden: &Golden, observed: &Observed) {
     let cameras = observed.depths.cameras().unwrap();
     let extrinsics = cameras.iter().flat_map(|camera| camera.view_matrix().transpose().to_cols_array()[..12].to_vec());
@@ -202,7 +198,6 @@ fn check_gaussians(golden: &Golden, observed: &Observed) {
     hold_gaussians(golden, "gs", &scenes, Tolerance { max: 1e-3, rms: 3e-4 });
 }
 
-/// Compares concatenated scenes with a golden's Gaussians.
 fn hold_gaussians(golden: &Golden, root: &str, scenes: &[Scene], within: Tolerance) {
     let check = |key: &str, of: &dyn Fn(&Scene) -> Vec<f32>| {
         let key = format!("{root}/{key}");
@@ -263,7 +258,6 @@ fn check_all(config: &str) {
     }
 }
 
-/// Maps beyond the binding limit are processed in parts.
 #[test]
 fn parts_of_maps_make_the_same_bits() {
     let Some(golden) = Golden::open("da3_tiny.v1.safetensors") else { return };
@@ -294,7 +288,7 @@ fn parts_of_maps_make_the_same_bits() {
     }
 }
 
-/// Configurations that are always present, and files without a run.
+/// Always present, and files without a run.
 const KNOWN: [&str; 6] = ["da3_tiny", "da3_odd4", "da3_mono", "da3_rays", "da3_units", "da3_pre"];
 
 #[test]

@@ -6,16 +6,15 @@ use zipsplat::ops::Arithmetic;
 use zipsplat::reconstruct::{Ratio, Selection};
 use zipsplat::weights::DepthArchitecture;
 
-/// All patches.
 const ALL: (Ratio, &Selection) = (Ratio::Fixed(1.0), &Selection::KMEANS);
-/// Giga multiply-adds a view: network, size, depth branch with the shared part, ray branch.
+/// Giga multiply-adds per view: network, size, depth branch with the shared part, ray branch.
 const HEADS: [(&str, [u32; 2], f64, f64); 4] = [
     ("da3-small", [504, 336], 7.1, 8.6),
     ("da3-small", [252, 252], 2.7, 3.2),
     ("da3-base", [504, 336], 25.4, 33.4),
     ("da3-base", [252, 252], 9.5, 12.5),
 ];
-/// Tera operations of the backbone: network, size, views.
+/// Tera operations: network, size, views.
 const BACKBONES: [(&str, [u32; 2], usize, f64); 4] = [
     ("da3-small", [504, 336], 4, 0.26),
     ("da3-small", [504, 336], 24, 3.8),
@@ -30,7 +29,7 @@ fn profile(name: &str, size: [u32; 2], views: usize) -> Profile {
     Profile::outline(&network.plan(&limits, shape).unwrap().0)
 }
 
-/// Tolerates half of the last stated digit, and 1 %.
+/// Tolerates half of the last digit, and 1 %.
 fn assert_near(what: &str, found: f64, stated: f64, digit: f64) {
     let allowed = 0.5 * digit + 0.01 * stated;
     assert!((found - stated).abs() <= allowed, "{what}: {found:.3}, stated {stated}");
@@ -41,8 +40,7 @@ fn heads_do_what_is_stated() {
     for (name, size, depth, rays) in HEADS {
         let profile = profile(name, size, 1);
         let giga = |scope: &str| profile.total(scope).1 as f64 / 2e9;
-        // Mixing channels before upsampling saves three quarters, at twice the grid's size and each
-        // smaller level.
+        // Mixing channels before upsampling saves three quarters.
         let features = DepthArchitecture::named(name).unwrap().features as f64;
         let patches = f64::from(size[0] / 14 * (size[1] / 14));
         let larger = [64.0, 16.0, 4.0, 1.0].map(|times| times * patches).iter().sum::<f64>();
@@ -68,7 +66,7 @@ fn backbones_do_what_is_stated() {
     }
 }
 
-/// Heads process one view at a time, so only readback grows with the views.
+/// Only readback grows with the views.
 #[test]
 fn scratch_of_heads_is_of_one_view() {
     let architecture = DepthArchitecture::named("da3-base").unwrap();
@@ -79,8 +77,8 @@ fn scratch_of_heads_is_of_one_view() {
         network.plan(&limits, shape).unwrap().0.arena_bytes()
     };
     let (few, many) = (bytes(4), bytes(8));
-    // Per view: four features, a block's tensors, 2 values a pixel, 7 a ray. A map of the heads
-    // takes 43 MB.
+    // Per view: four features, a block's tensors, 2 values per pixel, 7 per ray. A head's map takes
+    // 43 MB.
     let (tokens, width) = (24 * 36, 768);
     let features = 4 * 4 * 2 * tokens * width;
     let outputs = 4 * (2 * 504 * 336 + 7 * 64 * tokens);

@@ -1,4 +1,4 @@
-//! Scenes and scales from known depth, without a network.
+//! Scenes and scales from known depth.
 
 use glam::{DMat3, DVec3};
 use zipsplat::depth::{DepthView, Depths, add_view};
@@ -31,7 +31,6 @@ fn images() -> [Image; 2] {
     [0, 100].map(|first| Image::new(SIZE[0], SIZE[1], (0..3 * PIXELS as u8).map(|i| first + 4 * i).collect()).unwrap())
 }
 
-/// Returns the pixel of `camera` at a Gaussian's mean, and its depth.
 fn pixel(camera: &Camera, mean: [f32; 3]) -> (usize, f64) {
     let at = camera.pose.inverse().transform(mean.map(f64::from).into());
     let lens = camera.intrinsics;
@@ -40,7 +39,7 @@ fn pixel(camera: &Camera, mean: [f32; 3]) -> (usize, f64) {
     (y as usize * SIZE[0] as usize + x as usize, at.z)
 }
 
-/// Views and pixels of the Gaussians, decoded from depths `10 view + pixel + 1`.
+/// Of the Gaussians, from depths `10 view + pixel + 1`.
 fn pixels(scene: &Scene) -> Vec<usize> {
     let place = |mean: &[f32; 3]| {
         let found = cameras().iter().enumerate().find_map(|(view, camera)| {
@@ -62,10 +61,9 @@ fn numbered() -> Depths {
 #[test]
 fn each_pixel_is_where_its_depth_has_it() {
     let scene = numbered().scene(&cameras(), &images(), None);
-    // Patch by patch, row by row.
     assert_eq!(pixels(&scene), [0, 1, 4, 5, 2, 3, 6, 7, 10, 11, 14, 15, 12, 13, 16, 17]);
     scene.validate().unwrap();
-    // As wide as a pixel at its depth, with its color, and equal to the scene of given depth.
+    // As wide as a pixel at its depth.
     let mut given = Scene::default();
     add_view(&mut given, &cameras()[0], &images()[0], &numbered().views[0].depth);
     assert!((given.scales[4][0] - 0.6 * 5.0 / 3.0).abs() < 1e-6 && given.opacities.iter().all(|o| *o == 0.95));
@@ -84,7 +82,7 @@ fn sky_and_what_has_no_depth_are_left_out() {
     depths.views[1].sky = Some([0.0, 0.31, 0.29, 0.0, 0.5, 0.0, 0.0, 0.0].into());
     let scene = depths.scene(&cameras(), &images(), None);
     assert_eq!(pixels(&scene), [0, 4, 5, 3, 6, 7, 10, 15, 12, 13, 16, 17]);
-    // Nor do they displace others of their patch.
+    // NaN pixels displace no others of their patch.
     depths.views[1].depth[1] = f32::NAN;
     let kept = depths.scene(&cameras(), &images(), Some(2));
     assert_eq!(pixels(&kept), [4, 5, 6, 7, 10, 15, 16, 17]);
@@ -93,7 +91,7 @@ fn sky_and_what_has_no_depth_are_left_out() {
 #[test]
 fn opacity_follows_confidence() {
     let mut depths = numbered();
-    // Percentiles 40 to 90 bound 1.05: here 1.2, above which pixels are opaque.
+    // Percentiles 40 to 90 bound 1.05, here 1.2; above, pixels are opaque.
     let sure = [1.0, 1.01, 1.1, 1.2, 1.2, 1.2, 1.3, 9.0];
     depths.views.iter_mut().for_each(|view| view.confidence = Some(sure.into()));
     let scene = depths.scene(&cameras(), &images(), None);
@@ -109,7 +107,6 @@ fn chosen_patches_stand_for_all() {
     let mut depths = numbered();
     depths.patches = Some(vec![1, 2]);
     assert_eq!(pixels(&depths.scene(&cameras(), &images(), None)), [2, 3, 6, 7, 10, 11, 14, 15]);
-    // Removed views take their patches along.
     depths.keep_views(&[false, true]);
     assert_eq!((depths.views.len(), &depths.patches), (1, &Some(vec![0])));
     let scene = depths.scene(&cameras()[1..], &images()[1..], None);
@@ -123,7 +120,6 @@ fn depth_of_each_view_is_brought_to_points() {
     let mut depths = depths(|v| view(move |i| (10 * v + i + 1) as f32 * [0.5, 7.0][v]));
     depths.scale_to(&cameras(), &points).unwrap();
     for (found, truth) in depths.views.iter().zip(&truth.views) {
-        // Visible points of the other view do not decide.
         assert!(found.depth.iter().zip(&truth.depth).all(|(a, b)| (a / b - 1.0).abs() < 1e-4), "{:?}", found.depth);
     }
     let behind = [[0.0, 0.0, -1.0]; 3];

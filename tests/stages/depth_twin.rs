@@ -1,4 +1,4 @@
-//! Depth networks with random weights against the f64 reference.
+//! Random depth networks against f64.
 
 use std::collections::BTreeSet;
 use std::ops::ControlFlow::Continue;
@@ -15,7 +15,7 @@ use zipsplat_tests::reference::cluster::kmeans::kmeans;
 use zipsplat_tests::reference::depth::{Sizes, View, features, views};
 use zipsplat_tests::reference::model::Weights;
 
-/// Relative to the largest value, as for the heads' goldens.
+/// As for the heads' goldens.
 const WITHIN: Tolerance = Tolerance { max: 1e-4, rms: 3e-5 };
 
 fn pictures(count: u32, [width, height]: [u32; 2]) -> Vec<Image> {
@@ -24,7 +24,6 @@ fn pictures(count: u32, [width, height]: [u32; 2]) -> Vec<Image> {
     (0..count).map(|v| Image::new(width, height, picture(v)).unwrap()).collect()
 }
 
-/// Returns normalized values for the reference.
 fn normalised(pictures: &[Image]) -> Images {
     let (mean, deviation) = ([0.485, 0.456, 0.406], [0.229, 0.224, 0.225]);
     let channel = |image: &Image, c: usize| {
@@ -42,7 +41,6 @@ fn said(a: &DepthArchitecture, pictures: &[Image], request: &DepthRequest) -> De
     model.depths(pictures, request, |_| Continue(())).unwrap()
 }
 
-/// Weights for the reference.
 fn weights(a: &DepthArchitecture) -> (Weights, Sizes) {
     let checkpoint = DepthCheckpoint::seeded(a.clone(), "twin").unwrap();
     let values = |(name, shape): &(String, Vec<usize>)| {
@@ -58,14 +56,12 @@ fn weights(a: &DepthArchitecture) -> (Weights, Sizes) {
     (weights, sizes)
 }
 
-/// Runs the device and the f64 reference.
 fn both(a: &DepthArchitecture, pictures: &[Image], reference: usize) -> (Vec<DepthView>, Vec<View>) {
     let request = DepthRequest { reference: Some(reference), ..DepthRequest::default() };
     let (weights, sizes) = weights(a);
     (said(a, pictures, &request).views, views(&weights, &sizes, &normalised(pictures), reference))
 }
 
-/// Returns every `step`-th value from `first` on.
 fn every(values: &[f64], first: usize, step: usize) -> Vec<f64> {
     values[first..].iter().step_by(step).copied().collect()
 }
@@ -91,7 +87,6 @@ fn views_that_see_each_other() {
     }
 }
 
-/// k-means over the deepest features chooses the patches.
 #[test]
 fn chosen_patches() {
     let (a, pictures) = (depth_micro(), pictures(3, [42, 28]));
@@ -105,7 +100,6 @@ fn chosen_patches() {
     assert!(clusters.gaps.iter().all(clear), "another key: {:?}", clusters.gaps);
     let expected: Vec<u32> = clusters.nearest.into_iter().collect::<BTreeSet<_>>().into_iter().collect();
     assert_eq!(found, expected);
-    // Given patches, deduplicated, in order.
     let given = DepthRequest { selection: Selection::Given(vec![5, 17, 5]), ..request };
     assert_eq!(said(&a, &pictures, &given).patches.unwrap(), [5, 17]);
 }

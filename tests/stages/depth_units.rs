@@ -1,4 +1,4 @@
-//! Parts of the heads and their host code against PyTorch.
+//! Parts of the heads against PyTorch.
 
 use zipsplat::stages::heads::position_table;
 use zipsplat::types::{Camera, Intrinsics, Pose, relative_encoding};
@@ -71,7 +71,6 @@ fn transposed_convolutions() {
     }
 }
 
-/// Input of the camera encoder.
 #[test]
 fn relative_poses() {
     let Some(golden) = Golden::open("da3_tiny.v3_cameras.safetensors") else { return };
@@ -88,7 +87,7 @@ fn relative_poses() {
     assert_close("encoding", &found, &golden.f64("cam/prior_encoding"), Tolerance { max: 1e-6, rms: 5e-7 });
 }
 
-/// OpenCV's scaling: exact for averages, within a level for interpolation.
+/// Exact for averages, within a level for interpolation.
 #[test]
 fn photos_at_their_size() {
     let Some(golden) = Golden::open("da3_pre.safetensors") else { return };

@@ -14,7 +14,7 @@ fn tiny() -> DepthArchitecture {
     DepthArchitecture { gaussians: true, ..tiny }
 }
 
-/// Names and shapes of a released layout at a tiny size.
+/// At a tiny size.
 fn manifest(config: &str) -> Option<Vec<(String, Vec<usize>)>> {
     let manifest = golden::json(&format!("{config}.manifest.json"))?;
     let parameters = manifest["params"].as_object().expect("parameters");
@@ -22,7 +22,7 @@ fn manifest(config: &str) -> Option<Vec<(String, Vec<usize>)>> {
     Some(parameters.iter().map(|(name, of)| (name.clone(), shape(of))).collect())
 }
 
-/// Writes f32 tensors, with the values of `of` where it has them.
+/// In f32, with the values of `of` where it has them.
 fn write(path: &Path, tensors: &[(String, Vec<usize>)], of: Option<&DepthCheckpoint>) {
     let values = |(name, shape): &(String, Vec<usize>)| {
         let mut values = vec![0.0; shape.iter().product()];
@@ -36,7 +36,6 @@ fn write(path: &Path, tensors: &[(String, Vec<usize>)], of: Option<&DepthCheckpo
     safetensors::serialize_to_file(views, None, path).expect("a file");
 }
 
-/// A released layout has every parameter in the declared shape.
 #[test]
 fn released_layouts_are_read() {
     let Some(tensors) = manifest("da3_tiny") else { return };
@@ -54,7 +53,6 @@ fn released_layouts_are_read() {
         };
         assert!(values(&read) == values(&seeded), "{name}");
     }
-    // Only unused parameters of the file are ignored.
     let known = |name: &str| seeded.parameters().iter().any(|(other, _)| other == name);
     let unread: Vec<&String> = tensors.iter().map(|(name, _)| name).filter(|name| !known(name)).collect();
     assert!(unread.iter().all(|name| name.contains("_aux.")), "{unread:?}");
@@ -76,12 +74,11 @@ fn missing_and_foreign_tensors_are_named() {
         }
         other => panic!("{other:?}"),
     }
-    // A network of an unknown size.
     let error = DepthCheckpoint::open(&path, false).unwrap_err().to_string();
     assert!(error.contains("width 128") && error.contains("da3-base"), "{error}");
 }
 
-/// Shapes identify the network; two networks share a layout.
+/// Two networks share a layout.
 #[test]
 fn networks_are_told_by_their_shapes() {
     let folder = TempDir::new().unwrap();
@@ -99,7 +96,7 @@ fn networks_are_told_by_their_shapes() {
     }
 }
 
-/// Published numbers of parameters, in millions.
+/// In millions.
 #[test]
 fn networks_are_as_large_as_released() {
     let released = [
@@ -113,7 +110,6 @@ fn networks_are_as_large_as_released() {
         let parameters = DepthArchitecture::named(name).unwrap().parameters();
         let count: usize = parameters.iter().map(|(_, shape)| shape.iter().product::<usize>()).sum();
         let found = count as f64 / 1e6;
-        // Released files include unused parameters.
         assert!(
             found <= 1.02 * millions && found > 0.9 * millions,
             "{name}: {found} M parameters, released {millions} M"

@@ -1,4 +1,4 @@
-//! FLOPs of plans by stage, against PyTorch's (`tests/data/flops.md`).
+//! FLOPs by stage against PyTorch (`tests/data/flops.md`).
 
 use zipsplat::{
     gpu::{Limits, Profile, Recorder},
@@ -7,8 +7,7 @@ use zipsplat::{
     weights::{Architecture, VARIANTS},
 };
 
-/// Columns of the tables behind `Gaussians` (added where the engine merges them), and the engine's
-/// scope and kernel.
+/// Columns after `Gaussians`, and the engine's scope and kernel. The engine merges some columns.
 const COLUMNS: [(&[&str], &str, &str); 11] = [
     (&["bb_linear"], "backbone/embed", "ops/linear"),
     (&["bb_local_attn", "bb_global_attn"], "backbone/block", "ops/attention"),
@@ -23,7 +22,7 @@ const COLUMNS: [(&[&str], &str, &str); 11] = [
     (&["**total**"], "", ""),
 ];
 
-/// Rows of a variant's table with headings: numbers by column.
+/// Numbers by column.
 fn table(variant: &str) -> Vec<Vec<(String, String)>> {
     let text = include_str!("../data/flops.md");
     let (_, table) = text.split_once(&format!("## {variant} (TFLOPs)")).expect("a table of each variant");
@@ -39,7 +38,7 @@ fn number(row: &[(String, String)], column: &str) -> f64 {
     cell.replace([',', '*'], "").parse().unwrap_or_else(|_| panic!("{column}: {cell}"))
 }
 
-/// FLOPs of a scope and kernel. The backbone's linear layers are one row, except for its features.
+/// The backbone's linear layers are one row, except for its features.
 fn counted(profile: &Profile, scope: &str, kernel: &str) -> f64 {
     let inside =
         |found: &str| found.starts_with(scope) || scope == "backbone/embed" && found.starts_with("backbone/block");
@@ -47,8 +46,7 @@ fn counted(profile: &Profile, scope: &str, kernel: &str) -> f64 {
     rows.map(|row| row.flops as f64).sum()
 }
 
-/// 18 x 18 patches and a camera token pool to 9 x 9 keys and one in global blocks, 324 to 81 in
-/// fusion.
+/// 324 patches pool to 81 keys, plus a camera token in global blocks.
 #[test]
 fn pooled_keys_take_as_much_less() {
     let (limits, architecture) = (Limits::default(), Architecture::named("vits").expect("a variant"));

@@ -1,4 +1,4 @@
-//! The forward pass against PyTorch dumps, tap by tap, and its invariants.
+//! The forward pass against PyTorch, tap by tap, and its invariants.
 
 use std::collections::HashMap;
 use zipsplat::gpu::{Element, Run};
@@ -21,7 +21,6 @@ fn tap_tolerance(arithmetic: Arithmetic, key: &str) -> Tolerance {
     }
 }
 
-/// `in/camera` and `in/pose` of cases with priors.
 fn cameras(golden: &Golden) -> Option<Vec<Camera>> {
     golden.has("in/camera").then(|| {
         let (cameras, poses) = (golden.f64("in/camera"), golden.f64("in/pose"));
@@ -36,7 +35,6 @@ fn cameras(golden: &Golden) -> Option<Vec<Camera>> {
     })
 }
 
-/// Runs a request and returns all taps.
 fn observe(model: &Model, images: &[Image], request: &Request) -> (HashMap<String, Vec<f32>>, Run) {
     let shape = model.shape(images, request).unwrap();
     let (plan, tensors) = model.record(shape, true).unwrap();
@@ -48,7 +46,7 @@ fn observe(model: &Model, images: &[Image], request: &Request) -> (HashMap<Strin
     (taps, run)
 }
 
-/// Taps independent of the ratio, and the rest.
+/// Independent of the ratio, and the rest.
 fn tap_names(a: &Architecture) -> (Vec<String>, Vec<String>) {
     let layers = a.out_layers.len();
     let mut before: Vec<String> = ["bb/tokens0", "bb/alt_in", "bb/cam_token", "color/tokens"].map(String::from).into();
@@ -59,7 +57,7 @@ fn tap_names(a: &Architecture) -> (Vec<String>, Vec<String>) {
     (before, after)
 }
 
-/// Checks every tap with the golden's token choice, then, in f32, k-means.
+/// Uses the golden's tokens; checks k-means only in f32.
 fn check(file: &str, arithmetic: Arithmetic) {
     let Some(golden) = Golden::open(file) else { return };
     let config = file.split('.').next().expect("config.case");
@@ -87,7 +85,6 @@ fn check(file: &str, arithmetic: Arithmetic) {
         let scene =
             model.reconstruct(&images, &request, |_| std::ops::ControlFlow::Continue(())).unwrap().scene().unwrap();
         check_gaussians(&golden, &key("gauss"), &packed(&scene), &model, arithmetic);
-        // 16-bit deviation exceeds many tokens' margins.
         if ratio < 1.0 && arithmetic == Arithmetic::EXACT {
             check_clusters(&golden, &model, &images, Request { selection: Selection::KMEANS, ..request }, &prefix);
         }
@@ -95,7 +92,7 @@ fn check(file: &str, arithmetic: Arithmetic) {
     assert!(compared > 10, "{file}: only {compared} taps compared");
 }
 
-/// Packs a scene as `[n, width]`: means, scales, quats, opacity, SH coefficients.
+/// Means, scales, quats, opacity, SH coefficients.
 fn packed(scene: &Scene) -> Vec<f32> {
     let k = scene.sh_coeffs_per_gaussian();
     let gaussian = |i: usize| {
@@ -138,7 +135,7 @@ fn check_clusters(golden: &Golden, model: &Model, images: &[Image], request: Req
     assert_nearest(&key("nearest_idx"), &nearest, &golden.i64(&key("nearest_top2")), &golden.f32(&key("nearest_gap")));
 }
 
-/// Runs k-means to half of the tokens; returns assignment and representatives.
+/// Assignment and representatives of half of the tokens.
 fn clusters(config: &str, arithmetic: Arithmetic, images: &[Image]) -> [Vec<u32>; 2] {
     let model = model(config, arithmetic);
     let request = Request { ratio: Ratio::Fixed(0.5), ..Request::default() };
@@ -147,7 +144,6 @@ fn clusters(config: &str, arithmetic: Arithmetic, images: &[Image]) -> [Vec<u32>
     [indices("assign"), indices("nearest")]
 }
 
-/// k-means gives equal clusters and tokens on matrix units and on lanes.
 #[test]
 fn matrix_units_cluster_as_lanes() {
     for (config, file) in [("micro", "micro.v2.safetensors"), ("tiny_rect", "tiny_rect.v1.safetensors")] {
@@ -162,8 +158,7 @@ fn matrix_units_cluster_as_lanes() {
     }
 }
 
-/// Coarser factors may move tokens nearly equidistant from two centroids, except in clusters of
-/// two.
+/// Tokens nearly equidistant from two centroids may move, except in clusters of two.
 #[test]
 fn every_arithmetic_chooses_about_the_same_tokens() {
     for (config, file) in [("micro", "micro.v2.safetensors"), ("tiny_rect", "tiny_rect.v1.safetensors")] {
@@ -177,8 +172,8 @@ fn every_arithmetic_chooses_about_the_same_tokens() {
     }
 }
 
-/// Checks every golden of a configuration. Factors coarser than f16, and runs without matrix units,
-/// check one: the dispatches are the same.
+/// Factors coarser than f16, and runs without matrix units, check one golden: the dispatches are
+/// the same.
 fn check_all(config: &str, arithmetics: &[Arithmetic]) {
     let files = golden::list(&format!("{config}."));
     let files = files.iter().filter(|f| f.ends_with(".safetensors") && !f.contains(".weights."));
@@ -190,9 +185,8 @@ fn check_all(config: &str, arithmetics: &[Arithmetic]) {
     }
 }
 
-/// The embedded model, with and without cameras, all tokens and half, against our f64 PyTorch code
-/// (`tools/train/check.py dump`). Trained scales have a long tail: each limit is the table's or
-/// three times the deviation of PyTorch's f32.
+/// With and without cameras, all tokens and half, against `tools/train/check.py dump`. Limits are
+/// the table's or three times PyTorch's f32 deviation: trained scales have a long tail.
 #[test]
 fn embedded() {
     let golden = Golden::open("embedded.safetensors").expect("it is committed");
@@ -218,7 +212,7 @@ fn embedded() {
     }
 }
 
-/// Pooled keys against our f64 forward pass: 5 x 5 patches have smaller groups at the border.
+/// 5 x 5 patches have smaller groups at the border.
 #[test]
 fn pooled_keys() {
     let golden = Golden::committed("micro.v2_native.safetensors");
@@ -243,7 +237,6 @@ fn pooled_keys() {
     assert_eq!(refused.to_string(), "pool: found 5, expected 1 to 4, the side of a group");
 }
 
-/// Tests a configuration in every arithmetic.
 macro_rules! configurations {
     ($($exact:ident $fast:ident $config:literal),*) => { $(
         #[test]

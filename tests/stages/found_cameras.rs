@@ -1,4 +1,4 @@
-//! Cameras estimated from a scene of known depth, and the tokens' patches.
+//! Cameras estimated from a scene of known depth.
 
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use std::ops::ControlFlow;
@@ -12,7 +12,7 @@ use zipsplat_tests::{device::device, networks, scenes::camera};
 
 const GRID: ViewGrid = ViewGrid { views: 4, rows: 18, columns: 20, patch: 14 };
 
-/// Scenes: a wall, or a ball in front of a wall and a floor.
+/// A wall, or a ball before a wall and a floor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Place {
     Wall,
@@ -20,7 +20,6 @@ enum Place {
 }
 
 impl Place {
-    /// Returns the hit point of a ray.
     fn hit(self, from: DVec3, along: DVec3) -> DVec3 {
         let plane = |normal: DVec3, at: f64| Some((at - normal.dot(from)) / normal.dot(along)).filter(|t| *t > 0.0);
         let wall = plane(DVec3::new(0.3, 0.1, 1.0), 6.0);
@@ -33,7 +32,7 @@ impl Place {
     }
 }
 
-/// Cameras of 62 degrees; the first is the world frame.
+/// Of 62 degrees; the first is the world frame.
 fn cameras() -> Vec<Camera> {
     let [width, height] = [GRID.columns, GRID.rows].map(|count| (count * GRID.patch) as u32);
     let focal = 233.0;
@@ -53,7 +52,7 @@ fn cameras() -> Vec<Camera> {
     .to_vec()
 }
 
-/// Two Gaussians a token: one at its patch's center, one unseen.
+/// Two Gaussians per token: one at its patch's center, one unseen.
 fn decoded(place: Place, patches: &Patches) -> Scene {
     let cameras = cameras();
     let mut scene = Scene { sh_degree: 0, ..Scene::default() };
@@ -72,7 +71,7 @@ fn decoded(place: Place, patches: &Patches) -> Scene {
     scene
 }
 
-/// Median rotation error in degrees and median position error.
+/// Medians in degrees and distance.
 fn errors(found: &[FoundCamera]) -> [f64; 2] {
     let of = |(found, truth): (&FoundCamera, &Camera)| {
         let turn = DQuat::from_mat3(&(found.camera.pose.rotation.transpose() * truth.pose.rotation)).to_scaled_axis();
@@ -151,7 +150,6 @@ fn reconstruct(model: &Model, photos: &[Image], request: &Request) -> Reconstruc
     model.reconstruct(photos, request, |_| ControlFlow::Continue(())).expect("a scene")
 }
 
-/// Requesting the kept tokens gives the same scene.
 #[test]
 fn patches_are_those_of_the_tokens() {
     let model = networks::model_on(device(), "micro", zipsplat::ops::Arithmetic::EXACT);

@@ -1,4 +1,4 @@
-//! Gradients from pictures to tokens, and descent steps, against PyTorch.
+//! Gradients from pictures to tokens, and descent, against PyTorch.
 
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -44,7 +44,7 @@ fn load(checkpoint: &Checkpoint) -> (Head, Arc<Resident>) {
     (head, loaded.resident)
 }
 
-/// Compares taps `names` with the golden's keys below `stem`.
+/// Golden keys lie below `stem`.
 fn check_observed(golden: &Golden, run: &Run, stem: &str, names: &[(&str, f64)]) {
     for (name, tolerance) in names {
         let (_, tensor) =
@@ -100,7 +100,7 @@ fn raw_of(checkpoint: &Checkpoint, tokens: &[f64]) -> Vec<f64> {
     layer("1", &layer("0.fc2", &hidden))
 }
 
-/// 46 values a token of `pico` do not fill whole vectors.
+/// 46 values per token of `pico`.
 #[test]
 fn through_a_head_of_odd_width() {
     let checkpoint = Checkpoint::seeded_architecture(architectures::pico(), "pico").unwrap();
@@ -143,7 +143,6 @@ fn through_a_head_of_odd_width() {
     assert_close("d_tokens", &run.read::<f32>(d_tokens).unwrap(), &truth, rms(1e-5));
 }
 
-/// Descent of tokens on a picture loss, on one plan.
 struct Steps {
     run: Run,
     tokens: Tensor,
@@ -162,7 +161,6 @@ struct Inputs {
     targets: Tensor,
 }
 
-/// Records pictures, their loss and its gradient by the tokens.
 fn record_gradient(
     rec: &mut Recorder,
     head: &Head,
@@ -235,7 +233,7 @@ impl Steps {
         Self { run, tokens, schedule, losses: losses.value, frames, status }
     }
 
-    /// Makes step `step`, from 1, and returns the loss before it.
+    /// Counts from 1; returns the loss before.
     fn step(&mut self, step: u32, rate: f32) -> f64 {
         self.run.write(self.schedule, &Adam::default().schedule(rate, step)).unwrap();
         self.run.execute().unwrap();
@@ -261,7 +259,7 @@ fn from_pictures_to_tokens() {
     }
 }
 
-/// Checks 20 steps: every loss, and some tokens relative to their change.
+/// Every loss of 20 steps, and some tokens relative to their change.
 fn check_steps(golden: &Golden, stem: &str, mut steps: Steps, rate: f32, [of_loss, of_change]: [f64; 2]) {
     let (start, key) = (golden.f64("tokens"), |name: &str| format!("{stem}/{name}"));
     let change = |tokens: Vec<f64>| tokens.iter().zip(&start).map(|(a, b)| a - b).collect::<Vec<f64>>();

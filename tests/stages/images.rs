@@ -35,7 +35,7 @@ fn dynamic(image: &Image) -> DynamicImage {
     DynamicImage::ImageRgb8(image::RgbImage::from_vec(image.width, image.height, image.rgb.clone()).unwrap())
 }
 
-/// Opens bytes under a name without an extension.
+/// Under a name without extension.
 fn open(bytes: &[u8]) -> Result<Image, Error> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("photo");
@@ -80,7 +80,7 @@ fn preprocessing_matches_every_golden() {
     }
 }
 
-/// Another summation order flips some values by one, in f32 as in f64 (FORMAT.md, 6).
+/// Summation order flips some values by one, in f32 as in f64 (FORMAT.md, 6).
 #[test]
 fn bilinear_matches_every_golden() {
     let Some(truth) = Golden::open("preproc.safetensors") else { return };
@@ -99,7 +99,6 @@ fn bilinear_matches_every_golden() {
     }
 }
 
-/// Normalized triangle weights, as wide as an output pixel.
 #[test]
 fn bilinear_is_that_of_f64() {
     let photo = noise(38, 27);
@@ -125,7 +124,7 @@ fn bilinear_is_that_of_f64() {
 fn a_pass_whose_size_matches_changes_nothing() {
     let photo = noise(60, 40);
     assert_eq!(resize_lanczos(&photo, 60, 40).unwrap(), photo);
-    // At equal width, columns are filtered independently.
+    // Columns are filtered independently.
     let column = photo.crop(7, 0, 1, 40).unwrap();
     let (all, one) = (resize_lanczos(&photo, 60, 25).unwrap(), resize_lanczos(&column, 1, 25).unwrap());
     assert_eq!(all.crop(7, 0, 1, 25).unwrap(), one);
@@ -145,7 +144,7 @@ fn rectangular_views_keep_the_aspect_ratio_and_their_intrinsics() {
         assert!((mapped.cy - f64::from(height) / 2.0).abs() <= 0.5 * scale.max(1.0) + 1e-9, "{mapped:?}");
         let uneven = mapped.fx / mapped.fy * lens.fy / lens.fx;
         assert!((uneven - 1.0).abs() < 0.05, "{uneven}");
-        // The same lens at half the resolution.
+        // At half the resolution.
         let half = Intrinsics { width: 320, height: 214, fx: 250.0, fy: 255.0 * 428.0 / 427.0, cx: 160.0, cy: 107.0 };
         let from_half = view.map.apply(&half, "half").unwrap();
         assert!((from_half.fx - mapped.fx).abs() < 1e-9 && (from_half.cy - mapped.cy).abs() < 1e-9);
@@ -158,7 +157,6 @@ fn rectangular_views_keep_the_aspect_ratio_and_their_intrinsics() {
     }
 }
 
-/// Color of the environment in a direction.
 fn color(direction: DVec3) -> [f64; 3] {
     let d = direction.normalize();
     [d.x, d.y, d.x * d.y].map(|value| 127.5 + 110.0 * (3.0 * value).sin())
@@ -200,7 +198,6 @@ fn squares_show_what_their_cameras_see() {
                     assert!(apart < 4.0, "{apart} levels at ({x}, {y}) of a square of {width}x{height}");
                 }
             }
-            // Photo pixels inside the square.
             for (x, y) in (0..height).flat_map(|y| (0..width).map(move |x| (x, y))) {
                 let d = view.pose.rotation.transpose() * pose.rotation * ray(&intrinsics, x, y);
                 let i = &view.intrinsics;
@@ -234,7 +231,7 @@ fn exif_orientations_are_applied() {
     for orientation in 1..=8u8 {
         let bytes = with_orientation(&jpeg, orientation);
         let upright = open(&bytes).unwrap();
-        // EXIF 2.3, tag 0x0112: sides of row 0 and column 0.
+        // EXIF 2.3, tag 0x0112.
         let stored_from_seen = |x: u32, y: u32| match orientation {
             1 => (x, y),
             2 => (right - x, y),
@@ -257,7 +254,6 @@ fn exif_orientations_are_applied() {
         assert_eq!(Image::size(file.path()).unwrap(), expected_size);
         assert_eq!(Image::open_as_stored(file.path()).unwrap(), stored, "as COLMAP sees it");
         assert_eq!(Image::size_as_stored(file.path()).unwrap(), (width, height));
-        // A camera and its point turn with the photo.
         let lens = |(width, height)| Intrinsics { width, height, fx: 40.0, fy: 43.0, cx: 21.0, cy: 17.0 };
         let pose = Pose { rotation: DMat3::from_rotation_y(0.4), translation: DVec3::new(1.0, 2.0, 3.0) };
         let seen = Camera { intrinsics: lens(expected_size), pose };

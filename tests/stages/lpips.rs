@@ -1,4 +1,4 @@
-//! LPIPS: random weights against the reference, real ones, if present, against goldens.
+//! LPIPS: random weights against f64, real ones, if present, against goldens.
 
 use std::collections::HashMap;
 use std::ops::ControlFlow;
@@ -68,14 +68,14 @@ fn weights(network: LpipsNetwork) -> HashMap<String, Vec<f32>> {
     found
 }
 
-/// Two pictures `[height][width][rgb]` with values beyond 0..1.
+/// Values beyond 0..1.
 struct Pair {
     a: Vec<f32>,
     b: Vec<f32>,
     size: [usize; 2],
 }
 
-/// Distance, its parts, and the gradient by the first picture, or ones.
+/// The gradient is by the first picture.
 struct Found {
     value: f32,
     layers: Vec<f32>,
@@ -160,7 +160,7 @@ fn equals_the_reference() {
             assert_same(&format!("{name} without gradient"), &plain.layers, &found.layers);
             assert!(plain.d_a.iter().all(|x| *x == 1.0));
 
-            // A step small enough that rectifiers and pools rarely switch.
+            // Rectifiers and pools rarely switch.
             let direction = widen(&random(8, a.len()));
             let moved = |step: f64| {
                 let moved: Vec<f64> = a.iter().zip(&direction).map(|(a, d)| a + step * d).collect();
@@ -219,7 +219,7 @@ fn equal_pictures_are_at_no_distance() {
 
 #[test]
 fn parts_give_the_same_bits() {
-    // Features of the first layer take 4.3 MB, a weight 3.5.
+    // The first layer's features take 4.3 MB, a weight 3.5.
     let narrow = Limits { max_binding_bytes: 4 << 20, ..device().limits().clone() };
     let (network, pair) = (LpipsNetwork::Alex, Pair::random([520, 524]));
     let weights = weights(network);

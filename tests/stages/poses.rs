@@ -1,4 +1,4 @@
-//! Camera files: transforms.json and COLMAP models.
+//! Camera files.
 
 mod colmap;
 mod lens;
@@ -15,7 +15,7 @@ use zipsplat::types::{Camera, Image, Intrinsics, Orbit, Pose};
 
 const LENS: Intrinsics = Intrinsics { width: 64, height: 48, fx: 70.0, fy: 71.5, cx: 31.25, cy: 24.5 };
 
-/// Cameras in general position, and their photos' names.
+/// In general position, with photo names.
 fn cameras() -> (Vec<Camera>, Vec<String>) {
     let orbit = Orbit { center: DVec3::new(0.5, -1.0, 7.0), radius: 3.0 };
     let tilt = orbit.pose(20.0, 40.0);
@@ -52,7 +52,7 @@ fn assert_format_error(path: &Path, parts: &[&str]) {
     }
 }
 
-/// A folder with photos and a `transforms.json` edited by `change`.
+/// `change` edits transforms.json.
 fn capture(change: impl FnOnce(&mut Value)) -> (tempfile::TempDir, PathBuf) {
     let (cameras, names) = cameras();
     let folder = tempfile::tempdir().unwrap();
@@ -78,7 +78,7 @@ fn transforms_survive_a_file() {
     let (folder, path) = capture(|_| ());
     assert_same_cameras(&of(&read_poses(&path).unwrap()), &cameras);
     assert_same_cameras(&of(&read_poses(folder.path()).unwrap()), &cameras);
-    // OpenGL axes: y up, z backward.
+    // y up, z backward.
     let json: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
     let up = json["frames"][0]["transform_matrix"][1][1].as_f64().unwrap();
     assert_eq!(up, -cameras[0].pose.rotation.y_axis.y);
@@ -98,7 +98,7 @@ fn intrinsics_come_from_angles_frames_and_photos() {
     let (truth, names) = cameras();
     let angle = 2.0 * (f64::from(LENS.width) / (2.0 * LENS.fx)).atan();
     let centred = Intrinsics { fy: LENS.fx, cx: 32.0, cy: 24.0, ..LENS };
-    // NeRF's synthetic scenes: an angle, no size, names without extension.
+    // NeRF's synthetic scenes.
     let (folder, path) = capture(|json| {
         let frames = json["frames"].as_array().unwrap().clone();
         *json = json!({"camera_angle_x": angle, "frames": frames});
@@ -117,7 +117,7 @@ fn intrinsics_come_from_angles_frames_and_photos() {
         assert_eq!(found, centred);
         assert_eq!(frame.photo.as_deref().and_then(Path::file_name), Path::new(name).file_name());
     }
-    // Photos match without extension, in the caller's order.
+    // Without extension, in the caller's order.
     let photos: Vec<PathBuf> = names[..5].iter().rev().map(|name| folder.path().join(name)).collect();
     let matched = poses.for_photos(&photos).unwrap();
     for (i, (found, truth)) in matched.iter().zip(truth[..5].iter().rev()).enumerate() {
@@ -208,13 +208,12 @@ fn captures_have_sound_cameras() {
         for (i, camera) in cameras.iter().enumerate() {
             camera.validate(&format!("{} {i}", folder.display())).unwrap();
             assert_eq!((camera.intrinsics.width, camera.intrinsics.height), size);
-            // The center is the matrix's last column in any axes.
+            // The matrix's last column in any axes.
             let rows = &json["frames"][i]["transform_matrix"];
             let center = DVec3::from_array([0, 1, 2].map(|row: usize| rows[row][3].as_f64().unwrap()));
             assert_eq!(camera.pose.translation, center);
             assert!(camera.view_matrix().transform_point3(center).length() < 1e-9 * (1.0 + center.length()));
         }
-        // Points triangulated from the photos lie in front of the cameras.
         let points = points(&folder.join("points.ply"));
         let in_view = |camera: &Camera| {
             let view = camera.view_matrix();
@@ -234,7 +233,7 @@ fn projects_inside(lens: &Intrinsics, view: DMat4, point: DVec3) -> bool {
         && (0.0..=f64::from(lens.height)).contains(&pixel.y)
 }
 
-/// Reads points: 3 floats, 3 bytes, a float and a short.
+/// 3 floats, 3 bytes, a float and a short.
 fn points(path: &Path) -> Vec<DVec3> {
     let bytes = fs::read(path).unwrap();
     let end = bytes.windows(11).position(|window| window == b"end_header\n").unwrap() + 11;

@@ -1,4 +1,4 @@
-//! Cameras from rays and a decoder's values, against the truth and PyTorch's.
+//! Cameras from rays and from the decoder.
 
 use glam::{DMat3, DVec3};
 use zipsplat::cameras::{RayMap, decoded_camera};
@@ -23,15 +23,13 @@ fn matrix(values: &[f64]) -> DMat3 {
     DMat3::from_cols_slice(values).transpose()
 }
 
-/// Angle between two rotations in degrees.
 fn degrees(a: DMat3, b: DMat3) -> f64 {
     let turn = a * b.transpose();
     let skew = DVec3::new(turn.y_axis.z - turn.z_axis.y, turn.z_axis.x - turn.x_axis.z, turn.x_axis.y - turn.y_axis.x);
     (skew.length() / 2.0).atan2((turn.x_axis.x + turn.y_axis.y + turn.z_axis.z - 1.0) / 2.0).to_degrees()
 }
 
-/// Exact rays give the exact camera, also with a far principal point. Noisy ones with outliers stay
-/// within a third of a degree.
+/// Exact, also with a far principal point; with noise and outliers within a third of a degree.
 #[test]
 fn rays_give_their_camera() {
     let Some(golden) = Golden::open("da3_rays.safetensors") else { return };

@@ -1,4 +1,4 @@
-//! The f64 references reproduce the PyTorch dumps to their stored precision.
+//! The f64 references reproduce PyTorch.
 
 use zipsplat_tests::compare::{
     ImageTolerance, Picture, Tolerance, assert_as_near, assert_close, assert_gaussians_within, assert_images_close,
@@ -65,7 +65,7 @@ fn rotary_positions() {
     let golden = Golden::committed("geometry.safetensors");
     let positions: Vec<[f64; 2]> = golden.i64("rope/pos").chunks(2).map(|p| [p[0] as f64, p[1] as f64]).collect();
     for head_dim in [16, 32, 64] {
-        // Stored [1, heads, tokens, head_dim].
+        // [1, heads, tokens, head_dim].
         let q = golden.f64(&format!("rope/q{head_dim}"));
         let heads = q.chunks(positions.len() * head_dim);
         let got: Vec<f64> = heads.flat_map(|head| rope::rope(head, &positions, head_dim)).collect();
@@ -130,7 +130,7 @@ fn clusters() {
 fn spherical_harmonics() {
     let direction = glam::DVec3::new(0.3, -0.8, 0.4).normalize();
     let [x, y, z] = direction.to_array();
-    // SH polynomials of 3D Gaussian splatting, with its signs.
+    // With the signs of 3D Gaussian splatting.
     let truth = [
         0.28209479177387814,
         -0.4886025119029199 * y,
@@ -152,7 +152,7 @@ fn spherical_harmonics() {
     assert_close("basis", &sh::basis(3, direction), &truth, Tolerance { max: 1e-14, rms: 1e-14 });
 }
 
-/// Scenes of `raster.*`; large ones if present.
+/// Large ones if present.
 const SCENES: [&str; 6] = ["single", "opaque_stack", "rand50", "edge", "offcentre", "sh2000"];
 
 fn scene(golden: &Golden) -> (Gaussians, Vec<Camera>) {
@@ -182,7 +182,7 @@ fn projections() {
             let name = |field: &str| format!("{} {mode} {field}", golden.file());
             let ok: Vec<u8> = splats.iter().map(|splat| u8::from(splat.is_some())).collect();
             assert_same(&name("ok"), &ok, &golden.u8(&key("ok")));
-            // Relative by value: a picture spans many magnitudes.
+            // A picture spans many magnitudes.
             let compare = |field: &str, got: &dyn Fn(&Splat) -> Vec<f64>, width: usize| {
                 let truth = golden.f64(&key(field));
                 for (i, (splat, truth)) in splats.iter().zip(truth.chunks(width)).enumerate() {
@@ -272,7 +272,6 @@ fn forward_small() {
     forward_passes("small", &["small.v2"]);
 }
 
-/// Runs the model on the available cases and compares every tap.
 fn forward_passes(config: &str, cases: &[&str]) {
     let Some(manifest) = zipsplat_tests::golden::json(&format!("{config}.manifest.json")) else { return };
     let model = Model::generated(config, &manifest);
@@ -299,7 +298,6 @@ fn forward_pass(model: &Model, golden: &Golden) {
     assert_eq!(compared, taps.count(), "{}: every tap is compared", golden.file());
 }
 
-/// Compares the golden's taps; returns their number.
 fn compare_taps(golden: &Golden, prefix: &str, taps: &forward::Taps) -> usize {
     let mut compared = 0;
     for (name, values) in taps {

@@ -1,4 +1,4 @@
-//! Refinement: disturbed Gaussians converge to the photos; early stops.
+//! Refinement.
 
 use glam::{DMat3, DQuat, DVec3};
 use std::ops::ControlFlow;
@@ -33,7 +33,6 @@ fn photos_of(scene: &Scene, cameras: &[Camera]) -> Vec<Image> {
     frames.into_iter().map(photo).collect()
 }
 
-/// Disturbs positions, sizes and colors.
 fn moved(scene: &Scene) -> Scene {
     let mut scene = scene.clone();
     let shift = |i: usize| 0.1 * (i as f32 * 2.4).sin();
@@ -111,7 +110,7 @@ fn scenes_are_shown_on_the_way() {
     let refined = refine_scene(&Arena::new(device()), &moved(&scene), &photos, &cameras, &request, progress).unwrap();
     assert_eq!(shown.iter().map(|(step, _)| *step).collect::<Vec<_>>(), [3, 6]);
     assert_ne!(shown[0].1, shown[1].1);
-    // The state after that many steps, not the final checkpoint.
+    // Not the final checkpoint.
     assert_ne!(shown[1].1, refined.scene);
     let unseen = refine(&moved(&scene), &photos, &cameras, &Refine { show: None, ..request });
     assert_eq!(unseen.scene, refined.scene);
@@ -121,7 +120,7 @@ fn scenes_are_shown_on_the_way() {
 fn a_loss_that_grows_ends_with_the_last_good_scene() {
     let cameras = cameras(2);
     let (scene, photos) = photos(&cameras);
-    // Too large: the first step already makes the scene worse.
+    // Too large: the first step makes the scene worse.
     let rates = Rates { means: 10.0, ..Rates::default() };
     let request = Refine { steps: 20, views_per_step: 2, rates, ..Refine::default() };
     let refined = refine(&scene, &photos, &cameras, &request);
@@ -150,8 +149,7 @@ fn what_cannot_be_refined_is_refused() {
     assert!(error(&scene, 2, &Refine { hold_out: Some(2), ..Refine::default() }).contains("held-out"));
 }
 
-/// Disturbs all cameras but the first and `held` by a degree and 1 % of the scene's distance of
-/// about 3.5.
+/// By a degree and 1 % of the scene's distance of about 3.5, except the first and `held`.
 fn disturbed(cameras: &[Camera], held: usize) -> Vec<Camera> {
     let disturb = |(i, camera): (usize, &Camera)| {
         let direction = |k: f64| DVec3::new((k * 2.4).sin(), (k * 1.7).cos(), (k * 0.9).sin()).normalize();
@@ -163,7 +161,7 @@ fn disturbed(cameras: &[Camera], held: usize) -> Vec<Camera> {
     cameras.iter().enumerate().map(disturb).collect()
 }
 
-/// Mean angle in degrees and distance between cameras.
+/// Means in degrees and distance.
 fn distance(found: &[Camera], truth: &[Camera]) -> [f64; 2] {
     let errors: Vec<Pose> = found.iter().zip(truth).map(|(a, b)| a.pose.relative_to(&b.pose)).collect();
     let mean = |of: fn(&Pose) -> f64| errors.iter().map(of).sum::<f64>() / errors.len() as f64;
@@ -217,7 +215,7 @@ fn a_scene_with_a_tenth_of_its_gaussians_grows() {
     assert!(again.scene == grown.scene && again.losses == grown.losses);
 }
 
-/// A scene's picture and a photo in 0..1, `[height][width][rgb]`.
+/// 0..1, `[height][width][rgb]`.
 fn pair(scene: &Scene, camera: &Camera, photo: &Image) -> [Vec<f32>; 2] {
     let frame = Renderer::new(device()).render(scene, &[*camera], &RenderRequest::default()).unwrap().remove(0);
     let drawn = frame.rgb.unwrap().into_iter().map(|value| value.clamp(0.0, 1.0)).collect();
@@ -247,11 +245,10 @@ fn lpips_is_a_share_of_the_loss_where_asked() {
         refine(&start, &photos, &cameras, &request)
     };
     let look = |weight: f32| Some(Look { weight, network });
-    // The first loss precedes the first step.
     let [plain, looked] = [with(None, 1), with(look(0.5), 1)].map(|refined| f64::from(refined.losses[0]));
     let expected = plain + 0.5 * distance(&start);
     assert!((looked - expected).abs() < 1e-4 * expected, "{looked}, expected {expected}");
-    // The first step follows signs alone, so only the term's own gradient reduces it this much.
+    // The first step follows signs alone: only the term's own gradient reduces it this much.
     let [plain, looked] = [None, look(1e3)].map(|look| distance(&start) - distance(&with(look, 1).scene));
     assert!(looked > 0.0 && looked > 1.05 * plain, "nearer by {looked} with, {plain} without");
     assert_eq!(with(look(0.0), 3).losses, with(None, 3).losses, "a share of 0 changes nothing");

@@ -21,7 +21,7 @@ fn packed(scene: &Scene) -> Vec<f32> {
     (0..scene.len()).flat_map(row).collect()
 }
 
-/// Gaussians within the range of files.
+/// Within the range of files.
 fn scene(count: usize, sh_degree: u32) -> Scene {
     let width = 11 + 3 * (sh_degree as usize + 1).pow(2);
     let unit = |i: usize| ((i as u32).wrapping_mul(2_654_435_761) >> 8) as f32 / (1 << 24) as f32;
@@ -42,13 +42,12 @@ fn assert_round_trip(name: &str, found: &Scene, truth: &Scene) {
         (&truth.means, &truth.quats, &truth.sh_coeffs),
         "{name}"
     );
-    // f32 logarithms up to 14 are off by 1e-6, a relative error of the value.
+    // f32 logarithms up to 14 are off by 1e-6.
     let tolerance = Tolerance { max: 3e-6, rms: 1e-6 };
     assert_close(name, found.scales.as_flattened(), truth.scales.as_flattened(), tolerance);
     assert_close(name, &found.opacities, &truth.opacities, tolerance);
 }
 
-/// Reads bytes as `scene.ply`.
 fn read(bytes: &[u8]) -> Result<Scene, Error> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.ply");
@@ -70,8 +69,7 @@ fn written(scene: &Scene) -> Vec<u8> {
     fs::read(&path).unwrap()
 }
 
-/// Asserts equal bytes up to an ulp of log scales: PyTorch's vectorized logarithm is not correctly
-/// rounded.
+/// Up to an ulp of log scales: PyTorch's vectorized logarithm is not correctly rounded.
 #[track_caller]
 fn assert_same_but_for_logarithms(name: &str, found: &[u8], truth: &[u8]) {
     let body = header_len(truth);
@@ -106,7 +104,7 @@ fn files_are_the_references_byte_for_byte() {
         let truth = fs::read(&path).unwrap();
         assert_same_but_for_logarithms(&format!("degree {degree}"), &written(&scene), &truth);
 
-        // Values outside the file's range are clamped.
+        // Outside the file's range.
         let mut clamped = scene.clone();
         clamped.opacities.iter_mut().for_each(|opacity| *opacity = opacity.clamp(1e-6, 1.0 - 1e-6));
         clamped.scales.iter_mut().flatten().for_each(|scale| *scale = scale.max(1e-6));
@@ -140,7 +138,7 @@ fn scenes_survive_a_file() {
     }
 }
 
-/// Rewrites a PLY with its properties (type, name) in another order.
+/// Properties (type, name) in another order.
 fn rewritten(
     scene: &Scene,
     format: &str,

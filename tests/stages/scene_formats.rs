@@ -1,4 +1,4 @@
-//! Scene formats: round trips, foreign files, damage.
+//! Scene formats: round trips and damage.
 
 mod foreign;
 mod gltf;
@@ -18,8 +18,7 @@ use zipsplat_tests::scenes;
 
 use flate2::{Compression, read::GzDecoder, write::GzEncoder};
 
-/// A scene of corner cases: rotations of every largest component, sign and length; opaque and
-/// transparent Gaussians.
+/// Rotations of every largest component, sign and length; opaque and transparent Gaussians.
 fn scene(sh_degree: u32) -> Scene {
     let mut scene = scenes::random_scene(400, sh_degree, 0.1);
     for (i, quat) in scene.quats.iter_mut().enumerate() {
@@ -40,7 +39,6 @@ fn round_trip(scene: &Scene, name: &str, options: &WriteOptions) -> Scene {
     read_scene(folder.path().join(name)).unwrap()
 }
 
-/// Returns the error of reading `bytes` as `name`.
 fn failure(name: &str, bytes: &[u8]) -> String {
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join(name), bytes).unwrap();
@@ -57,7 +55,7 @@ fn assert_within(name: &str, found: &[f32], truth: &[f32], bound: impl Fn(f32) -
     }
 }
 
-/// Compares rotation matrices within `bound` an entry.
+/// `bound` per entry.
 #[track_caller]
 fn assert_rotations(found: &[[f32; 4]], truth: &[[f32; 4]], bound: f64) {
     assert_eq!(found.len(), truth.len());
@@ -67,7 +65,6 @@ fn assert_rotations(found: &[[f32; 4]], truth: &[[f32; 4]], bound: f64) {
     }
 }
 
-/// Coefficient `k` of every Gaussian.
 fn coefficient(scene: &Scene, k: usize) -> Vec<f32> {
     scene.sh_coeffs.iter().skip(k).step_by(scene.sh_coeffs_per_gaussian()).flatten().copied().collect()
 }
@@ -88,8 +85,8 @@ fn assert_spz(found: &Scene, truth: &Scene, version: u32, fractional_bits: i32) 
         assert_within(&format!("sh {k}"), &coefficient(found, k), &coefficient(truth, k), |_| levels / 128.0);
     }
     // A matrix entry has four times a component's error. Version 3: half a step of sqrt(1/2) / 511
-    // on three components, and their effect on the largest, at least 1/2. Version 2 derives w from
-    // x, y and z: 1/255 on each becomes up to sqrt(2 * sqrt(3) / 255) at small w.
+    // on three components, and their effect on the largest, at least 1/2. Version 2 derives w:
+    // 1/255 on x, y and z becomes up to sqrt(2 * sqrt(3) / 255) at small w.
     assert_rotations(&found.quats, &truth.quats, if version == 2 { 0.5 } else { 0.01 });
 }
 
@@ -103,7 +100,7 @@ fn spz_keeps_what_its_grids_resolve() {
     }
 }
 
-/// Large sections are compressed in parts of one stream.
+/// Compressed in parts of one stream.
 #[test]
 fn spz_of_many_gaussians_is_one_stream() {
     let truth = scenes::random_scene(120_000, 0, 0.1);
@@ -146,7 +143,6 @@ fn splat_keeps_one_color_most_important_first() {
     let found = round_trip(&truth, "scene.splat", &WriteOptions::default());
     let weight = |scene: &Scene, i: usize| scene.scales[i].iter().product::<f32>() * scene.opacities[i];
     assert!((1..found.len()).all(|i| weight(&found, i - 1) >= 0.99 * weight(&found, i) - 1.0 / 255.0));
-    // Exact means identify the Gaussians.
     let place = |mean: &[f32; 3]| truth.means.iter().position(|truth| truth == mean).expect("a mean of the scene");
     let order: Vec<usize> = found.means.iter().map(place).collect();
     let importance: Vec<f32> = order.iter().map(|&i| weight(&truth, i)).collect();
@@ -190,7 +186,6 @@ fn formats_are_told_apart() {
     assert!(matches!(read_scene(path("none.spz")), Err(Error::Io { .. })));
 }
 
-/// Memory and files hold the same bytes.
 #[test]
 fn bytes_in_memory_are_what_files_have() {
     let folder = tempfile::tempdir().unwrap();
@@ -223,7 +218,6 @@ fn gzip(bytes: &[u8]) -> Vec<u8> {
     out.finish().unwrap()
 }
 
-/// An SPZ and its inflated content.
 fn spz() -> (Vec<u8>, Vec<u8>) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.spz");
@@ -274,7 +268,6 @@ fn an_spz_of_more_gaussians_than_its_bytes_hold_is_refused() {
     out.write_all(&bomb).unwrap();
     let error = failure("scene.spz", &out.finish().unwrap());
     assert!(error.contains("50000000 Gaussians, which are more than"), "{error}");
-    // Equal Gaussians compress well.
     let mut alike = scenes::random_scene(1, 0, 0.1);
     for _ in 0..18 {
         alike = Scene {
@@ -343,7 +336,7 @@ fn files_say_which_world_a_scene_is_in() {
         };
         assert!(found.matrix().abs_diff_eq(pose.matrix(), 1e-15), "{name}: {found:?}, not {pose:?}");
         assert_eq!(said(None), None, "{name}");
-        // A line break would end a PLY's comment.
+        // A line break would end the comment.
         assert_eq!(said(Some(&Origin::Photo("a\nelement vertex 9".into()).into())), None, "{name}");
         assert_eq!(read_scene(&path).unwrap().len(), scene(1).len(), "{name}");
     }

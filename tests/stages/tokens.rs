@@ -1,4 +1,4 @@
-//! Refinement of tokens through the frozen head: falling losses, equal bits, rejected input.
+//! Refinement of tokens through the frozen head.
 
 use std::ops::ControlFlow;
 use zipsplat::gpu::Arena;
@@ -54,7 +54,7 @@ fn tokens_become_the_photos() {
     let (model, head) = network();
     for unit in [1.0, 0.5] {
         let tokens = tokens(&model, unit);
-        // Without steps, the network's Gaussians, up to the order of sums.
+        // Up to the order of sums.
         let none = refine(&head, &tokens, &Refine { steps: 0, ..Refine::default() });
         let request = Request { unit, ..Request::default() };
         let made = model.reconstruct(&photos().0, &request, |_| ControlFlow::Continue(())).unwrap().scene().unwrap();

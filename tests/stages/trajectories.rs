@@ -9,7 +9,6 @@ use zipsplat::types::{Camera, Dolly, Ellipse, Intrinsics, Pose, Spline};
 
 const LENS: Intrinsics = Intrinsics { width: 64, height: 48, fx: 50.0, fy: 52.0, cx: 31.0, cy: 25.0 };
 
-/// Cameras of uneven steps, rotations and lenses.
 fn uneven(count: usize) -> Vec<Camera> {
     let camera = |i: usize| {
         let t = i as f64;
@@ -21,7 +20,7 @@ fn uneven(count: usize) -> Vec<Camera> {
     (0..count).map(camera).collect()
 }
 
-/// A camera on an ellipse in the plane y = -1, looking at `target`.
+/// In the plane y = -1, looking at `target`.
 fn around(angle: f64, radii: [f64; 2], target: DVec3) -> Camera {
     let translation = DVec3::new(radii[0] * angle.cos(), -1.0, radii[1] * angle.sin()) + DVec3::new(3.0, 0.0, 5.0);
     let forward = (target - translation).normalize();
@@ -36,7 +35,6 @@ fn assert_rotation(rotation: DMat3) {
     assert!(rotation.determinant() > 0.0, "{rotation}");
 }
 
-/// Largest difference of two cameras in any number.
 fn difference(a: &Camera, b: &Camera) -> f64 {
     let lens = |c: &Camera| [c.intrinsics.fx, c.intrinsics.fy, c.intrinsics.cx, c.intrinsics.cy];
     let numbers = |c: &Camera| [&c.pose.matrix().to_cols_array()[..], &lens(c)].concat();
@@ -70,7 +68,7 @@ fn splines_pass_their_cameras_smoothly() {
     }
 }
 
-/// Velocity is continuous at cameras, in the time that `sample` divides equally.
+/// `sample` divides the time equally.
 #[test]
 fn velocity_does_not_jump() {
     let frames = Spline::through(&uneven(6), true).unwrap().sample(100_000);
@@ -112,7 +110,7 @@ fn splines_of_cameras_in_one_place_turn() {
     assert_eq!(single.sample(3), [cameras[1]; 3]);
 }
 
-/// COLMAP's rotations and centers of tests/data/bananas: few, far apart, the last far back.
+/// COLMAP's, of tests/data/bananas: few, far apart, the last far back.
 const BANANAS: [([f64; 4], [f64; 3]); 7] = [
     ([0.9071, 0.0451, 0.3568, 0.2188], [-2.374, 0.511, -0.254]),
     ([0.8860, 0.0388, 0.3972, 0.2361], [-3.143, -0.100, 0.861]),
@@ -123,8 +121,8 @@ const BANANAS: [([f64; 4], [f64; 3]); 7] = [
     ([0.8447, 0.0220, 0.4239, 0.3260], [-2.560, -1.053, 2.495]),
 ];
 
-/// The path stays within 3 % of the cameras' extent around their box, and views the bananas within
-/// a degree of the cameras' own offsets.
+/// Within 3 % of the cameras' extent around their box; views the bananas within a degree of the
+/// cameras' own offsets.
 #[test]
 fn splines_through_few_cameras_stay_at_the_scene() {
     let camera = |([w, x, y, z], at): ([f64; 4], [f64; 3])| {
@@ -203,7 +201,7 @@ fn ellipses_look_where_their_cameras_do() {
     assert!(ellipse.outward);
     let frame = ellipse.pose(1.0);
     assert!(frame.rotation.z_axis.dot(frame.translation - ellipse.center) > 0.0);
-    // Parallel axes do not meet, so the path looks at the given center, back and forth.
+    // Parallel axes do not meet.
     let row = [-1.0, 0.0, 1.0].map(|x| {
         let pose = Pose { translation: DVec3::new(x, 0.0, 0.0), ..Pose::IDENTITY };
         Camera { intrinsics: LENS, pose }
@@ -241,7 +239,7 @@ fn dollies_move_along_the_view_and_zoom_against_it() {
     }
 }
 
-/// Square pixels and a centered principal point, which every format supports.
+/// Supported by every format.
 fn plain() -> Vec<Camera> {
     let lens = |focal: f64| Intrinsics { fx: focal, fy: focal, cx: 32.0, cy: 24.0, ..LENS };
     uneven(4).iter().map(|camera| Camera { intrinsics: lens(camera.intrinsics.fx), ..*camera }).collect()
@@ -281,7 +279,7 @@ fn every_format_gives_the_same_cameras() {
     let transforms: Vec<Camera> = read_cameras(&path, &LENS).unwrap().frames.iter().map(|f| f.camera).collect();
     assert_cameras(&transforms, &cameras);
 
-    // nerfstudio's OpenGL axes: x right, y up, z backward.
+    // x right, y up, z backward.
     let opengl = glam::DMat4::from_diagonal([1.0, -1.0, -1.0, 1.0].into());
     let frame = |camera: &Camera| {
         let fov = 2.0 * (24.0 / camera.intrinsics.fy).atan().to_degrees();

@@ -21,7 +21,6 @@ fn data(name: &str) -> Value {
     serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()
 }
 
-/// A large golden, if present.
 fn shared(name: &str) -> Option<PathBuf> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/golden/data").join(name);
     if !path.exists() {
@@ -52,7 +51,6 @@ fn pico_weights() -> Checkpoint {
     Checkpoint::seeded_architecture(pico(), "pico").unwrap()
 }
 
-/// A safetensors header for f16 `tensors`, and the size of their data.
 fn header(tensors: &[(String, Vec<usize>)]) -> (Vec<u8>, usize) {
     let mut end = 0;
     let infos = tensors.iter().map(|(name, shape)| {
@@ -64,7 +62,6 @@ fn header(tensors: &[(String, Vec<usize>)]) -> (Vec<u8>, usize) {
     ([&(json.len() as u64).to_le_bytes(), json.as_slice()].concat(), end)
 }
 
-/// Writes a sparse file of zeros.
 fn write_zeros(path: &Path, tensors: &[(String, Vec<usize>)]) {
     let (header, values) = header(tensors);
     std::fs::write(path, &header).unwrap();
@@ -94,7 +91,7 @@ fn parameters_are_those_of_the_reference() {
     }
 }
 
-/// golden/flops.md, table "Parameters".
+/// Table "Parameters" of flops.md.
 #[test]
 fn variants_have_the_published_sizes() {
     let expected = [
@@ -171,7 +168,7 @@ fn micro_is_the_same_from_seed_safetensors_and_pytorch() {
         assert_same_bits(&stored, &seeded);
         assert_eq!(stored.bytes(), seeded.bytes());
 
-        // The archive has a training configuration; shapes alone leave the out layers open.
+        // Shapes alone leave the out layers open.
         let alone = Checkpoint::open(&path, None);
         if name.ends_with(".tar") {
             assert_eq!(alone.unwrap().architecture(), &golden("micro"));
@@ -193,7 +190,7 @@ fn saved_checkpoints_state_their_architecture_and_keep_every_bit() {
     for (dtype, size) in [(Dtype::F32, 4), (Dtype::F16, 2), (Dtype::Bf16, 2)] {
         let (first, second) = (folder.path().join("first.safetensors"), folder.path().join("second.safetensors"));
         seeded.save(&first, dtype).unwrap();
-        // Seeded values are exact in all three types.
+        // Exact in all three types.
         convert(&first, &second, Dtype::F16, None).unwrap();
         for (path, size) in [(first, size), (second, 2)] {
             let stored = Checkpoint::open(&path, Some("pico")).unwrap();
@@ -212,7 +209,6 @@ fn saved_checkpoints_state_their_architecture_and_keep_every_bit() {
 fn files_without_metadata_are_recognised_by_size() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("weights.safetensors");
-    // Shapes reveal another position grid or color branch.
     let vits = Architecture::named("vits").unwrap();
     let trained = Architecture {
         position_grid: 18,

@@ -1,10 +1,8 @@
-//! Each module of the engine uses only the layers before it. The crates enforce the rest: only
-//! `engine/gpu` uses Vulkan, and the references do not use the engine.
+//! Layers of the engine.
 
 use crate::source::{Source, files, paths, tokens};
 
-/// Layers of the engine, each using only those before it; the first three are crates. `error` is
-/// `Error` and `Result`.
+/// Each uses only earlier ones. `error` is `Error` and `Result`.
 const LAYERS: [&str; 13] = [
     "error",
     "gpu",
@@ -21,27 +19,26 @@ const LAYERS: [&str; 13] = [
     "refine",
 ];
 
-/// Layers that dispatch kernels.
+/// Dispatch kernels.
 const DISPATCHING: [&str; 3] = ["ops", "stages", "refine"];
 
-/// Folders of unsafe code; the last calls the C ABI.
+/// The last calls the C ABI.
 const UNSAFE_FOLDERS: [&str; 3] = ["engine/gpu/src/", "engine/bindings/c/src/", "tests/abi/"];
 
-/// Other files with unsafe code and their reasons.
+/// With their reasons.
 const UNSAFE: [(&str, &str); 1] = [("engine/src/weights/checkpoint.rs", "maps a checkpoint into memory")];
 
 fn engine() -> Vec<Source> {
     files("engine/src", "rs")
 }
 
-/// Returns the module of a file below `engine/src`: `stages/backbone/mod.rs` is `[stages,
-/// backbone]`.
+/// `stages/backbone/mod.rs` is `[stages, backbone]`.
 fn module(path: &str) -> Vec<&str> {
     let inside = path.trim_start_matches("engine/src/").trim_end_matches(".rs");
     inside.split('/').filter(|part| *part != "mod").collect()
 }
 
-/// Returns the paths from the crate root that a file uses outside its unit tests.
+/// Outside unit tests.
 fn used(source: &Source) -> Vec<Vec<String>> {
     let own = module(&source.path);
     let absolute = |path: Vec<String>| {

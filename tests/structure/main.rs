@@ -1,4 +1,4 @@
-//! Layout of the project: mirrored names, dependencies and file sizes.
+//! Layout of the project.
 
 mod imports;
 mod mirror;

@@ -4,7 +4,7 @@ use crate::source::files;
 use std::collections::BTreeSet;
 use zipsplat::kernels::MODULES;
 
-/// Kernels that are steps or variants of one operation, with their common name.
+/// Steps and variants, with their common name.
 const STEPS: [(&str, &str); 26] = [
     ("cluster/nearest_matrix", "cluster/nearest"),
     ("cluster/nearest_merge", "cluster/nearest"),
@@ -34,20 +34,19 @@ const STEPS: [(&str, &str); 26] = [
     ("render/tile_counts", "render/intersect"),
 ];
 
-/// Names without a reference, and their alternative.
+/// With their alternative.
 const WITHOUT_REFERENCE: [(&str, &str); 3] = [
     ("ops/scan", "a running sum on the host"),
     ("ops/sort", "the stable sort of the standard library"),
     ("render/intersect", "lists made on the host"),
 ];
 
-/// Returns relative names of a folder's files with an extension: `ops/add`.
+/// Relative, such as `ops/add`.
 fn names(folder: &str, ext: &str) -> BTreeSet<String> {
     let relative = |path: &str| path[folder.len() + 1..].trim_end_matches(&format!(".{ext}")).to_owned();
     files(folder, ext).iter().map(|source| relative(&source.path)).collect()
 }
 
-/// Returns the names that tests and references must have.
 fn shared_names() -> BTreeSet<String> {
     let shared = |kernel: String| match STEPS.iter().find(|(step, _)| *step == kernel) {
         Some((_, name)) => name.to_string(),

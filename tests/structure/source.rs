@@ -1,16 +1,15 @@
-//! Source files: code without comments and strings, and the paths it uses.
+//! Source files and their tokens.
 
 use std::fs;
 use std::path::Path;
 
-/// A file of the repository.
 pub struct Source {
-    /// Path below the repository's root, with slashes.
+    /// Below the repository's root, with slashes.
     pub path: String,
     pub text: String,
 }
 
-/// Returns every `.ext` file below `folder`, sorted.
+/// Sorted.
 pub fn files(folder: &str, ext: &str) -> Vec<Source> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let mut found = Vec::new();
@@ -32,7 +31,7 @@ fn walk(root: &Path, folder: &str, ending: &str, found: &mut Vec<Source>) {
     }
 }
 
-/// Splits Rust code into words, `::` and characters, without comments, strings and whitespace.
+/// Skips comments, strings and whitespace.
 pub fn tokens(text: &str) -> Vec<String> {
     let mut tokens = Vec::new();
     let mut rest = text;
@@ -60,8 +59,7 @@ pub fn tokens(text: &str) -> Vec<String> {
     tokens
 }
 
-/// Returns the length of the string literal at the start of `text`. Raw strings here contain no
-/// quotes.
+/// Raw strings here contain no quotes.
 fn string_length(text: &str) -> usize {
     let mut escaped = false;
     for (i, c) in text.char_indices().skip(1) {
@@ -73,8 +71,7 @@ fn string_length(text: &str) -> usize {
     text.len()
 }
 
-/// Returns every path that starts with one of `roots`, with groups expanded: `crate::{a::B, c::*}`
-/// gives `crate::a::B` and `crate::c`.
+/// `crate::{a::B, c::*}` gives `crate::a::B` and `crate::c`.
 pub fn paths(tokens: &[String], roots: &[&str]) -> Vec<Vec<String>> {
     let mut found = Vec::new();
     let mut at = 0;
@@ -89,7 +86,7 @@ pub fn paths(tokens: &[String], roots: &[&str]) -> Vec<Vec<String>> {
     found
 }
 
-/// Reads the path at `at` behind `prefix` and returns its end.
+/// Returns the end of the path.
 fn path(tokens: &[String], mut at: usize, mut prefix: Vec<String>, found: &mut Vec<Vec<String>>) -> usize {
     loop {
         match tokens[at].as_str() {

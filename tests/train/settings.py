@@ -86,7 +86,6 @@ def each_number_of_gaussians_has_its_cells():
         gaussians, tokens = model(data.images)
         given = torch.ones(2) > 0
         _, parts = losses.total(gaussians, tokens, None, given, data, POCKET["losses"])
-        # Tokens start with the colors of their cells.
         assert parts["color"] < 0.02 if 14 % cells[0] == 0 and 14 % cells[1] == 0 else parts["color"] < 0.2, (cells, parts)
         assert gaussians.shape[1] == 2 * 9 * per_token and all(part.isfinite() for part in parts.values())
 

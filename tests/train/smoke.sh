@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Trains briefly on a CPU and checks that the loss falls and the engine reconstructs with the
-# weights. Trains again on photos in the layouts of RealEstate10K and DL3DV from a backbone with the
-# names of Depth Anything 3's releases, which the engine opens, too.
+# weights, also from photos in the layouts of RealEstate10K and DL3DV and a Depth Anything 3
+# backbone.
 # usage: PYTHON=VENV/bin/python tests/train/smoke.sh target/release/zipsplat
 set -euo pipefail
 root=$(cd "$(dirname "${BASH_SOURCE[0]}")/../.." && pwd)
@@ -23,7 +23,6 @@ END
 
 "$python" "$root/tests/train/growing.py" "$out/model.safetensors"
 
-# Untrained, more Gaussians per token and wider colors change little.
 "$python" "$root/tools/train/train.py" --config "$root/tools/train/pocket.json" --out "$out/finer" --minutes 0.05 \
     --resume "$out/model.safetensors" --zipsplat "$zipsplat" --set pool_gb=0.03 --set batch_views=12 --set reuse=1000 \
     --set muon=false --set size=56 --set learning_rate=0

@@ -19,26 +19,25 @@ use zipsplat::{
     types::{Camera, Image, Pose, resample::resize_lanczos},
 };
 
-/// Limit of rotation in radians. Farther away, blurred pictures match any photo.
+/// Limit of rotation in radians: farther away, blurred pictures match any photo.
 pub const MOST_TURN: f64 = std::f64::consts::PI / 12.0;
-/// Limit of shift, for a scene at a distance of about 1.
+/// Limit of shift, at a scene distance of about 1.
 pub const MOST_SHIFT: f64 = 0.25;
-/// Fraction of a limit that counts as reaching it.
 const STOPPED: f64 = 0.9;
 /// Required relative gain in squared error at 0.71 of the movement limit.
 const PRIOR: f64 = 0.1;
 /// Minimum standard deviation of photo values, in 0..1.
 const TEXTURE: f64 = 0.02;
-/// Threshold of the robust loss, in 0..1: larger differences indicate occlusion.
+/// Threshold of the robust loss, in 0..1, for occlusion.
 const LARGE: f64 = 0.01;
 const LEAST_SEEN: f64 = 1e-3;
 /// Shorter side of the coarsest picture.
 const SMALLEST: u32 = 20;
-/// Half the length of central differences, in pixels of motion at distance 1.
+/// Half the length of central differences, in pixels at distance 1.
 const DIFFERENCE: f64 = 0.5;
 /// Relative gain or step length that ends a level.
 const TOLERANCE: f64 = 1e-4;
-/// Limit of iterations per level, with at most 7 renderings each.
+/// Iterations per level, of at most 7 renderings.
 const PATIENCE: usize = 12;
 
 /// Alignment method.
@@ -52,7 +51,7 @@ pub enum Method {
 }
 
 impl Method {
-    /// Returns the finished fraction at a step, if all steps are taken.
+    /// Returns the finished fraction at a step.
     pub fn fraction(self, step: usize) -> f64 {
         match self {
             // Unknown: the number of renderings depends on the content.
@@ -100,18 +99,17 @@ pub struct Aligned {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Doubt {
-    /// The photo has too little texture; the camera is unchanged.
+    /// Too little texture; the camera is unchanged.
     Flat,
     /// The camera reached its movement limit.
     Bound,
-    /// The picture matches no better than one color, the mean of the nearest input photo.
+    /// No better match than the mean color of the nearest input photo.
     Color,
 }
 
-/// Moves `camera` to minimize the squared error between its rendering and `photo`, of equal size.
-/// The scene should be at a distance of about 1. Intrinsics stay fixed; a prior discourages large
-/// steps. The scene covers the photo, and the error is divided by the mean alpha, so holes do not
-/// count. The loss is robust.
+/// Minimizes the squared error between the rendering of `camera` and `photo`, of equal size. The
+/// scene should be at a distance of about 1. Intrinsics stay fixed. The error is divided by the
+/// mean alpha, so holes do not count.
 ///
 /// Levenberg-Marquardt over 6 degrees of freedom with central differences, coarse to fine. At full
 /// size the initial camera stays if none is better. `check` runs before each rendering.
@@ -169,7 +167,6 @@ struct Search<'a> {
     truth: DVector<f64>,
     start: Camera,
     movement: Vector6<f64>,
-    /// Weight of the movement's length as a residual.
     prior: f64,
 }
 
@@ -188,7 +185,7 @@ fn between(from: &Camera, to: &Camera) -> [DVec3; 2] {
     [DQuat::from_mat3(&movement.rotation).to_scaled_axis(), movement.translation]
 }
 
-/// Returns the Pseudo-Huber residual: quadratic for small differences, linear for large ones.
+/// Pseudo-Huber residual.
 fn robust(difference: f64) -> f64 {
     let root = (2.0 * ((1.0 + (difference / LARGE).powi(2)).sqrt() - 1.0)).sqrt();
     (LARGE * root).copysign(difference)
@@ -222,8 +219,7 @@ impl<'a> Search<'a> {
         Ok(self)
     }
 
-    /// Returns robust residuals of the scene over the photo, divided by the root of the mean alpha.
-    /// Otherwise hiding the scene would be a gain.
+    /// Divides residuals by the root of the mean alpha: hiding the scene would otherwise be a gain.
     fn pixels(&self, movements: &[Vector6<f64>]) -> Option<Vec<DVector<f64>>> {
         let cameras: Vec<Camera> = movements.iter().map(|movement| moved(&self.start, movement)).collect();
         let request = RenderRequest { alpha: true, ..RenderRequest::default() };

@@ -27,21 +27,19 @@ use zipsplat::{
     },
 };
 
-/// Frames of a capture, chosen before any photo is read.
+/// Chosen before any photo is read.
 pub struct Choice {
     poses: Poses,
     inputs: Vec<usize>,
     targets: Vec<usize>,
 }
 
-/// Photos and cameras of a capture. World: the first input's camera.
+/// World: the first input's camera.
 pub struct Capture {
-    /// Network input.
     pub views: Views,
     pub inputs: Vec<Posed>,
-    /// Held-out photos.
     pub targets: Vec<Posed>,
-    /// Divisor of the cameras' lengths: the network's 1 in the capture's unit.
+    /// Divisor of the cameras' lengths.
     pub unit: Unit,
 }
 
@@ -51,7 +49,7 @@ pub struct Posed {
     pub camera: Camera,
 }
 
-/// Similarity of a photo to its prediction and to two baselines, in dB except SSIM.
+/// Similarity to the prediction and to two baselines, in dB except SSIM.
 #[derive(Clone, Serialize)]
 pub struct Score {
     pub view: String,
@@ -59,18 +57,18 @@ pub struct Score {
     pub ssim: f64,
     pub nearest_psnr: f64,
     pub mean_color_psnr: f64,
-    /// Absent without LPIPS weights, or for pictures that are too small.
+    /// Absent without weights, or for too small pictures.
     pub lpips: Option<f64>,
 }
 
 impl Choice {
-    /// Chooses `views` frames by farthest-point sampling of positions, and all other frames or
-    /// `targets` evenly spread ones. Skips frames without a photo.
+    /// Chooses `views` frames by farthest-point sampling of positions, and all others or `targets`
+    /// evenly spread ones. Skips frames without a photo.
     pub fn new(folder: &Path, views: usize, targets: Option<usize>) -> Result<Self> {
         Self::of(read_poses(folder)?, folder, views, targets)
     }
 
-    /// Chooses from known frames, as [`Choice::new`]; `folder` is for messages.
+    /// Acts as [`Choice::new`] on known frames; `folder` is for messages.
     pub fn of(poses: Poses, folder: &Path, views: usize, targets: Option<usize>) -> Result<Self> {
         let found: Vec<usize> = (0..poses.frames.len()).filter(|i| poses.frames[*i].photo.is_some()).collect();
         if found.len() <= views {
@@ -87,7 +85,6 @@ impl Choice {
         Ok(Self { inputs: chosen.into_iter().map(|i| found[i]).collect(), targets, poses })
     }
 
-    /// Selects given frames; the scene name is for messages.
     pub fn given(poses: Poses, scene: &str, inputs: Vec<usize>, targets: Vec<usize>) -> Result<Self> {
         let frame = |i: usize| poses.frames.get(i).and_then(|frame| frame.photo.as_ref());
         if let Some(i) = inputs.iter().chain(&targets).find(|i| frame(**i).is_none()) {
@@ -99,7 +96,7 @@ impl Choice {
         Ok(Self { poses, inputs, targets })
     }
 
-    /// Perturbs all inputs but the first: rotates by degrees, and moves by percent of the unit, in
+    /// Perturbs all inputs but the first: rotates by degrees, moves by percent of the unit, in
     /// pseudorandom directions.
     pub fn disturb(&mut self, degrees: f64, unit: Option<f64>) -> Result<()> {
         if degrees == 0.0 {
@@ -125,7 +122,6 @@ impl Choice {
         self.inputs.iter().filter_map(|i| self.poses.frames[*i].photo.clone()).collect()
     }
 
-    /// Returns the inputs, then the targets.
     pub fn frames(&self) -> impl Iterator<Item = &Frame> {
         self.inputs.iter().chain(&self.targets).map(|i| &self.poses.frames[*i])
     }
@@ -134,12 +130,10 @@ impl Choice {
         self.inputs.iter().map(|i| &self.poses.frames[*i]).collect()
     }
 
-    /// Finds a frame, chosen or not.
     pub fn frame(&self, name: &str) -> Option<&Frame> {
         self.poses.frames.iter().find(|frame| frame.name == name)
     }
 
-    /// Hashes frames, photos and points.
     pub fn digest(&self) -> Result<String> {
         let mut parts = vec![self.inputs.len().to_string()];
         for frame in self.frames() {
@@ -158,15 +152,14 @@ impl Choice {
         self.poses.points.as_deref()
     }
 
-    /// Reads the point cloud into the first input's world and a unit.
+    /// Maps to the first input's world and a unit.
     pub fn points(&self, unit: &Unit) -> Result<Option<PointCloud>> {
         let to_world = self.poses.frames[self.inputs[0]].camera.pose.inverse();
         let cloud = self.poses.points.as_ref().map(read_cloud).transpose()?;
         Ok(cloud.map(|cloud| placed(cloud, &to_world, unit.length)))
     }
 
-    /// Reads the photos. `unit` is the length in the cameras' unit that becomes 1, by default
-    /// [`Unit::of`].
+    /// `unit` is the length in the cameras' unit that becomes 1, by default [`Unit::of`].
     pub fn load(&self, seeing: Seeing, unit: Option<f64>, stage: &Stage<'_>) -> Result<Capture> {
         let frames: Vec<&Frame> = self.frames().collect();
         let paths: Vec<PathBuf> = frames.iter().filter_map(|frame| frame.photo.clone()).collect();
@@ -213,14 +206,13 @@ impl Capture {
         self.inputs.iter().map(|input| (input.image.clone(), input.camera)).unzip()
     }
 
-    /// Returns the input nearest to a photo.
     pub fn nearest(&self, view: &Posed) -> &Posed {
         let distance = |other: &&Posed| other.camera.pose.translation.distance(view.camera.pose.translation);
         let nearest = self.inputs.iter().min_by(|a, b| distance(a).total_cmp(&distance(b)));
         nearest.expect("a capture has an input")
     }
 
-    /// Scores the predictions of the targets, `[height][width][rgb]` in 0..1.
+    /// Takes predictions of the targets, `[height][width][rgb]` in 0..1.
     pub fn scores(&self, drawn: &[Vec<f32>]) -> Vec<Score> {
         self.targets.par_iter().zip(drawn).map(|(view, drawn)| self.score(view, drawn)).collect()
     }
@@ -246,7 +238,6 @@ impl Capture {
     }
 }
 
-/// Resizes to another photo's size, which may differ.
 fn alike(image: &Image, to: &Image) -> Image {
     resize_lanczos(image, to.width, to.height).expect("neither is empty")
 }
@@ -271,7 +262,7 @@ impl Score {
     }
 }
 
-/// Selects the first point, then always the farthest from all selected ones; in ascending order.
+/// Starts with the first point, and sorts the result.
 pub fn farthest_points(points: &[DVec3], count: usize) -> Vec<usize> {
     let mut chosen = vec![0];
     let mut distances: Vec<f64> = points.iter().map(|point| point.distance(points[0])).collect();
@@ -289,7 +280,7 @@ pub fn farthest_points(points: &[DVec3], count: usize) -> Vec<usize> {
     chosen
 }
 
-/// Returns a direction by index; consecutive ones spread evenly.
+/// Consecutive directions spread evenly.
 pub fn spread(k: usize) -> DVec3 {
     // R2 sequence (Roberts 2018).
     let [u, v] = [0.754_877_666_246_693, 0.569_840_290_998_053].map(|step| (0.5 + step * k as f64).fract());
@@ -298,7 +289,6 @@ pub fn spread(k: usize) -> DVec3 {
     DVec3::new((1.0 - z * z).sqrt() * cos, (1.0 - z * z).sqrt() * sin, z)
 }
 
-/// Reads a photo at the compared size, relative to the camera `world`.
 fn posed(frame: &Frame, photo: &Image, seeing: Seeing, world: &Pose, label: &str) -> Result<Posed> {
     let view = seeing.compare(photo)?;
     let camera = seen_through(&frame.camera, &view.map, label)?;

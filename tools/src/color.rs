@@ -45,7 +45,6 @@ fn hexadecimal(digits: &str) -> Option<u32> {
         u32::from_str_radix(digits, 16).ok().filter(|_| digits.bytes().all(|digit| digit.is_ascii_hexdigit()))?;
     match digits.len() {
         6 => Some(value),
-        // Doubles each digit.
         3 => Some(0x11 * ((value & 0xf00) << 8 | (value & 0xf0) << 4 | value & 0xf)),
         _ => None,
     }

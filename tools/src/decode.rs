@@ -16,20 +16,16 @@ use zipsplat::{
     types::{Image, write_atomic},
 };
 
-/// Output options for [`read_ppm`].
+/// For [`read_ppm`].
 pub const AS_PPM: [&str; 6] = ["-f", "image2pipe", "-c:v", "ppm", "-pix_fmt", "rgb24"];
-/// Containers of videos and HEIC; excludes playlists, which name other files and addresses.
+/// Videos and HEIC; excludes playlists, which name other files and addresses.
 const CONTAINERS: &str = "mov,matroska,avi,mpegts";
 const QUALITY: u8 = 95;
-/// Limit of ffmpeg lines in a message.
+/// Lines in a message.
 const MOST_LINES: usize = 3;
 
-/// Runs ffmpeg on a file. A thread decodes its output with `read`; `take` gets the results. Returns
-/// ffmpeg's warnings.
-///
-/// # Errors
-/// [`Error::Format`] with ffmpeg's message for an unreadable file, [`Error::Io`] without a message,
-/// those of `take`, and [`Error::Cancelled`].
+/// Decodes ffmpeg's output in a thread with `read`; `take` gets the results. Returns ffmpeg's
+/// warnings.
 pub fn decode<T: Send + 'static>(
     (ffmpeg, file): (&Path, &Path),
     options: &[&str],
@@ -68,14 +64,14 @@ pub fn decode<T: Send + 'static>(
     let said = words(&said.and_then(|said| said.join().ok()).unwrap_or_default(), file);
     match broken {
         None if status.success() => Ok(said),
-        // A killed process has no message.
+        // Killed.
         _ if said.is_empty() => Err(failure(ffmpeg, "", broken.map_or(status.to_string(), |e| e.to_string()))),
         _ if said.contains("matches no streams") => Err(Error::format(file, None, "ffmpeg finds no pictures in it")),
         _ => Err(Error::format(file, None, format!("ffmpeg cannot read it: {said}"))),
     }
 }
 
-/// Returns options to read this file only, without references.
+/// Restricts ffmpeg to this file, without references.
 pub fn input(file: &Path) -> impl Iterator<Item = OsString> {
     // A path may look like an option or a protocol.
     let mut name = OsString::from("file:");
@@ -84,7 +80,7 @@ pub fn input(file: &Path) -> impl Iterator<Item = OsString> {
     limits.map(OsString::from).into_iter().chain([name])
 }
 
-/// Returns the first distinct messages about a file, without ffmpeg's memory addresses.
+/// Returns distinct messages without ffmpeg's memory addresses.
 fn words(said: &str, file: &Path) -> String {
     let name = format!("file:{}: ", file.display());
     let mut lines: Vec<&str> = Vec::new();
@@ -102,7 +98,7 @@ fn words(said: &str, file: &Path) -> String {
     lines.join("; ")
 }
 
-/// Fills a buffer; false at the end of the stream.
+/// False at the end of the stream.
 pub fn read_whole(from: &mut impl BufRead, to: &mut [u8]) -> io::Result<bool> {
     if from.fill_buf()?.is_empty() {
         return Ok(false);

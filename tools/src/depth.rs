@@ -1,4 +1,4 @@
-//! Photos as a network of Depth Anything 3 sees them: their depth, and where they were taken.
+//! Photos seen by Depth Anything 3: depth and cameras.
 
 use crate::{
     cameras::lenses,
@@ -27,44 +27,40 @@ use zipsplat::{
     weights::{DepthArchitecture, DepthCheckpoint},
 };
 
-/// Points at most, where nobody says.
+/// Default limit of points.
 pub const POINTS: usize = 200_000;
 
-/// How the cameras of photos follow from what a network says.
 #[derive(Args, Clone, Copy, Debug, Default)]
 pub struct CamerasFrom {
-    /// Source of the cameras that a network of Depth Anything 3 finds
+    /// Source of the cameras that Depth Anything 3 estimates
     #[arg(long, alias = "camera-source", value_enum, value_name = "HOW", default_value = "decoder")]
     by: By,
-    /// Focal lengths of those cameras
+    /// Their focal lengths
     #[arg(long, value_enum, value_name = "WHOSE", default_value = "shared")]
     focal_lengths: FocalLengths,
 }
 
-/// The source of cameras.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 enum By {
-    /// The network's camera decoder
+    /// Camera decoder of the network
     #[default]
     Decoder,
-    /// The rays of all pixels, with a principal point of their own
+    /// Rays of all pixels, with an estimated principal point
     Rays,
 }
 
-/// The owner of a focal length.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 enum FocalLengths {
-    /// Photos of one size, camera and zoom have one: the median, weighted by how confident the network is of each photo's depth
+    /// One for photos of equal size, camera and zoom: the median, weighted by depth confidence
     #[default]
     Shared,
-    /// Each photo has its own, and another one along y than along x
+    /// One per photo, different along x and y
     Own,
 }
 
-/// A question to a network.
 pub struct Question<'a> {
     pub checkpoint: &'a DepthCheckpoint,
-    /// Longer side of the photos as the network sees them [default: as Depth Anything 3 is used].
+    /// Longer side of the network's input [default: Depth Anything 3's own].
     pub side: Option<u32>,
     pub cameras: CamerasFrom,
     pub arithmetic: &'a ArithmeticOption,
@@ -72,7 +68,6 @@ pub struct Question<'a> {
 }
 
 impl Quality {
-    /// The question that a network is asked for a scene.
     pub fn question<'a>(&'a self, checkpoint: &'a DepthCheckpoint) -> Question<'a> {
         Question {
             checkpoint,
@@ -83,10 +78,7 @@ impl Quality {
         }
     }
 
-    /// As [`Quality::check`], where each pixel becomes a Gaussian.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for more Gaussians of a patch than it has pixels.
+    /// Acts as [`Quality::check`], for pixel scenes.
     pub fn check_pixels(&self, checkpoint: &DepthCheckpoint) -> Result<()> {
         refuse("--pool", self.pool != 1, "weights of Depth Anything 3", "weights of ZipSplat")?;
         let all = checkpoint.architecture().backbone.patch.pow(2) as u32;
@@ -99,10 +91,6 @@ impl Quality {
     }
 }
 
-/// Refuses a network that finds no cameras.
-///
-/// # Errors
-/// [`Error::Argument`] for one that sees each photo by itself.
 pub fn check_finds_cameras(network: &DepthArchitecture) -> Result<()> {
     if network.multi_view() {
         return Ok(());
@@ -112,28 +100,23 @@ pub fn check_finds_cameras(network: &DepthArchitecture) -> Result<()> {
     Err(Error::argument("network that finds cameras", found, expected))
 }
 
-/// Photos, what a network saw of them, and what it said.
+/// Photos with a network's results.
 pub struct Seen {
-    /// The photos that have a camera, or all where a network finds none.
+    /// Photos with a camera, or all if the network estimates none.
     pub photos: Vec<PathBuf>,
-    /// As the network sees them.
+    /// Network input.
     pub views: Vec<View>,
     pub depths: Depths,
-    /// The cameras of the views, where they are known or the network finds them.
+    /// Cameras of the views, if known or estimated.
     pub cameras: Option<Vec<Camera>>,
-    /// The photos for which there is none.
+    /// Photos without a camera.
     pub lost: Vec<PathBuf>,
-    /// Whatever a user should know of it.
     pub notes: Vec<String>,
-    /// The network's name.
     pub network: String,
-    /// The arithmetic that it computed in.
     pub precision: Precision,
-    /// Time of each step.
     pub times: Vec<(&'static str, Duration)>,
 }
 
-/// A network on a device, and what it is asked.
 pub struct Seer {
     model: DepthModel,
     precision: Precision,
@@ -143,21 +126,16 @@ pub struct Seer {
     loading: Duration,
 }
 
-/// Photos as a network is shown them.
+/// Photos prepared for a network.
 #[derive(Clone)]
 pub struct Shown {
     photos: Vec<PathBuf>,
     views: Vec<View>,
-    /// Their cameras, where they are known.
     told: Option<Vec<Camera>>,
 }
 
 impl Question<'_> {
-    /// Shows photos to the network. Those with frames have known cameras, which a network that sees all photos at once is told; lengths
-    /// are then in their unit.
-    ///
-    /// # Errors
-    /// Errors of photos that cannot be read, and of [`DepthModel::depths`]; [`Error::Argument`] where no photo's rays have a camera.
+    /// Multi-view networks take the cameras of `known` frames as input, in their unit of length.
     pub fn ask(self, session: &mut Session<'_>, photos: &[PathBuf], known: &[&Frame]) -> Result<Seen> {
         let (shown, reading) = session.stage("load photos", |stage| Shown::read(self.side, photos, known, stage))?;
         let device = session.device()?;
@@ -168,10 +146,6 @@ impl Question<'_> {
         Ok(seen)
     }
 
-    /// Loads the network onto a device.
-    ///
-    /// # Errors
-    /// As [`DepthModel::load`].
     pub fn open(self, session: &mut Session<'_>, device: &Device) -> Result<Seer> {
         let Self { checkpoint, side, cameras, arithmetic, request } = self;
         let (precision, arithmetic) = arithmetic.choose(session, device)?;
@@ -182,10 +156,7 @@ impl Question<'_> {
 }
 
 impl Shown {
-    /// Reads photos as a network sees them whose longer side is `side`, and their cameras, where they have frames.
-    ///
-    /// # Errors
-    /// Errors of photos that cannot be read, or are not those of their cameras.
+    /// `side` is the longer side; `known` frames have cameras.
     pub fn read(side: Option<u32>, photos: &[PathBuf], known: &[&Frame], stage: &Stage<'_>) -> Result<Self> {
         let read = photos::read(photos, known, stage, |_, photo| Ok(photo))?;
         let views = bounded_views(&read, side.unwrap_or(DEFAULT_BOUND))?;
@@ -193,7 +164,7 @@ impl Shown {
         Ok(Self { photos: photos.to_vec(), views, told })
     }
 
-    /// The patches of all photos, of so many pixels a side.
+    /// Of all photos, of `side` pixels.
     pub fn patches(&self, side: usize) -> usize {
         let of = |view: &View| (view.image.width as usize / side) * (view.image.height as usize / side);
         self.views.iter().map(of).sum()
@@ -201,32 +172,23 @@ impl Shown {
 }
 
 impl Seer {
-    /// Reads photos as the network sees them: [`Shown::read`].
-    ///
-    /// # Errors
-    /// As [`Shown::read`].
     pub fn show(&self, photos: &[PathBuf], known: &[&Frame], stage: &Stage<'_>) -> Result<Shown> {
         Shown::read(self.side, photos, known, stage)
     }
 
-    /// Lets so large a share of the patches stand for all.
+    /// Share of patches in the scene.
     pub fn keep(&mut self, ratio: Ratio) {
         self.request.ratio = ratio;
     }
 
-    /// The arithmetic that it computes in.
     pub fn precision(&self) -> Precision {
         self.precision
     }
 
-    /// Asks the network about photos.
-    ///
-    /// # Errors
-    /// As [`Question::ask`], of photos that are read.
     pub fn see(&self, shown: Shown, stage: &Stage<'_>) -> Result<Seen> {
         let (Shown { photos, views, told }, begun) = (shown, Instant::now());
         let images: Vec<Image> = views.iter().map(|view| view.image.clone()).collect();
-        // Who sees each photo by itself has no use for cameras.
+        // Single-view networks ignore cameras.
         let multi_view = self.model.architecture().multi_view();
         let request = DepthRequest { cameras: told.clone().filter(|_| multi_view), ..self.request.clone() };
         let mut depths = self.model.depths(&images, &request, |progress: Progress<'_>| {
@@ -254,7 +216,6 @@ impl Seer {
 }
 
 impl Seen {
-    /// Takes the cameras from what the network says. Photos without one are left out.
     fn find_cameras(&mut self, CamerasFrom { by, focal_lengths }: CamerasFrom) -> Result<()> {
         let found: Vec<Result<Camera>> = match by {
             By::Decoder => self.depths.cameras()?.into_iter().map(Ok).collect(),
@@ -278,11 +239,8 @@ impl Seen {
         Ok(())
     }
 
-    /// Brings the depth of photos that a network saw each by itself to one unit: metres of a metric head, or that of `points` beside their
-    /// cameras, by those that each photo shows. Depth of photos that were seen at once stays as it is.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] where nothing tells the unit, or there are no cameras; those of points that cannot be read.
+    /// Scales single-view depth to meters of a metric head, or to `points` beside the cameras, by
+    /// those visible in each photo. Multi-view depth stays.
     pub fn scale(&mut self, metres: bool, points: Option<&Path>) -> Result<()> {
         let (network, Some(cameras)) = (&self.network, &self.cameras) else { return Ok(()) };
         if self.depths.views.iter().all(|view| view.sky.is_none()) {
@@ -301,15 +259,11 @@ impl Seen {
         self.depths.scale_to(cameras, &cloud.positions).map_err(failed)
     }
 
-    /// The pictures that the network saw.
     pub fn images(&self) -> Vec<Image> {
         self.views.iter().map(|view| view.image.clone()).collect()
     }
 
-    /// The cameras of the photos as they are stored, under the photos' paths; none where the network finds none.
-    ///
-    /// # Errors
-    /// Where a photo's orientation is none of a camera's.
+    /// Named by path; empty without cameras.
     pub fn frames(&self) -> Result<Vec<Frame>> {
         let frame = |(i, camera): (usize, &Camera)| {
             let photo = &self.photos[i];
@@ -320,11 +274,8 @@ impl Seen {
         self.cameras.iter().flatten().enumerate().map(frame).collect()
     }
 
-    /// The scene of the pixels that the network is confident of, in the world of a camera with the pose `first`; of each patch at most
-    /// `keep` Gaussians. Depth has its scale.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] where it is confident of none.
+    /// Returns the scene of confident pixels, at most `keep` per patch, in the frame of `first`.
+    /// Depth is scaled.
     pub fn scene(&self, first: &Pose, keep: Option<u32>) -> Result<Scene> {
         let here = |camera: &Camera| Camera { pose: camera.pose.relative_to(first), ..*camera };
         let cameras: Vec<Camera> = self.cameras.iter().flatten().map(here).collect();
@@ -337,28 +288,27 @@ impl Seen {
         Ok(scene)
     }
 
-    /// The patches whose pixels the scene has, and all of the photos.
+    /// In the scene, and all.
     pub fn patches(&self) -> [usize; 2] {
         let [columns, rows] = [self.depths.width, self.depths.height].map(|side| side as usize / self.depths.patch);
         let all = self.views.len() * columns * rows;
         [self.depths.patches.as_ref().map_or(all, Vec::len), all]
     }
 
-    /// The points of pixels that the network is confident of, at most so many; none where there are no cameras.
+    /// None without cameras.
     pub fn points(&self, most: usize) -> Vec<([f32; 3], [u8; 3])> {
         let Some(cameras) = &self.cameras else { return Vec::new() };
         self.depths.points(cameras, &self.images(), most)
     }
 }
 
-/// Leaves of a list only what is `kept`, and gives the rest.
+/// Retains the `kept` elements, and returns the others.
 fn keep<T>(list: &mut Vec<T>, kept: &[bool]) -> Vec<T> {
     let (stays, goes): (Vec<_>, Vec<_>) = std::mem::take(list).into_iter().zip(kept).partition(|(_, kept)| **kept);
     *list = stays.into_iter().map(|(item, _)| item).collect();
     goes.into_iter().map(|(item, _)| item).collect()
 }
 
-/// Known cameras of photos as those of their views.
 fn of_views(frames: &[&Frame], views: &[View]) -> Result<Vec<Camera>> {
     let camera = |(frame, view): (&&Frame, &View)| {
         Ok(Camera { intrinsics: view.map.apply(&frame.camera.intrinsics, &frame.name)?, ..frame.camera })

@@ -8,7 +8,6 @@ use zipsplat::{
     types::LeftOut,
 };
 
-/// Executed and skipped passes.
 #[derive(Serialize)]
 pub struct Explanation {
     passes: Vec<Pass>,
@@ -25,7 +24,7 @@ struct Pass {
 }
 
 impl Explanation {
-    /// Returns one pass per kernel and scope.
+    /// One pass per kernel and scope.
     pub fn of_kernels(profile: &Profile, left_out: Vec<LeftOut>) -> Self {
         let pass = |row: &ProfileRow| {
             let pass = if row.kernel.starts_with(&row.scope) {
@@ -38,7 +37,7 @@ impl Explanation {
         Self { passes: profile.rows.iter().map(pass).collect(), left_out }
     }
 
-    /// Returns one pass per timed stage.
+    /// One pass per timed stage.
     pub fn of_stages(times: &StageTimes, outline: &Profile, left_out: Vec<LeftOut>) -> Self {
         let pass = |(stage, time): &(String, Duration)| {
             let inside = |row: &&ProfileRow| row.scope.split('/').next() == Some(stage);

@@ -1,6 +1,4 @@
 //! The `zipsplat` command as a library: [`run`] maps arguments to an exit code.
-//!
-//! `commands` has one file per command.
 
 pub mod align;
 mod animation;
@@ -82,7 +80,7 @@ const SHORT_HELP: [(&str, &[&str]); 2] = [
     ("eval", &["folders", "output", "weights", "poses", "views", "targets", "pose_free", "refine", "csv"]),
 ];
 
-/// Hides the other options from `-h`, and shortens all help.
+/// Hides the other options from `-h`.
 fn short_help(command: clap::Command) -> clap::Command {
     let command = command.mut_args(shortened);
     SHORT_HELP.into_iter().fold(command, |command, (name, shown)| {
@@ -105,9 +103,7 @@ fn shortened(arg: clap::Arg) -> clap::Arg {
     arg.help(long[..end].to_owned()).long_help(long)
 }
 
-/// Runs a command line, program name first, and returns its exit code: 0 success, 1 failure, 2
-/// wrong usage, 3 unusable file or argument, 4 no device, device loss or out of memory, 5 wrong
-/// results of a device, 130 cancelled.
+/// Runs a command line, program name first, and returns its exit code (see `--help`).
 pub fn run(args: impl IntoIterator<Item = OsString>, terminal: Terminal<'_>) -> u8 {
     let args = refinement::join_steps(args);
     let parsed = short_help(Cli::command()).try_get_matches_from(&args).and_then(|found| Cli::from_arg_matches(&found));

@@ -2,7 +2,7 @@
 
 use zipsplat::types::Image;
 
-/// Standard deviation of SSIM windows in pixels.
+/// In pixels.
 const SIGMA: f64 = 1.5;
 const RADIUS: usize = 5;
 const PIXELS: f64 = ((2 * RADIUS + 1) * (2 * RADIUS + 1)) as f64;
@@ -54,7 +54,7 @@ pub fn ssim(a: &[f32], b: &[f32], width: usize, height: usize) -> f64 {
     sum / count as f64
 }
 
-/// Returns Gaussian-weighted means of complete windows.
+/// Gaussian-weighted means of complete windows.
 fn filter(values: &[f64], width: usize) -> Vec<f64> {
     let taps: [f64; 2 * RADIUS + 1] =
         std::array::from_fn(|i| (-0.5 * ((i as f64 - RADIUS as f64) / SIGMA).powi(2)).exp());

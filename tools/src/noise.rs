@@ -17,7 +17,7 @@ impl Noise {
         low + (high - low) * ((self.bits() >> 40) as f32 / (1 << 24) as f32)
     }
 
-    /// Returns uniform values in -1..1.
+    /// Uniform in -1..1.
     pub fn values(&mut self, len: usize) -> Vec<f32> {
         (0..len).map(|_| self.uniform(-1.0, 1.0)).collect()
     }
@@ -27,7 +27,7 @@ impl Noise {
         Image { width, height, rgb }
     }
 
-    /// Returns Gaussians in view of [`camera`], with coverage roughly independent of `count`.
+    /// Gaussians in view of [`camera`], with coverage roughly independent of `count`.
     pub fn scene(&mut self, count: usize, sh_degree: u32) -> Scene {
         let size = 2.0 / (count.max(1) as f32).sqrt();
         let mut scene = Scene { sh_degree, ..Scene::default() };
@@ -46,7 +46,7 @@ impl Noise {
     }
 }
 
-/// Returns a camera at the origin along z; the longer side is as wide as the distance.
+/// At the origin along z; the longer side is as wide as the distance.
 pub fn camera(width: u32, height: u32) -> Camera {
     let focal = f64::from(width.max(height));
     let (cx, cy) = (f64::from(width) / 2.0, f64::from(height) / 2.0);

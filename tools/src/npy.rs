@@ -15,7 +15,7 @@ pub fn encode([height, width]: [u32; 2], values: &[f32]) -> Vec<u8> {
     bytes
 }
 
-/// Reads size and values in formats 1.0 to 3.0.
+/// Reads formats 1.0 to 3.0.
 pub fn read(path: &Path) -> Result<([u32; 2], Vec<f32>)> {
     let bytes = std::fs::read(path).map_err(|error| Error::io(path, error))?;
     let malformed = |found: &str| {

@@ -1,4 +1,4 @@
-//! Options that several commands share.
+//! Options shared by several commands.
 
 use crate::{
     released::{self, is_of_depth, open_depth},
@@ -17,19 +17,19 @@ use zipsplat::{
     weights::{Architecture, Checkpoint, DepthCheckpoint},
 };
 
-/// The choice of weights.
 #[derive(Args)]
 pub struct Weights {
-    /// Checkpoint, name in `zipsplat weights list`, or seeded:VARIANT for random weights [default: built-in]
+    /// Checkpoint, name in `zipsplat weights list`, or seeded:VARIANT for random weights [default:
+    /// built-in]
     #[arg(long, value_name = "PATH|NAME|seeded:VARIANT[:KEY]")]
     weights: Option<String>,
-    /// Network, if the checkpoint lacks it: vitg, vitl, vitb, vits, da3s, da3b, da3l[:out_layers=5,7,11]
+    /// Network, if the checkpoint lacks it: vitg, vitl, vitb, vits, da3s, da3b,
+    /// da3l[:out_layers=5,7,11]
     #[arg(long, value_name = "V", requires = "weights")]
     variant: Option<String>,
 }
 
 impl Weights {
-    /// Opens them.
     pub fn open(&self) -> Result<Checkpoint> {
         match &self.weights {
             Some(weights) => self.open_as(weights),
@@ -37,7 +37,7 @@ impl Weights {
         }
     }
 
-    /// Opens them as the kind of network that the file's tensors show.
+    /// By the file's tensors.
     pub fn open_network(&self) -> Result<Network> {
         match &self.weights {
             Some(weights) if is_of_depth(weights) => {
@@ -48,45 +48,40 @@ impl Weights {
         }
     }
 
-    /// The options as arguments of a command line.
     pub fn as_arguments(&self) -> Vec<&str> {
         let named = [("--weights", &self.weights), ("--variant", &self.variant)];
         named.iter().filter_map(|(name, value)| Some([*name, value.as_deref()?])).flatten().collect()
     }
 
-    /// The options as arguments of `zipsplat convert`.
+    /// For `zipsplat convert`.
     pub fn as_input(&self) -> Vec<&str> {
         let variant = self.variant.iter().flat_map(|variant| ["--variant", variant]);
         [self.weights.as_deref().unwrap_or(BUILT_IN)].into_iter().chain(variant).collect()
     }
 
-    /// Whether they are those that are built in.
     pub fn is_embedded(&self) -> bool {
         self.weights.as_deref().is_none_or(|weights| weights == BUILT_IN)
     }
 
-    /// Opens others, of the variant given.
     pub fn open_as(&self, weights: &str) -> Result<Checkpoint> {
         open_checkpoint(weights, self.variant.as_deref(), CHECKPOINTS)
     }
 
-    /// As [`Weights::open_as`], of a file that might also have been a scene.
+    /// The file might be a scene.
     pub fn open_unless_scene(&self, file: &str) -> Result<Checkpoint> {
         let expected = format!("{CHECKPOINTS}, or a scene ({})", SceneFormat::EXTENSIONS);
         open_checkpoint(file, self.variant.as_deref(), &expected)
     }
 }
 
-/// A network that makes scenes.
 pub enum Network {
-    /// Of Gaussians that tokens become.
+    /// Tokens become Gaussians.
     Tokens(Checkpoint),
-    /// Of Gaussians that pixels become, at a depth that it finds.
+    /// Pixels become Gaussians, at estimated depth.
     Pixels(DepthCheckpoint),
 }
 
 impl Network {
-    /// Where the weights are from.
     pub fn provenance(&self) -> &str {
         match self {
             Self::Tokens(checkpoint) => checkpoint.provenance(),
@@ -95,13 +90,11 @@ impl Network {
     }
 }
 
-/// Name of the model that is built in.
 pub const BUILT_IN: &str = "built-in";
 
-/// The kinds of checkpoints, for messages.
 pub const CHECKPOINTS: &str = "a checkpoint (safetensors, or PyTorch's archive)";
 
-/// Opens a checkpoint; other kinds of files are refused by their first bytes.
+/// Opens a checkpoint; rejects other files by their first bytes.
 pub fn open_checkpoint(text: &str, variant: Option<&str>, expected: &str) -> Result<Checkpoint> {
     if text == BUILT_IN {
         refuse(
@@ -135,58 +128,55 @@ pub fn open_checkpoint(text: &str, variant: Option<&str>, expected: &str) -> Res
     Checkpoint::parse(text, variant)
 }
 
-/// Refuses an option that has no effect on what it was given with.
+/// Rejects an option that does not apply to this input.
 pub fn refuse(option: &str, given: bool, found: &str, expected: &str) -> Result<()> {
     if given { Err(Error::argument(option, found, format!("{expected}, which it is for"))) } else { Ok(()) }
 }
 
-/// Ratio, precision and selection of a reconstruction.
 #[derive(Args, Debug)]
 pub struct Quality {
     /// Share of the tokens that become Gaussians, in (0, 1]; auto: 0.5 sqrt(2 / views)
     #[arg(long, value_name = "R|auto", default_value = "1", value_parser = parse_ratio)]
     pub ratio: Ratio,
-    /// How those tokens are chosen: kmeans[:ROUNDS], stride or random[:SEED]
+    /// Token selection: kmeans[:ROUNDS], stride or random[:SEED]
     #[arg(long, alias = "token-selection", value_name = "HOW", default_value = "kmeans", value_parser = parse_selection)]
     pub select: Selection,
-    /// With many photos: attention across photos sees the mean of SxS patches, S from 1 to 4, in place of each: faster, less exact
+    /// Attend across many photos to the mean of SxS patches, S from 1 to 4, instead of each:
+    /// faster, less exact
     #[arg(long, alias = "kv-pool", value_name = "S", default_value = "1")]
     pub pool: usize,
-    /// Keep of every token only the N Gaussians that show most
+    /// Keep only the N most visible Gaussians per token
     #[arg(long, alias = "max-gaussians-per-token", value_name = "N|all", default_value = "all")]
     keep: Keep,
-    /// Network input size in pixels, multiples of the patch (14); best is the default, the trained
-    /// size
+    /// Network input size in pixels, multiples of the patch (14); the default, the trained size, is
+    /// best
     #[arg(long, alias = "input-size", value_name = "WxH")]
     size: Option<Size>,
     #[command(flatten)]
     pub arithmetic: ArithmeticOption,
 }
 
-/// How a scene is read.
 #[derive(Args)]
 pub struct SceneInput {
-    /// Gaussians in the scene's file with values that are NaN, infinite or out of range [default: refuse]
+    /// Gaussians with NaN, infinite or out-of-range values in the scene's file [default: refuse]
     #[arg(long, value_enum, value_name = "WHAT")]
     invalid: Option<Invalid>,
 }
 
-/// The treatment of Gaussians that cannot be drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Invalid {
-    /// The file is an error
+    /// Reject the file
     Refuse,
-    /// Leave them out and count them
+    /// Drop and count them
     Drop,
 }
 
 impl SceneInput {
-    /// Whether it says anything.
     pub fn is_given(&self) -> bool {
         self.invalid.is_some()
     }
 
-    /// The scene of a file, and how many Gaussians of it were left out, which is noted.
+    /// Notes and returns the number of dropped Gaussians.
     pub fn read(&self, session: &mut Session<'_>, path: &Path) -> Result<(Scene, usize)> {
         let (mut scene, _) = session.stage("read scene", |_| read_scene_unchecked(path))?;
         if self.invalid != Some(Invalid::Drop) {
@@ -204,7 +194,6 @@ impl SceneInput {
     }
 }
 
-/// In which arithmetic.
 #[derive(Args, Debug, Default)]
 pub struct ArithmeticOption {
     /// Arithmetic [default: fast on GPUs with matrix units, else exact]
@@ -213,19 +202,17 @@ pub struct ArithmeticOption {
 }
 
 impl Quality {
-    /// Checks what depends on the network.
     pub fn check(&self, architecture: &Architecture) -> Result<()> {
         Pool::check(self.pool)?;
         let all = architecture.gaussians_per_token;
         self.keep.of(all).map(drop)
     }
 
-    /// Gaussians that are kept of every token, where not all are.
+    /// `None` for all.
     pub fn kept(&self) -> Option<u32> {
         self.keep.0
     }
 
-    /// The ratio of so many views as a number.
     pub fn ratio_of(&self, views: usize) -> f64 {
         match self.ratio {
             Ratio::Fixed(ratio) => ratio,
@@ -233,34 +220,31 @@ impl Quality {
         }
     }
 
-    /// The size that is asked for.
     pub fn asked_size(&self) -> Option<Size> {
         self.size
     }
 
-    /// Longer side of pictures of any shape, where one is asked for.
+    /// Longer side of pictures of any shape.
     pub fn side(&self) -> Option<u32> {
         self.size.map(|Size(width, height)| width.max(height))
     }
 
-    /// Gaussians of a token that are kept.
     pub fn group(&self, architecture: &Architecture) -> usize {
         self.keep.0.map_or(architecture.gaussians_per_token, |keep| keep as usize)
     }
 
-    /// Leaves out the Gaussians that were not asked for.
+    /// Removes Gaussians beyond the requested number.
     pub fn prune(&self, scene: &mut Scene, architecture: &Architecture) {
         if let Some(keep) = self.keep.0 {
             scene.keep_most_visible(architecture.gaussians_per_token, keep as usize);
         }
     }
 
-    /// The size asked for, or the one that a network is best with.
     pub fn size_for(&self, checkpoint: &Checkpoint) -> Size {
         Size::or_best(self.size, checkpoint)
     }
 
-    /// The warning where the size asked for is not the one that a network was trained with.
+    /// Warns about a size that differs from the trained one.
     pub fn doubt_size(&self, checkpoint: &Checkpoint) -> Option<String> {
         let trained = Size::or_best(None, checkpoint);
         let asked = self.size.filter(|asked| *asked != trained)?;
@@ -270,25 +254,23 @@ impl Quality {
     }
 }
 
-/// Arithmetic of a reconstruction.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 pub enum PrecisionName {
     /// f32 throughout
     #[value(alias = "fp32")]
     Exact,
-    /// f16 factors of matrix products, all else f32
+    /// f16 factors of matrix products, otherwise f32
     #[value(alias = "fp16")]
     Fast,
-    /// bf16 factors of matrix products, all else f32
+    /// bf16 factors of matrix products, otherwise f32
     #[value(alias = "bf16")]
     FastBf16,
-    /// As fast, with 8-bit factors in the linear layers of blocks
+    /// Like fast, with 8-bit factors in the linear layers of blocks
     #[value(alias = "int8")]
     Turbo,
 }
 
 impl PrecisionName {
-    /// The precision of that name.
     pub fn precision(self) -> Precision {
         match self {
             PrecisionName::Exact => Precision::Exact,
@@ -300,14 +282,14 @@ impl PrecisionName {
 }
 
 impl ArithmeticOption {
-    /// The precision asked for, or the device's best, and its arithmetic there; kernels that failed their test are noted.
+    /// Returns the requested precision, or the device's best. Notes kernels that failed their test.
     pub fn choose(&self, session: &mut Session<'_>, device: &Device) -> Result<(Precision, Arithmetic)> {
         let Chosen { precision, arithmetic, notes } = session.choose(device, self.asked())?;
         notes.iter().for_each(|note| session.note(note));
         Ok((precision, arithmetic))
     }
 
-    /// The same for a device that is not there.
+    /// Chooses for a device by its limits.
     pub fn planned(&self, limits: &Limits) -> (Precision, Arithmetic) {
         let precision = self.asked().unwrap_or(Precision::best(limits));
         let arithmetic = Arithmetic::of(precision, limits);
@@ -319,12 +301,11 @@ impl ArithmeticOption {
     }
 }
 
-/// Number of Gaussians of a token that are kept; none keeps all.
+/// Gaussians kept per token; `None` keeps all.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Keep(Option<u32>);
 
 impl Keep {
-    /// The number, of `all` Gaussians of a token; an error where a token has fewer.
     pub fn of(self, all: usize) -> Result<usize> {
         match self.0 {
             Some(keep) if keep as usize > all => {
@@ -347,12 +328,11 @@ impl FromStr for Keep {
     }
 }
 
-/// Width and height in pixels.
+/// In pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Size(pub u32, pub u32);
 
 impl Size {
-    /// The size asked for, or the one that a network is best with.
     pub fn or_best(asked: Option<Self>, checkpoint: &Checkpoint) -> Self {
         asked.unwrap_or(Self(checkpoint.picture_side(), checkpoint.picture_side()))
     }
@@ -373,7 +353,7 @@ impl fmt::Display for Size {
     }
 }
 
-/// A number, whose range the engine checks, or `auto`.
+/// Leaves the number's range to the engine.
 pub fn parse_ratio(text: &str) -> Result<Ratio, String> {
     match text {
         "auto" => Ok(Ratio::Auto),
@@ -381,7 +361,7 @@ pub fn parse_ratio(text: &str) -> Result<Ratio, String> {
     }
 }
 
-/// A length that something can be measured in.
+/// Positive.
 pub fn parse_length(text: &str) -> Result<f64, String> {
     let length = text.parse().ok().filter(|length: &f64| length.is_finite() && *length > 0.0);
     length.ok_or_else(|| "expected a number above 0".into())

@@ -13,13 +13,11 @@ use zipsplat::{
     types::{Image, Origin, Scene, SceneFormat, Unfinished, World, WriteOptions, write_atomic, write_scene_in},
 };
 
-/// Levels of a depth picture per world unit.
+/// Per world unit.
 pub const DEPTH_LEVELS: f32 = 1000.0;
-/// Author mark in written files.
 pub const MADE_BY: &str = "zipsplat";
-/// First line of logs of other programs.
 pub const LOG_START: &str = "zipsplat: what COLMAP said";
-/// Bytes searched for a mark at each end of a file.
+/// At each end of a file.
 const SEARCHED: u64 = 1 << 16;
 /// File signatures with their author marks. `.splat` has none.
 const MARKS: [(&[u8], &[u8]); 21] = [
@@ -58,13 +56,11 @@ impl Overwrite {
         self.overwrite
     }
 
-    /// Checks that a file is writable and replaces no other program's.
     pub fn check_file(self, path: &Path) -> Result<()> {
         check_file(path)?;
         self.check_replaced([path])
     }
 
-    /// Checks that files replace only own ones.
     pub fn check_replaced<P: AsRef<Path>>(self, files: impl IntoIterator<Item = P>) -> Result<()> {
         let mut files = files.into_iter();
         match files.find(|file| !self.overwrite && is_file(file.as_ref()) && !is_own(file.as_ref())) {
@@ -79,7 +75,7 @@ impl Overwrite {
     }
 }
 
-/// Returns true for a nonempty regular file; pipes and devices are not replaced.
+/// Pipes and devices are not replaced.
 fn is_file(path: &Path) -> bool {
     path.metadata().is_ok_and(|found| found.is_file() && found.len() > 0)
 }
@@ -128,7 +124,6 @@ fn check_file(path: &Path) -> Result<()> {
     }
 }
 
-/// Checks that a folder is writable, creating it if missing.
 pub fn check_folder(path: &Path) -> Result<()> {
     if path.exists() && !path.is_dir() {
         return Err(Error::argument("output", format!("the file {}", path.display()), "a folder"));
@@ -140,8 +135,7 @@ pub fn check_folder(path: &Path) -> Result<()> {
     }
 }
 
-/// Writes a scene with its world, so that `render` interprets cameras in it. Returns a note if the
-/// format cannot store it.
+/// Writes a scene with its world for `render`. Returns a note if the format cannot store it.
 pub fn save_scene(path: &Path, scene: &Scene, options: &WriteOptions, world: Option<&World>) -> Result<Option<String>> {
     write_scene_in(path, scene, options, world)?;
     let keeps = SceneFormat::of_extension(path).is_none_or(|format| format.keeps_world(options));
@@ -156,13 +150,13 @@ pub fn save_scene(path: &Path, scene: &Scene, options: &WriteOptions, world: Opt
     })
 }
 
-/// Writes CSV (RFC 4180) with field names.
+/// RFC 4180.
 pub fn save_csv(path: &Path, rows: &[impl Serialize]) -> Result<()> {
     let table = csv(rows);
     write_atomic(path, |out| out.write_all(table.as_bytes()))
 }
 
-/// Formats fields that are numbers, text or absent.
+/// Fields are numbers, text or absent.
 pub fn csv(rows: &[impl Serialize]) -> String {
     let mut table = csv::Writer::from_writer(Vec::new());
     rows.iter().for_each(|row| table.serialize(row).expect("flat rows of one type, written to memory"));
@@ -195,7 +189,6 @@ pub fn save_depth_levels(path: &Path, size: [u32; 2], depth: &[f32], levels: f32
     save_png(path, size, (ColorType::Grayscale, BitDepth::Sixteen), &levels)
 }
 
-/// Writes the author mark for [`is_own`].
 fn save_png(path: &Path, [width, height]: [u32; 2], (color, depth): (ColorType, BitDepth), bytes: &[u8]) -> Result<()> {
     write_atomic(path, |out| {
         let mut encoder = png::Encoder::new(out, width, height);

@@ -1,21 +1,19 @@
-//! LPIPS where commands compare pictures.
+//! LPIPS in commands that compare pictures.
 
 use clap::{Args, ValueEnum};
 use zipsplat::{Device, Result, perceptual::Perceptual, stages::lpips::LpipsNetwork};
 
-/// The choice of the network.
 #[derive(Args, Debug)]
 pub struct LpipsOption {
-    /// Network of LPIPS; its weights are not ours to ship: `python3 tools/lpips.py` fetches them [default: vgg where its weights
-    /// are, else none]
+    /// LPIPS network; `python3 tools/lpips.py` downloads its weights, which we cannot ship
+    /// [default: vgg if its weights are available, else none]
     #[arg(long, value_enum, value_name = "NETWORK")]
     lpips: Option<Network>,
 }
 
-/// Networks that see pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Network {
-    /// VGG16, as the paper
+    /// VGG16, as in the paper
     Vgg,
     /// AlexNet, ten times as fast
     Alex,
@@ -24,10 +22,8 @@ enum Network {
 }
 
 impl LpipsOption {
-    /// Loads the weights onto a device, with `gradients` or for the distance alone; `None` where they are not there and were not asked for.
-    ///
-    /// # Errors
-    /// Those of [`Perceptual::open`]; of [`Perceptual::file`] where a network was asked for.
+    /// Loads the weights, with `gradients` or for the distance alone; `None` if they are missing
+    /// and were not requested.
     pub fn open(&self, device: &Device, gradients: bool) -> Result<Option<Perceptual>> {
         let network = match self.lpips {
             Some(Network::None) => return Ok(None),
@@ -41,17 +37,13 @@ impl LpipsOption {
         }
     }
 
-    /// Whether nothing was said.
     pub fn is_default(&self) -> bool {
         self.lpips.is_none()
     }
 }
 
-/// The distance of two pictures of one size, `[height][width][rgb]` in 0..1; `None` without a network and for pictures that are too
-/// small for it.
-///
-/// # Errors
-/// As [`Perceptual::distance`].
+/// Returns the distance of two pictures of equal size, `[height][width][rgb]` in 0..1; `None`
+/// without a network, or for pictures that are too small.
 pub fn distance(lpips: Option<&mut Perceptual>, pictures: [&[f32]; 2], size: [u32; 2]) -> Result<Option<f64>> {
     match lpips {
         Some(lpips) if size[0].min(size[1]) >= lpips.network().least_side() => lpips.distance(pictures, size).map(Some),

@@ -27,9 +27,9 @@ use zipsplat::{
 };
 
 const EXTENSIONS: [&str; 4] = ["png", "jpg", "jpeg", "webp"];
-/// Limit of names in a message.
+/// Names in a message.
 const NAMED: usize = 5;
-/// Cropped share of the area that needs a warning.
+/// Share of the area that needs a warning.
 const CROPPED: f64 = 0.1;
 
 #[derive(Args)]
@@ -42,7 +42,6 @@ pub struct PhotoArgs {
     reading: Reading,
 }
 
-/// Reading of folders and videos.
 #[derive(Args)]
 pub struct Reading {
     /// Include photos of nested folders
@@ -65,8 +64,8 @@ impl PhotoArgs {
 }
 
 impl Reading {
-    /// Lists the photos as [`list`], and converts videos and HEIC: `frames` per video, or a
-    /// default. The folder of converted photos lies beside their camera file, if any.
+    /// Acts as [`list`], and converts videos and HEIC: `frames` per video, or a default. The folder
+    /// of converted photos lies beside their camera file, if any.
     pub fn list(
         &self,
         session: &mut Session<'_>,
@@ -106,8 +105,7 @@ impl Reading {
     }
 }
 
-/// Lists files as given, and photos of folders in natural order. Notes skipped files, except hidden
-/// ones.
+/// Photos of folders are in natural order. Notes skipped files, except hidden ones.
 pub fn list(session: &mut Session<'_>, paths: &[PathBuf]) -> Result<Vec<PathBuf>> {
     let mut photos = Vec::new();
     for path in paths {
@@ -178,7 +176,7 @@ fn list_folder(session: &mut Session<'_>, folder: &Path) -> Result<Vec<PathBuf>>
     Ok(photos)
 }
 
-/// Returns photos directly in a folder, in natural order.
+/// In natural order.
 pub fn directly_in(folder: &Path) -> Result<Vec<PathBuf>> {
     let mut found = visible(folder)?;
     found.retain(|path| path.is_file() && is_photo(path));
@@ -186,7 +184,7 @@ pub fn directly_in(folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(found)
 }
 
-/// Returns nested folders, in natural order.
+/// In natural order.
 pub fn folders_in(folder: &Path) -> Result<Vec<PathBuf>> {
     let mut found = visible(folder)?;
     found.retain(|path| path.is_dir());
@@ -194,8 +192,8 @@ pub fn folders_in(folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(found)
 }
 
-/// Splits files into photos and others. A HEIC picture with a photo of the same name is its
-/// original, and is skipped.
+/// Splits files into photos and others. Skips a HEIC picture beside a photo of the same name, its
+/// conversion.
 fn photos_among(files: Vec<PathBuf>) -> (Vec<PathBuf>, Vec<PathBuf>) {
     let stems: HashSet<OsString> =
         files.iter().filter(|path| is_photo(path)).filter_map(|path| Some(path.file_stem()?.to_owned())).collect();
@@ -236,8 +234,7 @@ fn named(paths: &[PathBuf], name: impl Fn(&PathBuf) -> String) -> String {
     names.join(", ")
 }
 
-/// Keeps photos with a camera among `poses`, and notes the others: structure from motion often
-/// skips photos.
+/// Keeps photos with a camera among `poses`, and notes the others.
 pub fn posed(session: &mut Session<'_>, photos: Vec<PathBuf>, poses: &Poses) -> Result<Vec<PathBuf>> {
     let (mut kept, mut others) = (Vec::new(), Vec::new());
     for photo in photos {
@@ -254,22 +251,17 @@ pub fn posed(session: &mut Session<'_>, photos: Vec<PathBuf>, poses: &Poses) -> 
     Ok(kept)
 }
 
-/// Returns the path of a photo as text, as files of cameras hold it.
-///
-/// # Errors
-/// [`Error::Argument`] if the path is not UTF-8.
 pub fn text(path: &Path) -> Result<&str> {
     path.to_str().ok_or_else(|| {
         Error::argument("name of a photo", format!("{path:?}"), "UTF-8, as files of cameras hold it: rename the photo")
     })
 }
 
-/// The first few of the files by name.
 pub fn names(files: &[PathBuf]) -> String {
     named(files, |path| path.file_name().unwrap_or_default().to_string_lossy().into_owned())
 }
 
-/// Returns at most `count` photos, evenly spread, with the first and the last.
+/// Evenly spread, with the first and the last.
 pub fn spread(photos: Vec<PathBuf>, count: usize) -> Vec<PathBuf> {
     if photos.len() <= count {
         return photos;
@@ -307,9 +299,6 @@ fn end_of_digits(text: &str) -> usize {
 
 /// Reads photos concurrently and maps them with `make`, by index. Photos with `frames` are read as
 /// by [`Frame::open`]: COLMAP's cameras apply to pixels without the EXIF orientation.
-///
-/// # Errors
-/// That of the first unreadable photo, and those of `make`.
 pub fn read<T: Send>(
     photos: &[PathBuf],
     frames: &[&Frame],
@@ -327,7 +316,6 @@ pub fn read<T: Send>(
     photos.par_iter().enumerate().map(read).collect::<Vec<_>>().into_iter().collect()
 }
 
-/// Warns about much cropping.
 pub fn cropping(photos: &[[u32; 2]], Size(width, height): Size) -> Option<String> {
     let area = |width: u32, height: u32| f64::from(width) * f64::from(height);
     let kept = |[w, h]: &[u32; 2]| {

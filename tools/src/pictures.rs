@@ -19,30 +19,26 @@ use zipsplat::{
 };
 
 pub const SHEET: &str = "contact.png";
-/// Contact sheet limit; pictures are scaled down to fit.
 const SHEET_SIDE: u32 = 4096;
-/// Pictures per write batch; another batch may queue.
+/// Another batch may queue.
 const BATCH: u64 = 8;
 const BATCH_PIXELS: u64 = 1 << 24;
-/// Visible deviation from the background: half a level of 256.
+/// Half a level of 256.
 const VISIBLE: f32 = 0.5 / 255.0;
 
 #[derive(Default)]
 pub struct Sinks<'a> {
     pub folder: Option<&'a Path>,
-    /// Raw bytes.
     pub raw: Option<&'a mut dyn Write>,
     pub animation: Option<Animation>,
 }
 
 pub struct Drawn {
-    /// Thumbnails for a contact sheet.
     pub small: Vec<Image>,
-    /// True if only the background is visible.
     pub empty: bool,
 }
 
-/// Returns optional files beside `000.png`.
+/// Optional files beside `000.png`.
 fn layers(request: &RenderRequest) -> [(&'static str, bool); 5] {
     [
         ("", request.rgb),
@@ -90,12 +86,11 @@ pub fn draw(
     Ok(writer.drawn)
 }
 
-/// Returns a square layout.
 pub fn sheet_columns(frames: usize) -> usize {
     (1..).find(|columns| columns * columns >= frames).unwrap_or(frames)
 }
 
-/// Returns up to [`BATCH`], fewer for large pictures.
+/// At most [`BATCH`], fewer for large pictures.
 fn batch(cameras: &[Camera]) -> usize {
     let pixels = |camera: &Camera| u64::from(camera.intrinsics.width) * u64::from(camera.intrinsics.height);
     let largest = cameras.iter().map(pixels).max().unwrap_or(0).max(1);
@@ -112,7 +107,6 @@ struct Writer<'a> {
 }
 
 impl Writer<'_> {
-    /// Writes queued pictures in order until the channel closes.
     fn write_all(&mut self, frames: Receiver<Frame>, batch: usize) -> Result<()> {
         let mut done = 0;
         while let Ok(first) = frames.recv() {
@@ -151,7 +145,6 @@ impl Writer<'_> {
     }
 }
 
-/// Returns true for only background.
 fn is_empty(frame: &Frame, background: [f32; 3]) -> bool {
     let pixels = frame.rgb.as_deref().unwrap_or_default().chunks_exact(3);
     let mut pairs = pixels.flat_map(|pixel| pixel.iter().zip(background));

@@ -3,7 +3,7 @@
 use plotters::prelude::*;
 use std::{fmt::Write, ops::Range};
 
-/// Plot size in pixels; browsers scale it.
+/// In pixels; browsers scale it.
 const SIZE: (u32, u32) = (440, 330);
 /// Colors for any color vision (Okabe and Ito); their number limits the series.
 const COLORS: [RGBColor; 6] = [
@@ -20,23 +20,21 @@ const GREY: RGBColor = RGBColor(150, 150, 150);
 pub struct At {
     pub x: f64,
     pub y: f64,
-    /// Index for the page, as `data-point` of the circle.
+    /// `data-point` of the circle.
     pub of: Option<usize>,
 }
 
-/// Points of one color.
 #[derive(Debug)]
 pub struct Series {
     pub name: String,
     pub points: Vec<At>,
-    /// Joins the points in order.
     pub line: bool,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Scale {
     Linear,
-    /// Logarithmic; drops values of at most 0.
+    /// Drops values of at most 0.
     Log,
 }
 
@@ -152,7 +150,7 @@ impl Axis<'_> {
     }
 }
 
-/// Returns a range with a margin; never empty.
+/// Adds a margin; never empty.
 fn extent(values: impl Iterator<Item = f64>) -> Range<f64> {
     let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)));
     if low > high {
@@ -178,7 +176,6 @@ mod tests {
         let points = series("a", &[(1.0, 10.0), (0.0, 1.0), (f64::NAN, 1.0), (100.0, 1.0)]);
         let html = plot(LOG, Axis { label: "up", ..LOG }, "letters", &[points], None);
         assert!(html.contains("<svg") && html.contains("across") && html.contains("up"));
-        // Circles keep the numbers of the drawn points.
         let circles: Vec<&str> = html.split("<circle").skip(1).map(|circle| &circle[..16]).collect();
         assert_eq!(circles, [" data-point=\"0\" ", " data-point=\"30\""], "{html}");
         assert!(plot(LOG, LOG, "nothing", &[], None).contains("<svg"));

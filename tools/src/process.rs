@@ -14,7 +14,6 @@ use std::{
 };
 use zipsplat::{Error, Result};
 
-/// Interval between checks for the end or cancellation.
 pub const POLL: Duration = Duration::from_millis(10);
 /// Timeout for the last output of an ended process.
 const LAST_WORDS: Duration = Duration::from_secs(2);
@@ -34,7 +33,6 @@ impl Running {
     /// Starts a program in its own group: only this command receives Ctrl-C.
     pub fn start(command: &mut Command) -> io::Result<Self> {
         set_group(command);
-        // So that [`end_all`] finds the process.
         let mut started = lock(&STARTED);
         // Before the program, so that a kill of this command ends it.
         let mut watch = watch();
@@ -53,7 +51,6 @@ impl Running {
         Ok(Self(child, watch))
     }
 
-    /// Waits for the end, or for cancellation.
     pub fn wait(&mut self, program: &OsStr, stage: &Stage<'_>) -> Result<ExitStatus> {
         loop {
             if let Some(status) = self.0.try_wait().map_err(|source| Error::io(program, source))? {
@@ -64,7 +61,6 @@ impl Running {
         }
     }
 
-    /// Waits briefly for the end, then kills the process.
     pub fn end_soon(&mut self) {
         let asked = Instant::now();
         while asked.elapsed() < LAST_WORDS && matches!(self.0.try_wait(), Ok(None)) {
@@ -87,7 +83,7 @@ fn set_group(command: &mut Command) {
     std::os::unix::process::CommandExt::process_group(command, 0);
 }
 
-/// Starts a shell that ends a group if this command is killed; `None` without a shell.
+/// Starts a shell that ends a group if this command is killed.
 #[cfg(unix)]
 fn watch() -> Option<Child> {
     let mut command = Command::new("/bin/sh");
@@ -139,10 +135,7 @@ fn lock(started: &Mutex<Vec<u32>>) -> std::sync::MutexGuard<'_, Vec<u32>> {
     started.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
 }
 
-/// Runs a program and passes every line of its output and errors to `line`.
-///
-/// # Errors
-/// [`Error::Io`] for a failed start, the first of `line`, and [`Error::Cancelled`].
+/// Passes every line of output and errors to `line`.
 pub fn run(command: &mut Command, stage: &Stage<'_>, mut line: impl FnMut(&str) -> Result<()>) -> Result<ExitStatus> {
     let program = command.get_program().to_owned();
     let failed = |source| Error::io(&program, source);
@@ -180,7 +173,7 @@ pub fn run(command: &mut Command, stage: &Stage<'_>, mut line: impl FnMut(&str) 
     running.wait(&program, stage)
 }
 
-/// Checks that a program runs; `name` and `expected` are for the message.
+/// `name` and `expected` are for the message.
 pub fn check(program: &Path, name: &str, expected: &str) -> Result<()> {
     let mut command = Command::new(program);
     command.arg("-version").stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
@@ -192,7 +185,7 @@ pub fn check(program: &Path, name: &str, expected: &str) -> Result<()> {
     Err(Error::argument(name, format!("{}: {reason}", program.display()), expected))
 }
 
-/// Returns output and errors of a program with any exit code.
+/// Accepts any exit code.
 pub fn printed(command: &mut Command, stage: &Stage<'_>) -> Result<String> {
     let mut text = String::new();
     run(command, stage, |line| {
@@ -203,7 +196,7 @@ pub fn printed(command: &mut Command, stage: &Stage<'_>) -> Result<String> {
     Ok(text)
 }
 
-/// Reads in a thread: a full pipe would block the writer.
+/// In a thread: a full pipe would block the writer.
 pub fn listen(stream: impl Read + Send + 'static) -> std::thread::JoinHandle<String> {
     std::thread::spawn(move || said(stream))
 }
@@ -215,7 +208,7 @@ fn said(mut stream: impl Read) -> String {
     String::from_utf8_lossy(&said).into_owned()
 }
 
-/// Returns a failure with a program's message, or its exit status.
+/// Uses the program's message, or its exit status.
 pub fn failure(program: &Path, said: &str, status: impl ToString) -> Error {
     let words = if said.trim().is_empty() { status.to_string() } else { said.trim().to_owned() };
     // A broken pipe means our own output.

@@ -1,4 +1,4 @@
-//! Refinement as commands offer it: what it starts from, how far it is, and what came of it.
+//! Refinement in commands: initialization, progress and report.
 
 mod moved;
 
@@ -33,7 +33,6 @@ use zipsplat::{
     },
 };
 
-/// The scene that a refinement starts from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Start {
     /// A Gaussian at each point of the capture's point cloud
@@ -44,24 +43,21 @@ pub enum Start {
     Both,
 }
 
-/// From so many points on they are a better start than the scene of the model that is built in: so it is on 16 of 17 captures, of 650 to 20,000
-/// points, and on average 2.9 dB after 100 steps.
+/// Minimum points to prefer over the built-in model's scene.
 const ENOUGH: usize = 500;
 
 impl Start {
-    /// The start that was asked for, else the one that measures best: for the model that is built in points, where there are
-    /// enough. Other weights were not measured, and who chose them wants their scene.
+    /// Points only for the built-in model, if there are enough.
     pub fn or_best(asked: Option<Self>, cloud: Option<&PointCloud>, embedded: bool) -> Self {
         let enough = embedded && cloud.is_some_and(|cloud| cloud.positions.len() >= ENOUGH);
         asked.unwrap_or(if enough { Self::Points } else { Self::Scene })
     }
 
-    /// Whether it needs a scene, and whether it needs points.
+    /// A scene, and points.
     pub fn needs(self) -> [bool; 2] {
         [self != Self::Points, self != Self::Scene]
     }
 
-    /// The start's name, in words.
     pub fn name(self) -> &'static str {
         match self {
             Self::Points => "the capture's points",
@@ -70,10 +66,7 @@ impl Start {
         }
     }
 
-    /// The Gaussians to start from. What is not needed may be missing.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] where what is needed is missing.
+    /// Unneeded arguments may be `None`.
     pub fn scene(self, scene: Option<Scene>, cloud: Option<&PointCloud>, cameras: &[Camera]) -> Result<Scene> {
         let lacks = |found: &str, expected: &str| Error::argument("start of the refinement", found, expected);
         let of_scene = || scene.ok_or_else(|| lacks("no scene", "a scene, or --start points"));
@@ -90,18 +83,16 @@ impl Start {
     }
 }
 
-/// The start of a refinement of tokens, in words.
 pub const TOKENS: &str = "the network's tokens";
 
-/// Steps of `--refine` without a value.
 pub const DEFAULT_STEPS: &str = "100";
 
-/// Joins `--refine` with the number of steps behind it, so that `--refine`, `--refine=N` and
+/// Joins `--refine` with a following number of steps, so that `--refine`, `--refine=N` and
 /// `--refine N` work for every command.
 pub fn join_steps(args: impl IntoIterator<Item = OsString>) -> Vec<OsString> {
     let mut joined: Vec<OsString> = Vec::new();
     for word in args {
-        // A target without steps, too: its error then names the option.
+        // Also a target without steps, for an error that names the option.
         let is_value = |text: &&str| text.parse::<Steps>().is_ok() || ["tokens", "gaussians"].contains(text);
         let steps = word.to_str().filter(is_value);
         let literal = joined.iter().any(|word| word == "--");
@@ -113,14 +104,13 @@ pub fn join_steps(args: impl IntoIterator<Item = OsString>) -> Vec<OsString> {
     joined
 }
 
-/// Most pixels of a photo along x and y, where nobody says.
+/// Along x and y.
 pub const MOST_PIXELS: &str = "1600x1600";
 
-/// Steps, and what is moved in them, as `--refine` has them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Steps {
     pub count: usize,
-    /// Whether the scene's tokens are moved, through the network's head, and not its Gaussians.
+    /// Refines tokens, through the network's head, instead of Gaussians.
     pub tokens: bool,
 }
 
@@ -137,10 +127,7 @@ impl Display for Steps {
 }
 
 impl Steps {
-    /// Refuses what tokens cannot start from, and a share of LPIPS without its weights.
-    ///
-    /// # Errors
-    /// [`Error::Argument`].
+    /// Rejects initializations that tokens cannot use, and LPIPS without its weights.
     pub fn check(self, start: Option<Start>, moved: &Moved) -> Result<()> {
         moved.check()?;
         match (start, moved.grow) {
@@ -170,24 +157,24 @@ impl FromStr for Steps {
     }
 }
 
-/// The refinement of a scene that is made of photos.
 #[derive(Args)]
 #[command(group(ArgGroup::new("moved").args(["refine_cameras", "grow", "lpips_weight"]).multiple(true).requires("refine")))]
 pub struct RefineOptions {
-    /// Make the scene sharp: move it in so many steps until it looks like the photos. :tokens moves the network's tokens, from which
-    /// its head makes Gaussians, and not the Gaussians themselves. Of 9 photos or more one is held out, and the scene is that of
-    /// the step that predicts it best. Ctrl-C in between writes the best so far
+    /// Refine the scene for this number of steps until it looks like the photos; :tokens refines
+    /// the network's tokens instead of the Gaussians. Of 9 photos or more one is held out, and the
+    /// best step by that photo is kept. Ctrl-C ends early with the best so far
     #[arg(long, value_name = "STEPS[:tokens|gaussians]", requires = "poses", num_args = 0..=1, require_equals = true,
         default_missing_value = DEFAULT_STEPS)]
     refine: Option<Steps>,
-    /// Start of --refine; points are those that structure from motion left beside the cameras [default: with the
-    /// model that is built in points, where there are enough, else the scene]
+    /// Initialization of --refine; points are those of structure from motion beside the cameras
+    /// [default: for the built-in model points, if there are enough, else the scene]
     #[arg(long, alias = "init", value_enum, value_name = "WHAT", requires = "refine")]
     pub start: Option<Start>,
-    /// Most pixels of a photo along x and y in --refine: a larger one is compared at the largest size that fits
+    /// Largest compared size in --refine; larger photos are scaled down to fit
     #[arg(long, alias = "max-image-size", value_name = "WxH", default_value = MOST_PIXELS, requires = "refine")]
     refine_size: Size,
-    /// Photos that --refine holds out, evenly spread; 0 learns from all [default: 1 of 9 or more, none with --refine-cameras]
+    /// Photos that --refine holds out, evenly spread; 0 learns from all [default: 1 of 9 or more,
+    /// none with --refine-cameras]
     #[arg(long, alias = "holdout-views", value_name = "K", requires = "refine")]
     hold_out: Option<usize>,
     #[command(flatten)]
@@ -195,31 +182,22 @@ pub struct RefineOptions {
 }
 
 impl RefineOptions {
-    /// The steps of --refine.
     pub fn steps(&self) -> Option<Steps> {
         self.refine
     }
 
-    /// Refuses what tokens cannot start from.
-    ///
-    /// # Errors
-    /// As [`Steps::check`].
+    /// Rejects initializations that tokens cannot use.
     pub fn check(&self) -> Result<()> {
         self.steps().map_or(Ok(()), |steps| steps.check(self.start, &self.moved))
     }
 
-    /// The request of these steps.
     pub fn request(&self, steps: Steps) -> Refine {
         let size = Some([self.refine_size.0, self.refine_size.1]);
         self.moved.request(Refine { steps: steps.count, size, hold_out: self.hold_out, ..Refine::default() })
     }
 }
 
-/// Writes the refined cameras of photos for `--poses` and other programs. `to_world` leads from the
-/// scene to the cameras' world.
-///
-/// # Errors
-/// [`Error::Io`] naming the file that cannot be written.
+/// `to_world` maps the scene to the cameras' world.
 pub fn save_cameras(
     path: &Path,
     refined: &Refined,
@@ -236,7 +214,7 @@ pub fn save_cameras(
     write_frames(path, &moved, None)
 }
 
-/// The median turn in degrees and the median shift of the cameras that were moved, where any were.
+/// Median rotation in degrees, and shift, of the moved cameras.
 pub fn camera_movement(given: &[Camera], refined: &Refined) -> Option<[f64; 2]> {
     let pairs = given.iter().zip(&refined.cameras).filter(|(given, refined)| given != refined);
     let movements: Vec<Pose> = pairs.map(|(given, refined)| refined.pose.relative_to(&given.pose)).collect();
@@ -249,13 +227,12 @@ pub fn camera_movement(given: &[Camera], refined: &Refined) -> Option<[f64; 2]> 
     Some([degrees?, median(|pose| pose.translation.length())?])
 }
 
-/// The thing that is refined.
 pub enum Refinable<'a> {
     Scene(&'a Scene),
     Tokens(&'a FrozenHead, &'a SceneTokens),
 }
 
-/// A cloud as seen from another world: a point x comes to stand at `pose(x) / unit`.
+/// Maps a point x to `pose(x) / unit`.
 pub fn placed(mut cloud: PointCloud, pose: &Pose, unit: f64) -> PointCloud {
     for at in &mut cloud.positions {
         *at = (pose.transform(at.map(f64::from).into()) / unit).as_vec3().to_array();
@@ -263,10 +240,7 @@ pub fn placed(mut cloud: PointCloud, pose: &Pose, unit: f64) -> PointCloud {
     cloud
 }
 
-/// Refines in an arena, with progress. What was best so far is returned where the command should stop.
-///
-/// # Errors
-/// As [`refine_scene`], and [`Error::Cancelled`] where it should stop before the first step.
+/// Cancellation returns the best so far.
 pub fn refine(
     session: &Session<'_>,
     arena: &Arena,
@@ -293,14 +267,12 @@ pub fn refine(
     }
 }
 
-/// How far a refinement is, for a progress bar.
 fn told(at: &Refining<'_>) -> String {
     let loss = at.loss.map(|loss| format!(", loss {loss:.4}")).unwrap_or_default();
     let psnr = at.psnr.map(|psnr| format!(", {psnr:.2} dB")).unwrap_or_default();
     format!("refine{loss}{psnr}")
 }
 
-/// The outcome of a refinement of photos with these cameras, in words.
 pub fn summary(refined: &Refined, start: &str, given: &[Camera]) -> String {
     let (steps, step, [after, before]) = (refined.losses.len(), refined.best_step, refined.training_psnr);
     let training = counted(given.len() - refined.held.len(), "training photo");
@@ -316,7 +288,6 @@ pub fn summary(refined: &Refined, start: &str, given: &[Camera]) -> String {
     )
 }
 
-/// The same for programs.
 pub fn as_json(refined: &Refined, start: &str, given: &[Camera]) -> Value {
     let cameras = camera_movement(given, refined);
     json!({
@@ -329,7 +300,6 @@ pub fn as_json(refined: &Refined, start: &str, given: &[Camera]) -> Value {
     })
 }
 
-/// The account of a refinement for `--explain`: photos have their files' names.
 pub fn explain(refined: &Refined, request: &Refine, start: &str, photos: &[PathBuf]) -> Table {
     let name = |i: &usize| photos[*i].file_name().unwrap_or_default().to_string_lossy().into_owned();
     let held: Vec<String> = refined.held.iter().map(name).collect();
@@ -371,7 +341,6 @@ pub fn explain(refined: &Refined, request: &Refine, start: &str, photos: &[PathB
     table
 }
 
-/// Why a refinement ended.
 fn ended(refined: &Refined) -> String {
     match &refined.stopped {
         None => "after all steps".into(),
@@ -380,10 +349,9 @@ fn ended(refined: &Refined) -> String {
     }
 }
 
-/// Photos below which a refinement that holds none out fits little else.
+/// Photos below which a refinement without held-out ones overfits.
 const FEW: usize = 6;
 
-/// The warning about a refinement that ended early or had few photos.
 pub fn doubt(refined: &Refined) -> Option<String> {
     let training = refined.cameras.len() - refined.held.len();
     match &refined.stopped {

@@ -8,14 +8,13 @@ pub struct Released {
     pub name: &'static str,
     pub what: &'static str,
     pub licence: &'static str,
-    /// License terms for a user.
     pub terms: &'static str,
     /// Approximate download size.
     pub bytes: u64,
     pub kind: Kind,
     repository: &'static str,
     file: &'static str,
-    /// File name in the cache, without the hash.
+    /// Without the hash.
     kept_as: &'static str,
 }
 
@@ -98,7 +97,7 @@ const fn of_depth(name: &'static str, repository: &'static str, kept_as: &'stati
     }
 }
 
-/// Suffix of converted weights, after the source's hash.
+/// After the source's hash.
 const CONVERTED: &str = "-f16.safetensors";
 
 impl Released {
@@ -114,12 +113,11 @@ impl Released {
         format!("zipsplat weights get {}", self.name)
     }
 
-    /// Returns the base path of download and conversion.
     pub fn base(&self, folder: &Path) -> PathBuf {
         folder.join(self.kept_as)
     }
 
-    /// Returns a file's conversion, with its hash; the file itself for unconverted weights.
+    /// Returns a conversion's path, with its hash; the file itself for unconverted weights.
     pub fn converted(&self, loaded: &Path) -> PathBuf {
         let stem = loaded.file_stem().unwrap_or_default().to_string_lossy();
         match self.kind {
@@ -128,7 +126,7 @@ impl Released {
         }
     }
 
-    /// Returns usable cached weights, newest first.
+    /// Newest first.
     pub fn cached(&self, folder: &Path) -> Vec<PathBuf> {
         match self.kind {
             Kind::Tokens => self.tagged(folder, CONVERTED),
@@ -136,7 +134,7 @@ impl Released {
         }
     }
 
-    /// Returns verified, unconverted downloads, newest first.
+    /// Verified, unconverted, newest first.
     pub fn loaded(&self, folder: &Path) -> Vec<PathBuf> {
         self.tagged(folder, &self.kept_as[self.stem().len()..])
     }
@@ -145,7 +143,7 @@ impl Released {
         self.kept_as.rsplit_once('.').map_or(self.kept_as, |(stem, _)| stem)
     }
 
-    /// Returns files named by these weights, a hash, and `ending`.
+    /// Files named by these weights, a hash, and `ending`.
     fn tagged(&self, folder: &Path, ending: &str) -> Vec<PathBuf> {
         let tag = |name: &str| {
             let tag = name.strip_prefix(self.stem())?.strip_prefix('-')?.strip_suffix(ending)?;
@@ -160,17 +158,12 @@ impl Released {
     }
 }
 
-/// Returns the weights folder of the user's cache.
 pub fn folder() -> Result<PathBuf> {
     let cache = cache_folder().map(|cache| cache.join("weights"));
     cache.ok_or_else(|| Error::argument("cache folder", "none", "ZIPSPLAT_CACHE, or HOME, in the environment"))
 }
 
-/// Finds a named file; `None` if `name` is no name.
-///
-/// # Errors
-/// [`Error::Argument`] for an unknown bare word, and for uncached weights with the download
-/// command.
+/// `None` if `name` is no name.
 pub fn find(name: &str) -> Result<Option<PathBuf>> {
     let Some(released) = Released::named(name) else { return check_name(name).map(|()| None) };
     let folder = folder()?;
@@ -196,13 +189,12 @@ fn check_name(name: &str) -> Result<()> {
     Err(Error::argument("weights", name, expected))
 }
 
-/// Returns true for Depth Anything 3, by name or by a file's tensors.
+/// By name or by a file's tensors.
 pub fn is_of_depth(text: &str) -> bool {
     Released::named(text).map_or_else(|| DepthCheckpoint::is_meant(text), |released| released.kind == Kind::Depth)
 }
 
-/// Opens weights of Depth Anything 3: a name, `seeded:NAME`, or a file. `whole` includes any
-/// Gaussian head.
+/// Opens a name, `seeded:NAME`, or a file. `whole` includes any Gaussian head.
 pub fn open_depth(text: &str, whole: bool) -> Result<DepthCheckpoint> {
     if Released::named(text).is_some_and(|released| released.kind != Kind::Depth) {
         let names = RELEASED.iter().filter(|released| released.kind == Kind::Depth).map(|released| released.name);

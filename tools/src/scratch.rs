@@ -1,4 +1,4 @@
-//! Temporary folders, which the next run removes after a process that was killed.
+//! Temporary folders, also removed after a killed process, by the next run.
 
 use std::{
     fs::{File, TryLockError},
@@ -7,21 +7,17 @@ use std::{
 use tempfile::TempDir;
 use zipsplat::{Error, Result};
 
-/// Start of the folders' names: whatever is called so is removed unless it is locked.
+/// Name prefix; unlocked folders with it are removed.
 const PREFIX: &str = ".zipsplat-scratch-";
 
-/// A temporary folder that is locked as long as its process lives.
+/// Temporary folder, locked while its process lives.
 pub struct Scratch {
     folder: TempDir,
-    // None on systems that do not lock folders; nothing is removed there.
+    // `None` on systems without folder locks, where nothing is removed.
     _lock: Option<File>,
 }
 
 impl Scratch {
-    /// Makes an empty folder.
-    ///
-    /// # Errors
-    /// [`Error::Io`].
     pub fn new() -> Result<Self> {
         remove_stale(&std::env::temp_dir());
         loop {
@@ -29,7 +25,7 @@ impl Scratch {
             let folder = folder.map_err(|source| Error::io(std::env::temp_dir(), source))?;
             let lock = File::open(folder.path()).ok();
             let locked = lock.as_ref().map(File::try_lock);
-            // Another process may have removed it before it was locked.
+            // Another process may have removed it before the lock.
             if !matches!(locked, Some(Err(TryLockError::WouldBlock))) && folder.path().exists() {
                 return Ok(Self { folder, _lock: lock });
             }
@@ -41,7 +37,7 @@ impl Scratch {
     }
 }
 
-/// Removes the folders of processes that no longer live.
+/// Removes the folders of dead processes.
 fn remove_stale(within: &Path) {
     for entry in within.read_dir().into_iter().flatten().flatten() {
         let is_scratch = entry.file_name().to_string_lossy().starts_with(PREFIX);
@@ -50,7 +46,7 @@ fn remove_stale(within: &Path) {
             && let Ok(lock) = File::open(entry.path())
             && lock.try_lock().is_ok()
         {
-            // Folders of other users stay.
+            // Other users' folders stay.
             let _ = std::fs::remove_dir_all(entry.path());
         }
     }

@@ -27,9 +27,7 @@ use zipsplat::{
     weights::Checkpoint,
 };
 
-/// Interval between checks for Ctrl-C.
 const POLL: Duration = Duration::from_millis(50);
-/// Value of `--device` without a device.
 const NO_DEVICE: &str = "none";
 
 /// Streams and stop flag of a command.
@@ -38,13 +36,12 @@ pub struct Terminal<'a> {
     pub out: &'a mut dyn Write,
     /// Errors and notes.
     pub err: &'a mut dyn Write,
-    /// Shows progress on standard error: a bar on a terminal, else occasional lines.
+    /// Progress on standard error: a bar on a terminal, else occasional lines.
     pub progress: bool,
     /// Stop flag: the command ends with exit code 130 and leaves no partial file.
     pub cancelled: &'a AtomicBool,
 }
 
-/// Options of every command.
 #[derive(Args)]
 pub struct Global {
     /// Vulkan device: its number in `zipsplat info`, its UUID, or a part of its name that is not
@@ -70,10 +67,8 @@ pub struct Session<'a> {
     /// Standard output carries data, so the result goes to standard error.
     piped: bool,
     code: u8,
-    /// Label of the stages, such as one of several scenes.
     task: String,
     began: Instant,
-    /// Earliest time of the next line of progress, for all stages.
     next_line: Mutex<Instant>,
 }
 
@@ -84,12 +79,10 @@ impl<'a> Session<'a> {
         Self { global, terminal, piped: false, code: 0, task: String::new(), began, next_line }
     }
 
-    /// Returns the time since the command began.
     pub fn elapsed(&self) -> Duration {
         self.began.elapsed()
     }
 
-    /// Labels the following stages with this task.
     pub fn begin_task(&mut self, task: &str) {
         self.task = format!("{task}: ");
     }
@@ -101,13 +94,12 @@ impl<'a> Session<'a> {
         Ok(device)
     }
 
-    /// Returns the request for a later opening.
     pub fn device_options(&self) -> DeviceOptions {
         let Global { device, memory, .. } = &self.global;
         DeviceOptions { selector: device.clone(), max_memory_bytes: *memory, ..DeviceOptions::default() }
     }
 
-    /// Returns true for `--device none`, a plan for an ordinary device.
+    /// Returns true to plan for an ordinary device.
     pub fn plans_for_none(&self) -> bool {
         self.global.device.as_deref() == Some(NO_DEVICE)
     }
@@ -116,7 +108,7 @@ impl<'a> Session<'a> {
         self.global.device.is_some()
     }
 
-    /// Runs `body` with progress, and returns its result and time.
+    /// Also returns its time.
     pub fn stage<T>(&self, name: &str, body: impl FnOnce(&Stage<'_>) -> Result<T>) -> Result<(T, Duration)> {
         let stage = Stage::new(name, &self.task, self.terminal.cancelled);
         stage.check()?;
@@ -188,7 +180,7 @@ impl<'a> Session<'a> {
         Ok((made, Some(tokens), took))
     }
 
-    /// Prints the result: `value` with `--json`, else `text` unless `--quiet`.
+    /// Prints `value` with `--json`, else `text` unless `--quiet`.
     pub fn report(&mut self, value: &impl Serialize, text: impl Display) -> Result<()> {
         let (out, name) = match self.piped {
             true => (&mut *self.terminal.err, "standard error"),
@@ -214,12 +206,10 @@ impl<'a> Session<'a> {
         self.terminal.cancelled
     }
 
-    /// Sets the exit code of a successful command.
     pub fn end_with(&mut self, code: u8) {
         self.code = code;
     }
 
-    /// Returns the exit code of a successful command.
     pub fn code(&self) -> u8 {
         self.code
     }
@@ -268,12 +258,10 @@ impl<'a> Session<'a> {
     }
 }
 
-/// Returns the one-line JSON of an error.
 pub fn error_as_json(text: &str, kind: &str, code: u8) -> String {
     serde_json::json!({ "error": text, "kind": kind, "exit_code": code }).to_string()
 }
 
-/// Returns the kind of an error for programs.
 fn kind(error: &Error) -> &'static str {
     match error {
         Error::Argument { .. } => "argument",
@@ -288,7 +276,7 @@ fn kind(error: &Error) -> &'static str {
     }
 }
 
-/// Parses a number of bytes with an optional binary suffix.
+/// Accepts a binary suffix.
 fn parse_bytes(text: &str) -> Result<u64, String> {
     let (number, unit) = match text.strip_suffix(['K', 'M', 'G']) {
         Some(number) if text.ends_with('K') => (number, 1 << 10),

@@ -19,10 +19,9 @@ pub fn cancelled_by_signals() -> &'static AtomicBool {
     &STOP
 }
 
-/// Returns true for an ignored SIGHUP, as under nohup; a handler would undo that.
+/// Detects an ignored SIGHUP, as under nohup; a handler would undo that.
 fn outlives_terminal() -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let ignored = status.lines().find_map(|line| u64::from_str_radix(line.strip_prefix("SigIgn:")?.trim(), 16).ok());
-    // Signal 1 is the lowest bit.
     ignored.is_some_and(|mask| mask & 1 == 1)
 }

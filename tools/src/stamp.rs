@@ -4,7 +4,7 @@ use sha2::{Digest, Sha256};
 use std::{path::Path, time::SystemTime};
 use zipsplat::{Error, Result};
 
-/// Returns name, size and time.
+/// Name, size and time.
 pub fn stamp(path: &Path) -> Result<String> {
     let failed = |error| Error::io(path, error);
     let found = path.metadata().map_err(failed)?;

@@ -3,14 +3,12 @@
 use indicatif::{HumanBytes, HumanCount};
 use std::{fmt, time::Duration};
 
-/// Table with left-aligned first columns.
 pub struct Table {
     left: usize,
     rows: Vec<Vec<String>>,
 }
 
 impl Table {
-    /// Takes the number of left-aligned columns.
     pub fn new(left: usize, headings: &[&str]) -> Self {
         Self { left, rows: vec![headings.iter().map(ToString::to_string).collect()] }
     }
@@ -40,7 +38,7 @@ impl fmt::Display for Table {
     }
 }
 
-/// Formats four significant digits.
+/// Four digits.
 pub fn significant(value: f64) -> String {
     let digits = if value.abs() > 0.0 { (3.0 - value.abs().log10().floor()).max(0.0) } else { 4.0 };
     if digits > 8.0 { format!("{value:.3e}") } else { format!("{value:.*}", digits as usize) }

@@ -14,9 +14,9 @@ use std::{
 use zipsplat::{Error, Result};
 
 const EXTENSIONS: [&str; 8] = ["mp4", "mov", "m4v", "avi", "mkv", "webm", "3gp", "mts"];
-/// Default number of photos from a video.
+/// From a video.
 pub const FRAMES: usize = 24;
-/// Size of gray pictures for sharpness, small enough to suppress noise.
+/// For sharpness, small enough to suppress noise.
 const SIDE: usize = 512;
 /// Regular timestamps; otherwise ffmpeg drops and duplicates frames.
 const REGULAR: &str = "setpts=N/25/TB";
@@ -31,7 +31,6 @@ pub struct FrameFolder {
 }
 
 impl FrameFolder {
-    /// Creates a temporary folder.
     pub fn temporary() -> Result<Self> {
         let scratch = Scratch::new()?;
         // The scratch folder removes itself.
@@ -67,7 +66,6 @@ impl FrameFolder {
 impl Drop for FrameFolder {
     fn drop(&mut self) {
         if !self.kept {
-            // Cleanup is best effort.
             let _ = std::fs::remove_dir_all(&self.path);
         }
     }
@@ -80,10 +78,6 @@ pub fn is_video(path: &Path) -> bool {
 
 /// Writes the sharpest frame of each of `count` equal parts, upright and in order, such as
 /// `clip-00042.jpg` by frame number.
-///
-/// # Errors
-/// [`Error::Argument`] without ffmpeg, [`Error::Format`] with ffmpeg's message for an unreadable
-/// video, [`Error::Io`], [`Error::Cancelled`].
 pub fn sharpest_frames(
     session: &mut Session<'_>,
     ffmpeg: &Path,
@@ -107,7 +101,7 @@ pub fn sharpest_frames(
     Ok(photos)
 }
 
-/// Returns each frame's sharpness, and ffmpeg's warnings.
+/// Also returns ffmpeg's warnings.
 fn judge(ffmpeg: &Path, video: &Path, stage: &Stage<'_>) -> Result<(Vec<f64>, String)> {
     let filter = format!("scale={SIDE}:{SIDE}:flags=area,format=gray,{REGULAR}");
     let mut sharpness = Vec::new();
@@ -128,7 +122,7 @@ fn judge(ffmpeg: &Path, video: &Path, stage: &Stage<'_>) -> Result<(Vec<f64>, St
     Ok((sharpness, said))
 }
 
-/// Returns the sharpest frame of each of `count` equal parts, the first of ties.
+/// The first of ties.
 fn sharpest(sharpness: &[f64], count: usize) -> Vec<usize> {
     let (all, count) = (sharpness.len(), count.min(sharpness.len()));
     let part = |i: usize| i * all / count..(i + 1) * all / count;
@@ -160,7 +154,6 @@ fn take(ffmpeg: &Path, video: &Path, chosen: &[usize], folder: &Path, stage: &St
     Ok(photos)
 }
 
-/// Measures edges.
 fn laplacian_variance(grey: &[u8], width: usize) -> f64 {
     let height = grey.len() / width;
     let at = |x: usize, y: usize| f64::from(grey[y * width + x]);

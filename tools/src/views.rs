@@ -31,11 +31,9 @@ pub enum Fit {
     Squares,
 }
 
-/// Use of photos by the network and in comparisons.
 #[derive(Clone, Copy, Debug)]
 pub struct Seeing {
     pub fit: Fit,
-    /// Network input size.
     pub size: Size,
     pub compared: Size,
     /// Compares whole photos at the scale of `compared`, not crops.
@@ -50,11 +48,10 @@ pub struct Views {
     pub note: Option<String>,
 }
 
-/// Network input, and any known camera.
+/// With any known camera.
 pub type Seen = (Image, Option<Camera>);
 
 impl Fit {
-    /// Checks the requirements of tiles.
     pub fn check(self, size: Size, posed: bool) -> Result<()> {
         match self {
             Self::Squares if !posed => {
@@ -68,7 +65,6 @@ impl Fit {
         }
     }
 
-    /// Counts views by photo headers.
     pub fn count(self, photos: &[PathBuf]) -> Result<usize> {
         if self == Self::Crop {
             return Ok(photos.len());
@@ -82,7 +78,6 @@ impl Fit {
         Ok(views)
     }
 
-    /// Returns the views of one photo, in the world of `camera`.
     pub fn views(self, photo: &Image, camera: Option<&Camera>, size: Size, label: &str) -> Result<Vec<Seen>> {
         match (self, camera) {
             (Self::Squares, Some(camera)) => {
@@ -97,7 +92,7 @@ impl Fit {
         }
     }
 
-    /// Reads photos, with one frame each or none.
+    /// One frame each, or none.
     pub fn load(self, photos: &[PathBuf], frames: &[&Frame], size: Size, stage: &Stage<'_>) -> Result<Views> {
         let read = photos::read(photos, frames, stage, |i, photo| {
             let camera = frames.get(i).map(|frame| &frame.camera);
@@ -109,7 +104,7 @@ impl Fit {
         Ok(Views::new(self, views.into_iter().flatten(), &world, &sizes, size))
     }
 
-    /// Returns cameras in the first one's world, and its pose in another world.
+    /// Also returns the first one's pose in another world.
     pub fn told(self, cameras: Vec<Camera>) -> (Vec<Camera>, Option<Pose>) {
         match (self, cameras.first().map(|camera| camera.pose)) {
             (Self::Squares, Some(first)) => {
@@ -122,7 +117,7 @@ impl Fit {
 }
 
 impl Seeing {
-    /// Crops for both uses.
+    /// For both uses.
     pub fn cropped(size: Size) -> Self {
         Self { fit: Fit::Crop, size, compared: size, whole: false, filter: Filter::Lanczos }
     }
@@ -164,7 +159,6 @@ impl Views {
     }
 }
 
-/// Returns the camera after a pixel map.
 pub fn seen_through(camera: &Camera, map: &PixelMap, label: &str) -> Result<Camera> {
     camera.validate(label)?;
     Ok(Camera { intrinsics: map.apply(&camera.intrinsics, label)?, ..*camera })

@@ -1,4 +1,4 @@
-// Camera: x right, y down, z forward, as everywhere in ZipSplat.
+// x right, y down, z forward.
 
 const add = (a, b, factor = 1) => a.map((value, i) => value + factor * b[i]);
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
@@ -13,7 +13,7 @@ function turned(v, axis, angle) {
     return v.map((value, i) => value * c + across[i] * s + axis[i] * along);
 }
 
-const STEEPEST = 0.05; // minimum angle to the vertical, radians
+const STEEPEST = 0.05; // radians to the vertical
 
 class ViewCamera {
     constructor() {
@@ -31,7 +31,7 @@ class ViewCamera {
 
     get target() { return add(this.eye, this.axes[2], this.distance); }
 
-    // Rotates in place: yaw about the vertical, pitch about the right axis.
+    // Yaw about the vertical, pitch about the right axis.
     look(yaw, pitch) {
         const angle = Math.acos(Math.max(-1, Math.min(1, dot(this.axes[2], this.up))));
         const steepest = Math.min(STEEPEST, angle, Math.PI - angle);
@@ -50,14 +50,13 @@ class ViewCamera {
         for (const [i, step] of [right, down, forward].entries()) this.eye = add(this.eye, this.axes[i], step * this.distance);
     }
 
-    // Scales the orbit distance.
     zoom(factor) {
         const target = this.target;
         this.distance = Math.max(1e-3, this.distance * factor);
         this.eye = add(target, this.axes[2], -this.distance);
     }
 
-    // Matches an input camera, whole in a picture of this size.
+    // Fits an input camera into a picture of this size.
     through({ matrix, width, height, fy }, pictureWidth, pictureHeight, distance) {
         const focal = fy * Math.min(pictureWidth / width, pictureHeight / height);
         this.fov = Math.atan(Math.min(pictureWidth, pictureHeight) / 2 / focal) * 360 / Math.PI;
@@ -73,7 +72,7 @@ class ViewCamera {
     }
 }
 
-// Scene's distance ahead of a camera; none if few points are in view.
+// None if few points are in view.
 function distanceAhead(points, eye, axes) {
     const depths = [], count = points.length / 3;
     for (let i = 0; i < count; ++i) {
@@ -83,8 +82,7 @@ function distanceAhead(points, eye, axes) {
     return depths.length > count / 2 ? median(depths) : null;
 }
 
-// From the origin, the first photo's camera, if the scene lies ahead, else from in front of the
-// scene.
+// From the origin, the first photo's camera, if the scene lies ahead, else from in front of it.
 function firstView(points) {
     const axes = [[1, 0, 0], [0, 1, 0], [0, 0, 1]], ahead = distanceAhead(points, [0, 0, 0], axes);
     const all = Array.from({ length: points.length / 3 }, (_, i) => Array.from(points.subarray(3 * i, 3 * i + 3)));

@@ -1,7 +1,7 @@
-// Camera control by mouse, touch and keys. `changed` runs after each movement.
+// Mouse, touch and keys. `changed` runs after each movement.
 
 const TURN = 0.005; // radians per pixel
-const TAP = 1 / 30; // seconds of movement for a short key press
+const TAP = 1 / 30; // seconds per key press
 const FLY = { KeyW: [0, 0, 1], KeyS: [0, 0, -1], KeyA: [-1, 0, 0], KeyD: [1, 0, 0], KeyQ: [0, 1, 0], KeyE: [0, -1, 0] };
 const TURNS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
@@ -63,7 +63,6 @@ class Controls {
     // Dragging right turns the scene right, also upside down.
     get handed() { return dot(this.camera.axes[1], this.camera.up) > 0 ? -1 : 1; }
 
-    // Moves at once, then with every frame while keys are held.
     start() {
         let last = performance.now();
         const step = now => {

@@ -1,16 +1,15 @@
-// Scene readers of the worker: PLY of 3D Gaussian splatting, SPZ 2 and 3, .splat, glTF with
+// Scene readers: PLY of 3D Gaussian splatting, SPZ 2 and 3, .splat, glTF with
 // KHR_gaussian_splatting.
 //
-// A scene has `count` Gaussians in the engine's axes (x right, y down, z forward): means [N, 3],
-// scales [N, 3] linear, quats [N, 4] wxyz, opacities [N], colors [N, 3] from degree 0, and `rest`
-// [N, K - 1, 3], higher coefficients as half floats. Unreadable files throw an Error with a message
-// for the user.
+// A scene has `count` Gaussians in the engine's axes: means [N, 3], scales [N, 3] linear, quats [N,
+// 4] wxyz, opacities [N], colors [N, 3] from degree 0, and `rest` [N, K - 1, 3], half floats.
+// Errors are for the user.
 
 const SH_0 = 0.2820947917738781;
 
 const floats = new Float32Array(1), floatBits = new Uint32Array(floats.buffer);
 
-// Rounds to half-float bits. Overflow saturates, underflow becomes 0.
+// Half-float bits. Overflow saturates, underflow becomes 0.
 function half(value) {
     floats[0] = value;
     const bits = floatBits[0], sign = bits >>> 16 & 0x8000, magnitude = (bits & 0x7fffffff) + 0x1000;
@@ -33,7 +32,7 @@ const PLY_TYPES = {
     float: [4, "getFloat32"], float32: [4, "getFloat32"], double: [8, "getFloat64"], float64: [8, "getFloat64"],
 };
 
-// Data offset, count, stride, and each property's offset and reader.
+// Data offset, count, stride, and properties.
 function plyHeader(bytes) {
     const text = new TextDecoder("latin1").decode(bytes.subarray(0, 1 << 16));
     const end = /(^|\n)end_header\r?\n/.exec(text);
@@ -229,7 +228,7 @@ function readGltf(bytes, progress) {
         for (let m = 0; m <= 2 * l; ++m) bands.push(numbers(`${GLTF}:SH_DEGREE_${l}_COEF_${m}`, 3));
     const { count } = means, scene = emptyScene(count, degree), turn = [-1, -1, 1];
     if ([scales, quats, opacities, ...bands].some(other => other.count !== count)) throw new Error(`The glTF has not ${count} of each number of its Gaussians.`);
-    // A half turn about z to the engine's axes negates harmonics of odd order.
+    // A half turn about z negates harmonics of odd order.
     const signs = bands.map((_, k) => Math.abs(k - Math.floor(Math.sqrt(k)) * (Math.floor(Math.sqrt(k)) + 1)) % 2 ? -1 : 1);
     for (let i = 0; i < count; ++i) {
         for (let c = 0; c < 3; ++c) {

@@ -1,11 +1,9 @@
-// Compression-ratio slider: the server makes scenes from cached features.
+// Compression-ratio slider.
 
 const LEAST_RATIO = 0.01;
-// Increases with every request, also across pages: the server cancels lower numbers in any arrival
-// order.
+// Increases with every request, also across pages: the server cancels lower numbers.
 let lastRequest = Date.now() * 1000;
 
-// Server response, or an error with its message.
 async function asked(address, options) {
     const answer = await fetch(address, options).catch(error => {
         throw error.name === "AbortError" ? error : new Error("zipsplat view does not answer: it may have ended.");
@@ -33,10 +31,9 @@ class Live {
         this.ask();
     }
 
-    // Logarithmic scale from the least ratio to 1.
+    // Logarithmic, from the least ratio to 1.
     get ratio() { return Number(Math.max(LEAST_RATIO, LEAST_RATIO ** (1 - element("ratio").value / 100)).toPrecision(3)); }
 
-    // Requests the scene of the ratio and cancels pending requests.
     async ask() {
         this.waiting?.abort();
         const waiting = this.waiting = new AbortController(), begin = performance.now();

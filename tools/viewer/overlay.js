@@ -1,6 +1,6 @@
-// Overlay of input cameras, and of the current one's photo with its PSNR.
+// Input cameras, and the current one's photo with its PSNR.
 
-const MOST_PIXELS = 1 << 20; // pixel limit of a compared photo
+const MOST_PIXELS = 1 << 20; // in a compared photo
 
 class Overlay {
     constructor(page) {
@@ -29,7 +29,6 @@ class Overlay {
         this.wipe();
     }
 
-    // Once for each scene.
     compare(scene) {
         const { page, photo } = this, { naturalWidth, naturalHeight } = photo;
         if (photo.hidden || !photo.complete || !naturalWidth || !scene?.drawable || scene.sorting || this.compared === scene.drawable) return;
@@ -47,17 +46,15 @@ class Overlay {
 
     leave() { this.photo.hidden = element("photos").hidden = true; }
 
-    // Photo left of the wiper.
     wipe() { this.photo.style.clipPath = `inset(0 ${100 - element("wiper").value}% 0 0)`; }
 
-    // Page position of a point in front of the camera.
     project(point) {
         const { camera, canvas } = this.page, focal = camera.focal(canvas.clientWidth, canvas.clientHeight);
         const [x, y, z] = camera.axes.map(axis => dot(axis, add(point, camera.eye, -1)));
         return z > (this.page.scene?.near ?? 0.01) ? [focal * x / z + canvas.clientWidth / 2, focal * y / z + canvas.clientHeight / 2] : null;
     }
 
-    // Camera center and picture corners, at a share of the scene's distance.
+    // Center and picture corners, at a share of the scene's distance.
     frustum({ matrix, width, height, fx, fy, cx, cy }) {
         const size = 0.08 * this.page.camera.distance, eye = matrix.slice(0, 3).map(row => row[3]);
         const corner = (u, v) => matrix.slice(0, 3).map(row =>

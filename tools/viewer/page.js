@@ -1,5 +1,3 @@
-// Page logic: loads scenes, draws on changes, and handles buttons, keys and dropped files.
-
 const element = id => document.getElementById(id);
 const config = JSON.parse(element("config").textContent);
 const counted = (count, what) => `${count.toLocaleString("en")} ${what}${count === 1 ? "" : "s"}`;
@@ -42,7 +40,6 @@ class Page {
 
     get scene() { return this.scenes[this.current]; }
 
-    // Name for derived files.
     get stem() { return (this.scene?.name || "scene").replace(/\.\w+$/, "").replace(/\s+/g, "-"); }
 
     say(text, failed = false) {
@@ -76,7 +73,7 @@ class Page {
         }
     }
 
-    // Sends a scene to the worker, with any view for its first depth order.
+    // With any view for the first depth order.
     read(index, bytes) {
         const scene = this.scenes[index], view = this.home && this.view();
         if (!scene.file) scene.blob = new Blob([bytes]);
@@ -178,7 +175,6 @@ class Page {
         this.change();
     }
 
-    // Input camera, with any photo as overlay.
     through(index, withPhoto = true) {
         const { camera, canvas, scene } = this, all = config.cameras ?? [];
         if (!all.length || !scene?.sample) return;
@@ -192,7 +188,6 @@ class Page {
         this.change();
     }
 
-    // `moving` during camera motion.
     change(moving = false) {
         if (moving) {
             this.moved = performance.now();
@@ -219,8 +214,7 @@ class Page {
         if (moving) this.change();
     }
 
-    // Color picture from an input camera: RGBA bytes, rows from the top. The page needs a redraw
-    // afterwards.
+    // RGBA bytes from an input camera, rows from the top. The page needs a redraw afterwards.
     seen(input, width, height) {
         const { renderer, background, scene } = this, camera = new ViewCamera();
         camera.through(input, width, height, 1);
@@ -229,7 +223,7 @@ class Page {
         return renderer.bytes();
     }
 
-    // Requests a new depth order after the last answer.
+    // After the last answer.
     order(scene) {
         if (!scene?.drawable || scene.sorting) return;
         const view = this.view();
@@ -239,10 +233,9 @@ class Page {
         this.worker.postMessage({ sort: this.current, view });
     }
 
-    // Inputs of the depth order: line of sight and eye.
     view() { return [...this.camera.axes[2], ...this.camera.eye]; }
 
-    // Measures frames per second; slow motion gets fewer pixels.
+    // Slow motion gets fewer pixels.
     measure(now, moving) {
         const { times } = this;
         if (!moving) return void (times.length = 0);
@@ -279,7 +272,6 @@ class Page {
         this.choose(this.scenes.length - 1);
     }
 
-    // Original bytes.
     saveScene() {
         const { scene } = this, blob = scene.file ?? scene.blob;
         if (blob) this.download(scene.file?.name ?? `${this.stem}${scene.extension}`, blob);
@@ -293,7 +285,7 @@ class Page {
         setTimeout(() => URL.revokeObjectURL(link.href), 10000);
     }
 
-    // Redraws before reading, because the page clears a shown picture.
+    // The page clears a shown picture.
     picture() {
         this.moved = 0;
         this.draw(performance.now());

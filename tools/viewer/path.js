@@ -1,8 +1,8 @@
-// Key cameras: smooth playback, nerfstudio's camera_path.json, recording.
+// Key cameras: playback, camera_path.json, recording.
 
 const FPS = 30;
 
-// Uniform Catmull-Rom spline between b and c, by component.
+// Uniform Catmull-Rom between b and c.
 function spline(a, b, c, d, t) {
     return b.map((_, i) => b[i] + 0.5 * t * (c[i] - a[i] + t * (2 * a[i] - 5 * b[i] + 4 * c[i] - d[i] + t * (3 * (b[i] - c[i]) + d[i] - a[i]))));
 }
@@ -55,7 +55,6 @@ class Path {
         element("play").disabled = count < 2;
     }
 
-    // At a fraction of the path.
     at(share) {
         const { keys } = this, place = share * (keys.length - 1), first = Math.min(Math.floor(place), Math.max(0, keys.length - 2));
         const key = i => keys[Math.max(0, Math.min(keys.length - 1, i))];
@@ -67,7 +66,6 @@ class Path {
         return camera;
     }
 
-    // Until its end or user input.
     play() {
         if (this.keys.length < 2) return;
         if (this.playing) return void (this.playing = null);
@@ -84,7 +82,7 @@ class Path {
         requestAnimationFrame(step);
     }
 
-    // For `zipsplat render --cameras` and nerfstudio, one camera per frame.
+    // One camera per frame.
     file() {
         const { clientWidth: width, clientHeight: height } = this.page.canvas, { keys, seconds } = this;
         const count = keys.length > 1 ? Math.max(2, Math.round(FPS * seconds)) : 1;
@@ -99,7 +97,7 @@ class Path {
 
     say(text) { element("recorded").textContent = text; }
 
-    // Records on the server, or shows the command.
+    // On the server, or shows the command.
     async record() {
         const { page } = this, { scene } = page, format = element("format").value, name = page.stem;
         if (!scene.source) {

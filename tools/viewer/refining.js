@@ -1,6 +1,4 @@
-// Live refinement on the server: scenes, loss, and a stop button.
-
-const OFTEN = 250; // polling interval in milliseconds
+const OFTEN = 250; // milliseconds between polls
 
 class Refining {
     constructor(page) {

@@ -1,18 +1,16 @@
-// WebGL2 renderer with the rules of kernels/render: EWA splatting with equal blur and cut-offs,
-// spherical harmonics to degree 3, far to near, half-precision channels, truncated to 8 bits.
+// WebGL2 renderer with the rules of kernels/render: EWA splatting with equal blur and cut-offs, far
+// to near, half-precision channels, truncated to 8 bits.
 
 const TEXTURE_WIDTH = 4096;
 
-// View modes of the shaders, as --depth (mean visible depth), --normals (shortest axis) and --group
-// (token colors) of `zipsplat render`.
+// As --depth, --normals and --group of `zipsplat render`.
 const SHOWN = { color: 0, depth: 1, normals: 2, tokens: 3 };
-// Depth colors, near to far.
+// Near to far.
 const PALETTE = [[1, 0.95, 0.65], [0.98, 0.62, 0.25], [0.8, 0.25, 0.42], [0.4, 0.13, 0.5], [0.08, 0.07, 0.25]];
 
-// Gaussians per instance: amortizes the cost of instances.
+// Instances are costly.
 const BATCH = 128;
-// Textures of projected Gaussians, three texels each: center and long axis; short axis, number,
-// opacity; color.
+// Three texels per projected Gaussian: center and long axis; short axis, number, opacity; color.
 const PROJECTED = ["ellipses", "short_axes", "colors"];
 
 const TEXELS = `
@@ -20,7 +18,7 @@ ivec2 place_of(uint at) { return ivec2(at % ${TEXTURE_WIDTH}u, at / ${TEXTURE_WI
 uvec4 texel(usampler2D source, uint at) { return texelFetch(source, place_of(at), 0); }
 `;
 
-// Projects once for four corners, in drawing order. Invisible Gaussians get opacity 0.
+// Projects once for four corners. Invisible Gaussians get opacity 0.
 const PROJECT_FRAGMENT = `#version 300 es
 precision highp float;
 precision highp int;
@@ -170,7 +168,7 @@ void main() {
     blended = vec4(color.rgb * alpha, alpha);
 }`;
 
-// Finds the Gaussian with a minimum alpha at a pixel.
+// With a minimum alpha at a pixel.
 const PICK_FRAGMENT = `#version 300 es
 precision highp float;
 precision highp int;
@@ -250,7 +248,6 @@ class Renderer {
         return { program, uniforms };
     }
 
-    // Four vertices and two triangles per Gaussian.
     quadArray() {
         const { gl } = this, array = gl.createVertexArray();
         const corners = Uint16Array.from({ length: 6 * BATCH }, (_, i) => 4 * Math.floor(i / 6) + [0, 1, 2, 2, 1, 3][i % 6]);
@@ -261,7 +258,6 @@ class Renderer {
         return array;
     }
 
-    // One-pixel target for a Gaussian's number.
     pickBuffer() {
         const { gl } = this, buffer = gl.createFramebuffer(), texture = gl.createTexture();
         gl.bindTexture(gl.TEXTURE_2D, texture);
@@ -299,7 +295,6 @@ class Renderer {
         return scene;
     }
 
-    // Row by row.
     fill(texture, words, channels) {
         const { gl } = this, texels = words.length / channels, whole = Math.floor(texels / TEXTURE_WIDTH);
         const put = (y, width, rows, from) => width && rows &&
@@ -314,7 +309,6 @@ class Renderer {
         this.gl.deleteFramebuffer(scene.projection);
     }
 
-    // Far to near.
     sort(scene, order) {
         this.fill(scene.order, order, 1);
         scene.drawn = order.length;
@@ -363,7 +357,6 @@ class Renderer {
         gl.drawArrays(gl.TRIANGLES, 0, 3);
     }
 
-    // In drawing order.
     project(scene, camera, { shown = "color", group = 1, hovered = -1 } = {}) {
         const { gl, projector: { program, uniforms } } = this, { width, height } = this.frame;
         const focal = camera.focal(width, height), [right, down, forward] = camera.axes;
@@ -393,7 +386,6 @@ class Renderer {
         }
     }
 
-    // For the last projected scene.
     use({ program, uniforms }, scene) {
         const { gl } = this;
         gl.useProgram(program);
@@ -408,7 +400,7 @@ class Renderer {
         this.gl.drawElementsInstanced(this.gl.TRIANGLES, 6 * BATCH, this.gl.UNSIGNED_SHORT, 0, Math.ceil(drawn / BATCH));
     }
 
-    // Nearest Gaussian with alpha of at least a half, else a tenth.
+    // Nearest with alpha of at least a half, else a tenth.
     pick(scene, camera, x, y) {
         if (!scene?.drawn) return null;
         const { gl } = this, { width, height } = this.frame, found = new Uint32Array(4);
@@ -426,7 +418,7 @@ class Renderer {
         return null;
     }
 
-    // Blended values, rows from the top: four floats per pixel, alpha last.
+    // Rows from the top: four floats per pixel, alpha last.
     values(x, y, width, height) {
         const { gl, frame } = this, values = new Float32Array(4 * width * height);
         gl.bindFramebuffer(gl.FRAMEBUFFER, frame.buffer);

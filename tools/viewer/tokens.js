@@ -11,7 +11,6 @@ class Tokens {
         canvas.addEventListener("pointerleave", () => this.leave());
     }
 
-    // Of the current scene, or 0.
     get group() { return this.page.scene?.group ?? 0; }
 
     leave() {
@@ -21,7 +20,6 @@ class Tokens {
         this.page.change();
     }
 
-    // Once per frame.
     point(x, y) {
         if (this.page.views.shown !== "tokens") return;
         const waits = this.at;
@@ -42,7 +40,6 @@ class Tokens {
         page.change();
     }
 
-    // View, row and column, if known.
     patch(token) {
         const index = this.page.scene?.patches?.[token], [rows, columns] = config.grid ?? [];
         if (index === undefined || !config.views?.length) return null;
@@ -61,7 +58,6 @@ class Tokens {
         if (this.hovered === token) this.drawPatch(photo, patch);
     }
 
-    // Network input.
     async photo(view) {
         if (!this.photos.has(view)) {
             const photo = new Image();

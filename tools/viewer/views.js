@@ -1,4 +1,4 @@
-// View modes: color, depth, normals or tokens; and skipped effects.
+// View modes and skipped effects.
 
 class Views {
     constructor(page) {
@@ -42,7 +42,6 @@ class Views {
         return range;
     }
 
-    // Skipped effects with reasons.
     tellLeftOut() {
         const { scene } = this.page, whole = number => number.toLocaleString("en"), facts = [];
         if (scene?.drawable) {

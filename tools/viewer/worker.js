@@ -1,4 +1,4 @@
-// Worker: reads scenes, packs textures and sorts by depth.
+// Reads scenes, packs textures and sorts by depth.
 //
 // In: { load, bytes, name, view } and { sort, view }: scene numbers, and the view's line of sight
 // and eye (optional for load). Out: { load, progress }, { load, failed } with a message, { load,
@@ -8,7 +8,6 @@ const FAINTEST = 1 / 255; // weaker Gaussians are invisible
 const SAMPLE = 4096;
 const scenes = new Map();
 
-// Texels of 4 words for renderer.js.
 function pack(scene) {
     const { count, means, scales, quats, opacities, colors, rest } = scene;
     const gaussians = new Uint32Array(12 * count), values = new Float32Array(gaussians.buffer);
@@ -36,7 +35,7 @@ function pack(scene) {
     return { gaussians, harmonics: new Uint32Array(harmonics.buffer), dropped };
 }
 
-// Means for the first view.
+// For the first view.
 function sampled({ means, count }) {
     const step = Math.max(1, Math.floor(count / SAMPLE)), points = [];
     for (let i = 0; i < count; i += step) points.push(means[3 * i], means[3 * i + 1], means[3 * i + 2]);

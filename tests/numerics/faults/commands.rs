@@ -1,4 +1,4 @@
-//! The command under device failures: one helpful error, no partial file.
+//! The command under device failures.
 
 use crate::{catalogue::zipsplat, micro, noise};
 use std::path::{Path, PathBuf};
@@ -13,7 +13,7 @@ use zipsplat_tests::{
 };
 
 const RECONSTRUCT: &str = "reconstruct @/photos --weights @/micro.safetensors --size 28x28 -o @/out.ply";
-/// Pictures in flight while others are encoded and written.
+/// In flight while others are encoded and written.
 const RENDER: &str = "render @/scene.ply --wiggle --frames 7 --size 40x30 -o @/out --video @/out.gif";
 
 const WAITS: [&str; 3] = ["vkQueueSubmit2", "vkWaitSemaphores", "vkGetSemaphoreCounterValue"];
@@ -47,7 +47,7 @@ fn reconstructions_fail() {
     let Some(folder) = target() else { return };
     let case = Case::new(&folder, RECONSTRUCT);
     case.fails_everywhere();
-    // f16 needs a self-test first, unless cached.
+    // f16 needs a self-test first.
     let case = Case::new(&folder, &format!("{RECONSTRUCT} --precision fast"));
     let forget = || drop(std::fs::remove_dir_all(std::env::var("ZIPSPLAT_CACHE").unwrap()));
     forget();
@@ -55,7 +55,7 @@ fn reconstructions_fail() {
         forget();
         case.fails("vkQueueSubmit2", call, DEVICE_LOST, 4, LOST);
     }
-    // Too little memory for the self-test is not a kernel failure: with enough, it runs again.
+    // Too little memory for the self-test is not a kernel failure.
     forget();
     case.fails("vkAllocateMemory", 1, OUT_OF_DEVICE_MEMORY, 4, &["the driver refused"]);
     case.calls("vkAllocateMemory");
@@ -73,7 +73,7 @@ fn pictures_fail() {
     Case::new(&folder, RENDER).fails_everywhere();
 }
 
-/// Message of a lost device: cause and remedy.
+/// Cause and remedy.
 const LOST: &[&str] = &["the Vulkan device was lost", "again"];
 
 struct Case {
@@ -110,7 +110,7 @@ impl Case {
         }
     }
 
-    /// The first, a middle and the last call of a function by the command without faults.
+    /// First, middle and last.
     fn calls(&self, function: &str) -> Vec<u32> {
         self.faults.set(function, 0, 0);
         let (code, _, err) = zipsplat(&self.line);
@@ -119,7 +119,6 @@ impl Case {
         self.faults.calls(3)
     }
 
-    /// Asserts the command's failure if a function returns `result` from a call on.
     fn fails(&self, function: &str, call: u32, result: i32, code: u8, words: &[&str]) {
         self.faults.set(function, call, result);
         let (found, out, err) = zipsplat(&self.line);
@@ -138,8 +137,7 @@ impl Case {
         self.clear();
     }
 
-    /// Files written by the command, including hidden ones; pictures of a path are written one by
-    /// one.
+    /// Including hidden ones; pictures of a path are written one by one.
     fn written(&self) -> Vec<PathBuf> {
         let entries = |folder: &Path| -> Vec<PathBuf> {
             folder.read_dir().into_iter().flatten().map(|entry| entry.unwrap().path()).collect()

@@ -1,5 +1,4 @@
-//! The library under device failures: calls report them, objects can be destroyed, and a reopened
-//! device works.
+//! The library under device failures.
 
 use crate::{micro, noise};
 use std::ops::ControlFlow;
@@ -38,7 +37,7 @@ fn losing_devices() {
                 assert!(matches!(error, Error::DeviceLost), "{function}, call {call}: {error}");
             }
         }
-        // Rejected without device loss: a rejected submission is not waited for.
+        // A rejected submission is not waited for.
         let refusals =
             ["vkQueueSubmit2", "vkCreateFence", "vkCreateCommandPool", "vkAllocateMemory", "vkBeginCommandBuffer"];
         for function in refusals.into_iter().filter(|function| staged || *function != "vkCreateFence") {
@@ -53,7 +52,7 @@ fn losing_devices() {
     }
 }
 
-/// A reconstruction and pictures of another scene, on a separate device.
+/// On a separate device.
 struct Work {
     faults: Faults,
     options: DeviceOptions,
@@ -109,8 +108,7 @@ impl Work {
         self.faults.calls(3)
     }
 
-    /// Returns the error if a function fails from a call on; with `lost`, the device stays lost.
-    /// `None` if this run had fewer calls: submissions are split by time.
+    /// With `lost`, the device stays lost. `None` if this run had fewer calls.
     fn fails(&self, function: &str, call: u32, result: i32, lost: bool) -> Option<Error> {
         self.faults.set(function, call, result);
         let (device, mut made) = (self.open(), Made::default());

@@ -1,4 +1,4 @@
-//! Device loss and driver failures at every call of commands and contexts.
+//! Device failures at every call.
 
 mod commands;
 mod contexts;

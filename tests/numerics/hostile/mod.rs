@@ -1,4 +1,4 @@
-//! Damaged files: parsers return an error that names the file, or a valid result. They never panic,
+//! Damaged files: parsers return a valid result, or an error that names the file. They never panic,
 //! hang or allocate by an untrusted count.
 
 mod mutate;
@@ -26,11 +26,11 @@ use zipsplat::{
 };
 use zipsplat_tests::{architectures::pico, golden};
 
-/// A format: valid files and a reader.
+/// Valid files and a reader.
 struct Parser {
     name: &'static str,
     seeds: Vec<Vec<u8>>,
-    /// Repairs damaged content: checksum, surrounding archive.
+    /// Repairs checksum or archive.
     wrap: fn(&[u8]) -> Vec<u8>,
     read: fn(&Path, &[u8]) -> Result<(), Error>,
 }
@@ -151,10 +151,9 @@ fn parsers() -> Vec<Parser> {
     ]
 }
 
-/// Time limit for a small file, with a margin for busy machines.
 const PATIENCE: Duration = Duration::from_secs(20);
 
-/// Whether a file was accepted or rejected as unusable; an error describes a parser's bug.
+/// Accepted or rejected; an error describes a parser's bug.
 fn judged(parser: &Parser, folder: &Path, bytes: &[u8]) -> Result<bool, String> {
     let start = Instant::now();
     let result = catch_unwind(AssertUnwindSafe(|| (parser.read)(folder, bytes)));
@@ -173,7 +172,6 @@ fn judged(parser: &Parser, folder: &Path, bytes: &[u8]) -> Result<bool, String> 
     }
 }
 
-/// Reads `rounds` damaged files per parser, chosen by `seed`.
 fn fuzz(rounds: u64, seed: u64) {
     let mut problems = Vec::new();
     for parser in parsers() {
@@ -215,8 +213,7 @@ fn damaged_files_are_refused_or_read_soundly() {
 }
 
 /// `ZIPSPLAT_FUZZ_SEED=2 tools/test.sh -p zipsplat-tests --test numerics -- --ignored
-/// many_damaged_files`, with a new seed each time. Under `ulimit -v 4000000` oversized allocations
-/// fail.
+/// many_damaged_files`. Under `ulimit -v 4000000` oversized allocations fail.
 #[test]
 #[ignore = "minutes"]
 fn many_damaged_files() {
@@ -224,7 +221,7 @@ fn many_damaged_files() {
     fuzz(number("ZIPSPLAT_FUZZ_ROUNDS", 20_000), number("ZIPSPLAT_FUZZ_SEED", 1) << 32);
 }
 
-/// Files that reached new code under cargo-fuzz (`tests/fuzz`), named by parser.
+/// From cargo-fuzz (`tests/fuzz`), named by parser.
 #[test]
 fn what_a_fuzzer_found_is_refused_or_read_soundly() {
     let file = std::fs::File::open(golden::find("hostile.zip").expect("it is committed")).unwrap();

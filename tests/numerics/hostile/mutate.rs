@@ -2,7 +2,7 @@
 
 use crate::Random;
 
-/// Lengths, counts and offsets at parsers' limits.
+/// At parsers' limits.
 const NUMBERS: [u64; 14] = [
     0,
     1,

@@ -1,4 +1,4 @@
-//! Valid files of every format, small enough to damage thousands of copies.
+//! Small valid files of every format.
 
 use flate2::{Compression, read::GzDecoder, write::GzEncoder};
 use serde_json::json;
@@ -30,7 +30,7 @@ pub fn spz4(sh_degree: u32) -> Vec<u8> {
     encode_scene(&random_scene(7, sh_degree, 0.1), SceneFormat::Spz, &WriteOptions { spz_version: 4 }).unwrap()
 }
 
-/// The decompressed SPZ: damage behind its checksum would not reach the parser.
+/// Damage behind the SPZ's checksum would not reach the parser.
 pub fn inflated(bytes: &[u8]) -> Vec<u8> {
     let mut out = Vec::new();
     GzDecoder::new(bytes).read_to_end(&mut out).unwrap();
@@ -129,8 +129,7 @@ pub fn safetensors() -> Vec<u8> {
     in_folder("weights.safetensors", |path| weights().save(path, Dtype::F16).unwrap())
 }
 
-/// The pickle that `torch.save` makes of [`pico`]: `{"model": {name: tensor}}`, all tensors in
-/// storage "0".
+/// Of [`pico`]: `{"model": {name: tensor}}`, all tensors in storage "0".
 pub fn pickle() -> Vec<u8> {
     let text = |text: &str| [b"X".as_slice(), &(text.len() as u32).to_le_bytes(), text.as_bytes()].concat();
     let int = |value: usize| [b"J".as_slice(), &(value as i32).to_le_bytes()].concat();
@@ -152,7 +151,7 @@ pub fn pickle() -> Vec<u8> {
     out
 }
 
-/// Wraps a pickle in a `torch.save` archive, with zeros for the storage of [`pico`].
+/// With zeros for the storage of [`pico`].
 pub fn archive(pickle: &[u8]) -> Vec<u8> {
     let all: usize = weights().parameters().iter().map(|(_, shape)| shape.iter().product::<usize>()).sum();
     let mut zip = ZipWriter::new(Cursor::new(Vec::new()));

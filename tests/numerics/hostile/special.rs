@@ -1,4 +1,4 @@
-//! Paths of pipes and devices, which would block or never end.
+//! Pipes and devices, which would block or never end.
 
 use std::{
     path::{Path, PathBuf},
@@ -23,7 +23,7 @@ const PATIENCE: Duration = Duration::from_secs(20);
 
 type Reader = fn(&Path) -> Result<()>;
 
-/// Every function that opens a path, with an expected file name.
+/// With an expected file name.
 const READERS: [(&str, &str, Reader); 14] = [
     ("weights", "weights.pt", |path| Checkpoint::open(path, None).map(drop)),
     ("conversion", "weights.safetensors", |path| convert(path, path.with_extension("out"), Dtype::F16, None)),
@@ -41,7 +41,7 @@ const READERS: [(&str, &str, Reader); 14] = [
     ("size of a photo", "photo.png", |path| Image::size(path).map(drop)),
 ];
 
-/// The reader's answer, on a thread that is abandoned if it hangs.
+/// On a thread that is abandoned if it hangs.
 #[track_caller]
 fn refusal(name: &str, read: Reader, path: PathBuf) -> Error {
     let (send, receive) = mpsc::channel();
@@ -72,7 +72,7 @@ fn pipes_and_devices_are_refused() {
             let path = folder.path().join(format!("{kind}{i}")).join(file);
             let error = refusal(name, read, path);
             assert!(matches!(error, Error::Argument { .. }), "{name}: {error}");
-            // Cameras in a folder are found by name; a pipe does not count.
+            // Found by name; a pipe does not count.
             let said = error.to_string();
             assert!(
                 said.contains(&format!("found a {kind}, expected a regular file"))

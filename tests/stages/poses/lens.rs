@@ -1,4 +1,4 @@
-//! Distorted photos are undistorted to their frame's pinhole camera.
+//! Photos are undistorted to their frame's pinhole.
 
 use std::fs;
 use std::path::Path;
@@ -9,10 +9,10 @@ use zipsplat::types::{Camera, Image, Intrinsics};
 
 const SIZE: [u32; 2] = [240, 180];
 const LENS: Intrinsics = Intrinsics { width: SIZE[0], height: SIZE[1], fx: 200.0, fy: 190.0, cx: 118.0, cy: 93.0 };
-/// Standard deviation of a spot, pixels.
+/// In pixels.
 const SPOT: f64 = 2.5;
 
-/// A lens's distortion, by OpenCV's formulas.
+/// OpenCV's formulas.
 type Distort = fn([f64; 2]) -> [f64; 2];
 
 fn radial([x, y]: [f64; 2], factor: impl Fn(f64) -> f64) -> [f64; 2] {
@@ -38,12 +38,10 @@ fn pixel(i: &Intrinsics, [x, y]: [f64; 2]) -> [f64; 2] {
     [i.fx * x + i.cx, i.fy * y + i.cy]
 }
 
-/// Directions of spots well inside every picture.
 fn spots() -> Vec<[f64; 2]> {
     (-2..=2).flat_map(|row| (-2..=2).map(move |column| [0.2 * f64::from(column), 0.15 * f64::from(row)])).collect()
 }
 
-/// Renders bright spots through a lens.
 fn photo(lens: &Intrinsics, distort: Distort) -> Image {
     let centres: Vec<_> = spots().into_iter().map(|spot| pixel(lens, distort(spot))).collect();
     let light = |x: f64, y: f64| {
@@ -54,7 +52,7 @@ fn photo(lens: &Intrinsics, distort: Distort) -> Image {
     Image::new(SIZE[0], SIZE[1], pixels.flat_map(|[x, y]| [light(x, y) as u8; 3]).collect()).unwrap()
 }
 
-/// Centroid of the spot near a pixel.
+/// Of the spot near a pixel.
 fn centre(image: &Image, [u, v]: [f64; 2]) -> [f64; 2] {
     let (mut sum, mut moment) = (0.0, [0.0; 2]);
     let reach = |at: f64, most: u32| (at - 9.0).max(0.0) as u32..((at + 9.0) as u32).min(most);
@@ -144,15 +142,13 @@ fn spots_stand_where_the_pinhole_camera_of_a_transforms_file_sees_them() {
         let poses = read_poses(folder.path()).unwrap();
         assert!(poses.frames[0].lens.is_some() && poses.notes.is_empty(), "{:?}", poses.notes);
         assert_undone(model, &poses.frames[0], folder.path(), &LENS, distort);
-        // Written again, alone and beside a frame of another lens. JSON readers need not be
-        // bit-exact; these intrinsics are.
+        // JSON readers need not be bit-exact; these intrinsics are.
         let camera = Camera { intrinsics: LENS, ..poses.frames[0].camera };
         let pinhole = Frame { name: "b.png".into(), photo: None, camera, lens: None };
         let distorted = Frame { photo: None, ..poses.frames[0].clone() };
         for frames in [vec![distorted.clone()], vec![distorted.clone(), pinhole.clone()]] {
             write_frames(folder.path().join("again.json"), &frames, Some("cloud.ply")).unwrap();
             let again = read_poses(folder.path().join("again.json")).unwrap();
-            // a.png is now beside the file.
             let read: Vec<Frame> = again.frames.into_iter().map(|frame| Frame { photo: None, ..frame }).collect();
             assert_eq!((read, again.points), (frames, None), "{model}");
             fs::write(folder.path().join("cloud.ply"), "").unwrap();

@@ -6,7 +6,7 @@ use zipsplat::types::{Camera, poses::read_poses};
 
 use super::{LENS, assert_format_error, assert_same_pose, cameras, put_photos};
 
-/// Writes a file of these cameras with frames in `images`.
+/// Frames are in `images`.
 fn written(folder: &Path, cameras: &[Camera], spoil: impl Fn(usize, String) -> String) -> std::path::PathBuf {
     let (w, h) = (f64::from(LENS.width), f64::from(LENS.height));
     let lens = [LENS.fx / w, LENS.fy / h, LENS.cx / w, LENS.cy / h].map(|value| format!("{value:?}")).join(" ");
@@ -25,7 +25,7 @@ fn written(folder: &Path, cameras: &[Camera], spoil: impl Fn(usize, String) -> S
 fn frames_are_read_with_the_size_of_their_pictures() {
     let (cameras, _) = cameras();
     let folder = tempfile::tempdir().unwrap();
-    // The fourth frame's picture is missing.
+    // Picture 3 is missing.
     let names: Vec<String> = (0..7).filter(|i| *i != 3).map(|i| format!("images/{}.png", 33_000 * i)).collect();
     put_photos(folder.path(), &names);
     let poses = read_poses(written(folder.path(), &cameras, |_, line| line)).unwrap();

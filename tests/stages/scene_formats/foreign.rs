@@ -5,7 +5,6 @@ use glam::DMat3;
 use zipsplat::types::{Scene, matrix_from_quaternion, read_ply, read_scene};
 use zipsplat_tests::golden;
 
-/// The file's scene and its source.
 fn pair(name: &str) -> (Scene, Scene) {
     let read = |name: &str| golden::find(name).unwrap();
     (read_scene(read(name)).unwrap(), read_ply(read("gaussians_deg2.ply")).unwrap())
@@ -37,7 +36,7 @@ fn spz() {
 fn packed_ply() {
     let (found, truth) = pair("scenes/scene.compressed.ply");
     assert_eq!((found.len(), found.sh_degree), (7, 2));
-    // Its Gaussians are sorted spatially.
+    // Sorted spatially.
     let distance = |a: &[f32; 3], b: &[f32; 3]| a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f32>();
     let nearest = |mean: &[f32; 3]| {
         (0..7).min_by(|a, b| distance(&truth.means[*a], mean).total_cmp(&distance(&truth.means[*b], mean))).unwrap()
@@ -84,14 +83,14 @@ fn glb() {
     assert_eq!((&found.means, &found.sh_coeffs, found.sh_degree), (&truth.means, &truth.sh_coeffs, 2));
     assert_within("scale", found.scales.as_flattened(), truth.scales.as_flattened(), |truth| 1e-6 * truth);
     assert_within("opacity", &found.opacities, &truth.opacities, |_| 1e-6);
-    // This writer names the axes differently; the Gaussians are equal.
+    // The axes' names differ; the Gaussians are equal.
     let (found, truth) = (covariances(&found), covariances(&truth));
     assert!(
         found.iter().zip(&truth).all(|(found, truth)| found.abs_diff_eq(*truth, 1e-6 * (1.0 + truth.x_axis.length())))
     );
 }
 
-/// `R S Sᵀ Rᵀ`, independent of the axes' names.
+/// `R S Sᵀ Rᵀ`.
 fn covariances(scene: &Scene) -> Vec<DMat3> {
     let covariance = |(quat, scales): (&[f32; 4], &[f32; 3])| {
         let rotation = matrix_from_quaternion(quat.map(f64::from));

@@ -7,7 +7,7 @@ use std::fs;
 use zipsplat::types::{Scene, WriteOptions, matrix_from_quaternion, read_scene, write_scene};
 use zipsplat_tests::reference::render::sh;
 
-/// The written file as JSON with embedded buffers.
+/// With embedded buffers.
 fn document(scene: &Scene) -> Value {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.gltf");
@@ -99,7 +99,6 @@ fn buffers_are_found_beside_the_file_and_nowhere_else() {
     file["buffers"][0]["uri"] = "the%20numbers.bin".into();
     fs::write(&path, file.to_string()).unwrap();
     assert_eq!(read_scene(&path).unwrap().means, scene(1).means);
-    // Two buffers of one file.
     let buffer = file["buffers"][0].clone();
     file["buffers"].as_array_mut().unwrap().push(buffer);
     file["bufferViews"][0]["buffer"] = 1.into();
@@ -116,7 +115,7 @@ fn integers_stand_for_fractions() {
     let mut file = document(&scene(0));
     let opacity = file["meshes"][0]["primitives"][0]["attributes"]["KHR_gaussian_splatting:OPACITY"].as_u64().unwrap();
     let opacity = opacity as usize;
-    // The first of the four bytes of each opacity is read.
+    // Opacities have four bytes.
     let view = file["accessors"][opacity]["bufferView"].as_u64().unwrap() as usize;
     file["bufferViews"][view]["byteStride"] = 4.into();
     file["accessors"][opacity]["componentType"] = 5121.into();
@@ -166,7 +165,7 @@ fn damaged_documents_are_refused() {
     shared["nodes"] = vec![json!({ "mesh": 0 }); 1000].into();
     shared["scenes"][0]["nodes"] = (0..1000).collect();
     assert!(failure("scene.gltf", shared.to_string().as_bytes()).contains("expected fewer than bytes"));
-    // Many nodes times many primitives, 10^10, without a Gaussian.
+    // 10^10 nodes times primitives, without a Gaussian.
     let empty = json!({ "attributes": shared["meshes"][0]["primitives"][0]["attributes"],
                         "extensions": shared["meshes"][0]["primitives"][0]["extensions"] });
     shared["meshes"][0]["primitives"] = vec![empty; 10_000].into();

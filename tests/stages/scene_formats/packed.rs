@@ -1,4 +1,4 @@
-//! Packed PLY of SuperSplat and PlayCanvas, built from its description, and damage.
+//! Packed PLY of SuperSplat and PlayCanvas, from its description.
 
 use super::{assert_within, failure};
 use zipsplat::types::{Scene, decode_scene};
@@ -6,7 +6,7 @@ use zipsplat::types::{Scene, decode_scene};
 /// One chunk and a part of another.
 const COUNT: usize = 300;
 
-/// Integers below `bound`, including both ends.
+/// Including both ends.
 fn level(i: usize, field: u32, bound: u32) -> u32 {
     match i % 9 {
         0 => 0,
@@ -15,7 +15,6 @@ fn level(i: usize, field: u32, bound: u32) -> u32 {
     }
 }
 
-/// Range of a chunk's property.
 fn range(chunk: usize, property: usize) -> [f32; 2] {
     let low = -1.5 + 0.25 * property as f32 + chunk as f32;
     [low, low + 0.5 * (1 + property % 3) as f32]
@@ -23,7 +22,7 @@ fn range(chunk: usize, property: usize) -> [f32; 2] {
 
 fn words(i: usize) -> [u32; 4] {
     let third = |field| level(i, field, 2048) << 21 | level(i, field + 1, 1024) << 11 | level(i, field + 2, 2048);
-    // At most half the range, so that the fourth is the largest.
+    // The fourth is the largest.
     let rotation = (i as u32 % 4) << 30 | (0..3).fold(0, |bits, c| bits << 10 | (256 + level(i, 6 + c, 512)));
     let color = (0..4).fold(0, |bits, c| bits << 8 | level(i, 9 + c, 256));
     [third(0), rotation, third(3), color]
@@ -33,7 +32,7 @@ fn sh_level(i: usize, property: usize) -> u8 {
     level(i, 20 + property as u32, 256) as u8
 }
 
-/// A file of `rest` coefficients above degree 0, optionally with color ranges.
+/// `rest` coefficients above degree 0, optionally with color ranges.
 fn file(rest: usize, colors: bool) -> Vec<u8> {
     let axes = |prefix: &str, axes: [&str; 3]| -> Vec<String> {
         ["min", "max"].iter().flat_map(|end| axes.map(|axis| format!("{end}_{prefix}{axis}"))).collect()
@@ -68,7 +67,7 @@ fn file(rest: usize, colors: bool) -> Vec<u8> {
     out
 }
 
-/// The described values, in f64.
+/// In f64.
 fn expected(rest: usize, colors: bool) -> Scene {
     let mut scene = Scene { sh_degree: (rest + 1).isqrt() as u32 - 1, ..Scene::default() };
     for i in 0..COUNT {
@@ -147,13 +146,11 @@ fn damaged_ones_are_refused() {
     for length in [end, end + 100, sound.len() - 1] {
         assert!(failure("scene.ply", &sound[..length]).contains("truncated"), "{length}");
     }
-    // Chunk ranges after their elements.
     let (top, elements) = header.split_at(header.find("element chunk").unwrap());
     let (chunk, rest) = elements.split_at(elements.find("element vertex").unwrap());
     let swapped = [top, &rest[..rest.len() - 11], chunk, "end_header\n"].concat();
     let error = failure("scene.ply", &[swapped.as_bytes(), &sound[end..]].concat());
     assert!(error.contains("found element vertex before element chunk"), "{error}");
-    // A NaN range.
     let mut bad = sound;
     bad[end..end + 4].copy_from_slice(&f32::NAN.to_le_bytes());
     assert!(failure("scene.ply", &bad).contains("256 of 300 Gaussians otherwise, the first is 0"));

@@ -1,11 +1,10 @@
-//! SPZ version 4: files built from its description, ours, and damage.
+//! SPZ version 4, from its description.
 
 use super::{assert_spz, failure, round_trip, scene};
 use zipsplat::types::{Scene, SceneFormat, WriteOptions, decode_scene, encode_scene};
 use zipsplat_tests::scenes;
 
-/// A zstd frame (RFC 8878): one segment, a 4-byte content size, raw blocks, and a run if the
-/// content ends with equal bytes.
+/// zstd (RFC 8878): one segment, a 4-byte content size, raw blocks, and a run of equal last bytes.
 fn frame(content: &[u8]) -> Vec<u8> {
     let mut out = [&0xfd2f_b528u32.to_le_bytes()[..], &[0xa0], &(content.len() as u32).to_le_bytes()].concat();
     let run = content.iter().rev().take_while(|byte| Some(*byte) == content.last()).count();
@@ -19,7 +18,7 @@ fn frame(content: &[u8]) -> Vec<u8> {
     out
 }
 
-/// A file of streams, with extension records before its table.
+/// Extension records precede the table.
 fn file(count: u32, sh_degree: u8, records: &[u8], streams: &[&[u8]]) -> Vec<u8> {
     let table = 32 + records.len() as u32;
     let flags = if records.is_empty() { 0 } else { 2 };
@@ -31,12 +30,12 @@ fn file(count: u32, sh_degree: u8, records: &[u8], streams: &[&[u8]]) -> Vec<u8>
     [header, vec![0; 12], records.to_vec(), entries, frames.concat()].concat()
 }
 
-/// Two Gaussians of degree 1.
+/// Degree 1.
 const POSITIONS: [i32; 6] = [4096, -2048, 1, -1, 8191, -4096];
 const ALPHAS: [u8; 2] = [0, 255];
 const COLORS: [u8; 6] = [0, 255, 51, 102, 153, 204];
 const SCALES: [u8; 6] = [0, 160, 255, 16, 32, 48];
-/// The identity, and y = 1/2 (60 degrees about y).
+/// The identity, and 60 degrees about y.
 const ROTATIONS: [u32; 2] = [3 << 30, 3 << 30 | 361 << 10];
 const SH: [u8; 18] = [128, 0, 255, 64, 192, 128, 129, 127, 1, 0, 0, 0, 128, 128, 128, 255, 255, 255];
 
@@ -77,7 +76,7 @@ fn values_are_those_of_the_description() {
     found.quats.as_flattened().iter().zip(quats.as_flattened()).for_each(|(found, truth)| close(*found, *truth));
 }
 
-/// An extension record: type, length, content.
+/// Type, length, content.
 fn record(kind: u32, says: &[u8]) -> Vec<u8> {
     [&kind.to_le_bytes(), &(says.len() as u32).to_le_bytes(), says].concat()
 }
@@ -99,7 +98,6 @@ fn degree_0_has_no_stream_of_harmonics() {
     let streams: [&[u8]; 5] = [&[0; 9], &[51], &[128; 3], &[160; 3], &rotation];
     let found = read(&file(1, 0, &[], &streams));
     assert_eq!((found.len(), found.sh_degree, found.opacities[0], found.scales[0]), (1, 0, 0.2, [1.0; 3]));
-    // An empty file has no streams.
     assert_eq!(read(&file(0, 0, &[], &[])), Scene::default());
 }
 
@@ -163,7 +161,7 @@ fn damaged_ones_are_refused() {
         assert!(failure("scene.spz", &sound[..length]).contains("truncated"), "{length}");
     }
     assert!(failure("scene.spz", &[&sound[..], &[0]].concat()).contains("1 bytes after the last stream"));
-    // A table smaller than its frame, whose header states the true or the table's size.
+    // The header states the true or the table's size.
     let longer = |content: &[u8], says_so: bool| {
         let mut bytes = file(1, 0, &[], &[&[0; 9], content, &[128; 3], &[160; 3], &ROTATIONS[0].to_le_bytes()]);
         bytes[32 + 16 + 8..][..8].copy_from_slice(&1u64.to_le_bytes());

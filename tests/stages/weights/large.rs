@@ -1,4 +1,4 @@
-//! Files with the largest network's number of tensors: a header beyond 64 KiB.
+//! A header beyond 64 KiB.
 
 use zipsplat::weights::{Architecture, Checkpoint, Dtype, convert};
 

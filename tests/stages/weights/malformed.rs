@@ -7,7 +7,7 @@ use zipsplat::weights::{Checkpoint, Dtype};
 
 use super::{header, pico, pico_weights};
 
-/// Returns the reason why `bytes` are malformed; any other result fails the test.
+/// Any other result fails the test.
 pub fn reason(bytes: &[u8]) -> String {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("bad");

@@ -47,7 +47,7 @@ fn a_file_keeps_every_integer_and_scale() {
             let apart = exact.iter().zip(&found).enumerate().all(|(i, (a, b))| (a - b).abs() <= 0.5001 * scale(i));
             assert!(apart && exact != found, "{name}");
         } else {
-            // Seeded values are exact in f16.
+            // Exact in f16.
             assert!(exact == found, "{name}");
         }
     }
@@ -75,7 +75,6 @@ fn any_reader_of_safetensors_opens_it() {
     assert_eq!(other("backbone.backbone.patch_embed.proj.weight"), FileDtype::F16);
 }
 
-/// A file with the tensors `x.q8` and `x.q8_scales`.
 fn file(integers: (&str, &str), scales: (&str, &str, &[u8])) -> Vec<u8> {
     let size = |dtype: &str, shape: &str| {
         let sides = shape.trim_matches(['[', ']']).split(',').map(|side| side.parse::<usize>().unwrap());
@@ -128,7 +127,7 @@ fn scales_that_no_device_would_hold_are_refused() {
     assert!(large(6.4e4).is_some() && large(-7e4).is_none());
 }
 
-/// The scene of two photos, all tokens.
+/// All tokens of two photos.
 fn scene(checkpoint: &Checkpoint, arithmetic: Arithmetic) -> Scene {
     let photo = |seed| {
         let values = random(seed, 3 * 28 * 42).into_iter().map(|x| (127.5 + 127.0 * x) as u8).collect();

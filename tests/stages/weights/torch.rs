@@ -9,7 +9,7 @@ use zipsplat::weights::{Checkpoint, Dtype, convert};
 use super::malformed::reason;
 use super::{assert_same_bits, pico, pico_weights, read};
 
-/// A zip archive in the layout of `torch.save`.
+/// As of `torch.save`.
 pub fn archive(entries: &[(&str, &[u8])], compression: CompressionMethod) -> Vec<u8> {
     let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
     let options = SimpleFileOptions::default().compression_method(compression).with_alignment(64);
@@ -20,7 +20,6 @@ pub fn archive(entries: &[(&str, &[u8])], compression: CompressionMethod) -> Vec
     zip.finish().unwrap().into_inner()
 }
 
-/// An archive with only a pickle.
 pub fn pickled(pickle: &[u8]) -> Vec<u8> {
     archive(&[("data.pkl", pickle)], CompressionMethod::Stored)
 }
@@ -76,7 +75,6 @@ impl View<'_> {
     }
 }
 
-/// `{"model": {name: tensor}}`.
 fn model(tensors: &[(&str, Vec<u8>)]) -> Vec<u8> {
     [b"\x80\x02".to_vec(), dict(&[("model", dict(tensors))]), b".".to_vec()].concat()
 }
@@ -85,7 +83,7 @@ fn row_major(shape: &[usize]) -> Vec<usize> {
     (0..shape.len()).map(|axis| shape[axis + 1..].iter().product()).collect()
 }
 
-/// Every tensor layout of released checkpoints, spread over one network.
+/// Layouts of released checkpoints, spread over one network.
 #[test]
 fn all_layouts_are_read() {
     let seeded = pico_weights();
@@ -118,7 +116,7 @@ fn all_layouts_are_read() {
         tensors.push((format!("module.{name}"), pickle));
         storages.push((format!("data/{key}"), bytes));
     }
-    // An `OrderedDict` with attributes, as of `Module.state_dict`, beside plain data.
+    // With attributes, as of `Module.state_dict`.
     let named: Vec<_> = tensors.iter().map(|(name, pickle)| (name.as_str(), pickle.clone())).collect();
     let items = dict(&named).split_off(1);
     let attributes = dict(&[("_metadata", dict(&[("version", int(1))]))]);
@@ -185,7 +183,7 @@ fn pickles_that_are_not_sound() {
         assert!(reason(&pickled(&[b'}', opcode, b'.'])).contains("pickle opcode"), "{opcode:#04x}");
     }
     assert!(reason(&pickled(&vec![b'N'; 1 << 25])).contains("expected at most"));
-    // The later of two values of a key counts.
+    // The later value counts.
     let twice = dict(&[("model", dict(&[("a", b"N".to_vec())])), ("model", b"]".to_vec())]);
     assert!(reason(&pickled(&[twice.as_slice(), b"."].concat())).contains("no dictionary `model`"));
     // Objects, references, marks, stack and memo entries of a byte or two all count.
@@ -193,7 +191,7 @@ fn pickles_that_are_not_sound() {
         let found = reason(&pickled(&many.repeat(1 << 20)));
         assert!(found.contains("more than 1048576 objects"), "{:?}: {found}", many.escape_ascii());
     }
-    // Cycles and doubling by reference cost no more than their bytes.
+    // Cycles and doubling cost no more than their bytes.
     let doubling = [b"]q\x00h\x00a".as_slice(), &b"q\x01h\x01h\x01\x86".repeat(1000), b"."].concat();
     assert!(reason(&pickled(&doubling)).contains("no dictionary `model`"));
 }
@@ -252,7 +250,7 @@ fn archives_that_are_damaged() {
     assert!(reason(&pickled(&model(&[("a", b"N".to_vec())]))).contains("no named tensor"));
 }
 
-/// Many entries claim the same bytes: checking each would be quadratic.
+/// Checking the bytes of each entry would be quadratic.
 #[test]
 fn entries_that_share_bytes() {
     let keys: Vec<String> = (0..8).map(|i| format!("data/{i}")).collect();
@@ -263,7 +261,7 @@ fn entries_that_share_bytes() {
     let mut entries = vec![("data.pkl", pickle.as_slice()), ("data/0", &values)];
     entries.extend(keys[1..].iter().map(|key| (key.as_str(), [].as_slice())));
     let mut file = archive(&entries, CompressionMethod::Stored);
-    // Central directory record: checksum and sizes at 16, entry offset at 42.
+    // Checksum and sizes at 16, entry offset at 42.
     let records: Vec<usize> = (0..file.len()).filter(|&at| file[at..].starts_with(b"PK\x01\x02")).collect();
     assert_eq!(records.len(), 9);
     for &record in &records[2..] {

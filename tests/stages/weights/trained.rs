@@ -1,4 +1,4 @@
-//! Checkpoints of the reference's trainer: names, configuration, extra data.
+//! Checkpoints of the reference's trainer.
 
 use zip::CompressionMethod;
 use zipsplat::Error;
@@ -12,7 +12,7 @@ fn list(items: &[usize]) -> Vec<u8> {
     [b"](".to_vec(), items.iter().flat_map(|&item| int(item)).collect(), b"e".to_vec()].concat()
 }
 
-/// The trainer's nested configuration.
+/// Nested, as of the trainer.
 fn conf(of: &Architecture) -> Vec<u8> {
     let vit_name = of.name.replace("da3", "vit");
     let backbone = dict(&[
@@ -35,7 +35,7 @@ fn conf(of: &Architecture) -> Vec<u8> {
     dict(&[("model", model), ("train", dict(&[("epochs", int(3))]))])
 }
 
-/// Every tensor is one f32 with strides of 0.
+/// One f32 with strides of 0.
 fn tensors(of: &Architecture, rename: impl Fn(&str) -> String) -> Vec<u8> {
     let tensor = |shape: &[usize]| {
         let strides = vec![0; shape.len()];
@@ -73,8 +73,8 @@ fn every_recipe_opens_by_itself() {
         assert_eq!((opened.picture_side(), opened.notes()), (336, &[][..]), "{name}");
         assert_eq!(read(&opened, "backbone.backbone.norm.bias")[..2], [0.5; 2]);
 
-        // A bare state dictionary with a counter. Shapes give all but the out layers, taken from
-        // the named network of that size.
+        // A bare state dictionary with a counter. Shapes give all but the out layers, those of the
+        // named network.
         let bare = [tensors(&expected, |name| name.into()), text("step"), int(7), b"s".to_vec()].concat();
         for variant in [None, Some(name), Some(&*name.replace("da3", "vit"))] {
             let opened = open(&bare, variant).unwrap();
@@ -94,7 +94,7 @@ fn options_say_what_the_file_does_not() {
     assert_eq!(open(&bare, Some(expected)).unwrap().architecture(), &trained);
     let error = open(&bare, Some("vits")).unwrap_err().to_string();
     assert!(error.contains("12 blocks with 2 out layers") && error.contains("out_layers=A,B,.."), "{error}");
-    // They also override the configuration, but not the shapes.
+    // The variant overrides the configuration, but not the shapes.
     let with_conf = dict(&[("model", bare), ("conf", conf(&trained))]);
     assert_eq!(open(&with_conf, Some("out_layers=1,11")).unwrap().architecture().out_layers, [1, 11]);
     for (variant, words) in [
@@ -107,7 +107,6 @@ fn options_say_what_the_file_does_not() {
         let error = open(&with_conf, Some(variant)).unwrap_err().to_string();
         assert!(error.contains(words), "{variant}: {error}");
     }
-    // A stated architecture is trusted.
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("pico.safetensors");
     pico_weights().save(&path, Dtype::F16).unwrap();
@@ -131,7 +130,7 @@ fn configurations_that_we_do_not_compute_are_refused() {
     }
 }
 
-/// Strides of 0 give a tensor any size, and names any number.
+/// Strides of 0 give a tensor any size.
 #[test]
 fn sizes_that_no_network_has_are_refused() {
     let wide = |name: &str, width: usize| {
@@ -154,7 +153,7 @@ fn sizes_that_no_network_has_are_refused() {
     }
 }
 
-/// Data of numpy and the scheduler in pickle protocol 2 is skipped.
+/// Data of numpy and the scheduler, in pickle protocol 2.
 #[test]
 fn plain_data_beside_the_model_is_read_over() {
     let dtype = [
@@ -216,7 +215,7 @@ fn doubles_are_rounded_and_noted() {
     assert_eq!(opened.bytes(), 8 * pico().parameter_count() as u64);
 }
 
-/// Names of a compiled model in safetensors without metadata lose the wrapper unless they collide.
+/// Compiled models without metadata lose the wrapper unless names collide.
 #[test]
 fn wrappers_in_safetensors() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,6 +1,5 @@
-//! Pose optimization by Adam with an alpha-weighted difference.
-//!
-//! Source: `pose_estimator.py` of ZipSplat, for each photo on its own.
+//! Pose optimization by Adam with an alpha-weighted difference, after ZipSplat's
+//! `pose_estimator.py`.
 
 use super::{Aligned, between};
 use crate::{capture::draw, metrics::values};
@@ -26,7 +25,7 @@ const PATIENCE: usize = 5;
 const LPIPS: f64 = 0.05;
 const EPS: f64 = 1e-8;
 
-/// Takes at most 200 steps, without a distance limit, and returns the last pose.
+/// Takes at most 200 steps, and returns the last pose.
 ///
 /// # Errors
 /// As [`super::align`].
@@ -54,7 +53,7 @@ pub fn align(
     Ok(Aligned { camera: descent.camera, drawn, before, turn, shift, doubt: None })
 }
 
-/// State of an alignment.
+/// Alignment state.
 pub struct Descent {
     /// Current camera.
     pub camera: Camera,
@@ -126,8 +125,7 @@ const SEEN: RenderRequest = RenderRequest {
     layout: None,
 };
 
-/// Returns the alpha-weighted mean absolute difference and its gradient `[pixels, 4]` by red,
-/// green, blue and alpha.
+/// Mean absolute difference; its gradient is `[pixels, 4]` by red, green, blue and alpha.
 fn weighted_difference(rgb: &[f32], alpha: &[f32], truth: &[f32]) -> (f64, Vec<f32>) {
     let differences = rgb.iter().zip(truth).map(|(a, b)| f64::from(*a) - f64::from(*b));
     let differences: Vec<f64> = differences.collect();
@@ -143,8 +141,8 @@ fn weighted_difference(rgb: &[f32], alpha: &[f32], truth: &[f32]) -> (f64, Vec<f
     (loss, differences.chunks_exact(3).zip(alpha).flat_map(d_pixel).collect())
 }
 
-/// Returns LPIPS between picture and photo `[pixels, 3]`, both times alpha. Adds its gradient to
-/// `d_frames` `[pixels, 4]`.
+/// LPIPS of picture and photo `[pixels, 3]`, both times alpha. Adds its gradient to `d_frames`
+/// `[pixels, 4]`.
 fn look_of_what_is_seen(
     lpips: &mut Perceptual,
     [rgb, truth]: [&[f32]; 2],
@@ -173,7 +171,6 @@ struct Backward {
 }
 
 impl Backward {
-    /// Allocates a margin over `intersections`.
     fn new(scene: &DeviceScene, arena: &Arena, camera: &Camera, intersections: usize) -> Result<Self> {
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
         let (shape, capacity) = (FrameShape { cameras: 1, width, height }, intersections + intersections / 4 + 1024);
@@ -191,7 +188,7 @@ impl Backward {
         Ok(Self { run, cameras, d_frames, d_cameras, outputs, capacity })
     }
 
-    /// Returns the pose gradient; `None` beyond the capacity.
+    /// `None` beyond the capacity.
     fn pose_gradient(&mut self, camera: &Camera, d_frames: &[f32]) -> Result<Option<[f64; 6]>> {
         self.run.write(self.cameras, &[camera_rows(camera)])?;
         self.run.write(self.d_frames, d_frames)?;

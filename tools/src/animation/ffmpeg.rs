@@ -17,20 +17,19 @@ use zipsplat::{
     types::{Image, Unfinished},
 };
 
-/// Widely supported H.264. Chroma subsampling needs even sides.
+/// Widely supported; chroma subsampling needs even sides.
 const ENCODING: &str = "-vf crop=trunc(iw/2)*2:trunc(ih/2)*2 -c:v libx264 -crf 18 -pix_fmt yuv420p -movflags +faststart \
                         -metadata comment=zipsplat -f mp4";
 
 pub struct Ffmpeg {
     program: PathBuf,
     child: Running,
-    /// Drains ffmpeg's messages, which would block on a full pipe.
+    /// Drains messages: a full pipe would block ffmpeg.
     said: Option<JoinHandle<String>>,
-    // Dropped after the child, which still writes to the file.
+    // Dropped after the child, which still writes to it.
     file: Unfinished,
 }
 
-/// Checks that ffmpeg runs.
 pub fn check(program: &Path) -> Result<()> {
     process::check(program, "ffmpeg", "an installed ffmpeg for MP4 (see --ffmpeg); .gif and .apng need none")
 }
@@ -41,7 +40,7 @@ impl Ffmpeg {
         let mut command = Command::new(program);
         command.args(["-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"]);
         command.args(["-s", &format!("{width}x{height}"), "-framerate", &fps.to_string(), "-i", "-"]);
-        // The `file:` prefix keeps a path from parsing as an option or a protocol.
+        // The prefix keeps a path from parsing as an option or a protocol.
         let mut out = OsString::from("file:");
         out.push(file.temporary_path());
         command.args(ENCODING.split_whitespace()).arg(out);
@@ -67,7 +66,6 @@ impl Encoder for Ffmpeg {
                 ErrorKind::BrokenPipe => "ended before it had all pictures".into(),
                 _ => error.to_string(),
             };
-            // Its messages end with the process.
             self.child.end_soon();
             self.failure(reason)
         })

@@ -14,7 +14,7 @@ use zipsplat::{
     types::{Image, Unfinished},
 };
 
-/// Limit of pixels sampled for NeuQuant's palette.
+/// For NeuQuant's palette.
 const SAMPLES: u64 = 1 << 16;
 
 pub struct Gif {
@@ -66,7 +66,7 @@ impl Encoder for Gif {
     }
 }
 
-/// Returns NeuQuant's sampling step, from 1 to 30.
+/// NeuQuant's sampling step, from 1 to 30.
 fn speed(image: &Image) -> i32 {
     let pixels = u64::from(image.width) * u64::from(image.height);
     (pixels / SAMPLES).clamp(1, 30) as i32

@@ -16,7 +16,6 @@ use zipsplat::{
 
 /// Delays are in hundredths of a second, and viewers slow down those below two.
 const GIF_MAX_FPS: u16 = 50;
-/// Limit of pictures per second.
 pub const MAX_FPS: u16 = 240;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -26,7 +25,6 @@ enum Format {
     Mp4,
 }
 
-/// Checked settings of an animation.
 pub struct Animation {
     path: PathBuf,
     format: Format,
@@ -34,20 +32,14 @@ pub struct Animation {
     ffmpeg: PathBuf,
 }
 
-/// Animation writer. Dropping it unfinished leaves no file.
+/// Dropping it unfinished leaves no file.
 pub trait Encoder {
     fn push(&mut self, images: &[Image]) -> Result<()>;
 
-    /// Finishes and renames the file.
     fn finish(self: Box<Self>, stage: &Stage<'_>) -> Result<()>;
 }
 
 impl Animation {
-    /// Checks path and rate.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for an unknown extension, a rate out of range, no file path, or missing
-    /// ffmpeg.
     pub fn new(path: &Path, fps: u16, ffmpeg: &Path) -> Result<Self> {
         let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
         let format = match extension.as_deref() {
@@ -78,7 +70,6 @@ impl Animation {
         Ok(Self { path: path.into(), format, fps, ffmpeg: ffmpeg.into() })
     }
 
-    /// Creates the file.
     pub fn begin(&self, size: (u32, u32), frames: usize) -> Result<Box<dyn Encoder>> {
         Ok(match self.format {
             Format::Gif => Box::new(gif::Gif::begin(&self.path, size, self.fps)?),
@@ -105,7 +96,7 @@ fn failed(path: &Path) -> impl Fn(Box<dyn std::error::Error + Send + Sync>) -> E
     move |error| Error::io(path, std::io::Error::other(error))
 }
 
-/// Converts a side to a format's narrower integer.
+/// Checks a format's narrower range.
 fn side<T: TryFrom<u32>>(side: u32, format: impl Display) -> Result<T> {
     T::try_from(side).map_err(|_| Error::argument(format!("size of a {format}"), side, "fewer pixels a side"))
 }

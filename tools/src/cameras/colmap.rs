@@ -1,4 +1,4 @@
-//! COLMAP as a program: which there is, the command of each step, and what its words say of how far it is.
+//! COLMAP as a program: commands of its steps, and progress from its output.
 
 use super::find::{Pairs, Searching};
 use crate::{process, session::Stage};
@@ -9,22 +9,19 @@ use std::{
 };
 use zipsplat::{Error, Result};
 
-/// Runs the same steps through pycolmap.
 const PYCOLMAP: &str = include_str!("pycolmap.py");
-/// Most features of a photo: matching takes the square of them.
+/// Per photo: matching cost is quadratic in them.
 const FEATURES: u32 = 8192;
-/// Photos of a block in matching: small blocks tell more often how far it is.
+/// Photos per matching block: smaller blocks report progress more often.
 const BLOCK: u32 = 8;
 
-/// An installed COLMAP.
 pub struct Colmap {
     program: PathBuf,
-    /// The program is a Python with pycolmap.
+    /// True if the program is Python with pycolmap.
     python: bool,
     version: String,
 }
 
-/// COLMAP's steps, in order.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Step {
     Features,
@@ -32,53 +29,51 @@ pub enum Step {
     Cameras(Mapping),
 }
 
-/// How the last step is tried: COLMAP draws at random, and its thresholds are those of many photos with much in common.
+/// Mapper settings of one attempt. COLMAP samples at random, and its defaults suit many overlapping
+/// photos.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct Mapping {
     seed: u32,
-    /// Least angle in degrees at which the first two photos see a point.
+    /// Of the first pair, in degrees.
     first_angle: u32,
-    /// Least points that the first two photos share.
+    /// Shared by the first pair.
     first_points: u32,
-    /// Least points by which a further photo is joined.
+    /// To register a further photo.
     points: u32,
-    /// Whether bundle adjustment refines focal length and distortion.
     pub refines_lens: bool,
 }
 
-/// The facts in COLMAP's words.
 #[derive(Default)]
 pub struct Told {
-    /// Features of each photo.
+    /// Per photo.
     pub features: Vec<usize>,
-    /// Pairs of photos that show the same.
+    /// Matched pairs.
     pub pairs: Option<usize>,
-    /// COLMAP said that no pair of photos is a start.
+    /// COLMAP found no initial pair.
     no_start: bool,
-    /// The disk was full, which COLMAP 3 says and does not fail of.
+    /// The disk was full; COLMAP 3 reports that without failing.
     pub no_room: bool,
     /// The next line has the number of pairs.
     pairs_follow: bool,
-    /// The last lines that were no mere progress.
+    /// Last lines other than progress.
     last: Vec<String>,
 }
 
-/// Lines of a program's last words.
+/// In an error.
 const LAST: usize = 3;
 
 impl Mapping {
-    /// The ways of trying, in order: COLMAP's own thresholds first.
+    /// Attempts in order, COLMAP's own thresholds first.
     pub const ALL: [Self; 3] = [
         Self { seed: 0, first_angle: 16, first_points: 100, points: 30, refines_lens: true },
         Self { seed: 1, first_angle: 8, first_points: 50, points: 20, refines_lens: true },
         Self { seed: 2, first_angle: 4, first_points: 30, points: 15, refines_lens: true },
     ];
-    /// The lens stays as EXIF has it, or as COLMAP guesses it: few photos do not determine it.
+    /// Keeps the lens of EXIF or COLMAP's guess: few photos do not determine it.
     pub const FIXED_LENS: Self = Self { refines_lens: false, ..Self::ALL[0] };
 }
 
 impl Step {
-    /// The name of the step, for progress and times.
     pub fn name(self) -> &'static str {
         match self {
             Self::Features => "find features",
@@ -95,11 +90,7 @@ impl fmt::Display for Colmap {
 }
 
 impl Colmap {
-    /// The one that was asked for, else `colmap`, else the pycolmap of `python3`.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] with the command that installs it where it does not run;
-    /// [`Error::Cancelled`].
+    /// The requested program, else `colmap`, else pycolmap of `python3`.
     pub fn of(searching: &Searching, stage: &Stage<'_>) -> Result<Self> {
         let tried = match (&searching.python, &searching.colmap) {
             (Some(python), _) => Self::pycolmap(python, stage),
@@ -109,7 +100,6 @@ impl Colmap {
                 Self::native(Path::new("colmap"), stage).or_else(|why| python().map_err(|_| why))
             }
         };
-        // A program that was ended is no reason to install another.
         stage.check()?;
         tried.map_err(|why| {
             let expected = format!(
@@ -139,20 +129,16 @@ impl Colmap {
         if version.starts_with(|c: char| c.is_ascii_digit()) && version.lines().count() == 1 {
             return Ok(Self { program: program.into(), python: true, version: version.into() });
         }
-        // Of a traceback the last line is the reason.
+        // A traceback's last line has the reason.
         Err(why(&version.lines().last().unwrap_or("prints nothing")))
     }
 
-    /// The path of the program, for messages.
     pub fn program(&self) -> &Path {
         &self.program
     }
 
-    /// The command of a step in a folder with `images`, which gets `database.db`; the models go to `models`. It uses neither GPU
-    /// nor display.
-    ///
-    /// # Errors
-    /// [`Error::Io`] where it cannot be asked which options it has; [`Error::Cancelled`].
+    /// `folder` has `images` and gets `database.db`; models go to `models`. Uses neither GPU nor
+    /// display.
     pub fn command(
         &self,
         step: Step,
@@ -161,7 +147,7 @@ impl Colmap {
         stage: &Stage<'_>,
     ) -> Result<Command> {
         let mut command = Command::new(&self.program);
-        // What it leaves behind goes with the folder.
+        // Temporary files are removed with the folder.
         headless(&mut command).env("TMPDIR", folder);
         if self.python {
             let words: (_, Vec<u32>) = match (step, pairs) {
@@ -195,7 +181,7 @@ impl Colmap {
             (Step::Matches, Pairs::Near) => {
                 ("sequential_matcher", vec![(&["FeatureMatching.use_gpu", "SiftMatching.use_gpu"], 0)])
             }
-            // Points that only two photos show are many where photos are few, and a start for refinement.
+            // Two-view points matter where photos are few, and initialize refinement.
             (Step::Cameras(mapping), _) => (
                 "mapper",
                 vec![
@@ -219,7 +205,7 @@ impl Colmap {
         if verb == "mapper" {
             command.arg("--output_path").arg(models);
         }
-        // Versions differ in what they call an option; what one has not, it does without.
+        // Option names vary by version; unknown ones are omitted.
         for (names, value) in options {
             if let Some(name) = names.iter().find(has) {
                 command.args([format!("--{name}"), value.to_string()]);
@@ -229,12 +215,11 @@ impl Colmap {
     }
 }
 
-/// Qt, which COLMAP 3.x starts even where nothing is shown, without a display.
+/// Stops Qt from needing a display: COLMAP 3 starts it even without windows.
 fn headless(command: &mut Command) -> &mut Command {
     command.env("QT_QPA_PLATFORM", "offscreen")
 }
 
-/// The command that installs COLMAP here.
 fn install() -> &'static str {
     match () {
         () if cfg!(target_os = "macos") => "brew install colmap",
@@ -244,9 +229,9 @@ fn install() -> &'static str {
 }
 
 impl Told {
-    /// Takes a line; how far its step is, where it says so. `photos` is how many there are.
+    /// Parses a line; returns the step's finished fraction if it has one.
     pub fn hear(&mut self, line: &str, photos: usize) -> Option<f64> {
-        // glog puts a prefix before what is said.
+        // Strips glog's prefix.
         let text =
             line.split_once("] ").filter(|(head, _)| head.contains(".cc:")).map_or(line, |(_, text)| text).trim();
         if std::mem::take(&mut self.pairs_follow) {
@@ -268,26 +253,25 @@ impl Told {
         far
     }
 
-    /// Whether a step ended so because there is nothing to find; the next time may be another.
+    /// Returns true if another attempt may succeed.
     pub fn found_nothing(&mut self, step: Step, status: ExitStatus) -> bool {
         let no_start = std::mem::take(&mut self.no_start);
         matches!(step, Step::Cameras(_)) && no_start && status.code() == Some(1)
     }
 
-    /// The last that was said.
     pub fn last_words(&self) -> String {
         self.last.join("; ")
     }
 }
 
-/// The first number of a text, before any other word.
+/// Parses the first number unless another word precedes it.
 fn number(text: &str) -> Option<usize> {
     let text = text.trim_start();
     text[..text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len())].parse().ok()
 }
 
-/// The share of its step that a line tells of: `Processed file [3/11]`, `Matching block [1/2, 2/2]`, `Registering image #6 (3)`
-/// in words of COLMAP 3, `(num_reg_frames=3)` of COLMAP 4.
+/// Returns the fraction in `Processed file [3/11]`, `Matching block [1/2, 2/2]`, `Registering image
+/// #6 (3)` (COLMAP 3), `(num_reg_frames=3)` (COLMAP 4).
 fn progress(text: &str, photos: usize) -> Option<f64> {
     if text.starts_with("Registering image") {
         let inside = text.split_once('(')?.1;
@@ -303,7 +287,7 @@ fn progress(text: &str, photos: usize) -> Option<f64> {
     while let Some(counter) = counters.next() {
         let (at, of) = counter.split_once('/')?;
         let (at, of): (f64, f64) = (at.trim().parse().ok()?, of.trim().parse().ok()?);
-        // But for the last, a counter tells what is under way.
+        // Counters except the last name the unfinished item.
         let at = if counters.peek().is_some() { at - 1.0 } else { at };
         part /= of.max(1.0);
         done += at * part;

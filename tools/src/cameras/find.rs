@@ -1,4 +1,4 @@
-//! Cameras of photos that have none, found by COLMAP or by a network of Depth Anything 3.
+//! Camera estimation by COLMAP or Depth Anything 3.
 
 use super::{
     colmap::{Colmap, Mapping, Step, Told},
@@ -30,25 +30,24 @@ use zipsplat::{
     },
 };
 
-/// The words that stand for a file of cameras where they are to be found.
+/// Words that request estimation instead of a camera file.
 const FIND: &str = "find";
 /// Alias of [`FIND`], unless a folder of this name holds a model.
 const COLMAP: &str = "colmap";
 const DA3: &str = "da3";
-/// Longer side of the photos in which COLMAP looks for points, where nobody says.
+/// Default longer side of the photos for COLMAP.
 const SIDE: u32 = 1600;
-/// Most photos of which all pairs are matched where nobody says: their number goes with the square.
+/// Limit for exhaustive matching, whose cost is quadratic in photos.
 const ALL_PAIRS: usize = 100;
-/// Most photos of which none should be lost without another try.
+/// Number of photos up to which every lost one justifies a retry.
 const FEW_PHOTOS: usize = 12;
-/// Share of more photos with which one try is enough.
+/// Registered share of more photos that needs no retry.
 const ENOUGH: f64 = 0.8;
-/// Features of a photo below which there is little to recognise.
+/// Features below which a photo has too little texture.
 const FEW: usize = 300;
-/// Focal lengths that photos have, as shares of their longer sides: fields of view of 110 degrees to 11.
+/// Plausible focal lengths over the longer side: fields of view of 110 to 11 degrees.
 const LIKELY: RangeInclusive<f64> = 0.35..=5.0;
 
-/// How cameras are found.
 #[derive(Args, Clone, Default)]
 pub struct Finding {
     #[command(flatten)]
@@ -60,78 +59,68 @@ pub struct Finding {
     pub depth_weights: Option<String>,
 }
 
-/// How photos are searched for what they have in common.
 #[derive(Args, Clone, Default)]
 pub struct Searching {
-    /// COLMAP's program, 3.x or 4.x, where cameras are to be found [default: colmap, else the pycolmap of python3]
+    /// COLMAP program, 3.x or 4.x [default: colmap, else pycolmap of python3]
     #[arg(long, value_name = "PROGRAM")]
     pub colmap: Option<PathBuf>,
-    /// Python with pycolmap, in place of COLMAP's program
+    /// Python with pycolmap, instead of COLMAP's program
     #[arg(long, value_name = "PROGRAM", conflicts_with = "colmap")]
     pub python: Option<PathBuf>,
-    /// Photos that are searched for the same points [default: all pairs of up to 100 photos, else near]
+    /// Pairs of photos to match [default: all for up to 100 photos, else near]
     #[arg(long, alias = "matching", value_enum, value_name = "WHICH")]
     pub pairs: Option<Pairs>,
-    /// Longer side of the photos in which cameras are looked for; COLMAP takes smaller photos as they are [default: 1600, for
-    /// Depth Anything 3 504]
+    /// Longer side of the photos for camera estimation; COLMAP keeps smaller photos [default: 1600,
+    /// for Depth Anything 3 504]
     #[arg(long, alias = "matching-size", value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(64..=32_768))]
     pub find_size: Option<u32>,
 }
 
-/// The finder of cameras.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Finder {
-    /// COLMAP, by points that photos have in common
+    /// COLMAP, from matched features
     Colmap,
-    /// A network of Depth Anything 3, in one pass
+    /// Depth Anything 3, in one pass
     Da3,
 }
 
-/// Pairs of photos that are matched.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Pairs {
-    /// Every one with every other
+    /// All pairs
     #[value(alias = "exhaustive")]
     All,
-    /// Photos near each other in the order of their names, as frames of a video are
+    /// Photos near each other in name order, such as video frames
     #[value(alias = "sequential")]
     Near,
 }
 
-/// Cameras, and what is known of how they were found.
+/// Cameras with their estimation, if any.
 pub struct Known {
     pub poses: Poses,
-    /// The findings, where cameras were found and not read.
     pub found: Option<Found>,
 }
 
-/// How cameras were found. The file of their points lasts as long as this.
+/// Owns the temporary points file.
 pub struct Found {
-    /// What a network saw, where one found them.
+    /// Results of the network, if one was used.
     pub seen: Option<Box<Seen>>,
-    /// Photos that have no camera.
     pub lost: Vec<PathBuf>,
-    /// Photos with a camera.
     pub count: usize,
-    /// The numbers of photos, of those that have no camera, in groups that COLMAP could not join with the others.
+    /// Sizes of groups among the lost photos that COLMAP registered separately.
     pub groups: Vec<usize>,
     pub points: usize,
-    /// The median focal length, as a share of the longer side of its photo.
+    /// Median focal length over the photo's longer side.
     pub focal: f64,
-    /// How often the photos were mapped.
     pub mappings: usize,
-    /// The program that found them.
     pub program: String,
     pub times: Vec<(&'static str, Duration)>,
-    /// All that COLMAP said, where it found them.
+    /// Of COLMAP.
     pub(super) log: Option<Log>,
     pub(super) _work: Scratch,
 }
 
-/// All that COLMAP said.
 pub(super) struct Log(NamedTempFile);
 
-/// COLMAP at work on photos.
 struct Search<'a> {
     colmap: &'a Colmap,
     work: &'a Work,
@@ -143,17 +132,14 @@ struct Search<'a> {
 }
 
 impl Finder {
-    /// The one that a word in place of a file of cameras stands for; a file of that name is `./find`.
+    /// A file of that name is `./find`.
     pub fn named(poses: &Path) -> Option<Self> {
         let finders = [(FIND, Self::Colmap), (COLMAP, Self::Colmap), (DA3, Self::Da3)];
         let mut finders = finders.into_iter().filter(|(word, _)| *word != COLMAP || !poses.exists());
         finders.find(|(word, _)| poses == Path::new(word)).map(|(_, finder)| finder)
     }
 
-    /// Finds the cameras of photos. Frames have the names of the photos' files, or of several that share one their paths.
-    ///
-    /// # Errors
-    /// As [`text`], [`Found::by_colmap`] and [`Found::by_network`].
+    /// Frames are named after files, or after paths if files share a name.
     pub fn find(self, session: &mut Session<'_>, photos: &[PathBuf], finding: &Finding) -> Result<(Poses, Found)> {
         photos.iter().try_for_each(|photo| text(Path::new(photo.file_name().unwrap_or_default())).map(drop))?;
         match self {
@@ -164,10 +150,7 @@ impl Finder {
 }
 
 impl Known {
-    /// The cameras of a file, or where `poses` is a [`Finder`]'s word those that it finds for `photos`, which is noted.
-    ///
-    /// # Errors
-    /// As [`read_poses`] and [`Finder::find`].
+    /// Reads a camera file, or estimates cameras for a [`Finder`]'s word, with a note.
     pub fn of(session: &mut Session<'_>, poses: &Path, photos: &[PathBuf], finding: &Finding) -> Result<Self> {
         let Some(finder) = Finder::named(poses) else { return Ok(Self { poses: read_poses(poses)?, found: None }) };
         let (poses, found) = finder.find(session, photos, finding)?;
@@ -175,18 +158,13 @@ impl Known {
         Ok(Self { poses, found: Some(found) })
     }
 
-    /// True where cameras are to be found.
     pub fn to_find(poses: &Path) -> bool {
         Finder::named(poses).is_some()
     }
 }
 
 impl Found {
-    /// The cameras of photos, in a world and unit of COLMAP's choice.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] where COLMAP is missing or finds no cameras, with the likely reason; [`Error::Io`] where it fails, with
-    /// the path of its log; of photos as [`Image::size`]; [`Error::Cancelled`].
+    /// In a world and unit of COLMAP's choice.
     fn by_colmap(session: &mut Session<'_>, photos: &[PathBuf], searching: &Searching) -> Result<(Poses, Self)> {
         let (colmap, _) = session.stage("look for COLMAP", |stage| Colmap::of(searching, stage))?;
         if photos.len() < 2 {
@@ -217,7 +195,6 @@ impl Found {
         Ok((poses, Self { seen: None, lost, count, groups, points, focal, mappings, program, times, log, _work }))
     }
 
-    /// The outcome in words.
     pub fn told(&self) -> String {
         let mut text = format!("{} of {}", self.count, counted(self.count + self.lost.len(), "photo"));
         text += &format!(", {}, by {}", counted(self.points, "point"), self.program);
@@ -249,7 +226,6 @@ impl<'a> Search<'a> {
         Ok(Self { colmap, work, pairs, side, log: Log::new()?, told: Told::default(), times: Vec::new() })
     }
 
-    /// Runs a step; its status where it failed.
     fn run(&mut self, session: &Session<'_>, step: Step, models: &Path) -> Result<Option<ExitStatus>> {
         let folders = [self.work.folder.path(), models];
         let photos = self.work.photos.len();
@@ -269,13 +245,13 @@ impl<'a> Search<'a> {
             let why = "COLMAP found no room left for its files; TMPDIR says where they go";
             return Err(process::failure(&std::env::temp_dir(), why, status));
         }
-        // So the mapper ends where there is nothing to find.
+        // Only if there is nothing to find.
         let found_nothing = told.found_nothing(step, status);
         Ok(Some(status).filter(|status| !status.success() && !found_nothing))
     }
 
-    /// Returns the groups of photos that COLMAP joined, the largest first, and the number of attempts:
-    /// several if few photos are joined, or if their focal length is unlikely.
+    /// Returns the groups, largest first, and the number of attempts. Retries if few photos are
+    /// joined or the focal length is implausible.
     fn map(&mut self, session: &Session<'_>) -> Result<(Vec<Poses>, usize)> {
         let photos = self.work.photos.len();
         let enough = if photos <= FEW_PHOTOS { photos } else { (ENOUGH * photos as f64) as usize };
@@ -290,12 +266,12 @@ impl<'a> Search<'a> {
             attempts += 1;
             match self.run(session, Step::Cameras(mapping), &models)? {
                 Some(status) if best.is_empty() => return Err(self.failure(Step::Cameras(mapping), status)),
-                // There are cameras; the log has why there are no more.
+                // Cameras exist; the log has the reason for the end.
                 Some(_) => break,
                 None => {}
             }
             let mut models = models_of(&models)?;
-            // Of equal ones the first.
+            // Stable: the first of equal groups.
             models.sort_by_key(|model| std::cmp::Reverse(model.frames.len()));
             let as_many = joined(&models) == joined(&best) && likely(&models) && !likely(&best);
             if joined(&models) > joined(&best) || as_many {
@@ -310,7 +286,7 @@ impl<'a> Search<'a> {
         Ok((best, attempts))
     }
 
-    /// A step's failure in COLMAP's last words; the log stays for who looks for the reason.
+    /// Keeps the log.
     fn failure(&mut self, step: Step, status: ExitStatus) -> Error {
         let said = match self.told.last_words() {
             words if words.is_empty() => String::new(),
@@ -326,7 +302,6 @@ impl<'a> Search<'a> {
     }
 }
 
-/// The median focal length of photos as a share of their longer sides.
 pub(super) fn focal(frames: &[Frame]) -> f64 {
     let focal = |Frame { camera: Camera { intrinsics, .. }, .. }: &Frame| {
         intrinsics.fx / f64::from(intrinsics.width.max(intrinsics.height))
@@ -336,7 +311,6 @@ pub(super) fn focal(frames: &[Frame]) -> f64 {
     focals[focals.len() / 2]
 }
 
-/// Why there may be no camera at all.
 fn nothing(photos: usize, told: &Told) -> Error {
     let mut features = told.features.clone();
     features.sort_unstable();
@@ -359,7 +333,6 @@ fn nothing(photos: usize, told: &Told) -> Error {
     Error::argument(format!("cameras of {photos} photos"), format!("none: {why}"), expected)
 }
 
-/// The groups of photos in a folder of COLMAP's.
 fn models_of(folder: &Path) -> Result<Vec<Poses>> {
     let failed = |source| Error::io(folder, source);
     let mut folders = Vec::new();
@@ -369,7 +342,7 @@ fn models_of(folder: &Path) -> Result<Vec<Poses>> {
     folders.sort();
     let models =
         folders.iter().filter(|folder| folder.join("images.bin").exists() || folder.join("images.txt").exists());
-    // COLMAP gives small groups that are wrong lenses that nothing has: the others are no worse for it.
+    // COLMAP may write small groups with impossible lenses; the others stay usable.
     let (found, mut failed): (Vec<_>, Vec<_>) = models.map(read_poses).partition(Result::is_ok);
     match failed.pop() {
         Some(error) if found.is_empty() => error.map(|_| Vec::new()),
@@ -393,7 +366,6 @@ impl Log {
         self.0.path()
     }
 
-    /// Leaves it where it is.
     fn keep(&mut self) -> Result<PathBuf> {
         self.0.disable_cleanup(true);
         Ok(self.path().to_owned())

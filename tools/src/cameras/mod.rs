@@ -1,4 +1,4 @@
-//! Cameras: of photos, from files or found by COLMAP or a network, and along paths around a scene.
+//! Cameras: read from files, estimated, and along paths around a scene.
 
 mod colmap;
 mod find;

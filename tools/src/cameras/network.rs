@@ -1,4 +1,4 @@
-//! Cameras of photos as a network of Depth Anything 3 says them.
+//! Camera estimation by Depth Anything 3.
 
 use super::find::{Finding, Found, focal};
 use crate::{
@@ -16,11 +16,7 @@ use zipsplat::{
 };
 
 impl Found {
-    /// The cameras of photos as a network of Depth Anything 3 sees them, in a world about one of them, and the points of confident pixels.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] where there are no weights, or they are of a network that sees each photo by itself; those of
-    /// [`Question::ask`]; [`Error::Io`].
+    /// In the world of one of them, with points of confident pixels.
     pub(super) fn by_network(
         session: &mut Session<'_>,
         photos: &[PathBuf],
@@ -35,10 +31,6 @@ impl Found {
         Self::by_question(session, photos, question)
     }
 
-    /// As [`Found::by_network`], by a question of the caller's.
-    ///
-    /// # Errors
-    /// As [`Found::by_network`].
     pub fn by_question(session: &mut Session<'_>, photos: &[PathBuf], question: Question<'_>) -> Result<(Poses, Self)> {
         check_finds_cameras(question.checkpoint.architecture())?;
         let seen = question.ask(session, photos, &[])?;

@@ -1,4 +1,4 @@
-//! Cameras to draw with: of files, and along paths around a scene.
+//! Render cameras: from files, and along paths around a scene.
 
 use super::Similarity;
 use crate::options::Size;
@@ -21,35 +21,32 @@ use zipsplat::{
 const WIGGLE_AZIMUTH: f64 = 16.0;
 const WIGGLE_ELEVATION: f64 = 2.0;
 
-/// Length of the cameras' own order, per length of the order by nearness, above which it is no
-/// path.
+/// Length of the given order over that of the nearest-neighbor order, above which it is no path.
 const DETOUR: f64 = 1.5;
-/// Errors of the landmarks' centers per distance between them: in the same world, and after an
-/// alignment by the first one's pose.
+/// Over their distance: in the same world, and after alignment by the first pose.
 const SAME_WORLD: f64 = 0.1;
 const ALIGNED: f64 = 0.3;
-/// Longest side of pictures of a path, unless another is asked for.
+/// Of a path's pictures.
 const SIDE: u32 = 1280;
-/// Horizontal field of view in degrees of a path whose photos are unknown.
+/// In degrees.
 const FOV: f64 = 60.0;
-/// Size of pictures whose cameras have none.
+/// For cameras without one.
 const SIZE: Size = Size(252, 252);
 
-/// Cameras to draw with.
 #[derive(Args)]
 #[command(
     group(ArgGroup::new("path").args(["cameras", "spline", "ellipse", "dolly", "orbit", "wiggle"]))
 )]
 pub struct CameraArgs {
-    /// The cameras of a file: transforms.json, a COLMAP model's folder, nerfstudio's camera_path.json, or JSON with a list
-    /// of 4x4 matrices (camera-to-world, x right, y down, z forward) or of objects with matrix or viewmat and fx, fy, cx,
-    /// cy, width, height
+    /// Cameras of a file: transforms.json, a COLMAP model's folder, nerfstudio's camera_path.json,
+    /// or a JSON list of 4x4 matrices (camera-to-world, x right, y down, z forward) or of objects
+    /// with matrix or viewmat and fx, fy, cx, cy, width, height
     #[arg(long, alias = "poses", value_name = "PATH")]
     cameras: Option<PathBuf>,
-    /// A smooth path through the cameras of a file, as of --cameras
+    /// Smooth path through the cameras of a file
     #[arg(long, value_name = "PATH")]
     spline: Option<PathBuf>,
-    /// Once around on an ellipse fitted to the cameras of a file, as of --cameras
+    /// Once around an ellipse fitted to the cameras of a file
     #[arg(long, value_name = "PATH")]
     ellipse: Option<PathBuf>,
     /// From the first view's camera straight toward the scene
@@ -59,39 +56,39 @@ pub struct CameraArgs {
     /// the photos that it was made from
     #[arg(long, value_name = "PATH", num_args = 0..=1, require_equals = true)]
     orbit: Option<Option<PathBuf>>,
-    /// A small figure of eight in front of the scene: the path if none is named
+    /// Small figure of eight in front of the scene, the default path
     #[arg(long)]
     wiggle: bool,
     /// Lead --spline back to its first camera
-    // Conflicts: an option that requires one of several paths is let through with another.
+    // Conflicts: clap accepts an option that requires one of several paths with any other.
     #[arg(long = "loop", conflicts_with_all = ["cameras", "ellipse", "dolly", "orbit", "wiggle"])]
     closed: bool,
-    /// Share of the way to the scene's centre that --dolly goes; below 0: away from it
+    /// Share of the distance to the scene's center that --dolly covers; below 0 away from it
     #[arg(long, value_name = "SHARE", default_value = "0.5", allow_negative_numbers = true,
         conflicts_with_all = ["cameras", "spline", "ellipse", "orbit", "wiggle"])]
     travel: f64,
-    /// Let the lens of --dolly keep the size of what is at the scene's centre
+    /// Let the lens of --dolly keep the apparent size of the scene's center
     #[arg(long, conflicts_with_all = ["cameras", "spline", "ellipse", "orbit", "wiggle"])]
     dolly_zoom: bool,
-    /// Photo whose camera is the scene's world: the first that was given to reconstruct [default: the one that the scene's
-    /// file names, where the cameras' file has it, else the cameras' own world]
+    /// Photo whose camera is the scene's world: the first one of reconstruct [default: the scene
+    /// file's, if the camera file has it, else the cameras' own world]
     #[arg(long, value_name = "PHOTO", conflicts_with_all = ["dolly", "orbit", "wiggle"])]
     relative_to: Option<PathBuf>,
-    /// Pictures of a path
+    /// Number of pictures of a path
     #[arg(long, value_name = "N", default_value = "60", value_parser = clap::value_parser!(u32).range(1..=100_000),
         conflicts_with = "cameras")]
     frames: u32,
-    /// Size of the pictures [default: of --cameras their own; of other paths the first photo's, with sides up to 1280, if it is
-    /// known, else 252x252]
+    /// Size of the pictures [default: with --cameras their own; else the first photo's if known,
+    /// with sides up to 1280; else 252x252]
     #[arg(long, value_name = "WxH")]
     size: Option<Size>,
-    /// Horizontal field of view in degrees [default: the first photo's if it is known, else 60]
+    /// Horizontal field of view in degrees [default: the first photo's if known, else 60]
     #[arg(long, value_name = "DEG")]
     fov: Option<f64>,
 }
 
 impl CameraArgs {
-    /// The cameras for a scene, and what there is to say about them. `world` is what the scene's file says of its world.
+    /// Also returns notes. `world` is the scene file's.
     pub fn cameras(&self, scene: &Scene, world: Option<&World>) -> Result<(Vec<Camera>, Vec<String>)> {
         let frames = self.frames as usize;
         let mut lens = self.lens(world.and_then(|world| world.lens.as_ref()))?;
@@ -111,7 +108,6 @@ impl CameraArgs {
         let with_lens = |poses: Vec<Pose>| poses.into_iter().map(|pose| Camera { intrinsics: lens, pose }).collect();
         let path = if self.orbit.is_some() {
             let orbit = Orbit::around(&seen_from(scene, &home))?;
-            // The last of one more is the first again.
             with_lens(orbit.sweep(frames + 1, 0.0, 360.0, 0.0)[..frames].to_vec())
         } else if self.dolly {
             let camera = Camera { intrinsics: lens, pose: Pose::IDENTITY };
@@ -140,7 +136,7 @@ impl CameraArgs {
         Ok((path.into_iter().map(placed).collect(), notes))
     }
 
-    /// The likely reason where nothing of the scene is in any picture.
+    /// Explains pictures without any Gaussian.
     pub fn doubt(&self) -> &'static str {
         let file = matches!(self.orbit, Some(Some(_)))
             || self.cameras.is_some()
@@ -156,7 +152,7 @@ impl CameraArgs {
         }
     }
 
-    /// Returns the lens of the options, or else of the first photo `own`.
+    /// The options' lens, else that of the first photo `own`.
     fn lens(&self, own: Option<&Intrinsics>) -> Result<Intrinsics> {
         let size = self.size.or(own.map(shown)).unwrap_or(SIZE);
         if let (Some(own), None) = (own, self.fov) {
@@ -171,8 +167,8 @@ impl CameraArgs {
         Ok(Intrinsics::from_fov(width, height, hfov, vfov))
     }
 
-    /// Every camera of a file, with the camera of a photo as the world, where one was asked for or the file has that which
-    /// the scene names, and cropped to a size where one was asked for; if `alike`, all to the first one's.
+    /// Reads a file's cameras, in the world of the requested photo, or of the scene's photo if the
+    /// file has it. Crops them to a requested size, or with `alike` to the first one's.
     fn of_file(
         &self,
         path: &Path,
@@ -197,12 +193,7 @@ impl CameraArgs {
     }
 }
 
-/// Returns the similarity from the cameras of a file to the world of a scene, and a note about it.
-/// `world` is the world that the scene's file states.
-///
-/// # Errors
-/// [`Error::Argument`] if the cameras have none for the photo `relative_to`, or if they are of
-/// another reconstruction than the scene's.
+/// Maps a file's cameras to the scene's world, with a note. `world` is the scene file's.
 pub fn to_scene(
     relative_to: Option<&Path>,
     poses: &Poses,
@@ -248,9 +239,8 @@ pub fn to_scene(
     }
 }
 
-/// Compares a scene's landmarks with the same cameras of a file. Returns `None` if they agree after
-/// `given`, or are not in the file. Otherwise returns the similarity by pose and distance, or an
-/// error if no similarity fits; both with the photos' names.
+/// Returns `None` if the landmarks agree after `given` or are absent; otherwise the similarity by
+/// pose and distance, or an error if none fits. Both name the photos.
 fn aligned(given: &Pose, poses: &Poses, world: &World) -> Option<Result<(Similarity, String), String>> {
     let [(first, from), (last, to)] = &world.landmarks[..] else { return None };
     let [a, b] = [first, last].map(|name| origin_pose(poses, Path::new(name)).ok());
@@ -272,7 +262,6 @@ fn aligned(given: &Pose, poses: &Poses, world: &World) -> Option<Result<(Similar
     Some(if off(&onto) <= ALIGNED * length { Ok((onto, names)) } else { Err(names) })
 }
 
-/// Returns the scene in the coordinates of a pose in its world.
 fn seen_from<'a>(scene: &'a Scene, home: &Pose) -> Cow<'a, Scene> {
     if *home == Pose::IDENTITY {
         return Cow::Borrowed(scene);
@@ -289,8 +278,7 @@ fn level(pose: &Pose, up: DVec3) -> Pose {
     Pose { rotation: DMat3::from_cols(forward.cross(up), -up, forward), ..*pose }
 }
 
-/// Returns the cameras in an order for a path. Where their own order is a detour, each is followed
-/// by the nearest one left.
+/// Keeps the given order unless nearest neighbors are shorter by [`DETOUR`].
 fn by_nearness(cameras: Vec<Camera>) -> (Vec<Camera>, Option<String>) {
     let length = |cameras: &[Camera]| -> f64 { cameras.windows(2).map(|pair| distance(&pair[0], &pair[1])).sum() };
     let (mut chain, mut left) = (vec![cameras[0]], cameras[1..].to_vec());
@@ -319,7 +307,7 @@ fn origin_pose(poses: &Poses, photo: &Path) -> Result<Pose> {
     Ok(poses.for_photos(&[photo])?[0].pose)
 }
 
-/// The size of a photo, its sides up to [`SIDE`].
+/// At most [`SIDE`].
 fn shown(intrinsics: &Intrinsics) -> Size {
     let (width, height) = (intrinsics.width, intrinsics.height);
     let scale = f64::from(SIDE) / f64::from(width.max(height));
@@ -327,7 +315,7 @@ fn shown(intrinsics: &Intrinsics) -> Size {
     Size(side(width), side(height))
 }
 
-/// The middle of the picture at another size, as `reconstruct` crops photos.
+/// As `reconstruct` crops photos.
 fn cropped(intrinsics: &Intrinsics, Size(width, height): Size) -> Intrinsics {
     let aspect = f64::from(width) / f64::from(height.max(1));
     let rect = crop_to_aspect(intrinsics.width, intrinsics.height, aspect);

@@ -1,4 +1,4 @@
-//! The files of found cameras.
+//! Files of estimated cameras.
 
 use super::Found;
 use crate::{
@@ -16,11 +16,11 @@ use zipsplat::{
     },
 };
 
-/// The files of found cameras: `transforms.json`, and beside it the points, and COLMAP's log where it found them.
+/// `transforms.json`, with points and any COLMAP log beside it.
 pub struct Place<'a>(pub &'a Path);
 
 impl Place<'_> {
-    /// The file of the points, or the log: `points.ply` for `transforms.json`, `garden.points.ply` for `garden.json`.
+    /// `points.ply` for `transforms.json`, `garden.points.ply` for `garden.json`.
     fn beside(&self, name: &str) -> PathBuf {
         match self.0.file_stem() {
             Some(stem) if stem != "transforms" => {
@@ -36,20 +36,12 @@ impl Place<'_> {
         [self.0.to_owned(), self.beside("points.ply"), self.beside("colmap.log")]
     }
 
-    /// Checks that cameras can be kept here, before they are looked for.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] where it is no JSON file or another's would be replaced, [`Error::Io`] where none can be written.
     pub fn check(&self, overwrite: Overwrite) -> Result<()> {
         self.check_alone(overwrite)?;
         let existing = self.files().into_iter().filter(|file| file.exists());
         existing.into_iter().try_for_each(|file| overwrite.check_file(&file))
     }
 
-    /// As [`Place::check`], for cameras alone.
-    ///
-    /// # Errors
-    /// As [`Place::check`].
     pub fn check_alone(&self, overwrite: Overwrite) -> Result<()> {
         if self.0.extension().is_none_or(|extension| !extension.eq_ignore_ascii_case("json")) {
             return Err(Error::argument("file of cameras", self.0.display(), "one that ends in .json"));
@@ -60,10 +52,7 @@ impl Place<'_> {
         }
     }
 
-    /// Writes cameras with the lenses that took the photos, so that the photos stay as they are, their points, and COLMAP's log.
-    ///
-    /// # Errors
-    /// [`Error::Io`] naming the file that cannot be written.
+    /// Keeps the lenses of the unchanged photos.
     pub fn save(&self, poses: &Poses, found: &Found) -> Result<()> {
         let [cameras, points, log] = self.files();
         self.0.parent().map_or(Ok(()), make_folder)?;
@@ -85,35 +74,25 @@ impl Place<'_> {
     }
 }
 
-/// The points of a cloud, each with its colour.
 fn colored(cloud: PointCloud) -> Vec<([f32; 3], [u8; 3])> {
     cloud.positions.into_iter().zip(cloud.colors).collect()
 }
 
-/// The export of cameras to programs that read COLMAP's models.
 #[derive(Args)]
 pub struct ModelOption {
-    /// Also write cameras and points as a COLMAP model in text (cameras.txt, images.txt, points3D.txt) to this folder. Photos are
-    /// named as from the folder that they share
+    /// Also write cameras and points to this folder as a COLMAP text model (cameras.txt,
+    /// images.txt, points3D.txt). Photo names are relative to their common folder
     #[arg(long, value_name = "FOLDER")]
     colmap_model: Option<PathBuf>,
 }
 
 impl ModelOption {
-    /// Checks that the model can be written, before anything is computed for it.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] where it is no folder, or files of others would be replaced.
     pub fn check(&self, overwrite: Overwrite) -> Result<()> {
         let Some(folder) = &self.colmap_model else { return Ok(()) };
         check_folder(folder)?;
         overwrite.check_replaced(colmap_files(folder))
     }
 
-    /// Writes the model, where it is asked for. Frames have their photos.
-    ///
-    /// # Errors
-    /// As [`write_colmap`].
     pub fn save(&self, frames: &[Frame], points: Option<&Path>) -> Result<()> {
         let Some(folder) = &self.colmap_model else { return Ok(()) };
         let photos = frames.iter().map(|frame| frame.photo.as_deref().unwrap_or(Path::new(&frame.name)));
@@ -132,10 +111,7 @@ impl ModelOption {
     }
 }
 
-/// A photo's path as seen from a folder above it, else its whole path.
-///
-/// # Errors
-/// As [`text`]; [`Error::Io`].
+/// Relative to a folder above it, else whole.
 pub fn path_from(folder: &Path, photo: &Path) -> Result<String> {
     let whole = |path: &Path| path.canonicalize().map_err(|source| Error::io(path, source));
     let (folder, photo) = (whole(folder)?, whole(photo)?);

@@ -1,4 +1,4 @@
-//! The similarity between two worlds in which the same cameras stand.
+//! Similarity between two worlds with the same cameras.
 
 use glam::{DMat3, DQuat, DVec3, DVec4};
 use zipsplat::{
@@ -6,7 +6,7 @@ use zipsplat::{
     types::{PointCloud, Pose},
 };
 
-/// A similarity: a point x of another world stands at `pose(scale x)`.
+/// Maps a point x of another world to `pose(scale x)`.
 #[derive(Clone, Copy)]
 pub struct Similarity {
     pub scale: f64,
@@ -20,15 +20,14 @@ impl From<Pose> for Similarity {
 }
 
 impl Similarity {
-    /// Returns the similarity that undoes this one.
     pub fn inverse(&self) -> Self {
         let Pose { rotation, translation } = self.pose.inverse();
         Self { scale: 1.0 / self.scale, pose: Pose { rotation, translation: translation / self.scale } }
     }
 
-    /// The similarity that brings cameras of another world to the same ones here, pairs of both, and how far they then are apart, as a
-    /// share of their spread. Turns are averaged; length and place are those of least squares. None where no length follows: of one
-    /// place, or places that nothing brings together.
+    /// Returns the similarity from pairs of a camera in another world and here, and the residual
+    /// over their spread. Rotations are averaged; scale and translation are least squares. `None`
+    /// if no scale follows, for coincident or unrelated positions.
     pub fn between(pairs: &[(Camera, Camera)]) -> Option<(Self, f64)> {
         let centre = |of: fn(&(Camera, Camera)) -> DVec3| pairs.iter().map(of).sum::<DVec3>() / pairs.len() as f64;
         let (from, to) = (centre(|(theirs, _)| theirs.pose.translation), centre(|(_, ours)| ours.pose.translation));
@@ -45,12 +44,10 @@ impl Similarity {
         usable.then(|| (Self { scale, pose }, (apart / spread).sqrt()))
     }
 
-    /// Returns a point of the other world, here.
     pub fn point(&self, point: DVec3) -> DVec3 {
         self.pose.transform(self.scale * point)
     }
 
-    /// Returns points of the other world, here.
     pub fn cloud(&self, mut cloud: PointCloud) -> PointCloud {
         for at in &mut cloud.positions {
             *at = self.point(at.map(f64::from).into()).as_vec3().to_array();
@@ -58,14 +55,14 @@ impl Similarity {
         cloud
     }
 
-    /// Returns a camera of the other world, here.
     pub fn apply(&self, camera: &Camera) -> Camera {
         let translation = self.point(camera.pose.translation);
         Camera { pose: Pose { rotation: self.pose.rotation * camera.pose.rotation, translation }, ..*camera }
     }
 }
 
-/// The mean of turns that are nearly one: of their quaternions on one side. The places of cameras on a line would leave a turn open.
+/// Returns the mean of similar rotations by quaternions: collinear positions would leave one
+/// undetermined.
 fn mean_turn(turns: impl Iterator<Item = DMat3>) -> DMat3 {
     let mut sum = DVec4::ZERO;
     for turn in turns {

@@ -1,4 +1,4 @@
-//! Photos in the folder that COLMAP works in.
+//! COLMAP's working folder.
 
 use crate::{scratch::Scratch, session::Stage};
 use std::{
@@ -15,19 +15,16 @@ use zipsplat::{
     },
 };
 
-/// The photos in a folder of their own, under names that COLMAP's files have room for.
+/// Under short names for COLMAP's files.
 pub(super) struct Work {
     pub folder: Scratch,
-    /// Each photo and the name of its copy.
+    /// With its copy's name.
     pub photos: Vec<(PathBuf, String)>,
 }
 
 impl Work {
-    /// Photos of one size and lens share a folder, and so a camera's intrinsics. JPEG and PNG are linked, so that COLMAP reads
-    /// their EXIF; others, which it may not read, become PNG.
-    ///
-    /// # Errors
-    /// Those of photos that cannot be read, and [`Error::Io`].
+    /// Photos of one size and lens share a folder, and so intrinsics. JPEG and PNG are linked for
+    /// COLMAP to read EXIF; others become PNG.
     pub fn new(photos: &[PathBuf], stage: &Stage<'_>) -> Result<Self> {
         let cameras = lenses(photos)?;
         let mut work = Self { folder: Scratch::new()?, photos: Vec::new() };
@@ -46,10 +43,7 @@ impl Work {
         Ok(work)
     }
 
-    /// The model with the photos' own paths, in their order, and the photos that it lacks.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] where a camera is of another size than its photo.
+    /// With the photos' own paths, in their order, and the photos without a camera.
     pub fn named(&self, model: Poses) -> Result<(Poses, Vec<PathBuf>)> {
         let mut frames: HashMap<String, Frame> =
             model.frames.into_iter().map(|frame| (frame.name.clone(), frame)).collect();
@@ -81,15 +75,11 @@ impl Work {
     }
 }
 
-/// Makes a folder and those above it.
-///
-/// # Errors
-/// [`Error::Io`].
 pub(super) fn make_folder(path: &Path) -> Result<()> {
     std::fs::create_dir_all(path).map_err(|source| Error::io(path, source))
 }
 
-/// The extension of a kind of photo that every COLMAP reads, by the file's first bytes.
+/// Of a format that every COLMAP reads, by first bytes.
 fn kind(photo: &Path) -> Result<Option<&'static str>> {
     let mut start = [0; 4];
     let read = std::io::Read::read_exact(&mut open_file(photo)?, &mut start);
@@ -101,7 +91,7 @@ fn kind(photo: &Path) -> Result<Option<&'static str>> {
     })
 }
 
-/// Puts a photo at another place without copying it, where the system can.
+/// Copies if the system cannot link.
 fn link(photo: &Path, to: &Path) -> Result<()> {
     let failed = |source| Error::io(photo, source);
     let photo = photo.canonicalize().map_err(failed)?;
@@ -112,10 +102,7 @@ fn link(photo: &Path, to: &Path) -> Result<()> {
     linked.map_err(failed)
 }
 
-/// The number of each photo's lens, from 0 on: photos of one size, and one camera and focal length by their EXIF, share one.
-///
-/// # Errors
-/// Those of photos that cannot be read.
+/// Counts from 0. Photos of equal size, EXIF camera and focal length share one.
 pub fn lenses(photos: &[PathBuf]) -> Result<Vec<usize>> {
     let mut known = HashMap::new();
     let lens = |photo: &PathBuf| {
@@ -125,7 +112,7 @@ pub fn lenses(photos: &[PathBuf]) -> Result<Vec<usize>> {
     photos.iter().map(lens).collect()
 }
 
-/// Camera and lens as a photo's EXIF has them: photos of a phone may be of several lenses.
+/// A phone may have several lenses.
 fn optics(photo: &Path) -> Option<String> {
     let read = exif::Reader::new().read_from_container(&mut BufReader::new(File::open(photo).ok()?)).ok()?;
     let tags = [exif::Tag::Model, exif::Tag::FocalLength, exif::Tag::FocalLengthIn35mmFilm];

@@ -1,5 +1,3 @@
-//! `zipsplat batch`: many captures to scenes, with one model kept on the device.
-
 mod maker;
 
 use crate::{
@@ -32,18 +30,18 @@ use zipsplat::{
     },
 };
 
-/// Captures that failed.
 const FAILURES: &str = "failures.csv";
 
 /// Many captures to scenes, with one model kept on the device
 ///
-/// A capture is a folder with photos, directly or in images/. Each becomes OUT/NAME.ply and OUT/NAME.json, which says what it
-/// was made of. While the device works on one, the next one's photos are decoded and the last scene is written. Run the same
-/// command again to go on: a capture is finished where its scene is there and was made of the same photos, by name, size and
-/// time, with the same options. One that fails is a row of OUT/failures.csv, and the others go on; the exit code is then 1.
+/// A capture is a folder with photos, directly or in images/. Each becomes OUT/NAME.ply and
+/// OUT/NAME.json, a record of its inputs. Run the same command again to resume: a capture is
+/// finished if its scene exists and was made of the same photos, by name, size and time, with the
+/// same options. A failed capture is a row of OUT/failures.csv; the others continue, and the exit
+/// code is 1.
 ///
-/// With weights of Depth Anything 3 each pixel that the network is confident of becomes a Gaussian, as `reconstruct` makes it. Without
-/// --posed the network finds the cameras, too.
+/// With weights of Depth Anything 3 each confident pixel becomes a Gaussian, as in `reconstruct`.
+/// Without --posed the network also estimates the cameras.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat batch captures/ -o scenes/
@@ -51,7 +49,7 @@ const FAILURES: &str = "failures.csv";
   zipsplat batch captures/ --posed --views 24 --limit 100 -o scenes/
   zipsplat batch captures/ --weights da3-small --ratio 0.5 -o scenes/")]
 pub struct Batch {
-    /// Captures, folders of captures, or text files that name a capture a line
+    /// Captures, folders of captures, or text files with a capture per line
     #[arg(required = true, value_name = "DIR|LIST")]
     inputs: Vec<PathBuf>,
     /// Folder for the scenes, named as the captures' folders
@@ -62,13 +60,13 @@ pub struct Batch {
     /// Format of the scenes: ply, spz, splat, glb or gltf
     #[arg(long, value_name = "NAME", default_value = "ply")]
     format: String,
-    /// Take the cameras of each capture's folder: transforms.json, or a COLMAP model
+    /// Take the cameras of each capture's folder: transforms.json or a COLMAP model
     #[arg(long)]
     posed: bool,
-    /// Take at most so many photos of a capture, evenly spread, the first and the last among them
+    /// Limit of photos per capture, evenly spread, with the first and the last
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_VIEWS as i64))]
     views: Option<u32>,
-    /// Make at most so many scenes in this run
+    /// Limit of scenes made in this run
     #[arg(long, value_name = "N")]
     limit: Option<usize>,
     #[command(flatten)]
@@ -79,14 +77,12 @@ pub struct Batch {
     fit: FitOption,
 }
 
-/// A capture that is to become a scene.
 struct Work {
     folder: PathBuf,
     scene: PathBuf,
     record: PathBuf,
 }
 
-/// A capture's photos as the network sees them.
 struct Prepared {
     input: Input,
     hash: String,
@@ -94,21 +90,18 @@ struct Prepared {
     world: Option<World>,
 }
 
-/// A scene that is to be written.
 struct Made {
     scene: Scene,
     world: Option<World>,
     record: Value,
 }
 
-/// A row of failures.csv.
 #[derive(Clone, Serialize)]
 struct Failure {
     capture: String,
     error: String,
 }
 
-/// The captures so far by their outcome.
 #[derive(Default)]
 struct Tally {
     made: usize,
@@ -155,13 +148,10 @@ impl Batch {
         session.report(&json, text)
     }
 
-    /// Locks the output folder against other batches for as long as the result lives.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] if another process holds it.
+    /// Locks the output folder against other batches, until dropped.
     fn lock(&self) -> Result<Option<File>> {
         outputs::make_folder(&self.output)?;
-        // Some systems and file systems do not lock folders.
+        // Some file systems have no locks.
         let Ok(folder) = File::open(&self.output) else { return Ok(None) };
         match folder.try_lock() {
             Err(TryLockError::WouldBlock) => {
@@ -172,7 +162,6 @@ impl Batch {
         }
     }
 
-    /// The captures, each with a name of its own.
     fn works(&self) -> Result<Vec<Work>> {
         let mut folders = Vec::new();
         for input in &self.inputs {
@@ -181,7 +170,7 @@ impl Batch {
         let mut names: HashMap<String, &Path> = HashMap::new();
         let mut works = Vec::new();
         for folder in &folders {
-            // A listed folder that is missing fails alone, when its turn comes.
+            // A missing listed folder fails alone, at its turn.
             let whole = folder.canonicalize().or_else(|_| std::path::absolute(folder));
             let whole = whole.map_err(|error| Error::io(folder, error))?;
             let name = whole.file_name().unwrap_or_default().to_string_lossy().into_owned();
@@ -195,7 +184,6 @@ impl Batch {
         Ok(works)
     }
 
-    /// The captures that an input stands for.
     fn captures(&self, input: &Path) -> Result<Vec<PathBuf>> {
         let found = input.metadata().map_err(|error| Error::io(input, error))?;
         if !found.is_dir() {
@@ -224,7 +212,7 @@ impl Batch {
         Ok(!photos_of(folder)?.is_empty() || self.posed && read_poses(folder).is_ok())
     }
 
-    /// Whatever a scene depends on but its capture.
+    /// All but the capture.
     fn made_with(&self, weights: &str, size: &str, precision: &str) -> Result<String> {
         let of_file = if Path::new(weights).is_file() { stamp(Path::new(weights))? } else { String::new() };
         let Quality { ratio, select, pool, .. } = &self.quality;
@@ -236,7 +224,6 @@ impl Batch {
     }
 }
 
-/// The things that all captures of a run share.
 struct Runner<'a> {
     batch: &'a Batch,
     works: &'a [Work],
@@ -245,14 +232,13 @@ struct Runner<'a> {
 }
 
 impl Runner<'_> {
-    /// Decodes ahead, reconstructs, and writes behind.
     fn run(&self, stage: &Stage<'_>) -> Result<Tally> {
         let tally = Mutex::new(Tally::default());
         let limit = self.batch.limit.unwrap_or(usize::MAX);
-        // A list of an earlier run says nothing of this one.
+        // Removes the failure list of an earlier run.
         std::fs::remove_file(self.batch.output.join(FAILURES)).ok();
         let ended = std::thread::scope(|scope| {
-            // One capture waits at each door.
+            // Each queue holds one capture.
             let (to_device, prepared) = sync_channel(1);
             let (to_disk, made) = sync_channel::<(&Work, Made)>(1);
             scope.spawn(|| {
@@ -284,7 +270,7 @@ impl Runner<'_> {
                 self.tell(stage, &lock(&tally));
                 match prepared.and_then(|prepared| self.reconstruct(work, prepared, stage)) {
                     Ok(made) => to_disk.send((work, made)).map_err(|_| Error::Cancelled)?,
-                    // Nothing that follows would do better.
+                    // Later captures would fail alike.
                     Err(error @ (Error::Cancelled | Error::DeviceLost | Error::NoDevice(_))) => return Err(error),
                     Err(error) => self.failed(&tally, work, &error),
                 }
@@ -296,7 +282,7 @@ impl Runner<'_> {
         ended.map(|()| tally.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner()))
     }
 
-    /// A capture's photos, or none where its scene is there already.
+    /// `None` if its scene is finished.
     fn prepare(&self, work: &Work, stage: &Stage<'_>) -> Result<Option<Prepared>> {
         let poses = if self.batch.posed { Some(read_poses(&work.folder)?) } else { None };
         let mut photos = match &poses {
@@ -334,7 +320,6 @@ impl Runner<'_> {
         Ok(Made { scene, world, record })
     }
 
-    /// The inputs and options that a scene is made of.
     fn hash(&self, photos: &[PathBuf], poses: Option<&Poses>) -> Result<String> {
         let mut parts = vec![self.made_with.clone()];
         for photo in photos {
@@ -347,11 +332,10 @@ impl Runner<'_> {
         Ok(digest(&parts))
     }
 
-    /// Keeps a capture that failed, in the file at once.
     fn failed(&self, tally: &Mutex<Tally>, work: &Work, error: &Error) {
         let failures = &mut lock(tally).failures;
         failures.push(Failure { capture: work.folder.display().to_string(), error: error.to_string() });
-        // Where even that cannot be written the count still tells.
+        // If the file cannot be written, the count still reports the failure.
         outputs::save_csv(&self.batch.output.join(FAILURES), failures).ok();
     }
 
@@ -363,7 +347,7 @@ impl Runner<'_> {
     }
 }
 
-/// Writes a scene, then the record that says that it is whole.
+/// The record marks the scene complete.
 fn write(work: &Work, made: Made) -> Result<()> {
     std::fs::remove_file(&work.record).ok();
     outputs::save_scene(&work.scene, &made.scene, &WriteOptions::default(), made.world.as_ref())?;
@@ -376,14 +360,14 @@ fn write(work: &Work, made: Made) -> Result<()> {
     })
 }
 
-/// Whether a capture's scene is there, whole, and made of and with the same.
+/// Complete, of equal inputs and options.
 fn is_finished(work: &Work, hash: &str) -> bool {
     let read = || serde_json::from_slice::<Value>(&std::fs::read(&work.record).ok()?).ok();
     let bytes = work.scene.metadata().map(|found| found.len()).ok();
     read().is_some_and(|record| record["hash"] == hash && bytes.is_some() && record["bytes"].as_u64() == bytes)
 }
 
-/// The photos of a capture's folder, or those of images/ in it.
+/// The folder's, or else those of its images/.
 fn photos_of(folder: &Path) -> Result<Vec<PathBuf>> {
     let photos = photos::directly_in(folder)?;
     let below = folder.join("images");

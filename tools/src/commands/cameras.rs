@@ -1,5 +1,3 @@
-//! `zipsplat cameras`.
-
 use crate::{
     cameras::{Finder, Finding, ModelOption, Place, Searching},
     depth::CamerasFrom,
@@ -20,12 +18,11 @@ use zipsplat::Result;
 /// COLMAP 3 or 4, or pycolmap, is a separate program for the CPU. Writes transforms.json with the
 /// lens distortion, points.ply for `refine --start points`, and colmap.log. Takes the largest of
 /// unconnected groups. With less than four fifths of the photos (or of up to 12, not all), COLMAP
-/// retries up to twice with other seeds and looser thresholds. Photos of one size, camera and focal
-/// length share a lens.
+/// retries up to twice with other seeds and looser thresholds.
 ///
 /// --with da3 uses Depth Anything 3, also for two photos, little overlap or little texture. It
-/// needs --weights and no other program. Cameras are less accurate than successful COLMAP ones.
-/// points.ply has all confident pixels, in the network's unit.
+/// needs --weights and no other program, and is less accurate than successful COLMAP. points.ply
+/// has all confident pixels, in the network's unit.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat cameras photos/ -o transforms.json

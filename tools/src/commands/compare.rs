@@ -1,5 +1,3 @@
-//! `zipsplat compare`.
-
 use crate::{
     metrics::{psnr, ssim, values},
     outputs::{self, Overwrite},
@@ -33,7 +31,7 @@ pub struct Compare {
     /// Table to write: name, psnr, ssim, lpips; a row per pair
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
-    /// Picture of the differences to write, amplified four times; a folder for folders
+    /// Picture of the differences, amplified four times; a folder for folders
     #[arg(long, value_name = "FILE|DIR")]
     difference: Option<PathBuf>,
     #[command(flatten)]
@@ -164,7 +162,7 @@ fn compare(pair: &Pair, lpips: Option<&mut Perceptual>) -> Result<Row> {
     Ok(Row { name: pair.name.clone(), psnr, ssim: ssim(&x, &y, width as usize, height as usize), lpips })
 }
 
-/// Returns the means; PSNR skips equal pictures.
+/// PSNR skips equal pictures.
 fn mean(rows: &[Row]) -> Row {
     let mean = |values: Vec<f64>| (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64);
     Row {

@@ -1,5 +1,3 @@
-//! `zipsplat convert`.
-
 use crate::{
     options::{CHECKPOINTS, SceneInput, open_checkpoint, refuse},
     outputs::{self, Overwrite},
@@ -20,8 +18,8 @@ use zipsplat::{
 /// Convert a scene's format, or a checkpoint (PyTorch, safetensors or seeded) to safetensors
 ///
 /// Reads a scene by its first bytes (.splat and .gltf by name), and writes the format of the
-/// output's name. Scenes keep their coordinates, so a transforms.json still fits. All formats
-/// except .splat keep the photo whose camera is the world.
+/// output's name. Coordinates stay. All formats except .splat keep the photo whose camera is the
+/// world.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat convert scene.ply scene.spz
@@ -59,7 +57,7 @@ pub struct Convert {
 impl Convert {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         self.overwrite.check_file(&self.output)?;
-        // An unreadable file is left to the checkpoint reader's error.
+        // The checkpoint reader reports unreadable files.
         let input = SceneFormat::of_file(Path::new(&self.input)).unwrap_or(None);
         match (SceneFormat::of_extension(&self.output), input) {
             (Some(output), _) => self.scene(session, output),

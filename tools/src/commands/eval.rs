@@ -1,5 +1,3 @@
-//! `zipsplat eval`: reconstructs captures from some of their photos and compares pictures of them with the others.
-
 mod alignment;
 mod depth;
 mod judge;
@@ -27,33 +25,35 @@ use clap::{ArgGroup, Args, ValueEnum};
 use std::{path::PathBuf, str::FromStr};
 use zipsplat::{Result, reconstruct::Shape, weights::Checkpoint};
 
-/// Input photos of a capture, where nobody says.
+/// Default number of input photos.
 const VIEWS: u32 = 8;
-/// Photos of a scene that a protocol compares with, where nobody says.
+/// Default number of a protocol's targets per scene.
 const TARGETS: usize = 8;
 
-/// How well photos that a reconstruction has not seen are predicted
+/// Evaluate the prediction of photos that a reconstruction has not seen
 ///
-/// Reconstructs a capture from some of its photos with their cameras, draws the scene as each of the other photos sees it,
-/// and compares. The scene is given to the network in the unit it expects: the median distance of the capture's points
-/// (ply_file_path of transforms.json, points.ply, or COLMAP's points3D) from the first camera; where there are none, the distance
-/// of the point that the cameras look at, else the distance between cameras. Beside PSNR and SSIM stand two trivial
-/// predictions: the input photo that was taken nearest, and that photo's mean colour.
+/// Reconstructs a capture from some of its photos with their cameras, renders the scene from the
+/// other cameras, and compares. The network's unit of length is the median distance from the first
+/// camera of the capture's points (ply_file_path of transforms.json, points.ply, or COLMAP's
+/// points3D); without points, the distance of the point that the cameras look at, else the distance
+/// between cameras. PSNR and SSIM are also given for two trivial predictions: the nearest input
+/// photo, and its mean color.
 ///
-/// With --pose-free the network is given the photos alone. Where its scene's cameras stand is then the network's own guess, so every
-/// picture is drawn with the camera from which the scene looks most like the photo, searched for within 15 degrees and 0.25 of
-/// the network's unit around the camera that the capture has for it. The farther a camera goes, the more it has to gain. The
-/// table says how far each went, and where its figure says little: flat, a photo without texture, which is not aligned; bound,
-/// a camera that went as far as it may; colour, a picture no more like the photo than one colour is.
+/// --pose-free gives the network the photos alone. Each picture is then aligned with its photo,
+/// within 15 degrees and 0.25 of the network's unit around the known camera. The table has the
+/// movements, and marks unreliable scores: flat, a photo without texture, which is not aligned;
+/// bound, a camera at its movement limit; color, a picture no better than one color.
 ///
-/// With weights of Depth Anything 3 the scene is that of `reconstruct`: each pixel of the whole photos that the network is confident of,
-/// whose longer side --size says. With --pose-free it is brought to the cameras given by those that the network finds.
+/// With weights of Depth Anything 3 the scene is that of `reconstruct`: each confident pixel of the
+/// whole photos, whose longer side is --size. With --pose-free, estimated cameras place it in the
+/// known world.
 ///
-/// With --protocol the folders are scenes of a data set, or folders of them, and are judged as the paper's tables 1 to 3 are: 8
-/// photos of each, made small by its filter, and cameras aligned as its authors do, given to the network or not. OUT has a folder for
-/// each way to judge, with a record and a picture of every scene; scenes.csv, a row a scene; table.md and table.csv, means in the shape
-/// of the paper's tables; and page.html, with pictures. The same command goes on where it was. A scene that fails is a row of
-/// failures.csv, and the others go on; the exit code is then 1.
+/// With --protocol the folders are scenes of a data set, or folders of them, evaluated as in the
+/// paper's tables 1 to 3: 8 photos of each, downscaled by its filter, and cameras aligned as by its
+/// authors. OUT has a folder per setting, with a record and a picture of every scene; scenes.csv, a
+/// row per scene; table.md and table.csv, means in the paper's layout; and page.html, with
+/// pictures. Run the command again to resume. A failed scene is a row of failures.csv; the others
+/// continue, and the exit code is 1.
 #[derive(Args)]
 #[command(group(ArgGroup::new("moved").args(["refine_cameras", "grow", "lpips_weight"]).multiple(true).requires("refine")))]
 #[command(after_help = "Examples:
@@ -65,29 +65,30 @@ const TARGETS: usize = 8;
   zipsplat eval --protocol dl3dv DL3DV-Benchmark/ --pose-free --weights zipsplat -o dl3dv/
   zipsplat eval --protocol re10k test/ --indices ctx_6v_tgt_8v.json --weights zipsplat -o re10k/")]
 pub struct Eval {
-    /// Folder with photos and their cameras: a transforms.json or a COLMAP model; with --poses the photos alone; with --protocol scenes
-    /// of a data set, or folders of them
+    /// Folder with photos and their cameras: a transforms.json or a COLMAP model; with --poses
+    /// photos only; with --protocol scenes of a data set, or folders of them
     #[arg(required = true, value_name = "FOLDER")]
     folders: Vec<PathBuf>,
-    /// Cameras of the photos: transforms.json, a COLMAP model's folder, find, where COLMAP finds them, or da3, where Depth Anything 3
-    /// does [default: those in the folder]
+    /// Cameras of the photos: transforms.json or a COLMAP model's folder; find: estimated by
+    /// COLMAP; da3: by Depth Anything 3 [default: those in the folder]
     #[arg(long, alias = "cameras", value_name = "PATH|find|da3")]
     poses: Option<PathBuf>,
     #[command(flatten)]
     finding: Finding,
-    /// Photos to reconstruct from, spread by farthest-point sampling of where they were taken; of a protocol a list [default: 8, or the
-    /// protocol's]
+    /// Photos to reconstruct from, by farthest-point sampling of positions; of a protocol a list
+    /// [default: 8, or the protocol's]
     #[arg(long, value_name = "N", value_delimiter = ',', value_parser = clap::value_parser!(u32).range(1..))]
     views: Vec<u32>,
-    /// Compare with so many of the other photos, evenly spread [default: all, of a protocol 8]
+    /// Limit of the other photos to compare with, evenly spread [default: all, of a protocol 8]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     targets: Option<u32>,
     /// Reconstruct without the cameras, and align each picture with its photo
     #[arg(long)]
     pose_free: bool,
-    /// How the camera of a picture is searched for: none, levenberg-marquardt (least squares, from small pictures to large ones; the
-    /// camera stays near where it was), adam (as ZipSplat's authors do: at most 200 steps, with a term of LPIPS where its weights are;
-    /// the camera may go anywhere) [default: none with known cameras, levenberg-marquardt with --pose-free, adam with --protocol]
+    /// Camera alignment: none, levenberg-marquardt (least squares, coarse to fine, near the initial
+    /// camera), adam (as ZipSplat's authors: at most 200 steps, with LPIPS if its weights are
+    /// available, without a movement limit) [default: none with known cameras, levenberg-marquardt
+    /// with --pose-free, adam with --protocol]
     #[arg(long, value_name = "HOW")]
     align: Option<Aligning>,
     #[command(flatten)]
@@ -100,45 +101,47 @@ pub struct Eval {
     quality: Quality,
     #[command(flatten)]
     fit: FitOption,
-    /// Compare whole photos, at the scale of --size, also where the network sees only their middle; --fit squares always does
+    /// Compare whole photos, at the scale of --size, even if the network sees only their center;
+    /// --fit squares always does
     #[arg(long, alias = "full-images")]
     whole: bool,
-    /// Compare at this size, which the network need not see [default: that of --size]
+    /// Compared size, independent of the network's [default: that of --size]
     #[arg(long, alias = "eval-size", value_name = "WxH")]
     score_size: Option<Size>,
-    /// How photos are made small, for the network and to compare [default: lanczos, of a protocol bilinear]
+    /// Filter for downscaling photos [default: lanczos, of a protocol bilinear]
     #[arg(long, value_enum, value_name = "HOW")]
     filter: Option<Filter>,
-    /// Refine the scene against the input photos as they are compared, in so many steps; :tokens moves the network's tokens, from
-    /// which its head makes Gaussians, and not the Gaussians themselves
+    /// Refine the scene against the input photos for this number of steps; :tokens refines the
+    /// network's tokens instead of the Gaussians
     #[arg(long, value_name = "STEPS[:tokens|gaussians]", num_args = 0..=1, require_equals = true,
         default_missing_value = DEFAULT_STEPS, conflicts_with = "pose_free")]
     refine: Option<Steps>,
-    /// Start of the refinement [default: with the model that is built in points, where the capture has enough,
-    /// else the scene]. Points of a capture may come from the held-out photos, too
+    /// Initialization of the refinement [default: for the built-in model points, if the capture has
+    /// enough, else the scene]. A capture's points may also come from held-out photos
     #[arg(long, alias = "init", value_enum, value_name = "WHAT", requires = "refine")]
     start: Option<Start>,
-    /// Input photos that --refine holds out, evenly spread; 0 learns from all [default: 1 of 9 or more, none with --refine-cameras]
+    /// Input photos that --refine holds out, evenly spread; 0 learns from all [default: 1 of 9 or
+    /// more, none with --refine-cameras]
     #[arg(long, alias = "holdout-views", value_name = "K", requires = "refine")]
     hold_out: Option<usize>,
     #[command(flatten)]
     moved: Moved,
-    /// Give the network and the refinement wrong cameras, to see what that costs: those of all inputs but the first are turned by
-    /// so many degrees, and moved by as many percent of the scene's distance
+    /// Perturb the cameras of network and refinement: those of all inputs but the first rotate by
+    /// this number of degrees, and move by as many percent of the scene's distance
     #[arg(long, alias = "pose-noise", value_name = "DEGREES", default_value = "0")]
     disturb: f64,
-    /// Length in the cameras' unit that becomes the network's 1 [default: the median distance of the capture's points; without
-    /// any, of what the cameras look at]
+    /// Length in the cameras' unit that is 1 for the network [default: the median distance of the
+    /// capture's points, else of the point that the cameras look at]
     #[arg(long, alias = "scene-scale", value_name = "LENGTH", value_parser = parse_length)]
     unit: Option<f64>,
     #[command(flatten)]
     lpips: LpipsOption,
-    /// Table to write: view, psnr, ssim, nearest_psnr, mean_color_psnr, lpips, a row for each photo compared; with aligned cameras also
-    /// before_psnr, before_ssim, degrees, distance, doubt
+    /// Table to write: view, psnr, ssim, nearest_psnr, mean_color_psnr, lpips, a row per compared
+    /// photo; with aligned cameras also before_psnr, before_ssim, degrees, distance, doubt
     #[arg(long, value_name = "FILE", conflicts_with = "protocol")]
     csv: Option<PathBuf>,
-    /// Folder for scene.ply, in the unit of cameras that the network was given, and comparison.png: photos, what was drawn in
-    /// their place, and the nearest input photos; of a protocol for its records, tables and page
+    /// Folder for scene.ply, in the unit of the network's cameras, and comparison.png: photos,
+    /// predictions, and nearest input photos; of a protocol for its records, tables and page
     #[arg(long, short, value_name = "FOLDER", required_if_eq_any([("protocol", "dl3dv"), ("protocol", "re10k"),
         ("protocol", "mipnerf360"), ("protocol", "scannetpp")]))]
     output: Option<PathBuf>,
@@ -146,7 +149,7 @@ pub struct Eval {
     overwrite: Overwrite,
 }
 
-/// How the cameras of pictures are searched for, if they are.
+/// `None` disables alignment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Aligning(Option<Method>);
 
@@ -174,7 +177,6 @@ impl Eval {
         }
     }
 
-    /// Checks the options that need no capture, and opens the weights.
     fn begin(&self, session: &mut Session<'_>) -> Result<(Network, Seeing)> {
         let (network, fit) = (self.weights.open_network()?, self.fit.fit);
         let size = match &network {
@@ -199,7 +201,6 @@ impl Eval {
         Ok((network, Seeing { fit, size, compared, whole: self.whole || fit == Fit::Squares, filter }))
     }
 
-    /// How pictures' cameras are searched for.
     fn aligning(&self) -> Option<Method> {
         let usual = match self.series.protocol {
             Some(_) => Some(Method::Adam),
@@ -208,7 +209,6 @@ impl Eval {
         self.align.map_or(usual, |Aligning(method)| method)
     }
 
-    /// Checks the shape of the reconstruction of chosen frames.
     fn check_shape(&self, checkpoint: &Checkpoint, seeing: Seeing, choice: &Choice) -> Result<()> {
         let (Size(width, height), views) = (seeing.size, seeing.fit.count(&choice.inputs())?);
         let chosen = (self.quality.ratio, &self.quality.select);
@@ -216,12 +216,11 @@ impl Eval {
         shape.pooled(self.quality.pool).map(drop)
     }
 
-    /// The cameras of a folder's photos, where they are not in it.
     fn known(&self, folder: &PathBuf, session: &mut Session<'_>) -> Result<Option<Known>> {
         let Some(path) = &self.poses else { return Ok(None) };
         let photos = photos::list(session, std::slice::from_ref(folder))?;
         let mut known = Known::of(session, path, &photos, &self.finding)?;
-        // The photos are those of the folder, wherever the file of their cameras lies.
+        // The camera file may lie elsewhere.
         for photo in photos::posed(session, photos, &known.poses)? {
             let place = known.poses.frames_of(&[&photo])?[0].name.clone();
             known

@@ -1,5 +1,3 @@
-//! `zipsplat reconstruct`: photos to a scene.
-
 mod forward;
 mod pixels;
 mod placed;
@@ -34,17 +32,18 @@ use zipsplat::{
     },
 };
 
-/// Headings of `--help`.
 const NETWORK: &str = "Network";
 const CAMERAS: &str = "Cameras";
 const REFINEMENT: &str = "Refinement";
 
 /// Photos of one place to a scene of 3D Gaussians
 ///
-/// The scene's world is the first photo's camera, x right, y down, z forward, or with --world cameras that of the cameras.
+/// The scene's world is the first photo's camera, x right, y down, z forward, or with --world
+/// cameras that of the cameras.
 ///
-/// With weights of Depth Anything 3 each pixel that the network is confident of becomes a Gaussian at its depth, and the cameras are
-/// found on the way; of --size the longer side counts then, and --keep counts the pixels of a patch.
+/// With weights of Depth Anything 3 each confident pixel becomes a Gaussian at its depth, and the
+/// cameras are estimated in the same pass. --size then gives the longer side, and --keep counts the
+/// pixels of a patch.
 #[derive(Args)]
 #[command(after_help = format!("Examples:
   zipsplat reconstruct photos/ -o scene.ply
@@ -72,68 +71,67 @@ pub struct Reconstruct {
     quality: Quality,
     #[command(flatten, next_help_heading = NETWORK)]
     fit: FitOption,
-    /// Take at most so many of the photos, evenly spread, the first and the last among them, and so many frames of a video
+    /// Limit of photos, evenly spread, with the first and the last, and of frames of a video
     /// [default: all, and 24 of a video]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_VIEWS as i64))]
     views: Option<u32>,
-    /// Cameras: transforms.json, or a COLMAP model's folder, where photos are matched by file name; or find, where COLMAP finds
-    /// them, or da3, where Depth Anything 3 does
+    /// Cameras: transforms.json or a COLMAP model's folder, matched by file name; find: estimated
+    /// by COLMAP; da3: by Depth Anything 3
     #[arg(long, help_heading = CAMERAS, visible_alias = "cameras", value_name = "PATH|find|da3")]
     poses: Option<PathBuf>,
     #[command(flatten, next_help_heading = CAMERAS)]
     finding: Finding,
-    /// Write the cameras that were found as transforms.json: with --poses find or da3 those, points and log beside it; without --poses
-    /// those that follow from where the scene has what each photo shows, in the scene's world
+    /// Write the estimated cameras as transforms.json: with --poses find or da3, also points and
+    /// log beside it; without --poses, from the scene's positions of each photo's patches, in the
+    /// scene's world
     #[arg(long, help_heading = CAMERAS, value_name = "FILE")]
     cameras_out: Option<PathBuf>,
-    /// Length in the cameras' unit that the network takes for 1; the scene keeps the cameras' unit [default: the median
-    /// distance from the first camera of the points in points.ply or points3D beside the cameras, else that of the point that
-    /// the cameras look at, else the distance between cameras]
+    /// Length in the cameras' unit that is 1 for the network; the scene keeps the cameras' unit
+    /// [default: the median distance from the first camera of the points in points.ply or points3D
+    /// beside the cameras, else that of the point that the cameras look at, else the distance
+    /// between cameras]
     #[arg(long, alias = "scene-scale", help_heading = CAMERAS, value_name = "LENGTH", requires = "poses", value_parser = parse_length)]
     unit: Option<f64>,
     /// World of the scene
     #[arg(long, help_heading = CAMERAS, value_enum, value_name = "WHICH", default_value = "first", requires = "poses")]
     world: WorldName,
-    /// Also print the stages that ran, with time and bytes, and what was left out and why
+    /// Also print the stages, with time and bytes, and skipped stages with reasons
     #[arg(long)]
     explain: bool,
     #[command(flatten, next_help_heading = REFINEMENT)]
     refine: RefineOptions,
-    /// File for the cameras as --refine-cameras leaves them: a transforms.json in the world of the cameras given
+    /// File for the refined cameras: a transforms.json in the known cameras' world
     #[arg(long, help_heading = REFINEMENT, value_name = "FILE", requires = "refine_cameras")]
     refined_cameras: Option<PathBuf>,
-    /// Also draw the scene into a folder, as zipsplat render does, from the Gaussians that are on the device already
+    /// Also draw the scene into a folder, as zipsplat render does
     #[arg(long, value_name = "FOLDER")]
     pictures: Option<PathBuf>,
-    /// Options of zipsplat render for --pictures, behind -- [default: --spline through the cameras of a file, else --wiggle]
+    /// Options of zipsplat render for --pictures, after -- [default: --spline through the cameras
+    /// of a file, else --wiggle]
     #[arg(last = true, value_name = "RENDER OPTIONS", requires = "pictures")]
     drawing: Vec<String>,
 }
 
-/// Steps of positions that show: over how far away the scene is.
+/// Visible step of positions, over the scene's distance.
 const COARSE: f64 = 1e-3;
 
-/// Photos, and what is known of their cameras.
 struct Captured {
     photos: Vec<PathBuf>,
     poses: Option<Poses>,
-    /// Frames of a video.
     frame_folder: Option<FrameFolder>,
-    /// How cameras were found; the file of their points lasts as long.
+    /// Owns the temporary points file.
     found: Option<Found>,
 }
 
-/// The world that a scene is in.
 #[derive(Clone, Copy, ValueEnum)]
 enum WorldName {
     /// The first photo's camera: x right, y down, z forward
     First,
-    /// The world of the cameras, so that they fit the scene in any program as they are
+    /// The cameras' world, so that they match the scene in any program
     Cameras,
 }
 
 impl WorldName {
-    /// Returns the world of a scene of photos with these frames.
     fn of(self, frames: &[&Frame]) -> Option<World> {
         match self {
             Self::First => World::of_first(frames),
@@ -142,7 +140,7 @@ impl WorldName {
     }
 }
 
-/// The warning where positions in the world of the cameras are coarse, by the unit of a network's scene.
+/// `forward` has the length of the network's unit.
 fn coarse(first: &Pose, forward: Option<&Forward>) -> Option<String> {
     // Positions are f32.
     let (step, length) = (first.translation.length() * f64::from(f32::EPSILON), forward?.length);
@@ -171,7 +169,7 @@ impl Reconstruct {
         let start = steps.map(|steps| self.start_of(steps, cloud.as_ref()));
         let captured = (&photos[..], poses.as_ref(), &frames[..]);
         let (forward, device) = match (start, &network) {
-            // Points are enough: the network has nothing to add.
+            // Points need no network.
             (Some(From::Scene(Start::Points)), _) => (None, session.device()?),
             (_, Network::Tokens(checkpoint)) => {
                 let plan = Forward::plan(self, session, checkpoint, captured)?;
@@ -227,7 +225,7 @@ impl Reconstruct {
         let until_drawing = session.elapsed();
         let drawn = drawing.map(|drawing| {
             let mut renderer = Renderer::new(&device);
-            // What the host thinned or moved it has to bring back.
+            // The host may have pruned or moved the scene.
             let as_made = refined.is_none() && moved.is_none();
             let own = forward.as_ref().filter(|_| as_made).and_then(|forward| forward.on_device.as_ref());
             let load = |_: &mut Session<'_>, renderer: &mut Renderer| match own {
@@ -238,7 +236,6 @@ impl Reconstruct {
         });
         let drawn = drawn.transpose()?;
 
-        // A network that finds the cameras of its own scene has them among its times.
         let found = found.filter(|_| !self.finds_by_itself(&network));
         let mut times: Vec<(String, Duration)> = Vec::new();
         times.extend(found.iter().flat_map(|found| found.times.iter().map(|(step, took)| ((*step).to_owned(), *took))));
@@ -306,7 +303,6 @@ impl Reconstruct {
         session.report(&json, text)
     }
 
-    /// Refuses what this network cannot be asked for.
     fn check_network(&self, session: &mut Session<'_>, network: &Network) -> Result<()> {
         match network {
             Network::Tokens(checkpoint) => {
@@ -322,7 +318,6 @@ impl Reconstruct {
         if finds { Place(place).check(self.overwrite) } else { Place(place).check_alone(self.overwrite) }
     }
 
-    /// Refuses whatever can be refused before anything that takes time.
     fn check(&self) -> Result<()> {
         self.overwrite.check_file(&self.output)?;
         if SceneFormat::of_extension(&self.output).is_none() {
@@ -333,19 +328,17 @@ impl Reconstruct {
         self.refine.check()
     }
 
-    /// Whether cameras are to be found before a scene is made.
     fn finds(&self, network: &Network) -> bool {
         self.poses.as_deref().is_some_and(Known::to_find) || self.finds_by_itself(network)
     }
 
-    /// Whether the network that makes the scene finds the cameras, too.
+    /// Returns true if the scene's network also estimates the cameras.
     fn finds_by_itself(&self, network: &Network) -> bool {
         let finder = self.poses.as_deref().map(Finder::named);
         let own = matches!(finder, None | Some(Some(Finder::Da3))) && self.finding.depth_weights.is_none();
         own && matches!(network, Network::Pixels(_))
     }
 
-    /// The photos that are asked for and have cameras, where these are known or found.
     fn captured(&self, session: &mut Session<'_>, network: &Network) -> Result<Captured> {
         let named_in =
             self.cameras_out.as_deref().or(self.refined_cameras.as_deref()).map(|file| (file, self.overwrite));
@@ -354,7 +347,7 @@ impl Reconstruct {
             photos = photos::spread(photos, views as usize);
         }
         let (poses, found) = match (network, &self.poses) {
-            // One run is enough for cameras and scene.
+            // One pass gives cameras and scene.
             (Network::Pixels(checkpoint), _) if self.finds_by_itself(network) => {
                 let (poses, found) = Found::by_question(session, &photos, self.question(checkpoint))?;
                 session.note(format!("cameras found: {}", found.told()));
@@ -384,7 +377,6 @@ impl Reconstruct {
         Ok(Captured { photos, poses, frame_folder, found })
     }
 
-    /// The drawing of --pictures, checked before anything that takes time.
     fn drawing(&self) -> Result<Option<Render>> {
         let Some(folder) = &self.pictures else { return Ok(None) };
         let known = self.poses.as_ref().filter(|poses| !Known::to_find(poses));

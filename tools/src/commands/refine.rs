@@ -1,5 +1,3 @@
-//! `zipsplat refine`.
-
 use crate::{
     cameras::{Finding, Known, Similarity, to_scene},
     explain::Explanation,
@@ -26,10 +24,10 @@ use zipsplat::{
 
 /// Refine a scene's Gaussians against photos with known cameras
 ///
-/// Takes any scene in the cameras' world, or in the camera of a photo given by its file or
-/// --relative-to. --start points needs no scene, but a structure-from-motion point cloud. Of 9
-/// photos or more one is held out, and the best step by that photo is written. Ctrl-C ends early
-/// and writes the best so far.
+/// Takes a scene in the cameras' world, or in the camera of a photo given by its file or
+/// --relative-to. --start points needs a structure-from-motion point cloud instead. Of 9 photos or
+/// more one is held out, and the best step by that photo is written. Ctrl-C ends early with the
+/// best so far.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat refine scene.ply photos/ --poses transforms.json -o better.ply
@@ -92,7 +90,7 @@ struct Started {
     scene: Scene,
     cameras: Vec<Camera>,
     world: Option<World>,
-    /// From the world of the given cameras to the scene's.
+    /// From the given cameras' world.
     to_scene: Similarity,
 }
 
@@ -116,7 +114,6 @@ impl Refine {
         let photos = photos::posed(session, photos, &poses)?;
         let frames = poses.frames_of(&photos)?;
         let started = self.start(session, scene, &poses, &frames)?;
-        // COLMAP's points have been read.
         drop(found);
         let device = session.device()?;
         let (images, _) =
@@ -146,7 +143,7 @@ impl Refine {
         }
     }
 
-    /// Reads the initialization; maps cameras and points to its world.
+    /// Maps cameras and points to the scene's world.
     fn start(
         &self,
         session: &mut Session<'_>,

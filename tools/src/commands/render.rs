@@ -1,5 +1,3 @@
-//! `zipsplat render`: a scene to pictures.
-
 use crate::{
     animation::{self, Animation, MAX_FPS},
     cameras::CameraArgs,
@@ -26,9 +24,9 @@ use zipsplat::{
 
 /// Pictures of a scene
 ///
-/// Into a folder go 000.png, 001.png and on, in the cameras' order, and contact.png with all of them. Pictures of higher numbers
-/// that this command drew there before are removed; all other files stay as they are. World: x right, y down, z forward, or that
-/// of the cameras that the scene was made with.
+/// The folder gets 000.png, 001.png and on, in the cameras' order, and contact.png with all of
+/// them. Surplus pictures of an earlier run are removed; other files stay. World: x right, y down,
+/// z forward, or that of the cameras that the scene was made with.
 #[derive(Args)]
 #[command(
     group(ArgGroup::new("result").required(true).multiple(true).args(["output", "video"])),
@@ -46,41 +44,43 @@ pub struct Render {
     input: SceneInput,
     #[command(flatten)]
     path: CameraArgs,
-    /// Colour behind the scene: red, green and blue from 0 to 1, '#rrggbb', or a basic colour of CSS such as white
+    /// Color behind the scene: red, green and blue from 0 to 1, '#rrggbb', or a basic CSS color
+    /// such as white
     #[arg(long, value_name = "COLOR", default_value = "0,0,0", value_parser = color::parse)]
     background: [f32; 3],
-    /// Make what is thinner than a pixel fainter, as Mip-Splatting does
+    /// Fade Gaussians thinner than a pixel, as Mip-Splatting does
     #[arg(long)]
     antialiased: bool,
-    /// Also write NNN.depth.png: 16-bit grey, 1000 levels a world unit, 0 where nothing is
+    /// Also write NNN.depth.png: 16-bit gray, 1000 levels per world unit, 0 for none
     #[arg(long, value_name = "KIND", num_args = 0..=1, require_equals = true, default_missing_value = "expected")]
     depth: Option<DepthKind>,
-    /// Also write NNN.alpha.png: 8-bit grey
+    /// Also write NNN.alpha.png: 8-bit gray
     #[arg(long)]
     alpha: bool,
-    /// Also write NNN.normal.png: the shortest axes of Gaussians, turned towards the camera; x, y, z of the world from -1
-    /// to 1 as red, green, blue from 0 to 255
+    /// Also write NNN.normal.png: the Gaussians' shortest axes, turned toward the camera; x, y, z
+    /// of the world from -1 to 1 as red, green, blue from 0 to 255
     #[arg(long)]
     normals: bool,
-    /// Also write NNN.tokens.png: every N Gaussians, those of one token, in a colour of their own
+    /// Also write NNN.tokens.png: a color for every N Gaussians, those of one token
     #[arg(long, alias = "gaussians-per-token", value_name = "N")]
     group: Option<NonZeroU32>,
-    /// Draw each Gaussian as an opaque dot of this width, in the scene's unit: where Gaussians are, and not what they show
+    /// Draw each Gaussian as an opaque dot of this width in the scene's unit, to show positions
     #[arg(long, alias = "point-size", value_name = "SIZE", value_parser = parse_length)]
     points: Option<f64>,
-    /// Also print the passes of the first picture, with time and bytes, and what was left out and why
+    /// Also print the passes of the first picture, with time and bytes, and skipped effects with
+    /// reasons
     #[arg(long)]
     explain: bool,
-    /// Folder to write to, made where it is missing; -: the pictures' bytes, rgb24, one picture after another, to standard
-    /// output
+    /// Folder to write to, created if missing; -: raw rgb24 pictures in order, to standard output
     #[arg(long, short, value_name = "FOLDER|-")]
     output: Option<PathBuf>,
     #[command(flatten)]
     overwrite: Overwrite,
-    /// Write all pictures to one file: .gif, .apng or .png (animated, lossless), or .mp4 where ffmpeg is installed
+    /// Write all pictures to one file: .gif, .apng or .png (animated, lossless), or .mp4 with
+    /// ffmpeg
     #[arg(long, value_name = "FILE")]
     video: Option<PathBuf>,
-    /// Pictures a second of --video
+    /// Pictures per second of --video
     #[arg(long, value_name = "N", default_value = "30", value_parser = clap::value_parser!(u16).range(1..=i64::from(MAX_FPS)),
         requires = "video")]
     fps: u16,
@@ -89,21 +89,19 @@ pub struct Render {
     ffmpeg: PathBuf,
 }
 
-/// Widths of a Gaussian, where it has half its height, in standard deviations.
+/// Full width at half maximum of a Gaussian, in standard deviations.
 const WIDTH: f64 = 2.354_820_045;
 
-/// Makes each Gaussian an opaque dot of a width, in its own colour.
 fn show_points(scene: &mut Scene, width: f64) {
     scene.scales.fill([(width / WIDTH) as f32; 3]);
     scene.opacities.fill(1.0);
 }
 
-/// Kinds of depth.
 #[derive(Clone, Copy, ValueEnum)]
 enum DepthKind {
-    /// The mean depth of what is seen
+    /// Mean visible depth
     Expected,
-    /// Depth times weight, added up
+    /// Depth times weight, summed
     Accumulated,
 }
 
@@ -122,8 +120,7 @@ impl Render {
         session.report(&json, text)
     }
 
-    /// Draws everything that is asked for and says what was drawn, as JSON and as text. `load` brings the scene to the renderer
-    /// once its cameras are known to be good.
+    /// `load` uploads the scene once its cameras are checked.
     pub fn draw(
         &self,
         session: &mut Session<'_>,
@@ -171,18 +168,10 @@ impl Render {
         self.told(device, [scene.len(), dropped], &cameras, took, explanation)
     }
 
-    /// Refuses what can be refused before any work.
-    ///
-    /// # Errors
-    /// [`Error::Argument`], and what cannot be written to.
     pub fn check(&self) -> Result<()> {
         self.sinks().map(drop)
     }
 
-    /// The command whose words these are, for pictures of a scene that another command makes.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] with what is wrong with them.
     pub fn of_words(scene: &Path, folder: &Path, force: bool, words: &[String]) -> Result<Self> {
         let command = Self::augment_args(Command::new("--pictures").no_binary_name(true));
         let own = [scene.as_os_str(), "--output".as_ref(), folder.as_os_str()];
@@ -226,7 +215,6 @@ impl Render {
         self.output.as_deref().filter(|_| !self.is_piped())
     }
 
-    /// All but standard output, checked before any work.
     fn sinks(&self) -> Result<Sinks<'_>> {
         let folder = self.folder();
         folder.map_or(Ok(()), outputs::check_folder)?;

@@ -1,5 +1,3 @@
-//! `zipsplat scene`.
-
 use crate::{
     options::Size,
     outputs::{self, Overwrite},
@@ -21,7 +19,7 @@ use zipsplat::{
     types::{Origin, Pose, World, WriteOptions, write_atomic},
 };
 
-/// Write buffer, about one scene of 10 views at 126x126.
+/// About one scene of 10 views at 126x126.
 const BUFFER: usize = 1 << 20;
 
 /// Procedural scenes: seeded photos with exact depth and poses
@@ -137,7 +135,7 @@ impl Scene {
             write_atomic(path, write)
         };
         match result {
-            // The reader closed the pipe: a normal end.
+            // The reader closed the pipe.
             Err(Error::Io { source, .. }) if source.kind() == ErrorKind::BrokenPipe => {}
             Err(Error::Io { source, .. }) if source.kind() == ErrorKind::Interrupted => return Err(Error::Cancelled),
             other => other?,

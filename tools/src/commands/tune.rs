@@ -1,5 +1,3 @@
-//! `zipsplat tune`.
-
 use crate::{session::Session, table::Table};
 use clap::Args;
 use serde::Serialize;
@@ -35,7 +33,7 @@ impl Tune {
         let device = session.device()?;
         let limits = device.limits();
         limits.check_timestamps()?;
-        // Keeps earlier results, including tiles that failed.
+        // Keeps earlier results, including failed tiles.
         let mut tuning = Tuning::known(&device).unwrap_or_default();
         let started = Instant::now();
         let outcome = session.stage("tune", |stage| {
@@ -45,7 +43,7 @@ impl Tune {
             })
         });
         let time = started.elapsed();
-        // Also after cancellation or device loss: completed measurements are valid.
+        // Also after cancellation or device loss.
         tuning.keep(&device)?;
         let mut table = Table::new(3, &["kernel", "factors", "tile", "values", "ms", ""]);
         for measured in &tuning.measured {

@@ -1,5 +1,3 @@
-//! `zipsplat view`.
-
 use crate::{
     heic::is_heic,
     options::{Network, SceneInput, refuse},
@@ -31,10 +29,9 @@ use zipsplat::{
 
 /// View scenes, or scenes made from photos, in a browser
 ///
-/// Several scene files share one slider. Photos become scenes of any compression ratio, and are
-/// refined live with --refine. -o writes a self-contained page without network access. Otherwise
-/// this machine serves the page, for anyone with the printed address, until Ctrl-C. The browser
-/// renders by the rules of `render`.
+/// Several scene files share one slider. Photos become scenes of any compression ratio, refined
+/// live with --refine. -o writes a self-contained page without network access. Otherwise this
+/// machine serves the page, for anyone with the printed address, until Ctrl-C.
 ///
 /// Weights of Depth Anything 3 make one Gaussian per pixel, as in `reconstruct`, at the --ratios
 /// and without refinement: use `reconstruct --refine`.
@@ -87,7 +84,7 @@ pub struct View {
     from: FromPhotos,
 }
 
-/// Longer side of thumbnails in a page, in pixels.
+/// In pixels.
 const SMALL: u32 = 640;
 
 impl View {
@@ -102,7 +99,6 @@ impl View {
         if self.is_of_photos()? { self.show_photos(session) } else { self.show_scenes(session) }
     }
 
-    /// Returns true for photos, false for scenes.
     fn is_of_photos(&self) -> Result<bool> {
         let is_photo =
             |path: &PathBuf| path.is_dir() || is_video(path) || is_heic(path) || Image::size_as_stored(path).is_ok();
@@ -167,7 +163,6 @@ impl View {
         }
     }
 
-    /// Serves pixel scenes, made before the page opens.
     fn show_pixels(
         &self,
         session: &mut Session<'_>,
@@ -191,7 +186,6 @@ impl View {
         }
     }
 
-    /// Writes scenes of several ratios, and the refined one.
     fn write_ratios(
         &self,
         session: &mut Session<'_>,
@@ -229,7 +223,7 @@ impl View {
         let world = read_world(&self.files[0])?;
         let photo_of = |frame: &Frame| match &self.photos {
             Some(folder) => Some(folder.join(Path::new(&frame.name).file_name()?)).filter(|file| file.is_file()),
-            // A written page embeds photos only on request.
+            // Embedded only on request.
             None if self.output.is_some() => None,
             None => frame.photo.clone(),
         };
@@ -319,7 +313,7 @@ impl View {
     }
 }
 
-/// Writes a private page that redirects to `address`, deleted on drop.
+/// Private, deleted on drop.
 fn redirect(address: &str) -> Result<NamedTempFile> {
     let failed = |error| Error::io(std::env::temp_dir(), error);
     let mut file = tempfile::Builder::new().prefix("zipsplat-").suffix(".html").tempfile().map_err(failed)?;

@@ -1,5 +1,3 @@
-//! `zipsplat weights`.
-
 use crate::{
     download::{Client, Lock, Promise, fetch, is_sha256, kept, promise},
     options::BUILT_IN,
@@ -70,10 +68,9 @@ struct Where {
 
 /// Download weights, check their SHA-256, and store them in the cache folder
 ///
-/// Weights of ZipSplat are converted to f16 safetensors; those of Depth Anything 3 stay as they
-/// are. The SHA-256 is the host's, over an encrypted connection. Size and license are shown before
-/// a confirmation. Run the command again to resume after a network error or Ctrl-C. Cached weights
-/// are only checked for updates.
+/// Weights of ZipSplat are converted to f16 safetensors. The SHA-256 is the host's, over an
+/// encrypted connection. Size and license are shown before a confirmation. Run the command again to
+/// resume. Cached weights are only checked for updates.
 #[derive(Args)]
 #[command(after_help = "Environment:
   HF_ENDPOINT     a mirror in place of https://huggingface.co
@@ -229,7 +226,7 @@ impl Get {
     fn convert(&self, session: &mut Session<'_>, released: &Released, archive: &Path) -> Result<()> {
         let converted = released.converted(archive);
         if released.kind == Kind::Depth {
-            // Rejects unusable files now.
+            // Rejects unusable files early.
             DepthCheckpoint::open(archive, false)?;
             return report(session, released, archive);
         }
@@ -243,12 +240,11 @@ impl Get {
     }
 }
 
-/// Waits for other processes with these weights.
 fn lock(session: &Session<'_>, released: &Released, folder: &Path) -> Result<Lock> {
     Ok(session.stage("wait for another process", |stage| Lock::new(&released.base(folder), stage))?.0)
 }
 
-/// Returns true if the environment forbids the network, by the hub client's values.
+/// Accepts the hub client's values.
 fn is_offline() -> bool {
     let value = std::env::var("HF_HUB_OFFLINE").unwrap_or_default().to_lowercase();
     ["1", "true", "yes", "on"].contains(&value.as_str())

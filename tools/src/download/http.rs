@@ -11,17 +11,14 @@ use ureq::{
 };
 use zipsplat::{Error, Result};
 
-/// Hub of the released weights.
 const HUB: &str = "https://huggingface.co";
-/// Limit of redirects.
 const HOPS: usize = 10;
 /// Variables that override the built-in root certificates with a file.
 const ROOTS: [&str; 2] = ["SSL_CERT_FILE", "REQUESTS_CA_BUNDLE"];
 
-/// Failure of a request.
 #[derive(Debug)]
 pub enum Failure {
-    /// A retry may help: broken or silent connection, busy host.
+    /// A retry may help.
     Passing(String),
     /// A retry would fail alike.
     Lasting(Error),
@@ -32,11 +29,10 @@ pub struct Client {
     agent: Agent,
     endpoint: String,
     token: Option<String>,
-    /// Timeout of a silent connection.
     pub patience: Duration,
 }
 
-/// Hash and size from the hub; the storage behind its redirect reports neither.
+/// The storage behind the hub's redirect reports neither.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Told {
     /// Lowercase hexadecimal.
@@ -95,7 +91,6 @@ impl Client {
         format!("{}/{repository}/resolve/{revision}/{file}", self.endpoint)
     }
 
-    /// Asks the hub for a file's hash and size.
     pub fn ask(&self, url: &str) -> Result<Told, Failure> {
         let (response, mut told) = self.follow(true, url, 0)?;
         if told.size.is_none() && response.status() == StatusCode::OK {
@@ -104,7 +99,7 @@ impl Client {
         Ok(told)
     }
 
-    /// Requests bytes from `start` on, through redirects. Returns the answer, of status 200, 206 or
+    /// Requests bytes from `start` on, through redirects. Returns an answer of status 200, 206 or
     /// 416, and the hub's hash and size.
     pub fn get(&self, url: &str, start: u64) -> Result<(Response<Body>, Told), Failure> {
         self.follow(false, url, start)
@@ -163,7 +158,7 @@ fn origin(url: &str) -> Option<(String, String)> {
     Some((scheme.to_owned(), uri.authority()?.as_str().to_lowercase()))
 }
 
-/// Resolves a redirect; `None` if it would end encryption.
+/// `None` if it would end encryption.
 fn redirected(from: &str, location: &str) -> Option<String> {
     let (scheme, authority) = origin(from)?;
     let to = match location {
@@ -195,7 +190,6 @@ fn check_status(url: &str, status: StatusCode, has_token: bool) -> Result<(), Fa
     }
 }
 
-/// Classifies a client error.
 pub fn failure(url: &str, error: &ureq::Error, patience: Duration) -> Failure {
     match error {
         ureq::Error::Timeout(_) => Failure::Passing(format!("nothing came for {} s", patience.as_secs_f64())),

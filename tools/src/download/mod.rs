@@ -1,4 +1,4 @@
-//! Resumable, verified downloads of large files from a model hub.
+//! Resumable, verified downloads from a model hub.
 
 mod http;
 mod partial;
@@ -22,21 +22,15 @@ pub use partial::{Lock, Promise, TAG, kept};
 use http::{Failure, Told, failure};
 use partial::Partial;
 
-/// Limit of consecutive retries without progress.
+/// Consecutive retries without progress.
 const TRIES: u32 = 5;
-/// Limit of restarts from the beginning.
 const RESTARTS: u32 = 3;
 /// Bytes per block, and number of blocks queued for the disk.
 const CHUNK: usize = 1 << 18;
 const WAITING: usize = 16;
-/// Interval between checks for Ctrl-C.
 const POLL: Duration = Duration::from_millis(50);
 
-/// Asks the hub for size and hash; `sha256` replaces an unreported hash.
-///
-/// # Errors
-/// [`Error::Io`] for an unreachable hub; [`Error::Argument`] for a missing size or hash, or another
-/// hash than `sha256`; [`Error::Cancelled`].
+/// `sha256` replaces an unreported hash.
 pub fn promise(client: &Client, url: &str, sha256: Option<&str>, stage: &Stage<'_>) -> Result<Promise> {
     let mut tries = Tries::default();
     let told = loop {
@@ -63,12 +57,8 @@ pub fn promise(client: &Client, url: &str, sha256: Option<&str>, stage: &Stage<'
     }
 }
 
-/// Downloads a file, checks it and renames it to [`Promise::path`]. The caller holds its [`Lock`].
-/// After a network failure, another call resumes. `notes` gets messages for the user.
-///
-/// # Errors
-/// [`Error::Io`] of the disk, or after retries without progress; [`Error::Format`] for other bytes
-/// than promised; [`Error::Cancelled`].
+/// Downloads to [`Promise::path`]. The caller holds its [`Lock`]. After a network failure, another
+/// call resumes. `notes` gets messages for the user.
 pub fn fetch(
     client: &Client,
     promise: &Promise,
@@ -107,9 +97,6 @@ struct Tries(u32);
 
 impl Tries {
     /// Waits with exponential backoff, up to the timeout.
-    ///
-    /// # Errors
-    /// [`Error::Io`] with the reason after the last try; [`Error::Cancelled`].
     fn failed(&mut self, url: &str, reason: &str, patience: Duration, stage: &Stage<'_>) -> Result<()> {
         self.0 += 1;
         if self.0 == TRIES {
@@ -140,7 +127,6 @@ fn apart<T: Send + 'static>(stage: &Stage<'_>, work: impl FnOnce() -> T + Send +
     }
 }
 
-/// Reason for the end of a connection.
 enum Stop {
     Passing(String),
     Lasting(Error),
@@ -164,7 +150,6 @@ enum Event {
     End(Stop),
 }
 
-/// Downloads missing bytes over one connection.
 fn load(client: &Client, promise: &Promise, partial: &mut Partial, stage: &Stage<'_>) -> Result<Stop> {
     let (send, events) = sync_channel(WAITING);
     let (client, wanted, start) = (client.clone(), promise.clone(), partial.length()?);
@@ -194,7 +179,6 @@ fn load(client: &Client, promise: &Promise, partial: &mut Partial, stage: &Stage
     }
 }
 
-/// Sends bytes until the receiver is gone.
 fn stream(client: &Client, promise: &Promise, start: u64, send: &SyncSender<Event>) -> Stop {
     let (response, told) = match client.get(&promise.url, start) {
         Ok(answer) => answer,
@@ -224,7 +208,7 @@ fn stream(client: &Client, promise: &Promise, start: u64, send: &SyncSender<Even
     }
 }
 
-/// Returns the file offset of an answer to a promised file.
+/// Returns the answer's file offset.
 fn check_answer(
     promise: &Promise,
     told: &Told,

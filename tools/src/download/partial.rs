@@ -11,7 +11,6 @@ use std::{
 };
 use zipsplat::{Error, Result, types::write_atomic};
 
-/// Bytes per hashed block.
 const BLOCK: usize = 1 << 20;
 /// Digits of the hash in a file name.
 pub const TAG: usize = 12;
@@ -19,7 +18,6 @@ pub const TAG: usize = 12;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Promise {
     pub url: String,
-    /// Size in bytes.
     pub size: u64,
     /// Lowercase hexadecimal.
     pub sha256: String,
@@ -37,8 +35,7 @@ impl Promise {
     }
 }
 
-/// Bytes so far (`BASE.part`) and [`Promise`] (`BASE.part.json`). The file is renamed when its hash
-/// is right.
+/// Bytes so far (`BASE.part`) and [`Promise`] (`BASE.part.json`).
 pub struct Partial {
     path: PathBuf,
     promise_path: PathBuf,
@@ -54,7 +51,6 @@ pub struct Lock {
 }
 
 impl Lock {
-    /// Waits for other processes.
     pub fn new(base: &Path, stage: &Stage<'_>) -> Result<Self> {
         let [.., path] = paths(base);
         let failed = |error| Error::io(&path, error);
@@ -85,7 +81,6 @@ impl Drop for Lock {
     }
 }
 
-/// Returns true if `path` still names an open file.
 fn is_at(file: &File, path: &Path) -> io::Result<bool> {
     #[cfg(unix)]
     {
@@ -98,7 +93,7 @@ fn is_at(file: &File, path: &Path) -> io::Result<bool> {
     file.metadata().and_then(|_| path.try_exists())
 }
 
-/// Opens or creates a cache file without following links.
+/// Follows no links.
 fn open(path: &Path) -> Result<File> {
     let mut options = OpenOptions::new();
     options.create(true).truncate(false).read(true).write(true);
@@ -118,14 +113,13 @@ fn paths(base: &Path) -> [PathBuf; 3] {
     })
 }
 
-/// Returns number of bytes and promise of a partial file.
 pub fn kept(base: &Path) -> Option<(u64, Promise)> {
     let [path, promise, _] = paths(base);
     Some((path.metadata().ok()?.len(), serde_json::from_slice(&std::fs::read(promise).ok()?).ok()?))
 }
 
 impl Partial {
-    /// Resumes or begins a file under its [`Lock`]. Drops bytes of another promise.
+    /// The caller holds the [`Lock`]. Drops bytes of another promise.
     pub fn open(base: &Path, promise: &Promise) -> Result<Self> {
         let [path, promise_path, _] = paths(base);
         let goes_on =
@@ -138,12 +132,12 @@ impl Partial {
         Ok(Self { path, promise_path, base: base.to_owned(), file, promise: promise.clone() })
     }
 
-    /// Returns the number of contiguous bytes.
+    /// Contiguous bytes.
     pub fn length(&self) -> Result<u64> {
         self.file.metadata().map(|found| found.len()).map_err(|error| Error::io(&self.path, error))
     }
 
-    /// Writes bytes at `start`, at most the file's length.
+    /// `start` is at most the file's length.
     pub fn write(&mut self, start: u64, bytes: &[u8]) -> Result<()> {
         let written = self.file.seek(SeekFrom::Start(start)).and_then(|_| self.file.write_all(bytes));
         written.map_err(|error| Error::io(&self.path, error))
@@ -153,10 +147,7 @@ impl Partial {
         self.file.set_len(0).map_err(|error| Error::io(&self.path, error))
     }
 
-    /// Renames the file to [`Promise::path`] if its hash is right, else removes it.
-    ///
-    /// # Errors
-    /// [`Error::Format`] for another hash, [`Error::Cancelled`], [`Error::Io`].
+    /// Renames the file if its hash is right, else removes it.
     pub fn finish(mut self, stage: &Stage<'_>) -> Result<()> {
         let found = self.hash(stage)?;
         let Self { path, promise_path, base, file, promise } = self;
@@ -170,7 +161,6 @@ impl Partial {
         }
         file.sync_all().map_err(failed)?;
         std::fs::rename(&path, promise.path(&base)).map_err(failed)?;
-        // Useless without its file.
         let _ = std::fs::remove_file(promise_path);
         Ok(())
     }

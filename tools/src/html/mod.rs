@@ -9,7 +9,7 @@ use zipsplat::{
 const STYLE: &str = include_str!("report.css");
 const QUALITY: u8 = 85;
 
-/// Returns the start of a page, through its heading.
+/// Up to the heading.
 pub fn begin(title: &str) -> String {
     let title = escape(title);
     format!(
@@ -19,7 +19,7 @@ pub fn begin(title: &str) -> String {
     )
 }
 
-/// Returns a data URL of a picture, at most `most` pixels long.
+/// Data URL; the longer side is at most `most` pixels.
 pub fn picture(image: &Image, most: u32) -> Result<String> {
     let scale = (f64::from(most) / f64::from(image.width.max(image.height))).min(1.0);
     let [width, height] = [image.width, image.height].map(|side| ((f64::from(side) * scale).round() as u32).max(1));
@@ -27,7 +27,7 @@ pub fn picture(image: &Image, most: u32) -> Result<String> {
     Ok(format!("data:image/jpeg;base64,{}", STANDARD.encode(small.jpeg(QUALITY)?)))
 }
 
-/// Escapes text for HTML content and quoted attributes.
+/// For content and quoted attributes.
 pub fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

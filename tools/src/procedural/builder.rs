@@ -50,7 +50,7 @@ impl Builder<'_> {
         );
     }
 
-    /// Adds a rectangle; its y axis is up if possible.
+    /// Its y axis is up if possible.
     pub fn rectangle(&mut self, centre: Vec3A, half: [f32; 2], normal: Vec3A, material: Material) {
         self.put(Shape::Rectangle { half: Vec2::from(half) }, centre, facing(normal), material);
     }
@@ -68,7 +68,6 @@ impl Builder<'_> {
         }
     }
 
-    /// Adds a primitive on `base`, about `size` wide.
     pub fn solid(&mut self, base: Vec3A, size: f32) {
         let material = self.draw(Role::Anything);
         let heading = self.rng.angle();
@@ -88,7 +87,6 @@ impl Builder<'_> {
                 self.put(Shape::Torus { major, minor }, base + Vec3A::Z * height, rotation, material);
             }
             _ => {
-                // Tilted on an edge, partly sunk.
                 let rotation =
                     rotation * Mat3A::from_rotation_x(self.rng.signed()) * Mat3A::from_rotation_y(self.rng.signed());
                 self.put(Shape::Box { half: Vec3A::from(half) }, base + Vec3A::Z * half[2], rotation, material);
@@ -167,7 +165,7 @@ impl Builder<'_> {
         }
     }
 
-    /// Adds a table; returns the height of its top.
+    /// Returns the height of its top.
     pub fn table(&mut self, base: Vec3A, half: [f32; 2], height: f32, heading: f32) {
         let (top, legs) = (self.draw(Role::Wood), self.draw(Role::Wood));
         let board = 0.025 * (1.0 + self.rng.unit());
@@ -220,7 +218,7 @@ impl Builder<'_> {
     }
 }
 
-/// Returns axes with z along the normal; y is up, or the world's y for a level surface.
+/// z is the normal; y is up, or the world's y for a level surface.
 pub(super) fn facing(normal: Vec3A) -> Mat3A {
     let up = if normal.z.abs() > 0.9 { Vec3A::Y } else { Vec3A::Z };
     let x = up.cross(normal).normalize();

@@ -81,7 +81,7 @@ impl Bvh {
         self.build(boxes, start + left, end, depth + 1);
     }
 
-    /// Returns cost, axis and left item count.
+    /// Cost, axis and left item count.
     fn best_split(&mut self, boxes: &[Aabb], start: usize, end: usize, axis: usize) -> (f32, usize, usize) {
         let items = &mut self.items[start..end];
         sort_along(items, boxes, axis);

@@ -15,22 +15,22 @@ use super::survey::{self, Lens};
 use super::tone::Development;
 use super::world::{Seen, World};
 
-/// Path attempts per place.
+/// Per place.
 const PATHS: usize = 20;
 const PLACES: u64 = 1000;
-/// Minimum standard deviation of a view's brightness, 0..1.
+/// Standard deviation of a view's brightness, 0..1.
 const LEAST_CONTRAST: f32 = 0.05;
-/// Range of a view's mean brightness.
+/// Mean of a view.
 const BRIGHTNESS: RangeInclusive<f32> = 0.15..=0.85;
-/// Field of view of the longer side in degrees, skewed toward narrow.
+/// Of the longer side in degrees, skewed toward narrow.
 const FIELD_OF_VIEW: [f32; 2] = [28.0, 92.0];
 
-/// Four rays at distinct row and column offsets.
+/// Distinct row and column offsets.
 const ROTATED_GRID: [(f32, f32); 4] = [(-0.125, -0.375), (0.375, -0.125), (0.125, 0.375), (-0.375, 0.125)];
-/// With the central ray, distinct row and column offsets.
+/// Also distinct from the central ray.
 const BESIDE_CENTRE: [(f32, f32); 2] = [(-0.33, 0.25), (0.33, -0.25)];
 
-/// Cancellation check; its error ends the work.
+/// Cancellation check.
 pub type GoOn<'a> = &'a (dyn Fn() -> Result<()> + Sync);
 
 /// Settings of every scene.
@@ -204,7 +204,7 @@ impl Setup {
         })
     }
 
-    /// Returns the median distance from the first camera in meters.
+    /// From the first camera, in meters.
     fn median_distance(&self, frames: &[Frame]) -> f64 {
         let Lens { width, .. } = self.lens;
         let first = self.views[0].eye;
@@ -262,7 +262,7 @@ struct Frame {
     depth: Vec<f32>,
 }
 
-/// Estimates a shared exposure from few rays; `None` for dull, dark or overexposed views.
+/// Shared exposure from few rays; `None` for dull, dark or overexposed views.
 fn expose(world: &World, lens: Lens, views: &[View], photos: &Photos, rng: &mut Rng) -> Option<Development> {
     let pixel = lens.width as f32 / survey::GRID as f32 / lens.focal / 4.0;
     let look = |view: &View| {

@@ -12,7 +12,7 @@ use crate::{
     outputs::{MADE_BY, is_own, remove_stale, save_picture},
 };
 
-/// Pixels between samples of the point cloud, along x and y.
+/// Pixels between samples of the point cloud.
 const POINT_STEP: usize = 8;
 
 const SCENE: &str = "scene.json";
@@ -25,8 +25,8 @@ fn depth(number: usize) -> String {
     format!("depth/{number:03}.npy")
 }
 
-/// Returns the files of a capture to check before overwriting. A folder of ours excludes depth,
-/// because its format has no author field.
+/// Returns the files to check before overwriting. A folder of ours excludes depth, whose format has
+/// no author field.
 pub fn files(folder: &Path, views: usize) -> Vec<PathBuf> {
     let depths = if is_own(&folder.join(SCENE)) { 0 } else { views };
     let fixed = ["transforms.json", "points.ply", SCENE].map(str::to_owned);
@@ -34,7 +34,7 @@ pub fn files(folder: &Path, views: usize) -> Vec<PathBuf> {
 }
 
 /// Writes `images/000.png` and so on, `depth/000.npy` (f32 `[height][width]`, z, 0 in the sky),
-/// `transforms.json`, `points.ply` and `scene.json`. Removes surplus files of an earlier capture.
+/// `transforms.json`, `points.ply` and `scene.json`. Removes surplus files.
 ///
 /// # Errors
 /// [`Error::Io`].

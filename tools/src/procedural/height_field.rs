@@ -73,7 +73,7 @@ impl HeightField {
         Vec3A::new(self.half_side, self.half_side, self.max_height)
     }
 
-    /// Returns the cell and the offset in it, 0..1.
+    /// Cell, and offset in it, 0..1.
     fn cell(&self, p: Vec2) -> ([usize; 2], Vec2) {
         let scaled = (p + self.half_side) / self.step();
         let clamped = scaled.clamp(Vec2::ZERO, Vec2::splat(self.cells as f32 - 1e-3));
@@ -81,14 +81,14 @@ impl HeightField {
         ([floor.x as usize, floor.y as usize], clamped - floor)
     }
 
-    /// Returns `None` outside.
+    /// `None` outside.
     pub(super) fn height(&self, p: Vec2) -> Option<f32> {
         let ([i, j], f) = self.cell(p);
         let [low, dx, dy] = self.plane(i, j, f.x >= f.y);
         p.abs().cmple(Vec2::splat(self.half_side)).all().then_some(low + dx * f.x + dy * f.y)
     }
 
-    /// Returns corner height, and slopes per cell, of one triangle.
+    /// Corner height, and slopes per cell, of one triangle.
     fn plane(&self, i: usize, j: usize, lower: bool) -> [f32; 3] {
         let row = self.cells + 1;
         let at = j * row + i;
@@ -174,7 +174,7 @@ struct Walk {
 }
 
 impl Walk {
-    /// Returns distance and axis of the exit from `size` cells after `first`.
+    /// Distance and axis of the exit from `size` cells after `first`.
     fn leave(&self, first: [isize; 2], size: isize) -> (f32, usize) {
         let exit = |axis: usize| {
             let inverse = self.inverse[axis];
@@ -186,7 +186,7 @@ impl Walk {
         if x < y { (x, 0) } else { (y, 1) }
     }
 
-    /// Returns a cell possibly outside.
+    /// Possibly outside.
     fn cell(&self, axis: usize, direction: Vec2, t: f32) -> isize {
         ((self.origin[axis] + direction[axis] * t - self.low) / self.step).floor() as isize
     }

@@ -11,7 +11,7 @@ pub(super) struct Material {
     pub texture: Texture,
     pub specular: f32,
     pub shininess: f32,
-    /// Emission as a factor of albedo.
+    /// Factor of albedo.
     pub glow: f32,
 }
 
@@ -33,11 +33,11 @@ pub(super) enum Role {
     Anything,
 }
 
-/// Material generator; `detail` is a typical feature size in meters.
+/// `detail` is a typical feature size in meters.
 pub(super) struct Palette<'a> {
     pub photos: &'a Photos,
     pub detail: f32,
-    /// Share of surfaces with a photo, if photos exist.
+    /// If photos exist.
     pub photo_share: f32,
 }
 
@@ -88,7 +88,7 @@ impl Palette<'_> {
         Some(Texture { pattern, period, offset: offset(rng), colors: [tint; 3], stain })
     }
 
-    /// Returns grass or earth for level ground, rock for slopes.
+    /// Grass or earth on level ground, rock on slopes.
     pub fn terrain(&self, rng: &mut Rng) -> Material {
         let crops = self.photos.crops().len();
         let photo = (crops > 0 && rng.chance(self.photo_share)).then(|| rng.count(0, crops.max(1) - 1));
@@ -226,7 +226,7 @@ fn colors(rng: &mut Rng, role: Role) -> [Vec3A; 3] {
     three
 }
 
-/// Converts sRGB hue, saturation and value in 0..1 to linear RGB.
+/// sRGB in 0..1 to linear RGB.
 fn from_hsv(hue: f32, saturation: f32, value: f32) -> Vec3A {
     let channel = |shift: f32| {
         let k = (6.0 * hue.rem_euclid(1.0) + shift) % 6.0;

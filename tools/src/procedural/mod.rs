@@ -1,8 +1,8 @@
 //! Procedural scenes: textured primitives along realistic camera paths, with exact depth and poses.
 //! A seed gives the same bytes on any number of threads.
 //!
-//! Procedural training data transfers to photos: LRM-Zero (Xie et al. 2024) and MegaSynth (Jiang et
-//! al. 2025).
+//! Training on such data transfers to photos: LRM-Zero (Xie et al. 2024), MegaSynth (Jiang et al.
+//! 2025).
 
 mod builder;
 mod bvh;

@@ -23,12 +23,12 @@ pub(super) fn smoothstep(low: f32, high: f32, x: f32) -> f32 {
 /// Footprints, in features, where fading starts and ends.
 const FADE: [f32; 2] = [0.3, 1.1];
 
-/// Returns the remaining contrast of unit features at footprint `width`.
+/// Remaining contrast at footprint `width`.
 pub(super) fn fade(width: f32) -> f32 {
     1.0 - smoothstep(FADE[0], FADE[1], width)
 }
 
-/// Side of the lattice table, a power of two. Octaves with unrelated periods hide the repetition.
+/// A power of two. Octaves with unrelated periods hide the repetition.
 const SIDE: usize = 32;
 /// 32 KiB fit in the L1 cache.
 static LATTICE: [u8; SIDE * SIDE * SIDE] = lattice();
@@ -47,7 +47,7 @@ const fn lattice() -> [u8; SIDE * SIDE * SIDE] {
     values
 }
 
-/// Interpolates random lattice values in 0..1 cubically.
+/// Cubic interpolation, 0..1.
 pub(super) fn value_noise(p: Vec3A) -> f32 {
     let floor = p.floor();
     let f = p - floor;
@@ -64,7 +64,7 @@ pub(super) fn value_noise(p: Vec3A) -> f32 {
     (faces.x + (faces.y - faces.x) * s.z) / 255.0
 }
 
-/// Sums octaves of value noise around 0.5, mostly in 0..1, except those below `width`.
+/// Sums octaves around 0.5, mostly in 0..1, except those below `width`.
 pub(super) fn fbm(p: Vec3A, octaves: usize, width: f32) -> f32 {
     let (mut sum, mut weight, mut frequency) = (0.5, 0.5, 1.0);
     for octave in 0..octaves {
@@ -72,7 +72,7 @@ pub(super) fn fbm(p: Vec3A, octaves: usize, width: f32) -> f32 {
         if visible <= 0.0 {
             break;
         }
-        // The offset decorrelates octaves.
+        // Decorrelates octaves.
         sum += weight * visible * (value_noise(p * frequency + 17.3 * octave as f32) - 0.5);
         frequency *= 2.03;
         weight *= 0.6;
@@ -80,7 +80,7 @@ pub(super) fn fbm(p: Vec3A, octaves: usize, width: f32) -> f32 {
     sum
 }
 
-/// Returns approximate border distance and hash of a Voronoi cell of jittered lattice points.
+/// Approximate border distance and hash of a Voronoi cell of jittered lattice points.
 pub(super) fn voronoi(p: Vec2) -> (f32, u32) {
     let floor = p.floor();
     let (x, y) = (floor.x as i32, floor.y as i32);

@@ -38,27 +38,26 @@ impl fmt::Display for PathKind {
 impl PathKind {
     /// All kinds.
     pub const ALL: [Self; 5] = [Self::Orbit, Self::Arc, Self::Walk, Self::Sweep, Self::Handheld];
-    /// Sampling weights for unrestricted scenes, mostly orbits.
+    /// For unrestricted scenes, mostly orbits.
     pub(super) const ALL_AROUND: [Self; 7] =
         [Self::Orbit, Self::Orbit, Self::Orbit, Self::Arc, Self::Walk, Self::Sweep, Self::Handheld];
 }
 
-/// Camera constraints, in meters and radians.
+/// In meters and radians.
 pub(super) struct Stage {
     pub target: Vec3A,
-    /// Camera distance from the target, for a field of view of 55 degrees.
+    /// From the target, for a field of view of 55 degrees.
     pub distance: [f32; 2],
-    /// Elevation above the target.
+    /// Above the target.
     pub elevation: [f32; 2],
-    /// Central azimuth.
     pub front: f32,
-    /// Maximum azimuth deviation from `front`.
+    /// From `front`.
     pub freedom: f32,
     pub bounds: [Vec3A; 2],
     pub paths: &'static [PathKind],
 }
 
-/// Camera position in meters, and orientation.
+/// In meters.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct View {
     pub eye: Vec3A,
@@ -67,7 +66,7 @@ pub(super) struct View {
 }
 
 impl View {
-    /// Looks from `eye` to `target` with z up, rolled around the line of sight.
+    /// z is up; rolls around the line of sight.
     fn towards(eye: Vec3A, target: Vec3A, roll: f32) -> Self {
         let forward = (target - eye).normalize_or(Vec3A::Y);
         let right = forward.cross(Vec3A::Z).normalize_or(Vec3A::X);
@@ -81,13 +80,11 @@ impl View {
 }
 
 impl Stage {
-    /// Returns a path; `span` is its fraction of a full path, and `reach` scales distances for the
-    /// lens.
+    /// `span` is the fraction of a full path; `reach` scales distances for the lens.
     pub fn path(&self, kind: PathKind, views: usize, span: f32, reach: f32, rng: &mut Rng) -> Vec<View> {
         let distance = reach * rng.range(self.distance[0], self.distance[1]);
         let unsteady =
             Unsteady { roll: rng.range(0.0, 0.05), aim: rng.range(0.0, 0.04) * distance, step: rng.range(0.0, 0.3) };
-        // Uneven steps between photos.
         let mut times: Vec<f32> = (0..views)
             .map(|i| (i as f32 + unsteady.step * rng.signed()) / (views.max(2) - 1) as f32)
             .map(|t| (2.0 * t - 1.0).clamp(-1.0, 1.0))

@@ -12,7 +12,7 @@ use zipsplat::{
 
 use super::tone::srgb_to_linear;
 
-/// License class whose crops may color training data and releases.
+/// Class whose crops may color training data and releases.
 const PERMISSIVE: &str = "permissive";
 
 /// Entry of a texture folder's `manifest.json`; other fields are ignored.
@@ -88,7 +88,7 @@ impl Photos {
         srgb_to_linear(fine.lerp(levels[level as usize + 1].sample(uv), rest))
     }
 
-    /// Projects along the normal's nearest axes.
+    /// Along the normal's nearest axes.
     pub(super) fn sample_projected(&self, photo: usize, p: Vec3A, normal: Vec3A, width: f32) -> Vec3A {
         let weights = (normal.abs() - 0.45).max(Vec3A::ZERO);
         let weights = weights / weights.element_sum();
@@ -121,10 +121,9 @@ impl Level {
         Self { side, rgb: (0..side * side).map(pixel).collect() }
     }
 
-    /// Returns bilinear sRGB in 0..1.
+    /// sRGB in 0..1.
     fn sample(&self, uv: Vec2) -> Vec3A {
         let last = self.side - 1;
-        // Mirrors beyond the unit square.
         let fold = |x: f32| 1.0 - (x.rem_euclid(2.0) - 1.0).abs();
         let at = (Vec2::new(fold(uv.x), fold(uv.y)) * self.side as f32 - 0.5).max(Vec2::ZERO);
         let (x, y) = ((at.x as usize).min(last), (at.y as usize).min(last));

@@ -1,6 +1,6 @@
 //! Random numbers by seed, stream and counter.
 
-/// Increment of SplitMix64: the golden ratio in 64 bits.
+/// SplitMix64: the golden ratio in 64 bits.
 const INCREMENT: u64 = 0x9e37_79b9_7f4a_7c15;
 
 /// SplitMix64 (Steele, Lea and Flood 2014): a mixed counter, so streams are independent and cheap.
@@ -26,7 +26,7 @@ impl Rng {
         low + (high - low) * self.unit()
     }
 
-    /// Returns a log-uniform number in [low, high), both positive.
+    /// Log-uniform in [low, high), both positive.
     pub fn scale(&mut self, low: f32, high: f32) -> f32 {
         low * (high / low).powf(self.unit())
     }
@@ -47,7 +47,7 @@ impl Rng {
         low + self.bits() as usize % (high - low + 1)
     }
 
-    /// Picks from a nonempty list.
+    /// From a nonempty list.
     pub fn pick<T: Copy>(&mut self, choices: &[T]) -> T {
         choices[self.bits() as usize % choices.len()]
     }

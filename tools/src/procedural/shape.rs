@@ -8,7 +8,7 @@ use super::height_field::HeightField;
 use super::material::Material;
 use super::slab::slab;
 
-/// Limit of sphere-tracing steps, for rays that graze a torus.
+/// For rays that graze a torus.
 const TORUS_STEPS: usize = 96;
 
 /// Surface around the origin; lengths in meters.
@@ -61,13 +61,13 @@ pub struct Primitive {
 }
 
 impl Primitive {
-    /// Returns the first distance in (0, `limit`) along a unit direction.
+    /// First distance in (0, `limit`) along a unit direction.
     pub(super) fn intersect(&self, origin: Vec3A, direction: Vec3A, limit: f32) -> Option<f32> {
         let t = self.shape.intersect(self.to_local * (origin - self.centre), self.to_local * direction, limit)?;
         (t > 0.0 && t < limit).then_some(t)
     }
 
-    /// Returns the half sides of the world-axis bounding box.
+    /// Half sides of the world-axis bounding box.
     pub(super) fn extent(&self) -> Vec3A {
         let half = match &self.shape {
             Shape::Box { half } => *half,
@@ -98,7 +98,7 @@ impl Shape {
         }
     }
 
-    /// Returns true inside a solid or under a height field.
+    /// Inside a solid or under a height field.
     pub(super) fn contains(&self, p: Vec3A) -> bool {
         match self {
             Self::Box { half } => p.abs().cmple(*half).all(),
@@ -110,7 +110,7 @@ impl Shape {
         }
     }
 
-    /// Returns the outward unit normal at a local surface point.
+    /// Outward, at a local surface point.
     pub(super) fn normal(&self, p: Vec3A) -> Vec3A {
         match self {
             Self::Box { half } => axis_of(p / *half),
@@ -129,7 +129,7 @@ impl Shape {
         }
     }
 
-    /// Returns metric coordinates: unrolled on cylinders, else on the nearest box face.
+    /// In meters: unrolled on cylinders, else on the nearest box face.
     pub(super) fn surface_coordinates(&self, p: Vec3A, normal: Vec3A) -> Vec2 {
         match self {
             Self::Cylinder { radius, .. } if normal.z.abs() < 0.5 => Vec2::new(p.y.atan2(p.x) * radius, p.z),
@@ -158,12 +158,12 @@ fn axis_of(v: Vec3A) -> Vec3A {
     }
 }
 
-/// Returns the first positive end.
+/// First positive end.
 fn nearer(interval: Option<[f32; 2]>) -> Option<f32> {
     interval.map(|[enter, leave]| if enter > 0.0 { enter } else { leave })
 }
 
-/// Intersects the unit sphere from the ray's closest point: no cancellation for distant origins.
+/// Starts at the ray's closest point: no cancellation for distant origins.
 fn sphere(origin: Vec3A, direction: Vec3A) -> Option<[f32; 2]> {
     let a = direction.length_squared();
     let middle = -origin.dot(direction) / a;

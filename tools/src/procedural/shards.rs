@@ -34,7 +34,7 @@ use super::{Capture, Family, Options, PathKind, Photos, Setup, VERSION};
 
 const MAGIC: [u8; 8] = *b"ZSSCENES";
 const FORMAT: u32 = 1;
-/// Scenes per thread in a batch; the writer holds another batch.
+/// Per thread in a batch; the writer holds another batch.
 const BATCH: u64 = 4;
 
 /// Stream header.
@@ -139,9 +139,8 @@ fn take<const N: usize>(mut from: impl Read) -> Result<[u8; N]> {
     Ok(bytes)
 }
 
-/// Generates the scenes of `seeds` on all threads and writes them in order, one batch ahead. A
-/// range to `u64::MAX` is marked endless. `written` gets the number of scenes after each batch and
-/// may stop the stream.
+/// Writes the scenes of `seeds` in order, generated on all threads. A range to `u64::MAX` is marked
+/// endless. `written` gets the number of scenes after each batch and may stop the stream.
 ///
 /// # Errors
 /// [`zipsplat::Error::Argument`] as the source for unusable options; those of the writer,

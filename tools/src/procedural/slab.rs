@@ -2,7 +2,7 @@
 
 use glam::Vec3A;
 
-/// Intersects Kay and Kajiya's slabs. For rays along a face, min and max drop NaN.
+/// Kay and Kajiya's slabs. For rays along a face, min and max drop NaN.
 pub(super) fn slab(origin: Vec3A, direction: Vec3A, half: Vec3A) -> Option<[f32; 2]> {
     let inverse = direction.recip();
     let (a, b) = ((-half - origin) * inverse, (half - origin) * inverse);

@@ -5,11 +5,11 @@ use glam::{Vec2, Vec3A};
 use super::path::View;
 use super::world::World;
 
-/// Rays along each side of a view.
+/// Rays per side.
 pub(super) const GRID: usize = 12;
-/// Minimum share of surfaces in a view.
+/// Share of surfaces in a view.
 const LEAST_SURFACE: f32 = 0.55;
-/// Minimum distance, relative to the median.
+/// Relative to the median.
 const NEAREST: f32 = 0.22;
 
 /// Minimum share of a view's surfaces visible in each of [`WITNESSES`] other views.
@@ -17,7 +17,7 @@ pub const LEAST_OVERLAP: f32 = 0.35;
 /// Number of overlapping views required.
 pub const WITNESSES: usize = 2;
 
-/// Pinhole in pixels, with a centered principal point.
+/// In pixels, with a centered principal point.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Lens {
     pub width: usize,
@@ -26,7 +26,7 @@ pub(super) struct Lens {
 }
 
 impl Lens {
-    /// Returns the camera-space direction with z = 1 through a picture point.
+    /// In camera space, with z = 1.
     pub fn ray(&self, x: f32, y: f32) -> Vec3A {
         Vec3A::new((x - 0.5 * self.width as f32) / self.focal, (y - 0.5 * self.height as f32) / self.focal, 1.0)
     }
@@ -43,7 +43,7 @@ impl Lens {
     }
 }
 
-/// Returns [`super::Capture::overlap`]; `None` beyond the limits.
+/// `None` beyond the limits; see [`super::Capture::overlap`].
 pub(super) fn overlap(world: &World, lens: Lens, views: &[View]) -> Option<Vec<f32>> {
     if views.iter().any(|view| world.contains(view.eye)) {
         return None;

@@ -1,5 +1,4 @@
-//! Surface patterns, averaged over the pixel's footprint in closed form or by fading, for
-//! consistency across distances.
+//! Surface patterns, averaged over the pixel's footprint in closed form or by fading.
 
 use std::f32::consts::TAU;
 
@@ -8,13 +7,13 @@ use glam::{Vec2, Vec3, Vec3A, Vec3Swizzles};
 use super::noise::{fade, fbm, hash, hash_unit, smoothstep, voronoi};
 use super::photos::Photos;
 
-/// Surface point; lengths in meters, in the primitive's frame.
+/// Lengths in meters, in the primitive's frame.
 pub(super) struct Place {
     pub position: Vec3A,
     pub normal: Vec3A,
     /// On the unrolled surface.
     pub uv: Vec2,
-    /// Width of one pixel.
+    /// Of one pixel.
     pub footprint: f32,
 }
 
@@ -52,7 +51,7 @@ pub(super) enum Pattern {
     },
 }
 
-/// Colored pattern in linear RGB.
+/// Linear RGB.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Texture {
     pub pattern: Pattern,
@@ -117,7 +116,7 @@ impl Texture {
         color * (1.0 + 2.0 * amount * (stain - 0.5)).max(0.1)
     }
 
-    /// Interpolates three colors at 0, 1/2 and 1.
+    /// Three colors at 0, 1/2 and 1.
     fn ramp(&self, t: f32) -> Vec3A {
         let t = 2.0 * t.clamp(0.0, 1.0);
         let [first, second, third] = self.colors;
@@ -140,20 +139,20 @@ fn contrast(noise: f32) -> f32 {
     0.5 + 1.7 * (noise - 0.5)
 }
 
-/// Averages a pulse wave of duty cycle `share` and period 1 over `width`.
+/// Pulse wave of duty cycle `share` and period 1, averaged over `width`.
 fn pulse(x: f32, share: f32, width: f32) -> f32 {
     let integral = |x: f32| x.floor() * share + (x - x.floor()).min(share);
     let width = width.max(1e-3);
     ((integral(x + width / 2.0) - integral(x - width / 2.0)) / width).clamp(0.0, 1.0)
 }
 
-/// Averages unit squares.
+/// Unit squares.
 fn checker(uv: Vec2, width: f32) -> f32 {
     let (a, b) = (pulse(uv.x / 2.0, 0.5, width / 2.0), pulse(uv.y / 2.0, 0.5, width / 2.0));
     a * b + (1.0 - a) * (1.0 - b)
 }
 
-/// Places one disc per unit square.
+/// One disc per unit square.
 fn spots(uv: Vec2, radius: f32, width: f32) -> f32 {
     let cell = uv.floor();
     let word = hash(cell.x as i32, cell.y as i32, 11);

@@ -4,22 +4,22 @@ use glam::Vec3A;
 
 use super::rng::{Rng, mix};
 
-/// Linear light above which highlights roll off.
+/// Linear light where highlights roll off.
 const SHOULDER: f32 = 0.65;
 
-/// Camera processing, equal for all views of a scene.
+/// Equal for all views of a scene.
 #[derive(Clone, Debug)]
 pub(super) struct Development {
-    /// Exposure times white balance, per channel.
+    /// Exposure times white balance.
     pub gain: Vec3A,
     pub blur: f32,
-    /// Standard deviation of sRGB noise, 0..1.
+    /// Standard deviation in sRGB, 0..1.
     pub noise: f32,
     pub seed: u64,
 }
 
 impl Development {
-    /// Chooses an exposure for a mean scene `luminance`.
+    /// For a mean scene `luminance`.
     pub fn new(rng: &mut Rng, luminance: f32) -> Self {
         let exposure = rng.scale(0.15, 0.30) / luminance.max(1e-4);
         let warmth = rng.range(-0.1, 0.1);
@@ -52,7 +52,7 @@ fn soft_clip(light: Vec3A) -> Vec3A {
     light.min(Vec3A::splat(SHOULDER)) + (1.0 - SHOULDER) * over / (1.0 + over)
 }
 
-/// Approximates sRGB within 0.002, by fast square roots.
+/// Within 0.002, by fast square roots.
 pub(super) fn linear_to_srgb(light: Vec3A) -> Vec3A {
     let root = |v: Vec3A| Vec3A::new(v.x.sqrt(), v.y.sqrt(), v.z.sqrt());
     let half = root(light.max(Vec3A::ZERO));
@@ -61,7 +61,7 @@ pub(super) fn linear_to_srgb(light: Vec3A) -> Vec3A {
     0.6620 * half + 0.6841 * quarter - 0.3236 * eighth - 0.0225 * light
 }
 
-/// Approximates sRGB within 0.003, by a cubic.
+/// Within 0.003, by a cubic.
 pub(super) fn srgb_to_linear(srgb: Vec3A) -> Vec3A {
     srgb * (srgb * (srgb * 0.3053 + 0.6822) + 0.0125)
 }
@@ -72,7 +72,7 @@ enum Axis {
     Y,
 }
 
-/// Applies three Gaussian taps along an axis; the border repeats.
+/// Three taps along an axis; the border repeats.
 fn blur(pixels: &[Vec3A], width: usize, sigma: f32, axis: Axis) -> Vec<Vec3A> {
     let side = (-0.5 / (sigma * sigma)).exp();
     let (side, middle) = (side / (1.0 + 2.0 * side), 1.0 / (1.0 + 2.0 * side));
@@ -86,7 +86,7 @@ fn blur(pixels: &[Vec3A], width: usize, sigma: f32, axis: Axis) -> Vec<Vec3A> {
     (0..pixels.len()).map(tap).collect()
 }
 
-/// Returns approximately normal numbers of variance 1: sums of three uniforms per channel.
+/// Variance 1: sums of three uniforms per channel.
 fn gaussian(counter: u64) -> Vec3A {
     let (a, b) = (mix(counter), mix(!counter));
     let channel = |k: u32| {

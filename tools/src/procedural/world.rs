@@ -9,15 +9,15 @@ use super::photos::Photos;
 use super::shape::{Primitive, Shape};
 use super::texture::Place;
 
-/// Limit of surface distance in meters.
+/// In meters.
 const FAR: f32 = 1e4;
 
-/// Shadow-casting light.
+/// Shadow-casting.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Key {
     /// Direction toward the sun.
     Sun(Vec3A),
-    /// Lamp position and reference distance in meters of its light.
+    /// Position, and reference distance in meters of its light.
     Lamp(Vec3A, f32),
 }
 
@@ -25,7 +25,7 @@ pub(super) enum Key {
 pub(super) struct Light {
     pub key: Key,
     pub color: Vec3A,
-    /// Ambient light from above and from below.
+    /// From above and from below.
     pub ambient: [Vec3A; 2],
 }
 
@@ -35,11 +35,11 @@ pub(super) struct Sky {
     pub horizon: Vec3A,
     pub clouds: f32,
     pub offset: Vec3A,
-    /// Meters of haze that hide two thirds of a surface.
+    /// Meters that hide two thirds of a surface.
     pub haze: f32,
 }
 
-/// Room interior, whose corners get less ambient light.
+/// Corners get less ambient light.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Room {
     pub low: Vec3A,
@@ -83,13 +83,13 @@ impl World {
         self.primitives.iter().any(|p| p.shape.contains(p.to_local * (point - p.centre)))
     }
 
-    /// Returns true for a surface between two points, except within `slack` meters of the second.
+    /// Returns true for a surface in between, except within `slack` meters of the second point.
     pub(super) fn blocked(&self, from: Vec3A, to: Vec3A, slack: f32) -> bool {
         let length = (to - from).length();
         self.bvh.occluded(&self.primitives, from, (to - from) / length, length - slack)
     }
 
-    /// Returns the light along a unit direction; `pixel` is the angle of one pixel.
+    /// `pixel` is the angle of one pixel.
     pub(super) fn look(&self, origin: Vec3A, direction: Vec3A, pixel: f32, photos: &Photos) -> Seen {
         let Some((t, index)) = self.bvh.nearest(&self.primitives, origin, direction, FAR) else {
             return Seen { light: self.sky.color(direction), distance: None, region: u32::MAX };
@@ -117,7 +117,7 @@ impl World {
         Seen { light, distance: Some(t), region: (index as u32) << 4 | face << 1 | u32::from(lit) }
     }
 
-    /// Returns Lambert and Blinn-Phong, and the visibility of the key light by one shadow ray.
+    /// Lambert and Blinn-Phong, and the visibility of the key light by one shadow ray.
     fn shade(&self, surface: &Surface, albedo: Vec3A) -> (Vec3A, bool) {
         let Surface { point, normal, direction, material, reach } = *surface;
         let [above, below] = self.light.ambient;
@@ -146,7 +146,7 @@ impl World {
         (light, lit)
     }
 
-    /// Returns the ambient attenuation near a room's other surfaces.
+    /// Ambient attenuation near a room's other surfaces.
     fn corner_shade(&self, point: Vec3A, normal: Vec3A) -> f32 {
         let Some(Room { low, high }) = self.room else { return 1.0 };
         let gaps = (point - low).min(high - point).max(Vec3A::ZERO);
@@ -163,7 +163,6 @@ struct Surface<'a> {
     normal: Vec3A,
     direction: Vec3A,
     material: &'a Material,
-    /// Offset of shadow rays from the surface.
     reach: f32,
 }
 

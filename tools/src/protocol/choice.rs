@@ -17,7 +17,7 @@ enum Rule {
     Given(Indices),
     /// Farthest-point sampling from the first frames, or from all.
     Farthest(Option<usize>),
-    /// Evenly from first to last, as the reference for RealEstate10K.
+    /// Evenly from first to last, as in RealEstate10K's reference.
     Even,
 }
 
@@ -99,14 +99,14 @@ impl Setting {
     }
 }
 
-/// Selects non-input frames at equal steps from the first, as the reference for DL3DV.
+/// Equal steps from the first, as in DL3DV's reference.
 fn spread(window: &[usize], inputs: &[usize], count: usize) -> Vec<usize> {
     let others: Vec<usize> = window.iter().copied().filter(|i| !inputs.contains(i)).collect();
     let step = (others.len() / count).max(1);
     others.into_iter().step_by(step).take(count).collect()
 }
 
-/// Selects frames from first to last, rounded down, as the reference for RealEstate10K.
+/// First to last, rounded down, as in RealEstate10K's reference.
 fn even(window: &[usize], count: usize) -> Vec<usize> {
     (0..count).map(|i| window[i * (window.len() - 1) / (count - 1).max(1)]).collect()
 }
@@ -117,8 +117,7 @@ mod tests {
     use glam::DVec3;
     use zipsplat::types::{Camera, Intrinsics, Pose, poses::Frame};
 
-    /// Compares the first scenes in the reference's files for DL3DV with 6 inputs and for
-    /// RealEstate10K.
+    /// From the reference's files for DL3DV with 6 inputs and for RealEstate10K.
     #[test]
     fn frames_are_those_of_the_reference() {
         let frames: Vec<usize> = (0..279).collect();
@@ -127,7 +126,7 @@ mod tests {
         assert_eq!(even(&frames, 6), [0, 55, 111, 166, 222, 278]);
     }
 
-    /// Places frames on a line with doubling steps; the third has no photo.
+    /// Frames on a line with doubling steps; the third has no photo.
     fn line(count: i32) -> Poses {
         let frame = |i: i32| Frame {
             name: i.to_string(),

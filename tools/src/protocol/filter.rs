@@ -43,11 +43,8 @@ impl Filter {
     }
 }
 
-/// Scales a photo to cover a size, with antialiased bilinear weights. Like the reference, rounds
-/// sides to even and truncates values.
-///
-/// # Errors
-/// As [`Filter::cropped`].
+/// Covers a size, with antialiased bilinear weights. Like the reference, rounds sides to even and
+/// truncates values.
 fn cover(photo: &Image, width: u32, height: u32) -> Result<View> {
     photo.validate()?;
     if width == 0 || height == 0 {

@@ -36,7 +36,7 @@ impl Protocol {
         }
     }
 
-    /// Returns the numbers of inputs in the paper's tables 1 to 3.
+    /// From the paper's tables 1 to 3.
     fn views(self) -> &'static [u32] {
         match self {
             Self::Dl3dv => &[6, 12, 24],
@@ -45,7 +45,7 @@ impl Protocol {
         }
     }
 
-    /// Returns the paper's gap for DL3DV, else `None` for all frames.
+    /// `None` for all frames.
     fn gap(self, views: u32) -> Option<usize> {
         match (self, views) {
             (Self::Dl3dv, 6) => Some(50),

@@ -54,7 +54,7 @@ impl Protocol {
         Ok(places)
     }
 
-    /// Describes a scene's files, for messages.
+    /// For messages.
     fn layout(self) -> &'static str {
         match self {
             Self::Dl3dv => "a folder with a transforms.json, directly or in nerfstudio/",
@@ -64,7 +64,6 @@ impl Protocol {
         }
     }
 
-    /// Returns the scene at a path.
     fn at(self, path: &Path, images: Option<&Path>) -> Result<Option<Place>> {
         let place = |cameras: PathBuf, base: &Path, usual: &[&str]| {
             let whole = path.canonicalize().map_err(|error| Error::io(path, error))?;

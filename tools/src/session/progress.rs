@@ -23,14 +23,12 @@ const BETWEEN_LINES: Duration = Duration::from_secs(30);
 const ESTIMABLE: f64 = 0.02;
 const STEPS: u64 = 1000;
 
-/// Part of a command with progress.
 pub struct Stage<'a> {
     bar: ProgressBar,
     cancelled: &'a AtomicBool,
 }
 
 impl<'a> Stage<'a> {
-    /// Creates a hidden stage of `task`.
     pub(super) fn new(name: &str, task: &str, cancelled: &'a AtomicBool) -> Self {
         let bar = ProgressBar::with_draw_target(Some(STEPS), ProgressDrawTarget::hidden());
         let style =
@@ -44,7 +42,6 @@ impl<'a> Stage<'a> {
         Self { bar: bar.with_message(name.to_owned()).with_prefix(task.to_owned()), cancelled }
     }
 
-    /// Runs `body` with progress on standard error.
     pub(super) fn shown<T>(&self, next_line: &Mutex<Instant>, body: impl FnOnce(&Self) -> T) -> T {
         let result = std::thread::scope(|scope| {
             // Dropped with the body, also on a panic, which ends the wait.
@@ -60,20 +57,19 @@ impl<'a> Stage<'a> {
         result
     }
 
-    /// Creates a stage that reports to `bar` only.
     pub fn told_to(bar: &ProgressBar, cancelled: &'a AtomicBool) -> Self {
         bar.set_length(STEPS);
         bar.set_position(0);
         Self { bar: bar.clone(), cancelled }
     }
 
-    /// Sets the finished fraction; `Break` on cancellation.
+    /// `Break` on cancellation.
     pub fn at(&self, fraction: f64) -> ControlFlow<()> {
         self.bar.set_position((fraction * STEPS as f64) as u64);
         if self.cancelled.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
 
-    /// Creates a hidden stage with the same cancellation, for parallel steps.
+    /// Hidden stage with the same cancellation, for parallel steps.
     pub fn silent(&self) -> Stage<'_> {
         Stage { bar: ProgressBar::hidden(), cancelled: self.cancelled }
     }
@@ -82,12 +78,10 @@ impl<'a> Stage<'a> {
         self.bar.set_message(name.to_owned());
     }
 
-    /// Sets the finished fraction, or returns [`Error::Cancelled`].
     pub fn reach(&self, fraction: f64) -> Result<()> {
         if self.at(fraction).is_break() { Err(Error::Cancelled) } else { Ok(()) }
     }
 
-    /// Reports progress by count.
     pub fn each<T, U>(&self, items: &[T], mut body: impl FnMut(&T) -> Result<U>) -> Result<Vec<U>> {
         let (name, all) = (self.bar.message(), items.len());
         let step = |(i, item)| {
@@ -97,13 +91,11 @@ impl<'a> Stage<'a> {
         items.iter().enumerate().map(step).collect()
     }
 
-    /// Returns [`Error::Cancelled`] on cancellation.
     pub fn check(&self) -> Result<()> {
         if self.cancelled.load(Ordering::Relaxed) { Err(Error::Cancelled) } else { Ok(()) }
     }
 }
 
-/// Shows the bar of a long stage.
 fn show_bar(bar: &ProgressBar, done: &Receiver<()>) {
     if done.recv_timeout(PATIENCE) == Err(RecvTimeoutError::Timeout) {
         bar.set_draw_target(ProgressDrawTarget::stderr());
@@ -111,7 +103,6 @@ fn show_bar(bar: &ProgressBar, done: &Receiver<()>) {
     }
 }
 
-/// Prints progress lines until a stage ends.
 fn print_lines(bar: &ProgressBar, done: &Receiver<()>, next_line: &Mutex<Instant>) {
     let due = || next_line.lock().unwrap_or_else(PoisonError::into_inner);
     loop {
@@ -138,7 +129,6 @@ fn progress_line(bar: &ProgressBar) -> String {
     }
 }
 
-/// Estimates the remaining time from the finished steps.
 fn time_left(elapsed: Duration, steps: u64) -> Option<HumanDuration> {
     let fraction = steps as f64 / STEPS as f64;
     (fraction >= ESTIMABLE).then(|| HumanDuration(elapsed.mul_f64((1.0 / fraction - 1.0).max(0.0))))

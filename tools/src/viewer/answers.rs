@@ -22,16 +22,15 @@ const JSON: &str = "application/json";
 pub struct Served<'a> {
     pub config: &'a Config,
     pub scenes: &'a [Scene],
-    /// Photos for scenes on demand.
+    /// Scenes on demand.
     pub ready: Option<&'a Ready<'a>>,
-    /// Running refinement.
     pub watched: Option<&'a Watched>,
     pub studio: &'a Studio,
     pub cancelled: &'a AtomicBool,
 }
 
 impl Served<'_> {
-    /// Answers a path; `None` for unknown ones. Requests with side effects have a `body`.
+    /// Returns `None` for unknown paths. Requests with side effects have a `body`.
     pub fn answer(&self, path: &str, body: Option<&[u8]>) -> Result<Option<Answer>> {
         match (path, body) {
             ("record", Some(body)) => self.record(body).map(Some),
@@ -76,8 +75,8 @@ impl Served<'_> {
         Ok(Some(("image/jpeg", ready.view(i)?)))
     }
 
-    /// Returns the scene at `refined` or `made/RATIO/PRECISION?NUMBER`. Higher numbers overtake it
-    /// unless `kept`.
+    /// Scene at `refined` or `made/RATIO/PRECISION?NUMBER`. Higher numbers overtake it unless
+    /// `kept`.
     fn made(&self, path: &str, kept: bool) -> Result<Option<Made>> {
         if path == "refined" {
             return Ok(self.watched.and_then(Watched::scene));
@@ -109,7 +108,7 @@ fn number(path: &str, folder: &str) -> Option<usize> {
     path.strip_prefix(folder)?.parse().ok()
 }
 
-/// Parses `RATIO/PRECISION[?NUMBER]`.
+/// `RATIO/PRECISION[?NUMBER]`.
 fn asked(words: &str) -> Option<(f64, Precision, Option<u64>)> {
     let (words, number) = words.split_once('?').map_or((words, None), |(words, number)| (words, Some(number)));
     let (ratio, name) = words.split_once('/')?;

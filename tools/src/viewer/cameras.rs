@@ -16,11 +16,11 @@ use zipsplat::{
 const SIDE: u32 = 512;
 const FOV: f64 = 60.0;
 
-/// Quality of served and embedded JPEGs.
+/// Of JPEGs.
 pub const QUALITY: u8 = 90;
 pub const SMALL_QUALITY: u8 = 75;
 
-/// JSON camera of a page: lengths in pixels, camera-to-world, x right, y down, z forward.
+/// JSON: lengths in pixels, camera-to-world, x right, y down, z forward.
 #[derive(Serialize)]
 pub struct InputCamera {
     name: String,
@@ -39,7 +39,6 @@ pub struct InputCamera {
 }
 
 impl InputCamera {
-    /// Places a photo's camera in the scene's world.
     pub fn new(frame: Frame, pose: &Pose, file: Option<PathBuf>) -> Self {
         let Intrinsics { width, height, fx, fy, cx, cy } = frame.camera.intrinsics;
         let (r, t) = (pose.rotation, pose.translation);
@@ -51,12 +50,11 @@ impl InputCamera {
         self.file.is_some()
     }
 
-    /// Sets the photo's address.
     pub fn at(&mut self, address: String) {
         self.photo = Some(address);
     }
 
-    /// Encodes the undistorted photo, at most `side` pixels long; `None` without a photo.
+    /// Undistorted, at most `side` pixels long; `None` without a photo.
     pub fn jpeg(&self, side: Option<u32>) -> Result<Option<Vec<u8>>> {
         let Some(file) = &self.file else { return Ok(None) };
         let photo = self.frame.open(file)?;
@@ -92,7 +90,7 @@ pub fn input_cameras(
     Ok((poses.frames.into_iter().map(camera).collect(), poses.notes))
 }
 
-/// Returns the mean up direction, assuming upright photos on average.
+/// Mean up direction, assuming upright photos on average.
 pub fn vertical(cameras: &[InputCamera]) -> Option<[f64; 3]> {
     let up = cameras.iter().map(|camera| -DVec3::from(camera.matrix.map(|row| row[1]))).sum::<DVec3>();
     up.try_normalize().map(DVec3::into)

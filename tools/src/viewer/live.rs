@@ -1,5 +1,4 @@
-//! Scenes of any compression ratio on demand. The photos' features stay on the device; the rest is
-//! recomputed.
+//! Scenes of any compression ratio on demand, from the photos' features on the device.
 
 use super::page::{Ratios, ShownScene};
 use crate::options::Quality;
@@ -22,21 +21,19 @@ use zipsplat::{
     weights::Checkpoint,
 };
 
-/// Interval of a waiting request's checks.
 const POLL: Duration = Duration::from_millis(5);
 
-/// Photos with features on the device.
 pub struct Live<'a> {
     pub device: Device,
     pub(super) checkpoint: Checkpoint,
     pub(super) quality: &'a Quality,
-    /// Network input pictures.
+    /// Network input.
     pub(super) images: Vec<Image>,
     pub(super) request: Request,
     /// Network's world in the scene's, if different.
     pub(super) turned: Option<Pose>,
     pub(super) name: String,
-    /// By precision; the first one is initial.
+    /// The first precision is initial.
     pub(super) sources: Mutex<Vec<Source>>,
     /// Highest running request, or 0.
     pub(super) latest: AtomicU64,
@@ -49,14 +46,13 @@ pub(super) struct Source {
     pub features: Features,
 }
 
-/// Scene with its JSON description.
 pub struct Made {
     pub scene: Scene,
     pub shown: ShownScene,
 }
 
 impl Made {
-    /// Encodes a line of JSON, then the scene at full precision.
+    /// A line of JSON, then the scene at full precision.
     pub fn encode(mut self) -> Result<Vec<u8>> {
         let begin = Instant::now();
         let ply = encode_scene(&self.scene, SceneFormat::Ply, &WriteOptions::default())?;
@@ -70,11 +66,8 @@ impl Made {
 }
 
 impl Live<'_> {
-    /// Returns the scene of a ratio unless a higher `number` overtakes it: requests may arrive out
-    /// of order. The default is the next number.
-    ///
-    /// # Errors
-    /// As [`Model::reconstruct_features`]; [`Error::Cancelled`] if overtaken.
+    /// Stops if a higher `number` overtakes it: requests may arrive out of order. The default is
+    /// the next number.
     pub fn make(&self, ratio: f64, precision: Precision, number: Option<u64>) -> Result<Made> {
         let own = number.unwrap_or_else(|| self.latest.load(Ordering::SeqCst).saturating_add(1));
         self.latest.fetch_max(own, Ordering::SeqCst);
@@ -125,7 +118,7 @@ impl Live<'_> {
         Ok(Made { scene, shown })
     }
 
-    /// Returns the first precision's tokens, for refinement.
+    /// First precision's, for refinement.
     pub fn tokens(&self) -> Result<SceneTokens> {
         let sources = self.lock(&|| self.cancelled.load(Ordering::Relaxed))?;
         sources[0].model.tokens(&sources[0].features, &self.request, |_| ControlFlow::Continue(()))
@@ -135,7 +128,6 @@ impl Live<'_> {
         self.sources.lock().unwrap_or_else(|poisoned| poisoned.into_inner())[0].features.grid()
     }
 
-    /// Breaks on cancellation.
     pub fn go_on(&self) -> ControlFlow<()> {
         if self.cancelled.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
@@ -156,7 +148,6 @@ impl Live<'_> {
         Ratios { tokens, ratio: self.quality.ratio_of(self.images.len()), precisions }
     }
 
-    /// Waits unless `overtaken`.
     fn lock(&self, overtaken: &dyn Fn() -> bool) -> Result<MutexGuard<'_, Vec<Source>>> {
         loop {
             match self.sources.try_lock() {

@@ -1,4 +1,4 @@
-//! Scene viewer: browser page and local server. The page's sources are in `tools/viewer`.
+//! Scene viewer: browser page and local server.
 
 mod answers;
 mod cameras;
@@ -21,7 +21,7 @@ pub use watched::Watched;
 
 use base64::{Engine, prelude::BASE64_STANDARD};
 
-/// Returns a data URL of an embedded JPEG.
+/// Data URL.
 pub fn within_page(jpeg: &[u8]) -> String {
     format!("data:image/jpeg;base64,{}", BASE64_STANDARD.encode(jpeg))
 }

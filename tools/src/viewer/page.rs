@@ -25,36 +25,32 @@ const WORKER: &str = concat!(include_str!("../../viewer/formats.js"), include_st
 
 #[derive(Default, Serialize)]
 pub struct Config {
-    /// Scenes in slider order.
+    /// In slider order.
     pub scenes: Vec<ShownScene>,
-    /// Input cameras in the scenes' world.
+    /// In the scenes' world.
     pub cameras: Vec<InputCamera>,
-    /// Up direction of the world, if known.
+    /// If known.
     pub up: Option<[f64; 3]>,
-    /// Network input; empty for scene files.
+    /// Empty for scene files.
     pub views: Vec<View>,
     /// Patch rows and columns of a view.
     pub grid: [usize; 2],
-    /// Choices of scenes on demand.
     pub live: Option<Ratios>,
-    /// True during a refinement.
     pub refines: bool,
     /// Sentence under the slider.
     pub note: Option<String>,
 }
 
-/// Scene before loading.
 #[derive(Default, Serialize)]
 pub struct ShownScene {
     pub name: String,
     pub bytes: u64,
     /// Consecutive Gaussians per token.
     pub group: Option<usize>,
-    /// Patch of each token, see [`zipsplat::reconstruct::Reconstruction::patches`].
+    /// Per token, see [`zipsplat::reconstruct::Reconstruction::patches`].
     pub patches: Vec<u32>,
-    /// Milliseconds by stage.
+    /// Milliseconds.
     pub times: Vec<(String, f64)>,
-    /// Skipped stages.
     pub left_out: Vec<LeftOut>,
 }
 
@@ -69,19 +65,18 @@ pub struct View {
 pub struct Ratios {
     pub tokens: usize,
     pub ratio: f64,
-    /// Supported precisions, the initial one first.
+    /// The initial one first.
     pub precisions: Vec<&'static str>,
 }
 
-/// Allowed requests of a page.
 #[derive(Clone, Copy)]
 pub enum Requests {
-    /// No requests: the scenes are embedded.
+    /// The scenes are embedded.
     None,
     Server,
 }
 
-/// Writes a page with the embedded `scenes`, in configuration order.
+/// Embeds `scenes`, in configuration order.
 pub fn write_page(out: &mut dyn Write, config: &Config, requests: Requests, scenes: &[Vec<u8>]) -> Result<()> {
     let names: Vec<&str> = config.scenes.iter().map(|scene| scene.name.as_str()).collect();
     let mut rest = PAGE;
@@ -113,7 +108,7 @@ fn write_scene(out: &mut dyn Write, index: usize, bytes: &[u8]) -> Result<()> {
     out.write_all(b"</script>\n")
 }
 
-/// Restricts a page to its own script and the allowed requests.
+/// Allows only the page's script and these requests.
 fn policy(requests: Requests) -> String {
     let script = BASE64_STANDARD.encode(Sha256::digest(SCRIPT));
     let (connect, image) = match requests {

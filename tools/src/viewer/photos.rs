@@ -34,7 +34,6 @@ use zipsplat::{
     weights::Checkpoint,
 };
 
-/// Options of scenes from photos.
 #[derive(Args)]
 #[command(next_help_heading = "Options of photos")]
 pub struct FromPhotos {
@@ -63,14 +62,14 @@ pub struct FromPhotos {
     refine: RefineOptions,
 }
 
-/// Default and maximum number of ratios in a written page.
+/// Default and maximum number.
 const RATIOS: [f64; 4] = [1.0, 0.5, 0.25, 0.1];
 const MOST_RATIOS: usize = 8;
 
 /// Photos with features on the device, and their cameras.
 pub struct Ready<'a> {
     pub live: Live<'a>,
-    /// Input cameras in the scene's world.
+    /// In the scene's world.
     pub cameras: Vec<InputCamera>,
     names: Vec<String>,
     photos: Vec<PathBuf>,
@@ -79,7 +78,6 @@ pub struct Ready<'a> {
     _folder: Option<FrameFolder>,
 }
 
-/// Photos with any known cameras.
 pub(super) struct Photographed {
     pub photos: Vec<PathBuf>,
     pub known: Option<Known>,
@@ -87,7 +85,6 @@ pub(super) struct Photographed {
 }
 
 impl FromPhotos {
-    /// Opens the network.
     pub fn network(&self) -> Result<Network> {
         self.weights.open_network()
     }
@@ -114,7 +111,7 @@ impl FromPhotos {
         Ok(Photographed { photos, known, folder })
     }
 
-    /// Returns the first given option, for rejection with scene files.
+    /// First given option, for rejection with scene files.
     pub fn given(&self) -> Option<&'static str> {
         let options = [
             ("--weights", !self.weights.is_embedded()),
@@ -135,7 +132,7 @@ impl FromPhotos {
         self.refine.steps().is_some()
     }
 
-    /// Uploads photos and runs the network up to its features.
+    /// Runs the network up to its features.
     pub fn prepare<'a, 's: 'a>(
         &'a self,
         session: &mut Session<'s>,
@@ -196,7 +193,7 @@ impl FromPhotos {
         Ok(Ready { live, cameras, names, photos, frames, cloud, _folder: folder })
     }
 
-    /// Returns the length that is 1 for the network.
+    /// Length that is 1 for the network.
     fn length(
         &self,
         session: &mut Session<'_>,
@@ -210,10 +207,7 @@ impl FromPhotos {
         Ok(unit.length)
     }
 
-    /// Returns the ratios of a written page, descending, without equal numbers of tokens.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for one outside (0, 1], or too many.
+    /// Descending, without equal numbers of tokens.
     pub fn ratios(&self, tokens: usize) -> Result<Vec<f64>> {
         let mut ratios = if self.ratios.is_empty() { RATIOS.to_vec() } else { self.ratios.clone() };
         if let Some(wrong) = ratios.iter().find(|ratio| !(**ratio > 0.0 && **ratio <= 1.0)) {
@@ -227,7 +221,6 @@ impl FromPhotos {
         Ok(ratios)
     }
 
-    /// Prepares a requested refinement.
     pub fn watched(&self, session: &mut Session<'_>, ready: &Ready<'_>) -> Result<Option<Watched>> {
         let (Some(steps), Some(first)) = (self.refine.steps(), ready.frames.first()) else { return Ok(None) };
         let live = &ready.live;
@@ -275,7 +268,7 @@ impl Ready<'_> {
     }
 }
 
-/// Returns cameras in the first one's world.
+/// In the first one's world.
 pub(super) fn input_cameras(photos: &[PathBuf], frames: &[&Frame]) -> Vec<InputCamera> {
     let world = frames.first().map_or(Pose::IDENTITY, |first| first.camera.pose);
     let camera = |(photo, frame): (&PathBuf, &&Frame)| {

@@ -1,4 +1,4 @@
-//! Pixel scenes by Depth Anything 3, for a page.
+//! Pixel scenes for a page.
 
 use super::{
     FromPhotos,
@@ -21,7 +21,7 @@ use zipsplat::{
     weights::DepthCheckpoint,
 };
 
-/// Pixel scenes by ratio, and the photos' cameras in their world.
+/// By ratio, with the photos' cameras in their world.
 pub struct OfPixels {
     pub scenes: Vec<(ShownScene, Scene)>,
     pub cameras: Vec<InputCamera>,
@@ -30,7 +30,6 @@ pub struct OfPixels {
 }
 
 impl FromPhotos {
-    /// Makes a scene for each ratio.
     pub fn of_pixels(
         &self,
         session: &mut Session<'_>,

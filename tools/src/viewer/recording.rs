@@ -20,10 +20,9 @@ use zipsplat::{
     types::{Intrinsics, Scene, poses::read_cameras},
 };
 
-/// Limit of pictures in a recording.
 const MOST: usize = 10_000;
 
-/// Recorder, one recording at a time.
+/// One recording at a time.
 pub struct Studio {
     options: DeviceOptions,
     ffmpeg: PathBuf,
@@ -50,16 +49,11 @@ enum Format {
 }
 
 impl Studio {
-    /// Creates a recorder with a device, or opens that of `options` on first use.
+    /// Without `device`, opens that of `options` on first use.
     pub fn new(device: Option<&Device>, options: DeviceOptions, ffmpeg: PathBuf) -> Self {
         Self { options, ffmpeg, renderer: Mutex::new(device.map(Renderer::new)), bar: ProgressBar::hidden() }
     }
 
-    /// Renders a scene along a path.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for no camera, too many, or MP4 without ffmpeg; those of rendering;
-    /// [`Error::Cancelled`].
     pub fn record(&self, scene: &Scene, wanted: &Wanted, cancelled: &AtomicBool) -> Result<Answer> {
         let folder = Scratch::new()?;
         let path = folder.path().join("camera_path.json");
@@ -93,7 +87,6 @@ impl Studio {
         Ok((kind, bytes))
     }
 
-    /// Returns the finished fraction.
     pub fn done(&self) -> f64 {
         self.bar.position() as f64 / self.bar.length().unwrap_or(1).max(1) as f64
     }

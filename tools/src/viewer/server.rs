@@ -28,18 +28,17 @@ use tokio::{
     time::{sleep, timeout},
 };
 
-/// Interval between checks for Ctrl-C.
 const POLL: Duration = Duration::from_millis(100);
 const TOKEN_BYTES: usize = 16;
-/// Limit of concurrent requests, as one may take long.
+/// One request may take long.
 const WORKERS: usize = 4;
-/// Request body limit in bytes.
+/// In bytes.
 const BODY: usize = 16 << 20;
-/// Request header limit in bytes.
+/// In bytes.
 const HEADER: usize = 1 << 16;
-/// Timeout of a request's header and of its body.
+/// For a header, and for a body.
 const PATIENCE: Duration = Duration::from_secs(10);
-/// Limit of incomplete requests; a new one closes the oldest connection.
+/// A new one closes the oldest connection.
 const INCOMPLETE: usize = 64;
 
 /// Loopback server whose paths all begin with a random token.
@@ -49,12 +48,12 @@ pub struct Server {
     port: u16,
 }
 
-/// Content type, such as `text/html`, and bytes of an answer.
+/// Content type, such as `text/html`, and bytes.
 pub type Answer = (&'static str, Vec<u8>);
 
 type Reply = (StatusCode, Answer);
 
-/// Request for a worker: path behind the token, a POST's body, and reply channel.
+/// Path behind the token, a POST's body, and reply channel.
 struct Job {
     path: String,
     body: Option<Bytes>,
@@ -90,9 +89,6 @@ impl Server {
 
     /// Serves until `stopped`. `answer` gets the path behind the token and the body of a POST; its
     /// errors become answers.
-    ///
-    /// # Errors
-    /// Those of the system, before the first request.
     pub fn serve<E: ToString>(
         &self,
         answer: impl Fn(&str, Option<&[u8]>) -> std::result::Result<Option<Answer>, E> + Sync,
@@ -126,7 +122,7 @@ impl Server {
                     }
                     incomplete.push(Connection::serve(stream, site.clone()));
                 }
-                // For example, too many open files.
+                // Too many open files.
                 Ok(Err(_)) => sleep(POLL).await,
                 Err(_) => {}
             }
@@ -150,7 +146,7 @@ impl Connection {
             .max_buf_size(HEADER)
             .serve_connection(TokioIo::new(stream), service);
         let task = tokio::spawn(async {
-            // Client errors: disconnection or invalid HTTP.
+            // Disconnection or invalid HTTP.
             let _ = serving.await;
         });
         Self { task: task.abort_handle(), complete }
@@ -162,7 +158,7 @@ impl Connection {
 }
 
 impl Site {
-    /// Checks a request and passes it to a worker, without a refused request's body.
+    /// Ignores a refused request's body.
     async fn reply(&self, request: Request<Incoming>, complete: &AtomicBool) -> Reply {
         if !is_own(request.headers(), self.port) {
             return text(StatusCode::FORBIDDEN, "not from this page");
@@ -193,7 +189,6 @@ impl Site {
     }
 }
 
-/// Reads a body within size and time limits.
 async fn read(body: Incoming) -> std::result::Result<Bytes, Reply> {
     let too_large = || text(StatusCode::PAYLOAD_TOO_LARGE, "the body is too large");
     if body.size_hint().lower() > BODY as u64 {
@@ -207,7 +202,6 @@ async fn read(body: Incoming) -> std::result::Result<Bytes, Reply> {
     }
 }
 
-/// Answers requests until the channel closes.
 fn work<E: ToString>(
     queue: &Mutex<Receiver<Job>>,
     answer: impl Fn(&str, Option<&[u8]>) -> std::result::Result<Option<Answer>, E>,
@@ -224,14 +218,14 @@ fn work<E: ToString>(
             Ok(Ok(None)) if body.is_some() => text(StatusCode::METHOD_NOT_ALLOWED, "takes no POST"),
             Ok(Ok(None)) => text(StatusCode::NOT_FOUND, "nothing here"),
             Ok(Err(error)) => text(StatusCode::INTERNAL_SERVER_ERROR, &error.to_string()),
-            // The panic's message is on standard error.
+            // Standard error has the panic's message.
             Err(_) => text(StatusCode::INTERNAL_SERVER_ERROR, "this request failed, a defect of zipsplat"),
         });
     }
 }
 
-/// Returns true for a request by this machine's name from our own page. Other sites' pages fail
-/// this check. Browsers omit port 80.
+/// Returns true for a request by this machine's name from our own page, not from other sites'.
+/// Browsers omit port 80.
 fn is_own(headers: &HeaderMap, port: u16) -> bool {
     let is_here = |authority: &str| {
         let (name, given) = authority.split_once(':').unwrap_or((authority, "80"));

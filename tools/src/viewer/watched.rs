@@ -20,7 +20,7 @@ use zipsplat::{
     types::{Camera, Image, Scene},
 };
 
-/// Number of intermediate scenes.
+/// Intermediate scenes.
 const SHOWN: usize = 50;
 
 pub enum Start {
@@ -28,7 +28,6 @@ pub enum Start {
     Tokens(SceneTokens),
 }
 
-/// Observable refinement.
 pub struct Watched {
     start: Start,
     tokens: Option<(usize, Vec<u32>)>,
@@ -40,7 +39,7 @@ pub struct Watched {
     pub stop: AtomicBool,
 }
 
-/// JSON progress of a refinement.
+/// JSON.
 #[derive(Clone, Default, Serialize)]
 struct Now {
     step: usize,
@@ -58,7 +57,6 @@ struct Now {
 }
 
 impl Watched {
-    /// Does not start it.
     pub fn new(
         start: Start,
         tokens: Option<(usize, Vec<u32>)>,
@@ -79,7 +77,7 @@ impl Watched {
             if self.stop.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { share }
         };
         let (photos, cameras, request) = (&self.photos, &self.cameras, &self.request);
-        // Separate arena: the slider uses the model's meanwhile.
+        // The slider uses the model's arena meanwhile.
         let arena = Arena::new(&live.device);
         let refined = match &self.start {
             Start::Scene(scene) => refine_scene(&arena, scene, photos, cameras, request, told),

@@ -23,7 +23,7 @@ use zipsplat::{
 pub enum Input {
     /// With the length that is 1 for the network.
     Tokens(Views, f64),
-    /// With the points file of the cameras.
+    /// With the cameras' points file.
     Pixels(Shown, Option<PathBuf>),
 }
 
@@ -34,14 +34,14 @@ pub enum Maker<'a> {
 
 pub struct Scened {
     pub scene: Scene,
-    /// The world of the first photo, if the network found the cameras.
+    /// Present if the network estimated the cameras.
     pub world: Option<World>,
-    /// The network's part of the scene's record.
+    /// Network fields of the record.
     pub record: Value,
 }
 
 impl<'a> Maker<'a> {
-    /// Loads a token network; the returned text identifies the settings of its scenes.
+    /// Also returns text that identifies the settings of its scenes.
     pub fn of_tokens(batch: &Batch, session: &mut Session<'_>, checkpoint: &'a Checkpoint) -> Result<(Self, String)> {
         session.notes(checkpoint.notes());
         batch.quality.check(checkpoint.architecture())?;
@@ -56,7 +56,6 @@ impl<'a> Maker<'a> {
         Ok((Self::Tokens { model: Box::new(model), checkpoint, size }, made_with))
     }
 
-    /// Loads a pixel network, likewise.
     pub fn of_pixels(batch: &Batch, session: &mut Session<'_>, checkpoint: &DepthCheckpoint) -> Result<(Self, String)> {
         let squares = batch.fit.fit == Fit::Squares;
         refuse("--fit squares", squares, "weights of Depth Anything 3", "weights of ZipSplat")?;
@@ -72,7 +71,6 @@ impl<'a> Maker<'a> {
         Ok((Self::Pixels(Box::new(seer)), made_with))
     }
 
-    /// Reads the photos at the network's size; frames carry known cameras.
     pub fn prepare(
         &self,
         batch: &Batch,

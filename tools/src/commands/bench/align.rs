@@ -1,5 +1,3 @@
-//! `zipsplat bench align`.
-
 use super::Spread;
 use crate::{
     align::{Aligned, Method},
@@ -18,14 +16,14 @@ use zipsplat::{
     types::{Camera, Pose},
 };
 
-/// Every photo of this number is aligned; the others make the scene.
+/// One photo in this number is aligned; the others make the scene.
 const ALIGNED_OF: usize = 3;
 
 /// Recovery of perturbed cameras by each way of `eval --align`, on procedural places
 ///
-/// Every third photo of a place is held out; the others make a scene from exact depth. Held-out
-/// cameras are rotated and moved, then aligned. Errors are medians over all photos: degrees, and
-/// shifts in percent of the scene's distance.
+/// Held-out cameras are rotated and moved, then aligned to a scene of the other photos with exact
+/// depth. Errors are medians over all photos: degrees, and shifts in percent of the scene's
+/// distance.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat bench align
@@ -52,7 +50,7 @@ struct Row {
     start: f64,
     degrees: f64,
     percent: f64,
-    /// Photos whose camera improved in both angle and position.
+    /// Photos whose angle and position both improved.
     nearer: usize,
     ms: Spread,
 }
@@ -109,8 +107,7 @@ fn row(renderer: &mut Renderer, captures: &[Capture], method: Method, start: f64
     Ok(Row { method: name, photos, start, degrees: median(degrees), percent: median(percents), nearer, ms })
 }
 
-/// Returns a rotation by `degrees` and a shift by as many percent of distance 1, in directions by
-/// `i`.
+/// Returns a rotation by `degrees`, and a shift by as many percent of distance 1.
 fn wrong(i: usize, degrees: f64) -> Pose {
     let [axis, direction] = [2 * i, 2 * i + 1].map(crate::capture::spread);
     Pose { rotation: DMat3::from_axis_angle(axis, degrees.to_radians()), translation: degrees / 100.0 * direction }

@@ -1,5 +1,3 @@
-//! `zipsplat bench depth`.
-
 use super::{
     Repeats, Spread,
     parts::{self, Part},
@@ -27,7 +25,7 @@ use zipsplat::{
 #[derive(Args)]
 pub struct Depth {
     /// Weights of Depth Anything 3: a name of `zipsplat weights list`, a released file, or
-    /// seeded:NAME for random numbers
+    /// seeded:NAME for random ones
     #[arg(long, value_name = "NAME|PATH|seeded:NAME")]
     weights: String,
     /// Numbers of views
@@ -40,7 +38,7 @@ pub struct Depth {
     arithmetic: ArithmeticOption,
     #[command(flatten)]
     repeats: Repeats,
-    /// Also time the network in PyTorch with this Python, on its GPU or CPU
+    /// Also time PyTorch with this Python, on its GPU or CPU
     #[arg(long, value_name = "PYTHON")]
     pytorch: Option<PathBuf>,
 }
@@ -87,7 +85,7 @@ impl Depth {
         for &(views, size) in &cases {
             let name = format!("{views} views of {size}");
             let found = match session.stage(&name, |stage| self.measure(&model, (views, size), &peak, stage)) {
-                // Running out of memory keeps the earlier measurements.
+                // Keeps earlier measurements.
                 Err(error @ Error::Memory { .. }) if !rows.is_empty() => {
                     session.note(format!("{name}: {error}"));
                     continue;
@@ -111,7 +109,7 @@ impl Depth {
             rows.extend(theirs(&found, &rows));
             Ok(())
         });
-        // Our results, even if PyTorch fails.
+        // Before PyTorch, which may fail.
         session.report(&rows, text)?;
         compared
     }
@@ -154,7 +152,6 @@ fn part_of(row: &ProfileRow) -> String {
     }
 }
 
-/// Sums the median device times of stages that start with `part`.
 fn milliseconds(rows: &[Row], part: &str) -> f64 {
     let stages = rows.iter().map(|row| &row.part).filter(|row| row.kernel.is_empty() && row.stage.starts_with(part));
     stages.map(|row| row.ms.median).sum()

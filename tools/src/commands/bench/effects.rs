@@ -1,5 +1,3 @@
-//! `zipsplat bench render --effects`.
-
 use super::{Repeats, Spread};
 use crate::{
     noise,
@@ -25,7 +23,6 @@ struct Row {
     on: Spread,
 }
 
-/// Measures every effect; bands above 0 come first.
 pub fn run(session: &mut Session<'_>, device: &Device, scene: &Scene, size: Size, repeats: &Repeats) -> Result<()> {
     let stride = scene.sh_coeffs_per_gaussian();
     let sh_coeffs = scene.sh_coeffs.iter().copied().step_by(stride).collect();

@@ -1,5 +1,3 @@
-//! `zipsplat bench forward`.
-
 use super::{
     Repeats, Spread,
     parts::{self, Part},
@@ -53,7 +51,7 @@ pub struct Forward {
     pictures: Option<Size>,
     #[command(flatten)]
     repeats: Repeats,
-    /// Also time the network in PyTorch with this Python, on its GPU or CPU
+    /// Also time PyTorch with this Python, on its GPU or CPU
     #[arg(long, value_name = "PYTHON")]
     pytorch: Option<PathBuf>,
 }
@@ -107,7 +105,7 @@ impl Forward {
             let name = format!("{views} views");
             let measured = session.stage(&name, |stage| self.measure(&model, &images[..*views], request, &peak, stage));
             let measured = match measured {
-                // Running out of memory keeps the earlier measurements.
+                // Keeps earlier measurements.
                 Err(error @ Error::Memory { .. }) if !rows.is_empty() => {
                     session.note(format!("{name}: {error}"));
                     continue;
@@ -132,12 +130,12 @@ impl Forward {
             rows.extend(compared.rows);
             Ok(())
         });
-        // Our results, even if PyTorch fails.
+        // Before PyTorch, which may fail.
         session.report(&rows, text)?;
         compared
     }
 
-    /// Compares times; `totals` are in measurement order.
+    /// `totals` are in measurement order.
     fn compare(&self, python: &Path, checkpoint: &Checkpoint, size: Size, totals: &[Row]) -> Result<Compared> {
         let cases: Vec<(usize, f64)> = totals.iter().map(|row| (row.views, row.ratio)).collect();
         let Repeats { warmup, repeats } = self.repeats;
@@ -171,7 +169,6 @@ impl Forward {
         Ok(Compared { text: format!("PyTorch {} on {}\n{table}", found.torch, found.device), rows })
     }
 
-    /// Times photos to a first picture, for each path of the Gaussians.
     fn to_picture(
         &self,
         model: &Model,
@@ -193,7 +190,7 @@ impl Forward {
             renderer.show(&made.gaussians)?;
             renderer.render_loaded(&[camera], &drawing).map(drop)
         };
-        // Times the first run with its allocation.
+        // The first run includes its allocation.
         model.arena().release()?;
         let (mut renderer, mut of_host) = (Renderer::new(device), Renderer::new(device));
         let mut on_device = || {

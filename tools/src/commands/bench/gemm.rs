@@ -1,5 +1,3 @@
-//! `zipsplat bench gemm`.
-
 use super::{
     Repeats, Spread,
     peak::{self, Rate},
@@ -20,7 +18,7 @@ use zipsplat::{
 };
 use zipsplat_reference::{ops::linear::linear, widen};
 
-/// Rows, inner dimension and columns: ViT-S with 4 views; ViT-G with one view, up and down.
+/// Rows, inner dimension, columns: ViT-S with 4 views; ViT-G with one, up and down.
 const SHAPES: [[usize; 3]; 3] = [[1296, 384, 1536], [324, 1536, 6144], [1300, 1536, 384]];
 
 const CHECKED_ROWS: usize = 16;
@@ -34,16 +32,15 @@ pub struct Gemm {
 
 #[derive(Serialize)]
 struct Row {
-    /// `exact`, `exact q8` with 8-bit weights, or the unit of `fast`, and any shared-memory tile.
+    /// `exact`, `exact q8`, or the matrix unit of `fast`, and any shared-memory tile.
     kernel: String,
     rows: usize,
     inner: usize,
     columns: usize,
     device_ms: Spread,
     device_gflop_per_s: f64,
-    /// Share of the measured rate of lanes or matrix units.
     peak_share: Option<f64>,
-    /// Largest difference over the largest value.
+    /// Relative to the largest value.
     difference: f64,
 }
 
@@ -107,7 +104,6 @@ impl Gemm {
     }
 }
 
-/// Keeps NaN.
 fn larger_or_nan(most: f64, value: f64) -> f64 {
     if value > most || value.is_nan() { value } else { most }
 }
@@ -142,7 +138,6 @@ fn kernels(device: &Device, stage: &Stage<'_>) -> Result<Vec<(String, LinearKern
     Ok(kernels)
 }
 
-/// Returns device times, and the product `[rows, columns]`.
 fn on_device(
     device: &Device,
     [rows, inner, columns]: [usize; 3],

@@ -1,4 +1,4 @@
-//! gsplat on the same scene: needs Python with PyTorch and gsplat, and a CUDA GPU.
+//! gsplat on the same scene, with Python, PyTorch and a CUDA GPU.
 
 use super::python;
 use crate::options::Size;
@@ -12,12 +12,11 @@ use zipsplat::{
 const FILES: [(&str, &str); 2] = [("gsplat_render.py", include_str!("../../../bench/gsplat_render.py")), python::SCENE];
 const NEEDED: &str = "a Python with PyTorch and gsplat, on a CUDA GPU";
 
-/// Checks that `python` can run gsplat.
 pub fn check(python: &Path) -> Result<()> {
     run(Command::new(python).arg("-c").arg(FILES[0].1)).map(drop)
 }
 
-/// Returns milliseconds per frame over `repeats` consecutive frames.
+/// Returns milliseconds per frame over consecutive frames.
 pub fn milliseconds(python: &Path, scene: &Scene, size: Size, repeats: u32) -> Result<f64> {
     let folder = python::folder(&FILES)?;
     let file = folder.path().join("scene.ply");

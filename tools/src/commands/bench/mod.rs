@@ -1,4 +1,4 @@
-//! `zipsplat bench`: medians with least and greatest times.
+//! `zipsplat bench`: median, minimum and maximum times.
 
 mod align;
 mod depth;
@@ -82,7 +82,6 @@ impl Bench {
     }
 }
 
-/// Opens a device that has timestamps.
 fn timed_device(session: &mut Session<'_>) -> Result<Device> {
     let device = session.device()?;
     device.limits().check_timestamps()?;
@@ -97,7 +96,7 @@ struct Spread {
 }
 
 impl Spread {
-    /// Takes the mean of the middle two as median of an even number.
+    /// Averages the middle two of an even number.
     fn of(times: impl IntoIterator<Item = Duration>) -> Self {
         let mut ms: Vec<f64> = times.into_iter().map(|time| 1e3 * time.as_secs_f64()).collect();
         ms.sort_by(f64::total_cmp);
@@ -124,13 +123,13 @@ impl fmt::Display for Spread {
 
 struct Group {
     name: String,
-    /// Commands of one run.
+    /// Per run.
     count: u32,
     flops: u64,
     ms: Spread,
 }
 
-/// Groups profiles of one plan by `name`, in order of first use.
+/// Groups by `name`, in order of first use.
 fn group(profiles: &[Profile], name: impl Fn(&ProfileRow) -> String) -> Vec<Group> {
     let mut order: Vec<String> = Vec::new();
     let mut known: HashMap<String, (u32, u64, Vec<Duration>)> = HashMap::new();

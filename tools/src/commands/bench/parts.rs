@@ -19,7 +19,7 @@ pub struct Part {
     pub ms: Spread,
     pub gflop: f64,
     pub gflop_per_s: f64,
-    /// Share of the measured matrix-product rate; absent without significant arithmetic.
+    /// Absent without significant arithmetic.
     pub peak_share: Option<f64>,
 }
 
@@ -42,8 +42,7 @@ impl Part {
     }
 }
 
-/// Measures the whole on the host, and stages and kernels by timestamps. `write` uploads the inputs
-/// of each run. `stage_of` names a command's stage.
+/// Measures the whole on the host, and parts by timestamps. `write` uploads the inputs of each run.
 pub fn measure(
     run: &mut Run,
     write: impl Fn(&mut Run) -> Result<()>,

@@ -1,5 +1,3 @@
-//! `zipsplat bench peak`.
-
 use super::{Repeats, Spread, timed_device};
 use crate::{
     session::{Session, Stage},
@@ -21,21 +19,20 @@ use zipsplat::{
 };
 use zipsplat_reference::measure::{fma::chains, matrix::products};
 
-/// Bytes of the bandwidth copy, beyond all caches. Binding limits may reduce it.
+/// Bytes of the bandwidth copy, beyond all caches.
 const COPIED: u64 = 512 << 20;
-/// Warm-up of an idle GPU to its sustained clock.
+/// Warm-up to the sustained clock.
 const WAKING: Duration = Duration::from_millis(500);
-/// Shortest dispatch time; dispatches grow to at most twice this.
+/// Shortest dispatch; dispatches take at most twice this.
 const LONG_ENOUGH: Duration = Duration::from_millis(20);
-/// Limit of iterations, so that sums stay exact.
+/// Keeps sums exact.
 const MOST_ITERATIONS: u32 = 1 << 18;
-/// Invocations that fill a GPU or CPU many times over.
+/// Enough to fill a GPU or CPU.
 const THREADS: [usize; 2] = [1 << 22, 1 << 14];
-/// The same in subgroups, for matrix units.
+/// Likewise, for matrix units.
 const SUBGROUPS: [usize; 2] = [1 << 15, 1 << 12];
-/// Tolerance relative to the largest value; results are exact by construction.
+/// Relative to the largest value; results are exact by construction.
 const EQUAL: f64 = 1e-3;
-/// Repeats within other benchmarks.
 pub const BRIEFLY: Repeats = Repeats { warmup: 1, repeats: 5 };
 
 /// Measured device limits: arithmetic on lanes and matrix units, and bandwidth
@@ -54,11 +51,11 @@ pub struct Peak {
 #[derive(Clone, Debug, Serialize)]
 pub struct Rate {
     pub what: String,
-    /// Median rate per second: GFLOP (also for integers), or GB read and written.
+    /// Median GFLOP (also for integers), or GB read and written.
     pub per_s: f64,
     pub unit: &'static str,
     ms: Spread,
-    /// Largest difference over the largest value.
+    /// Relative to the largest value.
     difference: f64,
 }
 
@@ -94,7 +91,7 @@ impl Rate {
     }
 }
 
-/// Measures the limit of matrix products: the fastest matrix units, or else lanes.
+/// Measures the fastest matrix units, or else lanes.
 pub fn of_products(device: &Device, arithmetic: Arithmetic, repeats: Repeats, stage: &Stage<'_>) -> Result<Rate> {
     match arithmetic.quantised.or(arithmetic.linear) {
         Some(units) => matrices(device, units, repeats, stage),
@@ -123,7 +120,7 @@ pub fn fma(device: &Device, repeats: Repeats, stage: &Stage<'_>) -> Result<Rate>
 
 pub fn matrices(device: &Device, units: Units, repeats: Repeats, stage: &Stage<'_>) -> Result<Rate> {
     let [m, n, k] = [units.shape.m, units.shape.n, units.shape.k].map(|side| side as usize);
-    // Small integers: products and sums are exact in every type.
+    // Small integers are exact in every type.
     let whole = |len: usize| -> Vec<f32> { (0..len).map(|i| (i * i % 11 % 9) as f32 - 4.0).collect() };
     let (a, b) = (whole(2 * m * k), whole(MatrixProducts::products(device.limits()) * k * n));
     let of = |iterations| MatrixProducts { units, subgroups: pick(SUBGROUPS, device), iterations, swaps: 0 };
@@ -162,7 +159,6 @@ pub fn copies(device: &Device, repeats: Repeats, stage: &Stage<'_>) -> Result<Ra
     Ok(Rate { what: "copy".into(), per_s, unit: "GB/s", ms, difference: wrong as f64 })
 }
 
-/// Times `counted` commands, after the warm-up.
 fn timed(
     device: &Device,
     run: &mut Run,
@@ -187,7 +183,7 @@ fn timed(
 
 type Recorded = (Tensor, Vec<(Tensor, Vec<u8>)>);
 
-/// Raises the iterations up to [`LONG_ENOUGH`]. Returns them, the times and the result's words.
+/// Raises the iterations up to [`LONG_ENOUGH`].
 fn sustained(
     device: &Device,
     repeats: Repeats,
@@ -218,7 +214,7 @@ fn pick([gpu, cpu]: [usize; 2], device: &Device) -> usize {
     if device.limits().cpu { cpu } else { gpu }
 }
 
-/// Returns the largest difference over the largest value. `truth` repeats; NaN stays NaN.
+/// `truth` repeats; NaN stays NaN.
 fn difference(found: &[f32], truth: &[f64]) -> f64 {
     let most = |most: f64, value: f64| if value > most || value.is_nan() { value } else { most };
     let largest = truth.iter().map(|value| value.abs()).fold(0.0, most);

@@ -8,7 +8,7 @@ use zipsplat::{Error, Result};
 
 pub const SCENE: (&str, &str) = ("scene.py", include_str!("../../../bench/scene.py"));
 
-/// Returns the output of `command`. `option` names the Python option, `needed` its requirement.
+/// `option` names the Python option, `needed` its requirement.
 pub fn run(option: &str, needed: &str, command: &mut Command) -> Result<String> {
     let python = command.get_program().display().to_string();
     let failed = |said: &str| Error::argument(option, format!("{python}: {said}"), needed);

@@ -55,13 +55,12 @@ pub struct Row {
     pub failed: Option<String>,
 }
 
-/// Checks that `python` has the needed packages.
 pub fn check(python: &Path) -> Result<()> {
     let mut command = Command::new(python);
     super::python::run("--pytorch", NEEDED, command.args(["-c", "import torch, numpy, safetensors"])).map(drop)
 }
 
-/// Times a network for each case: views, and share of the tokens.
+/// One case per number of views and share of the tokens.
 pub fn forward(
     python: &Path,
     architecture: &Architecture,
@@ -95,7 +94,7 @@ pub struct DepthRow {
     pub heads_ms: Vec<f64>,
 }
 
-/// Times a depth network for each case: views, and their size.
+/// One case per number of views and size.
 pub fn depth(
     python: &Path,
     architecture: &DepthArchitecture,
@@ -120,7 +119,6 @@ pub struct Steps {
     pub step_ms: Vec<f64>,
 }
 
-/// Checks for the packages of a step.
 pub fn check_refine(python: &Path) -> Result<()> {
     let mut command = Command::new(python);
     super::python::run("--pytorch", REFINE_NEEDED, command.args(["-c", REFINE_FILES[0].1])).map(drop)
@@ -148,7 +146,7 @@ pub fn refine(
 mod tests {
     use super::*;
 
-    /// Includes indirect imports of tools/train and tools/bench.
+    /// Also indirect imports of tools/train and tools/bench.
     #[test]
     fn scripts_find_what_they_import() {
         let tools = Path::new(env!("CARGO_MANIFEST_DIR"));

@@ -1,5 +1,3 @@
-//! `zipsplat bench refine`.
-
 use super::{
     Group, Repeats, Spread, group,
     peak::{self, Rate},
@@ -28,11 +26,11 @@ use zipsplat::{
 
 /// Limit by host memory.
 const MOST_GAUSSIANS: i64 = 50_000_000;
-/// Number of progress checks, excluded from times.
+/// Progress checks, excluded from times.
 const LOOKS: usize = 20;
 const PYTORCH_DEGREE: u32 = 1;
 
-/// Time of a refinement step, by pass, and of the picture of the same cameras
+/// Time of a refinement step, by pass, and of a picture of the same cameras
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat bench refine
@@ -57,7 +55,7 @@ pub struct Refine {
     /// Photos per step, in one batch
     #[arg(long, value_name = "N", default_value = "1", value_parser = clap::value_parser!(u32).range(1..=64))]
     photos: u32,
-    /// Also time the step in PyTorch with this Python, which needs torch, numpy and numba
+    /// Also time PyTorch with this Python, which needs torch, numpy and numba
     #[arg(long, value_name = "PYTHON", num_args = 0..=1, require_equals = true, default_missing_value = "python3")]
     pytorch: Option<PathBuf>,
     #[command(flatten)]
@@ -71,7 +69,7 @@ struct Row {
     height: u32,
     sh_degree: u32,
     photos: usize,
-    /// Pass; `step` for all, `picture` for rendering the same cameras, `host` for host time.
+    /// Pass; `step` for all, `picture` for rendering, `host` for host time.
     what: String,
     commands: u32,
     ms: Spread,
@@ -226,7 +224,7 @@ impl Case {
         }
     }
 
-    /// Returns the largest number of tile intersections of a photo.
+    /// Largest number of a photo.
     fn intersections(&self, device: &Device) -> Result<usize> {
         let mut renderer = Renderer::new(device);
         renderer.load(&self.scene)?;

@@ -1,5 +1,3 @@
-//! `zipsplat bench render`.
-
 use super::{
     Repeats, Spread, effects, group, gsplat,
     peak::{self, Rate},
@@ -55,7 +53,7 @@ pub struct Render {
     /// Instead measure every effect off and on, with the first value of each list
     #[arg(long, conflicts_with = "gsplat")]
     effects: bool,
-    /// Also time gsplat with this Python, which needs PyTorch and gsplat, on a CUDA GPU
+    /// Also time gsplat with this Python, PyTorch and a CUDA GPU
     #[arg(long, value_name = "PYTHON", num_args = 0..=1, require_equals = true, default_missing_value = "python3")]
     gsplat: Option<PathBuf>,
     #[command(flatten)]
@@ -68,7 +66,6 @@ struct Row {
     width: u32,
     height: u32,
     sh_degree: u32,
-    /// Tile intersections.
     intersections: usize,
     /// Pass; `device` for all, `host` for a frame in host memory, `in flight` for pipelined frames,
     /// `gsplat`.
@@ -76,7 +73,7 @@ struct Row {
     commands: u32,
     ms: Spread,
     frames_per_s: f64,
-    /// Bytes of a pass's tensors, each once per command.
+    /// Tensor bytes, each once per command.
     bytes: Option<u64>,
     bandwidth_share: Option<f64>,
 }

@@ -1,5 +1,3 @@
-//! `zipsplat depth`.
-
 mod truth;
 
 use crate::{
@@ -61,8 +59,8 @@ pub struct Depth {
     poses: Option<PathBuf>,
     #[command(flatten)]
     cameras: CamerasFrom,
-    /// Depth in meters, by da3metric-large, from the cameras' focal lengths and positions in
-    /// meters. Without it, depth of single-view networks is aligned to the cameras' points
+    /// Depth in meters, by da3metric-large and the cameras' focal lengths; positions must be in
+    /// meters. Otherwise depth of single-view networks is aligned to the cameras' points
     #[arg(long, alias = "metric", requires = "poses")]
     metres: bool,
     /// Reference photo of the world, counted from 1 [default: the network's choice]
@@ -158,7 +156,6 @@ impl Depth {
         session.report(&json, text)
     }
 
-    /// Checks the output files.
     fn check(&self, files: &[PathBuf]) -> Result<()> {
         let names = names(files);
         let pictures = names.iter().flat_map(|name| [picture(name, "depth"), picture(name, "colors")]);
@@ -172,7 +169,6 @@ impl Depth {
         }
     }
 
-    /// Returns frames and points file of known cameras.
     fn known(&self, files: &[PathBuf]) -> Result<Option<(Vec<Frame>, Option<PathBuf>)>> {
         let Some(poses) = &self.poses else { return Ok(None) };
         let poses = read_poses(poses)?;
@@ -181,7 +177,7 @@ impl Depth {
         Ok(Some((frames, poses.points)))
     }
 
-    /// Writes 16-bit depth at a common scale, and colored depth; returns the levels of one unit.
+    /// Uses a common scale; returns the levels per unit.
     fn save_pictures(&self, depths: &Depths, names: &[String]) -> Result<f32> {
         let size = [depths.width, depths.height];
         let behind: Vec<Vec<f32>> = depths.views.iter().map(DepthView::depth_behind_sky).collect();
@@ -195,7 +191,6 @@ impl Depth {
     }
 }
 
-/// Returns unique names of photos: the stem, numbered if repeated.
 fn names(files: &[PathBuf]) -> Vec<String> {
     let stem = |file: &PathBuf| file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let stems: Vec<String> = files.iter().map(stem).collect();
@@ -254,7 +249,7 @@ const COLORS: [[f64; 3]; 6] = [
     [15.0, 15.0, 50.0],
 ];
 
-/// Colors inverse depth between its 2nd and 98th percentiles.
+/// Spans the 2nd to 98th percentiles of inverse depth.
 fn colored(depth: &[f32], [width, height]: [u32; 2]) -> Result<Image> {
     let nearness: Vec<f64> = depth.iter().map(|&depth| 1.0 / f64::from(depth.max(f32::MIN_POSITIVE))).collect();
     let mut sorted = nearness.clone();

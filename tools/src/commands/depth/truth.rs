@@ -13,21 +13,19 @@ use zipsplat::{
     },
 };
 
-/// Known cameras, with any exact depth.
 pub struct Truth {
     poses: Poses,
     folder: PathBuf,
 }
 
-/// Medians of the errors over photos.
+/// Medians over photos.
 pub struct Errors {
-    /// Photos with both an estimated and a true camera.
+    /// With both an estimated and a true camera.
     photos: usize,
     /// Degrees, distance over the cameras' extent, and relative focal length, after a similarity;
     /// absent for given or coinciding cameras.
     cameras: Option<[f64; 3]>,
-    /// AbsRel and the share of pixels within a factor of 1.25, with one scale for all photos;
-    /// absent without depth.
+    /// AbsRel and the share of pixels within a factor of 1.25, at one scale; absent without depth.
     depth: Option<[f64; 2]>,
 }
 
@@ -36,10 +34,7 @@ impl Truth {
         Ok(Self { poses: read_poses(folder)?, folder: folder.to_owned() })
     }
 
-    /// Returns the errors of a prediction; cameras count only if the network `found` them.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] without a common photo; those of reading depth.
+    /// Cameras count only if the network `found` them.
     pub fn errors(&self, seen: &Seen, found: bool) -> Result<Errors> {
         let (mut pairs, mut depths) = (Vec::new(), Vec::new());
         let frames = seen.frames()?;
@@ -87,7 +82,7 @@ impl Errors {
     }
 }
 
-/// Returns medians of angle, distance over the extent, and focal length.
+/// Medians of angle, distance over the extent, and focal length.
 fn cameras(pairs: &[(Camera, Camera)]) -> Option<[f64; 3]> {
     let (similarity, _) = Similarity::between(pairs)?;
     let centres = pairs.iter().map(|(_, truth)| truth.pose.translation);
@@ -102,7 +97,7 @@ fn cameras(pairs: &[(Camera, Camera)]) -> Option<[f64; 3]> {
     Some([0, 1, 2].map(|k| median(errors.iter().map(|error| error[k]).collect())))
 }
 
-/// Returns true over predicted depth of known pixels, nearest sampled.
+/// True over predicted depth of known pixels, nearest sampled.
 fn ratios(view: &DepthView, map: &PixelMap, ([width, height], truth): &([u32; 2], Vec<f32>)) -> Vec<f64> {
     let ([columns, _], [from_width, from_height]) = (map.to, map.from);
     let at = |i: usize, axis: usize, from: u32, to: u32| {
@@ -118,8 +113,8 @@ fn ratios(view: &DepthView, map: &PixelMap, ([width, height], truth): &([u32; 2]
     view.depth.iter().enumerate().filter_map(ratio).collect()
 }
 
-/// Returns medians of AbsRel and of the share within a factor of 1.25, scaled by the median of
-/// photo medians.
+/// Medians of AbsRel and of the share within a factor of 1.25, scaled by the median of photo
+/// medians.
 fn depth(photos: Vec<Vec<f64>>) -> Option<[f64; 2]> {
     let photos: Vec<Vec<f64>> = photos.into_iter().filter(|ratios| !ratios.is_empty()).collect();
     if photos.is_empty() {
@@ -129,7 +124,6 @@ fn depth(photos: Vec<Vec<f64>>) -> Option<[f64; 2]> {
     let mean = |ratios: &[f64], of: &dyn Fn(f64) -> f64| {
         ratios.iter().map(|ratio| of(ratio / scale)).sum::<f64>() / ratios.len() as f64
     };
-    // Predicted over true depth is the inverse ratio.
     let relative = |ratio: f64| (1.0 / ratio - 1.0).abs();
     let within = |ratio: f64| f64::from(u8::from(ratio.max(1.0 / ratio) < 1.25));
     let of_photos = |of: &dyn Fn(f64) -> f64| median(photos.iter().map(|ratios| mean(ratios, of)).collect());

@@ -1,5 +1,3 @@
-//! `eval` report on aligned cameras.
-
 use super::one::{cells, cells_of};
 use crate::{
     align::{Aligned, Doubt, MOST_SHIFT, MOST_TURN},
@@ -15,12 +13,12 @@ pub struct AlignedScore {
     ssim: f64,
     nearest_psnr: f64,
     mean_color_psnr: f64,
-    /// PSNR with the given camera.
+    /// With the given camera.
     before_psnr: f64,
     before_ssim: f64,
-    /// Angle from the given camera.
+    /// From the given camera.
     degrees: f64,
-    /// Distance in the cameras' unit.
+    /// In the cameras' unit.
     distance: f64,
     doubt: Option<Doubt>,
     pub lpips: Option<f64>,
@@ -47,16 +45,13 @@ fn scores(capture: &Capture, found: &[Aligned]) -> Vec<AlignedScore> {
     found.iter().zip(before).zip(after).map(row).collect()
 }
 
-/// Summary of alignments.
 #[derive(Serialize)]
 pub struct Alignment {
-    /// Median angle.
     degrees: f64,
-    /// Median distance, in the cameras' unit.
+    /// Median, in the cameras' unit.
     distance: f64,
-    /// Means with the given cameras.
     before: Before,
-    /// Pictures with unreliable scores.
+    /// With unreliable scores.
     doubtful: usize,
     pub rows: Vec<AlignedScore>,
 }
@@ -107,7 +102,6 @@ impl Alignment {
         table
     }
 
-    /// Warns about unreliable scores.
     pub fn doubts(&self) -> Option<String> {
         let count = |doubt| self.rows.iter().filter(|row| row.doubt == Some(doubt)).count();
         let [flat, bound, color] = [Doubt::Flat, Doubt::Bound, Doubt::Color].map(count);

@@ -1,4 +1,4 @@
-//! Pixel-aligned scene: one Gaussian per input pixel, at known depth.
+//! Pixel-aligned scene at known depth.
 
 use crate::{
     capture::{Capture, Choice},
@@ -14,15 +14,11 @@ use zipsplat::{
 
 /// Correlation length of depth errors in pixels.
 const SMOOTH: usize = 14;
-/// Bound of an error in standard deviations, which keeps depth positive.
+/// Bound in standard deviations: depth stays positive.
 const MOST: f64 = 3.0;
 
-/// Returns a scene of the inputs at the network's size, in the capture's world and unit. Depth from
-/// a folder gets relative errors of deviation `noise`.
-///
-/// # Errors
-/// [`Error::Io`] and [`Error::Format`] for a depth file; [`Error::Argument`] for another shape than
-/// the photo's, a distorted lens, or no known depth.
+/// Returns a scene at the network's size, in the capture's world and unit. `noise` is the relative
+/// deviation of depth.
 pub fn scene(folder: &Path, noise: f64, choice: &Choice, capture: &Capture) -> Result<Scene> {
     let mut scene = Scene { sh_degree: 0, ..Scene::default() };
     let views = capture.views.cameras.iter().zip(&capture.views.images);
@@ -40,8 +36,7 @@ pub fn scene(folder: &Path, noise: f64, choice: &Choice, capture: &Capture) -> R
     Ok(scene)
 }
 
-/// Returns unit normal numbers that vary over [`SMOOTH`] pixels: a grid, interpolated with weights
-/// whose squares sum to 1.
+/// Returns unit normal numbers: a grid, interpolated with weights whose squares sum to 1.
 fn smooth(seed: u64, width: usize, height: usize) -> Vec<f64> {
     let mut noise = Noise(seed);
     let columns = width / SMOOTH + 2;
@@ -60,7 +55,7 @@ fn smooth(seed: u64, width: usize, height: usize) -> Vec<f64> {
     (0..width * height).map(value).collect()
 }
 
-/// Returns the depth of each camera pixel, nearest sampled, in the capture's unit.
+/// Nearest sampled, in the capture's unit.
 fn seen(folder: &Path, frame: &Frame, camera: &Camera, unit: f64) -> Result<Vec<f32>> {
     let file = folder.join(Path::new(&frame.name).file_stem().unwrap_or_default()).with_extension("npy");
     if frame.lens.is_some() {
@@ -83,7 +78,6 @@ fn seen(folder: &Path, frame: &Frame, camera: &Camera, unit: f64) -> Result<Vec<
     Ok(rows.iter().flat_map(row).collect())
 }
 
-/// Maps the pixels of `from` to those of `to` along an axis.
 fn pixels(axis: usize, from: &Intrinsics, to: &Intrinsics) -> Vec<usize> {
     let lens = |i: &Intrinsics| if axis == 0 { (i.fx, i.cx, i.width) } else { (i.fy, i.cy, i.height) };
     let ((f, c, count), (to_f, to_c, most)) = (lens(from), lens(to));

@@ -1,5 +1,3 @@
-//! Model, renderer and LPIPS of a run.
-
 use super::{Eval, alignment::Alignment};
 use crate::{
     capture::{Capture, Choice, Posed, Score, draw},
@@ -31,30 +29,26 @@ pub struct Judge<'a> {
     arithmetic: Arithmetic,
     /// Loaded by the first reconstruction.
     model: Option<Model>,
-    /// Pixel network, loaded likewise.
     pub(super) seer: Option<Seer>,
     renderer: Renderer,
     lpips: Option<Perceptual>,
 }
 
-/// Scene with its scores.
 pub struct Judged {
     pub capture: Capture,
     pub made: Made,
-    /// Predictions of the targets, `[height][width][rgb]` in 0..1.
+    /// Targets, `[height][width][rgb]` in 0..1.
     pub drawn: Vec<Vec<f32>>,
     pub scores: Vec<Score>,
-    /// Result of camera alignment.
     pub alignment: Option<Alignment>,
 }
 
-/// Scene with its origin. World: the first input's camera; unit: the network's.
+/// World: the first input's camera; unit: the network's.
 pub struct Made {
     pub scene: Scene,
     /// Absent for external scenes.
     pub network: Option<Network>,
     pub refined: Option<Refined>,
-    /// Initialization of the refinement.
     pub started: &'static str,
 }
 
@@ -82,12 +76,11 @@ impl<'a> Judge<'a> {
         Ok(Self { eval, weights, seeing, device, precision, arithmetic, model, seer, renderer, lpips })
     }
 
-    /// Returns true if alignment and scores include LPIPS.
     pub fn has_lpips(&self) -> bool {
         self.lpips.is_some()
     }
 
-    /// Evaluates a reconstruction or an external scene. `name` is the capture's in a data set.
+    /// `name` is the capture's in a data set.
     pub fn judge(&mut self, session: &mut Session<'_>, choice: &Choice, name: Option<&str>) -> Result<Judged> {
         let (eval, seeing) = (self.eval, self.seeing);
         let (capture, _) = session.stage("load photos", |stage| choice.load(seeing, eval.unit, stage))?;
@@ -110,7 +103,6 @@ impl<'a> Judge<'a> {
         Ok(Judged { capture, made, drawn, scores, alignment })
     }
 
-    /// Refines an external scene if requested, and uploads it.
     fn refined(
         &mut self,
         session: &mut Session<'_>,
@@ -176,7 +168,7 @@ impl<'a> Judge<'a> {
             scene = refined.scene.clone();
         }
         match &world {
-            // The host has not changed the scene.
+            // Unchanged on the host.
             None if refined.is_none() && scene.len() == result.gaussians.len() => {
                 self.renderer.show(&result.gaussians)?;
             }
@@ -211,7 +203,7 @@ impl<'a> Judge<'a> {
     }
 }
 
-/// Refines against the inputs at the compared size.
+/// Compares with the inputs at the compared size.
 fn refine(
     eval: &Eval,
     session: &mut Session<'_>,

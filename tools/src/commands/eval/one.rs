@@ -1,4 +1,4 @@
-//! Photo-by-photo report of one capture.
+//! Report of one capture.
 
 use super::{
     Eval, VIEWS,
@@ -100,7 +100,6 @@ pub fn run(eval: &Eval, session: &mut Session<'_>) -> Result<()> {
     session.report(&json, text)
 }
 
-/// Adds the remedy to a missing-cameras error.
 fn without_cameras(error: Error) -> Error {
     match error {
         Error::Argument { what, found, expected } if what == "poses" => {
@@ -110,13 +109,12 @@ fn without_cameras(error: Error) -> Error {
     }
 }
 
-/// Writes the scene and the comparison, where they were asked for.
 fn save(eval: &Eval, choice: &Choice, judged: &Judged) -> Result<()> {
     let Some(folder) = &eval.output else { return Ok(()) };
     let Judged { capture, made, drawn, .. } = judged;
     outputs::make_folder(folder)?;
     let mut scene = made.scene.clone();
-    // The network's unit is for rendering; files use the known cameras' unit.
+    // Files use the known cameras' unit.
     if !eval.pose_free {
         scene.scale(capture.unit.length as f32);
     }
@@ -141,7 +139,7 @@ pub fn cells(view: &str, [psnr, ssim, nearest, color]: [f64; 4], lpips: Option<f
     [view.to_owned(), db(psnr), format!("{ssim:.3}"), lpips, db(nearest), db(color)]
 }
 
-/// Shows evenly spread photos, two per row: photo, prediction, nearest input.
+/// Two photos per row: photo, prediction, nearest input.
 fn comparison(capture: &Capture, drawn: &[Vec<f32>]) -> Result<Image> {
     let targets = &capture.targets;
     let shown = targets.len().min(SHOWN);

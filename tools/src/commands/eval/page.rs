@@ -6,7 +6,7 @@ use zipsplat::{Result, types::Image};
 
 /// Scenes shown per setting.
 const SHOWN: usize = 24;
-/// Longer side of a picture in pixels.
+/// Longer side in pixels.
 const PICTURE: u32 = 1008;
 
 pub fn page(means: &Means, rows: &[Row]) -> Result<String> {

@@ -20,7 +20,7 @@ use zipsplat::{
 };
 
 impl Eval {
-    /// Checks the options and returns the compared size.
+    /// Returns the compared size.
     pub(super) fn check_pixels(&self, checkpoint: &DepthCheckpoint) -> Result<Size> {
         let tokens = self.refine.is_some_and(|steps| steps.tokens);
         for (option, given) in [("--fit squares", self.fit.fit == Fit::Squares), ("--refine STEPS:tokens", tokens)] {
@@ -35,8 +35,8 @@ impl Eval {
 }
 
 impl Judge<'_> {
-    /// Makes the scene as `reconstruct`, in the capture's world and unit. Without known cameras,
-    /// estimated ones place it.
+    /// Makes the scene in the capture's world and unit. Without known cameras, estimated ones place
+    /// it.
     pub(super) fn of_pixels(
         &mut self,
         session: &mut Session<'_>,

@@ -1,4 +1,4 @@
-//! Records of evaluated scenes, and their means in the paper's layout.
+//! Records of evaluated scenes, and their means.
 
 use crate::{outputs::MADE_BY, photos::folders_in, protocol::Protocol};
 use clap::ValueEnum;
@@ -6,35 +6,32 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use zipsplat::{Result, types::write_atomic};
 
-/// Scores of a scene for one method and choice of frames.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Row {
     pub generator: String,
     pub protocol: String,
-    /// Display name of the method.
     pub method: String,
-    /// True with known cameras.
+    /// Known cameras.
     pub posed: bool,
     pub scene: String,
     pub views: usize,
-    /// Frame selection rule, such as `gap50`.
+    /// Frame selection, such as `gap50`.
     pub rule: String,
-    /// Hash of the inputs of the scores.
+    /// Of the inputs of the scores.
     pub hash: String,
     pub targets: usize,
     pub gaussians: usize,
     pub psnr: f64,
     pub ssim: f64,
     pub lpips: Option<f64>,
-    /// Reconstruction time, if it ran here.
+    /// Absent if reconstructed elsewhere.
     pub seconds: Option<f64>,
-    /// Folder of method and setting.
     #[serde(skip)]
     pub place: PathBuf,
 }
 
 impl Row {
-    /// Returns the record of a scene; its picture lies beside it.
+    /// Its picture lies beside it.
     pub fn file(folder: &Path, scene: &str) -> PathBuf {
         folder.join(format!("{scene}.json"))
     }
@@ -53,7 +50,7 @@ impl Row {
     }
 }
 
-/// Reads all records of a protocol by method, setting and scene.
+/// Sorts by method, setting and scene.
 pub fn read_all(folder: &Path, protocol: Protocol) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     for way in folders_in(folder)? {
@@ -73,7 +70,7 @@ pub fn name_of(protocol: Protocol) -> String {
     protocol.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned())
 }
 
-/// Means over scenes: a line per method, a column group per setting.
+/// A line per method, a column group per setting.
 pub struct Means {
     pub title: String,
     pub headings: Vec<String>,

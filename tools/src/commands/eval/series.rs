@@ -1,4 +1,4 @@
-//! Evaluation of a data set by a protocol, resumable through its folder.
+//! Resumable evaluation of a data set.
 
 use super::{
     Eval, TARGETS,
@@ -67,7 +67,6 @@ struct Series<'a> {
     eval: &'a Eval,
     protocol: Protocol,
     method: String,
-    /// Folder of method and setting.
     folder: PathBuf,
 }
 
@@ -115,7 +114,7 @@ pub fn run(eval: &Eval, protocol: Protocol, session: &mut Session<'_>) -> Result
     let folder = out.join(format!("{}-{posed}-{}", slug(&method), &way[..8]));
     let series = Series { eval, protocol, method, folder };
 
-    // Removes the failure list of an earlier run.
+    // Of an earlier run.
     std::fs::remove_file(out.join(FAILURES)).ok();
     let mut tally = Tally::default();
     let ended = series.run(&places, &settings, &mut judge, &mut tally, session);
@@ -138,7 +137,7 @@ pub fn run(eval: &Eval, protocol: Protocol, session: &mut Session<'_>) -> Result
 }
 
 impl Series<'_> {
-    /// Evaluates scenes until a fatal error or the limit.
+    /// Stops at a fatal error or the limit.
     fn run(
         &self,
         places: &[Place],
@@ -245,7 +244,7 @@ impl Series<'_> {
 }
 
 impl Eval {
-    /// Identifies the settings of the scores, except scene and frames.
+    /// All but scene and frames.
     fn made_with(&self, weights: &Network, seeing: Seeing, precision: &str) -> Result<String> {
         let weights = weights.provenance();
         let of_file = if Path::new(weights).is_file() { stamp(Path::new(weights))? } else { String::new() };
@@ -280,7 +279,6 @@ fn slug(name: &str) -> String {
     letters.collect()
 }
 
-/// Shows evenly spread photos above their predictions.
 fn pictures(judged: &Judged) -> Result<Image> {
     let targets = &judged.capture.targets;
     let shown = targets.len().min(SHOWN);

@@ -1,4 +1,4 @@
-//! External scenes of the input photos.
+//! External scenes.
 
 use super::{depth, judge::Made};
 use crate::{
@@ -24,18 +24,18 @@ const APART: f64 = 0.05;
 
 #[derive(Args)]
 pub struct Theirs {
-    /// Evaluate this external scene of the input photos: PLY, SPZ, .splat or glTF; with --protocol
-    /// a folder of NAME.ply and the like. No reconstruction
+    /// Evaluate this external scene of the input photos, without reconstruction: PLY, SPZ, .splat
+    /// or glTF; with --protocol a folder of NAME.ply and the like
     #[arg(long, value_name = "FILE", conflicts_with_all = ["refine", "ratio", "keep", "disturb", "fit"])]
     scene: Option<PathBuf>,
-    /// Evaluate a pixel-aligned scene, one Gaussian per input pixel, at exact depth. Reads
-    /// FOLDER/NAME.npy for each photo NAME, as `scene` writes it: f32 [height, width], z in the
-    /// cameras' unit, 0 for unknown. With --protocol FOLDER/SCENE/NAME.npy. No reconstruction;
-    /// --refine starts from it
+    /// Evaluate a pixel-aligned scene, one Gaussian per input pixel, at exact depth, without
+    /// reconstruction. Reads FOLDER/NAME.npy for each photo NAME, as `scene` writes it: f32
+    /// [height, width], z in the cameras' unit, 0 for unknown. With --protocol
+    /// FOLDER/SCENE/NAME.npy. --refine starts from it
     #[arg(long, value_name = "FOLDER", conflicts_with_all = ["scene", "ratio", "keep", "disturb", "fit", "pose_free"])]
     from_depth: Option<PathBuf>,
-    /// Add errors to that depth: standard deviation in percent, smooth over patches of 14 pixels
-    /// like network errors, independent between photos
+    /// Standard deviation of errors added to that depth, in percent, smooth over patches of 14
+    /// pixels, independent between photos
     #[arg(long, alias = "depth-noise", value_name = "PERCENT", requires = "from_depth", default_value = "0", value_parser = parse_noise)]
     noise: f64,
     /// World of that scene [default: aligned with --scene-cameras, else the file's, else first]
@@ -63,7 +63,7 @@ enum Whose {
     Turned,
     /// The world of the cameras: 3DGS, brush
     Cameras,
-    /// Any: a similarity between its cameras and the known ones maps it here
+    /// Any, mapped by a similarity between its cameras and the known ones
     Aligned,
 }
 
@@ -73,19 +73,18 @@ enum Opacities {
     Plain,
 }
 
-/// Parses percent that keep depth above 0.
+/// Keeps depth positive.
 fn parse_noise(text: &str) -> Result<f64, String> {
     let percent = text.parse().ok().filter(|percent| (0.0..=30.0).contains(percent));
     percent.ok_or_else(|| "expected percent from 0 to 30".into())
 }
 
 impl Theirs {
-    /// Returns true for any option about reading a scene.
     pub fn says(&self) -> bool {
         self.input.is_given()
     }
 
-    /// Returns the scene file or depth folder; `None` for a reconstruction.
+    /// Returns the scene file or depth folder.
     pub fn given(&self) -> Option<&Path> {
         self.scene.as_deref().or(self.from_depth.as_deref())
     }
@@ -96,8 +95,7 @@ impl Theirs {
         format!("{scene:?} {from_depth:?} {noise:?} {world:?} {scene_cameras:?} {scene_unit:?} {opacities:?}")
     }
 
-    /// Returns the external scene in a capture's world and unit. `name` is the capture's in a data
-    /// set.
+    /// `name` is the capture's in a data set.
     pub fn make(
         &self,
         session: &mut Session<'_>,
@@ -115,7 +113,6 @@ impl Theirs {
         }
     }
 
-    /// Returns the file of the external scene, by protocol scene name.
     pub fn file(&self, name: Option<&str>) -> Result<Option<PathBuf>> {
         let (Some(path), Some(name)) = (&self.scene, name) else { return Ok(self.scene.clone()) };
         let files = SceneFormat::ALL.iter().map(|format| path.join(format!("{name}{}", format.extension())));
@@ -124,7 +121,6 @@ impl Theirs {
         found.map(Some).ok_or_else(|| Error::argument("--scene", path.display(), expected))
     }
 
-    /// Reads the scene into a capture's world and unit.
     fn read(
         &self,
         session: &mut Session<'_>,
@@ -187,22 +183,18 @@ impl Theirs {
     }
 }
 
-/// Maps a scene through the cameras' world to a capture's world and unit; its first input has pose
-/// `first`.
+/// The capture's first input has pose `first`.
 pub fn place(scene: &mut Scene, to_cameras: &Similarity, first: &Pose, capture: &Capture) {
-    // The capture's world is the first input's camera, in its own unit.
     let pose = first.inverse().compose(&to_cameras.pose);
     let pose = Pose { translation: pose.translation / capture.unit.length, ..pose };
     scene.place(to_cameras.scale / capture.unit.length, &pose);
 }
 
-/// Detects plain opacities that were read as logits.
 fn are_plain(scene: &Scene) -> bool {
     // Logistic function of 0 and 1.
     !scene.is_empty() && scene.opacities.iter().all(|opacity| (0.5..=0.731_06).contains(opacity))
 }
 
-/// Undoes the logistic function of plain opacities.
 fn take_plain(scene: &mut Scene, file: &Path) -> Result<()> {
     for (i, opacity) in scene.opacities.iter_mut().enumerate() {
         let plain = (f64::from(*opacity) / (1.0 - f64::from(*opacity))).ln();
@@ -215,8 +207,7 @@ fn take_plain(scene: &mut Scene, file: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Returns the similarity from the scene's cameras to the photos' frames, and the residual over
-/// their spread.
+/// Also returns the residual over their spread.
 pub fn aligned(theirs: &Poses, frames: &[&Frame]) -> Result<(Similarity, f64)> {
     let mut pairs = Vec::new();
     for frame in frames {

@@ -1,5 +1,3 @@
-//! `zipsplat info`.
-
 mod plan;
 
 use self::plan::Refinement;
@@ -57,8 +55,8 @@ pub struct Info {
     /// Also plan pictures of this size, two in flight as in zipsplat render
     #[arg(long, value_name = "WxH", requires = "plan")]
     pictures: Option<Size>,
-    /// Also plan a refinement of the scene against as many photos of this size; with :tokens of the
-    /// network's tokens instead of the Gaussians
+    /// Also plan a refinement against as many photos of this size; with :tokens of the network's
+    /// tokens instead of the Gaussians
     #[arg(long, value_name = "WxH[:tokens|gaussians]", requires = "plan")]
     refine: Option<Refinement>,
     #[command(flatten)]
@@ -68,7 +66,6 @@ pub struct Info {
     all: bool,
 }
 
-/// Makes plan options require --plan.
 fn for_plans(arg: Arg) -> Arg {
     match arg.get_id().as_str() {
         "weights" | "ratio" | "select" | "pool" | "keep" | "size" | "precision" => arg.requires("plan"),
@@ -78,7 +75,6 @@ fn for_plans(arg: Arg) -> Arg {
 }
 
 impl Info {
-    /// Returns true for `--plan`, which needs no device.
     pub fn plans(&self) -> bool {
         self.plan
     }
@@ -99,7 +95,7 @@ impl Info {
     }
 }
 
-/// Treats an unreadable path as a checkpoint; [`Checkpoint::open`] reports it.
+/// [`Checkpoint::open`] reports unreadable paths.
 fn is_scene(path: &Path) -> Result<bool> {
     if path.is_dir() {
         return Err(Error::argument("file", format!("the folder {}", path.display()), "a checkpoint or scene"));
@@ -140,7 +136,6 @@ fn devices(session: &mut Session<'_>) -> Result<()> {
                 if limits.timestamp_bits > 0 { format!("{} ns", limits.timestamp_ns) } else { "none".into() },
             ),
         ];
-        // Writing to a string cannot fail.
         let _ = writeln!(text, "{}: {}, {usable}", device.index, limits.name);
         for (name, value) in rows {
             let _ = writeln!(text, "   {name:<11}{value}");
@@ -149,7 +144,6 @@ fn devices(session: &mut Session<'_>) -> Result<()> {
     session.report(&devices, text)
 }
 
-/// Formats matrix-unit sizes by factor type.
 fn matrices(limits: &Limits) -> String {
     let sides = |shape: MatrixShape| format!("{} x {} x {}", shape.m, shape.n, shape.k);
     let Matrices { f16, bf16, i8 } = limits.matrices;
@@ -228,7 +222,7 @@ fn scene(session: &mut Session<'_>, path: &str, input: &SceneInput) -> Result<()
     let bounds = ranges(scene.means.iter().copied());
     let [scales] = ranges(scene.scales.as_flattened().iter().map(|scale| [*scale]));
     let [opacities] = ranges(scene.opacities.iter().map(|opacity| [*opacity]));
-    // Minimum and maximum corner.
+    // Minimum and maximum.
     let corners = || Some([0, 1].map(|end| bounds.map(|range| range.map_or(f32::NAN, |range| range[end]))));
     let json = json!({
         "path": path, "gaussians": count, "dropped": dropped, "sh_degree": degree, "bounds": bounds[0].and_then(|_| corners()),
@@ -250,7 +244,6 @@ fn scene(session: &mut Session<'_>, path: &str, input: &SceneInput) -> Result<()
     session.report(&json, text)
 }
 
-/// Returns `None` without rows.
 fn ranges<const N: usize>(rows: impl Iterator<Item = [f32; N]>) -> [Option<[f32; 2]>; N] {
     rows.fold([None; N], |ranges: [Option<[f32; 2]>; N], row| {
         std::array::from_fn(|i| {

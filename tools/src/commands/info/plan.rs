@@ -1,5 +1,3 @@
-//! `zipsplat info --plan`.
-
 use super::Info;
 use crate::{
     options::{Network as Weights, Quality, Size, refuse},
@@ -35,7 +33,7 @@ impl FromStr for Refinement {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let (size, moved) = text.split_once(':').unwrap_or((text, "gaussians"));
-        // Same wording as `--refine` of a reconstruction.
+        // Worded like the refinement of a reconstruction.
         let Steps { tokens, .. } =
             format!("0:{moved}").parse().map_err(|_| "expected WxH, WxH:gaussians or WxH:tokens")?;
         Ok(Self { size: size.parse()?, tokens })
@@ -120,7 +118,6 @@ pub fn show(session: &mut Session<'_>, info: &Info, views: usize) -> Result<()> 
     session.report(&json, text + &smaller)
 }
 
-/// Prints the plan from photos to depth, with the cached patches.
 fn show_depth(session: &mut Session<'_>, info: &Info, views: usize, checkpoint: &DepthCheckpoint) -> Result<()> {
     for (option, given) in [
         ("--pictures", info.pictures.is_some()),
@@ -162,7 +159,7 @@ fn show_depth(session: &mut Session<'_>, info: &Info, views: usize, checkpoint: 
     session.report(&json, text)
 }
 
-/// Returns the largest tensors, or all by first use, and a note on the rest.
+/// Also returns a note on omitted tensors.
 fn table(mut rows: Vec<ArenaRow>, all: bool) -> (Table, String) {
     let count = rows.len();
     if !all {
@@ -186,7 +183,7 @@ fn device_name(limits: &Limits) -> &str {
     if limits.name == Limits::default().name { "an ordinary device" } else { &limits.name }
 }
 
-/// Returns `None` without any device, or for a plan of an ordinary device.
+/// `None` without any device, or to plan for an ordinary one.
 fn device(session: &mut Session<'_>) -> Result<Option<Device>> {
     if session.plans_for_none() {
         return Ok(None);

@@ -1,4 +1,4 @@
-//! Network pass of `zipsplat reconstruct`.
+//! Network pass.
 
 use super::Reconstruct;
 use super::placed::Placed;
@@ -25,7 +25,7 @@ use zipsplat::{
     weights::Checkpoint,
 };
 
-/// The stage whose bytes a second are told.
+/// Stage reported with bytes per second.
 pub const LOAD_PHOTOS: &str = "load photos";
 pub const LOAD_WEIGHTS: &str = "load weights";
 
@@ -40,14 +40,14 @@ pub struct Planned<'a> {
 }
 
 pub struct Forward {
-    /// Arena for the next pass, if still allocated.
+    /// For the next pass.
     pub arena: Option<Arena>,
     pub tokens: Option<SceneTokens>,
-    /// Gaussians on the host, after any pruning.
+    /// After any pruning.
     pub scene: Scene,
-    /// Gaussians on the device, if resident.
+    /// If resident.
     pub on_device: Option<DeviceScene>,
-    /// Estimated cameras, if requested.
+    /// If requested.
     pub found: Option<Placed>,
     /// Length in the cameras' unit that is 1 for the network.
     pub length: f64,
@@ -55,13 +55,10 @@ pub struct Forward {
     pub explanation: Option<Explanation>,
     pub peak_bytes: u64,
     pub views_told: String,
-    /// Tokens, cameras and unit.
     pub told: String,
-    /// Bytes per second of loaded weights.
+    /// Of loaded weights.
     pub rate: u64,
-    /// Fields of the JSON record.
     pub json: Vec<(&'static str, Value)>,
-    /// Keeps the weights as planned.
     pub _model: Option<Model>,
 }
 
@@ -100,7 +97,6 @@ impl Forward {
 }
 
 impl Planned<'_> {
-    /// Runs the pass.
     pub fn run(self, session: &mut Session<'_>, device: &Device) -> Result<Forward> {
         let Self { command, checkpoint, photos, poses, frames, size, shape } = self;
         let (quality, fit) = (&command.quality, command.fit.fit);

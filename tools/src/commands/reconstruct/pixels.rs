@@ -1,4 +1,4 @@
-//! Pixel scenes: one Gaussian per confident pixel of a depth network.
+//! Pixel scenes.
 
 use super::{
     Reconstruct,
@@ -44,12 +44,7 @@ impl Reconstruct {
 }
 
 impl Forward {
-    /// Makes the scene in the world of the first camera, with known cameras or those that the
-    /// network has `seen`.
-    ///
-    /// # Errors
-    /// As [`Question::ask`]; [`Error::Argument`] for unknown depth scales, or without confident
-    /// pixels.
+    /// Uses known cameras, or those that the network has `seen`. World: the first camera.
     pub fn of_pixels(
         command: &Reconstruct,
         session: &mut Session<'_>,

@@ -19,16 +19,12 @@ pub struct Placed {
 }
 
 impl Placed {
-    /// Takes one estimate per photo.
+    /// One estimate per photo.
     pub fn new(found: Vec<Result<FoundCamera>>, size: Size) -> Self {
         Self { found, size }
     }
 
-    /// Writes the cameras of the whole photos, with their inliers. Returns a note on photos without
-    /// a camera.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] without any camera; those of reading photos; [`Error::Io`].
+    /// Returns a note on photos without a camera.
     pub fn save(&self, path: &Path, photos: &[PathBuf]) -> Result<Option<String>> {
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let (mut frames, mut fields, mut lost) = (Vec::new(), Vec::new(), Vec::new());
@@ -66,7 +62,6 @@ impl Placed {
         format!("cameras of {} of {of}: {:.0} % of a photo's patches agree (median)\n", found.len(), 100.0 * median)
     }
 
-    /// Returns null for failures.
     pub fn as_json(&self) -> Value {
         let one = |found: &Result<FoundCamera>| match found {
             Ok(FoundCamera { camera, inliers, pairs }) => {

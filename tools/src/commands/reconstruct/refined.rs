@@ -18,7 +18,6 @@ use zipsplat::{
     weights::Checkpoint,
 };
 
-/// Initialization of a refinement.
 #[derive(Clone, Copy)]
 pub enum From {
     Scene(Start),
@@ -38,7 +37,7 @@ pub struct Made {
     pub started: String,
     pub cameras: Vec<Camera>,
     pub request: Refine,
-    /// Time to read the photos.
+    /// Reading of the photos.
     pub load: Duration,
 }
 
@@ -50,7 +49,7 @@ impl Reconstruct {
         }
     }
 
-    /// Refines in the world of the first camera.
+    /// World: the first camera.
     pub fn refine_scene(
         &self,
         session: &mut Session<'_>,

@@ -36,7 +36,7 @@ pub(super) fn build(b: &mut Builder) -> Setting {
 
     let (mut light, sky) = daylight(&mut b.rng);
     if let Key::Sun(towards) = &mut light.key {
-        // Mostly from the street's side: shaded fronts are dull.
+        // Shaded fronts are dull.
         let sunny = b.rng.chance(0.75);
         towards.y = if sunny { -towards.y.abs() } else { towards.y };
     }

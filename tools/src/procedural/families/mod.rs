@@ -90,7 +90,7 @@ fn daylight(rng: &mut Rng) -> (Light, Sky) {
     (Light { key: Key::Sun(sun), color, ambient }, sky)
 }
 
-/// Returns a lamp and light from the walls, without a visible sky.
+/// A lamp and light from the walls, without a visible sky.
 fn lamplight(rng: &mut Rng, lamp: Vec3A, reference: f32) -> (Light, Sky) {
     let warmth = rng.range(0.0, 0.3);
     let color = rng.range(0.5, 1.2) * Vec3A::new(1.0, 1.0 - 0.5 * warmth, 1.0 - warmth);
@@ -100,7 +100,7 @@ fn lamplight(rng: &mut Rng, lamp: Vec3A, reference: f32) -> (Light, Sky) {
     (Light { key: Key::Lamp(lamp, reference), color, ambient }, sky)
 }
 
-/// Returns up to `count` places in a disc, at least `gap` apart.
+/// Up to `count` places in a disc, at least `gap` apart.
 fn scatter(rng: &mut Rng, count: usize, radius: f32, gap: f32) -> Vec<Vec2> {
     let mut places: Vec<Vec2> = Vec::new();
     for _ in 0..8 * count {

@@ -77,7 +77,7 @@ fn dining(b: &mut Builder) {
     }
 }
 
-/// Faces an object's y axis into the room.
+/// y points into the room.
 fn heading(normal: Vec3A) -> f32 {
     normal.y.atan2(normal.x) - FRAC_PI_2
 }

@@ -27,16 +27,15 @@ pub struct Case<'a> {
     /// Rounded type, or [`OWN`].
     pub weights: &'a str,
     pub select: String,
-    /// Share of tokens as on the command line.
+    /// As on the command line.
     pub ratio: String,
     pub settings: String,
-    /// Gaussians per token.
     pub keep: &'a [usize],
     pub refine: Vec<(Start, Steps)>,
 }
 
-/// Returns the combinations in the first arithmetic, without equal results. First values of lists
-/// come first; each ratio is combined with every number of photos.
+/// Returns combinations without equal results. Lists' first values come first; each ratio is
+/// combined with every number of photos.
 pub fn all<'a>(
     args: &Tradeoff,
     architecture: &Architecture,
@@ -81,20 +80,20 @@ pub fn all<'a>(
 }
 
 impl Case<'_> {
-    /// Returns true for all tokens or the first selection, with the first pooling.
+    /// Returns true for all tokens or the first selection, and the first pooling.
     pub fn is_first(&self, args: &Tradeoff) -> bool {
         let chosen = self.shape.kept == Kept::All || self.request.selection == args.select[0];
         chosen && self.request.pool == args.pool[0]
     }
 
-    /// Limits refinement from points alone to a capture's first case.
+    /// Refines from points alone only in a capture's first case.
     fn refinements(&self, args: &Tradeoff, is_new: bool) -> Vec<(Start, Steps)> {
         let default: &[Start] = if self.cloud.is_some() { &[Start::Points, Start::Scene] } else { &[Start::Scene] };
         let starts = args.start.as_deref().unwrap_or(default);
         let pairs = args.refine.iter().flat_map(|steps| starts.iter().map(move |start| (*start, *steps)));
         let follows = |(start, steps): &(Start, Steps)| match start {
             _ if steps.count == 0 || !self.is_first(args) => false,
-            // Token refinement always starts from the scene.
+            // Tokens always start from the scene.
             _ if steps.tokens => *start == Start::Scene,
             Start::Points => is_new,
             _ => true,
@@ -102,7 +101,6 @@ impl Case<'_> {
         pairs.filter(follows).collect()
     }
 
-    /// Returns true for the baseline.
     pub fn is_exact(&self) -> bool {
         self.precision == Precision::Exact.name() && self.weights == OWN
     }

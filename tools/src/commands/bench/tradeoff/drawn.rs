@@ -1,4 +1,4 @@
-//! Pictures of a point, and their scores.
+//! Pictures and scores of a point.
 
 use super::{point::Point, truth::Compared};
 use crate::{
@@ -57,7 +57,7 @@ fn file_bytes(scene: &Scene) -> Result<u64> {
     Ok(path.metadata().map_err(|error| zipsplat::Error::io(&path, error))?.len())
 }
 
-/// Returns the PSNR against pictures of the f64 Gaussians, with the same ones kept.
+/// Keeps the same Gaussians on both sides.
 pub fn psnr_to_f64(
     renderer: &mut Renderer,
     compared: &Compared,

@@ -1,7 +1,7 @@
 //! Plots: the Pareto front, and counterparts of the paper's figures 1, 8, 10, 11 and 12.
 //!
-//! Each varies one setting, by color. Others stay at the first precision, all Gaussians and no
-//! refinement.
+//! Each varies one setting by color, at the first precision, with all Gaussians and without
+//! refinement otherwise.
 
 use super::{
     point::{Point, front, name},
@@ -24,7 +24,7 @@ const GAUSSIANS: Axis<'_> = log("Gaussians");
 const VIEWS: Axis<'_> = linear("input photos");
 const SHARE: Axis<'_> = log("share of tokens");
 
-/// Name of a color's setting, and its value at a point.
+/// Setting by color, and its value at a point.
 type Meaning = (&'static str, fn(&Point) -> String);
 
 const PHOTOS: Meaning = ("input photos", |p| p.views.to_string());
@@ -110,7 +110,7 @@ fn those<'a>(points: &[Numbered<'a>], keeps: impl Fn(&Point) -> bool) -> Vec<Num
     points.iter().copied().filter(|(_, p)| keeps(p)).collect()
 }
 
-/// Plots deviations from f64; empty without results.
+/// Empty without results.
 pub fn deviations(points: &[Point]) -> Vec<(&'static str, String)> {
     let keep = points.iter().map(|p| p.keep).max().unwrap_or(0);
     let own = name(&Selection::KMEANS);
@@ -141,7 +141,6 @@ fn mib(bytes: u64) -> f64 {
     bytes as f64 / f64::from(1 << 20)
 }
 
-/// Plots a line per value, from left to right.
 fn by(
     points: &[Numbered<'_>],
     x: Axis<'_>,
@@ -159,7 +158,6 @@ fn by(
     plot(x, y, meaning.0, &series, None)
 }
 
-/// Groups points by value, in order of first use.
 fn series(points: &[Numbered<'_>], (_, value): Meaning, place: impl Fn(&Point) -> (f64, f64)) -> Vec<Series> {
     let mut series: Vec<Series> = Vec::new();
     for (i, p) in points {

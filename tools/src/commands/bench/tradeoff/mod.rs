@@ -1,5 +1,3 @@
-//! `zipsplat bench tradeoff`.
-
 mod case;
 mod drawn;
 mod figures;
@@ -33,10 +31,9 @@ use zipsplat::{
 
 /// Accuracy against time: a sweep over a capture, as a page with plots and pictures, and as a table
 ///
-/// Reconstructs every combination of the lists and compares it with held-out photos. Options
-/// without effect are not varied. The most informative combinations come first, within --minutes.
-/// The page recommends three settings, fast, balanced and best, and shows picture and command of
-/// every point.
+/// Reconstructs every combination of the lists, most informative first, within --minutes, and
+/// compares it with held-out photos. The page recommends three settings, fast, balanced and best,
+/// and shows picture and command of every point.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat bench tradeoff capture/ -o report/
@@ -70,19 +67,19 @@ pub struct Tradeoff {
     /// Gaussians kept per token, by visibility [default: all, a half, a quarter]
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     keep: Option<Vec<Keep>>,
-    /// Refinement steps, or 100:tokens to refine the scene's tokens. Combined with every number of
-    /// photos and share of the tokens, with all Gaussians and first values otherwise. Always
-    /// includes 0, no refinement
+    /// Refinement steps, or 100:tokens for the scene's tokens. Combined with every number of photos
+    /// and share of the tokens, with all Gaussians and first values otherwise. Always includes 0,
+    /// no refinement
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "0,10,50")]
     refine: Vec<Steps>,
-    /// Initializations of the refinement. Points need no network, and follow on every number of
-    /// photos [default: scene, and points if the capture has them]
+    /// Initializations of the refinement. Points need no network [default: scene, and points if the
+    /// capture has them]
     #[arg(long, value_name = "LIST", value_delimiter = ',', value_enum)]
     start: Option<Vec<Start>>,
     /// Arithmetics: exact, fast, fast-bf16, turbo [default: all that the device has]
     #[arg(long, value_name = "LIST", value_delimiter = ',', value_enum)]
     precision: Option<Vec<PrecisionName>>,
-    /// Types to round the weights to, as `convert --dtype` does: f16, bf16, q8. Combined with every
+    /// Types to round the weights to, as `convert --dtype`: f16, bf16, q8. Combined with every
     /// number of photos and share of the tokens, and first values otherwise. Always includes own,
     /// the weights as stored
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "q8", value_parser = rounded::parse)]
@@ -114,7 +111,6 @@ pub struct Tradeoff {
     overwrite: Overwrite,
 }
 
-/// `None` measures every point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Minutes(Option<Duration>);
 
@@ -181,7 +177,7 @@ impl Tradeoff {
         session.report(&sweep.points, text)
     }
 
-    /// Returns the arithmetics asked for, or all supported ones, the baseline `exact` first.
+    /// All by default, `exact` first.
     fn arithmetics(
         &self,
         session: &mut Session<'_>,

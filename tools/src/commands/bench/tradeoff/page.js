@@ -1,4 +1,3 @@
-// Shows picture and command of the selected point.
 let shown = null;
 function show(panel) {
   if (shown) shown.hidden = true;

@@ -1,4 +1,4 @@
-//! Self-contained HTML report.
+//! HTML report.
 
 use super::{
     Tradeoff, figures,
@@ -14,7 +14,7 @@ use std::time::Duration;
 use zipsplat::Result;
 
 const SCRIPT: &str = include_str!("page.js");
-/// Longer side of a picture in pixels.
+/// Longer side in pixels.
 const PICTURE: u32 = 252;
 
 const DEVIATIONS: &str = "The same network in f64 on the CPU, for reconstructions of at most 20 GFLOP from the most photos. All \

@@ -9,7 +9,6 @@ use zipsplat::reconstruct::Selection;
 pub struct Point {
     pub views: usize,
     pub precision: String,
-    /// Type of the rounded weights; `own` as stored.
     pub weights: String,
     pub weight_bytes: u64,
     /// Kept share.
@@ -17,11 +16,11 @@ pub struct Point {
     /// As on the command line, including `auto`.
     #[serde(skip)]
     pub asked_ratio: String,
-    /// Selection; `all` without any.
+    /// `all` without any.
     pub select: String,
     pub pool: usize,
     pub keep: usize,
-    /// As on the command line; `0` for none.
+    /// `0` for none.
     pub refine: String,
     /// Empty without refinement.
     pub init: String,
@@ -38,10 +37,10 @@ pub struct Point {
     pub file_bytes: u64,
     pub psnr: f64,
     pub ssim: f64,
-    /// PSNR against the pictures of `exact` with equal settings; absent for `exact`.
+    /// Against `exact` with equal settings; absent for `exact`.
     pub psnr_to_exact: Option<f64>,
-    /// PSNR against the f64 Gaussians of the same tokens; absent after refinement. This and all
-    /// errors are absent if f64 would take too long.
+    /// Against the f64 Gaussians of the same tokens; absent after refinement. This and all errors
+    /// are absent if f64 would take too long.
     pub psnr_to_f64: Option<f64>,
     /// Relative rms deviations from f64 by stage, before pruning and refinement.
     pub error_backbone: Option<f64>,
@@ -57,7 +56,6 @@ pub struct Point {
 }
 
 impl Point {
-    /// Returns a refinement of the capture's points, without a network.
     pub fn of_points(views: usize, precision: &str) -> Self {
         let words = |word: &str| word.to_owned();
         Self {
@@ -71,7 +69,6 @@ impl Point {
         }
     }
 
-    /// Returns true if only the capture's points were refined.
     pub fn is_of_points(&self) -> bool {
         self.init == "points"
     }
@@ -125,7 +122,7 @@ pub fn name(selection: &Selection) -> String {
     }
 }
 
-/// Returns the Pareto front of time and PSNR, by time.
+/// Returns the Pareto front, by time.
 pub fn front(points: &[Point]) -> Vec<usize> {
     let mut order: Vec<usize> = (0..points.len()).collect();
     order.sort_by(|a, b| {
@@ -215,7 +212,7 @@ pub(super) mod tests {
 
     #[test]
     fn three_points_of_the_front_are_recommended() {
-        // Front: 10, 14, 17, 19.5, 20 dB; half of the gain is reached at 17.
+        // Half of the front's gain, from 10 to 20 dB, is reached at 17.
         let all = [(1.0, 10.0), (2.0, 14.0), (3.0, 13.0), (4.0, 17.0), (8.0, 19.5), (64.0, 20.0)];
         let points: Vec<Point> = all.map(|(ms, psnr)| point(ms, psnr)).into();
         assert_eq!(recommended(&points), [("fast", 3), ("balanced", 4), ("best", 5)]);

@@ -11,7 +11,7 @@ use zipsplat::{
     weights::Checkpoint,
 };
 
-/// Refines a scene against the photos of a capture, as `zipsplat eval --refine STEPS` does.
+/// Refines as `zipsplat eval --refine STEPS`.
 pub fn refine(
     device: &Device,
     (model, checkpoint): (&Model, &Checkpoint),

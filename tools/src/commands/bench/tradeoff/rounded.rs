@@ -17,13 +17,12 @@ pub struct Rounded {
 
 pub const OWN: &str = "own";
 
-/// Returns `None` for weights as stored.
+/// `None` for weights as stored.
 pub fn parse(text: &str) -> Result<Option<Dtype>> {
     let expected = || Error::argument("--dtype", text, format!("{OWN}, f16, bf16 or q8, as a list"));
     if text == OWN { Ok(None) } else { text.parse().map(Some).map_err(|_| expected()) }
 }
 
-/// Rounds the weights to each requested type, except their own.
 pub fn all(args: &Tradeoff, session: &Session<'_>, checkpoint: &Checkpoint) -> Result<Vec<Rounded>> {
     let mut dtypes: Vec<Dtype> = args.dtype.iter().flatten().copied().collect();
     dtypes.dedup();

@@ -1,4 +1,4 @@
-//! Measurement of every combination of settings.
+//! Measurement of all combinations.
 
 use super::{
     Minutes, Tradeoff,
@@ -36,12 +36,12 @@ use zipsplat::{
 #[derive(Default)]
 pub struct Sweep {
     pub points: Vec<Point>,
-    /// Stage times with every token, by number of views.
+    /// With every token, by number of views.
     pub stages: Vec<(usize, StageTimes)>,
-    /// Prediction of the first target, by point.
+    /// First target, by point.
     pub pictures: Vec<Image>,
     pub planned: usize,
-    /// Pictures of `exact`, by number of views, settings and Gaussians kept.
+    /// By number of views, settings and Gaussians kept.
     drawn_exactly: HashMap<(usize, String, usize), Vec<f32>>,
 }
 
@@ -58,7 +58,7 @@ struct Bench<'a> {
 struct Forward {
     made: Reconstruction,
     scene: Scene,
-    /// Median time.
+    /// Median.
     ms: f64,
     views_per_cluster: Option<f64>,
     /// Absent if f64 would take too long.
@@ -78,10 +78,7 @@ pub fn check(args: &Tradeoff, architecture: &Architecture, Size(width, height): 
     Ok(())
 }
 
-/// Measures until the time limit. The other value tells whether the command should stop.
-///
-/// # Errors
-/// If a reconstruction or a picture fails; [`Error::Cancelled`] before the first point.
+/// Measures until the time limit; also returns whether to stop the command.
 pub fn run(
     args: &Tradeoff,
     session: &mut Session<'_>,
@@ -196,7 +193,6 @@ impl Bench<'_> {
         Ok(ControlFlow::Continue(()))
     }
 
-    /// Breaks at the time limit.
     fn add(&mut self, (point, picture): (Point, Image), stage: &Stage<'_>) -> ControlFlow<()> {
         self.sweep.points.push(point);
         self.sweep.pictures.push(picture);
@@ -290,7 +286,6 @@ impl Bench<'_> {
         Ok((point, drawn.picture(case.capture)?))
     }
 
-    /// Returns settings with all Gaussians and without refinement.
     fn settings(&self, model: &Model, case: &Case<'_>, forward: &Forward) -> Point {
         let shape = case.shape;
         let error = |of: fn(&Errors) -> f64| forward.compared.as_ref().map(|compared| of(&compared.errors));
@@ -322,7 +317,6 @@ impl Bench<'_> {
     }
 }
 
-/// Returns the chosen tokens, and with k-means the mean number of views per cluster.
 fn chosen(model: &Model, case: &Case<'_>, images: &[Image]) -> Result<(Vec<u32>, Option<f64>)> {
     let (all, count) = (case.shape.grid.tokens(), case.shape.tokens);
     match (case.shape.kept, &case.request.selection) {

@@ -1,7 +1,7 @@
 //! Deviation of a reconstruction from f64, stage by stage.
 //!
-//! All precisions use the tokens of the first one: rounding may flip a near tie of k-means, which
-//! is no arithmetic error.
+//! All precisions use the first one's tokens: rounding may flip a near tie of k-means, which is no
+//! arithmetic error.
 
 use crate::capture::Capture;
 use std::{collections::HashMap, ops::Range};
@@ -18,13 +18,13 @@ use zipsplat_reference::{
     model::{Architecture, Model as Reference},
 };
 
-/// Limit of an f64 reference, some seconds on a CPU.
+/// Limit of an f64 reference: seconds on a CPU.
 pub const MOST_FLOPS: u64 = 20_000_000_000;
 
 /// Relative rms deviations from f64.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Errors {
-    /// Tokens of all output layers, the input of clustering and fusion.
+    /// Tokens of all output layers.
     pub backbone: f64,
     /// Scene tokens after the last block.
     pub fuse: f64,
@@ -35,7 +35,6 @@ pub struct Errors {
     pub sh_coeffs: f64,
 }
 
-/// Deviations from f64 for the same tokens.
 pub struct Compared {
     pub errors: Errors,
     pub scene: Scene,
@@ -44,7 +43,7 @@ pub struct Compared {
 
 pub struct Truth<'a> {
     checkpoint: &'a Checkpoint,
-    /// Loaded on demand: large networks never need it.
+    /// Loaded on demand.
     reference: Option<Reference>,
     /// By number of views and pooling.
     tokens: HashMap<[usize; 2], Tokens>,
@@ -54,7 +53,7 @@ pub struct Truth<'a> {
 
 struct Known {
     chosen: Vec<u32>,
-    /// Every tap after clustering.
+    /// After clustering.
     taps: Taps,
 }
 
@@ -63,8 +62,8 @@ impl<'a> Truth<'a> {
         Self { checkpoint, reference: None, tokens: HashMap::new(), known: HashMap::new() }
     }
 
-    /// Compares a model's reconstruction with f64. `settings` exclude precision. The first call's
-    /// `chosen` tokens apply to all later calls with equal settings.
+    /// Compares a reconstruction with f64. `settings` exclude precision. The first call's `chosen`
+    /// tokens apply to all later calls with equal settings.
     pub fn compare(
         &mut self,
         model: &Model,
@@ -125,7 +124,7 @@ fn observe(model: &Model, images: &[Image], request: &Request) -> Result<(HashMa
     Ok((taps, tensors.read(&run)?))
 }
 
-/// Returns the relative rms difference; NaN for missing values.
+/// Relative rms difference; NaN for missing values.
 fn relative<'a>(found: &[f32], truth: impl IntoIterator<Item = &'a f64>) -> f64 {
     let (mut count, mut squares, mut apart) = (0, 0.0, 0.0);
     for (found, truth) in found.iter().zip(truth) {
