@@ -2,7 +2,7 @@
 
 use super::{
     Adam, Refine, Space, filled,
-    gaussians::{most_together, room, scene_gradients, scene_tensors, together},
+    gaussians::{most_together, scene_gradients, scene_tensors, together},
     planned::record_photos,
     record_adam,
     schedule::Schedule,
@@ -18,7 +18,7 @@ use crate::{
         Architecture,
         gaussians::Head,
         lpips::Lpips,
-        render::{FrameShape, Gradients, SceneTensors, first_capacity},
+        render::{FrameShape, Gradients, SceneTensors, first_capacity, planned_capacity},
     },
     types::{Image, NEAR},
 };
@@ -137,14 +137,15 @@ fn record_steps(
         let cameras = together(request, limits).min(request.views_per_step).min(most_together(pixels));
         let shape = FrameShape { cameras, width, height };
         let mut rec = Recorder::new(limits);
-        let capacity = room(limits, each, cameras, true);
+        let capacity = planned_capacity(limits.max_binding_bytes, each, shape, true);
         record_photos(&mut rec, scene, shape, (capacity, NEAR), Some((request, gradients, lpips)));
         plans.push(rec.finish()?);
     }
     let [width, height] = photo_size(1);
     let mut rec = Recorder::new(limits);
     let shape = FrameShape { cameras: 1, width, height };
-    record_photos(&mut rec, scene, shape, (room(limits, each, 1, false), NEAR), None);
+    let capacity = planned_capacity(limits.max_binding_bytes, each, shape, false);
+    record_photos(&mut rec, scene, shape, (capacity, NEAR), None);
     plans.push(rec.finish()?);
     Ok(())
 }

@@ -16,10 +16,7 @@ use crate::{
 };
 
 /// A plan that draws photos' cameras and, where it learns from the photos, adds to the gradients.
-pub(super) struct Planned {
-    pub shape: FrameShape,
-    /// Room for intersections.
-    pub capacity: usize,
+pub(super) struct PhotoPlan {
     pub run: Run,
     pub recorded: Recorded,
 }
@@ -113,13 +110,7 @@ fn record_look(
     Some((weight, lpips.record(rec, pictures, Some((share, d_frames))).value))
 }
 
-/// Bytes of the largest list of a picture's intersections, for each.
-pub(super) fn intersection_bytes(learns: bool) -> u64 {
-    // The backward pass has six moments.
-    if learns { 24 } else { 4 }
-}
-
-impl Planned {
+impl PhotoPlan {
     /// Gives it its cameras and photos.
     pub fn write(&mut self, views: &[&View]) -> Result<()> {
         let cameras: Vec<CameraRows> = views.iter().map(|view| camera_rows(&view.camera)).collect();
