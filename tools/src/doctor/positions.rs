@@ -73,7 +73,7 @@ struct Inputs {
 
 impl Problem {
     fn inputs(&self) -> Inputs {
-        let mut noise = Noise(self.dim as u64);
+        let mut noise = Noise::new(self.dim as u64);
         let projection = noise.values(self.positions().len() * HEADS * self.dim).into_iter().map(self.value).collect();
         Inputs { projection, weight: noise.values(self.dim), bias: noise.values(self.dim) }
     }
@@ -225,12 +225,12 @@ impl case::Problem for Embedding {
     type Fault = EmbeddingFault;
 
     fn compute(&self, _: &Device, _: Mode) -> Result<Vec<f32>> {
-        let learned = Noise(8).values((1 + SIDE * SIDE) * WIDTH);
+        let learned = Noise::new(8).values((1 + SIDE * SIDE) * WIDTH);
         Ok(interpolate_positions(&learned, SIDE, WIDTH, self.rows, self.columns))
     }
 
     fn truth(&self, _: Mode) -> Vec<f64> {
-        let learned = widen(&Noise(8).values((1 + SIDE * SIDE) * WIDTH));
+        let learned = widen(&Noise::new(8).values((1 + SIDE * SIDE) * WIDTH));
         interpolate(&learned, WIDTH, self.rows, self.columns)
     }
 
@@ -240,7 +240,7 @@ impl case::Problem for Embedding {
     }
 
     fn faulty(&self, truth: &Vec<f64>, fault: EmbeddingFault, _: Mode) -> Vec<Vec<f32>> {
-        let learned = Noise(8).values((1 + SIDE * SIDE) * WIDTH);
+        let learned = Noise::new(8).values((1 + SIDE * SIDE) * WIDTH);
         let patch = |place: usize| &truth[place * WIDTH..][..WIDTH];
         let patches = self.rows * self.columns;
         let of = |place: &dyn Fn(usize) -> usize| -> Vec<f32> {

@@ -1,8 +1,9 @@
 //! From linear light to a photo's bytes: white balance, exposure, highlights, sRGB, blur and noise.
 
 use glam::Vec3A;
+use zipsplat::random::mix;
 
-use super::rng::{Rng, mix};
+use super::rng::Rng;
 
 /// Above this linear light, highlights roll off instead of clipping.
 const SHOULDER: f32 = 0.65;

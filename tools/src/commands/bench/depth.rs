@@ -124,7 +124,7 @@ impl Depth {
         peak: &Rate,
         stage: &Stage<'_>,
     ) -> Result<Vec<Row>> {
-        let mut noise = Noise(0);
+        let mut noise = Noise::new(0);
         let images: Vec<Image> = (0..views).map(|_| noise.image(width, height)).collect();
         let request = DepthRequest::default();
         let shape = model.shape(&images, &request)?;

@@ -101,7 +101,7 @@ impl Forward {
         let measure_peak = |stage: &Stage<'_>| peak::of_products(&device, arithmetic, peak::BRIEFLY, stage);
         let (peak, _) = session.stage("peak", measure_peak)?;
         let most = self.views.iter().copied().max().unwrap_or(0).min(MAX_VIEWS);
-        let mut noise = Noise(0);
+        let mut noise = Noise::new(0);
         let images: Vec<Image> = (0..most).map(|_| noise.image(width, height)).collect();
 
         let (mut rows, mut text) = (Vec::new(), String::new());

@@ -81,7 +81,7 @@ impl Gemm {
         stage: &Stage<'_>,
     ) -> Result<Vec<Row>> {
         let [rows, inner, columns] = shape;
-        let mut noise = Noise(0);
+        let mut noise = Noise::new(0);
         let (a, b) = (noise.values(rows * inner), noise.values(inner * columns));
         let (stride, bias) = (rows / CHECKED_ROWS, vec![0.0; columns]);
         let checked: Vec<f32> = a.chunks(inner).step_by(stride).flatten().copied().collect();

@@ -220,14 +220,14 @@ impl Refine {
 
 impl Case {
     fn new(gaussians: usize, sh_degree: u32, size: Size, photos: usize) -> Self {
-        let mut noise = Noise(2);
+        let mut noise = Noise::new(2);
         let camera = |i: usize| {
             let mut camera = noise::camera(size.0, size.1);
             camera.pose.translation.x = 0.01 * i as f64;
             camera
         };
         Self {
-            scene: Noise(1).scene(gaussians, sh_degree),
+            scene: Noise::new(1).scene(gaussians, sh_degree),
             size,
             photos: (0..photos).map(|_| noise.image(size.0, size.1)).collect(),
             cameras: (0..photos).map(camera).collect(),

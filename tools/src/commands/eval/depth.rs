@@ -43,7 +43,7 @@ pub fn scene(folder: &Path, noise: f64, choice: &Choice, capture: &Capture) -> R
 /// Normal numbers of deviation 1 that change over [`SMOOTH`] pixels: independent ones on a grid, and between them sums whose weights have
 /// squares that add up to 1.
 fn smooth(seed: u64, width: usize, height: usize) -> Vec<f64> {
-    let mut noise = Noise(seed);
+    let mut noise = Noise::new(seed);
     let columns = width / SMOOTH + 2;
     // The sum of twelve is as good as normal.
     let mut normal = || (0..12).map(|_| f64::from(noise.uniform(-0.5, 0.5))).sum::<f64>().clamp(-MOST, MOST);

@@ -67,7 +67,7 @@ enum Fault {
 
 impl Problem {
     fn new(count: usize, degree: u32, tiles: impl Fn(usize) -> u32) -> Self {
-        let mut noise = Noise(count as u64 + u64::from(degree));
+        let mut noise = Noise::new(count as u64 + u64::from(degree));
         let scene = noise.scene(count, degree);
         let starts: Vec<u32> = std::iter::once(0)
             .chain((0..count).scan(0, |sum, i| {

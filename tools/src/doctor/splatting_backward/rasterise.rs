@@ -173,7 +173,7 @@ fn pixel(
 impl Problem {
     /// Random gradients, 0 where rounding may flip a threshold.
     fn new(splats: Vec<Splat>) -> Self {
-        let mut noise = Noise(splats.len() as u64);
+        let mut noise = Noise::new(splats.len() as u64);
         let (mut frames, mut d_frames) = (Vec::new(), Vec::new());
         for (_, at) in pixels() {
             let frame = frame(&splats, at);
@@ -306,7 +306,7 @@ impl case::Problem for Problem {
 
 /// Splats of 1 to 10 pixels across the picture, each modified by `change`.
 fn splats(count: usize, change: impl Fn(usize, &mut Splat)) -> Vec<Splat> {
-    let mut noise = Noise(count as u64 + 7);
+    let mut noise = Noise::new(count as u64 + 7);
     let mut one = |i: usize| {
         let mut uniform = |low, high| noise.uniform(low, high);
         let mut splat = Splat {
