@@ -3,7 +3,7 @@
 use super::backbone::block::{Options, block};
 use super::backbone::camera_token::{insert_camera_tokens, learned_camera_tokens};
 use super::backbone::features::feature;
-use super::backbone::patch_embed::{Images, patch_embed};
+use super::backbone::{patch_embed::patch_embed, patchify::Images};
 use super::backbone::{positions::interpolate, rope, tokens::tokens};
 use super::heads::convolution::convolution;
 use super::heads::pixel_shuffle::transposed_convolution;

@@ -2,7 +2,7 @@
 
 use super::{
     Eval, VIEWS,
-    alignment::Alignment,
+    alignment::{Alignment, cells_of},
     judge::{Judge, Judged},
 };
 use crate::{
@@ -124,17 +124,6 @@ fn table(scores: &[Score], mean: &Score) -> Table {
     let mut table = Table::new(1, &["view", "PSNR", "SSIM", "LPIPS", "nearest photo", "mean colour"]);
     scores.iter().chain([mean]).for_each(|score| table.row(cells_of(score)));
     table
-}
-
-pub fn cells_of(score: &Score) -> [String; 6] {
-    cells(&score.view, [score.psnr, score.ssim, score.nearest_psnr, score.mean_color_psnr], score.lpips)
-}
-
-/// PSNR, SSIM, LPIPS and the PSNR of the two predictions.
-pub fn cells(view: &str, [psnr, ssim, nearest, color]: [f64; 4], lpips: Option<f64>) -> [String; 6] {
-    let db = |value: f64| format!("{value:.2} dB");
-    let lpips = lpips.map_or("-".into(), |lpips| format!("{lpips:.3}"));
-    [view.to_owned(), db(psnr), format!("{ssim:.3}"), lpips, db(nearest), db(color)]
 }
 
 /// For some of the photos, evenly spread, two in a row: the photo, what was drawn, the nearest input.

@@ -13,7 +13,7 @@ use zipsplat::{
     weights::Checkpoint,
 };
 use zipsplat_reference::{
-    backbone::{camera_encoder::Prior, patch_embed::Images},
+    backbone::{camera_encoder::Prior, patchify::Images},
     forward::{self, Taps, Tokens},
     model::{Architecture, Model as Reference},
 };
