@@ -129,10 +129,12 @@ fn unsafe_code_is_where_it_belongs() {
     ];
     for source in folders.iter().flat_map(|folder| files(folder, "rs")) {
         let count = tokens(&source.text).iter().filter(|token| *token == "unsafe").count();
-        let allowed = match UNSAFE.iter().any(|(path, _)| *path == source.path) {
-            true => 1,
-            false if UNSAFE_FOLDERS.iter().any(|folder| source.path.starts_with(folder)) => count,
-            false => 0,
+        let allowed = if UNSAFE.iter().any(|(path, _)| *path == source.path) {
+            1
+        } else if UNSAFE_FOLDERS.iter().any(|folder| source.path.starts_with(folder)) {
+            count
+        } else {
+            0
         };
         assert_eq!(count, allowed, "unsafe in {}", source.path);
     }

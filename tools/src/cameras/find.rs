@@ -271,10 +271,12 @@ impl<'a> Search<'a> {
             if joined(&models) > joined(&best) || as_many {
                 best = models;
             }
-            next = match mapping.refines_lens {
-                true if !likely(&best) => Some(Mapping::FIXED_LENS),
-                true if joined(&best) < enough => others.next(),
-                _ => None,
+            next = if mapping.refines_lens && !likely(&best) {
+                Some(Mapping::FIXED_LENS)
+            } else if mapping.refines_lens && joined(&best) < enough {
+                others.next()
+            } else {
+                None
             };
         }
         Ok((best, attempts))

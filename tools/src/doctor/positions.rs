@@ -80,10 +80,11 @@ impl Problem {
 
     fn positions(&self) -> Vec<[f64; 2]> {
         let Self { rows, columns, .. } = *self;
-        match self.global {
+        if self.global {
             // Shifted to put patches at the origin: only differences matter.
-            true => global_positions(rows, columns).into_iter().map(|place| place.map(|step| step - 1.0)).collect(),
-            false => local_positions(rows, columns),
+            global_positions(rows, columns).into_iter().map(|place| place.map(|step| step - 1.0)).collect()
+        } else {
+            local_positions(rows, columns)
         }
     }
 

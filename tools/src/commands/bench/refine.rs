@@ -188,9 +188,10 @@ impl Refine {
                 times.push(last.elapsed());
             }
             last = Instant::now();
-            match times.len() < counted {
-                true => stage.at(0.5 + 0.5 * times.len() as f64 / counted as f64),
-                false => ControlFlow::Break(()),
+            if times.len() < counted {
+                stage.at(0.5 + 0.5 * times.len() as f64 / counted as f64)
+            } else {
+                ControlFlow::Break(())
             }
         })?;
         stage.check()?;

@@ -104,9 +104,10 @@ impl Render {
                 }
             }
         }
-        let text = match self.csv {
-            true => outputs::csv(&rows.iter().map(Line::from).collect::<Vec<_>>()),
-            false => format!("{}, {bandwidth}\n{}", device.limits().name, table(&rows)),
+        let text = if self.csv {
+            outputs::csv(&rows.iter().map(Line::from).collect::<Vec<_>>())
+        } else {
+            format!("{}, {bandwidth}\n{}", device.limits().name, table(&rows))
         };
         session.report(&rows, text)
     }

@@ -44,9 +44,10 @@ pub struct Made {
 impl Reconstruct {
     /// The thing that these steps begin with.
     pub fn start_of(&self, steps: Steps, cloud: Option<&PointCloud>) -> From {
-        match steps.tokens {
-            true => From::Tokens,
-            false => From::Scene(Start::or_best(self.refine.start, cloud, self.weights.is_embedded())),
+        if steps.tokens {
+            From::Tokens
+        } else {
+            From::Scene(Start::or_best(self.refine.start, cloud, self.weights.is_embedded()))
         }
     }
 

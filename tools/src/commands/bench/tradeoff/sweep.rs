@@ -233,9 +233,10 @@ impl Bench<'_> {
         }
         let (chosen, views_per_cluster) = chosen(model, case, &images)?;
         stage.check()?;
-        let compared = match flops <= MOST_FLOPS {
-            true => Some(self.truth.compare(model, capture, &case.request, &case.settings, chosen)?),
-            false => None,
+        let compared = if flops <= MOST_FLOPS {
+            Some(self.truth.compare(model, capture, &case.request, &case.settings, chosen)?)
+        } else {
+            None
         };
         let scene = made.scene()?;
         Ok(Forward { made, scene, ms: Spread::of(times).median, views_per_cluster, compared })
