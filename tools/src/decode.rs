@@ -32,7 +32,8 @@ const MOST_LINES: usize = 3;
 /// [`Error::Format`] in ffmpeg's words where the file cannot be read, [`Error::Io`] where ffmpeg fails without any, those of `take`,
 /// and [`Error::Cancelled`].
 pub fn decode<T: Send + 'static>(
-    (ffmpeg, file): (&Path, &Path),
+    ffmpeg: &Path,
+    file: &Path,
     options: &[&str],
     stage: &Stage<'_>,
     mut read: impl FnMut(&mut BufReader<ChildStdout>) -> io::Result<Option<T>> + Send + 'static,

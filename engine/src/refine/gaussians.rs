@@ -215,7 +215,7 @@ impl Gaussians {
             let mut rec = Recorder::new(self.arena.device().limits());
             let look = self.look.as_ref().map(|weights| &weights.lpips);
             let learnt = learns.then_some((&self.request, &self.gradients, look));
-            let recorded = record_photos(&mut rec, &self.scene, shape, (capacity, self.near), learnt);
+            let recorded = record_photos(&mut rec, &self.scene, shape, capacity, self.near, learnt);
             let weights = self.look.iter().map(|weights| weights.resident.clone());
             let run = Run::in_arena(&self.arena, 0, rec.finish()?, self.memories.iter().cloned().chain(weights))?;
             Ok(PhotoPlan { run, recorded })

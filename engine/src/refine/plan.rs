@@ -111,7 +111,7 @@ pub fn plan_refinement(
     kept_bytes += look.as_ref().map_or(0, |(parameters, _)| parameters.bytes());
     let lpips = look.as_ref().map(|(_, lpips)| lpips);
     let gradients = Gradients { scene: Some(scene_gradients(gradients)), cameras: None };
-    record_steps(limits, &mut plans, &scene, (&gradients, lpips), [width, height], &request)?;
+    record_steps(limits, &mut plans, &scene, &gradients, lpips, [width, height], &request)?;
     Ok(RefinePlan { kept_bytes, plans })
 }
 
@@ -120,7 +120,8 @@ fn record_steps(
     limits: &Limits,
     plans: &mut Vec<Plan>,
     scene: &SceneTensors,
-    (gradients, lpips): (&Gradients, Option<&Lpips>),
+    gradients: &Gradients,
+    lpips: Option<&Lpips>,
     [width, height]: [u32; 2],
     request: &Refine,
 ) -> Result<()> {
@@ -138,14 +139,14 @@ fn record_steps(
         let shape = FrameShape { cameras, width, height };
         let mut rec = Recorder::new(limits);
         let capacity = planned_capacity(limits.max_binding_bytes, each, shape, true);
-        record_photos(&mut rec, scene, shape, (capacity, NEAR), Some((request, gradients, lpips)));
+        record_photos(&mut rec, scene, shape, capacity, NEAR, Some((request, gradients, lpips)));
         plans.push(rec.finish()?);
     }
     let [width, height] = photo_size(1);
     let mut rec = Recorder::new(limits);
     let shape = FrameShape { cameras: 1, width, height };
     let capacity = planned_capacity(limits.max_binding_bytes, each, shape, false);
-    record_photos(&mut rec, scene, shape, (capacity, NEAR), None);
+    record_photos(&mut rec, scene, shape, capacity, NEAR, None);
     plans.push(rec.finish()?);
     Ok(())
 }

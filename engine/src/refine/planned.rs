@@ -55,7 +55,8 @@ pub(super) fn record_photos(
     rec: &mut Recorder,
     scene: &SceneTensors,
     shape: FrameShape,
-    (capacity, near): (usize, f32),
+    capacity: usize,
+    near: f32,
     learnt: Option<(&Refine, &Gradients, Option<&Lpips>)>,
 ) -> Recorded {
     let FrameShape { cameras: count, width, height } = shape;

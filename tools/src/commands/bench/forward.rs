@@ -253,7 +253,7 @@ impl Forward {
         let peak_bytes = model.weight_bytes() + model.plan(shape)?.bytes();
         let mut run = model.run(plan)?;
         let write = |run: &mut Run| model.write_inputs(run, &tensors, shape, images, request);
-        let parts = parts::measure(&mut run, write, stage_of, (self.repeats, peak), stage)?;
+        let parts = parts::measure(&mut run, write, stage_of, self.repeats, peak, stage)?;
         let row = |part: Part| Row {
             precision: "",
             views: images.len(),

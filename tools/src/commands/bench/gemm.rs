@@ -89,7 +89,7 @@ impl Gemm {
         let largest = expected.iter().fold(0f64, |most, value| most.max(value.abs()));
         let flops = 2 * (rows * inner * columns) as u64;
         let measure = |(name, kernel, peak): &(String, LinearKernel, Rate)| {
-            let (times, product) = on_device(device, shape, *kernel, (&a, &b), self.repeats, stage)?;
+            let (times, product) = on_device(device, shape, *kernel, &a, &b, self.repeats, stage)?;
             let computed = product.chunks(columns).step_by(stride).flatten();
             let apart = expected.iter().zip(computed).map(|(x, &y)| (x - f64::from(y)).abs());
             let device_ms = Spread::of(times);
@@ -150,7 +150,8 @@ fn on_device(
     device: &Device,
     [rows, inner, columns]: [usize; 3],
     kernel: LinearKernel,
-    (a, b): (&[f32], &[f32]),
+    a: &[f32],
+    b: &[f32],
     Repeats { warmup, repeats }: Repeats,
     stage: &Stage<'_>,
 ) -> Result<(Vec<Duration>, Vec<f32>)> {

@@ -40,7 +40,8 @@ impl Judge<'_> {
     pub(super) fn of_pixels(
         &mut self,
         session: &mut Session<'_>,
-        (choice, capture): (&Choice, &Capture),
+        choice: &Choice,
+        capture: &Capture,
         checkpoint: &DepthCheckpoint,
     ) -> Result<Made> {
         let seer = match self.seer.take() {

@@ -1,12 +1,11 @@
 //! The refinement of `zipsplat reconstruct --refine`.
 
-use super::{Forward, Reconstruct};
+use super::{Forward, Posed, Reconstruct};
 use crate::{
     photos,
     refinement::{self, Refinable, Start, Steps},
     session::Session,
 };
-use std::path::PathBuf;
 use zipsplat::{
     Error, Result,
     gpu::{Arena, Device},
@@ -58,10 +57,11 @@ impl Reconstruct {
     pub fn refine_scene(
         &self,
         session: &mut Session<'_>,
-        (steps, start): (Steps, From),
+        steps: Steps,
+        start: From,
         given: Given<'_>,
         cloud: Option<&PointCloud>,
-        (photos, frames): (&[PathBuf], &[&Frame]),
+        Posed { photos, frames, .. }: Posed<'_>,
     ) -> Result<Made> {
         let world = frames[0].camera.pose;
         let camera = |frame: &&Frame| Camera { pose: frame.camera.pose.relative_to(&world), ..frame.camera };
