@@ -25,15 +25,16 @@
 //! # }
 //! ```
 //!
-//! Crates below: [`types`] (`zipsplat-formats`, without GPU) and [`gpu`] (`zipsplat-gpu`, all
-//! Vulkan, no kernels). Modules depend only on earlier ones: `ops` <- `tune` <- `stages` <-
-//! `weights` <- `perceptual` <- `cameras` <- `reconstruct` <- `depth` <- `refine`.
+//! Crates below: [`types`] (`zipsplat-formats`, without GPU), [`gpu`] (`zipsplat-gpu`, all
+//! Vulkan, no kernels) and [`random`]. Modules depend only on earlier ones: `ops` <- `tune` <- `stages` <-
+//! `weights` <- `perceptual` <- `cameras` <- `reconstruct` <- `depth` <- `refine`. `ops`
+//! records dispatches. `tune` selects its kernels as an [`ops::Arithmetic`], by self-tests and
+//! timings. `stages` declare parameters, which `weights` reads.
 
 pub mod cameras;
 pub mod depth;
 pub mod ops;
 pub mod perceptual;
-mod random;
 pub mod reconstruct;
 pub mod refine;
 pub mod stages;
@@ -58,3 +59,5 @@ pub use zipsplat_error::{Error, Result};
 pub use zipsplat_formats as types;
 #[doc(inline)]
 pub use zipsplat_gpu as gpu;
+#[doc(inline)]
+pub use zipsplat_random as random;

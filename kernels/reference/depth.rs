@@ -3,7 +3,7 @@
 use super::backbone::block::{Options, block};
 use super::backbone::camera_token::{insert_camera_tokens, learned_camera_tokens};
 use super::backbone::features::feature;
-use super::backbone::patch_embed::{Images, patch_embed};
+use super::backbone::{patch_embed::patch_embed, patchify::Images};
 use super::backbone::{positions::interpolate, rope, tokens::tokens};
 use super::heads::convolution::convolution;
 use super::heads::pixel_shuffle::transposed_convolution;
@@ -130,12 +130,11 @@ impl Head<'_> {
         let (weight, bias) = (self.weights.get(&format!("{name}.weight")), format!("{name}.bias"));
         let inputs = |outputs: usize| weight.len() / (outputs * x.channels);
         let none;
-        let bias = match self.weights.has(&bias) {
-            true => self.weights.get(&bias),
-            false => {
-                none = vec![0.0; weight.len() / (9 * x.channels)];
-                &none[..]
-            }
+        let bias = if self.weights.has(&bias) {
+            self.weights.get(&bias)
+        } else {
+            none = vec![0.0; weight.len() / (9 * x.channels)];
+            &none[..]
         };
         let side = inputs(bias.len()).isqrt();
         let values = convolution(&x.values, [x.size[1], x.channels], [side, step], weight, bias);

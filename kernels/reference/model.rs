@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use serde_json::Value;
+use zipsplat_random::Random;
 
 use super::ops::layer_norm::layer_norm;
 use super::ops::linear::linear;
@@ -169,7 +170,7 @@ const SHRUNK: [&str; 15] = [
 /// f32, f16 and bf16.
 pub fn generate(config: &str, name: &str, shape: &[usize]) -> Vec<f32> {
     let seed = fnv1a64(format!("{config}/{name}").as_bytes());
-    let bytes = (1..=shape.iter().product::<usize>() as u64).map(|i| (splitmix64(seed, i) >> 56) as u32);
+    let bytes = (0..shape.iter().product::<usize>() as u64).map(|i| (Random::nth(seed, i) >> 56) as u32);
     let shrink = if config.ends_with("_eps") && SHRUNK.iter().any(|part| name.contains(part)) { 64.0 } else { 1.0 };
     // Odd multiples of 1/256 in (-1, 1).
     let signed = |b: u32| (2.0 * b as f32 - 255.0) / 256.0;
@@ -198,12 +199,4 @@ fn weight_amplitude(name: &str, fan_in: usize) -> f32 {
 
 fn fnv1a64(bytes: &[u8]) -> u64 {
     bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, &byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
-}
-
-/// Output `count`, from 1, of splitmix64 (Steele, Lea and Flood 2014).
-fn splitmix64(seed: u64, count: u64) -> u64 {
-    let z = seed.wrapping_add(count.wrapping_mul(0x9e37_79b9_7f4a_7c15));
-    let z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^ (z >> 31)
 }

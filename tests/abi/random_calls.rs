@@ -5,15 +5,12 @@ use crate::calls::*;
 use std::ptr::{null, null_mut};
 use zipsplat_c::*;
 
-/// splitmix64.
-struct Random(u64);
+/// Random arguments.
+struct Random(zipsplat::random::Random);
 
 impl Random {
     fn below(&mut self, bound: usize) -> usize {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) % bound as u64) as usize
+        (self.0.bits() % bound as u64) as usize
     }
 
     fn of<T: Copy>(&mut self, values: &[T]) -> T {
@@ -166,7 +163,7 @@ impl World {
 fn end_in_a_status() {
     let photos = photos(2);
     let images: Vec<_> = photos.iter().map(image_of).collect();
-    let (mut random, mut world) = (Random(1), World::default());
+    let (mut random, mut world) = (Random(zipsplat::random::Random::new(1)), World::default());
     (0..400).for_each(|_| world.step(&mut random, &images));
     assert!(world.succeeded.iter().all(|count| *count > 3), "{:?}", world.succeeded);
     assert!(world.succeeded.iter().sum::<u32>() < 370, "{:?}", world.succeeded);

@@ -50,9 +50,8 @@ fn place(count: usize) -> Place {
 
 impl Place {
     fn in_rust(&self, request: &Refine, stop_after: usize) -> Refined {
-        let progress = |now: zipsplat::refine::Refining<'_>| match now.step == stop_after {
-            true => ControlFlow::Break(()),
-            false => ControlFlow::Continue(()),
+        let progress = |now: zipsplat::refine::Refining<'_>| {
+            if now.step == stop_after { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         };
         refine_scene(&Arena::new(device()), &self.moved, &self.photos, &self.cameras, request, progress)
             .expect("a scene")

@@ -18,6 +18,7 @@ use std::{ops::ControlFlow, sync::OnceLock};
 use zipsplat::{
     gpu::Element,
     ops::Arithmetic,
+    random::Random,
     reconstruct::{Model, Request},
     types::{Image, Scene},
     weights::Checkpoint,
@@ -66,24 +67,13 @@ fn reconstruct(model: &Model, images: &[Image], request: &Request) -> Scene {
     model.reconstruct(images, request, |_| ControlFlow::Continue(())).expect("a scene").scene().unwrap()
 }
 
-/// splitmix64.
-struct Random(u64);
-
-impl Random {
-    fn bits(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
-    fn below(&mut self, bound: usize) -> usize {
-        (self.bits() >> 11) as usize % bound.max(1)
-    }
+/// Returns a random index below `bound`, 0 if `bound` is 0.
+fn below(random: &mut Random, bound: usize) -> usize {
+    (random.bits() >> 11) as usize % bound.max(1)
 }
 
 fn noise(width: u32, height: u32, seed: u64) -> Image {
-    let mut random = Random(seed);
+    let mut random = Random::new(seed);
     let rgb = (0..3 * width * height).map(|_| (random.bits() >> 56) as u8).collect();
     Image::new(width, height, rgb).expect("as many bytes as pixels")
 }

@@ -1,6 +1,8 @@
 //! Cases too slow for `zipsplat doctor`.
 
+use crate::below;
 use zipsplat::{
+    random::Random,
     stages::render::{Depth, Frame, RenderRequest, Renderer},
     types::{Camera, Scene},
 };
@@ -95,13 +97,13 @@ fn pictures_one_pixel_wide() {
 #[test]
 fn absurd_but_finite_values_spread_no_nan() {
     let extremes = [0.0f32, -0.0, 1e-45, 1e-38, 1e-20, 1e20, 1e38, f32::MAX];
-    let mut random = crate::Random(1);
+    let mut random = Random::new(1);
     for round in 0..20 {
         let mut scene = random_scene(400, round % 4, 0.1);
         let coeffs = scene.sh_coeffs_per_gaussian();
         let mut pick = |sign: bool| {
-            let value = extremes[random.below(extremes.len())];
-            if sign && random.below(2) == 1 { -value } else { value }
+            let value = extremes[below(&mut random, extremes.len())];
+            if sign && below(&mut random, 2) == 1 { -value } else { value }
         };
         for i in (0..400).step_by(3) {
             match i % 4 {

@@ -10,7 +10,7 @@ use zipsplat::weights::{DepthArchitecture, DepthCheckpoint};
 use zipsplat_tests::architectures::{depth_micro, depth_micro_alone};
 use zipsplat_tests::compare::{Tolerance, assert_close};
 use zipsplat_tests::device::device;
-use zipsplat_tests::reference::backbone::patch_embed::Images;
+use zipsplat_tests::reference::backbone::patchify::Images;
 use zipsplat_tests::reference::cluster::kmeans::kmeans;
 use zipsplat_tests::reference::depth::{Sizes, View, features, views};
 use zipsplat_tests::reference::model::Weights;

@@ -12,7 +12,7 @@ use zipsplat_tests::compare::{
 use zipsplat_tests::device::device;
 use zipsplat_tests::golden::{self, Golden};
 use zipsplat_tests::networks::{fast_arithmetics, images, model};
-use zipsplat_tests::reference::{backbone::patch_embed::Images, forward, model::Model as Reference};
+use zipsplat_tests::reference::{backbone::patchify::Images, forward, model::Model as Reference};
 
 fn tap_tolerance(arithmetic: Arithmetic, key: &str) -> Tolerance {
     match arithmetic.element {

@@ -6,7 +6,7 @@ use zipsplat_tests::compare::{
 };
 use zipsplat_tests::golden::Golden;
 use zipsplat_tests::reference::backbone::camera_encoder::{Prior, encode, quat_from_rotation};
-use zipsplat_tests::reference::backbone::patch_embed::Images;
+use zipsplat_tests::reference::backbone::patchify::Images;
 use zipsplat_tests::reference::backbone::{positions, rope};
 use zipsplat_tests::reference::cluster::kmeans::{cluster_count, initial_indices, kmeans};
 use zipsplat_tests::reference::forward::{self, Tokens};

@@ -167,10 +167,7 @@ impl Choice {
         let read = photos::read(&paths, &frames, stage, |i, photo| {
             let label = format!("camera {i}");
             let compared = posed(frames[i], &photo, seeing, &world, &label)?;
-            let seen = match i < count {
-                true => seeing.views(&photo, &frames[i].camera, &label)?,
-                false => Vec::new(),
-            };
+            let seen = if i < count { seeing.views(&photo, &frames[i].camera, &label)? } else { Vec::new() };
             Ok((compared, [photo.width, photo.height], seen))
         })?;
         let (mut inputs, mut sizes, mut seen) = (Vec::new(), Vec::new(), Vec::new());

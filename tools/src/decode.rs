@@ -27,7 +27,8 @@ const MOST_LINES: usize = 3;
 /// Decodes ffmpeg's output in a thread with `read`; `take` gets the results. Returns ffmpeg's
 /// warnings.
 pub fn decode<T: Send + 'static>(
-    (ffmpeg, file): (&Path, &Path),
+    ffmpeg: &Path,
+    file: &Path,
     options: &[&str],
     stage: &Stage<'_>,
     mut read: impl FnMut(&mut BufReader<ChildStdout>) -> io::Result<Option<T>> + Send + 'static,

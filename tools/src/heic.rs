@@ -51,7 +51,7 @@ fn read(ffmpeg: &Path, picture: &Path, stage: &Stage<'_>) -> Result<Image> {
     }
     let mut image = None;
     let options = [&["-frames:v", "1"], &AS_PPM[..]].concat();
-    let said = decode((ffmpeg, picture), &options, stage, read_ppm, |read| {
+    let said = decode(ffmpeg, picture, &options, stage, read_ppm, |read| {
         image = Some(read);
         Ok(())
     })?;

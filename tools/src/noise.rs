@@ -1,20 +1,21 @@
 //! Reproducible random inputs for benchmarks.
 
-use zipsplat::types::{Camera, Image, Intrinsics, Pose, Scene};
+use zipsplat::{
+    random::Random,
+    types::{Camera, Image, Intrinsics, Pose, Scene},
+};
 
-/// splitmix64 (Steele, Lea, Flood: Fast splittable pseudorandom number generators).
-pub struct Noise(pub u64);
+/// Random inputs of a seed.
+pub struct Noise(Random);
 
 impl Noise {
-    fn bits(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
+    /// Creates the inputs of a seed.
+    pub fn new(seed: u64) -> Self {
+        Self(Random::new(seed))
     }
 
     pub fn uniform(&mut self, low: f32, high: f32) -> f32 {
-        low + (high - low) * ((self.bits() >> 40) as f32 / (1 << 24) as f32)
+        self.0.uniform(low, high)
     }
 
     /// Uniform in -1..1.
@@ -23,7 +24,7 @@ impl Noise {
     }
 
     pub fn image(&mut self, width: u32, height: u32) -> Image {
-        let rgb = (0..3 * width as usize * height as usize).map(|_| (self.bits() >> 56) as u8).collect();
+        let rgb = (0..3 * width as usize * height as usize).map(|_| (self.0.bits() >> 56) as u8).collect();
         Image { width, height, rgb }
     }
 

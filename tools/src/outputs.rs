@@ -169,13 +169,13 @@ pub fn make_folder(path: &Path) -> Result<()> {
 }
 
 pub fn save_picture(path: &Path, image: &Image) -> Result<()> {
-    save_png(path, [image.width, image.height], (ColorType::Rgb, BitDepth::Eight), &image.rgb)
+    save_png(path, [image.width, image.height], ColorType::Rgb, BitDepth::Eight, &image.rgb)
 }
 
 /// Writes alpha in 0..1 as 8-bit gray.
 pub fn save_alpha(path: &Path, width: u32, height: u32, alpha: &[f32]) -> Result<()> {
     let levels: Vec<u8> = alpha.iter().map(|a| (a.clamp(0.0, 1.0) * 255.0).round() as u8).collect();
-    save_png(path, [width, height], (ColorType::Grayscale, BitDepth::Eight), &levels)
+    save_png(path, [width, height], ColorType::Grayscale, BitDepth::Eight, &levels)
 }
 
 /// Writes depth as 16-bit gray, [`DEPTH_LEVELS`] per world unit, saturated.
@@ -186,10 +186,11 @@ pub fn save_depth(path: &Path, width: u32, height: u32, depth: &[f32]) -> Result
 pub fn save_depth_levels(path: &Path, size: [u32; 2], depth: &[f32], levels: f32) -> Result<()> {
     // Casting saturates; PNG is big-endian.
     let levels: Vec<u8> = depth.iter().flat_map(|d| ((d * levels).round() as u16).to_be_bytes()).collect();
-    save_png(path, size, (ColorType::Grayscale, BitDepth::Sixteen), &levels)
+    save_png(path, size, ColorType::Grayscale, BitDepth::Sixteen, &levels)
 }
 
-fn save_png(path: &Path, [width, height]: [u32; 2], (color, depth): (ColorType, BitDepth), bytes: &[u8]) -> Result<()> {
+/// Writes a PNG that says what made it, for [`is_own`].
+fn save_png(path: &Path, [width, height]: [u32; 2], color: ColorType, depth: BitDepth, bytes: &[u8]) -> Result<()> {
     write_atomic(path, |out| {
         let mut encoder = png::Encoder::new(out, width, height);
         encoder.set_color(color);

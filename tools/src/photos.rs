@@ -75,9 +75,10 @@ impl Reading {
     ) -> Result<(Vec<PathBuf>, Option<FrameFolder>)> {
         let mut listed = Vec::new();
         for path in paths {
-            match is_video(path) {
-                true => listed.push(path.clone()),
-                false => listed.extend(list_path(session, path, self.recursive)?),
+            if is_video(path) {
+                listed.push(path.clone());
+            } else {
+                listed.extend(list_path(session, path, self.recursive)?);
             }
         }
         let heic: Vec<&PathBuf> = listed.iter().filter(|path| is_heic(path)).collect();
@@ -115,19 +116,19 @@ pub fn list(session: &mut Session<'_>, paths: &[PathBuf]) -> Result<Vec<PathBuf>
 }
 
 fn list_path(session: &mut Session<'_>, path: &Path, recursive: bool) -> Result<Vec<PathBuf>> {
-    match path.metadata().map_err(|error| Error::io(path, error))?.is_dir() {
-        false => Ok(vec![path.to_owned()]),
-        true if recursive => {
-            let mut photos = Vec::new();
-            list_below(path, &mut photos)?;
-            if photos.is_empty() {
-                let expected = format!("files that end in {}", EXTENSIONS.join(", "));
-                return Err(Error::argument(format!("photos in {} and below", path.display()), "none", expected));
-            }
-            Ok(photos)
-        }
-        true => list_folder(session, path),
+    if !path.metadata().map_err(|error| Error::io(path, error))?.is_dir() {
+        return Ok(vec![path.to_owned()]);
     }
+    if !recursive {
+        return list_folder(session, path);
+    }
+    let mut photos = Vec::new();
+    list_below(path, &mut photos)?;
+    if photos.is_empty() {
+        let expected = format!("files that end in {}", EXTENSIONS.join(", "));
+        return Err(Error::argument(format!("photos in {} and below", path.display()), "none", expected));
+    }
+    Ok(photos)
 }
 
 /// Skips links to folders against cycles.

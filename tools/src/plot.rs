@@ -55,7 +55,7 @@ pub fn plot(x: Axis<'_>, y: Axis<'_>, meaning: &str, series: &[Series], beneath:
     let (points, line): (Vec<_>, _) = (shown.iter().map(placed).collect(), beneath.map(placed).unwrap_or_default());
     let range = |value: fn(&At) -> f64| extent(points.iter().chain([&line]).flatten().map(value));
     let mut svg = String::new();
-    let drawn = draw(&mut svg, (x, range(|at| at.x)), (y, range(|at| at.y)), (shown, &points), &line);
+    let drawn = draw(&mut svg, (x, range(|at| at.x)), (y, range(|at| at.y)), shown, &points, &line);
     drawn.expect("writing to a string does not fail");
     let numbers = points.iter().flatten().map(|at| at.of);
     format!(
@@ -95,7 +95,8 @@ fn draw(
     svg: &mut String,
     (x, x_range): (Axis<'_>, Range<f64>),
     (y, y_range): (Axis<'_>, Range<f64>),
-    (series, placed): (&[Series], &[Vec<At>]),
+    series: &[Series],
+    placed: &[Vec<At>],
     line: &[At],
 ) -> Drawn {
     let root = SVGBackend::with_string(svg, SIZE).into_drawing_area();

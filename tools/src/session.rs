@@ -113,9 +113,10 @@ impl<'a> Session<'a> {
         let stage = Stage::new(name, &self.task, self.terminal.cancelled);
         stage.check()?;
         let start = Instant::now();
-        let result = match self.terminal.progress && !self.global.quiet {
-            true => stage.shown(&self.next_line, body),
-            false => body(&stage),
+        let result = if self.terminal.progress && !self.global.quiet {
+            stage.shown(&self.next_line, body)
+        } else {
+            body(&stage)
         };
         let value = result?;
         stage.check()?;
@@ -182,9 +183,10 @@ impl<'a> Session<'a> {
 
     /// Prints `value` with `--json`, else `text` unless `--quiet`.
     pub fn report(&mut self, value: &impl Serialize, text: impl Display) -> Result<()> {
-        let (out, name) = match self.piped {
-            true => (&mut *self.terminal.err, "standard error"),
-            false => (&mut *self.terminal.out, "standard output"),
+        let (out, name) = if self.piped {
+            (&mut *self.terminal.err, "standard error")
+        } else {
+            (&mut *self.terminal.out, "standard output")
         };
         let printed = match (self.global.json, self.global.quiet) {
             (true, _) => serde_json::to_writer_pretty(&mut *out, value)

@@ -106,7 +106,8 @@ fn judge(ffmpeg: &Path, video: &Path, stage: &Stage<'_>) -> Result<(Vec<f64>, St
     let filter = format!("scale={SIDE}:{SIDE}:flags=area,format=gray,{REGULAR}");
     let mut sharpness = Vec::new();
     let said = decode(
-        (ffmpeg, video),
+        ffmpeg,
+        video,
         &[&PICTURES[..], &["-vf", &filter, "-r", "25", "-f", "rawvideo"]].concat(),
         stage,
         |from| {
@@ -135,7 +136,8 @@ fn take(ffmpeg: &Path, video: &Path, chosen: &[usize], folder: &Path, stage: &St
     let stem = video.file_stem().unwrap_or_default().to_string_lossy();
     let mut photos = Vec::new();
     decode(
-        (ffmpeg, video),
+        ffmpeg,
+        video,
         &[&PICTURES[..], &["-vf", &filter, "-r", "25"], &AS_PPM].concat(),
         stage,
         read_ppm,

@@ -22,9 +22,10 @@ pub fn resize_lanczos(image: &Image, width: u32, height: u32) -> Result<Image> {
     let horizontal = (width != image.width)
         .then(|| filter_rows(&image.rgb, image.width as usize, &lanczos_taps(image.width, width)));
     let wide = horizontal.as_deref().unwrap_or(&image.rgb);
-    let rgb = match height != image.height {
-        true => filter_columns(wide, 3 * width as usize, &lanczos_taps(image.height, height)),
-        false => horizontal.unwrap_or_else(|| image.rgb.clone()),
+    let rgb = if height != image.height {
+        filter_columns(wide, 3 * width as usize, &lanczos_taps(image.height, height))
+    } else {
+        horizontal.unwrap_or_else(|| image.rgb.clone())
     };
     Image::new(width, height, rgb)
 }

@@ -111,7 +111,7 @@ impl Device {
         let (physical, index) = (*physical, chosen.index);
         let passed_over: Vec<_> =
             matching.iter().filter(|(_, d)| chosen.limits.cpu && !d.limits.cpu).map(|(_, d)| d.lacks()).collect();
-        Shared::open(instance, (physical, index), options, passed_over).map(|s| Self(Arc::new(s)))
+        Shared::open(instance, physical, index, options, passed_over).map(|s| Self(Arc::new(s)))
     }
 
     /// Returns the device's index for [`DeviceOptions::selector`]; 0 for adopted devices.
@@ -143,7 +143,8 @@ impl Device {
 impl Shared {
     fn open(
         instance: Instance,
-        (physical, index): (vk::PhysicalDevice, usize),
+        physical: vk::PhysicalDevice,
+        index: usize,
         options: &DeviceOptions,
         passed_over: Vec<String>,
     ) -> Result<Self> {

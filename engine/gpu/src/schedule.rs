@@ -33,9 +33,10 @@ pub(super) fn learned(known: u64, cost: u64, took: Duration, late: bool, patient
     if seen < known && (late || ms < 1.0) {
         return known as u64;
     }
-    let next = match took > 2 * SUBMISSION && !patient {
-        true => seen.clamp(known / 8.0, known),
-        false => 0.5 * (known + seen.clamp(known / 2.0, known * 2.0)),
+    let next = if took > 2 * SUBMISSION && !patient {
+        seen.clamp(known / 8.0, known)
+    } else {
+        0.5 * (known + seen.clamp(known / 2.0, known * 2.0))
     };
     next.max(1e5) as u64
 }

@@ -233,9 +233,10 @@ impl ParameterLayout {
             match place {
                 Place::Host => *host = values.clone(),
                 Place::Device(tensor, packing) => {
-                    match is_q8 {
-                        true => packing.pack_q8(&source.read_q8(name)?, &mut packed),
-                        false => packing.pack(&values, &mut packed),
+                    if is_q8 {
+                        packing.pack_q8(&source.read_q8(name)?, &mut packed);
+                    } else {
+                        packing.pack(&values, &mut packed);
                     }
                     resident.write(*tensor, &packed)?;
                     done += tensor.bytes();

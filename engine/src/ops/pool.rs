@@ -29,9 +29,10 @@ impl Pool {
     /// # Errors
     /// [`Error::Argument`] outside 1..=[`Pool::MAX_SIDE`].
     pub fn check(side: usize) -> Result<()> {
-        match (1..=Self::MAX_SIDE).contains(&side) {
-            true => Ok(()),
-            false => Err(Error::argument("pool", side, format!("1 to {}, the side of a group", Self::MAX_SIDE))),
+        if (1..=Self::MAX_SIDE).contains(&side) {
+            Ok(())
+        } else {
+            Err(Error::argument("pool", side, format!("1 to {}, the side of a group", Self::MAX_SIDE)))
         }
     }
 

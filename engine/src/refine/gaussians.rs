@@ -4,7 +4,7 @@
 use super::{
     Adam, Look, Rates, Refine, Space,
     growth::padded,
-    planned::{Found, Planned, intersection_bytes, record_photos},
+    planned::{Found, PhotoPlan, record_photos},
     record_adam,
     views::View,
 };
@@ -12,7 +12,7 @@ use crate::{
     Error, Result,
     gpu::{Arena, Device, Limits, Profile, Recorder, Resident, ResidentLayout, Run, Tensor},
     perceptual::{LpipsWeights, Perceptual},
-    stages::render::{FrameShape, Gradients, RenderOutputs, SceneGradients, SceneTensors, first_capacity},
+    stages::render::{FrameShape, Gradients, PlanCache, PlanKey, SceneGradients, SceneTensors, first_capacity},
     types::{NEAR, Scene, unit_quaternion},
 };
 use std::sync::Arc;
@@ -22,7 +22,7 @@ pub(super) const ADAM: Adam = Adam { beta1: 0.9, beta2: 0.999, eps: 1e-15 };
 /// Lower limits of scales and of opacities' distance from 0 and 1, for their logarithm and logit.
 const LEAST_SCALE: f32 = 1e-12;
 const OPACITY_MARGIN: f32 = 1e-4;
-const PLANS: usize = 4;
+/// Pixels of a run, at most.
 const PIXELS_TOGETHER: usize = 1 << 20;
 
 struct Field {
@@ -49,11 +49,9 @@ pub(super) struct Gaussians {
     schedule: Tensor,
     look: Option<LpipsWeights>,
     steps: u32,
-    /// Least recently used first.
-    plans: Vec<Planned>,
+    plans: PlanCache<(), PhotoPlan>,
+    /// Photos of a run.
     together: usize,
-    /// Capacity of new plans in intersections per camera; grows on demand.
-    capacity: usize,
 }
 
 impl Gaussians {
@@ -99,7 +97,8 @@ impl Gaussians {
         let open =
             |Look { network, .. }: Look| LpipsWeights::open(arena.device(), network, &Perceptual::file(network)?, true);
         let look = request.look.map(open).transpose()?;
-        let together = together(request, arena.device().limits());
+        let limits = arena.device().limits();
+        let capacity = request.room.unwrap_or_else(|| first_capacity(scene.len)).max(1);
         Ok(Self {
             arena: arena.clone(),
             memories,
@@ -113,9 +112,8 @@ impl Gaussians {
             schedule,
             look,
             steps: 0,
-            plans: Vec::new(),
-            together,
-            capacity: request.room.unwrap_or_else(|| first_capacity(scene.len)).max(1),
+            plans: PlanCache::new(limits, capacity),
+            together: together(request, limits),
         })
     }
 
@@ -144,12 +142,15 @@ impl Gaussians {
                 let count = left.len().min(self.together).min(most_together(pixels));
                 let (views, behind) = left.split_at(count);
                 match self.run(views, true) {
-                    Ok(Some(index)) => {
-                        found.extend(self.plans[index].found(views)?);
+                    Ok(Some(plan)) => {
+                        found.extend(plan.found(views)?);
                         left = behind;
                     }
                     Ok(None) => return Ok(None),
-                    Err(Error::Memory { .. }) if count > 1 => self.together = 1,
+                    Err(Error::Memory { .. }) if count > 1 => {
+                        self.together = 1;
+                        self.plans.clear();
+                    }
                     Err(error) => return Err(error),
                 }
             }
@@ -164,60 +165,37 @@ impl Gaussians {
     /// Draws a photo's camera: `[height][width][rgb]` and the number of tile intersections.
     pub fn draw(&mut self, view: &View) -> Result<(Vec<f32>, usize)> {
         loop {
-            if let Some(index) = self.run(&[view], false)? {
-                let planned = &self.plans[index];
-                let status: Vec<u32> = planned.run.read(planned.recorded.outputs.status)?;
-                return Ok((planned.run.read(planned.recorded.outputs.frames)?, status[0] as usize));
+            if let Some(PhotoPlan { run, recorded }) = self.run(&[view], false)? {
+                return Ok((run.read(recorded.outputs.frames)?, recorded.outputs.needed(run)?));
             }
         }
     }
 
-    fn run(&mut self, views: &[&View], learns: bool) -> Result<Option<usize>> {
-        let [width, height] = views[0].size;
-        let shape = FrameShape { cameras: views.len(), width, height };
-        let known =
-            self.plans.iter().position(|plan| plan.shape == shape && plan.recorded.learning.is_some() == learns);
-        let mut planned = match known {
-            Some(index) => self.plans.remove(index),
-            None => self.plan(shape, learns)?,
-        };
-        planned.write(views)?;
-        planned.run.execute()?;
-        let status: Vec<u32> = planned.run.read(planned.recorded.outputs.status)?;
-        let needed = RenderOutputs::needed(&status).unwrap_or(1 << 32);
-        if needed > planned.capacity {
-            let (bytes, available) = (intersection_bytes(learns), self.limits().max_binding_bytes);
-            if needed as u64 * bytes > available {
-                let what = "a list of the intersections of Gaussians with tiles".into();
-                return Err(Error::Memory { what, needed: needed as u64 * bytes, available });
-            }
-            self.capacity = self.capacity.max((needed + needed / 4).div_ceil(views.len()));
-            return Ok(None);
-        }
-        self.plans.push(planned);
-        Ok(Some(self.plans.len() - 1))
+    /// Runs the plan of photos of one size. Returns `None` if it overflowed; the next one is larger.
+    fn run(&mut self, views: &[&View], learns: bool) -> Result<Option<&mut PhotoPlan>> {
+        let plan = self.plan(views, learns)?;
+        plan.write(views)?;
+        plan.run.execute()?;
+        let needed = plan.recorded.outputs.needed(&plan.run)?;
+        self.plans.fitting(needed)
     }
 
     pub fn device(&self) -> &Device {
         self.arena.device()
     }
 
-    fn limits(&self) -> &Limits {
-        self.device().limits()
-    }
-
-    fn plan(&mut self, shape: FrameShape, learns: bool) -> Result<Planned> {
-        if self.plans.len() == PLANS {
-            self.plans.remove(0);
-        }
-        let capacity = room(self.limits(), self.capacity, shape.cameras, learns);
-        let mut rec = Recorder::new(self.limits());
-        let look = self.look.as_ref().map(|weights| &weights.lpips);
-        let learnt = learns.then_some((&self.request, &self.gradients, look));
-        let recorded = record_photos(&mut rec, &self.scene, shape, (capacity, self.near), learnt);
-        let weights = self.look.iter().map(|weights| weights.resident.clone());
-        let run = Run::in_arena(&self.arena, 0, rec.finish()?, self.memories.iter().cloned().chain(weights))?;
-        Ok(Planned { shape, capacity, run, recorded })
+    fn plan(&mut self, views: &[&View], learns: bool) -> Result<&mut PhotoPlan> {
+        let [width, height] = views[0].size;
+        let shape = FrameShape { cameras: views.len(), width, height };
+        self.plans.get(PlanKey { shape, backward: learns, options: () }, |capacity| {
+            let mut rec = Recorder::new(self.arena.device().limits());
+            let look = self.look.as_ref().map(|weights| &weights.lpips);
+            let learnt = learns.then_some((&self.request, &self.gradients, look));
+            let recorded = record_photos(&mut rec, &self.scene, shape, capacity, self.near, learnt);
+            let weights = self.look.iter().map(|weights| weights.resident.clone());
+            let run = Run::in_arena(&self.arena, 0, rec.finish()?, self.memories.iter().cloned().chain(weights))?;
+            Ok(PhotoPlan { run, recorded })
+        })
     }
 
     pub fn scene(&self) -> Result<Scene> {
@@ -248,14 +226,11 @@ impl Gaussians {
     pub fn profile(&mut self, views: &[&View]) -> Result<Profile> {
         let size = views[0].size;
         let alike: Vec<&View> = views.iter().copied().filter(|view| view.size == size).take(self.together).collect();
-        let index = loop {
-            if let Some(index) = self.run(&alike, true)? {
-                break index;
-            }
-        };
-        let planned = &mut self.plans[index];
-        planned.write(&alike)?;
-        let mut profile = planned.run.profile()?;
+        // Until no intersection overflows.
+        while self.run(&alike, true)?.is_none() {}
+        let plan = self.plan(&alike, true)?;
+        plan.write(&alike)?;
+        let mut profile = plan.run.profile()?;
         self.update.write(self.schedule, &ADAM.schedule(0.0, self.steps.max(1)))?;
         profile.rows.extend(self.update.profile()?.rows);
         Ok(profile)
@@ -269,11 +244,6 @@ pub(super) fn together(request: &Refine, limits: &Limits) -> usize {
 
 pub(super) fn most_together(pixels: usize) -> usize {
     (PIXELS_TOGETHER / pixels).max(1)
-}
-
-pub(super) fn room(limits: &Limits, each: usize, cameras: usize, learns: bool) -> usize {
-    let most = limits.max_binding_bytes / intersection_bytes(learns);
-    each.saturating_mul(cameras).min(most as usize)
 }
 
 pub(super) fn scene_tensors(

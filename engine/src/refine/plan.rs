@@ -1,6 +1,6 @@
 use super::{
     Adam, Refine, Space, filled,
-    gaussians::{most_together, room, scene_gradients, scene_tensors, together},
+    gaussians::{most_together, scene_gradients, scene_tensors, together},
     planned::record_photos,
     record_adam,
     schedule::Schedule,
@@ -16,7 +16,7 @@ use crate::{
         Architecture,
         gaussians::Head,
         lpips::Lpips,
-        render::{FrameShape, Gradients, SceneTensors, first_capacity},
+        render::{FrameShape, Gradients, SceneTensors, first_capacity, planned_capacity},
     },
     types::{Image, NEAR},
 };
@@ -106,7 +106,7 @@ pub fn plan_refinement(
     kept_bytes += look.as_ref().map_or(0, |(parameters, _)| parameters.bytes());
     let lpips = look.as_ref().map(|(_, lpips)| lpips);
     let gradients = Gradients { scene: Some(scene_gradients(gradients)), cameras: None };
-    record_steps(limits, &mut plans, &scene, (&gradients, lpips), [width, height], &request)?;
+    record_steps(limits, &mut plans, &scene, &gradients, lpips, [width, height], &request)?;
     Ok(RefinePlan { kept_bytes, plans })
 }
 
@@ -114,7 +114,8 @@ fn record_steps(
     limits: &Limits,
     plans: &mut Vec<Plan>,
     scene: &SceneTensors,
-    (gradients, lpips): (&Gradients, Option<&Lpips>),
+    gradients: &Gradients,
+    lpips: Option<&Lpips>,
     [width, height]: [u32; 2],
     request: &Refine,
 ) -> Result<()> {
@@ -131,14 +132,15 @@ fn record_steps(
         let cameras = together(request, limits).min(request.views_per_step).min(most_together(pixels));
         let shape = FrameShape { cameras, width, height };
         let mut rec = Recorder::new(limits);
-        let capacity = room(limits, each, cameras, true);
-        record_photos(&mut rec, scene, shape, (capacity, NEAR), Some((request, gradients, lpips)));
+        let capacity = planned_capacity(limits.max_binding_bytes, each, shape, true);
+        record_photos(&mut rec, scene, shape, capacity, NEAR, Some((request, gradients, lpips)));
         plans.push(rec.finish()?);
     }
     let [width, height] = photo_size(1);
     let mut rec = Recorder::new(limits);
     let shape = FrameShape { cameras: 1, width, height };
-    record_photos(&mut rec, scene, shape, (room(limits, each, 1, false), NEAR), None);
+    let capacity = planned_capacity(limits.max_binding_bytes, each, shape, false);
+    record_photos(&mut rec, scene, shape, capacity, NEAR, None);
     plans.push(rec.finish()?);
     Ok(())
 }

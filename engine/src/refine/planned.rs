@@ -13,9 +13,8 @@ use crate::{
     },
 };
 
-pub(super) struct Planned {
-    pub shape: FrameShape,
-    pub capacity: usize,
+/// A plan that draws photos' cameras and, where it learns from the photos, adds to the gradients.
+pub(super) struct PhotoPlan {
     pub run: Run,
     pub recorded: Recorded,
 }
@@ -49,7 +48,8 @@ pub(super) fn record_photos(
     rec: &mut Recorder,
     scene: &SceneTensors,
     shape: FrameShape,
-    (capacity, near): (usize, f32),
+    capacity: usize,
+    near: f32,
     learnt: Option<(&Refine, &Gradients, Option<&Lpips>)>,
 ) -> Recorded {
     let FrameShape { cameras: count, width, height } = shape;
@@ -104,13 +104,8 @@ fn record_look(
     Some((weight, lpips.record(rec, pictures, Some((share, d_frames))).value))
 }
 
-/// Bytes per intersection of a picture's largest list.
-pub(super) fn intersection_bytes(learns: bool) -> u64 {
-    // The backward pass has six moments.
-    if learns { 24 } else { 4 }
-}
-
-impl Planned {
+impl PhotoPlan {
+    /// Gives it its cameras and photos.
     pub fn write(&mut self, views: &[&View]) -> Result<()> {
         let cameras: Vec<CameraRows> = views.iter().map(|view| camera_rows(&view.camera)).collect();
         self.run.write(self.recorded.cameras, &cameras)?;

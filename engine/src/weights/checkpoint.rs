@@ -1,16 +1,14 @@
 use std::borrow::Cow;
 use std::collections::BTreeMap;
-use std::ops::{ControlFlow, Deref};
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
-use memmap2::Mmap;
-
 use super::contents::Contents;
-use super::source::Source;
+use super::source::{Bytes, Source};
 use super::tensor::Stored;
 use super::{Architecture, Dtype, inference, safetensors, torch};
 use crate::ops::{Arithmetic, ParameterSource, Q8};
-use crate::types::{open_file, preprocess::DEFAULT_SIZE};
+use crate::types::preprocess::DEFAULT_SIZE;
 use crate::{Error, Result};
 
 /// An [`Architecture`]'s tensors, read one at a time to bound memory.
@@ -28,34 +26,6 @@ pub struct Checkpoint {
 const EMBEDDED: &[u8] = include_bytes!(concat!(env!("CARGO_MANIFEST_DIR"), "/models/nano.safetensors"));
 
 type Known = (Architecture, Option<String>);
-
-#[derive(Debug)]
-pub(super) enum Bytes {
-    Mapped(Mmap),
-    Held(Cow<'static, [u8]>),
-}
-
-impl Deref for Bytes {
-    type Target = [u8];
-
-    fn deref(&self) -> &[u8] {
-        match self {
-            Self::Mapped(file) => file,
-            Self::Held(bytes) => bytes,
-        }
-    }
-}
-
-impl Bytes {
-    pub fn open(path: &Path) -> Result<Self> {
-        let file = open_file(path)?;
-        // SAFETY: every byte is valid to read. Truncation by another process raises SIGBUS, as for
-        // any mapped file; `save` replaces files and never truncates.
-        #[allow(unsafe_code)]
-        let file = unsafe { Mmap::map(&file) }.map_err(|error| Error::io(path, error))?;
-        Ok(Self::Mapped(file))
-    }
-}
 
 impl Checkpoint {
     /// Returns the model of `engine/models/README.md`.

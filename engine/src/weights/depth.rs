@@ -1,8 +1,8 @@
 use std::{collections::BTreeMap, ops::ControlFlow, path::Path};
 
-use super::checkpoint::{Bytes, matching};
+use super::checkpoint::matching;
 use super::contents::Contents;
-use super::source::Source;
+use super::source::{Bytes, Source};
 use super::{DEPTH_MODELS, DepthArchitecture, Dtype, Ffn, Q8, safetensors};
 use crate::{Error, Result, ops::ParameterSource, stages::MAX_DEPTH};
 

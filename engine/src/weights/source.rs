@@ -1,6 +1,38 @@
-use super::{Dtype, checkpoint::Bytes, safetensors::too_small, seeded, tensor::Stored};
-use crate::{Error, Result, ops::Q8};
-use std::collections::BTreeMap;
+//! Sources of parameter values.
+
+use super::{Dtype, safetensors::too_small, seeded, tensor::Stored};
+use crate::{Error, Result, ops::Q8, types::open_file};
+use memmap2::Mmap;
+use std::{borrow::Cow, collections::BTreeMap, ops::Deref, path::Path};
+
+/// Contents of a file.
+#[derive(Debug)]
+pub(super) enum Bytes {
+    Mapped(Mmap),
+    Held(Cow<'static, [u8]>),
+}
+
+impl Deref for Bytes {
+    type Target = [u8];
+
+    fn deref(&self) -> &[u8] {
+        match self {
+            Self::Mapped(file) => file,
+            Self::Held(bytes) => bytes,
+        }
+    }
+}
+
+impl Bytes {
+    pub fn open(path: &Path) -> Result<Self> {
+        let file = open_file(path)?;
+        // SAFETY: every byte is valid to read. Truncation by another process raises SIGBUS, as for
+        // any mapped file; `save` replaces files and never truncates.
+        #[allow(unsafe_code)]
+        let file = unsafe { Mmap::map(&file) }.map_err(|error| Error::io(path, error))?;
+        Ok(Self::Mapped(file))
+    }
+}
 
 #[derive(Debug)]
 pub(super) enum Source {

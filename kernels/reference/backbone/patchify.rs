@@ -1,6 +1,29 @@
 //! Patches.
 
-use super::patch_embed::Images;
+/// Views of equal size.
+pub struct Images {
+    /// `[views, 3, height, width]` in 0..1.
+    pub values: Vec<f64>,
+    /// Number of views.
+    pub views: usize,
+    /// Height in pixels.
+    pub height: usize,
+    /// Width in pixels.
+    pub width: usize,
+}
+
+impl Images {
+    /// Converts bytes `[views, 3, height, width]`, divided by 255 in f32 like the network's input.
+    pub fn from_u8(bytes: &[u8], shape: &[usize]) -> Images {
+        let values = bytes.iter().map(|&byte| f64::from(f32::from(byte) / 255.0)).collect();
+        Images { values, views: shape[0], height: shape[2], width: shape[3] }
+    }
+
+    /// Returns rows and columns of patches.
+    pub fn grid(&self, patch: usize) -> [usize; 2] {
+        [self.height / patch, self.width / patch]
+    }
+}
 
 /// Cuts images into `[views, patches, 3 patch^2]`, channel-major.
 pub fn patchify(images: &Images, patch: usize) -> Vec<f64> {

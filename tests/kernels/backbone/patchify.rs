@@ -4,7 +4,7 @@ use crate::case::{Case, elements, random, rounded, stored};
 use zipsplat::kernels::backbone::Patchify;
 use zipsplat_tests::compare::assert_same;
 use zipsplat_tests::reference::{
-    backbone::{patch_embed::Images, patchify::patchify},
+    backbone::patchify::{Images, patchify},
     widen,
 };
 

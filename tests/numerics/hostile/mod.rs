@@ -5,7 +5,7 @@ mod mutate;
 mod seeds;
 mod special;
 
-use crate::Random;
+use crate::below;
 use mutate::mutated;
 use seeds::LENS;
 use std::{
@@ -17,6 +17,7 @@ use std::{
 };
 use zipsplat::{
     Error,
+    random::Random,
     types::{
         Image, Scene,
         poses::{Poses, read_cameras, read_cloud, read_poses},
@@ -178,9 +179,9 @@ fn fuzz(rounds: u64, seed: u64) {
         let folder = tempfile::tempdir().unwrap();
         let (mut refused, mut read) = (0, 0);
         for round in 0..rounds {
-            let mut random = Random(seed.wrapping_add(round) << 8);
-            let original = &parser.seeds[random.below(parser.seeds.len())];
-            let other = &parser.seeds[random.below(parser.seeds.len())];
+            let mut random = Random::new(seed.wrapping_add(round) << 8);
+            let original = &parser.seeds[below(&mut random, parser.seeds.len())];
+            let other = &parser.seeds[below(&mut random, parser.seeds.len())];
             let bytes = (parser.wrap)(&mutated(original, other, &mut random));
             let place = format!("{}, seed {seed}, round {round}, {} bytes", parser.name, bytes.len());
             match judged(&parser, folder.path(), &bytes) {

@@ -1,6 +1,7 @@
 //! Reproducible damaged copies of a file.
 
-use crate::Random;
+use crate::below;
+use zipsplat::random::Random;
 
 /// At parsers' limits.
 const NUMBERS: [u64; 14] = [
@@ -41,37 +42,37 @@ const WORDS: [&str; 16] = [
 
 pub fn mutated(original: &[u8], other: &[u8], random: &mut Random) -> Vec<u8> {
     let mut bytes = original.to_vec();
-    for _ in 0..1 + random.below(4) {
+    for _ in 0..1 + below(random, 4) {
         change(&mut bytes, other, random);
     }
     bytes
 }
 
 fn change(bytes: &mut Vec<u8>, other: &[u8], random: &mut Random) {
-    let at = random.below(bytes.len());
-    let until = (at + 1 + random.below(16)).min(bytes.len());
-    match random.below(10) {
+    let at = below(random, bytes.len());
+    let until = (at + 1 + below(random, 16)).min(bytes.len());
+    match below(random, 10) {
         _ if bytes.is_empty() => bytes.extend_from_slice(other),
-        0 => bytes[at] ^= 1 << random.below(8),
+        0 => bytes[at] ^= 1 << below(random, 8),
         1 => bytes[at] = random.bits() as u8,
-        2 => overwrite(bytes, at, &NUMBERS[random.below(NUMBERS.len())].to_le_bytes()[..1 << random.below(4)]),
-        3 => overwrite(bytes, at, &NUMBERS[random.below(NUMBERS.len())].to_be_bytes()[4..]),
+        2 => overwrite(bytes, at, &NUMBERS[below(random, NUMBERS.len())].to_le_bytes()[..1 << below(random, 4)]),
+        3 => overwrite(bytes, at, &NUMBERS[below(random, NUMBERS.len())].to_be_bytes()[4..]),
         4 => bytes.truncate(at),
         5 => drop(bytes.drain(at..until)),
         6 => {
             let part = bytes[at..until].to_vec();
-            let times = 1 + random.below(40);
+            let times = 1 + below(random, 40);
             bytes.splice(at..at, part.repeat(times));
         }
         7 => {
-            let from = random.below(other.len());
-            let part = other[from..(from + 1 + random.below(200)).min(other.len())].to_vec();
+            let from = below(random, other.len());
+            let part = other[from..(from + 1 + below(random, 200)).min(other.len())].to_vec();
             bytes.splice(at..at, part);
         }
-        8 => word(bytes, at, WORDS[random.below(WORDS.len())]),
+        8 => word(bytes, at, WORDS[below(random, WORDS.len())]),
         _ => {
-            let special = [f64::NAN, f64::INFINITY, -1e300, 5e-324][random.below(4)];
-            match random.below(2) {
+            let special = [f64::NAN, f64::INFINITY, -1e300, 5e-324][below(random, 4)];
+            match below(random, 2) {
                 0 => overwrite(bytes, at, &special.to_le_bytes()),
                 _ => overwrite(bytes, at, &(special as f32).to_le_bytes()),
             }

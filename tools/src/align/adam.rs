@@ -193,8 +193,7 @@ impl Backward {
         self.run.write(self.cameras, &[camera_rows(camera)])?;
         self.run.write(self.d_frames, d_frames)?;
         self.run.execute()?;
-        let status: Vec<u32> = self.run.read(self.outputs.status)?;
-        if RenderOutputs::needed(&status).is_none_or(|needed| needed > self.capacity) {
+        if self.outputs.needed(&self.run)? > self.capacity {
             return Ok(None);
         }
         let d_camera: Vec<f32> = self.run.read(self.d_cameras)?;

@@ -1,7 +1,7 @@
 //! Camera estimation by COLMAP or Depth Anything 3.
 
 use super::{
-    colmap::{Colmap, Mapping, Step, Told},
+    colmap::{Colmap, Mapping, Pairs, Searching, Step, Told},
     work::{Work, make_folder},
 };
 use crate::{
@@ -59,23 +59,7 @@ pub struct Finding {
     pub depth_weights: Option<String>,
 }
 
-#[derive(Args, Clone, Default)]
-pub struct Searching {
-    /// COLMAP program, 3.x or 4.x [default: colmap, else pycolmap of python3]
-    #[arg(long, value_name = "PROGRAM")]
-    pub colmap: Option<PathBuf>,
-    /// Python with pycolmap, instead of COLMAP's program
-    #[arg(long, value_name = "PROGRAM", conflicts_with = "colmap")]
-    pub python: Option<PathBuf>,
-    /// Pairs of photos to match [default: all for up to 100 photos, else near]
-    #[arg(long, alias = "matching", value_enum, value_name = "WHICH")]
-    pub pairs: Option<Pairs>,
-    /// Longer side of the photos for camera estimation; COLMAP keeps smaller photos [default: 1600,
-    /// for Depth Anything 3 504]
-    #[arg(long, alias = "matching-size", value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(64..=32_768))]
-    pub find_size: Option<u32>,
-}
-
+/// The finder of cameras.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Finder {
     /// COLMAP, from matched features
@@ -84,17 +68,7 @@ pub enum Finder {
     Da3,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Pairs {
-    /// All pairs
-    #[value(alias = "exhaustive")]
-    All,
-    /// Photos near each other in name order, such as video frames
-    #[value(alias = "sequential")]
-    Near,
-}
-
-/// Cameras with their estimation, if any.
+/// Cameras, and what is known of how they were found.
 pub struct Known {
     pub poses: Poses,
     pub found: Option<Found>,
@@ -277,10 +251,12 @@ impl<'a> Search<'a> {
             if joined(&models) > joined(&best) || as_many {
                 best = models;
             }
-            next = match mapping.refines_lens {
-                true if !likely(&best) => Some(Mapping::FIXED_LENS),
-                true if joined(&best) < enough => others.next(),
-                _ => None,
+            next = if mapping.refines_lens && !likely(&best) {
+                Some(Mapping::FIXED_LENS)
+            } else if mapping.refines_lens && joined(&best) < enough {
+                others.next()
+            } else {
+                None
             };
         }
         Ok((best, attempts))

@@ -8,7 +8,8 @@ mod place;
 mod similarity;
 mod work;
 
-pub use find::{Finder, Finding, Found, Known, Searching};
+pub use colmap::Searching;
+pub use find::{Finder, Finding, Found, Known};
 pub use paths::{CameraArgs, to_scene};
 pub use place::{ModelOption, Place, path_from};
 pub use similarity::Similarity;

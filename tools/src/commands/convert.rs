@@ -102,7 +102,7 @@ impl Convert {
         checkpoint.notes().iter().for_each(|note| session.note(note));
         session.stage("convert", |stage| checkpoint.save_with(&self.output, dtype, |done| stage.at(done)))?;
         let architecture = checkpoint.architecture();
-        self.report(session, (&architecture.name, json!(architecture)), architecture.parameter_count(), dtype)
+        self.report(session, &architecture.name, json!(architecture), architecture.parameter_count(), dtype)
     }
 
     fn depth_checkpoint(&self, session: &mut Session<'_>, dtype: Dtype) -> Result<()> {
@@ -110,13 +110,14 @@ impl Convert {
         let checkpoint = open_depth(&self.input, true)?;
         session.stage("convert", |stage| checkpoint.save_with(&self.output, dtype, |done| stage.at(done)))?;
         let architecture = checkpoint.architecture();
-        self.report(session, (&architecture.name, json!(architecture)), architecture.parameter_count(), dtype)
+        self.report(session, &architecture.name, json!(architecture), architecture.parameter_count(), dtype)
     }
 
     fn report(
         &self,
         session: &mut Session<'_>,
-        (name, architecture): (&str, Value),
+        name: &str,
+        architecture: Value,
         parameters: usize,
         dtype: Dtype,
     ) -> Result<()> {

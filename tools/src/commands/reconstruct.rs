@@ -123,6 +123,15 @@ struct Captured {
     found: Option<Found>,
 }
 
+/// The photos of a scene, and their cameras where these are known.
+#[derive(Clone, Copy)]
+pub struct Posed<'a> {
+    pub photos: &'a [PathBuf],
+    pub poses: Option<&'a Poses>,
+    pub frames: &'a [&'a Frame],
+}
+
+/// The world that a scene is in.
 #[derive(Clone, Copy, ValueEnum)]
 enum WorldName {
     /// The first photo's camera: x right, y down, z forward
@@ -167,18 +176,18 @@ impl Reconstruct {
             _ => None,
         };
         let start = steps.map(|steps| self.start_of(steps, cloud.as_ref()));
-        let captured = (&photos[..], poses.as_ref(), &frames[..]);
+        let posed = Posed { photos: &photos, poses: poses.as_ref(), frames: &frames };
         let (forward, device) = match (start, &network) {
             // Points need no network.
             (Some(From::Scene(Start::Points)), _) => (None, session.device()?),
             (_, Network::Tokens(checkpoint)) => {
-                let plan = Forward::plan(self, session, checkpoint, captured)?;
+                let plan = Forward::plan(self, session, checkpoint, posed)?;
                 let device = session.device()?;
                 (Some(plan.run(session, &device)?), device)
             }
             (_, Network::Pixels(checkpoint)) => {
                 let seen = found.as_mut().and_then(|found| found.seen.take());
-                (Some(Forward::of_pixels(self, session, checkpoint, seen, captured)?), session.device()?)
+                (Some(Forward::of_pixels(self, session, checkpoint, seen, posed)?), session.device()?)
             }
         };
 
@@ -189,7 +198,7 @@ impl Reconstruct {
                     Network::Pixels(_) => None,
                 };
                 let given = Given { device: &device, checkpoint, forward: forward.as_ref() };
-                Some(self.refine_scene(session, (steps, start), given, cloud.as_ref(), (&photos, &frames))?)
+                Some(self.refine_scene(session, steps, start, given, cloud.as_ref(), posed)?)
             }
             _ => None,
         };
@@ -232,7 +241,7 @@ impl Reconstruct {
                 Some(gaussians) => renderer.show(gaussians),
                 None => renderer.load(&scene),
             };
-            drawing.draw(session, &mut renderer, (&scene, 0), world.as_ref(), load)
+            drawing.draw(session, &mut renderer, &scene, 0, world.as_ref(), load)
         });
         let drawn = drawn.transpose()?;
 

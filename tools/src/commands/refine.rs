@@ -133,7 +133,7 @@ impl Refine {
             session.note(format!("{}: the best so far, after step {}", self.output.display(), refined.best_step));
             return Err(Error::Cancelled);
         }
-        self.report(session, device.limits().name.clone(), (&photos, &started.cameras), refined, &request)
+        self.report(session, device.limits().name.clone(), &photos, &started.cameras, refined, &request)
     }
 
     fn files(&self) -> (Option<&PathBuf>, &[PathBuf]) {
@@ -200,7 +200,8 @@ impl Refine {
         &self,
         session: &mut Session<'_>,
         device: String,
-        (photos, cameras): (&[PathBuf], &[Camera]),
+        photos: &[PathBuf],
+        cameras: &[Camera],
         refined: Refined,
         request: &refine::Refine,
     ) -> Result<()> {

@@ -116,7 +116,7 @@ impl Render {
         let load = |session: &mut Session<'_>, renderer: &mut Renderer| {
             session.stage("load scene", |_| renderer.load(&scene)).map(drop)
         };
-        let (json, text) = self.draw(session, &mut renderer, (&scene, dropped), world.as_ref(), load)?;
+        let (json, text) = self.draw(session, &mut renderer, &scene, dropped, world.as_ref(), load)?;
         session.report(&json, text)
     }
 
@@ -125,7 +125,8 @@ impl Render {
         &self,
         session: &mut Session<'_>,
         renderer: &mut Renderer,
-        (scene, dropped): (&Scene, usize),
+        scene: &Scene,
+        dropped: usize,
         world: Option<&World>,
         load: impl FnOnce(&mut Session<'_>, &mut Renderer) -> Result<()>,
     ) -> Result<(serde_json::Value, String)> {

@@ -41,7 +41,7 @@ enum Fault {
 
 impl Problem {
     fn new(space: Space, step: u32, count: usize, gradient: fn(f32) -> f32) -> Self {
-        let mut noise = Noise(count as u64 + u64::from(step));
+        let mut noise = Noise::new(count as u64 + u64::from(step));
         let values = noise.values(count).iter().map(|x| 0.5 + 0.4 * x).collect();
         let gradient = noise.values(count).into_iter().map(gradient).collect();
         let before = if step == 1 { 0.0 } else { 1.0 };

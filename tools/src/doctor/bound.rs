@@ -205,7 +205,7 @@ mod tests {
 
     #[test]
     fn formulas_in_f32_stay_within_their_running_bound() {
-        let mut noise = crate::noise::Noise(3);
+        let mut noise = crate::noise::Noise::new(3);
         for _ in 0..10_000 {
             let [a, b, c] = [0; 3].map(|_| noise.uniform(0.01, 3.0));
             let [x, y, z] = [a, b, c].map(Bounded::exact);

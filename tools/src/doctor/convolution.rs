@@ -50,7 +50,7 @@ enum Fault {
 impl Problem {
     fn new(size: [usize; 2], [channels, columns]: [usize; 2], shape: [usize; 2]) -> Self {
         let seed = size[0] * 31 + channels * 7 + columns;
-        let mut noise = Noise(seed as u64);
+        let mut noise = Noise::new(seed as u64);
         let (x, weight) =
             (noise.values(size[0] * size[1] * channels), noise.values(columns * channels * shape[0].pow(2)));
         let bias = noise.values(columns);
@@ -59,7 +59,7 @@ impl Problem {
 
     /// Adds a ReLU before and a residual after the convolution.
     fn residual(self) -> Self {
-        let residual = Noise(17).values(self.out_size().iter().product::<usize>() * self.columns);
+        let residual = Noise::new(17).values(self.out_size().iter().product::<usize>() * self.columns);
         Self { rectified: true, residual: Some(residual), ..self }
     }
 

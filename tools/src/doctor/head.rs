@@ -240,7 +240,7 @@ pub fn area() -> Area {
     let mut cases = Vec::new();
     let mut add = |name: &str, count: usize, catches: Catches<Fault>, value: fn(usize, f32) -> f32| {
         let make = move || {
-            let noise = Noise(6).values(count * WIDTH).into_iter().enumerate();
+            let noise = Noise::new(6).values(count * WIDTH).into_iter().enumerate();
             Problem(noise.map(|(i, r)| value(i, r)).collect())
         };
         cases.push(Case::new(name, count, catches, make));

@@ -40,7 +40,7 @@ enum Fault {
 
 impl Activations {
     fn new(count: usize, length: f32) -> Self {
-        let mut noise = Noise(count as u64);
+        let mut noise = Noise::new(count as u64);
         let raw = noise.values(count * WIDTH).into_iter().enumerate();
         let quat = |i: usize| (6..10).contains(&(i % WIDTH));
         let raw = raw.map(|(i, r)| if quat(i) { length * r } else { 6.0 * r }).collect();
@@ -203,7 +203,7 @@ pub fn gelu() -> Area {
     use SlopeFault::*;
     let every = || {
         let source: Vec<f32> = (-2000..=2000).map(|i| i as f32 / 200.0).collect();
-        let gradient = Noise(5).values(source.len());
+        let gradient = Noise::new(5).values(source.len());
         Slopes(source, gradient)
     };
     let far = || Slopes([-1e30, -1e5, -20.0, 20.0, 1e5, 1e30].into(), [1.0, -2.0, 3.0, 1.0, -2.0, 3.3].into());

@@ -226,7 +226,7 @@ pub fn area() -> Area {
         };
         let mut add = |what: &str, height: usize, catches: Catches<Fault>, value: fn(usize, f32) -> [f32; 2]| {
             let make = move || {
-                let noise = Noise(7).values(3 * WIDTH * height).into_iter().enumerate();
+                let noise = Noise::new(7).values(3 * WIDTH * height).into_iter().enumerate();
                 let (frames, targets) = noise.map(|(i, r)| value(i, r).into()).unzip();
                 Problem { loss, frames, targets }
             };

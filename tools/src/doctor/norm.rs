@@ -111,9 +111,9 @@ impl Fault {
 
 impl Problem {
     fn new(rows: usize, width: usize, value: fn(f32, usize) -> f32) -> Self {
-        let mut noise = Noise(width as u64);
+        let mut noise = Noise::new(width as u64);
         let (weight, bias) = (noise.values(width), noise.values(width));
-        let values = Noise(5).values(rows * width).into_iter().enumerate();
+        let values = Noise::new(5).values(rows * width).into_iter().enumerate();
         Self { width, x: values.map(|(i, r)| value(r, i % width)).collect(), weight, bias }
     }
 

@@ -34,7 +34,7 @@ enum Fault {
 
 impl Problem {
     fn new([height, width]: [usize; 2], side: usize, channels: usize) -> Self {
-        let mut noise = Noise((height * 31 + side * 7 + channels) as u64);
+        let mut noise = Noise::new((height * 31 + side * 7 + channels) as u64);
         let values = noise.values(height * width * side * side * channels);
         Self { width, side, values, bias: noise.values(channels) }
     }

@@ -71,17 +71,18 @@ struct Inputs {
 
 impl Problem {
     fn inputs(&self) -> Inputs {
-        let mut noise = Noise(self.dim as u64);
+        let mut noise = Noise::new(self.dim as u64);
         let projection = noise.values(self.positions().len() * HEADS * self.dim).into_iter().map(self.value).collect();
         Inputs { projection, weight: noise.values(self.dim), bias: noise.values(self.dim) }
     }
 
     fn positions(&self) -> Vec<[f64; 2]> {
         let Self { rows, columns, .. } = *self;
-        match self.global {
-            // Patches at the origin: only differences matter.
-            true => global_positions(rows, columns).into_iter().map(|place| place.map(|step| step - 1.0)).collect(),
-            false => local_positions(rows, columns),
+        if self.global {
+            // Shifted to put patches at the origin: only differences matter.
+            global_positions(rows, columns).into_iter().map(|place| place.map(|step| step - 1.0)).collect()
+        } else {
+            local_positions(rows, columns)
         }
     }
 
@@ -219,12 +220,12 @@ impl case::Problem for Embedding {
     type Fault = EmbeddingFault;
 
     fn compute(&self, _: &Device, _: Mode) -> Result<Vec<f32>> {
-        let learned = Noise(8).values((1 + SIDE * SIDE) * WIDTH);
+        let learned = Noise::new(8).values((1 + SIDE * SIDE) * WIDTH);
         Ok(interpolate_positions(&learned, SIDE, WIDTH, self.rows, self.columns))
     }
 
     fn truth(&self, _: Mode) -> Vec<f64> {
-        let learned = widen(&Noise(8).values((1 + SIDE * SIDE) * WIDTH));
+        let learned = widen(&Noise::new(8).values((1 + SIDE * SIDE) * WIDTH));
         interpolate(&learned, WIDTH, self.rows, self.columns)
     }
 
@@ -234,7 +235,7 @@ impl case::Problem for Embedding {
     }
 
     fn faulty(&self, truth: &Vec<f64>, fault: EmbeddingFault, _: Mode) -> Vec<Vec<f32>> {
-        let learned = Noise(8).values((1 + SIDE * SIDE) * WIDTH);
+        let learned = Noise::new(8).values((1 + SIDE * SIDE) * WIDTH);
         let patch = |place: usize| &truth[place * WIDTH..][..WIDTH];
         let patches = self.rows * self.columns;
         let of = |place: &dyn Fn(usize) -> usize| -> Vec<f32> {

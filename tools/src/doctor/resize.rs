@@ -40,12 +40,12 @@ enum Fault {
 
 impl Problem {
     fn new(size: [usize; 2], to: [usize; 2], channels: usize) -> Self {
-        let x = Noise((size[0] * 31 + channels) as u64).values(size[0] * size[1] * channels);
+        let x = Noise::new((size[0] * 31 + channels) as u64).values(size[0] * size[1] * channels);
         Self { size, to, channels, x, positions: None }
     }
 
     fn placed(self) -> Self {
-        let positions = Noise(23).values((self.to[0] + self.to[1]) * self.channels / 2);
+        let positions = Noise::new(23).values((self.to[0] + self.to[1]) * self.channels / 2);
         Self { positions: Some(positions), ..self }
     }
 

@@ -150,7 +150,7 @@ impl case::Problem for Scan {
 
 /// Bits of a positive float depth.
 fn depths(seed: u64, count: usize) -> Vec<u32> {
-    Noise(seed).values(count).into_iter().map(|r| (1.0 + r).mul_add(50.0, 0.01).to_bits()).collect()
+    Noise::new(seed).values(count).into_iter().map(|r| (1.0 + r).mul_add(50.0, 0.01).to_bits()).collect()
 }
 
 pub fn area() -> Area {
@@ -185,7 +185,7 @@ pub fn area() -> Area {
             1025 => Catches::from([AsItWas, Inclusive, LastShare, Restarts(1024)]),
             _ => Catches::from([AsItWas, Inclusive, LastShare, Restarts(65_536), Restarts(262_144)]),
         };
-        let values = move || Noise(4).values(count).into_iter().map(|r| (r.abs() * 1e5) as u32).collect();
+        let values = move || Noise::new(4).values(count).into_iter().map(|r| (r.abs() * 1e5) as u32).collect();
         cases.push(Case::new("prefix sum", count, catches, move || Scan(values())));
     }
     Area { kernel: "ops/sort", size: "keys", reason: REASON, modes: Mode::ONLY_EXACT, cases }

@@ -99,9 +99,12 @@ fn open(path: &Path) -> Result<File> {
     options.create(true).truncate(false).read(true).write(true);
     #[cfg(unix)]
     std::os::unix::fs::OpenOptionsExt::custom_flags(&mut options, rustix::fs::OFlags::NOFOLLOW.bits() as i32);
-    options.open(path).map_err(|error| match path.is_symlink() {
-        true => Error::format(path, None, "a symbolic link, expected a regular file"),
-        false => Error::io(path, error),
+    options.open(path).map_err(|error| {
+        if path.is_symlink() {
+            Error::format(path, None, "a symbolic link, expected a regular file")
+        } else {
+            Error::io(path, error)
+        }
     })
 }
 

@@ -1,8 +1,9 @@
 //! Camera model from linear light to sRGB bytes.
 
 use glam::Vec3A;
+use zipsplat::random::mix;
 
-use super::rng::{Rng, mix};
+use super::rng::Rng;
 
 /// Linear light where highlights roll off.
 const SHOULDER: f32 = 0.65;

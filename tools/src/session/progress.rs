@@ -43,16 +43,16 @@ impl<'a> Stage<'a> {
     }
 
     pub(super) fn shown<T>(&self, next_line: &Mutex<Instant>, body: impl FnOnce(&Self) -> T) -> T {
-        let result = std::thread::scope(|scope| {
-            // Dropped with the body, also on a panic, which ends the wait.
-            let (_done, done) = channel::<()>();
-            let bar = &self.bar;
-            scope.spawn(move || match stderr().is_terminal() {
-                true => show_bar(bar, &done),
-                false => print_lines(bar, &done, next_line),
+        let result =
+            std::thread::scope(|scope| {
+                // Dropped when the body is done, also by a panic: that ends the wait.
+                let (_done, done) = channel::<()>();
+                let bar = &self.bar;
+                scope.spawn(move || {
+                    if stderr().is_terminal() { show_bar(bar, &done) } else { print_lines(bar, &done, next_line) }
+                });
+                body(self)
             });
-            body(self)
-        });
         self.bar.finish_and_clear();
         result
     }

@@ -237,9 +237,10 @@ impl FromPhotos {
         } else {
             let cloud = ready.cloud.clone().map(|cloud| placed(cloud, &to_scene, 1.0));
             let from = Start::or_best(self.refine.start, cloud.as_ref(), self.weights.is_embedded());
-            let (scene, shown) = match from.needs()[0] {
-                true => made().map(|Made { scene, shown }| (Some(scene), Some(shown)))?,
-                false => (None, None),
+            let (scene, shown) = if from.needs()[0] {
+                made().map(|Made { scene, shown }| (Some(scene), Some(shown)))?
+            } else {
+                (None, None)
             };
             (Started::Scene(from.scene(scene, cloud.as_ref(), &cameras)?), shown.filter(|_| from == Start::Scene))
         };

@@ -172,12 +172,13 @@ impl Site {
         let Some(path) = path.map(str::to_owned) else {
             return text(StatusCode::NOT_FOUND, "nothing here");
         };
-        let body = match is_post {
-            true => match read(request.into_body()).await {
+        let body = if is_post {
+            match read(request.into_body()).await {
                 Ok(body) => Some(body),
                 Err(refusal) => return refusal,
-            },
-            false => None,
+            }
+        } else {
+            None
         };
         complete.store(true, Ordering::Relaxed);
         let (reply, answered) = oneshot::channel();

@@ -324,9 +324,10 @@ fn found_cameras(
     by_rays: bool,
     shared: bool,
 ) -> Result<Vec<Option<[Camera; 2]>>, Error> {
-    let found: Vec<Option<Camera>> = match by_rays {
-        true => depths.cameras_of_rays()?.into_iter().map(|found| Some(found.ok()?.camera)).collect(),
-        false => depths.cameras()?.into_iter().map(Some).collect(),
+    let found: Vec<Option<Camera>> = if by_rays {
+        depths.cameras_of_rays()?.into_iter().map(|found| Some(found.ok()?.camera)).collect()
+    } else {
+        depths.cameras()?.into_iter().map(Some).collect()
     };
     let posed: Vec<usize> = (0..views.len()).filter(|&i| found[i].is_some()).collect();
     let mut cameras: Vec<Camera> = found.iter().flatten().copied().collect();

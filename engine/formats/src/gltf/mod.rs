@@ -100,9 +100,12 @@ fn read_primitive(document: &Document, buffers: &Buffers, primitive: &Primitive)
     if count == 0 {
         return Err(Fault::from(format!("a primitive with {EXTENSION} has no Gaussian, expected one at least")));
     }
-    let checked = |name: &str, found: usize| match found == count {
-        true => Ok(()),
-        false => Err(Fault::from(format!("{name} has {found} values, expected {count} as POSITION has"))),
+    let checked = |name: &str, found: usize| {
+        if found == count {
+            Ok(())
+        } else {
+            Err(Fault::from(format!("{name} has {found} values, expected {count} as POSITION has")))
+        }
     };
     let quats = buffers.values::<4>(document, own("ROTATION")?)?;
     let scales = buffers.values::<3>(document, own("SCALE")?)?;

@@ -98,10 +98,7 @@ fn ranges(ply: &mut Ply<'_>, table: &Table) -> Parsed<Vec<Range>> {
     };
     let (means, scales) = (columns("", ["x", "y", "z"])?, columns("scale_", ["x", "y", "z"])?);
     // Old files have no color range: it is 0..1.
-    let colors = match table.names().any(|name| name == "min_r") {
-        true => Some(columns("", ["r", "g", "b"])?),
-        false => None,
-    };
+    let colors = if table.names().any(|name| name == "min_r") { Some(columns("", ["r", "g", "b"])?) } else { None };
     let mut ranges = Vec::new();
     ply.rows(table, |_, rows| {
         ranges.extend(rows.chunks_exact(table.row_bytes).map(|row| {

@@ -148,9 +148,10 @@ impl<'a> Ply<'a> {
 
     fn truncated(&self, element: &Element) -> Fault {
         let Element { name, count, .. } = element;
-        let width = match self.ascii {
-            true => format!("{} values", element.properties.len()),
-            false => format!("{} bytes", element.row_bytes()),
+        let width = if self.ascii {
+            format!("{} values", element.properties.len())
+        } else {
+            format!("{} bytes", element.row_bytes())
         };
         let rows = if name == "vertex" { "vertices".into() } else { format!("rows of {name}") };
         let follow = self.body_bytes;

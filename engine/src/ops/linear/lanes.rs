@@ -55,12 +55,11 @@ impl LaneTile {
         ];
         // Larger tiles compile slowly on CPUs.
         const CPU: &[LaneTile] = &[LaneTile { sides: [8, 32], lane: [2, 4], k: 8 }];
-        let ruled = match is_uniform(limits, [element, Element::F32]) {
-            true => {
-                let [rows, vectors] = UNIFORM_TILE;
-                Self { sides: [rows, vectors * limits.subgroup_size], lane: UNIFORM_TILE, k: 0 }
-            }
-            false => Self { sides: [LINEAR_ROWS, 4 * limits.subgroup_size], lane: [LINEAR_ROWS, 4], k: 0 },
+        let ruled = if is_uniform(limits, [element, Element::F32]) {
+            let [rows, vectors] = UNIFORM_TILE;
+            Self { sides: [rows, vectors * limits.subgroup_size], lane: UNIFORM_TILE, k: 0 }
+        } else {
+            Self { sides: [LINEAR_ROWS, 4 * limits.subgroup_size], lane: [LINEAR_ROWS, 4], k: 0 }
         };
         let staged = if limits.cpu { CPU } else { GPU }.iter().copied();
         [ruled].into_iter().chain(staged.filter(|tile| tile.fits(limits, tile.shared_bytes()))).collect()

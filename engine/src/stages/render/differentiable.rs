@@ -1,19 +1,15 @@
 use super::{
-    CAMERA_NUMBERS, CameraRows, Depth, Frame, FrameShape, Gradients, RenderOutputs, RenderRequest, SceneGradients,
-    SceneTensors, camera_rows, first_capacity,
+    CAMERA_NUMBERS, CameraRows, Depth, Frame, FrameShape, Gradients, PlanCache, PlanKey, RenderOutputs, RenderRequest,
+    SceneGradients, SceneTensors, camera_rows, first_capacity,
     range::{check, drawable},
     record_with_gradients,
 };
 use crate::{
     Error, Result,
-    gpu::{Arena, Device, Limits, Recorder, Resident, ResidentLayout, Run, Tensor},
+    gpu::{Arena, Device, Recorder, Resident, ResidentLayout, Run, Tensor},
     types::{Camera, Scene},
 };
 use std::sync::Arc;
-
-/// Six moments, an intersection's largest tensor.
-const INTERSECTION_BYTES: u64 = 24;
-const PLANS: usize = 4;
 
 /// Gradients on the host.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -37,10 +33,7 @@ pub struct Wanted {
 pub struct Differentiator {
     arena: Arena,
     memory: Option<Memory>,
-    /// Least recently used first.
-    plans: Vec<Planned>,
-    /// Intersections of new plans; grows on demand.
-    capacity: usize,
+    plans: PlanCache<(RenderRequest, Wanted), GradientPlan>,
 }
 
 struct Memory {
@@ -49,9 +42,7 @@ struct Memory {
     gradients: SceneTensors,
 }
 
-struct Planned {
-    key: (FrameShape, RenderRequest, Wanted),
-    capacity: usize,
+struct GradientPlan {
     run: Run,
     cameras: Tensor,
     d_frames: Tensor,
@@ -62,7 +53,7 @@ struct Planned {
 impl Differentiator {
     /// Creates its own arena.
     pub fn new(device: &Device) -> Self {
-        Self { arena: Arena::new(device), memory: None, plans: Vec::new(), capacity: 0 }
+        Self { arena: Arena::new(device), memory: None, plans: PlanCache::new(device.limits(), 0) }
     }
 
     /// Returns gradients of the sum of pixels times `weights`. `None` weights are zero.
@@ -119,8 +110,7 @@ impl Differentiator {
         let memory = match self.memory.take().filter(|memory| (memory.scene.len, memory.scene.sh_degree) == size) {
             Some(memory) => memory,
             None => {
-                self.plans.clear();
-                self.capacity = 0;
+                self.plans = PlanCache::new(self.arena.device().limits(), first_capacity(scene.len()));
                 Memory::new(self.arena.device(), size)?
             }
         };
@@ -137,42 +127,35 @@ impl Differentiator {
         wanted: Wanted,
     ) -> Result<Option<[f32; CAMERA_NUMBERS]>> {
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-        let key = (FrameShape { cameras: 1, width, height }, *request, wanted);
+        let shape = FrameShape { cameras: 1, width, height };
+        let key = PlanKey { shape, backward: true, options: (*request, wanted) };
+        let memory = self.memory.as_ref().expect("loaded before");
+        // Plans that overflow accumulate nothing.
         loop {
-            let mut planned = match self.plans.iter().position(|plan| plan.key == key) {
-                Some(index) => self.plans.remove(index),
-                None => self.plan(key)?,
-            };
-            planned.run.write(planned.cameras, &[camera_rows(camera)])?;
-            planned.run.write(planned.d_frames, weights)?;
-            planned.run.execute()?;
-            let status: Vec<u32> = planned.run.read(planned.outputs.status)?;
-            let needed = RenderOutputs::needed(&status).unwrap_or(1 << 32);
-            if needed <= planned.capacity {
-                let found = planned.d_cameras.map(|tensor| planned.run.read(tensor)).transpose()?;
-                self.plans.push(planned);
+            let plan =
+                self.plans.get(key, |capacity| GradientPlan::new(&self.arena, memory, shape, key.options, capacity))?;
+            plan.run.write(plan.cameras, &[camera_rows(camera)])?;
+            plan.run.write(plan.d_frames, weights)?;
+            plan.run.execute()?;
+            let needed = plan.outputs.needed(&plan.run)?;
+            if let Some(plan) = self.plans.fitting(needed)? {
+                let found = plan.d_cameras.map(|tensor| plan.run.read(tensor)).transpose()?;
                 return Ok(found.and_then(|cameras: Vec<_>| cameras.first().copied()));
             }
-            // Nothing was accumulated.
-            let available = self.limits().max_binding_bytes;
-            if needed as u64 * INTERSECTION_BYTES > available {
-                let what = "a list of the intersections of Gaussians with tiles".into();
-                return Err(Error::Memory { what, needed: needed as u64 * INTERSECTION_BYTES, available });
-            }
-            self.capacity = self.capacity.max(needed + needed / 4);
         }
     }
+}
 
-    fn plan(&mut self, key: (FrameShape, RenderRequest, Wanted)) -> Result<Planned> {
-        if self.plans.len() == PLANS {
-            self.plans.remove(0);
-        }
-        let (shape, request, wanted) = key;
-        let memory = self.memory.as_ref().expect("loaded before");
+impl GradientPlan {
+    fn new(
+        arena: &Arena,
+        memory: &Memory,
+        shape: FrameShape,
+        (request, wanted): (RenderRequest, Wanted),
+        capacity: usize,
+    ) -> Result<Self> {
         let Memory { resident, scene, .. } = memory;
-        let most = (self.limits().max_binding_bytes / INTERSECTION_BYTES) as usize;
-        let capacity = self.capacity.max(first_capacity(scene.len)).min(most);
-        let mut rec = Recorder::new(self.limits());
+        let mut rec = Recorder::new(arena.device().limits());
         let cameras = rec.input::<CameraRows>("cameras", 1);
         let values = request.channels() * shape.width as usize * shape.height as usize;
         let d_frames = rec.input::<f32>("d_frames", values);
@@ -182,12 +165,8 @@ impl Differentiator {
         let given = |_: &mut Recorder, _| d_frames;
         let outputs = record_with_gradients(&mut rec, scene, cameras, shape, &request, capacity, given, &gradients);
         d_cameras.iter().for_each(|tensor| rec.output(*tensor));
-        let run = Run::in_arena(&self.arena, 0, rec.finish()?, [resident.clone()])?;
-        Ok(Planned { key, capacity, run, cameras, d_frames, d_cameras, outputs })
-    }
-
-    fn limits(&self) -> &Limits {
-        self.arena.device().limits()
+        let run = Run::in_arena(arena, 0, rec.finish()?, [resident.clone()])?;
+        Ok(Self { run, cameras, d_frames, d_cameras, outputs })
     }
 }
 

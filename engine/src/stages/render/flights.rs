@@ -102,8 +102,9 @@ impl Renderer {
         let Some(Flight { cameras, shape, turn }) = flights.pop_front() else { return Ok(()) };
         let plan = self.plan(shape, request, turn)?;
         plan.run.finish()?;
-        let frames = match plan.frames()? {
-            Some(frames) => frames,
+        let needed = plan.outputs.needed(&plan.run)?;
+        let frames = match self.plans.fitting(needed)? {
+            Some(plan) => plan.read()?,
             None => self.render_together(&rows[cameras.clone()], (shape.width, shape.height), request, turn)?,
         };
         cameras.zip(frames).try_for_each(|(i, frame)| done(i, frame))

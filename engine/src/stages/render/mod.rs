@@ -8,6 +8,7 @@ mod flights;
 mod frame;
 mod intersect;
 mod pack;
+mod plan_cache;
 mod planned;
 mod project;
 mod range;
@@ -16,7 +17,8 @@ mod renderer;
 mod scene;
 
 use crate::{
-    gpu::{Recorder, Tensor},
+    Result,
+    gpu::{Recorder, Run, Tensor},
     kernels::limits::TILE,
 };
 
@@ -28,7 +30,9 @@ pub use backward::{CAMERA_NUMBERS, Gradients, record_with_gradients};
 pub use differentiable::{Differentiator, HostGradients, Wanted};
 pub use frame::{Depth, Frame, RenderRequest};
 pub use pack::PixelLayout;
-pub use planned::{first_capacity, plan_pictures};
+pub use plan_cache::first_capacity;
+pub(crate) use plan_cache::{PlanCache, PlanKey, planned_capacity};
+pub use planned::plan_pictures;
 pub use project::{CameraRows, camera_rows};
 pub use range::MAX_SIDE;
 pub(crate) use range::check_camera;
@@ -48,9 +52,13 @@ pub struct RenderOutputs {
 }
 
 impl RenderOutputs {
-    /// Returns the required capacity, `None` past 2^32. Redraw if it exceeds the recorded one.
-    pub fn needed(status: &[u32]) -> Option<usize> {
-        (status[2] == 0).then_some(status[1] as usize)
+    /// Reads the required capacity, at most 2^32. Redraw if it exceeds the recorded one.
+    ///
+    /// # Errors
+    /// A failed transfer.
+    pub fn needed(&self, run: &Run) -> Result<usize> {
+        let status: Vec<u32> = run.read(self.status)?;
+        Ok(if status[2] == 0 { status[1] as usize } else { 1 << 32 })
     }
 }
 

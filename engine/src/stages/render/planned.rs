@@ -1,6 +1,8 @@
+//! Rendering plans.
+
 use super::{
-    CameraRows, DeviceScene, Frame, FrameShape, RenderOutputs, RenderRequest, SceneTensors, flights::pictures_together,
-    record,
+    CameraRows, DeviceScene, Frame, FrameShape, PlanKey, RenderOutputs, RenderRequest, SceneTensors, first_capacity,
+    flights::pictures_together, planned_capacity, record,
 };
 use crate::{
     Result,
@@ -10,17 +12,12 @@ use crate::{
 /// Batch that fills a GPU; CPUs cache best with one.
 const GPU_TOGETHER: usize = 8;
 
-#[derive(Clone, Copy, PartialEq)]
-pub(super) struct Key {
-    pub shape: FrameShape,
-    pub request: RenderRequest,
-    pub turn: usize,
-}
+/// With the arena's lane.
+pub(super) type RenderKey = PlanKey<(RenderRequest, usize)>;
 
-pub(super) struct Planned {
-    pub key: Key,
+pub(super) struct RenderPlan {
+    key: RenderKey,
     pub scene: SceneTensors,
-    pub capacity: usize,
     pub run: Run,
     pub cameras: Tensor,
     pub outputs: RenderOutputs,
@@ -38,7 +35,7 @@ pub fn plan_pictures(
     let shape = FrameShape { cameras, width, height };
     let mut rec = Recorder::new(limits);
     let rows = rec.input::<CameraRows>("cameras", cameras);
-    let capacity = planned_capacity(limits, first_capacity(scene.len), shape);
+    let capacity = planned_capacity(limits.max_binding_bytes, first_capacity(scene.len), shape, false);
     record(&mut rec, scene, rows, shape, request, capacity);
     rec.finish()
 }
@@ -47,38 +44,20 @@ pub(super) fn together(limits: &Limits) -> usize {
     if limits.cpu { 1 } else { GPU_TOGETHER }
 }
 
-/// Initial capacity, a few tiles per Gaussian.
-pub fn first_capacity(gaussians: usize) -> usize {
-    (4 * gaussians).max(1 << 16)
-}
-
-pub(super) fn planned_capacity(limits: &Limits, each: usize, shape: FrameShape) -> usize {
-    each.saturating_mul(shape.cameras).min(limits.max_binding_bytes as usize / 4)
-}
-
-impl Planned {
-    pub fn new(arena: &Arena, scene: &DeviceScene, key: Key, capacity: usize) -> Result<Self> {
+impl RenderPlan {
+    pub fn new(arena: &Arena, scene: &DeviceScene, key: RenderKey, capacity: usize) -> Result<Self> {
+        let (request, lane) = key.options;
         let mut rec = Recorder::new(arena.device().limits());
         let cameras = rec.input::<CameraRows>("cameras", key.shape.cameras);
-        let outputs = record(&mut rec, scene.tensors(), cameras, key.shape, &key.request, capacity);
-        let run = Run::in_arena(arena, key.turn, rec.finish()?, [scene.resident().clone()])?.in_flight()?;
-        Ok(Self { key, scene: *scene.tensors(), capacity, run, cameras, outputs })
-    }
-
-    pub fn needed(&self) -> Result<usize> {
-        let status: Vec<u32> = self.run.read(self.outputs.status)?;
-        Ok(RenderOutputs::needed(&status).unwrap_or(1 << 32))
-    }
-
-    /// `None` if over capacity.
-    pub fn frames(&self) -> Result<Option<Vec<Frame>>> {
-        if self.needed()? > self.capacity { Ok(None) } else { self.read().map(Some) }
+        let outputs = record(&mut rec, scene.tensors(), cameras, key.shape, &request, capacity);
+        let run = Run::in_arena(arena, lane, rec.finish()?, [scene.resident().clone()])?.in_flight()?;
+        Ok(Self { key, scene: *scene.tensors(), run, cameras, outputs })
     }
 
     pub fn read(&self) -> Result<Vec<Frame>> {
         let values: Vec<f32> = self.run.read(self.outputs.frames)?;
         let FrameShape { cameras, width, height } = self.key.shape;
-        let frame = |values| Frame::from_channels(width, height, values, &self.key.request);
+        let frame = |values| Frame::from_channels(width, height, values, &self.key.options.0);
         if cameras == 1 {
             return Ok(vec![frame(values)]);
         }

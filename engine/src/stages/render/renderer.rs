@@ -1,6 +1,7 @@
 use super::{
-    CameraRows, DeviceScene, Frame, FrameShape, PixelLayout, RenderRequest, SceneMemory, SceneTensors, camera_rows,
-    planned::{Key, Planned, first_capacity, planned_capacity, together},
+    CameraRows, DeviceScene, Frame, FrameShape, PixelLayout, PlanCache, PlanKey, RenderRequest, SceneMemory,
+    SceneTensors, camera_rows, first_capacity,
+    planned::{RenderPlan, together},
     range::check,
     scene::used_degree,
 };
@@ -10,16 +11,13 @@ use crate::{
     types::{Camera, LeftOut, Scene},
 };
 
-const PLANS: usize = 4;
-/// Renders scenes on one device.
+/// Renders scenes on one device, replaying cached plans in a shared arena.
 pub struct Renderer {
     arena: Arena,
     scene: Option<DeviceScene>,
     uploaded: Option<SceneMemory>,
-    /// Least recently used first.
-    plans: Vec<Planned>,
-    /// Intersections per camera of new plans; grows on demand.
-    capacity: usize,
+    pub(super) plans: PlanCache<(RenderRequest, usize), RenderPlan>,
+    /// Of the last rendering.
     intersections: usize,
     cameras_at_once: usize,
     pub(super) together: usize,
@@ -33,7 +31,7 @@ impl Renderer {
 
     /// Sets the initial intersections per image; 0 derives them.
     pub fn with_capacity(device: &Device, capacity: usize) -> Self {
-        Self { capacity, ..Self::in_arena(&Arena::new(device)) }
+        Self { plans: PlanCache::new(device.limits(), capacity), ..Self::in_arena(&Arena::new(device)) }
     }
 
     /// Creates a renderer in a shared arena; it moves to its own if that is busy.
@@ -42,8 +40,7 @@ impl Renderer {
             arena: arena.clone(),
             scene: None,
             uploaded: None,
-            plans: Vec::new(),
-            capacity: 0,
+            plans: PlanCache::new(arena.device().limits(), 0),
             intersections: 0,
             cameras_at_once: usize::MAX,
             together: together(arena.device().limits()),
@@ -107,7 +104,7 @@ impl Renderer {
             self.plans.clear();
             self.arena = arena.clone();
         }
-        if self.plans.first().is_some_and(|plan| plan.scene != *scene.tensors()) {
+        if self.plans.iter_mut().any(|plan| plan.scene != *scene.tensors()) {
             self.forget_plans();
         }
         self.plans.iter_mut().for_each(|plan| plan.run.replace_resident(scene.resident().clone()));
@@ -208,7 +205,7 @@ impl Renderer {
                 Ok(drawn) => frames.extend(drawn),
                 Err(Error::Memory { .. }) if together.len() > 1 => {
                     self.cameras_at_once = together.len() / 2;
-                    self.capacity = 0;
+                    self.plans.capacity = 0;
                 }
                 Err(Error::Memory { .. }) if others => {
                     others = false;
@@ -228,53 +225,26 @@ impl Renderer {
         turn: usize,
     ) -> Result<Vec<Frame>> {
         let shape = FrameShape { cameras: cameras.len(), width, height };
-        let most = self.limits().max_binding_bytes / 4;
         loop {
             let plan = self.plan(shape, request, turn)?;
             plan.run.write(plan.cameras, cameras)?;
             plan.run.execute()?;
-            let needed = plan.needed()?;
-            let frames = match (needed <= plan.capacity, request.layout) {
-                (true, Some(_)) => Some(Vec::new()),
-                (true, None) => Some(plan.read()?),
-                (false, _) => None,
-            };
-            self.intersections = needed;
-            if let Some(frames) = frames {
-                return Ok(frames);
+            self.intersections = plan.outputs.needed(&plan.run)?;
+            if let Some(plan) = self.plans.fitting(self.intersections)? {
+                return if request.layout.is_some() { Ok(Vec::new()) } else { plan.read() };
             }
-            if needed as u64 > most {
-                let what = "a list of the intersections of Gaussians with tiles".into();
-                return Err(Error::Memory { what, needed: 4 * needed as u64, available: 4 * most });
-            }
-            // Headroom for small camera movements.
-            self.capacity = self.capacity.max((needed + needed / 4).div_ceil(cameras.len()));
-            self.plans.pop();
         }
     }
 
-    /// The plan becomes the last of the list.
-    pub(super) fn plan(&mut self, shape: FrameShape, request: &RenderRequest, turn: usize) -> Result<&mut Planned> {
+    pub(super) fn plan(&mut self, shape: FrameShape, request: &RenderRequest, turn: usize) -> Result<&mut RenderPlan> {
         let Some(scene) = &self.scene else {
             return Err(Error::argument("scene to render", "none", "one that was loaded before"));
         };
-        let key = Key { shape, request: request.with_near(scene.near()), turn };
-        let known = self.plans.iter().position(|planned| planned.key == key);
-        let planned = match known {
-            Some(index) => self.plans.remove(index),
-            None => {
-                if self.plans.len() == PLANS {
-                    self.plans.remove(0);
-                }
-                if self.capacity == 0 {
-                    self.capacity = first_capacity(scene.len());
-                }
-                let capacity = planned_capacity(self.limits(), self.capacity, shape);
-                Planned::new(&self.arena, scene, key, capacity)?
-            }
-        };
-        self.plans.push(planned);
-        Ok(self.plans.last_mut().expect("just pushed"))
+        let key = PlanKey { shape, backward: false, options: (request.with_near(scene.near()), turn) };
+        if self.plans.capacity == 0 {
+            self.plans.capacity = first_capacity(scene.len());
+        }
+        self.plans.get(key, |capacity| RenderPlan::new(&self.arena, scene, key, capacity))
     }
 
     fn forget_plans(&mut self) {

@@ -84,8 +84,8 @@ impl Depth {
         let mut measured = Vec::new();
         for &(views, size) in &cases {
             let name = format!("{views} views of {size}");
-            let found = match session.stage(&name, |stage| self.measure(&model, (views, size), &peak, stage)) {
-                // Keeps earlier measurements.
+            let found = match session.stage(&name, |stage| self.measure(&model, views, size, &peak, stage)) {
+                // What is too large does not cost what was measured before.
                 Err(error @ Error::Memory { .. }) if !rows.is_empty() => {
                     session.note(format!("{name}: {error}"));
                     continue;
@@ -117,11 +117,12 @@ impl Depth {
     fn measure(
         &self,
         model: &DepthModel,
-        (views, Size(width, height)): (usize, Size),
+        views: usize,
+        Size(width, height): Size,
         peak: &Rate,
         stage: &Stage<'_>,
     ) -> Result<Vec<Row>> {
-        let mut noise = Noise(0);
+        let mut noise = Noise::new(0);
         let images: Vec<Image> = (0..views).map(|_| noise.image(width, height)).collect();
         let request = DepthRequest::default();
         let shape = model.shape(&images, &request)?;
@@ -129,7 +130,7 @@ impl Depth {
         let arena_bytes = plan.arena_bytes();
         let mut run = model.run(plan)?;
         let write = |run: &mut Run| model.write_inputs(run, &tensors, shape, &images, &request);
-        let parts = parts::measure(&mut run, write, part_of, (self.repeats, peak), stage)?;
+        let parts = parts::measure(&mut run, write, part_of, self.repeats, peak, stage)?;
         let row = |part: Part| Row {
             precision: "",
             network: String::new(),

@@ -97,7 +97,7 @@ impl Forward {
         let measure_peak = |stage: &Stage<'_>| peak::of_products(&device, arithmetic, peak::BRIEFLY, stage);
         let (peak, _) = session.stage("peak", measure_peak)?;
         let most = self.views.iter().copied().max().unwrap_or(0).min(MAX_VIEWS);
-        let mut noise = Noise(0);
+        let mut noise = Noise::new(0);
         let images: Vec<Image> = (0..most).map(|_| noise.image(width, height)).collect();
 
         let (mut rows, mut text) = (Vec::new(), String::new());
@@ -248,7 +248,7 @@ impl Forward {
         let peak_bytes = model.weight_bytes() + model.plan(shape)?.bytes();
         let mut run = model.run(plan)?;
         let write = |run: &mut Run| model.write_inputs(run, &tensors, shape, images, request);
-        let parts = parts::measure(&mut run, write, stage_of, (self.repeats, peak), stage)?;
+        let parts = parts::measure(&mut run, write, stage_of, self.repeats, peak, stage)?;
         let row = |part: Part| Row {
             precision: "",
             views: images.len(),

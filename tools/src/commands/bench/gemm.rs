@@ -76,7 +76,7 @@ impl Gemm {
         stage: &Stage<'_>,
     ) -> Result<Vec<Row>> {
         let [rows, inner, columns] = shape;
-        let mut noise = Noise(0);
+        let mut noise = Noise::new(0);
         let (a, b) = (noise.values(rows * inner), noise.values(inner * columns));
         let (stride, bias) = (rows / CHECKED_ROWS, vec![0.0; columns]);
         let checked: Vec<f32> = a.chunks(inner).step_by(stride).flatten().copied().collect();
@@ -84,7 +84,7 @@ impl Gemm {
         let largest = expected.iter().fold(0f64, |most, value| most.max(value.abs()));
         let flops = 2 * (rows * inner * columns) as u64;
         let measure = |(name, kernel, peak): &(String, LinearKernel, Rate)| {
-            let (times, product) = on_device(device, shape, *kernel, (&a, &b), self.repeats, stage)?;
+            let (times, product) = on_device(device, shape, *kernel, &a, &b, self.repeats, stage)?;
             let computed = product.chunks(columns).step_by(stride).flatten();
             let apart = expected.iter().zip(computed).map(|(x, &y)| (x - f64::from(y)).abs());
             let device_ms = Spread::of(times);
@@ -142,7 +142,8 @@ fn on_device(
     device: &Device,
     [rows, inner, columns]: [usize; 3],
     kernel: LinearKernel,
-    (a, b): (&[f32], &[f32]),
+    a: &[f32],
+    b: &[f32],
     Repeats { warmup, repeats }: Repeats,
     stage: &Stage<'_>,
 ) -> Result<(Vec<Duration>, Vec<f32>)> {

@@ -47,7 +47,8 @@ pub fn measure(
     run: &mut Run,
     write: impl Fn(&mut Run) -> Result<()>,
     stage_of: fn(&ProfileRow) -> String,
-    (repeats, peak): (Repeats, &Rate),
+    repeats: Repeats,
+    peak: &Rate,
     stage: &Stage<'_>,
 ) -> Result<Vec<Part>> {
     let Repeats { warmup, repeats } = repeats;

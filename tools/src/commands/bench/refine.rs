@@ -179,9 +179,10 @@ impl Refine {
                 times.push(last.elapsed());
             }
             last = Instant::now();
-            match times.len() < counted {
-                true => stage.at(0.5 + 0.5 * times.len() as f64 / counted as f64),
-                false => ControlFlow::Break(()),
+            if times.len() < counted {
+                stage.at(0.5 + 0.5 * times.len() as f64 / counted as f64)
+            } else {
+                ControlFlow::Break(())
             }
         })?;
         stage.check()?;
@@ -210,14 +211,14 @@ impl Refine {
 
 impl Case {
     fn new(gaussians: usize, sh_degree: u32, size: Size, photos: usize) -> Self {
-        let mut noise = Noise(2);
+        let mut noise = Noise::new(2);
         let camera = |i: usize| {
             let mut camera = noise::camera(size.0, size.1);
             camera.pose.translation.x = 0.01 * i as f64;
             camera
         };
         Self {
-            scene: Noise(1).scene(gaussians, sh_degree),
+            scene: Noise::new(1).scene(gaussians, sh_degree),
             size,
             photos: (0..photos).map(|_| noise.image(size.0, size.1)).collect(),
             cameras: (0..photos).map(camera).collect(),

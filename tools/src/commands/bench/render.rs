@@ -83,7 +83,7 @@ impl Render {
         let device = timed_device(session)?;
         if self.effects {
             let (gaussians, size, sh) = (self.gaussians[0], self.size[0], self.sh[0].max(1));
-            let scene = Noise(1).scene(gaussians as usize, sh);
+            let scene = Noise::new(1).scene(gaussians as usize, sh);
             return effects::run(session, &device, &scene, size, &self.repeats);
         }
         self.gsplat.as_deref().map_or(Ok(()), gsplat::check)?;
@@ -91,7 +91,7 @@ impl Render {
         let mut rows = Vec::new();
         for &gaussians in &self.gaussians {
             for &sh_degree in &self.sh {
-                let scene = Noise(1).scene(gaussians as usize, sh_degree);
+                let scene = Noise::new(1).scene(gaussians as usize, sh_degree);
                 for size in &self.size {
                     let name = format!("{gaussians} at {size}");
                     let measured =
@@ -100,9 +100,10 @@ impl Render {
                 }
             }
         }
-        let text = match self.csv {
-            true => outputs::csv(&rows.iter().map(Line::from).collect::<Vec<_>>()),
-            false => format!("{}, {bandwidth}\n{}", device.limits().name, table(&rows)),
+        let text = if self.csv {
+            outputs::csv(&rows.iter().map(Line::from).collect::<Vec<_>>())
+        } else {
+            format!("{}, {bandwidth}\n{}", device.limits().name, table(&rows))
         };
         session.report(&rows, text)
     }

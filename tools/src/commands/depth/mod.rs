@@ -129,14 +129,15 @@ impl Depth {
             write_frames(place, &frames, Some(POINTS))?;
         }
         folder.iter_mut().for_each(FrameFolder::keep);
-        self.report(session, &seen, (levels, points.len()), errors.as_ref())
+        self.report(session, &seen, levels, points.len(), errors.as_ref())
     }
 
     fn report(
         &self,
         session: &mut Session<'_>,
         seen: &Seen,
-        (levels, points): (f32, usize),
+        levels: f32,
+        points: usize,
         errors: Option<&Errors>,
     ) -> Result<()> {
         let Seen { depths, cameras, times, .. } = seen;

@@ -1,4 +1,5 @@
-use super::one::{cells, cells_of};
+//! The report of `eval` on pictures whose cameras were aligned.
+
 use crate::{
     align::{Aligned, Doubt, MOST_SHIFT, MOST_TURN},
     capture::{Capture, Score},
@@ -130,4 +131,16 @@ impl Alignment {
             "\naligned by {degrees:.2} degrees and {distance:.4} (medians); with the cameras given {psnr:.2} dB and {ssim:.3}"
         )
     }
+}
+
+/// The cells of a score.
+pub fn cells_of(score: &Score) -> [String; 6] {
+    cells(&score.view, [score.psnr, score.ssim, score.nearest_psnr, score.mean_color_psnr], score.lpips)
+}
+
+/// PSNR, SSIM, LPIPS and the PSNR of the two predictions.
+fn cells(view: &str, [psnr, ssim, nearest, color]: [f64; 4], lpips: Option<f64>) -> [String; 6] {
+    let db = |value: f64| format!("{value:.2} dB");
+    let lpips = lpips.map_or("-".into(), |lpips| format!("{lpips:.3}"));
+    [view.to_owned(), db(psnr), format!("{ssim:.3}"), lpips, db(nearest), db(color)]
 }

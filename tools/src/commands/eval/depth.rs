@@ -38,7 +38,7 @@ pub fn scene(folder: &Path, noise: f64, choice: &Choice, capture: &Capture) -> R
 
 /// Returns unit normal numbers: a grid, interpolated with weights whose squares sum to 1.
 fn smooth(seed: u64, width: usize, height: usize) -> Vec<f64> {
-    let mut noise = Noise(seed);
+    let mut noise = Noise::new(seed);
     let columns = width / SMOOTH + 2;
     // Twelve uniform numbers approximate a normal one.
     let mut normal = || (0..12).map(|_| f64::from(noise.uniform(-0.5, 0.5))).sum::<f64>().clamp(-MOST, MOST);

@@ -86,12 +86,12 @@ impl<'a> Judge<'a> {
         let (capture, _) = session.stage("load photos", |stage| choice.load(seeing, eval.unit, stage))?;
         capture.notes().for_each(|note| session.note(note));
         let made = match (eval.theirs.make(session, name, choice, &capture)?, self.weights) {
-            (None, Weighed::Tokens(checkpoint)) => self.reconstruct(session, (choice, &capture), checkpoint)?,
+            (None, Weighed::Tokens(checkpoint)) => self.reconstruct(session, choice, &capture, checkpoint)?,
             (None, Weighed::Pixels(checkpoint)) => {
-                let made = self.of_pixels(session, (choice, &capture), checkpoint)?;
-                self.refined(session, (choice, &capture), made)?
+                let made = self.of_pixels(session, choice, &capture, checkpoint)?;
+                self.refined(session, choice, &capture, made)?
             }
-            (Some(made), _) => self.refined(session, (choice, &capture), made)?,
+            (Some(made), _) => self.refined(session, choice, &capture, made)?,
         };
         let (drawn, mut alignment) = self.draw(session, &capture)?;
         let mut scores = capture.scores(&drawn);
@@ -106,7 +106,8 @@ impl<'a> Judge<'a> {
     fn refined(
         &mut self,
         session: &mut Session<'_>,
-        (choice, capture): (&Choice, &Capture),
+        choice: &Choice,
+        capture: &Capture,
         mut made: Made,
     ) -> Result<Made> {
         let eval = self.eval;
@@ -127,7 +128,8 @@ impl<'a> Judge<'a> {
     fn reconstruct(
         &mut self,
         session: &mut Session<'_>,
-        (choice, capture): (&Choice, &Capture),
+        choice: &Choice,
+        capture: &Capture,
         checkpoint: &Checkpoint,
     ) -> Result<Made> {
         let eval = self.eval;

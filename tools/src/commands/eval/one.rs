@@ -2,7 +2,7 @@
 
 use super::{
     Eval, VIEWS,
-    alignment::Alignment,
+    alignment::{Alignment, cells_of},
     judge::{Judge, Judged},
 };
 use crate::{
@@ -129,17 +129,7 @@ fn table(scores: &[Score], mean: &Score) -> Table {
     table
 }
 
-pub fn cells_of(score: &Score) -> [String; 6] {
-    cells(&score.view, [score.psnr, score.ssim, score.nearest_psnr, score.mean_color_psnr], score.lpips)
-}
-
-pub fn cells(view: &str, [psnr, ssim, nearest, color]: [f64; 4], lpips: Option<f64>) -> [String; 6] {
-    let db = |value: f64| format!("{value:.2} dB");
-    let lpips = lpips.map_or("-".into(), |lpips| format!("{lpips:.3}"));
-    [view.to_owned(), db(psnr), format!("{ssim:.3}"), lpips, db(nearest), db(color)]
-}
-
-/// Two photos per row: photo, prediction, nearest input.
+/// For some of the photos, evenly spread, two in a row: the photo, what was drawn, the nearest input.
 fn comparison(capture: &Capture, drawn: &[Vec<f32>]) -> Result<Image> {
     let targets = &capture.targets;
     let shown = targets.len().min(SHOWN);

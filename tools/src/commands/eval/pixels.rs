@@ -40,7 +40,8 @@ impl Judge<'_> {
     pub(super) fn of_pixels(
         &mut self,
         session: &mut Session<'_>,
-        (choice, capture): (&Choice, &Capture),
+        choice: &Choice,
+        capture: &Capture,
         checkpoint: &DepthCheckpoint,
     ) -> Result<Made> {
         let seer = match self.seer.take() {
@@ -60,9 +61,10 @@ impl Judge<'_> {
         }
         let (first, keep) = (inputs[0].camera.pose, self.eval.quality.kept());
         let mut scene = seen.scene(&Pose::IDENTITY, keep)?;
-        let to_cameras = match pose_free {
-            true => aligned(&Poses { frames: seen.frames()?, ..Poses::default() }, &inputs)?.0,
-            false => Similarity { scale: 1.0, pose: Pose::IDENTITY },
+        let to_cameras = if pose_free {
+            aligned(&Poses { frames: seen.frames()?, ..Poses::default() }, &inputs)?.0
+        } else {
+            Similarity { scale: 1.0, pose: Pose::IDENTITY }
         };
         place(&mut scene, &to_cameras, &first, capture);
         let [tokens, all] = seen.patches();

@@ -84,9 +84,10 @@ impl Info {
             (Some(file), _) if is_scene(Path::new(file))? => scene(session, file, &self.scene_input),
             (Some(file), _) => {
                 refuse("--invalid", self.scene_input.is_given(), "a checkpoint", "a scene")?;
-                match is_of_depth(file) {
-                    true => depth_checkpoint(session, &open_depth(file, true)?),
-                    false => checkpoint(session, &self.weights.open_unless_scene(file)?),
+                if is_of_depth(file) {
+                    depth_checkpoint(session, &open_depth(file, true)?)
+                } else {
+                    checkpoint(session, &self.weights.open_unless_scene(file)?)
                 }
             }
             (None, Some(views)) => plan::show(session, self, views),
@@ -180,9 +181,10 @@ fn depth_checkpoint(session: &mut Session<'_>, checkpoint: &DepthCheckpoint) -> 
         "cameras": architecture.multi_view(), "sky": !architecture.multi_view(), "gaussians": architecture.gaussians,
         "parameters": architecture.parameter_count(), "bytes": checkpoint.bytes(), "stored": checkpoint.stored(),
     });
-    let what = match architecture.multi_view() {
-        true => "depth, rays and cameras of photos seen at once",
-        false => "depth and sky of each photo by itself, no cameras",
+    let what = if architecture.multi_view() {
+        "depth, rays and cameras of photos seen at once"
+    } else {
+        "depth and sky of each photo by itself, no cameras"
     };
     let more = if architecture.gaussians { ", a Gaussian a pixel" } else { "" };
     let name = format!("{} of Depth Anything 3: {what}{more}", architecture.name);

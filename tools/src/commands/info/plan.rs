@@ -101,9 +101,10 @@ pub fn show(session: &mut Session<'_>, info: &Info, views: usize) -> Result<()> 
         bytes(weights),
         bytes(scene),
         bytes(arena),
-        match pictures.is_some() || refined.is_some() {
-            true => format!(" (in arenas of their own {} in all)", bytes(separate)),
-            false => String::new(),
+        if pictures.is_some() || refined.is_some() {
+            format!(" (in arenas of their own {} in all)", bytes(separate))
+        } else {
+            String::new()
         },
         plan.len(),
         plan.flops() as f64 / 1e9

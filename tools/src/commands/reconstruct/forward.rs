@@ -1,7 +1,6 @@
 //! Network pass.
 
-use super::Reconstruct;
-use super::placed::Placed;
+use super::{Posed, Reconstruct, placed::Placed};
 use crate::{
     explain::Explanation,
     options::Size,
@@ -11,17 +10,14 @@ use crate::{
 };
 use indicatif::HumanCount;
 use serde_json::{Value, json};
-use std::{path::PathBuf, time::Duration};
+use std::time::Duration;
 use zipsplat::{
     Result,
     gpu::{Arena, Device},
     ops::Precision,
     reconstruct::{Model, Reconstruction, Request, SceneTokens, Shape},
     stages::render::DeviceScene,
-    types::{
-        Scene,
-        poses::{Frame, Poses, Unit},
-    },
+    types::{Scene, poses::Unit},
     weights::Checkpoint,
 };
 
@@ -32,9 +28,7 @@ pub const LOAD_WEIGHTS: &str = "load weights";
 pub struct Planned<'a> {
     command: &'a Reconstruct,
     checkpoint: &'a Checkpoint,
-    photos: &'a [PathBuf],
-    poses: Option<&'a Poses>,
-    frames: &'a [&'a Frame],
+    posed: Posed<'a>,
     size: Size,
     shape: Shape,
 }
@@ -68,8 +62,9 @@ impl Forward {
         command: &'a Reconstruct,
         session: &mut Session<'_>,
         checkpoint: &'a Checkpoint,
-        (photos, poses, frames): (&'a [PathBuf], Option<&'a Poses>, &'a [&'a Frame]),
+        posed: Posed<'a>,
     ) -> Result<Planned<'a>> {
+        let Posed { photos, poses, .. } = posed;
         let (quality, fit) = (&command.quality, command.fit.fit);
         let size = quality.size_for(checkpoint);
         fit.check(size, poses.is_some())?;
@@ -88,7 +83,7 @@ impl Forward {
                  one photo, or cameras (--poses find finds them), gives more, and the paper's weights (`zipsplat weights get zipsplat`) most",
             );
         }
-        Ok(Planned { command, checkpoint, photos, poses, frames, size, shape })
+        Ok(Planned { command, checkpoint, posed, size, shape })
     }
 
     pub fn rate_told(&self) -> String {
@@ -98,7 +93,7 @@ impl Forward {
 
 impl Planned<'_> {
     pub fn run(self, session: &mut Session<'_>, device: &Device) -> Result<Forward> {
-        let Self { command, checkpoint, photos, poses, frames, size, shape } = self;
+        let Self { command, checkpoint, posed: Posed { photos, poses, frames }, size, shape } = self;
         let (quality, fit) = (&command.quality, command.fit.fit);
         let (precision, arithmetic) = quality.arithmetic.choose(session, device)?;
         let (views, load_photos) = session.stage(LOAD_PHOTOS, |stage| fit.load(photos, frames, size, stage))?;

@@ -1,7 +1,7 @@
 //! Pixel scenes.
 
 use super::{
-    Reconstruct,
+    Posed, Reconstruct,
     forward::{Forward, LOAD_WEIGHTS, rate},
 };
 use crate::{
@@ -12,12 +12,7 @@ use crate::{
     views::Fit,
 };
 use serde_json::json;
-use std::path::PathBuf;
-use zipsplat::{
-    Result,
-    types::poses::{Frame, Poses},
-    weights::DepthCheckpoint,
-};
+use zipsplat::{Result, weights::DepthCheckpoint};
 
 const PIXELS: &str = "weights of Depth Anything 3";
 
@@ -50,7 +45,7 @@ impl Forward {
         session: &mut Session<'_>,
         checkpoint: &DepthCheckpoint,
         seen: Option<Box<Seen>>,
-        (photos, poses, frames): (&[PathBuf], Option<&Poses>, &[&Frame]),
+        Posed { photos, poses, frames }: Posed<'_>,
     ) -> Result<Self> {
         let mut seen = match seen {
             Some(seen) => *seen,

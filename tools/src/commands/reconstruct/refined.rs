@@ -1,7 +1,7 @@
 //! Refinement in `zipsplat reconstruct --refine`.
 
 use super::{
-    Reconstruct,
+    Posed, Reconstruct,
     forward::{Forward, LOAD_PHOTOS},
 };
 use crate::{
@@ -9,7 +9,7 @@ use crate::{
     refinement::{self, Refinable, Start, Steps},
     session::Session,
 };
-use std::{path::PathBuf, time::Duration};
+use std::time::Duration;
 use zipsplat::{
     Error, Result,
     gpu::{Arena, Device},
@@ -43,9 +43,10 @@ pub struct Made {
 
 impl Reconstruct {
     pub fn start_of(&self, steps: Steps, cloud: Option<&PointCloud>) -> From {
-        match steps.tokens {
-            true => From::Tokens,
-            false => From::Scene(Start::or_best(self.refine.start, cloud, self.weights.is_embedded())),
+        if steps.tokens {
+            From::Tokens
+        } else {
+            From::Scene(Start::or_best(self.refine.start, cloud, self.weights.is_embedded()))
         }
     }
 
@@ -53,10 +54,11 @@ impl Reconstruct {
     pub fn refine_scene(
         &self,
         session: &mut Session<'_>,
-        (steps, start): (Steps, From),
+        steps: Steps,
+        start: From,
         given: Given<'_>,
         cloud: Option<&PointCloud>,
-        (photos, frames): (&[PathBuf], &[&Frame]),
+        Posed { photos, frames, .. }: Posed<'_>,
     ) -> Result<Made> {
         let world = frames[0].camera.pose;
         let camera = |frame: &&Frame| Camera { pose: frame.camera.pose.relative_to(&world), ..frame.camera };

@@ -47,7 +47,7 @@ struct Row {
 impl Problem {
     /// Scales random queries and keys by `size`.
     fn random(queries: usize, keys: usize, dim: usize, size: f32) -> Self {
-        let mut noise = Noise((keys * 64 + queries) as u64);
+        let mut noise = Noise::new((keys * 64 + queries) as u64);
         let width = HEADS * dim;
         let [mut q, mut k] = [queries, keys].map(|tokens| noise.values(tokens * width));
         q.iter_mut().chain(&mut k).for_each(|x| *x *= size);

@@ -175,7 +175,7 @@ pub fn area() -> Area {
     let mut cases = Vec::new();
     let mut add = |name: &str, count: usize, k: usize, catches: Catches<Fault>, value: fn(usize, f32) -> f32| {
         let make = move || {
-            let noise = Noise(count as u64).values(count * WIDTH).into_iter().enumerate();
+            let noise = Noise::new(count as u64).values(count * WIDTH).into_iter().enumerate();
             Problem { x: noise.map(|(i, r)| value(i / WIDTH, (r * 64.0).round() / 64.0)).collect(), k }
         };
         cases.push(Case::new(name, count, catches, make));

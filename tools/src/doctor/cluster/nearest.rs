@@ -200,7 +200,7 @@ pub fn area() -> Area {
     let mut add = |name: &str, catches: Catches<Fault>, shape: [usize; 3], value: fn(f32) -> f32| {
         let make = move || {
             let [points, targets, width] = shape;
-            let mut noise = Noise((points + targets + width) as u64);
+            let mut noise = Noise::new((points + targets + width) as u64);
             let mut rows = |count: usize| noise.values(count * width).into_iter().map(value).collect::<Vec<f32>>();
             let (points, mut targets) = (rows(points), rows(targets));
             let last = targets.len() - width;
@@ -224,7 +224,7 @@ pub fn area() -> Area {
     add("points beyond a fold of workgroups", [First, Folded].into(), [folded, 5, 4], |r| r);
     let midway = || {
         const WIDTH: usize = 64;
-        let targets = Noise(7).values(100 * WIDTH);
+        let targets = Noise::new(7).values(100 * WIDTH);
         let row = |index: usize| targets.chunks(WIDTH).nth(index % 100).unwrap_or_default();
         let midway = |i: usize| row(i).iter().zip(row(3 * i + 1)).map(|(a, b)| 0.5 * (a + b)).collect::<Vec<f32>>();
         let points = (0..65).flat_map(midway).collect();

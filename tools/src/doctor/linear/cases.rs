@@ -123,7 +123,7 @@ fn alone() -> Problem {
 /// exact in 8-bit integers.
 fn cancelling() -> Problem {
     let mut problem = Problem { whole: true, ..Problem::random(9, 512, 40) };
-    let mut noise = Noise(73);
+    let mut noise = Noise::new(73);
     let mut large = || noise.uniform(64.0, 128.0).floor();
     for (i, pair) in problem.weight.chunks_mut(2).enumerate() {
         let w = if i % 256 == 3 { 127.0 } else { large() };

@@ -56,17 +56,17 @@ struct Sum {
 
 impl Problem {
     fn random(rows: usize, inner: usize, columns: usize) -> Self {
-        let mut noise = Noise((rows * 31 + inner * 7 + columns) as u64);
+        let mut noise = Noise::new((rows * 31 + inner * 7 + columns) as u64);
         let (x, weight, bias) = (noise.values(rows * inner), noise.values(columns * inner), noise.values(columns));
         Self { rows, inner, columns, x, weight, bias, activation: Activation::None, scaled: false, whole: false }
     }
 
     fn gamma(&self) -> Vec<f32> {
-        Noise(71).values(self.columns)
+        Noise::new(71).values(self.columns)
     }
 
     fn stream(&self) -> Vec<f32> {
-        Noise(72).values(self.rows * self.columns)
+        Noise::new(72).values(self.rows * self.columns)
     }
 
     fn out_columns(&self) -> usize {

@@ -71,7 +71,7 @@ impl case::Problem for Problem {
 }
 
 fn scene(count: usize, degree: u32, change: impl Fn(usize, &mut [f32; 3], &mut [f32; 3], &mut f32)) -> Scene {
-    let mut scene = Noise(count as u64 + 1).scene(count, degree);
+    let mut scene = Noise::new(count as u64 + 1).scene(count, degree);
     for i in 0..count {
         change(i, &mut scene.means[i], &mut scene.scales[i], &mut scene.opacities[i]);
     }

@@ -81,10 +81,10 @@ impl case::Problem for Problem {
 pub fn area() -> Area {
     use Fault::*;
     let all = [Zero, HalfSums, Overwritten, LastRow, NeighbourNumber];
-    let noise = |rows: usize| move || Problem(Noise(rows as u64).values(rows * NUMBERS));
+    let noise = |rows: usize| move || Problem(Noise::new(rows as u64).values(rows * NUMBERS));
     let mut cases: Vec<Case> = [1, 7, 129, 4097].map(|rows| Case::new("random of +-1", rows, all, noise(rows))).into();
     let cancelling = || {
-        let values = Noise(3).values(1000 * NUMBERS);
+        let values = Noise::new(3).values(1000 * NUMBERS);
         // Each row of large numbers has its opposite.
         let opposite = |i: usize| if (i / NUMBERS).is_multiple_of(2) { 1e6 } else { -1e6 };
         let large = |i: usize| opposite(i) * (1.0 + values[i / (2 * NUMBERS) * NUMBERS + i % NUMBERS].abs());

@@ -64,7 +64,7 @@ enum Fault {
 
 impl Problem {
     fn new(count: usize, degree: u32, tiles: impl Fn(usize) -> u32) -> Self {
-        let mut noise = Noise(count as u64 + u64::from(degree));
+        let mut noise = Noise::new(count as u64 + u64::from(degree));
         let scene = noise.scene(count, degree);
         let starts: Vec<u32> = std::iter::once(0)
             .chain((0..count).scan(0, |sum, i| {
@@ -146,10 +146,8 @@ impl Problem {
         let width = 3 * self.bases();
         let coeffs = &self.coeffs[n * width..][..width];
         let held = |c: usize| self.colors[n][c] <= 0.0;
-        let d = [0, 1, 2].map(|c| match held(c) {
-            true => Bounded::exact(0.0),
-            false => Bounded { value: sum[6 + c], error: pair[6 + c] },
-        });
+        let d = [0, 1, 2]
+            .map(|c| if held(c) { Bounded::exact(0.0) } else { Bounded { value: sum[6 + c], error: pair[6 + c] } });
         // Up to 20 roundings in a basis function.
         let basis = 2.6 * OFF + 20.0 * U * 1.5;
         let of_coeff = |i: usize| {

@@ -70,7 +70,7 @@ struct Found {
 
 impl Problem {
     fn new(scene: Scene, camera: Camera, antialiased: bool) -> Self {
-        let mut noise = Noise(scene.len() as u64);
+        let mut noise = Noise::new(scene.len() as u64);
         let mut pair = || {
             // Moments of a few pixels keep the second order consistent.
             let mut sums = [0.0; 10];
@@ -315,7 +315,7 @@ impl case::Problem for Problem {
 }
 
 fn scene(count: usize, change: impl Fn(usize, &mut [f32; 3], &mut [f32; 3])) -> Scene {
-    let mut scene = Noise(count as u64 + 3).scene(count, 0);
+    let mut scene = Noise::new(count as u64 + 3).scene(count, 0);
     for i in 0..count {
         scene.opacities[i] = 0.2 + 0.7 * scene.opacities[i];
         // Keeps centers in the picture, which is wider than high.

@@ -107,7 +107,8 @@ type Share = [Bounded; VALUES];
 fn pixel(
     splats: &[Splat],
     [x, y]: [f64; 2],
-    (frame, d): ([f64; 5], [Bounded; 5]),
+    frame: [f64; 5],
+    d: [Bounded; 5],
     fault: Option<Fault>,
 ) -> Option<Vec<Share>> {
     let (one, zero) = (Bounded::exact(1.0), Bounded::exact(0.0));
@@ -168,12 +169,12 @@ fn pixel(
 impl Problem {
     /// Creates random gradients, 0 where rounding may flip a threshold.
     fn new(splats: Vec<Splat>) -> Self {
-        let mut noise = Noise(splats.len() as u64);
+        let mut noise = Noise::new(splats.len() as u64);
         let (mut frames, mut d_frames) = (Vec::new(), Vec::new());
         for (_, at) in pixels() {
             let frame = frame(&splats, at);
             let d = noise.values(5);
-            let stable = pixel(&splats, at, (frame, [Bounded::exact(0.0); 5]), None).is_some();
+            let stable = pixel(&splats, at, frame, [Bounded::exact(0.0); 5], None).is_some();
             frames.extend(frame.map(|value| value as f32));
             d_frames.extend(d.into_iter().map(|d| if stable { d } else { 0.0 }));
         }
@@ -193,7 +194,7 @@ impl Problem {
                 continue;
             }
             let tile = if fault == Some(Fault::NeighbourTile) { (tile + 1) % count } else { tile };
-            for (n, share) in pixel(&self.splats, at, (frame, d), fault).into_iter().flatten().enumerate() {
+            for (n, share) in pixel(&self.splats, at, frame, d, fault).into_iter().flatten().enumerate() {
                 for (value, share) in share.into_iter().enumerate() {
                     let slot = (n * count + tile) * VALUES + value;
                     slots[slot].value += share.value;
@@ -301,7 +302,7 @@ impl case::Problem for Problem {
 
 /// Creates splats 1 to 10 pixels wide.
 fn splats(count: usize, change: impl Fn(usize, &mut Splat)) -> Vec<Splat> {
-    let mut noise = Noise(count as u64 + 7);
+    let mut noise = Noise::new(count as u64 + 7);
     let mut one = |i: usize| {
         let mut uniform = |low, high| noise.uniform(low, high);
         let mut splat = Splat {

@@ -45,12 +45,8 @@ fn is_binary(folder: &Path) -> bool {
 
 pub(super) fn read(folder: &Path) -> Result<Poses> {
     let binary = is_binary(folder);
-    let [cameras, images] = ["cameras", "images"].map(|name| {
-        folder.join(name).with_extension(match binary {
-            true => "bin",
-            false => "txt",
-        })
-    });
+    let [cameras, images] =
+        ["cameras", "images"].map(|name| folder.join(name).with_extension(if binary { "bin" } else { "txt" }));
     let (cameras_bytes, images_bytes) = (read_file(&cameras)?, read_file(&images)?);
     let lenses = if binary { binary_cameras(&cameras_bytes) } else { text_cameras(&cameras_bytes) };
     let lenses = lenses.map_err(|fault| fault.in_file(&cameras))?;

@@ -41,7 +41,8 @@ pub fn all<'a>(
     architecture: &Architecture,
     precision: &'a str,
     keep: &'a [usize],
-    (captures, clouds): (&'a [Capture], &'a [Option<PointCloud>]),
+    captures: &'a [Capture],
+    clouds: &'a [Option<PointCloud>],
 ) -> Result<Vec<Case<'a>>> {
     let mut cases: Vec<Case<'a>> = Vec::new();
     for (&ratio, selection) in args.ratio.iter().flat_map(|ratio| args.select.iter().map(move |s| (ratio, s))) {

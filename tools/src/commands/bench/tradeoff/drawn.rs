@@ -61,7 +61,8 @@ fn file_bytes(scene: &Scene) -> Result<u64> {
 pub fn psnr_to_f64(
     renderer: &mut Renderer,
     compared: &Compared,
-    (group, keep): (usize, usize),
+    group: usize,
+    keep: usize,
     capture: &Capture,
 ) -> Result<f64> {
     let kept = compared.scene.most_visible(group, keep);

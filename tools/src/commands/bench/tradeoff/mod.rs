@@ -150,8 +150,8 @@ impl Tradeoff {
             .collect::<Result<_>>()?;
         let arithmetics = self.arithmetics(session, &device, &checkpoint)?;
         let rounded = rounded::all(self, session, &checkpoint)?;
-        let networks = (&checkpoint, &rounded[..], &arithmetics[..]);
-        let (sweep, cancelled) = sweep::run(self, session, &device, networks, (&captures, &clouds))?;
+        let networks = sweep::Networks { checkpoint: &checkpoint, rounded: &rounded, arithmetics: &arithmetics };
+        let (sweep, cancelled) = sweep::run(self, session, &device, networks, &captures, &clouds)?;
 
         outputs::make_folder(&self.output)?;
         let page = page::page(self, &device.limits().name, checkpoint.provenance(), &captures, &sweep)?;

@@ -4,7 +4,6 @@ use crate::{capture::Capture, refinement::Steps, session::Stage};
 use std::ops::ControlFlow;
 use zipsplat::{
     Error, Result,
-    gpu::Device,
     reconstruct::{Model, Request},
     refine::{FrozenHead, Refine, Refined, Stopped, refine_scene, refine_tokens},
     types::Scene,
@@ -13,9 +12,11 @@ use zipsplat::{
 
 /// Refines as `zipsplat eval --refine STEPS`.
 pub fn refine(
-    device: &Device,
-    (model, checkpoint): (&Model, &Checkpoint),
-    (capture, request, scene): (&Capture, &Request, &Scene),
+    model: &Model,
+    checkpoint: &Checkpoint,
+    capture: &Capture,
+    request: &Request,
+    scene: &Scene,
     steps: Steps,
     stage: &Stage<'_>,
 ) -> Result<Refined> {
@@ -26,7 +27,7 @@ pub fn refine(
         let features = model.features(&capture.images(), request, |_| go_on())?;
         let tokens = model.tokens(&features, request, |_| go_on())?;
         drop(features);
-        let head = FrozenHead::load(device, checkpoint)?;
+        let head = FrozenHead::load(model.arena().device(), checkpoint)?;
         refine_tokens(model.arena(), &head, &tokens, &photos, &cameras, &refine, |_| go_on())?
     } else {
         refine_scene(model.arena(), scene, &photos, &cameras, &refine, |_| go_on())?

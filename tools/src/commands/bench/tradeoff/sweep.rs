@@ -33,6 +33,14 @@ use zipsplat::{
     weights::{Architecture, Checkpoint},
 };
 
+/// A checkpoint, its rounded versions and the arithmetics of a sweep.
+pub struct Networks<'a> {
+    pub checkpoint: &'a Checkpoint,
+    pub rounded: &'a [Rounded],
+    pub arithmetics: &'a [(Precision, Arithmetic)],
+}
+
+/// The results of a sweep.
 #[derive(Default)]
 pub struct Sweep {
     pub points: Vec<Point>,
@@ -83,8 +91,9 @@ pub fn run(
     args: &Tradeoff,
     session: &mut Session<'_>,
     device: &Device,
-    (checkpoint, rounded, arithmetics): (&Checkpoint, &[Rounded], &[(Precision, Arithmetic)]),
-    (captures, clouds): (&[Capture], &[Option<PointCloud>]),
+    Networks { checkpoint, rounded, arithmetics }: Networks<'_>,
+    captures: &[Capture],
+    clouds: &[Option<PointCloud>],
 ) -> Result<(Sweep, bool)> {
     let all = checkpoint.architecture().gaussians_per_token;
     let keep = match &args.keep {
@@ -99,7 +108,7 @@ pub fn run(
     let rounded = rounded.iter().filter_map(|r| Some((r.dtype, &r.checkpoint, first(&r.checkpoint)?)));
     let networks: Vec<Network<'_>> = own.chain(rounded).collect();
     let architecture = checkpoint.architecture();
-    let cases = case::all(args, architecture, arithmetics[0].0.name(), &keep, (captures, clouds))?;
+    let cases = case::all(args, architecture, arithmetics[0].0.name(), &keep, captures, clouds)?;
     let passes = passes(args, &networks, &cases);
     let points = |case: &Case<'_>| case.keep.len() + case.refine.len();
     let planned = passes.iter().flat_map(|(_, cases)| cases).map(points).sum();
@@ -185,7 +194,7 @@ impl Bench<'_> {
         }
         for (start, steps) in &case.refine {
             stage.name(&format!("{} views, {}, {steps} steps", case.capture.inputs.len(), case.settings));
-            let found = self.refined(model, case, &forward, (*start, *steps), stage)?;
+            let found = self.refined(model, case, &forward, *start, *steps, stage)?;
             if self.add(found, stage).is_break() {
                 return Ok(ControlFlow::Break(()));
             }
@@ -217,9 +226,10 @@ impl Bench<'_> {
         }
         let (chosen, views_per_cluster) = chosen(model, case, &images)?;
         stage.check()?;
-        let compared = match flops <= MOST_FLOPS {
-            true => Some(self.truth.compare(model, capture, &case.request, &case.settings, chosen)?),
-            false => None,
+        let compared = if flops <= MOST_FLOPS {
+            Some(self.truth.compare(model, capture, &case.request, &case.settings, chosen)?)
+        } else {
+            None
         };
         let scene = made.scene()?;
         Ok(Forward { made, scene, ms: Spread::of(times).median, views_per_cluster, compared })
@@ -235,7 +245,7 @@ impl Bench<'_> {
             self.renderer.load(&scene)?;
         }
         let drawn = compare(&mut self.renderer, capture)?;
-        let against = |compared| psnr_to_f64(&mut self.renderer, compared, (all, keep), capture);
+        let against = |compared| psnr_to_f64(&mut self.renderer, compared, all, keep, capture);
         let psnr_to_f64 = forward.compared.as_ref().map(against).transpose()?;
         let key = (capture.inputs.len(), case.settings.clone(), keep);
         let pixels = drawn.pictures.concat();
@@ -258,12 +268,12 @@ impl Bench<'_> {
         model: &Model,
         case: &Case<'_>,
         forward: &Forward,
-        (start, steps): (Start, Steps),
+        start: Start,
+        steps: Steps,
         stage: &Stage<'_>,
     ) -> Result<(Point, Image)> {
         let scene = start.scene(Some(forward.scene.clone()), case.cloud, &case.capture.learnt().1)?;
-        let from = (case.capture, &case.request, &scene);
-        let refined = refine(self.device, (model, self.checkpoint), from, steps, stage)?;
+        let refined = refine(model, self.checkpoint, case.capture, &case.request, &scene, steps, stage)?;
         self.renderer.load(&refined.scene)?;
         let drawn = compare(&mut self.renderer, case.capture)?;
         let refine_ms = 1e3 * refined.took.as_secs_f64();

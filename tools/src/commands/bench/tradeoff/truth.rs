@@ -13,7 +13,7 @@ use zipsplat::{
     weights::Checkpoint,
 };
 use zipsplat_reference::{
-    backbone::{camera_encoder::Prior, patch_embed::Images},
+    backbone::{camera_encoder::Prior, patchify::Images},
     forward::{self, Taps, Tokens},
     model::{Architecture, Model as Reference},
 };
@@ -86,10 +86,8 @@ impl<'a> Truth<'a> {
             Known { chosen, taps }
         });
         let all = tokens.layers[0].len() / reference.architecture.width;
-        let selection = match known.chosen.len() < all {
-            true => Selection::Given(known.chosen.clone()),
-            false => request.selection.clone(),
-        };
+        let selection =
+            if known.chosen.len() < all { Selection::Given(known.chosen.clone()) } else { request.selection.clone() };
         let (taps, scene) = observe(model, &images, &Request { selection, ..request.clone() })?;
         let packed = &known.taps["gauss"];
         let truth: Vec<f32> = packed.iter().map(|value| *value as f32).collect();
