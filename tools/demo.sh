@@ -13,14 +13,6 @@ views=24 side=640
 weights=(${ZIPSPLAT_WEIGHTS:+--weights "$ZIPSPLAT_WEIGHTS"})
 mkdir -p "$out/photos"
 
-# picture_size CAMERAS: size of the first photo, scaled to at most $side on the longer side.
-picture_size() {
-  awk -F '[:,]' -v side="$side" '
-    /"w":/ && !w { w = $2 + 0 }
-    /"h":/ && !h { h = $2 + 0 }
-    END { s = side / (w > h ? w : h); if (s > 1) s = 1; printf "%dx%d\n", w * s, h * s }' "$1"
-}
-
 stage build cargo build --manifest-path "$root/Cargo.toml" --release -p zipsplat-cli
 # Without COLMAP, zipsplat reports it as missing.
 command -v colmap > /dev/null || python3 -c 'import pycolmap' 2> /dev/null || apt_install colmap || true
@@ -29,7 +21,7 @@ stage 'cameras, scene and refinement' zipsplat reconstruct "${photos[@]}" --view
   --cameras-out "$out/photos/transforms.json" --refine=200 --refine-size ${side}x$side ${weights[@]+"${weights[@]}"} \
   --overwrite -o "$out/photos/scene.ply"
 stage render zipsplat render "$out/photos/scene.ply" --spline "$out/photos/transforms.json" --frames 12 \
-  --size "$(picture_size "$out/photos/transforms.json")" --overwrite -o "$out/photos"
+  --overwrite -o "$out/photos"
 stage page zipsplat view "$out/photos/scene.ply" --poses "$out/photos/transforms.json" --overwrite -o "$out/photos/scene.html"
 say "a flight through the photos' cameras: $out/photos/contact.png; a page to look around in: $out/photos/scene.html; the scene: $out/photos/scene.ply"
 if [[ $# == 0 ]]; then

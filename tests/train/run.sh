@@ -1,0 +1,33 @@
+#!/usr/bin/env bash
+# Tests tools/train: training, growing, captures, settings and renderers. Installs PyTorch for CPUs
+# into the cache the first time; where pip cannot reach it, says so and tests nothing.
+# usage: tests/train/run.sh
+#   PYTHON            interpreter with PyTorch, safetensors and numba; default the cache's
+#   ZIPSPLAT_COMMAND  the command zipsplat; default the checkout's, which is built
+set -euo pipefail
+here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
+[[ -e /etc/debian_version ]] && driver=lavapipe || driver=system
+export ZIPSPLAT_DRIVER=${ZIPSPLAT_DRIVER:-$driver}
+# shellcheck source-path=SCRIPTDIR
+source "$here/../../tools/setup.sh"
+
+if [[ -z ${PYTHON:-} ]]; then
+  python3 -c 'import ensurepip' 2> /dev/null || apt_install python3 python3-venv
+  environment=$cache/python/train
+  PYTHON=$environment/bin/python
+  if [[ ! -x $PYTHON ]]; then
+    python3 -m venv "$environment"
+    { "$PYTHON" -m pip install -q --retries 1 torch --index-url https://download.pytorch.org/whl/cpu &&
+      "$PYTHON" -m pip install -q safetensors matplotlib pillow numba 'numpy<2.4'; } || {
+      rm -r "$environment"
+      echo "skipped: the tests of training need PyTorch for CPUs, which pip does not reach" >&2
+      exit 0
+    }
+  fi
+fi
+export PYTHON
+goldens=${ZIPSPLAT_GOLDENS:-$root/../shared/golden/data}
+[[ -d $goldens ]] || goldens=$root/tests/data
+[[ ! -e $goldens/da3_tiny.v2.safetensors ]] || "$PYTHON" "$here/settings.py" "$goldens"
+"$PYTHON" "$here/rasterise.py" "$goldens"
+"$here/smoke.sh" "${ZIPSPLAT_COMMAND:-$root/tools/zipsplat}"
