@@ -181,7 +181,7 @@ fn pictures_in_flight_are_as_each_alone() {
         })
         .collect();
     let expected: Vec<_> = cameras.iter().map(|camera| bits(&render(&scene, &[*camera], &ALL))).collect();
-    let staged = Device::open(&DeviceOptions { staged: true, ..DeviceOptions::default() }).unwrap();
+    let staged = Device::open(&DeviceOptions { force_staging: true, ..DeviceOptions::default() }).unwrap();
     for device in [device(), &staged] {
         // Capacity of one intersection: every plan overflows in flight.
         for (capacity, together) in [(0, 1), (0, 8), (1, 1), (1, 8)] {

@@ -10,7 +10,7 @@ use zipsplat_tests::{networks, scenes::camera};
 
 /// An own device, to count its memory.
 fn alone(staged: bool) -> (Device, Model) {
-    let device = Device::open(&DeviceOptions { staged, ..DeviceOptions::default() }).unwrap();
+    let device = Device::open(&DeviceOptions { force_staging: staged, ..DeviceOptions::default() }).unwrap();
     let model = networks::model_on(&device, "micro", Arithmetic::EXACT);
     (device, model)
 }

@@ -21,7 +21,7 @@ pub struct DeviceInfo {
 impl DeviceInfo {
     /// Digits match an index only; other selectors match a UUID, as printed by `nvidia-smi -L`, or
     /// part of a name.
-    pub(super) fn is_selected(&self, selector: &str) -> bool {
+    pub(crate) fn is_selected(&self, selector: &str) -> bool {
         let uuid = selector.strip_prefix("GPU-").unwrap_or(selector).replace('-', "");
         match selector {
             _ if uuid.eq_ignore_ascii_case(self.limits.uuid()) => true,
@@ -32,7 +32,7 @@ impl DeviceInfo {
         }
     }
 
-    pub(super) fn lacks(&self) -> String {
+    pub(crate) fn lacks(&self) -> String {
         format!("{} lacks {}", self.limits.name, self.missing.join(", "))
     }
 }
@@ -47,7 +47,7 @@ pub fn list_devices() -> Result<Vec<DeviceInfo>> {
     Ok(devices(&instance)?.into_iter().map(|(_, info)| info).collect())
 }
 
-pub(super) fn devices(instance: &Instance) -> Result<Vec<(vk::PhysicalDevice, DeviceInfo)>> {
+pub(crate) fn devices(instance: &Instance) -> Result<Vec<(vk::PhysicalDevice, DeviceInfo)>> {
     // SAFETY: the instance is alive.
     let physical = unsafe { instance.raw.enumerate_physical_devices() }
         .map_err(|e| Error::NoDevice(format!("vkEnumeratePhysicalDevices: {e}")))?;
@@ -55,13 +55,13 @@ pub(super) fn devices(instance: &Instance) -> Result<Vec<(vk::PhysicalDevice, De
         return Err(Error::NoDevice("no Vulkan driver is installed".into()));
     }
     let info = |(index, device): (usize, vk::PhysicalDevice)| {
-        let (limits, found) = probe(instance, device);
-        (device, DeviceInfo { index, missing: missing_features(&limits, &found), limits })
+        let (limits, support) = probe(instance, device);
+        (device, DeviceInfo { index, missing: missing_features(&limits, &support), limits })
     };
     Ok(physical.into_iter().enumerate().map(info).collect())
 }
 
-pub(super) struct Found {
+pub(crate) struct Support {
     pub api: u32,
     pub queue_family: Option<u32>,
     pub portability_subset: bool,
@@ -74,7 +74,7 @@ pub(super) struct Found {
 
 const INTEL: u32 = 0x8086;
 
-pub(super) fn probe(instance: &Instance, device: vk::PhysicalDevice) -> (Limits, Found) {
+pub(crate) fn probe(instance: &Instance, device: vk::PhysicalDevice) -> (Limits, Support) {
     let knows = |minor, patch| instance.validates(vk::make_api_version(0, 1, minor, patch));
     let (validated, entry, instance) = (instance.debug.is_some(), &instance.entry, &instance.raw);
     let mut v11 = vk::PhysicalDeviceVulkan11Properties::default();
@@ -168,7 +168,7 @@ pub(super) fn probe(instance: &Instance, device: vk::PhysicalDevice) -> (Limits,
         | vk::SubgroupFeatureFlags::SHUFFLE;
     let subgroups = v11.subgroup_supported_operations.contains(operations)
         && v11.subgroup_supported_stages.contains(vk::ShaderStageFlags::COMPUTE);
-    let found = Found {
+    let support = Support {
         api,
         queue_family,
         portability_subset: has(khr::portability_subset::NAME),
@@ -178,7 +178,7 @@ pub(super) fn probe(instance: &Instance, device: vk::PhysicalDevice) -> (Limits,
         subgroup_control,
         llvmpipe_major,
     };
-    (limits, found)
+    (limits, support)
 }
 
 struct Offers {
@@ -224,27 +224,27 @@ fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-pub(super) fn missing_features(limits: &Limits, found: &Found) -> Vec<String> {
+pub(crate) fn missing_features(limits: &Limits, support: &Support) -> Vec<String> {
     let mut missing = Vec::new();
-    if found.api < vk::API_VERSION_1_3 {
+    if support.api < vk::API_VERSION_1_3 {
         missing.push(format!("Vulkan 1.3 (has {})", limits.api));
     }
-    if found.queue_family.is_none() {
+    if support.queue_family.is_none() {
         missing.push("a compute queue".into());
     }
     // Before Mesa 25, lavapipe silently ends loops after 65,535 iterations.
-    if let Some(major) = found.llvmpipe_major.filter(|m| *m < 25) {
+    if let Some(major) = support.llvmpipe_major.filter(|m| *m < 25) {
         missing.push(format!(
             "lavapipe 25 or later (Mesa {major} computes long loops wrongly; the sources' tools/run-on-lavapipe PROGRAM runs \
              a program on a newer one)"
         ));
     }
-    let absent = REQUIRED.iter().filter(|feature| !found.features.have(&[**feature]));
+    let absent = REQUIRED.iter().filter(|feature| !support.features.have(&[**feature]));
     missing.extend(absent.map(|feature| feature.name.to_string_lossy().into_owned()));
-    if !found.subgroups {
+    if !support.subgroups {
         missing.push("subgroup arithmetic, ballot and shuffle in compute".into());
     }
-    if !(found.subgroup_control || found.one_subgroup_size) {
+    if !(support.subgroup_control || support.one_subgroup_size) {
         missing.push("subgroups of one size".into());
     }
     missing

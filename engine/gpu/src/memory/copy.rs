@@ -1,13 +1,15 @@
-use super::{
-    barrier::{STAGES, memory_barrier},
-    device::Shared,
-    failure::{driver, is_under_way},
+use crate::{
+    Result,
+    device::{
+        Shared,
+        barrier::{STAGES, memory_barrier},
+        failure::{driver, is_in_flight},
+    },
 };
-use crate::Result;
 use ash::vk;
 
 /// Records copies `(from, to, region)` after all earlier submissions.
-pub(super) fn record_copies(
+pub(crate) fn record_copies(
     shared: &Shared,
     commands: vk::CommandBuffer,
     copies: &[(vk::Buffer, vk::Buffer, vk::BufferCopy)],
@@ -28,7 +30,7 @@ pub(super) fn record_copies(
     unsafe { raw.end_command_buffer(commands) }.map_err(|e| driver("vkEndCommandBuffer", e))
 }
 
-pub(super) fn copy_now(shared: &Shared, from: vk::Buffer, to: vk::Buffer, region: vk::BufferCopy) -> Result<()> {
+pub(crate) fn copy_now(shared: &Shared, from: vk::Buffer, to: vk::Buffer, region: vk::BufferCopy) -> Result<()> {
     shared.check_lost()?;
     let raw = &shared.raw;
     let transfer = vk::PipelineStageFlags2::TRANSFER;
@@ -49,7 +51,7 @@ pub(super) fn copy_now(shared: &Shared, from: vk::Buffer, to: vk::Buffer, region
             let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(commands)];
             let info = vk::SubmitInfo2::default().command_buffer_infos(&buffers);
             let submitted = shared.queue.submit(raw, info, fence).map_err(|e| shared.failed("vkQueueSubmit2", e));
-            if !is_under_way(&submitted) {
+            if !is_in_flight(&submitted) {
                 return submitted;
             }
             raw.wait_for_fences(&[fence], true, u64::MAX).map_err(|e| shared.failed("vkWaitForFences", e))?;

@@ -1,12 +1,11 @@
 //! Shared scratch memory of plans that never run at the same time.
 
-use super::{
-    Device, Plan,
-    failure::{driver, is_under_way},
+use super::Memory;
+use crate::{
+    Device, Plan, Result,
+    device::failure::{driver, is_in_flight},
     lock::lock,
-    memory::Memory,
 };
-use crate::Result;
 use ash::vk;
 use std::sync::{
     Arc, Mutex,
@@ -79,7 +78,7 @@ impl Arena {
         self.0.lanes.iter().try_for_each(|lane| lock(lane).as_ref().map_or(Ok(()), |lane| lane.release()))
     }
 
-    pub(super) fn lane(&self, lane: usize) -> Result<Arc<Lane>> {
+    pub(crate) fn lane(&self, lane: usize) -> Result<Arc<Lane>> {
         let mut lane = lock(&self.0.lanes[lane]);
         match &*lane {
             Some(made) => Ok(made.clone()),
@@ -94,7 +93,7 @@ impl Drop for Claim {
     }
 }
 
-pub(super) struct Lane {
+pub(crate) struct Lane {
     device: Device,
     timeline: vk::Semaphore,
     signalled: AtomicU64,
@@ -174,7 +173,7 @@ impl Lane {
     }
 
     pub fn submitted(&self, value: u64, result: &Result<()>) {
-        if is_under_way(result) {
+        if is_in_flight(result) {
             self.signalled.fetch_max(value, Ordering::Relaxed);
         }
     }

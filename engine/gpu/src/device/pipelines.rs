@@ -1,22 +1,22 @@
 //! Compute pipelines, compiled once per set of specialization constants.
 
-use super::{
-    kernel::{LocalSize, Module},
+use crate::{
+    Error, Result,
     lock::lock,
+    plan::kernel::{LocalSize, Module},
 };
-use crate::{Error, Result};
 use ash::{ext, vk};
 use std::{
     collections::{HashMap, hash_map::Entry},
     sync::Mutex,
 };
 
-pub(super) struct Pipelines {
+pub(crate) struct Pipelines {
     raw: ash::Device,
     debug: Option<ext::debug_utils::Device>,
     subgroup: u32,
     subgroup_control: bool,
-    made: Mutex<HashMap<(&'static str, Vec<u32>), Pipeline>>,
+    cache: Mutex<HashMap<(&'static str, Vec<u32>), Pipeline>>,
     layouts: Mutex<HashMap<&'static str, Layout>>,
 }
 
@@ -27,14 +27,14 @@ impl Pipelines {
         subgroup: u32,
         subgroup_control: bool,
     ) -> Self {
-        Self { raw, debug, subgroup, subgroup_control, made: Mutex::default(), layouts: Mutex::default() }
+        Self { raw, debug, subgroup, subgroup_control, cache: Mutex::default(), layouts: Mutex::default() }
     }
 
     /// None may be in use.
     pub fn destroy(&self) {
         let raw = &self.raw;
-        for pipeline in lock(&self.made).values() {
-            // SAFETY: made on this device and unused.
+        for pipeline in lock(&self.cache).values() {
+            // SAFETY: cache on this device and unused.
             unsafe { raw.destroy_pipeline(pipeline.raw, None) };
         }
         for layout in lock(&self.layouts).values() {
@@ -44,7 +44,7 @@ impl Pipelines {
 
     pub fn get(&self, module: &'static Module, constants: &[u32]) -> Result<Pipeline> {
         let key = (module.name, constants.to_vec());
-        if let Some(found) = lock(&self.made).get(&key) {
+        if let Some(found) = lock(&self.cache).get(&key) {
             return Ok(*found);
         }
         let layout = self.layout(module)?;
@@ -84,9 +84,9 @@ impl Pipelines {
             |(_, e)| Error::Driver { call: "vkCreateComputePipelines", result: format!("{}: {e}", module.name) },
         )?[0];
         self.label(raw, module.name);
-        match lock(&self.made).entry(key) {
+        match lock(&self.cache).entry(key) {
             Entry::Occupied(known) => {
-                // SAFETY: made above and unused.
+                // SAFETY: cache above and unused.
                 unsafe { self.raw.destroy_pipeline(raw, None) };
                 Ok(*known.get())
             }
@@ -157,7 +157,7 @@ impl Pipelines {
 }
 
 #[derive(Clone, Copy)]
-pub(super) struct Pipeline {
+pub(crate) struct Pipeline {
     pub raw: vk::Pipeline,
     pub layout: vk::PipelineLayout,
 }
@@ -171,7 +171,7 @@ struct Layout {
 
 impl Layout {
     fn destroy(&self, raw: &ash::Device) {
-        // SAFETY: made on this device and unused.
+        // SAFETY: cache on this device and unused.
         unsafe {
             raw.destroy_shader_module(self.module, None);
             raw.destroy_pipeline_layout(self.pipeline, None);

@@ -1,22 +1,21 @@
 //! Descriptors of a plan's dispatches, written once because buffers never move.
 
-use super::{
-    Device,
-    bound::Bound,
-    failure::driver,
+use super::bindings::Bindings;
+use crate::{
+    Device, Result,
+    device::failure::driver,
     plan::{Command, Dispatch, Operation},
 };
-use crate::Result;
 use ash::vk;
 
-pub(super) struct Descriptors {
+pub(crate) struct Descriptors {
     device: Device,
     pool: vk::DescriptorPool,
     sets: Vec<vk::DescriptorSet>,
 }
 
 impl Descriptors {
-    pub fn new(device: &Device, bound: &Bound<'_>) -> Result<Self> {
+    pub fn new(device: &Device, bound: &Bindings<'_>) -> Result<Self> {
         let commands = &bound.plan.commands;
         let bindings: usize = commands.iter().filter_map(dispatch).map(|d| d.buffers.len()).sum();
         let sizes = [vk::DescriptorPoolSize {
@@ -39,7 +38,7 @@ impl Descriptors {
         self.sets[command]
     }
 
-    fn set(&self, bound: &Bound<'_>, dispatch: &Dispatch) -> Result<vk::DescriptorSet> {
+    fn set(&self, bound: &Bindings<'_>, dispatch: &Dispatch) -> Result<vk::DescriptorSet> {
         let raw = &self.device.0.raw;
         let layouts = [self.device.0.pipelines.set_layout(dispatch.module)?];
         let info = vk::DescriptorSetAllocateInfo::default().descriptor_pool(self.pool).set_layouts(&layouts);

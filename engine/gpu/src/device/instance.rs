@@ -8,7 +8,7 @@ use std::{
 
 const VALIDATION_LAYER: &CStr = c"VK_LAYER_KHRONOS_validation";
 
-pub(super) struct Instance {
+pub(crate) struct Instance {
     pub raw: ash::Instance,
     pub debug: Option<ext::debug_utils::Instance>,
     messenger: vk::DebugUtilsMessengerEXT,

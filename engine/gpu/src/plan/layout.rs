@@ -1,17 +1,17 @@
 //! Arena offsets: tensors with disjoint lifetimes share bytes.
 
 /// Alignment of every tensor: Vulkan's upper bound on minimum offset alignments.
-pub(super) const ALIGNMENT: u64 = 256;
+pub(crate) const ALIGNMENT: u64 = 256;
 
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Lifetime {
+pub(crate) struct Lifetime {
     pub bytes: u64,
     pub first: u32,
     pub last: u32,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Placement {
+pub(crate) struct Placement {
     pub block: u32,
     pub offset: u64,
     pub first: u32,
@@ -21,7 +21,7 @@ pub(super) struct Placement {
 /// Places each lifetime, largest first, at its lowest free offset in blocks of up to `block_bytes`.
 ///
 /// `Err` holds the index of a lifetime that exceeds a block.
-pub(super) fn place(lifetimes: &[Lifetime], block_bytes: u64) -> Result<(Vec<Placement>, Vec<u64>), usize> {
+pub(crate) fn place(lifetimes: &[Lifetime], block_bytes: u64) -> Result<(Vec<Placement>, Vec<u64>), usize> {
     let mut order: Vec<usize> = (0..lifetimes.len()).collect();
     order.sort_by_key(|&i| (std::cmp::Reverse(lifetimes[i].bytes), i));
     let mut blocks: Vec<(u64, Vec<usize>)> = Vec::new();

@@ -1,22 +1,26 @@
 //! Command encoding, with barriers between dependent commands.
 
 use super::{
-    barrier::{READS, STAGES, WRITES, memory_barrier},
-    bound::{Bound, Range},
+    bindings::{Bindings, BufferRange},
     descriptors::Descriptors,
-    failure::driver,
-    plan::{Command, Dispatch, Groups, Operation},
     schedule::Piece,
 };
-use crate::Result;
+use crate::{
+    Result,
+    device::{
+        barrier::{READS, STAGES, WRITES, memory_barrier},
+        failure::driver,
+    },
+    plan::{Command, Dispatch, Groups, Operation},
+};
 use ash::vk;
 
-pub(super) struct Encoder<'a> {
-    bound: &'a Bound<'a>,
+pub(crate) struct Encoder<'a> {
+    bound: &'a Bindings<'a>,
     descriptors: &'a Descriptors,
     commands: vk::CommandBuffer,
-    reads: Vec<Range>,
-    writes: Vec<Range>,
+    reads: Vec<BufferRange>,
+    writes: Vec<BufferRange>,
     queries: Option<vk::QueryPool>,
     next_query: u32,
 }
@@ -24,7 +28,7 @@ pub(super) struct Encoder<'a> {
 impl<'a> Encoder<'a> {
     /// Writes of earlier submissions become visible.
     pub fn begin(
-        bound: &'a Bound<'a>,
+        bound: &'a Bindings<'a>,
         descriptors: &'a Descriptors,
         commands: vk::CommandBuffer,
         queries: Option<(vk::QueryPool, u32)>,
@@ -52,7 +56,7 @@ impl<'a> Encoder<'a> {
 
     pub fn piece(&mut self, piece: Piece) -> Result<()> {
         let command = &self.bound.plan.commands[piece.command];
-        self.synchronise(command);
+        self.synchronize(command);
         self.timestamp();
         match &command.operation {
             Operation::Dispatch(dispatch) => self.dispatch(dispatch, piece)?,
@@ -85,7 +89,7 @@ impl<'a> Encoder<'a> {
     }
 
     /// Inserts a barrier if the command conflicts with accesses since the last one.
-    fn synchronise(&mut self, command: &Command) {
+    fn synchronize(&mut self, command: &Command) {
         let (mut reads, mut writes) = (Vec::new(), Vec::new());
         command.operation.for_each_access(|tensor, read, write| {
             let range = self.bound.range(tensor);
@@ -96,8 +100,9 @@ impl<'a> Encoder<'a> {
                 writes.push(range);
             }
         });
-        let meets = |a: &[Range], b: &[Range]| a.iter().any(|x| b.iter().any(|y| x.meets(y)));
-        let hazard = meets(&reads, &self.writes) || meets(&writes, &self.writes) || meets(&writes, &self.reads);
+        let overlaps = |a: &[BufferRange], b: &[BufferRange]| a.iter().any(|x| b.iter().any(|y| x.overlaps(y)));
+        let hazard =
+            overlaps(&reads, &self.writes) || overlaps(&writes, &self.writes) || overlaps(&writes, &self.reads);
         if hazard || self.queries.is_some() {
             self.barrier(STAGES, STAGES, READS | WRITES);
             self.reads.clear();

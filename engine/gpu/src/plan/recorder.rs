@@ -1,10 +1,8 @@
 use super::{
-    Element, Kernel, Limits, Needs, Plan, Tensor,
+    Allocation, Command, Dispatch, Groups, Operation, Role,
     layout::{self, Lifetime},
-    plan::{Allocation, Command, Dispatch, Groups, Operation, Role},
-    tensor::Home,
 };
-use crate::{Error, Result};
+use crate::{Element, Error, Kernel, Limits, Needs, Plan, Result, Tensor, memory::tensor::Home};
 
 /// Row length of folded one-dimensional dispatches; devices may limit each axis to 65,535 groups.
 pub const GROUP_FOLD: u32 = 32_768;
@@ -67,7 +65,7 @@ impl Recorder {
         self.keep(tensor);
     }
 
-    /// Keeps a tensor until the end, for [`Run::present`](super::Run::present).
+    /// Keeps a tensor until the end, for [`Run::present`](crate::Run::present).
     pub fn keep(&mut self, tensor: Tensor) {
         if let Home::Arena(id) = tensor.home {
             self.allocations[id as usize].kept = true;
@@ -81,7 +79,7 @@ impl Recorder {
     }
 
     /// Copies a tensor as of this point, if [`Recorder::observing`]; otherwise does nothing.
-    /// [`super::Run::observed`] returns the copies.
+    /// [`crate::Run::observed`] returns the copies.
     pub fn observe(&mut self, name: &str, tensor: Tensor) {
         if self.observed.is_some() {
             let copy = self.tensor::<u8>(name, tensor.bytes as usize);
@@ -248,7 +246,7 @@ impl Recorder {
 
 impl Operation {
     /// Calls `visit(tensor, reads, writes)` for each access of the operation.
-    pub(super) fn for_each_access(&self, mut visit: impl FnMut(Tensor, bool, bool)) {
+    pub(crate) fn for_each_access(&self, mut visit: impl FnMut(Tensor, bool, bool)) {
         match self {
             Operation::Dispatch(dispatch) => {
                 for (tensor, binding) in dispatch.buffers.iter().zip(dispatch.module.bindings) {

@@ -1,5 +1,17 @@
-use super::{Device, Tensor, device::Shared, layout::ALIGNMENT, lock::lock, tensor::Home};
-use crate::{Error, Result};
+//! Device memory: blocks, arenas, residents, staging buffers and tensors.
+
+pub(crate) mod arena;
+mod copy;
+mod element;
+pub(crate) mod staging;
+pub(crate) mod tensor;
+
+pub use arena::{Arena, Claim};
+pub use element::Element;
+pub use tensor::Tensor;
+
+use self::tensor::Home;
+use crate::{Device, Error, Result, device::Shared, lock::lock, plan::layout::ALIGNMENT};
 use ash::vk;
 use bytemuck::Pod;
 use gpu_allocator::{
@@ -13,7 +25,7 @@ use std::sync::{
 
 const STAGING_BYTES: u64 = 16 << 20;
 
-pub(super) struct Memory {
+pub(crate) struct Memory {
     shared: Arc<Shared>,
     blocks: Vec<Block>,
     staging: Mutex<Option<Block>>,
@@ -30,25 +42,25 @@ struct Block {
 }
 
 impl Memory {
-    pub fn new(device: &Device, what: &str, sizes: &[u64]) -> Result<Self> {
-        Self::at(device, what, sizes, MemoryLocation::GpuOnly)
+    pub fn new(device: &Device, name: &str, sizes: &[u64]) -> Result<Self> {
+        Self::at(device, name, sizes, MemoryLocation::GpuOnly)
     }
 
-    pub fn seen_by_host(device: &Device, what: &str, bytes: u64) -> Result<Self> {
-        Self::at(device, what, &[bytes], MemoryLocation::GpuToCpu)
+    pub fn host_visible(device: &Device, name: &str, bytes: u64) -> Result<Self> {
+        Self::at(device, name, &[bytes], MemoryLocation::GpuToCpu)
     }
 
-    fn at(device: &Device, what: &str, sizes: &[u64], location: MemoryLocation) -> Result<Self> {
+    fn at(device: &Device, name: &str, sizes: &[u64], location: MemoryLocation) -> Result<Self> {
         let shared = device.0.clone();
         shared.check_lost()?;
         let needed: u64 = sizes.iter().sum();
         let available = shared.limits.memory_bytes.saturating_sub(shared.allocated.load(Ordering::Relaxed));
         if needed > available && location == MemoryLocation::GpuOnly {
-            return Err(Error::Memory { what: what.into(), needed, available });
+            return Err(Error::Memory { what: name.into(), needed, available });
         }
         let mut memory = Self { shared, blocks: Vec::new(), staging: Mutex::new(None) };
         for &bytes in sizes {
-            let block = Block::new(&memory.shared, what, bytes, location)?;
+            let block = Block::new(&memory.shared, name, bytes, location)?;
             memory.blocks.push(block);
         }
         Ok(memory)
@@ -58,7 +70,7 @@ impl Memory {
         self.blocks.iter().map(|block| block.bytes).sum()
     }
 
-    pub fn is_seen_by_host(&self) -> bool {
+    pub fn is_host_visible(&self) -> bool {
         self.blocks.iter().all(|block| block.mapped)
     }
 
@@ -122,7 +134,7 @@ impl Memory {
     fn transfer(&self, from: vk::Buffer, from_at: u64, to: vk::Buffer, to_at: u64, bytes: u64) -> Result<()> {
         let size = bytes.next_multiple_of(4);
         let region = vk::BufferCopy { src_offset: from_at, dst_offset: to_at, size };
-        super::copy::copy_now(&self.shared, from, to, region)
+        crate::memory::copy::copy_now(&self.shared, from, to, region)
     }
 }
 
@@ -135,7 +147,7 @@ impl Drop for Memory {
 }
 
 impl Block {
-    fn new(shared: &Shared, what: &str, bytes: u64, location: MemoryLocation) -> Result<Self> {
+    fn new(shared: &Shared, name: &str, bytes: u64, location: MemoryLocation) -> Result<Self> {
         let addresses = shared.limits.addresses;
         let mut usage = vk::BufferUsageFlags::STORAGE_BUFFER
             | vk::BufferUsageFlags::INDIRECT_BUFFER
@@ -148,7 +160,7 @@ impl Block {
         // No driver reports the available memory: other programs use it, and it may be fragmented.
         let refused = || {
             let available = shared.limits.memory_bytes.saturating_sub(shared.allocated.load(Ordering::Relaxed));
-            Error::Memory { what: format!("{what}, which the driver refused,"), needed: bytes, available }
+            Error::Memory { what: format!("{name}, which the driver refused,"), needed: bytes, available }
         };
         let buffer = unsafe { shared.raw.create_buffer(&info, None) }.map_err(|_| refused())?;
         let counted = location == MemoryLocation::GpuOnly;
@@ -157,7 +169,7 @@ impl Block {
         // SAFETY: the buffer was just made on this device.
         let requirements = unsafe { shared.raw.get_buffer_memory_requirements(buffer) };
         let allocation = shared.allocator().allocate(&AllocationCreateDesc {
-            name: what,
+            name,
             requirements,
             location,
             linear: true,
@@ -169,7 +181,7 @@ impl Block {
         };
         let is = |property| allocation.memory_properties().contains(property);
         // Host reads of uncached memory are very slow.
-        let direct = is(vk::MemoryPropertyFlags::HOST_CACHED) && !shared.staged;
+        let direct = is(vk::MemoryPropertyFlags::HOST_CACHED) && !shared.force_staging;
         let seen = is(vk::MemoryPropertyFlags::HOST_COHERENT) && (direct || location != MemoryLocation::GpuOnly);
         block.mapped = seen && allocation.mapped_ptr().is_some();
         // SAFETY: both belong together and are bound once.
@@ -177,7 +189,7 @@ impl Block {
         block.allocation = Some(allocation);
         if let Err(e) = bound {
             block.free(shared);
-            return Err(super::failure::driver("vkBindBufferMemory", e));
+            return Err(crate::device::failure::driver("vkBindBufferMemory", e));
         }
         if addresses {
             let info = vk::BufferDeviceAddressInfo::default().buffer(buffer);
@@ -219,7 +231,7 @@ pub struct ResidentLayout {
 
 impl ResidentLayout {
     /// Creates an empty layout for devices of these limits.
-    pub fn new(limits: &super::Limits) -> Self {
+    pub fn new(limits: &crate::Limits) -> Self {
         static LAYOUTS: AtomicU64 = AtomicU64::new(0);
         let id = LAYOUTS.fetch_add(1, Ordering::Relaxed);
         Self { id, blocks: Vec::new(), block_bytes: limits.max_block_bytes }
@@ -246,8 +258,8 @@ impl ResidentLayout {
 
 /// Device memory of one layout, kept across runs.
 pub struct Resident {
-    pub(super) memory: Memory,
-    pub(super) layout: u64,
+    pub(crate) memory: Memory,
+    pub(crate) layout: u64,
 }
 
 impl Resident {

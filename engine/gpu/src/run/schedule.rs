@@ -1,6 +1,6 @@
 //! Splits plans into submissions of similar cost, short enough for driver watchdogs.
 
-use super::{
+use crate::{
     Limits,
     plan::{Command, Groups, Operation, Plan},
 };
@@ -8,15 +8,15 @@ use std::time::Duration;
 
 /// Target time of a submission: long enough to hide its overhead, far below the 2 s timeout of
 /// watchdogs.
-pub(super) const SUBMISSION: Duration = Duration::from_millis(100);
+pub(crate) const SUBMISSION: Duration = Duration::from_millis(100);
 
 /// Approximate FLOPs in the time of one byte's transfer, on CPUs and GPUs alike.
 const FLOPS_PER_BYTE: u64 = 4;
 
-pub(super) const MAX_PIECES: usize = 1024;
+pub(crate) const MAX_PIECES: usize = 1024;
 
 /// Below most devices of its kind, so that the first submissions are not too long.
-pub(super) fn first_guess(limits: &Limits) -> u64 {
+pub(crate) fn first_guess(limits: &Limits) -> u64 {
     match (limits.cpu, limits.discrete) {
         (true, _) => 10_000_000,
         (_, true) => 1_000_000_000,
@@ -26,7 +26,7 @@ pub(super) fn first_guess(limits: &Limits) -> u64 {
 
 /// `late`: it may have ended earlier, so `took` is an upper bound. `patient`: CPUs, which compile
 /// kernels during first submissions and have no watchdog.
-pub(super) fn learned(known: u64, cost: u64, took: Duration, late: bool, patient: bool) -> u64 {
+pub(crate) fn learned(known: u64, cost: u64, took: Duration, late: bool, patient: bool) -> u64 {
     let (known, ms) = (known as f64, 1e3 * took.as_secs_f64());
     // Fixed overhead dominates below a millisecond: such a time is only a lower bound on speed.
     let seen = cost as f64 / ms.max(1.0);
@@ -42,7 +42,7 @@ pub(super) fn learned(known: u64, cost: u64, took: Duration, late: bool, patient
 }
 
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Piece {
+pub(crate) struct Piece {
     pub command: usize,
     /// First workgroup and count along each axis; dispatches only.
     pub base: [u32; 3],
@@ -51,19 +51,19 @@ pub(super) struct Piece {
 
 /// Scheduling position: the next command and its completed workgroups along the split axis.
 #[derive(Clone, Copy, Default)]
-pub(super) struct Cursor {
+pub(crate) struct Cursor {
     pub command: usize,
     done: u32,
 }
 
 impl Command {
-    pub(super) fn bytes(&self) -> u64 {
+    pub(crate) fn bytes(&self) -> u64 {
         let mut bytes = 0;
         self.operation.for_each_access(|tensor, _, _| bytes += tensor.bytes);
         bytes
     }
 
-    pub(super) fn cost(&self) -> u64 {
+    pub(crate) fn cost(&self) -> u64 {
         self.flops.max(self.bytes() * FLOPS_PER_BYTE)
     }
 }
@@ -91,13 +91,13 @@ impl Cursor {
         (pieces, cost)
     }
 
-    fn next_piece(&mut self, command: &Command, room: u64) -> (Piece, u64, bool) {
+    fn next_piece(&mut self, command: &Command, budget: u64) -> (Piece, u64, bool) {
         let mut piece = Piece { command: self.command, base: [0; 3], groups: [1; 3] };
         let Operation::Dispatch(dispatch) = &command.operation else { return (piece, command.cost(), true) };
         let Groups::Fixed(groups) = dispatch.groups else { return (piece, command.cost(), true) };
         let axis = longest_axis(groups);
         let per_group = (command.cost() / groups[axis] as u64).max(1);
-        let count = (room / per_group).clamp(1, (groups[axis] - self.done) as u64) as u32;
+        let count = (budget / per_group).clamp(1, (groups[axis] - self.done) as u64) as u32;
         piece.groups = groups;
         piece.base[axis] = self.done;
         piece.groups[axis] = count;

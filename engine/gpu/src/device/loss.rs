@@ -1,6 +1,6 @@
 //! Device loss, which is permanent and reported by every later call.
 
-use super::{device::Shared, failure::driver};
+use super::{Shared, failure::driver};
 use crate::{Error, Result};
 use ash::vk;
 use std::sync::atomic::Ordering;

@@ -1,7 +1,6 @@
 //! In-flight submissions, overlapped with work on the host.
 
-use super::{Run, twins::Twins};
-use crate::Result;
+use crate::{Result, Run, memory::staging::StagingBuffers};
 
 impl Run {
     /// Prepares for [`Run::start`]. Adds staging buffers if device memory is not host visible.
@@ -9,20 +8,20 @@ impl Run {
     /// # Errors
     /// [`crate::Error::Memory`] if the host has no memory for the staging buffers.
     pub fn in_flight(mut self) -> Result<Self> {
-        self.flies = true;
-        self.make_twins()?;
+        self.overlapped = true;
+        self.make_staging()?;
         Ok(self)
     }
 
-    pub(super) fn make_twins(&mut self) -> Result<()> {
+    pub(crate) fn make_staging(&mut self) -> Result<()> {
         let arena = self.lane.memory();
-        if let Some(twins) = self.twins.take() {
+        if let Some(staging) = self.staging.take() {
             // SAFETY: the lane is settled, so neither is in flight.
-            unsafe { self.device.0.raw.free_command_buffers(self.pool, &[twins.upload, twins.download]) };
+            unsafe { self.device.0.raw.free_command_buffers(self.pool, &[staging.upload, staging.download]) };
         }
-        if self.flies && !arena.is_seen_by_host() {
+        if self.overlapped && !arena.is_host_visible() {
             let buffers = [self.command_buffer()?, self.command_buffer()?];
-            self.twins = Some(Twins::new(&self.device, &self.plan, &arena, buffers)?);
+            self.staging = Some(StagingBuffers::new(&self.device, &self.plan, &arena, buffers)?);
         }
         Ok(())
     }
@@ -32,9 +31,9 @@ impl Run {
     pub fn start(&mut self) -> Result<()> {
         self.begin()?;
         self.encode_all()?;
-        self.under_way = true;
-        let upload = self.twins.as_ref().map(|twins| twins.upload);
-        let download = self.twins.as_ref().map(|twins| twins.download);
+        self.in_flight = true;
+        let upload = self.staging.as_ref().map(|staging| staging.upload);
+        let download = self.staging.as_ref().map(|staging| staging.download);
         let batches: Vec<_> = self.batches.iter().map(|batch| batch.commands).collect();
         for commands in upload.into_iter().chain(batches).chain(download) {
             self.submit(commands)?;
@@ -48,12 +47,12 @@ impl Run {
         self.device.0.check_messages()
     }
 
-    pub(super) fn settle(&mut self) -> Result<()> {
-        if self.under_way || self.presenting.is_some() {
+    pub(crate) fn settle(&mut self) -> Result<()> {
+        if self.in_flight || self.presenting.is_some() {
             self.lane.wait(self.signalled)?;
         }
-        if self.under_way {
-            self.under_way = false;
+        if self.in_flight {
+            self.in_flight = false;
             self.forget_inputs();
         }
         Ok(())

@@ -1,4 +1,4 @@
-use super::lock::lock;
+use crate::lock::lock;
 use ash::{prelude::VkResult, vk};
 use std::sync::Mutex;
 
@@ -11,7 +11,7 @@ pub struct QueueLock {
     pub unlock: Box<dyn Fn() + Send + Sync>,
 }
 
-pub(super) struct Queue {
+pub(crate) struct Queue {
     raw: Mutex<vk::Queue>,
     app: Option<QueueLock>,
 }

@@ -1,23 +1,20 @@
 //! Staging buffers for a plan's inputs and outputs, on devices whose memory is not host visible.
 
-use super::{
-    Device, Plan,
-    copy::record_copies,
-    layout::ALIGNMENT,
-    memory::Memory,
-    plan::{Allocation, Role},
+use super::{Memory, copy::record_copies};
+use crate::{
+    Device, Plan, Result,
+    plan::{Allocation, Role, layout::ALIGNMENT},
 };
-use crate::Result;
 use ash::vk;
 
-pub(super) struct Twins {
+pub(crate) struct StagingBuffers {
     memory: Memory,
     offsets: Vec<Option<u64>>,
     pub upload: vk::CommandBuffer,
     pub download: vk::CommandBuffer,
 }
 
-impl Twins {
+impl StagingBuffers {
     pub fn new(
         device: &Device,
         plan: &Plan,
@@ -33,17 +30,17 @@ impl Twins {
             })
         };
         let offsets: Vec<Option<u64>> = plan.allocations.iter().map(offset).collect();
-        let memory = Memory::seen_by_host(device, "inputs and outputs", bytes.max(ALIGNMENT))?;
+        let memory = Memory::host_visible(device, "inputs and outputs", bytes.max(ALIGNMENT))?;
         let (mut inputs, mut outputs) = (Vec::new(), Vec::new());
         for ((allocation, place), offset) in plan.allocations.iter().zip(&plan.placements).zip(&offsets) {
             let Some(offset) = *offset else { continue };
             let size = allocation.bytes.next_multiple_of(4);
-            let (twin, own) = (memory.buffer(0), arena.buffer(place.block));
+            let (staged, own) = (memory.buffer(0), arena.buffer(place.block));
             if allocation.role == Role::Input && size > 0 {
-                inputs.push((twin, own, vk::BufferCopy { src_offset: offset, dst_offset: place.offset, size }));
+                inputs.push((staged, own, vk::BufferCopy { src_offset: offset, dst_offset: place.offset, size }));
             }
             if allocation.output && size > 0 {
-                outputs.push((own, twin, vk::BufferCopy { src_offset: place.offset, dst_offset: offset, size }));
+                outputs.push((own, staged, vk::BufferCopy { src_offset: place.offset, dst_offset: offset, size }));
             }
         }
         record_copies(&device.0, upload, &inputs)?;
@@ -53,12 +50,12 @@ impl Twins {
 
     /// Writes to an allocation's staging buffer; false if it has none.
     pub fn write(&self, allocation: usize, offset: u64, bytes: &[u8]) -> Result<bool> {
-        let Some(twin) = self.offsets[allocation] else { return Ok(false) };
-        self.memory.write(0, twin + offset, bytes).map(|()| true)
+        let Some(staged) = self.offsets[allocation] else { return Ok(false) };
+        self.memory.write(0, staged + offset, bytes).map(|()| true)
     }
 
     pub fn read(&self, allocation: usize, offset: u64, bytes: &mut [u8]) -> Result<bool> {
-        let Some(twin) = self.offsets[allocation] else { return Ok(false) };
-        self.memory.read(0, twin + offset, bytes).map(|()| true)
+        let Some(staged) = self.offsets[allocation] else { return Ok(false) };
+        self.memory.read(0, staged + offset, bytes).map(|()| true)
     }
 }

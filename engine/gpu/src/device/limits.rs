@@ -1,5 +1,4 @@
-use super::element::Element;
-use crate::{Error, Result};
+use crate::{Element, Error, Result};
 
 /// Device limits and features that plans depend on.
 #[derive(Clone, Debug, serde::Serialize)]

@@ -2,7 +2,7 @@ use ash::vk;
 use std::ffi::CStr;
 
 #[derive(Clone, Copy, Default)]
-pub(super) struct Features {
+pub(crate) struct Features {
     pub v10: vk::PhysicalDeviceFeatures,
     pub v11: vk::PhysicalDeviceVulkan11Features<'static>,
     pub v12: vk::PhysicalDeviceVulkan12Features<'static>,
@@ -11,13 +11,13 @@ pub(super) struct Features {
 }
 
 #[derive(Clone, Copy)]
-pub(super) struct Feature {
+pub(crate) struct Feature {
     pub name: &'static CStr,
     pub structure: &'static CStr,
     field: fn(&mut Features) -> &mut vk::Bool32,
 }
 
-pub(super) const REQUIRED: [Feature; 6] = [
+pub(crate) const REQUIRED: [Feature; 6] = [
     Feature { name: c"timelineSemaphore", structure: V12, field: |f| &mut f.v12.timeline_semaphore },
     Feature { name: c"scalarBlockLayout", structure: V12, field: |f| &mut f.v12.scalar_block_layout },
     Feature { name: c"synchronization2", structure: V13, field: |f| &mut f.v13.synchronization2 },
@@ -26,12 +26,12 @@ pub(super) const REQUIRED: [Feature; 6] = [
     Feature { name: c"computeFullSubgroups", structure: V13, field: |f| &mut f.v13.compute_full_subgroups },
 ];
 
-pub(super) const HALVES: [Feature; 1] =
+pub(crate) const HALVES: [Feature; 1] =
     [Feature { name: c"storageBuffer16BitAccess", structure: V11, field: |f| &mut f.v11.storage_buffer16_bit_access }];
 
 /// `vulkanMemoryModelDeviceScope` is needed because enabling the memory model restricts atomics to
 /// workgroups in every kernel.
-pub(super) const MATRICES: [Feature; 4] = [
+pub(crate) const MATRICES: [Feature; 4] = [
     Feature { name: c"shaderFloat16", structure: V12, field: |f| &mut f.v12.shader_float16 },
     Feature { name: c"vulkanMemoryModel", structure: V12, field: |f| &mut f.v12.vulkan_memory_model },
     Feature {
@@ -42,15 +42,15 @@ pub(super) const MATRICES: [Feature; 4] = [
     Feature { name: c"cooperativeMatrix", structure: MATRIX, field: |f| &mut f.matrix.cooperative_matrix },
 ];
 
-pub(super) const ADDRESSES: [Feature; 2] = [
+pub(crate) const ADDRESSES: [Feature; 2] = [
     Feature { name: c"shaderInt64", structure: V10, field: |f| &mut f.v10.shader_int64 },
     Feature { name: c"bufferDeviceAddress", structure: V12, field: |f| &mut f.v12.buffer_device_address },
 ];
 
-pub(super) const BYTES: [Feature; 1] =
+pub(crate) const BYTES: [Feature; 1] =
     [Feature { name: c"shaderInt8", structure: V12, field: |f| &mut f.v12.shader_int8 }];
 
-pub(super) const DOT_PRODUCTS: [Feature; 1] =
+pub(crate) const DOT_PRODUCTS: [Feature; 1] =
     [Feature { name: c"shaderIntegerDotProduct", structure: V13, field: |f| &mut f.v13.shader_integer_dot_product }];
 
 const V10: &CStr = c"VkPhysicalDeviceFeatures";

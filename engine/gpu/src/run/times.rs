@@ -10,7 +10,7 @@ impl StageTimes {
         self.0.iter().map(|s| s.1).sum()
     }
 
-    pub(super) fn add(&mut self, stage: &str, took: Duration) {
+    pub(crate) fn add(&mut self, stage: &str, took: Duration) {
         match self.0.iter_mut().find(|s| s.0 == stage) {
             Some(known) => known.1 += took,
             None => self.0.push((stage.to_owned(), took)),

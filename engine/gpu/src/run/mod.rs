@@ -1,25 +1,36 @@
 //! Plan execution: arena allocation, timed submissions short enough for driver watchdogs.
 
 mod bind;
+mod bindings;
+mod commands;
+mod descriptors;
+mod in_flight;
 mod present;
+mod profile;
+mod schedule;
+mod times;
 
 pub use present::{ImagePlace, Point, Target};
+pub use profile::{Profile, ProfileRow};
+pub use times::StageTimes;
 
-use super::{
-    Device, Plan, Resident, Tensor,
-    arena::{Arena, Lane},
-    bound::Bound,
+use self::{
+    bindings::Bindings,
     commands::Encoder,
     descriptors::Descriptors,
-    failure::{driver, is_under_way},
-    lock::lock,
-    memory::Memory,
-    plan::{Command, Role},
     schedule::{Cursor, Piece, SUBMISSION, first_guess, learned},
-    times::StageTimes,
-    twins::Twins,
 };
-use crate::{Error, Result};
+use crate::{
+    Device, Error, Plan, Resident, Result, Tensor,
+    device::failure::{driver, is_in_flight},
+    lock::lock,
+    memory::{
+        Memory,
+        arena::{Arena, Lane},
+        staging::StagingBuffers,
+    },
+    plan::{Command, Role},
+};
 use ash::vk;
 use bytemuck::Pod;
 use std::{
@@ -45,24 +56,24 @@ pub struct Progress<'a> {
 
 /// A plan bound to a device. Repeated execution replays the encoded commands.
 pub struct Run {
-    pub(super) device: Device,
-    pub(super) plan: Plan,
+    device: Device,
+    plan: Plan,
     id: u64,
-    pub(super) lane: Arc<Lane>,
+    lane: Arc<Lane>,
     generation: u64,
-    pub(super) twins: Option<Twins>,
-    pub(super) flies: bool,
+    staging: Option<StagingBuffers>,
+    overlapped: bool,
     residents: Vec<Arc<Resident>>,
     descriptors: Descriptors,
-    pub(super) pool: vk::CommandPool,
-    pub(super) signalled: u64,
-    pub(super) batches: Vec<Batch>,
+    pool: vk::CommandPool,
+    signalled: u64,
+    batches: Vec<Batch>,
     written: Vec<bool>,
-    pub(super) under_way: bool,
-    pub(super) presenting: Option<vk::CommandBuffer>,
+    in_flight: bool,
+    presenting: Option<vk::CommandBuffer>,
 }
 
-pub(super) struct Batch {
+struct Batch {
     pub commands: vk::CommandBuffer,
     cost: u64,
     first_command: usize,
@@ -115,7 +126,7 @@ impl Run {
         }
         let generation = lane.reserve(&plan.blocks)?;
         let arena = lane.memory();
-        let bound = Bound { shared: &device.0, plan: &plan, arena: &arena, residents: &residents };
+        let bound = Bindings { shared: &device.0, plan: &plan, arena: &arena, residents: &residents };
         let descriptors = Descriptors::new(device, &bound)?;
         let raw = &device.0.raw;
         let pool_info = vk::CommandPoolCreateInfo::default()
@@ -132,15 +143,15 @@ impl Run {
             id: RUNS.fetch_add(1, Ordering::Relaxed),
             lane,
             generation,
-            twins: None,
-            flies: false,
+            staging: None,
+            overlapped: false,
             residents,
             descriptors,
             pool,
             signalled: 0,
             batches: Vec::new(),
             written,
-            under_way: false,
+            in_flight: false,
             presenting: None,
         })
     }
@@ -161,7 +172,7 @@ impl Run {
         self.bind()?;
         let id = tensor.allocation();
         self.written[id] = true;
-        if self.twins.as_ref().map_or(Ok(false), |twins| twins.write(id, tensor.offset, bytes))? {
+        if self.staging.as_ref().map_or(Ok(false), |staging| staging.write(id, tensor.offset, bytes))? {
             return Ok(());
         }
         let place = self.plan.placements[id];
@@ -175,13 +186,13 @@ impl Run {
     /// If the tensor is not an output of this plan, or a started submission was not finished.
     pub fn read<T: Pod>(&self, tensor: Tensor) -> Result<Vec<T>> {
         let id = tensor.allocation();
-        assert!(!self.under_way, "read before finish");
+        assert!(!self.in_flight, "read before finish");
         assert!(self.plan.allocations[id].output, "{} is not an output", self.plan.allocations[id].name);
         assert!(self.lane.holds(self.id), "read after another run of the lane");
         let place = self.plan.placements[id];
         let mut data = vec![T::zeroed(); tensor.bytes as usize / size_of::<T>()];
         let bytes = bytemuck::cast_slice_mut(&mut data);
-        if !self.twins.as_ref().map_or(Ok(false), |twins| twins.read(id, tensor.offset, bytes))? {
+        if !self.staging.as_ref().map_or(Ok(false), |staging| staging.read(id, tensor.offset, bytes))? {
             self.lane.memory().read(place.block, place.offset + tensor.offset, bytes)?;
         }
         Ok(data)
@@ -205,11 +216,11 @@ impl Run {
     pub fn execute_with(&mut self, mut progress: impl FnMut(Progress<'_>) -> ControlFlow<()>) -> Result<StageTimes> {
         self.begin()?;
         // Set before a panic in `progress` can unwind.
-        self.under_way = true;
+        self.in_flight = true;
         let result = self.submit_all(&mut progress);
         // Submissions must end before their resources change.
         let idle = self.lane.wait(self.signalled);
-        self.under_way = false;
+        self.in_flight = false;
         self.forget_inputs();
         if result.is_err() {
             // An incomplete recording must not be replayed.
@@ -226,8 +237,8 @@ impl Run {
         let commands = self.plan.commands.len();
         let mut cursor = if self.batches.is_empty() { Cursor::default() } else { Cursor::at_end(&self.plan) };
         let mut clock = Clock { times: StageTimes::default(), last: Instant::now(), done: 0 };
-        let mut under_way = VecDeque::new();
-        if let Some(upload) = self.twins.as_ref().map(|twins| twins.upload) {
+        let mut in_flight = VecDeque::new();
+        if let Some(upload) = self.staging.as_ref().map(|staging| staging.upload) {
             self.submit(upload)?;
         }
         for index in 0.. {
@@ -237,26 +248,26 @@ impl Run {
             }
             let Some(batch) = self.batches.get(index) else { break };
             let (buffer, first) = (batch.commands, batch.first_command);
-            under_way.push_back((self.submit(buffer)?, index, Instant::now()));
-            if under_way.len() == IN_FLIGHT {
-                self.finish_one(&mut under_way, &mut clock)?;
+            in_flight.push_back((self.submit(buffer)?, index, Instant::now()));
+            if in_flight.len() == IN_FLIGHT {
+                self.finish_one(&mut in_flight, &mut clock)?;
             }
             let scope = &self.plan.scopes[self.plan.commands[first].scope as usize];
             if progress(Progress { fraction: clock.done as f64 / total.max(1) as f64, scope }).is_break() {
                 return Err(Error::Cancelled);
             }
         }
-        while !under_way.is_empty() {
-            self.finish_one(&mut under_way, &mut clock)?;
+        while !in_flight.is_empty() {
+            self.finish_one(&mut in_flight, &mut clock)?;
         }
-        if let Some(download) = self.twins.as_ref().map(|twins| twins.download) {
+        if let Some(download) = self.staging.as_ref().map(|staging| staging.download) {
             self.submit(download)?;
         }
         Ok(clock.times)
     }
 
-    fn finish_one(&self, under_way: &mut VecDeque<(u64, usize, Instant)>, clock: &mut Clock) -> Result<()> {
-        let Some((value, index, submitted)) = under_way.pop_front() else { return Ok(()) };
+    fn finish_one(&self, in_flight: &mut VecDeque<(u64, usize, Instant)>, clock: &mut Clock) -> Result<()> {
+        let Some((value, index, submitted)) = in_flight.pop_front() else { return Ok(()) };
         let late = self.lane.value()? >= value;
         self.lane.wait(value)?;
         let (took, batch) = (clock.last.elapsed(), &self.batches[index]);
@@ -267,7 +278,7 @@ impl Run {
         Ok(())
     }
 
-    pub(super) fn encode_all(&mut self) -> Result<()> {
+    fn encode_all(&mut self) -> Result<()> {
         let mut cursor = if self.batches.is_empty() { Cursor::default() } else { Cursor::at_end(&self.plan) };
         while cursor.command < self.plan.commands.len() {
             match self.encode(&mut cursor) {
@@ -281,8 +292,8 @@ impl Run {
         Ok(())
     }
 
-    fn bound<'a>(&'a self, arena: &'a Memory) -> Bound<'a> {
-        Bound { shared: &self.device.0, plan: &self.plan, arena, residents: &self.residents }
+    fn bound<'a>(&'a self, arena: &'a Memory) -> Bindings<'a> {
+        Bindings { shared: &self.device.0, plan: &self.plan, arena, residents: &self.residents }
     }
 
     fn encode(&self, cursor: &mut Cursor) -> Result<Batch> {
@@ -299,7 +310,7 @@ impl Run {
         }
     }
 
-    pub(super) fn record(
+    fn record(
         &self,
         commands: vk::CommandBuffer,
         pieces: &[Piece],
@@ -314,17 +325,17 @@ impl Run {
         encoder.end()
     }
 
-    pub(crate) fn submit(&mut self, commands: vk::CommandBuffer) -> Result<u64> {
+    fn submit(&mut self, commands: vk::CommandBuffer) -> Result<u64> {
         self.device.0.check_lost()?;
         let value = self.lane.next_value()?;
         let submitted = self.submit_as(commands, value);
-        if is_under_way(&submitted) {
+        if is_in_flight(&submitted) {
             self.signalled = value;
         }
         submitted.map(|()| value)
     }
 
-    pub(crate) fn submit_as(&self, commands: vk::CommandBuffer, value: u64) -> Result<()> {
+    fn submit_as(&self, commands: vk::CommandBuffer, value: u64) -> Result<()> {
         let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(commands)];
         let signals = [vk::SemaphoreSubmitInfo::default()
             .semaphore(self.lane.timeline())
@@ -338,7 +349,7 @@ impl Run {
         submitted
     }
 
-    pub(crate) fn command_buffer(&self) -> Result<vk::CommandBuffer> {
+    fn command_buffer(&self) -> Result<vk::CommandBuffer> {
         let info = vk::CommandBufferAllocateInfo::default().command_pool(self.pool).command_buffer_count(1);
         // SAFETY: only this run uses the pool, from one thread at a time.
         unsafe { self.device.0.raw.allocate_command_buffers(&info) }
@@ -346,7 +357,7 @@ impl Run {
             .map_err(|e| driver("vkAllocateCommandBuffers", e))
     }
 
-    pub(super) fn budget(&self, command: usize) -> u64 {
+    fn budget(&self, command: usize) -> u64 {
         self.speed(self.plan.stage(command)) * SUBMISSION.as_millis() as u64
     }
 

@@ -1,15 +1,16 @@
-use super::{element::Element, layout::ALIGNMENT};
+use super::element::Element;
+use crate::plan::layout::ALIGNMENT;
 
 /// A range of device memory that kernels see as an array. A plain handle without ownership.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Tensor {
-    pub(super) home: Home,
-    pub(super) offset: u64,
-    pub(super) bytes: u64,
+    pub(crate) home: Home,
+    pub(crate) offset: u64,
+    pub(crate) bytes: u64,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Home {
+pub(crate) enum Home {
     Arena(u32),
     Resident { layout: u64, block: u32 },
 }
@@ -43,8 +44,8 @@ impl Tensor {
 
     /// # Panics
     ///
-    /// If the tensor is resident: use [`Resident`](super::Resident) to write and read it.
-    pub(super) fn allocation(self) -> usize {
+    /// If the tensor is resident: use [`Resident`](crate::Resident) to write and read it.
+    pub(crate) fn allocation(self) -> usize {
         match self.home {
             Home::Arena(id) => id as usize,
             Home::Resident { .. } => panic!("resident tensors are written through their own memory"),

@@ -1,10 +1,9 @@
-use super::{
-    Run,
-    failure::driver,
+use super::schedule::{Cursor, MAX_PIECES};
+use crate::{
+    Result, Run,
+    device::failure::driver,
     plan::{Command, Operation, Plan},
-    schedule::{Cursor, MAX_PIECES},
 };
-use crate::Result;
 use ash::vk;
 use std::{collections::HashMap, time::Duration};
 
@@ -46,7 +45,7 @@ impl Profile {
         Self::new(plan, &vec![0.0; plan.len()])
     }
 
-    pub(super) fn new(plan: &Plan, nanoseconds: &[f64]) -> Self {
+    pub(crate) fn new(plan: &Plan, nanoseconds: &[f64]) -> Self {
         let mut rows: Vec<ProfileRow> = Vec::new();
         let mut known = HashMap::new();
         for (command, ns) in plan.commands.iter().zip(nanoseconds) {
@@ -83,7 +82,7 @@ impl Run {
     pub fn profile(&mut self) -> Result<Profile> {
         self.device.limits().check_timestamps()?;
         self.begin()?;
-        if let Some(upload) = self.twins.as_ref().map(|twins| twins.upload) {
+        if let Some(upload) = self.staging.as_ref().map(|staging| staging.upload) {
             let value = self.submit(upload)?;
             self.lane.wait(value)?;
         }

@@ -1,6 +1,6 @@
 //! Compiled kernels, as listed by `build.rs`.
 
-use super::{element::Element, tensor::Tensor};
+use crate::{Element, Tensor};
 use std::hash::{Hash, Hasher};
 
 /// A kernel's code and interface.
@@ -15,7 +15,7 @@ pub struct Module {
     /// Bytes of push constants.
     pub push_bytes: u32,
     /// Buffers also passed by address: index in `bindings` and first word of push constants. Needs
-    /// [`addresses`](super::Limits::addresses).
+    /// [`addresses`](crate::Limits::addresses).
     pub addresses: &'static [(usize, u32)],
     /// Specialization constant IDs.
     pub constant_ids: &'static [u32],
@@ -67,7 +67,7 @@ pub enum LocalSize {
 }
 
 impl LocalSize {
-    pub(super) fn xyz(self, subgroup: u32, constants: &[u32]) -> [u32; 3] {
+    pub(crate) fn xyz(self, subgroup: u32, constants: &[u32]) -> [u32; 3] {
         match self {
             LocalSize::Fixed(size) => size,
             LocalSize::Subgroup => [subgroup, 1, 1],

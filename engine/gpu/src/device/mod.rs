@@ -1,14 +1,30 @@
-use super::{
-    bfloat16,
+//! Devices: discovery, opening, adoption, features and limits.
+
+mod adopt;
+pub(crate) mod barrier;
+mod bfloat16;
+pub(crate) mod failure;
+mod features;
+mod instance;
+mod limits;
+mod loss;
+mod pipelines;
+mod probe;
+mod queue;
+
+pub use adopt::{Adopted, Requirement, fast_requirements, requirements};
+pub use limits::{Limits, Matrices, MatrixShape};
+pub use probe::{DeviceInfo, list_devices};
+pub use queue::QueueLock;
+
+use self::{
     features::{ADDRESSES, BYTES, DOT_PRODUCTS, Features, HALVES, MATRICES, REQUIRED},
     instance::Instance,
-    limits::{Limits, Matrices},
-    lock::lock,
     pipelines::Pipelines,
     probe::{devices, probe},
     queue::Queue,
 };
-use crate::{Error, Result};
+use crate::{Error, Result, lock::lock};
 use ash::{ext, khr, vk};
 use gpu_allocator::vulkan::{Allocator, AllocatorCreateDesc};
 use std::{
@@ -22,7 +38,7 @@ use std::{
 /// Options of [`Device::open`].
 #[derive(Clone, Debug)]
 pub struct DeviceOptions {
-    /// Index in [`super::list_devices`], part of a name, or UUID; `None` picks the best device.
+    /// Index in [`crate::list_devices`], part of a name, or UUID; `None` picks the best device.
     pub selector: Option<String>,
     /// Enables the Khronos validation layer with synchronization validation; any message fails the
     /// run. Scratch tensors are filled with NaN before their first use.
@@ -32,32 +48,39 @@ pub struct DeviceOptions {
     /// Budget of device memory in bytes.
     pub max_memory_bytes: Option<u64>,
     /// Forces robust access: kernels read bound buffers only, never device addresses.
-    pub bound: bool,
+    pub robust_access: bool,
     /// Uses staging buffers even if device memory is host visible, to emulate a discrete GPU.
-    pub staged: bool,
+    pub force_staging: bool,
 }
 
 impl Default for DeviceOptions {
     /// `ZIPSPLAT_VALIDATION=1` enables validation, `ZIPSPLAT_BOUND=1` robust access.
     fn default() -> Self {
         let is_set = |name| std::env::var(name).is_ok_and(|v| v == "1");
-        let (validation, bound) = (is_set("ZIPSPLAT_VALIDATION"), is_set("ZIPSPLAT_BOUND"));
-        Self { selector: None, validation, max_binding_bytes: None, max_memory_bytes: None, bound, staged: false }
+        let (validation, robust_access) = (is_set("ZIPSPLAT_VALIDATION"), is_set("ZIPSPLAT_BOUND"));
+        Self {
+            selector: None,
+            validation,
+            max_binding_bytes: None,
+            max_memory_bytes: None,
+            robust_access,
+            force_staging: false,
+        }
     }
 }
 
 /// An open device. Cloning shares it; dropping the last clone closes it.
 #[derive(Clone)]
-pub struct Device(pub(super) Arc<Shared>);
+pub struct Device(pub(crate) Arc<Shared>);
 
-pub(super) struct Shared {
+pub(crate) struct Shared {
     pub raw: ash::Device,
     pub queue: Queue,
     pub family: u32,
     pub limits: Limits,
     pub allocated: AtomicU64,
     pub flops_per_ms: Mutex<HashMap<String, u64>>,
-    pub staged: bool,
+    pub force_staging: bool,
     index: usize,
     passed_over: Vec<String>,
     pub lost: AtomicBool,
@@ -67,7 +90,7 @@ pub(super) struct Shared {
     pub instance: Instance,
 }
 
-pub(super) struct SharedParts {
+pub(crate) struct SharedParts {
     pub instance: Instance,
     pub physical: vk::PhysicalDevice,
     pub index: usize,
@@ -76,7 +99,7 @@ pub(super) struct SharedParts {
     pub queue: Queue,
     pub family: u32,
     pub limits: Limits,
-    pub staged: bool,
+    pub force_staging: bool,
     pub passed_over: Vec<String>,
 }
 
@@ -84,7 +107,7 @@ impl Device {
     /// Opens a device.
     ///
     /// # Errors
-    /// [`Error::NoDevice`] if no driver is installed or no matching device meets the requirements.
+    /// [`Error::NoDevice`] if no driver is installed or no matching device overlaps the requirements.
     pub fn open(options: &DeviceOptions) -> Result<Self> {
         let instance = Instance::new(options.validation)?;
         let devices = devices(&instance)?;
@@ -148,14 +171,14 @@ impl Shared {
         options: &DeviceOptions,
         passed_over: Vec<String>,
     ) -> Result<Self> {
-        let (mut limits, found) = probe(&instance, physical);
+        let (mut limits, support) = probe(&instance, physical);
         limits.max_binding_bytes = limits.max_binding_bytes.min(options.max_binding_bytes.unwrap_or(u64::MAX));
-        limits.addresses &= !options.bound;
+        limits.addresses &= !options.robust_access;
         limits.memory_bytes = limits.memory_bytes.min(options.max_memory_bytes.unwrap_or(u64::MAX));
-        let family = found.queue_family.ok_or_else(|| Error::NoDevice("no compute queue".into()))?;
+        let family = support.queue_family.ok_or_else(|| Error::NoDevice("no compute queue".into()))?;
         let queues = [vk::DeviceQueueCreateInfo::default().queue_family_index(family).queue_priorities(&[1.0])];
         let mut extensions = Vec::new();
-        if found.portability_subset {
+        if support.portability_subset {
             extensions.push(khr::portability_subset::NAME.as_ptr());
         }
         let matrices = limits.matrices != Matrices::default();
@@ -200,14 +223,16 @@ impl Shared {
             .map_err(|e| Error::NoDevice(format!("{}: vkCreateDevice: {e}", limits.name)))?;
         // SAFETY: the queue was requested above.
         let queue = Queue::new(unsafe { raw.get_device_queue(family, 0) }, None);
-        let staged = options.staged;
+        let force_staging = options.force_staging;
         let owned = true;
-        let parts = SharedParts { instance, physical, index, raw, owned, queue, family, limits, staged, passed_over };
-        Self::new(parts, found.subgroup_control)
+        let parts =
+            SharedParts { instance, physical, index, raw, owned, queue, family, limits, force_staging, passed_over };
+        Self::new(parts, support.subgroup_control)
     }
 
     pub fn new(parts: SharedParts, subgroup_control: bool) -> Result<Self> {
-        let SharedParts { instance, physical, index, raw, owned, queue, family, limits, staged, passed_over } = parts;
+        let SharedParts { instance, physical, index, raw, owned, queue, family, limits, force_staging, passed_over } =
+            parts;
         let allocator = Allocator::new(&AllocatorCreateDesc {
             instance: instance.raw.clone(),
             device: raw.clone(),
@@ -223,7 +248,7 @@ impl Shared {
             family,
             allocated: AtomicU64::new(0),
             flops_per_ms: Mutex::default(),
-            staged,
+            force_staging,
             index,
             passed_over,
             lost: AtomicBool::new(false),
@@ -266,7 +291,7 @@ impl Drop for Shared {
     }
 }
 
-pub(super) struct AllocatorGuard<'a>(MutexGuard<'a, Option<Allocator>>);
+pub(crate) struct AllocatorGuard<'a>(MutexGuard<'a, Option<Allocator>>);
 
 impl std::ops::Deref for AllocatorGuard<'_> {
     type Target = Allocator;

@@ -1,22 +1,19 @@
 //! Adoption of an app's Vulkan device: requirements and borrowed handles.
 
 use super::{
-    Device,
-    device::{Shared, SharedParts},
+    Shared, SharedParts,
     features::{BYTES, DOT_PRODUCTS, Feature, HALVES, MATRICES, REQUIRED},
     instance::Instance,
     limits::Matrices,
     probe::{missing_features, probe},
-    queue::Queue,
+    queue::{Queue, QueueLock},
 };
-use crate::{Error, Result};
+use crate::{Device, Error, Result};
 use ash::vk::{self, Handle};
 use std::{
     ffi::{CStr, c_void},
     sync::Arc,
 };
-
-pub use super::queue::QueueLock;
 
 /// Vulkan version, extension or feature that an app must enable.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -88,13 +85,13 @@ impl Device {
         let [instance, physical, device, queue] = handles.map(|handle| handle as usize as u64);
         let instance = Instance::adopt(adopted.get_instance_proc_addr, vk::Instance::from_raw(instance))?;
         let physical = vk::PhysicalDevice::from_raw(physical);
-        let (mut limits, found) = probe(&instance, physical);
+        let (mut limits, support) = probe(&instance, physical);
         limits.matrices.bf16 = None;
         limits.addresses = false;
         if !adopted.fast {
             (limits.half_storage, limits.matrices, limits.dot_products) = (false, Matrices::default(), false);
         }
-        let missing = missing_features(&limits, &found);
+        let missing = missing_features(&limits, &support);
         if !missing.is_empty() {
             return Err(Error::NoDevice(format!("{} lacks {}", limits.name, missing.join(", "))));
         }
@@ -117,10 +114,10 @@ impl Device {
             queue,
             family,
             limits,
-            staged: false,
+            force_staging: false,
             passed_over: Vec::new(),
         };
-        Shared::new(parts, found.subgroup_control).map(|shared| Self(Arc::new(shared)))
+        Shared::new(parts, support.subgroup_control).map(|shared| Self(Arc::new(shared)))
     }
 }
 
@@ -133,7 +130,7 @@ mod tests {
     fn a_device_of_an_app_is_as_fast_as_the_app_says() {
         let own = Device::open(&DeviceOptions::default()).expect("a device");
         let shared = &own.0;
-        let devices = crate::probe::devices(&shared.instance).expect("listed before");
+        let devices = crate::device::probe::devices(&shared.instance).expect("listed before");
         let mut found = devices.iter().filter(|(_, info)| info.limits.identity == own.limits().identity);
         let (physical, _) = found.next().expect("it was opened");
         // SAFETY: the device has this queue.

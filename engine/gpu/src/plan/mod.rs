@@ -1,18 +1,24 @@
-use super::{
-    kernel::Module,
-    layout::Placement,
-    tensor::{Home, Tensor},
-};
+//! Plans: recorded commands with arena offsets.
+
+pub(crate) mod kernel;
+pub(crate) mod layout;
+mod recorder;
+
+pub use kernel::{Binding, Kernel, LocalSize, Module, Needs};
+pub use recorder::{GROUP_FOLD, Recorder};
+
+use self::layout::Placement;
+use crate::memory::tensor::{Home, Tensor};
 
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Groups {
+pub(crate) enum Groups {
     Fixed([u32; 3]),
     /// Three u32 group counts in a tensor.
     Indirect(Tensor),
 }
 
 #[derive(Debug)]
-pub(super) struct Dispatch {
+pub(crate) struct Dispatch {
     pub module: &'static Module,
     pub constants: Vec<u32>,
     pub push: [u32; 16],
@@ -21,14 +27,14 @@ pub(super) struct Dispatch {
 }
 
 #[derive(Debug)]
-pub(super) enum Operation {
+pub(crate) enum Operation {
     Dispatch(Dispatch),
     Fill { target: Tensor, value: u32 },
     Copy { source: Tensor, target: Tensor },
 }
 
 #[derive(Debug)]
-pub(super) struct Command {
+pub(crate) struct Command {
     pub operation: Operation,
     pub scope: u32,
     /// Required FLOPs; 0 for commands bound by memory.
@@ -36,14 +42,14 @@ pub(super) struct Command {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Role {
+pub(crate) enum Role {
     Scratch,
     Input,
     Constant,
 }
 
 #[derive(Debug)]
-pub(super) struct Allocation {
+pub(crate) struct Allocation {
     pub name: String,
     pub bytes: u64,
     pub role: Role,
@@ -54,12 +60,12 @@ pub(super) struct Allocation {
 /// A recorded command list with its arena layout: a pure function of shapes.
 #[derive(Debug)]
 pub struct Plan {
-    pub(super) commands: Vec<Command>,
-    pub(super) scopes: Vec<String>,
-    pub(super) allocations: Vec<Allocation>,
-    pub(super) placements: Vec<Placement>,
-    pub(super) blocks: Vec<u64>,
-    pub(super) observed: Vec<(String, Tensor)>,
+    pub(crate) commands: Vec<Command>,
+    pub(crate) scopes: Vec<String>,
+    pub(crate) allocations: Vec<Allocation>,
+    pub(crate) placements: Vec<Placement>,
+    pub(crate) blocks: Vec<u64>,
+    pub(crate) observed: Vec<(String, Tensor)>,
 }
 
 /// One row of the arena map.
@@ -92,7 +98,7 @@ impl Plan {
 
     /// Fills every scratch tensor before its first use with a poison value: NaN as a float, out of
     /// range as an index. Exposes reads of uninitialized memory, which is often zero on CPUs.
-    pub(super) fn poison(&mut self) {
+    pub(crate) fn poison(&mut self) {
         let mut born = vec![Vec::new(); self.commands.len()];
         for (id, (allocation, placement)) in self.allocations.iter().zip(&self.placements).enumerate() {
             let used = (placement.first as usize) < self.commands.len();
@@ -112,7 +118,7 @@ impl Plan {
     }
 
     /// Returns a command's stage: its outermost scope.
-    pub(super) fn stage(&self, command: usize) -> &str {
+    pub(crate) fn stage(&self, command: usize) -> &str {
         let scope = &self.scopes[self.commands[command].scope as usize];
         scope.split('/').next().unwrap_or_default()
     }
