@@ -146,9 +146,9 @@ fn the_unit_is_found_from_the_capture() {
         let views: Vec<_> = poses.frames.iter().map(view).collect();
         let cameras: Vec<_> = poses.frames.iter().map(|frame| frame.camera).collect();
         let cameras = view_cameras(&cameras, &views).expect("cameras");
-        let unit = poses.unit(None, &cameras, &poses.frames[0].camera.pose).expect("a unit").length;
+        let unit = poses.scene_scale(None, &cameras, &poses.frames[0].camera.pose).expect("a unit").length;
         let images: Vec<_> = views.into_iter().map(|view| view.image).collect();
-        let request = Request { cameras: Some(cameras), unit, ..Request::default() };
+        let request = Request { cameras: Some(cameras), scene_scale: unit, ..Request::default() };
         let rust = Model::load(device(), &checkpoint(), |_| ControlFlow::Continue(())).unwrap();
         let expected = rust.reconstruct(&images, &request, |_| ControlFlow::Continue(())).unwrap().scene().unwrap();
         assert_same(&format!("means, unit {unit}"), in_c.means.as_flattened(), expected.means.as_flattened());

@@ -3,7 +3,7 @@
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use std::ops::ControlFlow;
 use zipsplat::{
-    cameras::FoundCamera,
+    cameras::CameraEstimate,
     reconstruct::{Model, Patches, Ratio, Reconstruction, Request, Selection},
     stages::ViewGrid,
     types::{Camera, Image, Intrinsics, Pose, Scene},
@@ -72,8 +72,8 @@ fn decoded(place: Place, patches: &Patches) -> Scene {
 }
 
 /// Medians in degrees and distance.
-fn errors(found: &[FoundCamera]) -> [f64; 2] {
-    let of = |(found, truth): (&FoundCamera, &Camera)| {
+fn errors(found: &[CameraEstimate]) -> [f64; 2] {
+    let of = |(found, truth): (&CameraEstimate, &Camera)| {
         let turn = DQuat::from_mat3(&(found.camera.pose.rotation.transpose() * truth.pose.rotation)).to_scaled_axis();
         [turn.length().to_degrees(), found.camera.pose.translation.distance(truth.pose.translation)]
     };
@@ -85,7 +85,7 @@ fn errors(found: &[FoundCamera]) -> [f64; 2] {
     })
 }
 
-fn found(patches: &Patches, scene: &Scene, focal: Option<f64>) -> Vec<FoundCamera> {
+fn found(patches: &Patches, scene: &Scene, focal: Option<f64>) -> Vec<CameraEstimate> {
     let found = patches.cameras(scene, focal).expect("a scene of these tokens");
     found.into_iter().map(|found| found.expect("a camera")).collect()
 }
@@ -103,7 +103,7 @@ fn exact_depth_gives_the_cameras() {
                 let [turn, shift] = errors(&found);
                 let case = format!("{place:?}, {} tokens, {focal:?}", patches.len());
                 assert!(turn < 0.1 && shift < 0.01, "{turn} degrees, {shift}: {case}");
-                for FoundCamera { camera, inliers, pairs } in found {
+                for CameraEstimate { camera, inliers, pairs } in found {
                     assert!((camera.intrinsics.fx / 233.0 - 1.0).abs() < 0.01, "{camera:?}: {case}");
                     assert_eq!((inliers, pairs), (patches.len() / 4, patches.len() / 4), "{case}");
                 }

@@ -9,7 +9,7 @@ use image::{DynamicImage, ImageFormat};
 use zipsplat::Error;
 use zipsplat::types::preprocess::{DEFAULT_SIZE, View, crop_to_aspect, fit};
 use zipsplat::types::resample::resize_lanczos;
-use zipsplat::types::{Camera, Image, Intrinsics, Pose, contact_sheet, square_count, squares};
+use zipsplat::types::{Camera, Image, Intrinsics, Pose, contact_sheet, tile_count, tiles};
 use zipsplat_cli::protocol::Filter;
 use zipsplat_tests::compare::assert_same;
 use zipsplat_tests::golden::{self, Golden};
@@ -181,8 +181,8 @@ fn squares_show_what_their_cameras_see() {
         let pixels = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
         let rgb = pixels.flat_map(|(x, y)| color(ray(&intrinsics, x, y)).map(|value| value.round() as u8)).collect();
         let photo = Image::new(width, height, rgb).unwrap();
-        let views = squares(&photo, &camera, 56, "camera").unwrap();
-        assert_eq!((views.len(), square_count(width, height)), (count, count));
+        let views = tiles(&photo, &camera, 56, "camera").unwrap();
+        assert_eq!((views.len(), tile_count(width, height)), (count, count));
         let mut seen = vec![false; (width * height) as usize];
         for (image, view) in &views {
             assert_eq!((view.intrinsics.cx, view.intrinsics.cy, view.intrinsics.width), (28.0, 28.0, 56));
@@ -209,7 +209,7 @@ fn squares_show_what_their_cameras_see() {
         assert!(share > 0.95, "{share} of {width}x{height} is seen");
     }
     let (photo, wrong) = (noise(300, 200), Intrinsics::from_fov(200, 300, 1.0, 1.0));
-    let refused = squares(&photo, &Camera { intrinsics: wrong, pose }, 56, "camera 7");
+    let refused = tiles(&photo, &Camera { intrinsics: wrong, pose }, 56, "camera 7");
     assert!(matches!(refused, Err(Error::Argument { what, .. }) if what.contains("camera 7")));
 }
 

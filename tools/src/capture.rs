@@ -22,7 +22,7 @@ use zipsplat::{
     stages::render::{RenderRequest, Renderer},
     types::{
         Camera, Image, PointCloud, Pose,
-        poses::{Frame, Poses, Unit, read_cloud, read_poses},
+        poses::{Frame, Poses, SceneScale, read_cloud, read_poses},
         resample::resize_lanczos,
     },
 };
@@ -40,7 +40,7 @@ pub struct Capture {
     pub inputs: Vec<Posed>,
     pub targets: Vec<Posed>,
     /// Divisor of the cameras' lengths.
-    pub unit: Unit,
+    pub unit: SceneScale,
 }
 
 pub struct Posed {
@@ -108,7 +108,7 @@ impl Choice {
             ..self.poses.frames[*i].camera
         };
         let views: Vec<Camera> = self.inputs.iter().map(camera).collect();
-        let unit = self.poses.unit(unit, &views, &origin)?.length;
+        let unit = self.poses.scene_scale(unit, &views, &origin)?.length;
         for (k, i) in self.inputs.iter().enumerate().skip(1) {
             let rotation = DMat3::from_axis_angle(spread(2 * k), degrees.to_radians());
             let movement = Pose { rotation, translation: degrees / 100.0 * unit * spread(2 * k + 1) };
@@ -153,13 +153,13 @@ impl Choice {
     }
 
     /// Maps to the first input's world and a unit.
-    pub fn points(&self, unit: &Unit) -> Result<Option<PointCloud>> {
+    pub fn points(&self, unit: &SceneScale) -> Result<Option<PointCloud>> {
         let to_world = self.poses.frames[self.inputs[0]].camera.pose.inverse();
         let cloud = self.poses.points.as_ref().map(read_cloud).transpose()?;
         Ok(cloud.map(|cloud| placed(cloud, &to_world, unit.length)))
     }
 
-    /// `unit` is the length in the cameras' unit that becomes 1, by default [`Unit::of`].
+    /// `unit` is the length in the cameras' unit that becomes 1, by default [`SceneScale::of`].
     pub fn load(&self, seeing: Seeing, unit: Option<f64>, stage: &Stage<'_>) -> Result<Capture> {
         let frames: Vec<&Frame> = self.frames().collect();
         let paths: Vec<PathBuf> = frames.iter().filter_map(|frame| frame.photo.clone()).collect();
@@ -177,7 +177,7 @@ impl Choice {
             seen.extend(of_input);
         }
         let mut views = Views::new(seeing.fit, seen.into_iter(), &world, &sizes[..count], seeing.size);
-        let unit = self.poses.unit(unit, &views.cameras, &world)?;
+        let unit = self.poses.scene_scale(unit, &views.cameras, &world)?;
         let cameras = views.cameras.iter_mut().chain(inputs.iter_mut().map(|photo| &mut photo.camera));
         cameras.for_each(|camera| camera.pose.translation /= unit.length);
         let targets = inputs.split_off(count);

@@ -10,7 +10,7 @@ use zipsplat::{
         Camera, Image, Pose,
         poses::Frame,
         preprocess::{PixelMap, View, fit},
-        square_count, squares,
+        tile_count, tiles,
     },
 };
 
@@ -69,7 +69,7 @@ impl Fit {
         if self == Self::Crop {
             return Ok(photos.len());
         }
-        let count = |path: &PathBuf| Image::size_as_stored(path).map(|(width, height)| square_count(width, height));
+        let count = |path: &PathBuf| Image::size_as_stored(path).map(|(width, height)| tile_count(width, height));
         let views = photos.iter().map(count).sum::<Result<usize>>()?;
         if views > MAX_VIEWS {
             let expected = format!("at most {MAX_VIEWS}; --views N takes N of the photos, --fit crop one view of each");
@@ -81,7 +81,7 @@ impl Fit {
     pub fn views(self, photo: &Image, camera: Option<&Camera>, size: Size, label: &str) -> Result<Vec<Seen>> {
         match (self, camera) {
             (Self::Squares, Some(camera)) => {
-                let views = squares(photo, camera, size.0, label)?.into_iter();
+                let views = tiles(photo, camera, size.0, label)?.into_iter();
                 Ok(views.map(|(image, camera)| (image, Some(camera))).collect())
             }
             _ => {

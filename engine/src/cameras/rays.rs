@@ -3,7 +3,7 @@
 //! Directions are d ~ A p with A = R K^-1, found by iteratively reweighted least squares on d x A p
 //! (Holland and Welsch 1977) and QR factorization.
 
-use super::FoundCamera;
+use super::CameraEstimate;
 use crate::{
     Error, Result,
     types::{Camera, Intrinsics, Pose},
@@ -46,7 +46,7 @@ impl RayMap {
     ///
     /// # Errors
     /// [`Error::Argument`] for too few inliers or wrong lengths.
-    pub fn camera(&self, [width, height]: [u32; 2]) -> Result<FoundCamera> {
+    pub fn camera(&self, [width, height]: [u32; 2]) -> Result<CameraEstimate> {
         let rays = self.rays()?;
         let map = homography(&rays);
         let agrees = |ray: &&Ray| angle(&map, ray) < TOLERANCE;
@@ -70,7 +70,7 @@ impl RayMap {
         };
         let camera = Camera { intrinsics, pose: Pose { rotation, translation: centre } };
         camera.validate("camera of rays")?;
-        Ok(FoundCamera { camera, inliers: agreeing.len(), pairs })
+        Ok(CameraEstimate { camera, inliers: agreeing.len(), pairs })
     }
 
     fn rays(&self) -> Result<Vec<Ray>> {

@@ -1,6 +1,6 @@
 use crate::{
     Error, Result,
-    cameras::{FoundCamera, RayMap, decoded_camera, scale_between},
+    cameras::{CameraEstimate, RayMap, decoded_camera, scale_between},
     gpu::{Run, StageTimes, Tensor},
     stages::{
         ViewGrid,
@@ -109,7 +109,7 @@ impl Depths {
     ///
     /// # Errors
     /// [`Error::Argument`] for separate views.
-    pub fn cameras_of_rays(&self) -> Result<Vec<Result<FoundCamera>>> {
+    pub fn cameras_of_rays(&self) -> Result<Vec<Result<CameraEstimate>>> {
         let camera = |view: &DepthView| {
             let rays = view.rays.as_ref().ok_or_else(by_themselves)?;
             Ok(rays.camera([self.width, self.height]))

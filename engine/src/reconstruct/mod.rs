@@ -13,7 +13,7 @@ pub(crate) use request::{check_cameras, grid, size_of};
 
 use crate::{
     Error, Result,
-    cameras::FoundCamera,
+    cameras::CameraEstimate,
     gpu::{Arena, Device, Plan, Profile, Progress, Recorder, ResidentLayout, Run, StageTimes},
     ops::{Arithmetic, Parameters},
     stages::render::{DeviceScene, SceneMemory},
@@ -72,7 +72,7 @@ impl Reconstruction {
     ///
     /// # Errors
     /// [`Error::Argument`] for known cameras or another scene.
-    pub fn cameras(&self, scene: &Scene, focal: Option<f64>) -> Result<Vec<Result<FoundCamera>>> {
+    pub fn cameras(&self, scene: &Scene, focal: Option<f64>) -> Result<Vec<Result<CameraEstimate>>> {
         self.patches.cameras(scene, focal)
     }
 }
@@ -156,7 +156,7 @@ impl Model {
         run.replace_resident(scenes[free].resident().clone());
         self.write_inputs(run, tensors, shape, images, request)?;
         let times = run.execute_with(progress)?;
-        let gaussians = scenes[free].scene(tensors.scene().sh_degree, near(request.unit));
+        let gaussians = scenes[free].scene(tensors.scene().sh_degree, near(request.scene_scale));
         Ok(Reconstruction {
             tokens: shape.tokens,
             patches: Patches::of(run, tensors.choice, shape, request)?,
@@ -183,8 +183,8 @@ impl Model {
     /// Returns the shape of a request.
     pub fn shape(&self, images: &[Image], request: &Request) -> Result<Shape> {
         let size = size_of(images)?;
-        if !(request.unit as f32).is_normal() || request.unit < 0.0 {
-            return Err(Error::argument("unit", request.unit, "a length above 0"));
+        if !(request.scene_scale as f32).is_normal() || request.scene_scale < 0.0 {
+            return Err(Error::argument("unit", request.scene_scale, "a length above 0"));
         }
         if let Some(cameras) = &request.cameras {
             check_cameras(cameras, images)?;
@@ -232,7 +232,7 @@ impl Model {
         run.write(inputs.images, &planar(images))?;
         let in_units = |camera: &Camera| {
             let mut camera = *camera;
-            camera.pose.translation /= request.unit;
+            camera.pose.translation /= request.scene_scale;
             camera
         };
         let cameras = request.cameras.as_ref().map(|cameras| cameras.iter().map(in_units).collect::<Vec<_>>());
@@ -242,8 +242,8 @@ impl Model {
 }
 
 fn write_choice(run: &mut Run, choice: Choice, shape: Shape, request: &Request) -> Result<()> {
-    if let Some(unit) = choice.unit {
-        run.write(unit, &[request.unit as f32])?;
+    if let Some(scene_scale) = choice.scene_scale {
+        run.write(scene_scale, &[request.scene_scale as f32])?;
     }
     if let Some(tensor) = choice.indices {
         run.write(tensor, &request.selection.indices(shape.grid.tokens(), shape.tokens))?;

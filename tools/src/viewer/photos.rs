@@ -163,7 +163,8 @@ impl FromPhotos {
         let (model, _) = session.load_model(&device, &checkpoint, arithmetic)?;
         let cameras = Some(told).filter(|told| !told.is_empty());
         let selection = self.quality.select.clone();
-        let request = Request { ratio: self.quality.ratio, selection, cameras, unit, pool: self.quality.pool };
+        let request =
+            Request { ratio: self.quality.ratio, selection, cameras, scene_scale: unit, pool: self.quality.pool };
         let (features, _) = session.stage("backbone", |stage| {
             model.features(&images, &request, |progress: Progress<'_>| stage.at(progress.fraction))
         })?;
@@ -202,7 +203,7 @@ impl FromPhotos {
         frames: &[&Frame],
     ) -> Result<f64> {
         let (Some(poses), Some(first)) = (poses, frames.first()) else { return Ok(1.0) };
-        let unit = poses.unit(self.unit, cameras, &first.camera.pose)?;
+        let unit = poses.scene_scale(self.unit, cameras, &first.camera.pose)?;
         session.notes(unit.doubt());
         Ok(unit.length)
     }

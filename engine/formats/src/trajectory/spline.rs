@@ -90,7 +90,7 @@ impl Spline {
     pub fn sample(&self, frames: usize) -> Vec<Camera> {
         let closed = self.segments() == self.keys.len();
         let total: f64 = self.intervals.iter().sum();
-        let camera = |share: f64| self.at(self.position(share * total));
+        let camera = |fraction: f64| self.at(self.position(fraction * total));
         if closed { closed_path(frames).map(camera).collect() } else { path(frames).map(camera).collect() }
     }
 

@@ -62,12 +62,12 @@ impl Element {
 
     /// Encodes numbers, rounded to nearest and saturated.
     pub fn encode(self, values: &[f32]) -> Vec<u8> {
-        let held = values.iter().map(|x| x.clamp(-self.largest(), self.largest()));
+        let clamped = values.iter().map(|x| x.clamp(-self.largest(), self.largest()));
         match self {
             Element::F32 => bytemuck::cast_slice(values).to_vec(),
-            Element::F16 => held.flat_map(|x| f16::from_f32(x).to_ne_bytes()).collect(),
-            Element::Bf16 => held.flat_map(|x| bf16::from_f32(x).to_ne_bytes()).collect(),
-            Element::I8 => held.map(|x| x.round_ties_even() as i8 as u8).collect(),
+            Element::F16 => clamped.flat_map(|x| f16::from_f32(x).to_ne_bytes()).collect(),
+            Element::Bf16 => clamped.flat_map(|x| bf16::from_f32(x).to_ne_bytes()).collect(),
+            Element::I8 => clamped.map(|x| x.round_ties_even() as i8 as u8).collect(),
         }
     }
 

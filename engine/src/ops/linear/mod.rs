@@ -6,7 +6,7 @@ pub use lanes::{LaneTile, Lanes};
 use super::{
     Units,
     rows::{Rows, SCRATCH_BYTES, SLICE, quantise_rows, row_chunks},
-    tile::{Tile, Tiles, choose, share},
+    tile::{Tile, Tiles, choose, split_k},
     uniform::UNIFORM_TILE,
 };
 use crate::{
@@ -162,22 +162,22 @@ impl Linear {
             let (input, out) = (input.part(part.clone()), out.part(part.clone()));
             let residual = epilogue.residual.map(|residual| residual.part(part));
             let epilogue = Epilogue { residual, ..epilogue };
-            let share = share(self.kernel.factor(), self.inner, input.count, self.columns);
-            let parts = self.inner.div_ceil(share);
+            let split_k = split_k(self.kernel.factor(), self.inner, input.count, self.columns);
+            let parts = self.inner.div_ceil(split_k);
             if parts == 1 {
-                self.sums(rec, input, out, epilogue, share);
+                self.sums(rec, input, out, epilogue, split_k);
             } else {
                 let sums = Rows::scratch(rec, "sums", parts * input.count, self.columns, Element::F32);
-                self.sums(rec, input, sums, Epilogue::default(), share);
+                self.sums(rec, input, sums, Epilogue::default(), split_k);
                 self.merge(rec, sums, parts, out, epilogue);
             }
         }
     }
 
-    fn sums(&self, rec: &mut Recorder, input: Rows, out: Rows, epilogue: Epilogue, share: usize) {
+    fn sums(&self, rec: &mut Recorder, input: Rows, out: Rows, epilogue: Epilogue, split_k: usize) {
         match self.kernel {
-            LinearKernel::Panels(lanes, _) => self.on_lanes(rec, lanes, input, out, epilogue, share),
-            LinearKernel::Matrix(units, _) => self.matrix(rec, units, input, out, epilogue, share),
+            LinearKernel::Panels(lanes, _) => self.on_lanes(rec, lanes, input, out, epilogue, split_k),
+            LinearKernel::Matrix(units, _) => self.matrix(rec, units, input, out, epilogue, split_k),
             LinearKernel::Dots(tiles) => self.dots(rec, tiles, input, out, epilogue),
         }
     }
@@ -222,13 +222,13 @@ impl Linear {
         (a, scales, self.weight.slice::<f32>(scales_at(self.columns, self.inner) / 4, self.columns))
     }
 
-    fn matrix(&self, rec: &mut Recorder, units: Units, input: Rows, out: Rows, epilogue: Epilogue, share: usize) {
+    fn matrix(&self, rec: &mut Recorder, units: Units, input: Rows, out: Rows, epilogue: Epilogue, split_k: usize) {
         let Units { factor, shape, .. } = units;
         let (columns, inner, rows) = (self.columns, self.inner, input.count);
         let tile = self.tile(rec.limits(), units, rows);
         assert!(
-            share == inner || share.is_multiple_of(tile.k as usize),
-            "parts of {share} terms, {} at a time",
+            split_k == inner || split_k.is_multiple_of(tile.k as usize),
+            "parts of {split_k} terms, {} at a time",
             tile.k
         );
         let (a, row_scales, column_scales) = match factor {
@@ -262,14 +262,14 @@ impl Linear {
             scale: epilogue.gamma.is_some(),
             add: epilogue.residual.is_some(),
             q8: self.kernel.weights() == Weights::Q8,
-            share: share as u32,
-            split: share < inner,
+            share: split_k as u32,
+            split: split_k < inner,
             factor,
             output: out.element,
         };
         let [tile_rows, tile_columns] = tile.sides(units);
         // Columns vary fastest, so that workgroups share rows in cache.
-        let groups = [columns.div_ceil(tile_columns), rows.div_ceil(tile_rows), inner.div_ceil(share)];
+        let groups = [columns.div_ceil(tile_columns), rows.div_ceil(tile_rows), inner.div_ceil(split_k)];
         rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(rows));
     }
 

@@ -85,7 +85,7 @@ impl<'a> Maker<'a> {
                 fit.count(photos)?;
                 let views = fit.load(photos, frames, *size, stage)?;
                 let unit = match (poses, frames.first()) {
-                    (Some(poses), Some(first)) => poses.unit(None, &views.cameras, &first.camera.pose)?.length,
+                    (Some(poses), Some(first)) => poses.scene_scale(None, &views.cameras, &first.camera.pose)?.length,
                     _ => 1.0,
                 };
                 Ok(Input::Tokens(views, unit))
@@ -103,7 +103,8 @@ impl<'a> Maker<'a> {
                 let (cameras, turned) = batch.fit.fit.told(cameras);
                 let Quality { ratio, select, pool, .. } = &batch.quality;
                 let cameras = Some(cameras).filter(|cameras| !cameras.is_empty());
-                let request = Request { ratio: *ratio, selection: select.clone(), cameras, unit, pool: *pool };
+                let request =
+                    Request { ratio: *ratio, selection: select.clone(), cameras, scene_scale: unit, pool: *pool };
                 let made = model.reconstruct(&images, &request, |progress| stage.at(progress.fraction))?;
                 let mut scene = made.scene()?;
                 batch.quality.prune(&mut scene, checkpoint.architecture());

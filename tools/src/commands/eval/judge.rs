@@ -143,7 +143,7 @@ impl<'a> Judge<'a> {
             ratio: eval.quality.ratio,
             selection: eval.quality.select.clone(),
             cameras: (!eval.pose_free).then_some(cameras),
-            unit: 1.0,
+            scene_scale: 1.0,
             pool: eval.quality.pool,
         };
         let of_tokens = eval.refine.is_some_and(|steps| steps.tokens);

@@ -17,7 +17,7 @@ use zipsplat::{
     ops::Precision,
     reconstruct::{Model, Reconstruction, Request, SceneTokens, Shape},
     stages::render::DeviceScene,
-    types::{Scene, poses::Unit},
+    types::{Scene, poses::SceneScale},
     weights::Checkpoint,
 };
 
@@ -100,16 +100,16 @@ impl Planned<'_> {
         let Views { images, cameras, note } = views;
         session.notes(note);
         let unit = match (poses, frames.first()) {
-            (Some(poses), Some(first)) => Some(poses.unit(command.unit, &cameras, &first.camera.pose)?),
+            (Some(poses), Some(first)) => Some(poses.scene_scale(command.unit, &cameras, &first.camera.pose)?),
             _ => None,
         };
-        session.notes(unit.as_ref().and_then(Unit::doubt));
+        session.notes(unit.as_ref().and_then(SceneScale::doubt));
         let (cameras, turned) = fit.told(cameras);
         let (model, load_weights) = session.load_model(device, checkpoint, arithmetic)?;
         let cameras = Some(cameras).filter(|cameras| !cameras.is_empty());
         let length = unit.as_ref().map_or(1.0, |unit| unit.length);
         let (ratio, selection) = (quality.ratio, quality.select.clone());
-        let request = Request { ratio, selection, cameras, unit: length, pool: quality.pool };
+        let request = Request { ratio, selection, cameras, scene_scale: length, pool: quality.pool };
         let moves_tokens = command.refine.steps().is_some_and(|steps| steps.tokens);
         let (result, tokens, _) = session.reconstruct_with_tokens(&model, &images, &request, moves_tokens)?;
         let mut scene = result.scene()?;
@@ -164,7 +164,7 @@ fn told(
     all: usize,
     each: usize,
     precision: Precision,
-    unit: Option<&Unit>,
+    unit: Option<&SceneScale>,
     found: Option<&Placed>,
 ) -> String {
     let (tokens, all, each) = (HumanCount(result.tokens as u64), counted(all, "token"), counted(each, "Gaussian"));

@@ -50,7 +50,7 @@ pub fn all<'a>(
             args.pool.iter().flat_map(|pool| captures.iter().zip(clouds).map(move |capture| (pool, capture)))
         {
             let cameras = Some(capture.cameras());
-            let request = Request { ratio, selection: selection.clone(), cameras, unit: 1.0, pool };
+            let request = Request { ratio, selection: selection.clone(), cameras, scene_scale: 1.0, pool };
             let image = &capture.views.images[0];
             let (views, size) = (capture.views.images.len(), [image.width, image.height]);
             let shape = Shape::new(architecture, views, size, (ratio, selection), true)?.pooled(pool)?;

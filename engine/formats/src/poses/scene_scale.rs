@@ -17,7 +17,7 @@ const FARTHER: f64 = 2.0;
 /// The network's unit of length in the cameras' unit, and its source. In training, the median depth
 /// from the first view is about 1.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Unit {
+pub struct SceneScale {
     /// Divisor of camera positions.
     pub length: f64,
     /// Source of the length.
@@ -39,7 +39,7 @@ pub enum Source {
     Nothing,
 }
 
-impl Unit {
+impl SceneScale {
     /// Determines the scene scale: `given`, else from `points` visible to `views`, else from all
     /// `cameras` of the capture. The frame of `views` is the first view's camera; `origin` is its
     /// pose in the world of `cameras`.
@@ -79,7 +79,7 @@ impl Unit {
     }
 }
 
-impl fmt::Display for Unit {
+impl fmt::Display for SceneScale {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "unit {:.4}", self.length)?;
         match &self.source {
@@ -177,7 +177,7 @@ mod tests {
     use crate::Orbit;
 
     fn found(cameras: Vec<Pose>) -> (f64, Source) {
-        let Unit { length, source } = Unit::of(None, &cameras, None, &[], &cameras[0]).expect("no cloud");
+        let SceneScale { length, source } = SceneScale::of(None, &cameras, None, &[], &cameras[0]).expect("no cloud");
         (length, source)
     }
 

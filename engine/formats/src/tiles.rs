@@ -12,7 +12,7 @@ const NEARLY_SQUARE: f64 = 1.1;
 const SAMPLES: u32 = 4;
 
 /// Returns the number of squares: longer side over shorter side, rounded up.
-pub fn square_count(width: u32, height: u32) -> usize {
+pub fn tile_count(width: u32, height: u32) -> usize {
     let aspect = f64::from(width.max(height)) / f64::from(width.min(height).max(1));
     if aspect < NEARLY_SQUARE { 1 } else { aspect.ceil() as usize }
 }
@@ -24,7 +24,7 @@ pub fn square_count(width: u32, height: u32) -> usize {
 /// # Errors
 /// See [`Camera::validate`] and [`PixelMap::apply`] with `label`; [`Error::Argument`] if `side` is
 /// 0.
-pub fn squares(photo: &Image, camera: &Camera, side: u32, label: &str) -> Result<Vec<(Image, Camera)>> {
+pub fn tiles(photo: &Image, camera: &Camera, side: u32, label: &str) -> Result<Vec<(Image, Camera)>> {
     photo.validate()?;
     camera.validate(label)?;
     if side == 0 {
@@ -36,7 +36,7 @@ pub fn squares(photo: &Image, camera: &Camera, side: u32, label: &str) -> Result
     let photo = &resize_lanczos(photo, small(photo.width), small(photo.height))?;
     let lens = lens.resized(photo.width, photo.height);
     let (edge, long) = (photo.width.min(photo.height), photo.width.max(photo.height));
-    let count = square_count(photo.width, photo.height);
+    let count = tile_count(photo.width, photo.height);
     let square = |i: usize| {
         let along = match count {
             1 => f64::from(long - edge) / 2.0,
