@@ -87,25 +87,26 @@ pub fn sharpest_frames(
 ) -> Result<Vec<PathBuf>> {
     check(ffmpeg, "ffmpeg", "an installed ffmpeg, which reads videos (`apt install ffmpeg`; see --ffmpeg)")?;
     video.metadata().map_err(|source| Error::io(video, source))?;
-    let ((sharpness, said), _) = session.stage("look for sharp frames", |stage| judge(ffmpeg, video, stage))?;
+    let ((sharpness, messages), _) =
+        session.stage("look for sharp frames", |stage| measure_sharpness(ffmpeg, video, stage))?;
     let chosen = sharpest(&sharpness, count);
     if chosen.is_empty() {
-        let said = if said.is_empty() { said } else { format!(": {said}") };
-        return Err(Error::format(video, None, format!("no frame that ffmpeg can read{said}")));
+        let messages = if messages.is_empty() { messages } else { format!(": {messages}") };
+        return Err(Error::format(video, None, format!("no frame that ffmpeg can read{messages}")));
     }
-    if !said.is_empty() {
+    if !messages.is_empty() {
         let read = sharpness.len();
-        session.note(format!("{}: ffmpeg reads {read} frames and finds the file damaged: {said}", video.display()));
+        session.note(format!("{}: ffmpeg reads {read} frames and finds the file damaged: {messages}", video.display()));
     }
     let (photos, _) = session.stage("take frames", |stage| take(ffmpeg, video, &chosen, folder, stage))?;
     Ok(photos)
 }
 
 /// Also returns ffmpeg's warnings.
-fn judge(ffmpeg: &Path, video: &Path, stage: &Stage<'_>) -> Result<(Vec<f64>, String)> {
+fn measure_sharpness(ffmpeg: &Path, video: &Path, stage: &Stage<'_>) -> Result<(Vec<f64>, String)> {
     let filter = format!("scale={SIDE}:{SIDE}:flags=area,format=gray,{REGULAR}");
     let mut sharpness = Vec::new();
-    let said = decode(
+    let messages = decode(
         ffmpeg,
         video,
         &[&PICTURES[..], &["-vf", &filter, "-r", "25", "-f", "rawvideo"]].concat(),
@@ -120,7 +121,7 @@ fn judge(ffmpeg: &Path, video: &Path, stage: &Stage<'_>) -> Result<(Vec<f64>, St
             Ok(())
         },
     )?;
-    Ok((sharpness, said))
+    Ok((sharpness, messages))
 }
 
 /// The first of ties.

@@ -13,7 +13,7 @@ use super::photos::Photos;
 use super::rng::Rng;
 use super::survey::{self, Lens};
 use super::tone::Development;
-use super::world::{Seen, World};
+use super::world::{Hit, World};
 
 /// Per place.
 const PATHS: usize = 20;
@@ -222,10 +222,10 @@ impl Setup {
 
     fn frame(&self, view: View, photos: &Photos, go_on: GoOn<'_>) -> Result<Frame> {
         let Lens { width, height, .. } = self.lens;
-        let look = |x: f32, y: f32, pixel: f32| self.look(view, x, y, pixel, photos);
+        let trace = |x: f32, y: f32, pixel: f32| self.trace(view, x, y, pixel, photos);
         let centres = |y: usize| (0..width).map(move |x| (x as f32 + 0.5, y as f32 + 0.5));
-        let row = |y: usize| go_on().map(|()| centres(y).map(|(x, y)| look(x, y, 1.0)).collect());
-        let rows = (0..height).into_par_iter().map(row).collect::<Result<Vec<Vec<(Seen, f32)>>>>()?;
+        let row = |y: usize| go_on().map(|()| centres(y).map(|(x, y)| trace(x, y, 1.0)).collect());
+        let rows = (0..height).into_par_iter().map(row).collect::<Result<Vec<Vec<(Hit, f32)>>>>()?;
         let region = |x: usize, y: usize| rows[y][x].0.region;
         let is_edge = |x: usize, y: usize| {
             let here = region(x, y);
@@ -234,7 +234,7 @@ impl Setup {
             [region(left, y), region(right, y), region(x, above), region(x, below)].iter().any(|other| *other != here)
         };
         let around = |x: usize, y: usize, offsets: &[(f32, f32)]| {
-            let light = |(dx, dy): &(f32, f32)| look(x as f32 + 0.5 + dx, y as f32 + 0.5 + dy, 0.5).0.light;
+            let light = |(dx, dy): &(f32, f32)| trace(x as f32 + 0.5 + dx, y as f32 + 0.5 + dy, 0.5).0.light;
             offsets.iter().map(light).sum::<Vec3A>()
         };
         let pixel = |x: usize, y: usize| match rows[y][x].0.light {
@@ -248,10 +248,10 @@ impl Setup {
     }
 
     /// Returns color and z; `pixel` is the filter width in pixels.
-    fn look(&self, view: View, x: f32, y: f32, pixel: f32, photos: &Photos) -> (Seen, f32) {
+    fn trace(&self, view: View, x: f32, y: f32, pixel: f32, photos: &Photos) -> (Hit, f32) {
         let ray = self.lens.ray(x, y);
         let length = ray.length();
-        let seen = self.world.look(view.eye, view.rotation * (ray / length), pixel / self.lens.focal, photos);
+        let seen = self.world.trace(view.eye, view.rotation * (ray / length), pixel / self.lens.focal, photos);
         let depth = seen.distance.map_or(0.0, |t| t / length);
         (seen, depth)
     }
@@ -265,10 +265,10 @@ struct Frame {
 /// Shared exposure from few rays; `None` for dull, dark or overexposed views.
 fn expose(world: &World, lens: Lens, views: &[View], photos: &Photos, rng: &mut Rng) -> Option<Development> {
     let pixel = lens.width as f32 / survey::GRID as f32 / lens.focal / 4.0;
-    let look = |view: &View| {
-        lens.grid(*view).map(|direction| world.look(view.eye, direction, pixel, photos).light).collect::<Vec<_>>()
+    let trace = |view: &View| {
+        lens.grid(*view).map(|direction| world.trace(view.eye, direction, pixel, photos).light).collect::<Vec<_>>()
     };
-    let lights: Vec<Vec<Vec3A>> = views.iter().map(look).collect();
+    let lights: Vec<Vec<Vec3A>> = views.iter().map(trace).collect();
     let all = lights.iter().flatten();
     let luminance =
         all.map(|light| light.element_sum() / 3.0).sum::<f32>() / (views.len() * survey::GRID.pow(2)) as f32;

@@ -34,7 +34,7 @@ use zipsplat::{
 };
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Start {
+pub enum Initialization {
     /// A Gaussian at each point of the capture's point cloud
     Points,
     /// The scene's Gaussians
@@ -46,7 +46,7 @@ pub enum Start {
 /// Minimum points to prefer over the built-in model's scene.
 const ENOUGH: usize = 500;
 
-impl Start {
+impl Initialization {
     /// Points only for the built-in model, if there are enough.
     pub fn or_best(asked: Option<Self>, cloud: Option<&PointCloud>, embedded: bool) -> Self {
         let enough = embedded && cloud.is_some_and(|cloud| cloud.positions.len() >= ENOUGH);
@@ -128,10 +128,10 @@ impl Display for Steps {
 
 impl Steps {
     /// Rejects initializations that tokens cannot use, and LPIPS without its weights.
-    pub fn check(self, start: Option<Start>, moved: &Moved) -> Result<()> {
+    pub fn check(self, start: Option<Initialization>, moved: &Moved) -> Result<()> {
         moved.check()?;
         match (start, moved.grow) {
-            (Some(Start::Points | Start::Both), _) if self.tokens => {
+            (Some(Initialization::Points | Initialization::Both), _) if self.tokens => {
                 Err(Error::argument("--start", "points, which have no tokens", "--start scene with --refine N:tokens"))
             }
             (_, Some(most)) if self.tokens => {
@@ -169,7 +169,7 @@ pub struct RefineOptions {
     /// Initialization of --refine; points are those of structure from motion beside the cameras
     /// [default: for the built-in model points, if there are enough, else the scene]
     #[arg(long, alias = "init", value_enum, value_name = "WHAT", requires = "refine")]
-    pub start: Option<Start>,
+    pub start: Option<Initialization>,
     /// Largest compared size in --refine; larger photos are scaled down to fit
     #[arg(long, alias = "max-image-size", value_name = "WxH", default_value = MOST_PIXELS, requires = "refine")]
     refine_size: Size,
@@ -252,7 +252,7 @@ pub fn refine(
     let mut refined = None;
     let staged = session.stage("refine", |stage| {
         let progress = |at: Refining<'_>| -> ControlFlow<()> {
-            stage.name(&told(&at));
+            stage.name(&progress_message(&at));
             stage.at(at.step as f64 / at.steps as f64)
         };
         refined = Some(match from {
@@ -267,7 +267,7 @@ pub fn refine(
     }
 }
 
-fn told(at: &Refining<'_>) -> String {
+fn progress_message(at: &Refining<'_>) -> String {
     let loss = at.loss.map(|loss| format!(", loss {loss:.4}")).unwrap_or_default();
     let psnr = at.psnr.map(|psnr| format!(", {psnr:.2} dB")).unwrap_or_default();
     format!("refine{loss}{psnr}")
@@ -319,7 +319,7 @@ pub fn explain(refined: &Refined, request: &Refine, start: &str, photos: &[PathB
     let (steps, each) = (refined.losses.len(), request.views_per_step.min(photos.len() - refined.held.len()));
     let or_none = |list: String| if list.is_empty() { "none".into() } else { list };
     let mut table = Table::new(2, &["refined", ""]);
-    for (what, how) in [
+    for (what, value) in [
         ("start", start.to_owned()),
         (
             "steps",
@@ -336,7 +336,7 @@ pub fn explain(refined: &Refined, request: &Refine, start: &str, photos: &[PathB
         ("memory", bytes(refined.peak_bytes)),
         ("ended", ended(refined)),
     ] {
-        table.row([what.into(), how]);
+        table.row([what.into(), value]);
     }
     table
 }

@@ -169,13 +169,13 @@ impl<'a> Session<'a> {
             return self.reconstruct(model, images, request).map(|(made, took)| (made, None, took));
         }
         let ((mut made, tokens, features), took) = self.stage("reconstruct", |stage| {
-            let told = |progress: Progress<'_>| {
+            let report = |progress: Progress<'_>| {
                 stage.name(progress.scope);
                 stage.at(progress.fraction)
             };
-            let features = model.features(images, request, told)?;
-            let made = model.reconstruct_features(&features, request, told)?;
-            Ok((made, model.tokens(&features, request, told)?, features))
+            let features = model.features(images, request, report)?;
+            let made = model.reconstruct_features(&features, request, report)?;
+            Ok((made, model.tokens(&features, request, report)?, features))
         })?;
         made.times.0.splice(0..0, features.times.0);
         Ok((made, Some(tokens), took))

@@ -90,7 +90,7 @@ struct Prepared {
     world: Option<World>,
 }
 
-struct Made {
+struct FinishedScene {
     scene: Scene,
     world: Option<World>,
     record: Value,
@@ -104,7 +104,7 @@ struct Failure {
 
 #[derive(Default)]
 struct Tally {
-    made: usize,
+    finished: usize,
     unchanged: usize,
     failures: Vec<Failure>,
 }
@@ -120,24 +120,24 @@ impl Batch {
         self.overwrite.check_replaced(files)?;
         self.overwrite.check_replaced([self.output.join(FAILURES)])?;
         let network = self.weights.open_network()?;
-        let (maker, made_with) = match &network {
+        let (maker, settings_key) = match &network {
             Network::Tokens(checkpoint) => Maker::of_tokens(self, session, checkpoint)?,
             Network::Pixels(checkpoint) => Maker::of_pixels(self, session, checkpoint)?,
         };
 
         let _lock = self.lock()?;
-        let runner = Runner { batch: self, works: &works, maker, made_with };
+        let runner = Runner { batch: self, works: &works, maker, settings_key };
         let (tally, took) = session.stage("batch", |stage| runner.run(stage))?;
-        let Tally { made, unchanged, failures } = tally;
-        let rate = made as f64 / took.as_secs_f64();
-        let left = works.len() - made - unchanged - failures.len();
+        let Tally { finished, unchanged, failures } = tally;
+        let rate = finished as f64 / took.as_secs_f64();
+        let left = works.len() - finished - unchanged - failures.len();
         let json = json!({
-            "output": self.output, "captures": works.len(), "made": made, "unchanged": unchanged, "failed": failures.len(),
+            "output": self.output, "captures": works.len(), "made": finished, "unchanged": unchanged, "failed": failures.len(),
             "left": left, "seconds": took.as_secs_f64(), "captures_per_second": rate,
         });
-        let mut text = format!("{}: {} made in {}", self.output.display(), counted(made, "scene"), time(took));
-        if made > 0 {
-            text += &format!(", {} each", time(took / made as u32));
+        let mut text = format!("{}: {} made in {}", self.output.display(), counted(finished, "scene"), time(took));
+        if finished > 0 {
+            text += &format!(", {} each", time(took / finished as u32));
         }
         let others = [(unchanged, "there already"), (failures.len(), "failed"), (left, "left")];
         others.iter().filter(|(count, _)| *count > 0).for_each(|(count, what)| text += &format!("; {count} {what}"));
@@ -213,7 +213,7 @@ impl Batch {
     }
 
     /// All but the capture.
-    fn made_with(&self, weights: &str, size: &str, precision: &str) -> Result<String> {
+    fn settings_key(&self, weights: &str, size: &str, precision: &str) -> Result<String> {
         let of_file = if Path::new(weights).is_file() { stamp(Path::new(weights))? } else { String::new() };
         let Quality { ratio, select, pool, .. } = &self.quality;
         let options = [
@@ -228,7 +228,7 @@ struct Runner<'a> {
     batch: &'a Batch,
     works: &'a [Work],
     maker: Maker<'a>,
-    made_with: String,
+    settings_key: String,
 }
 
 impl Runner<'_> {
@@ -240,7 +240,7 @@ impl Runner<'_> {
         let ended = std::thread::scope(|scope| {
             // Each queue holds one capture.
             let (to_device, prepared) = sync_channel(1);
-            let (to_disk, made) = sync_channel::<(&Work, Made)>(1);
+            let (to_disk, finished) = sync_channel::<(&Work, FinishedScene)>(1);
             scope.spawn(|| {
                 let mut begun = 0;
                 for work in self.works {
@@ -259,9 +259,9 @@ impl Runner<'_> {
                 drop(to_device);
             });
             scope.spawn(|| {
-                for (work, made) in made {
-                    match write(work, made) {
-                        Ok(()) => lock(&tally).made += 1,
+                for (work, finished) in finished {
+                    match write(work, finished) {
+                        Ok(()) => lock(&tally).finished += 1,
                         Err(error) => self.failed(&tally, work, &error),
                     }
                 }
@@ -269,7 +269,7 @@ impl Runner<'_> {
             let ended = prepared.into_iter().try_for_each(|(work, prepared)| {
                 self.tell(stage, &lock(&tally));
                 match prepared.and_then(|prepared| self.reconstruct(work, prepared, stage)) {
-                    Ok(made) => to_disk.send((work, made)).map_err(|_| Error::Cancelled)?,
+                    Ok(finished) => to_disk.send((work, finished)).map_err(|_| Error::Cancelled)?,
                     // Later captures would fail alike.
                     Err(error @ (Error::Cancelled | Error::DeviceLost | Error::NoDevice(_))) => return Err(error),
                     Err(error) => self.failed(&tally, work, &error),
@@ -306,7 +306,7 @@ impl Runner<'_> {
         Ok(Some(Prepared { input, hash, photos: photos.len(), world }))
     }
 
-    fn reconstruct(&self, work: &Work, prepared: Prepared, stage: &Stage<'_>) -> Result<Made> {
+    fn reconstruct(&self, work: &Work, prepared: Prepared, stage: &Stage<'_>) -> Result<FinishedScene> {
         let began = Instant::now();
         let Prepared { input, hash, photos, world } = prepared;
         let Scened { scene, world: of_first, record: of_network } =
@@ -317,11 +317,11 @@ impl Runner<'_> {
             "gaussians": scene.len(), "seconds": began.elapsed().as_secs_f64(),
         });
         of_network.as_object().into_iter().flatten().for_each(|(name, value)| record[name] = value.clone());
-        Ok(Made { scene, world, record })
+        Ok(FinishedScene { scene, world, record })
     }
 
     fn hash(&self, photos: &[PathBuf], poses: Option<&Poses>) -> Result<String> {
-        let mut parts = vec![self.made_with.clone()];
+        let mut parts = vec![self.settings_key.clone()];
         for photo in photos {
             parts.push(stamp(photo)?);
         }
@@ -340,7 +340,7 @@ impl Runner<'_> {
     }
 
     fn tell(&self, stage: &Stage<'_>, tally: &Tally) {
-        let done = tally.made + tally.failures.len();
+        let done = tally.finished + tally.failures.len();
         let all = (self.works.len() - tally.unchanged).min(self.batch.limit.unwrap_or(usize::MAX)).max(1);
         let _ = stage.at(done as f64 / all as f64);
         stage.name(&format!("{done} of {all}"));
@@ -348,11 +348,11 @@ impl Runner<'_> {
 }
 
 /// The record marks the scene complete.
-fn write(work: &Work, made: Made) -> Result<()> {
+fn write(work: &Work, finished: FinishedScene) -> Result<()> {
     std::fs::remove_file(&work.record).ok();
-    outputs::save_scene(&work.scene, &made.scene, &WriteOptions::default(), made.world.as_ref())?;
+    outputs::save_scene(&work.scene, &finished.scene, &WriteOptions::default(), finished.world.as_ref())?;
     let bytes = work.scene.metadata().map_err(|error| Error::io(&work.scene, error))?.len();
-    let mut record = made.record;
+    let mut record = finished.record;
     record["bytes"] = json!(bytes);
     write_atomic(&work.record, |out| {
         serde_json::to_writer_pretty(&mut *out, &record)?;

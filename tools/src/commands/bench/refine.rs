@@ -108,8 +108,8 @@ impl Refine {
                 let name = format!("{gaussians} at {size}");
                 rows.extend(session.stage(&name, |stage| self.measure(&device, &case, &limits, stage))?.0);
                 if let Some(python) = &self.pytorch {
-                    let theirs = session.stage("PyTorch", |_| self.theirs(python, &case))?.0;
-                    rows.extend(theirs);
+                    let pytorch_rows = session.stage("PyTorch", |_| self.pytorch_rows(python, &case))?.0;
+                    rows.extend(pytorch_rows);
                 }
             }
         }
@@ -194,7 +194,7 @@ impl Refine {
         }
     }
 
-    fn theirs(&self, python: &std::path::Path, case: &Case) -> Result<[Row; 2]> {
+    fn pytorch_rows(&self, python: &std::path::Path, case: &Case) -> Result<[Row; 2]> {
         let Repeats { warmup, repeats } = self.repeats;
         let found = pytorch::refine(python, &case.scene, case.size, case.photos.len(), [warmup, repeats])?;
         let spread = |ms: &[f64]| Spread::of(ms.iter().map(|ms| Duration::from_secs_f64(ms / 1e3)));

@@ -1,23 +1,23 @@
 mod alignment;
 mod depth;
-mod judge;
+mod evaluator;
+mod external_scene;
 mod one;
 mod page;
 mod pixels;
 mod rows;
 mod series;
-mod theirs;
 
 use crate::{
     align::Method,
-    cameras::{Finding, Known},
+    cameras::{Finding, KnownCameras},
     capture::Choice,
     options::{Network, Quality, Size, Weights, parse_length, refuse},
     outputs::Overwrite,
     perceptual::LpipsOption,
     photos,
     protocol::Filter,
-    refinement::{DEFAULT_STEPS, Moved, Start, Steps},
+    refinement::{DEFAULT_STEPS, Initialization, Moved, Steps},
     session::Session,
     views::{Fit, FitOption, Seeing},
 };
@@ -94,7 +94,7 @@ pub struct Eval {
     #[command(flatten)]
     series: series::Options,
     #[command(flatten)]
-    theirs: theirs::Theirs,
+    external: external_scene::ExternalScene,
     #[command(flatten)]
     weights: Weights,
     #[command(flatten)]
@@ -119,7 +119,7 @@ pub struct Eval {
     /// Initialization of the refinement [default: for the built-in model points, if the capture has
     /// enough, else the scene]. A capture's points may also come from held-out photos
     #[arg(long, alias = "init", value_enum, value_name = "WHAT", requires = "refine")]
-    start: Option<Start>,
+    start: Option<Initialization>,
     /// Input photos that --refine holds out, evenly spread; 0 learns from all [default: 1 of 9 or
     /// more, none with --refine-cameras]
     #[arg(long, alias = "holdout-views", value_name = "K", requires = "refine")]
@@ -191,7 +191,7 @@ impl Eval {
             Network::Pixels(checkpoint) => self.check_pixels(checkpoint)?,
         };
         self.refine.map_or(Ok(()), |steps| steps.check(self.start, &self.moved))?;
-        let unused = self.theirs.given().is_none() && self.theirs.says();
+        let unused = self.external.given().is_none() && self.external.has_input_options();
         refuse("--invalid", unused, "without --scene", "with --scene")?;
         let usual = if self.series.protocol.is_some() { Filter::Bilinear } else { Filter::Lanczos };
         let filter = self.filter.unwrap_or(usual);
@@ -216,10 +216,10 @@ impl Eval {
         shape.pooled(self.quality.pool).map(drop)
     }
 
-    fn known(&self, folder: &PathBuf, session: &mut Session<'_>) -> Result<Option<Known>> {
+    fn known(&self, folder: &PathBuf, session: &mut Session<'_>) -> Result<Option<KnownCameras>> {
         let Some(path) = &self.poses else { return Ok(None) };
         let photos = photos::list(session, std::slice::from_ref(folder))?;
-        let mut known = Known::of(session, path, &photos, &self.finding)?;
+        let mut known = KnownCameras::of(session, path, &photos, &self.finding)?;
         // The camera file may lie elsewhere.
         for photo in photos::posed(session, photos, &known.poses)? {
             let place = known.poses.frames_of(&[&photo])?[0].name.clone();

@@ -5,11 +5,11 @@ mod refined;
 
 use super::render::Render;
 use crate::{
-    cameras::{Finder, Finding, Found, Known, Place},
+    cameras::{EstimatedCameras, Finder, Finding, KnownCameras, Place},
     options::{Network, Quality, Weights, parse_length, refuse},
     outputs::{self, Overwrite},
     photos::{self, PhotoArgs},
-    refinement::{self, RefineOptions, Start, placed, save_cameras},
+    refinement::{self, Initialization, RefineOptions, placed, save_cameras},
     session::Session,
     table::{bytes, counted, time},
     video::FrameFolder,
@@ -17,7 +17,7 @@ use crate::{
 };
 use clap::{Args, ValueEnum};
 use forward::{Forward, LOAD_PHOTOS, LOAD_WEIGHTS};
-use refined::{From, Given, Made};
+use refined::{From, RefineInputs, RefinedScene};
 use serde_json::json;
 use std::{fmt::Write, path::PathBuf, time::Duration};
 use zipsplat::{
@@ -120,7 +120,7 @@ struct Captured {
     poses: Option<Poses>,
     frame_folder: Option<FrameFolder>,
     /// Owns the temporary points file.
-    found: Option<Found>,
+    found: Option<EstimatedCameras>,
 }
 
 /// The photos of a scene, and their cameras where these are known.
@@ -179,15 +179,15 @@ impl Reconstruct {
         let posed = Posed { photos: &photos, poses: poses.as_ref(), frames: &frames };
         let (forward, device) = match (start, &network) {
             // Points need no network.
-            (Some(From::Scene(Start::Points)), _) => (None, session.device()?),
+            (Some(From::Scene(Initialization::Points)), _) => (None, session.device()?),
             (_, Network::Tokens(checkpoint)) => {
                 let plan = Forward::plan(self, session, checkpoint, posed)?;
                 let device = session.device()?;
                 (Some(plan.run(session, &device)?), device)
             }
             (_, Network::Pixels(checkpoint)) => {
-                let seen = found.as_mut().and_then(|found| found.seen.take());
-                (Some(Forward::of_pixels(self, session, checkpoint, seen, posed)?), session.device()?)
+                let predicted = found.as_mut().and_then(|found| found.predicted.take());
+                (Some(Forward::of_pixels(self, session, checkpoint, predicted, posed)?), session.device()?)
             }
         };
 
@@ -197,7 +197,7 @@ impl Reconstruct {
                     Network::Tokens(checkpoint) => Some(checkpoint),
                     Network::Pixels(_) => None,
                 };
-                let given = Given { device: &device, checkpoint, forward: forward.as_ref() };
+                let given = RefineInputs { device: &device, checkpoint, forward: forward.as_ref() };
                 Some(self.refine_scene(session, steps, start, given, cloud.as_ref(), posed)?)
             }
             _ => None,
@@ -214,14 +214,17 @@ impl Reconstruct {
             session.notes(spz_coarsening(&scene));
         }
         let save = || outputs::save_scene(&self.output, &scene, &WriteOptions::default(), world.as_ref());
-        if let Some(Made { refined: Refined { stopped: Some(Stopped::Cancelled), best_step, .. }, .. }) = &refined {
+        if let Some(RefinedScene { refined: Refined { stopped: Some(Stopped::Cancelled), best_step, .. }, .. }) =
+            &refined
+        {
             session.notes(save()?);
             session.note(format!("{}: the best so far, after step {best_step}", self.output.display()));
             return Err(Error::Cancelled);
         }
         let (note, write) = session.stage("write", |_| save())?;
         session.notes(note);
-        if let (Some(path), Some(Made { refined, .. }), Some(first)) = (&self.refined_cameras, &refined, &first) {
+        if let (Some(path), Some(RefinedScene { refined, .. }), Some(first)) = (&self.refined_cameras, &refined, &first)
+        {
             save_cameras(path, refined, &(*first).into(), &photos, &frames)?;
             frame_folder.iter_mut().for_each(FrameFolder::keep);
         }
@@ -278,17 +281,18 @@ impl Reconstruct {
                     counted(photos.len() - made.refined.held.len(), "photo")
                 )
             }
-            (None, Some(forward)) => forward.views_told.clone(),
+            (None, Some(forward)) => forward.views_summary.clone(),
             (None, None) => String::new(),
         };
         let mut text = format!("{}: {}{of}\n", self.output.display(), counted(scene.len(), "Gaussian"));
         if let Some(forward) = &forward {
-            text += &forward.told;
+            text += &forward.summary;
             forward.json.iter().for_each(|(name, value)| json[*name] = value.clone());
         }
         text += &format!("at most {} of {}\n", bytes(peak_bytes), device.limits().name);
         for (stage, took) in &times {
-            let rate = forward.as_ref().filter(|_| *stage == LOAD_WEIGHTS).map(Forward::rate_told).unwrap_or_default();
+            let rate =
+                forward.as_ref().filter(|_| *stage == LOAD_WEIGHTS).map(Forward::rate_summary).unwrap_or_default();
             // Writing to a string cannot fail.
             let _ = writeln!(text, "  {stage:<13}{:>10}{rate}", time(*took));
         }
@@ -298,16 +302,16 @@ impl Reconstruct {
             text += &format!("\n{explanation}");
             json["explain"] = json!(explanation);
         }
-        if let Some(Made { refined, started, cameras, request, .. }) = &refined {
+        if let Some(RefinedScene { refined, started, cameras, request, .. }) = &refined {
             text += &format!("{}\n", refinement::summary(refined, started, cameras));
             if self.explain {
                 text += &format!("\n{}", refinement::explain(refined, request, started, &photos));
             }
             json["refined"] = refinement::as_json(refined, started, cameras);
         }
-        if let Some((pictures, told)) = drawn {
+        if let Some((pictures, notes)) = drawn {
             json["pictures"] = pictures;
-            text += &told;
+            text += &notes;
         }
         session.report(&json, text)
     }
@@ -338,7 +342,7 @@ impl Reconstruct {
     }
 
     fn finds(&self, network: &Network) -> bool {
-        self.poses.as_deref().is_some_and(Known::to_find) || self.finds_by_itself(network)
+        self.poses.as_deref().is_some_and(KnownCameras::to_find) || self.finds_by_itself(network)
     }
 
     /// Returns true if the scene's network also estimates the cameras.
@@ -358,12 +362,13 @@ impl Reconstruct {
         let (poses, found) = match (network, &self.poses) {
             // One pass gives cameras and scene.
             (Network::Pixels(checkpoint), _) if self.finds_by_itself(network) => {
-                let (poses, found) = Found::by_question(session, &photos, self.question(checkpoint))?;
-                session.note(format!("cameras found: {}", found.told()));
+                let (poses, found) =
+                    EstimatedCameras::by_predictor(session, &photos, self.predictor_options(checkpoint))?;
+                session.note(format!("cameras found: {}", found.summary()));
                 (Some(poses), Some(found))
             }
             (_, Some(path)) => {
-                let known = Known::of(session, path, &photos, &self.finding)?;
+                let known = KnownCameras::of(session, path, &photos, &self.finding)?;
                 (Some(known.poses), known.found)
             }
             (_, None) => (None, None),
@@ -388,7 +393,7 @@ impl Reconstruct {
 
     fn drawing(&self) -> Result<Option<Render>> {
         let Some(folder) = &self.pictures else { return Ok(None) };
-        let known = self.poses.as_ref().filter(|poses| !Known::to_find(poses));
+        let known = self.poses.as_ref().filter(|poses| !KnownCameras::to_find(poses));
         let cameras = self.refined_cameras.as_ref().or(self.cameras_out.as_ref()).or(known);
         let default = match cameras.and_then(|file| file.to_str()).filter(|_| self.poses.is_some()) {
             Some(file) => vec!["--spline".to_owned(), file.to_owned()],

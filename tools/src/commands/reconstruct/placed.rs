@@ -53,7 +53,7 @@ impl Placed {
         Ok((!lost.is_empty()).then(|| format!("without a camera: {}", names(&lost))))
     }
 
-    pub fn told(&self) -> String {
+    pub fn summary(&self) -> String {
         let found: Vec<&CameraEstimate> = self.found.iter().flatten().collect();
         let mut shares: Vec<f64> = found.iter().map(|found| found.inliers as f64 / found.pairs as f64).collect();
         shares.sort_by(f64::total_cmp);

@@ -14,7 +14,7 @@ use crate::{
     commands::bench::Spread,
     metrics::psnr,
     options::Size,
-    refinement::{Start, Steps},
+    refinement::{Initialization, Steps},
     session::{Session, Stage},
 };
 use clap::ValueEnum;
@@ -268,21 +268,21 @@ impl Bench<'_> {
         model: &Model,
         case: &Case<'_>,
         forward: &Forward,
-        start: Start,
+        start: Initialization,
         steps: Steps,
         stage: &Stage<'_>,
     ) -> Result<(Point, Image)> {
-        let scene = start.scene(Some(forward.scene.clone()), case.cloud, &case.capture.learnt().1)?;
+        let scene = start.scene(Some(forward.scene.clone()), case.cloud, &case.capture.training_views().1)?;
         let refined = refine(model, self.checkpoint, case.capture, &case.request, &scene, steps, stage)?;
         self.renderer.load(&refined.scene)?;
         let drawn = compare(&mut self.renderer, case.capture)?;
         let refine_ms = 1e3 * refined.took.as_secs_f64();
         let settings = match start {
-            Start::Points => Point::of_points(case.capture.inputs.len(), case.precision),
+            Initialization::Points => Point::of_points(case.capture.inputs.len(), case.precision),
             _ => self.settings(model, case, forward),
         };
         let init = start.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned());
-        let options = if start == Start::Points { String::new() } else { format!("{} ", case.settings) };
+        let options = if start == Initialization::Points { String::new() } else { format!("{} ", case.settings) };
         let point = Point {
             keep: model.architecture().gaussians_per_token,
             refine: steps.to_string(),

@@ -1,9 +1,9 @@
 use super::{Eval, alignment::Alignment};
 use crate::{
     capture::{Capture, Choice, Posed, Score, draw},
-    depth::Seer,
+    depth::DepthPredictor,
     options::{Network as Weighed, refuse},
-    refinement::{self, Refinable, Start, Steps},
+    refinement::{self, Initialization, Refinable, Steps},
     session::Session,
     views::Seeing,
 };
@@ -20,7 +20,7 @@ use zipsplat::{
     weights::Checkpoint,
 };
 
-pub struct Judge<'a> {
+pub struct Evaluator<'a> {
     pub(super) eval: &'a Eval,
     weights: &'a Weighed,
     seeing: Seeing,
@@ -29,14 +29,14 @@ pub struct Judge<'a> {
     arithmetic: Arithmetic,
     /// Loaded by the first reconstruction.
     model: Option<Model>,
-    pub(super) seer: Option<Seer>,
+    pub(super) predictor: Option<DepthPredictor>,
     renderer: Renderer,
     lpips: Option<Perceptual>,
 }
 
-pub struct Judged {
+pub struct Evaluation {
     pub capture: Capture,
-    pub made: Made,
+    pub reconstruction: Reconstruction,
     /// Targets, `[height][width][rgb]` in 0..1.
     pub drawn: Vec<Vec<f32>>,
     pub scores: Vec<Score>,
@@ -44,7 +44,7 @@ pub struct Judged {
 }
 
 /// World: the first input's camera; unit: the network's.
-pub struct Made {
+pub struct Reconstruction {
     pub scene: Scene,
     /// Absent for external scenes.
     pub network: Option<Network>,
@@ -59,21 +59,21 @@ pub struct Network {
     pub took: Duration,
 }
 
-impl Made {
+impl Reconstruction {
     pub fn given(scene: Scene) -> Self {
         Self { scene, network: None, refined: None, started: "" }
     }
 }
 
-impl<'a> Judge<'a> {
+impl<'a> Evaluator<'a> {
     pub fn new(eval: &'a Eval, weights: &'a Weighed, seeing: Seeing, session: &mut Session<'_>) -> Result<Self> {
         let device = session.device()?;
         let gradients = eval.aligning().is_some_and(|method| method == crate::align::Method::Adam);
         let lpips = eval.lpips.open(&device, gradients)?;
         let (precision, arithmetic) = eval.quality.arithmetic.choose(session, &device)?;
         let renderer = Renderer::new(&device);
-        let (model, seer) = (None, None);
-        Ok(Self { eval, weights, seeing, device, precision, arithmetic, model, seer, renderer, lpips })
+        let (model, predictor) = (None, None);
+        Ok(Self { eval, weights, seeing, device, precision, arithmetic, model, predictor, renderer, lpips })
     }
 
     pub fn has_lpips(&self) -> bool {
@@ -81,26 +81,26 @@ impl<'a> Judge<'a> {
     }
 
     /// `name` is the capture's in a data set.
-    pub fn judge(&mut self, session: &mut Session<'_>, choice: &Choice, name: Option<&str>) -> Result<Judged> {
+    pub fn evaluate(&mut self, session: &mut Session<'_>, choice: &Choice, name: Option<&str>) -> Result<Evaluation> {
         let (eval, seeing) = (self.eval, self.seeing);
         let (capture, _) = session.stage("load photos", |stage| choice.load(seeing, eval.unit, stage))?;
         capture.notes().for_each(|note| session.note(note));
-        let made = match (eval.theirs.make(session, name, choice, &capture)?, self.weights) {
+        let reconstruction = match (eval.external.make(session, name, choice, &capture)?, self.weights) {
             (None, Weighed::Tokens(checkpoint)) => self.reconstruct(session, choice, &capture, checkpoint)?,
             (None, Weighed::Pixels(checkpoint)) => {
-                let made = self.of_pixels(session, choice, &capture, checkpoint)?;
-                self.refined(session, choice, &capture, made)?
+                let reconstruction = self.of_pixels(session, choice, &capture, checkpoint)?;
+                self.refined(session, choice, &capture, reconstruction)?
             }
-            (Some(made), _) => self.refined(session, choice, &capture, made)?,
+            (Some(reconstruction), _) => self.refined(session, choice, &capture, reconstruction)?,
         };
         let (drawn, mut alignment) = self.draw(session, &capture)?;
         let mut scores = capture.scores(&drawn);
         if let Some(lpips) = &mut self.lpips {
-            session.stage("compare", |_| capture.look(&mut scores, &drawn, lpips))?;
+            session.stage("compare", |_| capture.score_lpips(&mut scores, &drawn, lpips))?;
             let rows = alignment.iter_mut().flat_map(|alignment| &mut alignment.rows);
             rows.zip(&scores).for_each(|(row, score)| row.lpips = score.lpips);
         }
-        Ok(Judged { capture, made, drawn, scores, alignment })
+        Ok(Evaluation { capture, reconstruction, drawn, scores, alignment })
     }
 
     fn refined(
@@ -108,21 +108,21 @@ impl<'a> Judge<'a> {
         session: &mut Session<'_>,
         choice: &Choice,
         capture: &Capture,
-        mut made: Made,
-    ) -> Result<Made> {
+        mut reconstruction: Reconstruction,
+    ) -> Result<Reconstruction> {
         let eval = self.eval;
         if let Some(Steps { count, tokens }) = eval.refine {
             refuse("--refine STEPS:tokens", tokens, "a scene of given depth", "a network's scene")?;
-            let cloud = choice.points(&capture.unit)?;
-            let start = eval.start.unwrap_or(Start::Scene);
-            made.started = start.name();
-            let scene = start.scene(Some(made.scene), cloud.as_ref(), &capture.learnt().1)?;
+            let cloud = choice.points(&capture.scene_scale)?;
+            let start = eval.start.unwrap_or(Initialization::Scene);
+            reconstruction.started = start.name();
+            let scene = start.scene(Some(reconstruction.scene), cloud.as_ref(), &capture.training_views().1)?;
             let arena = Arena::new(&self.device);
             let refined = refine(eval, session, &arena, Refinable::Scene(&scene), capture, count)?;
-            (made.scene, made.refined) = (refined.scene.clone(), Some(refined));
+            (reconstruction.scene, reconstruction.refined) = (refined.scene.clone(), Some(refined));
         }
-        self.renderer.load(&made.scene)?;
-        Ok(made)
+        self.renderer.load(&reconstruction.scene)?;
+        Ok(reconstruction)
     }
 
     fn reconstruct(
@@ -131,14 +131,14 @@ impl<'a> Judge<'a> {
         choice: &Choice,
         capture: &Capture,
         checkpoint: &Checkpoint,
-    ) -> Result<Made> {
+    ) -> Result<Reconstruction> {
         let eval = self.eval;
         if self.model.is_none() {
             self.model = Some(session.load_model(&self.device, checkpoint, self.arithmetic)?.0);
         }
         let model = self.model.as_ref().expect("it was loaded");
         let images = capture.images();
-        let (cameras, world) = self.seeing.fit.told(capture.cameras());
+        let (cameras, world) = self.seeing.fit.network_cameras(capture.cameras());
         let request = Request {
             ratio: eval.quality.ratio,
             selection: eval.quality.select.clone(),
@@ -158,10 +158,10 @@ impl<'a> Judge<'a> {
                 Some(refine(eval, session, model.arena(), Refinable::Tokens(&head, tokens), capture, count)?)
             }
             (Some(Steps { count, .. }), None) => {
-                let cloud = choice.points(&capture.unit)?;
-                let start = Start::or_best(eval.start, cloud.as_ref(), eval.weights.is_embedded());
+                let cloud = choice.points(&capture.scene_scale)?;
+                let start = Initialization::or_best(eval.start, cloud.as_ref(), eval.weights.is_embedded());
                 started = start.name();
-                let start = start.scene(Some(scene.clone()), cloud.as_ref(), &capture.learnt().1)?;
+                let start = start.scene(Some(scene.clone()), cloud.as_ref(), &capture.training_views().1)?;
                 Some(refine(eval, session, model.arena(), Refinable::Scene(&start), capture, count)?)
             }
             (None, _) => None,
@@ -178,7 +178,7 @@ impl<'a> Judge<'a> {
         }
         let all_tokens = model.shape(&images, &request)?.grid.tokens();
         let network = Some(Network { tokens: result.tokens, all_tokens, peak_bytes: result.peak_bytes, took });
-        Ok(Made { scene, network, refined, started })
+        Ok(Reconstruction { scene, network, refined, started })
     }
 
     fn draw(&mut self, session: &Session<'_>, capture: &Capture) -> Result<(Vec<Vec<f32>>, Option<Alignment>)> {
@@ -214,7 +214,7 @@ fn refine(
     capture: &Capture,
     steps: usize,
 ) -> Result<Refined> {
-    let (photos, cameras) = capture.learnt();
+    let (photos, cameras) = capture.training_views();
     let request = eval.moved.request(Refine { steps, hold_out: eval.hold_out, ..Refine::default() });
     let refined = refinement::refine(session, arena, from, &photos, &cameras, &request)?;
     refinement::doubt(&refined).iter().for_each(|note| session.note(note));

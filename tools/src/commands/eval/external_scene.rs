@@ -1,6 +1,6 @@
 //! External scenes.
 
-use super::{depth, judge::Made};
+use super::{depth, evaluator::Reconstruction};
 use crate::{
     cameras::Similarity,
     capture::{Capture, Choice},
@@ -23,7 +23,7 @@ use zipsplat::{
 const APART: f64 = 0.05;
 
 #[derive(Args)]
-pub struct Theirs {
+pub struct ExternalScene {
     /// Evaluate this external scene of the input photos, without reconstruction: PLY, SPZ, .splat
     /// or glTF; with --protocol a folder of NAME.ply and the like
     #[arg(long, value_name = "FILE", conflicts_with_all = ["refine", "ratio", "keep", "disturb", "fit"])]
@@ -40,7 +40,7 @@ pub struct Theirs {
     noise: f64,
     /// World of that scene [default: aligned with --scene-cameras, else the file's, else first]
     #[arg(long, alias = "scene-frame", value_enum, value_name = "WHOSE", requires = "scene")]
-    world: Option<Whose>,
+    world: Option<SceneFrame>,
     /// Cameras of the input photos in the scene's world, for --world aligned, in any format of
     /// `--poses`; with --protocol a folder of NAME.json or COLMAP models NAME/
     #[arg(long, value_name = "PATH", requires = "scene")]
@@ -56,7 +56,7 @@ pub struct Theirs {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Whose {
+enum SceneFrame {
     /// The first input's camera: pose-free systems, ours
     First,
     /// The cameras' origin with the axes of the first input's camera: DepthSplat
@@ -79,8 +79,8 @@ fn parse_noise(text: &str) -> Result<f64, String> {
     percent.ok_or_else(|| "expected percent from 0 to 30".into())
 }
 
-impl Theirs {
-    pub fn says(&self) -> bool {
+impl ExternalScene {
+    pub fn has_input_options(&self) -> bool {
         self.input.is_given()
     }
 
@@ -90,7 +90,7 @@ impl Theirs {
     }
 
     /// Formats the options for the scores' hash.
-    pub fn told(&self) -> String {
+    pub fn key(&self) -> String {
         let Self { scene, from_depth, noise, world, scene_cameras, scene_unit, opacities, .. } = self;
         format!("{scene:?} {from_depth:?} {noise:?} {world:?} {scene_cameras:?} {scene_unit:?} {opacities:?}")
     }
@@ -102,11 +102,12 @@ impl Theirs {
         name: Option<&str>,
         choice: &Choice,
         capture: &Capture,
-    ) -> Result<Option<Made>> {
+    ) -> Result<Option<Reconstruction>> {
         match (&self.from_depth, self.file(name)?) {
             (Some(folder), _) => {
                 let folder = name.map_or_else(|| folder.clone(), |name| folder.join(name));
-                depth::scene(&folder, self.noise / 100.0, choice, capture).map(|scene| Some(Made::given(scene)))
+                depth::scene(&folder, self.noise / 100.0, choice, capture)
+                    .map(|scene| Some(Reconstruction::given(scene)))
             }
             (None, Some(file)) => self.read(session, &file, name, choice, capture).map(Some),
             (None, None) => Ok(None),
@@ -128,7 +129,7 @@ impl Theirs {
         name: Option<&str>,
         choice: &Choice,
         capture: &Capture,
-    ) -> Result<Made> {
+    ) -> Result<Reconstruction> {
         let (mut scene, _) = self.input.read(session, file)?;
         match self.opacities {
             Opacities::Plain => take_plain(&mut scene, file)?,
@@ -143,33 +144,33 @@ impl Theirs {
         let unit = self.scene_unit.unwrap_or(1.0);
         let placed = |pose: Pose| Similarity { scale: unit, pose };
         let to_cameras = match (self.world, &self.scene_cameras, read_world(file)?.map(|world| world.origin)) {
-            (Some(Whose::Aligned), Some(path), _) | (None, Some(path), _) => {
+            (Some(SceneFrame::Aligned), Some(path), _) | (None, Some(path), _) => {
                 let (found, apart) = aligned(&read_poses(self.cameras(path, name)?)?, &inputs)?;
                 if apart > APART {
-                    let share = 100.0 * apart;
+                    let percent = 100.0 * apart;
                     session.note(format!(
-                        "{}: its cameras are {share:.0} % of their spread from those given",
+                        "{}: its cameras are {percent:.0} % of their spread from those given",
                         path.display()
                     ));
                 }
                 found
             }
-            (Some(Whose::Aligned), None, _) => {
+            (Some(SceneFrame::Aligned), None, _) => {
                 return Err(Error::argument("--scene-cameras", "nothing", "the scene's cameras, for --world aligned"));
             }
             (Some(_), Some(path), _) => {
                 let expected = "no --scene-cameras, which are for --world aligned";
                 return Err(Error::argument("--world", path.display(), expected));
             }
-            (Some(Whose::Cameras), ..) | (None, None, Some(Origin::Cameras(_))) => placed(Pose::IDENTITY),
-            (Some(Whose::Turned), ..) => placed(Pose { translation: DVec3::ZERO, ..first }),
+            (Some(SceneFrame::Cameras), ..) | (None, None, Some(Origin::Cameras(_))) => placed(Pose::IDENTITY),
+            (Some(SceneFrame::Turned), ..) => placed(Pose { translation: DVec3::ZERO, ..first }),
             (None, None, Some(Origin::Photo(photo))) => {
                 placed(choice.frame(&photo).map_or(first, |frame| frame.camera.pose))
             }
-            (Some(Whose::First) | None, None, _) => placed(first),
+            (Some(SceneFrame::First) | None, None, _) => placed(first),
         };
         place(&mut scene, &to_cameras, &first, capture);
-        Ok(Made::given(scene))
+        Ok(Reconstruction::given(scene))
     }
 
     fn cameras(&self, path: &Path, name: Option<&str>) -> Result<PathBuf> {
@@ -186,8 +187,8 @@ impl Theirs {
 /// The capture's first input has pose `first`.
 pub fn place(scene: &mut Scene, to_cameras: &Similarity, first: &Pose, capture: &Capture) {
     let pose = first.inverse().compose(&to_cameras.pose);
-    let pose = Pose { translation: pose.translation / capture.unit.length, ..pose };
-    scene.place(to_cameras.scale / capture.unit.length, &pose);
+    let pose = Pose { translation: pose.translation / capture.scene_scale.length, ..pose };
+    scene.place(to_cameras.scale / capture.scene_scale.length, &pose);
 }
 
 fn are_plain(scene: &Scene) -> bool {
@@ -208,11 +209,11 @@ fn take_plain(scene: &mut Scene, file: &Path) -> Result<()> {
 }
 
 /// Also returns the residual over their spread.
-pub fn aligned(theirs: &Poses, frames: &[&Frame]) -> Result<(Similarity, f64)> {
+pub fn aligned(external: &Poses, frames: &[&Frame]) -> Result<(Similarity, f64)> {
     let mut pairs = Vec::new();
     for frame in frames {
         let photo = frame.photo.as_deref().unwrap_or(Path::new(&frame.name));
-        pairs.extend(theirs.frame_of(photo)?.map(|other| (other.camera, frame.camera)));
+        pairs.extend(external.frame_of(photo)?.map(|other| (other.camera, frame.camera)));
     }
     Similarity::between(&pairs).ok_or_else(|| {
         let found = format!("{} of the {} input photos, of which no length follows", pairs.len(), frames.len());
