@@ -44,8 +44,8 @@ fn expected_means(checkpoint: &Checkpoint, photos: &[PathBuf]) -> Vec<[f32; 3]> 
     done.expect("a scene").scene().unwrap().means
 }
 
-/// `said` is the expected output for a number of Gaussians.
-fn assert_reconstructs(example: impl Fn() -> Command, said: impl Fn(usize) -> String) {
+/// `message` is the expected output for a number of Gaussians.
+fn assert_reconstructs(example: impl Fn() -> Command, message: impl Fn(usize) -> String) {
     let (folder, photos) = inputs();
     let micro = folder.path().join("micro.safetensors");
     let checkpoints = [
@@ -59,7 +59,7 @@ fn assert_reconstructs(example: impl Fn() -> Command, said: impl Fn(usize) -> St
         let out = success(command);
         let (means, expected) = (read_ply(&scene).expect("a scene").means, expected_means(&checkpoint, &photos));
         assert_same(&format!("means, {}", model.display()), means.as_flattened(), expected.as_flattened());
-        assert!(out.contains(&said(means.len())), "{out}");
+        assert!(out.contains(&message(means.len())), "{out}");
         let picture = Image::open(&picture).expect("a picture");
         assert!((picture.width, picture.height) == (256, 256) && picture.rgb.iter().any(|byte| *byte > 0));
     }

@@ -67,8 +67,11 @@ fn held_out_photos_are_compared() {
         let cells: Vec<&str> = line.split(',').collect();
         assert!(!inputs.contains(&cells[0]), "{} is an input", cells[0]);
         for (cell, name) in cells[1..].iter().zip(["psnr", "ssim", "nearest_psnr", "mean_color_psnr"]) {
-            let (written, told) = (cell.parse::<f64>().expect("a number"), json["views"][row][name].as_f64());
-            assert!(told.is_some_and(|told| (told - written).abs() < 1e-3), "{name}: {written} and {told:?}");
+            let (written, reported) = (cell.parse::<f64>().expect("a number"), json["views"][row][name].as_f64());
+            assert!(
+                reported.is_some_and(|reported| (reported - written).abs() < 1e-3),
+                "{name}: {written} and {reported:?}"
+            );
         }
     }
     // The capture's scale is the network's, except for points of unused photos.
@@ -117,8 +120,8 @@ fn without_points_the_unit_is_that_of_the_cameras() {
     assert!(outcome.err.contains("no point cloud") && outcome.err.contains("--unit"), "{}", outcome.err);
     let json = outcome.json();
     let unit = json["unit"].as_f64().expect("a number");
-    let share = unit / with_points["unit"].as_f64().expect("a number");
-    assert!((0.4..2.5).contains(&share) && unit != 1.0, "{unit}, {share} of that of the points");
+    let ratio = unit / with_points["unit"].as_f64().expect("a number");
+    assert!((0.4..2.5).contains(&ratio) && unit != 1.0, "{unit}, {ratio} of that of the points");
     assert!(["axes", "spread"].contains(&json["unit_from"].as_str().expect("a word")), "{json}");
     let line = format!("reconstruct {} --poses @/place {options} -o @/scene.ply", inputs(&json));
     let outcome = folder.run(&line);

@@ -205,8 +205,8 @@ fn squares_show_what_their_cameras_see() {
                 seen[(y * width + x) as usize] |= d.z > 0.0 && at.iter().all(|place| (0.0..56.0).contains(place));
             }
         }
-        let share = seen.iter().filter(|seen| **seen).count() as f64 / seen.len() as f64;
-        assert!(share > 0.95, "{share} of {width}x{height} is seen");
+        let seen_share = seen.iter().filter(|seen| **seen).count() as f64 / seen.len() as f64;
+        assert!(seen_share > 0.95, "{seen_share} of {width}x{height} is seen");
     }
     let (photo, wrong) = (noise(300, 200), Intrinsics::from_fov(200, 300, 1.0, 1.0));
     let refused = tiles(&photo, &Camera { intrinsics: wrong, pose }, 56, "camera 7");

@@ -149,13 +149,13 @@ fn what_cannot_be_refined_is_refused() {
     assert!(error(&scene, 2, &Refine { hold_out: Some(2), ..Refine::default() }).contains("held-out"));
 }
 
-/// By a degree and 1 % of the scene's distance of about 3.5, except the first and `held`.
-fn disturbed(cameras: &[Camera], held: usize) -> Vec<Camera> {
+/// By a degree and 1 % of the scene's distance of about 3.5, except the first and `held_out`.
+fn disturbed(cameras: &[Camera], held_out: usize) -> Vec<Camera> {
     let disturb = |(i, camera): (usize, &Camera)| {
         let direction = |k: f64| DVec3::new((k * 2.4).sin(), (k * 1.7).cos(), (k * 0.9).sin()).normalize();
         let rotation = DMat3::from_axis_angle(direction(i as f64), 1f64.to_radians());
         let movement = Pose { rotation, translation: 0.035 * direction(i as f64 + 0.5) };
-        let stays = i == 0 || i == held;
+        let stays = i == 0 || i == held_out;
         Camera { pose: if stays { camera.pose } else { camera.pose.compose(&movement) }, ..*camera }
     };
     cameras.iter().enumerate().map(disturb).collect()

@@ -142,12 +142,12 @@ impl Views {
     /// Takes photo sizes for the note. The first camera has the pose `world` in the cameras' world.
     pub fn new(
         fit: Fit,
-        seen: impl Iterator<Item = NetworkInput>,
+        inputs: impl Iterator<Item = NetworkInput>,
         world: &Pose,
         photos: &[[u32; 2]],
         size: Size,
     ) -> Self {
-        let (images, cameras): (Vec<_>, Vec<_>) = seen.unzip();
+        let (images, cameras): (Vec<_>, Vec<_>) = inputs.unzip();
         let cameras: Vec<Camera> = cameras.into_iter().flatten().collect();
         let note = match fit {
             Fit::Squares => {

@@ -189,7 +189,7 @@ pub struct Refined {
     /// Mean PSNR in dB of at most 16 training photos: with the kept scene, and before.
     pub training_psnr: [f64; 2],
     /// Indices of the held-out photos.
-    pub held: Vec<usize>,
+    pub held_out_views: Vec<usize>,
     /// Steps with a new size, and the largest photo's width and height from then on.
     pub sizes: Vec<(usize, [u32; 2])>,
     /// Time of all steps.

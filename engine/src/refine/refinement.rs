@@ -128,7 +128,7 @@ impl<'a> Refinement<'a> {
             best_step,
             held_out,
             training_psnr,
-            held,
+            held_out_views: held,
             sizes,
             took,
             peak_bytes,

@@ -315,7 +315,7 @@ fn files_say_which_world_a_scene_is_in() {
     let folder = tempfile::tempdir().unwrap();
     for name in ["a.ply", "a.spz", "a.glb", "a.gltf", "a.splat"] {
         let path = folder.path().join(name);
-        let said = |world: Option<&World>| {
+        let saved = |world: Option<&World>| {
             write_scene_in(&path, &scene(1), &WriteOptions::default(), world).unwrap();
             read_world(&path).unwrap()
         };
@@ -329,15 +329,15 @@ fn files_say_which_world_a_scene_is_in() {
             lens: Some(scenes::camera(640, 480).intrinsics),
             up: Some(DVec3::NEG_Y),
         };
-        assert_eq!(said(Some(&photo)), Some(photo).filter(|_| keeps), "{name}");
-        let Some(World { origin: Origin::Cameras(found), .. }) = said(Some(&Origin::Cameras(pose).into())) else {
+        assert_eq!(saved(Some(&photo)), Some(photo).filter(|_| keeps), "{name}");
+        let Some(World { origin: Origin::Cameras(found), .. }) = saved(Some(&Origin::Cameras(pose).into())) else {
             assert!(!keeps, "{name}");
             continue;
         };
         assert!(found.matrix().abs_diff_eq(pose.matrix(), 1e-15), "{name}: {found:?}, not {pose:?}");
-        assert_eq!(said(None), None, "{name}");
+        assert_eq!(saved(None), None, "{name}");
         // A line break would end the comment.
-        assert_eq!(said(Some(&Origin::Photo("a\nelement vertex 9".into()).into())), None, "{name}");
+        assert_eq!(saved(Some(&Origin::Photo("a\nelement vertex 9".into()).into())), None, "{name}");
         assert_eq!(read_scene(&path).unwrap().len(), scene(1).len(), "{name}");
     }
 }

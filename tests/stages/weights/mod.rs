@@ -177,8 +177,8 @@ fn micro_is_the_same_from_seed_safetensors_and_pytorch() {
             assert_eq!(what, "variant");
             assert!(found.contains("width 64 and 3 blocks with 2 out layers"), "{found}");
         }
-        let told = Checkpoint::open(&path, Some("out_layers=1,2")).unwrap();
-        assert_eq!(Architecture { name: "micro".into(), ..told.architecture().clone() }, golden("micro"));
+        let overridden = Checkpoint::open(&path, Some("out_layers=1,2")).unwrap();
+        assert_eq!(Architecture { name: "micro".into(), ..overridden.architecture().clone() }, golden("micro"));
     }
 }
 

@@ -215,7 +215,7 @@ impl Refine {
             "{}: {} against {} on {device}\n{}\n",
             self.output.display(),
             counted(count, "Gaussian"),
-            counted(photos.len() - refined.held.len(), "photo"),
+            counted(photos.len() - refined.held_out_views.len(), "photo"),
             refinement::summary(&refined, start, cameras),
         );
         if let Some(profile) = &refined.profile {

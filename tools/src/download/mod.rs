@@ -42,10 +42,10 @@ pub fn promise(client: &Client, url: &str, sha256: Option<&str>, stage: &Stage<'
         }
     };
     let sha256 = match (info.sha256, sha256.map(str::to_lowercase)) {
-        (Some(info), Some(given)) if info != given => {
-            return Err(Error::argument("--sha256", given, format!("{info}, which the host says")));
+        (Some(hosted), Some(given)) if hosted != given => {
+            return Err(Error::argument("--sha256", given, format!("{hosted}, which the host says")));
         }
-        (info, given) => info.or(given),
+        (hosted, given) => hosted.or(given),
     };
     let nothing = |what: &str, expected: &str| {
         Err(Error::argument(format!("{what} of {url}"), "none in the host's answer", expected))

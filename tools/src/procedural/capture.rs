@@ -251,9 +251,9 @@ impl Setup {
     fn trace(&self, view: View, x: f32, y: f32, pixel: f32, photos: &Photos) -> (Hit, f32) {
         let ray = self.lens.ray(x, y);
         let length = ray.length();
-        let seen = self.world.trace(view.eye, view.rotation * (ray / length), pixel / self.lens.focal, photos);
-        let depth = seen.distance.map_or(0.0, |t| t / length);
-        (seen, depth)
+        let hit = self.world.trace(view.eye, view.rotation * (ray / length), pixel / self.lens.focal, photos);
+        let depth = hit.distance.map_or(0.0, |t| t / length);
+        (hit, depth)
     }
 }
 

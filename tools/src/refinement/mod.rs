@@ -275,7 +275,7 @@ fn progress_message(at: &Refining<'_>) -> String {
 
 pub fn summary(refined: &Refined, start: &str, given: &[Camera]) -> String {
     let (steps, step, [after, before]) = (refined.losses.len(), refined.best_step, refined.training_psnr);
-    let training = counted(given.len() - refined.held.len(), "training photo");
+    let training = counted(given.len() - refined.held_out_views.len(), "training photo");
     let psnr = refined.psnr().map(|[after, before]| format!("; held-out {before:.2} to {after:.2} dB"));
     let cameras = camera_movement(given, refined).map(|[degrees, distance]| {
         format!("; cameras turned by {degrees:.2} degrees and moved by {} (medians)", significant(distance))
@@ -295,14 +295,14 @@ pub fn as_json(refined: &Refined, start: &str, given: &[Camera]) -> Value {
         "training_psnr": { "before": refined.training_psnr[1], "after": refined.training_psnr[0] },
         "held_out_psnr": refined.psnr().map(|[after, before]| json!({ "before": before, "after": after })),
         "steps": refined.losses.len(), "best_step": refined.best_step, "losses": refined.losses,
-        "held_out": refined.held_out, "held_out_photos": refined.held, "sizes": refined.sizes, "ended": ended(refined),
+        "held_out": refined.held_out, "held_out_photos": refined.held_out_views, "sizes": refined.sizes, "ended": ended(refined),
         "seconds": refined.took.as_secs_f64(), "peak_bytes": refined.peak_bytes,
     })
 }
 
 pub fn explain(refined: &Refined, request: &Refine, start: &str, photos: &[PathBuf]) -> Table {
     let name = |i: &usize| photos[*i].file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let held: Vec<String> = refined.held.iter().map(name).collect();
+    let held: Vec<String> = refined.held_out_views.iter().map(name).collect();
     let size = |(step, [width, height]): &(usize, [u32; 2])| format!("{width}x{height} from step {}", step + 1);
     let sizes: Vec<String> = refined.sizes.iter().map(size).collect();
     let Rates { means, scales, quats, opacities, sh_coeffs, tokens, turns, shifts } = request.rates;
@@ -316,7 +316,7 @@ pub fn explain(refined: &Refined, request: &Refine, start: &str, photos: &[PathB
     if request.cameras {
         rates += &format!(", turns of cameras {turns}, shifts {shifts} of the scene's distance");
     }
-    let (steps, each) = (refined.losses.len(), request.views_per_step.min(photos.len() - refined.held.len()));
+    let (steps, each) = (refined.losses.len(), request.views_per_step.min(photos.len() - refined.held_out_views.len()));
     let or_none = |list: String| if list.is_empty() { "none".into() } else { list };
     let mut table = Table::new(2, &["refined", ""]);
     for (what, value) in [
@@ -353,9 +353,9 @@ fn ended(refined: &Refined) -> String {
 const FEW: usize = 6;
 
 pub fn doubt(refined: &Refined) -> Option<String> {
-    let training = refined.cameras.len() - refined.held.len();
+    let training = refined.cameras.len() - refined.held_out_views.len();
     match &refined.stopped {
-        None if refined.held.is_empty() && training < FEW && refined.best_step > 0 => Some(format!(
+        None if refined.held_out_views.is_empty() && training < FEW && refined.best_step > 0 => Some(format!(
             "only {} to refine against, and none held out: other views may look worse than before; more photos help, and \
              --hold-out 1 measures it",
             counted(training, "photo")

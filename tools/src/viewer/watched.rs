@@ -29,7 +29,7 @@ pub enum Target {
 }
 
 pub struct Watched {
-    start: Target,
+    target: Target,
     tokens: Option<(usize, Vec<u32>)>,
     photos: Vec<Image>,
     cameras: Vec<Camera>,
@@ -58,7 +58,7 @@ struct Now {
 
 impl Watched {
     pub fn new(
-        start: Target,
+        target: Target,
         tokens: Option<(usize, Vec<u32>)>,
         photos: Vec<Image>,
         cameras: Vec<Camera>,
@@ -66,7 +66,7 @@ impl Watched {
     ) -> Self {
         let now = Mutex::new(Now { steps: request.steps, ..Now::default() });
         let show = Some((request.steps / SHOWN).max(1));
-        Self { start, tokens, photos, cameras, request: Refine { show, ..request }, now, stop: AtomicBool::new(false) }
+        Self { target, tokens, photos, cameras, request: Refine { show, ..request }, now, stop: AtomicBool::new(false) }
     }
 
     /// Refines until the end or `stop`; `progress` gets the finished fraction.
@@ -79,7 +79,7 @@ impl Watched {
         let (photos, cameras, request) = (&self.photos, &self.cameras, &self.request);
         // The slider uses the model's arena meanwhile.
         let arena = Arena::new(&live.device);
-        let refined = match &self.start {
+        let refined = match &self.target {
             Target::Scene(scene) => refine_scene(&arena, scene, photos, cameras, request, report),
             Target::Tokens(tokens) => FrozenHead::load(&live.device, &live.checkpoint)
                 .and_then(|head| refine_tokens(&arena, &head, tokens, photos, cameras, request, report)),

@@ -178,10 +178,8 @@ fn spread(ms: &[f64]) -> Spread {
 fn compare(found: &pytorch::Depth, measured: &[((usize, Size), [f64; 2])]) -> String {
     let mut table =
         Table::new(1, &["PyTorch f32", "views", "size", "ms: median (min..max)", "ours", "its time / ours"]);
-    for (pytorch_rows, ((views, size), ours)) in found.rows.iter().zip(measured) {
-        for (part, (ms, ours)) in
-            PARTS.iter().zip([&pytorch_rows.backbone_ms, &pytorch_rows.heads_ms].into_iter().zip(ours))
-        {
+    for (row, ((views, size), ours)) in found.rows.iter().zip(measured) {
+        for (part, (ms, ours)) in PARTS.iter().zip([&row.backbone_ms, &row.heads_ms].into_iter().zip(ours)) {
             let ms = spread(ms);
             let ratio = format!("{:.2}", ms.median / ours);
             table.row([
@@ -199,8 +197,8 @@ fn compare(found: &pytorch::Depth, measured: &[((usize, Size), [f64; 2])]) -> St
 
 fn pytorch_rows(found: &pytorch::Depth, rows: &[Row]) -> Vec<Row> {
     let totals = rows.iter().filter(|row| row.part.stage.is_empty());
-    let of = |(pytorch_rows, ours): (&pytorch::DepthRow, &Row)| {
-        let parts = PARTS.iter().zip([&pytorch_rows.backbone_ms, &pytorch_rows.heads_ms]);
+    let of = |(row, ours): (&pytorch::DepthRow, &Row)| {
+        let parts = PARTS.iter().zip([&row.backbone_ms, &row.heads_ms]);
         let parts = parts.map(|(part, ms)| Part::of(format!("PyTorch f32 {part}"), spread(ms)));
         parts.map(|part| Row { part, peak_bytes: 0, arena_bytes: 0, ..ours.clone() }).collect::<Vec<_>>()
     };

@@ -114,9 +114,9 @@ impl<'a> Evaluator<'a> {
         if let Some(Steps { count, tokens }) = eval.refine {
             refuse("--refine STEPS:tokens", tokens, "a scene of given depth", "a network's scene")?;
             let cloud = choice.points(&capture.scene_scale)?;
-            let start = eval.start.unwrap_or(Initialization::Scene);
-            reconstruction.started = start.name();
-            let scene = start.scene(Some(reconstruction.scene), cloud.as_ref(), &capture.training_views().1)?;
+            let init = eval.start.unwrap_or(Initialization::Scene);
+            reconstruction.started = init.name();
+            let scene = init.scene(Some(reconstruction.scene), cloud.as_ref(), &capture.training_views().1)?;
             let arena = Arena::new(&self.device);
             let refined = refine(eval, session, &arena, Refinable::Scene(&scene), capture, count)?;
             (reconstruction.scene, reconstruction.refined) = (refined.scene.clone(), Some(refined));
@@ -159,10 +159,10 @@ impl<'a> Evaluator<'a> {
             }
             (Some(Steps { count, .. }), None) => {
                 let cloud = choice.points(&capture.scene_scale)?;
-                let start = Initialization::or_best(eval.start, cloud.as_ref(), eval.weights.is_embedded());
-                started = start.name();
-                let start = start.scene(Some(scene.clone()), cloud.as_ref(), &capture.training_views().1)?;
-                Some(refine(eval, session, model.arena(), Refinable::Scene(&start), capture, count)?)
+                let init = Initialization::or_best(eval.start, cloud.as_ref(), eval.weights.is_embedded());
+                started = init.name();
+                let initial = init.scene(Some(scene.clone()), cloud.as_ref(), &capture.training_views().1)?;
+                Some(refine(eval, session, model.arena(), Refinable::Scene(&initial), capture, count)?)
             }
             (None, _) => None,
         };

@@ -175,7 +175,7 @@ impl Reconstruct {
             }
             _ => None,
         };
-        let start = steps.map(|steps| self.start_of(steps, cloud.as_ref()));
+        let start = steps.map(|steps| self.initialization(steps, cloud.as_ref()));
         let posed = Posed { photos: &photos, poses: poses.as_ref(), frames: &frames };
         let (forward, device) = match (start, &network) {
             // Points need no network.
@@ -278,7 +278,7 @@ impl Reconstruct {
                 format!(
                     " from {}, refined for {steps} against {}",
                     made.started,
-                    counted(photos.len() - made.refined.held.len(), "photo")
+                    counted(photos.len() - made.refined.held_out_views.len(), "photo")
                 )
             }
             (None, Some(forward)) => forward.views_summary.clone(),
@@ -309,9 +309,9 @@ impl Reconstruct {
             }
             json["refined"] = refinement::as_json(refined, started, cameras);
         }
-        if let Some((pictures, notes)) = drawn {
+        if let Some((pictures, description)) = drawn {
             json["pictures"] = pictures;
-            text += &notes;
+            text += &description;
         }
         session.report(&json, text)
     }

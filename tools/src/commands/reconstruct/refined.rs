@@ -42,7 +42,7 @@ pub struct RefinedScene {
 }
 
 impl Reconstruct {
-    pub fn start_of(&self, steps: Steps, cloud: Option<&PointCloud>) -> From {
+    pub fn initialization(&self, steps: Steps, cloud: Option<&PointCloud>) -> From {
         if steps.tokens {
             From::Tokens
         } else {
@@ -55,7 +55,7 @@ impl Reconstruct {
         &self,
         session: &mut Session<'_>,
         steps: Steps,
-        start: From,
+        init: From,
         inputs: RefineInputs<'_>,
         cloud: Option<&PointCloud>,
         Posed { photos, frames, .. }: Posed<'_>,
@@ -69,18 +69,18 @@ impl Reconstruct {
         let arena = inputs.forward.and_then(|forward| forward.arena.clone());
         let arena = arena.unwrap_or_else(|| Arena::new(inputs.device));
         let tokens = inputs.forward.and_then(|forward| forward.tokens.as_ref());
-        let (refined, started) = match (start, tokens.zip(inputs.checkpoint)) {
+        let (refined, started) = match (init, tokens.zip(inputs.checkpoint)) {
             (From::Tokens, Some((tokens, checkpoint))) => {
                 let head = FrozenHead::load(inputs.device, checkpoint)?;
                 let from = Refinable::Tokens(&head, tokens);
                 (refinement::refine(session, &arena, from, &photos, &cameras, &request)?, refinement::TOKENS.to_owned())
             }
             (From::Tokens, None) => unreachable!("they were asked for"),
-            (From::Scene(start), _) => {
+            (From::Scene(init), _) => {
                 let scene = inputs.forward.map(|forward| forward.scene.clone());
-                let scene = start.scene(scene, cloud, &cameras)?;
+                let scene = init.scene(scene, cloud, &cameras)?;
                 let from = Refinable::Scene(&scene);
-                (refinement::refine(session, &arena, from, &photos, &cameras, &request)?, start.name().to_owned())
+                (refinement::refine(session, &arena, from, &photos, &cameras, &request)?, init.name().to_owned())
             }
         };
         session.notes(refinement::doubt(&refined));

@@ -42,7 +42,7 @@ fn save(folder: &Folder, name: &str, scene: &Scene, scale: f64, pose: &Pose) {
 
 const LINE: &str = "eval @/place --views 3 --size 56x56 --lpips none --scene";
 
-fn judge(folder: &Folder, options: &str) -> f64 {
+fn evaluate(folder: &Folder, options: &str) -> f64 {
     folder.run(&format!("{LINE} {options} --json")).json()["mean"]["psnr"].as_f64().expect("dB")
 }
 
@@ -61,12 +61,12 @@ fn a_scene_is_judged_alike_in_every_layout() {
     let away = Pose { rotation: DMat3::from_rotation_y(2.0), translation: DVec3::new(-1.0, 0.5, 0.25) };
     save(&folder, "away.ply", &scene, 0.2, &away);
     let frames = read_poses(folder.path("place")).expect("cameras").frames;
-    let theirs = |camera: &Camera| {
+    let external = |camera: &Camera| {
         let pose = world().inverse().compose(&camera.pose);
         let pose = Pose { translation: 0.2 / LENGTH * pose.translation, ..pose };
         Camera { pose: away.compose(&pose), ..*camera }
     };
-    let moved: Vec<Camera> = cameras.iter().map(theirs).collect();
+    let moved: Vec<Camera> = cameras.iter().map(external).collect();
     let names: Vec<&str> = frames.iter().map(|frame| frame.name.trim_start_matches("images/")).collect();
     write_transforms(folder.path("theirs.json"), &moved, &names).expect("written");
     // As in NoPoSplat, C3G, AnySplat and MVSplat.
@@ -74,7 +74,7 @@ fn a_scene_is_judged_alike_in_every_layout() {
     plain.opacities.iter_mut().for_each(|opacity| *opacity = 1.0 / (1.0 + (-*opacity).exp()));
     save(&folder, "plain.ply", &plain, 1.0, &Pose::IDENTITY);
 
-    let expected = judge(&folder, "@/cameras.ply --world cameras");
+    let expected = evaluate(&folder, "@/cameras.ply --world cameras");
     for options in [
         "@/first.ply --scene-unit 3".to_owned(),
         "@/first.ply --world first --scene-unit 3".to_owned(),
@@ -83,15 +83,15 @@ fn a_scene_is_judged_alike_in_every_layout() {
         folder.line("@/away.ply --world aligned --scene-cameras @/theirs.json"),
         "@/plain.ply --opacities plain --scene-unit 3".to_owned(),
     ] {
-        let found = judge(&folder, &options);
+        let found = evaluate(&folder, &options);
         assert!((found - expected).abs() < 0.02, "{options}: {found} dB, {expected} dB");
     }
     for options in ["@/cameras.ply", "@/first.ply", "@/turned.ply --world cameras", "@/away.ply"] {
-        let found = judge(&folder, options);
+        let found = evaluate(&folder, options);
         assert!(found < expected - 3.0, "{options}: {found} dB, {expected} dB");
     }
     folder.run("convert @/first.ply @/first.spz").success();
-    let packed = judge(&folder, "@/first.spz --scene-unit 3");
+    let packed = evaluate(&folder, "@/first.spz --scene-unit 3");
     assert!((packed - expected).abs() < 0.5, "{packed} dB, {expected} dB");
     folder.run("eval @/place --views 3 --weights @/micro.safetensors --size 56x56 --lpips none -o @/ours").success();
     let ours = "eval @/place --views 3 --weights @/micro.safetensors --size 56x56 --lpips none --json";
@@ -105,13 +105,13 @@ fn opacities_that_may_be_plain_are_noted() {
     let folder = Folder::new();
     let (mut scene, _) = place(&folder);
     write_ply(&scene, folder.path("logits.ply")).expect("written");
-    let told = folder.run(&format!("{LINE} @/logits.ply"));
-    assert!(told.code == 0 && !told.err.contains("--opacities plain"), "{}", told.err);
+    let outcome = folder.run(&format!("{LINE} @/logits.ply"));
+    assert!(outcome.code == 0 && !outcome.err.contains("--opacities plain"), "{}", outcome.err);
     folder.run(&format!("{LINE} @/logits.ply --opacities plain")).fails(3, &["logits.ply", "Gaussian 0", "0 to 1"]);
     scene.opacities.iter_mut().for_each(|opacity| *opacity = 0.7);
     write_ply(&scene, folder.path("plain.ply")).expect("written");
-    let told = folder.run(&format!("{LINE} @/plain.ply"));
-    assert!(told.code == 0 && told.err.contains("--opacities plain"), "{}", told.err);
+    let outcome = folder.run(&format!("{LINE} @/plain.ply"));
+    assert!(outcome.code == 0 && outcome.err.contains("--opacities plain"), "{}", outcome.err);
 }
 
 #[test]

@@ -85,7 +85,7 @@ fn errors(found: &[CameraEstimate]) -> [f64; 2] {
     })
 }
 
-fn found(patches: &Patches, scene: &Scene, focal: Option<f64>) -> Vec<CameraEstimate> {
+fn estimate(patches: &Patches, scene: &Scene, focal: Option<f64>) -> Vec<CameraEstimate> {
     let found = patches.cameras(scene, focal).expect("a scene of these tokens");
     found.into_iter().map(|found| found.expect("a camera")).collect()
 }
@@ -99,7 +99,7 @@ fn exact_depth_gives_the_cameras() {
             let patches = Patches::new(GRID, kept);
             let scene = decoded(place, &patches);
             for focal in [Some(233.0), None] {
-                let found = found(&patches, &scene, focal);
+                let found = estimate(&patches, &scene, focal);
                 let [turn, shift] = errors(&found);
                 let case = format!("{place:?}, {} tokens, {focal:?}", patches.len());
                 assert!(turn < 0.1 && shift < 0.01, "{turn} degrees, {shift}: {case}");
@@ -122,7 +122,7 @@ fn half_of_the_tokens_may_be_elsewhere() {
             *mean = [number(1), number(2), 2.0 + number(3)];
         }
         for focal in [Some(233.0), None] {
-            let found = found(&patches, &scene, focal);
+            let found = estimate(&patches, &scene, focal);
             let [turn, shift] = errors(&found);
             assert!(turn < 0.1 && shift < 0.01, "{turn} degrees, {shift}: {place:?}, {focal:?}");
             assert!(found.iter().all(|found| (180..230).contains(&found.inliers) && found.pairs == 360), "{found:?}");

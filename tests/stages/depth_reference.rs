@@ -35,7 +35,7 @@ fn normalised(pictures: &[Image]) -> Images {
     Images { values, views: pictures.len(), height, width }
 }
 
-fn said(a: &DepthArchitecture, pictures: &[Image], request: &DepthRequest) -> Depths {
+fn predict(a: &DepthArchitecture, pictures: &[Image], request: &DepthRequest) -> Depths {
     let checkpoint = DepthCheckpoint::seeded(a.clone(), "twin").unwrap();
     let model = DepthModel::load(device(), &checkpoint, Arithmetic::EXACT, |_| Continue(())).unwrap();
     model.depths(pictures, request, |_| Continue(())).unwrap()
@@ -59,7 +59,7 @@ fn weights(a: &DepthArchitecture) -> (Weights, Sizes) {
 fn both(a: &DepthArchitecture, pictures: &[Image], reference: usize) -> (Vec<DepthView>, Vec<View>) {
     let request = DepthRequest { reference: Some(reference), ..DepthRequest::default() };
     let (weights, sizes) = weights(a);
-    (said(a, pictures, &request).views, views(&weights, &sizes, &normalised(pictures), reference))
+    (predict(a, pictures, &request).views, views(&weights, &sizes, &normalised(pictures), reference))
 }
 
 fn every(values: &[f64], first: usize, step: usize) -> Vec<f64> {
@@ -91,7 +91,7 @@ fn views_that_see_each_other() {
 fn chosen_patches() {
     let (a, pictures) = (depth_micro(), pictures(3, [42, 28]));
     let request = DepthRequest { reference: Some(0), ratio: Ratio::Fixed(0.5), ..DepthRequest::default() };
-    let found = said(&a, &pictures, &request).patches.unwrap();
+    let found = predict(&a, &pictures, &request).patches.unwrap();
     let (weights, sizes) = weights(&a);
     let (layers, _) = features(&weights, &sizes, &normalised(&pictures), 0);
     let clusters = kmeans(&layers[3], 2 * sizes.width, 9);
@@ -101,7 +101,7 @@ fn chosen_patches() {
     let expected: Vec<u32> = clusters.nearest.into_iter().collect::<BTreeSet<_>>().into_iter().collect();
     assert_eq!(found, expected);
     let given = DepthRequest { selection: Selection::Given(vec![5, 17, 5]), ..request };
-    assert_eq!(said(&a, &pictures, &given).patches.unwrap(), [5, 17]);
+    assert_eq!(predict(&a, &pictures, &given).patches.unwrap(), [5, 17]);
 }
 
 #[test]
