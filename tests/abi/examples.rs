@@ -97,7 +97,7 @@ fn reconstruct_in_python() {
 #[test]
 fn reconstruct_in_c_leaks_nothing_and_touches_nothing_invalid() {
     let (folder, photos) = inputs();
-    let program = installation().compile(&example("reconstruct.c"), Linking::Sanitised, &[]);
+    let program = installation().compile(&example("reconstruct.c"), Linking::Sanitized, &[]);
     let [model, scene, picture] =
         ["micro.safetensors", "scene.ply", "picture.png"].map(|name| folder.path().join(name));
     // Without the validation layer, which leaks.

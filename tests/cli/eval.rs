@@ -26,12 +26,12 @@ fn metrics_are_those_of_scikit_image() {
     let rough = |k: usize| picture(|x, y, c| ((x * x * 3 + y * (7 + k) + x * y * k + c * 29) % 97) as f64 / 96.0);
     let smooth = picture(|x, y, c| (x + 2 * y + 5 * c) as f64 / (WIDTH + 2 * HEIGHT + 15) as f64);
     let mixed: Vec<f32> = smooth.iter().zip(rough(2)).map(|(a, b)| 0.9 * a + 0.1 * b).collect();
-    let grey = vec![0.5; smooth.len()];
+    let gray = vec![0.5; smooth.len()];
     for (a, b, expected) in [
         (&rough(0), &rough(1), [7.821_466, -0.006_084]),
         (&smooth, &mixed, [29.232_437, 0.778_115]),
-        (&smooth, &grey, [14.736_981, 0.415_746]),
-        (&grey, &grey, [f64::INFINITY, 1.0]),
+        (&smooth, &gray, [14.736_981, 0.415_746]),
+        (&gray, &gray, [f64::INFINITY, 1.0]),
     ] {
         let found = [psnr(a, b), ssim(a, b, WIDTH, HEIGHT)];
         let alike = |(a, b): (&f64, &f64)| a == b || (a - b).abs() < 1e-5;

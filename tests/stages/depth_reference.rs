@@ -24,7 +24,7 @@ fn pictures(count: u32, [width, height]: [u32; 2]) -> Vec<Image> {
     (0..count).map(|v| Image::new(width, height, picture(v)).unwrap()).collect()
 }
 
-fn normalised(pictures: &[Image]) -> Images {
+fn normalized(pictures: &[Image]) -> Images {
     let (mean, deviation) = ([0.485, 0.456, 0.406], [0.229, 0.224, 0.225]);
     let channel = |image: &Image, c: usize| {
         let value = |byte: &u8| (f64::from(*byte) / 255.0 - mean[c]) / deviation[c];
@@ -59,7 +59,7 @@ fn weights(a: &DepthArchitecture) -> (Weights, Sizes) {
 fn both(a: &DepthArchitecture, pictures: &[Image], reference: usize) -> (Vec<DepthView>, Vec<View>) {
     let request = DepthRequest { reference: Some(reference), ..DepthRequest::default() };
     let (weights, sizes) = weights(a);
-    (predict(a, pictures, &request).views, views(&weights, &sizes, &normalised(pictures), reference))
+    (predict(a, pictures, &request).views, views(&weights, &sizes, &normalized(pictures), reference))
 }
 
 fn every(values: &[f64], first: usize, step: usize) -> Vec<f64> {
@@ -93,7 +93,7 @@ fn chosen_patches() {
     let request = DepthRequest { reference: Some(0), ratio: Ratio::Fixed(0.5), ..DepthRequest::default() };
     let found = predict(&a, &pictures, &request).patches.unwrap();
     let (weights, sizes) = weights(&a);
-    let (layers, _) = features(&weights, &sizes, &normalised(&pictures), 0);
+    let (layers, _) = features(&weights, &sizes, &normalized(&pictures), 0);
     let clusters = kmeans(&layers[3], 2 * sizes.width, 9);
     // The mean of two ties, and the first wins. Otherwise rounding must not decide.
     let clear = |gap: &f64| *gap > 1e-4 || *gap < 1e-9;

@@ -106,8 +106,8 @@ fn bilinear_is_that_of_f64() {
     assert_eq!((image.width, image.height), (12, 8));
     let weights = |from: u32, to: u32, i: u32| -> Vec<f64> {
         let scale = f64::from(from) / f64::from(to);
-        let centre = (f64::from(i) + 0.5) * scale;
-        let weights = (0..from).map(|j| (1.0 - (f64::from(j) + 0.5 - centre).abs() / scale).max(0.0));
+        let center = (f64::from(i) + 0.5) * scale;
+        let weights = (0..from).map(|j| (1.0 - (f64::from(j) + 0.5 - center).abs() / scale).max(0.0));
         let total: f64 = weights.clone().sum();
         weights.map(|weight| weight / total).collect()
     };
@@ -306,8 +306,8 @@ fn other_pixel_types_become_rgb8() {
         let opened = open(&encoded(&DynamicImage::ImageRgba8(alpha.clone()), format)).unwrap();
         assert_eq!(opened.rgb, [10, 20, 30, 40, 50, 60], "alpha is dropped, not blended");
     }
-    let grey = DynamicImage::ImageLuma8(image::GrayImage::from_vec(2, 1, vec![7, 250]).unwrap());
-    assert_eq!(open(&encoded(&grey, ImageFormat::Png)).unwrap().rgb, [7, 7, 7, 250, 250, 250]);
+    let gray = DynamicImage::ImageLuma8(image::GrayImage::from_vec(2, 1, vec![7, 250]).unwrap());
+    assert_eq!(open(&encoded(&gray, ImageFormat::Png)).unwrap().rgb, [7, 7, 7, 250, 250, 250]);
     let samples = vec![0x12ff, 0x1280, 0x127f, 0xff00, 0x00ff, 0xffff];
     let deep = DynamicImage::ImageRgb16(image::ImageBuffer::from_vec(2, 1, samples).unwrap());
     assert_eq!(open(&encoded(&deep, ImageFormat::Png)).unwrap().rgb, [0x12, 0x12, 0x12, 0xff, 0, 0xff]);

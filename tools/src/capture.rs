@@ -77,8 +77,8 @@ impl Choice {
             let found = format!("{}{why}", found.len());
             return Err(Error::argument(format!("photos with cameras in {}", folder.display()), found, expected));
         }
-        let centres: Vec<DVec3> = found.iter().map(|i| poses.frames[*i].camera.pose.translation).collect();
-        let chosen = farthest_points(&centres, views);
+        let centers: Vec<DVec3> = found.iter().map(|i| poses.frames[*i].camera.pose.translation).collect();
+        let chosen = farthest_points(&centers, views);
         let others: Vec<usize> = (0..found.len()).filter(|i| !chosen.contains(i)).collect();
         let count = targets.map_or(others.len(), |targets| others.len().min(targets));
         let targets = (0..count).map(|i| found[others[i * others.len() / count]]).collect();

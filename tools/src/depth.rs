@@ -242,13 +242,13 @@ impl PredictedViews {
 
     /// Scales single-view depth to meters of a metric head, or to `points` beside the cameras, by
     /// those visible in each photo. Multi-view depth stays.
-    pub fn scale(&mut self, metres: bool, points: Option<&Path>) -> Result<()> {
+    pub fn scale(&mut self, metric: bool, points: Option<&Path>) -> Result<()> {
         let (network, Some(cameras)) = (&self.network, &self.cameras) else { return Ok(()) };
         if self.depths.views.iter().all(|view| view.sky.is_none()) {
-            return refuse("--metres", metres, network, "a network that sees each photo by itself");
+            return refuse("--metres", metric, network, "a network that sees each photo by itself");
         }
-        if metres {
-            self.depths.to_metres(cameras);
+        if metric {
+            self.depths.to_meters(cameras);
             return Ok(());
         }
         let lacks = |found: String| {

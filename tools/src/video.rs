@@ -112,8 +112,8 @@ fn measure_sharpness(ffmpeg: &Path, video: &Path, stage: &Stage<'_>) -> Result<(
         &[&PICTURES[..], &["-vf", &filter, "-r", "25", "-f", "rawvideo"]].concat(),
         stage,
         |from| {
-            let mut grey = vec![0; SIDE * SIDE];
-            Ok(read_whole(from, &mut grey)?.then(|| laplacian_variance(&grey, SIDE)))
+            let mut gray = vec![0; SIDE * SIDE];
+            Ok(read_whole(from, &mut gray)?.then(|| laplacian_variance(&gray, SIDE)))
         },
         |value| {
             sharpness.push(value);
@@ -157,9 +157,9 @@ fn take(ffmpeg: &Path, video: &Path, chosen: &[usize], folder: &Path, stage: &St
     Ok(photos)
 }
 
-fn laplacian_variance(grey: &[u8], width: usize) -> f64 {
-    let height = grey.len() / width;
-    let at = |x: usize, y: usize| f64::from(grey[y * width + x]);
+fn laplacian_variance(gray: &[u8], width: usize) -> f64 {
+    let height = gray.len() / width;
+    let at = |x: usize, y: usize| f64::from(gray[y * width + x]);
     let (mut sum, mut squares, mut count) = (0.0, 0.0, 0.0);
     for y in 1..height - 1 {
         for x in 1..width - 1 {

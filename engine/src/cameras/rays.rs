@@ -58,7 +58,7 @@ impl RayMap {
         }
         let (rotation, lens) = factors(&map).ok_or_else(|| none(format!("{pairs} of a mirrored or flat camera")))?;
         let weight: f64 = agreeing.iter().map(|ray| ray.weight).sum();
-        let centre = agreeing.iter().map(|ray| ray.weight * ray.origin).sum::<DVec3>() / weight;
+        let center = agreeing.iter().map(|ray| ray.weight * ray.origin).sum::<DVec3>() / weight;
         let half = |side: u32| f64::from(side) / 2.0;
         let intrinsics = Intrinsics {
             width,
@@ -68,7 +68,7 @@ impl RayMap {
             cx: (lens.z_axis.x + 1.0) * half(width),
             cy: (lens.z_axis.y + 1.0) * half(height),
         };
-        let camera = Camera { intrinsics, pose: Pose { rotation, translation: centre } };
+        let camera = Camera { intrinsics, pose: Pose { rotation, translation: center } };
         camera.validate("camera of rays")?;
         Ok(CameraEstimate { camera, inliers: agreeing.len(), pairs })
     }

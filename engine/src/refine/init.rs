@@ -6,14 +6,14 @@ use glam::DVec3;
 use rayon::prelude::*;
 use rstar::{PointDistance, RTree, primitives::GeomWithData};
 
-const NEIGHBOURS: usize = 3;
+const NEIGHBORS: usize = 3;
 /// Limit of a Gaussian's size relative to the nearest camera's distance: isolated points are often
 /// wrong.
 const LARGEST: f64 = 0.1;
 const OPACITY: f32 = 0.5;
 /// Harmonic of degree 0, `1 / (2 sqrt(pi))`.
 const SH_0: f32 = 0.282_094_8;
-const GREY: [u8; 3] = [128; 3];
+const GRAY: [u8; 3] = [128; 3];
 
 /// Creates an isotropic Gaussian per point with the point's color. Its standard deviation is the
 /// root mean square distance to the three nearest points elsewhere (Kerbl et al. 2023).
@@ -23,13 +23,13 @@ const GREY: [u8; 3] = [128; 3];
 pub fn scene_of_points(cloud: &PointCloud, cameras: &[Camera]) -> Result<Scene> {
     let places = cloud.positions.iter().map(|at| GeomWithData::new(at.map(f64::from), ()));
     let tree = RTree::bulk_load(places.collect());
-    let centres: Vec<DVec3> = cameras.iter().map(|camera| camera.pose.translation).collect();
+    let centers: Vec<DVec3> = cameras.iter().map(|camera| camera.pose.translation).collect();
     let size = |at: &[f32; 3]| {
         let at = at.map(f64::from);
         let squares = tree.nearest_neighbor_iter(at).map(|other| other.distance_2(&at)).filter(|square| *square > 0.0);
-        let nearest: Vec<f64> = squares.take(NEIGHBOURS).collect();
+        let nearest: Vec<f64> = squares.take(NEIGHBORS).collect();
         let size = (nearest.iter().sum::<f64>() / nearest.len() as f64).sqrt();
-        let distances = centres.iter().map(|centre| centre.distance(DVec3::from(at)));
+        let distances = centers.iter().map(|center| center.distance(DVec3::from(at)));
         size.min(LARGEST * distances.fold(f64::INFINITY, f64::min)) as f32
     };
     let count = cloud.positions.len();
@@ -38,7 +38,7 @@ pub fn scene_of_points(cloud: &PointCloud, cameras: &[Camera]) -> Result<Scene> 
         return Err(Error::argument("points to start from", found, "points at several places"));
     }
     let scales: Vec<[f32; 3]> = cloud.positions.par_iter().map(|at| [size(at); 3]).collect();
-    let color = |i: usize| cloud.colors.get(i).unwrap_or(&GREY).map(|value| (f32::from(value) / 255.0 - 0.5) / SH_0);
+    let color = |i: usize| cloud.colors.get(i).unwrap_or(&GRAY).map(|value| (f32::from(value) / 255.0 - 0.5) / SH_0);
     Ok(Scene {
         means: cloud.positions.clone(),
         scales,

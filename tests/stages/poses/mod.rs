@@ -97,7 +97,7 @@ fn transforms_survive_a_file() {
 fn intrinsics_come_from_angles_frames_and_photos() {
     let (truth, names) = cameras();
     let angle = 2.0 * (f64::from(LENS.width) / (2.0 * LENS.fx)).atan();
-    let centred = Intrinsics { fy: LENS.fx, cx: 32.0, cy: 24.0, ..LENS };
+    let centered = Intrinsics { fy: LENS.fx, cx: 32.0, cy: 24.0, ..LENS };
     // NeRF's synthetic scenes.
     let (folder, path) = capture(|json| {
         let frames = json["frames"].as_array().unwrap().clone();
@@ -114,7 +114,7 @@ fn intrinsics_come_from_angles_frames_and_photos() {
     for (frame, name) in poses.frames.iter().zip(&names) {
         assert!((frame.camera.intrinsics.fx - LENS.fx).abs() < 1e-9);
         let found = Intrinsics { fx: LENS.fx, fy: LENS.fx, ..frame.camera.intrinsics };
-        assert_eq!(found, centred);
+        assert_eq!(found, centered);
         assert_eq!(frame.photo.as_deref().and_then(Path::file_name), Path::new(name).file_name());
     }
     // Without extension, in the caller's order.

@@ -29,8 +29,8 @@ impl Similarity {
     /// over their spread. Rotations are averaged; scale and translation are least squares. `None`
     /// if no scale follows, for coincident or unrelated positions.
     pub fn between(pairs: &[(Camera, Camera)]) -> Option<(Self, f64)> {
-        let centre = |of: fn(&(Camera, Camera)) -> DVec3| pairs.iter().map(of).sum::<DVec3>() / pairs.len() as f64;
-        let (from, to) = (centre(|(source, _)| source.pose.translation), centre(|(_, target)| target.pose.translation));
+        let center = |of: fn(&(Camera, Camera)) -> DVec3| pairs.iter().map(of).sum::<DVec3>() / pairs.len() as f64;
+        let (from, to) = (center(|(source, _)| source.pose.translation), center(|(_, target)| target.pose.translation));
         let rotation =
             mean_turn(pairs.iter().map(|(source, target)| target.pose.rotation * source.pose.rotation.transpose()));
         let arms: Vec<[DVec3; 2]> = (pairs.iter())

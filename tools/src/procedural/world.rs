@@ -80,7 +80,7 @@ impl World {
 
     /// Returns true inside a solid.
     pub fn contains(&self, point: Vec3A) -> bool {
-        self.primitives.iter().any(|p| p.shape.contains(p.to_local * (point - p.centre)))
+        self.primitives.iter().any(|p| p.shape.contains(p.to_local * (point - p.center)))
     }
 
     /// Returns true for a surface in between, except within `slack` meters of the second point.
@@ -96,7 +96,7 @@ impl World {
         };
         let primitive = &self.primitives[index];
         let point = origin + direction * t;
-        let local = primitive.to_local * (point - primitive.centre);
+        let local = primitive.to_local * (point - primitive.center);
         let local_normal = primitive.shape.normal(local);
         let outward = primitive.rotation * local_normal;
         let facing = -outward.dot(direction);

@@ -159,11 +159,11 @@ fn smallest_eigenvalue(m: DMat3) -> f64 {
 
 fn of_spread(cameras: &[Pose]) -> Option<f64> {
     let count = cameras.len() as f64;
-    let centre = cameras.iter().map(|pose| pose.translation).sum::<DVec3>() / count;
-    let squares: f64 = cameras.iter().map(|pose| pose.translation.distance_squared(centre)).sum();
+    let center = cameras.iter().map(|pose| pose.translation).sum::<DVec3>() / count;
+    let squares: f64 = cameras.iter().map(|pose| pose.translation.distance_squared(center)).sum();
     let spread = (2.0 * squares / (count - 1.0)).sqrt();
     // Cameras rotating on a tripod differ by rounding.
-    (spread.is_finite() && spread > 1e-9 * centre.length()).then_some(spread)
+    (spread.is_finite() && spread > 1e-9 * center.length()).then_some(spread)
 }
 
 fn median(mut values: Vec<f64>) -> Option<f64> {

@@ -114,8 +114,8 @@ impl Key {
 }
 
 fn targets(cameras: &[Camera]) -> Option<Vec<DVec3>> {
-    let centre = cameras.iter().map(|camera| camera.pose.translation).sum::<DVec3>() / cameras.len() as f64;
-    let focus = focus(cameras, centre);
+    let center = cameras.iter().map(|camera| camera.pose.translation).sum::<DVec3>() / cameras.len() as f64;
+    let focus = focus(cameras, center);
     let target = |camera: &Camera| {
         let (axis, way) = (camera.pose.rotation.z_axis, focus - camera.pose.translation);
         let depth = way.dot(axis);

@@ -217,7 +217,7 @@ impl Linear {
     }
 
     /// Quantized input, per-row input scales, per-column weight scales.
-    fn quantised(&self, rec: &mut Recorder, input: Rows) -> (Rows, Tensor, Tensor) {
+    fn quantized(&self, rec: &mut Recorder, input: Rows) -> (Rows, Tensor, Tensor) {
         let (a, scales) = quantise_rows(rec, input);
         (a, scales, self.weight.slice::<f32>(scales_at(self.columns, self.inner) / 4, self.columns))
     }
@@ -232,7 +232,7 @@ impl Linear {
             tile.k
         );
         let (a, row_scales, column_scales) = match factor {
-            Element::I8 => self.quantised(rec, input),
+            Element::I8 => self.quantized(rec, input),
             _ => (input, self.bias, self.bias),
         };
         let [weight, integers, scales] = self.weights();

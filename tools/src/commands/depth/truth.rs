@@ -85,8 +85,8 @@ impl Errors {
 /// Medians of angle, distance over the extent, and focal length.
 fn cameras(pairs: &[(Camera, Camera)]) -> Option<[f64; 3]> {
     let (similarity, _) = Similarity::between(pairs)?;
-    let centres = pairs.iter().map(|(_, truth)| truth.pose.translation);
-    let (low, high) = (centres.clone().reduce(|a, b| a.min(b))?, centres.reduce(|a, b| a.max(b))?);
+    let centers = pairs.iter().map(|(_, truth)| truth.pose.translation);
+    let (low, high) = (centers.clone().reduce(|a, b| a.min(b))?, centers.reduce(|a, b| a.max(b))?);
     let error = |(found, truth): &(Camera, Camera)| {
         let moved = similarity.apply(found).pose;
         let turn = DQuat::from_mat3(&moved.relative_to(&truth.pose).rotation).to_scaled_axis().length();

@@ -15,7 +15,7 @@ from splats import BLUR, MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, NEAR, depth_or
 Pictures = namedtuple("Pictures", "rgb alpha depth reached")
 
 
-def rasterise(gaussians, viewmats, intrinsics, size, sh_degree=1, blend=None):
+def rasterize(gaussians, viewmats, intrinsics, size, sh_degree=1, blend=None):
     """Renders Gaussians [B, N, 11 + 3K], viewmats [B, C, 4, 4], intrinsics [B, C, 4] fx fy cx cy.
 
     Returns rgb [B, C, H, W, 3], alpha [B, C, H, W], depth (not divided by alpha), and `reached`
@@ -31,9 +31,9 @@ def rasterise(gaussians, viewmats, intrinsics, size, sh_degree=1, blend=None):
 
 def default_blend(device):
     if device.type == "cuda":
-        from rasterise_triton import blend
+        from rasterize_triton import blend
     else:
-        from rasterise_numba import blend
+        from rasterize_numba import blend
     return blend
 
 

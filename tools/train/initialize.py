@@ -10,7 +10,7 @@ SH0 = 0.28209479177387814  # the constant spherical harmonic
 
 
 @torch.no_grad()
-def initialise(model, cells, depth=0.9, size=0.5, opacity=-1.5, jitter=0.02, coupled=True):
+def initialize(model, cells, depth=0.9, size=0.5, opacity=-1.5, jitter=0.02, coupled=True):
     """Initializes all weights.
 
     A token's Gaussians start at one point (up to `jitter`), nearly transparent, `depth` in front

@@ -8,7 +8,7 @@ import torch.distributed as dist
 ENDS = ("pose_branch.fc1.weight", "gaussian_head.1.weight")
 
 
-class Optimiser:
+class Optimizer:
     """Both optimizers. Processes split Muon's matrices and broadcast the results.
 
     The backbone's rate is `backbone_rate` times the others'; 0 freezes it.
@@ -40,10 +40,10 @@ class Optimiser:
         norm = torch.nn.utils.clip_grad_norm_(self.parameters, clip)
         for p in self.parameters:
             p.grad.nan_to_num_(0, 0, 0)  # skips a non-finite step without a readback
-        for optimiser in filter(None, (self.adamw, self.muon)):
-            for group in optimiser.param_groups:
+        for optimizer in filter(None, (self.adamw, self.muon)):
+            for group in optimizer.param_groups:
                 group["lr"] = rate * group["share"]
-            optimiser.step()
+            optimizer.step()
         for rank, share in enumerate(self.shares if len(self.shares) > 1 else []):
             for p in share:
                 dist.broadcast(p, rank)

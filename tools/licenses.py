@@ -1,6 +1,6 @@
 """Collects the licenses of every crate in a release, and writes a CycloneDX SBOM.
 
-usage: python3 tools/licences.py PACKAGE TARGET LICENCES.txt SBOM.json      PACKAGE such as zipsplat-cli
+usage: python3 tools/licenses.py PACKAGE TARGET LICENCES.txt SBOM.json      PACKAGE such as zipsplat-cli
 
 Covers normal dependencies from `cargo metadata`. A crate with a missing or disallowed license is an
 error.
@@ -43,7 +43,7 @@ def packages(package: str, target: str) -> list[dict]:
     own = set(found["workspace_members"])
     todo = [name for name in own if by_id[name]["name"] == package]
     if not todo:
-        sys.exit(f"licences.py: {package}: found no such package in the workspace")
+        sys.exit(f"licenses.py: {package}: found no such package in the workspace")
     reached = set(todo)
     while todo:
         for dependency in nodes[todo.pop()]["deps"]:
@@ -98,11 +98,11 @@ def texts(entry: dict) -> dict[str, str]:
     return {path.name: path.read_text(encoding="utf-8", errors="replace") for path in files}
 
 
-def main(package: str, target: str, licences: str, sbom: str) -> None:
+def main(package: str, target: str, licenses: str, sbom: str) -> None:
     found, sums = packages(package, target), checksums()
     refused = [f"{e['name']} {e['version']}: {e['license']}" for e in found if not is_allowed(e["license"] or "none")]
     if refused:
-        sys.exit("licences.py: found " + ", ".join(refused) + "; expected one of " + ", ".join(sorted(ALLOWED)))
+        sys.exit("licenses.py: found " + ", ".join(refused) + "; expected one of " + ", ".join(sorted(ALLOWED)))
     version = re.search(r'(?m)^version = "([^"]+)"', (ROOT / "Cargo.toml").read_text())[1]
     parts = [f"Software of others in zipsplat {version} for {target}: {len(found)} crates.\n"]
     components = []
@@ -121,7 +121,7 @@ def main(package: str, target: str, licences: str, sbom: str) -> None:
         if checksum:
             component["hashes"] = [{"alg": "SHA-256", "content": checksum}]
         components.append(component)
-    Path(licences).write_text("\n".join(parts), encoding="utf-8")
+    Path(licenses).write_text("\n".join(parts), encoding="utf-8")
     main_component = {
         "type": "application",
         "name": package,
@@ -137,7 +137,7 @@ def main(package: str, target: str, licences: str, sbom: str) -> None:
     }
     Path(sbom).write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
     print(
-        f"{len(found)} crates, {sum(bool(texts(entry)) for entry in found)} with texts of their licences",
+        f"{len(found)} crates, {sum(bool(texts(entry)) for entry in found)} with texts of their licenses",
         file=sys.stderr,
     )
 
