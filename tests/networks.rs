@@ -15,8 +15,8 @@ pub fn fast_arithmetics() -> Vec<Arithmetic> {
     let fast = [Precision::Fast, Precision::FastBf16, Precision::Turbo];
     let found = fast.into_iter().filter_map(|precision| Arithmetic::of(precision, device().limits()));
     let twice = |a: Arithmetic| {
-        let lanes = Arithmetic { linear: None, attention: None, nearest: None, quantised: None, ..a };
-        let on_units = [a.linear, a.attention, a.quantised].iter().any(Option::is_some);
+        let lanes = Arithmetic { linear: None, attention: None, nearest: None, quantized: None, ..a };
+        let on_units = [a.linear, a.attention, a.quantized].iter().any(Option::is_some);
         let can_do_without = on_units && lanes.has_integers() == a.has_integers();
         [Some(a), can_do_without.then_some(lanes)].into_iter().flatten()
     };

@@ -60,13 +60,13 @@ name=zipsplat-$version-$target
 mkdir -p "$work/$name"
 install -m 755 "$command" "$work/$name/"
 cp LICENSE README.md CHANGELOG.md tools/run-on-lavapipe tools/lavapipe.sh "$work/$name/"
-python3 tools/licences.py zipsplat-cli "$target" "$work/$name/THIRD-PARTY-LICENCES.txt" "$out/$name.cdx.json"
+python3 tools/licenses.py zipsplat-cli "$target" "$work/$name/THIRD-PARTY-LICENCES.txt" "$out/$name.cdx.json"
 archive "$name" "$work/$name"
 
 name=libzipsplat-$version-$target
 ZIPSPLAT_LIBS=$built tools/install.sh "$work/$name" 2> /dev/null
 cp LICENSE "$work/$name/"
-python3 tools/licences.py zipsplat-c "$target" "$work/$name/THIRD-PARTY-LICENCES.txt" "$out/$name.cdx.json"
+python3 tools/licenses.py zipsplat-c "$target" "$work/$name/THIRD-PARTY-LICENCES.txt" "$out/$name.cdx.json"
 archive "$name" "$work/$name"
 
 ZIPSPLAT_LIBRARY=$built/$library ZIPSPLAT_LICENCES=$work/$name/THIRD-PARTY-LICENCES.txt engine/bindings/python/build.sh "$out" >&2

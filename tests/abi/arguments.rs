@@ -220,18 +220,18 @@ fn progress_is_told_and_can_stop() {
 }
 
 /// Records a callback's messages and thread, and stops the call.
-struct Told {
+struct CallLog {
     stages: Vec<(f64, String)>,
     most: usize,
     thread: ThreadId,
 }
 
-unsafe extern "C" fn listen(told: *mut c_void, fraction: f64, stage: *const c_char) -> i32 {
+unsafe extern "C" fn listen(log: *mut c_void, fraction: f64, stage: *const c_char) -> i32 {
     // SAFETY: owned by the test, which waits for the call.
-    let (told, stage) = unsafe { (&mut *told.cast::<Told>(), CStr::from_ptr(stage)) };
-    assert_eq!(told.thread, thread::current().id());
-    told.stages.push((fraction, stage.to_str().expect("UTF-8").to_owned()));
-    (told.stages.len() == told.most).into()
+    let (log, stage) = unsafe { (&mut *log.cast::<CallLog>(), CStr::from_ptr(stage)) };
+    assert_eq!(log.thread, thread::current().id());
+    log.stages.push((fraction, stage.to_str().expect("UTF-8").to_owned()));
+    (log.stages.len() == log.most).into()
 }
 
 #[test]
@@ -242,11 +242,11 @@ fn photos_are_prepared_with_progress() {
     let photos = photos(2 * at_once as u32 + 1);
     let images: Vec<_> = photos.iter().map(image_of).collect();
     for (most, status) in [(2, ZS_ERROR_CANCELLED), (usize::MAX, ZS_OK)] {
-        let mut told = Told { stages: Vec::new(), most, thread: thread::current().id() };
-        let user_data = (&raw mut told).cast();
+        let mut log = CallLog { stages: Vec::new(), most, thread: thread::current().id() };
+        let user_data = (&raw mut log).cast();
         let options = zs_reconstruct_options { progress: Some(listen), user_data, ..reconstruct_options() };
         assert_eq!(try_reconstruct(&model, &images, &options).err().unwrap_or(ZS_OK), status);
-        let (fractions, stages): (Vec<f64>, Vec<String>) = told.stages.into_iter().unzip();
+        let (fractions, stages): (Vec<f64>, Vec<String>) = log.stages.into_iter().unzip();
         let prepared = stages.iter().take_while(|stage| *stage == "photos").count();
         assert_eq!(prepared, most.min(3), "{stages:?}");
         assert!(fractions.is_sorted() && fractions[0] == 0.0 && fractions.iter().all(|f| *f <= 1.0), "{fractions:?}");

@@ -55,27 +55,27 @@ fn text(pointer: *const c_char) -> String {
     unsafe { CStr::from_ptr(pointer) }.to_str().expect("UTF-8").to_owned()
 }
 
-struct Found {
+struct Contents {
     cameras: Vec<zs_camera>,
     names: Vec<String>,
     paths: Vec<String>,
     notes: String,
 }
 
-fn all(capture: &Object<zs_capture>) -> Found {
+fn all(capture: &Object<zs_capture>) -> Contents {
     let (mut count, mut notes) = (0, null());
     // SAFETY: a live object, and output pointers.
     ok(unsafe { zs_capture_get_count(capture.handle, &mut count, &mut notes) });
-    let mut found = Found { cameras: Vec::new(), names: Vec::new(), paths: Vec::new(), notes: text(notes) };
+    let mut contents = Contents { cameras: Vec::new(), names: Vec::new(), paths: Vec::new(), notes: text(notes) };
     for i in 0..count {
         let (mut camera, mut name, mut path) = (camera(1, 1, 0.0), null(), null());
         // SAFETY: as above.
         ok(unsafe { zs_capture_get(capture.handle, i, &mut camera, &mut name, &mut path) });
-        found.cameras.push(camera);
-        found.names.push(text(name));
-        found.paths.push(text(path));
+        contents.cameras.push(camera);
+        contents.names.push(text(name));
+        contents.paths.push(text(path));
     }
-    found
+    contents
 }
 
 fn photo(capture: &Object<zs_capture>, index: usize) -> Object<zs_photo> {
@@ -93,18 +93,18 @@ fn pixels(photo: &Object<zs_photo>) -> zs_image {
 #[test]
 fn photos_and_cameras_are_rusts() {
     let folder = capture(false);
-    let found = all(&open(folder.path()));
+    let contents = all(&open(folder.path()));
     let expected = read_poses(folder.path()).expect("cameras");
-    assert_eq!(found.names, ["images/0.png", "images/1.png", "images/2.png"]);
-    assert_eq!(found.notes, "");
+    assert_eq!(contents.names, ["images/0.png", "images/1.png", "images/2.png"]);
+    assert_eq!(contents.notes, "");
     let capture = open(&folder.path().join("transforms.json"));
     for (i, frame) in expected.frames.iter().enumerate() {
-        let (camera, Camera { intrinsics, pose }) = (&found.cameras[i], &frame.camera);
+        let (camera, Camera { intrinsics, pose }) = (&contents.cameras[i], &frame.camera);
         assert_eq!(camera.rotation, pose.rotation.transpose().to_cols_array());
         assert_eq!((camera.translation, camera.fx), (pose.translation.to_array(), intrinsics.fx));
         assert_ne!(camera.fx, Intrinsics::from_fov(SIDE, SIDE, 1.0, 1.0).fx, "the pinhole's, not the lens's");
-        assert_eq!(Path::new(&found.paths[i]), frame.photo.as_ref().expect("it is there"));
-        let (photo, expected) = (photo(&capture, i), frame.open(&found.paths[i]).expect("a photo"));
+        assert_eq!(Path::new(&contents.paths[i]), frame.photo.as_ref().expect("it is there"));
+        let (photo, expected) = (photo(&capture, i), frame.open(&contents.paths[i]).expect("a photo"));
         let image = pixels(&photo);
         // SAFETY: memory of a live photo.
         let rgb = unsafe { std::slice::from_raw_parts(image.pixels.cast::<u8>(), expected.rgb.len()) };
@@ -131,12 +131,12 @@ fn the_unit_is_found_from_the_capture() {
     for points in [false, true] {
         let folder = capture(points);
         let capture = open(folder.path());
-        let (found, photos) = (all(&capture), [0, 1, 2].map(|i| photo(&capture, i)));
+        let (contents, photos) = (all(&capture), [0, 1, 2].map(|i| photo(&capture, i)));
         let images: Vec<_> = photos.iter().map(pixels).collect();
         let options = zs_reconstruct_options {
             unit: ZS_UNIT_AUTO,
             camera_count: COUNT as u32,
-            cameras: found.cameras.as_ptr(),
+            cameras: contents.cameras.as_ptr(),
             capture: capture.handle,
             ..reconstruct_options()
         };
@@ -146,9 +146,9 @@ fn the_unit_is_found_from_the_capture() {
         let views: Vec<_> = poses.frames.iter().map(view).collect();
         let cameras: Vec<_> = poses.frames.iter().map(|frame| frame.camera).collect();
         let cameras = view_cameras(&cameras, &views).expect("cameras");
-        let unit = poses.unit(None, &cameras, &poses.frames[0].camera.pose).expect("a unit").length;
+        let unit = poses.scene_scale(None, &cameras, &poses.frames[0].camera.pose).expect("a unit").length;
         let images: Vec<_> = views.into_iter().map(|view| view.image).collect();
-        let request = Request { cameras: Some(cameras), unit, ..Request::default() };
+        let request = Request { cameras: Some(cameras), scene_scale: unit, ..Request::default() };
         let rust = Model::load(device(), &checkpoint(), |_| ControlFlow::Continue(())).unwrap();
         let expected = rust.reconstruct(&images, &request, |_| ControlFlow::Continue(())).unwrap().scene().unwrap();
         assert_same(&format!("means, unit {unit}"), in_c.means.as_flattened(), expected.means.as_flattened());

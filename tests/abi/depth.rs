@@ -98,8 +98,8 @@ fn depth_is_that_of_rust() {
         })
         .collect();
     let known = zs_depth_options { side: SIDE, cameras: given.as_ptr(), camera_count: 2, ..options() };
-    let told = find(&model, &photos, &known);
-    assert_eq!(get(&told, 1).1.translation, given[1].translation);
+    let posed = find(&model, &photos, &known);
+    assert_eq!(get(&posed, 1).1.translation, given[1].translation);
 }
 
 #[test]

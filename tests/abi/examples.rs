@@ -44,8 +44,8 @@ fn expected_means(checkpoint: &Checkpoint, photos: &[PathBuf]) -> Vec<[f32; 3]> 
     done.expect("a scene").scene().unwrap().means
 }
 
-/// `said` is the expected output for a number of Gaussians.
-fn assert_reconstructs(example: impl Fn() -> Command, said: impl Fn(usize) -> String) {
+/// `message` is the expected output for a number of Gaussians.
+fn assert_reconstructs(example: impl Fn() -> Command, message: impl Fn(usize) -> String) {
     let (folder, photos) = inputs();
     let micro = folder.path().join("micro.safetensors");
     let checkpoints = [
@@ -59,7 +59,7 @@ fn assert_reconstructs(example: impl Fn() -> Command, said: impl Fn(usize) -> St
         let out = success(command);
         let (means, expected) = (read_ply(&scene).expect("a scene").means, expected_means(&checkpoint, &photos));
         assert_same(&format!("means, {}", model.display()), means.as_flattened(), expected.as_flattened());
-        assert!(out.contains(&said(means.len())), "{out}");
+        assert!(out.contains(&message(means.len())), "{out}");
         let picture = Image::open(&picture).expect("a picture");
         assert!((picture.width, picture.height) == (256, 256) && picture.rgb.iter().any(|byte| *byte > 0));
     }
@@ -97,7 +97,7 @@ fn reconstruct_in_python() {
 #[test]
 fn reconstruct_in_c_leaks_nothing_and_touches_nothing_invalid() {
     let (folder, photos) = inputs();
-    let program = installation().compile(&example("reconstruct.c"), Linking::Sanitised, &[]);
+    let program = installation().compile(&example("reconstruct.c"), Linking::Sanitized, &[]);
     let [model, scene, picture] =
         ["micro.safetensors", "scene.ply", "picture.png"].map(|name| folder.path().join(name));
     // Without the validation layer, which leaks.

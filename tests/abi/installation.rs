@@ -16,7 +16,7 @@ pub enum Linking {
     Shared,
     Static,
     /// Shared, with AddressSanitizer and its leak check at exit.
-    Sanitised,
+    Sanitized,
 }
 
 pub fn installation() -> &'static Installation {
@@ -52,7 +52,7 @@ impl Installation {
             .arg(&program)
             .arg(source);
         command.args(self.pkg_config(&["--cflags", "--libs", package])).args(more);
-        if matches!(linking, Linking::Sanitised) {
+        if matches!(linking, Linking::Sanitized) {
             command.arg("-fsanitize=address,undefined");
         }
         command.arg(format!("-Wl,-rpath,{}", self.prefix.join("lib").display()));

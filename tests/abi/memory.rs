@@ -54,7 +54,7 @@ int main(void) {
     return 0;
 }
 "#;
-    success(runner(&installation().compile_text("expression.c", program, Linking::Sanitised)));
+    success(runner(&installation().compile_text("expression.c", program, Linking::Sanitized)));
 }
 
 fn from_memory(bytes: &[u8], format: Option<&str>, dropped: *mut u64) -> Result<Object<zs_scene>, zs_status> {

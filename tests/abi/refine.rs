@@ -99,22 +99,22 @@ fn bits(scene: &Scene) -> Vec<u32> {
     fields.flatten().map(|x| x.to_bits()).collect()
 }
 
-struct Told {
+struct CallLog {
     steps: Vec<zs_refining>,
     stop_after: u32,
 }
 
-unsafe extern "C" fn listen(told: *mut c_void, now: *const zs_refining) -> i32 {
+unsafe extern "C" fn listen(log: *mut c_void, now: *const zs_refining) -> i32 {
     // SAFETY: owned by the test, which waits for the call; `now` is the library's.
-    let (told, now) = unsafe { (&mut *told.cast::<Told>(), *now) };
-    told.steps.push(now);
-    (now.step == told.stop_after).into()
+    let (log, now) = unsafe { (&mut *log.cast::<CallLog>(), *now) };
+    log.steps.push(now);
+    (now.step == log.stop_after).into()
 }
 
 #[test]
 fn a_refinement_is_rusts_and_tells_how_far_it_is() {
     let place = place(9);
-    let mut told = Told { steps: Vec::new(), stop_after: u32::MAX };
+    let mut log = CallLog { steps: Vec::new(), stop_after: u32::MAX };
     let options = zs_refine_options {
         steps: 12,
         views_per_step: 3,
@@ -122,7 +122,7 @@ fn a_refinement_is_rusts_and_tells_how_far_it_is() {
         height: 40,
         seed: 7,
         progress: Some(listen),
-        user_data: (&raw mut told).cast(),
+        user_data: (&raw mut log).cast(),
         ..options()
     };
     let (scene, info) = made(place.in_c(&options));
@@ -136,23 +136,23 @@ fn a_refinement_is_rusts_and_tells_how_far_it_is() {
     let ended = zs_refine_end::ZS_REFINE_FINISHED as i32;
     assert_eq!((info.ended, info.steps, info.best_step as usize), (ended, 12, expected.best_step));
     assert!(psnr > before && info.seconds > 0.0, "{before} to {psnr} dB in {} s", info.seconds);
-    let steps: Vec<_> = told.steps.iter().map(|now| (now.step, now.steps, now.loss)).collect();
+    let steps: Vec<_> = log.steps.iter().map(|now| (now.step, now.steps, now.loss)).collect();
     let losses = expected.losses.iter().zip(1..).map(|(loss, step)| (step, 12, f64::from(*loss)));
     assert_eq!(steps, losses.collect::<Vec<_>>());
-    assert!(told.steps.iter().all(|now| now.psnr > 0.0 && now.seconds_left >= 0.0));
-    assert_eq!(told.steps[0].struct_size as usize, size_of::<zs_refining>());
+    assert!(log.steps.iter().all(|now| now.psnr > 0.0 && now.seconds_left >= 0.0));
+    assert_eq!(log.steps[0].struct_size as usize, size_of::<zs_refining>());
 }
 
 #[test]
 fn a_refinement_that_is_stopped_hands_out_the_best_so_far() {
     let place = place(3);
-    let mut told = Told { steps: Vec::new(), stop_after: 5 };
-    let user_data = (&raw mut told).cast();
+    let mut log = CallLog { steps: Vec::new(), stop_after: 5 };
+    let user_data = (&raw mut log).cast();
     let (scene, info) = made(place.in_c(&zs_refine_options { progress: Some(listen), user_data, ..options() }));
     let expected = place.in_rust(&Refine::default(), 5);
     assert_same("scene", &bits(&scene), &bits(&expected.scene));
-    assert_eq!((info.ended, info.steps, told.steps.len()), (zs_refine_end::ZS_REFINE_STOPPED as i32, 5, 5));
-    assert!(info.psnr.is_nan() && told.steps.iter().all(|now| now.psnr.is_nan()));
+    assert_eq!((info.ended, info.steps, log.steps.len()), (zs_refine_end::ZS_REFINE_STOPPED as i32, 5, 5));
+    assert!(info.psnr.is_nan() && log.steps.iter().all(|now| now.psnr.is_nan()));
     let (scene, info) = made(place.in_c(&zs_refine_options { steps: 0, ..options() }));
     assert_same("no step", &bits(&scene), &bits(&place.moved));
     assert!((info.steps, info.best_step) == (0, 0) && info.first_loss.is_nan());

@@ -110,7 +110,7 @@ fn options_and_cameras_give_rusts_scene() {
             (options.cameras, options.camera_count, options.pool) = (c_cameras.as_ptr(), 3, 2);
         }
         let (cameras, pool) = if posed { (Some(relative.clone()), 2) } else { (None, 1) };
-        let request = Request { ratio, selection, cameras, unit: 1.0, pool };
+        let request = Request { ratio, selection, cameras, scene_scale: 1.0, pool };
         let expected = bits(&rust_scene(&photos, &request));
         assert_same(&format!("{request:?}"), &bits(&read(&reconstruct(&model, &images, &options))), &expected);
     }
@@ -294,14 +294,14 @@ fn a_model_computes_in_the_precision_that_was_asked_for() {
             ok(zs_model_get_info(model.handle, &mut info));
             info
         };
-        let said = if asked == zs_precision::ZS_PRECISION_BEST { 1 + best as i32 } else { asked as i32 };
-        assert_eq!(info.precision, said, "{asked:?}");
+        let code = if asked == zs_precision::ZS_PRECISION_BEST { 1 + best as i32 } else { asked as i32 };
+        assert_eq!(info.precision, code, "{asked:?}");
         let arithmetic = Chosen::of(device(), Some(expected)).expect("the device has it").arithmetic;
         let ours = Model::load_with(device(), &checkpoint(), arithmetic, |_| ControlFlow::Continue(())).unwrap();
         let ours =
             ours.reconstruct(&photos, &Request::default(), |_| ControlFlow::Continue(())).unwrap().scene().unwrap();
-        let theirs = reconstruct(&model, &images, &reconstruct_options());
-        assert_same(&format!("{asked:?}"), &bits(&read(&theirs)), &bits(&ours));
+        let from_c = reconstruct(&model, &images, &reconstruct_options());
+        assert_same(&format!("{asked:?}"), &bits(&read(&from_c)), &bits(&ours));
     }
 }
 
@@ -310,11 +310,11 @@ fn weights_of_8_bits_come_from_memory() {
     let (context, photos, bytes) = (context(), photos(2), micro_in(Dtype::Q8));
     let options = zs_model_options { precision: zs_precision::ZS_PRECISION_EXACT as i32, ..model_options() };
     let model = made(model_from(&context, &bytes, &options));
-    let theirs = reconstruct(&model, &photos.iter().map(image_of).collect::<Vec<_>>(), &reconstruct_options());
+    let from_c = reconstruct(&model, &photos.iter().map(image_of).collect::<Vec<_>>(), &reconstruct_options());
     let checkpoint = Checkpoint::from_bytes("q8", bytes.clone(), None).expect("what was just written");
     let ours = Model::load(device(), &checkpoint, |_| ControlFlow::Continue(())).expect("small models fit");
     let ours = ours.reconstruct(&photos, &Request::default(), |_| ControlFlow::Continue(())).unwrap().scene().unwrap();
-    assert_same("q8", &bits(&read(&theirs)), &bits(&ours));
+    assert_same("q8", &bits(&read(&from_c)), &bits(&ours));
     if Arithmetic::of(Precision::Turbo, device().limits()).is_some() {
         let turbo = zs_model_options { precision: zs_precision::ZS_PRECISION_TURBO as i32, ..options };
         let refused = model_from(&context, &bytes, &turbo).err().expect("no turbo for such weights");

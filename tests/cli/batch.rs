@@ -25,8 +25,8 @@ fn batch(folder: &Folder, line: &str) -> Outcome {
 
 /// Made, existing, failed and remaining.
 fn numbers(outcome: Outcome) -> [u64; 4] {
-    let said: Value = serde_json::from_str(&outcome.out).unwrap_or_else(|_| panic!("{}", outcome.err));
-    ["made", "unchanged", "failed", "left"].map(|name| said[name].as_u64().expect("a number"))
+    let report: Value = serde_json::from_str(&outcome.out).unwrap_or_else(|_| panic!("{}", outcome.err));
+    ["made", "unchanged", "failed", "left"].map(|name| report[name].as_u64().expect("a number"))
 }
 
 fn times(folder: &Folder, names: &[&str]) -> Vec<SystemTime> {
@@ -36,9 +36,9 @@ fn times(folder: &Folder, names: &[&str]) -> Vec<SystemTime> {
 #[test]
 fn makes_the_scenes_of_reconstruct() {
     let folder = captures();
-    let said = batch(&folder, "@/all -o @/out --ratio 0.5").json();
-    assert!(said["captures_per_second"].as_f64().is_some_and(|rate| rate > 0.0));
-    assert_eq!((&said["captures"], &said["made"]), (&3.into(), &3.into()));
+    let report = batch(&folder, "@/all -o @/out --ratio 0.5").json();
+    assert!(report["captures_per_second"].as_f64().is_some_and(|rate| rate > 0.0));
+    assert_eq!((&report["captures"], &report["made"]), (&3.into(), &3.into()));
     assert_eq!(super::names(&folder.path("out")), ["1.json", "1.ply", "10.json", "10.ply", "2.json", "2.ply"]);
     for (name, photos) in [("1", "all/1"), ("2", "all/2/images"), ("10", "all/10")] {
         folder.run(&format!("reconstruct {WEIGHTS} @/{photos} --ratio 0.5 -o @/{name}.ply")).success();

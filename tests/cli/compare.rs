@@ -6,7 +6,7 @@ use zipsplat_tests::{
     processes::{assert_succeeds, child, target},
 };
 
-fn grey(value: u8, width: u32, height: u32) -> Image {
+fn gray(value: u8, width: u32, height: u32) -> Image {
     Image { width, height, rgb: vec![value; 3 * (width * height) as usize] }
 }
 
@@ -16,7 +16,7 @@ fn folder() -> Folder {
     for name in ["a", "b"] {
         std::fs::create_dir(folder.path(name)).expect("a folder");
     }
-    let save = |name: &str, value| grey(value, 40, 30).save_png(folder.path(name)).expect("a picture");
+    let save = |name: &str, value| gray(value, 40, 30).save_png(folder.path(name)).expect("a picture");
     [("a/one.png", 100), ("b/one.png", 151), ("a/two.png", 9), ("b/two.png", 9), ("a/three.png", 0)]
         .into_iter()
         .for_each(|(name, value)| save(name, value));
@@ -58,8 +58,8 @@ fn folders_are_compared_by_name() {
 #[test]
 fn what_cannot_be_compared_is_named() {
     let folder = folder();
-    grey(1, 20, 20).save_png(folder.path("small.png")).expect("a picture");
-    grey(1, 10, 20).save_png(folder.path("tiny.png")).expect("a picture");
+    gray(1, 20, 20).save_png(folder.path("small.png")).expect("a picture");
+    gray(1, 10, 20).save_png(folder.path("tiny.png")).expect("a picture");
     folder.run("compare @/a/one.png @/small.png --lpips none").fails(3, &["one", "40x30", "20x20"]);
     folder.run("compare @/tiny.png @/tiny.png --lpips none").fails(3, &["tiny", "10x20", "11x11"]);
     folder.run("compare @/a @/small.png --lpips none").fails(3, &["a folder and a picture"]);

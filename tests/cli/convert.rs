@@ -101,8 +101,8 @@ fn a_far_gaussian_that_coarsens_an_spz_is_noted() {
     let outcome = folder.run("convert @/near.ply @/near.spz");
     assert!(!outcome.err.contains("note"), "{}", outcome.err);
     let outcome = folder.run("convert @/far.ply @/far.spz");
-    let said = "multiples of 9.77e-4, not of 1.53e-5: 1 of 30 Gaussians lie beyond 128 units, the farthest 5000 away";
-    assert!(outcome.err.contains(said), "{}", outcome.err);
+    let note = "multiples of 9.77e-4, not of 1.53e-5: 1 of 30 Gaussians lie beyond 128 units, the farthest 5000 away";
+    assert!(outcome.err.contains(note), "{}", outcome.err);
     let means = read_scene(folder.path("far.spz")).expect("a scene").means;
     let steps = |value: f32| f64::from(value) * 1024.0;
     assert!(means.iter().flatten().all(|value| steps(*value).fract() == 0.0));

@@ -310,8 +310,8 @@ fn errors_are_told_where_there_is_a_truth() {
     let errors = &folder.run(&format!("{line} --poses @/place/transforms.json")).json()["errors"];
     assert!(errors["degrees"].is_null() && number(errors, "abs_rel").is_some(), "{errors}");
     std::fs::remove_dir_all(folder.path("place/depth")).unwrap();
-    let said = folder.run(&line).json();
-    assert!(said["errors"]["abs_rel"].is_null(), "{said}");
+    let report = folder.run(&line).json();
+    assert!(report["errors"]["abs_rel"].is_null(), "{report}");
     let strangers = format!("depth @/photos {WEIGHTS} --size 42 -o @/other --truth @/place");
     folder.run(&strangers).fails(3, &["photos with a truth", "place"]);
 }

@@ -26,12 +26,12 @@ fn metrics_are_those_of_scikit_image() {
     let rough = |k: usize| picture(|x, y, c| ((x * x * 3 + y * (7 + k) + x * y * k + c * 29) % 97) as f64 / 96.0);
     let smooth = picture(|x, y, c| (x + 2 * y + 5 * c) as f64 / (WIDTH + 2 * HEIGHT + 15) as f64);
     let mixed: Vec<f32> = smooth.iter().zip(rough(2)).map(|(a, b)| 0.9 * a + 0.1 * b).collect();
-    let grey = vec![0.5; smooth.len()];
+    let gray = vec![0.5; smooth.len()];
     for (a, b, expected) in [
         (&rough(0), &rough(1), [7.821_466, -0.006_084]),
         (&smooth, &mixed, [29.232_437, 0.778_115]),
-        (&smooth, &grey, [14.736_981, 0.415_746]),
-        (&grey, &grey, [f64::INFINITY, 1.0]),
+        (&smooth, &gray, [14.736_981, 0.415_746]),
+        (&gray, &gray, [f64::INFINITY, 1.0]),
     ] {
         let found = [psnr(a, b), ssim(a, b, WIDTH, HEIGHT)];
         let alike = |(a, b): (&f64, &f64)| a == b || (a - b).abs() < 1e-5;
@@ -67,8 +67,11 @@ fn held_out_photos_are_compared() {
         let cells: Vec<&str> = line.split(',').collect();
         assert!(!inputs.contains(&cells[0]), "{} is an input", cells[0]);
         for (cell, name) in cells[1..].iter().zip(["psnr", "ssim", "nearest_psnr", "mean_color_psnr"]) {
-            let (written, told) = (cell.parse::<f64>().expect("a number"), json["views"][row][name].as_f64());
-            assert!(told.is_some_and(|told| (told - written).abs() < 1e-3), "{name}: {written} and {told:?}");
+            let (written, reported) = (cell.parse::<f64>().expect("a number"), json["views"][row][name].as_f64());
+            assert!(
+                reported.is_some_and(|reported| (reported - written).abs() < 1e-3),
+                "{name}: {written} and {reported:?}"
+            );
         }
     }
     // The capture's scale is the network's, except for points of unused photos.
@@ -117,8 +120,8 @@ fn without_points_the_unit_is_that_of_the_cameras() {
     assert!(outcome.err.contains("no point cloud") && outcome.err.contains("--unit"), "{}", outcome.err);
     let json = outcome.json();
     let unit = json["unit"].as_f64().expect("a number");
-    let share = unit / with_points["unit"].as_f64().expect("a number");
-    assert!((0.4..2.5).contains(&share) && unit != 1.0, "{unit}, {share} of that of the points");
+    let ratio = unit / with_points["unit"].as_f64().expect("a number");
+    assert!((0.4..2.5).contains(&ratio) && unit != 1.0, "{unit}, {ratio} of that of the points");
     assert!(["axes", "spread"].contains(&json["unit_from"].as_str().expect("a word")), "{json}");
     let line = format!("reconstruct {} --poses @/place {options} -o @/scene.ply", inputs(&json));
     let outcome = folder.run(&line);

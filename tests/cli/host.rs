@@ -143,9 +143,9 @@ fn blob(stream: &mut TcpStream, start: Option<&str>, state: &Mutex<State>) -> st
     }
     let start = start.filter(|_| !matches!(act, Some(Act::Ignore))).map(|start| start.parse().expect("a number"));
     let bytes = &file[start.unwrap_or(0)..];
-    let said = start.map(|start: usize| if matches!(act, Some(Act::Shift)) { start - 1 } else { start });
-    let (status, range) = match said {
-        Some(said) => ("206 Partial", format!("Content-Range: bytes {said}-{}/{}\r\n", file.len() - 1, file.len())),
+    let first = start.map(|start: usize| if matches!(act, Some(Act::Shift)) { start - 1 } else { start });
+    let (status, range) = match first {
+        Some(first) => ("206 Partial", format!("Content-Range: bytes {first}-{}/{}\r\n", file.len() - 1, file.len())),
         None => ("200 OK", String::new()),
     };
     write!(stream, "HTTP/1.1 {status}\r\n{range}Content-Length: {}\r\nConnection: close\r\n\r\n", bytes.len())?;

@@ -78,15 +78,15 @@ fn an_unlikely_lens_is_mapped_again_with_a_fixed_one() {
     let options =
         [OPTIONS_3[0], OPTIONS_3[1], "--Mapper.ba_refine_focal_length arg --Mapper.ba_refine_extra_params arg"];
     let body = format!("n=$(grep -c ' mapper ' \"$0.args\"); {COPIES}");
-    let of = |(i, frame): (usize, &Frame), share: f64| {
+    let of = |(i, frame): (usize, &Frame), ratio: f64| {
         let lens = frame.camera.intrinsics;
-        let fx = share * f64::from(lens.width.max(lens.height));
+        let fx = ratio * f64::from(lens.width.max(lens.height));
         (format!("0/{i:06}.png"), Camera { intrinsics: Intrinsics { fx, fy: fx, ..lens }, ..frame.camera })
     };
     for (unlikely, fixed, kept) in [(4, 4, 1.2), (3, 4, 1.2), (4, 3, 0.2)] {
         colmap(&folder, "colmap", "3.8", options, ["", "", &body]);
-        for (name, count, share) in [("try1/0", unlikely, 0.2), ("try2/0", fixed, 1.2)] {
-            let found: Vec<_> = frames.iter().enumerate().take(count).map(|frame| of(frame, share)).collect();
+        for (name, count, ratio) in [("try1/0", unlikely, 0.2), ("try2/0", fixed, 1.2)] {
+            let found: Vec<_> = frames.iter().enumerate().take(count).map(|frame| of(frame, ratio)).collect();
             let named: Vec<_> = found.iter().map(|(name, camera)| (name.as_str(), camera)).collect();
             model(&folder.path(name), &named);
         }
@@ -124,10 +124,10 @@ fn a_group_that_cannot_be_read_is_left_out() {
 fn a_focal_length_that_no_photo_has_is_told() {
     let (folder, frames) = place();
     let options = [OPTIONS_3[0], OPTIONS_3[1], "--Mapper.min_model_size arg"];
-    for (share, unlikely) in [(0.3, true), (0.4, false), (4.0, false), (6.0, true)] {
+    for (ratio, unlikely) in [(0.3, true), (0.4, false), (4.0, false), (6.0, true)] {
         colmap(&folder, "colmap", "3.8", options, ["", "", "cp -r \"${0%/*}/found/.\" \"$out\""]);
         let of = |frame: &Frame| {
-            let fx = share * f64::from(frame.camera.intrinsics.width.max(frame.camera.intrinsics.height));
+            let fx = ratio * f64::from(frame.camera.intrinsics.width.max(frame.camera.intrinsics.height));
             Camera { intrinsics: Intrinsics { fx, fy: fx, ..frame.camera.intrinsics }, ..frame.camera }
         };
         let cameras: Vec<(String, Camera)> =
@@ -135,6 +135,6 @@ fn a_focal_length_that_no_photo_has_is_told() {
         let named: Vec<_> = cameras.iter().map(|(name, camera)| (name.as_str(), camera)).collect();
         model(&folder.path("found/0"), &named);
         let text = folder.run("cameras @/place/images --colmap @/colmap -o @/found.json --overwrite").success();
-        assert_eq!(text.contains("is unlikely"), unlikely, "{share}: {text}");
+        assert_eq!(text.contains("is unlikely"), unlikely, "{ratio}: {text}");
     }
 }

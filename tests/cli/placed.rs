@@ -14,16 +14,20 @@ fn cameras_follow_from_the_scene() {
     }
     let line = format!("reconstruct @/wide {LINE} --cameras-out @/new/dir/found.json --json");
     let json = folder.run(&line).json();
-    let told = json["cameras"].as_array().expect("one a photo");
+    let cameras = json["cameras"].as_array().expect("one a photo");
     let poses = read_poses(folder.path("new/dir/found.json")).expect("cameras");
-    assert_eq!((told.len(), poses.frames.len()), (2, told.iter().filter(|camera| !camera.is_null()).count()), "{json}");
+    assert_eq!(
+        (cameras.len(), poses.frames.len()),
+        (2, cameras.iter().filter(|camera| !camera.is_null()).count()),
+        "{json}"
+    );
     let file: serde_json::Value =
         serde_json::from_slice(&std::fs::read(folder.path("new/dir/found.json")).expect("a file")).expect("JSON");
-    for (frame, said) in poses.frames.iter().zip(file["frames"].as_array().expect("frames")) {
+    for (frame, entry) in poses.frames.iter().zip(file["frames"].as_array().expect("frames")) {
         let lens = frame.camera.intrinsics;
         assert_eq!((lens.width, lens.height, lens.cx, lens.cy), (160, 100, 80.0, 50.0));
         assert!(Image::open(frame.photo.as_ref().expect("the photo")).is_ok());
-        assert!(said["inliers"].as_u64() >= Some(6) && said["patches"] == 36, "{said}");
+        assert!(entry["inliers"].as_u64() >= Some(6) && entry["patches"] == 36, "{entry}");
     }
     assert!(json["seconds"]["find cameras"].is_f64() && !folder.path("new/dir/points.ply").exists());
     let before = std::fs::read(folder.path("new/dir/found.json")).expect("a file");

@@ -217,8 +217,8 @@ fn a_protocol_aligns_cameras() {
     assert!(usual == adam && usual > none + 1.0, "{usual}, {adam} and {none} dB");
     folder.run(&format!("{line} --align hope -o @/d")).fails_usage();
     let by_default = format!("{} --align none -o @/e", line.replace("--lpips none", ""));
-    let said = folder.run(&by_default).err.contains("LPIPS is missing");
-    assert_eq!(said, lpips_weights(LpipsNetwork::Vgg).is_none());
+    let missing = folder.run(&by_default).err.contains("LPIPS is missing");
+    assert_eq!(missing, lpips_weights(LpipsNetwork::Vgg).is_none());
     std::fs::rename(folder.path("scenes/one.ply"), folder.path("scenes/two.ply")).expect("renamed");
     let outcome = folder.run(&format!("{line} -o @/d"));
     assert!(outcome.code == 1 && outcome.err.contains("one.ply"), "{}", outcome.err);

@@ -325,10 +325,10 @@ fn pictures_are_those_of_the_two_commands_one_after_the_other() {
         assert!(found.len() > 2);
         for name in &found {
             let read = |at: &str| image::open(folder.path(&format!("{at}-{i}")).join(name)).unwrap().into_rgb16();
-            let (ours, theirs) = (read("at-once"), read("after"));
+            let (at_once, after) = (read("at-once"), read("after"));
             // Rounding of logs and logits may move a value to the next level.
             let level = if name.contains("depth") { 1 } else { 257 };
-            let most = ours.as_raw().iter().zip(theirs.as_raw()).map(|(a, b)| a.abs_diff(*b)).max();
+            let most = at_once.as_raw().iter().zip(after.as_raw()).map(|(a, b)| a.abs_diff(*b)).max();
             assert!(most <= Some(level), "{name:?}: {most:?}");
         }
     }

@@ -43,8 +43,8 @@ fn points_become_a_scene_that_looks_like_the_photos() {
     assert!(row("steps").contains("30 of 30, of 4 photos each; kept is step "), "{text}");
     assert!(row("rates").contains("means 0.005"), "{text}");
     let names = std::fs::read_dir(folder.path("place/images")).expect("photos").map(|file| file.expect("a file"));
-    let held = row("held-out photos").trim();
-    assert!(names.map(|file| file.file_name()).any(|name| name == held), "{held}");
+    let held_out = row("held-out photos").trim();
+    assert!(names.map(|file| file.file_name()).any(|name| name == held_out), "{held_out}");
     assert_eq!((row("largest photo").trim(), row("ended").trim()), ("42x28 from step 1", "after all steps"));
     assert_eq!(read_scene(folder.path("again.ply")).expect("a scene"), scene);
 }

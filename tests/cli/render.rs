@@ -189,8 +189,8 @@ fn a_scene_can_be_in_the_world_of_its_cameras() {
         assert!(differences.clone().max() < Some(8), "{:?}", differences.max());
     };
     let (_, first): (_, Vec<Image>) = draw("first", "", "--cameras @/place");
-    let (said, own) = draw("own", "--world cameras", "--cameras @/place");
-    assert_eq!(said, "", "there is nothing to say where all fits");
+    let (notes, own) = draw("own", "--world cameras", "--cameras @/place");
+    assert_eq!(notes, "", "there is nothing to say where all fits");
     close(&first, &own);
     for path in ["--wiggle", "--orbit", "--dolly"] {
         let path = format!("{path} --frames 3 --size 28x28");
@@ -228,9 +228,9 @@ fn picture(folder: &Folder, name: &str) -> Image {
 
 fn says_empty(folder: &Folder, line: &str) -> bool {
     let outcome = folder.run(line);
-    let said = outcome.err.contains("but the background");
+    let notes = outcome.err.contains("but the background");
     outcome.success();
-    said
+    notes
 }
 
 #[test]

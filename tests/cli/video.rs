@@ -18,14 +18,14 @@ fn videos_become_their_sharpest_frames() {
     let folder = Folder::new();
     let noise =
         |frame: usize, i: usize| ((i * 2_654_435_761) >> 7) as u8 / if [1, 2, 4].contains(&frame) { 1 } else { 8 };
-    let grey: Vec<u8> = (0..6).flat_map(|frame| (0..512 * 512).map(move |i| noise(frame, i))).collect();
-    fs::write(folder.path("grey"), grey).expect("written");
+    let gray: Vec<u8> = (0..6).flat_map(|frame| (0..512 * 512).map(move |i| noise(frame, i))).collect();
+    fs::write(folder.path("grey"), gray).expect("written");
     let ppm = |shade: u8| [b"P6\n16 8\n255\n".as_slice(), &[shade; 3 * 16 * 8]].concat();
     fs::write(folder.path("ppm"), [ppm(40), ppm(90), ppm(200)].concat()).expect("written");
     let here = folder.line("@");
-    let text = |grey: &str, ppm: &str| {
+    let text = |gray: &str, ppm: &str| {
         format!(
-            "#!/bin/sh\n[ \"$1\" = -version ] && exit 0\necho \"$@\" >>'{here}/ffmpeg.args'\ncase \"$*\" in *rawvideo*) {grey};; *ppm*) {ppm};; esac\n"
+            "#!/bin/sh\n[ \"$1\" = -version ] && exit 0\necho \"$@\" >>'{here}/ffmpeg.args'\ncase \"$*\" in *rawvideo*) {gray};; *ppm*) {ppm};; esac\n"
         )
     };
     let cats = text(&format!("cat '{here}/grey'"), &format!("cat '{here}/ppm'"));

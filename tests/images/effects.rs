@@ -135,14 +135,14 @@ fn what_is_not_asked_for_costs_nothing() {
     let (_, alone) = contents(&plan(&RenderRequest { rgb: false, alpha: true, ..color }));
     assert!(!has(&alone, "/colors"), "{alone:?}");
 
-    let specialised = [
+    let specialized = [
         RenderRequest { alpha: true, ..color },
         RenderRequest { depth: Some(Depth::Expected), ..color },
         RenderRequest { token_group: NonZeroU32::new(4), ..color },
         RenderRequest { background: [1.0; 3], ..color },
         RenderRequest { antialiased: true, ..color },
     ];
-    for request in specialised {
+    for request in specialized {
         let (its_kernels, mut its_tensors) = contents(&plan(&request));
         let frames = its_tensors.iter_mut().find(|(name, _)| name.ends_with("/frames")).unwrap();
         assert_eq!(frames.1, 4 * 64 * 64 * request.channels() as u64);

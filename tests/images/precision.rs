@@ -19,7 +19,7 @@ use zipsplat_tests::{
 fn reconstruct(golden: &Golden, config: &str, arithmetic: Arithmetic) -> Scene {
     let (ratio, prefix) = golden.compressions()[0].clone();
     let selection = Selection::Given(golden.u32(&format!("{prefix}/nearest_idx")));
-    let request = Request { ratio: Ratio::Fixed(ratio), selection, cameras: None, unit: 1.0, pool: 1 };
+    let request = Request { ratio: Ratio::Fixed(ratio), selection, cameras: None, scene_scale: 1.0, pool: 1 };
     let model = model(config, arithmetic);
     model.reconstruct(&images(golden), &request, |_| ControlFlow::Continue(())).unwrap().scene().unwrap()
 }

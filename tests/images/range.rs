@@ -79,9 +79,9 @@ fn needles(camera: &Camera, count: usize, distance: f64) -> Scene {
         let seen = size * DVec2::new((5.7 * turn).fract(), (3.1 * turn).fract());
         let slope = (seen + distance * along - DVec2::new(i.cx, i.cy)) / focal;
         // Projected from within 15 % of the picture.
-        let held = slope.clamp(-0.65 * size / focal, 0.65 * size / focal);
+        let clamped = slope.clamp(-0.65 * size / focal, 0.65 * size / focal);
         let towards = 0.4 * (n % 3) as f64 - 0.4;
-        let axis = (along / focal + towards * held).extend(towards);
+        let axis = (along / focal + towards * clamped).extend(towards);
         let rotation = DQuat::from_mat3(&camera.pose.rotation) * DQuat::from_rotation_arc(DVec3::X, axis.normalize());
         let [x, y, z, w] = (rotation * DQuat::from_rotation_x(turn)).as_quat().to_array();
         scene.means[n] = camera.pose.transform((depth * slope).extend(depth)).as_vec3().to_array();

@@ -161,8 +161,8 @@ fn several_cameras_are_as_each_alone() {
         moved(camera(90, 61), 0.0, -0.5),
         moved(camera(90, 61), 0.5, 3.0),
     ];
-    let together = render(&scene, &cameras, &ALL);
-    for (camera, frame) in cameras.iter().zip(&together) {
+    let batched = render(&scene, &cameras, &ALL);
+    for (camera, frame) in cameras.iter().zip(&batched) {
         assert_eq!(bits(&render(&scene, &[*camera], &ALL)), bits(std::slice::from_ref(frame)));
     }
 }
@@ -181,11 +181,11 @@ fn pictures_in_flight_are_as_each_alone() {
         })
         .collect();
     let expected: Vec<_> = cameras.iter().map(|camera| bits(&render(&scene, &[*camera], &ALL))).collect();
-    let staged = Device::open(&DeviceOptions { staged: true, ..DeviceOptions::default() }).unwrap();
+    let staged = Device::open(&DeviceOptions { force_staging: true, ..DeviceOptions::default() }).unwrap();
     for device in [device(), &staged] {
         // Capacity of one intersection: every plan overflows in flight.
-        for (capacity, together) in [(0, 1), (0, 8), (1, 1), (1, 8)] {
-            let mut renderer = Renderer::with_capacity(device, capacity).together(together);
+        for (capacity, batch_size) in [(0, 1), (0, 8), (1, 1), (1, 8)] {
+            let mut renderer = Renderer::with_capacity(device, capacity).batch_size(batch_size);
             renderer.load(&scene).unwrap();
             for _ in 0..2 {
                 let mut got = Vec::new();
@@ -195,7 +195,7 @@ fn pictures_in_flight_are_as_each_alone() {
                     Ok(())
                 };
                 renderer.render_each(&cameras, &ALL, gather).unwrap();
-                assert!(got == expected, "capacity {capacity}, {together} together");
+                assert!(got == expected, "capacity {capacity}, {batch_size} together");
             }
         }
     }

@@ -55,7 +55,7 @@ fn every_run_gives_the_same_bits() {
 
 #[test]
 fn staging_changes_no_bit() {
-    let staged = Device::open(&DeviceOptions { staged: true, ..DeviceOptions::default() }).unwrap();
+    let staged = Device::open(&DeviceOptions { force_staging: true, ..DeviceOptions::default() }).unwrap();
     let mapped = bits(&reconstruct(&model(device()), 2, 0.5));
     assert_same("through staging memory", &bits(&reconstruct(&model(&staged), 2, 0.5)), &mapped);
 }

@@ -17,7 +17,8 @@ fn a_plan_runs_in_its_peak_and_is_refused_below() {
     let images = [noise(70, 56, 1), noise(70, 56, 2)];
     let request = Request { ratio: Ratio::Fixed(0.5), ..Request::default() };
     let open = |bytes, staged| {
-        let options = DeviceOptions { max_memory_bytes: Some(bytes), staged, ..DeviceOptions::default() };
+        let options =
+            DeviceOptions { max_memory_bytes: Some(bytes), force_staging: staged, ..DeviceOptions::default() };
         Device::open(&options).unwrap()
     };
     let load = |device: &Device| Model::load(device, &micro(), |_| ControlFlow::Continue(()));

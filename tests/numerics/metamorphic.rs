@@ -87,8 +87,13 @@ fn every_token_is_what_no_clustering_gives() {
         for selection in
             [Selection::Given((0..tokens).collect()), Selection::KMEANS, Selection::Stride, Selection::Random(5)]
         {
-            let request =
-                Request { ratio: Ratio::Fixed(1.0), selection: selection.clone(), cameras: None, unit: 1.0, pool: 1 };
+            let request = Request {
+                ratio: Ratio::Fixed(1.0),
+                selection: selection.clone(),
+                cameras: None,
+                scene_scale: 1.0,
+                pool: 1,
+            };
             let given = mode.reconstruct(&images, &request);
             for ((field, truth), (_, got)) in fields(&all, 1, &[0]).iter().zip(fields(&given, 1, &[0])) {
                 assert_same(&format!("{selection:?} {field}"), &bits(&got), &bits(truth));

@@ -35,7 +35,7 @@ fn depth_is_that_of_brute_force_in_f64() {
             };
             for k in 0..30 {
                 let (x, y) = ((k * 37 + 11 * seed as u32) % 48, (k * 23 + 5 * view as u32) % 48);
-                let found = f64::from(capture.depths[view][(y * 48 + x) as usize]) * capture.metres;
+                let found = f64::from(capture.depths[view][(y * 48 + x) as usize]) * capture.meters;
                 let close = |z: f64| (found - z).abs() <= RELATIVE * z.max(1e-3);
                 let shifts = [(0.0, 0.0), (BESIDE, 0.0), (-BESIDE, 0.0), (0.0, BESIDE), (0.0, -BESIDE)];
                 let beside = shifts.map(|shift| truth(x, y, shift));

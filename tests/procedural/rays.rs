@@ -15,7 +15,7 @@ fn intersect(primitive: &Primitive, origin: DVec3, direction: DVec3) -> Option<f
     let axes = primitive.rotation;
     let world_from_local = DMat3::from_cols(axes.x_axis.as_dvec3(), axes.y_axis.as_dvec3(), axes.z_axis.as_dvec3());
     let local_from_world = world_from_local.inverse();
-    let (o, d) = (local_from_world * (origin - primitive.centre.as_dvec3()), local_from_world * direction);
+    let (o, d) = (local_from_world * (origin - primitive.center.as_dvec3()), local_from_world * direction);
     let candidates = match &primitive.shape {
         Shape::Box { half } => faces(o, d, half.as_dvec3()),
         Shape::Ellipsoid { radii } => {

@@ -10,7 +10,7 @@ use zipsplat_tests::{networks, scenes::camera};
 
 /// An own device, to count its memory.
 fn alone(staged: bool) -> (Device, Model) {
-    let device = Device::open(&DeviceOptions { staged, ..DeviceOptions::default() }).unwrap();
+    let device = Device::open(&DeviceOptions { force_staging: staged, ..DeviceOptions::default() }).unwrap();
     let model = networks::model_on(&device, "micro", Arithmetic::EXACT);
     (device, model)
 }
@@ -106,7 +106,7 @@ fn a_scene_that_somebody_has_stays_as_it_is() {
 fn pictures_are_drawn_from_the_devices_own_gaussians_in_the_networks_arena() {
     for staged in [false, true] {
         let (device, model) = alone(staged);
-        let request = Request { unit: 0.5, ..Request::default() };
+        let request = Request { scene_scale: 0.5, ..Request::default() };
         let made = reconstruct(&model, &photos(2), &request);
         let mut renderer = Renderer::new(&device);
         renderer.show(&made.gaussians).unwrap();

@@ -73,7 +73,7 @@ fn check(file: &str, arithmetic: Arithmetic) {
             ratio: Ratio::Fixed(ratio),
             selection: Selection::Given(given),
             cameras: cameras.clone(),
-            unit: 1.0,
+            scene_scale: 1.0,
             pool: 1,
         };
         let (taps, _) = observe(&model, &images, &request);
@@ -199,7 +199,7 @@ fn embedded() {
             let nearest = |key| Selection::Given(golden.i64(key).iter().map(|i| *i as u32).collect());
             let selection = if ratio < 1.0 { nearest(&key("nearest_idx")) } else { Selection::KMEANS };
             let request =
-                Request { ratio: Ratio::Fixed(ratio), selection, cameras: cameras.clone(), unit: 1.0, pool: 1 };
+                Request { ratio: Ratio::Fixed(ratio), selection, cameras: cameras.clone(), scene_scale: 1.0, pool: 1 };
             let found = model.reconstruct(&images, &request, |_| std::ops::ControlFlow::Continue(())).unwrap();
             let tolerance = |field: &str| {
                 let table = Tolerance::of_field(field);

@@ -9,7 +9,7 @@ use image::{DynamicImage, ImageFormat};
 use zipsplat::Error;
 use zipsplat::types::preprocess::{DEFAULT_SIZE, View, crop_to_aspect, fit};
 use zipsplat::types::resample::resize_lanczos;
-use zipsplat::types::{Camera, Image, Intrinsics, Pose, contact_sheet, square_count, squares};
+use zipsplat::types::{Camera, Image, Intrinsics, Pose, contact_sheet, tile_count, tiles};
 use zipsplat_cli::protocol::Filter;
 use zipsplat_tests::compare::assert_same;
 use zipsplat_tests::golden::{self, Golden};
@@ -106,8 +106,8 @@ fn bilinear_is_that_of_f64() {
     assert_eq!((image.width, image.height), (12, 8));
     let weights = |from: u32, to: u32, i: u32| -> Vec<f64> {
         let scale = f64::from(from) / f64::from(to);
-        let centre = (f64::from(i) + 0.5) * scale;
-        let weights = (0..from).map(|j| (1.0 - (f64::from(j) + 0.5 - centre).abs() / scale).max(0.0));
+        let center = (f64::from(i) + 0.5) * scale;
+        let weights = (0..from).map(|j| (1.0 - (f64::from(j) + 0.5 - center).abs() / scale).max(0.0));
         let total: f64 = weights.clone().sum();
         weights.map(|weight| weight / total).collect()
     };
@@ -181,8 +181,8 @@ fn squares_show_what_their_cameras_see() {
         let pixels = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
         let rgb = pixels.flat_map(|(x, y)| color(ray(&intrinsics, x, y)).map(|value| value.round() as u8)).collect();
         let photo = Image::new(width, height, rgb).unwrap();
-        let views = squares(&photo, &camera, 56, "camera").unwrap();
-        assert_eq!((views.len(), square_count(width, height)), (count, count));
+        let views = tiles(&photo, &camera, 56, "camera").unwrap();
+        assert_eq!((views.len(), tile_count(width, height)), (count, count));
         let mut seen = vec![false; (width * height) as usize];
         for (image, view) in &views {
             assert_eq!((view.intrinsics.cx, view.intrinsics.cy, view.intrinsics.width), (28.0, 28.0, 56));
@@ -205,11 +205,11 @@ fn squares_show_what_their_cameras_see() {
                 seen[(y * width + x) as usize] |= d.z > 0.0 && at.iter().all(|place| (0.0..56.0).contains(place));
             }
         }
-        let share = seen.iter().filter(|seen| **seen).count() as f64 / seen.len() as f64;
-        assert!(share > 0.95, "{share} of {width}x{height} is seen");
+        let seen_share = seen.iter().filter(|seen| **seen).count() as f64 / seen.len() as f64;
+        assert!(seen_share > 0.95, "{seen_share} of {width}x{height} is seen");
     }
     let (photo, wrong) = (noise(300, 200), Intrinsics::from_fov(200, 300, 1.0, 1.0));
-    let refused = squares(&photo, &Camera { intrinsics: wrong, pose }, 56, "camera 7");
+    let refused = tiles(&photo, &Camera { intrinsics: wrong, pose }, 56, "camera 7");
     assert!(matches!(refused, Err(Error::Argument { what, .. }) if what.contains("camera 7")));
 }
 
@@ -306,8 +306,8 @@ fn other_pixel_types_become_rgb8() {
         let opened = open(&encoded(&DynamicImage::ImageRgba8(alpha.clone()), format)).unwrap();
         assert_eq!(opened.rgb, [10, 20, 30, 40, 50, 60], "alpha is dropped, not blended");
     }
-    let grey = DynamicImage::ImageLuma8(image::GrayImage::from_vec(2, 1, vec![7, 250]).unwrap());
-    assert_eq!(open(&encoded(&grey, ImageFormat::Png)).unwrap().rgb, [7, 7, 7, 250, 250, 250]);
+    let gray = DynamicImage::ImageLuma8(image::GrayImage::from_vec(2, 1, vec![7, 250]).unwrap());
+    assert_eq!(open(&encoded(&gray, ImageFormat::Png)).unwrap().rgb, [7, 7, 7, 250, 250, 250]);
     let samples = vec![0x12ff, 0x1280, 0x127f, 0xff00, 0x00ff, 0xffff];
     let deep = DynamicImage::ImageRgb16(image::ImageBuffer::from_vec(2, 1, samples).unwrap());
     assert_eq!(open(&encoded(&deep, ImageFormat::Png)).unwrap().rgb, [0x12, 0x12, 0x12, 0xff, 0, 0xff]);

@@ -76,7 +76,7 @@ struct Pair {
 }
 
 /// The gradient is by the first picture.
-struct Found {
+struct LpipsResult {
     value: f32,
     layers: Vec<f32>,
     d_a: Vec<f32>,
@@ -101,7 +101,7 @@ impl Pair {
         read: impl Fn(&str, &mut [f32]),
         clipped: bool,
         weight: Option<f32>,
-    ) -> Found {
+    ) -> LpipsResult {
         let mut parameters = ParameterLayout::new(device().limits(), Arithmetic::EXACT);
         let stage = Lpips::new(&mut parameters, network, true);
         let read = |name: &str, out: &mut [f32]| {
@@ -121,7 +121,7 @@ impl Pair {
         run.write(d_a, &vec![if weight.is_some() { 0.0f32 } else { 1.0 }; self.a.len()]).unwrap();
         run.execute().unwrap();
         let value = run.read::<f32>(found.value).unwrap()[0];
-        Found { value, layers: run.read(found.layers).unwrap(), d_a: run.read(d_a).unwrap() }
+        LpipsResult { value, layers: run.read(found.layers).unwrap(), d_a: run.read(d_a).unwrap() }
     }
 }
 

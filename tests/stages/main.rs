@@ -2,16 +2,16 @@
 
 mod align;
 mod arena;
+mod camera_estimates;
 mod cameras;
 mod depth;
 mod depth_flops;
+mod depth_reference;
 mod depth_scene;
-mod depth_twin;
 mod depth_units;
 mod depth_weights;
 mod flops;
 mod forward;
-mod found_cameras;
 mod gradients;
 mod images;
 mod lpips;

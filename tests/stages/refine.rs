@@ -4,7 +4,7 @@ use glam::{DMat3, DQuat, DVec3};
 use std::ops::ControlFlow;
 use zipsplat::gpu::Arena;
 use zipsplat::perceptual::Perceptual;
-use zipsplat::refine::{Look, Rates, Refine, Refined, Refining, Stopped, refine_scene};
+use zipsplat::refine::{PerceptualLoss, Rates, Refine, Refined, Refining, Stopped, refine_scene};
 use zipsplat::stages::lpips::LpipsNetwork;
 use zipsplat::stages::render::{Frame, RenderRequest, Renderer};
 use zipsplat::types::{Camera, Image, Pose, Scene};
@@ -67,15 +67,15 @@ fn moved_gaussians_find_back_and_always_alike() {
 fn photos_of_a_step_together_are_as_one_after_the_other() {
     let cameras = cameras(6);
     let (scene, photos) = photos(&cameras);
-    let with = |together: usize| {
-        let request = Refine { steps: 8, views_per_step: 5, together: Some(together), ..Refine::default() };
+    let with = |batch_size: usize| {
+        let request = Refine { steps: 8, views_per_step: 5, batch_size: Some(batch_size), ..Refine::default() };
         refine(&moved(&scene), &photos, &cameras, &request)
     };
-    let (alone, together) = (with(1), with(3));
-    assert_eq!(alone.losses[0], together.losses[0]);
+    let (alone, batched) = (with(1), with(3));
+    assert_eq!(alone.losses[0], batched.losses[0]);
     // Batches sum in another order.
-    for (alone, together) in alone.losses.iter().zip(&together.losses) {
-        assert!((alone - together).abs() < 1e-3 * alone, "{alone} and {together}");
+    for (alone, batched) in alone.losses.iter().zip(&batched.losses) {
+        assert!((alone - batched).abs() < 1e-3 * alone, "{alone} and {batched}");
     }
 }
 
@@ -149,13 +149,13 @@ fn what_cannot_be_refined_is_refused() {
     assert!(error(&scene, 2, &Refine { hold_out: Some(2), ..Refine::default() }).contains("held-out"));
 }
 
-/// By a degree and 1 % of the scene's distance of about 3.5, except the first and `held`.
-fn disturbed(cameras: &[Camera], held: usize) -> Vec<Camera> {
+/// By a degree and 1 % of the scene's distance of about 3.5, except the first and `held_out`.
+fn disturbed(cameras: &[Camera], held_out: usize) -> Vec<Camera> {
     let disturb = |(i, camera): (usize, &Camera)| {
         let direction = |k: f64| DVec3::new((k * 2.4).sin(), (k * 1.7).cos(), (k * 0.9).sin()).normalize();
         let rotation = DMat3::from_axis_angle(direction(i as f64), 1f64.to_radians());
         let movement = Pose { rotation, translation: 0.035 * direction(i as f64 + 0.5) };
-        let stays = i == 0 || i == held;
+        let stays = i == 0 || i == held_out;
         Camera { pose: if stays { camera.pose } else { camera.pose.compose(&movement) }, ..*camera }
     };
     cameras.iter().enumerate().map(disturb).collect()
@@ -240,16 +240,18 @@ fn lpips_is_a_share_of_the_loss_where_asked() {
     let Rates { means, scales, sh_coeffs, .. } = Rates::default();
     let rates = Rates { means: 0.02 * means, scales: 0.02 * scales, sh_coeffs: 0.02 * sh_coeffs, ..Rates::default() };
     let rates = Rates { quats: 0.0, opacities: 0.0, ..rates };
-    let with = |look: Option<Look>, steps: usize| {
-        let request = Refine { steps, look, rates, views_per_step: 3, together: Some(3), ..Refine::default() };
+    let with = |perceptual_loss: Option<PerceptualLoss>, steps: usize| {
+        let request =
+            Refine { steps, perceptual_loss, rates, views_per_step: 3, batch_size: Some(3), ..Refine::default() };
         refine(&start, &photos, &cameras, &request)
     };
-    let look = |weight: f32| Some(Look { weight, network });
-    let [plain, looked] = [with(None, 1), with(look(0.5), 1)].map(|refined| f64::from(refined.losses[0]));
+    let perceptual_loss = |weight: f32| Some(PerceptualLoss { weight, network });
+    let [plain, looked] = [with(None, 1), with(perceptual_loss(0.5), 1)].map(|refined| f64::from(refined.losses[0]));
     let expected = plain + 0.5 * distance(&start);
     assert!((looked - expected).abs() < 1e-4 * expected, "{looked}, expected {expected}");
     // The first step follows signs alone: only the term's own gradient reduces it this much.
-    let [plain, looked] = [None, look(1e3)].map(|look| distance(&start) - distance(&with(look, 1).scene));
+    let [plain, looked] = [None, perceptual_loss(1e3)]
+        .map(|perceptual_loss| distance(&start) - distance(&with(perceptual_loss, 1).scene));
     assert!(looked > 0.0 && looked > 1.05 * plain, "nearer by {looked} with, {plain} without");
-    assert_eq!(with(look(0.0), 3).losses, with(None, 3).losses, "a share of 0 changes nothing");
+    assert_eq!(with(perceptual_loss(0.0), 3).losses, with(None, 3).losses, "a share of 0 changes nothing");
 }

@@ -37,8 +37,8 @@ fn network() -> (Model, FrozenHead) {
     (model, head)
 }
 
-fn tokens(model: &Model, unit: f64) -> SceneTokens {
-    let request = Request { unit, ..Request::default() };
+fn tokens(model: &Model, scene_scale: f64) -> SceneTokens {
+    let request = Request { scene_scale, ..Request::default() };
     let features = model.features(&photos().0, &request, |_| ControlFlow::Continue(())).unwrap();
     model.tokens(&features, &request, |_| ControlFlow::Continue(())).unwrap()
 }
@@ -52,11 +52,11 @@ fn refine(head: &FrozenHead, tokens: &SceneTokens, request: &Refine) -> Refined 
 #[test]
 fn tokens_become_the_photos() {
     let (model, head) = network();
-    for unit in [1.0, 0.5] {
-        let tokens = tokens(&model, unit);
+    for scene_scale in [1.0, 0.5] {
+        let tokens = tokens(&model, scene_scale);
         // Up to the order of sums.
         let none = refine(&head, &tokens, &Refine { steps: 0, ..Refine::default() });
-        let request = Request { unit, ..Request::default() };
+        let request = Request { scene_scale, ..Request::default() };
         let made = model.reconstruct(&photos().0, &request, |_| ControlFlow::Continue(())).unwrap().scene().unwrap();
         let close = |a: &[f32; 3], b: &[f32; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-4 * (1.0 + b.abs()));
         assert!(none.scene.means.iter().zip(&made.means).all(|(a, b)| close(a, b)));

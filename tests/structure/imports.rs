@@ -63,10 +63,10 @@ fn problem(own: &[&str], path: &[String], stages: &[String]) -> Option<String> {
     }
     let named = if named.starts_with(char::is_uppercase) { "error" } else { named };
     let place = |name: &str| LAYERS.iter().position(|layer| *layer == name);
-    let (Some(mine), Some(theirs)) = (place(layer), place(named)) else {
+    let (Some(own_place), Some(other)) = (place(layer), place(named)) else {
         return Some(format!("{layer} or {named} is no layer that this test knows"));
     };
-    if theirs > mine {
+    if other > own_place {
         return Some(format!("{layer} stands before {named}"));
     }
     let other = path.get(1).filter(|stage| layer == "stages" && named == "stages" && stages.contains(stage))?;

@@ -14,14 +14,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools" / "train"))
 import torch
 from safetensors.torch import load_file
 
-import rasterise_numba
-import rasterise_triton
-from rasterise import blend_plain, rasterise
+import rasterize_numba
+import rasterize_triton
+from rasterize import blend_plain, rasterize
 
 IMPLEMENTATIONS = {
     "plain": (blend_plain, torch.float64, 1e-6, 1e-5),
-    "numba": (rasterise_numba.blend, torch.float32, 1e-5, 1e-4),
-    "triton": (rasterise_triton.blend, torch.float32, 1e-5, 1e-4),
+    "numba": (rasterize_numba.blend, torch.float32, 1e-5, 1e-4),
+    "triton": (rasterize_triton.blend, torch.float32, 1e-5, 1e-4),
 }
 
 
@@ -55,7 +55,7 @@ def main(folder):
         degree = int(golden["sh"].shape[1] ** 0.5) - 1
         stable = golden["v153/classic/unstable"] == 0
         for name, (blend, dtype, limit, _) in IMPLEMENTATIONS.items():
-            view = rasterise(packed(golden, dtype), *cameras(golden, dtype), degree, blend)
+            view = rasterize(packed(golden, dtype), *cameras(golden, dtype), degree, blend)
             for plane in ("rgb", "alpha"):
                 expect(
                     f"{scene} {name} {plane}",
@@ -71,7 +71,7 @@ def main(folder):
                       + [grads["classic/D/d_opacities"][:, None], grads["classic/D/d_sh"].flatten(1)], 1)  # fmt: skip
     for name, (blend, dtype, _, limit) in IMPLEMENTATIONS.items():
         gaussians = packed(golden, dtype).requires_grad_()
-        view = rasterise(gaussians, *cameras(golden, dtype), 1, blend)
+        view = rasterize(gaussians, *cameras(golden, dtype), 1, blend)
         loss = (grads["w_rgb"] * view.rgb).sum() + (grads["v_depth"] * view.depth).sum()
         (loss + (grads["u_alpha"] * view.alpha).sum()).backward()
         # Relative to each parameter's gradient.
@@ -80,7 +80,7 @@ def main(folder):
             expect(f"gradient {name} {kind}", worst(found, exact) / exact.square().mean().sqrt().item(), limit)
 
     sh2000 = load_file(Path(folder) / "raster.sh2000.safetensors")
-    views = {name: rasterise(packed(sh2000, dtype), *cameras(sh2000, dtype), 1, blend)
+    views = {name: rasterize(packed(sh2000, dtype), *cameras(sh2000, dtype), 1, blend)
              for name, (blend, dtype, *_) in IMPLEMENTATIONS.items() if name != "triton"}  # fmt: skip
     differ = (views["numba"].reached != views["plain"].reached).float().mean().item()
     expect("sh2000 numba reached", differ, 1e-3)

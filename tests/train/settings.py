@@ -21,9 +21,9 @@ import backbone
 import losses
 from check import paper
 from data import batch
-from initialise import initialise
+from initialize import initialize
 from model import ZipSplat
-from optimiser import Optimiser
+from optimizer import Optimizer
 from schedule import Schedule, read_config, validate
 from weights import seeded
 
@@ -64,7 +64,7 @@ def gaussians_of_a_token_start_together_where_they_are_coupled():
     data, spreads = scenes((2, 2)), []
     for coupled in (True, False):
         torch.manual_seed(0)
-        model = initialise(small(), (2, 2), coupled=coupled)
+        model = initialize(small(), (2, 2), coupled=coupled)
         with torch.no_grad():
             means = model(data.images)[0][..., :3].unflatten(1, (-1, 4))
         spreads.append((means - means.mean(2, keepdim=True)).norm(dim=-1).mean().item())
@@ -73,7 +73,7 @@ def gaussians_of_a_token_start_together_where_they_are_coupled():
 
 def opacity_and_place_are_where_the_settings_say():
     for opacity, depth in ((-1.5, 0.9), (0.0, 0.0)):
-        model = initialise(small(), (2, 2), opacity=opacity, depth=depth)
+        model = initialize(small(), (2, 2), opacity=opacity, depth=depth)
         with torch.no_grad():
             packed = model(scenes((2, 2)).images)[0]
         found = packed[..., 10].median().logit().item(), packed[..., 2].median().item()
@@ -82,7 +82,7 @@ def opacity_and_place_are_where_the_settings_say():
 
 def each_number_of_gaussians_has_its_cells():
     for per_token, cells in ((8, (2, 4)), (16, (4, 4)), (32, (4, 8)), (64, (8, 8)), (8, (2, 2))):
-        data, model = scenes(cells), initialise(small(per_token), cells, jitter=0.0)
+        data, model = scenes(cells), initialize(small(per_token), cells, jitter=0.0)
         gaussians, tokens = model(data.images)
         given = torch.ones(2) > 0
         _, parts = losses.total(gaussians, tokens, None, given, data, POCKET["losses"])
@@ -91,7 +91,7 @@ def each_number_of_gaussians_has_its_cells():
 
 
 def learned_queries_are_as_many_whatever_the_scene():
-    model = initialise(small(queries=7), (2, 2))
+    model = initialize(small(queries=7), (2, 2))
     for views in (1, 3):
         gaussians, tokens = model(torch.rand(2, views, 3, 42, 42), ratio=0.5)
         assert gaussians.shape[:2] == (2, 7 * 4) and tokens is None
@@ -106,19 +106,19 @@ def the_backbone_has_a_rate_of_its_own():
     moved = {}
     for rate in (0.0, 0.1, 1.0):
         torch.manual_seed(0)
-        model = initialise(small(), (2, 2))
+        model = initialize(small(), (2, 2))
         before = copy.deepcopy(model.state_dict())
-        optimiser = Optimiser(model, 0.05, 0, 1, rate)
+        optimizer = Optimizer(model, 0.05, 0, 1, rate)
         model(torch.rand(1, 2, 3, 42, 42), priors=(torch.eye(4).expand(1, 2, 4, 4), torch.full((1, 2, 4), 40.0)))[0].sum().backward()
         for p in model.parameters():
             p.grad = torch.zeros_like(p) if p.grad is None else p.grad
-        optimiser.step(1e-3, 1.0)
+        optimizer.step(1e-3, 1.0)
         change = {name: (p - before[name]).abs().max().item() for name, p in model.state_dict().items()}
         moved[rate] = [change[f"{name}.attn.qkv.weight" if "blocks" in name else name] for name in
                        ("backbone.backbone.blocks.1", "backbone.backbone.blocks.0", "gaussian_head.gaussian_head.1.weight")]  # fmt: skip
     assert moved[0.0][0] == moved[0.0][1] == 0 < moved[0.0][2] == moved[1.0][2], moved
     assert abs(moved[0.1][0] / moved[1.0][0] - 0.1) < 0.01, moved
-    assert Optimiser(model, 0.05, 0, 1, muon=False).muon is None
+    assert Optimizer(model, 0.05, 0, 1, muon=False).muon is None
 
 
 def a_released_backbone_sees_what_its_own_network_sees():

@@ -18,14 +18,14 @@ from depth import DepthAnything3, architecture_from_json
 def timed(work, device):
     """Returns the result of `work` and its milliseconds."""
 
-    def synchronise():
+    def synchronize():
         if device == "cuda":
             torch.cuda.synchronize()
 
-    synchronise()
+    synchronize()
     started = time.perf_counter()
     made = work()
-    synchronise()
+    synchronize()
     return made, 1e3 * (time.perf_counter() - started)
 
 

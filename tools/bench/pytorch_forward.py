@@ -30,16 +30,16 @@ def precisions(device, chosen):
 
 
 def measure(forward, device, warmup, repeats):
-    def synchronise():
+    def synchronize():
         if device == "cuda":
             torch.cuda.synchronize()
 
     times = []
     for run in range(warmup + repeats):
-        synchronise()
+        synchronize()
         started = time.perf_counter()
         forward()
-        synchronise()
+        synchronize()
         if run >= warmup:
             times.append(1e3 * (time.perf_counter() - started))
     return times

@@ -1,4 +1,4 @@
-"""Times refinement in PyTorch (tools/train/rasterise.py), for `zipsplat bench refine --pytorch`.
+"""Times refinement in PyTorch (tools/train/rasterize.py), for `zipsplat bench refine --pytorch`.
 
     pytorch_refine.py SCENE.ply WIDTH HEIGHT PHOTOS WARMUP REPEATS
 
@@ -25,7 +25,7 @@ if len(sys.argv) == 1:
 
 import torch.nn.functional as F
 
-from rasterise import rasterise
+from rasterize import rasterize
 from scene import read_ply
 
 path = sys.argv[1]
@@ -61,7 +61,7 @@ def dssim(a, b):
 def pictures():
     means, scales, quats, opacities, sh = parameters
     packed = torch.cat([means, scales.exp(), quats, opacities.sigmoid(), sh.flatten(1)], 1)[None]
-    return rasterise(packed, views, intrinsics, (height, width), degree).rgb[0].movedim(-1, 1)
+    return rasterize(packed, views, intrinsics, (height, width), degree).rgb[0].movedim(-1, 1)
 
 
 @torch.no_grad()

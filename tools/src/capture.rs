@@ -22,7 +22,7 @@ use zipsplat::{
     stages::render::{RenderRequest, Renderer},
     types::{
         Camera, Image, PointCloud, Pose,
-        poses::{Frame, Poses, Unit, read_cloud, read_poses},
+        poses::{Frame, Poses, SceneScale, read_cloud, read_poses},
         resample::resize_lanczos,
     },
 };
@@ -40,7 +40,7 @@ pub struct Capture {
     pub inputs: Vec<Posed>,
     pub targets: Vec<Posed>,
     /// Divisor of the cameras' lengths.
-    pub unit: Unit,
+    pub scene_scale: SceneScale,
 }
 
 pub struct Posed {
@@ -77,8 +77,8 @@ impl Choice {
             let found = format!("{}{why}", found.len());
             return Err(Error::argument(format!("photos with cameras in {}", folder.display()), found, expected));
         }
-        let centres: Vec<DVec3> = found.iter().map(|i| poses.frames[*i].camera.pose.translation).collect();
-        let chosen = farthest_points(&centres, views);
+        let centers: Vec<DVec3> = found.iter().map(|i| poses.frames[*i].camera.pose.translation).collect();
+        let chosen = farthest_points(&centers, views);
         let others: Vec<usize> = (0..found.len()).filter(|i| !chosen.contains(i)).collect();
         let count = targets.map_or(others.len(), |targets| others.len().min(targets));
         let targets = (0..count).map(|i| found[others[i * others.len() / count]]).collect();
@@ -98,7 +98,7 @@ impl Choice {
 
     /// Perturbs all inputs but the first: rotates by degrees, moves by percent of the unit, in
     /// pseudorandom directions.
-    pub fn disturb(&mut self, degrees: f64, unit: Option<f64>) -> Result<()> {
+    pub fn disturb(&mut self, degrees: f64, scene_scale: Option<f64>) -> Result<()> {
         if degrees == 0.0 {
             return Ok(());
         }
@@ -108,10 +108,10 @@ impl Choice {
             ..self.poses.frames[*i].camera
         };
         let views: Vec<Camera> = self.inputs.iter().map(camera).collect();
-        let unit = self.poses.unit(unit, &views, &origin)?.length;
+        let scene_scale = self.poses.scene_scale(scene_scale, &views, &origin)?.length;
         for (k, i) in self.inputs.iter().enumerate().skip(1) {
             let rotation = DMat3::from_axis_angle(spread(2 * k), degrees.to_radians());
-            let movement = Pose { rotation, translation: degrees / 100.0 * unit * spread(2 * k + 1) };
+            let movement = Pose { rotation, translation: degrees / 100.0 * scene_scale * spread(2 * k + 1) };
             let pose = &mut self.poses.frames[*i].camera.pose;
             *pose = pose.compose(&movement);
         }
@@ -153,14 +153,14 @@ impl Choice {
     }
 
     /// Maps to the first input's world and a unit.
-    pub fn points(&self, unit: &Unit) -> Result<Option<PointCloud>> {
+    pub fn points(&self, scene_scale: &SceneScale) -> Result<Option<PointCloud>> {
         let to_world = self.poses.frames[self.inputs[0]].camera.pose.inverse();
         let cloud = self.poses.points.as_ref().map(read_cloud).transpose()?;
-        Ok(cloud.map(|cloud| placed(cloud, &to_world, unit.length)))
+        Ok(cloud.map(|cloud| placed(cloud, &to_world, scene_scale.length)))
     }
 
-    /// `unit` is the length in the cameras' unit that becomes 1, by default [`Unit::of`].
-    pub fn load(&self, seeing: Seeing, unit: Option<f64>, stage: &Stage<'_>) -> Result<Capture> {
+    /// `scene_scale` is the length in the cameras' unit that becomes 1, by default [`SceneScale::of`].
+    pub fn load(&self, seeing: Seeing, scene_scale: Option<f64>, stage: &Stage<'_>) -> Result<Capture> {
         let frames: Vec<&Frame> = self.frames().collect();
         let paths: Vec<PathBuf> = frames.iter().filter_map(|frame| frame.photo.clone()).collect();
         let (world, count) = (frames[0].camera.pose, self.inputs.len());
@@ -177,17 +177,17 @@ impl Choice {
             seen.extend(of_input);
         }
         let mut views = Views::new(seeing.fit, seen.into_iter(), &world, &sizes[..count], seeing.size);
-        let unit = self.poses.unit(unit, &views.cameras, &world)?;
+        let scene_scale = self.poses.scene_scale(scene_scale, &views.cameras, &world)?;
         let cameras = views.cameras.iter_mut().chain(inputs.iter_mut().map(|photo| &mut photo.camera));
-        cameras.for_each(|camera| camera.pose.translation /= unit.length);
+        cameras.for_each(|camera| camera.pose.translation /= scene_scale.length);
         let targets = inputs.split_off(count);
-        Ok(Capture { views, inputs, targets, unit })
+        Ok(Capture { views, inputs, targets, scene_scale })
     }
 }
 
 impl Capture {
     pub fn notes(&self) -> impl Iterator<Item = String> {
-        self.views.note.clone().into_iter().chain(self.unit.doubt())
+        self.views.note.clone().into_iter().chain(self.scene_scale.doubt())
     }
 
     pub fn images(&self) -> Vec<Image> {
@@ -199,7 +199,7 @@ impl Capture {
     }
 
     /// Returns training views at the compared size.
-    pub fn learnt(&self) -> (Vec<Image>, Vec<Camera>) {
+    pub fn training_views(&self) -> (Vec<Image>, Vec<Camera>) {
         self.inputs.iter().map(|input| (input.image.clone(), input.camera)).unzip()
     }
 
@@ -214,7 +214,7 @@ impl Capture {
         self.targets.par_iter().zip(drawn).map(|(view, drawn)| self.score(view, drawn)).collect()
     }
 
-    pub fn look(&self, scores: &mut [Score], drawn: &[Vec<f32>], lpips: &mut Perceptual) -> Result<()> {
+    pub fn score_lpips(&self, scores: &mut [Score], drawn: &[Vec<f32>], lpips: &mut Perceptual) -> Result<()> {
         for ((score, drawn), view) in scores.iter_mut().zip(drawn).zip(&self.targets) {
             let size = [view.image.width, view.image.height];
             score.lpips = distance(Some(lpips), [drawn, &values(&view.image)], size)?;

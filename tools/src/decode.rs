@@ -39,7 +39,7 @@ pub fn decode<T: Send + 'static>(
     command.args(["-nostdin", "-loglevel", "error"]).args(input(file)).args(options).arg("-");
     command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
     let mut running = Running::start(&mut command).map_err(failed)?;
-    let said = running.0.stderr.take().map(listen);
+    let messages = running.0.stderr.take().map(listen);
     let Some(stdout) = running.0.stdout.take() else { return Ok(String::new()) };
     let (send, items) = channel();
     std::thread::spawn(move || {
@@ -62,13 +62,15 @@ pub fn decode<T: Send + 'static>(
         stage.check()?;
     }
     let status = running.wait(ffmpeg.as_os_str(), stage)?;
-    let said = words(&said.and_then(|said| said.join().ok()).unwrap_or_default(), file);
+    let messages = words(&messages.and_then(|messages| messages.join().ok()).unwrap_or_default(), file);
     match broken {
-        None if status.success() => Ok(said),
+        None if status.success() => Ok(messages),
         // Killed.
-        _ if said.is_empty() => Err(failure(ffmpeg, "", broken.map_or(status.to_string(), |e| e.to_string()))),
-        _ if said.contains("matches no streams") => Err(Error::format(file, None, "ffmpeg finds no pictures in it")),
-        _ => Err(Error::format(file, None, format!("ffmpeg cannot read it: {said}"))),
+        _ if messages.is_empty() => Err(failure(ffmpeg, "", broken.map_or(status.to_string(), |e| e.to_string()))),
+        _ if messages.contains("matches no streams") => {
+            Err(Error::format(file, None, "ffmpeg finds no pictures in it"))
+        }
+        _ => Err(Error::format(file, None, format!("ffmpeg cannot read it: {messages}"))),
     }
 }
 
@@ -82,10 +84,10 @@ pub fn input(file: &Path) -> impl Iterator<Item = OsString> {
 }
 
 /// Returns distinct messages without ffmpeg's memory addresses.
-fn words(said: &str, file: &Path) -> String {
+fn words(messages: &str, file: &Path) -> String {
     let name = format!("file:{}: ", file.display());
     let mut lines: Vec<&str> = Vec::new();
-    for line in said.lines() {
+    for line in messages.lines() {
         let line = line.split_once("] ").filter(|(who, _)| who.starts_with('[')).map_or(line, |(_, line)| line).trim();
         let line = line.strip_prefix(&name).unwrap_or(line);
         if !line.is_empty() && !lines.contains(&line) {
@@ -148,9 +150,9 @@ mod tests {
 
     #[test]
     fn words_are_of_the_file_and_few() {
-        let said = "[mov,mp4 @ 0x55] moov atom not found\nfile:a b.mp4: Invalid data\n\n";
-        assert_eq!(words(said, Path::new("a b.mp4")), "moov atom not found; Invalid data");
-        let said = "[h264 @ 0x1] error 1\n[h264 @ 0x2] error 1\nerror 2\nerror 3\nerror 4\n";
-        assert_eq!(words(said, Path::new("a")), "error 1; error 2; error 3; ...");
+        let messages = "[mov,mp4 @ 0x55] moov atom not found\nfile:a b.mp4: Invalid data\n\n";
+        assert_eq!(words(messages, Path::new("a b.mp4")), "moov atom not found; Invalid data");
+        let messages = "[h264 @ 0x1] error 1\n[h264 @ 0x2] error 1\nerror 2\nerror 3\nerror 4\n";
+        assert_eq!(words(messages, Path::new("a")), "error 1; error 2; error 3; ...");
     }
 }

@@ -58,7 +58,7 @@ enum FocalLengths {
     Own,
 }
 
-pub struct Question<'a> {
+pub struct PredictorOptions<'a> {
     pub checkpoint: &'a DepthCheckpoint,
     /// Longer side of the network's input [default: Depth Anything 3's own].
     pub side: Option<u32>,
@@ -68,8 +68,8 @@ pub struct Question<'a> {
 }
 
 impl Quality {
-    pub fn question<'a>(&'a self, checkpoint: &'a DepthCheckpoint) -> Question<'a> {
-        Question {
+    pub fn predictor_options<'a>(&'a self, checkpoint: &'a DepthCheckpoint) -> PredictorOptions<'a> {
+        PredictorOptions {
             checkpoint,
             side: self.side(),
             cameras: CamerasFrom::default(),
@@ -101,7 +101,7 @@ pub fn check_finds_cameras(network: &DepthArchitecture) -> Result<()> {
 }
 
 /// Photos with a network's results.
-pub struct Seen {
+pub struct PredictedViews {
     /// Photos with a camera, or all if the network estimates none.
     pub photos: Vec<PathBuf>,
     /// Network input.
@@ -117,7 +117,7 @@ pub struct Seen {
     pub times: Vec<(&'static str, Duration)>,
 }
 
-pub struct Seer {
+pub struct DepthPredictor {
     model: DepthModel,
     precision: Precision,
     side: Option<u32>,
@@ -128,40 +128,41 @@ pub struct Seer {
 
 /// Photos prepared for a network.
 #[derive(Clone)]
-pub struct Shown {
+pub struct PreparedPhotos {
     photos: Vec<PathBuf>,
     views: Vec<View>,
-    told: Option<Vec<Camera>>,
+    known_cameras: Option<Vec<Camera>>,
 }
 
-impl Question<'_> {
+impl PredictorOptions<'_> {
     /// Multi-view networks take the cameras of `known` frames as input, in their unit of length.
-    pub fn ask(self, session: &mut Session<'_>, photos: &[PathBuf], known: &[&Frame]) -> Result<Seen> {
-        let (shown, reading) = session.stage("load photos", |stage| Shown::read(self.side, photos, known, stage))?;
+    pub fn ask(self, session: &mut Session<'_>, photos: &[PathBuf], known: &[&Frame]) -> Result<PredictedViews> {
+        let (prepared, reading) =
+            session.stage("load photos", |stage| PreparedPhotos::read(self.side, photos, known, stage))?;
         let device = session.device()?;
-        let seer = self.open(session, &device)?;
-        let (mut seen, _) = session.stage("depth", |stage| seer.see(shown, stage))?;
-        session.notes(&seen.notes);
-        seen.times.insert(0, ("load photos", reading));
-        Ok(seen)
+        let predictor = self.open(session, &device)?;
+        let (mut predicted, _) = session.stage("depth", |stage| predictor.predict(prepared, stage))?;
+        session.notes(&predicted.notes);
+        predicted.times.insert(0, ("load photos", reading));
+        Ok(predicted)
     }
 
-    pub fn open(self, session: &mut Session<'_>, device: &Device) -> Result<Seer> {
+    pub fn open(self, session: &mut Session<'_>, device: &Device) -> Result<DepthPredictor> {
         let Self { checkpoint, side, cameras, arithmetic, request } = self;
         let (precision, arithmetic) = arithmetic.choose(session, device)?;
         let load = |stage: &Stage<'_>| DepthModel::load(device, checkpoint, arithmetic, |done| stage.at(done));
         let (model, loading) = session.stage("load weights", load)?;
-        Ok(Seer { model, precision, side, cameras, request, loading })
+        Ok(DepthPredictor { model, precision, side, cameras, request, loading })
     }
 }
 
-impl Shown {
+impl PreparedPhotos {
     /// `side` is the longer side; `known` frames have cameras.
     pub fn read(side: Option<u32>, photos: &[PathBuf], known: &[&Frame], stage: &Stage<'_>) -> Result<Self> {
         let read = photos::read(photos, known, stage, |_, photo| Ok(photo))?;
         let views = bounded_views(&read, side.unwrap_or(DEFAULT_BOUND))?;
-        let told = (!known.is_empty()).then(|| of_views(known, &views)).transpose()?;
-        Ok(Self { photos: photos.to_vec(), views, told })
+        let known_cameras = (!known.is_empty()).then(|| of_views(known, &views)).transpose()?;
+        Ok(Self { photos: photos.to_vec(), views, known_cameras })
     }
 
     /// Of all photos, of `side` pixels.
@@ -171,9 +172,9 @@ impl Shown {
     }
 }
 
-impl Seer {
-    pub fn show(&self, photos: &[PathBuf], known: &[&Frame], stage: &Stage<'_>) -> Result<Shown> {
-        Shown::read(self.side, photos, known, stage)
+impl DepthPredictor {
+    pub fn prepare(&self, photos: &[PathBuf], known: &[&Frame], stage: &Stage<'_>) -> Result<PreparedPhotos> {
+        PreparedPhotos::read(self.side, photos, known, stage)
     }
 
     /// Share of patches in the scene.
@@ -185,37 +186,37 @@ impl Seer {
         self.precision
     }
 
-    pub fn see(&self, shown: Shown, stage: &Stage<'_>) -> Result<Seen> {
-        let (Shown { photos, views, told }, begun) = (shown, Instant::now());
+    pub fn predict(&self, prepared: PreparedPhotos, stage: &Stage<'_>) -> Result<PredictedViews> {
+        let (PreparedPhotos { photos, views, known_cameras }, begun) = (prepared, Instant::now());
         let images: Vec<Image> = views.iter().map(|view| view.image.clone()).collect();
         // Single-view networks ignore cameras.
         let multi_view = self.model.architecture().multi_view();
-        let request = DepthRequest { cameras: told.clone().filter(|_| multi_view), ..self.request.clone() };
+        let request = DepthRequest { cameras: known_cameras.clone().filter(|_| multi_view), ..self.request.clone() };
         let mut depths = self.model.depths(&images, &request, |progress: Progress<'_>| {
             stage.name(progress.scope);
             stage.at(progress.fraction)
         })?;
         let seeing = begun.elapsed();
         let brought = request.cameras.as_ref().map_or(Ok(()), |cameras| depths.bring_to(cameras));
-        let mut seen = Seen {
+        let mut predicted = PredictedViews {
             photos,
             views,
             depths,
-            cameras: told,
+            cameras: known_cameras,
             lost: Vec::new(),
             notes: brought.err().iter().map(|error| format!("lengths stay in the network's unit: {error}")).collect(),
             network: self.model.architecture().name.clone(),
             precision: self.precision,
             times: vec![("load weights", self.loading), ("depth", seeing)],
         };
-        if seen.cameras.is_none() && multi_view {
-            seen.find_cameras(self.cameras)?;
+        if predicted.cameras.is_none() && multi_view {
+            predicted.find_cameras(self.cameras)?;
         }
-        Ok(seen)
+        Ok(predicted)
     }
 }
 
-impl Seen {
+impl PredictedViews {
     fn find_cameras(&mut self, CamerasFrom { by, focal_lengths }: CamerasFrom) -> Result<()> {
         let found: Vec<Result<Camera>> = match by {
             By::Decoder => self.depths.cameras()?.into_iter().map(Ok).collect(),
@@ -241,13 +242,13 @@ impl Seen {
 
     /// Scales single-view depth to meters of a metric head, or to `points` beside the cameras, by
     /// those visible in each photo. Multi-view depth stays.
-    pub fn scale(&mut self, metres: bool, points: Option<&Path>) -> Result<()> {
+    pub fn scale(&mut self, metric: bool, points: Option<&Path>) -> Result<()> {
         let (network, Some(cameras)) = (&self.network, &self.cameras) else { return Ok(()) };
         if self.depths.views.iter().all(|view| view.sky.is_none()) {
-            return refuse("--metres", metres, network, "a network that sees each photo by itself");
+            return refuse("--metres", metric, network, "a network that sees each photo by itself");
         }
-        if metres {
-            self.depths.to_metres(cameras);
+        if metric {
+            self.depths.to_meters(cameras);
             return Ok(());
         }
         let lacks = |found: String| {

@@ -51,11 +51,11 @@ fn read(ffmpeg: &Path, picture: &Path, stage: &Stage<'_>) -> Result<Image> {
     }
     let mut image = None;
     let options = [&["-frames:v", "1"], &AS_PPM[..]].concat();
-    let said = decode(ffmpeg, picture, &options, stage, read_ppm, |read| {
+    let messages = decode(ffmpeg, picture, &options, stage, read_ppm, |read| {
         image = Some(read);
         Ok(())
     })?;
-    image.ok_or_else(|| Error::format(picture, None, format!("ffmpeg gives no picture: {said}")))
+    image.ok_or_else(|| Error::format(picture, None, format!("ffmpeg gives no picture: {messages}")))
 }
 
 /// Adds the conversion command.

@@ -324,8 +324,8 @@ pub fn cropping(photos: &[[u32; 2]], Size(width, height): Size) -> Option<String
         area(rect.width, rect.height)
     };
     let all: f64 = photos.iter().map(|[w, h]| area(*w, *h)).sum();
-    let share = 1.0 - photos.iter().map(kept).sum::<f64>() / all;
-    (share > CROPPED).then(|| format!("{:.0} % of the photos' area is cropped away", 100.0 * share))
+    let cropped_share = 1.0 - photos.iter().map(kept).sum::<f64>() / all;
+    (cropped_share > CROPPED).then(|| format!("{:.0} % of the photos' area is cropped away", 100.0 * cropped_share))
 }
 
 #[cfg(test)]

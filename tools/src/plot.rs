@@ -14,7 +14,7 @@ const COLORS: [RGBColor; 6] = [
     RGBColor(230, 159, 0),
     RGBColor(86, 180, 233),
 ];
-const GREY: RGBColor = RGBColor(150, 150, 150);
+const GRAY: RGBColor = RGBColor(150, 150, 150);
 
 #[derive(Clone, Copy, Debug)]
 pub struct At {
@@ -83,7 +83,7 @@ fn legend(meaning: &str, shown: &[Series], left_out: usize, beneath: Option<&Ser
     let row = |(name, RGBColor(r, g, b)): (&String, RGBColor)| {
         format!("<li><i style=\"background:rgb({r},{g},{b})\"></i>{name}</li>")
     };
-    let names = beneath.map(|line| (&line.name, GREY)).into_iter();
+    let names = beneath.map(|line| (&line.name, GRAY)).into_iter();
     let rows: String = names.chain(shown.iter().map(|series| &series.name).zip(COLORS)).map(row).collect();
     let more = if left_out > 0 { format!("<li>{left_out} more: in the table</li>") } else { String::new() };
     format!("<ul class=\"legend\"><li>{meaning}</li>{rows}{more}</ul>")
@@ -118,7 +118,7 @@ fn draw(
         .y_label_formatter(&|position| y.tick(*position))
         .draw()?;
     let places = |points: &[At]| points.iter().map(|at| (at.x, at.y)).collect::<Vec<_>>();
-    chart.draw_series(LineSeries::new(places(line), GREY.stroke_width(5)))?;
+    chart.draw_series(LineSeries::new(places(line), GRAY.stroke_width(5)))?;
     for ((series, points), color) in series.iter().zip(placed).zip(COLORS) {
         if series.line {
             chart.draw_series(LineSeries::new(places(points), color.stroke_width(2)))?;

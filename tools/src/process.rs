@@ -198,19 +198,19 @@ pub fn printed(command: &mut Command, stage: &Stage<'_>) -> Result<String> {
 
 /// In a thread: a full pipe would block the writer.
 pub fn listen(stream: impl Read + Send + 'static) -> std::thread::JoinHandle<String> {
-    std::thread::spawn(move || said(stream))
+    std::thread::spawn(move || read_text(stream))
 }
 
-fn said(mut stream: impl Read) -> String {
-    let mut said = Vec::new();
+fn read_text(mut stream: impl Read) -> String {
+    let mut text = Vec::new();
     // Keeps the text before a read error.
-    let _ = stream.read_to_end(&mut said);
-    String::from_utf8_lossy(&said).into_owned()
+    let _ = stream.read_to_end(&mut text);
+    String::from_utf8_lossy(&text).into_owned()
 }
 
 /// Uses the program's message, or its exit status.
-pub fn failure(program: &Path, said: &str, status: impl ToString) -> Error {
-    let words = if said.trim().is_empty() { status.to_string() } else { said.trim().to_owned() };
+pub fn failure(program: &Path, message: &str, status: impl ToString) -> Error {
+    let words = if message.trim().is_empty() { status.to_string() } else { message.trim().to_owned() };
     // A broken pipe means our own output.
     Error::io(program, io::Error::other(words))
 }

@@ -7,7 +7,7 @@ use zipsplat::{Error, Result, tune::cache_folder, weights::DepthCheckpoint};
 pub struct Released {
     pub name: &'static str,
     pub what: &'static str,
-    pub licence: &'static str,
+    pub license: &'static str,
     pub terms: &'static str,
     /// Approximate download size.
     pub bytes: u64,
@@ -30,7 +30,7 @@ pub const RELEASED: [Released; 7] = [
     Released {
         name: "zipsplat",
         what: "ZipSplat on DA3-Giant, 1.4 G parameters, by the paper's authors",
-        licence: "CC BY-NC",
+        license: "CC BY-NC",
         terms: NO_COMMERCE,
         bytes: 5_800_000_000,
         kind: Kind::Tokens,
@@ -40,14 +40,14 @@ pub const RELEASED: [Released; 7] = [
     },
     Released {
         what: "Depth Anything 3, 34 M parameters",
-        licence: APACHE,
+        license: APACHE,
         terms: FREE,
         bytes: 140_000_000,
         ..of_depth("da3-small", "depth-anything/DA3-SMALL", "da3-small.safetensors")
     },
     Released {
         what: "Depth Anything 3, 135 M parameters",
-        licence: APACHE,
+        license: APACHE,
         terms: FREE,
         bytes: 540_000_000,
         ..of_depth("da3-base", "depth-anything/DA3-BASE", "da3-base.safetensors")
@@ -64,14 +64,14 @@ pub const RELEASED: [Released; 7] = [
     },
     Released {
         what: "Depth Anything 3 of each photo by itself, 334 M parameters",
-        licence: APACHE,
+        license: APACHE,
         terms: FREE,
         bytes: 1_340_000_000,
         ..of_depth("da3mono-large", "depth-anything/DA3MONO-LARGE", "da3mono-large.safetensors")
     },
     Released {
         what: "Depth Anything 3 of each photo by itself, in metres, 334 M parameters",
-        licence: APACHE,
+        license: APACHE,
         terms: FREE,
         bytes: 1_340_000_000,
         ..of_depth("da3metric-large", "depth-anything/DA3METRIC-LARGE", "da3metric-large.safetensors")
@@ -87,7 +87,7 @@ const fn of_depth(name: &'static str, repository: &'static str, kept_as: &'stati
     Released {
         name,
         what: "",
-        licence: "CC BY-NC 4.0",
+        license: "CC BY-NC 4.0",
         terms: NO_COMMERCE,
         bytes: 0,
         kind: Kind::Depth,

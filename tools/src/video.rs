@@ -87,32 +87,33 @@ pub fn sharpest_frames(
 ) -> Result<Vec<PathBuf>> {
     check(ffmpeg, "ffmpeg", "an installed ffmpeg, which reads videos (`apt install ffmpeg`; see --ffmpeg)")?;
     video.metadata().map_err(|source| Error::io(video, source))?;
-    let ((sharpness, said), _) = session.stage("look for sharp frames", |stage| judge(ffmpeg, video, stage))?;
+    let ((sharpness, messages), _) =
+        session.stage("look for sharp frames", |stage| measure_sharpness(ffmpeg, video, stage))?;
     let chosen = sharpest(&sharpness, count);
     if chosen.is_empty() {
-        let said = if said.is_empty() { said } else { format!(": {said}") };
-        return Err(Error::format(video, None, format!("no frame that ffmpeg can read{said}")));
+        let messages = if messages.is_empty() { messages } else { format!(": {messages}") };
+        return Err(Error::format(video, None, format!("no frame that ffmpeg can read{messages}")));
     }
-    if !said.is_empty() {
+    if !messages.is_empty() {
         let read = sharpness.len();
-        session.note(format!("{}: ffmpeg reads {read} frames and finds the file damaged: {said}", video.display()));
+        session.note(format!("{}: ffmpeg reads {read} frames and finds the file damaged: {messages}", video.display()));
     }
     let (photos, _) = session.stage("take frames", |stage| take(ffmpeg, video, &chosen, folder, stage))?;
     Ok(photos)
 }
 
 /// Also returns ffmpeg's warnings.
-fn judge(ffmpeg: &Path, video: &Path, stage: &Stage<'_>) -> Result<(Vec<f64>, String)> {
+fn measure_sharpness(ffmpeg: &Path, video: &Path, stage: &Stage<'_>) -> Result<(Vec<f64>, String)> {
     let filter = format!("scale={SIDE}:{SIDE}:flags=area,format=gray,{REGULAR}");
     let mut sharpness = Vec::new();
-    let said = decode(
+    let messages = decode(
         ffmpeg,
         video,
         &[&PICTURES[..], &["-vf", &filter, "-r", "25", "-f", "rawvideo"]].concat(),
         stage,
         |from| {
-            let mut grey = vec![0; SIDE * SIDE];
-            Ok(read_whole(from, &mut grey)?.then(|| laplacian_variance(&grey, SIDE)))
+            let mut gray = vec![0; SIDE * SIDE];
+            Ok(read_whole(from, &mut gray)?.then(|| laplacian_variance(&gray, SIDE)))
         },
         |value| {
             sharpness.push(value);
@@ -120,7 +121,7 @@ fn judge(ffmpeg: &Path, video: &Path, stage: &Stage<'_>) -> Result<(Vec<f64>, St
             Ok(())
         },
     )?;
-    Ok((sharpness, said))
+    Ok((sharpness, messages))
 }
 
 /// The first of ties.
@@ -156,9 +157,9 @@ fn take(ffmpeg: &Path, video: &Path, chosen: &[usize], folder: &Path, stage: &St
     Ok(photos)
 }
 
-fn laplacian_variance(grey: &[u8], width: usize) -> f64 {
-    let height = grey.len() / width;
-    let at = |x: usize, y: usize| f64::from(grey[y * width + x]);
+fn laplacian_variance(gray: &[u8], width: usize) -> f64 {
+    let height = gray.len() / width;
+    let at = |x: usize, y: usize| f64::from(gray[y * width + x]);
     let (mut sum, mut squares, mut count) = (0.0, 0.0, 0.0);
     for y in 1..height - 1 {
         for x in 1..width - 1 {

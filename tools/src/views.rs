@@ -10,7 +10,7 @@ use zipsplat::{
         Camera, Image, Pose,
         poses::Frame,
         preprocess::{PixelMap, View, fit},
-        square_count, squares,
+        tile_count, tiles,
     },
 };
 
@@ -49,7 +49,7 @@ pub struct Views {
 }
 
 /// With any known camera.
-pub type Seen = (Image, Option<Camera>);
+pub type NetworkInput = (Image, Option<Camera>);
 
 impl Fit {
     pub fn check(self, size: Size, posed: bool) -> Result<()> {
@@ -69,7 +69,7 @@ impl Fit {
         if self == Self::Crop {
             return Ok(photos.len());
         }
-        let count = |path: &PathBuf| Image::size_as_stored(path).map(|(width, height)| square_count(width, height));
+        let count = |path: &PathBuf| Image::size_as_stored(path).map(|(width, height)| tile_count(width, height));
         let views = photos.iter().map(count).sum::<Result<usize>>()?;
         if views > MAX_VIEWS {
             let expected = format!("at most {MAX_VIEWS}; --views N takes N of the photos, --fit crop one view of each");
@@ -78,10 +78,10 @@ impl Fit {
         Ok(views)
     }
 
-    pub fn views(self, photo: &Image, camera: Option<&Camera>, size: Size, label: &str) -> Result<Vec<Seen>> {
+    pub fn views(self, photo: &Image, camera: Option<&Camera>, size: Size, label: &str) -> Result<Vec<NetworkInput>> {
         match (self, camera) {
             (Self::Squares, Some(camera)) => {
-                let views = squares(photo, camera, size.0, label)?.into_iter();
+                let views = tiles(photo, camera, size.0, label)?.into_iter();
                 Ok(views.map(|(image, camera)| (image, Some(camera))).collect())
             }
             _ => {
@@ -105,11 +105,11 @@ impl Fit {
     }
 
     /// Also returns the first one's pose in another world.
-    pub fn told(self, cameras: Vec<Camera>) -> (Vec<Camera>, Option<Pose>) {
+    pub fn network_cameras(self, cameras: Vec<Camera>) -> (Vec<Camera>, Option<Pose>) {
         match (self, cameras.first().map(|camera| camera.pose)) {
             (Self::Squares, Some(first)) => {
-                let told = |camera: Camera| Camera { pose: camera.pose.relative_to(&first), ..camera };
-                (cameras.into_iter().map(told).collect(), Some(first))
+                let relative = |camera: Camera| Camera { pose: camera.pose.relative_to(&first), ..camera };
+                (cameras.into_iter().map(relative).collect(), Some(first))
             }
             _ => (cameras, None),
         }
@@ -122,7 +122,7 @@ impl Seeing {
         Self { fit: Fit::Crop, size, compared: size, whole: false, filter: Filter::Lanczos }
     }
 
-    pub fn views(self, photo: &Image, camera: &Camera, label: &str) -> Result<Vec<Seen>> {
+    pub fn views(self, photo: &Image, camera: &Camera, label: &str) -> Result<Vec<NetworkInput>> {
         match (self.fit, self.filter) {
             (Fit::Crop, Filter::Bilinear) => {
                 let View { image, map } = self.filter.cropped(photo, self.size.0, self.size.1)?;
@@ -140,8 +140,14 @@ impl Seeing {
 
 impl Views {
     /// Takes photo sizes for the note. The first camera has the pose `world` in the cameras' world.
-    pub fn new(fit: Fit, seen: impl Iterator<Item = Seen>, world: &Pose, photos: &[[u32; 2]], size: Size) -> Self {
-        let (images, cameras): (Vec<_>, Vec<_>) = seen.unzip();
+    pub fn new(
+        fit: Fit,
+        inputs: impl Iterator<Item = NetworkInput>,
+        world: &Pose,
+        photos: &[[u32; 2]],
+        size: Size,
+    ) -> Self {
+        let (images, cameras): (Vec<_>, Vec<_>) = inputs.unzip();
         let cameras: Vec<Camera> = cameras.into_iter().flatten().collect();
         let note = match fit {
             Fit::Squares => {

@@ -227,7 +227,7 @@ def batch(rows, context, targets, points, cells, patch, loose=None):
     seen = cloud.isfinite().all(-1)
     cloud = torch.where(seen[..., None], cloud, pick(cloud, seen.float().argmax(1)[:, None]).nan_to_num(1.0))
 
-    centres = cell_centres(*depth.shape[1:], *cells, patch, depth.device)
+    centers = cell_centers(*depth.shape[1:], *cells, patch, depth.device)
     bounded = torch.where(depth > 0, depth / scale[..., None], SKY).clamp_max(SKY)
     return Batch(
         pick(rows["colors"], context).movedim(-1, 2).float() / 255,
@@ -238,7 +238,7 @@ def batch(rows, context, targets, points, cells, patch, loose=None):
         inverse(pick(relative, targets)),
         pick(rows["intrinsics"], targets),
         cloud,
-        unproject(bounded, intrinsics, cameras, centres.expand(len(depth), -1)).unflatten(1, (-1, *cells)),
+        unproject(bounded, intrinsics, cameras, centers.expand(len(depth), -1)).unflatten(1, (-1, *cells)),
     )
 
 
@@ -260,7 +260,7 @@ def anywhere(poses):
 
 
 @cache
-def cell_centres(views, height, width, rows, columns, patch, device):
+def cell_centers(views, height, width, rows, columns, patch, device):
     """Pixel indices [V * T * cells] of the cell centers of all patches, patch by patch."""
     pixels = torch.arange(views * height * width).view(views, height // patch, patch, width // patch, patch)
     y, x = (((torch.arange(count) + 0.5) * patch / count).long() for count in (rows, columns))

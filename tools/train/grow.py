@@ -5,7 +5,7 @@ import math
 import torch
 import torch.nn.functional as F
 
-from initialise import SH0, cell_means
+from initialize import SH0, cell_means
 
 HEAD = [f"gaussian_head.gaussian_head.{layer}" for layer in ("0.fc1", "0.fc2", "1")]
 

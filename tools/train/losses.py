@@ -7,7 +7,7 @@ import torch.nn.functional as F
 from safetensors.torch import load_file
 from torch import nn
 
-from initialise import SH0
+from initialize import SH0
 
 
 def ssim(a, b):

@@ -36,10 +36,10 @@ import weights as files
 from captures import Captures
 from data import Pool, Shards, batch, fixed_split, generator_command, record
 from grow import refine, widen_colors
-from initialise import initialise
+from initialize import initialize
 from model import ZipSplat
-from optimiser import Optimiser
-from rasterise import rasterise
+from optimizer import Optimizer
+from rasterize import rasterize
 from schedule import Schedule, read_config
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -71,10 +71,10 @@ class Trainer:
         state = self.begin(model)
         self.model = model.to(self.device)
         self.average = copy.deepcopy(self.model).eval().requires_grad_(False)
-        self.optimiser = Optimiser(self.model, config["weight_decay"], self.rank, self.processes, config["backbone_rate"], config["muon"])
+        self.optimizer = Optimizer(self.model, config["weight_decay"], self.rank, self.processes, config["backbone_rate"], config["muon"])
         if state:
             self.average.load_state_dict(state["average"])
-            self.optimiser.load_state_dict(state["optimiser"])
+            self.optimizer.load_state_dict(state["optimiser"])
         self.perceptual = losses.Lpips(args.lpips).to(self.device) if args.lpips else None
         self.autocast = torch.bfloat16 if config["bf16"] else None
         if config["compile"]:
@@ -114,7 +114,7 @@ class Trainer:
     def begin(self, model):
         """Initializes weights or loads --resume; returns the state of a resumed run."""
         if not self.args.resume:
-            initialise(model, self.config["anchor_cells"], **self.config["initial"])
+            initialize(model, self.config["anchor_cells"], **self.config["initial"])
             if self.args.backbone:
                 backbone.take_over(model, self.args.backbone)
             return None
@@ -143,7 +143,7 @@ class Trainer:
     def compile(self):
         """Compiles blocks and projection separately: few graphs for all views and ratios."""
         import layers
-        import rasterise as drawing
+        import rasterize as drawing
 
         torch._dynamo.config.recompile_limit = 64
         for kind in (layers.Block, layers.CrossBlock):
@@ -157,7 +157,7 @@ class Trainer:
         if not draw:
             return gaussians, tokens, None
         size = given_batch.colors.shape[2:4]
-        pictures = rasterise(
+        pictures = rasterize(
             gaussians, given_batch.viewmats, given_batch.target_intrinsics, size, self.architecture.sh_degree
         )
         return gaussians, tokens, pictures
@@ -180,7 +180,7 @@ class Trainer:
         loss, parts = losses.total(gaussians, tokens, pictures, given, data, weights, sample, self.perceptual)
         loss.backward()
         self.share_gradients()
-        norm = self.optimiser.step(self.schedule.rate(done), self.config["clip"])
+        norm = self.optimizer.step(self.schedule.rate(done), self.config["clip"])
         self.step += 1
         self.samples += scenes * self.processes
         decay = min(self.config["ema"], self.step / (10 + self.step))
@@ -331,7 +331,7 @@ class Trainer:
         }
         counters["first_seed"] = max(self.first_seed, self.pool.last_seed + 1)
         state = {"model": self.model.state_dict(), "average": self.average.state_dict(),
-                 "optimiser": self.optimiser.state_dict(), "counters": counters, "log": self.log}  # fmt: skip
+                 "optimiser": self.optimizer.state_dict(), "counters": counters, "log": self.log}  # fmt: skip
         torch.save(state, self.out / "state.pt.partial")
         (self.out / "state.pt.partial").replace(self.out / "state.pt")
         device = torch.cuda.get_device_name() if self.device.type == "cuda" else "CPU"

@@ -92,16 +92,16 @@ def seeded(key, name, shape):
         z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
         z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     byte = ((z ^ (z >> np.uint64(31))) >> np.uint64(56)).astype(np.int64)
-    centred = (2 * byte - 255) / 256
+    centered = (2 * byte - 255) / 256
     last = name.rsplit(".", 1)[-1]
     if last == "gamma":
         values = (52 + ((byte * 204) >> 8)) / 256
     elif last in ("cls_token", "camera_token"):
-        values = centred
+        values = centered
     elif last == "pos_embed":
-        values = centred / 2
+        values = centered / 2
     elif last == "bias":
-        values = centred / 8 + name.endswith("fc_fov.0.bias")
+        values = centered / 8 + name.endswith("fc_fov.0.bias")
     elif len(shape) == 1:
         values = (64 + (byte >> 1)) / 128
     else:
@@ -109,5 +109,5 @@ def seeded(key, name, shape):
         fan_in = shape[0] if spread else int(np.prod(shape[1:]))
         halvings = next(e for e in range(31) if 3 * 4**e >= fan_in)
         in_head = name.startswith(HEADS) and ".refinenet" not in name
-        values = centred * 2.0 ** -(halvings - in_head)
+        values = centered * 2.0 ** -(halvings - in_head)
     return torch.from_numpy(values.reshape(shape))

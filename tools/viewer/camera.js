@@ -91,7 +91,7 @@ function firstView(points) {
         const fov = Math.atan(slopes[Math.floor(0.9 * slopes.length)]) * 360 / Math.PI;
         return { eye: [0, 0, 0], axes, distance: ahead, fov: Math.max(20, Math.min(75, fov)) };
     }
-    const centre = [0, 1, 2].map(c => median(all.map(point => point[c])));
-    const distance = 3 * median(all.map(point => Math.hypot(...add(point, centre, -1)))) || 1;
-    return { eye: add(centre, axes[2], -distance), axes, distance, fov: 50 };
+    const center = [0, 1, 2].map(c => median(all.map(point => point[c])));
+    const distance = 3 * median(all.map(point => Math.hypot(...add(point, center, -1)))) || 1;
+    return { eye: add(center, axes[2], -distance), axes, distance, fov: 50 };
 }

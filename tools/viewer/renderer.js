@@ -114,13 +114,13 @@ void main() {
     float det = dot(minors, minors) + BLUR * (dot(u, u) + dot(v, v)) + BLUR * BLUR;
     float xx = dot(u, u) + BLUR, xy = dot(u, v), yy = dot(v, v) + BLUR;
     float reach = 2.0 * log(255.0 * opacity);
-    vec2 centre = focal * p.xy / p.z + half_size, radii = sqrt(reach * vec2(xx, yy));
-    if (any(lessThan(centre + radii, vec2(0))) || any(greaterThan(centre - radii, size))) return;
+    vec2 center = focal * p.xy / p.z + half_size, radii = sqrt(reach * vec2(xx, yy));
+    if (any(lessThan(center + radii, vec2(0))) || any(greaterThan(center - radii, size))) return;
 
     float tilt = 0.5 * (xx - yy), spread = length(vec2(tilt, xy)), longest = 0.5 * (xx + yy) + spread;
     vec2 axis = tilt >= 0.0 ? vec2(tilt + spread, xy) : vec2(xy, spread - tilt);
     axis = spread > 0.0 ? normalize(axis) : vec2(1, 0);
-    ellipse = floatBitsToUint(vec4(centre, sqrt(longest) * axis));
+    ellipse = floatBitsToUint(vec4(center, sqrt(longest) * axis));
     short_axis = uvec4(floatBitsToUint(sqrt(det / longest) * vec2(-axis.y, axis.x)), index, first.w);
 
     vec3 value = uintBitsToFloat(third.xyz);
@@ -138,7 +138,7 @@ precision highp usampler2D;
 uniform usampler2D ellipses, short_axes, colors;
 uniform uint drawn;
 uniform vec2 size;
-out vec2 place; // in standard deviations from the centre
+out vec2 place; // in standard deviations from the center
 flat out vec4 color;
 flat out uint gaussian;
 ${TEXELS}

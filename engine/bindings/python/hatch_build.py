@@ -51,6 +51,6 @@ class Build(BuildHookInterface):  # type: ignore[type-arg]
             }
         )
         # Licenses of the library's crates, from tools/release.sh.
-        licences = os.environ.get("ZIPSPLAT_LICENCES")
-        if licences:
-            build_data["force_include"][licences] = "zipsplat/THIRD-PARTY-LICENCES.txt"
+        licenses = os.environ.get("ZIPSPLAT_LICENCES")
+        if licenses:
+            build_data["force_include"][licenses] = "zipsplat/THIRD-PARTY-LICENCES.txt"

@@ -79,7 +79,10 @@ fn area_taps(inputs: u32, outputs: u32) -> Vec<Vec<(usize, f64)>> {
         let covered = |at: usize| ((at as f64 + 1.0).min(end) - (at as f64).max(start)) / (end - start);
         let places = start as usize..(end.ceil() as usize).min(inputs as usize);
         // OpenCV drops slivers.
-        places.map(|at| (at, f64::from(covered(at) as f32))).filter(|(_, share)| share * (end - start) > 1e-3).collect()
+        places
+            .map(|at| (at, f64::from(covered(at) as f32)))
+            .filter(|(_, fraction)| fraction * (end - start) > 1e-3)
+            .collect()
     };
     (0..outputs).map(tap).collect()
 }

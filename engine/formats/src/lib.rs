@@ -19,7 +19,7 @@ mod sh_rotation;
 mod source;
 mod splat;
 mod spz;
-mod squares;
+mod tiles;
 mod trajectory;
 mod world;
 
@@ -43,7 +43,7 @@ pub use scene_file::{
 pub use sh_rotation::sh_rotation;
 pub use splat::{read_splat, write_splat};
 pub use spz::{read_spz, spz_coarsening, write_spz};
-pub use squares::{square_count, squares};
+pub use tiles::{tile_count, tiles};
 pub use trajectory::{Dolly, Ellipse, Orbit, Spline, mean_up};
 pub use world::{Origin, World};
 use zipsplat_error::{Error, Result};

@@ -81,9 +81,9 @@ fn lanczos_taps(inputs: u32, outputs: u32) -> Vec<Taps> {
     let scale = f64::from(inputs) / f64::from(outputs);
     let stretch = scale.max(1.0);
     let taps = |output: u32| {
-        let centre = (f64::from(output) + 0.5) * scale;
-        let Range { start, end } = window(centre - 3.0 * stretch, centre + 3.0 * stretch, inputs);
-        let weights: Vec<f64> = (start..end).map(|i| lanczos3((i as f64 - centre + 0.5) / stretch)).collect();
+        let center = (f64::from(output) + 0.5) * scale;
+        let Range { start, end } = window(center - 3.0 * stretch, center + 3.0 * stretch, inputs);
+        let weights: Vec<f64> = (start..end).map(|i| lanczos3((i as f64 - center + 0.5) / stretch)).collect();
         let total: f64 = weights.iter().sum();
         // `as` truncates: adding half rounds away from zero.
         let fixed = |w: &f64| (w / total * f64::from(1 << FRACTION_BITS) + 0.5f64.copysign(*w)) as i32;

@@ -83,11 +83,11 @@ impl SceneFormat {
         let longest = Self::ALL.iter().flat_map(|format| format.format().marks).map(|mark| mark.len()).max();
         let read = Source::open(path)?.take(longest.unwrap_or(0) as u64).read_to_end(&mut start);
         read.map_err(|source| Error::io(path, source))?;
-        Ok(Self::told(&start, by_extension))
+        Ok(Self::detect(&start, by_extension))
     }
 
     /// A format without magic bytes in `otherwise` wins.
-    fn told(start: &[u8], otherwise: Option<Self>) -> Option<Self> {
+    fn detect(start: &[u8], otherwise: Option<Self>) -> Option<Self> {
         let marked = |format: &Self| format.format().marks.iter().any(|mark| start.starts_with(mark));
         otherwise
             .filter(|format| format.format().marks.is_empty())
@@ -140,7 +140,7 @@ pub fn decode_scene(bytes: &[u8], format: Option<SceneFormat>) -> Result<Scene> 
 /// See [`decode_scene`], except for values.
 pub fn decode_scene_unchecked(bytes: &[u8], format: Option<SceneFormat>) -> Result<Scene> {
     let name = Path::new(IN_MEMORY);
-    let format = SceneFormat::told(bytes, format).ok_or_else(|| no_scene(name))?;
+    let format = SceneFormat::detect(bytes, format).ok_or_else(|| no_scene(name))?;
     (format.format().read)(Source::memory(name, bytes))
 }
 

@@ -105,11 +105,11 @@ impl From<Origin> for World {
 }
 
 impl Origin {
-    fn parse(said: &str) -> Option<Self> {
-        if let Some(photo) = said.strip_prefix(PHOTO) {
+    fn parse(text: &str) -> Option<Self> {
+        if let Some(photo) = text.strip_prefix(PHOTO) {
             return Some(Self::Photo(photo.into()));
         }
-        let [w, x, y, z, tx, ty, tz] = numbers(said.strip_prefix(CAMERAS)?)?;
+        let [w, x, y, z, tx, ty, tz] = numbers(text.strip_prefix(CAMERAS)?)?;
         let quat: [f64; 4] = [w, x, y, z];
         let length = quat.iter().map(|q| q * q).sum::<f64>().sqrt();
         let pose = Pose { rotation: matrix_from_quaternion(quat), translation: [tx, ty, tz].into() };

@@ -4,50 +4,17 @@
 //! [`Run`] allocates the arena on a [`Device`] and executes the plan any number of times.
 #![allow(unsafe_code)]
 
-mod adopt;
-mod arena;
-mod barrier;
-mod bfloat16;
-mod bound;
-mod commands;
-mod copy;
-mod descriptors;
 mod device;
-mod element;
-mod failure;
-mod features;
-mod flight;
-mod instance;
-mod kernel;
-mod layout;
-mod limits;
 mod lock;
-mod lost;
 mod memory;
-mod pipelines;
 mod plan;
-mod probe;
-mod profile;
-mod queue;
-mod recorder;
 mod run;
-mod schedule;
-mod tensor;
-mod times;
-mod twins;
 
-pub use adopt::{Adopted, QueueLock, Requirement, fast_requirements, requirements};
-pub use arena::{Arena, Claim};
-pub use device::{Device, DeviceOptions};
-pub use element::Element;
-pub use kernel::{Binding, Kernel, LocalSize, Module, Needs};
-pub use limits::{Limits, Matrices, MatrixShape};
-pub use memory::{Resident, ResidentLayout};
-pub use plan::{ArenaRow, Plan};
-pub use probe::{DeviceInfo, list_devices};
-pub use profile::{Profile, ProfileRow};
-pub use recorder::{GROUP_FOLD, Recorder};
-pub use run::{ImagePlace, Point, Progress, Run, Target};
-pub use tensor::Tensor;
-pub use times::StageTimes;
+pub use device::{
+    Adopted, Device, DeviceInfo, DeviceOptions, Limits, Matrices, MatrixShape, QueueLock, Requirement,
+    fast_requirements, list_devices, requirements,
+};
+pub use memory::{Arena, Claim, Element, Resident, ResidentLayout, Tensor};
+pub use plan::{ArenaRow, Binding, GROUP_FOLD, Kernel, LocalSize, Module, Needs, Plan, Recorder};
+pub use run::{ImagePlace, Point, Profile, ProfileRow, Progress, Run, StageTimes, Target};
 use zipsplat_error::{Error, Result};

@@ -1,6 +1,6 @@
 use std::sync::{Mutex, MutexGuard};
 
 /// Locks a mutex even if poisoned: its tables have no invariants to break.
-pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(|e| e.into_inner())
 }

@@ -35,7 +35,7 @@ pub struct Pair {
 
 /// An estimated camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct FoundCamera {
+pub struct CameraEstimate {
     /// Camera in the points' world.
     pub camera: Camera,
     /// Inlier pairs.
@@ -69,7 +69,7 @@ const ROUNDS: usize = 3;
 ///
 /// # Errors
 /// [`Error::Argument`] for fewer than [`FEWEST`] pairs or inliers, or an invalid search.
-pub fn find_camera(pairs: &[Pair], [width, height]: [u32; 2], search: &Search) -> Result<FoundCamera> {
+pub fn find_camera(pairs: &[Pair], [width, height]: [u32; 2], search: &Search) -> Result<CameraEstimate> {
     let expected = || format!("{FEWEST} or more");
     for (name, length) in [("focal length", search.focal), ("tolerance", Some(search.tolerance))] {
         if let Some(length) = length.filter(|length| !(length.is_normal() && *length > 0.0)) {
@@ -84,11 +84,11 @@ pub fn find_camera(pairs: &[Pair], [width, height]: [u32; 2], search: &Search) -
     let mut ransac = Ransac { pairs, search, random: Random::new(search.seed), best: None };
     match search.focal {
         Some(focal) => ransac.run(&lens(focal), TRIES),
-        None => FOCALS.iter().for_each(|share| ransac.run(&lens(share * w.max(h)), TRIES_OF_FOCAL)),
+        None => FOCALS.iter().for_each(|inlier_ratio| ransac.run(&lens(inlier_ratio * w.max(h)), TRIES_OF_FOCAL)),
     }
     let found = ransac.best.map(|(_, camera)| (camera, agreeing(&camera, pairs, search.tolerance).len()));
     match found {
-        Some((camera, inliers)) if inliers >= FEWEST => Ok(FoundCamera { camera, inliers, pairs: pairs.len() }),
+        Some((camera, inliers)) if inliers >= FEWEST => Ok(CameraEstimate { camera, inliers, pairs: pairs.len() }),
         found => {
             let inliers = found.map_or(0, |(_, inliers)| inliers);
             let found = format!("{inliers} of {}", pairs.len());
@@ -103,14 +103,14 @@ pub fn find_cameras(
     size: [u32; 2],
     focal: Option<f64>,
     tolerance: f64,
-) -> Vec<Result<FoundCamera>> {
-    let find = |focal: Option<f64>| -> Vec<Result<FoundCamera>> {
+) -> Vec<Result<CameraEstimate>> {
+    let find = |focal: Option<f64>| -> Vec<Result<CameraEstimate>> {
         let find =
             |(i, pairs): (usize, &Vec<Pair>)| find_camera(pairs, size, &Search { tolerance, focal, seed: i as u64 });
         pairs.par_iter().enumerate().map(find).collect()
     };
     let found = find(focal);
-    let weighted = |found: &FoundCamera| (found.camera.intrinsics.fx, found.inliers as f64);
+    let weighted = |found: &CameraEstimate| (found.camera.intrinsics.fx, found.inliers as f64);
     let mut focals: Vec<(f64, f64)> = found.iter().flatten().map(weighted).collect();
     match focal {
         None if focals.len() > 1 => find(weighted_median(&mut focals)),
@@ -138,8 +138,9 @@ impl Ransac<'_> {
             }
             let camera = self.optimized(camera);
             cost = self.cost(&camera).min(found);
-            let share = agreeing(&camera, self.pairs, self.search.tolerance).len() as f64 / self.pairs.len() as f64;
-            needed = needed.min(needed_tries(share));
+            let inlier_ratio =
+                agreeing(&camera, self.pairs, self.search.tolerance).len() as f64 / self.pairs.len() as f64;
+            needed = needed.min(needed_tries(inlier_ratio));
             if self.best.is_none_or(|(best, _)| cost < best) {
                 self.best = Some((cost, camera));
             }
@@ -196,8 +197,8 @@ fn agreeing(camera: &Camera, pairs: &[Pair], tolerance: f64) -> Vec<Pair> {
     pairs.iter().filter(agrees).copied().collect()
 }
 
-fn needed_tries(share: f64) -> usize {
-    let all_good = share.powi(3).clamp(1e-9, 1.0 - 1e-9);
+fn needed_tries(inlier_ratio: f64) -> usize {
+    let all_good = inlier_ratio.powi(3).clamp(1e-9, 1.0 - 1e-9);
     ((1.0 - CERTAINTY).ln() / (1.0 - all_good).ln()).ceil() as usize
 }
 

@@ -3,7 +3,7 @@
 //! Directions are d ~ A p with A = R K^-1, found by iteratively reweighted least squares on d x A p
 //! (Holland and Welsch 1977) and QR factorization.
 
-use super::FoundCamera;
+use super::CameraEstimate;
 use crate::{
     Error, Result,
     types::{Camera, Intrinsics, Pose},
@@ -46,7 +46,7 @@ impl RayMap {
     ///
     /// # Errors
     /// [`Error::Argument`] for too few inliers or wrong lengths.
-    pub fn camera(&self, [width, height]: [u32; 2]) -> Result<FoundCamera> {
+    pub fn camera(&self, [width, height]: [u32; 2]) -> Result<CameraEstimate> {
         let rays = self.rays()?;
         let map = homography(&rays);
         let agrees = |ray: &&Ray| angle(&map, ray) < TOLERANCE;
@@ -58,7 +58,7 @@ impl RayMap {
         }
         let (rotation, lens) = factors(&map).ok_or_else(|| none(format!("{pairs} of a mirrored or flat camera")))?;
         let weight: f64 = agreeing.iter().map(|ray| ray.weight).sum();
-        let centre = agreeing.iter().map(|ray| ray.weight * ray.origin).sum::<DVec3>() / weight;
+        let center = agreeing.iter().map(|ray| ray.weight * ray.origin).sum::<DVec3>() / weight;
         let half = |side: u32| f64::from(side) / 2.0;
         let intrinsics = Intrinsics {
             width,
@@ -68,9 +68,9 @@ impl RayMap {
             cx: (lens.z_axis.x + 1.0) * half(width),
             cy: (lens.z_axis.y + 1.0) * half(height),
         };
-        let camera = Camera { intrinsics, pose: Pose { rotation, translation: centre } };
+        let camera = Camera { intrinsics, pose: Pose { rotation, translation: center } };
         camera.validate("camera of rays")?;
-        Ok(FoundCamera { camera, inliers: agreeing.len(), pairs })
+        Ok(CameraEstimate { camera, inliers: agreeing.len(), pairs })
     }
 
     fn rays(&self) -> Result<Vec<Ray>> {

@@ -1,6 +1,6 @@
 use crate::{
     Error, Result,
-    cameras::{FoundCamera, RayMap, decoded_camera, scale_between},
+    cameras::{CameraEstimate, RayMap, decoded_camera, scale_between},
     gpu::{Run, StageTimes, Tensor},
     stages::{
         ViewGrid,
@@ -48,8 +48,8 @@ impl Depths {
     /// # Errors
     /// [`Error::Argument`] for coincident cameras or separate views.
     pub fn bring_to(&mut self, cameras: &[Camera]) -> Result<()> {
-        let centres = |cameras: &[Camera]| cameras.iter().map(|camera| camera.pose.translation).collect::<Vec<_>>();
-        let scale = scale_between(&centres(cameras), &centres(&self.cameras()?));
+        let centers = |cameras: &[Camera]| cameras.iter().map(|camera| camera.pose.translation).collect::<Vec<_>>();
+        let scale = scale_between(&centers(cameras), &centers(&self.cameras()?));
         let expected = "at least two places, or the network has none";
         let scale = scale.ok_or_else(|| Error::argument("places of the cameras", "one", expected))?;
         let depths = self.views.iter_mut().flat_map(|view| &mut view.depth);
@@ -58,7 +58,7 @@ impl Depths {
     }
 
     /// Scales metric depth, predicted for [`METRIC_FOCAL`], to meters.
-    pub fn to_metres(&mut self, cameras: &[Camera]) {
+    pub fn to_meters(&mut self, cameras: &[Camera]) {
         for (view, Camera { intrinsics: lens, .. }) in self.views.iter_mut().zip(cameras) {
             let factor = (lens.fx + lens.fy) / 2.0 / METRIC_FOCAL;
             view.depth.iter_mut().for_each(|depth| *depth = (f64::from(*depth) * factor) as f32);
@@ -109,7 +109,7 @@ impl Depths {
     ///
     /// # Errors
     /// [`Error::Argument`] for separate views.
-    pub fn cameras_of_rays(&self) -> Result<Vec<Result<FoundCamera>>> {
+    pub fn cameras_of_rays(&self) -> Result<Vec<Result<CameraEstimate>>> {
         let camera = |view: &DepthView| {
             let rays = view.rays.as_ref().ok_or_else(by_themselves)?;
             Ok(rays.camera([self.width, self.height]))

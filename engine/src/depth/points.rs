@@ -34,7 +34,7 @@ impl Depths {
             return CONFIDENT;
         }
         all.sort_by(f32::total_cmp);
-        let [low, high] = SHARES.map(|share| all[(share * (all.len() - 1) as f64) as usize]);
+        let [low, high] = SHARES.map(|fraction| all[(fraction * (all.len() - 1) as f64) as usize]);
         CONFIDENT.clamp(low, high)
     }
 }

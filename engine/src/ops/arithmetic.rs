@@ -51,7 +51,7 @@ pub struct Arithmetic {
     /// Matrix units for attention.
     pub attention: Option<Units>,
     /// 8-bit matrix units for blocks' linear layers.
-    pub quantised: Option<Units>,
+    pub quantized: Option<Units>,
     /// Tiles of blocks' 8-bit layers on lanes.
     pub dots: Option<Tiles>,
     /// f16 matrix units for k-means, in every precision.
@@ -84,7 +84,7 @@ impl Arithmetic {
         exact_tiles: Tiles::BY_RULE,
         linear: None,
         attention: None,
-        quantised: None,
+        quantized: None,
         dots: None,
         nearest: None,
     };
@@ -95,12 +95,12 @@ impl Arithmetic {
 
     /// Whether blocks use 8-bit integers.
     pub fn has_integers(&self) -> bool {
-        self.quantised.is_some() || self.dots.is_some()
+        self.quantized.is_some() || self.dots.is_some()
     }
 
     /// Removes 8-bit integers.
     pub fn without_integers(&self) -> Self {
-        Self { quantised: None, dots: None, ..*self }
+        Self { quantized: None, dots: None, ..*self }
     }
 
     /// Returns the arithmetic of a precision, if supported.
@@ -112,10 +112,10 @@ impl Arithmetic {
         };
         let matrices = Units::of(element, limits);
         let turbo = precision == Precision::Turbo;
-        let quantised = Units::of(Element::I8, limits).filter(|_| turbo);
+        let quantized = Units::of(Element::I8, limits).filter(|_| turbo);
         let dots = (turbo && limits.dot_products).then_some(Tiles::BY_RULE);
         let nearest = Units::of(Element::F16, limits);
-        let all = Self { element, linear: matrices, attention: matrices, quantised, dots, nearest, ..Self::EXACT };
+        let all = Self { element, linear: matrices, attention: matrices, quantized, dots, nearest, ..Self::EXACT };
         (limits.half_storage && all.has_integers() == turbo).then_some(all)
     }
 }

@@ -103,7 +103,7 @@ impl Packing {
                         panels::<2>(row, columns, padded, half, packed);
                     }
                     LinearKernel::Matrix(Units { factor: Element::I8, .. }, _) | LinearKernel::Dots(_) => {
-                        quantised(row, columns, padded, packed);
+                        quantized(row, columns, padded, packed);
                     }
                     LinearKernel::Matrix(Units { factor, .. }, _) => {
                         packed.par_chunks_mut(factor.bytes() * padded).enumerate().for_each(|(column, out)| {
@@ -182,7 +182,7 @@ fn panels<'a, const N: usize>(
 }
 
 /// 8-bit integers `[columns, padded]` with largest magnitude 127, then scales.
-fn quantised<'a>(row: impl Fn(usize) -> &'a [f32] + Sync, columns: usize, padded: usize, packed: &mut [u8]) {
+fn quantized<'a>(row: impl Fn(usize) -> &'a [f32] + Sync, columns: usize, padded: usize, packed: &mut [u8]) {
     let largest = |column: usize| row(column).iter().fold(0f32, |most, x| most.max(x.abs()));
     let (integers, scales) = packed.split_at_mut(scales_at(columns, padded));
     integers[..columns * padded].par_chunks_mut(padded).enumerate().for_each(|(column, out)| {

@@ -255,7 +255,7 @@ impl ParameterLayout {
         let weights = if has_q8 { Weights::Q8 } else { Weights::Factors };
         let vectors = columns.is_multiple_of(if gated { 8 } else { 4 });
         let kernel = match arithmetic {
-            Arithmetic { quantised: Some(units), .. } if vectors => LinearKernel::Matrix(units, weights),
+            Arithmetic { quantized: Some(units), .. } if vectors => LinearKernel::Matrix(units, weights),
             Arithmetic { dots: Some(tiles), .. } if vectors => LinearKernel::Dots(tiles),
             Arithmetic { linear: Some(units), .. } if vectors => LinearKernel::Matrix(units, weights),
             Arithmetic { element, tiles, .. } => LinearKernel::Panels(Lanes { element, tiles }, weights),

@@ -35,7 +35,7 @@ impl Tiles {
 
 /// Splits long 16-bit sums with few tiles. Depends on the shape alone, so tuning never changes
 /// bits.
-pub(super) fn share(factor: Element, inner: usize, rows: usize, columns: usize) -> usize {
+pub(super) fn split_k(factor: Element, inner: usize, rows: usize, columns: usize) -> usize {
     const LONG: usize = 2048;
     let workgroups = (rows.div_ceil(64) * columns.div_ceil(64)).max(1);
     if !Element::HALVES.contains(&factor) || inner < LONG || workgroups > BUSY / 4 {

@@ -15,7 +15,7 @@ pub struct Features {
     shape: Shape,
     tensors: FeatureTensors,
     memory: Arc<Resident>,
-    unit: f64,
+    scene_scale: f64,
     /// Time per stage.
     pub times: StageTimes,
 }
@@ -38,7 +38,7 @@ pub struct SceneTokens {
     tensor: Tensor,
     count: usize,
     width: usize,
-    unit: f64,
+    scene_scale: f64,
 }
 
 impl SceneTokens {
@@ -57,9 +57,9 @@ impl SceneTokens {
         self.width
     }
 
-    /// See [`Request::unit`].
-    pub fn unit(&self) -> f64 {
-        self.unit
+    /// See [`Request::scene_scale`].
+    pub fn scene_scale(&self) -> f64 {
+        self.scene_scale
     }
 
     /// Memory of the tensor.
@@ -86,7 +86,7 @@ impl Model {
         let mut run = Run::in_arena(&arena, 0, rec.finish()?, [self.parameters.resident.clone(), memory.clone()])?;
         self.write_photos(&mut run, &inputs, shape, images, request)?;
         let times = run.execute_with(progress)?;
-        Ok(Features { shape, tensors, memory, unit: request.unit, times })
+        Ok(Features { shape, tensors, memory, scene_scale: request.scene_scale, times })
     }
 
     /// Decodes features bit-identically to [`Model::reconstruct`], with ratio and selection of
@@ -98,7 +98,7 @@ impl Model {
         progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
     ) -> Result<Reconstruction> {
         let shape = self.shape_of(features, request)?;
-        let request = Request { unit: features.unit, ..request.clone() };
+        let request = Request { scene_scale: features.scene_scale, ..request.clone() };
 
         let mut layout = ResidentLayout::new(self.device.limits());
         let degree = self.architecture().sh_degree as u32;
@@ -111,7 +111,7 @@ impl Model {
         let mut run = Run::in_arena(&arena, 0, rec.finish()?, memories)?;
         write_choice(&mut run, choice, shape, &request)?;
         let times = run.execute_with(progress)?;
-        let gaussians = scene.scene(degree, near(request.unit));
+        let gaussians = scene.scene(degree, near(request.scene_scale));
         Ok(Reconstruction {
             tokens: shape.tokens,
             patches: Patches::of(&run, choice, shape, &request)?,
@@ -142,7 +142,7 @@ impl Model {
         let mut run = Run::in_arena(&arena, 0, rec.finish()?, memories)?;
         write_choice(&mut run, choice, shape, request)?;
         run.execute_with(progress)?;
-        Ok(SceneTokens { memory, tensor, count: shape.tokens, width, unit: features.unit })
+        Ok(SceneTokens { memory, tensor, count: shape.tokens, width, scene_scale: features.scene_scale })
     }
 
     fn shape_of(&self, features: &Features, request: &Request) -> Result<Shape> {

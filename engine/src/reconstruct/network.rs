@@ -33,7 +33,7 @@ pub(super) struct Inputs {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Choice {
     /// `[1]` f32 scene scale.
-    pub unit: Option<Tensor>,
+    pub scene_scale: Option<Tensor>,
     pub indices: Option<Tensor>,
     /// `[tokens]` u32, from k-means.
     pub chosen: Option<Tensor>,
@@ -139,10 +139,10 @@ impl Network {
         features: &FeatureTensors,
         scene: &SceneTensors,
     ) -> Choice {
-        let unit = rec.input::<f32>("unit", 1);
+        let scene_scale = rec.input::<f32>("unit", 1);
         let (choice, tokens) = self.head_tokens(rec, shape, features);
-        rec.scope("gaussians", |rec| self.stages.gaussians.record(rec, tokens, unit, scene));
-        Choice { unit: Some(unit), ..choice }
+        rec.scope("gaussians", |rec| self.stages.gaussians.record(rec, tokens, scene_scale, scene));
+        Choice { scene_scale: Some(scene_scale), ..choice }
     }
 
     pub(super) fn record_tokens(
@@ -173,7 +173,7 @@ impl Network {
         let pool = Pool::of(shape.pool, [grid.rows, grid.columns], 0);
         let scene = rec.scope("fuse", |rec| self.stages.fuse.record(rec, layers, chosen, pool));
         let colors = rec.scope("gaussians", |rec| self.stages.gaussians.colors(rec, *images, grid, chosen));
-        (Choice { unit: None, indices, chosen: clustered }, [scene, colors])
+        (Choice { scene_scale: None, indices, chosen: clustered }, [scene, colors])
     }
 
     fn inputs(&self, rec: &mut Recorder, shape: Shape) -> Inputs {

@@ -1,7 +1,7 @@
 use super::{Request, Shape, network::Choice};
 use crate::{
     Error, Result,
-    cameras::{FoundCamera, Pair, find_cameras},
+    cameras::{CameraEstimate, Pair, find_cameras},
     gpu::Run,
     stages::ViewGrid,
     types::Scene,
@@ -84,7 +84,7 @@ impl Patches {
     ///
     /// # Errors
     /// [`Error::Argument`] if cameras were known; as [`Patches::pairs`].
-    pub fn cameras(&self, scene: &Scene, focal: Option<f64>) -> Result<Vec<Result<FoundCamera>>> {
+    pub fn cameras(&self, scene: &Scene, focal: Option<f64>) -> Result<Vec<Result<CameraEstimate>>> {
         if self.posed {
             let expected = "a scene that was reconstructed without cameras";
             return Err(Error::argument("cameras to find", "given ones", expected));

@@ -54,14 +54,14 @@ pub struct Request {
     pub cameras: Option<Vec<Camera>>,
     /// Scene scale: the length, in camera and scene units, that the network sees as 1. Training
     /// scenes have a median distance of about 1 from the first camera.
-    pub unit: f64,
+    pub scene_scale: f64,
     /// Side of pooled groups, 1 to [`Pool::MAX_SIDE`]: faster and less exact with many photos.
     pub pool: usize,
 }
 
 impl Default for Request {
     fn default() -> Self {
-        Self { ratio: Ratio::Fixed(1.0), selection: Selection::KMEANS, cameras: None, unit: 1.0, pool: 1 }
+        Self { ratio: Ratio::Fixed(1.0), selection: Selection::KMEANS, cameras: None, scene_scale: 1.0, pool: 1 }
     }
 }
 

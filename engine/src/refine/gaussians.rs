@@ -2,9 +2,9 @@
 //! of the number of photos.
 
 use super::{
-    Adam, Look, Rates, Refine, Space,
+    Adam, PerceptualLoss, Rates, Refine, Space,
     growth::padded,
-    planned::{Found, PhotoPlan, record_photos},
+    planned::{PhotoLoss, PhotoPlan, record_photos},
     record_adam,
     views::View,
 };
@@ -94,11 +94,12 @@ impl Gaussians {
         (update, schedule): (Run, Tensor),
     ) -> Result<Self> {
         let clear = filling(arena, &memories[0], gradients.into_iter())?;
-        let open =
-            |Look { network, .. }: Look| LpipsWeights::open(arena.device(), network, &Perceptual::file(network)?, true);
-        let look = request.look.map(open).transpose()?;
+        let open = |PerceptualLoss { network, .. }: PerceptualLoss| {
+            LpipsWeights::open(arena.device(), network, &Perceptual::file(network)?, true)
+        };
+        let look = request.perceptual_loss.map(open).transpose()?;
         let limits = arena.device().limits();
-        let capacity = request.room.unwrap_or_else(|| first_capacity(scene.len)).max(1);
+        let capacity = request.intersection_capacity.unwrap_or_else(|| first_capacity(scene.len)).max(1);
         Ok(Self {
             arena: arena.clone(),
             memories,
@@ -117,7 +118,7 @@ impl Gaussians {
         })
     }
 
-    pub fn step(&mut self, views: &[&View], rate: f32) -> Result<Vec<Found>> {
+    pub fn step(&mut self, views: &[&View], rate: f32) -> Result<Vec<PhotoLoss>> {
         let mut views = views.to_vec();
         views.sort_by_key(|view| view.size);
         let found = loop {
@@ -133,7 +134,7 @@ impl Gaussians {
     }
 
     /// `None` if the capacity was exceeded; it then grows.
-    fn add_all(&mut self, views: &[&View]) -> Result<Option<Vec<Found>>> {
+    fn add_all(&mut self, views: &[&View]) -> Result<Option<Vec<PhotoLoss>>> {
         let mut found = Vec::new();
         for alike in views.chunk_by(|a, b| a.size == b.size) {
             let mut left = alike;
@@ -143,7 +144,7 @@ impl Gaussians {
                 let (views, behind) = left.split_at(count);
                 match self.run(views, true) {
                     Ok(Some(plan)) => {
-                        found.extend(plan.found(views)?);
+                        found.extend(plan.losses(views)?);
                         left = behind;
                     }
                     Ok(None) => return Ok(None),
@@ -238,8 +239,8 @@ impl Gaussians {
 }
 
 pub(super) fn together(request: &Refine, limits: &Limits) -> usize {
-    let usual = if limits.cpu || request.look.is_some() { 1 } else { request.views_per_step };
-    request.together.filter(|_| request.look.is_none()).unwrap_or(usual).max(1)
+    let usual = if limits.cpu || request.perceptual_loss.is_some() { 1 } else { request.views_per_step };
+    request.batch_size.filter(|_| request.perceptual_loss.is_none()).unwrap_or(usual).max(1)
 }
 
 pub(super) fn most_together(pixels: usize) -> usize {

@@ -4,18 +4,18 @@ mod adam;
 mod cameras;
 mod gaussians;
 mod growth;
+mod init;
 mod plan;
 mod planned;
 mod refinement;
 mod schedule;
-mod start;
 mod tokens;
 mod views;
 
 pub use adam::{Adam, Space, record_adam};
 pub use cameras::PoseAdam;
+pub use init::{join, scene_of_points};
 pub use plan::{Moved, RefinePlan, plan_refinement};
-pub use start::{join, scene_of_points};
 pub use tokens::FrozenHead;
 
 use crate::{
@@ -52,7 +52,7 @@ pub struct Refine {
     /// Pixel loss.
     pub loss: Loss,
     /// LPIPS term for photos large enough; it prevents batching. `None` needs no LPIPS weights.
-    pub look: Option<Look>,
+    pub perceptual_loss: Option<PerceptualLoss>,
     /// Learning rates.
     pub rates: Rates,
     /// Also refines training cameras, except the first.
@@ -66,10 +66,10 @@ pub struct Refine {
     /// Whether the first half uses downscaled photos.
     pub coarse: bool,
     /// Batch limit for photos of one size. `None`: a whole step on a GPU, 1 on a CPU.
-    pub together: Option<usize>,
+    pub batch_size: Option<usize>,
     /// Initial capacity in tile intersections per photo, which grows on demand. `None`: from the
     /// number of Gaussians.
-    pub room: Option<usize>,
+    pub intersection_capacity: Option<usize>,
     /// Steps between the scenes passed to `progress`. `None`: never.
     pub show: Option<usize>,
     /// Seed of the photo order.
@@ -86,15 +86,15 @@ impl Default for Refine {
             size: None,
             hold_out: None,
             loss: Loss::L1Dssim,
-            look: None,
+            perceptual_loss: None,
             rates: Rates::default(),
             cameras: false,
             grow: None,
             opacity_penalty: 0.0,
             scale_penalty: 0.1,
             coarse: true,
-            together: None,
-            room: None,
+            batch_size: None,
+            intersection_capacity: None,
             show: None,
             seed: 0,
             profile: false,
@@ -104,7 +104,7 @@ impl Default for Refine {
 
 /// The LPIPS term of a loss.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Look {
+pub struct PerceptualLoss {
     /// Factor of the distance.
     pub weight: f32,
     /// LPIPS network, with weights from [`Perceptual::file`](crate::perceptual::Perceptual::file).
@@ -189,7 +189,7 @@ pub struct Refined {
     /// Mean PSNR in dB of at most 16 training photos: with the kept scene, and before.
     pub training_psnr: [f64; 2],
     /// Indices of the held-out photos.
-    pub held: Vec<usize>,
+    pub held_out_views: Vec<usize>,
     /// Steps with a new size, and the largest photo's width and height from then on.
     pub sizes: Vec<(usize, [u32; 2])>,
     /// Time of all steps.
@@ -230,11 +230,11 @@ pub fn refine_scene(
     if scene.is_empty() {
         return Err(Error::argument("scene to refine", "no Gaussians", "at least one"));
     }
-    let unit = distance(scene, cameras);
+    let scene_distance = distance(scene, cameras);
     let make = |arena: &Arena, request: &Refine| {
         let grown = request.grow.map(|most| padded(scene, most));
-        let gaussians = Gaussians::new(arena, grown.as_ref().unwrap_or(scene), unit, request)?;
-        Ok((gaussians, (scene.clone(), unit)))
+        let gaussians = Gaussians::new(arena, grown.as_ref().unwrap_or(scene), scene_distance, request)?;
+        Ok((gaussians, (scene.clone(), scene_distance)))
     };
     run(arena, make, photos, cameras, request, progress)
 }
@@ -255,8 +255,8 @@ pub fn refine_tokens(
     tokens_grow_not(request)?;
     let make = |arena: &Arena, request: &Refine| {
         let (gaussians, scene) = tokens::gaussians(arena, head, tokens, request)?;
-        let unit = distance(&scene, cameras);
-        Ok((gaussians, (scene, unit)))
+        let scene_distance = distance(&scene, cameras);
+        Ok((gaussians, (scene, scene_distance)))
     };
     run(arena, make, photos, cameras, request, progress)
 }

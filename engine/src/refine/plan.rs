@@ -87,8 +87,8 @@ pub fn plan_refinement(
             let head = Head::new(&mut parameters, a);
             let width = count * (a.width + a.color_width);
             let [tokens, first, second] = [(); 3].map(|()| layout.add::<f32>(width));
-            let unit = layout.add::<f32>(1);
-            let kept = head.keep(&mut layout, count, unit);
+            let scene_scale = layout.add::<f32>(1);
+            let kept = head.keep(&mut layout, count, scene_scale);
             let mut rec = Recorder::new(limits);
             let schedule = rec.input::<f32>("schedule", 4);
             let d_tokens = head.record_backward(&mut rec, &kept, &scene_gradients(gradients));
@@ -102,9 +102,10 @@ pub fn plan_refinement(
     }
     kept_bytes += layout.bytes();
 
-    let look = request.look.map(|look| LpipsWeights::layout(limits, Arithmetic::EXACT, look.network, true));
-    kept_bytes += look.as_ref().map_or(0, |(parameters, _)| parameters.bytes());
-    let lpips = look.as_ref().map(|(_, lpips)| lpips);
+    let weights =
+        request.perceptual_loss.map(|loss| LpipsWeights::layout(limits, Arithmetic::EXACT, loss.network, true));
+    kept_bytes += weights.as_ref().map_or(0, |(parameters, _)| parameters.bytes());
+    let lpips = weights.as_ref().map(|(_, lpips)| lpips);
     let gradients = Gradients { scene: Some(scene_gradients(gradients)), cameras: None };
     record_steps(limits, &mut plans, &scene, &gradients, lpips, [width, height], &request)?;
     Ok(RefinePlan { kept_bytes, plans })
@@ -125,7 +126,7 @@ fn record_steps(
     let shortest = photo_size(1).into_iter().min().unwrap_or(0);
     let mut shrinks: Vec<u32> = (0..request.steps).map(|step| schedule.shrink(step, shortest)).collect();
     shrinks.dedup();
-    let each = request.room.unwrap_or_else(|| first_capacity(scene.len)).max(1);
+    let each = request.intersection_capacity.unwrap_or_else(|| first_capacity(scene.len)).max(1);
     for shrink in shrinks {
         let [width, height] = photo_size(shrink);
         let pixels = width as usize * height as usize;

@@ -1,4 +1,4 @@
-use super::{Look, Refine, views::View};
+use super::{PerceptualLoss, Refine, views::View};
 use crate::{
     Result,
     gpu::{Recorder, Run, Tensor},
@@ -32,12 +32,12 @@ pub(super) struct Learning {
     pub targets: Tensor,
     /// `[cameras]`.
     pub losses: Tensor,
-    pub look: Option<(f32, Tensor)>,
+    pub perceptual: Option<(f32, Tensor)>,
     /// `[cameras, 10]`, if cameras are refined.
     pub d_cameras: Option<Tensor>,
 }
 
-pub(super) struct Found {
+pub(super) struct PhotoLoss {
     pub photo: usize,
     pub loss: f32,
     /// Camera gradient d loss / d (w, v), if cameras are refined.
@@ -50,12 +50,12 @@ pub(super) fn record_photos(
     shape: FrameShape,
     capacity: usize,
     near: f32,
-    learnt: Option<(&Refine, &Gradients, Option<&Lpips>)>,
+    training: Option<(&Refine, &Gradients, Option<&Lpips>)>,
 ) -> Recorded {
     let FrameShape { cameras: count, width, height } = shape;
     let cameras = rec.input::<CameraRows>("cameras", count);
     let drawing = RenderRequest { near: Some(near), ..RenderRequest::default() };
-    let Some((request, gradients, lpips)) = learnt else {
+    let Some((request, gradients, lpips)) = training else {
         return Recorded { cameras, learning: None, outputs: record(rec, scene, cameras, shape, &drawing, capacity) };
     };
     let d_cameras = request.cameras.then(|| {
@@ -70,9 +70,10 @@ pub(super) fn record_photos(
         let LossTensors { value, d_frames } =
             record_loss(rec, request.loss, frames, targets, shape, drawing.channels(), scale);
         rec.output(value);
-        let look = lpips.and_then(|lpips| record_look(rec, lpips, request, [frames, targets, d_frames], shape));
-        look.iter().for_each(|(_, value)| rec.output(*value));
-        learning = Some(Learning { targets, losses: value, look, d_cameras });
+        let perceptual =
+            lpips.and_then(|lpips| record_perceptual(rec, lpips, request, [frames, targets, d_frames], shape));
+        perceptual.iter().for_each(|(_, value)| rec.output(*value));
+        learning = Some(Learning { targets, losses: value, perceptual, d_cameras });
         d_frames
     };
     let gradients = Gradients { cameras: d_cameras, ..*gradients };
@@ -83,14 +84,14 @@ pub(super) fn record_photos(
 
 /// Records LPIPS of one picture and adds its gradient to `d_frames`, unless the picture is too
 /// small.
-fn record_look(
+fn record_perceptual(
     rec: &mut Recorder,
     lpips: &Lpips,
     request: &Refine,
     [frames, targets, d_frames]: [Tensor; 3],
     FrameShape { cameras, width, height }: FrameShape,
 ) -> Option<(f32, Tensor)> {
-    let Look { weight, network } = request.look?;
+    let PerceptualLoss { weight, network } = request.perceptual_loss?;
     assert_eq!(cameras, 1, "photos are learnt from one after the other");
     if width.min(height) < network.least_side() {
         return None;
@@ -116,15 +117,15 @@ impl PhotoPlan {
         Ok(())
     }
 
-    pub fn found(&self, views: &[&View]) -> Result<Vec<Found>> {
-        let Learning { losses, look, d_cameras, .. } = self.recorded.learning.expect("it learns");
+    pub fn losses(&self, views: &[&View]) -> Result<Vec<PhotoLoss>> {
+        let Learning { losses, perceptual, d_cameras, .. } = self.recorded.learning.expect("it learns");
         let mut losses: Vec<f32> = self.run.read(losses)?;
-        if let Some((weight, value)) = look {
+        if let Some((weight, value)) = perceptual {
             losses[0] += weight * self.run.read::<f32>(value)?[0];
         }
         let poses: Option<Vec<[f32; CAMERA_NUMBERS]>> = d_cameras.map(|tensor| self.run.read(tensor)).transpose()?;
         let pose = |i: usize| poses.as_ref().map(|all| std::array::from_fn(|k| all[i][k]));
-        let of = |(i, view): (usize, &&View)| Found { photo: view.photo, loss: losses[i], d_pose: pose(i) };
+        let of = |(i, view): (usize, &&View)| PhotoLoss { photo: view.photo, loss: losses[i], d_pose: pose(i) };
         Ok(views.iter().enumerate().map(of).collect())
     }
 }

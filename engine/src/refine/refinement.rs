@@ -3,7 +3,7 @@ use super::{
     cameras::Cameras,
     gaussians::Gaussians,
     growth::{Growth, drop_unseen},
-    planned::Found,
+    planned::PhotoLoss,
     schedule::{Schedule, rate_of_error},
     views::{Order, View, size, split},
 };
@@ -106,7 +106,7 @@ impl<'a> Refinement<'a> {
         self.fraction = rate_of_error(before);
         // Held-out photos select the best step, and LPIPS trades PSNR for detail. Otherwise the
         // given scene is a candidate.
-        let given = (self.held.is_empty() && self.request.look.is_none()).then(|| self.kept.clone());
+        let given = (self.held.is_empty() && self.request.perceptual_loss.is_none()).then(|| self.kept.clone());
         let stopped = self.run(progress, begin)?;
         let profile = self.request.profile.then(|| self.profile()).transpose()?;
         let peak_bytes = self.gaussians.device().allocated_bytes();
@@ -128,7 +128,7 @@ impl<'a> Refinement<'a> {
             best_step,
             held_out,
             training_psnr,
-            held,
+            held_out_views: held,
             sizes,
             took,
             peak_bytes,
@@ -202,9 +202,9 @@ impl<'a> Refinement<'a> {
         Ok(found.iter().map(|(psnr, _)| psnr).sum::<f64>() / found.len() as f64)
     }
 
-    fn move_cameras(&mut self, step: usize, found: &[Found]) {
+    fn move_cameras(&mut self, step: usize, found: &[PhotoLoss]) {
         let along = step as f64 / self.request.steps as f64;
-        for Found { photo, d_pose, .. } in found {
+        for PhotoLoss { photo, d_pose, .. } in found {
             d_pose.iter().for_each(|d_pose| self.cameras.step(*photo, *d_pose, self.schedule.rate(step), along));
         }
         let cameras = self.cameras.all();

@@ -59,10 +59,10 @@ pub(super) fn gaussians(
     let mut layout = ResidentLayout::new(device.limits());
     let [values, gradients] = [(); 2].map(|()| counts.map(|count| layout.add::<f32>(count)));
     let [moved, first, second] = [(); 3].map(|()| layout.add::<f32>(count * width));
-    let unit = layout.add::<f32>(1);
-    let kept = head.keep(&mut layout, count, unit);
+    let scene_scale = layout.add::<f32>(1);
+    let kept = head.keep(&mut layout, count, scene_scale);
     let memory = Arc::new(Resident::new(device, &layout)?);
-    memory.write(unit, &[tokens.unit() as f32])?;
+    memory.write(scene_scale, &[tokens.scene_scale() as f32])?;
     filling(arena, &memory, [(first, 0.0), (second, 0.0)].into_iter())?.execute()?;
     let scene = scene_tensors(values, len, sh_degree);
 

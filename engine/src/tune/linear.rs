@@ -88,7 +88,7 @@ impl Operation for LinearLayers {
     }
 
     fn chosen<'a>(&self, arithmetic: &'a mut Arithmetic) -> Vec<&'a mut Option<Units>> {
-        vec![&mut arithmetic.linear, &mut arithmetic.quantised]
+        vec![&mut arithmetic.linear, &mut arithmetic.quantized]
     }
 
     fn chosen_on_lanes<'a>(&self, arithmetic: &'a mut Arithmetic) -> Vec<(Element, &'a mut Tiles)> {

@@ -25,7 +25,7 @@ pub struct Checkpoint {
 #[cfg(feature = "embedded-model")]
 const EMBEDDED: &[u8] = include_bytes!(concat!(env!("CARGO_MANIFEST_DIR"), "/models/nano.safetensors"));
 
-type Known = (Architecture, Option<String>);
+type Identified = (Architecture, Option<String>);
 
 impl Checkpoint {
     /// Returns the model of `engine/models/README.md`.
@@ -99,14 +99,14 @@ impl Checkpoint {
         Ok(Self { architecture, parameters, picture_side: DEFAULT_SIZE, source, provenance, notes: Vec::new() })
     }
 
-    fn load(path: &Path, architecture: impl FnOnce(&Contents, &Path) -> Result<Known>) -> Result<Self> {
+    fn load(path: &Path, architecture: impl FnOnce(&Contents, &Path) -> Result<Identified>) -> Result<Self> {
         Self::from_file(path, Bytes::open(path)?, architecture)
     }
 
     fn from_file(
         path: &Path,
         file: Bytes,
-        architecture: impl FnOnce(&Contents, &Path) -> Result<Known>,
+        architecture: impl FnOnce(&Contents, &Path) -> Result<Identified>,
     ) -> Result<Self> {
         let contents =
             if torch::is_archive(&file) { torch::contents(path, &file)? } else { safetensors::contents(path, &file)? };

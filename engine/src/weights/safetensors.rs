@@ -184,12 +184,12 @@ fn q8_bytes(values: &Q8) -> Vec<u8> {
 }
 
 fn encode(name: &str, values: &[f32], dtype: Dtype) -> Result<Vec<u8>> {
-    let held = |value: f32| match dtype {
+    let fits = |value: f32| match dtype {
         Dtype::F16 => f16::from_f32(value).is_finite(),
         Dtype::Bf16 => bf16::from_f32(value).is_finite(),
         Dtype::F32 | Dtype::Q8 => true,
     };
-    if let Some(value) = values.iter().find(|&&value| !held(value)) {
+    if let Some(value) = values.iter().find(|&&value| !fits(value)) {
         return Err(too_small(dtype, name, *value));
     }
     Ok(match dtype {

@@ -39,16 +39,16 @@ pub(super) fn fill(key: &str, name: &str, shape: &[usize], out: &mut [f32]) {
 fn value(byte: u8, name: &str, shape: &[usize]) -> f32 {
     let integer = u32::from(byte);
     // in (-1, 1), never 0
-    let centred = (2.0 * f32::from(byte) - 255.0) / 256.0;
+    let centered = (2.0 * f32::from(byte) - 255.0) / 256.0;
     match name.rsplit('.').next() {
         Some("gamma") => (52 + ((integer * 204) >> 8)) as f32 / 256.0,
-        Some("cls_token" | "camera_token") => centred,
-        Some("pos_embed") => centred / 2.0,
+        Some("cls_token" | "camera_token") => centered,
+        Some("pos_embed") => centered / 2.0,
         // A view near a right angle.
-        Some("bias") if name.ends_with("fc_fov.0.bias") => 1.0 + centred / 8.0,
-        Some("bias") => centred / 8.0,
+        Some("bias") if name.ends_with("fc_fov.0.bias") => 1.0 + centered / 8.0,
+        Some("bias") => centered / 8.0,
         _ if shape.len() == 1 => (64 + integer / 2) as f32 / 128.0,
-        _ => centred * matrix_scale(name, shape),
+        _ => centered * matrix_scale(name, shape),
     }
 }
 

@@ -71,7 +71,7 @@ struct Made {
 
 impl Work {
     fn new(staged: bool) -> Self {
-        let options = DeviceOptions { staged, ..DeviceOptions::default() };
+        let options = DeviceOptions { force_staging: staged, ..DeviceOptions::default() };
         let images = [noise(28, 28, 1), noise(28, 28, 2)];
         let scene = random_scene(100, 0, 0.1);
         let mut work = Self { faults: Faults::inherited(), options, images, scene, truth: Default::default() };

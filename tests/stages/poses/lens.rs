@@ -43,17 +43,17 @@ fn spots() -> Vec<[f64; 2]> {
 }
 
 fn photo(lens: &Intrinsics, distort: Distort) -> Image {
-    let centres: Vec<_> = spots().into_iter().map(|spot| pixel(lens, distort(spot))).collect();
+    let centers: Vec<_> = spots().into_iter().map(|spot| pixel(lens, distort(spot))).collect();
     let light = |x: f64, y: f64| {
         let near = |[u, v]: &[f64; 2]| (-((x - u).powi(2) + (y - v).powi(2)) / (2.0 * SPOT * SPOT)).exp();
-        20.0 + 200.0 * centres.iter().map(near).sum::<f64>()
+        20.0 + 200.0 * centers.iter().map(near).sum::<f64>()
     };
     let pixels = (0..SIZE[1]).flat_map(|y| (0..SIZE[0]).map(move |x| [x, y].map(|at| f64::from(at) + 0.5)));
     Image::new(SIZE[0], SIZE[1], pixels.flat_map(|[x, y]| [light(x, y) as u8; 3]).collect()).unwrap()
 }
 
 /// Of the spot near a pixel.
-fn centre(image: &Image, [u, v]: [f64; 2]) -> [f64; 2] {
+fn center(image: &Image, [u, v]: [f64; 2]) -> [f64; 2] {
     let (mut sum, mut moment) = (0.0, [0.0; 2]);
     let reach = |at: f64, most: u32| (at - 9.0).max(0.0) as u32..((at + 9.0) as u32).min(most);
     for y in reach(v, image.height) {
@@ -74,7 +74,7 @@ fn assert_undone(name: &str, frame: &Frame, folder: &Path, lens: &Intrinsics, di
     assert_eq!([image.width, image.height], SIZE, "{name}");
     for spot in spots() {
         let (bent, truth) = (pixel(lens, distort(spot)), pixel(&pinhole, spot));
-        let found = centre(&image, truth);
+        let found = center(&image, truth);
         let off = (found[0] - truth[0]).hypot(found[1] - truth[1]);
         assert!(off < 0.15, "{name}: spot {spot:?} at {found:?}, not {truth:?}, in the photo at {bent:?}");
     }

@@ -46,16 +46,17 @@ fn nodes_turn_move_and_scale() {
     let axes = DQuat::from_rotation_z(std::f64::consts::PI);
     let to_world = DMat4::from_scale_rotation_translation(DVec3::splat(2.0), outer, DVec3::new(1.0, -2.0, 3.0))
         * DMat4::from_rotation_translation(inner, DVec3::X);
-    let ours = DMat4::from_quat(axes) * to_world * DMat4::from_quat(axes);
+    let rotation = DMat4::from_quat(axes) * to_world * DMat4::from_quat(axes);
     let turn = axes * outer * inner * axes.inverse();
     let means: Vec<f32> = (truth.means.iter())
-        .flat_map(|mean| ours.transform_point3(DVec3::from(mean.map(f64::from))).as_vec3().to_array())
+        .flat_map(|mean| rotation.transform_point3(DVec3::from(mean.map(f64::from))).as_vec3().to_array())
         .collect();
     assert_within("mean", found.means.as_flattened(), &means, |truth| 1e-5 * (1.0 + truth.abs()));
     for i in 0..truth.len() {
         assert!((0..3).all(|c| found.scales[i][c] == 2.0 * truth.scales[i][c]));
-        let [ours, theirs] = [found.quats[i], truth.quats[i]].map(|quat| matrix_from_quaternion(quat.map(f64::from)));
-        assert!(ours.abs_diff_eq(glam::DMat3::from_quat(turn) * theirs, 1e-6), "rotation {i}");
+        let [rotation, original] =
+            [found.quats[i], truth.quats[i]].map(|quat| matrix_from_quaternion(quat.map(f64::from)));
+        assert!(rotation.abs_diff_eq(glam::DMat3::from_quat(turn) * original, 1e-6), "rotation {i}");
         // Colors turn with the directions.
         for direction in [axis, DVec3::X, DVec3::new(-1.0, 2.0, 0.5).normalize()] {
             let color = |scene: &Scene, direction: DVec3| {

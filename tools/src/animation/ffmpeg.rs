@@ -25,7 +25,7 @@ pub struct Ffmpeg {
     program: PathBuf,
     child: Running,
     /// Drains messages: a full pipe would block ffmpeg.
-    said: Option<JoinHandle<String>>,
+    messages: Option<JoinHandle<String>>,
     // Dropped after the child, which still writes to it.
     file: Unfinished,
 }
@@ -46,14 +46,14 @@ impl Ffmpeg {
         command.args(ENCODING.split_whitespace()).arg(out);
         command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped());
         let mut child = Running::start(&mut command).map_err(|source| Error::io(program, source))?;
-        let said = child.0.stderr.take().map(listen);
-        Ok(Self { program: program.into(), child, said, file })
+        let messages = child.0.stderr.take().map(listen);
+        Ok(Self { program: program.into(), child, messages, file })
     }
 
     /// Returns ffmpeg's message, or `reason`.
     fn failure(&mut self, reason: String) -> Error {
-        let said = self.said.take().and_then(|said| said.join().ok()).unwrap_or_default();
-        failure(&self.program, &said, reason)
+        let messages = self.messages.take().and_then(|messages| messages.join().ok()).unwrap_or_default();
+        failure(&self.program, &messages, reason)
     }
 }
 

@@ -74,7 +74,7 @@ pub struct Mapping {
 }
 
 #[derive(Default)]
-pub struct Told {
+pub struct ColmapOutput {
     /// Per photo.
     pub features: Vec<usize>,
     /// Matched pairs.
@@ -142,20 +142,20 @@ impl Colmap {
 
     fn native(program: &Path, stage: &Stage<'_>) -> std::result::Result<Self, String> {
         let why = |why: &dyn fmt::Display| format!("{}: {why}", program.display());
-        let said = process::printed(headless(&mut Command::new(program)).arg("help"), stage);
-        let said = said.map_err(|error| error.to_string())?;
-        let version = said.split_once("COLMAP ").and_then(|(_, rest)| rest.split_whitespace().next());
+        let printed = process::printed(headless(&mut Command::new(program)).arg("help"), stage);
+        let printed = printed.map_err(|error| error.to_string())?;
+        let version = printed.split_once("COLMAP ").and_then(|(_, rest)| rest.split_whitespace().next());
         match version.filter(|version| version.starts_with(|c: char| c.is_ascii_digit())) {
             Some(version) => Ok(Self { program: program.into(), python: false, version: version.into() }),
-            None => Err(why(&format!("says no version, but {:?}", said.lines().next().unwrap_or_default()))),
+            None => Err(why(&format!("says no version, but {:?}", printed.lines().next().unwrap_or_default()))),
         }
     }
 
     fn pycolmap(program: &Path, stage: &Stage<'_>) -> std::result::Result<Self, String> {
         let why = |why: &dyn fmt::Display| format!("{}: {why}", program.display());
-        let said = process::printed(Command::new(program).args(["-c", PYCOLMAP]), stage);
-        let said = said.map_err(|error| error.to_string())?;
-        let version = said.trim();
+        let printed = process::printed(Command::new(program).args(["-c", PYCOLMAP]), stage);
+        let printed = printed.map_err(|error| error.to_string())?;
+        let version = printed.trim();
         if version.starts_with(|c: char| c.is_ascii_digit()) && version.lines().count() == 1 {
             return Ok(Self { program: program.into(), python: true, version: version.into() });
         }
@@ -258,7 +258,7 @@ fn install() -> &'static str {
     }
 }
 
-impl Told {
+impl ColmapOutput {
     /// Parses a line; returns the step's finished fraction if it has one.
     pub fn hear(&mut self, line: &str, photos: usize) -> Option<f64> {
         // Strips glog's prefix.
@@ -343,27 +343,31 @@ mod tests {
             ("  Name:            001.jpg", None),
             ("Processed file [a/b]", None),
         ] {
-            assert_eq!(Told::default().hear(line, 10), far, "{line}");
+            assert_eq!(ColmapOutput::default().hear(line, 10), far, "{line}");
         }
     }
 
     #[test]
     fn pairs_and_features_are_counted() {
-        let mut told = Told::default();
+        let mut output = ColmapOutput::default();
         let lines = [
             "  Features:        2666",
             "I2 1 2 feature_extraction.cc:294]   Features:        31 (SIFT)",
             "Loading matches... 49 in 0.000s",
         ];
         for line in lines {
-            told.hear(line, 3);
+            output.hear(line, 3);
         }
-        assert_eq!((&told.features[..], told.pairs), (&[2666, 31][..], Some(49)));
-        told.hear("I2 1 2 database_cache.cc:144] Loading matches...", 3);
-        told.hear("I2 1 2 database_cache.cc:163]  48 in 0.000s", 3);
-        assert_eq!(told.pairs, Some(48));
-        assert!(!told.no_start);
-        told.hear("ERROR: failed to create sparse model", 3);
-        assert!(told.no_start && told.last_words().ends_with("failed to create sparse model"), "{}", told.last_words());
+        assert_eq!((&output.features[..], output.pairs), (&[2666, 31][..], Some(49)));
+        output.hear("I2 1 2 database_cache.cc:144] Loading matches...", 3);
+        output.hear("I2 1 2 database_cache.cc:163]  48 in 0.000s", 3);
+        assert_eq!(output.pairs, Some(48));
+        assert!(!output.no_start);
+        output.hear("ERROR: failed to create sparse model", 3);
+        assert!(
+            output.no_start && output.last_words().ends_with("failed to create sparse model"),
+            "{}",
+            output.last_words()
+        );
     }
 }

@@ -1,11 +1,11 @@
 //! Camera estimation by COLMAP or Depth Anything 3.
 
 use super::{
-    colmap::{Colmap, Mapping, Pairs, Searching, Step, Told},
+    colmap::{Colmap, ColmapOutput, Mapping, Pairs, Searching, Step},
     work::{Work, make_folder},
 };
 use crate::{
-    depth::{CamerasFrom, Seen},
+    depth::{CamerasFrom, PredictedViews},
     outputs::LOG_START,
     photos::{names, text},
     process,
@@ -69,15 +69,15 @@ pub enum Finder {
 }
 
 /// Cameras, and what is known of how they were found.
-pub struct Known {
+pub struct KnownCameras {
     pub poses: Poses,
-    pub found: Option<Found>,
+    pub found: Option<EstimatedCameras>,
 }
 
 /// Owns the temporary points file.
-pub struct Found {
+pub struct EstimatedCameras {
     /// Results of the network, if one was used.
-    pub seen: Option<Box<Seen>>,
+    pub predicted: Option<Box<PredictedViews>>,
     pub lost: Vec<PathBuf>,
     pub count: usize,
     /// Sizes of groups among the lost photos that COLMAP registered separately.
@@ -101,7 +101,7 @@ struct Search<'a> {
     pairs: Pairs,
     side: u32,
     log: Log,
-    told: Told,
+    output: ColmapOutput,
     times: Vec<(&'static str, Duration)>,
 }
 
@@ -114,21 +114,26 @@ impl Finder {
     }
 
     /// Frames are named after files, or after paths if files share a name.
-    pub fn find(self, session: &mut Session<'_>, photos: &[PathBuf], finding: &Finding) -> Result<(Poses, Found)> {
+    pub fn find(
+        self,
+        session: &mut Session<'_>,
+        photos: &[PathBuf],
+        finding: &Finding,
+    ) -> Result<(Poses, EstimatedCameras)> {
         photos.iter().try_for_each(|photo| text(Path::new(photo.file_name().unwrap_or_default())).map(drop))?;
         match self {
-            Self::Colmap => Found::by_colmap(session, photos, &finding.search),
-            Self::Da3 => Found::by_network(session, photos, finding),
+            Self::Colmap => EstimatedCameras::by_colmap(session, photos, &finding.search),
+            Self::Da3 => EstimatedCameras::by_network(session, photos, finding),
         }
     }
 }
 
-impl Known {
+impl KnownCameras {
     /// Reads a camera file, or estimates cameras for a [`Finder`]'s word, with a note.
     pub fn of(session: &mut Session<'_>, poses: &Path, photos: &[PathBuf], finding: &Finding) -> Result<Self> {
         let Some(finder) = Finder::named(poses) else { return Ok(Self { poses: read_poses(poses)?, found: None }) };
         let (poses, found) = finder.find(session, photos, finding)?;
-        session.note(format!("cameras found: {}", found.told()));
+        session.note(format!("cameras found: {}", found.summary()));
         Ok(Self { poses, found: Some(found) })
     }
 
@@ -137,7 +142,7 @@ impl Known {
     }
 }
 
-impl Found {
+impl EstimatedCameras {
     /// In a world and unit of COLMAP's choice.
     fn by_colmap(session: &mut Session<'_>, photos: &[PathBuf], searching: &Searching) -> Result<(Poses, Self)> {
         let (colmap, _) = session.stage("look for COLMAP", |stage| Colmap::of(searching, stage))?;
@@ -152,9 +157,9 @@ impl Found {
             }
         }
         let (models, mappings) = search.map(session)?;
-        let Search { told, log, times, .. } = search;
+        let Search { output, log, times, .. } = search;
         let mut models = models.into_iter();
-        let Some(model) = models.next() else { return Err(nothing(photos.len(), &told)) };
+        let Some(model) = models.next() else { return Err(nothing(photos.len(), &output)) };
         let alone = |frame: &&Frame| !model.frames.iter().any(|other| other.name == frame.name);
         let groups = models.map(|other| other.frames.iter().filter(alone).count()).filter(|count| *count > 0).collect();
         let first = model.frames.first().map_or(String::new(), |frame| frame.name.clone());
@@ -166,10 +171,10 @@ impl Found {
         let points = poses.points.as_ref().map(read_cloud).transpose()?.map_or(0, |cloud| cloud.positions.len());
         let (program, count, focal) = (colmap.to_string(), poses.frames.len(), focal(&poses.frames));
         let (log, _work) = (Some(log), work.folder);
-        Ok((poses, Self { seen: None, lost, count, groups, points, focal, mappings, program, times, log, _work }))
+        Ok((poses, Self { predicted: None, lost, count, groups, points, focal, mappings, program, times, log, _work }))
     }
 
-    pub fn told(&self) -> String {
+    pub fn summary(&self) -> String {
         let mut text = format!("{} of {}", self.count, counted(self.count + self.lost.len(), "photo"));
         text += &format!(", {}, by {}", counted(self.points, "point"), self.program);
         if self.mappings > 1 {
@@ -197,30 +202,30 @@ impl<'a> Search<'a> {
     fn new(searching: &Searching, colmap: &'a Colmap, work: &'a Work) -> Result<Self> {
         let pairs = searching.pairs.unwrap_or(if work.photos.len() > ALL_PAIRS { Pairs::Near } else { Pairs::All });
         let side = searching.find_size.unwrap_or(SIDE);
-        Ok(Self { colmap, work, pairs, side, log: Log::new()?, told: Told::default(), times: Vec::new() })
+        Ok(Self { colmap, work, pairs, side, log: Log::new()?, output: ColmapOutput::default(), times: Vec::new() })
     }
 
     fn run(&mut self, session: &Session<'_>, step: Step, models: &Path) -> Result<Option<ExitStatus>> {
         let folders = [self.work.folder.path(), models];
         let photos = self.work.photos.len();
-        let (log, told) = (&mut self.log, &mut self.told);
+        let (log, output) = (&mut self.log, &mut self.output);
         let (status, took) = session.stage(step.name(), |stage| {
             let mut command = self.colmap.command(step, folders, (self.pairs, self.side), stage)?;
             process::run(&mut command, stage, |line| {
                 log.write(line)?;
-                told.hear(line, photos).map_or(Ok(()), |far| stage.reach(far))
+                output.hear(line, photos).map_or(Ok(()), |far| stage.reach(far))
             })
         })?;
         match self.times.iter_mut().find(|(name, _)| *name == step.name()) {
             Some((_, all)) => *all += took,
             None => self.times.push((step.name(), took)),
         }
-        if told.no_room {
+        if output.no_room {
             let why = "COLMAP found no room left for its files; TMPDIR says where they go";
             return Err(process::failure(&std::env::temp_dir(), why, status));
         }
         // Only if there is nothing to find.
-        let found_nothing = told.found_nothing(step, status);
+        let found_nothing = output.found_nothing(step, status);
         Ok(Some(status).filter(|status| !status.success() && !found_nothing))
     }
 
@@ -264,13 +269,13 @@ impl<'a> Search<'a> {
 
     /// Keeps the log.
     fn failure(&mut self, step: Step, status: ExitStatus) -> Error {
-        let said = match self.told.last_words() {
+        let last_words = match self.output.last_words() {
             words if words.is_empty() => String::new(),
             words => format!("; its last words: {words}"),
         };
         match self.log.keep() {
             Ok(log) => {
-                let why = format!("could not {}: {status}{said}; all of them: {}", step.name(), log.display());
+                let why = format!("could not {}: {status}{last_words}; all of them: {}", step.name(), log.display());
                 process::failure(self.colmap.program(), &why, status)
             }
             Err(error) => error,
@@ -287,11 +292,11 @@ pub(super) fn focal(frames: &[Frame]) -> f64 {
     focals[focals.len() / 2]
 }
 
-fn nothing(photos: usize, told: &Told) -> Error {
-    let mut features = told.features.clone();
+fn nothing(photos: usize, output: &ColmapOutput) -> Error {
+    let mut features = output.features.clone();
     features.sort_unstable();
     let median = features.get(features.len() / 2).copied().unwrap_or(0);
-    let (pairs, all) = (told.pairs.unwrap_or(0), photos * (photos - 1) / 2);
+    let (pairs, all) = (output.pairs.unwrap_or(0), photos * (photos - 1) / 2);
     let (why, expected) = match () {
         () if median < FEW => (
             format!("their details are few, {median} in the median photo"),

@@ -9,7 +9,7 @@ mod similarity;
 mod work;
 
 pub use colmap::Searching;
-pub use find::{Finder, Finding, Found, Known};
+pub use find::{EstimatedCameras, Finder, Finding, KnownCameras};
 pub use paths::{CameraArgs, to_scene};
 pub use place::{ModelOption, Place, path_from};
 pub use similarity::Similarity;

@@ -1,8 +1,8 @@
 //! Camera estimation by Depth Anything 3.
 
-use super::find::{Finding, Found, focal};
+use super::find::{EstimatedCameras, Finding, focal};
 use crate::{
-    depth::{POINTS, Question, check_finds_cameras},
+    depth::{POINTS, PredictorOptions, check_finds_cameras},
     options::ArithmeticOption,
     released::open_depth,
     scratch::Scratch,
@@ -15,7 +15,7 @@ use zipsplat::{
     types::{poses::Poses, write_points},
 };
 
-impl Found {
+impl EstimatedCameras {
     /// In the world of one of them, with points of confident pixels.
     pub(super) fn by_network(
         session: &mut Session<'_>,
@@ -27,27 +27,31 @@ impl Found {
         let checkpoint = open_depth(finding.depth_weights.as_deref().ok_or_else(none)?, false)?;
         let arithmetic = &ArithmeticOption::default();
         let (side, cameras, request) = (finding.search.find_size, finding.cameras, DepthRequest::default());
-        let question = Question { checkpoint: &checkpoint, side, cameras, arithmetic, request };
-        Self::by_question(session, photos, question)
+        let options = PredictorOptions { checkpoint: &checkpoint, side, cameras, arithmetic, request };
+        Self::by_predictor(session, photos, options)
     }
 
-    pub fn by_question(session: &mut Session<'_>, photos: &[PathBuf], question: Question<'_>) -> Result<(Poses, Self)> {
-        check_finds_cameras(question.checkpoint.architecture())?;
-        let seen = question.ask(session, photos, &[])?;
+    pub fn by_predictor(
+        session: &mut Session<'_>,
+        photos: &[PathBuf],
+        options: PredictorOptions<'_>,
+    ) -> Result<(Poses, Self)> {
+        check_finds_cameras(options.checkpoint.architecture())?;
+        let predicted = options.ask(session, photos, &[])?;
         let folder = Scratch::new()?;
-        let (points, path) = (seen.points(POINTS), folder.path().join("points.ply"));
+        let (points, path) = (predicted.points(POINTS), folder.path().join("points.ply"));
         write_points(&path, &points)?;
-        let poses = Poses { frames: seen.frames()?, points: Some(path), ..Poses::default() };
+        let poses = Poses { frames: predicted.frames()?, points: Some(path), ..Poses::default() };
         let found = Self {
-            lost: seen.lost.clone(),
+            lost: predicted.lost.clone(),
             count: poses.frames.len(),
             groups: Vec::new(),
             points: points.len(),
             focal: focal(&poses.frames),
             mappings: 1,
-            program: seen.network.clone(),
-            times: seen.times.clone(),
-            seen: Some(Box::new(seen)),
+            program: predicted.network.clone(),
+            times: predicted.times.clone(),
+            predicted: Some(Box::new(predicted)),
             log: None,
             _work: folder,
         };

@@ -1,6 +1,6 @@
 //! Files of estimated cameras.
 
-use super::Found;
+use super::EstimatedCameras;
 use crate::{
     outputs::{Overwrite, check_folder, make_folder},
     photos::text,
@@ -53,15 +53,15 @@ impl Place<'_> {
     }
 
     /// Keeps the lenses of the unchanged photos.
-    pub fn save(&self, poses: &Poses, found: &Found) -> Result<()> {
+    pub fn save(&self, poses: &Poses, found: &EstimatedCameras) -> Result<()> {
         let [cameras, points, log] = self.files();
         self.0.parent().map_or(Ok(()), make_folder)?;
         if let Some(cloud) = poses.points.as_ref().map(read_cloud).transpose()? {
             write_points(&points, &colored(cloud))?;
         }
-        if let Some(said) = &found.log {
-            let said = std::fs::read(said.path()).map_err(|source| Error::io(said.path(), source))?;
-            write_atomic(&log, |out| out.write_all(&said))?;
+        if let Some(log_text) = &found.log {
+            let log_text = std::fs::read(log_text.path()).map_err(|source| Error::io(log_text.path(), source))?;
+            write_atomic(&log, |out| out.write_all(&log_text))?;
         }
         let folder = cameras.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let name = |frame: &Frame| {

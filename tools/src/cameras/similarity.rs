@@ -29,16 +29,16 @@ impl Similarity {
     /// over their spread. Rotations are averaged; scale and translation are least squares. `None`
     /// if no scale follows, for coincident or unrelated positions.
     pub fn between(pairs: &[(Camera, Camera)]) -> Option<(Self, f64)> {
-        let centre = |of: fn(&(Camera, Camera)) -> DVec3| pairs.iter().map(of).sum::<DVec3>() / pairs.len() as f64;
-        let (from, to) = (centre(|(theirs, _)| theirs.pose.translation), centre(|(_, ours)| ours.pose.translation));
+        let center = |of: fn(&(Camera, Camera)) -> DVec3| pairs.iter().map(of).sum::<DVec3>() / pairs.len() as f64;
+        let (from, to) = (center(|(source, _)| source.pose.translation), center(|(_, target)| target.pose.translation));
         let rotation =
-            mean_turn(pairs.iter().map(|(theirs, ours)| ours.pose.rotation * theirs.pose.rotation.transpose()));
+            mean_turn(pairs.iter().map(|(source, target)| target.pose.rotation * source.pose.rotation.transpose()));
         let arms: Vec<[DVec3; 2]> = (pairs.iter())
-            .map(|(theirs, ours)| [rotation * (theirs.pose.translation - from), ours.pose.translation - to])
+            .map(|(source, target)| [rotation * (source.pose.translation - from), target.pose.translation - to])
             .collect();
         let [reach, spread] = [0, 1].map(|k| arms.iter().map(|arm| arm[k].length_squared()).sum::<f64>());
-        let scale = arms.iter().map(|[theirs, ours]| theirs.dot(*ours)).sum::<f64>() / reach;
-        let apart = arms.iter().map(|[theirs, ours]| (scale * *theirs - *ours).length_squared()).sum::<f64>();
+        let scale = arms.iter().map(|[source, target]| source.dot(*target)).sum::<f64>() / reach;
+        let apart = arms.iter().map(|[source, target]| (scale * *source - *target).length_squared()).sum::<f64>();
         let pose = Pose { rotation, translation: to - rotation * (scale * from) };
         let usable = pairs.len() >= 2 && scale.is_finite() && scale > 0.0;
         usable.then(|| (Self { scale, pose }, (apart / spread).sqrt()))
@@ -88,8 +88,8 @@ mod tests {
                 rotation: DMat3::from_rotation_x(k) * DMat3::from_rotation_z(3.0 * k),
                 translation: DVec3::new(k, 0.0, 0.0),
             };
-            let theirs = Camera { intrinsics: Intrinsics::from_fov(8, 8, 1.0, 1.0), pose };
-            (theirs, truth.apply(&theirs))
+            let source = Camera { intrinsics: Intrinsics::from_fov(8, 8, 1.0, 1.0), pose };
+            (source, truth.apply(&source))
         };
         let pairs = [0.0, 0.4, 1.1].map(pair);
         let (found, apart) = Similarity::between(&pairs).expect("aligned");

@@ -78,7 +78,7 @@ impl Cameras {
             "output": self.output, "photos": photos.len(), "found": found.count, "lost": found.lost,
             "groups": found.groups, "points": found.points, "mappings": found.mappings, "program": found.program, "seconds": seconds,
         });
-        let mut text = format!("{}: {}\n", self.output.display(), found.told());
+        let mut text = format!("{}: {}\n", self.output.display(), found.summary());
         found.times.iter().for_each(|(step, took)| text += &format!("  {step:<13}{:>10}\n", time(*took)));
         session.report(&json, text)
     }

@@ -1,10 +1,10 @@
 use crate::{
-    cameras::{Finding, Known, Similarity, to_scene},
+    cameras::{Finding, KnownCameras, Similarity, to_scene},
     explain::Explanation,
     options::{SceneInput, Size},
     outputs::{self, Overwrite},
     photos,
-    refinement::{self, MOST_PIXELS, Moved, Refinable, Start, save_cameras},
+    refinement::{self, Initialization, MOST_PIXELS, Moved, Refinable, save_cameras},
     session::Session,
     table::counted,
 };
@@ -59,7 +59,7 @@ pub struct Refine {
     relative_to: Option<PathBuf>,
     /// Initialization of the refinement
     #[arg(long, alias = "init", value_enum, value_name = "WHAT", default_value = "scene")]
-    start: Start,
+    start: Initialization,
     /// Steps of the optimizer
     #[arg(long, value_name = "N", default_value_t = refine::Refine::default().steps)]
     steps: usize,
@@ -104,12 +104,12 @@ impl Refine {
         }
         self.refined_cameras.as_ref().map_or(Ok(()), |path| self.overwrite.check_file(path))?;
         let (scene, files) = self.files();
-        if Known::to_find(&self.poses) && self.start != Start::Points {
+        if KnownCameras::to_find(&self.poses) && self.start != Initialization::Points {
             let expected = "--start points: the scene is in another world than cameras that are found anew";
             return Err(Error::argument(format!("--poses {}", self.poses.display()), "with a scene", expected));
         }
         let photos = photos::list(session, files)?;
-        let Known { poses, found } = Known::of(session, &self.poses, &photos, &self.finding)?;
+        let KnownCameras { poses, found } = KnownCameras::of(session, &self.poses, &photos, &self.finding)?;
         poses.notes.iter().for_each(|note| session.note(note));
         let photos = photos::posed(session, photos, &poses)?;
         let frames = poses.frames_of(&photos)?;
@@ -154,16 +154,16 @@ impl Refine {
         if frames.is_empty() {
             return Err(Error::argument("photos", "none", "one or more behind the scene"));
         }
-        let (mut scene, mut said) = (None, World::of_cameras(frames));
+        let (mut scene, mut scene_world) = (None, World::of_cameras(frames));
         if let Some(path) = path {
             scene = Some(self.input.read(session, path)?.0);
-            said = read_world(path)?;
+            scene_world = read_world(path)?;
         }
-        let (to_scene, note) = to_scene(self.relative_to.as_deref(), poses, said.as_ref(), &self.poses)?;
+        let (to_scene, note) = to_scene(self.relative_to.as_deref(), poses, scene_world.as_ref(), &self.poses)?;
         note.iter().for_each(|note| session.note(note));
-        let world = match (said, &self.relative_to) {
+        let world = match (scene_world, &self.relative_to) {
             (_, Some(photo)) => World::of_first(&poses.frames_of(&[photo])?),
-            (said, None) => said.or_else(|| World::of_cameras(frames)),
+            (scene_world, None) => scene_world.or_else(|| World::of_cameras(frames)),
         };
         let camera = |frame: &&Frame| to_scene.apply(&frame.camera);
         let cameras: Vec<Camera> = frames.iter().map(camera).collect();
@@ -215,7 +215,7 @@ impl Refine {
             "{}: {} against {} on {device}\n{}\n",
             self.output.display(),
             counted(count, "Gaussian"),
-            counted(photos.len() - refined.held.len(), "photo"),
+            counted(photos.len() - refined.held_out_views.len(), "photo"),
             refinement::summary(&refined, start, cameras),
         );
         if let Some(profile) = &refined.profile {

@@ -207,15 +207,15 @@ impl Get {
         if let Some(older) = released.cached(folder).first() {
             session.note(format!("the host has newer weights than {}, which stays where it is", older.display()));
         }
-        let Released { name, what, licence, terms, .. } = released;
+        let Released { name, what, license, terms, .. } = released;
         let size = bytes(promise.size);
-        let offer = format!("{name}: {what}; {size} from {}{there}; licence {licence}: {terms}", promise.url);
+        let offer = format!("{name}: {what}; {size} from {}{there}; licence {license}: {terms}", promise.url);
         if self.yes {
             session.note(offer);
             return Ok(());
         }
         if !stdin().is_terminal() {
-            let expected = format!("--yes, which accepts the licence {licence} ({terms}) and loads {size}");
+            let expected = format!("--yes, which accepts the licence {license} ({terms}) and loads {size}");
             return Err(Error::argument("consent", "no --yes, and no terminal to ask on", expected));
         }
         let answer = session.ask(&format!("{offer}\nLoad it to {}? [y/N] ", folder.display()))?;
@@ -255,9 +255,9 @@ fn size_of(path: &Path) -> Result<u64> {
 }
 
 fn report(session: &mut Session<'_>, released: &Released, path: &Path) -> Result<()> {
-    let Released { name, licence, .. } = released;
+    let Released { name, license, .. } = released;
     let size = size_of(path)?;
-    let json = json!({ "name": name, "path": path, "bytes": size, "licence": licence });
+    let json = json!({ "name": name, "path": path, "bytes": size, "licence": license });
     let kept = if released.kind == Kind::Tokens { ", f16" } else { "" };
     session.report(&json, format!("{}: {}{kept}; --weights {name} takes it", path.display(), bytes(size)))
 }
@@ -275,7 +275,7 @@ fn list(session: &mut Session<'_>) -> Result<()> {
         }));
     }
     for released in &RELEASED {
-        let Released { name, what, licence, .. } = released;
+        let Released { name, what, license, .. } = released;
         let cached = released.cached(&folder).into_iter().next();
         let (state, size, place) = match (&cached, kept(&released.base(&folder))) {
             (Some(path), _) => ("cached", size_of(path)?, path.display().to_string()),
@@ -285,9 +285,9 @@ fn list(session: &mut Session<'_>) -> Result<()> {
             }
             (None, None) => ("to get", released.bytes, format!("`{}`", released.command())),
         };
-        table.row([(*name).into(), bytes(size), (*licence).into(), place, (*what).into()]);
+        table.row([(*name).into(), bytes(size), (*license).into(), place, (*what).into()]);
         rows.push(json!({
-            "name": name, "state": state, "bytes": size, "licence": licence, "path": cached, "what": what,
+            "name": name, "state": state, "bytes": size, "licence": license, "path": cached, "what": what,
             "command": released.command(),
         }));
     }

@@ -11,7 +11,7 @@ use zipsplat::{
     Result,
     gpu::{Device, Element},
     ops::{FeatureMap, Lanes, Linear, LinearKernel, Rows, Weights, pack_matrix},
-    stages::heads::{Convolution, How},
+    stages::heads::{Convolution, ConvolutionOptions},
 };
 use zipsplat_reference::{heads::convolution::convolution, widen};
 
@@ -145,7 +145,7 @@ impl case::Problem for Problem {
         let source = map(trial.input(&self.x), self.size, self.channels);
         let result = map(out, self.out_size(), self.columns);
         let residual = self.residual.as_ref().map(|residual| map(trial.input(residual), self.out_size(), self.columns));
-        let how = How { rectified: self.rectified, gelu: false, residual };
+        let how = ConvolutionOptions { rectified: self.rectified, gelu: false, residual };
         Convolution::of(layer, self.shape).record_into(&mut trial.rec, source, result, how);
         trial.result(out)
     }

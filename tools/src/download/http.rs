@@ -34,15 +34,15 @@ pub struct Client {
 
 /// The storage behind the hub's redirect reports neither.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Told {
+pub struct FileInfo {
     /// Lowercase hexadecimal.
     pub sha256: Option<String>,
     pub size: Option<u64>,
 }
 
-impl Told {
+impl FileInfo {
     /// Keeps earlier answers. Only the hub's ETag is a hash.
-    fn hear(&mut self, headers: &HeaderMap, is_hub: bool) {
+    fn update(&mut self, headers: &HeaderMap, is_hub: bool) {
         let etag = || text(headers, ETAG.as_str()).filter(|_| is_hub);
         let digest = text(headers, "x-linked-etag")
             .or_else(etag)
@@ -91,31 +91,31 @@ impl Client {
         format!("{}/{repository}/resolve/{revision}/{file}", self.endpoint)
     }
 
-    pub fn ask(&self, url: &str) -> Result<Told, Failure> {
-        let (response, mut told) = self.follow(true, url, 0)?;
-        if told.size.is_none() && response.status() == StatusCode::OK {
-            told.size = text(response.headers(), CONTENT_LENGTH.as_str()).and_then(|length| length.parse().ok());
+    pub fn ask(&self, url: &str) -> Result<FileInfo, Failure> {
+        let (response, mut info) = self.follow(true, url, 0)?;
+        if info.size.is_none() && response.status() == StatusCode::OK {
+            info.size = text(response.headers(), CONTENT_LENGTH.as_str()).and_then(|length| length.parse().ok());
         }
-        Ok(told)
+        Ok(info)
     }
 
     /// Requests bytes from `start` on, through redirects. Returns an answer of status 200, 206 or
     /// 416, and the hub's hash and size.
-    pub fn get(&self, url: &str, start: u64) -> Result<(Response<Body>, Told), Failure> {
+    pub fn get(&self, url: &str, start: u64) -> Result<(Response<Body>, FileInfo), Failure> {
         self.follow(false, url, start)
     }
 
-    fn follow(&self, head: bool, url: &str, start: u64) -> Result<(Response<Body>, Told), Failure> {
-        let (mut at, mut told) = (url.to_owned(), Told::default());
+    fn follow(&self, head: bool, url: &str, start: u64) -> Result<(Response<Body>, FileInfo), Failure> {
+        let (mut at, mut info) = (url.to_owned(), FileInfo::default());
         for _ in 0..HOPS {
             let response = self.send(head, &at, start).map_err(|error| failure(url, &error, self.patience))?;
-            told.hear(response.headers(), origin(&at) == origin(&self.endpoint));
+            info.update(response.headers(), origin(&at) == origin(&self.endpoint));
             if !response.status().is_redirection() {
                 check_status(url, response.status(), self.token.is_some())?;
-                return Ok((response, told));
+                return Ok((response, info));
             }
-            if head && told.sha256.is_some() && told.size.is_some() {
-                return Ok((response, told));
+            if head && info.sha256.is_some() && info.size.is_some() {
+                return Ok((response, info));
             }
             let location = text(response.headers(), LOCATION.as_str()).unwrap_or_default();
             at = redirected(&at, location).ok_or_else(|| {
@@ -223,14 +223,14 @@ mod tests {
             pairs.iter().map(|(name, value)| (name.parse().unwrap(), value.parse().unwrap())).collect::<HeaderMap>()
         };
         let digest = |digit: &str| digit.repeat(64);
-        let mut told = Told::default();
-        told.hear(&headers(&[("etag", "\"abc\"".into())]), true);
-        assert_eq!(told, Told::default(), "an ETag that is no SHA-256");
-        told.hear(&headers(&[("etag", digest("c"))]), false);
-        assert_eq!(told, Told::default(), "the storage's own name for a file");
+        let mut info = FileInfo::default();
+        info.update(&headers(&[("etag", "\"abc\"".into())]), true);
+        assert_eq!(info, FileInfo::default(), "an ETag that is no SHA-256");
+        info.update(&headers(&[("etag", digest("c"))]), false);
+        assert_eq!(info, FileInfo::default(), "the storage's own name for a file");
         let linked = [("x-linked-etag", format!("\"{}\"", digest("A"))), ("x-linked-size", "7".into())];
-        told.hear(&headers(&linked), true);
-        told.hear(&headers(&[("etag", format!("\"{}\"", digest("b")))]), true);
-        assert_eq!(told, Told { sha256: Some(digest("a")), size: Some(7) });
+        info.update(&headers(&linked), true);
+        info.update(&headers(&[("etag", format!("\"{}\"", digest("b")))]), true);
+        assert_eq!(info, FileInfo { sha256: Some(digest("a")), size: Some(7) });
     }
 }

@@ -19,7 +19,7 @@ use zipsplat::{Error, Result};
 pub use http::{Client, is_sha256};
 pub use partial::{Lock, Promise, TAG, kept};
 
-use http::{Failure, Told, failure};
+use http::{Failure, FileInfo, failure};
 use partial::Partial;
 
 /// Consecutive retries without progress.
@@ -33,24 +33,24 @@ const POLL: Duration = Duration::from_millis(50);
 /// `sha256` replaces an unreported hash.
 pub fn promise(client: &Client, url: &str, sha256: Option<&str>, stage: &Stage<'_>) -> Result<Promise> {
     let mut tries = Tries::default();
-    let told = loop {
+    let info = loop {
         let (asking, address) = (client.clone(), url.to_owned());
         match apart(stage, move || asking.ask(&address))? {
-            Ok(told) => break told,
+            Ok(info) => break info,
             Err(Failure::Lasting(error)) => return Err(error),
             Err(Failure::Passing(reason)) => tries.failed(url, &reason, client.patience, stage)?,
         }
     };
-    let sha256 = match (told.sha256, sha256.map(str::to_lowercase)) {
-        (Some(told), Some(given)) if told != given => {
-            return Err(Error::argument("--sha256", given, format!("{told}, which the host says")));
+    let sha256 = match (info.sha256, sha256.map(str::to_lowercase)) {
+        (Some(hosted), Some(given)) if hosted != given => {
+            return Err(Error::argument("--sha256", given, format!("{hosted}, which the host says")));
         }
-        (told, given) => told.or(given),
+        (hosted, given) => hosted.or(given),
     };
     let nothing = |what: &str, expected: &str| {
         Err(Error::argument(format!("{what} of {url}"), "none in the host's answer", expected))
     };
-    match (sha256, told.size) {
+    match (sha256, info.size) {
         (Some(sha256), Some(size)) => Ok(Promise { url: url.to_owned(), size, sha256 }),
         (None, _) => nothing("SHA-256", "x-linked-etag, or --sha256 with the hash from a source that you trust"),
         (_, None) => nothing("size", "x-linked-size or a length"),
@@ -180,11 +180,11 @@ fn load(client: &Client, promise: &Promise, partial: &mut Partial, stage: &Stage
 }
 
 fn stream(client: &Client, promise: &Promise, start: u64, send: &SyncSender<Event>) -> Stop {
-    let (response, told) = match client.get(&promise.url, start) {
+    let (response, info) = match client.get(&promise.url, start) {
         Ok(answer) => answer,
         Err(failure) => return failure.into(),
     };
-    let from = match check_answer(promise, &told, response.status(), response.headers(), start) {
+    let from = match check_answer(promise, &info, response.status(), response.headers(), start) {
         Ok(from) => from,
         Err(stop) => return stop,
     };
@@ -211,12 +211,12 @@ fn stream(client: &Client, promise: &Promise, start: u64, send: &SyncSender<Even
 /// Returns the answer's file offset.
 fn check_answer(
     promise: &Promise,
-    told: &Told,
+    info: &FileInfo,
     status: StatusCode,
     headers: &HeaderMap,
     start: u64,
 ) -> Result<u64, Stop> {
-    if let Some(other) = told.sha256.as_ref().filter(|sha256| **sha256 != promise.sha256) {
+    if let Some(other) = info.sha256.as_ref().filter(|sha256| **sha256 != promise.sha256) {
         let reason = format!("the host has another file since (SHA-256 {other}): run the command again");
         return Err(Stop::Lasting(Error::format(&promise.url, None, reason)));
     }

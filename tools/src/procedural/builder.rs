@@ -19,17 +19,17 @@ impl Builder<'_> {
         self.palette.draw(&mut self.rng, role)
     }
 
-    pub fn put(&mut self, shape: Shape, centre: Vec3A, rotation: Mat3A, material: Material) {
-        self.primitives.push(Primitive { shape, rotation, centre, to_local: rotation.transpose(), material });
+    pub fn put(&mut self, shape: Shape, center: Vec3A, rotation: Mat3A, material: Material) {
+        self.primitives.push(Primitive { shape, rotation, center, to_local: rotation.transpose(), material });
     }
 
-    pub fn block(&mut self, centre: Vec3A, half: [f32; 3], heading: f32, material: Material) {
-        self.put(Shape::Box { half: Vec3A::from(half) }, centre, Mat3A::from_rotation_z(heading), material);
+    pub fn block(&mut self, center: Vec3A, half: [f32; 3], heading: f32, material: Material) {
+        self.put(Shape::Box { half: Vec3A::from(half) }, center, Mat3A::from_rotation_z(heading), material);
     }
 
-    pub fn ball(&mut self, centre: Vec3A, radii: [f32; 3], material: Material) {
+    pub fn ball(&mut self, center: Vec3A, radii: [f32; 3], material: Material) {
         let heading = self.rng.angle();
-        self.put(Shape::Ellipsoid { radii: Vec3A::from(radii) }, centre, Mat3A::from_rotation_z(heading), material);
+        self.put(Shape::Ellipsoid { radii: Vec3A::from(radii) }, center, Mat3A::from_rotation_z(heading), material);
     }
 
     pub fn can(&mut self, base: Vec3A, radius: f32, height: f32, material: Material) {
@@ -51,20 +51,20 @@ impl Builder<'_> {
     }
 
     /// Its y axis is up if possible.
-    pub fn rectangle(&mut self, centre: Vec3A, half: [f32; 2], normal: Vec3A, material: Material) {
-        self.put(Shape::Rectangle { half: Vec2::from(half) }, centre, facing(normal), material);
+    pub fn rectangle(&mut self, center: Vec3A, half: [f32; 2], normal: Vec3A, material: Material) {
+        self.put(Shape::Rectangle { half: Vec2::from(half) }, center, facing(normal), material);
     }
 
     pub fn shell(&mut self, low: Vec3A, high: Vec3A) {
-        let (centre, half) = ((low + high) / 2.0, (high - low) / 2.0);
+        let (center, half) = ((low + high) / 2.0, (high - low) / 2.0);
         let (floor, ceiling) = (self.draw(Role::Floor), self.draw(Role::Wall));
-        self.rectangle(centre.with_z(low.z), [half.x, half.y], Vec3A::Z, floor);
-        self.rectangle(centre.with_z(high.z), [half.x, half.y], Vec3A::NEG_Z, ceiling);
+        self.rectangle(center.with_z(low.z), [half.x, half.y], Vec3A::Z, floor);
+        self.rectangle(center.with_z(high.z), [half.x, half.y], Vec3A::NEG_Z, ceiling);
         let (wall, feature) = (self.draw(Role::Wall), self.draw(Role::Wall));
         for (i, normal) in [Vec3A::X, Vec3A::Y, Vec3A::NEG_X, Vec3A::NEG_Y].into_iter().enumerate() {
             let wide = if normal.x == 0.0 { half.x } else { half.y };
             let material = if i == 1 { feature } else { wall };
-            self.rectangle(centre - normal * half, [wide, half.z], normal, material);
+            self.rectangle(center - normal * half, [wide, half.z], normal, material);
         }
     }
 
@@ -173,8 +173,8 @@ impl Builder<'_> {
         let turn = Mat3A::from_rotation_z(heading);
         for (x, y) in [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)] {
             let foot = turn * Vec3A::new(x * 0.88 * half[0], y * 0.85 * half[1], 0.0);
-            let centre = base + foot + Vec3A::Z * (height / 2.0 - board);
-            self.block(centre, [0.035, 0.035, height / 2.0 - board], heading, legs);
+            let center = base + foot + Vec3A::Z * (height / 2.0 - board);
+            self.block(center, [0.035, 0.035, height / 2.0 - board], heading, legs);
         }
     }
 
@@ -207,13 +207,13 @@ impl Builder<'_> {
         let turn = Mat3A::from_rotation_z(heading);
         for side in [-1.0, 1.0] {
             let rotation = turn * Mat3A::from_rotation_x(-side * 0.6);
-            let centre = base + turn * Vec3A::new(0.0, side * 0.2 * size, 0.73 * size);
-            self.put(Shape::Box { half: Vec3A::new(0.55, 0.29, 0.02) * size }, centre, rotation, roof);
+            let center = base + turn * Vec3A::new(0.0, side * 0.2 * size, 0.73 * size);
+            self.put(Shape::Box { half: Vec3A::new(0.55, 0.29, 0.02) * size }, center, rotation, roof);
         }
         let pane = self.draw(Role::Glass);
         for (x, y) in [(-0.25, -1.0), (0.2, -1.0), (-0.1, 1.0)] {
-            let centre = base + turn * Vec3A::new(x * size, y * half[1], 0.3 * size);
-            self.block(centre, [0.07 * size, 0.01 * size, 0.09 * size], heading, pane);
+            let center = base + turn * Vec3A::new(x * size, y * half[1], 0.3 * size);
+            self.block(center, [0.07 * size, 0.01 * size, 0.09 * size], heading, pane);
         }
     }
 }

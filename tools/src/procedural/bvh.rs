@@ -51,8 +51,8 @@ pub(super) struct Bvh {
 impl Bvh {
     pub fn new(primitives: &[Primitive]) -> Self {
         let bounds = |primitive: &Primitive| {
-            let (centre, extent) = (primitive.centre, primitive.extent() + 1e-4);
-            Aabb { low: centre - extent, high: centre + extent }
+            let (center, extent) = (primitive.center, primitive.extent() + 1e-4);
+            Aabb { low: center - extent, high: center + extent }
         };
         let boxes: Vec<Aabb> = primitives.iter().map(bounds).collect();
         let mut bvh = Self { nodes: Vec::new(), items: (0..primitives.len() as u32).collect() };
@@ -166,7 +166,7 @@ impl Bvh {
 }
 
 fn sort_along(items: &mut [u32], boxes: &[Aabb], axis: usize) {
-    let centre = |item: u32| boxes[item as usize].low[axis] + boxes[item as usize].high[axis];
+    let center = |item: u32| boxes[item as usize].low[axis] + boxes[item as usize].high[axis];
     // Ties by index make the order deterministic.
-    items.sort_unstable_by(|a, b| centre(*a).total_cmp(&centre(*b)).then(a.cmp(b)));
+    items.sort_unstable_by(|a, b| center(*a).total_cmp(&center(*b)).then(a.cmp(b)));
 }

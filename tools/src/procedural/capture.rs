@@ -13,7 +13,7 @@ use super::photos::Photos;
 use super::rng::Rng;
 use super::survey::{self, Lens};
 use super::tone::Development;
-use super::world::{Seen, World};
+use super::world::{Hit, World};
 
 /// Per place.
 const PATHS: usize = 20;
@@ -28,7 +28,7 @@ const FIELD_OF_VIEW: [f32; 2] = [28.0, 92.0];
 /// Distinct row and column offsets.
 const ROTATED_GRID: [(f32, f32); 4] = [(-0.125, -0.375), (0.375, -0.125), (0.125, 0.375), (-0.375, 0.125)];
 /// Also distinct from the central ray.
-const BESIDE_CENTRE: [(f32, f32); 2] = [(-0.33, 0.25), (0.33, -0.25)];
+const BESIDE_CENTER: [(f32, f32); 2] = [(-0.33, 0.25), (0.33, -0.25)];
 
 /// Cancellation check.
 pub type GoOn<'a> = &'a (dyn Fn() -> Result<()> + Sync);
@@ -75,7 +75,7 @@ pub struct Capture {
     /// Kind of path.
     pub path: PathKind,
     /// Meters per unit of length.
-    pub metres: f64,
+    pub meters: f64,
     /// Camera of each view.
     pub cameras: Vec<Camera>,
     /// Photo of each view.
@@ -170,7 +170,7 @@ impl Setup {
         let Lens { width, height, focal } = self.lens;
         let frames = self.views.par_iter().map(|view| self.frame(*view, photos, go_on)).collect::<Result<Vec<_>>>()?;
         let poses = self.poses();
-        let metres = self.median_distance(&frames);
+        let meters = self.median_distance(&frames);
         let intrinsics = Intrinsics {
             width: width as u32,
             height: height as u32,
@@ -181,7 +181,7 @@ impl Setup {
         };
         let camera = |pose: &Pose| {
             let mut pose = pose.relative_to(&poses[0]);
-            pose.translation /= metres;
+            pose.translation /= meters;
             Camera { intrinsics, pose }
         };
         let cameras = poses.iter().map(camera).collect();
@@ -191,12 +191,12 @@ impl Setup {
             height: height as u32,
             rgb: self.development.develop(i, width, light),
         };
-        let scaled = |depth: Vec<f32>| depth.into_iter().map(|z| z / metres as f32).collect();
+        let scaled = |depth: Vec<f32>| depth.into_iter().map(|z| z / meters as f32).collect();
         Ok(Capture {
             seed: self.seed,
             family: self.family,
             path: self.path,
-            metres,
+            meters,
             cameras,
             images: lights.into_par_iter().enumerate().map(develop).collect(),
             depths: depths.into_iter().map(scaled).collect(),
@@ -222,10 +222,10 @@ impl Setup {
 
     fn frame(&self, view: View, photos: &Photos, go_on: GoOn<'_>) -> Result<Frame> {
         let Lens { width, height, .. } = self.lens;
-        let look = |x: f32, y: f32, pixel: f32| self.look(view, x, y, pixel, photos);
-        let centres = |y: usize| (0..width).map(move |x| (x as f32 + 0.5, y as f32 + 0.5));
-        let row = |y: usize| go_on().map(|()| centres(y).map(|(x, y)| look(x, y, 1.0)).collect());
-        let rows = (0..height).into_par_iter().map(row).collect::<Result<Vec<Vec<(Seen, f32)>>>>()?;
+        let trace = |x: f32, y: f32, pixel: f32| self.trace(view, x, y, pixel, photos);
+        let centers = |y: usize| (0..width).map(move |x| (x as f32 + 0.5, y as f32 + 0.5));
+        let row = |y: usize| go_on().map(|()| centers(y).map(|(x, y)| trace(x, y, 1.0)).collect());
+        let rows = (0..height).into_par_iter().map(row).collect::<Result<Vec<Vec<(Hit, f32)>>>>()?;
         let region = |x: usize, y: usize| rows[y][x].0.region;
         let is_edge = |x: usize, y: usize| {
             let here = region(x, y);
@@ -234,13 +234,13 @@ impl Setup {
             [region(left, y), region(right, y), region(x, above), region(x, below)].iter().any(|other| *other != here)
         };
         let around = |x: usize, y: usize, offsets: &[(f32, f32)]| {
-            let light = |(dx, dy): &(f32, f32)| look(x as f32 + 0.5 + dx, y as f32 + 0.5 + dy, 0.5).0.light;
+            let light = |(dx, dy): &(f32, f32)| trace(x as f32 + 0.5 + dx, y as f32 + 0.5 + dy, 0.5).0.light;
             offsets.iter().map(light).sum::<Vec3A>()
         };
         let pixel = |x: usize, y: usize| match rows[y][x].0.light {
             _ if self.supersample => around(x, y, &ROTATED_GRID) / 4.0,
-            centre if is_edge(x, y) => (centre + around(x, y, &BESIDE_CENTRE)) / 3.0,
-            centre => centre,
+            center if is_edge(x, y) => (center + around(x, y, &BESIDE_CENTER)) / 3.0,
+            center => center,
         };
         let row = |y: usize| go_on().map(|()| (0..width).map(|x| pixel(x, y)).collect());
         let light = (0..height).into_par_iter().map(row).collect::<Result<Vec<Vec<Vec3A>>>>()?.concat();
@@ -248,12 +248,12 @@ impl Setup {
     }
 
     /// Returns color and z; `pixel` is the filter width in pixels.
-    fn look(&self, view: View, x: f32, y: f32, pixel: f32, photos: &Photos) -> (Seen, f32) {
+    fn trace(&self, view: View, x: f32, y: f32, pixel: f32, photos: &Photos) -> (Hit, f32) {
         let ray = self.lens.ray(x, y);
         let length = ray.length();
-        let seen = self.world.look(view.eye, view.rotation * (ray / length), pixel / self.lens.focal, photos);
-        let depth = seen.distance.map_or(0.0, |t| t / length);
-        (seen, depth)
+        let hit = self.world.trace(view.eye, view.rotation * (ray / length), pixel / self.lens.focal, photos);
+        let depth = hit.distance.map_or(0.0, |t| t / length);
+        (hit, depth)
     }
 }
 
@@ -265,10 +265,10 @@ struct Frame {
 /// Shared exposure from few rays; `None` for dull, dark or overexposed views.
 fn expose(world: &World, lens: Lens, views: &[View], photos: &Photos, rng: &mut Rng) -> Option<Development> {
     let pixel = lens.width as f32 / survey::GRID as f32 / lens.focal / 4.0;
-    let look = |view: &View| {
-        lens.grid(*view).map(|direction| world.look(view.eye, direction, pixel, photos).light).collect::<Vec<_>>()
+    let trace = |view: &View| {
+        lens.grid(*view).map(|direction| world.trace(view.eye, direction, pixel, photos).light).collect::<Vec<_>>()
     };
-    let lights: Vec<Vec<Vec3A>> = views.iter().map(look).collect();
+    let lights: Vec<Vec<Vec3A>> = views.iter().map(trace).collect();
     let all = lights.iter().flatten();
     let luminance =
         all.map(|light| light.element_sum() / 3.0).sum::<f32>() / (views.len() * survey::GRID.pow(2)) as f32;

@@ -144,7 +144,7 @@ impl Stage {
 
     fn sweep(&self, times: &[f32], span: f32, distance: f32, rng: &mut Rng) -> Vec<(Vec3A, Vec3A)> {
         let (azimuth, elevation) = (self.any_azimuth(0.2, rng), rng.range(self.elevation[0], self.elevation[1]));
-        let centre = self.target + distance * Self::direction(azimuth, elevation);
+        let center = self.target + distance * Self::direction(azimuth, elevation);
         let side = 0.5 * span * distance * rng.range(0.5, 2.2) * Self::direction(azimuth + PI / 2.0, 0.0);
         let rise = 0.5 * span * distance * rng.range(0.0, 0.5) * Vec3A::Z;
         // Serpentine rows.
@@ -155,19 +155,19 @@ impl Stage {
             let across = if (run as usize).is_multiple_of(2) { run.fract() } else { 1.0 - run.fract() };
             let lift = if rows > 1.0 { run.floor() / (rows - 1.0) } else { 0.5 };
             let move_by = side * (2.0 * across - 1.0) + rise * (2.0 * lift - 1.0);
-            (centre + move_by, self.target + (1.0 - converge) * move_by)
+            (center + move_by, self.target + (1.0 - converge) * move_by)
         };
         times.iter().map(place).collect()
     }
 
     fn handheld(&self, views: usize, span: f32, distance: f32, rng: &mut Rng) -> Vec<(Vec3A, Vec3A)> {
         let (azimuth, elevation) = (self.any_azimuth(0.2, rng), rng.range(self.elevation[0], self.elevation[1]));
-        let centre = self.target + distance * Self::direction(azimuth, elevation);
+        let center = self.target + distance * Self::direction(azimuth, elevation);
         let reach = distance * span * rng.range(0.1, 0.35);
         let place = |rng: &mut Rng| {
             let direction = Self::direction(TAU * rng.unit(), rng.range(-0.6, 0.6));
             let aim = 0.12 * distance * Vec3A::new(rng.signed(), rng.signed(), 0.5 * rng.signed());
-            (centre + reach * rng.unit().sqrt() * direction, self.target + aim)
+            (center + reach * rng.unit().sqrt() * direction, self.target + aim)
         };
         (0..views).map(|_| place(rng)).collect()
     }

@@ -55,7 +55,7 @@ pub struct Primitive {
     /// World from local axes.
     pub rotation: Mat3A,
     /// Local origin in the world.
-    pub centre: Vec3A,
+    pub center: Vec3A,
     pub(super) to_local: Mat3A,
     pub(super) material: Material,
 }
@@ -63,7 +63,7 @@ pub struct Primitive {
 impl Primitive {
     /// First distance in (0, `limit`) along a unit direction.
     pub(super) fn intersect(&self, origin: Vec3A, direction: Vec3A, limit: f32) -> Option<f32> {
-        let t = self.shape.intersect(self.to_local * (origin - self.centre), self.to_local * direction, limit)?;
+        let t = self.shape.intersect(self.to_local * (origin - self.center), self.to_local * direction, limit)?;
         (t > 0.0 && t < limit).then_some(t)
     }
 

@@ -157,9 +157,9 @@ fn spots(uv: Vec2, radius: f32, width: f32) -> f32 {
     let cell = uv.floor();
     let word = hash(cell.x as i32, cell.y as i32, 11);
     let jitter = Vec2::new((word & 0xffff) as f32, (word >> 16) as f32) / 65536.0;
-    let centre = cell + radius + (1.0 - 2.0 * radius) * jitter;
+    let center = cell + radius + (1.0 - 2.0 * radius) * jitter;
     let edge = width.max(0.02);
-    let disc = 1.0 - smoothstep(radius - edge, radius + edge, uv.distance(centre));
+    let disc = 1.0 - smoothstep(radius - edge, radius + edge, uv.distance(center));
     let mean = TAU / 2.0 * radius * radius;
     mean + fade(width) * (disc - mean)
 }

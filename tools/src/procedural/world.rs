@@ -55,7 +55,7 @@ pub struct World {
     room: Option<Room>,
 }
 
-pub(super) struct Seen {
+pub(super) struct Hit {
     pub light: Vec3A,
     /// Distance to the surface; `None` in the sky.
     pub distance: Option<f32>,
@@ -80,7 +80,7 @@ impl World {
 
     /// Returns true inside a solid.
     pub fn contains(&self, point: Vec3A) -> bool {
-        self.primitives.iter().any(|p| p.shape.contains(p.to_local * (point - p.centre)))
+        self.primitives.iter().any(|p| p.shape.contains(p.to_local * (point - p.center)))
     }
 
     /// Returns true for a surface in between, except within `slack` meters of the second point.
@@ -90,13 +90,13 @@ impl World {
     }
 
     /// `pixel` is the angle of one pixel.
-    pub(super) fn look(&self, origin: Vec3A, direction: Vec3A, pixel: f32, photos: &Photos) -> Seen {
+    pub(super) fn trace(&self, origin: Vec3A, direction: Vec3A, pixel: f32, photos: &Photos) -> Hit {
         let Some((t, index)) = self.bvh.nearest(&self.primitives, origin, direction, FAR) else {
-            return Seen { light: self.sky.color(direction), distance: None, region: u32::MAX };
+            return Hit { light: self.sky.color(direction), distance: None, region: u32::MAX };
         };
         let primitive = &self.primitives[index];
         let point = origin + direction * t;
-        let local = primitive.to_local * (point - primitive.centre);
+        let local = primitive.to_local * (point - primitive.center);
         let local_normal = primitive.shape.normal(local);
         let outward = primitive.rotation * local_normal;
         let facing = -outward.dot(direction);
@@ -114,7 +114,7 @@ impl World {
         let light = light.lerp(self.sky.horizon, haze);
         let face =
             if matches!(primitive.shape, Shape::Box { .. } | Shape::Cylinder { .. }) { face(local_normal) } else { 0 };
-        Seen { light, distance: Some(t), region: (index as u32) << 4 | face << 1 | u32::from(lit) }
+        Hit { light, distance: Some(t), region: (index as u32) << 4 | face << 1 | u32::from(lit) }
     }
 
     /// Lambert and Blinn-Phong, and the visibility of the key light by one shadow ray.

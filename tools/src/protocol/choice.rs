@@ -90,8 +90,8 @@ impl Setting {
         let inputs: Vec<usize> = match self.rule {
             Rule::Even => even(window, self.views),
             _ => {
-                let centres: Vec<_> = window.iter().map(|i| poses.frames[*i].camera.pose.translation).collect();
-                farthest_points(&centres, self.views).into_iter().map(|i| window[i]).collect()
+                let centers: Vec<_> = window.iter().map(|i| poses.frames[*i].camera.pose.translation).collect();
+                farthest_points(&centers, self.views).into_iter().map(|i| window[i]).collect()
             }
         };
         let targets = spread(window, &inputs, targets);

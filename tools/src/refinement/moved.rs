@@ -4,7 +4,7 @@ use clap::Args;
 use zipsplat::{
     Result,
     perceptual::Perceptual,
-    refine::{Look, Refine},
+    refine::{PerceptualLoss, Refine},
     stages::lpips::LpipsNetwork,
 };
 
@@ -39,8 +39,8 @@ impl Moved {
     }
 
     pub fn request(&self, request: Refine) -> Refine {
-        let look = self.lpips_weight.filter(|weight| *weight > 0.0);
-        let look = look.map(|weight| Look { weight, network: LpipsNetwork::Vgg });
-        Refine { cameras: self.refine_cameras, grow: self.grow, look, ..request }
+        let perceptual_loss = self.lpips_weight.filter(|weight| *weight > 0.0);
+        let perceptual_loss = perceptual_loss.map(|weight| PerceptualLoss { weight, network: LpipsNetwork::Vgg });
+        Refine { cameras: self.refine_cameras, grow: self.grow, perceptual_loss, ..request }
     }
 }

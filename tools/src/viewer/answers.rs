@@ -2,7 +2,7 @@
 
 use super::{
     Config, Live, Requests, Studio, Watched,
-    live::Made,
+    live::LiveScene,
     page::{ShownScene, write_page},
     photos::Ready,
     recording::Wanted,
@@ -77,7 +77,7 @@ impl Served<'_> {
 
     /// Scene at `refined` or `made/RATIO/PRECISION?NUMBER`. Higher numbers overtake it unless
     /// `kept`.
-    fn made(&self, path: &str, kept: bool) -> Result<Option<Made>> {
+    fn made(&self, path: &str, kept: bool) -> Result<Option<LiveScene>> {
         if path == "refined" {
             return Ok(self.watched.and_then(Watched::scene));
         }
@@ -93,7 +93,7 @@ impl Served<'_> {
             .map_err(|error| Error::argument("recording", error, "a camera path, as the page sends it"))?;
         let missing = || Error::argument("scene to record", &wanted.scene, "one that this page was served");
         let made = match number(&wanted.scene, "scene/").and_then(|i| self.scenes.get(i)) {
-            Some(scene) => Made { scene: scene.clone(), shown: ShownScene::default() },
+            Some(scene) => LiveScene { scene: scene.clone(), shown: ShownScene::default() },
             None => self.made(&wanted.scene, true)?.ok_or_else(missing)?,
         };
         self.studio.record(&made.scene, &wanted, self.cancelled)

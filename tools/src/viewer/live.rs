@@ -46,12 +46,12 @@ pub(super) struct Source {
     pub features: Features,
 }
 
-pub struct Made {
+pub struct LiveScene {
     pub scene: Scene,
     pub shown: ShownScene,
 }
 
-impl Made {
+impl LiveScene {
     /// A line of JSON, then the scene at full precision.
     pub fn encode(mut self) -> Result<Vec<u8>> {
         let begin = Instant::now();
@@ -68,7 +68,7 @@ impl Made {
 impl Live<'_> {
     /// Stops if a higher `number` overtakes it: requests may arrive out of order. The default is
     /// the next number.
-    pub fn make(&self, ratio: f64, precision: Precision, number: Option<u64>) -> Result<Made> {
+    pub fn make(&self, ratio: f64, precision: Precision, number: Option<u64>) -> Result<LiveScene> {
         let own = number.unwrap_or_else(|| self.latest.load(Ordering::SeqCst).saturating_add(1));
         self.latest.fetch_max(own, Ordering::SeqCst);
         let made = self.make_unless(ratio, precision, || self.latest.load(Ordering::SeqCst) > own);
@@ -78,7 +78,7 @@ impl Live<'_> {
     }
 
     /// Acts as [`Live::make`], unless `overtaken`.
-    pub fn make_unless(&self, ratio: f64, precision: Precision, overtaken: impl Fn() -> bool) -> Result<Made> {
+    pub fn make_unless(&self, ratio: f64, precision: Precision, overtaken: impl Fn() -> bool) -> Result<LiveScene> {
         let overtaken = || overtaken() || self.cancelled.load(Ordering::Relaxed);
         let go_on = |_: Progress<'_>| if overtaken() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
         let mut sources = self.lock(&overtaken)?;
@@ -115,7 +115,7 @@ impl Live<'_> {
             left_out: made.left_out,
             ..ShownScene::default()
         };
-        Ok(Made { scene, shown })
+        Ok(LiveScene { scene, shown })
     }
 
     /// First precision's, for refinement.

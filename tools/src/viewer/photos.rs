@@ -3,16 +3,16 @@
 use super::{
     Live, Watched,
     cameras::{InputCamera, QUALITY},
-    live::{Made, Source},
+    live::{LiveScene, Source},
     page::{ShownScene, View},
-    watched::Start as Started,
+    watched::Target,
     within_page,
 };
 use crate::{
-    cameras::{Finding, Known},
+    cameras::{Finding, KnownCameras},
     options::{Network, Quality, Weights, parse_length},
     photos::{self, Reading},
-    refinement::{RefineOptions, Start, placed},
+    refinement::{Initialization, RefineOptions, placed},
     session::Session,
     table::counted,
     video::FrameFolder,
@@ -80,7 +80,7 @@ pub struct Ready<'a> {
 
 pub(super) struct Photographed {
     pub photos: Vec<PathBuf>,
-    pub known: Option<Known>,
+    pub known: Option<KnownCameras>,
     pub folder: Option<FrameFolder>,
 }
 
@@ -97,11 +97,11 @@ impl FromPhotos {
         poses: Option<&Path>,
     ) -> Result<Photographed> {
         let (mut photos, folder) = self.reading.list(session, paths, self.views, None)?;
-        if let (Some(views), true) = (self.views, poses.is_some_and(Known::to_find)) {
+        if let (Some(views), true) = (self.views, poses.is_some_and(KnownCameras::to_find)) {
             photos = photos::spread(photos, views as usize);
         }
-        let known = poses.map(|poses| Known::of(session, poses, &photos, &self.finding)).transpose()?;
-        if let Some(Known { poses, .. }) = &known {
+        let known = poses.map(|poses| KnownCameras::of(session, poses, &photos, &self.finding)).transpose()?;
+        if let Some(KnownCameras { poses, .. }) = &known {
             session.notes(&poses.notes);
             photos = photos::posed(session, photos, poses)?;
         }
@@ -159,11 +159,12 @@ impl FromPhotos {
         let Views { images, cameras, note } = views;
         session.notes(note);
         let unit = self.length(session, poses, &cameras, &frames)?;
-        let (told, turned) = fit.told(cameras);
+        let (cameras, turned) = fit.network_cameras(cameras);
         let (model, _) = session.load_model(&device, &checkpoint, arithmetic)?;
-        let cameras = Some(told).filter(|told| !told.is_empty());
+        let cameras = Some(cameras).filter(|cameras| !cameras.is_empty());
         let selection = self.quality.select.clone();
-        let request = Request { ratio: self.quality.ratio, selection, cameras, unit, pool: self.quality.pool };
+        let request =
+            Request { ratio: self.quality.ratio, selection, cameras, scene_scale: unit, pool: self.quality.pool };
         let (features, _) = session.stage("backbone", |stage| {
             model.features(&images, &request, |progress: Progress<'_>| stage.at(progress.fraction))
         })?;
@@ -202,7 +203,7 @@ impl FromPhotos {
         frames: &[&Frame],
     ) -> Result<f64> {
         let (Some(poses), Some(first)) = (poses, frames.first()) else { return Ok(1.0) };
-        let unit = poses.unit(self.unit, cameras, &first.camera.pose)?;
+        let unit = poses.scene_scale(self.unit, cameras, &first.camera.pose)?;
         session.notes(unit.doubt());
         Ok(unit.length)
     }
@@ -233,16 +234,19 @@ impl FromPhotos {
         let made = || live.make(self.quality.ratio_of(live.images.len()), live.first_precision(), None);
         let (start, tokens) = if steps.tokens {
             let shown = ShownScene { group: Some(live.checkpoint.architecture().gaussians_per_token), ..made()?.shown };
-            (Started::Tokens(live.tokens()?), Some(shown))
+            (Target::Tokens(live.tokens()?), Some(shown))
         } else {
             let cloud = ready.cloud.clone().map(|cloud| placed(cloud, &to_scene, 1.0));
-            let from = Start::or_best(self.refine.start, cloud.as_ref(), self.weights.is_embedded());
+            let from = Initialization::or_best(self.refine.start, cloud.as_ref(), self.weights.is_embedded());
             let (scene, shown) = if from.needs()[0] {
-                made().map(|Made { scene, shown }| (Some(scene), Some(shown)))?
+                made().map(|LiveScene { scene, shown }| (Some(scene), Some(shown)))?
             } else {
                 (None, None)
             };
-            (Started::Scene(from.scene(scene, cloud.as_ref(), &cameras)?), shown.filter(|_| from == Start::Scene))
+            (
+                Target::Scene(from.scene(scene, cloud.as_ref(), &cameras)?),
+                shown.filter(|_| from == Initialization::Scene),
+            )
         };
         let request = self.refine.request(steps);
         let tokens = tokens.filter(|_| request.grow.is_none());

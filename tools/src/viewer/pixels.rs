@@ -7,7 +7,7 @@ use super::{
     photos::{Photographed, input_cameras},
 };
 use crate::{
-    depth::{Shown, check_finds_cameras},
+    depth::{PreparedPhotos, check_finds_cameras},
     options::refuse,
     session::{Session, Stage},
     video::FrameFolder,
@@ -54,24 +54,29 @@ impl FromPhotos {
         let poses = known.as_ref().map(|known| &known.poses);
         let frames = poses.map(|poses| poses.frames_of(&photos)).transpose()?.unwrap_or_default();
         let side = self.quality.side();
-        let (shown, _) = session.stage("load photos", |stage| Shown::read(side, &photos, &frames, stage))?;
-        let ratios = self.ratios(shown.patches(checkpoint.architecture().backbone.patch))?;
+        let (prepared, _) =
+            session.stage("load photos", |stage| PreparedPhotos::read(side, &photos, &frames, stage))?;
+        let ratios = self.ratios(prepared.patches(checkpoint.architecture().backbone.patch))?;
         let device = session.device()?;
-        let mut seer = self.quality.question(checkpoint).open(session, &device)?;
+        let mut predictor = self.quality.predictor_options(checkpoint).open(session, &device)?;
         let (mut scenes, mut cameras) = (Vec::new(), Vec::new());
         for ratio in ratios {
-            seer.keep(Ratio::Fixed(ratio));
-            let see = |stage: &Stage<'_>| seer.see(shown.clone(), stage);
-            let (mut seen, _) = session.stage("depth", see)?;
-            seen.scale(false, poses.and_then(|poses| poses.points.as_deref()))?;
-            let frames: Vec<Frame> =
-                if frames.is_empty() { seen.frames()? } else { frames.iter().map(|frame| (*frame).clone()).collect() };
-            let scene = seen.scene(&frames[0].camera.pose, self.quality.kept())?;
-            let times = seen.times.iter().map(|(step, took)| ((*step).to_owned(), 1e3 * took.as_secs_f64())).collect();
+            predictor.keep(Ratio::Fixed(ratio));
+            let predict = |stage: &Stage<'_>| predictor.predict(prepared.clone(), stage);
+            let (mut predicted, _) = session.stage("depth", predict)?;
+            predicted.scale(false, poses.and_then(|poses| poses.points.as_deref()))?;
+            let frames: Vec<Frame> = if frames.is_empty() {
+                predicted.frames()?
+            } else {
+                frames.iter().map(|frame| (*frame).clone()).collect()
+            };
+            let scene = predicted.scene(&frames[0].camera.pose, self.quality.kept())?;
+            let times =
+                predicted.times.iter().map(|(step, took)| ((*step).to_owned(), 1e3 * took.as_secs_f64())).collect();
             scenes.push((ShownScene { name: format!("ratio {ratio}"), times, ..ShownScene::default() }, scene));
             if cameras.is_empty() {
-                session.notes(&seen.notes);
-                cameras = input_cameras(&seen.photos, &frames.iter().collect::<Vec<_>>());
+                session.notes(&predicted.notes);
+                cameras = input_cameras(&predicted.photos, &frames.iter().collect::<Vec<_>>());
             }
         }
         Ok(OfPixels { scenes, cameras, _folder: folder })

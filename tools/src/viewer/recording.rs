@@ -75,10 +75,10 @@ impl Studio {
         let file = folder.path().join(name);
         let animation = Animation::new(&file, wanted.fps, &self.ffmpeg)?;
         let request = RenderRequest { background: wanted.background, ..RenderRequest::default() };
-        let mut held = self.renderer.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
-        let renderer = match &mut *held {
+        let mut cached = self.renderer.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        let renderer = match &mut *cached {
             Some(renderer) => renderer,
-            None => held.insert(Renderer::new(&Device::open(&self.options)?)),
+            None => cached.insert(Renderer::new(&Device::open(&self.options)?)),
         };
         renderer.load(scene)?;
         let sinks = Sinks { animation: Some(animation), ..Sinks::default() };

@@ -1,7 +1,7 @@
 //! Refinement with live scenes, loss and a stop flag.
 
 use super::{
-    live::{Live, Made},
+    live::{Live, LiveScene},
     page::ShownScene,
 };
 use serde::Serialize;
@@ -23,13 +23,13 @@ use zipsplat::{
 /// Intermediate scenes.
 const SHOWN: usize = 50;
 
-pub enum Start {
+pub enum Target {
     Scene(Scene),
     Tokens(SceneTokens),
 }
 
 pub struct Watched {
-    start: Start,
+    target: Target,
     tokens: Option<(usize, Vec<u32>)>,
     photos: Vec<Image>,
     cameras: Vec<Camera>,
@@ -58,7 +58,7 @@ struct Now {
 
 impl Watched {
     pub fn new(
-        start: Start,
+        target: Target,
         tokens: Option<(usize, Vec<u32>)>,
         photos: Vec<Image>,
         cameras: Vec<Camera>,
@@ -66,12 +66,12 @@ impl Watched {
     ) -> Self {
         let now = Mutex::new(Now { steps: request.steps, ..Now::default() });
         let show = Some((request.steps / SHOWN).max(1));
-        Self { start, tokens, photos, cameras, request: Refine { show, ..request }, now, stop: AtomicBool::new(false) }
+        Self { target, tokens, photos, cameras, request: Refine { show, ..request }, now, stop: AtomicBool::new(false) }
     }
 
     /// Refines until the end or `stop`; `progress` gets the finished fraction.
     pub fn run(&self, live: &Live<'_>, mut progress: impl FnMut(f64) -> ControlFlow<()>) -> Result<()> {
-        let told = |at: Refining<'_>| {
+        let report = |at: Refining<'_>| {
             self.tell(&at);
             let share = progress(at.step as f64 / at.steps as f64);
             if self.stop.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { share }
@@ -79,10 +79,10 @@ impl Watched {
         let (photos, cameras, request) = (&self.photos, &self.cameras, &self.request);
         // The slider uses the model's arena meanwhile.
         let arena = Arena::new(&live.device);
-        let refined = match &self.start {
-            Start::Scene(scene) => refine_scene(&arena, scene, photos, cameras, request, told),
-            Start::Tokens(tokens) => FrozenHead::load(&live.device, &live.checkpoint)
-                .and_then(|head| refine_tokens(&arena, &head, tokens, photos, cameras, request, told)),
+        let refined = match &self.target {
+            Target::Scene(scene) => refine_scene(&arena, scene, photos, cameras, request, report),
+            Target::Tokens(tokens) => FrozenHead::load(&live.device, &live.checkpoint)
+                .and_then(|head| refine_tokens(&arena, &head, tokens, photos, cameras, request, report)),
         };
         self.end(refined)
     }
@@ -91,7 +91,7 @@ impl Watched {
         serde_json::to_vec(&*self.now()).expect("plain values")
     }
 
-    pub fn scene(&self) -> Option<Made> {
+    pub fn scene(&self) -> Option<LiveScene> {
         let now = self.now();
         let name = match now.ended {
             Some(_) => "refined".to_owned(),
@@ -99,7 +99,7 @@ impl Watched {
         };
         let (group, patches) = self.tokens.clone().unzip();
         let shown = ShownScene { name, group, patches: patches.unwrap_or_default(), ..ShownScene::default() };
-        Some(Made { scene: now.scene.clone()?, shown })
+        Some(LiveScene { scene: now.scene.clone()?, shown })
     }
 
     fn tell(&self, at: &Refining<'_>) {

@@ -208,15 +208,17 @@ pub unsafe extern "C" fn zs_depth_find(
         let views = bounded_views(&photos, options.side)?;
         drop(photos);
         let images: Vec<Image> = views.iter().map(|view| view.image.clone()).collect();
-        let told = (!known.is_empty()).then(|| of_views(&known, &views)).transpose()?;
-        let request = DepthRequest { cameras: told.clone(), ..DepthRequest::default() };
+        let known_cameras = (!known.is_empty()).then(|| of_views(&known, &views)).transpose()?;
+        let request = DepthRequest { cameras: known_cameras.clone(), ..DepthRequest::default() };
         let progress = |now: Progress<'_>| report(options.progress, options.user_data, now.fraction, now.scope);
         let mut depths = model.depths(&images, &request, progress)?;
-        let cameras = match told {
-            Some(told) => {
+        let cameras = match known_cameras {
+            Some(known_cameras) => {
                 // Coincident cameras have no scale: depth keeps the network's.
-                depths.bring_to(&told).or_else(|error| if told.len() > 1 { Err(error) } else { Ok(()) })?;
-                told.into_iter().zip(known).map(|(of_view, of_photo)| Some([of_view, of_photo])).collect()
+                depths
+                    .bring_to(&known_cameras)
+                    .or_else(|error| if known_cameras.len() > 1 { Err(error) } else { Ok(()) })?;
+                known_cameras.into_iter().zip(known).map(|(of_view, of_photo)| Some([of_view, of_photo])).collect()
             }
             None if !model.architecture().multi_view() => vec![None; images.len()],
             None => found_cameras(&depths, &views, by_rays, options.own_focal_lengths == 0)?,

@@ -5,7 +5,7 @@ use super::{
     model::{report, zs_model, zs_progress},
     picture::{zs_camera, zs_image},
     pointers::{POINTER, Versioned, borrow, produce, read_array, read_versioned, write_defaults},
-    scene::{ModelTokens, Seen, zs_scene},
+    scene::{ModelTokens, PatchViews, zs_scene},
     status::{Failure, zs_status},
 };
 use rayon::prelude::*;
@@ -19,7 +19,7 @@ use zipsplat::{
     reconstruct::{MAX_VIEWS, Ratio, Reconstruction, Request, Selection, Shape},
     types::{
         Camera, Pose,
-        poses::Unit,
+        poses::SceneScale,
         preprocess::{View, fit, view_cameras},
     },
 };
@@ -162,27 +162,27 @@ pub unsafe extern "C" fn zs_reconstruct(
         }
         let cameras: Vec<Camera> = cameras.iter().map(zs_camera::camera).collect::<Result<_, _>>()?;
         let placed = options.placed(&cameras)?;
-        let told = |fraction, stage: &str| report(options.progress, options.user_data, fraction, stage);
+        let report_progress = |fraction, stage: &str| report(options.progress, options.user_data, fraction, stage);
         // SAFETY: the caller's pixels.
-        let views = unsafe { prepare(&images, [width, height], |done| told(PREPARED * done, "photos")) }?;
+        let views = unsafe { prepare(&images, [width, height], |done| report_progress(PREPARED * done, "photos")) }?;
         // SAFETY: an object or NULL.
         let capture = unsafe { options.capture.as_ref() };
         let origin = cameras.first().map(|first| first.pose);
         let all: Vec<Pose> = cameras.iter().map(|camera| camera.pose).collect();
         let cameras = (!cameras.is_empty()).then(|| view_cameras(&cameras, &views)).transpose()?;
         let unit = match (&cameras, origin, capture) {
-            (Some(views), Some(origin), Some(capture)) => capture.poses.unit(unit, views, &origin)?.length,
-            (Some(views), Some(origin), None) => Unit::of(unit, &all, None, views, &origin)?.length,
+            (Some(views), Some(origin), Some(capture)) => capture.poses.scene_scale(unit, views, &origin)?.length,
+            (Some(views), Some(origin), None) => SceneScale::of(unit, &all, None, views, &origin)?.length,
             _ => unit.unwrap_or(1.0),
         };
         let (images, maps): (Vec<_>, Vec<_>) = views.into_iter().map(|view| (view.image, view.map)).unzip();
         let unposed = cameras.is_none();
-        let request = Request { ratio, selection, cameras, unit, pool };
-        let told = &told;
+        let request = Request { ratio, selection, cameras, scene_scale: unit, pool };
+        let report_progress = &report_progress;
         let progress = |of_all: Range<f64>| {
             move |now: Progress<'_>| {
                 let done = of_all.start + (of_all.end - of_all.start) * now.fraction;
-                told(PREPARED + (1.0 - PREPARED) * done, now.scope)
+                report_progress(PREPARED + (1.0 - PREPARED) * done, now.scope)
             }
         };
         // Frees the previous scene's memory first.
@@ -198,7 +198,7 @@ pub unsafe extern "C" fn zs_reconstruct(
         };
         let Reconstruction { gaussians, patches, .. } = made;
         let mut scene = gaussians.read()?;
-        let seen = unposed.then_some(Seen { patches, maps });
+        let seen = unposed.then_some(PatchViews { patches, maps });
         let made = match placed {
             None => zs_scene::on_device(scene, latest, gaussians).seen(seen),
             Some(pose) => {

@@ -214,15 +214,15 @@ pub unsafe extern "C" fn zs_refine(
             unsafe { image.image(&format!("image {i}")) }
         };
         let photos: Vec<_> = images.iter().enumerate().map(photo).collect::<Result<_, _>>()?;
-        let told = |now: Refining| options.tell(&now);
+        let progress = |now: Refining| options.tell(&now);
         let found = if options.what == zs_refine_what::ZS_REFINE_TOKENS as i32 {
             let Some(tokens) = &scene.tokens else {
                 let expected = "a scene of zs_reconstruct, with a model that was opened with tokens = 1";
                 return Err(Failure::argument("scene", "a scene without tokens", expected));
             };
-            tokens.refine(&photos, &cameras, &request, told)?
+            tokens.refine(&photos, &cameras, &request, progress)?
         } else {
-            refine_scene(&Arena::new(&context.device), &scene.scene, &photos, &cameras, &request, told)?
+            refine_scene(&Arena::new(&context.device), &scene.scene, &photos, &cameras, &request, progress)?
         };
         if !info.is_null() {
             // SAFETY: as above.

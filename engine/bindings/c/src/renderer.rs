@@ -199,10 +199,10 @@ pub unsafe extern "C" fn zs_render(
         let mut first = 0;
         while first < count {
             let pixels = |i: &usize| u64::from(cameras[*i].intrinsics.width) * u64::from(cameras[*i].intrinsics.height);
-            let mut room = PIXELS_AT_ONCE;
+            let mut pixels_left = PIXELS_AT_ONCE;
             let more = (first + 1..count).take_while(|i| {
-                room = room.saturating_sub(pixels(i));
-                room > 0
+                pixels_left = pixels_left.saturating_sub(pixels(i));
+                pixels_left > 0
             });
             let end = first + 1 + more.count();
             let frames = renderer.render_loaded(&cameras[first..end], &request)?;

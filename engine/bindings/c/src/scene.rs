@@ -31,7 +31,7 @@ pub struct zs_scene {
     pub(super) on_device: Option<WeakScene>,
     pub(super) tokens: Option<ModelTokens>,
     /// Pixel positions of its Gaussians, for scenes from photos without cameras.
-    pub(super) seen: Option<Seen>,
+    pub(super) seen: Option<PatchViews>,
 }
 
 pub(super) struct ModelTokens {
@@ -42,7 +42,7 @@ pub(super) struct ModelTokens {
     pub pose: Option<Pose>,
 }
 
-pub(super) struct Seen {
+pub(super) struct PatchViews {
     pub patches: Patches,
     /// Maps from each photo to the network's input.
     pub maps: Vec<PixelMap>,
@@ -58,7 +58,7 @@ impl zs_scene {
         Self { scene, on_device, tokens: None, seen: None }
     }
 
-    pub(super) fn seen(self, seen: Option<Seen>) -> Self {
+    pub(super) fn seen(self, seen: Option<PatchViews>) -> Self {
         Self { seen, ..self }
     }
 
@@ -346,7 +346,7 @@ pub unsafe extern "C" fn zs_scene_cameras(
     guard(|| {
         // SAFETY: an object or NULL.
         let zs_scene { scene, seen, .. } = unsafe { borrow(scene, "scene") }?;
-        let Some(Seen { patches: seen, maps }) = seen else {
+        let Some(PatchViews { patches: seen, maps }) = seen else {
             let expected = "one that zs_reconstruct made of photos without cameras";
             return Err(Failure::argument("scene to find cameras of", "another", expected));
         };

@@ -115,21 +115,21 @@ fn within([min, max]: &[[f32; 3]; 2], shares: [f32; 3]) -> [f32; 3] {
     std::array::from_fn(|axis| min[axis] * (1.0 - shares[axis]) + max[axis] * shares[axis])
 }
 
-fn share(word: u32, bits: u32) -> f32 {
+fn fraction(word: u32, bits: u32) -> f32 {
     let most = (1 << bits) - 1;
     (word & most) as f32 / most as f32
 }
 
 /// Unpacks three fractions of 11, 10 and 11 bits, highest first.
 fn thirds(word: u32) -> [f32; 3] {
-    [share(word >> 21, 11), share(word >> 11, 10), share(word, 11)]
+    [fraction(word >> 21, 11), fraction(word >> 11, 10), fraction(word, 11)]
 }
 
 /// Unpacks a rotation wxyz: 2 bits for the index of the positive largest component, then the others
 /// in order.
 fn quat(word: u32) -> [f32; 4] {
     let largest = (word >> 30) as usize;
-    let mut others = [20, 10, 0].map(|shift| (share(word >> shift, 10) - 0.5) * SQRT_2).into_iter();
+    let mut others = [20, 10, 0].map(|shift| (fraction(word >> shift, 10) - 0.5) * SQRT_2).into_iter();
     let mut quat = [0.0; 4];
     for (place, value) in quat.iter_mut().enumerate() {
         if place != largest {
@@ -142,10 +142,10 @@ fn quat(word: u32) -> [f32; 4] {
 
 /// Decodes a coefficient's byte: the range's ends are exact, others are the centers of 256 buckets.
 fn coefficient(level: f32) -> f32 {
-    let share = match level {
+    let fraction = match level {
         0.0 => 0.0,
         255.0 => 1.0,
         level => (level + 0.5) / 256.0,
     };
-    (share - 0.5) * SH_RANGE
+    (fraction - 0.5) * SH_RANGE
 }

@@ -5,8 +5,8 @@ mod camera_path;
 mod colmap;
 mod matrix;
 mod realestate;
+mod scene_scale;
 mod transforms;
-mod unit;
 
 use std::collections::HashMap;
 use std::ffi::OsStr;
@@ -19,8 +19,8 @@ use super::{Image, Lens, PointCloud, file::read_file};
 use crate::{Error, Result};
 
 pub use colmap::{colmap_files, write_colmap};
+pub use scene_scale::{SceneScale, Source};
 pub use transforms::{write_frames, write_frames_with, write_transforms};
-pub use unit::{Source, Unit};
 
 /// A capture's posed photos.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -72,10 +72,10 @@ impl Frame {
 }
 
 impl Poses {
-    /// Determines the scene scale for a reconstruction from `views`, see [`Unit::of`].
-    pub fn unit(&self, given: Option<f64>, views: &[Camera], origin: &Pose) -> Result<Unit> {
+    /// Determines the scene scale for a reconstruction from `views`, see [`SceneScale::of`].
+    pub fn scene_scale(&self, given: Option<f64>, views: &[Camera], origin: &Pose) -> Result<SceneScale> {
         let cameras: Vec<Pose> = self.frames.iter().map(|frame| frame.camera.pose).collect();
-        Unit::of(given, &cameras, self.points.as_deref(), views, origin)
+        SceneScale::of(given, &cameras, self.points.as_deref(), views, origin)
     }
 
     /// Returns the cameras of `photos`, matched as in [`Poses::frames_of`].

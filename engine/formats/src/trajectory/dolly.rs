@@ -29,8 +29,8 @@ impl Dolly {
     }
 
     /// Returns the camera at a fraction of the path, 0 to 1.
-    pub fn at(&self, share: f64) -> Camera {
-        let moved = self.travel * share;
+    pub fn at(&self, fraction: f64) -> Camera {
+        let moved = self.travel * fraction;
         let mut camera = self.camera;
         camera.pose.translation += moved * self.distance * camera.pose.rotation.z_axis;
         if self.zoom {
@@ -42,6 +42,6 @@ impl Dolly {
 
     /// Returns `frames` cameras from start to end, inclusive.
     pub fn sample(&self, frames: usize) -> Vec<Camera> {
-        path(frames).map(|share| self.at(share)).collect()
+        path(frames).map(|fraction| self.at(fraction)).collect()
     }
 }

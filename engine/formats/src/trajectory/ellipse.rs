@@ -48,8 +48,8 @@ impl Ellipse {
         let toward: f64 = cameras.iter().map(|c| c.pose.rotation.z_axis.dot(target - c.pose.translation)).sum();
         let first = cameras[0].pose.translation - middle;
         // A degenerate ellipse's minor axis has no direction.
-        let share = |axis: DVec3| first.dot(axis) / axis.length_squared().max(f64::MIN_POSITIVE);
-        let start = share(axes[1]).atan2(share(axes[0]));
+        let fraction = |axis: DVec3| first.dot(axis) / axis.length_squared().max(f64::MIN_POSITIVE);
+        let start = fraction(axes[1]).atan2(fraction(axes[0]));
         Ok(Self { center: middle, axes, up, target, outward: toward < 0.0, start })
     }
 
@@ -66,7 +66,7 @@ impl Ellipse {
 
     /// Returns `frames` cameras once around, without repeating the first.
     pub fn sample(&self, frames: usize) -> Vec<Pose> {
-        closed_path(frames).map(|share| self.pose(std::f64::consts::TAU * share)).collect()
+        closed_path(frames).map(|fraction| self.pose(std::f64::consts::TAU * fraction)).collect()
     }
 }
 

@@ -60,8 +60,8 @@ impl Orbit {
     }
 }
 
-fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
-    let rank = share * (values.len() - 1) as f64;
+fn quantile(mut values: Vec<f64>, fraction: f64) -> f64 {
+    let rank = fraction * (values.len() - 1) as f64;
     let (_, &mut low, above) = values.select_nth_unstable_by(rank as usize, f64::total_cmp);
     let high = above.iter().copied().min_by(f64::total_cmp).unwrap_or(low);
     low + (high - low) * rank.fract()

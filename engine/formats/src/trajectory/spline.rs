@@ -90,7 +90,7 @@ impl Spline {
     pub fn sample(&self, frames: usize) -> Vec<Camera> {
         let closed = self.segments() == self.keys.len();
         let total: f64 = self.intervals.iter().sum();
-        let camera = |share: f64| self.at(self.position(share * total));
+        let camera = |fraction: f64| self.at(self.position(fraction * total));
         if closed { closed_path(frames).map(camera).collect() } else { path(frames).map(camera).collect() }
     }
 
@@ -114,8 +114,8 @@ impl Key {
 }
 
 fn targets(cameras: &[Camera]) -> Option<Vec<DVec3>> {
-    let centre = cameras.iter().map(|camera| camera.pose.translation).sum::<DVec3>() / cameras.len() as f64;
-    let focus = focus(cameras, centre);
+    let center = cameras.iter().map(|camera| camera.pose.translation).sum::<DVec3>() / cameras.len() as f64;
+    let focus = focus(cameras, center);
     let target = |camera: &Camera| {
         let (axis, way) = (camera.pose.rotation.z_axis, focus - camera.pose.translation);
         let depth = way.dot(axis);

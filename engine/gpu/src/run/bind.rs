@@ -1,7 +1,7 @@
 //! Rebinding of a run to replaced memory of its lane or its residents.
 
-use super::Run;
-use crate::{Error, Resident, Result, descriptors::Descriptors, plan::Role};
+use super::descriptors::Descriptors;
+use crate::{Error, Resident, Result, Run, plan::Role};
 use std::sync::Arc;
 
 /// Generation of no memory: forces encoding.
@@ -41,7 +41,7 @@ impl Run {
         let arena = self.lane.memory();
         self.descriptors = Descriptors::new(&self.device, &self.bound(&arena))?;
         drop(arena);
-        self.make_twins()
+        self.make_staging()
     }
 
     pub(crate) fn begin(&mut self) -> Result<()> {

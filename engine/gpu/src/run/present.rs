@@ -1,7 +1,6 @@
-use super::Run;
 use crate::{
-    Error, Result, Tensor,
-    failure::{driver, is_under_way},
+    Error, Result, Run, Tensor,
+    device::failure::{driver, is_in_flight},
 };
 use ash::vk::{self, Handle};
 
@@ -110,7 +109,7 @@ impl Run {
         let submitted = unsafe { self.device.0.queue.submit(&self.device.0.raw, info, vk::Fence::null()) }
             .map_err(|e| self.device.0.failed("vkQueueSubmit2", e));
         self.lane.submitted(value, &submitted);
-        if is_under_way(&submitted) {
+        if is_in_flight(&submitted) {
             self.signalled = value;
         }
         submitted

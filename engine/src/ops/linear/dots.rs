@@ -15,7 +15,7 @@ const BY_RULE: usize = 2;
 impl Linear {
     pub(super) fn dots(&self, rec: &mut Recorder, tiles: Tiles, input: Rows, out: Rows, epilogue: Epilogue) {
         let tile = self.dot_tile(rec.limits(), tiles, input.count);
-        let (a, row_scales, column_scales) = self.quantised(rec, input);
+        let (a, row_scales, column_scales) = self.quantized(rec, input);
         let rows = input.count;
         let kernel = ops::LinearDot {
             a: a.tensor,

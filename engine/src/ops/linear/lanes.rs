@@ -118,14 +118,14 @@ impl Linear {
         input: Rows,
         out: Rows,
         epilogue: Epilogue,
-        share: usize,
+        split_k: usize,
     ) {
         let candidates = LaneTile::candidates(rec.limits(), lanes.element);
         let chosen = lanes.tiles.of(input.count * self.columns).and_then(|index| candidates.get(index));
         match chosen.filter(|tile| tile.k > 0) {
-            Some(tile) => self.tiled(rec, *tile, input, out, epilogue, share),
+            Some(tile) => self.tiled(rec, *tile, input, out, epilogue, split_k),
             None if is_uniform(rec.limits(), [input.element, out.element]) => self.uniform(rec, input, out, epilogue),
-            None => self.panels(rec, input, out, epilogue, share),
+            None => self.panels(rec, input, out, epilogue, split_k),
         }
     }
 
@@ -157,7 +157,7 @@ impl Linear {
         rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(rows));
     }
 
-    fn panels(&self, rec: &mut Recorder, input: Rows, out: Rows, epilogue: Epilogue, share: usize) {
+    fn panels(&self, rec: &mut Recorder, input: Rows, out: Rows, epilogue: Epilogue, split_k: usize) {
         let (lanes, rows) = (rec.limits().subgroup_size as usize, input.count);
         let [weight, integers, scales] = self.weights();
         let kernel = ops::Linear {
@@ -176,17 +176,17 @@ impl Linear {
             scale: epilogue.gamma.is_some(),
             add: epilogue.residual.is_some(),
             q8: self.kernel.weights() == Weights::Q8,
-            share: share as u32,
-            split: share < self.inner,
+            share: split_k as u32,
+            split: split_k < self.inner,
             input: input.element,
             output: out.element,
         };
-        let parts = self.inner.div_ceil(share);
+        let parts = self.inner.div_ceil(split_k);
         let groups = [rows.div_ceil(LINEAR_ROWS as usize), self.columns.div_ceil(4 * lanes), parts];
         rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(rows));
     }
 
-    fn tiled(&self, rec: &mut Recorder, tile: LaneTile, input: Rows, out: Rows, epilogue: Epilogue, share: usize) {
+    fn tiled(&self, rec: &mut Recorder, tile: LaneTile, input: Rows, out: Rows, epilogue: Epilogue, split_k: usize) {
         let [weight, integers, scales] = self.weights();
         let rows = input.count;
         let kernel = ops::LinearTiled {
@@ -201,7 +201,7 @@ impl Linear {
             rows: rows as u32,
             inner: self.inner as u32,
             columns: self.columns as u32,
-            share: share as u32,
+            share: split_k as u32,
             activation: epilogue.activation as u32,
             scale: epilogue.gamma.is_some(),
             add: epilogue.residual.is_some(),
@@ -211,12 +211,12 @@ impl Linear {
             lane_rows: tile.lane[0],
             lane_columns: tile.lane[1],
             tile_k: tile.k,
-            split: share < self.inner,
+            split: split_k < self.inner,
             input: input.element,
             output: out.element,
         };
         let [tile_rows, tile_columns] = tile.sides.map(|side| side as usize);
-        let groups = [self.columns.div_ceil(tile_columns), rows.div_ceil(tile_rows), self.inner.div_ceil(share)];
+        let groups = [self.columns.div_ceil(tile_columns), rows.div_ceil(tile_rows), self.inner.div_ceil(split_k)];
         rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(rows));
     }
 }

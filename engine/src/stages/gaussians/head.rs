@@ -23,7 +23,7 @@ pub struct HeadKept {
     hidden: Rows,
     /// Before activation, `[count, gaussians_per_token * gaussian_width]` f32.
     raw: Rows,
-    unit: Tensor,
+    scene_scale: Tensor,
 }
 
 /// Name, inner width, columns.
@@ -48,19 +48,19 @@ impl Head {
     }
 
     /// Allocates persistent activations.
-    pub fn keep(&self, layout: &mut ResidentLayout, count: usize, unit: Tensor) -> HeadKept {
+    pub fn keep(&self, layout: &mut ResidentLayout, count: usize, scene_scale: Tensor) -> HeadKept {
         let mut rows = |layer: &Linear| Rows::new(layout.add::<f32>(count * layer.columns), count, layer.columns);
         let [first, _, third] = &self.layers;
-        HeadKept { hidden: rows(first), raw: rows(third), unit }
+        HeadKept { hidden: rows(first), raw: rows(third), scene_scale }
     }
 
-    /// Records the head for f32 `tokens`, scene tokens beside colors. `unit` (`[1]` f32) scales
+    /// Records the head for f32 `tokens`, scene tokens beside colors. `scene_scale` (`[1]` f32) scales
     /// lengths.
-    pub fn record(&self, rec: &mut Recorder, tokens: Rows, unit: Tensor, into: &SceneTensors) -> HeadKept {
+    pub fn record(&self, rec: &mut Recorder, tokens: Rows, scene_scale: Tensor, into: &SceneTensors) -> HeadKept {
         let [first, _, third] = &self.layers;
         let kept = rec.scope("head", |rec| {
             let mut rows = |name, layer: &Linear| Rows::scratch(rec, name, tokens.count, layer.columns, Element::F32);
-            HeadKept { hidden: rows("hidden", first), raw: rows("raw", third), unit }
+            HeadKept { hidden: rows("hidden", first), raw: rows("raw", third), scene_scale }
         });
         self.record_kept(rec, tokens.tensor, &kept, into);
         kept
@@ -69,7 +69,7 @@ impl Head {
     /// [`Head::record`] with persistent activations.
     pub fn record_kept(&self, rec: &mut Recorder, tokens: Tensor, kept: &HeadKept, into: &SceneTensors) {
         rec.scope("head", |rec| {
-            let ([first, second, third], HeadKept { hidden, raw, unit }) = (&self.layers, *kept);
+            let ([first, second, third], HeadKept { hidden, raw, scene_scale }) = (&self.layers, *kept);
             let tokens = Rows::new(tokens, hidden.count, first.inner);
             first.record(rec, tokens, hidden, Epilogue::default());
             let activated = Rows::scratch(rec, "activated", hidden.count, hidden.width, Element::F32);
@@ -77,7 +77,7 @@ impl Head {
             let narrow = second.apply(rec, "narrow", activated, Element::F32, Epilogue::default());
             third.record(rec, narrow, raw, Epilogue::default());
             rec.observe("raw", raw.tensor);
-            activate(rec, raw.tensor, unit, into);
+            activate(rec, raw.tensor, scene_scale, into);
         });
     }
 
@@ -109,7 +109,7 @@ impl Head {
             let rows_of = |t: Tensor, width: usize| t.slice::<f32>(part.start * width, part.len() * width);
             let kernel = kernels::ActivateBackward {
                 raw: kept.raw.part(part.clone()).tensor,
-                unit: kept.unit,
+                unit: kept.scene_scale,
                 d_means: rows_of(d.means, group * 3),
                 d_scales: rows_of(d.scales, group * 3),
                 d_quats: rows_of(d.quats, group * 4),

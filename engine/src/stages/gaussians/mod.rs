@@ -53,8 +53,8 @@ impl Gaussians {
     }
 
     /// Records the head for f32 scene tokens and colors. A token's Gaussians are consecutive;
-    /// `unit` (`[1]` f32) scales lengths.
-    pub fn record(&self, rec: &mut Recorder, tokens: [Rows; 2], unit: Tensor, into: &SceneTensors) {
+    /// `scene_scale` (`[1]` f32) scales lengths.
+    pub fn record(&self, rec: &mut Recorder, tokens: [Rows; 2], scene_scale: Tensor, into: &SceneTensors) {
         let raw = rec.scope("head", |rec| {
             let [first, second, third] = &self.head;
             let joined = join_columns(rec, tokens, first.element());
@@ -64,19 +64,19 @@ impl Gaussians {
             third.apply(rec, "raw", narrow, Element::F32, Epilogue::default()).tensor
         });
         rec.observe("raw", raw);
-        activate(rec, raw, unit, into);
+        activate(rec, raw, scene_scale, into);
     }
 }
 
-/// Activates `raw` `[len, 11 + 3 (sh_degree + 1)^2]`; `unit` (`[1]` f32) scales lengths.
-pub fn activate(rec: &mut Recorder, raw: Tensor, unit: Tensor, into: &SceneTensors) {
+/// Activates `raw` `[len, 11 + 3 (sh_degree + 1)^2]`; `scene_scale` (`[1]` f32) scales lengths.
+pub fn activate(rec: &mut Recorder, raw: Tensor, scene_scale: Tensor, into: &SceneTensors) {
     let SceneTensors { means, scales, quats, opacities, sh_coeffs, len, sh_degree } = *into;
     let bases = (sh_degree as usize + 1).pow(2);
     for part in row_chunks(rec, len, &[11 + 3 * bases, 3, 4, 1, 3 * bases].map(|width| 4 * width)) {
         let rows_of = |t: Tensor, width: usize| t.slice::<f32>(part.start * width, part.len() * width);
         let kernel = kernels::Activate {
             raw: rows_of(raw, 11 + 3 * bases),
-            unit,
+            unit: scene_scale,
             means: rows_of(means, 3),
             scales: rows_of(scales, 3),
             quats: rows_of(quats, 4),

@@ -1,4 +1,4 @@
-use super::convolution::{Convolution, How};
+use super::convolution::{Convolution, ConvolutionOptions};
 use crate::{
     gpu::{Recorder, Tensor},
     ops::{FeatureMap, ParameterLayout, Rows},
@@ -36,9 +36,9 @@ impl CameraDecoder {
     }
 
     pub fn record(&self, rec: &mut Recorder, tokens: Rows) -> CameraTensors {
-        let rectified = How { rectified: true, ..How::default() };
+        let rectified = ConvolutionOptions { rectified: true, ..ConvolutionOptions::default() };
         let x = FeatureMap::new(tokens, [1, tokens.count]);
-        let x = self.trunk[0].record(rec, "hidden", x, How::default());
+        let x = self.trunk[0].record(rec, "hidden", x, ConvolutionOptions::default());
         let x = self.trunk[1].record(rec, "trunk", x, rectified);
         let mut out = |name, layer: &Convolution| {
             let tensor = layer.record(rec, name, x, rectified).rows.tensor;

@@ -14,7 +14,7 @@ pub struct Convolution {
 
 /// Fused pre- and postprocessing.
 #[derive(Clone, Copy, Default)]
-pub struct How {
+pub struct ConvolutionOptions {
     /// ReLU on the input.
     pub rectified: bool,
     /// Exact (erf) GELU.
@@ -45,20 +45,26 @@ impl Convolution {
         Self { layer: p.exact_linear(name, inputs, outputs), side: 1, step: 1 }
     }
 
-    pub(super) fn record(&self, rec: &mut Recorder, name: &str, source: FeatureMap, how: How) -> FeatureMap {
+    pub(super) fn record(
+        &self,
+        rec: &mut Recorder,
+        name: &str,
+        source: FeatureMap,
+        options: ConvolutionOptions,
+    ) -> FeatureMap {
         let size = source.size().map(|length| (length + 2 * self.padding() - self.side) / self.step + 1);
         let out = FeatureMap::scratch(rec, name, size, self.layer.columns);
-        self.record_into(rec, source, out, how);
+        self.record_into(rec, source, out, options);
         out
     }
 
     /// Records the convolution.
-    pub fn record_into(&self, rec: &mut Recorder, source: FeatureMap, out: FeatureMap, how: How) {
+    pub fn record_into(&self, rec: &mut Recorder, source: FeatureMap, out: FeatureMap, options: ConvolutionOptions) {
         if divides_panels(rec.limits()) {
-            let bordered = self.bordered(rec, source, how.rectified);
-            self.uniform(rec, bordered, out, how);
+            let bordered = self.bordered(rec, source, options.rectified);
+            self.uniform(rec, bordered, out, options);
         } else {
-            self.implicit(rec, source, out, how);
+            self.implicit(rec, source, out, options);
         }
     }
 
@@ -66,7 +72,7 @@ impl Convolution {
         self.side / 2
     }
 
-    fn implicit(&self, rec: &mut Recorder, source: FeatureMap, out: FeatureMap, how: How) {
+    fn implicit(&self, rec: &mut Recorder, source: FeatureMap, out: FeatureMap, options: ConvolutionOptions) {
         let (Self { layer, side, step }, padding) = (self, self.padding());
         let across = layer.columns.div_ceil(4 * rec.limits().subgroup_size as usize);
         // Input lines per output line, plus overlap.
@@ -79,7 +85,7 @@ impl Convolution {
                 source: values,
                 weight: layer.weight,
                 bias: layer.bias,
-                residual: how.residual.map_or(layer.bias, |residual| residual.lines(lines.clone())),
+                residual: options.residual.map_or(layer.bias, |residual| residual.lines(lines.clone())),
                 out: out.lines(lines.clone()),
                 pixels: pixels as u32,
                 first: (lines.start * out.width) as u32,
@@ -92,9 +98,9 @@ impl Convolution {
                 side: *side as u32,
                 step: *step as u32,
                 padding: padding as u32,
-                rectified: how.rectified,
-                gelu: how.gelu,
-                add: how.residual.is_some(),
+                rectified: options.rectified,
+                gelu: options.gelu,
+                add: options.residual.is_some(),
             };
             rec.dispatch_groups(kernel, pixels.div_ceil(LINEAR_ROWS as usize) * across).flops(self.flops(pixels));
         }
@@ -135,7 +141,7 @@ impl Convolution {
         out
     }
 
-    fn uniform(&self, rec: &mut Recorder, source: FeatureMap, out: FeatureMap, how: How) {
+    fn uniform(&self, rec: &mut Recorder, source: FeatureMap, out: FeatureMap, options: ConvolutionOptions) {
         let (Self { layer, side, step }, [tile_rows, vectors]) = (self, UNIFORM_TILE);
         let tile_columns = vectors * rec.limits().subgroup_size;
         let seen = step + side;
@@ -147,7 +153,7 @@ impl Convolution {
                 source: values,
                 weight: layer.weight,
                 bias: layer.bias,
-                residual: how.residual.map_or(layer.bias, |residual| residual.lines(lines.clone())),
+                residual: options.residual.map_or(layer.bias, |residual| residual.lines(lines.clone())),
                 out: out.lines(lines.clone()),
                 pixels: pixels as u32,
                 first: (lines.start * out.width) as u32,
@@ -158,8 +164,8 @@ impl Convolution {
                 channels: source.channels() as u32,
                 pitch: (source.width * source.channels()) as u32,
                 source_first,
-                gelu: how.gelu,
-                add: how.residual.is_some(),
+                gelu: options.gelu,
+                add: options.residual.is_some(),
                 terms: terms_of(side * source.channels()),
                 tile_rows,
                 vectors,

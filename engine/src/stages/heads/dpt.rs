@@ -1,5 +1,5 @@
 use super::{
-    convolution::{Convolution, How},
+    convolution::{Convolution, ConvolutionOptions},
     fusion::Fusion,
     levels::Levels,
     position::Positions,
@@ -62,7 +62,7 @@ impl Dpt {
         let levels = rec.scope("levels", |rec| self.levels.record(rec, tap, features, size, positions));
         let (depth, sky) = rec.scope("depth", |rec| {
             let fused = self.fusion.record(rec, tap, &levels);
-            let neck = self.neck.record(rec, "neck", fused, How::default());
+            let neck = self.neck.record(rec, "neck", fused, ConvolutionOptions::default());
             rec.observe("head/neck", neck.rows.tensor);
             let full = size.map(|count| count * grid.patch);
             let up = neck.resized(rec, "up", full, self.placed.then_some(&mut *positions));

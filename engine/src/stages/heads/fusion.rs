@@ -1,4 +1,4 @@
-use super::convolution::{Convolution, How};
+use super::convolution::{Convolution, ConvolutionOptions};
 use crate::{
     gpu::Recorder,
     ops::{FeatureMap, ParameterLayout, add},
@@ -25,9 +25,9 @@ impl Residual {
     }
 
     fn record(&self, rec: &mut Recorder, x: FeatureMap) -> FeatureMap {
-        let rectified = How { rectified: true, ..How::default() };
+        let rectified = ConvolutionOptions { rectified: true, ..ConvolutionOptions::default() };
         let hidden = self.0[0].record(rec, "hidden", x, rectified);
-        self.0[1].record(rec, "residual", hidden, How { residual: Some(x), ..rectified })
+        self.0[1].record(rec, "residual", hidden, ConvolutionOptions { residual: Some(x), ..rectified })
     }
 }
 
@@ -54,7 +54,7 @@ impl Fusion {
             }
             let x = step.sum.record(rec, x);
             // Commutes with interpolation, at a quarter of the cost.
-            let x = step.out.record(rec, "mixed", x, How::default());
+            let x = step.out.record(rec, "mixed", x, ConvolutionOptions::default());
             let size = if j > 0 { levels[j - 1].size() } else { x.size().map(|length| 2 * length) };
             let x = x.resized(rec, "fused", size, None);
             rec.observe(&format!("{tap}/fuse{j}{}", self.suffix), x.rows.tensor);

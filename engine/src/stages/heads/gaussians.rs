@@ -1,5 +1,5 @@
 use super::{
-    convolution::{Convolution, How},
+    convolution::{Convolution, ConvolutionOptions},
     fusion::Fusion,
     levels::Levels,
     position::Positions,
@@ -60,11 +60,12 @@ impl GaussianHead {
         let picture = rec.input::<f32>("picture", PICTURE * pixels);
         let levels = self.levels.record(rec, "gs", features, size, positions);
         let fused = self.fusion.record(rec, "gs", &levels);
-        let neck = self.neck.record(rec, "neck", fused, How::default());
+        let neck = self.neck.record(rec, "neck", fused, ConvolutionOptions::default());
         rec.observe("gs/neck", neck.rows.tensor);
         let mut merged = FeatureMap::new(Rows::new(picture, pixels, PICTURE), full);
         for layer in &self.merger {
-            merged = layer.record(rec, "merged", merged, How { gelu: true, ..How::default() });
+            merged =
+                layer.record(rec, "merged", merged, ConvolutionOptions { gelu: true, ..ConvolutionOptions::default() });
         }
         rec.observe("gs/merger", merged.rows.tensor);
         let up = neck.resized(rec, "up", full, None);

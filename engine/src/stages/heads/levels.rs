@@ -1,7 +1,7 @@
 //! The four levels: features at 4x, 2x, 1x and 1/2 of the patch grid.
 
 use super::{
-    convolution::{Convolution, How},
+    convolution::{Convolution, ConvolutionOptions},
     position::Positions,
 };
 use crate::{
@@ -62,11 +62,11 @@ impl Levels {
             }
             let map = match j {
                 0 | 1 => map.spread(rec, "level", SIDES[j], &self.spread[j].0, self.spread[j].1),
-                3 => self.reduce.record(rec, "level", map, How::default()),
+                3 => self.reduce.record(rec, "level", map, ConvolutionOptions::default()),
                 _ => map,
             };
             rec.observe(&format!("{tap}/resize{j}"), map.rows.tensor);
-            let layer = self.layers[j].record(rec, "layer", map, How::default());
+            let layer = self.layers[j].record(rec, "layer", map, ConvolutionOptions::default());
             rec.observe(&format!("{tap}/rn{j}"), layer.rows.tensor);
             layer
         })

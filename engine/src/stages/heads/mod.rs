@@ -14,7 +14,7 @@ mod rays;
 mod tail;
 
 pub use camera::CameraTensors;
-pub use convolution::{Convolution, How};
+pub use convolution::{Convolution, ConvolutionOptions};
 pub use dpt::ViewTensors;
 pub use gaussians::{GAUSSIAN_VALUES, GaussianTensors};
 pub use position::position_table;

@@ -1,5 +1,5 @@
 use super::{
-    convolution::{Convolution, How},
+    convolution::{Convolution, ConvolutionOptions},
     fusion::Fusion,
     position::Positions,
 };
@@ -38,13 +38,17 @@ impl RayHead {
     pub fn record(&self, rec: &mut Recorder, levels: &[FeatureMap; 4], positions: &mut Positions) -> Tensor {
         let mut x = self.fusion.record(rec, "head", levels);
         for (i, layer) in self.neck.iter().enumerate() {
-            x = layer.record(rec, "neck", x, How::default());
+            x = layer.record(rec, "neck", x, ConvolutionOptions::default());
             rec.observe(&format!("head/neck_aux{i}"), x.rows.tensor);
         }
         let placed = x.resized(rec, "placed", x.size(), Some(positions));
-        let hidden = self.hidden.record(rec, "hidden", placed, How::default());
+        let hidden = self.hidden.record(rec, "hidden", placed, ConvolutionOptions::default());
         let normed = FeatureMap::new(self.norm.apply(rec, hidden.rows, Element::F32), hidden.size());
-        let logits = self.out.record(rec, "logits", normed, How { rectified: true, ..How::default() }).rows.tensor;
+        let logits = self
+            .out
+            .record(rec, "logits", normed, ConvolutionOptions { rectified: true, ..ConvolutionOptions::default() })
+            .rows
+            .tensor;
         rec.observe("head/logits_aux", logits);
         rec.output(logits);
         logits

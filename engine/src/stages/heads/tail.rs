@@ -1,4 +1,4 @@
-use super::convolution::{Convolution, How};
+use super::convolution::{Convolution, ConvolutionOptions};
 use crate::{
     gpu::{Recorder, Tensor},
     ops::{FeatureMap, ParameterLayout},
@@ -15,8 +15,11 @@ impl Tail {
     }
 
     pub fn record(&self, rec: &mut Recorder, tap: &str, x: FeatureMap) -> Tensor {
-        let hidden = self.0[0].record(rec, "hidden", x, How::default());
-        let logits = self.0[1].record(rec, "logits", hidden, How { rectified: true, ..How::default() }).rows.tensor;
+        let hidden = self.0[0].record(rec, "hidden", x, ConvolutionOptions::default());
+        let logits = self.0[1]
+            .record(rec, "logits", hidden, ConvolutionOptions { rectified: true, ..ConvolutionOptions::default() })
+            .rows
+            .tensor;
         rec.observe(tap, logits);
         rec.output(logits);
         logits

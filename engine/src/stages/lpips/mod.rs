@@ -82,7 +82,7 @@ impl Lpips {
         rec.scope("lpips", |rec| {
             let value = rec.tensor::<f32>("lpips", 1);
             let layers = rec.tensor::<f32>("layers", TAPS);
-            let mut stages = vec![of.pictures.map(|picture| of.normalise(rec, picture))];
+            let mut stages = vec![of.pictures.map(|picture| of.normalize(rec, picture))];
             let mut taps = 0..TAPS;
             for (i, layer) in self.layers.iter().enumerate() {
                 stages.push(stages[i].map(|features| layer.forward(rec, features, i > 0)));
@@ -92,7 +92,7 @@ impl Lpips {
             }
             if let Some((weight, d_picture)) = gradient {
                 let d = self.backward(rec, &stages, layers);
-                of.normalise_backward(rec, d, weight, d_picture);
+                of.normalize_backward(rec, d, weight, d_picture);
             }
             rec.dispatch_groups(Value { sums: layers, values: value, first: 0, count: TAPS as u32, scale: 1.0 }, 1u32);
             LpipsTensors { value, layers }
@@ -150,7 +150,7 @@ fn compare(
 }
 
 impl LpipsPictures {
-    fn normalise(&self, rec: &mut Recorder, (source, channels): (Tensor, usize)) -> FeatureMap {
+    fn normalize(&self, rec: &mut Recorder, (source, channels): (Tensor, usize)) -> FeatureMap {
         let out = FeatureMap::scratch(rec, "normalised", self.size, 3);
         for part in row_chunks(rec, out.rows.count, &[4 * channels, 12]) {
             let kernel = kernels::Normalise {
@@ -165,7 +165,7 @@ impl LpipsPictures {
         out
     }
 
-    fn normalise_backward(&self, rec: &mut Recorder, d: FeatureMap, weight: f32, d_picture: Tensor) {
+    fn normalize_backward(&self, rec: &mut Recorder, d: FeatureMap, weight: f32, d_picture: Tensor) {
         let (source, channels) = self.pictures[0];
         for part in row_chunks(rec, d.rows.count, &[4 * channels, 12]) {
             let of = |t: Tensor| t.slice::<f32>(part.start * channels, part.len() * channels);

@@ -61,7 +61,7 @@ pub fn record_with_gradients(
     assert_eq!(d_frames.bytes(), frames.bytes(), "gradients of frames");
     rec.scope("render_backward", |rec| {
         let backward = Backward { scene, cameras, shape, request, capacity, splats: &splats, lists: &lists };
-        let slots = backward.rasterise(rec, frames, d_frames);
+        let slots = backward.rasterize(rec, frames, d_frames);
         backward.splats(rec, &slots, gradients);
     });
     RenderOutputs { frames, pixels: frames, status: lists.status }
@@ -87,7 +87,7 @@ struct Slots {
 }
 
 impl Backward<'_> {
-    fn rasterise(&self, rec: &mut Recorder, frames: Tensor, d_frames: Tensor) -> Slots {
+    fn rasterize(&self, rec: &mut Recorder, frames: Tensor, d_frames: Tensor) -> Slots {
         let &Backward { splats, lists, shape, request, capacity, .. } = self;
         let starts = rec.tensor::<u32>("slots", splats.pairs + 1);
         let (tile_sets, indices, pairs) = (splats.tile_sets, splats.indices, splats.pairs as u32);

@@ -7,7 +7,7 @@ use std::{collections::VecDeque, ops::Range};
 const PIXELS_TOGETHER: usize = 1 << 20;
 const PAIRS_TOGETHER: usize = 1 << 21;
 
-pub(super) fn pictures_together(most: usize, gaussians: usize, [width, height]: [u32; 2]) -> usize {
+pub(super) fn pictures_per_batch(most: usize, gaussians: usize, [width, height]: [u32; 2]) -> usize {
     let pixels = width as usize * height as usize;
     most.min(PIXELS_TOGETHER / pixels).min(PAIRS_TOGETHER / gaussians.max(1)).max(1)
 }
@@ -41,7 +41,7 @@ impl Renderer {
         let mut groups: Vec<(Range<usize>, FrameShape)> = Vec::new();
         for (i, camera) in cameras.iter().enumerate() {
             let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-            let most = pictures_together(self.together, self.gaussians(), [width, height]);
+            let most = pictures_per_batch(self.batch_size, self.gaussians(), [width, height]);
             match groups.last_mut() {
                 Some((range, shape)) if (shape.width, shape.height) == (width, height) && shape.cameras < most => {
                     range.end += 1;
@@ -105,7 +105,7 @@ impl Renderer {
         let needed = plan.outputs.needed(&plan.run)?;
         let frames = match self.plans.fitting(needed)? {
             Some(plan) => plan.read()?,
-            None => self.render_together(&rows[cameras.clone()], (shape.width, shape.height), request, turn)?,
+            None => self.render_batch(&rows[cameras.clone()], (shape.width, shape.height), request, turn)?,
         };
         cameras.zip(frames).try_for_each(|(i, frame)| done(i, frame))
     }

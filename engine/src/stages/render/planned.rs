@@ -2,7 +2,7 @@
 
 use super::{
     CameraRows, DeviceScene, Frame, FrameShape, PlanKey, RenderOutputs, RenderRequest, SceneTensors, first_capacity,
-    flights::pictures_together, planned_capacity, record,
+    flights::pictures_per_batch, planned_capacity, record,
 };
 use crate::{
     Result,
@@ -31,7 +31,7 @@ pub fn plan_pictures(
     [width, height]: [u32; 2],
     request: &RenderRequest,
 ) -> Result<Plan> {
-    let cameras = pictures_together(together(limits), scene.len, [width, height]);
+    let cameras = pictures_per_batch(batch_size(limits), scene.len, [width, height]);
     let shape = FrameShape { cameras, width, height };
     let mut rec = Recorder::new(limits);
     let rows = rec.input::<CameraRows>("cameras", cameras);
@@ -40,7 +40,7 @@ pub fn plan_pictures(
     rec.finish()
 }
 
-pub(super) fn together(limits: &Limits) -> usize {
+pub(super) fn batch_size(limits: &Limits) -> usize {
     if limits.cpu { 1 } else { GPU_TOGETHER }
 }
 

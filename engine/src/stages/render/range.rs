@@ -34,7 +34,7 @@ pub(crate) fn check_camera(i: usize, camera: &Camera) -> Result<()> {
 }
 
 fn check_range(camera: &Camera) -> Result<(), (&'static str, f64, String)> {
-    let (i, centre) = (&camera.intrinsics, camera.pose.translation);
+    let (i, center) = (&camera.intrinsics, camera.pose.translation);
     for (field, focal) in [("fx", i.fx), ("fy", i.fy)] {
         if !(LENS[0]..=LENS[1]).contains(&focal) {
             return Err((field, focal, format!("{:e} to {:e} pixels", LENS[0], LENS[1])));
@@ -43,9 +43,9 @@ fn check_range(camera: &Camera) -> Result<(), (&'static str, f64, String)> {
     for (field, value, most) in [
         ("cx", i.cx, LENS[1]),
         ("cy", i.cy, LENS[1]),
-        ("translation x", centre.x, FARTHEST),
-        ("translation y", centre.y, FARTHEST),
-        ("translation z", centre.z, FARTHEST),
+        ("translation x", center.x, FARTHEST),
+        ("translation y", center.y, FARTHEST),
+        ("translation z", center.z, FARTHEST),
     ] {
         if value.abs() > most {
             return Err((field, value, format!("-{most:e} to {most:e}")));

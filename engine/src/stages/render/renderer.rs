@@ -1,7 +1,7 @@
 use super::{
     CameraRows, DeviceScene, Frame, FrameShape, PixelLayout, PlanCache, PlanKey, RenderRequest, SceneMemory,
     SceneTensors, camera_rows, first_capacity,
-    planned::{RenderPlan, together},
+    planned::{RenderPlan, batch_size},
     range::check,
     scene::used_degree,
 };
@@ -20,7 +20,7 @@ pub struct Renderer {
     /// Of the last rendering.
     intersections: usize,
     cameras_at_once: usize,
-    pub(super) together: usize,
+    pub(super) batch_size: usize,
 }
 
 impl Renderer {
@@ -43,7 +43,7 @@ impl Renderer {
             plans: PlanCache::new(arena.device().limits(), 0),
             intersections: 0,
             cameras_at_once: usize::MAX,
-            together: together(arena.device().limits()),
+            batch_size: batch_size(arena.device().limits()),
         }
     }
 
@@ -53,8 +53,8 @@ impl Renderer {
     }
 
     /// Sets the largest batch of [`Renderer::render_each`].
-    pub fn together(mut self, most: usize) -> Self {
-        self.together = most.max(1);
+    pub fn batch_size(mut self, most: usize) -> Self {
+        self.batch_size = most.max(1);
         self
     }
 
@@ -171,7 +171,7 @@ impl Renderer {
         check(std::slice::from_ref(camera), &request)?;
         let _claim = self.claim();
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-        self.render_together(&[camera_rows(camera)], (width, height), &request, 0)?;
+        self.render_batch(&[camera_rows(camera)], (width, height), &request, 0)?;
         let plan = self.plan(FrameShape { cameras: 1, width, height }, &request, 0)?;
         plan.run.present(plan.outputs.pixels, target)
     }
@@ -200,11 +200,11 @@ impl Renderer {
         let mut others = !self.plans.is_empty();
         while frames.len() < cameras.len() {
             let left = &cameras[frames.len()..];
-            let together = &left[..left.len().min(self.cameras_at_once).min(bindable.max(1))];
-            match self.render_together(together, size, request, 0) {
+            let batch_size = &left[..left.len().min(self.cameras_at_once).min(bindable.max(1))];
+            match self.render_batch(batch_size, size, request, 0) {
                 Ok(drawn) => frames.extend(drawn),
-                Err(Error::Memory { .. }) if together.len() > 1 => {
-                    self.cameras_at_once = together.len() / 2;
+                Err(Error::Memory { .. }) if batch_size.len() > 1 => {
+                    self.cameras_at_once = batch_size.len() / 2;
                     self.plans.capacity = 0;
                 }
                 Err(Error::Memory { .. }) if others => {
@@ -217,7 +217,7 @@ impl Renderer {
         Ok(frames)
     }
 
-    pub(super) fn render_together(
+    pub(super) fn render_batch(
         &mut self,
         cameras: &[CameraRows],
         (width, height): (u32, u32),

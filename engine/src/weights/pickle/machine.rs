@@ -26,8 +26,8 @@ impl<'a> Machine<'a> {
 
     pub fn step(&mut self) -> Result<Option<Id>, String> {
         let root = self.run()?;
-        let held = self.objects.len() + self.references + self.stack.len() + self.marks.len() + self.memo.len();
-        if held > MAX_HELD { Err(format!("the pickle makes more than {MAX_HELD} objects")) } else { Ok(root) }
+        let objects = self.objects.len() + self.references + self.stack.len() + self.marks.len() + self.memo.len();
+        if objects > MAX_HELD { Err(format!("the pickle makes more than {MAX_HELD} objects")) } else { Ok(root) }
     }
 
     fn run(&mut self) -> Result<Option<Id>, String> {

@@ -2,7 +2,7 @@
 
 use super::Batch;
 use crate::{
-    depth::{Seer, Shown, check_finds_cameras},
+    depth::{DepthPredictor, PreparedPhotos, check_finds_cameras},
     options::{Quality, Size, refuse},
     outputs, photos,
     session::{Session, Stage},
@@ -24,12 +24,12 @@ pub enum Input {
     /// With the length that is 1 for the network.
     Tokens(Views, f64),
     /// With the cameras' points file.
-    Pixels(Shown, Option<PathBuf>),
+    Pixels(PreparedPhotos, Option<PathBuf>),
 }
 
 pub enum Maker<'a> {
     Tokens { model: Box<Model>, checkpoint: &'a Checkpoint, size: Size },
-    Pixels(Box<Seer>),
+    Pixels(Box<DepthPredictor>),
 }
 
 pub struct Scened {
@@ -52,8 +52,8 @@ impl<'a> Maker<'a> {
         let device = session.device()?;
         let (precision, arithmetic) = batch.quality.arithmetic.choose(session, &device)?;
         let (model, _) = session.load_model(&device, checkpoint, arithmetic)?;
-        let made_with = batch.made_with(checkpoint.provenance(), &size.to_string(), precision.name())?;
-        Ok((Self::Tokens { model: Box::new(model), checkpoint, size }, made_with))
+        let settings_key = batch.settings_key(checkpoint.provenance(), &size.to_string(), precision.name())?;
+        Ok((Self::Tokens { model: Box::new(model), checkpoint, size }, settings_key))
     }
 
     pub fn of_pixels(batch: &Batch, session: &mut Session<'_>, checkpoint: &DepthCheckpoint) -> Result<(Self, String)> {
@@ -65,10 +65,10 @@ impl<'a> Maker<'a> {
         }
         outputs::make_folder(&batch.output)?;
         let device = session.device()?;
-        let seer = batch.quality.question(checkpoint).open(session, &device)?;
+        let predictor = batch.quality.predictor_options(checkpoint).open(session, &device)?;
         let size = format!("{:?}", batch.quality.side());
-        let made_with = batch.made_with(checkpoint.provenance(), &size, seer.precision().name())?;
-        Ok((Self::Pixels(Box::new(seer)), made_with))
+        let settings_key = batch.settings_key(checkpoint.provenance(), &size, predictor.precision().name())?;
+        Ok((Self::Pixels(Box::new(predictor)), settings_key))
     }
 
     pub fn prepare(
@@ -85,14 +85,14 @@ impl<'a> Maker<'a> {
                 fit.count(photos)?;
                 let views = fit.load(photos, frames, *size, stage)?;
                 let unit = match (poses, frames.first()) {
-                    (Some(poses), Some(first)) => poses.unit(None, &views.cameras, &first.camera.pose)?.length,
+                    (Some(poses), Some(first)) => poses.scene_scale(None, &views.cameras, &first.camera.pose)?.length,
                     _ => 1.0,
                 };
                 Ok(Input::Tokens(views, unit))
             }
-            Self::Pixels(seer) => {
+            Self::Pixels(predictor) => {
                 let points = poses.and_then(|poses| poses.points.clone());
-                Ok(Input::Pixels(seer.show(photos, frames, stage)?, points))
+                Ok(Input::Pixels(predictor.prepare(photos, frames, stage)?, points))
             }
         }
     }
@@ -100,10 +100,11 @@ impl<'a> Maker<'a> {
     pub fn make(&self, batch: &Batch, input: Input, stage: &Stage<'_>) -> Result<Scened> {
         match (input, self) {
             (Input::Tokens(Views { images, cameras, note }, unit), Self::Tokens { model, checkpoint, .. }) => {
-                let (cameras, turned) = batch.fit.fit.told(cameras);
+                let (cameras, turned) = batch.fit.fit.network_cameras(cameras);
                 let Quality { ratio, select, pool, .. } = &batch.quality;
                 let cameras = Some(cameras).filter(|cameras| !cameras.is_empty());
-                let request = Request { ratio: *ratio, selection: select.clone(), cameras, unit, pool: *pool };
+                let request =
+                    Request { ratio: *ratio, selection: select.clone(), cameras, scene_scale: unit, pool: *pool };
                 let made = model.reconstruct(&images, &request, |progress| stage.at(progress.fraction))?;
                 let mut scene = made.scene()?;
                 batch.quality.prune(&mut scene, checkpoint.architecture());
@@ -111,17 +112,17 @@ impl<'a> Maker<'a> {
                 let record = json!({ "unit": unit, "tokens": made.tokens, "note": note });
                 Ok(Scened { scene, world: None, record })
             }
-            (Input::Pixels(shown, points), Self::Pixels(seer)) => {
-                let mut seen = seer.see(shown, stage)?;
-                seen.scale(false, points.as_deref())?;
-                let pose = seen.cameras.iter().flatten().next().map_or(Pose::IDENTITY, |camera| camera.pose);
-                let scene = seen.scene(&pose, batch.quality.kept())?;
-                let world = World::of_first(&seen.frames()?.iter().collect::<Vec<_>>());
-                if !seen.lost.is_empty() {
-                    seen.notes.push(format!("without a camera, and left out: {}", photos::names(&seen.lost)));
+            (Input::Pixels(prepared, points), Self::Pixels(predictor)) => {
+                let mut predicted = predictor.predict(prepared, stage)?;
+                predicted.scale(false, points.as_deref())?;
+                let pose = predicted.cameras.iter().flatten().next().map_or(Pose::IDENTITY, |camera| camera.pose);
+                let scene = predicted.scene(&pose, batch.quality.kept())?;
+                let world = World::of_first(&predicted.frames()?.iter().collect::<Vec<_>>());
+                if !predicted.lost.is_empty() {
+                    predicted.notes.push(format!("without a camera, and left out: {}", photos::names(&predicted.lost)));
                 }
-                let note = (!seen.notes.is_empty()).then(|| seen.notes.join("; "));
-                let record = json!({ "network": seen.network, "tokens": seen.patches()[0], "note": note });
+                let note = (!predicted.notes.is_empty()).then(|| predicted.notes.join("; "));
+                let record = json!({ "network": predicted.network, "tokens": predicted.patches()[0], "note": note });
                 Ok(Scened { scene, world, record })
             }
             _ => unreachable!("photos are prepared for the network that there is"),

@@ -106,7 +106,7 @@ impl Depth {
             let ask = |_: &Stage<'_>| pytorch::depth(python, checkpoint.architecture(), &cases, [warmup, repeats]);
             let (found, _) = session.stage("PyTorch", ask)?;
             text += &compare(&found, &measured);
-            rows.extend(theirs(&found, &rows));
+            rows.extend(pytorch_rows(&found, &rows));
             Ok(())
         });
         // Before PyTorch, which may fail.
@@ -178,8 +178,8 @@ fn spread(ms: &[f64]) -> Spread {
 fn compare(found: &pytorch::Depth, measured: &[((usize, Size), [f64; 2])]) -> String {
     let mut table =
         Table::new(1, &["PyTorch f32", "views", "size", "ms: median (min..max)", "ours", "its time / ours"]);
-    for (theirs, ((views, size), ours)) in found.rows.iter().zip(measured) {
-        for (part, (ms, ours)) in PARTS.iter().zip([&theirs.backbone_ms, &theirs.heads_ms].into_iter().zip(ours)) {
+    for (row, ((views, size), ours)) in found.rows.iter().zip(measured) {
+        for (part, (ms, ours)) in PARTS.iter().zip([&row.backbone_ms, &row.heads_ms].into_iter().zip(ours)) {
             let ms = spread(ms);
             let ratio = format!("{:.2}", ms.median / ours);
             table.row([
@@ -195,10 +195,10 @@ fn compare(found: &pytorch::Depth, measured: &[((usize, Size), [f64; 2])]) -> St
     format!("PyTorch {} on {}\n{table}", found.torch, found.device)
 }
 
-fn theirs(found: &pytorch::Depth, rows: &[Row]) -> Vec<Row> {
+fn pytorch_rows(found: &pytorch::Depth, rows: &[Row]) -> Vec<Row> {
     let totals = rows.iter().filter(|row| row.part.stage.is_empty());
-    let of = |(theirs, ours): (&pytorch::DepthRow, &Row)| {
-        let parts = PARTS.iter().zip([&theirs.backbone_ms, &theirs.heads_ms]);
+    let of = |(row, ours): (&pytorch::DepthRow, &Row)| {
+        let parts = PARTS.iter().zip([&row.backbone_ms, &row.heads_ms]);
         let parts = parts.map(|(part, ms)| Part::of(format!("PyTorch f32 {part}"), spread(ms)));
         parts.map(|part| Row { part, peak_bytes: 0, arena_bytes: 0, ..ours.clone() }).collect::<Vec<_>>()
     };

@@ -144,14 +144,14 @@ impl Forward {
         let mut table =
             Table::new(1, &["PyTorch", "views", "ratio", "ms: median (min..max)", "peak", "its time / ours"]);
         let mut rows = Vec::new();
-        for (theirs, ours) in found.rows.iter().zip(totals.iter().cycle()) {
-            let ms = theirs.ms.as_ref().map(|ms| Spread::of(ms.iter().map(|ms| Duration::from_secs_f64(ms / 1e3))));
+        for (pytorch, ours) in found.rows.iter().zip(totals.iter().cycle()) {
+            let ms = pytorch.ms.as_ref().map(|ms| Spread::of(ms.iter().map(|ms| Duration::from_secs_f64(ms / 1e3))));
             table.row([
-                theirs.precision.clone(),
-                theirs.views.to_string(),
-                format!("{:.3}", theirs.ratio),
-                ms.map_or_else(|| theirs.failed.clone().unwrap_or_default(), |ms| ms.to_string()),
-                theirs.peak_bytes.map_or_else(String::new, bytes),
+                pytorch.precision.clone(),
+                pytorch.views.to_string(),
+                format!("{:.3}", pytorch.ratio),
+                ms.map_or_else(|| pytorch.failed.clone().unwrap_or_default(), |ms| ms.to_string()),
+                pytorch.peak_bytes.map_or_else(String::new, bytes),
                 ms.map_or_else(String::new, |ms| format!("{:.2}", ms.median / ours.part.ms.median)),
             ]);
             let Some(ms) = ms else { continue };
@@ -159,9 +159,9 @@ impl Forward {
                 part: Part {
                     gflop: ours.part.gflop,
                     gflop_per_s: ms.rate((1e9 * ours.part.gflop) as u64),
-                    ..Part::of(format!("PyTorch {}", theirs.precision), ms)
+                    ..Part::of(format!("PyTorch {}", pytorch.precision), ms)
                 },
-                peak_bytes: theirs.peak_bytes.unwrap_or(0),
+                peak_bytes: pytorch.peak_bytes.unwrap_or(0),
                 arena_bytes: 0,
                 ..ours.clone()
             });

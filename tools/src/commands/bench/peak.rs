@@ -93,7 +93,7 @@ impl Rate {
 
 /// Measures the fastest matrix units, or else lanes.
 pub fn of_products(device: &Device, arithmetic: Arithmetic, repeats: Repeats, stage: &Stage<'_>) -> Result<Rate> {
-    match arithmetic.quantised.or(arithmetic.linear) {
+    match arithmetic.quantized.or(arithmetic.linear) {
         Some(units) => matrices(device, units, repeats, stage),
         None => fma(device, repeats, stage),
     }

@@ -11,11 +11,11 @@ pub const SCENE: (&str, &str) = ("scene.py", include_str!("../../../bench/scene.
 /// `option` names the Python option, `needed` its requirement.
 pub fn run(option: &str, needed: &str, command: &mut Command) -> Result<String> {
     let python = command.get_program().display().to_string();
-    let failed = |said: &str| Error::argument(option, format!("{python}: {said}"), needed);
+    let failed = |message: &str| Error::argument(option, format!("{python}: {message}"), needed);
     let output = command.stdin(Stdio::null()).output().map_err(|error| failed(&error.to_string()))?;
     if !output.status.success() {
-        let said = String::from_utf8_lossy(&output.stderr);
-        return Err(failed(said.trim().lines().last().unwrap_or("it failed")));
+        let message = String::from_utf8_lossy(&output.stderr);
+        return Err(failed(message.trim().lines().last().unwrap_or("it failed")));
     }
     Ok(String::from_utf8_lossy(&output.stdout).into_owned())
 }

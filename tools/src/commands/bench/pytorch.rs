@@ -28,9 +28,9 @@ const DEPTH_FILES: [(&str, &str); 5] = [
 const REFINE_FILES: [(&str, &str); 6] = [
     ("pytorch_refine.py", include_str!("../../../bench/pytorch_refine.py")),
     super::python::SCENE,
-    ("rasterise.py", include_str!("../../../train/rasterise.py")),
-    ("rasterise_numba.py", include_str!("../../../train/rasterise_numba.py")),
-    ("rasterise_triton.py", include_str!("../../../train/rasterise_triton.py")),
+    ("rasterize.py", include_str!("../../../train/rasterize.py")),
+    ("rasterize_numba.py", include_str!("../../../train/rasterize_numba.py")),
+    ("rasterize_triton.py", include_str!("../../../train/rasterize_triton.py")),
     ("splats.py", include_str!("../../../train/splats.py")),
 ];
 

@@ -108,8 +108,8 @@ impl Refine {
                 let name = format!("{gaussians} at {size}");
                 rows.extend(session.stage(&name, |stage| self.measure(&device, &case, &limits, stage))?.0);
                 if let Some(python) = &self.pytorch {
-                    let theirs = session.stage("PyTorch", |_| self.theirs(python, &case))?.0;
-                    rows.extend(theirs);
+                    let pytorch_rows = session.stage("PyTorch", |_| self.pytorch_rows(python, &case))?.0;
+                    rows.extend(pytorch_rows);
                 }
             }
         }
@@ -121,15 +121,15 @@ impl Refine {
         let Repeats { warmup, repeats } = self.repeats;
         let runs = warmup + repeats;
         // Exact capacity: bytes and arithmetic are those in use.
-        let room = case.intersections(device)?;
+        let intersection_capacity = case.intersections(device)?;
         let (mut profiles, mut peak_bytes) = (Vec::new(), 0);
         for i in 0..runs {
             stage.reach(0.5 * f64::from(i) / f64::from(runs))?;
-            let found = case.refine(device, room, 0, |_| ControlFlow::Continue(()))?;
+            let found = case.refine(device, intersection_capacity, 0, |_| ControlFlow::Continue(()))?;
             peak_bytes = found.peak_bytes;
             profiles.extend(found.profile.filter(|_| i >= warmup));
         }
-        let host = self.host(device, case, room, stage)?;
+        let host = self.host(device, case, intersection_capacity, stage)?;
         let mut renderer = Renderer::new(device);
         renderer.load(&case.scene)?;
         let mut pictures = Vec::new();
@@ -170,11 +170,11 @@ impl Refine {
         Ok(rows)
     }
 
-    fn host(&self, device: &Device, case: &Case, room: usize, stage: &Stage<'_>) -> Result<Spread> {
+    fn host(&self, device: &Device, case: &Case, intersection_capacity: usize, stage: &Stage<'_>) -> Result<Spread> {
         let (warmup, counted) = (self.repeats.warmup as usize, self.repeats.repeats as usize);
         let steps = (2 * (warmup + counted)).max(3 * LOOKS);
         let (interval, mut times, mut last) = (steps.div_ceil(LOOKS), Vec::new(), Instant::now());
-        let refined = case.refine(device, room, steps, |step| {
+        let refined = case.refine(device, intersection_capacity, steps, |step| {
             if step > warmup && !step.is_multiple_of(interval) && step < steps {
                 times.push(last.elapsed());
             }
@@ -194,7 +194,7 @@ impl Refine {
         }
     }
 
-    fn theirs(&self, python: &std::path::Path, case: &Case) -> Result<[Row; 2]> {
+    fn pytorch_rows(&self, python: &std::path::Path, case: &Case) -> Result<[Row; 2]> {
         let Repeats { warmup, repeats } = self.repeats;
         let found = pytorch::refine(python, &case.scene, case.size, case.photos.len(), [warmup, repeats])?;
         let spread = |ms: &[f64]| Spread::of(ms.iter().map(|ms| Duration::from_secs_f64(ms / 1e3)));
@@ -239,7 +239,7 @@ impl Case {
     fn refine(
         &self,
         device: &Device,
-        room: usize,
+        intersection_capacity: usize,
         steps: usize,
         mut progress: impl FnMut(usize) -> ControlFlow<()>,
     ) -> Result<Refined> {
@@ -247,10 +247,10 @@ impl Case {
         let request = Request {
             steps,
             views_per_step: count,
-            together: Some(count),
+            batch_size: Some(count),
             hold_out: Some(0),
             coarse: false,
-            room: Some(room),
+            intersection_capacity: Some(intersection_capacity),
             profile: steps == 0,
             ..Request::default()
         };

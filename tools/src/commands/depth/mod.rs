@@ -2,7 +2,7 @@ mod truth;
 
 use crate::{
     cameras::{ModelOption, path_from},
-    depth::{CamerasFrom, Question, Seen},
+    depth::{CamerasFrom, PredictedViews, PredictorOptions},
     options::ArithmeticOption,
     outputs::{Overwrite, check_folder, make_folder, save_depth_levels, save_picture},
     photos::{self, PhotoArgs},
@@ -99,7 +99,7 @@ impl Depth {
         self.check(&files)?;
         let truth = self.truth.as_deref().map(Truth::open).transpose()?;
         let request = DepthRequest { reference: self.reference.map(|photo| photo as usize - 1), ..Default::default() };
-        let question = Question {
+        let options = PredictorOptions {
             checkpoint: &checkpoint,
             side: Some(self.size),
             cameras: self.cameras,
@@ -107,44 +107,44 @@ impl Depth {
             request,
         };
         let frames: Vec<&Frame> = known.iter().flat_map(|(frames, _)| frames).collect();
-        let mut seen = question.ask(session, &files, &frames)?;
-        seen.scale(self.metres, known.as_ref().and_then(|(_, points)| points.as_deref()))?;
-        let errors = truth.map(|truth| truth.errors(&seen, self.poses.is_none())).transpose()?;
-        if !seen.lost.is_empty() {
-            session.note(format!("without a camera, and left out: {}", photos::names(&seen.lost)));
+        let mut predicted = options.ask(session, &files, &frames)?;
+        predicted.scale(self.metres, known.as_ref().and_then(|(_, points)| points.as_deref()))?;
+        let errors = truth.map(|truth| truth.errors(&predicted, self.poses.is_none())).transpose()?;
+        if !predicted.lost.is_empty() {
+            session.note(format!("without a camera, and left out: {}", photos::names(&predicted.lost)));
         }
 
         make_folder(&self.output)?;
-        let names = names(&seen.photos);
-        let frames = known.map_or_else(|| seen.frames(), |(frames, _)| Ok(frames))?;
-        save_values(&self.output.join(VALUES), &seen.depths, &names)?;
-        let levels = self.save_pictures(&seen.depths, &names)?;
-        let points = seen.points(self.points);
-        if seen.cameras.is_some() {
+        let names = names(&predicted.photos);
+        let frames = known.map_or_else(|| predicted.frames(), |(frames, _)| Ok(frames))?;
+        save_values(&self.output.join(VALUES), &predicted.depths, &names)?;
+        let levels = self.save_pictures(&predicted.depths, &names)?;
+        let points = predicted.points(self.points);
+        if predicted.cameras.is_some() {
             let cloud = self.output.join(POINTS);
             write_points(&cloud, &points)?;
             self.model.save(&frames, Some(&cloud))?;
             let named = |(frame, file): (Frame, &PathBuf)| Ok(Frame { name: path_from(&self.output, file)?, ..frame });
-            let frames = frames.into_iter().zip(&seen.photos).map(named).collect::<Result<Vec<_>>>()?;
+            let frames = frames.into_iter().zip(&predicted.photos).map(named).collect::<Result<Vec<_>>>()?;
             write_frames(place, &frames, Some(POINTS))?;
         }
         folder.iter_mut().for_each(FrameFolder::keep);
-        self.report(session, &seen, levels, points.len(), errors.as_ref())
+        self.report(session, &predicted, levels, points.len(), errors.as_ref())
     }
 
     fn report(
         &self,
         session: &mut Session<'_>,
-        seen: &Seen,
+        predicted: &PredictedViews,
         levels: f32,
         points: usize,
         errors: Option<&Errors>,
     ) -> Result<()> {
-        let Seen { depths, cameras, times, .. } = seen;
+        let PredictedViews { depths, cameras, times, .. } = predicted;
         let seconds: serde_json::Map<_, _> =
             times.iter().map(|(step, took)| (step.to_string(), json!(took.as_secs_f64()))).collect();
         let json = json!({
-            "output": self.output, "network": seen.network, "views": depths.views.len(),
+            "output": self.output, "network": predicted.network, "views": depths.views.len(),
             "width": depths.width, "height": depths.height, "levels_per_unit": levels, "points": points,
             "cameras": cameras.is_some(), "peak_bytes": depths.peak_bytes, "seconds": seconds,
             "errors": errors.map(Errors::as_json),
@@ -153,7 +153,7 @@ impl Depth {
         let more = cameras.as_ref().map_or(String::new(), |_| format!(", their cameras, {}", counted(points, "point")));
         let (output, size) = (self.output.display(), format!("{} x {}", depths.width, depths.height));
         let text = format!("{output}: depth of {} at {size} in {took}{more}", counted(depths.views.len(), "view"));
-        let text = text + &errors.map_or_else(String::new, |errors| format!("\n{}", errors.told()));
+        let text = text + &errors.map_or_else(String::new, |errors| format!("\n{}", errors.summary()));
         session.report(&json, text)
     }
 

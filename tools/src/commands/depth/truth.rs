@@ -1,6 +1,6 @@
 //! Errors of depth and cameras against ground truth.
 
-use crate::{cameras::Similarity, depth::Seen, npy};
+use crate::{cameras::Similarity, depth::PredictedViews, npy};
 use glam::DQuat;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -35,20 +35,20 @@ impl Truth {
     }
 
     /// Cameras count only if the network `found` them.
-    pub fn errors(&self, seen: &Seen, found: bool) -> Result<Errors> {
+    pub fn errors(&self, predicted: &PredictedViews, found: bool) -> Result<Errors> {
         let (mut pairs, mut depths) = (Vec::new(), Vec::new());
-        let frames = seen.frames()?;
-        for (i, photo) in seen.photos.iter().enumerate() {
+        let frames = predicted.frames()?;
+        for (i, photo) in predicted.photos.iter().enumerate() {
             let Some(frame) = self.poses.frame_of(photo)? else { continue };
             pairs.extend(frames.get(i).map(|ours| (ours.camera, frame.camera)));
             let stem = Path::new(&frame.name).file_stem().unwrap_or_default();
             let file = self.folder.join("depth").join(stem).with_extension("npy");
             if file.is_file() {
-                depths.push(ratios(&seen.depths.views[i], &seen.views[i].map, &npy::read(&file)?));
+                depths.push(ratios(&predicted.depths.views[i], &predicted.views[i].map, &npy::read(&file)?));
             }
         }
         if pairs.is_empty() && depths.is_empty() {
-            let found = format!("none of {}", seen.photos.len());
+            let found = format!("none of {}", predicted.photos.len());
             return Err(Error::argument("photos with a truth", found, format!("some in {}", self.folder.display())));
         }
         Ok(Errors { photos: pairs.len(), cameras: cameras(&pairs).filter(|_| found), depth: depth(depths) })
@@ -56,7 +56,7 @@ impl Truth {
 }
 
 impl Errors {
-    pub fn told(&self) -> String {
+    pub fn summary(&self) -> String {
         let mut parts = Vec::new();
         if let Some([degrees, away, focal]) = self.cameras {
             let (away, focal) = (100.0 * away, 100.0 * focal);
@@ -85,8 +85,8 @@ impl Errors {
 /// Medians of angle, distance over the extent, and focal length.
 fn cameras(pairs: &[(Camera, Camera)]) -> Option<[f64; 3]> {
     let (similarity, _) = Similarity::between(pairs)?;
-    let centres = pairs.iter().map(|(_, truth)| truth.pose.translation);
-    let (low, high) = (centres.clone().reduce(|a, b| a.min(b))?, centres.reduce(|a, b| a.max(b))?);
+    let centers = pairs.iter().map(|(_, truth)| truth.pose.translation);
+    let (low, high) = (centers.clone().reduce(|a, b| a.min(b))?, centers.reduce(|a, b| a.max(b))?);
     let error = |(found, truth): &(Camera, Camera)| {
         let moved = similarity.apply(found).pose;
         let turn = DQuat::from_mat3(&moved.relative_to(&truth.pose).rotation).to_scaled_axis().length();

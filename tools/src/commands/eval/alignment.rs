@@ -34,7 +34,7 @@ fn scores(capture: &Capture, found: &[Aligned]) -> Vec<AlignedScore> {
         before_psnr: before.psnr,
         before_ssim: before.ssim,
         degrees: found.turn.to_degrees(),
-        distance: capture.unit.length * found.shift,
+        distance: capture.scene_scale.length * found.shift,
         doubt: found.doubt.or((score.psnr <= score.mean_color_psnr).then_some(Doubt::Color)),
         view: score.view,
         psnr: score.psnr,
@@ -125,7 +125,7 @@ impl Alignment {
             .then(|| format!("{} of {of} aligned pictures say little: {}", self.doubtful, reasons.join("; ")))
     }
 
-    pub fn told(&self) -> String {
+    pub fn summary(&self) -> String {
         let Self { degrees, distance, before: Before { psnr, ssim }, .. } = self;
         format!(
             "\naligned by {degrees:.2} degrees and {distance:.4} (medians); with the cameras given {psnr:.2} dB and {ssim:.3}"

@@ -23,7 +23,7 @@ pub fn scene(folder: &Path, noise: f64, choice: &Choice, capture: &Capture) -> R
     let mut scene = Scene { sh_degree: 0, ..Scene::default() };
     let views = capture.views.cameras.iter().zip(&capture.views.images);
     for (seed, (frame, (camera, image))) in choice.input_frames().into_iter().zip(views).enumerate() {
-        let mut depth = seen(folder, frame, camera, capture.unit.length)?;
+        let mut depth = read_depth(folder, frame, camera, capture.scene_scale.length)?;
         if noise > 0.0 {
             let errors = smooth(seed as u64, image.width as usize, image.height as usize);
             depth.iter_mut().zip(errors).for_each(|(depth, error)| *depth *= (1.0 + noise * error) as f32);
@@ -56,7 +56,7 @@ fn smooth(seed: u64, width: usize, height: usize) -> Vec<f64> {
 }
 
 /// Nearest sampled, in the capture's unit.
-fn seen(folder: &Path, frame: &Frame, camera: &Camera, unit: f64) -> Result<Vec<f32>> {
+fn read_depth(folder: &Path, frame: &Frame, camera: &Camera, unit: f64) -> Result<Vec<f32>> {
     let file = folder.join(Path::new(&frame.name).file_stem().unwrap_or_default()).with_extension("npy");
     if frame.lens.is_some() {
         let found = format!("{}, whose lens distorts", frame.name);

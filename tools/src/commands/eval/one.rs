@@ -3,7 +3,7 @@
 use super::{
     Eval, VIEWS,
     alignment::{Alignment, cells_of},
-    judge::{Judge, Judged},
+    evaluator::{Evaluation, Evaluator},
 };
 use crate::{
     capture::{Capture, Choice, Score},
@@ -44,56 +44,58 @@ pub fn run(eval: &Eval, session: &mut Session<'_>) -> Result<()> {
         None => Choice::new(folder, views, targets).map_err(without_cameras)?,
     };
     choice.disturb(eval.disturb, eval.unit)?;
-    if let (None, Network::Tokens(checkpoint)) = (eval.theirs.given(), &weights) {
+    if let (None, Network::Tokens(checkpoint)) = (eval.external.given(), &weights) {
         eval.check_shape(checkpoint, seeing, &choice)?;
     }
     choice.notes().iter().for_each(|note| session.note(note));
-    let mut judge = Judge::new(eval, &weights, seeing, session)?;
-    let judged = judge.judge(session, &choice, None)?;
+    let mut evaluator = Evaluator::new(eval, &weights, seeing, session)?;
+    let evaluation = evaluator.evaluate(session, &choice, None)?;
 
-    match (&eval.csv, &judged.alignment) {
+    match (&eval.csv, &evaluation.alignment) {
         (Some(path), Some(alignment)) => outputs::save_csv(path, &alignment.rows)?,
-        (Some(path), None) => outputs::save_csv(path, &judged.scores)?,
+        (Some(path), None) => outputs::save_csv(path, &evaluation.scores)?,
         (None, _) => {}
     }
-    save(eval, &choice, &judged)?;
-    let Judged { capture, made, scores, alignment, .. } = &judged;
+    save(eval, &choice, &evaluation)?;
+    let Evaluation { capture, reconstruction, scores, alignment, .. } = &evaluation;
     let mean = Score::mean(scores);
     let table = alignment.as_ref().map_or_else(|| table(scores, &mean), |alignment| alignment.table(&mean));
     alignment.iter().filter_map(Alignment::doubts).for_each(|note| session.note(note));
-    if eval.theirs.given().is_some() && mean.psnr < mean.mean_color_psnr {
+    if eval.external.given().is_some() && mean.psnr < mean.mean_color_psnr {
         session.note(
             "the scene is further from the photos than one color: --world, --scene-unit and --scene-cameras say where its \
              world is",
         );
     }
-    let refined = made.refined.as_ref();
-    let network = made.network.as_ref();
-    let how = match (network, eval.theirs.given()) {
+    let refined = reconstruction.refined.as_ref();
+    let network = reconstruction.network.as_ref();
+    let source = match (network, eval.external.given()) {
         // The points replaced the network's Gaussians.
-        _ if made.started == refinement::Start::Points.name() => "of the capture's points".to_owned(),
+        _ if reconstruction.started == refinement::Initialization::Points.name() => {
+            "of the capture's points".to_owned()
+        }
         (Some(network), _) => format!("of {} tokens in {:.2} s", network.tokens, network.took.as_secs_f64()),
         (None, Some(file)) => format!("of {}", file.display()),
         (None, None) => "of the capture's points".to_owned(),
     };
     let text = format!(
-        "{table}{} of {} from {} of its photos, {} Gaussians {how}; {}",
+        "{table}{} of {} from {} of its photos, {} Gaussians {source}; {}",
         folder.display(),
         seeing.size,
         capture.inputs.len(),
-        made.scene.len(),
-        capture.unit
-    ) + &alignment.as_ref().map_or_else(String::new, Alignment::told)
+        reconstruction.scene.len(),
+        capture.scene_scale
+    ) + &alignment.as_ref().map_or_else(String::new, Alignment::summary)
         + &refined.map_or_else(String::new, |refined| {
-            format!("\n{}", refinement::summary(refined, made.started, &capture.learnt().1))
+            format!("\n{}", refinement::summary(refined, reconstruction.started, &capture.training_views().1))
         });
     let json = serde_json::json!({
-        "folder": folder, "weights": weights.provenance(), "precision": judge.precision.name(),
+        "folder": folder, "weights": weights.provenance(), "precision": evaluator.precision.name(),
         "width": seeing.size.0, "height": seeing.size.1, "score_width": seeing.compared.0, "score_height": seeing.compared.1,
-        "refined": refined.map(|refined| refinement::as_json(refined, made.started, &capture.learnt().1)),
-        "inputs": capture.inputs.iter().map(|view| &view.name).collect::<Vec<_>>(), "unit": capture.unit.length, "unit_from": capture.unit.source,
+        "refined": refined.map(|refined| refinement::as_json(refined, reconstruction.started, &capture.training_views().1)),
+        "inputs": capture.inputs.iter().map(|view| &view.name).collect::<Vec<_>>(), "unit": capture.scene_scale.length, "unit_from": capture.scene_scale.source,
         "tokens": network.map(|network| network.tokens), "all_tokens": network.map(|network| network.all_tokens),
-        "gaussians": made.scene.len(), "scene": eval.theirs.given(), "peak_bytes": network.map(|network| network.peak_bytes),
+        "gaussians": reconstruction.scene.len(), "scene": eval.external.given(), "peak_bytes": network.map(|network| network.peak_bytes),
         "seconds": network.map(|network| network.took.as_secs_f64()),
         "mean": mean, "aligned": alignment, "views": scores,
     });
@@ -109,14 +111,14 @@ fn without_cameras(error: Error) -> Error {
     }
 }
 
-fn save(eval: &Eval, choice: &Choice, judged: &Judged) -> Result<()> {
+fn save(eval: &Eval, choice: &Choice, evaluation: &Evaluation) -> Result<()> {
     let Some(folder) = &eval.output else { return Ok(()) };
-    let Judged { capture, made, drawn, .. } = judged;
+    let Evaluation { capture, reconstruction, drawn, .. } = evaluation;
     outputs::make_folder(folder)?;
-    let mut scene = made.scene.clone();
+    let mut scene = reconstruction.scene.clone();
     // Files use the known cameras' unit.
     if !eval.pose_free {
-        scene.scale(capture.unit.length as f32);
+        scene.scale(capture.scene_scale.length as f32);
     }
     let world = if eval.pose_free { None } else { World::of_first(&choice.input_frames()) };
     outputs::save_scene(&folder.join(SCENE), &scene, &WriteOptions::default(), world.as_ref())?;

@@ -2,8 +2,8 @@
 
 use super::{
     Eval,
-    judge::{Judge, Made, Network},
-    theirs::{aligned, place},
+    evaluator::{Evaluator, Network, Reconstruction},
+    external_scene::{aligned, place},
 };
 use crate::{
     cameras::Similarity,
@@ -34,7 +34,7 @@ impl Eval {
     }
 }
 
-impl Judge<'_> {
+impl Evaluator<'_> {
     /// Makes the scene in the capture's world and unit. Without known cameras, estimated ones place
     /// it.
     pub(super) fn of_pixels(
@@ -43,32 +43,32 @@ impl Judge<'_> {
         choice: &Choice,
         capture: &Capture,
         checkpoint: &DepthCheckpoint,
-    ) -> Result<Made> {
-        let seer = match self.seer.take() {
-            Some(seer) => seer,
-            None => self.eval.quality.question(checkpoint).open(session, &self.device)?,
+    ) -> Result<Reconstruction> {
+        let predictor = match self.predictor.take() {
+            Some(predictor) => predictor,
+            None => self.eval.quality.predictor_options(checkpoint).open(session, &self.device)?,
         };
-        let seer = self.seer.insert(seer);
+        let predictor = self.predictor.insert(predictor);
         let (inputs, pose_free) = (choice.input_frames(), self.eval.pose_free);
         let known = if pose_free { &[][..] } else { &inputs[..] };
-        let (mut seen, took) = session.stage("depth", |stage| {
-            let shown = seer.show(&choice.inputs(), known, stage)?;
-            seer.see(shown, stage)
+        let (mut predicted, took) = session.stage("depth", |stage| {
+            let prepared = predictor.prepare(&choice.inputs(), known, stage)?;
+            predictor.predict(prepared, stage)
         })?;
-        session.notes(&seen.notes);
+        session.notes(&predicted.notes);
         if !pose_free {
-            seen.scale(false, choice.cloud())?;
+            predicted.scale(false, choice.cloud())?;
         }
         let (first, keep) = (inputs[0].camera.pose, self.eval.quality.kept());
-        let mut scene = seen.scene(&Pose::IDENTITY, keep)?;
+        let mut scene = predicted.scene(&Pose::IDENTITY, keep)?;
         let to_cameras = if pose_free {
-            aligned(&Poses { frames: seen.frames()?, ..Poses::default() }, &inputs)?.0
+            aligned(&Poses { frames: predicted.frames()?, ..Poses::default() }, &inputs)?.0
         } else {
             Similarity { scale: 1.0, pose: Pose::IDENTITY }
         };
         place(&mut scene, &to_cameras, &first, capture);
-        let [tokens, all] = seen.patches();
-        let network = Some(Network { tokens, all_tokens: all, peak_bytes: seen.depths.peak_bytes, took });
-        Ok(Made { network, ..Made::given(scene) })
+        let [tokens, all] = predicted.patches();
+        let network = Some(Network { tokens, all_tokens: all, peak_bytes: predicted.depths.peak_bytes, took });
+        Ok(Reconstruction { network, ..Reconstruction::given(scene) })
     }
 }

@@ -2,7 +2,7 @@
 
 use super::{
     Eval, TARGETS,
-    judge::{Judge, Judged},
+    evaluator::{Evaluation, Evaluator},
     page,
     rows::{self, Means, Row},
 };
@@ -71,7 +71,7 @@ struct Series<'a> {
 }
 
 enum Outcome {
-    Judged,
+    Evaluated,
     Unchanged,
     /// Missing from the index file.
     Unknown,
@@ -85,7 +85,7 @@ struct Failure {
 
 #[derive(Default)]
 struct Tally {
-    judged: usize,
+    evaluated: usize,
     unchanged: usize,
     unknown: usize,
     failures: Vec<Failure>,
@@ -101,15 +101,15 @@ pub fn run(eval: &Eval, protocol: Protocol, session: &mut Session<'_>) -> Result
     let places = protocol.places(&eval.folders, options.images.as_deref())?;
     let (weights, seeing) = eval.begin(session)?;
     outputs::make_folder(out)?;
-    let mut judge = Judge::new(eval, &weights, seeing, session)?;
-    if !judge.has_lpips() && eval.lpips.is_default() {
+    let mut evaluator = Evaluator::new(eval, &weights, seeing, session)?;
+    if !evaluator.has_lpips() && eval.lpips.is_default() {
         session.note(
             "LPIPS is missing from pose alignment and from the table: `python3 tools/lpips.py` fetches its weights, \
              and the next run evaluates these scenes again",
         );
     }
     let method = options.name.clone().unwrap_or_else(|| method_of(&weights, eval));
-    let way = digest(&[eval.made_with(&weights, seeing, judge.precision.name())?]);
+    let way = digest(&[eval.settings_key(&weights, seeing, evaluator.precision.name())?]);
     let posed = if eval.pose_free { "free" } else { "posed" };
     let folder = out.join(format!("{}-{posed}-{}", slug(&method), &way[..8]));
     let series = Series { eval, protocol, method, folder };
@@ -117,7 +117,7 @@ pub fn run(eval: &Eval, protocol: Protocol, session: &mut Session<'_>) -> Result
     // Of an earlier run.
     std::fs::remove_file(out.join(FAILURES)).ok();
     let mut tally = Tally::default();
-    let ended = series.run(&places, &settings, &mut judge, &mut tally, session);
+    let ended = series.run(&places, &settings, &mut evaluator, &mut tally, session);
     let rows = rows::read_all(out, protocol)?;
     let means = Means::of(protocol, &rows);
     outputs::save_csv(&out.join(SCENES), &rows)?;
@@ -142,23 +142,23 @@ impl Series<'_> {
         &self,
         places: &[Place],
         settings: &[Setting],
-        judge: &mut Judge<'_>,
+        evaluator: &mut Evaluator<'_>,
         tally: &mut Tally,
         session: &mut Session<'_>,
     ) -> Result<()> {
         let limit = self.eval.series.limit.unwrap_or(usize::MAX);
         let (all, began) = (places.len() * settings.len(), Instant::now());
         for (i, (place, setting)) in places.iter().flat_map(|p| settings.iter().map(move |s| (p, s))).enumerate() {
-            if tally.judged + tally.failures.len() >= limit {
+            if tally.evaluated + tally.failures.len() >= limit {
                 break;
             }
             let scene = format!("{} of {all}, {} {}", i + 1, place.name, setting.name());
             // Existing records take no time.
-            let rest = began.elapsed().checked_div(tally.judged as u32).map(|each| each * (all - i) as u32);
+            let rest = began.elapsed().checked_div(tally.evaluated as u32).map(|each| each * (all - i) as u32);
             let rest = rest.map_or_else(String::new, |rest| format!(", all in about {}", HumanDuration(rest)));
             session.begin_task(&format!("{scene}{rest}"));
-            match self.judge(place, setting, judge, &scene, session) {
-                Ok(Outcome::Judged) => tally.judged += 1,
+            match self.evaluate(place, setting, evaluator, &scene, session) {
+                Ok(Outcome::Evaluated) => tally.evaluated += 1,
                 Ok(Outcome::Unchanged) => tally.unchanged += 1,
                 Ok(Outcome::Unknown) => tally.unknown += 1,
                 // Later scenes would fail alike.
@@ -176,11 +176,11 @@ impl Series<'_> {
         Ok(())
     }
 
-    fn judge(
+    fn evaluate(
         &self,
         place: &Place,
         setting: &Setting,
-        judge: &mut Judge<'_>,
+        evaluator: &mut Evaluator<'_>,
         label: &str,
         session: &mut Session<'_>,
     ) -> Result<Outcome> {
@@ -188,17 +188,17 @@ impl Series<'_> {
         let targets = eval.targets.map_or(TARGETS, |targets| targets as usize);
         let poses = place.read(eval.series.keep_distortion)?;
         let Some(mut choice) = setting.choose(&place.name, poses, targets)? else { return Ok(Outcome::Unknown) };
-        let theirs = eval.theirs.file(Some(&place.name))?;
-        let stamp = theirs.as_deref().map(stamp).transpose()?.unwrap_or_default();
-        let hash = digest(&[choice.digest()?, stamp, judge.has_lpips().to_string()]);
+        let scene_file = eval.external.file(Some(&place.name))?;
+        let stamp = scene_file.as_deref().map(stamp).transpose()?.unwrap_or_default();
+        let hash = digest(&[choice.digest()?, stamp, evaluator.has_lpips().to_string()]);
         let folder = self.folder.join(format!("{}-{}", setting.name(), setting.rule()));
         let file = Row::file(&folder, &place.name);
         if Row::read(&file).is_some_and(|row| row.hash == hash) {
             return Ok(Outcome::Unchanged);
         }
         choice.disturb(eval.disturb, eval.unit)?;
-        let judged = judge.judge(session, &choice, Some(&place.name))?;
-        let mean = Score::mean(&judged.scores);
+        let evaluation = evaluator.evaluate(session, &choice, Some(&place.name))?;
+        let mean = Score::mean(&evaluation.scores);
         let row = Row {
             generator: MADE_BY.into(),
             protocol: rows::name_of(self.protocol),
@@ -208,19 +208,19 @@ impl Series<'_> {
             views: setting.views,
             rule: setting.rule(),
             hash,
-            targets: judged.scores.len(),
-            gaussians: judged.made.scene.len(),
+            targets: evaluation.scores.len(),
+            gaussians: evaluation.reconstruction.scene.len(),
             psnr: mean.psnr,
             ssim: mean.ssim,
             lpips: mean.lpips,
-            seconds: judged.made.network.as_ref().map(|network| network.took.as_secs_f64()),
+            seconds: evaluation.reconstruction.network.as_ref().map(|network| network.took.as_secs_f64()),
             place: folder.clone(),
         };
         outputs::make_folder(&folder)?;
-        outputs::save_picture(&file.with_extension("png"), &pictures(&judged)?)?;
+        outputs::save_picture(&file.with_extension("png"), &pictures(&evaluation)?)?;
         row.write(&file)?;
         session.note(format!("{label}: {:.2} dB", row.psnr));
-        Ok(Outcome::Judged)
+        Ok(Outcome::Evaluated)
     }
 
     fn report(
@@ -229,14 +229,14 @@ impl Series<'_> {
         out: &Path,
         rows: &[Row],
         means: &Means,
-        Tally { judged, unchanged, unknown, failures }: &Tally,
+        Tally { evaluated, unchanged, unknown, failures }: &Tally,
     ) -> Result<()> {
         let table = Table::of(3, &means.headings, &means.lines);
-        let mut text = format!("{table}{}: {} of {} judged", out.display(), counted(*judged, "scene"), means.title);
+        let mut text = format!("{table}{}: {} of {} judged", out.display(), counted(*evaluated, "scene"), means.title);
         let others = [(*unchanged, "there already"), (*unknown, "not in --indices"), (failures.len(), "failed")];
         others.iter().filter(|(count, _)| *count > 0).for_each(|(count, what)| text += &format!("; {count} {what}"));
         let json = serde_json::json!({
-            "output": out, "protocol": rows::name_of(self.protocol), "judged": judged, "unchanged": unchanged, "unknown": unknown,
+            "output": out, "protocol": rows::name_of(self.protocol), "judged": evaluated, "unchanged": unchanged, "unknown": unknown,
             "failed": failures.len(), "headings": means.headings, "means": means.lines, "scenes": rows,
         });
         session.report(&json, text)
@@ -245,7 +245,7 @@ impl Series<'_> {
 
 impl Eval {
     /// All but scene and frames.
-    fn made_with(&self, weights: &Network, seeing: Seeing, precision: &str) -> Result<String> {
+    fn settings_key(&self, weights: &Network, seeing: Seeing, precision: &str) -> Result<String> {
         let weights = weights.provenance();
         let of_file = if Path::new(weights).is_file() { stamp(Path::new(weights))? } else { String::new() };
         let version = env!("CARGO_PKG_VERSION");
@@ -255,13 +255,13 @@ impl Eval {
              {disturb} {unit:?} {lpips:?} {} {}",
             self.aligning(),
             self.series.keep_distortion,
-            self.theirs.told()
+            self.external.key()
         ))
     }
 }
 
 fn method_of(weights: &Network, eval: &Eval) -> String {
-    if let Some(folder) = eval.theirs.given() {
+    if let Some(folder) = eval.external.given() {
         return folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
     }
     let weights = Path::new(weights.provenance());
@@ -279,14 +279,14 @@ fn slug(name: &str) -> String {
     letters.collect()
 }
 
-fn pictures(judged: &Judged) -> Result<Image> {
-    let targets = &judged.capture.targets;
+fn pictures(evaluation: &Evaluation) -> Result<Image> {
+    let targets = &evaluation.capture.targets;
     let shown = targets.len().min(SHOWN);
     let chosen: Vec<usize> = (0..shown).map(|i| i * targets.len() / shown).collect();
     let mut images: Vec<Image> = chosen.iter().map(|i| targets[*i].image.clone()).collect();
     for i in chosen {
         let Image { width, height, .. } = targets[i].image;
-        images.push(Image::from_rgb_f32(width, height, &judged.drawn[i])?);
+        images.push(Image::from_rgb_f32(width, height, &evaluation.drawn[i])?);
     }
     contact_sheet(&images, shown)
 }

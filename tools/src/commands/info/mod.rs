@@ -157,7 +157,7 @@ fn matrices(limits: &Limits) -> String {
 
 fn turbo(limits: &Limits) -> &'static str {
     match Arithmetic::of(Precision::Turbo, limits) {
-        Some(Arithmetic { quantised: Some(_), .. }) => "8-bit integers on matrix units",
+        Some(Arithmetic { quantized: Some(_), .. }) => "8-bit integers on matrix units",
         Some(_) if limits.dot_products_accelerated => "8-bit integers by dot products, which the device accelerates",
         Some(_) => "8-bit integers by dot products, which the device does not accelerate: less memory, not less time",
         None => "not on this device",

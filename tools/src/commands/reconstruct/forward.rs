@@ -17,7 +17,7 @@ use zipsplat::{
     ops::Precision,
     reconstruct::{Model, Reconstruction, Request, SceneTokens, Shape},
     stages::render::DeviceScene,
-    types::{Scene, poses::Unit},
+    types::{Scene, poses::SceneScale},
     weights::Checkpoint,
 };
 
@@ -48,8 +48,8 @@ pub struct Forward {
     pub times: Vec<(String, Duration)>,
     pub explanation: Option<Explanation>,
     pub peak_bytes: u64,
-    pub views_told: String,
-    pub told: String,
+    pub views_summary: String,
+    pub summary: String,
     /// Of loaded weights.
     pub rate: u64,
     pub json: Vec<(&'static str, Value)>,
@@ -86,7 +86,7 @@ impl Forward {
         Ok(Planned { command, checkpoint, posed, size, shape })
     }
 
-    pub fn rate_told(&self) -> String {
+    pub fn rate_summary(&self) -> String {
         format!("  ({}/s)", bytes(self.rate))
     }
 }
@@ -99,17 +99,17 @@ impl Planned<'_> {
         let (views, load_photos) = session.stage(LOAD_PHOTOS, |stage| fit.load(photos, frames, size, stage))?;
         let Views { images, cameras, note } = views;
         session.notes(note);
-        let unit = match (poses, frames.first()) {
-            (Some(poses), Some(first)) => Some(poses.unit(command.unit, &cameras, &first.camera.pose)?),
+        let scene_scale = match (poses, frames.first()) {
+            (Some(poses), Some(first)) => Some(poses.scene_scale(command.unit, &cameras, &first.camera.pose)?),
             _ => None,
         };
-        session.notes(unit.as_ref().and_then(Unit::doubt));
-        let (cameras, turned) = fit.told(cameras);
+        session.notes(scene_scale.as_ref().and_then(SceneScale::doubt));
+        let (cameras, turned) = fit.network_cameras(cameras);
         let (model, load_weights) = session.load_model(device, checkpoint, arithmetic)?;
         let cameras = Some(cameras).filter(|cameras| !cameras.is_empty());
-        let length = unit.as_ref().map_or(1.0, |unit| unit.length);
+        let length = scene_scale.as_ref().map_or(1.0, |scene_scale| scene_scale.length);
         let (ratio, selection) = (quality.ratio, quality.select.clone());
-        let request = Request { ratio, selection, cameras, unit: length, pool: quality.pool };
+        let request = Request { ratio, selection, cameras, scene_scale: length, pool: quality.pool };
         let moves_tokens = command.refine.steps().is_some_and(|steps| steps.tokens);
         let (result, tokens, _) = session.reconstruct_with_tokens(&model, &images, &request, moves_tokens)?;
         let mut scene = result.scene()?;
@@ -122,7 +122,7 @@ impl Planned<'_> {
         let as_made = turned.is_none() && result.gaussians.len() == scene.len();
         let each = result.gaussians.len() / result.tokens;
         let rate = rate(checkpoint.bytes(), load_weights);
-        let told = told(&result, shape.grid.tokens(), each, precision, unit.as_ref(), found.as_ref());
+        let summary = summary(&result, shape.grid.tokens(), each, precision, scene_scale.as_ref(), found.as_ref());
         let json = vec![
             ("weights", json!(checkpoint.provenance())),
             ("views", json!(images.len())),
@@ -131,7 +131,7 @@ impl Planned<'_> {
             ("tokens", json!(result.tokens)),
             ("all_tokens", json!(shape.grid.tokens())),
             ("unit", json!(length)),
-            ("unit_from", json!(unit.as_ref().map(|unit| &unit.source))),
+            ("unit_from", json!(scene_scale.as_ref().map(|scene_scale| &scene_scale.source))),
             ("gaussians_per_token", json!(each)),
             ("weights_bytes_per_second", json!(rate)),
             ("precision", json!(precision.name())),
@@ -150,8 +150,8 @@ impl Planned<'_> {
             times,
             explanation: Some(Explanation::of_stages(&result.times, &result.outline, result.left_out.clone())),
             peak_bytes: result.peak_bytes,
-            views_told: format!(" from {} of {size}", counted(images.len(), "view")),
-            told,
+            views_summary: format!(" from {} of {size}", counted(images.len(), "view")),
+            summary,
             rate,
             json,
             _model: Some(model),
@@ -159,18 +159,18 @@ impl Planned<'_> {
     }
 }
 
-fn told(
+fn summary(
     result: &Reconstruction,
     all: usize,
     each: usize,
     precision: Precision,
-    unit: Option<&Unit>,
+    scene_scale: Option<&SceneScale>,
     found: Option<&Placed>,
 ) -> String {
     let (tokens, all, each) = (HumanCount(result.tokens as u64), counted(all, "token"), counted(each, "Gaussian"));
-    let unit = unit.map(|unit| format!("{unit}\n")).unwrap_or_default();
-    let cameras = found.map(Placed::told).unwrap_or_default();
-    format!("the network's: {tokens} of {all}, {each} each, {} precision\n{unit}{cameras}", precision.name())
+    let scene_scale = scene_scale.map(|scene_scale| format!("{scene_scale}\n")).unwrap_or_default();
+    let cameras = found.map(Placed::summary).unwrap_or_default();
+    format!("the network's: {tokens} of {all}, {each} each, {} precision\n{scene_scale}{cameras}", precision.name())
 }
 
 pub fn rate(bytes: u64, took: Duration) -> u64 {

@@ -5,7 +5,7 @@ use super::{
     forward::{Forward, LOAD_WEIGHTS, rate},
 };
 use crate::{
-    depth::{Question, Seen},
+    depth::{PredictedViews, PredictorOptions},
     options::refuse,
     session::Session,
     table::counted,
@@ -31,30 +31,30 @@ impl Reconstruct {
         self.quality.check_pixels(checkpoint)
     }
 
-    pub fn question<'a>(&'a self, checkpoint: &'a DepthCheckpoint) -> Question<'a> {
-        let question = self.quality.question(checkpoint);
-        let side = question.side.or(self.finding.search.find_size);
-        Question { side, cameras: self.finding.cameras, ..question }
+    pub fn predictor_options<'a>(&'a self, checkpoint: &'a DepthCheckpoint) -> PredictorOptions<'a> {
+        let predictor_options = self.quality.predictor_options(checkpoint);
+        let side = predictor_options.side.or(self.finding.search.find_size);
+        PredictorOptions { side, cameras: self.finding.cameras, ..predictor_options }
     }
 }
 
 impl Forward {
-    /// Uses known cameras, or those that the network has `seen`. World: the first camera.
+    /// Uses known cameras, or those that the network has `predicted`. World: the first camera.
     pub fn of_pixels(
         command: &Reconstruct,
         session: &mut Session<'_>,
         checkpoint: &DepthCheckpoint,
-        seen: Option<Box<Seen>>,
+        predicted: Option<Box<PredictedViews>>,
         Posed { photos, poses, frames }: Posed<'_>,
     ) -> Result<Self> {
-        let mut seen = match seen {
-            Some(seen) => *seen,
-            None => command.question(checkpoint).ask(session, photos, frames)?,
+        let mut predicted = match predicted {
+            Some(predicted) => *predicted,
+            None => command.predictor_options(checkpoint).ask(session, photos, frames)?,
         };
-        seen.scale(false, poses.and_then(|poses| poses.points.as_deref()))?;
-        let scene = seen.scene(&frames[0].camera.pose, command.quality.kept())?;
-        let [tokens, all] = seen.patches();
-        let Seen { depths, network, precision, times, .. } = seen;
+        predicted.scale(false, poses.and_then(|poses| poses.points.as_deref()))?;
+        let scene = predicted.scene(&frames[0].camera.pose, command.quality.kept())?;
+        let [tokens, all] = predicted.patches();
+        let PredictedViews { depths, network, precision, times, .. } = predicted;
         let views = depths.views.len();
         let loading = times.iter().find(|(step, _)| *step == LOAD_WEIGHTS).map(|(_, took)| *took);
         let rate = rate(checkpoint.bytes(), loading.unwrap_or_default());
@@ -80,8 +80,8 @@ impl Forward {
             times: times.into_iter().map(|(step, took)| (step.to_owned(), took)).collect(),
             explanation: None,
             peak_bytes: depths.peak_bytes,
-            views_told: format!(" from {} of {}x{}", counted(views, "view"), depths.width, depths.height),
-            told: format!(
+            views_summary: format!(" from {} of {}x{}", counted(views, "view"), depths.width, depths.height),
+            summary: format!(
                 "{network}'s: a Gaussian, {each}, for each confident pixel of {tokens} of {all} patches, {} precision\n",
                 precision.name()
             ),

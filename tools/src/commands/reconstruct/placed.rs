@@ -5,7 +5,7 @@ use serde_json::{Map, Value, json};
 use std::path::{Path, PathBuf};
 use zipsplat::{
     Error, Result,
-    cameras::FoundCamera,
+    cameras::CameraEstimate,
     types::{
         Camera, Image,
         poses::{Frame, write_frames_with},
@@ -14,13 +14,13 @@ use zipsplat::{
 };
 
 pub struct Placed {
-    found: Vec<Result<FoundCamera>>,
+    found: Vec<Result<CameraEstimate>>,
     size: Size,
 }
 
 impl Placed {
     /// One estimate per photo.
-    pub fn new(found: Vec<Result<FoundCamera>>, size: Size) -> Self {
+    pub fn new(found: Vec<Result<CameraEstimate>>, size: Size) -> Self {
         Self { found, size }
     }
 
@@ -29,7 +29,7 @@ impl Placed {
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let (mut frames, mut fields, mut lost) = (Vec::new(), Vec::new(), Vec::new());
         for (photo, found) in photos.iter().zip(&self.found) {
-            let Ok(FoundCamera { camera, inliers, pairs }) = found else {
+            let Ok(CameraEstimate { camera, inliers, pairs }) = found else {
                 lost.push(photo.clone());
                 continue;
             };
@@ -53,8 +53,8 @@ impl Placed {
         Ok((!lost.is_empty()).then(|| format!("without a camera: {}", names(&lost))))
     }
 
-    pub fn told(&self) -> String {
-        let found: Vec<&FoundCamera> = self.found.iter().flatten().collect();
+    pub fn summary(&self) -> String {
+        let found: Vec<&CameraEstimate> = self.found.iter().flatten().collect();
         let mut shares: Vec<f64> = found.iter().map(|found| found.inliers as f64 / found.pairs as f64).collect();
         shares.sort_by(f64::total_cmp);
         let Some(median) = shares.get(shares.len() / 2) else { return "cameras: none\n".into() };
@@ -63,8 +63,8 @@ impl Placed {
     }
 
     pub fn as_json(&self) -> Value {
-        let one = |found: &Result<FoundCamera>| match found {
-            Ok(FoundCamera { camera, inliers, pairs }) => {
+        let one = |found: &Result<CameraEstimate>| match found {
+            Ok(CameraEstimate { camera, inliers, pairs }) => {
                 json!({ "inliers": inliers, "patches": pairs, "hfov": camera.intrinsics.hfov().to_degrees() })
             }
             Err(_) => Value::Null,

@@ -6,7 +6,7 @@ use super::{
 };
 use crate::{
     photos,
-    refinement::{self, Refinable, Start, Steps},
+    refinement::{self, Initialization, Refinable, Steps},
     session::Session,
 };
 use std::time::Duration;
@@ -20,11 +20,11 @@ use zipsplat::{
 
 #[derive(Clone, Copy)]
 pub enum From {
-    Scene(Start),
+    Scene(Initialization),
     Tokens,
 }
 
-pub struct Given<'a> {
+pub struct RefineInputs<'a> {
     pub device: &'a Device,
     /// For token refinement.
     pub checkpoint: Option<&'a Checkpoint>,
@@ -32,7 +32,7 @@ pub struct Given<'a> {
     pub forward: Option<&'a Forward>,
 }
 
-pub struct Made {
+pub struct RefinedScene {
     pub refined: Refined,
     pub started: String,
     pub cameras: Vec<Camera>,
@@ -42,11 +42,11 @@ pub struct Made {
 }
 
 impl Reconstruct {
-    pub fn start_of(&self, steps: Steps, cloud: Option<&PointCloud>) -> From {
+    pub fn initialization(&self, steps: Steps, cloud: Option<&PointCloud>) -> From {
         if steps.tokens {
             From::Tokens
         } else {
-            From::Scene(Start::or_best(self.refine.start, cloud, self.weights.is_embedded()))
+            From::Scene(Initialization::or_best(self.refine.start, cloud, self.weights.is_embedded()))
         }
     }
 
@@ -55,38 +55,38 @@ impl Reconstruct {
         &self,
         session: &mut Session<'_>,
         steps: Steps,
-        start: From,
-        given: Given<'_>,
+        init: From,
+        inputs: RefineInputs<'_>,
         cloud: Option<&PointCloud>,
         Posed { photos, frames, .. }: Posed<'_>,
-    ) -> Result<Made> {
+    ) -> Result<RefinedScene> {
         let world = frames[0].camera.pose;
         let camera = |frame: &&Frame| Camera { pose: frame.camera.pose.relative_to(&world), ..frame.camera };
         let cameras: Vec<Camera> = frames.iter().map(camera).collect();
         let (photos, load) =
             session.stage(LOAD_PHOTOS, |stage| photos::read(photos, frames, stage, |_, photo| Ok(photo)))?;
         let request = self.refine.request(steps);
-        let arena = given.forward.and_then(|forward| forward.arena.clone());
-        let arena = arena.unwrap_or_else(|| Arena::new(given.device));
-        let tokens = given.forward.and_then(|forward| forward.tokens.as_ref());
-        let (refined, started) = match (start, tokens.zip(given.checkpoint)) {
+        let arena = inputs.forward.and_then(|forward| forward.arena.clone());
+        let arena = arena.unwrap_or_else(|| Arena::new(inputs.device));
+        let tokens = inputs.forward.and_then(|forward| forward.tokens.as_ref());
+        let (refined, started) = match (init, tokens.zip(inputs.checkpoint)) {
             (From::Tokens, Some((tokens, checkpoint))) => {
-                let head = FrozenHead::load(given.device, checkpoint)?;
+                let head = FrozenHead::load(inputs.device, checkpoint)?;
                 let from = Refinable::Tokens(&head, tokens);
                 (refinement::refine(session, &arena, from, &photos, &cameras, &request)?, refinement::TOKENS.to_owned())
             }
             (From::Tokens, None) => unreachable!("they were asked for"),
-            (From::Scene(start), _) => {
-                let scene = given.forward.map(|forward| forward.scene.clone());
-                let scene = start.scene(scene, cloud, &cameras)?;
+            (From::Scene(init), _) => {
+                let scene = inputs.forward.map(|forward| forward.scene.clone());
+                let scene = init.scene(scene, cloud, &cameras)?;
                 let from = Refinable::Scene(&scene);
-                (refinement::refine(session, &arena, from, &photos, &cameras, &request)?, start.name().to_owned())
+                (refinement::refine(session, &arena, from, &photos, &cameras, &request)?, init.name().to_owned())
             }
         };
         session.notes(refinement::doubt(&refined));
         match refined.stopped {
             Some(Stopped::Cancelled) if refined.best_step == 0 => Err(Error::Cancelled),
-            _ => Ok(Made { refined, started, cameras, request, load }),
+            _ => Ok(RefinedScene { refined, started, cameras, request, load }),
         }
     }
 }

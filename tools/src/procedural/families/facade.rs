@@ -24,9 +24,9 @@ pub(super) fn build(b: &mut Builder) -> Setting {
     door(b, half_width, trim);
     for side in [-1.0, 1.0] {
         if b.rng.chance(0.7) {
-            let (neighbour, set_back) = (b.draw(Role::Facade), 4.0 + b.rng.range(-1.5, 1.5));
+            let (neighbor, set_back) = (b.draw(Role::Facade), 4.0 + b.rng.range(-1.5, 1.5));
             let tall = height * b.rng.range(0.5, 1.2) / 2.0;
-            b.block(Vec3A::new(side * (half_width + 4.0), set_back, tall), [4.0, 4.0, tall], 0.0, neighbour);
+            b.block(Vec3A::new(side * (half_width + 4.0), set_back, tall), [4.0, 4.0, tall], 0.0, neighbor);
         }
     }
     while b.primitives.len() < 60 && b.rng.chance(0.85) {

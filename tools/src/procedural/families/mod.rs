@@ -95,8 +95,8 @@ fn lamplight(rng: &mut Rng, lamp: Vec3A, reference: f32) -> (Light, Sky) {
     let warmth = rng.range(0.0, 0.3);
     let color = rng.range(0.5, 1.2) * Vec3A::new(1.0, 1.0 - 0.5 * warmth, 1.0 - warmth);
     let ambient = [rng.range(0.35, 0.6), rng.range(0.25, 0.45)].map(|level| level * Vec3A::new(1.0, 0.98, 0.95));
-    let grey = Vec3A::splat(0.5);
-    let sky = Sky { zenith: grey, horizon: grey, clouds: 0.0, offset: Vec3A::ZERO, haze: 1e5 };
+    let gray = Vec3A::splat(0.5);
+    let sky = Sky { zenith: gray, horizon: gray, clouds: 0.0, offset: Vec3A::ZERO, haze: 1e5 };
     (Light { key: Key::Lamp(lamp, reference), color, ambient }, sky)
 }
 
@@ -119,11 +119,11 @@ fn hang(b: &mut Builder, origin: Vec3A, normal: Vec3A, half_width: f32, height: 
     for _ in 0..b.rng.count(1, 3) {
         let half = Vec3A::new(b.rng.range(0.2, 0.6), b.rng.range(0.2, 0.5), 0.02);
         let room = (half_width - half.x).max(0.0);
-        let centre =
+        let center =
             origin + along * (room * b.rng.signed()) + Vec3A::Z * (height * b.rng.range(0.5, 0.7)) + normal * 0.02;
         let picture = b.draw(Role::Picture);
         let (frame, depth) = (b.draw(Role::Wood), b.rng.range(0.02, 0.05));
-        b.put(super::shape::Shape::Box { half: half + Vec3A::new(0.04, 0.04, 0.0) }, centre, axes, frame);
-        b.put(super::shape::Shape::Box { half: half.with_z(depth) }, centre, axes, picture);
+        b.put(super::shape::Shape::Box { half: half + Vec3A::new(0.04, 0.04, 0.0) }, center, axes, frame);
+        b.put(super::shape::Shape::Box { half: half.with_z(depth) }, center, axes, picture);
     }
 }

@@ -133,13 +133,13 @@ fn window(b: &mut Builder, foot: Vec3A, normal: Vec3A, wide: f32, height: f32) {
     let (mut view, frame) = (b.draw(Role::Picture), b.draw(Role::Wall));
     view.glow = b.rng.range(0.8, 1.6);
     let half = [b.rng.range(0.35, 0.7), b.rng.range(0.4, 0.55)];
-    let centre = beside(b, foot, normal, wide - half[0] - 0.1, 0.02) + Vec3A::Z * (0.6 * height);
+    let center = beside(b, foot, normal, wide - half[0] - 0.1, 0.02) + Vec3A::Z * (0.6 * height);
     let (turn, along) = (heading(normal), Vec3A::Z.cross(normal));
-    b.rectangle(centre, half, normal, view);
+    b.rectangle(center, half, normal, view);
     for side in [-1.0, 0.0, 1.0] {
-        b.block(centre + along * (side * half[0]), [0.035, 0.035, half[1] + 0.03], turn, frame);
+        b.block(center + along * (side * half[0]), [0.035, 0.035, half[1] + 0.03], turn, frame);
     }
     for side in [-1.0, 1.0] {
-        b.block(centre + Vec3A::Z * (side * half[1]), [half[0] + 0.03, 0.04, 0.035], turn, frame);
+        b.block(center + Vec3A::Z * (side * half[1]), [half[0] + 0.03, 0.04, 0.035], turn, frame);
     }
 }

@@ -58,9 +58,9 @@ pub(super) fn build(b: &mut Builder) -> Setting {
     let (light, sky) = if indoors { lamplight(&mut b.rng, lamp, 1.2) } else { daylight(&mut b.rng) };
     let reach = b.rng.range(0.8, 1.1);
     let bounds = if indoors { [low + 0.15, high - 0.2] } else { [Vec3A::splat(-9.0), Vec3A::splat(9.0)] };
-    let centre = 0.1 * Vec3A::new(b.rng.signed(), b.rng.signed(), 0.0).xy();
+    let center = 0.1 * Vec3A::new(b.rng.signed(), b.rng.signed(), 0.0).xy();
     let stage = Stage {
-        target: Vec3A::new(centre.x, centre.y, height + b.rng.range(0.0, 0.12)),
+        target: Vec3A::new(center.x, center.y, height + b.rng.range(0.0, 0.12)),
         distance: [0.75 * reach, 1.2 * reach],
         elevation: [0.2, 0.9],
         front: b.rng.angle(),

@@ -30,15 +30,15 @@ class Torch:
         return values.to(self.device)
 
     @staticmethod
-    def rasterise(
+    def rasterize(
         how: Any, geometry: Sequence[Any], coeffs: Optional[Any], viewmats: Any, Ks: Any, depth: bool
     ) -> tuple[Any, Any, Any]:
-        found = _Rasterise.apply(how, depth, Ks, viewmats, coeffs, *geometry)
+        found = _Rasterize.apply(how, depth, Ks, viewmats, coeffs, *geometry)
         rgb = None if coeffs is None else found[0]
         return rgb, found[1], found[2] if depth else None
 
 
-class _Rasterise(torch.autograd.Function):  # type: ignore[misc]
+class _Rasterize(torch.autograd.Function):  # type: ignore[misc]
     """Gaussians and cameras to colors, alphas and accumulated depths."""
 
     @staticmethod

@@ -221,11 +221,11 @@ def _draw(
     """Returns colors, alphas and accumulated depths of cameras with shared colors, or None."""
     depth = mode != "RGB"
     if not mode.startswith("RGB"):
-        _, alphas, depths = xp.rasterise(how, geometry, None, viewmats, Ks, True)
+        _, alphas, depths = xp.rasterize(how, geometry, None, viewmats, Ks, True)
         return [None, alphas, depths]
     if sh_degree is not None:
         coeffs = colors[:, : (sh_degree + 1) ** 2]
-        return list(xp.rasterise(how, geometry, coeffs, viewmats, Ks, depth))
+        return list(xp.rasterize(how, geometry, coeffs, viewmats, Ks, depth))
     # Batches of three channels, shifted above 0; the result is shifted back.
     channels = int(colors.shape[1])
     lowest = xp.lowest(colors)
@@ -237,7 +237,7 @@ def _draw(
         if missing:
             values = xp.concatenate([values, xp.ones_like(geometry[0][:, :missing])], 1)
         coeffs = ((values - _OFFSET) / _SH_0)[:, None, :]
-        drawn = xp.rasterise(how, geometry, coeffs, viewmats, Ks, depth and first == 0)
+        drawn = xp.rasterize(how, geometry, coeffs, viewmats, Ks, depth and first == 0)
         if first == 0:
             alphas, depths = drawn[1:]
         rgb.append(drawn[0][..., : 3 - missing] + moved * drawn[1])
@@ -333,7 +333,7 @@ class _Numpy:
 
     concatenate = staticmethod(np.concatenate)
     ones_like = staticmethod(np.ones_like)
-    rasterise = staticmethod(_forward)
+    rasterize = staticmethod(_forward)
 
     @staticmethod
     def lowest(values: Array) -> float:

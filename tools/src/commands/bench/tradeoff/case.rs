@@ -7,7 +7,7 @@ use super::{
 };
 use crate::{
     capture::Capture,
-    refinement::{Start, Steps},
+    refinement::{Initialization, Steps},
 };
 use zipsplat::{
     Result,
@@ -31,7 +31,7 @@ pub struct Case<'a> {
     pub ratio: String,
     pub settings: String,
     pub keep: &'a [usize],
-    pub refine: Vec<(Start, Steps)>,
+    pub refine: Vec<(Initialization, Steps)>,
 }
 
 /// Returns combinations without equal results. Lists' first values come first; each ratio is
@@ -50,7 +50,7 @@ pub fn all<'a>(
             args.pool.iter().flat_map(|pool| captures.iter().zip(clouds).map(move |capture| (pool, capture)))
         {
             let cameras = Some(capture.cameras());
-            let request = Request { ratio, selection: selection.clone(), cameras, unit: 1.0, pool };
+            let request = Request { ratio, selection: selection.clone(), cameras, scene_scale: 1.0, pool };
             let image = &capture.views.images[0];
             let (views, size) = (capture.views.images.len(), [image.width, image.height]);
             let shape = Shape::new(architecture, views, size, (ratio, selection), true)?.pooled(pool)?;
@@ -88,15 +88,19 @@ impl Case<'_> {
     }
 
     /// Refines from points alone only in a capture's first case.
-    fn refinements(&self, args: &Tradeoff, is_new: bool) -> Vec<(Start, Steps)> {
-        let default: &[Start] = if self.cloud.is_some() { &[Start::Points, Start::Scene] } else { &[Start::Scene] };
+    fn refinements(&self, args: &Tradeoff, is_new: bool) -> Vec<(Initialization, Steps)> {
+        let default: &[Initialization] = if self.cloud.is_some() {
+            &[Initialization::Points, Initialization::Scene]
+        } else {
+            &[Initialization::Scene]
+        };
         let starts = args.start.as_deref().unwrap_or(default);
         let pairs = args.refine.iter().flat_map(|steps| starts.iter().map(move |start| (*start, *steps)));
-        let follows = |(start, steps): &(Start, Steps)| match start {
+        let follows = |(start, steps): &(Initialization, Steps)| match start {
             _ if steps.count == 0 || !self.is_first(args) => false,
             // Tokens always start from the scene.
-            _ if steps.tokens => *start == Start::Scene,
-            Start::Points => is_new,
+            _ if steps.tokens => *start == Initialization::Scene,
+            Initialization::Points => is_new,
             _ => true,
         };
         pairs.filter(follows).collect()

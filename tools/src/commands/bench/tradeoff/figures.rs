@@ -51,8 +51,8 @@ pub fn pareto(points: &[Point]) -> String {
 
 pub fn figures(sweep: &Sweep) -> Vec<(&'static str, String)> {
     let all: Vec<Numbered<'_>> = sweep.points.iter().enumerate().collect();
-    let held = sweep.points.first().map_or(1, |p| p.pool);
-    let plain = those(&all, |p| !p.is_refined() && p.pool == held);
+    let first_pool = sweep.points.first().map_or(1, |p| p.pool);
+    let plain = those(&all, |p| !p.is_refined() && p.pool == first_pool);
     let most = plain.iter().map(|(_, p)| p.views).max().unwrap_or(0);
     let keep = plain.iter().map(|(_, p)| p.keep).max().unwrap_or(0);
     let first = plain.first().map_or_else(String::new, |(_, p)| p.arithmetic());
@@ -94,7 +94,7 @@ pub fn figures(sweep: &Sweep) -> Vec<(&'static str, String)> {
         ),
         ("Gaussians kept of each token", by(&kept, GAUSSIANS, PSNR, KEPT, |p| (p.gaussians as f64, p.psnr))),
     ];
-    if sweep.points.iter().any(|p| p.pool != held) {
+    if sweep.points.iter().any(|p| p.pool != first_pool) {
         let pooled = those(&all, |p| !p.is_refined() && p.keep == keep && p.arithmetic() == first && kmeans(p));
         let pooled = those(&pooled, |p| Some(&p.asked_ratio) == sweep.points.first().map(|p| &p.asked_ratio));
         figures.push(("Patches that attention sees as one", by(&pooled, TIME, PSNR, POOL, |p| (p.forward_ms, p.psnr))));

@@ -13,7 +13,7 @@ use crate::{
     capture::{Capture, Choice},
     options::{Keep, PrecisionName, Size, Weights, parse_length, parse_ratio, parse_selection},
     outputs::{self, Overwrite},
-    refinement::{Start, Steps},
+    refinement::{Initialization, Steps},
     session::Session,
     views::Seeing,
 };
@@ -75,7 +75,7 @@ pub struct Tradeoff {
     /// Initializations of the refinement. Points need no network [default: scene, and points if the
     /// capture has them]
     #[arg(long, value_name = "LIST", value_delimiter = ',', value_enum)]
-    start: Option<Vec<Start>>,
+    start: Option<Vec<Initialization>>,
     /// Arithmetics: exact, fast, fast-bf16, turbo [default: all that the device has]
     #[arg(long, value_name = "LIST", value_delimiter = ',', value_enum)]
     precision: Option<Vec<PrecisionName>>,
@@ -146,7 +146,7 @@ impl Tradeoff {
             .collect::<Result<_>>()?;
         captures.iter().take(1).flat_map(Capture::notes).for_each(|note| session.note(note));
         let clouds: Vec<Option<PointCloud>> = (choices.iter().zip(&captures))
-            .map(|(choice, capture)| choice.points(&capture.unit))
+            .map(|(choice, capture)| choice.points(&capture.scene_scale))
             .collect::<Result<_>>()?;
         let arithmetics = self.arithmetics(session, &device, &checkpoint)?;
         let rounded = rounded::all(self, session, &checkpoint)?;

@@ -21,7 +21,7 @@ pub fn refine(
     stage: &Stage<'_>,
 ) -> Result<Refined> {
     let go_on = || stage.check().map_or(ControlFlow::Break(()), ControlFlow::Continue);
-    let (photos, cameras) = capture.learnt();
+    let (photos, cameras) = capture.training_views();
     let refine = Refine { steps: steps.count, ..Refine::default() };
     let refined = if steps.tokens {
         let features = model.features(&capture.images(), request, |_| go_on())?;

@@ -14,7 +14,7 @@ use crate::{
     commands::bench::Spread,
     metrics::psnr,
     options::Size,
-    refinement::{Start, Steps},
+    refinement::{Initialization, Steps},
     session::{Session, Stage},
 };
 use clap::ValueEnum;
@@ -192,9 +192,9 @@ impl Bench<'_> {
                 return Ok(ControlFlow::Break(()));
             }
         }
-        for (start, steps) in &case.refine {
+        for (init, steps) in &case.refine {
             stage.name(&format!("{} views, {}, {steps} steps", case.capture.inputs.len(), case.settings));
-            let found = self.refined(model, case, &forward, *start, *steps, stage)?;
+            let found = self.refined(model, case, &forward, *init, *steps, stage)?;
             if self.add(found, stage).is_break() {
                 return Ok(ControlFlow::Break(()));
             }
@@ -268,29 +268,29 @@ impl Bench<'_> {
         model: &Model,
         case: &Case<'_>,
         forward: &Forward,
-        start: Start,
+        init: Initialization,
         steps: Steps,
         stage: &Stage<'_>,
     ) -> Result<(Point, Image)> {
-        let scene = start.scene(Some(forward.scene.clone()), case.cloud, &case.capture.learnt().1)?;
+        let scene = init.scene(Some(forward.scene.clone()), case.cloud, &case.capture.training_views().1)?;
         let refined = refine(model, self.checkpoint, case.capture, &case.request, &scene, steps, stage)?;
         self.renderer.load(&refined.scene)?;
         let drawn = compare(&mut self.renderer, case.capture)?;
         let refine_ms = 1e3 * refined.took.as_secs_f64();
-        let settings = match start {
-            Start::Points => Point::of_points(case.capture.inputs.len(), case.precision),
+        let settings = match init {
+            Initialization::Points => Point::of_points(case.capture.inputs.len(), case.precision),
             _ => self.settings(model, case, forward),
         };
-        let init = start.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned());
-        let options = if start == Start::Points { String::new() } else { format!("{} ", case.settings) };
+        let name = init.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned());
+        let options = if init == Initialization::Points { String::new() } else { format!("{} ", case.settings) };
         let point = Point {
             keep: model.architecture().gaussians_per_token,
             refine: steps.to_string(),
             refine_ms,
             total_ms: settings.forward_ms + refine_ms,
             peak_bytes: refined.peak_bytes.max(settings.peak_bytes),
-            command: case.command(self.args, &format!("{options}--refine {steps} --start {init}")),
-            init,
+            command: case.command(self.args, &format!("{options}--refine {steps} --start {name}")),
+            init: name,
             ..drawn.point(settings, &refined.scene)?
         };
         Ok((point, drawn.picture(case.capture)?))

@@ -48,10 +48,10 @@ pub struct Truth<'a> {
     /// By number of views and pooling.
     tokens: HashMap<[usize; 2], Tokens>,
     /// By number of views and settings.
-    known: HashMap<(usize, String), Known>,
+    known: HashMap<(usize, String), KnownTokens>,
 }
 
-struct Known {
+struct KnownTokens {
     chosen: Vec<u32>,
     /// After clustering.
     taps: Taps,
@@ -83,7 +83,7 @@ impl<'a> Truth<'a> {
         });
         let known = self.known.entry((images.len(), settings.to_owned())).or_insert_with(|| {
             let taps = forward::gaussians(reference, tokens, &chosen);
-            Known { chosen, taps }
+            KnownTokens { chosen, taps }
         });
         let all = tokens.layers[0].len() / reference.architecture.width;
         let selection =

@@ -1,0 +1,15 @@
+use crate::{Error, Result};
+use ash::vk;
+
+pub(crate) fn driver(call: &'static str, result: vk::Result) -> Error {
+    match result {
+        vk::Result::ERROR_DEVICE_LOST => Error::DeviceLost,
+        result => Error::Driver { call, result: result.to_string() },
+    }
+}
+
+/// Returns true if a submission counts as in flight. By the specification ("Lost Device") that
+/// includes submissions that lose the device: wait for them before destroying their resources.
+pub(crate) fn is_in_flight<T>(submitted: &Result<T>) -> bool {
+    matches!(submitted, Ok(_) | Err(Error::DeviceLost))
+}

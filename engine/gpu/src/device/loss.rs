@@ -1,0 +1,22 @@
+//! Device loss, which is permanent and reported by every later call.
+
+use super::{Shared, failure::driver};
+use crate::{Error, Result};
+use ash::vk;
+use std::sync::atomic::Ordering;
+
+impl Shared {
+    /// Converts a failed call into an error, and records device loss.
+    pub fn failed(&self, call: &'static str, result: vk::Result) -> Error {
+        if result == vk::Result::ERROR_DEVICE_LOST {
+            self.lost.store(true, Ordering::Relaxed);
+        }
+        driver(call, result)
+    }
+
+    /// Drivers may answer later calls with success or unrelated errors, and mapped memory stays
+    /// accessible.
+    pub fn check_lost(&self) -> Result<()> {
+        if self.lost.load(Ordering::Relaxed) { Err(Error::DeviceLost) } else { Ok(()) }
+    }
+}

@@ -1,0 +1,307 @@
+//! Devices: discovery, opening, adoption, features and limits.
+
+mod adopt;
+pub(crate) mod barrier;
+mod bfloat16;
+pub(crate) mod failure;
+mod features;
+mod instance;
+mod limits;
+mod loss;
+mod pipelines;
+mod probe;
+mod queue;
+
+pub use adopt::{Adopted, Requirement, fast_requirements, requirements};
+pub use limits::{Limits, Matrices, MatrixShape};
+pub use probe::{DeviceInfo, list_devices};
+pub use queue::QueueLock;
+
+use self::{
+    features::{ADDRESSES, BYTES, DOT_PRODUCTS, Features, HALVES, MATRICES, REQUIRED},
+    instance::Instance,
+    pipelines::Pipelines,
+    probe::{devices, probe},
+    queue::Queue,
+};
+use crate::{Error, Result, lock::lock};
+use ash::{ext, khr, vk};
+use gpu_allocator::vulkan::{Allocator, AllocatorCreateDesc};
+use std::{
+    collections::HashMap,
+    sync::{
+        Arc, Mutex, MutexGuard,
+        atomic::{AtomicBool, AtomicU64, Ordering},
+    },
+};
+
+/// Options of [`Device::open`].
+#[derive(Clone, Debug)]
+pub struct DeviceOptions {
+    /// Index in [`crate::list_devices`], part of a name, or UUID; `None` picks the best device.
+    pub selector: Option<String>,
+    /// Enables the Khronos validation layer with synchronization validation; any message fails the
+    /// run. Scratch tensors are filled with NaN before their first use.
+    pub validation: bool,
+    /// Limit on the bytes of one binding, to emulate a smaller device.
+    pub max_binding_bytes: Option<u64>,
+    /// Budget of device memory in bytes.
+    pub max_memory_bytes: Option<u64>,
+    /// Forces robust access: kernels read bound buffers only, never device addresses.
+    pub robust_access: bool,
+    /// Uses staging buffers even if device memory is host visible, to emulate a discrete GPU.
+    pub force_staging: bool,
+}
+
+impl Default for DeviceOptions {
+    /// `ZIPSPLAT_VALIDATION=1` enables validation, `ZIPSPLAT_BOUND=1` robust access.
+    fn default() -> Self {
+        let is_set = |name| std::env::var(name).is_ok_and(|v| v == "1");
+        let (validation, robust_access) = (is_set("ZIPSPLAT_VALIDATION"), is_set("ZIPSPLAT_BOUND"));
+        Self {
+            selector: None,
+            validation,
+            max_binding_bytes: None,
+            max_memory_bytes: None,
+            robust_access,
+            force_staging: false,
+        }
+    }
+}
+
+/// An open device. Cloning shares it; dropping the last clone closes it.
+#[derive(Clone)]
+pub struct Device(pub(crate) Arc<Shared>);
+
+pub(crate) struct Shared {
+    pub raw: ash::Device,
+    pub queue: Queue,
+    pub family: u32,
+    pub limits: Limits,
+    pub allocated: AtomicU64,
+    pub flops_per_ms: Mutex<HashMap<String, u64>>,
+    pub force_staging: bool,
+    index: usize,
+    passed_over: Vec<String>,
+    pub lost: AtomicBool,
+    pub pipelines: Pipelines,
+    allocator: Mutex<Option<Allocator>>,
+    owned: bool,
+    pub instance: Instance,
+}
+
+pub(crate) struct SharedParts {
+    pub instance: Instance,
+    pub physical: vk::PhysicalDevice,
+    pub index: usize,
+    pub raw: ash::Device,
+    pub owned: bool,
+    pub queue: Queue,
+    pub family: u32,
+    pub limits: Limits,
+    pub force_staging: bool,
+    pub passed_over: Vec<String>,
+}
+
+impl Device {
+    /// Opens a device.
+    ///
+    /// # Errors
+    /// [`Error::NoDevice`] if no driver is installed or no matching device overlaps the requirements.
+    pub fn open(options: &DeviceOptions) -> Result<Self> {
+        let instance = Instance::new(options.validation)?;
+        let devices = devices(&instance)?;
+        let names = || devices.iter().map(|(_, d)| format!("{}: {}", d.index, d.limits.name)).collect::<Vec<_>>();
+        let matching: Vec<_> = devices
+            .iter()
+            .filter(|(_, d)| options.selector.as_ref().is_none_or(|selector| d.is_selected(selector)))
+            .collect();
+        if matching.is_empty() {
+            let selector = options.selector.clone().unwrap_or_default();
+            return Err(Error::NoDevice(format!(
+                "none is '{selector}': digits are an index; those of this machine: {}",
+                names().join(", ")
+            )));
+        }
+        let Some((physical, chosen)) = matching
+            .iter()
+            .filter(|(_, d)| d.missing.is_empty())
+            .min_by_key(|(_, d)| (d.limits.cpu, !d.limits.discrete, d.index))
+        else {
+            let why: Vec<_> = matching.iter().map(|(_, d)| d.lacks()).collect();
+            return Err(Error::NoDevice(why.join("; ")));
+        };
+        let (physical, index) = (*physical, chosen.index);
+        let passed_over: Vec<_> =
+            matching.iter().filter(|(_, d)| chosen.limits.cpu && !d.limits.cpu).map(|(_, d)| d.lacks()).collect();
+        Shared::open(instance, physical, index, options, passed_over).map(|s| Self(Arc::new(s)))
+    }
+
+    /// Returns the device's index for [`DeviceOptions::selector`]; 0 for adopted devices.
+    pub fn index(&self) -> usize {
+        self.0.index
+    }
+
+    /// Returns the rejected GPUs with reasons, if the engine fell back to a CPU.
+    pub fn passed_over(&self) -> &[String] {
+        &self.0.passed_over
+    }
+
+    /// Returns the bytes of device memory in use: arenas, weights, scenes.
+    pub fn allocated_bytes(&self) -> u64 {
+        self.0.allocated.load(Ordering::Relaxed)
+    }
+
+    /// Fails if the device is lost.
+    pub fn check_lost(&self) -> Result<()> {
+        self.0.check_lost()
+    }
+
+    /// Returns the device's limits and features.
+    pub fn limits(&self) -> &Limits {
+        &self.0.limits
+    }
+}
+
+impl Shared {
+    fn open(
+        instance: Instance,
+        physical: vk::PhysicalDevice,
+        index: usize,
+        options: &DeviceOptions,
+        passed_over: Vec<String>,
+    ) -> Result<Self> {
+        let (mut limits, support) = probe(&instance, physical);
+        limits.max_binding_bytes = limits.max_binding_bytes.min(options.max_binding_bytes.unwrap_or(u64::MAX));
+        limits.addresses &= !options.robust_access;
+        limits.memory_bytes = limits.memory_bytes.min(options.max_memory_bytes.unwrap_or(u64::MAX));
+        let family = support.queue_family.ok_or_else(|| Error::NoDevice("no compute queue".into()))?;
+        let queues = [vk::DeviceQueueCreateInfo::default().queue_family_index(family).queue_priorities(&[1.0])];
+        let mut extensions = Vec::new();
+        if support.portability_subset {
+            extensions.push(khr::portability_subset::NAME.as_ptr());
+        }
+        let matrices = limits.matrices != Matrices::default();
+        let (bf16, i8) = (limits.matrices.bf16.is_some(), limits.matrices.i8.is_some());
+        let mut enabled = Features::default();
+        enabled.enable(&REQUIRED);
+        if limits.half_storage {
+            enabled.enable(&HALVES);
+        }
+        if limits.dot_products {
+            enabled.enable(&DOT_PRODUCTS);
+        }
+        if limits.addresses {
+            enabled.enable(&ADDRESSES);
+        }
+        if matrices {
+            extensions.push(khr::cooperative_matrix::NAME.as_ptr());
+            enabled.enable(&MATRICES);
+        }
+        if i8 {
+            enabled.enable(&BYTES);
+        }
+        let mut bf16_features = bfloat16::Features::matrices();
+        if bf16 {
+            extensions.push(bfloat16::NAME.as_ptr());
+        }
+        let mut info = vk::DeviceCreateInfo::default()
+            .queue_create_infos(&queues)
+            .enabled_extension_names(&extensions)
+            .enabled_features(&enabled.v10)
+            .push_next(&mut enabled.v11)
+            .push_next(&mut enabled.v12)
+            .push_next(&mut enabled.v13);
+        if matrices {
+            info = info.push_next(&mut enabled.matrix);
+        }
+        if bf16 {
+            info = info.push_next(&mut bf16_features);
+        }
+        // SAFETY: `physical` belongs to the instance and supports the features and extensions.
+        let raw = unsafe { instance.raw.create_device(physical, &info, None) }
+            .map_err(|e| Error::NoDevice(format!("{}: vkCreateDevice: {e}", limits.name)))?;
+        // SAFETY: the queue was requested above.
+        let queue = Queue::new(unsafe { raw.get_device_queue(family, 0) }, None);
+        let force_staging = options.force_staging;
+        let owned = true;
+        let parts =
+            SharedParts { instance, physical, index, raw, owned, queue, family, limits, force_staging, passed_over };
+        Self::new(parts, support.subgroup_control)
+    }
+
+    pub fn new(parts: SharedParts, subgroup_control: bool) -> Result<Self> {
+        let SharedParts { instance, physical, index, raw, owned, queue, family, limits, force_staging, passed_over } =
+            parts;
+        let allocator = Allocator::new(&AllocatorCreateDesc {
+            instance: instance.raw.clone(),
+            device: raw.clone(),
+            physical_device: physical,
+            debug_settings: Default::default(),
+            buffer_device_address: limits.addresses,
+            allocation_sizes: Default::default(),
+        })
+        .map_err(|e| Error::Driver { call: "gpu_allocator::Allocator::new", result: e.to_string() })?;
+        let debug = instance.debug.as_ref().map(|_| ext::debug_utils::Device::new(&instance.raw, &raw));
+        Ok(Self {
+            queue,
+            family,
+            allocated: AtomicU64::new(0),
+            flops_per_ms: Mutex::default(),
+            force_staging,
+            index,
+            passed_over,
+            lost: AtomicBool::new(false),
+            pipelines: Pipelines::new(raw.clone(), debug, limits.subgroup_size, subgroup_control),
+            allocator: Mutex::new(Some(allocator)),
+            owned,
+            raw,
+            limits,
+            instance,
+        })
+    }
+
+    pub fn allocator(&self) -> AllocatorGuard<'_> {
+        AllocatorGuard(lock(&self.allocator))
+    }
+
+    pub fn check_messages(&self) -> Result<()> {
+        if self.instance.debug.is_some() {
+            // The layer reports shader errors only after completion.
+            self.queue.wait_idle(&self.raw).map_err(|e| self.failed("vkQueueWaitIdle", e))?;
+        }
+        let messages = std::mem::take(&mut *lock(&self.instance.messages));
+        if messages.is_empty() {
+            return Ok(());
+        }
+        Err(Error::Driver { call: "validation", result: messages.join("\n") })
+    }
+}
+
+impl Drop for Shared {
+    fn drop(&mut self) {
+        // SAFETY: the last user waited for all submissions, so nothing else holds these handles.
+        unsafe {
+            self.pipelines.destroy();
+            drop(lock(&self.allocator).take());
+            if self.owned {
+                self.raw.destroy_device(None);
+            }
+        }
+    }
+}
+
+pub(crate) struct AllocatorGuard<'a>(MutexGuard<'a, Option<Allocator>>);
+
+impl std::ops::Deref for AllocatorGuard<'_> {
+    type Target = Allocator;
+    fn deref(&self) -> &Allocator {
+        self.0.as_ref().expect("taken only when the device is dropped")
+    }
+}
+
+impl std::ops::DerefMut for AllocatorGuard<'_> {
+    fn deref_mut(&mut self) -> &mut Allocator {
+        self.0.as_mut().expect("taken only when the device is dropped")
+    }
+}

@@ -1,0 +1,263 @@
+//! Reconstruction of scenes from photos.
+
+mod features;
+mod network;
+mod patches;
+mod request;
+
+pub use features::{Features, SceneTokens};
+pub use network::{Network, NetworkPlan, Tensors};
+pub use patches::Patches;
+pub use request::{Kept, MAX_PATCHES, MAX_VIEWS, Ratio, Request, Selection, Shape};
+pub(crate) use request::{check_cameras, grid, size_of};
+
+use crate::{
+    Error, Result,
+    cameras::CameraEstimate,
+    gpu::{Arena, Device, Plan, Profile, Progress, Recorder, ResidentLayout, Run, StageTimes},
+    ops::{Arithmetic, Parameters},
+    stages::render::{DeviceScene, SceneMemory},
+    tune::Chosen,
+    types::{Camera, Image, LeftOut, Scene, near},
+    weights::{Architecture, Checkpoint},
+};
+use network::{Choice, Inputs};
+use std::{ops::ControlFlow, sync::Mutex};
+
+/// A reconstructed scene.
+#[derive(Clone, Debug)]
+pub struct Reconstruction {
+    /// Gaussians, in the first view's camera space.
+    pub gaussians: DeviceScene,
+    /// Number of decoded tokens.
+    pub tokens: usize,
+    /// Source patches; tokens have equally many consecutive Gaussians.
+    pub patches: Patches,
+    /// Time per stage.
+    pub times: StageTimes,
+    /// Commands, bytes and operations per kernel.
+    pub outline: Profile,
+    /// Skipped stages.
+    pub left_out: Vec<LeftOut>,
+    /// Arena, weight and Gaussian bytes.
+    pub peak_bytes: u64,
+}
+
+/// A network on a device.
+pub struct Model {
+    device: Device,
+    network: Network,
+    parameters: Parameters,
+    arena: Arena,
+    recorded: Mutex<Option<Recorded>>,
+}
+
+struct Recorded {
+    shape: Shape,
+    run: Run,
+    tensors: Tensors,
+    layout: ResidentLayout,
+    scenes: Vec<SceneMemory>,
+}
+
+const SCENES: usize = 2;
+
+impl Reconstruction {
+    /// Reads the Gaussians.
+    pub fn scene(&self) -> Result<Scene> {
+        self.gaussians.read()
+    }
+
+    /// Estimates view cameras from [`Reconstruction::scene`], see [`Patches::cameras`].
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for known cameras or another scene.
+    pub fn cameras(&self, scene: &Scene, focal: Option<f64>) -> Result<Vec<Result<CameraEstimate>>> {
+        self.patches.cameras(scene, focal)
+    }
+}
+
+impl Model {
+    /// Loads a checkpoint in f32.
+    pub fn load(
+        device: &Device,
+        checkpoint: &Checkpoint,
+        progress: impl FnMut(f64) -> ControlFlow<()>,
+    ) -> Result<Self> {
+        Self::load_with(device, checkpoint, Chosen::exact(device), progress)
+    }
+
+    /// [`Model::load`] with an arithmetic.
+    pub fn load_with(
+        device: &Device,
+        checkpoint: &Checkpoint,
+        arithmetic: Arithmetic,
+        progress: impl FnMut(f64) -> ControlFlow<()>,
+    ) -> Result<Self> {
+        let network = Network::of(checkpoint, device.limits(), arithmetic)?;
+        let parameters = network.parameters.load(device, checkpoint, progress)?;
+        let (arena, recorded) = (Arena::new(device), Mutex::default());
+        Ok(Self { device: device.clone(), network, parameters, arena, recorded })
+    }
+
+    /// Weight bytes on the device.
+    pub fn weight_bytes(&self) -> u64 {
+        self.network.weight_bytes()
+    }
+
+    /// Architecture.
+    pub fn architecture(&self) -> &Architecture {
+        &self.network.architecture
+    }
+
+    /// Arena of its scenes.
+    pub fn arena(&self) -> &Arena {
+        &self.arena
+    }
+
+    /// Reconstructs a scene from images of one size, divisible by the patch.
+    pub fn reconstruct(
+        &self,
+        images: &[Image],
+        request: &Request,
+        progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
+    ) -> Result<Reconstruction> {
+        let shape = self.shape(images, request)?;
+        let Some(_claim) = self.arena.claim() else {
+            return self.reconstruct_in(&Arena::new(&self.device), &mut None, shape, images, request, progress);
+        };
+        // The claim is exclusive; a panic leaves no partial state.
+        let mut recorded = self.recorded.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        self.reconstruct_in(&self.arena, &mut recorded, shape, images, request, progress)
+    }
+
+    fn reconstruct_in(
+        &self,
+        arena: &Arena,
+        recorded: &mut Option<Recorded>,
+        shape: Shape,
+        images: &[Image],
+        request: &Request,
+        progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
+    ) -> Result<Reconstruction> {
+        if recorded.as_ref().is_none_or(|recorded| recorded.shape != shape) {
+            *recorded = None;
+            *recorded = Some(self.record_for(arena, shape)?);
+        }
+        let Some(Recorded { run, tensors, layout, scenes, .. }) = recorded else { unreachable!("just recorded") };
+        let free = match scenes.iter().position(SceneMemory::is_free) {
+            Some(free) => free,
+            None => {
+                scenes.truncate(SCENES - 1);
+                scenes.push(SceneMemory::new(&self.device, layout, *tensors.scene())?.made_in(arena));
+                scenes.len() - 1
+            }
+        };
+        run.replace_resident(scenes[free].resident().clone());
+        self.write_inputs(run, tensors, shape, images, request)?;
+        let times = run.execute_with(progress)?;
+        let gaussians = scenes[free].scene(tensors.scene().sh_degree, near(request.scene_scale));
+        Ok(Reconstruction {
+            tokens: shape.tokens,
+            patches: Patches::of(run, tensors.choice, shape, request)?,
+            times,
+            outline: Profile::outline(run.plan()),
+            left_out: shape.left_out(),
+            peak_bytes: run.plan().arena_bytes() + self.network.weight_bytes() + gaussians.bytes(),
+            gaussians,
+        })
+    }
+
+    fn record_for(&self, arena: &Arena, shape: Shape) -> Result<Recorded> {
+        let NetworkPlan { plan, tensors, layout } = self.network.plan(self.device.limits(), shape)?;
+        let scene = SceneMemory::new(&self.device, &layout, *tensors.scene())?.made_in(arena);
+        let run = Run::in_arena(arena, 0, plan, [self.parameters.resident.clone(), scene.resident().clone()])?;
+        Ok(Recorded { shape, run, tensors, layout, scenes: vec![scene] })
+    }
+
+    /// Plans a reconstruction.
+    pub fn plan(&self, shape: Shape) -> Result<NetworkPlan> {
+        self.network.plan(self.device.limits(), shape)
+    }
+
+    /// Returns the shape of a request.
+    pub fn shape(&self, images: &[Image], request: &Request) -> Result<Shape> {
+        let size = size_of(images)?;
+        if !(request.scene_scale as f32).is_normal() || request.scene_scale < 0.0 {
+            return Err(Error::argument("unit", request.scene_scale, "a length above 0"));
+        }
+        if let Some(cameras) = &request.cameras {
+            check_cameras(cameras, images)?;
+        }
+        let chosen = (request.ratio, &request.selection);
+        Shape::new(self.architecture(), images.len(), size, chosen, request.cameras.is_some())?.pooled(request.pool)
+    }
+
+    /// Records a plan, optionally observed.
+    pub fn record(&self, shape: Shape, observe: bool) -> Result<(Plan, Tensors)> {
+        let mut rec = Recorder::new(self.device.limits());
+        if observe {
+            rec = rec.observing();
+        }
+        let tensors = self.network.record(&mut rec, shape);
+        Ok((rec.finish()?, tensors))
+    }
+
+    /// Allocates a plan.
+    pub fn run(&self, plan: Plan) -> Result<Run> {
+        Run::with_resident(&self.device, plan, Some(self.parameters.resident.clone()))
+    }
+
+    /// Writes the inputs.
+    pub fn write_inputs(
+        &self,
+        run: &mut Run,
+        tensors: &Tensors,
+        shape: Shape,
+        images: &[Image],
+        request: &Request,
+    ) -> Result<()> {
+        self.write_photos(run, &tensors.inputs, shape, images, request)?;
+        write_choice(run, tensors.choice, shape, request)
+    }
+
+    fn write_photos(
+        &self,
+        run: &mut Run,
+        inputs: &Inputs,
+        shape: Shape,
+        images: &[Image],
+        request: &Request,
+    ) -> Result<()> {
+        run.write(inputs.images, &planar(images))?;
+        let in_units = |camera: &Camera| {
+            let mut camera = *camera;
+            camera.pose.translation /= request.scene_scale;
+            camera
+        };
+        let cameras = request.cameras.as_ref().map(|cameras| cameras.iter().map(in_units).collect::<Vec<_>>());
+        let backbone = &self.network.stages.backbone;
+        backbone.write(run, &inputs.backbone, shape.grid, cameras.as_deref(), &self.parameters)
+    }
+}
+
+fn write_choice(run: &mut Run, choice: Choice, shape: Shape, request: &Request) -> Result<()> {
+    if let Some(scene_scale) = choice.scene_scale {
+        run.write(scene_scale, &[request.scene_scale as f32])?;
+    }
+    if let Some(tensor) = choice.indices {
+        run.write(tensor, &request.selection.indices(shape.grid.tokens(), shape.tokens))?;
+    }
+    Ok(())
+}
+
+/// RGB8 to `[views, 3, height, width]` f32 in 0..1.
+pub(crate) fn planar(images: &[Image]) -> Vec<f32> {
+    let mut out = Vec::with_capacity(images.iter().map(|i| i.rgb.len()).sum());
+    for image in images {
+        for channel in 0..3 {
+            out.extend(image.rgb[channel..].iter().step_by(3).map(|v| *v as f32 / 255.0));
+        }
+    }
+    out
+}

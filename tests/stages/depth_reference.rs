@@ -1,0 +1,116 @@
+//! Random depth networks against f64.
+
+use std::collections::BTreeSet;
+use std::ops::ControlFlow::Continue;
+use zipsplat::depth::{DepthModel, DepthRequest, DepthView, Depths};
+use zipsplat::ops::Arithmetic;
+use zipsplat::reconstruct::{Ratio, Selection};
+use zipsplat::types::Image;
+use zipsplat::weights::{DepthArchitecture, DepthCheckpoint};
+use zipsplat_tests::architectures::{depth_micro, depth_micro_alone};
+use zipsplat_tests::compare::{Tolerance, assert_close};
+use zipsplat_tests::device::device;
+use zipsplat_tests::reference::backbone::patchify::Images;
+use zipsplat_tests::reference::cluster::kmeans::kmeans;
+use zipsplat_tests::reference::depth::{Sizes, View, features, views};
+use zipsplat_tests::reference::model::Weights;
+
+/// As for the heads' goldens.
+const WITHIN: Tolerance = Tolerance { max: 1e-4, rms: 3e-5 };
+
+fn pictures(count: u32, [width, height]: [u32; 2]) -> Vec<Image> {
+    let byte = |i: u32| (i.wrapping_mul(2_654_435_761) >> 24) as u8;
+    let picture = |v: u32| (0..3 * width * height).map(|i| byte(i + (v << 18) + 1)).collect();
+    (0..count).map(|v| Image::new(width, height, picture(v)).unwrap()).collect()
+}
+
+fn normalized(pictures: &[Image]) -> Images {
+    let (mean, deviation) = ([0.485, 0.456, 0.406], [0.229, 0.224, 0.225]);
+    let channel = |image: &Image, c: usize| {
+        let value = |byte: &u8| (f64::from(*byte) / 255.0 - mean[c]) / deviation[c];
+        image.rgb[c..].iter().step_by(3).map(value).collect::<Vec<f64>>()
+    };
+    let values = pictures.iter().flat_map(|image| (0..3).flat_map(move |c| channel(image, c))).collect();
+    let [width, height] = [pictures[0].width, pictures[0].height].map(|side| side as usize);
+    Images { values, views: pictures.len(), height, width }
+}
+
+fn predict(a: &DepthArchitecture, pictures: &[Image], request: &DepthRequest) -> Depths {
+    let checkpoint = DepthCheckpoint::seeded(a.clone(), "twin").unwrap();
+    let model = DepthModel::load(device(), &checkpoint, Arithmetic::EXACT, |_| Continue(())).unwrap();
+    model.depths(pictures, request, |_| Continue(())).unwrap()
+}
+
+fn weights(a: &DepthArchitecture) -> (Weights, Sizes) {
+    let checkpoint = DepthCheckpoint::seeded(a.clone(), "twin").unwrap();
+    let values = |(name, shape): &(String, Vec<usize>)| {
+        let mut values = vec![0.0; shape.iter().product()];
+        checkpoint.read_f32(name, &mut values).unwrap();
+        (name.clone(), (shape.clone(), values))
+    };
+    let weights: Weights = checkpoint.parameters().iter().map(values).collect();
+    let b = &a.backbone;
+    let out_layers = std::array::from_fn(|i| b.out_layers[i]);
+    let sizes =
+        Sizes { patch: b.patch, width: b.width, depth: b.depth, heads: b.heads, alt_start: b.alt_start, out_layers };
+    (weights, sizes)
+}
+
+fn both(a: &DepthArchitecture, pictures: &[Image], reference: usize) -> (Vec<DepthView>, Vec<View>) {
+    let request = DepthRequest { reference: Some(reference), ..DepthRequest::default() };
+    let (weights, sizes) = weights(a);
+    (predict(a, pictures, &request).views, views(&weights, &sizes, &normalized(pictures), reference))
+}
+
+fn every(values: &[f64], first: usize, step: usize) -> Vec<f64> {
+    values[first..].iter().step_by(step).copied().collect()
+}
+
+fn logarithms(values: &[f32]) -> Vec<f32> {
+    values.iter().map(|value| value.ln()).collect()
+}
+
+#[test]
+fn views_that_see_each_other() {
+    let (found, truth) = both(&depth_micro(), &pictures(3, [42, 28]), 1);
+    for (i, (found, truth)) in found.iter().zip(&truth).enumerate() {
+        assert_close(&format!("depth of {i}"), &logarithms(&found.depth), &every(&truth.depth, 0, 2), WITHIN);
+        let expected: Vec<f64> = every(&truth.depth, 1, 2).into_iter().map(|x| (1.0 + x.exp()).ln()).collect();
+        let confidence = logarithms(found.confidence.as_ref().unwrap());
+        assert_close(&format!("confidence of {i}"), &confidence, &expected, WITHIN);
+        let (rays, of_truth) = (found.rays.as_ref().unwrap(), truth.rays.as_ref().unwrap());
+        let values = |ray: usize| [rays.directions[ray], rays.origins[ray]].concat();
+        let linear: Vec<f32> = (0..rays.directions.len()).flat_map(values).collect();
+        let expected: Vec<f64> = of_truth.chunks(7).flat_map(|ray| ray[..6].to_vec()).collect();
+        assert_close(&format!("rays of {i}"), &linear, &expected, WITHIN);
+        assert_close(&format!("camera of {i}"), &found.encoding.unwrap(), truth.camera.as_ref().unwrap(), WITHIN);
+    }
+}
+
+#[test]
+fn chosen_patches() {
+    let (a, pictures) = (depth_micro(), pictures(3, [42, 28]));
+    let request = DepthRequest { reference: Some(0), ratio: Ratio::Fixed(0.5), ..DepthRequest::default() };
+    let found = predict(&a, &pictures, &request).patches.unwrap();
+    let (weights, sizes) = weights(&a);
+    let (layers, _) = features(&weights, &sizes, &normalized(&pictures), 0);
+    let clusters = kmeans(&layers[3], 2 * sizes.width, 9);
+    // The mean of two ties, and the first wins. Otherwise rounding must not decide.
+    let clear = |gap: &f64| *gap > 1e-4 || *gap < 1e-9;
+    assert!(clusters.gaps.iter().all(clear), "another key: {:?}", clusters.gaps);
+    let expected: Vec<u32> = clusters.nearest.into_iter().collect::<BTreeSet<_>>().into_iter().collect();
+    assert_eq!(found, expected);
+    let given = DepthRequest { selection: Selection::Given(vec![5, 17, 5]), ..request };
+    assert_eq!(predict(&a, &pictures, &given).patches.unwrap(), [5, 17]);
+}
+
+#[test]
+fn views_by_themselves() {
+    let (found, truth) = both(&depth_micro_alone(), &pictures(2, [28, 42]), 0);
+    for (i, (found, truth)) in found.iter().zip(&truth).enumerate() {
+        assert_close(&format!("depth of {i}"), &logarithms(&found.depth), &truth.depth, WITHIN);
+        let sky: Vec<f64> = truth.sky.as_ref().unwrap().iter().map(|x| x.max(0.0)).collect();
+        assert_close(&format!("sky of {i}"), found.sky.as_ref().unwrap(), &sky, WITHIN);
+        assert!(found.encoding.is_none() && truth.camera.is_none());
+    }
+}

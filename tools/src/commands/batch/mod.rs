@@ -1,0 +1,379 @@
+mod maker;
+
+use crate::{
+    options::{Network, Quality, Weights},
+    outputs::{self, Overwrite},
+    photos,
+    session::{Session, Stage},
+    stamp::{digest, stamp},
+    table::{counted, time},
+    views::FitOption,
+};
+use clap::Args;
+use maker::{Input, Maker, Scened};
+use serde::Serialize;
+use serde_json::{Value, json};
+use std::{
+    collections::HashMap,
+    fs::{File, TryLockError},
+    path::{Path, PathBuf},
+    sync::{Mutex, mpsc::sync_channel},
+    time::Instant,
+};
+use zipsplat::{
+    Error, Result,
+    reconstruct::MAX_VIEWS,
+    types::{
+        Scene, SceneFormat, World, WriteOptions,
+        poses::{Frame, Poses, read_poses},
+        write_atomic,
+    },
+};
+
+const FAILURES: &str = "failures.csv";
+
+/// Many captures to scenes, with one model kept on the device
+///
+/// A capture is a folder with photos, directly or in images/. Each becomes OUT/NAME.ply and
+/// OUT/NAME.json, a record of its inputs. Run the same command again to resume: a capture is
+/// finished if its scene exists and was made of the same photos, by name, size and time, with the
+/// same options. A failed capture is a row of OUT/failures.csv; the others continue, and the exit
+/// code is 1.
+///
+/// With weights of Depth Anything 3 each confident pixel becomes a Gaussian, as in `reconstruct`.
+/// Without --posed the network also estimates the cameras.
+#[derive(Args)]
+#[command(after_help = "Examples:
+  zipsplat batch captures/ -o scenes/
+  zipsplat batch captures/ more/kitchen list.txt --ratio auto --format spz -o scenes/
+  zipsplat batch captures/ --posed --views 24 --limit 100 -o scenes/
+  zipsplat batch captures/ --weights da3-small --ratio 0.5 -o scenes/")]
+pub struct Batch {
+    /// Captures, folders of captures, or text files with a capture per line
+    #[arg(required = true, value_name = "DIR|LIST")]
+    inputs: Vec<PathBuf>,
+    /// Folder for the scenes, named as the captures' folders
+    #[arg(long, short, value_name = "OUT")]
+    output: PathBuf,
+    #[command(flatten)]
+    overwrite: Overwrite,
+    /// Format of the scenes: ply, spz, splat, glb or gltf
+    #[arg(long, value_name = "NAME", default_value = "ply")]
+    format: String,
+    /// Take the cameras of each capture's folder: transforms.json or a COLMAP model
+    #[arg(long)]
+    posed: bool,
+    /// Limit of photos per capture, evenly spread, with the first and the last
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_VIEWS as i64))]
+    views: Option<u32>,
+    /// Limit of scenes made in this run
+    #[arg(long, value_name = "N")]
+    limit: Option<usize>,
+    #[command(flatten)]
+    weights: Weights,
+    #[command(flatten)]
+    quality: Quality,
+    #[command(flatten)]
+    fit: FitOption,
+}
+
+struct Work {
+    folder: PathBuf,
+    scene: PathBuf,
+    record: PathBuf,
+}
+
+struct Prepared {
+    input: Input,
+    hash: String,
+    photos: usize,
+    world: Option<World>,
+}
+
+struct FinishedScene {
+    scene: Scene,
+    world: Option<World>,
+    record: Value,
+}
+
+#[derive(Clone, Serialize)]
+struct Failure {
+    capture: String,
+    error: String,
+}
+
+#[derive(Default)]
+struct Tally {
+    finished: usize,
+    unchanged: usize,
+    failures: Vec<Failure>,
+}
+
+impl Batch {
+    pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
+        if SceneFormat::named(&self.format).is_none() {
+            return Err(Error::argument("--format", &self.format, SceneFormat::EXTENSIONS));
+        }
+        outputs::check_folder(&self.output)?;
+        let works = self.works()?;
+        let files = works.iter().flat_map(|work| [&work.scene, &work.record]);
+        self.overwrite.check_replaced(files)?;
+        self.overwrite.check_replaced([self.output.join(FAILURES)])?;
+        let network = self.weights.open_network()?;
+        let (maker, settings_key) = match &network {
+            Network::Tokens(checkpoint) => Maker::of_tokens(self, session, checkpoint)?,
+            Network::Pixels(checkpoint) => Maker::of_pixels(self, session, checkpoint)?,
+        };
+
+        let _lock = self.lock()?;
+        let runner = Runner { batch: self, works: &works, maker, settings_key };
+        let (tally, took) = session.stage("batch", |stage| runner.run(stage))?;
+        let Tally { finished, unchanged, failures } = tally;
+        let rate = finished as f64 / took.as_secs_f64();
+        let left = works.len() - finished - unchanged - failures.len();
+        let json = json!({
+            "output": self.output, "captures": works.len(), "made": finished, "unchanged": unchanged, "failed": failures.len(),
+            "left": left, "seconds": took.as_secs_f64(), "captures_per_second": rate,
+        });
+        let mut text = format!("{}: {} made in {}", self.output.display(), counted(finished, "scene"), time(took));
+        if finished > 0 {
+            text += &format!(", {} each", time(took / finished as u32));
+        }
+        let others = [(unchanged, "there already"), (failures.len(), "failed"), (left, "left")];
+        others.iter().filter(|(count, _)| *count > 0).for_each(|(count, what)| text += &format!("; {count} {what}"));
+        if !failures.is_empty() {
+            session.note(format!("{}: {}", self.output.join(FAILURES).display(), counted(failures.len(), "capture")));
+            session.end_with(1);
+        }
+        session.report(&json, text)
+    }
+
+    /// Locks the output folder against other batches, until dropped.
+    fn lock(&self) -> Result<Option<File>> {
+        outputs::make_folder(&self.output)?;
+        // Some file systems have no locks.
+        let Ok(folder) = File::open(&self.output) else { return Ok(None) };
+        match folder.try_lock() {
+            Err(TryLockError::WouldBlock) => {
+                let found = format!("{}, where another batch is running", self.output.display());
+                Err(Error::argument("--output", found, "a folder of its own for each batch"))
+            }
+            _ => Ok(Some(folder)),
+        }
+    }
+
+    fn works(&self) -> Result<Vec<Work>> {
+        let mut folders = Vec::new();
+        for input in &self.inputs {
+            folders.extend(self.captures(input)?);
+        }
+        let mut names: HashMap<String, &Path> = HashMap::new();
+        let mut works = Vec::new();
+        for folder in &folders {
+            // A missing listed folder fails alone, at its turn.
+            let whole = folder.canonicalize().or_else(|_| std::path::absolute(folder));
+            let whole = whole.map_err(|error| Error::io(folder, error))?;
+            let name = whole.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            if let Some(other) = names.insert(name.clone(), folder) {
+                let found = format!("{name}, as {}", other.display());
+                return Err(Error::argument(format!("name of {}", folder.display()), found, "one of its own"));
+            }
+            let file = |extension: &str| self.output.join(format!("{name}.{extension}"));
+            works.push(Work { scene: file(&self.format), record: file("json"), folder: folder.clone() });
+        }
+        Ok(works)
+    }
+
+    fn captures(&self, input: &Path) -> Result<Vec<PathBuf>> {
+        let found = input.metadata().map_err(|error| Error::io(input, error))?;
+        if !found.is_dir() {
+            let text = std::fs::read_to_string(input).map_err(|error| Error::io(input, error))?;
+            let beside = input.parent().unwrap_or(Path::new(""));
+            let lines = text.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'));
+            return Ok(lines.map(|line| beside.join(line)).collect());
+        }
+        if self.is_capture(input)? {
+            return Ok(vec![input.to_owned()]);
+        }
+        let mut captures = Vec::new();
+        for folder in photos::folders_in(input)? {
+            if self.is_capture(&folder)? {
+                captures.push(folder);
+            }
+        }
+        if captures.is_empty() {
+            let expected = "a folder with photos, directly or in images/, or a folder of such folders";
+            return Err(Error::argument("captures", input.display(), expected));
+        }
+        Ok(captures)
+    }
+
+    fn is_capture(&self, folder: &Path) -> Result<bool> {
+        Ok(!photos_of(folder)?.is_empty() || self.posed && read_poses(folder).is_ok())
+    }
+
+    /// All but the capture.
+    fn settings_key(&self, weights: &str, size: &str, precision: &str) -> Result<String> {
+        let of_file = if Path::new(weights).is_file() { stamp(Path::new(weights))? } else { String::new() };
+        let Quality { ratio, select, pool, .. } = &self.quality;
+        let options = [
+            format!("{ratio:?} {select:?} {pool} {:?} {:?}", self.quality.kept(), self.fit.fit),
+            format!("{size} {precision} {} {:?} {}", self.posed, self.views, self.format),
+        ];
+        Ok(format!("{} {weights} {of_file} {}", env!("CARGO_PKG_VERSION"), options.join(" ")))
+    }
+}
+
+struct Runner<'a> {
+    batch: &'a Batch,
+    works: &'a [Work],
+    maker: Maker<'a>,
+    settings_key: String,
+}
+
+impl Runner<'_> {
+    fn run(&self, stage: &Stage<'_>) -> Result<Tally> {
+        let tally = Mutex::new(Tally::default());
+        let limit = self.batch.limit.unwrap_or(usize::MAX);
+        // Removes the failure list of an earlier run.
+        std::fs::remove_file(self.batch.output.join(FAILURES)).ok();
+        let ended = std::thread::scope(|scope| {
+            // Each queue holds one capture.
+            let (to_device, prepared) = sync_channel(1);
+            let (to_disk, finished) = sync_channel::<(&Work, FinishedScene)>(1);
+            scope.spawn(|| {
+                let mut begun = 0;
+                for work in self.works {
+                    if begun == limit || stage.check().is_err() {
+                        break;
+                    }
+                    let Some(found) = self.prepare(work, &stage.silent()).transpose() else {
+                        lock(&tally).unchanged += 1;
+                        continue;
+                    };
+                    begun += 1;
+                    if to_device.send((work, found)).is_err() {
+                        break;
+                    }
+                }
+                drop(to_device);
+            });
+            scope.spawn(|| {
+                for (work, finished) in finished {
+                    match write(work, finished) {
+                        Ok(()) => lock(&tally).finished += 1,
+                        Err(error) => self.failed(&tally, work, &error),
+                    }
+                }
+            });
+            let ended = prepared.into_iter().try_for_each(|(work, prepared)| {
+                self.tell(stage, &lock(&tally));
+                match prepared.and_then(|prepared| self.reconstruct(work, prepared, stage)) {
+                    Ok(finished) => to_disk.send((work, finished)).map_err(|_| Error::Cancelled)?,
+                    // Later captures would fail alike.
+                    Err(error @ (Error::Cancelled | Error::DeviceLost | Error::NoDevice(_))) => return Err(error),
+                    Err(error) => self.failed(&tally, work, &error),
+                }
+                Ok(())
+            });
+            drop(to_disk);
+            ended
+        });
+        ended.map(|()| tally.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner()))
+    }
+
+    /// `None` if its scene is finished.
+    fn prepare(&self, work: &Work, stage: &Stage<'_>) -> Result<Option<Prepared>> {
+        let poses = if self.batch.posed { Some(read_poses(&work.folder)?) } else { None };
+        let mut photos = match &poses {
+            Some(poses) => poses.frames.iter().filter_map(|frame| frame.photo.clone()).collect(),
+            None => photos_of(&work.folder)?,
+        };
+        if let Some(views) = self.batch.views {
+            photos = photos::spread(photos, views as usize);
+        }
+        if !(1..=MAX_VIEWS).contains(&photos.len()) {
+            let expected = format!("1 to {MAX_VIEWS}; --views N takes N of them, evenly spread");
+            return Err(Error::argument(format!("photos in {}", work.folder.display()), photos.len(), expected));
+        }
+        let hash = self.hash(&photos, poses.as_ref())?;
+        if is_finished(work, &hash) {
+            return Ok(None);
+        }
+        let frames: Vec<&Frame> = poses.as_ref().map(|poses| poses.frames_of(&photos)).transpose()?.unwrap_or_default();
+        let input = self.maker.prepare(self.batch, &photos, poses.as_ref(), &frames, stage)?;
+        let world = World::of_first(&frames);
+        Ok(Some(Prepared { input, hash, photos: photos.len(), world }))
+    }
+
+    fn reconstruct(&self, work: &Work, prepared: Prepared, stage: &Stage<'_>) -> Result<FinishedScene> {
+        let began = Instant::now();
+        let Prepared { input, hash, photos, world } = prepared;
+        let Scened { scene, world: of_first, record: of_network } =
+            self.maker.make(self.batch, input, &stage.silent())?;
+        let world = world.or(of_first);
+        let mut record = json!({
+            "generator": outputs::MADE_BY, "capture": work.folder, "hash": hash, "photos": photos,
+            "gaussians": scene.len(), "seconds": began.elapsed().as_secs_f64(),
+        });
+        of_network.as_object().into_iter().flatten().for_each(|(name, value)| record[name] = value.clone());
+        Ok(FinishedScene { scene, world, record })
+    }
+
+    fn hash(&self, photos: &[PathBuf], poses: Option<&Poses>) -> Result<String> {
+        let mut parts = vec![self.settings_key.clone()];
+        for photo in photos {
+            parts.push(stamp(photo)?);
+        }
+        if let Some(poses) = poses {
+            parts.push(format!("{:?}", poses.frames));
+            parts.push(poses.points.as_deref().map(stamp).transpose()?.unwrap_or_default());
+        }
+        Ok(digest(&parts))
+    }
+
+    fn failed(&self, tally: &Mutex<Tally>, work: &Work, error: &Error) {
+        let failures = &mut lock(tally).failures;
+        failures.push(Failure { capture: work.folder.display().to_string(), error: error.to_string() });
+        // If the file cannot be written, the count still reports the failure.
+        outputs::save_csv(&self.batch.output.join(FAILURES), failures).ok();
+    }
+
+    fn tell(&self, stage: &Stage<'_>, tally: &Tally) {
+        let done = tally.finished + tally.failures.len();
+        let all = (self.works.len() - tally.unchanged).min(self.batch.limit.unwrap_or(usize::MAX)).max(1);
+        let _ = stage.at(done as f64 / all as f64);
+        stage.name(&format!("{done} of {all}"));
+    }
+}
+
+/// The record marks the scene complete.
+fn write(work: &Work, finished: FinishedScene) -> Result<()> {
+    std::fs::remove_file(&work.record).ok();
+    outputs::save_scene(&work.scene, &finished.scene, &WriteOptions::default(), finished.world.as_ref())?;
+    let bytes = work.scene.metadata().map_err(|error| Error::io(&work.scene, error))?.len();
+    let mut record = finished.record;
+    record["bytes"] = json!(bytes);
+    write_atomic(&work.record, |out| {
+        serde_json::to_writer_pretty(&mut *out, &record)?;
+        writeln!(out)
+    })
+}
+
+/// Complete, of equal inputs and options.
+fn is_finished(work: &Work, hash: &str) -> bool {
+    let read = || serde_json::from_slice::<Value>(&std::fs::read(&work.record).ok()?).ok();
+    let bytes = work.scene.metadata().map(|found| found.len()).ok();
+    read().is_some_and(|record| record["hash"] == hash && bytes.is_some() && record["bytes"].as_u64() == bytes)
+}
+
+/// The folder's, or else those of its images/.
+fn photos_of(folder: &Path) -> Result<Vec<PathBuf>> {
+    let photos = photos::directly_in(folder)?;
+    let below = folder.join("images");
+    if photos.is_empty() && below.is_dir() { photos::directly_in(&below) } else { Ok(photos) }
+}
+
+fn lock(tally: &Mutex<Tally>) -> std::sync::MutexGuard<'_, Tally> {
+    tally.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+}

@@ -1,0 +1,225 @@
+use super::{Eval, alignment::Alignment};
+use crate::{
+    capture::{Capture, Choice, Posed, Score, draw},
+    depth::DepthPredictor,
+    options::{Network as Weighed, refuse},
+    refinement::{self, Initialization, Refinable, Steps},
+    session::Session,
+    views::Seeing,
+};
+use std::{cell::Cell, time::Duration};
+use zipsplat::{
+    Error, Result,
+    gpu::{Arena, Device},
+    ops::{Arithmetic, Precision},
+    perceptual::Perceptual,
+    reconstruct::{Model, Request},
+    refine::{FrozenHead, Refine, Refined, Stopped},
+    stages::render::Renderer,
+    types::Scene,
+    weights::Checkpoint,
+};
+
+pub struct Evaluator<'a> {
+    pub(super) eval: &'a Eval,
+    weights: &'a Weighed,
+    seeing: Seeing,
+    pub(super) device: Device,
+    pub precision: Precision,
+    arithmetic: Arithmetic,
+    /// Loaded by the first reconstruction.
+    model: Option<Model>,
+    pub(super) predictor: Option<DepthPredictor>,
+    renderer: Renderer,
+    lpips: Option<Perceptual>,
+}
+
+pub struct Evaluation {
+    pub capture: Capture,
+    pub reconstruction: Reconstruction,
+    /// Targets, `[height][width][rgb]` in 0..1.
+    pub drawn: Vec<Vec<f32>>,
+    pub scores: Vec<Score>,
+    pub alignment: Option<Alignment>,
+}
+
+/// World: the first input's camera; unit: the network's.
+pub struct Reconstruction {
+    pub scene: Scene,
+    /// Absent for external scenes.
+    pub network: Option<Network>,
+    pub refined: Option<Refined>,
+    pub started: &'static str,
+}
+
+pub struct Network {
+    pub tokens: usize,
+    pub all_tokens: usize,
+    pub peak_bytes: u64,
+    pub took: Duration,
+}
+
+impl Reconstruction {
+    pub fn given(scene: Scene) -> Self {
+        Self { scene, network: None, refined: None, started: "" }
+    }
+}
+
+impl<'a> Evaluator<'a> {
+    pub fn new(eval: &'a Eval, weights: &'a Weighed, seeing: Seeing, session: &mut Session<'_>) -> Result<Self> {
+        let device = session.device()?;
+        let gradients = eval.aligning().is_some_and(|method| method == crate::align::Method::Adam);
+        let lpips = eval.lpips.open(&device, gradients)?;
+        let (precision, arithmetic) = eval.quality.arithmetic.choose(session, &device)?;
+        let renderer = Renderer::new(&device);
+        let (model, predictor) = (None, None);
+        Ok(Self { eval, weights, seeing, device, precision, arithmetic, model, predictor, renderer, lpips })
+    }
+
+    pub fn has_lpips(&self) -> bool {
+        self.lpips.is_some()
+    }
+
+    /// `name` is the capture's in a data set.
+    pub fn evaluate(&mut self, session: &mut Session<'_>, choice: &Choice, name: Option<&str>) -> Result<Evaluation> {
+        let (eval, seeing) = (self.eval, self.seeing);
+        let (capture, _) = session.stage("load photos", |stage| choice.load(seeing, eval.unit, stage))?;
+        capture.notes().for_each(|note| session.note(note));
+        let reconstruction = match (eval.external.make(session, name, choice, &capture)?, self.weights) {
+            (None, Weighed::Tokens(checkpoint)) => self.reconstruct(session, choice, &capture, checkpoint)?,
+            (None, Weighed::Pixels(checkpoint)) => {
+                let reconstruction = self.of_pixels(session, choice, &capture, checkpoint)?;
+                self.refined(session, choice, &capture, reconstruction)?
+            }
+            (Some(reconstruction), _) => self.refined(session, choice, &capture, reconstruction)?,
+        };
+        let (drawn, mut alignment) = self.draw(session, &capture)?;
+        let mut scores = capture.scores(&drawn);
+        if let Some(lpips) = &mut self.lpips {
+            session.stage("compare", |_| capture.score_lpips(&mut scores, &drawn, lpips))?;
+            let rows = alignment.iter_mut().flat_map(|alignment| &mut alignment.rows);
+            rows.zip(&scores).for_each(|(row, score)| row.lpips = score.lpips);
+        }
+        Ok(Evaluation { capture, reconstruction, drawn, scores, alignment })
+    }
+
+    fn refined(
+        &mut self,
+        session: &mut Session<'_>,
+        choice: &Choice,
+        capture: &Capture,
+        mut reconstruction: Reconstruction,
+    ) -> Result<Reconstruction> {
+        let eval = self.eval;
+        if let Some(Steps { count, tokens }) = eval.refine {
+            refuse("--refine STEPS:tokens", tokens, "a scene of given depth", "a network's scene")?;
+            let cloud = choice.points(&capture.scene_scale)?;
+            let init = eval.start.unwrap_or(Initialization::Scene);
+            reconstruction.started = init.name();
+            let scene = init.scene(Some(reconstruction.scene), cloud.as_ref(), &capture.training_views().1)?;
+            let arena = Arena::new(&self.device);
+            let refined = refine(eval, session, &arena, Refinable::Scene(&scene), capture, count)?;
+            (reconstruction.scene, reconstruction.refined) = (refined.scene.clone(), Some(refined));
+        }
+        self.renderer.load(&reconstruction.scene)?;
+        Ok(reconstruction)
+    }
+
+    fn reconstruct(
+        &mut self,
+        session: &mut Session<'_>,
+        choice: &Choice,
+        capture: &Capture,
+        checkpoint: &Checkpoint,
+    ) -> Result<Reconstruction> {
+        let eval = self.eval;
+        if self.model.is_none() {
+            self.model = Some(session.load_model(&self.device, checkpoint, self.arithmetic)?.0);
+        }
+        let model = self.model.as_ref().expect("it was loaded");
+        let images = capture.images();
+        let (cameras, world) = self.seeing.fit.network_cameras(capture.cameras());
+        let request = Request {
+            ratio: eval.quality.ratio,
+            selection: eval.quality.select.clone(),
+            cameras: (!eval.pose_free).then_some(cameras),
+            scene_scale: 1.0,
+            pool: eval.quality.pool,
+        };
+        let of_tokens = eval.refine.is_some_and(|steps| steps.tokens);
+        let (result, tokens, took) = session.reconstruct_with_tokens(model, &images, &request, of_tokens)?;
+        let mut scene = result.scene()?;
+        eval.quality.prune(&mut scene, checkpoint.architecture());
+        world.iter().for_each(|world| scene.place(1.0, world));
+        let mut started = refinement::TOKENS;
+        let refined = match (eval.refine, &tokens) {
+            (Some(Steps { count, .. }), Some(tokens)) => {
+                let head = FrozenHead::load(&self.device, checkpoint)?;
+                Some(refine(eval, session, model.arena(), Refinable::Tokens(&head, tokens), capture, count)?)
+            }
+            (Some(Steps { count, .. }), None) => {
+                let cloud = choice.points(&capture.scene_scale)?;
+                let init = Initialization::or_best(eval.start, cloud.as_ref(), eval.weights.is_embedded());
+                started = init.name();
+                let initial = init.scene(Some(scene.clone()), cloud.as_ref(), &capture.training_views().1)?;
+                Some(refine(eval, session, model.arena(), Refinable::Scene(&initial), capture, count)?)
+            }
+            (None, _) => None,
+        };
+        if let Some(refined) = &refined {
+            scene = refined.scene.clone();
+        }
+        match &world {
+            // Unchanged on the host.
+            None if refined.is_none() && scene.len() == result.gaussians.len() => {
+                self.renderer.show(&result.gaussians)?;
+            }
+            _ => self.renderer.load(&scene)?,
+        }
+        let all_tokens = model.shape(&images, &request)?.grid.tokens();
+        let network = Some(Network { tokens: result.tokens, all_tokens, peak_bytes: result.peak_bytes, took });
+        Ok(Reconstruction { scene, network, refined, started })
+    }
+
+    fn draw(&mut self, session: &Session<'_>, capture: &Capture) -> Result<(Vec<Vec<f32>>, Option<Alignment>)> {
+        let Self { renderer, lpips, .. } = self;
+        let targets = &capture.targets;
+        let Some(method) = self.eval.aligning() else {
+            let picture = |view: &Posed| draw(renderer, &view.camera);
+            return Ok((session.stage("compare", |stage| stage.each(targets, picture))?.0, None));
+        };
+        let (found, _) = session.stage("align", |stage| {
+            let found = |(i, view): (usize, &Posed)| {
+                stage.name(&format!("align photo {} of {}", i + 1, targets.len()));
+                let steps = Cell::new(0);
+                let step = || {
+                    let part = method.fraction(steps.replace(steps.get() + 1));
+                    stage.reach((i as f64 + part) / targets.len() as f64)
+                };
+                method.align(renderer, &view.image, &view.camera, lpips.as_mut(), &step)
+            };
+            targets.iter().enumerate().map(found).collect::<Result<Vec<_>>>()
+        })?;
+        let alignment = Alignment::new(capture, &found);
+        Ok((found.into_iter().map(|found| found.drawn).collect(), Some(alignment)))
+    }
+}
+
+/// Compares with the inputs at the compared size.
+fn refine(
+    eval: &Eval,
+    session: &mut Session<'_>,
+    arena: &Arena,
+    from: Refinable<'_>,
+    capture: &Capture,
+    steps: usize,
+) -> Result<Refined> {
+    let (photos, cameras) = capture.training_views();
+    let request = eval.moved.request(Refine { steps, hold_out: eval.hold_out, ..Refine::default() });
+    let refined = refinement::refine(session, arena, from, &photos, &cameras, &request)?;
+    refinement::doubt(&refined).iter().for_each(|note| session.note(note));
+    match refined.stopped {
+        Some(Stopped::Cancelled) => Err(Error::Cancelled),
+        _ => Ok(refined),
+    }
+}

@@ -1,0 +1,235 @@
+mod alignment;
+mod depth;
+mod evaluator;
+mod external_scene;
+mod one;
+mod page;
+mod pixels;
+mod rows;
+mod series;
+
+use crate::{
+    align::Method,
+    cameras::{Finding, KnownCameras},
+    capture::Choice,
+    options::{Network, Quality, Size, Weights, parse_length, refuse},
+    outputs::Overwrite,
+    perceptual::LpipsOption,
+    photos,
+    protocol::Filter,
+    refinement::{DEFAULT_STEPS, Initialization, Moved, Steps},
+    session::Session,
+    views::{Fit, FitOption, Seeing},
+};
+use clap::{ArgGroup, Args, ValueEnum};
+use std::{path::PathBuf, str::FromStr};
+use zipsplat::{Result, reconstruct::Shape, weights::Checkpoint};
+
+/// Default number of input photos.
+const VIEWS: u32 = 8;
+/// Default number of a protocol's targets per scene.
+const TARGETS: usize = 8;
+
+/// Evaluate the prediction of photos that a reconstruction has not seen
+///
+/// Reconstructs a capture from some of its photos with their cameras, renders the scene from the
+/// other cameras, and compares. The network's unit of length is the median distance from the first
+/// camera of the capture's points (ply_file_path of transforms.json, points.ply, or COLMAP's
+/// points3D); without points, the distance of the point that the cameras look at, else the distance
+/// between cameras. PSNR and SSIM are also given for two trivial predictions: the nearest input
+/// photo, and its mean color.
+///
+/// --pose-free gives the network the photos alone. Each picture is then aligned with its photo,
+/// within 15 degrees and 0.25 of the network's unit around the known camera. The table has the
+/// movements, and marks unreliable scores: flat, a photo without texture, which is not aligned;
+/// bound, a camera at its movement limit; color, a picture no better than one color.
+///
+/// With weights of Depth Anything 3 the scene is that of `reconstruct`: each confident pixel of the
+/// whole photos, whose longer side is --size. With --pose-free, estimated cameras place it in the
+/// known world.
+///
+/// With --protocol the folders are scenes of a data set, or folders of them, evaluated as in the
+/// paper's tables 1 to 3: 8 photos of each, downscaled by its filter, and cameras aligned as by its
+/// authors. OUT has a folder per setting, with a record and a picture of every scene; scenes.csv, a
+/// row per scene; table.md and table.csv, means in the paper's layout; and page.html, with
+/// pictures. Run the command again to resume. A failed scene is a row of failures.csv; the others
+/// continue, and the exit code is 1.
+#[derive(Args)]
+#[command(group(ArgGroup::new("moved").args(["refine_cameras", "grow", "lpips_weight"]).multiple(true).requires("refine")))]
+#[command(after_help = "Examples:
+  zipsplat eval capture/ --views 8
+  zipsplat eval capture/ --views 8 --ratio 0.5 --csv capture.csv -o out/
+  zipsplat eval photos/ --views 8 --poses find --refine 100
+  zipsplat eval capture/ --views 8 --targets 8 --pose-free
+  zipsplat eval capture/ --views 8 --weights da3-base --size 504x336 --score-size 252x252
+  zipsplat eval --protocol dl3dv DL3DV-Benchmark/ --pose-free --weights zipsplat -o dl3dv/
+  zipsplat eval --protocol re10k test/ --indices ctx_6v_tgt_8v.json --weights zipsplat -o re10k/")]
+pub struct Eval {
+    /// Folder with photos and their cameras: a transforms.json or a COLMAP model; with --poses
+    /// photos only; with --protocol scenes of a data set, or folders of them
+    #[arg(required = true, value_name = "FOLDER")]
+    folders: Vec<PathBuf>,
+    /// Cameras of the photos: transforms.json or a COLMAP model's folder; find: estimated by
+    /// COLMAP; da3: by Depth Anything 3 [default: those in the folder]
+    #[arg(long, alias = "cameras", value_name = "PATH|find|da3")]
+    poses: Option<PathBuf>,
+    #[command(flatten)]
+    finding: Finding,
+    /// Photos to reconstruct from, by farthest-point sampling of positions; of a protocol a list
+    /// [default: 8, or the protocol's]
+    #[arg(long, value_name = "N", value_delimiter = ',', value_parser = clap::value_parser!(u32).range(1..))]
+    views: Vec<u32>,
+    /// Limit of the other photos to compare with, evenly spread [default: all, of a protocol 8]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    targets: Option<u32>,
+    /// Reconstruct without the cameras, and align each picture with its photo
+    #[arg(long)]
+    pose_free: bool,
+    /// Camera alignment: none, levenberg-marquardt (least squares, coarse to fine, near the initial
+    /// camera), adam (as ZipSplat's authors: at most 200 steps, with LPIPS if its weights are
+    /// available, without a movement limit) [default: none with known cameras, levenberg-marquardt
+    /// with --pose-free, adam with --protocol]
+    #[arg(long, value_name = "HOW")]
+    align: Option<Aligning>,
+    #[command(flatten)]
+    series: series::Options,
+    #[command(flatten)]
+    external: external_scene::ExternalScene,
+    #[command(flatten)]
+    weights: Weights,
+    #[command(flatten)]
+    quality: Quality,
+    #[command(flatten)]
+    fit: FitOption,
+    /// Compare whole photos, at the scale of --size, even if the network sees only their center;
+    /// --fit squares always does
+    #[arg(long, alias = "full-images")]
+    whole: bool,
+    /// Compared size, independent of the network's [default: that of --size]
+    #[arg(long, alias = "eval-size", value_name = "WxH")]
+    score_size: Option<Size>,
+    /// Filter for downscaling photos [default: lanczos, of a protocol bilinear]
+    #[arg(long, value_enum, value_name = "HOW")]
+    filter: Option<Filter>,
+    /// Refine the scene against the input photos for this number of steps; :tokens refines the
+    /// network's tokens instead of the Gaussians
+    #[arg(long, value_name = "STEPS[:tokens|gaussians]", num_args = 0..=1, require_equals = true,
+        default_missing_value = DEFAULT_STEPS, conflicts_with = "pose_free")]
+    refine: Option<Steps>,
+    /// Initialization of the refinement [default: for the built-in model points, if the capture has
+    /// enough, else the scene]. A capture's points may also come from held-out photos
+    #[arg(long, alias = "init", value_enum, value_name = "WHAT", requires = "refine")]
+    start: Option<Initialization>,
+    /// Input photos that --refine holds out, evenly spread; 0 learns from all [default: 1 of 9 or
+    /// more, none with --refine-cameras]
+    #[arg(long, alias = "holdout-views", value_name = "K", requires = "refine")]
+    hold_out: Option<usize>,
+    #[command(flatten)]
+    moved: Moved,
+    /// Perturb the cameras of network and refinement: those of all inputs but the first rotate by
+    /// this number of degrees, and move by as many percent of the scene's distance
+    #[arg(long, alias = "pose-noise", value_name = "DEGREES", default_value = "0")]
+    disturb: f64,
+    /// Length in the cameras' unit that is 1 for the network [default: the median distance of the
+    /// capture's points, else of the point that the cameras look at]
+    #[arg(long, alias = "scene-scale", value_name = "LENGTH", value_parser = parse_length)]
+    unit: Option<f64>,
+    #[command(flatten)]
+    lpips: LpipsOption,
+    /// Table to write: view, psnr, ssim, nearest_psnr, mean_color_psnr, lpips, a row per compared
+    /// photo; with aligned cameras also before_psnr, before_ssim, degrees, distance, doubt
+    #[arg(long, value_name = "FILE", conflicts_with = "protocol")]
+    csv: Option<PathBuf>,
+    /// Folder for scene.ply, in the unit of the network's cameras, and comparison.png: photos,
+    /// predictions, and nearest input photos; of a protocol for its records, tables and page
+    #[arg(long, short, value_name = "FOLDER", required_if_eq_any([("protocol", "dl3dv"), ("protocol", "re10k"),
+        ("protocol", "mipnerf360"), ("protocol", "scannetpp")]))]
+    output: Option<PathBuf>,
+    #[command(flatten)]
+    overwrite: Overwrite,
+}
+
+/// `None` disables alignment.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Aligning(Option<Method>);
+
+impl FromStr for Aligning {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        if text == "none" {
+            return Ok(Self(None));
+        }
+        let names: Vec<String> = Method::value_variants()
+            .iter()
+            .filter_map(|method| Some(method.to_possible_value()?.get_name().to_owned()))
+            .collect();
+        let method = Method::from_str(text, true);
+        method.map(|method| Self(Some(method))).map_err(|_| format!("expected none, {}", names.join(" or ")))
+    }
+}
+
+impl Eval {
+    pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
+        match self.series.protocol {
+            Some(protocol) => series::run(self, protocol, session),
+            None => one::run(self, session),
+        }
+    }
+
+    fn begin(&self, session: &mut Session<'_>) -> Result<(Network, Seeing)> {
+        let (network, fit) = (self.weights.open_network()?, self.fit.fit);
+        let size = match &network {
+            Network::Tokens(checkpoint) => {
+                session.notes(checkpoint.notes());
+                self.quality.check(checkpoint.architecture())?;
+                let size = self.quality.size_for(checkpoint);
+                fit.check(size, !self.pose_free)?;
+                session.notes(self.quality.doubt_size(checkpoint));
+                size
+            }
+            Network::Pixels(checkpoint) => self.check_pixels(checkpoint)?,
+        };
+        self.refine.map_or(Ok(()), |steps| steps.check(self.start, &self.moved))?;
+        let unused = self.external.given().is_none() && self.external.has_input_options();
+        refuse("--invalid", unused, "without --scene", "with --scene")?;
+        let usual = if self.series.protocol.is_some() { Filter::Bilinear } else { Filter::Lanczos };
+        let filter = self.filter.unwrap_or(usual);
+        let is_bilinear = self.filter == Some(Filter::Bilinear);
+        refuse("--filter bilinear", is_bilinear && fit == Fit::Squares, "with --fit squares", "with --fit crop")?;
+        let compared = self.score_size.unwrap_or(size);
+        Ok((network, Seeing { fit, size, compared, whole: self.whole || fit == Fit::Squares, filter }))
+    }
+
+    fn aligning(&self) -> Option<Method> {
+        let usual = match self.series.protocol {
+            Some(_) => Some(Method::Adam),
+            None => self.pose_free.then_some(Method::LevenbergMarquardt),
+        };
+        self.align.map_or(usual, |Aligning(method)| method)
+    }
+
+    fn check_shape(&self, checkpoint: &Checkpoint, seeing: Seeing, choice: &Choice) -> Result<()> {
+        let (Size(width, height), views) = (seeing.size, seeing.fit.count(&choice.inputs())?);
+        let chosen = (self.quality.ratio, &self.quality.select);
+        let shape = Shape::new(checkpoint.architecture(), views, [width, height], chosen, !self.pose_free)?;
+        shape.pooled(self.quality.pool).map(drop)
+    }
+
+    fn known(&self, folder: &PathBuf, session: &mut Session<'_>) -> Result<Option<KnownCameras>> {
+        let Some(path) = &self.poses else { return Ok(None) };
+        let photos = photos::list(session, std::slice::from_ref(folder))?;
+        let mut known = KnownCameras::of(session, path, &photos, &self.finding)?;
+        // The camera file may lie elsewhere.
+        for photo in photos::posed(session, photos, &known.poses)? {
+            let place = known.poses.frames_of(&[&photo])?[0].name.clone();
+            known
+                .poses
+                .frames
+                .iter_mut()
+                .filter(|frame| frame.name == place)
+                .for_each(|frame| frame.photo = Some(photo.clone()));
+        }
+        Ok(Some(known))
+    }
+}

@@ -1,0 +1,407 @@
+mod forward;
+mod pixels;
+mod placed;
+mod refined;
+
+use super::render::Render;
+use crate::{
+    cameras::{EstimatedCameras, Finder, Finding, KnownCameras, Place},
+    options::{Network, Quality, Weights, parse_length, refuse},
+    outputs::{self, Overwrite},
+    photos::{self, PhotoArgs},
+    refinement::{self, Initialization, RefineOptions, placed, save_cameras},
+    session::Session,
+    table::{bytes, counted, time},
+    video::FrameFolder,
+    views::FitOption,
+};
+use clap::{Args, ValueEnum};
+use forward::{Forward, LOAD_PHOTOS, LOAD_WEIGHTS};
+use refined::{From, RefineInputs, RefinedScene};
+use serde_json::json;
+use std::{fmt::Write, path::PathBuf, time::Duration};
+use zipsplat::{
+    Error, Result,
+    reconstruct::MAX_VIEWS,
+    refine::{Refined, Stopped},
+    stages::render::Renderer,
+    types::{
+        Pose, SceneFormat, World, WriteOptions,
+        poses::{Frame, Poses, read_cloud},
+        spz_coarsening,
+    },
+};
+
+const NETWORK: &str = "Network";
+const CAMERAS: &str = "Cameras";
+const REFINEMENT: &str = "Refinement";
+
+/// Photos of one place to a scene of 3D Gaussians
+///
+/// The scene's world is the first photo's camera, x right, y down, z forward, or with --world
+/// cameras that of the cameras.
+///
+/// With weights of Depth Anything 3 each confident pixel becomes a Gaussian at its depth, and the
+/// cameras are estimated in the same pass. --size then gives the longer side, and --keep counts the
+/// pixels of a patch.
+#[derive(Args)]
+#[command(after_help = format!("Examples:
+  zipsplat reconstruct photos/ -o scene.ply
+  zipsplat reconstruct photos/ --poses transforms.json --ratio 0.5 -o scene.ply
+  zipsplat reconstruct photos/ --poses transforms.json --refine -o sharp.ply
+  zipsplat reconstruct photos/ --poses find --refine -o sharp.ply
+  zipsplat reconstruct clip.mp4 --views 24 --poses find --cameras-out cameras.json -o scene.ply
+  zipsplat reconstruct a.jpg b.jpg --weights zipsplat --ratio auto -o scene.ply
+  zipsplat reconstruct photos/ --weights da3-base.safetensors --ratio 0.25 -o scene.ply
+  zipsplat reconstruct photos/ -o scene.ply --pictures out/ -- --orbit --size 504x504 --depth
+  zipsplat reconstruct a.jpg b.jpg --weights seeded:vits -o noise.ply
+
+seeded: weights are random numbers: to try the command, not to look at. At most {MAX_VIEWS} photos."))]
+pub struct Reconstruct {
+    #[command(flatten)]
+    input: PhotoArgs,
+    /// Scene to write: .ply, .spz, .splat, .glb or .gltf
+    #[arg(long, short, value_name = "FILE")]
+    output: PathBuf,
+    #[command(flatten)]
+    overwrite: Overwrite,
+    #[command(flatten, next_help_heading = NETWORK)]
+    weights: Weights,
+    #[command(flatten, next_help_heading = NETWORK)]
+    quality: Quality,
+    #[command(flatten, next_help_heading = NETWORK)]
+    fit: FitOption,
+    /// Limit of photos, evenly spread, with the first and the last, and of frames of a video
+    /// [default: all, and 24 of a video]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_VIEWS as i64))]
+    views: Option<u32>,
+    /// Cameras: transforms.json or a COLMAP model's folder, matched by file name; find: estimated
+    /// by COLMAP; da3: by Depth Anything 3
+    #[arg(long, help_heading = CAMERAS, visible_alias = "cameras", value_name = "PATH|find|da3")]
+    poses: Option<PathBuf>,
+    #[command(flatten, next_help_heading = CAMERAS)]
+    finding: Finding,
+    /// Write the estimated cameras as transforms.json: with --poses find or da3, also points and
+    /// log beside it; without --poses, from the scene's positions of each photo's patches, in the
+    /// scene's world
+    #[arg(long, help_heading = CAMERAS, value_name = "FILE")]
+    cameras_out: Option<PathBuf>,
+    /// Length in the cameras' unit that is 1 for the network; the scene keeps the cameras' unit
+    /// [default: the median distance from the first camera of the points in points.ply or points3D
+    /// beside the cameras, else that of the point that the cameras look at, else the distance
+    /// between cameras]
+    #[arg(long, alias = "scene-scale", help_heading = CAMERAS, value_name = "LENGTH", requires = "poses", value_parser = parse_length)]
+    unit: Option<f64>,
+    /// World of the scene
+    #[arg(long, help_heading = CAMERAS, value_enum, value_name = "WHICH", default_value = "first", requires = "poses")]
+    world: WorldName,
+    /// Also print the stages, with time and bytes, and skipped stages with reasons
+    #[arg(long)]
+    explain: bool,
+    #[command(flatten, next_help_heading = REFINEMENT)]
+    refine: RefineOptions,
+    /// File for the refined cameras: a transforms.json in the known cameras' world
+    #[arg(long, help_heading = REFINEMENT, value_name = "FILE", requires = "refine_cameras")]
+    refined_cameras: Option<PathBuf>,
+    /// Also draw the scene into a folder, as zipsplat render does
+    #[arg(long, value_name = "FOLDER")]
+    pictures: Option<PathBuf>,
+    /// Options of zipsplat render for --pictures, after -- [default: --spline through the cameras
+    /// of a file, else --wiggle]
+    #[arg(last = true, value_name = "RENDER OPTIONS", requires = "pictures")]
+    drawing: Vec<String>,
+}
+
+/// Visible step of positions, over the scene's distance.
+const COARSE: f64 = 1e-3;
+
+struct Captured {
+    photos: Vec<PathBuf>,
+    poses: Option<Poses>,
+    frame_folder: Option<FrameFolder>,
+    /// Owns the temporary points file.
+    found: Option<EstimatedCameras>,
+}
+
+/// The photos of a scene, and their cameras where these are known.
+#[derive(Clone, Copy)]
+pub struct Posed<'a> {
+    pub photos: &'a [PathBuf],
+    pub poses: Option<&'a Poses>,
+    pub frames: &'a [&'a Frame],
+}
+
+/// The world that a scene is in.
+#[derive(Clone, Copy, ValueEnum)]
+enum WorldName {
+    /// The first photo's camera: x right, y down, z forward
+    First,
+    /// The cameras' world, so that they match the scene in any program
+    Cameras,
+}
+
+impl WorldName {
+    fn of(self, frames: &[&Frame]) -> Option<World> {
+        match self {
+            Self::First => World::of_first(frames),
+            Self::Cameras => World::of_cameras(frames),
+        }
+    }
+}
+
+/// `forward` has the length of the network's unit.
+fn coarse(first: &Pose, forward: Option<&Forward>) -> Option<String> {
+    // Positions are f32.
+    let (step, length) = (first.translation.length() * f64::from(f32::EPSILON), forward?.length);
+    (step > COARSE * length).then(|| {
+        let world = "the world of the cameras begins far from them";
+        format!("{world}: positions there have steps of {step:.2e}, of a scene {length:.2e} away")
+    })
+}
+
+impl Reconstruct {
+    pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
+        self.check()?;
+        let drawing = self.drawing()?;
+        let network = self.weights.open_network()?;
+        self.check_network(session, &network)?;
+        let Captured { photos, poses, mut frame_folder, mut found } = self.captured(session, &network)?;
+        let frames = poses.as_ref().map(|poses| poses.frames_of(&photos)).transpose()?.unwrap_or_default();
+        let first = frames.first().map(|frame| frame.camera.pose);
+        let steps = self.refine.steps();
+        let cloud = match (steps, &poses, &first) {
+            (Some(_), Some(Poses { points: Some(points), .. }), Some(first)) => {
+                Some(placed(read_cloud(points)?, &first.inverse(), 1.0))
+            }
+            _ => None,
+        };
+        let start = steps.map(|steps| self.initialization(steps, cloud.as_ref()));
+        let posed = Posed { photos: &photos, poses: poses.as_ref(), frames: &frames };
+        let (forward, device) = match (start, &network) {
+            // Points need no network.
+            (Some(From::Scene(Initialization::Points)), _) => (None, session.device()?),
+            (_, Network::Tokens(checkpoint)) => {
+                let plan = Forward::plan(self, session, checkpoint, posed)?;
+                let device = session.device()?;
+                (Some(plan.run(session, &device)?), device)
+            }
+            (_, Network::Pixels(checkpoint)) => {
+                let predicted = found.as_mut().and_then(|found| found.predicted.take());
+                (Some(Forward::of_pixels(self, session, checkpoint, predicted, posed)?), session.device()?)
+            }
+        };
+
+        let refined = match (steps, start) {
+            (Some(steps), Some(start)) => {
+                let checkpoint = match &network {
+                    Network::Tokens(checkpoint) => Some(checkpoint),
+                    Network::Pixels(_) => None,
+                };
+                let given = RefineInputs { device: &device, checkpoint, forward: forward.as_ref() };
+                Some(self.refine_scene(session, steps, start, given, cloud.as_ref(), posed)?)
+            }
+            _ => None,
+        };
+        let made = refined.as_ref().map(|made| &made.refined.scene).or(forward.as_ref().map(|forward| &forward.scene));
+        let Some(mut scene) = made.cloned() else { unreachable!("a scene is reconstructed or refined") };
+        let world = self.world.of(&frames);
+        let moved = first.filter(|_| matches!(self.world, WorldName::Cameras));
+        if let Some(first) = &moved {
+            scene.place(1.0, first);
+            session.notes(coarse(first, forward.as_ref()));
+        }
+        if SceneFormat::of_extension(&self.output) == Some(SceneFormat::Spz) {
+            session.notes(spz_coarsening(&scene));
+        }
+        let save = || outputs::save_scene(&self.output, &scene, &WriteOptions::default(), world.as_ref());
+        if let Some(RefinedScene { refined: Refined { stopped: Some(Stopped::Cancelled), best_step, .. }, .. }) =
+            &refined
+        {
+            session.notes(save()?);
+            session.note(format!("{}: the best so far, after step {best_step}", self.output.display()));
+            return Err(Error::Cancelled);
+        }
+        let (note, write) = session.stage("write", |_| save())?;
+        session.notes(note);
+        if let (Some(path), Some(RefinedScene { refined, .. }), Some(first)) = (&self.refined_cameras, &refined, &first)
+        {
+            save_cameras(path, refined, &(*first).into(), &photos, &frames)?;
+            frame_folder.iter_mut().for_each(FrameFolder::keep);
+        }
+        if let (Some(path), Some(found)) =
+            (&self.cameras_out, forward.as_ref().and_then(|forward| forward.found.as_ref()))
+        {
+            session.notes(found.save(path, &photos)?);
+            frame_folder.iter_mut().for_each(FrameFolder::keep);
+        }
+        let until_drawing = session.elapsed();
+        let drawn = drawing.map(|drawing| {
+            let mut renderer = Renderer::new(&device);
+            // The host may have pruned or moved the scene.
+            let as_made = refined.is_none() && moved.is_none();
+            let own = forward.as_ref().filter(|_| as_made).and_then(|forward| forward.on_device.as_ref());
+            let load = |_: &mut Session<'_>, renderer: &mut Renderer| match own {
+                Some(gaussians) => renderer.show(gaussians),
+                None => renderer.load(&scene),
+            };
+            drawing.draw(session, &mut renderer, &scene, 0, world.as_ref(), load)
+        });
+        let drawn = drawn.transpose()?;
+
+        let found = found.filter(|_| !self.finds_by_itself(&network));
+        let mut times: Vec<(String, Duration)> = Vec::new();
+        times.extend(found.iter().flat_map(|found| found.times.iter().map(|(step, took)| ((*step).to_owned(), *took))));
+        times.extend(forward.iter().flat_map(|forward| forward.times.clone()));
+        if let Some(made) = &refined {
+            match times.iter_mut().find(|(stage, _)| stage == LOAD_PHOTOS) {
+                Some((_, all)) => *all += made.load,
+                None => times.push((LOAD_PHOTOS.to_owned(), made.load)),
+            }
+            times.push(("refine".to_owned(), made.refined.took));
+        }
+        times.push(("write".to_owned(), write));
+        times.extend(drawn.iter().map(|_| ("pictures".to_owned(), session.elapsed() - until_drawing)));
+        let total = session.elapsed();
+        let other = total.saturating_sub(times.iter().map(|(_, took)| *took).sum());
+        times.extend([("other".to_owned(), other), ("total".to_owned(), total)]);
+        let seconds: serde_json::Map<_, _> = times.iter().map(|(s, t)| (s.clone(), json!(t.as_secs_f64()))).collect();
+        let peaks = forward.iter().map(|forward| forward.peak_bytes);
+        let peaks = peaks.chain(refined.iter().map(|made| made.refined.peak_bytes));
+        let peak_bytes = peaks.fold(device.allocated_bytes(), u64::max);
+        let mut json = json!({
+            "output": self.output, "device": device.limits().name, "photos": photos.len(), "gaussians": scene.len(),
+            "peak_bytes": peak_bytes, "seconds": seconds,
+        });
+        let of = match (&refined, &forward) {
+            (Some(made), _) => {
+                let steps = counted(made.refined.best_step, "step");
+                format!(
+                    " from {}, refined for {steps} against {}",
+                    made.started,
+                    counted(photos.len() - made.refined.held_out_views.len(), "photo")
+                )
+            }
+            (None, Some(forward)) => forward.views_summary.clone(),
+            (None, None) => String::new(),
+        };
+        let mut text = format!("{}: {}{of}\n", self.output.display(), counted(scene.len(), "Gaussian"));
+        if let Some(forward) = &forward {
+            text += &forward.summary;
+            forward.json.iter().for_each(|(name, value)| json[*name] = value.clone());
+        }
+        text += &format!("at most {} of {}\n", bytes(peak_bytes), device.limits().name);
+        for (stage, took) in &times {
+            let rate =
+                forward.as_ref().filter(|_| *stage == LOAD_WEIGHTS).map(Forward::rate_summary).unwrap_or_default();
+            // Writing to a string cannot fail.
+            let _ = writeln!(text, "  {stage:<13}{:>10}{rate}", time(*took));
+        }
+        if let (true, Some(explanation)) =
+            (self.explain, forward.as_ref().and_then(|forward| forward.explanation.as_ref()))
+        {
+            text += &format!("\n{explanation}");
+            json["explain"] = json!(explanation);
+        }
+        if let Some(RefinedScene { refined, started, cameras, request, .. }) = &refined {
+            text += &format!("{}\n", refinement::summary(refined, started, cameras));
+            if self.explain {
+                text += &format!("\n{}", refinement::explain(refined, request, started, &photos));
+            }
+            json["refined"] = refinement::as_json(refined, started, cameras);
+        }
+        if let Some((pictures, description)) = drawn {
+            json["pictures"] = pictures;
+            text += &description;
+        }
+        session.report(&json, text)
+    }
+
+    fn check_network(&self, session: &mut Session<'_>, network: &Network) -> Result<()> {
+        match network {
+            Network::Tokens(checkpoint) => {
+                session.notes(checkpoint.notes());
+                self.quality.check(checkpoint.architecture())?;
+            }
+            Network::Pixels(checkpoint) => self.check_pixels(checkpoint)?,
+        }
+        let Some(place) = &self.cameras_out else { return Ok(()) };
+        let finds = self.finds(network);
+        let known = self.poses.is_some() && !finds;
+        refuse("--cameras-out", known, "cameras that are known", "--poses find, or no --poses")?;
+        if finds { Place(place).check(self.overwrite) } else { Place(place).check_alone(self.overwrite) }
+    }
+
+    fn check(&self) -> Result<()> {
+        self.overwrite.check_file(&self.output)?;
+        if SceneFormat::of_extension(&self.output).is_none() {
+            let expected = format!("a file that ends in {}", SceneFormat::EXTENSIONS);
+            return Err(Error::argument("--output", self.output.display(), expected));
+        }
+        self.refined_cameras.as_ref().map_or(Ok(()), |path| self.overwrite.check_file(path))?;
+        self.refine.check()
+    }
+
+    fn finds(&self, network: &Network) -> bool {
+        self.poses.as_deref().is_some_and(KnownCameras::to_find) || self.finds_by_itself(network)
+    }
+
+    /// Returns true if the scene's network also estimates the cameras.
+    fn finds_by_itself(&self, network: &Network) -> bool {
+        let finder = self.poses.as_deref().map(Finder::named);
+        let own = matches!(finder, None | Some(Some(Finder::Da3))) && self.finding.depth_weights.is_none();
+        own && matches!(network, Network::Pixels(_))
+    }
+
+    fn captured(&self, session: &mut Session<'_>, network: &Network) -> Result<Captured> {
+        let named_in =
+            self.cameras_out.as_deref().or(self.refined_cameras.as_deref()).map(|file| (file, self.overwrite));
+        let (mut photos, mut frame_folder) = self.input.list(session, self.views, named_in)?;
+        if let (true, Some(views)) = (self.finds(network), self.views) {
+            photos = photos::spread(photos, views as usize);
+        }
+        let (poses, found) = match (network, &self.poses) {
+            // One pass gives cameras and scene.
+            (Network::Pixels(checkpoint), _) if self.finds_by_itself(network) => {
+                let (poses, found) =
+                    EstimatedCameras::by_predictor(session, &photos, self.predictor_options(checkpoint))?;
+                session.note(format!("cameras found: {}", found.summary()));
+                (Some(poses), Some(found))
+            }
+            (_, Some(path)) => {
+                let known = KnownCameras::of(session, path, &photos, &self.finding)?;
+                (Some(known.poses), known.found)
+            }
+            (_, None) => (None, None),
+        };
+        if let (Some(place), Some(poses), Some(found)) = (&self.cameras_out, &poses, &found) {
+            Place(place).save(poses, found)?;
+            frame_folder.iter_mut().for_each(FrameFolder::keep);
+        }
+        if let Some(poses) = &poses {
+            session.notes(&poses.notes);
+            photos = photos::posed(session, photos, poses)?;
+        }
+        if let Some(views) = self.views {
+            photos = photos::spread(photos, views as usize);
+        }
+        if photos.len() > MAX_VIEWS {
+            let expected = format!("1 to {MAX_VIEWS}; --views N takes N of them, evenly spread");
+            return Err(Error::argument("views", photos.len(), expected));
+        }
+        Ok(Captured { photos, poses, frame_folder, found })
+    }
+
+    fn drawing(&self) -> Result<Option<Render>> {
+        let Some(folder) = &self.pictures else { return Ok(None) };
+        let known = self.poses.as_ref().filter(|poses| !KnownCameras::to_find(poses));
+        let cameras = self.refined_cameras.as_ref().or(self.cameras_out.as_ref()).or(known);
+        let default = match cameras.and_then(|file| file.to_str()).filter(|_| self.poses.is_some()) {
+            Some(file) => vec!["--spline".to_owned(), file.to_owned()],
+            None => vec!["--wiggle".to_owned()],
+        };
+        let words = if self.drawing.is_empty() { &default[..] } else { &self.drawing };
+        let drawing = Render::of_words(&self.output, folder, self.overwrite.is_given(), words)?;
+        drawing.check()?;
+        Ok(Some(drawing))
+    }
+}

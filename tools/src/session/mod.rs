@@ -1,0 +1,291 @@
+//! One run of a command: device, output, stages and cancellation.
+
+mod progress;
+
+pub use progress::Stage;
+
+use crate::table::bytes;
+use clap::Args;
+use serde::Serialize;
+use std::{
+    fmt::Display,
+    io::Write,
+    sync::{
+        Mutex,
+        atomic::{AtomicBool, Ordering},
+        mpsc::channel,
+    },
+    time::{Duration, Instant},
+};
+use zipsplat::{
+    Error, Result,
+    gpu::{Device, DeviceOptions, Progress},
+    ops::{Arithmetic, Precision},
+    reconstruct::{Model, Reconstruction, Request, SceneTokens},
+    tune::Chosen,
+    types::Image,
+    weights::Checkpoint,
+};
+
+const POLL: Duration = Duration::from_millis(50);
+const NO_DEVICE: &str = "none";
+
+/// Streams and stop flag of a command.
+pub struct Terminal<'a> {
+    /// Results.
+    pub out: &'a mut dyn Write,
+    /// Errors and notes.
+    pub err: &'a mut dyn Write,
+    /// Progress on standard error: a bar on a terminal, else occasional lines.
+    pub progress: bool,
+    /// Stop flag: the command ends with exit code 130 and leaves no partial file.
+    pub cancelled: &'a AtomicBool,
+}
+
+#[derive(Args)]
+pub struct Global {
+    /// Vulkan device: its number in `zipsplat info`, its UUID, or a part of its name that is not
+    /// all digits; with `info --plan` also none, for an ordinary one [default: the best]
+    #[arg(long, global = true, value_name = "NAME|INDEX", help_heading = "Options of every command")]
+    pub device: Option<String>,
+    /// Limit of used device memory in bytes, such as 3G; K, M and G count in 1024s [default: all of
+    /// it]
+    #[arg(long, alias = "max-memory", global = true, value_name = "BYTES", value_parser = parse_bytes, help_heading = "Options of every command")]
+    pub memory: Option<u64>,
+    /// Print the result as JSON to standard output, and an error as one line of JSON to standard
+    /// error: {"error", "kind", "exit_code"}
+    #[arg(long, global = true, help_heading = "Options of every command")]
+    pub json: bool,
+    /// Print only errors, without result, notes and progress; --json still prints
+    #[arg(long, short, global = true, help_heading = "Options of every command")]
+    pub quiet: bool,
+}
+
+pub struct Session<'a> {
+    global: Global,
+    terminal: Terminal<'a>,
+    /// Standard output carries data, so the result goes to standard error.
+    piped: bool,
+    code: u8,
+    task: String,
+    began: Instant,
+    next_line: Mutex<Instant>,
+}
+
+impl<'a> Session<'a> {
+    pub fn new(global: Global, terminal: Terminal<'a>) -> Self {
+        let began = Instant::now();
+        let next_line = Mutex::new(began + progress::FIRST_LINE);
+        Self { global, terminal, piped: false, code: 0, task: String::new(), began, next_line }
+    }
+
+    pub fn elapsed(&self) -> Duration {
+        self.began.elapsed()
+    }
+
+    pub fn begin_task(&mut self, task: &str) {
+        self.task = format!("{task}: ");
+    }
+
+    /// Opens the requested device, or the best one, and notes rejected GPUs.
+    pub fn device(&mut self) -> Result<Device> {
+        let device = Device::open(&self.device_options())?;
+        device.passed_over().iter().for_each(|why| self.note(format_args!("{why}: a CPU is used")));
+        Ok(device)
+    }
+
+    pub fn device_options(&self) -> DeviceOptions {
+        let Global { device, memory, .. } = &self.global;
+        DeviceOptions { selector: device.clone(), max_memory_bytes: *memory, ..DeviceOptions::default() }
+    }
+
+    /// Returns true to plan for an ordinary device.
+    pub fn plans_for_none(&self) -> bool {
+        self.global.device.as_deref() == Some(NO_DEVICE)
+    }
+
+    pub fn names_device(&self) -> bool {
+        self.global.device.is_some()
+    }
+
+    /// Also returns its time.
+    pub fn stage<T>(&self, name: &str, body: impl FnOnce(&Stage<'_>) -> Result<T>) -> Result<(T, Duration)> {
+        let stage = Stage::new(name, &self.task, self.terminal.cancelled);
+        stage.check()?;
+        let start = Instant::now();
+        let result = if self.terminal.progress && !self.global.quiet {
+            stage.shown(&self.next_line, body)
+        } else {
+            body(&stage)
+        };
+        let value = result?;
+        stage.check()?;
+        Ok((value, start.elapsed()))
+    }
+
+    /// Self-tests the kernels on the first use of a precision on a device, with progress.
+    pub fn choose(&self, device: &Device, precision: Option<Precision>) -> Result<Chosen> {
+        let chosen = self.stage("first use", |stage| {
+            Chosen::of_with(device, precision, |kernel, done| {
+                stage.name(&format!("first use: testing {kernel}"));
+                stage.at(done)
+            })
+        });
+        Ok(chosen?.0)
+    }
+
+    pub fn load_model(
+        &self,
+        device: &Device,
+        checkpoint: &Checkpoint,
+        arithmetic: Arithmetic,
+    ) -> Result<(Model, Duration)> {
+        self.stage("load weights", |stage| Model::load_with(device, checkpoint, arithmetic, |done| stage.at(done)))
+    }
+
+    pub fn reconstruct(
+        &self,
+        model: &Model,
+        images: &[Image],
+        request: &Request,
+    ) -> Result<(Reconstruction, Duration)> {
+        self.stage("reconstruct", |stage| {
+            model.reconstruct(images, request, |progress| {
+                stage.name(progress.scope);
+                stage.at(progress.fraction)
+            })
+        })
+    }
+
+    /// Runs the backbone once for a scene and any requested tokens.
+    pub fn reconstruct_with_tokens(
+        &self,
+        model: &Model,
+        images: &[Image],
+        request: &Request,
+        tokens: bool,
+    ) -> Result<(Reconstruction, Option<SceneTokens>, Duration)> {
+        if !tokens {
+            return self.reconstruct(model, images, request).map(|(made, took)| (made, None, took));
+        }
+        let ((mut made, tokens, features), took) = self.stage("reconstruct", |stage| {
+            let report = |progress: Progress<'_>| {
+                stage.name(progress.scope);
+                stage.at(progress.fraction)
+            };
+            let features = model.features(images, request, report)?;
+            let made = model.reconstruct_features(&features, request, report)?;
+            Ok((made, model.tokens(&features, request, report)?, features))
+        })?;
+        made.times.0.splice(0..0, features.times.0);
+        Ok((made, Some(tokens), took))
+    }
+
+    /// Prints `value` with `--json`, else `text` unless `--quiet`.
+    pub fn report(&mut self, value: &impl Serialize, text: impl Display) -> Result<()> {
+        let (out, name) = if self.piped {
+            (&mut *self.terminal.err, "standard error")
+        } else {
+            (&mut *self.terminal.out, "standard output")
+        };
+        let printed = match (self.global.json, self.global.quiet) {
+            (true, _) => serde_json::to_writer_pretty(&mut *out, value)
+                .map_err(std::io::Error::from)
+                .and_then(|()| writeln!(out)),
+            (false, false) => writeln!(out, "{}", text.to_string().trim_end()),
+            (false, true) => Ok(()),
+        };
+        printed.and_then(|()| out.flush()).map_err(|error| Error::io(name, error))
+    }
+
+    /// Takes standard output for data; the result then goes to standard error.
+    pub fn take_output(&mut self) -> &'a mut dyn Write {
+        self.piped = true;
+        std::mem::replace(&mut self.terminal.out, Box::leak(Box::new(std::io::sink())))
+    }
+
+    pub fn cancelled(&self) -> &'a AtomicBool {
+        self.terminal.cancelled
+    }
+
+    pub fn end_with(&mut self, code: u8) {
+        self.code = code;
+    }
+
+    pub fn code(&self) -> u8 {
+        self.code
+    }
+
+    pub fn note(&mut self, text: impl Display) {
+        if !self.global.quiet {
+            // A failed note does not stop the command.
+            let _ = writeln!(self.terminal.err, "note: {text}");
+        }
+    }
+
+    pub fn notes<T: Display>(&mut self, texts: impl IntoIterator<Item = T>) {
+        texts.into_iter().for_each(|text| self.note(text));
+    }
+
+    /// Asks on standard error and reads a line of standard input.
+    pub fn ask(&mut self, question: &str) -> Result<String> {
+        let asked = write!(self.terminal.err, "{question}").and_then(|()| self.terminal.err.flush());
+        asked.map_err(|error| Error::io("standard error", error))?;
+        let (send, answer) = channel();
+        // Signals do not interrupt a read: its thread is abandoned on cancellation.
+        std::thread::spawn(move || {
+            let mut line = String::new();
+            let _ = send.send(std::io::stdin().read_line(&mut line).map(|_| line));
+        });
+        loop {
+            match answer.recv_timeout(POLL) {
+                Ok(line) => return line.map_err(|error| Error::io("standard input", error)),
+                Err(_) if self.terminal.cancelled.load(Ordering::Relaxed) => return Err(Error::Cancelled),
+                Err(_) => {}
+            }
+        }
+    }
+
+    pub fn complain(&mut self, error: &Error, code: u8) {
+        let mut lines: Vec<_> = error.to_string().lines().map(|line| line.trim().to_owned()).collect();
+        if let Error::Memory { needed, available, .. } = error {
+            lines.push(format!("{} of device memory are missing", bytes(needed.saturating_sub(*available))));
+            let limit = self.global.memory;
+            lines.extend(limit.map(|limit| format!("--memory allows {} of the device's memory", bytes(limit))));
+        }
+        let text = lines.join("; ");
+        let line = if self.global.json { error_as_json(&text, kind(error), code) } else { format!("error: {text}") };
+        // The exit code still reports the error.
+        let _ = writeln!(self.terminal.err, "{line}");
+    }
+}
+
+pub fn error_as_json(text: &str, kind: &str, code: u8) -> String {
+    serde_json::json!({ "error": text, "kind": kind, "exit_code": code }).to_string()
+}
+
+fn kind(error: &Error) -> &'static str {
+    match error {
+        Error::Argument { .. } => "argument",
+        Error::Io { .. } => "io",
+        Error::Format { .. } => "format",
+        Error::Weights { .. } => "weights",
+        Error::NoDevice(_) => "no_device",
+        Error::Memory { .. } => "memory",
+        Error::DeviceLost => "device_lost",
+        Error::Driver { .. } => "driver",
+        Error::Cancelled => "cancelled",
+    }
+}
+
+/// Accepts a binary suffix.
+fn parse_bytes(text: &str) -> Result<u64, String> {
+    let (number, unit) = match text.strip_suffix(['K', 'M', 'G']) {
+        Some(number) if text.ends_with('K') => (number, 1 << 10),
+        Some(number) if text.ends_with('M') => (number, 1 << 20),
+        Some(number) => (number, 1 << 30),
+        None => (text, 1),
+    };
+    let bytes = number.parse().ok().and_then(|number: u64| number.checked_mul(unit));
+    bytes.ok_or_else(|| "expected a number of bytes, such as 800000000, 800M or 3G".into())
+}
