@@ -18,7 +18,12 @@ layout(set = 0, binding = 1) readonly buffer Gradient { float gradient[]; };
 layout(set = 0, binding = 2) buffer First { float first[]; };
 layout(set = 0, binding = 3) buffer Second { float second[]; };
 layout(set = 0, binding = 4) readonly buffer Schedule { float schedule[]; };
-layout(push_constant) uniform Push { uint count; float beta1; float beta2; float eps; float rate; };
+layout(push_constant) uniform Push {
+    uint count;
+    float beta1, beta2, eps;
+    float rate, others; // of the first 3 values of every `width`, and of the others
+    uint width, phase; // the first value's index modulo `width`
+};
 
 const float LARGEST = 3.4e38;
 const vec2 POSITIVE = vec2(1e-30, 1e30); // range of p for ln p
@@ -38,7 +43,7 @@ void main() {
     if (!(g * g <= LARGEST)) return; // also NaN
     float m = beta1 * first[i] + (1 - beta1) * g;
     float v = beta2 * second[i] + (1 - beta2) * g * g;
-    float d = rate * schedule[0] * m * schedule[1] / (sqrt(v * schedule[2]) + eps);
+    float d = ((i + phase) % width < 3 ? rate : others) * schedule[0] * m * schedule[1] / (sqrt(v * schedule[2]) + eps);
     if (SPACE == 0) {
         p -= d;
     } else if (SPACE == 1) {

@@ -17,7 +17,7 @@ const PHOTOS: &str = "@/place/images --poses @/place/transforms.json";
 #[test]
 fn points_become_a_scene_that_looks_like_the_photos() {
     let folder = place();
-    let line = format!("refine {PHOTOS} --start points --steps 30 -o @/scene.ply --explain --json");
+    let line = format!("refine {PHOTOS} --start points --steps 30 --hold-out 1 -o @/scene.ply --explain --json");
     let json = folder.run(&line).json();
     let scene = read_scene(folder.path("scene.ply")).expect("a scene");
     let losses: Vec<f64> =
@@ -35,7 +35,7 @@ fn points_become_a_scene_that_looks_like_the_photos() {
         panic!("another world")
     };
     assert!(pose.translation.abs_diff_eq(first.translation, 1e-9));
-    let again = format!("refine {PHOTOS} --start points --steps 30 -o @/again.ply");
+    let again = format!("refine {PHOTOS} --start points --steps 30 --hold-out 1 -o @/again.ply");
     let text = folder.run(&format!("{again} --explain")).success();
     assert!(text.contains("held-out photos") && !text.contains("left out"), "{text}");
     let row = |what: &str| text.lines().find_map(|line| line.strip_prefix(what)).unwrap_or_else(|| panic!("{text}"));
@@ -173,7 +173,8 @@ fn reconstructions_are_refined() {
         assert_eq!(json["gaussians"].as_u64(), Some(scene.len() as u64));
     }
     for (start, of) in [("points", "the capture's points"), ("scene", "the scene")] {
-        let line = format!("{} --refine=8 --start {start} -o @/sharp.ply --explain", line.replace("--json", ""));
+        let line =
+            format!("{} --refine=8 --hold-out 1 --start {start} -o @/sharp.ply --explain", line.replace("--json", ""));
         let text = folder.run(&line).success();
         assert!(text.contains(&format!("from {of}, refined for ")), "{text}");
         assert!(text.contains("against 9 photos"), "{text}");

@@ -50,7 +50,7 @@ fn refine(scene: &Scene, photos: &[Image], cameras: &[Camera], request: &Refine)
 fn moved_gaussians_find_back_and_always_alike() {
     let cameras = cameras(9);
     let (scene, photos) = photos(&cameras);
-    let request = Refine { steps: 40, views_per_step: 3, profile: true, ..Refine::default() };
+    let request = Refine { steps: 40, views_per_step: 3, hold_out: Some(1), profile: true, ..Refine::default() };
     let refined = refine(&moved(&scene), &photos, &cameras, &request);
     refined.scene.validate().unwrap();
     let [after, before] = refined.psnr().unwrap();
@@ -205,7 +205,9 @@ fn a_scene_with_a_tenth_of_its_gaussians_grows() {
     let photos = photos_of(&scene, &cameras);
     let mut start = scene.clone();
     start.keep(&(0..400).step_by(10).collect::<Vec<_>>());
-    let with = |grow: Option<usize>| refine(&start, &photos, &cameras, &Refine { grow, ..Refine::default() });
+    let with = |grow: Option<usize>| {
+        refine(&start, &photos, &cameras, &Refine { grow, hold_out: Some(1), ..Refine::default() })
+    };
     let (without, grown) = (with(None), with(Some(400)));
     let [[kept, _], [more, _]] = [&without, &grown].map(|refined| refined.psnr().unwrap());
     assert!(more > kept + 0.5, "{kept} dB with {} Gaussians, {more} with {}", without.scene.len(), grown.scene.len());

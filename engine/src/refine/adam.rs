@@ -40,6 +40,23 @@ pub enum Space {
     Logit,
 }
 
+/// Rate of a tensor of rows, such as coefficients of spherical harmonics by Gaussian.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rate {
+    /// Rate of the first three values of a row.
+    pub first: f32,
+    /// Rate of the other values.
+    pub others: f32,
+    /// Values of a row, at least 1.
+    pub width: u32,
+}
+
+impl From<f32> for Rate {
+    fn from(rate: f32) -> Self {
+        Self { first: rate, others: rate, width: 1 }
+    }
+}
+
 /// Records one step of Adam on `parameters` `[len]` against `gradient` `[len]`, d loss / d stored
 /// value.
 ///
@@ -54,10 +71,11 @@ pub fn record_adam(
     gradient: Tensor,
     moments: [Tensor; 2],
     schedule: Tensor,
-    rate: f32,
+    rate: impl Into<Rate>,
     space: Space,
     len: usize,
 ) {
+    let Rate { first: rate, others, width } = rate.into();
     for part in row_chunks(rec, len, &[size_of::<f32>()]) {
         let [parameters, gradient, first, second] =
             [parameters, gradient, moments[0], moments[1]].map(|t| t.slice::<f32>(part.start, part.len()));
@@ -72,6 +90,9 @@ pub fn record_adam(
             beta2: adam.beta2,
             eps: adam.eps,
             rate,
+            others,
+            width,
+            phase: (part.start % width as usize) as u32,
             space: space as u32,
         };
         rec.dispatch(kernel, part.len());

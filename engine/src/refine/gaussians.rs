@@ -2,7 +2,7 @@
 //! of the number of photos.
 
 use super::{
-    Adam, PerceptualLoss, Rates, Refine, Space,
+    Adam, PerceptualLoss, Rate, Rates, Refine, Space,
     growth::padded,
     planned::{PhotoLoss, PhotoPlan, record_photos},
     record_adam,
@@ -30,7 +30,7 @@ struct Field {
     gradient: Tensor,
     moments: [Tensor; 2],
     len: usize,
-    rate: f32,
+    rate: Rate,
     space: Space,
     /// Gradient of the penalty, equal for all values: the initial gradient.
     penalty: f32,
@@ -61,8 +61,10 @@ impl Gaussians {
         let mut layout = ResidentLayout::new(device.limits());
         let [values, gradients, first, second] = [(); 4].map(|()| counts.map(|count| layout.add::<f32>(count)));
         let memory = Arc::new(Resident::new(device, &layout)?);
-        let Rates { means, scales, quats, opacities, sh_coeffs, .. } = request.rates;
-        let rates = [means * unit as f32, scales, quats, opacities, sh_coeffs];
+        let Rates { means, scales, quats, opacities, sh_coeffs, sh_higher, .. } = request.rates;
+        let width = 3 * scene.sh_coeffs_per_gaussian() as u32;
+        let harmonics = Rate { first: sh_coeffs, others: sh_higher, width };
+        let rates = [(means * unit as f32).into(), scales.into(), quats.into(), opacities.into(), harmonics];
         let spaces = [Space::Linear, Space::Log, Space::Linear, Space::Logit, Space::Linear];
         let penalties = [0.0, request.scale_penalty / (3.0 * unit as f32), 0.0, request.opacity_penalty, 0.0];
         let field = |i: usize| Field {

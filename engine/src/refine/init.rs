@@ -11,6 +11,8 @@ const NEIGHBORS: usize = 3;
 /// wrong.
 const LARGEST: f64 = 0.1;
 const OPACITY: f32 = 0.5;
+/// Degree of the harmonics: views of few photos do not determine more.
+const DEGREE: u32 = 1;
 /// Harmonic of degree 0, `1 / (2 sqrt(pi))`.
 const SH_0: f32 = 0.282_094_8;
 const GRAY: [u8; 3] = [128; 3];
@@ -39,14 +41,15 @@ pub fn scene_of_points(cloud: &PointCloud, cameras: &[Camera]) -> Result<Scene> 
     }
     let scales: Vec<[f32; 3]> = cloud.positions.par_iter().map(|at| [size(at); 3]).collect();
     let color = |i: usize| cloud.colors.get(i).unwrap_or(&GRAY).map(|value| (f32::from(value) / 255.0 - 0.5) / SH_0);
-    Ok(Scene {
+    let scene = Scene {
         means: cloud.positions.clone(),
         scales,
         quats: vec![[1.0, 0.0, 0.0, 0.0]; count],
         opacities: vec![OPACITY; count],
         sh_coeffs: (0..count).map(color).collect(),
         sh_degree: 0,
-    })
+    };
+    Ok(with_degree(scene, DEGREE))
 }
 
 /// Joins two scenes with the higher degree of harmonics.

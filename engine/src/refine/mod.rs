@@ -12,7 +12,7 @@ mod schedule;
 mod tokens;
 mod views;
 
-pub use adam::{Adam, Space, record_adam};
+pub use adam::{Adam, Rate, Space, record_adam};
 pub use cameras::PoseAdam;
 pub use init::{join, scene_of_points};
 pub use plan::{Moved, RefinePlan, plan_refinement};
@@ -33,8 +33,15 @@ use std::{
     ops::ControlFlow,
     time::{Duration, Instant},
 };
+use views::size;
 
-const HOLD_OUT_FROM: usize = 9;
+/// Least number of photos with a held-out one by default: fewer are all needed for training.
+const HOLD_OUT_FROM: usize = 40;
+/// Least number of steps with growth by default.
+const GROWTH_FROM: usize = 300;
+/// Limits of growth by default: pixels of all photos per Gaussian, and its factor.
+const PIXELS_PER_GAUSSIAN: usize = 32;
+const MOST_GROWTH: usize = 4;
 const SAMPLE: usize = 4096;
 
 /// Settings of a refinement.
@@ -46,7 +53,7 @@ pub struct Refine {
     pub views_per_step: usize,
     /// Limits of a photo's width and height; larger ones are downscaled.
     pub size: Option<[u32; 2]>,
-    /// Number of held-out photos, which select the best step. `None`: one of 9 or more, none if
+    /// Number of held-out photos, which reveal overfitting. `None`: one of 40 or more, none if
     /// cameras are refined.
     pub hold_out: Option<usize>,
     /// Pixel loss.
@@ -57,7 +64,9 @@ pub struct Refine {
     pub rates: Rates,
     /// Also refines training cameras, except the first.
     pub cameras: bool,
-    /// Final number of Gaussians: unseen and missing ones are relocated.
+    /// Final number of Gaussians: missing and invisible ones are relocated. At most the scene's
+    /// number: none. `None`: from 300 steps, one per 32 pixels of the photos, up to four times the
+    /// scene's.
     pub grow: Option<usize>,
     /// Factor of the mean opacity in the loss.
     pub opacity_penalty: f32,
@@ -111,7 +120,8 @@ pub struct PerceptualLoss {
     pub network: LpipsNetwork,
 }
 
-/// Initial rates of Adam, which decay to a tenth.
+/// Initial rates of Adam for 100 steps or fewer, which decay to a tenth. For more steps they shrink
+/// with the square root of their number.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rates {
     /// Rate of centers, relative to the scene scale.
@@ -122,8 +132,10 @@ pub struct Rates {
     pub quats: f32,
     /// Rate of opacity logits.
     pub opacities: f32,
-    /// Rate of coefficients of spherical harmonics.
+    /// Rate of colors, the coefficients of degree 0.
     pub sh_coeffs: f32,
+    /// Rate of coefficients of higher degrees.
+    pub sh_higher: f32,
     /// Rate of tokens, if refined.
     pub tokens: f32,
     /// Rate of camera rotations in radians, if refined.
@@ -140,6 +152,7 @@ impl Default for Rates {
             quats: 0.03,
             opacities: 0.2,
             sh_coeffs: 0.03,
+            sh_higher: 0.003,
             tokens: 2e-2,
             turns: 2e-3,
             shifts: 2e-3,
@@ -231,6 +244,9 @@ pub fn refine_scene(
         return Err(Error::argument("scene to refine", "no Gaussians", "at least one"));
     }
     let scene_distance = distance(scene, cameras);
+    let pixels = photos.iter().map(|photo| pixels(size(photo, request.size, 1))).sum();
+    let grow = request.grow.or_else(|| default_growth(scene.len(), pixels, request.steps));
+    let request = &Refine { grow: grow.filter(|most| *most > scene.len()), ..request.clone() };
     let make = |arena: &Arena, request: &Refine| {
         let grown = request.grow.map(|most| padded(scene, most));
         let gaussians = Gaussians::new(arena, grown.as_ref().unwrap_or(scene), scene_distance, request)?;
@@ -259,6 +275,15 @@ pub fn refine_tokens(
         Ok((gaussians, (scene, scene_distance)))
     };
     run(arena, make, photos, cameras, request, progress)
+}
+
+/// Returns the number of Gaussians to grow to, for refinements that are long enough to place them.
+fn default_growth(len: usize, pixels: usize, steps: usize) -> Option<usize> {
+    (steps >= GROWTH_FROM).then(|| (pixels / PIXELS_PER_GAUSSIAN).min(MOST_GROWTH * len).max(len))
+}
+
+fn pixels([width, height]: [u32; 2]) -> usize {
+    width as usize * height as usize
 }
 
 fn tokens_grow_not(request: &Refine) -> Result<()> {

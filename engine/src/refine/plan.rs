@@ -1,6 +1,7 @@
 use super::{
-    Adam, Refine, Space, filled,
+    Adam, Refine, Space, default_growth, filled,
     gaussians::{most_together, scene_gradients, scene_tensors, together},
+    pixels,
     planned::record_photos,
     record_adam,
     schedule::Schedule,
@@ -62,7 +63,12 @@ pub fn plan_refinement(
         tokens_grow_not(&request)?;
     }
     let (len, sh_degree) = match moved {
-        Moved::Gaussians(len, sh_degree) => (request.grow.map_or(len, |most| most.max(len)), sh_degree),
+        Moved::Gaussians(len, sh_degree) => {
+            let photo = Image { width, height, rgb: Vec::new() };
+            let pixels = photos * pixels(size(&photo, request.size, 1));
+            let grow = request.grow.or_else(|| default_growth(len, pixels, request.steps));
+            (grow.map_or(len, |most| most.max(len)), sh_degree)
+        }
         Moved::Tokens(count, a) => (count * a.gaussians_per_token, a.sh_degree as u32),
     };
     let mut layout = ResidentLayout::new(limits);

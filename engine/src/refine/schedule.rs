@@ -1,6 +1,8 @@
 use std::f64::consts::PI;
 
 const LAST: f64 = 0.1;
+/// Steps up to which rates have full size.
+const FULL: f64 = 100.0;
 /// Training PSNR in dB above which a scene's rate shrinks with its error.
 const GOOD: f64 = 20.0;
 /// Ends of the coarse phases, as fractions of the steps, and their downscaling factors.
@@ -8,7 +10,8 @@ const COARSE: [(f64, u32); 2] = [(0.2, 4), (0.5, 2)];
 /// Least shorter side of a downscaled photo, in pixels.
 const SHORTEST: u32 = 96;
 
-/// Cosine decay of the rate to a tenth, and a coarse-to-fine order of photo sizes.
+/// Cosine decay of the rate to a tenth, from less for more steps, and a coarse-to-fine order of
+/// photo sizes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Schedule {
     pub steps: usize,
@@ -19,7 +22,8 @@ pub(super) struct Schedule {
 impl Schedule {
     pub fn rate(&self, step: usize) -> f32 {
         let along = step as f64 / (self.steps.max(2) - 1) as f64;
-        self.rate * (LAST + (1.0 - LAST) * 0.5 * (1.0 + (PI * along).cos())) as f32
+        let first = (FULL / self.steps as f64).min(1.0).sqrt();
+        self.rate * (first * (LAST + (1.0 - LAST) * 0.5 * (1.0 + (PI * along).cos()))) as f32
     }
 
     pub fn shrink(&self, step: usize, shortest: u32) -> u32 {
@@ -50,6 +54,7 @@ mod tests {
         assert_eq!(schedule.shrink(0, 84), 1);
         assert_eq!(Schedule { coarse: false, ..schedule }.shrink(0, 400), 1);
         assert_eq!(Schedule { steps: 1, ..schedule }.rate(0), 2.0);
+        assert_eq!(Schedule { steps: 400, ..schedule }.rate(0), 1.0);
         assert_eq!([12.0, 20.0, 40.0].map(rate_of_error), [1.0, 1.0, 0.1]);
     }
 }

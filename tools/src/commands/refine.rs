@@ -69,7 +69,7 @@ pub struct Refine {
     /// Photos per step
     #[arg(long, alias = "views-per-step", value_name = "N", default_value_t = refine::Refine::default().views_per_step)]
     batch: usize,
-    /// Held-out photos, evenly spread; 0 learns from all [default: 1 of 9 or more, none with
+    /// Held-out photos, evenly spread; 0 learns from all [default: 1 of 40 or more, none with
     /// --refine-cameras]
     #[arg(long, alias = "holdout-views", value_name = "K")]
     hold_out: Option<usize>,

@@ -173,7 +173,7 @@ pub struct RefineOptions {
     /// Largest compared size in --refine; larger photos are scaled down to fit
     #[arg(long, alias = "max-image-size", value_name = "WxH", default_value = MOST_PIXELS, requires = "refine")]
     refine_size: Size,
-    /// Photos that --refine holds out, evenly spread; 0 learns from all [default: 1 of 9 or more,
+    /// Photos that --refine holds out, evenly spread; 0 learns from all [default: 1 of 40 or more,
     /// none with --refine-cameras]
     #[arg(long, alias = "holdout-views", value_name = "K", requires = "refine")]
     hold_out: Option<usize>,
@@ -305,12 +305,12 @@ pub fn explain(refined: &Refined, request: &Refine, start: &str, photos: &[PathB
     let held: Vec<String> = refined.held_out_views.iter().map(name).collect();
     let size = |(step, [width, height]): &(usize, [u32; 2])| format!("{width}x{height} from step {}", step + 1);
     let sizes: Vec<String> = refined.sizes.iter().map(size).collect();
-    let Rates { means, scales, quats, opacities, sh_coeffs, tokens, turns, shifts } = request.rates;
+    let Rates { means, scales, quats, opacities, sh_coeffs, sh_higher, tokens, turns, shifts } = request.rates;
     let mut rates = match start {
         TOKENS => format!("tokens {tokens}"),
         _ => format!(
             "means {means} of the scene's distance, ln scales {scales}, quats {quats}, logit opacities {opacities}, \
-             sh_coeffs {sh_coeffs}"
+             colors {sh_coeffs}, higher harmonics {sh_higher}"
         ),
     };
     if request.cameras {
@@ -330,7 +330,7 @@ pub fn explain(refined: &Refined, request: &Refine, start: &str, photos: &[PathB
                 refined.best_step
             ),
         ),
-        ("rates", format!("{rates}; they fall to a tenth")),
+        ("rates", format!("{rates}; less for more than 100 steps; they fall to a tenth")),
         ("held-out photos", or_none(held.join(", "))),
         ("largest photo", or_none(sizes.join(", "))),
         ("memory", bytes(refined.peak_bytes)),

@@ -14,7 +14,7 @@ pub struct Moved {
     #[arg(long, alias = "optimize-cameras")]
     refine_cameras: bool,
     /// Let the scene grow to at most N Gaussians: invisible ones are relocated, and missing ones
-    /// added
+    /// added; 0: none [default: from 300 steps, one per 32 pixels, up to four times as many]
     #[arg(long, alias = "max-gaussians", value_name = "N", value_parser = parse_count)]
     pub(super) grow: Option<usize>,
     /// Weight of LPIPS (VGG) in the loss, 0.05 in the paper's training: steps take many times as

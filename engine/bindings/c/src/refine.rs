@@ -17,7 +17,7 @@ use zipsplat::{
     types::{Camera, Image, Pose},
 };
 
-/// Holds out one photo of 9 or more, else none.
+/// Holds out one photo of 40 or more, else none.
 pub const ZS_HOLD_OUT_AUTO: i32 = -1;
 
 /// Optimized parameters.

@@ -120,7 +120,7 @@ pub struct Eval {
     /// enough, else the scene]. A capture's points may also come from held-out photos
     #[arg(long, alias = "init", value_enum, value_name = "WHAT", requires = "refine")]
     start: Option<Initialization>,
-    /// Input photos that --refine holds out, evenly spread; 0 learns from all [default: 1 of 9 or
+    /// Input photos that --refine holds out, evenly spread; 0 learns from all [default: 1 of 40 or
     /// more, none with --refine-cameras]
     #[arg(long, alias = "holdout-views", value_name = "K", requires = "refine")]
     hold_out: Option<usize>,

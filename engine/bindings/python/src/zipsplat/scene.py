@@ -187,7 +187,7 @@ class Scene:
             cameras: Their cameras, in the scene's world; None with a Capture.
             steps: Optimizer steps.
             views_per_step: Photos per step.
-            hold_out: Number of held-out photos, which select the best step; "auto" is one of 9 or
+            hold_out: Number of held-out photos, which reveal overfitting; "auto" is one of 40 or
                 more.
             size: Limits of a photo's width and height; larger ones are downscaled. None for full
                 size.
