@@ -159,7 +159,7 @@ impl Choice {
         Ok(cloud.map(|cloud| placed(cloud, &to_world, scene_scale.length)))
     }
 
-    /// `scene_scale` is the length in the cameras' unit that becomes 1, by default [`SceneScale::of`].
+    /// `scene_scale` is the length in the cameras' unit that becomes 1; default [`SceneScale::of`].
     pub fn load(&self, seeing: Seeing, scene_scale: Option<f64>, stage: &Stage<'_>) -> Result<Capture> {
         let frames: Vec<&Frame> = self.frames().collect();
         let paths: Vec<PathBuf> = frames.iter().filter_map(|frame| frame.photo.clone()).collect();

@@ -1,6 +1,6 @@
 //! Command-line colors.
 
-/// Basic CSS colors (Color Module Level 4), and `gray`.
+/// Basic CSS colors (Color Module Level 4), and `grey`.
 const NAMED: [(&str, u32); 17] = [
     ("black", 0x000000),
     ("silver", 0xc0c0c0),

@@ -1,6 +1,6 @@
 //! Levenberg-Marquardt on the reprojection error, with Cauchy's loss.
 
-use super::Pair;
+use super::Correspondence;
 use crate::types::{Camera, Pose};
 use glam::{DMat3, DQuat, DVec2, DVec3};
 
@@ -13,7 +13,7 @@ const UNKNOWNS: usize = 7;
 type Vector = [f64; UNKNOWNS];
 type Matrix = [Vector; UNKNOWNS];
 
-pub fn adjusted(camera: &Camera, pairs: &[Pair], scale: f64, lens: bool) -> Camera {
+pub fn adjusted(camera: &Camera, pairs: &[Correspondence], scale: f64, lens: bool) -> Camera {
     let (mut best, mut loss, mut damping) = (*camera, loss(camera, pairs, scale), 1e-3);
     for _ in 0..STEPS {
         let (matrix, gradient) = normal_equations(&best, pairs, scale, lens);
@@ -39,21 +39,22 @@ pub fn adjusted(camera: &Camera, pairs: &[Pair], scale: f64, lens: bool) -> Came
 }
 
 /// Reprojection error in pixels, `None` behind the camera.
-pub fn error(camera: &Camera, pair: &Pair) -> Option<DVec2> {
+pub fn error(camera: &Camera, pair: &Correspondence) -> Option<DVec2> {
     let (lens, at) = (&camera.intrinsics, camera.pose.rotation.transpose() * (pair.point - camera.pose.translation));
     let pixel = DVec2::new(lens.fx * at.x / at.z + lens.cx, lens.fy * at.y / at.z + lens.cy);
     (at.z > 0.0 && pixel.is_finite()).then(|| pixel - pair.pixel)
 }
 
 /// Points behind the camera count as outliers.
-fn loss(camera: &Camera, pairs: &[Pair], scale: f64) -> f64 {
+fn loss(camera: &Camera, pairs: &[Correspondence], scale: f64) -> f64 {
     const BEHIND: f64 = 1e6;
-    let square =
-        |pair: &Pair| error(camera, pair).map_or(BEHIND, |e| (e.length_squared() / (scale * scale)).min(BEHIND));
+    let square = |pair: &Correspondence| {
+        error(camera, pair).map_or(BEHIND, |e| (e.length_squared() / (scale * scale)).min(BEHIND))
+    };
     pairs.iter().map(|pair| square(pair).ln_1p()).sum()
 }
 
-fn normal_equations(camera: &Camera, pairs: &[Pair], scale: f64, lens: bool) -> (Matrix, Vector) {
+fn normal_equations(camera: &Camera, pairs: &[Correspondence], scale: f64, lens: bool) -> (Matrix, Vector) {
     let (mut matrix, mut gradient) = ([[0.0; UNKNOWNS]; UNKNOWNS], [0.0; UNKNOWNS]);
     for pair in pairs {
         let Some(wrong) = error(camera, pair) else { continue };
@@ -73,7 +74,7 @@ fn normal_equations(camera: &Camera, pairs: &[Pair], scale: f64, lens: bool) -> 
     (matrix, gradient)
 }
 
-fn slopes(camera: &Camera, pair: &Pair, lens: bool) -> [Vector; 2] {
+fn slopes(camera: &Camera, pair: &Correspondence, lens: bool) -> [Vector; 2] {
     let (intrinsics, axes) = (&camera.intrinsics, camera.pose.rotation.transpose());
     let at = axes * (pair.point - camera.pose.translation);
     let row = |focal: f64, along: DVec3, place: f64| {
@@ -124,7 +125,7 @@ mod tests {
         let rotation = DMat3::from_quat(DQuat::from_scaled_axis(DVec3::new(0.3, -0.2, 0.5)));
         let camera = Camera { intrinsics, pose: Pose { rotation, translation: DVec3::new(1.0, 2.0, -0.5) } };
         let point = camera.pose.transform(DVec3::new(0.4, -0.3, 2.0));
-        let pair = Pair { point, pixel: DVec2::new(30.0, 20.0) };
+        let pair = Correspondence { point, pixel: DVec2::new(30.0, 20.0) };
         let found = slopes(&camera, &pair, true);
         for i in 0..UNKNOWNS {
             let at = |step: f64| {

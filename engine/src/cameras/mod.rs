@@ -26,7 +26,7 @@ use rayon::prelude::*;
 
 /// A world point and its pixel; centers at +0.5.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Pair {
+pub struct Correspondence {
     /// In world space.
     pub point: DVec3,
     /// From the top left corner.
@@ -46,7 +46,7 @@ pub struct CameraEstimate {
 
 /// Camera search options.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Search {
+pub struct RansacOptions {
     /// Inlier threshold in pixels.
     pub tolerance: f64,
     /// Known focal length in pixels.
@@ -56,7 +56,7 @@ pub struct Search {
 }
 
 /// Minimum inliers: four points nearly always fit.
-pub const FEWEST: usize = 6;
+pub const MIN_CORRESPONDENCES: usize = 6;
 /// With a known focal length.
 const TRIES: usize = 1000;
 const CERTAINTY: f64 = 0.9999;
@@ -68,15 +68,19 @@ const ROUNDS: usize = 3;
 /// Estimates a camera of `[width, height]` pixels with a centered principal point.
 ///
 /// # Errors
-/// [`Error::Argument`] for fewer than [`FEWEST`] pairs or inliers, or an invalid search.
-pub fn find_camera(pairs: &[Pair], [width, height]: [u32; 2], search: &Search) -> Result<CameraEstimate> {
-    let expected = || format!("{FEWEST} or more");
+/// [`Error::Argument`] for fewer than [`MIN_CORRESPONDENCES`] pairs or inliers, or an invalid search.
+pub fn find_camera(
+    pairs: &[Correspondence],
+    [width, height]: [u32; 2],
+    search: &RansacOptions,
+) -> Result<CameraEstimate> {
+    let expected = || format!("{MIN_CORRESPONDENCES} or more");
     for (name, length) in [("focal length", search.focal), ("tolerance", Some(search.tolerance))] {
         if let Some(length) = length.filter(|length| !(length.is_normal() && *length > 0.0)) {
             return Err(Error::argument(format!("{name} of a camera"), length, "pixels above 0"));
         }
     }
-    if pairs.len() < FEWEST {
+    if pairs.len() < MIN_CORRESPONDENCES {
         return Err(Error::argument("points to find a camera of", pairs.len(), expected()));
     }
     let (w, h) = (f64::from(width), f64::from(height));
@@ -88,7 +92,9 @@ pub fn find_camera(pairs: &[Pair], [width, height]: [u32; 2], search: &Search) -
     }
     let found = ransac.best.map(|(_, camera)| (camera, agreeing(&camera, pairs, search.tolerance).len()));
     match found {
-        Some((camera, inliers)) if inliers >= FEWEST => Ok(CameraEstimate { camera, inliers, pairs: pairs.len() }),
+        Some((camera, inliers)) if inliers >= MIN_CORRESPONDENCES => {
+            Ok(CameraEstimate { camera, inliers, pairs: pairs.len() })
+        }
         found => {
             let inliers = found.map_or(0, |(_, inliers)| inliers);
             let found = format!("{inliers} of {}", pairs.len());
@@ -99,14 +105,15 @@ pub fn find_camera(pairs: &[Pair], [width, height]: [u32; 2], search: &Search) -
 
 /// Estimates cameras of one lens, by default with their weighted median focal length.
 pub fn find_cameras(
-    pairs: &[Vec<Pair>],
+    pairs: &[Vec<Correspondence>],
     size: [u32; 2],
     focal: Option<f64>,
     tolerance: f64,
 ) -> Vec<Result<CameraEstimate>> {
     let find = |focal: Option<f64>| -> Vec<Result<CameraEstimate>> {
-        let find =
-            |(i, pairs): (usize, &Vec<Pair>)| find_camera(pairs, size, &Search { tolerance, focal, seed: i as u64 });
+        let find = |(i, pairs): (usize, &Vec<Correspondence>)| {
+            find_camera(pairs, size, &RansacOptions { tolerance, focal, seed: i as u64 })
+        };
         pairs.par_iter().enumerate().map(find).collect()
     };
     let found = find(focal);
@@ -119,8 +126,8 @@ pub fn find_cameras(
 }
 
 struct Ransac<'a> {
-    pairs: &'a [Pair],
-    search: &'a Search,
+    pairs: &'a [Correspondence],
+    search: &'a RansacOptions,
     random: Random,
     best: Option<(f64, Camera)>,
 }
@@ -157,7 +164,7 @@ impl Ransac<'_> {
             chosen[i] = next;
         }
         let chosen = chosen.map(|i| self.pairs[i]);
-        let bearing = |pair: Pair| {
+        let bearing = |pair: Correspondence| {
             let DVec2 { x, y } = pair.pixel;
             DVec3::new((x - lens.cx) / lens.fx, (y - lens.cy) / lens.fy, 1.0).normalize()
         };
@@ -171,7 +178,7 @@ impl Ransac<'_> {
         let mut cost = self.cost(&camera);
         for _ in 0..ROUNDS {
             let inliers = agreeing(&camera, self.pairs, tolerance);
-            if inliers.len() < FEWEST {
+            if inliers.len() < MIN_CORRESPONDENCES {
                 break;
             }
             let moved = adjusted(&camera, &inliers, tolerance / 4.0, lens);
@@ -187,13 +194,14 @@ impl Ransac<'_> {
     /// MSAC: relative squared errors, capped at 1.
     fn cost(&self, camera: &Camera) -> f64 {
         let most = self.search.tolerance * self.search.tolerance;
-        let square = |pair: &Pair| error(camera, pair).map_or(1.0, |error| (error.length_squared() / most).min(1.0));
+        let square =
+            |pair: &Correspondence| error(camera, pair).map_or(1.0, |error| (error.length_squared() / most).min(1.0));
         self.pairs.iter().map(square).sum()
     }
 }
 
-fn agreeing(camera: &Camera, pairs: &[Pair], tolerance: f64) -> Vec<Pair> {
-    let agrees = |pair: &&Pair| error(camera, pair).is_some_and(|error| error.length() < tolerance);
+fn agreeing(camera: &Camera, pairs: &[Correspondence], tolerance: f64) -> Vec<Correspondence> {
+    let agrees = |pair: &&Correspondence| error(camera, pair).is_some_and(|error| error.length() < tolerance);
     pairs.iter().filter(agrees).copied().collect()
 }
 

@@ -3,7 +3,7 @@ use glam::{DMat3, DQuat, EulerRot};
 
 const FOCAL: f64 = 210.0;
 
-fn seen(random: &mut Random, count: usize, planar: bool) -> (Camera, Vec<Pair>) {
+fn seen(random: &mut Random, count: usize, planar: bool) -> (Camera, Vec<Correspondence>) {
     let mut number = |range: f64| range * (2.0 * random.unit() - 1.0);
     let rotation = DMat3::from_quat(DQuat::from_euler(EulerRot::XYZ, number(3.0), number(1.5), number(3.0)));
     let pose = Pose { rotation, translation: DVec3::new(number(5.0), number(5.0), number(5.0)) };
@@ -12,7 +12,7 @@ fn seen(random: &mut Random, count: usize, planar: bool) -> (Camera, Vec<Pair>) 
         let pixel = DVec2::new(126.0 + number(126.0), 126.0 + number(126.0));
         let (x, y) = ((pixel.x - 126.0) / FOCAL, (pixel.y - 126.0) / FOCAL);
         let depth = if planar { 2.0 / (1.0 + 0.5 * x - 0.4 * y) } else { 2.0 + number(1.0) };
-        Pair { point: pose.transform(depth * DVec3::new(x, y, 1.0)), pixel }
+        Correspondence { point: pose.transform(depth * DVec3::new(x, y, 1.0)), pixel }
     });
     (Camera { intrinsics, pose }, pairs.collect())
 }
@@ -24,13 +24,13 @@ fn errors(found: &Camera, truth: &Camera) -> [f64; 3] {
     [turn.to_degrees(), away, found.intrinsics.fx / truth.intrinsics.fx]
 }
 
-fn search(focal: Option<f64>, seed: u64) -> Search {
-    Search { tolerance: 7.0, focal, seed }
+fn search(focal: Option<f64>, seed: u64) -> RansacOptions {
+    RansacOptions { tolerance: 7.0, focal, seed }
 }
 
 #[test]
 fn exact_pairs_give_the_camera() {
-    for (count, planar) in [(300, false), (300, true), (12, false), (FEWEST, false)] {
+    for (count, planar) in [(300, false), (300, true), (12, false), (MIN_CORRESPONDENCES, false)] {
         for focal in [Some(FOCAL), None] {
             for seed in 0..8 {
                 let (truth, pairs) = seen(&mut Random::new(100 + seed), count, planar);
@@ -77,7 +77,8 @@ fn the_same_seed_gives_the_same_bits() {
 
 #[test]
 fn without_a_camera_the_error_says_how_many_agree() {
-    let words = |pairs: &[Pair]| find_camera(pairs, [252; 2], &search(Some(FOCAL), 0)).unwrap_err().to_string();
+    let words =
+        |pairs: &[Correspondence]| find_camera(pairs, [252; 2], &search(Some(FOCAL), 0)).unwrap_err().to_string();
     let mut random = Random::new(9);
     let (_, pairs) = seen(&mut random, 5, false);
     for count in [0, 5] {
@@ -85,8 +86,8 @@ fn without_a_camera_the_error_says_how_many_agree() {
         assert!(text.contains(&format!("found {count}")) && text.contains("6 or more"), "{text}");
     }
     let mut number = || 100.0 * random.normal();
-    let wrong: Vec<Pair> = (0..20)
-        .map(|_| Pair {
+    let wrong: Vec<Correspondence> = (0..20)
+        .map(|_| Correspondence {
             point: DVec3::new(number(), number(), number()),
             pixel: DVec2::new(126.0 + number(), 126.0 + number()),
         })
@@ -94,9 +95,10 @@ fn without_a_camera_the_error_says_how_many_agree() {
     let text = words(&wrong);
     assert!(text.contains("points that agree on a camera") && text.contains("of 20"), "{text}");
     for (focal, tolerance) in [(Some(0.0), 7.0), (Some(f64::NAN), 7.0), (None, -1.0), (None, f64::INFINITY)] {
-        let error = find_camera(&pairs, [252; 2], &Search { tolerance, focal, seed: 0 }).unwrap_err().to_string();
+        let error =
+            find_camera(&pairs, [252; 2], &RansacOptions { tolerance, focal, seed: 0 }).unwrap_err().to_string();
         assert!(error.contains("of a camera") && error.contains("above 0"), "{error}");
     }
-    let same = [Pair { point: DVec3::ONE, pixel: DVec2::ZERO }; 20];
+    let same = [Correspondence { point: DVec3::ONE, pixel: DVec2::ZERO }; 20];
     words(&same);
 }

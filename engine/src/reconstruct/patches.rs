@@ -1,7 +1,7 @@
 use super::{Request, Shape, network::Choice};
 use crate::{
     Error, Result,
-    cameras::{CameraEstimate, Pair, find_cameras},
+    cameras::{CameraEstimate, Correspondence, find_cameras},
     gpu::Run,
     stages::ViewGrid,
     types::Scene,
@@ -59,7 +59,7 @@ impl Patches {
     ///
     /// # Errors
     /// [`Error::Argument`] unless tokens have equally many Gaussians.
-    pub fn pairs(&self, scene: &Scene) -> Result<Vec<Vec<Pair>>> {
+    pub fn pairs(&self, scene: &Scene) -> Result<Vec<Vec<Correspondence>>> {
         if self.is_empty() || scene.is_empty() || !scene.len().is_multiple_of(self.len()) {
             let expected = format!("so many for each of the {} tokens", self.len());
             return Err(Error::argument("Gaussians of the scene", scene.len(), expected));
@@ -74,7 +74,7 @@ impl Patches {
             });
             let (view, pixel) = self.patch(token);
             if weights > 0.0 {
-                pairs[view].push(Pair { point: sum / weights, pixel });
+                pairs[view].push(Correspondence { point: sum / weights, pixel });
             }
         }
         Ok(pairs)

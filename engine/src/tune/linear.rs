@@ -61,8 +61,8 @@ impl Operation for LinearLayers {
         cases.extend(kernel.with_q8().map(|q8| (Activation::None, q8, 96)));
         let mut worst = Some(0.0);
         for (activation, kernel, inner) in cases {
-            let product = |twin, output: Element| -> Result<Vec<f32>> {
-                let layer = Layer { kernel: twin, sizes: [rows, inner, columns], activation, output };
+            let product = |variant, output: Element| -> Result<Vec<f32>> {
+                let layer = Layer { kernel: variant, sizes: [rows, inner, columns], activation, output };
                 let (mut run, out) = layer.run(device, kernel)?;
                 run.execute()?;
                 Ok(output.decode(&run.read::<u8>(out)?))

@@ -100,22 +100,22 @@ impl Compare {
     }
 
     fn pairs_of_folders(&self, session: &mut Session<'_>) -> Result<Vec<Pair>> {
-        let [ours, theirs] =
+        let [ours, others] =
             [&self.first, &self.second].map(|folder| photos::list(session, std::slice::from_ref(folder)));
-        let (ours, mut theirs) = (ours?, theirs?);
+        let (ours, mut others) = (ours?, others?);
         let mut pairs = Vec::new();
         let mut alone = Vec::new();
         for file in ours {
             let name = stem(&file);
-            match theirs.iter().position(|other| stem(other) == name) {
+            match others.iter().position(|other| stem(other) == name) {
                 Some(i) => {
                     let difference = self.difference.as_ref().map(|folder| folder.join(format!("{name}.png")));
-                    pairs.push(Pair { name, files: [file, theirs.swap_remove(i)], difference });
+                    pairs.push(Pair { name, files: [file, others.swap_remove(i)], difference });
                 }
                 None => alone.push(file),
             }
         }
-        alone.extend(theirs);
+        alone.extend(others);
         if pairs.is_empty() {
             let found = format!("none in {} and {}", self.first.display(), self.second.display());
             return Err(Error::argument("pictures of the same name", found, "at least one"));

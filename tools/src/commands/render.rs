@@ -166,7 +166,7 @@ impl Render {
         if drawn.empty {
             session.note(format!("no picture shows anything but the background{}", self.path.doubt()));
         }
-        self.told(device, [scene.len(), dropped], &cameras, took, explanation)
+        self.report(device, [scene.len(), dropped], &cameras, took, explanation)
     }
 
     pub fn check(&self) -> Result<()> {
@@ -228,7 +228,7 @@ impl Render {
         Ok(Sinks { folder, raw: None, animation })
     }
 
-    fn told(
+    fn report(
         &self,
         device: String,
         [gaussians, dropped]: [usize; 2],

@@ -107,7 +107,7 @@ impl Device {
     /// Opens a device.
     ///
     /// # Errors
-    /// [`Error::NoDevice`] if no driver is installed or no matching device overlaps the requirements.
+    /// [`Error::NoDevice`] if no driver is installed or no matching device meets the requirements.
     pub fn open(options: &DeviceOptions) -> Result<Self> {
         let instance = Instance::new(options.validation)?;
         let devices = devices(&instance)?;

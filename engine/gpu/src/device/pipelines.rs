@@ -34,7 +34,7 @@ impl Pipelines {
     pub fn destroy(&self) {
         let raw = &self.raw;
         for pipeline in lock(&self.cache).values() {
-            // SAFETY: cache on this device and unused.
+            // SAFETY: made on this device and unused.
             unsafe { raw.destroy_pipeline(pipeline.raw, None) };
         }
         for layout in lock(&self.layouts).values() {
@@ -86,7 +86,7 @@ impl Pipelines {
         self.label(raw, module.name);
         match lock(&self.cache).entry(key) {
             Entry::Occupied(known) => {
-                // SAFETY: cache above and unused.
+                // SAFETY: made above and unused.
                 unsafe { self.raw.destroy_pipeline(raw, None) };
                 Ok(*known.get())
             }
@@ -171,7 +171,7 @@ struct Layout {
 
 impl Layout {
     fn destroy(&self, raw: &ash::Device) {
-        // SAFETY: cache on this device and unused.
+        // SAFETY: made on this device and unused.
         unsafe {
             raw.destroy_shader_module(self.module, None);
             raw.destroy_pipeline_layout(self.pipeline, None);

@@ -1,3 +1,4 @@
+mod captured;
 mod forward;
 mod pixels;
 mod placed;
@@ -5,16 +6,17 @@ mod refined;
 
 use super::render::Render;
 use crate::{
-    cameras::{EstimatedCameras, Finder, Finding, KnownCameras, Place},
+    cameras::{Finding, KnownCameras, Place},
     options::{Network, Quality, Weights, parse_length, refuse},
     outputs::{self, Overwrite},
-    photos::{self, PhotoArgs},
+    photos::PhotoArgs,
     refinement::{self, Initialization, RefineOptions, placed, save_cameras},
     session::Session,
     table::{bytes, counted, time},
     video::FrameFolder,
     views::FitOption,
 };
+use captured::Captured;
 use clap::{Args, ValueEnum};
 use forward::{Forward, LOAD_PHOTOS, LOAD_WEIGHTS};
 use refined::{From, RefineInputs, RefinedScene};
@@ -114,14 +116,6 @@ pub struct Reconstruct {
 
 /// Visible step of positions, over the scene's distance.
 const COARSE: f64 = 1e-3;
-
-struct Captured {
-    photos: Vec<PathBuf>,
-    poses: Option<Poses>,
-    frame_folder: Option<FrameFolder>,
-    /// Owns the temporary points file.
-    found: Option<EstimatedCameras>,
-}
 
 /// The photos of a scene, and their cameras where these are known.
 #[derive(Clone, Copy)]
@@ -339,56 +333,6 @@ impl Reconstruct {
         }
         self.refined_cameras.as_ref().map_or(Ok(()), |path| self.overwrite.check_file(path))?;
         self.refine.check()
-    }
-
-    fn finds(&self, network: &Network) -> bool {
-        self.poses.as_deref().is_some_and(KnownCameras::to_find) || self.finds_by_itself(network)
-    }
-
-    /// Returns true if the scene's network also estimates the cameras.
-    fn finds_by_itself(&self, network: &Network) -> bool {
-        let finder = self.poses.as_deref().map(Finder::named);
-        let own = matches!(finder, None | Some(Some(Finder::Da3))) && self.finding.depth_weights.is_none();
-        own && matches!(network, Network::Pixels(_))
-    }
-
-    fn captured(&self, session: &mut Session<'_>, network: &Network) -> Result<Captured> {
-        let named_in =
-            self.cameras_out.as_deref().or(self.refined_cameras.as_deref()).map(|file| (file, self.overwrite));
-        let (mut photos, mut frame_folder) = self.input.list(session, self.views, named_in)?;
-        if let (true, Some(views)) = (self.finds(network), self.views) {
-            photos = photos::spread(photos, views as usize);
-        }
-        let (poses, found) = match (network, &self.poses) {
-            // One pass gives cameras and scene.
-            (Network::Pixels(checkpoint), _) if self.finds_by_itself(network) => {
-                let (poses, found) =
-                    EstimatedCameras::by_predictor(session, &photos, self.predictor_options(checkpoint))?;
-                session.note(format!("cameras found: {}", found.summary()));
-                (Some(poses), Some(found))
-            }
-            (_, Some(path)) => {
-                let known = KnownCameras::of(session, path, &photos, &self.finding)?;
-                (Some(known.poses), known.found)
-            }
-            (_, None) => (None, None),
-        };
-        if let (Some(place), Some(poses), Some(found)) = (&self.cameras_out, &poses, &found) {
-            Place(place).save(poses, found)?;
-            frame_folder.iter_mut().for_each(FrameFolder::keep);
-        }
-        if let Some(poses) = &poses {
-            session.notes(&poses.notes);
-            photos = photos::posed(session, photos, poses)?;
-        }
-        if let Some(views) = self.views {
-            photos = photos::spread(photos, views as usize);
-        }
-        if photos.len() > MAX_VIEWS {
-            let expected = format!("1 to {MAX_VIEWS}; --views N takes N of them, evenly spread");
-            return Err(Error::argument("views", photos.len(), expected));
-        }
-        Ok(Captured { photos, poses, frame_folder, found })
     }
 
     fn drawing(&self) -> Result<Option<Render>> {

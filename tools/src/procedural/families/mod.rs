@@ -118,9 +118,9 @@ fn hang(b: &mut Builder, origin: Vec3A, normal: Vec3A, half_width: f32, height: 
     let axes = super::builder::facing(normal);
     for _ in 0..b.rng.count(1, 3) {
         let half = Vec3A::new(b.rng.range(0.2, 0.6), b.rng.range(0.2, 0.5), 0.02);
-        let room = (half_width - half.x).max(0.0);
+        let clearance = (half_width - half.x).max(0.0);
         let center =
-            origin + along * (room * b.rng.signed()) + Vec3A::Z * (height * b.rng.range(0.5, 0.7)) + normal * 0.02;
+            origin + along * (clearance * b.rng.signed()) + Vec3A::Z * (height * b.rng.range(0.5, 0.7)) + normal * 0.02;
         let picture = b.draw(Role::Picture);
         let (frame, depth) = (b.draw(Role::Wood), b.rng.range(0.02, 0.05));
         b.put(super::shape::Shape::Box { half: half + Vec3A::new(0.04, 0.04, 0.0) }, center, axes, frame);

@@ -82,8 +82,8 @@ fn heading(normal: Vec3A) -> f32 {
     normal.y.atan2(normal.x) - FRAC_PI_2
 }
 
-fn beside(b: &mut Builder, foot: Vec3A, normal: Vec3A, room: f32, depth: f32) -> Vec3A {
-    foot + normal * depth + Vec3A::Z.cross(normal) * (room.max(0.0) * b.rng.signed())
+fn beside(b: &mut Builder, foot: Vec3A, normal: Vec3A, clearance: f32, depth: f32) -> Vec3A {
+    foot + normal * depth + Vec3A::Z.cross(normal) * (clearance.max(0.0) * b.rng.signed())
 }
 
 fn sofa(b: &mut Builder, foot: Vec3A, normal: Vec3A, wide: f32) {

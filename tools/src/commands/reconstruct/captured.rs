@@ -1,0 +1,72 @@
+//! Photos and cameras of a reconstruction.
+
+use super::Reconstruct;
+use crate::{
+    cameras::{EstimatedCameras, Finder, KnownCameras, Place},
+    options::Network,
+    photos,
+    session::Session,
+    video::FrameFolder,
+};
+use std::path::PathBuf;
+use zipsplat::{Error, Result, reconstruct::MAX_VIEWS, types::poses::Poses};
+
+pub struct Captured {
+    pub photos: Vec<PathBuf>,
+    pub poses: Option<Poses>,
+    pub frame_folder: Option<FrameFolder>,
+    /// Owns the temporary points file.
+    pub found: Option<EstimatedCameras>,
+}
+
+impl Reconstruct {
+    pub(super) fn finds(&self, network: &Network) -> bool {
+        self.poses.as_deref().is_some_and(KnownCameras::to_find) || self.finds_by_itself(network)
+    }
+
+    /// Returns true if the scene's network also estimates the cameras.
+    pub(super) fn finds_by_itself(&self, network: &Network) -> bool {
+        let finder = self.poses.as_deref().map(Finder::named);
+        let own = matches!(finder, None | Some(Some(Finder::Da3))) && self.finding.depth_weights.is_none();
+        own && matches!(network, Network::Pixels(_))
+    }
+
+    pub(super) fn captured(&self, session: &mut Session<'_>, network: &Network) -> Result<Captured> {
+        let named_in =
+            self.cameras_out.as_deref().or(self.refined_cameras.as_deref()).map(|file| (file, self.overwrite));
+        let (mut photos, mut frame_folder) = self.input.list(session, self.views, named_in)?;
+        if let (true, Some(views)) = (self.finds(network), self.views) {
+            photos = photos::spread(photos, views as usize);
+        }
+        let (poses, found) = match (network, &self.poses) {
+            // One pass gives cameras and scene.
+            (Network::Pixels(checkpoint), _) if self.finds_by_itself(network) => {
+                let (poses, found) =
+                    EstimatedCameras::by_predictor(session, &photos, self.predictor_options(checkpoint))?;
+                session.note(format!("cameras found: {}", found.summary()));
+                (Some(poses), Some(found))
+            }
+            (_, Some(path)) => {
+                let known = KnownCameras::of(session, path, &photos, &self.finding)?;
+                (Some(known.poses), known.found)
+            }
+            (_, None) => (None, None),
+        };
+        if let (Some(place), Some(poses), Some(found)) = (&self.cameras_out, &poses, &found) {
+            Place(place).save(poses, found)?;
+            frame_folder.iter_mut().for_each(FrameFolder::keep);
+        }
+        if let Some(poses) = &poses {
+            session.notes(&poses.notes);
+            photos = photos::posed(session, photos, poses)?;
+        }
+        if let Some(views) = self.views {
+            photos = photos::spread(photos, views as usize);
+        }
+        if photos.len() > MAX_VIEWS {
+            let expected = format!("1 to {MAX_VIEWS}; --views N takes N of them, evenly spread");
+            return Err(Error::argument("views", photos.len(), expected));
+        }
+        Ok(Captured { photos, poses, frame_folder, found })
+    }
+}
