@@ -1,6 +1,7 @@
 //! Shared parts of the tests.
 //!
 //! - [`architectures`]: networks of the goldens.
+//! - [`catalogue`]: the kernels' cases.
 //! - [`faults`]: device loss and failing drivers.
 //! - [`golden`]: dumps of the PyTorch implementation.
 //! - [`mod@device`]: the tests' device.
@@ -13,6 +14,7 @@
 //! - [`scenes`]: Gaussians and cameras.
 
 pub mod architectures;
+pub mod catalogue;
 pub mod compare;
 pub mod device;
 pub mod faults;

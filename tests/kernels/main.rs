@@ -2,6 +2,7 @@
 
 mod arena;
 mod case;
+mod catalogue;
 mod determinism;
 mod self_test;
 mod tuning;

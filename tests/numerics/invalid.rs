@@ -1,7 +1,7 @@
 //! Scene files with non-finite or out-of-range values: rejected with a count, or dropped and
 //! counted.
 
-use crate::catalogue::zipsplat;
+use crate::doctor::zipsplat;
 use std::path::Path;
 use zipsplat::{
     Error,

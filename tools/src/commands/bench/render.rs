@@ -6,7 +6,6 @@ use super::{
     percent, timed_device,
 };
 use crate::{
-    noise::{self, Noise},
     options::Size,
     outputs,
     session::{Session, Stage},
@@ -24,6 +23,7 @@ use zipsplat::{
     stages::render::{RenderRequest, Renderer},
     types::Scene,
 };
+use zipsplat_verify::noise::{self, Noise};
 
 /// Limit by host memory.
 const MOST_GAUSSIANS: i64 = 50_000_000;

@@ -1,0 +1,213 @@
+//! Layer normalization.
+
+use crate::{
+    Area, Case, Catches, Mode, Worst,
+    bound::{DIVISION, ROOT, TINY, U, by_lanes, gamma, half},
+    case,
+    noise::Noise,
+    trial::Trial,
+};
+use zipsplat::{
+    Result,
+    gpu::Device,
+    kernels::limits::GROUP_FOLD,
+    ops::{Norm, Rows},
+};
+use zipsplat_reference::{ops::layer_norm::layer_norm, widen};
+
+const REASON: &str = "the mean is off by d <= gamma mean|x|, of which the second pass takes back all but gamma mean|x - mean|; \
+    the variance then by gamma (variance + d^2), relative to variance + epsilon (corrected two-pass algorithm: Chan, Golub \
+    and LeVeque 1983); plus Vulkan's limits for root and division. gamma counts the additions that a term goes through: \
+    those of a lane, of which there are 4 at least, then those of the lanes";
+
+const EPS: f32 = 1e-6;
+
+/// Returns bounds without weight and bias.
+pub fn normed_errors(row: &[f64], eps: f64) -> Vec<f64> {
+    let n = row.len() as f64;
+    let mean_of = |f: &dyn Fn(f64) -> f64| row.iter().map(|&x| f(x)).sum::<f64>() / n;
+    // A sum and a division, counted as five roundings.
+    let additions = by_lanes(row.len());
+    let sum = gamma(additions + 6);
+    let mean = mean_of(&|x| x);
+    let variance = mean_of(&|x| (x - mean).powi(2));
+    let first = sum * mean_of(&f64::abs) + 2.0 * TINY;
+    let spread = mean_of(&|x| (x - mean).abs()) + first;
+    let second = sum * spread + 2.0 * TINY;
+    let variance_error = gamma(additions + 10) * (variance + first * first) + 2.0 * (first + second) * second + TINY;
+    let scale = |variance: f64| 1.0 / (variance.max(0.0) + eps).sqrt();
+    let own = ROOT + DIVISION + U;
+    let [lowest, highest] = [variance + variance_error, variance - variance_error].map(scale);
+    let (exact, highest) = (scale(variance), highest * (1.0 + own));
+    let scale_error = (exact - lowest * (1.0 - own)).max(highest - exact);
+    let error = |&x: &f64| {
+        let d = (x - mean).abs();
+        let d_error = 2.0 * U * (d + first) + second;
+        d_error * highest + d * scale_error + 2.0 * U * (d + d_error) * highest + TINY * (1.0 + highest)
+    };
+    row.iter().map(error).collect()
+}
+
+pub fn affine_errors(errors: &[f64], truth: &[f64], weight: &[f32], bias: &[f32]) -> Vec<f64> {
+    let columns = weight.iter().zip(bias).map(|(&w, &b)| (f64::from(w.abs()), f64::from(b.abs())));
+    let error = |(i, (w, b)): (usize, (f64, f64))| {
+        let carried = w * errors[i];
+        carried + 2.0 * U * (truth[i].abs() + b + carried) + TINY
+    };
+    columns.enumerate().map(error).collect()
+}
+
+struct Problem {
+    width: usize,
+    x: Vec<f32>,
+    weight: Vec<f32>,
+    bias: Vec<f32>,
+}
+
+#[derive(Clone, Copy, Debug)]
+pub enum Fault {
+    Zero,
+    /// Variance as the difference of two f32 sums.
+    OnePass,
+    /// Mean from one f32 sum, uncorrected.
+    UncorrectedMean,
+    HalfSum,
+    LastChannel,
+    /// Variance divided by n - 1.
+    Unbiased,
+    NoEpsilon,
+    NoBias,
+    NeighbourRow,
+    /// Rows beyond the workgroup fold repeat earlier ones.
+    Folded,
+    OverflowingSquares,
+}
+
+impl Fault {
+    pub fn moments(self, row: &[f64]) -> [f64; 2] {
+        let n = row.len() as f64;
+        let summed = |round: fn(f64) -> f64, values: &mut dyn Iterator<Item = f64>| {
+            round(values.fold(0.0, |sum, value| round(sum + value)) / n)
+        };
+        let single: fn(f64) -> f64 = |x| f64::from(x as f32);
+        let plain: fn(f64) -> f64 = |x| x;
+        let (round, used) = match self {
+            Fault::OnePass | Fault::UncorrectedMean => (single, row),
+            Fault::HalfSum => (half as fn(f64) -> f64, row),
+            Fault::LastChannel => (plain, &row[..row.len() - 1]),
+            _ => (plain, row),
+        };
+        let mean = summed(round, &mut used.iter().copied());
+        let squares = |about: f64| summed(round, &mut used.iter().map(|x| round((x - about).powi(2))));
+        let variance = match self {
+            Fault::OnePass => single(squares(0.0) - single(mean * mean)).max(0.0),
+            Fault::Unbiased => squares(mean) * n / (n - 1.0),
+            Fault::OverflowingSquares if row.iter().any(|x| (x - mean).powi(2) > f32::MAX.into()) => f64::INFINITY,
+            _ => squares(mean),
+        };
+        [mean, variance]
+    }
+}
+
+impl Problem {
+    fn new(rows: usize, width: usize, value: fn(f32, usize) -> f32) -> Self {
+        let mut noise = Noise(width as u64);
+        let (weight, bias) = (noise.values(width), noise.values(width));
+        let values = Noise(5).values(rows * width).into_iter().enumerate();
+        Self { width, x: values.map(|(i, r)| value(r, i % width)).collect(), weight, bias }
+    }
+
+    fn normed(&self, fault: Fault) -> Vec<f64> {
+        let eps = if matches!(fault, Fault::NoEpsilon) { 0.0 } else { f64::from(EPS) };
+        let row = |row: &[f64]| {
+            let [mean, variance] = fault.moments(row);
+            let scale = 1.0 / (variance + eps).sqrt();
+            let affine = self.weight.iter().zip(&self.bias);
+            row.iter()
+                .zip(affine)
+                .map(|(x, (&w, &b))| (x - mean) * scale * f64::from(w) + f64::from(b))
+                .collect::<Vec<_>>()
+        };
+        widen(&self.x).chunks(self.width).flat_map(row).collect()
+    }
+}
+
+impl case::Problem for Problem {
+    type Output = Vec<f32>;
+    type Truth = [Vec<f64>; 2];
+    type Fault = Fault;
+
+    fn compute(&self, device: &Device, _: Mode) -> Result<Vec<f32>> {
+        let mut trial = Trial::new(device);
+        let (weight, bias) = (trial.input(&self.weight), trial.input(&self.bias));
+        let norm = Norm { weight, bias, width: self.width, eps: EPS };
+        let (input, out) = (trial.input(&self.x), trial.output::<f32>(self.x.len()));
+        let [rows, out_rows] = [input, out].map(|tensor| Rows::new(tensor, self.x.len() / self.width, self.width));
+        norm.record(&mut trial.rec, rows, None, out_rows, 0);
+        trial.result(out)
+    }
+
+    fn truth(&self, _: Mode) -> [Vec<f64>; 2] {
+        let (x, eps) = (widen(&self.x), f64::from(EPS));
+        let truth = layer_norm(&x, &self.weight, &self.bias, eps);
+        let rows = x.chunks(self.width).zip(truth.chunks(self.width));
+        let bounds =
+            |(row, truth): (&[f64], &[f64])| affine_errors(&normed_errors(row, eps), truth, &self.weight, &self.bias);
+        let bounds = rows.flat_map(bounds).collect();
+        [truth, bounds]
+    }
+
+    fn judge(&self, [truth, bounds]: &[Vec<f64>; 2], output: &Vec<f32>, _: Mode) -> Worst {
+        Worst::of(output, truth, |i| bounds[i])
+    }
+
+    fn faulty(&self, [truth, _]: &[Vec<f64>; 2], fault: Fault, _: Mode) -> Vec<Vec<f32>> {
+        let width = self.width;
+        let values = match fault {
+            Fault::Zero => vec![0.0; truth.len()],
+            Fault::NoBias => truth.iter().enumerate().map(|(i, y)| y - f64::from(self.bias[i % width])).collect(),
+            Fault::NeighbourRow => (0..truth.len()).map(|i| truth[(i + width) % truth.len()]).collect(),
+            Fault::Folded => (0..truth.len()).map(|i| truth[i % (GROUP_FOLD as usize * width)]).collect(),
+            _ => self.normed(fault),
+        };
+        vec![values.into_iter().map(|x| x as f32).collect()]
+    }
+}
+
+pub fn area() -> Area {
+    use Fault::*;
+    let mut cases = Vec::new();
+    let mut add = |name: &str, width: usize, catches: Catches<Fault>, value: fn(f32, usize) -> f32| {
+        cases.push(Case::new(name, width, catches, move || Problem::new(9, width, value)));
+    };
+    add("random", 1, [Zero, NoBias].into(), |r, _| r);
+    add("mean 1e4, spread 1e-2", 1, [Zero, NoBias].into(), |r, _| 1e4 + 1e-2 * r);
+    for width in [3, 64, 384, 1536, 4096] {
+        let random = Catches::from([Zero, NoBias, HalfSum, LastChannel, NeighbourRow]);
+        // A large last channel makes its omission detectable.
+        let last: fn(f32, usize) -> f32 =
+            if width > 1000 { |r, c| if c % 512 == 511 { 20.0 * r } else { r } } else { |r, _| r };
+        add("random", width, if width < 1000 { random.and(&[Unbiased]) } else { random }, last);
+        let offset = Catches::from([Zero, OnePass, HalfSum, NeighbourRow]);
+        let offset = if width < 64 { offset } else { offset.and(&[UncorrectedMean]) };
+        match width {
+            // Rounding many terms may cost more than a hundredth.
+            4096 => add("mean 1e4, spread 1e-1", width, offset, |r, _| 1e4 + 1e-1 * r),
+            _ => add("mean 1e4, spread 1e-2", width, offset, |r, _| 1e4 + 1e-2 * r),
+        }
+    }
+    add("constant rows of 0", 64, [Zero, NoEpsilon].into(), |_, _| 0.0);
+    add("constant rows of -3", 64, [Zero, NoEpsilon].into(), |_, _| -3.0);
+    add("constant rows of 12345.678", 1536, [Zero, OnePass, NoEpsilon, UncorrectedMean].into(), |_, _| 12_345.678);
+    add("variance of epsilon", 384, [Zero, NoEpsilon, LastChannel].into(), |r, _| 2e-3 * r);
+    add("one channel of 1e4", 1536, [Zero, HalfSum, NoBias].into(), |r, c| if c == 77 { 1e4 } else { r });
+    add("first channel of 1e6", 384, [Zero, HalfSum, NoBias].into(), |r, c| if c == 0 { 1e6 } else { r });
+    add("values of 1e4", 1536, [Zero, HalfSum, NeighbourRow].into(), |r, _| 1e4 * r);
+    add("values of 1e15", 64, [Zero, HalfSum, LastChannel].into(), |r, _| 1e15 * r);
+    add("values of 1e25", 64, [Zero, OverflowingSquares, LastChannel].into(), |r, _| 1e25 * r);
+    add("subnormal rows", 64, [Zero, NoBias, NoEpsilon].into(), |r, _| 1e-39 * r);
+    let rows = GROUP_FOLD as usize + 9;
+    let folded = || Problem::new(GROUP_FOLD as usize + 9, 4, |r, _| r);
+    cases.push(Case::new("rows beyond a fold of workgroups", rows, [Zero, Folded, NeighbourRow], folded));
+    Area { kernel: "ops/layer_norm", size: "channels", reason: REASON, modes: Mode::ONLY_EXACT, cases }
+}

@@ -1,0 +1,153 @@
+//! Hard inputs of linear layers.
+
+use super::{
+    Fault::{self, *},
+    Problem,
+};
+use crate::{Area, Case, Catches, Mode, noise::Noise};
+use zipsplat::{kernels::limits::GROUP_FOLD, ops::Activation};
+
+const REASON: &str = "|error| <= gamma_(n+1) (|x| |W| + |b|) in every element, whatever the order of the sum of its n terms that are \
+    not 0 (Higham, section 3.5), carried through the activation's slope, plus Vulkan's limits for exp and division. Whole \
+    numbers whose sums stay below 2^24 are added exactly in any order. The truth is that of the factors as the mode holds \
+    them, 11 or 8 bits or 8-bit integers; sums of integers are exact, and only their scales are rounded";
+
+const SUMS: [Fault; 4] = [Zero, HalfSum, NeighbourColumn, NeighbourRow];
+
+pub fn area() -> Area {
+    let mut cases = Vec::new();
+    let mut add = |name: &str, catches: Catches<Fault>, make: fn() -> Problem, size: usize| {
+        cases.push(Case::new(name, size, catches, make));
+    };
+    add("random", Catches::from(SUMS).and(&[LastTerm, HalfFactors, NoBias, CutIntegers, Unsigned]), || random(4), 4);
+    add("random", Catches::from(SUMS).and(&[LastTerm, HalfFactors, NoBias, CutIntegers, Unsigned]), || random(68), 68);
+    add("random", Catches::from(SUMS).and(&[LastTerm, CutIntegers, Unsigned]), || random(384), 384);
+    add("random", Catches::from(SUMS).and(&[LastTerm, CutIntegers, Unsigned]), || random(588), 588);
+    add("random", Catches::from(SUMS).and(&[TermsFrom(1504)]), || random(1536), 1536);
+    // With many rounding terms, only whole numbers reveal 11-bit sums.
+    add("random", [Zero, NeighbourColumn, NeighbourRow, TermsFrom(3968)].into(), || random(4096), 4096);
+    let halves = [Zero, NeighbourColumn, NeighbourRow, TermsFrom(4096), TermsFrom(7680)];
+    add("random", halves.into(), || random(8192), 8192);
+    let exact = || Catches::from(SUMS).and(&[LastTerm]);
+    add("whole numbers", exact().and(&[TermsFrom(4095)]), || whole(4096), 4096);
+    add("whole numbers", exact().and(&[TermsFrom(4096), TermsFrom(8191)]), || whole(8192), 8192);
+    add("0 rows, 8 columns", [PastEnd].into(), || Problem::random(0, 12, 8), 12);
+    add("1 row, 1 column", [Zero, HalfSum, LastTerm, PastEnd].into(), || Problem::random(1, 12, 1), 12);
+    let edges = || Catches::from(SUMS).and(&[LastRow, LastColumn, PastEnd]);
+    add("33 rows, 5 columns", edges(), || Problem::random(33, 12, 5), 12);
+    add("16 rows, 130 columns", edges(), || Problem::random(16, 12, 130), 12);
+    add("300 rows, 264 columns", edges(), || Problem::random(300, 12, 264), 12);
+    add(
+        "rows beyond a fold of workgroups",
+        edges().and(&[Folded]),
+        || Problem::random(GROUP_FOLD as usize + 9, 4, 8),
+        4,
+    );
+    add("sums that cancel, condition 1e5", Catches::from(SUMS).and(&[LastTerm, AnyTerm]), cancelling, 512);
+    add("outlier channels of 1e4", [Zero, HalfSum, TermsFrom(900), NeighbourRow].into(), outliers, 1536);
+    add("one channel at a time", [AnyTerm, NeighbourColumn, NeighbourRow, HalfFactors].into(), || one_hot(68, 68), 68);
+    let few = || Catches::from([AnyTerm, LastTerm, NeighbourColumn, NeighbourRow, HalfFactors]);
+    add("every channel in a sum of 64", few(), || one_hot(4096, 64), 4096);
+    add("every channel in a sum of 64", few(), || one_hot(8192, 128), 8192);
+    add("subnormal inputs", [Zero, NoBias].into(), || scaled(1e-40, Problem::random(5, 64, 40)), 64);
+    add("sums beyond the largest f16", SUMS.into(), || scaled(1e4, Problem::random(5, 256, 40)), 256);
+    add("GELU", [Zero, NoActivation, NoBias, NeighbourColumn].into(), || gelu(Problem::random(21, 384, 64)), 384);
+    add("GELU of every value from -10 to 10", [Zero, HalfResult, NoActivation, TanhGelu].into(), || gelu(alone()), 4);
+    add("GELU far from zero", [Zero, HalfResult, NoActivation].into(), || gelu(far(12.0, 40)), 64);
+    add("SwiGLU", [Zero, NoActivation, NoBias, SwappedGate].into(), || swiglu(Problem::random(21, 384, 64)), 384);
+    add(
+        "SwiGLU of every value from -10 to 10",
+        [Zero, HalfResult, NoActivation, SwappedGate].into(),
+        || swiglu(alone()),
+        4,
+    );
+    add("SwiGLU far from zero", [Zero, HalfResult, NoActivation, OverflowingExp].into(), || swiglu(far(60.0, 40)), 64);
+    add(
+        "SwiGLU products beyond the largest f16",
+        [Zero, HalfResult, OverflowingExp].into(),
+        || swiglu(far(1e3, 9)),
+        64,
+    );
+    let scaling = [Zero, NoScale, NoResidual, ScaledResidual, PastEnd];
+    add(
+        "layer scale and residual in place",
+        scaling.into(),
+        || Problem { scaled: true, ..Problem::random(37, 384, 56) },
+        384,
+    );
+    Area { kernel: "ops/linear", size: "terms of a sum (K)", reason: REASON, modes: Mode::ALL, cases }
+}
+
+fn random(inner: usize) -> Problem {
+    Problem::random(17, inner, 40)
+}
+
+fn gelu(problem: Problem) -> Problem {
+    Problem { activation: Activation::Gelu, ..problem }
+}
+
+fn swiglu(problem: Problem) -> Problem {
+    Problem { activation: Activation::SwiGlu, ..problem }
+}
+
+fn scaled(factor: f32, mut problem: Problem) -> Problem {
+    problem.x.iter_mut().for_each(|x| *x *= factor);
+    problem
+}
+
+/// Overflows and underflows exp.
+fn far(factor: f32, rows: usize) -> Problem {
+    scaled(factor, Problem::random(rows, 64, 64))
+}
+
+/// Uses nonzero whole numbers up to 7: exact in f16, bf16 and f32 sums, and far from 8-bit ties.
+fn whole(inner: usize) -> Problem {
+    let mut problem = Problem { whole: true, ..random(inner) };
+    for x in problem.x.iter_mut().chain(&mut problem.weight).chain(&mut problem.bias) {
+        *x = (x.abs() * 7.0).ceil().max(1.0) * x.signum();
+    }
+    problem
+}
+
+/// Uses one input per sum, from -10 to 10; gates and values read different channels.
+fn alone() -> Problem {
+    let mut problem = Problem::random(2001, 4, 8);
+    problem.x.iter_mut().enumerate().for_each(|(i, x)| *x = ((i / 4 * (1 + i % 4)) % 2001) as f32 / 100.0 - 10.0);
+    problem.weight.iter_mut().enumerate().for_each(|(i, w)| *w = if i / 4 % 4 == (i + i / 16) % 4 { 1.0 } else { 0.0 });
+    problem.bias.fill(0.0);
+    problem
+}
+
+/// Cancels products of whole numbers from 64 to 127, except one pair in 32. Row maxima are 127,
+/// exact in 8-bit integers.
+fn cancelling() -> Problem {
+    let mut problem = Problem { whole: true, ..Problem::random(9, 512, 40) };
+    let mut noise = Noise(73);
+    let mut large = || noise.uniform(64.0, 128.0).floor();
+    for (i, pair) in problem.weight.chunks_mut(2).enumerate() {
+        let w = if i % 256 == 3 { 127.0 } else { large() };
+        pair.copy_from_slice(&[w, -w]);
+    }
+    for (i, pair) in problem.x.chunks_mut(2).enumerate() {
+        let x = if i % 256 == 3 { 127.0 } else { large() };
+        pair.copy_from_slice(&[x, if i % 32 == 5 { (x - 1.0).max(64.0) } else { x }]);
+    }
+    problem.bias.fill(0.0);
+    problem
+}
+
+fn outliers() -> Problem {
+    let mut problem = Problem::random(9, 1536, 40);
+    for row in problem.x.chunks_mut(1536) {
+        (row[7], row[900]) = (1e4 * row[7].signum(), -7e3);
+    }
+    problem
+}
+
+/// Gives row r the channels r, r + rows, r + 2 rows and so on: few terms reveal a wrong index.
+fn one_hot(inner: usize, rows: usize) -> Problem {
+    let mut problem = Problem::random(rows, inner, 8);
+    problem.x.iter_mut().enumerate().for_each(|(i, x)| *x = if i / inner == i % inner % rows { 1.0 } else { 0.0 });
+    problem.weight.iter_mut().for_each(|w| *w = (0.5 + 0.5 * w.abs()) * w.signum());
+    problem
+}
