@@ -3,6 +3,7 @@
 //! Additions and multiplications are correctly rounded (Vulkan specification, "Precision and
 //! Operation of SPIR-V Instructions"). A device may flush subnormals and fuse multiply-adds.
 
+use crate::Tolerance;
 use serde::Serialize;
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
@@ -55,14 +56,24 @@ pub struct Worst {
     pub bound: f64,
     /// Error over bound; above 1 is wrong.
     pub share: f64,
+    /// Deviation of all elements, relative to the rms of the truth.
+    #[serde(skip)]
+    pub deviation: Tolerance,
+    /// Deviation over the allowance of tests; above 1 is less precise than expected.
+    #[serde(skip)]
+    pub typical: f64,
 }
 
 impl Worst {
     /// Empty comparison.
-    pub const NONE: Self = Self { error: 0.0, bound: 0.0, share: 0.0 };
+    pub const NONE: Self = Self::new(0.0, 0.0, 0.0);
 
     /// Failed comparison.
-    pub const UNKNOWN: Self = Self { error: f64::INFINITY, bound: f64::INFINITY, share: f64::INFINITY };
+    pub const UNKNOWN: Self = Self::new(f64::INFINITY, f64::INFINITY, f64::INFINITY);
+
+    const fn new(error: f64, bound: f64, share: f64) -> Self {
+        Self { error, bound, share, deviation: Tolerance { max: 0.0, rms: 0.0 }, typical: 0.0 }
+    }
 
     /// Compares one value; non-finite ones are wrong.
     pub fn one(got: f64, truth: f64, bound: f64) -> Self {
@@ -72,14 +83,15 @@ impl Worst {
             _ if !(error.is_finite() && bound > 0.0) => f64::INFINITY,
             _ => error / bound,
         };
-        Self { error, bound, share }
+        Self::new(error, bound, share)
     }
 
     /// Returns the worst element of a result.
     pub fn of(got: &[f32], truth: &[f64], bound: impl Fn(usize) -> f64) -> Self {
         assert_eq!(got.len(), truth.len(), "as many results as truths");
         let one = |i: usize| Self::one(got[i].into(), truth[i], bound(i));
-        (0..got.len()).map(one).fold(Self::NONE, Self::or)
+        let worst = (0..got.len()).map(one).fold(Self::NONE, Self::or);
+        Self { deviation: Tolerance::between(got, truth), ..worst }
     }
 
     /// Counts differing elements, with bound 0.
@@ -91,7 +103,17 @@ impl Worst {
     /// Returns the worse of two.
     pub fn or(self, other: Self) -> Self {
         let [mine, theirs] = [self, other].map(|w| (w.share, w.bound));
-        if theirs > mine { other } else { self }
+        let worse = if theirs > mine { other } else { self };
+        let [a, b] = [self.deviation, other.deviation];
+        let deviation = Tolerance { max: a.max.max(b.max), rms: a.rms.max(b.rms) };
+        Self { deviation, typical: self.typical.max(other.typical), ..worse }
+    }
+
+    /// Compares the deviation with an allowance.
+    pub(crate) fn against(self, allowed: Tolerance) -> Self {
+        let over = |found: f64, allowed: f64| if found > 0.0 { found / allowed } else { 0.0 };
+        let Tolerance { max, rms } = self.deviation;
+        Self { typical: over(max, allowed.max).max(over(rms, allowed.rms)), ..self }
     }
 }
 

@@ -1,6 +1,6 @@
 //! Device computation with truth and simulated faults.
 
-use crate::{Mode, Worst};
+use crate::{Mode, Tolerance, Worst};
 use std::fmt::Debug;
 use zipsplat::{Result, gpu::Device};
 
@@ -18,6 +18,11 @@ pub(crate) trait Problem: 'static {
     fn truth(&self, mode: Mode) -> Self::Truth;
 
     fn judge(&self, truth: &Self::Truth, output: &Self::Output, mode: Mode) -> Worst;
+
+    /// Returns the deviation that tests allow: at random, sums stay far below their bounds.
+    fn typical(&self, _device: &Device, _mode: Mode) -> Tolerance {
+        Tolerance::ANY
+    }
 
     /// Simulates a fault on the host. Empty if the mode's rounding hides it; each output must be
     /// caught.
@@ -75,6 +80,16 @@ impl Case {
         faults: impl Into<Catches<P::Fault>>,
         make: impl Fn() -> P + 'static,
     ) -> Self {
+        Self::sweep(name, size, faults, move || vec![make()])
+    }
+
+    /// Joins problems; each must catch every fault.
+    pub(crate) fn sweep<P: Problem>(
+        name: impl Into<String>,
+        size: usize,
+        faults: impl Into<Catches<P::Fault>>,
+        make: impl Fn() -> Vec<P> + 'static,
+    ) -> Self {
         let Catches(faults) = faults.into();
         let catches = faults.iter().map(name_of).collect();
         Self { name: name.into(), size, catches, checks: Box::new(Made { make, faults }) }
@@ -90,7 +105,7 @@ impl Case {
     }
 }
 
-/// Type-erased problem, built on use because it is large.
+/// Type-erased problems, built on use because they are large.
 trait Checks {
     fn check(&self, device: &Device, mode: Mode) -> Result<Worst>;
     fn inject(&self, mode: Mode) -> Vec<Injected>;
@@ -101,19 +116,22 @@ struct Made<M, F> {
     faults: Vec<F>,
 }
 
-impl<P: Problem, M: Fn() -> P> Checks for Made<M, P::Fault> {
+impl<P: Problem, M: Fn() -> Vec<P>> Checks for Made<M, P::Fault> {
     fn check(&self, device: &Device, mode: Mode) -> Result<Worst> {
-        let problem = (self.make)();
-        let output = problem.compute(device, mode)?;
-        Ok(problem.judge(&problem.truth(mode), &output, mode))
+        (self.make)().iter().try_fold(Worst::NONE, |worst, problem| {
+            let output = problem.compute(device, mode)?;
+            let judged = problem.judge(&problem.truth(mode), &output, mode);
+            Ok(worst.or(judged.against(problem.typical(device, mode))))
+        })
     }
 
     fn inject(&self, mode: Mode) -> Vec<Injected> {
-        let problem = (self.make)();
-        let truth = problem.truth(mode);
+        let problems: Vec<_> = (self.make)().into_iter().map(|problem| (problem.truth(mode), problem)).collect();
         let inject = |fault: &P::Fault| {
-            let outputs = problem.faulty(&truth, *fault, mode);
-            let shares = outputs.iter().map(|output| problem.judge(&truth, output, mode).share);
+            let shares = problems.iter().flat_map(|(truth, problem)| {
+                let outputs = problem.faulty(truth, *fault, mode);
+                outputs.iter().map(|output| problem.judge(truth, output, mode).share).collect::<Vec<_>>()
+            });
             shares.reduce(f64::min).map(|share| Injected { fault: name_of(fault), share })
         };
         self.faults.iter().filter_map(inject).collect()

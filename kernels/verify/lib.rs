@@ -7,6 +7,7 @@
 mod bound;
 mod case;
 pub mod noise;
+mod tolerance;
 mod trial;
 
 mod backbone {
@@ -42,8 +43,13 @@ mod render {
 }
 
 pub use bound::Worst;
+pub use cluster::nearest::{Chosen, Truth as NearestTruth};
+pub use gaussians::activate::run as activate;
+pub use ops::linear::{Problem as Layer, Residual};
+
 use case::Catches;
 pub use case::{CAUGHT, Case, Injected};
+pub use tolerance::Tolerance;
 
 use serde::Serialize;
 use zipsplat::{
@@ -118,6 +124,8 @@ impl Mode {
     const FLOATS: &[Mode] = &[Mode::EXACT, Mode::F16, Mode::BF16, Mode::F16_MATRIX, Mode::BF16_MATRIX];
     /// Nearest-row search.
     const NEAREST: &[Mode] = &[Mode::EXACT, Mode::F16_MATRIX];
+    /// Kernels in f32 with results of every type.
+    const STORED: &[Mode] = &[Mode::EXACT, Mode::F16, Mode::BF16];
     /// Kernels that are always f32.
     const ONLY_EXACT: &[Mode] = &[Mode::EXACT];
 
@@ -153,6 +161,13 @@ impl Mode {
 
     fn units(self, device: &Device) -> Option<Units> {
         Units::of(self.factor, device.limits()).filter(|_| self.matrix)
+    }
+
+    /// Returns the bound of a value stored in this type, where f16 may round either way.
+    fn stored(self, value: f64, bound: f64) -> f64 {
+        let Factors { unit, tiny, .. } = self.factors();
+        let unit = if self.factor == Element::F16 { 2.0 * unit } else { unit };
+        bound + unit * (value.abs() + bound) + tiny
     }
 
     fn factors(self) -> Factors {
@@ -233,6 +248,22 @@ impl Area {
     }
 }
 
+/// Returns cases over many shapes, too many for the command; tests run them.
+pub fn shapes() -> Vec<Area> {
+    vec![
+        ops::linear::shapes(),
+        ops::linear::q8_shapes(),
+        ops::layer_norm::shapes(),
+        heads::pixel_shuffle::shapes(),
+        heads::resize::shapes(),
+        ops::attention::shapes(),
+        cluster::nearest_shapes(),
+        gaussians::activate::shapes(),
+        ops::sort::shapes(),
+        ops::gelu::shapes(),
+    ]
+}
+
 /// Returns all areas in pipeline order.
 pub fn catalogue() -> Vec<Area> {
     vec![
@@ -245,7 +276,7 @@ pub fn catalogue() -> Vec<Area> {
         ops::split_heads::area(),
         ops::attention::area(),
         backbone::camera_encoder::area(),
-        cluster::nearest(),
+        cluster::nearest_area(),
         cluster::kmeans(),
         gaussians::activate::area(),
         ops::sort::area(),

@@ -3,7 +3,7 @@
 use bytemuck::Pod;
 use zipsplat::{
     Result,
-    gpu::{Device, Recorder, Run, Tensor},
+    gpu::{Device, Limits, Recorder, Run, Tensor},
 };
 
 /// NaN as f32 and as f16 pairs; out of range as an index.
@@ -17,7 +17,14 @@ pub struct Trial<'a> {
 
 impl<'a> Trial<'a> {
     pub fn new(device: &'a Device) -> Self {
-        Self { device, rec: Recorder::new(device.limits()), inputs: Vec::new() }
+        Self::within(device, |_| ())
+    }
+
+    /// Creates a plan within changed limits.
+    pub fn within(device: &'a Device, change: fn(&mut Limits)) -> Self {
+        let mut limits = device.limits().clone();
+        change(&mut limits);
+        Self { device, rec: Recorder::new(&limits), inputs: Vec::new() }
     }
 
     pub fn input<T: Pod>(&mut self, values: &[T]) -> Tensor {

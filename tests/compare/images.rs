@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::{env, fs};
 
-use super::{Float, tolerance::factor_rounding};
+use super::{Float, Tolerance};
 use zipsplat::{gpu::Element, ops::Arithmetic};
 
 /// Limits on a picture's deviation from truth, per value `absolute + relative * |truth|`.
@@ -41,7 +41,7 @@ impl ImageTolerance {
     /// Tolerance of a network's scene in a faster arithmetic against f32. Gaussians of similar
     /// depth may swap, so single pixels are unbounded. f16 stays below 8-bit rounding.
     pub fn of_network(arithmetic: Arithmetic) -> Self {
-        let coarser = factor_rounding(arithmetic) / Element::F16.roundoff();
+        let coarser = Tolerance::factor_rounding(arithmetic) / Element::F16.roundoff();
         Self { absolute: f64::INFINITY, relative: 0.0, psnr: 45.0 - 20.0 * coarser.log10() }
     }
 }

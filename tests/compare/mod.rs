@@ -4,14 +4,13 @@
 //! the rounding of large neighbors. NaN and infinity fail. Integers are compared exactly.
 
 mod images;
-mod tolerance;
 
 use std::fmt;
 
 use crate::golden::Golden;
 
 pub use images::{ImageTolerance, Picture, assert_images_close};
-pub use tolerance::Tolerance;
+pub use zipsplat_verify::Tolerance;
 
 /// A float convertible to f64.
 pub trait Float: Copy + Into<f64> {}

@@ -2,7 +2,7 @@
 
 use bytemuck::Pod;
 use zipsplat::gpu::{Element, Limits, Recorder, Run, Tensor};
-use zipsplat::ops::{AttentionKernel, Lanes, LinearKernel, NearestKernel, Tiles, Units, Weights};
+use zipsplat::ops::{Lanes, LinearKernel, NearestKernel, Tiles, Units, Weights};
 use zipsplat_tests::device::device;
 pub use zipsplat_tests::random::{random, random_below};
 
@@ -105,14 +105,6 @@ pub fn with_and_without_addresses(limits: &Limits, has_twin: bool) -> Vec<Limits
 /// Returns the linear kernels that have a variant for 8-bit weights, with the variant.
 pub fn q8_kernels() -> Vec<[LinearKernel; 2]> {
     linear_kernels().into_iter().filter_map(|kernel| Some([kernel, kernel.with_q8()?])).collect()
-}
-
-/// Returns the device's attention kernels, with tiles by rule.
-pub fn attention_kernels() -> Vec<AttentionKernel> {
-    let lanes = elements().into_iter().map(AttentionKernel::Lanes);
-    let limits = device().limits();
-    let units = Element::HALVES.into_iter().filter_map(|factor| Units::of(factor, limits));
-    lanes.chain(units.map(AttentionKernel::Matrix)).collect()
 }
 
 /// Returns the device's nearest-row kernels.

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 use zipsplat_tests::catalogue::examine;
-use zipsplat_verify::{Mode, catalogue};
+use zipsplat_verify::{Mode, catalogue, shapes};
 
 /// Defines a test for the kernels whose name starts with each prefix.
 macro_rules! families {
@@ -40,7 +40,7 @@ fn every_kernel_is_in_a_family() {
 #[test]
 fn every_case_catches_the_faults_that_it_is_there_for() {
     let mut missed = Vec::new();
-    for area in catalogue() {
+    for area in catalogue().into_iter().chain(shapes()) {
         for case in &area.cases {
             let mut injected = BTreeSet::new();
             // The largest cases take seconds per mode; smaller ones cover narrower factors.
@@ -65,13 +65,14 @@ fn every_case_catches_the_faults_that_it_is_there_for() {
 
 #[test]
 fn areas_are_told_apart_and_explained() {
-    let areas = catalogue();
-    for area in &areas {
-        assert!(area.reason.len() > 40 && !area.size.is_empty() && !area.modes.is_empty(), "{}", area.kernel);
-        assert!(!area.cases.is_empty() && areas.iter().filter(|other| other.kernel == area.kernel).count() == 1);
-        let mut names: Vec<_> = area.cases.iter().map(|case| (&case.name, case.size)).collect();
-        names.sort();
-        names.dedup();
-        assert_eq!(names.len(), area.cases.len(), "{}: two cases of one name and size", area.kernel);
+    for areas in [catalogue(), shapes()] {
+        for area in &areas {
+            assert!(area.reason.len() > 40 && !area.size.is_empty() && !area.modes.is_empty(), "{}", area.kernel);
+            assert!(!area.cases.is_empty() && areas.iter().filter(|other| other.kernel == area.kernel).count() == 1);
+            let mut names: Vec<_> = area.cases.iter().map(|case| (&case.name, case.size)).collect();
+            names.sort();
+            names.dedup();
+            assert_eq!(names.len(), area.cases.len(), "{}: two cases of one name and size", area.kernel);
+        }
     }
 }

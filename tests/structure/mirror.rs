@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use zipsplat::kernels::MODULES;
 
 /// Kernels that are steps or variants of one operation, with their common name.
-const STEPS: [(&str, &str); 26] = [
+const STEPS: [(&str, &str); 27] = [
     ("cluster/nearest_matrix", "cluster/nearest"),
     ("cluster/nearest_merge", "cluster/nearest"),
     ("cluster/nearest_uniform", "cluster/nearest"),
@@ -18,12 +18,13 @@ const STEPS: [(&str, &str); 26] = [
     ("lpips/pool_backward", "lpips/pool"),
     ("ops/attention_matrix", "ops/attention"),
     ("ops/attention_uniform", "ops/attention"),
+    ("ops/linear_dot", "ops/linear"),
     ("ops/linear_matrix", "ops/linear"),
     ("ops/linear_merge", "ops/linear"),
     ("ops/linear_tiled", "ops/linear"),
     ("ops/linear_uniform", "ops/linear"),
-    ("ops/scan_apply", "ops/scan"),
-    ("ops/scan_reduce", "ops/scan"),
+    ("ops/scan_apply", "ops/sort"),
+    ("ops/scan_reduce", "ops/sort"),
     ("ops/key_starts", "ops/sort"),
     ("ops/sort_count", "ops/sort"),
     ("ops/sort_scatter", "ops/sort"),
@@ -35,9 +36,8 @@ const STEPS: [(&str, &str); 26] = [
 ];
 
 /// Names without a reference, and their alternative.
-const WITHOUT_REFERENCE: [(&str, &str); 3] = [
-    ("ops/scan", "a running sum on the host"),
-    ("ops/sort", "the stable sort of the standard library"),
+const WITHOUT_REFERENCE: [(&str, &str); 2] = [
+    ("ops/sort", "the stable sort of the standard library, a running sum"),
     ("render/intersect", "lists made on the host"),
 ];
 

@@ -1,10 +1,10 @@
 //! Clustering: nearest targets and k-means.
 
 mod kmeans;
-mod nearest;
+pub mod nearest;
 
 pub use kmeans::area as kmeans;
-pub use nearest::area as nearest;
+pub use nearest::{area as nearest_area, shapes as nearest_shapes};
 
 use crate::Mode;
 use zipsplat::{gpu::Device, ops::NearestKernel};

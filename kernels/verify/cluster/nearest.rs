@@ -1,7 +1,7 @@
 //! Nearest target of each point.
 
 use super::kernel;
-use crate::{Area, Case, Catches, Mode, Worst, bound::gamma, bound::half, case, noise::Noise, trial::Trial};
+use crate::{Area, Case, Catches, Mode, Tolerance, Worst, bound::gamma, bound::half, case, noise::Noise, trial::Trial};
 use zipsplat::{
     Result,
     gpu::Device,
@@ -31,7 +31,9 @@ pub struct Problem {
 
 /// Target per point, and the origin for matrix units.
 pub struct Chosen {
+    /// Index of the chosen target.
     pub targets: Vec<u32>,
+    /// Origin of the rows on matrix units.
     pub origin: Option<Vec<f32>>,
 }
 
@@ -61,13 +63,14 @@ pub enum Fault {
 }
 
 impl Truth {
+    /// Finds the nearest targets by exhaustive search.
     pub fn new(points: &[f32], targets: &[f32], width: usize) -> Self {
         let (points, targets) = (widen(points), widen(targets));
         let nearest = two_nearest(&points, &targets, width);
         Self { points, targets, nearest }
     }
 
-    pub fn first(&self) -> Vec<u32> {
+    pub(super) fn first(&self) -> Vec<u32> {
         self.nearest.iter().map(|[first, _]| first.0).collect()
     }
 
@@ -76,7 +79,7 @@ impl Truth {
         let squared = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
         let origin = chosen.origin.as_deref().map(widen);
         let slack = 2.0 * gamma(width + 3) / (1.0 - gamma(width + 3));
-        let mut worst = Worst::NONE;
+        let (mut worst, mut beyond) = (Worst::NONE, 0.0f64);
         let points = self.points.chunks(width).zip(&chosen.targets);
         for ((point, &index), &[(first, nearest), (second, next)]) in points.zip(&self.nearest) {
             let Some(target) = self.targets.chunks(width).nth(index as usize) else {
@@ -92,7 +95,9 @@ impl Truth {
                     None => slack * least,
                     Some(origin) => {
                         let error = |row| error_of_products([point, row].map(|row| squared(row, origin).sqrt()), width);
-                        error(target) + error(best)
+                        let both = error(target) + error(best);
+                        beyond = beyond.max((farther - TIE * nearest) / both);
+                        both
                     }
                 };
             let rows = || self.targets.chunks(width);
@@ -101,10 +106,10 @@ impl Truth {
             let later = index > first && target == best || tied;
             worst = worst.or(Worst::one(if later { f64::INFINITY } else { farther }, 0.0, bound));
         }
-        worst
+        Worst { deviation: Tolerance { max: beyond, rms: 0.0 }, ..worst }
     }
 
-    pub fn wrong(&self, fault: Fault, width: usize) -> Vec<u32> {
+    fn wrong(&self, fault: Fault, width: usize) -> Vec<u32> {
         let count = self.targets.len() / width;
         let nearest = || self.nearest.iter().map(|[first, _]| first.0);
         let used = match fault {
@@ -185,10 +190,45 @@ impl case::Problem for Problem {
         truth.excess(output, self.width)
     }
 
+    /// Half of the bound on matrix units: if nearly reached, it deserves a look.
+    fn typical(&self, _: &Device, _: Mode) -> Tolerance {
+        Tolerance { max: 0.5, ..Tolerance::ANY }
+    }
+
     fn faulty(&self, truth: &Truth, fault: Fault, mode: Mode) -> Vec<Chosen> {
         let origin = host_origin(mode, &self.targets, self.width);
         vec![Chosen { targets: truth.wrong(fault, self.width), origin }]
     }
+}
+
+/// Widths of every vector, at spreads and offsets that cancel.
+pub fn shapes() -> Area {
+    let make = |width: usize| {
+        move || {
+            let values = |seed, rows: usize| Noise(seed).values(rows * width);
+            let (points, targets) = (values(10, 67), values(11, 300));
+            let problem =
+                |points: &[f32], targets: &[f32]| Problem { width, points: points.to_vec(), targets: targets.to_vec() };
+            let moved = |values: &[f32], scale: f32, by: f32| values.iter().map(|x| by + scale * x).collect::<Vec<_>>();
+            let mut all = vec![problem(&points[..width], &targets)];
+            for (scale, by) in [(1.0, 0.0), (1.0, 1e3), (1e-6, 0.0), (1e-3, 5.0), (1e15, 0.0), (1e-15, 0.0)] {
+                all.push(problem(&moved(&points, scale, by), &moved(&targets, scale, by)));
+            }
+            // Clusters a thousandth as wide as the gaps between them.
+            let clustered = |seed| {
+                let of = |(i, noise): (usize, f32)| targets[i / width / 30 * width + i % width] + 1e-3 * noise;
+                Noise(seed).values(targets.len()).into_iter().enumerate().map(of).collect::<Vec<_>>()
+            };
+            all.push(problem(&clustered(12), &clustered(13)));
+            let middle = |pair: &[f32]| (0..width).map(|c| 0.5 * (pair[c] + pair[width + c])).collect::<Vec<_>>();
+            let midway: Vec<f32> = targets.chunks_exact(2 * width).flat_map(middle).collect();
+            all.push(problem(&midway, &targets));
+            all.push(problem(&points, &[&targets[..], &targets].concat()));
+            all
+        }
+    };
+    let sweep = |width| Case::sweep("spreads and offsets", width, [Fault::First], make(width));
+    Area { cases: [4, 12, 36, 100, 384].map(sweep).into(), ..area() }
 }
 
 pub fn area() -> Area {

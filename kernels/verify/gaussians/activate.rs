@@ -1,7 +1,7 @@
 //! Activations of the Gaussian head.
 
 use crate::{
-    Area, Case, Catches, Mode, Worst,
+    Area, Case, Catches, Mode, Tolerance, Worst,
     bound::{DIVISION, ROOT, TINY, U, exponential, gamma, half, logarithm},
     case,
     noise::Noise,
@@ -24,7 +24,22 @@ const REASON: &str = "each activation's slope times the rounding of its argument
 /// Values of a raw Gaussian with band 0.
 const WIDTH: usize = 14;
 
-struct Problem(Vec<f32>);
+/// Raw Gaussians `[_, 11 + 3 (degree + 1)^2]`.
+struct Problem {
+    raw: Vec<f32>,
+    degree: u32,
+}
+
+impl Problem {
+    fn new(count: usize, degree: u32, value: impl Fn(usize, f32) -> f32) -> Self {
+        let noise = Noise(6).values(count * width(degree)).into_iter().enumerate();
+        Self { raw: noise.map(|(i, r)| value(i, r)).collect(), degree }
+    }
+}
+
+fn width(degree: u32) -> usize {
+    11 + 3 * (degree as usize + 1).pow(2)
+}
 
 #[derive(Clone, Copy, Debug)]
 enum Fault {
@@ -76,20 +91,20 @@ impl case::Problem for Problem {
     type Fault = Fault;
 
     fn compute(&self, device: &Device, _: Mode) -> Result<Vec<f32>> {
-        run(device, &self.0)
+        run(device, &self.raw, self.degree, 1.0)
     }
 
     fn truth(&self, _: Mode) -> Vec<f64> {
-        widen(&self.0).chunks(WIDTH).flat_map(activate).collect()
+        widen(&self.raw).chunks(width(self.degree)).flat_map(activate).collect()
     }
 
     fn judge(&self, truth: &Vec<f64>, output: &Vec<f32>, _: Mode) -> Worst {
-        let raw = |i: usize| f64::from(self.0[i]);
+        let (raw, width) = (|i: usize| f64::from(self.raw[i]), width(self.degree));
         let length = |i: usize| {
-            let squares = self.0[i / WIDTH * WIDTH + 6..][..4].iter().map(|&x| f64::from(x).powi(2));
+            let squares = self.raw[i / width * width + 6..][..4].iter().map(|&x| f64::from(x).powi(2));
             squares.sum::<f64>().sqrt()
         };
-        Worst::of(output, truth, |i| match i % WIDTH {
+        Worst::of(output, truth, |i| match i % width {
             0..3 => mean_error(raw(i).abs().min(5.0)),
             3..6 => scale_error(raw(i)) + U * truth[i],
             6..10 => quat_error(truth[i], length(i)),
@@ -98,24 +113,36 @@ impl case::Problem for Problem {
         })
     }
 
+    fn typical(&self, _: &Device, _: Mode) -> Tolerance {
+        Tolerance::EXPONENTIAL
+    }
+
     fn faulty(&self, truth: &Vec<f64>, fault: Fault, _: Mode) -> Vec<Vec<f32>> {
-        let raw = widen(&self.0);
+        let (raw, width) = (widen(&self.raw), width(self.degree));
+        if truth.is_empty() {
+            return Vec::new();
+        }
         let one = |i: usize| match fault {
-            Fault::NeighbourGaussian => truth[(i + WIDTH) % truth.len()],
-            _ => fault.apply(&raw[i / WIDTH * WIDTH..][..WIDTH], i % WIDTH, truth[i]),
+            Fault::NeighbourGaussian => truth[(i + width) % truth.len()],
+            _ => fault.apply(&raw[i / width * width..][..width], i % width, truth[i]),
         };
         vec![(0..truth.len()).map(|i| one(i) as f32).collect()]
     }
 }
 
-fn run(device: &Device, raw: &[f32]) -> Result<Vec<f32>> {
-    let count = raw.len() / WIDTH;
+/// Activates raw Gaussians at a scene scale on a device.
+///
+/// # Errors
+/// Those of the device.
+pub fn run(device: &Device, raw: &[f32], degree: u32, scale: f32) -> Result<Vec<f32>> {
+    let count = raw.len() / width(degree);
     let mut trial = Trial::new(device);
     let input = trial.input(raw);
-    let unit = trial.input(&[1.0f32]);
-    let scene = SceneTensors::output(&mut trial.rec, count, 0);
+    let unit = trial.input(&[scale]);
+    let scene = SceneTensors::output(&mut trial.rec, count, degree);
     gaussians::activate(&mut trial.rec, input, unit, &scene);
-    let fields = [(scene.means, 3), (scene.scales, 3), (scene.quats, 4), (scene.opacities, 1), (scene.sh_coeffs, 3)];
+    let sh_coeffs = (scene.sh_coeffs, width(degree) - 11);
+    let fields = [(scene.means, 3), (scene.scales, 3), (scene.quats, 4), (scene.opacities, 1), sh_coeffs];
     let run = trial.run()?;
     let mut columns = Vec::new();
     for (tensor, width) in fields {
@@ -194,9 +221,9 @@ impl case::Problem for Clamps {
             row[6] = 1.0;
             row[10] = 100.0 + x;
         }
-        let high = run(device, &raw)?;
+        let high = run(device, &raw, 0, 1.0)?;
         raw.iter_mut().for_each(|x| *x = -*x);
-        let low = run(device, &raw)?;
+        let low = run(device, &raw, 0, 1.0)?;
         let rows = || high.chunks(WIDTH).zip(low.chunks(WIDTH));
         let ends = |range: std::ops::Range<usize>| -> Vec<[u32; 2]> {
             rows()
@@ -235,15 +262,21 @@ impl case::Problem for Clamps {
     }
 }
 
+/// Counts around a workgroup at every degree.
+pub fn shapes() -> Area {
+    use Fault::*;
+    let of = |degree| {
+        let make = move || [0, 1, 63, 64, 65, 333].map(|count| Problem::new(count, degree, |_, r| 6.0 * r)).into();
+        Case::sweep(format!("random of +-6, degree {degree}"), 333, [Zero, HalfResult, NoOffset, NotNormalised], make)
+    };
+    Area { cases: [0, 1, 2, 3].map(of).into(), ..area() }
+}
+
 pub fn area() -> Area {
     use Fault::*;
     let mut cases = Vec::new();
     let mut add = |name: &str, count: usize, catches: Catches<Fault>, value: fn(usize, f32) -> f32| {
-        let make = move || {
-            let noise = Noise(6).values(count * WIDTH).into_iter().enumerate();
-            Problem(noise.map(|(i, r)| value(i, r)).collect())
-        };
-        cases.push(Case::new(name, count, catches, make));
+        cases.push(Case::new(name, count, catches, move || Problem::new(count, 0, value)));
     };
     let all = || Catches::from([Zero, HalfResult, NoOffset, NotNormalised, NoSigmoid]);
     add("random of +-6", 1, all(), |_, r| 6.0 * r);

@@ -96,6 +96,13 @@ impl case::Problem for Problem {
     }
 }
 
+/// Sizes of every remainder.
+pub fn shapes() -> Area {
+    let sizes = [([3, 4], 4, 16), ([2, 5], 2, 7), ([1, 1], 4, 1), ([4, 3], 1, 8)];
+    let make = move || sizes.map(|(size, side, channels)| Problem::new(size, side, channels)).into();
+    Area { cases: vec![Case::sweep("sizes", 16, [Fault::Zero, Fault::NoBias], make)], ..area() }
+}
+
 pub fn area() -> Area {
     use Fault::*;
     let mut cases = Vec::new();

@@ -1,7 +1,7 @@
 //! Resized feature maps with position embeddings.
 
 use crate::{
-    Area, Case, Catches, Mode, Worst,
+    Area, Case, Catches, Mode, Tolerance, Worst,
     bound::{DIVISION, TINY, gamma, half},
     case,
     noise::Noise,
@@ -22,6 +22,8 @@ struct Problem {
     channels: usize,
     x: Vec<f32>,
     positions: Option<Vec<f32>>,
+    /// First output line, and first source line that is bound.
+    lines: [usize; 2],
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -41,7 +43,7 @@ enum Fault {
 impl Problem {
     fn new(size: [usize; 2], to: [usize; 2], channels: usize) -> Self {
         let x = Noise((size[0] * 31 + channels) as u64).values(size[0] * size[1] * channels);
-        Self { size, to, channels, x, positions: None }
+        Self { size, to, channels, x, positions: None, lines: [0; 2] }
     }
 
     fn placed(self) -> Self {
@@ -97,22 +99,23 @@ impl case::Problem for Problem {
 
     fn compute(&self, device: &Device, _: Mode) -> Result<Vec<f32>> {
         let ([height, width], [out_height, out_width]) = (self.size, self.to);
-        let pixels = out_height * out_width;
+        let [first, source_first] = self.lines;
+        let pixels = (out_height - first) * out_width;
         let mut trial = Trial::new(device);
-        let source = trial.input(&self.x);
+        let source = trial.input(&self.x[source_first * width * self.channels..]);
         let out = trial.output::<f32>(pixels * self.channels);
         let kernel = Resize {
             source,
             positions: self.positions.as_ref().map_or(source, |positions| trial.input(positions)),
             out,
             pixels: pixels as u32,
-            first: 0,
+            first: first as u32,
             out_width: out_width as u32,
             out_height: out_height as u32,
             channels: self.channels as u32,
             width: width as u32,
             height: height as u32,
-            source_first: 0,
+            source_first: source_first as u32,
             placed: self.positions.is_some(),
         };
         trial.rec.dispatch_groups(kernel, pixels);
@@ -122,7 +125,8 @@ impl case::Problem for Problem {
     fn truth(&self, _: Mode) -> [Vec<f64>; 2] {
         let largest = |values: &[f32]| values.iter().fold(0.0, |most, value| value.abs().max(most));
         let four = 4.0 * f64::from(largest(&self.x)) + f64::from(self.positions.as_deref().map_or(0.0, largest));
-        let truth = self.added(self.resized(), false);
+        let mut truth = self.added(self.resized(), false);
+        truth.drain(..self.lines[0] * self.to[1] * self.channels);
         let bound = (2.0 * DIVISION + gamma(ROUNDINGS)) * four + ROUNDINGS as f64 * TINY;
         let bounds = vec![bound; truth.len()];
         [truth, bounds]
@@ -130,6 +134,10 @@ impl case::Problem for Problem {
 
     fn judge(&self, [truth, bounds]: &[Vec<f64>; 2], output: &Vec<f32>, _: Mode) -> Worst {
         Worst::of(output, truth, |i| bounds[i])
+    }
+
+    fn typical(&self, _: &Device, _: Mode) -> Tolerance {
+        Tolerance::ELEMENTWISE
     }
 
     fn faulty(&self, [truth, _]: &[Vec<f64>; 2], fault: Fault, _: Mode) -> Vec<Vec<f32>> {
@@ -149,8 +157,32 @@ impl case::Problem for Problem {
             Fault::NeighbourPixel => (0..truth.len()).map(|i| truth[(i + self.channels) % truth.len()]).collect(),
             Fault::Half => truth.iter().map(|&x| half(x)).collect(),
         };
-        vec![values.into_iter().map(|x| x as f32).collect()]
+        vec![values[values.len() - truth.len()..].iter().map(|&x| x as f32).collect()]
     }
+}
+
+/// Sizes with idle lanes, single lines and pixels, with and without positions, and parts.
+pub fn shapes() -> Area {
+    let sizes = [
+        ([3, 4, 8], [6, 8]),
+        ([24, 16, 4], [42, 28]),
+        ([3, 2, 68], [5, 4]),
+        ([1, 2, 4], [2, 3]),
+        ([2, 1, 4], [3, 5]),
+        ([5, 6, 4], [1, 1]),
+        ([5, 6, 4], [5, 6]),
+    ];
+    let whole = move || {
+        let of = |([height, width, channels], to): ([usize; 3], _)| Problem::new([height, width], to, channels);
+        sizes.into_iter().flat_map(|size| [of(size), of(size).placed()]).collect()
+    };
+    // Line 5 of 9 lies at 5 * 4 / 8 = 2.5 of the source.
+    let part = || Problem { lines: [5, 2], ..Problem::new([5, 3], [9, 7], 4).placed() };
+    let cases = vec![
+        Case::sweep("sizes", 4, [Fault::Zero], whole),
+        Case::new("part of a picture", 4, [Fault::Zero, Fault::MiddlesOnMiddles, Fault::Nearest], part),
+    ];
+    Area { cases, ..area() }
 }
 
 pub fn area() -> Area {

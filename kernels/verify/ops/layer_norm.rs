@@ -1,7 +1,7 @@
 //! Layer normalization.
 
 use crate::{
-    Area, Case, Catches, Mode, Worst,
+    Area, Case, Catches, Mode, Tolerance, Worst,
     bound::{DIVISION, ROOT, TINY, U, by_lanes, gamma, half},
     case,
     noise::Noise,
@@ -9,11 +9,14 @@ use crate::{
 };
 use zipsplat::{
     Result,
-    gpu::Device,
+    gpu::{Device, Element},
     kernels::limits::GROUP_FOLD,
     ops::{Norm, Rows},
 };
-use zipsplat_reference::{ops::layer_norm::layer_norm, widen};
+use zipsplat_reference::{
+    ops::{add::add, layer_norm::layer_norm},
+    widen,
+};
 
 const REASON: &str = "the mean is off by d <= gamma mean|x|, of which the second pass takes back all but gamma mean|x - mean|; \
     the variance then by gamma (variance + d^2), relative to variance + epsilon (corrected two-pass algorithm: Chan, Golub \
@@ -57,9 +60,14 @@ pub fn affine_errors(errors: &[f64], truth: &[f64], weight: &[f32], bias: &[f32]
     columns.enumerate().map(error).collect()
 }
 
+#[derive(Clone)]
 struct Problem {
     width: usize,
+    eps: f32,
     x: Vec<f32>,
+    addend: Option<Vec<f32>>,
+    /// Values of one size about 0, whose rounding tests hold to that of random sums.
+    is_tame: bool,
     weight: Vec<f32>,
     bias: Vec<f32>,
 }
@@ -114,11 +122,17 @@ impl Problem {
         let mut noise = Noise(width as u64);
         let (weight, bias) = (noise.values(width), noise.values(width));
         let values = Noise(5).values(rows * width).into_iter().enumerate();
-        Self { width, x: values.map(|(i, r)| value(r, i % width)).collect(), weight, bias }
+        let x = values.map(|(i, r)| value(r, i % width)).collect();
+        Self { width, eps: EPS, x, addend: None, is_tame: false, weight, bias }
+    }
+
+    /// Returns the normalized rows.
+    fn rows(&self) -> Vec<f64> {
+        self.addend.as_ref().map_or(widen(&self.x), |addend| add(&widen(&self.x), &widen(addend)))
     }
 
     fn normed(&self, fault: Fault) -> Vec<f64> {
-        let eps = if matches!(fault, Fault::NoEpsilon) { 0.0 } else { f64::from(EPS) };
+        let eps = if matches!(fault, Fault::NoEpsilon) { 0.0 } else { f64::from(self.eps) };
         let row = |row: &[f64]| {
             let [mean, variance] = fault.moments(row);
             let scale = 1.0 / (variance + eps).sqrt();
@@ -128,7 +142,7 @@ impl Problem {
                 .map(|(x, (&w, &b))| (x - mean) * scale * f64::from(w) + f64::from(b))
                 .collect::<Vec<_>>()
         };
-        widen(&self.x).chunks(self.width).flat_map(row).collect()
+        self.rows().chunks(self.width).flat_map(row).collect()
     }
 }
 
@@ -137,24 +151,40 @@ impl case::Problem for Problem {
     type Truth = [Vec<f64>; 2];
     type Fault = Fault;
 
-    fn compute(&self, device: &Device, _: Mode) -> Result<Vec<f32>> {
+    fn compute(&self, device: &Device, mode: Mode) -> Result<Vec<f32>> {
         let mut trial = Trial::new(device);
         let (weight, bias) = (trial.input(&self.weight), trial.input(&self.bias));
-        let norm = Norm { weight, bias, width: self.width, eps: EPS };
-        let (input, out) = (trial.input(&self.x), trial.output::<f32>(self.x.len()));
-        let [rows, out_rows] = [input, out].map(|tensor| Rows::new(tensor, self.x.len() / self.width, self.width));
-        norm.record(&mut trial.rec, rows, None, out_rows, 0);
-        trial.result(out)
+        let norm = Norm { weight, bias, width: self.width, eps: self.eps };
+        let rows = |tensor, element| Rows { tensor, count: self.x.len() / self.width, width: self.width, element };
+        let mut input = |values: &Vec<f32>| rows(trial.input(values), Element::F32);
+        let (source, addend) = (input(&self.x), self.addend.as_ref().map(input));
+        let out = trial.output::<u8>(self.x.len() * mode.factor.bytes());
+        norm.record(&mut trial.rec, source, addend, rows(out, mode.factor), 0);
+        Ok(mode.factor.decode(&trial.result::<u8>(out)?))
     }
 
-    fn truth(&self, _: Mode) -> [Vec<f64>; 2] {
-        let (x, eps) = (widen(&self.x), f64::from(EPS));
+    fn truth(&self, mode: Mode) -> [Vec<f64>; 2] {
+        let (x, eps) = (self.rows(), f64::from(self.eps));
         let truth = layer_norm(&x, &self.weight, &self.bias, eps);
+        let added = self.addend.as_ref().map_or(0.0, |_| U);
+        let bounds = |(row, truth): (&[f64], &[f64])| {
+            let mut errors = normed_errors(row, eps);
+            // A rounded sum moves its row by as much, relative to its spread.
+            let largest = row.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
+            let mean = row.iter().sum::<f64>() / row.len() as f64;
+            let variance = row.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / row.len() as f64;
+            errors.iter_mut().for_each(|error| *error += 4.0 * added * largest / (variance + eps).sqrt());
+            affine_errors(&errors, truth, &self.weight, &self.bias)
+        };
         let rows = x.chunks(self.width).zip(truth.chunks(self.width));
-        let bounds =
-            |(row, truth): (&[f64], &[f64])| affine_errors(&normed_errors(row, eps), truth, &self.weight, &self.bias);
-        let bounds = rows.flat_map(bounds).collect();
+        let bounds = rows.flat_map(bounds).zip(&truth).map(|(bound, truth)| mode.stored(*truth, bound)).collect();
         [truth, bounds]
+    }
+
+    /// Two sums over a row, a root and a division.
+    fn typical(&self, _: &Device, mode: Mode) -> Tolerance {
+        let sums = Tolerance::sum_of(self.width).and(Tolerance::ELEMENTWISE).stored_in(mode.factor);
+        if self.is_tame { sums } else { Tolerance::ANY }
     }
 
     fn judge(&self, [truth, bounds]: &[Vec<f64>; 2], output: &Vec<f32>, _: Mode) -> Worst {
@@ -163,6 +193,9 @@ impl case::Problem for Problem {
 
     fn faulty(&self, [truth, _]: &[Vec<f64>; 2], fault: Fault, _: Mode) -> Vec<Vec<f32>> {
         let width = self.width;
+        if truth.is_empty() {
+            return Vec::new();
+        }
         let values = match fault {
             Fault::Zero => vec![0.0; truth.len()],
             Fault::NoBias => truth.iter().enumerate().map(|(i, y)| y - f64::from(self.bias[i % width])).collect(),
@@ -172,6 +205,27 @@ impl case::Problem for Problem {
         };
         vec![values.into_iter().map(|x| x as f32).collect()]
     }
+}
+
+/// Rows around any subgroup's size and its multiples, and of the largest networks, stored in every
+/// type.
+pub fn shapes() -> Area {
+    use Fault::*;
+    let of = |rows: usize, width: usize| {
+        let random = Problem { is_tame: true, ..Problem::new(rows, width, |r, _| r) };
+        let addend = Some(Noise(2).values(rows * width));
+        [Problem { addend, eps: 1e-5, ..random.clone() }, random]
+    };
+    let widths = [1, 3, 4, 7, 8, 9, 31, 32, 33, 63, 64, 65, 127, 384, 1536, 3073];
+    let sweep =
+        |width| Case::sweep("random", width, [Zero, NoBias], move || [0, 1, 5].map(|rows| of(rows, width)).concat());
+    let mut cases: Vec<Case> = widths.map(sweep).into();
+    let many = move || of(65_537, 4).into();
+    cases.push(Case::sweep("rows beyond the most workgroups", 65_537, [Zero, Folded, NeighbourRow], many));
+    let near =
+        move || of(20, 64).map(|p| Problem { x: p.x.iter().map(|x| 2e-3 * x).collect(), addend: None, ..p }).into();
+    cases.push(Case::sweep("variances near both epsilons", 64, [Zero, NoEpsilon], near));
+    Area { cases, modes: Mode::STORED, ..area() }
 }
 
 pub fn area() -> Area {

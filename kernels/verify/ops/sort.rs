@@ -133,6 +133,9 @@ impl case::Problem for Scan {
     }
 
     fn faulty(&self, truth: &Vec<u32>, fault: ScanFault, _: Mode) -> Vec<Vec<u32>> {
+        if truth.is_empty() {
+            return Vec::new();
+        }
         vec![match fault {
             ScanFault::AsItWas => self.0.clone(),
             ScanFault::Inclusive => truth.iter().zip(&self.0).map(|(sum, v)| sum.wrapping_add(*v)).collect(),
@@ -150,6 +153,25 @@ impl case::Problem for Scan {
 /// Bits of a positive float depth.
 fn depths(seed: u64, count: usize) -> Vec<u32> {
     Noise(seed).values(count).into_iter().map(|r| (1.0 + r).mul_add(50.0, 0.01).to_bits()).collect()
+}
+
+/// Counts around subgroups, digits and blocks.
+pub fn shapes() -> Area {
+    let sort = |count: usize, bits: u32| {
+        let make = move || Sort { keys: depths(1, count), bits };
+        Case::new(format!("random depths by {bits} bits"), count, [Fault::Zero, Fault::LastItem], make)
+    };
+    let counts = [1, 2, 7, 8, 9, 255, 256, 257, 1025, 70_001];
+    let mut cases: Vec<Case> = counts.map(|count| sort(count, 32)).into();
+    cases.push(sort(1_000_003, 31));
+    // Sums wrap at 2^32.
+    let large = |i: usize| (i as u32).wrapping_mul(2_654_435_761) >> (i % 32);
+    let scans = move || {
+        let counts = [0, 7, 8, 9, 255, 256, 257, 1023, 1024, 1025, 65_537, 1_000_003];
+        counts.map(|count| Scan((0..count).map(large).collect())).into()
+    };
+    cases.push(Case::sweep("prefix sums", 1_000_003, [ScanFault::AsItWas, ScanFault::Inclusive], scans));
+    Area { cases, ..area() }
 }
 
 pub fn area() -> Area {

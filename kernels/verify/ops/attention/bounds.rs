@@ -1,6 +1,6 @@
 //! Error bounds of attention.
 
-use super::{HEADS, Keys, Problem, Row};
+use super::{Keys, Problem, Row};
 use crate::{
     Mode,
     bound::{DIVISION, TINY, U, ULP, by_lanes, gamma},
@@ -95,7 +95,8 @@ impl Problem {
         let of_head = |key: usize| &keys.v[place(key)..][..self.dim];
         let least = factors.tiny.max(TINY);
         let mut channels = vec![Channel::default(); self.dim];
-        // Weight shares: lower bound, upper bound, possibly flushed.
+        // Weight shares: lower bound, upper bound, possibly flushed. Rounded weights multiply values,
+        // unrounded ones make the total; exp(0) does not round.
         let (mut kept, mut grown, mut lost) = (0.0, 0.0, 0.0);
         let first_error = row.errors[weights.first];
         let first_value = of_head(weights.first);
@@ -131,13 +132,14 @@ impl Problem {
                 }
             }
         }
+        let rounded = weights.unit * (1.0 - 1.0 / weights.total);
         // Additions of a lane, then of the subgroup.
         let total = gamma(by_lanes(self.keys()) + weights.rises + 6);
         let output = if mode.factor == Element::F32 { 0.0 } else { factors.unit };
         let bound = |(channel, out): (&Channel, &f64)| {
             let Channel { moved, range, size, beside, lost: flushed, shifted, terms } = *channel;
             let shifted = shifted / kept;
-            let carried = (moved / kept).min(range).min(beside) + shifted;
+            let carried = (moved / kept).min(range).min(beside) + shifted + rounded * out.abs();
             // By computed weights.
             let size = (size * grown / kept).min(out.abs() + range) + shifted;
             let summed = factors.sum(terms + weights.rises + 1) * size;
@@ -146,7 +148,6 @@ impl Problem {
             let subnormal = if output > 0.0 { (near + left).min(factors.tiny) } else { 0.0 };
             left + flushed + subnormal + (terms + 1) as f64 * TINY * (1.0 + range + out.abs())
         };
-        debug_assert!(keys.v.len() == self.keys() * HEADS * self.dim);
         channels.iter().zip(out).map(bound).collect()
     }
 }

@@ -5,7 +5,11 @@ use super::{
     Problem,
 };
 use crate::{Area, Case, Catches, Mode};
-use zipsplat::ops::Pool;
+use zipsplat::{
+    gpu::Limits,
+    kernels::limits::{ATTENTION_ROWS, GROUP_FOLD},
+    ops::Pool,
+};
 
 const REASON: &str = "a score is off by d <= gamma_(D+2) sum|q k|, so its weight by a factor e^d times exp's allowance, 3 + 2|x| \
     units for |x| below the row's maximum and 3 more each time that the maximum rises; an output by the weights' sum \
@@ -88,6 +92,69 @@ pub fn area() -> Area {
         problem
     });
     Area { kernel: "ops/attention", size: "keys", reason: REASON, modes: Mode::FLOATS, cases }
+}
+
+/// Returns a problem with the rounding of random sums, with and without addresses.
+fn variants(problem: Problem) -> [Problem; 2] {
+    let without_addresses: fn(&mut Limits) = |limits| limits.addresses = false;
+    let problem = Problem { is_tame: true, ..problem };
+    [Problem { limits: without_addresses, ..problem.clone() }, problem]
+}
+
+/// Rounds queries and keys to whole numbers, whose products add exactly.
+fn whole(mut problem: Problem, [q, k]: [fn(f32) -> f32; 2]) -> Problem {
+    problem.q.iter_mut().for_each(|x| *x = q(*x).round());
+    problem.k.iter_mut().for_each(|x| *x = k(*x).round());
+    problem
+}
+
+/// Shapes of heads, queries, keys and sequences.
+pub fn shapes() -> Area {
+    let mut cases = Vec::new();
+    for dim in [4, 8, 16, 24, 32, 48, 64, 96, 128] {
+        let keys = [1, 2, 3, 4, 5, 31, 32, 33, 325, 1300];
+        let make = move || keys.iter().flat_map(|&keys| variants(Problem::random(9, keys, dim, 1.0))).collect();
+        cases.push(Case::sweep(format!("heads of {dim} channels"), 1300, [Zero, NeighbourHead], make));
+    }
+    for shape in [[1, 1], [2, 3], [5, 2]] {
+        let queries = [0, 1, 7, 8, 9, 15, 16, 17, 31, 33, 65, 130];
+        let make =
+            move || queries.iter().flat_map(|&queries| variants(Problem::of(shape, queries, 37, 16, 1.0))).collect();
+        let name = format!("{} sequences of {} heads", shape[0], shape[1]);
+        cases.push(Case::sweep(name, 37, [Zero, NeighbourValue, HalfOfKeys], make));
+    }
+    for (side, grid, leading, dim) in [(2, [3, 5], 1, 64), (3, [4, 4], 0, 16), (4, [9, 7], 1, 16)] {
+        let pool = Pool { side, grid, leading };
+        let make =
+            move || variants(Problem { pool: Some(pool), ..Problem::random(9, 3 * pool.tokens(), dim, 1.0) }).into();
+        cases.push(Case::sweep(format!("means of {side} x {side} patches"), 3 * pool.keys(), [Zero, NoCounts], make));
+    }
+    let queries = (ATTENTION_ROWS * GROUP_FOLD) as usize + 3;
+    let many = move || variants(Problem::of([1, 1], queries, 2, 4, 1.0)).into();
+    cases.push(Case::sweep("queries beyond a fold of workgroups", 2, [Zero, NeighbourValue], many));
+    for dim in [16, 64] {
+        let shape: [fn(f32) -> f32; 2] = match dim {
+            16 => [|q| 64.0 * q, |k| 1024.0 * k],
+            _ => [|q| 64.0 * q, |k| 256.0 * k],
+        };
+        let make = move || variants(whole(Problem::of([2, 2], 11, 70, dim, 1.0), shape)).into();
+        cases.push(Case::sweep(format!("exact logits of 1e4, {dim} channels"), 70, [Zero, NeighbourValue], make));
+    }
+    let below = || variants(whole(Problem::of([1, 1], 5, 33, 16, 1.0), [|_| 64.0, |k| 8.0 * k - 48.0])).into();
+    cases.push(Case::sweep("exact logits far below zero", 33, [Zero, NoMaximum], below));
+    let equal = || {
+        let problem = |keys| Problem { q: vec![0.0; 5 * 32], ..Problem::of([1, 1], 5, keys, 32, 1.0) };
+        [3, 33, 325].into_iter().flat_map(|keys| variants(problem(keys))).collect()
+    };
+    cases.push(Case::sweep("equal logits", 325, [Zero, NoTotal], equal));
+    // CPUs get smaller tiles, which compile faster.
+    let tiles = || {
+        let shapes = [(1, 3, 1, 64), (70, 70, 2, 64), (300, 33, 30, 24)];
+        let of = |(queries, keys, heads, dim)| Problem::of([1, heads], queries, keys, dim, 1.0);
+        shapes.map(|shape| Problem { limits: |limits| limits.cpu = false, is_tame: true, ..of(shape) }).into()
+    };
+    cases.push(Case::sweep("tiles of GPUs", 70, [Zero, NeighbourValue], tiles));
+    Area { cases, ..area() }
 }
 
 /// Limits channel c to the c-th part of the keys: a missing part shows.

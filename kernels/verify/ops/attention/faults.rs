@@ -1,6 +1,6 @@
 //! Faulty attention.
 
-use super::{HEADS, Keys, Problem};
+use super::{Keys, Problem};
 use crate::bound::half;
 
 #[derive(Clone, Copy, Debug)]
@@ -93,7 +93,7 @@ impl Problem {
     fn value<'a>(&self, key: usize, head: usize, v: &'a [f64], fault: Fault) -> &'a [f64] {
         let (key, head) = match fault {
             Fault::NeighbourValue => ((key + 1) % self.keys(), head),
-            Fault::NeighbourHead => (key, (head + 1) % HEADS),
+            Fault::NeighbourHead => (key, (head + 1) % self.heads),
             _ => (key, head),
         };
         &v[key * self.width() + head * self.dim..][..self.dim]

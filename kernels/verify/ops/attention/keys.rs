@@ -8,7 +8,7 @@ use crate::{
 use zipsplat::gpu::Element;
 use zipsplat_reference::ops::split_heads::Pool;
 
-/// `[keys, HEADS, dim]`.
+/// `[keys, heads, dim]`.
 pub struct Keys {
     pub k: Vec<f64>,
     pub v: Vec<f64>,

@@ -2,10 +2,14 @@
 
 use super::{
     Fault::{self, *},
-    Problem,
+    Problem, Residual,
 };
 use crate::{Area, Case, Catches, Mode, noise::Noise};
-use zipsplat::{kernels::limits::GROUP_FOLD, ops::Activation};
+use zipsplat::{
+    gpu::Limits,
+    kernels::limits::{GROUP_FOLD, LINEAR_ROWS},
+    ops::Activation,
+};
 
 const REASON: &str = "|error| <= gamma_(n+1) (|x| |W| + |b|) in every element, whatever the order of the sum of its n terms that are \
     not 0 (Higham, section 3.5), carried through the activation's slope, plus Vulkan's limits for exp and division. Whole \
@@ -72,10 +76,72 @@ pub fn area() -> Area {
     add(
         "layer scale and residual in place",
         scaling.into(),
-        || Problem { scaled: true, ..Problem::random(37, 384, 56) },
+        || Problem { scaled: true, residual: Residual::InPlace, ..Problem::random(37, 384, 56) },
         384,
     );
     Area { kernel: "ops/linear", size: "terms of a sum (K)", reason: REASON, modes: Mode::ALL, cases }
+}
+
+/// Returns a problem with results of both types, and with bindings instead of addresses.
+pub(super) fn variants(problem: Problem) -> [Problem; 3] {
+    let without_addresses: fn(&mut Limits) = |limits| limits.addresses = false;
+    [Problem { limits: without_addresses, ..problem.clone() }, Problem { stored: true, ..problem.clone() }, problem]
+}
+
+/// Returns a layer with every combination of activation, layer scale and residual.
+pub(super) fn epilogues(problem: impl Fn() -> Problem) -> Vec<Problem> {
+    let mut all = Vec::new();
+    for activation in [Activation::None, Activation::Gelu] {
+        for (scaled, residual) in
+            [false, true].into_iter().flat_map(|scaled| [Residual::None, Residual::Apart].map(|r| (scaled, r)))
+        {
+            all.extend(variants(Problem { activation, scaled, residual, ..problem() }));
+        }
+    }
+    all.push(Problem { scaled: true, residual: Residual::InPlace, ..problem() });
+    if problem().columns.is_multiple_of(4) {
+        all.extend(variants(swiglu(problem())));
+    }
+    all
+}
+
+/// Joins the epilogues of a sum that few results of 16-bit factors split.
+pub(super) fn split() -> Case {
+    Case::sweep("split into parts", 3104, [Zero, PastEnd], || epilogues(|| Problem::exact(11, 3104, 40)))
+}
+
+/// Shapes around tiles, epilogues, and parts.
+pub fn shapes() -> Area {
+    let mut cases = Vec::new();
+    for rows in [1, 7, 8, 9, 15, 16, 17, 31, 33, 65] {
+        let columns = [1, 2, 3, 4, 5, 31, 32, 33, 63, 65, 127, 128, 129, 258];
+        let make = move || columns.iter().flat_map(|&columns| variants(Problem::exact(rows, 12, columns))).collect();
+        cases.push(Case::sweep(format!("{rows} rows around tiles"), 12, [Zero, NoBias, PastEnd], make));
+    }
+    for inner in [4, 8, 60, 64, 68, 128, 588, 1536, 4096, 6144] {
+        let make = move || variants(Problem::exact(19, inner, 72)).into();
+        cases.push(Case::sweep("72 columns", inner, [Zero, NeighbourColumn, PastEnd], make));
+    }
+    for columns in [4, 36, 132] {
+        let make = move || epilogues(|| Problem::exact(21, 24, columns));
+        cases.push(Case::sweep(format!("epilogues of {columns} columns"), 24, [Zero, PastEnd], make));
+    }
+    let parts = || {
+        let limits: fn(&mut Limits) = |limits| limits.max_binding_bytes = 64 << 10;
+        let all = epilogues(|| Problem::exact(1000, 64, 96)).into_iter();
+        all.map(|problem| Problem { limits, ..problem }).collect()
+    };
+    cases.push(Case::sweep("rows bound in parts", 64, [Zero, PastEnd], parts));
+    let integers = || {
+        let shapes = [(1, 8, 8), (7, 24, 32), (9, 72, 40), (33, 64, 136), (70, 96, 264), (3, 4096, 24), (130, 40, 72)];
+        shapes.iter().flat_map(|&(rows, inner, columns)| variants(Problem::exact(rows, inner, columns))).collect()
+    };
+    cases.push(Case::sweep("shapes of dot products", 8, [Zero, PastEnd], integers));
+    let rows = LINEAR_ROWS as usize * 65_536 + 1;
+    let many = move || Problem::exact(rows, 4, 4);
+    cases.push(Case::new("rows beyond the most workgroups", rows, [Zero, Folded, PastEnd], many));
+    cases.push(split());
+    Area { cases, ..area() }
 }
 
 fn random(inner: usize) -> Problem {

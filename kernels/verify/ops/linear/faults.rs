@@ -49,7 +49,7 @@ pub enum Fault {
 }
 
 impl Problem {
-    pub fn wrong(&self, truth: &Truth, fault: Fault, mode: Mode) -> Vec<Vec<f64>> {
+    pub(super) fn wrong(&self, truth: &Truth, fault: Fault, mode: Mode) -> Vec<Vec<f64>> {
         let (columns, wide) = (self.columns, self.out_columns());
         let result = |place: &dyn Fn(usize, usize) -> usize| -> Vec<Vec<f64>> {
             vec![(0..self.rows * wide).map(|i| truth.values[place(i / wide, i % wide)]).collect()]

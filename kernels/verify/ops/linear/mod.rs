@@ -5,11 +5,11 @@ mod faults;
 mod held;
 mod q8;
 
-pub use cases::area;
-pub use q8::q8_area;
+pub use cases::{area, shapes};
+pub use q8::{q8_area, q8_shapes};
 
 use crate::{
-    Mode, Worst,
+    Mode, Tolerance, Worst,
     bound::{DIVISION, TINY, U, ULP, exponential, gamma},
     case,
     noise::Noise,
@@ -20,28 +20,51 @@ use held::Held;
 use rayon::prelude::*;
 use zipsplat::{
     Result,
-    gpu::{Device, Element},
-    ops::{Activation, Epilogue, Linear, LinearKernel, Rows, Weights, pack_matrix},
+    gpu::{Device, Element, Limits},
+    ops::{Activation, Epilogue, Linear, LinearKernel, Q8, Rows, Weights, pack_matrix},
 };
 use zipsplat_reference::ops::activation::{gelu, sigmoid, silu};
 
-/// Layer and input: `x [rows, inner]`, `weight [columns, inner]`.
-struct Problem {
+/// Residual of a layer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Residual {
+    /// No residual.
+    None,
+    /// Tensor of its own.
+    Apart,
+    /// The output.
+    InPlace,
+}
+
+/// Layer and input.
+#[derive(Clone)]
+pub struct Problem {
     rows: usize,
     inner: usize,
     columns: usize,
-    x: Vec<f32>,
-    weight: Vec<f32>,
+    /// Input `[rows, inner]`.
+    pub x: Vec<f32>,
+    /// `[columns, inner]`
+    pub weight: Vec<f32>,
     bias: Vec<f32>,
-    activation: Activation,
-    /// Layer scale and residual.
-    scaled: bool,
-    /// Whole numbers with exact f32 partial sums in any order.
+    /// Activation; SwiGLU takes columns [gate | value].
+    pub activation: Activation,
+    /// Layer scale.
+    pub scaled: bool,
+    /// Residual.
+    pub residual: Residual,
+    /// Result in the factors' type instead of f32.
+    pub stored: bool,
+    /// Changes the device's limits.
+    pub limits: fn(&mut Limits),
+    /// Numbers with exact f32 partial sums in any order.
     whole: bool,
+    /// Factors that every type holds.
+    held: bool,
 }
 
 /// Result `[rows, out_columns]`, and factors as on the device.
-struct Truth {
+pub(crate) struct Truth {
     values: Vec<f64>,
     errors: Vec<f64>,
     held: Held,
@@ -55,34 +78,77 @@ struct Sum {
 }
 
 impl Problem {
-    fn random(rows: usize, inner: usize, columns: usize) -> Self {
+    /// Creates a random layer.
+    pub fn random(rows: usize, inner: usize, columns: usize) -> Self {
         let mut noise = Noise((rows * 31 + inner * 7 + columns) as u64);
         let (x, weight, bias) = (noise.values(rows * inner), noise.values(columns * inner), noise.values(columns));
-        Self { rows, inner, columns, x, weight, bias, activation: Activation::None, scaled: false, whole: false }
+        Self {
+            rows,
+            inner,
+            columns,
+            x,
+            weight,
+            bias,
+            activation: Activation::None,
+            scaled: false,
+            residual: Residual::None,
+            stored: false,
+            limits: |_| (),
+            whole: false,
+            held: false,
+        }
+    }
+
+    /// Creates a random layer whose factors every type holds exactly: multiples of 1/128, with the
+    /// largest first in each group of 8-bit weights. Short sums are exact, too.
+    pub fn exact(rows: usize, inner: usize, columns: usize) -> Self {
+        let mut problem = Self { whole: inner <= 1024, held: true, ..Self::random(rows, inner, columns) };
+        for row in problem.x.chunks_mut(inner).chain(problem.weight.chunks_mut(inner)) {
+            for (k, x) in row.iter_mut().enumerate() {
+                *x = if k % Q8::GROUP == 0 { 127.0 } else { (126.0 * *x).round() } / 128.0;
+            }
+        }
+        problem.bias.iter_mut().for_each(|b| *b = (*b * 128.0).round() / 128.0);
+        problem
     }
 
     fn gamma(&self) -> Vec<f32> {
-        Noise(71).values(self.columns)
+        if self.scaled { Noise(71).values(self.out_columns()) } else { vec![1.0; self.out_columns()] }
     }
 
     fn stream(&self) -> Vec<f32> {
-        Noise(72).values(self.rows * self.columns)
+        let len = self.rows * self.out_columns();
+        if self.residual == Residual::None { vec![0.0; len] } else { Noise(72).values(len) }
     }
 
     fn out_columns(&self) -> usize {
         if self.activation == Activation::SwiGlu { self.columns / 2 } else { self.columns }
     }
 
-    /// Returns the factor type; matrix units and dot products write whole vectors.
+    /// Returns true if results are whole vectors, as matrix units and dot products write them.
+    fn has_vectors(&self) -> bool {
+        self.out_columns().is_multiple_of(4)
+    }
+
+    /// Returns the factor type.
     fn factor(&self, mode: Mode) -> Element {
         match mode.factor {
-            Element::I8 if !self.columns.is_multiple_of(8) => Element::F16,
+            Element::I8 if !self.has_vectors() => Element::F16,
+            factor => factor,
+        }
+    }
+
+    /// Returns the type of a stored result.
+    fn element(&self, mode: Mode) -> Element {
+        match self.factor(mode) {
+            _ if !self.stored => Element::F32,
+            Element::I8 => Element::F16,
             factor => factor,
         }
     }
 
     fn kernel(&self, device: &Device, mode: Mode) -> LinearKernel {
-        match mode.units(device).filter(|_| self.columns.is_multiple_of(8)) {
+        match mode.units(device).filter(|_| self.has_vectors()) {
             Some(units) => LinearKernel::Matrix(units, mode.weights),
             None => mode.on_lanes(self.factor(mode)),
         }
@@ -91,7 +157,7 @@ impl Problem {
     /// Returns the relative error of an expanded 8-bit weight on matrix units. f16 may round either
     /// way; bf16 rounds to nearest.
     fn expanding(&self, mode: Mode) -> f64 {
-        let becomes_factor = mode.weights == Weights::Q8 && mode.matrix && self.columns.is_multiple_of(8);
+        let becomes_factor = mode.weights == Weights::Q8 && mode.matrix && self.has_vectors();
         match mode.factor {
             Element::F16 if becomes_factor => 2.0 * Element::F16.roundoff(),
             Element::Bf16 if becomes_factor => Element::Bf16.roundoff(),
@@ -141,7 +207,7 @@ impl Problem {
             Activation::Gelu => sums.iter().map(|&z| gelu(z)).collect(),
             Activation::SwiGlu => self.gated(sums, |gate, value| silu(gate) * value),
         };
-        if self.scaled { self.added(&values, |value, gamma, residual| value * gamma + residual) } else { values }
+        self.added(&values, |value, gamma, residual| value * gamma + residual)
     }
 
     fn gated<T: Copy, R>(&self, sums: &[T], function: impl Fn(T, T) -> R) -> Vec<R> {
@@ -152,46 +218,42 @@ impl Problem {
 
     fn added(&self, values: &[f64], function: impl Fn(f64, f64, f64) -> f64) -> Vec<f64> {
         let (gamma, stream) = (self.gamma(), self.stream());
-        let one = |(i, &value): (usize, &f64)| function(value, gamma[i % self.columns].into(), stream[i].into());
+        let one = |(i, &value): (usize, &f64)| function(value, gamma[i % gamma.len()].into(), stream[i].into());
         values.iter().enumerate().map(one).collect()
     }
 
-    fn errors(&self, sums: &[Sum]) -> Vec<f64> {
-        let errors: Vec<f64> = match self.activation {
+    fn errors(&self, sums: &[Sum], finished: &[f64], element: Element) -> Vec<f64> {
+        let mut errors: Vec<f64> = match self.activation {
             Activation::None => sums.iter().map(|sum| sum.error).collect(),
-            Activation::Gelu => sums.iter().map(gelu_error).collect(),
+            Activation::Gelu => sums.iter().map(|sum| gelu_error(sum.value, sum.error)).collect(),
             Activation::SwiGlu => {
                 let places: Vec<usize> = (0..sums.len()).collect();
                 self.gated(&places, |gate, value| swiglu_error(&sums[gate], &sums[value]))
             }
         };
-        if !self.scaled {
-            return errors;
+        if self.scaled || self.residual != Residual::None {
+            let (gamma, stream) = (self.gamma(), self.stream());
+            for (i, error) in errors.iter_mut().enumerate() {
+                let carried = *error * f64::from(gamma[i % gamma.len()]).abs();
+                let scaled = finished[i] - f64::from(stream[i]);
+                *error = carried + 2.0 * U * (scaled.abs() + finished[i].abs() + carried) + TINY;
+            }
         }
-        let scaled = |(error, sum): (&f64, &Sum)| (*error, sum.value);
-        let (gamma, stream) = (self.gamma(), self.stream());
-        let one = |(i, (error, value)): (usize, (f64, f64))| {
-            let gamma = f64::from(gamma[i % self.columns]);
-            let (carried, scaled) = (error * gamma.abs(), value * gamma);
-            carried + 2.0 * U * (scaled.abs() + (scaled + f64::from(stream[i])).abs() + carried) + TINY
-        };
-        errors.iter().zip(sums).map(scaled).enumerate().map(one).collect()
+        let stored = Mode { factor: element, ..Mode::EXACT };
+        errors.iter().zip(finished).map(|(error, value)| stored.stored(*value, *error)).collect()
     }
 
     /// Returns a row past the end that kernels must not write.
     fn guard(&self) -> usize {
         self.out_columns()
     }
-}
 
-impl case::Problem for Problem {
-    type Output = Vec<f32>;
-    type Truth = Truth;
-    type Fault = Fault;
-
-    fn compute(&self, device: &Device, mode: Mode) -> Result<Vec<f32>> {
-        let kernel = self.kernel(device, mode);
-        let mut trial = Trial::new(device);
+    /// Returns a kernel's result in a type, followed by the guard.
+    ///
+    /// # Errors
+    /// Those of the device.
+    pub fn run(&self, device: &Device, kernel: LinearKernel, output: Element) -> Result<Vec<f32>> {
+        let mut trial = Trial::within(device, self.limits);
         // SwiGLU gates and values interleave on the device.
         let source = |column: usize| match self.activation {
             Activation::SwiGlu => column % 2 * (self.columns / 2) + column / 2,
@@ -211,19 +273,37 @@ impl case::Problem for Problem {
         let rows: Vec<f32> = self.x.chunks(self.inner).flat_map(|row| [row, &padding].concat()).collect();
         let element = kernel.element();
         let input = Rows { tensor: trial.input(&element.encode(&rows)), count: self.rows, width: layer.inner, element };
-        let out_rows = |tensor| Rows::new(tensor, self.rows, self.out_columns());
-        let mut epilogue = Epilogue { activation: self.activation, ..Epilogue::default() };
-        let out = if self.scaled {
-            let guarded = [self.stream(), vec![f32::from_bits(UNWRITTEN); self.guard()]].concat();
-            let (gamma, stream) = (trial.input(&self.gamma()), trial.input(&guarded));
-            trial.rec.output(stream);
-            (epilogue.gamma, epilogue.residual) = (Some(gamma), Some(out_rows(stream)));
-            stream
-        } else {
-            trial.output::<f32>(self.rows * self.out_columns() + self.guard())
+        let out_rows = |tensor, element| Rows { tensor, count: self.rows, width: self.out_columns(), element };
+        let guard = vec![f32::from_bits(UNWRITTEN); self.guard()];
+        let output_of = |trial: &mut Trial<'_>| {
+            trial.output::<u8>((self.rows * self.out_columns() + self.guard()) * output.bytes())
         };
-        layer.record(&mut trial.rec, input, out_rows(out), epilogue);
-        trial.result(out)
+        let (residual, out) = match self.residual {
+            Residual::None => (None, output_of(&mut trial)),
+            Residual::Apart => (Some(trial.input(&self.stream())), output_of(&mut trial)),
+            Residual::InPlace => {
+                let target = trial.input(&[self.stream(), guard].concat());
+                trial.rec.output(target);
+                (Some(target), target)
+            }
+        };
+        let epilogue = Epilogue {
+            activation: self.activation,
+            gamma: self.scaled.then(|| trial.input(&self.gamma())),
+            residual: residual.map(|tensor| out_rows(tensor, Element::F32)),
+        };
+        layer.record(&mut trial.rec, input, out_rows(out, output), epilogue);
+        Ok(output.decode(&trial.result::<u8>(out)?))
+    }
+}
+
+impl case::Problem for Problem {
+    type Output = Vec<f32>;
+    type Truth = Truth;
+    type Fault = Fault;
+
+    fn compute(&self, device: &Device, mode: Mode) -> Result<Vec<f32>> {
+        self.run(device, self.kernel(device, mode), self.element(mode))
     }
 
     fn truth(&self, mode: Mode) -> Truth {
@@ -231,15 +311,29 @@ impl case::Problem for Problem {
         let row = |row: usize| (0..self.columns).map(move |column| (row, column));
         let places: Vec<_> = (0..self.rows).flat_map(row).collect();
         let sums: Vec<Sum> = places.into_par_iter().map(|(row, column)| self.sum(&held, mode, row, column)).collect();
-        let errors = self.errors(&sums);
-        let sums: Vec<f64> = sums.iter().map(|sum| sum.value).collect();
-        Truth { values: self.finish(&sums), errors, held, sums }
+        let plain: Vec<f64> = sums.iter().map(|sum| sum.value).collect();
+        let values = self.finish(&plain);
+        Truth { errors: self.errors(&sums, &values, self.element(mode)), values, held, sums: plain }
     }
 
     fn judge(&self, truth: &Truth, output: &Vec<f32>, _: Mode) -> Worst {
         let (got, guard) = output.split_at(truth.values.len());
-        let bits: Vec<u32> = guard.iter().map(|x| x.to_bits()).collect();
-        Worst::of(got, &truth.values, |i| truth.errors[i]).or(Worst::differing(&bits, &vec![UNWRITTEN; self.guard()]))
+        let written: Vec<bool> = guard.iter().map(|x| !x.is_nan()).collect();
+        Worst::of(got, &truth.values, |i| truth.errors[i]).or(Worst::differing(&written, &vec![false; self.guard()]))
+    }
+
+    fn typical(&self, device: &Device, mode: Mode) -> Tolerance {
+        let sums = Tolerance::sum_of(self.inner).and(Tolerance::ELEMENTWISE);
+        let sums = match self.kernel(device, mode) {
+            // Integers of random inputs may lie on ties, and their scales round.
+            _ if !self.held && (mode.factor == Element::I8 || mode.weights == Weights::Q8) => return Tolerance::ANY,
+            LinearKernel::Matrix(units, _) if !device.limits().cpu => {
+                sums.and(Tolerance::sum_cut_off(self.inner.div_ceil(units.shape.k as usize)))
+            }
+            _ => sums,
+        };
+        let sums = if self.activation == Activation::SwiGlu { sums.times(2.0) } else { sums };
+        sums.stored_in(self.element(mode))
     }
 
     fn faulty(&self, truth: &Truth, fault: Fault, mode: Mode) -> Vec<Vec<f32>> {
@@ -255,7 +349,7 @@ impl case::Problem for Problem {
 }
 
 /// Bounds GELU: its slope is at most 1.13, and `shared/gelu.glsl` fits erf to 1.2e-7.
-fn gelu_error(&Sum { value: z, error }: &Sum) -> f64 {
+pub(crate) fn gelu_error(z: f64, error: f64) -> f64 {
     let t = z.abs() * std::f64::consts::FRAC_1_SQRT_2;
     let decayed = (-t * t).exp();
     let from_exp = if t < 1.0 { 0.0 } else { exponential(t * t) * decayed * 0.43 };

@@ -2,7 +2,7 @@
 
 use super::{
     Fault::{self, *},
-    Problem,
+    Problem, Residual, cases,
 };
 use crate::{Area, Case, Catches, Mode};
 use zipsplat::ops::{Activation, Q8};
@@ -31,9 +31,22 @@ pub fn q8_area() -> Area {
     add("GELU", [Zero, NoActivation, NoSign].into(), gelu, 384);
     let swiglu = || Problem { activation: Activation::SwiGlu, ..Problem::random(21, 64, 64) };
     add("SwiGLU", [Zero, NoActivation, NoSign, SwappedGate].into(), swiglu, 64);
-    let scaled = || Problem { scaled: true, ..Problem::random(37, 384, 56) };
+    let scaled = || Problem { scaled: true, residual: Residual::InPlace, ..Problem::random(37, 384, 56) };
     add("layer scale and residual in place", [Zero, NoScale, NoResidual, NoSign].into(), scaled, 384);
     Area { kernel: "ops/linear of q8 weights", size: "terms of a sum (K)", reason: REASON, modes: Mode::Q8, cases }
+}
+
+/// Shapes with every epilogue.
+pub fn q8_shapes() -> Area {
+    let mut cases = vec![cases::split()];
+    for (rows, inner, columns) in [(1, 32, 1), (17, 64, 36), (33, 96, 130), (19, 1536, 72), (270, 160, 264)] {
+        let make = move || match columns {
+            1 => cases::variants(Problem::exact(rows, inner, columns)).into(),
+            _ => cases::epilogues(|| Problem::exact(rows, inner, columns)),
+        };
+        cases.push(Case::sweep(format!("{rows} rows, {columns} columns"), inner, [Zero, PastEnd], make));
+    }
+    Area { cases, ..q8_area() }
 }
 
 fn sized(mut problem: Problem, factor: impl Fn(usize) -> f32) -> Problem {

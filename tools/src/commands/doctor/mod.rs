@@ -139,7 +139,7 @@ fn worst(findings: &[Finding]) -> Table {
 }
 
 fn cells(finding: &Finding) -> [String; 5] {
-    let Worst { error, bound, share } = finding.worst;
+    let Worst { error, bound, share, .. } = finding.worst;
     let number = |x: f64| if x == 0.0 { "0".into() } else { format!("{x:.1e}") };
     let verdict = match &finding.failed {
         Some(failed) => failed.clone(),

@@ -117,7 +117,7 @@ fn plot(area: &Area, mode: Mode, findings: &[&Finding]) -> String {
 fn table(findings: &[&Finding]) -> String {
     let row = |f: &&Finding| {
         let class = if f.holds { "" } else { " class=outside" };
-        let Worst { error, bound, share } = f.worst;
+        let Worst { error, bound, share, .. } = f.worst;
         let (name, percent) = (escape(&f.case), 100.0 * share);
         if let Some(failed) = &f.failed {
             return format!("<tr{class}><td>{name}<td>{}<td colspan=4>{}", f.size, escape(failed));

@@ -46,6 +46,19 @@ const F32: &[(&str, Tolerance)] = &[
 ];
 
 impl Tolerance {
+    /// No limit.
+    pub const ANY: Tolerance = Tolerance { max: f64::INFINITY, rms: f64::INFINITY };
+
+    /// Returns the deviation of `got` from `truth`.
+    pub(crate) fn between(got: &[f32], truth: &[f64]) -> Tolerance {
+        let squares = |values: &mut dyn Iterator<Item = f64>| values.map(|x| x * x).sum::<f64>().sqrt();
+        let errors = || got.iter().zip(truth).map(|(got, truth)| (f64::from(*got) - truth).abs());
+        let length = squares(&mut truth.iter().copied());
+        let count = (truth.len().max(1) as f64).sqrt();
+        let length = if length > 0.0 { length } else { count };
+        Tolerance { max: errors().fold(0.0, f64::max) * count / length, rms: squares(&mut errors()) / length }
+    }
+
     /// f64 references against truth stored in f32. An element may be a dozen times the rms.
     pub const STORED: Tolerance = Tolerance { max: 1e-6, rms: 1e-7 };
 
@@ -56,14 +69,14 @@ impl Tolerance {
     /// blocks and deviates no more, relatively. The maximum over millions of elements is 8 times
     /// that.
     pub fn tap_in(arithmetic: Arithmetic) -> Tolerance {
-        let u = factor_rounding(arithmetic);
+        let u = Self::factor_rounding(arithmetic);
         Tolerance { max: 16.0 * u, rms: 2.0 * u }
     }
 
     /// Gaussians of such a network: twice the deviation of the reference under autocast, 2 unit
     /// roundoffs. exp amplifies elements up to their clamps.
     pub fn gaussians_in(arithmetic: Arithmetic) -> Tolerance {
-        let u = factor_rounding(arithmetic);
+        let u = Self::factor_rounding(arithmetic);
         Tolerance { max: (200.0 * u).min(2.0), rms: 4.0 * u }
     }
 
@@ -139,17 +152,17 @@ impl Tolerance {
         let u = element.roundoff();
         Tolerance::sum_of(terms).and(Tolerance { max: 8.0 * u, rms: 2.0 * u })
     }
-}
 
-/// Bounds a product's deviation from the rounding of both factors, relative to its rms.
-///
-/// Float factors each move it by less than the unit roundoff, at random. A row of 8-bit integers is
-/// uniform with an rms of about a quarter of its range. Half of 1/127 is 4 times as much of it,
-/// 1/sqrt(3) at random, times sqrt(2) for both.
-pub(super) fn factor_rounding(arithmetic: Arithmetic) -> f64 {
-    match arithmetic.has_integers() {
-        true => 4.0 * Element::I8.roundoff() * (2f64 / 3.0).sqrt(),
-        false => arithmetic.element.roundoff(),
+    /// Bounds a product's deviation from the rounding of both factors, relative to its rms.
+    ///
+    /// Float factors each move it by less than the unit roundoff, at random. A row of 8-bit integers is
+    /// uniform with an rms of about a quarter of its range. Half of 1/127 is 4 times as much of it,
+    /// 1/sqrt(3) at random, times sqrt(2) for both.
+    pub fn factor_rounding(arithmetic: Arithmetic) -> f64 {
+        match arithmetic.has_integers() {
+            true => 4.0 * Element::I8.roundoff() * (2f64 / 3.0).sqrt(),
+            false => arithmetic.element.roundoff(),
+        }
     }
 }
 
