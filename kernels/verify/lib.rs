@@ -49,7 +49,9 @@ pub use ops::linear::{Problem as Layer, Residual};
 
 use case::Catches;
 pub use case::{CAUGHT, Case, Injected};
+pub use render::forward::picture::{gaussians, reference_camera};
 pub use tolerance::Tolerance;
+pub use trial::Trial;
 
 use serde::Serialize;
 use zipsplat::{

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 use zipsplat_tests::catalogue::examine;
-use zipsplat_verify::{Mode, catalogue, shapes};
+use zipsplat_verify::{Area, Case, Mode, catalogue, shapes};
 
 /// Defines a test for the kernels whose name starts with each prefix.
 macro_rules! families {
@@ -37,15 +37,12 @@ fn every_kernel_is_in_a_family() {
 
 /// Injects each declared fault through its case's own check: the deviation exceeds the bound beyond
 /// any rounding.
-#[test]
-fn every_case_catches_the_faults_that_it_is_there_for() {
+fn assert_caught(areas: Vec<Area>, in_time: impl Fn(&Area, &Case, Mode) -> bool) {
     let mut missed = Vec::new();
-    for area in catalogue().into_iter().chain(shapes()) {
+    for area in &areas {
         for case in &area.cases {
             let mut injected = BTreeSet::new();
-            // The largest cases take seconds per mode; smaller ones cover narrower factors.
-            let in_time = |mode: &&Mode| case.size < 50_000 || **mode == Mode::EXACT;
-            for &mode in area.modes.iter().filter(in_time) {
+            for &mode in area.modes.iter().filter(|mode| in_time(area, case, **mode)) {
                 let faults = case.inject(mode);
                 let what = format!("{}, {}, size {}, {}", area.kernel, case.name, case.size, mode.name());
                 assert!(!faults.is_empty(), "{what}: nothing to catch");
@@ -61,6 +58,17 @@ fn every_case_catches_the_faults_that_it_is_there_for() {
         }
     }
     assert!(missed.is_empty(), "not caught:\n{}", missed.join("\n"));
+}
+
+#[test]
+fn every_case_catches_the_faults_that_it_is_there_for() {
+    // The largest cases take seconds per mode; smaller ones cover narrower factors.
+    assert_caught(catalogue(), |_, case, mode| case.size < 50_000 || mode == Mode::EXACT);
+}
+
+#[test]
+fn every_shape_catches_its_faults() {
+    assert_caught(shapes(), |area, _, mode| mode == area.modes[0]);
 }
 
 #[test]

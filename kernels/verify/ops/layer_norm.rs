@@ -158,9 +158,9 @@ impl case::Problem for Problem {
         let rows = |tensor, element| Rows { tensor, count: self.x.len() / self.width, width: self.width, element };
         let mut input = |values: &Vec<f32>| rows(trial.input(values), Element::F32);
         let (source, addend) = (input(&self.x), self.addend.as_ref().map(input));
-        let out = trial.output::<u8>(self.x.len() * mode.factor.bytes());
+        let out = trial.output_of(mode.factor, self.x.len());
         norm.record(&mut trial.rec, source, addend, rows(out, mode.factor), 0);
-        Ok(mode.factor.decode(&trial.result::<u8>(out)?))
+        trial.result_of(mode.factor, out)
     }
 
     fn truth(&self, mode: Mode) -> [Vec<f64>; 2] {

@@ -12,7 +12,9 @@ const REASON: &str = "running error analysis of a step in the stored value: prod
     Vulkan's limits, exp 3 + 2|x| units; what is not finite moves nothing, exactly";
 
 const ADAM: Adam = Adam { beta1: 0.9, beta2: 0.999, eps: 1e-8 };
+/// Rate of a tensor, half the schedule's.
 const RATE: f32 = 0.03125;
+const SHARE: f32 = 0.5;
 
 struct Problem {
     space: Space,
@@ -34,6 +36,7 @@ enum Fault {
     /// Uses the gradient by the stored value.
     NoChainRule,
     NeighbourGradient,
+    NeighbourValue,
     /// Uses non-finite gradients.
     Poisoned,
 }
@@ -95,7 +98,8 @@ impl Problem {
             Space::Log => exact(self.gradient[i]) * p,
             Space::Logit => exact(self.gradient[i]) * (p * (one - p)),
         };
-        if !((g.value * g.value) as f32).is_finite() {
+        let is_still = g.value == 0.0 && self.moments.iter().all(|moment| moment[i] == 0.0);
+        if is_still || !((g.value * g.value) as f32).is_finite() {
             return [0.0; 3];
         }
         let [beta1, beta2] = [exact(ADAM.beta1), exact(ADAM.beta2)];
@@ -121,9 +125,9 @@ impl case::Problem for Problem {
         let mut trial = Trial::new(device);
         let [values, gradient, first, second] =
             [&self.values, &self.gradient, &self.moments[0], &self.moments[1]].map(|x| trial.input(x));
-        let schedule = trial.input(&ADAM.schedule(RATE, self.step));
+        let schedule = trial.input(&ADAM.schedule(RATE / SHARE, self.step));
         let len = self.values.len();
-        record_adam(&mut trial.rec, ADAM, values, gradient, [first, second], schedule, 1.0, self.space, len);
+        record_adam(&mut trial.rec, ADAM, values, gradient, [first, second], schedule, SHARE, self.space, len);
         let tensors = [values, first, second];
         tensors.iter().for_each(|tensor| trial.rec.output(*tensor));
         let run = trial.run()?;
@@ -147,6 +151,7 @@ impl case::Problem for Problem {
         let count = self.values.len();
         let one = |i: usize| match fault {
             Fault::Zero => 0.0,
+            Fault::NeighbourValue => truth[(i + 1) % truth.len()],
             Fault::Poisoned if !self.gradient[i % count].is_finite() => f64::NAN,
             Fault::Poisoned => truth[i],
             _ => self.stepped(i % count, Some(fault))[i / count],
@@ -167,6 +172,7 @@ pub fn area() -> Area {
         let all = if space == Space::Linear { all } else { all.and(&[WrongSpace, NoChainRule]) };
         add("the seventh step", space, 7, 4097, all, |r| 2.0 * r);
         add("the first step", space, 1, 65, [Zero, Ascent, NoCorrection].into(), |r| r);
+        add("no gradient", space, 1, 64, [Zero, NeighbourValue].into(), |_| 0.0);
         add("gradients of 1e-8", space, 1, 64, [Zero, Ascent, NoEpsilon].into(), |r| 1e-8 * r);
         add("gradients of 1e15", space, 3, 64, [Zero, Ascent, NoCorrection].into(), |r| 1e15 * r);
         let not_finite: fn(f32) -> f32 = |r| if r > 0.0 { f32::INFINITY } else { f32::NAN };

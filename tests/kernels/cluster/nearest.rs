@@ -3,7 +3,7 @@
 //! Most coordinates are small integers or multiples of 1/64 about an origin. Their squared
 //! distances and the products of their halves are exact in f32, so every kernel agrees with f64.
 
-use crate::case::{Case, nearest_kernels, random, random_below, with_and_without_addresses};
+use crate::case::{nearest_kernels, plan_within, random, random_below, with_and_without_addresses};
 use zipsplat::{
     gpu::Limits,
     kernels::limits::NEAREST_ROWS,
@@ -25,7 +25,7 @@ fn find(
     width: usize,
     about: Option<f32>,
 ) -> (Vec<u32>, Vec<f32>) {
-    let mut case = Case::within(limits);
+    let mut case = plan_within(limits);
     let [points, targets] = [points, targets].map(|rows| Rows::new(case.input(rows), rows.len() / width, width));
     let nearest = match (kernel, about) {
         (NearestKernel::Matrix(units), Some(x)) => Nearest::about(case.input(&vec![x; width]), units, width),
@@ -35,7 +35,7 @@ fn find(
     let out = case.output::<u32>(points.count);
     nearest.record_into(&mut case.rec, rows[0], rows[1], out);
     nearest.origin().into_iter().for_each(|origin| case.rec.output(origin));
-    let run = case.run();
+    let run = case.run().unwrap();
     (run.read(out).unwrap(), nearest.origin().map_or(Vec::new(), |origin| run.read(origin).unwrap()))
 }
 

@@ -1,6 +1,6 @@
 //! Layer normalization beyond the catalog: goldens, camera tokens, strided rows.
 
-use crate::case::{Case, random};
+use crate::case::{plan, plan_within, random};
 use zipsplat::{
     gpu::{Element, Limits},
     ops::{Norm, Rows},
@@ -9,13 +9,14 @@ use zipsplat_tests::compare::{Tolerance, assert_close};
 use zipsplat_tests::device::device;
 use zipsplat_tests::golden::Golden;
 use zipsplat_tests::reference::{ops::layer_norm::layer_norm, widen};
+use zipsplat_verify::Trial;
 
 /// Two sums over a row, a root and a division.
 fn tolerance(width: usize) -> Tolerance {
     Tolerance::sum_of(width).and(Tolerance::ELEMENTWISE)
 }
 
-fn norm(case: &mut Case, weight: &[f32], bias: &[f32], eps: f32) -> Norm {
+fn norm(case: &mut Trial<'_>, weight: &[f32], bias: &[f32], eps: f32) -> Norm {
     Norm { weight: case.input(weight), bias: case.input(bias), width: weight.len(), eps }
 }
 
@@ -25,12 +26,12 @@ fn equals_the_goldens() {
     let (x, weight, bias) = (golden.f32("ops/ln_x"), golden.f32("ops/ln_w"), golden.f32("ops/ln_b"));
     let width = weight.len();
     for (eps, key) in [(1e-5, "ops/ln_1e-05"), (1e-6, "ops/ln_1e-06")] {
-        let mut case = Case::new();
+        let mut case = plan();
         let norm = norm(&mut case, &weight, &bias, eps);
         let input = Rows::new(case.input(&x), x.len() / width, width);
         let out = norm.apply(&mut case.rec, input, Element::F32).tensor;
         case.rec.output(out);
-        assert_close(key, &case.result::<f32>(out), &golden.f32(key), tolerance(width));
+        assert_close(key, &case.result::<f32>(out).unwrap(), &golden.f32(key), tolerance(width));
     }
 }
 
@@ -43,13 +44,13 @@ fn skips_camera_tokens_and_writes_between_other_columns() {
         let x = random(8, views * (1 + patches) * width);
         let limits = device().limits();
         let max_binding_bytes = limits.max_binding_bytes.min(max_binding_bytes);
-        let mut case = Case::within(&Limits { max_binding_bytes, ..limits.clone() });
+        let mut case = plan_within(&Limits { max_binding_bytes, ..limits.clone() });
         let norm = norm(&mut case, &weight, &bias, 1e-5);
         let rows = views * patches;
         let input = Rows::new(case.input(&x), views * (1 + patches), width);
         let out = case.output::<f32>(rows * stride);
         norm.record(&mut case.rec, input, None, Rows::new(out, rows, stride).columns(column, width), patches);
-        let got: Vec<f32> = case.result(out);
+        let got: Vec<f32> = case.result(out).unwrap();
 
         let tokens = x.chunks(width).enumerate().filter(|(row, _)| row % (1 + patches) != 0);
         let kept: Vec<f32> = tokens.flat_map(|(_, token)| token).copied().collect();

@@ -1,26 +1,18 @@
 //! The radix sort of a part of its items and bits, and the starts of keys.
 
-use crate::case::Case;
-use zipsplat::{
-    gpu::{Recorder, Run},
-    ops::sort::{key_starts, sort_pairs},
-};
-use zipsplat_tests::{compare::assert_same, device::device};
+use crate::case::plan;
+use zipsplat::ops::sort::{key_starts, sort_pairs};
+use zipsplat_tests::compare::assert_same;
 
 /// Sorts the first `count` keys with their indices and compares with std's sort.
 fn check(keys: &[u32], count: usize, bits: u32) {
-    let mut rec = Recorder::new(device().limits());
-    let unsorted = rec.input::<u32>("keys", keys.len());
-    let indices = rec.input::<u32>("indices", keys.len());
-    let item_count = rec.input::<u32>("item_count", 1);
-    let (sorted, order) = sort_pairs(&mut rec, unsorted, indices, item_count, keys.len(), bits);
-    rec.output(sorted);
-    rec.output(order);
-    let mut run = Run::new(device(), rec.finish().unwrap()).unwrap();
-    run.write(unsorted, keys).unwrap();
-    run.write(indices, &(0..keys.len() as u32).collect::<Vec<_>>()).unwrap();
-    run.write(item_count, &[count as u32]).unwrap();
-    run.execute().unwrap();
+    let mut case = plan();
+    let indices: Vec<u32> = (0..keys.len() as u32).collect();
+    let (unsorted, indices, item_count) = (case.input(keys), case.input(&indices), case.input(&[count as u32]));
+    let (sorted, order) = sort_pairs(&mut case.rec, unsorted, indices, item_count, keys.len(), bits);
+    case.rec.output(sorted);
+    case.rec.output(order);
+    let run = case.run().unwrap();
     let mut truth: Vec<u32> = (0..count as u32).collect();
     truth.sort_by_key(|&i| keys[i as usize] & ((1u64 << bits) - 1) as u32);
     let name = format!("{count} of {} keys by {bits} bits", keys.len());
@@ -48,10 +40,10 @@ fn finds_where_each_key_starts() {
         keys.sort_unstable();
         let expected: Vec<u32> = (0..=key_count).map(|key| keys.partition_point(|&k| k < key) as u32).collect();
         keys.resize(count as usize + 5, 0);
-        let mut case = Case::new();
+        let mut case = plan();
         let (keys, item_count) = (case.input(&keys), case.input(&[count]));
         let starts = key_starts(&mut case.rec, keys, item_count, key_count as usize);
         case.rec.output(starts);
-        assert_same("starts", &case.result::<u32>(starts), &expected);
+        assert_same("starts", &case.result::<u32>(starts).unwrap(), &expected);
     }
 }

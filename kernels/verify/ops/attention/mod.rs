@@ -123,7 +123,7 @@ impl case::Problem for Problem {
         let (sequences, queries, keys, pool) = (self.sequences, self.queries(), self.keys(), self.pool);
         let shape =
             Attention { heads: Heads { count: self.heads, dim: self.dim }, sequences, queries, keys, pool, kernel };
-        let mut trial = Trial::within(device, self.limits);
+        let mut trial = Trial::changed(device, self.limits);
         let tensors = shape.tensors(&mut trial.rec);
         let queries_part = Part { scale: shape.scale(), ..Part::default() };
         let keys_part = Part { keys: true, log_counts: Some(tensors[3]), ..Part::default() };
@@ -132,13 +132,13 @@ impl case::Problem for Problem {
             // NaN in the padding must not reach results.
             trial.blank(tensor);
             let element = kernel.element();
-            let (tensor_of_rows, count) = (trial.input(&element.encode(values)), values.len() / width);
+            let (tensor_of_rows, count) = (trial.input_of(element, values), values.len() / width);
             let input = Rows { tensor: tensor_of_rows, count, width, element };
             shape.split(&mut trial.rec, input, 0, part, tensor);
         }
         let out = shape.record(&mut trial.rec, tensors).tensor;
         trial.rec.output(out);
-        Ok(kernel.element().decode(&trial.result::<u8>(out)?))
+        trial.result_of(kernel.element(), out)
     }
 
     fn truth(&self, mode: Mode) -> Truth {

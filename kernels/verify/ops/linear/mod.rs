@@ -253,7 +253,7 @@ impl Problem {
     /// # Errors
     /// Those of the device.
     pub fn run(&self, device: &Device, kernel: LinearKernel, output: Element) -> Result<Vec<f32>> {
-        let mut trial = Trial::within(device, self.limits);
+        let mut trial = Trial::changed(device, self.limits);
         // SwiGLU gates and values interleave on the device.
         let source = |column: usize| match self.activation {
             Activation::SwiGlu => column % 2 * (self.columns / 2) + column / 2,
@@ -272,12 +272,10 @@ impl Problem {
         let padding = vec![0.0; layer.inner - self.inner];
         let rows: Vec<f32> = self.x.chunks(self.inner).flat_map(|row| [row, &padding].concat()).collect();
         let element = kernel.element();
-        let input = Rows { tensor: trial.input(&element.encode(&rows)), count: self.rows, width: layer.inner, element };
+        let input = Rows { tensor: trial.input_of(element, &rows), count: self.rows, width: layer.inner, element };
         let out_rows = |tensor, element| Rows { tensor, count: self.rows, width: self.out_columns(), element };
         let guard = vec![f32::from_bits(UNWRITTEN); self.guard()];
-        let output_of = |trial: &mut Trial<'_>| {
-            trial.output::<u8>((self.rows * self.out_columns() + self.guard()) * output.bytes())
-        };
+        let output_of = |trial: &mut Trial<'_>| trial.output_of(output, self.rows * self.out_columns() + self.guard());
         let (residual, out) = match self.residual {
             Residual::None => (None, output_of(&mut trial)),
             Residual::Apart => (Some(trial.input(&self.stream())), output_of(&mut trial)),
@@ -293,7 +291,7 @@ impl Problem {
             residual: residual.map(|tensor| out_rows(tensor, Element::F32)),
         };
         layer.record(&mut trial.rec, input, out_rows(out, output), epilogue);
-        Ok(output.decode(&trial.result::<u8>(out)?))
+        trial.result_of(output, out)
     }
 }
 

@@ -107,7 +107,8 @@ impl Problem {
         splats.into_iter().map(conic).collect()
     }
 
-    /// Mirrors kernels/render/project_backward.comp.
+    /// Bounds kernels/render/project_backward.comp, formula by formula. The truth, of differences, has
+    /// neither the kernel's intermediate values nor their condition, which both decide its rounding.
     fn gradient(&self, n: usize, conic: [f64; 3], fault: Option<Fault>) -> Found {
         let is = |other: Fault| fault == Some(other);
         let zero = Bounded::exact(0.0);
