@@ -18,7 +18,8 @@ pub struct Trial<'a> {
     /// Records the plan.
     pub rec: Recorder,
     inputs: Vec<(Tensor, Vec<u8>)>,
-    guards: Vec<Tensor>,
+    /// Outputs with their guards, and their bytes without.
+    guarded: Vec<(Tensor, usize)>,
 }
 
 impl<'a> Trial<'a> {
@@ -29,7 +30,7 @@ impl<'a> Trial<'a> {
 
     /// Creates an empty plan for narrower limits than the device's.
     pub fn within(device: &'a Device, limits: &Limits) -> Self {
-        Self { device, rec: Recorder::new(limits), inputs: Vec::new(), guards: Vec::new() }
+        Self { device, rec: Recorder::new(limits), inputs: Vec::new(), guarded: Vec::new() }
     }
 
     /// Creates an empty plan for changed limits.
@@ -59,10 +60,10 @@ impl<'a> Trial<'a> {
     /// Allocates a guarded output of `len` values, filled with NaN.
     pub fn output<T>(&mut self, len: usize) -> Tensor {
         let bytes = len * size_of::<T>();
-        let whole = self.rec.tensor::<u8>("output", bytes.next_multiple_of(4) + GUARD);
+        let whole = self.rec.tensor::<u8>("output", bytes + GUARD);
         self.blank(whole);
         self.rec.output(whole);
-        self.guards.push(whole.slice::<u8>(bytes.next_multiple_of(4), GUARD));
+        self.guarded.push((whole, bytes));
         whole.slice::<T>(0, len)
     }
 
@@ -81,8 +82,9 @@ impl<'a> Trial<'a> {
             run.write(*tensor, bytes)?;
         }
         run.execute()?;
-        for guard in self.guards {
-            let written = run.read::<u8>(guard)?.iter().filter(|byte| **byte != UNWRITTEN as u8).count();
+        for (whole, bytes) in self.guarded {
+            let behind = &run.read::<u8>(whole)?[bytes..];
+            let written = behind.iter().filter(|byte| **byte != UNWRITTEN as u8).count();
             if written > 0 {
                 return Err(Error::Driver { call: "a kernel", result: format!("{written} bytes behind its output") });
             }

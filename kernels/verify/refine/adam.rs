@@ -73,7 +73,8 @@ impl Problem {
             Space::Logit => p * (1.0 - p),
         };
         let square = (g * slope).powi(2);
-        if !(square as f32).is_finite() {
+        let is_still = square == 0.0 && moments == [0.0; 2];
+        if is_still || !(square as f32).is_finite() {
             return [p, moments[0], moments[1]];
         }
         let there = match space {

@@ -95,8 +95,7 @@ impl Problem {
         let of_head = |key: usize| &keys.v[place(key)..][..self.dim];
         let least = factors.tiny.max(TINY);
         let mut channels = vec![Channel::default(); self.dim];
-        // Weight shares: lower bound, upper bound, possibly flushed. Rounded weights multiply values,
-        // unrounded ones make the total; exp(0) does not round.
+        // Weight shares: lower bound, upper bound, possibly flushed.
         let (mut kept, mut grown, mut lost) = (0.0, 0.0, 0.0);
         let first_error = row.errors[weights.first];
         let first_value = of_head(weights.first);
@@ -132,6 +131,7 @@ impl Problem {
                 }
             }
         }
+        // Rounded weights multiply values, unrounded ones make the total; exp(0) does not round.
         let rounded = weights.unit * (1.0 - 1.0 / weights.total);
         // Additions of a lane, then of the subgroup.
         let total = gamma(by_lanes(self.keys()) + weights.rises + 6);
