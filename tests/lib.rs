@@ -1,6 +1,7 @@
 //! Shared parts of the tests.
 
 pub mod architectures;
+pub mod catalogue;
 pub mod compare;
 pub mod device;
 pub mod faults;

@@ -1,9 +1,10 @@
 //! Scenes and cameras: the goldens' and generated ones.
 
-use crate::{golden::Golden, reference::render::project};
+use crate::golden::Golden;
 use bytemuck::cast_slice;
 use glam::{DMat3, DVec3};
 use zipsplat::types::{Camera, Intrinsics, Pose, Scene};
+pub use zipsplat_verify::{gaussians as reference_gaussians, reference_camera};
 
 /// Returns the scene of a golden `raster.*`.
 pub fn golden_scene(golden: &Golden) -> Scene {
@@ -66,22 +67,4 @@ pub fn camera(width: u32, height: u32) -> Camera {
     let focal = f64::from(width.max(height));
     let (cx, cy) = (f64::from(width) / 2.0, f64::from(height) / 2.0);
     Camera { intrinsics: Intrinsics { width, height, fx: focal, fy: focal, cx, cy }, pose: Pose::IDENTITY }
-}
-
-/// Converts a scene for the reference.
-pub fn reference_gaussians(scene: &Scene) -> project::Gaussians {
-    project::Gaussians {
-        means: scene.means.iter().map(|v| v.map(f64::from)).collect(),
-        quats: scene.quats.iter().map(|v| v.map(f64::from)).collect(),
-        scales: scene.scales.iter().map(|v| v.map(f64::from)).collect(),
-        opacities: scene.opacities.iter().map(|&v| v.into()).collect(),
-        sh_coeffs: scene.sh_coeffs.as_flattened().iter().map(|&v| v.into()).collect(),
-    }
-}
-
-/// Converts a camera for the reference.
-pub fn reference_camera(camera: &Camera) -> project::Camera {
-    let (view, i) = (camera.view_matrix().transpose().to_cols_array(), &camera.intrinsics);
-    let k = i.matrix().transpose().to_cols_array();
-    project::Camera::new(&view, &k, [i.width as usize, i.height as usize])
 }

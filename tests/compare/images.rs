@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::{env, fs};
 
-use super::{Float, tolerance::factor_rounding};
+use super::{Float, Tolerance};
 use zipsplat::{gpu::Element, ops::Arithmetic};
 
 /// Limit on a picture's deviation per value, `absolute + relative * |truth|`.
@@ -40,7 +40,7 @@ impl ImageTolerance {
     /// Returns the tolerance of a faster arithmetic. Gaussians of similar depth may swap: single
     /// pixels are unbounded.
     pub fn of_network(arithmetic: Arithmetic) -> Self {
-        let coarser = factor_rounding(arithmetic) / Element::F16.roundoff();
+        let coarser = Tolerance::factor_rounding(arithmetic) / Element::F16.roundoff();
         Self { absolute: f64::INFINITY, relative: 0.0, psnr: 45.0 - 20.0 * coarser.log10() }
     }
 }

@@ -1,14 +1,13 @@
 //! Comparison with truth. Deviations are relative to the rms of the truth. NaN and infinity fail.
 
 mod images;
-mod tolerance;
 
 use std::fmt;
 
 use crate::golden::Golden;
 
 pub use images::{ImageTolerance, Picture, assert_images_close};
-pub use tolerance::Tolerance;
+pub use zipsplat_verify::Tolerance;
 
 /// Float convertible to f64.
 pub trait Float: Copy + Into<f64> {}

@@ -1,82 +1,19 @@
-//! One plan under test, with outputs that detect missing and stray writes.
+//! Plans under test, and the device's kernels.
 
-use bytemuck::Pod;
-use zipsplat::gpu::{Element, Limits, Recorder, Run, Tensor};
-use zipsplat::ops::{AttentionKernel, Lanes, LinearKernel, NearestKernel, Tiles, Units, Weights};
+use zipsplat::gpu::{Element, Limits};
+use zipsplat::ops::{Lanes, LinearKernel, NearestKernel, Tiles, Units, Weights};
 use zipsplat_tests::device::device;
 pub use zipsplat_tests::random::{random, random_below};
+use zipsplat_verify::Trial;
 
-/// Guard bytes behind an output.
-const GUARD: usize = 256;
-
-/// Fill byte of outputs: NaN as f32, out of range as an index.
-const UNWRITTEN: u8 = 0xff;
-
-pub struct Case {
-    pub rec: Recorder,
-    inputs: Vec<(Tensor, Vec<u8>)>,
-    guarded: Vec<(Tensor, usize)>,
+/// Returns an empty plan on the tests' device.
+pub fn plan() -> Trial<'static> {
+    Trial::new(device())
 }
 
-impl Case {
-    pub fn new() -> Case {
-        Case::within(device().limits())
-    }
-
-    /// Creates a plan for narrower limits than the device's.
-    pub fn within(limits: &Limits) -> Case {
-        Case { rec: Recorder::new(limits), inputs: Vec::new(), guarded: Vec::new() }
-    }
-
-    pub fn input<T: Pod>(&mut self, values: &[T]) -> Tensor {
-        let tensor = self.rec.input::<T>("input", values.len());
-        self.inputs.push((tensor, bytemuck::cast_slice(values).to_vec()));
-        tensor
-    }
-
-    /// Uploads values in this type.
-    pub fn input_of(&mut self, element: Element, values: &[f32]) -> Tensor {
-        self.input(&element.encode(values))
-    }
-
-    /// Allocates an output of `len` values of this type.
-    pub fn output_of(&mut self, element: Element, len: usize) -> Tensor {
-        self.output::<u8>(element.bytes() * len)
-    }
-
-    /// Runs the plan and reads one output of this type.
-    pub fn result_of(self, element: Element, output: Tensor) -> Vec<f32> {
-        element.decode(&self.result::<u8>(output))
-    }
-
-    /// Allocates an output of `len` values.
-    pub fn output<T>(&mut self, len: usize) -> Tensor {
-        let bytes = len * size_of::<T>();
-        let whole = self.rec.tensor::<u8>("output", bytes + GUARD);
-        self.rec.fill(whole, u32::from_ne_bytes([UNWRITTEN; 4]));
-        self.rec.output(whole);
-        self.guarded.push((whole, bytes));
-        whole.slice::<T>(0, len)
-    }
-
-    /// Runs the plan and returns the results.
-    pub fn run(self) -> Run {
-        let mut run = Run::new(device(), self.rec.finish().unwrap()).unwrap();
-        for (tensor, bytes) in &self.inputs {
-            run.write(*tensor, bytes).unwrap();
-        }
-        run.execute().unwrap();
-        for (whole, bytes) in self.guarded {
-            let behind = &run.read::<u8>(whole).unwrap()[bytes..];
-            assert!(behind.iter().all(|byte| *byte == UNWRITTEN), "written behind an output of {bytes} bytes");
-        }
-        run
-    }
-
-    /// Runs the plan and reads one output.
-    pub fn result<T: Pod>(self, output: Tensor) -> Vec<T> {
-        self.run().read(output).unwrap()
-    }
+/// Returns an empty plan for narrower limits than the device's.
+pub fn plan_within(limits: &Limits) -> Trial<'static> {
+    Trial::within(device(), limits)
 }
 
 /// Returns the device's element types.
@@ -105,14 +42,6 @@ pub fn with_and_without_addresses(limits: &Limits, has_twin: bool) -> Vec<Limits
 /// Returns the linear kernels that have a variant for 8-bit weights, with the variant.
 pub fn q8_kernels() -> Vec<[LinearKernel; 2]> {
     linear_kernels().into_iter().filter_map(|kernel| Some([kernel, kernel.with_q8()?])).collect()
-}
-
-/// Returns the device's attention kernels, with tiles by rule.
-pub fn attention_kernels() -> Vec<AttentionKernel> {
-    let lanes = elements().into_iter().map(AttentionKernel::Lanes);
-    let limits = device().limits();
-    let units = Element::HALVES.into_iter().filter_map(|factor| Units::of(factor, limits));
-    lanes.chain(units.map(AttentionKernel::Matrix)).collect()
 }
 
 /// Returns the device's nearest-row kernels.

@@ -2,6 +2,7 @@
 
 mod arena;
 mod case;
+mod catalogue;
 mod determinism;
 mod self_test;
 mod tuning;
@@ -26,8 +27,6 @@ mod gaussians {
 }
 mod heads {
     mod convolution;
-    mod pixel_shuffle;
-    mod resize;
 }
 mod loss {
     mod gradient;
@@ -44,16 +43,13 @@ mod measure {
 }
 mod ops {
     mod add;
-    mod attention;
     mod gather_rows;
     mod gelu;
     mod im2col;
     mod layer_norm;
     mod linear;
-    mod linear_dot;
     mod place_columns;
     mod quantise_rows;
-    mod scan;
     mod sort;
     mod split_heads;
 }

@@ -1,6 +1,6 @@
 //! Scene files with non-finite or out-of-range values.
 
-use crate::catalogue::zipsplat;
+use crate::doctor::zipsplat;
 use std::path::Path;
 use zipsplat::{
     Error,

@@ -4,7 +4,7 @@
 //! them.
 
 mod cache;
-mod catalogue;
+mod doctor;
 mod faults;
 mod hostile;
 mod invalid;

@@ -1,6 +1,6 @@
 //! Just enough memory, and one byte less.
 
-use crate::{catalogue::zipsplat, micro, noise};
+use crate::{doctor::zipsplat, micro, noise};
 use std::{ops::ControlFlow, path::Path};
 use zipsplat::{
     Error,

@@ -1,11 +1,11 @@
-//! A kernel, its test and its reference share a relative name.
+//! A kernel, its verification and its reference share a relative name.
 
 use crate::source::files;
 use std::collections::BTreeSet;
 use zipsplat::kernels::MODULES;
 
-/// Steps and variants, with their common name.
-const STEPS: [(&str, &str); 26] = [
+/// Kernels that are steps or variants of one operation, with their common name.
+const STEPS: [(&str, &str); 27] = [
     ("cluster/nearest_matrix", "cluster/nearest"),
     ("cluster/nearest_merge", "cluster/nearest"),
     ("cluster/nearest_uniform", "cluster/nearest"),
@@ -18,12 +18,13 @@ const STEPS: [(&str, &str); 26] = [
     ("lpips/pool_backward", "lpips/pool"),
     ("ops/attention_matrix", "ops/attention"),
     ("ops/attention_uniform", "ops/attention"),
+    ("ops/linear_dot", "ops/linear"),
     ("ops/linear_matrix", "ops/linear"),
     ("ops/linear_merge", "ops/linear"),
     ("ops/linear_tiled", "ops/linear"),
     ("ops/linear_uniform", "ops/linear"),
-    ("ops/scan_apply", "ops/scan"),
-    ("ops/scan_reduce", "ops/scan"),
+    ("ops/scan_apply", "ops/sort"),
+    ("ops/scan_reduce", "ops/sort"),
     ("ops/key_starts", "ops/sort"),
     ("ops/sort_count", "ops/sort"),
     ("ops/sort_scatter", "ops/sort"),
@@ -34,10 +35,9 @@ const STEPS: [(&str, &str); 26] = [
     ("render/tile_counts", "render/intersect"),
 ];
 
-/// With their alternative.
-const WITHOUT_REFERENCE: [(&str, &str); 3] = [
-    ("ops/scan", "a running sum on the host"),
-    ("ops/sort", "the stable sort of the standard library"),
+/// Names without a reference, and their alternative.
+const WITHOUT_REFERENCE: [(&str, &str); 2] = [
+    ("ops/sort", "the stable sort of the standard library, a running sum"),
     ("render/intersect", "lists made on the host"),
 ];
 
@@ -47,6 +47,7 @@ fn names(folder: &str, ext: &str) -> BTreeSet<String> {
     files(folder, ext).iter().map(|source| relative(&source.path)).collect()
 }
 
+/// Returns the names that verifications and references must have.
 fn shared_names() -> BTreeSet<String> {
     let shared = |kernel: String| match STEPS.iter().find(|(step, _)| *step == kernel) {
         Some((_, name)) => name.to_string(),
@@ -56,12 +57,14 @@ fn shared_names() -> BTreeSet<String> {
 }
 
 #[test]
-fn every_kernel_has_its_test_and_its_reference() {
+fn every_kernel_has_its_verification_and_its_reference() {
     let (tests, references) = (names("tests/kernels", "rs"), names("kernels/reference", "rs"));
+    let cases: BTreeSet<String> =
+        names("kernels/verify", "rs").iter().map(|name| name.trim_end_matches("/mod").to_owned()).collect();
     let mut missing = Vec::new();
     for name in shared_names() {
-        if !tests.contains(&name) {
-            missing.push(format!("tests/kernels/{name}.rs"));
+        if !tests.contains(&name) && !cases.contains(&name) {
+            missing.push(format!("kernels/verify/{name}.rs or tests/kernels/{name}.rs"));
         }
         let replaced = WITHOUT_REFERENCE.iter().any(|(other, _)| *other == name);
         if replaced == references.contains(&name) {

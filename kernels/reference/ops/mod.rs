@@ -8,7 +8,6 @@ pub mod gelu;
 pub mod im2col;
 pub mod layer_norm;
 pub mod linear;
-pub mod linear_dot;
 pub mod place_columns;
 pub mod quantise_rows;
 pub mod split_heads;

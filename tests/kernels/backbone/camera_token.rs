@@ -1,6 +1,6 @@
 //! Camera tokens, exact.
 
-use crate::case::{Case, random, rounded};
+use crate::case::{plan, random, rounded};
 use zipsplat::kernels::backbone::CameraToken;
 use zipsplat_tests::compare::assert_same;
 use zipsplat_tests::reference::{
@@ -16,7 +16,7 @@ fn equals_the_reference() {
             let reference = views / 2;
             let x = random(1, views * tokens * width);
             let camera_tokens = random(2, if encoded { views } else { 2 } * width);
-            let mut case = Case::new();
+            let mut case = plan();
             let out = case.input(&x);
             let kernel = CameraToken {
                 camera_tokens: case.input(&camera_tokens),
@@ -40,7 +40,7 @@ fn equals_the_reference() {
             }
             insert_camera_tokens(&mut truth, tokens, &cameras, width);
             let name = format!("{views} views of {tokens} x {width}, encoded {encoded}, chosen {chosen}");
-            assert_same(&name, &case.result::<f32>(out), &rounded(&truth));
+            assert_same(&name, &case.result::<f32>(out).unwrap(), &rounded(&truth));
         }
     }
 }

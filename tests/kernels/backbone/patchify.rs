@@ -1,6 +1,6 @@
 //! Patches, exact.
 
-use crate::case::{Case, elements, random, rounded, stored};
+use crate::case::{elements, plan, random, rounded, stored};
 use zipsplat::kernels::backbone::Patchify;
 use zipsplat_tests::compare::assert_same;
 use zipsplat_tests::reference::{
@@ -19,7 +19,7 @@ fn equals_the_reference() {
         let truth = patchify(&Images { values: widen(&values), views, height, width }, patch);
         let row = 3 * patch * patch;
         for (output, padding) in elements().into_iter().flat_map(|output| [(output, 0), (output, 4)]) {
-            let (mut case, stride) = (Case::new(), row + padding);
+            let (mut case, stride) = (plan(), row + padding);
             let len = values.len() / row * stride;
             let out = case.output_of(output, len);
             let kernel = Patchify {
@@ -35,7 +35,7 @@ fn equals_the_reference() {
             case.rec.dispatch_groups(kernel, len / stride);
             let name = format!("{views} views of {rows} x {columns} patches of {patch}, {output:?} + {padding}");
             let padded: Vec<f64> = truth.chunks(row).flat_map(|patch| [patch, &vec![0.0; padding]].concat()).collect();
-            assert_same(&name, &case.result_of(output, out), &stored(output, rounded(&padded)));
+            assert_same(&name, &case.result_of(output, out).unwrap(), &stored(output, rounded(&padded)));
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Choice of the reference view: scores and ties.
 
-use crate::case::{Case, random};
+use crate::case::{plan, random};
 use zipsplat::kernels::backbone::ReferenceView;
 use zipsplat_tests::compare::{Tolerance, assert_close, columns};
 use zipsplat_tests::reference::{backbone::reference_view::scores, widen};
@@ -10,7 +10,7 @@ fn choose(tokens: &[f32], width: usize) -> (Vec<f32>, u32) {
     let (views, tokens_per_view) = (tokens.len() / width, 3);
     let with_patches: Vec<f32> =
         tokens.chunks(width).flat_map(|token| [token, &random(9, (tokens_per_view - 1) * width)].concat()).collect();
-    let mut case = Case::new();
+    let mut case = plan();
     let (scores, reference) = (case.output::<f32>(4 * views), case.output::<u32>(1));
     let kernel = ReferenceView {
         tokens: case.input(&with_patches),
@@ -22,7 +22,7 @@ fn choose(tokens: &[f32], width: usize) -> (Vec<f32>, u32) {
         width: width as u32,
     };
     case.rec.dispatch_groups(kernel, 1u32);
-    let run = case.run();
+    let run = case.run().unwrap();
     (run.read(scores).unwrap(), run.read::<u32>(reference).unwrap()[0])
 }
 

@@ -1,6 +1,6 @@
 //! First tokens, exact: one rounding a sum.
 
-use crate::case::{Case, random, rounded};
+use crate::case::{plan, random, rounded};
 use zipsplat::kernels::backbone::Tokens;
 use zipsplat_tests::compare::assert_same;
 use zipsplat_tests::reference::{backbone::tokens::tokens, widen};
@@ -12,7 +12,7 @@ fn equals_the_reference() {
         let all = random(1, views * patches * width);
         let (class, positions) = (random(2, width), random(3, (1 + patches) * width));
         let len = views * (1 + patches) * width;
-        let mut case = Case::new();
+        let mut case = plan();
         let out = case.output::<f32>(len);
         let kernel = Tokens {
             patches: case.input(&all),
@@ -25,6 +25,6 @@ fn equals_the_reference() {
         };
         case.rec.dispatch(kernel, len);
         let truth = rounded(&tokens(&widen(&all), &widen(&class), &widen(&positions)));
-        assert_same(&format!("{views} views of {patches} x {width}"), &case.result::<f32>(out), &truth);
+        assert_same(&format!("{views} views of {patches} x {width}"), &case.result::<f32>(out).unwrap(), &truth);
     }
 }

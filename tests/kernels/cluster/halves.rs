@@ -1,6 +1,6 @@
 //! Rows about an origin as two f16 each, against the rows.
 
-use crate::case::{Case, elements, random};
+use crate::case::{elements, plan, random};
 use zipsplat::{gpu::Element, kernels::cluster::Halves};
 use zipsplat_tests::compare::{Tolerance, assert_close};
 use zipsplat_tests::reference::{cluster::halves::about, widen};
@@ -16,7 +16,7 @@ struct Held {
 fn held(rows: &[f32], origin: &[f32]) -> Held {
     let width = origin.len();
     let count = rows.len() / width;
-    let mut case = Case::new();
+    let mut case = plan();
     let out = case.output::<u32>(count * width.next_multiple_of(8));
     let (scales, norms) = (case.output::<f32>(count), case.output::<f32>(count));
     let kernel = Halves {
@@ -29,7 +29,7 @@ fn held(rows: &[f32], origin: &[f32]) -> Held {
         width: width as u32,
     };
     case.rec.dispatch_groups(kernel, count);
-    let run = case.run();
+    let run = case.run().unwrap();
     let values = Element::F16.decode(&run.read::<u8>(out).unwrap());
     let half = |which: usize| values.chunks(8).skip(which).step_by(2).flatten().map(|x| f64::from(*x)).collect();
     Held { high: half(0), low: half(1), scales: run.read(scales).unwrap(), norms: run.read(norms).unwrap() }

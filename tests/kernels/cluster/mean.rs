@@ -1,6 +1,6 @@
 //! Cluster means against f64 sums; the whole clustering against the goldens.
 
-use crate::case::{Case, nearest_kernels, random, random_below};
+use crate::case::{nearest_kernels, plan, random, random_below};
 use zipsplat::ops::{NearestKernel, Rows};
 use zipsplat::stages::cluster::{self, Means};
 use zipsplat_tests::compare::{Tolerance, assert_as_near, assert_close, assert_same};
@@ -8,13 +8,13 @@ use zipsplat_tests::golden::Golden;
 use zipsplat_tests::reference::{cluster::mean::mean, widen};
 
 fn centroids(points: &[f32], cluster_of_point: &[u32], clusters: usize, width: usize) -> Vec<f32> {
-    let mut case = Case::new();
+    let mut case = plan();
     let out = case.output::<f32>(clusters * width);
     let (count, assigned) = (cluster_of_point.len(), case.input(cluster_of_point));
     let points = Rows::new(case.input(points), count, width);
     let means = Means::new(&mut case.rec, count);
     means.record(&mut case.rec, points, assigned, Rows::new(out, clusters, width));
-    case.result(out)
+    case.result(out).unwrap()
 }
 
 fn check(count: usize, clusters: usize, width: usize) {
@@ -75,13 +75,13 @@ fn check_golden(golden: &Golden, name: &str, kernel: NearestKernel) {
     let key = |part: &str| format!("{name}/{part}");
     let (x, width, clusters) = (golden.f32(&key("x")), golden.shape(&key("x"))[1], golden.u32(&key("K"))[0] as usize);
     let count = x.len() / width;
-    let mut case = Case::new();
+    let mut case = plan();
     case.rec = case.rec.observing();
     let (tokens, initial) =
         (Rows::new(case.input(&x), count, width), case.input(&cluster::even_indices(count, clusters)));
     let nearest = cluster::record(&mut case.rec, kernel, tokens, initial, clusters, cluster::ROUNDS);
     case.rec.output(nearest);
-    let run = case.run();
+    let run = case.run().unwrap();
     let observed = |what: &str| run.observed().iter().find(|(name, _)| name == what).expect(what).1;
 
     let what = |part: &str| format!("{} {kernel:?}", key(part));
@@ -101,13 +101,13 @@ fn check_golden(golden: &Golden, name: &str, kernel: NearestKernel) {
 /// Returns the rows that k-means selects and the final cluster sizes.
 fn selection(x: &[f32], width: usize, clusters: usize, kernel: NearestKernel) -> (Vec<u32>, Vec<usize>) {
     let count = x.len() / width;
-    let mut case = Case::new();
+    let mut case = plan();
     case.rec = case.rec.observing();
     let (tokens, initial) =
         (Rows::new(case.input(x), count, width), case.input(&cluster::even_indices(count, clusters)));
     let nearest = cluster::record(&mut case.rec, kernel, tokens, initial, clusters, cluster::ROUNDS);
     case.rec.output(nearest);
-    let run = case.run();
+    let run = case.run().unwrap();
     let assigned = run.observed().iter().find(|(name, _)| name == "assign").expect("it is observed").1;
     let mut members = vec![0; clusters];
     run.read::<u32>(assigned).unwrap().iter().for_each(|cluster| members[*cluster as usize] += 1);

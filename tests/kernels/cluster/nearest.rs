@@ -3,7 +3,7 @@
 //! Most coordinates are small integers or multiples of 1/64 about an origin. Their squared
 //! distances and the products of their halves are exact in f32, so every kernel agrees with f64.
 
-use crate::case::{Case, nearest_kernels, random, random_below, with_and_without_addresses};
+use crate::case::{nearest_kernels, plan_within, random, random_below, with_and_without_addresses};
 use zipsplat::{
     gpu::Limits,
     kernels::limits::NEAREST_ROWS,
@@ -12,9 +12,10 @@ use zipsplat::{
 use zipsplat_tests::compare::assert_same;
 use zipsplat_tests::device::device;
 use zipsplat_tests::reference::{
-    cluster::nearest::{TIE, error_of_products, nearest as reference, two_nearest},
+    cluster::nearest::{TIE, nearest as reference},
     widen,
 };
+use zipsplat_verify::{Chosen, NearestTruth};
 
 /// Returns the nearest rows and the origin, given or computed by the kernel.
 fn find(
@@ -24,7 +25,7 @@ fn find(
     width: usize,
     about: Option<f32>,
 ) -> (Vec<u32>, Vec<f32>) {
-    let mut case = Case::within(limits);
+    let mut case = plan_within(limits);
     let [points, targets] = [points, targets].map(|rows| Rows::new(case.input(rows), rows.len() / width, width));
     let nearest = match (kernel, about) {
         (NearestKernel::Matrix(units), Some(x)) => Nearest::about(case.input(&vec![x; width]), units, width),
@@ -34,7 +35,7 @@ fn find(
     let out = case.output::<u32>(points.count);
     nearest.record_into(&mut case.rec, rows[0], rows[1], out);
     nearest.origin().into_iter().for_each(|origin| case.rec.output(origin));
-    let run = case.run();
+    let run = case.run().unwrap();
     (run.read(out).unwrap(), nearest.origin().map_or(Vec::new(), |origin| run.read(origin).unwrap()))
 }
 
@@ -55,41 +56,6 @@ fn check_about(origin: f32, name: &str, points: &[f32], targets: &[f32], width: 
 
 fn check(name: &str, points: &[f32], targets: &[f32], width: usize) {
     check_about(0.0, name, points, targets, width);
-}
-
-/// Checks any coordinates on matrix units and returns the largest share of the error bound.
-///
-/// The result is farther than the nearest by at most the bound and a tie; the first of equal
-/// targets wins.
-fn check_bound(name: &str, points: &[f32], targets: &[f32], width: usize) -> f64 {
-    let matrix = nearest_kernels().into_iter().filter(|kernel| *kernel != NearestKernel::Lanes);
-    matrix.map(|kernel| check_bound_of(device().limits(), kernel, name, [points, targets], width)).fold(0.0, f64::max)
-}
-
-fn check_bound_of(
-    limits: &Limits,
-    kernel: NearestKernel,
-    name: &str,
-    [points, targets]: [&[f32]; 2],
-    width: usize,
-) -> f64 {
-    let (wide_points, wide_targets) = (widen(points), widen(targets));
-    let distance = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
-    let (found, origin) = find(limits, kernel, [points, targets], width, None);
-    let origin = widen(&origin);
-    let truth = two_nearest(&wide_points, &wide_targets, width);
-    let mut worst: f64 = 0.0;
-    for (i, (point, [(first, least), _])) in wide_points.chunks(width).zip(truth).enumerate() {
-        let target = |index: u32| &wide_targets[index as usize * width..][..width];
-        let bound = |index| error_of_products([point, target(index)].map(|row| distance(row, &origin)), width);
-        let farther = distance(point, target(found[i])).powi(2) - least.powi(2) * (1.0 + TIE);
-        let share = farther / (bound(first) + bound(found[i]));
-        assert!(share <= 1.0, "{name}: point {i} has {}, {share} bounds farther than {first}", found[i]);
-        let twin = wide_targets.chunks(width).position(|other| other == target(found[i]));
-        assert_eq!(twin, Some(found[i] as usize), "{name}: point {i}, of equal targets the first");
-        worst = worst.max(share);
-    }
-    worst
 }
 
 /// Returns multiples of 1/64 around `offset`.
@@ -185,39 +151,6 @@ fn far_from_the_origin() {
 }
 
 #[test]
-fn matrix_units_stay_within_their_bound() {
-    let mut worst: f64 = 0.0;
-    let mut within = |name: &str, points: &[f32], targets: &[f32], width: usize| {
-        worst = worst.max(check_bound(&format!("{name}, {width}"), points, targets, width));
-    };
-    for width in [4, 12, 36, 100, 384] {
-        let (points, targets) = (random(10, 67 * width), random(11, 300 * width));
-        let moved = |values: &[f32], scale: f32, by: f32| values.iter().map(|x| by + scale * x).collect::<Vec<_>>();
-        within("random", &points, &targets, width);
-        within("one target", &points, &targets[..width], width);
-        within("one point", &points[..width], &targets, width);
-        for (scale, by) in [(1.0, 1e3), (1e-6, 0.0), (1e-3, 5.0), (1e15, 0.0), (1e-15, 0.0)] {
-            let name = format!("spread {scale:e} about {by:e}");
-            within(&name, &moved(&points, scale, by), &moved(&targets, scale, by), width);
-        }
-        // Clusters a thousandth as wide as the gaps between them, and points midway between two
-        // targets.
-        let clustered: Vec<f32> = (0..targets.len()).map(|i| targets[i / width / 30 * width + i % width]).collect();
-        let jittered = |seed| -> Vec<f32> {
-            let jitter = random(seed, clustered.len());
-            clustered.iter().zip(jitter).map(|(x, j)| x + 1e-3 * j).collect()
-        };
-        within("clusters", &jittered(12), &jittered(13), width);
-        let midway: Vec<f32> =
-            targets.chunks_exact(2 * width).flat_map(|t| (0..width).map(|c| 0.5 * (t[c] + t[width + c]))).collect();
-        within("midway", &midway, &targets, width);
-        let twice = [&targets[..], &targets[..]].concat();
-        within("duplicates", &points, &twice, width);
-    }
-    assert!(worst < 0.5, "a bound that is nearly reached deserves a look: {worst}");
-}
-
-#[test]
 fn a_permutation_permutes() {
     let (width, points, targets) = (36, 150, 301);
     let (from, to) = (random(8, points * width), random(9, targets * width));
@@ -260,7 +193,10 @@ fn tiles_of_gpus() {
         assert!(!tiles.is_empty());
         for (index, tile) in tiles.iter().enumerate() {
             let kernel = NearestKernel::Matrix(Units { tiles: Tiles::always(index), ..units });
-            check_bound_of(&limits, kernel, &format!("{tile:?}"), [&points, &targets], 100);
+            let (chosen, origin) = find(&limits, kernel, [&points, &targets], 100, None);
+            let chosen = Chosen { targets: chosen, origin: Some(origin) };
+            let worst = NearestTruth::new(&points, &targets, 100).excess(&chosen, 100);
+            assert!(worst.share <= 1.0, "{tile:?}: {worst:?}");
         }
     }
 }

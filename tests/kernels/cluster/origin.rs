@@ -1,12 +1,12 @@
 //! Means of evenly spaced rows.
 
-use crate::case::{Case, random};
+use crate::case::{plan, random};
 use zipsplat::kernels::cluster::Origin;
 use zipsplat_tests::compare::{Tolerance, assert_close};
 use zipsplat_tests::reference::{cluster::origin::origin as reference, widen};
 
 fn origin(rows: &[f32], width: usize, samples: usize) -> Vec<f32> {
-    let mut case = Case::new();
+    let mut case = plan();
     let out = case.output::<f32>(width);
     let kernel = Origin {
         source: case.input(rows),
@@ -16,7 +16,7 @@ fn origin(rows: &[f32], width: usize, samples: usize) -> Vec<f32> {
         samples: samples as u32,
     };
     case.rec.dispatch(kernel, width / 4);
-    case.result(out)
+    case.result(out).unwrap()
 }
 
 #[test]

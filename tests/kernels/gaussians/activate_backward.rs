@@ -1,6 +1,6 @@
 //! Gradients of activations: random values, clamps, quaternions of any length.
 
-use crate::case::{Case, random};
+use crate::case::{plan, random};
 use zipsplat::kernels::gaussians::ActivateBackward;
 use zipsplat_tests::compare::{Tolerance, assert_close, assert_gaussians_within, columns};
 use zipsplat_tests::reference::gaussians::{activate::activate, activate_backward::activate_backward};
@@ -10,7 +10,7 @@ use zipsplat_tests::reference::widen;
 fn backward(raw: &[f32], d: &[f32], width: usize, group: usize, padding: usize) -> Vec<f32> {
     let count = raw.len() / width;
     let field = |start, end| columns(d, width, start, end).into_iter().map(|x| x as f32).collect::<Vec<_>>();
-    let mut case = Case::new();
+    let mut case = plan();
     let stride = group * width + padding;
     let d_raw = case.output::<f32>(count / group * stride);
     let kernel = ActivateBackward {
@@ -28,7 +28,7 @@ fn backward(raw: &[f32], d: &[f32], width: usize, group: usize, padding: usize) 
         stride: stride as u32,
     };
     case.rec.dispatch(kernel, count);
-    let rows = case.result::<f32>(d_raw);
+    let rows = case.result::<f32>(d_raw).unwrap();
     assert!(rows.chunks(stride).all(|row| row[group * width..].iter().all(|x| x.is_nan())), "padding is not written");
     rows.chunks(stride).flat_map(|row| row[..group * width].to_vec()).collect()
 }

@@ -1,7 +1,7 @@
 //! Convolutions against sums over all taps: sides, steps, borders, partial panels, epilogues, and
 //! bordered pictures read by address.
 
-use crate::case::{Case, random};
+use crate::case::{plan, random};
 use zipsplat::{
     gpu::Element,
     kernels::{
@@ -38,7 +38,7 @@ fn check([height, width]: [usize; 2], [channels, columns]: [usize; 2], shape: [u
         .map(|i| weight[i / inner * inner + i % inner % channels * taps + i % inner / channels])
         .collect();
     let weights = pack_matrix(LinearKernel::Panels(Lanes::of(Element::F32), Weights::Factors), &turned, inner, columns);
-    let mut case = Case::new();
+    let mut case = plan();
     let out = case.output::<f32>(pixels * columns);
     let kernel = Convolution {
         source: case.input(&source[lines[1] * width * channels..]),
@@ -70,7 +70,7 @@ fn check([height, width]: [usize; 2], [channels, columns]: [usize; 2], shape: [u
     let truth: Vec<f64> =
         if how.add { active.zip(&residual).map(|(x, &r)| x + f64::from(r)).collect() } else { active.collect() };
     let name = format!("{shape:?} of {height} x {width} x {channels} to {columns} from {lines:?} on, {how:?}");
-    assert_close(&name, &case.result::<f32>(out), &truth, Tolerance::sum_of(inner));
+    assert_close(&name, &case.result::<f32>(out).unwrap(), &truth, Tolerance::sum_of(inner));
 
     let (limits, vectors) = (device().limits(), 2);
     let tile_columns = vectors * limits.subgroup_size;
@@ -79,7 +79,7 @@ fn check([height, width]: [usize; 2], [channels, columns]: [usize; 2], shape: [u
     }
     // Six pixels a workgroup; the last is cut off.
     for (terms, tile_rows) in [(4, 6), (side as u32 * channels as u32, 1)] {
-        let mut case = Case::new();
+        let mut case = plan();
         let out = case.output::<f32>(pixels * columns);
         let pitch = (width + 2 * padding) * channels;
         let bordered = bordered(&seen, [width, channels], padding);
@@ -107,7 +107,7 @@ fn check([height, width]: [usize; 2], [channels, columns]: [usize; 2], shape: [u
         let groups = [(pixels as u32).div_ceil(tile_rows), (columns as u32).div_ceil(tile_columns), 1];
         case.rec.dispatch_groups(kernel, groups);
         let name = format!("{name}, by address, {terms} terms of {tile_rows} pixels");
-        assert_close(&name, &case.result::<f32>(out), &truth, Tolerance::sum_of(inner));
+        assert_close(&name, &case.result::<f32>(out).unwrap(), &truth, Tolerance::sum_of(inner));
     }
 }
 

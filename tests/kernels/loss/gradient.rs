@@ -1,6 +1,6 @@
 //! Losses and their gradients: goldens, random pictures of many sizes, other channels than RGB.
 
-use crate::case::{Case, random};
+use crate::case::{plan_within, random};
 use zipsplat::gpu::Limits;
 use zipsplat::stages::{
     FrameShape,
@@ -31,13 +31,13 @@ impl Pictures {
 
     /// Returns the loss of every picture and the gradient, in frames of `channels`.
     fn compared(&self, limits: &Limits, loss: Loss, channels: usize, scale: f32) -> [Vec<f32>; 2] {
-        let mut case = Case::within(limits);
+        let mut case = plan_within(limits);
         let pixel = |rgb: &[f32]| rgb.iter().copied().chain([7.0; 8]).take(channels).collect::<Vec<_>>();
         let frames = case.input(&self.frames.chunks(3).flat_map(pixel).collect::<Vec<_>>());
         let targets = case.input(&self.targets);
         let found = record_loss(&mut case.rec, loss, frames, targets, self.shape, channels, scale);
         [found.value, found.d_frames].iter().for_each(|tensor| case.rec.output(*tensor));
-        let run = case.run();
+        let run = case.run().unwrap();
         [found.value, found.d_frames].map(|tensor| run.read(tensor).unwrap())
     }
 

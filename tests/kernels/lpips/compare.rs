@@ -1,6 +1,6 @@
 //! Differences of features, and their gradient against finite differences.
 
-use crate::case::{Case, random};
+use crate::case::{plan, random};
 use zipsplat::kernels::lpips::Compare;
 use zipsplat_tests::compare::{Tolerance, assert_close};
 use zipsplat_tests::reference::{lpips::compare::compare, widen};
@@ -24,7 +24,7 @@ impl Features {
     /// Returns sums, and the gradient added to `before`.
     fn compared(&self, before: Option<&[f32]>, scale: f32) -> [Vec<f32>; 2] {
         let (channels, pixels) = (self.weights.len(), self.a.len() / self.weights.len());
-        let mut case = Case::new();
+        let mut case = plan();
         let d_a = match before {
             Some(before) => case.input(before),
             None => case.output::<f32>(self.a.len()),
@@ -43,7 +43,7 @@ impl Features {
             add: before.is_some(),
         };
         case.rec.dispatch_groups(kernel, pixels);
-        let run = case.run();
+        let run = case.run().unwrap();
         [run.read(kernel.sums).unwrap(), run.read(d_a).unwrap()]
     }
 

@@ -1,6 +1,6 @@
 //! Max pooling of rectified features and its gradient, exact, with ties.
 
-use crate::case::{Case, random, rounded};
+use crate::case::{plan, random, rounded};
 use zipsplat::kernels::lpips::{Pool, PoolBackward};
 use zipsplat_tests::compare::assert_same;
 use zipsplat_tests::reference::{lpips::pool as reference, widen};
@@ -22,7 +22,7 @@ fn equals_the_reference() {
     for [height, width, channels, side, step] in SHAPES {
         let source = features(height * width * channels);
         let truth = rounded(&reference::pool(&rectified(&source), [width, channels], side, step));
-        let mut case = Case::new();
+        let mut case = plan();
         let out = case.output::<f32>(truth.len());
         let kernel = Pool {
             source: case.input(&source),
@@ -37,7 +37,7 @@ fn equals_the_reference() {
             step: step as u32,
         };
         case.rec.dispatch(kernel, truth.len());
-        assert_same(&format!("{height} x {width}"), &case.result::<f32>(out), &truth);
+        assert_same(&format!("{height} x {width}"), &case.result::<f32>(out).unwrap(), &truth);
     }
 }
 
@@ -49,7 +49,7 @@ fn gradients_go_to_the_first_of_equal_values() {
         // Sums of eighths are exact in any order.
         let d: Vec<f32> =
             random(2, out_height * out_width * channels).iter().map(|x| (8.0 * x).round() / 8.0).collect();
-        let mut case = Case::new();
+        let mut case = plan();
         let out = case.output::<f32>(source.len());
         let kernel = PoolBackward {
             source: case.input(&source),
@@ -68,6 +68,6 @@ fn gradients_go_to_the_first_of_equal_values() {
         };
         case.rec.dispatch(kernel, source.len());
         let truth = reference::pool_backward(&rectified(&source), [width, channels], side, step, &widen(&d));
-        assert_same(&format!("{height} x {width}"), &case.result::<f32>(out), &rounded(&truth));
+        assert_same(&format!("{height} x {width}"), &case.result::<f32>(out).unwrap(), &rounded(&truth));
     }
 }

@@ -1,6 +1,6 @@
 //! Chains of steps: exact for integers, within rounding for shrinking values.
 
-use crate::case::{Case, rounded};
+use crate::case::{plan, rounded};
 use zipsplat::ops::measure::FmaChains;
 use zipsplat_tests::{
     compare::{Tolerance, assert_close, assert_same},
@@ -8,10 +8,10 @@ use zipsplat_tests::{
 };
 
 fn found(of: FmaChains) -> Vec<f32> {
-    let mut case = Case::new();
+    let mut case = plan();
     let out = of.record(&mut case.rec);
     case.rec.output(out);
-    case.result(out)
+    case.result(out).unwrap()
 }
 
 fn truth(of: FmaChains) -> Vec<f64> {

@@ -1,6 +1,6 @@
 //! Matrix products of small integers, exact: sums stay far below 2^24.
 
-use crate::case::{Case, random_below, rounded};
+use crate::case::{plan, random_below, rounded};
 use zipsplat::{
     gpu::Element,
     ops::{Units, measure::MatrixProducts},
@@ -27,12 +27,12 @@ fn check(of: MatrixProducts) {
     let [m, n, k] = [shape.m, shape.n, shape.k].map(|side| side as usize);
     let whole = |seed, len| -> Vec<f32> { random_below(seed, len, 9).into_iter().map(|v| v as f32 - 4.0).collect() };
     let (a, b) = (whole(1, 2 * m * k), whole(2, MatrixProducts::products(limits) * k * n));
-    let mut case = Case::new();
+    let mut case = plan();
     let [left, right] = [&a, &b].map(|values| case.input_of(of.units.factor, values));
     let out = of.record(&mut case.rec, left, right);
     case.rec.output(out);
     let one = rounded(&products(&widen(&a), &widen(&b), [m, n, k], of.iterations, of.swaps));
-    assert_same(&format!("{of:?}"), &of.sums(case.result(out)), &one.repeat(of.subgroups));
+    assert_same(&format!("{of:?}"), &of.sums(case.result(out).unwrap()), &one.repeat(of.subgroups));
     let each = 2 * m * n * k * MatrixProducts::products(limits);
     assert_eq!(of.flops(limits), (each * of.subgroups) as u64 * u64::from(of.iterations));
 }

@@ -1,6 +1,6 @@
 //! Inputs of convolutions, exact: sides, steps, borders and dilations.
 
-use crate::case::{Case, random, rounded};
+use crate::case::{plan, random, rounded};
 use zipsplat::kernels::ops::Im2col;
 use zipsplat_tests::compare::assert_same;
 use zipsplat_tests::reference::{ops::im2col::im2col, widen};
@@ -14,7 +14,7 @@ fn check(channels: usize, [height, width]: [usize; 2], shape: [usize; 4], out: [
     for (first, rectified, gated) in [(0, false, false), (0, true, false), (0, false, true), (pixels / 2, false, true)]
     {
         let count = (pixels - first) * row;
-        let mut case = Case::new();
+        let mut case = plan();
         let result = case.output::<f32>(count);
         let kernel = Im2col {
             source: case.input(&source),
@@ -47,7 +47,7 @@ fn check(channels: usize, [height, width]: [usize; 2], shape: [usize; 4], out: [
         let zeros = vec![0.0; row - inner];
         let truth: Vec<f32> = rows.chunks(inner).skip(first).flat_map(|row| [row, &zeros].concat()).collect();
         let name = format!("{shape:?} of {height} x {width} x {channels} from {first} on, {rectified} {gated}");
-        assert_same(&name, &case.result::<f32>(result), &truth);
+        assert_same(&name, &case.result::<f32>(result).unwrap(), &truth);
     }
 }
 
@@ -72,7 +72,7 @@ fn lines_before_the_bound_ones_count() {
     let source = random(1, 6 * width * channels);
     let truth = im2col(&widen(&source), [width, channels], [3, 1, 1, 1], [6, 4]);
     let (row, first) = (18, 12);
-    let mut case = Case::new();
+    let mut case = plan();
     let out = case.output::<f32>(12 * row);
     let part = case.input(&source[2 * width * channels..]);
     let kernel = Im2col {
@@ -95,5 +95,5 @@ fn lines_before_the_bound_ones_count() {
         gated: false,
     };
     case.rec.dispatch_groups(kernel, 12usize);
-    assert_same("from the third line on", &case.result::<f32>(out), &rounded(&truth[first as usize * row..]));
+    assert_same("from the third line on", &case.result::<f32>(out).unwrap(), &rounded(&truth[first as usize * row..]));
 }

@@ -1,6 +1,6 @@
 //! Rows as 8-bit integers: the nearest, or either in a tie within f32 rounding.
 
-use crate::case::{Case, elements, random, stored};
+use crate::case::{elements, plan, random, stored};
 use zipsplat::{
     gpu::Element,
     ops::{Rows, quantise_rows},
@@ -10,13 +10,13 @@ use zipsplat_tests::reference::{ops::quantise_rows::quantise_rows as reference, 
 
 /// Returns the kernel's integers and scales.
 fn quantised(values: &[f32], rows: usize, width: usize) -> (Vec<f32>, Vec<f32>) {
-    let mut case = Case::new();
+    let mut case = plan();
     let source = Rows { tensor: case.input_of(Element::F16, values), count: rows, width, element: Element::F16 };
     let (out, scales) = quantise_rows(&mut case.rec, source);
     let out = out.tensor;
     case.rec.output(out);
     case.rec.output(scales);
-    let run = case.run();
+    let run = case.run().unwrap();
     (Element::I8.decode(&run.read::<u8>(out).unwrap()), run.read(scales).unwrap())
 }
 

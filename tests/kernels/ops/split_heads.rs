@@ -1,6 +1,6 @@
 //! Split heads: exact placement, norm and rotation.
 
-use crate::case::{Case, elements, random, stored};
+use crate::case::{elements, plan, random, stored};
 use zipsplat::{gpu::Element, kernels::ops::SplitHeads, stages::backbone::rotary_tables};
 use zipsplat_tests::compare::{Tolerance, assert_close};
 use zipsplat_tests::reference::{
@@ -64,7 +64,7 @@ impl Call {
         let (weight, bias) = (random(2, dim), random(3, dim));
         let table = &rotary_tables(grid_rows, grid_columns, dim)[usize::from(self.global)];
 
-        let mut case = Case::new();
+        let mut case = plan();
         let transpose = self.panel > 0;
         let padded = sequence.next_multiple_of(self.panel.max(1));
         let out_len = self.out_rows / sequence * padded;
@@ -102,7 +102,7 @@ impl Call {
             element,
         };
         case.rec.dispatch_groups(kernel, rows * heads);
-        let run = case.run();
+        let run = case.run().unwrap();
         let mut got = element.decode(&run.read::<u8>(out).unwrap());
         let found_counts: Vec<f32> = run.read(log_counts).unwrap();
 

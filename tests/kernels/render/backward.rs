@@ -1,6 +1,6 @@
 //! Gradients of pictures against the goldens and finite differences.
 
-use crate::case::{Case, random};
+use crate::case::{plan_within, random};
 use glam::{DMat3, DVec3};
 use zipsplat::{
     gpu::Limits,
@@ -75,7 +75,7 @@ fn find(scene: &Scene, cameras: &[Camera], request: &RenderRequest, d_frames: &[
 
 impl How<'_> {
     fn find(&self, scene: &Scene, cameras: &[Camera], request: &RenderRequest, d_frames: &[f32]) -> Found {
-        let mut case = Case::within(self.limits);
+        let mut case = plan_within(self.limits);
         let tensors = SceneTensors {
             means: case.input(&scene.means),
             scales: case.input(&scene.scales),
@@ -103,7 +103,7 @@ impl How<'_> {
         let gradients = Gradients { scene: self.scene.then_some(d), cameras: self.cameras.then_some(d_cameras) };
         let (rec, capacity) = (&mut case.rec, self.capacity);
         let outputs = record_with_gradients(rec, &tensors, rows, shape, request, capacity, |_, _| d_frames, &gradients);
-        let run = case.run();
+        let run = case.run().unwrap();
         let read = |tensor| run.read(tensor).unwrap();
         Found {
             means: read(d.means),

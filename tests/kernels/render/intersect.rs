@@ -1,10 +1,8 @@
 //! Counts and lists of tiles against the host's.
 
-use zipsplat::{
-    gpu::{Recorder, Run},
-    kernels::render::{Intersect, TileCounts},
-};
-use zipsplat_tests::{compare::assert_same, device::device};
+use crate::case::plan;
+use zipsplat::kernels::render::{Intersect, TileCounts};
+use zipsplat_tests::compare::assert_same;
 
 const GRID: [u32; 2] = [11, 7];
 const CAMERAS: u32 = 2;
@@ -34,29 +32,23 @@ fn tiles([corner, size, mask]: [u32; 3], camera: u32) -> Vec<u32> {
 
 /// Runs the kernel with these prefix sums; returns tiles, pairs and status.
 fn intersect(sets: &[[u32; 3]], indices: &[u32], sums: &[u32], capacity: u32) -> [Vec<u32>; 3] {
-    let mut rec = Recorder::new(device().limits());
+    let mut case = plan();
     let kernel = Intersect {
-        tile_sets: rec.input::<[u32; 3]>("tile_sets", sets.len()),
-        indices: rec.input::<u32>("indices", sets.len()),
-        offsets: rec.input::<u32>("offsets", sums.len()),
-        tiles: rec.tensor::<u32>("tiles", capacity as usize),
-        pair_indices: rec.tensor::<u32>("pair_indices", capacity as usize),
-        status: rec.tensor::<u32>("status", 3),
+        tile_sets: case.input(sets),
+        indices: case.input(indices),
+        offsets: case.input(sums),
+        tiles: case.output::<u32>(capacity as usize),
+        pair_indices: case.output::<u32>(capacity as usize),
+        status: case.output::<u32>(3),
         pairs: sets.len() as u32,
         camera_count: CAMERAS,
         grid: GRID,
         capacity,
     };
-    rec.fill(kernel.status, 0);
-    rec.dispatch(kernel, sums.len());
-    let outputs = [kernel.tiles, kernel.pair_indices, kernel.status];
-    outputs.into_iter().for_each(|output| rec.output(output));
-    let mut run = Run::new(device(), rec.finish().unwrap()).unwrap();
-    run.write(kernel.tile_sets, sets).unwrap();
-    run.write(kernel.indices, indices).unwrap();
-    run.write(kernel.offsets, sums).unwrap();
-    run.execute().unwrap();
-    outputs.map(|output| run.read(output).unwrap())
+    case.rec.fill(kernel.status, 0);
+    case.rec.dispatch(kernel, sums.len());
+    let run = case.run().unwrap();
+    [kernel.tiles, kernel.pair_indices, kernel.status].map(|output| run.read(output).unwrap())
 }
 
 #[test]
@@ -86,21 +78,16 @@ fn lists_every_tile_in_depth_order() {
 fn counts_every_tile_in_depth_order() {
     let sets = tile_sets(300);
     let indices: Vec<u32> = (0..300).rev().collect();
-    let mut rec = Recorder::new(device().limits());
+    let mut case = plan();
     let kernel = TileCounts {
-        tile_sets: rec.input::<[u32; 3]>("tile_sets", sets.len()),
-        indices: rec.input::<u32>("indices", sets.len()),
-        tile_counts: rec.tensor::<u32>("tile_counts", sets.len() + 1),
+        tile_sets: case.input(&sets),
+        indices: case.input(&indices),
+        tile_counts: case.output::<u32>(sets.len() + 1),
         pairs: sets.len() as u32,
     };
-    rec.dispatch(kernel, sets.len() + 1);
-    rec.output(kernel.tile_counts);
-    let mut run = Run::new(device(), rec.finish().unwrap()).unwrap();
-    run.write(kernel.tile_sets, &sets).unwrap();
-    run.write(kernel.indices, &indices).unwrap();
-    run.execute().unwrap();
+    case.rec.dispatch(kernel, sets.len() + 1);
     let expected = indices.iter().map(|&i| tiles(sets[i as usize], 0).len() as u32).chain([0]);
-    assert_same("counts", &run.read::<u32>(kernel.tile_counts).unwrap(), &expected.collect::<Vec<_>>());
+    assert_same("counts", &case.result::<u32>(kernel.tile_counts).unwrap(), &expected.collect::<Vec<_>>());
 }
 
 #[test]

@@ -1,13 +1,12 @@
 //! Normals against eigenvectors of the covariances.
 
+use crate::case::plan;
 use zipsplat::{
-    gpu::{Recorder, Run},
     kernels::render::Normals,
-    stages::render::{CameraRows, camera_rows},
+    stages::render::camera_rows,
     types::{Camera, Pose},
 };
 use zipsplat_tests::{
-    device::device,
     reference::render::normals,
     scenes::{camera, random_scene, reference_camera, reference_gaussians},
 };
@@ -20,26 +19,19 @@ fn equals_the_eigenvectors_of_the_covariances() {
         let mut scene = random_scene(count, 0, 0.3);
         cameras.iter_mut().for_each(|camera| camera.pose.translation += off / 3.0);
         scene.means.iter_mut().flatten().for_each(|x| *x = (f64::from(*x) + off / 3.0) as f32);
-        let mut rec = Recorder::new(device().limits());
+        let mut case = plan();
         let pairs = count * cameras.len();
         let kernel = Normals {
-            means: rec.input::<[f32; 3]>("means", count),
-            scales: rec.input::<[f32; 3]>("scales", count),
-            quats: rec.input::<[f32; 4]>("quats", count),
-            cameras: rec.input::<CameraRows>("cameras", cameras.len()),
-            normals: rec.tensor::<[f32; 3]>("normals", pairs),
+            means: case.input(&scene.means),
+            scales: case.input(&scene.scales),
+            quats: case.input(&scene.quats),
+            cameras: case.input(&cameras.map(|camera| camera_rows(&camera))),
+            normals: case.output::<[f32; 3]>(pairs),
             pairs: pairs as u32,
             camera_count: cameras.len() as u32,
         };
-        rec.dispatch(kernel, pairs);
-        rec.output(kernel.normals);
-        let mut run = Run::new(device(), rec.finish().unwrap()).unwrap();
-        run.write(kernel.means, &scene.means).unwrap();
-        run.write(kernel.scales, &scene.scales).unwrap();
-        run.write(kernel.quats, &scene.quats).unwrap();
-        run.write(kernel.cameras, &cameras.map(|camera| camera_rows(&camera))).unwrap();
-        run.execute().unwrap();
-        let got: Vec<[f32; 3]> = run.read(kernel.normals).unwrap();
+        case.rec.dispatch(kernel, pairs);
+        let got: Vec<[f32; 3]> = case.result(kernel.normals).unwrap();
         let gaussians = reference_gaussians(&scene);
         for (pair, normal) in got.iter().enumerate() {
             let (i, camera) = (pair / cameras.len(), reference_camera(&cameras[pair % cameras.len()]));

@@ -1,6 +1,6 @@
 //! Bytes of pictures, exact.
 
-use crate::case::{Case, random};
+use crate::case::{plan, random};
 use zipsplat::kernels::render::Pack;
 use zipsplat_tests::compare::assert_same;
 use zipsplat_tests::reference::render::pack::pack;
@@ -18,12 +18,12 @@ fn frames(count: usize) -> Vec<[f32; 4]> {
 fn equals_the_reference() {
     for (count, blue_first) in [(0, false), (1, false), (2, true), (63, false), (65, true), (64 * 65_537, false)] {
         let frames = frames(count);
-        let mut case = Case::new();
+        let mut case = plan();
         let packed = case.output::<u32>(count);
         let kernel = Pack { frames: case.input(&frames), packed, count: count as u32, blue_first };
         case.rec.dispatch(kernel, count);
         let wide: Vec<[f64; 4]> = frames.iter().map(|pixel| pixel.map(f64::from)).collect();
-        let found: Vec<[u8; 4]> = case.result(packed);
+        let found: Vec<[u8; 4]> = case.result(packed).unwrap();
         assert_same(&format!("{count} pixels"), found.as_flattened(), pack(&wide, blue_first).as_flattened());
     }
 }

@@ -1,14 +1,13 @@
 //! Projection against the goldens.
 
+use crate::case::plan;
 use zipsplat::{
-    gpu::{Recorder, Run},
     kernels::render::Project,
-    stages::render::{CameraRows, camera_rows},
+    stages::render::camera_rows,
     types::{Camera, NEAR, Scene},
 };
 use zipsplat_tests::{
     compare::{Tolerance, assert_close, assert_same, columns},
-    device::device,
     golden::{self, Golden},
     scenes::{golden_cameras, golden_scene},
 };
@@ -23,21 +22,21 @@ struct Projection {
 }
 
 fn project(scene: &Scene, cameras: &[Camera], antialiased: bool) -> Projection {
-    let mut rec = Recorder::new(device().limits());
+    let mut case = plan();
     let pairs = scene.len() * cameras.len();
     let kernel = Project {
-        means: rec.input::<[f32; 3]>("means", scene.len()),
-        scales: rec.input::<[f32; 3]>("scales", scene.len()),
-        quats: rec.input::<[f32; 4]>("quats", scene.len()),
-        opacities: rec.input::<f32>("opacities", scene.len()),
-        sh_coeffs: rec.input::<[f32; 3]>("sh_coeffs", scene.sh_coeffs.len()),
-        cameras: rec.input::<CameraRows>("cameras", cameras.len()),
-        xy_opacities: rec.tensor::<[f32; 3]>("xy_opacities", pairs),
-        conics: rec.tensor::<[f32; 3]>("conics", pairs),
-        colors: rec.tensor::<[f32; 3]>("colors", pairs),
-        depths: rec.tensor::<f32>("depths", pairs),
-        tile_sets: rec.tensor::<[u32; 3]>("tile_sets", pairs),
-        indices: rec.tensor::<u32>("indices", pairs),
+        means: case.input(&scene.means),
+        scales: case.input(&scene.scales),
+        quats: case.input(&scene.quats),
+        opacities: case.input(&scene.opacities),
+        sh_coeffs: case.input(&scene.sh_coeffs),
+        cameras: case.input(&cameras.iter().map(camera_rows).collect::<Vec<_>>()),
+        xy_opacities: case.output::<[f32; 3]>(pairs),
+        conics: case.output::<[f32; 3]>(pairs),
+        colors: case.output::<[f32; 3]>(pairs),
+        depths: case.output::<f32>(pairs),
+        tile_sets: case.output::<[u32; 3]>(pairs),
+        indices: case.output::<u32>(pairs),
         pairs: pairs as u32,
         first_pair: 0,
         camera_count: cameras.len() as u32,
@@ -48,18 +47,8 @@ fn project(scene: &Scene, cameras: &[Camera], antialiased: bool) -> Projection {
         sh_degree: scene.sh_degree,
         antialiased,
     };
-    rec.dispatch(kernel, pairs);
-    for output in [kernel.xy_opacities, kernel.conics, kernel.colors, kernel.depths, kernel.tile_sets, kernel.indices] {
-        rec.output(output);
-    }
-    let mut run = Run::new(device(), rec.finish().unwrap()).unwrap();
-    run.write(kernel.means, &scene.means).unwrap();
-    run.write(kernel.scales, &scene.scales).unwrap();
-    run.write(kernel.quats, &scene.quats).unwrap();
-    run.write(kernel.opacities, &scene.opacities).unwrap();
-    run.write(kernel.sh_coeffs, &scene.sh_coeffs).unwrap();
-    run.write(kernel.cameras, &cameras.iter().map(camera_rows).collect::<Vec<_>>()).unwrap();
-    run.execute().unwrap();
+    case.rec.dispatch(kernel, pairs);
+    let run = case.run().unwrap();
     assert_same("indices", &run.read::<u32>(kernel.indices).unwrap(), &(0..pairs as u32).collect::<Vec<_>>());
     Projection {
         xy_opacities: run.read(kernel.xy_opacities).unwrap(),

@@ -1,9 +1,7 @@
 //! Blending against brute force, from reference splats.
 
-use zipsplat::{
-    gpu::{Recorder, Run},
-    kernels::{limits::TILE, render::Rasterise},
-};
+use crate::case::plan;
+use zipsplat::kernels::{limits::TILE, render::Rasterise};
 use zipsplat_tests::{
     compare::{ImageTolerance, Picture, assert_images_close},
     device::device,
@@ -40,17 +38,24 @@ fn equals_brute_force_for_any_number_of_runs() {
     let tiles = grid[0] * grid[1];
     let truth = rasterise::rasterise(&splats.iter().copied().map(Some).collect::<Vec<_>>(), SIZE, [0.1, 0.2, 0.3]);
     let all_runs = TILE * TILE / device().limits().subgroup_size;
+    let every: Vec<u32> = (0..tiles).flat_map(|_| 0..splats.len() as u32).collect();
+    let each = |f: fn(&Splat) -> [f64; 3]| -> Vec<[f32; 3]> { splats.iter().map(|s| f(s).map(|v| v as f32)).collect() };
+    // The kernel's conic: see kernels/render/project.comp.
+    let completed = |s: &Splat| {
+        let [a, b, c] = s.conic;
+        [a, -b / a, c - b * b / a]
+    };
     for runs in [1, 2, all_runs] {
-        let mut rec = Recorder::new(device().limits());
+        let mut case = plan();
         let kernel = Rasterise {
-            pair_indices: rec.input::<u32>("pair_indices", splats.len() * tiles),
-            tile_offsets: rec.input::<u32>("tile_offsets", tiles + 1),
-            xy_opacities: rec.input::<[f32; 3]>("xy_opacities", splats.len()),
-            conics: rec.input::<[f32; 3]>("conics", splats.len()),
-            colors: rec.input::<[f32; 3]>("colors", splats.len()),
-            depths: rec.input::<f32>("depths", splats.len()),
-            normals: rec.input::<[f32; 3]>("normals", 1),
-            frames: rec.tensor::<[f32; 5]>("frames", SIZE[0] * SIZE[1]),
+            pair_indices: case.input(&every),
+            tile_offsets: case.input(&(0..=tiles).map(|t| (t * splats.len()) as u32).collect::<Vec<_>>()),
+            xy_opacities: case.input(&each(|s| [s.mean[0], s.mean[1], s.opacity])),
+            conics: case.input(&each(completed)),
+            colors: case.input(&each(|s| s.color)),
+            depths: case.input(&splats.iter().map(|s| s.depth as f32).collect::<Vec<_>>()),
+            normals: case.input(&[[0.0f32; 3]]),
+            frames: case.output::<[f32; 5]>(SIZE[0] * SIZE[1]),
             size: SIZE.map(|pixels| pixels as u32),
             grid: grid.map(|tiles| tiles as u32),
             first_tile_row: 0,
@@ -65,27 +70,8 @@ fn equals_brute_force_for_any_number_of_runs() {
             normal: false,
             token_pairs: 0,
         };
-        rec.dispatch_groups(kernel, [grid[0] as u32 * all_runs / runs, grid[1] as u32, 1]);
-        rec.output(kernel.frames);
-        let mut run = Run::new(device(), rec.finish().unwrap()).unwrap();
-        let every: Vec<u32> = (0..tiles).flat_map(|_| 0..splats.len() as u32).collect();
-        run.write(kernel.pair_indices, &every).unwrap();
-        run.write(kernel.tile_offsets, &(0..=tiles).map(|t| (t * splats.len()) as u32).collect::<Vec<_>>()).unwrap();
-        let each =
-            |f: fn(&Splat) -> [f64; 3]| -> Vec<[f32; 3]> { splats.iter().map(|s| f(s).map(|v| v as f32)).collect() };
-        run.write(kernel.xy_opacities, &each(|s| [s.mean[0], s.mean[1], s.opacity])).unwrap();
-        // The kernel's conic: see kernels/render/project.comp.
-        let completed = |s: &Splat| {
-            let [a, b, c] = s.conic;
-            [a, -b / a, c - b * b / a]
-        };
-        run.write(kernel.conics, &each(completed)).unwrap();
-        run.write(kernel.colors, &each(|s| s.color)).unwrap();
-        run.write(kernel.depths, &splats.iter().map(|s| s.depth as f32).collect::<Vec<_>>()).unwrap();
-        run.write(kernel.normals, &[[0.0f32; 3]]).unwrap();
-        run.execute().unwrap();
-
-        let frames: Vec<[f32; 5]> = run.read(kernel.frames).unwrap();
+        case.rec.dispatch_groups(kernel, [grid[0] as u32 * all_runs / runs, grid[1] as u32, 1]);
+        let frames: Vec<[f32; 5]> = case.result(kernel.frames).unwrap();
         let hold = |what: &str, values: Vec<f32>, truth: &[f64], unstable: &[u8], tolerance| {
             let picture = Picture { values: &values, width: SIZE[0], channels: truth.len() / unstable.len() };
             assert_images_close(&format!("{runs} runs {what}"), picture, truth, unstable, tolerance);

@@ -1,6 +1,6 @@
 //! The command under device failures.
 
-use crate::{catalogue::zipsplat, micro, noise};
+use crate::{doctor::zipsplat, micro, noise};
 use std::path::{Path, PathBuf};
 use zipsplat::{
     types::{Image, write_ply},

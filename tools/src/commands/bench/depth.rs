@@ -5,7 +5,6 @@ use super::{
     pytorch, timed_device,
 };
 use crate::{
-    noise::Noise,
     options::{ArithmeticOption, Size},
     released::open_depth,
     session::{Session, Stage},
@@ -20,6 +19,7 @@ use zipsplat::{
     gpu::{ProfileRow, Run},
     types::Image,
 };
+use zipsplat_verify::noise::Noise;
 
 /// Time of Depth Anything 3, backbone and heads, by kernel, and its memory
 #[derive(Args)]

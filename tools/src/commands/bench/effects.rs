@@ -1,6 +1,5 @@
 use super::{Repeats, Spread};
 use crate::{
-    noise,
     options::Size,
     session::{Session, Stage},
     table::Table,
@@ -13,6 +12,7 @@ use zipsplat::{
     stages::render::{Depth, RenderRequest, Renderer},
     types::Scene,
 };
+use zipsplat_verify::noise;
 
 const GROUP: NonZeroU32 = NonZeroU32::new(32).expect("not 0");
 

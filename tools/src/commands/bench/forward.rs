@@ -5,7 +5,6 @@ use super::{
     pytorch, stage_of, timed_device,
 };
 use crate::{
-    noise::Noise,
     options::{ArithmeticOption, Size, Weights, parse_ratio},
     session::{Session, Stage},
     table::{Table, bytes},
@@ -25,6 +24,7 @@ use zipsplat::{
     types::{Camera, Image, Intrinsics, Pose},
     weights::Checkpoint,
 };
+use zipsplat_verify::noise::Noise;
 
 /// Time of the forward pass, by stage and kernel, and its memory
 #[derive(Args)]

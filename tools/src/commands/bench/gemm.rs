@@ -4,7 +4,6 @@ use super::{
     percent, timed_device,
 };
 use crate::{
-    noise::Noise,
     session::{Session, Stage},
     table::Table,
 };
@@ -17,6 +16,7 @@ use zipsplat::{
     ops::{Epilogue, LaneTile, Lanes, Linear, LinearKernel, Rows, Tiles, Units, Weights, pack_matrix},
 };
 use zipsplat_reference::{ops::linear::linear, widen};
+use zipsplat_verify::noise::Noise;
 
 /// Rows, inner dimension, columns: ViT-S with 4 views; ViT-G with one, up and down.
 const SHAPES: [[usize; 3]; 3] = [[1296, 384, 1536], [324, 1536, 6144], [1300, 1536, 384]];

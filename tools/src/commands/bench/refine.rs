@@ -4,7 +4,6 @@ use super::{
     percent, pytorch, timed_device,
 };
 use crate::{
-    noise::{self, Noise},
     options::Size,
     session::{Session, Stage},
     table::{Table, bytes},
@@ -23,6 +22,7 @@ use zipsplat::{
     stages::render::{RenderRequest, Renderer},
     types::{Camera, Image, Scene},
 };
+use zipsplat_verify::noise::{self, Noise};
 
 /// Limit by host memory.
 const MOST_GAUSSIANS: i64 = 50_000_000;

@@ -4,7 +4,6 @@ use super::{
     percent, timed_device,
 };
 use crate::{
-    noise::{self, Noise},
     options::Size,
     outputs,
     session::{Session, Stage},
@@ -22,6 +21,7 @@ use zipsplat::{
     stages::render::{RenderRequest, Renderer},
     types::Scene,
 };
+use zipsplat_verify::noise::{self, Noise};
 
 /// Limit by host memory.
 const MOST_GAUSSIANS: i64 = 50_000_000;

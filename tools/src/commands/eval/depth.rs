@@ -2,7 +2,6 @@
 
 use crate::{
     capture::{Capture, Choice},
-    noise::Noise,
     npy,
 };
 use std::{f64::consts::FRAC_PI_2, path::Path};
@@ -11,6 +10,7 @@ use zipsplat::{
     depth::add_view,
     types::{Camera, Intrinsics, Scene, poses::Frame},
 };
+use zipsplat_verify::noise::Noise;
 
 /// Correlation length of depth errors in pixels.
 const SMOOTH: usize = 14;

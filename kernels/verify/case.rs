@@ -1,0 +1,152 @@
+//! Device computation with truth and simulated faults.
+
+use crate::{Mode, Tolerance, Worst};
+use std::fmt::Debug;
+use zipsplat::{Result, gpu::Device};
+
+/// Error over bound of a caught fault; rounding may cancel one bound.
+pub const CAUGHT: f64 = 2.0;
+
+pub(crate) trait Problem: 'static {
+    type Output;
+    type Truth;
+    type Fault: Copy + Debug + 'static;
+
+    fn compute(&self, device: &Device, mode: Mode) -> Result<Self::Output>;
+
+    /// Computes the truth in f64 from the device's inputs.
+    fn truth(&self, mode: Mode) -> Self::Truth;
+
+    fn judge(&self, truth: &Self::Truth, output: &Self::Output, mode: Mode) -> Worst;
+
+    /// Returns the deviation that tests allow: at random, sums stay far below their bounds.
+    fn typical(&self, _device: &Device, _mode: Mode) -> Tolerance {
+        Tolerance::ANY
+    }
+
+    /// Simulates a fault on the host. Empty if the mode's rounding hides it; each output must be
+    /// caught.
+    fn faulty(&self, truth: &Self::Truth, fault: Self::Fault, mode: Mode) -> Vec<Self::Output>;
+}
+
+/// Faults that a case must catch; at least one.
+pub(crate) struct Catches<F>(Vec<F>);
+
+impl<F: Copy, const N: usize> From<[F; N]> for Catches<F> {
+    fn from(faults: [F; N]) -> Self {
+        const { assert!(N > 0, "a case that catches nothing proves nothing") };
+        Self(faults.to_vec())
+    }
+}
+
+impl<F: Copy> Catches<F> {
+    pub fn and(mut self, more: &[F]) -> Self {
+        self.0.extend_from_slice(more);
+        self
+    }
+}
+
+/// Injected fault with its check.
+#[derive(Clone, Debug)]
+pub struct Injected {
+    /// Name, such as `last term`.
+    pub fault: String,
+    /// Smallest error over bound among the fault's outputs.
+    pub share: f64,
+}
+
+impl Injected {
+    /// Returns true if the error exceeds any rounding.
+    pub fn is_caught(&self) -> bool {
+        self.share > CAUGHT
+    }
+}
+
+/// One hard input.
+pub struct Case {
+    /// Name of the case.
+    pub name: String,
+    /// Problem size for the report.
+    pub size: usize,
+    /// Names of the caught faults.
+    pub catches: Vec<String>,
+    checks: Box<dyn Checks>,
+}
+
+impl Case {
+    pub(crate) fn new<P: Problem>(
+        name: impl Into<String>,
+        size: usize,
+        faults: impl Into<Catches<P::Fault>>,
+        make: impl Fn() -> P + 'static,
+    ) -> Self {
+        Self::sweep(name, size, faults, move || vec![make()])
+    }
+
+    /// Joins problems; each must catch every fault.
+    pub(crate) fn sweep<P: Problem>(
+        name: impl Into<String>,
+        size: usize,
+        faults: impl Into<Catches<P::Fault>>,
+        make: impl Fn() -> Vec<P> + 'static,
+    ) -> Self {
+        let Catches(faults) = faults.into();
+        let catches = faults.iter().map(name_of).collect();
+        Self { name: name.into(), size, catches, checks: Box::new(Made { make, faults }) }
+    }
+
+    pub(crate) fn check(&self, device: &Device, mode: Mode) -> Result<Worst> {
+        self.checks.check(device, mode)
+    }
+
+    /// Checks the injected faults without a device.
+    pub fn inject(&self, mode: Mode) -> Vec<Injected> {
+        self.checks.inject(mode)
+    }
+}
+
+/// Type-erased problems, built on use because they are large.
+trait Checks {
+    fn check(&self, device: &Device, mode: Mode) -> Result<Worst>;
+    fn inject(&self, mode: Mode) -> Vec<Injected>;
+}
+
+struct Made<M, F> {
+    make: M,
+    faults: Vec<F>,
+}
+
+impl<P: Problem, M: Fn() -> Vec<P>> Checks for Made<M, P::Fault> {
+    fn check(&self, device: &Device, mode: Mode) -> Result<Worst> {
+        (self.make)().iter().try_fold(Worst::NONE, |worst, problem| {
+            let output = problem.compute(device, mode)?;
+            let judged = problem.judge(&problem.truth(mode), &output, mode);
+            Ok(worst.or(judged.against(problem.typical(device, mode))))
+        })
+    }
+
+    fn inject(&self, mode: Mode) -> Vec<Injected> {
+        let problems: Vec<_> = (self.make)().into_iter().map(|problem| (problem.truth(mode), problem)).collect();
+        let inject = |fault: &P::Fault| {
+            let shares = problems.iter().flat_map(|(truth, problem)| {
+                let outputs = problem.faulty(truth, *fault, mode);
+                outputs.iter().map(|output| problem.judge(truth, output, mode).share).collect::<Vec<_>>()
+            });
+            shares.reduce(f64::min).map(|share| Injected { fault: name_of(fault), share })
+        };
+        self.faults.iter().filter_map(inject).collect()
+    }
+}
+
+fn name_of(fault: &impl Debug) -> String {
+    let mut name = String::new();
+    for letter in format!("{fault:?}").chars() {
+        match letter {
+            'A'..='Z' if !name.is_empty() => name.extend([' ', letter.to_ascii_lowercase()]),
+            '(' => name.push(' '),
+            ')' => {}
+            _ => name.push(letter.to_ascii_lowercase()),
+        }
+    }
+    name
+}

@@ -1,0 +1,307 @@
+//! Activations of the Gaussian head.
+
+use crate::{
+    Area, Case, Catches, Mode, Tolerance, Worst,
+    bound::{DIVISION, ROOT, TINY, U, exponential, gamma, half, logarithm},
+    case,
+    noise::Noise,
+    trial::Trial,
+};
+use zipsplat::{
+    Result,
+    gpu::Device,
+    stages::{gaussians, render::SceneTensors},
+};
+use zipsplat_reference::{
+    gaussians::activate::activate,
+    ops::activation::{sigmoid, softplus},
+    widen,
+};
+
+const REASON: &str = "each activation's slope times the rounding of its argument, plus Vulkan's limits for exp (3 + 2|x| units), log \
+    (2^-21 near 1) and division; series by their first term left out; clamped values exactly";
+
+/// Values of a raw Gaussian with band 0.
+const WIDTH: usize = 14;
+
+/// Raw Gaussians `[_, 11 + 3 (degree + 1)^2]`.
+struct Problem {
+    raw: Vec<f32>,
+    degree: u32,
+}
+
+impl Problem {
+    fn new(count: usize, degree: u32, value: impl Fn(usize, f32) -> f32) -> Self {
+        let noise = Noise::new(6).values(count * width(degree)).into_iter().enumerate();
+        Self { raw: noise.map(|(i, r)| value(i, r)).collect(), degree }
+    }
+}
+
+fn width(degree: u32) -> usize {
+    11 + 3 * (degree as usize + 1).pow(2)
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Fault {
+    Zero,
+    HalfResult,
+    /// No clamp of means to +-5 before exp.
+    NoClamp,
+    /// Means by exp(x) - 1 in f32.
+    CancellingExp,
+    /// Scales without the offset of 4.
+    NoOffset,
+    /// Scales by log(1 + exp(x)) in f32.
+    CancellingLog,
+    NotNormalised,
+    /// f32 squares, which overflow and underflow.
+    SquaresOfF32,
+    DividedByLength,
+    NoSigmoid,
+    NeighbourGaussian,
+}
+
+impl Fault {
+    /// Returns the faulty value `c` of a raw Gaussian.
+    fn apply(self, raw: &[f64], c: usize, right: f64) -> f64 {
+        let x = raw[c];
+        let single = |x: f64| x as f32;
+        match (self, c) {
+            (Fault::Zero, _) => 0.0,
+            (Fault::HalfResult, _) => half(right),
+            (Fault::NoClamp, 0..3) => x.signum() * x.abs().exp_m1(),
+            (Fault::CancellingExp, 0..3) => x.signum() * f64::from(single(x.abs().min(5.0)).exp() - 1.0),
+            (Fault::NoOffset, 3..6) => softplus(x).clamp(1e-6, 15.0),
+            (Fault::CancellingLog, 3..6) => f64::from((1.0 + single(x - 4.0).exp()).ln()).clamp(1e-6, 15.0),
+            (Fault::NotNormalised, 6..10) => x,
+            (Fault::SquaresOfF32, 6..10) => {
+                let squares: f32 = raw[6..10].iter().map(|&q| single(q) * single(q)).sum();
+                x / f64::from(squares.sqrt().max(1e-12))
+            }
+            (Fault::DividedByLength, 6..10) => x / raw[6..10].iter().map(|q| q * q).sum::<f64>().sqrt(),
+            (Fault::NoSigmoid, 10) => x,
+            _ => right,
+        }
+    }
+}
+
+impl case::Problem for Problem {
+    type Output = Vec<f32>;
+    type Truth = Vec<f64>;
+    type Fault = Fault;
+
+    fn compute(&self, device: &Device, _: Mode) -> Result<Vec<f32>> {
+        run(device, &self.raw, self.degree, 1.0)
+    }
+
+    fn truth(&self, _: Mode) -> Vec<f64> {
+        widen(&self.raw).chunks(width(self.degree)).flat_map(activate).collect()
+    }
+
+    fn judge(&self, truth: &Vec<f64>, output: &Vec<f32>, _: Mode) -> Worst {
+        let (raw, width) = (|i: usize| f64::from(self.raw[i]), width(self.degree));
+        let length = |i: usize| {
+            let squares = self.raw[i / width * width + 6..][..4].iter().map(|&x| f64::from(x).powi(2));
+            squares.sum::<f64>().sqrt()
+        };
+        Worst::of(output, truth, |i| match i % width {
+            0..3 => mean_error(raw(i).abs().min(5.0)),
+            3..6 => scale_error(raw(i)) + U * truth[i],
+            6..10 => quat_error(truth[i], length(i)),
+            10 => opacity_error(raw(i)),
+            _ => 0.0,
+        })
+    }
+
+    fn typical(&self, _: &Device, _: Mode) -> Tolerance {
+        Tolerance::EXPONENTIAL
+    }
+
+    fn faulty(&self, truth: &Vec<f64>, fault: Fault, _: Mode) -> Vec<Vec<f32>> {
+        let (raw, width) = (widen(&self.raw), width(self.degree));
+        if truth.is_empty() {
+            return Vec::new();
+        }
+        let one = |i: usize| match fault {
+            Fault::NeighbourGaussian => truth[(i + width) % truth.len()],
+            _ => fault.apply(&raw[i / width * width..][..width], i % width, truth[i]),
+        };
+        vec![(0..truth.len()).map(|i| one(i) as f32).collect()]
+    }
+}
+
+/// Activates raw Gaussians at a scene scale on a device.
+///
+/// # Errors
+/// Those of the device.
+pub fn run(device: &Device, raw: &[f32], degree: u32, scale: f32) -> Result<Vec<f32>> {
+    let count = raw.len() / width(degree);
+    let mut trial = Trial::new(device);
+    let input = trial.input(raw);
+    let unit = trial.input(&[scale]);
+    let scene = SceneTensors::output(&mut trial.rec, count, degree);
+    gaussians::activate(&mut trial.rec, input, unit, &scene);
+    let sh_coeffs = (scene.sh_coeffs, width(degree) - 11);
+    let fields = [(scene.means, 3), (scene.scales, 3), (scene.quats, 4), (scene.opacities, 1), sh_coeffs];
+    let run = trial.run()?;
+    let mut columns = Vec::new();
+    for (tensor, width) in fields {
+        columns.push((run.read::<f32>(tensor)?, width));
+    }
+    Ok((0..count)
+        .flat_map(|i| columns.iter().flat_map(move |(v, width)| v[i * width..(i + 1) * width].to_vec()))
+        .collect())
+}
+
+/// Bounds expm1 at `x >= 0`. Below 0.35: a series to x^7 / 5040; above: exp(x) - 1.
+fn mean_error(x: f64) -> f64 {
+    let series = x.powi(7) / 5040.0 * 1.1 + gamma(14) * x.exp_m1();
+    let difference = x.exp() * exponential(x) + U * x.exp_m1();
+    TINY + if x < 0.35 { series } else { difference }
+}
+
+/// Bounds softplus(x - 4) before its clamps.
+fn scale_error(x: f64) -> f64 {
+    let z = x - 4.0;
+    if z > 20.0 {
+        return U * z;
+    }
+    let u = z.exp();
+    let carried = sigmoid(z) * (U * z.abs() + exponential(z));
+    // Series of 2 atanh(u / (2 + u)), truncated below 1e-8.
+    let series = softplus(z) * (1e-8 + DIVISION + gamma(12));
+    let direct = U + logarithm(1.0 + u);
+    TINY + carried + if u < 0.5 { series } else { direct }
+}
+
+/// Bounds a division by the largest component, then by the length.
+fn quat_error(component: f64, length: f64) -> f64 {
+    // Short quaternions are divided by 1e-12, which amplifies flushed values.
+    let flushed = if length < 2e-12 { TINY * 1e12 } else { TINY };
+    component.abs() * (2.0 * DIVISION + ROOT + gamma(6)) + 4.0 * flushed
+}
+
+fn opacity_error(x: f64) -> f64 {
+    let opacity = sigmoid(x);
+    opacity * ((1.0 - opacity) * exponential(x) + U + DIVISION) + TINY
+}
+
+/// Clamped and saturated values, bit-equal on every device.
+struct Clamps;
+
+/// Ends of clamped values: mean (bits by the device), scale, opacity.
+#[derive(Clone)]
+struct Ends {
+    means: Vec<[u32; 2]>,
+    scales: Vec<[u32; 2]>,
+    opacities: Vec<u32>,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum ClampFault {
+    /// One value slightly beyond its bound.
+    MeanPassed,
+    LargeScalePassed,
+    SmallScalePassed,
+    Uneven,
+    /// Opacities saturate below 1.
+    OpacityBelow,
+}
+
+impl case::Problem for Clamps {
+    type Output = Ends;
+    type Truth = Ends;
+    type Fault = ClampFault;
+
+    fn compute(&self, device: &Device, _: Mode) -> Result<Ends> {
+        let mut raw = vec![0.0f32; 4 * WIDTH];
+        for (row, x) in raw.chunks_mut(WIDTH).zip([5.0, 7.0, 1e30, f32::MAX]) {
+            row[..3].fill(x);
+            row[3..6].copy_from_slice(&[19.5 + x, 1e30, f32::MAX]);
+            row[6] = 1.0;
+            row[10] = 100.0 + x;
+        }
+        let high = run(device, &raw, 0, 1.0)?;
+        raw.iter_mut().for_each(|x| *x = -*x);
+        let low = run(device, &raw, 0, 1.0)?;
+        let rows = || high.chunks(WIDTH).zip(low.chunks(WIDTH));
+        let ends = |range: std::ops::Range<usize>| -> Vec<[u32; 2]> {
+            rows()
+                .flat_map(|(h, l)| range.clone().map(|c| [h[c].to_bits(), l[c].to_bits()]).collect::<Vec<_>>())
+                .collect()
+        };
+        let opacities = rows().map(|(high, _)| high[10].to_bits()).collect();
+        Ok(Ends { means: ends(0..3), scales: ends(3..6), opacities })
+    }
+
+    fn truth(&self, _: Mode) -> Ends {
+        let mean = 5.0f64.exp_m1() as f32;
+        let means = vec![[mean, -mean].map(f32::to_bits); 12];
+        Ends { means, scales: vec![[15.0f32, 1e-6].map(f32::to_bits); 12], opacities: vec![1.0f32.to_bits(); 4] }
+    }
+
+    fn judge(&self, truth: &Ends, output: &Ends, _: Mode) -> Worst {
+        let mean = f64::from(f32::from_bits(output.means[0][0]));
+        let negative = (-mean as f32).to_bits();
+        Worst::one(mean, 5.0f64.exp_m1(), mean_error(5.0))
+            .or(Worst::differing(&output.means, &vec![[output.means[0][0], negative]; output.means.len()]))
+            .or(Worst::differing(&output.scales, &truth.scales))
+            .or(Worst::differing(&output.opacities, &truth.opacities))
+    }
+
+    fn faulty(&self, truth: &Ends, fault: ClampFault, _: Mode) -> Vec<Ends> {
+        let mut ends = truth.clone();
+        match fault {
+            ClampFault::MeanPassed => ends.means[3][0] = 7.0f32.exp_m1().to_bits(),
+            ClampFault::LargeScalePassed => ends.scales[0][0] = 15.5f32.to_bits(),
+            ClampFault::SmallScalePassed => ends.scales[0][1] = 0,
+            ClampFault::Uneven => ends.means.iter_mut().for_each(|mean| mean[1] += 1),
+            ClampFault::OpacityBelow => ends.opacities[0] -= 1,
+        }
+        vec![ends]
+    }
+}
+
+/// Counts around a workgroup at every degree.
+pub fn shapes() -> Area {
+    use Fault::*;
+    let of = |degree| {
+        let make = move || [0, 1, 63, 64, 65, 333].map(|count| Problem::new(count, degree, |_, r| 6.0 * r)).into();
+        Case::sweep(format!("random of +-6, degree {degree}"), 333, [Zero, HalfResult, NoOffset, NotNormalised], make)
+    };
+    Area { cases: [0, 1, 2, 3].map(of).into(), ..area() }
+}
+
+pub fn area() -> Area {
+    use Fault::*;
+    let mut cases = Vec::new();
+    let mut add = |name: &str, count: usize, catches: Catches<Fault>, value: fn(usize, f32) -> f32| {
+        cases.push(Case::new(name, count, catches, move || Problem::new(count, 0, value)));
+    };
+    let all = || Catches::from([Zero, HalfResult, NoOffset, NotNormalised, NoSigmoid]);
+    add("random of +-6", 1, all(), |_, r| 6.0 * r);
+    for count in [64, 4097] {
+        add("random of +-6", count, all().and(&[NoClamp, CancellingLog, NeighbourGaussian]), |_, r| 6.0 * r);
+    }
+    add("every value from -100 to 100", 20_001, all().and(&[NoClamp, CancellingExp, CancellingLog]), |i, r| {
+        if (6..10).contains(&(i % WIDTH)) { r } else { (i / WIDTH) as f32 / 100.0 - 100.0 }
+    });
+    let near = [Zero, HalfResult, CancellingExp];
+    add("means near 0, where exp(x) - 1 cancels", 400, near.into(), |i, _| 0.5f32.powi((i / WIDTH) as i32 / 2));
+    let unit = || Catches::from([Zero, HalfResult, NotNormalised]);
+    let squares = || unit().and(&[SquaresOfF32]);
+    add("quaternions of length 0", 65, [Zero, DividedByLength].into(), |i, r| quaternion(i, r, 0.0));
+    add("quaternions of length 1e-20", 65, unit(), |i, r| quaternion(i, r, 1e-20));
+    add("quaternions of length 1e-12", 65, unit(), |i, r| quaternion(i, r, 1e-12));
+    add("quaternions of length 1e-6", 65, unit(), |i, r| quaternion(i, r, 1e-6));
+    add("quaternions of length 1e20", 65, squares(), |i, r| quaternion(i, r, 1e20));
+    add("quaternions of length 1e37", 65, squares(), |i, r| quaternion(i, r, 1e37));
+    use ClampFault::*;
+    let clamps = [MeanPassed, LargeScalePassed, SmallScalePassed, Uneven, OpacityBelow];
+    cases.push(Case::new("clamps and saturation", 4, clamps, || Clamps));
+    Area { kernel: "gaussians/activate", size: "Gaussians", reason: REASON, modes: Mode::ONLY_EXACT, cases }
+}
+
+fn quaternion(i: usize, r: f32, length: f32) -> f32 {
+    if (6..10).contains(&(i % WIDTH)) { length * r } else { r }
+}

@@ -1,0 +1,211 @@
+//! Hard inputs of attention.
+
+use super::{
+    Fault::{self, *},
+    Problem,
+};
+use crate::{Area, Case, Catches, Mode};
+use zipsplat::{
+    gpu::Limits,
+    kernels::limits::{ATTENTION_ROWS, GROUP_FOLD},
+    ops::Pool,
+};
+
+const REASON: &str = "a score is off by d <= gamma_(D+2) sum|q k|, so its weight by a factor e^d times exp's allowance, 3 + 2|x| \
+    units for |x| below the row's maximum and 3 more each time that the maximum rises; an output by the weights' sum \
+    p_j |e^d_j - 1| |v_j - out|, never leaving the range of the values, or, where one key outweighs the others, by what \
+    these may weigh beside it; plus gamma_n for the sum over the n values that are not 0, and for the sum of weights over \
+    the additions of a lane, of which there are 4 at least. exp(0) is taken to be 1. \
+    Pooled keys and values are off by gamma_n mean|x| and a division, and as 16 bits by their rounding; the logarithm of their count by \
+    what Vulkan allows it";
+
+/// Beyond 65,536 and 131,072.
+const MANY: usize = 200_000;
+const DOMINATING: [usize; 6] = [0, 65_535, 65_536, 131_071, 131_072, MANY - 1];
+
+pub fn area() -> Area {
+    let mut cases = Vec::new();
+    let mut add = |name: &str, keys: usize, catches: Catches<Fault>, make: fn(usize) -> Problem| {
+        cases.push(Case::new(name, keys, catches, move || make(keys)));
+    };
+    let random = |keys| Problem::random(17, keys, 64, 1.0);
+    add("random", 1, [Zero, NeighbourHead].into(), random);
+    let few = || Catches::from([Zero, NoScale, NoTotal, HalfOfKeys, NeighbourHead, NeighbourValue, LastKey, HalfSum]);
+    for keys in [2, 31, 32, 33, 127, 129] {
+        let padded: &[Fault] = if keys % 4 == 0 { &[] } else { &[Padding] };
+        // Rounding errors of many keys average out.
+        let rounded: &[Fault] = if keys > 100 { &[HalfWeights] } else { &[HalfWeights, HalfScores] };
+        add("random", keys, few().and(padded).and(rounded), random);
+    }
+    add("random", 1300, few(), random);
+    let slices = || Catches::from([Zero, NoTotal, HalfOfKeys, NeighbourHead, HalfSum]);
+    add("a slice of the keys in each channel", 1300, slices().and(&[KeysFrom(1280)]), |keys| sliced(17, keys));
+    add("a slice of the keys in each channel", 62_401, slices().and(&[KeysFrom(62_000)]), |keys| sliced(1, keys));
+    let many = [KeysFrom(MANY / 2), KeysFrom(65_536), KeysFrom(131_072), KeysFrom(MANY - 1000)];
+    add("a slice of the keys in each channel", MANY, slices().and(&many), |keys| sliced(1, keys));
+    // Workgroups of several synchronized subgroups.
+    add("many queries", 129, [Zero, NeighbourHead, NeighbourValue, LastKey].into(), |keys| {
+        Problem::random(600, keys, 64, 1.0)
+    });
+    let sizes = || Catches::from([Zero, NoScale, NoTotal, NeighbourHead, NeighbourValue]);
+    add("heads of 8 channels", 70, sizes(), |keys| Problem::random(9, keys, 8, 1.0));
+    add("heads of 48 channels", 70, sizes(), |keys| Problem::random(9, keys, 48, 1.0));
+    add("heads of 96 channels", 70, sizes(), |keys| Problem::random(9, keys, 96, 1.0));
+    add("heads of 128 channels", 70, sizes(), |keys| Problem::random(9, keys, 128, 1.0));
+    let peaks = || Catches::from([Zero, NoMaximum, NeighbourValue, NeighbourHead]);
+    add("logits of +-1e4", 325, peaks(), |keys| Problem::random(9, keys, 64, 120.0));
+    add("activations of 1e4 before any norm", 325, peaks(), |keys| Problem::random(9, keys, 64, 1e4));
+    add("all logits equal", 325, [Zero, NoTotal, HalfOfKeys, LastKey, HalfSum].into(), |keys| Problem {
+        q: vec![0.0; 9 * 128],
+        ..Problem::random(9, keys, 64, 1.0)
+    });
+    add("identical keys and values", 1300, [Zero, NoTotal, HalfSum, NeighbourHead].into(), identical);
+    for key in [0, 32] {
+        let catches = Catches::from([Zero, Key(key), NoMaximum, NeighbourValue]);
+        add(
+            &format!("key {key} dominates"),
+            33,
+            catches,
+            if key == 0 { |n| dominated(n, 64, &[0]) } else { |n| dominated(n, 64, &[32]) },
+        );
+    }
+    add("key 800 dominates", 1300, [Zero, Key(800), NoMaximum].into(), |keys| dominated(keys, 64, &[800]));
+    let lost = DOMINATING.map(Key);
+    let catches = Catches::from([Zero, KeysFrom(65_536), KeysFrom(131_072), NoMaximum]).and(&lost);
+    add("keys near 65,536, 131,072 and the last dominate", MANY, catches, |keys| dominated(keys, 16, &DOMINATING));
+    add("maximum rises with every key", 500, [Zero, SumsNotScaled, TotalNotScaled, KeysFrom(499)].into(), rising);
+    add("all logits far below zero", 70, [Zero, NoMaximum, NeighbourHead].into(), |keys| {
+        let mut problem = Problem::random(5, keys, 64, 1.0);
+        problem.q.fill(30.0);
+        problem.k.iter_mut().for_each(|k| *k -= 40.0);
+        problem
+    });
+    let counts = || Catches::from([Zero, NoCounts, NeighbourCount, NeighbourHead, NeighbourValue, LastKey, NoTotal]);
+    add("means of 2 x 2 patches", 3 * (1 + 3 * 4), counts(), |_| pooled(Pool { side: 2, grid: [5, 7], leading: 1 }));
+    add("means of 4 x 4 patches", 3 * (2 + 2 * 3), counts(), |_| pooled(Pool { side: 4, grid: [7, 9], leading: 2 }));
+    let values = || Catches::from([Zero, NoTotal, HalfOfKeys, NeighbourValue]);
+    add("values near the largest f16", 325, values(), |keys| values_of(keys, 65_000.0));
+    add("values of 1e30", 325, values(), |keys| values_of(keys, 1e30));
+    add("every second value subnormal", 325, values(), |keys| {
+        let mut problem = Problem::random(9, keys, 64, 1.0);
+        problem.v.iter_mut().step_by(2).for_each(|v| *v *= 1e-39);
+        problem
+    });
+    Area { kernel: "ops/attention", size: "keys", reason: REASON, modes: Mode::FLOATS, cases }
+}
+
+/// Returns a problem with the rounding of random sums, with and without addresses.
+fn variants(problem: Problem) -> [Problem; 2] {
+    let without_addresses: fn(&mut Limits) = |limits| limits.addresses = false;
+    let problem = Problem { is_tame: true, ..problem };
+    [Problem { limits: without_addresses, ..problem.clone() }, problem]
+}
+
+/// Rounds queries and keys to whole numbers, whose products add exactly.
+fn whole(mut problem: Problem, [q, k]: [fn(f32) -> f32; 2]) -> Problem {
+    problem.q.iter_mut().for_each(|x| *x = q(*x).round());
+    problem.k.iter_mut().for_each(|x| *x = k(*x).round());
+    problem
+}
+
+/// Shapes of heads, queries, keys and sequences.
+pub fn shapes() -> Area {
+    let mut cases = Vec::new();
+    for dim in [4, 8, 16, 24, 32, 48, 64, 96, 128] {
+        let keys = [1, 2, 3, 4, 5, 31, 32, 33, 325, 1300];
+        let make = move || keys.iter().flat_map(|&keys| variants(Problem::random(9, keys, dim, 1.0))).collect();
+        cases.push(Case::sweep(format!("heads of {dim} channels"), 1300, [Zero, NeighbourHead], make));
+    }
+    for shape in [[1, 1], [2, 3], [5, 2]] {
+        let queries = [0, 1, 7, 8, 9, 15, 16, 17, 31, 33, 65, 130];
+        let make =
+            move || queries.iter().flat_map(|&queries| variants(Problem::of(shape, queries, 37, 16, 1.0))).collect();
+        let name = format!("{} sequences of {} heads", shape[0], shape[1]);
+        cases.push(Case::sweep(name, 37, [Zero, NeighbourValue, HalfOfKeys], make));
+    }
+    for (side, grid, leading, dim) in [(2, [3, 5], 1, 64), (3, [4, 4], 0, 16), (4, [9, 7], 1, 16)] {
+        let pool = Pool { side, grid, leading };
+        let make =
+            move || variants(Problem { pool: Some(pool), ..Problem::random(9, 3 * pool.tokens(), dim, 1.0) }).into();
+        cases.push(Case::sweep(format!("means of {side} x {side} patches"), 3 * pool.keys(), [Zero, NoCounts], make));
+    }
+    let queries = (ATTENTION_ROWS * GROUP_FOLD) as usize + 3;
+    let many = move || variants(Problem::of([1, 1], queries, 2, 4, 1.0)).into();
+    cases.push(Case::sweep("queries beyond a fold of workgroups", 2, [Zero, NeighbourValue], many));
+    for dim in [16, 64] {
+        let shape: [fn(f32) -> f32; 2] = match dim {
+            16 => [|q| 64.0 * q, |k| 1024.0 * k],
+            _ => [|q| 64.0 * q, |k| 256.0 * k],
+        };
+        let make = move || variants(whole(Problem::of([2, 2], 11, 70, dim, 1.0), shape)).into();
+        cases.push(Case::sweep(format!("exact logits of 1e4, {dim} channels"), 70, [Zero, NeighbourValue], make));
+    }
+    let below = || variants(whole(Problem::of([1, 1], 5, 33, 16, 1.0), [|_| 64.0, |k| 8.0 * k - 48.0])).into();
+    cases.push(Case::sweep("exact logits far below zero", 33, [Zero, NoMaximum], below));
+    let equal = || {
+        let problem = |keys| Problem { q: vec![0.0; 5 * 32], ..Problem::of([1, 1], 5, keys, 32, 1.0) };
+        [3, 33, 325].into_iter().flat_map(|keys| variants(problem(keys))).collect()
+    };
+    cases.push(Case::sweep("equal logits", 325, [Zero, NoTotal], equal));
+    // CPUs get smaller tiles, which compile faster.
+    let tiles = || {
+        let shapes = [(1, 3, 1, 64), (70, 70, 2, 64), (300, 33, 30, 24)];
+        let of = |(queries, keys, heads, dim)| Problem::of([1, heads], queries, keys, dim, 1.0);
+        shapes.map(|shape| Problem { limits: |limits| limits.cpu = false, is_tame: true, ..of(shape) }).into()
+    };
+    cases.push(Case::sweep("tiles of GPUs", 70, [Zero, NeighbourValue], tiles));
+    Area { cases, ..area() }
+}
+
+/// Limits channel c to the c-th part of the keys: a missing part shows.
+fn sliced(queries: usize, keys: usize) -> Problem {
+    let mut problem = Problem::random(queries, keys, 64, 1.0);
+    for (i, v) in problem.v.iter_mut().enumerate() {
+        let (key, head, channel) = (i / 128, i / 64 % 2, i % 64);
+        // Distinguishes heads, and even from odd keys.
+        let size = [1.5, 0.5][key % 2] * (1.0 + 0.1 * *v) * [1.0, -2.0][head];
+        *v = if key * 64 / keys == channel { size } else { 0.0 };
+    }
+    problem
+}
+
+/// Takes three views whose last groups have fewer patches.
+fn pooled(pool: Pool) -> Problem {
+    Problem { pool: Some(pool), ..Problem::random(17, 3 * pool.tokens(), 64, 1.0) }
+}
+
+fn identical(keys: usize) -> Problem {
+    let mut problem = Problem::random(5, keys, 64, 1.0);
+    for values in [&mut problem.k, &mut problem.v] {
+        let first = values[..128].to_vec();
+        values.chunks_mut(128).for_each(|row| row.copy_from_slice(&first));
+    }
+    problem
+}
+
+/// Aligns the i-th dominating key with the i-th query.
+fn dominated(keys: usize, dim: usize, dominating: &[usize]) -> Problem {
+    let mut problem = Problem::random(dominating.len(), keys, dim, 4.0);
+    let width = problem.width();
+    for (query, key) in problem.q.chunks(width).zip(dominating) {
+        let towards = problem.k[key * width..][..width].iter_mut().zip(query);
+        towards.for_each(|(k, q)| *k = 40.0 * q.signum());
+    }
+    problem
+}
+
+/// Forces rescaling by increasing scores.
+fn rising(keys: usize) -> Problem {
+    let mut problem = Problem::random(5, keys, 64, 1.0);
+    problem.q.fill(1.0);
+    for (key, row) in problem.k.chunks_mut(128).enumerate() {
+        row.iter_mut().for_each(|k| *k = 0.02 * key as f32 + 0.01 * *k);
+    }
+    problem
+}
+
+fn values_of(keys: usize, size: f32) -> Problem {
+    let mut problem = Problem::random(9, keys, 64, 1.0);
+    problem.v.iter_mut().for_each(|v| *v *= size);
+    problem
+}

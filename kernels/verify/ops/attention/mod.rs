@@ -1,0 +1,187 @@
+//! Softmax attention.
+
+mod bounds;
+mod cases;
+mod faults;
+mod keys;
+
+pub use cases::{area, shapes};
+
+use crate::{Mode, Tolerance, Worst, case, noise::Noise, trial::Trial};
+use faults::Fault;
+use keys::Keys;
+use rayon::prelude::*;
+use zipsplat::{
+    Result,
+    gpu::{Device, Element, Limits},
+    ops::{Attention, AttentionKernel, Heads, Part, Pool, Rows},
+};
+use zipsplat_reference::ops::{attention::attention_to_means, split_heads};
+
+/// Sequences before pooling: `q [sequences, queries, heads, dim]`, `k` and `v [sequences, keys,
+/// heads, dim]`.
+#[derive(Clone)]
+struct Problem {
+    sequences: usize,
+    heads: usize,
+    dim: usize,
+    /// Changes the device's limits.
+    limits: fn(&mut Limits),
+    /// Scores whose rounding tests hold to that of random sums.
+    is_tame: bool,
+    pool: Option<Pool>,
+    q: Vec<f32>,
+    k: Vec<f32>,
+    v: Vec<f32>,
+}
+
+/// Result `[sequences, queries, heads, dim]` and inputs as on the device.
+struct Truth {
+    values: Vec<f64>,
+    bounds: Vec<f64>,
+    /// `[queries * heads]` of each sequence, and its keys.
+    sequences: Vec<(Vec<Row>, Keys)>,
+}
+
+struct Row {
+    scores: Vec<f64>,
+    errors: Vec<f64>,
+}
+
+impl Problem {
+    /// Scales random queries and keys by `size`.
+    fn random(queries: usize, keys: usize, dim: usize, size: f32) -> Self {
+        Self::of([1, 2], queries, keys, dim, size)
+    }
+
+    fn of([sequences, heads]: [usize; 2], queries: usize, keys: usize, dim: usize, size: f32) -> Self {
+        let mut noise = Noise::new((keys * 64 + queries) as u64);
+        let row = sequences * heads * dim;
+        let [mut q, mut k] = [queries, keys].map(|tokens| noise.values(tokens * row));
+        q.iter_mut().chain(&mut k).for_each(|x| *x *= size);
+        Self { sequences, heads, dim, limits: |_| (), is_tame: false, pool: None, q, k, v: noise.values(keys * row) }
+    }
+
+    fn width(&self) -> usize {
+        self.heads * self.dim
+    }
+
+    /// Returns the number of tokens of a sequence.
+    fn tokens(&self) -> usize {
+        self.k.len() / self.sequences / self.width()
+    }
+
+    fn keys(&self) -> usize {
+        self.pool.map_or(self.tokens(), |pool| self.tokens() / pool.tokens() * pool.keys())
+    }
+
+    fn pool(&self) -> Option<split_heads::Pool> {
+        self.pool.map(|Pool { side, grid, leading }| split_heads::Pool { side, grid, leading })
+    }
+
+    fn queries(&self) -> usize {
+        self.q.len() / self.sequences / self.width()
+    }
+
+    fn sequence(&self, s: usize) -> Self {
+        let of = |x: &Vec<f32>| x[x.len() / self.sequences * s..][..x.len() / self.sequences].to_vec();
+        Self { sequences: 1, q: of(&self.q), k: of(&self.k), v: of(&self.v), ..*self }
+    }
+
+    fn truth_of_one(&self, mode: Mode) -> Truth {
+        let (q, keys) = (Self::held(&self.q, mode), Keys::new(self, mode));
+        let counts: Vec<f64> = (0..self.keys()).map(|key| keys.count(key)).collect();
+        let values = attention_to_means(&q, [&keys.k, &keys.v], &counts, self.heads, self.dim);
+        let at = |i: usize| (&q[i * self.dim..][..self.dim], i % self.heads);
+        let rows: Vec<Row> =
+            (0..self.queries() * self.heads).into_par_iter().map(|i| self.scores(mode, at(i), &keys)).collect();
+        let bounds = rows.par_iter().zip(values.par_chunks(self.dim)).enumerate();
+        let bounds =
+            bounds.flat_map_iter(|(i, (row, out))| self.bounds(mode, row, i % self.heads, &keys, out)).collect();
+        Truth { values, bounds, sequences: vec![(rows, keys)] }
+    }
+
+    fn kernel(mode: Mode, device: &Device) -> AttentionKernel {
+        match mode.units(device) {
+            Some(units) => AttentionKernel::Matrix(units),
+            None => AttentionKernel::Lanes(mode.factor),
+        }
+    }
+
+    fn held(values: &[f32], mode: Mode) -> Vec<f64> {
+        mode.factor.decode(&mode.factor.encode(values)).into_iter().map(f64::from).collect()
+    }
+}
+
+impl case::Problem for Problem {
+    type Output = Vec<f32>;
+    type Truth = Truth;
+    type Fault = Fault;
+
+    fn compute(&self, device: &Device, mode: Mode) -> Result<Vec<f32>> {
+        let (kernel, width) = (Self::kernel(mode, device), self.width());
+        let (sequences, queries, keys, pool) = (self.sequences, self.queries(), self.keys(), self.pool);
+        let shape =
+            Attention { heads: Heads { count: self.heads, dim: self.dim }, sequences, queries, keys, pool, kernel };
+        let mut trial = Trial::changed(device, self.limits);
+        let tensors = shape.tensors(&mut trial.rec);
+        let queries_part = Part { scale: shape.scale(), ..Part::default() };
+        let keys_part = Part { keys: true, log_counts: Some(tensors[3]), ..Part::default() };
+        let parts = [(&self.q, queries_part), (&self.k, keys_part), (&self.v, Part::default())];
+        for ((values, part), tensor) in parts.into_iter().zip(tensors) {
+            // NaN in the padding must not reach results.
+            trial.blank(tensor);
+            let element = kernel.element();
+            let (tensor_of_rows, count) = (trial.input_of(element, values), values.len() / width);
+            let input = Rows { tensor: tensor_of_rows, count, width, element };
+            shape.split(&mut trial.rec, input, 0, part, tensor);
+        }
+        let out = shape.record(&mut trial.rec, tensors).tensor;
+        trial.rec.output(out);
+        trial.result_of(kernel.element(), out)
+    }
+
+    fn truth(&self, mode: Mode) -> Truth {
+        if self.sequences == 1 {
+            return self.truth_of_one(mode);
+        }
+        let mut all = Truth { values: Vec::new(), bounds: Vec::new(), sequences: Vec::new() };
+        for one in (0..self.sequences).map(|s| self.sequence(s).truth_of_one(mode)) {
+            all.values.extend(one.values);
+            all.bounds.extend(one.bounds);
+            all.sequences.extend(one.sequences);
+        }
+        all
+    }
+
+    fn judge(&self, truth: &Truth, output: &Vec<f32>, _: Mode) -> Worst {
+        Worst::of(output, &truth.values, |i| truth.bounds[i])
+    }
+
+    /// A score sums `dim` products; weights and results sum over keys. Averaging shrinks values and
+    /// errors alike.
+    fn typical(&self, _: &Device, mode: Mode) -> Tolerance {
+        if !self.is_tame {
+            return Tolerance::ANY;
+        }
+        let sums = Tolerance::sum_of(self.dim).and(Tolerance::sum_of(self.keys())).and(Tolerance::ELEMENTWISE);
+        match mode.factor {
+            Element::F32 => sums,
+            // Rounded queries move scores below 1 by less than themselves. Weights and results are
+            // rounded, too.
+            half => sums.and(Tolerance::sum_of_rounded(half, self.keys())).stored_in(half),
+        }
+    }
+
+    fn faulty(&self, truth: &Truth, fault: Fault, mode: Mode) -> Vec<Vec<f32>> {
+        if truth.values.is_empty() || fault.is_fine() && mode != Mode::EXACT {
+            return Vec::new();
+        }
+        let wrong = truth.sequences.iter().flat_map(|(rows, keys)| {
+            let rows = rows.par_iter().enumerate();
+            let wrong = rows.flat_map_iter(|(i, row)| self.wrong(&row.scores, i % self.heads, keys, fault));
+            wrong.map(|x| x as f32).collect::<Vec<_>>()
+        });
+        vec![wrong.collect()]
+    }
+}

@@ -1,0 +1,267 @@
+//! Layer normalization.
+
+use crate::{
+    Area, Case, Catches, Mode, Tolerance, Worst,
+    bound::{DIVISION, ROOT, TINY, U, by_lanes, gamma, half},
+    case,
+    noise::Noise,
+    trial::Trial,
+};
+use zipsplat::{
+    Result,
+    gpu::{Device, Element},
+    kernels::limits::GROUP_FOLD,
+    ops::{Norm, Rows},
+};
+use zipsplat_reference::{
+    ops::{add::add, layer_norm::layer_norm},
+    widen,
+};
+
+const REASON: &str = "the mean is off by d <= gamma mean|x|, of which the second pass takes back all but gamma mean|x - mean|; \
+    the variance then by gamma (variance + d^2), relative to variance + epsilon (corrected two-pass algorithm: Chan, Golub \
+    and LeVeque 1983); plus Vulkan's limits for root and division. gamma counts the additions that a term goes through: \
+    those of a lane, of which there are 4 at least, then those of the lanes";
+
+const EPS: f32 = 1e-6;
+
+/// Returns bounds without weight and bias.
+pub fn normed_errors(row: &[f64], eps: f64) -> Vec<f64> {
+    let n = row.len() as f64;
+    let mean_of = |f: &dyn Fn(f64) -> f64| row.iter().map(|&x| f(x)).sum::<f64>() / n;
+    // A sum and a division, counted as five roundings.
+    let additions = by_lanes(row.len());
+    let sum = gamma(additions + 6);
+    let mean = mean_of(&|x| x);
+    let variance = mean_of(&|x| (x - mean).powi(2));
+    let first = sum * mean_of(&f64::abs) + 2.0 * TINY;
+    let spread = mean_of(&|x| (x - mean).abs()) + first;
+    let second = sum * spread + 2.0 * TINY;
+    let variance_error = gamma(additions + 10) * (variance + first * first) + 2.0 * (first + second) * second + TINY;
+    let scale = |variance: f64| 1.0 / (variance.max(0.0) + eps).sqrt();
+    let own = ROOT + DIVISION + U;
+    let [lowest, highest] = [variance + variance_error, variance - variance_error].map(scale);
+    let (exact, highest) = (scale(variance), highest * (1.0 + own));
+    let scale_error = (exact - lowest * (1.0 - own)).max(highest - exact);
+    let error = |&x: &f64| {
+        let d = (x - mean).abs();
+        let d_error = 2.0 * U * (d + first) + second;
+        d_error * highest + d * scale_error + 2.0 * U * (d + d_error) * highest + TINY * (1.0 + highest)
+    };
+    row.iter().map(error).collect()
+}
+
+pub fn affine_errors(errors: &[f64], truth: &[f64], weight: &[f32], bias: &[f32]) -> Vec<f64> {
+    let columns = weight.iter().zip(bias).map(|(&w, &b)| (f64::from(w.abs()), f64::from(b.abs())));
+    let error = |(i, (w, b)): (usize, (f64, f64))| {
+        let carried = w * errors[i];
+        carried + 2.0 * U * (truth[i].abs() + b + carried) + TINY
+    };
+    columns.enumerate().map(error).collect()
+}
+
+#[derive(Clone)]
+struct Problem {
+    width: usize,
+    eps: f32,
+    x: Vec<f32>,
+    addend: Option<Vec<f32>>,
+    /// Values of one size about 0, whose rounding tests hold to that of random sums.
+    is_tame: bool,
+    weight: Vec<f32>,
+    bias: Vec<f32>,
+}
+
+#[derive(Clone, Copy, Debug)]
+pub enum Fault {
+    Zero,
+    /// Variance as the difference of two f32 sums.
+    OnePass,
+    /// Mean from one f32 sum, uncorrected.
+    UncorrectedMean,
+    HalfSum,
+    LastChannel,
+    /// Variance divided by n - 1.
+    Unbiased,
+    NoEpsilon,
+    NoBias,
+    NeighbourRow,
+    /// Rows beyond the workgroup fold repeat earlier ones.
+    Folded,
+    OverflowingSquares,
+}
+
+impl Fault {
+    pub fn moments(self, row: &[f64]) -> [f64; 2] {
+        let n = row.len() as f64;
+        let summed = |round: fn(f64) -> f64, values: &mut dyn Iterator<Item = f64>| {
+            round(values.fold(0.0, |sum, value| round(sum + value)) / n)
+        };
+        let single: fn(f64) -> f64 = |x| f64::from(x as f32);
+        let plain: fn(f64) -> f64 = |x| x;
+        let (round, used) = match self {
+            Fault::OnePass | Fault::UncorrectedMean => (single, row),
+            Fault::HalfSum => (half as fn(f64) -> f64, row),
+            Fault::LastChannel => (plain, &row[..row.len() - 1]),
+            _ => (plain, row),
+        };
+        let mean = summed(round, &mut used.iter().copied());
+        let squares = |about: f64| summed(round, &mut used.iter().map(|x| round((x - about).powi(2))));
+        let variance = match self {
+            Fault::OnePass => single(squares(0.0) - single(mean * mean)).max(0.0),
+            Fault::Unbiased => squares(mean) * n / (n - 1.0),
+            Fault::OverflowingSquares if row.iter().any(|x| (x - mean).powi(2) > f32::MAX.into()) => f64::INFINITY,
+            _ => squares(mean),
+        };
+        [mean, variance]
+    }
+}
+
+impl Problem {
+    fn new(rows: usize, width: usize, value: fn(f32, usize) -> f32) -> Self {
+        let mut noise = Noise::new(width as u64);
+        let (weight, bias) = (noise.values(width), noise.values(width));
+        let values = Noise::new(5).values(rows * width).into_iter().enumerate();
+        let x = values.map(|(i, r)| value(r, i % width)).collect();
+        Self { width, eps: EPS, x, addend: None, is_tame: false, weight, bias }
+    }
+
+    /// Returns the normalized rows.
+    fn rows(&self) -> Vec<f64> {
+        self.addend.as_ref().map_or(widen(&self.x), |addend| add(&widen(&self.x), &widen(addend)))
+    }
+
+    fn normed(&self, fault: Fault) -> Vec<f64> {
+        let eps = if matches!(fault, Fault::NoEpsilon) { 0.0 } else { f64::from(self.eps) };
+        let row = |row: &[f64]| {
+            let [mean, variance] = fault.moments(row);
+            let scale = 1.0 / (variance + eps).sqrt();
+            let affine = self.weight.iter().zip(&self.bias);
+            row.iter()
+                .zip(affine)
+                .map(|(x, (&w, &b))| (x - mean) * scale * f64::from(w) + f64::from(b))
+                .collect::<Vec<_>>()
+        };
+        self.rows().chunks(self.width).flat_map(row).collect()
+    }
+}
+
+impl case::Problem for Problem {
+    type Output = Vec<f32>;
+    type Truth = [Vec<f64>; 2];
+    type Fault = Fault;
+
+    fn compute(&self, device: &Device, mode: Mode) -> Result<Vec<f32>> {
+        let mut trial = Trial::new(device);
+        let (weight, bias) = (trial.input(&self.weight), trial.input(&self.bias));
+        let norm = Norm { weight, bias, width: self.width, eps: self.eps };
+        let rows = |tensor, element| Rows { tensor, count: self.x.len() / self.width, width: self.width, element };
+        let mut input = |values: &Vec<f32>| rows(trial.input(values), Element::F32);
+        let (source, addend) = (input(&self.x), self.addend.as_ref().map(input));
+        let out = trial.output_of(mode.factor, self.x.len());
+        norm.record(&mut trial.rec, source, addend, rows(out, mode.factor), 0);
+        trial.result_of(mode.factor, out)
+    }
+
+    fn truth(&self, mode: Mode) -> [Vec<f64>; 2] {
+        let (x, eps) = (self.rows(), f64::from(self.eps));
+        let truth = layer_norm(&x, &self.weight, &self.bias, eps);
+        let added = self.addend.as_ref().map_or(0.0, |_| U);
+        let bounds = |(row, truth): (&[f64], &[f64])| {
+            let mut errors = normed_errors(row, eps);
+            // A rounded sum moves its row by as much, relative to its spread.
+            let largest = row.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
+            let mean = row.iter().sum::<f64>() / row.len() as f64;
+            let variance = row.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / row.len() as f64;
+            errors.iter_mut().for_each(|error| *error += 4.0 * added * largest / (variance + eps).sqrt());
+            affine_errors(&errors, truth, &self.weight, &self.bias)
+        };
+        let rows = x.chunks(self.width).zip(truth.chunks(self.width));
+        let bounds = rows.flat_map(bounds).zip(&truth).map(|(bound, truth)| mode.stored(*truth, bound)).collect();
+        [truth, bounds]
+    }
+
+    /// Two sums over a row, a root and a division.
+    fn typical(&self, _: &Device, mode: Mode) -> Tolerance {
+        let sums = Tolerance::sum_of(self.width).and(Tolerance::ELEMENTWISE).stored_in(mode.factor);
+        if self.is_tame { sums } else { Tolerance::ANY }
+    }
+
+    fn judge(&self, [truth, bounds]: &[Vec<f64>; 2], output: &Vec<f32>, _: Mode) -> Worst {
+        Worst::of(output, truth, |i| bounds[i])
+    }
+
+    fn faulty(&self, [truth, _]: &[Vec<f64>; 2], fault: Fault, _: Mode) -> Vec<Vec<f32>> {
+        let width = self.width;
+        if truth.is_empty() {
+            return Vec::new();
+        }
+        let values = match fault {
+            Fault::Zero => vec![0.0; truth.len()],
+            Fault::NoBias => truth.iter().enumerate().map(|(i, y)| y - f64::from(self.bias[i % width])).collect(),
+            Fault::NeighbourRow => (0..truth.len()).map(|i| truth[(i + width) % truth.len()]).collect(),
+            Fault::Folded => (0..truth.len()).map(|i| truth[i % (GROUP_FOLD as usize * width)]).collect(),
+            _ => self.normed(fault),
+        };
+        vec![values.into_iter().map(|x| x as f32).collect()]
+    }
+}
+
+/// Rows around any subgroup's size and its multiples, and of the largest networks, stored in every
+/// type.
+pub fn shapes() -> Area {
+    use Fault::*;
+    let of = |rows: usize, width: usize| {
+        let random = Problem { is_tame: true, ..Problem::new(rows, width, |r, _| r) };
+        let addend = Some(Noise::new(2).values(rows * width));
+        [Problem { addend, eps: 1e-5, ..random.clone() }, random]
+    };
+    let widths = [1, 3, 4, 7, 8, 9, 31, 32, 33, 63, 64, 65, 127, 384, 1536, 3073];
+    let sweep =
+        |width| Case::sweep("random", width, [Zero, NoBias], move || [0, 1, 5].map(|rows| of(rows, width)).concat());
+    let mut cases: Vec<Case> = widths.map(sweep).into();
+    let many = move || of(65_537, 4).into();
+    cases.push(Case::sweep("rows beyond the most workgroups", 65_537, [Zero, Folded, NeighbourRow], many));
+    let near =
+        move || of(20, 64).map(|p| Problem { x: p.x.iter().map(|x| 2e-3 * x).collect(), addend: None, ..p }).into();
+    cases.push(Case::sweep("variances near both epsilons", 64, [Zero, NoEpsilon], near));
+    Area { cases, modes: Mode::STORED, ..area() }
+}
+
+pub fn area() -> Area {
+    use Fault::*;
+    let mut cases = Vec::new();
+    let mut add = |name: &str, width: usize, catches: Catches<Fault>, value: fn(f32, usize) -> f32| {
+        cases.push(Case::new(name, width, catches, move || Problem::new(9, width, value)));
+    };
+    add("random", 1, [Zero, NoBias].into(), |r, _| r);
+    add("mean 1e4, spread 1e-2", 1, [Zero, NoBias].into(), |r, _| 1e4 + 1e-2 * r);
+    for width in [3, 64, 384, 1536, 4096] {
+        let random = Catches::from([Zero, NoBias, HalfSum, LastChannel, NeighbourRow]);
+        // A large last channel makes its omission detectable.
+        let last: fn(f32, usize) -> f32 =
+            if width > 1000 { |r, c| if c % 512 == 511 { 20.0 * r } else { r } } else { |r, _| r };
+        add("random", width, if width < 1000 { random.and(&[Unbiased]) } else { random }, last);
+        let offset = Catches::from([Zero, OnePass, HalfSum, NeighbourRow]);
+        let offset = if width < 64 { offset } else { offset.and(&[UncorrectedMean]) };
+        match width {
+            // Rounding many terms may cost more than a hundredth.
+            4096 => add("mean 1e4, spread 1e-1", width, offset, |r, _| 1e4 + 1e-1 * r),
+            _ => add("mean 1e4, spread 1e-2", width, offset, |r, _| 1e4 + 1e-2 * r),
+        }
+    }
+    add("constant rows of 0", 64, [Zero, NoEpsilon].into(), |_, _| 0.0);
+    add("constant rows of -3", 64, [Zero, NoEpsilon].into(), |_, _| -3.0);
+    add("constant rows of 12345.678", 1536, [Zero, OnePass, NoEpsilon, UncorrectedMean].into(), |_, _| 12_345.678);
+    add("variance of epsilon", 384, [Zero, NoEpsilon, LastChannel].into(), |r, _| 2e-3 * r);
+    add("one channel of 1e4", 1536, [Zero, HalfSum, NoBias].into(), |r, c| if c == 77 { 1e4 } else { r });
+    add("first channel of 1e6", 384, [Zero, HalfSum, NoBias].into(), |r, c| if c == 0 { 1e6 } else { r });
+    add("values of 1e4", 1536, [Zero, HalfSum, NeighbourRow].into(), |r, _| 1e4 * r);
+    add("values of 1e15", 64, [Zero, HalfSum, LastChannel].into(), |r, _| 1e15 * r);
+    add("values of 1e25", 64, [Zero, OverflowingSquares, LastChannel].into(), |r, _| 1e25 * r);
+    add("subnormal rows", 64, [Zero, NoBias, NoEpsilon].into(), |r, _| 1e-39 * r);
+    let rows = GROUP_FOLD as usize + 9;
+    let folded = || Problem::new(GROUP_FOLD as usize + 9, 4, |r, _| r);
+    cases.push(Case::new("rows beyond a fold of workgroups", rows, [Zero, Folded, NeighbourRow], folded));
+    Area { kernel: "ops/layer_norm", size: "channels", reason: REASON, modes: Mode::ONLY_EXACT, cases }
+}

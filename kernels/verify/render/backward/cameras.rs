@@ -1,0 +1,95 @@
+//! Sums of camera gradients.
+
+use super::added_to;
+use crate::{
+    Area, Case, Mode, Worst,
+    bound::{by_lanes, gamma, half},
+    case,
+    noise::Noise,
+    trial::Trial,
+};
+use zipsplat::{Result, gpu::Device, kernels::render::CamerasBackward};
+
+const REASON: &str = "a sum of n numbers in any order: gamma_n of the sum of their magnitudes";
+
+/// Numbers of two cameras.
+const NUMBERS: usize = 20;
+const BEFORE: f32 = 0.75;
+
+/// `[rows, NUMBERS]`.
+struct Problem(Vec<f32>);
+
+#[derive(Clone, Copy, Debug)]
+enum Fault {
+    Zero,
+    HalfSums,
+    Overwritten,
+    LastRow,
+    NeighbourNumber,
+}
+
+impl Problem {
+    fn terms(&self, number: usize) -> impl Iterator<Item = f64> {
+        self.0.iter().skip(number).step_by(NUMBERS).map(|x| f64::from(*x))
+    }
+
+    fn sum(&self, number: usize) -> f64 {
+        f64::from(BEFORE) + self.terms(number).sum::<f64>()
+    }
+}
+
+impl case::Problem for Problem {
+    type Output = Vec<f32>;
+    type Truth = Vec<f64>;
+    type Fault = Fault;
+
+    fn compute(&self, device: &Device, _: Mode) -> Result<Vec<f32>> {
+        let mut trial = Trial::new(device);
+        let parts = trial.input(&self.0);
+        let d_cameras = added_to(&mut trial, NUMBERS, BEFORE);
+        let (rows, numbers) = ((self.0.len() / NUMBERS) as u32, NUMBERS as u32);
+        trial.rec.dispatch_groups(CamerasBackward { parts, d_cameras, rows, numbers }, NUMBERS);
+        trial.result(d_cameras)
+    }
+
+    fn truth(&self, _: Mode) -> Vec<f64> {
+        (0..NUMBERS).map(|number| self.sum(number)).collect()
+    }
+
+    fn judge(&self, truth: &Vec<f64>, output: &Vec<f32>, _: Mode) -> Worst {
+        let rows = self.0.len() / NUMBERS;
+        Worst::of(output, truth, |number| {
+            let magnitudes = f64::from(BEFORE) + self.terms(number).map(f64::abs).sum::<f64>();
+            gamma(by_lanes(rows) + 1) * magnitudes
+        })
+    }
+
+    fn faulty(&self, truth: &Vec<f64>, fault: Fault, _: Mode) -> Vec<Vec<f32>> {
+        let one = |number: usize| match fault {
+            Fault::Zero => 0.0,
+            Fault::HalfSums => self.terms(number).fold(f64::from(BEFORE), |sum, x| half(sum + x)),
+            Fault::Overwritten => truth[number] - f64::from(BEFORE),
+            Fault::LastRow => truth[number] - self.terms(number).last().unwrap_or(0.0),
+            Fault::NeighbourNumber => truth[(number + 1) % NUMBERS],
+        };
+        vec![(0..NUMBERS).map(|number| one(number) as f32).collect()]
+    }
+}
+
+pub fn area() -> Area {
+    use Fault::*;
+    let all = [Zero, HalfSums, Overwritten, LastRow, NeighbourNumber];
+    let noise = |rows: usize| move || Problem(Noise::new(rows as u64).values(rows * NUMBERS));
+    let mut cases: Vec<Case> = [1, 7, 129, 4097].map(|rows| Case::new("random of +-1", rows, all, noise(rows))).into();
+    let cancelling = || {
+        let values = Noise::new(3).values(1000 * NUMBERS);
+        // Each row of large numbers has its opposite.
+        let opposite = |i: usize| if (i / NUMBERS).is_multiple_of(2) { 1e6 } else { -1e6 };
+        let large = |i: usize| opposite(i) * (1.0 + values[i / (2 * NUMBERS) * NUMBERS + i % NUMBERS].abs());
+        Problem((0..values.len()).map(large).collect())
+    };
+    cases.push(Case::new("opposites of 1e6", 1000, [HalfSums, LastRow], cancelling));
+    let none = || Problem(vec![0.0; 65 * NUMBERS]);
+    cases.push(Case::new("nothing visible", 65, [Overwritten], none));
+    Area { kernel: "render/cameras_backward", size: "rows", reason: REASON, modes: Mode::ONLY_EXACT, cases }
+}

@@ -1,0 +1,110 @@
+//! One plan on a device, with outputs that reveal missing and stray writes.
+
+use bytemuck::Pod;
+use zipsplat::{
+    Error, Result,
+    gpu::{Device, Element, Limits, Recorder, Run, Tensor},
+};
+
+/// NaN as f32 and as f16 pairs; out of range as an index.
+pub const UNWRITTEN: u32 = 0xffff_ffff;
+
+/// Guard bytes behind an output.
+const GUARD: usize = 256;
+
+/// A plan with its inputs.
+pub struct Trial<'a> {
+    device: &'a Device,
+    /// Records the plan.
+    pub rec: Recorder,
+    inputs: Vec<(Tensor, Vec<u8>)>,
+    /// Outputs with their guards, and their bytes without.
+    guarded: Vec<(Tensor, usize)>,
+}
+
+impl<'a> Trial<'a> {
+    /// Creates an empty plan.
+    pub fn new(device: &'a Device) -> Self {
+        Self::within(device, device.limits())
+    }
+
+    /// Creates an empty plan for narrower limits than the device's.
+    pub fn within(device: &'a Device, limits: &Limits) -> Self {
+        Self { device, rec: Recorder::new(limits), inputs: Vec::new(), guarded: Vec::new() }
+    }
+
+    /// Creates an empty plan for changed limits.
+    pub(crate) fn changed(device: &'a Device, change: fn(&mut Limits)) -> Self {
+        let mut limits = device.limits().clone();
+        change(&mut limits);
+        Self::within(device, &limits)
+    }
+
+    /// Uploads values.
+    pub fn input<T: Pod>(&mut self, values: &[T]) -> Tensor {
+        let tensor = self.rec.input::<T>("input", values.len());
+        self.inputs.push((tensor, bytemuck::cast_slice(values).to_vec()));
+        tensor
+    }
+
+    /// Uploads values in a type.
+    pub fn input_of(&mut self, element: Element, values: &[f32]) -> Tensor {
+        self.input(&element.encode(values))
+    }
+
+    /// Fills a tensor with NaN.
+    pub(crate) fn blank(&mut self, tensor: Tensor) {
+        self.rec.fill(tensor, UNWRITTEN);
+    }
+
+    /// Allocates a guarded output of `len` values, filled with NaN.
+    pub fn output<T>(&mut self, len: usize) -> Tensor {
+        let bytes = len * size_of::<T>();
+        let whole = self.rec.tensor::<u8>("output", bytes + GUARD);
+        self.blank(whole);
+        self.rec.output(whole);
+        self.guarded.push((whole, bytes));
+        whole.slice::<T>(0, len)
+    }
+
+    /// Allocates an output of `len` values of a type.
+    pub fn output_of(&mut self, element: Element, len: usize) -> Tensor {
+        self.output::<u8>(element.bytes() * len)
+    }
+
+    /// Runs the plan.
+    ///
+    /// # Errors
+    /// Those of the device, and [`Error::Driver`] for a write behind an output.
+    pub fn run(self) -> Result<Run> {
+        let mut run = Run::new(self.device, self.rec.finish()?)?;
+        for (tensor, bytes) in &self.inputs {
+            run.write(*tensor, bytes)?;
+        }
+        run.execute()?;
+        for (whole, bytes) in self.guarded {
+            let behind = &run.read::<u8>(whole)?[bytes..];
+            let written = behind.iter().filter(|byte| **byte != UNWRITTEN as u8).count();
+            if written > 0 {
+                return Err(Error::Driver { call: "a kernel", result: format!("{written} bytes behind its output") });
+            }
+        }
+        Ok(run)
+    }
+
+    /// Runs the plan and reads one output.
+    ///
+    /// # Errors
+    /// As [`run`](Self::run).
+    pub fn result<T: Pod>(self, output: Tensor) -> Result<Vec<T>> {
+        self.run()?.read(output)
+    }
+
+    /// Runs the plan and reads one output of a type.
+    ///
+    /// # Errors
+    /// As [`run`](Self::run).
+    pub fn result_of(self, element: Element, output: Tensor) -> Result<Vec<f32>> {
+        Ok(element.decode(&self.result::<u8>(output)?))
+    }
+}
