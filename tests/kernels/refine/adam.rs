@@ -2,7 +2,7 @@
 
 use crate::case::{plan, plan_within, random};
 use zipsplat::gpu::Limits;
-use zipsplat::refine::{Adam, Space, record_adam};
+use zipsplat::refine::{Adam, Rate, Space, record_adam};
 use zipsplat_tests::compare::assert_same;
 use zipsplat_tests::device::device;
 use zipsplat_tests::reference::widen;
@@ -12,13 +12,20 @@ const RATES: [f32; 2] = [0.02, 0.5]; // schedule, tensor
 const SPACES: [Space; 3] = [Space::Linear, Space::Log, Space::Logit];
 
 /// Returns values and moments after a step with each of `gradients`.
-fn stepped(limits: &Limits, space: Space, start: &[f32], gradients: &[Vec<f32>]) -> [Vec<f32>; 3] {
+fn stepped(
+    limits: &Limits,
+    rate: impl Into<Rate>,
+    space: Space,
+    start: &[f32],
+    gradients: &[Vec<f32>],
+) -> [Vec<f32>; 3] {
+    let rate = rate.into();
     let mut case = plan_within(limits);
     let (parameters, zeros) = (case.input(start), vec![0.0f32; start.len()]);
     let moments = [case.input(&zeros), case.input(&zeros)];
     for (step, gradient) in (1..).zip(gradients) {
         let (gradient, schedule) = (case.input(gradient), case.input(&ADAM.schedule(RATES[0], step)));
-        record_adam(&mut case.rec, ADAM, parameters, gradient, moments, schedule, RATES[1], space, start.len());
+        record_adam(&mut case.rec, ADAM, parameters, gradient, moments, schedule, rate, space, start.len());
     }
     let tensors = [parameters, moments[0], moments[1]];
     tensors.iter().for_each(|tensor| case.rec.output(*tensor));
@@ -39,10 +46,23 @@ fn parts_give_the_same_bits() {
     let narrow = Limits { max_binding_bytes: 512, ..device().limits().clone() };
     let (start, gradients) = problem(1000);
     for space in SPACES {
-        let [got, truth] = [&narrow, device().limits()].map(|limits| stepped(limits, space, &start, &gradients));
+        let [got, truth] =
+            [&narrow, device().limits()].map(|limits| stepped(limits, RATES[1], space, &start, &gradients));
         for (got, truth) in got.iter().zip(&truth) {
             assert_same(&format!("{space:?} in parts"), got, truth);
         }
+    }
+}
+
+#[test]
+fn rows_step_at_two_rates() {
+    let narrow = Limits { max_binding_bytes: 512, ..device().limits().clone() };
+    let (start, gradients) = problem(1200);
+    let at = |rate: Rate, limits: &Limits| stepped(limits, rate, Space::Linear, &start, &gradients)[0].clone();
+    let [first, others] = [0.5f32, 0.05].map(|rate| at(rate.into(), device().limits()));
+    let expected: Vec<f32> = (0..1200).map(|i| if i % 12 < 3 { first[i] } else { others[i] }).collect();
+    for limits in [device().limits(), &narrow] {
+        assert_same("rows of 12", &at(Rate { first: 0.5, others: 0.05, width: 12 }, limits), &expected);
     }
 }
 
