@@ -85,7 +85,7 @@ int main(int argc, char **argv) {
     CHECK(zs_scene_save(sharp, argv[3], NULL));
     printf("%u steps in %.1f s: loss %.4f to %.4f; kept is step %u", info.steps, info.seconds, info.first_loss,
            info.last_loss, info.best_step);
-    /* With 9 or more photos one is held out and selects the best step. */
+    /* With 40 or more photos one is held out against overfitting. */
     if (info.psnr == info.psnr) printf("; held-out photos %.2f to %.2f dB", info.psnr_before, info.psnr);
     printf("\n");
     result = EXIT_SUCCESS;

@@ -120,17 +120,19 @@ fn a_refinement_is_rusts_and_tells_how_far_it_is() {
         views_per_step: 3,
         width: 40,
         height: 40,
+        hold_out: 1,
         seed: 7,
         progress: Some(listen),
         user_data: (&raw mut log).cast(),
         ..options()
     };
     let (scene, info) = made(place.in_c(&options));
-    let request = Refine { steps: 12, views_per_step: 3, size: Some([40, 40]), seed: 7, ..Refine::default() };
+    let request =
+        Refine { steps: 12, views_per_step: 3, size: Some([40, 40]), hold_out: Some(1), seed: 7, ..Refine::default() };
     let expected = place.in_rust(&request, usize::MAX);
     assert_same("scene", &bits(&scene), &bits(&expected.scene));
     assert_ne!(bits(&scene), bits(&place.moved));
-    let [psnr, before] = expected.psnr().expect("a photo is held out of 9");
+    let [psnr, before] = expected.psnr().expect("a photo is held out");
     let found = [info.first_loss, info.last_loss, info.psnr, info.psnr_before];
     assert_eq!(found, [f64::from(expected.losses[0]), f64::from(expected.losses[11]), psnr, before]);
     let ended = zs_refine_end::ZS_REFINE_FINISHED as i32;

@@ -693,7 +693,7 @@ void zs_depths_destroy(struct zs_depths *depths);
 /*  Refinement: optimizes a scene to match photos.  */
 /****************************************************/
 
-// Holds out one photo of 9 or more, else none.
+// Holds out one photo of 40 or more, else none.
 #define ZS_HOLD_OUT_AUTO -1
 
 // Optimized parameters.
