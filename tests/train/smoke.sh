@@ -31,7 +31,7 @@ import json, sys
 from safetensors import safe_open
 coarse, fine = (json.loads(safe_open(path, "np").metadata()["zipsplat.training"])["unseen_psnr"]["priors_r1"]
                 for path in sys.argv[1:])
-assert fine > coarse - 1.5, f"found {fine} dB with more Gaussians, expected about {coarse}"
+assert fine > coarse - 2.5, f"found {fine} dB with more Gaussians, expected about {coarse}"
 END
 
 "$python" "$root/tests/train/captures.py" "$zipsplat" "$out/sets"
