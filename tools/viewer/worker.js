@@ -58,6 +58,7 @@ async function load(id, buffer, name, view) {
     if (!scene.count) throw new Error("The scene has no Gaussians.");
     const { gaussians, harmonics, dropped } = pack(scene), { count, degree, means, opacities } = scene;
     if (dropped === count) throw new Error("The scene has no Gaussian with finite values.");
+    const sample = sampled(scene), near = nearPlane(sample, scene.scales);
     scenes.set(id, { means, count, opacities, near, depths: new Float32Array(count), indices: new Uint32Array(count) });
     const faint = opacities.reduce((sum, opacity) => sum + !(opacity >= FAINTEST), 0);
     const order = view && sorted(scenes.get(id), view);
