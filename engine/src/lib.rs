@@ -26,10 +26,8 @@
 //! ```
 //!
 //! Crates below: [`types`] (`zipsplat-formats`, without GPU), [`gpu`] (`zipsplat-gpu`, all
-//! Vulkan, no kernels) and [`random`]. Modules depend only on earlier ones: `ops` <- `tune` <- `stages` <-
-//! `weights` <- `perceptual` <- `cameras` <- `reconstruct` <- `depth` <- `refine`. `ops`
-//! records dispatches. `tune` selects its kernels as an [`ops::Arithmetic`], by self-tests and
-//! timings. `stages` declare parameters, which `weights` reads.
+//! Vulkan, no kernels) and [`random`]. Modules depend only on earlier ones: `ops` <- `tune` <-
+//! `stages` <- `weights` <- `perceptual` <- `cameras` <- `reconstruct` <- `depth` <- `refine`.
 
 pub mod cameras;
 pub mod depth;

@@ -185,7 +185,8 @@ fn draws_a_long_film() {
 fn waits_for_another_program() {
     let Some(folder) = target() else { return };
     let line = "cameras @/photos --colmap @/sleeps -o @/transforms.json";
-    command(&line.replace('@', &folder.display().to_string()), cancelled_by_signals());
+    let outcome = command(&line.replace('@', &folder.display().to_string()), cancelled_by_signals());
+    outcome.fails(130, &["cancelled"]);
 }
 
 #[test]

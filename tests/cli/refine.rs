@@ -113,7 +113,13 @@ fn scenes_grow() {
     assert!(points < grown && grown <= 3000, "{points} points and {grown} Gaussians");
     let reconstruct = format!("reconstruct {PHOTOS} --weights @/micro.safetensors --size 28x28 -o @/sharp.ply");
     folder.run(&format!("{reconstruct} --refine=5:tokens --grow 3000")).fails(3, &["--grow", "tokens"]);
-    assert_eq!(folder.run(&format!("refine {PHOTOS} --start points --grow 0 -o @/scene.ply")).code, 2);
+    assert_eq!(folder.run(&format!("refine {PHOTOS} --start points --grow few -o @/scene.ply")).code, 2);
+    let gaussians = |options: &str| {
+        let line = format!("refine {PHOTOS} --start points {options} -o @/scene.ply --overwrite --json");
+        folder.run(&line).json()["gaussians"].as_u64().expect("a number")
+    };
+    assert_eq!([gaussians("--steps 20"), gaussians("--steps 300 --grow 0")], [points; 2]);
+    assert!(gaussians("--steps 300") > points, "long refinements grow by default");
 }
 
 #[test]

@@ -189,7 +189,7 @@ pub fn save_depth_levels(path: &Path, size: [u32; 2], depth: &[f32], levels: f32
     save_png(path, size, ColorType::Grayscale, BitDepth::Sixteen, &levels)
 }
 
-/// Writes a PNG that says what made it, for [`is_own`].
+/// Writes a PNG that names its generator, for [`is_own`].
 fn save_png(path: &Path, [width, height]: [u32; 2], color: ColorType, depth: BitDepth, bytes: &[u8]) -> Result<()> {
     write_atomic(path, |out| {
         let mut encoder = png::Encoder::new(out, width, height);

@@ -1,11 +1,11 @@
 //! Temporary folders, also removed after a killed process, by the next run.
 
 use std::{
-    fs::{File, TryLockError},
+    fs::{File, FileType, TryLockError},
     path::Path,
 };
 use tempfile::TempDir;
-use zipsplat::{Error, Result};
+use zipsplat::{Error, Result, types::remove_stale};
 
 /// Name prefix; unlocked folders with it are removed.
 const PREFIX: &str = ".zipsplat-scratch-";
@@ -19,7 +19,7 @@ pub struct Scratch {
 
 impl Scratch {
     pub fn new() -> Result<Self> {
-        remove_stale(&std::env::temp_dir());
+        remove_stale(&std::env::temp_dir(), PREFIX, FileType::is_dir, |path| std::fs::remove_dir_all(path));
         loop {
             let folder = tempfile::Builder::new().prefix(PREFIX).tempdir();
             let folder = folder.map_err(|source| Error::io(std::env::temp_dir(), source))?;
@@ -34,21 +34,6 @@ impl Scratch {
 
     pub fn path(&self) -> &Path {
         self.folder.path()
-    }
-}
-
-/// Removes the folders of dead processes.
-fn remove_stale(within: &Path) {
-    for entry in within.read_dir().into_iter().flatten().flatten() {
-        let is_scratch = entry.file_name().to_string_lossy().starts_with(PREFIX);
-        if is_scratch
-            && entry.file_type().is_ok_and(|kind| kind.is_dir())
-            && let Ok(lock) = File::open(entry.path())
-            && lock.try_lock().is_ok()
-        {
-            // Other users' folders stay.
-            let _ = std::fs::remove_dir_all(entry.path());
-        }
     }
 }
 

@@ -71,7 +71,7 @@ const PREFIX: &str = ".zipsplat-";
 
 fn temporary(path: &Path) -> std::io::Result<NamedTempFile> {
     let folder = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    remove_stale(folder);
+    clean_once(folder);
     loop {
         let file = create_in(folder)?;
         let locked = file.as_file().try_lock();
@@ -82,20 +82,30 @@ fn temporary(path: &Path) -> std::io::Result<NamedTempFile> {
     }
 }
 
-fn remove_stale(folder: &Path) {
+fn clean_once(folder: &Path) {
     static CLEAN: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
     let Ok(whole) = folder.canonicalize() else { return };
     if !CLEAN.lock().unwrap_or_else(PoisonError::into_inner).insert(whole) {
         return;
     }
+    remove_stale(folder, PREFIX, FileType::is_file, |path| std::fs::remove_file(path));
+}
+
+/// Removes the files or folders of a prefix that no process has locked; failed removals are
+/// ignored.
+pub fn remove_stale(
+    folder: &Path,
+    prefix: &str,
+    is_kind: fn(&FileType) -> bool,
+    remove: fn(&Path) -> std::io::Result<()>,
+) {
     for entry in folder.read_dir().into_iter().flatten().flatten() {
-        if entry.file_name().to_string_lossy().starts_with(PREFIX)
-            && entry.file_type().is_ok_and(|kind| kind.is_file())
-            && let Ok(file) = File::open(entry.path())
-            && file.try_lock().is_ok()
+        if entry.file_name().to_string_lossy().starts_with(prefix)
+            && entry.file_type().is_ok_and(|kind| is_kind(&kind))
+            && let Ok(lock) = File::open(entry.path())
+            && lock.try_lock().is_ok()
         {
-            // Files of other users stay.
-            let _ = std::fs::remove_file(entry.path());
+            let _ = remove(&entry.path());
         }
     }
 }

@@ -28,7 +28,7 @@ pub use camera::{
     Camera, Intrinsics, Pose, matrix_from_quaternion, prior_encoding, quaternion_from_matrix, relative_encoding,
     unit_quaternion,
 };
-pub use file::{Unfinished, open_file, write_atomic};
+pub use file::{Unfinished, open_file, remove_stale, write_atomic};
 pub use format::WriteOptions;
 pub use gltf::{read_gltf, write_gltf};
 pub use image::{Image, MAX_DECODED_BYTES, MAX_SIDE, contact_sheet, is_heic_start};

@@ -22,7 +22,7 @@ pub(super) const ADAM: Adam = Adam { beta1: 0.9, beta2: 0.999, eps: 1e-15 };
 /// Lower limits of scales and of opacities' distance from 0 and 1, for their logarithm and logit.
 const LEAST_SCALE: f32 = 1e-12;
 const OPACITY_MARGIN: f32 = 1e-4;
-/// Pixels of a run, at most.
+/// Limit of pixels per run.
 const PIXELS_TOGETHER: usize = 1 << 20;
 
 struct Field {
@@ -50,7 +50,6 @@ pub(super) struct Gaussians {
     look: Option<LpipsWeights>,
     steps: u32,
     plans: PlanCache<(), PhotoPlan>,
-    /// Photos of a run.
     together: usize,
 }
 
@@ -174,7 +173,7 @@ impl Gaussians {
         }
     }
 
-    /// Runs the plan of photos of one size. Returns `None` if it overflowed; the next one is larger.
+    /// Runs the plan of photos of one size. Returns `None` after an overflow; the next is larger.
     fn run(&mut self, views: &[&View], learns: bool) -> Result<Option<&mut PhotoPlan>> {
         let plan = self.plan(views, learns)?;
         plan.write(views)?;

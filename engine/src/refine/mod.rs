@@ -244,9 +244,8 @@ pub fn refine_scene(
         return Err(Error::argument("scene to refine", "no Gaussians", "at least one"));
     }
     let scene_distance = distance(scene, cameras);
-    let pixels = photos.iter().map(|photo| pixels(size(photo, request.size, 1))).sum();
-    let grow = request.grow.or_else(|| default_growth(scene.len(), pixels, request.steps));
-    let request = &Refine { grow: grow.filter(|most| *most > scene.len()), ..request.clone() };
+    let sizes = photos.iter().map(|photo| size(photo, request.size, 1));
+    let request = &Refine { grow: grown_len(request, scene.len(), sizes), ..request.clone() };
     let make = |arena: &Arena, request: &Refine| {
         let grown = request.grow.map(|most| padded(scene, most));
         let gaussians = Gaussians::new(arena, grown.as_ref().unwrap_or(scene), scene_distance, request)?;
@@ -277,13 +276,14 @@ pub fn refine_tokens(
     run(arena, make, photos, cameras, request, progress)
 }
 
-/// Returns the number of Gaussians to grow to, for refinements that are long enough to place them.
-fn default_growth(len: usize, pixels: usize, steps: usize) -> Option<usize> {
-    (steps >= GROWTH_FROM).then(|| (pixels / PIXELS_PER_GAUSSIAN).min(MOST_GROWTH * len).max(len))
-}
-
-fn pixels([width, height]: [u32; 2]) -> usize {
-    width as usize * height as usize
+/// Returns the number of Gaussians that a scene of `len` grows to, for photos of these sizes; `None`
+/// if it keeps its own.
+fn grown_len(request: &Refine, len: usize, sizes: impl Iterator<Item = [u32; 2]>) -> Option<usize> {
+    let default = || {
+        let pixels: usize = sizes.map(|[width, height]| width as usize * height as usize).sum();
+        (request.steps >= GROWTH_FROM).then(|| (pixels / PIXELS_PER_GAUSSIAN).min(MOST_GROWTH * len))
+    };
+    request.grow.or_else(default).filter(|most| *most > len)
 }
 
 fn tokens_grow_not(request: &Refine) -> Result<()> {

@@ -1,7 +1,7 @@
 use super::{
-    Adam, Refine, Space, default_growth, filled,
+    Adam, Refine, Space, filled,
     gaussians::{most_together, scene_gradients, scene_tensors, together},
-    pixels,
+    grown_len,
     planned::record_photos,
     record_adam,
     schedule::Schedule,
@@ -65,9 +65,8 @@ pub fn plan_refinement(
     let (len, sh_degree) = match moved {
         Moved::Gaussians(len, sh_degree) => {
             let photo = Image { width, height, rgb: Vec::new() };
-            let pixels = photos * pixels(size(&photo, request.size, 1));
-            let grow = request.grow.or_else(|| default_growth(len, pixels, request.steps));
-            (grow.map_or(len, |most| most.max(len)), sh_degree)
+            let sizes = std::iter::repeat_n(size(&photo, request.size, 1), photos);
+            (grown_len(&request, len, sizes).unwrap_or(len), sh_degree)
         }
         Moved::Tokens(count, a) => (count * a.gaussians_per_token, a.sh_degree as u32),
     };

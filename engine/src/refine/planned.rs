@@ -13,7 +13,7 @@ use crate::{
     },
 };
 
-/// A plan that draws photos' cameras and, where it learns from the photos, adds to the gradients.
+/// A plan that renders photos' cameras and, in training, accumulates gradients.
 pub(super) struct PhotoPlan {
     pub run: Run,
     pub recorded: Recorded,
@@ -106,7 +106,7 @@ fn record_perceptual(
 }
 
 impl PhotoPlan {
-    /// Gives it its cameras and photos.
+    /// Writes the cameras and photos.
     pub fn write(&mut self, views: &[&View]) -> Result<()> {
         let cameras: Vec<CameraRows> = views.iter().map(|view| camera_rows(&view.camera)).collect();
         self.run.write(self.recorded.cameras, &cameras)?;

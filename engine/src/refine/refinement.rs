@@ -18,8 +18,7 @@ use std::{ops::ControlFlow, time::Instant};
 /// Number of evaluations of held-out photos or, without any, of the loss.
 const LOOKS: usize = 20;
 const MEASURED: usize = 16;
-/// Loss of held-out PSNR in dB at which a later step is kept all the same: few photos are a noisy
-/// measure.
+/// Tolerated loss of held-out PSNR in dB of a later step: few photos are a noisy measure.
 const SLACK: f64 = 0.5;
 /// Divergence limit: mean loss relative to its minimum.
 const GROWN: f32 = 2.0;
@@ -246,8 +245,8 @@ impl<'a> Refinement<'a> {
             let best = self.held_out.iter().fold(f64::NEG_INFINITY, |best, (_, psnr)| best.max(*psnr));
             let given = self.held_out[0].1;
             // False for NaN, too.
-            let good = sum > (best - SLACK).max(given);
-            if !good {
+            let is_good = sum > (best - SLACK).max(given);
+            if !is_good {
                 return Ok(());
             }
         }

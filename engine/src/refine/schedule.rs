@@ -10,8 +10,8 @@ const COARSE: [(f64, u32); 2] = [(0.2, 4), (0.5, 2)];
 /// Least shorter side of a downscaled photo, in pixels.
 const SHORTEST: u32 = 96;
 
-/// Cosine decay of the rate to a tenth, from less for more steps, and a coarse-to-fine order of
-/// photo sizes.
+/// Cosine decay of the rate to a tenth, and a coarse-to-fine order of photo sizes. The first rate
+/// shrinks with the square root of the steps.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Schedule {
     pub steps: usize,

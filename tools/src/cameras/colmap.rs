@@ -22,31 +22,29 @@ pub struct Colmap {
     version: String,
 }
 
-/// How photos are searched for what they have in common.
 #[derive(Args, Clone, Default)]
 pub struct Searching {
-    /// COLMAP's program, 3.x or 4.x, where cameras are to be found [default: colmap, else the pycolmap of python3]
+    /// COLMAP program, 3.x or 4.x [default: colmap, else pycolmap of python3]
     #[arg(long, value_name = "PROGRAM")]
     pub colmap: Option<PathBuf>,
-    /// Python with pycolmap, in place of COLMAP's program
+    /// Python with pycolmap, instead of COLMAP's program
     #[arg(long, value_name = "PROGRAM", conflicts_with = "colmap")]
     pub python: Option<PathBuf>,
-    /// Photos that are searched for the same points [default: all pairs of up to 100 photos, else near]
+    /// Pairs of photos to match [default: all for up to 100 photos, else near]
     #[arg(long, alias = "matching", value_enum, value_name = "WHICH")]
     pub pairs: Option<Pairs>,
-    /// Longer side of the photos in which cameras are looked for; COLMAP takes smaller photos as they are [default: 1600, for
-    /// Depth Anything 3 504]
+    /// Longer side of the photos for camera estimation; COLMAP keeps smaller photos [default: 1600,
+    /// for Depth Anything 3 504]
     #[arg(long, alias = "matching-size", value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(64..=32_768))]
     pub find_size: Option<u32>,
 }
 
-/// Pairs of photos that are matched.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Pairs {
-    /// Every one with every other
+    /// All pairs
     #[value(alias = "exhaustive")]
     All,
-    /// Photos near each other in the order of their names, as frames of a video are
+    /// Photos near each other in name order, such as video frames
     #[value(alias = "sequential")]
     Near,
 }

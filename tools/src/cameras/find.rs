@@ -59,7 +59,6 @@ pub struct Finding {
     pub depth_weights: Option<String>,
 }
 
-/// The finder of cameras.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Finder {
     /// COLMAP, from matched features
@@ -68,7 +67,7 @@ pub enum Finder {
     Da3,
 }
 
-/// Cameras, and what is known of how they were found.
+/// Cameras with their estimation, if any.
 pub struct KnownCameras {
     pub poses: Poses,
     pub found: Option<EstimatedCameras>,

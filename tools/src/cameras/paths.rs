@@ -233,7 +233,7 @@ pub fn to_scene(
         }
         Err(names) => {
             let found = format!("{names}, apart from each other in another direction than in the scene's world");
-            let expected = "the cameras that the scene was made with, or others of the same photos";
+            let expected = "the cameras of the scene's photos; --relative-to PHOTO for others with their names";
             Err(Error::argument(format!("cameras of {file}"), found, expected))
         }
     }

@@ -24,8 +24,7 @@ pub struct Moved {
 }
 
 fn parse_count(text: &str) -> Result<usize, String> {
-    let count = text.parse().ok().filter(|count| *count > 0);
-    count.ok_or_else(|| "expected a number of Gaussians, such as 20000".into())
+    text.parse().map_err(|_| "expected a number of Gaussians, such as 20000".into())
 }
 
 fn parse_weight(text: &str) -> Result<f32, String> {

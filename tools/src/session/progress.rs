@@ -45,7 +45,7 @@ impl<'a> Stage<'a> {
     pub(super) fn shown<T>(&self, next_line: &Mutex<Instant>, body: impl FnOnce(&Self) -> T) -> T {
         let result =
             std::thread::scope(|scope| {
-                // Dropped when the body is done, also by a panic: that ends the wait.
+                // Its drop after the body, or by a panic, ends the wait.
                 let (_done, done) = channel::<()>();
                 let bar = &self.bar;
                 scope.spawn(move || {

@@ -32,11 +32,11 @@ pub enum Maker<'a> {
     Pixels(Box<DepthPredictor>),
 }
 
-pub struct Scened {
+pub struct FinishedScene {
     pub scene: Scene,
-    /// Present if the network estimated the cameras.
+    /// From the maker only if the network estimated the cameras.
     pub world: Option<World>,
-    /// Network fields of the record.
+    /// The record; from the maker its network fields.
     pub record: Value,
 }
 
@@ -97,7 +97,7 @@ impl<'a> Maker<'a> {
         }
     }
 
-    pub fn make(&self, batch: &Batch, input: Input, stage: &Stage<'_>) -> Result<Scened> {
+    pub fn make(&self, batch: &Batch, input: Input, stage: &Stage<'_>) -> Result<FinishedScene> {
         match (input, self) {
             (Input::Tokens(Views { images, cameras, note }, unit), Self::Tokens { model, checkpoint, .. }) => {
                 let (cameras, turned) = batch.fit.fit.network_cameras(cameras);
@@ -110,7 +110,7 @@ impl<'a> Maker<'a> {
                 batch.quality.prune(&mut scene, checkpoint.architecture());
                 turned.iter().for_each(|first| scene.place(1.0, first));
                 let record = json!({ "unit": unit, "tokens": made.tokens, "note": note });
-                Ok(Scened { scene, world: None, record })
+                Ok(FinishedScene { scene, world: None, record })
             }
             (Input::Pixels(prepared, points), Self::Pixels(predictor)) => {
                 let mut predicted = predictor.predict(prepared, stage)?;
@@ -123,7 +123,7 @@ impl<'a> Maker<'a> {
                 }
                 let note = (!predicted.notes.is_empty()).then(|| predicted.notes.join("; "));
                 let record = json!({ "network": predicted.network, "tokens": predicted.patches()[0], "note": note });
-                Ok(Scened { scene, world, record })
+                Ok(FinishedScene { scene, world, record })
             }
             _ => unreachable!("photos are prepared for the network that there is"),
         }

@@ -10,7 +10,7 @@ use crate::{
     views::FitOption,
 };
 use clap::Args;
-use maker::{Input, Maker, Scened};
+use maker::{FinishedScene, Input, Maker};
 use serde::Serialize;
 use serde_json::{Value, json};
 use std::{
@@ -24,7 +24,7 @@ use zipsplat::{
     Error, Result,
     reconstruct::MAX_VIEWS,
     types::{
-        Scene, SceneFormat, World, WriteOptions,
+        SceneFormat, World, WriteOptions,
         poses::{Frame, Poses, read_poses},
         write_atomic,
     },
@@ -88,12 +88,6 @@ struct Prepared {
     hash: String,
     photos: usize,
     world: Option<World>,
-}
-
-struct FinishedScene {
-    scene: Scene,
-    world: Option<World>,
-    record: Value,
 }
 
 #[derive(Clone, Serialize)]
@@ -309,14 +303,14 @@ impl Runner<'_> {
     fn reconstruct(&self, work: &Work, prepared: Prepared, stage: &Stage<'_>) -> Result<FinishedScene> {
         let began = Instant::now();
         let Prepared { input, hash, photos, world } = prepared;
-        let Scened { scene, world: of_first, record: of_network } =
+        let FinishedScene { scene, world: of_network, record: fields } =
             self.maker.make(self.batch, input, &stage.silent())?;
-        let world = world.or(of_first);
+        let world = world.or(of_network);
         let mut record = json!({
             "generator": outputs::MADE_BY, "capture": work.folder, "hash": hash, "photos": photos,
             "gaussians": scene.len(), "seconds": began.elapsed().as_secs_f64(),
         });
-        of_network.as_object().into_iter().flatten().for_each(|(name, value)| record[name] = value.clone());
+        fields.as_object().into_iter().flatten().for_each(|(name, value)| record[name] = value.clone());
         Ok(FinishedScene { scene, world, record })
     }
 

@@ -85,7 +85,7 @@ impl Depth {
         for &(views, size) in &cases {
             let name = format!("{views} views of {size}");
             let found = match session.stage(&name, |stage| self.measure(&model, views, size, &peak, stage)) {
-                // What is too large does not cost what was measured before.
+                // Rows too large for the device keep the earlier ones.
                 Err(error @ Error::Memory { .. }) if !rows.is_empty() => {
                     session.note(format!("{name}: {error}"));
                     continue;

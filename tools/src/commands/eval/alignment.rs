@@ -133,7 +133,6 @@ impl Alignment {
     }
 }
 
-/// The cells of a score.
 pub fn cells_of(score: &Score) -> [String; 6] {
     cells(&score.view, [score.psnr, score.ssim, score.nearest_psnr, score.mean_color_psnr], score.lpips)
 }

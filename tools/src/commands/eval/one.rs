@@ -131,7 +131,7 @@ fn table(scores: &[Score], mean: &Score) -> Table {
     table
 }
 
-/// For some of the photos, evenly spread, two in a row: the photo, what was drawn, the nearest input.
+/// Two photos per row: photo, prediction, nearest input.
 fn comparison(capture: &Capture, drawn: &[Vec<f32>]) -> Result<Image> {
     let targets = &capture.targets;
     let shown = targets.len().min(SHOWN);

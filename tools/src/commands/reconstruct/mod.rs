@@ -117,7 +117,7 @@ pub struct Reconstruct {
 /// Visible step of positions, over the scene's distance.
 const COARSE: f64 = 1e-3;
 
-/// The photos of a scene, and their cameras where these are known.
+/// Photos with their known cameras, if any.
 #[derive(Clone, Copy)]
 pub struct Posed<'a> {
     pub photos: &'a [PathBuf],
@@ -125,7 +125,6 @@ pub struct Posed<'a> {
     pub frames: &'a [&'a Frame],
 }
 
-/// The world that a scene is in.
 #[derive(Clone, Copy, ValueEnum)]
 enum WorldName {
     /// The first photo's camera: x right, y down, z forward

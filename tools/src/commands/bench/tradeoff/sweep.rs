@@ -40,7 +40,6 @@ pub struct Networks<'a> {
     pub arithmetics: &'a [(Precision, Arithmetic)],
 }
 
-/// The results of a sweep.
 #[derive(Default)]
 pub struct Sweep {
     pub points: Vec<Point>,
