@@ -148,13 +148,13 @@ impl Tolerance {
 
     /// Bounds a product's deviation from the rounding of both factors, relative to its rms.
     ///
-    /// Float factors each move it by less than the unit roundoff, at random. A row of 8-bit integers
-    /// is uniform with an rms of about a quarter of its range. Half of 1/127 is 4 times as much of
-    /// it, 1/sqrt(3) at random, times sqrt(2) for both.
+    /// A row of 8-bit integers is uniform with an rms of about a quarter of its range: half of 1/127
+    /// is 4 times as much, 1/sqrt(3) at random, times sqrt(2) for both.
     pub fn factor_rounding(arithmetic: Arithmetic) -> f64 {
-        match arithmetic.has_integers() {
-            true => 4.0 * Element::I8.roundoff() * (2f64 / 3.0).sqrt(),
-            false => arithmetic.element.roundoff(),
+        if arithmetic.has_integers() {
+            4.0 * Element::I8.roundoff() * (2f64 / 3.0).sqrt()
+        } else {
+            arithmetic.element.roundoff()
         }
     }
 }

@@ -1,9 +1,8 @@
-"""Measures estimated cameras: found_cameras.py [--refine] [--python PYTHON] CAPTURE...
+"""Measures estimated cameras: found_cameras.py [--python PYTHON] CAPTURE...
 
-For each folder with transforms.json and images, estimates cameras (`zipsplat cameras`), aligns them
-with the given ones by a similarity, and with --refine refines with both (`zipsplat eval --views 8
---refine 100`). Prints a Markdown row per capture: registered photos, errors of rotation, position
-and focal length, points, PSNR of held-out photos with given and estimated cameras, seconds.
+For each folder with transforms.json and images, estimates cameras (`zipsplat cameras`) and aligns
+them with the given ones by a similarity. Prints a Markdown row per capture: registered photos,
+errors of rotation, position and focal length, points, seconds.
 PYTHON has pycolmap; $ZIPSPLAT is the command.
 """
 
@@ -58,18 +57,13 @@ def row(capture, folder, options):
     common = {name: poses[name] for name in poses if name in given}
     turn, away = errors(common, given)
     focal = np.median([focals[name] / given_focals[name] for name in common]) - 1
-    psnr = []
-    for source in [[capture], [photos, "--poses", out]] if options.refine else []:
-        scored = zipsplat("eval", *source, "--views", 8, "--refine", 100, "--lpips", "none")
-        psnr.append(f"{scored['mean']['psnr']:.2f} ({len(scored['views'])})")
     counts = f"{found['found']} of {found['photos']}" + (f", {found['mappings']} tries" if found["mappings"] > 1 else "")
-    return [capture.name, counts, f"{turn:.2f}", f"{100 * away:.2f} %", f"{100 * focal:+.1f} %", f"{found['points']:,}", *psnr,
+    return [capture.name, counts, f"{turn:.2f}", f"{100 * away:.2f} %", f"{100 * focal:+.1f} %", f"{found['points']:,}",
             f"{seconds:.0f} s"]
 
 
 parser = argparse.ArgumentParser()
 parser.add_argument("captures", nargs="+", type=Path)
-parser.add_argument("--refine", action="store_true")
 parser.add_argument("--python")
 options = parser.parse_args()
 for capture in options.captures:

@@ -68,7 +68,7 @@ const ROUNDS: usize = 3;
 /// Estimates a camera of `[width, height]` pixels with a centered principal point.
 ///
 /// # Errors
-/// [`Error::Argument`] for fewer than [`MIN_CORRESPONDENCES`] pairs or inliers, or an invalid search.
+/// [`Error::Argument`] for fewer than [`MIN_CORRESPONDENCES`] pairs or inliers, or invalid options.
 pub fn find_camera(
     pairs: &[Correspondence],
     [width, height]: [u32; 2],

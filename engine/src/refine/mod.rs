@@ -276,8 +276,8 @@ pub fn refine_tokens(
     run(arena, make, photos, cameras, request, progress)
 }
 
-/// Returns the number of Gaussians that a scene of `len` grows to, for photos of these sizes; `None`
-/// if it keeps its own.
+/// Returns the number of Gaussians that a scene of `len` grows to, for photos of these sizes, if it
+/// grows.
 fn grown_len(request: &Refine, len: usize, sizes: impl Iterator<Item = [u32; 2]>) -> Option<usize> {
     let default = || {
         let pixels: usize = sizes.map(|[width, height]| width as usize * height as usize).sum();
