@@ -36,7 +36,7 @@ from .errors import (
 from .gsplat import rasterization
 from .images import list_images, load_image, save_image
 from .model import Model
-from .renderer import RenderOutput, Renderer
+from .renderer import Renderer, RenderOutput
 from .scene import RefineProgress, RefineResult, Scene
 
 __version__: str = _text(_lib.zs_version())

@@ -7,7 +7,7 @@ from typing import Any, Literal, Optional
 import numpy as np
 import numpy.typing as npt
 
-from ._native import Handle, Owner, Told, array_at, call, ffi, lib, options, structure
+from ._native import Handle, Owner, Told, array_at, call, lib, options, structure
 from ._native import progress as native_progress
 from .cameras import Camera, PathLike, from_native
 from .cameras import native as native_cameras
