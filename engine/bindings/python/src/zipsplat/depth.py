@@ -138,6 +138,11 @@ class DepthModel(Owner):
             ArgumentError: an argument is invalid.
             FileError, FormatError: a photo cannot be read.
             OutOfMemoryError, DeviceLostError, DriverError: the device failed.
+
+        Example:
+            >>> prediction = DepthModel.load("da3-small").predict("photos/")
+            >>> prediction.depth.shape
+            (12, 378, 504)
         """
         sources, posed, _capture = matched(images, cameras)
         told = Told(progress)

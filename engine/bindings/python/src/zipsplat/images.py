@@ -27,6 +27,10 @@ def list_images(folder: PathLike) -> list[Path]:
 
     Raises:
         ArgumentError: there are none.
+
+    Example:
+        >>> list_images("photos/")[:2]
+        [PosixPath('photos/1.jpg'), PosixPath('photos/2.jpg')]
     """
     files = (path for path in Path(folder).iterdir() if not path.name.startswith("."))
     found = [path for path in files if path.is_file() and path.suffix.lower() in EXTENSIONS]
@@ -40,6 +44,9 @@ def load_image(path: PathLike) -> npt.NDArray[np.uint8]:
 
     Raises:
         FileError, FormatError: it is unreadable, or not a PNG, JPEG or WebP.
+
+    Example:
+        >>> tensor = torch.from_numpy(load_image("photo.jpg"))
     """
     return _array(Handle("photo", "zs_photo_open", os.fsencode(path)))
 
@@ -48,6 +55,9 @@ def save_image(path: PathLike, pixels: npt.ArrayLike) -> None:
     """Writes [height, width, 3 or 4] pixels as a PNG without alpha.
 
     Values are uint8 from 0 to 255 or float from 0 to 1. An existing file is replaced atomically.
+
+    Example:
+        >>> save_image("view.png", scene.render(camera).rgb)
     """
     images, _kept = native([pixels])
     call("zs_image_save_png", images, os.fsencode(path))

@@ -85,6 +85,9 @@ class Model(Owner):
 
         Raises:
             NoDeviceError, WeightsError, FormatError, FileError, OutOfMemoryError, ArgumentError.
+
+        Example:
+            >>> model = Model.load("zipsplat", precision="fp16", device="cuda:0")
         """
         on, told = opened(device), Told(progress)
         made = options("model", precision=choose("precision", precision, PRECISIONS))
@@ -138,6 +141,10 @@ class Model(Owner):
             ArgumentError: an argument is invalid.
             FileError, FormatError: a photo cannot be read.
             OutOfMemoryError, DeviceLostError, DriverError: the device failed.
+
+        Example:
+            >>> scene = model.reconstruct("photos/", ratio=0.5)
+            >>> posed = model.reconstruct(Capture.open("capture/"), refine=200)
         """
         sources, posed, capture = matched(images, cameras)
         if refine and posed is None:

@@ -259,6 +259,11 @@ class Scene:
 
         Returns:
             The refined scene, with its result in `refinement`.
+
+        Example:
+            >>> refined = scene.refine(Capture.open("capture/"), steps=200)
+            >>> refined.refinement.stop_reason
+            'finished'
         """
         sources, posed, _ = matched(images, cameras)
         if posed is None:
