@@ -89,7 +89,7 @@ int main(int argc, char **argv) try {
     std::vector<zs_image> images;
     for (int i = 4; i < argc; i++) {
         photos.push_back(zs::make<zs::Photo>(zs_image_buffer_open, argv[i]));
-        images.push_back(zs::ZS_INIT(zs_image));
+        images.push_back(ZS_INIT(zs_image));
         zs::check(zs_image_buffer_get_image(photos.back().get(), &images.back()));
     }
     const auto scene = zs::make<zs::Scene>(zs_reconstruct, model.get(), images.data(), images.size(), nullptr);
