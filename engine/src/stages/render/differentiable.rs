@@ -1,7 +1,8 @@
 use super::{
     CAMERA_NUMBERS, CameraRows, Depth, FrameShape, Gradients, PlanCache, PlanKey, RenderOptions, RenderOutput,
-    RenderOutputs, SceneGradients, SceneTensors, camera_rows, first_capacity,
+    RenderOutputs, SceneGradients, SceneTensors,
     backward::{SplatGradients, record_with_splat_gradients},
+    camera_rows, first_capacity,
     range::{check, drawable},
 };
 use crate::{
