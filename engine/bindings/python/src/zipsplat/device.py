@@ -51,7 +51,7 @@ def list_devices() -> list[DeviceInfo]:
     Raises:
         NoDeviceError: there is no Vulkan loader or driver.
     """
-    count = ffi.new("uint32_t *")
+    count = ffi.new("size_t *")
     call("zs_device_count", count)
     found = []
     for index in range(count[0]):
