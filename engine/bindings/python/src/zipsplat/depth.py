@@ -54,7 +54,9 @@ class DepthPrediction:
         if max_gaussians_per_patch is not None and max_gaussians_per_patch < 1:
             found = f"max_gaussians_per_patch: found {max_gaussians_per_patch}"
             raise ArgumentError(f"{found}, expected a number above 0, or None")
-        return Scene(Handle("scene", "zs_depth_result_to_scene", self._handle, max_gaussians_per_patch or 0), self.device)
+        return Scene(
+            Handle("scene", "zs_depth_result_to_scene", self._handle, max_gaussians_per_patch or 0), self.device
+        )
 
     def __repr__(self) -> str:
         photos, height, width = self.depth.shape

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, Iterable, Optional, Sequence, Union
+from typing import Any, Iterable, Optional, Protocol, Sequence, Union
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +17,21 @@ from .errors import ArgumentError, ArgumentTypeError
 # Recognized photo extensions.
 EXTENSIONS = frozenset({".png", ".jpg", ".jpeg", ".webp"})
 
-ImageLike = Union[PathLike, bytes, npt.NDArray[Any], Any]
+
+class HasArrayInterface(Protocol):
+    """An array or PIL image."""
+
+    @property
+    def __array_interface__(self) -> dict[str, Any]: ...
+
+
+class HasDLPack(Protocol):
+    """A tensor of any library."""
+
+    def __dlpack__(self, *args: Any, **kwargs: Any) -> Any: ...
+
+
+ImageLike = Union[PathLike, bytes, HasArrayInterface, HasDLPack]
 ImagesLike = Union[PathLike, Capture, Sequence[ImageLike]]
 CamerasLike = Union[PathLike, Capture, Sequence[Camera]]
 
@@ -63,7 +77,7 @@ def save_image(path: PathLike, pixels: npt.ArrayLike) -> None:
     call("zs_image_save_png", images, os.fsencode(path))
 
 
-def native(sources: Sequence[Any]) -> tuple[Any, list[object]]:
+def native(sources: Sequence[Any]) -> tuple[Any, list[Any]]:
     """Converts images for the library, with references to keep alive. Decodes in parallel."""
     with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
         loaded = list(pool.map(_load, range(len(sources)), sources))
