@@ -78,7 +78,7 @@ fn what_cannot_be_refined_is_refused() {
     let (model, head) = network();
     let (photos, cameras) = photos();
     let tokens = tokens(&model, 1.0);
-    let go_on = |_: zipsplat::refine::Refining<'_>| ControlFlow::Continue(());
+    let go_on = |_: zipsplat::refine::RefineProgress<'_>| ControlFlow::Continue(());
     let refused = |cameras: &[Camera], request: &RefineOptions, word: &str| {
         let error = refine_tokens(&Arena::new(device()), &head, &tokens, &photos, cameras, request, go_on).unwrap_err();
         assert!(error.to_string().contains(word), "{error}");
