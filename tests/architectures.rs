@@ -47,7 +47,7 @@ pub fn depth_micro_alone() -> DepthArchitecture {
 /// Returns the smallest network with every kind of parameter; the weights' seed is `pico`.
 pub fn pico() -> Architecture {
     Architecture {
-        patch: 2,
+        patch_size: 2,
         position_grid: 3,
         camera_depth: 1,
         camera_heads: 2,

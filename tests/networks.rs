@@ -12,7 +12,7 @@ use zipsplat::{
 
 /// Returns the arithmetics other than f32.
 pub fn fast_arithmetics() -> Vec<Arithmetic> {
-    let fast = [Precision::Fast, Precision::FastBf16, Precision::Turbo];
+    let fast = [Precision::Fp16, Precision::Bf16, Precision::Int8];
     let found = fast.into_iter().filter_map(|precision| Arithmetic::of(precision, device().limits()));
     let twice = |a: Arithmetic| {
         let lanes = Arithmetic { linear: None, attention: None, nearest: None, quantized: None, ..a };
@@ -33,7 +33,7 @@ pub fn model_on(device: &Device, config: &str, arithmetic: Arithmetic) -> Model 
     let key = if config == "tiny_rect" { "tiny" } else { config };
     let checkpoint = Checkpoint::seeded_architecture(architectures::golden(config), key).expect("a golden's network");
     let progress = |_| ControlFlow::Continue(());
-    Model::load_with(device, &checkpoint, arithmetic, progress).expect("small models fit")
+    Model::from_checkpoint_with(device, &checkpoint, arithmetic, progress).expect("small models fit")
 }
 
 /// Returns `in/images_u8` `[views, 3, height, width]` as images.

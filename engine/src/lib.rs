@@ -4,22 +4,22 @@
 //! use std::ops::ControlFlow::Continue;
 //! use zipsplat::types::{Intrinsics, Pose, preprocess::fit};
 //! use zipsplat::{Camera, Device, Image, Model, Renderer, gpu::DeviceOptions};
-//! use zipsplat::{reconstruct::Request, stages::render::RenderRequest, weights::Checkpoint};
+//! use zipsplat::{reconstruct::ReconstructOptions, stages::render::RenderOptions, weights::Checkpoint};
 //!
 //! # fn main() -> zipsplat::Result<()> {
 //! let device = Device::open(&DeviceOptions::default())?;
 //! let checkpoint = Checkpoint::open("weights.safetensors", None)?;
-//! let model = Model::load(&device, &checkpoint, |_| Continue(()))?;
+//! let model = Model::from_checkpoint(&device, &checkpoint, |_| Continue(()))?;
 //! let [a, b] = [Image::open("a.jpg")?, Image::open("b.jpg")?];
 //! let photos = [fit(&a, 252, 252)?.image, fit(&b, 252, 252)?.image];
-//! let made = model.reconstruct(&photos, &Request::default(), |_| Continue(()))?;
-//! zipsplat::types::write_scene("scene.ply", &made.scene()?, &Default::default())?;
+//! let made = model.reconstruct_views(&photos, &ReconstructOptions::default(), |_| Continue(()))?;
+//! made.scene()?.save("scene.ply")?;
 //!
 //! let mut renderer = Renderer::new(&device);
 //! renderer.show(&made.gaussians)?; // already on the device
 //! let intrinsics = Intrinsics::from_fov(252, 252, 1.0, 1.0);
 //! let camera = Camera { intrinsics, pose: Pose::IDENTITY };
-//! let frames = renderer.render_loaded(&[camera], &RenderRequest::default())?;
+//! let frames = renderer.render(&[camera], &RenderOptions::default())?;
 //! # let _ = frames;
 //! # Ok(())
 //! # }

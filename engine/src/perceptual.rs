@@ -5,7 +5,7 @@ use crate::{
     gpu::{Device, Limits, Recorder, Resident, Run, Tensor},
     ops::{Arithmetic, ParameterLayout},
     stages::lpips::{Lpips, LpipsNetwork, LpipsPictures},
-    tune::{Chosen, cache_folder},
+    tune::{KernelChoice, cache_folder},
     weights::Tensors,
 };
 use std::{
@@ -43,7 +43,7 @@ impl LpipsWeights {
 
     /// See [`Perceptual::open`].
     pub fn open(device: &Device, network: LpipsNetwork, path: &Path, gradients: bool) -> Result<Self> {
-        let arithmetic = Chosen::exact(device);
+        let arithmetic = KernelChoice::exact(device);
         let layout = |gradients: bool| Self::layout(device.limits(), arithmetic, network, gradients);
         let name = format!("LPIPS ({})", network.name());
         let tensors = Tensors::open(path, &name, &layout(false).0.names_and_shapes())?;

@@ -9,7 +9,7 @@ use std::{
     ops::ControlFlow,
     ptr::{null, null_mut},
 };
-use zipsplat::reconstruct::{Model, Request};
+use zipsplat::reconstruct::{Model, ReconstructOptions};
 use zipsplat_c::{zs_status::*, *};
 use zipsplat_tests::{device::device, scenes::random_scene};
 
@@ -26,9 +26,11 @@ fn cameras_are_those_of_rust() {
     let context = context();
     let scene = reconstruct(&model(&context), &images, &reconstruct_options());
     let (mut cameras, mut inliers, mut patches) = ([empty(); 3], [9; 3], [9; 3]);
-    let rust = Model::load(device(), &checkpoint(), |_| ControlFlow::Continue(())).expect("a model");
-    let made = rust.reconstruct(&photos, &Request::default(), |_| ControlFlow::Continue(())).expect("a scene");
-    let found = made.cameras(&made.scene().expect("Gaussians"), None).expect("its own scene");
+    let rust = Model::from_checkpoint(device(), &checkpoint(), |_| ControlFlow::Continue(())).expect("a model");
+    let made = rust
+        .reconstruct_views(&photos, &ReconstructOptions::default(), |_| ControlFlow::Continue(()))
+        .expect("a scene");
+    let found = made.cameras(&made.to_scene().expect("Gaussians"), None).expect("its own scene");
     assert!(found.iter().any(Result::is_ok), "{found:?}");
     // SAFETY: a live scene, and one array element per photo.
     let status =

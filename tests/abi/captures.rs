@@ -9,10 +9,10 @@ use std::{
 };
 use tempfile::TempDir;
 use zipsplat::{
-    reconstruct::{Model, Request},
+    reconstruct::{Model, ReconstructOptions},
     types::{
         Camera, Distortion, Intrinsics, Lens, Orbit,
-        poses::{Frame, read_poses, write_frames},
+        poses::{Capture, CaptureView, write_frames},
         preprocess::{fit, view_cameras},
     },
 };
@@ -34,7 +34,7 @@ fn capture(points: bool) -> TempDir {
         let name = format!("images/{i}.png");
         photo.save_png(folder.path().join(&name)).expect("a photo can be written");
         let lens = Some(Lens { intrinsics, distortion });
-        frames.push(Frame { name, photo: None, camera: Camera { intrinsics, pose }, lens });
+        frames.push(CaptureView { name, photo: None, camera: Camera { intrinsics, pose }, lens });
     }
     if points {
         let text = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n1 2 33\n";
@@ -94,7 +94,7 @@ fn pixels(photo: &Object<zs_photo>) -> zs_image {
 fn photos_and_cameras_are_rusts() {
     let folder = capture(false);
     let contents = all(&open(folder.path()));
-    let expected = read_poses(folder.path()).expect("cameras");
+    let expected = Capture::open(folder.path()).expect("cameras");
     assert_eq!(contents.names, ["images/0.png", "images/1.png", "images/2.png"]);
     assert_eq!(contents.notes, "");
     let capture = open(&folder.path().join("transforms.json"));
@@ -141,16 +141,17 @@ fn the_unit_is_found_from_the_capture() {
             ..reconstruct_options()
         };
         let in_c = read(&reconstruct(&model, &images, &options));
-        let poses = read_poses(folder.path()).expect("cameras");
-        let view = |frame: &Frame| fit(&frame.open(frame.photo.as_ref().unwrap()).unwrap(), SIDE, SIDE).unwrap();
+        let poses = Capture::open(folder.path()).expect("cameras");
+        let view = |frame: &CaptureView| fit(&frame.open(frame.photo.as_ref().unwrap()).unwrap(), SIDE, SIDE).unwrap();
         let views: Vec<_> = poses.frames.iter().map(view).collect();
         let cameras: Vec<_> = poses.frames.iter().map(|frame| frame.camera).collect();
         let cameras = view_cameras(&cameras, &views).expect("cameras");
         let unit = poses.scene_scale(None, &cameras, &poses.frames[0].camera.pose).expect("a unit").length;
         let images: Vec<_> = views.into_iter().map(|view| view.image).collect();
-        let request = Request { cameras: Some(cameras), scene_scale: unit, ..Request::default() };
-        let rust = Model::load(device(), &checkpoint(), |_| ControlFlow::Continue(())).unwrap();
-        let expected = rust.reconstruct(&images, &request, |_| ControlFlow::Continue(())).unwrap().scene().unwrap();
+        let request = ReconstructOptions { cameras: Some(cameras), scene_scale: unit, ..ReconstructOptions::default() };
+        let rust = Model::from_checkpoint(device(), &checkpoint(), |_| ControlFlow::Continue(())).unwrap();
+        let expected =
+            rust.reconstruct_views(&images, &request, |_| ControlFlow::Continue(())).unwrap().to_scene().unwrap();
         assert_same(&format!("means, unit {unit}"), in_c.means.as_flattened(), expected.means.as_flattened());
         scenes.push(in_c);
     }

@@ -8,7 +8,7 @@ use std::{
 };
 use zipsplat::{
     Camera,
-    depth::{DepthModel, DepthRequest},
+    depth::{DepthModel, DepthOptions},
     ops::Arithmetic,
     types::Image,
     weights::{DepthCheckpoint, Dtype},
@@ -63,8 +63,9 @@ fn depth_is_that_of_rust() {
     let photos = photos(2);
     let own = zs_depth_options { side: SIDE, own_focal_lengths: 1, ..options() };
     let depths = find(&model, &photos, &own);
-    let rust = DepthModel::load(device(), &checkpoint, Arithmetic::EXACT, |_| Continue(())).expect("a model");
-    let truth = rust.depths(&photos, &DepthRequest::default(), |_| Continue(())).expect("depth");
+    let rust =
+        DepthModel::from_checkpoint(device(), &checkpoint, Arithmetic::EXACT, |_| Continue(())).expect("a model");
+    let truth = rust.predict(&photos, &DepthOptions::default(), |_| Continue(())).expect("depth");
     let cameras = truth.cameras().expect("a decoder");
     for (i, (of_view, camera)) in truth.views.iter().zip(&cameras).enumerate() {
         let (view, found) = get(&depths, i);

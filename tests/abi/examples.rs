@@ -12,9 +12,9 @@ use std::{
 };
 use tempfile::TempDir;
 use zipsplat::{
-    depth::{DepthModel, DepthRequest},
+    depth::{DepthModel, DepthOptions},
     ops::Arithmetic,
-    reconstruct::{Model, Request},
+    reconstruct::{Model, ReconstructOptions},
     types::{DEFAULT_BOUND, Image, bounded_views, preprocess::fit, read_ply},
     weights::{Checkpoint, DepthCheckpoint, Dtype},
 };
@@ -36,12 +36,12 @@ fn inputs() -> (TempDir, Vec<PathBuf>) {
 
 /// From Rust, at the default size.
 fn expected_means(checkpoint: &Checkpoint, photos: &[PathBuf]) -> Vec<[f32; 3]> {
-    let side = checkpoint.picture_side();
+    let side = checkpoint.image_size();
     let view = |path: &PathBuf| fit(&Image::open(path).expect("a photo"), side, side).expect("a view").image;
     let images: Vec<_> = photos.iter().map(view).collect();
-    let model = Model::load(device(), checkpoint, |_| ControlFlow::Continue(())).expect("a model");
-    let done = model.reconstruct(&images, &Request::default(), |_| ControlFlow::Continue(()));
-    done.expect("a scene").scene().unwrap().means
+    let model = Model::from_checkpoint(device(), checkpoint, |_| ControlFlow::Continue(())).expect("a model");
+    let done = model.reconstruct_views(&images, &ReconstructOptions::default(), |_| ControlFlow::Continue(()));
+    done.expect("a scene").to_scene().unwrap().means
 }
 
 /// `message` is the expected output for a number of Gaussians.
@@ -50,7 +50,7 @@ fn assert_reconstructs(example: impl Fn() -> Command, message: impl Fn(usize) ->
     let micro = folder.path().join("micro.safetensors");
     let checkpoints = [
         (micro.clone(), Checkpoint::open(&micro, None).expect("a network")),
-        ("embedded".into(), Checkpoint::embedded().expect("a model")),
+        ("embedded".into(), Checkpoint::builtin().expect("a model")),
     ];
     for (model, checkpoint) in checkpoints {
         let [scene, picture] = ["scene.ply", "picture.png"].map(|name| folder.path().join(name));
@@ -152,8 +152,8 @@ fn depth_in_c() {
     let views = bounded_views(&read, DEFAULT_BOUND).expect("views");
     let images: Vec<Image> = views.iter().map(|view| view.image.clone()).collect();
     let checkpoint = DepthCheckpoint::open(&weights, false).expect("weights");
-    let model = DepthModel::load(device(), &checkpoint, Arithmetic::EXACT, |_| ControlFlow::Continue(()));
-    let truth = model.expect("a model").depths(&images, &DepthRequest::default(), |_| ControlFlow::Continue(()));
+    let model = DepthModel::from_checkpoint(device(), &checkpoint, Arithmetic::EXACT, |_| ControlFlow::Continue(()));
+    let truth = model.expect("a model").predict(&images, &DepthOptions::default(), |_| ControlFlow::Continue(()));
     for (i, view) in truth.expect("depth").views.iter().enumerate() {
         let found = portable_float_map(&folder.path().join(format!("out-{i}.pfm")));
         assert_same(&format!("depth of photo {i}"), &found, &view.depth);

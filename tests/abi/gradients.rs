@@ -3,7 +3,7 @@
 use crate::calls::*;
 use std::ptr::null;
 use zipsplat::{
-    stages::render::{CAMERA_NUMBERS, Depth, Differentiator, Frame, RenderRequest, Wanted},
+    stages::render::{CAMERA_NUMBERS, Depth, Differentiator, RenderOptions, RenderOutput, Wanted},
     types::{Camera, Intrinsics, Pose, Scene},
 };
 use zipsplat_c::{zs_status::*, *};
@@ -80,7 +80,7 @@ fn are_rusts_bits() {
     {
         let mut case = Case::new();
         ok(case.run(&options(depth)));
-        let frame = |i: usize| Frame {
+        let frame = |i: usize| RenderOutput {
             width: SIZE[0],
             height: SIZE[1],
             rgb: Some(case.weights[0][3 * i * PIXELS..][..3 * PIXELS].to_vec()),
@@ -93,12 +93,12 @@ fn are_rusts_bits() {
             intrinsics: Intrinsics { width: c.width, height: c.height, fx: c.fx, fy: c.fy, cx: c.cx, cy: c.cy },
             pose: Pose { rotation: glam::DMat3::IDENTITY, translation: c.translation.into() },
         };
-        let request = RenderRequest {
+        let request = RenderOptions {
             alpha: true,
             depth: Some(kind),
             background: [0.2, 0.1, 0.4],
             antialiased: true,
-            ..RenderRequest::default()
+            ..RenderOptions::default()
         };
         let (cameras, frames) = (case.cameras.each_ref().map(camera), [0, 1].map(frame));
         let wanted = Wanted { scene: true, cameras: true };

@@ -8,7 +8,7 @@ use std::{
     ffi::{CStr, c_void},
     ptr::{null, null_mut},
 };
-use zipsplat::types::{Image, SceneFormat, WriteOptions, encode_scene, read_scene};
+use zipsplat::types::{Image, SaveOptions, Scene, SceneFormat};
 use zipsplat_c::{zs_status::*, *};
 use zipsplat_tests::{compare::assert_same, scenes::random_scene};
 
@@ -89,7 +89,7 @@ fn scenes_go_to_memory_and_come_back() {
         ok(unsafe { zs_scene_save(scene.handle, text.as_ptr(), null()) });
         assert!(std::fs::read(&path).expect("it was written") == bytes, "{extension}");
         let back = read(&made(from_memory(bytes, Some(extension), null_mut())));
-        assert_same(extension, back.means.as_flattened(), read_scene(&path).expect("a scene").means.as_flattened());
+        assert_same(extension, back.means.as_flattened(), Scene::open(&path).expect("a scene").means.as_flattened());
     }
     let format = c_string("obj");
     let mut bytes = null_mut();
@@ -101,7 +101,7 @@ fn scenes_go_to_memory_and_come_back() {
 #[test]
 fn scenes_in_memory_are_told_apart_and_checked() {
     let mut truth = random_scene(4, 0, 0.1);
-    let ply = encode_scene(&truth, SceneFormat::Ply, &WriteOptions::default()).expect("a valid scene");
+    let ply = truth.encode(SceneFormat::Ply, &SaveOptions::default()).expect("a valid scene");
     assert_eq!(read(&made(from_memory(&ply, None, null_mut()))).means, truth.means);
     truth.means[1] = [f32::NAN; 3];
     // A .splat, because our writer rejects such values.

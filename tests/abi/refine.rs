@@ -13,9 +13,9 @@ use std::{
 };
 use zipsplat::{
     gpu::Arena,
-    reconstruct::{Model, Request},
-    refine::{FrozenHead, Refine, Refined, refine_scene, refine_tokens},
-    stages::render::{RenderRequest, Renderer},
+    reconstruct::{Model, ReconstructOptions},
+    refine::{FrozenHead, RefineOptions, RefineResult, refine_scene, refine_tokens},
+    stages::render::{RenderOptions, Renderer},
     types::{Camera, Image, Scene, read_ply, write_ply},
 };
 use zipsplat_c::{zs_status::*, *};
@@ -39,8 +39,8 @@ fn place(count: usize) -> Place {
     };
     let cameras: Vec<Camera> = (0..count).map(at).collect();
     let mut moved = random_scene(60, 1, 0.3);
-    let frames = Renderer::new(device()).render(&moved, &cameras, &RenderRequest::default()).expect("pictures");
-    let photo = |frame: zipsplat::stages::render::Frame| {
+    let frames = Renderer::new(device()).render_scene(&moved, &cameras, &RenderOptions::default()).expect("pictures");
+    let photo = |frame: zipsplat::stages::render::RenderOutput| {
         Image::from_rgb_f32(frame.width, frame.height, &frame.rgb.expect("color")).expect("a photo")
     };
     let photos = frames.into_iter().map(photo).collect();
@@ -49,7 +49,7 @@ fn place(count: usize) -> Place {
 }
 
 impl Place {
-    fn in_rust(&self, request: &Refine, stop_after: usize) -> Refined {
+    fn in_rust(&self, request: &RefineOptions, stop_after: usize) -> RefineResult {
         let progress = |now: zipsplat::refine::Refining<'_>| {
             if now.step == stop_after { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         };
@@ -127,8 +127,14 @@ fn a_refinement_is_rusts_and_tells_how_far_it_is() {
         ..options()
     };
     let (scene, info) = made(place.in_c(&options));
-    let request =
-        Refine { steps: 12, views_per_step: 3, size: Some([40, 40]), hold_out: Some(1), seed: 7, ..Refine::default() };
+    let request = RefineOptions {
+        steps: 12,
+        views_per_step: 3,
+        max_image_size: Some([40, 40]),
+        holdout_views: Some(1),
+        seed: 7,
+        ..RefineOptions::default()
+    };
     let expected = place.in_rust(&request, usize::MAX);
     assert_same("scene", &bits(&scene), &bits(&expected.scene));
     assert_ne!(bits(&scene), bits(&place.moved));
@@ -151,7 +157,7 @@ fn a_refinement_that_is_stopped_hands_out_the_best_so_far() {
     let mut log = CallLog { steps: Vec::new(), stop_after: 5 };
     let user_data = (&raw mut log).cast();
     let (scene, info) = made(place.in_c(&zs_refine_options { progress: Some(listen), user_data, ..options() }));
-    let expected = place.in_rust(&Refine::default(), 5);
+    let expected = place.in_rust(&RefineOptions::default(), 5);
     assert_same("scene", &bits(&scene), &bits(&expected.scene));
     assert_eq!((info.ended, info.steps, log.steps.len()), (zs_refine_end::ZS_REFINE_STOPPED as i32, 5, 5));
     assert!(info.psnr.is_nan() && log.steps.iter().all(|now| now.psnr.is_nan()));
@@ -249,14 +255,14 @@ fn tokens_are_refined_as_in_rust() {
         let refined = read(&made(Object::try_new(zs_scene_destroy, refine)));
         assert_ne!(bits(&refined), bits(&read(&scene)));
 
-        let network = Model::load(device(), &checkpoint(), |_| ControlFlow::Continue(())).expect("a model");
+        let network = Model::from_checkpoint(device(), &checkpoint(), |_| ControlFlow::Continue(())).expect("a model");
         let first = cameras[0].pose;
         let relative: Vec<Camera> = cameras.iter().map(|c| Camera { pose: c.pose.relative_to(&first), ..*c }).collect();
-        let request = Request { cameras: Some(relative.clone()), ..Request::default() };
+        let request = ReconstructOptions { cameras: Some(relative.clone()), ..ReconstructOptions::default() };
         let features = network.features(&photos, &request, go_on).expect("features");
         let tokens = network.tokens(&features, &request, go_on).expect("tokens");
         let head = FrozenHead::load(device(), &checkpoint()).expect("a head");
-        let request = Refine { steps: 6, size: Some([1600; 2]), ..Refine::default() };
+        let request = RefineOptions { steps: 6, max_image_size: Some([1600; 2]), ..RefineOptions::default() };
         let never = |_: zipsplat::refine::Refining| ControlFlow::Continue(());
         let mut expected =
             refine_tokens(network.arena(), &head, &tokens, &photos, &relative, &request, never).expect("a scene");
@@ -308,7 +314,8 @@ fn refine_in_c() {
     command.args([path("scene.ply"), path("cameras.txt"), path("sharp.ply")]).args(&names);
     let out = success(command);
     let refined = read_ply(path("sharp.ply")).expect("a scene");
-    let expected = place.in_rust(&Refine { size: Some([1600; 2]), ..Refine::default() }, usize::MAX);
+    let expected =
+        place.in_rust(&RefineOptions { max_image_size: Some([1600; 2]), ..RefineOptions::default() }, usize::MAX);
     assert_same("means", refined.means.as_flattened(), expected.scene.means.as_flattened());
     assert!(out.contains("loss 0.") && out.contains("100 steps"), "{out}");
     std::fs::write(path("micro.safetensors"), micro()).expect("a file can be written");

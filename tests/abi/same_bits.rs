@@ -5,18 +5,18 @@ use glam::{DMat3, DVec3};
 use std::ops::ControlFlow;
 use zipsplat::{
     ops::{Arithmetic, Precision},
-    reconstruct::{Model, Ratio, Request, Selection},
-    stages::render::{Depth, Frame, RenderRequest, Renderer},
-    tune::Chosen,
+    reconstruct::{Model, Ratio, ReconstructOptions, TokenSelection},
+    stages::render::{Depth, RenderOptions, RenderOutput, Renderer},
+    tune::KernelChoice,
     types::{Camera, Image, Intrinsics, Pose, Scene},
     weights::{Checkpoint, Dtype},
 };
 use zipsplat_c::*;
 use zipsplat_tests::{compare::assert_same, device::device};
 
-fn rust_scene(photos: &[Image], request: &Request) -> Scene {
-    let model = Model::load(device(), &checkpoint(), |_| ControlFlow::Continue(())).unwrap();
-    model.reconstruct(photos, request, |_| ControlFlow::Continue(())).unwrap().scene().unwrap()
+fn rust_scene(photos: &[Image], request: &ReconstructOptions) -> Scene {
+    let model = Model::from_checkpoint(device(), &checkpoint(), |_| ControlFlow::Continue(())).unwrap();
+    model.reconstruct_views(photos, request, |_| ControlFlow::Continue(())).unwrap().to_scene().unwrap()
 }
 
 fn bits(scene: &Scene) -> Vec<u32> {
@@ -50,7 +50,7 @@ fn encode(photo: &Image, format: zs_pixel_format, padding: usize, bottom_up: boo
 #[test]
 fn photos_of_every_format_give_rusts_scene() {
     let photos = photos(2);
-    let request = Request { ratio: Ratio::Fixed(0.5), ..Request::default() };
+    let request = ReconstructOptions { ratio: Ratio::Fixed(0.5), ..ReconstructOptions::default() };
     let expected = bits(&rust_scene(&photos, &request));
     let context = context();
     let model = model(&context);
@@ -98,10 +98,10 @@ fn options_and_cameras_give_rusts_scene() {
     let relative = |camera: &Camera| Camera { pose: camera.pose.relative_to(&cameras[0].pose), ..*camera };
     let relative: Vec<_> = cameras.iter().map(relative).collect();
     let cases = [
-        (ZS_RATIO_AUTO, Ratio::Auto, zs_selection::ZS_SELECT_KMEANS, Selection::KMEANS, false),
-        (0.3, Ratio::Fixed(0.3), zs_selection::ZS_SELECT_STRIDE, Selection::Stride, true),
-        (0.3, Ratio::Fixed(0.3), zs_selection::ZS_SELECT_RANDOM, Selection::Random(7), false),
-        (1.0, Ratio::Fixed(1.0), zs_selection::ZS_SELECT_KMEANS, Selection::KMEANS, true),
+        (ZS_RATIO_AUTO, Ratio::Auto, zs_selection::ZS_SELECT_KMEANS, TokenSelection::KMEANS, false),
+        (0.3, Ratio::Fixed(0.3), zs_selection::ZS_SELECT_STRIDE, TokenSelection::Stride, true),
+        (0.3, Ratio::Fixed(0.3), zs_selection::ZS_SELECT_RANDOM, TokenSelection::Random(7), false),
+        (1.0, Ratio::Fixed(1.0), zs_selection::ZS_SELECT_KMEANS, TokenSelection::KMEANS, true),
     ];
     for (number, ratio, choice, selection, posed) in cases {
         let mut options =
@@ -110,7 +110,8 @@ fn options_and_cameras_give_rusts_scene() {
             (options.cameras, options.camera_count, options.pool) = (c_cameras.as_ptr(), 3, 2);
         }
         let (cameras, pool) = if posed { (Some(relative.clone()), 2) } else { (None, 1) };
-        let request = Request { ratio, selection, cameras, scene_scale: 1.0, pool };
+        let request =
+            ReconstructOptions { ratio, token_selection: selection, cameras, scene_scale: 1.0, kv_pool: pool };
         let expected = bits(&rust_scene(&photos, &request));
         assert_same(&format!("{request:?}"), &bits(&read(&reconstruct(&model, &images, &options))), &expected);
     }
@@ -138,7 +139,7 @@ fn rust_camera(camera: &zs_camera) -> Camera {
     Camera { intrinsics: Intrinsics { width, height, fx, fy, cx, cy }, pose }
 }
 
-fn pixels(frame: &Frame, format: zs_pixel_format) -> Vec<u8> {
+fn pixels(frame: &RenderOutput, format: zs_pixel_format) -> Vec<u8> {
     let (rgb, alpha) = (frame.rgb.as_ref().unwrap(), frame.alpha.as_ref().unwrap());
     let byte = |value: f32| Image::from_rgb_f32(1, 1, &[value; 3]).unwrap().rgb[0];
     let nearest_byte = |value: f32| (value.clamp(0.0, 1.0) * 255.0).round_ties_even() as u8;
@@ -162,8 +163,9 @@ fn pictures_are_rusts() {
     let renderer = renderer(&context, &scene);
     let cameras = [camera(64, 48, 0.0), camera(40, 33, 0.1), camera(64, 48, 0.2)];
     let background = [0.1, 0.5, 0.9];
-    let request = RenderRequest { alpha: true, depth: Some(Depth::Expected), background, ..RenderRequest::default() };
-    let frames = Renderer::new(device()).render(&read(&scene), &cameras.each_ref().map(rust_camera), &request).unwrap();
+    let request = RenderOptions { alpha: true, depth: Some(Depth::Expected), background, ..RenderOptions::default() };
+    let frames =
+        Renderer::new(device()).render_scene(&read(&scene), &cameras.each_ref().map(rust_camera), &request).unwrap();
     let formats = [
         (zs_pixel_format::ZS_PIXEL_RGB8, 3),
         (zs_pixel_format::ZS_PIXEL_RGBA8, 4),
@@ -226,7 +228,7 @@ fn scenes_come_back_from_arrays_and_files() {
         ok(unsafe { zs_scene_save(scene.handle, text.as_ptr(), std::ptr::null()) });
         // SAFETY: a string, an output pointer.
         let back = Object::new(zs_scene_destroy, |out| unsafe { zs_scene_open(text.as_ptr(), out) });
-        assert_same(extension, &bits(&read(&back)), &bits(&zipsplat::types::read_scene(&path).unwrap()));
+        assert_same(extension, &bits(&read(&back)), &bits(&zipsplat::types::Scene::open(&path).unwrap()));
     }
 }
 
@@ -262,10 +264,10 @@ fn a_model_computes_in_the_precision_that_was_asked_for() {
     let best = Precision::best(limits);
     for (asked, expected) in [
         (zs_precision::ZS_PRECISION_BEST, Some(best)),
-        (zs_precision::ZS_PRECISION_EXACT, Some(Precision::Exact)),
-        (zs_precision::ZS_PRECISION_FAST, has(Precision::Fast)),
-        (zs_precision::ZS_PRECISION_FAST_BF16, has(Precision::FastBf16)),
-        (zs_precision::ZS_PRECISION_TURBO, has(Precision::Turbo)),
+        (zs_precision::ZS_PRECISION_EXACT, Some(Precision::Fp32)),
+        (zs_precision::ZS_PRECISION_FAST, has(Precision::Fp16)),
+        (zs_precision::ZS_PRECISION_FAST_BF16, has(Precision::Bf16)),
+        (zs_precision::ZS_PRECISION_TURBO, has(Precision::Int8)),
     ] {
         // SAFETY: capacity for the options, initialized on success; live objects; bytes of that
         // length.
@@ -296,10 +298,14 @@ fn a_model_computes_in_the_precision_that_was_asked_for() {
         };
         let code = if asked == zs_precision::ZS_PRECISION_BEST { 1 + best as i32 } else { asked as i32 };
         assert_eq!(info.precision, code, "{asked:?}");
-        let arithmetic = Chosen::of(device(), Some(expected)).expect("the device has it").arithmetic;
-        let ours = Model::load_with(device(), &checkpoint(), arithmetic, |_| ControlFlow::Continue(())).unwrap();
+        let arithmetic = KernelChoice::of(device(), Some(expected)).expect("the device has it").arithmetic;
         let ours =
-            ours.reconstruct(&photos, &Request::default(), |_| ControlFlow::Continue(())).unwrap().scene().unwrap();
+            Model::from_checkpoint_with(device(), &checkpoint(), arithmetic, |_| ControlFlow::Continue(())).unwrap();
+        let ours = ours
+            .reconstruct_views(&photos, &ReconstructOptions::default(), |_| ControlFlow::Continue(()))
+            .unwrap()
+            .to_scene()
+            .unwrap();
         let from_c = reconstruct(&model, &images, &reconstruct_options());
         assert_same(&format!("{asked:?}"), &bits(&read(&from_c)), &bits(&ours));
     }
@@ -312,10 +318,14 @@ fn weights_of_8_bits_come_from_memory() {
     let model = made(model_from(&context, &bytes, &options));
     let from_c = reconstruct(&model, &photos.iter().map(image_of).collect::<Vec<_>>(), &reconstruct_options());
     let checkpoint = Checkpoint::from_bytes("q8", bytes.clone(), None).expect("what was just written");
-    let ours = Model::load(device(), &checkpoint, |_| ControlFlow::Continue(())).expect("small models fit");
-    let ours = ours.reconstruct(&photos, &Request::default(), |_| ControlFlow::Continue(())).unwrap().scene().unwrap();
+    let ours = Model::from_checkpoint(device(), &checkpoint, |_| ControlFlow::Continue(())).expect("small models fit");
+    let ours = ours
+        .reconstruct_views(&photos, &ReconstructOptions::default(), |_| ControlFlow::Continue(()))
+        .unwrap()
+        .to_scene()
+        .unwrap();
     assert_same("q8", &bits(&read(&from_c)), &bits(&ours));
-    if Arithmetic::of(Precision::Turbo, device().limits()).is_some() {
+    if Arithmetic::of(Precision::Int8, device().limits()).is_some() {
         let turbo = zs_model_options { precision: zs_precision::ZS_PRECISION_TURBO as i32, ..options };
         let refused = model_from(&context, &bytes, &turbo).err().expect("no turbo for such weights");
         fails(refused, zs_status::ZS_ERROR_ARGUMENT, &["precision", "q8", "fast"]);

@@ -4,9 +4,9 @@
 use crate::{Folder, Outcome};
 use std::{ffi::OsString, fs, os::unix::fs::PermissionsExt, path::Path, sync::atomic::AtomicBool};
 use zipsplat::types::{
-    Camera,
-    poses::{Frame, read_poses},
-    quaternion_from_matrix, read_points, read_scene,
+    Camera, Scene,
+    poses::{Capture, CaptureView},
+    quaternion_from_matrix, read_points,
 };
 use zipsplat_cli::{Terminal, run};
 use zipsplat_tests::processes::{child, target};
@@ -25,10 +25,10 @@ const OPTIONS_4: [&str; 3] = [
 pub const COPIES: &str = "cp -r \"$0.model/.\" \"$out\"";
 
 /// 4 photos in `@/place/images`, without their cameras.
-pub fn place() -> (Folder, Vec<Frame>) {
+pub fn place() -> (Folder, Vec<CaptureView>) {
     let folder = Folder::new();
     folder.run("scene --seed 3 --views 4 --size 42x28 -o @/place").success();
-    let frames = read_poses(folder.path("place")).expect("cameras").frames;
+    let frames = Capture::open(folder.path("place")).expect("cameras").frames;
     fs::remove_file(folder.path("place/transforms.json")).expect("it was written above");
     fs::remove_file(folder.path("place/points.ply")).expect("it was written above");
     (folder, frames)
@@ -90,7 +90,7 @@ fn names_that_files_of_cameras_cannot_hold_are_refused_first() {
     assert!(!folder.path("unused.args").exists() && !folder.path("transforms.json").exists());
 }
 
-fn whole_model(folder: &Folder, name: &str, frames: &[Frame]) {
+fn whole_model(folder: &Folder, name: &str, frames: &[CaptureView]) {
     let names: Vec<String> = (0..frames.len()).map(|i| format!("0/{i:06}.png")).collect();
     let named: Vec<_> = names.iter().map(String::as_str).zip(frames.iter().map(|frame| &frame.camera)).collect();
     model(&folder.path(&format!("{name}.model/0")), &named);
@@ -121,7 +121,7 @@ fn cameras_are_what_colmap_found() {
         let json = outcome.json();
         assert_eq!((json["found"].as_u64(), json["points"].as_u64()), (Some(4), Some(5)), "{json}");
         assert_eq!(json["program"], format!("COLMAP {version}"));
-        let found = read_poses(folder.path("place")).expect("cameras");
+        let found = Capture::open(folder.path("place")).expect("cameras");
         for (found, truth) in found.frames.iter().zip(&truth) {
             assert_eq!(found.name, truth.name);
             let (pose, expected) = (found.camera.pose, truth.camera.pose);
@@ -195,7 +195,7 @@ fn the_largest_group_is_taken_and_lost_photos_are_named() {
         assert!(text.contains(words), "'{words}' is not in {text}");
     }
     let names: Vec<String> =
-        read_poses(folder.path("place")).expect("cameras").frames.into_iter().map(|f| f.name).collect();
+        Capture::open(folder.path("place")).expect("cameras").frames.into_iter().map(|f| f.name).collect();
     assert_eq!(names, ["images/000.png", "images/003.png"]);
 }
 
@@ -214,7 +214,7 @@ fn photos_of_one_size_share_a_lens_and_folders_lie_in_folders() {
     let seen = fs::read_to_string(folder.path("lists.seen")).expect("photos");
     assert_eq!(seen.trim(), "0/000000.png 0/000001.png 0/000002.png 1/000003.png");
     let names: Vec<String> =
-        read_poses(folder.path("transforms.json")).expect("cameras").frames.into_iter().map(|f| f.name).collect();
+        Capture::open(folder.path("transforms.json")).expect("cameras").frames.into_iter().map(|f| f.name).collect();
     assert_eq!(names, ["photos/10.png", "photos/a/b/2.png"]);
     // A camera whose size is not its photo's.
     model(&folder.path("lists.model/0"), &[("0/000001.png", &camera(30, 40))]);
@@ -296,10 +296,13 @@ fn other_commands_find_cameras_too() {
     let outcome = folder.run(&line);
     assert!(outcome.err.contains("cameras found: 4 of 4 photos, 5 points, by COLMAP 3.8"), "{}", outcome.err);
     assert_eq!(outcome.json()["photos"], 4);
-    let scene = read_scene(folder.path("scene.ply")).expect("a scene");
+    let scene = Scene::open(folder.path("scene.ply")).expect("a scene");
     let again = format!("reconstruct @/place/images --poses @/place/found.json {micro} -o @/scene.ply");
     folder.run(&again).success();
-    assert!(read_scene(folder.path("scene.ply")).expect("a scene") == scene, "other cameras than those that were kept");
+    assert!(
+        Scene::open(folder.path("scene.ply")).expect("a scene") == scene,
+        "other cameras than those that were kept"
+    );
     folder.run(&format!("{again} --cameras-out @/c.json")).fails(3, &["--cameras-out", "--poses find, or no --poses"]);
     let eval = folder.run(&format!("eval @/place/images --views 3 {find} {micro} --json")).json();
     assert_eq!((&eval["unit_from"], eval["views"].as_array().map(Vec::len)), (&"points".into(), Some(1)), "{eval}");
@@ -326,15 +329,16 @@ fn colmap_itself_finds_the_cameras_of_a_place() {
     }
     let folder = Folder::new();
     folder.run("scene --seed 3 --views 16 --size 640x480 -o @/place").success();
-    let truth = read_poses(folder.path("place")).expect("cameras").frames;
+    let truth = Capture::open(folder.path("place")).expect("cameras").frames;
     let json = folder.run("cameras @/place/images -o @/place/found.json --json").json();
     // COLMAP is not deterministic: a photo may be lost, a camera off.
     assert!(json["found"].as_u64() >= Some(12), "{json}");
-    let found = read_poses(folder.path("place/found.json")).expect("cameras");
+    let found = Capture::open(folder.path("place/found.json")).expect("cameras");
     let points = read_points(found.points.expect("points")).expect("points").positions;
     assert!(points.len() > 50, "{} points", points.len());
-    let stem = |frame: &Frame| Path::new(&frame.name).file_stem().map(ToOwned::to_owned);
-    let true_camera = |frame: &Frame| truth.iter().find(|other| stem(other) == stem(frame)).expect("a photo").camera;
+    let stem = |frame: &CaptureView| Path::new(&frame.name).file_stem().map(ToOwned::to_owned);
+    let true_camera =
+        |frame: &CaptureView| truth.iter().find(|other| stem(other) == stem(frame)).expect("a photo").camera;
     let cameras: Vec<[Camera; 2]> = found.frames.iter().map(|frame| [frame.camera, true_camera(frame)]).collect();
     let (mut angles, mut scales) = (Vec::new(), Vec::new());
     for (i, one) in cameras.iter().enumerate() {

@@ -12,7 +12,7 @@ use std::{
     time::Duration,
 };
 use zipsplat::{
-    types::{read_scene, write_ply},
+    types::{Scene, write_ply},
     weights::Checkpoint,
 };
 use zipsplat_cli::cancelled_by_signals;
@@ -113,7 +113,7 @@ fn a_refinement_that_is_cancelled_writes_the_best_so_far() {
             delay *= 2;
         };
         assert!(outcome.err.contains("best.ply: the best so far, after step "), "{}", outcome.err);
-        read_scene(folder.path("best.ply")).expect("a whole scene");
+        Scene::open(folder.path("best.ply")).expect("a whole scene");
         outcome.fails(130, &["cancelled"]);
         std::fs::remove_file(folder.path("best.ply")).expect("it is there");
     }
@@ -144,7 +144,7 @@ fn cancelled_after(delay: Duration, line: &str) -> Outcome {
 
 fn check_whole(folder: &Path) -> usize {
     let check = |path: &Path| match path.extension().and_then(|ext| ext.to_str()).unwrap_or_default() {
-        "ply" => drop(read_scene(path).expect("a whole scene")),
+        "ply" => drop(Scene::open(path).expect("a whole scene")),
         "png" => drop(image::open(path).expect("a whole picture")),
         "gif" => assert_eq!(frames(path), 24),
         "safetensors" => drop(Checkpoint::open(path, None).expect("whole weights")),

@@ -1,6 +1,6 @@
 use crate::Folder;
 use zipsplat::ops::{Arithmetic, Precision};
-use zipsplat::types::{read_scene, write_ply};
+use zipsplat::types::{Scene, write_ply};
 use zipsplat::weights::Checkpoint;
 use zipsplat_tests::{device::device, scenes};
 
@@ -39,7 +39,7 @@ fn weights_of_8_bits_go_through_every_command() {
         plan.json()["weight_bytes"].as_u64().expect("bytes")
     };
     assert!(plan("q8") < plan("micro") * 4 / 5, "{} of {}", plan("q8"), plan("micro"));
-    if Arithmetic::of(Precision::Turbo, device().limits()).is_some() {
+    if Arithmetic::of(Precision::Int8, device().limits()).is_some() {
         let turbo = folder.run("info --plan --weights @/q8.safetensors --views 2 --precision turbo");
         turbo.fails(3, &["q8.safetensors, whose weights are q8", "exact, fast or fast-bf16"]);
     }
@@ -70,7 +70,7 @@ fn scenes_go_from_format_to_format() {
         assert_eq!(outcome.err.contains("one colour"), to == "e.splat", "{}", outcome.err);
         let json = outcome.json();
         assert_eq!(json["bytes"].as_u64(), Some(folder.path(to).metadata().expect("a file").len()), "{to}");
-        let scene = read_scene(folder.path(to)).expect("a scene");
+        let scene = Scene::open(folder.path(to)).expect("a scene");
         assert_eq!((scene.len(), scene.sh_degree), (30, degree), "{to}");
         let info = folder.run(&format!("info @/{to} --json")).json();
         assert_eq!((&info["gaussians"], &info["sh_degree"]), (&30.into(), &degree.into()));
@@ -81,9 +81,9 @@ fn scenes_go_from_format_to_format() {
     folder.run("convert @/a.ply @/four.spz --spz-version 4").success();
     assert!(bytes("four.spz").starts_with(b"NGSP\x04"));
     folder.run("convert @/four.spz @/g.ply").success();
-    let [three, four] = ["b.spz", "four.spz"].map(|name| read_scene(folder.path(name)).expect("a scene"));
+    let [three, four] = ["b.spz", "four.spz"].map(|name| Scene::open(folder.path(name)).expect("a scene"));
     assert!(three == four);
-    let mut found = read_scene(folder.path("f.ply")).expect("a scene").means;
+    let mut found = Scene::open(folder.path("f.ply")).expect("a scene").means;
     let mut means = truth.means;
     found.sort_by(|a, b| a[2].total_cmp(&b[2]));
     means.sort_by(|a, b| a[2].total_cmp(&b[2]));
@@ -103,7 +103,7 @@ fn a_far_gaussian_that_coarsens_an_spz_is_noted() {
     let outcome = folder.run("convert @/far.ply @/far.spz");
     let note = "multiples of 9.77e-4, not of 1.53e-5: 1 of 30 Gaussians lie beyond 128 units, the farthest 5000 away";
     assert!(outcome.err.contains(note), "{}", outcome.err);
-    let means = read_scene(folder.path("far.spz")).expect("a scene").means;
+    let means = Scene::open(folder.path("far.spz")).expect("a scene").means;
     let steps = |value: f32| f64::from(value) * 1024.0;
     assert!(means.iter().flatten().all(|value| steps(*value).fract() == 0.0));
     assert!(means.iter().flatten().any(|value| (steps(*value) / 2.0).fract() != 0.0));

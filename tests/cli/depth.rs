@@ -3,7 +3,7 @@
 use crate::Folder;
 use zipsplat::types::{
     Image,
-    poses::{Poses, read_cloud, read_poses},
+    poses::{Capture, read_cloud},
     read_ply, read_points,
 };
 
@@ -38,7 +38,7 @@ fn a_folder_gets_depth_cameras_and_points() {
     }
     let points = read_points(folder.path("out/points.ply")).unwrap().positions.len();
     assert!((100..=500).contains(&points) && json["points"] == points, "{points} points");
-    let poses = read_poses(folder.path("out/transforms.json")).unwrap();
+    let poses = Capture::open(folder.path("out/transforms.json")).unwrap();
     let sizes: Vec<_> = poses.frames.iter().map(|frame| frame.camera.intrinsics.width).collect();
     assert_eq!(sizes, [40, 40]);
     assert!(poses.frames.iter().all(|frame| frame.photo.is_some()), "{poses:?}");
@@ -61,7 +61,7 @@ fn wrong_arguments_are_named() {
     assert_eq!(folder.names(), ["alone.safetensors", "da3.safetensors", "micro.safetensors", "photos"]);
 }
 
-fn focals(poses: &Poses) -> Vec<[f64; 2]> {
+fn focals(poses: &Capture) -> Vec<[f64; 2]> {
     poses.frames.iter().map(|frame| frame.camera.intrinsics).map(|lens| [lens.fx, lens.fy]).collect()
 }
 
@@ -74,22 +74,22 @@ fn cameras_are_those_of_the_network() {
     assert_eq!((&json["found"], &json["program"]), (&2.into(), &"da3-micro".into()), "{json}");
     assert!(!folder.path("colmap.log").exists());
     let [of_depth, found] =
-        ["depth/transforms.json", "transforms.json"].map(|name| read_poses(folder.path(name)).unwrap());
-    let cameras = |poses: &Poses| poses.frames.iter().map(|frame| frame.camera).collect::<Vec<_>>();
+        ["depth/transforms.json", "transforms.json"].map(|name| Capture::open(folder.path(name)).unwrap());
+    let cameras = |poses: &Capture| poses.frames.iter().map(|frame| frame.camera).collect::<Vec<_>>();
     assert_eq!(cameras(&found), cameras(&of_depth));
-    let points = |poses: &Poses| read_points(poses.points.as_ref().expect("they lie beside it")).unwrap();
+    let points = |poses: &Capture| read_points(poses.points.as_ref().expect("they lie beside it")).unwrap();
     assert!(points(&found).positions.len() > 500 && points(&found) == points(&of_depth));
     let shared = focals(&found);
     assert!(shared[0][0] == shared[0][1] && shared[0] == shared[1], "{shared:?}");
     folder.run(&format!("{line} --focal-lengths own -o @/own.json")).success();
-    let own = focals(&read_poses(folder.path("own.json")).unwrap());
+    let own = focals(&Capture::open(folder.path("own.json")).unwrap());
     assert!(own[0][0] != own[0][1] && own[0] != own[1], "{own:?}");
     let mean = |[fx, fy]: [f64; 2]| (fx * fy).sqrt();
     assert!(own.iter().any(|focal| (mean(*focal) / shared[0][0] - 1.0).abs() < 1e-9), "{own:?} {shared:?}");
 
     // Photo names are relative to their folder.
     for (model, points_of) in [("model", "points.ply"), ("depth/model", "depth/points.ply")] {
-        let read = read_poses(folder.path(model)).unwrap();
+        let read = Capture::open(folder.path(model)).unwrap();
         let names: Vec<&str> = read.frames.iter().map(|frame| frame.name.as_str()).collect();
         assert_eq!(names, ["1.png", "10.png"]);
         for (one, other) in read.frames.iter().zip(&found.frames) {
@@ -111,7 +111,7 @@ fn other_commands_take_cameras_of_the_network() {
     let outcome = folder.run(&line);
     assert!(outcome.err.contains("cameras found: 2 of 2 photos"), "{}", outcome.err);
     assert_eq!(
-        (&outcome.json()["photos"], read_poses(folder.path("found.json")).unwrap().frames.len()),
+        (&outcome.json()["photos"], Capture::open(folder.path("found.json")).unwrap().frames.len()),
         (&2.into(), 2)
     );
     let line = format!("refine @/photos {find} --start points --steps 1 -o @/refined.ply --json");
@@ -161,7 +161,7 @@ fn photos_become_a_gaussian_a_pixel() {
     assert!(tokens == 40 && few > 60 && few <= 120, "{few}");
 
     // Passed in, or estimated during refinement.
-    let cameras = read_poses(folder.path("cameras.json")).unwrap();
+    let cameras = Capture::open(folder.path("cameras.json")).unwrap();
     assert_eq!(cameras.frames.len(), 2);
     let given = folder.run(&format!("{plain} --poses @/cameras.json --cameras-out @/again.json"));
     given.fails(3, &["--cameras-out", "cameras that are known"]);
@@ -180,7 +180,7 @@ fn photos_seen_by_themselves_need_cameras_and_points() {
     assert!(made(&json)[3] > 100, "{json}");
     let (points, scene) =
         (read_points(folder.path("place/points.ply")).unwrap(), read_ply(folder.path("scene.ply")).unwrap());
-    let first = read_poses(folder.path("place")).unwrap().frames[0].camera;
+    let first = Capture::open(folder.path("place")).unwrap().frames[0].camera;
     let middle = |mut depths: Vec<f64>| {
         depths.sort_by(f64::total_cmp);
         depths[depths.len() / 2]

@@ -2,7 +2,7 @@ use crate::{Folder, zipsplat};
 use glam::{DMat3, DVec3};
 use zipsplat::{
     Error,
-    stages::render::{RenderRequest, Renderer},
+    stages::render::{RenderOptions, Renderer},
     types::{Camera, Image, Intrinsics, Pose, quaternion_from_matrix, read_ply},
 };
 use zipsplat_cli::{
@@ -128,7 +128,7 @@ fn without_points_the_unit_is_that_of_the_cameras() {
     assert!(outcome.err.contains("no point cloud"), "{}", outcome.err);
     let found = outcome.json();
     assert_eq!((&found["unit"], &found["unit_from"]), (&json["unit"], &json["unit_from"]));
-    let poses = zipsplat::types::poses::read_poses(folder.path("place")).expect("cameras");
+    let poses = zipsplat::types::poses::Capture::open(folder.path("place")).expect("cameras");
     let (mut cameras, mut images) = (String::new(), String::new());
     for (i, frame) in poses.frames.iter().enumerate() {
         let (lens, pose) = (&frame.camera.intrinsics, frame.camera.pose.inverse());
@@ -180,7 +180,7 @@ fn whole_photos_are_compared() {
 fn splats(folder: &Folder) -> Renderer {
     folder.run("scene --seed 5 --views 4 --size 84x56 --splats -o @/place").success();
     let mut renderer = Renderer::new(device());
-    renderer.load(&read_ply(folder.path("place/splats.ply")).expect("a scene")).expect("loaded");
+    renderer.set_scene(&read_ply(folder.path("place/splats.ply")).expect("a scene")).expect("loaded");
     renderer
 }
 
@@ -208,7 +208,7 @@ fn a_camera_is_found_by_its_photo() {
     let folder = Folder::new();
     let mut renderer = splats(&folder);
     let truth = Camera { intrinsics: Intrinsics::from_fov(84, 56, 1.0, 0.7), pose: Pose::IDENTITY };
-    let frame = renderer.render_loaded(&[truth], &RenderRequest::default()).expect("drawn").remove(0);
+    let frame = renderer.render(&[truth], &RenderOptions::default()).expect("drawn").remove(0);
     let photo = Image::from_rgb_f32(84, 56, &frame.rgb.expect("color")).expect("a picture");
     let rotation = DMat3::from_rotation_y(0.06) * DMat3::from_rotation_x(-0.04) * DMat3::from_rotation_z(0.05);
     let start = Camera { pose: Pose { rotation, translation: DVec3::new(0.06, -0.04, 0.05) }, ..truth };

@@ -2,7 +2,7 @@ use crate::Folder;
 use glam::{DMat3, DVec3};
 use zipsplat::types::{
     Camera, Pose, Scene,
-    poses::{read_poses, write_transforms},
+    poses::{Capture, write_transforms},
     read_ply, read_points, write_ply, write_points,
 };
 
@@ -18,7 +18,7 @@ fn world() -> Pose {
 /// camera's space at a third of the scale.
 fn place(folder: &Folder) -> (Scene, Vec<Camera>) {
     folder.run("scene --seed 9 --views 8 --size 56x56 --splats -o @/place").success();
-    let frames = read_poses(folder.path("place")).expect("cameras").frames;
+    let frames = Capture::open(folder.path("place")).expect("cameras").frames;
     let scene = read_ply(folder.path("place/splats.ply")).expect("a scene");
     let moved = |camera: Camera| {
         let pose = Pose { translation: LENGTH * camera.pose.translation, ..camera.pose };
@@ -60,7 +60,7 @@ fn a_scene_is_judged_alike_in_every_layout() {
     // Any similarity, as of MVSplat for viewers.
     let away = Pose { rotation: DMat3::from_rotation_y(2.0), translation: DVec3::new(-1.0, 0.5, 0.25) };
     save(&folder, "away.ply", &scene, 0.2, &away);
-    let frames = read_poses(folder.path("place")).expect("cameras").frames;
+    let frames = Capture::open(folder.path("place")).expect("cameras").frames;
     let external = |camera: &Camera| {
         let pose = world().inverse().compose(&camera.pose);
         let pose = Pose { translation: 0.2 / LENGTH * pose.translation, ..pose };

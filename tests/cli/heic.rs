@@ -3,7 +3,7 @@
 
 use crate::{Folder, cameras::script};
 use std::fs;
-use zipsplat::types::{Image, poses::read_poses};
+use zipsplat::types::{Image, poses::Capture};
 
 const START: &[u8] = b"\0\0\0\x18ftypheic\0\0\0\0";
 const LINE: &str = "--weights @/micro.safetensors --size 28x28 -o @/scene.ply --ffmpeg @/";
@@ -64,7 +64,7 @@ fn heic_pictures_stay_as_photos_where_cameras_name_them() {
     model(&folder.path("colmap.model/0"), &[("0/000000.jpg", &camera), ("0/000001.jpg", &camera)]);
     folder.run("cameras @/phone --ffmpeg @/one --colmap @/colmap -o @/transforms.json").success();
     let names: Vec<String> =
-        read_poses(folder.path("transforms.json")).expect("cameras").frames.into_iter().map(|f| f.name).collect();
+        Capture::open(folder.path("transforms.json")).expect("cameras").frames.into_iter().map(|f| f.name).collect();
     assert_eq!(names, ["frames/IMG_1.jpg", "frames/IMG_2.jpg"]);
     let photo = Image::open(folder.path("frames/IMG_2.jpg")).expect("a photo");
     assert!(photo.rgb.iter().all(|value| value.abs_diff(90) < 3) && (photo.width, photo.height) == (16, 8));

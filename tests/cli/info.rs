@@ -1,6 +1,6 @@
 use crate::Folder;
 use zipsplat::stages::lpips::LpipsNetwork;
-use zipsplat::types::{Origin, Scene, World, WriteOptions, write_ply, write_scene_in};
+use zipsplat::types::{Origin, SaveOptions, Scene, World, write_ply};
 use zipsplat_tests::{golden::lpips_weights, scenes};
 
 #[test]
@@ -42,8 +42,7 @@ fn a_scene_is_told_by_its_ranges() {
         ..scenes::random_scene(2, 1, 0.1)
     };
     let world = World::from(Origin::Photo("images/7.png".into()));
-    write_scene_in(folder.path("a.ply"), &scene, &WriteOptions::default(), Some(&world))
-        .expect("a scene can be written");
+    scene.save_in(folder.path("a.ply"), &SaveOptions::default(), Some(&world)).expect("a scene can be written");
     write_ply(&scene, folder.path("b.ply")).expect("a scene can be written");
     let text = folder.run("info @/a.ply").success();
     for words in

@@ -6,7 +6,7 @@ use crate::{
     cameras::{OPTIONS_3, args, colmap, model, place},
 };
 use std::fs;
-use zipsplat::types::{Camera, Intrinsics, poses::Frame};
+use zipsplat::types::{Camera, Intrinsics, poses::CaptureView};
 
 /// `$n` in `body` is the attempt; `found` are the expected photo counts.
 fn tried(body: &str, found: &[usize]) -> (Folder, Outcome) {
@@ -17,7 +17,7 @@ fn tried(body: &str, found: &[usize]) -> (Folder, Outcome) {
         "--random_seed arg --Mapper.min_model_size arg --Mapper.init_min_tri_angle arg --Mapper.init_min_num_inliers arg",
     ];
     colmap(&folder, "colmap", "3.8", options, ["", "", &format!("n=$(grep -c ' mapper ' \"$0.args\"); {body}")]);
-    let named = |(i, frame): (usize, &Frame)| (format!("0/{i:06}.png"), frame.camera);
+    let named = |(i, frame): (usize, &CaptureView)| (format!("0/{i:06}.png"), frame.camera);
     let all: Vec<(String, Camera)> = frames.iter().enumerate().map(named).collect();
     for (n, count) in found.iter().enumerate() {
         let some: Vec<_> = all.iter().take(*count).map(|(name, camera)| (name.as_str(), camera)).collect();
@@ -78,7 +78,7 @@ fn an_unlikely_lens_is_mapped_again_with_a_fixed_one() {
     let options =
         [OPTIONS_3[0], OPTIONS_3[1], "--Mapper.ba_refine_focal_length arg --Mapper.ba_refine_extra_params arg"];
     let body = format!("n=$(grep -c ' mapper ' \"$0.args\"); {COPIES}");
-    let of = |(i, frame): (usize, &Frame), ratio: f64| {
+    let of = |(i, frame): (usize, &CaptureView), ratio: f64| {
         let lens = frame.camera.intrinsics;
         let fx = ratio * f64::from(lens.width.max(lens.height));
         (format!("0/{i:06}.png"), Camera { intrinsics: Intrinsics { fx, fy: fx, ..lens }, ..frame.camera })
@@ -126,7 +126,7 @@ fn a_focal_length_that_no_photo_has_is_told() {
     let options = [OPTIONS_3[0], OPTIONS_3[1], "--Mapper.min_model_size arg"];
     for (ratio, unlikely) in [(0.3, true), (0.4, false), (4.0, false), (6.0, true)] {
         colmap(&folder, "colmap", "3.8", options, ["", "", "cp -r \"${0%/*}/found/.\" \"$out\""]);
-        let of = |frame: &Frame| {
+        let of = |frame: &CaptureView| {
             let fx = ratio * f64::from(frame.camera.intrinsics.width.max(frame.camera.intrinsics.height));
             Camera { intrinsics: Intrinsics { fx, fy: fx, ..frame.camera.intrinsics }, ..frame.camera }
         };

@@ -1,7 +1,7 @@
 //! Estimated cameras from a scene: `reconstruct --cameras-out` without `--poses`.
 
 use crate::Folder;
-use zipsplat::types::{Image, poses::read_poses};
+use zipsplat::types::{Image, poses::Capture};
 
 const LINE: &str = "--weights @/micro.safetensors --size 84x84 -o @/scene.ply";
 
@@ -15,7 +15,7 @@ fn cameras_follow_from_the_scene() {
     let line = format!("reconstruct @/wide {LINE} --cameras-out @/new/dir/found.json --json");
     let json = folder.run(&line).json();
     let cameras = json["cameras"].as_array().expect("one a photo");
-    let poses = read_poses(folder.path("new/dir/found.json")).expect("cameras");
+    let poses = Capture::open(folder.path("new/dir/found.json")).expect("cameras");
     assert_eq!(
         (cameras.len(), poses.frames.len()),
         (2, cameras.iter().filter(|camera| !camera.is_null()).count()),

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use zipsplat::stages::lpips::LpipsNetwork;
 use zipsplat::types::{
     Pose,
-    poses::{Frame, read_poses},
+    poses::{Capture, CaptureView},
     quaternion_from_matrix, read_ply, write_ply,
 };
 use zipsplat_tests::golden::lpips_weights;
@@ -17,12 +17,12 @@ const STRAIGHT: [f64; 4] = [1.0 / 3.0, 2.0 / 15.0, 17.0 / 315.0, 62.0 / 2835.0];
 const OPTIONS: &str = "--weights @/micro.safetensors --size 28x28 --lpips none";
 
 /// 12 photos of 84x56 in `@/place`.
-fn place(folder: &Folder, seed: u32) -> Vec<Frame> {
+fn place(folder: &Folder, seed: u32) -> Vec<CaptureView> {
     folder.run(&format!("scene --seed {seed} --views 12 --size 84x56 -o @/place")).success();
-    read_poses(folder.path("place")).expect("cameras").frames
+    Capture::open(folder.path("place")).expect("cameras").frames
 }
 
-fn copy(folder: &Folder, to: &str, frames: &[Frame], name: impl Fn(usize) -> String) {
+fn copy(folder: &Folder, to: &str, frames: &[CaptureView], name: impl Fn(usize) -> String) {
     std::fs::create_dir_all(folder.path(to)).expect("a folder");
     for (i, frame) in frames.iter().enumerate() {
         let photo = frame.photo.as_ref().expect("a photo");
@@ -37,14 +37,14 @@ fn write(folder: &Folder, to: &str, text: &str) {
 }
 
 /// Full-resolution intrinsics at the top, OpenGL axes, names in images/, photos in images_4/.
-fn dl3dv(folder: &Folder, scene: &str, frames: &[Frame], k1: f64) {
+fn dl3dv(folder: &Folder, scene: &str, frames: &[CaptureView], k1: f64) {
     copy(folder, &format!("{scene}/images_4"), frames, |i| format!("frame_{i:05}.png"));
     let lens = frames[0].camera.intrinsics;
     let times = f64::from(SMALLER);
     let rows = |Pose { rotation: r, translation: t }: Pose| {
         [0, 1, 2].map(|i| json!([r.x_axis[i], -r.y_axis[i], -r.z_axis[i], t[i]]))
     };
-    let frame = |(i, frame): (usize, &Frame)| {
+    let frame = |(i, frame): (usize, &CaptureView)| {
         let [a, b, c] = rows(frame.camera.pose);
         json!({"file_path": format!("images/frame_{i:05}.png"), "transform_matrix": [a, b, c, [0.0, 0.0, 0.0, 1.0]], "colmap_im_id": i})
     };
@@ -57,10 +57,10 @@ fn dl3dv(folder: &Folder, scene: &str, frames: &[Frame], k1: f64) {
 }
 
 /// A URL, then lines of microseconds, relative intrinsics, two zeros, world-to-camera.
-fn re10k(folder: &Folder, scene: &str, frames: &[Frame]) {
+fn re10k(folder: &Folder, scene: &str, frames: &[CaptureView]) {
     copy(folder, scene, frames, |i| format!("{}.png", 33_367 * (i + 1)));
     let mut text = "https://www.youtube.com/watch?v=none\n".to_owned();
-    for (i, Frame { camera, .. }) in frames.iter().enumerate() {
+    for (i, CaptureView { camera, .. }) in frames.iter().enumerate() {
         let (lens, pose) = (camera.intrinsics, camera.pose.inverse());
         let [w, h] = [lens.width, lens.height].map(f64::from);
         text += &format!("{} {} {} {} {} 0 0", 33_367 * (i + 1), lens.fx / w, lens.fy / h, lens.cx / w, lens.cy / h);
@@ -71,7 +71,7 @@ fn re10k(folder: &Folder, scene: &str, frames: &[Frame]) {
     write(folder, &format!("{scene}.txt"), &text);
 }
 
-fn colmap(folder: &Folder, model: &str, frames: &[Frame], camera: &str, name: impl Fn(usize) -> String) {
+fn colmap(folder: &Folder, model: &str, frames: &[CaptureView], camera: &str, name: impl Fn(usize) -> String) {
     write(folder, &format!("{model}/cameras.txt"), &format!("# one\n1 {camera}\n"));
     let mut images = String::new();
     for (i, frame) in frames.iter().enumerate() {
@@ -83,7 +83,7 @@ fn colmap(folder: &Folder, model: &str, frames: &[Frame], camera: &str, name: im
 }
 
 /// A full-resolution pinhole, photos in images_4/.
-fn mipnerf360(folder: &Folder, scene: &str, frames: &[Frame]) {
+fn mipnerf360(folder: &Folder, scene: &str, frames: &[CaptureView]) {
     let name = |i: usize| format!("_DSC{:04}.JPG", 8000 + i);
     copy(folder, &format!("{scene}/images_4"), frames, name);
     let lens = frames[0].camera.intrinsics;
@@ -93,7 +93,7 @@ fn mipnerf360(folder: &Folder, scene: &str, frames: &[Frame]) {
 }
 
 /// A fisheye lens, photos in dslr/resized_images/.
-fn scannetpp(folder: &Folder, scene: &str, frames: &[Frame], [k1, k2, k3, k4]: [f64; 4]) {
+fn scannetpp(folder: &Folder, scene: &str, frames: &[CaptureView], [k1, k2, k3, k4]: [f64; 4]) {
     let name = |i: usize| format!("DSC{i:05}.JPG");
     copy(folder, &format!("{scene}/dslr/resized_images"), frames, name);
     let lens = frames[0].camera.intrinsics;
@@ -206,7 +206,7 @@ fn a_series_keeps_what_was_done() {
 fn a_protocol_aligns_cameras() {
     let folder = Folder::new();
     folder.run("scene --seed 9 --views 12 --size 84x56 --splats -o @/place").success();
-    dl3dv(&folder, "data/one", &read_poses(folder.path("place")).expect("cameras").frames, 0.0);
+    dl3dv(&folder, "data/one", &Capture::open(folder.path("place")).expect("cameras").frames, 0.0);
     let mut scene = read_ply(folder.path("place/splats.ply")).expect("a scene");
     scene.place(1.0, &Pose { rotation: DMat3::from_rotation_y(0.03), translation: DVec3::new(0.02, 0.0, 0.01) });
     std::fs::create_dir(folder.path("scenes")).expect("a folder");

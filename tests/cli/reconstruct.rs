@@ -1,6 +1,6 @@
 use crate::{Folder, names, zipsplat};
 use glam::{DMat3, DVec3};
-use zipsplat::types::{Camera, Intrinsics, Pose, poses::write_transforms, read_ply, read_scene};
+use zipsplat::types::{Camera, Intrinsics, Pose, Scene, poses::write_transforms, read_ply};
 use zipsplat::weights::Checkpoint;
 use zipsplat_tests::photos::with_orientation;
 
@@ -22,7 +22,7 @@ fn the_extension_decides_the_format() {
     for extension in ["ply", "spz", "splat", "glb", "gltf"] {
         let file = format!("s.{extension}");
         folder.run(&format!("reconstruct @/photos --weights @/micro.safetensors --size 28x28 -o @/{file}")).success();
-        let scene = read_scene(folder.path(&file)).expect("the scene can be read");
+        let scene = Scene::open(folder.path(&file)).expect("the scene can be read");
         assert_eq!(scene.len(), 2 * 4 * 4, "{file}");
     }
 }
@@ -160,7 +160,7 @@ fn cropping_much_is_said() {
 fn another_size_than_the_trained_one_is_said() {
     let folder = Folder::new();
     let run = |size: &str| folder.run(&format!("reconstruct @/photos/1.png {size} -o @/s.ply")).err;
-    let side = Checkpoint::embedded().expect("it is built in").picture_side();
+    let side = Checkpoint::builtin().expect("it is built in").image_size();
     let note = run("--size 28x28");
     assert!(note.contains(&format!("trained with pictures of {side}x{side}")) && note.contains("28x28"), "{note}");
     for size in ["", &format!("--size {side}x{side}")] {
@@ -294,8 +294,8 @@ fn explaining_names_stages_and_what_was_left_out() {
     let passes = json["explain"]["passes"].as_array().expect("a list");
     let named = |name: &str| passes.iter().find(|pass| pass["pass"] == name);
     assert!(named("cluster").is_some_and(|pass| pass["commands"].as_u64() > Some(0)), "{passes:?}");
-    let left_out = json["explain"]["left_out"].as_array().expect("a list");
-    assert!(left_out.iter().all(|left| left["what"] != "cluster"), "{left_out:?}");
+    let skipped_passes = json["explain"]["skipped_passes"].as_array().expect("a list");
+    assert!(skipped_passes.iter().all(|left| left["what"] != "cluster"), "{skipped_passes:?}");
 }
 
 #[test]
@@ -303,7 +303,7 @@ fn the_embedded_model_is_the_default() {
     let folder = Folder::new();
     let json = folder.run("reconstruct @/photos --json -o @/scene.ply").json();
     assert_eq!(json["weights"], "the embedded model");
-    let side = Checkpoint::embedded().expect("it is built in").picture_side();
+    let side = Checkpoint::builtin().expect("it is built in").image_size();
     assert_eq!((json["width"].as_u64(), json["height"].as_u64()), (Some(side.into()), Some(side.into())));
     let patches = u64::from(side / 14).pow(2);
     assert_eq!(json["tokens"].as_u64(), Some(2 * patches));

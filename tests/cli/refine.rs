@@ -2,7 +2,7 @@
 
 use crate::{Folder, command};
 use std::sync::atomic::AtomicBool;
-use zipsplat::types::{Origin, World, poses::read_poses, read_scene, read_world, write_ply};
+use zipsplat::types::{Origin, Scene, World, poses::Capture, read_world, write_ply};
 use zipsplat_tests::scenes;
 
 /// 10 photos in `@/place`.
@@ -19,7 +19,7 @@ fn points_become_a_scene_that_looks_like_the_photos() {
     let folder = place();
     let line = format!("refine {PHOTOS} --start points --steps 30 --hold-out 1 -o @/scene.ply --explain --json");
     let json = folder.run(&line).json();
-    let scene = read_scene(folder.path("scene.ply")).expect("a scene");
+    let scene = Scene::open(folder.path("scene.ply")).expect("a scene");
     let losses: Vec<f64> =
         json["refined"]["losses"].as_array().expect("losses").iter().filter_map(|v| v.as_f64()).collect();
     assert_eq!((scene.len() as u64, losses.len()), (json["gaussians"].as_u64().expect("a number"), 30));
@@ -29,7 +29,7 @@ fn points_become_a_scene_that_looks_like_the_photos() {
     let psnr = |i: usize| held_out[i][1].as_f64().expect("dB");
     assert!(psnr(held_out.len() - 1) > psnr(0) + 1.0, "{held_out:?}");
     assert!(json["explain"]["passes"].as_array().is_some_and(|passes| passes.len() > 10), "{}", json["explain"]);
-    let first = read_poses(folder.path("place")).expect("cameras").frames[0].camera.pose;
+    let first = Capture::open(folder.path("place")).expect("cameras").frames[0].camera.pose;
     let Some(World { origin: Origin::Cameras(pose), .. }) = read_world(folder.path("scene.ply")).expect("a world")
     else {
         panic!("another world")
@@ -46,7 +46,7 @@ fn points_become_a_scene_that_looks_like_the_photos() {
     let held_out = row("held-out photos").trim();
     assert!(names.map(|file| file.file_name()).any(|name| name == held_out), "{held_out}");
     assert_eq!((row("largest photo").trim(), row("ended").trim()), ("42x28 from step 1", "after all steps"));
-    assert_eq!(read_scene(folder.path("again.ply")).expect("a scene"), scene);
+    assert_eq!(Scene::open(folder.path("again.ply")).expect("a scene"), scene);
 }
 
 #[test]
@@ -63,13 +63,13 @@ fn a_scene_is_refined_in_its_own_world() {
         let losses = json["refined"]["losses"].as_array().expect("losses").clone();
         (
             losses.iter().filter_map(|loss| loss.as_f64()).collect::<Vec<_>>(),
-            read_scene(folder.path("refined.ply")).expect("a scene").len(),
+            Scene::open(folder.path("refined.ply")).expect("a scene").len(),
         )
     };
     let ((first, count), (cameras, _)) = (refined("first", ""), refined("cameras", ""));
     let alike = first.iter().zip(&cameras).all(|(a, b)| (a - b).abs() < 1e-3);
     assert!(alike && first.len() == 5, "{first:?} and {cameras:?}");
-    let points = read_poses(folder.path("place")).expect("cameras").points.expect("a cloud");
+    let points = Capture::open(folder.path("place")).expect("cameras").points.expect("a cloud");
     let points = zipsplat::types::read_points(points).expect("points").positions.len();
     assert_eq!(refined("first", "--start both").1, count + points);
 }
@@ -81,7 +81,7 @@ fn refined_cameras_are_written() {
     let refined = folder.run(&format!("refine {PHOTOS} --start points {options} -o @/scene.ply --json")).json();
     let degrees = refined["refined"]["cameras"]["degrees"].as_f64().expect("an angle");
     let [given, found] =
-        ["place/transforms.json", "cameras.json"].map(|file| read_poses(folder.path(file)).expect(file));
+        ["place/transforms.json", "cameras.json"].map(|file| Capture::open(folder.path(file)).expect(file));
     let moved = |i: usize| {
         let (given, found) = (&given.frames[i].camera, &found.frames[i].camera);
         assert_eq!(given.intrinsics, found.intrinsics);
@@ -97,7 +97,7 @@ fn refined_cameras_are_written() {
     folder
         .run(&format!("{reconstruct} --refine=5 --start points --refine-cameras --refined-cameras @/r.json"))
         .success();
-    assert!(read_poses(folder.path("r.json")).expect("cameras").frames[1].camera != given.frames[1].camera);
+    assert!(Capture::open(folder.path("r.json")).expect("cameras").frames[1].camera != given.frames[1].camera);
     assert_eq!(folder.run(&format!("{reconstruct} --refine-cameras")).code, 2);
     assert_eq!(folder.run(&format!("{reconstruct} --refine=5 --refined-cameras @/r.json")).code, 2);
 }
@@ -107,7 +107,7 @@ fn scenes_grow() {
     let folder = place();
     let line = format!("refine {PHOTOS} --start points --steps 20 --grow 3000 -o @/scene.ply --json");
     let json = folder.run(&line).json();
-    let points = read_poses(folder.path("place")).expect("cameras").points.expect("a cloud");
+    let points = Capture::open(folder.path("place")).expect("cameras").points.expect("a cloud");
     let points = zipsplat::types::read_points(points).expect("points").positions.len() as u64;
     let grown = json["gaussians"].as_u64().expect("a number");
     assert!(points < grown && grown <= 3000, "{points} points and {grown} Gaussians");
@@ -175,7 +175,7 @@ fn reconstructions_are_refined() {
             (ran, json["tokens"].is_u64(), json["seconds"]["load weights"].is_f64()),
             (network, network, network)
         );
-        let scene = read_scene(folder.path("sharp.ply")).expect("a scene");
+        let scene = Scene::open(folder.path("sharp.ply")).expect("a scene");
         assert_eq!(json["gaussians"].as_u64(), Some(scene.len() as u64));
     }
     for (start, of) in [("points", "the capture's points"), ("scene", "the scene")] {

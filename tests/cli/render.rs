@@ -165,7 +165,7 @@ fn a_scene_can_be_in_the_world_of_its_cameras() {
     let folder = folder();
     folder.run("scene --seed 4 --views 3 --size 28x28 -o @/place").success();
     let path = folder.path("place/transforms.json");
-    let poses = zipsplat::types::poses::read_poses(&path).expect("cameras");
+    let poses = zipsplat::types::poses::Capture::open(&path).expect("cameras");
     let turn = DMat3::from_rotation_x(1.2) * DMat3::from_rotation_z(-0.6);
     let world = Pose { rotation: turn, translation: DVec3::new(-40.0, 7.0, 90.0) };
     let moved = |camera: Camera| {
@@ -287,7 +287,7 @@ fn explaining_names_passes_and_what_was_left_out() {
     let normals = passes.iter().find(|pass| pass["pass"] == "render/normals").expect("it ran");
     // Means, scales, quats and normals, and one camera.
     assert_eq!(normals["bytes"].as_u64(), Some(200 * (12 + 12 + 16 + 12) + 128));
-    let left_out = json["explain"]["left_out"].as_array().expect("a list");
-    let has = |what: &str| left_out.iter().any(|left| left["what"] == what);
-    assert!(has("depth") && !has("normals") && !has("background"), "{left_out:?}");
+    let skipped_passes = json["explain"]["skipped_passes"].as_array().expect("a list");
+    let has = |what: &str| skipped_passes.iter().any(|left| left["what"] == what);
+    assert!(has("depth") && !has("normals") && !has("background"), "{skipped_passes:?}");
 }

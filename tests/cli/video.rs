@@ -9,7 +9,7 @@ use glam::{DMat3, DVec3};
 use std::{fs, path::PathBuf};
 use zipsplat::types::{
     Camera,
-    poses::{Frame, read_poses},
+    poses::{Capture, CaptureView},
 };
 
 /// Of 6 frames, 1, 2 and 4 are the sharpest of their thirds.
@@ -45,10 +45,10 @@ fn videos_become_their_sharpest_frames() {
     model(&folder.path("colmap.model/0"), &[("0/000000.jpg", &camera), ("0/000002.jpg", &moved)]);
     let cameras = "cameras @/clip.MP4 --views 3 --ffmpeg @/ffmpeg --colmap @/colmap -o @/transforms.json";
     folder.run(cameras).success();
-    let poses = read_poses(folder.path("transforms.json")).expect("cameras");
+    let poses = Capture::open(folder.path("transforms.json")).expect("cameras");
     let names: Vec<&str> = poses.frames.iter().map(|frame| frame.name.as_str()).collect();
     assert_eq!(names, ["frames/clip-00001.jpg", "frames/clip-00004.jpg"]);
-    let shade = |frame: &Frame| -> PathBuf { frame.photo.clone().expect("the frame was kept") };
+    let shade = |frame: &CaptureView| -> PathBuf { frame.photo.clone().expect("the frame was kept") };
     let photo = zipsplat::types::Image::open(shade(&poses.frames[1])).expect("a photo");
     assert!(photo.rgb.iter().all(|value| value.abs_diff(200) < 3) && (photo.width, photo.height) == (16, 8));
     folder.run(cameras).fails(3, &["folder for frames", "frames", "does not exist yet"]);

@@ -11,7 +11,7 @@ use std::{
         mpsc::{Sender, channel},
     },
 };
-use zipsplat::types::{Scene, decode_scene, read_scene, write_ply};
+use zipsplat::types::{Scene, write_ply};
 use zipsplat_cli::{Terminal, run};
 use zipsplat_tests::scenes;
 
@@ -28,7 +28,7 @@ fn between<'a>(text: &'a str, start: &str, end: &str) -> &'a str {
 
 fn scene_within(page: &str, index: usize) -> Scene {
     let start = format!("<script id=scene-{index} type=application/octet-stream>");
-    decode_scene(&base64(between(page, &start, "</script>")), None).expect("a scene")
+    Scene::decode(&base64(between(page, &start, "</script>")), None).expect("a scene")
 }
 
 fn base64(text: &str) -> Vec<u8> {
@@ -42,7 +42,7 @@ fn a_page_has_its_scenes_within_it_and_asks_nobody() {
     assert_eq!(json["gaussians"], serde_json::json!([50, 50]));
     let page = std::fs::read_to_string(folder.path("page.html")).expect("a page");
     assert_eq!(json["bytes"], page.len());
-    let truth = read_scene(folder.path("scene.ply")).expect("a scene");
+    let truth = Scene::open(folder.path("scene.ply")).expect("a scene");
     assert_eq!([0, 1].map(|i| scene_within(&page, i)), [truth.clone(), truth]);
     for request in ["http://", "https://", "src=", "@import", "url("] {
         assert!(!page.contains(request), "{request}");
@@ -227,7 +227,7 @@ fn a_server_makes_scenes_of_the_ratio_that_is_asked_for() {
             assert_eq!(facts["patches"].as_array().map(Vec::len), Some(tokens));
             let stages: Vec<_> = facts["times"].as_array().expect("times").iter().map(|time| &time[0]).collect();
             assert!(stages.iter().any(|stage| **stage == "fuse") && stages.iter().all(|stage| **stage != "backbone"));
-            assert_eq!(decode_scene(&bytes[end + 1..], None).expect("a scene").len(), 4 * tokens);
+            assert_eq!(Scene::decode(&bytes[end + 1..], None).expect("a scene").len(), 4 * tokens);
         }
         assert_eq!(get("view/1").0, 200);
         for wrong in ["view/2", "made/0.5", "made/0.5/wrong", "made/half/exact", "refined", "refining", "record"] {
@@ -279,8 +279,8 @@ fn a_server_answers_its_own_page_and_nobody_else() {
         assert!(status == 200 && page.starts_with("<!doctype html>") && page.contains("connect-src 'self'"));
         assert_eq!(get(path, &format!("\r\nOrigin: http://127.0.0.1:{port}")).0, 200);
         let (status, scene) = get(&format!("{path}scene/0"), "");
-        let scene = decode_scene(&scene, None).expect("a scene");
-        assert_eq!((status, scene), (200, read_scene(folder.path("scene.ply")).expect("a scene")));
+        let scene = Scene::decode(&scene, None).expect("a scene");
+        assert_eq!((status, scene), (200, Scene::open(folder.path("scene.ply")).expect("a scene")));
         let (status, photo) = get(&format!("{path}photo/1"), "");
         assert!(status == 200 && photo.starts_with(b"\xff\xd8"), "a JPEG");
 

@@ -9,8 +9,7 @@ use zip::{ZipWriter, write::SimpleFileOptions};
 use zipsplat::{
     types::{
         Image, Intrinsics,
-        poses::{Poses, read_cameras, read_cloud, read_poses},
-        read_scene, read_scene_unchecked,
+        poses::{Capture, read_cloud, }, Scene,
     },
     weights::Checkpoint,
 };
@@ -29,10 +28,10 @@ fn stored(name: &str, bytes: &[u8]) -> PathBuf {
 /// Reads a scene in the format of `extension`.
 pub fn scene(extension: &str, bytes: &[u8]) {
     let path = stored(&format!("scene.{extension}"), bytes);
-    if let Ok(scene) = read_scene(&path) {
+    if let Ok(scene) = Scene::open(&path) {
         scene.validate().expect("what is read is valid");
     }
-    if let Ok(mut scene) = read_scene_unchecked(&path) {
+    if let Ok(mut scene) = Scene::open_unchecked(&path) {
         scene.drop_invalid().and_then(|_| scene.validate()).expect("what is left is valid");
     }
 }
@@ -43,7 +42,7 @@ pub fn deflated(bytes: &[u8]) -> Vec<u8> {
     out.write_all(bytes).and_then(|()| out.finish()).expect("memory")
 }
 
-fn sound(poses: zipsplat::Result<Poses>) {
+fn sound(poses: zipsplat::Result<Capture>) {
     for frame in poses.map(|poses| poses.frames).unwrap_or_default() {
         frame.camera.validate(&frame.name).expect("what is read is valid");
     }
@@ -51,13 +50,13 @@ fn sound(poses: zipsplat::Result<Poses>) {
 
 /// Reads a `transforms.json`.
 pub fn transforms(bytes: &[u8]) {
-    sound(read_poses(stored("transforms.json", bytes)));
+    sound(Capture::open(stored("transforms.json", bytes)));
 }
 
 /// Reads a camera path or a list of matrices.
 pub fn camera_path(bytes: &[u8]) {
     let lens = Intrinsics { width: 64, height: 48, fx: 70.0, fy: 71.5, cx: 31.25, cy: 24.5 };
-    sound(read_cameras(stored("cameras.json", bytes), &lens));
+    sound(Capture::open_cameras(stored("cameras.json", bytes), &lens));
 }
 
 /// Reads a COLMAP model with files of `extension`. The first two bytes are the length of the images
@@ -69,7 +68,7 @@ pub fn colmap(extension: &str, bytes: &[u8]) {
     let (cameras, images) = rest.split_at(usize::from(u16::from_le_bytes([low, high])).min(rest.len()));
     stored(&format!("images.{extension}"), images);
     let path = stored(&format!("cameras.{extension}"), cameras);
-    sound(read_poses(path));
+    sound(Capture::open(path));
 }
 
 /// Reads a capture's points from a file of this name.

@@ -4,7 +4,7 @@ use crate::render::{ALL, render};
 use std::num::NonZeroU32;
 use zipsplat::{
     gpu::{Limits, Plan, Profile, Recorder},
-    stages::render::{CameraRows, Depth, Frame, FrameShape, RenderRequest, Renderer, SceneTensors, record},
+    stages::render::{CameraRows, Depth, FrameShape, RenderOptions, RenderOutput, Renderer, SceneTensors, record},
     types::{Camera, Scene},
 };
 use zipsplat_tests::{
@@ -34,7 +34,7 @@ fn hold(what: &str, values: &[f32], truth: &[f64], unstable: &[u8], tolerance: I
 #[test]
 fn normals_are_blended_and_of_length_one() {
     let (scene, camera) = (random_scene(300, 0, 0.3), camera(SIZE[0] as u32, SIZE[1] as u32));
-    let frame = render(&scene, &[camera], &RenderRequest { normals: true, ..RenderRequest::default() }).remove(0);
+    let frame = render(&scene, &[camera], &RenderOptions { normals: true, ..RenderOptions::default() }).remove(0);
     let (gaussians, reference) = (reference_gaussians(&scene), reference_camera(&camera));
     let (mut truth, mut unstable) = blended(&scene, &camera, |i| normals::normal(&gaussians, i, &reference));
     let got = frame.normals.unwrap();
@@ -62,7 +62,7 @@ fn tokens_have_colors_of_their_own() {
     let camera = camera(SIZE[0] as u32, SIZE[1] as u32);
     let scene = random_scene(300, 0, 0.3);
     for group in [1, 32, u32::MAX] {
-        let request = RenderRequest { token_group: NonZeroU32::new(group), ..RenderRequest::default() };
+        let request = RenderOptions { token_group: NonZeroU32::new(group), ..RenderOptions::default() };
         // With two cameras a token has twice as many pairs.
         let frames = render(&scene, &[camera, camera], &request);
         let (truth, unstable) = blended(&scene, &camera, |i| color(i / group as usize));
@@ -78,7 +78,7 @@ fn what_is_not_asked_for_changes_nothing() {
     let all = render(&scene, &cameras, &ALL).remove(0);
     for wanted in 1..32 {
         let on = |output: u32| wanted >> output & 1 == 1;
-        let request = RenderRequest {
+        let request = RenderOptions {
             rgb: on(0),
             alpha: on(1),
             depth: ALL.depth.filter(|_| on(2)),
@@ -86,7 +86,7 @@ fn what_is_not_asked_for_changes_nothing() {
             token_group: ALL.token_group.filter(|_| on(4)),
             ..ALL
         };
-        let expected = Frame {
+        let expected = RenderOutput {
             rgb: all.rgb.clone().filter(|_| on(0)),
             alpha: all.alpha.clone().filter(|_| on(1)),
             depth: all.depth.clone().filter(|_| on(2)),
@@ -98,7 +98,7 @@ fn what_is_not_asked_for_changes_nothing() {
     }
 }
 
-fn plan(request: &RenderRequest) -> Plan {
+fn plan(request: &RenderOptions) -> Plan {
     let (len, sh_degree) = (5_000, 1);
     let mut rec = Recorder::new(&Limits::default());
     let scene = SceneTensors {
@@ -124,23 +124,23 @@ fn contents(plan: &Plan) -> (Vec<String>, Vec<(String, u64)>) {
 
 #[test]
 fn what_is_not_asked_for_costs_nothing() {
-    let color = RenderRequest::default();
+    let color = RenderOptions::default();
     let (kernels, tensors) = contents(&plan(&color));
     let has = |tensors: &[(String, u64)], name: &str| tensors.iter().any(|(other, _)| other.ends_with(name));
     assert!(has(&tensors, "/colors") && !has(&tensors, "/normals"), "{tensors:?}");
 
-    let (with_normals, its_tensors) = contents(&plan(&RenderRequest { normals: true, ..color }));
+    let (with_normals, its_tensors) = contents(&plan(&RenderOptions { normals: true, ..color }));
     assert!(has(&its_tensors, "/normals") && with_normals.len() == kernels.len() + 1);
     assert!(with_normals.contains(&"render/normals".into()) && !kernels.contains(&"render/normals".into()));
-    let (_, alone) = contents(&plan(&RenderRequest { rgb: false, alpha: true, ..color }));
+    let (_, alone) = contents(&plan(&RenderOptions { rgb: false, alpha: true, ..color }));
     assert!(!has(&alone, "/colors"), "{alone:?}");
 
     let specialized = [
-        RenderRequest { alpha: true, ..color },
-        RenderRequest { depth: Some(Depth::Expected), ..color },
-        RenderRequest { token_group: NonZeroU32::new(4), ..color },
-        RenderRequest { background: [1.0; 3], ..color },
-        RenderRequest { antialiased: true, ..color },
+        RenderOptions { alpha: true, ..color },
+        RenderOptions { depth: Some(Depth::Expected), ..color },
+        RenderOptions { token_group: NonZeroU32::new(4), ..color },
+        RenderOptions { background: [1.0; 3], ..color },
+        RenderOptions { antialiased: true, ..color },
     ];
     for request in specialized {
         let (its_kernels, mut its_tensors) = contents(&plan(&request));
@@ -161,12 +161,14 @@ fn bands_of_zeros_are_neither_stored_nor_drawn() {
     }
     assert_eq!(render(&high, &[camera], &ALL), render(&low, &[camera], &ALL));
     let mut renderer = Renderer::new(device());
-    renderer.load(&high).unwrap();
-    let why = |what: &str| renderer.left_out(&ALL).into_iter().find(|left| left.what == what).map(|left| left.why);
+    renderer.set_scene(&high).unwrap();
+    let why =
+        |what: &str| renderer.skipped_passes(&ALL).into_iter().find(|left| left.what == what).map(|left| left.why);
     assert_eq!(why("spherical harmonics of band 1"), None);
     assert_eq!(why("spherical harmonics of band 2").as_deref(), Some("all zero in this scene"));
-    renderer.load(&low).unwrap();
-    let why = |what: &str| renderer.left_out(&ALL).into_iter().find(|left| left.what == what).map(|left| left.why);
+    renderer.set_scene(&low).unwrap();
+    let why =
+        |what: &str| renderer.skipped_passes(&ALL).into_iter().find(|left| left.what == what).map(|left| left.why);
     assert_eq!(why("spherical harmonics of band 2").as_deref(), Some("not in this scene"));
     assert_eq!(why("normals"), None);
 }

@@ -3,8 +3,8 @@
 use std::ops::ControlFlow;
 use zipsplat::{
     ops::Arithmetic,
-    reconstruct::{Ratio, Request, Selection},
-    stages::render::{RenderRequest, Renderer},
+    reconstruct::{Ratio, ReconstructOptions, TokenSelection},
+    stages::render::{RenderOptions, Renderer},
     types::Scene,
 };
 use zipsplat_tests::{
@@ -18,10 +18,16 @@ use zipsplat_tests::{
 /// Uses the golden's own tokens at the first ratio.
 fn reconstruct(golden: &Golden, config: &str, arithmetic: Arithmetic) -> Scene {
     let (ratio, prefix) = golden.compressions()[0].clone();
-    let selection = Selection::Given(golden.u32(&format!("{prefix}/nearest_idx")));
-    let request = Request { ratio: Ratio::Fixed(ratio), selection, cameras: None, scene_scale: 1.0, pool: 1 };
+    let selection = TokenSelection::Given(golden.u32(&format!("{prefix}/nearest_idx")));
+    let request = ReconstructOptions {
+        ratio: Ratio::Fixed(ratio),
+        token_selection: selection,
+        cameras: None,
+        scene_scale: 1.0,
+        kv_pool: 1,
+    };
     let model = model(config, arithmetic);
-    model.reconstruct(&images(golden), &request, |_| ControlFlow::Continue(())).unwrap().scene().unwrap()
+    model.reconstruct_views(&images(golden), &request, |_| ControlFlow::Continue(())).unwrap().to_scene().unwrap()
 }
 
 #[test]
@@ -34,10 +40,10 @@ fn every_arithmetic_gives_the_same_pictures() {
         let Some(golden) = Golden::open(&format!("{config}.safetensors")) else { continue };
         let network = config.split('.').next().expect("network.case");
         let exact = reconstruct(&golden, network, Arithmetic::EXACT);
-        let truth = renderer.render(&exact, &cameras, &RenderRequest::default()).unwrap();
+        let truth = renderer.render_scene(&exact, &cameras, &RenderOptions::default()).unwrap();
         for arithmetic in fast_arithmetics() {
             let scene = reconstruct(&golden, network, arithmetic);
-            let frames = renderer.render(&scene, &cameras, &RenderRequest::default()).unwrap();
+            let frames = renderer.render_scene(&scene, &cameras, &RenderOptions::default()).unwrap();
             for (view, (frame, truth)) in frames.iter().zip(&truth).enumerate() {
                 let (rgb, truth) = (frame.rgb.as_ref().unwrap(), truth.rgb.as_ref().unwrap());
                 assert!(truth.iter().any(|x| *x > 0.1), "{config} {view}: nothing to see");

@@ -3,7 +3,7 @@
 use crate::render::{ALL, bits, render};
 use glam::{DMat3, DVec3};
 use zipsplat::{
-    stages::render::RenderRequest,
+    stages::render::RenderOptions,
     types::{Camera, Pose, Scene},
 };
 use zipsplat_tests::{
@@ -36,7 +36,7 @@ fn the_order_of_gaussians_changes_nothing() {
                 shuffled.sh_coeffs.extend_from_slice(&scene.sh_coeffs[stride * i..][..stride]);
             }
             // Distinct depths: ties are broken by index.
-            let request = RenderRequest { token_group: None, ..ALL };
+            let request = RenderOptions { token_group: None, ..ALL };
             assert_eq!(bits(&render(&scene, &[camera], &request)), bits(&render(&shuffled, &[camera], &request)));
         }
     }
@@ -100,16 +100,16 @@ fn the_scale_of_the_world_cancels() {
 #[test]
 fn tiny_worlds_are_drawn() {
     let (scene, camera) = (random_scene(1_500, 0, 0.1), camera(64, 64));
-    let frame = render(&scene, &[camera], &RenderRequest::default()).remove(0);
+    let frame = render(&scene, &[camera], &RenderOptions::default()).remove(0);
     let scaled = |v: &[f32; 3]| v.map(|x| x * 2.0f32.powi(-14));
     let tiny = Scene {
         means: scene.means.iter().map(scaled).collect(),
         scales: scene.scales.iter().map(scaled).collect(),
         ..scene.clone()
     };
-    let drawn = render(&tiny, &[camera], &RenderRequest::default()).remove(0);
+    let drawn = render(&tiny, &[camera], &RenderOptions::default()).remove(0);
     assert_eq!(drawn.rgb, frame.rgb);
-    let fixed = RenderRequest { near: Some(0.01), ..RenderRequest::default() };
+    let fixed = RenderOptions { near: Some(0.01), ..RenderOptions::default() };
     let culled = render(&tiny, &[camera], &fixed).remove(0);
     assert!(culled.rgb.is_some_and(|rgb| rgb.iter().all(|value| *value == 0.0)));
 }
@@ -121,7 +121,7 @@ fn the_world_of_a_scene_does_not_show() {
     let pose = Pose { rotation: turn, translation: DVec3::new(3.0, -2.0, 5.0) };
     let mut placed = scene.clone();
     placed.place(2.0, &pose);
-    let request = RenderRequest { depth: None, normals: false, ..ALL };
+    let request = RenderOptions { depth: None, normals: false, ..ALL };
     let truth = render(&scene, &[camera], &request).remove(0).rgb.unwrap();
     let drawn = render(&placed, &[Camera { pose, ..camera }], &request).remove(0).rgb.unwrap();
     let unstable =

@@ -3,7 +3,7 @@
 use crate::render::{ALL, bits, render};
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use zipsplat::{
-    stages::render::{RenderRequest, Renderer},
+    stages::render::{RenderOptions, Renderer},
     types::{Camera, Pose, Scene},
 };
 use zipsplat_tests::{
@@ -16,7 +16,7 @@ use zipsplat_tests::{
 /// Compares color and alpha with brute force in f64.
 #[track_caller]
 fn hold(what: &str, scene: &Scene, camera: &Camera, antialiased: bool, tolerance: ImageTolerance) {
-    let frame = render(scene, &[*camera], &RenderRequest { antialiased, ..ALL }).remove(0);
+    let frame = render(scene, &[*camera], &RenderOptions { antialiased, ..ALL }).remove(0);
     let truth = rasterise::render(&reference_gaussians(scene), &reference_camera(camera), antialiased, [0.0; 3]);
     let width = frame.width as usize;
     for (plane, channels, values, truth_values) in
@@ -119,7 +119,7 @@ fn gaussians_of_any_size_are_drawn() {
             scene.opacities.fill(0.6);
             let what = format!("scales of {scales:?}, antialiased {antialiased}");
             let tolerance = ImageTolerance::RGB_EDGE;
-            let frame = render(&scene, &[turned()], &RenderRequest { antialiased, ..ALL }).remove(0);
+            let frame = render(&scene, &[turned()], &RenderOptions { antialiased, ..ALL }).remove(0);
             assert!(frame.alpha.unwrap().iter().any(|alpha| *alpha > 0.01), "{what}: nothing is drawn");
             let truth =
                 rasterise::render(&reference_gaussians(&scene), &reference_camera(&turned()), antialiased, [0.0; 3]);
@@ -132,7 +132,7 @@ fn gaussians_of_any_size_are_drawn() {
 #[test]
 fn cameras_beyond_f32_are_refused() {
     let mut renderer = Renderer::new(device());
-    renderer.load(&random_scene(10, 0, 0.1)).unwrap();
+    renderer.set_scene(&random_scene(10, 0, 0.1)).unwrap();
     type Change = fn(&mut Camera, f64);
     let changes: [(&str, f64, Change); 6] = [
         ("fx", 1e-40, |camera, value| camera.intrinsics.fx = value),
@@ -145,7 +145,7 @@ fn cameras_beyond_f32_are_refused() {
     for (field, value, change) in changes {
         let mut camera = turned();
         change(&mut camera, value);
-        let error = renderer.render_loaded(&[turned(), camera], &ALL).expect_err(field).to_string();
+        let error = renderer.render(&[turned(), camera], &ALL).expect_err(field).to_string();
         assert!(error.starts_with(&format!("camera 1, {field}: found {value:e}, expected ")), "{error}");
     }
 }

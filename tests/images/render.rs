@@ -6,7 +6,7 @@ use zipsplat::{
     Error,
     gpu::{Device, DeviceOptions, Limits, Recorder, Run},
     stages::render::{
-        CameraRows, Depth, Frame, FrameShape, RenderRequest, Renderer, SceneTensors, camera_rows, record,
+        CameraRows, Depth, FrameShape, RenderOptions, RenderOutput, Renderer, SceneTensors, camera_rows, record,
     },
     types::{Camera, Pose, Scene},
 };
@@ -18,7 +18,7 @@ use zipsplat_tests::{
     scenes::{camera, golden_cameras, golden_scene, random_scene, reference_camera, reference_gaussians},
 };
 
-pub const ALL: RenderRequest = RenderRequest {
+pub const ALL: RenderOptions = RenderOptions {
     rgb: true,
     alpha: true,
     depth: Some(Depth::Accumulated),
@@ -30,11 +30,11 @@ pub const ALL: RenderRequest = RenderRequest {
     layout: None,
 };
 
-pub fn render(scene: &Scene, cameras: &[Camera], request: &RenderRequest) -> Vec<Frame> {
-    Renderer::new(device()).render(scene, cameras, request).unwrap()
+pub fn render(scene: &Scene, cameras: &[Camera], request: &RenderOptions) -> Vec<RenderOutput> {
+    Renderer::new(device()).render_scene(scene, cameras, request).unwrap()
 }
 
-pub fn bits(frames: &[Frame]) -> Vec<Vec<u32>> {
+pub fn bits(frames: &[RenderOutput]) -> Vec<Vec<u32>> {
     let planes = frames.iter().flat_map(|f| [&f.rgb, &f.alpha, &f.depth, &f.normals, &f.token_colors]).flatten();
     planes.map(|plane| plane.iter().map(|v| v.to_bits()).collect()).collect()
 }
@@ -57,8 +57,8 @@ fn equals_the_goldens() {
         let (scene, cameras) = (golden_scene(&golden), golden_cameras(&golden));
         for (mode, antialiased) in [("classic", false), ("antialiased", true)] {
             for (depth, depth_key) in [(Depth::Accumulated, "D"), (Depth::Expected, "ED")] {
-                let request = RenderRequest { antialiased, depth: Some(depth), ..ALL };
-                let frames = renderer.render(&scene, &cameras, &request).unwrap();
+                let request = RenderOptions { antialiased, depth: Some(depth), ..ALL };
+                let frames = renderer.render_scene(&scene, &cameras, &request).unwrap();
                 let [color, z] = tolerances(&file, depth);
                 let case = format!("v153/{mode}");
                 compare(&golden, &case, "rgb", &frames, |f| &f.rgb, color);
@@ -68,7 +68,7 @@ fn equals_the_goldens() {
         }
         let background = <[f32; 3]>::try_from(golden.f32("bg")).unwrap();
         let frames =
-            renderer.render(&scene, &cameras, &RenderRequest { background, ..RenderRequest::default() }).unwrap();
+            renderer.render_scene(&scene, &cameras, &RenderOptions { background, ..RenderOptions::default() }).unwrap();
         let [color, _] = tolerances(&file, Depth::Accumulated);
         compare(&golden, "v153/classic", "rgb_bg", &frames, |f| &f.rgb, color);
     }
@@ -78,8 +78,8 @@ fn compare(
     golden: &Golden,
     case: &str,
     output: &str,
-    frames: &[Frame],
-    plane: fn(&Frame) -> &Option<Vec<f32>>,
+    frames: &[RenderOutput],
+    plane: fn(&RenderOutput) -> &Option<Vec<f32>>,
     tolerance: ImageTolerance,
 ) {
     let key = format!("{case}/{output}");
@@ -91,7 +91,7 @@ fn compare(
     assert_images_close(&name, Picture { values: &values, width, channels }, &golden.f32(&key), &unstable, tolerance);
 }
 
-fn brute_force(scene: &Scene, camera: &Camera, request: &RenderRequest) -> Rendering {
+fn brute_force(scene: &Scene, camera: &Camera, request: &RenderOptions) -> Rendering {
     let (gaussians, camera) = (reference_gaussians(scene), reference_camera(camera));
     reference::rasterise::render(&gaussians, &camera, request.antialiased, request.background.map(f64::from))
 }
@@ -103,8 +103,8 @@ fn equals_brute_force_at_every_degree_and_shape() {
     for (sh_degree, size, antialiased) in [(0, 0.01, true), (1, 0.1, false), (2, 0.5, true), (3, 3.0, false)] {
         let scene = random_scene(300, sh_degree, size);
         let camera = camera(70, 53);
-        let request = RenderRequest { antialiased, background: [0.2, 0.4, 0.8], ..ALL };
-        let frame = renderer.render(&scene, &[camera], &request).unwrap().remove(0);
+        let request = RenderOptions { antialiased, background: [0.2, 0.4, 0.8], ..ALL };
+        let frame = renderer.render_scene(&scene, &[camera], &request).unwrap().remove(0);
         let truth = brute_force(&scene, &camera, &request);
         let hold = |what: &str, values: &Option<Vec<f32>>, expected: &[f64], tolerance| {
             let values = values.as_ref().unwrap();
@@ -133,17 +133,17 @@ fn an_overflow_is_drawn_again() {
     let (scene, cameras) = (random_scene(5_000, 1, 0.2), [camera(150, 90)]);
     let enough = bits(&render(&scene, &cameras, &ALL));
     let mut tiny = Renderer::with_capacity(device(), 1);
-    assert_eq!(bits(&tiny.render(&scene, &cameras, &ALL).unwrap()), enough);
-    assert_eq!(bits(&tiny.render_loaded(&cameras, &ALL).unwrap()), enough, "the second time");
+    assert_eq!(bits(&tiny.render_scene(&scene, &cameras, &ALL).unwrap()), enough);
+    assert_eq!(bits(&tiny.render(&cameras, &ALL).unwrap()), enough, "the second time");
 }
 
 #[test]
 fn runs_give_the_same_bits() {
     let (scene, cameras) = (random_scene(20_000, 2, 0.1), [camera(200, 130), camera(130, 200)]);
     let mut renderer = Renderer::new(device());
-    let first = bits(&renderer.render(&scene, &cameras, &ALL).unwrap());
+    let first = bits(&renderer.render_scene(&scene, &cameras, &ALL).unwrap());
     for _ in 0..3 {
-        assert_eq!(bits(&renderer.render_loaded(&cameras, &ALL).unwrap()), first);
+        assert_eq!(bits(&renderer.render(&cameras, &ALL).unwrap()), first);
     }
     assert_eq!(bits(&render(&scene, &cameras, &ALL)), first, "another renderer");
 }
@@ -186,7 +186,7 @@ fn pictures_in_flight_are_as_each_alone() {
         // Capacity of one intersection: every plan overflows in flight.
         for (capacity, batch_size) in [(0, 1), (0, 8), (1, 1), (1, 8)] {
             let mut renderer = Renderer::with_capacity(device, capacity).batch_size(batch_size);
-            renderer.load(&scene).unwrap();
+            renderer.set_scene(&scene).unwrap();
             for _ in 0..2 {
                 let mut got = Vec::new();
                 let gather = |index, frame| {
@@ -205,10 +205,10 @@ fn pictures_in_flight_are_as_each_alone() {
 fn drawing_ends_where_its_pictures_are_refused() {
     let (scene, cameras) = (random_scene(500, 0, 0.2), [camera(40, 30); 40]);
     let mut renderer = Renderer::new(device());
-    let expected = bits(&renderer.render(&scene, &cameras[..1], &ALL).unwrap());
+    let expected = bits(&renderer.render_scene(&scene, &cameras[..1], &ALL).unwrap());
     let stop = |index, _| if index == 11 { Err(Error::Cancelled) } else { Ok(()) };
     assert!(matches!(renderer.render_each(&cameras, &ALL, stop), Err(Error::Cancelled)));
-    assert_eq!(bits(&renderer.render(&scene, &cameras[..1], &ALL).unwrap()), expected);
+    assert_eq!(bits(&renderer.render_scene(&scene, &cameras[..1], &ALL).unwrap()), expected);
 }
 
 #[test]
@@ -226,7 +226,7 @@ fn pictures_of_one_pixel_row_and_column() {
 
 #[test]
 fn an_empty_scene_is_background() {
-    let request = RenderRequest { background: [0.25, 0.5, 0.75], ..ALL };
+    let request = RenderOptions { background: [0.25, 0.5, 0.75], ..ALL };
     let frame = render(&Scene::default(), &[camera(5, 3)], &request).remove(0);
     assert_eq!(frame.rgb.unwrap(), [0.25, 0.5, 0.75].repeat(15));
     assert_eq!((frame.alpha.unwrap(), frame.depth.unwrap()), (vec![0.0; 15], vec![0.0; 15]));
@@ -271,20 +271,20 @@ fn small_bindings_cut_scenes_and_pictures() {
 fn what_cannot_be_drawn_is_refused() {
     let mut renderer = Renderer::new(device());
     let scene = random_scene(10, 0, 0.1);
-    let nothing = RenderRequest { rgb: false, ..RenderRequest::default() };
+    let nothing = RenderOptions { rgb: false, ..RenderOptions::default() };
     let refused = [
-        renderer.render_loaded(&[camera(4, 4)], &ALL),
-        renderer.render(&scene, &[camera(4, 4)], &nothing),
-        renderer.render(&scene, &[camera(4, 0)], &ALL),
-        renderer.render(&scene, &[camera(4, 1 << 17)], &ALL),
-        renderer.render(&Scene { opacities: vec![2.0; 10], ..scene }, &[camera(4, 4)], &ALL),
+        renderer.render(&[camera(4, 4)], &ALL),
+        renderer.render_scene(&scene, &[camera(4, 4)], &nothing),
+        renderer.render_scene(&scene, &[camera(4, 0)], &ALL),
+        renderer.render_scene(&scene, &[camera(4, 1 << 17)], &ALL),
+        renderer.render_scene(&Scene { opacities: vec![2.0; 10], ..scene }, &[camera(4, 4)], &ALL),
     ];
     for result in refused {
         assert!(matches!(result, Err(Error::Argument { .. })), "{result:?}");
     }
     // Exceeds one binding.
     let everywhere = random_scene(3_000, 0, 300.0);
-    match renderer.render(&everywhere, &[camera(2048, 2048)], &RenderRequest::default()) {
+    match renderer.render_scene(&everywhere, &[camera(2048, 2048)], &RenderOptions::default()) {
         Err(Error::Memory { what, needed, available }) => {
             assert!(what.contains("intersections") && needed > available, "{what} {needed} {available}");
         }

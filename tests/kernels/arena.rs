@@ -5,7 +5,7 @@ use zipsplat::Error;
 use zipsplat::gpu::{ArenaRow, Device, DeviceOptions, Limits, Recorder, Run, Tensor};
 use zipsplat::kernels::ops::Add;
 use zipsplat::ops::Arithmetic;
-use zipsplat::reconstruct::{Kept, Network, Shape};
+use zipsplat::reconstruct::{Network, Shape, TokenSampling};
 use zipsplat::stages::ViewGrid;
 use zipsplat_tests::{architectures, compare::assert_same, device::device};
 
@@ -171,12 +171,15 @@ fn a_group_count_beyond_the_device_is_refused() {
 /// Returns the arena map of a forward pass of the micro network.
 fn network_map(limits: &Limits, views: usize, observe: bool) -> (Vec<ArenaRow>, u64) {
     let network = Network::new(&architectures::golden("micro"), limits, Arithmetic::EXACT);
-    let grid = ViewGrid { views, rows: 4, columns: 5, patch: 14 };
+    let grid = ViewGrid { views, rows: 4, columns: 5, patch_size: 14 };
     let mut rec = Recorder::new(limits);
     if observe {
         rec = rec.observing();
     }
-    network.record(&mut rec, Shape { grid, tokens: grid.tokens() / 2, kept: Kept::Kmeans(5), cameras: true, pool: 1 });
+    network.record(
+        &mut rec,
+        Shape { grid, tokens: grid.tokens() / 2, kept: TokenSampling::Kmeans(5), cameras: true, kv_pool: 1 },
+    );
     let plan = rec.finish().unwrap();
     (plan.arena_map(), plan.arena_bytes())
 }

@@ -5,7 +5,7 @@ use std::ops::ControlFlow;
 use zipsplat::gpu::{Device, DeviceOptions, Progress, Recorder, Run};
 use zipsplat::kernels::ops::Add;
 use zipsplat::ops::Arithmetic;
-use zipsplat::reconstruct::{Model, Ratio, Request};
+use zipsplat::reconstruct::{Model, Ratio, ReconstructOptions};
 use zipsplat::types::{Image, Scene};
 use zipsplat::weights::Checkpoint;
 use zipsplat_tests::{architectures, compare::assert_same, device::device, networks::fast_arithmetics};
@@ -26,12 +26,12 @@ fn model(device: &Device) -> Model {
 
 fn model_with(device: &Device, arithmetic: Arithmetic) -> Model {
     let checkpoint = Checkpoint::seeded_architecture(architectures::golden("micro"), "micro").unwrap();
-    Model::load_with(device, &checkpoint, arithmetic, |_| ControlFlow::Continue(())).unwrap()
+    Model::from_checkpoint_with(device, &checkpoint, arithmetic, |_| ControlFlow::Continue(())).unwrap()
 }
 
 fn reconstruct(model: &Model, views: u32, ratio: f64) -> Scene {
-    let request = Request { ratio: Ratio::Fixed(ratio), ..Request::default() };
-    model.reconstruct(&images(views), &request, |_| ControlFlow::Continue(())).unwrap().scene().unwrap()
+    let request = ReconstructOptions { ratio: Ratio::Fixed(ratio), ..ReconstructOptions::default() };
+    model.reconstruct_views(&images(views), &request, |_| ControlFlow::Continue(())).unwrap().to_scene().unwrap()
 }
 
 fn bits(scene: &Scene) -> Vec<u32> {
@@ -105,7 +105,7 @@ fn cutting_long_dispatches_changes_no_bit() {
 #[test]
 fn observing_changes_no_bit() {
     let model = model(device());
-    let request = Request { ratio: Ratio::Fixed(0.5), ..Request::default() };
+    let request = ReconstructOptions { ratio: Ratio::Fixed(0.5), ..ReconstructOptions::default() };
     let shape = model.shape(&images(2), &request).unwrap();
     let run = |observe: bool| {
         let (plan, tensors) = model.record(shape, observe).unwrap();

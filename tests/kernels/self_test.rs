@@ -2,7 +2,7 @@
 
 use zipsplat::gpu::{Device, DeviceOptions, Matrices};
 use zipsplat::ops::{Arithmetic, Precision};
-use zipsplat::tune::{Chosen, SelfTest};
+use zipsplat::tune::{KernelChoice, SelfTest};
 use zipsplat_tests::device::device;
 
 #[test]
@@ -19,18 +19,18 @@ fn every_kernel_of_this_device_passes() {
 #[test]
 fn precisions_become_arithmetics() {
     let limits = device().limits();
-    let exact = Chosen::of(device(), Some(Precision::Exact)).unwrap();
-    assert_eq!((exact.precision, exact.arithmetic), (Precision::Exact, Arithmetic::EXACT));
+    let exact = KernelChoice::of(device(), Some(Precision::Fp32)).unwrap();
+    assert_eq!((exact.precision, exact.arithmetic), (Precision::Fp32, Arithmetic::EXACT));
     for precision in Precision::ALL {
-        match (Chosen::of(device(), Some(precision)), Arithmetic::of(precision, limits)) {
+        match (KernelChoice::of(device(), Some(precision)), Arithmetic::of(precision, limits)) {
             (Ok(chosen), Some(arithmetic)) => {
                 assert_eq!((chosen.precision, chosen.arithmetic), (precision, arithmetic));
-                assert!(chosen.notes.is_empty(), "{:?}", chosen.notes);
+                assert!(chosen.warnings.is_empty(), "{:?}", chosen.warnings);
             }
             (Err(error), None) => assert!(error.to_string().contains(precision.name()), "{error}"),
             (chosen, arithmetic) => panic!("{precision:?}: {chosen:?}, expected {arithmetic:?}"),
         }
     }
-    let best = Chosen::of(&Device::open(&DeviceOptions::default()).unwrap(), None).unwrap();
-    assert_eq!(best.precision == Precision::Exact, limits.cpu || limits.matrices.f16.is_none());
+    let best = KernelChoice::of(&Device::open(&DeviceOptions::default()).unwrap(), None).unwrap();
+    assert_eq!(best.precision == Precision::Fp32, limits.cpu || limits.matrices.f16.is_none());
 }

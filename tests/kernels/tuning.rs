@@ -59,7 +59,7 @@ fn measures_every_tile_and_can_be_stopped() {
 #[test]
 fn the_fastest_tile_is_taken() {
     let limits = device().limits();
-    let Some(fast) = Arithmetic::of(Precision::Fast, limits) else { return };
+    let Some(fast) = Arithmetic::of(Precision::Fp16, limits) else { return };
     let Some(units) = fast.linear else { return };
     let names: Vec<String> = Tile::linear(limits, units).iter().map(ToString::to_string).collect();
     let tuning = |best: &str| {
@@ -94,7 +94,7 @@ fn the_fastest_tile_of_lanes_is_taken_for_f32() {
         let tuned = |arithmetic| Tuning { measured: measured.clone(), ..Tuning::default() }.applied(arithmetic, limits);
         let tiles = Tiles::always(index);
         assert_eq!(tuned(exact), Arithmetic { tiles, exact_tiles: tiles, ..exact });
-        if let Some(fast) = Arithmetic::of(Precision::Fast, limits) {
+        if let Some(fast) = Arithmetic::of(Precision::Fp16, limits) {
             assert_eq!(tuned(fast), Arithmetic { exact_tiles: tiles, ..fast }, "of f16 nothing was measured");
         }
     }

@@ -11,7 +11,7 @@ use zipsplat::{
     Error,
     gpu::Element,
     ops::Precision,
-    tune::{Chosen, SelfTest},
+    tune::{KernelChoice, SelfTest},
 };
 use zipsplat_tests::device::device;
 use zipsplat_tests::processes::{assert_succeeds, child, target};
@@ -29,17 +29,17 @@ fn process(cache: &Path, expected: &str) -> std::process::Command {
 fn computes_in_f16() {
     let Some(expected) = target() else { return };
     if expected == Path::new("stopped") {
-        let stopped = Chosen::of_with(device(), Some(Precision::Fast), |_, _| ControlFlow::Break(()));
+        let stopped = KernelChoice::of_with(device(), Some(Precision::Fp16), |_, _| ControlFlow::Break(()));
         return assert!(matches!(stopped, Err(Error::Cancelled)), "{stopped:?}");
     }
-    match Chosen::of(device(), Some(Precision::Fast)) {
+    match KernelChoice::of(device(), Some(Precision::Fp16)) {
         Ok(chosen) => {
             assert_eq!(chosen.arithmetic.element, Element::F16);
             assert_eq!(
                 expected,
-                Path::new(if chosen.notes.is_empty() { "passed" } else { "noted" }),
+                Path::new(if chosen.warnings.is_empty() { "passed" } else { "noted" }),
                 "{:?}",
-                chosen.notes
+                chosen.warnings
             );
         }
         Err(error) => {

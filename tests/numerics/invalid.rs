@@ -2,10 +2,7 @@
 
 use crate::doctor::zipsplat;
 use std::path::Path;
-use zipsplat::{
-    Error,
-    types::{Scene, WriteOptions, read_scene, read_scene_unchecked, write_scene},
-};
+use zipsplat::{Error, types::Scene};
 use zipsplat_tests::scenes::random_scene;
 
 const COUNT: usize = 50;
@@ -20,8 +17,8 @@ fn spoilt(path: &Path, value: f32) -> Scene {
     scene.scales.fill([0.1; 3]);
     scene.opacities.fill(0.5);
     let ascii = path.file_name().is_some_and(|name| name == "ascii.ply");
-    write_scene(path, &scene, &WriteOptions::default()).unwrap();
-    let mut clean = read_scene(path).unwrap();
+    scene.save(path).unwrap();
+    let mut clean = Scene::open(path).unwrap();
     let mut bytes = std::fs::read(path).unwrap();
     if ascii {
         bytes = as_ascii(&clean, value);
@@ -70,10 +67,10 @@ fn they_are_refused_with_their_count_or_dropped() {
         for value in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
             let path = folder.path().join(name);
             let clean = spoilt(&path, value);
-            let error = read_scene(&path).expect_err(name);
+            let error = Scene::open(&path).expect_err(name);
             assert!(matches!(error, Error::Format { .. }), "{error}");
             assert!(error.to_string().contains("3 of 50 Gaussians otherwise, the first is 3"), "{error}");
-            let mut scene = read_scene_unchecked(&path).unwrap();
+            let mut scene = Scene::open_unchecked(&path).unwrap();
             assert_eq!((scene.len(), scene.drop_invalid().unwrap()), (COUNT, BAD.len()), "{name} {value}");
             assert!(name == "ascii.ply" || scene == clean, "{name} {value}: others changed");
             scene.validate().unwrap();
@@ -113,7 +110,7 @@ fn commands_say_how_to_go_on() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     let run = |line: &str| zipsplat(&line.replace('@', &folder.path().display().to_string()));
-    let written = |name: &str, scene: &Scene| write_scene(at(name), scene, &WriteOptions::default()).unwrap();
+    let written = |name: &str, scene: &Scene| scene.save(at(name)).unwrap();
     for name in NAMES {
         let clean = spoilt(&at(name), f32::NAN);
         let lines =
@@ -133,9 +130,9 @@ fn commands_say_how_to_go_on() {
             assert!(err.contains("3 of 50 Gaussians left out"), "{line}: {err}");
         }
         if name != "ascii.ply" {
-            assert_eq!(read_scene(at("out.ply")).unwrap().means, clean.means);
+            assert_eq!(Scene::open(at("out.ply")).unwrap().means, clean.means);
         }
-        written("clean.ply", &read_scene(at("out.ply")).unwrap());
+        written("clean.ply", &Scene::open(at("out.ply")).unwrap());
         let (code, _, err) = run("render @/clean.ply --wiggle -o @/clean");
         assert_eq!((code, err.as_str()), (0, ""));
         let picture = |folder: &str| std::fs::read(at(folder).join("000.png")).unwrap();

@@ -19,7 +19,7 @@ use zipsplat::{
     gpu::Element,
     ops::Arithmetic,
     random::Random,
-    reconstruct::{Model, Request},
+    reconstruct::{Model, ReconstructOptions},
     types::{Image, Scene},
     weights::Checkpoint,
 };
@@ -42,7 +42,7 @@ impl Mode {
         }
     }
 
-    fn reconstruct(&self, images: &[Image], request: &Request) -> Scene {
+    fn reconstruct(&self, images: &[Image], request: &ReconstructOptions) -> Scene {
         reconstruct(&self.model, images, request)
     }
 }
@@ -52,7 +52,7 @@ fn modes() -> &'static [Mode] {
     static MODES: OnceLock<Vec<Mode>> = OnceLock::new();
     MODES.get_or_init(|| {
         let load = |arithmetic| {
-            let model = Model::load_with(device(), &micro(), arithmetic, |_| ControlFlow::Continue(()));
+            let model = Model::from_checkpoint_with(device(), &micro(), arithmetic, |_| ControlFlow::Continue(()));
             Mode { arithmetic, model: model.expect("it fits") }
         };
         std::iter::once(Arithmetic::EXACT).chain(fast_arithmetics()).map(load).collect()
@@ -63,8 +63,8 @@ fn model() -> &'static Model {
     &modes()[0].model
 }
 
-fn reconstruct(model: &Model, images: &[Image], request: &Request) -> Scene {
-    model.reconstruct(images, request, |_| ControlFlow::Continue(())).expect("a scene").scene().unwrap()
+fn reconstruct(model: &Model, images: &[Image], request: &ReconstructOptions) -> Scene {
+    model.reconstruct_views(images, request, |_| ControlFlow::Continue(())).expect("a scene").to_scene().unwrap()
 }
 
 /// Returns a random index below `bound`, 0 if `bound` is 0.

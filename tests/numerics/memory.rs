@@ -5,8 +5,8 @@ use std::{ops::ControlFlow, path::Path};
 use zipsplat::{
     Error,
     gpu::{Device, DeviceOptions},
-    reconstruct::{Model, Ratio, Request},
-    stages::render::{RenderRequest, Renderer},
+    reconstruct::{Model, Ratio, ReconstructOptions},
+    stages::render::{RenderOptions, Renderer},
     types::write_ply,
     weights::Dtype,
 };
@@ -15,30 +15,33 @@ use zipsplat_tests::scenes::{camera, random_scene};
 #[test]
 fn a_plan_runs_in_its_peak_and_is_refused_below() {
     let images = [noise(70, 56, 1), noise(70, 56, 2)];
-    let request = Request { ratio: Ratio::Fixed(0.5), ..Request::default() };
+    let request = ReconstructOptions { ratio: Ratio::Fixed(0.5), ..ReconstructOptions::default() };
     let open = |bytes, staged| {
         let options =
             DeviceOptions { max_memory_bytes: Some(bytes), force_staging: staged, ..DeviceOptions::default() };
         Device::open(&options).unwrap()
     };
-    let load = |device: &Device| Model::load(device, &micro(), |_| ControlFlow::Continue(()));
+    let load = |device: &Device| Model::from_checkpoint(device, &micro(), |_| ControlFlow::Continue(()));
     // As on discrete GPUs.
     for staged in [false, true] {
         let device = open(u64::MAX, staged);
         let model = load(&device).unwrap();
         let planned = model.plan(model.shape(&images, &request).unwrap()).unwrap();
         let (arena, weights, scene) = (planned.plan.arena_bytes(), model.weight_bytes(), planned.layout.bytes());
-        let exact = model.reconstruct(&images, &request, |_| ControlFlow::Continue(())).unwrap();
+        let exact = model.reconstruct_views(&images, &request, |_| ControlFlow::Continue(())).unwrap();
         assert_eq!(exact.peak_bytes, arena + weights + scene);
         assert_eq!(exact.peak_bytes, device.allocated_bytes());
 
         let model = load(&open(exact.peak_bytes, staged)).unwrap();
-        let again = model.reconstruct(&images, &request, |_| ControlFlow::Continue(())).unwrap();
-        assert!(again.scene().unwrap() == exact.scene().unwrap(), "another scene in no more memory than it takes");
+        let again = model.reconstruct_views(&images, &request, |_| ControlFlow::Continue(())).unwrap();
+        assert!(
+            again.to_scene().unwrap() == exact.to_scene().unwrap(),
+            "another scene in no more memory than it takes"
+        );
 
         let model = load(&open(exact.peak_bytes - 1, staged)).unwrap();
         let begun = |_: zipsplat::gpu::Progress<'_>| panic!("something was submitted");
-        let error = model.reconstruct(&images, &request, begun).unwrap_err();
+        let error = model.reconstruct_views(&images, &request, begun).unwrap_err();
         let Error::Memory { needed, available, .. } = error else { panic!("{error}") };
         assert_eq!((needed, available), (arena, arena - 1));
 
@@ -51,8 +54,9 @@ fn a_plan_runs_in_its_peak_and_is_refused_below() {
 #[test]
 fn a_picture_needs_no_more_memory_after_others() {
     let (scene, smaller) = (random_scene(60_000, 1, 0.01), random_scene(50_000, 1, 0.01));
-    let draw =
-        |renderer: &mut Renderer, scene, side| renderer.render(scene, &[camera(side, side)], &RenderRequest::default());
+    let draw = |renderer: &mut Renderer, scene, side| {
+        renderer.render_scene(scene, &[camera(side, side)], &RenderOptions::default())
+    };
     let renderer = |bytes| {
         let options = DeviceOptions { max_memory_bytes: Some(bytes), ..DeviceOptions::default() };
         Renderer::new(&Device::open(&options).unwrap())

@@ -3,8 +3,8 @@
 use crate::{Mode, modes, noise};
 use zipsplat::{
     ops::Arithmetic,
-    reconstruct::{Ratio, Request, Selection},
-    stages::render::{Depth, Frame, RenderRequest, Renderer},
+    reconstruct::{Ratio, ReconstructOptions, TokenSelection},
+    stages::render::{Depth, RenderOptions, RenderOutput, Renderer},
     types::{Image, Scene},
 };
 use zipsplat_cli::metrics::psnr;
@@ -48,14 +48,16 @@ fn permuting_views_beyond_the_first_permutes_tokens() {
         let images = views(4);
         let order = [0, 3, 1, 2];
         let permuted = order.map(|i| images[i].clone());
-        let [plain, moved] = [&images[..], &permuted].map(|images| mode.reconstruct(images, &Request::default()));
+        let [plain, moved] =
+            [&images[..], &permuted].map(|images| mode.reconstruct(images, &ReconstructOptions::default()));
         // Sums are reordered: both are within the tolerance of their common truth.
         let expected = fields(&plain, 4, &order);
         for ((field, expected), (_, got)) in expected.iter().zip(fields(&moved, 4, &[0, 1, 2, 3])) {
             assert_close(field, &got, expected, mode.tolerance(field).times(2.0));
         }
         let draw = |scene: &Scene| {
-            let frames = Renderer::new(device()).render(scene, &[camera(64, 48)], &RenderRequest::default()).unwrap();
+            let frames =
+                Renderer::new(device()).render_scene(scene, &[camera(64, 48)], &RenderOptions::default()).unwrap();
             frames[0].rgb.clone().unwrap()
         };
         // In f32, a parameter error of 1e-4 is 80 dB. With narrower factors each may deviate by its
@@ -69,7 +71,7 @@ fn permuting_views_beyond_the_first_permutes_tokens() {
         assert!(alike > least, "{:?}: {alike} dB", mode.arithmetic);
         // The first view is the reference.
         let swapped = [1, 0, 2, 3].map(|i| images[i].clone());
-        let other = mode.reconstruct(&swapped, &Request::default());
+        let other = mode.reconstruct(&swapped, &ReconstructOptions::default());
         let (means, others) = (fields(&plain, 4, &[1, 0, 2, 3]), fields(&other, 4, &[0, 1, 2, 3]));
         assert!(
             means[0].1.iter().zip(&others[0].1).any(|(a, b)| (a - b).abs() > 1e-2),
@@ -82,17 +84,20 @@ fn permuting_views_beyond_the_first_permutes_tokens() {
 fn every_token_is_what_no_clustering_gives() {
     in_every_mode(|mode| {
         let images = views(2);
-        let all = mode.reconstruct(&images, &Request::default());
+        let all = mode.reconstruct(&images, &ReconstructOptions::default());
         let tokens = 2 * 4 * 3;
-        for selection in
-            [Selection::Given((0..tokens).collect()), Selection::KMEANS, Selection::Stride, Selection::Random(5)]
-        {
-            let request = Request {
+        for selection in [
+            TokenSelection::Given((0..tokens).collect()),
+            TokenSelection::KMEANS,
+            TokenSelection::Stride,
+            TokenSelection::Random(5),
+        ] {
+            let request = ReconstructOptions {
                 ratio: Ratio::Fixed(1.0),
-                selection: selection.clone(),
+                token_selection: selection.clone(),
                 cameras: None,
                 scene_scale: 1.0,
-                pool: 1,
+                kv_pool: 1,
             };
             let given = mode.reconstruct(&images, &request);
             for ((field, truth), (_, got)) in fields(&all, 1, &[0]).iter().zip(fields(&given, 1, &[0])) {
@@ -106,7 +111,10 @@ fn every_token_is_what_no_clustering_gives() {
 fn chosen_tokens_come_in_the_order_asked_for() {
     in_every_mode(|mode| {
         let images = views(2);
-        let request = |indices: &[u32]| Request { selection: Selection::Given(indices.to_vec()), ..Request::default() };
+        let request = |indices: &[u32]| ReconstructOptions {
+            token_selection: TokenSelection::Given(indices.to_vec()),
+            ..ReconstructOptions::default()
+        };
         let [rising, falling] =
             [&[2, 7, 11, 20][..], &[20, 11, 7, 2]].map(|indices| mode.reconstruct(&images, &request(indices)));
         let expected = fields(&rising, 4, &[3, 2, 1, 0]);
@@ -121,7 +129,7 @@ fn duplicated_views_give_the_same_gaussians() {
     in_every_mode(|mode| {
         let images = views(3);
         let doubled = [0, 1, 2, 1].map(|i| images[i].clone());
-        let scene = mode.reconstruct(&doubled, &Request::default());
+        let scene = mode.reconstruct(&doubled, &ReconstructOptions::default());
         // Views 1 and 3 are equal: every sum has the same terms in the same order.
         let (first, second) = (fields(&scene, 4, &[1]), fields(&scene, 4, &[3]));
         for ((field, first), (_, second)) in first.iter().zip(second) {
@@ -130,7 +138,7 @@ fn duplicated_views_give_the_same_gaussians() {
     });
 }
 
-const ALL: RenderRequest = RenderRequest {
+const ALL: RenderOptions = RenderOptions {
     rgb: true,
     alpha: true,
     depth: Some(Depth::Accumulated),
@@ -142,8 +150,8 @@ const ALL: RenderRequest = RenderRequest {
     layout: None,
 };
 
-fn draw(scene: &Scene, width: u32) -> Frame {
-    Renderer::new(device()).render(scene, &[camera(width, 48)], &ALL).unwrap().remove(0)
+fn draw(scene: &Scene, width: u32) -> RenderOutput {
+    Renderer::new(device()).render_scene(scene, &[camera(width, 48)], &ALL).unwrap().remove(0)
 }
 
 #[test]
@@ -221,7 +229,7 @@ fn tiles_apart_are_the_picture_together() {
         let scene = exactly_placed(3_000, size);
         let whole = draw(&scene, width as u32);
         let mut renderer = Renderer::new(device());
-        renderer.load(&scene).unwrap();
+        renderer.set_scene(&scene).unwrap();
         let (mut rgb, mut alpha) = (vec![0.0; 3 * width * height], vec![0.0; width * height]);
         for (left, top) in (0..height / part_height).flat_map(|y| (0..width / part_width).map(move |x| (x, y))) {
             let (left, top) = (left * part_width, top * part_height);
@@ -229,7 +237,7 @@ fn tiles_apart_are_the_picture_together() {
             (part.intrinsics.width, part.intrinsics.height) = (part_width as u32, part_height as u32);
             part.intrinsics.cx -= left as f64;
             part.intrinsics.cy -= top as f64;
-            let frame = renderer.render_loaded(&[part], &ALL).unwrap().remove(0);
+            let frame = renderer.render(&[part], &ALL).unwrap().remove(0);
             for y in 0..part_height {
                 let (from, to) = (y * part_width, (top + y) * width + left);
                 alpha[to..][..part_width].copy_from_slice(&frame.alpha.as_ref().unwrap()[from..][..part_width]);

@@ -9,8 +9,8 @@ use std::{
 use zipsplat::{
     Error,
     gpu::{Device, DeviceOptions},
-    reconstruct::{Model, Ratio, Request},
-    types::{Image, Scene, WriteOptions, read_scene, write_scene},
+    reconstruct::{Model, Ratio, ReconstructOptions},
+    types::{Image, Scene},
     weights::{Checkpoint, Dtype},
 };
 use zipsplat_tests::{
@@ -24,8 +24,7 @@ use zipsplat_tests::{
 const SCENES: [&str; 5] = ["scene.ply", "scene.spz", "scene.splat", "scene.glb", "scene.gltf"];
 
 fn write_all(folder: &Path, scene: &Scene, picture: &Image, weights: &Checkpoint) -> Vec<Result<(), Error>> {
-    let mut results: Vec<_> =
-        SCENES.iter().map(|name| write_scene(folder.join(name), scene, &WriteOptions::default())).collect();
+    let mut results: Vec<_> = SCENES.iter().map(|name| scene.save(folder.join(name))).collect();
     results.push(picture.save_png(folder.join("picture.png")));
     results.push(weights.save(folder.join("weights.safetensors"), Dtype::F32));
     results
@@ -73,7 +72,7 @@ fn a_killed_writer_leaves_a_whole_file() {
     let folder = tempfile::tempdir().unwrap();
     let sizes = [1_000, 2_000];
     for name in SCENES {
-        write_scene(folder.path().join(name), &random_scene(sizes[0], 0, 0.1), &WriteOptions::default()).unwrap();
+        random_scene(sizes[0], 0, 0.1).save(folder.path().join(name)).unwrap();
     }
     let last_written = || folder.path().join(SCENES[4]).metadata().and_then(|found| found.modified()).unwrap();
     for delay in [1, 7, 19, 31] {
@@ -87,7 +86,7 @@ fn a_killed_writer_leaves_a_whole_file() {
         writer.kill().unwrap();
         writer.wait().unwrap();
         for name in SCENES {
-            let scene = read_scene(folder.path().join(name)).unwrap_or_else(|error| panic!("{error}"));
+            let scene = Scene::open(folder.path().join(name)).unwrap_or_else(|error| panic!("{error}"));
             assert!(sizes.contains(&scene.len()), "{name}: {} Gaussians", scene.len());
         }
     }
@@ -100,15 +99,15 @@ fn writes_forever() {
     let scenes = [1_000, 2_000].map(|count| random_scene(count, 0, 0.1));
     for i in 0.. {
         for name in SCENES {
-            write_scene(folder.join(name), &scenes[i % 2], &WriteOptions::default()).unwrap();
+            (scenes[i % 2]).save(folder.join(name)).unwrap();
         }
     }
 }
 
 fn reconstructed() -> Vec<u8> {
     let device = Device::open(&DeviceOptions::default()).unwrap();
-    let model = Model::load(&device, &micro(), |_| ControlFlow::Continue(())).unwrap();
-    let request = Request { ratio: Ratio::Fixed(0.5), ..Request::default() };
+    let model = Model::from_checkpoint(&device, &micro(), |_| ControlFlow::Continue(())).unwrap();
+    let request = ReconstructOptions { ratio: Ratio::Fixed(0.5), ..ReconstructOptions::default() };
     let scene = reconstruct(&model, &[noise(84, 84, 1), noise(84, 84, 2)], &request);
     let fields = [scene.means.as_flattened(), scene.quats.as_flattened(), scene.sh_coeffs.as_flattened()];
     fields.into_iter().flatten().flat_map(|value| value.to_le_bytes()).collect()
@@ -155,16 +154,20 @@ fn a_thousand_reconstructions_do_not_grow() {
 #[test]
 #[ignore = "child of reconstructions_in_a_row_do_not_grow"]
 fn reconstructs_and_renders_again_and_again() {
-    use zipsplat::stages::render::{RenderRequest, Renderer};
+    use zipsplat::stages::render::{RenderOptions, Renderer};
     let Some(rounds) = target().and_then(|text| text.to_str()?.parse::<u64>().ok()) else { return };
     let device = Device::open(&DeviceOptions::default()).unwrap();
     let images = [noise(28, 28, 1), noise(28, 28, 2)];
     let mut early = 0;
     for round in 0..rounds {
-        let model = Model::load(&device, &micro(), |_| ControlFlow::Continue(())).unwrap();
-        let scene = reconstruct(&model, &images, &Request { ratio: Ratio::Fixed(0.5), ..Request::default() });
+        let model = Model::from_checkpoint(&device, &micro(), |_| ControlFlow::Continue(())).unwrap();
+        let scene = reconstruct(
+            &model,
+            &images,
+            &ReconstructOptions { ratio: Ratio::Fixed(0.5), ..ReconstructOptions::default() },
+        );
         let camera = zipsplat_tests::scenes::camera(40 + round as u32 % 3, 30);
-        Renderer::new(&device).render(&scene, &[camera], &RenderRequest::default()).unwrap();
+        Renderer::new(&device).render_scene(&scene, &[camera], &RenderOptions::default()).unwrap();
         if round == rounds / 2 {
             early = resident_bytes();
         }
@@ -205,9 +208,9 @@ fn every_subgroup_size_gives_the_same_scene() {
 fn reconstructs_all_tokens_and_half() {
     let Some(file) = target() else { return };
     let device = Device::open(&DeviceOptions::default()).unwrap();
-    let model = Model::load(&device, &micro(), |_| ControlFlow::Continue(())).unwrap();
+    let model = Model::from_checkpoint(&device, &micro(), |_| ControlFlow::Continue(())).unwrap();
     let scene_at = |ratio| {
-        let request = Request { ratio: Ratio::Fixed(ratio), ..Request::default() };
+        let request = ReconstructOptions { ratio: Ratio::Fixed(ratio), ..ReconstructOptions::default() };
         reconstruct(&model, &[noise(84, 84, 1), noise(84, 84, 2)], &request)
     };
     let values = [1.0, 0.5].into_iter().flat_map(|ratio| packed(&scene_at(ratio)));

@@ -3,7 +3,7 @@
 use crate::below;
 use zipsplat::{
     random::Random,
-    stages::render::{Depth, Frame, RenderRequest, Renderer},
+    stages::render::{Depth, RenderOptions, RenderOutput, Renderer},
     types::{Camera, Scene},
 };
 use zipsplat_tests::{
@@ -11,7 +11,7 @@ use zipsplat_tests::{
     scenes::{camera, random_scene},
 };
 
-const ALPHA: RenderRequest = RenderRequest {
+const ALPHA: RenderOptions = RenderOptions {
     rgb: true,
     alpha: true,
     depth: None,
@@ -23,8 +23,8 @@ const ALPHA: RenderRequest = RenderRequest {
     layout: None,
 };
 
-fn draw(scene: &Scene, camera: Camera, request: &RenderRequest) -> Frame {
-    let frame = Renderer::new(device()).render(scene, &[camera], request).unwrap().remove(0);
+fn draw(scene: &Scene, camera: Camera, request: &RenderOptions) -> RenderOutput {
+    let frame = Renderer::new(device()).render_scene(scene, &[camera], request).unwrap().remove(0);
     let planes = [&frame.rgb, &frame.alpha, &frame.depth].into_iter().flatten();
     assert!(planes.flatten().all(|value| value.is_finite()), "a pixel that is no number");
     frame
@@ -88,7 +88,7 @@ fn scenes_that_no_camera_sees() {
 fn pictures_one_pixel_wide() {
     let scene = random_scene(2_000, 1, 0.2);
     for (width, height) in [(1, 8192), (8192, 1), (1, 32_768)] {
-        let request = RenderRequest { depth: Some(Depth::Expected), ..ALPHA };
+        let request = RenderOptions { depth: Some(Depth::Expected), ..ALPHA };
         let frame = draw(&scene, camera(width, height), &request);
         assert!(frame.alpha.unwrap().iter().any(|a| *a > 0.5), "{width} x {height}");
     }
@@ -113,7 +113,7 @@ fn absurd_but_finite_values_spread_no_nan() {
                 _ => scene.sh_coeffs[i * coeffs] = [0.9, pick(true).clamp(-1e20, 1e20), 0.1],
             }
         }
-        let request = RenderRequest { depth: Some(Depth::Accumulated), antialiased: round % 2 == 1, ..ALPHA };
+        let request = RenderOptions { depth: Some(Depth::Accumulated), antialiased: round % 2 == 1, ..ALPHA };
         let frame = draw(&scene, camera(64, 48), &request);
         assert!(frame.alpha.unwrap().iter().any(|a| *a > 0.1), "round {round}: the others are still drawn");
     }

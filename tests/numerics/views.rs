@@ -4,7 +4,7 @@ use crate::{Mode, model, modes, noise, reconstruct};
 use image::{DynamicImage, ImageFormat};
 use std::{io::Cursor, path::Path};
 use zipsplat::{
-    reconstruct::{Ratio, Request},
+    reconstruct::{Ratio, ReconstructOptions},
     types::{Image, Scene},
 };
 use zipsplat_tests::compare::assert_close;
@@ -51,16 +51,16 @@ fn uniform_identical_and_noisy_views() {
     for (name, images) in sets {
         let grid = (images[0].width / 14 * (images[0].height / 14)) as usize;
         let tokens = images.len() * grid;
-        let exact = reconstruct(model(), &images, &Request::default());
+        let exact = reconstruct(model(), &images, &ReconstructOptions::default());
         for mode in modes() {
-            let scene = mode.reconstruct(&images, &Request::default());
+            let scene = mode.reconstruct(&images, &ReconstructOptions::default());
             assert_sound(name, &scene, tokens);
             for ((field, got), (_, expected)) in gaussian_fields(&scene).into_iter().zip(gaussian_fields(&exact)) {
                 assert_close(&format!("{name}, {field}"), got, expected, mode.tolerance(field));
             }
             for ratio in [0.5, 1e-9] {
                 // Clusters are empty.
-                let request = Request { ratio: Ratio::Fixed(ratio), ..Request::default() };
+                let request = ReconstructOptions { ratio: Ratio::Fixed(ratio), ..ReconstructOptions::default() };
                 let kept = ((tokens as f64 * ratio) as usize).max(1);
                 assert_sound(name, &mode.reconstruct(&images, &request), kept);
             }
@@ -71,7 +71,7 @@ fn uniform_identical_and_noisy_views() {
 #[test]
 fn the_most_views() {
     let images: Vec<Image> = (0..192).map(|i| noise(SIDE, SIDE, i)).collect();
-    let all = |mode: &Mode| mode.reconstruct(&images, &Request::default());
+    let all = |mode: &Mode| mode.reconstruct(&images, &ReconstructOptions::default());
     let exact = all(&modes()[0]);
     assert_sound("192 views", &exact, 192 * 16);
     for mode in &modes()[1..] {
@@ -80,7 +80,7 @@ fn the_most_views() {
             assert_close(&format!("192 views, {field}"), got, expected, mode.tolerance(field));
         }
     }
-    let request = Request { ratio: Ratio::Auto, ..Request::default() };
+    let request = ReconstructOptions { ratio: Ratio::Auto, ..ReconstructOptions::default() };
     let scene = reconstruct(model(), &images, &request);
     assert_sound("192 views, clustered", &scene, scene.len() / model().architecture().gaussians_per_token);
 }
@@ -150,7 +150,7 @@ fn grey_deep_transparent_and_cmyk_photos() {
         let photo = opened(folder.path(), &encoded(&picture, format));
         assert_eq!((photo.width, photo.height), (60, 60), "{name}");
         let view = photo.crop(2, 2, SIDE, SIDE).unwrap();
-        assert_sound(name, &reconstruct(model(), &[view], &Request::default()), 16);
+        assert_sound(name, &reconstruct(model(), &[view], &ReconstructOptions::default()), 16);
     }
     // Inverted values multiply.
     for (level, expected) in [(127, 255u8), (-127, 0)] {
@@ -169,5 +169,5 @@ fn photos_of_8k() {
     let photo = opened(folder.path(), &encoded(&large, ImageFormat::Jpeg));
     assert_eq!((photo.width, photo.height), (7680, 4320));
     let view = zipsplat::types::preprocess::fit(&photo, SIDE, SIDE).unwrap().image;
-    assert_sound("8K", &reconstruct(model(), &[view], &Request::default()), 16);
+    assert_sound("8K", &reconstruct(model(), &[view], &ReconstructOptions::default()), 16);
 }

@@ -3,7 +3,7 @@
 use std::io::ErrorKind;
 use std::ops::ControlFlow;
 
-use zipsplat::types::{Image, poses::read_poses};
+use zipsplat::types::{Image, poses::Capture};
 use zipsplat_cli::procedural::{
     Options, Photos,
     shards::{Header, Record, write},
@@ -78,7 +78,7 @@ fn a_folder_is_read_back() {
     let folder = tempfile::tempdir().expect("a folder");
     let capture = capture(3, &Options { width: 30, ..options(3, 20) });
     write_folder(folder.path(), &capture, &[]).expect("a folder that can be written");
-    let poses = read_poses(folder.path()).expect("transforms.json");
+    let poses = Capture::open(folder.path()).expect("transforms.json");
     assert_eq!(poses.frames.len(), 3);
     for (i, frame) in poses.frames.iter().enumerate() {
         assert_eq!(Image::open(frame.photo.as_ref().expect("a photo")).expect("a picture"), capture.images[i]);

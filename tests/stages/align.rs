@@ -22,7 +22,7 @@ fn row(pose: &Pose) -> Vec<f64> {
 /// The golden's loss is the mean of both photos, which Adam ignores.
 fn check_steps(golden: &Golden, below: &str, mut lpips: Option<Perceptual>, steps: usize) {
     let mut renderer = Renderer::new(device());
-    renderer.load(&golden_scene(golden)).unwrap();
+    renderer.set_scene(&golden_scene(golden)).unwrap();
     let (starts, targets) = (golden.f64("init_c2w"), golden.f32("target"));
     let pixels = targets.len() / 2;
     let descent = |(i, lens)| {

@@ -3,8 +3,8 @@
 use std::ops::ControlFlow;
 use zipsplat::gpu::{Arena, Device, DeviceOptions};
 use zipsplat::ops::Arithmetic;
-use zipsplat::reconstruct::{Model, Ratio, Reconstruction, Request, Selection};
-use zipsplat::stages::render::{Frame, RenderRequest, Renderer, plan_pictures};
+use zipsplat::reconstruct::{Model, Ratio, ReconstructOptions, Reconstruction, TokenSelection};
+use zipsplat::stages::render::{RenderOptions, RenderOutput, Renderer, plan_pictures};
 use zipsplat::types::{Camera, Image, Scene};
 use zipsplat_tests::{networks, scenes::camera};
 
@@ -21,8 +21,8 @@ fn photos(count: usize) -> Vec<Image> {
         .collect()
 }
 
-fn reconstruct(model: &Model, photos: &[Image], request: &Request) -> Reconstruction {
-    model.reconstruct(photos, request, |_| ControlFlow::Continue(())).unwrap()
+fn reconstruct(model: &Model, photos: &[Image], request: &ReconstructOptions) -> Reconstruction {
+    model.reconstruct_views(photos, request, |_| ControlFlow::Continue(())).unwrap()
 }
 
 fn cameras() -> Vec<Camera> {
@@ -34,13 +34,13 @@ fn cameras() -> Vec<Camera> {
     (0..5).map(|i| at(0.02 * f64::from(i))).collect()
 }
 
-fn pictures(renderer: &mut Renderer) -> Vec<Frame> {
+fn pictures(renderer: &mut Renderer) -> Vec<RenderOutput> {
     let mut frames = Vec::new();
     let push = |_, frame| {
         frames.push(frame);
         Ok(())
     };
-    renderer.render_each(&cameras(), &RenderRequest::default(), push).unwrap();
+    renderer.render_each(&cameras(), &RenderOptions::default(), push).unwrap();
     frames
 }
 
@@ -48,18 +48,28 @@ fn pictures(renderer: &mut Renderer) -> Vec<Frame> {
 fn a_scene_of_kept_features_is_that_of_the_photos() {
     let (_, model) = alone(false);
     let photos = photos(3);
-    let features = model.features(&photos, &Request::default(), |_| ControlFlow::Continue(())).unwrap();
-    for (ratio, selection) in
-        [(1.0, Selection::KMEANS), (0.5, Selection::KMEANS), (0.25, Selection::Stride), (0.3, Selection::Random(4))]
-    {
-        let request = Request { ratio: Ratio::Fixed(ratio), selection, ..Request::default() };
+    let features = model.features(&photos, &ReconstructOptions::default(), |_| ControlFlow::Continue(())).unwrap();
+    for (ratio, selection) in [
+        (1.0, TokenSelection::KMEANS),
+        (0.5, TokenSelection::KMEANS),
+        (0.25, TokenSelection::Stride),
+        (0.3, TokenSelection::Random(4)),
+    ] {
+        let request = ReconstructOptions {
+            ratio: Ratio::Fixed(ratio),
+            token_selection: selection,
+            ..ReconstructOptions::default()
+        };
         let kept = model.reconstruct_features(&features, &request, |_| ControlFlow::Continue(())).unwrap();
         let whole = reconstruct(&model, &photos, &request);
-        assert!(kept.scene().unwrap() == whole.scene().unwrap(), "{request:?}");
+        assert!(kept.to_scene().unwrap() == whole.to_scene().unwrap(), "{request:?}");
         assert_eq!((kept.tokens, &kept.patches), (whole.tokens, &whole.patches));
-        let given = Request { selection: Selection::Given(kept.patches.indices()), ..Request::default() };
+        let given = ReconstructOptions {
+            token_selection: TokenSelection::Given(kept.patches.indices()),
+            ..ReconstructOptions::default()
+        };
         let again = model.reconstruct_features(&features, &given, |_| ControlFlow::Continue(())).unwrap();
-        assert!(again.scene().unwrap() == kept.scene().unwrap(), "{request:?}");
+        assert!(again.to_scene().unwrap() == kept.to_scene().unwrap(), "{request:?}");
         assert!(kept.times.0.iter().all(|(stage, _)| stage != "backbone"), "{:?}", kept.times);
     }
 }
@@ -68,14 +78,14 @@ fn a_scene_of_kept_features_is_that_of_the_photos() {
 fn a_second_reconstruction_takes_no_memory() {
     for staged in [false, true] {
         let (device, model) = alone(staged);
-        let (photos, request) = (photos(2), Request::default());
+        let (photos, request) = (photos(2), ReconstructOptions::default());
         let first = reconstruct(&model, &photos, &request);
-        let (bytes, scene) = (device.allocated_bytes(), first.scene().unwrap());
+        let (bytes, scene) = (device.allocated_bytes(), first.to_scene().unwrap());
         assert_eq!(bytes, first.peak_bytes);
         drop(first);
         for _ in 0..3 {
             let again = reconstruct(&model, &photos, &request);
-            assert!(again.scene().unwrap() == scene);
+            assert!(again.to_scene().unwrap() == scene);
             assert_eq!(device.allocated_bytes(), bytes);
         }
     }
@@ -84,21 +94,21 @@ fn a_second_reconstruction_takes_no_memory() {
 #[test]
 fn a_scene_that_somebody_has_stays_as_it_is() {
     let (device, model) = alone(false);
-    let request = Request::default();
+    let request = ReconstructOptions::default();
     let (few, other) = (photos(2), photos(4)[2..].to_vec());
     let first = reconstruct(&model, &few, &request);
-    let (before, bytes) = (first.scene().unwrap(), device.allocated_bytes());
+    let (before, bytes) = (first.to_scene().unwrap(), device.allocated_bytes());
     let second = reconstruct(&model, &other, &request);
-    assert!(second.scene().unwrap() != before && first.scene().unwrap() == before);
+    assert!(second.to_scene().unwrap() != before && first.to_scene().unwrap() == before);
     assert_eq!(device.allocated_bytes(), bytes + first.gaussians.bytes());
     let mut renderer = Renderer::new(&device);
-    renderer.show(&first.gaussians).unwrap();
+    renderer.set_scene(&first.gaussians).unwrap();
     let drawn = pictures(&mut renderer);
     drop(first);
     let most = device.allocated_bytes();
     let third = reconstruct(&model, &other, &request);
     assert!(pictures(&mut renderer) == drawn, "what is shown was overwritten");
-    assert!(third.scene().unwrap() == second.scene().unwrap());
+    assert!(third.to_scene().unwrap() == second.to_scene().unwrap());
     assert_eq!(device.allocated_bytes(), most + third.gaussians.bytes());
 }
 
@@ -106,25 +116,25 @@ fn a_scene_that_somebody_has_stays_as_it_is() {
 fn pictures_are_drawn_from_the_devices_own_gaussians_in_the_networks_arena() {
     for staged in [false, true] {
         let (device, model) = alone(staged);
-        let request = Request { scene_scale: 0.5, ..Request::default() };
+        let request = ReconstructOptions { scene_scale: 0.5, ..ReconstructOptions::default() };
         let made = reconstruct(&model, &photos(2), &request);
         let mut renderer = Renderer::new(&device);
-        renderer.show(&made.gaussians).unwrap();
+        renderer.set_scene(&made.gaussians).unwrap();
         let own = pictures(&mut renderer);
         assert!(own.iter().any(|frame| frame.rgb.as_ref().unwrap().iter().any(|value| *value > 0.0)));
 
         let shape = model.shape(&photos(2), &request).unwrap();
         let planned = model.plan(shape).unwrap();
         let drawing =
-            plan_pictures(device.limits(), made.gaussians.tensors(), [56, 42], &RenderRequest::default()).unwrap();
+            plan_pictures(device.limits(), made.gaussians.tensors(), [56, 42], &RenderOptions::default()).unwrap();
         let lanes = Arena::lane_bytes([&planned.plan, &drawing]) + drawing.arena_bytes();
         assert_eq!(device.allocated_bytes(), model.weight_bytes() + planned.layout.bytes() + lanes);
 
-        let scene: Scene = made.scene().unwrap();
+        let scene: Scene = made.to_scene().unwrap();
         let mut other = Renderer::new(&device);
-        other.load(&scene).unwrap();
+        other.set_scene(&scene).unwrap();
         assert!(pictures(&mut other) == own, "another road, other bits");
-        assert!(reconstruct(&model, &photos(2), &request).scene().unwrap() == scene);
+        assert!(reconstruct(&model, &photos(2), &request).to_scene().unwrap() == scene);
         assert!(pictures(&mut renderer) == own);
     }
 }
@@ -132,35 +142,35 @@ fn pictures_are_drawn_from_the_devices_own_gaussians_in_the_networks_arena() {
 #[test]
 fn who_finds_the_arena_in_use_takes_another() {
     let (device, model) = alone(false);
-    let (photos, request) = (photos(2), Request::default());
+    let (photos, request) = (photos(2), ReconstructOptions::default());
     let first = reconstruct(&model, &photos, &request);
-    let scene = first.scene().unwrap();
+    let scene = first.to_scene().unwrap();
     let mut renderer = Renderer::new(&device);
-    renderer.show(&first.gaussians).unwrap();
+    renderer.set_scene(&first.gaussians).unwrap();
     let drawn = pictures(&mut renderer);
 
     // From a progress callback.
     let mut inner = Vec::new();
     let outer = model
-        .reconstruct(&photos, &request, |_| {
+        .reconstruct_views(&photos, &request, |_| {
             if inner.is_empty() {
-                inner.push(reconstruct(&model, &photos, &request).scene().unwrap());
+                inner.push(reconstruct(&model, &photos, &request).to_scene().unwrap());
                 assert!(pictures(&mut renderer) == drawn);
             }
             ControlFlow::Continue(())
         })
         .unwrap();
-    assert!(inner[0] == scene && outer.scene().unwrap() == scene);
+    assert!(inner[0] == scene && outer.to_scene().unwrap() == scene);
 
     // While pictures are in flight.
-    renderer.show(&first.gaussians).unwrap();
+    renderer.set_scene(&first.gaussians).unwrap();
     let mut frames = Vec::new();
     let push = |_, frame| {
-        assert!(reconstruct(&model, &photos, &request).scene().unwrap() == scene);
+        assert!(reconstruct(&model, &photos, &request).to_scene().unwrap() == scene);
         frames.push(frame);
         Ok(())
     };
-    renderer.render_each(&cameras(), &RenderRequest::default(), push).unwrap();
+    renderer.render_each(&cameras(), &RenderOptions::default(), push).unwrap();
     assert!(frames == drawn);
 }
 
@@ -168,7 +178,7 @@ fn who_finds_the_arena_in_use_takes_another() {
 fn a_scene_of_another_device_is_refused() {
     let (_, model) = alone(false);
     let (other, _) = alone(false);
-    let made = reconstruct(&model, &photos(1), &Request::default());
-    let error = Renderer::new(&other).show(&made.gaussians).unwrap_err();
+    let made = reconstruct(&model, &photos(1), &ReconstructOptions::default());
+    let error = Renderer::new(&other).set_scene(&made.gaussians).unwrap_err();
     assert!(error.to_string().contains("another device"), "{error}");
 }

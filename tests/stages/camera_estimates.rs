@@ -4,13 +4,13 @@ use glam::{DMat3, DQuat, DVec2, DVec3};
 use std::ops::ControlFlow;
 use zipsplat::{
     cameras::CameraEstimate,
-    reconstruct::{Model, Patches, Ratio, Reconstruction, Request, Selection},
+    reconstruct::{Model, Patches, Ratio, ReconstructOptions, Reconstruction, TokenSelection},
     stages::ViewGrid,
     types::{Camera, Image, Intrinsics, Pose, Scene},
 };
 use zipsplat_tests::{device::device, networks, scenes::camera};
 
-const GRID: ViewGrid = ViewGrid { views: 4, rows: 18, columns: 20, patch: 14 };
+const GRID: ViewGrid = ViewGrid { views: 4, rows: 18, columns: 20, patch_size: 14 };
 
 /// A wall, or a ball before a wall and a floor.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -34,7 +34,7 @@ impl Place {
 
 /// Of 62 degrees; the first is the world frame.
 fn cameras() -> Vec<Camera> {
-    let [width, height] = [GRID.columns, GRID.rows].map(|count| (count * GRID.patch) as u32);
+    let [width, height] = [GRID.columns, GRID.rows].map(|count| (count * GRID.patch_size) as u32);
     let focal = 233.0;
     let (cx, cy) = (f64::from(width) / 2.0, f64::from(height) / 2.0);
     let at = |(turn, translation): ([f64; 3], [f64; 3])| {
@@ -146,8 +146,8 @@ fn a_view_without_tokens_has_no_camera() {
     assert!(error.contains("723") && error.contains("362 tokens"), "{error}");
 }
 
-fn reconstruct(model: &Model, photos: &[Image], request: &Request) -> Reconstruction {
-    model.reconstruct(photos, request, |_| ControlFlow::Continue(())).expect("a scene")
+fn reconstruct(model: &Model, photos: &[Image], request: &ReconstructOptions) -> Reconstruction {
+    model.reconstruct_views(photos, request, |_| ControlFlow::Continue(())).expect("a scene")
 }
 
 #[test]
@@ -159,22 +159,33 @@ fn patches_are_those_of_the_tokens() {
         let (view, at) = patches.patch(token);
         (12 * view) as u32 + 4 * (at.y as u32 / 14) + at.x as u32 / 14
     };
-    for (ratio, selection) in
-        [(1.0, Selection::KMEANS), (0.5, Selection::KMEANS), (0.25, Selection::Stride), (0.3, Selection::Random(4))]
-    {
-        let request = Request { ratio: Ratio::Fixed(ratio), selection, ..Request::default() };
+    for (ratio, selection) in [
+        (1.0, TokenSelection::KMEANS),
+        (0.5, TokenSelection::KMEANS),
+        (0.25, TokenSelection::Stride),
+        (0.3, TokenSelection::Random(4)),
+    ] {
+        let request = ReconstructOptions {
+            ratio: Ratio::Fixed(ratio),
+            token_selection: selection,
+            ..ReconstructOptions::default()
+        };
         let made = reconstruct(&model, &photos, &request);
         let patches = made.patches.clone();
         assert_eq!(patches.len(), made.tokens);
         let kept: Vec<u32> = (0..patches.len()).map(|token| index(&patches, token)).collect();
-        let again = reconstruct(&model, &photos, &Request { selection: Selection::Given(kept), ..request.clone() });
-        assert!(again.scene().expect("Gaussians") == made.scene().expect("Gaussians"), "{request:?}");
+        let again = reconstruct(
+            &model,
+            &photos,
+            &ReconstructOptions { token_selection: TokenSelection::Given(kept), ..request.clone() },
+        );
+        assert!(again.to_scene().expect("Gaussians") == made.to_scene().expect("Gaussians"), "{request:?}");
         let features = model.features(&photos, &request, |_| ControlFlow::Continue(())).expect("features");
         let kept = model.reconstruct_features(&features, &request, |_| ControlFlow::Continue(())).expect("a scene");
         assert_eq!(kept.patches, made.patches, "{request:?}");
     }
     let cameras = Some(vec![camera(56, 42); 3]);
-    let posed = reconstruct(&model, &photos, &Request { cameras, ..Request::default() });
-    let error = posed.cameras(&posed.scene().expect("Gaussians"), None).expect_err("they are known").to_string();
+    let posed = reconstruct(&model, &photos, &ReconstructOptions { cameras, ..ReconstructOptions::default() });
+    let error = posed.cameras(&posed.to_scene().expect("Gaussians"), None).expect_err("they are known").to_string();
     assert!(error.contains("without cameras"), "{error}");
 }

@@ -3,7 +3,7 @@
 use serde_json::Value;
 use std::collections::BTreeSet;
 use zipsplat::Scene;
-use zipsplat::depth::{DepthModel, DepthRequest, DepthView, Depths, pixel_gaussians};
+use zipsplat::depth::{DepthMap, DepthModel, DepthOptions, DepthPrediction, pixel_gaussians};
 use zipsplat::gpu::{Limits, Recorder, Run};
 use zipsplat::ops::Arithmetic;
 use zipsplat::types::{Camera, Image, Intrinsics, Pose};
@@ -33,7 +33,8 @@ fn model(golden: &Golden) -> DepthModel {
     let config = config(golden);
     let architecture = DepthArchitecture { gaussians: golden.has("gs/means"), ..architecture(config) };
     let checkpoint = DepthCheckpoint::seeded(architecture, config).expect("a golden's network");
-    DepthModel::load(device(), &checkpoint, Arithmetic::EXACT, |_| std::ops::ControlFlow::Continue(())).unwrap()
+    DepthModel::from_checkpoint(device(), &checkpoint, Arithmetic::EXACT, |_| std::ops::ControlFlow::Continue(()))
+        .unwrap()
 }
 
 fn config(golden: &Golden) -> &str {
@@ -56,20 +57,20 @@ fn cameras(golden: &Golden) -> Option<Vec<Camera>> {
 
 struct Observed {
     run: Run,
-    depths: Depths,
+    depths: DepthPrediction,
 }
 
 impl Observed {
     fn new(golden: &Golden) -> Self {
         let model = model(golden);
         let images = images(golden);
-        let request = DepthRequest { cameras: cameras(golden), ..DepthRequest::default() };
+        let request = DepthOptions { cameras: cameras(golden), ..DepthOptions::default() };
         let shape = model.shape(&images, &request).unwrap();
         let (plan, tensors) = model.record(shape, true).unwrap();
         let mut run = model.run(plan).unwrap();
         model.write_inputs(&mut run, &tensors, shape, &images, &request).unwrap();
         run.execute().unwrap();
-        let depths = model.depths(&images, &request, |_| std::ops::ControlFlow::Continue(())).unwrap();
+        let depths = model.predict(&images, &request, |_| std::ops::ControlFlow::Continue(())).unwrap();
         Self { run, depths }
     }
 
@@ -160,16 +161,16 @@ fn check_outputs(golden: &Golden, observed: &Observed) -> usize {
         compared += 1;
     };
     let all =
-        |of: &dyn Fn(&DepthView) -> Option<Vec<f32>>| -> Vec<f32> { views.iter().filter_map(of).flatten().collect() };
+        |of: &dyn Fn(&DepthMap) -> Option<Vec<f32>>| -> Vec<f32> { views.iter().filter_map(of).flatten().collect() };
     check("out/depth", all(&|view| Some(view.depth.clone())), 1e-4, true);
     check("out/depth_conf", all(&|view| view.confidence.clone()), 1e-4, true);
     check("out/sky", all(&|view| view.sky.clone()), 5e-5, false);
     // PyTorch joins the pixels of all views.
-    let joined = |of: fn(&DepthView) -> Option<&Vec<f32>>| views.iter().filter_map(of).flatten().copied().collect();
+    let joined = |of: fn(&DepthMap) -> Option<&Vec<f32>>| views.iter().filter_map(of).flatten().copied().collect();
     let (depth, sky) = (joined(|view| Some(&view.depth)), joined(|view| view.sky.as_ref()));
-    let all_views = DepthView { depth, sky: Some(sky), ..views[0].clone() };
+    let all_views = DepthMap { depth, sky: Some(sky), ..views[0].clone() };
     check("out/depth_after_sky", all_views.depth_behind_sky(), 1e-4, true);
-    let joined = |view: &DepthView| {
+    let joined = |view: &DepthMap| {
         let rays = view.rays.as_ref()?;
         Some(rays.directions.iter().zip(&rays.origins).flat_map(|(d, o)| [*d, *o].concat()).collect())
     };
@@ -191,7 +192,7 @@ fn check_cameras(golden: &Golden, observed: &Observed) {
 
 fn check_gaussians(golden: &Golden, observed: &Observed) {
     let cameras = observed.depths.cameras().unwrap();
-    let view = |(view, camera): (&DepthView, &Camera)| {
+    let view = |(view, camera): (&DepthMap, &Camera)| {
         pixel_gaussians(&view.depth, view.gaussians.as_ref().expect("the network has the head"), camera)
     };
     let scenes: Vec<Scene> = observed.depths.views.iter().zip(&cameras).map(view).collect();
@@ -265,7 +266,7 @@ fn parts_of_maps_make_the_same_bits() {
     let (width, height) = (196, 140);
     let rgb = random(1, 3 * width * height).iter().map(|x| (127.0 + 127.0 * x) as u8).collect();
     let images = [Image::new(width as u32, height as u32, rgb).unwrap()];
-    let request = DepthRequest::default();
+    let request = DepthOptions::default();
     let shape = model.shape(&images, &request).unwrap();
     let logits = |max_binding_bytes: u64| {
         let limits = device().limits();

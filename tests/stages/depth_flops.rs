@@ -3,10 +3,10 @@
 use zipsplat::depth::DepthNetwork;
 use zipsplat::gpu::{Limits, Profile};
 use zipsplat::ops::Arithmetic;
-use zipsplat::reconstruct::{Ratio, Selection};
+use zipsplat::reconstruct::{Ratio, TokenSelection};
 use zipsplat::weights::DepthArchitecture;
 
-const ALL: (Ratio, &Selection) = (Ratio::Fixed(1.0), &Selection::KMEANS);
+const ALL: (Ratio, &TokenSelection) = (Ratio::Fixed(1.0), &TokenSelection::KMEANS);
 /// Giga multiply-adds per view: network, size, depth branch with the shared part, ray branch.
 const HEADS: [(&str, [u32; 2], f64, f64); 4] = [
     ("da3-small", [504, 336], 7.1, 8.6),

@@ -2,9 +2,9 @@
 
 use std::collections::BTreeSet;
 use std::ops::ControlFlow::Continue;
-use zipsplat::depth::{DepthModel, DepthRequest, DepthView, Depths};
+use zipsplat::depth::{DepthMap, DepthModel, DepthOptions, DepthPrediction};
 use zipsplat::ops::Arithmetic;
-use zipsplat::reconstruct::{Ratio, Selection};
+use zipsplat::reconstruct::{Ratio, TokenSelection};
 use zipsplat::types::Image;
 use zipsplat::weights::{DepthArchitecture, DepthCheckpoint};
 use zipsplat_tests::architectures::{depth_micro, depth_micro_alone};
@@ -35,10 +35,10 @@ fn normalized(pictures: &[Image]) -> Images {
     Images { values, views: pictures.len(), height, width }
 }
 
-fn predict(a: &DepthArchitecture, pictures: &[Image], request: &DepthRequest) -> Depths {
+fn predict(a: &DepthArchitecture, pictures: &[Image], request: &DepthOptions) -> DepthPrediction {
     let checkpoint = DepthCheckpoint::seeded(a.clone(), "twin").unwrap();
-    let model = DepthModel::load(device(), &checkpoint, Arithmetic::EXACT, |_| Continue(())).unwrap();
-    model.depths(pictures, request, |_| Continue(())).unwrap()
+    let model = DepthModel::from_checkpoint(device(), &checkpoint, Arithmetic::EXACT, |_| Continue(())).unwrap();
+    model.predict(pictures, request, |_| Continue(())).unwrap()
 }
 
 fn weights(a: &DepthArchitecture) -> (Weights, Sizes) {
@@ -51,13 +51,19 @@ fn weights(a: &DepthArchitecture) -> (Weights, Sizes) {
     let weights: Weights = checkpoint.parameters().iter().map(values).collect();
     let b = &a.backbone;
     let out_layers = std::array::from_fn(|i| b.out_layers[i]);
-    let sizes =
-        Sizes { patch: b.patch, width: b.width, depth: b.depth, heads: b.heads, alt_start: b.alt_start, out_layers };
+    let sizes = Sizes {
+        patch: b.patch_size,
+        width: b.width,
+        depth: b.depth,
+        heads: b.heads,
+        alt_start: b.alt_start,
+        out_layers,
+    };
     (weights, sizes)
 }
 
-fn both(a: &DepthArchitecture, pictures: &[Image], reference: usize) -> (Vec<DepthView>, Vec<View>) {
-    let request = DepthRequest { reference: Some(reference), ..DepthRequest::default() };
+fn both(a: &DepthArchitecture, pictures: &[Image], reference: usize) -> (Vec<DepthMap>, Vec<View>) {
+    let request = DepthOptions { reference_view: Some(reference), ..DepthOptions::default() };
     let (weights, sizes) = weights(a);
     (predict(a, pictures, &request).views, views(&weights, &sizes, &normalized(pictures), reference))
 }
@@ -90,7 +96,7 @@ fn views_that_see_each_other() {
 #[test]
 fn chosen_patches() {
     let (a, pictures) = (depth_micro(), pictures(3, [42, 28]));
-    let request = DepthRequest { reference: Some(0), ratio: Ratio::Fixed(0.5), ..DepthRequest::default() };
+    let request = DepthOptions { reference_view: Some(0), ratio: Ratio::Fixed(0.5), ..DepthOptions::default() };
     let found = predict(&a, &pictures, &request).patches.unwrap();
     let (weights, sizes) = weights(&a);
     let (layers, _) = features(&weights, &sizes, &normalized(&pictures), 0);
@@ -100,7 +106,7 @@ fn chosen_patches() {
     assert!(clusters.gaps.iter().all(clear), "another key: {:?}", clusters.gaps);
     let expected: Vec<u32> = clusters.nearest.into_iter().collect::<BTreeSet<_>>().into_iter().collect();
     assert_eq!(found, expected);
-    let given = DepthRequest { selection: Selection::Given(vec![5, 17, 5]), ..request };
+    let given = DepthOptions { token_selection: TokenSelection::Given(vec![5, 17, 5]), ..request };
     assert_eq!(predict(&a, &pictures, &given).patches.unwrap(), [5, 17]);
 }
 

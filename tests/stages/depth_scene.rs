@@ -1,7 +1,7 @@
 //! Scenes and scales from known depth.
 
 use glam::{DMat3, DVec3};
-use zipsplat::depth::{DepthView, Depths, add_view};
+use zipsplat::depth::{DepthMap, DepthPrediction, add_view};
 use zipsplat::gpu::StageTimes;
 use zipsplat::types::{Camera, Image, Intrinsics, Pose, Scene};
 
@@ -9,15 +9,15 @@ use zipsplat::types::{Camera, Image, Intrinsics, Pose, Scene};
 const SIZE: [u32; 2] = [4, 2];
 const PIXELS: usize = 8;
 
-fn depths(of: impl Fn(usize) -> DepthView) -> Depths {
+fn depths(of: impl Fn(usize) -> DepthMap) -> DepthPrediction {
     let views = (0..2).map(of).collect();
     let times = StageTimes::default();
-    Depths { width: SIZE[0], height: SIZE[1], views, patch: 2, patches: None, times, peak_bytes: 0 }
+    DepthPrediction { width: SIZE[0], height: SIZE[1], views, patch_size: 2, patches: None, times, peak_bytes: 0 }
 }
 
-fn view(depth: impl Fn(usize) -> f32) -> DepthView {
+fn view(depth: impl Fn(usize) -> f32) -> DepthMap {
     let depth = (0..PIXELS).map(depth).collect();
-    DepthView { depth, confidence: None, rays: None, sky: None, encoding: None, gaussians: None }
+    DepthMap { depth, confidence: None, rays: None, sky: None, encoding: None, gaussians: None }
 }
 
 fn cameras() -> [Camera; 2] {
@@ -54,7 +54,7 @@ fn pixels(scene: &Scene) -> Vec<usize> {
     scene.means.iter().map(place).collect()
 }
 
-fn numbered() -> Depths {
+fn numbered() -> DepthPrediction {
     depths(|v| view(move |i| (10 * v + i + 1) as f32))
 }
 

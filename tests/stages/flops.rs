@@ -3,7 +3,7 @@
 use zipsplat::{
     gpu::{Limits, Profile, Recorder},
     ops::{Arithmetic, Precision},
-    reconstruct::{Network, Ratio, Selection, Shape},
+    reconstruct::{Network, Ratio, Shape, TokenSelection},
     weights::{Architecture, VARIANTS},
 };
 
@@ -50,7 +50,8 @@ fn counted(profile: &Profile, scope: &str, kernel: &str) -> f64 {
 #[test]
 fn pooled_keys_take_as_much_less() {
     let (limits, architecture) = (Limits::default(), Architecture::named("vits").expect("a variant"));
-    let shape = Shape::new(&architecture, 24, [252; 2], (Ratio::Auto, &Selection::KMEANS), false).expect("a shape");
+    let shape =
+        Shape::new(&architecture, 24, [252; 2], (Ratio::Auto, &TokenSelection::KMEANS), false).expect("a shape");
     let plan = |shape| {
         let network = Network::new(&architecture, &limits, Arithmetic::EXACT);
         network.plan(&limits, shape).expect("it fits")
@@ -84,7 +85,7 @@ fn plans_state_the_arithmetic_of_the_reference() {
                 Ok(ratio) => Ratio::Fixed(ratio),
                 Err(_) => Ratio::Auto,
             };
-            let chosen = (ratio, &Selection::KMEANS);
+            let chosen = (ratio, &TokenSelection::KMEANS);
             let shape = Shape::new(&architecture, views, [252; 2], chosen, false).expect("a shape");
             assert_eq!(shape.tokens as f64, number(&row, "K tokens"), "{variant}, {views} views");
             for arithmetic in arithmetics {

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use zipsplat::gpu::{Element, Run};
 use zipsplat::ops::Arithmetic;
-use zipsplat::reconstruct::{Model, Ratio, Request, Selection};
+use zipsplat::reconstruct::{Model, Ratio, ReconstructOptions, TokenSelection};
 use zipsplat::types::{Camera, Image, Intrinsics, Pose, Scene};
 use zipsplat::weights::{Architecture, Checkpoint};
 use zipsplat_tests::compare::{
@@ -35,7 +35,7 @@ fn cameras(golden: &Golden) -> Option<Vec<Camera>> {
     })
 }
 
-fn observe(model: &Model, images: &[Image], request: &Request) -> (HashMap<String, Vec<f32>>, Run) {
+fn observe(model: &Model, images: &[Image], request: &ReconstructOptions) -> (HashMap<String, Vec<f32>>, Run) {
     let shape = model.shape(images, request).unwrap();
     let (plan, tensors) = model.record(shape, true).unwrap();
     let mut run = model.run(plan).unwrap();
@@ -69,12 +69,12 @@ fn check(file: &str, arithmetic: Arithmetic) {
     for (ratio, prefix) in golden.compressions() {
         let key = |name: &str| format!("{prefix}/{name}");
         let given = golden.i64(&key("nearest_idx")).iter().map(|i| *i as u32).collect();
-        let request = Request {
+        let request = ReconstructOptions {
             ratio: Ratio::Fixed(ratio),
-            selection: Selection::Given(given),
+            token_selection: TokenSelection::Given(given),
             cameras: cameras.clone(),
             scene_scale: 1.0,
-            pool: 1,
+            kv_pool: 1,
         };
         let (taps, _) = observe(&model, &images, &request);
         let names = before.iter().map(|n| (n, n.clone())).chain(after.iter().map(|n| (n, key(n))));
@@ -82,11 +82,20 @@ fn check(file: &str, arithmetic: Arithmetic) {
             assert_tap_within(&golden, &key, &taps[name], tap_tolerance(arithmetic, &key));
             compared += 1;
         }
-        let scene =
-            model.reconstruct(&images, &request, |_| std::ops::ControlFlow::Continue(())).unwrap().scene().unwrap();
+        let scene = model
+            .reconstruct_views(&images, &request, |_| std::ops::ControlFlow::Continue(()))
+            .unwrap()
+            .to_scene()
+            .unwrap();
         check_gaussians(&golden, &key("gauss"), &packed(&scene), &model, arithmetic);
         if ratio < 1.0 && arithmetic == Arithmetic::EXACT {
-            check_clusters(&golden, &model, &images, Request { selection: Selection::KMEANS, ..request }, &prefix);
+            check_clusters(
+                &golden,
+                &model,
+                &images,
+                ReconstructOptions { token_selection: TokenSelection::KMEANS, ..request },
+                &prefix,
+            );
         }
     }
     assert!(compared > 10, "{file}: only {compared} taps compared");
@@ -118,7 +127,7 @@ fn check_gaussians(golden: &Golden, key: &str, packed: &[f32], model: &Model, ar
     assert_gaussians_within(key, &kept, &golden.f32(&format!("{key}@sub")), width, tolerance);
 }
 
-fn check_clusters(golden: &Golden, model: &Model, images: &[Image], request: Request, prefix: &str) {
+fn check_clusters(golden: &Golden, model: &Model, images: &[Image], request: ReconstructOptions, prefix: &str) {
     let shape = model.shape(images, &request).unwrap();
     let (plan, tensors) = model.record(shape, true).unwrap();
     let mut run = model.run(plan).unwrap();
@@ -138,7 +147,7 @@ fn check_clusters(golden: &Golden, model: &Model, images: &[Image], request: Req
 /// Assignment and representatives of half of the tokens.
 fn clusters(config: &str, arithmetic: Arithmetic, images: &[Image]) -> [Vec<u32>; 2] {
     let model = model(config, arithmetic);
-    let request = Request { ratio: Ratio::Fixed(0.5), ..Request::default() };
+    let request = ReconstructOptions { ratio: Ratio::Fixed(0.5), ..ReconstructOptions::default() };
     let (observed, _run) = observe(&model, images, &request);
     let indices = |name: &str| observed[name].iter().map(|bits| bits.to_bits()).collect::<Vec<_>>();
     [indices("assign"), indices("nearest")]
@@ -188,26 +197,32 @@ fn check_all(config: &str, arithmetics: &[Arithmetic]) {
 /// With and without cameras, all tokens and half, against `tools/train/check.py dump`. Limits are
 /// the table's or three times PyTorch's f32 deviation: trained scales have a long tail.
 #[test]
-fn embedded() {
+fn builtin() {
     let golden = Golden::open("embedded.safetensors").expect("it is committed");
-    let checkpoint = Checkpoint::embedded().expect("the feature is on");
-    let model = Model::load(device(), &checkpoint, |_| std::ops::ControlFlow::Continue(())).expect("it fits");
+    let checkpoint = Checkpoint::builtin().expect("the feature is on");
+    let model =
+        Model::from_checkpoint(device(), &checkpoint, |_| std::ops::ControlFlow::Continue(())).expect("it fits");
     let images = images(&golden);
     for (case, cameras) in [("plain", None), ("priors", cameras(&golden))] {
         for (ratio, name) in [(1.0, "r1"), (0.5, "r0.5")] {
             let key = |part: &str| format!("{case}/{name}/{part}");
-            let nearest = |key| Selection::Given(golden.i64(key).iter().map(|i| *i as u32).collect());
-            let selection = if ratio < 1.0 { nearest(&key("nearest_idx")) } else { Selection::KMEANS };
-            let request =
-                Request { ratio: Ratio::Fixed(ratio), selection, cameras: cameras.clone(), scene_scale: 1.0, pool: 1 };
-            let found = model.reconstruct(&images, &request, |_| std::ops::ControlFlow::Continue(())).unwrap();
+            let nearest = |key| TokenSelection::Given(golden.i64(key).iter().map(|i| *i as u32).collect());
+            let selection = if ratio < 1.0 { nearest(&key("nearest_idx")) } else { TokenSelection::KMEANS };
+            let request = ReconstructOptions {
+                ratio: Ratio::Fixed(ratio),
+                token_selection: selection,
+                cameras: cameras.clone(),
+                scene_scale: 1.0,
+                kv_pool: 1,
+            };
+            let found = model.reconstruct_views(&images, &request, |_| std::ops::ControlFlow::Continue(())).unwrap();
             let tolerance = |field: &str| {
                 let table = Tolerance::of_field(field);
                 let in_f32 = f64::from(golden.f32(&key(&format!("f32_deviation/{field}")))[0]);
                 Tolerance { max: table.max.max(3.0 * in_f32), ..table }
             };
             let (name, width) = (key("gauss"), model.architecture().gaussian_width());
-            assert_gaussians_within(&name, &packed(&found.scene().unwrap()), &golden.f32(&name), width, tolerance);
+            assert_gaussians_within(&name, &packed(&found.to_scene().unwrap()), &golden.f32(&name), width, tolerance);
         }
     }
 }
@@ -224,7 +239,11 @@ fn pooled_keys() {
         let mut truth = forward::gaussians(&reference, &tokens, &chosen);
         truth.append(&mut tokens.taps);
         for arithmetic in [Arithmetic::EXACT].into_iter().chain(fast_arithmetics()) {
-            let request = Request { selection: Selection::Given(chosen.clone()), pool: side, ..Request::default() };
+            let request = ReconstructOptions {
+                token_selection: TokenSelection::Given(chosen.clone()),
+                kv_pool: side,
+                ..ReconstructOptions::default()
+            };
             let (taps, _) = observe(&model("micro", arithmetic), &images(&golden), &request);
             for name in ["bb/block1", "bb/block2", "prep/layer0", "prep/layer1", "ca0_delta", "scene_sa1", "raw"] {
                 let name = name.to_owned();
@@ -232,7 +251,7 @@ fn pooled_keys() {
             }
         }
     }
-    let wrong = Request { pool: 5, ..Request::default() };
+    let wrong = ReconstructOptions { kv_pool: 5, ..ReconstructOptions::default() };
     let refused = model("micro", Arithmetic::EXACT).shape(&images(&golden), &wrong).expect_err("no such groups");
     assert_eq!(refused.to_string(), "pool: found 5, expected 1 to 4, the side of a group");
 }

@@ -9,7 +9,7 @@ use zipsplat::refine::{Adam, Space, record_adam};
 use zipsplat::stages::gaussians::Head;
 use zipsplat::stages::loss::{Loss, LossTensors, record_loss};
 use zipsplat::stages::render::{
-    CameraRows, FrameShape, Gradients, RenderRequest, SceneGradients, SceneTensors, camera_rows, record_with_gradients,
+    CameraRows, FrameShape, Gradients, RenderOptions, SceneGradients, SceneTensors, camera_rows, record_with_gradients,
 };
 use zipsplat::weights::Checkpoint;
 use zipsplat_tests::architectures;
@@ -183,7 +183,7 @@ fn record_gradient(
         losses = Some(found);
         found.d_frames
     };
-    let request = RenderRequest::default();
+    let request = RenderOptions::default();
     let drawn = record_with_gradients(rec, &scene, inputs.cameras, shape, &request, 1 << 16, compared, &gradients);
     let d_tokens = head.record_backward(rec, &kept, &d_gaussians);
     (d_tokens, losses.expect("compared"), drawn.frames, drawn.status)

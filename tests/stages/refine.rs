@@ -4,9 +4,11 @@ use glam::{DMat3, DQuat, DVec3};
 use std::ops::ControlFlow;
 use zipsplat::gpu::Arena;
 use zipsplat::perceptual::Perceptual;
-use zipsplat::refine::{PerceptualLoss, Rates, Refine, Refined, Refining, Stopped, refine_scene};
+use zipsplat::refine::{
+    LearningRates, PerceptualLoss, RefineOptions, RefineResult, Refining, StopReason, refine_scene,
+};
 use zipsplat::stages::lpips::LpipsNetwork;
-use zipsplat::stages::render::{Frame, RenderRequest, Renderer};
+use zipsplat::stages::render::{RenderOptions, RenderOutput, Renderer};
 use zipsplat::types::{Camera, Image, Pose, Scene};
 use zipsplat_tests::device::device;
 use zipsplat_tests::golden::lpips_weights;
@@ -28,8 +30,8 @@ fn photos(cameras: &[Camera]) -> (Scene, Vec<Image>) {
 }
 
 fn photos_of(scene: &Scene, cameras: &[Camera]) -> Vec<Image> {
-    let frames = Renderer::new(device()).render(scene, cameras, &RenderRequest::default()).unwrap();
-    let photo = |frame: Frame| Image::from_rgb_f32(frame.width, frame.height, &frame.rgb.unwrap()).unwrap();
+    let frames = Renderer::new(device()).render_scene(scene, cameras, &RenderOptions::default()).unwrap();
+    let photo = |frame: RenderOutput| Image::from_rgb_f32(frame.width, frame.height, &frame.rgb.unwrap()).unwrap();
     frames.into_iter().map(photo).collect()
 }
 
@@ -42,7 +44,7 @@ fn moved(scene: &Scene) -> Scene {
     scene
 }
 
-fn refine(scene: &Scene, photos: &[Image], cameras: &[Camera], request: &Refine) -> Refined {
+fn refine(scene: &Scene, photos: &[Image], cameras: &[Camera], request: &RefineOptions) -> RefineResult {
     refine_scene(&Arena::new(device()), scene, photos, cameras, request, |_| ControlFlow::Continue(())).unwrap()
 }
 
@@ -50,13 +52,19 @@ fn refine(scene: &Scene, photos: &[Image], cameras: &[Camera], request: &Refine)
 fn moved_gaussians_find_back_and_always_alike() {
     let cameras = cameras(9);
     let (scene, photos) = photos(&cameras);
-    let request = Refine { steps: 40, views_per_step: 3, hold_out: Some(1), profile: true, ..Refine::default() };
+    let request = RefineOptions {
+        steps: 40,
+        views_per_step: 3,
+        holdout_views: Some(1),
+        profile: true,
+        ..RefineOptions::default()
+    };
     let refined = refine(&moved(&scene), &photos, &cameras, &request);
     refined.scene.validate().unwrap();
     let [after, before] = refined.psnr().unwrap();
     assert!(after > before + 3.0, "{before} to {after} dB");
     assert!(refined.losses[39] < 0.5 * refined.losses[0], "{:?}", refined.losses);
-    assert_eq!((refined.stopped.clone(), refined.losses.len(), refined.held_out.len()), (None, 40, 21));
+    assert_eq!((refined.stop_reason.clone(), refined.losses.len(), refined.holdout_psnr.len()), (None, 40, 21));
     let profile = refined.profile.as_ref().unwrap();
     assert!(profile.rows.iter().any(|row| row.kernel.contains("adam") || row.scope.contains("adam")));
     let again = refine(&moved(&scene), &photos, &cameras, &request);
@@ -68,7 +76,8 @@ fn photos_of_a_step_together_are_as_one_after_the_other() {
     let cameras = cameras(6);
     let (scene, photos) = photos(&cameras);
     let with = |batch_size: usize| {
-        let request = Refine { steps: 8, views_per_step: 5, batch_size: Some(batch_size), ..Refine::default() };
+        let request =
+            RefineOptions { steps: 8, views_per_step: 5, batch_size: Some(batch_size), ..RefineOptions::default() };
         refine(&moved(&scene), &photos, &cameras, &request)
     };
     let (alone, batched) = (with(1), with(3));
@@ -89,11 +98,12 @@ fn the_best_so_far_is_returned_when_asked_to_stop() {
         if at.step == 3 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     };
     let start = moved(&scene);
-    let refined = refine_scene(&Arena::new(device()), &start, &photos, &cameras, &Refine::default(), progress).unwrap();
-    assert_eq!((refined.stopped, refined.best_step, refined.losses.len()), (Some(Stopped::Cancelled), 3, 3));
+    let refined =
+        refine_scene(&Arena::new(device()), &start, &photos, &cameras, &RefineOptions::default(), progress).unwrap();
+    assert_eq!((refined.stop_reason, refined.best_step, refined.losses.len()), (Some(StopReason::Cancelled), 3, 3));
     assert_eq!(steps, [1, 2, 3]);
     assert_ne!(refined.scene, start);
-    let none = refine(&start, &photos, &cameras, &Refine { steps: 0, ..Refine::default() });
+    let none = refine(&start, &photos, &cameras, &RefineOptions { steps: 0, ..RefineOptions::default() });
     assert_eq!((none.scene, none.best_step), (start, 0));
 }
 
@@ -106,13 +116,13 @@ fn scenes_are_shown_on_the_way() {
         shown.extend(at.scene.map(|scene| (at.step, scene.clone())));
         ControlFlow::Continue(())
     };
-    let request = Refine { steps: 7, show: Some(3), ..Refine::default() };
+    let request = RefineOptions { steps: 7, snapshot_interval: Some(3), ..RefineOptions::default() };
     let refined = refine_scene(&Arena::new(device()), &moved(&scene), &photos, &cameras, &request, progress).unwrap();
     assert_eq!(shown.iter().map(|(step, _)| *step).collect::<Vec<_>>(), [3, 6]);
     assert_ne!(shown[0].1, shown[1].1);
     // Not the final checkpoint.
     assert_ne!(shown[1].1, refined.scene);
-    let unseen = refine(&moved(&scene), &photos, &cameras, &Refine { show: None, ..request });
+    let unseen = refine(&moved(&scene), &photos, &cameras, &RefineOptions { snapshot_interval: None, ..request });
     assert_eq!(unseen.scene, refined.scene);
 }
 
@@ -121,10 +131,14 @@ fn a_loss_that_grows_ends_with_the_last_good_scene() {
     let cameras = cameras(2);
     let (scene, photos) = photos(&cameras);
     // Too large: the first step makes the scene worse.
-    let rates = Rates { means: 10.0, ..Rates::default() };
-    let request = Refine { steps: 20, views_per_step: 2, rates, ..Refine::default() };
+    let rates = LearningRates { means: 10.0, ..LearningRates::default() };
+    let request = RefineOptions { steps: 20, views_per_step: 2, learning_rates: rates, ..RefineOptions::default() };
     let refined = refine(&scene, &photos, &cameras, &request);
-    assert!(matches!(&refined.stopped, Some(Stopped::Diverged(why)) if why.contains("grew")), "{:?}", refined.stopped);
+    assert!(
+        matches!(&refined.stop_reason, Some(StopReason::Diverged(why)) if why.contains("grew")),
+        "{:?}",
+        refined.stop_reason
+    );
     assert_eq!((refined.best_step, refined.losses.len()), (0, 2));
     assert_eq!(refined.scene, scene);
 }
@@ -133,20 +147,22 @@ fn a_loss_that_grows_ends_with_the_last_good_scene() {
 fn what_cannot_be_refined_is_refused() {
     let cameras = cameras(2);
     let (scene, photos) = photos(&cameras);
-    let error = |scene: &Scene, count: usize, request: &Refine| {
+    let error = |scene: &Scene, count: usize, request: &RefineOptions| {
         let never = |_: Refining<'_>| -> ControlFlow<()> { panic!("a step") };
         refine_scene(&Arena::new(device()), scene, &photos, &cameras[..count], request, never).unwrap_err().to_string()
     };
-    assert!(error(&scene, 1, &Refine::default()).contains("cameras"));
+    assert!(error(&scene, 1, &RefineOptions::default()).contains("cameras"));
     let mut telescopes = cameras.clone();
     telescopes[1].intrinsics.fx = 1e12;
     let never = |_: Refining<'_>| -> ControlFlow<()> { panic!("a step") };
-    let refined = refine_scene(&Arena::new(device()), &scene, &photos, &telescopes, &Refine::default(), never);
+    let refined = refine_scene(&Arena::new(device()), &scene, &photos, &telescopes, &RefineOptions::default(), never);
     assert!(refined.unwrap_err().to_string().contains("camera 1, fx"));
-    assert!(error(&Scene::default(), 2, &Refine::default()).contains("no Gaussians"));
+    assert!(error(&Scene::default(), 2, &RefineOptions::default()).contains("no Gaussians"));
     let behind = Scene { means: scene.means.iter().map(|m| [m[0], m[1], -m[2]]).collect(), ..scene.clone() };
-    assert!(error(&behind, 2, &Refine::default()).contains("no Gaussian that any photo's camera sees"));
-    assert!(error(&scene, 2, &Refine { hold_out: Some(2), ..Refine::default() }).contains("held-out"));
+    assert!(error(&behind, 2, &RefineOptions::default()).contains("no Gaussian that any photo's camera sees"));
+    assert!(
+        error(&scene, 2, &RefineOptions { holdout_views: Some(2), ..RefineOptions::default() }).contains("held-out")
+    );
 }
 
 /// By a degree and 1 % of the scene's distance of about 3.5, except the first and `held_out`.
@@ -175,7 +191,8 @@ fn disturbed_cameras_come_back() {
     let (scene, photos) = photos(&truth);
     let given = disturbed(&truth, 4);
     let with = |cameras: bool| {
-        let request = Refine { steps: 100, cameras, hold_out: Some(1), ..Refine::default() };
+        let request =
+            RefineOptions { steps: 100, optimize_cameras: cameras, holdout_views: Some(1), ..RefineOptions::default() };
         refine(&moved(&scene), &photos, &given, &request)
     };
     let (still, refined) = (with(false), with(true));
@@ -190,8 +207,12 @@ fn disturbed_cameras_come_back() {
 fn exact_cameras_stay_exact() {
     let cameras = cameras(9);
     let (scene, photos) = photos(&cameras);
-    let refined =
-        refine(&moved(&scene), &photos, &cameras, &Refine { cameras: true, hold_out: Some(1), ..Refine::default() });
+    let refined = refine(
+        &moved(&scene),
+        &photos,
+        &cameras,
+        &RefineOptions { optimize_cameras: true, holdout_views: Some(1), ..RefineOptions::default() },
+    );
     let [degrees, shift] = distance(&refined.cameras, &cameras);
     assert!(degrees > 0.0 && degrees < 0.2 && shift < 0.01, "{degrees} degrees and {shift}");
     let [after, _] = refined.psnr().unwrap();
@@ -206,7 +227,12 @@ fn a_scene_with_a_tenth_of_its_gaussians_grows() {
     let mut start = scene.clone();
     start.keep(&(0..400).step_by(10).collect::<Vec<_>>());
     let with = |grow: Option<usize>| {
-        refine(&start, &photos, &cameras, &Refine { grow, hold_out: Some(1), ..Refine::default() })
+        refine(
+            &start,
+            &photos,
+            &cameras,
+            &RefineOptions { max_gaussians: grow, holdout_views: Some(1), ..RefineOptions::default() },
+        )
     };
     let (without, grown) = (with(None), with(Some(400)));
     let [[kept, _], [more, _]] = [&without, &grown].map(|refined| refined.psnr().unwrap());
@@ -219,7 +245,7 @@ fn a_scene_with_a_tenth_of_its_gaussians_grows() {
 
 /// 0..1, `[height][width][rgb]`.
 fn pair(scene: &Scene, camera: &Camera, photo: &Image) -> [Vec<f32>; 2] {
-    let frame = Renderer::new(device()).render(scene, &[*camera], &RenderRequest::default()).unwrap().remove(0);
+    let frame = Renderer::new(device()).render_scene(scene, &[*camera], &RenderOptions::default()).unwrap().remove(0);
     let drawn = frame.rgb.unwrap().into_iter().map(|value| value.clamp(0.0, 1.0)).collect();
     [drawn, photo.rgb.iter().map(|value| f32::from(*value) / 255.0).collect()]
 }
@@ -239,12 +265,23 @@ fn lpips_is_a_share_of_the_loss_where_asked() {
         (0..3).map(of).collect::<Vec<f64>>().iter().sum::<f64>() / 3.0
     };
     // Short steps, so that the loss falls.
-    let Rates { means, scales, sh_coeffs, .. } = Rates::default();
-    let rates = Rates { means: 0.02 * means, scales: 0.02 * scales, sh_coeffs: 0.02 * sh_coeffs, ..Rates::default() };
-    let rates = Rates { quats: 0.0, opacities: 0.0, ..rates };
+    let LearningRates { means, scales, sh_coeffs, .. } = LearningRates::default();
+    let rates = LearningRates {
+        means: 0.02 * means,
+        scales: 0.02 * scales,
+        sh_coeffs: 0.02 * sh_coeffs,
+        ..LearningRates::default()
+    };
+    let rates = LearningRates { quats: 0.0, opacities: 0.0, ..rates };
     let with = |perceptual_loss: Option<PerceptualLoss>, steps: usize| {
-        let request =
-            Refine { steps, perceptual_loss, rates, views_per_step: 3, batch_size: Some(3), ..Refine::default() };
+        let request = RefineOptions {
+            steps,
+            perceptual_loss,
+            learning_rates: rates,
+            views_per_step: 3,
+            batch_size: Some(3),
+            ..RefineOptions::default()
+        };
         refine(&start, &photos, &cameras, &request)
     };
     let perceptual_loss = |weight: f32| Some(PerceptualLoss { weight, network });

@@ -3,8 +3,8 @@
 use std::ops::ControlFlow;
 use zipsplat::gpu::Arena;
 use zipsplat::ops::Arithmetic;
-use zipsplat::reconstruct::{Model, Request, SceneTokens};
-use zipsplat::refine::{FrozenHead, Rates, Refine, Refined, refine_tokens};
+use zipsplat::reconstruct::{Model, ReconstructOptions, SceneTokens};
+use zipsplat::refine::{FrozenHead, LearningRates, RefineOptions, RefineResult, refine_tokens};
 use zipsplat::types::{Camera, Image};
 use zipsplat::weights::Checkpoint;
 use zipsplat_tests::{architectures, device::device, networks, scenes::camera};
@@ -38,12 +38,12 @@ fn network() -> (Model, FrozenHead) {
 }
 
 fn tokens(model: &Model, scene_scale: f64) -> SceneTokens {
-    let request = Request { scene_scale, ..Request::default() };
+    let request = ReconstructOptions { scene_scale, ..ReconstructOptions::default() };
     let features = model.features(&photos().0, &request, |_| ControlFlow::Continue(())).unwrap();
     model.tokens(&features, &request, |_| ControlFlow::Continue(())).unwrap()
 }
 
-fn refine(head: &FrozenHead, tokens: &SceneTokens, request: &Refine) -> Refined {
+fn refine(head: &FrozenHead, tokens: &SceneTokens, request: &RefineOptions) -> RefineResult {
     let (photos, cameras) = photos();
     refine_tokens(&Arena::new(device()), head, tokens, &photos, &cameras, request, |_| ControlFlow::Continue(()))
         .unwrap()
@@ -55,20 +55,21 @@ fn tokens_become_the_photos() {
     for scene_scale in [1.0, 0.5] {
         let tokens = tokens(&model, scene_scale);
         // Up to the order of sums.
-        let none = refine(&head, &tokens, &Refine { steps: 0, ..Refine::default() });
-        let request = Request { scene_scale, ..Request::default() };
-        let made = model.reconstruct(&photos().0, &request, |_| ControlFlow::Continue(())).unwrap().scene().unwrap();
+        let none = refine(&head, &tokens, &RefineOptions { steps: 0, ..RefineOptions::default() });
+        let request = ReconstructOptions { scene_scale, ..ReconstructOptions::default() };
+        let made =
+            model.reconstruct_views(&photos().0, &request, |_| ControlFlow::Continue(())).unwrap().to_scene().unwrap();
         let close = |a: &[f32; 3], b: &[f32; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-4 * (1.0 + b.abs()));
         assert!(none.scene.means.iter().zip(&made.means).all(|(a, b)| close(a, b)));
         assert!(none.scene.scales.iter().zip(&made.scales).all(|(a, b)| close(a, b)));
 
         // Larger rates move random scenes out of the picture.
-        let rates = Rates { tokens: 1e-2, ..Rates::default() };
-        let request = Refine { steps: 60, rates, ..Refine::default() };
+        let rates = LearningRates { tokens: 1e-2, ..LearningRates::default() };
+        let request = RefineOptions { steps: 60, learning_rates: rates, ..RefineOptions::default() };
         let [first, second] = [(); 2].map(|()| refine(&head, &tokens, &request));
         assert!(first.scene == second.scene && first.losses == second.losses, "other bits the second time");
         assert!(first.losses[59] < 0.97 * first.losses[0], "{:?}", first.losses);
-        assert!(first.best_step > 45 && first.stopped.is_none());
+        assert!(first.best_step > 45 && first.stop_reason.is_none());
     }
 }
 
@@ -78,16 +79,23 @@ fn what_cannot_be_refined_is_refused() {
     let (photos, cameras) = photos();
     let tokens = tokens(&model, 1.0);
     let go_on = |_: zipsplat::refine::Refining<'_>| ControlFlow::Continue(());
-    let refused = |cameras: &[Camera], request: &Refine, word: &str| {
+    let refused = |cameras: &[Camera], request: &RefineOptions, word: &str| {
         let error = refine_tokens(&Arena::new(device()), &head, &tokens, &photos, cameras, request, go_on).unwrap_err();
         assert!(error.to_string().contains(word), "{error}");
     };
-    refused(&cameras[..1], &Refine::default(), "cameras");
-    refused(&cameras, &Refine { hold_out: Some(2), ..Refine::default() }, "held-out photos");
+    refused(&cameras[..1], &RefineOptions::default(), "cameras");
+    refused(&cameras, &RefineOptions { holdout_views: Some(2), ..RefineOptions::default() }, "held-out photos");
     let other =
         FrozenHead::load(device(), &Checkpoint::seeded_architecture(architectures::golden("tiny"), "tiny").unwrap());
-    let error =
-        refine_tokens(&Arena::new(device()), &other.unwrap(), &tokens, &photos, &cameras, &Refine::default(), go_on)
-            .unwrap_err();
+    let error = refine_tokens(
+        &Arena::new(device()),
+        &other.unwrap(),
+        &tokens,
+        &photos,
+        &cameras,
+        &RefineOptions::default(),
+        go_on,
+    )
+    .unwrap_err();
     assert!(error.to_string().contains("width of the tokens"), "{error}");
 }

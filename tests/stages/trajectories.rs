@@ -4,7 +4,7 @@ use glam::{DMat3, DQuat, DVec3, EulerRot};
 use serde_json::{Value, json};
 use std::f64::consts::TAU;
 use zipsplat::Error;
-use zipsplat::types::poses::{read_cameras, write_transforms};
+use zipsplat::types::poses::{Capture, write_transforms};
 use zipsplat::types::{Camera, Dolly, Ellipse, Intrinsics, Pose, Spline};
 
 const LENS: Intrinsics = Intrinsics { width: 64, height: 48, fx: 50.0, fy: 52.0, cx: 31.0, cy: 25.0 };
@@ -257,7 +257,7 @@ fn read(name: &str, file: &Value) -> zipsplat::Result<Vec<Camera>> {
     let folder = tempfile::TempDir::new().expect("a temporary folder");
     let path = folder.path().join(name);
     std::fs::write(&path, file.to_string()).expect("a file");
-    let poses = read_cameras(&path, &LENS)?;
+    let poses = Capture::open_cameras(&path, &LENS)?;
     Ok(poses.frames.iter().map(|frame| frame.camera).collect())
 }
 
@@ -276,7 +276,8 @@ fn every_format_gives_the_same_cameras() {
     let folder = tempfile::TempDir::new().expect("a temporary folder");
     let path = folder.path().join("transforms.json");
     write_transforms(&path, &cameras, &["a.png", "b.png", "c.png", "d.png"]).unwrap();
-    let transforms: Vec<Camera> = read_cameras(&path, &LENS).unwrap().frames.iter().map(|f| f.camera).collect();
+    let transforms: Vec<Camera> =
+        Capture::open_cameras(&path, &LENS).unwrap().frames.iter().map(|f| f.camera).collect();
     assert_cameras(&transforms, &cameras);
 
     // x right, y up, z backward.

@@ -19,23 +19,23 @@ use std::{
 use zipsplat::{
     Error, Result,
     perceptual::Perceptual,
-    stages::render::{RenderRequest, Renderer},
+    stages::render::{RenderOptions, Renderer},
     types::{
         Camera, Image, PointCloud, Pose,
-        poses::{Frame, Poses, SceneScale, read_cloud, read_poses},
+        poses::{Capture, CaptureView, SceneScale, read_cloud},
         resample::resize_lanczos,
     },
 };
 
 /// Chosen before any photo is read.
 pub struct Choice {
-    poses: Poses,
+    poses: Capture,
     inputs: Vec<usize>,
     targets: Vec<usize>,
 }
 
 /// World: the first input's camera.
-pub struct Capture {
+pub struct ViewSplit {
     pub views: Views,
     pub inputs: Vec<Posed>,
     pub targets: Vec<Posed>,
@@ -65,15 +65,16 @@ impl Choice {
     /// Chooses `views` frames by farthest-point sampling of positions, and all others or `targets`
     /// evenly spread ones. Skips frames without a photo.
     pub fn new(folder: &Path, views: usize, targets: Option<usize>) -> Result<Self> {
-        Self::of(read_poses(folder)?, folder, views, targets)
+        Self::of(Capture::open(folder)?, folder, views, targets)
     }
 
     /// Acts as [`Choice::new`] on known frames; `folder` is for messages.
-    pub fn of(poses: Poses, folder: &Path, views: usize, targets: Option<usize>) -> Result<Self> {
+    pub fn of(poses: Capture, folder: &Path, views: usize, targets: Option<usize>) -> Result<Self> {
         let found: Vec<usize> = (0..poses.frames.len()).filter(|i| poses.frames[*i].photo.is_some()).collect();
         if found.len() <= views {
             let expected = format!("more than --views {views}, to have some to compare with");
-            let why = if poses.sizeless.is_empty() { String::new() } else { format!(" ({})", poses.notes.join("; ")) };
+            let why =
+                if poses.sizeless.is_empty() { String::new() } else { format!(" ({})", poses.warnings.join("; ")) };
             let found = format!("{}{why}", found.len());
             return Err(Error::argument(format!("photos with cameras in {}", folder.display()), found, expected));
         }
@@ -85,7 +86,7 @@ impl Choice {
         Ok(Self { inputs: chosen.into_iter().map(|i| found[i]).collect(), targets, poses })
     }
 
-    pub fn given(poses: Poses, scene: &str, inputs: Vec<usize>, targets: Vec<usize>) -> Result<Self> {
+    pub fn given(poses: Capture, scene: &str, inputs: Vec<usize>, targets: Vec<usize>) -> Result<Self> {
         let frame = |i: usize| poses.frames.get(i).and_then(|frame| frame.photo.as_ref());
         if let Some(i) = inputs.iter().chain(&targets).find(|i| frame(**i).is_none()) {
             let found =
@@ -122,15 +123,15 @@ impl Choice {
         self.inputs.iter().filter_map(|i| self.poses.frames[*i].photo.clone()).collect()
     }
 
-    pub fn frames(&self) -> impl Iterator<Item = &Frame> {
+    pub fn frames(&self) -> impl Iterator<Item = &CaptureView> {
         self.inputs.iter().chain(&self.targets).map(|i| &self.poses.frames[*i])
     }
 
-    pub fn input_frames(&self) -> Vec<&Frame> {
+    pub fn input_frames(&self) -> Vec<&CaptureView> {
         self.inputs.iter().map(|i| &self.poses.frames[*i]).collect()
     }
 
-    pub fn frame(&self, name: &str) -> Option<&Frame> {
+    pub fn frame(&self, name: &str) -> Option<&CaptureView> {
         self.poses.frames.iter().find(|frame| frame.name == name)
     }
 
@@ -145,7 +146,7 @@ impl Choice {
     }
 
     pub fn notes(&self) -> &[String] {
-        &self.poses.notes
+        &self.poses.warnings
     }
 
     pub fn cloud(&self) -> Option<&Path> {
@@ -160,8 +161,8 @@ impl Choice {
     }
 
     /// `scene_scale` is the length in the cameras' unit that becomes 1; default [`SceneScale::of`].
-    pub fn load(&self, seeing: Seeing, scene_scale: Option<f64>, stage: &Stage<'_>) -> Result<Capture> {
-        let frames: Vec<&Frame> = self.frames().collect();
+    pub fn load(&self, seeing: Seeing, scene_scale: Option<f64>, stage: &Stage<'_>) -> Result<ViewSplit> {
+        let frames: Vec<&CaptureView> = self.frames().collect();
         let paths: Vec<PathBuf> = frames.iter().filter_map(|frame| frame.photo.clone()).collect();
         let (world, count) = (frames[0].camera.pose, self.inputs.len());
         let read = photos::read(&paths, &frames, stage, |i, photo| {
@@ -181,11 +182,11 @@ impl Choice {
         let cameras = views.cameras.iter_mut().chain(inputs.iter_mut().map(|photo| &mut photo.camera));
         cameras.for_each(|camera| camera.pose.translation /= scene_scale.length);
         let targets = inputs.split_off(count);
-        Ok(Capture { views, inputs, targets, scene_scale })
+        Ok(ViewSplit { views, inputs, targets, scene_scale })
     }
 }
 
-impl Capture {
+impl ViewSplit {
     pub fn notes(&self) -> impl Iterator<Item = String> {
         self.views.note.clone().into_iter().chain(self.scene_scale.doubt())
     }
@@ -241,7 +242,7 @@ fn alike(image: &Image, to: &Image) -> Image {
 
 /// Renders the loaded scene, `[height][width][rgb]` in 0..1.
 pub fn draw(renderer: &mut Renderer, camera: &Camera) -> Result<Vec<f32>> {
-    let frame = renderer.render_loaded(&[*camera], &RenderRequest::default())?.remove(0);
+    let frame = renderer.render(&[*camera], &RenderOptions::default())?.remove(0);
     Ok(frame.rgb.unwrap_or_default().into_iter().map(|value| value.clamp(0.0, 1.0)).collect())
 }
 
@@ -286,7 +287,7 @@ pub fn spread(k: usize) -> DVec3 {
     DVec3::new((1.0 - z * z).sqrt() * cos, (1.0 - z * z).sqrt() * sin, z)
 }
 
-fn posed(frame: &Frame, photo: &Image, seeing: Seeing, world: &Pose, label: &str) -> Result<Posed> {
+fn posed(frame: &CaptureView, photo: &Image, seeing: Seeing, world: &Pose, label: &str) -> Result<Posed> {
     let view = seeing.compare(photo)?;
     let camera = seen_through(&frame.camera, &view.map, label)?;
     let camera = Camera { pose: camera.pose.relative_to(world), ..camera };

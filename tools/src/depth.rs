@@ -15,13 +15,13 @@ use std::{
 use zipsplat::{
     Error, Result,
     cameras::share_focal_lengths,
-    depth::{DepthModel, DepthRequest, DepthView, Depths},
+    depth::{DepthMap, DepthModel, DepthOptions, DepthPrediction},
     gpu::{Device, Progress},
     ops::Precision,
     reconstruct::Ratio,
     types::{
         Camera, DEFAULT_BOUND, Image, Pose, Scene, bounded_views,
-        poses::{Frame, read_cloud},
+        poses::{CaptureView, read_cloud},
         preprocess::View,
     },
     weights::{DepthArchitecture, DepthCheckpoint},
@@ -64,7 +64,7 @@ pub struct PredictorOptions<'a> {
     pub side: Option<u32>,
     pub cameras: CamerasFrom,
     pub arithmetic: &'a ArithmeticOption,
-    pub request: DepthRequest,
+    pub request: DepthOptions,
 }
 
 impl Quality {
@@ -74,14 +74,18 @@ impl Quality {
             side: self.side(),
             cameras: CamerasFrom::default(),
             arithmetic: &self.arithmetic,
-            request: DepthRequest { ratio: self.ratio, selection: self.select.clone(), ..DepthRequest::default() },
+            request: DepthOptions {
+                ratio: self.ratio,
+                token_selection: self.select.clone(),
+                ..DepthOptions::default()
+            },
         }
     }
 
     /// Acts as [`Quality::check`], for pixel scenes.
     pub fn check_pixels(&self, checkpoint: &DepthCheckpoint) -> Result<()> {
         refuse("--pool", self.pool != 1, "weights of Depth Anything 3", "weights of ZipSplat")?;
-        let all = checkpoint.architecture().backbone.patch.pow(2) as u32;
+        let all = checkpoint.architecture().backbone.patch_size.pow(2) as u32;
         match self.kept() {
             Some(keep) if keep > all => {
                 Err(Error::argument("--keep", keep, format!("1 to {all}, the pixels of a patch")))
@@ -106,7 +110,7 @@ pub struct PredictedViews {
     pub photos: Vec<PathBuf>,
     /// Network input.
     pub views: Vec<View>,
-    pub depths: Depths,
+    pub depths: DepthPrediction,
     /// Cameras of the views, if known or estimated.
     pub cameras: Option<Vec<Camera>>,
     /// Photos without a camera.
@@ -122,7 +126,7 @@ pub struct DepthPredictor {
     precision: Precision,
     side: Option<u32>,
     cameras: CamerasFrom,
-    request: DepthRequest,
+    request: DepthOptions,
     loading: Duration,
 }
 
@@ -136,7 +140,7 @@ pub struct PreparedPhotos {
 
 impl PredictorOptions<'_> {
     /// Multi-view networks take the cameras of `known` frames as input, in their unit of length.
-    pub fn ask(self, session: &mut Session<'_>, photos: &[PathBuf], known: &[&Frame]) -> Result<PredictedViews> {
+    pub fn ask(self, session: &mut Session<'_>, photos: &[PathBuf], known: &[&CaptureView]) -> Result<PredictedViews> {
         let (prepared, reading) =
             session.stage("load photos", |stage| PreparedPhotos::read(self.side, photos, known, stage))?;
         let device = session.device()?;
@@ -150,7 +154,8 @@ impl PredictorOptions<'_> {
     pub fn open(self, session: &mut Session<'_>, device: &Device) -> Result<DepthPredictor> {
         let Self { checkpoint, side, cameras, arithmetic, request } = self;
         let (precision, arithmetic) = arithmetic.choose(session, device)?;
-        let load = |stage: &Stage<'_>| DepthModel::load(device, checkpoint, arithmetic, |done| stage.at(done));
+        let load =
+            |stage: &Stage<'_>| DepthModel::from_checkpoint(device, checkpoint, arithmetic, |done| stage.at(done));
         let (model, loading) = session.stage("load weights", load)?;
         Ok(DepthPredictor { model, precision, side, cameras, request, loading })
     }
@@ -158,7 +163,7 @@ impl PredictorOptions<'_> {
 
 impl PreparedPhotos {
     /// `side` is the longer side; `known` frames have cameras.
-    pub fn read(side: Option<u32>, photos: &[PathBuf], known: &[&Frame], stage: &Stage<'_>) -> Result<Self> {
+    pub fn read(side: Option<u32>, photos: &[PathBuf], known: &[&CaptureView], stage: &Stage<'_>) -> Result<Self> {
         let read = photos::read(photos, known, stage, |_, photo| Ok(photo))?;
         let views = bounded_views(&read, side.unwrap_or(DEFAULT_BOUND))?;
         let known_cameras = (!known.is_empty()).then(|| of_views(known, &views)).transpose()?;
@@ -173,7 +178,7 @@ impl PreparedPhotos {
 }
 
 impl DepthPredictor {
-    pub fn prepare(&self, photos: &[PathBuf], known: &[&Frame], stage: &Stage<'_>) -> Result<PreparedPhotos> {
+    pub fn prepare(&self, photos: &[PathBuf], known: &[&CaptureView], stage: &Stage<'_>) -> Result<PreparedPhotos> {
         PreparedPhotos::read(self.side, photos, known, stage)
     }
 
@@ -191,13 +196,13 @@ impl DepthPredictor {
         let images: Vec<Image> = views.iter().map(|view| view.image.clone()).collect();
         // Single-view networks ignore cameras.
         let multi_view = self.model.architecture().multi_view();
-        let request = DepthRequest { cameras: known_cameras.clone().filter(|_| multi_view), ..self.request.clone() };
-        let mut depths = self.model.depths(&images, &request, |progress: Progress<'_>| {
+        let request = DepthOptions { cameras: known_cameras.clone().filter(|_| multi_view), ..self.request.clone() };
+        let mut depths = self.model.predict(&images, &request, |progress: Progress<'_>| {
             stage.name(progress.scope);
             stage.at(progress.fraction)
         })?;
         let seeing = begun.elapsed();
-        let brought = request.cameras.as_ref().map_or(Ok(()), |cameras| depths.bring_to(cameras));
+        let brought = request.cameras.as_ref().map_or(Ok(()), |cameras| depths.align_to_cameras(cameras));
         let mut predicted = PredictedViews {
             photos,
             views,
@@ -233,7 +238,7 @@ impl PredictedViews {
         let mut cameras: Vec<Camera> = cameras.into_iter().flatten().collect();
         if focal_lengths == FocalLengths::Shared {
             let maps: Vec<_> = self.views.iter().map(|view| view.map).collect();
-            let weights: Vec<_> = self.depths.views.iter().map(DepthView::mean_confidence).collect();
+            let weights: Vec<_> = self.depths.views.iter().map(DepthMap::mean_confidence).collect();
             share_focal_lengths(&mut cameras, &maps, &lenses(&self.photos)?, &weights);
         }
         self.cameras = Some(cameras);
@@ -265,12 +270,17 @@ impl PredictedViews {
     }
 
     /// Named by path; empty without cameras.
-    pub fn frames(&self) -> Result<Vec<Frame>> {
+    pub fn frames(&self) -> Result<Vec<CaptureView>> {
         let frame = |(i, camera): (usize, &Camera)| {
             let photo = &self.photos[i];
             let upright = Camera { intrinsics: self.views[i].map.undo(&camera.intrinsics), ..*camera };
             let camera = Image::camera_as_stored(photo, &upright)?;
-            Ok(Frame { name: photo.to_string_lossy().into_owned(), photo: Some(photo.clone()), camera, lens: None })
+            Ok(CaptureView {
+                name: photo.to_string_lossy().into_owned(),
+                photo: Some(photo.clone()),
+                camera,
+                lens: None,
+            })
         };
         self.cameras.iter().flatten().enumerate().map(frame).collect()
     }
@@ -291,7 +301,8 @@ impl PredictedViews {
 
     /// In the scene, and all.
     pub fn patches(&self) -> [usize; 2] {
-        let [columns, rows] = [self.depths.width, self.depths.height].map(|side| side as usize / self.depths.patch);
+        let [columns, rows] =
+            [self.depths.width, self.depths.height].map(|side| side as usize / self.depths.patch_size);
         let all = self.views.len() * columns * rows;
         [self.depths.patches.as_ref().map_or(all, Vec::len), all]
     }
@@ -310,8 +321,8 @@ fn keep<T>(list: &mut Vec<T>, kept: &[bool]) -> Vec<T> {
     goes.into_iter().map(|(item, _)| item).collect()
 }
 
-fn of_views(frames: &[&Frame], views: &[View]) -> Result<Vec<Camera>> {
-    let camera = |(frame, view): (&&Frame, &View)| {
+fn of_views(frames: &[&CaptureView], views: &[View]) -> Result<Vec<Camera>> {
+    let camera = |(frame, view): (&&CaptureView, &View)| {
         Ok(Camera { intrinsics: view.map.apply(&frame.camera.intrinsics, &frame.name)?, ..frame.camera })
     };
     frames.iter().zip(views).map(camera).collect()

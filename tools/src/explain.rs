@@ -5,13 +5,13 @@ use serde::Serialize;
 use std::{fmt, time::Duration};
 use zipsplat::{
     gpu::{Profile, ProfileRow, StageTimes},
-    types::LeftOut,
+    types::SkippedPass,
 };
 
 #[derive(Serialize)]
 pub struct Explanation {
     passes: Vec<Pass>,
-    left_out: Vec<LeftOut>,
+    skipped_passes: Vec<SkippedPass>,
 }
 
 #[derive(Serialize)]
@@ -25,7 +25,7 @@ struct Pass {
 
 impl Explanation {
     /// One pass per kernel and scope.
-    pub fn of_kernels(profile: &Profile, left_out: Vec<LeftOut>) -> Self {
+    pub fn of_kernels(profile: &Profile, skipped_passes: Vec<SkippedPass>) -> Self {
         let pass = |row: &ProfileRow| {
             let pass = if row.kernel.starts_with(&row.scope) {
                 row.kernel.clone()
@@ -34,11 +34,11 @@ impl Explanation {
             };
             Pass { pass, commands: row.count, seconds: row.time.as_secs_f64(), bytes: row.bytes }
         };
-        Self { passes: profile.rows.iter().map(pass).collect(), left_out }
+        Self { passes: profile.rows.iter().map(pass).collect(), skipped_passes }
     }
 
     /// One pass per timed stage.
-    pub fn of_stages(times: &StageTimes, outline: &Profile, left_out: Vec<LeftOut>) -> Self {
+    pub fn of_stages(times: &StageTimes, outline: &Profile, skipped_passes: Vec<SkippedPass>) -> Self {
         let pass = |(stage, time): &(String, Duration)| {
             let inside = |row: &&ProfileRow| row.scope.split('/').next() == Some(stage);
             let (commands, bytes) = outline
@@ -48,7 +48,7 @@ impl Explanation {
                 .fold((0, 0), |(count, bytes), row| (count + row.count, bytes + row.bytes));
             Pass { pass: stage.clone(), commands, seconds: time.as_secs_f64(), bytes }
         };
-        Self { passes: times.0.iter().map(pass).collect(), left_out }
+        Self { passes: times.0.iter().map(pass).collect(), skipped_passes }
     }
 }
 
@@ -64,11 +64,11 @@ impl fmt::Display for Explanation {
         let moved: u64 = self.passes.iter().map(|pass| pass.bytes).sum();
         table.row(["together".into(), commands.to_string(), format!("{:.3}", 1e3 * seconds), bytes(moved)]);
         write!(f, "{table}")?;
-        if self.left_out.is_empty() {
+        if self.skipped_passes.is_empty() {
             return Ok(());
         }
         let mut table = Table::new(2, &["left out", "why"]);
-        self.left_out.iter().for_each(|left| table.row([left.what.clone(), left.why.clone()]));
+        self.skipped_passes.iter().for_each(|left| table.row([left.what.clone(), left.why.clone()]));
         write!(f, "\n{table}")
     }
 }

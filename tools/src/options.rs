@@ -10,10 +10,10 @@ use zipsplat::{
     Error, Result,
     gpu::{Device, Limits},
     ops::{Arithmetic, Pool, Precision},
-    reconstruct::{Ratio, Selection},
+    reconstruct::{Ratio, TokenSelection},
     stages::cluster::auto_ratio,
-    tune::Chosen,
-    types::{Image, Scene, SceneFormat, open_file, read_scene_unchecked},
+    tune::KernelChoice,
+    types::{Image, Scene, SceneFormat, open_file},
     weights::{Architecture, Checkpoint, DepthCheckpoint},
 };
 
@@ -33,7 +33,7 @@ impl Weights {
     pub fn open(&self) -> Result<Checkpoint> {
         match &self.weights {
             Some(weights) => self.open_as(weights),
-            None => Checkpoint::embedded(),
+            None => Checkpoint::builtin(),
         }
     }
 
@@ -103,7 +103,7 @@ pub fn open_checkpoint(text: &str, variant: Option<&str>, expected: &str) -> Res
             "the model that is built in",
             "a checkpoint that does not say its network",
         )?;
-        return Checkpoint::embedded();
+        return Checkpoint::builtin();
     }
     if is_of_depth(text) {
         let found = format!("{text}, of Depth Anything 3");
@@ -140,7 +140,7 @@ pub struct Quality {
     pub ratio: Ratio,
     /// Token selection: kmeans[:ROUNDS], stride or random[:SEED]
     #[arg(long, alias = "token-selection", value_name = "HOW", default_value = "kmeans", value_parser = parse_selection)]
-    pub select: Selection,
+    pub select: TokenSelection,
     /// Attend across many photos to the mean of SxS patches, S from 1 to 4, instead of each:
     /// faster, less exact
     #[arg(long, alias = "kv-pool", value_name = "S", default_value = "1")]
@@ -178,7 +178,7 @@ impl SceneInput {
 
     /// Notes and returns the number of dropped Gaussians.
     pub fn read(&self, session: &mut Session<'_>, path: &Path) -> Result<(Scene, usize)> {
-        let (mut scene, _) = session.stage("read scene", |_| read_scene_unchecked(path))?;
+        let (mut scene, _) = session.stage("read scene", |_| Scene::open_unchecked(path))?;
         if self.invalid != Some(Invalid::Drop) {
             let refused =
                 |error| Error::format(path, None, format!("{error}; --invalid drop leaves such Gaussians out"));
@@ -273,10 +273,10 @@ pub enum PrecisionName {
 impl PrecisionName {
     pub fn precision(self) -> Precision {
         match self {
-            PrecisionName::Exact => Precision::Exact,
-            PrecisionName::Fast => Precision::Fast,
-            PrecisionName::FastBf16 => Precision::FastBf16,
-            PrecisionName::Turbo => Precision::Turbo,
+            PrecisionName::Exact => Precision::Fp32,
+            PrecisionName::Fast => Precision::Fp16,
+            PrecisionName::FastBf16 => Precision::Bf16,
+            PrecisionName::Turbo => Precision::Int8,
         }
     }
 }
@@ -284,7 +284,7 @@ impl PrecisionName {
 impl ArithmeticOption {
     /// Returns the requested precision, or the device's best. Notes kernels that failed their test.
     pub fn choose(&self, session: &mut Session<'_>, device: &Device) -> Result<(Precision, Arithmetic)> {
-        let Chosen { precision, arithmetic, notes } = session.choose(device, self.asked())?;
+        let KernelChoice { precision, arithmetic, warnings: notes } = session.choose(device, self.asked())?;
         notes.iter().for_each(|note| session.note(note));
         Ok((precision, arithmetic))
     }
@@ -293,7 +293,7 @@ impl ArithmeticOption {
     pub fn planned(&self, limits: &Limits) -> (Precision, Arithmetic) {
         let precision = self.asked().unwrap_or(Precision::best(limits));
         let arithmetic = Arithmetic::of(precision, limits);
-        arithmetic.map_or((Precision::Exact, Arithmetic::EXACT), |arithmetic| (precision, arithmetic))
+        arithmetic.map_or((Precision::Fp32, Arithmetic::EXACT), |arithmetic| (precision, arithmetic))
     }
 
     fn asked(&self) -> Option<Precision> {
@@ -334,7 +334,7 @@ pub struct Size(pub u32, pub u32);
 
 impl Size {
     pub fn or_best(asked: Option<Self>, checkpoint: &Checkpoint) -> Self {
-        asked.unwrap_or(Self(checkpoint.picture_side(), checkpoint.picture_side()))
+        asked.unwrap_or(Self(checkpoint.image_size(), checkpoint.image_size()))
     }
 }
 
@@ -367,14 +367,16 @@ pub fn parse_length(text: &str) -> Result<f64, String> {
     length.ok_or_else(|| "expected a number above 0".into())
 }
 
-pub fn parse_selection(text: &str) -> Result<Selection, String> {
-    let random = |seed: &str| seed.parse().map(Selection::Random).map_err(|_| format!("{seed} is no seed"));
+pub fn parse_selection(text: &str) -> Result<TokenSelection, String> {
+    let random = |seed: &str| seed.parse().map(TokenSelection::Random).map_err(|_| format!("{seed} is no seed"));
     match text.split_once(':') {
-        None if text == "kmeans" => Ok(Selection::KMEANS),
-        None if text == "stride" => Ok(Selection::Stride),
-        None if text == "random" => Ok(Selection::Random(0)),
+        None if text == "kmeans" => Ok(TokenSelection::KMEANS),
+        None if text == "stride" => Ok(TokenSelection::Stride),
+        None if text == "random" => Ok(TokenSelection::Random(0)),
         Some(("random", seed)) => random(seed),
-        Some(("kmeans", rounds)) => rounds.parse().map(Selection::Kmeans).map_err(|_| format!("{rounds} is no number")),
+        Some(("kmeans", rounds)) => {
+            rounds.parse().map(TokenSelection::Kmeans).map_err(|_| format!("{rounds} is no number"))
+        }
         _ => Err("expected kmeans[:ROUNDS], stride or random[:SEED]".into()),
     }
 }

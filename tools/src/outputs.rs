@@ -10,7 +10,7 @@ use std::{
 };
 use zipsplat::{
     Error, Result,
-    types::{Image, Origin, Scene, SceneFormat, Unfinished, World, WriteOptions, write_atomic, write_scene_in},
+    types::{Image, Origin, SaveOptions, Scene, SceneFormat, Unfinished, World, write_atomic},
 };
 
 /// Per world unit.
@@ -136,8 +136,8 @@ pub fn check_folder(path: &Path) -> Result<()> {
 }
 
 /// Writes a scene with its world for `render`. Returns a note if the format cannot store it.
-pub fn save_scene(path: &Path, scene: &Scene, options: &WriteOptions, world: Option<&World>) -> Result<Option<String>> {
-    write_scene_in(path, scene, options, world)?;
+pub fn save_scene(path: &Path, scene: &Scene, options: &SaveOptions, world: Option<&World>) -> Result<Option<String>> {
+    scene.save_in(path, options, world)?;
     let keeps = SceneFormat::of_extension(path).is_none_or(|format| format.keeps_world(options));
     Ok(match world.map(|world| &world.origin) {
         Some(Origin::Photo(photo)) if !keeps => {

@@ -21,7 +21,7 @@ use zipsplat::{
     Error, Result,
     types::{
         Image,
-        poses::{Frame, Poses},
+        poses::{Capture, CaptureView},
         preprocess::crop_to_aspect,
     },
 };
@@ -236,7 +236,7 @@ fn named(paths: &[PathBuf], name: impl Fn(&PathBuf) -> String) -> String {
 }
 
 /// Keeps photos with a camera among `poses`, and notes the others.
-pub fn posed(session: &mut Session<'_>, photos: Vec<PathBuf>, poses: &Poses) -> Result<Vec<PathBuf>> {
+pub fn posed(session: &mut Session<'_>, photos: Vec<PathBuf>, poses: &Capture) -> Result<Vec<PathBuf>> {
     let (mut kept, mut others) = (Vec::new(), Vec::new());
     for photo in photos {
         let to = if poses.frame_of(&photo)?.is_some() { &mut kept } else { &mut others };
@@ -299,10 +299,10 @@ fn end_of_digits(text: &str) -> usize {
 }
 
 /// Reads photos concurrently and maps them with `make`, by index. Photos with `frames` are read as
-/// by [`Frame::open`]: COLMAP's cameras apply to pixels without the EXIF orientation.
+/// by [`CaptureView::open`]: COLMAP's cameras apply to pixels without the EXIF orientation.
 pub fn read<T: Send>(
     photos: &[PathBuf],
-    frames: &[&Frame],
+    frames: &[&CaptureView],
     stage: &Stage<'_>,
     make: impl Fn(usize, Image) -> Result<T> + Sync,
 ) -> Result<Vec<T>> {

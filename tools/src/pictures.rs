@@ -14,7 +14,7 @@ use std::{
 };
 use zipsplat::{
     Error, Result,
-    stages::render::{Frame, RenderRequest, Renderer},
+    stages::render::{RenderOptions, RenderOutput, Renderer},
     types::{Camera, Image, resample::resize_lanczos},
 };
 
@@ -39,7 +39,7 @@ pub struct Drawn {
 }
 
 /// Optional files beside `000.png`.
-fn layers(request: &RenderRequest) -> [(&'static str, bool); 5] {
+fn layers(request: &RenderOptions) -> [(&'static str, bool); 5] {
     [
         ("", request.rgb),
         (".depth", request.depth.is_some()),
@@ -53,7 +53,7 @@ fn file(folder: &Path, number: usize, layer: &str) -> PathBuf {
     folder.join(format!("{number:03}{layer}.png"))
 }
 
-pub fn files(folder: &Path, count: usize, request: &RenderRequest) -> impl Iterator<Item = PathBuf> {
+pub fn files(folder: &Path, count: usize, request: &RenderOptions) -> impl Iterator<Item = PathBuf> {
     let asked = layers(request).into_iter().filter(|(_, asked)| *asked);
     let files = asked.flat_map(move |(layer, _)| (0..count).map(move |number| (number, layer)));
     files.map(|(number, layer)| file(folder, number, layer)).chain([folder.join(SHEET)])
@@ -62,7 +62,7 @@ pub fn files(folder: &Path, count: usize, request: &RenderRequest) -> impl Itera
 pub fn draw(
     renderer: &mut Renderer,
     cameras: &[Camera],
-    request: &RenderRequest,
+    request: &RenderOptions,
     sinks: Sinks<'_>,
     stage: &Stage<'_>,
 ) -> Result<Drawn> {
@@ -107,7 +107,7 @@ struct Writer<'a> {
 }
 
 impl Writer<'_> {
-    fn write_all(&mut self, frames: Receiver<Frame>, batch: usize) -> Result<()> {
+    fn write_all(&mut self, frames: Receiver<RenderOutput>, batch: usize) -> Result<()> {
         let mut done = 0;
         while let Ok(first) = frames.recv() {
             let mut waiting = vec![first];
@@ -118,7 +118,7 @@ impl Writer<'_> {
         Ok(())
     }
 
-    fn write(&mut self, done: usize, frames: &[Frame]) -> Result<()> {
+    fn write(&mut self, done: usize, frames: &[RenderOutput]) -> Result<()> {
         let images: Vec<Result<Image>> = frames.par_iter().map(image).collect();
         let images = images.into_iter().collect::<Result<Vec<Image>>>()?;
         self.drawn.empty &= frames.iter().all(|frame| is_empty(frame, self.background));
@@ -145,19 +145,19 @@ impl Writer<'_> {
     }
 }
 
-fn is_empty(frame: &Frame, background: [f32; 3]) -> bool {
+fn is_empty(frame: &RenderOutput, background: [f32; 3]) -> bool {
     let pixels = frame.rgb.as_deref().unwrap_or_default().chunks_exact(3);
     let mut pairs = pixels.flat_map(|pixel| pixel.iter().zip(background));
     pairs.all(|(value, behind)| (value - behind).abs() < VISIBLE)
 }
 
-fn image(frame: &Frame) -> Result<Image> {
+fn image(frame: &RenderOutput) -> Result<Image> {
     Image::from_rgb_f32(frame.width, frame.height, frame.rgb.as_deref().unwrap_or_default())
 }
 
 /// Returns the thumbnail.
-fn save(folder: &Path, number: usize, frame: &Frame, image: &Image, frames: usize) -> Result<Image> {
-    let &Frame { width, height, .. } = frame;
+fn save(folder: &Path, number: usize, frame: &RenderOutput, image: &Image, frames: usize) -> Result<Image> {
+    let &RenderOutput { width, height, .. } = frame;
     let path = |layer: &str| file(folder, number, layer);
     outputs::save_picture(&path(""), image)?;
     if let Some(depth) = &frame.depth {

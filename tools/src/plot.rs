@@ -79,13 +79,13 @@ fn numbered(svg: &str, numbers: impl Iterator<Item = Option<usize>>) -> String {
     numbered
 }
 
-fn legend(meaning: &str, shown: &[Series], left_out: usize, beneath: Option<&Series>) -> String {
+fn legend(meaning: &str, shown: &[Series], skipped_passes: usize, beneath: Option<&Series>) -> String {
     let row = |(name, RGBColor(r, g, b)): (&String, RGBColor)| {
         format!("<li><i style=\"background:rgb({r},{g},{b})\"></i>{name}</li>")
     };
     let names = beneath.map(|line| (&line.name, GRAY)).into_iter();
     let rows: String = names.chain(shown.iter().map(|series| &series.name).zip(COLORS)).map(row).collect();
-    let more = if left_out > 0 { format!("<li>{left_out} more: in the table</li>") } else { String::new() };
+    let more = if skipped_passes > 0 { format!("<li>{skipped_passes} more: in the table</li>") } else { String::new() };
     format!("<ul class=\"legend\"><li>{meaning}</li>{rows}{more}</ul>")
 }
 

@@ -8,7 +8,7 @@ use zipsplat::{
     reconstruct::MAX_VIEWS,
     types::{
         Camera, Image, Pose,
-        poses::Frame,
+        poses::CaptureView,
         preprocess::{PixelMap, View, fit},
         tile_count, tiles,
     },
@@ -93,7 +93,7 @@ impl Fit {
     }
 
     /// One frame each, or none.
-    pub fn load(self, photos: &[PathBuf], frames: &[&Frame], size: Size, stage: &Stage<'_>) -> Result<Views> {
+    pub fn load(self, photos: &[PathBuf], frames: &[&CaptureView], size: Size, stage: &Stage<'_>) -> Result<Views> {
         let read = photos::read(photos, frames, stage, |i, photo| {
             let camera = frames.get(i).map(|frame| &frame.camera);
             let views = self.views(&photo, camera, size, &format!("camera {i}"))?;

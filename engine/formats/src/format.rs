@@ -10,7 +10,7 @@ pub(super) struct Format {
     pub view_dependence: bool,
     pub read: fn(Source<'_>) -> Result<Scene>,
     pub world: Option<ReadLine>,
-    pub write: for<'a> fn(&'a Scene, &WriteOptions, Option<&World>) -> Result<Encoder<'a>>,
+    pub write: for<'a> fn(&'a Scene, &SaveOptions, Option<&World>) -> Result<Encoder<'a>>,
 }
 
 type ReadLine = fn(&Path) -> Result<Option<String>>;
@@ -18,7 +18,7 @@ type ReadLine = fn(&Path) -> Result<Option<String>>;
 pub(super) type Encoder<'a> = Box<dyn FnOnce(&mut dyn Write) -> std::io::Result<()> + 'a>;
 
 impl Format {
-    pub fn write_file(&self, path: &Path, scene: &Scene, options: &WriteOptions, world: Option<&World>) -> Result<()> {
+    pub fn write_file(&self, path: &Path, scene: &Scene, options: &SaveOptions, world: Option<&World>) -> Result<()> {
         scene.validate()?;
         write_atomic(path, (self.write)(scene, options, world)?)
     }
@@ -26,12 +26,12 @@ impl Format {
 
 /// Format options for writing scenes.
 #[derive(Clone, Copy, Debug)]
-pub struct WriteOptions {
+pub struct SaveOptions {
     /// SPZ version: 2 for older readers, 3, or 4 (zstd).
     pub spz_version: u32,
 }
 
-impl Default for WriteOptions {
+impl Default for SaveOptions {
     fn default() -> Self {
         Self { spz_version: 3 }
     }

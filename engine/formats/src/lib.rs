@@ -7,15 +7,16 @@ mod file;
 mod format;
 mod gltf;
 mod image;
-mod left_out;
 mod lens;
 mod ply;
+mod points;
 pub mod poses;
 pub mod preprocess;
 pub mod resample;
 mod scene;
 mod scene_file;
 mod sh_rotation;
+mod skipped_pass;
 mod source;
 mod splat;
 mod spz;
@@ -29,18 +30,15 @@ pub use camera::{
     unit_quaternion,
 };
 pub use file::{Unfinished, open_file, remove_stale, write_atomic};
-pub use format::WriteOptions;
+pub use format::SaveOptions;
 pub use gltf::{read_gltf, write_gltf};
 pub use image::{Image, MAX_DECODED_BYTES, MAX_SIDE, contact_sheet, is_heic_start};
-pub use left_out::LeftOut;
 pub use lens::{Distortion, Lens};
 pub use ply::{PointCloud, read_ply, read_points, write_ply, write_points};
 pub use scene::{NEAR, Scene, near};
-pub use scene_file::{
-    SceneFormat, decode_scene, decode_scene_unchecked, encode_scene, read_scene, read_scene_unchecked, read_world,
-    write_scene, write_scene_in,
-};
+pub use scene_file::{SceneFormat, read_world};
 pub use sh_rotation::sh_rotation;
+pub use skipped_pass::SkippedPass;
 pub use splat::{read_splat, write_splat};
 pub use spz::{read_spz, spz_coarsening, write_spz};
 pub use tiles::{tile_count, tiles};

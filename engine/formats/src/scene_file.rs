@@ -5,7 +5,7 @@ use std::path::Path;
 
 use super::{
     Scene, World,
-    format::{Format, WriteOptions},
+    format::{Format, SaveOptions},
     gltf, ply,
     source::Source,
     splat, spz,
@@ -101,91 +101,93 @@ impl SceneFormat {
     }
 
     /// Returns true if the format can store the scene's world: all but `.splat` and SPZ version 4.
-    pub fn keeps_world(self, options: &WriteOptions) -> bool {
+    pub fn keeps_world(self, options: &SaveOptions) -> bool {
         self.format().world.is_some() && !(self == Self::Spz && options.spz_version == 4)
     }
 }
 
-/// Reads a scene of any format, detected as [`SceneFormat::of_file`]. Converts to axes x right, y
-/// down, z forward.
-///
-/// # Errors
-///
-/// [`Error::Format`] for unknown or damaged files, and values that are not finite or out of range.
-pub fn read_scene(path: impl AsRef<Path>) -> Result<Scene> {
-    read_scene_unchecked(path.as_ref())?.validated(path.as_ref())
-}
+impl Scene {
+    /// Reads a scene of any format, detected as [`SceneFormat::of_file`]. Converts to axes x right, y
+    /// down, z forward.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Format`] for unknown or damaged files, and values that are not finite or out of range.
+    pub fn open(path: impl AsRef<Path>) -> Result<Self> {
+        Self::open_unchecked(path.as_ref())?.validated(path.as_ref())
+    }
 
-/// Reads as [`read_scene`], without validating values: NaN passes.
-///
-/// # Errors
-///
-/// See [`read_scene`], except for values.
-pub fn read_scene_unchecked(path: impl AsRef<Path>) -> Result<Scene> {
-    let path = path.as_ref();
-    let format = SceneFormat::of_file(path)?.ok_or_else(|| no_scene(path))?;
-    (format.format().read)(Source::open(path)?)
-}
+    /// Reads as [`Scene::open`], without validating values: NaN passes.
+    ///
+    /// # Errors
+    ///
+    /// See [`Scene::open`], except for values.
+    pub fn open_unchecked(path: impl AsRef<Path>) -> Result<Self> {
+        let path = path.as_ref();
+        let format = SceneFormat::of_file(path)?.ok_or_else(|| no_scene(path))?;
+        (format.format().read)(Source::open(path)?)
+    }
 
-/// Decodes a scene as [`read_scene`], detected by its first bytes, else of `format`, which `.splat`
-/// and `.gltf` need. A glTF may not refer to other files.
-pub fn decode_scene(bytes: &[u8], format: Option<SceneFormat>) -> Result<Scene> {
-    decode_scene_unchecked(bytes, format)?.validated(Path::new(IN_MEMORY))
-}
+    /// Decodes a scene as [`Scene::open`], detected by its first bytes, else of `format`, which `.splat`
+    /// and `.gltf` need. A glTF may not refer to other files.
+    pub fn decode(bytes: &[u8], format: Option<SceneFormat>) -> Result<Self> {
+        Self::decode_unchecked(bytes, format)?.validated(Path::new(IN_MEMORY))
+    }
 
-/// Decodes as [`decode_scene`], without validating values.
-///
-/// # Errors
-///
-/// See [`decode_scene`], except for values.
-pub fn decode_scene_unchecked(bytes: &[u8], format: Option<SceneFormat>) -> Result<Scene> {
-    let name = Path::new(IN_MEMORY);
-    let format = SceneFormat::detect(bytes, format).ok_or_else(|| no_scene(name))?;
-    (format.format().read)(Source::memory(name, bytes))
+    /// Decodes as [`Scene::decode`], without validating values.
+    ///
+    /// # Errors
+    ///
+    /// See [`Scene::decode`], except for values.
+    pub fn decode_unchecked(bytes: &[u8], format: Option<SceneFormat>) -> Result<Self> {
+        let name = Path::new(IN_MEMORY);
+        let format = SceneFormat::detect(bytes, format).ok_or_else(|| no_scene(name))?;
+        (format.format().read)(Source::memory(name, bytes))
+    }
+
+    /// Writes a scene atomically, in the format of the extension. No format stores cameras; see
+    /// [`write_transforms`](super::poses::write_transforms).
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Argument`] if the extension is unknown, the scene is invalid or the format cannot store
+    /// it.
+    pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
+        self.save_with(path, &SaveOptions::default())
+    }
+
+    /// Writes as [`Scene::save`], with options.
+    pub fn save_with(&self, path: impl AsRef<Path>, options: &SaveOptions) -> Result<()> {
+        self.save_in(path, options, None)
+    }
+
+    /// Writes as [`Scene::save`], with the scene's world for [`read_world`](super::read_world) if known
+    /// and [`SceneFormat::keeps_world`].
+    pub fn save_in(&self, path: impl AsRef<Path>, options: &SaveOptions, world: Option<&World>) -> Result<()> {
+        let path = path.as_ref();
+        let format = SceneFormat::of_extension(path)
+            .ok_or_else(|| Error::argument("scene file", path.display(), SceneFormat::EXTENSIONS))?;
+        format.format().write_file(path, self, options, world)
+    }
+
+    /// Encodes the file that [`Scene::save`] writes.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Argument`] if the scene is invalid or the format cannot store it.
+    pub fn encode(&self, format: SceneFormat, options: &SaveOptions) -> Result<Vec<u8>> {
+        self.validate()?;
+        let (mut bytes, name) = (Vec::new(), Path::new(IN_MEMORY));
+        let written = (format.format().write)(self, options, None)?(&mut bytes);
+        written.map_err(|source| Error::io(name, source))?;
+        Ok(bytes)
+    }
 }
 
 const IN_MEMORY: &str = "scene in memory";
 
 fn no_scene(name: &Path) -> Error {
     Error::format(name, Some(0), format!("no scene, expected {}", SceneFormat::EXTENSIONS))
-}
-
-/// Writes a scene atomically, in the format of the extension. No format stores cameras; see
-/// [`write_transforms`](super::poses::write_transforms).
-///
-/// # Errors
-///
-/// [`Error::Argument`] if the extension is unknown, the scene is invalid or the format cannot store
-/// it.
-pub fn write_scene(path: impl AsRef<Path>, scene: &Scene, options: &WriteOptions) -> Result<()> {
-    write_scene_in(path, scene, options, None)
-}
-
-/// Writes as [`write_scene`], with the scene's world for [`read_world`](super::read_world) if known
-/// and [`SceneFormat::keeps_world`].
-pub fn write_scene_in(
-    path: impl AsRef<Path>,
-    scene: &Scene,
-    options: &WriteOptions,
-    world: Option<&World>,
-) -> Result<()> {
-    let path = path.as_ref();
-    let format = SceneFormat::of_extension(path)
-        .ok_or_else(|| Error::argument("scene file", path.display(), SceneFormat::EXTENSIONS))?;
-    format.format().write_file(path, scene, options, world)
-}
-
-/// Encodes the file that [`write_scene`] writes.
-///
-/// # Errors
-///
-/// [`Error::Argument`] if the scene is invalid or the format cannot store it.
-pub fn encode_scene(scene: &Scene, format: SceneFormat, options: &WriteOptions) -> Result<Vec<u8>> {
-    scene.validate()?;
-    let (mut bytes, name) = (Vec::new(), Path::new(IN_MEMORY));
-    let written = (format.format().write)(scene, options, None)?(&mut bytes);
-    written.map_err(|source| Error::io(name, source))?;
-    Ok(bytes)
 }
 
 /// Reads a scene's world, if this engine stored it in the file.

@@ -5,7 +5,7 @@
 use std::f32::consts::FRAC_1_PI;
 use std::path::Path;
 
-use super::format::{Encoder, Format, WriteOptions};
+use super::format::{Encoder, Format, SaveOptions};
 use super::{Scene, World, camera::unit_quaternion, source::Source};
 use crate::{Error, Result};
 
@@ -25,10 +25,10 @@ fn sh_constant() -> f32 {
 ///
 /// [`Error::Argument`] if the scene is invalid.
 pub fn write_splat(scene: &Scene, path: impl AsRef<Path>) -> Result<()> {
-    FORMAT.write_file(path.as_ref(), scene, &WriteOptions::default(), None)
+    FORMAT.write_file(path.as_ref(), scene, &SaveOptions::default(), None)
 }
 
-fn encoder<'a>(scene: &'a Scene, _: &WriteOptions, _: Option<&World>) -> Result<Encoder<'a>> {
+fn encoder<'a>(scene: &'a Scene, _: &SaveOptions, _: Option<&World>) -> Result<Encoder<'a>> {
     let importance = |i: usize| scene.scales[i].map(f64::from).iter().product::<f64>() * f64::from(scene.opacities[i]);
     let mut order: Vec<usize> = (0..scene.len()).collect();
     order.sort_by(|&a, &b| importance(b).total_cmp(&importance(a)));

@@ -5,7 +5,7 @@ use std::fmt;
 use glam::DVec3;
 
 use super::camera::{Camera, Intrinsics, Pose, matrix_from_quaternion, quaternion_from_matrix};
-use super::poses::Frame;
+use super::poses::CaptureView;
 use super::trajectory::mean_up;
 
 /// Prefix of this engine's metadata: a comment in PLY and SPZ, an extra in glTF.
@@ -43,19 +43,19 @@ pub enum Origin {
 
 impl World {
     /// The camera frame of the first photo; `None` without photos.
-    pub fn of_first(frames: &[&Frame]) -> Option<Self> {
+    pub fn of_first(frames: &[&CaptureView]) -> Option<Self> {
         let first = frames.first()?;
         Some(Self::of(Origin::Photo(first.name.clone()), &first.camera.pose.inverse(), frames))
     }
 
     /// The world of the cameras; `None` without photos.
-    pub fn of_cameras(frames: &[&Frame]) -> Option<Self> {
+    pub fn of_cameras(frames: &[&CaptureView]) -> Option<Self> {
         Some(Self::of(Origin::Cameras(frames.first()?.camera.pose), &Pose::IDENTITY, frames))
     }
 
-    fn of(origin: Origin, to_world: &Pose, frames: &[&Frame]) -> Self {
-        let center = |frame: &&Frame| to_world.transform(frame.camera.pose.translation);
-        let from_first = |frame: &&&Frame| center(frame).distance(center(&frames[0]));
+    fn of(origin: Origin, to_world: &Pose, frames: &[&CaptureView]) -> Self {
+        let center = |frame: &&CaptureView| to_world.transform(frame.camera.pose.translation);
+        let from_first = |frame: &&&CaptureView| center(frame).distance(center(&frames[0]));
         let farthest = frames.iter().skip(1).max_by(|a, b| from_first(a).total_cmp(&from_first(b)));
         let landmarks = frames.first().into_iter().chain(farthest.filter(|frame| from_first(frame) > 0.0));
         let landmarks = landmarks.map(|frame| (frame.name.clone(), center(frame))).collect();

@@ -8,7 +8,7 @@ mod pixels;
 mod points;
 
 pub use gaussians::pixel_gaussians;
-pub use model::{DepthModel, DepthRequest};
+pub use model::{DepthModel, DepthOptions};
 pub use network::{DepthNetwork, DepthShape, DepthTensors};
-pub use output::{DepthView, Depths, METRIC_FOCAL};
+pub use output::{DepthMap, DepthPrediction, METRIC_FOCAL};
 pub use pixels::add_view;

@@ -1,12 +1,12 @@
 use super::{
     DepthNetwork, DepthShape, DepthTensors,
-    output::{Depths, read},
+    output::{DepthPrediction, read},
 };
 use crate::{
     Result,
     gpu::{Arena, Device, Plan, Progress, Recorder, Run},
     ops::{Arithmetic, Parameters},
-    reconstruct::{Ratio, Selection, check_cameras, planar, size_of},
+    reconstruct::{Ratio, TokenSelection, check_cameras, planar, size_of},
     stages::DepthArchitecture,
     types::{Camera, Image},
     weights::DepthCheckpoint,
@@ -24,29 +24,29 @@ pub struct DepthModel {
     arena: Arena,
 }
 
-/// Depth request.
+/// Depth options.
 #[derive(Clone, Debug)]
-pub struct DepthRequest {
+pub struct DepthOptions {
     /// Known cameras, at image size.
     pub cameras: Option<Vec<Camera>>,
     /// Reference view without cameras; by default the most typical of three or more, else the
     /// first.
-    pub reference: Option<usize>,
-    /// Ratio of patches in [`Depths::scene`].
+    pub reference_view: Option<usize>,
+    /// Ratio of patches in [`DepthPrediction::scene`].
     pub ratio: Ratio,
     /// Selection of those patches.
-    pub selection: Selection,
+    pub token_selection: TokenSelection,
 }
 
-impl Default for DepthRequest {
+impl Default for DepthOptions {
     fn default() -> Self {
-        Self { cameras: None, reference: None, ratio: Ratio::Fixed(1.0), selection: Selection::KMEANS }
+        Self { cameras: None, reference_view: None, ratio: Ratio::Fixed(1.0), token_selection: TokenSelection::KMEANS }
     }
 }
 
 impl DepthModel {
     /// Loads a checkpoint. Heads are always f32.
-    pub fn load(
+    pub fn from_checkpoint(
         device: &Device,
         checkpoint: &DepthCheckpoint,
         arithmetic: Arithmetic,
@@ -73,21 +73,21 @@ impl DepthModel {
     }
 
     /// Estimates depth of images of one size, divisible by the patch.
-    pub fn depths(
+    pub fn predict(
         &self,
         images: &[Image],
-        request: &DepthRequest,
+        options: &DepthOptions,
         progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
-    ) -> Result<Depths> {
-        let shape = self.shape(images, request)?;
+    ) -> Result<DepthPrediction> {
+        let shape = self.shape(images, options)?;
         let (plan, tensors) = self.network.plan(self.device.limits(), shape)?;
         let (arena, _claim) = self.arena.claimed();
         let mut run = Run::in_arena(&arena, 0, plan, [self.parameters.resident.clone()])?;
-        self.write_inputs(&mut run, &tensors, shape, images, request)?;
+        self.write_inputs(&mut run, &tensors, shape, images, options)?;
         let times = run.execute_with(progress)?;
         let mut patches = match (tensors.chosen, tensors.indices) {
             (Some(chosen), _) => Some(run.read(chosen)?),
-            (None, Some(_)) => Some(request.selection.indices(shape.grid.tokens(), shape.tokens)),
+            (None, Some(_)) => Some(options.token_selection.indices(shape.grid.tokens(), shape.tokens)),
             (None, None) => None,
         };
         // Centroids may share a patch.
@@ -96,15 +96,16 @@ impl DepthModel {
             patches.dedup();
         });
         let bytes = run.plan().arena_bytes() + self.weight_bytes();
-        Ok(Depths { patches, ..read(&run, &tensors.heads, shape.grid, times, bytes)? })
+        Ok(DepthPrediction { patches, ..read(&run, &tensors.heads, shape.grid, times, bytes)? })
     }
 
-    /// Returns the shape of a request.
-    pub fn shape(&self, images: &[Image], request: &DepthRequest) -> Result<DepthShape> {
+    /// Returns the shape for these options.
+    pub fn shape(&self, images: &[Image], options: &DepthOptions) -> Result<DepthShape> {
         let size = size_of(images)?;
-        let chosen = (request.ratio, &request.selection);
-        let shape = self.network.shape(images.len(), size, chosen, request.cameras.is_some(), request.reference)?;
-        request.cameras.iter().try_for_each(|cameras| check_cameras(cameras, images))?;
+        let chosen = (options.ratio, &options.token_selection);
+        let shape =
+            self.network.shape(images.len(), size, chosen, options.cameras.is_some(), options.reference_view)?;
+        options.cameras.iter().try_for_each(|cameras| check_cameras(cameras, images))?;
         Ok(shape)
     }
 
@@ -130,7 +131,7 @@ impl DepthModel {
         tensors: &DepthTensors,
         shape: DepthShape,
         images: &[Image],
-        request: &DepthRequest,
+        options: &DepthOptions,
     ) -> Result<()> {
         let mut pixels = planar(images);
         let area = pixels.len() / (3 * images.len());
@@ -139,9 +140,9 @@ impl DepthModel {
         }
         run.write(tensors.images, &pixels)?;
         if let Some(indices) = tensors.indices {
-            run.write(indices, &request.selection.indices(shape.grid.tokens(), shape.tokens))?;
+            run.write(indices, &options.token_selection.indices(shape.grid.tokens(), shape.tokens))?;
         }
-        let cameras = request.cameras.as_deref();
+        let cameras = options.cameras.as_deref();
         self.network.stages.backbone.write(run, &tensors.backbone, shape.grid, cameras, &self.parameters)?;
         tensors.heads.write(run, &pixels)
     }

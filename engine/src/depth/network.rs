@@ -2,7 +2,7 @@ use crate::{
     Error, Result,
     gpu::{Limits, Plan, Recorder, Tensor},
     ops::{Arithmetic, ParameterLayout},
-    reconstruct::{Kept, Ratio, Selection, grid},
+    reconstruct::{Ratio, TokenSampling, TokenSelection, grid},
     stages::{DepthArchitecture, DepthStages, Reference, ViewGrid, cluster, heads::HeadTensors},
 };
 
@@ -25,7 +25,7 @@ pub struct DepthShape {
     /// Number of patches kept.
     pub tokens: usize,
     /// Their selection.
-    pub kept: Kept,
+    pub kept: TokenSampling,
 }
 
 /// Inputs and outputs.
@@ -57,12 +57,12 @@ impl DepthNetwork {
         &self,
         views: usize,
         [width, height]: [u32; 2],
-        chosen: (Ratio, &Selection),
+        chosen: (Ratio, &TokenSelection),
         cameras: bool,
         reference: Option<usize>,
     ) -> Result<DepthShape> {
         let (a, multi_view) = (&self.architecture, self.architecture.multi_view());
-        let grid = grid(a.backbone.patch, views, width as usize, height as usize)?;
+        let grid = grid(a.backbone.patch_size, views, width as usize, height as usize)?;
         if cameras && !multi_view {
             return Err(Error::argument("cameras", "some", format!("none: {} knows no cameras", a.name)));
         }
@@ -74,7 +74,7 @@ impl DepthNetwork {
             None if views > 2 && multi_view => Reference::Balanced,
             None => Reference::View(0),
         };
-        let (tokens, kept) = Kept::of(grid, chosen)?;
+        let (tokens, kept) = TokenSampling::of(grid, chosen)?;
         Ok(DepthShape { grid, cameras, reference, tokens, kept })
     }
 
@@ -86,9 +86,9 @@ impl DepthNetwork {
         let features =
             rec.scope("backbone", |rec| self.stages.backbone.record(rec, images, &backbone, grid, reference));
         let heads = rec.scope("heads", |rec| self.stages.heads.record(rec, &features, grid));
-        let indices = (kept != Kept::All).then(|| rec.input::<u32>("indices", tokens));
+        let indices = (kept != TokenSampling::All).then(|| rec.input::<u32>("indices", tokens));
         let chosen = match (indices, kept, features.layers.last()) {
-            (Some(initial), Kept::Kmeans(rounds), Some(deepest)) => Some(rec.scope("cluster", |rec| {
+            (Some(initial), TokenSampling::Kmeans(rounds), Some(deepest)) => Some(rec.scope("cluster", |rec| {
                 cluster::record(rec, self.parameters.nearest(), *deepest, initial, tokens, rounds)
             })),
             _ => None,

@@ -11,15 +11,15 @@ use crate::{
 
 /// Outputs of all views.
 #[derive(Clone, Debug)]
-pub struct Depths {
+pub struct DepthPrediction {
     /// Width in pixels.
     pub width: u32,
     /// Height in pixels.
     pub height: u32,
     /// Per view.
-    pub views: Vec<DepthView>,
+    pub views: Vec<DepthMap>,
     /// Patch side in pixels.
-    pub patch: usize,
+    pub patch_size: usize,
     /// Kept patches, ascending, unless all are kept.
     pub patches: Option<Vec<u32>>,
     /// Time per stage.
@@ -28,13 +28,13 @@ pub struct Depths {
     pub peak_bytes: u64,
 }
 
-impl Depths {
+impl DepthPrediction {
     /// Returns the decoded cameras, at depth size.
     ///
     /// # Errors
     /// [`Error::Argument`] for separate views or invalid cameras.
     pub fn cameras(&self) -> Result<Vec<Camera>> {
-        let camera = |(i, view): (usize, &DepthView)| {
+        let camera = |(i, view): (usize, &DepthMap)| {
             let encoding = view.encoding.as_ref().ok_or_else(by_themselves)?;
             let camera = decoded_camera(encoding, [self.width, self.height]);
             camera.validate(&format!("camera of view {i}"))?;
@@ -47,7 +47,7 @@ impl Depths {
     ///
     /// # Errors
     /// [`Error::Argument`] for coincident cameras or separate views.
-    pub fn bring_to(&mut self, cameras: &[Camera]) -> Result<()> {
+    pub fn align_to_cameras(&mut self, cameras: &[Camera]) -> Result<()> {
         let centers = |cameras: &[Camera]| cameras.iter().map(|camera| camera.pose.translation).collect::<Vec<_>>();
         let scale = scale_between(&centers(cameras), &centers(&self.cameras()?));
         let expected = "at least two places, or the network has none";
@@ -95,7 +95,7 @@ impl Depths {
         let place: Vec<usize> = (0..all).map(|view| kept[..view].iter().filter(|kept| **kept).count()).collect();
         let mut flags = kept.iter();
         self.views.retain(|_| flags.next() == Some(&true));
-        let each = (self.width as usize / self.patch) * (self.height as usize / self.patch);
+        let each = (self.width as usize / self.patch_size) * (self.height as usize / self.patch_size);
         if let Some(patches) = &mut self.patches {
             patches.retain(|patch| kept[*patch as usize / each]);
             patches.iter_mut().for_each(|patch| {
@@ -110,7 +110,7 @@ impl Depths {
     /// # Errors
     /// [`Error::Argument`] for separate views.
     pub fn cameras_of_rays(&self) -> Result<Vec<Result<CameraEstimate>>> {
-        let camera = |view: &DepthView| {
+        let camera = |view: &DepthMap| {
             let rays = view.rays.as_ref().ok_or_else(by_themselves)?;
             Ok(rays.camera([self.width, self.height]))
         };
@@ -125,7 +125,7 @@ pub(super) const SKY: f32 = 0.3;
 const FEWEST: usize = 10;
 const BEHIND: f64 = 0.99;
 
-impl DepthView {
+impl DepthMap {
     /// Depth with sky behind 99 % of the rest, if there are enough pixels of both.
     pub fn depth_behind_sky(&self) -> Vec<f32> {
         let mut depth = self.depth.clone();
@@ -150,7 +150,7 @@ fn by_themselves() -> Error {
 
 /// Depth of a view.
 #[derive(Clone, Debug)]
-pub struct DepthView {
+pub struct DepthMap {
     /// `[height, width]` along the camera axis, in arbitrary units.
     pub depth: Vec<f32>,
     /// `[height, width]`, at least 1.
@@ -172,9 +172,9 @@ pub(super) fn read(
     grid: ViewGrid,
     times: StageTimes,
     peak_bytes: u64,
-) -> Result<Depths> {
+) -> Result<DepthPrediction> {
     let encodings = encodings(run, heads)?;
-    let view = |(i, view): (usize, &ViewTensors)| -> Result<DepthView> {
+    let view = |(i, view): (usize, &ViewTensors)| -> Result<DepthMap> {
         let logits: Vec<f32> = run.read(view.depth)?;
         let channels = if view.sky.is_some() { 1 } else { 2 };
         let exp = |channel: usize, least: f64| -> Vec<f32> {
@@ -182,7 +182,7 @@ pub(super) fn read(
         };
         let sky =
             |tensor: Tensor| -> Result<Vec<f32>> { Ok(run.read::<f32>(tensor)?.iter().map(|x| x.max(0.0)).collect()) };
-        Ok(DepthView {
+        Ok(DepthMap {
             depth: exp(0, 0.0),
             confidence: (channels > 1).then(|| exp(1, 1.0)),
             rays: view.rays.map(|tensor| rays(&run.read(tensor)?, grid)).transpose()?,
@@ -191,9 +191,9 @@ pub(super) fn read(
             gaussians: heads.gaussians.get(i).map(|view| run.read(view.values)).transpose()?,
         })
     };
-    let [width, height] = [grid.columns, grid.rows].map(|count| (count * grid.patch) as u32);
+    let [width, height] = [grid.columns, grid.rows].map(|count| (count * grid.patch_size) as u32);
     let views = heads.views.iter().enumerate().map(view).collect::<Result<_>>()?;
-    Ok(Depths { width, height, views, patch: grid.patch, patches: None, times, peak_bytes })
+    Ok(DepthPrediction { width, height, views, patch_size: grid.patch_size, patches: None, times, peak_bytes })
 }
 
 fn rays(values: &[f32], grid: ViewGrid) -> Result<RayMap> {

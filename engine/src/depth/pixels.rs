@@ -1,4 +1,4 @@
-use super::{DepthView, Depths, output::SKY, pixel_gaussians};
+use super::{DepthMap, DepthPrediction, output::SKY, pixel_gaussians};
 use crate::types::{Camera, Image, Scene};
 use glam::DVec3;
 
@@ -26,7 +26,7 @@ fn add_pixel(scene: &mut Scene, camera: &Camera, image: &Image, at: usize, (dept
     scene.sh_coeffs.push(rgb.map(|value| (f32::from(value) / 255.0 - 0.5) / SH0));
 }
 
-impl Depths {
+impl DepthPrediction {
     /// Returns a Gaussian per confident pixel of the kept patches, in the cameras' world.
     ///
     /// Without a head they are isotropic, with opacity by confidence. Sky is dropped; `keep` limits
@@ -34,7 +34,7 @@ impl Depths {
     pub fn scene(&self, cameras: &[Camera], images: &[Image], keep: Option<usize>) -> Scene {
         let of_head = self.views.iter().any(|view| view.gaussians.is_some());
         let mut scene = Scene { sh_degree: if of_head { 2 } else { 0 }, ..Scene::default() };
-        let (columns, side) = (self.width as usize / self.patch, self.patch);
+        let (columns, side) = (self.width as usize / self.patch_size, self.patch_size);
         let patches = columns * (self.height as usize / side);
         let all: Vec<u32> = (0..(self.views.len() * patches) as u32).collect();
         let kept = self.patches.as_deref().unwrap_or(&all);
@@ -73,7 +73,7 @@ impl Depths {
     }
 }
 
-impl DepthView {
+impl DepthMap {
     /// Mean confidence, by default 1.
     pub fn mean_confidence(&self) -> f64 {
         let all = self.confidence.as_deref().unwrap_or(&[1.0]);

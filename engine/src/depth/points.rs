@@ -1,4 +1,4 @@
-use super::Depths;
+use super::DepthPrediction;
 use crate::types::{Camera, Image};
 use glam::DVec3;
 
@@ -6,7 +6,7 @@ use glam::DVec3;
 const CONFIDENT: f32 = 1.05;
 const SHARES: [f64; 2] = [0.4, 0.9];
 
-impl Depths {
+impl DepthPrediction {
     /// Returns at most `most` colored world points of confident pixels.
     pub fn points(&self, cameras: &[Camera], images: &[Image], most: usize) -> Vec<([f32; 3], [u8; 3])> {
         let least = self.least_confidence();

@@ -5,31 +5,31 @@ use crate::gpu::{Element, Limits, MatrixShape};
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Precision {
     /// f32 throughout.
-    Exact,
+    Fp32,
     /// f16 factors.
-    Fast,
+    Fp16,
     /// bf16 factors, for activations beyond f16's range.
-    FastBf16,
-    /// `Fast`, with 8-bit integers in blocks' linear layers.
-    Turbo,
+    Bf16,
+    /// `Fp16`, with 8-bit integers in blocks' linear layers.
+    Int8,
 }
 
 impl Precision {
     /// Every precision, slowest first.
-    pub const ALL: [Self; 4] = [Self::Exact, Self::FastBf16, Self::Fast, Self::Turbo];
+    pub const ALL: [Self; 4] = [Self::Fp32, Self::Bf16, Self::Fp16, Self::Int8];
 
-    /// The default: `Fast` with matrix units, else `Exact`.
+    /// The default: `Fp16` with matrix units, else `Fp32`.
     pub fn best(limits: &Limits) -> Self {
-        if !limits.cpu && limits.matrices.f16.is_some() { Precision::Fast } else { Precision::Exact }
+        if !limits.cpu && limits.matrices.f16.is_some() { Precision::Fp16 } else { Precision::Fp32 }
     }
 
     /// Command-line name.
     pub fn name(self) -> &'static str {
         match self {
-            Precision::Exact => "exact",
-            Precision::Fast => "fast",
-            Precision::FastBf16 => "fast-bf16",
-            Precision::Turbo => "turbo",
+            Precision::Fp32 => "exact",
+            Precision::Fp16 => "fast",
+            Precision::Bf16 => "fast-bf16",
+            Precision::Int8 => "turbo",
         }
     }
 }
@@ -106,12 +106,12 @@ impl Arithmetic {
     /// Returns the arithmetic of a precision, if supported.
     pub fn of(precision: Precision, limits: &Limits) -> Option<Self> {
         let element = match precision {
-            Precision::Exact => return Some(Self::EXACT),
-            Precision::Fast | Precision::Turbo => Element::F16,
-            Precision::FastBf16 => Element::Bf16,
+            Precision::Fp32 => return Some(Self::EXACT),
+            Precision::Fp16 | Precision::Int8 => Element::F16,
+            Precision::Bf16 => Element::Bf16,
         };
         let matrices = Units::of(element, limits);
-        let turbo = precision == Precision::Turbo;
+        let turbo = precision == Precision::Int8;
         let quantized = Units::of(Element::I8, limits).filter(|_| turbo);
         let dots = (turbo && limits.dot_products).then_some(Tiles::BY_RULE);
         let nearest = Units::of(Element::F16, limits);

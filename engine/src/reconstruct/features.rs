@@ -1,4 +1,4 @@
-use super::{Model, Patches, Reconstruction, Request, Shape, network::FeatureTensors, write_choice};
+use super::{Model, Patches, ReconstructOptions, Reconstruction, Shape, network::FeatureTensors, write_choice};
 use crate::{
     Result,
     gpu::{Profile, Progress, Recorder, Resident, ResidentLayout, Run, StageTimes, Tensor},
@@ -57,7 +57,7 @@ impl SceneTokens {
         self.width
     }
 
-    /// See [`Request::scene_scale`].
+    /// See [`ReconstructOptions::scene_scale`].
     pub fn scene_scale(&self) -> f64 {
         self.scene_scale
     }
@@ -69,14 +69,14 @@ impl SceneTokens {
 }
 
 impl Model {
-    /// Runs the backbone, with cameras, unit and pooling of `request`.
+    /// Runs the backbone, with cameras, unit and pooling of `options`.
     pub fn features(
         &self,
         images: &[Image],
-        request: &Request,
+        options: &ReconstructOptions,
         progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
     ) -> Result<Features> {
-        let shape = self.shape(images, request)?;
+        let shape = self.shape(images, options)?;
         let mut layout = ResidentLayout::new(self.device.limits());
         let tensors = FeatureTensors::lay_out(&mut layout, self.architecture(), shape.grid);
         let mut rec = Recorder::new(self.device.limits());
@@ -84,21 +84,21 @@ impl Model {
         let memory = Arc::new(Resident::new(&self.device, &layout)?);
         let (arena, _claim) = self.arena.claimed();
         let mut run = Run::in_arena(&arena, 0, rec.finish()?, [self.parameters.resident.clone(), memory.clone()])?;
-        self.write_photos(&mut run, &inputs, shape, images, request)?;
+        self.write_photos(&mut run, &inputs, shape, images, options)?;
         let times = run.execute_with(progress)?;
-        Ok(Features { shape, tensors, memory, scene_scale: request.scene_scale, times })
+        Ok(Features { shape, tensors, memory, scene_scale: options.scene_scale, times })
     }
 
-    /// Decodes features bit-identically to [`Model::reconstruct`], with ratio and selection of
-    /// `request`.
+    /// Decodes features bit-identically to [`Model::reconstruct_views`], with ratio and selection of
+    /// `options`.
     pub fn reconstruct_features(
         &self,
         features: &Features,
-        request: &Request,
+        options: &ReconstructOptions,
         progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
     ) -> Result<Reconstruction> {
-        let shape = self.shape_of(features, request)?;
-        let request = Request { scene_scale: features.scene_scale, ..request.clone() };
+        let shape = self.shape_of(features, options)?;
+        let options = ReconstructOptions { scene_scale: features.scene_scale, ..options.clone() };
 
         let mut layout = ResidentLayout::new(self.device.limits());
         let degree = self.architecture().sh_degree as u32;
@@ -109,28 +109,28 @@ impl Model {
         let mut scene = SceneMemory::new(&self.device, &layout, into)?.made_in(&arena);
         let memories = [self.parameters.resident.clone(), features.memory.clone(), scene.resident().clone()];
         let mut run = Run::in_arena(&arena, 0, rec.finish()?, memories)?;
-        write_choice(&mut run, choice, shape, &request)?;
+        write_choice(&mut run, choice, shape, &options)?;
         let times = run.execute_with(progress)?;
-        let gaussians = scene.scene(degree, near(request.scene_scale));
+        let gaussians = scene.scene(degree, near(options.scene_scale));
         Ok(Reconstruction {
             tokens: shape.tokens,
-            patches: Patches::of(&run, choice, shape, &request)?,
+            patches: Patches::of(&run, choice, shape, &options)?,
             times,
             outline: Profile::outline(run.plan()),
-            left_out: shape.left_out(),
+            skipped_passes: shape.skipped_passes(),
             peak_bytes: run.plan().arena_bytes() + self.weight_bytes() + features.bytes() + gaussians.bytes(),
             gaussians,
         })
     }
 
-    /// Fuses features for [`crate::refine::refine_tokens`], with ratio and selection of `request`.
+    /// Fuses features for [`crate::refine::refine_tokens`], with ratio and selection of `options`.
     pub fn tokens(
         &self,
         features: &Features,
-        request: &Request,
+        options: &ReconstructOptions,
         progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
     ) -> Result<SceneTokens> {
-        let shape = self.shape_of(features, request)?;
+        let shape = self.shape_of(features, options)?;
         let width = self.architecture().width + self.architecture().color_width;
         let mut layout = ResidentLayout::new(self.device.limits());
         let tensor = layout.add::<f32>(shape.tokens * width);
@@ -140,15 +140,15 @@ impl Model {
         let (arena, _claim) = self.arena.claimed();
         let memories = [self.parameters.resident.clone(), features.memory.clone(), memory.clone()];
         let mut run = Run::in_arena(&arena, 0, rec.finish()?, memories)?;
-        write_choice(&mut run, choice, shape, request)?;
+        write_choice(&mut run, choice, shape, options)?;
         run.execute_with(progress)?;
         Ok(SceneTokens { memory, tensor, count: shape.tokens, width, scene_scale: features.scene_scale })
     }
 
-    fn shape_of(&self, features: &Features, request: &Request) -> Result<Shape> {
+    fn shape_of(&self, features: &Features, options: &ReconstructOptions) -> Result<Shape> {
         let (grid, cameras) = (features.shape.grid, features.shape.cameras);
-        let size = [grid.columns, grid.rows].map(|count| (count * grid.patch) as u32);
-        let chosen = (request.ratio, &request.selection);
-        Shape::new(self.architecture(), grid.views, size, chosen, cameras)?.pooled(features.shape.pool)
+        let size = [grid.columns, grid.rows].map(|count| (count * grid.patch_size) as u32);
+        let chosen = (options.ratio, &options.token_selection);
+        Shape::new(self.architecture(), grid.views, size, chosen, cameras)?.pooled(features.shape.kv_pool)
     }
 }

@@ -2,14 +2,14 @@
 
 mod features;
 mod network;
+mod options;
 mod patches;
-mod request;
 
 pub use features::{Features, SceneTokens};
 pub use network::{Network, NetworkPlan, Tensors};
+pub use options::{MAX_PATCHES, MAX_VIEWS, Ratio, ReconstructOptions, Shape, TokenSampling, TokenSelection};
+pub(crate) use options::{check_cameras, grid, size_of};
 pub use patches::Patches;
-pub use request::{Kept, MAX_PATCHES, MAX_VIEWS, Ratio, Request, Selection, Shape};
-pub(crate) use request::{check_cameras, grid, size_of};
 
 use crate::{
     Error, Result,
@@ -17,8 +17,8 @@ use crate::{
     gpu::{Arena, Device, Plan, Profile, Progress, Recorder, ResidentLayout, Run, StageTimes},
     ops::{Arithmetic, Parameters},
     stages::render::{DeviceScene, SceneMemory},
-    tune::Chosen,
-    types::{Camera, Image, LeftOut, Scene, near},
+    tune::KernelChoice,
+    types::{Camera, Image, Scene, SkippedPass, near},
     weights::{Architecture, Checkpoint},
 };
 use network::{Choice, Inputs};
@@ -38,7 +38,7 @@ pub struct Reconstruction {
     /// Commands, bytes and operations per kernel.
     pub outline: Profile,
     /// Skipped stages.
-    pub left_out: Vec<LeftOut>,
+    pub skipped_passes: Vec<SkippedPass>,
     /// Arena, weight and Gaussian bytes.
     pub peak_bytes: u64,
 }
@@ -64,11 +64,11 @@ const SCENES: usize = 2;
 
 impl Reconstruction {
     /// Reads the Gaussians.
-    pub fn scene(&self) -> Result<Scene> {
+    pub fn to_scene(&self) -> Result<Scene> {
         self.gaussians.read()
     }
 
-    /// Estimates view cameras from [`Reconstruction::scene`], see [`Patches::cameras`].
+    /// Estimates view cameras from [`Reconstruction::to_scene`], see [`Patches::cameras`].
     ///
     /// # Errors
     /// [`Error::Argument`] for known cameras or another scene.
@@ -79,16 +79,16 @@ impl Reconstruction {
 
 impl Model {
     /// Loads a checkpoint in f32.
-    pub fn load(
+    pub fn from_checkpoint(
         device: &Device,
         checkpoint: &Checkpoint,
         progress: impl FnMut(f64) -> ControlFlow<()>,
     ) -> Result<Self> {
-        Self::load_with(device, checkpoint, Chosen::exact(device), progress)
+        Self::from_checkpoint_with(device, checkpoint, KernelChoice::exact(device), progress)
     }
 
-    /// [`Model::load`] with an arithmetic.
-    pub fn load_with(
+    /// [`Model::from_checkpoint`] with an arithmetic.
+    pub fn from_checkpoint_with(
         device: &Device,
         checkpoint: &Checkpoint,
         arithmetic: Arithmetic,
@@ -116,19 +116,19 @@ impl Model {
     }
 
     /// Reconstructs a scene from images of one size, divisible by the patch.
-    pub fn reconstruct(
+    pub fn reconstruct_views(
         &self,
         images: &[Image],
-        request: &Request,
+        options: &ReconstructOptions,
         progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
     ) -> Result<Reconstruction> {
-        let shape = self.shape(images, request)?;
+        let shape = self.shape(images, options)?;
         let Some(_claim) = self.arena.claim() else {
-            return self.reconstruct_in(&Arena::new(&self.device), &mut None, shape, images, request, progress);
+            return self.reconstruct_in(&Arena::new(&self.device), &mut None, shape, images, options, progress);
         };
         // The claim is exclusive; a panic leaves no partial state.
         let mut recorded = self.recorded.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
-        self.reconstruct_in(&self.arena, &mut recorded, shape, images, request, progress)
+        self.reconstruct_in(&self.arena, &mut recorded, shape, images, options, progress)
     }
 
     fn reconstruct_in(
@@ -137,7 +137,7 @@ impl Model {
         recorded: &mut Option<Recorded>,
         shape: Shape,
         images: &[Image],
-        request: &Request,
+        options: &ReconstructOptions,
         progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
     ) -> Result<Reconstruction> {
         if recorded.as_ref().is_none_or(|recorded| recorded.shape != shape) {
@@ -154,15 +154,15 @@ impl Model {
             }
         };
         run.replace_resident(scenes[free].resident().clone());
-        self.write_inputs(run, tensors, shape, images, request)?;
+        self.write_inputs(run, tensors, shape, images, options)?;
         let times = run.execute_with(progress)?;
-        let gaussians = scenes[free].scene(tensors.scene().sh_degree, near(request.scene_scale));
+        let gaussians = scenes[free].scene(tensors.scene().sh_degree, near(options.scene_scale));
         Ok(Reconstruction {
             tokens: shape.tokens,
-            patches: Patches::of(run, tensors.choice, shape, request)?,
+            patches: Patches::of(run, tensors.choice, shape, options)?,
             times,
             outline: Profile::outline(run.plan()),
-            left_out: shape.left_out(),
+            skipped_passes: shape.skipped_passes(),
             peak_bytes: run.plan().arena_bytes() + self.network.weight_bytes() + gaussians.bytes(),
             gaussians,
         })
@@ -180,17 +180,17 @@ impl Model {
         self.network.plan(self.device.limits(), shape)
     }
 
-    /// Returns the shape of a request.
-    pub fn shape(&self, images: &[Image], request: &Request) -> Result<Shape> {
+    /// Returns the shape for these options.
+    pub fn shape(&self, images: &[Image], options: &ReconstructOptions) -> Result<Shape> {
         let size = size_of(images)?;
-        if !(request.scene_scale as f32).is_normal() || request.scene_scale < 0.0 {
-            return Err(Error::argument("unit", request.scene_scale, "a length above 0"));
+        if !(options.scene_scale as f32).is_normal() || options.scene_scale < 0.0 {
+            return Err(Error::argument("unit", options.scene_scale, "a length above 0"));
         }
-        if let Some(cameras) = &request.cameras {
+        if let Some(cameras) = &options.cameras {
             check_cameras(cameras, images)?;
         }
-        let chosen = (request.ratio, &request.selection);
-        Shape::new(self.architecture(), images.len(), size, chosen, request.cameras.is_some())?.pooled(request.pool)
+        let chosen = (options.ratio, &options.token_selection);
+        Shape::new(self.architecture(), images.len(), size, chosen, options.cameras.is_some())?.pooled(options.kv_pool)
     }
 
     /// Records a plan, optionally observed.
@@ -215,10 +215,10 @@ impl Model {
         tensors: &Tensors,
         shape: Shape,
         images: &[Image],
-        request: &Request,
+        options: &ReconstructOptions,
     ) -> Result<()> {
-        self.write_photos(run, &tensors.inputs, shape, images, request)?;
-        write_choice(run, tensors.choice, shape, request)
+        self.write_photos(run, &tensors.inputs, shape, images, options)?;
+        write_choice(run, tensors.choice, shape, options)
     }
 
     fn write_photos(
@@ -227,26 +227,26 @@ impl Model {
         inputs: &Inputs,
         shape: Shape,
         images: &[Image],
-        request: &Request,
+        options: &ReconstructOptions,
     ) -> Result<()> {
         run.write(inputs.images, &planar(images))?;
         let in_units = |camera: &Camera| {
             let mut camera = *camera;
-            camera.pose.translation /= request.scene_scale;
+            camera.pose.translation /= options.scene_scale;
             camera
         };
-        let cameras = request.cameras.as_ref().map(|cameras| cameras.iter().map(in_units).collect::<Vec<_>>());
+        let cameras = options.cameras.as_ref().map(|cameras| cameras.iter().map(in_units).collect::<Vec<_>>());
         let backbone = &self.network.stages.backbone;
         backbone.write(run, &inputs.backbone, shape.grid, cameras.as_deref(), &self.parameters)
     }
 }
 
-fn write_choice(run: &mut Run, choice: Choice, shape: Shape, request: &Request) -> Result<()> {
+fn write_choice(run: &mut Run, choice: Choice, shape: Shape, options: &ReconstructOptions) -> Result<()> {
     if let Some(scene_scale) = choice.scene_scale {
-        run.write(scene_scale, &[request.scene_scale as f32])?;
+        run.write(scene_scale, &[options.scene_scale as f32])?;
     }
     if let Some(tensor) = choice.indices {
-        run.write(tensor, &request.selection.indices(shape.grid.tokens(), shape.tokens))?;
+        run.write(tensor, &options.token_selection.indices(shape.grid.tokens(), shape.tokens))?;
     }
     Ok(())
 }

@@ -1,4 +1,4 @@
-use super::{Kept, Shape};
+use super::{Shape, TokenSampling};
 use crate::{
     Result,
     gpu::{Element, Limits, Plan, Recorder, ResidentLayout, Run, Tensor},
@@ -161,16 +161,16 @@ impl Network {
     fn head_tokens(&self, rec: &mut Recorder, shape: Shape, features: &FeatureTensors) -> (Choice, [Rows; 2]) {
         let Shape { grid, tokens, .. } = shape;
         let FeatureTensors { images, layers } = features;
-        let indices = (shape.kept != Kept::All).then(|| rec.input::<u32>("indices", tokens));
+        let indices = (shape.kept != TokenSampling::All).then(|| rec.input::<u32>("indices", tokens));
         let clustered = rec.scope("cluster", |rec| match (indices, shape.kept) {
-            (Some(initial), Kept::Kmeans(rounds)) => {
+            (Some(initial), TokenSampling::Kmeans(rounds)) => {
                 Some(cluster::record(rec, self.parameters.nearest(), layers[0], initial, tokens, rounds))
             }
             _ => None,
         });
         clustered.into_iter().for_each(|chosen| rec.output(chosen));
         let chosen = clustered.or(indices).map(|indices| (indices, tokens));
-        let pool = Pool::of(shape.pool, [grid.rows, grid.columns], 0);
+        let pool = Pool::of(shape.kv_pool, [grid.rows, grid.columns], 0);
         let scene = rec.scope("fuse", |rec| self.stages.fuse.record(rec, layers, chosen, pool));
         let colors = rec.scope("gaussians", |rec| self.stages.gaussians.colors(rec, *images, grid, chosen));
         (Choice { scene_scale: None, indices, chosen: clustered }, [scene, colors])
@@ -184,7 +184,7 @@ impl Network {
     fn features(&self, rec: &mut Recorder, shape: Shape, inputs: &Inputs) -> Vec<Rows> {
         let Inputs { images, backbone } = inputs;
         let stage = &self.stages.backbone;
-        rec.scope("backbone", |rec| stage.record(rec, *images, backbone, shape.grid, shape.pool))
+        rec.scope("backbone", |rec| stage.record(rec, *images, backbone, shape.grid, shape.kv_pool))
     }
 }
 

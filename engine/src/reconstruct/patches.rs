@@ -1,4 +1,4 @@
-use super::{Request, Shape, network::Choice};
+use super::{ReconstructOptions, Shape, network::Choice};
 use crate::{
     Error, Result,
     cameras::{CameraEstimate, Correspondence, find_cameras},
@@ -23,10 +23,10 @@ impl Patches {
         Self { grid, kept, posed: false }
     }
 
-    pub(super) fn of(run: &Run, choice: Choice, shape: Shape, request: &Request) -> Result<Self> {
+    pub(super) fn of(run: &Run, choice: Choice, shape: Shape, options: &ReconstructOptions) -> Result<Self> {
         let kept = match (choice.chosen, choice.indices) {
             (Some(chosen), _) => Some(run.read(chosen)?),
-            (None, Some(_)) => Some(request.selection.indices(shape.grid.tokens(), shape.tokens)),
+            (None, Some(_)) => Some(options.token_selection.indices(shape.grid.tokens(), shape.tokens)),
             (None, None) => None,
         };
         Ok(Self { posed: shape.cameras, ..Self::new(shape.grid, kept) })
@@ -52,7 +52,7 @@ impl Patches {
         let index = self.kept.as_ref().map_or(token, |kept| kept[token] as usize);
         let (view, patch) = (index / self.grid.patches(), index % self.grid.patches());
         let place = DVec2::new((patch % self.grid.columns) as f64, (patch / self.grid.columns) as f64);
-        (view, (place + 0.5) * self.grid.patch as f64)
+        (view, (place + 0.5) * self.grid.patch_size as f64)
     }
 
     /// Returns pairs per view: tokens' opacity-weighted means and patch centers.
@@ -89,7 +89,7 @@ impl Patches {
             let expected = "a scene that was reconstructed without cameras";
             return Err(Error::argument("cameras to find", "given ones", expected));
         }
-        let ViewGrid { rows, columns, patch, .. } = self.grid;
+        let ViewGrid { rows, columns, patch_size: patch, .. } = self.grid;
         let size = [columns, rows].map(|count| (count * patch) as u32);
         Ok(find_cameras(&self.pairs(scene)?, size, focal, patch as f64))
     }

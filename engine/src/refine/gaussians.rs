@@ -2,7 +2,7 @@
 //! of the number of photos.
 
 use super::{
-    Adam, PerceptualLoss, Rate, Rates, Refine, Space,
+    Adam, LearningRates, PerceptualLoss, Rate, RefineOptions, Space,
     growth::padded,
     planned::{PhotoLoss, PhotoPlan, record_photos},
     record_adam,
@@ -43,7 +43,7 @@ pub(super) struct Gaussians {
     scene: SceneTensors,
     near: f32,
     gradients: Gradients,
-    request: Refine,
+    options: RefineOptions,
     clear: Run,
     update: Run,
     schedule: Tensor,
@@ -54,18 +54,18 @@ pub(super) struct Gaussians {
 }
 
 impl Gaussians {
-    pub fn new(arena: &Arena, scene: &Scene, unit: f64, request: &Refine) -> Result<Self> {
+    pub fn new(arena: &Arena, scene: &Scene, unit: f64, options: &RefineOptions) -> Result<Self> {
         let (device, len) = (arena.device(), scene.len());
         let counts = [3 * len, 3 * len, 4 * len, len, 3 * scene.sh_coeffs.len()];
         let mut layout = ResidentLayout::new(device.limits());
         let [values, gradients, first, second] = [(); 4].map(|()| counts.map(|count| layout.add::<f32>(count)));
         let memory = Arc::new(Resident::new(device, &layout)?);
-        let Rates { means, scales, quats, opacities, sh_coeffs, sh_higher, .. } = request.rates;
+        let LearningRates { means, scales, quats, opacities, sh_coeffs, sh_higher, .. } = options.learning_rates;
         let width = 3 * scene.sh_coeffs_per_gaussian() as u32;
         let harmonics = Rate { first: sh_coeffs, others: sh_higher, width };
         let rates = [(means * unit as f32).into(), scales.into(), quats.into(), opacities.into(), harmonics];
         let spaces = [Space::Linear, Space::Log, Space::Linear, Space::Logit, Space::Linear];
-        let penalties = [0.0, request.scale_penalty / (3.0 * unit as f32), 0.0, request.opacity_penalty, 0.0];
+        let penalties = [0.0, options.scale_penalty / (3.0 * unit as f32), 0.0, options.opacity_penalty, 0.0];
         let field = |i: usize| Field {
             values: values[i],
             gradient: gradients[i],
@@ -82,13 +82,13 @@ impl Gaussians {
         filling(arena, &memory, zero)?.execute()?;
         let begin = [0, 1, 2, 3, 4].map(|i| (fields[i].gradient, fields[i].penalty));
         let tensors = scene_tensors(values, len, scene.sh_degree);
-        let gaussians = Self::of(arena, request, vec![memory], tensors, begin, update)?;
+        let gaussians = Self::of(arena, options, vec![memory], tensors, begin, update)?;
         Ok(Self { fields: fields.into(), ..gaussians })
     }
 
     pub(super) fn of(
         arena: &Arena,
-        request: &Refine,
+        options: &RefineOptions,
         memories: Vec<Arc<Resident>>,
         scene: SceneTensors,
         gradients: [(Tensor, f32); 5],
@@ -98,9 +98,9 @@ impl Gaussians {
         let open = |PerceptualLoss { network, .. }: PerceptualLoss| {
             LpipsWeights::open(arena.device(), network, &Perceptual::file(network)?, true)
         };
-        let look = request.perceptual_loss.map(open).transpose()?;
+        let look = options.perceptual_loss.map(open).transpose()?;
         let limits = arena.device().limits();
-        let capacity = request.intersection_capacity.unwrap_or_else(|| first_capacity(scene.len)).max(1);
+        let capacity = options.intersection_capacity.unwrap_or_else(|| first_capacity(scene.len)).max(1);
         Ok(Self {
             arena: arena.clone(),
             memories,
@@ -108,14 +108,14 @@ impl Gaussians {
             scene,
             near: NEAR,
             gradients: Gradients { scene: Some(scene_gradients(gradients.map(|(tensor, _)| tensor))), cameras: None },
-            request: request.clone(),
+            options: options.clone(),
             clear,
             update,
             schedule,
             look,
             steps: 0,
             plans: PlanCache::new(limits, capacity),
-            together: together(request, limits),
+            together: together(options, limits),
         })
     }
 
@@ -192,7 +192,7 @@ impl Gaussians {
         self.plans.get(PlanKey { shape, backward: learns, options: () }, |capacity| {
             let mut rec = Recorder::new(self.arena.device().limits());
             let look = self.look.as_ref().map(|weights| &weights.lpips);
-            let learnt = learns.then_some((&self.request, &self.gradients, look));
+            let learnt = learns.then_some((&self.options, &self.gradients, look));
             let recorded = record_photos(&mut rec, &self.scene, shape, capacity, self.near, learnt);
             let weights = self.look.iter().map(|weights| weights.resident.clone());
             let run = Run::in_arena(&self.arena, 0, rec.finish()?, self.memories.iter().cloned().chain(weights))?;
@@ -239,9 +239,9 @@ impl Gaussians {
     }
 }
 
-pub(super) fn together(request: &Refine, limits: &Limits) -> usize {
-    let usual = if limits.cpu || request.perceptual_loss.is_some() { 1 } else { request.views_per_step };
-    request.batch_size.filter(|_| request.perceptual_loss.is_none()).unwrap_or(usual).max(1)
+pub(super) fn together(options: &RefineOptions, limits: &Limits) -> usize {
+    let usual = if limits.cpu || options.perceptual_loss.is_some() { 1 } else { options.views_per_step };
+    options.batch_size.filter(|_| options.perceptual_loss.is_none()).unwrap_or(usual).max(1)
 }
 
 pub(super) fn most_together(pixels: usize) -> usize {

@@ -4,7 +4,6 @@ mod adam;
 mod cameras;
 mod gaussians;
 mod growth;
-mod init;
 mod plan;
 mod planned;
 mod refinement;
@@ -14,7 +13,6 @@ mod views;
 
 pub use adam::{Adam, Rate, Space, record_adam};
 pub use cameras::PoseAdam;
-pub use init::{join, scene_of_points};
 pub use plan::{Moved, RefinePlan, plan_refinement};
 pub use tokens::FrozenHead;
 
@@ -46,65 +44,65 @@ const SAMPLE: usize = 4096;
 
 /// Settings of a refinement.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Refine {
+pub struct RefineOptions {
     /// Optimizer steps.
     pub steps: usize,
     /// Photos per step, capped at the training photos.
     pub views_per_step: usize,
     /// Limits of a photo's width and height; larger ones are downscaled.
-    pub size: Option<[u32; 2]>,
+    pub max_image_size: Option<[u32; 2]>,
     /// Number of held-out photos, which reveal overfitting. `None`: one of 40 or more, none if
     /// cameras are refined.
-    pub hold_out: Option<usize>,
+    pub holdout_views: Option<usize>,
     /// Pixel loss.
     pub loss: Loss,
     /// LPIPS term for photos large enough; it prevents batching. `None` needs no LPIPS weights.
     pub perceptual_loss: Option<PerceptualLoss>,
     /// Learning rates.
-    pub rates: Rates,
+    pub learning_rates: LearningRates,
     /// Also refines training cameras, except the first.
-    pub cameras: bool,
+    pub optimize_cameras: bool,
     /// Final number of Gaussians: missing and invisible ones are relocated. At most the scene's
     /// number: none. `None`: from 300 steps, one per 32 pixels of the photos, up to four times the
     /// scene's.
-    pub grow: Option<usize>,
+    pub max_gaussians: Option<usize>,
     /// Factor of the mean opacity in the loss.
     pub opacity_penalty: f32,
     /// Factor of the mean scale in the loss, relative to the scene scale.
     pub scale_penalty: f32,
     /// Whether the first half uses downscaled photos.
-    pub coarse: bool,
+    pub coarse_to_fine: bool,
     /// Batch limit for photos of one size. `None`: a whole step on a GPU, 1 on a CPU.
     pub batch_size: Option<usize>,
     /// Initial capacity in tile intersections per photo, which grows on demand. `None`: from the
     /// number of Gaussians.
     pub intersection_capacity: Option<usize>,
     /// Steps between the scenes passed to `progress`. `None`: never.
-    pub show: Option<usize>,
+    pub snapshot_interval: Option<usize>,
     /// Seed of the photo order.
     pub seed: u64,
     /// Whether to profile a step by kernel.
     pub profile: bool,
 }
 
-impl Default for Refine {
+impl Default for RefineOptions {
     fn default() -> Self {
         Self {
             steps: 100,
             views_per_step: 4,
-            size: None,
-            hold_out: None,
+            max_image_size: None,
+            holdout_views: None,
             loss: Loss::L1Dssim,
             perceptual_loss: None,
-            rates: Rates::default(),
-            cameras: false,
-            grow: None,
+            learning_rates: LearningRates::default(),
+            optimize_cameras: false,
+            max_gaussians: None,
             opacity_penalty: 0.0,
             scale_penalty: 0.1,
-            coarse: true,
+            coarse_to_fine: true,
             batch_size: None,
             intersection_capacity: None,
-            show: None,
+            snapshot_interval: None,
             seed: 0,
             profile: false,
         }
@@ -123,7 +121,7 @@ pub struct PerceptualLoss {
 /// Initial rates of Adam for 100 steps or fewer, which decay to a tenth. For more steps they shrink
 /// with the square root of their number.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Rates {
+pub struct LearningRates {
     /// Rate of centers, relative to the scene scale.
     pub means: f32,
     /// Rate of log scales.
@@ -139,12 +137,12 @@ pub struct Rates {
     /// Rate of tokens, if refined.
     pub tokens: f32,
     /// Rate of camera rotations in radians, if refined.
-    pub turns: f32,
+    pub camera_rotation: f32,
     /// Rate of camera translations, relative to the scene scale.
-    pub shifts: f32,
+    pub camera_translation: f32,
 }
 
-impl Default for Rates {
+impl Default for LearningRates {
     fn default() -> Self {
         Self {
             means: 5e-3,
@@ -154,8 +152,8 @@ impl Default for Rates {
             sh_coeffs: 0.03,
             sh_higher: 0.003,
             tokens: 2e-2,
-            turns: 2e-3,
-            shifts: 2e-3,
+            camera_rotation: 2e-3,
+            camera_translation: 2e-3,
         }
     }
 }
@@ -173,13 +171,13 @@ pub struct Refining<'a> {
     pub psnr: Option<f64>,
     /// Estimated time left.
     pub left: Duration,
-    /// Gaussians after this step, if [`Refine::show`] requests them.
+    /// Gaussians after this step, if [`RefineOptions::snapshot_interval`] requests them.
     pub scene: Option<&'a Scene>,
 }
 
 /// Reason for an early end.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Stopped {
+pub enum StopReason {
     /// Requested by `progress`.
     Cancelled,
     /// The loss became NaN or infinite, or grew.
@@ -188,8 +186,8 @@ pub enum Stopped {
 
 /// Result of a refinement.
 #[derive(Clone, Debug)]
-pub struct Refined {
-    /// Gaussians after [`Refined::best_step`], in their original world.
+pub struct RefineResult {
+    /// Gaussians after [`RefineResult::best_step`], in their original world.
     pub scene: Scene,
     /// Cameras of all photos after that step.
     pub cameras: Vec<Camera>,
@@ -198,11 +196,11 @@ pub struct Refined {
     /// Steps before the kept scene.
     pub best_step: usize,
     /// Steps and the held-out PSNR in dB after them.
-    pub held_out: Vec<(usize, f64)>,
+    pub holdout_psnr: Vec<(usize, f64)>,
     /// Mean PSNR in dB of at most 16 training photos: with the kept scene, and before.
     pub training_psnr: [f64; 2],
     /// Indices of the held-out photos.
-    pub held_out_views: Vec<usize>,
+    pub holdout_views: Vec<usize>,
     /// Steps with a new size, and the largest photo's width and height from then on.
     pub sizes: Vec<(usize, [u32; 2])>,
     /// Time of all steps.
@@ -210,16 +208,16 @@ pub struct Refined {
     /// Peak bytes allocated on the device.
     pub peak_bytes: u64,
     /// Reason for an early end.
-    pub stopped: Option<Stopped>,
+    pub stop_reason: Option<StopReason>,
     /// Profile of a step by kernel, if requested.
     pub profile: Option<Profile>,
 }
 
-impl Refined {
+impl RefineResult {
     /// Held-out PSNR with the kept scene and before the first step.
     pub fn psnr(&self) -> Option<[f64; 2]> {
-        let kept = self.held_out.iter().find(|(step, _)| *step == self.best_step)?;
-        Some([kept.1, self.held_out.first()?.1])
+        let kept = self.holdout_psnr.iter().find(|(step, _)| *step == self.best_step)?;
+        Some([kept.1, self.holdout_psnr.first()?.1])
     }
 }
 
@@ -230,28 +228,28 @@ impl Refined {
 ///
 /// # Errors
 ///
-/// [`Error::Argument`] for an unusable scene, photo, camera or request, or missing LPIPS weights.
+/// [`Error::Argument`] for an unusable scene, photo, camera or options, or missing LPIPS weights.
 pub fn refine_scene(
     arena: &Arena,
     scene: &Scene,
     photos: &[Image],
     cameras: &[Camera],
-    request: &Refine,
+    options: &RefineOptions,
     progress: impl FnMut(Refining<'_>) -> ControlFlow<()>,
-) -> Result<Refined> {
+) -> Result<RefineResult> {
     scene.validate()?;
     if scene.is_empty() {
         return Err(Error::argument("scene to refine", "no Gaussians", "at least one"));
     }
     let scene_distance = distance(scene, cameras);
-    let sizes = photos.iter().map(|photo| size(photo, request.size, 1));
-    let request = &Refine { grow: grown_len(request, scene.len(), sizes), ..request.clone() };
-    let make = |arena: &Arena, request: &Refine| {
-        let grown = request.grow.map(|most| padded(scene, most));
-        let gaussians = Gaussians::new(arena, grown.as_ref().unwrap_or(scene), scene_distance, request)?;
+    let sizes = photos.iter().map(|photo| size(photo, options.max_image_size, 1));
+    let options = &RefineOptions { max_gaussians: grown_len(options, scene.len(), sizes), ..options.clone() };
+    let make = |arena: &Arena, options: &RefineOptions| {
+        let grown = options.max_gaussians.map(|most| padded(scene, most));
+        let gaussians = Gaussians::new(arena, grown.as_ref().unwrap_or(scene), scene_distance, options)?;
         Ok((gaussians, (scene.clone(), scene_distance)))
     };
-    run(arena, make, photos, cameras, request, progress)
+    run(arena, make, photos, cameras, options, progress)
 }
 
 /// Refines a scene's tokens through the frozen head, as [`refine_scene`].
@@ -264,60 +262,60 @@ pub fn refine_tokens(
     tokens: &SceneTokens,
     photos: &[Image],
     cameras: &[Camera],
-    request: &Refine,
+    options: &RefineOptions,
     progress: impl FnMut(Refining<'_>) -> ControlFlow<()>,
-) -> Result<Refined> {
-    tokens_grow_not(request)?;
-    let make = |arena: &Arena, request: &Refine| {
-        let (gaussians, scene) = tokens::gaussians(arena, head, tokens, request)?;
+) -> Result<RefineResult> {
+    tokens_grow_not(options)?;
+    let make = |arena: &Arena, options: &RefineOptions| {
+        let (gaussians, scene) = tokens::gaussians(arena, head, tokens, options)?;
         let scene_distance = distance(&scene, cameras);
         Ok((gaussians, (scene, scene_distance)))
     };
-    run(arena, make, photos, cameras, request, progress)
+    run(arena, make, photos, cameras, options, progress)
 }
 
 /// Returns the number of Gaussians that a scene of `len` grows to, for photos of these sizes, if it
 /// grows.
-fn grown_len(request: &Refine, len: usize, sizes: impl Iterator<Item = [u32; 2]>) -> Option<usize> {
+fn grown_len(options: &RefineOptions, len: usize, sizes: impl Iterator<Item = [u32; 2]>) -> Option<usize> {
     let default = || {
         let pixels: usize = sizes.map(|[width, height]| width as usize * height as usize).sum();
-        (request.steps >= GROWTH_FROM).then(|| (pixels / PIXELS_PER_GAUSSIAN).min(MOST_GROWTH * len))
+        (options.steps >= GROWTH_FROM).then(|| (pixels / PIXELS_PER_GAUSSIAN).min(MOST_GROWTH * len))
     };
-    request.grow.or_else(default).filter(|most| *most > len)
+    options.max_gaussians.or_else(default).filter(|most| *most > len)
 }
 
-fn tokens_grow_not(request: &Refine) -> Result<()> {
+fn tokens_grow_not(options: &RefineOptions) -> Result<()> {
     let refused =
         |most| Error::argument("Gaussians to grow to", most, "none where tokens are refined, which have theirs");
-    request.grow.map_or(Ok(()), |most| Err(refused(most)))
+    options.max_gaussians.map_or(Ok(()), |most| Err(refused(most)))
 }
 
 fn run(
     arena: &Arena,
-    make: impl FnOnce(&Arena, &Refine) -> Result<(Gaussians, (Scene, f64))>,
+    make: impl FnOnce(&Arena, &RefineOptions) -> Result<(Gaussians, (Scene, f64))>,
     photos: &[Image],
     cameras: &[Camera],
-    request: &Refine,
+    options: &RefineOptions,
     mut progress: impl FnMut(Refining<'_>) -> ControlFlow<()>,
-) -> Result<Refined> {
+) -> Result<RefineResult> {
     let begin = Instant::now();
     if photos.is_empty() || photos.len() != cameras.len() {
         let expected = format!("one for each of {} photos, at least one", photos.len());
         return Err(Error::argument("cameras", cameras.len(), expected));
     }
-    let request = filled(request, photos.len())?;
+    let options = filled(options, photos.len())?;
     let (arena, _claim) = arena.claimed();
-    let (gaussians, scene) = make(&arena, &request)?;
-    Refinement::new(gaussians, scene, photos, cameras, request)?.finish(&mut progress, begin)
+    let (gaussians, scene) = make(&arena, &options)?;
+    Refinement::new(gaussians, scene, photos, cameras, options)?.finish(&mut progress, begin)
 }
 
-fn filled(request: &Refine, count: usize) -> Result<Refine> {
-    let held_out = request.hold_out.unwrap_or(usize::from(count >= HOLD_OUT_FROM && !request.cameras));
+fn filled(options: &RefineOptions, count: usize) -> Result<RefineOptions> {
+    let held_out = options.holdout_views.unwrap_or(usize::from(count >= HOLD_OUT_FROM && !options.optimize_cameras));
     if held_out >= count {
         return Err(Error::argument("held-out photos", held_out, format!("fewer than the {count} photos")));
     }
-    let views_per_step = request.views_per_step.clamp(1, count - held_out);
-    Ok(Refine { hold_out: Some(held_out), views_per_step, ..request.clone() })
+    let views_per_step = options.views_per_step.clamp(1, count - held_out);
+    Ok(RefineOptions { holdout_views: Some(held_out), views_per_step, ..options.clone() })
 }
 
 fn distance(scene: &Scene, cameras: &[Camera]) -> f64 {

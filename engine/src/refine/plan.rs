@@ -1,5 +1,5 @@
 use super::{
-    Adam, Refine, Space, filled,
+    Adam, RefineOptions, Space, filled,
     gaussians::{most_together, scene_gradients, scene_tensors, together},
     grown_len,
     planned::record_photos,
@@ -56,17 +56,17 @@ pub fn plan_refinement(
     moved: Moved<'_>,
     photos: usize,
     [width, height]: [u32; 2],
-    request: &Refine,
+    options: &RefineOptions,
 ) -> Result<RefinePlan> {
-    let request = filled(request, photos)?;
+    let options = filled(options, photos)?;
     if let Moved::Tokens(..) = moved {
-        tokens_grow_not(&request)?;
+        tokens_grow_not(&options)?;
     }
     let (len, sh_degree) = match moved {
         Moved::Gaussians(len, sh_degree) => {
             let photo = Image { width, height, rgb: Vec::new() };
-            let sizes = std::iter::repeat_n(size(&photo, request.size, 1), photos);
-            (grown_len(&request, len, sizes).unwrap_or(len), sh_degree)
+            let sizes = std::iter::repeat_n(size(&photo, options.max_image_size, 1), photos);
+            (grown_len(&options, len, sizes).unwrap_or(len), sh_degree)
         }
         Moved::Tokens(count, a) => (count * a.gaussians_per_token, a.sh_degree as u32),
     };
@@ -108,11 +108,11 @@ pub fn plan_refinement(
     kept_bytes += layout.bytes();
 
     let weights =
-        request.perceptual_loss.map(|loss| LpipsWeights::layout(limits, Arithmetic::EXACT, loss.network, true));
+        options.perceptual_loss.map(|loss| LpipsWeights::layout(limits, Arithmetic::EXACT, loss.network, true));
     kept_bytes += weights.as_ref().map_or(0, |(parameters, _)| parameters.bytes());
     let lpips = weights.as_ref().map(|(_, lpips)| lpips);
     let gradients = Gradients { scene: Some(scene_gradients(gradients)), cameras: None };
-    record_steps(limits, &mut plans, &scene, &gradients, lpips, [width, height], &request)?;
+    record_steps(limits, &mut plans, &scene, &gradients, lpips, [width, height], &options)?;
     Ok(RefinePlan { kept_bytes, plans })
 }
 
@@ -123,23 +123,23 @@ fn record_steps(
     gradients: &Gradients,
     lpips: Option<&Lpips>,
     [width, height]: [u32; 2],
-    request: &Refine,
+    options: &RefineOptions,
 ) -> Result<()> {
     let photo = Image { width, height, rgb: Vec::new() };
-    let photo_size = |shrink| size(&photo, request.size, shrink);
-    let schedule = Schedule { steps: request.steps, rate: 1.0, coarse: request.coarse };
+    let photo_size = |shrink| size(&photo, options.max_image_size, shrink);
+    let schedule = Schedule { steps: options.steps, rate: 1.0, coarse: options.coarse_to_fine };
     let shortest = photo_size(1).into_iter().min().unwrap_or(0);
-    let mut shrinks: Vec<u32> = (0..request.steps).map(|step| schedule.shrink(step, shortest)).collect();
+    let mut shrinks: Vec<u32> = (0..options.steps).map(|step| schedule.shrink(step, shortest)).collect();
     shrinks.dedup();
-    let each = request.intersection_capacity.unwrap_or_else(|| first_capacity(scene.len)).max(1);
+    let each = options.intersection_capacity.unwrap_or_else(|| first_capacity(scene.len)).max(1);
     for shrink in shrinks {
         let [width, height] = photo_size(shrink);
         let pixels = width as usize * height as usize;
-        let cameras = together(request, limits).min(request.views_per_step).min(most_together(pixels));
+        let cameras = together(options, limits).min(options.views_per_step).min(most_together(pixels));
         let shape = FrameShape { cameras, width, height };
         let mut rec = Recorder::new(limits);
         let capacity = planned_capacity(limits.max_binding_bytes, each, shape, true);
-        record_photos(&mut rec, scene, shape, capacity, NEAR, Some((request, gradients, lpips)));
+        record_photos(&mut rec, scene, shape, capacity, NEAR, Some((options, gradients, lpips)));
         plans.push(rec.finish()?);
     }
     let [width, height] = photo_size(1);

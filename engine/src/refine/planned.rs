@@ -1,4 +1,4 @@
-use super::{PerceptualLoss, Refine, views::View};
+use super::{PerceptualLoss, RefineOptions, views::View};
 use crate::{
     Result,
     gpu::{Recorder, Run, Tensor},
@@ -7,7 +7,7 @@ use crate::{
         loss::{LossTensors, record_loss},
         lpips::{Lpips, LpipsPictures},
         render::{
-            CAMERA_NUMBERS, CameraRows, FrameShape, Gradients, RenderOutputs, RenderRequest, camera_rows, record,
+            CAMERA_NUMBERS, CameraRows, FrameShape, Gradients, RenderOptions, RenderOutputs, camera_rows, record,
             record_with_gradients,
         },
     },
@@ -50,15 +50,15 @@ pub(super) fn record_photos(
     shape: FrameShape,
     capacity: usize,
     near: f32,
-    training: Option<(&Refine, &Gradients, Option<&Lpips>)>,
+    training: Option<(&RefineOptions, &Gradients, Option<&Lpips>)>,
 ) -> Recorded {
     let FrameShape { cameras: count, width, height } = shape;
     let cameras = rec.input::<CameraRows>("cameras", count);
-    let drawing = RenderRequest { near: Some(near), ..RenderRequest::default() };
-    let Some((request, gradients, lpips)) = training else {
+    let drawing = RenderOptions { near: Some(near), ..RenderOptions::default() };
+    let Some((options, gradients, lpips)) = training else {
         return Recorded { cameras, learning: None, outputs: record(rec, scene, cameras, shape, &drawing, capacity) };
     };
-    let d_cameras = request.cameras.then(|| {
+    let d_cameras = options.optimize_cameras.then(|| {
         let d_cameras = rec.tensor::<[f32; CAMERA_NUMBERS]>("d_cameras", count);
         rec.fill(d_cameras, 0);
         d_cameras
@@ -66,12 +66,12 @@ pub(super) fn record_photos(
     let targets = rec.input::<f32>("targets", 3 * count * width as usize * height as usize);
     let mut learning = None;
     let compare = |rec: &mut Recorder, frames: Tensor| {
-        let scale = 1.0 / request.views_per_step as f32;
+        let scale = 1.0 / options.views_per_step as f32;
         let LossTensors { value, d_frames } =
-            record_loss(rec, request.loss, frames, targets, shape, drawing.channels(), scale);
+            record_loss(rec, options.loss, frames, targets, shape, drawing.channels(), scale);
         rec.output(value);
         let perceptual =
-            lpips.and_then(|lpips| record_perceptual(rec, lpips, request, [frames, targets, d_frames], shape));
+            lpips.and_then(|lpips| record_perceptual(rec, lpips, options, [frames, targets, d_frames], shape));
         perceptual.iter().for_each(|(_, value)| rec.output(*value));
         learning = Some(Learning { targets, losses: value, perceptual, d_cameras });
         d_frames
@@ -87,21 +87,21 @@ pub(super) fn record_photos(
 fn record_perceptual(
     rec: &mut Recorder,
     lpips: &Lpips,
-    request: &Refine,
+    options: &RefineOptions,
     [frames, targets, d_frames]: [Tensor; 3],
     FrameShape { cameras, width, height }: FrameShape,
 ) -> Option<(f32, Tensor)> {
-    let PerceptualLoss { weight, network } = request.perceptual_loss?;
+    let PerceptualLoss { weight, network } = options.perceptual_loss?;
     assert_eq!(cameras, 1, "photos are learnt from one after the other");
     if width.min(height) < network.least_side() {
         return None;
     }
     let pictures = LpipsPictures {
-        pictures: [(frames, RenderRequest::default().channels()), (targets, 3)],
+        pictures: [(frames, RenderOptions::default().channels()), (targets, 3)],
         size: [height as usize, width as usize],
         clipped: true,
     };
-    let share = weight / request.views_per_step as f32;
+    let share = weight / options.views_per_step as f32;
     Some((weight, lpips.record(rec, pictures, Some((share, d_frames))).value))
 }
 

@@ -1,5 +1,5 @@
 use super::{
-    Refine, Refined, Refining, Stopped,
+    RefineOptions, RefineResult, Refining, StopReason,
     cameras::Cameras,
     gaussians::Gaussians,
     growth::{Growth, drop_unseen},
@@ -26,7 +26,7 @@ const GROWN: f32 = 2.0;
 pub(super) struct Refinement<'a> {
     photos: &'a [Image],
     cameras: Cameras,
-    request: Refine,
+    options: RefineOptions,
     schedule: Schedule,
     gaussians: Gaussians,
     growth: Option<Growth>,
@@ -63,22 +63,25 @@ impl<'a> Refinement<'a> {
         (scene, unit): (Scene, f64),
         photos: &'a [Image],
         cameras: &[Camera],
-        request: Refine,
+        options: RefineOptions,
     ) -> Result<Self> {
-        let (learnt, held) = split(photos.len(), request.hold_out.unwrap_or(0));
-        let view = |i: &usize| View::new(*i, &photos[*i], &cameras[*i], request.size, 1);
+        let (learnt, held) = split(photos.len(), options.holdout_views.unwrap_or(0));
+        let view = |i: &usize| View::new(*i, &photos[*i], &cameras[*i], options.max_image_size, 1);
         let tested = held.par_iter().map(view).collect::<Result<Vec<_>>>()?;
         // The first camera fixes the world.
-        let moving = if request.cameras { &learnt[1..] } else { &[] };
-        let rates = [f64::from(request.rates.turns), unit * f64::from(request.rates.shifts)];
-        let growth = request.grow.map(|most| Growth::new(scene.len(), most, request.steps, request.seed));
+        let moving = if options.optimize_cameras { &learnt[1..] } else { &[] };
+        let rates = [
+            f64::from(options.learning_rates.camera_rotation),
+            unit * f64::from(options.learning_rates.camera_translation),
+        ];
+        let growth = options.max_gaussians.map(|most| Growth::new(scene.len(), most, options.steps, options.seed));
         gaussians.set_near(scene.near());
         Ok(Self {
             photos,
             cameras: Cameras::new(cameras, moving, rates),
-            schedule: Schedule { steps: request.steps, rate: 1.0, coarse: request.coarse },
-            order: Order::new(learnt.len(), request.seed),
-            request,
+            schedule: Schedule { steps: options.steps, rate: 1.0, coarse: options.coarse_to_fine },
+            order: Order::new(learnt.len(), options.seed),
+            options,
             gaussians,
             growth,
             learnt,
@@ -103,14 +106,14 @@ impl<'a> Refinement<'a> {
         mut self,
         progress: &mut dyn FnMut(Refining<'_>) -> ControlFlow<()>,
         begin: Instant,
-    ) -> Result<Refined> {
+    ) -> Result<RefineResult> {
         let before = self.training_psnr(&self.kept.cameras.clone())?;
         self.fraction = rate_of_error(before);
         // Held-out photos select the best step, and LPIPS trades PSNR for detail. Otherwise the
         // given scene is a candidate.
-        let given = (self.held.is_empty() && self.request.perceptual_loss.is_none()).then(|| self.kept.clone());
+        let given = (self.held.is_empty() && self.options.perceptual_loss.is_none()).then(|| self.kept.clone());
         let stopped = self.run(progress, begin)?;
-        let profile = self.request.profile.then(|| self.profile()).transpose()?;
+        let profile = self.options.profile.then(|| self.profile()).transpose()?;
         let peak_bytes = self.gaussians.device().allocated_bytes();
         self.gaussians.show(&self.kept.scene)?;
         let mut after = self.training_psnr(&self.kept.cameras.clone())?;
@@ -123,18 +126,18 @@ impl<'a> Refinement<'a> {
         let Kept { step: best_step, scene, cameras } = kept;
         let training_psnr = [after, before];
         let took = begin.elapsed();
-        Ok(Refined {
+        Ok(RefineResult {
             scene,
             cameras,
             losses,
             best_step,
-            held_out,
+            holdout_psnr: held_out,
             training_psnr,
-            held_out_views: held,
+            holdout_views: held,
             sizes,
             took,
             peak_bytes,
-            stopped,
+            stop_reason: stopped,
             profile,
         })
     }
@@ -143,13 +146,13 @@ impl<'a> Refinement<'a> {
         &mut self,
         progress: &mut dyn FnMut(Refining<'_>) -> ControlFlow<()>,
         begin: Instant,
-    ) -> Result<Option<Stopped>> {
-        let steps = self.request.steps;
+    ) -> Result<Option<StopReason>> {
+        let steps = self.options.steps;
         let interval = steps.div_ceil(LOOKS).max(1);
         self.look(0)?;
         for step in 0..steps {
             self.resize(step)?;
-            let chosen: Vec<usize> = (0..self.request.views_per_step).map(|_| self.order.next()).collect();
+            let chosen: Vec<usize> = (0..self.options.views_per_step).map(|_| self.order.next()).collect();
             let views: Vec<&View> = chosen.iter().map(|i| &self.views[*i]).collect();
             let found = self.gaussians.step(&views, self.fraction * self.schedule.rate(step))?;
             let loss = found.iter().map(|found| found.loss).sum::<f32>() / found.len() as f32;
@@ -157,11 +160,11 @@ impl<'a> Refinement<'a> {
             self.move_cameras(step, &found);
             let done = step + 1;
             if !loss.is_finite() {
-                return Ok(Some(Stopped::Diverged(format!("the loss of step {done} is {loss}"))));
+                return Ok(Some(StopReason::Diverged(format!("the loss of step {done} is {loss}"))));
             }
             if done.is_multiple_of(interval) || done == steps {
                 if let Some(why) = self.grown() {
-                    return Ok(Some(Stopped::Diverged(why)));
+                    return Ok(Some(StopReason::Diverged(why)));
                 }
                 self.look(done)?;
             }
@@ -170,13 +173,13 @@ impl<'a> Refinement<'a> {
             }
             let left = begin.elapsed().mul_f64((steps - done) as f64 / done as f64);
             let psnr = self.held_out.last().map(|(_, psnr)| *psnr);
-            let shown = self.request.show.is_some_and(|every| done.is_multiple_of(every.max(1)));
+            let shown = self.options.snapshot_interval.is_some_and(|every| done.is_multiple_of(every.max(1)));
             let scene = shown.then(|| self.scene()).transpose()?;
             let now = Refining { step: done, steps, loss: Some(loss), psnr, left, scene: scene.as_ref() };
             if progress(now).is_break() {
                 self.look(done)?;
                 self.keep();
-                return Ok(Some(Stopped::Cancelled));
+                return Ok(Some(StopReason::Cancelled));
             }
         }
         self.keep();
@@ -188,7 +191,7 @@ impl<'a> Refinement<'a> {
         let (measured, others): (Vec<usize>, Vec<usize>) = (0..self.learnt.len()).partition(|i| i % step == 0);
         let mut look = |i: usize| {
             let photo = self.learnt[i];
-            let view = View::new(photo, &self.photos[photo], &cameras[photo], self.request.size, 1)?;
+            let view = View::new(photo, &self.photos[photo], &cameras[photo], self.options.max_image_size, 1)?;
             let (drawn, intersections) = self.gaussians.draw(&view)?;
             Ok((psnr(&drawn, &view), intersections > 0))
         };
@@ -205,7 +208,7 @@ impl<'a> Refinement<'a> {
     }
 
     fn move_cameras(&mut self, step: usize, found: &[PhotoLoss]) {
-        let along = step as f64 / self.request.steps as f64;
+        let along = step as f64 / self.options.steps as f64;
         for PhotoLoss { photo, d_pose, .. } in found {
             d_pose.iter().for_each(|d_pose| self.cameras.step(*photo, *d_pose, self.schedule.rate(step), along));
         }
@@ -214,12 +217,12 @@ impl<'a> Refinement<'a> {
     }
 
     fn resize(&mut self, step: usize) -> Result<()> {
-        let shortest = |i: &usize| size(&self.photos[*i], self.request.size, 1).into_iter().min();
+        let shortest = |i: &usize| size(&self.photos[*i], self.options.max_image_size, 1).into_iter().min();
         let shortest = self.learnt.iter().filter_map(shortest).min().unwrap_or(0);
         let shrink = self.schedule.shrink(step, shortest);
         if self.shrink != shrink {
             let cameras = self.cameras.all();
-            let view = |i: &usize| View::new(*i, &self.photos[*i], &cameras[*i], self.request.size, shrink);
+            let view = |i: &usize| View::new(*i, &self.photos[*i], &cameras[*i], self.options.max_image_size, shrink);
             self.views = self.learnt.par_iter().map(view).collect::<Result<Vec<_>>>()?;
             (self.shrink, self.began, self.least, self.latest) = (shrink, step, f32::INFINITY, 0.0);
             let largest = self.views.iter().map(|view| view.size).max_by_key(|[width, height]| width * height);
@@ -275,7 +278,7 @@ impl<'a> Refinement<'a> {
     /// A loss belongs to the Gaussians before its step: it validates the marked checkpoint, not the
     /// current state.
     fn grown(&mut self) -> Option<String> {
-        let round = self.learnt.len().div_ceil(self.request.views_per_step);
+        let round = self.learnt.len().div_ceil(self.options.views_per_step);
         let last = self.losses.len().checked_sub(round).filter(|first| *first >= self.began)?;
         let loss = self.losses[last..].iter().sum::<f32>() / round as f32;
         if loss > GROWN * self.least {
@@ -286,8 +289,8 @@ impl<'a> Refinement<'a> {
     }
 
     fn profile(&mut self) -> Result<Profile> {
-        self.resize(self.request.steps)?;
-        let views: Vec<&View> = self.views.iter().take(self.request.views_per_step).collect();
+        self.resize(self.options.steps)?;
+        let views: Vec<&View> = self.views.iter().take(self.options.views_per_step).collect();
         self.gaussians.profile(&views)
     }
 }

@@ -3,7 +3,7 @@
 //! Source: ZipSplat, section 4.2, "Test-time optimization".
 
 use super::{
-    Refine, Space,
+    RefineOptions, Space,
     gaussians::{ADAM, Gaussians, filling, scene_gradients, scene_tensors},
     record_adam,
 };
@@ -13,7 +13,7 @@ use crate::{
     ops::ParameterLayout,
     reconstruct::SceneTokens,
     stages::gaussians::Head,
-    tune::Chosen,
+    tune::KernelChoice,
     types::Scene,
     weights::{Architecture, Checkpoint},
 };
@@ -34,7 +34,7 @@ impl FrozenHead {
     /// [`Error::Memory`] if the device has too little; an unreadable checkpoint.
     pub fn load(device: &Device, checkpoint: &Checkpoint) -> Result<Self> {
         let architecture = checkpoint.architecture().clone();
-        let arithmetic = Chosen::exact(device);
+        let arithmetic = KernelChoice::exact(device);
         let mut parameters = ParameterLayout::new(device.limits(), arithmetic);
         let head = Head::new(&mut parameters, &architecture);
         let memory = parameters.load(device, checkpoint, |_| ControlFlow::Continue(()))?.resident;
@@ -46,7 +46,7 @@ pub(super) fn gaussians(
     arena: &Arena,
     head: &FrozenHead,
     tokens: &SceneTokens,
-    request: &Refine,
+    options: &RefineOptions,
 ) -> Result<(Gaussians, Scene)> {
     let FrozenHead { head, architecture: a, memory: weights } = head;
     let device = arena.device();
@@ -78,21 +78,21 @@ pub(super) fn gaussians(
     let schedule = rec.input::<f32>("schedule", 4);
     let d_tokens = head.record_backward(&mut rec, &kept, &scene_gradients(gradients));
     rec.scope("adam", |rec| {
-        let (rate, len) = (request.rates.tokens, count * width);
+        let (rate, len) = (options.learning_rates.tokens, count * width);
         record_adam(rec, ADAM, moved, d_tokens, [first, second], schedule, rate, Space::Linear, len);
     });
     head.record_kept(&mut rec, moved, &kept, &scene);
     let memories = vec![memory, weights.clone()];
     let update = (Run::in_arena(arena, 0, rec.finish()?, memories.iter().cloned())?, schedule);
 
-    let gradients = begin(gradients, len, request);
-    let gaussians = Gaussians::of(arena, request, memories, scene, gradients, update)?;
+    let gradients = begin(gradients, len, options);
+    let gaussians = Gaussians::of(arena, options, memories, scene, gradients, update)?;
     let scene = gaussians.scene()?;
     Ok((gaussians, scene))
 }
 
-fn begin(gradients: [Tensor; 5], len: usize, request: &Refine) -> [(Tensor, f32); 5] {
+fn begin(gradients: [Tensor; 5], len: usize, options: &RefineOptions) -> [(Tensor, f32); 5] {
     let mut begin = gradients.map(|gradient| (gradient, 0.0));
-    begin[3].1 = request.opacity_penalty / len as f32;
+    begin[3].1 = options.opacity_penalty / len as f32;
     begin
 }

@@ -90,7 +90,7 @@ pub struct ViewGrid {
     /// Patches from left to right.
     pub columns: usize,
     /// Side of a patch in pixels.
-    pub patch: usize,
+    pub patch_size: usize,
 }
 
 impl ViewGrid {
@@ -106,7 +106,7 @@ impl ViewGrid {
 
     /// Values of all pictures, three channels each.
     pub fn values(&self) -> usize {
-        3 * self.tokens() * self.patch * self.patch
+        3 * self.tokens() * self.patch_size * self.patch_size
     }
 }
 
@@ -203,7 +203,7 @@ fn coeffs_of(degree: u32) -> usize {
 }
 
 fn embed_patches(rec: &mut Recorder, images: Tensor, grid: ViewGrid, linear: &Linear) -> Rows {
-    let (view, patches) = (3 * grid.patch * grid.patch * grid.patches(), grid.patches());
+    let (view, patches) = (3 * grid.patch_size * grid.patch_size * grid.patches(), grid.patches());
     let out = Rows::scratch(rec, "embedded", grid.tokens(), linear.columns, Element::F32);
     let widths = [4 * view, linear.element().bytes() * patches * linear.inner, patches * out.row_bytes()];
     for part in row_chunks(rec, grid.views, &widths) {
@@ -212,10 +212,10 @@ fn embed_patches(rec: &mut Recorder, images: Tensor, grid: ViewGrid, linear: &Li
             images: images.slice::<f32>(part.start * view, part.len() * view),
             out: rows.tensor,
             rows: rows.count as u32,
-            height: (grid.rows * grid.patch) as u32,
-            width: (grid.columns * grid.patch) as u32,
+            height: (grid.rows * grid.patch_size) as u32,
+            width: (grid.columns * grid.patch_size) as u32,
             stride: rows.width as u32,
-            patch: grid.patch as u32,
+            patch: grid.patch_size as u32,
             output: rows.element,
         };
         rec.dispatch_groups(kernel, rows.count);

@@ -2,7 +2,7 @@
 
 mod attention;
 mod cache;
-mod chosen;
+mod kernel_choice;
 mod linear;
 mod nearest;
 mod noise;
@@ -10,7 +10,7 @@ mod self_test;
 mod tuning;
 
 pub use cache::cache_folder;
-pub use chosen::Chosen;
+pub use kernel_choice::KernelChoice;
 pub use self_test::SelfTest;
 pub use tuning::{Measured, Tuning};
 

@@ -16,7 +16,7 @@ use crate::{Error, Result};
 pub struct Checkpoint {
     architecture: Architecture,
     parameters: Vec<(String, Vec<usize>)>,
-    picture_side: u32,
+    image_size: u32,
     source: Source,
     provenance: String,
     notes: Vec<String>,
@@ -32,7 +32,7 @@ impl Checkpoint {
     ///
     /// # Errors
     /// [`Error::Argument`] without feature `embedded-model`.
-    pub fn embedded() -> Result<Self> {
+    pub fn builtin() -> Result<Self> {
         #[cfg(feature = "embedded-model")]
         let found = Self::from_bytes("the embedded model", EMBEDDED, None);
         #[cfg(not(feature = "embedded-model"))]
@@ -96,7 +96,7 @@ impl Checkpoint {
         let provenance = format!("seeded:{}{stream}", architecture.name);
         let parameters = architecture.parameters();
         let source = Source::Seeded { key: key.into() };
-        Ok(Self { architecture, parameters, picture_side: DEFAULT_SIZE, source, provenance, notes: Vec::new() })
+        Ok(Self { architecture, parameters, image_size: DEFAULT_SIZE, source, provenance, notes: Vec::new() })
     }
 
     fn load(path: &Path, architecture: impl FnOnce(&Contents, &Path) -> Result<Identified>) -> Result<Self> {
@@ -114,12 +114,12 @@ impl Checkpoint {
         let rounded = contents.doubles();
         let rounded = (rounded > 0).then(|| format!("{}: {rounded} tensors of f64 are rounded to f32", path.display()));
         let parameters = architecture.parameters();
-        let picture_side = contents.picture_side.unwrap_or(DEFAULT_SIZE);
+        let image_size = contents.image_size.unwrap_or(DEFAULT_SIZE);
         let tensors = matching(path, &architecture.name, &parameters, contents)?;
         let provenance = path.display().to_string();
         let source = Source::Stored { file, tensors };
         let notes = assumed.into_iter().chain(rounded).collect();
-        Ok(Self { architecture, parameters, picture_side, source, provenance, notes })
+        Ok(Self { architecture, parameters, image_size, source, provenance, notes })
     }
 
     /// Architecture of the weights.
@@ -128,8 +128,8 @@ impl Checkpoint {
     }
 
     /// Training image side in pixels, by default 252.
-    pub fn picture_side(&self) -> u32 {
-        self.picture_side
+    pub fn image_size(&self) -> u32 {
+        self.image_size
     }
 
     /// Name and shape per tensor.
@@ -233,7 +233,7 @@ impl safetensors::Weights for Checkpoint {
     }
 
     fn network(&self) -> safetensors::Stated<'_> {
-        safetensors::Stated::Scene(&self.architecture, self.picture_side)
+        safetensors::Stated::Scene(&self.architecture, self.image_size)
     }
 }
 

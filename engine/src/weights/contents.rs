@@ -4,7 +4,7 @@ use super::tensor::{Stored, StoredDtype};
 use super::{Architecture, DepthArchitecture};
 use crate::types::preprocess::PATCH;
 
-pub(super) const MAX_PICTURE_SIDE: u32 = 8192;
+pub(super) const MAX_IMAGE_SIZE: u32 = 8192;
 
 /// Added by distributed training and compilation.
 const WRAPPERS: [&str; 2] = ["module", "_orig_mod"];
@@ -14,7 +14,7 @@ pub(super) struct Contents {
     pub tensors: HashMap<String, Stored>,
     pub architecture: Option<Architecture>,
     pub depth_architecture: Option<DepthArchitecture>,
-    pub picture_side: Option<u32>,
+    pub image_size: Option<u32>,
     pub conf: Conf,
 }
 
@@ -43,8 +43,8 @@ pub(super) fn add(
     }
 }
 
-pub(super) fn is_picture_side(side: u32) -> bool {
-    (PATCH..=MAX_PICTURE_SIDE).contains(&side) && side.is_multiple_of(PATCH)
+pub(super) fn is_image_size(side: u32) -> bool {
+    (PATCH..=MAX_IMAGE_SIZE).contains(&side) && side.is_multiple_of(PATCH)
 }
 
 impl Contents {

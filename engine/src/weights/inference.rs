@@ -153,7 +153,7 @@ impl Shapes<'_> {
             Some(hidden) => (found.ffn, found.ffn_hidden) = (Ffn::SwiGlu, hidden),
             None => set(&mut found.ffn_hidden, &format!("{block}.mlp.fc1.bias"), 0),
         }
-        set(&mut found.patch, &format!("{BACKBONE}.patch_embed.proj.weight"), 2);
+        set(&mut found.patch_size, &format!("{BACKBONE}.patch_embed.proj.weight"), 2);
         if let Some(positions) = self.axis(&format!("{BACKBONE}.pos_embed"), 1) {
             found.position_grid = positions.saturating_sub(1).isqrt();
         }

@@ -6,7 +6,7 @@ use half::{bf16, f16};
 use safetensors::Dtype as FileDtype;
 use safetensors::tensor::{Metadata, TensorInfo};
 
-use super::contents::{Contents, MAX_PICTURE_SIDE, add, is_picture_side};
+use super::contents::{Contents, MAX_IMAGE_SIZE, add, is_image_size};
 use super::tensor::{Stored, StoredDtype};
 use super::{Architecture, DepthArchitecture, Dtype};
 use crate::ops::{ParameterSource, Q8};
@@ -54,10 +54,10 @@ pub(super) fn contents(path: &Path, file: &[u8]) -> Result<Contents> {
     }
     let stated = |key: &str| header.metadata().as_ref().and_then(|metadata| metadata.get(key));
     if let Some(side) = stated(PICTURE_SIDE_KEY) {
-        let parsed = side.parse().ok().filter(|side| is_picture_side(*side));
-        let expected = format!("a multiple of {PATCH} up to {MAX_PICTURE_SIDE}");
+        let parsed = side.parse().ok().filter(|side| is_image_size(*side));
+        let expected = format!("a multiple of {PATCH} up to {MAX_IMAGE_SIZE}");
         let side = parsed.ok_or_else(|| malformed(format!("{PICTURE_SIDE_KEY}: found {side}, expected {expected}")))?;
-        found.picture_side = Some(side);
+        found.image_size = Some(side);
     }
     if let Some(json) = stated(ARCHITECTURE_KEY) {
         let architecture: Architecture =

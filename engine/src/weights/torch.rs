@@ -7,7 +7,7 @@ use std::path::Path;
 
 use zip::{CompressionMethod, ZipArchive};
 
-use super::contents::{Conf, Contents, add, is_picture_side};
+use super::contents::{Conf, Contents, add, is_image_size};
 use super::pickle::{Id, Object, Pickle, Tensor};
 use super::tensor::{Stored, StoredDtype};
 use crate::{Error, Result};
@@ -34,8 +34,8 @@ pub(super) fn contents(path: &Path, file: &[u8]) -> Result<Contents> {
         Error::format(path, Some(offset as u64), format!("data.pkl: {}", error.reason))
     })?;
 
-    let (conf, picture_side) = conf(&pickle).map_err(|reason| malformed(format!("data.pkl: conf: {reason}")))?;
-    let mut found = Contents { conf, picture_side, ..Contents::default() };
+    let (conf, image_size) = conf(&pickle).map_err(|reason| malformed(format!("data.pkl: conf: {reason}")))?;
+    let mut found = Contents { conf, image_size, ..Contents::default() };
     let holder = MODEL.iter().find_map(|key| pickle.entries(pickle.get(pickle.root, key)?));
     let is_tensor = |&&(_, value): &&(Id, Id)| matches!(pickle.object(value), Object::Tensor(_));
     let bare = || pickle.entries(pickle.root).map(|all| all.iter().filter(is_tensor).collect::<Vec<_>>());
@@ -77,7 +77,7 @@ fn conf(pickle: &Pickle) -> Result<(Conf, Option<u32>), String> {
         gaussians_per_token: size("gaussians_per_prototype")?.or(size("gaussians_per_token")?),
         sh_degree: size("sh_degree")?,
     };
-    let side = entry("img_size").and_then(|id| pickle.size(id)?.try_into().ok()).filter(|side| is_picture_side(*side));
+    let side = entry("img_size").and_then(|id| pickle.size(id)?.try_into().ok()).filter(|side| is_image_size(*side));
     Ok((found, side))
 }
 

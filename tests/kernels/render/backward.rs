@@ -5,7 +5,7 @@ use glam::{DMat3, DVec3};
 use zipsplat::{
     gpu::Limits,
     stages::render::{
-        CAMERA_NUMBERS, CameraRows, Depth, FrameShape, Gradients, RenderRequest, SceneGradients, SceneTensors,
+        CAMERA_NUMBERS, CameraRows, Depth, FrameShape, Gradients, RenderOptions, SceneGradients, SceneTensors,
         camera_rows, record_with_gradients,
     },
     types::{Camera, Pose, Scene},
@@ -69,12 +69,12 @@ impl Default for How<'_> {
     }
 }
 
-fn find(scene: &Scene, cameras: &[Camera], request: &RenderRequest, d_frames: &[f32]) -> Found {
+fn find(scene: &Scene, cameras: &[Camera], request: &RenderOptions, d_frames: &[f32]) -> Found {
     How::default().find(scene, cameras, request, d_frames)
 }
 
 impl How<'_> {
-    fn find(&self, scene: &Scene, cameras: &[Camera], request: &RenderRequest, d_frames: &[f32]) -> Found {
+    fn find(&self, scene: &Scene, cameras: &[Camera], request: &RenderOptions, d_frames: &[f32]) -> Found {
         let mut case = plan_within(self.limits);
         let tensors = SceneTensors {
             means: case.input(&scene.means),
@@ -118,7 +118,7 @@ impl How<'_> {
 }
 
 /// Interleaves the weights of the requested outputs, as in frames.
-fn weigh(weights: &Weights, request: &RenderRequest) -> Vec<f32> {
+fn weigh(weights: &Weights, request: &RenderOptions) -> Vec<f32> {
     let depth = request.depth.map(|_| (&weights.depth, 1));
     let planes = [request.rgb.then_some((&weights.rgb, 3)), request.alpha.then_some((&weights.alpha, 1)), depth];
     let planes: Vec<_> = planes.into_iter().flatten().collect();
@@ -170,13 +170,13 @@ fn equals_the_goldens() {
             for (set, [rgb, alpha, depth]) in SETS {
                 let expected = set == "ED";
                 let kind = if expected { Depth::Expected } else { Depth::Accumulated };
-                let request = RenderRequest {
+                let request = RenderOptions {
                     rgb,
                     alpha,
                     depth: depth.then_some(kind),
                     background,
                     antialiased: mode == "antialiased",
-                    ..RenderRequest::default()
+                    ..RenderOptions::default()
                 };
                 let no_alpha = || Weights { alpha: vec![0.0; weights.alpha.len()], ..weights.clone() };
                 let weights = if expected { no_alpha() } else { weights.clone() };
@@ -230,10 +230,10 @@ fn two_cameras() -> [Camera; 2] {
 }
 
 /// Returns requests of every kind, for the engine and the reference.
-fn requests() -> [(RenderRequest, Drawing); 4] {
+fn requests() -> [(RenderOptions, Drawing); 4] {
     let request = |rgb, alpha, depth: Option<Depth>, antialiased| {
         let background = [0.3, 0.1, 0.6];
-        let request = RenderRequest { rgb, alpha, depth, background, antialiased, ..RenderRequest::default() };
+        let request = RenderOptions { rgb, alpha, depth, background, antialiased, ..RenderOptions::default() };
         let expected_depth = depth == Some(Depth::Expected);
         (request, Drawing { antialiased, expected_depth, background: background.map(f64::from) })
     };
@@ -246,7 +246,7 @@ fn requests() -> [(RenderRequest, Drawing); 4] {
 }
 
 /// Returns random weights of the requested outputs, 0 at pixels that rounding decides.
-fn random_weights(scene: &Scene, cameras: &[Camera], request: &RenderRequest) -> Weights {
+fn random_weights(scene: &Scene, cameras: &[Camera], request: &RenderOptions) -> Weights {
     let gaussians = reference_gaussians(scene);
     let unstable =
         |camera: &Camera| render(&gaussians, &reference_camera(camera), request.antialiased, [0.0; 3]).unstable;
@@ -264,7 +264,7 @@ fn random_weights(scene: &Scene, cameras: &[Camera], request: &RenderRequest) ->
 
 /// Asserts gradients against finite differences in random directions of every field; rotations step
 /// by `turn`.
-fn hold_to_differences(name: &str, scene: &Scene, turn: f64, (request, drawing): (RenderRequest, Drawing)) {
+fn hold_to_differences(name: &str, scene: &Scene, turn: f64, (request, drawing): (RenderOptions, Drawing)) {
     let cameras = &two_cameras();
     let weights = random_weights(scene, cameras, &request);
     let found = find(scene, cameras, &request, &weigh(&weights, &request));
@@ -330,7 +330,7 @@ fn equals_differences_of_needles_from_far_off_and_of_what_is_very_long() {
 }
 
 /// Returns a scene of many tiles, a request, and its weights.
-fn many_tiles(count: usize) -> (Scene, RenderRequest, Vec<f32>) {
+fn many_tiles(count: usize) -> (Scene, RenderOptions, Vec<f32>) {
     let scene = random_scene(count, 1, 0.2);
     let request = requests()[1].0;
     let weights = random(9, 2 * (SIZE[0] * SIZE[1]) as usize * request.channels());
@@ -396,5 +396,5 @@ fn small_bindings_cut_scenes_and_pictures() {
 #[should_panic(expected = "no gradient")]
 fn normals_are_refused() {
     let (scene, request, d_frames) = many_tiles(10);
-    find(&scene, &two_cameras(), &RenderRequest { normals: true, ..request }, &d_frames);
+    find(&scene, &two_cameras(), &RenderOptions { normals: true, ..request }, &d_frames);
 }

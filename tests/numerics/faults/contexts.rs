@@ -5,8 +5,8 @@ use std::ops::ControlFlow;
 use zipsplat::{
     Error, Result,
     gpu::{Device, DeviceOptions},
-    reconstruct::{Model, Request},
-    stages::render::{Frame, RenderRequest, Renderer},
+    reconstruct::{Model, ReconstructOptions},
+    stages::render::{RenderOptions, RenderOutput, Renderer},
     types::{Image, Scene},
 };
 use zipsplat_tests::{
@@ -58,14 +58,14 @@ struct Work {
     options: DeviceOptions,
     images: [Image; 2],
     scene: Scene,
-    truth: (Scene, Vec<Frame>),
+    truth: (Scene, Vec<RenderOutput>),
 }
 
 #[derive(Default)]
 struct Made {
     model: Option<Model>,
     renderer: Option<Renderer>,
-    pictures: Vec<Frame>,
+    pictures: Vec<RenderOutput>,
     scene: Option<Scene>,
 }
 
@@ -85,18 +85,21 @@ impl Work {
     }
 
     fn run(&self, device: &Device, made: &mut Made) -> Result<()> {
-        let model = made.model.insert(Model::load(device, &micro(), |_| ControlFlow::Continue(()))?);
-        made.scene =
-            Some(model.reconstruct(&self.images, &Request::default(), |_| ControlFlow::Continue(()))?.scene()?);
+        let model = made.model.insert(Model::from_checkpoint(device, &micro(), |_| ControlFlow::Continue(()))?);
+        made.scene = Some(
+            model
+                .reconstruct_views(&self.images, &ReconstructOptions::default(), |_| ControlFlow::Continue(()))?
+                .to_scene()?,
+        );
         let renderer = made.renderer.insert(Renderer::new(device));
-        renderer.load(&self.scene)?;
-        renderer.render_each(&[camera(20, 20); 4], &RenderRequest::default(), |_, frame| {
+        renderer.set_scene(&self.scene)?;
+        renderer.render_each(&[camera(20, 20); 4], &RenderOptions::default(), |_, frame| {
             made.pictures.push(frame);
             Ok(())
         })
     }
 
-    fn sound(&self) -> (Scene, Vec<Frame>) {
+    fn sound(&self) -> (Scene, Vec<RenderOutput>) {
         let mut made = Made::default();
         self.run(&self.open(), &mut made).unwrap_or_else(|error| panic!("on a sound device: {error}"));
         (made.scene.expect("a scene"), made.pictures)
@@ -129,15 +132,16 @@ impl Work {
             Err(Error::DeviceLost) => {}
             other => panic!("{context}, {name}: {other:?}"),
         };
-        lost("loading a model", Model::load(device, &micro(), |_| ControlFlow::Continue(())).map(drop));
-        lost("loading a scene", Renderer::new(device).load(&self.scene));
+        lost("loading a model", Model::from_checkpoint(device, &micro(), |_| ControlFlow::Continue(())).map(drop));
+        lost("loading a scene", Renderer::new(device).set_scene(&self.scene));
         if let Some(model) = &made.model {
-            let again = model.reconstruct(&self.images, &Request::default(), |_| ControlFlow::Continue(()));
+            let again =
+                model.reconstruct_views(&self.images, &ReconstructOptions::default(), |_| ControlFlow::Continue(()));
             lost("reconstructing", again.map(drop));
         }
         if let Some(renderer) = &mut made.renderer {
-            lost("loading the same scene", renderer.load(&self.scene));
-            let drawn = renderer.render_loaded(&[camera(20, 20)], &RenderRequest::default());
+            lost("loading the same scene", renderer.set_scene(&self.scene));
+            let drawn = renderer.render(&[camera(20, 20)], &RenderOptions::default());
             assert!(matches!(drawn, Err(Error::DeviceLost | Error::Argument { .. })), "{context}, drawing: {drawn:?}");
         }
         assert!(made.pictures.iter().all(|frame| *frame == self.truth.1[0]), "{context}: a picture of a lost device");

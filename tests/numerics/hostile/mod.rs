@@ -20,8 +20,8 @@ use zipsplat::{
     random::Random,
     types::{
         Image, Scene,
-        poses::{Poses, read_cameras, read_cloud, read_poses},
-        read_points, read_scene, read_scene_unchecked,
+        poses::{Capture, read_cloud},
+        read_points,
     },
     weights::Checkpoint,
 };
@@ -50,7 +50,7 @@ fn sound_scene(scene: &Scene) {
     scene.validate().expect("what is read is valid");
 }
 
-fn sound_cameras(poses: &Poses) {
+fn sound_cameras(poses: &Capture) {
     for frame in &poses.frames {
         frame.camera.validate(&frame.name).expect("what is read is valid");
     }
@@ -58,15 +58,15 @@ fn sound_cameras(poses: &Poses) {
 
 fn scene(folder: &Path, name: &str, bytes: &[u8]) -> Result<(), Error> {
     let path = stored(folder, name, bytes);
-    if let Ok(mut scene) = read_scene_unchecked(&path) {
+    if let Ok(mut scene) = Scene::open_unchecked(&path) {
         scene.drop_invalid().expect("arrays that fit each other");
         sound_scene(&scene);
     }
-    read_scene(path).map(|scene| sound_scene(&scene))
+    Scene::open(path).map(|scene| sound_scene(&scene))
 }
 
 fn cameras(folder: &Path, bytes: &[u8]) -> Result<(), Error> {
-    read_cameras(stored(folder, "cameras.json", bytes), &LENS).map(|poses| sound_cameras(&poses))
+    Capture::open_cameras(stored(folder, "cameras.json", bytes), &LENS).map(|poses| sound_cameras(&poses))
 }
 
 fn colmap(folder: &Path, files: [(&str, &[u8]); 2]) -> Result<(), Error> {
@@ -74,7 +74,7 @@ fn colmap(folder: &Path, files: [(&str, &[u8]); 2]) -> Result<(), Error> {
     for (name, bytes) in files {
         stored(model.path(), name, bytes);
     }
-    read_poses(model.path()).map(|poses| sound_cameras(&poses))
+    Capture::open(model.path()).map(|poses| sound_cameras(&poses))
 }
 
 fn checkpoint(folder: &Path, bytes: &[u8]) -> Result<(), Error> {
@@ -110,7 +110,7 @@ fn parsers() -> Vec<Parser> {
         parser("glb", vec![seeds::scene("glb", 1)], |folder, bytes| scene(folder, "scene.glb", bytes)),
         parser("glTF", vec![seeds::scene("gltf", 0)], |folder, bytes| scene(folder, "scene.gltf", bytes)),
         parser("transforms.json", vec![seeds::transforms()], |folder, bytes| {
-            read_poses(stored(folder, "transforms.json", bytes)).map(|poses| sound_cameras(&poses))
+            Capture::open(stored(folder, "transforms.json", bytes)).map(|poses| sound_cameras(&poses))
         }),
         parser("camera path", vec![seeds::camera_path(), seeds::matrices()], cameras),
         parser("COLMAP text images", vec![seeds::COLMAP_IMAGES.into()], |folder, bytes| {

@@ -5,9 +5,7 @@ use serde_json::json;
 use std::io::{Cursor, Read, Write};
 use zip::{CompressionMethod, ZipWriter, write::SimpleFileOptions};
 use zipsplat::{
-    types::{
-        Camera, Intrinsics, Orbit, Scene, SceneFormat, WriteOptions, encode_scene, poses::write_transforms, write_scene,
-    },
+    types::{Camera, Intrinsics, Orbit, SaveOptions, Scene, SceneFormat, poses::write_transforms},
     weights::{Checkpoint, Dtype},
 };
 use zipsplat_tests::{architectures::pico, golden, scenes::random_scene};
@@ -23,11 +21,11 @@ fn in_folder(name: &str, write: impl FnOnce(&std::path::Path)) -> Vec<u8> {
 
 pub fn scene(extension: &str, sh_degree: u32) -> Vec<u8> {
     let scene: Scene = random_scene(7, sh_degree, 0.1);
-    in_folder(&format!("scene.{extension}"), |path| write_scene(path, &scene, &WriteOptions::default()).unwrap())
+    in_folder(&format!("scene.{extension}"), |path| scene.save(path).unwrap())
 }
 
 pub fn spz4(sh_degree: u32) -> Vec<u8> {
-    encode_scene(&random_scene(7, sh_degree, 0.1), SceneFormat::Spz, &WriteOptions { spz_version: 4 }).unwrap()
+    random_scene(7, sh_degree, 0.1).encode(SceneFormat::Spz, &SaveOptions { spz_version: 4 }).unwrap()
 }
 
 /// Damage behind the SPZ's checksum would not reach the parser.

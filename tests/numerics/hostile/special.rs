@@ -10,9 +10,9 @@ use std::{
 use zipsplat::{
     Error, Result,
     types::{
-        Image,
-        poses::{read_cameras, read_cloud, read_poses},
-        read_points, read_scene, read_world,
+        Image, Scene,
+        poses::{Capture, read_cloud},
+        read_points, read_world,
     },
     weights::{Checkpoint, Dtype, convert},
 };
@@ -27,16 +27,16 @@ type Reader = fn(&Path) -> Result<()>;
 const READERS: [(&str, &str, Reader); 14] = [
     ("weights", "weights.pt", |path| Checkpoint::open(path, None).map(drop)),
     ("conversion", "weights.safetensors", |path| convert(path, path.with_extension("out"), Dtype::F16, None)),
-    ("PLY", "scene.ply", |path| read_scene(path).map(drop)),
-    ("SPZ", "scene.spz", |path| read_scene(path).map(drop)),
-    (".splat", "scene.splat", |path| read_scene(path).map(drop)),
-    ("glTF", "scene.gltf", |path| read_scene(path).map(drop)),
-    ("glb", "scene.glb", |path| read_scene(path).map(drop)),
+    ("PLY", "scene.ply", |path| Scene::open(path).map(drop)),
+    ("SPZ", "scene.spz", |path| Scene::open(path).map(drop)),
+    (".splat", "scene.splat", |path| Scene::open(path).map(drop)),
+    ("glTF", "scene.gltf", |path| Scene::open(path).map(drop)),
+    ("glb", "scene.glb", |path| Scene::open(path).map(drop)),
     ("origin", "scene.ply", |path| read_world(path).map(drop)),
     ("points", "points.ply", |path| read_points(path).map(drop)),
     ("COLMAP points", "points3D.bin", |path| read_cloud(path).map(drop)),
-    ("poses", "transforms.json", |path| read_poses(path).map(drop)),
-    ("cameras", "cameras.json", |path| read_cameras(path, &LENS).map(drop)),
+    ("poses", "transforms.json", |path| Capture::open(path).map(drop)),
+    ("cameras", "cameras.json", |path| Capture::open_cameras(path, &LENS).map(drop)),
     ("photo", "photo.png", |path| Image::open(path).map(drop)),
     ("size of a photo", "photo.png", |path| Image::size(path).map(drop)),
 ];
@@ -90,13 +90,13 @@ fn pipes_that_a_file_names_are_refused() {
     let at = |name: &str| folder.path().join(name);
     std::fs::write(at("cameras.bin"), seeds::colmap_cameras()).unwrap();
     pipe(&at("images.bin"));
-    let poses: Reader = |path| read_poses(path).map(drop);
+    let poses: Reader = |path| Capture::open(path).map(drop);
     let error = refusal("COLMAP", poses, folder.path().into()).to_string();
     assert!(error.contains("images.bin: found a pipe"), "{error}");
 
     std::fs::write(at("scene.gltf"), r#"{"asset":{"version":"2.0"},"buffers":[{"uri":"a.bin","byteLength":4}]}"#)
         .unwrap();
     pipe(&at("a.bin"));
-    let error = refusal("glTF", |path| read_scene(path).map(drop), at("scene.gltf")).to_string();
+    let error = refusal("glTF", |path| Scene::open(path).map(drop), at("scene.gltf")).to_string();
     assert!(error.contains("a.bin: found a pipe"), "{error}");
 }

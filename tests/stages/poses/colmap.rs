@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use zipsplat::Error;
-use zipsplat::types::poses::{Frame, read_cloud, read_poses, write_colmap, write_transforms};
+use zipsplat::types::poses::{Capture, CaptureView, read_cloud, write_colmap, write_transforms};
 use zipsplat::types::{Camera, Distortion, Intrinsics, Lens, Pose, quaternion_from_matrix};
 
 use super::{LENS, assert_format_error, assert_same_cameras, cameras, of, put_photos};
@@ -66,13 +66,13 @@ fn colmap_models_agree_with_transforms() {
     for path in
         [text.clone(), text.join("images.txt"), capture.clone(), capture.join("sparse/0"), capture.join("sparse")]
     {
-        let Ok(poses) = read_poses(&path) else { panic!("{}", path.display()) };
+        let Ok(poses) = Capture::open(&path) else { panic!("{}", path.display()) };
         assert_same_cameras(&of(&poses), &truth);
-        assert_eq!((poses.frames[3].name.as_str(), &poses.notes), ("003.png", &vec![]));
+        assert_eq!((poses.frames[3].name.as_str(), &poses.warnings), ("003.png", &vec![]));
         assert_eq!(poses.frames[3].photo.is_some(), path.starts_with(&capture));
     }
     let empty = folder.path().join("capture/images");
-    assert!(matches!(read_poses(&empty), Err(Error::Argument { .. })));
+    assert!(matches!(Capture::open(&empty), Err(Error::Argument { .. })));
 }
 
 #[test]
@@ -94,13 +94,13 @@ fn colmap_lenses_are_read_and_distortion_is_undone() {
         text_model(&text, &format!("{name} 64 48 {}", numbers.join(" ")), &truth, &names);
         binary_model(&binary, model, &params, &truth, &names);
         for path in [text, binary] {
-            let poses = read_poses(&path).unwrap();
+            let poses = Capture::open(&path).unwrap();
             for frame in &poses.frames {
                 assert_eq!(frame.lens.is_some(), distorted, "{name}");
                 let taken = frame.lens.map_or(frame.camera.intrinsics, |lens| lens.intrinsics);
                 assert_eq!(taken, lens, "{name}");
             }
-            assert!(poses.notes.is_empty(), "{name}: {:?}", poses.notes);
+            assert!(poses.warnings.is_empty(), "{name}: {:?}", poses.warnings);
         }
     }
 }
@@ -155,7 +155,7 @@ fn malformed_colmap_models_are_refused() {
         assert_format_error(path, &["images.bin", "truncated"]);
     }
     fs::remove_file(path.join("images.bin")).unwrap();
-    assert!(matches!(read_poses(path), Err(Error::Io { path, .. }) if path.ends_with("images.bin")));
+    assert!(matches!(Capture::open(path), Err(Error::Io { path, .. }) if path.ends_with("images.bin")));
 }
 
 #[test]
@@ -165,7 +165,7 @@ fn point_clouds_are_found_and_read() {
     let path = |name: &str| folder.path().join(name);
     let points = [[1.5, -2.0, 3.25], [0.0, 4.0, 8.0]];
     text_model(&path("text"), "PINHOLE 64 48 70.0 71.5 31.25 24.5", &truth, &names);
-    assert_eq!(read_poses(path("text")).unwrap().points, None);
+    assert_eq!(Capture::open(path("text")).unwrap().points, None);
     let lines = "# 3D point list\n7 1.5 -2.0 3.25 1 2 3 0.5 1 2 2 9\n9 0 4 8 1 2 3 0.25\n";
     fs::write(path("text/points3D.txt"), lines).unwrap();
 
@@ -183,12 +183,12 @@ fn point_clouds_are_found_and_read() {
 
     fs::create_dir(path("json")).unwrap();
     write_transforms(path("json/transforms.json"), &truth, &names).unwrap();
-    assert_eq!(read_poses(path("json")).unwrap().points, None);
+    assert_eq!(Capture::open(path("json")).unwrap().points, None);
     let narrow = points.map(|point| point.map(|value| value as f32));
     zipsplat::types::write_points(path("json/points.ply"), &narrow.map(|point| (point, [1, 2, 3]))).unwrap();
 
     for (model, file) in [("text", "points3D.txt"), ("binary", "points3D.bin"), ("json", "points.ply")] {
-        let found = read_poses(path(model)).unwrap().points;
+        let found = Capture::open(path(model)).unwrap().points;
         assert_eq!(found, Some(path(model).join(file)));
         let cloud = read_cloud(found.unwrap()).unwrap();
         assert_eq!((cloud.positions, cloud.colors), (narrow.to_vec(), vec![[1, 2, 3]; narrow.len()]), "{file}");
@@ -228,12 +228,17 @@ fn models_are_written_as_they_are_read() {
     ];
     let frame = |((camera, name), lens): ((&Camera, &String), &Option<Lens>)| {
         let intrinsics = lens.map_or(camera.intrinsics, |lens| lens.pinhole("lens").unwrap());
-        Frame { name: name.replace("images/", ""), photo: None, camera: Camera { intrinsics, ..*camera }, lens: *lens }
+        CaptureView {
+            name: name.replace("images/", ""),
+            photo: None,
+            camera: Camera { intrinsics, ..*camera },
+            lens: *lens,
+        }
     };
-    let mut frames: Vec<Frame> = truth.iter().zip(&names).zip(lenses.iter().cycle()).map(frame).collect();
+    let mut frames: Vec<CaptureView> = truth.iter().zip(&names).zip(lenses.iter().cycle()).map(frame).collect();
     let points = [([1.5, -2.0, 0.1], [1, 2, 3]), ([0.0, 4.0, 8.0], [255, 0, 7])];
     write_colmap(folder.path(), &frames, &points).unwrap();
-    let read = read_poses(folder.path()).unwrap();
+    let read = Capture::open(folder.path()).unwrap();
     assert_eq!(read.frames.len(), frames.len());
     for (read, frame) in read.frames.iter().zip(&frames) {
         assert_eq!((&read.name, read.lens, read.camera.intrinsics), (&frame.name, frame.lens, frame.camera.intrinsics));
@@ -246,7 +251,7 @@ fn models_are_written_as_they_are_read() {
     assert_eq!(lines.lines().filter(|line| !line.starts_with('#')).count(), frames.len().min(4), "{lines}");
 
     frames[1].name = "two words.png".into();
-    let refused = |frames: &[Frame]| write_colmap(folder.path(), frames, &[]).unwrap_err().to_string();
+    let refused = |frames: &[CaptureView]| write_colmap(folder.path(), frames, &[]).unwrap_err().to_string();
     assert!(refused(&frames).contains("two words.png"));
     let ninth =
         Distortion::Perspective { numerator: [0.0, 0.0, 0.0, 1e-3], denominator: [0.0; 3], tangential: [0.0; 2] };

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use serde_json::json;
-use zipsplat::types::poses::{Frame, read_poses, write_frames};
+use zipsplat::types::poses::{Capture, CaptureView, write_frames};
 use zipsplat::types::{Camera, Image, Intrinsics};
 
 const SIZE: [u32; 2] = [240, 180];
@@ -68,7 +68,7 @@ fn center(image: &Image, [u, v]: [f64; 2]) -> [f64; 2] {
 }
 
 #[track_caller]
-fn assert_undone(name: &str, frame: &Frame, folder: &Path, lens: &Intrinsics, distort: Distort) {
+fn assert_undone(name: &str, frame: &CaptureView, folder: &Path, lens: &Intrinsics, distort: Distort) {
     photo(lens, distort).save_png(folder.join("a.png")).unwrap();
     let (pinhole, image) = (frame.camera.intrinsics, frame.open(folder.join("a.png")).unwrap());
     assert_eq!([image.width, image.height], SIZE, "{name}");
@@ -113,10 +113,10 @@ fn spots_stand_where_the_pinhole_camera_of_a_colmap_model_sees_them() {
         let fy = if lens.contains("200 118") { 200.0 } else { LENS.fy };
         fs::write(folder.path().join("cameras.txt"), format!("1 {lens} {coefficients}\n")).unwrap();
         fs::write(folder.path().join("images.txt"), "1 1 0 0 0 0 0 0 1 a.png\n\n").unwrap();
-        let poses = read_poses(folder.path()).unwrap();
+        let poses = Capture::open(folder.path()).unwrap();
         let frame = &poses.frames[0];
         let is_plain = coefficients.is_empty();
-        assert_eq!((frame.lens.is_none(), poses.notes.is_empty()), (is_plain, true), "{lens}");
+        assert_eq!((frame.lens.is_none(), poses.warnings.is_empty()), (is_plain, true), "{lens}");
         assert_undone(lens, frame, folder.path(), &Intrinsics { fy, ..LENS }, distort);
     }
 }
@@ -139,20 +139,21 @@ fn spots_stand_where_the_pinhole_camera_of_a_transforms_file_sees_them() {
         });
         file.as_object_mut().unwrap().extend(coefficients.as_object().unwrap().clone());
         fs::write(folder.path().join("transforms.json"), file.to_string()).unwrap();
-        let poses = read_poses(folder.path()).unwrap();
-        assert!(poses.frames[0].lens.is_some() && poses.notes.is_empty(), "{:?}", poses.notes);
+        let poses = Capture::open(folder.path()).unwrap();
+        assert!(poses.frames[0].lens.is_some() && poses.warnings.is_empty(), "{:?}", poses.warnings);
         assert_undone(model, &poses.frames[0], folder.path(), &LENS, distort);
         // JSON readers need not be bit-exact; these intrinsics are.
         let camera = Camera { intrinsics: LENS, ..poses.frames[0].camera };
-        let pinhole = Frame { name: "b.png".into(), photo: None, camera, lens: None };
-        let distorted = Frame { photo: None, ..poses.frames[0].clone() };
+        let pinhole = CaptureView { name: "b.png".into(), photo: None, camera, lens: None };
+        let distorted = CaptureView { photo: None, ..poses.frames[0].clone() };
         for frames in [vec![distorted.clone()], vec![distorted.clone(), pinhole.clone()]] {
             write_frames(folder.path().join("again.json"), &frames, Some("cloud.ply")).unwrap();
-            let again = read_poses(folder.path().join("again.json")).unwrap();
-            let read: Vec<Frame> = again.frames.into_iter().map(|frame| Frame { photo: None, ..frame }).collect();
+            let again = Capture::open(folder.path().join("again.json")).unwrap();
+            let read: Vec<CaptureView> =
+                again.frames.into_iter().map(|frame| CaptureView { photo: None, ..frame }).collect();
             assert_eq!((read, again.points), (frames, None), "{model}");
             fs::write(folder.path().join("cloud.ply"), "").unwrap();
-            let points = read_poses(folder.path().join("again.json")).unwrap().points;
+            let points = Capture::open(folder.path().join("again.json")).unwrap().points;
             assert_eq!(points, Some(folder.path().join("cloud.ply")));
             fs::remove_file(folder.path().join("cloud.ply")).unwrap();
         }

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use glam::{DMat4, DVec3};
 use serde_json::{Value, json};
 use zipsplat::Error;
-use zipsplat::types::poses::{Poses, read_poses, write_transforms};
+use zipsplat::types::poses::{Capture, write_transforms};
 use zipsplat::types::{Camera, Image, Intrinsics, Orbit, Pose};
 
 const LENS: Intrinsics = Intrinsics { width: 64, height: 48, fx: 70.0, fy: 71.5, cx: 31.25, cy: 24.5 };
@@ -38,13 +38,13 @@ fn assert_same_pose(found: &Pose, truth: &Pose, i: usize) {
     assert!(found.matrix().abs_diff_eq(truth.matrix(), 1e-12), "camera {i}: {found:?}, truth {truth:?}");
 }
 
-fn of(poses: &Poses) -> Vec<Camera> {
+fn of(poses: &Capture) -> Vec<Camera> {
     poses.frames.iter().map(|frame| frame.camera).collect()
 }
 
 #[track_caller]
 fn assert_format_error(path: &Path, parts: &[&str]) {
-    let error = read_poses(path).expect_err("must be refused");
+    let error = Capture::open(path).expect_err("must be refused");
     let text = error.to_string();
     assert!(matches!(error, Error::Format { .. }), "{text}");
     for part in parts {
@@ -76,8 +76,8 @@ fn put_photos(folder: &Path, names: &[String]) {
 fn transforms_survive_a_file() {
     let (mut cameras, names) = cameras();
     let (folder, path) = capture(|_| ());
-    assert_same_cameras(&of(&read_poses(&path).unwrap()), &cameras);
-    assert_same_cameras(&of(&read_poses(folder.path()).unwrap()), &cameras);
+    assert_same_cameras(&of(&Capture::open(&path).unwrap()), &cameras);
+    assert_same_cameras(&of(&Capture::open(folder.path()).unwrap()), &cameras);
     // y up, z backward.
     let json: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
     let up = json["frames"][0]["transform_matrix"][1][1].as_f64().unwrap();
@@ -86,7 +86,7 @@ fn transforms_survive_a_file() {
 
     cameras[3].intrinsics.fx = 99.0;
     write_transforms(&path, &cameras, &names).unwrap();
-    assert_same_cameras(&of(&read_poses(&path).unwrap()), &cameras);
+    assert_same_cameras(&of(&Capture::open(&path).unwrap()), &cameras);
     assert!(matches!(write_transforms(&path, &cameras, &names[1..]), Err(Error::Argument { .. })));
     cameras[2].pose.translation.x = f64::NAN;
     let refused = write_transforms(&path, &cameras, &names).unwrap_err().to_string();
@@ -106,11 +106,11 @@ fn intrinsics_come_from_angles_frames_and_photos() {
             frame["file_path"] = json!(format!("./{}", frame["file_path"].as_str().unwrap().trim_end_matches(".png")));
         }
     });
-    let none = read_poses(&path).unwrap();
-    assert!(none.frames.is_empty() && none.notes[0].contains("7 frames left out"), "{:?}", none.notes);
+    let none = Capture::open(&path).unwrap();
+    assert!(none.frames.is_empty() && none.warnings[0].contains("7 frames left out"), "{:?}", none.warnings);
     put_photos(folder.path(), &names[..5]);
-    let poses = read_poses(&path).unwrap();
-    assert!(poses.frames.len() == 5 && poses.notes[0].contains("2 frames left out"), "{:?}", poses.notes);
+    let poses = Capture::open(&path).unwrap();
+    assert!(poses.frames.len() == 5 && poses.warnings[0].contains("2 frames left out"), "{:?}", poses.warnings);
     for (frame, name) in poses.frames.iter().zip(&names) {
         assert!((frame.camera.intrinsics.fx - LENS.fx).abs() < 1e-9);
         let found = Intrinsics { fx: LENS.fx, fy: LENS.fx, ..frame.camera.intrinsics };
@@ -129,10 +129,10 @@ fn intrinsics_come_from_angles_frames_and_photos() {
         json["frames"][2]["w"] = json!(65.0);
         json["frames"][4]["k1"] = json!(0.1);
     });
-    let poses = read_poses(&path).unwrap();
+    let poses = Capture::open(&path).unwrap();
     assert_eq!(poses.frames[2].camera.intrinsics, Intrinsics { fx: 80.0, width: 65, ..LENS });
     assert_eq!(poses.frames[3].camera.intrinsics, LENS);
-    assert!(poses.frames[4].lens.is_some() && poses.notes.is_empty(), "{:?}", poses.notes);
+    assert!(poses.frames[4].lens.is_some() && poses.warnings.is_empty(), "{:?}", poses.warnings);
 }
 
 #[test]
@@ -166,7 +166,7 @@ fn malformed_transforms_name_the_file_the_frame_and_the_field() {
     let text = fs::read(&path).unwrap();
     fs::write(&path, &text[..text.len() / 2]).unwrap();
     assert_format_error(&path, &["transforms.json", "line"]);
-    assert!(matches!(read_poses("no/such.json"), Err(Error::Io { .. })));
+    assert!(matches!(Capture::open("no/such.json"), Err(Error::Io { .. })));
 }
 
 #[test]
@@ -176,7 +176,7 @@ fn photos_are_matched_by_the_end_of_their_path() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("transforms.json");
     write_transforms(&path, &cameras[..3], &names).unwrap();
-    let poses = read_poses(&path).unwrap();
+    let poses = Capture::open(&path).unwrap();
     let matched = poses.for_photos(&["/a/right/000.png", "somewhere/001.png", "/a/left/000.png"]).unwrap();
     assert_same_cameras(&matched, &[cameras[1], cameras[2], cameras[0]]);
     for (photo, reason) in [("/a/000.png", "tells"), ("/a/002.png", "002.png")] {
@@ -198,10 +198,10 @@ fn captures_have_sound_cameras() {
     let folders: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).filter(|path| path.is_dir()).collect();
     assert!(!folders.is_empty());
     for folder in folders {
-        let poses = read_poses(&folder).unwrap();
+        let poses = Capture::open(&folder).unwrap();
         let photos: Vec<PathBuf> = poses.frames.iter().map(|frame| frame.photo.clone().expect("photo")).collect();
         let on_disk = fs::read_dir(folder.join("images")).unwrap().count();
-        assert_eq!((photos.len(), &poses.notes), (on_disk, &vec![]), "{}", folder.display());
+        assert_eq!((photos.len(), &poses.warnings), (on_disk, &vec![]), "{}", folder.display());
         let size = Image::size(&photos[0]).unwrap();
         let cameras = poses.for_photos(&photos).unwrap();
         let json: Value = serde_json::from_slice(&fs::read(folder.join("transforms.json")).unwrap()).unwrap();

@@ -2,7 +2,7 @@
 
 use std::{fs, path::Path};
 
-use zipsplat::types::{Camera, poses::read_poses};
+use zipsplat::types::{Camera, poses::Capture};
 
 use super::{LENS, assert_format_error, assert_same_pose, cameras, put_photos};
 
@@ -28,9 +28,13 @@ fn frames_are_read_with_the_size_of_their_pictures() {
     // Picture 3 is missing.
     let names: Vec<String> = (0..7).filter(|i| *i != 3).map(|i| format!("images/{}.png", 33_000 * i)).collect();
     put_photos(folder.path(), &names);
-    let poses = read_poses(written(folder.path(), &cameras, |_, line| line)).unwrap();
+    let poses = Capture::open(written(folder.path(), &cameras, |_, line| line)).unwrap();
     assert_eq!(poses.frames.len(), 6);
-    assert!(poses.notes[0].contains("1 frames left out") && poses.notes[0].contains("99000"), "{:?}", poses.notes);
+    assert!(
+        poses.warnings[0].contains("1 frames left out") && poses.warnings[0].contains("99000"),
+        "{:?}",
+        poses.warnings
+    );
     for (frame, truth) in poses.frames.iter().zip(cameras.iter().enumerate().filter(|(i, _)| *i != 3)) {
         assert_eq!(frame.name, (33_000 * truth.0).to_string());
         assert_same_pose(&frame.camera.pose, &truth.1.pose, truth.0);

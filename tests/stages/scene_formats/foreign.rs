@@ -2,12 +2,12 @@
 
 use super::{assert_rotations, assert_within, coefficient};
 use glam::DMat3;
-use zipsplat::types::{Scene, matrix_from_quaternion, read_ply, read_scene};
+use zipsplat::types::{Scene, matrix_from_quaternion, read_ply};
 use zipsplat_tests::golden;
 
 fn pair(name: &str) -> (Scene, Scene) {
     let read = |name: &str| golden::find(name).unwrap();
-    (read_scene(read(name)).unwrap(), read_ply(read("gaussians_deg2.ply")).unwrap())
+    (Scene::open(read(name)).unwrap(), read_ply(read("gaussians_deg2.ply")).unwrap())
 }
 
 #[test]

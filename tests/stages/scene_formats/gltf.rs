@@ -4,14 +4,14 @@ use super::{assert_rotations, assert_within, failure, round_trip, scene};
 use glam::{DMat4, DQuat, DVec3};
 use serde_json::{Value, json};
 use std::fs;
-use zipsplat::types::{Scene, WriteOptions, matrix_from_quaternion, read_scene, write_scene};
+use zipsplat::types::{SaveOptions, Scene, matrix_from_quaternion};
 use zipsplat_tests::reference::render::sh;
 
 /// With embedded buffers.
 fn document(scene: &Scene) -> Value {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.gltf");
-    write_scene(&path, scene, &WriteOptions::default()).unwrap();
+    scene.save(&path).unwrap();
     serde_json::from_slice(&fs::read(path).unwrap()).unwrap()
 }
 
@@ -19,14 +19,14 @@ fn read(document: &Value) -> Scene {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.gltf");
     fs::write(&path, document.to_string()).unwrap();
-    read_scene(path).unwrap()
+    Scene::open(path).unwrap()
 }
 
 #[test]
 fn a_round_trip_keeps_all_but_the_length_of_quaternions() {
     for (name, degree) in [("a.glb", 0), ("a.glb", 1), ("a.glb", 2), ("a.glb", 3), ("a.gltf", 0), ("a.gltf", 3)] {
         let truth = scene(degree);
-        let found = round_trip(&truth, name, &WriteOptions::default());
+        let found = round_trip(&truth, name, &SaveOptions::default());
         assert_eq!(Scene { quats: truth.quats.clone(), ..found.clone() }, truth, "{name}");
         assert_rotations(&found.quats, &truth.quats, 1e-6);
     }
@@ -92,19 +92,19 @@ fn several_primitives_become_one_scene() {
 fn buffers_are_found_beside_the_file_and_nowhere_else() {
     let folder = tempfile::tempdir().unwrap();
     let (glb, path) = (folder.path().join("a.glb"), folder.path().join("b.gltf"));
-    write_scene(&glb, &scene(1), &WriteOptions::default()).unwrap();
+    scene(1).save(&glb).unwrap();
     let bytes = fs::read(glb).unwrap();
     let json_length = u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize;
     fs::write(folder.path().join("the numbers.bin"), &bytes[28 + json_length..]).unwrap();
     let mut file: Value = serde_json::from_slice(&bytes[20..20 + json_length]).unwrap();
     file["buffers"][0]["uri"] = "the%20numbers.bin".into();
     fs::write(&path, file.to_string()).unwrap();
-    assert_eq!(read_scene(&path).unwrap().means, scene(1).means);
+    assert_eq!(Scene::open(&path).unwrap().means, scene(1).means);
     let buffer = file["buffers"][0].clone();
     file["buffers"].as_array_mut().unwrap().push(buffer);
     file["bufferViews"][0]["buffer"] = 1.into();
     fs::write(&path, file.to_string()).unwrap();
-    assert_eq!(read_scene(&path).unwrap().means, scene(1).means);
+    assert_eq!(Scene::open(&path).unwrap().means, scene(1).means);
     for uri in ["../b.bin", "/etc/hostname", "http://host/b.bin", "a/../../b.bin", "%2e%2e/b.bin", "", "data:,x"] {
         file["buffers"][0]["uri"] = uri.into();
         assert!(failure("b.gltf", file.to_string().as_bytes()).contains("buffer 0"), "{uri}");
@@ -180,7 +180,7 @@ fn damaged_documents_are_refused() {
 fn damaged_containers_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.glb");
-    write_scene(&path, &scene(0), &WriteOptions::default()).unwrap();
+    scene(0).save(&path).unwrap();
     let good = fs::read(path).unwrap();
     for length in [4, 11, 19, 30, good.len() - 1] {
         failure("scene.glb", &good[..length]);
@@ -191,5 +191,5 @@ fn damaged_containers_are_refused() {
         assert!(failure("scene.glb", &bad).contains(reason), "{at}");
     }
     let path = folder.path().join("empty.glb");
-    assert!(write_scene(&path, &Scene::default(), &WriteOptions::default()).is_err() && !path.exists());
+    assert!(Scene::default().save(&path).is_err() && !path.exists());
 }

@@ -10,10 +10,7 @@ use std::io::Write;
 
 use glam::DVec3;
 use zipsplat::Error;
-use zipsplat::types::{
-    Origin, Pose, Scene, SceneFormat, World, WriteOptions, decode_scene, decode_scene_unchecked, encode_scene,
-    matrix_from_quaternion, read_scene, read_world, write_scene, write_scene_in,
-};
+use zipsplat::types::{Origin, Pose, SaveOptions, Scene, SceneFormat, World, matrix_from_quaternion, read_world};
 use zipsplat_tests::scenes;
 
 use flate2::{Compression, read::GzDecoder, write::GzEncoder};
@@ -33,16 +30,16 @@ fn scene(sh_degree: u32) -> Scene {
     scene
 }
 
-fn round_trip(scene: &Scene, name: &str, options: &WriteOptions) -> Scene {
+fn round_trip(scene: &Scene, name: &str, options: &SaveOptions) -> Scene {
     let folder = tempfile::tempdir().unwrap();
-    write_scene(folder.path().join(name), scene, options).unwrap();
-    read_scene(folder.path().join(name)).unwrap()
+    scene.save_with(folder.path().join(name), options).unwrap();
+    Scene::open(folder.path().join(name)).unwrap()
 }
 
 fn failure(name: &str, bytes: &[u8]) -> String {
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join(name), bytes).unwrap();
-    let error = read_scene(folder.path().join(name)).expect_err("a damaged file");
+    let error = Scene::open(folder.path().join(name)).expect_err("a damaged file");
     assert!(matches!(error, Error::Format { .. }), "{error}");
     error.to_string()
 }
@@ -94,7 +91,7 @@ fn assert_spz(found: &Scene, truth: &Scene, version: u32, fractional_bits: i32) 
 fn spz_keeps_what_its_grids_resolve() {
     for (version, degree) in [(3, 0), (3, 1), (3, 2), (3, 3), (2, 0), (2, 3)] {
         let truth = scene(degree);
-        let found = round_trip(&truth, "scene.spz", &WriteOptions { spz_version: version });
+        let found = round_trip(&truth, "scene.spz", &SaveOptions { spz_version: version });
         assert_eq!(found.sh_degree, degree);
         assert_spz(&found, &truth, version, 16);
     }
@@ -104,9 +101,9 @@ fn spz_keeps_what_its_grids_resolve() {
 #[test]
 fn spz_of_many_gaussians_is_one_stream() {
     let truth = scenes::random_scene(120_000, 0, 0.1);
-    let [three, four] = [3, 4].map(|spz_version| encode_scene(&truth, SceneFormat::Spz, &WriteOptions { spz_version }));
+    let [three, four] = [3, 4].map(|spz_version| truth.encode(SceneFormat::Spz, &SaveOptions { spz_version }));
     let [three, four] = [three.unwrap(), four.unwrap()];
-    assert!(decode_scene(&three, None).unwrap() == decode_scene(&four, None).unwrap());
+    assert!(Scene::decode(&three, None).unwrap() == Scene::decode(&four, None).unwrap());
     let mut plain = Vec::new();
     std::io::Read::read_to_end(&mut GzDecoder::new(&three[..]), &mut plain).unwrap();
     assert_eq!(plain.len(), 16 + 20 * truth.len());
@@ -117,7 +114,7 @@ fn version_2_keeps_rotations_but_near_half_turns() {
     let mut truth = scene(0);
     // For w >= 1/2, its error is at most sqrt(3) times the others'.
     truth.quats.iter_mut().for_each(|quat| quat[0] = 2.0 * quat.iter().fold(0f32, |most, q| most.max(q.abs())));
-    let found = round_trip(&truth, "scene.spz", &WriteOptions { spz_version: 2 });
+    let found = round_trip(&truth, "scene.spz", &SaveOptions { spz_version: 2 });
     assert_rotations(&found.quats, &truth.quats, 4.0 * 3f64.sqrt() / 255.0);
 }
 
@@ -126,21 +123,21 @@ fn spz_gives_far_scenes_coarser_positions() {
     for (reach, fractional_bits) in [(127.0, 16), (130.0, 15), (5000.0, 10), (8e6, 0)] {
         let mut truth = scene(0);
         truth.means[3] = [reach, -reach, 0.3];
-        assert_spz(&round_trip(&truth, "scene.spz", &WriteOptions::default()), &truth, 3, fractional_bits);
+        assert_spz(&round_trip(&truth, "scene.spz", &SaveOptions::default()), &truth, 3, fractional_bits);
     }
     let mut far = scene(0);
     far.means[3][1] = -9e6;
     let path = std::env::temp_dir().join("never-written.spz");
-    let error = write_scene(&path, &far, &WriteOptions::default()).expect_err("too far").to_string();
+    let error = far.save(&path).expect_err("too far").to_string();
     assert!(error.contains("means") && !path.exists(), "{error}");
-    let version = WriteOptions { spz_version: 5 };
-    assert!(matches!(write_scene(&path, &scene(0), &version), Err(Error::Argument { .. })) && !path.exists());
+    let version = SaveOptions { spz_version: 5 };
+    assert!(matches!(scene(0).save_with(&path, &version), Err(Error::Argument { .. })) && !path.exists());
 }
 
 #[test]
 fn splat_keeps_one_color_most_important_first() {
     let truth = scene(2);
-    let found = round_trip(&truth, "scene.splat", &WriteOptions::default());
+    let found = round_trip(&truth, "scene.splat", &SaveOptions::default());
     let weight = |scene: &Scene, i: usize| scene.scales[i].iter().product::<f32>() * scene.opacities[i];
     assert!((1..found.len()).all(|i| weight(&found, i - 1) >= 0.99 * weight(&found, i) - 1.0 / 255.0));
     let place = |mean: &[f32; 3]| truth.means.iter().position(|truth| truth == mean).expect("a mean of the scene");
@@ -165,7 +162,7 @@ fn splat_keeps_one_color_most_important_first() {
 fn empty_scenes_are_scenes() {
     for name in ["scene.ply", "scene.spz", "scene.splat"] {
         let empty = Scene::default();
-        assert_eq!(round_trip(&empty, name, &WriteOptions::default()), empty, "{name}");
+        assert_eq!(round_trip(&empty, name, &SaveOptions::default()), empty, "{name}");
     }
 }
 
@@ -173,17 +170,17 @@ fn empty_scenes_are_scenes() {
 fn formats_are_told_apart() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
-    write_scene(path("a.PLY"), &scene(0), &WriteOptions::default()).unwrap();
-    write_scene(path("b.spz"), &scene(0), &WriteOptions::default()).unwrap();
+    scene(0).save(path("a.PLY")).unwrap();
+    scene(0).save(path("b.spz")).unwrap();
     fs::rename(path("a.PLY"), path("a.spz")).unwrap();
     fs::rename(path("b.spz"), path("b")).unwrap();
     assert_eq!(SceneFormat::of_file(path("a.spz")).unwrap(), Some(SceneFormat::Ply));
     assert_eq!(SceneFormat::of_file(path("b")).unwrap(), Some(SceneFormat::Spz));
-    assert_eq!((read_scene(path("a.spz")).unwrap().len(), read_scene(path("b")).unwrap().len()), (400, 400));
-    let error = write_scene(path("c.obj"), &scene(0), &WriteOptions::default()).expect_err("no scene's extension");
+    assert_eq!((Scene::open(path("a.spz")).unwrap().len(), Scene::open(path("b")).unwrap().len()), (400, 400));
+    let error = scene(0).save(path("c.obj")).expect_err("no scene's extension");
     assert!(matches!(error, Error::Argument { .. }) && !path("c.obj").exists());
     assert!(failure("c.obj", b"v 0 0 0").contains("expected .ply"));
-    assert!(matches!(read_scene(path("none.spz")), Err(Error::Io { .. })));
+    assert!(matches!(Scene::open(path("none.spz")), Err(Error::Io { .. })));
 }
 
 #[test]
@@ -192,23 +189,23 @@ fn bytes_in_memory_are_what_files_have() {
     for format in SceneFormat::ALL.iter().copied() {
         let (truth, path) = (scene(1), folder.path().join(format!("scene{}", format.extension())));
         assert_eq!(SceneFormat::of_extension(&path), Some(format));
-        let bytes = encode_scene(&truth, format, &WriteOptions::default()).unwrap();
-        write_scene(&path, &truth, &WriteOptions::default()).unwrap();
+        let bytes = truth.encode(format, &SaveOptions::default()).unwrap();
+        truth.save(&path).unwrap();
         assert!(fs::read(&path).unwrap() == bytes, "{format:?}");
-        assert!(decode_scene(&bytes, Some(format)).unwrap() == read_scene(&path).unwrap(), "{format:?}");
+        assert!(Scene::decode(&bytes, Some(format)).unwrap() == Scene::open(&path).unwrap(), "{format:?}");
         let marked = !matches!(format, SceneFormat::Splat | SceneFormat::Gltf);
-        assert_eq!(decode_scene(&bytes, None).is_ok(), marked, "{format:?}");
+        assert_eq!(Scene::decode(&bytes, None).is_ok(), marked, "{format:?}");
     }
-    let error = decode_scene(b"no scene", None).expect_err("no scene").to_string();
+    let error = Scene::decode(b"no scene", None).expect_err("no scene").to_string();
     assert!(error.contains("scene in memory") && error.contains("expected .ply"), "{error}");
     let truth = Scene { opacities: vec![2.0; 400], ..scene(0) };
-    assert!(matches!(encode_scene(&truth, SceneFormat::Ply, &WriteOptions::default()), Err(Error::Argument { .. })));
+    assert!(matches!(truth.encode(SceneFormat::Ply, &SaveOptions::default()), Err(Error::Argument { .. })));
     let row = [f32::NAN, 0.0, 1.0, 0.1, 0.1, 0.1].map(f32::to_le_bytes);
     let bytes = [row.as_flattened(), &[9; 8]].concat();
-    assert!(decode_scene(&bytes, Some(SceneFormat::Splat)).is_err());
-    assert_eq!(decode_scene_unchecked(&bytes, Some(SceneFormat::Splat)).unwrap().len(), 1);
+    assert!(Scene::decode(&bytes, Some(SceneFormat::Splat)).is_err());
+    assert_eq!(Scene::decode_unchecked(&bytes, Some(SceneFormat::Splat)).unwrap().len(), 1);
     let outside = br#"{"asset": {"version": "2.0"}, "buffers": [{"uri": "Cargo.toml", "byteLength": 1}]}"#;
-    let error = decode_scene(outside, SceneFormat::named("gltf")).expect_err("a file beside memory").to_string();
+    let error = Scene::decode(outside, SceneFormat::named("gltf")).expect_err("a file beside memory").to_string();
     assert!(error.contains("Cargo.toml") && error.contains("expected a .glb or base64"), "{error}");
 }
 
@@ -221,7 +218,7 @@ fn gzip(bytes: &[u8]) -> Vec<u8> {
 fn spz() -> (Vec<u8>, Vec<u8>) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.spz");
-    write_scene(&path, &scene(1), &WriteOptions::default()).unwrap();
+    scene(1).save(&path).unwrap();
     let (packed, mut plain) = (fs::read(path).unwrap(), Vec::new());
     std::io::Read::read_to_end(&mut GzDecoder::new(&packed[..]), &mut plain).unwrap();
     (packed, plain)
@@ -279,7 +276,7 @@ fn an_spz_of_more_gaussians_than_its_bytes_hold_is_refused() {
             sh_degree: 0,
         };
     }
-    assert_eq!(round_trip(&alike, "scene.spz", &WriteOptions::default()).len(), 1 << 18);
+    assert_eq!(round_trip(&alike, "scene.spz", &SaveOptions::default()).len(), 1 << 18);
 }
 
 #[test]
@@ -290,7 +287,7 @@ fn records_after_an_spz_are_read_over_up_to_a_limit() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.spz");
     fs::write(&path, extended(20)).unwrap();
-    assert_eq!(read_scene(&path).unwrap().len(), 400);
+    assert_eq!(Scene::open(&path).unwrap().len(), 400);
     assert!(failure("scene.spz", &extended(100 << 20)).contains("expected the end"));
 }
 
@@ -316,10 +313,10 @@ fn files_say_which_world_a_scene_is_in() {
     for name in ["a.ply", "a.spz", "a.glb", "a.gltf", "a.splat"] {
         let path = folder.path().join(name);
         let saved = |world: Option<&World>| {
-            write_scene_in(&path, &scene(1), &WriteOptions::default(), world).unwrap();
+            scene(1).save_in(&path, &SaveOptions::default(), world).unwrap();
             read_world(&path).unwrap()
         };
-        let keeps = SceneFormat::of_extension(&path).unwrap().keeps_world(&WriteOptions::default());
+        let keeps = SceneFormat::of_extension(&path).unwrap().keeps_world(&SaveOptions::default());
         assert_eq!(keeps, name != "a.splat");
         let away = DVec3::new(0.1, -2e30, 3.0);
         let landmarks = vec![("photo é 1.jpg".into(), DVec3::ZERO), ("a b.png".into(), away)];
@@ -338,6 +335,6 @@ fn files_say_which_world_a_scene_is_in() {
         assert_eq!(saved(None), None, "{name}");
         // A line break would end the comment.
         assert_eq!(saved(Some(&Origin::Photo("a\nelement vertex 9".into()).into())), None, "{name}");
-        assert_eq!(read_scene(&path).unwrap().len(), scene(1).len(), "{name}");
+        assert_eq!(Scene::open(&path).unwrap().len(), scene(1).len(), "{name}");
     }
 }

@@ -1,7 +1,7 @@
 //! Packed PLY of SuperSplat and PlayCanvas, from its description.
 
 use super::{assert_within, failure};
-use zipsplat::types::{Scene, decode_scene};
+use zipsplat::types::Scene;
 
 /// One chunk and a part of another.
 const COUNT: usize = 300;
@@ -105,7 +105,7 @@ fn expected(rest: usize, colors: bool) -> Scene {
 #[test]
 fn values_are_those_of_the_description() {
     for (rest, colors) in [(0, true), (0, false), (3, true), (8, false), (15, true)] {
-        let (found, truth) = (decode_scene(&file(rest, colors), None).unwrap(), expected(rest, colors));
+        let (found, truth) = (Scene::decode(&file(rest, colors), None).unwrap(), expected(rest, colors));
         assert_eq!((found.len(), found.sh_degree), (COUNT, truth.sh_degree));
         let close = |name: &str, found: &[f32], truth: &[f32]| {
             assert_within(&format!("{name}, {rest}"), found, truth, |truth| 2e-6 * (1.0 + truth.abs()));

@@ -1,7 +1,7 @@
 //! SPZ version 4, from its description.
 
 use super::{assert_spz, failure, round_trip, scene};
-use zipsplat::types::{Scene, SceneFormat, WriteOptions, decode_scene, encode_scene};
+use zipsplat::types::{SaveOptions, Scene, SceneFormat};
 use zipsplat_tests::scenes;
 
 /// zstd (RFC 8878): one segment, a 4-byte content size, raw blocks, and a run of equal last bytes.
@@ -45,7 +45,7 @@ fn with_records(records: &[u8]) -> Vec<u8> {
 }
 
 fn read(bytes: &[u8]) -> Scene {
-    decode_scene(bytes, None).unwrap()
+    Scene::decode(bytes, None).unwrap()
 }
 
 #[test]
@@ -105,12 +105,12 @@ fn degree_0_has_no_stream_of_harmonics() {
 fn ours_keep_what_version_3_keeps() {
     for degree in 0..=3 {
         let truth = scene(degree);
-        let options = WriteOptions { spz_version: 4 };
+        let options = SaveOptions { spz_version: 4 };
         let found = round_trip(&truth, "scene.spz", &options);
         assert_spz(&found, &truth, 4, 16);
-        assert_eq!(found, round_trip(&truth, "scene.spz", &WriteOptions::default()));
-        let bytes = encode_scene(&truth, SceneFormat::Spz, &options).unwrap();
-        assert_eq!((&bytes[..5], decode_scene(&bytes, None).unwrap()), (&b"NGSP\x04"[..], found));
+        assert_eq!(found, round_trip(&truth, "scene.spz", &SaveOptions::default()));
+        let bytes = truth.encode(SceneFormat::Spz, &options).unwrap();
+        assert_eq!((&bytes[..5], Scene::decode(&bytes, None).unwrap()), (&b"NGSP\x04"[..], found));
     }
 }
 
@@ -126,7 +126,7 @@ fn equal_gaussians_come_back() {
         sh_coeffs: vec![one.sh_coeffs[0]; n],
         sh_degree: 0,
     };
-    let bytes = encode_scene(&many, SceneFormat::Spz, &WriteOptions { spz_version: 4 }).unwrap();
+    let bytes = many.encode(SceneFormat::Spz, &SaveOptions { spz_version: 4 }).unwrap();
     let found = read(&bytes);
     assert!(found.len() == n && found.means.iter().all(|mean| *mean == found.means[0]));
 }

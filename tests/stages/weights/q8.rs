@@ -6,7 +6,7 @@ use std::ops::ControlFlow;
 use zipsplat::{
     gpu::Limits,
     ops::{Arithmetic, Precision, Q8},
-    reconstruct::{Model, Network, Request},
+    reconstruct::{Model, Network, ReconstructOptions},
     types::{Image, Scene},
     weights::{Architecture, Checkpoint, Dtype, Ffn},
 };
@@ -134,9 +134,11 @@ fn scene(checkpoint: &Checkpoint, arithmetic: Arithmetic) -> Scene {
         Image::new(42, 28, values).unwrap()
     };
     let go_on = |_: f64| ControlFlow::Continue(());
-    let model = Model::load_with(device(), checkpoint, arithmetic, go_on).unwrap();
-    let made = model.reconstruct(&[photo(1), photo(2)], &Request::default(), |_| ControlFlow::Continue(())).unwrap();
-    made.scene().unwrap()
+    let model = Model::from_checkpoint_with(device(), checkpoint, arithmetic, go_on).unwrap();
+    let made = model
+        .reconstruct_views(&[photo(1), photo(2)], &ReconstructOptions::default(), |_| ControlFlow::Continue(()))
+        .unwrap();
+    made.to_scene().unwrap()
 }
 
 #[test]
@@ -174,7 +176,7 @@ fn they_stay_small_on_the_device_and_are_not_rounded_twice() {
     let bytes =
         |checkpoint: &Checkpoint| Network::of(checkpoint, &limits, Arithmetic::EXACT).unwrap().weight_bytes() as f64;
     assert!(bytes(&q8) < 0.3 * bytes(&of), "{} of {}", bytes(&q8), bytes(&of));
-    let Some(turbo) = Arithmetic::of(Precision::Turbo, device().limits()) else { return };
+    let Some(turbo) = Arithmetic::of(Precision::Int8, device().limits()) else { return };
     let refused = Network::of(&q8, &limits, turbo).err().expect("turbo rounds weights itself").to_string();
     assert!(refused.contains("q8") && refused.contains("exact, fast or fast-bf16"), "{refused}");
     assert!(Network::of(&pico_weights(), &limits, turbo).is_ok());

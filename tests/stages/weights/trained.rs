@@ -70,7 +70,7 @@ fn every_recipe_opens_by_itself() {
         let conf = [("model", tensors(&expected, wrapped)), ("conf", conf(&expected)), ("epoch", int(3))];
         let opened = open(&dict(&conf), None).unwrap();
         assert_eq!(opened.architecture(), &expected);
-        assert_eq!((opened.picture_side(), opened.notes()), (336, &[][..]), "{name}");
+        assert_eq!((opened.image_size(), opened.notes()), (336, &[][..]), "{name}");
         assert_eq!(read(&opened, "backbone.backbone.norm.bias")[..2], [0.5; 2]);
 
         // A bare state dictionary with a counter. Shapes give all but the out layers, those of the

@@ -10,7 +10,7 @@ use zipsplat::{
     perceptual::Perceptual,
     refine::{Adam, PoseAdam},
     stages::render::{
-        CAMERA_NUMBERS, CameraRows, DeviceScene, FrameShape, Gradients, RenderOutputs, RenderRequest, Renderer,
+        CAMERA_NUMBERS, CameraRows, DeviceScene, FrameShape, Gradients, RenderOptions, RenderOutputs, Renderer,
         camera_rows, record_with_gradients,
     },
     types::{Camera, Image},
@@ -81,7 +81,7 @@ impl Descent {
     /// Moves the camera. Returns the loss before the step.
     ///
     /// # Errors
-    /// As [`Renderer::render_loaded`].
+    /// As [`Renderer::render`].
     pub fn step(&mut self, renderer: &mut Renderer, lpips: Option<&mut Perceptual>) -> Result<f64> {
         let (loss, gradient) = self.gradient(renderer, lpips)?;
         self.camera.pose = self.adam.step(Adam::default(), &self.camera.pose, gradient, [RATE; 2]);
@@ -91,9 +91,9 @@ impl Descent {
     /// Returns the loss and its gradient at (w, v) = 0, where the pose is pose o (exp(w^), v).
     ///
     /// # Errors
-    /// As [`Renderer::render_loaded`].
+    /// As [`Renderer::render`].
     pub fn gradient(&mut self, renderer: &mut Renderer, lpips: Option<&mut Perceptual>) -> Result<(f64, [f64; 6])> {
-        let frame = renderer.render_loaded(&[self.camera], &SEEN)?.remove(0);
+        let frame = renderer.render(&[self.camera], &SEEN)?.remove(0);
         let (rgb, alpha) = (frame.rgb.unwrap_or_default(), frame.alpha.unwrap_or_default());
         let (mut loss, mut d_frames) = weighted_difference(&rgb, &alpha, &self.truth);
         if let Some(lpips) = lpips {
@@ -113,7 +113,7 @@ impl Descent {
     }
 }
 
-const SEEN: RenderRequest = RenderRequest {
+const SEEN: RenderOptions = RenderOptions {
     rgb: true,
     alpha: true,
     depth: None,

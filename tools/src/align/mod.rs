@@ -15,7 +15,7 @@ use std::{cell::RefCell, iter::successors};
 use zipsplat::{
     Result,
     perceptual::Perceptual,
-    stages::render::{Frame, RenderRequest, Renderer},
+    stages::render::{RenderOptions, RenderOutput, Renderer},
     types::{Camera, Image, Pose, resample::resize_lanczos},
 };
 
@@ -115,7 +115,7 @@ pub enum Doubt {
 /// size the initial camera stays if none is better. `check` runs before each rendering.
 ///
 /// # Errors
-/// As [`Renderer::render_loaded`], and those of `check`.
+/// As [`Renderer::render`], and those of `check`.
 pub fn align(
     renderer: &mut Renderer,
     photo: &Image,
@@ -222,10 +222,10 @@ impl<'a> Search<'a> {
     /// Divides residuals by the root of the mean alpha: hiding the scene would otherwise be a gain.
     fn pixels(&self, movements: &[Vector6<f64>]) -> Option<Vec<DVector<f64>>> {
         let cameras: Vec<Camera> = movements.iter().map(|movement| moved(&self.start, movement)).collect();
-        let request = RenderRequest { alpha: true, ..RenderRequest::default() };
-        let drawn = (self.check)().and_then(|()| self.renderer.borrow_mut().render_loaded(&cameras, &request));
+        let request = RenderOptions { alpha: true, ..RenderOptions::default() };
+        let drawn = (self.check)().and_then(|()| self.renderer.borrow_mut().render(&cameras, &request));
         let frames = drawn.map_err(|error| *self.failure.borrow_mut() = Err(error)).ok()?;
-        let residuals = |frame: Frame| {
+        let residuals = |frame: RenderOutput| {
             let (rgb, alpha) = (frame.rgb.unwrap_or_default(), frame.alpha.unwrap_or_default());
             let seen = alpha.iter().map(|alpha| f64::from(*alpha)).sum::<f64>() / alpha.len() as f64;
             let changed =

@@ -26,7 +26,7 @@ use zipsplat::{
     Error, Result,
     types::{
         Camera,
-        poses::{Frame, Poses, read_cloud, read_poses},
+        poses::{Capture, CaptureView, read_cloud},
     },
 };
 
@@ -69,7 +69,7 @@ pub enum Finder {
 
 /// Cameras with their estimation, if any.
 pub struct KnownCameras {
-    pub poses: Poses,
+    pub poses: Capture,
     pub found: Option<EstimatedCameras>,
 }
 
@@ -118,7 +118,7 @@ impl Finder {
         session: &mut Session<'_>,
         photos: &[PathBuf],
         finding: &Finding,
-    ) -> Result<(Poses, EstimatedCameras)> {
+    ) -> Result<(Capture, EstimatedCameras)> {
         photos.iter().try_for_each(|photo| text(Path::new(photo.file_name().unwrap_or_default())).map(drop))?;
         match self {
             Self::Colmap => EstimatedCameras::by_colmap(session, photos, &finding.search),
@@ -130,7 +130,7 @@ impl Finder {
 impl KnownCameras {
     /// Reads a camera file, or estimates cameras for a [`Finder`]'s word, with a note.
     pub fn of(session: &mut Session<'_>, poses: &Path, photos: &[PathBuf], finding: &Finding) -> Result<Self> {
-        let Some(finder) = Finder::named(poses) else { return Ok(Self { poses: read_poses(poses)?, found: None }) };
+        let Some(finder) = Finder::named(poses) else { return Ok(Self { poses: Capture::open(poses)?, found: None }) };
         let (poses, found) = finder.find(session, photos, finding)?;
         session.note(format!("cameras found: {}", found.summary()));
         Ok(Self { poses, found: Some(found) })
@@ -143,7 +143,7 @@ impl KnownCameras {
 
 impl EstimatedCameras {
     /// In a world and unit of COLMAP's choice.
-    fn by_colmap(session: &mut Session<'_>, photos: &[PathBuf], searching: &Searching) -> Result<(Poses, Self)> {
+    fn by_colmap(session: &mut Session<'_>, photos: &[PathBuf], searching: &Searching) -> Result<(Capture, Self)> {
         let (colmap, _) = session.stage("look for COLMAP", |stage| Colmap::of(searching, stage))?;
         if photos.len() < 2 {
             return Err(Error::argument("photos to find cameras of", photos.len(), "two or more of one place"));
@@ -159,7 +159,7 @@ impl EstimatedCameras {
         let Search { output, log, times, .. } = search;
         let mut models = models.into_iter();
         let Some(model) = models.next() else { return Err(nothing(photos.len(), &output)) };
-        let alone = |frame: &&Frame| !model.frames.iter().any(|other| other.name == frame.name);
+        let alone = |frame: &&CaptureView| !model.frames.iter().any(|other| other.name == frame.name);
         let groups = models.map(|other| other.frames.iter().filter(alone).count()).filter(|count| *count > 0).collect();
         let first = model.frames.first().map_or(String::new(), |frame| frame.name.clone());
         let (poses, lost) = work.named(model)?;
@@ -230,12 +230,12 @@ impl<'a> Search<'a> {
 
     /// Returns the groups, largest first, and the number of attempts. Retries if few photos are
     /// joined or the focal length is implausible.
-    fn map(&mut self, session: &Session<'_>) -> Result<(Vec<Poses>, usize)> {
+    fn map(&mut self, session: &Session<'_>) -> Result<(Vec<Capture>, usize)> {
         let photos = self.work.photos.len();
         let enough = if photos <= FEW_PHOTOS { photos } else { (ENOUGH * photos as f64) as usize };
-        let (mut best, mut attempts): (Vec<Poses>, _) = (Vec::new(), 0);
-        let joined = |models: &[Poses]| models.first().map_or(0, |model| model.frames.len());
-        let likely = |models: &[Poses]| models.first().is_none_or(|model| LIKELY.contains(&focal(&model.frames)));
+        let (mut best, mut attempts): (Vec<Capture>, _) = (Vec::new(), 0);
+        let joined = |models: &[Capture]| models.first().map_or(0, |model| model.frames.len());
+        let likely = |models: &[Capture]| models.first().is_none_or(|model| LIKELY.contains(&focal(&model.frames)));
         let mut others = Mapping::ALL.into_iter();
         let mut next = others.next();
         while let Some(mapping) = next {
@@ -282,8 +282,8 @@ impl<'a> Search<'a> {
     }
 }
 
-pub(super) fn focal(frames: &[Frame]) -> f64 {
-    let focal = |Frame { camera: Camera { intrinsics, .. }, .. }: &Frame| {
+pub(super) fn focal(frames: &[CaptureView]) -> f64 {
+    let focal = |CaptureView { camera: Camera { intrinsics, .. }, .. }: &CaptureView| {
         intrinsics.fx / f64::from(intrinsics.width.max(intrinsics.height))
     };
     let mut focals: Vec<f64> = frames.iter().map(focal).collect();
@@ -313,7 +313,7 @@ fn nothing(photos: usize, output: &ColmapOutput) -> Error {
     Error::argument(format!("cameras of {photos} photos"), format!("none: {why}"), expected)
 }
 
-fn models_of(folder: &Path) -> Result<Vec<Poses>> {
+fn models_of(folder: &Path) -> Result<Vec<Capture>> {
     let failed = |source| Error::io(folder, source);
     let mut folders = Vec::new();
     for entry in folder.read_dir().map_err(failed)? {
@@ -323,7 +323,7 @@ fn models_of(folder: &Path) -> Result<Vec<Poses>> {
     let models =
         folders.iter().filter(|folder| folder.join("images.bin").exists() || folder.join("images.txt").exists());
     // COLMAP may write small groups with impossible lenses; the others stay usable.
-    let (found, mut failed): (Vec<_>, Vec<_>) = models.map(read_poses).partition(Result::is_ok);
+    let (found, mut failed): (Vec<_>, Vec<_>) = models.map(Capture::open).partition(Result::is_ok);
     match failed.pop() {
         Some(error) if found.is_empty() => error.map(|_| Vec::new()),
         _ => Ok(found.into_iter().flatten().filter(|poses| !poses.frames.is_empty()).collect()),

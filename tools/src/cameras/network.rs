@@ -11,8 +11,8 @@ use crate::{
 use std::path::PathBuf;
 use zipsplat::{
     Error, Result,
-    depth::DepthRequest,
-    types::{poses::Poses, write_points},
+    depth::DepthOptions,
+    types::{poses::Capture, write_points},
 };
 
 impl EstimatedCameras {
@@ -21,12 +21,12 @@ impl EstimatedCameras {
         session: &mut Session<'_>,
         photos: &[PathBuf],
         finding: &Finding,
-    ) -> Result<(Poses, Self)> {
+    ) -> Result<(Capture, Self)> {
         let expected = "--depth-weights NAME|FILE, weights of Depth Anything 3: da3-small, or a model.safetensors";
         let none = || Error::argument("cameras of a network", "no weights", expected);
         let checkpoint = open_depth(finding.depth_weights.as_deref().ok_or_else(none)?, false)?;
         let arithmetic = &ArithmeticOption::default();
-        let (side, cameras, request) = (finding.search.find_size, finding.cameras, DepthRequest::default());
+        let (side, cameras, request) = (finding.search.find_size, finding.cameras, DepthOptions::default());
         let options = PredictorOptions { checkpoint: &checkpoint, side, cameras, arithmetic, request };
         Self::by_predictor(session, photos, options)
     }
@@ -35,13 +35,13 @@ impl EstimatedCameras {
         session: &mut Session<'_>,
         photos: &[PathBuf],
         options: PredictorOptions<'_>,
-    ) -> Result<(Poses, Self)> {
+    ) -> Result<(Capture, Self)> {
         check_finds_cameras(options.checkpoint.architecture())?;
         let predicted = options.ask(session, photos, &[])?;
         let folder = Scratch::new()?;
         let (points, path) = (predicted.points(POINTS), folder.path().join("points.ply"));
         write_points(&path, &points)?;
-        let poses = Poses { frames: predicted.frames()?, points: Some(path), ..Poses::default() };
+        let poses = Capture { frames: predicted.frames()?, points: Some(path), ..Capture::default() };
         let found = Self {
             lost: predicted.lost.clone(),
             count: poses.frames.len(),

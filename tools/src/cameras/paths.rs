@@ -11,8 +11,7 @@ use std::{
 use zipsplat::{
     Error, Result,
     types::{
-        Camera, Dolly, Ellipse, Intrinsics, Orbit, Origin, Pose, Scene, Spline, World, mean_up,
-        poses::{Poses, read_cameras},
+        Camera, Dolly, Ellipse, Intrinsics, Orbit, Origin, Pose, Scene, Spline, World, mean_up, poses::Capture,
         preprocess::crop_to_aspect,
     },
 };
@@ -176,9 +175,9 @@ impl CameraArgs {
         lens: &Intrinsics,
         alike: bool,
     ) -> Result<(Vec<Camera>, Vec<String>)> {
-        let mut poses = read_cameras(path, lens)?;
+        let mut poses = Capture::open_cameras(path, lens)?;
         let Some(first) = poses.frames.first() else {
-            let found = poses.notes.first().map_or("none".into(), |why| format!("none: {why}"));
+            let found = poses.warnings.first().map_or("none".into(), |why| format!("none: {why}"));
             return Err(Error::argument(format!("cameras of {}", path.display()), found, "at least one"));
         };
         let size = self.size.or(alike.then(|| shown(&first.camera.intrinsics)));
@@ -188,15 +187,15 @@ impl CameraArgs {
             ..to_scene.apply(&camera)
         };
         let cameras = poses.frames.iter().map(|frame| camera(frame.camera)).collect();
-        poses.notes.extend(note);
-        Ok((cameras, poses.notes))
+        poses.warnings.extend(note);
+        Ok((cameras, poses.warnings))
     }
 }
 
 /// Maps a file's cameras to the scene's world, with a note. `world` is the scene file's.
 pub fn to_scene(
     relative_to: Option<&Path>,
-    poses: &Poses,
+    poses: &Capture,
     world: Option<&World>,
     path: &Path,
 ) -> Result<(Similarity, Option<String>)> {
@@ -241,7 +240,7 @@ pub fn to_scene(
 
 /// Returns `None` if the landmarks agree after `given` or are absent; otherwise the similarity by
 /// pose and distance, or an error if none fits. Both name the photos.
-fn aligned(given: &Pose, poses: &Poses, world: &World) -> Option<Result<(Similarity, String), String>> {
+fn aligned(given: &Pose, poses: &Capture, world: &World) -> Option<Result<(Similarity, String), String>> {
     let [(first, from), (last, to)] = &world.landmarks[..] else { return None };
     let [a, b] = [first, last].map(|name| origin_pose(poses, Path::new(name)).ok());
     let (a, b) = (a?, b?);
@@ -303,7 +302,7 @@ fn distance(a: &Camera, b: &Camera) -> f64 {
     a.pose.translation.distance(b.pose.translation)
 }
 
-fn origin_pose(poses: &Poses, photo: &Path) -> Result<Pose> {
+fn origin_pose(poses: &Capture, photo: &Path) -> Result<Pose> {
     Ok(poses.for_photos(&[photo])?[0].pose)
 }
 

@@ -11,7 +11,7 @@ use zipsplat::{
     Error, Result,
     types::{
         PointCloud,
-        poses::{Frame, Poses, colmap_files, read_cloud, write_colmap, write_frames},
+        poses::{Capture, CaptureView, colmap_files, read_cloud, write_colmap, write_frames},
         write_atomic, write_points,
     },
 };
@@ -53,7 +53,7 @@ impl Place<'_> {
     }
 
     /// Keeps the lenses of the unchanged photos.
-    pub fn save(&self, poses: &Poses, found: &EstimatedCameras) -> Result<()> {
+    pub fn save(&self, poses: &Capture, found: &EstimatedCameras) -> Result<()> {
         let [cameras, points, log] = self.files();
         self.0.parent().map_or(Ok(()), make_folder)?;
         if let Some(cloud) = poses.points.as_ref().map(read_cloud).transpose()? {
@@ -64,11 +64,11 @@ impl Place<'_> {
             write_atomic(&log, |out| out.write_all(&log_text))?;
         }
         let folder = cameras.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let name = |frame: &Frame| {
+        let name = |frame: &CaptureView| {
             let photo = frame.photo.as_deref().unwrap_or(Path::new(&frame.name));
-            Ok(Frame { name: path_from(folder, photo)?, ..frame.clone() })
+            Ok(CaptureView { name: path_from(folder, photo)?, ..frame.clone() })
         };
-        let frames = poses.frames.iter().map(name).collect::<Result<Vec<Frame>>>()?;
+        let frames = poses.frames.iter().map(name).collect::<Result<Vec<CaptureView>>>()?;
         let points = points.file_name().unwrap_or_default().to_string_lossy();
         write_frames(&cameras, &frames, Some(&points))
     }
@@ -93,7 +93,7 @@ impl ModelOption {
         overwrite.check_replaced(colmap_files(folder))
     }
 
-    pub fn save(&self, frames: &[Frame], points: Option<&Path>) -> Result<()> {
+    pub fn save(&self, frames: &[CaptureView], points: Option<&Path>) -> Result<()> {
         let Some(folder) = &self.colmap_model else { return Ok(()) };
         let photos = frames.iter().map(|frame| frame.photo.as_deref().unwrap_or(Path::new(&frame.name)));
         let shared = photos.clone().filter_map(Path::parent).map(Path::to_owned).reduce(|a, b| {
@@ -101,11 +101,11 @@ impl ModelOption {
             common.map(|(folder, _)| folder).collect()
         });
         let shared = shared.unwrap_or_default();
-        let named = |(frame, photo): (&Frame, &Path)| {
+        let named = |(frame, photo): (&CaptureView, &Path)| {
             let name = text(photo.strip_prefix(&shared).unwrap_or(photo))?.replace('\\', "/");
-            Ok(Frame { name, ..frame.clone() })
+            Ok(CaptureView { name, ..frame.clone() })
         };
-        let named = frames.iter().zip(photos.clone()).map(named).collect::<Result<Vec<Frame>>>()?;
+        let named = frames.iter().zip(photos.clone()).map(named).collect::<Result<Vec<CaptureView>>>()?;
         make_folder(folder)?;
         write_colmap(folder, &named, &points.map(read_cloud).transpose()?.map(colored).unwrap_or_default())
     }

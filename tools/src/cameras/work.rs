@@ -11,7 +11,7 @@ use zipsplat::{
     Error, Result,
     types::{
         Image, open_file,
-        poses::{Frame, Poses},
+        poses::{Capture, CaptureView},
     },
 };
 
@@ -44,10 +44,10 @@ impl Work {
     }
 
     /// With the photos' own paths, in their order, and the photos without a camera.
-    pub fn named(&self, model: Poses) -> Result<(Poses, Vec<PathBuf>)> {
-        let mut frames: HashMap<String, Frame> =
+    pub fn named(&self, model: Capture) -> Result<(Capture, Vec<PathBuf>)> {
+        let mut frames: HashMap<String, CaptureView> =
             model.frames.into_iter().map(|frame| (frame.name.clone(), frame)).collect();
-        let mut poses = Poses { points: model.points, notes: model.notes, ..Poses::default() };
+        let mut poses = Capture { points: model.points, warnings: model.warnings, ..Capture::default() };
         let mut lost = Vec::new();
         for (photo, name) in &self.photos {
             let Some(frame) = frames.remove(name) else {
@@ -65,7 +65,7 @@ impl Work {
                     expected,
                 ));
             }
-            poses.frames.push(Frame {
+            poses.frames.push(CaptureView {
                 name: photo.to_string_lossy().into_owned(),
                 photo: Some(photo.clone()),
                 ..frame

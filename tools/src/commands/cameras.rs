@@ -71,7 +71,7 @@ impl Cameras {
         place.save(&poses, &found)?;
         self.model.save(&poses.frames, poses.points.as_deref())?;
         frames.iter_mut().for_each(FrameFolder::keep);
-        poses.notes.iter().for_each(|note| session.note(note));
+        poses.warnings.iter().for_each(|note| session.note(note));
         let seconds: serde_json::Map<_, _> =
             found.times.iter().map(|(step, took)| (step.to_string(), json!(took.as_secs_f64()))).collect();
         let json = json!({

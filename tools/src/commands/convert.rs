@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use zipsplat::{
     Error, Result,
-    types::{SceneFormat, WriteOptions, read_world, spz_coarsening},
+    types::{SaveOptions, SceneFormat, read_world, spz_coarsening},
     weights::Dtype,
 };
 
@@ -80,7 +80,7 @@ impl Convert {
         if let Some(note) = Some(&scene).filter(|_| is_spz).and_then(spz_coarsening) {
             session.note(note);
         }
-        let options = WriteOptions { spz_version: self.spz_version.unwrap_or(WriteOptions::default().spz_version) };
+        let options = SaveOptions { spz_version: self.spz_version.unwrap_or(SaveOptions::default().spz_version) };
         let world = read_world(&self.input)?;
         let save = || outputs::save_scene(&self.output, &scene, &options, world.as_ref());
         let (note, _) = session.stage("write scene", |_| save())?;

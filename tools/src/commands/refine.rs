@@ -14,10 +14,10 @@ use std::path::PathBuf;
 use zipsplat::{
     Error, Result,
     gpu::{Arena, Device},
-    refine::{self, Refined, Stopped},
+    refine::{self, RefineResult, StopReason},
     types::{
-        Camera, Image, Scene, SceneFormat, World, WriteOptions,
-        poses::{Frame, Poses, read_cloud},
+        Camera, Image, SaveOptions, Scene, SceneFormat, World,
+        poses::{Capture, CaptureView, read_cloud},
         read_world,
     },
 };
@@ -35,7 +35,7 @@ use zipsplat::{
   zipsplat refine photos/ --poses find --start points -o scene.ply
   zipsplat refine scene.spz photos/ --poses colmap/ --start both --size 504x504 -o better.ply
   zipsplat refine scene.ply photos/ --poses rough.json --refine-cameras --refined-cameras exact.json -o better.ply")]
-pub struct Refine {
+pub struct RefineOptions {
     /// Scene (PLY, SPZ, .splat or glTF; none with --start points), then photos (PNG, JPEG, WebP) or
     /// folders of them
     #[arg(required = true, value_name = "SCENE, PHOTOS")]
@@ -61,13 +61,13 @@ pub struct Refine {
     #[arg(long, alias = "init", value_enum, value_name = "WHAT", default_value = "scene")]
     start: Initialization,
     /// Steps of the optimizer
-    #[arg(long, value_name = "N", default_value_t = refine::Refine::default().steps)]
+    #[arg(long, value_name = "N", default_value_t = refine::RefineOptions::default().steps)]
     steps: usize,
     /// Largest compared size; larger photos are scaled down to fit
     #[arg(long, alias = "max-image-size", value_name = "WxH", default_value = MOST_PIXELS)]
     size: Size,
     /// Photos per step
-    #[arg(long, alias = "views-per-step", value_name = "N", default_value_t = refine::Refine::default().views_per_step)]
+    #[arg(long, alias = "views-per-step", value_name = "N", default_value_t = refine::RefineOptions::default().views_per_step)]
     batch: usize,
     /// Held-out photos, evenly spread; 0 learns from all [default: 1 of 40 or more, none with
     /// --refine-cameras]
@@ -94,7 +94,7 @@ struct Started {
     to_scene: Similarity,
 }
 
-impl Refine {
+impl RefineOptions {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         self.overwrite.check_file(&self.output)?;
         self.moved.check()?;
@@ -110,7 +110,7 @@ impl Refine {
         }
         let photos = photos::list(session, files)?;
         let KnownCameras { poses, found } = KnownCameras::of(session, &self.poses, &photos, &self.finding)?;
-        poses.notes.iter().for_each(|note| session.note(note));
+        poses.warnings.iter().for_each(|note| session.note(note));
         let photos = photos::posed(session, photos, &poses)?;
         let frames = poses.frames_of(&photos)?;
         let started = self.start(session, scene, &poses, &frames)?;
@@ -120,16 +120,16 @@ impl Refine {
             session.stage("load photos", |stage| photos::read(&photos, &frames, stage, |_, photo| Ok(photo)))?;
         let (refined, request) = self.refine(session, &device, &started, &images)?;
         refinement::doubt(&refined).iter().for_each(|note| session.note(note));
-        if refined.stopped == Some(Stopped::Cancelled) && refined.best_step == 0 {
+        if refined.stop_reason == Some(StopReason::Cancelled) && refined.best_step == 0 {
             return Err(Error::Cancelled);
         }
-        let options = WriteOptions::default();
+        let options = SaveOptions::default();
         let note = outputs::save_scene(&self.output, &refined.scene, &options, started.world.as_ref())?;
         note.into_iter().for_each(|note| session.note(note));
         if let Some(path) = &self.refined_cameras {
             save_cameras(path, &refined, &started.to_scene.inverse(), &photos, &frames)?;
         }
-        if refined.stopped == Some(Stopped::Cancelled) {
+        if refined.stop_reason == Some(StopReason::Cancelled) {
             session.note(format!("{}: the best so far, after step {}", self.output.display(), refined.best_step));
             return Err(Error::Cancelled);
         }
@@ -148,8 +148,8 @@ impl Refine {
         &self,
         session: &mut Session<'_>,
         path: Option<&PathBuf>,
-        poses: &Poses,
-        frames: &[&Frame],
+        poses: &Capture,
+        frames: &[&CaptureView],
     ) -> Result<Started> {
         if frames.is_empty() {
             return Err(Error::argument("photos", "none", "one or more behind the scene"));
@@ -165,7 +165,7 @@ impl Refine {
             (_, Some(photo)) => World::of_first(&poses.frames_of(&[photo])?),
             (scene_world, None) => scene_world.or_else(|| World::of_cameras(frames)),
         };
-        let camera = |frame: &&Frame| to_scene.apply(&frame.camera);
+        let camera = |frame: &&CaptureView| to_scene.apply(&frame.camera);
         let cameras: Vec<Camera> = frames.iter().map(camera).collect();
         let cloud = match &poses.points {
             Some(path) if self.start.needs()[1] => Some(to_scene.cloud(read_cloud(path)?)),
@@ -181,15 +181,15 @@ impl Refine {
         device: &Device,
         started: &Started,
         photos: &[Image],
-    ) -> Result<(Refined, refine::Refine)> {
-        let request = refine::Refine {
+    ) -> Result<(RefineResult, refine::RefineOptions)> {
+        let request = refine::RefineOptions {
             steps: self.steps,
             views_per_step: self.batch,
-            size: Some([self.size.0, self.size.1]),
-            hold_out: self.hold_out,
+            max_image_size: Some([self.size.0, self.size.1]),
+            holdout_views: self.hold_out,
             seed: self.seed,
             profile: self.explain,
-            ..refine::Refine::default()
+            ..refine::RefineOptions::default()
         };
         let request = self.moved.request(request);
         let (arena, from) = (Arena::new(device), Refinable::Scene(&started.scene));
@@ -202,8 +202,8 @@ impl Refine {
         device: String,
         photos: &[PathBuf],
         cameras: &[Camera],
-        refined: Refined,
-        request: &refine::Refine,
+        refined: RefineResult,
+        request: &refine::RefineOptions,
     ) -> Result<()> {
         let start = self.start.name();
         let count = refined.scene.len();
@@ -215,7 +215,7 @@ impl Refine {
             "{}: {} against {} on {device}\n{}\n",
             self.output.display(),
             counted(count, "Gaussian"),
-            counted(photos.len() - refined.held_out_views.len(), "photo"),
+            counted(photos.len() - refined.holdout_views.len(), "photo"),
             refinement::summary(&refined, start, cameras),
         );
         if let Some(profile) = &refined.profile {

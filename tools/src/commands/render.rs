@@ -18,7 +18,7 @@ use std::{
 };
 use zipsplat::{
     Error, Result,
-    stages::render::{Depth, RenderRequest, Renderer},
+    stages::render::{Depth, RenderOptions, Renderer},
     types::{Camera, Scene, World, contact_sheet, read_world},
 };
 
@@ -114,7 +114,7 @@ impl Render {
         let device = session.device()?;
         let mut renderer = Renderer::new(&device);
         let load = |session: &mut Session<'_>, renderer: &mut Renderer| {
-            session.stage("load scene", |_| renderer.load(&scene)).map(drop)
+            session.stage("load scene", |_| renderer.set_scene(&scene)).map(drop)
         };
         let (json, text) = self.draw(session, &mut renderer, &scene, dropped, world.as_ref(), load)?;
         session.report(&json, text)
@@ -158,7 +158,7 @@ impl Render {
         }
         let explanation = match cameras.first() {
             Some(camera) if self.explain => {
-                Some(Explanation::of_kernels(&renderer.profile(camera, &request)?, renderer.left_out(&request)))
+                Some(Explanation::of_kernels(&renderer.profile(camera, &request)?, renderer.skipped_passes(&request)))
             }
             _ => None,
         };
@@ -190,12 +190,12 @@ impl Render {
         })
     }
 
-    fn request(&self) -> RenderRequest {
+    fn request(&self) -> RenderOptions {
         let depth = |kind| match kind {
             DepthKind::Expected => Depth::Expected,
             DepthKind::Accumulated => Depth::Accumulated,
         };
-        RenderRequest {
+        RenderOptions {
             rgb: true,
             alpha: self.alpha,
             depth: self.depth.map(depth),

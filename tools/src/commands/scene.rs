@@ -16,7 +16,7 @@ use std::{
 };
 use zipsplat::{
     Error, Result,
-    types::{Origin, Pose, World, WriteOptions, write_atomic},
+    types::{Origin, Pose, SaveOptions, World, write_atomic},
 };
 
 /// About one scene of 10 views at 126x126.
@@ -94,7 +94,7 @@ impl Scene {
             write_folder(folder, &capture, photos.crops())?;
             let Some(path) = splats else { return Ok(()) };
             let world = World::from(Origin::Cameras(Pose::IDENTITY));
-            let (splats, options) = (capture.splats(), WriteOptions::default());
+            let (splats, options) = (capture.splats(), SaveOptions::default());
             outputs::save_scene(&path, &splats, &options, Some(&world)).map(drop)
         })?;
         let seconds = took.as_secs_f64();

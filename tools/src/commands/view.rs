@@ -21,9 +21,7 @@ use std::{
 use tempfile::NamedTempFile;
 use zipsplat::{
     Error, Result,
-    types::{
-        Image, Scene, SceneFormat, WriteOptions, encode_scene, poses::Frame, read_world, spz_coarsening, write_atomic,
-    },
+    types::{Image, SaveOptions, Scene, SceneFormat, poses::CaptureView, read_world, spz_coarsening, write_atomic},
     weights::DepthCheckpoint,
 };
 
@@ -175,7 +173,7 @@ impl View {
         let note = format!("Made before the page was: {}; --ratios says which.", counted(scenes.len(), "ratio"));
         if self.output.is_none() {
             for (shown, scene) in shown.iter_mut().zip(&scenes) {
-                shown.bytes = encode_scene(scene, SceneFormat::Ply, &WriteOptions::default())?.len() as u64;
+                shown.bytes = scene.encode(SceneFormat::Ply, &SaveOptions::default())?.len() as u64;
             }
         }
         let up = vertical(&cameras);
@@ -221,7 +219,7 @@ impl View {
     fn cameras(&self, session: &mut Session<'_>) -> Result<Vec<InputCamera>> {
         let Some(poses) = &self.poses else { return Ok(Vec::new()) };
         let world = read_world(&self.files[0])?;
-        let photo_of = |frame: &Frame| match &self.photos {
+        let photo_of = |frame: &CaptureView| match &self.photos {
             Some(folder) => Some(folder.join(Path::new(&frame.name).file_name()?)).filter(|file| file.is_file()),
             // Embedded only on request.
             None if self.output.is_some() => None,
@@ -243,9 +241,8 @@ impl View {
         if let Some(note) = scenes.iter().find_map(spz_coarsening).filter(|_| !self.exact) {
             session.note(format!("{note}; --exact keeps them"));
         }
-        let (encoded, _) = session.stage("pack scenes", |stage| {
-            stage.each(scenes, |scene| encode_scene(scene, format, &WriteOptions::default()))
-        })?;
+        let (encoded, _) = session
+            .stage("pack scenes", |stage| stage.each(scenes, |scene| scene.encode(format, &SaveOptions::default())))?;
         for (shown, bytes) in config.scenes.iter_mut().zip(&encoded).filter(|(shown, _)| shown.bytes == 0) {
             shown.bytes = bytes.len() as u64;
         }

@@ -266,7 +266,7 @@ fn list(session: &mut Session<'_>) -> Result<()> {
     let folder = released::folder()?;
     let mut table = Table::new(4, &["weights", "size", "licence", "where", "what"]);
     let mut rows = Vec::new();
-    if let Ok(embedded) = Checkpoint::embedded() {
+    if let Ok(embedded) = Checkpoint::builtin() {
         let what =
             format!("{} parameters, a demonstration", HumanCount(embedded.architecture().parameter_count() as u64));
         table.row([BUILT_IN.into(), bytes(embedded.bytes()), "Apache-2.0".into(), "built in".into(), what.clone()]);

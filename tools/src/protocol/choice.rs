@@ -3,7 +3,7 @@
 use super::{Indices, Protocol};
 use crate::capture::{Choice, farthest_points};
 use std::path::Path;
-use zipsplat::{Error, Result, types::poses::Poses};
+use zipsplat::{Error, Result, types::poses::Capture};
 
 /// Table column: number and selection of input frames.
 pub struct Setting {
@@ -68,7 +68,7 @@ impl Setting {
     ///
     /// # Errors
     /// [`Error::Argument`] for too few frames, or indices out of range.
-    pub fn choose(&self, scene: &str, poses: Poses, targets: usize) -> Result<Option<Choice>> {
+    pub fn choose(&self, scene: &str, poses: Capture, targets: usize) -> Result<Option<Choice>> {
         let found: Vec<usize> = (0..poses.frames.len()).filter(|i| poses.frames[*i].photo.is_some()).collect();
         let gap = match &self.rule {
             Rule::Given(indices) => {
@@ -115,7 +115,7 @@ fn even(window: &[usize], count: usize) -> Vec<usize> {
 mod tests {
     use super::*;
     use glam::DVec3;
-    use zipsplat::types::{Camera, Intrinsics, Pose, poses::Frame};
+    use zipsplat::types::{Camera, Intrinsics, Pose, poses::CaptureView};
 
     /// From the reference's files for DL3DV with 6 inputs and for RealEstate10K.
     #[test]
@@ -127,8 +127,8 @@ mod tests {
     }
 
     /// Frames on a line with doubling steps; the third has no photo.
-    fn line(count: i32) -> Poses {
-        let frame = |i: i32| Frame {
+    fn line(count: i32) -> Capture {
+        let frame = |i: i32| CaptureView {
             name: i.to_string(),
             photo: (i != 2).then(|| i.to_string().into()),
             camera: Camera {
@@ -137,7 +137,7 @@ mod tests {
             },
             lens: None,
         };
-        Poses { frames: (0..count).map(frame).collect(), ..Poses::default() }
+        Capture { frames: (0..count).map(frame).collect(), ..Capture::default() }
     }
 
     fn chosen(protocol: Protocol, views: &[u32], gaps: &[usize]) -> Vec<String> {

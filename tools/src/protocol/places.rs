@@ -8,10 +8,7 @@ use std::{
 };
 use zipsplat::{
     Error, Result,
-    types::{
-        Distortion,
-        poses::{Poses, read_poses},
-    },
+    types::{Distortion, poses::Capture},
 };
 
 /// Scene of a data set.
@@ -106,9 +103,9 @@ impl Place {
     /// Reads cameras and photos. `distorted` ignores lens distortion.
     ///
     /// # Errors
-    /// As [`read_poses`]; [`Error::Argument`] for an ignored fisheye distortion.
-    pub fn read(&self, distorted: bool) -> Result<Poses> {
-        let mut poses = read_poses(&self.cameras)?;
+    /// As [`Capture::open`]; [`Error::Argument`] for an ignored fisheye distortion.
+    pub fn read(&self, distorted: bool) -> Result<Capture> {
+        let mut poses = Capture::open(&self.cameras)?;
         for frame in &mut poses.frames {
             let name = Path::new(&frame.name).file_name().unwrap_or_default();
             let found = self.photos.iter().map(|folder| folder.join(name)).find(|photo| photo.is_file());

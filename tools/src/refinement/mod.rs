@@ -25,11 +25,11 @@ use zipsplat::{
     gpu::Arena,
     reconstruct::SceneTokens,
     refine::{
-        FrozenHead, Rates, Refine, Refined, Refining, Stopped, join, refine_scene, refine_tokens, scene_of_points,
+        FrozenHead, LearningRates, RefineOptions, RefineResult, Refining, StopReason, refine_scene, refine_tokens,
     },
     types::{
         Camera, Image, PointCloud, Pose, Scene,
-        poses::{Frame, write_frames},
+        poses::{CaptureView, write_frames},
     },
 };
 
@@ -73,12 +73,12 @@ impl Initialization {
         let of_points = || {
             let expected =
                 "ply_file_path of transforms.json, points.ply beside it, or COLMAP's points3D; or --start scene";
-            scene_of_points(cloud.ok_or_else(|| lacks("no point cloud", expected))?, cameras)
+            Scene::from_points(cloud.ok_or_else(|| lacks("no point cloud", expected))?, cameras)
         };
         match self {
             Self::Scene => of_scene(),
             Self::Points => of_points(),
-            Self::Both => Ok(join(of_scene()?, of_points()?)),
+            Self::Both => Ok(Scene::concat(of_scene()?, of_points()?)),
         }
     }
 }
@@ -116,7 +116,7 @@ pub struct Steps {
 
 impl Default for Steps {
     fn default() -> Self {
-        Self { count: Refine::default().steps, tokens: false }
+        Self { count: RefineOptions::default().steps, tokens: false }
     }
 }
 
@@ -159,7 +159,7 @@ impl FromStr for Steps {
 
 #[derive(Args)]
 #[command(group(ArgGroup::new("moved").args(["refine_cameras", "grow", "lpips_weight"]).multiple(true).requires("refine")))]
-pub struct RefineOptions {
+pub struct RefineArgs {
     /// Refine the scene for this number of steps until it looks like the photos; :tokens refines
     /// the network's tokens instead of the Gaussians. Of 9 photos or more one is held out, and the
     /// best step by that photo is kept. Ctrl-C ends early with the best so far
@@ -181,7 +181,7 @@ pub struct RefineOptions {
     moved: Moved,
 }
 
-impl RefineOptions {
+impl RefineArgs {
     pub fn steps(&self) -> Option<Steps> {
         self.refine
     }
@@ -191,31 +191,36 @@ impl RefineOptions {
         self.steps().map_or(Ok(()), |steps| steps.check(self.start, &self.moved))
     }
 
-    pub fn request(&self, steps: Steps) -> Refine {
+    pub fn request(&self, steps: Steps) -> RefineOptions {
         let size = Some([self.refine_size.0, self.refine_size.1]);
-        self.moved.request(Refine { steps: steps.count, size, hold_out: self.hold_out, ..Refine::default() })
+        self.moved.request(RefineOptions {
+            steps: steps.count,
+            max_image_size: size,
+            holdout_views: self.hold_out,
+            ..RefineOptions::default()
+        })
     }
 }
 
 /// `to_world` maps the scene to the cameras' world.
 pub fn save_cameras(
     path: &Path,
-    refined: &Refined,
+    refined: &RefineResult,
     to_world: &Similarity,
     photos: &[PathBuf],
-    frames: &[&Frame],
+    frames: &[&CaptureView],
 ) -> Result<()> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let moved = |((camera, photo), frame): ((&Camera, &PathBuf), &&Frame)| {
+    let moved = |((camera, photo), frame): ((&Camera, &PathBuf), &&CaptureView)| {
         let camera = Camera { intrinsics: frame.camera.intrinsics, ..to_world.apply(camera) };
-        Ok(Frame { name: path_from(folder, photo)?, camera, ..Frame::clone(frame) })
+        Ok(CaptureView { name: path_from(folder, photo)?, camera, ..CaptureView::clone(frame) })
     };
-    let moved = refined.cameras.iter().zip(photos).zip(frames).map(moved).collect::<Result<Vec<Frame>>>()?;
+    let moved = refined.cameras.iter().zip(photos).zip(frames).map(moved).collect::<Result<Vec<CaptureView>>>()?;
     write_frames(path, &moved, None)
 }
 
 /// Median rotation in degrees, and shift, of the moved cameras.
-pub fn camera_movement(given: &[Camera], refined: &Refined) -> Option<[f64; 2]> {
+pub fn camera_movement(given: &[Camera], refined: &RefineResult) -> Option<[f64; 2]> {
     let pairs = given.iter().zip(&refined.cameras).filter(|(given, refined)| given != refined);
     let movements: Vec<Pose> = pairs.map(|(given, refined)| refined.pose.relative_to(&given.pose)).collect();
     let median = |of: fn(&Pose) -> f64| {
@@ -247,8 +252,8 @@ pub fn refine(
     from: Refinable<'_>,
     photos: &[Image],
     cameras: &[Camera],
-    request: &Refine,
-) -> Result<Refined> {
+    request: &RefineOptions,
+) -> Result<RefineResult> {
     let mut refined = None;
     let staged = session.stage("refine", |stage| {
         let progress = |at: Refining<'_>| -> ControlFlow<()> {
@@ -273,9 +278,9 @@ fn progress_message(at: &Refining<'_>) -> String {
     format!("refine{loss}{psnr}")
 }
 
-pub fn summary(refined: &Refined, start: &str, given: &[Camera]) -> String {
+pub fn summary(refined: &RefineResult, start: &str, given: &[Camera]) -> String {
     let (steps, step, [after, before]) = (refined.losses.len(), refined.best_step, refined.training_psnr);
-    let training = counted(given.len() - refined.held_out_views.len(), "training photo");
+    let training = counted(given.len() - refined.holdout_views.len(), "training photo");
     let psnr = refined.psnr().map(|[after, before]| format!("; held-out {before:.2} to {after:.2} dB"));
     let cameras = camera_movement(given, refined).map(|[degrees, distance]| {
         format!("; cameras turned by {degrees:.2} degrees and moved by {} (medians)", significant(distance))
@@ -288,24 +293,34 @@ pub fn summary(refined: &Refined, start: &str, given: &[Camera]) -> String {
     )
 }
 
-pub fn as_json(refined: &Refined, start: &str, given: &[Camera]) -> Value {
+pub fn as_json(refined: &RefineResult, start: &str, given: &[Camera]) -> Value {
     let cameras = camera_movement(given, refined);
     json!({
         "start": start, "cameras": cameras.map(|[degrees, distance]| json!({ "degrees": degrees, "distance": distance })),
         "training_psnr": { "before": refined.training_psnr[1], "after": refined.training_psnr[0] },
         "held_out_psnr": refined.psnr().map(|[after, before]| json!({ "before": before, "after": after })),
         "steps": refined.losses.len(), "best_step": refined.best_step, "losses": refined.losses,
-        "held_out": refined.held_out, "held_out_photos": refined.held_out_views, "sizes": refined.sizes, "ended": ended(refined),
+        "held_out": refined.holdout_psnr, "held_out_photos": refined.holdout_views, "sizes": refined.sizes, "ended": ended(refined),
         "seconds": refined.took.as_secs_f64(), "peak_bytes": refined.peak_bytes,
     })
 }
 
-pub fn explain(refined: &Refined, request: &Refine, start: &str, photos: &[PathBuf]) -> Table {
+pub fn explain(refined: &RefineResult, request: &RefineOptions, start: &str, photos: &[PathBuf]) -> Table {
     let name = |i: &usize| photos[*i].file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let held: Vec<String> = refined.held_out_views.iter().map(name).collect();
+    let held: Vec<String> = refined.holdout_views.iter().map(name).collect();
     let size = |(step, [width, height]): &(usize, [u32; 2])| format!("{width}x{height} from step {}", step + 1);
     let sizes: Vec<String> = refined.sizes.iter().map(size).collect();
-    let Rates { means, scales, quats, opacities, sh_coeffs, sh_higher, tokens, turns, shifts } = request.rates;
+    let LearningRates {
+        means,
+        scales,
+        quats,
+        opacities,
+        sh_coeffs,
+        sh_higher,
+        tokens,
+        camera_rotation,
+        camera_translation,
+    } = request.learning_rates;
     let mut rates = match start {
         TOKENS => format!("tokens {tokens}"),
         _ => format!(
@@ -313,10 +328,11 @@ pub fn explain(refined: &Refined, request: &Refine, start: &str, photos: &[PathB
              colors {sh_coeffs}, higher harmonics {sh_higher}"
         ),
     };
-    if request.cameras {
-        rates += &format!(", turns of cameras {turns}, shifts {shifts} of the scene's distance");
+    if request.optimize_cameras {
+        rates +=
+            &format!(", camera rotations {camera_rotation}, translations {camera_translation} of the scene's distance");
     }
-    let (steps, each) = (refined.losses.len(), request.views_per_step.min(photos.len() - refined.held_out_views.len()));
+    let (steps, each) = (refined.losses.len(), request.views_per_step.min(photos.len() - refined.holdout_views.len()));
     let or_none = |list: String| if list.is_empty() { "none".into() } else { list };
     let mut table = Table::new(2, &["refined", ""]);
     for (what, value) in [
@@ -341,26 +357,26 @@ pub fn explain(refined: &Refined, request: &Refine, start: &str, photos: &[PathB
     table
 }
 
-fn ended(refined: &Refined) -> String {
-    match &refined.stopped {
+fn ended(refined: &RefineResult) -> String {
+    match &refined.stop_reason {
         None => "after all steps".into(),
-        Some(Stopped::Cancelled) => "cancelled".into(),
-        Some(Stopped::Diverged(why)) => why.clone(),
+        Some(StopReason::Cancelled) => "cancelled".into(),
+        Some(StopReason::Diverged(why)) => why.clone(),
     }
 }
 
 /// Photos below which a refinement without held-out ones overfits.
 const FEW: usize = 6;
 
-pub fn doubt(refined: &Refined) -> Option<String> {
-    let training = refined.cameras.len() - refined.held_out_views.len();
-    match &refined.stopped {
-        None if refined.held_out_views.is_empty() && training < FEW && refined.best_step > 0 => Some(format!(
+pub fn doubt(refined: &RefineResult) -> Option<String> {
+    let training = refined.cameras.len() - refined.holdout_views.len();
+    match &refined.stop_reason {
+        None if refined.holdout_views.is_empty() && training < FEW && refined.best_step > 0 => Some(format!(
             "only {} to refine against, and none held out: other views may look worse than before; more photos help, and \
              --hold-out 1 measures it",
             counted(training, "photo")
         )),
-        Some(Stopped::Diverged(why)) => {
+        Some(StopReason::Diverged(why)) => {
             Some(format!("the refinement ended early: {why}; kept is what was after step {}", refined.best_step))
         }
         _ => None,

@@ -4,7 +4,7 @@ use clap::Args;
 use zipsplat::{
     Result,
     perceptual::Perceptual,
-    refine::{PerceptualLoss, Refine},
+    refine::{PerceptualLoss, RefineOptions},
     stages::lpips::LpipsNetwork,
 };
 
@@ -37,9 +37,9 @@ impl Moved {
         self.lpips_weight.map_or(Ok(()), |_| Perceptual::file(LpipsNetwork::Vgg).map(drop))
     }
 
-    pub fn request(&self, request: Refine) -> Refine {
+    pub fn request(&self, request: RefineOptions) -> RefineOptions {
         let perceptual_loss = self.lpips_weight.filter(|weight| *weight > 0.0);
         let perceptual_loss = perceptual_loss.map(|weight| PerceptualLoss { weight, network: LpipsNetwork::Vgg });
-        Refine { cameras: self.refine_cameras, grow: self.grow, perceptual_loss, ..request }
+        RefineOptions { optimize_cameras: self.refine_cameras, max_gaussians: self.grow, perceptual_loss, ..request }
     }
 }

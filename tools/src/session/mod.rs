@@ -21,8 +21,8 @@ use zipsplat::{
     Error, Result,
     gpu::{Device, DeviceOptions, Progress},
     ops::{Arithmetic, Precision},
-    reconstruct::{Model, Reconstruction, Request, SceneTokens},
-    tune::Chosen,
+    reconstruct::{Model, ReconstructOptions, Reconstruction, SceneTokens},
+    tune::KernelChoice,
     types::Image,
     weights::Checkpoint,
 };
@@ -96,7 +96,7 @@ impl<'a> Session<'a> {
 
     pub fn device_options(&self) -> DeviceOptions {
         let Global { device, memory, .. } = &self.global;
-        DeviceOptions { selector: device.clone(), max_memory_bytes: *memory, ..DeviceOptions::default() }
+        DeviceOptions { device: device.clone(), max_memory_bytes: *memory, ..DeviceOptions::default() }
     }
 
     /// Returns true to plan for an ordinary device.
@@ -124,9 +124,9 @@ impl<'a> Session<'a> {
     }
 
     /// Self-tests the kernels on the first use of a precision on a device, with progress.
-    pub fn choose(&self, device: &Device, precision: Option<Precision>) -> Result<Chosen> {
+    pub fn choose(&self, device: &Device, precision: Option<Precision>) -> Result<KernelChoice> {
         let chosen = self.stage("first use", |stage| {
-            Chosen::of_with(device, precision, |kernel, done| {
+            KernelChoice::of_with(device, precision, |kernel, done| {
                 stage.name(&format!("first use: testing {kernel}"));
                 stage.at(done)
             })
@@ -140,17 +140,19 @@ impl<'a> Session<'a> {
         checkpoint: &Checkpoint,
         arithmetic: Arithmetic,
     ) -> Result<(Model, Duration)> {
-        self.stage("load weights", |stage| Model::load_with(device, checkpoint, arithmetic, |done| stage.at(done)))
+        self.stage("load weights", |stage| {
+            Model::from_checkpoint_with(device, checkpoint, arithmetic, |done| stage.at(done))
+        })
     }
 
     pub fn reconstruct(
         &self,
         model: &Model,
         images: &[Image],
-        request: &Request,
+        request: &ReconstructOptions,
     ) -> Result<(Reconstruction, Duration)> {
         self.stage("reconstruct", |stage| {
-            model.reconstruct(images, request, |progress| {
+            model.reconstruct_views(images, request, |progress| {
                 stage.name(progress.scope);
                 stage.at(progress.fraction)
             })
@@ -162,7 +164,7 @@ impl<'a> Session<'a> {
         &self,
         model: &Model,
         images: &[Image],
-        request: &Request,
+        request: &ReconstructOptions,
         tokens: bool,
     ) -> Result<(Reconstruction, Option<SceneTokens>, Duration)> {
         if !tokens {
@@ -275,6 +277,7 @@ fn kind(error: &Error) -> &'static str {
         Error::DeviceLost => "device_lost",
         Error::Driver { .. } => "driver",
         Error::Cancelled => "cancelled",
+        _ => "internal",
     }
 }
 

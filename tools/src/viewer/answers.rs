@@ -13,7 +13,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use zipsplat::{
     Error, Result,
     ops::Precision,
-    types::{Scene, SceneFormat, WriteOptions, encode_scene},
+    types::{SaveOptions, Scene, SceneFormat},
 };
 
 const BYTES: &str = "application/octet-stream";
@@ -46,7 +46,7 @@ impl Served<'_> {
             _ if path.starts_with("view/") => self.view(path),
             _ if path.starts_with("scene/") => {
                 let Some(scene) = number(path, "scene/").and_then(|i| self.scenes.get(i)) else { return Ok(None) };
-                Ok(Some((BYTES, encode_scene(scene, SceneFormat::Ply, &WriteOptions::default())?)))
+                Ok(Some((BYTES, scene.encode(SceneFormat::Ply, &SaveOptions::default())?)))
             }
             _ => match self.made(path, false)? {
                 Some(made) => Ok(Some((BYTES, made.encode()?))),

@@ -7,7 +7,7 @@ use zipsplat::{
     Result,
     types::{
         Intrinsics, Pose, World,
-        poses::{Frame, read_cameras},
+        poses::{Capture, CaptureView},
         resample::resize_lanczos,
     },
 };
@@ -33,13 +33,13 @@ pub struct InputCamera {
     cy: f64,
     photo: Option<String>,
     #[serde(skip)]
-    frame: Frame,
+    frame: CaptureView,
     #[serde(skip)]
     file: Option<PathBuf>,
 }
 
 impl InputCamera {
-    pub fn new(frame: Frame, pose: &Pose, file: Option<PathBuf>) -> Self {
+    pub fn new(frame: CaptureView, pose: &Pose, file: Option<PathBuf>) -> Self {
         let Intrinsics { width, height, fx, fy, cx, cy } = frame.camera.intrinsics;
         let (r, t) = (pose.rotation, pose.translation);
         let matrix = [0, 1, 2].map(|i| [r.x_axis[i], r.y_axis[i], r.z_axis[i], t[i]]);
@@ -76,18 +76,18 @@ pub fn input_cameras(
     file: &Path,
     relative_to: Option<&Path>,
     world: Option<&World>,
-    photo_of: impl Fn(&Frame) -> Option<PathBuf>,
+    photo_of: impl Fn(&CaptureView) -> Option<PathBuf>,
 ) -> Result<(Vec<InputCamera>, Vec<String>)> {
     let fov = FOV.to_radians();
-    let mut poses = read_cameras(file, &Intrinsics::from_fov(SIDE, SIDE, fov, fov))?;
+    let mut poses = Capture::open_cameras(file, &Intrinsics::from_fov(SIDE, SIDE, fov, fov))?;
     let (to_scene, note) = crate::cameras::to_scene(relative_to, &poses, world, file)?;
-    poses.notes.extend(note);
-    let camera = |frame: Frame| {
+    poses.warnings.extend(note);
+    let camera = |frame: CaptureView| {
         let pose = to_scene.apply(&frame.camera).pose;
         let photo = photo_of(&frame);
         InputCamera::new(frame, &pose, photo)
     };
-    Ok((poses.frames.into_iter().map(camera).collect(), poses.notes))
+    Ok((poses.frames.into_iter().map(camera).collect(), poses.warnings))
 }
 
 /// Mean up direction, assuming upright photos on average.

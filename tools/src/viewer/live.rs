@@ -14,10 +14,10 @@ use zipsplat::{
     Error, Result,
     gpu::{Device, Progress},
     ops::{Arithmetic, Precision},
-    reconstruct::{Features, Model, Ratio, Request, SceneTokens},
+    reconstruct::{Features, Model, Ratio, ReconstructOptions, SceneTokens},
     stages::ViewGrid,
-    tune::Chosen,
-    types::{Image, Pose, Scene, SceneFormat, WriteOptions, encode_scene},
+    tune::KernelChoice,
+    types::{Image, Pose, SaveOptions, Scene, SceneFormat},
     weights::Checkpoint,
 };
 
@@ -29,7 +29,7 @@ pub struct Live<'a> {
     pub(super) quality: &'a Quality,
     /// Network input.
     pub(super) images: Vec<Image>,
-    pub(super) request: Request,
+    pub(super) request: ReconstructOptions,
     /// Network's world in the scene's, if different.
     pub(super) turned: Option<Pose>,
     pub(super) name: String,
@@ -55,7 +55,7 @@ impl LiveScene {
     /// A line of JSON, then the scene at full precision.
     pub fn encode(mut self) -> Result<Vec<u8>> {
         let begin = Instant::now();
-        let ply = encode_scene(&self.scene, SceneFormat::Ply, &WriteOptions::default())?;
+        let ply = self.scene.encode(SceneFormat::Ply, &SaveOptions::default())?;
         self.shown.bytes = ply.len() as u64;
         self.shown.times.push(("pack".into(), milliseconds(begin.elapsed())));
         let mut bytes = serde_json::to_vec(&self.shown).expect("plain values");
@@ -87,9 +87,9 @@ impl Live<'_> {
             Some(at) => at,
             None => {
                 let begin = Instant::now();
-                let arithmetic = Chosen::of(&self.device, Some(precision))?.arithmetic;
+                let arithmetic = KernelChoice::of(&self.device, Some(precision))?.arithmetic;
                 let stop = |_: f64| if overtaken() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
-                let model = Model::load_with(&self.device, &self.checkpoint, arithmetic, stop)?;
+                let model = Model::from_checkpoint_with(&self.device, &self.checkpoint, arithmetic, stop)?;
                 times.push(("weights".to_owned(), begin.elapsed()));
                 let features = model.features(&self.images, &self.request, go_on)?;
                 times.extend(features.times.0.clone());
@@ -98,11 +98,11 @@ impl Live<'_> {
             }
         };
         let Source { model, features, .. } = &sources[at];
-        let request = Request { ratio: Ratio::Fixed(ratio), ..self.request.clone() };
+        let request = ReconstructOptions { ratio: Ratio::Fixed(ratio), ..self.request.clone() };
         let made = model.reconstruct_features(features, &request, go_on)?;
         times.extend(made.times.0.clone());
         let begin = Instant::now();
-        let mut scene = made.scene()?;
+        let mut scene = made.to_scene()?;
         drop(sources);
         self.quality.prune(&mut scene, self.checkpoint.architecture());
         self.turned.iter().for_each(|first| scene.place(1.0, first));
@@ -112,7 +112,7 @@ impl Live<'_> {
             group: Some(self.quality.group(self.checkpoint.architecture())),
             patches: made.patches.indices(),
             times: times.into_iter().map(|(stage, took)| (stage, milliseconds(took))).collect(),
-            left_out: made.left_out,
+            skipped_passes: made.skipped_passes,
             ..ShownScene::default()
         };
         Ok(LiveScene { scene, shown })

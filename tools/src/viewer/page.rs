@@ -5,7 +5,7 @@ use base64::{Engine, prelude::BASE64_STANDARD, write::EncoderWriter};
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 use std::io::{Result, Write};
-use zipsplat::types::LeftOut;
+use zipsplat::types::SkippedPass;
 
 const PAGE: &str = include_str!("../../viewer/page.html");
 const STYLE: &str = include_str!("../../viewer/style.css");
@@ -51,7 +51,7 @@ pub struct ShownScene {
     pub patches: Vec<u32>,
     /// Milliseconds.
     pub times: Vec<(String, f64)>,
-    pub left_out: Vec<LeftOut>,
+    pub skipped_passes: Vec<SkippedPass>,
 }
 
 /// Network input.

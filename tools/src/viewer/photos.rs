@@ -12,7 +12,7 @@ use crate::{
     cameras::{Finding, KnownCameras},
     options::{Network, Quality, Weights, parse_length},
     photos::{self, Reading},
-    refinement::{Initialization, RefineOptions, placed},
+    refinement::{Initialization, RefineArgs, placed},
     session::Session,
     table::counted,
     video::FrameFolder,
@@ -26,10 +26,10 @@ use std::{
 use zipsplat::{
     Error, Result,
     gpu::Progress,
-    reconstruct::{MAX_VIEWS, Ratio, Request, Shape},
+    reconstruct::{MAX_VIEWS, Ratio, ReconstructOptions, Shape},
     types::{
         Camera, PointCloud, Pose,
-        poses::{Frame, Poses, read_cloud},
+        poses::{Capture, CaptureView, read_cloud},
     },
     weights::Checkpoint,
 };
@@ -59,7 +59,7 @@ pub struct FromPhotos {
     #[arg(long, value_name = "R,R,..", value_delimiter = ',')]
     ratios: Vec<f64>,
     #[command(flatten)]
-    refine: RefineOptions,
+    refine: RefineArgs,
 }
 
 /// Default and maximum number.
@@ -73,7 +73,7 @@ pub struct Ready<'a> {
     pub cameras: Vec<InputCamera>,
     names: Vec<String>,
     photos: Vec<PathBuf>,
-    frames: Vec<Frame>,
+    frames: Vec<CaptureView>,
     cloud: Option<PointCloud>,
     _folder: Option<FrameFolder>,
 }
@@ -102,7 +102,7 @@ impl FromPhotos {
         }
         let known = poses.map(|poses| KnownCameras::of(session, poses, &photos, &self.finding)).transpose()?;
         if let Some(KnownCameras { poses, .. }) = &known {
-            session.notes(&poses.notes);
+            session.notes(&poses.warnings);
             photos = photos::posed(session, photos, poses)?;
         }
         if let Some(views) = self.views {
@@ -163,8 +163,13 @@ impl FromPhotos {
         let (model, _) = session.load_model(&device, &checkpoint, arithmetic)?;
         let cameras = Some(cameras).filter(|cameras| !cameras.is_empty());
         let selection = self.quality.select.clone();
-        let request =
-            Request { ratio: self.quality.ratio, selection, cameras, scene_scale: unit, pool: self.quality.pool };
+        let request = ReconstructOptions {
+            ratio: self.quality.ratio,
+            token_selection: selection,
+            cameras,
+            scene_scale: unit,
+            kv_pool: self.quality.pool,
+        };
         let (features, _) = session.stage("backbone", |stage| {
             model.features(&images, &request, |progress: Progress<'_>| stage.at(progress.fraction))
         })?;
@@ -198,9 +203,9 @@ impl FromPhotos {
     fn length(
         &self,
         session: &mut Session<'_>,
-        poses: Option<&Poses>,
+        poses: Option<&Capture>,
         cameras: &[Camera],
-        frames: &[&Frame],
+        frames: &[&CaptureView],
     ) -> Result<f64> {
         let (Some(poses), Some(first)) = (poses, frames.first()) else { return Ok(1.0) };
         let unit = poses.scene_scale(self.unit, cameras, &first.camera.pose)?;
@@ -226,9 +231,9 @@ impl FromPhotos {
         let (Some(steps), Some(first)) = (self.refine.steps(), ready.frames.first()) else { return Ok(None) };
         let live = &ready.live;
         let to_scene = first.camera.pose.inverse();
-        let camera = |frame: &Frame| Camera { pose: to_scene.compose(&frame.camera.pose), ..frame.camera };
+        let camera = |frame: &CaptureView| Camera { pose: to_scene.compose(&frame.camera.pose), ..frame.camera };
         let cameras: Vec<Camera> = ready.frames.iter().map(camera).collect();
-        let frames: Vec<&Frame> = ready.frames.iter().collect();
+        let frames: Vec<&CaptureView> = ready.frames.iter().collect();
         let (photos, _) =
             session.stage("load photos", |stage| photos::read(&ready.photos, &frames, stage, |_, photo| Ok(photo)))?;
         let made = || live.make(self.quality.ratio_of(live.images.len()), live.first_precision(), None);
@@ -249,7 +254,7 @@ impl FromPhotos {
             )
         };
         let request = self.refine.request(steps);
-        let tokens = tokens.filter(|_| request.grow.is_none());
+        let tokens = tokens.filter(|_| request.max_gaussians.is_none());
         let tokens = tokens.and_then(|shown| Some((shown.group?, shown.patches)));
         Ok(Some(Watched::new(start, tokens, photos, cameras, request)))
     }
@@ -274,9 +279,9 @@ impl Ready<'_> {
 }
 
 /// In the first one's world.
-pub(super) fn input_cameras(photos: &[PathBuf], frames: &[&Frame]) -> Vec<InputCamera> {
+pub(super) fn input_cameras(photos: &[PathBuf], frames: &[&CaptureView]) -> Vec<InputCamera> {
     let world = frames.first().map_or(Pose::IDENTITY, |first| first.camera.pose);
-    let camera = |(photo, frame): (&PathBuf, &&Frame)| {
+    let camera = |(photo, frame): (&PathBuf, &&CaptureView)| {
         InputCamera::new((*frame).clone(), &frame.camera.pose.relative_to(&world), Some(photo.clone()))
     };
     photos.iter().zip(frames).map(camera).collect()

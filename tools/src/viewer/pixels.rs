@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 use zipsplat::{
     Result,
     reconstruct::Ratio,
-    types::{Scene, poses::Frame},
+    types::{Scene, poses::CaptureView},
     weights::DepthCheckpoint,
 };
 
@@ -56,7 +56,7 @@ impl FromPhotos {
         let side = self.quality.side();
         let (prepared, _) =
             session.stage("load photos", |stage| PreparedPhotos::read(side, &photos, &frames, stage))?;
-        let ratios = self.ratios(prepared.patches(checkpoint.architecture().backbone.patch))?;
+        let ratios = self.ratios(prepared.patches(checkpoint.architecture().backbone.patch_size))?;
         let device = session.device()?;
         let mut predictor = self.quality.predictor_options(checkpoint).open(session, &device)?;
         let (mut scenes, mut cameras) = (Vec::new(), Vec::new());
@@ -65,7 +65,7 @@ impl FromPhotos {
             let predict = |stage: &Stage<'_>| predictor.predict(prepared.clone(), stage);
             let (mut predicted, _) = session.stage("depth", predict)?;
             predicted.scale(false, poses.and_then(|poses| poses.points.as_deref()))?;
-            let frames: Vec<Frame> = if frames.is_empty() {
+            let frames: Vec<CaptureView> = if frames.is_empty() {
                 predicted.frames()?
             } else {
                 frames.iter().map(|frame| (*frame).clone()).collect()

@@ -16,8 +16,8 @@ use std::{
 use zipsplat::{
     Error, Result,
     gpu::{Device, DeviceOptions},
-    stages::render::{RenderRequest, Renderer},
-    types::{Intrinsics, Scene, poses::read_cameras},
+    stages::render::{RenderOptions, Renderer},
+    types::{Intrinsics, Scene, poses::Capture},
 };
 
 const MOST: usize = 10_000;
@@ -58,7 +58,7 @@ impl Studio {
         let folder = Scratch::new()?;
         let path = folder.path().join("camera_path.json");
         std::fs::write(&path, wanted.path.to_string()).map_err(|error| Error::io(&path, error))?;
-        let poses = read_cameras(&path, &Intrinsics::from_fov(1, 1, 1.0, 1.0))?;
+        let poses = Capture::open_cameras(&path, &Intrinsics::from_fov(1, 1, 1.0, 1.0))?;
         let cameras: Vec<_> = poses.frames.iter().map(|frame| frame.camera).collect();
         if !(1..=MOST).contains(&cameras.len()) {
             return Err(Error::argument("pictures to record", cameras.len(), format!("1 to {MOST}")));
@@ -74,13 +74,13 @@ impl Studio {
         };
         let file = folder.path().join(name);
         let animation = Animation::new(&file, wanted.fps, &self.ffmpeg)?;
-        let request = RenderRequest { background: wanted.background, ..RenderRequest::default() };
+        let request = RenderOptions { background: wanted.background, ..RenderOptions::default() };
         let mut cached = self.renderer.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
         let renderer = match &mut *cached {
             Some(renderer) => renderer,
             None => cached.insert(Renderer::new(&Device::open(&self.options)?)),
         };
-        renderer.load(scene)?;
+        renderer.set_scene(scene)?;
         let sinks = Sinks { animation: Some(animation), ..Sinks::default() };
         pictures::draw(renderer, &cameras, &request, sinks, &Stage::told_to(&self.bar, cancelled))?;
         let bytes = std::fs::read(&file).map_err(|error| Error::io(&file, error))?;

@@ -16,7 +16,7 @@ use zipsplat::{
     Result,
     gpu::Arena,
     reconstruct::SceneTokens,
-    refine::{FrozenHead, Refine, Refined, Refining, Stopped, refine_scene, refine_tokens},
+    refine::{FrozenHead, RefineOptions, RefineResult, Refining, StopReason, refine_scene, refine_tokens},
     types::{Camera, Image, Scene},
 };
 
@@ -33,7 +33,7 @@ pub struct Watched {
     tokens: Option<(usize, Vec<u32>)>,
     photos: Vec<Image>,
     cameras: Vec<Camera>,
-    request: Refine,
+    request: RefineOptions,
     now: Mutex<Now>,
     /// Ends early with the best so far.
     pub stop: AtomicBool,
@@ -62,11 +62,19 @@ impl Watched {
         tokens: Option<(usize, Vec<u32>)>,
         photos: Vec<Image>,
         cameras: Vec<Camera>,
-        request: Refine,
+        request: RefineOptions,
     ) -> Self {
         let now = Mutex::new(Now { steps: request.steps, ..Now::default() });
         let show = Some((request.steps / SHOWN).max(1));
-        Self { target, tokens, photos, cameras, request: Refine { show, ..request }, now, stop: AtomicBool::new(false) }
+        Self {
+            target,
+            tokens,
+            photos,
+            cameras,
+            request: RefineOptions { snapshot_interval: show, ..request },
+            now,
+            stop: AtomicBool::new(false),
+        }
     }
 
     /// Refines until the end or `stop`; `progress` gets the finished fraction.
@@ -116,17 +124,17 @@ impl Watched {
         }
     }
 
-    fn end(&self, refined: Result<Refined>) -> Result<()> {
+    fn end(&self, refined: Result<RefineResult>) -> Result<()> {
         let mut now = self.now();
         let (ended, result) = match refined {
             Ok(refined) => {
                 let kept = format!("kept is step {}", refined.best_step);
-                let why = match &refined.stopped {
+                let why = match &refined.stop_reason {
                     None => format!("Refined: {kept} of {}.", refined.losses.len()),
-                    Some(Stopped::Cancelled) => format!("Stopped: {kept}, the best so far."),
-                    Some(Stopped::Diverged(why)) => format!("Ended early, {why}: {kept}."),
+                    Some(StopReason::Cancelled) => format!("Stopped: {kept}, the best so far."),
+                    Some(StopReason::Diverged(why)) => format!("Ended early, {why}: {kept}."),
                 };
-                now.psnr = refined.held_out;
+                now.psnr = refined.holdout_psnr;
                 now.scene = Some(refined.scene);
                 now.version += 1;
                 (why, Ok(()))

@@ -11,30 +11,30 @@ use std::{
     path::Path,
     ptr::null,
 };
-use zipsplat::types::poses::{Frame, Poses, read_poses};
+use zipsplat::types::poses::{Capture, CaptureView};
 
 /// Posed photos of a capture.
 pub struct zs_capture {
-    pub(super) poses: Poses,
+    pub(super) poses: Capture,
     names: Vec<CString>,
     paths: Vec<Option<CString>>,
     notes: CString,
 }
 
-impl From<Poses> for zs_capture {
-    fn from(poses: Poses) -> Self {
-        let path = |frame: &Frame| Some(c_text(frame.photo.as_ref()?.to_str()?));
+impl From<Capture> for zs_capture {
+    fn from(poses: Capture) -> Self {
+        let path = |frame: &CaptureView| Some(c_text(frame.photo.as_ref()?.to_str()?));
         Self {
             names: poses.frames.iter().map(|frame| c_text(&frame.name)).collect(),
             paths: poses.frames.iter().map(path).collect(),
-            notes: c_text(&poses.notes.join("\n")),
+            notes: c_text(&poses.warnings.join("\n")),
             poses,
         }
     }
 }
 
 impl zs_capture {
-    fn frame(&self, index: usize) -> Result<&Frame, Failure> {
+    fn frame(&self, index: usize) -> Result<&CaptureView, Failure> {
         let frames = &self.poses.frames;
         let expected = || format!("a number below {}", frames.len());
         frames.get(index).ok_or_else(|| Failure::argument("number of a photo", index, expected()))
@@ -51,7 +51,7 @@ fn c_text(text: &str) -> CString {
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_open(path: *const c_char, capture: *mut *mut zs_capture) -> zs_status {
     // SAFETY: a string or NULL.
-    let open = || Ok(read_poses(unsafe { text(path, "path") }?)?.into());
+    let open = || Ok(Capture::open(unsafe { text(path, "path") }?)?.into());
     // SAFETY: the caller's pointer.
     unsafe { produce(capture, open) }
 }

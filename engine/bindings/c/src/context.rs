@@ -149,7 +149,7 @@ pub unsafe extern "C" fn zs_context_create(
         let selector = unsafe { optional_text(options.device, "device") }?.map(str::to_owned);
         let validation = options.validation != 0;
         let max_memory_bytes = Some(options.max_memory_bytes).filter(|bytes| *bytes > 0);
-        let options = DeviceOptions { selector, validation, max_memory_bytes, ..DeviceOptions::default() };
+        let options = DeviceOptions { device: selector, validation, max_memory_bytes, ..DeviceOptions::default() };
         Ok(zs_context { device: Device::open(&options)?, adopted: false })
     };
     // SAFETY: the caller's pointer.
@@ -164,7 +164,7 @@ pub unsafe extern "C" fn zs_context_get_info(context: *const zs_context, info: *
         let device = &unsafe { borrow(context, "context") }?.device;
         let (index, limits) = (device.index(), device.limits().clone());
         // SAFETY: the caller's structure.
-        unsafe { write_versioned(info, describe(&DeviceInfo { index, missing: Vec::new(), limits })) }
+        unsafe { write_versioned(info, describe(&DeviceInfo { index, unusable_reason: Vec::new(), limits })) }
     })
 }
 
@@ -184,12 +184,12 @@ fn describe(device: &DeviceInfo) -> zs_device_info {
     };
     zs_device_info {
         index: device.index as u32,
-        usable: device.missing.is_empty().into(),
+        usable: device.unusable_reason.is_empty().into(),
         kind: kind as i32,
         memory_bytes: *memory_bytes,
         name: fixed(name),
         driver: fixed(driver),
-        missing: fixed(&device.missing.join(", ")),
+        missing: fixed(&device.unusable_reason.join(", ")),
         uuid: fixed(device.limits.uuid()),
         ..zs_device_info::defaults()
     }

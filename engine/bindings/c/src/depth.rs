@@ -17,10 +17,10 @@ use std::{
 use zipsplat::{
     Error,
     cameras::share_focal_lengths,
-    depth::{DepthModel, DepthRequest, DepthView, Depths},
+    depth::{DepthMap, DepthModel, DepthOptions, DepthPrediction},
     gpu::Progress,
     reconstruct::MAX_VIEWS,
-    tune::Chosen,
+    tune::KernelChoice,
     types::{
         Camera, DEFAULT_BOUND, Image, bounded_views,
         preprocess::{PixelMap, View},
@@ -35,7 +35,7 @@ pub struct zs_depth_model {
 
 /// Depth and cameras of photos.
 pub struct zs_depths {
-    depths: Depths,
+    depths: DepthPrediction,
     images: Vec<Image>,
     /// Cameras of the views and of the whole photos; `None` if unknown.
     cameras: Vec<Option<[Camera; 2]>>,
@@ -153,10 +153,12 @@ pub unsafe extern "C" fn zs_depth_model_open(
                 "NULL and 0, which are for zs_model_open",
             ));
         }
-        let chosen = Chosen::of(&context.device, zs_precision::wanted(options.precision)?)?;
+        let chosen = KernelChoice::of(&context.device, zs_precision::wanted(options.precision)?)?;
         let checkpoint = DepthCheckpoint::whole(|gaussians| DepthCheckpoint::parse(path, gaussians))?;
         let progress = |fraction| report(options.progress, options.user_data, fraction, "weights");
-        Ok(zs_depth_model { model: DepthModel::load(&context.device, &checkpoint, chosen.arithmetic, progress)? })
+        Ok(zs_depth_model {
+            model: DepthModel::from_checkpoint(&context.device, &checkpoint, chosen.arithmetic, progress)?,
+        })
     };
     // SAFETY: the caller's pointer.
     unsafe { produce(model, load) }
@@ -209,14 +211,14 @@ pub unsafe extern "C" fn zs_depth_find(
         drop(photos);
         let images: Vec<Image> = views.iter().map(|view| view.image.clone()).collect();
         let known_cameras = (!known.is_empty()).then(|| of_views(&known, &views)).transpose()?;
-        let request = DepthRequest { cameras: known_cameras.clone(), ..DepthRequest::default() };
+        let request = DepthOptions { cameras: known_cameras.clone(), ..DepthOptions::default() };
         let progress = |now: Progress<'_>| report(options.progress, options.user_data, now.fraction, now.scope);
-        let mut depths = model.depths(&images, &request, progress)?;
+        let mut depths = model.predict(&images, &request, progress)?;
         let cameras = match known_cameras {
             Some(known_cameras) => {
                 // Coincident cameras have no scale: depth keeps the network's.
                 depths
-                    .bring_to(&known_cameras)
+                    .align_to_cameras(&known_cameras)
                     .or_else(|error| if known_cameras.len() > 1 { Err(error) } else { Ok(()) })?;
                 known_cameras.into_iter().zip(known).map(|(of_view, of_photo)| Some([of_view, of_photo])).collect()
             }
@@ -245,7 +247,7 @@ pub unsafe extern "C" fn zs_depths_get(
         let found = depths.views.get(index).ok_or_else(|| Failure::argument("number of a photo", index, expected()))?;
         let values = |values: &Option<Vec<f32>>| values.as_ref().map_or(null(), |values| values.as_ptr());
         if !view.is_null() {
-            let DepthView { depth, confidence, sky, .. } = found;
+            let DepthMap { depth, confidence, sky, .. } = found;
             let found = zs_depth_view {
                 width: depths.width,
                 height: depths.height,
@@ -321,7 +323,7 @@ fn of_views(cameras: &[Camera], views: &[View]) -> Result<Vec<Camera>, Error> {
 }
 
 fn found_cameras(
-    depths: &Depths,
+    depths: &DepthPrediction,
     views: &[View],
     by_rays: bool,
     shared: bool,

@@ -8,7 +8,7 @@ use super::{
     status::{Failure, guard, zs_status},
 };
 use zipsplat::{
-    stages::render::{Differentiator, Frame, HostGradients, Wanted},
+    stages::render::{Differentiator, HostGradients, RenderOutput, Wanted},
     types::Camera,
 };
 
@@ -107,7 +107,7 @@ pub unsafe extern "C" fn zs_render_backward(
 impl zs_picture {
     /// # Safety
     /// Pointers that are not NULL have values for every pixel.
-    unsafe fn weights(&self, camera: &Camera, i: usize) -> Result<Frame, Failure> {
+    unsafe fn weights(&self, camera: &Camera, i: usize) -> Result<RenderOutput, Failure> {
         for (field, found) in [("reserved", i64::from(self.reserved)), ("stride", self.stride)] {
             if found != 0 {
                 return Err(Failure::argument(format!("weights {i}, {field}"), found, "0"));
@@ -119,7 +119,7 @@ impl zs_picture {
             // SAFETY: the caller's promise.
             (!from.is_null()).then(|| Ok(unsafe { array(from, values, name) }?.to_vec())).transpose()
         };
-        Ok(Frame {
+        Ok(RenderOutput {
             width,
             height,
             rgb: plane(self.pixels.cast(), 3 * pixels, "weights of colour")?,

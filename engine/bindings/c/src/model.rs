@@ -14,7 +14,9 @@ use std::{
     ops::ControlFlow,
     sync::{Arc, Mutex},
 };
-use zipsplat::{Error, ops::Precision, reconstruct::Model, refine::FrozenHead, tune::Chosen, weights::Checkpoint};
+use zipsplat::{
+    Error, ops::Precision, reconstruct::Model, refine::FrozenHead, tune::KernelChoice, weights::Checkpoint,
+};
 
 /// A network with its weights on a device.
 pub struct zs_model {
@@ -108,10 +110,10 @@ impl zs_precision {
 impl From<Precision> for zs_precision {
     fn from(precision: Precision) -> Self {
         match precision {
-            Precision::Exact => Self::ZS_PRECISION_EXACT,
-            Precision::Fast => Self::ZS_PRECISION_FAST,
-            Precision::FastBf16 => Self::ZS_PRECISION_FAST_BF16,
-            Precision::Turbo => Self::ZS_PRECISION_TURBO,
+            Precision::Fp32 => Self::ZS_PRECISION_EXACT,
+            Precision::Fp16 => Self::ZS_PRECISION_FAST,
+            Precision::Bf16 => Self::ZS_PRECISION_FAST_BF16,
+            Precision::Int8 => Self::ZS_PRECISION_TURBO,
         }
     }
 }
@@ -198,7 +200,7 @@ pub unsafe extern "C" fn zs_model_from_memory(
 
 /// A build without one is not a caller's mistake.
 fn embedded() -> Result<Checkpoint, Failure> {
-    Checkpoint::embedded().map_err(|error| match error {
+    Checkpoint::builtin().map_err(|error| match error {
         Error::Argument { .. } => Failure::unsupported(error.to_string()),
         other => other.into(),
     })
@@ -213,7 +215,7 @@ pub unsafe extern "C" fn zs_model_get_info(model: *const zs_model, info: *mut zs
         let architecture = model.architecture();
         let found = zs_model_info {
             picture_side: *picture_side,
-            patch: architecture.patch as u32,
+            patch: architecture.patch_size as u32,
             gaussians_per_token: architecture.gaussians_per_token as u32,
             sh_degree: architecture.sh_degree as u32,
             precision: zs_precision::from(*precision) as i32,
@@ -245,7 +247,7 @@ unsafe fn load(
     let load = || {
         // SAFETY: the caller's objects.
         let (context, options) = unsafe { (borrow(context, "context")?, read_versioned(options)?) };
-        let chosen = Chosen::of(&context.device, zs_precision::wanted(options.precision)?)?;
+        let chosen = KernelChoice::of(&context.device, zs_precision::wanted(options.precision)?)?;
         if options.reserved != 0 {
             return Err(Failure::argument("zs_model_options, reserved", options.reserved, "0"));
         }
@@ -255,14 +257,14 @@ unsafe fn load(
         // SAFETY: a string or NULL.
         let checkpoint = checkpoint(unsafe { optional_text(options.variant, "variant") }?)?;
         let progress = |fraction| report(options.progress, options.user_data, fraction, "weights");
-        let model = Model::load_with(&context.device, &checkpoint, chosen.arithmetic, progress)?;
+        let model = Model::from_checkpoint_with(&context.device, &checkpoint, chosen.arithmetic, progress)?;
         let head = (options.tokens == 1).then(|| FrozenHead::load(&context.device, &checkpoint)).transpose()?;
         // Names of kernels and devices contain no NUL.
-        let notes = [context.device.passed_over(), &chosen.notes, checkpoint.notes()].concat();
+        let notes = [context.device.passed_over(), &chosen.warnings, checkpoint.notes()].concat();
         let notes = CString::new(notes.join("\n")).unwrap_or_default();
         Ok(zs_model {
             model,
-            picture_side: checkpoint.picture_side(),
+            picture_side: checkpoint.image_size(),
             latest: Mutex::default(),
             head: head.map(Arc::new),
             precision: chosen.precision,

@@ -16,7 +16,7 @@ use std::{
 use zipsplat::{
     Error,
     gpu::Progress,
-    reconstruct::{MAX_VIEWS, Ratio, Reconstruction, Request, Selection, Shape},
+    reconstruct::{MAX_VIEWS, Ratio, ReconstructOptions, Reconstruction, Shape, TokenSelection},
     types::{
         Camera, Pose,
         poses::SceneScale,
@@ -177,7 +177,8 @@ pub unsafe extern "C" fn zs_reconstruct(
         };
         let (images, maps): (Vec<_>, Vec<_>) = views.into_iter().map(|view| (view.image, view.map)).unzip();
         let unposed = cameras.is_none();
-        let request = Request { ratio, selection, cameras, scene_scale: unit, pool };
+        let request =
+            ReconstructOptions { ratio, token_selection: selection, cameras, scene_scale: unit, kv_pool: pool };
         let report_progress = &report_progress;
         let progress = |of_all: Range<f64>| {
             move |now: Progress<'_>| {
@@ -188,7 +189,7 @@ pub unsafe extern "C" fn zs_reconstruct(
         // Frees the previous scene's memory first.
         *latest.lock().unwrap_or_else(|poisoned| poisoned.into_inner()) = None;
         let (made, tokens) = match head {
-            None => (model.reconstruct(&images, &request, progress(0.0..1.0))?, None),
+            None => (model.reconstruct_views(&images, &request, progress(0.0..1.0))?, None),
             Some(head) => {
                 let features = model.features(&images, &request, progress(0.0..0.8))?;
                 let made = model.reconstruct_features(&features, &request, progress(0.8..0.9))?;
@@ -271,11 +272,11 @@ impl zs_reconstruct_options {
         }
     }
 
-    fn selection(&self) -> Result<Selection, Failure> {
+    fn selection(&self) -> Result<TokenSelection, Failure> {
         match self.selection {
-            0 => Ok(Selection::KMEANS),
-            1 => Ok(Selection::Stride),
-            2 => Ok(Selection::Random(self.seed)),
+            0 => Ok(TokenSelection::KMEANS),
+            1 => Ok(TokenSelection::Stride),
+            2 => Ok(TokenSelection::Random(self.seed)),
             other => Err(Failure::argument("selection", other, "a zs_selection")),
         }
     }

@@ -13,7 +13,7 @@ use std::{ffi::c_void, ops::ControlFlow};
 use zipsplat::{
     Error,
     gpu::Arena,
-    refine::{Refine, Refined, Refining, Stopped, refine_scene, refine_tokens},
+    refine::{RefineOptions, RefineResult, Refining, StopReason, refine_scene, refine_tokens},
     types::{Camera, Image, Pose},
 };
 
@@ -133,7 +133,7 @@ unsafe impl Versioned for zs_refine_options {
     const NAME: &str = "zs_refine_options";
     const FIRST_SIZE: usize = 32 + 2 * POINTER;
     fn defaults() -> Self {
-        let Refine { steps, views_per_step, seed, .. } = Refine::default();
+        let RefineOptions { steps, views_per_step, seed, .. } = RefineOptions::default();
         Self {
             struct_size: size_of::<Self>() as u32,
             steps: steps as u32,
@@ -235,7 +235,7 @@ pub unsafe extern "C" fn zs_refine(
 }
 
 impl zs_refine_options {
-    fn request(&self) -> Result<Refine, Failure> {
+    fn request(&self) -> Result<RefineOptions, Failure> {
         let size = match (self.width, self.height) {
             (0, 0) => None,
             (0, _) | (_, 0) => {
@@ -261,7 +261,14 @@ impl zs_refine_options {
             ),
         };
         let (steps, views_per_step) = (self.steps as usize, self.views_per_step as usize);
-        Ok(Refine { steps, views_per_step, size, hold_out, seed: self.seed, ..Refine::default() })
+        Ok(RefineOptions {
+            steps,
+            views_per_step,
+            max_image_size: size,
+            holdout_views: hold_out,
+            seed: self.seed,
+            ..RefineOptions::default()
+        })
     }
 
     fn tell(&self, now: &Refining<'_>) -> ControlFlow<()> {
@@ -285,9 +292,9 @@ impl ModelTokens {
         &self,
         photos: &[Image],
         cameras: &[Camera],
-        request: &Refine,
+        request: &RefineOptions,
         progress: impl FnMut(Refining) -> ControlFlow<()>,
-    ) -> Result<Refined, Error> {
+    ) -> Result<RefineResult, Error> {
         // Tokens are in the first camera's space.
         let world = self.pose.unwrap_or(Pose::IDENTITY);
         let camera = |camera: &Camera| Camera { pose: camera.pose.relative_to(&world), ..*camera };
@@ -299,13 +306,13 @@ impl ModelTokens {
 }
 
 impl zs_refine_info {
-    fn of(refined: &Refined) -> Self {
+    fn of(refined: &RefineResult) -> Self {
         let loss = |loss: Option<&f32>| loss.map_or(f64::NAN, |loss| f64::from(*loss));
         let [psnr, psnr_before] = refined.psnr().unwrap_or([f64::NAN; 2]);
-        let ended = match refined.stopped {
+        let ended = match refined.stop_reason {
             None => zs_refine_end::ZS_REFINE_FINISHED,
-            Some(Stopped::Cancelled) => zs_refine_end::ZS_REFINE_STOPPED,
-            Some(Stopped::Diverged(_)) => zs_refine_end::ZS_REFINE_DIVERGED,
+            Some(StopReason::Cancelled) => zs_refine_end::ZS_REFINE_STOPPED,
+            Some(StopReason::Diverged(_)) => zs_refine_end::ZS_REFINE_DIVERGED,
         };
         Self {
             ended: ended as i32,

@@ -12,7 +12,7 @@ use std::{
     sync::{Mutex, MutexGuard},
 };
 use zipsplat::{
-    stages::render::{Depth, Differentiator, Frame, MAX_SIDE, RenderRequest, Renderer},
+    stages::render::{Depth, Differentiator, MAX_SIDE, RenderOptions, RenderOutput, Renderer},
     types::Camera,
 };
 
@@ -205,7 +205,7 @@ pub unsafe extern "C" fn zs_render(
                 pixels_left > 0
             });
             let end = first + 1 + more.count();
-            let frames = renderer.render_loaded(&cameras[first..end], &request)?;
+            let frames = renderer.render(&cameras[first..end], &request)?;
             for (i, frame) in (first..end).zip(&frames) {
                 // SAFETY: the caller's memory, as large as the camera's picture.
                 unsafe { pictures[i].write(frame, format, strides[i])? };
@@ -227,7 +227,7 @@ impl zs_render_options {
         zs_pixel_format::of(self.format)
     }
 
-    pub(super) fn request(&self, format: zs_pixel_format, pictures: &[zs_picture]) -> Result<RenderRequest, Failure> {
+    pub(super) fn request(&self, format: zs_pixel_format, pictures: &[zs_picture]) -> Result<RenderOptions, Failure> {
         let depth = match self.depth {
             0 => Depth::Expected,
             1 => Depth::Accumulated,
@@ -236,14 +236,14 @@ impl zs_render_options {
         let rgb = pictures.iter().any(|picture| !picture.pixels.is_null());
         let alpha = pictures.iter().any(|picture| !picture.alpha.is_null());
         let wants_depth = pictures.iter().any(|picture| !picture.depth.is_null());
-        Ok(RenderRequest {
+        Ok(RenderOptions {
             rgb,
             alpha: alpha || rgb && format.has_alpha(),
             depth: wants_depth.then_some(depth),
             background: self.background,
             near: (self.near_plane > 0.0).then_some(self.near_plane),
             antialiased: self.antialiased != 0,
-            ..RenderRequest::default()
+            ..RenderOptions::default()
         })
     }
 }
@@ -251,7 +251,7 @@ impl zs_render_options {
 impl zs_picture {
     /// # Safety
     /// Pointers that are not NULL have capacity for the frame.
-    unsafe fn write(&self, frame: &Frame, format: zs_pixel_format, stride: isize) -> Result<(), Failure> {
+    unsafe fn write(&self, frame: &RenderOutput, format: zs_pixel_format, stride: isize) -> Result<(), Failure> {
         for (name, to, from) in [("alpha", self.alpha, &frame.alpha), ("depth", self.depth, &frame.depth)] {
             if let (false, Some(from)) = (to.is_null(), from) {
                 // SAFETY: the caller's promise.

@@ -12,10 +12,7 @@ use std::{
     ffi::{c_char, c_void},
     sync::{Arc, Mutex},
 };
-use zipsplat::types::{
-    Camera, Pose, Scene, SceneFormat, WriteOptions, decode_scene, decode_scene_unchecked, encode_scene,
-    preprocess::PixelMap, read_scene, read_scene_unchecked, write_scene,
-};
+use zipsplat::types::{Camera, Pose, SaveOptions, Scene, SceneFormat, preprocess::PixelMap};
 use zipsplat::{
     Error,
     gpu::Arena,
@@ -63,10 +60,11 @@ impl zs_scene {
     }
 
     pub(super) fn load(&self, renderer: &mut Renderer) -> Result<(), Error> {
-        let shown = self.on_device.as_ref().and_then(WeakScene::upgrade).map(|gaussians| renderer.show(&gaussians));
+        let shown =
+            self.on_device.as_ref().and_then(WeakScene::upgrade).map(|gaussians| renderer.set_scene(&gaussians));
         match shown {
             Some(Ok(())) => Ok(()),
-            _ => renderer.load(&self.scene),
+            _ => renderer.set_scene(&self.scene),
         }
     }
 }
@@ -143,7 +141,7 @@ unsafe impl Versioned for zs_save_options {
     const NAME: &str = "zs_save_options";
     const FIRST_SIZE: usize = 8;
     fn defaults() -> Self {
-        Self { struct_size: size_of::<Self>() as u32, spz_version: WriteOptions::default().spz_version }
+        Self { struct_size: size_of::<Self>() as u32, spz_version: SaveOptions::default().spz_version }
     }
 }
 
@@ -207,7 +205,7 @@ const MAX_GAUSSIANS: usize = 1 << 28;
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_open(path: *const c_char, scene: *mut *mut zs_scene) -> zs_status {
     // SAFETY: a string or NULL.
-    let open = || Ok(read_scene(unsafe { text(path, "path") }?)?.into());
+    let open = || Ok(Scene::open(unsafe { text(path, "path") }?)?.into());
     // SAFETY: the caller's pointer.
     unsafe { produce(scene, open) }
 }
@@ -222,7 +220,7 @@ pub unsafe extern "C" fn zs_scene_open_dropping_invalid(
 ) -> zs_status {
     let open = || {
         // SAFETY: a string or NULL.
-        let mut scene = read_scene_unchecked(unsafe { text(path, "path") }?)?;
+        let mut scene = Scene::open_unchecked(unsafe { text(path, "path") }?)?;
         let count = scene.drop_invalid()? as u64;
         if !dropped.is_null() {
             // SAFETY: not NULL, and the caller's to write.
@@ -252,9 +250,9 @@ pub unsafe extern "C" fn zs_scene_from_memory(
             unsafe { (array(data.cast::<u8>(), size, "bytes of a scene")?, optional_text(format, "format")?) };
         let format = format.map(format_named).transpose()?;
         if dropped.is_null() {
-            return Ok(decode_scene(bytes, format)?.into());
+            return Ok(Scene::decode(bytes, format)?.into());
         }
-        let mut scene = decode_scene_unchecked(bytes, format)?;
+        let mut scene = Scene::decode_unchecked(bytes, format)?;
         let count = scene.drop_invalid()? as u64;
         // SAFETY: not NULL, and the caller's to write.
         unsafe { dropped.write(count) };
@@ -287,7 +285,7 @@ pub unsafe extern "C" fn zs_scene_save(
         // SAFETY: an object or NULL, a string or NULL, a structure or NULL.
         let (scene, path, options) =
             unsafe { (borrow(scene, "scene")?, text(path, "path")?, read_versioned(options)?) };
-        Ok(write_scene(path, &scene.scene, &WriteOptions { spz_version: options.spz_version })?)
+        Ok(scene.scene.save_with(path, &SaveOptions { spz_version: options.spz_version })?)
     })
 }
 
@@ -303,8 +301,8 @@ pub unsafe extern "C" fn zs_scene_to_memory(
         // SAFETY: an object or NULL, a string or NULL, a structure or NULL.
         let (scene, format, options) =
             unsafe { (borrow(scene, "scene")?, text(format, "format")?, read_versioned(options)?) };
-        let options = WriteOptions { spz_version: options.spz_version };
-        Ok(zs_bytes { bytes: encode_scene(&scene.scene, format_named(format)?, &options)? })
+        let options = SaveOptions { spz_version: options.spz_version };
+        Ok(zs_bytes { bytes: scene.scene.encode(format_named(format)?, &options)? })
     };
     // SAFETY: the caller's pointer.
     unsafe { produce(bytes, encode) }

@@ -126,6 +126,7 @@ impl From<Error> for Failure {
             Error::Driver { .. } => ZS_ERROR_DRIVER,
             Error::DeviceLost => ZS_ERROR_DEVICE_LOST,
             Error::Cancelled => ZS_ERROR_CANCELLED,
+            _ => ZS_ERROR_INTERNAL,
         };
         Self { status, message: error.to_string() }
     }

@@ -13,7 +13,7 @@ use std::{
 };
 use zipsplat::{
     gpu::{Adopted, Device, ImagePlace, Point, QueueLock, Requirement, Target, fast_requirements, requirements},
-    stages::render::{PixelLayout, RenderRequest},
+    stages::render::{PixelLayout, RenderOptions},
 };
 
 /// Kinds of zs_vulkan_requirement.
@@ -326,7 +326,7 @@ pub unsafe extern "C" fn zs_render_to_vulkan(
         // SAFETY: a structure or NULL with valid handles.
         let target = unsafe { read_versioned(target)?.target(&camera, layout) }?;
         let (background, antialiased) = (options.background, options.antialiased != 0);
-        let request = RenderRequest { background, antialiased, ..RenderRequest::default() };
+        let request = RenderOptions { background, antialiased, ..RenderOptions::default() };
         Ok(renderer.lock().render_to(&camera, &request, layout, &target)?)
     })
 }

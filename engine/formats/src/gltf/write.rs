@@ -4,7 +4,7 @@ use base64::{Engine, engine::general_purpose::STANDARD};
 use serde_json::{Value, json};
 
 use super::EXTENSION;
-use crate::format::{Encoder, WriteOptions};
+use crate::format::{Encoder, SaveOptions};
 use crate::{Error, Result};
 use crate::{Scene, World, axes::HalfTurn::AboutZ, camera::unit_quaternion, world::MADE_BY};
 
@@ -41,14 +41,14 @@ impl Attributes {
 /// GiB.
 pub fn write_gltf(scene: &Scene, path: impl AsRef<Path>, binary: bool) -> Result<()> {
     let format = if binary { &super::BINARY } else { &super::TEXT };
-    format.write_file(path.as_ref(), scene, &WriteOptions::default(), None)
+    format.write_file(path.as_ref(), scene, &SaveOptions::default(), None)
 }
 
-pub(super) fn binary<'a>(scene: &'a Scene, _: &WriteOptions, world: Option<&World>) -> Result<Encoder<'a>> {
+pub(super) fn binary<'a>(scene: &'a Scene, _: &SaveOptions, world: Option<&World>) -> Result<Encoder<'a>> {
     encoder(scene, true, world)
 }
 
-pub(super) fn text<'a>(scene: &'a Scene, _: &WriteOptions, world: Option<&World>) -> Result<Encoder<'a>> {
+pub(super) fn text<'a>(scene: &'a Scene, _: &SaveOptions, world: Option<&World>) -> Result<Encoder<'a>> {
     encoder(scene, false, world)
 }
 

@@ -5,17 +5,17 @@ use serde_json::Value;
 
 use super::super::{Camera, Intrinsics};
 use super::matrix::{from_opengl, rigid_matrix, whole};
-use super::{Frame, Poses, checked};
+use super::{Capture, CaptureView, checked};
 
 const ASPECT_TOLERANCE: f64 = 1e-2;
 
 /// Assumes square pixels and ignores `aspect`, as nerfstudio does.
-pub(super) fn parse(file: &Value) -> Result<Poses, String> {
+pub(super) fn parse(file: &Value) -> Result<Capture, String> {
     check_perspective(file, "camera_type")?;
     let side = |key: &str| whole(file, key, "the file")?.ok_or_else(|| format!("{key}: expected a number of pixels"));
     let (width, height) = (side("render_width")?, side("render_height")?);
     let path = file["camera_path"].as_array().ok_or("camera_path: expected a list")?;
-    let mut poses = Poses::default();
+    let mut poses = Capture::default();
     let mut other_aspects = 0;
     for (i, frame) in path.iter().enumerate() {
         let name = format!("camera_path[{i}]");
@@ -31,10 +31,10 @@ pub(super) fn parse(file: &Value) -> Result<Poses, String> {
         let mut intrinsics = Intrinsics::from_fov(width, height, vfov, vfov);
         intrinsics.fx = intrinsics.fy;
         let camera = checked(Camera { intrinsics, pose: from_opengl(matrix) }, &name)?;
-        poses.frames.push(Frame { name, photo: None, camera, lens: None });
+        poses.frames.push(CaptureView { name, photo: None, camera, lens: None });
     }
     if other_aspects > 0 {
-        poses.notes.push(format!("aspect of {other_aspects} cameras is ignored: pictures are {width}x{height}"));
+        poses.warnings.push(format!("aspect of {other_aspects} cameras is ignored: pictures are {width}x{height}"));
     }
     Ok(poses)
 }

@@ -2,7 +2,7 @@ use glam::{DMat3, DMat4, DVec3};
 use serde_json::Value;
 
 use super::super::{Camera, Intrinsics, Pose};
-use super::{Frame, Poses, checked};
+use super::{Capture, CaptureView, checked};
 
 /// Parses a matrix of 4-number rows or a flat row-major list. The last row, 0 0 0 1, is optional.
 pub(super) fn rigid_matrix(value: &Value) -> Option<DMat4> {
@@ -33,12 +33,12 @@ pub(super) fn from_opengl(matrix: DMat4) -> Pose {
     Pose { rotation: pose.rotation * DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0)), ..pose }
 }
 
-pub(super) fn parse_list(list: &[Value], lens: &Intrinsics) -> Result<Poses, String> {
-    let mut poses = Poses::default();
+pub(super) fn parse_list(list: &[Value], lens: &Intrinsics) -> Result<Capture, String> {
+    let mut poses = Capture::default();
     for (i, element) in list.iter().enumerate() {
         let name = format!("[{i}]");
         let camera = parse_camera(element, lens, &name)?;
-        poses.frames.push(Frame { camera: checked(camera, &name)?, name, photo: None, lens: None });
+        poses.frames.push(CaptureView { camera: checked(camera, &name)?, name, photo: None, lens: None });
     }
     Ok(poses)
 }

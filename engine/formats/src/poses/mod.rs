@@ -24,21 +24,21 @@ pub use transforms::{write_frames, write_frames_with, write_transforms};
 
 /// A capture's posed photos.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Poses {
+pub struct Capture {
     /// In file order, or by name if the file has none.
-    pub frames: Vec<Frame>,
+    pub frames: Vec<CaptureView>,
     /// Point cloud for [`read_cloud`], if present: `ply_file_path`, `points.ply` or COLMAP's
     /// `points3D`.
     pub points: Option<PathBuf>,
     /// Notes for the user on ignored data.
-    pub notes: Vec<String>,
+    pub warnings: Vec<String>,
     /// Expected photo paths of frames left out because their size is unknown.
     pub sizeless: Vec<PathBuf>,
 }
 
 /// A posed photo.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Frame {
+pub struct CaptureView {
     /// Photo name as in the file.
     pub name: String,
     /// Photo path, if found near the file.
@@ -50,7 +50,7 @@ pub struct Frame {
     pub lens: Option<Lens>,
 }
 
-impl Frame {
+impl CaptureView {
     fn new(name: String, photo: Option<PathBuf>, lens: Lens, pose: Pose, label: &str) -> Result<Self, String> {
         let camera = checked(Camera { intrinsics: lens.intrinsics, pose }, label)?;
         if lens.distortion.is_none() {
@@ -71,14 +71,71 @@ impl Frame {
     }
 }
 
-impl Poses {
+impl Capture {
+    /// Reads camera poses of a capture.
+    ///
+    /// Accepts a `transforms.json`, a COLMAP model folder (`cameras` and `images` as `.bin` or `.txt`),
+    /// or a folder with one of these, directly or under `sparse/0`. Without `transforms.json`, a
+    /// folder's `transforms_train.json` is read. A text file that starts with a URL is RealEstate10K,
+    /// with frames next to it or in a folder of its name.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Format`] with file, frame and field for malformed files, [`Error::Argument`] if `path`
+    /// has no known cameras.
+    pub fn open(path: impl AsRef<Path>) -> Result<Self> {
+        let path = path.as_ref();
+        let found = path.metadata().map_err(|source| Error::io(path, source))?;
+        if found.is_file() && path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json")) {
+            return transforms::read(path);
+        }
+        if found.is_file() && realestate::is_file(path) {
+            return realestate::read(path);
+        }
+        let folder = if found.is_file() { path.parent().unwrap_or(path) } else { path };
+        if found.is_dir()
+            && let Some(file) = TRANSFORMS.map(|name| path.join(name)).into_iter().find(|file| file.is_file())
+        {
+            return transforms::read(&file);
+        }
+        let model = ["", "0", "sparse/0", "sparse", "colmap/sparse/0"].iter().map(|below| folder.join(below));
+        match model.into_iter().find(|model| colmap::is_model(model)) {
+            Some(model) => colmap::read(&model),
+            None => Err(Error::argument("poses", path.display(), "a transforms.json or a COLMAP model's folder")),
+        }
+    }
+
+    /// Reads cameras for rendering.
+    ///
+    /// Accepts everything that [`Capture::open`] accepts, nerfstudio's `camera_path.json`, and JSON lists.
+    /// List elements are camera-to-world matrices with OpenCV axes (4 x 4 or flat), or objects with
+    /// `matrix` (the same) or `viewmat` (world-to-camera). Objects may have their own lens: `fx`,
+    /// `width`, `height`, and optionally `fy`, `cx`, `cy`. The default is `lens`.
+    pub fn open_cameras(path: impl AsRef<Path>, lens: &Intrinsics) -> Result<Self> {
+        let path = path.as_ref();
+        if path.is_file() && path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json")) {
+            let bytes = read_file(path)?;
+            let value: Value =
+                serde_json::from_slice(&bytes).map_err(|error| Error::format(path, None, error.to_string()))?;
+            let parsed = match &value {
+                Value::Array(list) => Some(matrix::parse_list(list, lens)),
+                _ if value.get("camera_path").is_some() => Some(camera_path::parse(&value)),
+                _ => None,
+            };
+            if let Some(parsed) = parsed {
+                return parsed.map_err(|reason| Error::format(path, None, reason));
+            }
+        }
+        Self::open(path)
+    }
+
     /// Determines the scene scale for a reconstruction from `views`, see [`SceneScale::of`].
     pub fn scene_scale(&self, given: Option<f64>, views: &[Camera], origin: &Pose) -> Result<SceneScale> {
         let cameras: Vec<Pose> = self.frames.iter().map(|frame| frame.camera.pose).collect();
         SceneScale::of(given, &cameras, self.points.as_deref(), views, origin)
     }
 
-    /// Returns the cameras of `photos`, matched as in [`Poses::frames_of`].
+    /// Returns the cameras of `photos`, matched as in [`Capture::frames_of`].
     pub fn for_photos(&self, photos: &[impl AsRef<Path>]) -> Result<Vec<Camera>> {
         Ok(self.frames_of(photos)?.into_iter().map(|frame| frame.camera).collect())
     }
@@ -89,12 +146,12 @@ impl Poses {
     /// # Errors
     /// [`Error::Argument`] for a photo without a frame, with several equal matches, or with another
     /// photo's frame.
-    pub fn frames_of(&self, photos: &[impl AsRef<Path>]) -> Result<Vec<&Frame>> {
+    pub fn frames_of(&self, photos: &[impl AsRef<Path>]) -> Result<Vec<&CaptureView>> {
         let find = |photo: &Path| self.frame_of(photo)?.ok_or_else(|| self.lacks(photo));
-        let frames = photos.iter().map(|photo| find(photo.as_ref())).collect::<Result<Vec<&Frame>>>()?;
+        let frames = photos.iter().map(|photo| find(photo.as_ref())).collect::<Result<Vec<&CaptureView>>>()?;
         // The same photo may be given twice, but two photos cannot share a frame.
         let file = |photo: &Path| photo.canonicalize().unwrap_or_else(|_| photo.to_path_buf());
-        let mut photo_of: HashMap<*const Frame, &Path> = HashMap::new();
+        let mut photo_of: HashMap<*const CaptureView, &Path> = HashMap::new();
         for (photo, frame) in photos.iter().map(AsRef::as_ref).zip(&frames) {
             let other = *photo_of.entry(*frame).or_insert(photo);
             if other != photo && file(other) != file(photo) {
@@ -117,21 +174,21 @@ impl Poses {
         }
     }
 
-    /// Returns the frame of a photo, matched as in [`Poses::frames_of`]; `None` if no name matches.
+    /// Returns the frame of a photo, matched as in [`Capture::frames_of`]; `None` if no name matches.
     ///
     /// # Errors
     ///
     /// [`Error::Argument`] for several equal matches.
-    pub fn frame_of(&self, photo: impl AsRef<Path>) -> Result<Option<&Frame>> {
+    pub fn frame_of(&self, photo: impl AsRef<Path>) -> Result<Option<&CaptureView>> {
         let photo = photo.as_ref();
-        let named = |name: Option<&OsStr>| -> Vec<&Frame> {
+        let named = |name: Option<&OsStr>| -> Vec<&CaptureView> {
             self.frames.iter().filter(|frame| Path::new(&frame.name).file_name() == name).collect()
         };
         let mut found = named(photo.file_name());
         if found.is_empty() {
             found = named(photo.file_stem());
         }
-        let common = |frame: &Frame| common_folders(photo, Path::new(&frame.name));
+        let common = |frame: &CaptureView| common_folders(photo, Path::new(&frame.name));
         let most = found.iter().map(|frame| common(frame)).max();
         match found.iter().filter(|frame| Some(common(frame)) == most).collect::<Vec<_>>()[..] {
             [] => Ok(None),
@@ -158,63 +215,6 @@ fn common_folders(a: &Path, b: &Path) -> usize {
 
 /// Camera file names; the second has the training views of NeRF's synthetic scenes.
 const TRANSFORMS: [&str; 2] = ["transforms.json", "transforms_train.json"];
-
-/// Reads camera poses of a capture.
-///
-/// Accepts a `transforms.json`, a COLMAP model folder (`cameras` and `images` as `.bin` or `.txt`),
-/// or a folder with one of these, directly or under `sparse/0`. Without `transforms.json`, a
-/// folder's `transforms_train.json` is read. A text file that starts with a URL is RealEstate10K,
-/// with frames next to it or in a folder of its name.
-///
-/// # Errors
-///
-/// [`Error::Format`] with file, frame and field for malformed files, [`Error::Argument`] if `path`
-/// has no known cameras.
-pub fn read_poses(path: impl AsRef<Path>) -> Result<Poses> {
-    let path = path.as_ref();
-    let found = path.metadata().map_err(|source| Error::io(path, source))?;
-    if found.is_file() && path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json")) {
-        return transforms::read(path);
-    }
-    if found.is_file() && realestate::is_file(path) {
-        return realestate::read(path);
-    }
-    let folder = if found.is_file() { path.parent().unwrap_or(path) } else { path };
-    if found.is_dir()
-        && let Some(file) = TRANSFORMS.map(|name| path.join(name)).into_iter().find(|file| file.is_file())
-    {
-        return transforms::read(&file);
-    }
-    let model = ["", "0", "sparse/0", "sparse", "colmap/sparse/0"].iter().map(|below| folder.join(below));
-    match model.into_iter().find(|model| colmap::is_model(model)) {
-        Some(model) => colmap::read(&model),
-        None => Err(Error::argument("poses", path.display(), "a transforms.json or a COLMAP model's folder")),
-    }
-}
-
-/// Reads cameras for rendering.
-///
-/// Accepts everything that [`read_poses`] accepts, nerfstudio's `camera_path.json`, and JSON lists.
-/// List elements are camera-to-world matrices with OpenCV axes (4 x 4 or flat), or objects with
-/// `matrix` (the same) or `viewmat` (world-to-camera). Objects may have their own lens: `fx`,
-/// `width`, `height`, and optionally `fy`, `cx`, `cy`. The default is `lens`.
-pub fn read_cameras(path: impl AsRef<Path>, lens: &Intrinsics) -> Result<Poses> {
-    let path = path.as_ref();
-    if path.is_file() && path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json")) {
-        let bytes = read_file(path)?;
-        let value: Value =
-            serde_json::from_slice(&bytes).map_err(|error| Error::format(path, None, error.to_string()))?;
-        let parsed = match &value {
-            Value::Array(list) => Some(matrix::parse_list(list, lens)),
-            _ if value.get("camera_path").is_some() => Some(camera_path::parse(&value)),
-            _ => None,
-        };
-        if let Some(parsed) = parsed {
-            return parsed.map_err(|reason| Error::format(path, None, reason));
-        }
-    }
-    read_poses(path)
-}
 
 /// Reads a point cloud in its cameras' world: a PLY, or COLMAP's `points3D.bin` or `points3D.txt`.
 pub fn read_cloud(path: impl AsRef<Path>) -> Result<PointCloud> {

@@ -6,7 +6,7 @@ use glam::{DMat3, DVec3};
 
 use super::super::file::read_file;
 use super::super::{Camera, Image, Intrinsics, Pose};
-use super::{Frame, Poses, checked, transforms::find_photo};
+use super::{Capture, CaptureView, checked, transforms::find_photo};
 use crate::{Error, Result};
 
 /// Numbers per line: microseconds, 4 intrinsics relative to the sides, 2 unused, and a 3 x 4
@@ -19,11 +19,11 @@ pub(super) fn is_file(path: &Path) -> bool {
 }
 
 /// Frames are named by microseconds, next to the file or in a folder of its name.
-pub(super) fn read(path: &Path) -> Result<Poses> {
+pub(super) fn read(path: &Path) -> Result<Capture> {
     let bytes = read_file(path)?;
     let text = str::from_utf8(&bytes).map_err(|error| Error::format(path, None, error.to_string()))?;
     let folders = [path.with_extension(""), path.parent().unwrap_or(Path::new("")).to_owned()];
-    let mut poses = Poses::default();
+    let mut poses = Capture::default();
     for (i, line) in text.lines().enumerate().skip(1).filter(|(_, line)| !line.trim().is_empty()) {
         let label = format!("line {}", i + 1);
         let malformed = |reason: String| Error::format(path, None, format!("{label}: {reason}"));
@@ -44,11 +44,11 @@ pub(super) fn read(path: &Path) -> Result<Poses> {
         let (width, height) = Image::size_as_stored(&photo)?;
         let camera = Camera { intrinsics: intrinsics(&numbers[1..5], width, height), pose: pose(&numbers[7..]) };
         let camera = checked(camera, "camera").map_err(malformed)?;
-        poses.frames.push(Frame { name: name.into(), photo: Some(photo), camera, lens: None });
+        poses.frames.push(CaptureView { name: name.into(), photo: Some(photo), camera, lens: None });
     }
     if let Some(place) = poses.sizeless.first() {
         let count = poses.sizeless.len();
-        poses.notes.push(format!("{count} frames left out: no picture of them, such as {}", place.display()));
+        poses.warnings.push(format!("{count} frames left out: no picture of them, such as {}", place.display()));
     }
     Ok(poses)
 }

@@ -8,14 +8,14 @@ use serde_json::{Map, Value, json};
 use super::super::file::{read_file, write_atomic};
 use super::super::{Camera, Distortion, Image, Intrinsics, Lens, Pose};
 use super::matrix::{from_opengl, rigid_matrix};
-use super::{Frame, Poses};
+use super::{Capture, CaptureView};
 use crate::{Error, Result};
 
 const EXTENSIONS: [&str; 6] = ["png", "jpg", "jpeg", "webp", "JPG", "PNG"];
 
 type Parsed<T> = std::result::Result<T, String>;
 
-pub(super) fn read(path: &Path) -> Result<Poses> {
+pub(super) fn read(path: &Path) -> Result<Capture> {
     let bytes = read_file(path)?;
     let folder = path.parent().unwrap_or(Path::new(""));
     let parse = || {
@@ -25,11 +25,11 @@ pub(super) fn read(path: &Path) -> Result<Poses> {
     parse().map_err(|reason| Error::format(path, None, reason))
 }
 
-fn parse(shared: &Value, folder: &Path) -> Parsed<Poses> {
+fn parse(shared: &Value, folder: &Path) -> Parsed<Capture> {
     let frames = shared.get("frames").and_then(Value::as_array).ok_or("frames: expected a list")?;
     let cloud = shared.get("ply_file_path").and_then(Value::as_str).unwrap_or("points.ply");
     let cloud = Some(folder.join(cloud)).filter(|path| path.is_file());
-    let mut poses = Poses { points: cloud, ..Poses::default() };
+    let mut poses = Capture { points: cloud, ..Capture::default() };
     for (i, frame) in frames.iter().enumerate() {
         let fields = Fields { frame, shared, label: format!("frames[{i}]") };
         let name = fields.get("file_path").and_then(Value::as_str).ok_or_else(|| fields.lacks("file_path"))?;
@@ -39,11 +39,11 @@ fn parse(shared: &Value, folder: &Path) -> Parsed<Poses> {
             continue;
         };
         let lens = Lens { distortion: fields.distortion()?, intrinsics: fields.intrinsics(width, height)? };
-        poses.frames.push(Frame::new(name.into(), photo, lens, fields.pose()?, &fields.label)?);
+        poses.frames.push(CaptureView::new(name.into(), photo, lens, fields.pose()?, &fields.label)?);
     }
     if let Some(place) = poses.sizeless.first() {
         let why = format!("no w and h, and no photo to take them from, such as {}", place.display());
-        poses.notes.push(format!("{} frames left out: {why}", poses.sizeless.len()));
+        poses.warnings.push(format!("{} frames left out: {why}", poses.sizeless.len()));
     }
     Ok(poses)
 }
@@ -143,7 +143,7 @@ pub fn write_transforms(path: impl AsRef<Path>, cameras: &[Camera], names: &[imp
     if cameras.len() != names.len() {
         return Err(Error::argument("names", names.len(), format!("one for each of {} cameras", cameras.len())));
     }
-    let frame = |(camera, name): (&Camera, _)| Frame { name, photo: None, camera: *camera, lens: None };
+    let frame = |(camera, name): (&Camera, _)| CaptureView { name, photo: None, camera: *camera, lens: None };
     let names = names.iter().map(|name| name.as_ref().to_owned());
     write_frames(path, &cameras.iter().zip(names).map(frame).collect::<Vec<_>>(), None)
 }
@@ -154,21 +154,21 @@ pub fn write_transforms(path: impl AsRef<Path>, cameras: &[Camera], names: &[imp
 /// # Errors
 ///
 /// [`Error::Argument`] for an invalid camera.
-pub fn write_frames(path: impl AsRef<Path>, frames: &[Frame], points: Option<&str>) -> Result<()> {
+pub fn write_frames(path: impl AsRef<Path>, frames: &[CaptureView], points: Option<&str>) -> Result<()> {
     write_frames_with(path, frames, points, &[])
 }
 
 /// Writes frames as [`write_frames`], with optional extra fields per frame.
 pub fn write_frames_with(
     path: impl AsRef<Path>,
-    frames: &[Frame],
+    frames: &[CaptureView],
     points: Option<&str>,
     fields: &[Map<String, Value>],
 ) -> Result<()> {
     for (i, frame) in frames.iter().enumerate() {
         frame.camera.validate(&format!("camera {i}"))?;
     }
-    let lens = |frame: &Frame| (frame.camera.intrinsics, frame.lens);
+    let lens = |frame: &CaptureView| (frame.camera.intrinsics, frame.lens);
     let shared = frames.windows(2).all(|pair| lens(&pair[0]) == lens(&pair[1]));
     let mut top = Map::from_iter([("generator".into(), json!("zipsplat"))]);
     top.extend(points.map(|points| ("ply_file_path".into(), json!(points))));
@@ -177,7 +177,7 @@ pub fn write_frames_with(
         [] => top.extend([("camera_model".into(), json!(PINHOLE))]),
         _ => {}
     }
-    let object = |(i, frame): (usize, &Frame)| {
+    let object = |(i, frame): (usize, &CaptureView)| {
         let mut object = Map::from_iter([("file_path".into(), json!(frame.name))]);
         object.insert("transform_matrix".into(), opengl_rows(&frame.camera.pose));
         if !shared {
@@ -195,7 +195,7 @@ pub fn write_frames_with(
 
 const PINHOLE: &str = "PINHOLE";
 
-fn lens_fields(frame: &Frame) -> Map<String, Value> {
+fn lens_fields(frame: &CaptureView) -> Map<String, Value> {
     let Some(lens) = &frame.lens else {
         let model = ("camera_model".to_owned(), json!(PINHOLE));
         return intrinsics_fields(&frame.camera.intrinsics).into_iter().chain([model]).collect();

@@ -12,7 +12,7 @@ use std::path::Path;
 
 use flate2::read::GzDecoder;
 
-use super::format::{Encoder, Format, WriteOptions};
+use super::format::{Encoder, Format, SaveOptions};
 use super::{Scene, World, source::Source};
 use crate::{Error, Result};
 use codec::Layout;
@@ -49,7 +49,7 @@ const ALWAYS_INFLATED: u64 = 64 << 20;
 ///
 /// [`Error::Argument`] if the scene is invalid, a position exceeds 2²³ or the version is unknown.
 pub fn write_spz(scene: &Scene, path: impl AsRef<Path>, version: u32) -> Result<()> {
-    FORMAT.write_file(path.as_ref(), scene, &WriteOptions { spz_version: version }, None)
+    FORMAT.write_file(path.as_ref(), scene, &SaveOptions { spz_version: version }, None)
 }
 
 fn read_line(path: &Path) -> Result<Option<String>> {
@@ -57,7 +57,7 @@ fn read_line(path: &Path) -> Result<Option<String>> {
     Ok(decoder.header().and_then(|header| header.comment()).map(|bytes| String::from_utf8_lossy(bytes).into_owned()))
 }
 
-fn encoder<'a>(scene: &'a Scene, options: &WriteOptions, world: Option<&World>) -> Result<Encoder<'a>> {
+fn encoder<'a>(scene: &'a Scene, options: &SaveOptions, world: Option<&World>) -> Result<Encoder<'a>> {
     let (version, comment) = (options.spz_version, World::line(world));
     if !matches!(version, 2..=4) {
         return Err(Error::argument("SPZ version", version, "2, 3 or 4"));

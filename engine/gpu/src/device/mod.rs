@@ -39,7 +39,7 @@ use std::{
 #[derive(Clone, Debug)]
 pub struct DeviceOptions {
     /// Index in [`crate::list_devices`], part of a name, or UUID; `None` picks the best device.
-    pub selector: Option<String>,
+    pub device: Option<String>,
     /// Enables the Khronos validation layer with synchronization validation; any message fails the
     /// run. Scratch tensors are filled with NaN before their first use.
     pub validation: bool,
@@ -59,7 +59,7 @@ impl Default for DeviceOptions {
         let is_set = |name| std::env::var(name).is_ok_and(|v| v == "1");
         let (validation, robust_access) = (is_set("ZIPSPLAT_VALIDATION"), is_set("ZIPSPLAT_BOUND"));
         Self {
-            selector: None,
+            device: None,
             validation,
             max_binding_bytes: None,
             max_memory_bytes: None,
@@ -114,10 +114,10 @@ impl Device {
         let names = || devices.iter().map(|(_, d)| format!("{}: {}", d.index, d.limits.name)).collect::<Vec<_>>();
         let matching: Vec<_> = devices
             .iter()
-            .filter(|(_, d)| options.selector.as_ref().is_none_or(|selector| d.is_selected(selector)))
+            .filter(|(_, d)| options.device.as_ref().is_none_or(|selector| d.is_selected(selector)))
             .collect();
         if matching.is_empty() {
-            let selector = options.selector.clone().unwrap_or_default();
+            let selector = options.device.clone().unwrap_or_default();
             return Err(Error::NoDevice(format!(
                 "none is '{selector}': digits are an index; those of this machine: {}",
                 names().join(", ")
@@ -125,7 +125,7 @@ impl Device {
         }
         let Some((physical, chosen)) = matching
             .iter()
-            .filter(|(_, d)| d.missing.is_empty())
+            .filter(|(_, d)| d.unusable_reason.is_empty())
             .min_by_key(|(_, d)| (d.limits.cpu, !d.limits.discrete, d.index))
         else {
             let why: Vec<_> = matching.iter().map(|(_, d)| d.lacks()).collect();
@@ -137,7 +137,7 @@ impl Device {
         Shared::open(instance, physical, index, options, passed_over).map(|s| Self(Arc::new(s)))
     }
 
-    /// Returns the device's index for [`DeviceOptions::selector`]; 0 for adopted devices.
+    /// Returns the device's index for [`DeviceOptions::device`]; 0 for adopted devices.
     pub fn index(&self) -> usize {
         self.0.index
     }

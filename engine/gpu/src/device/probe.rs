@@ -13,7 +13,7 @@ pub struct DeviceInfo {
     /// Index for `--device`.
     pub index: usize,
     /// Missing requirements; empty if the device is usable.
-    pub missing: Vec<String>,
+    pub unusable_reason: Vec<String>,
     /// Name, driver, limits and features.
     pub limits: Limits,
 }
@@ -33,7 +33,7 @@ impl DeviceInfo {
     }
 
     pub(crate) fn lacks(&self) -> String {
-        format!("{} lacks {}", self.limits.name, self.missing.join(", "))
+        format!("{} lacks {}", self.limits.name, self.unusable_reason.join(", "))
     }
 }
 
@@ -56,7 +56,7 @@ pub(crate) fn devices(instance: &Instance) -> Result<Vec<(vk::PhysicalDevice, De
     }
     let info = |(index, device): (usize, vk::PhysicalDevice)| {
         let (limits, support) = probe(instance, device);
-        (device, DeviceInfo { index, missing: missing_features(&limits, &support), limits })
+        (device, DeviceInfo { index, unusable_reason: missing_features(&limits, &support), limits })
     };
     Ok(physical.into_iter().enumerate().map(info).collect())
 }
@@ -260,7 +260,7 @@ mod tests {
         let device = |(index, name): (usize, &&str)| {
             let identity = format!("{index}{}-driver", "0123456789abcdef".repeat(2).split_off(1));
             let limits = Limits { name: name.to_string(), identity, ..Limits::default() };
-            DeviceInfo { index, missing: Vec::new(), limits }
+            DeviceInfo { index, unusable_reason: Vec::new(), limits }
         };
         let devices: Vec<_> = names.iter().enumerate().map(device).collect();
         let selected = |selector: &str| {

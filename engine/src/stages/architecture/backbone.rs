@@ -18,7 +18,7 @@ pub struct BackboneArchitecture {
     /// Its hidden channels; for SwiGLU, those of `gate`.
     pub ffn_hidden: usize,
     /// Patch side in pixels.
-    pub patch: usize,
+    pub patch_size: usize,
     /// Side of the learned position grid.
     pub position_grid: usize,
     /// First block that may be global, where camera tokens enter; `depth` or more for separate

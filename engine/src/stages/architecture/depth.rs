@@ -52,7 +52,7 @@ impl DepthArchitecture {
             heads: width / 64,
             ffn,
             ffn_hidden: if ffn == Ffn::Gelu { 4 * width } else { gated },
-            patch: 14,
+            patch_size: 14,
             position_grid: 37,
             alt_start,
             qk_norm_start: alt_start,
@@ -106,9 +106,9 @@ impl DepthArchitecture {
             expect((1..=most).contains(&found), field, found.to_string(), &format!("1 to {most}"))?;
         }
         expect(
-            b.patch.is_multiple_of(2) && (2..=256).contains(&b.patch),
+            b.patch_size.is_multiple_of(2) && (2..=256).contains(&b.patch_size),
             "patch",
-            b.patch.to_string(),
+            b.patch_size.to_string(),
             "2 to 256, even",
         )?;
         expect(

@@ -42,7 +42,7 @@ pub struct Architecture {
     /// Its hidden channels; for SwiGLU, those of `gate`.
     pub ffn_hidden: usize,
     /// Patch side in pixels.
-    pub patch: usize,
+    pub patch_size: usize,
     /// Side of the learned position grid.
     pub position_grid: usize,
     /// First block that may be global, where camera tokens enter.
@@ -90,7 +90,7 @@ impl Architecture {
             heads,
             ffn: Ffn::Gelu,
             ffn_hidden: 4 * width,
-            patch: 14,
+            patch_size: 14,
             position_grid: 37,
             alt_start,
             qk_norm_start: alt_start,
@@ -140,7 +140,7 @@ impl Architecture {
             heads: self.heads,
             ffn: self.ffn,
             ffn_hidden: self.ffn_hidden,
-            patch: self.patch,
+            patch_size: self.patch_size,
             position_grid: self.position_grid,
             alt_start: self.alt_start,
             qk_norm_start: self.qk_norm_start,
@@ -174,7 +174,7 @@ impl Architecture {
             ("depth", self.depth, MAX_DEPTH),
             ("heads", self.heads, MAX_SIZE),
             ("ffn_hidden", self.ffn_hidden, MAX_SIZE),
-            ("patch", self.patch, 256),
+            ("patch", self.patch_size, 256),
             ("position_grid", self.position_grid, 1024),
             ("camera_depth", self.camera_depth, MAX_DEPTH),
             ("camera_heads", self.camera_heads, MAX_SIZE),
@@ -201,7 +201,7 @@ impl Architecture {
             let fits = width.is_multiple_of(found) && (width / found).is_multiple_of(4);
             self.expect(fits, field, found, format!("a divisor of the width {width} into heads of whole quads"))?;
         }
-        self.expect(self.patch.is_multiple_of(2), "patch", self.patch, "an even number of pixels")?;
+        self.expect(self.patch_size.is_multiple_of(2), "patch", self.patch_size, "an even number of pixels")?;
         self.expect(self.alt_start < self.depth, "alt_start", self.alt_start, format!("below {}", self.depth))?;
         self.expect(self.sh_degree <= MAX_SH_DEGREE, "sh_degree", self.sh_degree, format!("0 to {MAX_SH_DEGREE}"))?;
         let ascending = self.out_layers.is_sorted_by(|a, b| a < b);

@@ -30,7 +30,7 @@ impl Gaussians {
     pub fn new(p: &mut ParameterLayout, a: &Architecture) -> Self {
         let heads = Heads::new(a.color_heads, a.color_width);
         Self {
-            color_embed: p.convolution("color_embed.proj", &[3, a.patch, a.patch], a.color_width),
+            color_embed: p.convolution("color_embed.proj", &[3, a.patch_size, a.patch_size], a.color_width),
             color_cross: CrossBlock::new(p, "color_cross_attention", heads, a.color_hidden, EPS),
             head: head::layers(a).map(|(name, inner, columns)| p.linear(&name, inner, columns)),
         }

@@ -64,7 +64,7 @@ impl Dpt {
             let fused = self.fusion.record(rec, tap, &levels);
             let neck = self.neck.record(rec, "neck", fused, ConvolutionOptions::default());
             rec.observe("head/neck", neck.rows.tensor);
-            let full = size.map(|count| count * grid.patch);
+            let full = size.map(|count| count * grid.patch_size);
             let up = neck.resized(rec, "up", full, self.placed.then_some(&mut *positions));
             rec.observe("head/up", up.rows.tensor);
             let depth = self.depth.record(rec, "head/logits", up);

@@ -55,7 +55,7 @@ impl GaussianHead {
         positions: &mut Positions,
     ) -> GaussianTensors {
         let size = [grid.rows, grid.columns];
-        let full = size.map(|count| count * grid.patch);
+        let full = size.map(|count| count * grid.patch_size);
         let pixels = full[0] * full[1];
         let picture = rec.input::<f32>("picture", PICTURE * pixels);
         let levels = self.levels.record(rec, "gs", features, size, positions);

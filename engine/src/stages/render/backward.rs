@@ -2,7 +2,7 @@
 //! in order, without atomics.
 
 use super::{
-    Depth, FrameShape, RenderOutputs, RenderRequest, SceneGradients, SceneTensors, draw, intersect::TileLists,
+    Depth, FrameShape, RenderOptions, RenderOutputs, SceneGradients, SceneTensors, draw, intersect::TileLists,
     project::Splats,
 };
 use crate::{
@@ -35,7 +35,7 @@ const FLOPS: u64 = 60;
 /// backward pass. Exceeded capacity accumulates nothing.
 ///
 /// # Panics
-/// If `request` has outputs without gradients: normals, token colors, a pixel layout, expected
+/// If `options` has outputs without gradients: normals, token colors, a pixel layout, expected
 /// depth without alpha.
 #[expect(clippy::too_many_arguments)]
 pub fn record_with_gradients(
@@ -43,16 +43,16 @@ pub fn record_with_gradients(
     scene: &SceneTensors,
     cameras: Tensor,
     shape: FrameShape,
-    request: &RenderRequest,
+    options: &RenderOptions,
     capacity: usize,
     loss: impl FnOnce(&mut Recorder, Tensor) -> Tensor,
     gradients: &Gradients,
 ) -> RenderOutputs {
-    assert!(!request.normals && request.token_group.is_none(), "normals and token colours have no gradient");
-    assert!(request.layout.is_none(), "pixels of another layout have no gradient");
-    assert!(request.alpha || request.depth != Some(Depth::Expected), "the gradient of expected depth takes alpha");
+    assert!(!options.normals && options.token_group.is_none(), "normals and token colours have no gradient");
+    assert!(options.layout.is_none(), "pixels of another layout have no gradient");
+    assert!(options.alpha || options.depth != Some(Depth::Expected), "the gradient of expected depth takes alpha");
     let (splats, lists, frames) = rec.scope("render", |rec| {
-        let (splats, lists, frames) = draw(rec, scene, cameras, shape, request, capacity);
+        let (splats, lists, frames) = draw(rec, scene, cameras, shape, options, capacity);
         rec.output(frames);
         rec.output(lists.status);
         (splats, lists, frames)
@@ -60,7 +60,7 @@ pub fn record_with_gradients(
     let d_frames = loss(rec, frames);
     assert_eq!(d_frames.bytes(), frames.bytes(), "gradients of frames");
     rec.scope("render_backward", |rec| {
-        let backward = Backward { scene, cameras, shape, request, capacity, splats: &splats, lists: &lists };
+        let backward = Backward { scene, cameras, shape, options, capacity, splats: &splats, lists: &lists };
         let slots = backward.rasterize(rec, frames, d_frames);
         backward.splats(rec, &slots, gradients);
     });
@@ -71,7 +71,7 @@ struct Backward<'a> {
     scene: &'a SceneTensors,
     cameras: Tensor,
     shape: FrameShape,
-    request: &'a RenderRequest,
+    options: &'a RenderOptions,
     capacity: usize,
     splats: &'a Splats,
     lists: &'a TileLists,
@@ -88,17 +88,17 @@ struct Slots {
 
 impl Backward<'_> {
     fn rasterize(&self, rec: &mut Recorder, frames: Tensor, d_frames: Tensor) -> Slots {
-        let &Backward { splats, lists, shape, request, capacity, .. } = self;
+        let &Backward { splats, lists, shape, options, capacity, .. } = self;
         let starts = rec.tensor::<u32>("slots", splats.pairs + 1);
         let (tile_sets, indices, pairs) = (splats.tile_sets, splats.indices, splats.pairs as u32);
         rec.dispatch(TileCounts { tile_sets, indices, tile_counts: starts, pairs }, splats.pairs + 1);
         exclusive_scan(rec, starts, splats.pairs + 1);
 
-        let values = 3 * usize::from(request.rgb) + usize::from(request.depth.is_some());
+        let values = 3 * usize::from(options.rgb) + usize::from(options.depth.is_some());
         let moments = rec.tensor::<[f32; 6]>("moments", capacity);
         let d_values = rec.tensor::<f32>("d_values", capacity * values.max(1));
         let height = shape.height as usize;
-        let row = shape.width as usize * request.channels();
+        let row = shape.width as usize * options.channels();
         let rows_at_once = (rec.limits().max_binding_bytes as usize / (4 * row) / BAND * BAND).max(BAND);
         let bands = if shape.cameras == 1 { rows_at_once.min(height) } else { height };
         let runs = TILE * TILE / rec.limits().subgroup_size;
@@ -126,10 +126,10 @@ impl Backward<'_> {
                 row_count: rows as u32,
                 capacity: capacity as u32,
                 runs,
-                color: request.rgb,
-                alpha: request.alpha,
-                depth: request.depth.is_some(),
-                expected_depth: request.depth == Some(Depth::Expected),
+                color: options.rgb,
+                alpha: options.alpha,
+                depth: options.depth.is_some(),
+                expected_depth: options.depth == Some(Depth::Expected),
             };
             let groups = [shape.grid()[0], (rows as u32).div_ceil(TILE), shape.cameras as u32];
             rec.dispatch_groups(kernel, groups).flops(blends * FLOPS * rows as u64 / height as u64);
@@ -138,7 +138,7 @@ impl Backward<'_> {
     }
 
     fn splats(&self, rec: &mut Recorder, slots: &Slots, gradients: &Gradients) {
-        let &Backward { scene, cameras, shape, request, splats, lists, .. } = self;
+        let &Backward { scene, cameras, shape, options, splats, lists, .. } = self;
         let lanes = rec.limits().subgroup_size as usize;
         let stride = (scene.sh_degree as usize + 1).pow(2);
         let d_pairs = rec.tensor::<[f32; PAIR_NUMBERS]>("d_pairs", splats.pairs.max(1));
@@ -168,8 +168,8 @@ impl Backward<'_> {
                 d_sh_coeffs: gradients.scene.map_or(d_means, |d| of(d.sh_coeffs, 3 * stride)),
                 gaussians: len as u32,
                 camera_count: shape.cameras as u32,
-                color: request.rgb,
-                depth: request.depth.is_some(),
+                color: options.rgb,
+                depth: options.depth.is_some(),
                 sh_degree: scene.sh_degree,
                 scene_gradients: gradients.scene.is_some(),
             };
@@ -192,7 +192,7 @@ impl Backward<'_> {
                 camera_count: shape.cameras as u32,
                 width: shape.width,
                 height: shape.height,
-                antialiased: request.antialiased,
+                antialiased: options.antialiased,
                 scene_gradients: gradients.scene.is_some(),
                 camera_gradients: gradients.cameras.is_some(),
             };

@@ -1,6 +1,6 @@
 use super::{
-    CAMERA_NUMBERS, CameraRows, Depth, Frame, FrameShape, Gradients, PlanCache, PlanKey, RenderOutputs, RenderRequest,
-    SceneGradients, SceneTensors, camera_rows, first_capacity,
+    CAMERA_NUMBERS, CameraRows, Depth, FrameShape, Gradients, PlanCache, PlanKey, RenderOptions, RenderOutput,
+    RenderOutputs, SceneGradients, SceneTensors, camera_rows, first_capacity,
     range::{check, drawable},
     record_with_gradients,
 };
@@ -33,7 +33,7 @@ pub struct Wanted {
 pub struct Differentiator {
     arena: Arena,
     memory: Option<Memory>,
-    plans: PlanCache<(RenderRequest, Wanted), GradientPlan>,
+    plans: PlanCache<(RenderOptions, Wanted), GradientPlan>,
 }
 
 struct Memory {
@@ -65,17 +65,17 @@ impl Differentiator {
     ///
     /// # Panics
     ///
-    /// If `request` has outputs without gradients.
+    /// If `options` has outputs without gradients.
     pub fn differentiate(
         &mut self,
         scene: &Scene,
         cameras: &[Camera],
-        request: &RenderRequest,
-        weights: &[Frame],
+        options: &RenderOptions,
+        weights: &[RenderOutput],
         wanted: Wanted,
     ) -> Result<HostGradients> {
         scene.validate()?;
-        check(cameras, request)?;
+        check(cameras, options)?;
         if matches!(drawable(&scene.quats), std::borrow::Cow::Owned(_)) {
             return Err(Error::argument(
                 "quats",
@@ -93,11 +93,11 @@ impl Differentiator {
         }
         let _claim = self.arena.claim().expect("nobody else knows it");
         self.load(scene)?;
-        let request = request.with_near(scene.near());
+        let options = options.with_near(scene.near());
         let mut found = HostGradients::default();
         for (camera, weights) in cameras.iter().zip(weights) {
-            let values = interleaved(camera, weights, &request)?;
-            found.cameras.extend(self.add(camera, &request, &values, wanted)?);
+            let values = interleaved(camera, weights, &options)?;
+            found.cameras.extend(self.add(camera, &options, &values, wanted)?);
         }
         if let (true, Some(memory)) = (wanted.scene, &self.memory) {
             found.scene = memory.gradients.read(&memory.resident)?;
@@ -122,13 +122,13 @@ impl Differentiator {
     fn add(
         &mut self,
         camera: &Camera,
-        request: &RenderRequest,
+        options: &RenderOptions,
         weights: &[f32],
         wanted: Wanted,
     ) -> Result<Option<[f32; CAMERA_NUMBERS]>> {
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
         let shape = FrameShape { cameras: 1, width, height };
-        let key = PlanKey { shape, backward: true, options: (*request, wanted) };
+        let key = PlanKey { shape, backward: true, options: (*options, wanted) };
         let memory = self.memory.as_ref().expect("loaded before");
         // Plans that overflow accumulate nothing.
         loop {
@@ -151,19 +151,19 @@ impl GradientPlan {
         arena: &Arena,
         memory: &Memory,
         shape: FrameShape,
-        (request, wanted): (RenderRequest, Wanted),
+        (options, wanted): (RenderOptions, Wanted),
         capacity: usize,
     ) -> Result<Self> {
         let Memory { resident, scene, .. } = memory;
         let mut rec = Recorder::new(arena.device().limits());
         let cameras = rec.input::<CameraRows>("cameras", 1);
-        let values = request.channels() * shape.width as usize * shape.height as usize;
+        let values = options.channels() * shape.width as usize * shape.height as usize;
         let d_frames = rec.input::<f32>("d_frames", values);
         let d_cameras = wanted.cameras.then(|| rec.tensor::<[f32; CAMERA_NUMBERS]>("d_cameras", 1));
         d_cameras.iter().for_each(|tensor| rec.fill(*tensor, 0));
         let gradients = Gradients { scene: wanted.scene.then(|| memory.scene_gradients()), cameras: d_cameras };
         let given = |_: &mut Recorder, _| d_frames;
-        let outputs = record_with_gradients(&mut rec, scene, cameras, shape, &request, capacity, given, &gradients);
+        let outputs = record_with_gradients(&mut rec, scene, cameras, shape, &options, capacity, given, &gradients);
         d_cameras.iter().for_each(|tensor| rec.output(*tensor));
         let run = Run::in_arena(arena, 0, rec.finish()?, [resident.clone()])?;
         Ok(Self { run, cameras, d_frames, d_cameras, outputs })
@@ -196,14 +196,14 @@ impl Memory {
 }
 
 /// Missing outputs are 0.
-fn interleaved(camera: &Camera, weights: &Frame, request: &RenderRequest) -> Result<Vec<f32>> {
+fn interleaved(camera: &Camera, weights: &RenderOutput, options: &RenderOptions) -> Result<Vec<f32>> {
     let pixels = camera.intrinsics.width as usize * camera.intrinsics.height as usize;
     let asked = [
-        ("colour", request.rgb, &weights.rgb, 3),
-        ("alpha", request.alpha, &weights.alpha, 1),
-        ("depth", request.depth.is_some(), &weights.depth, 1),
+        ("colour", options.rgb, &weights.rgb, 3),
+        ("alpha", options.alpha, &weights.alpha, 1),
+        ("depth", options.depth.is_some(), &weights.depth, 1),
     ];
-    let (channels, mut first) = (request.channels(), 0);
+    let (channels, mut first) = (options.channels(), 0);
     let mut values = vec![0.0; pixels * channels];
     for (what, _, plane, width) in asked.into_iter().filter(|(_, asked, ..)| *asked) {
         if let Some(plane) = plane {
@@ -219,7 +219,7 @@ fn interleaved(camera: &Camera, weights: &Frame, request: &RenderRequest) -> Res
     Ok(values)
 }
 
-impl RenderRequest {
+impl RenderOptions {
     /// Adds alpha if expected depth needs it.
     pub fn differentiable(self) -> Self {
         Self { alpha: self.alpha || self.depth == Some(Depth::Expected), ..self }

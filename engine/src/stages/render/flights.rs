@@ -1,6 +1,6 @@
 //! Pipelined rendering: the device draws ahead of the host.
 
-use super::{CameraRows, Frame, FrameShape, RenderRequest, Renderer, camera_rows, range::check};
+use super::{CameraRows, FrameShape, RenderOptions, RenderOutput, Renderer, camera_rows, range::check};
 use crate::{Error, Result, gpu::Arena, types::Camera};
 use std::{collections::VecDeque, ops::Range};
 
@@ -23,17 +23,17 @@ impl Renderer {
     ///
     /// # Errors
     ///
-    /// As [`Renderer::render_loaded`], and the first error of `done`.
+    /// As [`Renderer::render`], and the first error of `done`.
     pub fn render_each(
         &mut self,
         cameras: &[Camera],
-        request: &RenderRequest,
-        mut done: impl FnMut(usize, Frame) -> Result<()>,
+        options: &RenderOptions,
+        mut done: impl FnMut(usize, RenderOutput) -> Result<()>,
     ) -> Result<()> {
-        check(cameras, request)?;
+        check(cameras, options)?;
         let _claim = self.claim();
         let rows: Vec<CameraRows> = cameras.iter().map(camera_rows).collect();
-        let result = self.fly(&self.groups(cameras), &rows, request, &mut done);
+        let result = self.fly(&self.groups(cameras), &rows, options, &mut done);
         self.settle().and(result)
     }
 
@@ -57,37 +57,37 @@ impl Renderer {
         &mut self,
         groups: &[(Range<usize>, FrameShape)],
         rows: &[CameraRows],
-        request: &RenderRequest,
-        done: &mut dyn FnMut(usize, Frame) -> Result<()>,
+        options: &RenderOptions,
+        done: &mut dyn FnMut(usize, RenderOutput) -> Result<()>,
     ) -> Result<()> {
         let mut flights = VecDeque::new();
         for (turn, (cameras, shape)) in groups.iter().enumerate() {
             if flights.len() == Arena::LANES {
-                self.land(&mut flights, rows, request, done)?;
+                self.land(&mut flights, rows, options, done)?;
             }
             let flight = Flight { cameras: cameras.clone(), shape: *shape, turn: turn % Arena::LANES };
-            match self.start(&flight, rows, request) {
+            match self.start(&flight, rows, options) {
                 Ok(()) => flights.push_back(flight),
                 // Continue unpipelined, in smaller batches.
                 Err(Error::Memory { .. }) => {
                     while !flights.is_empty() {
-                        self.land(&mut flights, rows, request, done)?;
+                        self.land(&mut flights, rows, options, done)?;
                     }
                     self.start_over()?;
-                    let frames = self.render_alike(&rows[cameras.clone()], (shape.width, shape.height), request)?;
+                    let frames = self.render_alike(&rows[cameras.clone()], (shape.width, shape.height), options)?;
                     cameras.clone().zip(frames).try_for_each(|(i, frame)| done(i, frame))?;
                 }
                 Err(error) => return Err(error),
             }
         }
         while !flights.is_empty() {
-            self.land(&mut flights, rows, request, done)?;
+            self.land(&mut flights, rows, options, done)?;
         }
         Ok(())
     }
 
-    fn start(&mut self, flight: &Flight, rows: &[CameraRows], request: &RenderRequest) -> Result<()> {
-        let plan = self.plan(flight.shape, request, flight.turn)?;
+    fn start(&mut self, flight: &Flight, rows: &[CameraRows], options: &RenderOptions) -> Result<()> {
+        let plan = self.plan(flight.shape, options, flight.turn)?;
         plan.run.write(plan.cameras, &rows[flight.cameras.clone()])?;
         plan.run.start()
     }
@@ -96,16 +96,16 @@ impl Renderer {
         &mut self,
         flights: &mut VecDeque<Flight>,
         rows: &[CameraRows],
-        request: &RenderRequest,
-        done: &mut dyn FnMut(usize, Frame) -> Result<()>,
+        options: &RenderOptions,
+        done: &mut dyn FnMut(usize, RenderOutput) -> Result<()>,
     ) -> Result<()> {
         let Some(Flight { cameras, shape, turn }) = flights.pop_front() else { return Ok(()) };
-        let plan = self.plan(shape, request, turn)?;
+        let plan = self.plan(shape, options, turn)?;
         plan.run.finish()?;
         let needed = plan.outputs.needed(&plan.run)?;
         let frames = match self.plans.fitting(needed)? {
             Some(plan) => plan.read()?,
-            None => self.render_batch(&rows[cameras.clone()], (shape.width, shape.height), request, turn)?,
+            None => self.render_batch(&rows[cameras.clone()], (shape.width, shape.height), options, turn)?,
         };
         cameras.zip(frames).try_for_each(|(i, frame)| done(i, frame))
     }

@@ -1,10 +1,10 @@
 use super::PixelLayout;
-use crate::types::{LeftOut, NEAR, Scene};
+use crate::types::{NEAR, Scene, SkippedPass};
 use std::num::NonZeroU32;
 
 /// Requested outputs and options.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RenderRequest {
+pub struct RenderOptions {
     /// Color over `background`.
     pub rgb: bool,
     /// 1 minus the remaining transmittance.
@@ -25,7 +25,7 @@ pub struct RenderRequest {
     pub layout: Option<PixelLayout>,
 }
 
-impl Default for RenderRequest {
+impl Default for RenderOptions {
     fn default() -> Self {
         Self {
             rgb: true,
@@ -41,7 +41,7 @@ impl Default for RenderRequest {
     }
 }
 
-impl RenderRequest {
+impl RenderOptions {
     /// Floats per pixel.
     pub fn channels(&self) -> usize {
         let triples = [self.rgb, self.normals, self.token_group.is_some()];
@@ -57,7 +57,7 @@ impl RenderRequest {
         Self { near: self.near.or(Some(near)), ..self }
     }
 
-    pub(super) fn left_out(&self, stored_degree: u32, used_degree: u32) -> Vec<LeftOut> {
+    pub(super) fn skipped_passes(&self, stored_degree: u32, used_degree: u32) -> Vec<SkippedPass> {
         let asked = [
             ("color", self.rgb),
             ("alpha", self.alpha),
@@ -66,16 +66,16 @@ impl RenderRequest {
             ("token colours", self.token_group.is_some()),
             ("antialiasing", self.antialiased),
         ];
-        let mut left_out: Vec<_> =
-            asked.iter().filter(|(_, on)| !on).map(|(what, _)| LeftOut::new(*what, "not asked for")).collect();
+        let mut skipped_passes: Vec<_> =
+            asked.iter().filter(|(_, on)| !on).map(|(what, _)| SkippedPass::new(*what, "not asked for")).collect();
         if self.background == [0.0; 3] {
-            left_out.push(LeftOut::new("background", "it is black"));
+            skipped_passes.push(SkippedPass::new("background", "it is black"));
         }
         for degree in used_degree + 1..=Scene::MAX_SH_DEGREE {
             let why = if degree <= stored_degree { "all zero in this scene" } else { "not in this scene" };
-            left_out.push(LeftOut::new(format!("spherical harmonics of band {degree}"), why));
+            skipped_passes.push(SkippedPass::new(format!("spherical harmonics of band {degree}"), why));
         }
-        left_out
+        skipped_passes
     }
 }
 
@@ -90,7 +90,7 @@ pub enum Depth {
 
 /// A row-major image with the requested outputs.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Frame {
+pub struct RenderOutput {
     /// Width in pixels.
     pub width: u32,
     /// Height in pixels.
@@ -107,10 +107,10 @@ pub struct Frame {
     pub token_colors: Option<Vec<f32>>,
 }
 
-impl Frame {
+impl RenderOutput {
     /// Splits a frame; single outputs are moved, since copies are expensive.
-    pub(super) fn from_channels(width: u32, height: u32, mut values: Vec<f32>, request: &RenderRequest) -> Self {
-        let channels = request.channels();
+    pub(super) fn from_channels(width: u32, height: u32, mut values: Vec<f32>, options: &RenderOptions) -> Self {
+        let channels = options.channels();
         let mut first = 0;
         let mut take = |wanted: bool, count: usize| {
             wanted.then(|| {
@@ -125,11 +125,11 @@ impl Frame {
         Self {
             width,
             height,
-            rgb: take(request.rgb, 3),
-            alpha: take(request.alpha, 1),
-            depth: take(request.depth.is_some(), 1),
-            normals: take(request.normals, 3),
-            token_colors: take(request.token_group.is_some(), 3),
+            rgb: take(options.rgb, 3),
+            alpha: take(options.alpha, 1),
+            depth: take(options.depth.is_some(), 1),
+            normals: take(options.normals, 3),
+            token_colors: take(options.token_group.is_some(), 3),
         }
     }
 }

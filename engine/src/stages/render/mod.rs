@@ -28,7 +28,7 @@ use project::Splats;
 pub use super::{FrameShape, SceneGradients, SceneTensors};
 pub use backward::{CAMERA_NUMBERS, Gradients, record_with_gradients};
 pub use differentiable::{Differentiator, HostGradients, Wanted};
-pub use frame::{Depth, Frame, RenderRequest};
+pub use frame::{Depth, RenderOptions, RenderOutput};
 pub use pack::PixelLayout;
 pub use plan_cache::first_capacity;
 pub(crate) use plan_cache::{PlanCache, PlanKey, planned_capacity};
@@ -37,7 +37,7 @@ pub use project::{CameraRows, camera_rows};
 pub use range::MAX_SIDE;
 pub(crate) use range::check_camera;
 pub use renderer::Renderer;
-pub use scene::{DeviceScene, SceneMemory, WeakScene};
+pub use scene::{DeviceScene, SceneMemory, SceneSource, WeakScene};
 
 /// Outputs of [`record`].
 #[derive(Clone, Copy, Debug)]
@@ -45,7 +45,7 @@ pub struct RenderOutputs {
     /// `[cameras, height, width, channels]` f32, the requested of RGB, alpha, depth, normals, token
     /// colors.
     pub frames: Tensor,
-    /// Frames in [`RenderRequest::layout`].
+    /// Frames in [`RenderOptions::layout`].
     pub pixels: Tensor,
     /// `[3]` u32: intersections drawn, needed modulo 2^32, wrapped.
     pub status: Tensor,
@@ -68,13 +68,13 @@ pub fn record(
     scene: &SceneTensors,
     cameras: Tensor,
     shape: FrameShape,
-    request: &RenderRequest,
+    options: &RenderOptions,
     capacity: usize,
 ) -> RenderOutputs {
     rec.scope("render", |rec| {
-        let (_, lists, frames) = draw(rec, scene, cameras, shape, request, capacity);
-        let pixels = pack::record(rec, frames, request.layout.unwrap_or(PixelLayout::RgbaF32));
-        match request.layout {
+        let (_, lists, frames) = draw(rec, scene, cameras, shape, options, capacity);
+        let pixels = pack::record(rec, frames, options.layout.unwrap_or(PixelLayout::RgbaF32));
+        match options.layout {
             Some(_) => rec.keep(pixels),
             None => rec.output(frames),
         }
@@ -88,12 +88,12 @@ fn draw(
     scene: &SceneTensors,
     cameras: Tensor,
     shape: FrameShape,
-    request: &RenderRequest,
+    options: &RenderOptions,
     capacity: usize,
 ) -> (Splats, TileLists, Tensor) {
-    let splats = project::record(rec, scene, cameras, shape, request);
+    let splats = project::record(rec, scene, cameras, shape, options);
     let lists = intersect::record(rec, &splats, shape, capacity);
-    let frames = rasterise::record(rec, &splats, &lists, shape, request);
+    let frames = rasterise::record(rec, &splats, &lists, shape, options);
     (splats, lists, frames)
 }
 

@@ -1,8 +1,8 @@
 //! Rendering plans.
 
 use super::{
-    CameraRows, DeviceScene, Frame, FrameShape, PlanKey, RenderOutputs, RenderRequest, SceneTensors, first_capacity,
-    flights::pictures_per_batch, planned_capacity, record,
+    CameraRows, DeviceScene, FrameShape, PlanKey, RenderOptions, RenderOutput, RenderOutputs, SceneTensors,
+    first_capacity, flights::pictures_per_batch, planned_capacity, record,
 };
 use crate::{
     Result,
@@ -13,7 +13,7 @@ use crate::{
 const GPU_TOGETHER: usize = 8;
 
 /// With the arena's lane.
-pub(super) type RenderKey = PlanKey<(RenderRequest, usize)>;
+pub(super) type RenderKey = PlanKey<(RenderOptions, usize)>;
 
 pub(super) struct RenderPlan {
     key: RenderKey,
@@ -29,14 +29,14 @@ pub fn plan_pictures(
     limits: &Limits,
     scene: &SceneTensors,
     [width, height]: [u32; 2],
-    request: &RenderRequest,
+    options: &RenderOptions,
 ) -> Result<Plan> {
     let cameras = pictures_per_batch(batch_size(limits), scene.len, [width, height]);
     let shape = FrameShape { cameras, width, height };
     let mut rec = Recorder::new(limits);
     let rows = rec.input::<CameraRows>("cameras", cameras);
     let capacity = planned_capacity(limits.max_binding_bytes, first_capacity(scene.len), shape, false);
-    record(&mut rec, scene, rows, shape, request, capacity);
+    record(&mut rec, scene, rows, shape, options, capacity);
     rec.finish()
 }
 
@@ -46,18 +46,18 @@ pub(super) fn batch_size(limits: &Limits) -> usize {
 
 impl RenderPlan {
     pub fn new(arena: &Arena, scene: &DeviceScene, key: RenderKey, capacity: usize) -> Result<Self> {
-        let (request, lane) = key.options;
+        let (options, lane) = key.options;
         let mut rec = Recorder::new(arena.device().limits());
         let cameras = rec.input::<CameraRows>("cameras", key.shape.cameras);
-        let outputs = record(&mut rec, scene.tensors(), cameras, key.shape, &request, capacity);
+        let outputs = record(&mut rec, scene.tensors(), cameras, key.shape, &options, capacity);
         let run = Run::in_arena(arena, lane, rec.finish()?, [scene.resident().clone()])?.in_flight()?;
         Ok(Self { key, scene: *scene.tensors(), run, cameras, outputs })
     }
 
-    pub fn read(&self) -> Result<Vec<Frame>> {
+    pub fn read(&self) -> Result<Vec<RenderOutput>> {
         let values: Vec<f32> = self.run.read(self.outputs.frames)?;
         let FrameShape { cameras, width, height } = self.key.shape;
-        let frame = |values| Frame::from_channels(width, height, values, &self.key.options.0);
+        let frame = |values| RenderOutput::from_channels(width, height, values, &self.key.options.0);
         if cameras == 1 {
             return Ok(vec![frame(values)]);
         }

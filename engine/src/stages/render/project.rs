@@ -1,4 +1,4 @@
-use super::{FrameShape, RenderRequest, SceneTensors};
+use super::{FrameShape, RenderOptions, SceneTensors};
 use crate::{
     gpu::{Recorder, Tensor},
     kernels::render::{Normals, Project},
@@ -41,7 +41,7 @@ pub(super) fn record(
     scene: &SceneTensors,
     cameras: Tensor,
     shape: FrameShape,
-    request: &RenderRequest,
+    options: &RenderOptions,
 ) -> Splats {
     let pairs = scene.len * shape.cameras;
     let tensor = |rec: &mut Recorder, name, words| rec.tensor::<u32>(name, words * pairs.max(1));
@@ -49,8 +49,8 @@ pub(super) fn record(
         pairs,
         xy_opacities: tensor(rec, "xy_opacities", 3),
         conics: tensor(rec, "conics", 3),
-        colors: request.rgb.then(|| tensor(rec, "colors", 3)),
-        normals: request.normals.then(|| tensor(rec, "normals", 3)),
+        colors: options.rgb.then(|| tensor(rec, "colors", 3)),
+        normals: options.normals.then(|| tensor(rec, "normals", 3)),
         depths: tensor(rec, "depths", 1),
         tile_sets: tensor(rec, "tile_sets", 3),
         indices: tensor(rec, "indices", 1),
@@ -82,10 +82,10 @@ pub(super) fn record(
             camera_count: shape.cameras as u32,
             width: shape.width,
             height: shape.height,
-            near: request.near_plane(),
-            color: request.rgb,
+            near: options.near_plane(),
+            color: options.rgb,
             sh_degree: scene.sh_degree,
-            antialiased: request.antialiased,
+            antialiased: options.antialiased,
         };
         rec.dispatch(kernel, len * shape.cameras);
         if let Some(normals) = splats.normals {

@@ -1,4 +1,4 @@
-use super::RenderRequest;
+use super::RenderOptions;
 use crate::{Error, Result, types::Camera};
 use std::borrow::Cow;
 
@@ -10,10 +10,10 @@ const LENS: [f64; 2] = [1e-3, 1e10];
 /// Range of rotations: devices may flush subnormals and divide inexactly.
 const TURN: [f32; 2] = [1.0 / (1u128 << 100) as f32, (1u128 << 100) as f32];
 
-pub(super) fn check(cameras: &[Camera], request: &RenderRequest) -> Result<()> {
-    if request.channels() == 0 {
+pub(super) fn check(cameras: &[Camera], options: &RenderOptions) -> Result<()> {
+    if options.channels() == 0 {
         let expected = "one of rgb, alpha, depth, normals and token colours";
-        return Err(Error::argument("render request", "no output", expected));
+        return Err(Error::argument("render options", "no output", expected));
     }
     for (i, camera) in cameras.iter().enumerate() {
         check_camera(i, camera)?;

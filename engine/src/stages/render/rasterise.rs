@@ -1,4 +1,4 @@
-use super::{Depth, FrameShape, RenderRequest, intersect::TileLists, project::Splats};
+use super::{Depth, FrameShape, RenderOptions, intersect::TileLists, project::Splats};
 use crate::{
     gpu::{Recorder, Tensor},
     kernels::{limits::TILE, render::Rasterise},
@@ -15,10 +15,10 @@ pub(super) fn record(
     splats: &Splats,
     lists: &TileLists,
     shape: FrameShape,
-    request: &RenderRequest,
+    options: &RenderOptions,
 ) -> Tensor {
     let height = shape.height as usize;
-    let row = shape.width as usize * request.channels();
+    let row = shape.width as usize * options.channels();
     let frames = rec.tensor::<f32>("frames", shape.cameras * height * row);
     // Callers split batches at the binding limit.
     let rows_at_once = (rec.limits().max_binding_bytes as usize / (4 * row) / BAND * BAND).max(BAND);
@@ -36,22 +36,22 @@ pub(super) fn record(
             conics: splats.conics,
             // Placeholders, if unused.
             colors: splats.colors.unwrap_or(splats.conics),
-            depths: request.depth.map_or(splats.conics, |_| splats.depths),
+            depths: options.depth.map_or(splats.conics, |_| splats.depths),
             normals: splats.normals.unwrap_or(splats.conics),
             frames: frames.slice::<f32>(first * row, shape.cameras * rows * row),
             size: [shape.width, shape.height],
             grid: shape.grid(),
             first_tile_row: first as u32 / TILE,
             row_count: rows as u32,
-            background: request.background,
+            background: options.background,
             runs,
-            color: request.rgb,
-            has_background: request.background != [0.0; 3],
-            alpha: request.alpha,
-            depth: request.depth.is_some(),
-            expected_depth: request.depth == Some(Depth::Expected),
-            normal: request.normals,
-            token_pairs: request.token_group.map_or(0, |group| group.get().saturating_mul(shape.cameras as u32)),
+            color: options.rgb,
+            has_background: options.background != [0.0; 3],
+            alpha: options.alpha,
+            depth: options.depth.is_some(),
+            expected_depth: options.depth == Some(Depth::Expected),
+            normal: options.normals,
+            token_pairs: options.token_group.map_or(0, |group| group.get().saturating_mul(shape.cameras as u32)),
         };
         let groups = [shape.grid()[0] * groups_a_tile, (rows as u32).div_ceil(TILE), shape.cameras as u32];
         rec.dispatch_groups(kernel, groups).flops(blends * BLEND_FLOPS * rows as u64 / height as u64);

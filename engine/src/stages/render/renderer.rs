@@ -1,14 +1,14 @@
 use super::{
-    CameraRows, DeviceScene, Frame, FrameShape, PixelLayout, PlanCache, PlanKey, RenderRequest, SceneMemory,
+    CameraRows, DeviceScene, FrameShape, PixelLayout, PlanCache, PlanKey, RenderOptions, RenderOutput, SceneMemory,
     SceneTensors, camera_rows, first_capacity,
     planned::{RenderPlan, batch_size},
     range::check,
-    scene::used_degree,
+    scene::{SceneSource, used_degree},
 };
 use crate::{
     Error, Result,
     gpu::{Arena, Claim, Device, Limits, Profile, ResidentLayout, Target},
-    types::{Camera, LeftOut, Scene},
+    types::{Camera, Scene, SkippedPass},
 };
 
 /// Renders scenes on one device, replaying cached plans in a shared arena.
@@ -16,7 +16,7 @@ pub struct Renderer {
     arena: Arena,
     scene: Option<DeviceScene>,
     uploaded: Option<SceneMemory>,
-    pub(super) plans: PlanCache<(RenderRequest, usize), RenderPlan>,
+    pub(super) plans: PlanCache<(RenderOptions, usize), RenderPlan>,
     /// Of the last rendering.
     intersections: usize,
     cameras_at_once: usize,
@@ -58,18 +58,33 @@ impl Renderer {
         self
     }
 
-    /// Renders `scene` with each camera.
+    /// Sets the scene, and renders it with each camera.
     ///
     /// # Errors
-    ///
-    /// [`Error::Argument`] for invalid input; [`Error::Memory`] if one image does not fit.
-    pub fn render(&mut self, scene: &Scene, cameras: &[Camera], request: &RenderRequest) -> Result<Vec<Frame>> {
-        self.load(scene)?;
-        self.render_loaded(cameras, request)
+    /// Those of [`Renderer::set_scene`] and [`Renderer::render`].
+    pub fn render_scene(
+        &mut self,
+        scene: &Scene,
+        cameras: &[Camera],
+        options: &RenderOptions,
+    ) -> Result<Vec<RenderOutput>> {
+        self.set_scene(scene)?;
+        self.render(cameras, options)
     }
 
-    /// Uploads a scene for [`Renderer::render_loaded`].
-    pub fn load(&mut self, scene: &Scene) -> Result<()> {
+    /// Sets the scene to render: uploads a [`Scene`]; uses a [`DeviceScene`] or a reconstruction in
+    /// place, in its arena.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for an invalid scene or another device's; [`Error::DeviceLost`].
+    pub fn set_scene<'a>(&mut self, scene: impl Into<SceneSource<'a>>) -> Result<()> {
+        match scene.into() {
+            SceneSource::Host(scene) => self.upload(scene),
+            SceneSource::Device(scene) => self.show(scene),
+        }
+    }
+
+    fn upload(&mut self, scene: &Scene) -> Result<()> {
         scene.validate()?;
         self.scene = None;
         let degree = used_degree(scene);
@@ -88,12 +103,7 @@ impl Renderer {
         self.show(&scene)
     }
 
-    /// Selects a device scene and its arena.
-    ///
-    /// # Errors
-    ///
-    /// [`Error::Argument`] for another device's scene; [`Error::DeviceLost`].
-    pub fn show(&mut self, scene: &DeviceScene) -> Result<()> {
+    fn show(&mut self, scene: &DeviceScene) -> Result<()> {
         self.device().check_lost()?;
         if !scene.resident().is_on(self.arena.device()) {
             return Err(Error::argument("scene to render", "one on another device", "one on the renderer's device"));
@@ -112,28 +122,29 @@ impl Renderer {
         Ok(())
     }
 
-    /// The loaded scene.
+    /// The scene, once set.
     pub fn scene(&self) -> Option<&DeviceScene> {
         self.scene.as_ref()
     }
 
-    /// Renders the loaded scene.
+    /// Renders the scene with each camera.
     ///
     /// # Errors
-    /// As [`Renderer::render`], and [`Error::Argument`] without a scene.
-    pub fn render_loaded(&mut self, cameras: &[Camera], request: &RenderRequest) -> Result<Vec<Frame>> {
-        check(cameras, request)?;
+    /// [`Error::Argument`] for invalid input or no scene; [`Error::Memory`] if one image does not
+    /// fit.
+    pub fn render(&mut self, cameras: &[Camera], options: &RenderOptions) -> Result<Vec<RenderOutput>> {
+        check(cameras, options)?;
         let _claim = self.claim();
         let mut sizes: Vec<(u32, u32)> = cameras.iter().map(|c| (c.intrinsics.width, c.intrinsics.height)).collect();
         sizes.sort_unstable();
         sizes.dedup();
-        let mut frames: Vec<Option<Frame>> = cameras.iter().map(|_| None).collect();
+        let mut frames: Vec<Option<RenderOutput>> = cameras.iter().map(|_| None).collect();
         for size in sizes {
             let alike =
                 (0..cameras.len()).filter(|&i| (cameras[i].intrinsics.width, cameras[i].intrinsics.height) == size);
             let indices: Vec<usize> = alike.collect();
             let rows: Vec<CameraRows> = indices.iter().map(|&i| camera_rows(&cameras[i])).collect();
-            for (index, frame) in indices.into_iter().zip(self.render_alike(&rows, size, request)?) {
+            for (index, frame) in indices.into_iter().zip(self.render_alike(&rows, size, options)?) {
                 frames[index] = Some(frame);
             }
         }
@@ -146,9 +157,9 @@ impl Renderer {
     }
 
     /// Skipped effects, with reasons.
-    pub fn left_out(&self, request: &RenderRequest) -> Vec<LeftOut> {
+    pub fn skipped_passes(&self, options: &RenderOptions) -> Vec<SkippedPass> {
         let degrees = self.scene.as_ref().map_or((0, 0), |scene| (scene.stored_degree(), scene.tensors().sh_degree));
-        request.left_out(degrees.0, degrees.1)
+        options.skipped_passes(degrees.0, degrees.1)
     }
 
     /// Renders into an application's image or buffer on the device. On return the copy is
@@ -156,34 +167,34 @@ impl Renderer {
     pub fn render_to(
         &mut self,
         camera: &Camera,
-        request: &RenderRequest,
+        options: &RenderOptions,
         layout: PixelLayout,
         target: &Target,
     ) -> Result<()> {
-        let request = RenderRequest {
+        let options = RenderOptions {
             alpha: true,
-            background: request.background,
-            antialiased: request.antialiased,
-            near: request.near,
+            background: options.background,
+            antialiased: options.antialiased,
+            near: options.near,
             layout: Some(layout),
-            ..RenderRequest::default()
+            ..RenderOptions::default()
         };
-        check(std::slice::from_ref(camera), &request)?;
+        check(std::slice::from_ref(camera), &options)?;
         let _claim = self.claim();
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-        self.render_batch(&[camera_rows(camera)], (width, height), &request, 0)?;
-        let plan = self.plan(FrameShape { cameras: 1, width, height }, &request, 0)?;
+        self.render_batch(&[camera_rows(camera)], (width, height), &options, 0)?;
+        let plan = self.plan(FrameShape { cameras: 1, width, height }, &options, 0)?;
         plan.run.present(plan.outputs.pixels, target)
     }
 
     /// Profiles one camera by kernel.
-    pub fn profile(&mut self, camera: &Camera, request: &RenderRequest) -> Result<Profile> {
-        check(std::slice::from_ref(camera), request)?;
+    pub fn profile(&mut self, camera: &Camera, options: &RenderOptions) -> Result<Profile> {
+        check(std::slice::from_ref(camera), options)?;
         let _claim = self.claim();
         let size = (camera.intrinsics.width, camera.intrinsics.height);
-        self.render_alike(&[camera_rows(camera)], size, request)?;
+        self.render_alike(&[camera_rows(camera)], size, options)?;
         let shape = FrameShape { cameras: 1, width: camera.intrinsics.width, height: camera.intrinsics.height };
-        let plan = self.plan(shape, request, 0)?;
+        let plan = self.plan(shape, options, 0)?;
         plan.run.write(plan.cameras, &[camera_rows(camera)])?;
         plan.run.profile()
     }
@@ -192,16 +203,16 @@ impl Renderer {
         &mut self,
         cameras: &[CameraRows],
         size: (u32, u32),
-        request: &RenderRequest,
-    ) -> Result<Vec<Frame>> {
-        let bytes_each = [12 * self.gaussians(), 4 * request.channels() * size.0 as usize * size.1 as usize];
+        options: &RenderOptions,
+    ) -> Result<Vec<RenderOutput>> {
+        let bytes_each = [12 * self.gaussians(), 4 * options.channels() * size.0 as usize * size.1 as usize];
         let bindable = self.limits().max_binding_bytes as usize / bytes_each[0].max(bytes_each[1]);
         let mut frames = Vec::with_capacity(cameras.len());
         let mut others = !self.plans.is_empty();
         while frames.len() < cameras.len() {
             let left = &cameras[frames.len()..];
             let batch_size = &left[..left.len().min(self.cameras_at_once).min(bindable.max(1))];
-            match self.render_batch(batch_size, size, request, 0) {
+            match self.render_batch(batch_size, size, options, 0) {
                 Ok(drawn) => frames.extend(drawn),
                 Err(Error::Memory { .. }) if batch_size.len() > 1 => {
                     self.cameras_at_once = batch_size.len() / 2;
@@ -221,26 +232,26 @@ impl Renderer {
         &mut self,
         cameras: &[CameraRows],
         (width, height): (u32, u32),
-        request: &RenderRequest,
+        options: &RenderOptions,
         turn: usize,
-    ) -> Result<Vec<Frame>> {
+    ) -> Result<Vec<RenderOutput>> {
         let shape = FrameShape { cameras: cameras.len(), width, height };
         loop {
-            let plan = self.plan(shape, request, turn)?;
+            let plan = self.plan(shape, options, turn)?;
             plan.run.write(plan.cameras, cameras)?;
             plan.run.execute()?;
             self.intersections = plan.outputs.needed(&plan.run)?;
             if let Some(plan) = self.plans.fitting(self.intersections)? {
-                return if request.layout.is_some() { Ok(Vec::new()) } else { plan.read() };
+                return if options.layout.is_some() { Ok(Vec::new()) } else { plan.read() };
             }
         }
     }
 
-    pub(super) fn plan(&mut self, shape: FrameShape, request: &RenderRequest, turn: usize) -> Result<&mut RenderPlan> {
+    pub(super) fn plan(&mut self, shape: FrameShape, options: &RenderOptions, turn: usize) -> Result<&mut RenderPlan> {
         let Some(scene) = &self.scene else {
             return Err(Error::argument("scene to render", "none", "one that was loaded before"));
         };
-        let key = PlanKey { shape, backward: false, options: (request.with_near(scene.near()), turn) };
+        let key = PlanKey { shape, backward: false, options: (options.with_near(scene.near()), turn) };
         if self.plans.capacity == 0 {
             self.plans.capacity = first_capacity(scene.len());
         }

@@ -11,6 +11,27 @@ use std::sync::{Arc, Weak};
 #[derive(Clone)]
 pub struct DeviceScene(Arc<Gaussians>);
 
+/// A scene for [`Renderer::set_scene`](super::Renderer::set_scene).
+#[derive(Clone, Copy, Debug)]
+pub enum SceneSource<'a> {
+    /// In host memory.
+    Host(&'a Scene),
+    /// On the device.
+    Device(&'a DeviceScene),
+}
+
+impl<'a> From<&'a Scene> for SceneSource<'a> {
+    fn from(scene: &'a Scene) -> Self {
+        Self::Host(scene)
+    }
+}
+
+impl<'a> From<&'a DeviceScene> for SceneSource<'a> {
+    fn from(scene: &'a DeviceScene) -> Self {
+        Self::Device(scene)
+    }
+}
+
 /// A weak [`DeviceScene`].
 #[derive(Clone)]
 pub struct WeakScene(Weak<Gaussians>);

@@ -8,7 +8,7 @@ use faults::{Fault, Picture, wrong};
 use glam::{DMat3, DVec3};
 use picture::{PixelBounds, bounds, orders_depths, truth};
 use zipsplat::{
-    stages::render::{Depth, RenderRequest, Renderer},
+    stages::render::{Depth, RenderOptions, Renderer},
     types::{Camera, NEAR, Pose, Scene},
 };
 use zipsplat_reference::render::rasterise::Rendering;
@@ -32,16 +32,16 @@ impl case::Problem for Problem {
 
     fn compute(&self, device: &Device, _: Mode) -> Result<Picture> {
         let antialiased = self.antialiased;
-        let request = RenderRequest {
+        let request = RenderOptions {
             alpha: true,
             depth: Some(Depth::Accumulated),
             antialiased,
             near: Some(NEAR),
-            ..RenderRequest::default()
+            ..RenderOptions::default()
         };
         let mut cameras = self.before.map_or(Vec::new(), |(camera, count)| vec![camera; count]);
         cameras.push(self.camera);
-        let mut frames = Renderer::new(device).render(&self.scene, &cameras, &request)?;
+        let mut frames = Renderer::new(device).render_scene(&self.scene, &cameras, &request)?;
         let planes = frames.pop().map(|frame| [frame.rgb, frame.alpha, frame.depth]);
         Ok(planes.unwrap_or_default().map(Option::unwrap_or_default))
     }

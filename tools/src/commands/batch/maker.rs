@@ -12,10 +12,10 @@ use serde_json::{Value, json};
 use std::path::PathBuf;
 use zipsplat::{
     Result,
-    reconstruct::{Model, Request},
+    reconstruct::{Model, ReconstructOptions},
     types::{
         Pose, Scene, World,
-        poses::{Frame, Poses},
+        poses::{Capture, CaptureView},
     },
     weights::{Checkpoint, DepthCheckpoint},
 };
@@ -75,8 +75,8 @@ impl<'a> Maker<'a> {
         &self,
         batch: &Batch,
         photos: &[PathBuf],
-        poses: Option<&Poses>,
-        frames: &[&Frame],
+        poses: Option<&Capture>,
+        frames: &[&CaptureView],
         stage: &Stage<'_>,
     ) -> Result<Input> {
         match self {
@@ -103,10 +103,15 @@ impl<'a> Maker<'a> {
                 let (cameras, turned) = batch.fit.fit.network_cameras(cameras);
                 let Quality { ratio, select, pool, .. } = &batch.quality;
                 let cameras = Some(cameras).filter(|cameras| !cameras.is_empty());
-                let request =
-                    Request { ratio: *ratio, selection: select.clone(), cameras, scene_scale: unit, pool: *pool };
-                let made = model.reconstruct(&images, &request, |progress| stage.at(progress.fraction))?;
-                let mut scene = made.scene()?;
+                let request = ReconstructOptions {
+                    ratio: *ratio,
+                    token_selection: select.clone(),
+                    cameras,
+                    scene_scale: unit,
+                    kv_pool: *pool,
+                };
+                let made = model.reconstruct_views(&images, &request, |progress| stage.at(progress.fraction))?;
+                let mut scene = made.to_scene()?;
                 batch.quality.prune(&mut scene, checkpoint.architecture());
                 turned.iter().for_each(|first| scene.place(1.0, first));
                 let record = json!({ "unit": unit, "tokens": made.tokens, "note": note });

@@ -24,8 +24,8 @@ use zipsplat::{
     Error, Result,
     reconstruct::MAX_VIEWS,
     types::{
-        SceneFormat, World, WriteOptions,
-        poses::{Frame, Poses, read_poses},
+        SaveOptions, SceneFormat, World,
+        poses::{Capture, CaptureView},
         write_atomic,
     },
 };
@@ -203,7 +203,7 @@ impl Batch {
     }
 
     fn is_capture(&self, folder: &Path) -> Result<bool> {
-        Ok(!photos_of(folder)?.is_empty() || self.posed && read_poses(folder).is_ok())
+        Ok(!photos_of(folder)?.is_empty() || self.posed && Capture::open(folder).is_ok())
     }
 
     /// All but the capture.
@@ -278,7 +278,7 @@ impl Runner<'_> {
 
     /// `None` if its scene is finished.
     fn prepare(&self, work: &Work, stage: &Stage<'_>) -> Result<Option<Prepared>> {
-        let poses = if self.batch.posed { Some(read_poses(&work.folder)?) } else { None };
+        let poses = if self.batch.posed { Some(Capture::open(&work.folder)?) } else { None };
         let mut photos = match &poses {
             Some(poses) => poses.frames.iter().filter_map(|frame| frame.photo.clone()).collect(),
             None => photos_of(&work.folder)?,
@@ -294,7 +294,8 @@ impl Runner<'_> {
         if is_finished(work, &hash) {
             return Ok(None);
         }
-        let frames: Vec<&Frame> = poses.as_ref().map(|poses| poses.frames_of(&photos)).transpose()?.unwrap_or_default();
+        let frames: Vec<&CaptureView> =
+            poses.as_ref().map(|poses| poses.frames_of(&photos)).transpose()?.unwrap_or_default();
         let input = self.maker.prepare(self.batch, &photos, poses.as_ref(), &frames, stage)?;
         let world = World::of_first(&frames);
         Ok(Some(Prepared { input, hash, photos: photos.len(), world }))
@@ -314,7 +315,7 @@ impl Runner<'_> {
         Ok(FinishedScene { scene, world, record })
     }
 
-    fn hash(&self, photos: &[PathBuf], poses: Option<&Poses>) -> Result<String> {
+    fn hash(&self, photos: &[PathBuf], poses: Option<&Capture>) -> Result<String> {
         let mut parts = vec![self.settings_key.clone()];
         for photo in photos {
             parts.push(stamp(photo)?);
@@ -344,7 +345,7 @@ impl Runner<'_> {
 /// The record marks the scene complete.
 fn write(work: &Work, finished: FinishedScene) -> Result<()> {
     std::fs::remove_file(&work.record).ok();
-    outputs::save_scene(&work.scene, &finished.scene, &WriteOptions::default(), finished.world.as_ref())?;
+    outputs::save_scene(&work.scene, &finished.scene, &SaveOptions::default(), finished.world.as_ref())?;
     let bytes = work.scene.metadata().map_err(|error| Error::io(&work.scene, error))?.len();
     let mut record = finished.record;
     record["bytes"] = json!(bytes);

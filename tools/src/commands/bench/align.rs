@@ -89,7 +89,7 @@ fn row(renderer: &mut Renderer, captures: &[Capture], method: Method, start: f64
     for (k, capture) in captures.iter().enumerate() {
         stage.reach(k as f64 / captures.len() as f64)?;
         let aligned = |i: &usize| i % ALIGNED_OF == 1;
-        renderer.load(&capture.splats_of((0..capture.images.len()).filter(|i| !aligned(i))))?;
+        renderer.set_scene(&capture.splats_of((0..capture.images.len()).filter(|i| !aligned(i))))?;
         for i in (0..capture.images.len()).filter(aligned) {
             let truth = capture.cameras[i];
             let from = Camera { pose: truth.pose.compose(&wrong(i, start)), ..truth };

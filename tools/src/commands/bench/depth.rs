@@ -15,7 +15,7 @@ use serde::Serialize;
 use std::{path::PathBuf, time::Duration};
 use zipsplat::{
     Error, Result,
-    depth::{DepthModel, DepthRequest},
+    depth::{DepthModel, DepthOptions},
     gpu::{ProfileRow, Run},
     types::Image,
 };
@@ -68,13 +68,14 @@ impl Depth {
         self.pytorch.as_deref().map_or(Ok(()), pytorch::check)?;
         let device = timed_device(session)?;
         let (precision, arithmetic) = self.arithmetic.choose(session, &device)?;
-        let load = |stage: &Stage<'_>| DepthModel::load(&device, &checkpoint, arithmetic, |done| stage.at(done));
+        let load =
+            |stage: &Stage<'_>| DepthModel::from_checkpoint(&device, &checkpoint, arithmetic, |done| stage.at(done));
         let (model, _) = session.stage("load weights", load)?;
         let cases: Vec<(usize, Size)> =
             self.size.iter().flat_map(|&size| self.views.iter().map(move |&views| (views, size))).collect();
         let shapes = cases.iter().map(|&(views, Size(width, height))| {
-            let all = DepthRequest::default();
-            model.network().shape(views, [width, height], (all.ratio, &all.selection), false, None)
+            let all = DepthOptions::default();
+            model.network().shape(views, [width, height], (all.ratio, &all.token_selection), false, None)
         });
         shapes.collect::<Result<Vec<_>>>()?;
         let measure_peak = |stage: &Stage<'_>| peak::of_products(&device, arithmetic, peak::BRIEFLY, stage);
@@ -124,7 +125,7 @@ impl Depth {
     ) -> Result<Vec<Row>> {
         let mut noise = Noise::new(0);
         let images: Vec<Image> = (0..views).map(|_| noise.image(width, height)).collect();
-        let request = DepthRequest::default();
+        let request = DepthOptions::default();
         let shape = model.shape(&images, &request)?;
         let (plan, tensors) = model.record(shape, false)?;
         let arena_bytes = plan.arena_bytes();

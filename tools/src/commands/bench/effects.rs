@@ -9,7 +9,7 @@ use std::{num::NonZeroU32, time::Duration};
 use zipsplat::{
     Result,
     gpu::Device,
-    stages::render::{Depth, RenderRequest, Renderer},
+    stages::render::{Depth, RenderOptions, Renderer},
     types::Scene,
 };
 use zipsplat_verify::noise;
@@ -27,25 +27,25 @@ pub fn run(session: &mut Session<'_>, device: &Device, scene: &Scene, size: Size
     let stride = scene.sh_coeffs_per_gaussian();
     let sh_coeffs = scene.sh_coeffs.iter().copied().step_by(stride).collect();
     let plain_scene = Scene { sh_degree: 0, sh_coeffs, ..scene.clone() };
-    let load = |mut renderer: Renderer, scene: &Scene| renderer.load(scene).map(|()| renderer);
+    let load = |mut renderer: Renderer, scene: &Scene| renderer.set_scene(scene).map(|()| renderer);
     let mut whole = load(Renderer::new(device), scene)?;
     let mut renderer = load(Renderer::new(device), &plain_scene)?;
 
-    let off = RenderRequest::default();
+    let off = RenderOptions::default();
     let effects = [
         ("view-dependent colour", off),
-        ("alpha", RenderRequest { alpha: true, ..off }),
-        ("depth", RenderRequest { depth: Some(Depth::Expected), ..off }),
-        ("normals", RenderRequest { normals: true, ..off }),
-        ("token colours", RenderRequest { token_group: Some(GROUP), ..off }),
-        ("antialiasing", RenderRequest { antialiased: true, ..off }),
-        ("background", RenderRequest { background: [1.0; 3], ..off }),
+        ("alpha", RenderOptions { alpha: true, ..off }),
+        ("depth", RenderOptions { depth: Some(Depth::Expected), ..off }),
+        ("normals", RenderOptions { normals: true, ..off }),
+        ("token colours", RenderOptions { token_group: Some(GROUP), ..off }),
+        ("antialiasing", RenderOptions { antialiased: true, ..off }),
+        ("background", RenderOptions { background: [1.0; 3], ..off }),
     ];
     let camera = noise::camera(size.0, size.1);
-    let time = |renderer: &mut Renderer, request: &RenderRequest| -> Result<Duration> {
+    let time = |renderer: &mut Renderer, request: &RenderOptions| -> Result<Duration> {
         Ok(renderer.profile(&camera, request)?.total("").0)
     };
-    let mut measure = |effect: &'static str, on: &RenderRequest, stage: &Stage<'_>| {
+    let mut measure = |effect: &'static str, on: &RenderOptions, stage: &Stage<'_>| {
         let mut times = [Vec::new(), Vec::new()];
         for i in 0..repeats.warmup + repeats.repeats {
             stage.reach(f64::from(i) / f64::from(repeats.warmup + repeats.repeats))?;

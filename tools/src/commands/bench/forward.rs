@@ -19,8 +19,8 @@ use std::{
 use zipsplat::{
     Error, Result,
     gpu::{Progress, Run},
-    reconstruct::{MAX_VIEWS, Model, Ratio, Reconstruction, Request, Shape},
-    stages::render::{RenderRequest, Renderer},
+    reconstruct::{MAX_VIEWS, Model, Ratio, ReconstructOptions, Reconstruction, Shape},
+    stages::render::{RenderOptions, Renderer},
     types::{Camera, Image, Intrinsics, Pose},
     weights::Checkpoint,
 };
@@ -83,8 +83,8 @@ impl Forward {
         for &views in &self.views {
             for &ratio in &self.ratio {
                 for &pool in &self.pool {
-                    let request = Request { ratio, pool, ..Request::default() };
-                    let chosen = (ratio, &request.selection);
+                    let request = ReconstructOptions { ratio, kv_pool: pool, ..ReconstructOptions::default() };
+                    let chosen = (ratio, &request.token_selection);
                     Shape::new(checkpoint.architecture(), views, [width, height], chosen, false)?.pooled(pool)?;
                     requests.push((views, request));
                 }
@@ -173,13 +173,13 @@ impl Forward {
         &self,
         model: &Model,
         images: &[Image],
-        request: &Request,
+        request: &ReconstructOptions,
         Size(width, height): Size,
         stage: &Stage<'_>,
     ) -> Result<Vec<Row>> {
         let device = model.arena().device();
         let camera = Camera { intrinsics: Intrinsics::from_fov(width, height, 1.0, 1.0), pose: Pose::IDENTITY };
-        let drawing = RenderRequest::default();
+        let drawing = RenderOptions::default();
         let go_on = |_: Progress<'_>| stage.check().map_or(ControlFlow::Break(()), ControlFlow::Continue);
         let timed = |road: &mut dyn FnMut() -> Result<Reconstruction>| -> Result<(Duration, Reconstruction)> {
             let start = Instant::now();
@@ -187,14 +187,14 @@ impl Forward {
             Ok((start.elapsed(), made))
         };
         let show = |renderer: &mut Renderer, made: &Reconstruction| {
-            renderer.show(&made.gaussians)?;
-            renderer.render_loaded(&[camera], &drawing).map(drop)
+            renderer.set_scene(&made.gaussians)?;
+            renderer.render(&[camera], &drawing).map(drop)
         };
         // The first run includes its allocation.
         model.arena().release()?;
         let (mut renderer, mut of_host) = (Renderer::new(device), Renderer::new(device));
         let mut on_device = || {
-            let made = model.reconstruct(images, request, go_on)?;
+            let made = model.reconstruct_views(images, request, go_on)?;
             show(&mut renderer, &made)?;
             Ok(made)
         };
@@ -203,9 +203,9 @@ impl Forward {
         drop(made);
         let again = (0..self.repeats.repeats).map(|_| Ok(timed(&mut on_device)?.0)).collect::<Result<Vec<_>>>()?;
         let mut through_host = || {
-            let made = model.reconstruct(images, request, go_on)?;
-            of_host.load(&made.scene()?)?;
-            of_host.render_loaded(&[camera], &drawing)?;
+            let made = model.reconstruct_views(images, request, go_on)?;
+            of_host.set_scene(&made.to_scene()?)?;
+            of_host.render(&[camera], &drawing)?;
             Ok(made)
         };
         let host = (0..=self.repeats.repeats).map(|_| Ok(timed(&mut through_host)?.0)).collect::<Result<Vec<_>>>()?;
@@ -221,7 +221,7 @@ impl Forward {
             views: images.len(),
             tokens,
             ratio: 0.0,
-            pool: request.pool,
+            pool: request.kv_pool,
             part: Part::of(stage.to_owned(), Spread::of(times.iter().copied())),
             peak_bytes,
             arena_bytes: model.arena().bytes(),
@@ -238,7 +238,7 @@ impl Forward {
         &self,
         model: &Model,
         images: &[Image],
-        request: &Request,
+        request: &ReconstructOptions,
         peak: &Rate,
         stage: &Stage<'_>,
     ) -> Result<Vec<Row>> {
@@ -254,7 +254,7 @@ impl Forward {
             views: images.len(),
             tokens: shape.tokens,
             ratio: shape.tokens as f64 / shape.grid.tokens() as f64,
-            pool: shape.pool,
+            pool: shape.kv_pool,
             part,
             peak_bytes,
             arena_bytes,

@@ -18,8 +18,8 @@ use std::{
 use zipsplat::{
     Error, Result,
     gpu::{Arena, Device},
-    refine::{Refine as Request, Refined, Stopped, refine_scene},
-    stages::render::{RenderRequest, Renderer},
+    refine::{RefineOptions as Request, RefineResult, StopReason, refine_scene},
+    stages::render::{RenderOptions, Renderer},
     types::{Camera, Image, Scene},
 };
 use zipsplat_verify::noise::{self, Noise};
@@ -40,7 +40,7 @@ const PYTORCH_DEGREE: u32 = 1;
 Of each case: its passes; step, all of them; picture, the device's time for the pictures of the step's cameras alone; host, a step
 as the host sees it. Shares count every tensor of a pass once, against a copy, and the arithmetic of every pixel of every tile that a
 Gaussian touches, against multiplications and additions, both measured in the same run.")]
-pub struct Refine {
+pub struct RefineOptions {
     /// Numbers of Gaussians
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "36000,102000",
         value_parser = clap::value_parser!(u32).range(1..=MOST_GAUSSIANS))]
@@ -91,7 +91,7 @@ struct Limits {
     fma: Rate,
 }
 
-impl Refine {
+impl RefineOptions {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         if self.pytorch.is_some() && self.sh > PYTORCH_DEGREE {
             return Err(Error::argument("--sh", self.sh, "0 or 1 with --pytorch"));
@@ -131,13 +131,13 @@ impl Refine {
         }
         let host = self.host(device, case, intersection_capacity, stage)?;
         let mut renderer = Renderer::new(device);
-        renderer.load(&case.scene)?;
+        renderer.set_scene(&case.scene)?;
         let mut pictures = Vec::new();
         for i in 0..runs {
             stage.check()?;
             let mut took = Duration::ZERO;
             for camera in &case.cameras {
-                took += renderer.profile(camera, &RenderRequest::default())?.total("").0;
+                took += renderer.profile(camera, &RenderOptions::default())?.total("").0;
             }
             pictures.extend((i >= warmup).then_some(took));
         }
@@ -186,8 +186,8 @@ impl Refine {
             }
         })?;
         stage.check()?;
-        match refined.stopped {
-            Some(Stopped::Diverged(_)) if times.is_empty() => {
+        match refined.stop_reason {
+            Some(StopReason::Diverged(_)) if times.is_empty() => {
                 Err(Error::argument("photos of noise", "a loss that grew", "fewer --warmup"))
             }
             _ => Ok(Spread::of(times)),
@@ -228,9 +228,9 @@ impl Case {
     /// Largest number of a photo.
     fn intersections(&self, device: &Device) -> Result<usize> {
         let mut renderer = Renderer::new(device);
-        renderer.load(&self.scene)?;
+        renderer.set_scene(&self.scene)?;
         let count = |camera: &Camera| {
-            renderer.render_loaded(&[*camera], &RenderRequest::default())?;
+            renderer.render(&[*camera], &RenderOptions::default())?;
             Ok(renderer.intersections())
         };
         Ok(self.cameras.iter().map(count).collect::<Result<Vec<_>>>()?.into_iter().max().unwrap_or(0))
@@ -242,14 +242,14 @@ impl Case {
         intersection_capacity: usize,
         steps: usize,
         mut progress: impl FnMut(usize) -> ControlFlow<()>,
-    ) -> Result<Refined> {
+    ) -> Result<RefineResult> {
         let count = self.photos.len();
         let request = Request {
             steps,
             views_per_step: count,
             batch_size: Some(count),
-            hold_out: Some(0),
-            coarse: false,
+            holdout_views: Some(0),
+            coarse_to_fine: false,
             intersection_capacity: Some(intersection_capacity),
             profile: steps == 0,
             ..Request::default()

@@ -18,7 +18,7 @@ use std::{
 use zipsplat::{
     Result,
     gpu::{Device, Profile, ProfileRow},
-    stages::render::{RenderRequest, Renderer},
+    stages::render::{RenderOptions, Renderer},
     types::Scene,
 };
 use zipsplat_verify::noise::{self, Noise};
@@ -116,19 +116,19 @@ impl Render {
         bandwidth: &Rate,
         stage: &Stage<'_>,
     ) -> Result<Vec<Row>> {
-        let (camera, request) = (noise::camera(size.0, size.1), RenderRequest::default());
+        let (camera, request) = (noise::camera(size.0, size.1), RenderOptions::default());
         let Repeats { warmup, repeats } = self.repeats;
         // Exact capacity: tensor bytes are bytes in use.
         let mut renderer = Renderer::new(device);
-        renderer.render(scene, &[camera], &request)?;
+        renderer.render_scene(scene, &[camera], &request)?;
         let intersections = renderer.intersections();
         let mut renderer = Renderer::with_capacity(device, intersections.max(1));
-        renderer.load(scene)?;
+        renderer.set_scene(scene)?;
         let (mut host, mut profiles) = (Vec::new(), Vec::new());
         for i in 0..warmup + repeats {
             stage.reach(f64::from(i) / f64::from(warmup + repeats))?;
             let start = Instant::now();
-            renderer.render_loaded(&[camera], &request)?;
+            renderer.render(&[camera], &request)?;
             if i >= warmup {
                 host.push(start.elapsed());
                 profiles.push(renderer.profile(&camera, &request)?);

@@ -21,9 +21,9 @@ use std::{
 use truth::{Errors, Truth};
 use zipsplat::{
     Error, Image, Result,
-    depth::{DepthRequest, DepthView, Depths},
+    depth::{DepthMap, DepthOptions, DepthPrediction},
     types::{
-        poses::{Frame, read_poses, write_frames},
+        poses::{Capture, CaptureView, write_frames},
         write_atomic, write_points,
     },
 };
@@ -98,7 +98,8 @@ impl Depth {
         let known = self.known(&files)?;
         self.check(&files)?;
         let truth = self.truth.as_deref().map(Truth::open).transpose()?;
-        let request = DepthRequest { reference: self.reference.map(|photo| photo as usize - 1), ..Default::default() };
+        let request =
+            DepthOptions { reference_view: self.reference.map(|photo| photo as usize - 1), ..Default::default() };
         let options = PredictorOptions {
             checkpoint: &checkpoint,
             side: Some(self.size),
@@ -106,7 +107,7 @@ impl Depth {
             arithmetic: &self.arithmetic,
             request,
         };
-        let frames: Vec<&Frame> = known.iter().flat_map(|(frames, _)| frames).collect();
+        let frames: Vec<&CaptureView> = known.iter().flat_map(|(frames, _)| frames).collect();
         let mut predicted = options.ask(session, &files, &frames)?;
         predicted.scale(self.metres, known.as_ref().and_then(|(_, points)| points.as_deref()))?;
         let errors = truth.map(|truth| truth.errors(&predicted, self.poses.is_none())).transpose()?;
@@ -124,7 +125,9 @@ impl Depth {
             let cloud = self.output.join(POINTS);
             write_points(&cloud, &points)?;
             self.model.save(&frames, Some(&cloud))?;
-            let named = |(frame, file): (Frame, &PathBuf)| Ok(Frame { name: path_from(&self.output, file)?, ..frame });
+            let named = |(frame, file): (CaptureView, &PathBuf)| {
+                Ok(CaptureView { name: path_from(&self.output, file)?, ..frame })
+            };
             let frames = frames.into_iter().zip(&predicted.photos).map(named).collect::<Result<Vec<_>>>()?;
             write_frames(place, &frames, Some(POINTS))?;
         }
@@ -170,18 +173,18 @@ impl Depth {
         }
     }
 
-    fn known(&self, files: &[PathBuf]) -> Result<Option<(Vec<Frame>, Option<PathBuf>)>> {
+    fn known(&self, files: &[PathBuf]) -> Result<Option<(Vec<CaptureView>, Option<PathBuf>)>> {
         let Some(poses) = &self.poses else { return Ok(None) };
-        let poses = read_poses(poses)?;
+        let poses = Capture::open(poses)?;
         let frames = poses.frames_of(files)?.into_iter().zip(files);
-        let frames = frames.map(|(frame, file)| Frame { photo: Some(file.clone()), ..frame.clone() }).collect();
+        let frames = frames.map(|(frame, file)| CaptureView { photo: Some(file.clone()), ..frame.clone() }).collect();
         Ok(Some((frames, poses.points)))
     }
 
     /// Uses a common scale; returns the levels per unit.
-    fn save_pictures(&self, depths: &Depths, names: &[String]) -> Result<f32> {
+    fn save_pictures(&self, depths: &DepthPrediction, names: &[String]) -> Result<f32> {
         let size = [depths.width, depths.height];
-        let behind: Vec<Vec<f32>> = depths.views.iter().map(DepthView::depth_behind_sky).collect();
+        let behind: Vec<Vec<f32>> = depths.views.iter().map(DepthMap::depth_behind_sky).collect();
         let farthest = behind.iter().flatten().copied().filter(|depth| depth.is_finite()).fold(0.0, f32::max);
         let levels = f32::from(u16::MAX) / farthest.max(f32::MIN_POSITIVE);
         for (name, depth) in names.iter().zip(&behind) {
@@ -208,12 +211,12 @@ fn picture(name: &str, what: &str) -> String {
 
 /// Writes `depth` and `confidence` `[views, height, width]`, `rays` `[views, rows, columns, 6]`
 /// (direction, origin), `ray_confidence`, `sky`, and photo names as metadata.
-fn save_values(path: &Path, depths: &Depths, names: &[String]) -> Result<()> {
+fn save_values(path: &Path, depths: &DepthPrediction, names: &[String]) -> Result<()> {
     let (views, size) = (depths.views.len(), [depths.height as usize, depths.width as usize]);
-    let all = |of: &dyn Fn(&DepthView) -> Option<Vec<f32>>| {
+    let all = |of: &dyn Fn(&DepthMap) -> Option<Vec<f32>>| {
         depths.views.iter().map(of).collect::<Option<Vec<_>>>().map(|values| values.concat())
     };
-    let rays = |view: &DepthView| {
+    let rays = |view: &DepthMap| {
         let rays = view.rays.as_ref()?;
         Some(rays.directions.iter().zip(&rays.origins).flat_map(|(d, o)| [*d, *o].concat()).collect())
     };

@@ -6,15 +6,12 @@ use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use zipsplat::{
     Camera, Error, Result,
-    depth::DepthView,
-    types::{
-        poses::{Poses, read_poses},
-        preprocess::PixelMap,
-    },
+    depth::DepthMap,
+    types::{poses::Capture, preprocess::PixelMap},
 };
 
 pub struct Truth {
-    poses: Poses,
+    poses: Capture,
     folder: PathBuf,
 }
 
@@ -31,7 +28,7 @@ pub struct Errors {
 
 impl Truth {
     pub fn open(folder: &Path) -> Result<Self> {
-        Ok(Self { poses: read_poses(folder)?, folder: folder.to_owned() })
+        Ok(Self { poses: Capture::open(folder)?, folder: folder.to_owned() })
     }
 
     /// Cameras count only if the network `found` them.
@@ -98,7 +95,7 @@ fn cameras(pairs: &[(Camera, Camera)]) -> Option<[f64; 3]> {
 }
 
 /// True over predicted depth of known pixels, nearest sampled.
-fn ratios(view: &DepthView, map: &PixelMap, ([width, height], truth): &([u32; 2], Vec<f32>)) -> Vec<f64> {
+fn ratios(view: &DepthMap, map: &PixelMap, ([width, height], truth): &([u32; 2], Vec<f32>)) -> Vec<f64> {
     let ([columns, _], [from_width, from_height]) = (map.to, map.from);
     let at = |i: usize, axis: usize, from: u32, to: u32| {
         let of_photo = (i as f64 + 0.5 - map.offset[axis]) / map.scale[axis];
@@ -180,14 +177,8 @@ mod tests {
         // A photo of 4 x 2 pixels: its right half becomes 4 x 4, with true depth of 8 x 4.
         let map = PixelMap { from: [4, 2], to: [4, 4], scale: [2.0, 2.0], offset: [-4.0, 0.0] };
         let truth: Vec<f32> = (0..32).map(|i| i as f32).collect();
-        let view = DepthView {
-            depth: vec![1.0; 16],
-            confidence: None,
-            rays: None,
-            sky: None,
-            encoding: None,
-            gaussians: None,
-        };
+        let view =
+            DepthMap { depth: vec![1.0; 16], confidence: None, rays: None, sky: None, encoding: None, gaussians: None };
         let expected: Vec<f64> = (0..16).map(|i| f64::from(i / 4 * 8 + 4 + i % 4)).collect();
         assert_eq!(ratios(&view, &map, &([8, 4], truth)), expected);
     }

@@ -2,7 +2,7 @@
 
 use crate::{
     align::{Aligned, Doubt, MOST_SHIFT, MOST_TURN},
-    capture::{Capture, Score},
+    capture::{Score, ViewSplit},
     table::Table,
 };
 use serde::Serialize;
@@ -25,7 +25,7 @@ pub struct AlignedScore {
     pub lpips: Option<f64>,
 }
 
-fn scores(capture: &Capture, found: &[Aligned]) -> Vec<AlignedScore> {
+fn scores(capture: &ViewSplit, found: &[Aligned]) -> Vec<AlignedScore> {
     let scores = |picture: fn(&Aligned) -> &Vec<f32>| {
         capture.scores(&found.iter().map(|found| picture(found).clone()).collect::<Vec<_>>())
     };
@@ -64,7 +64,7 @@ struct Before {
 }
 
 impl Alignment {
-    pub fn new(capture: &Capture, found: &[Aligned]) -> Self {
+    pub fn new(capture: &ViewSplit, found: &[Aligned]) -> Self {
         let rows = scores(capture, found);
         let median = |value: fn(&AlignedScore) -> f64| {
             let mut values: Vec<f64> = rows.iter().map(value).collect();

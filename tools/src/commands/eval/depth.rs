@@ -1,14 +1,14 @@
 //! Pixel-aligned scene at known depth.
 
 use crate::{
-    capture::{Capture, Choice},
+    capture::{Choice, ViewSplit},
     npy,
 };
 use std::{f64::consts::FRAC_PI_2, path::Path};
 use zipsplat::{
     Error, Result,
     depth::add_view,
-    types::{Camera, Intrinsics, Scene, poses::Frame},
+    types::{Camera, Intrinsics, Scene, poses::CaptureView},
 };
 use zipsplat_verify::noise::Noise;
 
@@ -19,7 +19,7 @@ const MOST: f64 = 3.0;
 
 /// Returns a scene at the network's size, in the capture's world and unit. `noise` is the relative
 /// deviation of depth.
-pub fn scene(folder: &Path, noise: f64, choice: &Choice, capture: &Capture) -> Result<Scene> {
+pub fn scene(folder: &Path, noise: f64, choice: &Choice, capture: &ViewSplit) -> Result<Scene> {
     let mut scene = Scene { sh_degree: 0, ..Scene::default() };
     let views = capture.views.cameras.iter().zip(&capture.views.images);
     for (seed, (frame, (camera, image))) in choice.input_frames().into_iter().zip(views).enumerate() {
@@ -56,7 +56,7 @@ fn smooth(seed: u64, width: usize, height: usize) -> Vec<f64> {
 }
 
 /// Nearest sampled, in the capture's unit.
-fn read_depth(folder: &Path, frame: &Frame, camera: &Camera, unit: f64) -> Result<Vec<f32>> {
+fn read_depth(folder: &Path, frame: &CaptureView, camera: &Camera, unit: f64) -> Result<Vec<f32>> {
     let file = folder.join(Path::new(&frame.name).file_stem().unwrap_or_default()).with_extension("npy");
     if frame.lens.is_some() {
         let found = format!("{}, whose lens distorts", frame.name);

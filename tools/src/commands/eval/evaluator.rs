@@ -1,6 +1,6 @@
 use super::{Eval, alignment::Alignment};
 use crate::{
-    capture::{Capture, Choice, Posed, Score, draw},
+    capture::{Choice, Posed, Score, ViewSplit, draw},
     depth::DepthPredictor,
     options::{Network as Weighed, refuse},
     refinement::{self, Initialization, Refinable, Steps},
@@ -13,8 +13,8 @@ use zipsplat::{
     gpu::{Arena, Device},
     ops::{Arithmetic, Precision},
     perceptual::Perceptual,
-    reconstruct::{Model, Request},
-    refine::{FrozenHead, Refine, Refined, Stopped},
+    reconstruct::{Model, ReconstructOptions},
+    refine::{FrozenHead, RefineOptions, RefineResult, StopReason},
     stages::render::Renderer,
     types::Scene,
     weights::Checkpoint,
@@ -35,7 +35,7 @@ pub struct Evaluator<'a> {
 }
 
 pub struct Evaluation {
-    pub capture: Capture,
+    pub capture: ViewSplit,
     pub reconstruction: Reconstruction,
     /// Targets, `[height][width][rgb]` in 0..1.
     pub drawn: Vec<Vec<f32>>,
@@ -48,7 +48,7 @@ pub struct Reconstruction {
     pub scene: Scene,
     /// Absent for external scenes.
     pub network: Option<Network>,
-    pub refined: Option<Refined>,
+    pub refined: Option<RefineResult>,
     pub started: &'static str,
 }
 
@@ -107,7 +107,7 @@ impl<'a> Evaluator<'a> {
         &mut self,
         session: &mut Session<'_>,
         choice: &Choice,
-        capture: &Capture,
+        capture: &ViewSplit,
         mut reconstruction: Reconstruction,
     ) -> Result<Reconstruction> {
         let eval = self.eval;
@@ -121,7 +121,7 @@ impl<'a> Evaluator<'a> {
             let refined = refine(eval, session, &arena, Refinable::Scene(&scene), capture, count)?;
             (reconstruction.scene, reconstruction.refined) = (refined.scene.clone(), Some(refined));
         }
-        self.renderer.load(&reconstruction.scene)?;
+        self.renderer.set_scene(&reconstruction.scene)?;
         Ok(reconstruction)
     }
 
@@ -129,7 +129,7 @@ impl<'a> Evaluator<'a> {
         &mut self,
         session: &mut Session<'_>,
         choice: &Choice,
-        capture: &Capture,
+        capture: &ViewSplit,
         checkpoint: &Checkpoint,
     ) -> Result<Reconstruction> {
         let eval = self.eval;
@@ -139,16 +139,16 @@ impl<'a> Evaluator<'a> {
         let model = self.model.as_ref().expect("it was loaded");
         let images = capture.images();
         let (cameras, world) = self.seeing.fit.network_cameras(capture.cameras());
-        let request = Request {
+        let request = ReconstructOptions {
             ratio: eval.quality.ratio,
-            selection: eval.quality.select.clone(),
+            token_selection: eval.quality.select.clone(),
             cameras: (!eval.pose_free).then_some(cameras),
             scene_scale: 1.0,
-            pool: eval.quality.pool,
+            kv_pool: eval.quality.pool,
         };
         let of_tokens = eval.refine.is_some_and(|steps| steps.tokens);
         let (result, tokens, took) = session.reconstruct_with_tokens(model, &images, &request, of_tokens)?;
-        let mut scene = result.scene()?;
+        let mut scene = result.to_scene()?;
         eval.quality.prune(&mut scene, checkpoint.architecture());
         world.iter().for_each(|world| scene.place(1.0, world));
         let mut started = refinement::TOKENS;
@@ -172,16 +172,16 @@ impl<'a> Evaluator<'a> {
         match &world {
             // Unchanged on the host.
             None if refined.is_none() && scene.len() == result.gaussians.len() => {
-                self.renderer.show(&result.gaussians)?;
+                self.renderer.set_scene(&result.gaussians)?;
             }
-            _ => self.renderer.load(&scene)?,
+            _ => self.renderer.set_scene(&scene)?,
         }
         let all_tokens = model.shape(&images, &request)?.grid.tokens();
         let network = Some(Network { tokens: result.tokens, all_tokens, peak_bytes: result.peak_bytes, took });
         Ok(Reconstruction { scene, network, refined, started })
     }
 
-    fn draw(&mut self, session: &Session<'_>, capture: &Capture) -> Result<(Vec<Vec<f32>>, Option<Alignment>)> {
+    fn draw(&mut self, session: &Session<'_>, capture: &ViewSplit) -> Result<(Vec<Vec<f32>>, Option<Alignment>)> {
         let Self { renderer, lpips, .. } = self;
         let targets = &capture.targets;
         let Some(method) = self.eval.aligning() else {
@@ -211,15 +211,15 @@ fn refine(
     session: &mut Session<'_>,
     arena: &Arena,
     from: Refinable<'_>,
-    capture: &Capture,
+    capture: &ViewSplit,
     steps: usize,
-) -> Result<Refined> {
+) -> Result<RefineResult> {
     let (photos, cameras) = capture.training_views();
-    let request = eval.moved.request(Refine { steps, hold_out: eval.hold_out, ..Refine::default() });
+    let request = eval.moved.request(RefineOptions { steps, holdout_views: eval.hold_out, ..RefineOptions::default() });
     let refined = refinement::refine(session, arena, from, &photos, &cameras, &request)?;
     refinement::doubt(&refined).iter().for_each(|note| session.note(note));
-    match refined.stopped {
-        Some(Stopped::Cancelled) => Err(Error::Cancelled),
+    match refined.stop_reason {
+        Some(StopReason::Cancelled) => Err(Error::Cancelled),
         _ => Ok(refined),
     }
 }

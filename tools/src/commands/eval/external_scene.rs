@@ -3,7 +3,7 @@
 use super::{depth, evaluator::Reconstruction};
 use crate::{
     cameras::Similarity,
-    capture::{Capture, Choice},
+    capture::{Choice, ViewSplit},
     options::{SceneInput, parse_length},
     session::Session,
 };
@@ -14,7 +14,7 @@ use zipsplat::{
     Error, Result,
     types::{
         Origin, Pose, Scene, SceneFormat,
-        poses::{Frame, Poses, read_poses},
+        poses::{Capture, CaptureView},
         read_world,
     },
 };
@@ -101,7 +101,7 @@ impl ExternalScene {
         session: &mut Session<'_>,
         name: Option<&str>,
         choice: &Choice,
-        capture: &Capture,
+        capture: &ViewSplit,
     ) -> Result<Option<Reconstruction>> {
         match (&self.from_depth, self.file(name)?) {
             (Some(folder), _) => {
@@ -128,7 +128,7 @@ impl ExternalScene {
         file: &Path,
         name: Option<&str>,
         choice: &Choice,
-        capture: &Capture,
+        capture: &ViewSplit,
     ) -> Result<Reconstruction> {
         let (mut scene, _) = self.input.read(session, file)?;
         match self.opacities {
@@ -145,7 +145,7 @@ impl ExternalScene {
         let placed = |pose: Pose| Similarity { scale: unit, pose };
         let to_cameras = match (self.world, &self.scene_cameras, read_world(file)?.map(|world| world.origin)) {
             (Some(SceneFrame::Aligned), Some(path), _) | (None, Some(path), _) => {
-                let (found, apart) = aligned(&read_poses(self.cameras(path, name)?)?, &inputs)?;
+                let (found, apart) = aligned(&Capture::open(self.cameras(path, name)?)?, &inputs)?;
                 if apart > APART {
                     let percent = 100.0 * apart;
                     session.note(format!(
@@ -185,7 +185,7 @@ impl ExternalScene {
 }
 
 /// The capture's first input has pose `first`.
-pub fn place(scene: &mut Scene, to_cameras: &Similarity, first: &Pose, capture: &Capture) {
+pub fn place(scene: &mut Scene, to_cameras: &Similarity, first: &Pose, capture: &ViewSplit) {
     let pose = first.inverse().compose(&to_cameras.pose);
     let pose = Pose { translation: pose.translation / capture.scene_scale.length, ..pose };
     scene.place(to_cameras.scale / capture.scene_scale.length, &pose);
@@ -209,7 +209,7 @@ fn take_plain(scene: &mut Scene, file: &Path) -> Result<()> {
 }
 
 /// Also returns the residual over their spread.
-pub fn aligned(external: &Poses, frames: &[&Frame]) -> Result<(Similarity, f64)> {
+pub fn aligned(external: &Capture, frames: &[&CaptureView]) -> Result<(Similarity, f64)> {
     let mut pairs = Vec::new();
     for frame in frames {
         let photo = frame.photo.as_deref().unwrap_or(Path::new(&frame.name));

@@ -6,7 +6,7 @@ use super::{
     evaluator::{Evaluation, Evaluator},
 };
 use crate::{
-    capture::{Capture, Choice, Score},
+    capture::{Choice, Score, ViewSplit},
     options::Network,
     outputs, refinement,
     session::Session,
@@ -14,7 +14,7 @@ use crate::{
 };
 use zipsplat::{
     Error, Result,
-    types::{Image, World, WriteOptions, contact_sheet},
+    types::{Image, SaveOptions, World, contact_sheet},
 };
 
 const SCENE: &str = "scene.ply";
@@ -121,7 +121,7 @@ fn save(eval: &Eval, choice: &Choice, evaluation: &Evaluation) -> Result<()> {
         scene.scale(capture.scene_scale.length as f32);
     }
     let world = if eval.pose_free { None } else { World::of_first(&choice.input_frames()) };
-    outputs::save_scene(&folder.join(SCENE), &scene, &WriteOptions::default(), world.as_ref())?;
+    outputs::save_scene(&folder.join(SCENE), &scene, &SaveOptions::default(), world.as_ref())?;
     outputs::save_picture(&folder.join(COMPARISON), &comparison(capture, drawn)?)
 }
 
@@ -132,7 +132,7 @@ fn table(scores: &[Score], mean: &Score) -> Table {
 }
 
 /// Two photos per row: photo, prediction, nearest input.
-fn comparison(capture: &Capture, drawn: &[Vec<f32>]) -> Result<Image> {
+fn comparison(capture: &ViewSplit, drawn: &[Vec<f32>]) -> Result<Image> {
     let targets = &capture.targets;
     let shown = targets.len().min(SHOWN);
     let mut images = Vec::new();

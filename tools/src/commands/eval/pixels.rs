@@ -7,7 +7,7 @@ use super::{
 };
 use crate::{
     cameras::Similarity,
-    capture::{Capture, Choice},
+    capture::{Choice, ViewSplit},
     depth::check_finds_cameras,
     options::{Size, refuse},
     session::Session,
@@ -15,7 +15,7 @@ use crate::{
 };
 use zipsplat::{
     Result,
-    types::{DEFAULT_BOUND, Pose, poses::Poses},
+    types::{DEFAULT_BOUND, Pose, poses::Capture},
     weights::DepthCheckpoint,
 };
 
@@ -41,7 +41,7 @@ impl Evaluator<'_> {
         &mut self,
         session: &mut Session<'_>,
         choice: &Choice,
-        capture: &Capture,
+        capture: &ViewSplit,
         checkpoint: &DepthCheckpoint,
     ) -> Result<Reconstruction> {
         let predictor = match self.predictor.take() {
@@ -62,7 +62,7 @@ impl Evaluator<'_> {
         let (first, keep) = (inputs[0].camera.pose, self.eval.quality.kept());
         let mut scene = predicted.scene(&Pose::IDENTITY, keep)?;
         let to_cameras = if pose_free {
-            aligned(&Poses { frames: predicted.frames()?, ..Poses::default() }, &inputs)?.0
+            aligned(&Capture { frames: predicted.frames()?, ..Capture::default() }, &inputs)?.0
         } else {
             Similarity { scale: 1.0, pose: Pose::IDENTITY }
         };

@@ -114,7 +114,7 @@ fn devices(session: &mut Session<'_>) -> Result<()> {
             (_, true) => "discrete GPU",
             _ => "integrated or virtual GPU",
         };
-        let usable = match &device.missing[..] {
+        let usable = match &device.unusable_reason[..] {
             [] => "usable".to_owned(),
             missing => format!("NOT usable: lacks {}", missing.join(", ")),
         };
@@ -156,7 +156,7 @@ fn matrices(limits: &Limits) -> String {
 }
 
 fn turbo(limits: &Limits) -> &'static str {
-    match Arithmetic::of(Precision::Turbo, limits) {
+    match Arithmetic::of(Precision::Int8, limits) {
         Some(Arithmetic { quantized: Some(_), .. }) => "8-bit integers on matrix units",
         Some(_) if limits.dot_products_accelerated => "8-bit integers by dot products, which the device accelerates",
         Some(_) => "8-bit integers by dot products, which the device does not accelerate: less memory, not less time",

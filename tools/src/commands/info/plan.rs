@@ -13,8 +13,8 @@ use zipsplat::{
     depth::DepthNetwork,
     gpu::{Arena, ArenaRow, Device, Limits, Plan},
     reconstruct::{Network, NetworkPlan, Shape},
-    refine::{Moved, Refine, RefinePlan, plan_refinement},
-    stages::render::{RenderRequest, plan_pictures},
+    refine::{Moved, RefineOptions, RefinePlan, plan_refinement},
+    stages::render::{RenderOptions, plan_pictures},
     types::DEFAULT_BOUND,
     weights::DepthCheckpoint,
 };
@@ -61,13 +61,13 @@ pub fn show(session: &mut Session<'_>, info: &Info, views: usize) -> Result<()> 
     let network = Network::of(&checkpoint, &limits, arithmetic)?;
     let NetworkPlan { plan, tensors, layout } = network.plan(&limits, shape)?;
     let pictures =
-        |Size(width, height)| plan_pictures(&limits, tensors.scene(), [width, height], &RenderRequest::default());
+        |Size(width, height)| plan_pictures(&limits, tensors.scene(), [width, height], &RenderOptions::default());
     let pictures = info.pictures.map(pictures).transpose()?;
     let refined = info.refine.map(|Refinement { size: Size(width, height), tokens }| {
         let (tensors, a) = (tensors.scene(), checkpoint.architecture());
         let gaussians = Moved::Gaussians(tensors.len, tensors.sh_degree);
         let moved = if tokens { Moved::Tokens(shape.tokens, a) } else { gaussians };
-        plan_refinement(&limits, moved, views, [width, height], &info.moved.request(Refine::default()))
+        plan_refinement(&limits, moved, views, [width, height], &info.moved.request(RefineOptions::default()))
     });
     let refined = refined.transpose()?;
     let kept = refined.as_ref().map_or(0, |refined| refined.kept_bytes);

@@ -9,11 +9,11 @@ use crate::{
     video::FrameFolder,
 };
 use std::path::PathBuf;
-use zipsplat::{Error, Result, reconstruct::MAX_VIEWS, types::poses::Poses};
+use zipsplat::{Error, Result, reconstruct::MAX_VIEWS, types::poses::Capture};
 
 pub struct Captured {
     pub photos: Vec<PathBuf>,
-    pub poses: Option<Poses>,
+    pub poses: Option<Capture>,
     pub frame_folder: Option<FrameFolder>,
     /// Owns the temporary points file.
     pub found: Option<EstimatedCameras>,
@@ -57,7 +57,7 @@ impl Reconstruct {
             frame_folder.iter_mut().for_each(FrameFolder::keep);
         }
         if let Some(poses) = &poses {
-            session.notes(&poses.notes);
+            session.notes(&poses.warnings);
             photos = photos::posed(session, photos, poses)?;
         }
         if let Some(views) = self.views {

@@ -15,7 +15,7 @@ use zipsplat::{
     Result,
     gpu::{Arena, Device},
     ops::Precision,
-    reconstruct::{Model, Reconstruction, Request, SceneTokens, Shape},
+    reconstruct::{Model, ReconstructOptions, Reconstruction, SceneTokens, Shape},
     stages::render::DeviceScene,
     types::{Scene, poses::SceneScale},
     weights::Checkpoint,
@@ -109,10 +109,16 @@ impl Planned<'_> {
         let cameras = Some(cameras).filter(|cameras| !cameras.is_empty());
         let length = scene_scale.as_ref().map_or(1.0, |scene_scale| scene_scale.length);
         let (ratio, selection) = (quality.ratio, quality.select.clone());
-        let request = Request { ratio, selection, cameras, scene_scale: length, pool: quality.pool };
+        let request = ReconstructOptions {
+            ratio,
+            token_selection: selection,
+            cameras,
+            scene_scale: length,
+            kv_pool: quality.pool,
+        };
         let moves_tokens = command.refine.steps().is_some_and(|steps| steps.tokens);
         let (result, tokens, _) = session.reconstruct_with_tokens(&model, &images, &request, moves_tokens)?;
-        let mut scene = result.scene()?;
+        let mut scene = result.to_scene()?;
         let asked = command.cameras_out.is_some() && poses.is_none();
         let found =
             asked.then(|| session.stage("find cameras", |_| Ok(Placed::new(result.cameras(&scene, None)?, size))));
@@ -148,7 +154,7 @@ impl Planned<'_> {
             found,
             length,
             times,
-            explanation: Some(Explanation::of_stages(&result.times, &result.outline, result.left_out.clone())),
+            explanation: Some(Explanation::of_stages(&result.times, &result.outline, result.skipped_passes.clone())),
             peak_bytes: result.peak_bytes,
             views_summary: format!(" from {} of {size}", counted(images.len(), "view")),
             summary,

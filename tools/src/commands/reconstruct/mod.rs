@@ -10,7 +10,7 @@ use crate::{
     options::{Network, Quality, Weights, parse_length, refuse},
     outputs::{self, Overwrite},
     photos::PhotoArgs,
-    refinement::{self, Initialization, RefineOptions, placed, save_cameras},
+    refinement::{self, Initialization, RefineArgs, placed, save_cameras},
     session::Session,
     table::{bytes, counted, time},
     video::FrameFolder,
@@ -25,11 +25,11 @@ use std::{fmt::Write, path::PathBuf, time::Duration};
 use zipsplat::{
     Error, Result,
     reconstruct::MAX_VIEWS,
-    refine::{Refined, Stopped},
+    refine::{RefineResult, StopReason},
     stages::render::Renderer,
     types::{
-        Pose, SceneFormat, World, WriteOptions,
-        poses::{Frame, Poses, read_cloud},
+        Pose, SaveOptions, SceneFormat, World,
+        poses::{Capture, CaptureView, read_cloud},
         spz_coarsening,
     },
 };
@@ -101,7 +101,7 @@ pub struct Reconstruct {
     #[arg(long)]
     explain: bool,
     #[command(flatten, next_help_heading = REFINEMENT)]
-    refine: RefineOptions,
+    refine: RefineArgs,
     /// File for the refined cameras: a transforms.json in the known cameras' world
     #[arg(long, help_heading = REFINEMENT, value_name = "FILE", requires = "refine_cameras")]
     refined_cameras: Option<PathBuf>,
@@ -121,8 +121,8 @@ const COARSE: f64 = 1e-3;
 #[derive(Clone, Copy)]
 pub struct Posed<'a> {
     pub photos: &'a [PathBuf],
-    pub poses: Option<&'a Poses>,
-    pub frames: &'a [&'a Frame],
+    pub poses: Option<&'a Capture>,
+    pub frames: &'a [&'a CaptureView],
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -134,7 +134,7 @@ enum WorldName {
 }
 
 impl WorldName {
-    fn of(self, frames: &[&Frame]) -> Option<World> {
+    fn of(self, frames: &[&CaptureView]) -> Option<World> {
         match self {
             Self::First => World::of_first(frames),
             Self::Cameras => World::of_cameras(frames),
@@ -163,7 +163,7 @@ impl Reconstruct {
         let first = frames.first().map(|frame| frame.camera.pose);
         let steps = self.refine.steps();
         let cloud = match (steps, &poses, &first) {
-            (Some(_), Some(Poses { points: Some(points), .. }), Some(first)) => {
+            (Some(_), Some(Capture { points: Some(points), .. }), Some(first)) => {
                 Some(placed(read_cloud(points)?, &first.inverse(), 1.0))
             }
             _ => None,
@@ -206,9 +206,11 @@ impl Reconstruct {
         if SceneFormat::of_extension(&self.output) == Some(SceneFormat::Spz) {
             session.notes(spz_coarsening(&scene));
         }
-        let save = || outputs::save_scene(&self.output, &scene, &WriteOptions::default(), world.as_ref());
-        if let Some(RefinedScene { refined: Refined { stopped: Some(Stopped::Cancelled), best_step, .. }, .. }) =
-            &refined
+        let save = || outputs::save_scene(&self.output, &scene, &SaveOptions::default(), world.as_ref());
+        if let Some(RefinedScene {
+            refined: RefineResult { stop_reason: Some(StopReason::Cancelled), best_step, .. },
+            ..
+        }) = &refined
         {
             session.notes(save()?);
             session.note(format!("{}: the best so far, after step {best_step}", self.output.display()));
@@ -234,8 +236,8 @@ impl Reconstruct {
             let as_made = refined.is_none() && moved.is_none();
             let own = forward.as_ref().filter(|_| as_made).and_then(|forward| forward.on_device.as_ref());
             let load = |_: &mut Session<'_>, renderer: &mut Renderer| match own {
-                Some(gaussians) => renderer.show(gaussians),
-                None => renderer.load(&scene),
+                Some(gaussians) => renderer.set_scene(gaussians),
+                None => renderer.set_scene(&scene),
             };
             drawing.draw(session, &mut renderer, &scene, 0, world.as_ref(), load)
         });
@@ -271,7 +273,7 @@ impl Reconstruct {
                 format!(
                     " from {}, refined for {steps} against {}",
                     made.started,
-                    counted(photos.len() - made.refined.held_out_views.len(), "photo")
+                    counted(photos.len() - made.refined.holdout_views.len(), "photo")
                 )
             }
             (None, Some(forward)) => forward.views_summary.clone(),

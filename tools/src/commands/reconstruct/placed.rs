@@ -8,7 +8,7 @@ use zipsplat::{
     cameras::CameraEstimate,
     types::{
         Camera, Image,
-        poses::{Frame, write_frames_with},
+        poses::{CaptureView, write_frames_with},
         preprocess::PixelMap,
     },
 };
@@ -37,7 +37,7 @@ impl Placed {
             let (width, height) = Image::size(photo)?;
             let intrinsics = PixelMap::cropped([width, height], [self.size.0, self.size.1]).undo(&camera.intrinsics);
             let camera = Image::camera_as_stored(photo, &Camera { intrinsics, ..*camera })?;
-            frames.push(Frame { name: path_from(folder, photo)?, photo: None, camera, lens: None });
+            frames.push(CaptureView { name: path_from(folder, photo)?, photo: None, camera, lens: None });
             let counts = [("inliers", inliers), ("patches", pairs)];
             fields.push(Map::from_iter(counts.map(|(name, count)| (name.to_owned(), json!(count)))));
         }

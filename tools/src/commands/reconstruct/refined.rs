@@ -13,8 +13,8 @@ use std::time::Duration;
 use zipsplat::{
     Error, Result,
     gpu::{Arena, Device},
-    refine::{FrozenHead, Refine, Refined, Stopped},
-    types::{Camera, PointCloud, poses::Frame},
+    refine::{FrozenHead, RefineOptions, RefineResult, StopReason},
+    types::{Camera, PointCloud, poses::CaptureView},
     weights::Checkpoint,
 };
 
@@ -33,10 +33,10 @@ pub struct RefineInputs<'a> {
 }
 
 pub struct RefinedScene {
-    pub refined: Refined,
+    pub refined: RefineResult,
     pub started: String,
     pub cameras: Vec<Camera>,
-    pub request: Refine,
+    pub request: RefineOptions,
     /// Reading of the photos.
     pub load: Duration,
 }
@@ -61,7 +61,7 @@ impl Reconstruct {
         Posed { photos, frames, .. }: Posed<'_>,
     ) -> Result<RefinedScene> {
         let world = frames[0].camera.pose;
-        let camera = |frame: &&Frame| Camera { pose: frame.camera.pose.relative_to(&world), ..frame.camera };
+        let camera = |frame: &&CaptureView| Camera { pose: frame.camera.pose.relative_to(&world), ..frame.camera };
         let cameras: Vec<Camera> = frames.iter().map(camera).collect();
         let (photos, load) =
             session.stage(LOAD_PHOTOS, |stage| photos::read(photos, frames, stage, |_, photo| Ok(photo)))?;
@@ -84,8 +84,8 @@ impl Reconstruct {
             }
         };
         session.notes(refinement::doubt(&refined));
-        match refined.stopped {
-            Some(Stopped::Cancelled) if refined.best_step == 0 => Err(Error::Cancelled),
+        match refined.stop_reason {
+            Some(StopReason::Cancelled) if refined.best_step == 0 => Err(Error::Cancelled),
             _ => Ok(RefinedScene { refined, started, cameras, request, load }),
         }
     }

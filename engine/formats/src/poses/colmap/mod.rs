@@ -12,7 +12,7 @@ use glam::DVec3;
 
 use super::super::camera::{Intrinsics, Pose, matrix_from_quaternion};
 use super::super::{Distortion, Lens, PointCloud, file::read_file};
-use super::{Frame, Poses};
+use super::{Capture, CaptureView};
 use crate::{Error, Result};
 
 /// Models of [`Distortion`]: ID, name, number of parameters. Parameters are `f, cx, cy` or `fx, fy,
@@ -43,7 +43,7 @@ fn is_binary(folder: &Path) -> bool {
     folder.join("cameras.bin").is_file()
 }
 
-pub(super) fn read(folder: &Path) -> Result<Poses> {
+pub(super) fn read(folder: &Path) -> Result<Capture> {
     let binary = is_binary(folder);
     let [cameras, images] =
         ["cameras", "images"].map(|name| folder.join(name).with_extension(if binary { "bin" } else { "txt" }));
@@ -56,14 +56,14 @@ pub(super) fn read(folder: &Path) -> Result<Poses> {
     views.sort_by(|a, b| a.name.cmp(&b.name));
 
     let points = images.with_file_name("points3D").with_extension(if binary { "bin" } else { "txt" });
-    let mut poses = Poses { points: Some(points).filter(|path| path.is_file()), ..Poses::default() };
+    let mut poses = Capture { points: Some(points).filter(|path| path.is_file()), ..Capture::default() };
     for view in views {
         let fail = |reason: String| Error::format(&images, None, reason);
         let lens = *lenses.get(&view.camera_id).ok_or_else(|| {
             fail(format!("image {:?} has camera {}, which {} lacks", view.name, view.camera_id, cameras.display()))
         })?;
         let (photo, label) = (find_photo(folder, &view.name), format!("image {:?}", view.name));
-        poses.frames.push(Frame::new(view.name, photo, lens, view.pose, &label).map_err(fail)?);
+        poses.frames.push(CaptureView::new(view.name, photo, lens, view.pose, &label).map_err(fail)?);
     }
     Ok(poses)
 }

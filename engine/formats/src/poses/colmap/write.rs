@@ -1,6 +1,6 @@
 use std::path::{Path, PathBuf};
 
-use super::super::Frame;
+use super::super::CaptureView;
 use crate::{Distortion, Error, Intrinsics, Result, file::write_atomic, quaternion_from_matrix};
 
 /// First line of each file, which marks files that may be replaced.
@@ -17,7 +17,7 @@ pub fn colmap_files(folder: impl AsRef<Path>) -> [PathBuf; 3] {
 /// # Errors
 ///
 /// [`Error::Argument`] for an invalid camera, a name with spaces, or a lens without a COLMAP model.
-pub fn write_colmap(folder: impl AsRef<Path>, frames: &[Frame], points: &[([f32; 3], [u8; 3])]) -> Result<()> {
+pub fn write_colmap(folder: impl AsRef<Path>, frames: &[CaptureView], points: &[([f32; 3], [u8; 3])]) -> Result<()> {
     let mut lenses: Vec<String> = Vec::new();
     let mut images = format!("{MADE_BY}# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then a line of its points\n");
     for (i, frame) in frames.iter().enumerate() {
@@ -49,7 +49,7 @@ pub fn write_colmap(folder: impl AsRef<Path>, frames: &[Frame], points: &[([f32;
     Ok(())
 }
 
-fn camera(frame: &Frame) -> Result<String> {
+fn camera(frame: &CaptureView) -> Result<String> {
     let Intrinsics { width, height, fx, fy, cx, cy } =
         frame.lens.map_or(frame.camera.intrinsics, |lens| lens.intrinsics);
     let (model, coefficients) = match frame.lens.map(|lens| lens.distortion) {

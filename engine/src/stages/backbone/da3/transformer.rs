@@ -50,7 +50,7 @@ impl Transformer {
             class_token: p.vector(&format!("{root}.cls_token"), &[1, 1, a.width]),
             camera_tokens: a.alternates().then(|| p.vector(&format!("{root}.camera_token"), &[1, 2, a.width])),
             learned_positions: p.host(&format!("{root}.pos_embed"), &[1, 1 + a.position_grid.pow(2), a.width]),
-            patch_embed: p.convolution(&format!("{root}.patch_embed.proj"), &[3, a.patch, a.patch], a.width),
+            patch_embed: p.convolution(&format!("{root}.patch_embed.proj"), &[3, a.patch_size, a.patch_size], a.width),
             blocks: (0..a.depth)
                 .map(|i| {
                     let name = format!("{root}.blocks.{i}");

@@ -6,23 +6,23 @@ use super::{
     rounded::OWN,
 };
 use crate::{
-    capture::Capture,
+    capture::ViewSplit,
     refinement::{Initialization, Steps},
 };
 use zipsplat::{
     Result,
     ops::Precision,
-    reconstruct::{Kept, Ratio, Request, Shape},
+    reconstruct::{Ratio, ReconstructOptions, Shape, TokenSampling},
     types::PointCloud,
     weights::Architecture,
 };
 
 #[derive(Clone)]
 pub struct Case<'a> {
-    pub capture: &'a Capture,
+    pub capture: &'a ViewSplit,
     pub cloud: Option<&'a PointCloud>,
     pub shape: Shape,
-    pub request: Request,
+    pub request: ReconstructOptions,
     pub precision: &'a str,
     /// Rounded type, or [`OWN`].
     pub weights: &'a str,
@@ -41,7 +41,7 @@ pub fn all<'a>(
     architecture: &Architecture,
     precision: &'a str,
     keep: &'a [usize],
-    captures: &'a [Capture],
+    captures: &'a [ViewSplit],
     clouds: &'a [Option<PointCloud>],
 ) -> Result<Vec<Case<'a>>> {
     let mut cases: Vec<Case<'a>> = Vec::new();
@@ -50,12 +50,18 @@ pub fn all<'a>(
             args.pool.iter().flat_map(|pool| captures.iter().zip(clouds).map(move |capture| (pool, capture)))
         {
             let cameras = Some(capture.cameras());
-            let request = Request { ratio, selection: selection.clone(), cameras, scene_scale: 1.0, pool };
+            let request = ReconstructOptions {
+                ratio,
+                token_selection: selection.clone(),
+                cameras,
+                scene_scale: 1.0,
+                kv_pool: pool,
+            };
             let image = &capture.views.images[0];
             let (views, size) = (capture.views.images.len(), [image.width, image.height]);
             let shape = Shape::new(architecture, views, size, (ratio, selection), true)?.pooled(pool)?;
-            let whole = shape.kept == Kept::All;
-            let same = |case: &Case| case.shape == shape && (whole || case.request.selection == *selection);
+            let whole = shape.kept == TokenSampling::All;
+            let same = |case: &Case| case.shape == shape && (whole || case.request.token_selection == *selection);
             if cases.iter().any(same) {
                 continue;
             }
@@ -83,8 +89,8 @@ pub fn all<'a>(
 impl Case<'_> {
     /// Returns true for all tokens or the first selection, and the first pooling.
     pub fn is_first(&self, args: &Tradeoff) -> bool {
-        let chosen = self.shape.kept == Kept::All || self.request.selection == args.select[0];
-        chosen && self.request.pool == args.pool[0]
+        let chosen = self.shape.kept == TokenSampling::All || self.request.token_selection == args.select[0];
+        chosen && self.request.kv_pool == args.pool[0]
     }
 
     /// Refines from points alone only in a capture's first case.
@@ -107,7 +113,7 @@ impl Case<'_> {
     }
 
     pub fn is_exact(&self) -> bool {
-        self.precision == Precision::Exact.name() && self.weights == OWN
+        self.precision == Precision::Fp32.name() && self.weights == OWN
     }
 
     pub fn arithmetic(&self) -> String {

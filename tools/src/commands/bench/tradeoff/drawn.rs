@@ -2,7 +2,7 @@
 
 use super::{point::Point, truth::Compared};
 use crate::{
-    capture::{Capture, Score, draw},
+    capture::{Score, ViewSplit, draw},
     commands::bench::Spread,
     metrics::psnr,
 };
@@ -31,13 +31,13 @@ impl Drawn {
         })
     }
 
-    pub fn picture(&self, capture: &Capture) -> Result<Image> {
+    pub fn picture(&self, capture: &ViewSplit) -> Result<Image> {
         let Image { width, height, .. } = capture.targets[0].image;
         Image::from_rgb_f32(width, height, &self.pictures[0])
     }
 }
 
-pub fn compare(renderer: &mut Renderer, capture: &Capture) -> Result<Drawn> {
+pub fn compare(renderer: &mut Renderer, capture: &ViewSplit) -> Result<Drawn> {
     // Also builds the plan.
     draw(renderer, &capture.targets[0].camera)?;
     let (mut pictures, mut times) = (Vec::new(), Vec::new());
@@ -63,13 +63,13 @@ pub fn psnr_to_f64(
     compared: &Compared,
     group: usize,
     keep: usize,
-    capture: &Capture,
+    capture: &ViewSplit,
 ) -> Result<f64> {
     let kept = compared.scene.most_visible(group, keep);
     let mut draw = |scene: &Scene| -> Result<Vec<f32>> {
         let mut scene = scene.clone();
         scene.keep(&kept);
-        renderer.load(&scene)?;
+        renderer.set_scene(&scene)?;
         Ok(capture.targets.iter().map(|view| draw(renderer, &view.camera)).collect::<Result<Vec<_>>>()?.concat())
     };
     Ok(psnr(&draw(&compared.scene)?, &draw(&compared.truth)?))

@@ -8,7 +8,7 @@ use super::{
     sweep::Sweep,
 };
 use crate::plot::{At, Axis, Scale, Series, plot};
-use zipsplat::reconstruct::Selection;
+use zipsplat::reconstruct::TokenSelection;
 
 const fn linear(label: &str) -> Axis<'_> {
     Axis { label, scale: Scale::Linear }
@@ -56,7 +56,7 @@ pub fn figures(sweep: &Sweep) -> Vec<(&'static str, String)> {
     let most = plain.iter().map(|(_, p)| p.views).max().unwrap_or(0);
     let keep = plain.iter().map(|(_, p)| p.keep).max().unwrap_or(0);
     let first = plain.first().map_or_else(String::new, |(_, p)| p.arithmetic());
-    let own = name(&Selection::KMEANS);
+    let own = name(&TokenSelection::KMEANS);
     let kmeans = |p: &Point| p.select == "all" || p.select == own;
     let full = those(&plain, |p| p.keep == keep && p.arithmetic() == first);
     let (best, ours) = (those(&full, |p| p.views == most), those(&full, kmeans));
@@ -113,7 +113,7 @@ fn those<'a>(points: &[Numbered<'a>], keeps: impl Fn(&Point) -> bool) -> Vec<Num
 /// Empty without results.
 pub fn deviations(points: &[Point]) -> Vec<(&'static str, String)> {
     let keep = points.iter().map(|p| p.keep).max().unwrap_or(0);
-    let own = name(&Selection::KMEANS);
+    let own = name(&TokenSelection::KMEANS);
     let compared = |p: &Point| p.keep == keep && (p.select == "all" || p.select == own) && p.psnr_to_f64.is_some();
     let most = points.iter().filter(|p| compared(p)).map(|p| p.views).max();
     let all: Vec<Numbered<'_>> = points.iter().enumerate().collect();

@@ -10,7 +10,7 @@ mod truth;
 
 use super::timed_device;
 use crate::{
-    capture::{Capture, Choice},
+    capture::{Choice, ViewSplit},
     options::{Keep, PrecisionName, Size, Weights, parse_length, parse_ratio, parse_selection},
     outputs::{self, Overwrite},
     refinement::{Initialization, Steps},
@@ -23,8 +23,8 @@ use zipsplat::{
     Error, Result,
     gpu::Device,
     ops::{Arithmetic, Precision},
-    reconstruct::{Ratio, Selection},
-    tune::Chosen,
+    reconstruct::{Ratio, TokenSelection},
+    tune::KernelChoice,
     types::{PointCloud, write_atomic},
     weights::{Checkpoint, Dtype},
 };
@@ -60,7 +60,7 @@ pub struct Tradeoff {
     /// Token selections: kmeans[:ROUNDS], stride, random[:SEED]
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "kmeans,kmeans:1,kmeans:10,stride,random",
         value_parser = parse_selection)]
-    select: Vec<Selection>,
+    select: Vec<TokenSelection>,
     /// Pooling factors of attention across photos
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "1")]
     pool: Vec<usize>,
@@ -139,12 +139,12 @@ impl Tradeoff {
             .map(|views| Choice::new(&self.folder, *views, Some(self.targets as usize)))
             .collect::<Result<_>>()?;
         let device = timed_device(session)?;
-        let captures: Vec<Capture> = (choices.iter())
+        let captures: Vec<ViewSplit> = (choices.iter())
             .map(|choice| {
                 Ok(session.stage("load photos", |stage| choice.load(Seeing::cropped(size), self.unit, stage))?.0)
             })
             .collect::<Result<_>>()?;
-        captures.iter().take(1).flat_map(Capture::notes).for_each(|note| session.note(note));
+        captures.iter().take(1).flat_map(ViewSplit::notes).for_each(|note| session.note(note));
         let clouds: Vec<Option<PointCloud>> = (choices.iter().zip(&captures))
             .map(|(choice, capture)| choice.points(&capture.scene_scale))
             .collect::<Result<_>>()?;
@@ -188,10 +188,10 @@ impl Tradeoff {
         let suits = |arithmetic| checkpoint.suits(arithmetic).is_ok();
         let has = |precision: &Precision| Arithmetic::of(*precision, device.limits()).is_some_and(suits);
         let mut precisions: Vec<Precision> = asked.unwrap_or_else(|| Precision::ALL.into_iter().filter(has).collect());
-        precisions.sort_by_key(|precision| *precision != Precision::Exact);
+        precisions.sort_by_key(|precision| *precision != Precision::Fp32);
         precisions.dedup();
         let choose = |precision| {
-            let Chosen { precision, arithmetic, notes } = session.choose(device, Some(precision))?;
+            let KernelChoice { precision, arithmetic, warnings: notes } = session.choose(device, Some(precision))?;
             notes.iter().for_each(|note| session.note(note));
             Ok((precision, arithmetic))
         };

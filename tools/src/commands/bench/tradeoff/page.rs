@@ -6,7 +6,7 @@ use super::{
     sweep::Sweep,
 };
 use crate::{
-    capture::Capture,
+    capture::ViewSplit,
     html::{self, escape},
     table::{bytes, counted, time},
 };
@@ -21,7 +21,7 @@ const DEVIATIONS: &str = "The same network in f64 on the CPU, for reconstruction
     precisions take the tokens that the first one chose, so that these are errors of arithmetic and not other choices of near ties. \
     Pictures are drawn by the device from its own Gaussians and from those of f64.";
 
-pub fn page(args: &Tradeoff, device: &str, weights: &str, captures: &[Capture], sweep: &Sweep) -> Result<String> {
+pub fn page(args: &Tradeoff, device: &str, weights: &str, captures: &[ViewSplit], sweep: &Sweep) -> Result<String> {
     let points = &sweep.points;
     let pictures: Vec<String> =
         sweep.pictures.iter().map(|picture| html::picture(picture, PICTURE)).collect::<Result<_>>()?;

@@ -3,7 +3,7 @@
 use super::rounded::OWN;
 use crate::table::counted;
 use serde::Serialize;
-use zipsplat::reconstruct::Selection;
+use zipsplat::reconstruct::TokenSelection;
 
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Point {
@@ -113,12 +113,12 @@ pub fn arithmetic(precision: &str, weights: &str) -> String {
     if weights == OWN { precision.into() } else { format!("{precision}, {weights} weights") }
 }
 
-pub fn name(selection: &Selection) -> String {
+pub fn name(selection: &TokenSelection) -> String {
     match selection {
-        Selection::Kmeans(rounds) => format!("kmeans:{rounds}"),
-        Selection::Stride => "stride".into(),
-        Selection::Random(seed) => format!("random:{seed}"),
-        Selection::Given(indices) => format!("{} tokens", indices.len()),
+        TokenSelection::Kmeans(rounds) => format!("kmeans:{rounds}"),
+        TokenSelection::Stride => "stride".into(),
+        TokenSelection::Random(seed) => format!("random:{seed}"),
+        TokenSelection::Given(indices) => format!("{} tokens", indices.len()),
     }
 }
 

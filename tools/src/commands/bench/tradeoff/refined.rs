@@ -1,11 +1,11 @@
 //! Refinements of a reconstruction.
 
-use crate::{capture::Capture, refinement::Steps, session::Stage};
+use crate::{capture::ViewSplit, refinement::Steps, session::Stage};
 use std::ops::ControlFlow;
 use zipsplat::{
     Error, Result,
-    reconstruct::{Model, Request},
-    refine::{FrozenHead, Refine, Refined, Stopped, refine_scene, refine_tokens},
+    reconstruct::{Model, ReconstructOptions},
+    refine::{FrozenHead, RefineOptions, RefineResult, StopReason, refine_scene, refine_tokens},
     types::Scene,
     weights::Checkpoint,
 };
@@ -14,15 +14,15 @@ use zipsplat::{
 pub fn refine(
     model: &Model,
     checkpoint: &Checkpoint,
-    capture: &Capture,
-    request: &Request,
+    capture: &ViewSplit,
+    request: &ReconstructOptions,
     scene: &Scene,
     steps: Steps,
     stage: &Stage<'_>,
-) -> Result<Refined> {
+) -> Result<RefineResult> {
     let go_on = || stage.check().map_or(ControlFlow::Break(()), ControlFlow::Continue);
     let (photos, cameras) = capture.training_views();
-    let refine = Refine { steps: steps.count, ..Refine::default() };
+    let refine = RefineOptions { steps: steps.count, ..RefineOptions::default() };
     let refined = if steps.tokens {
         let features = model.features(&capture.images(), request, |_| go_on())?;
         let tokens = model.tokens(&features, request, |_| go_on())?;
@@ -32,8 +32,8 @@ pub fn refine(
     } else {
         refine_scene(model.arena(), scene, &photos, &cameras, &refine, |_| go_on())?
     };
-    match refined.stopped {
-        Some(Stopped::Cancelled) => Err(Error::Cancelled),
+    match refined.stop_reason {
+        Some(StopReason::Cancelled) => Err(Error::Cancelled),
         _ => Ok(refined),
     }
 }

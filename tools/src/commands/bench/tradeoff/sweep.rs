@@ -10,7 +10,7 @@ use super::{
     truth::{Compared, Errors, MOST_FLOPS, Truth},
 };
 use crate::{
-    capture::Capture,
+    capture::ViewSplit,
     commands::bench::Spread,
     metrics::psnr,
     options::Size,
@@ -24,7 +24,7 @@ use zipsplat::{
     Error, Result,
     gpu::{Device, Progress, StageTimes},
     ops::{Arithmetic, Precision},
-    reconstruct::{Kept, Model, Reconstruction, Selection, Shape},
+    reconstruct::{Model, Reconstruction, Shape, TokenSampling, TokenSelection},
     stages::{
         cluster::{even_indices, random_indices},
         render::Renderer,
@@ -91,7 +91,7 @@ pub fn run(
     session: &mut Session<'_>,
     device: &Device,
     Networks { checkpoint, rounded, arithmetics }: Networks<'_>,
-    captures: &[Capture],
+    captures: &[ViewSplit],
     clouds: &[Option<PointCloud>],
 ) -> Result<(Sweep, bool)> {
     let all = checkpoint.architecture().gaussians_per_token;
@@ -163,7 +163,7 @@ impl Bench<'_> {
         for (i, cases) in passes {
             stage.name("load weights");
             let (_, checkpoint, (_, arithmetic)) = networks[*i];
-            let model = Model::load_with(self.device, checkpoint, arithmetic, |_| match stage.check() {
+            let model = Model::from_checkpoint_with(self.device, checkpoint, arithmetic, |_| match stage.check() {
                 Ok(()) => ControlFlow::Continue(()),
                 Err(_) => ControlFlow::Break(()),
             })?;
@@ -216,11 +216,11 @@ impl Bench<'_> {
         let go_on = |_: Progress<'_>| stage.check().map_or(ControlFlow::Break(()), ControlFlow::Continue);
         let (mut times, mut last) = (Vec::new(), None);
         for i in 0..self.args.warmup + self.args.repeats {
-            let made = last.insert(model.reconstruct(&images, &case.request, go_on)?);
+            let made = last.insert(model.reconstruct_views(&images, &case.request, go_on)?);
             times.extend((i >= self.args.warmup).then(|| made.times.total()));
         }
         let made = last.expect("there is a repeat");
-        if shape.kept == Kept::All && shape.pool == self.args.pool[0] && case.is_exact() {
+        if shape.kept == TokenSampling::All && shape.kv_pool == self.args.pool[0] && case.is_exact() {
             self.sweep.stages.push((capture.inputs.len(), made.times.clone()));
         }
         let (chosen, views_per_cluster) = chosen(model, case, &images)?;
@@ -230,7 +230,7 @@ impl Bench<'_> {
         } else {
             None
         };
-        let scene = made.scene()?;
+        let scene = made.to_scene()?;
         Ok(Forward { made, scene, ms: Spread::of(times).median, views_per_cluster, compared })
     }
 
@@ -238,10 +238,10 @@ impl Bench<'_> {
         let (capture, all) = (case.capture, model.architecture().gaussians_per_token);
         let mut scene = forward.scene.clone();
         if keep == all {
-            self.renderer.show(&forward.made.gaussians)?;
+            self.renderer.set_scene(&forward.made.gaussians)?;
         } else {
             scene.keep_most_visible(all, keep);
-            self.renderer.load(&scene)?;
+            self.renderer.set_scene(&scene)?;
         }
         let drawn = compare(&mut self.renderer, capture)?;
         let against = |compared| psnr_to_f64(&mut self.renderer, compared, all, keep, capture);
@@ -273,7 +273,7 @@ impl Bench<'_> {
     ) -> Result<(Point, Image)> {
         let scene = init.scene(Some(forward.scene.clone()), case.cloud, &case.capture.training_views().1)?;
         let refined = refine(model, self.checkpoint, case.capture, &case.request, &scene, steps, stage)?;
-        self.renderer.load(&refined.scene)?;
+        self.renderer.set_scene(&refined.scene)?;
         let drawn = compare(&mut self.renderer, case.capture)?;
         let refine_ms = 1e3 * refined.took.as_secs_f64();
         let settings = match init {
@@ -306,7 +306,7 @@ impl Bench<'_> {
             ratio: shape.tokens as f64 / shape.grid.tokens() as f64,
             asked_ratio: case.ratio.clone(),
             select: case.select.clone(),
-            pool: shape.pool,
+            pool: shape.kv_pool,
             keep: model.architecture().gaussians_per_token,
             refine: "0".into(),
             tokens: shape.tokens,
@@ -328,12 +328,12 @@ impl Bench<'_> {
 
 fn chosen(model: &Model, case: &Case<'_>, images: &[Image]) -> Result<(Vec<u32>, Option<f64>)> {
     let (all, count) = (case.shape.grid.tokens(), case.shape.tokens);
-    match (case.shape.kept, &case.request.selection) {
-        (Kept::Kmeans(_), _) => clusters(model, case, images).map(|(nearest, views)| (nearest, Some(views))),
-        (_, Selection::Given(indices)) => Ok((indices.clone(), None)),
-        (Kept::Indices, Selection::Random(seed)) => Ok((random_indices(all, count, *seed), None)),
-        (Kept::Indices, _) => Ok((even_indices(all, count), None)),
-        (Kept::All, _) => Ok(((0..all as u32).collect(), None)),
+    match (case.shape.kept, &case.request.token_selection) {
+        (TokenSampling::Kmeans(_), _) => clusters(model, case, images).map(|(nearest, views)| (nearest, Some(views))),
+        (_, TokenSelection::Given(indices)) => Ok((indices.clone(), None)),
+        (TokenSampling::Indices, TokenSelection::Random(seed)) => Ok((random_indices(all, count, *seed), None)),
+        (TokenSampling::Indices, _) => Ok((even_indices(all, count), None)),
+        (TokenSampling::All, _) => Ok(((0..all as u32).collect(), None)),
     }
 }
 

@@ -3,12 +3,12 @@
 //! All precisions use the first one's tokens: rounding may flip a near tie of k-means, which is no
 //! arithmetic error.
 
-use crate::capture::Capture;
+use crate::capture::ViewSplit;
 use std::{collections::HashMap, ops::Range};
 use zipsplat::{
     Result,
     gpu::Tensor,
-    reconstruct::{Model, Request, Selection},
+    reconstruct::{Model, ReconstructOptions, TokenSelection},
     types::{Camera, Image, Intrinsics, Scene},
     weights::Checkpoint,
 };
@@ -67,8 +67,8 @@ impl<'a> Truth<'a> {
     pub fn compare(
         &mut self,
         model: &Model,
-        capture: &Capture,
-        request: &Request,
+        capture: &ViewSplit,
+        request: &ReconstructOptions,
         settings: &str,
         chosen: Vec<u32>,
     ) -> Result<Compared> {
@@ -77,18 +77,22 @@ impl<'a> Truth<'a> {
             Some(known) => known,
             unknown => unknown.insert(reference(self.checkpoint)?),
         };
-        let tokens = self.tokens.entry([images.len(), request.pool]).or_insert_with(|| {
+        let tokens = self.tokens.entry([images.len(), request.kv_pool]).or_insert_with(|| {
             let priors = request.cameras.as_deref().map(|cameras| cameras.iter().map(prior).collect::<Vec<_>>());
-            forward::tokens(reference, &channel_major(&images), priors.as_deref(), request.pool)
+            forward::tokens(reference, &channel_major(&images), priors.as_deref(), request.kv_pool)
         });
         let known = self.known.entry((images.len(), settings.to_owned())).or_insert_with(|| {
             let taps = forward::gaussians(reference, tokens, &chosen);
             KnownTokens { chosen, taps }
         });
         let all = tokens.layers[0].len() / reference.architecture.width;
-        let selection =
-            if known.chosen.len() < all { Selection::Given(known.chosen.clone()) } else { request.selection.clone() };
-        let (taps, scene) = observe(model, &images, &Request { selection, ..request.clone() })?;
+        let selection = if known.chosen.len() < all {
+            TokenSelection::Given(known.chosen.clone())
+        } else {
+            request.token_selection.clone()
+        };
+        let (taps, scene) =
+            observe(model, &images, &ReconstructOptions { token_selection: selection, ..request.clone() })?;
         let packed = &known.taps["gauss"];
         let truth: Vec<f32> = packed.iter().map(|value| *value as f32).collect();
         let last = format!("scene_sa{}", tokens.layers.len() - 1);
@@ -111,7 +115,11 @@ impl<'a> Truth<'a> {
     }
 }
 
-fn observe(model: &Model, images: &[Image], request: &Request) -> Result<(HashMap<String, Vec<f32>>, Scene)> {
+fn observe(
+    model: &Model,
+    images: &[Image],
+    request: &ReconstructOptions,
+) -> Result<(HashMap<String, Vec<f32>>, Scene)> {
     let shape = model.shape(images, request)?;
     let (plan, tensors) = model.record(shape, true)?;
     let mut run = model.run(plan)?;
@@ -136,7 +144,7 @@ fn relative<'a>(found: &[f32], truth: impl IntoIterator<Item = &'a f64>) -> f64 
 fn reference(checkpoint: &Checkpoint) -> Result<Reference> {
     let a = checkpoint.architecture();
     let architecture = Architecture {
-        patch: a.patch,
+        patch: a.patch_size,
         width: a.width,
         depth: a.depth,
         heads: a.heads,

@@ -5,7 +5,7 @@ use crate::{
         Architecture, ViewGrid,
         cluster::{ROUNDS, auto_ratio, cluster_count, even_indices, random_indices},
     },
-    types::{Camera, Image, LeftOut},
+    types::{Camera, Image, SkippedPass},
 };
 
 /// Maximum views per reconstruction.
@@ -27,7 +27,7 @@ pub enum Ratio {
 
 /// Token selection.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Selection {
+pub enum TokenSelection {
     /// Tokens nearest to k-means centroids, after a number of rounds.
     Kmeans(usize),
     /// Evenly spread.
@@ -38,30 +38,36 @@ pub enum Selection {
     Given(Vec<u32>),
 }
 
-impl Selection {
+impl TokenSelection {
     /// The reference's rounds.
     pub const KMEANS: Self = Self::Kmeans(ROUNDS);
 }
 
-/// Reconstruction request.
+/// Reconstruction options.
 #[derive(Clone, Debug)]
-pub struct Request {
+pub struct ReconstructOptions {
     /// Ratio of kept tokens.
     pub ratio: Ratio,
     /// Token selection.
-    pub selection: Selection,
+    pub token_selection: TokenSelection,
     /// Known cameras, at image size.
     pub cameras: Option<Vec<Camera>>,
     /// Scene scale: the length, in camera and scene units, that the network sees as 1. Training
     /// scenes have a median distance of about 1 from the first camera.
     pub scene_scale: f64,
     /// Side of pooled groups, 1 to [`Pool::MAX_SIDE`]: faster and less exact with many photos.
-    pub pool: usize,
+    pub kv_pool: usize,
 }
 
-impl Default for Request {
+impl Default for ReconstructOptions {
     fn default() -> Self {
-        Self { ratio: Ratio::Fixed(1.0), selection: Selection::KMEANS, cameras: None, scene_scale: 1.0, pool: 1 }
+        Self {
+            ratio: Ratio::Fixed(1.0),
+            token_selection: TokenSelection::KMEANS,
+            cameras: None,
+            scene_scale: 1.0,
+            kv_pool: 1,
+        }
     }
 }
 
@@ -73,16 +79,16 @@ pub struct Shape {
     /// Number of tokens kept.
     pub tokens: usize,
     /// Their selection.
-    pub kept: Kept,
+    pub kept: TokenSampling,
     /// Whether cameras are known.
     pub cameras: bool,
-    /// See [`Request::pool`].
-    pub pool: usize,
+    /// See [`ReconstructOptions::kv_pool`].
+    pub kv_pool: usize,
 }
 
 /// Kept tokens.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kept {
+pub enum TokenSampling {
     /// All, without clustering.
     All,
     /// Nearest to k-means centroids.
@@ -97,53 +103,55 @@ impl Shape {
         architecture: &Architecture,
         views: usize,
         [width, height]: [u32; 2],
-        chosen: (Ratio, &Selection),
+        chosen: (Ratio, &TokenSelection),
         cameras: bool,
     ) -> Result<Self> {
-        let grid = grid(architecture.patch, views, width as usize, height as usize)?;
-        let (tokens, kept) = Kept::of(grid, chosen)?;
-        Ok(Self { grid, tokens, kept, cameras, pool: 1 })
+        let grid = grid(architecture.patch_size, views, width as usize, height as usize)?;
+        let (tokens, kept) = TokenSampling::of(grid, chosen)?;
+        Ok(Self { grid, tokens, kept, cameras, kv_pool: 1 })
     }
 
-    /// Sets [`Request::pool`].
+    /// Sets [`ReconstructOptions::kv_pool`].
     ///
     /// # Errors
     ///
     /// [`Error::Argument`] for an invalid side.
     pub fn pooled(self, pool: usize) -> Result<Self> {
         Pool::check(pool)?;
-        Ok(Self { pool, ..self })
+        Ok(Self { kv_pool: pool, ..self })
     }
 
     /// Skipped stages, with reasons.
-    pub fn left_out(&self) -> Vec<LeftOut> {
-        let mut left_out = Vec::new();
+    pub fn skipped_passes(&self) -> Vec<SkippedPass> {
+        let mut skipped_passes = Vec::new();
         match self.kept {
-            Kept::All => left_out.push(LeftOut::new("cluster", "every token is kept")),
-            Kept::Indices => left_out.push(LeftOut::new("cluster", "tokens are not chosen by k-means")),
-            Kept::Kmeans(_) => {}
+            TokenSampling::All => skipped_passes.push(SkippedPass::new("cluster", "every token is kept")),
+            TokenSampling::Indices => {
+                skipped_passes.push(SkippedPass::new("cluster", "tokens are not chosen by k-means"))
+            }
+            TokenSampling::Kmeans(_) => {}
         }
         if !self.cameras {
-            left_out.push(LeftOut::new("camera encoder", "no cameras are given"));
+            skipped_passes.push(SkippedPass::new("camera encoder", "no cameras are given"));
         }
-        if self.pool > 1 {
-            let why = format!("attention across views sees the means of {0} x {0} patches", self.pool);
-            left_out.push(LeftOut::new("keys of single patches", why));
+        if self.kv_pool > 1 {
+            let why = format!("attention across views sees the means of {0} x {0} patches", self.kv_pool);
+            skipped_passes.push(SkippedPass::new("keys of single patches", why));
         }
-        left_out
+        skipped_passes
     }
 }
 
-impl Kept {
-    pub(crate) fn of(grid: ViewGrid, chosen: (Ratio, &Selection)) -> Result<(usize, Self)> {
+impl TokenSampling {
+    pub(crate) fn of(grid: ViewGrid, chosen: (Ratio, &TokenSelection)) -> Result<(usize, Self)> {
         let all = grid.tokens();
-        if let Selection::Kmeans(rounds) = chosen.1
+        if let TokenSelection::Kmeans(rounds) = chosen.1
             && !(1..=MAX_ROUNDS).contains(rounds)
         {
             return Err(Error::argument("rounds of k-means", rounds, format!("1 to {MAX_ROUNDS}")));
         }
         let tokens = match chosen {
-            (_, Selection::Given(indices)) => {
+            (_, TokenSelection::Given(indices)) => {
                 if indices.is_empty() || indices.iter().any(|i| *i as usize >= all) {
                     let found = format!("{} indices", indices.len());
                     return Err(Error::argument("given tokens", found, format!("at least one, all below {all}")));
@@ -153,16 +161,16 @@ impl Kept {
             (wanted, _) => cluster_count(all, ratio(wanted, grid.views)?),
         };
         let kept = match chosen.1 {
-            Selection::Given(_) => Kept::Indices,
-            _ if tokens == all => Kept::All,
-            Selection::Kmeans(rounds) => Kept::Kmeans(*rounds),
-            Selection::Stride | Selection::Random(_) => Kept::Indices,
+            TokenSelection::Given(_) => TokenSampling::Indices,
+            _ if tokens == all => TokenSampling::All,
+            TokenSelection::Kmeans(rounds) => TokenSampling::Kmeans(*rounds),
+            TokenSelection::Stride | TokenSelection::Random(_) => TokenSampling::Indices,
         };
         Ok((tokens, kept))
     }
 }
 
-impl Selection {
+impl TokenSelection {
     pub(crate) fn indices(&self, all: usize, tokens: usize) -> Vec<u32> {
         match self {
             Self::Kmeans(_) | Self::Stride => even_indices(all, tokens),
@@ -216,7 +224,7 @@ pub(crate) fn grid(patch: usize, views: usize, width: usize, height: usize) -> R
     if width == 0 || height == 0 || !width.is_multiple_of(patch) || !height.is_multiple_of(patch) {
         return fail(format!("multiples of {patch}"));
     }
-    let grid = ViewGrid { views, rows: height / patch, columns: width / patch, patch };
+    let grid = ViewGrid { views, rows: height / patch, columns: width / patch, patch_size: patch };
     if grid.tokens() > MAX_PATCHES {
         return fail(format!("at most {MAX_PATCHES} patches of {patch} x {patch} in {views} views"));
     }

@@ -10,16 +10,16 @@ use std::ops::ControlFlow;
 
 /// A precision's arithmetic on a device.
 #[derive(Clone, Debug)]
-pub struct Chosen {
+pub struct KernelChoice {
     /// Precision.
     pub precision: Precision,
     /// Arithmetic.
     pub arithmetic: Arithmetic,
     /// Failed kernels, for the user.
-    pub notes: Vec<String>,
+    pub warnings: Vec<String>,
 }
 
-impl Chosen {
+impl KernelChoice {
     /// Returns the arithmetic of a precision, by default the best.
     ///
     /// # Errors
@@ -28,26 +28,26 @@ impl Chosen {
         Self::of_with(device, precision, |_, _| ControlFlow::Continue(()))
     }
 
-    /// [`Chosen::of`], with progress of the first self-test.
+    /// [`KernelChoice::of`], with progress of the first self-test.
     pub fn of_with(
         device: &Device,
         precision: Option<Precision>,
         progress: impl FnMut(&str, f64) -> ControlFlow<()>,
     ) -> Result<Self> {
         let limits = device.limits();
-        let exact = |notes| Self { precision: Precision::Exact, arithmetic: Self::exact(device), notes };
+        let exact = |warnings| Self { precision: Precision::Fp32, arithmetic: Self::exact(device), warnings };
         let wanted = precision.unwrap_or(Precision::best(limits));
-        if wanted == Precision::Exact {
+        if wanted == Precision::Fp32 {
             return Ok(exact(Vec::new()));
         }
         let arithmetic = Arithmetic::of(wanted, limits).ok_or_else(|| lacking(wanted, limits))?;
         let test = SelfTest::of(device, arithmetic, progress)?;
-        let notes = test.notes(device);
+        let warnings = test.notes(device);
         let Some(arithmetic) = test.allowed(arithmetic) else {
-            let found = format!("{}, which failed its self-test ({})", wanted.name(), notes.join("; "));
-            return if precision.is_some() { Err(refused(found, limits)) } else { Ok(exact(notes)) };
+            let found = format!("{}, which failed its self-test ({})", wanted.name(), warnings.join("; "));
+            return if precision.is_some() { Err(refused(found, limits)) } else { Ok(exact(warnings)) };
         };
-        Ok(Self { precision: wanted, arithmetic: tuned(device, arithmetic), notes })
+        Ok(Self { precision: wanted, arithmetic: tuned(device, arithmetic), warnings })
     }
 
     /// Returns the f32 arithmetic, which needs no test.
@@ -62,7 +62,7 @@ fn tuned(device: &Device, arithmetic: Arithmetic) -> Arithmetic {
 
 fn lacking(precision: Precision, limits: &Limits) -> Error {
     let what = match precision {
-        Precision::Turbo if limits.half_storage => "matrix units or dot products for 8-bit integers",
+        Precision::Int8 if limits.half_storage => "matrix units or dot products for 8-bit integers",
         _ => "16-bit floats in buffers",
     };
     refused(format!("{}, without {what}", precision.name()), limits)
