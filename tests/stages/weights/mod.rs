@@ -91,7 +91,6 @@ fn parameters_are_those_of_the_reference() {
     }
 }
 
-/// Table "Parameters" of flops.md.
 #[test]
 fn variants_have_the_published_sizes() {
     let expected = [
