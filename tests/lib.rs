@@ -8,6 +8,7 @@ pub mod faults;
 pub mod golden;
 pub mod networks;
 pub mod photos;
+pub mod prelude;
 pub mod processes;
 pub mod random;
 pub mod scenes;

@@ -2,17 +2,10 @@
 
 use crate::render::{ALL, render};
 use std::num::NonZeroU32;
-use zipsplat::{
-    gpu::{Limits, Plan, Profile, Recorder},
-    stages::render::{CameraRows, Depth, FrameShape, RenderOptions, RenderOutput, Renderer, SceneTensors, record},
-    types::{Camera, Scene},
-};
-use zipsplat_tests::{
-    compare::{ImageTolerance, Picture, assert_images_close},
-    device::device,
-    reference::render::{normals, project, rasterise},
-    scenes::{camera, random_scene, reference_camera, reference_gaussians},
-};
+use zipsplat::gpu::{Plan, Profile};
+use zipsplat::stages::render::{CameraRows, FrameShape, SceneTensors, record};
+use zipsplat_tests::prelude::*;
+use zipsplat_tests::reference::render::{normals, project, rasterise};
 
 const SIZE: [usize; 2] = [70, 53];
 

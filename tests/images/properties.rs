@@ -1,16 +1,8 @@
 //! Properties of every scene and camera.
 
 use crate::render::{ALL, bits, render};
-use glam::{DMat3, DVec3};
-use zipsplat::{
-    stages::render::RenderOptions,
-    types::{Camera, Pose, Scene},
-};
-use zipsplat_tests::{
-    compare::{ImageTolerance, Picture, assert_images_close},
-    reference::render::rasterise,
-    scenes::{camera, random_scene, reference_camera, reference_gaussians},
-};
+use zipsplat_tests::prelude::*;
+use zipsplat_tests::reference::render::rasterise;
 
 /// From specks to splats larger than the picture.
 fn cases() -> impl Iterator<Item = (Scene, Camera)> {

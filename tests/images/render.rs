@@ -1,22 +1,9 @@
 //! The renderer against goldens, brute force, and itself.
 
-use glam::{DMat3, DVec3};
 use std::num::NonZeroU32;
-use zipsplat::{
-    Error,
-    gpu::{Device, DeviceOptions, Limits, Recorder, Run},
-    stages::render::{
-        CameraRows, Depth, FrameShape, RenderOptions, RenderOutput, Renderer, SceneTensors, camera_rows, record,
-    },
-    types::{Camera, Pose, Scene},
-};
-use zipsplat_tests::{
-    compare::{ImageTolerance, Picture, assert_images_close},
-    device::device,
-    golden::{self, Golden},
-    reference::render::{self as reference, rasterise::Rendering},
-    scenes::{camera, golden_cameras, golden_scene, random_scene, reference_camera, reference_gaussians},
-};
+use zipsplat::stages::render::{CameraRows, FrameShape, SceneTensors, camera_rows, record};
+use zipsplat_tests::prelude::*;
+use zipsplat_tests::{reference::render as reference, reference::render::rasterise::Rendering};
 
 pub const ALL: RenderOptions = RenderOptions {
     rgb: true,

@@ -1,15 +1,8 @@
 //! Tuning of tiles: all are timed, the fastest wins, and linear results keep their bits.
 
-use std::ops::ControlFlow;
-use zipsplat::{
-    Error,
-    gpu::{Element, Recorder, Run},
-    ops::{
-        Arithmetic, Epilogue, LaneTile, Linear, LinearKernel, Precision, Rows, Tile, Tiles, Units, Weights, pack_matrix,
-    },
-    tune::{Measured, Tuning},
-};
-use zipsplat_tests::{compare::assert_same, device::device};
+use crate::case::*;
+use zipsplat::ops::{Epilogue, LaneTile, Linear, LinearKernel, Tile, Tiles, Units, Weights, pack_matrix};
+use zipsplat::tune::{Measured, Tuning};
 
 #[test]
 fn measures_every_tile_and_can_be_stopped() {

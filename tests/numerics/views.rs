@@ -2,12 +2,8 @@
 
 use crate::{Mode, model, modes, noise, reconstruct};
 use image::{DynamicImage, ImageFormat};
-use std::{io::Cursor, path::Path};
-use zipsplat::{
-    reconstruct::{Ratio, ReconstructOptions},
-    types::{Image, Scene},
-};
-use zipsplat_tests::compare::assert_close;
+use std::io::Cursor;
+use zipsplat_tests::prelude::*;
 
 const SIDE: u32 = 56;
 
@@ -26,16 +22,6 @@ fn assert_sound(name: &str, scene: &Scene, tokens: usize) {
     assert!(scene.scales.as_flattened().iter().all(|s| (1e-6..=15.0).contains(s)), "{name}: scales");
 }
 
-fn gaussian_fields(scene: &Scene) -> [(&'static str, &[f32]); 5] {
-    [
-        ("means", scene.means.as_flattened()),
-        ("scales", scene.scales.as_flattened()),
-        ("quats", scene.quats.as_flattened()),
-        ("opacities", &scene.opacities),
-        ("sh_coeffs", scene.sh_coeffs.as_flattened()),
-    ]
-}
-
 #[test]
 fn uniform_identical_and_noisy_views() {
     let corrupted = || [noise(SIDE, SIDE, 1), noise(SIDE, SIDE, 2), plain(0), noise(SIDE, SIDE, 4)].to_vec();
@@ -51,11 +37,11 @@ fn uniform_identical_and_noisy_views() {
     for (name, images) in sets {
         let grid = (images[0].width / 14 * (images[0].height / 14)) as usize;
         let tokens = images.len() * grid;
-        let exact = reconstruct(model(), &images, &ReconstructOptions::default());
+        let exact = reconstruct(model(), &images, &ReconstructOptions::default()).to_scene().unwrap();
         for mode in modes() {
             let scene = mode.reconstruct(&images, &ReconstructOptions::default());
             assert_sound(name, &scene, tokens);
-            for ((field, got), (_, expected)) in gaussian_fields(&scene).into_iter().zip(gaussian_fields(&exact)) {
+            for ((field, got), (_, expected)) in scenes::fields(&scene).into_iter().zip(scenes::fields(&exact)) {
                 assert_close(&format!("{name}, {field}"), got, expected, mode.tolerance(field));
             }
             for ratio in [0.5, 1e-9] {
@@ -76,12 +62,12 @@ fn the_most_views() {
     assert_sound("192 views", &exact, 192 * 16);
     for mode in &modes()[1..] {
         let scene = all(mode);
-        for ((field, got), (_, expected)) in gaussian_fields(&scene).into_iter().zip(gaussian_fields(&exact)) {
+        for ((field, got), (_, expected)) in scenes::fields(&scene).into_iter().zip(scenes::fields(&exact)) {
             assert_close(&format!("192 views, {field}"), got, expected, mode.tolerance(field));
         }
     }
     let request = ReconstructOptions { ratio: Ratio::Auto, ..ReconstructOptions::default() };
-    let scene = reconstruct(model(), &images, &request);
+    let scene = reconstruct(model(), &images, &request).to_scene().unwrap();
     assert_sound("192 views, clustered", &scene, scene.len() / model().architecture().gaussians_per_token);
 }
 
@@ -150,7 +136,7 @@ fn grey_deep_transparent_and_cmyk_photos() {
         let photo = opened(folder.path(), &encoded(&picture, format));
         assert_eq!((photo.width, photo.height), (60, 60), "{name}");
         let view = photo.crop(2, 2, SIDE, SIDE).unwrap();
-        assert_sound(name, &reconstruct(model(), &[view], &ReconstructOptions::default()), 16);
+        assert_sound(name, &reconstruct(model(), &[view], &ReconstructOptions::default()).to_scene().unwrap(), 16);
     }
     // Inverted values multiply.
     for (level, expected) in [(127, 255u8), (-127, 0)] {
@@ -169,5 +155,5 @@ fn photos_of_8k() {
     let photo = opened(folder.path(), &encoded(&large, ImageFormat::Jpeg));
     assert_eq!((photo.width, photo.height), (7680, 4320));
     let view = zipsplat::types::preprocess::fit(&photo, SIDE, SIDE).unwrap().image;
-    assert_sound("8K", &reconstruct(model(), &[view], &ReconstructOptions::default()), 16);
+    assert_sound("8K", &reconstruct(model(), &[view], &ReconstructOptions::default()).to_scene().unwrap(), 16);
 }

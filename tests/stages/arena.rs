@@ -1,12 +1,7 @@
 //! One arena from photos to pictures.
 
-use std::ops::ControlFlow;
-use zipsplat::gpu::{Arena, Device, DeviceOptions};
-use zipsplat::ops::Arithmetic;
-use zipsplat::reconstruct::{Model, Ratio, ReconstructOptions, Reconstruction, TokenSelection};
-use zipsplat::stages::render::{RenderOptions, RenderOutput, Renderer, plan_pictures};
-use zipsplat::types::{Camera, Image, Scene};
-use zipsplat_tests::{networks, scenes::camera};
+use zipsplat::{gpu::Arena, stages::render::plan_pictures};
+use zipsplat_tests::prelude::*;
 
 /// An own device, to count its memory.
 fn alone(staged: bool) -> (Device, Model) {
@@ -19,10 +14,6 @@ fn photos(count: usize) -> Vec<Image> {
     (0..count as u32)
         .map(|i| Image::new(56, 42, (0..56 * 42 * 3).map(|v| (v * (7 + i) % 251) as u8).collect()).unwrap())
         .collect()
-}
-
-fn reconstruct(model: &Model, photos: &[Image], request: &ReconstructOptions) -> Reconstruction {
-    model.reconstruct_views(photos, request, |_| ControlFlow::Continue(())).unwrap()
 }
 
 fn cameras() -> Vec<Camera> {

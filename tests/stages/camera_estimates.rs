@@ -1,14 +1,9 @@
 //! Cameras estimated from a scene of known depth.
 
-use glam::{DMat3, DQuat, DVec2, DVec3};
-use std::ops::ControlFlow;
-use zipsplat::{
-    cameras::CameraEstimate,
-    reconstruct::{Model, Patches, Ratio, ReconstructOptions, Reconstruction, TokenSelection},
-    stages::ViewGrid,
-    types::{Camera, Image, Intrinsics, Pose, Scene},
-};
-use zipsplat_tests::{device::device, networks, scenes::camera};
+use glam::DVec2;
+use zipsplat::reconstruct::Patches;
+use zipsplat::{cameras::CameraEstimate, stages::ViewGrid};
+use zipsplat_tests::prelude::*;
 
 const GRID: ViewGrid = ViewGrid { views: 4, rows: 18, columns: 20, patch_size: 14 };
 
@@ -144,10 +139,6 @@ fn a_view_without_tokens_has_no_camera() {
     other.means.pop();
     let error = patches.cameras(&other, None).expect_err("another scene").to_string();
     assert!(error.contains("723") && error.contains("362 tokens"), "{error}");
-}
-
-fn reconstruct(model: &Model, photos: &[Image], request: &ReconstructOptions) -> Reconstruction {
-    model.reconstruct_views(photos, request, |_| ControlFlow::Continue(())).expect("a scene")
 }
 
 #[test]

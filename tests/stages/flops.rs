@@ -3,12 +3,9 @@
 //! Photos of 252 x 252 pixels, no known cameras. `flops.csv` counts TFLOPs by torch.utils.flop_counter,
 //! and k-means as five assignments and one search, each of 2 N K D.
 
-use zipsplat::{
-    gpu::{Limits, Profile, Recorder},
-    ops::{Arithmetic, Precision},
-    reconstruct::{Network, Ratio, Shape, TokenSelection},
-    weights::Architecture,
-};
+use zipsplat::gpu::Profile;
+use zipsplat::reconstruct::{Network, Shape};
+use zipsplat_tests::prelude::*;
 
 const REFERENCE: &str = include_str!("../data/flops.csv");
 

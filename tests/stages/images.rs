@@ -1,19 +1,13 @@
 //! Photos: decoding, orientation, preprocessing.
 
-use std::fs;
-use std::io::Cursor;
-use std::path::{Path, PathBuf};
-
-use glam::{DMat3, DVec3};
 use image::{DynamicImage, ImageFormat};
-use zipsplat::Error;
+use std::io::Cursor;
 use zipsplat::types::preprocess::{DEFAULT_SIZE, View, crop_to_aspect, fit};
 use zipsplat::types::resample::resize_lanczos;
-use zipsplat::types::{Camera, Image, Intrinsics, Pose, contact_sheet, tile_count, tiles};
+use zipsplat::types::{contact_sheet, tile_count, tiles};
 use zipsplat_cli::protocol::Filter;
-use zipsplat_tests::compare::assert_same;
-use zipsplat_tests::golden::{self, Golden};
 use zipsplat_tests::photos::with_orientation;
+use zipsplat_tests::prelude::*;
 
 fn chw_to_hwc<T: Copy>(chw: &[T]) -> Vec<T> {
     let plane = chw.len() / 3;

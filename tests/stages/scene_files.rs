@@ -1,24 +1,10 @@
 //! Scenes and PLY files.
 
-use std::fs;
-use std::path::Path;
-
-use zipsplat::Error;
-use zipsplat::types::{Scene, read_ply, write_ply};
-use zipsplat_tests::compare::{Tolerance, assert_close, assert_same};
-use zipsplat_tests::golden::{self, Golden};
+use zipsplat::types::{read_ply, write_ply};
+use zipsplat_tests::prelude::*;
 
 fn goldens() -> Golden {
     Golden::committed("geometry.safetensors")
-}
-
-fn packed(scene: &Scene) -> Vec<f32> {
-    let k = scene.sh_coeffs_per_gaussian();
-    let row = |i: usize| {
-        let (fixed, sh) = ([scene.means[i], scene.scales[i]], &scene.sh_coeffs[i * k..][..k]);
-        [fixed.as_flattened(), &scene.quats[i], &[scene.opacities[i]], sh.as_flattened()].concat()
-    };
-    (0..scene.len()).flat_map(row).collect()
 }
 
 /// Within the range of files.

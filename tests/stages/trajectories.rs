@@ -1,11 +1,11 @@
 //! Camera paths and their files.
 
-use glam::{DMat3, DQuat, DVec3, EulerRot};
+use glam::EulerRot;
 use serde_json::{Value, json};
 use std::f64::consts::TAU;
-use zipsplat::Error;
-use zipsplat::types::poses::{Capture, write_transforms};
-use zipsplat::types::{Camera, Dolly, Ellipse, Intrinsics, Pose, Spline};
+use zipsplat::types::poses::write_transforms;
+use zipsplat::types::{Dolly, Ellipse, Spline};
+use zipsplat_tests::prelude::*;
 
 const LENS: Intrinsics = Intrinsics { width: 64, height: 48, fx: 50.0, fy: 52.0, cx: 31.0, cy: 25.0 };
 

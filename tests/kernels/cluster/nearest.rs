@@ -3,18 +3,10 @@
 //! Most coordinates are small integers or multiples of 1/64 about an origin. Their squared
 //! distances and the products of their halves are exact in f32, so every kernel agrees with f64.
 
-use crate::case::{nearest_kernels, plan_within, random, random_below, with_and_without_addresses};
-use zipsplat::{
-    gpu::Limits,
-    kernels::limits::NEAREST_ROWS,
-    ops::{Nearest, NearestKernel, Rows, Tile, Tiles, Units},
-};
-use zipsplat_tests::compare::assert_same;
-use zipsplat_tests::device::device;
-use zipsplat_tests::reference::{
-    cluster::nearest::{TIE, nearest as reference},
-    widen,
-};
+use crate::case::*;
+use zipsplat::kernels::limits::NEAREST_ROWS;
+use zipsplat::ops::{Nearest, NearestKernel, Tile, Tiles, Units};
+use zipsplat_tests::reference::cluster::nearest::{TIE, nearest as reference};
 use zipsplat_verify::{Chosen, NearestTruth};
 
 /// Returns the nearest rows and the origin, given or computed by the kernel.

@@ -1,11 +1,8 @@
 //! Activations of Gaussians beyond the catalog: goldens, quaternions, very many, scene scales.
 
-use crate::case::random;
+use crate::case::*;
 use zipsplat::kernels::limits::GROUP_FOLD;
-use zipsplat_tests::compare::{assert_gaussians_close, assert_same};
-use zipsplat_tests::device::device;
-use zipsplat_tests::golden::Golden;
-use zipsplat_tests::reference::{gaussians::activate::activate as reference, widen};
+use zipsplat_tests::reference::gaussians::activate::activate as reference;
 use zipsplat_verify::activate;
 
 /// Activates `raw` `[count, 11 + 3 (degree + 1)^2]` at a scene scale.

@@ -1,10 +1,10 @@
 //! Gradients of activations: groups with padding, clamps.
 
-use crate::case::{plan, random};
+use crate::case::*;
 use zipsplat::kernels::gaussians::ActivateBackward;
-use zipsplat_tests::compare::{Tolerance, assert_gaussians_within, columns};
-use zipsplat_tests::reference::gaussians::{activate::activate, activate_backward::activate_backward};
-use zipsplat_tests::reference::widen;
+use zipsplat_tests::{
+    reference::gaussians::activate::activate, reference::gaussians::activate_backward::activate_backward,
+};
 
 /// Returns d loss / d raw, `[count, width]`, in groups of `group` with `padding` behind each.
 fn backward(raw: &[f32], d: &[f32], width: usize, group: usize, padding: usize) -> Vec<f32> {

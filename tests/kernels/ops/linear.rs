@@ -1,13 +1,9 @@
 //! Linear layers beyond the catalog: saturation, and variants that change no bit.
 
-use crate::case::{elements, linear_kernels, q8_kernels, random};
-use zipsplat::{
-    gpu::{Element, Limits, Recorder},
-    ops::{
-        Activation, Epilogue, LaneTile, Lanes, Linear, LinearKernel, Q8, Rows, Tile, Tiles, Units, Weights, pack_matrix,
-    },
+use crate::case::*;
+use zipsplat::ops::{
+    Activation, Epilogue, LaneTile, Lanes, Linear, LinearKernel, Q8, Tile, Tiles, Units, Weights, pack_matrix,
 };
-use zipsplat_tests::{compare::assert_same, device::device};
 use zipsplat_verify::{Layer, Residual};
 
 const ACTIVATIONS: [Activation; 3] = [Activation::None, Activation::Gelu, Activation::SwiGlu];

@@ -8,24 +8,12 @@ mod special;
 use crate::below;
 use mutate::mutated;
 use seeds::LENS;
-use std::{
-    collections::BTreeSet,
-    io::Read,
-    panic::{AssertUnwindSafe, catch_unwind},
-    path::Path,
-    time::{Duration, Instant},
-};
-use zipsplat::{
-    Error,
-    random::Random,
-    types::{
-        Image, Scene,
-        poses::{Capture, read_cloud},
-        read_points,
-    },
-    weights::Checkpoint,
-};
-use zipsplat_tests::{architectures::pico, golden};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::time::{Duration, Instant};
+use std::{collections::BTreeSet, io::Read};
+use zipsplat::{types::poses::read_cloud, types::read_points};
+use zipsplat_tests::architectures::pico;
+use zipsplat_tests::prelude::*;
 
 /// Valid files and a reader.
 struct Parser {

@@ -4,11 +4,10 @@ use flate2::{Compression, read::GzDecoder, write::GzEncoder};
 use serde_json::json;
 use std::io::{Cursor, Read, Write};
 use zip::{CompressionMethod, ZipWriter, write::SimpleFileOptions};
-use zipsplat::{
-    types::{Camera, Intrinsics, Orbit, SaveOptions, Scene, SceneFormat, poses::write_transforms},
-    weights::{Checkpoint, Dtype},
-};
-use zipsplat_tests::{architectures::pico, golden, scenes::random_scene};
+use zipsplat::types::poses::write_transforms;
+use zipsplat::types::{Orbit, SaveOptions, SceneFormat};
+use zipsplat_tests::architectures::pico;
+use zipsplat_tests::prelude::*;
 
 pub const LENS: Intrinsics = Intrinsics { width: 64, height: 48, fx: 70.0, fy: 71.5, cx: 31.25, cy: 24.5 };
 

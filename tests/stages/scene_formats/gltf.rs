@@ -1,10 +1,10 @@
 //! glTF: nodes, buffers and damage.
 
 use super::{assert_rotations, assert_within, failure, round_trip, scene};
-use glam::{DMat4, DQuat, DVec3};
+use glam::DMat4;
 use serde_json::{Value, json};
-use std::fs;
-use zipsplat::types::{SaveOptions, Scene, matrix_from_quaternion};
+use zipsplat::types::SaveOptions;
+use zipsplat_tests::prelude::*;
 use zipsplat_tests::reference::render::sh;
 
 /// With embedded buffers.

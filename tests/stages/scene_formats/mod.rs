@@ -5,15 +5,10 @@ mod gltf;
 mod packed;
 mod spz4;
 
-use std::fs;
-use std::io::Write;
-
-use glam::DVec3;
-use zipsplat::Error;
-use zipsplat::types::{Origin, Pose, SaveOptions, Scene, SceneFormat, World, matrix_from_quaternion, read_world};
-use zipsplat_tests::scenes;
-
 use flate2::{Compression, read::GzDecoder, write::GzEncoder};
+use std::io::Write;
+use zipsplat::types::{Origin, SaveOptions, SceneFormat, World, read_world};
+use zipsplat_tests::prelude::*;
 
 /// Rotations of every largest component, sign and length; opaque and transparent Gaussians.
 fn scene(sh_degree: u32) -> Scene {

@@ -1,11 +1,7 @@
 //! Malformed safetensors files.
 
-use std::path::Path;
-
-use zipsplat::Error;
-use zipsplat::weights::{Checkpoint, Dtype};
-
 use super::{header, pico, pico_weights};
+use zipsplat_tests::prelude::*;
 
 /// Any other result fails the test.
 pub fn reason(bytes: &[u8]) -> String {

@@ -1,13 +1,10 @@
 //! PyTorch checkpoints, built opcode by opcode.
 
+use super::{assert_same_bits, malformed::reason, pico, pico_weights, read};
 use std::io::{Cursor, Write};
-
-use zip::write::SimpleFileOptions;
-use zip::{CompressionMethod, ZipWriter};
-use zipsplat::weights::{Checkpoint, Dtype, convert};
-
-use super::malformed::reason;
-use super::{assert_same_bits, pico, pico_weights, read};
+use zip::{CompressionMethod, ZipWriter, write::SimpleFileOptions};
+use zipsplat::weights::convert;
+use zipsplat_tests::prelude::*;
 
 /// As of `torch.save`.
 pub fn archive(entries: &[(&str, &[u8])], compression: CompressionMethod) -> Vec<u8> {

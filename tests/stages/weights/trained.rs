@@ -1,12 +1,11 @@
 //! Checkpoints of the reference's trainer.
 
-use zip::CompressionMethod;
-use zipsplat::Error;
-use zipsplat::weights::{Architecture, Checkpoint, Dtype, RECIPES, VARIANTS, convert};
-use zipsplat_tests::architectures::{golden, pico};
-
 use super::torch::{View, archive, call, dict, global, int, text, tuple};
 use super::{assert_same_bits, pico_weights, read, write_zeros};
+use zip::CompressionMethod;
+use zipsplat::weights::{RECIPES, VARIANTS, convert};
+use zipsplat_tests::architectures::{golden, pico};
+use zipsplat_tests::prelude::*;
 
 fn list(items: &[usize]) -> Vec<u8> {
     [b"](".to_vec(), items.iter().flat_map(|&item| int(item)).collect(), b"e".to_vec()].concat()
