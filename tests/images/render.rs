@@ -1,7 +1,7 @@
 //! The renderer against goldens, brute force, and itself.
 
 use std::num::NonZeroU32;
-use zipsplat::stages::render::{CameraRows, FrameShape, SceneTensors, camera_rows, record};
+use zipsplat::stages::render::{CameraRows, FrameShape, camera_rows, record};
 use zipsplat_tests::prelude::*;
 use zipsplat_tests::{reference::render as reference, reference::render::rasterise::Rendering};
 
@@ -222,15 +222,7 @@ fn an_empty_scene_is_background() {
 
 fn draw_within(max_binding_bytes: u64, scene: &Scene, camera: &Camera) -> Vec<u32> {
     let mut rec = Recorder::new(&Limits { max_binding_bytes, ..device().limits().clone() });
-    let tensors = SceneTensors {
-        means: rec.input::<[f32; 3]>("means", scene.len()),
-        scales: rec.input::<[f32; 3]>("scales", scene.len()),
-        quats: rec.input::<[f32; 4]>("quats", scene.len()),
-        opacities: rec.input::<f32>("opacities", scene.len()),
-        sh_coeffs: rec.input::<[f32; 3]>("sh_coeffs", scene.sh_coeffs.len()),
-        len: scene.len(),
-        sh_degree: scene.sh_degree,
-    };
+    let tensors = scenes::scene_inputs(&mut rec, scene.len(), scene.sh_degree);
     let cameras = rec.input::<CameraRows>("cameras", 1);
     let shape = FrameShape { cameras: 1, width: camera.intrinsics.width, height: camera.intrinsics.height };
     let outputs = record(&mut rec, &tensors, cameras, shape, &ALL, 1 << 14);
