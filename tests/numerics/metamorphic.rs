@@ -127,22 +127,6 @@ fn draw(scene: &Scene, width: u32) -> RenderOutput {
 }
 
 #[test]
-fn a_scaled_scene_is_the_same_picture() {
-    let scene = random_scene(1_000, 2, 0.1);
-    let plain = draw(&scene, 64);
-    // Gaussians avoid the near plane.
-    for factor in [0.125f32, 4.0, 1024.0] {
-        let mut scaled = scene.clone();
-        scaled.scale(factor);
-        let frame = draw(&scaled, 64);
-        assert_same("rgb", &bits(&frame.rgb.unwrap()), &bits(plain.rgb.as_ref().unwrap()));
-        assert_same("alpha", &bits(&frame.alpha.unwrap()), &bits(plain.alpha.as_ref().unwrap()));
-        let depth: Vec<f32> = plain.depth.as_ref().unwrap().iter().map(|z| z * factor).collect();
-        assert_same("depth", &bits(&frame.depth.unwrap()), &bits(&depth));
-    }
-}
-
-#[test]
 fn a_mirrored_scene_is_the_mirrored_picture() {
     let scene = random_scene(1_000, 0, 0.1);
     let mut mirrored = scene.clone();

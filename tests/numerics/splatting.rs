@@ -69,16 +69,6 @@ fn scenes_that_no_camera_sees() {
 }
 
 #[test]
-fn pictures_one_pixel_wide() {
-    let scene = random_scene(2_000, 1, 0.2);
-    for (width, height) in [(1, 8192), (8192, 1), (1, 32_768)] {
-        let request = RenderOptions { depth: Some(Depth::Expected), ..alpha() };
-        let frame = draw(&scene, camera(width, height), &request);
-        assert!(frame.alpha.unwrap().iter().any(|a| *a > 0.5), "{width} x {height}");
-    }
-}
-
-#[test]
 fn absurd_but_finite_values_spread_no_nan() {
     let extremes = [0.0f32, -0.0, 1e-45, 1e-38, 1e-20, 1e20, 1e38, f32::MAX];
     let mut random = Random::new(1);
