@@ -11,8 +11,9 @@ fn scene_of(golden: &Golden, config: &str, arithmetic: Arithmetic) -> Scene {
         ratio: Ratio::Fixed(ratio),
         token_selection: selection,
         cameras: None,
-        scene_scale: 1.0,
+        scene_scale: Some(1.0),
         kv_pool: 1,
+        ..ReconstructOptions::default()
     };
     reconstruct(&model(config, arithmetic), &images(golden), &request).to_scene().unwrap()
 }

@@ -55,8 +55,9 @@ fn check(file: &str, arithmetic: Arithmetic) {
             ratio: Ratio::Fixed(ratio),
             token_selection: TokenSelection::Given(given),
             cameras: cameras.clone(),
-            scene_scale: 1.0,
+            scene_scale: Some(1.0),
             kv_pool: 1,
+            ..ReconstructOptions::default()
         };
         let taps = observe(&model, &images, &request);
         let names = before.iter().map(|n| (n, n.clone())).chain(after.iter().map(|n| (n, key(n))));
@@ -176,8 +177,9 @@ fn builtin() {
                 ratio: Ratio::Fixed(ratio),
                 token_selection: selection,
                 cameras: cameras.clone(),
-                scene_scale: 1.0,
+                scene_scale: Some(1.0),
                 kv_pool: 1,
+                ..ReconstructOptions::default()
             };
             let found = reconstruct(&model, &images, &request);
             let tolerance = |field: &str| {

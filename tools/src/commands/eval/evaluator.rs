@@ -143,8 +143,9 @@ impl<'a> Evaluator<'a> {
             ratio: eval.quality.ratio,
             token_selection: eval.quality.select.clone(),
             cameras: (!eval.pose_free).then_some(cameras),
-            scene_scale: 1.0,
+            scene_scale: Some(1.0),
             kv_pool: eval.quality.pool,
+            ..ReconstructOptions::default()
         };
         let of_tokens = eval.refine.is_some_and(|steps| steps.tokens);
         let (result, tokens, took) = session.reconstruct_with_tokens(model, &images, &request, of_tokens)?;
