@@ -6,6 +6,7 @@ pub mod command;
 pub mod compare;
 pub mod device;
 pub mod faults;
+pub mod files;
 pub mod golden;
 pub mod networks;
 pub mod photos;

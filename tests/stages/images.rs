@@ -1,7 +1,6 @@
 //! Photos: decoding, orientation, preprocessing.
 
 use image::{DynamicImage, ImageFormat};
-use std::io::Cursor;
 use zipsplat::types::preprocess::{DEFAULT_SIZE, View, crop_to_aspect, fit};
 use zipsplat::types::resample::resize_lanczos;
 use zipsplat::types::{contact_sheet, tile_count, tiles};
@@ -19,22 +18,13 @@ fn noise(width: u32, height: u32) -> Image {
     Image::new(width, height, (0..3 * width * height).map(byte).collect()).unwrap()
 }
 
-fn encoded(image: &DynamicImage, format: ImageFormat) -> Vec<u8> {
-    let mut bytes = Cursor::new(Vec::new());
-    image.write_to(&mut bytes, format).unwrap();
-    bytes.into_inner()
-}
-
 fn dynamic(image: &Image) -> DynamicImage {
     DynamicImage::ImageRgb8(image::RgbImage::from_vec(image.width, image.height, image.rgb.clone()).unwrap())
 }
 
 /// Under a name without extension.
 fn open(bytes: &[u8]) -> Result<Image, Error> {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("photo");
-    fs::write(&path, bytes).unwrap();
-    let opened = Image::open(&path);
+    let opened = read_as("photo", bytes, |path| Image::open(path));
     if let Err(error) = &opened {
         assert!(error.to_string().contains("photo"), "{error} does not name the file");
     }

@@ -35,10 +35,7 @@ fn assert_round_trip(name: &str, found: &Scene, truth: &Scene) {
 }
 
 fn read(bytes: &[u8]) -> Result<Scene, Error> {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("scene.ply");
-    fs::write(&path, bytes).unwrap();
-    read_ply(&path)
+    read_as("scene.ply", bytes, |path| read_ply(path))
 }
 
 #[track_caller]
@@ -49,10 +46,7 @@ fn assert_format_error(bytes: &[u8], reason: &str) {
 }
 
 fn written(scene: &Scene) -> Vec<u8> {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("scene.ply");
-    write_ply(scene, &path).unwrap();
-    fs::read(&path).unwrap()
+    bytes_of("scene.ply", |path| write_ply(scene, path).unwrap())
 }
 
 /// Up to an ulp of log scales: PyTorch's vectorized logarithm is not correctly rounded.

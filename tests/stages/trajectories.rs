@@ -254,10 +254,7 @@ fn rows(matrix: glam::DMat4) -> Vec<Vec<f64>> {
 }
 
 fn read(name: &str, file: &Value) -> zipsplat::Result<Vec<Camera>> {
-    let folder = tempfile::TempDir::new().expect("a temporary folder");
-    let path = folder.path().join(name);
-    std::fs::write(&path, file.to_string()).expect("a file");
-    let poses = Capture::open_cameras(&path, &LENS)?;
+    let poses = read_as(name, file.to_string(), |path| Capture::open_cameras(path, &LENS))?;
     Ok(poses.frames.iter().map(|frame| frame.camera).collect())
 }
 

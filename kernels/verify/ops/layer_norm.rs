@@ -78,7 +78,7 @@ pub enum Fault {
 }
 
 impl Fault {
-    pub fn moments(self, row: &[f64]) -> [f64; 2] {
+    fn moments(self, row: &[f64]) -> [f64; 2] {
         let n = row.len() as f64;
         let summed = |round: fn(f64) -> f64, values: &mut dyn Iterator<Item = f64>| {
             round(values.fold(0.0, |sum, value| round(sum + value)) / n)
@@ -101,6 +101,17 @@ impl Fault {
         };
         [mean, variance]
     }
+
+    /// Returns rows that this fault normalizes.
+    pub fn normed(self, rows: &[f64], [weight, bias]: [&[f32]; 2], eps: f64) -> Vec<f64> {
+        let row = |row: &[f64]| {
+            let [mean, variance] = self.moments(row);
+            let scale = 1.0 / (variance + eps).sqrt();
+            let value = |c: usize| (row[c] - mean) * scale * f64::from(weight[c]) + f64::from(bias[c]);
+            (0..row.len()).map(value).collect::<Vec<_>>()
+        };
+        rows.chunks(weight.len()).flat_map(row).collect()
+    }
 }
 
 impl Problem {
@@ -119,16 +130,7 @@ impl Problem {
 
     fn normed(&self, fault: Fault) -> Vec<f64> {
         let eps = if matches!(fault, Fault::NoEpsilon) { 0.0 } else { f64::from(self.eps) };
-        let row = |row: &[f64]| {
-            let [mean, variance] = fault.moments(row);
-            let scale = 1.0 / (variance + eps).sqrt();
-            let affine = self.weight.iter().zip(&self.bias);
-            row.iter()
-                .zip(affine)
-                .map(|(x, (&w, &b))| (x - mean) * scale * f64::from(w) + f64::from(b))
-                .collect::<Vec<_>>()
-        };
-        self.rows().chunks(self.width).flat_map(row).collect()
+        fault.normed(&self.rows(), [&self.weight, &self.bias], eps)
     }
 }
 

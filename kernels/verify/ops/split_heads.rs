@@ -90,18 +90,6 @@ impl Problem {
     fn turned(&self, plain: &[f64], positions: &[[f64; 2]]) -> Vec<f64> {
         rope(plain, positions, self.dim).iter().map(|x| x * self.scale()).collect()
     }
-
-    fn wrongly_normed(&self, inputs: &Inputs, fault: layer_norm::Fault, eps: f64) -> Vec<f64> {
-        let head = |head: &[f64]| {
-            let [mean, variance] = fault.moments(head);
-            let affine = inputs.weight.iter().zip(&inputs.bias);
-            let one = |(x, (&w, &b)): (&f64, (&f32, &f32))| {
-                (x - mean) / (variance + eps).sqrt() * f64::from(w) + f64::from(b)
-            };
-            head.iter().zip(affine).map(one).collect::<Vec<_>>()
-        };
-        widen(&inputs.projection).chunks(self.dim).flat_map(head).collect()
-    }
 }
 
 impl Values for Problem {
@@ -160,7 +148,10 @@ impl Values for Problem {
         let moved = |change: &dyn Fn([f64; 2]) -> [f64; 2]| {
             self.turned(&plain, &positions.iter().map(|&at| change(at)).collect::<Vec<_>>())
         };
-        let normed = |fault, eps| self.turned(&self.wrongly_normed(&inputs, fault, eps), &positions);
+        let normed = |fault: layer_norm::Fault, eps| {
+            let rows = fault.normed(&widen(&inputs.projection), [&inputs.weight, &inputs.bias], eps);
+            self.turned(&rows, &positions)
+        };
         match fault {
             Fault::Zero => vec![0.0; truth.len()],
             Fault::NoRotation => moved(&|_| [0.0; 2]),

@@ -90,7 +90,7 @@ fn parsers() -> Vec<Parser> {
         parser("SPZ", vec![spz.clone()], |folder, bytes| scene(folder, "scene.spz", bytes)),
         Parser {
             wrap: seeds::deflated,
-            ..parser("SPZ inside", vec![seeds::inflated(&spz)], |folder, bytes| scene(folder, "scene.spz", bytes))
+            ..parser("SPZ inside", vec![gunzip(&spz)], |folder, bytes| scene(folder, "scene.spz", bytes))
         },
         parser("SPZ 4", vec![seeds::spz4(0), seeds::spz4(1)], |folder, bytes| scene(folder, "scene.spz", bytes)),
         parser("packed PLY", vec![seeds::packed_ply()], |folder, bytes| scene(folder, "scene.ply", bytes)),

@@ -1,8 +1,7 @@
 //! Small valid files of every format.
 
-use flate2::{Compression, read::GzDecoder, write::GzEncoder};
+use flate2::Compression;
 use serde_json::json;
-use std::io::{Cursor, Read, Write};
 use zip::CompressionMethod;
 use zipsplat::types::poses::write_transforms;
 use zipsplat::types::{Orbit, SaveOptions, SceneFormat};
@@ -12,16 +11,9 @@ use zipsplat_tests::prelude::*;
 
 pub const LENS: Intrinsics = Intrinsics { width: 64, height: 48, fx: 70.0, fy: 71.5, cx: 31.25, cy: 24.5 };
 
-fn in_folder(name: &str, write: impl FnOnce(&std::path::Path)) -> Vec<u8> {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join(name);
-    write(&path);
-    std::fs::read(path).unwrap()
-}
-
 pub fn scene(extension: &str, sh_degree: u32) -> Vec<u8> {
     let scene: Scene = random_scene(7, sh_degree, 0.1);
-    in_folder(&format!("scene.{extension}"), |path| scene.save(path).unwrap())
+    bytes_of(&format!("scene.{extension}"), |path| scene.save(path).unwrap())
 }
 
 pub fn spz4(sh_degree: u32) -> Vec<u8> {
@@ -29,16 +21,8 @@ pub fn spz4(sh_degree: u32) -> Vec<u8> {
 }
 
 /// Damage behind the SPZ's checksum would not reach the parser.
-pub fn inflated(bytes: &[u8]) -> Vec<u8> {
-    let mut out = Vec::new();
-    GzDecoder::new(bytes).read_to_end(&mut out).unwrap();
-    out
-}
-
 pub fn deflated(bytes: &[u8]) -> Vec<u8> {
-    let mut out = GzEncoder::new(Vec::new(), Compression::fast());
-    out.write_all(bytes).unwrap();
-    out.finish().unwrap()
+    gzip(bytes, Compression::fast())
 }
 
 pub fn ascii_ply() -> Vec<u8> {
@@ -58,7 +42,7 @@ fn cameras() -> Vec<Camera> {
 }
 
 pub fn transforms() -> Vec<u8> {
-    in_folder("transforms.json", |path| write_transforms(path, &cameras(), &["a.png", "b.png", "c.png"]).unwrap())
+    bytes_of("transforms.json", |path| write_transforms(path, &cameras(), &["a.png", "b.png", "c.png"]).unwrap())
 }
 
 pub fn camera_path() -> Vec<u8> {
@@ -124,7 +108,7 @@ fn weights() -> Checkpoint {
 }
 
 pub fn safetensors() -> Vec<u8> {
-    in_folder("weights.safetensors", |path| weights().save(path, Dtype::F16).unwrap())
+    bytes_of("weights.safetensors", |path| weights().save(path, Dtype::F16).unwrap())
 }
 
 /// Of [`pico`]: `{"model": {name: tensor}}`, all tensors in storage "0".
@@ -149,8 +133,6 @@ pub fn archive(pickle: &[u8]) -> Vec<u8> {
 }
 
 pub fn photo(format: image::ImageFormat) -> Vec<u8> {
-    let noise = crate::noise(24, 17, 3);
-    let mut bytes = Cursor::new(Vec::new());
-    image::RgbImage::from_raw(24, 17, noise.rgb).unwrap().write_to(&mut bytes, format).unwrap();
-    bytes.into_inner()
+    let picture = image::RgbImage::from_raw(24, 17, noise(24, 17, 3).rgb).unwrap();
+    encoded(&picture.into(), format)
 }

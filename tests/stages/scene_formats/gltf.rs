@@ -9,17 +9,11 @@ use zipsplat_tests::reference::render::sh;
 
 /// With embedded buffers.
 fn document(scene: &Scene) -> Value {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("scene.gltf");
-    scene.save(&path).unwrap();
-    serde_json::from_slice(&fs::read(path).unwrap()).unwrap()
+    serde_json::from_slice(&bytes_of("scene.gltf", |path| scene.save(path).unwrap())).unwrap()
 }
 
 fn read(document: &Value) -> Scene {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("scene.gltf");
-    fs::write(&path, document.to_string()).unwrap();
-    Scene::open(path).unwrap()
+    read_as("scene.gltf", document.to_string(), |path| Scene::open(path).unwrap())
 }
 
 #[test]

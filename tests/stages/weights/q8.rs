@@ -7,10 +7,7 @@ use zipsplat_tests::architectures::golden;
 use zipsplat_tests::prelude::*;
 
 fn saved(checkpoint: &Checkpoint, dtype: Dtype) -> Vec<u8> {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("weights.safetensors");
-    checkpoint.save(&path, dtype).unwrap();
-    std::fs::read(path).unwrap()
+    bytes_of("weights.safetensors", |path| checkpoint.save(path, dtype).unwrap())
 }
 
 fn opened(bytes: Vec<u8>) -> Checkpoint {

@@ -3,7 +3,7 @@
 use super::{Vector, added_to, cross, minus, plus, times};
 use crate::{
     prelude::*,
-    render::forward::picture::{axes, gaussians, offset, reference_camera},
+    render::forward::picture::{Seen, gaussians, reference_camera},
 };
 use glam::{DMat3, DVec3};
 use zipsplat::{
@@ -114,23 +114,9 @@ impl Problem {
         let [g, ge, gy, gee, gey, gyy] = std::array::from_fn(|i| pair[i]);
         let rotation = self.camera.pose.rotation;
         let view = |r: usize, c: usize| Bounded::rounded(rotation.col(r)[c]);
-        let i = &self.camera.intrinsics;
-        let focal = [i.fx, i.fy].map(Bounded::rounded);
-        let principal = [i.cx, i.cy].map(Bounded::rounded);
-        let offset = offset(&self.scene, n, &self.camera);
-        let p: Vector = [0, 1, 2].map(|r| Bounded::dot([0, 1, 2].map(|c| view(r, c)), offset));
-        let size = [i.width, i.height].map(|side| Bounded::exact(f64::from(side)));
-        let free = [0, 1].map(|axis| p[axis] / p[2]);
-        let slope = [0, 1].map(|axis| {
-            let margin = Bounded::rounded(0.15) * size[axis] / focal[axis];
-            let [least, most] =
-                [-principal[axis] / focal[axis] - margin, (size[axis] - principal[axis]) / focal[axis] + margin];
-            free[axis].max(least).min(most)
-        });
+        let Seen { p, focal, free, slope, axes: rows, along, .. } = Seen::new(&self.scene, n, &self.camera);
         let held = [0, 1].map(|axis| slope[axis].value != free[axis].value && !is(Fault::Unheld));
-        let rows = axes(self.scene.quats[n], view);
         let scale = self.scene.scales[n].map(Bounded::exact);
-        let along = [0, 1].map(|axis| times(focal[axis] / p[2], minus(rows[axis], times(slope[axis], rows[2]))));
         let [u, v] = along.map(|along| [0, 1, 2].map(|c| along[c] * scale[c]));
         let blur = Bounded::rounded(if is(Fault::NoBlur) { 0.0 } else { BLUR });
         let minors = cross(u, v);
