@@ -1,18 +1,12 @@
 //! Refinement.
 
-use glam::{DMat3, DQuat, DVec3};
-use std::{ops::ControlFlow, time::Duration};
-use zipsplat::gpu::Arena;
-use zipsplat::perceptual::Perceptual;
+use std::time::Duration;
 use zipsplat::refine::{
     LearningRates, PerceptualLoss, RefineOptions, RefineProgress, RefineResult, StopReason, refine_scene,
 };
-use zipsplat::stages::lpips::LpipsNetwork;
-use zipsplat::stages::render::{RenderOptions, RenderOutput, Renderer};
-use zipsplat::types::{Camera, Image, Pose, Scene};
-use zipsplat_tests::device::device;
+use zipsplat::{gpu::Arena, perceptual::Perceptual, stages::lpips::LpipsNetwork};
 use zipsplat_tests::golden::lpips_weights;
-use zipsplat_tests::scenes::{camera, random_scene};
+use zipsplat_tests::prelude::*;
 
 fn cameras(count: usize) -> Vec<Camera> {
     let at = |i: usize| {

@@ -1,13 +1,8 @@
 //! Refinement of tokens through the frozen head.
 
-use std::ops::ControlFlow;
-use zipsplat::gpu::Arena;
-use zipsplat::ops::Arithmetic;
-use zipsplat::reconstruct::{Model, ReconstructOptions, SceneTokens};
 use zipsplat::refine::{FrozenHead, LearningRates, RefineOptions, RefineResult, refine_tokens};
-use zipsplat::types::{Camera, Image};
-use zipsplat::weights::Checkpoint;
-use zipsplat_tests::{architectures, device::device, networks, scenes::camera};
+use zipsplat::{gpu::Arena, reconstruct::SceneTokens};
+use zipsplat_tests::prelude::*;
 
 const SIZE: [u32; 2] = [56, 42];
 
