@@ -12,7 +12,7 @@ use std::{ffi::c_void, ops::ControlFlow};
 use zipsplat::{
     Error,
     gpu::Arena,
-    refine::{RefineOptions, RefineResult, Refining, StopReason, refine_scene, refine_tokens},
+    refine::{RefineOptions, RefineProgress, RefineResult, StopReason, refine_scene, refine_tokens},
     types::{Camera, Image, Pose},
 };
 
@@ -161,7 +161,7 @@ pub unsafe extern "C" fn zs_refine(
             unsafe { image.image(&format!("image {i}")) }
         };
         let photos: Vec<_> = images.iter().enumerate().map(photo).collect::<Result<_, _>>()?;
-        let progress = |now: Refining| options.tell(&now);
+        let progress = |now: RefineProgress| options.tell(&now);
         let found = if options.target == zs_refine_target::ZS_REFINE_TARGET_TOKENS as i32 {
             let Some(tokens) = &scene.tokens else {
                 let expected = "a scene of zs_reconstruct, with a model that was opened with tokens = 1";
@@ -208,7 +208,7 @@ impl zs_refine_options {
         })
     }
 
-    fn tell(&self, now: &Refining<'_>) -> ControlFlow<()> {
+    fn tell(&self, now: &RefineProgress<'_>) -> ControlFlow<()> {
         let Some(progress) = self.progress else { return ControlFlow::Continue(()) };
         let now = zs_refining {
             struct_size: size_of::<zs_refining>() as u32,
@@ -217,7 +217,7 @@ impl zs_refine_options {
             reserved: 0,
             loss: now.loss.map_or(f64::NAN, f64::from),
             psnr: now.psnr.unwrap_or(f64::NAN),
-            eta_seconds: now.left.as_secs_f64(),
+            eta_seconds: now.eta.as_secs_f64(),
         };
         // SAFETY: the caller's function, with the caller's data.
         flow(unsafe { progress(self.user_data, &now) })
@@ -230,7 +230,7 @@ impl ModelTokens {
         photos: &[Image],
         cameras: &[Camera],
         request: &RefineOptions,
-        progress: impl FnMut(Refining) -> ControlFlow<()>,
+        progress: impl FnMut(RefineProgress) -> ControlFlow<()>,
     ) -> Result<RefineResult, Error> {
         // Tokens are in the first camera's space.
         let world = self.pose.unwrap_or(Pose::IDENTITY);
