@@ -328,6 +328,6 @@ fn weights_of_8_bits_come_from_memory() {
     if Arithmetic::of(Precision::Int8, device().limits()).is_some() {
         let turbo = zs_model_options { precision: zs_precision::ZS_PRECISION_TURBO as i32, ..options };
         let refused = model_from(&context, &bytes, &turbo).err().expect("no turbo for such weights");
-        fails(refused, zs_status::ZS_ERROR_ARGUMENT, &["precision", "q8", "fast"]);
+        fails(refused, zs_status::ZS_ERROR_ARGUMENT, &["precision", "q8", "fp16"]);
     }
 }

@@ -67,10 +67,10 @@ fn a_scene_is_told_by_its_ranges() {
 fn a_plan_takes_what_a_run_then_takes() {
     let folder = Folder::new();
     for options in [
-        "--size 28x28",
-        "--size 70x42 --ratio 0.5",
-        "--size 28x42 --ratio 0.5 --select stride",
-        "--size 28x28 --precision fast",
+        "--input-size 28x28",
+        "--input-size 70x42 --ratio 0.5",
+        "--input-size 28x42 --ratio 0.5 --token-selection stride",
+        "--input-size 28x28 --precision fp16",
     ] {
         let shared = format!("--weights @/micro.safetensors {options} --json");
         let plan = folder.run(&format!("info --plan --views 2 {shared}")).json();
@@ -82,7 +82,7 @@ fn a_plan_takes_what_a_run_then_takes() {
         let end = |row: &serde_json::Value| row["offset"].as_u64().zip(row["bytes"].as_u64()).map(|(o, b)| o + b);
         assert!(rows.len() > 20 && rows.iter().all(|row| end(row) <= plan["arena_bytes"].as_u64()));
     }
-    let shared = "--weights @/micro.safetensors --size 28x28 --json";
+    let shared = "--weights @/micro.safetensors --input-size 28x28 --json";
     let plan = folder.run(&format!("info --plan --views 2 --pictures 90x60 {shared}")).json();
     let drawing = "--pictures @/out -- --wiggle --frames 4 --size 90x60";
     let run = folder.run(&format!("reconstruct @/photos {shared} -o @/scene.ply {drawing}")).json();
@@ -90,36 +90,37 @@ fn a_plan_takes_what_a_run_then_takes() {
     assert!(plan["separate_bytes"].as_u64() > plan["peak_bytes"].as_u64(), "{plan}");
     // One of nine photos is held out.
     folder.run("scene --seed 5 --views 9 --size 42x28 -o @/place").success();
-    let photos = "@/place/images --poses @/place";
+    let photos = "@/place/images --cameras @/place";
     for ratio in ["1", "0.5"] {
-        let plan = folder.run(&format!("info --plan --views 9 --poses --ratio {ratio} --refine 42x28 {shared}")).json();
-        let options = format!("--ratio {ratio} --refine=3 --start scene");
+        let plan =
+            folder.run(&format!("info --plan --views 9 --cameras --ratio {ratio} --refine 42x28 {shared}")).json();
+        let options = format!("--ratio {ratio} --refine=3 --init scene");
         let run = folder.run(&format!("reconstruct {photos} {options} {shared} -o @/scene.ply --overwrite")).json();
         assert_eq!(plan["peak_bytes"], run["refined"]["peak_bytes"], "{plan}");
         let tokens =
-            folder.run(&format!("info --plan --views 9 --poses --ratio {ratio} --refine 42x28:tokens {shared}"));
-        let options = format!("--ratio {ratio} --refine=3:tokens");
+            folder.run(&format!("info --plan --views 9 --cameras --ratio {ratio} --refine 42x28:tokens {shared}"));
+        let options = format!("--ratio {ratio} --refine=3 --refine-target tokens");
         let run = folder.run(&format!("reconstruct {photos} {options} {shared} -o @/scene.ply --overwrite")).json();
         assert_eq!(tokens.json()["peak_bytes"], run["refined"]["peak_bytes"], "tokens at {ratio}");
         let number = |key: &str| plan[key].as_u64().expect("a number");
         assert!(number("refine_kept_bytes") > 3 * number("scene_bytes") && number("refine_arena_bytes") > 0, "{plan}");
     }
-    let more = "--grow 2000 --refine-cameras --lpips-weight 0.05";
-    let plan = folder.run(&format!("info --plan --views 9 --poses --refine 42x28 {more} {shared}")).json();
-    let plain = folder.run(&format!("info --plan --views 9 --poses --refine 42x28 {shared}")).json();
+    let more = "--max-gaussians 2000 --optimize-cameras --lpips-weight 0.05";
+    let plan = folder.run(&format!("info --plan --views 9 --cameras --refine 42x28 {more} {shared}")).json();
+    let plain = folder.run(&format!("info --plan --views 9 --cameras --refine 42x28 {shared}")).json();
     let kept = |plan: &serde_json::Value| plan["refine_kept_bytes"].as_u64().expect("a number");
     // The convolutions of VGG16, twice.
     assert!(kept(&plan) > kept(&plain) + 2 * 4 * 14_710_464, "{plan}");
     if lpips_weights(LpipsNetwork::Vgg).is_some() {
-        let run = format!("reconstruct {photos} --refine=1 --start scene {more} {shared} -o @/more.ply");
+        let run = format!("reconstruct {photos} --refine=1 --init scene {more} {shared} -o @/more.ply");
         assert_eq!(plan["peak_bytes"], folder.run(&run).json()["refined"]["peak_bytes"], "{plan}");
     }
-    let grown_tokens = format!("info --plan --views 9 --refine 42x28:tokens --grow 2000 {shared}");
+    let grown_tokens = format!("info --plan --views 9 --refine 42x28:tokens --max-gaussians 2000 {shared}");
     assert_eq!(folder.run(&grown_tokens).code, 3);
     folder.run("scene --seed 5 --views 9 --size 400x384 -o @/large").success();
-    let large = "@/large/images --poses @/large --ratio 0.5 --size 28x28";
+    let large = "@/large/images --cameras @/large --ratio 0.5 --input-size 28x28";
     folder.run(&format!("reconstruct {large} --weights @/micro.safetensors -o @/scene.ply --overwrite")).success();
-    let refine = "refine @/scene.ply @/large/images --poses @/large --steps 5 -o @/sharp.ply --json";
+    let refine = "refine @/scene.ply @/large/images --cameras @/large --steps 5 -o @/sharp.ply --json";
     let run = folder.run(refine).json();
     let plan = folder.run(&format!("info --plan --views 9 --ratio 0.5 --refine 400x384 {shared}")).json();
     let wide = |plan: &serde_json::Value| plan["refine_arena_bytes"].as_u64().zip(plan["refine_kept_bytes"].as_u64());
@@ -128,7 +129,7 @@ fn a_plan_takes_what_a_run_then_takes() {
     let of_tokens = folder.run(&format!("info --plan --views 9 --refine 42x28:tokens {shared}")).json();
     assert!(of_tokens["refine_kept_bytes"].as_u64() > Some(0), "{of_tokens}");
     assert_eq!(folder.run(&format!("info --plan --views 9 --refine 42x28:cameras {shared}")).code, 2);
-    let line = "info --plan --views 3 --weights seeded:vitg --ratio auto --poses";
+    let line = "info --plan --views 3 --weights seeded:vitg --ratio auto --cameras";
     let (top, all) = (folder.run(line).success(), folder.run(&format!("{line} --all")).success());
     assert!(top.lines().count() < 30 && all.lines().count() > 50 && top.contains("--all shows them"), "{top}");
 }
@@ -136,7 +137,7 @@ fn a_plan_takes_what_a_run_then_takes() {
 #[test]
 fn the_largest_network_takes_192_views_within_its_memory() {
     let folder = Folder::new();
-    for (precision, most) in [("fast", 6_000_000_000), ("exact", 12_000_000_000)] {
+    for (precision, most) in [("fp16", 6_000_000_000), ("fp32", 12_000_000_000)] {
         let options = format!("--views 192 --weights seeded:vitg --precision {precision} --json");
         let plan = folder.run(&format!("--device none info --plan {options}")).json();
         assert_eq!(plan["precision"], precision);

@@ -1,9 +1,9 @@
-//! Estimated cameras from a scene: `reconstruct --cameras-out` without `--poses`.
+//! Estimated cameras from a scene: `reconstruct --cameras-out` without `--cameras`.
 
 use crate::Folder;
 use zipsplat::types::{Image, poses::Capture};
 
-const LINE: &str = "--weights @/micro.safetensors --size 84x84 -o @/scene.ply";
+const LINE: &str = "--weights @/micro.safetensors --input-size 84x84 -o @/scene.ply";
 
 #[test]
 fn cameras_follow_from_the_scene() {

@@ -94,7 +94,7 @@ fn named_weights_are_got_checked_converted_and_found() {
     let list = |state: &str| {
         let rows = place.run("weights list --json").json();
         assert_eq!((&rows[1]["name"], &rows[1]["state"]), (&"zipsplat".into(), &state.into()), "{rows}");
-        assert_eq!((&rows[0]["name"], &rows[0]["state"]), (&"built-in".into(), &"built in".into()));
+        assert_eq!((&rows[0]["name"], &rows[0]["state"]), (&"builtin".into(), &"built in".into()));
     };
     list("to get");
     let got = place.run(&format!("{GET} --json"));
@@ -142,10 +142,10 @@ fn weights_of_depth_stay_as_they_are() {
     assert_eq!(place.cached(), [name("da3-small")]);
     assert!(std::fs::read(&path).expect("weights") == file);
     assert_eq!(place.run("info da3-small --json").json()["kind"], "Depth Anything 3");
-    place.run("depth @/photos --weights da3-small --size 42 -o @/out").success();
-    let line = "cameras @/photos --with da3 --weights da3-small --find-size 64 -o @/cameras.json";
+    place.run("depth @/photos --weights da3-small --input-size 42 -o @/out").success();
+    let line = "cameras @/photos --method da3 --weights da3-small --matching-size 64 -o @/cameras.json";
     place.run(line).success();
-    place.run("reconstruct @/photos --weights da3-small --size 42x42 -o @/scene.ply").success();
+    place.run("reconstruct @/photos --weights da3-small --input-size 42x42 -o @/scene.ply").success();
     place.run("depth @/photos --weights zipsplat -o @/out").fails(3, &["zipsplat, of ZipSplat", "da3-small"]);
     place.run("weights get da3-small --yes").success();
     place.run("weights get da3-small --offline").success();
@@ -210,7 +210,7 @@ fn another_run_goes_on_and_notices_another_file() {
     host.state().etag = Some(sha256(&other));
     host.state().file = other.clone();
     let asked = host.ranges().len();
-    place.run(&format!("{GET} --keep")).success();
+    place.run(&format!("{GET} --keep-download")).success();
     assert_eq!(host.ranges()[asked..], [""]);
     let archive = format!("zipsplat-da3g-252p-{}.tar", &sha256(&other)[..12]);
     assert_eq!(place.cached(), [converted(&other), archive]);

@@ -6,7 +6,7 @@ import { after, before, test } from "node:test";
 import { PNG } from "pngjs";
 import { Tab, at, close, folder, opened, psnr, serve, sleep, spread, zipsplat } from "./browser.mjs";
 
-const PHOTOS = ["place/images", "--poses", "place/transforms.json"];
+const PHOTOS = ["place/images", "--cameras", "place/transforms.json"];
 
 before(() => zipsplat("scene", "--seed", "3", "--views", "4", "--size", "140x140", "-o", "place"));
 after(async () => {
@@ -142,7 +142,7 @@ test("a photo over the picture says how like it the picture is", async () => {
 });
 
 test("a refinement is watched, and stopped with the best so far", async () => {
-    const { address, stop } = await serve("view", ...PHOTOS, "--refine=2000", "--refine-size", "70x70"), tab = await Tab.open(address, { width: 700, height: 500 });
+    const { address, stop } = await serve("view", ...PHOTOS, "--refine=2000", "--max-image-size", "70x70"), tab = await Tab.open(address, { width: 700, height: 500 });
     await tab.until(() => zipsplat.refining.version >= 1 && zipsplat.live.took);
     await tab.settled();
     const first = await tab.picture(), version = await tab.run(() => zipsplat.refining.version);

@@ -22,9 +22,9 @@ const depths = tab => tab.run(() => {
 
 test("depth, normals and tokens are those of render", async () => {
     for (const scene of ["random.ply", "place/splats.ply"]) {
-        zipsplat("view", scene, "-o", "page.html", "--exact", "--group", "4");
+        zipsplat("view", scene, "-o", "page.html", "--lossless", "--gaussians-per-token", "4");
         const tab = await opened("page.html"), pictures = {};
-        const [depth, normals, tokens] = await tab.rendered(scene, "--depth", "--normals", "--group", "4");
+        const [depth, normals, tokens] = await tab.rendered(scene, "--depth", "--normals", "--gaussians-per-token", "4");
         for (const [key, shown] of [["2", "depth"], ["3", "normals"], ["4", "tokens"]]) {
             await tab.page.keyboard.press(key);
             pictures[shown] = await tab.picture();
@@ -47,7 +47,7 @@ test("depth, normals and tokens are those of render", async () => {
 
 test("tiny scenes are not clipped", async () => {
     writeFileSync(at("tiny.ply"), randomPly(3000, [-11, -9], [-3, 5], 1e-4));
-    zipsplat("view", "tiny.ply", "-o", "page.html", "--exact");
+    zipsplat("view", "tiny.ply", "-o", "page.html", "--lossless");
     const tab = await opened("page.html");
     assert.ok(await tab.run(() => zipsplat.scene.near) < 1e-5);
     assert.ok(await tab.run(() => zipsplat.scene.drawable.drawn) > 2000);
@@ -59,7 +59,7 @@ test("what was left out is counted", async () => {
     // Opacity logit, the 52nd of 59 numbers: 1/255 is -ln 254.
     const faint = Array.from({ length: 3000 }, (_, i) => values[59 * i + 51]).filter(odds => odds < -Math.log(254)).length;
     writeFileSync(at("faint.ply"), ply);
-    zipsplat("view", "faint.ply", "-o", "page.html", "--exact");
+    zipsplat("view", "faint.ply", "-o", "page.html", "--lossless");
     const tab = await opened("page.html");
     const said = () => tab.page.$eval("#left-out", element => element.textContent);
     assert.ok(faint > 300);
@@ -80,7 +80,7 @@ test("tokens of a file that does not say are refused with words", async () => {
     const tab = await opened("page.html");
     await tab.page.keyboard.press("4");
     assert.equal(await tab.run(() => zipsplat.views.shown), "color");
-    assert.match(await tab.page.$eval("#message", element => element.textContent), /--group N/);
+    assert.match(await tab.page.$eval("#message", element => element.textContent), /--gaussians-per-token N/);
     await tab.close();
 });
 

@@ -177,7 +177,7 @@ impl Choice {
             sizes.push(size);
             seen.extend(of_input);
         }
-        let mut views = Views::new(seeing.fit, seen.into_iter(), &world, &sizes[..count], seeing.size);
+        let mut views = Views::new(seeing.crop, seen.into_iter(), &world, &sizes[..count], seeing.size);
         let scene_scale = self.poses.scene_scale(scene_scale, &views.cameras, &world)?;
         let cameras = views.cameras.iter_mut().chain(inputs.iter_mut().map(|photo| &mut photo.camera));
         cameras.for_each(|camera| camera.pose.translation /= scene_scale.length);

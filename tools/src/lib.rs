@@ -12,6 +12,7 @@ mod download;
 mod explain;
 mod heic;
 mod html;
+mod legacy;
 pub mod metrics;
 mod npy;
 mod options;
@@ -73,9 +74,20 @@ const SHORTEST_CLAUSE: usize = 30;
 const SHORT_HELP: [(&str, &[&str]); 2] = [
     (
         "reconstruct",
-        &["photos", "output", "weights", "poses", "cameras_out", "views", "ratio", "refine", "grow", "precision"],
+        &[
+            "photos",
+            "output",
+            "weights",
+            "cameras",
+            "cameras_out",
+            "views",
+            "ratio",
+            "refine",
+            "max_gaussians",
+            "precision",
+        ],
     ),
-    ("eval", &["folders", "output", "weights", "poses", "views", "targets", "pose_free", "refine", "csv"]),
+    ("eval", &["folders", "output", "weights", "cameras", "views", "targets", "pose_free", "refine", "csv"]),
 ];
 
 /// Hides the other options from `-h`.
@@ -103,7 +115,14 @@ fn shortened(arg: clap::Arg) -> clap::Arg {
 
 /// Runs a command line, program name first, and returns its exit code (see `--help`).
 pub fn run(args: impl IntoIterator<Item = OsString>, terminal: Terminal<'_>) -> u8 {
-    let args = refinement::join_steps(args);
+    let is_command = |word: &str| {
+        let commands = Cli::command();
+        commands
+            .get_subcommands()
+            .flat_map(|verb| std::iter::once(verb).chain(verb.get_subcommands()))
+            .any(|verb| verb.get_name() == word)
+    };
+    let args = legacy::rewritten(refinement::join_steps(args), is_command);
     let parsed = short_help(Cli::command()).try_get_matches_from(&args).and_then(|found| Cli::from_arg_matches(&found));
     let Cli { global, command } = match parsed {
         Ok(cli) => cli,

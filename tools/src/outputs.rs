@@ -37,7 +37,7 @@ const MARKS: [(&[u8], &[u8]); 21] = [
     (b"", b"\"zipsplat.depth_architecture\""),
     (b"", b"\"zipsplat.photos\""),
     (b"view,psnr,ssim,nearest_psnr", b"view,psnr"),
-    (b"views,precision,ratio,select", b"views,"),
+    (b"views,precision,weights", b"views,"),
     (b"capture,error\n", b"capture,error"),
     (b"generator,protocol,method", b"zipsplat"),
     (b"<!-- zipsplat -->", b"<!-- zipsplat"),

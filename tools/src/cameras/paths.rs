@@ -40,7 +40,7 @@ pub struct CameraArgs {
     /// Cameras of a file: transforms.json, a COLMAP model's folder, nerfstudio's camera_path.json,
     /// or a JSON list of 4x4 matrices (camera-to-world, x right, y down, z forward) or of objects
     /// with matrix or viewmat and fx, fy, cx, cy, width, height
-    #[arg(long, alias = "poses", value_name = "PATH")]
+    #[arg(long, value_name = "PATH")]
     cameras: Option<PathBuf>,
     /// Smooth path through the cameras of a file
     #[arg(long, value_name = "PATH")]

@@ -26,7 +26,7 @@ use zipsplat::{
   zipsplat convert scene.spz scene.glb
   zipsplat convert zipsplat.pt zipsplat.safetensors --dtype f16
   zipsplat convert zipsplat.pt small.safetensors --dtype q8
-  zipsplat convert built-in small.safetensors --dtype q8
+  zipsplat convert builtin small.safetensors --dtype q8
   zipsplat convert tensors.safetensors named.safetensors --variant vitb
   zipsplat convert model.safetensors da3-base.safetensors --dtype f16
   zipsplat convert seeded:vits random.safetensors")]
@@ -75,7 +75,7 @@ impl Convert {
         refuse("--spz-version", self.spz_version.is_some() && !is_spz, "another format", "an SPZ as output")?;
         let (scene, dropped) = self.scene_input.read(session, Path::new(&self.input))?;
         if scene.sh_degree > 0 && !output.keeps_view_dependence() {
-            session.note("a .splat keeps one colour a Gaussian: how it changes with the direction is left out");
+            session.note("a .splat keeps one color a Gaussian: how it changes with the direction is left out");
         }
         if let Some(note) = Some(&scene).filter(|_| is_spz).and_then(spz_coarsening) {
             session.note(note);
@@ -93,7 +93,7 @@ impl Convert {
 
     fn checkpoint(&self, session: &mut Session<'_>) -> Result<()> {
         refuse("--spz-version", self.spz_version.is_some(), "a checkpoint", "a scene")?;
-        refuse("--invalid", self.scene_input.is_given(), "a checkpoint", "a scene")?;
+        refuse("--drop-invalid", self.scene_input.is_given(), "a checkpoint", "a scene")?;
         let dtype: Dtype = self.dtype.as_deref().unwrap_or("f32").parse()?;
         if is_of_depth(&self.input) {
             return self.depth_checkpoint(session, dtype);

@@ -10,7 +10,7 @@ use crate::{
     session::Session,
     table::{Table, bytes, counted, significant, time},
 };
-use clap::{ArgGroup, Args, ValueEnum};
+use clap::{Arg, ArgGroup, Args, ValueEnum};
 use glam::DQuat;
 use serde_json::{Value, json};
 use std::{
@@ -69,10 +69,10 @@ impl Initialization {
     /// Unneeded arguments may be `None`.
     pub fn scene(self, scene: Option<Scene>, cloud: Option<&PointCloud>, cameras: &[Camera]) -> Result<Scene> {
         let lacks = |found: &str, expected: &str| Error::argument("start of the refinement", found, expected);
-        let of_scene = || scene.ok_or_else(|| lacks("no scene", "a scene, or --start points"));
+        let of_scene = || scene.ok_or_else(|| lacks("no scene", "a scene, or --init points"));
         let of_points = || {
             let expected =
-                "ply_file_path of transforms.json, points.ply beside it, or COLMAP's points3D; or --start scene";
+                "ply_file_path of transforms.json, points.ply beside it, or COLMAP's points3D; or --init scene";
             Scene::from_points(cloud.ok_or_else(|| lacks("no point cloud", expected))?, cameras)
         };
         match self {
@@ -81,6 +81,11 @@ impl Initialization {
             Self::Both => Ok(Scene::concat(of_scene()?, of_points()?)),
         }
     }
+}
+
+/// Requires cameras for `--refine`.
+pub fn with_cameras(arg: Arg) -> Arg {
+    if arg.get_id() == "refine" { arg.requires("cameras") } else { arg }
 }
 
 pub const TOKENS: &str = "the network's tokens";
@@ -130,13 +135,17 @@ impl Steps {
     /// Rejects initializations that tokens cannot use, and LPIPS without its weights.
     pub fn check(self, start: Option<Initialization>, moved: &Moved) -> Result<()> {
         moved.check()?;
-        match (start, moved.grow) {
-            (Some(Initialization::Points | Initialization::Both), _) if self.tokens => {
-                Err(Error::argument("--start", "points, which have no tokens", "--start scene with --refine N:tokens"))
-            }
-            (_, Some(most)) if self.tokens => {
-                Err(Error::argument("--grow", most, "none with --refine N:tokens, whose tokens have their Gaussians"))
-            }
+        match (start, moved.max_gaussians) {
+            (Some(Initialization::Points | Initialization::Both), _) if self.tokens => Err(Error::argument(
+                "--init",
+                "points, which have no tokens",
+                "--init scene with --refine-target tokens",
+            )),
+            (_, Some(most)) if self.tokens => Err(Error::argument(
+                "--max-gaussians",
+                most,
+                "none with --refine-target tokens, whose tokens have their Gaussians",
+            )),
             _ => Ok(()),
         }
     }
@@ -157,46 +166,60 @@ impl FromStr for Steps {
     }
 }
 
-#[derive(Args)]
-#[command(group(ArgGroup::new("moved").args(["refine_cameras", "grow", "lpips_weight"]).multiple(true).requires("refine")))]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum RefineTarget {
+    /// The Gaussians
+    Gaussians,
+    /// The network's tokens, through its frozen head
+    Tokens,
+}
+
+#[derive(Args, Debug)]
+#[command(group(ArgGroup::new("moved").args(["optimize_cameras", "max_gaussians", "lpips_weight"]).multiple(true).requires("refine")))]
 pub struct RefineArgs {
-    /// Refine the scene for this number of steps until it looks like the photos; :tokens refines
-    /// the network's tokens instead of the Gaussians. Of 9 photos or more one is held out, and the
-    /// best step by that photo is kept. Ctrl-C ends early with the best so far
-    #[arg(long, value_name = "STEPS[:tokens|gaussians]", requires = "poses", num_args = 0..=1, require_equals = true,
-        default_missing_value = DEFAULT_STEPS)]
-    refine: Option<Steps>,
+    /// Refine the scene against the photos, for this number of steps. The best step by held-out
+    /// photos is kept. Ctrl-C ends early with the best so far
+    #[arg(long, value_name = "STEPS", num_args = 0..=1, require_equals = true, default_missing_value = DEFAULT_STEPS)]
+    refine: Option<usize>,
+    /// Optimized quantity
+    #[arg(long, value_enum, value_name = "WHAT", default_value = "gaussians", requires = "refine")]
+    refine_target: RefineTarget,
     /// Initialization of --refine; points are those of structure from motion beside the cameras
     /// [default: for the built-in model points, if there are enough, else the scene]
-    #[arg(long, alias = "init", value_enum, value_name = "WHAT", requires = "refine")]
-    pub start: Option<Initialization>,
+    #[arg(long, value_enum, value_name = "WHAT", requires = "refine")]
+    pub init: Option<Initialization>,
     /// Largest compared size in --refine; larger photos are scaled down to fit
-    #[arg(long, alias = "max-image-size", value_name = "WxH", default_value = MOST_PIXELS, requires = "refine")]
-    refine_size: Size,
-    /// Photos that --refine holds out, evenly spread; 0 learns from all [default: 1 of 40 or more,
-    /// none with --refine-cameras]
-    #[arg(long, alias = "holdout-views", value_name = "K", requires = "refine")]
-    hold_out: Option<usize>,
+    #[arg(long, value_name = "WxH", default_value = MOST_PIXELS, requires = "refine")]
+    max_image_size: Size,
+    /// Photos that --refine holds out, evenly spread; 0 trains on all [default: 1 of 40 or more,
+    /// none with --optimize-cameras]
+    #[arg(long, value_name = "K", requires = "refine")]
+    holdout_views: Option<usize>,
     #[command(flatten)]
     moved: Moved,
 }
 
 impl RefineArgs {
+    pub fn optimizes_cameras(&self) -> bool {
+        self.moved.optimizes_cameras()
+    }
+
     pub fn steps(&self) -> Option<Steps> {
-        self.refine
+        let tokens = self.refine_target == RefineTarget::Tokens;
+        self.refine.map(|count| Steps { count, tokens })
     }
 
     /// Rejects initializations that tokens cannot use.
     pub fn check(&self) -> Result<()> {
-        self.steps().map_or(Ok(()), |steps| steps.check(self.start, &self.moved))
+        self.steps().map_or(Ok(()), |steps| steps.check(self.init, &self.moved))
     }
 
-    pub fn request(&self, steps: Steps) -> RefineOptions {
-        let size = Some([self.refine_size.0, self.refine_size.1]);
+    pub fn request(&self, steps: usize) -> RefineOptions {
+        let size = Some([self.max_image_size.0, self.max_image_size.1]);
         self.moved.request(RefineOptions {
-            steps: steps.count,
+            steps,
             max_image_size: size,
-            holdout_views: self.hold_out,
+            holdout_views: self.holdout_views,
             ..RefineOptions::default()
         })
     }
@@ -296,11 +319,12 @@ pub fn summary(refined: &RefineResult, start: &str, given: &[Camera]) -> String 
 pub fn as_json(refined: &RefineResult, start: &str, given: &[Camera]) -> Value {
     let cameras = camera_movement(given, refined);
     json!({
-        "start": start, "cameras": cameras.map(|[degrees, distance]| json!({ "degrees": degrees, "distance": distance })),
-        "training_psnr": { "before": refined.training_psnr[1], "after": refined.training_psnr[0] },
-        "held_out_psnr": refined.psnr().map(|[after, before]| json!({ "before": before, "after": after })),
+        "init": start,
+        "camera_movement": cameras.map(|[degrees, distance]| json!({ "rotation_deg": degrees, "translation": distance })),
+        "training_psnr": { "initial": refined.training_psnr[1], "best": refined.training_psnr[0] },
+        "holdout_psnr": refined.psnr().map(|[best, initial]| json!({ "initial": initial, "best": best })),
         "steps": refined.losses.len(), "best_step": refined.best_step, "losses": refined.losses,
-        "held_out": refined.holdout_psnr, "held_out_photos": refined.holdout_views, "sizes": refined.sizes, "ended": ended(refined),
+        "holdout_psnr_by_step": refined.holdout_psnr, "holdout_views": refined.holdout_views, "sizes": refined.sizes, "stop_reason": ended(refined),
         "seconds": refined.took.as_secs_f64(), "peak_bytes": refined.peak_bytes,
     })
 }
@@ -336,7 +360,7 @@ pub fn explain(refined: &RefineResult, request: &RefineOptions, start: &str, pho
     let or_none = |list: String| if list.is_empty() { "none".into() } else { list };
     let mut table = Table::new(2, &["refined", ""]);
     for (what, value) in [
-        ("start", start.to_owned()),
+        ("init", start.to_owned()),
         (
             "steps",
             format!(
@@ -350,7 +374,7 @@ pub fn explain(refined: &RefineResult, request: &RefineOptions, start: &str, pho
         ("held-out photos", or_none(held.join(", "))),
         ("largest photo", or_none(sizes.join(", "))),
         ("memory", bytes(refined.peak_bytes)),
-        ("ended", ended(refined)),
+        ("stop reason", ended(refined)),
     ] {
         table.row([what.into(), value]);
     }
@@ -373,7 +397,7 @@ pub fn doubt(refined: &RefineResult) -> Option<String> {
     match &refined.stop_reason {
         None if refined.holdout_views.is_empty() && training < FEW && refined.best_step > 0 => Some(format!(
             "only {} to refine against, and none held out: other views may look worse than before; more photos help, and \
-             --hold-out 1 measures it",
+             --holdout-views 1 measures it",
             counted(training, "photo")
         )),
         Some(StopReason::Diverged(why)) => {

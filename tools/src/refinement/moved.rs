@@ -11,12 +11,12 @@ use zipsplat::{
 #[derive(Args, Debug)]
 pub struct Moved {
     /// Also refine the photos' cameras, except the first photo's and held-out ones
-    #[arg(long, alias = "optimize-cameras")]
-    refine_cameras: bool,
+    #[arg(long)]
+    optimize_cameras: bool,
     /// Let the scene grow to at most N Gaussians: invisible ones are relocated, and missing ones
     /// added; 0: none [default: from 300 steps, one per 32 pixels, up to four times as many]
-    #[arg(long, alias = "max-gaussians", value_name = "N", value_parser = parse_count)]
-    pub(super) grow: Option<usize>,
+    #[arg(long, value_name = "N", value_parser = parse_count)]
+    pub(super) max_gaussians: Option<usize>,
     /// Weight of LPIPS (VGG) in the loss, 0.05 in the paper's training: steps take many times as
     /// long. `python3 tools/lpips.py` downloads its weights, which we cannot ship [default: 0]
     #[arg(long, value_name = "WEIGHT", value_parser = parse_weight)]
@@ -33,6 +33,10 @@ fn parse_weight(text: &str) -> Result<f32, String> {
 }
 
 impl Moved {
+    pub fn optimizes_cameras(&self) -> bool {
+        self.optimize_cameras
+    }
+
     pub fn check(&self) -> Result<()> {
         self.lpips_weight.map_or(Ok(()), |_| Perceptual::file(LpipsNetwork::Vgg).map(drop))
     }
@@ -40,6 +44,11 @@ impl Moved {
     pub fn request(&self, request: RefineOptions) -> RefineOptions {
         let perceptual_loss = self.lpips_weight.filter(|weight| *weight > 0.0);
         let perceptual_loss = perceptual_loss.map(|weight| PerceptualLoss { weight, network: LpipsNetwork::Vgg });
-        RefineOptions { optimize_cameras: self.refine_cameras, max_gaussians: self.grow, perceptual_loss, ..request }
+        RefineOptions {
+            optimize_cameras: self.optimize_cameras,
+            max_gaussians: self.max_gaussians,
+            perceptual_loss,
+            ..request
+        }
     }
 }

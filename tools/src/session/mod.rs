@@ -50,8 +50,8 @@ pub struct Global {
     pub device: Option<String>,
     /// Limit of used device memory in bytes, such as 3G; K, M and G count in 1024s [default: all of
     /// it]
-    #[arg(long, alias = "max-memory", global = true, value_name = "BYTES", value_parser = parse_bytes, help_heading = "Options of every command")]
-    pub memory: Option<u64>,
+    #[arg(long, global = true, value_name = "BYTES", value_parser = parse_bytes, help_heading = "Options of every command")]
+    pub max_memory: Option<u64>,
     /// Print the result as JSON to standard output, and an error as one line of JSON to standard
     /// error: {"error", "kind", "exit_code"}
     #[arg(long, global = true, help_heading = "Options of every command")]
@@ -95,8 +95,8 @@ impl<'a> Session<'a> {
     }
 
     pub fn device_options(&self) -> DeviceOptions {
-        let Global { device, memory, .. } = &self.global;
-        DeviceOptions { device: device.clone(), max_memory_bytes: *memory, ..DeviceOptions::default() }
+        let Global { device, max_memory, .. } = &self.global;
+        DeviceOptions { device: device.clone(), max_memory_bytes: *max_memory, ..DeviceOptions::default() }
     }
 
     /// Returns true to plan for an ordinary device.
@@ -252,8 +252,8 @@ impl<'a> Session<'a> {
         let mut lines: Vec<_> = error.to_string().lines().map(|line| line.trim().to_owned()).collect();
         if let Error::Memory { needed, available, .. } = error {
             lines.push(format!("{} of device memory are missing", bytes(needed.saturating_sub(*available))));
-            let limit = self.global.memory;
-            lines.extend(limit.map(|limit| format!("--memory allows {} of the device's memory", bytes(limit))));
+            let limit = self.global.max_memory;
+            lines.extend(limit.map(|limit| format!("--max-memory allows {} of the device's memory", bytes(limit))));
         }
         let text = lines.join("; ");
         let line = if self.global.json { error_as_json(&text, kind(error), code) } else { format!("error: {text}") };

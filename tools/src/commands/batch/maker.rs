@@ -6,7 +6,7 @@ use crate::{
     options::{Quality, Size, refuse},
     outputs, photos,
     session::{Session, Stage},
-    views::{Fit, Views},
+    views::{Crop, Views},
 };
 use serde_json::{Value, json};
 use std::path::PathBuf;
@@ -46,7 +46,7 @@ impl<'a> Maker<'a> {
         session.notes(checkpoint.notes());
         batch.quality.check(checkpoint.architecture())?;
         let size = batch.quality.size_for(checkpoint);
-        batch.fit.fit.check(size, batch.posed)?;
+        batch.crop.crop.check(size, batch.is_posed())?;
         session.notes(batch.quality.doubt_size(checkpoint));
         outputs::make_folder(&batch.output)?;
         let device = session.device()?;
@@ -57,10 +57,10 @@ impl<'a> Maker<'a> {
     }
 
     pub fn of_pixels(batch: &Batch, session: &mut Session<'_>, checkpoint: &DepthCheckpoint) -> Result<(Self, String)> {
-        let squares = batch.fit.fit == Fit::Squares;
-        refuse("--fit squares", squares, "weights of Depth Anything 3", "weights of ZipSplat")?;
+        let squares = batch.crop.crop == Crop::Tiles;
+        refuse("--crop tiles", squares, "weights of Depth Anything 3", "weights of ZipSplat")?;
         batch.quality.check_pixels(checkpoint)?;
-        if !batch.posed {
+        if !batch.is_posed() {
             check_finds_cameras(checkpoint.architecture())?;
         }
         outputs::make_folder(&batch.output)?;
@@ -81,9 +81,9 @@ impl<'a> Maker<'a> {
     ) -> Result<Input> {
         match self {
             Self::Tokens { size, .. } => {
-                let fit = batch.fit.fit;
-                fit.count(photos)?;
-                let views = fit.load(photos, frames, *size, stage)?;
+                let crop = batch.crop.crop;
+                crop.count(photos)?;
+                let views = crop.load(photos, frames, *size, stage)?;
                 let unit = match (poses, frames.first()) {
                     (Some(poses), Some(first)) => poses.scene_scale(None, &views.cameras, &first.camera.pose)?.length,
                     _ => 1.0,
@@ -100,21 +100,21 @@ impl<'a> Maker<'a> {
     pub fn make(&self, batch: &Batch, input: Input, stage: &Stage<'_>) -> Result<FinishedScene> {
         match (input, self) {
             (Input::Tokens(Views { images, cameras, note }, unit), Self::Tokens { model, checkpoint, .. }) => {
-                let (cameras, turned) = batch.fit.fit.network_cameras(cameras);
-                let Quality { ratio, select, pool, .. } = &batch.quality;
+                let (cameras, turned) = batch.crop.crop.network_cameras(cameras);
+                let Quality { ratio, token_selection, kv_pool, .. } = &batch.quality;
                 let cameras = Some(cameras).filter(|cameras| !cameras.is_empty());
                 let request = ReconstructOptions {
                     ratio: *ratio,
-                    token_selection: select.clone(),
+                    token_selection: token_selection.clone(),
                     cameras,
                     scene_scale: unit,
-                    kv_pool: *pool,
+                    kv_pool: *kv_pool,
                 };
                 let made = model.reconstruct_views(&images, &request, |progress| stage.at(progress.fraction))?;
                 let mut scene = made.to_scene()?;
                 batch.quality.prune(&mut scene, checkpoint.architecture());
                 turned.iter().for_each(|first| scene.place(1.0, first));
-                let record = json!({ "unit": unit, "tokens": made.tokens, "note": note });
+                let record = json!({ "scene_scale": unit, "tokens": made.tokens, "note": note });
                 Ok(FinishedScene { scene, world: None, record })
             }
             (Input::Pixels(prepared, points), Self::Pixels(predictor)) => {

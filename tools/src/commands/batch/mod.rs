@@ -7,9 +7,9 @@ use crate::{
     session::{Session, Stage},
     stamp::{digest, stamp},
     table::{counted, time},
-    views::FitOption,
+    views::CropOption,
 };
-use clap::Args;
+use clap::{Args, ValueEnum};
 use maker::{FinishedScene, Input, Maker};
 use serde::Serialize;
 use serde_json::{Value, json};
@@ -41,12 +41,12 @@ const FAILURES: &str = "failures.csv";
 /// code is 1.
 ///
 /// With weights of Depth Anything 3 each confident pixel becomes a Gaussian, as in `reconstruct`.
-/// Without --posed the network also estimates the cameras.
+/// Without --cameras capture the network also estimates the cameras.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat batch captures/ -o scenes/
   zipsplat batch captures/ more/kitchen list.txt --ratio auto --format spz -o scenes/
-  zipsplat batch captures/ --posed --views 24 --limit 100 -o scenes/
+  zipsplat batch captures/ --cameras capture --views 24 --limit 100 -o scenes/
   zipsplat batch captures/ --weights da3-small --ratio 0.5 -o scenes/")]
 pub struct Batch {
     /// Captures, folders of captures, or text files with a capture per line
@@ -60,9 +60,9 @@ pub struct Batch {
     /// Format of the scenes: ply, spz, splat, glb or gltf
     #[arg(long, value_name = "NAME", default_value = "ply")]
     format: String,
-    /// Take the cameras of each capture's folder: transforms.json or a COLMAP model
-    #[arg(long)]
-    posed: bool,
+    /// Cameras: those in each capture's folder, transforms.json or a COLMAP model
+    #[arg(long, value_enum, value_name = "WHICH")]
+    cameras: Option<CaptureCameras>,
     /// Limit of photos per capture, evenly spread, with the first and the last
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_VIEWS as i64))]
     views: Option<u32>,
@@ -74,7 +74,13 @@ pub struct Batch {
     #[command(flatten)]
     quality: Quality,
     #[command(flatten)]
-    fit: FitOption,
+    crop: CropOption,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum CaptureCameras {
+    /// The capture's own
+    Capture,
 }
 
 struct Work {
@@ -126,8 +132,8 @@ impl Batch {
         let rate = finished as f64 / took.as_secs_f64();
         let left = works.len() - finished - unchanged - failures.len();
         let json = json!({
-            "output": self.output, "captures": works.len(), "made": finished, "unchanged": unchanged, "failed": failures.len(),
-            "left": left, "seconds": took.as_secs_f64(), "captures_per_second": rate,
+            "output": self.output, "captures": works.len(), "reconstructed": finished, "skipped": unchanged, "failed": failures.len(),
+            "remaining": left, "seconds": took.as_secs_f64(), "captures_per_second": rate,
         });
         let mut text = format!("{}: {} made in {}", self.output.display(), counted(finished, "scene"), time(took));
         if finished > 0 {
@@ -154,6 +160,10 @@ impl Batch {
             }
             _ => Ok(Some(folder)),
         }
+    }
+
+    fn is_posed(&self) -> bool {
+        self.cameras.is_some()
     }
 
     fn works(&self) -> Result<Vec<Work>> {
@@ -203,16 +213,16 @@ impl Batch {
     }
 
     fn is_capture(&self, folder: &Path) -> Result<bool> {
-        Ok(!photos_of(folder)?.is_empty() || self.posed && Capture::open(folder).is_ok())
+        Ok(!photos_of(folder)?.is_empty() || self.is_posed() && Capture::open(folder).is_ok())
     }
 
     /// All but the capture.
     fn settings_key(&self, weights: &str, size: &str, precision: &str) -> Result<String> {
         let of_file = if Path::new(weights).is_file() { stamp(Path::new(weights))? } else { String::new() };
-        let Quality { ratio, select, pool, .. } = &self.quality;
+        let Quality { ratio, token_selection, kv_pool, .. } = &self.quality;
         let options = [
-            format!("{ratio:?} {select:?} {pool} {:?} {:?}", self.quality.kept(), self.fit.fit),
-            format!("{size} {precision} {} {:?} {}", self.posed, self.views, self.format),
+            format!("{ratio:?} {token_selection:?} {kv_pool} {:?} {:?}", self.quality.kept(), self.crop.crop),
+            format!("{size} {precision} {} {:?} {}", self.is_posed(), self.views, self.format),
         ];
         Ok(format!("{} {weights} {of_file} {}", env!("CARGO_PKG_VERSION"), options.join(" ")))
     }
@@ -278,7 +288,7 @@ impl Runner<'_> {
 
     /// `None` if its scene is finished.
     fn prepare(&self, work: &Work, stage: &Stage<'_>) -> Result<Option<Prepared>> {
-        let poses = if self.batch.posed { Some(Capture::open(&work.folder)?) } else { None };
+        let poses = if self.batch.is_posed() { Some(Capture::open(&work.folder)?) } else { None };
         let mut photos = match &poses {
             Some(poses) => poses.frames.iter().filter_map(|frame| frame.photo.clone()).collect(),
             None => photos_of(&work.folder)?,

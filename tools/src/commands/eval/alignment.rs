@@ -15,13 +15,13 @@ pub struct AlignedScore {
     nearest_psnr: f64,
     mean_color_psnr: f64,
     /// With the given camera.
-    before_psnr: f64,
-    before_ssim: f64,
+    unaligned_psnr: f64,
+    unaligned_ssim: f64,
     /// From the given camera.
     degrees: f64,
     /// In the cameras' unit.
     distance: f64,
-    doubt: Option<Doubt>,
+    warning: Option<Doubt>,
     pub lpips: Option<f64>,
 }
 
@@ -31,11 +31,11 @@ fn scores(capture: &ViewSplit, found: &[Aligned]) -> Vec<AlignedScore> {
     };
     let (before, after) = (scores(|found| &found.before), scores(|found| &found.drawn));
     let row = |((found, before), score): ((&Aligned, Score), Score)| AlignedScore {
-        before_psnr: before.psnr,
-        before_ssim: before.ssim,
+        unaligned_psnr: before.psnr,
+        unaligned_ssim: before.ssim,
         degrees: found.turn.to_degrees(),
         distance: capture.scene_scale.length * found.shift,
-        doubt: found.doubt.or((score.psnr <= score.mean_color_psnr).then_some(Doubt::Color)),
+        warning: found.doubt.or((score.psnr <= score.mean_color_psnr).then_some(Doubt::Color)),
         view: score.view,
         psnr: score.psnr,
         ssim: score.ssim,
@@ -75,8 +75,8 @@ impl Alignment {
         Self {
             degrees: median(|row| row.degrees),
             distance: median(|row| row.distance),
-            before: Before { psnr: mean(|row| row.before_psnr), ssim: mean(|row| row.before_ssim) },
-            doubtful: rows.iter().filter(|row| row.doubt.is_some()).count(),
+            before: Before { psnr: mean(|row| row.unaligned_psnr), ssim: mean(|row| row.unaligned_ssim) },
+            doubtful: rows.iter().filter(|row| row.warning.is_some()).count(),
             rows,
         }
     }
@@ -84,12 +84,12 @@ impl Alignment {
     pub fn table(&self, mean: &Score) -> Table {
         let mut table = Table::new(
             1,
-            &["view", "PSNR", "SSIM", "LPIPS", "nearest photo", "mean colour", "degrees", "distance", "doubt"],
+            &["view", "PSNR", "SSIM", "LPIPS", "nearest photo", "mean color", "degrees", "distance", "warning"],
         );
         for row in &self.rows {
             let score = [row.psnr, row.ssim, row.nearest_psnr, row.mean_color_psnr];
             let [view, psnr, ssim, lpips, nearest, color] = cells(&row.view, score, row.lpips);
-            let doubt = match row.doubt {
+            let doubt = match row.warning {
                 None => "",
                 Some(Doubt::Flat) => "flat",
                 Some(Doubt::Bound) => "bound",
@@ -104,7 +104,7 @@ impl Alignment {
     }
 
     pub fn doubts(&self) -> Option<String> {
-        let count = |doubt| self.rows.iter().filter(|row| row.doubt == Some(doubt)).count();
+        let count = |doubt| self.rows.iter().filter(|row| row.warning == Some(doubt)).count();
         let [flat, bound, color] = [Doubt::Flat, Doubt::Bound, Doubt::Color].map(count);
         let reasons = [
             (flat, "of a photo without texture, which is not aligned".to_owned()),
@@ -115,7 +115,7 @@ impl Alignment {
                     MOST_TURN.to_degrees()
                 ),
             ),
-            (color, "no more like its photo than one colour".to_owned()),
+            (color, "no more like its photo than one color".to_owned()),
         ];
         let reasons: Vec<String> = (reasons.iter().filter(|(count, _)| *count > 0))
             .map(|(count, reason)| format!("{count} {reason}"))

@@ -24,14 +24,14 @@ use zipsplat::{
 #[derive(Args)]
 #[command(
     mut_args(for_plans),
-    group(ArgGroup::new("moved").args(["refine_cameras", "grow", "lpips_weight"]).multiple(true).requires("refine")),
+    group(ArgGroup::new("moved").args(["optimize_cameras", "max_gaussians", "lpips_weight"]).multiple(true).requires("refine")),
     after_help = "Examples:
   zipsplat info                                                every Vulkan device and whether it can be used
   zipsplat info zipsplat.safetensors
   zipsplat info scene.ply
   zipsplat info --plan --weights seeded:vitg --views 24 --ratio auto
   zipsplat info --plan --weights seeded:vitg --views 24 --refine 252x252 --lpips-weight 0.05
-  zipsplat info --plan --weights seeded:da3-base --views 24 --size 504x336"
+  zipsplat info --plan --weights seeded:da3-base --views 24 --input-size 504x336"
 )]
 pub struct Info {
     /// Checkpoint of ZipSplat or Depth Anything 3, seeded:VARIANT[:KEY], or scene (PLY, SPZ, .splat
@@ -51,7 +51,7 @@ pub struct Info {
     quality: Quality,
     /// Plan for known cameras
     #[arg(long, requires = "plan")]
-    poses: bool,
+    cameras: bool,
     /// Also plan pictures of this size, two in flight as in zipsplat render
     #[arg(long, value_name = "WxH", requires = "plan")]
     pictures: Option<Size>,
@@ -68,8 +68,14 @@ pub struct Info {
 
 fn for_plans(arg: Arg) -> Arg {
     match arg.get_id().as_str() {
-        "weights" | "ratio" | "select" | "pool" | "keep" | "size" | "precision" => arg.requires("plan"),
-        "invalid" => arg.requires("file"),
+        "weights"
+        | "ratio"
+        | "token_selection"
+        | "kv_pool"
+        | "max_gaussians_per_token"
+        | "input_size"
+        | "precision" => arg.requires("plan"),
+        "drop_invalid" => arg.requires("file"),
         _ => arg,
     }
 }
@@ -83,7 +89,7 @@ impl Info {
         match (&self.file, self.views) {
             (Some(file), _) if is_scene(Path::new(file))? => scene(session, file, &self.scene_input),
             (Some(file), _) => {
-                refuse("--invalid", self.scene_input.is_given(), "a checkpoint", "a scene")?;
+                refuse("--drop-invalid", self.scene_input.is_given(), "a checkpoint", "a scene")?;
                 if is_of_depth(file) {
                     depth_checkpoint(session, &open_depth(file, true)?)
                 } else {
@@ -130,7 +136,7 @@ fn devices(session: &mut Session<'_>) -> Result<()> {
             ("subgroup", format!("{} invocations", limits.subgroup_size)),
             ("16 bits", if limits.half_storage { "floats in buffers" } else { "none" }.to_owned()),
             ("matrices", matrices(limits)),
-            ("turbo", turbo(limits).to_owned()),
+            ("int8", int8(limits).to_owned()),
             ("workgroups", format!("{x} x {y} x {z}")),
             (
                 "timestamps",
@@ -155,7 +161,7 @@ fn matrices(limits: &Limits) -> String {
     if all.is_empty() { "none".into() } else { all.join(", ") }
 }
 
-fn turbo(limits: &Limits) -> &'static str {
+fn int8(limits: &Limits) -> &'static str {
     match Arithmetic::of(Precision::Int8, limits) {
         Some(Arithmetic { quantized: Some(_), .. }) => "8-bit integers on matrix units",
         Some(_) if limits.dot_products_accelerated => "8-bit integers by dot products, which the device accelerates",

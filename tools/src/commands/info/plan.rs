@@ -41,7 +41,7 @@ impl FromStr for Refinement {
 }
 
 pub fn show(session: &mut Session<'_>, info: &Info, views: usize) -> Result<()> {
-    let Quality { ratio, select, pool, arithmetic, .. } = &info.quality;
+    let Quality { ratio, token_selection, kv_pool, arithmetic, .. } = &info.quality;
     let checkpoint = match info.weights.open_network()? {
         Weights::Tokens(checkpoint) => checkpoint,
         Weights::Pixels(checkpoint) => return show_depth(session, info, views, &checkpoint),
@@ -50,8 +50,8 @@ pub fn show(session: &mut Session<'_>, info: &Info, views: usize) -> Result<()> 
     info.quality.check(checkpoint.architecture())?;
     let size = info.quality.size_for(&checkpoint);
     let Size(width, height) = size;
-    let shape = Shape::new(checkpoint.architecture(), views, [width, height], (*ratio, select), info.poses)?;
-    let shape = shape.pooled(*pool)?;
+    let shape = Shape::new(checkpoint.architecture(), views, [width, height], (*ratio, token_selection), info.cameras)?;
+    let shape = shape.pooled(*kv_pool)?;
     let device = device(session)?;
     let limits = device.as_ref().map_or_else(Limits::default, |device| device.limits().clone());
     let (precision, arithmetic) = match &device {
@@ -123,11 +123,11 @@ fn show_depth(session: &mut Session<'_>, info: &Info, views: usize, checkpoint: 
     for (option, given) in [
         ("--pictures", info.pictures.is_some()),
         ("--refine", info.refine.is_some()),
-        ("--pool", info.quality.pool != 1),
+        ("--kv-pool", info.quality.kv_pool != 1),
     ] {
         refuse(option, given, "weights of Depth Anything 3", "weights of ZipSplat")?;
     }
-    let Quality { ratio, select, arithmetic, .. } = &info.quality;
+    let Quality { ratio, token_selection, arithmetic, .. } = &info.quality;
     let size = info.quality.asked_size().unwrap_or(Size(DEFAULT_BOUND, DEFAULT_BOUND));
     let device = device(session)?;
     let limits = device.as_ref().map_or_else(Limits::default, |device| device.limits().clone());
@@ -136,7 +136,7 @@ fn show_depth(session: &mut Session<'_>, info: &Info, views: usize, checkpoint: 
         None => arithmetic.planned(&limits),
     };
     let network = DepthNetwork::new(checkpoint.architecture(), &limits, arithmetic);
-    let shape = network.shape(views, [size.0, size.1], (*ratio, select), info.poses, None)?;
+    let shape = network.shape(views, [size.0, size.1], (*ratio, token_selection), info.cameras, None)?;
     let (plan, _) = network.plan(&limits, shape)?;
     let (weights, arena, rows) = (network.weight_bytes(), plan.arena_bytes(), plan.arena_map());
     let json = json!({

@@ -14,7 +14,7 @@ use crate::{
     session::Session,
     table::{bytes, counted, time},
     video::FrameFolder,
-    views::FitOption,
+    views::CropOption,
 };
 use captured::Captured;
 use clap::{Args, ValueEnum};
@@ -41,18 +41,18 @@ const REFINEMENT: &str = "Refinement";
 /// Photos of one place to a scene of 3D Gaussians
 ///
 /// The scene's world is the first photo's camera, x right, y down, z forward, or with --world
-/// cameras that of the cameras.
+/// input-cameras that of the cameras.
 ///
 /// With weights of Depth Anything 3 each confident pixel becomes a Gaussian at its depth, and the
-/// cameras are estimated in the same pass. --size then gives the longer side, and --keep counts the
+/// cameras are estimated in the same pass. --input-size then gives the longer side, and --max-gaussians-per-token counts the
 /// pixels of a patch.
 #[derive(Args)]
-#[command(after_help = format!("Examples:
+#[command(mut_args(refinement::with_cameras), after_help = format!("Examples:
   zipsplat reconstruct photos/ -o scene.ply
-  zipsplat reconstruct photos/ --poses transforms.json --ratio 0.5 -o scene.ply
-  zipsplat reconstruct photos/ --poses transforms.json --refine -o sharp.ply
-  zipsplat reconstruct photos/ --poses find --refine -o sharp.ply
-  zipsplat reconstruct clip.mp4 --views 24 --poses find --cameras-out cameras.json -o scene.ply
+  zipsplat reconstruct photos/ --cameras transforms.json --ratio 0.5 -o scene.ply
+  zipsplat reconstruct photos/ --cameras transforms.json --refine -o sharp.ply
+  zipsplat reconstruct photos/ --cameras colmap --refine -o sharp.ply
+  zipsplat reconstruct clip.mp4 --views 24 --cameras colmap --cameras-out cameras.json -o scene.ply
   zipsplat reconstruct a.jpg b.jpg --weights zipsplat --ratio auto -o scene.ply
   zipsplat reconstruct photos/ --weights da3-base.safetensors --ratio 0.25 -o scene.ply
   zipsplat reconstruct photos/ -o scene.ply --pictures out/ -- --orbit --size 504x504 --depth
@@ -72,39 +72,36 @@ pub struct Reconstruct {
     #[command(flatten, next_help_heading = NETWORK)]
     quality: Quality,
     #[command(flatten, next_help_heading = NETWORK)]
-    fit: FitOption,
+    crop: CropOption,
     /// Limit of photos, evenly spread, with the first and the last, and of frames of a video
     /// [default: all, and 24 of a video]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_VIEWS as i64))]
     views: Option<u32>,
-    /// Cameras: transforms.json or a COLMAP model's folder, matched by file name; find: estimated
+    /// Cameras: transforms.json or a COLMAP model's folder, matched by file name; colmap: estimated
     /// by COLMAP; da3: by Depth Anything 3
-    #[arg(long, help_heading = CAMERAS, visible_alias = "cameras", value_name = "PATH|find|da3")]
-    poses: Option<PathBuf>,
+    #[arg(long, help_heading = CAMERAS, value_name = "PATH|colmap|da3")]
+    cameras: Option<PathBuf>,
     #[command(flatten, next_help_heading = CAMERAS)]
     finding: Finding,
-    /// Write the estimated cameras as transforms.json: with --poses find or da3, also points and
-    /// log beside it; without --poses, from the scene's positions of each photo's patches, in the
-    /// scene's world
+    /// Write the cameras as transforms.json: the estimated ones, of --optimize-cameras the refined
+    /// ones. --cameras colmap and da3 also write points and log beside it. Without --cameras they are
+    /// estimated from the scene's positions of each photo's patches, in the scene's world
     #[arg(long, help_heading = CAMERAS, value_name = "FILE")]
     cameras_out: Option<PathBuf>,
     /// Length in the cameras' unit that is 1 for the network; the scene keeps the cameras' unit
     /// [default: the median distance from the first camera of the points in points.ply or points3D
     /// beside the cameras, else that of the point that the cameras look at, else the distance
     /// between cameras]
-    #[arg(long, alias = "scene-scale", help_heading = CAMERAS, value_name = "LENGTH", requires = "poses", value_parser = parse_length)]
-    unit: Option<f64>,
+    #[arg(long, help_heading = CAMERAS, value_name = "LENGTH", requires = "cameras", value_parser = parse_length)]
+    scene_scale: Option<f64>,
     /// World of the scene
-    #[arg(long, help_heading = CAMERAS, value_enum, value_name = "WHICH", default_value = "first", requires = "poses")]
+    #[arg(long, help_heading = CAMERAS, value_enum, value_name = "WHICH", default_value = "first-camera", requires = "cameras")]
     world: WorldName,
     /// Also print the stages, with time and bytes, and skipped stages with reasons
     #[arg(long)]
     explain: bool,
     #[command(flatten, next_help_heading = REFINEMENT)]
     refine: RefineArgs,
-    /// File for the refined cameras: a transforms.json in the known cameras' world
-    #[arg(long, help_heading = REFINEMENT, value_name = "FILE", requires = "refine_cameras")]
-    refined_cameras: Option<PathBuf>,
     /// Also draw the scene into a folder, as zipsplat render does
     #[arg(long, value_name = "FOLDER")]
     pictures: Option<PathBuf>,
@@ -128,16 +125,18 @@ pub struct Posed<'a> {
 #[derive(Clone, Copy, ValueEnum)]
 enum WorldName {
     /// The first photo's camera: x right, y down, z forward
-    First,
+    #[value(alias = "first")]
+    FirstCamera,
     /// The cameras' world, so that they match the scene in any program
-    Cameras,
+    #[value(alias = "cameras")]
+    InputCameras,
 }
 
 impl WorldName {
     fn of(self, frames: &[&CaptureView]) -> Option<World> {
         match self {
-            Self::First => World::of_first(frames),
-            Self::Cameras => World::of_cameras(frames),
+            Self::FirstCamera => World::of_first(frames),
+            Self::InputCameras => World::of_cameras(frames),
         }
     }
 }
@@ -198,7 +197,7 @@ impl Reconstruct {
         let made = refined.as_ref().map(|made| &made.refined.scene).or(forward.as_ref().map(|forward| &forward.scene));
         let Some(mut scene) = made.cloned() else { unreachable!("a scene is reconstructed or refined") };
         let world = self.world.of(&frames);
-        let moved = first.filter(|_| matches!(self.world, WorldName::Cameras));
+        let moved = first.filter(|_| matches!(self.world, WorldName::InputCameras));
         if let Some(first) = &moved {
             scene.place(1.0, first);
             session.notes(coarse(first, forward.as_ref()));
@@ -218,8 +217,8 @@ impl Reconstruct {
         }
         let (note, write) = session.stage("write", |_| save())?;
         session.notes(note);
-        if let (Some(path), Some(RefinedScene { refined, .. }), Some(first)) = (&self.refined_cameras, &refined, &first)
-        {
+        let optimized = self.cameras_out.as_ref().filter(|_| self.refine.optimizes_cameras());
+        if let (Some(path), Some(RefinedScene { refined, .. }), Some(first)) = (optimized, &refined, &first) {
             save_cameras(path, refined, &(*first).into(), &photos, &frames)?;
             frame_folder.iter_mut().for_each(FrameFolder::keep);
         }
@@ -321,8 +320,13 @@ impl Reconstruct {
         }
         let Some(place) = &self.cameras_out else { return Ok(()) };
         let finds = self.finds(network);
-        let known = self.poses.is_some() && !finds;
-        refuse("--cameras-out", known, "cameras that are known", "--poses find, or no --poses")?;
+        let known = self.cameras.is_some() && !finds && !self.refine.optimizes_cameras();
+        refuse(
+            "--cameras-out",
+            known,
+            "cameras that are known",
+            "--cameras colmap, --optimize-cameras, or no --cameras",
+        )?;
         if finds { Place(place).check(self.overwrite) } else { Place(place).check_alone(self.overwrite) }
     }
 
@@ -332,15 +336,14 @@ impl Reconstruct {
             let expected = format!("a file that ends in {}", SceneFormat::EXTENSIONS);
             return Err(Error::argument("--output", self.output.display(), expected));
         }
-        self.refined_cameras.as_ref().map_or(Ok(()), |path| self.overwrite.check_file(path))?;
         self.refine.check()
     }
 
     fn drawing(&self) -> Result<Option<Render>> {
         let Some(folder) = &self.pictures else { return Ok(None) };
-        let known = self.poses.as_ref().filter(|poses| !KnownCameras::to_find(poses));
-        let cameras = self.refined_cameras.as_ref().or(self.cameras_out.as_ref()).or(known);
-        let default = match cameras.and_then(|file| file.to_str()).filter(|_| self.poses.is_some()) {
+        let known = self.cameras.as_ref().filter(|poses| !KnownCameras::to_find(poses));
+        let cameras = self.cameras_out.as_ref().or(known);
+        let default = match cameras.and_then(|file| file.to_str()).filter(|_| self.cameras.is_some()) {
             Some(file) => vec!["--spline".to_owned(), file.to_owned()],
             None => vec!["--wiggle".to_owned()],
         };

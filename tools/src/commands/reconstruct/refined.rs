@@ -46,7 +46,7 @@ impl Reconstruct {
         if steps.tokens {
             From::Tokens
         } else {
-            From::Scene(Initialization::or_best(self.refine.start, cloud, self.weights.is_embedded()))
+            From::Scene(Initialization::or_best(self.refine.init, cloud, self.weights.is_builtin()))
         }
     }
 
@@ -65,7 +65,7 @@ impl Reconstruct {
         let cameras: Vec<Camera> = frames.iter().map(camera).collect();
         let (photos, load) =
             session.stage(LOAD_PHOTOS, |stage| photos::read(photos, frames, stage, |_, photo| Ok(photo)))?;
-        let request = self.refine.request(steps);
+        let request = self.refine.request(steps.count);
         let arena = inputs.forward.and_then(|forward| forward.arena.clone());
         let arena = arena.unwrap_or_else(|| Arena::new(inputs.device));
         let tokens = inputs.forward.and_then(|forward| forward.tokens.as_ref());
