@@ -41,7 +41,7 @@ for RADV_FORCE_FAMILY in "$@"; do
     zipsplat doctor --quiet || [[ $? == 5 ]]
     for precision in fast fast-bf16 turbo; do forward $precision || [[ $? == 3 ]]; done
     sed -Ei 's/":(null|[0-9.e+]+)([,}])/":0.0\2/g; s/"begun":0.0/"begun":0/' "$ZIPSPLAT_CACHE"/self-test/*.json
-    zipsplat tune --quiet || [[ $? == 4 ]]
+    zipsplat doctor tune --quiet || [[ $? == 4 ]]
     for precision in exact fast fast-bf16 turbo; do forward $precision; done
     zipsplat bench render --quiet --gaussians 1000 --size 64x64 --sh 0,1,2,3 --effects
   } > "$said" 2>&1

@@ -213,16 +213,17 @@ fn photos_seen_by_themselves_need_cameras_and_points() {
 #[test]
 fn weights_are_known_by_their_tensors() {
     let folder = Folder::new().with_depth();
-    let info = folder.run("info @/da3.safetensors --json").json();
+    let info = folder.run("convert @/da3.safetensors --json").json();
     assert_eq!(
         (&info["kind"], &info["cameras"], &info["sky"]),
         (&"Depth Anything 3".into(), &true.into(), &false.into())
     );
-    assert_eq!(folder.run("info @/alone.safetensors --json").json()["cameras"], false);
-    let text = folder.run("info seeded:da3-giant").success();
+    assert_eq!(folder.run("convert @/alone.safetensors --json").json()["cameras"], false);
+    let text = folder.run("convert seeded:da3-giant").success();
     assert!(text.contains("da3-giant of Depth Anything 3") && text.contains("a Gaussian a pixel"), "{text}");
-    let plan =
-        folder.run("info --plan --weights seeded:da3-small --views 2 --input-size 252x168 --ratio 0.5 --json").json();
+    let plan = folder
+        .run("reconstruct --dry-run --weights seeded:da3-small --views 2 --input-size 252x168 --ratio 0.5 --json")
+        .json();
     assert_eq!((&plan["tokens"], &plan["network"]), (&216.into(), &"da3-small".into()), "{plan}");
     assert!(plan["peak_bytes"].as_u64() > plan["weight_bytes"].as_u64());
 
@@ -236,7 +237,7 @@ fn weights_are_known_by_their_tensors() {
     let exact = values("da3.safetensors");
     for (dtype, within) in [("f16", 1e-9), ("q8", 0.2)] {
         folder.run(&format!("convert @/da3.safetensors @/{dtype}.safetensors --dtype {dtype}")).success();
-        let json = folder.run(&format!("info @/{dtype}.safetensors --json")).json();
+        let json = folder.run(&format!("convert @/{dtype}.safetensors --json")).json();
         assert!(json["stored"][dtype].as_u64() > Some(0) && json["architecture"] == info["architecture"], "{json}");
         let rounded = values(&format!("{dtype}.safetensors"));
         let apart: f32 = exact.iter().zip(&rounded).map(|(a, b)| (a / b).ln().abs()).sum::<f32>() / exact.len() as f32;

@@ -72,7 +72,7 @@ fn json_has_errors_as_objects() {
         assert_eq!(json["exit_code"], code);
         json
     };
-    let json = error("info @/absent.ply --json", 3);
+    let json = error("convert @/absent.ply --json", 3);
     assert_eq!(json["kind"], "io");
     assert!(json["error"].as_str().is_some_and(|text| text.contains("absent.ply: No such file")), "{json}");
     assert_eq!(error("--json info @/photos/1.png", 3)["kind"], "argument");
@@ -102,9 +102,9 @@ fn numbers() {
         let line = format!("reconstruct @/photos --weights @/micro.safetensors --input-size {size} -o @/out.ply");
         refused(&folder, &line, 3, &["size of the views"]);
     }
-    refused(&folder, "info --plan --views 0 --weights seeded:vits", 3, &["views", "1 to 192"]);
-    for line in ["reconstruct @/photos", "eval @/absent", "info --plan --views 2"] {
-        let output = if line.starts_with("info") { "" } else { "-o @/out.ply" };
+    refused(&folder, "reconstruct --dry-run --views 0 --weights seeded:vits", 3, &["views", "1 to 192"]);
+    for line in ["reconstruct @/photos", "eval @/absent", "reconstruct --dry-run --views 2"] {
+        let output = if line.starts_with("doctor list") { "" } else { "-o @/out.ply" };
         let line = format!("{line} --weights @/micro.safetensors --max-gaussians-per-token 5 {output}");
         refused(&folder, &line, 3, &["--max-gaussians-per-token: found 5", "1 to 4"]);
     }
@@ -178,12 +178,11 @@ fn wrong_usage_exits_with_2() {
         "render @/scene.ply --orbit --wiggle -o @/out",
         "render @/scene.ply --orbit --background 2,0,0 -o @/out",
         "render @/scene.ply --orbit --frames 0 -o @/out",
-        "info --plan --weights seeded:vits",
-        "info --weights seeded:vits",
-        "info --ratio 0.3",
-        "info @/scene.ply --weights seeded:vits",
-        "info @/scene.ply --max-gaussians-per-token 2",
-        "info --drop-invalid",
+        "doctor list --weights seeded:vits",
+        "convert @/scene.ply --ratio 0.3",
+        "convert @/scene.ply --weights seeded:vits",
+        "convert @/scene.ply --max-gaussians-per-token 2",
+        "doctor list --drop-invalid",
         "reconstruct @/photos --views 193 -o @/out.ply",
     ] {
         let outcome = folder.run(line);
@@ -257,12 +256,12 @@ fn weights() {
     refused(&folder, &reconstruct("--weights @/absent.safetensors"), 3, &["absent.safetensors", "No such file"]);
     refused(&folder, "convert @/cut.safetensors @/out.safetensors", 3, &["cut.safetensors"]);
     refused(&folder, "convert @/micro.safetensors @/out.safetensors --dtype f64", 3, &["dtype", "f64"]);
-    refused(&folder, "info @/cut.safetensors", 3, &["cut.safetensors"]);
-    refused(&folder, "info @/photos", 3, &["photos"]);
+    refused(&folder, "convert @/cut.safetensors", 3, &["cut.safetensors"]);
+    refused(&folder, "convert @/photos", 3, &["photos"]);
     let photo = format!("reconstruct /dev/zero {MICRO}");
     let weights = reconstruct("--weights /dev/zero");
     for line in [
-        "info /dev/zero",
+        "convert /dev/zero",
         "convert /dev/zero @/out.safetensors",
         "render /dev/zero --wiggle -o @/out",
         &photo,
@@ -270,12 +269,12 @@ fn weights() {
     ] {
         refused(&folder, line, 3, &["/dev/zero: found a device", "a regular file"]);
     }
-    refused(&folder, "info @/photos/1.png", 3, &["1.png: found a picture of 40x30", "safetensors", ".spz"]);
+    refused(&folder, "convert @/photos/1.png", 3, &["1.png: found a picture of 40x30", "safetensors", ".spz"]);
     refused(&folder, "convert @/photos/1.png @/out.safetensors", 3, &["a picture of 40x30", "a checkpoint"]);
     refused(&folder, &reconstruct("--weights @/photos/1.png"), 3, &["a picture of 40x30", "a checkpoint"]);
     std::fs::write(folder.path("letter"), "a letter, no weights").expect("a file");
-    refused(&folder, "info @/letter", 3, &["letter: found a file of unknown kind", "a checkpoint"]);
-    refused(&folder, "info @/micro.safetensors --drop-invalid", 3, &["--invalid: found a checkpoint", "a scene"]);
+    refused(&folder, "convert @/letter", 3, &["letter: found a file of unknown kind", "a checkpoint"]);
+    refused(&folder, "convert @/micro.safetensors --drop-invalid", 3, &["--invalid: found a checkpoint", "a scene"]);
 }
 
 #[test]
@@ -289,7 +288,7 @@ fn scenes_with_hostile_counts() {
         let bytes = [header.replace("vertex 5", &format!("vertex {count}")).as_bytes(), &good[end..]].concat();
         std::fs::write(folder.path(name), bytes).expect("a file");
         refused(&folder, &format!("render @/{name} --wiggle -o @/out"), 3, &[name]);
-        refused(&folder, &format!("info @/{name}"), 3, &[name]);
+        refused(&folder, &format!("convert @/{name}"), 3, &[name]);
     }
     refused(&folder, "render @/absent.ply --wiggle -o @/out", 3, &["absent.ply"]);
 }
@@ -301,10 +300,12 @@ fn devices() {
     let nowhere = "--device nonesuch";
     refused(&folder, &format!("reconstruct @/photos {nowhere} {MICRO}"), 4, &["nonesuch", "0: "]);
     refused(&folder, &format!("render @/scene.ply --wiggle {nowhere} -o @/out"), 4, &["nonesuch"]);
-    refused(&folder, &format!("info --plan --views 2 --weights seeded:vits {nowhere}"), 4, &["nonesuch"]);
+    refused(&folder, &format!("reconstruct --dry-run --views 2 --weights seeded:vits {nowhere}"), 4, &["nonesuch"]);
     refused(&folder, &format!("bench gemm {nowhere}"), 4, &["nonesuch"]);
-    for line in [&format!("reconstruct @/photos {MICRO}"), "info", "render @/scene.ply --wiggle -o @/out", "doctor"] {
-        refused(&folder, &format!("--device none {line}"), 3, &["--device: found none", "info --plan"]);
+    for line in
+        [&format!("reconstruct @/photos {MICRO}"), "doctor list", "render @/scene.ply --wiggle -o @/out", "doctor"]
+    {
+        refused(&folder, &format!("--device none {line}"), 3, &["--device: found none", "reconstruct --dry-run"]);
     }
 }
 
@@ -369,4 +370,9 @@ fn earlier_names_of_options() {
     folder.run(&format!("{eval} --score-size 14x14 --whole --disturb 1 --refine 1:tokens --start scene")).success();
     folder.run("eval @/place --views 2 --lpips none --scene @/place/splats.ply --world cameras").success();
     folder.run(&format!("batch @/place {micro} --posed -o @/scenes")).success();
+    folder.run("compare @/photos @/photos --lpips none").success();
+    folder.run("info").success();
+    folder.run("info --max-memory 3G @/new.ply").success();
+    let plan = folder.run(&format!("info --plan --views 2 --poses --all --pictures 9x9 --refine 9x9:tokens {micro}"));
+    assert!(plan.success().contains("refinement: "));
 }

@@ -280,7 +280,7 @@ fn cameras_are_poses() {
 
 #[test]
 fn help_has_examples_for_every_command() {
-    for command in ["", "reconstruct ", "render ", "info ", "convert ", "bench "] {
+    for command in ["", "reconstruct ", "render ", "doctor list ", "convert ", "bench "] {
         assert!(zipsplat(&format!("{command}--help")).success().contains("Examples:\n  zipsplat "), "{command}");
     }
 }

@@ -113,8 +113,11 @@ fn commands_say_how_to_go_on() {
     let written = |name: &str, scene: &Scene| scene.save(at(name)).unwrap();
     for name in NAMES {
         let clean = spoilt(&at(name), f32::NAN);
-        let lines =
-            [("render @/NAME --wiggle -o @/out", "out"), ("convert @/NAME @/out.ply", "out.ply"), ("info @/NAME", "")];
+        let lines = [
+            ("render @/NAME --wiggle -o @/out", "out"),
+            ("convert @/NAME @/out.ply", "out.ply"),
+            ("convert @/NAME", ""),
+        ];
         for (line, output) in lines {
             let line = line.replace("NAME", name);
             let (code, out, err) = run(&line);
@@ -126,6 +129,7 @@ fn commands_say_how_to_go_on() {
             assert_eq!(run(&format!("{line} --invalid refuse")).0, 3);
             let (code, out, err) = run(&format!("{line} --drop-invalid --json"));
             let json: serde_json::Value = serde_json::from_str(&out).unwrap_or_else(|_| panic!("{line}: {code} {err}"));
+            let json = &json["result"];
             assert_eq!((&json["gaussians"], &json["dropped"]), (&47.into(), &3.into()), "{line}");
             assert!(err.contains("3 of 50 Gaussians left out"), "{line}: {err}");
         }
@@ -142,7 +146,7 @@ fn commands_say_how_to_go_on() {
         ["out", "clean"].iter().for_each(|name| std::fs::remove_dir_all(at(name)).unwrap());
         std::fs::remove_file(at("out.ply")).unwrap();
     }
-    let (code, out, _) = run("info @/clean.ply --drop-invalid --json");
+    let (code, out, _) = run("convert @/clean.ply --drop-invalid --json");
     assert!(code == 0 && out.contains("\"dropped\": 0"), "{out}");
     let (code, _, err) = run("convert seeded:vits @/weights.safetensors --drop-invalid");
     assert!(code == 3 && err.contains("--drop-invalid"), "{err}");

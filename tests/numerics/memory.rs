@@ -118,7 +118,7 @@ fn commands_say_how_much_memory_is_missing() {
         assert_eq!(code, 0, "{err}");
     }
     for wrong in ["1T", "-1", "K", "99999999999G", ""] {
-        assert_eq!(zipsplat(&format!("info --max-memory={wrong}")).0, 2, "{wrong}");
+        assert_eq!(zipsplat(&format!("doctor list --max-memory={wrong}")).0, 2, "{wrong}");
     }
     assert!(
         zipsplat(&format!("render {}/scene.ply --wiggle --max-memory 1K -o {0}/none", folder.path().display())).0 == 4

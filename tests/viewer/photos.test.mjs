@@ -95,7 +95,7 @@ test("a token under the mouse shows its patch of the photo", async () => {
 });
 
 test("a written page holds several ratios, tokens and small photos, and asks nobody", async () => {
-    const said = JSON.parse(zipsplat("view", ...PHOTOS, "--ratios", "1,0.3,0.1", "-o", "page.html", "--json"));
+    const said = JSON.parse(zipsplat("view", ...PHOTOS, "--ratios", "1,0.3,0.1", "-o", "page.html", "--json")).result;
     assert.equal(said.gaussians.length, 3);
     assert.ok(said.photos === 4 && said.photo_bytes > 1000 && said.bytes > said.photo_bytes);
     const tab = await opened("page.html", { width: 700, height: 500 }), seen = [];

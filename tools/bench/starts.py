@@ -58,7 +58,7 @@ def run(args, capture, start):
         text = subprocess.run(words, check=True, capture_output=True, text=True).stdout
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-        said = json.loads(text) | {"wall": time.monotonic() - begin, "cpu": cpu / os.cpu_count()}
+        said = json.loads(text)["result"] | {"wall": time.monotonic() - begin, "cpu": cpu / os.cpu_count()}
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(json.dumps(said))
     return json.loads(path.read_text())

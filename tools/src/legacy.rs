@@ -1,14 +1,15 @@
-//! Options by their earlier names, rewritten before parsing; for one release.
+//! Commands and options by their earlier names, rewritten before parsing; for one release.
 
-use std::ffi::OsString;
+use std::ffi::{OsStr, OsString};
 
 /// Options by command, all of them if none is named.
-const OPTIONS: [(&[&str], &str, &str); 42] = [
+const OPTIONS: [(&[&str], &str, &str); 45] = [
     (&[], "--memory", "--max-memory"),
     (&[], "--select", "--token-selection"),
     (&[], "--pool", "--kv-pool"),
     (&["get"], "--keep", "--keep-download"),
     (&[], "--keep", "--max-gaussians-per-token"),
+    (&["info"], "--poses", "--cameras=capture"),
     (&[], "--poses", "--cameras"),
     (&[], "--unit", "--scene-scale"),
     (&[], "--fit", "--crop"),
@@ -46,6 +47,8 @@ const OPTIONS: [(&[&str], &str, &str); 42] = [
     (&["eval"], "--disturb", "--pose-noise"),
     (&["eval"], "--noise", "--depth-noise"),
     (&["batch"], "--posed", "--cameras=capture"),
+    (&["info"], "--plan", "--dry-run"),
+    (&["info"], "--all", "--explain"),
 ];
 
 /// Rewrites the words after the program's name. `is_command` recognizes commands and their
@@ -53,6 +56,9 @@ const OPTIONS: [(&[&str], &str, &str); 42] = [
 pub fn rewritten(args: Vec<OsString>, is_command: impl Fn(&str) -> bool) -> Vec<OsString> {
     let mut words = Vec::with_capacity(args.len());
     let mut command: Vec<String> = Vec::new();
+    let plans = args.iter().any(|word| word == "--plan");
+    let mut planned = Vec::new();
+    let has_file = has_file(&args);
     let mut args = args.into_iter().peekable();
     while let Some(word) = args.next() {
         let Some(text) = word.to_str() else {
@@ -61,8 +67,22 @@ pub fn rewritten(args: Vec<OsString>, is_command: impl Fn(&str) -> bool) -> Vec<
         };
         if !text.starts_with("--") {
             let nested = command.iter().all(|word| word == "bench" || word == "weights");
-            command.extend((nested && !words.is_empty() && is_command(text)).then(|| text.to_owned()));
-            words.push(word);
+            let earlier = ["batch", "compare", "info", "tune"].contains(&text);
+            if nested && !words.is_empty() && (earlier || is_command(text)) {
+                command.push(text.to_owned());
+                let new: &[&str] = match text {
+                    "batch" => &["reconstruct", "--each"],
+                    "compare" => &["eval"],
+                    "info" if plans => &["reconstruct"],
+                    "info" if has_file => &["convert"],
+                    "info" => &["doctor", "list"],
+                    "tune" => &["doctor", "tune"],
+                    same => &[same],
+                };
+                words.extend(new.iter().map(OsString::from));
+            } else {
+                words.push(word);
+            }
             continue;
         }
         if text == "--" {
@@ -76,13 +96,37 @@ pub fn rewritten(args: Vec<OsString>, is_command: impl Fn(&str) -> bool) -> Vec<
         };
         let name = OPTIONS.iter().find(known).map_or(name, |(_, _, new)| new).to_owned();
         let mut value = inline.map(str::to_owned);
-        let takes = ["--invalid", "--focal-lengths", "--reference"].contains(&name.as_str());
+        let takes = ["--invalid", "--focal-lengths", "--reference"].contains(&name.as_str())
+            || plans && ["--pictures", "--refine"].contains(&name.as_str());
         if takes && value.is_none() {
             value = args.next_if(|word| word.to_str().is_some()).and_then(|word| word.into_string().ok());
         }
-        words.extend(renamed(&command, name, value).into_iter().map(OsString::from));
+        let sizes =
+            value.as_deref().filter(|_| plans).map(|value| value.split_once(':').unwrap_or((value, "gaussians")));
+        let new = match (name.as_str(), sizes) {
+            ("--pictures", Some((size, _))) => {
+                planned = ["--pictures=.", "--", "--size", size].map(OsString::from).to_vec();
+                continue;
+            }
+            ("--refine", Some((size, target))) => {
+                let target = format!("--refine-target={target}");
+                vec!["--refine".into(), format!("--max-image-size={size}"), target]
+            }
+            _ => renamed(&command, name, value),
+        };
+        words.extend(new.into_iter().map(OsString::from));
     }
+    words.extend(planned);
     words
+}
+
+/// Tells `info FILE` from `info`.
+fn has_file(args: &[OsString]) -> bool {
+    let is_option = |word: &OsStr| word.to_string_lossy().starts_with('-');
+    let takes_value = |word: &OsStr| ["--device", "--memory", "--max-memory"].iter().any(|option| word == *option);
+    let command = args.iter().position(|word| word == "info").unwrap_or(args.len());
+    let mut pairs = args.windows(2).skip(command);
+    pairs.any(|pair| !is_option(&pair[1]) && !takes_value(&pair[0]))
 }
 
 /// Replaces options whose values changed, too.

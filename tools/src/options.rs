@@ -13,7 +13,7 @@ use zipsplat::{
     reconstruct::{Ratio, TokenSelection},
     stages::cluster::auto_ratio,
     tune::KernelChoice,
-    types::{Image, Scene, SceneFormat, open_file},
+    types::{Image, Scene, open_file},
     weights::{Architecture, Checkpoint, DepthCheckpoint},
 };
 
@@ -66,12 +66,6 @@ impl Weights {
     pub fn open_as(&self, weights: &str) -> Result<Checkpoint> {
         open_checkpoint(weights, self.variant.as_deref(), CHECKPOINTS)
     }
-
-    /// The file might be a scene.
-    pub fn open_unless_scene(&self, file: &str) -> Result<Checkpoint> {
-        let expected = format!("{CHECKPOINTS}, or a scene ({})", SceneFormat::EXTENSIONS);
-        open_checkpoint(file, self.variant.as_deref(), &expected)
-    }
 }
 
 pub enum Network {
@@ -114,7 +108,7 @@ pub fn open_checkpoint(text: &str, variant: Option<&str>, expected: &str) -> Res
     if is_of_depth(text) {
         let found = format!("{text}, of Depth Anything 3");
         let expected = format!(
-            "{expected} of ZipSplat; reconstruct, batch, view, eval, depth, cameras and info take those of Depth Anything 3"
+            "{expected} of ZipSplat; reconstruct, view, eval, depth, cameras and convert take those of Depth Anything 3"
         );
         return Err(Error::argument("weights", found, expected));
     }

@@ -87,6 +87,10 @@ pub struct CameraArgs {
 }
 
 impl CameraArgs {
+    pub fn size(&self) -> Option<Size> {
+        self.size
+    }
+
     /// Also returns notes. `world` is the scene file's.
     pub fn cameras(&self, scene: &Scene, world: Option<&World>) -> Result<(Vec<Camera>, Vec<String>)> {
         let frames = self.frames as usize;

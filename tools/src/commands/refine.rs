@@ -35,7 +35,7 @@ use zipsplat::{
   zipsplat refine photos/ --cameras colmap --init points -o scene.ply
   zipsplat refine scene.spz photos/ --cameras colmap/ --init both --max-image-size 504x504 -o better.ply
   zipsplat refine scene.ply photos/ --cameras rough.json --optimize-cameras --cameras-out exact.json -o better.ply")]
-pub struct RefineOptions {
+pub struct Refine {
     /// Scene (PLY, SPZ, .splat or glTF; none with --init points), then photos (PNG, JPEG, WebP) or
     /// folders of them
     #[arg(required = true, value_name = "SCENE, PHOTOS")]
@@ -94,7 +94,7 @@ struct Started {
     to_scene: Similarity,
 }
 
-impl RefineOptions {
+impl Refine {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         self.overwrite.check_file(&self.output)?;
         self.moved.check()?;

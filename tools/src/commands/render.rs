@@ -3,7 +3,7 @@ use crate::{
     cameras::CameraArgs,
     color,
     explain::Explanation,
-    options::{SceneInput, parse_length},
+    options::{SceneInput, Size, parse_length},
     outputs::{self, DEPTH_LEVELS, Overwrite},
     pictures::{self, SHEET, Sinks},
     session::Session,
@@ -167,6 +167,11 @@ impl Render {
             session.note(format!("no picture shows anything but the background{}", self.path.doubt()));
         }
         self.report(device, [scene.len(), dropped], &cameras, took, explanation)
+    }
+
+    /// If requested.
+    pub fn size(&self) -> Option<Size> {
+        self.path.size()
     }
 
     pub fn check(&self) -> Result<()> {

@@ -214,6 +214,19 @@ impl RefineArgs {
         self.steps().map_or(Ok(()), |steps| steps.check(self.init, &self.moved))
     }
 
+    /// Size of the largest photo, scaled down to the limit; the limit without photos.
+    pub fn largest(&self, photos: &[PathBuf]) -> Result<[u32; 2]> {
+        let Size(most_width, most_height) = self.max_image_size;
+        let mut largest = [0; 2];
+        for photo in photos {
+            let (width, height) = Image::size_as_stored(photo)?;
+            if u64::from(width) * u64::from(height) > u64::from(largest[0]) * u64::from(largest[1]) {
+                largest = [width, height];
+            }
+        }
+        Ok(if photos.is_empty() { [most_width, most_height] } else { largest })
+    }
+
     pub fn request(&self, steps: usize) -> RefineOptions {
         let size = Some([self.max_image_size.0, self.max_image_size.1]);
         self.moved.request(RefineOptions {

@@ -50,7 +50,7 @@ enum What {
     Forward(forward::Forward),
     Gemm(gemm::Gemm),
     Peak(peak::Peak),
-    RefineOptions(refine::RefineOptions),
+    Refine(refine::Refine),
     Render(render::Render),
     Tradeoff(Box<tradeoff::Tradeoff>),
 }
@@ -75,7 +75,7 @@ impl Bench {
             What::Forward(bench) => bench.run(session),
             What::Gemm(bench) => bench.run(session),
             What::Peak(bench) => bench.run(session),
-            What::RefineOptions(bench) => bench.run(session),
+            What::Refine(bench) => bench.run(session),
             What::Render(bench) => bench.run(session),
             What::Tradeoff(bench) => bench.run(session),
         }

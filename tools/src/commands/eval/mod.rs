@@ -2,6 +2,7 @@ mod alignment;
 mod depth;
 mod evaluator;
 mod external_scene;
+mod images;
 mod one;
 mod page;
 mod pixels;
@@ -22,6 +23,7 @@ use crate::{
     views::{Crop, CropOption, Seeing},
 };
 use clap::{Arg, Args, ValueEnum};
+use images::ImageSets;
 use std::{path::PathBuf, str::FromStr};
 use zipsplat::{Result, reconstruct::Shape, weights::Checkpoint};
 
@@ -30,7 +32,7 @@ const VIEWS: u32 = 8;
 /// Default number of a protocol's targets per scene.
 const TARGETS: usize = 8;
 
-/// Evaluate the prediction of photos that a reconstruction has not seen
+/// Measure quality: predictions of held-out photos, a data set, a scene, or two sets of pictures
 ///
 /// Reconstructs a capture from some of its photos with their cameras, renders the scene from the
 /// other cameras, and compares. The network's unit of length is the median distance from the first
@@ -48,6 +50,9 @@ const TARGETS: usize = 8;
 /// whole photos, whose longer side is --input-size. With --pose-free, estimated cameras place it in the
 /// known world.
 ///
+/// Two pictures, or two folders of pictures matched by file name without extension, are compared
+/// by PSNR, SSIM (as in scikit-image, Gaussian windows of 11 pixels) and LPIPS 0.1.
+///
 /// With --protocol the folders are scenes of a data set, or folders of them, evaluated as in the
 /// paper's tables 1 to 3: 8 photos of each, downscaled by its filter, and cameras aligned as by its
 /// authors. OUT has a folder per setting, with a record and a picture of every scene; scenes.csv, a
@@ -63,13 +68,15 @@ const TARGETS: usize = 8;
   zipsplat eval photos/ --views 8 --cameras colmap --refine 100
   zipsplat eval capture/ --views 8 --targets 8 --pose-free
   zipsplat eval capture/ --views 8 --weights da3-base --input-size 504x336 --eval-size 252x252
+  zipsplat eval drawn/ photos/ --csv scores.csv
   zipsplat eval --protocol dl3dv DL3DV-Benchmark/ --pose-free --weights zipsplat -o dl3dv/
   zipsplat eval --protocol re10k test/ --indices ctx_6v_tgt_8v.json --weights zipsplat -o re10k/"
 )]
 pub struct Eval {
-    /// Folder with photos and their cameras: a transforms.json or a COLMAP model; with --cameras
-    /// photos only; with --protocol scenes of a data set, or folders of them
-    #[arg(required = true, value_name = "FOLDER")]
+    /// Capture: a folder with photos and their cameras, a transforms.json or a COLMAP model, or with
+    /// --cameras photos only; two pictures, or two folders of pictures, to compare; with --protocol
+    /// scenes of a data set, or folders of them
+    #[arg(required = true, value_name = "CAPTURE|PICTURES")]
     folders: Vec<PathBuf>,
     /// Cameras of the photos: transforms.json or a COLMAP model's folder; colmap: estimated by
     /// COLMAP; da3: by Depth Anything 3 [default: those in the folder]
@@ -130,6 +137,9 @@ pub struct Eval {
     /// rotation_error_deg, translation_error, warning
     #[arg(long, value_name = "FILE", conflicts_with = "protocol")]
     csv: Option<PathBuf>,
+    /// Picture of the differences of two pictures, amplified four times; a folder for folders
+    #[arg(long, value_name = "FILE|DIR")]
+    difference: Option<PathBuf>,
     /// Folder for scene.ply, in the unit of the network's cameras, and comparison.png: photos,
     /// predictions, and nearest input photos; of a protocol for its records, tables and page
     #[arg(long, short, value_name = "FOLDER", required_if_eq_any([("protocol", "dl3dv"), ("protocol", "re10k"),
@@ -165,9 +175,10 @@ impl FromStr for Aligning {
 
 impl Eval {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
-        match self.series.protocol {
-            Some(protocol) => series::run(self, protocol, session),
-            None => one::run(self, session),
+        match (self.series.protocol, &self.folders[..]) {
+            (Some(protocol), _) => series::run(self, protocol, session),
+            (None, [first, second]) => ImageSets { eval: self, first, second }.run(session),
+            (None, _) => one::run(self, session),
         }
     }
 

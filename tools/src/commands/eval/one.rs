@@ -7,7 +7,7 @@ use super::{
 };
 use crate::{
     capture::{Choice, Score, ViewSplit},
-    options::Network,
+    options::{Network, refuse},
     outputs, refinement,
     session::Session,
     table::Table,
@@ -29,8 +29,10 @@ pub fn run(eval: &Eval, session: &mut Session<'_>) -> Result<()> {
         eval.overwrite.check_replaced([SCENE, COMPARISON].map(|name| folder.join(name)))?;
     }
     let [folder] = &eval.folders[..] else {
-        return Err(Error::argument("folders", eval.folders.len(), "one capture, or scenes of a --protocol"));
+        let expected = "one capture, two sets of pictures, or scenes of a --protocol";
+        return Err(Error::argument("folders", eval.folders.len(), expected));
     };
+    refuse("--difference", eval.difference.is_some(), "a capture", "two pictures or folders of pictures")?;
     let views = match eval.views[..] {
         [] => VIEWS,
         [views] => views,

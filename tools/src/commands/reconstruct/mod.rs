@@ -1,13 +1,15 @@
 mod captured;
+mod each;
 mod forward;
 mod pixels;
 mod placed;
+mod plan;
 mod refined;
 
 use super::render::Render;
 use crate::{
     cameras::{Finding, KnownCameras, Place},
-    options::{Network, Quality, Weights, parse_length, refuse},
+    options::{Network, Quality, Size, Weights, parse_length, refuse},
     outputs::{self, Overwrite},
     photos::PhotoArgs,
     refinement::{self, Initialization, RefineArgs, placed, save_cameras},
@@ -17,11 +19,16 @@ use crate::{
     views::CropOption,
 };
 use captured::Captured;
-use clap::{Args, ValueEnum};
+use clap::{Arg, Args, ValueEnum};
+use each::Batch;
 use forward::{Forward, LOAD_PHOTOS, LOAD_WEIGHTS};
 use refined::{From, RefineInputs, RefinedScene};
 use serde_json::json;
-use std::{fmt::Write, path::PathBuf, time::Duration};
+use std::{
+    fmt::Write,
+    path::{Path, PathBuf},
+    time::Duration,
+};
 use zipsplat::{
     Error, Result,
     reconstruct::MAX_VIEWS,
@@ -34,8 +41,11 @@ use zipsplat::{
     },
 };
 
+/// Cameras of each capture's folder.
+const CAPTURE: &str = "capture";
 const NETWORK: &str = "Network";
 const CAMERAS: &str = "Cameras";
+const MANY: &str = "Many captures";
 const REFINEMENT: &str = "Refinement";
 
 /// Photos of one place to a scene of 3D Gaussians
@@ -47,7 +57,7 @@ const REFINEMENT: &str = "Refinement";
 /// cameras are estimated in the same pass. --input-size then gives the longer side, and --max-gaussians-per-token counts the
 /// pixels of a patch.
 #[derive(Args)]
-#[command(mut_args(refinement::with_cameras), after_help = format!("Examples:
+#[command(mut_args(adapted), after_help = format!("Examples:
   zipsplat reconstruct photos/ -o scene.ply
   zipsplat reconstruct photos/ --cameras transforms.json --ratio 0.5 -o scene.ply
   zipsplat reconstruct photos/ --cameras transforms.json --refine -o sharp.ply
@@ -56,15 +66,16 @@ const REFINEMENT: &str = "Refinement";
   zipsplat reconstruct a.jpg b.jpg --weights zipsplat --ratio auto -o scene.ply
   zipsplat reconstruct photos/ --weights da3-base.safetensors --ratio 0.25 -o scene.ply
   zipsplat reconstruct photos/ -o scene.ply --pictures out/ -- --orbit --size 504x504 --depth
-  zipsplat reconstruct a.jpg b.jpg --weights seeded:vits -o noise.ply
+  zipsplat reconstruct captures/ --each --ratio auto --format spz -o scenes/
+  zipsplat reconstruct --dry-run --weights seeded:vitg --views 24 --ratio auto
 
-seeded: weights are random numbers: to try the command, not to look at. At most {MAX_VIEWS} photos."))]
+At most {MAX_VIEWS} photos."))]
 pub struct Reconstruct {
     #[command(flatten)]
     input: PhotoArgs,
-    /// Scene to write: .ply, .spz, .splat, .glb or .gltf
-    #[arg(long, short, value_name = "FILE")]
-    output: PathBuf,
+    /// Scene to write: .ply, .spz, .splat, .glb or .gltf; with --each a folder
+    #[arg(long, short, value_name = "FILE", required_unless_present = "dry_run")]
+    output: Option<PathBuf>,
     #[command(flatten)]
     overwrite: Overwrite,
     #[command(flatten, next_help_heading = NETWORK)]
@@ -97,6 +108,22 @@ pub struct Reconstruct {
     /// World of the scene
     #[arg(long, help_heading = CAMERAS, value_enum, value_name = "WHICH", default_value = "first-camera", requires = "cameras")]
     world: WorldName,
+    /// Make a scene of each capture in PHOTOS: folders with photos, directly or in images/, folders
+    /// of captures, or text files with a capture per line. OUTPUT is a folder. Run the command again
+    /// to resume; failures are rows of failures.csv, and the exit code is 1
+    #[arg(long, help_heading = MANY, conflicts_with_all = ["refine", "cameras_out", "scene_scale", "world", "explain",
+        "pictures", "depth_weights", "recursive"])]
+    each: bool,
+    /// Format of the scenes of --each: ply, spz, splat, glb or gltf
+    #[arg(long, help_heading = MANY, value_name = "NAME", default_value = "ply", requires = "each")]
+    format: String,
+    /// Limit of scenes made in this run
+    #[arg(long, help_heading = MANY, value_name = "N", requires = "each")]
+    limit: Option<usize>,
+    /// Print the memory plan and stop; without a device, for an ordinary one. Without photos,
+    /// --views gives their number. --explain lists every tensor
+    #[arg(long, conflicts_with = "each")]
+    dry_run: bool,
     /// Also print the stages, with time and bytes, and skipped stages with reasons
     #[arg(long)]
     explain: bool,
@@ -109,6 +136,11 @@ pub struct Reconstruct {
     /// of a file, else --wiggle]
     #[arg(last = true, value_name = "RENDER OPTIONS", requires = "pictures")]
     drawing: Vec<String>,
+}
+
+fn adapted(arg: Arg) -> Arg {
+    let arg = refinement::with_cameras(arg);
+    if arg.get_id() == "photos" { arg.required(false).required_unless_present("dry_run") } else { arg }
 }
 
 /// Visible step of positions, over the scene's distance.
@@ -152,7 +184,24 @@ fn coarse(first: &Pose, forward: Option<&Forward>) -> Option<String> {
 }
 
 impl Reconstruct {
+    /// Needs no device.
+    pub fn plans(&self) -> bool {
+        self.dry_run
+    }
+
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
+        match (self.dry_run, self.each) {
+            (true, _) => plan::show(session, self),
+            (_, true) => Batch::of(self)?.run(session),
+            _ => self.reconstruct(session),
+        }
+    }
+
+    fn output(&self) -> &Path {
+        self.output.as_deref().unwrap_or(Path::new("scene.ply"))
+    }
+
+    fn reconstruct(&self, session: &mut Session<'_>) -> Result<()> {
         self.check()?;
         let drawing = self.drawing()?;
         let network = self.weights.open_network()?;
@@ -202,17 +251,17 @@ impl Reconstruct {
             scene.place(1.0, first);
             session.notes(coarse(first, forward.as_ref()));
         }
-        if SceneFormat::of_extension(&self.output) == Some(SceneFormat::Spz) {
+        if SceneFormat::of_extension(self.output()) == Some(SceneFormat::Spz) {
             session.notes(spz_coarsening(&scene));
         }
-        let save = || outputs::save_scene(&self.output, &scene, &SaveOptions::default(), world.as_ref());
+        let save = || outputs::save_scene(self.output(), &scene, &SaveOptions::default(), world.as_ref());
         if let Some(RefinedScene {
             refined: RefineResult { stop_reason: Some(StopReason::Cancelled), best_step, .. },
             ..
         }) = &refined
         {
             session.notes(save()?);
-            session.note(format!("{}: the best so far, after step {best_step}", self.output.display()));
+            session.note(format!("{}: the best so far, after step {best_step}", self.output().display()));
             return Err(Error::Cancelled);
         }
         let (note, write) = session.stage("write", |_| save())?;
@@ -263,7 +312,7 @@ impl Reconstruct {
         let peaks = peaks.chain(refined.iter().map(|made| made.refined.peak_bytes));
         let peak_bytes = peaks.fold(device.allocated_bytes(), u64::max);
         let mut json = json!({
-            "output": self.output, "device": device.limits().name, "photos": photos.len(), "gaussians": scene.len(),
+            "output": self.output(), "device": device.limits().name, "photos": photos.len(), "gaussians": scene.len(),
             "peak_bytes": peak_bytes, "seconds": seconds,
         });
         let of = match (&refined, &forward) {
@@ -278,7 +327,7 @@ impl Reconstruct {
             (None, Some(forward)) => forward.views_summary.clone(),
             (None, None) => String::new(),
         };
-        let mut text = format!("{}: {}{of}\n", self.output.display(), counted(scene.len(), "Gaussian"));
+        let mut text = format!("{}: {}{of}\n", self.output().display(), counted(scene.len(), "Gaussian"));
         if let Some(forward) = &forward {
             text += &forward.summary;
             forward.json.iter().for_each(|(name, value)| json[*name] = value.clone());
@@ -331,12 +380,19 @@ impl Reconstruct {
     }
 
     fn check(&self) -> Result<()> {
-        self.overwrite.check_file(&self.output)?;
-        if SceneFormat::of_extension(&self.output).is_none() {
+        self.overwrite.check_file(self.output())?;
+        if SceneFormat::of_extension(self.output()).is_none() {
             let expected = format!("a file that ends in {}", SceneFormat::EXTENSIONS);
-            return Err(Error::argument("--output", self.output.display(), expected));
+            return Err(Error::argument("--output", self.output().display(), expected));
         }
         self.refine.check()
+    }
+
+    /// Of planned pictures.
+    fn picture_size(&self) -> Result<Option<Size>> {
+        let Some(drawing) = self.drawing()? else { return Ok(None) };
+        let lacks = || Error::argument("--pictures with --dry-run", "no size", "-- --size WxH");
+        drawing.size().ok_or_else(lacks).map(Some)
     }
 
     fn drawing(&self) -> Result<Option<Render>> {
@@ -348,7 +404,7 @@ impl Reconstruct {
             None => vec!["--wiggle".to_owned()],
         };
         let words = if self.drawing.is_empty() { &default[..] } else { &self.drawing };
-        let drawing = Render::of_words(&self.output, folder, self.overwrite.is_given(), words)?;
+        let drawing = Render::of_words(self.output(), folder, self.overwrite.is_given(), words)?;
         drawing.check()?;
         Ok(Some(drawing))
     }

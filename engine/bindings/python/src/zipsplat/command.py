@@ -85,7 +85,7 @@ def evaluate(folder: PathLike, *, views: int = 8, refine: int = 0, options: tupl
     """
     arguments = ["eval", os.fspath(folder), "--views", str(views), *options]
     arguments += ["--refine", str(refine)] if refine else []
-    report = json.loads(run(arguments))
+    report = json.loads(run(arguments))["result"]
     mean = report["mean"]
     return Evaluation(mean["psnr"], mean["ssim"], mean["nearest_psnr"], report)
 

@@ -1,3 +1,5 @@
+mod summary;
+
 use crate::{
     options::{CHECKPOINTS, SceneInput, open_checkpoint, refuse},
     outputs::{self, Overwrite},
@@ -15,13 +17,14 @@ use zipsplat::{
     weights::Dtype,
 };
 
-/// Convert a scene's format, or a checkpoint (PyTorch, safetensors or seeded) to safetensors
+/// Convert a scene's format, or a checkpoint to safetensors; without an output, summarize the file
 ///
 /// Reads a scene by its first bytes (.splat and .gltf by name), and writes the format of the
 /// output's name. Coordinates stay. All formats except .splat keep the photo whose camera is the
 /// world.
 #[derive(Args)]
 #[command(after_help = "Examples:
+  zipsplat convert scene.ply
   zipsplat convert scene.ply scene.spz
   zipsplat convert scene.spz scene.glb
   zipsplat convert zipsplat.pt zipsplat.safetensors --dtype f16
@@ -34,8 +37,8 @@ pub struct Convert {
     /// Scene (PLY, SPZ, .splat or glTF), checkpoint of ZipSplat or Depth Anything 3, a name of
     /// `zipsplat weights list`, or seeded:VARIANT[:KEY]
     input: String,
-    /// File to write
-    output: PathBuf,
+    /// File to write [default: none, only summarize the input]
+    output: Option<PathBuf>,
     #[command(flatten)]
     overwrite: Overwrite,
     #[command(flatten)]
@@ -56,25 +59,44 @@ pub struct Convert {
 
 impl Convert {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
-        self.overwrite.check_file(&self.output)?;
         // The checkpoint reader reports unreadable files.
         let input = SceneFormat::of_file(Path::new(&self.input)).unwrap_or(None);
-        match (SceneFormat::of_extension(&self.output), input) {
-            (Some(output), _) => self.scene(session, output),
-            (None, Some(_)) => {
-                Err(Error::argument("output of a scene", self.output.display(), SceneFormat::EXTENSIONS))
-            }
-            (None, None) => self.checkpoint(session),
+        let Some(output) = &self.output else { return self.summarize(session, input.is_some()) };
+        self.overwrite.check_file(output)?;
+        match (SceneFormat::of_extension(output), input) {
+            (Some(format), _) => self.scene(session, output, format),
+            (None, Some(_)) => Err(Error::argument("output of a scene", output.display(), SceneFormat::EXTENSIONS)),
+            (None, None) => self.checkpoint(session, output),
         }
     }
 
-    fn scene(&self, session: &mut Session<'_>, output: SceneFormat) -> Result<()> {
+    fn summarize(&self, session: &mut Session<'_>, is_scene: bool) -> Result<()> {
+        for (option, given) in [("--dtype", self.dtype.is_some()), ("--spz-version", self.spz_version.is_some())] {
+            refuse(option, given, "no output", "a file to write")?;
+        }
+        let path = Path::new(&self.input);
+        if path.is_dir() {
+            let found = format!("the folder {}", path.display());
+            return Err(Error::argument("file", found, "a checkpoint or scene"));
+        }
+        if is_scene {
+            return summary::scene(session, &self.input, &self.scene_input);
+        }
+        refuse("--drop-invalid", self.scene_input.is_given(), "a checkpoint", "a scene")?;
+        if is_of_depth(&self.input) {
+            return summary::depth_checkpoint(session, &open_depth(&self.input, true)?);
+        }
+        let expected = format!("{CHECKPOINTS}, or a scene ({})", SceneFormat::EXTENSIONS);
+        summary::checkpoint(session, &open_checkpoint(&self.input, self.variant.as_deref(), &expected)?)
+    }
+
+    fn scene(&self, session: &mut Session<'_>, output: &Path, format: SceneFormat) -> Result<()> {
         refuse("--dtype", self.dtype.is_some(), "a scene", "a checkpoint")?;
         refuse("--variant", self.variant.is_some(), "a scene", "a checkpoint")?;
-        let is_spz = output == SceneFormat::Spz;
+        let is_spz = format == SceneFormat::Spz;
         refuse("--spz-version", self.spz_version.is_some() && !is_spz, "another format", "an SPZ as output")?;
         let (scene, dropped) = self.scene_input.read(session, Path::new(&self.input))?;
-        if scene.sh_degree > 0 && !output.keeps_view_dependence() {
+        if scene.sh_degree > 0 && !format.keeps_view_dependence() {
             session.note("a .splat keeps one color a Gaussian: how it changes with the direction is left out");
         }
         if let Some(note) = Some(&scene).filter(|_| is_spz).and_then(spz_coarsening) {
@@ -82,55 +104,55 @@ impl Convert {
         }
         let options = SaveOptions { spz_version: self.spz_version.unwrap_or(SaveOptions::default().spz_version) };
         let world = read_world(&self.input)?;
-        let save = || outputs::save_scene(&self.output, &scene, &options, world.as_ref());
+        let save = || outputs::save_scene(output, &scene, &options, world.as_ref());
         let (note, _) = session.stage("write scene", |_| save())?;
         note.into_iter().for_each(|note| session.note(note));
-        let written = self.written()?;
-        let json = json!({ "output": self.output, "gaussians": scene.len(), "dropped": dropped, "bytes": written });
-        let text = format!("{}: {}, {}", self.output.display(), counted(scene.len(), "Gaussian"), bytes(written));
+        let written = size_of(output)?;
+        let json = json!({ "output": output, "gaussians": scene.len(), "dropped": dropped, "bytes": written });
+        let text = format!("{}: {}, {}", output.display(), counted(scene.len(), "Gaussian"), bytes(written));
         session.report(&json, text)
     }
 
-    fn checkpoint(&self, session: &mut Session<'_>) -> Result<()> {
+    fn checkpoint(&self, session: &mut Session<'_>, output: &Path) -> Result<()> {
         refuse("--spz-version", self.spz_version.is_some(), "a checkpoint", "a scene")?;
         refuse("--drop-invalid", self.scene_input.is_given(), "a checkpoint", "a scene")?;
         let dtype: Dtype = self.dtype.as_deref().unwrap_or("f32").parse()?;
         if is_of_depth(&self.input) {
-            return self.depth_checkpoint(session, dtype);
+            return self.depth_checkpoint(session, output, dtype);
         }
         let checkpoint = open_checkpoint(&self.input, self.variant.as_deref(), CHECKPOINTS)?;
         checkpoint.notes().iter().for_each(|note| session.note(note));
-        session.stage("convert", |stage| checkpoint.save_with(&self.output, dtype, |done| stage.at(done)))?;
+        session.stage("convert", |stage| checkpoint.save_with(output, dtype, |done| stage.at(done)))?;
         let architecture = checkpoint.architecture();
-        self.report(session, &architecture.name, json!(architecture), architecture.parameter_count(), dtype)
+        report(session, output, &architecture.name, json!(architecture), architecture.parameter_count(), dtype)
     }
 
-    fn depth_checkpoint(&self, session: &mut Session<'_>, dtype: Dtype) -> Result<()> {
+    fn depth_checkpoint(&self, session: &mut Session<'_>, output: &Path, dtype: Dtype) -> Result<()> {
         refuse("--variant", self.variant.is_some(), "weights of Depth Anything 3", "weights of ZipSplat")?;
         let checkpoint = open_depth(&self.input, true)?;
-        session.stage("convert", |stage| checkpoint.save_with(&self.output, dtype, |done| stage.at(done)))?;
+        session.stage("convert", |stage| checkpoint.save_with(output, dtype, |done| stage.at(done)))?;
         let architecture = checkpoint.architecture();
-        self.report(session, &architecture.name, json!(architecture), architecture.parameter_count(), dtype)
+        report(session, output, &architecture.name, json!(architecture), architecture.parameter_count(), dtype)
     }
+}
 
-    fn report(
-        &self,
-        session: &mut Session<'_>,
-        name: &str,
-        architecture: Value,
-        parameters: usize,
-        dtype: Dtype,
-    ) -> Result<()> {
-        let written = self.written()?;
-        let json = json!({
-            "output": self.output, "architecture": architecture, "parameters": parameters, "dtype": dtype.name(), "bytes": written,
-        });
-        let (output, count) = (self.output.display(), HumanCount(parameters as u64));
-        let text = format!("{output}: {name}, {count} parameters in {}, {}", dtype.name(), bytes(written));
-        session.report(&json, text)
-    }
+fn report(
+    session: &mut Session<'_>,
+    output: &Path,
+    name: &str,
+    architecture: Value,
+    parameters: usize,
+    dtype: Dtype,
+) -> Result<()> {
+    let written = size_of(output)?;
+    let json = json!({
+        "output": output, "architecture": architecture, "parameters": parameters, "dtype": dtype.name(), "bytes": written,
+    });
+    let (output, count) = (output.display(), HumanCount(parameters as u64));
+    let text = format!("{output}: {name}, {count} parameters in {}, {}", dtype.name(), bytes(written));
+    session.report(&json, text)
+}
 
-    fn written(&self) -> Result<u64> {
-        Ok(self.output.metadata().map_err(|error| Error::io(&self.output, error))?.len())
-    }
+fn size_of(path: &Path) -> Result<u64> {
+    Ok(path.metadata().map_err(|error| Error::io(path, error))?.len())
 }

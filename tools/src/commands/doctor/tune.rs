@@ -16,8 +16,8 @@ units, runs on lanes: as a subgroup's rows by registers alone, the rule, or by t
 tile is timed where it computes rightly, in f32 to the same bits.
 
 Examples:
-  zipsplat tune
-  zipsplat tune --device 1"
+  zipsplat doctor tune
+  zipsplat doctor tune --device 1"
 )]
 pub struct Tune {}
 

@@ -42,13 +42,17 @@ pub struct FinishedScene {
 
 impl<'a> Maker<'a> {
     /// Also returns text that identifies the settings of its scenes.
-    pub fn of_tokens(batch: &Batch, session: &mut Session<'_>, checkpoint: &'a Checkpoint) -> Result<(Self, String)> {
+    pub fn of_tokens(
+        batch: &Batch<'_>,
+        session: &mut Session<'_>,
+        checkpoint: &'a Checkpoint,
+    ) -> Result<(Self, String)> {
         session.notes(checkpoint.notes());
         batch.quality.check(checkpoint.architecture())?;
         let size = batch.quality.size_for(checkpoint);
-        batch.crop.crop.check(size, batch.is_posed())?;
+        batch.crop.check(size, batch.posed)?;
         session.notes(batch.quality.doubt_size(checkpoint));
-        outputs::make_folder(&batch.output)?;
+        outputs::make_folder(batch.output)?;
         let device = session.device()?;
         let (precision, arithmetic) = batch.quality.arithmetic.choose(session, &device)?;
         let (model, _) = session.load_model(&device, checkpoint, arithmetic)?;
@@ -56,14 +60,18 @@ impl<'a> Maker<'a> {
         Ok((Self::Tokens { model: Box::new(model), checkpoint, size }, settings_key))
     }
 
-    pub fn of_pixels(batch: &Batch, session: &mut Session<'_>, checkpoint: &DepthCheckpoint) -> Result<(Self, String)> {
-        let squares = batch.crop.crop == Crop::Tiles;
+    pub fn of_pixels(
+        batch: &Batch<'_>,
+        session: &mut Session<'_>,
+        checkpoint: &DepthCheckpoint,
+    ) -> Result<(Self, String)> {
+        let squares = batch.crop == Crop::Tiles;
         refuse("--crop tiles", squares, "weights of Depth Anything 3", "weights of ZipSplat")?;
         batch.quality.check_pixels(checkpoint)?;
-        if !batch.is_posed() {
+        if !batch.posed {
             check_finds_cameras(checkpoint.architecture())?;
         }
-        outputs::make_folder(&batch.output)?;
+        outputs::make_folder(batch.output)?;
         let device = session.device()?;
         let predictor = batch.quality.predictor_options(checkpoint).open(session, &device)?;
         let size = format!("{:?}", batch.quality.side());
@@ -73,7 +81,7 @@ impl<'a> Maker<'a> {
 
     pub fn prepare(
         &self,
-        batch: &Batch,
+        batch: &Batch<'_>,
         photos: &[PathBuf],
         poses: Option<&Capture>,
         frames: &[&CaptureView],
@@ -81,7 +89,7 @@ impl<'a> Maker<'a> {
     ) -> Result<Input> {
         match self {
             Self::Tokens { size, .. } => {
-                let crop = batch.crop.crop;
+                let crop = batch.crop;
                 crop.count(photos)?;
                 let views = crop.load(photos, frames, *size, stage)?;
                 let unit = match (poses, frames.first()) {
@@ -97,11 +105,11 @@ impl<'a> Maker<'a> {
         }
     }
 
-    pub fn make(&self, batch: &Batch, input: Input, stage: &Stage<'_>) -> Result<FinishedScene> {
+    pub fn make(&self, batch: &Batch<'_>, input: Input, stage: &Stage<'_>) -> Result<FinishedScene> {
         match (input, self) {
             (Input::Tokens(Views { images, cameras, note }, unit), Self::Tokens { model, checkpoint, .. }) => {
-                let (cameras, turned) = batch.crop.crop.network_cameras(cameras);
-                let Quality { ratio, token_selection, kv_pool, .. } = &batch.quality;
+                let (cameras, turned) = batch.crop.network_cameras(cameras);
+                let Quality { ratio, token_selection, kv_pool, .. } = batch.quality;
                 let cameras = Some(cameras).filter(|cameras| !cameras.is_empty());
                 let request = ReconstructOptions {
                     ratio: *ratio,
