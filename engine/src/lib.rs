@@ -2,28 +2,26 @@
 //!
 //! ```no_run
 //! use std::ops::ControlFlow::Continue;
-//! use zipsplat::types::{Intrinsics, Pose, preprocess::fit};
-//! use zipsplat::{Camera, Device, Image, Model, Renderer, gpu::DeviceOptions};
-//! use zipsplat::{reconstruct::ReconstructOptions, stages::render::RenderOptions, weights::Checkpoint};
+//! use zipsplat::{Camera, Device, Image, Model, Ratio, ReconstructOptions, RenderOptions, Renderer};
 //!
 //! # fn main() -> zipsplat::Result<()> {
-//! let device = Device::open(&DeviceOptions::default())?;
-//! let checkpoint = Checkpoint::open("weights.safetensors", None)?;
-//! let model = Model::from_checkpoint(&device, &checkpoint, |_| Continue(()))?;
-//! let [a, b] = [Image::open("a.jpg")?, Image::open("b.jpg")?];
-//! let photos = [fit(&a, 252, 252)?.image, fit(&b, 252, 252)?.image];
-//! let made = model.reconstruct_views(&photos, &ReconstructOptions::default(), |_| Continue(()))?;
-//! made.scene()?.save("scene.ply")?;
+//! let device = Device::open_default()?;
+//! let model = Model::load(&device, "builtin")?;
+//! let photos = Image::open_folder("photos/")?;
+//! let options = ReconstructOptions { ratio: Ratio::Fixed(0.5), ..Default::default() };
+//! let result = model.reconstruct(&photos, &options, |_| Continue(()))?;
+//! result.to_scene()?.save("scene.ply")?;
 //!
 //! let mut renderer = Renderer::new(&device);
-//! renderer.show(&made.gaussians)?; // already on the device
-//! let intrinsics = Intrinsics::from_fov(252, 252, 1.0, 1.0);
-//! let camera = Camera { intrinsics, pose: Pose::IDENTITY };
-//! let frames = renderer.render(&[camera], &RenderOptions::default())?;
-//! # let _ = frames;
+//! renderer.set_scene(&result)?; // no readback
+//! let camera = Camera::from_hfov_deg(640, 480, 60.0);
+//! renderer.render(&[camera], &RenderOptions::default())?[0].save_png("view.png")?;
 //! # Ok(())
 //! # }
 //! ```
+//!
+//! Everything for users is at the root and in [`vulkan`], [`paths`], [`grad`] and [`types`]. Hidden
+//! modules serve the project's own tools and follow no semantic versioning.
 //!
 //! Crates below: [`types`] (`zipsplat-formats`, without GPU), [`gpu`] (`zipsplat-gpu`, all
 //! Vulkan, no kernels) and [`random`]. Modules depend only on earlier ones: `ops` <- `tune` <-
@@ -31,15 +29,37 @@
 
 pub mod cameras;
 pub mod depth;
+#[doc(hidden)]
 pub mod ops;
+#[doc(hidden)]
 pub mod perceptual;
 pub mod reconstruct;
 pub mod refine;
+#[doc(hidden)]
 pub mod stages;
+#[doc(hidden)]
 pub mod tune;
+#[doc(hidden)]
 pub mod weights;
 
+/// Interoperation with an application's Vulkan device.
+pub mod vulkan {
+    pub use crate::gpu::{Adopted, ImagePlace, Point, QueueLock, Requirement, Target, requirements};
+    pub use crate::stages::render::PixelLayout;
+}
+
+/// Camera paths.
+pub mod paths {
+    pub use crate::types::{Dolly, Ellipse, Orbit, Spline, mean_up};
+}
+
+/// Gradients of rendering.
+pub mod grad {
+    pub use crate::stages::render::{Differentiator, HostGradients, Wanted};
+}
+
 /// Typed kernels, generated from `kernels/`.
+#[doc(hidden)]
 pub mod kernels {
     #![allow(clippy::too_many_arguments, missing_docs)]
     include!(concat!(env!("OUT_DIR"), "/kernels.rs"));
@@ -48,14 +68,17 @@ pub mod kernels {
     const _: () = assert!(limits::GROUP_FOLD == crate::gpu::GROUP_FOLD);
 }
 
-pub use gpu::Device;
-pub use reconstruct::Model;
-pub use stages::render::Renderer;
-pub use types::{Camera, Image, Scene};
+pub use depth::{DepthMap, DepthModel, DepthOptions, DepthPrediction};
+pub use gpu::{Device, DeviceInfo, DeviceOptions, Progress, list_devices};
+pub use ops::Precision;
+pub use reconstruct::{Model, ModelOptions, Ratio, ReconstructOptions, Reconstruction, SceneFrame, TokenSelection};
+pub use refine::{RefineOptions, RefineResult, refine_scene};
+pub use stages::render::{Depth, RenderOptions, RenderOutput, Renderer};
+pub use types::{Camera, Image, Intrinsics, Pose, SaveOptions, Scene, poses::Capture};
 pub use zipsplat_error::{Error, Result};
 #[doc(inline)]
 pub use zipsplat_formats as types;
-#[doc(inline)]
+#[doc(hidden)]
 pub use zipsplat_gpu as gpu;
-#[doc(inline)]
+#[doc(hidden)]
 pub use zipsplat_random as random;

@@ -148,7 +148,8 @@ fn the_unit_is_found_from_the_capture() {
         let cameras = view_cameras(&cameras, &views).expect("cameras");
         let unit = poses.scene_scale(None, &cameras, &poses.frames[0].camera.pose).expect("a unit").length;
         let images: Vec<_> = views.into_iter().map(|view| view.image).collect();
-        let request = ReconstructOptions { cameras: Some(cameras), scene_scale: unit, ..ReconstructOptions::default() };
+        let request =
+            ReconstructOptions { cameras: Some(cameras), scene_scale: Some(unit), ..ReconstructOptions::default() };
         let rust = Model::from_checkpoint(device(), &checkpoint(), |_| ControlFlow::Continue(())).unwrap();
         let expected =
             rust.reconstruct_views(&images, &request, |_| ControlFlow::Continue(())).unwrap().to_scene().unwrap();

@@ -110,8 +110,14 @@ fn options_and_cameras_give_rusts_scene() {
             (options.cameras, options.camera_count, options.pool) = (c_cameras.as_ptr(), 3, 2);
         }
         let (cameras, pool) = if posed { (Some(relative.clone()), 2) } else { (None, 1) };
-        let request =
-            ReconstructOptions { ratio, token_selection: selection, cameras, scene_scale: 1.0, kv_pool: pool };
+        let request = ReconstructOptions {
+            ratio,
+            token_selection: selection,
+            cameras,
+            scene_scale: Some(1.0),
+            kv_pool: pool,
+            ..ReconstructOptions::default()
+        };
         let expected = bits(&rust_scene(&photos, &request));
         assert_same(&format!("{request:?}"), &bits(&read(&reconstruct(&model, &images, &options))), &expected);
     }

@@ -23,8 +23,9 @@ fn reconstruct(golden: &Golden, config: &str, arithmetic: Arithmetic) -> Scene {
         ratio: Ratio::Fixed(ratio),
         token_selection: selection,
         cameras: None,
-        scene_scale: 1.0,
+        scene_scale: Some(1.0),
         kv_pool: 1,
+        ..ReconstructOptions::default()
     };
     let model = model(config, arithmetic);
     model.reconstruct_views(&images(golden), &request, |_| ControlFlow::Continue(())).unwrap().to_scene().unwrap()

@@ -96,8 +96,9 @@ fn every_token_is_what_no_clustering_gives() {
                 ratio: Ratio::Fixed(1.0),
                 token_selection: selection.clone(),
                 cameras: None,
-                scene_scale: 1.0,
+                scene_scale: Some(1.0),
                 kv_pool: 1,
+                ..ReconstructOptions::default()
             };
             let given = mode.reconstruct(&images, &request);
             for ((field, truth), (_, got)) in fields(&all, 1, &[0]).iter().zip(fields(&given, 1, &[0])) {

@@ -17,17 +17,17 @@ SIZE = (70, 70)
 
 @pytest.fixture(scope="session")
 def model() -> zipsplat.Model:
-    return zipsplat.Model.open()
+    return zipsplat.Model.load()
 
 
 @pytest.fixture(scope="session")
 def photos() -> list[Path]:
-    return zipsplat.photos_in(PHOTOS)[:3]
+    return zipsplat.list_images(PHOTOS)[:3]
 
 
 @pytest.fixture(scope="session")
 def scene(model: zipsplat.Model, photos: list[Path]) -> zipsplat.Scene:
-    return model.reconstruct(photos, size=SIZE)
+    return model.reconstruct(photos, input_size=SIZE)
 
 
 @pytest.fixture()
@@ -45,7 +45,7 @@ def capture(tmp_path: Path) -> Path:
     frames = []
     drawn = place.render(cameras)
     for i, (camera, picture) in enumerate(zip(cameras, drawn.rgb)):
-        zipsplat.save_png(tmp_path / f"{i}.png", picture)
+        zipsplat.save_image(tmp_path / f"{i}.png", picture)
         matrix = camera.camera_to_world @ np.diag([1.0, -1.0, -1.0, 1.0])
         frames.append({"file_path": f"{i}.png", "transform_matrix": matrix.tolist()})
     lens = {"w": 80, "h": 60, "fl_x": cameras[0].fx, "fl_y": cameras[0].fy, "cx": 40, "cy": 30}

@@ -14,38 +14,41 @@ SIDE = 70
 
 @pytest.fixture(scope="module")
 def depth_model() -> zipsplat.DepthModel:
-    return zipsplat.DepthModel.open("seeded:da3-small", precision="exact")
+    return zipsplat.DepthModel.load("seeded:da3-small", precision="fp32")
 
 
 def test_depth_cameras_and_scene_of_photos(depth_model: zipsplat.DepthModel, photos: list[Path]) -> None:
     stages: list[str] = []
-    found = depth_model.depth(photos[:2], side=SIDE, progress=lambda done, stage: bool(stages.append(stage)) or True)
+    found = depth_model.predict(
+        photos[:2], input_size=SIDE, progress=lambda done, stage: bool(stages.append(stage)) or True
+    )
     count, height, width = found.depth.shape
     assert (count, width, height % 14) == (2, SIDE, 0) and found.sky is None
     assert found.confidence is not None and found.confidence.shape == found.depth.shape
     assert (found.depth > 0).all() and (found.confidence >= 1).all() and "heads" in "".join(stages)
-    size = zipsplat.read_photo(photos[0]).shape
+    size = zipsplat.load_image(photos[0]).shape
     first, second = found.cameras
     assert first is not None and second is not None
     # Whole photos share a focal length.
     assert (first.height, first.width) == size[:2] and first.fx == first.fy == second.fx
     assert math.isclose(float(np.linalg.det(first.camera_to_world[:3, :3])), 1, abs_tol=1e-6)
-    scene = found.scene(keep=2)
+    scene = found.to_scene(max_gaussians_per_patch=2)
     assert 0 < len(scene.means) <= 2 * count * height * width // 196
     # Known cameras are returned, and arrays outlive their object.
     known = [
-        zipsplat.Camera.from_fov(size[1], size[0], 60, camera_to_world=np.eye(4) + np.eye(4, k=3) * shift) for shift in (0, 1)
+        zipsplat.Camera.from_fov(size[1], size[0], 60, camera_to_world=np.eye(4) + np.eye(4, k=3) * shift)
+        for shift in (0, 1)
     ]
-    depth = depth_model.depth(photos[:2], known, side=SIDE).depth
+    depth = depth_model.predict(photos[:2], known, input_size=SIDE).depth
     assert depth.shape == found.depth.shape and not np.array_equal(depth, found.depth)
 
 
 def test_what_cannot_be_used_is_said(depth_model: zipsplat.DepthModel, photos: list[Path]) -> None:
     with pytest.raises(zipsplat.ArgumentError, match="da3-small"):
-        zipsplat.DepthModel.open("seeded:vits")
+        zipsplat.DepthModel.load("seeded:vits")
     with pytest.raises(ValueError, match="decoder"):
-        depth_model.depth(photos[:1], cameras_from="stars")
+        depth_model.predict(photos[:1], camera_source="stars")
     with pytest.raises(zipsplat.ArgumentError, match="longest side"):
-        depth_model.depth(photos[:1], side=13)
+        depth_model.predict(photos[:1], input_size=13)
     with pytest.raises(zipsplat.CancelledError):
-        depth_model.depth(photos[:1], side=SIDE, progress=lambda done, stage: False)
+        depth_model.predict(photos[:1], input_size=SIDE, progress=lambda done, stage: False)

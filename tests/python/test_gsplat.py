@@ -69,7 +69,7 @@ def test_pictures_and_gradients_are_the_goldens(path: Path) -> None:
         # The background is its color times the transmittance.
         weights = [golden[f"{mode}/v_{name}"] for name in ("rgb", "alpha", "depth")]
         weights[1] = weights[1] - weights[0] @ golden["bg"].astype(np.float64)
-        how_native = gsplat._How(width, height, mode == "antialiased", zipsplat.default_context())
+        how_native = gsplat._How(width, height, mode == "antialiased", zipsplat.default_device())
         found, views = gsplat._backward(how_native, fields[:4], fields[4], fields[5], fields[6], weights, True)
         allowed = 3e-4 if hard else 5e-5
         for name in ("means", "quats", "scales", "opacities"):

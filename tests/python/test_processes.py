@@ -15,20 +15,20 @@ from conftest import PHOTOS, SIZE, python, same
 START = f"""
 import os, signal, sys, threading, time
 import zipsplat
-photos = zipsplat.photos_in({str(PHOTOS)!r})[:3]
+photos = zipsplat.list_images({str(PHOTOS)!r})[:3]
 """
 
 
 def test_threads_share_a_model(model: zipsplat.Model, photos: list[Path], scene: zipsplat.Scene) -> None:
     with ThreadPoolExecutor(4) as pool:
-        found = list(pool.map(lambda _: model.reconstruct(photos, size=SIZE), range(4)))
+        found = list(pool.map(lambda _: model.reconstruct(photos, input_size=SIZE), range(4)))
     assert all(same(other, scene) for other in found)
 
 
 def test_other_threads_run_during_a_call(model: zipsplat.Model, photos: list[Path]) -> None:
     # Advances only if the GIL is released.
     camera = zipsplat.Camera.from_fov(1600, 1200)
-    renderer = zipsplat.Renderer(model.reconstruct(photos, size=SIZE))
+    renderer = zipsplat.Renderer(model.reconstruct(photos, input_size=SIZE))
     renderer.render(camera)
     done, counted = threading.Event(), 0
 
@@ -63,11 +63,11 @@ def child(work):
 
 def draw():
     camera = zipsplat.Camera.from_fov(32, 32)
-    zipsplat.Model.open().reconstruct(photos[:1], size=(70, 70)).render(camera)
+    zipsplat.Model.load().reconstruct(photos[:1], input_size=(70, 70)).render(camera)
 
 assert child(draw) == 0
 draw()
-scene = zipsplat.Model.open().reconstruct(photos[:1], size=(70, 70))
+scene = zipsplat.Model.load().reconstruct(photos[:1], input_size=(70, 70))
 total = float(scene.means.sum())
 def read():
     global scene
@@ -83,13 +83,17 @@ draw()
 
 
 @pytest.mark.parametrize(
-    "work", ["reconstruct(photos, size=(252, 252))", "reconstruct(photos, size=(252, 252), progress=lambda *_: None)"]
+    "work",
+    [
+        "reconstruct(photos, input_size=(252, 252))",
+        "reconstruct(photos, input_size=(252, 252), progress=lambda *_: None)",
+    ],
 )
 def test_the_interpreter_may_end_in_the_middle_of_a_call(work: str) -> None:
     code = (
         START
         + f"""
-model = zipsplat.Model.open()
+model = zipsplat.Model.load()
 begun = threading.Event()
 def run():
     begun.set()
@@ -111,11 +115,11 @@ def test_ctrl_c_ends_a_call() -> None:
     code = (
         START
         + """
-model = zipsplat.Model.open()
+model = zipsplat.Model.load()
 threading.Timer(0.3, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
 try:
     while True:
-        model.reconstruct(photos, size=(252, 252))
+        model.reconstruct(photos, input_size=(252, 252))
 except KeyboardInterrupt:
     print("interrupted")
 """
@@ -128,11 +132,11 @@ def test_objects_may_be_left_behind_in_any_order() -> None:
     code = (
         START
         + """
-context = zipsplat.Context()
-model = zipsplat.Model.open(context=context)
-scene = model.reconstruct(photos[:1], size=(70, 70))
+device = zipsplat.Device()
+model = zipsplat.Model.load(device=device)
+scene = model.reconstruct(photos[:1], input_size=(70, 70))
 renderer = zipsplat.Renderer(scene)
-del context, model
+del device, model
 renderer.render(zipsplat.Camera.from_fov(32, 32))
 cycle = [renderer, scene]
 cycle.append(cycle)

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import ctypes
 import io
 import os
+import shutil
 import subprocess
+import sys
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -38,7 +42,7 @@ def test_photos_may_be_paths_bytes_pictures_or_arrays(
     model: zipsplat.Model, photos: list[Path], scene: zipsplat.Scene
 ) -> None:
     image = pytest.importorskip("PIL.Image")
-    arrays = [zipsplat.read_photo(photo) for photo in photos]
+    arrays = [zipsplat.load_image(photo) for photo in photos]
     floats = [array.astype(np.float32) / 255 for array in arrays]
     pillow = [image.open(io.BytesIO(np_png(array))) for array in arrays]
     cases = {
@@ -50,23 +54,24 @@ def test_photos_may_be_paths_bytes_pictures_or_arrays(
         "pillow": pillow,
     }
     for name, images in cases.items():
-        assert same(model.reconstruct(images, size=SIZE), scene), name
+        assert same(model.reconstruct(images, input_size=SIZE), scene), name
 
 
 def np_png(array: np.ndarray) -> bytes:
     import tempfile
 
     with tempfile.TemporaryDirectory() as folder:
-        zipsplat.save_png(Path(folder) / "a.png", array)
+        zipsplat.save_image(Path(folder) / "a.png", array)
         return (Path(folder) / "a.png").read_bytes()
 
 
 def test_torch_tensors_are_read(model: zipsplat.Model, photos: list[Path], scene: zipsplat.Scene) -> None:
     torch = pytest.importorskip("torch")
-    tensors = [torch.from_numpy(zipsplat.read_photo(photo).copy()) for photo in photos]
-    assert same(model.reconstruct(tensors, size=SIZE), scene)
+    warnings.simplefilter("error")  # torch warns of arrays that are not writable.
+    tensors = [torch.from_numpy(zipsplat.load_image(photo)) for photo in photos]
+    assert same(model.reconstruct(tensors, input_size=SIZE), scene)
     with pytest.raises(ValueError, match=r"permute\(1, 2, 0\)"):
-        model.reconstruct([tensor.permute(2, 0, 1) for tensor in tensors], size=SIZE)
+        model.reconstruct([tensor.permute(2, 0, 1) for tensor in tensors], input_size=SIZE)
 
 
 def test_anything_with_dlpack_is_read(model: zipsplat.Model, photos: list[Path], scene: zipsplat.Scene) -> None:
@@ -80,18 +85,18 @@ def test_anything_with_dlpack_is_read(model: zipsplat.Model, photos: list[Path],
         def __dlpack_device__(self) -> object:
             return self.array.__dlpack_device__()
 
-    foreign = [Foreign(zipsplat.read_photo(photo)) for photo in photos]
-    assert same(model.reconstruct(foreign, size=SIZE), scene)
+    foreign = [Foreign(zipsplat.load_image(photo)) for photo in photos]
+    assert same(model.reconstruct(foreign, input_size=SIZE), scene)
 
 
 def test_a_folder_gives_the_bits_of_the_command(model: zipsplat.Model, tmp_path: Path) -> None:
     folder = tmp_path / "photos"
     folder.mkdir()
-    for i, photo in zip((10, 9, 1), zipsplat.photos_in(PHOTOS)):
+    for i, photo in zip((10, 9, 1), zipsplat.list_images(PHOTOS)):
         (folder / f"{i}.jpg").write_bytes(photo.read_bytes())
     (folder / "notes.txt").write_text("left out")
     command("reconstruct", folder, "--size", "70x70", "-o", tmp_path / "command.ply")
-    made = model.reconstruct(folder, size=SIZE).to_bytes("ply")
+    made = model.reconstruct(folder, input_size=SIZE).to_bytes("ply")
     assert rows(made) == rows((tmp_path / "command.ply").read_bytes())
 
 
@@ -100,25 +105,27 @@ def test_a_capture_gives_the_bits_of_the_command(model: zipsplat.Model, capture:
     options = ("--size", "70x70", "--world", "cameras")
     command("reconstruct", *sorted(capture.glob("?.png")), "--poses", capture, *options, "-o", written)
     opened = zipsplat.Capture.open(capture)
-    expected = model.reconstruct(opened, size=SIZE)
+    expected = model.reconstruct(opened, input_size=SIZE)
     assert rows(expected.to_bytes("ply")) == rows(written.read_bytes())
     paths = sorted(capture.glob("?.png"))
-    assert same(model.reconstruct(paths, capture / "transforms.json", size=SIZE), expected)
-    assert same(model.reconstruct(paths, opened, size=SIZE), expected)
+    assert same(model.reconstruct(paths, capture / "transforms.json", input_size=SIZE), expected)
+    assert same(model.reconstruct(paths, opened, input_size=SIZE), expected)
     # Without points or other cameras in the file, the result is the same.
-    assert same(model.reconstruct(paths, opened.cameras, size=SIZE), expected)
+    assert same(model.reconstruct(paths, opened.cameras, input_size=SIZE), expected)
+    part = model.reconstruct(paths[1:], opened, input_size=SIZE)
+    assert same(model.reconstruct(opened[1:], input_size=SIZE), part) and not same(part, expected)
     # Points set the scale.
     (capture / "points.ply").write_text(POINTS)
     command("reconstruct", *paths, "--poses", capture, *options, "-o", capture / "points-command.ply")
-    with_points = model.reconstruct(zipsplat.Capture.open(capture), size=SIZE)
+    with_points = model.reconstruct(zipsplat.Capture.open(capture), input_size=SIZE)
     assert rows(with_points.to_bytes("ply")) == rows((capture / "points-command.ply").read_bytes())
     assert not same(with_points, expected)
-    first = model.reconstruct(opened, size=SIZE, world="first_camera")
-    assert not same(model.reconstruct(opened, size=SIZE, unit=2.0), expected)
+    first = model.reconstruct(opened, input_size=SIZE, world="first_camera")
+    assert not same(model.reconstruct(opened, input_size=SIZE, scene_scale=2.0), expected)
     assert np.allclose(first.means, expected.means, atol=1e-5), "the first camera is the world's origin here"
     pictures = zipsplat.Scene.open(written).render(opened.cameras)
     command("render", written, "--cameras", capture / "transforms.json", "-o", capture / "drawn")
-    drawn = [zipsplat.read_photo(capture / "drawn" / f"00{i}.png") for i in range(3)]
+    drawn = [zipsplat.load_image(capture / "drawn" / f"00{i}.png") for i in range(3)]
     assert np.array_equal(pictures.rgb, drawn)
 
 
@@ -126,28 +133,30 @@ def test_photos_without_a_camera_are_left_out(model: zipsplat.Model, capture: Pa
     extra = capture / "other.png"
     extra.write_bytes((capture / "1.png").read_bytes())
     paths = [extra, *(capture / f"{i}.png" for i in range(2))]
-    known = model.reconstruct([capture / "0.png", capture / "1.png"], capture, size=SIZE)
-    assert same(model.reconstruct(paths, capture, size=SIZE), known)
+    known = model.reconstruct([capture / "0.png", capture / "1.png"], capture, input_size=SIZE)
+    assert same(model.reconstruct(paths, capture, input_size=SIZE), known)
     with pytest.raises(ValueError, match="none of 1 photos"):
-        model.reconstruct([extra], capture, size=SIZE)
+        model.reconstruct([extra], capture, input_size=SIZE)
 
 
 def test_a_refinement_makes_it_more_like_the_photos(model: zipsplat.Model, capture: Path) -> None:
     opened = zipsplat.Capture.open(capture)
     told: list[tuple[float, str]] = []
-    sharp = model.reconstruct(opened, size=SIZE, refine=15, progress=lambda done, stage: told.append((done, stage)))
+    sharp = model.reconstruct(
+        opened, input_size=SIZE, refine=15, progress=lambda done, stage: told.append((done, stage))
+    )
     assert sharp.refinement is not None and sharp.refinement.steps == 15
-    assert sharp.refinement.last_loss < sharp.refinement.first_loss
+    assert sharp.refinement.final_loss < sharp.refinement.initial_loss
     assert [done for done, _ in told] == sorted(done for done, _ in told) and told[-1] == (1.0, "refine")
-    photos = np.stack([zipsplat.read_photo(capture / f"{i}.png") for i in range(3)]).astype(float)
+    photos = np.stack([zipsplat.load_image(capture / f"{i}.png") for i in range(3)]).astype(float)
 
     def apart(scene: zipsplat.Scene) -> float:
         return float(np.mean((scene.render(opened.cameras).rgb - photos) ** 2))
 
-    assert apart(sharp) < apart(model.reconstruct(opened, size=SIZE))
-    first = model.reconstruct(opened, size=SIZE, refine=15, world="first_camera")
+    assert apart(sharp) < apart(model.reconstruct(opened, input_size=SIZE))
+    first = model.reconstruct(opened, input_size=SIZE, refine=15, world="first_camera")
     assert first.refinement is not None
-    assert first.refinement.last_loss == pytest.approx(sharp.refinement.last_loss, rel=0.2)
+    assert first.refinement.final_loss == pytest.approx(sharp.refinement.final_loss, rel=0.2)
 
 
 def test_progress_may_stop_and_raise(model: zipsplat.Model, photos: list[Path], capture: Path) -> None:
@@ -158,22 +167,24 @@ def test_progress_may_stop_and_raise(model: zipsplat.Model, photos: list[Path], 
         return len(told) < 3
 
     with pytest.raises(zipsplat.CancelledError) as stopped:
-        model.reconstruct(photos, size=SIZE, progress=stop)
+        model.reconstruct(photos, input_size=SIZE, progress=stop)
     assert (stopped.value.status, stopped.value.name, len(told)) == (9, "ZS_ERROR_CANCELLED", 3)
 
     def fail(_done: float, _stage: str) -> None:
         raise KeyError("mine")
 
     with pytest.raises(KeyError, match="mine"):
-        model.reconstruct(photos, size=SIZE, progress=fail)
+        model.reconstruct(photos, input_size=SIZE, progress=fail)
     opened = zipsplat.Capture.open(capture)
     place = zipsplat.Scene.open(capture / "place.ply")
     scene = zipsplat.Scene.from_arrays(place.means, place.scales, place.quats, place.opacities, place.sh_coeffs + 0.3)
     best = scene.refine(opened, steps=9, progress=lambda now: now.step < 2)
-    assert best.refinement is not None and (best.refinement.ended, best.refinement.steps) == ("stopped", 2)
+    assert best.refinement is not None and (best.refinement.stop_reason, best.refinement.steps) == ("stopped", 2)
     with pytest.raises(KeyError, match="mine"):
         scene.refine(opened, steps=9, progress=lambda now: fail(0, ""))
-    assert same(model.reconstruct(photos, size=SIZE), model.reconstruct(photos, size=SIZE)), "it goes on working"
+    assert same(model.reconstruct(photos, input_size=SIZE), model.reconstruct(photos, input_size=SIZE)), (
+        "it goes on working"
+    )
 
 
 def test_what_cannot_be_used_is_named(model: zipsplat.Model, photos: list[Path], capture: Path, tmp_path: Path) -> None:
@@ -182,7 +193,7 @@ def test_what_cannot_be_used_is_named(model: zipsplat.Model, photos: list[Path],
     camera = zipsplat.Camera.from_fov(8, 8)
     picture = np.zeros((8, 8, 3), np.uint8)
     cases: list[tuple[object, dict[str, object], type[Exception], str]] = [
-        ([tmp_path / "none.png"], {}, zipsplat.IoError, "none.png"),
+        ([tmp_path / "none.png"], {}, zipsplat.FileError, "none.png"),
         ([b"no picture"], {}, zipsplat.FormatError, "PNG"),
         (empty, {}, ValueError, "found none"),
         ([], {}, zipsplat.ArgumentError, "images"),
@@ -190,13 +201,13 @@ def test_what_cannot_be_used_is_named(model: zipsplat.Model, photos: list[Path],
         ([picture[..., 0]], {}, ValueError, r"image 0: found shape \[8, 8\]"),
         ([picture.astype(np.int32)], {}, TypeError, "int32"),
         ([picture], {"ratio": 1.5}, zipsplat.ArgumentError, "ratio"),
-        ([picture], {"ratio": 0}, ValueError, "ratio 0"),
-        ([picture], {"unit": -1.0}, ValueError, "unit -1.0"),
-        ([picture], {"select": "best"}, ValueError, "'kmeans', 'stride', 'random'"),
+        ([picture], {"ratio": 0}, ValueError, "ratio: found 0"),
+        ([picture], {"scene_scale": -1.0}, ValueError, "scene_scale: found -1.0"),
+        ([picture], {"token_selection": "best"}, ValueError, "'kmeans', 'stride', 'random'"),
         ([picture], {"world": "mine"}, ValueError, "first_camera"),
-        ([picture], {"world": "cameras"}, zipsplat.ArgumentError, "world"),
-        ([picture], {"size": (15, 14)}, zipsplat.ArgumentError, "size of the views"),
-        ([picture], {"refine": 5}, ValueError, "find_cameras"),
+        ([picture], {"world": "input_cameras"}, zipsplat.ArgumentError, "world"),
+        ([picture], {"input_size": (15, 14)}, zipsplat.ArgumentError, "size of the views"),
+        ([picture], {"refine": 5}, ValueError, "estimate_cameras"),
         ([picture], {"cameras": [camera, camera]}, ValueError, "found 2 cameras"),
         ([picture], {"cameras": [np.eye(4)]}, TypeError, "ndarray"),
         ([picture], {"cameras": empty}, zipsplat.ArgumentError, "transforms.json"),
@@ -208,13 +219,65 @@ def test_what_cannot_be_used_is_named(model: zipsplat.Model, photos: list[Path],
 
 
 def test_models_say_what_they_are_and_refuse_what_is_none(model: zipsplat.Model, tmp_path: Path) -> None:
-    assert model.picture_side % model.patch == 0 and model.precision == "exact" and model.weight_bytes > 1e6
-    assert "lvm" in repr(model).lower() or "cpu" in repr(model).lower() or model.context.device.name in repr(model)
-    with pytest.raises(zipsplat.IoError):
-        zipsplat.Model.open(tmp_path / "none")
+    assert model.image_size % model.patch_size == 0 and model.precision == "fp32" and model.weight_bytes > 1e6
+    assert "lvm" in repr(model).lower() or "cpu" in repr(model).lower() or model.device.info.name in repr(model)
+    with pytest.raises(zipsplat.FileError):
+        zipsplat.Model.load(tmp_path / "none")
     with pytest.raises(zipsplat.FormatError):
-        zipsplat.Model.open(b"0" * 64)
-    with pytest.raises(ValueError, match="'turbo'"):
-        zipsplat.Model.open(precision="most")
+        zipsplat.Model.load(b"0" * 64)
+    with pytest.raises(ValueError, match="'int8'"):
+        zipsplat.Model.load(precision="most")
+    with pytest.raises(zipsplat.CommandError, match="zipsplat weights get zipsplat"):
+        zipsplat.Model.load("zipsplat")
+    names = {info.name: info for info in zipsplat.list_models()}
+    assert names["builtin"].path is None and names["da3-small"].license == "Apache-2.0"
+
+
+def test_what_is_closed_is_refused_and_closes_once(photos: list[Path]) -> None:
+    with zipsplat.Device() as device:
+        model = zipsplat.Model.load(device=device)
+    with model:
+        scene = model.reconstruct(photos[:1], input_size=SIZE)
+    model.close()
+    for call in (lambda: model.reconstruct(photos), lambda: zipsplat.Renderer(scene), lambda: device.info):
+        with pytest.raises(zipsplat.ArgumentError, match="(Model|Device): found a closed one"):
+            call()
+    with zipsplat.Renderer(scene, zipsplat.default_device()) as renderer:
+        assert renderer.render(zipsplat.Camera.from_fov(8, 8)).rgb.shape == (8, 8, 3)
+
+
+def test_devices_are_opened_by_kind_uuid_and_name() -> None:
+    info = zipsplat.default_device().info
+    assert len(info.uuid) == 32 and info in zipsplat.list_devices()
+    for device in (info.uuid, info.name, info.index, *(["cpu"] if info.kind == "cpu" else [])):
+        assert zipsplat.Device(device).info == info
     with pytest.raises(zipsplat.NoDeviceError, match="no such card"):
-        zipsplat.Context("no such card")
+        zipsplat.Device("no such card")
+
+
+CUDA = """
+#include <string.h>
+int cuInit(unsigned flags) { return flags; }
+int cuDeviceGet(int *device, int ordinal) { *device = ordinal + 5; return ordinal == 1 ? 0 : 101; }
+int cuDeviceGetUuid(unsigned char *uuid, int device) { memcpy(uuid, (unsigned char[]){UUID}, 16); return device != 6; }
+"""
+
+
+@pytest.mark.skipif(shutil.which("cc") is None or sys.platform != "linux", reason="no C compiler")
+def test_a_cuda_device_is_opened_by_its_uuid(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    info = zipsplat.default_device().info
+    digits = ", ".join(f"0x{info.uuid[at : at + 2]}" for at in range(0, 32, 2))
+    (tmp_path / "cuda.c").write_text(CUDA.replace("UUID", digits))
+    library = tmp_path / "libcuda.so.1"
+    subprocess.run(["cc", "-shared", "-fPIC", tmp_path / "cuda.c", "-o", library], check=True)
+    opened = ctypes.CDLL
+    monkeypatch.setattr(ctypes, "CDLL", lambda name: opened(str(library) if name == "libcuda.so.1" else name))
+    scene = zipsplat.Scene.from_arrays(*np.zeros((2, 0, 3)), np.zeros((0, 4)), np.zeros(0), np.zeros((0, 1, 3)))
+    assert zipsplat.Renderer(scene, "cuda:1").device.info == info
+    with pytest.raises(zipsplat.NoDeviceError, match="cuda:0: found CUDA error 101"):
+        zipsplat.Device("cuda")
+
+
+def test_every_failure_is_an_error_of_zipsplat() -> None:
+    kinds = [kind for kind in vars(zipsplat).values() if isinstance(kind, type) and issubclass(kind, Exception)]
+    assert len(kinds) > 14 and all(issubclass(kind, zipsplat.Error) for kind in kinds)

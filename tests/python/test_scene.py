@@ -57,6 +57,20 @@ def test_scenes_are_copied_and_pickled_with_every_bit(scene: zipsplat.Scene) -> 
     assert same(copy.deepcopy(scene), scene)
 
 
+def test_gsplat_and_torch_parameters_are_copies(scene: zipsplat.Scene) -> None:
+    torch = pytest.importorskip("torch")
+    params = scene.to_gsplat()
+    assert sorted(params) == ["means", "opacities", "quats", "scales", "sh0", "shN"]
+    assert params["sh0"].shape[1:] == (1, 3) and all(torch.isfinite(tensor).all() for tensor in params.values())
+    back = zipsplat.Scene.from_gsplat(torch.nn.ParameterDict(params))
+    for name, tensor in scene.to_torch().items():
+        assert np.allclose(getattr(back, name), tensor, rtol=1e-5, atol=2e-7), name
+        tensor.zero_()
+    assert scene.means.any(), "tensors are copies"
+    with pytest.raises(zipsplat.ArgumentError, match="shN"):
+        zipsplat.Scene.from_gsplat({name: params[name] for name in params if name != "shN"})
+
+
 def test_what_is_no_scene_is_refused(scene: zipsplat.Scene, tmp_path: Path) -> None:
     fields = [scene.means, scene.scales, scene.quats, scene.opacities, scene.sh_coeffs]
     with pytest.raises(ValueError, match=r"quats: found shape \[\d+, 3\]"):
@@ -119,13 +133,16 @@ def test_matrices_say_which_way_they_go() -> None:
     pose[:3, :3] = [[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]]
     pose[:3, 3] = [1, 2, 3]
     K = np.array([[50, 0, 24], [0, 51, 18], [0, 0, 1]])
-    [one] = zipsplat.cameras([K], 48, 36, camera_to_world=[pose])
-    [other] = zipsplat.cameras(K, 48, 36, world_to_camera=np.linalg.inv(pose)[None])
+    [one] = zipsplat.Camera.from_matrices([K], 48, 36, camera_to_world=[pose])
+    [other] = zipsplat.Camera.from_matrices(K, 48, 36, world_to_camera=np.linalg.inv(pose)[None])
     assert np.allclose(one.camera_to_world, other.camera_to_world) and np.array_equal(one.K, K)
     assert np.allclose(one.world_to_camera @ pose, np.eye(4))
     assert np.allclose(one.relative_to(other).camera_to_world, np.eye(4))
-    short = zipsplat.Camera.from_matrix(K, 48, 36, camera_to_world=pose[:3])
-    assert np.array_equal(short.camera_to_world, pose)
+    both = zipsplat.Camera.from_matrices(K, 48, 36, camera_to_world=[pose[:3], pose[:3]])
+    assert np.array_equal(both.camera_to_world, [pose, pose]) and np.array_equal(both.Ks, [K, K])
+    assert (
+        np.allclose(both.viewmats @ pose, np.eye(4)) and isinstance(both[1:], zipsplat.Cameras) and len(both[1:]) == 1
+    )
     for options, words in [
         ({}, "one of them"),
         ({"camera_to_world": [pose], "world_to_camera": [pose]}, "one of them"),
@@ -133,7 +150,7 @@ def test_matrices_say_which_way_they_go() -> None:
         ({"camera_to_world": [pose, pose], "Ks": [K]}, "Ks"),
     ]:
         with pytest.raises(ValueError, match=words):
-            zipsplat.cameras(**{"Ks": K, "width": 48, "height": 36, **options})
+            zipsplat.Camera.from_matrices(**{"Ks": K, "width": 48, "height": 36, **options})
 
 
 def test_captures_are_sequences_of_photos(capture: Path) -> None:
@@ -141,7 +158,12 @@ def test_captures_are_sequences_of_photos(capture: Path) -> None:
     assert len(opened) == 3 and [photo.name for photo in opened] == ["0.png", "1.png", "2.png"]
     assert opened[1].path == capture / "1.png" and opened.find("elsewhere/2.png") == 2 and opened.find("9.png") is None
     assert np.allclose(opened[2].camera.camera_to_world[:3, 3], [0.6, 0, 0])
-    with pytest.raises(zipsplat.IoError):
+    last = opened[1:]
+    assert (
+        isinstance(last, zipsplat.Capture) and len(last) == 2 and last.find("2.png") == 1 and last.find("0.png") is None
+    )
+    assert np.array_equal(last.cameras.Ks, opened.cameras.Ks[1:])
+    with pytest.raises(zipsplat.FileError):
         zipsplat.Capture.open(capture / "none")
 
 
@@ -175,10 +197,10 @@ def test_figures_and_cameras_come_from_the_command(
     double.write_text(f"#!/bin/sh\nfor last; do :; done\ncat > \"$last\" <<'END'\n{made}\nEND\n")
     double.chmod(double.stat().st_mode | stat.S_IXUSR)
     monkeypatch.setenv("ZIPSPLAT_COMMAND", str(double))
-    assert len(zipsplat.find_cameras(capture)) == 3
+    assert len(zipsplat.estimate_cameras(capture)) == 3
     monkeypatch.setenv("ZIPSPLAT_COMMAND", str(tmp_path / "missing"))
     with pytest.raises(zipsplat.CommandError, match="ZIPSPLAT_COMMAND"):
-        zipsplat.find_cameras([os.fspath(capture)])
+        zipsplat.estimate_cameras([os.fspath(capture)])
 
 
 def test_pictures_need_cameras(scene: zipsplat.Scene) -> None:

@@ -116,7 +116,7 @@ fn a_scene_that_somebody_has_stays_as_it_is() {
 fn pictures_are_drawn_from_the_devices_own_gaussians_in_the_networks_arena() {
     for staged in [false, true] {
         let (device, model) = alone(staged);
-        let request = ReconstructOptions { scene_scale: 0.5, ..ReconstructOptions::default() };
+        let request = ReconstructOptions { scene_scale: Some(0.5), ..ReconstructOptions::default() };
         let made = reconstruct(&model, &photos(2), &request);
         let mut renderer = Renderer::new(&device);
         renderer.set_scene(&made.gaussians).unwrap();

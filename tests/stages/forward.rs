@@ -73,8 +73,9 @@ fn check(file: &str, arithmetic: Arithmetic) {
             ratio: Ratio::Fixed(ratio),
             token_selection: TokenSelection::Given(given),
             cameras: cameras.clone(),
-            scene_scale: 1.0,
+            scene_scale: Some(1.0),
             kv_pool: 1,
+            ..ReconstructOptions::default()
         };
         let (taps, _) = observe(&model, &images, &request);
         let names = before.iter().map(|n| (n, n.clone())).chain(after.iter().map(|n| (n, key(n))));
@@ -212,8 +213,9 @@ fn builtin() {
                 ratio: Ratio::Fixed(ratio),
                 token_selection: selection,
                 cameras: cameras.clone(),
-                scene_scale: 1.0,
+                scene_scale: Some(1.0),
                 kv_pool: 1,
+                ..ReconstructOptions::default()
             };
             let found = model.reconstruct_views(&images, &request, |_| std::ops::ControlFlow::Continue(())).unwrap();
             let tolerance = |field: &str| {

@@ -15,6 +15,7 @@ mod forward;
 mod gradients;
 mod images;
 mod lpips;
+mod photos;
 mod poses;
 mod ray_cameras;
 mod references;

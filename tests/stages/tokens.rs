@@ -38,7 +38,7 @@ fn network() -> (Model, FrozenHead) {
 }
 
 fn tokens(model: &Model, scene_scale: f64) -> SceneTokens {
-    let request = ReconstructOptions { scene_scale, ..ReconstructOptions::default() };
+    let request = ReconstructOptions { scene_scale: Some(scene_scale), ..ReconstructOptions::default() };
     let features = model.features(&photos().0, &request, |_| ControlFlow::Continue(())).unwrap();
     model.tokens(&features, &request, |_| ControlFlow::Continue(())).unwrap()
 }
@@ -56,7 +56,7 @@ fn tokens_become_the_photos() {
         let tokens = tokens(&model, scene_scale);
         // Up to the order of sums.
         let none = refine(&head, &tokens, &RefineOptions { steps: 0, ..RefineOptions::default() });
-        let request = ReconstructOptions { scene_scale, ..ReconstructOptions::default() };
+        let request = ReconstructOptions { scene_scale: Some(scene_scale), ..ReconstructOptions::default() };
         let made =
             model.reconstruct_views(&photos().0, &request, |_| ControlFlow::Continue(())).unwrap().to_scene().unwrap();
         let close = |a: &[f32; 3], b: &[f32; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-4 * (1.0 + b.abs()));

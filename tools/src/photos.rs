@@ -20,13 +20,12 @@ use std::{
 use zipsplat::{
     Error, Result,
     types::{
-        Image,
+        Image, PHOTO_EXTENSIONS, is_photo, natural_order,
         poses::{Capture, CaptureView},
         preprocess::crop_to_aspect,
     },
 };
 
-const EXTENSIONS: [&str; 4] = ["png", "jpg", "jpeg", "webp"];
 /// Names in a message.
 const NAMED: usize = 5;
 /// Share of the area that needs a warning.
@@ -125,7 +124,7 @@ fn list_path(session: &mut Session<'_>, path: &Path, recursive: bool) -> Result<
     let mut photos = Vec::new();
     list_below(path, &mut photos)?;
     if photos.is_empty() {
-        let expected = format!("files that end in {}", EXTENSIONS.join(", "));
+        let expected = format!("files that end in {}", PHOTO_EXTENSIONS.join(", "));
         return Err(Error::argument(format!("photos in {} and below", path.display()), "none", expected));
     }
     Ok(photos)
@@ -141,7 +140,7 @@ fn list_below(folder: &Path, photos: &mut Vec<PathBuf>) -> Result<()> {
 }
 
 fn by_name(a: &PathBuf, b: &PathBuf) -> Ordering {
-    natural(&a.to_string_lossy(), &b.to_string_lossy()).then_with(|| a.cmp(b))
+    natural_order(&a.to_string_lossy(), &b.to_string_lossy()).then_with(|| a.cmp(b))
 }
 
 fn list_folder(session: &mut Session<'_>, folder: &Path) -> Result<Vec<PathBuf>> {
@@ -158,7 +157,7 @@ fn list_folder(session: &mut Session<'_>, folder: &Path) -> Result<Vec<PathBuf>>
         }
         // The first file's format may explain the missing photos.
         others.first().map_or(Ok((0, 0)), Image::size)?;
-        let expected = format!("files that end in {}", EXTENSIONS.join(", "));
+        let expected = format!("files that end in {}", PHOTO_EXTENSIONS.join(", "));
         return Err(Error::argument(what, "none", expected));
     }
     if !others.is_empty() {
@@ -215,11 +214,6 @@ fn visible(folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(found)
 }
 
-fn is_photo(path: &Path) -> bool {
-    let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
-    extension.is_some_and(|e| EXTENSIONS.contains(&e.as_str()))
-}
-
 fn folders_of_photos(mut folders: Vec<PathBuf>) -> String {
     let has_photos = |folder: &PathBuf| visible(folder).is_ok_and(|files| files.iter().any(|file| is_photo(file)));
     folders.retain(has_photos);
@@ -271,33 +265,6 @@ pub fn spread(photos: Vec<PathBuf>, count: usize) -> Vec<PathBuf> {
     (0..count).map(|i| photos[(i * last + steps / 2) / steps].clone()).collect()
 }
 
-/// Compares digits by value: `2.png` before `10.png`.
-fn natural(a: &str, b: &str) -> Ordering {
-    let (mut a, mut b) = (a, b);
-    loop {
-        let (Some(x), Some(y)) = (a.chars().next(), b.chars().next()) else { return a.len().cmp(&b.len()) };
-        let number = x.is_ascii_digit() && y.is_ascii_digit();
-        let split =
-            |text: &str| if number { end_of_digits(text) } else { text.chars().next().map_or(0, char::len_utf8) };
-        let ((head_a, rest_a), (head_b, rest_b)) = (a.split_at(split(a)), b.split_at(split(b)));
-        let order = if number {
-            let value = |digits: &str| digits.trim_start_matches('0').to_owned();
-            let (va, vb) = (value(head_a), value(head_b));
-            va.len().cmp(&vb.len()).then(va.cmp(&vb))
-        } else {
-            head_a.cmp(head_b)
-        };
-        if order.is_ne() {
-            return order;
-        }
-        (a, b) = (rest_a, rest_b);
-    }
-}
-
-fn end_of_digits(text: &str) -> usize {
-    text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len())
-}
-
 /// Reads photos concurrently and maps them with `make`, by index. Photos with `frames` are read as
 /// by [`CaptureView::open`]: COLMAP's cameras apply to pixels without the EXIF orientation.
 pub fn read<T: Send>(
@@ -330,15 +297,8 @@ pub fn cropping(photos: &[[u32; 2]], Size(width, height): Size) -> Option<String
 
 #[cfg(test)]
 mod tests {
-    use super::{natural, spread};
+    use super::spread;
     use std::path::PathBuf;
-
-    #[test]
-    fn numbers_count_by_value() {
-        let mut names = ["b1", "a10", "a2", "a02b", "a", "é1"];
-        names.sort_by(|a, b| natural(a, b));
-        assert_eq!(names, ["a", "a2", "a02b", "a10", "b1", "é1"]);
-    }
 
     #[test]
     fn spread_keeps_the_ends() {

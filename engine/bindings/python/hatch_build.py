@@ -32,14 +32,18 @@ class Build(BuildHookInterface):  # type: ignore[type-arg]
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """Adds the files. The tag covers every Python: the library does not use CPython's ABI."""
         name = LIBRARIES[sys.platform]
-        library = Path(os.environ.get("ZIPSPLAT_LIBRARY", ROOT / "target" / "release" / name.replace("zipsplat", "zipsplat_c")))
+        library = Path(
+            os.environ.get("ZIPSPLAT_LIBRARY", ROOT / "target" / "release" / name.replace("zipsplat", "zipsplat_c"))
+        )
         if not library.is_file():
             raise FileNotFoundError(
                 f"{library}: expected the shared library; build.sh makes it, or set ZIPSPLAT_LIBRARY"
             )
         generated = self.generated
         generated.parent.mkdir(parents=True, exist_ok=True)
-        generated.write_text(module((ROOT / "engine/bindings/c/include/zipsplat.h").read_text(encoding="utf-8")), encoding="utf-8")
+        generated.write_text(
+            module((ROOT / "engine/bindings/c/include/zipsplat.h").read_text(encoding="utf-8")), encoding="utf-8"
+        )
         platform = os.environ.get("ZIPSPLAT_PLATFORM") or sysconfig.get_platform().replace("-", "_").replace(".", "_")
         build_data["tag"] = f"py3-none-{platform}"
         build_data["pure_python"] = False

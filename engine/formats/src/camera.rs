@@ -115,6 +115,13 @@ pub struct Camera {
 }
 
 impl Camera {
+    /// A camera at the origin, with a horizontal field of view in degrees and square pixels.
+    pub fn from_hfov_deg(width: u32, height: u32, hfov_deg: f64) -> Self {
+        let focal = f64::from(width) / 2.0 / (hfov_deg.to_radians() / 2.0).tan();
+        let (cx, cy) = (f64::from(width) / 2.0, f64::from(height) / 2.0);
+        Self { intrinsics: Intrinsics { fx: focal, fy: focal, cx, cy, width, height }, pose: Pose::IDENTITY }
+    }
+
     /// Returns the world-to-camera matrix (`viewmat`).
     pub fn view_matrix(&self) -> DMat4 {
         self.pose.view_matrix()

@@ -4,6 +4,7 @@ mod axes;
 mod bounded;
 mod camera;
 mod file;
+mod folder;
 mod format;
 mod gltf;
 mod image;
@@ -30,6 +31,7 @@ pub use camera::{
     unit_quaternion,
 };
 pub use file::{Unfinished, open_file, remove_stale, write_atomic};
+pub use folder::{PHOTO_EXTENSIONS, is_photo, natural_order};
 pub use format::SaveOptions;
 pub use gltf::{read_gltf, write_gltf};
 pub use image::{Image, MAX_DECODED_BYTES, MAX_SIDE, contact_sheet, is_heic_start};

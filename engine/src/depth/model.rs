@@ -8,6 +8,7 @@ use crate::{
     ops::{Arithmetic, Parameters},
     reconstruct::{Ratio, TokenSelection, check_cameras, planar, size_of},
     stages::DepthArchitecture,
+    tune::KernelChoice,
     types::{Camera, Image},
     weights::DepthCheckpoint,
 };
@@ -45,6 +46,16 @@ impl Default for DepthOptions {
 }
 
 impl DepthModel {
+    /// Loads weights: a checkpoint's path, or `seeded:NAME` for random ones.
+    ///
+    /// # Errors
+    /// As [`DepthCheckpoint::open`]; [`crate::Error::Memory`].
+    pub fn load(device: &Device, weights: &str) -> Result<Self> {
+        let checkpoint = DepthCheckpoint::whole(|gaussians| DepthCheckpoint::parse(weights, gaussians))?;
+        let KernelChoice { arithmetic, .. } = KernelChoice::of(device, None)?;
+        Self::from_checkpoint(device, &checkpoint, arithmetic, |_| ControlFlow::Continue(()))
+    }
+
     /// Loads a checkpoint. Heads are always f32.
     pub fn from_checkpoint(
         device: &Device,

@@ -86,7 +86,7 @@ impl Model {
         let mut run = Run::in_arena(&arena, 0, rec.finish()?, [self.parameters.resident.clone(), memory.clone()])?;
         self.write_photos(&mut run, &inputs, shape, images, options)?;
         let times = run.execute_with(progress)?;
-        Ok(Features { shape, tensors, memory, scene_scale: options.scene_scale, times })
+        Ok(Features { shape, tensors, memory, scene_scale: options.scale(), times })
     }
 
     /// Decodes features bit-identically to [`Model::reconstruct_views`], with ratio and selection of
@@ -98,7 +98,7 @@ impl Model {
         progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
     ) -> Result<Reconstruction> {
         let shape = self.shape_of(features, options)?;
-        let options = ReconstructOptions { scene_scale: features.scene_scale, ..options.clone() };
+        let options = ReconstructOptions { scene_scale: Some(features.scene_scale), ..options.clone() };
 
         let mut layout = ResidentLayout::new(self.device.limits());
         let degree = self.architecture().sh_degree as u32;
@@ -111,7 +111,7 @@ impl Model {
         let mut run = Run::in_arena(&arena, 0, rec.finish()?, memories)?;
         write_choice(&mut run, choice, shape, &options)?;
         let times = run.execute_with(progress)?;
-        let gaussians = scene.scene(degree, near(options.scene_scale));
+        let gaussians = scene.scene(degree, near(features.scene_scale));
         Ok(Reconstruction {
             tokens: shape.tokens,
             patches: Patches::of(&run, choice, shape, &options)?,
@@ -120,6 +120,7 @@ impl Model {
             skipped_passes: shape.skipped_passes(),
             peak_bytes: run.plan().arena_bytes() + self.weight_bytes() + features.bytes() + gaussians.bytes(),
             gaussians,
+            placement: None,
         })
     }
 

@@ -4,19 +4,23 @@ mod features;
 mod network;
 mod options;
 mod patches;
+mod prepare;
 
 pub use features::{Features, SceneTokens};
 pub use network::{Network, NetworkPlan, Tensors};
-pub use options::{MAX_PATCHES, MAX_VIEWS, Ratio, ReconstructOptions, Shape, TokenSampling, TokenSelection};
+pub use options::{
+    MAX_PATCHES, MAX_VIEWS, Ratio, ReconstructOptions, SceneFrame, Shape, TokenSampling, TokenSelection,
+};
 pub(crate) use options::{check_cameras, grid, size_of};
 pub use patches::Patches;
+pub use prepare::{Placement, Prepared};
 
 use crate::{
     Error, Result,
     cameras::CameraEstimate,
     gpu::{Arena, Device, Plan, Profile, Progress, Recorder, ResidentLayout, Run, StageTimes},
-    ops::{Arithmetic, Parameters},
-    stages::render::{DeviceScene, SceneMemory},
+    ops::{Arithmetic, Parameters, Precision},
+    stages::render::{DeviceScene, SceneMemory, SceneSource},
     tune::KernelChoice,
     types::{Camera, Image, Scene, SkippedPass, near},
     weights::{Architecture, Checkpoint},
@@ -27,8 +31,10 @@ use std::{ops::ControlFlow, sync::Mutex};
 /// A reconstructed scene.
 #[derive(Clone, Debug)]
 pub struct Reconstruction {
-    /// Gaussians, in the first view's camera space.
+    /// Gaussians in the first view's camera frame.
     pub gaussians: DeviceScene,
+    /// Relation to the photos, if they were not given as views.
+    pub placement: Option<Placement>,
     /// Number of decoded tokens.
     pub tokens: usize,
     /// Source patches; tokens have equally many consecutive Gaussians.
@@ -43,10 +49,26 @@ pub struct Reconstruction {
     pub peak_bytes: u64,
 }
 
+impl<'a> From<&'a Reconstruction> for SceneSource<'a> {
+    fn from(made: &'a Reconstruction) -> Self {
+        Self::Device(&made.gaussians, made.placement.as_ref().and_then(|placement| placement.pose))
+    }
+}
+
+/// Options of [`Model::load_with`].
+#[derive(Clone, Debug, Default)]
+pub struct ModelOptions {
+    /// Precision of matrix products. `None`: the fastest that the device computes correctly.
+    pub precision: Option<Precision>,
+    /// Architecture of a checkpoint that does not name its own, see [`Checkpoint::open`].
+    pub variant: Option<String>,
+}
+
 /// A network on a device.
 pub struct Model {
     device: Device,
     network: Network,
+    image_size: u32,
     parameters: Parameters,
     arena: Arena,
     recorded: Mutex<Option<Recorded>>,
@@ -63,21 +85,53 @@ struct Recorded {
 const SCENES: usize = 2;
 
 impl Reconstruction {
-    /// Reads the Gaussians.
+    /// Reads the Gaussians, in their world.
     pub fn to_scene(&self) -> Result<Scene> {
-        self.gaussians.read()
+        let mut scene = self.gaussians.read()?;
+        if let Some(pose) = self.placement.as_ref().and_then(|placement| placement.pose) {
+            scene.place(1.0, &pose);
+        }
+        Ok(scene)
     }
 
-    /// Estimates view cameras from [`Reconstruction::to_scene`], see [`Patches::cameras`].
+    /// Estimates the photos' cameras from [`Reconstruction::to_scene`], see [`Patches::cameras`].
     ///
     /// # Errors
     /// [`Error::Argument`] for known cameras or another scene.
     pub fn cameras(&self, scene: &Scene, focal: Option<f64>) -> Result<Vec<Result<CameraEstimate>>> {
-        self.patches.cameras(scene, focal)
+        let mut found = self.patches.cameras(scene, focal)?;
+        let maps = self.placement.iter().flat_map(|placement| &placement.maps);
+        for (estimate, map) in found.iter_mut().zip(maps).filter_map(|(found, map)| Some((found.as_mut().ok()?, map))) {
+            estimate.camera.intrinsics = map.undo(&estimate.camera.intrinsics);
+        }
+        Ok(found)
     }
 }
 
 impl Model {
+    /// Loads weights: `builtin`, a checkpoint's path, or `seeded:VARIANT` for random ones.
+    ///
+    /// # Errors
+    /// As [`Checkpoint::open`]; [`Error::Memory`].
+    pub fn load(device: &Device, weights: &str) -> Result<Self> {
+        Self::load_with(device, weights, &ModelOptions::default(), |_| ControlFlow::Continue(()))
+    }
+
+    /// Loads weights as [`Model::load`], with options and progress from 0 to 1.
+    ///
+    /// # Errors
+    /// Those of [`Model::load`], and [`Error::Argument`] for an unsupported precision.
+    pub fn load_with(
+        device: &Device,
+        weights: &str,
+        options: &ModelOptions,
+        progress: impl FnMut(f64) -> ControlFlow<()>,
+    ) -> Result<Self> {
+        let checkpoint = Checkpoint::parse(weights, options.variant.as_deref())?;
+        let KernelChoice { arithmetic, .. } = KernelChoice::of(device, options.precision)?;
+        Self::from_checkpoint_with(device, &checkpoint, arithmetic, progress)
+    }
+
     /// Loads a checkpoint in f32.
     pub fn from_checkpoint(
         device: &Device,
@@ -97,12 +151,18 @@ impl Model {
         let network = Network::of(checkpoint, device.limits(), arithmetic)?;
         let parameters = network.parameters.load(device, checkpoint, progress)?;
         let (arena, recorded) = (Arena::new(device), Mutex::default());
-        Ok(Self { device: device.clone(), network, parameters, arena, recorded })
+        let image_size = checkpoint.image_size();
+        Ok(Self { device: device.clone(), network, image_size, parameters, arena, recorded })
     }
 
     /// Weight bytes on the device.
     pub fn weight_bytes(&self) -> u64 {
         self.network.weight_bytes()
+    }
+
+    /// Side of the square images of its training, in pixels.
+    pub fn image_size(&self) -> u32 {
+        self.image_size
     }
 
     /// Architecture.
@@ -115,7 +175,7 @@ impl Model {
         &self.arena
     }
 
-    /// Reconstructs a scene from images of one size, divisible by the patch.
+    /// Reconstructs a scene from images of one size, a multiple of the patch size, with their cameras.
     pub fn reconstruct_views(
         &self,
         images: &[Image],
@@ -156,7 +216,7 @@ impl Model {
         run.replace_resident(scenes[free].resident().clone());
         self.write_inputs(run, tensors, shape, images, options)?;
         let times = run.execute_with(progress)?;
-        let gaussians = scenes[free].scene(tensors.scene().sh_degree, near(options.scene_scale));
+        let gaussians = scenes[free].scene(tensors.scene().sh_degree, near(options.scale()));
         Ok(Reconstruction {
             tokens: shape.tokens,
             patches: Patches::of(run, tensors.choice, shape, options)?,
@@ -165,6 +225,7 @@ impl Model {
             skipped_passes: shape.skipped_passes(),
             peak_bytes: run.plan().arena_bytes() + self.network.weight_bytes() + gaussians.bytes(),
             gaussians,
+            placement: None,
         })
     }
 
@@ -183,8 +244,10 @@ impl Model {
     /// Returns the shape for these options.
     pub fn shape(&self, images: &[Image], options: &ReconstructOptions) -> Result<Shape> {
         let size = size_of(images)?;
-        if !(options.scene_scale as f32).is_normal() || options.scene_scale < 0.0 {
-            return Err(Error::argument("unit", options.scene_scale, "a length above 0"));
+        let scale = options.scale();
+        // Scenes are f32.
+        if !(scale as f32).is_normal() || scale < 0.0 {
+            return Err(Error::argument("scene scale", scale, "a length above 0"));
         }
         if let Some(cameras) = &options.cameras {
             check_cameras(cameras, images)?;
@@ -232,7 +295,7 @@ impl Model {
         run.write(inputs.images, &planar(images))?;
         let in_units = |camera: &Camera| {
             let mut camera = *camera;
-            camera.pose.translation /= options.scene_scale;
+            camera.pose.translation /= options.scale();
             camera
         };
         let cameras = options.cameras.as_ref().map(|cameras| cameras.iter().map(in_units).collect::<Vec<_>>());
@@ -243,7 +306,7 @@ impl Model {
 
 fn write_choice(run: &mut Run, choice: Choice, shape: Shape, options: &ReconstructOptions) -> Result<()> {
     if let Some(scene_scale) = choice.scene_scale {
-        run.write(scene_scale, &[options.scene_scale as f32])?;
+        run.write(scene_scale, &[options.scale() as f32])?;
     }
     if let Some(tensor) = choice.indices {
         run.write(tensor, &options.token_selection.indices(shape.grid.tokens(), shape.tokens))?;

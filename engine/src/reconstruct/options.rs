@@ -5,7 +5,7 @@ use crate::{
         Architecture, ViewGrid,
         cluster::{ROUNDS, auto_ratio, cluster_count, even_indices, random_indices},
     },
-    types::{Camera, Image, SkippedPass},
+    types::{Camera, Image, SkippedPass, poses::Capture},
 };
 
 /// Maximum views per reconstruction.
@@ -50,11 +50,21 @@ pub struct ReconstructOptions {
     pub ratio: Ratio,
     /// Token selection.
     pub token_selection: TokenSelection,
-    /// Known cameras, at image size.
+    /// Known cameras: of the whole photos, or of the views for [`Model::reconstruct_views`].
+    ///
+    /// [`Model::reconstruct_views`]: super::Model::reconstruct_views
     pub cameras: Option<Vec<Camera>>,
     /// Scene scale: the length, in camera and scene units, that the network sees as 1. Training
-    /// scenes have a median distance of about 1 from the first camera.
-    pub scene_scale: f64,
+    /// scenes have a median distance of about 1 from the first camera. `None`: estimated from the
+    /// cameras and the capture, 1 without cameras.
+    pub scene_scale: Option<f64>,
+    /// Capture whose points and cameras give the scene scale.
+    pub capture: Option<Capture>,
+    /// Coordinate frame of the scene. `None`: that of the cameras, if known.
+    pub world: Option<SceneFrame>,
+    /// Width and height of the network's input, multiples of the patch size. Photos are cropped to
+    /// its shape. `None`: the trained size.
+    pub input_size: Option<[u32; 2]>,
     /// Side of pooled groups, 1 to [`Pool::MAX_SIDE`]: faster and less exact with many photos.
     pub kv_pool: usize,
 }
@@ -65,10 +75,28 @@ impl Default for ReconstructOptions {
             ratio: Ratio::Fixed(1.0),
             token_selection: TokenSelection::KMEANS,
             cameras: None,
-            scene_scale: 1.0,
+            scene_scale: None,
+            capture: None,
+            world: None,
+            input_size: None,
             kv_pool: 1,
         }
     }
+}
+
+impl ReconstructOptions {
+    pub(super) fn scale(&self) -> f64 {
+        self.scene_scale.unwrap_or(1.0)
+    }
+}
+
+/// Coordinate frame of a scene.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SceneFrame {
+    /// Camera frame of the first photo: x right, y down, z forward.
+    FirstCamera,
+    /// World of the known cameras.
+    InputCameras,
 }
 
 /// Parameters of a plan.

@@ -11,6 +11,9 @@ use crate::ops::{Arithmetic, ParameterSource, Q8};
 use crate::types::preprocess::DEFAULT_SIZE;
 use crate::{Error, Result};
 
+/// Name of the library's own model.
+pub const BUILTIN: &str = "builtin";
+
 /// An [`Architecture`]'s tensors, read one at a time to bound memory.
 #[derive(Debug)]
 pub struct Checkpoint {
@@ -43,8 +46,11 @@ impl Checkpoint {
         found
     }
 
-    /// Opens a path or `seeded:VARIANT[:KEY]`.
+    /// Opens `builtin`, `seeded:VARIANT[:KEY]` or a path.
     pub fn parse(text: &str, variant: Option<&str>) -> Result<Self> {
+        if text == BUILTIN && variant.is_none() {
+            return Self::builtin();
+        }
         let Some(seed) = text.strip_prefix("seeded:") else { return Self::open(text, variant) };
         let (name, key) = seed.split_once(':').map_or((seed, None), |(name, key)| (name, Some(key)));
         match variant {

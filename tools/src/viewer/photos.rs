@@ -167,8 +167,9 @@ impl FromPhotos {
             ratio: self.quality.ratio,
             token_selection: selection,
             cameras,
-            scene_scale: unit,
+            scene_scale: Some(unit),
             kv_pool: self.quality.kv_pool,
+            ..ReconstructOptions::default()
         };
         let (features, _) = session.stage("backbone", |stage| {
             model.features(&images, &request, |progress: Progress<'_>| stage.at(progress.fraction))

@@ -177,8 +177,14 @@ pub unsafe extern "C" fn zs_reconstruct(
         };
         let (images, maps): (Vec<_>, Vec<_>) = views.into_iter().map(|view| (view.image, view.map)).unzip();
         let unposed = cameras.is_none();
-        let request =
-            ReconstructOptions { ratio, token_selection: selection, cameras, scene_scale: unit, kv_pool: pool };
+        let request = ReconstructOptions {
+            ratio,
+            token_selection: selection,
+            cameras,
+            scene_scale: Some(unit),
+            kv_pool: pool,
+            ..ReconstructOptions::default()
+        };
         let report_progress = &report_progress;
         let progress = |of_all: Range<f64>| {
             move |now: Progress<'_>| {

@@ -104,6 +104,11 @@ pub(crate) struct SharedParts {
 }
 
 impl Device {
+    /// Opens the best device.
+    pub fn open_default() -> Result<Self> {
+        Self::open(&DeviceOptions::default())
+    }
+
     /// Opens a device.
     ///
     /// # Errors

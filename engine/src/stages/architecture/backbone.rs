@@ -18,6 +18,7 @@ pub struct BackboneArchitecture {
     /// Its hidden channels; for SwiGLU, those of `gate`.
     pub ffn_hidden: usize,
     /// Patch side in pixels.
+    #[serde(rename = "patch")]
     pub patch_size: usize,
     /// Side of the learned position grid.
     pub position_grid: usize,

@@ -1,6 +1,7 @@
 use super::PixelLayout;
-use crate::types::{NEAR, Scene, SkippedPass};
-use std::num::NonZeroU32;
+use crate::types::{Image, NEAR, Scene, SkippedPass};
+use crate::{Error, Result};
+use std::{num::NonZeroU32, path::Path};
 
 /// Requested outputs and options.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -95,7 +96,7 @@ pub struct RenderOutput {
     pub width: u32,
     /// Height in pixels.
     pub height: u32,
-    /// `[height, width, 3]` linear RGB, unbounded above.
+    /// `[height, width, 3]` sRGB-encoded color, unbounded above.
     pub rgb: Option<Vec<f32>>,
     /// `[height, width]` in 0..1.
     pub alpha: Option<Vec<f32>>,
@@ -108,6 +109,15 @@ pub struct RenderOutput {
 }
 
 impl RenderOutput {
+    /// Writes the color as a PNG.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] if color was not requested; [`Error::Io`].
+    pub fn save_png(&self, path: impl AsRef<Path>) -> Result<()> {
+        let rgb = self.rgb.as_ref().ok_or_else(|| Error::argument("image to save", "none", "rgb in the options"))?;
+        Image::from_rgb_f32(self.width, self.height, rgb)?.save_png(path)
+    }
+
     /// Splits a frame; single outputs are moved, since copies are expensive.
     pub(super) fn from_channels(width: u32, height: u32, mut values: Vec<f32>, options: &RenderOptions) -> Self {
         let channels = options.channels();

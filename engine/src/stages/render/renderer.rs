@@ -72,15 +72,20 @@ impl Renderer {
         self.render(cameras, options)
     }
 
-    /// Sets the scene to render: uploads a [`Scene`]; uses a [`DeviceScene`] or a reconstruction in
-    /// place, in its arena.
+    /// Sets the scene to render: uploads a [`Scene`]; uses a [`DeviceScene`], or a reconstruction in
+    /// its first camera's frame, where it is.
     ///
     /// # Errors
     /// [`Error::Argument`] for an invalid scene or another device's; [`Error::DeviceLost`].
     pub fn set_scene<'a>(&mut self, scene: impl Into<SceneSource<'a>>) -> Result<()> {
         match scene.into() {
             SceneSource::Host(scene) => self.upload(scene),
-            SceneSource::Device(scene) => self.show(scene),
+            SceneSource::Device(scene, None) => self.show(scene),
+            SceneSource::Device(scene, Some(pose)) => {
+                let mut scene = scene.read()?;
+                scene.place(1.0, &pose);
+                self.upload(&scene)
+            }
         }
     }
 

@@ -3,7 +3,7 @@ use crate::stages::coeffs_of;
 use crate::{
     Result,
     gpu::{Arena, Device, Resident, ResidentLayout},
-    types::Scene,
+    types::{Pose, Scene},
 };
 use std::sync::{Arc, Weak};
 
@@ -16,8 +16,9 @@ pub struct DeviceScene(Arc<Gaussians>);
 pub enum SceneSource<'a> {
     /// In host memory.
     Host(&'a Scene),
-    /// On the device.
-    Device(&'a DeviceScene),
+    /// On the device, in the frame of a camera with this pose in the scene's world, if not in the
+    /// world itself.
+    Device(&'a DeviceScene, Option<Pose>),
 }
 
 impl<'a> From<&'a Scene> for SceneSource<'a> {
@@ -28,7 +29,7 @@ impl<'a> From<&'a Scene> for SceneSource<'a> {
 
 impl<'a> From<&'a DeviceScene> for SceneSource<'a> {
     fn from(scene: &'a DeviceScene) -> Self {
-        Self::Device(scene)
+        Self::Device(scene, None)
     }
 }
 

@@ -143,8 +143,9 @@ impl<'a> Evaluator<'a> {
             ratio: eval.quality.ratio,
             token_selection: eval.quality.token_selection.clone(),
             cameras: (!eval.pose_free).then_some(cameras),
-            scene_scale: 1.0,
+            scene_scale: Some(1.0),
             kv_pool: eval.quality.kv_pool,
+            ..ReconstructOptions::default()
         };
         let of_tokens = eval.refine.steps().is_some_and(|steps| steps.tokens);
         let (result, tokens, took) = session.reconstruct_with_tokens(model, &images, &request, of_tokens)?;

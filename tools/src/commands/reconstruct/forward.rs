@@ -113,8 +113,9 @@ impl Planned<'_> {
             ratio,
             token_selection: selection,
             cameras,
-            scene_scale: length,
+            scene_scale: Some(length),
             kv_pool: quality.kv_pool,
+            ..ReconstructOptions::default()
         };
         let moves_tokens = command.refine.steps().is_some_and(|steps| steps.tokens);
         let (result, tokens, _) = session.reconstruct_with_tokens(&model, &images, &request, moves_tokens)?;

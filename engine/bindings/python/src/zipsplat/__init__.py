@@ -2,81 +2,85 @@
 
     import zipsplat
 
-    model = zipsplat.Model.open()
+    model = zipsplat.Model.load()
     scene = model.reconstruct("photos/")
     scene.save("scene.ply")
 
 Camera axes are OpenCV's: x right, y down, z forward. Matrix names state their direction
-(camera_to_world, world_to_camera). Pictures are [height, width, channels]. Calls release the GIL.
+(camera_to_world, world_to_camera). Images are [height, width, channels]. Calls release the GIL.
 """
 
 from ._native import lib as _lib
 from ._native import text as _text
-from .cameras import Camera, Capture, Photo, cameras
-from .command import Evaluation, Page, evaluate, find_cameras
-from .context import Context, Device, default_context, devices
-from .depth import DepthModel, Depths
+from .cameras import Camera, Cameras, Capture, CaptureView
+from .command import Evaluation, ModelInfo, Page, estimate_cameras, evaluate, list_models
+from .depth import DepthModel, DepthPrediction
+from .device import Device, DeviceInfo, default_device, list_devices
 from .errors import (
     ArgumentError,
+    ArgumentTypeError,
     CancelledError,
     CommandError,
     DeviceLostError,
     DriverError,
     Error,
+    FileError,
     ForkError,
     FormatError,
     InternalError,
-    IoError,
     NoDeviceError,
     OutOfMemoryError,
     UnsupportedError,
     WeightsError,
 )
 from .gsplat import rasterization
-from .images import photos_in, read_photo, save_png
+from .images import list_images, load_image, save_image
 from .model import Model
-from .renderer import Pictures, Renderer
-from .scene import Refinement, Refining, Scene
+from .renderer import Renderer, RenderOutput
+from .scene import RefineProgress, RefineResult, Scene
 
 __version__: str = _text(_lib.zs_version())
 
 __all__ = [
     "ArgumentError",
+    "ArgumentTypeError",
     "Camera",
+    "Cameras",
     "CancelledError",
     "Capture",
+    "CaptureView",
     "CommandError",
-    "Context",
     "DepthModel",
-    "Depths",
+    "DepthPrediction",
     "Device",
+    "DeviceInfo",
     "DeviceLostError",
     "DriverError",
     "Error",
     "Evaluation",
+    "FileError",
     "ForkError",
     "FormatError",
     "InternalError",
-    "IoError",
     "Model",
+    "ModelInfo",
     "NoDeviceError",
     "OutOfMemoryError",
     "Page",
-    "Photo",
-    "Pictures",
-    "Refinement",
-    "Refining",
+    "RefineProgress",
+    "RefineResult",
+    "RenderOutput",
     "Renderer",
     "Scene",
     "UnsupportedError",
     "WeightsError",
-    "cameras",
-    "default_context",
-    "devices",
+    "default_device",
+    "estimate_cameras",
     "evaluate",
-    "find_cameras",
-    "photos_in",
+    "list_devices",
+    "list_images",
+    "list_models",
+    "load_image",
     "rasterization",
-    "read_photo",
-    "save_png",
+    "save_image",
 ]

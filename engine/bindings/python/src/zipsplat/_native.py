@@ -6,12 +6,13 @@ cffi releases the GIL during calls.
 from __future__ import annotations
 
 import atexit
+import logging
 import os
 import sys
 import threading
 import weakref
 from pathlib import Path
-from typing import Any, Callable, Optional
+from typing import Any, Callable, Optional, TypeVar
 
 import cffi
 import numpy as np
@@ -20,7 +21,20 @@ import numpy.typing as npt
 from . import errors
 from ._header import DECLARATIONS, NUMBERS
 
-__all__ = ["NUMBERS", "Handle", "Told", "array_at", "call", "ffi", "lib", "options", "structure", "text"]
+__all__ = [
+    "NUMBERS",
+    "Handle",
+    "Owner",
+    "Told",
+    "array_at",
+    "call",
+    "ffi",
+    "lib",
+    "options",
+    "structure",
+    "text",
+    "warned",
+]
 
 _NAMES = {"darwin": "libzipsplat.dylib", "win32": "zipsplat.dll"}
 
@@ -33,9 +47,20 @@ if lib.zs_abi_version() != lib.ZS_ABI_VERSION:
     raise ImportError(f"zipsplat is for ABI {lib.ZS_ABI_VERSION}, and the library has {lib.zs_abi_version()}")
 
 
+_log = logging.getLogger("zipsplat")
+
+
 def text(pointer: Any) -> str:
     """Decodes a C string; NULL is empty."""
     return str(ffi.string(pointer).decode("utf-8", "replace")) if pointer else ""
+
+
+def warned(pointer: Any) -> list[str]:
+    """Returns the lines of a C string of warnings, which the logger "zipsplat" gets too."""
+    lines = text(pointer).splitlines()
+    for line in lines:
+        _log.warning(line)
+    return lines
 
 
 class _Calls:
@@ -53,11 +78,11 @@ class _Calls:
         with self.changed:
             if self.process not in (None, process):
                 raise errors.ForkError(
-                    "this process was forked after zipsplat had been used, and its device and threads did not come along: "
+                    "this process was forked after zipsplat had been used, and devices do not survive a fork: "
                     'use multiprocessing\'s "spawn" or "forkserver", or use zipsplat in the child only'
                 )
             if self.ending:
-                raise RuntimeError("zipsplat cannot be used any more: the interpreter ends")
+                raise errors.Error("zipsplat cannot be used any more: the interpreter ends")
             self.process = process
             self.running += 1
 
@@ -86,16 +111,18 @@ atexit.register(_calls.end)
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_after_fork)
 _thread = threading.local()
+Self = TypeVar("Self", bound="Owner")
 
 
 def call(function: str, *arguments: Any) -> None:
-    """Calls a library function that returns a status.
+    """Calls a library function that returns a status. Handles stay alive during the call.
 
     Raises:
         Error: a subclass by status, or an exception of a progress function.
     """
     with _calls:
-        status = getattr(lib, function)(*arguments)
+        pointers = (value.pointer if isinstance(value, Handle) else value for value in arguments)
+        status = getattr(lib, function)(*pointers)
         message = text(lib.zs_last_error()) if status else ""
     raised = getattr(_thread, "raised", None)
     if raised is not None:
@@ -116,6 +143,29 @@ class Handle:
         call(make, *arguments, out)
         self.pointer = out[0]
         weakref.finalize(self, _destroy, getattr(lib, f"zs_{kind}_destroy"), self.pointer, os.getpid())
+
+
+class Owner:
+    """An object with a handle that can be closed before its last reference goes."""
+
+    def __init__(self, handle: Handle) -> None:
+        self._open: Optional[Handle] = handle
+
+    @property
+    def _handle(self) -> Handle:
+        if self._open is None:
+            raise errors.ArgumentError(f"{type(self).__name__}: found a closed one, expected an open one")
+        return self._open
+
+    def close(self) -> None:
+        """Frees the memory once running calls end. Later calls raise ArgumentError."""
+        self._open = None
+
+    def __enter__(self: Self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
 
 def _destroy(function: Callable[[Any], None], pointer: Any, process: int) -> None:
@@ -145,16 +195,18 @@ def options(kind: str, **values: Any) -> Any:
 class _Memory:
     """Array interface over library memory; the array keeps the owner alive."""
 
-    def __init__(self, owner: object, address: int, shape: tuple[int, ...], kind: str) -> None:
+    def __init__(self, owner: object, address: int, shape: tuple[int, ...], kind: str, writable: bool) -> None:
         self.owner = owner
-        self.__array_interface__ = {"data": (address, True), "shape": shape, "typestr": kind, "version": 3}
+        self.__array_interface__ = {"data": (address, not writable), "shape": shape, "typestr": kind, "version": 3}
 
 
-def array_at(owner: object, pointer: Any, shape: tuple[int, ...], kind: str = "<f4") -> npt.NDArray[Any]:
-    """Returns a read-only array over library memory that keeps its owner alive."""
+def array_at(
+    owner: object, pointer: Any, shape: tuple[int, ...], kind: str = "<f4", *, writable: bool = False
+) -> npt.NDArray[Any]:
+    """Returns an array over library memory that keeps its owner alive."""
     if 0 in shape:
         return np.zeros(shape, kind)
-    return np.asarray(_Memory(owner, int(ffi.cast("uintptr_t", pointer)), shape, kind))
+    return np.asarray(_Memory(owner, int(ffi.cast("uintptr_t", pointer)), shape, kind, writable))
 
 
 class Told:

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import math
 import os
+from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Iterator, Optional, Sequence, Union
+from typing import Any, Iterable, Optional, Sequence, Union, overload
 
 import numpy as np
 import numpy.typing as npt
 
-from ._native import Handle, call, ffi, structure, text
+from ._native import Handle, call, ffi, structure, text, warned
+from .errors import ArgumentError, ArgumentTypeError
 
-Matrix = npt.ArrayLike
+Matrices = npt.ArrayLike
 PathLike = Union[str, "os.PathLike[str]"]
+_LAST_ROW = np.array([[0.0, 0.0, 0.0, 1.0]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,41 +46,60 @@ class Camera:
     def __post_init__(self) -> None:
         found = np.array(self.camera_to_world, np.float64)
         if found.shape == (3, 4):
-            found = np.concatenate([found, [[0.0, 0.0, 0.0, 1.0]]])
+            found = np.concatenate([found, _LAST_ROW])
         _check("camera_to_world", found.shape, (4, 4))
         found.flags.writeable = False
         object.__setattr__(self, "camera_to_world", found)
 
     @classmethod
-    def from_matrix(
+    def from_matrices(
         cls,
-        K: Matrix,
+        Ks: Matrices,
         width: int,
         height: int,
         *,
-        camera_to_world: Optional[Matrix] = None,
-        world_to_camera: Optional[Matrix] = None,
-    ) -> Camera:
-        """Creates a camera from matrices with OpenCV axes.
+        camera_to_world: Optional[Matrices] = None,
+        world_to_camera: Optional[Matrices] = None,
+    ) -> Cameras:
+        """Creates cameras from matrices with OpenCV axes.
 
         Args:
-            K: [3, 3] intrinsics in pixels.
+            Ks: [C, 3, 3] intrinsics in pixels, or [3, 3] shared by all.
             width: Width in pixels.
             height: Height in pixels.
-            camera_to_world: [4, 4] or [3, 4] pose in world units; either this or its inverse.
-            world_to_camera: Inverse pose, the "viewmat".
+            camera_to_world: [C, 4, 4] or [C, 3, 4] poses in world units; either these or inverses.
+            world_to_camera: Inverse poses, the "viewmats".
+
+        Example:
+            >>> cameras = Camera.from_matrices(Ks, 640, 480, world_to_camera=viewmats)
+            >>> cameras[:2].viewmats.shape
+            (2, 4, 4)
         """
-        [camera] = cameras(
-            [K], width, height, camera_to_world=_one(camera_to_world), world_to_camera=_one(world_to_camera)
+        if (camera_to_world is None) == (world_to_camera is None):
+            raise ArgumentError("expected camera_to_world or world_to_camera, one of them")
+        name = "camera_to_world" if world_to_camera is None else "world_to_camera"
+        poses = np.asarray(camera_to_world if world_to_camera is None else world_to_camera, np.float64)
+        if poses.ndim != 3 or poses.shape[1:] not in ((4, 4), (3, 4)):
+            raise ArgumentError(f"{name}: found shape {list(poses.shape)}, expected [C, 4, 4]")
+        if poses.shape[1] == 3:
+            poses = np.concatenate([poses, np.broadcast_to(_LAST_ROW, (len(poses), 1, 4))], axis=1)
+        lenses = np.asarray(Ks, np.float64)
+        if lenses.shape == (3, 3):
+            lenses = np.broadcast_to(lenses, (len(poses), 3, 3))
+        _check("Ks", lenses.shape, (len(poses), 3, 3))
+        if world_to_camera is not None:
+            poses = np.asarray(np.linalg.inv(poses), np.float64)
+        return Cameras(
+            cls(int(width), int(height), float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]), pose)
+            for K, pose in zip(lenses, poses)
         )
-        return camera
 
     @classmethod
     def from_fov(
-        cls, width: int, height: int, degrees: float = 60.0, *, camera_to_world: Optional[Matrix] = None
+        cls, width: int, height: int, hfov_deg: float = 60.0, *, camera_to_world: Optional[Matrices] = None
     ) -> Camera:
         """Creates a centered camera from a horizontal field of view, by default at the origin."""
-        focal = width / (2 * math.tan(math.radians(degrees) / 2))
+        focal = width / (2 * math.tan(math.radians(hfov_deg) / 2))
         pose = np.eye(4) if camera_to_world is None else np.asarray(camera_to_world, np.float64)
         return cls(width, height, focal, focal, width / 2, height / 2, pose)
 
@@ -97,75 +119,81 @@ class Camera:
         return Camera(self.width, self.height, self.fx, self.fy, self.cx, self.cy, pose)
 
 
-def cameras(
-    Ks: Union[Sequence[Matrix], npt.NDArray[Any]],
-    width: int,
-    height: int,
-    *,
-    camera_to_world: Optional[Union[Sequence[Matrix], npt.NDArray[Any]]] = None,
-    world_to_camera: Optional[Union[Sequence[Matrix], npt.NDArray[Any]]] = None,
-) -> list[Camera]:
-    """Creates cameras from matrices with OpenCV axes.
+class Cameras(Sequence[Camera]):
+    """A sequence of cameras with their matrices. Slices are Cameras."""
 
-    Args:
-        Ks: [C, 3, 3] intrinsics in pixels, or shared [3, 3].
-        width: Width in pixels.
-        height: Height in pixels.
-        camera_to_world: [C, 4, 4] or [C, 3, 4] poses in world units; either these or inverses.
-        world_to_camera: Inverse poses, the "viewmats".
-    """
-    if (camera_to_world is None) == (world_to_camera is None):
-        raise ValueError("expected camera_to_world or world_to_camera, one of them")
-    name = "camera_to_world" if world_to_camera is None else "world_to_camera"
-    poses = np.asarray(camera_to_world if world_to_camera is None else world_to_camera, np.float64)
-    if poses.ndim != 3 or poses.shape[1:] not in ((4, 4), (3, 4)):
-        raise ValueError(f"{name}: found shape {list(poses.shape)}, expected [C, 4, 4]")
-    if poses.shape[1] == 3:
-        last = np.broadcast_to([[0.0, 0.0, 0.0, 1.0]], (len(poses), 1, 4))
-        poses = np.concatenate([poses, last], axis=1)
-    lenses = np.asarray(Ks, np.float64)
-    if lenses.shape == (3, 3):
-        lenses = np.broadcast_to(lenses, (len(poses), 3, 3))
-    _check("Ks", lenses.shape, (len(poses), 3, 3))
-    if world_to_camera is not None:
-        poses = np.asarray(np.linalg.inv(poses), np.float64)
-    return [
-        Camera(int(width), int(height), float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]), pose)
-        for K, pose in zip(lenses, poses)
-    ]
+    def __init__(self, cameras: Iterable[Camera]) -> None:
+        self._cameras = list(cameras)
+        for camera in self._cameras:
+            if not isinstance(camera, Camera):
+                raise ArgumentTypeError(f"found a camera of type {type(camera).__name__}, expected zipsplat.Camera")
+
+    @property
+    def Ks(self) -> npt.NDArray[np.float64]:
+        """[C, 3, 3] float64 intrinsics in pixels."""
+        return np.array([camera.K for camera in self._cameras], np.float64).reshape(-1, 3, 3)
+
+    @property
+    def camera_to_world(self) -> npt.NDArray[np.float64]:
+        """[C, 4, 4] float64 poses."""
+        return np.array([camera.camera_to_world for camera in self._cameras], np.float64).reshape(-1, 4, 4)
+
+    @property
+    def viewmats(self) -> npt.NDArray[np.float64]:
+        """[C, 4, 4] float64 inverse poses: world to camera."""
+        return np.asarray(np.linalg.inv(self.camera_to_world), np.float64)
+
+    def relative_to(self, other: Camera) -> Cameras:
+        """Returns these cameras relative to another camera's space."""
+        return Cameras(camera.relative_to(other) for camera in self._cameras)
+
+    def __len__(self) -> int:
+        return len(self._cameras)
+
+    @overload
+    def __getitem__(self, index: int) -> Camera: ...
+    @overload
+    def __getitem__(self, index: slice) -> Cameras: ...
+    def __getitem__(self, index: Union[int, slice]) -> Union[Camera, Cameras]:
+        return Cameras(self._cameras[index]) if isinstance(index, slice) else self._cameras[index]
+
+    def __repr__(self) -> str:
+        return f"<zipsplat.Cameras, {len(self)} of them>"
 
 
 @dataclass(frozen=True, eq=False)
-class Photo:
+class CaptureView:
     """A photo of a capture.
 
     Attributes:
         name: Name as written in the file.
         path: Path of the photo; None if not found near the file.
         camera: Undistorted pinhole camera, in the file's world and scale.
+        index: Number of the photo in the file, from 0.
     """
 
     name: str
     path: Optional[Path]
     camera: Camera
+    index: int
 
 
-class Capture(Sequence[Photo]):
+class Capture(Sequence[CaptureView]):
     """Posed photos of a transforms.json (instant-ngp, nerfstudio) or COLMAP model.
 
-    A sequence of photos, accepted by Model.reconstruct and Scene.refine. Photos are read
-    undistorted, ignoring the EXIF orientation.
+    A sequence of views, accepted by Model.reconstruct and Scene.refine. Slices are captures. Photos
+    are read undistorted, ignoring the EXIF orientation.
 
     Attributes:
-        notes: Descriptions of ignored data.
+        warnings: Descriptions of ignored data.
     """
 
     def __init__(self, path: PathLike) -> None:
         self._handle = Handle("capture", "zs_capture_open", os.fsencode(path))
         count, notes = ffi.new("size_t *"), ffi.new("char **")
-        call("zs_capture_get_count", self._handle.pointer, count, notes)
-        self.notes: list[str] = text(notes[0]).splitlines()
-        self._photos = [self._photo(index) for index in range(count[0])]
+        call("zs_capture_get_count", self._handle, count, notes)
+        self.warnings: list[str] = warned(notes[0])
+        self._views = [self._view(index) for index in range(count[0])]
         # Keeps a temporary folder alive.
         self._keeps: object = None
 
@@ -174,14 +202,18 @@ class Capture(Sequence[Photo]):
         """Opens a transforms.json, a COLMAP model folder, or a folder that contains either.
 
         Raises:
-            IoError, FormatError, ArgumentError: it is unreadable, malformed or missing.
+            FileError, FormatError, ArgumentError: it is unreadable, malformed or missing.
+
+        Example:
+            >>> capture = Capture.open("capture/")
+            >>> scene = model.reconstruct(capture[:8])
         """
         return cls(path)
 
     @property
-    def cameras(self) -> list[Camera]:
-        """Cameras of all photos."""
-        return [photo.camera for photo in self._photos]
+    def cameras(self) -> Cameras:
+        """Cameras of all views."""
+        return Cameras(view.camera for view in self._views)
 
     def find(self, path: PathLike) -> Optional[int]:
         """Returns the index of a photo by file name, then by the longest common path suffix.
@@ -191,27 +223,32 @@ class Capture(Sequence[Photo]):
         Raises:
             ArgumentError: the match is ambiguous.
         """
-        index = ffi.new("size_t *")
-        call("zs_capture_find", self._handle.pointer, os.fsencode(path), index)
-        return int(index[0]) if index[0] < len(self) else None
+        found = ffi.new("size_t *")
+        call("zs_capture_find", self._handle, os.fsencode(path), found)
+        return next((at for at, view in enumerate(self._views) if view.index == found[0]), None)
 
     def __len__(self) -> int:
-        return len(self._photos)
+        return len(self._views)
 
-    def __getitem__(self, index: Any) -> Any:
-        return self._photos[index]
-
-    def __iter__(self) -> Iterator[Photo]:
-        return iter(self._photos)
+    @overload
+    def __getitem__(self, index: int) -> CaptureView: ...
+    @overload
+    def __getitem__(self, index: slice) -> Capture: ...
+    def __getitem__(self, index: Union[int, slice]) -> Union[CaptureView, Capture]:
+        if not isinstance(index, slice):
+            return self._views[index]
+        part = copy(self)
+        part._views = self._views[index]
+        return part
 
     def __repr__(self) -> str:
         return f"<zipsplat.Capture of {len(self)} photos>"
 
-    def _photo(self, index: int) -> Photo:
-        found, name, path = structure("camera"), ffi.new("char **"), ffi.new("char **")
-        call("zs_capture_get", self._handle.pointer, index, found, name, path)
+    def _view(self, index: int) -> CaptureView:
+        camera, name, path = structure("camera"), ffi.new("char **"), ffi.new("char **")
+        call("zs_capture_get", self._handle, index, camera, name, path)
         where = Path(os.fsdecode(ffi.string(path[0]))) if path[0] else None
-        return Photo(text(name[0]), where, from_native(found))
+        return CaptureView(text(name[0]), where, from_native(camera), index)
 
 
 def from_native(found: Any) -> Camera:
@@ -222,12 +259,11 @@ def from_native(found: Any) -> Camera:
     return Camera(found.width, found.height, found.fx, found.fy, found.cx, found.cy, pose)
 
 
-def native(cameras: Sequence[Camera]) -> Any:
+def native(cameras: Iterable[Camera]) -> Any:
     """Converts cameras for the library."""
-    out = ffi.new("zs_camera[]", len(cameras))
-    for to, camera in zip(out, cameras):
-        if not isinstance(camera, Camera):
-            raise TypeError(f"found a camera of type {type(camera).__name__}, expected zipsplat.Camera")
+    given = cameras if isinstance(cameras, Cameras) else Cameras(cameras)
+    out = ffi.new("zs_camera[]", len(given))
+    for to, camera in zip(out, given):
         to.struct_size = ffi.sizeof("zs_camera")
         to.width, to.height = camera.width, camera.height
         to.fx, to.fy, to.cx, to.cy = camera.fx, camera.fy, camera.cx, camera.cy
@@ -236,10 +272,6 @@ def native(cameras: Sequence[Camera]) -> Any:
     return out
 
 
-def _one(matrix: Optional[Matrix]) -> Optional[npt.NDArray[Any]]:
-    return None if matrix is None else np.asarray(matrix, np.float64)[None]
-
-
 def _check(name: str, found: tuple[int, ...], expected: tuple[int, ...]) -> None:
     if found != expected:
-        raise ValueError(f"{name}: found shape {list(found)}, expected {list(expected)}")
+        raise ArgumentError(f"{name}: found shape {list(found)}, expected {list(expected)}")

@@ -16,11 +16,11 @@ from .errors import CommandError
 
 if TYPE_CHECKING:
     from .cameras import Capture, PathLike
-    from .images import Images
+    from .images import ImagesLike
 
 
-def find_cameras(
-    photos: Images,
+def estimate_cameras(
+    photos: ImagesLike,
     output: Optional[PathLike] = None,
     *,
     views: Optional[int] = None,
@@ -77,7 +77,7 @@ def evaluate(folder: PathLike, *, views: int = 8, refine: int = 0, options: tupl
     Args:
         folder: Photos and their cameras: a transforms.json or a COLMAP model.
         views: Number of photos to reconstruct from.
-        refine: Refinement steps before the evaluation.
+        refine: RefineResult steps before the evaluation.
         options: More options of the command, such as ("--ratio", "0.5").
 
     Raises:
@@ -85,9 +85,46 @@ def evaluate(folder: PathLike, *, views: int = 8, refine: int = 0, options: tupl
     """
     arguments = ["eval", os.fspath(folder), "--views", str(views), *options]
     arguments += ["--refine", str(refine)] if refine else []
-    report = json.loads(run(arguments))["result"]
+    report = run(arguments)
     mean = report["mean"]
     return Evaluation(mean["psnr"], mean["ssim"], mean["nearest_psnr"], report)
+
+
+@dataclass(frozen=True)
+class ModelInfo:
+    """Named weights of a network.
+
+    Attributes:
+        name: Name for Model.load or, of depth networks (da3...), DepthModel.load.
+        path: Path in the cache folder; None if built in or not downloaded.
+        bytes: Size of the file or of its download.
+        license: License of the weights.
+        description: Network and authors.
+    """
+
+    name: str
+    path: Optional[Path]
+    bytes: int
+    license: str
+    description: str
+
+
+def list_models() -> list[ModelInfo]:
+    """Lists named weights, by `zipsplat weights list`; `zipsplat weights get NAME` downloads them.
+
+    Raises:
+        CommandError: the command is missing or fails.
+    """
+    return [
+        ModelInfo(
+            row["name"].replace("built-in", "builtin"),
+            None if row["path"] is None else Path(row["path"]),
+            row["bytes"],
+            row["licence"],
+            row["what"],
+        )
+        for row in run(["weights", "list"])
+    ]
 
 
 class Page:
@@ -118,8 +155,8 @@ def view(ply: bytes, height: int, cameras: Optional[PathLike]) -> Page:
         return Page(page.read_text(encoding="utf-8"), height)
 
 
-def run(arguments: list[str]) -> str:
-    """Runs the command, from ZIPSPLAT_COMMAND or the PATH, and parses its JSON output.
+def run(arguments: list[str]) -> Any:
+    """Runs the command, from ZIPSPLAT_COMMAND or the PATH, and returns its JSON output.
 
     Raises:
         CommandError: it is missing or fails, with its message.
@@ -134,7 +171,7 @@ def run(arguments: list[str]) -> str:
     done = subprocess.run([program, "--json", "--quiet", *arguments], capture_output=True, text=True, check=False)
     if done.returncode:
         raise CommandError(_message(done.stderr) or f"zipsplat {arguments[0]} ended with {done.returncode}")
-    return done.stdout
+    return json.loads(done.stdout)["result"] if done.stdout.strip() else None
 
 
 def _message(stderr: str) -> str:

@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
-import os
-from typing import Any, Optional
+from typing import Any, Literal, Optional
 
 import numpy as np
 import numpy.typing as npt
 
-from ._native import Handle, Told, array_at, call, ffi, lib, options, structure
+from ._native import Handle, Owner, Told, array_at, call, lib, options, structure
 from ._native import progress as native_progress
 from .cameras import Camera, PathLike, from_native
 from .cameras import native as native_cameras
-from .context import Context, default_context
-from .images import Cameras, Images, matched
+from .device import Device, DeviceLike, opened
+from .errors import ArgumentError
+from .images import CamerasLike, ImagesLike, matched
 from .images import native as native_images
-from .model import PRECISIONS, Progress, choose
+from .model import PRECISIONS, Precision, Progress, choose, weights_path
 from .scene import Scene
 
-_CAMERAS_FROM = {"decoder": lib.ZS_CAMERAS_FROM_DECODER, "rays": lib.ZS_CAMERAS_FROM_RAYS}
+CameraSource = Literal["decoder", "rays"]
+_CAMERA_SOURCES = {"decoder": lib.ZS_CAMERAS_FROM_DECODER, "rays": lib.ZS_CAMERAS_FROM_RAYS}
 
 
-class Depths:
+class DepthPrediction:
     """Depth and cameras of photos.
 
     Attributes:
@@ -32,34 +33,36 @@ class Depths:
         cameras: Cameras of the whole photos, in a common world; None for unknown ones.
     """
 
-    def __init__(self, handle: Handle, count: int, context: Context) -> None:
-        self._handle, self.context = handle, context
+    def __init__(self, handle: Handle, count: int, device: Device) -> None:
+        self._handle, self.device = handle, device
         views = [self._view(index) for index in range(count)]
         self.depth: npt.NDArray[np.float32] = np.stack([view[0] for view in views])
         self.confidence: Optional[npt.NDArray[np.float32]] = _stacked([view[1] for view in views])
         self.sky: Optional[npt.NDArray[np.float32]] = _stacked([view[2] for view in views])
         self.cameras: list[Optional[Camera]] = [view[3] for view in views]
 
-    def scene(self, *, keep: Optional[int] = None) -> Scene:
+    def to_scene(self, *, max_gaussians_per_patch: Optional[int] = None) -> Scene:
         """Creates a Gaussian per confident pixel, in the cameras' world.
 
         Args:
-            keep: Limit per patch of 14 x 14 pixels, most visible first; None keeps all.
+            max_gaussians_per_patch: Limit per patch of 14 x 14 pixels, most visible first; None keeps
+                all.
 
         Raises:
             ArgumentError: no photo has a camera.
         """
-        if keep is not None and keep < 1:
-            raise ValueError(f"keep: found {keep}, expected a number above 0, or None")
-        return Scene(Handle("scene", "zs_depths_scene", self._handle.pointer, keep or 0), self.context)
+        if max_gaussians_per_patch is not None and max_gaussians_per_patch < 1:
+            found = f"max_gaussians_per_patch: found {max_gaussians_per_patch}"
+            raise ArgumentError(f"{found}, expected a number above 0, or None")
+        return Scene(Handle("scene", "zs_depths_scene", self._handle, max_gaussians_per_patch or 0), self.device)
 
     def __repr__(self) -> str:
         photos, height, width = self.depth.shape
-        return f"<zipsplat.Depths of {photos} photos at {width}x{height}>"
+        return f"<zipsplat.DepthPrediction of {photos} photos at {width}x{height}>"
 
     def _view(self, index: int) -> tuple[Any, Any, Any, Optional[Camera]]:
         view, camera = structure("depth_view"), structure("camera")
-        call("zs_depths_get", self._handle.pointer, index, view, camera)
+        call("zs_depths_get", self._handle, index, view, camera)
         shape = (int(view.height), int(view.width))
         arrays = [
             array_at(self._handle, pointer, shape) if pointer else None
@@ -72,77 +75,77 @@ def _stacked(views: list[Any]) -> Optional[npt.NDArray[np.float32]]:
     return None if views[0] is None else np.stack(views)
 
 
-class DepthModel:
+class DepthModel(Owner):
     """A Depth Anything 3 network with its weights on a device. Threads can share it.
 
     Attributes:
-        context: Device of the network.
+        device: Device of the network.
     """
 
-    def __init__(self, handle: Handle, context: Context) -> None:
-        self._handle, self.context = handle, context
+    def __init__(self, handle: Handle, device: Device) -> None:
+        super().__init__(handle)
+        self.device = device
 
     @classmethod
-    def open(
+    def load(
         cls,
         weights: PathLike,
         *,
-        precision: str = "best",
-        context: Optional[Context] = None,
+        precision: Precision = "auto",
+        device: DeviceLike = None,
         progress: Optional[Progress] = None,
     ) -> DepthModel:
         """Loads a network onto a device.
 
         Args:
-            weights: A released model.safetensors (da3-small, da3-base, ...), or random weights for
-                "seeded:NAME".
-            precision: "best", "exact", "fast", "fast-bf16" or "turbo".
-            context: The device; None for the best.
+            weights: A name of list_models, such as "da3-small"; path of a released
+                model.safetensors; or "seeded:NAME" for random weights.
+            precision: "auto", "fp32", "fp16", "bf16" or "int8".
+            device: The device, as for Device; None for the best.
             progress: Receives fraction and stage. Returning False raises CancelledError; its
                 exceptions propagate.
 
         Raises:
-            NoDeviceError, WeightsError, FormatError, IoError, OutOfMemoryError, ArgumentError.
+            NoDeviceError, WeightsError, FormatError, FileError, OutOfMemoryError, ArgumentError.
         """
-        context, told = context or default_context(), Told(progress)
+        on, told = opened(device), Told(progress)
         made = options("model", precision=choose("precision", precision, PRECISIONS))
         made.progress, made.user_data = native_progress, told.handle
-        pointer = context._handle.pointer
-        return cls(Handle("depth_model", "zs_depth_model_open", pointer, os.fsencode(weights), made), context)
+        return cls(Handle("depth_model", "zs_depth_model_open", on._handle, weights_path(weights), made), on)
 
-    def depth(
+    def predict(
         self,
-        images: Images,
-        cameras: Optional[Cameras] = None,
+        images: ImagesLike,
+        cameras: Optional[CamerasLike] = None,
         *,
-        side: int = 504,
-        cameras_from: str = "decoder",
-        own_focal_lengths: bool = False,
+        input_size: int = 504,
+        camera_source: CameraSource = "decoder",
+        per_view_focal: bool = False,
         progress: Optional[Progress] = None,
-    ) -> Depths:
+    ) -> DepthPrediction:
         """Estimates depth of 1 to 192 photos of one place; multi-view networks also cameras.
 
         Args:
             images: Photos, as for Model.reconstruct.
             cameras: Known cameras of the whole photos, which set the depth scale.
-            side: Longer side of the network's input in pixels.
-            cameras_from: "decoder", or "rays", which also estimates the principal point.
-            own_focal_lengths: Estimates a focal length per photo instead of one per photo size.
+            input_size: Longer side of the network's input in pixels.
+            camera_source: "decoder", or "rays", which also estimates the principal point.
+            per_view_focal: Estimates a focal length per photo instead of one per photo size.
             progress: Receives fraction and stage. Returning False raises CancelledError; its
                 exceptions propagate.
 
         Raises:
-            ArgumentError, ValueError, TypeError: an argument is invalid.
-            IoError, FormatError: a photo cannot be read.
+            ArgumentError: an argument is invalid.
+            FileError, FormatError: a photo cannot be read.
             OutOfMemoryError, DeviceLostError, DriverError: the device failed.
         """
         sources, posed, _capture = matched(images, cameras)
         told = Told(progress)
         made = options(
             "depth",
-            side=side,
-            cameras_from=choose("cameras_from", cameras_from, _CAMERAS_FROM),
-            own_focal_lengths=int(own_focal_lengths),
+            side=input_size,
+            cameras_from=choose("camera_source", camera_source, _CAMERA_SOURCES),
+            own_focal_lengths=int(per_view_focal),
             progress=native_progress,
             user_data=told.handle,
         )
@@ -151,8 +154,8 @@ class DepthModel:
             kept_cameras = native_cameras(posed)
             made.cameras, made.camera_count = kept_cameras, len(posed)
         photos, _kept = native_images(sources)
-        found = Handle("depths", "zs_depth_find", self._handle.pointer, photos, len(sources), made)
-        return Depths(found, len(sources), self.context)
+        found = Handle("depths", "zs_depth_find", self._handle, photos, len(sources), made)
+        return DepthPrediction(found, len(sources), self.device)
 
     def __repr__(self) -> str:
-        return f"<zipsplat.DepthModel on {self.context.device.name}>"
+        return f"<zipsplat.DepthModel on {self.device.info.name}>"

@@ -1,14 +1,14 @@
-"""Exceptions, one per status of the C interface."""
+"""Exceptions: one per status of the C interface, and those of the package."""
 
 from __future__ import annotations
 
 
 class Error(Exception):
-    """A failed library call.
+    """A failure in zipsplat: the base class of all its exceptions.
 
     Attributes:
-        status: Value of the zs_status.
-        name: Name of the status, such as "ZS_ERROR_ARGUMENT".
+        status: Value of the zs_status; 0 if the library was not called.
+        name: Name of the status, such as "ZS_ERROR_ARGUMENT"; "" if the library was not called.
     """
 
     status: int = 0
@@ -19,7 +19,11 @@ class ArgumentError(Error, ValueError):
     """An invalid argument; the message names it, the value found and the value expected."""
 
 
-class IoError(Error, OSError):
+class ArgumentTypeError(ArgumentError, TypeError):
+    """An argument of the wrong type."""
+
+
+class FileError(Error, OSError):
     """A file could not be opened, read or written."""
 
 
@@ -44,7 +48,7 @@ class DriverError(Error, RuntimeError):
 
 
 class DeviceLostError(Error, RuntimeError):
-    """The device was reset or removed: create a new Context. Scenes survive."""
+    """The device was reset or removed: create a new Device. Scenes survive."""
 
 
 class CancelledError(Error):
@@ -59,11 +63,11 @@ class InternalError(Error, RuntimeError):
     """A bug in the library."""
 
 
-class ForkError(RuntimeError):
+class ForkError(Error, RuntimeError):
     """The process was forked after using the library; devices do not survive a fork."""
 
 
-class CommandError(RuntimeError):
+class CommandError(Error, RuntimeError):
     """The `zipsplat` command is missing or failed."""
 
 
@@ -71,7 +75,7 @@ class CommandError(RuntimeError):
 BY_STATUS: tuple[type[Error], ...] = (
     Error,
     ArgumentError,
-    IoError,
+    FileError,
     FormatError,
     WeightsError,
     NoDeviceError,

@@ -15,9 +15,10 @@ import numpy as np
 import numpy.typing as npt
 
 from ._native import call, ffi, lib, options, structure
-from .cameras import Camera, cameras, native
-from .context import Context, default_context
-from .renderer import Renderer, pictures
+from .cameras import Camera, Cameras, native
+from .device import Device, DeviceLike, opened
+from .errors import ArgumentError, UnsupportedError
+from .renderer import Renderer, render_buffers
 from .scene import Scene
 
 Array = npt.NDArray[Any]
@@ -76,7 +77,7 @@ def rasterization(
     rolling_shutter: Any = None,
     viewmats_rs: Any = None,
     *,
-    context: Optional[Context] = None,
+    device: DeviceLike = None,
 ) -> tuple[Any, Any, dict[str, Any]]:
     """Draws N Gaussians with C cameras.
 
@@ -95,15 +96,15 @@ def rasterization(
         render_mode: "RGB", "D" accumulated depth, "ED" expected depth, "RGB+D" or "RGB+ED".
         rasterize_mode: "classic" or "antialiased".
         packed, tile_size, channel_chunk, segmented: Ignored.
-        context: The device; None for the best.
+        device: The device, as for Device; None for the best.
 
     Returns:
         Colors [C, height, width, X] with depth as the last channel; alphas [C, height, width, 1];
         metadata with width, height and n_cameras.
 
     Raises:
-        NotImplementedError: an argument requests an unsupported feature.
-        ValueError, ArgumentError: a shape or value is invalid.
+        UnsupportedError: an argument requests an unsupported feature.
+        ArgumentError: a shape or value is invalid.
     """
     refused = {
         "far_plane": far_plane != 1e10,
@@ -126,10 +127,11 @@ def rasterization(
     }
     given = [name for name, found in refused.items() if found]
     if given:
-        raise NotImplementedError(f"zipsplat's rasterization has only gsplat's default of {', '.join(given)}")
+        raise UnsupportedError(f"zipsplat's rasterization has only gsplat's default of {', '.join(given)}")
     if render_mode not in _MODES or rasterize_mode not in ("classic", "antialiased"):
-        raise ValueError(
-            f"found render_mode {render_mode!r} and rasterize_mode {rasterize_mode!r}, expected one of {_MODES}, and 'classic' or 'antialiased'"
+        raise ArgumentError(
+            f"found render_mode {render_mode!r} and rasterize_mode {rasterize_mode!r}, expected one of {_MODES}, "
+            "and 'classic' or 'antialiased'"
         )
     fields = (means, quats, scales, opacities, colors, viewmats, Ks)
     xp = _library((*fields, backgrounds))
@@ -145,7 +147,7 @@ def rasterization(
     }
     for name, (array, shape) in shapes.items():
         if tuple(array.shape) != shape:
-            raise ValueError(f"{name}: found shape {list(array.shape)}, expected {list(shape)}")
+            raise ArgumentError(f"{name}: found shape {list(array.shape)}, expected {list(shape)}")
     own = colors.ndim == (3 if sh_degree is None else 4)
     shape = tuple(colors.shape[1:] if own else colors.shape)
     right = (
@@ -157,10 +159,8 @@ def rasterization(
             if sh_degree is None
             else "[N, K, 3] or [C, N, K, 3] with K at least (sh_degree + 1) ** 2"
         )
-        raise ValueError(f"colors: found shape {list(colors.shape)}, expected {expected}")
-    how = _How(
-        int(width), int(height), rasterize_mode == "antialiased", context or default_context(), float(near_plane)
-    )
+        raise ArgumentError(f"colors: found shape {list(colors.shape)}, expected {expected}")
+    how = _How(int(width), int(height), rasterize_mode == "antialiased", opened(device), float(near_plane))
     if backgrounds is not None:
         backgrounds = xp.array(backgrounds)
 
@@ -183,7 +183,9 @@ def rasterization(
     rgb, alphas, depths = (None if plane[0] is None else xp.concatenate(list(plane), 0) for plane in zip(*parts))
     if rgb is not None and backgrounds is not None:
         if tuple(backgrounds.shape) != (views, rgb.shape[-1]):
-            raise ValueError(f"backgrounds: found shape {list(backgrounds.shape)}, expected {[views, rgb.shape[-1]]}")
+            raise ArgumentError(
+                f"backgrounds: found shape {list(backgrounds.shape)}, expected {[views, rgb.shape[-1]]}"
+            )
         rgb = rgb + backgrounds[:, None, None, :] * (1 - alphas)
     if render_mode.endswith("ED"):
         depths = depths / alphas.clip(_LEAST_ALPHA, None)
@@ -195,13 +197,13 @@ def rasterization(
 class _How:
     """Drawing settings shared by all pictures of a call."""
 
-    def __init__(self, width: int, height: int, antialiased: bool, context: Context, near: float = 0.01) -> None:
-        self.width, self.height, self.antialiased, self.near, self.context = width, height, antialiased, near, context
+    def __init__(self, width: int, height: int, antialiased: bool, device: Device, near: float = 0.01) -> None:
+        self.width, self.height, self.antialiased, self.near, self.device = width, height, antialiased, near, device
 
-    def cameras(self, viewmats: Array, Ks: Array) -> list[Camera]:
+    def cameras(self, viewmats: Array, Ks: Array) -> Cameras:
         if (viewmats[:, 3] != [0, 0, 0, 1]).any():
-            raise ValueError("viewmats: expected a last row of 0, 0, 0, 1")
-        return cameras(Ks, self.width, self.height, world_to_camera=viewmats)
+            raise ArgumentError("viewmats: expected a last row of 0, 0, 0, 1")
+        return Camera.from_matrices(Ks, self.width, self.height, world_to_camera=viewmats)
 
     def options(self) -> Any:
         kind, depth = lib.ZS_PIXEL_RGB_F32, lib.ZS_DEPTH_ACCUMULATED
@@ -250,9 +252,9 @@ class _Renderers(threading.local):
     def __init__(self) -> None:
         self.renderer: Optional[Renderer] = None
 
-    def of(self, scene: Scene, context: Context) -> Renderer:
-        if self.renderer is None or self.renderer.context is not context:
-            self.renderer = Renderer(scene, context)
+    def of(self, scene: Scene, device: Device) -> Renderer:
+        if self.renderer is None or self.renderer.device is not device:
+            self.renderer = Renderer(scene, device)
         else:
             self.renderer.set_scene(scene)
         return self.renderer
@@ -276,8 +278,8 @@ def _forward(
     rgb = None if coeffs is None else np.empty((*shape, 3), np.float32)
     alphas, depths = np.empty((*shape, 1), np.float32), np.empty((*shape, 1), np.float32) if depth else None
     scene = _scene(geometry, coeffs)
-    renderer = _renderers.of(scene, how.context)
-    call("zs_render", renderer._handle.pointer, native(views), pictures(rgb, alphas, depths), len(views), how.options())
+    renderer = _renderers.of(scene, how.device)
+    call("zs_render", renderer._handle, native(views), render_buffers(rgb, alphas, depths), len(views), how.options())
     return rgb, alphas, depths
 
 
@@ -303,9 +305,9 @@ def _backward(
     kept = [None if plane is None else np.ascontiguousarray(plane, np.float32) for plane in weights]
     if all(plane is None for plane in kept):
         return found, np.zeros_like(viewmats) if of_cameras else None
-    renderer = _renderers.of(scene, how.context)
-    arguments = (native(views), pictures(kept[0], kept[1], kept[2]), len(views), how.options(), to)
-    call("zs_render_backward", renderer._handle.pointer, scene._handle.pointer, *arguments)
+    renderer = _renderers.of(scene, how.device)
+    arguments = (native(views), render_buffers(kept[0], kept[1], kept[2]), len(views), how.options(), to)
+    call("zs_render_backward", renderer._handle, scene._handle, *arguments)
     return found, _by_viewmats(viewmats, moved) if of_cameras else None
 
 

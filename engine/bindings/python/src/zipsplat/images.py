@@ -1,4 +1,4 @@
-"""Photos from files, bytes and arrays, and pictures to files."""
+"""Images from files, bytes and arrays, and to files."""
 
 from __future__ import annotations
 
@@ -11,39 +11,40 @@ import numpy as np
 import numpy.typing as npt
 
 from ._native import Handle, array_at, call, ffi, lib, structure
-from .cameras import Camera, Capture, PathLike
+from .cameras import Camera, Cameras, Capture, PathLike
+from .errors import ArgumentError, ArgumentTypeError
 
 # Recognized photo extensions.
 EXTENSIONS = frozenset({".png", ".jpg", ".jpeg", ".webp"})
 
-Image = Union[PathLike, bytes, npt.NDArray[Any], Any]
-Images = Union[PathLike, Capture, Sequence[Image]]
-Cameras = Union[PathLike, Capture, Sequence[Camera]]
+ImageLike = Union[PathLike, bytes, npt.NDArray[Any], Any]
+ImagesLike = Union[PathLike, Capture, Sequence[ImageLike]]
+CamerasLike = Union[PathLike, Capture, Sequence[Camera]]
 
 
-def photos_in(folder: PathLike) -> list[Path]:
+def list_images(folder: PathLike) -> list[Path]:
     """Lists the visible photos (PNG, JPEG, WebP) of a folder in natural order.
 
     Raises:
-        ValueError: there are none.
+        ArgumentError: there are none.
     """
     files = (path for path in Path(folder).iterdir() if not path.name.startswith("."))
     found = [path for path in files if path.is_file() and path.suffix.lower() in EXTENSIONS]
     if not found:
-        raise ValueError(f"photos in {folder}: found none, expected files that end in {', '.join(sorted(EXTENSIONS))}")
+        raise ArgumentError(f"photos in {folder}: found none, expected files in {', '.join(sorted(EXTENSIONS))}")
     return sorted(found, key=lambda path: (_natural(path.name), str(path)))
 
 
-def read_photo(path: PathLike) -> npt.NDArray[np.uint8]:
-    """Reads a photo as read-only [height, width, 3] uint8 with its EXIF orientation applied.
+def load_image(path: PathLike) -> npt.NDArray[np.uint8]:
+    """Reads a photo as [height, width, 3] uint8 with its EXIF orientation applied.
 
     Raises:
-        IoError, FormatError: it is unreadable, or not a PNG, JPEG or WebP.
+        FileError, FormatError: it is unreadable, or not a PNG, JPEG or WebP.
     """
     return _array(Handle("photo", "zs_photo_open", os.fsencode(path)))
 
 
-def save_png(path: PathLike, pixels: npt.ArrayLike) -> None:
+def save_image(path: PathLike, pixels: npt.ArrayLike) -> None:
     """Writes [height, width, 3 or 4] pixels as a PNG without alpha.
 
     Values are uint8 from 0 to 255 or float from 0 to 1. An existing file is replaced atomically.
@@ -60,7 +61,7 @@ def native(sources: Sequence[Any]) -> tuple[Any, list[object]]:
     for to, source in zip(out, loaded):
         to.struct_size = ffi.sizeof("zs_image")
         if isinstance(source, Handle):
-            call("zs_photo_get_image", source.pointer, ffi.addressof(to))
+            call("zs_photo_get_image", source, ffi.addressof(to))
             continue
         to.format = _FORMATS[source.dtype.type, source.shape[2]]
         to.height, to.width = source.shape[:2]
@@ -69,36 +70,39 @@ def native(sources: Sequence[Any]) -> tuple[Any, list[object]]:
     return out, list(loaded)
 
 
-def matched(images: Images, cameras: Optional[Cameras]) -> tuple[list[Any], Optional[list[Camera]], Optional[Capture]]:
+def matched(
+    images: ImagesLike, cameras: Optional[CamerasLike]
+) -> tuple[list[Any], Optional[Cameras], Optional[Capture]]:
     """Matches images with cameras; returns images, cameras if any, and their capture.
 
     Photos without a camera in a capture are dropped: structure from motion rarely places all.
     """
     capture = images if isinstance(images, Capture) else None
     if capture is not None and cameras is not None:
-        raise ValueError("a Capture has cameras of its own: expected no others")
+        raise ArgumentError("a Capture has cameras of its own: expected no others")
     if isinstance(cameras, (str, os.PathLike)):
         cameras = Capture.open(cameras)
     if capture is not None:
-        sources: list[Any] = [_Posed(capture, index, photo.path) for index, photo in enumerate(capture)]
+        sources: list[Any] = [_Posed(capture, view.index, view.path) for view in capture]
         return sources, capture.cameras, capture
     sources = listed(images)
     if not isinstance(cameras, Capture):
         if cameras is not None and len(cameras) != len(sources):
-            raise ValueError(f"found {len(cameras)} cameras, expected one for each of {len(sources)} images")
-        return sources, None if cameras is None else list(cameras), None
-    posed = []
+            raise ArgumentError(f"found {len(cameras)} cameras, expected one for each of {len(sources)} images")
+        return sources, None if cameras is None else Cameras(cameras), None
+    posed, views = [], []
     for source in sources:
         if not isinstance(source, (str, os.PathLike)):
-            raise TypeError(
+            raise ArgumentTypeError(
                 f"found an image of type {type(source).__name__}, expected paths: a Capture knows photos by their names"
             )
         index = cameras.find(source)
         if index is not None:
-            posed.append(_Posed(cameras, index, source))
+            posed.append(_Posed(cameras, cameras[index].index, source))
+            views.append(cameras[index].camera)
     if not posed:
-        raise ValueError(f"none of {len(sources)} photos is among the {len(cameras)} of the capture")
-    return list(posed), [cameras[photo.index].camera for photo in posed], cameras
+        raise ArgumentError(f"none of {len(sources)} photos is among the {len(cameras)} of the capture")
+    return list(posed), Cameras(views), cameras
 
 
 def listed(images: Any) -> list[Any]:
@@ -106,11 +110,11 @@ def listed(images: Any) -> list[Any]:
     if isinstance(images, (str, os.PathLike)):
         images = [images]
     elif isinstance(images, bytes) or hasattr(images, "__array_interface__") and getattr(images, "ndim", 3) == 3:
-        raise TypeError("found one image, expected a sequence of them, such as [image]")
+        raise ArgumentTypeError("found one image, expected a sequence of them, such as [image]")
     found: list[Any] = []
     for image in images:
         folder = isinstance(image, (str, os.PathLike)) and os.path.isdir(image)
-        found.extend(photos_in(image) if folder else [image])
+        found.extend(list_images(image) if folder else [image])
     return found
 
 
@@ -122,7 +126,7 @@ class _Posed:
 
     def open(self) -> Handle:
         path = ffi.NULL if self.path is None else os.fsencode(self.path)
-        return Handle("photo", "zs_capture_open_photo", self.capture._handle.pointer, self.index, path)
+        return Handle("photo", "zs_capture_open_photo", self.capture._handle, self.index, path)
 
 
 _FORMATS = {
@@ -159,11 +163,11 @@ def _pixels(name: str, source: Any) -> npt.NDArray[Any]:
             if array.ndim == 3 and array.shape[0] in (3, 4)
             else ""
         )
-        raise ValueError(f"{name}: found shape {list(array.shape)}, expected [height, width, 3 or 4]{hint}")
+        raise ArgumentError(f"{name}: found shape {list(array.shape)}, expected [height, width, 3 or 4]{hint}")
     if array.dtype == np.float64 or array.dtype == np.float16:
         array = array.astype(np.float32)
     if array.dtype not in (np.uint8, np.float32):
-        raise TypeError(f"{name}: found {array.dtype}, expected uint8 from 0 to 255 or float32 from 0 to 1")
+        raise ArgumentTypeError(f"{name}: found {array.dtype}, expected uint8 from 0 to 255 or float32 from 0 to 1")
     channel, pixel = array.strides[2], array.strides[1]
     if channel != array.itemsize or pixel != array.shape[2] * array.itemsize:
         array = np.ascontiguousarray(array)
@@ -176,8 +180,8 @@ def _only_dlpack(source: Any) -> bool:
 
 def _array(photo: Handle) -> npt.NDArray[np.uint8]:
     image = structure("image")
-    call("zs_photo_get_image", photo.pointer, image)
-    return array_at(photo, image.pixels, (image.height, image.width, 3), "|u1")
+    call("zs_photo_get_image", photo, image)
+    return array_at(photo, image.pixels, (image.height, image.width, 3), "|u1", writable=True)
 
 
 def _natural(name: str) -> list[tuple[Any, ...]]:
@@ -198,13 +202,13 @@ def _natural(name: str) -> list[tuple[Any, ...]]:
     return parts
 
 
-def paths_of(images: Images) -> Iterable[str]:
+def paths_of(images: ImagesLike) -> Iterable[str]:
     """Returns the paths of images, for the command.
 
     Raises:
-        TypeError: an image is not a file.
+        ArgumentTypeError: an image is not a file.
     """
     for image in [images] if isinstance(images, (str, os.PathLike)) else images:
         if not isinstance(image, (str, os.PathLike)):
-            raise TypeError(f"found an image of type {type(image).__name__}, expected paths")
+            raise ArgumentTypeError(f"found an image of type {type(image).__name__}, expected paths")
         yield os.fspath(image)

@@ -3,105 +3,111 @@
 from __future__ import annotations
 
 import os
-from typing import Any, Callable, Optional, Union
+import re
+from typing import Any, Callable, Literal, Mapping, Optional, Union
 
-from ._native import NUMBERS, Handle, Told, call, ffi, lib, options, structure, text
+from . import command
+from ._native import NUMBERS, Handle, Owner, Told, call, ffi, lib, options, structure, warned
 from ._native import progress as native_progress
 from .cameras import PathLike
 from .cameras import native as native_cameras
-from .context import Context, default_context
-from .images import Cameras, Images, matched
+from .device import Device, DeviceLike, opened
+from .errors import ArgumentError
+from .images import CamerasLike, ImagesLike, matched
 from .images import native as native_images
-from .scene import Refining, Scene, relative
+from .scene import RefineProgress, Scene
 
 Progress = Callable[[float, str], Optional[bool]]
+Precision = Literal["auto", "fp32", "fp16", "bf16", "int8"]
+TokenSelection = Literal["kmeans", "stride", "random"]
+World = Literal["auto", "first_camera", "input_cameras"]
 
-PRECISIONS = {
-    "best": lib.ZS_PRECISION_BEST,
-    "exact": lib.ZS_PRECISION_EXACT,
-    "fast": lib.ZS_PRECISION_FAST,
-    "fast-bf16": lib.ZS_PRECISION_FAST_BF16,
-    "turbo": lib.ZS_PRECISION_TURBO,
+PRECISIONS: dict[Precision, int] = {
+    "auto": lib.ZS_PRECISION_BEST,
+    "fp32": lib.ZS_PRECISION_EXACT,
+    "fp16": lib.ZS_PRECISION_FAST,
+    "bf16": lib.ZS_PRECISION_FAST_BF16,
+    "int8": lib.ZS_PRECISION_TURBO,
 }
 _SELECTIONS = {"kmeans": lib.ZS_SELECT_KMEANS, "stride": lib.ZS_SELECT_STRIDE, "random": lib.ZS_SELECT_RANDOM}
-_WORLDS = {"first_camera": lib.ZS_WORLD_FIRST_CAMERA, "cameras": lib.ZS_WORLD_CAMERAS}
+_WORLDS = {"first_camera": lib.ZS_WORLD_FIRST_CAMERA, "input_cameras": lib.ZS_WORLD_CAMERAS}
 # Fraction of the progress for reconstruction before a refinement.
 _RECONSTRUCTED = 0.2
 
 
-class Model:
+class Model(Owner):
     """A network with its weights on a device. Threads can share a model.
 
     Attributes:
-        context: Device of the model.
-        picture_side: Native side of its square pictures, in pixels.
-        patch: Side of a patch in pixels; picture sides are multiples of it.
+        device: Device of the model.
+        image_size: Native side of its square images, in pixels.
+        patch_size: Side of a patch in pixels; image sides are multiples of it.
         gaussians_per_token: Gaussians per token.
         sh_degree: Degree of spherical harmonics of its scenes.
-        precision: Number formats in use: "exact", "fast", "fast-bf16" or "turbo".
+        precision: Number formats in use: "fp32", "fp16", "bf16" or "int8".
         weight_bytes: Bytes of weights on the device.
-        notes: Warnings about speed and about assumptions made while loading.
+        warnings: Messages about speed and about assumptions made while loading.
     """
 
-    def __init__(self, handle: Handle, context: Context) -> None:
-        self._handle, self.context = handle, context
+    def __init__(self, handle: Handle, device: Device) -> None:
+        super().__init__(handle)
+        self.device = device
         info = structure("model_info")
-        call("zs_model_get_info", handle.pointer, info)
-        self.picture_side: int = info.picture_side
-        self.patch: int = info.patch
+        call("zs_model_get_info", handle, info)
+        self.image_size: int = info.picture_side
+        self.patch_size: int = info.patch
         self.gaussians_per_token: int = info.gaussians_per_token
         self.sh_degree: int = info.sh_degree
-        self.precision = next(name for name, number in PRECISIONS.items() if number == info.precision)
+        self.precision: Precision = next(name for name, number in PRECISIONS.items() if number == info.precision)
         self.weight_bytes: int = info.weight_bytes
-        self.notes: list[str] = text(info.notes).splitlines()
+        self.warnings: list[str] = warned(info.notes)
 
     @classmethod
-    def open(
+    def load(
         cls,
-        weights: Union[PathLike, bytes] = "embedded",
+        weights: Union[PathLike, bytes] = "builtin",
         *,
-        precision: str = "best",
+        precision: Precision = "auto",
         variant: Optional[str] = None,
-        context: Optional[Context] = None,
+        device: DeviceLike = None,
         progress: Optional[Progress] = None,
     ) -> Model:
         """Loads a checkpoint onto a device.
 
         Args:
-            weights: "embedded" for the built-in model; path or bytes of a safetensors or PyTorch
-                checkpoint; or "seeded:VARIANT" for random weights.
-            precision: "best", "exact", "fast", "fast-bf16" or "turbo".
+            weights: "builtin" or another name of list_models, such as "zipsplat"; path or bytes of
+                a safetensors or PyTorch checkpoint; or "seeded:VARIANT" for random weights.
+            precision: "auto", "fp32", "fp16", "bf16" or "int8".
             variant: Variant of a checkpoint that does not name its own: "vitg", "vits", ...
-            context: The device; None for the best.
+            device: The device, as for Device; None for the best.
             progress: Receives fraction and stage. Returning False raises CancelledError; its
                 exceptions propagate.
 
         Raises:
-            NoDeviceError, WeightsError, FormatError, IoError, OutOfMemoryError, ArgumentError.
+            NoDeviceError, WeightsError, FormatError, FileError, OutOfMemoryError, ArgumentError.
         """
-        context, told = context or default_context(), Told(progress)
+        on, told = opened(device), Told(progress)
         made = options("model", precision=choose("precision", precision, PRECISIONS))
         name = ffi.NULL if variant is None else ffi.new("char[]", variant.encode())
         made.variant, made.progress, made.user_data = name, native_progress, told.handle
-        pointer = context._handle.pointer
         if isinstance(weights, (bytes, bytearray, memoryview)):
             data = bytes(weights)
-            return cls(Handle("model", "zs_model_from_memory", pointer, data, len(data), made), context)
-        return cls(Handle("model", "zs_model_open", pointer, os.fsencode(weights), made), context)
+            return cls(Handle("model", "zs_model_from_memory", on._handle, data, len(data), made), on)
+        return cls(Handle("model", "zs_model_open", on._handle, weights_path(weights), made), on)
 
     def reconstruct(
         self,
-        images: Images,
-        cameras: Optional[Cameras] = None,
+        images: ImagesLike,
+        cameras: Optional[CamerasLike] = None,
         *,
-        ratio: Union[float, str] = 1.0,
+        ratio: Union[float, Literal["auto"]] = 1.0,
         refine: int = 0,
-        world: str = "auto",
-        unit: Union[float, str] = "auto",
-        select: str = "kmeans",
+        world: World = "auto",
+        scene_scale: Union[float, Literal["auto"]] = "auto",
+        token_selection: TokenSelection = "kmeans",
         seed: int = 0,
-        pool: int = 1,
-        size: Optional[tuple[int, int]] = None,
+        kv_pool: int = 1,
+        input_size: Optional[tuple[int, int]] = None,
         progress: Optional[Progress] = None,
     ) -> Scene:
         """Reconstructs a scene from 1 to 192 photos of one place.
@@ -114,47 +120,49 @@ class Model:
             ratio: Fraction of tokens that become Gaussians, in (0, 1]; "auto" is
                 0.5 sqrt(2 / photos).
             refine: Steps of Scene.refine afterwards; they need cameras.
-            world: "first_camera" for the first photo's camera space, "cameras" for the cameras'
-                world, "auto" for the cameras' world if known.
-            unit: Scene scale: the length in the cameras' unit that the network treats as 1; "auto"
-                estimates it from the capture's points or the cameras.
-            select: Selection of kept tokens: "kmeans" as in the paper, "stride" or "random".
+            world: "first_camera" for the first photo's camera space, "input_cameras" for the world
+                of the cameras, "auto" for theirs if known.
+            scene_scale: Length in the cameras' unit that the network treats as 1; "auto" estimates
+                it from the capture's points or the cameras.
+            token_selection: Selection of kept tokens: "kmeans" as in the paper, "stride" or
+                "random".
             seed: Seed of "random" and of a refinement's photo order.
-            pool: Pooling for many photos: cross-view attention reads means of pool x pool patches,
-                1 to 4. Larger values are faster and less exact.
-            size: Width and height of the network's input, multiples of `patch`; photos are
-                center-cropped. None for the model's own.
+            kv_pool: Pooling for many photos: cross-view attention reads means of kv_pool x kv_pool
+                patches, 1 to 4. Larger values are faster and less exact.
+            input_size: Width and height of the network's input, multiples of `patch_size`; photos
+                are center-cropped. None for the model's own.
             progress: Receives fraction and stage. Returning False raises CancelledError, or ends a
                 refinement early with its best scene. Its exceptions propagate.
 
         Raises:
-            ArgumentError, ValueError, TypeError: an argument is invalid.
-            IoError, FormatError: a photo cannot be read.
+            ArgumentError: an argument is invalid.
+            FileError, FormatError: a photo cannot be read.
             OutOfMemoryError, DeviceLostError, DriverError: the device failed.
         """
         sources, posed, capture = matched(images, cameras)
         if refine and posed is None:
-            raise ValueError("refine: found no cameras, expected one for each image; zipsplat.find_cameras finds them")
+            raise ArgumentError("refine: found no cameras, expected one per image, as from zipsplat.estimate_cameras")
         if world == "auto":
-            world = "first_camera" if posed is None else "cameras"
+            world = "first_camera" if posed is None else "input_cameras"
         share = _RECONSTRUCTED if refine else 1.0
         told = Told(None if progress is None else lambda done, stage: progress(share * done, stage))
-        width, height = (0, 0) if size is None else size
+        width, height = (0, 0) if input_size is None else input_size
         made = options(
             "reconstruct",
             world=choose("world", world, _WORLDS),
             ratio=NUMBERS["ZS_RATIO_AUTO"] if ratio == "auto" else float(ratio),
-            unit=NUMBERS["ZS_UNIT_AUTO"] if unit == "auto" else float(unit),
-            selection=choose("select", select, _SELECTIONS),
+            unit=NUMBERS["ZS_UNIT_AUTO"] if scene_scale == "auto" else float(scene_scale),
+            selection=choose("token_selection", token_selection, _SELECTIONS),
             width=width,
             height=height,
             seed=seed,
-            pool=pool,
+            pool=kv_pool,
             progress=native_progress,
             user_data=told.handle,
         )
-        if ratio != "auto" and float(ratio) == NUMBERS["ZS_RATIO_AUTO"] or unit != "auto" and float(unit) <= 0:
-            raise ValueError(f"found ratio {ratio!r} and unit {unit!r}, expected numbers above 0, or 'auto'")
+        for name, value in (("ratio", ratio), ("scene_scale", scene_scale)):
+            if value != "auto" and float(value) <= 0:
+                raise ArgumentError(f"{name}: found {value!r}, expected a number above 0, or 'auto'")
         kept_cameras: Any = None
         if posed is not None:
             kept_cameras = native_cameras(posed)
@@ -162,25 +170,35 @@ class Model:
         if capture is not None:
             made.capture = capture._handle.pointer
         photos, kept = native_images(sources)
-        scene = Scene(Handle("scene", "zs_reconstruct", self._handle.pointer, photos, len(sources), made), self.context)
+        scene = Scene(Handle("scene", "zs_reconstruct", self._handle, photos, len(sources), made), self.device)
         if not refine or posed is None:
             return scene
         tell = None if progress is None else _refining_as(progress)
-        where = posed if world == "cameras" else relative(posed)
-        return scene.refine(kept, where, steps=refine, seed=seed, progress=tell, context=self.context)
+        where = posed if world == "input_cameras" else posed.relative_to(posed[0])
+        return scene.refine(kept, where, steps=refine, seed=seed, progress=tell, device=self.device)
 
     def __repr__(self) -> str:
-        return f"<zipsplat.Model of {self.picture_side}x{self.picture_side} pictures on {self.context.device.name}>"
+        return f"<zipsplat.Model of {self.image_size}x{self.image_size} pictures on {self.device.info.name}>"
 
 
-def _refining_as(progress: Progress) -> Callable[[Refining], Optional[bool]]:
-    def tell(now: Refining) -> Optional[bool]:
+def _refining_as(progress: Progress) -> Callable[[RefineProgress], Optional[bool]]:
+    def tell(now: RefineProgress) -> Optional[bool]:
         return progress(_RECONSTRUCTED + (1 - _RECONSTRUCTED) * now.step / max(now.steps, 1), "refine")
 
     return tell
 
 
-def choose(name: str, found: str, names: dict[str, int]) -> int:
+def choose(name: str, found: str, names: Mapping[Any, int]) -> int:
     if found not in names:
-        raise ValueError(f"{name}: found {found!r}, expected one of {', '.join(map(repr, names))}")
+        raise ArgumentError(f"{name}: found {found!r}, expected one of {', '.join(map(repr, names))}")
     return names[found]
+
+
+def weights_path(weights: PathLike) -> bytes:
+    """Returns the path of weights, which may be a name of `list_models`."""
+    path = os.fspath(weights)
+    if path == "builtin":
+        return b"embedded"
+    if re.fullmatch(r"[\w-]+", path) and not os.path.exists(path):
+        path = command.run(["weights", "path", path])["path"]
+    return os.fsencode(path)

@@ -21,9 +21,12 @@ import os
 import sys
 import time
 from dataclasses import asdict, dataclass
-from typing import Any, Iterator, Optional
+from typing import Any, Iterator, Literal, Optional, Union
 
 import fsspec
+
+from .errors import ArgumentError
+from .scene import Format
 
 EXTENSIONS = (".png", ".jpg", ".jpeg", ".webp")
 
@@ -32,10 +35,10 @@ EXTENSIONS = (".png", ".jpg", ".jpeg", ".webp")
 class Options:
     """Options that determine a scene."""
 
-    ratio: str = "1"
-    weights: str = "embedded"
-    size: Optional[tuple[int, int]] = None
-    format: str = "ply"
+    ratio: Union[float, Literal["auto"]] = 1.0
+    weights: str = "builtin"
+    input_size: Optional[tuple[int, int]] = None
+    format: Format = "ply"
 
 
 @dataclass(frozen=True)
@@ -51,17 +54,17 @@ def captures(inputs: list[str], options: Options) -> list[Row]:
     """Finds captures in folders and names them uniquely.
 
     Raises:
-        ValueError: an input has none, or two share a name.
+        ArgumentError: an input has none, or two share a name.
     """
     found: dict[str, Row] = {}
     for place in inputs:
         system, root = fsspec.core.url_to_fs(place)
         rows = list(_captures(system, root, options))
         if not rows:
-            raise ValueError(f"{place}: found no photos, expected a folder of photos, or a folder of such folders")
+            raise ArgumentError(f"{place}: found no photos, expected a folder of photos, or a folder of such folders")
         for row in rows:
             if row.name in found:
-                raise ValueError(
+                raise ArgumentError(
                     f"{place}: found a second capture called {row.name}, expected a name of its own for each"
                 )
             found[row.name] = row
@@ -151,7 +154,9 @@ class Worker:
 
         self.store, self.options, self.tries = Store(out), options, tries
         began = time.time()
-        self.model = zipsplat.Model.open(options.weights, context=zipsplat.Context(device()))
+        # Vulkan ignores the variable by which Ray assigns a GPU.
+        assigned = os.environ.get("CUDA_VISIBLE_DEVICES")
+        self.model = zipsplat.Model.load(options.weights, device="cuda" if assigned else None)
         self.loaded = time.time() - began
 
     def __call__(self, batch: dict[str, Any]) -> dict[str, Any]:
@@ -179,8 +184,7 @@ class Worker:
         files = [bytes(file.read()) for file in _open_all(row.photos)]
         times["read"] = time.time() - began
         began = time.time()
-        ratio = self.options.ratio
-        scene = self.model.reconstruct(files, ratio=ratio if ratio == "auto" else float(ratio), size=self.options.size)
+        scene = self.model.reconstruct(files, ratio=self.options.ratio, input_size=self.options.input_size)
         times["reconstruct"] = time.time() - began
         began = time.time()
         data = scene.to_bytes(self.options.format)
@@ -204,30 +208,6 @@ def _open_all(paths: list[str]) -> Iterator[Any]:
             yield file
 
 
-def device() -> Optional[str]:
-    """Returns the UUID of the device that Ray assigned; None, the best, without an assignment.
-
-    Vulkan ignores the variable that hides other devices.
-
-    Raises:
-        RuntimeError: Ray assigned an index, and nvidia-smi does not map it to a UUID.
-    """
-    given = os.environ.get("CUDA_VISIBLE_DEVICES", "").split(",")[0].strip()
-    if not given or given.startswith("GPU-"):
-        return given or None
-    import subprocess
-
-    query = ["nvidia-smi", "--query-gpu=index,uuid", "--format=csv,noheader"]
-    try:
-        listed = subprocess.run(query, capture_output=True, text=True, check=True).stdout
-    except (OSError, subprocess.CalledProcessError) as error:
-        raise RuntimeError(f"the UUID of GPU {given}: nvidia-smi did not say it ({error})") from error
-    uuids = dict(line.split(", ", 1) for line in listed.strip().splitlines())
-    if given not in uuids:
-        raise RuntimeError(f"the UUID of GPU {given}: found {', '.join(uuids)} by nvidia-smi")
-    return uuids[given].strip()
-
-
 def run(
     inputs: list[str],
     out: str,
@@ -240,7 +220,7 @@ def run(
     """Reconstructs all captures and returns the report.
 
     Args:
-        inputs: Photo folders, or folders of them, on any fsspec file system.
+        inputs: CaptureView folders, or folders of them, on any fsspec file system.
         out: Output folder on any fsspec file system.
         options: Options that determine a scene.
         address: Address of a cluster; None for a local one.
@@ -290,8 +270,8 @@ def _report(
     total = sum(steps.values()) or 1.0
     return {
         "captures": len(rows),
-        "made": len(made),
-        "unchanged": len(done),
+        "reconstructed": len(made),
+        "skipped": len(done),
         "failed": len(results) - len(made),
         "seconds": seconds,
         "captures_per_second": len(made) / seconds if seconds else 0.0,
@@ -311,6 +291,10 @@ def _write_failures(store: Store, failures: list[dict[str, Any]]) -> None:
     store.write("failures.csv", text.getvalue().encode())
 
 
+def _ratio(text: str) -> Union[float, Literal["auto"]]:
+    return "auto" if text == "auto" else float(text)
+
+
 def main(arguments: Optional[list[str]] = None) -> int:
     """Runs the command line; returns 1 if captures failed."""
     parser = argparse.ArgumentParser(prog="python -m zipsplat.ray", description=(__doc__ or "").split("\n")[0])
@@ -319,13 +303,13 @@ def main(arguments: Optional[list[str]] = None) -> int:
     parser.add_argument("--address", help="the cluster's; default a local one")
     parser.add_argument("--actors", type=int, help="most of them; default one a GPU, or one a core")
     parser.add_argument("--tries", type=int, default=3, help="how often a capture is begun before it is left alone")
-    parser.add_argument("--ratio", default="1", help="share of the tokens that become Gaussians")
-    parser.add_argument("--weights", default="embedded", help="a checkpoint, at the same place on every node")
-    parser.add_argument("--size", help="WxH of what the network sees of each photo")
+    parser.add_argument("--ratio", type=_ratio, default=1.0, help="share of the tokens that become Gaussians")
+    parser.add_argument("--weights", default="builtin", help="a checkpoint, at the same place on every node")
+    parser.add_argument("--input-size", help="WxH of what the network sees of each photo")
     parser.add_argument("--format", default="ply", choices=["ply", "spz", "splat", "glb"])
     given = parser.parse_args(arguments)
-    width, _, height = (given.size or "").partition("x")
-    size = (int(width), int(height)) if given.size else None
+    width, _, height = (given.input_size or "").partition("x")
+    size = (int(width), int(height)) if given.input_size else None
     options = Options(given.ratio, given.weights, size, given.format)
     report = run(
         given.inputs, given.output, options=options, address=given.address, actors=given.actors, tries=given.tries

@@ -1,24 +1,26 @@
-"""Renderers: draw scenes."""
+"""Renderers: images of scenes."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Iterable, Optional, Sequence, Union
+from typing import Any, Iterable, Literal, Optional, Sequence, Union
 
 import numpy as np
 import numpy.typing as npt
 
-from ._native import Handle, call, ffi, lib, options
+from ._native import Handle, Owner, call, ffi, lib, options
 from .cameras import Camera, native
-from .context import Context, default_context
+from .device import DeviceLike, opened
+from .errors import ArgumentError, ArgumentTypeError
 from .scene import Scene
 
+DepthMode = Literal["expected", "accumulated"]
 _DEPTHS = {"expected": lib.ZS_DEPTH_EXPECTED, "accumulated": lib.ZS_DEPTH_ACCUMULATED}
 
 
 @dataclass(frozen=True)
-class Pictures:
-    """Pictures of one camera or, with a leading axis C, of several.
+class RenderOutput:
+    """RenderOutput of one camera or, with a leading axis C, of several.
 
     Attributes:
         rgb: [C, height, width, 3] over the background: uint8, clamped and truncated, or float32.
@@ -31,35 +33,39 @@ class Pictures:
     depth: Optional[npt.NDArray[np.float32]] = None
 
 
-class Renderer:
-    """A scene on a device, ready to draw. Repeated sizes and kinds of picture are fast.
+class Renderer(Owner):
+    """A scene on a device, ready to render. Repeated image sizes and kinds are fast.
 
     Concurrent calls wait for each other.
 
     Args:
         scene: Scene to upload.
-        context: The device; None for the scene's own or the best.
+        device: The device, as for Device; None for the scene's own or the best.
+
+    Example:
+        >>> with Renderer(scene) as renderer:
+        ...     output = renderer.render(capture.cameras[:8])  # output.rgb [8, height, width, 3]
     """
 
-    def __init__(self, scene: Scene, context: Optional[Context] = None) -> None:
-        self.context = context or scene._context or default_context()
-        self._handle = Handle("renderer", "zs_renderer_create", self.context._handle.pointer, scene._handle.pointer)
+    def __init__(self, scene: Scene, device: DeviceLike = None) -> None:
+        self.device = opened(scene._device if device is None else device)
+        super().__init__(Handle("renderer", "zs_renderer_create", self.device._handle, scene._handle))
 
     def set_scene(self, scene: Scene) -> None:
         """Replaces the scene. Cheap for an equal number of Gaussians and degree."""
-        call("zs_renderer_set_scene", self._handle.pointer, scene._handle.pointer)
+        call("zs_renderer_set_scene", self._handle, scene._handle)
 
     def render(
         self,
         cameras: Union[Camera, Sequence[Camera]],
         *,
         alpha: bool = False,
-        depth: Optional[str] = None,
+        depth: Optional[DepthMode] = None,
         background: Sequence[float] = (0.0, 0.0, 0.0),
         antialiased: bool = False,
         dtype: npt.DTypeLike = np.uint8,
-    ) -> Pictures:
-        """Draws the scene.
+    ) -> RenderOutput:
+        """Renders the scene.
 
         Args:
             cameras: A camera, or several of one size, in the scene's world.
@@ -72,23 +78,22 @@ class Renderer:
             dtype: uint8 or float32, of the colors.
 
         Raises:
-            ArgumentError, ValueError: a camera is invalid, or sizes differ.
-            TypeError: an element is not a camera.
+            ArgumentError: a camera is invalid, or sizes differ.
         """
         single = isinstance(cameras, Camera)
         given: Any = cameras
         views: list[Camera] = list(given) if isinstance(given, Iterable) and not single else [given]
         for camera in views:
             if not isinstance(camera, Camera):
-                raise TypeError(f"cameras: found {camera!r}, expected a Camera or a sequence of cameras")
+                raise ArgumentTypeError(f"cameras: found {camera!r}, expected a Camera or a sequence of cameras")
         sizes = {(camera.height, camera.width) for camera in views}
         if len(sizes) != 1:
-            raise ValueError(f"cameras: found sizes {sorted(sizes)}, expected at least one camera, all of one size")
+            raise ArgumentError(f"cameras: found sizes {sorted(sizes)}, expected at least one camera, all of one size")
         kind = np.dtype(dtype)
         if kind not in (np.uint8, np.float32):
-            raise ValueError(f"dtype: found {kind}, expected uint8 or float32")
+            raise ArgumentError(f"dtype: found {kind}, expected uint8 or float32")
         if depth is not None and depth not in _DEPTHS:
-            raise ValueError(f"depth: found {depth!r}, expected 'expected', 'accumulated' or None")
+            raise ArgumentError(f"depth: found {depth!r}, expected 'expected', 'accumulated' or None")
         shape = (len(views), *sizes.pop())
         rgb = np.empty((*shape, 3), kind)
         alphas = np.empty(shape, np.float32) if alpha else None
@@ -100,13 +105,13 @@ class Renderer:
             antialiased=int(antialiased),
             background=[float(value) for value in background],
         )
-        to = pictures(rgb, alphas, depths)
-        call("zs_render", self._handle.pointer, native(views), to, len(views), how)
+        to = render_buffers(rgb, alphas, depths)
+        call("zs_render", self._handle, native(views), to, len(views), how)
         planes = [None if plane is None else plane[0] if single else plane for plane in (rgb, alphas, depths)]
-        return Pictures(*planes)  # type: ignore[arg-type]
+        return RenderOutput(*planes)  # type: ignore[arg-type]
 
 
-def pictures(
+def render_buffers(
     rgb: Optional[npt.NDArray[Any]], alpha: Optional[npt.NDArray[Any]], depth: Optional[npt.NDArray[Any]]
 ) -> Any:
     """Describes contiguous output arrays, with cameras as the first axis, for the library."""

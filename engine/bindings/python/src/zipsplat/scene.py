@@ -6,7 +6,7 @@ import html
 import math
 import os
 from dataclasses import dataclass
-from typing import Any, Callable, Optional, Sequence, Union
+from typing import TYPE_CHECKING, Any, Callable, Literal, Mapping, Optional, Sequence, Union
 
 import numpy as np
 import numpy.typing as npt
@@ -15,41 +15,55 @@ from . import command
 from ._native import Handle, Told, array_at, call, ffi, lib, options, refine_progress, structure
 from .cameras import Camera, PathLike
 from .cameras import native as native_cameras
-from .context import Context, default_context
-from .images import Cameras, Images, matched
+from .device import Device, DeviceLike, opened
+from .errors import ArgumentError
+from .images import CamerasLike, ImagesLike, matched
 from .images import native as native_images
 
+if TYPE_CHECKING:
+    from .renderer import DepthMode, RenderOutput
+
 Array = npt.NDArray[np.float32]
+Format = Literal["ply", "spz", "splat", "gltf", "glb"]
+SpzVersion = Literal[2, 3, 4]
+StopReason = Literal["finished", "stopped", "diverged"]
 FIELDS = ("means", "scales", "quats", "opacities", "sh_coeffs")
+_STOP_REASONS: dict[int, StopReason] = {
+    lib.ZS_REFINE_FINISHED: "finished",
+    lib.ZS_REFINE_STOPPED: "stopped",
+    lib.ZS_REFINE_DIVERGED: "diverged",
+}
+# Least scale and distance of opacities from 0 and 1 with finite logarithms, in float32.
+_LEAST_SCALE, _LEAST_OPACITY = 1e-30, 1e-7
 
 
 @dataclass(frozen=True)
-class Refinement:
+class RefineResult:
     """Result of a refinement.
 
     Attributes:
-        ended: "finished", "stopped" by the progress function, or "diverged".
+        stop_reason: "finished", "stopped" by the progress function, or "diverged".
         steps: Completed steps.
         best_step: Step of the returned scene; 0 if none improved it.
-        first_loss: Mean loss over the first step's photos; NaN without a step.
-        last_loss: Mean loss over the last step's photos; NaN without a step.
-        psnr_before: PSNR in dB of the held-out photos before the first step; NaN without any.
-        psnr: The same with the returned scene.
+        initial_loss: Mean loss over the first step's photos; NaN without a step.
+        final_loss: Mean loss over the last step's photos; NaN without a step.
+        initial_psnr: PSNR in dB of the held-out photos before the first step; NaN without any.
+        best_psnr: The same with the returned scene.
         seconds: Duration in seconds.
     """
 
-    ended: str
+    stop_reason: StopReason
     steps: int
     best_step: int
-    first_loss: float
-    last_loss: float
-    psnr_before: float
-    psnr: float
+    initial_loss: float
+    final_loss: float
+    initial_psnr: float
+    best_psnr: float
     seconds: float
 
 
 @dataclass(frozen=True)
-class Refining:
+class RefineProgress:
     """Progress of a refinement.
 
     Attributes:
@@ -57,14 +71,14 @@ class Refining:
         steps: Total steps.
         loss: Mean loss over the last step's photos.
         psnr: Latest PSNR in dB of the held-out photos; NaN without any.
-        seconds_left: Estimated seconds left.
+        eta_seconds: Estimated seconds left.
     """
 
     step: int
     steps: int
     loss: float
     psnr: float
-    seconds_left: float
+    eta_seconds: float
 
 
 class Scene:
@@ -82,15 +96,16 @@ class Scene:
         sh_degree: Degree of spherical harmonics, 0 to 3.
         refinement: Result of the refinement behind the scene; None without one.
 
-    The arrays are read-only views of library memory and keep it alive.
+    The arrays are read-only views of library memory and keep it alive; to_numpy, to_torch and
+    to_gsplat return copies.
     """
 
     def __init__(
-        self, handle: Handle, context: Optional[Context] = None, refinement: Optional[Refinement] = None
+        self, handle: Handle, device: Optional[Device] = None, refinement: Optional[RefineResult] = None
     ) -> None:
-        self._handle, self._context, self.refinement = handle, context, refinement
+        self._handle, self._device, self.refinement = handle, device, refinement
         found = structure("gaussians")
-        call("zs_scene_get_gaussians", handle.pointer, found)
+        call("zs_scene_get_gaussians", handle, found)
         count = int(found.count)
         self.sh_degree: int = found.sh_degree
         self.means: Array = array_at(handle, found.means, (count, 3))
@@ -115,7 +130,7 @@ class Scene:
         return cls(Handle("scene", "zs_scene_open", os.fsencode(path)))
 
     @classmethod
-    def from_bytes(cls, data: bytes, format: Optional[str] = None, *, drop_invalid: bool = False) -> Scene:
+    def from_bytes(cls, data: bytes, format: Optional[Format] = None, *, drop_invalid: bool = False) -> Scene:
         """Decodes a scene file in memory, as `open`.
 
         PLY, SPZ and .glb are recognized by content; `format` is "splat" or "gltf" otherwise.
@@ -135,7 +150,7 @@ class Scene:
         """Creates a scene from copies of arrays, shaped like the attributes.
 
         Raises:
-            ValueError, ArgumentError: a shape is invalid, or a value not finite or out of range.
+            ArgumentError: a shape is invalid, or a value not finite or out of range.
         """
         arrays = [np.ascontiguousarray(array, np.float32) for array in (means, scales, quats, opacities, sh_coeffs)]
         count = len(arrays[0]) if arrays[0].ndim else 0
@@ -143,12 +158,58 @@ class Scene:
         shapes = [(count, 3), (count, 3), (count, 4), (count,), (count, bands**2, 3)]
         for name, array, shape in zip(FIELDS, arrays, shapes):
             if array.shape != shape:
-                raise ValueError(f"{name}: found shape {list(array.shape)}, expected {list(shape)}")
+                raise ArgumentError(f"{name}: found shape {list(array.shape)}, expected {list(shape)}")
         pointers = {name: ffi.cast("float *", array.ctypes.data) for name, array in zip(FIELDS, arrays)}
         found = structure("gaussians", count=count, sh_degree=bands - 1, **pointers)
         return cls(Handle("scene", "zs_scene_create", found))
 
-    def save(self, path: PathLike, *, spz_version: int = 3) -> None:
+    @classmethod
+    def from_gsplat(cls, params: Mapping[str, Any]) -> Scene:
+        """Creates a scene from copies of gsplat's parameters, arrays or tensors.
+
+        Args:
+            params: "means" [N, 3], "scales" [N, 3] logarithms, "quats" [N, 4], "opacities" [N]
+                logits, "sh0" [N, 1, 3] and "shN" [N, K - 1, 3]. Its checkpoints have them as
+                "splats".
+
+        Example:
+            >>> scene = Scene.from_gsplat(torch.load("ckpt.pt")["splats"])
+        """
+        names = ("means", "scales", "quats", "opacities", "sh0", "shN")
+        missing = [name for name in names if name not in params]
+        if missing:
+            raise ArgumentError(f"params: found none of {', '.join(missing)}, expected {', '.join(names)}")
+        means, scales, quats, opacities, *sh = (_host(params[name]) for name in names)
+        probabilities = 1 / (1 + np.exp(-opacities.astype(np.float64)))
+        return cls.from_arrays(means, np.exp(scales), quats, probabilities, np.concatenate(sh, axis=1))
+
+    def to_gsplat(self, device: Any = "cpu") -> dict[str, Any]:
+        """Returns copies as gsplat's parameters, tensors on a torch device; see from_gsplat.
+
+        Example:
+            >>> params = torch.nn.ParameterDict(scene.to_gsplat("cuda"))
+        """
+        found = self.to_torch(device)
+        coeffs = found.pop("sh_coeffs")
+        return {
+            **found,
+            "scales": found["scales"].clamp_min(_LEAST_SCALE).log(),
+            "opacities": found["opacities"].logit(_LEAST_OPACITY),
+            "sh0": coeffs[:, :1].contiguous(),
+            "shN": coeffs[:, 1:].contiguous(),
+        }
+
+    def to_torch(self, device: Any = "cpu") -> dict[str, Any]:
+        """Returns copies of the arrays by name, float32 tensors on a torch device."""
+        import torch
+
+        return {name: torch.from_numpy(array).to(device) for name, array in self.to_numpy().items()}
+
+    def to_numpy(self) -> dict[str, Array]:
+        """Returns writable copies of the arrays by name."""
+        return {name: np.array(getattr(self, name)) for name in FIELDS}
+
+    def save(self, path: PathLike, *, spz_version: SpzVersion = 3) -> None:
         """Writes the scene in the format of the path's extension: .ply, .spz, .splat, .gltf, .glb.
 
         An existing file is replaced atomically.
@@ -157,28 +218,28 @@ class Scene:
             path: The file.
             spz_version: SPZ version: 2, 3 or 4.
         """
-        call("zs_scene_save", self._handle.pointer, os.fsencode(path), options("save", spz_version=spz_version))
+        call("zs_scene_save", self._handle, os.fsencode(path), options("save", spz_version=spz_version))
 
-    def to_bytes(self, format: str, *, spz_version: int = 3) -> bytes:
+    def to_bytes(self, format: Format, *, spz_version: SpzVersion = 3) -> bytes:
         """Encodes the scene as "ply", "spz", "splat", "gltf" or "glb"."""
         made = options("save", spz_version=spz_version)
-        found = Handle("bytes", "zs_scene_to_memory", self._handle.pointer, _name(format), made)
+        found = Handle("bytes", "zs_scene_to_memory", self._handle, _name(format), made)
         data, size = ffi.new("void **"), ffi.new("size_t *")
-        call("zs_bytes_get", found.pointer, data, size)
+        call("zs_bytes_get", found, data, size)
         return bytes(ffi.buffer(data[0], size[0]))
 
     def refine(
         self,
-        images: Images,
-        cameras: Optional[Cameras] = None,
+        images: ImagesLike,
+        cameras: Optional[CamerasLike] = None,
         *,
         steps: int = 100,
         views_per_step: int = 4,
-        hold_out: Union[int, str] = "auto",
-        size: Optional[tuple[int, int]] = (1600, 1600),
+        holdout_views: Union[int, Literal["auto"]] = "auto",
+        max_image_size: Optional[tuple[int, int]] = (1600, 1600),
         seed: int = 0,
-        progress: Optional[Callable[[Refining], Optional[bool]]] = None,
-        context: Optional[Context] = None,
+        progress: Optional[Callable[[RefineProgress], Optional[bool]]] = None,
+        device: DeviceLike = None,
     ) -> Scene:
         """Returns a copy of the scene, optimized to match photos.
 
@@ -187,45 +248,57 @@ class Scene:
             cameras: Their cameras, in the scene's world; None with a Capture.
             steps: Optimizer steps.
             views_per_step: Photos per step.
-            hold_out: Number of held-out photos, which reveal overfitting; "auto" is one of 40 or
-                more.
-            size: Limits of a photo's width and height; larger ones are downscaled. None for full
-                size.
+            holdout_views: Number of held-out photos, which reveal overfitting; "auto" is one of 40
+                or more.
+            max_image_size: Limits of a photo's width and height; larger ones are downscaled. None
+                for full size.
             seed: Seed of the photo order.
             progress: Called after each step. Returning False ends the refinement with its best
                 scene. Its exceptions propagate.
-            context: The device; None for the scene's own or the best.
+            device: The device, as for Device; None for the scene's own or the best.
 
         Returns:
             The refined scene, with its result in `refinement`.
         """
         sources, posed, _ = matched(images, cameras)
         if posed is None:
-            raise ValueError("cameras: found none, expected one for each image; zipsplat.find_cameras finds them")
-        context = context or self._context or default_context()
+            raise ArgumentError("cameras: found none, expected one per image, as from zipsplat.estimate_cameras")
+        on = opened(self._device if device is None else device)
         photos, _kept = native_images(sources)
         told = Told(None if progress is None else lambda now: progress(_refining(now)))
-        width, height = (0, 0) if size is None else size
+        width, height = (0, 0) if max_image_size is None else max_image_size
         made = options(
             "refine",
             steps=steps,
             views_per_step=views_per_step,
-            hold_out=lib.ZS_HOLD_OUT_AUTO if hold_out == "auto" else int(hold_out),
+            hold_out=lib.ZS_HOLD_OUT_AUTO if holdout_views == "auto" else int(holdout_views),
             width=width,
             height=height,
             seed=seed,
             progress=refine_progress,
             user_data=told.handle,
         )
-        info, pointer = structure("refine_info"), self._handle.pointer
-        arguments = (context._handle.pointer, pointer, photos, native_cameras(posed), len(sources), made, info)
-        return Scene(Handle("scene", "zs_refine", *arguments), context, _refinement(info))
+        info = structure("refine_info")
+        arguments = (on._handle, self._handle, photos, native_cameras(posed), len(sources), made, info)
+        return Scene(Handle("scene", "zs_refine", *arguments), on, _refinement(info))
 
-    def render(self, cameras: Any, **how: Any) -> Any:
-        """Draws the scene once; for repeated calls keep a Renderer."""
+    def render(
+        self,
+        cameras: Union[Camera, Sequence[Camera]],
+        *,
+        alpha: bool = False,
+        depth: Optional[DepthMode] = None,
+        background: Sequence[float] = (0.0, 0.0, 0.0),
+        antialiased: bool = False,
+        dtype: npt.DTypeLike = np.uint8,
+    ) -> RenderOutput:
+        """Renders the scene once, as Renderer.render; for repeated calls keep a Renderer."""
         from .renderer import Renderer
 
-        return Renderer(self).render(cameras, **how)
+        with Renderer(self) as renderer:
+            return renderer.render(
+                cameras, alpha=alpha, depth=depth, background=background, antialiased=antialiased, dtype=dtype
+            )
 
     def show(self, height: int = 600, *, cameras: Optional[PathLike] = None) -> command.Page:
         """Shows the scene in a notebook, by `zipsplat view`.
@@ -243,7 +316,7 @@ class Scene:
         return len(self.means)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Scene.from_arrays, tuple(np.asarray(getattr(self, name)) for name in FIELDS)
+        return Scene.from_arrays, tuple(self.to_numpy().values())
 
     def __repr__(self) -> str:
         return f"<zipsplat.Scene of {len(self):,} Gaussians, degree {self.sh_degree}>"
@@ -261,16 +334,23 @@ def _name(format: Optional[str]) -> Any:
     return ffi.NULL if format is None else ffi.new("char[]", format.encode())
 
 
-def _refining(now: Any) -> Refining:
-    return Refining(now.step, now.steps, now.loss, now.psnr, now.seconds_left)
+def _refining(now: Any) -> RefineProgress:
+    return RefineProgress(now.step, now.steps, now.loss, now.psnr, now.seconds_left)
 
 
-def _refinement(info: Any) -> Refinement:
-    ended = {lib.ZS_REFINE_FINISHED: "finished", lib.ZS_REFINE_STOPPED: "stopped", lib.ZS_REFINE_DIVERGED: "diverged"}
-    losses = (info.first_loss, info.last_loss)
-    return Refinement(ended[info.ended], info.steps, info.best_step, *losses, info.psnr_before, info.psnr, info.seconds)
+def _refinement(info: Any) -> RefineResult:
+    return RefineResult(
+        stop_reason=_STOP_REASONS[info.ended],
+        steps=info.steps,
+        best_step=info.best_step,
+        initial_loss=info.first_loss,
+        final_loss=info.last_loss,
+        initial_psnr=info.psnr_before,
+        best_psnr=info.psnr,
+        seconds=info.seconds,
+    )
 
 
-def relative(cameras: Sequence[Camera]) -> list[Camera]:
-    """Returns cameras relative to the first one."""
-    return [camera.relative_to(cameras[0]) for camera in cameras]
+def _host(values: Any) -> Array:
+    """Returns an array or tensor as a float32 array."""
+    return np.asarray(values.detach().cpu() if hasattr(values, "detach") else values, np.float32)

@@ -55,8 +55,9 @@ pub fn all<'a>(
                 ratio,
                 token_selection: selection.clone(),
                 cameras,
-                scene_scale: 1.0,
+                scene_scale: Some(1.0),
                 kv_pool: pool,
+                ..ReconstructOptions::default()
             };
             let image = &capture.views.images[0];
             let (views, size) = (capture.views.images.len(), [image.width, image.height]);

@@ -115,8 +115,9 @@ impl<'a> Maker<'a> {
                     ratio: *ratio,
                     token_selection: token_selection.clone(),
                     cameras,
-                    scene_scale: unit,
+                    scene_scale: Some(unit),
                     kv_pool: *kv_pool,
+                    ..ReconstructOptions::default()
                 };
                 let made = model.reconstruct_views(&images, &request, |progress| stage.at(progress.fraction))?;
                 let mut scene = made.to_scene()?;

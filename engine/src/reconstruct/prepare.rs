@@ -1,0 +1,116 @@
+use super::{Model, ReconstructOptions, Reconstruction, SceneFrame, Shape};
+use crate::{
+    Error, Result,
+    gpu::Progress,
+    types::{
+        Camera, Image, Pose,
+        poses::SceneScale,
+        preprocess::{PixelMap, View, fit, view_cameras},
+    },
+};
+use rayon::prelude::*;
+use std::ops::ControlFlow;
+
+/// Fraction of a reconstruction's progress for the preparation of photos.
+const PREPARATION: f64 = 0.1;
+
+/// Network views of photos, with options in their terms.
+#[derive(Clone, Debug)]
+pub struct Prepared {
+    /// Images of one size, for [`Model::reconstruct_views`] and [`Model::features`].
+    pub images: Vec<Image>,
+    /// Options with the views' cameras and the scene scale.
+    pub options: ReconstructOptions,
+    /// Where the scene is placed, and the views' places in their photos.
+    pub placement: Placement,
+}
+
+/// Relation of a reconstruction to its photos.
+#[derive(Clone, Debug)]
+pub struct Placement {
+    /// Maps from each photo to its view.
+    pub maps: Vec<PixelMap>,
+    /// Pose of the first camera in the scene's world, unless that is its camera frame.
+    pub pose: Option<Pose>,
+}
+
+impl Model {
+    /// Reconstructs a scene from photos of any size.
+    ///
+    /// # Errors
+    /// [`Error::Argument`] for unusable photos, cameras or options; [`Error::Memory`];
+    /// [`Error::Cancelled`] by `progress`.
+    pub fn reconstruct(
+        &self,
+        photos: &[Image],
+        options: &ReconstructOptions,
+        mut progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
+    ) -> Result<Reconstruction> {
+        let view = |i: usize, [width, height]: [u32; 2]| fit(&photos[i], width, height);
+        let prepared = self.prepare(photos.len(), options, view, |now| {
+            progress(Progress { fraction: PREPARATION * now.fraction, ..now })
+        })?;
+        let made = self.reconstruct_views(&prepared.images, &prepared.options, |now| {
+            progress(Progress { fraction: PREPARATION + (1.0 - PREPARATION) * now.fraction, ..now })
+        })?;
+        Ok(Reconstruction { placement: Some(prepared.placement), ..made })
+    }
+
+    /// Prepares `count` photos, which `view` opens and fits to a width and height. Checks options
+    /// before the first.
+    ///
+    /// # Errors
+    /// Those of [`Model::reconstruct`] and `view`.
+    pub fn prepare(
+        &self,
+        count: usize,
+        options: &ReconstructOptions,
+        view: impl Fn(usize, [u32; 2]) -> Result<View> + Sync,
+        mut progress: impl FnMut(Progress<'_>) -> ControlFlow<()>,
+    ) -> Result<Prepared> {
+        let size = options.input_size.unwrap_or([self.image_size; 2]);
+        let chosen = (options.ratio, &options.token_selection);
+        Shape::new(self.architecture(), count, size, chosen, options.cameras.is_some())?.pooled(options.kv_pool)?;
+        let cameras = options.cameras.as_deref();
+        if let Some(cameras) = cameras
+            && cameras.len() != count
+        {
+            return Err(Error::argument("cameras", cameras.len(), format!("{count}, one a photo")));
+        }
+        let first = cameras.map(|cameras| cameras[0].pose);
+        let pose = match options.world {
+            Some(SceneFrame::InputCameras) if first.is_none() => {
+                return Err(Error::argument("world", "input cameras, without cameras", "a camera for each photo"));
+            }
+            Some(SceneFrame::FirstCamera) => None,
+            Some(SceneFrame::InputCameras) | None => first,
+        };
+        let mut views = Vec::with_capacity(count);
+        while views.len() < count {
+            let fraction = views.len() as f64 / count as f64;
+            if progress(Progress { scope: "photos", fraction }).is_break() {
+                return Err(Error::Cancelled);
+            }
+            let next = views.len()..count.min(views.len() + rayon::current_num_threads());
+            views.extend(next.into_par_iter().map(|i| view(i, size)).collect::<Result<Vec<View>>>()?);
+        }
+        let of_views = cameras.map(|cameras| view_cameras(cameras, &views)).transpose()?;
+        let scene_scale = Some(scene_scale(options, of_views.as_deref())?);
+        let (images, maps) = views.into_iter().map(|view| (view.image, view.map)).unzip();
+        let options = ReconstructOptions { cameras: of_views, scene_scale, ..options.clone() };
+        Ok(Prepared { images, options, placement: Placement { maps, pose } })
+    }
+}
+
+fn scene_scale(options: &ReconstructOptions, of_views: Option<&[Camera]>) -> Result<f64> {
+    let (Some(cameras), Some(of_views)) = (&options.cameras, of_views) else { return Ok(options.scale()) };
+    let origin = cameras[0].pose;
+    let scale = match &options.capture {
+        Some(capture) => capture.scene_scale(options.scene_scale, of_views, &origin)?,
+        None => {
+            let poses: Vec<Pose> = cameras.iter().map(|camera| camera.pose).collect();
+            SceneScale::of(options.scene_scale, &poses, None, of_views, &origin)?
+        }
+    };
+    Ok(scale.length)
+}
