@@ -83,7 +83,7 @@ fn makes_the_scenes_of_pixels_of_reconstruct() {
     let refused = |rest: &str| folder.run(&format!("reconstruct --each @/all -o @/none {rest}"));
     refused("--weights @/alone.safetensors").fails(3, &["da3-micro-alone", "no camera decoder"]);
     refused("--weights @/da3.safetensors --max-gaussians-per-token 197")
-        .fails(3, &["--max-gaussians-per-token", "1 to 196"]);
+        .fails(3, &["--max-gaussians-per-patch", "1 to 196"]);
     refused("--weights @/da3.safetensors --cameras capture --crop tiles")
         .fails(3, &["--crop tiles", "weights of ZipSplat"]);
     assert!(!folder.path("none").exists());

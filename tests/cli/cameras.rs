@@ -305,7 +305,7 @@ fn other_commands_find_cameras_too() {
     );
     folder
         .run(&format!("{again} --cameras-out @/c.json"))
-        .fails(3, &["--cameras-out", "--cameras colmap, or no --cameras"]);
+        .fails(3, &["--cameras-out", "--cameras colmap, --optimize-cameras, or no --cameras"]);
     let eval = folder.run(&format!("eval @/place/images --views 3 {find} {micro} --json")).json();
     assert_eq!(
         (&eval["scene_scale_source"], eval["views"].as_array().map(Vec::len)),

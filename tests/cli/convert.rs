@@ -68,7 +68,7 @@ fn scenes_go_from_format_to_format() {
         ("e.splat", "f.ply", 0),
     ] {
         let outcome = folder.run(&format!("convert @/{from} @/{to} --json"));
-        assert_eq!(outcome.err.contains("one colour"), to == "e.splat", "{}", outcome.err);
+        assert_eq!(outcome.err.contains("one color"), to == "e.splat", "{}", outcome.err);
         let json = outcome.json();
         assert_eq!(json["bytes"].as_u64(), Some(folder.path(to).metadata().expect("a file").len()), "{to}");
         let scene = Scene::open(folder.path(to)).expect("a scene");

@@ -247,7 +247,7 @@ fn weights_are_known_by_their_tensors() {
     folder.run(tradeoff).fails(3, &["of Depth Anything 3", "of ZipSplat"]);
     let refused = |rest: &str| folder.run(&format!("reconstruct @/photos {WEIGHTS} -o @/s.ply {rest}"));
     refused("--crop tiles").fails(3, &["--crop tiles", "weights of ZipSplat"]);
-    refused("--max-gaussians-per-token 197").fails(3, &["--max-gaussians-per-token", "1 to 196"]);
+    refused("--max-gaussians-per-token 197").fails(3, &["--max-gaussians-per-patch", "1 to 196"]);
     refused("--cameras da3 --refine=2 --refine-target tokens").fails(3, &["tokens", "weights of ZipSplat"]);
 }
 
@@ -278,7 +278,7 @@ fn scenes_of_pixels_are_judged() {
     assert_eq!(refined["refined"]["init"], "the scene");
     eval("--refine=2 --refine-target tokens").fails(3, &["--refine-target tokens", "weights of ZipSplat"]);
     eval("--crop tiles").fails(3, &["--crop tiles", "weights of ZipSplat"]);
-    eval("--max-gaussians-per-token 200").fails(3, &["--max-gaussians-per-token", "1 to 196"]);
+    eval("--max-gaussians-per-token 200").fails(3, &["--max-gaussians-per-patch", "1 to 196"]);
     // Single-view networks get their scale from points.
     let alone = "eval @/place --views 3 --weights @/alone.safetensors --input-size 42x28";
     assert!(folder.run(&format!("{alone} --json")).json()["mean"]["psnr"].as_f64().is_some());

@@ -220,7 +220,7 @@ fn a_server_makes_scenes_of_the_ratio_that_is_asked_for() {
         let host = format!("HTTP/1.1\r\nHost: 127.0.0.1:{port}");
         let get = |asked: &str| ask(port, &format!("GET {path}{asked} {host}"));
         for (ratio, tokens) in [("1", 16), ("0.25", 4), ("0.0001", 1)] {
-            let (status, bytes) = get(&format!("made/{ratio}/exact"));
+            let (status, bytes) = get(&format!("made/{ratio}/fp32"));
             assert_eq!(status, 200, "{}", String::from_utf8_lossy(&bytes));
             let end = bytes.iter().position(|byte| *byte == b'\n').expect("a line about the scene");
             let facts: serde_json::Value = serde_json::from_slice(&bytes[..end]).expect("JSON");
@@ -230,12 +230,12 @@ fn a_server_makes_scenes_of_the_ratio_that_is_asked_for() {
             assert_eq!(Scene::decode(&bytes[end + 1..], None).expect("a scene").len(), 4 * tokens);
         }
         assert_eq!(get("view/1").0, 200);
-        for wrong in ["view/2", "made/0.5", "made/0.5/wrong", "made/half/exact", "refined", "refining", "record"] {
+        for wrong in ["view/2", "made/0.5", "made/0.5/wrong", "made/half/fp32", "refined", "refining", "record"] {
             assert_eq!(get(wrong).0, 404, "{wrong}");
         }
-        assert_eq!([get(&format!("made/0.5/exact?{}", u64::MAX)).0, get("made/0.5/exact?1").0], [200, 200]);
-        assert_eq!(get("made/NaN/exact").0, 500);
-        let (status, words) = get("made/2/exact");
+        assert_eq!([get(&format!("made/0.5/fp32?{}", u64::MAX)).0, get("made/0.5/fp32?1").0], [200, 200]);
+        assert_eq!(get("made/NaN/fp32").0, 500);
+        let (status, words) = get("made/2/fp32");
         assert!(status == 500 && String::from_utf8_lossy(&words).contains("(0, 1]"), "{words:?}");
 
         let matrix = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0];
@@ -250,15 +250,15 @@ fn a_server_makes_scenes_of_the_ratio_that_is_asked_for() {
             send(port, &format!("POST {path}record {host}\r\nContent-Length: {length}"), &body)
         };
         let record = |scene: &str, frames: usize| record_at(scene, frames, 10, [1.0, 0.0, 0.0]);
-        let (status, gif) = record("made/0.5/exact", 3);
+        let (status, gif) = record("made/0.5/fp32", 3);
         assert!(status == 200 && gif.starts_with(b"GIF89a"), "{status} {}", String::from_utf8_lossy(&gif));
         let (status, words) = record("scene/0", 3);
         assert!(status == 500 && String::from_utf8_lossy(&words).contains("scene to record"));
-        assert_eq!(record("made/0.5/exact", 0).0, 500);
+        assert_eq!(record("made/0.5/fp32", 0).0, 500);
         for (fps, background, words) in
             [(0, [0.0; 3], "fps"), (51, [0.0; 3], "fps"), (65_536, [0.0; 3], "u16"), (10, [2.0; 3], "background")]
         {
-            let (status, found) = record_at("made/0.5/exact", 3, fps, background);
+            let (status, found) = record_at("made/0.5/fp32", 3, fps, background);
             let found = String::from_utf8_lossy(&found).into_owned();
             assert!(status == 500 && found.contains(words) && !found.contains("defect"), "{fps}: {status} {found}");
         }

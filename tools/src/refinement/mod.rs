@@ -166,6 +166,10 @@ impl FromStr for Steps {
     }
 }
 
+fn parse_steps(text: &str) -> Result<usize, String> {
+    text.parse().map_err(|_| "expected a number of steps, such as 100".into())
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum RefineTarget {
     /// The Gaussians
@@ -179,7 +183,8 @@ enum RefineTarget {
 pub struct RefineArgs {
     /// Refine the scene against the photos, for this number of steps. The best step by held-out
     /// photos is kept. Ctrl-C ends early with the best so far
-    #[arg(long, value_name = "STEPS", num_args = 0..=1, require_equals = true, default_missing_value = DEFAULT_STEPS)]
+    #[arg(long, value_name = "STEPS", num_args = 0..=1, require_equals = true, default_missing_value = DEFAULT_STEPS,
+        value_parser = parse_steps)]
     refine: Option<usize>,
     /// Optimized quantity
     #[arg(long, value_enum, value_name = "WHAT", default_value = "gaussians", requires = "refine")]

@@ -117,10 +117,10 @@ def list_models() -> list[ModelInfo]:
     """
     return [
         ModelInfo(
-            row["name"].replace("built-in", "builtin"),
+            row["name"],
             None if row["path"] is None else Path(row["path"]),
             row["bytes"],
-            row["licence"],
+            row["license"],
             row["what"],
         )
         for row in run(["weights", "list"])
@@ -150,7 +150,7 @@ def view(ply: bytes, height: int, cameras: Optional[PathLike]) -> Page:
     with tempfile.TemporaryDirectory(prefix="zipsplat-") as folder:
         scene, page = Path(folder) / "scene.ply", Path(folder) / "scene.html"
         scene.write_bytes(ply)
-        poses: list[str] = [] if cameras is None else ["--poses", os.path.abspath(cameras)]
+        poses: list[str] = [] if cameras is None else ["--cameras", os.path.abspath(cameras)]
         run(["view", str(scene), "-o", str(page), *poses])
         return Page(page.read_text(encoding="utf-8"), height)
 
