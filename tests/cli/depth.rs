@@ -26,6 +26,9 @@ fn a_folder_gets_depth_cameras_and_points() {
     ];
     assert_eq!(crate::names(&folder.path("out")), expected);
     assert_eq!(Image::size(folder.path("out/1.depth.png")).unwrap(), (42, 28));
+    let picture = std::fs::read(folder.path("out/1.depth.png")).unwrap();
+    let scale = format!("depth_levels_per_unit\0{}", json["depth_levels_per_unit"].as_f64().unwrap() as f32);
+    assert!(picture.windows(scale.len()).any(|window| window == scale.as_bytes()), "{scale}");
     let bytes = std::fs::read(folder.path("out/depths.safetensors")).unwrap();
     let values = safetensors::SafeTensors::deserialize(&bytes).unwrap();
     for (name, shape) in [
@@ -215,10 +218,10 @@ fn weights_are_known_by_their_tensors() {
     let folder = Folder::new().with_depth();
     let info = folder.run("convert @/da3.safetensors --json").json();
     assert_eq!(
-        (&info["kind"], &info["cameras"], &info["sky"]),
+        (&info["kind"], &info["estimates_cameras"], &info["sky"]),
         (&"Depth Anything 3".into(), &true.into(), &false.into())
     );
-    assert_eq!(folder.run("convert @/alone.safetensors --json").json()["cameras"], false);
+    assert_eq!(folder.run("convert @/alone.safetensors --json").json()["estimates_cameras"], false);
     let text = folder.run("convert seeded:da3-giant").success();
     assert!(text.contains("da3-giant of Depth Anything 3") && text.contains("a Gaussian a pixel"), "{text}");
     let plan = folder

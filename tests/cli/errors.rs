@@ -154,13 +154,17 @@ fn new_names_are_aliases() {
 
 #[test]
 fn short_help_fits_a_screen() {
-    for command in ["reconstruct", "eval"] {
-        let short = zipsplat(&format!("{command} -h")).success();
-        let long = zipsplat(&format!("{command} --help")).success();
+    for command in ["reconstruct", "refine", "cameras", "depth", "render", "view", "eval", "convert", "doctor"] {
+        let [short, long] = ["-h", "--help"].map(|help| zipsplat(&format!("{command} {help}")).success());
         let lines: usize = short.lines().map(|line| line.chars().count().div_ceil(100).max(1)).sum();
-        assert!(lines <= 50 && short.contains("--refine") && !short.contains("--variant"), "{lines} lines: {short}");
-        assert!(long.contains("--variant") && long.contains("--ffmpeg") == (command == "reconstruct"), "{long}");
+        let options = short.lines().filter(|line| line.trim_start().starts_with('-')).count();
+        assert!(lines <= 50 && options <= 15, "{command}: {lines} lines, {options} options: {short}");
+        for global in ["--device", "--max-memory", "--json", "--quiet"] {
+            assert!(short.contains(global), "{command}: {global}");
+        }
+        assert!(long.lines().count() > short.lines().count() && !long.contains("--poses"), "{long}");
     }
+    assert!(!zipsplat("--help").success().contains("Procedural"));
 }
 
 #[test]
@@ -375,4 +379,18 @@ fn earlier_names_of_options() {
     folder.run("info --max-memory 3G @/new.ply").success();
     let plan = folder.run(&format!("info --plan --views 2 --poses --all --pictures 9x9 --refine 9x9:tokens {micro}"));
     assert!(plan.success().contains("refinement: "));
+}
+
+#[test]
+fn results_have_an_envelope_with_warnings() {
+    let folder = Folder::new();
+    let line = "reconstruct @/photos --weights @/micro.safetensors --input-size 28x28 -o @/out.ply";
+    for quiet in ["", "--quiet"] {
+        let outcome = folder.run(&format!("{line} --json {quiet}"));
+        assert_eq!(outcome.err.contains("note: "), quiet.is_empty(), "{}", outcome.err);
+        let json: serde_json::Value = serde_json::from_str(&outcome.success()).expect("JSON");
+        assert_eq!((&json["schema_version"], &json["command"]), (&1.into(), &"reconstruct".into()));
+        let warning = json["warnings"][0].as_str().expect("a warning");
+        assert!(warning.contains("cropped") && json["result"]["views"] == 2, "{json}");
+    }
 }

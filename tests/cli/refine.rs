@@ -92,7 +92,7 @@ fn refined_cameras_are_written() {
     assert!(found.frames.iter().zip(&given.frames).all(|(found, given)| found.photo.is_some()
         && found.photo.as_ref().map(|path| path.file_name()) == given.photo.as_ref().map(|path| path.file_name())));
     let again = "refine @/scene.ply @/place/images --cameras @/cameras.json --steps 0 -o @/again.ply --json";
-    assert!(folder.run(again).json()["refined"]["cameras"].is_null());
+    assert!(folder.run(again).json()["refined"]["camera_movement"].is_null());
     let reconstruct = format!("reconstruct {PHOTOS} --weights @/micro.safetensors --input-size 28x28 -o @/sharp.ply");
     folder.run(&format!("{reconstruct} --refine=5 --init points --optimize-cameras --cameras-out @/r.json")).success();
     assert!(Capture::open(folder.path("r.json")).expect("cameras").frames[1].camera != given.frames[1].camera);
@@ -170,9 +170,9 @@ fn reconstructions_are_refined() {
             (&start.into(), Some(8)),
             "{options}"
         );
-        let ran = json["seconds"]["backbone"].as_f64().is_some_and(|seconds| seconds > 0.0);
+        let ran = json["stage_seconds"]["backbone"].as_f64().is_some_and(|seconds| seconds > 0.0);
         assert_eq!(
-            (ran, json["tokens"].is_u64(), json["seconds"]["load weights"].is_f64()),
+            (ran, json["tokens"].is_u64(), json["stage_seconds"]["load weights"].is_f64()),
             (network, network, network)
         );
         let scene = Scene::open(folder.path("sharp.ply")).expect("a scene");

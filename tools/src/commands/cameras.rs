@@ -4,13 +4,13 @@ use crate::{
     options::refuse,
     outputs::Overwrite,
     photos::{self, PhotoArgs},
-    session::Session,
+    session::{Session, stage_seconds},
     table::time,
     video::FrameFolder,
 };
 use clap::Args;
 use serde_json::json;
-use std::path::PathBuf;
+use std::{path::PathBuf, time::Duration};
 use zipsplat::Result;
 
 /// Estimate cameras of photos with COLMAP or Depth Anything 3
@@ -72,11 +72,10 @@ impl Cameras {
         self.model.save(&poses.frames, poses.points.as_deref())?;
         frames.iter_mut().for_each(FrameFolder::keep);
         poses.warnings.iter().for_each(|note| session.note(note));
-        let seconds: serde_json::Map<_, _> =
-            found.times.iter().map(|(step, took)| (step.to_string(), json!(took.as_secs_f64()))).collect();
+        let total: Duration = found.times.iter().map(|(_, took)| *took).sum();
         let json = json!({
             "output": self.output, "photos": photos.len(), "registered": found.count, "unregistered": found.lost,
-            "components": found.groups, "points": found.points, "attempts": found.mappings, "program": found.program, "seconds": seconds,
+            "components": found.groups, "points": found.points, "attempts": found.mappings, "program": found.program, "seconds": total.as_secs_f64(), "stage_seconds": stage_seconds(&found.times),
         });
         let mut text = format!("{}: {}\n", self.output.display(), found.summary());
         found.times.iter().for_each(|(step, took)| text += &format!("  {step:<13}{:>10}\n", time(*took)));

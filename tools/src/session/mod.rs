@@ -290,6 +290,11 @@ impl<'a> Session<'a> {
     }
 }
 
+/// Seconds by stage, for results.
+pub fn stage_seconds(times: &[(impl ToString, Duration)]) -> serde_json::Value {
+    times.iter().map(|(stage, took)| (stage.to_string(), serde_json::json!(took.as_secs_f64()))).collect()
+}
+
 pub fn error_as_json(text: &str, kind: &str, code: u8) -> String {
     serde_json::json!({ "error": text, "kind": kind, "exit_code": code }).to_string()
 }

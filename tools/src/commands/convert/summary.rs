@@ -28,7 +28,7 @@ pub fn depth_checkpoint(session: &mut Session<'_>, checkpoint: &DepthCheckpoint)
     let (architecture, tensors) = (checkpoint.architecture(), checkpoint.parameters().len());
     let json = json!({
         "source": checkpoint.provenance(), "kind": "Depth Anything 3", "architecture": architecture, "tensors": tensors,
-        "cameras": architecture.multi_view(), "sky": !architecture.multi_view(), "gaussians": architecture.gaussians,
+        "estimates_cameras": architecture.multi_view(), "sky": !architecture.multi_view(), "gaussians": architecture.gaussians,
         "parameters": architecture.parameter_count(), "bytes": checkpoint.bytes(), "stored": checkpoint.stored(),
     });
     let what = if architecture.multi_view() {

@@ -7,7 +7,7 @@ use crate::{
     outputs::{Overwrite, check_folder, make_folder, save_depth_levels, save_picture},
     photos::{self, PhotoArgs},
     released::open_depth,
-    session::Session,
+    session::{Session, stage_seconds},
     table::{counted, time},
     video::FrameFolder,
 };
@@ -17,6 +17,7 @@ use serde_json::json;
 use std::{
     collections::HashMap,
     path::{Path, PathBuf},
+    time::Duration,
 };
 use truth::{Errors, Truth};
 use zipsplat::{
@@ -143,12 +144,12 @@ impl Depth {
         errors: Option<&Errors>,
     ) -> Result<()> {
         let PredictedViews { depths, cameras, times, .. } = predicted;
-        let seconds: serde_json::Map<_, _> =
-            times.iter().map(|(step, took)| (step.to_string(), json!(took.as_secs_f64()))).collect();
+        let total: Duration = times.iter().map(|(_, took)| *took).sum();
         let json = json!({
             "output": self.output, "network": predicted.network, "views": depths.views.len(),
             "width": depths.width, "height": depths.height, "depth_levels_per_unit": levels, "points": points,
-            "cameras": cameras.is_some(), "peak_bytes": depths.peak_bytes, "seconds": seconds,
+            "has_cameras": cameras.is_some(), "peak_bytes": depths.peak_bytes, "seconds": total.as_secs_f64(),
+            "stage_seconds": stage_seconds(times),
             "errors": errors.map(Errors::as_json),
         });
         let took = times.last().map(|(_, took)| time(*took)).unwrap_or_default();

@@ -142,7 +142,7 @@ impl Planned<'_> {
             ("gaussians_per_token", json!(each)),
             ("weights_bytes_per_second", json!(rate)),
             ("precision", json!(precision.name())),
-            ("cameras", found.as_ref().map_or(json!(null), Placed::as_json)),
+            ("estimated_cameras", found.as_ref().map_or(json!(null), Placed::as_json)),
         ];
         let mut times = vec![(LOAD_PHOTOS.to_owned(), load_photos), (LOAD_WEIGHTS.to_owned(), load_weights)];
         times.extend(result.times.0.iter().cloned());

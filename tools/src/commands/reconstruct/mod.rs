@@ -13,7 +13,7 @@ use crate::{
     outputs::{self, Overwrite},
     photos::PhotoArgs,
     refinement::{self, Initialization, RefineArgs, placed, save_cameras},
-    session::Session,
+    session::{Session, stage_seconds},
     table::{bytes, counted, time},
     video::FrameFolder,
     views::CropOption,
@@ -306,14 +306,15 @@ impl Reconstruct {
         times.extend(drawn.iter().map(|_| ("pictures".to_owned(), session.elapsed() - until_drawing)));
         let total = session.elapsed();
         let other = total.saturating_sub(times.iter().map(|(_, took)| *took).sum());
-        times.extend([("other".to_owned(), other), ("total".to_owned(), total)]);
-        let seconds: serde_json::Map<_, _> = times.iter().map(|(s, t)| (s.clone(), json!(t.as_secs_f64()))).collect();
+        times.push(("other".to_owned(), other));
+        let stages = stage_seconds(&times);
+        times.push(("total".to_owned(), total));
         let peaks = forward.iter().map(|forward| forward.peak_bytes);
         let peaks = peaks.chain(refined.iter().map(|made| made.refined.peak_bytes));
         let peak_bytes = peaks.fold(device.allocated_bytes(), u64::max);
         let mut json = json!({
             "output": self.output(), "device": device.limits().name, "photos": photos.len(), "gaussians": scene.len(),
-            "peak_bytes": peak_bytes, "seconds": seconds,
+            "peak_bytes": peak_bytes, "seconds": total.as_secs_f64(), "stage_seconds": stages,
         });
         let of = match (&refined, &forward) {
             (Some(made), _) => {
