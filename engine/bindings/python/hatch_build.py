@@ -55,6 +55,6 @@ class Build(BuildHookInterface):  # type: ignore[type-arg]
             }
         )
         # Licenses of the library's crates, from tools/release.sh.
-        licenses = os.environ.get("ZIPSPLAT_LICENCES")
+        licenses = os.environ.get("ZIPSPLAT_LICENSES")
         if licenses:
-            build_data["force_include"][licenses] = "zipsplat/THIRD-PARTY-LICENCES.txt"
+            build_data["force_include"][licenses] = "zipsplat/THIRD-PARTY-LICENSES.txt"
