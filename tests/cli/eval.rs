@@ -249,7 +249,9 @@ fn pictures_without_cameras_are_aligned() {
     };
     assert!(rows.len() == 2 && rows.iter().all(near), "{}", json["aligned"]);
     let csv = std::fs::read_to_string(folder.path("s.csv")).expect("the table was written");
-    assert!(csv.lines().next().is_some_and(|line| line.ends_with("degrees,distance,doubt,lpips")), "{csv}");
+    let columns = "view,psnr,ssim,nearest_psnr,mean_color_psnr,lpips,unaligned_psnr,unaligned_ssim,\
+        rotation_error_deg,translation_error,warning";
+    assert_eq!(csv.lines().next(), Some(columns));
     // Random weights: the report warns.
     let text = folder.run(&format!("eval @/place --views 2 --targets 2 {options} --pose-free"));
     assert!(text.err.contains("aligned pictures say little"), "{}", text.err);

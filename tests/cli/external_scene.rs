@@ -205,6 +205,6 @@ fn scenes_that_cannot_be_placed_are_refused() {
     );
     refuses("@/missing.ply", &["missing.ply"]);
     folder.run("eval @/place --scene-frame first-camera").fails_usage();
-    folder.run("eval @/place --drop-invalid").fails(3, &["--invalid", "--scene"]);
+    folder.run("eval @/place --drop-invalid").fails(3, &["--drop-invalid", "--scene"]);
     folder.run(&format!("{LINE} @/scene.ply --refine 5")).fails_usage();
 }

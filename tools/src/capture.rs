@@ -1,8 +1,7 @@
 //! Captures: photos with cameras, split into inputs and targets.
 
 use crate::{
-    metrics::{mean_color, psnr, ssim, values},
-    perceptual::distance,
+    metrics::{self, mean_color, psnr, ssim, values},
     photos,
     refinement::placed,
     session::Stage,
@@ -218,7 +217,7 @@ impl ViewSplit {
     pub fn score_lpips(&self, scores: &mut [Score], drawn: &[Vec<f32>], lpips: &mut Perceptual) -> Result<()> {
         for ((score, drawn), view) in scores.iter_mut().zip(drawn).zip(&self.targets) {
             let size = [view.image.width, view.image.height];
-            score.lpips = distance(Some(lpips), [drawn, &values(&view.image)], size)?;
+            score.lpips = metrics::lpips(Some(lpips), [drawn, &values(&view.image)], size)?;
         }
         Ok(())
     }

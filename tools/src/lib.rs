@@ -17,7 +17,6 @@ pub mod metrics;
 mod npy;
 mod options;
 mod outputs;
-mod perceptual;
 mod photos;
 mod pictures;
 mod plot;

@@ -214,7 +214,7 @@ pub fn to_scene(
             Err(_) => {
                 let note = format!(
                     "the scene's world is the camera of {photo}, which {file} has not: its cameras are taken as if they \
-                     counted from that photo; `reconstruct --world cameras` makes scenes in the world of the cameras"
+                     counted from that photo; `reconstruct --world input-cameras` makes scenes in the world of the cameras"
                 );
                 (Pose::IDENTITY, Some(note))
             }

@@ -1,10 +1,10 @@
 use crate::{
     cameras::{Finding, KnownCameras, Similarity, to_scene},
     explain::Explanation,
-    options::{SceneInput, Size},
+    options::SceneInput,
     outputs::{self, Overwrite},
     photos,
-    refinement::{self, Initialization, MOST_PIXELS, Moved, Refinable, save_cameras},
+    refinement::{self, Initialization, Refinable, RefineSettings, save_cameras},
     session::Session,
     table::counted,
 };
@@ -14,7 +14,7 @@ use std::path::PathBuf;
 use zipsplat::{
     Error, Result,
     gpu::{Arena, Device},
-    refine::{self, RefineResult, StopReason},
+    refine::{RefineOptions, RefineResult, StopReason},
     types::{
         Camera, Image, SaveOptions, Scene, SceneFormat, World,
         poses::{Capture, CaptureView, read_cloud},
@@ -57,24 +57,14 @@ pub struct Refine {
     /// world]
     #[arg(long, value_name = "PHOTO")]
     relative_to: Option<PathBuf>,
-    /// Initialization of the refinement
-    #[arg(long, value_enum, value_name = "WHAT", default_value = "scene")]
-    init: Initialization,
     /// Steps of the optimizer
-    #[arg(long, value_name = "N", default_value_t = refine::RefineOptions::default().steps)]
+    #[arg(long, value_name = "N", default_value_t = RefineOptions::default().steps)]
     steps: usize,
-    /// Largest compared size; larger photos are scaled down to fit
-    #[arg(long, value_name = "WxH", default_value = MOST_PIXELS)]
-    max_image_size: Size,
     /// Photos per step
-    #[arg(long, value_name = "N", default_value_t = refine::RefineOptions::default().views_per_step)]
+    #[arg(long, value_name = "N", default_value_t = RefineOptions::default().views_per_step)]
     views_per_step: usize,
-    /// Held-out photos, evenly spread; 0 learns from all [default: 1 of 40 or more, none with
-    /// --optimize-cameras]
-    #[arg(long, value_name = "K")]
-    holdout_views: Option<usize>,
     #[command(flatten)]
-    moved: Moved,
+    settings: RefineSettings,
     /// File for the refined cameras: a transforms.json in the world of the known cameras
     #[arg(long, value_name = "FILE", requires = "optimize_cameras")]
     cameras_out: Option<PathBuf>,
@@ -97,14 +87,14 @@ struct Started {
 impl Refine {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         self.overwrite.check_file(&self.output)?;
-        self.moved.check()?;
+        self.settings.check()?;
         if SceneFormat::of_extension(&self.output).is_none() {
             let expected = format!("a file that ends in {}", SceneFormat::EXTENSIONS);
             return Err(Error::argument("--output", self.output.display(), expected));
         }
         self.cameras_out.as_ref().map_or(Ok(()), |path| self.overwrite.check_file(path))?;
         let (scene, files) = self.files();
-        if KnownCameras::to_find(&self.cameras) && self.init != Initialization::Points {
+        if KnownCameras::to_find(&self.cameras) && self.init() != Initialization::Points {
             let expected = "--init points: the scene is in another world than cameras that are found anew";
             return Err(Error::argument(format!("--cameras {}", self.cameras.display()), "with a scene", expected));
         }
@@ -119,10 +109,6 @@ impl Refine {
         let (images, _) =
             session.stage("load photos", |stage| photos::read(&photos, &frames, stage, |_, photo| Ok(photo)))?;
         let (refined, request) = self.refine(session, &device, &started, &images)?;
-        refinement::doubt(&refined).iter().for_each(|note| session.note(note));
-        if refined.stop_reason == Some(StopReason::Cancelled) && refined.best_step == 0 {
-            return Err(Error::Cancelled);
-        }
         let options = SaveOptions::default();
         let note = outputs::save_scene(&self.output, &refined.scene, &options, started.world.as_ref())?;
         note.into_iter().for_each(|note| session.note(note));
@@ -136,9 +122,13 @@ impl Refine {
         self.report(session, device.limits().name.clone(), &photos, &started.cameras, refined, &request)
     }
 
+    fn init(&self) -> Initialization {
+        self.settings.init.unwrap_or(Initialization::Scene)
+    }
+
     fn files(&self) -> (Option<&PathBuf>, &[PathBuf]) {
         match self.files.split_first() {
-            Some((scene, photos)) if self.init.needs()[0] => (Some(scene), photos),
+            Some((scene, photos)) if self.init().needs()[0] => (Some(scene), photos),
             _ => (None, &self.files),
         }
     }
@@ -168,30 +158,26 @@ impl Refine {
         let camera = |frame: &&CaptureView| to_scene.apply(&frame.camera);
         let cameras: Vec<Camera> = frames.iter().map(camera).collect();
         let cloud = match &poses.points {
-            Some(path) if self.init.needs()[1] => Some(to_scene.cloud(read_cloud(path)?)),
+            Some(path) if self.init().needs()[1] => Some(to_scene.cloud(read_cloud(path)?)),
             _ => None,
         };
-        let scene = self.init.scene(scene, cloud.as_ref(), &cameras)?;
+        let scene = self.init().scene(scene, cloud.as_ref(), &cameras)?;
         Ok(Started { scene, cameras, world, to_scene })
     }
 
     fn refine(
         &self,
-        session: &Session<'_>,
+        session: &mut Session<'_>,
         device: &Device,
         started: &Started,
         photos: &[Image],
-    ) -> Result<(RefineResult, refine::RefineOptions)> {
-        let request = refine::RefineOptions {
-            steps: self.steps,
+    ) -> Result<(RefineResult, RefineOptions)> {
+        let request = RefineOptions {
             views_per_step: self.views_per_step,
-            max_image_size: Some([self.max_image_size.0, self.max_image_size.1]),
-            holdout_views: self.holdout_views,
             seed: self.seed,
             profile: self.explain,
-            ..refine::RefineOptions::default()
+            ..self.settings.request(self.steps)
         };
-        let request = self.moved.request(request);
         let (arena, from) = (Arena::new(device), Refinable::Scene(&started.scene));
         Ok((refinement::refine(session, &arena, from, photos, &started.cameras, &request)?, request))
     }
@@ -203,9 +189,9 @@ impl Refine {
         photos: &[PathBuf],
         cameras: &[Camera],
         refined: RefineResult,
-        request: &refine::RefineOptions,
+        request: &RefineOptions,
     ) -> Result<()> {
-        let start = self.init.name();
+        let start = self.init().name();
         let count = refined.scene.len();
         let mut json = json!({
             "output": self.output, "device": device, "photos": photos.len(), "gaussians": count,

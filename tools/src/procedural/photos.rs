@@ -23,8 +23,10 @@ pub struct Crop {
     /// Source of the photo.
     pub repo: String,
     /// Name of the photo's license.
+    #[serde(alias = "licence")]
     pub license: String,
     /// License class; only `permissive` crops are used.
+    #[serde(alias = "licence_class")]
     pub license_class: String,
 }
 

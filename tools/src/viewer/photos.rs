@@ -243,7 +243,7 @@ impl FromPhotos {
             (Target::Tokens(live.tokens()?), Some(shown))
         } else {
             let cloud = ready.cloud.clone().map(|cloud| placed(cloud, &to_scene, 1.0));
-            let from = Initialization::or_best(self.refine.init, cloud.as_ref(), self.weights.is_builtin());
+            let from = Initialization::or_best(self.refine.settings.init, cloud.as_ref(), self.weights.is_builtin());
             let (scene, shown) = if from.needs()[0] {
                 made().map(|LiveScene { scene, shown }| (Some(scene), Some(shown)))?
             } else {
@@ -254,7 +254,7 @@ impl FromPhotos {
                 shown.filter(|_| from == Initialization::Scene),
             )
         };
-        let request = self.refine.request(steps.count);
+        let request = self.refine.settings.request(steps.count);
         let tokens = tokens.filter(|_| request.max_gaussians.is_none());
         let tokens = tokens.and_then(|shown| Some((shown.group?, shown.patches)));
         Ok(Some(Watched::new(start, tokens, photos, cameras, request)))

@@ -114,7 +114,7 @@ impl<'a> Evaluator<'a> {
         if let Some(Steps { count, tokens }) = eval.refine.steps() {
             refuse("--refine-target tokens", tokens, "a scene of given depth", "a network's scene")?;
             let cloud = choice.points(&capture.scene_scale)?;
-            let init = eval.refine.init.unwrap_or(Initialization::Scene);
+            let init = eval.refine.settings.init.unwrap_or(Initialization::Scene);
             reconstruction.started = init.name();
             let scene = init.scene(Some(reconstruction.scene), cloud.as_ref(), &capture.training_views().1)?;
             let arena = Arena::new(&self.device);
@@ -160,7 +160,8 @@ impl<'a> Evaluator<'a> {
             }
             (Some(Steps { count, .. }), None) => {
                 let cloud = choice.points(&capture.scene_scale)?;
-                let init = Initialization::or_best(eval.refine.init, cloud.as_ref(), eval.weights.is_builtin());
+                let init =
+                    Initialization::or_best(eval.refine.settings.init, cloud.as_ref(), eval.weights.is_builtin());
                 started = init.name();
                 let initial = init.scene(Some(scene.clone()), cloud.as_ref(), &capture.training_views().1)?;
                 Some(refine(eval, session, model.arena(), Refinable::Scene(&initial), capture, count)?)
@@ -216,9 +217,8 @@ fn refine(
     steps: usize,
 ) -> Result<RefineResult> {
     let (photos, cameras) = capture.training_views();
-    let request = eval.refine.request(steps);
+    let request = eval.refine.settings.request(steps);
     let refined = refinement::refine(session, arena, from, &photos, &cameras, &request)?;
-    refinement::doubt(&refined).iter().for_each(|note| session.note(note));
     match refined.stop_reason {
         Some(StopReason::Cancelled) => Err(Error::Cancelled),
         _ => Ok(refined),

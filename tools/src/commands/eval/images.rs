@@ -2,11 +2,9 @@
 
 use super::Eval;
 use crate::{
-    metrics::{psnr, ssim, values},
+    metrics::{self, psnr, ssim, values},
     options::refuse,
-    outputs,
-    perceptual::distance,
-    photos,
+    outputs, photos,
     session::{Session, Stage},
     table::{Table, counted},
 };
@@ -149,7 +147,7 @@ fn compare(pair: &Pair, lpips: Option<&mut Perceptual>) -> Result<Row> {
         ));
     }
     let [x, y] = [values(&a), values(&b)];
-    let lpips = distance(lpips, [&x, &y], [width, height])?;
+    let lpips = metrics::lpips(lpips, [&x, &y], [width, height])?;
     if let Some(path) = &pair.difference {
         let off = a.rgb.iter().zip(&b.rgb).map(|(a, b)| a.abs_diff(*b).saturating_mul(4)).collect();
         outputs::save_picture(path, &Image::new(width, height, off)?)?;

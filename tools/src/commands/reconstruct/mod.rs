@@ -266,7 +266,7 @@ impl Reconstruct {
         }
         let (note, write) = session.stage("write", |_| save())?;
         session.notes(note);
-        let optimized = self.cameras_out.as_ref().filter(|_| self.refine.optimizes_cameras());
+        let optimized = self.cameras_out.as_ref().filter(|_| self.refine.settings.optimize_cameras);
         if let (Some(path), Some(RefinedScene { refined, .. }), Some(first)) = (optimized, &refined, &first) {
             save_cameras(path, refined, &(*first).into(), &photos, &frames)?;
             frame_folder.iter_mut().for_each(FrameFolder::keep);
@@ -370,7 +370,7 @@ impl Reconstruct {
         }
         let Some(place) = &self.cameras_out else { return Ok(()) };
         let finds = self.finds(network);
-        let known = self.cameras.is_some() && !finds && !self.refine.optimizes_cameras();
+        let known = self.cameras.is_some() && !finds && !self.refine.settings.optimize_cameras;
         refuse(
             "--cameras-out",
             known,

@@ -55,7 +55,7 @@ fn show_tokens(
     let (quality, crop) = (&command.quality, command.crop.crop);
     session.notes(checkpoint.notes());
     quality.check(checkpoint.architecture())?;
-    command.refine.check()?;
+    command.refine.check_target()?;
     let size = quality.size_for(checkpoint);
     let Size(width, height) = size;
     let posed = command.cameras.is_some();
@@ -79,7 +79,13 @@ fn show_tokens(
         let (tensors, a) = (tensors.scene(), checkpoint.architecture());
         let gaussians = Moved::Gaussians(tensors.len, tensors.sh_degree);
         let moved = if tokens { Moved::Tokens(shape.tokens, a) } else { gaussians };
-        plan_refinement(&limits, moved, views, command.refine.largest(photos)?, &command.refine.request(count))
+        plan_refinement(
+            &limits,
+            moved,
+            views,
+            command.refine.settings.largest(photos)?,
+            &command.refine.settings.request(count),
+        )
     });
     let refined = refined.transpose()?;
     let kept = refined.as_ref().map_or(0, |refined| refined.kept_bytes);
