@@ -59,6 +59,6 @@ class Build(BuildHookInterface):  # type: ignore[type-arg]
         if command:
             build_data["shared_scripts"][command] = "zipsplat.exe" if sys.platform == "win32" else "zipsplat"
         # Licenses of the library's crates, from tools/release.sh.
-        licenses = os.environ.get("ZIPSPLAT_LICENCES")
+        licenses = os.environ.get("ZIPSPLAT_LICENSES")
         if licenses:
-            build_data["force_include"][licenses] = "zipsplat/THIRD-PARTY-LICENCES.txt"
+            build_data["force_include"][licenses] = "zipsplat/THIRD-PARTY-LICENSES.txt"

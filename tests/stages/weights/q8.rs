@@ -167,6 +167,6 @@ fn they_stay_small_on_the_device_and_are_not_rounded_twice() {
     assert!(bytes(&q8) < 0.3 * bytes(&of), "{} of {}", bytes(&q8), bytes(&of));
     let Some(turbo) = Arithmetic::of(Precision::Int8, device().limits()) else { return };
     let refused = Network::of(&q8, &limits, turbo).err().expect("turbo rounds weights itself").to_string();
-    assert!(refused.contains("q8") && refused.contains("exact, fast or fast-bf16"), "{refused}");
+    assert!(refused.contains("q8") && refused.contains("fp32, fp16 or bf16"), "{refused}");
     assert!(Network::of(&pico_weights(), &limits, turbo).is_ok());
 }

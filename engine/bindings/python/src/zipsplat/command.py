@@ -118,10 +118,10 @@ def list_models() -> list[ModelInfo]:
     """
     return [
         ModelInfo(
-            row["name"].replace("built-in", "builtin"),
+            row["name"],
             None if row["path"] is None else Path(row["path"]),
             row["bytes"],
-            row["licence"],
+            row["license"],
             row["what"],
         )
         for row in run(["weights", "list"])
@@ -151,7 +151,7 @@ def view(ply: bytes, height: int, cameras: Optional[PathLike]) -> Page:
     with tempfile.TemporaryDirectory(prefix="zipsplat-") as folder:
         scene, page = Path(folder) / "scene.ply", Path(folder) / "scene.html"
         scene.write_bytes(ply)
-        poses: list[str] = [] if cameras is None else ["--poses", os.path.abspath(cameras)]
+        poses: list[str] = [] if cameras is None else ["--cameras", os.path.abspath(cameras)]
         run(["view", str(scene), "-o", str(page), *poses])
         return Page(page.read_text(encoding="utf-8"), height)
 
@@ -174,7 +174,7 @@ def run(arguments: list[str]) -> Any:
     done = subprocess.run([program, "--json", "--quiet", *arguments], capture_output=True, text=True, check=False)
     if done.returncode:
         raise CommandError(_message(done.stderr) or f"zipsplat {arguments[0]} ended with {done.returncode}")
-    return json.loads(done.stdout) if done.stdout.strip() else None
+    return json.loads(done.stdout)["result"] if done.stdout.strip() else None
 
 
 def _message(stderr: str) -> str:
