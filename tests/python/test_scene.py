@@ -186,7 +186,7 @@ def test_a_page_shows_the_scene(scene: zipsplat.Scene, tmp_path: Path) -> None:
 
 
 def test_figures_and_cameras_come_from_the_command(
-    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     found = zipsplat.evaluate(capture, views=2, options=("--size", "70x70"))
     assert 0 < found.psnr < 99 and 0 < found.ssim <= 1 and len(found.report["views"]) == 1
@@ -194,10 +194,12 @@ def test_figures_and_cameras_come_from_the_command(
         zipsplat.evaluate(tmp_path / "none")
     double = tmp_path / "double"
     made = json.dumps(json.loads((capture / "transforms.json").read_text()))
-    double.write_text(f"#!/bin/sh\nfor last; do :; done\ncat > \"$last\" <<'END'\n{made}\nEND\n")
+    result = json.dumps({"warnings": ["few photos"], "result": None})
+    double.write_text(f"#!/bin/sh\nfor last; do :; done\ncat > \"$last\" <<'END'\n{made}\nEND\necho '{result}'\n")
     double.chmod(double.stat().st_mode | stat.S_IXUSR)
     monkeypatch.setenv("ZIPSPLAT_COMMAND", str(double))
     assert len(zipsplat.estimate_cameras(capture)) == 3
+    assert [(record.name, record.message) for record in caplog.records] == [("zipsplat", "few photos")]
     monkeypatch.setenv("ZIPSPLAT_COMMAND", str(tmp_path / "missing"))
     with pytest.raises(zipsplat.CommandError, match="ZIPSPLAT_COMMAND"):
         zipsplat.estimate_cameras([os.fspath(capture)])

@@ -55,9 +55,8 @@ def text(pointer: Any) -> str:
     return str(ffi.string(pointer).decode("utf-8", "replace")) if pointer else ""
 
 
-def warned(pointer: Any) -> list[str]:
-    """Returns the lines of a C string of warnings, which the logger "zipsplat" gets too."""
-    lines = text(pointer).splitlines()
+def warned(lines: list[str]) -> list[str]:
+    """Returns warnings, which the logger "zipsplat" gets too."""
     for line in lines:
         _log.warning(line)
     return lines

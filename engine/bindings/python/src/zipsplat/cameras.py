@@ -192,7 +192,7 @@ class Capture(Sequence[CaptureView]):
         self._handle = Handle("capture", "zs_capture_open", os.fsencode(path))
         count, notes = ffi.new("size_t *"), ffi.new("char **")
         call("zs_capture_get_count", self._handle, count, notes)
-        self.warnings: list[str] = warned(notes[0])
+        self.warnings: list[str] = warned(text(notes[0]).splitlines())
         self._views = [self._view(index) for index in range(count[0])]
         # Keeps a temporary folder alive.
         self._keeps: object = None

@@ -7,7 +7,7 @@ import re
 from typing import Any, Callable, Literal, Mapping, Optional, Union
 
 from . import command
-from ._native import NUMBERS, Handle, Owner, Told, call, ffi, lib, options, structure, warned
+from ._native import NUMBERS, Handle, Owner, Told, call, ffi, lib, options, structure, text, warned
 from ._native import progress as native_progress
 from .cameras import PathLike
 from .cameras import native as native_cameras
@@ -68,7 +68,7 @@ class Model(Owner):
         self.sh_degree: int = info.sh_degree
         self.precision: Precision = next(name for name, number in PRECISIONS.items() if number == info.precision)
         self.weight_bytes: int = info.weight_bytes
-        self.warnings: list[str] = warned(info.warnings)
+        self.warnings: list[str] = warned(text(info.warnings).splitlines())
 
     @classmethod
     def load(
