@@ -9,12 +9,12 @@ from typing import Any, Optional, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from ._native import call, ffi, lib, options, structure
+from ._native import call, ffi, lib, structure, structures
 from ._projection import project
 from .cameras import Camera, Cameras, native
 from .device import Device
 from .errors import ArgumentError
-from .renderer import Renderer, render_buffers
+from .renderer import Renderer
 from .scene import FIELDS, Scene
 
 Array = npt.NDArray[Any]
@@ -43,7 +43,9 @@ class Settings:
 
     def options(self) -> Any:
         kind, depth = lib.ZS_PIXEL_RGB_F32, lib.ZS_DEPTH_MODE_ACCUMULATED
-        return options("render", format=kind, depth=depth, antialiased=int(self.antialiased), near_plane=self.planes[0])
+        return structure(
+            "render_options", format=kind, depth=depth, antialiased=int(self.antialiased), near_plane=self.planes[0]
+        )
 
 
 class _Renderers(threading.local):
@@ -89,7 +91,7 @@ def forward(
         "zs_render",
         renderer._handle,
         native(views),
-        render_buffers(rgb, alphas, depths),
+        structures("render_buffers", pixels=rgb, alpha=alphas, depth=depths),
         len(views),
         settings.options(),
     )
@@ -115,11 +117,17 @@ def backward(
     to = structure("gradients", **{name: ffi.cast("float *", array.ctypes.data) for name, array in found.items()})
     if of_cameras:
         to.cameras = ffi.cast("float *", moved.ctypes.data)
-    kept = [None if plane is None else np.ascontiguousarray(plane, np.float32) for plane in weights]
-    if all(plane is None for plane in kept):
+    grad_outputs = [None if plane is None else np.ascontiguousarray(plane, np.float32) for plane in weights]
+    if all(plane is None for plane in grad_outputs):
         return found, np.zeros_like(viewmats) if of_cameras else None
     renderer = _renderers.of(scene, settings.device)
-    arguments = (native(views), render_buffers(kept[0], kept[1], kept[2]), len(views), settings.options(), to)
+    arguments = (
+        native(views),
+        structures("grad_outputs", color=grad_outputs[0], alpha=grad_outputs[1], depth=grad_outputs[2]),
+        len(views),
+        settings.options(),
+        to,
+    )
     call("zs_render_backward", renderer._handle, scene._handle, *arguments)
     return found, _by_viewmats(viewmats, moved) if of_cameras else None
 
