@@ -51,7 +51,7 @@ fn place(count: usize) -> Place {
 
 impl Place {
     fn in_rust(&self, request: &RefineOptions, stop_after: usize) -> RefineResult {
-        let progress = |now: zipsplat::refine::Refining<'_>| {
+        let progress = |now: zipsplat::refine::RefineProgress<'_>| {
             if now.step == stop_after { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         };
         refine_scene(&Arena::new(rust_device()), &self.moved, &self.photos, &self.cameras, request, progress)
@@ -293,7 +293,7 @@ fn tokens_are_refined_as_in_rust() {
         let tokens = network.tokens(&features, &request, go_on).expect("tokens");
         let head = FrozenHead::load(rust_device(), &checkpoint()).expect("a head");
         let request = RefineOptions { steps: 6, max_image_size: Some([1600; 2]), ..RefineOptions::default() };
-        let never = |_: zipsplat::refine::Refining| ControlFlow::Continue(());
+        let never = |_: zipsplat::refine::RefineProgress| ControlFlow::Continue(());
         let mut expected =
             refine_tokens(network.arena(), &head, &tokens, &photos, &relative, &request, never).expect("a scene");
         assert!(info.steps == 6 && info.final_loss == f64::from(expected.losses[5]), "{} steps", info.steps);

@@ -1,13 +1,8 @@
 //! Plans and their arena: preserved inputs, required rewrites, errors before anything runs.
 
-use std::ops::ControlFlow;
-use zipsplat::Error;
-use zipsplat::gpu::{ArenaRow, Device, DeviceOptions, Limits, Recorder, Run, Tensor};
-use zipsplat::kernels::ops::Add;
-use zipsplat::ops::Arithmetic;
 use zipsplat::reconstruct::{Network, Shape, TokenSampling};
-use zipsplat::stages::ViewGrid;
-use zipsplat_tests::{architectures, compare::assert_same, device::device};
+use zipsplat::{gpu::ArenaRow, kernels::ops::Add, stages::ViewGrid};
+use zipsplat_tests::prelude::*;
 
 fn add(rec: &mut Recorder, left: Tensor, right: Tensor, len: usize) -> Tensor {
     let out = rec.tensor::<f32>("out", len);
@@ -108,7 +103,7 @@ fn under_validation_scratch_is_nan_until_it_is_written() {
 }
 
 #[test]
-#[ignore = "needs tools/test-bounds.sh"]
+#[ignore = "needs tools/dev/test-bounds.sh"]
 fn reading_beyond_what_is_bound_is_noticed() {
     let mut rec = Recorder::new(device().limits());
     let (left, right) = (rec.input::<f32>("left", 128), rec.input::<f32>("right", 128));

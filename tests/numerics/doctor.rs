@@ -1,15 +1,10 @@
 //! The command `zipsplat doctor`.
 
-use std::{ffi::OsString, sync::atomic::AtomicBool};
-use zipsplat_cli::{Terminal, run};
+use zipsplat_tests::command;
 
 pub fn zipsplat(line: &str) -> (u8, String, String) {
-    let args = std::iter::once("zipsplat").chain(line.split_whitespace()).map(OsString::from);
-    let (mut out, mut err) = (Vec::new(), Vec::new());
-    let cancelled = AtomicBool::new(false);
-    let code = run(args, Terminal { out: &mut out, err: &mut err, progress: false, cancelled: &cancelled });
-    let text = |bytes| String::from_utf8(bytes).expect("text");
-    (code, text(out), text(err))
+    let (code, out, err) = command::zipsplat(line);
+    (code, String::from_utf8(out).expect("results are text"), err)
 }
 
 #[test]
@@ -18,7 +13,7 @@ fn the_command_tells_and_reports() {
     let page = folder.path().join("page.html");
     let (code, out, err) = zipsplat(&format!("doctor --only ops/layer --json --report {}", page.display()));
     assert_eq!(code, 0, "{err}");
-    let json: serde_json::Value = serde_json::from_str(&out).unwrap();
+    let json: serde_json::Value = serde_json::from_str::<serde_json::Value>(&out).unwrap()["result"].clone();
     let findings = json["findings"].as_array().unwrap();
     assert!(findings.len() > 5 && findings.iter().all(|f| f["kernel"] == "ops/layer_norm" && f["holds"] == true));
     assert!(findings.iter().all(|f| f["catches"].as_array().is_some_and(|faults| !faults.is_empty())));

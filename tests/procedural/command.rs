@@ -1,15 +1,5 @@
-use std::sync::atomic::AtomicBool;
-
 use zipsplat_cli::procedural::shards::Header;
-use zipsplat_cli::{Terminal, run};
-
-/// Exit code, standard output and errors.
-fn zipsplat(line: &str) -> (u8, Vec<u8>, String) {
-    let (mut out, mut err, cancelled) = (Vec::new(), Vec::new(), AtomicBool::new(false));
-    let args = std::iter::once("zipsplat").chain(line.split_whitespace()).map(Into::into);
-    let code = run(args, Terminal { out: &mut out, err: &mut err, progress: false, cancelled: &cancelled });
-    (code, out, String::from_utf8(err).expect("text"))
-}
+use zipsplat_tests::command::zipsplat;
 
 #[test]
 fn writes_a_folder() {
@@ -18,6 +8,7 @@ fn writes_a_folder() {
     let (code, out, err) = zipsplat(&format!("scene --seed 7 --views 3 --size 24x16 --json -o {}", path.display()));
     assert_eq!(code, 0, "{err}");
     let json: serde_json::Value = serde_json::from_slice(&out).expect("JSON");
+    let json = &json["result"];
     assert_eq!((&json["seed"], &json["views"]), (&7.into(), &3.into()));
     for file in ["images/002.png", "depth/002.npy", "transforms.json", "scene.json"] {
         assert!(path.join(file).is_file(), "{file} is missing");

@@ -17,7 +17,7 @@ fn photo(seed: u32) -> Image {
 
 fn cameras() -> Vec<Camera> {
     let camera = |i: u32| {
-        let pose = Pose { translation: [f64::from(i), 0.5, -2.0].into(), ..Pose::IDENTITY };
+        let pose = Pose { translation: [3.0 * f64::from(i), 0.5, -2.0].into(), ..Pose::IDENTITY };
         Camera { pose, ..Camera::from_hfov_deg(60, 50, 50.0) }
     };
     (0..2).map(camera).collect()

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Compares seconds of `zipsplat batch` and of a loop of `zipsplat reconstruct` over equal captures.
+# Compares seconds of `zipsplat reconstruct --each` and of a loop of `zipsplat reconstruct` over equal captures.
 # usage: tools/bench/batch.sh [CAPTURES] [PHOTOS] [OPTIONS of both]      default 12 of 4 photos
 #   ZIPSPLAT  the command; default the checkout's
 set -euo pipefail
@@ -16,11 +16,11 @@ loop() {
   local place
   for place in "$work"/places/*; do "$zipsplat" reconstruct "$place" -o "$work/loop-${place##*/}.ply" "$@" 2> /dev/null; done
 }
-batch() { "$zipsplat" batch "$work/places" -o "$work/batch" "$@" 2> /dev/null; }
+each() { "$zipsplat" reconstruct --each "$work/places" -o "$work/batch" "$@" 2> /dev/null; }
 TIMEFORMAT=%R
 for turn in 1 2; do
   echo "turn $turn, $captures captures of $photos photos: loop $({ time loop "$@" > /dev/null; } 2>&1) s," \
-    "batch $({ time batch "$@" > /dev/null; } 2>&1) s"
+    "--each $({ time each "$@" > /dev/null; } 2>&1) s"
   for place in "$work"/places/*; do cmp "$work/loop-${place##*/}.ply" "$work/batch/${place##*/}.ply"; done
   rm -r "$work/batch"
 done

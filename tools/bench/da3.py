@@ -21,7 +21,7 @@ PROBE = 4
 
 def refined(words, options):
     """Refines for the given seconds; returns table cells."""
-    shown = ["--views", options.views, "--score-size", options.size, "--lpips", "none", *words]
+    shown = ["--views", options.views, "--eval-size", options.size, "--lpips", "none", *words]
     probe = zipsplat("eval", *shown, "--refine", PROBE)["refined"]
     steps = max(1, round(options.seconds * PROBE / probe["seconds"]))
     scored = zipsplat("eval", *shown, "--refine", steps)
@@ -32,14 +32,14 @@ def refined(words, options):
 
 def errors(photos, capture, folder, options):
     """Returns the network's errors as table cells."""
-    words = ["--weights", options.weights, "--truth", capture, "-o", folder / "depth"]
+    words = ["--weights", options.weights, "--ground-truth", capture, "-o", folder / "depth"]
     off = zipsplat("depth", photos, *words)["errors"]
     told = {
-        "degrees": "turn {:.2f} degrees",
-        "position": "position {:.2%}",
+        "rotation_error_deg": "turn {:.2f} degrees",
+        "translation_error": "position {:.2%}",
         "focal": "focal length {:+.1%}",
         "abs_rel": "depth {:.1%} (AbsRel)",
-        "within_1.25": "{:.1%} of pixels within 1.25",
+        "delta_1_25": "{:.1%} of pixels within 1.25",
     }
     return [", ".join(text.format(off[name]) for name, text in told.items() if off[name] is not None)]
 
@@ -53,16 +53,16 @@ def rows(capture, folder, options):
         """Estimates cameras with a command; returns the arguments that use them."""
         place = folder / f"{name}.json"
         zipsplat("cameras", photos, *words, "-o", place)
-        return [photos, "--poses", place]
+        return [photos, "--cameras", place]
 
-    network = ["--with", "da3", "--weights", options.weights]
-    pixels = ["--weights", options.weights, "--size", options.size, "--start", "scene"]
+    network = ["--method", "da3", "--weights", options.weights]
+    pixels = ["--weights", options.weights, "--input-size", options.size, "--init", "scene"]
     return {
         "off by": lambda: errors(photos, capture, folder, options),
-        "its own cameras and points": lambda: refined([capture, "--start", "points"], options),
-        "COLMAP's": lambda: refined([*found("colmap"), "--start", "points"], options),
+        "its own cameras and points": lambda: refined([capture, "--init", "points"], options),
+        "COLMAP's": lambda: refined([*found("colmap"), "--init", "points"], options),
         "the network's cameras, points of its depth": lambda: refined(
-            [*found("network", *network), "--start", "points"], options
+            [*found("network", *network), "--init", "points"], options
         ),
         "the network's cameras, a Gaussian a pixel": lambda: refined([*found("pixels", *network), *pixels], options),
     }

@@ -16,7 +16,7 @@ from command import zipsplat
 
 def judged(place, options, *words):
     """Returns the PSNR of held-out photos."""
-    line = ["eval", place, "--views", options.views, "--size", options.size, "--lpips", "none", *words]
+    line = ["eval", place, "--views", options.views, "--input-size", options.size, "--lpips", "none", *words]
     return zipsplat(*line)["mean"]["psnr"]
 
 
@@ -28,17 +28,17 @@ parser.add_argument("--size", default="126x126")
 parser.add_argument("--views", default="8")
 parser.add_argument("--photos", default="20")
 options = parser.parse_args()
-starts = {f"depth, {noise} % off": ["--noise", noise] for noise in options.noise.split(",")}
+starts = {f"depth, {noise} % off": ["--depth-noise", noise] for noise in options.noise.split(",")}
 found = {name: [] for name in [*starts, "points"]}
 for seed in options.seeds.split(","):
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder) / "place"
         zipsplat("scene", "--seed", seed, "--views", options.photos, "--size", options.size, "-o", place)
-        refine = ["--refine", options.steps, "--hold-out", 0]
+        refine = ["--refine", options.steps, "--holdout-views", 0]
         for name, words in starts.items():
             depth = ["--from-depth", place / "depth", *words]
             found[name].append([judged(place, options, *depth), judged(place, options, *depth, *refine)])
-        found["points"].append([None, judged(place, options, *refine, "--start", "points")])
+        found["points"].append([None, judged(place, options, *refine, "--init", "points")])
 print(f"| start | before | after {options.steps} steps | each place after |\n|---|---|---|---|")
 for name, rows in found.items():
     before, after = ([row[k] for row in rows] for k in (0, 1))

@@ -339,7 +339,7 @@ class Trainer:
                     "seconds": round(self.elapsed + self.seconds_before), "device": device,
                     "next_seed": counters["first_seed"], "unseen_psnr": scores, "config": self.config}  # fmt: skip
         files.save(self.out / "model.safetensors", self.architecture, self.average.state_dict(), torch.float16,
-                   {"zipsplat.training": json.dumps(training), "zipsplat.picture_side": str(self.config["size"])})  # fmt: skip
+                   {"zipsplat.training": json.dumps(training), "zipsplat.image_size": str(self.config["size"])})  # fmt: skip
         if self.log:
             names = list(dict.fromkeys(name for row in self.log for name in row))
             with open(self.out / "log.csv", "w", newline="") as file:

@@ -15,7 +15,11 @@ use crate::{Error, Result};
 
 const ARCHITECTURE_KEY: &str = "zipsplat.architecture";
 const DEPTH_ARCHITECTURE_KEY: &str = "zipsplat.depth_architecture";
+const IMAGE_SIZE_KEY: &str = "zipsplat.image_size";
+/// Its name in files without a version.
 const PICTURE_SIDE_KEY: &str = "zipsplat.picture_side";
+const VERSION_KEY: &str = "zipsplat.format_version";
+const VERSION: u32 = 1;
 const Q8_ENDS: [&str; 2] = [".q8", ".q8_scales"];
 const PREFIX: usize = 8;
 const MAX_HEADER: u64 = 100_000_000;
@@ -53,10 +57,15 @@ pub(super) fn contents(path: &Path, file: &[u8]) -> Result<Contents> {
         add(&mut found.tensors, integers.unwrap_or(name), tensor).map_err(malformed)?;
     }
     let stated = |key: &str| header.metadata().as_ref().and_then(|metadata| metadata.get(key));
-    if let Some(side) = stated(PICTURE_SIDE_KEY) {
+    if let Some(version) = stated(VERSION_KEY)
+        && version.parse().ok().is_none_or(|version: u32| version > VERSION)
+    {
+        return Err(malformed(format!("{VERSION_KEY}: found {version}, expected at most {VERSION}; update zipsplat")));
+    }
+    if let Some(side) = stated(IMAGE_SIZE_KEY).or(stated(PICTURE_SIDE_KEY)) {
         let parsed = side.parse().ok().filter(|side| is_image_size(*side));
         let expected = format!("a multiple of {PATCH} up to {MAX_IMAGE_SIZE}");
-        let side = parsed.ok_or_else(|| malformed(format!("{PICTURE_SIDE_KEY}: found {side}, expected {expected}")))?;
+        let side = parsed.ok_or_else(|| malformed(format!("{IMAGE_SIZE_KEY}: found {side}, expected {expected}")))?;
         found.image_size = Some(side);
     }
     if let Some(json) = stated(ARCHITECTURE_KEY) {
@@ -163,11 +172,12 @@ fn header(checkpoint: &impl Weights, dtype: Dtype) -> Result<String, String> {
     }
     let metadata = match checkpoint.network() {
         Stated::Scene(architecture, side) => {
-            vec![(ARCHITECTURE_KEY, serde_json::to_string(architecture)), (PICTURE_SIDE_KEY, Ok(side.to_string()))]
+            vec![(ARCHITECTURE_KEY, serde_json::to_string(architecture)), (IMAGE_SIZE_KEY, Ok(side.to_string()))]
         }
         Stated::Depth(architecture) => vec![(DEPTH_ARCHITECTURE_KEY, serde_json::to_string(architecture))],
     };
-    let stated = metadata.into_iter().map(|(key, value)| Ok((key, value?)));
+    let metadata = metadata.into_iter().chain([(VERSION_KEY, Ok(VERSION.to_string()))]);
+    let stated = metadata.map(|(key, value)| Ok((key, value?)));
     let metadata = stated.collect::<serde_json::Result<Vec<_>>>().map_err(|error| error.to_string())?;
     let metadata = metadata.into_iter().map(|(key, value)| (key.to_string(), value)).collect();
     let header = Metadata::new(Some(metadata), tensors).map_err(|error| error.to_string())?;

@@ -1,22 +1,12 @@
 //! Malformed safetensors files.
 
-use std::path::Path;
-
-use zipsplat::Error;
-use zipsplat::weights::{Checkpoint, Dtype};
-
 use super::{header, pico, pico_weights};
+use zipsplat_tests::prelude::*;
 
 /// Any other result fails the test.
 pub fn reason(bytes: &[u8]) -> String {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("bad");
-    std::fs::write(&path, bytes).unwrap();
-    match Checkpoint::open_architecture(&path, pico()) {
-        Err(Error::Format { path: named, reason, .. }) => {
-            assert_eq!(named, path);
-            reason
-        }
+    match read_as("bad", bytes, |path| Checkpoint::open_architecture(path, pico())) {
+        Err(Error::Format { path, reason, .. }) if path.ends_with("bad") => reason,
         other => panic!("expected a format error, found {other:?}"),
     }
 }
@@ -77,11 +67,15 @@ fn tensors_of_very_many_axes() {
 }
 
 #[test]
-fn metadata_that_is_no_architecture() {
-    let with_metadata = |architecture: &str| {
-        let quoted = serde_json::to_string(architecture).unwrap();
-        file(&format!("{{\"__metadata__\":{{\"zipsplat.architecture\":{quoted}}}}}"), 0)
+fn metadata_that_is_unusable() {
+    let with = |key: &str, value: &str| {
+        let quoted = serde_json::to_string(value).unwrap();
+        file(&format!("{{\"__metadata__\":{{\"zipsplat.{key}\":{quoted}}}}}"), 0)
     };
+    let with_metadata = |architecture: &str| with("architecture", architecture);
+    assert_reason(&with("format_version", "2"), "zipsplat.format_version: found 2, expected at most 1");
+    assert_reason(&with("image_size", "15"), "zipsplat.image_size: found 15");
+    assert_reason(&with("picture_side", "15"), "zipsplat.image_size: found 15");
     assert_reason(&with_metadata("vits"), "zipsplat.architecture");
     let json = serde_json::to_string(&pico()).unwrap();
     assert_reason(&with_metadata(&json.replace("\"depth\":2", "\"depth\":99999999999")), "depth of pico");

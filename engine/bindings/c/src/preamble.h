@@ -32,7 +32,7 @@
  * photos, weights and files. It has RAYON_NUM_THREADS threads, by default one per core, and lives
  * as long as the process.
  *
- * Cache. The library caches kernel self-test results and the tile sizes of `zipsplat tune` on disk.
+ * Cache. The library caches kernel self-test results and the tile sizes of `zipsplat doctor tune` on disk.
  * The folder is ZIPSPLAT_CACHE, else `zipsplat` in XDG_CACHE_HOME or LOCALAPPDATA, else
  * .cache/zipsplat in HOME. Without a writable folder every process repeats the test. Adopted
  * devices (zs_device_from_vulkan) and ZS_PRECISION_FP32 need no cache.

@@ -14,7 +14,7 @@ use std::{cell::Cell, ffi::c_void, ops::ControlFlow};
 use zipsplat::{
     Camera, Error, Image, Pose, RefineOptions, RefineResult,
     gpu::Arena,
-    refine::{PerceptualLoss, Refining, StopReason, refine_scene, refine_tokens},
+    refine::{PerceptualLoss, RefineProgress, StopReason, refine_scene, refine_tokens},
     stages::lpips::LpipsNetwork,
 };
 
@@ -200,7 +200,7 @@ struct Inputs {
     engine: RefineOptions,
 }
 
-type ProgressFunction<'a> = &'a mut dyn FnMut(Refining<'_>) -> ControlFlow<()>;
+type ProgressFunction<'a> = &'a mut dyn FnMut(RefineProgress<'_>) -> ControlFlow<()>;
 
 impl Inputs {
     /// # Safety
@@ -236,7 +236,7 @@ impl Inputs {
     ) -> Result<RefineResult, Error> {
         let reporter = Reporter { callback: self.options.progress, user_data: self.options.user_data };
         let is_cancelled = Cell::new(false);
-        let mut progress = |now: Refining<'_>| match reporter.report("refine", of(&now)) {
+        let mut progress = |now: RefineProgress<'_>| match reporter.report("refine", of(&now)) {
             zs_progress_action::ZS_CONTINUE => ControlFlow::Continue(()),
             action => {
                 is_cancelled.set(action == zs_progress_action::ZS_CANCEL);
@@ -272,14 +272,14 @@ unsafe fn output_count(result: *const zs_refine_result, count: usize) -> Result<
     Ok(if cameras.is_null() { 0 } else { count })
 }
 
-fn of(now: &Refining<'_>) -> zs_progress {
+fn of(now: &RefineProgress<'_>) -> zs_progress {
     zs_progress {
         fraction: now.step as f64 / now.steps.max(1) as f64,
         step: now.step,
         steps: now.steps,
         loss: now.loss.map_or(f64::NAN, f64::from),
         psnr: now.psnr.unwrap_or(f64::NAN),
-        eta_seconds: now.left.as_secs_f64(),
+        eta_seconds: now.eta.as_secs_f64(),
         ..Versioned::new()
     }
 }

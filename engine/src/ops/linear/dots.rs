@@ -17,21 +17,10 @@ impl Linear {
         let tile = self.dot_tile(rec.limits(), tiles, input.count);
         let (a, row_scales, column_scales) = self.quantized(rec, input);
         let rows = input.count;
-        let kernel = ops::LinearDot {
-            a: a.tensor,
+        let kernel = linear_kernel!(LinearDot, self, a, out, epilogue, {
             weight: self.weight.slice::<i8>(0, self.columns * self.inner),
-            bias: self.bias,
-            gamma: epilogue.gamma.unwrap_or(self.bias),
-            residual: epilogue.residual.map_or(self.bias, |residual| residual.tensor),
-            out: out.tensor,
             row_scales,
             column_scales,
-            rows: rows as u32,
-            inner: self.inner as u32,
-            columns: self.columns as u32,
-            activation: epilogue.activation as u32,
-            scale: epilogue.gamma.is_some(),
-            add: epilogue.residual.is_some(),
             subgroups: tile.lanes() / rec.limits().subgroup_size,
             tile_columns: tile.sides[1],
             lane_rows: tile.lane[0],
@@ -39,7 +28,7 @@ impl Linear {
             tile_k: tile.k,
             factor: Element::I8,
             output: out.element,
-        };
+        });
         let [tile_rows, tile_columns] = tile.sides.map(|side| side as usize);
         let groups = [self.columns.div_ceil(tile_columns), rows.div_ceil(tile_rows), 1];
         rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(rows));

@@ -133,26 +133,15 @@ impl Linear {
         let (rows, [tile_rows, vectors]) = (input.count, UNIFORM_TILE);
         let tile_columns = vectors * rec.limits().subgroup_size;
         let [weight, integers, scales] = self.weights();
-        let kernel = ops::LinearUniform {
-            a: input.tensor,
+        let kernel = linear_kernel!(LinearUniform, self, input, out, epilogue, {
             weight,
-            bias: self.bias,
-            gamma: epilogue.gamma.unwrap_or(self.bias),
-            residual: epilogue.residual.map_or(self.bias, |residual| residual.tensor),
-            out: out.tensor,
             integers,
             scales,
-            rows: rows as u32,
-            inner: self.inner as u32,
-            columns: self.columns as u32,
-            activation: epilogue.activation as u32,
-            scale: epilogue.gamma.is_some(),
-            add: epilogue.residual.is_some(),
             q8: self.kernel.weights() == Weights::Q8,
             terms: terms_of(self.inner),
             tile_rows,
             vectors,
-        };
+        });
         let groups = [rows.div_ceil(tile_rows as usize), self.columns.div_ceil(tile_columns as usize), 1];
         rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(rows));
     }
@@ -160,27 +149,16 @@ impl Linear {
     fn panels(&self, rec: &mut Recorder, input: Rows, out: Rows, epilogue: Epilogue, split_k: usize) {
         let (lanes, rows) = (rec.limits().subgroup_size as usize, input.count);
         let [weight, integers, scales] = self.weights();
-        let kernel = ops::Linear {
-            a: input.tensor,
+        let kernel = linear_kernel!(Linear, self, input, out, epilogue, {
             weight,
-            bias: self.bias,
-            gamma: epilogue.gamma.unwrap_or(self.bias),
-            residual: epilogue.residual.map_or(self.bias, |residual| residual.tensor),
-            out: out.tensor,
             integers,
             scales,
-            rows: rows as u32,
-            inner: self.inner as u32,
-            columns: self.columns as u32,
-            activation: epilogue.activation as u32,
-            scale: epilogue.gamma.is_some(),
-            add: epilogue.residual.is_some(),
             q8: self.kernel.weights() == Weights::Q8,
             share: split_k as u32,
             split: split_k < self.inner,
             input: input.element,
             output: out.element,
-        };
+        });
         let parts = self.inner.div_ceil(split_k);
         let groups = [rows.div_ceil(LINEAR_ROWS as usize), self.columns.div_ceil(4 * lanes), parts];
         rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(rows));
@@ -189,22 +167,11 @@ impl Linear {
     fn tiled(&self, rec: &mut Recorder, tile: LaneTile, input: Rows, out: Rows, epilogue: Epilogue, split_k: usize) {
         let [weight, integers, scales] = self.weights();
         let rows = input.count;
-        let kernel = ops::LinearTiled {
-            a: input.tensor,
+        let kernel = linear_kernel!(LinearTiled, self, input, out, epilogue, {
             weight,
-            bias: self.bias,
-            gamma: epilogue.gamma.unwrap_or(self.bias),
-            residual: epilogue.residual.map_or(self.bias, |residual| residual.tensor),
-            out: out.tensor,
             integers,
             scales,
-            rows: rows as u32,
-            inner: self.inner as u32,
-            columns: self.columns as u32,
             share: split_k as u32,
-            activation: epilogue.activation as u32,
-            scale: epilogue.gamma.is_some(),
-            add: epilogue.residual.is_some(),
             q8: self.kernel.weights() == Weights::Q8,
             subgroups: tile.lanes() / rec.limits().subgroup_size,
             tile_columns: tile.sides[1],
@@ -214,7 +181,7 @@ impl Linear {
             split: split_k < self.inner,
             input: input.element,
             output: out.element,
-        };
+        });
         let [tile_rows, tile_columns] = tile.sides.map(|side| side as usize);
         let groups = [self.columns.div_ceil(tile_columns), rows.div_ceil(tile_rows), self.inner.div_ceil(split_k)];
         rec.dispatch_groups(kernel, groups.map(|g| g as u32)).flops(self.flops(rows));

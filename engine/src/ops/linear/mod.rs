@@ -1,3 +1,23 @@
+/// Builds a linear kernel of `$linear` from its own fields and those that all variants share.
+macro_rules! linear_kernel {
+    ($kernel:ident, $linear:ident, $input:ident, $out:ident, $epilogue:ident, { $($own:tt)* }) => {
+        ops::$kernel {
+            a: $input.tensor,
+            bias: $linear.bias,
+            gamma: $epilogue.gamma.unwrap_or($linear.bias),
+            residual: $epilogue.residual.map_or($linear.bias, |residual| residual.tensor),
+            out: $out.tensor,
+            rows: $input.count as u32,
+            inner: $linear.inner as u32,
+            columns: $linear.columns as u32,
+            activation: $epilogue.activation as u32,
+            scale: $epilogue.gamma.is_some(),
+            add: $epilogue.residual.is_some(),
+            $($own)*
+        }
+    };
+}
+
 mod dots;
 mod lanes;
 
@@ -236,20 +256,12 @@ impl Linear {
             _ => (input, self.bias, self.bias),
         };
         let [weight, integers, scales] = self.weights();
-        let kernel = ops::LinearMatrix {
-            a: a.tensor,
+        let kernel = linear_kernel!(LinearMatrix, self, a, out, epilogue, {
             weight,
-            bias: self.bias,
-            gamma: epilogue.gamma.unwrap_or(self.bias),
-            residual: epilogue.residual.map_or(self.bias, |residual| residual.tensor),
-            out: out.tensor,
             row_scales,
             column_scales,
             integers,
             scales,
-            rows: rows as u32,
-            inner: inner as u32,
-            columns: columns as u32,
             subgroups: tile.all_subgroups(),
             subgroups_n: tile.subgroups[1],
             matrix_m: shape.m,
@@ -258,15 +270,12 @@ impl Linear {
             repeat_m: tile.repeats[0],
             repeat_n: tile.repeats[1],
             tile_k: tile.k,
-            activation: epilogue.activation as u32,
-            scale: epilogue.gamma.is_some(),
-            add: epilogue.residual.is_some(),
             q8: self.kernel.weights() == Weights::Q8,
             share: split_k as u32,
             split: split_k < inner,
             factor,
             output: out.element,
-        };
+        });
         let [tile_rows, tile_columns] = tile.sides(units);
         // Columns vary fastest, so that workgroups share rows in cache.
         let groups = [columns.div_ceil(tile_columns), rows.div_ceil(tile_rows), inner.div_ceil(split_k)];

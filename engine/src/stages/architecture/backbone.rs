@@ -18,7 +18,7 @@ pub struct BackboneArchitecture {
     /// Its hidden channels; for SwiGLU, those of `gate`.
     pub ffn_hidden: usize,
     /// Patch side in pixels.
-    #[serde(alias = "patch")]
+    #[serde(rename = "patch")]
     pub patch_size: usize,
     /// Side of the learned position grid.
     pub position_grid: usize,

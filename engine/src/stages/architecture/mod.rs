@@ -42,7 +42,7 @@ pub struct Architecture {
     /// Its hidden channels; for SwiGLU, those of `gate`.
     pub ffn_hidden: usize,
     /// Patch side in pixels.
-    #[serde(alias = "patch")]
+    #[serde(rename = "patch")]
     pub patch_size: usize,
     /// Side of the learned position grid.
     pub position_grid: usize,

@@ -96,7 +96,7 @@ pub struct RenderOutput {
     pub width: u32,
     /// Height in pixels.
     pub height: u32,
-    /// `[height, width, 3]` linear RGB, unbounded above.
+    /// `[height, width, 3]` sRGB-encoded color, unbounded above.
     pub rgb: Option<Vec<f32>>,
     /// `[height, width]` in 0..1.
     pub alpha: Option<Vec<f32>>,

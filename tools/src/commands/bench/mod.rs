@@ -28,7 +28,7 @@ use zipsplat::{
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat bench forward --weights seeded:vits --views 2,4,8 --ratio 1,auto
-  zipsplat bench depth --weights seeded:da3-small --views 4,24 --size 252x252,504x336
+  zipsplat bench depth --weights seeded:da3-small --views 4,24 --input-size 252x252,504x336
   zipsplat bench gemm
   zipsplat bench peak
   zipsplat bench render --gaussians 36000,102000 --size 252x252,1920x1080
@@ -50,7 +50,7 @@ enum What {
     Forward(forward::Forward),
     Gemm(gemm::Gemm),
     Peak(peak::Peak),
-    RefineOptions(refine::RefineOptions),
+    Refine(refine::Refine),
     Render(render::Render),
     Tradeoff(Box<tradeoff::Tradeoff>),
 }
@@ -75,7 +75,7 @@ impl Bench {
             What::Forward(bench) => bench.run(session),
             What::Gemm(bench) => bench.run(session),
             What::Peak(bench) => bench.run(session),
-            What::RefineOptions(bench) => bench.run(session),
+            What::Refine(bench) => bench.run(session),
             What::Render(bench) => bench.run(session),
             What::Tradeoff(bench) => bench.run(session),
         }
