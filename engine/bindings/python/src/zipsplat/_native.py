@@ -206,32 +206,28 @@ def array_at(
 
 
 class Told:
-    """A progress function that may stop the call by returning False."""
+    """A function of a zs_progress that may stop the call by returning False."""
 
-    def __init__(self, function: Optional[Callable[..., object]]) -> None:
+    def __init__(self, function: Optional[Callable[[Any], object]]) -> None:
         self.function = function
         self.handle = ffi.new_handle(self)
 
-    def tell(self, *now: object) -> int:
-        """Returns 1 to stop."""
-        stopped = _calls.ending or (self.function is not None and self.function(*now) is False)
-        return 1 if stopped else 0
+    @classmethod
+    def fractions(cls, function: Optional[Callable[[float, str], object]]) -> Told:
+        """Wraps a function of the completed fraction and the stage."""
+        return cls(None if function is None else lambda now: function(now.fraction, text(now.stage)))
 
 
 def _raised(_kind: object, value: BaseException, _trace: object) -> None:
-    # Stops the call, which then raises the exception, Ctrl-C included.
+    # Cancels the call, which then raises the exception, Ctrl-C included.
     _thread.raised = value
 
 
-@ffi.callback("int32_t(void *, double, const char *)", error=1, onerror=_raised)  # type: ignore[untyped-decorator]
-def progress(told: Any, fraction: float, stage: Any) -> int:
-    """Progress callback of reconstruction and model loading."""
+@ffi.callback(  # type: ignore[untyped-decorator]
+    "zs_progress_action(void *, const struct zs_progress *)", error=lib.ZS_CANCEL, onerror=_raised
+)
+def progress(told: Any, now: Any) -> int:
+    """Progress callback of all calls."""
     found: Told = ffi.from_handle(told)
-    return found.tell(fraction, text(stage))
-
-
-@ffi.callback("int32_t(void *, const struct zs_refining *)", error=1, onerror=_raised)  # type: ignore[untyped-decorator]
-def refine_progress(told: Any, now: Any) -> int:
-    """Progress callback of a refinement."""
-    found: Told = ffi.from_handle(told)
-    return found.tell(now)
+    is_stopped = _calls.ending or found.function is not None and found.function(now) is False
+    return int(lib.ZS_STOP if is_stopped else lib.ZS_CONTINUE)

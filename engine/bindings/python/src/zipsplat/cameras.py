@@ -190,10 +190,10 @@ class Capture(Sequence[CaptureView]):
 
     def __init__(self, path: PathLike) -> None:
         self._handle = Handle("capture", "zs_capture_open", os.fsencode(path))
-        count, notes = ffi.new("size_t *"), ffi.new("char **")
-        call("zs_capture_get_count", self._handle, count, notes)
-        self.warnings: list[str] = warned(notes[0])
-        self._views = [self._view(index) for index in range(count[0])]
+        info = structure("capture_info")
+        call("zs_capture_get_info", self._handle, info)
+        self.warnings: list[str] = warned(info.warnings)
+        self._views = [self._view(index) for index in range(info.view_count)]
         # Keeps a temporary folder alive.
         self._keeps: object = None
 
@@ -245,10 +245,10 @@ class Capture(Sequence[CaptureView]):
         return f"<zipsplat.Capture of {len(self)} photos>"
 
     def _view(self, index: int) -> CaptureView:
-        camera, name, path = structure("camera"), ffi.new("char **"), ffi.new("char **")
-        call("zs_capture_get", self._handle, index, camera, name, path)
-        where = Path(os.fsdecode(ffi.string(path[0]))) if path[0] else None
-        return CaptureView(text(name[0]), where, from_native(camera), index)
+        view = structure("capture_view")
+        call("zs_capture_get_view", self._handle, index, view)
+        where = Path(os.fsdecode(ffi.string(view.path))) if view.path else None
+        return CaptureView(text(view.name), where, from_native(view.camera), index)
 
 
 def from_native(found: Any) -> Camera:

@@ -63,14 +63,14 @@ class DepthPrediction:
         return f"<zipsplat.DepthPrediction of {photos} photos at {width}x{height}>"
 
     def _view(self, index: int) -> tuple[Any, Any, Any, Optional[Camera]]:
-        view, camera = structure("depth_view"), structure("camera")
-        call("zs_depth_result_get", self._handle, index, view, camera)
+        view = structure("depth_map")
+        call("zs_depth_result_get_map", self._handle, index, view)
         shape = (int(view.height), int(view.width))
         arrays = [
             array_at(self._handle, pointer, shape) if pointer else None
             for pointer in (view.depth, view.confidence, view.sky)
         ]
-        return arrays[0], arrays[1], arrays[2], from_native(camera) if camera.width else None
+        return arrays[0], arrays[1], arrays[2], from_native(view.image_camera) if view.image_camera else None
 
 
 def _stacked(views: list[Any]) -> Optional[npt.NDArray[np.float32]]:
@@ -110,8 +110,8 @@ class DepthModel(Owner):
         Raises:
             NoDeviceError, WeightsError, FormatError, FileError, OutOfMemoryError, ArgumentError.
         """
-        on, told = opened(device), Told(progress)
-        made = options("model", precision=choose("precision", precision, PRECISIONS))
+        on, told = opened(device), Told.fractions(progress)
+        made = options("depth_model", precision=choose("precision", precision, PRECISIONS))
         made.progress, made.user_data = native_progress, told.handle
         return cls(Handle("depth_model", "zs_depth_model_load", on._handle, weights_path(weights), made), on)
 
@@ -147,7 +147,7 @@ class DepthModel(Owner):
             (12, 378, 504)
         """
         sources, posed, _capture = matched(images, cameras)
-        told = Told(progress)
+        told = Told.fractions(progress)
         made = options(
             "depth",
             input_size=input_size,

@@ -21,7 +21,7 @@ from ._projection import Meta, project
 from .cameras import Camera, Cameras, native
 from .device import Device, DeviceLike, opened
 from .errors import ArgumentError, UnsupportedError
-from .renderer import Renderer, render_buffers
+from .renderer import Renderer, planes, render_buffers
 from .scene import Scene
 
 Array = npt.NDArray[Any]
@@ -350,7 +350,7 @@ def _backward(
     if all(plane is None for plane in kept):
         return found, np.zeros_like(viewmats) if of_cameras else None
     renderer = _renderers.of(scene, how.device)
-    arguments = (native(views), render_buffers(kept[0], kept[1], kept[2]), len(views), how.options(), to)
+    arguments = (native(views), planes("grad_outputs", color=kept[0], alpha=kept[1], depth=kept[2]), len(views), how.options(), to)
     call("zs_render_backward", renderer._handle, scene._handle, *arguments)
     return found, _by_viewmats(viewmats, moved) if of_cameras else None
 

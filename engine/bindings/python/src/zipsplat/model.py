@@ -97,7 +97,7 @@ class Model(Owner):
         Example:
             >>> model = Model.load("zipsplat", precision="fp16", device="cuda:0")
         """
-        on, told = opened(device), Told(progress)
+        on, told = opened(device), Told.fractions(progress)
         made = options("model", precision=choose("precision", precision, PRECISIONS))
         name = ffi.NULL if variant is None else ffi.new("char[]", variant.encode())
         made.variant, made.progress, made.user_data = name, native_progress, told.handle
@@ -158,7 +158,7 @@ class Model(Owner):
         if refine and posed is None:
             raise ArgumentError("refine: found no cameras, expected one per image, as from zipsplat.estimate_cameras")
         share = _RECONSTRUCTED if refine else 1.0
-        told = Told(None if progress is None else lambda done, stage: progress(share * done, stage))
+        told = Told.fractions(None if progress is None else lambda done, stage: progress(share * done, stage))
         made = options(
             "reconstruct",
             world=choose("world", world, _WORLDS),
@@ -181,7 +181,8 @@ class Model(Owner):
         if capture is not None:
             made.capture = capture._handle.pointer
         photos, kept = native_images(sources)
-        scene = Scene(Handle("scene", "zs_reconstruct", self._handle, photos, len(sources), made), self.device)
+        reconstruction = Handle("reconstruction", "zs_reconstruct", self._handle, photos, len(sources), made)
+        scene = Scene(Handle("scene", "zs_reconstruction_to_scene", reconstruction), self.device)
         if not refine or posed is None:
             return scene
         tell = None if progress is None else _refining_as(progress)

@@ -115,11 +115,15 @@ def render_buffers(
     rgb: Optional[npt.NDArray[Any]], alpha: Optional[npt.NDArray[Any]], depth: Optional[npt.NDArray[Any]]
 ) -> Any:
     """Describes contiguous output arrays, with cameras as the first axis, for the library."""
-    planes = (("pixels", "void *", rgb), ("alpha", "float *", alpha), ("depth", "float *", depth))
-    found = [(name, kind, plane) for name, kind, plane in planes if plane is not None]
-    out = ffi.new("zs_render_buffers[]", len(found[0][2]) if found else 0)
+    return planes("render_buffers", pixels=rgb, alpha=alpha, depth=depth)
+
+
+def planes(kind: str, **arrays: Optional[npt.NDArray[Any]]) -> Any:
+    """Describes contiguous arrays, with cameras as the first axis, as an array of structures."""
+    found = [(name, array) for name, array in arrays.items() if array is not None]
+    out = ffi.new(f"zs_{kind}[]", len(found[0][1]) if found else 0)
     for i, to in enumerate(out):
-        to.struct_size = ffi.sizeof("zs_render_buffers")
-        for name, kind, plane in found:
-            setattr(to, name, ffi.cast(kind, plane[i].ctypes.data))
+        to.struct_size = ffi.sizeof(f"zs_{kind}")
+        for name, array in found:
+            setattr(to, name, ffi.cast("void *", array[i].ctypes.data))
     return out

@@ -12,7 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from . import command
-from ._native import Handle, Told, array_at, call, ffi, lib, options, refine_progress, structure
+from ._native import Handle, Told, array_at, call, ffi, lib, options, structure
+from ._native import progress as native_progress
 from .cameras import Camera, PathLike
 from .cameras import native as native_cameras
 from .device import Device, DeviceLike, TorchDevice, opened
@@ -127,9 +128,8 @@ class Scene:
             drop_invalid: Drops Gaussians with NaN, infinite or out-of-range values instead of
                 rejecting the file.
         """
-        if drop_invalid:
-            return cls(Handle("scene", "zs_scene_open_dropping_invalid", os.fsencode(path), ffi.NULL))
-        return cls(Handle("scene", "zs_scene_open", os.fsencode(path)))
+        how = options("scene_open", drop_invalid=int(drop_invalid))
+        return cls(Handle("scene", "zs_scene_open", os.fsencode(path), how))
 
     @classmethod
     def from_bytes(cls, data: bytes, format: Optional[Format] = None, *, drop_invalid: bool = False) -> Scene:
@@ -137,8 +137,9 @@ class Scene:
 
         PLY, SPZ and .glb are recognized by content; `format` is "splat" or "gltf" otherwise.
         """
-        dropped = ffi.new("uint64_t *") if drop_invalid else ffi.NULL
-        return cls(Handle("scene", "zs_scene_from_memory", data, len(data), _name(format), dropped))
+        name = _name(format)
+        how = options("scene_open", drop_invalid=int(drop_invalid), format=name)
+        return cls(Handle("scene", "zs_scene_from_memory", data, len(data), how))
 
     @classmethod
     def from_arrays(
@@ -280,12 +281,12 @@ class Scene:
             holdout_views=0 if holdout_views == "auto" else int(holdout_views) or lib.ZS_HOLDOUT_VIEWS_NONE,
             max_image_size=max_image_size or (2**32 - 1,) * 2,
             seed=seed,
-            progress=refine_progress,
+            progress=native_progress,
             user_data=told.handle,
         )
         info = structure("refine_result")
         arguments = (on._handle, self._handle, photos, native_cameras(posed), len(sources), made, info)
-        return Scene(Handle("scene", "zs_refine", *arguments), on, _refinement(info))
+        return Scene(Handle("scene", "zs_refine_scene", *arguments), on, _refinement(info))
 
     def render(
         self,
