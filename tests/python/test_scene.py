@@ -105,6 +105,9 @@ def test_pictures_are_arrays(scene: zipsplat.Scene) -> None:
     assert np.array_equal((np.clip(floats, 0, 1) * 255).astype(np.uint8), one.rgb)
     lit = renderer.render(cameras[1], background=(1, 1, 1), dtype=np.float32).rgb
     assert np.allclose(lit - floats, 1 - both.alpha[1][..., None], atol=1e-5)
+    normals = renderer.render(cameras, normals=True).normals
+    assert normals is not None and normals.shape == (2, 36, 48, 3)
+    assert np.allclose(np.linalg.norm(normals[both.alpha > 0.5], axis=-1), 1, atol=1e-4)
     accumulated = renderer.render(cameras, depth="accumulated").depth
     assert np.allclose(accumulated, both.depth * both.alpha, rtol=1e-4, atol=1e-4)
     empty = zipsplat.Scene.from_arrays(
@@ -165,6 +168,22 @@ def test_captures_are_sequences_of_photos(capture: Path) -> None:
     assert np.array_equal(last.cameras.Ks, opened.cameras.Ks[1:])
     with pytest.raises(zipsplat.FileError):
         zipsplat.Capture.open(capture / "none")
+
+
+def test_captures_are_made_of_cameras_and_saved(capture: Path, tmp_path: Path) -> None:
+    opened = zipsplat.Capture.open(capture)
+    names, paths = [view.name for view in opened], [capture / view.name for view in opened]
+    made = zipsplat.Capture.from_cameras(opened.cameras, names, paths)
+    assert [view.path for view in made] == paths and np.allclose(made.cameras.viewmats, opened.cameras.viewmats)
+    (tmp_path / "saved").mkdir()
+    made.save(tmp_path / "saved" / "transforms.json")
+    saved = zipsplat.Capture.open(tmp_path / "saved")
+    assert [view.name for view in saved] == names and np.allclose(saved.cameras.Ks, opened.cameras.Ks)
+    assert np.allclose(saved.cameras.camera_to_world, opened.cameras.camera_to_world)
+    with pytest.raises(zipsplat.ArgumentError, match="2 of 3 photos"):
+        made[1:].save(tmp_path / "part.json")
+    with pytest.raises(zipsplat.ArgumentError, match="1 names"):
+        zipsplat.Capture.from_cameras(opened.cameras, names[:1])
 
 
 def test_a_colmap_model_is_read(tmp_path: Path) -> None:

@@ -37,8 +37,9 @@ from .gsplat import rasterization
 from .images import list_images, load_image, save_image
 from .model import Model
 from .progress import Progress
+from .reconstruction import CameraEstimate, Reconstruction
 from .renderer import Renderer, RenderOutput
-from .scene import CameraEstimate, Reconstruction, RefineResult, Scene
+from .scene import RefineResult, Scene
 
 __version__: str = _text(_lib.zs_version())
 

@@ -16,7 +16,7 @@ from .errors import ArgumentError
 from .images import CamerasLike, ImagesLike, matched
 from .images import native as native_images
 from .progress import Callback, ProgressFunction
-from .scene import Reconstruction
+from .reconstruction import Reconstruction
 
 Precision = Literal["auto", "fp32", "fp16", "bf16", "int8"]
 TokenSelection = Literal["kmeans", "stride", "random"]

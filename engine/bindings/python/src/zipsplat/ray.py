@@ -227,9 +227,8 @@ def run(
         actors: Limit of actors; None for one per GPU, or per core without GPUs.
         tries: Limit of attempts per capture.
     """
-    import ray.data
-
     import ray
+    import ray.data
 
     rows = captures(inputs, options)
     store, began = Store(out), time.time()

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import command
-from ._native import Handle, array_at, call, choose, ffi, lib, structure, text, warned
+from ._native import Handle, array_at, call, choose, ffi, lib, structure
 from .cameras import Camera, Cameras, PathLike, from_native
 from .cameras import native as native_cameras
 from .device import Device, DeviceLike, TorchDevice, opened
@@ -72,21 +72,6 @@ class RefineResult:
     initial_training_psnr: float
     best_training_psnr: float
     cameras: Cameras
-
-
-@dataclass(frozen=True)
-class CameraEstimate:
-    """Camera of a photo, estimated from a reconstruction.
-
-    Attributes:
-        camera: Camera of the whole photo in the scene's world; None without an estimate.
-        inliers: Number of patches that agree with the camera.
-        patches: Number of patches.
-    """
-
-    camera: Optional[Camera]
-    inliers: int
-    patches: int
 
 
 class Scene:
@@ -367,49 +352,6 @@ class Scene:
             rows += [(axis, f"{low:.3g} to {high:.3g}") for axis, low, high in zip("xyz", *ends)]
         cells = "".join(f"<tr><th>{html.escape(name)}</th><td>{html.escape(value)}</td></tr>" for name, value in rows)
         return f"<table>{cells}</table>"
-
-
-class Reconstruction(Scene):
-    """A scene of Model.reconstruct, with its relation to the photos, kept on the model's device.
-
-    Attributes:
-        token_count: Number of kept tokens.
-        warnings: Messages about the photos and cameras.
-    """
-
-    def __init__(self, handle: Handle, device: Device) -> None:
-        super().__init__(Handle("scene", "zs_reconstruction_to_scene", handle), device)
-        self._reconstruction = handle
-        info = structure("reconstruction_info")
-        call("zs_reconstruction_get_info", handle, info)
-        self._views: int = info.view_count
-        self.token_count: int = info.token_count
-        self.warnings: list[str] = warned(text(info.warnings).splitlines())
-
-    def estimate_cameras(self) -> list[CameraEstimate]:
-        """Estimates the cameras of unposed photos from the Gaussians of their patches.
-
-        They share a field of view.
-
-        Raises:
-            Error: no photo has an estimate, or the cameras are known.
-
-        Example:
-            >>> estimates = model.reconstruct("photos/").estimate_cameras()
-            >>> scene.render(estimates[0].camera)
-        """
-        estimates = []
-        for index in range(self._views):
-            found = structure("camera_estimate")
-            call("zs_reconstruction_estimate_camera", self._reconstruction, index, found)
-            camera = from_native(found.camera) if found.camera else None
-            estimates.append(CameraEstimate(camera, found.inliers, found.patches))
-        return estimates
-
-    def _refined(self, device: Device, target: RefineTarget) -> tuple[Any, ...]:
-        if target == "tokens":
-            return "zs_refine_reconstruction", self._reconstruction
-        return super()._refined(device, target)
 
 
 def _name(format: Optional[str]) -> Any:
