@@ -174,7 +174,7 @@ def test_tokens_are_refined_and_cameras_estimated(photos: list[Path], capture: P
     estimates = unposed.estimate_cameras()
     assert len(estimates) == len(photos) and estimates[0].camera is not None
     assert estimates[0].inliers > estimates[0].patches / 2
-    assert np.allclose(estimates[0].camera.camera_to_world[:3, 3], 0, atol=0.2)
+    assert np.allclose(estimates[0].camera.camera_to_world[:3, 3], 0, atol=0.5)
     height, width, _ = zipsplat.load_image(photos[0]).shape
     assert (estimates[0].camera.height, estimates[0].camera.width) == (height, width)
 
