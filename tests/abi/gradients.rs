@@ -91,6 +91,7 @@ fn are_rusts_bits() {
         (zs_depth_mode::ZS_DEPTH_MODE_EXPECTED, Depth::Expected),
     ] {
         let mut case = Case::new();
+        case.scene.means.iter_mut().for_each(|[x, y, _]| (*x, *y) = (0.1 * *x, 0.1 * *y));
         ok(case.run(&options(depth)));
         let frame = |i: usize| RenderOutput {
             width: SIZE[0],
@@ -123,12 +124,12 @@ fn are_rusts_bits() {
         assert_same("sh_coeffs", &case.found[4], found.scene.sh_coeffs.as_flattened());
         assert_same("cameras", &case.found[5], found.cameras.as_flattened());
         assert_same("means2d", &case.found[6], found.means2d.as_flattened());
-        // The principal point moves all centers, and limits of a few clamped slopes.
+        // The principal point moves all centers; near the axis no slope is clamped.
         for (camera, centers) in found.cameras.iter().zip(found.means2d.chunks_exact(case.scene.len())) {
             for axis in 0..2 {
                 let sum: f32 = centers.iter().map(|center| center[axis]).sum();
                 let size: f32 = centers.iter().map(|center| center[axis].abs()).sum();
-                assert!(size > 0.0 && (sum - camera[8 + axis]).abs() < 0.01 * size, "{sum} {}", camera[8 + axis]);
+                assert!(size > 0.0 && (sum - camera[8 + axis]).abs() < 1e-5 * size, "{sum} {}", camera[8 + axis]);
             }
         }
         let given = std::mem::replace(&mut case.found, Case::new().found);
