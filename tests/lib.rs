@@ -2,12 +2,16 @@
 
 pub mod architectures;
 pub mod catalogue;
+pub mod command;
 pub mod compare;
 pub mod device;
 pub mod faults;
+pub mod files;
 pub mod golden;
 pub mod networks;
 pub mod photos;
+pub mod pickles;
+pub mod prelude;
 pub mod processes;
 pub mod random;
 pub mod scenes;

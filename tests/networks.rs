@@ -3,9 +3,9 @@
 use crate::{architectures, device::device, golden::Golden};
 use std::ops::ControlFlow;
 use zipsplat::{
-    gpu::Device,
+    gpu::{Device, Run, Tensor},
     ops::{Arithmetic, Precision},
-    reconstruct::Model,
+    reconstruct::{Model, ReconstructOptions, Reconstruction},
     types::Image,
     weights::Checkpoint,
 };
@@ -46,4 +46,35 @@ pub fn images(golden: &Golden) -> Vec<Image> {
         Image::new(width as u32, height as u32, rgb).expect("golden images are whole")
     };
     values.chunks(3 * area).map(picture).collect()
+}
+
+/// Reconstructs a scene.
+///
+/// # Panics
+/// If it fails.
+#[track_caller]
+pub fn reconstruct(model: &Model, images: &[Image], options: &ReconstructOptions) -> Reconstruction {
+    model.reconstruct_views(images, options, |_| ControlFlow::Continue(())).expect("a scene")
+}
+
+/// Runs the network's plan and keeps every observed tensor.
+///
+/// # Panics
+/// If it fails.
+pub fn observe(model: &Model, images: &[Image], options: &ReconstructOptions) -> Run {
+    let shape = model.shape(images, options).unwrap();
+    let (plan, tensors) = model.record(shape, true).unwrap();
+    let mut run = model.run(plan).unwrap();
+    model.write_inputs(&mut run, &tensors, shape, images, options).unwrap();
+    run.execute().unwrap();
+    run
+}
+
+/// Returns the tensor observed under `name`.
+///
+/// # Panics
+/// If there is none.
+#[track_caller]
+pub fn observed(run: &Run, name: &str) -> Tensor {
+    run.observed().iter().find(|(other, _)| other == name).expect("it is observed").1
 }

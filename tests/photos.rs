@@ -1,4 +1,12 @@
-//! Photos as cameras write them.
+//! Photos: noise, and as cameras write them.
+
+use zipsplat::types::Image;
+use zipsplat_verify::noise::Noise;
+
+/// Returns an image of random bytes.
+pub fn noise(width: u32, height: u32, seed: u64) -> Image {
+    Noise::new(seed).image(width, height)
+}
 
 /// Adds an EXIF segment with an orientation and an end marker to a JPEG.
 pub fn with_orientation(jpeg: &[u8], orientation: u8) -> Vec<u8> {

@@ -2,9 +2,13 @@
 
 use crate::golden::Golden;
 use bytemuck::cast_slice;
-use glam::{DMat3, DVec3};
-use zipsplat::types::{Camera, Intrinsics, Pose, Scene};
-pub use zipsplat_verify::{gaussians as reference_gaussians, reference_camera};
+use glam::{DMat3, DMat4, DVec3};
+use zipsplat::{
+    gpu::Recorder,
+    stages::render::SceneTensors,
+    types::{Camera, Intrinsics, Pose, Scene},
+};
+pub use zipsplat_verify::{gaussians as reference_gaussians, noise::camera, reference_camera};
 
 /// Returns the scene of a golden `raster.*`.
 pub fn golden_scene(golden: &Golden) -> Scene {
@@ -28,16 +32,15 @@ pub fn intrinsics(golden: &Golden) -> Vec<Intrinsics> {
 
 /// Returns the cameras of a golden `raster.*`.
 pub fn golden_cameras(golden: &Golden) -> Vec<Camera> {
-    let viewmats = golden.f64("viewmats");
-    let camera = |(view, intrinsics): (&[f64], Intrinsics)| {
-        let row = |i: usize| DVec3::from_slice(&view[4 * i..]);
-        let world_to_camera = Pose {
-            rotation: DMat3::from_cols(row(0), row(1), row(2)).transpose(),
-            translation: DVec3::new(view[3], view[7], view[11]),
-        };
-        Camera { intrinsics, pose: world_to_camera.inverse() }
-    };
-    viewmats.chunks_exact(16).zip(intrinsics(golden)).map(camera).collect()
+    let lenses = intrinsics(golden);
+    let view = |(view, intrinsics): (&[f64], Intrinsics)| Camera { intrinsics, pose: camera_pose(view) };
+    golden.f64("viewmats").chunks_exact(16).zip(lenses).map(view).collect()
+}
+
+/// Returns the pose of a world-to-camera matrix `[4, 4]`, row-major.
+pub fn camera_pose(view: &[f64]) -> Pose {
+    let matrix = DMat4::from_cols_slice(view).transpose();
+    Pose { rotation: DMat3::from_mat4(matrix), translation: matrix.w_axis.truncate() }.inverse()
 }
 
 /// Returns the same `count` Gaussians in front of [`camera`] on every call.
@@ -62,9 +65,58 @@ pub fn random_scene(count: usize, sh_degree: u32, size: f32) -> Scene {
     scene
 }
 
-/// Returns a camera at the origin looking along z, 53 degrees across its longer side.
-pub fn camera(width: u32, height: u32) -> Camera {
-    let focal = f64::from(width.max(height));
-    let (cx, cy) = (f64::from(width) / 2.0, f64::from(height) / 2.0);
-    Camera { intrinsics: Intrinsics { width, height, fx: focal, fy: focal, cx, cy }, pose: Pose::IDENTITY }
+/// Returns Gaussians `[n, 11 + 3K]`: means, scales, quaternions, opacities, SH coefficients.
+pub fn packed(scene: &Scene) -> Vec<f32> {
+    let k = scene.sh_coeffs_per_gaussian();
+    let row = |i: usize| {
+        let (fixed, sh) = ([scene.means[i], scene.scales[i]], &scene.sh_coeffs[i * k..][..k]);
+        [fixed.as_flattened(), &scene.quats[i], &[scene.opacities[i]], sh.as_flattened()].concat()
+    };
+    (0..scene.len()).flat_map(row).collect()
+}
+
+/// Returns the arrays of a scene by field.
+pub fn fields(scene: &Scene) -> [(&'static str, &[f32]); 5] {
+    [
+        ("means", scene.means.as_flattened()),
+        ("scales", scene.scales.as_flattened()),
+        ("quats", scene.quats.as_flattened()),
+        ("opacities", &scene.opacities),
+        ("sh_coeffs", scene.sh_coeffs.as_flattened()),
+    ]
+}
+
+/// Returns the bits of values, for exact comparisons.
+pub fn bits(values: &[f32]) -> Vec<u32> {
+    values.iter().map(|value| value.to_bits()).collect()
+}
+
+/// Returns a pose from a row-major rotation and a translation.
+pub fn pose(row: &[f64]) -> Pose {
+    Pose { rotation: DMat3::from_cols_slice(&row[..9]).transpose(), translation: DVec3::from_slice(&row[9..]) }
+}
+
+/// Returns row-major rotations and translations.
+pub fn pose_rows<'a>(poses: impl IntoIterator<Item = &'a Pose>) -> Vec<f64> {
+    let row = |pose: &Pose| [&pose.rotation.transpose().to_cols_array()[..], &pose.translation.to_array()].concat();
+    poses.into_iter().flat_map(row).collect()
+}
+
+/// Returns a camera from a world-to-camera matrix `[4, 4]` and intrinsics `[3, 3]`, row-major.
+pub fn camera_of([view, k]: [&[f64]; 2], [width, height]: [u32; 2]) -> Camera {
+    let intrinsics = Intrinsics { width, height, fx: k[0], fy: k[4], cx: k[2], cy: k[5] };
+    Camera { intrinsics, pose: camera_pose(view) }
+}
+
+/// Declares the tensors of a scene as inputs.
+pub fn scene_inputs(rec: &mut Recorder, len: usize, sh_degree: u32) -> SceneTensors {
+    SceneTensors {
+        means: rec.input::<[f32; 3]>("means", len),
+        scales: rec.input::<[f32; 3]>("scales", len),
+        quats: rec.input::<[f32; 4]>("quats", len),
+        opacities: rec.input::<f32>("opacities", len),
+        sh_coeffs: rec.input::<[f32; 3]>("sh_coeffs", len * (sh_degree as usize + 1).pow(2)),
+        len,
+        sh_degree,
+    }
 }

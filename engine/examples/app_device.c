@@ -87,7 +87,7 @@ static uint32_t compute_family(VkPhysicalDevice physical) {
 }
 
 /* Enables required extensions and features. Drawing needs no optional ones. An app that
- * reconstructs enables those, too, and sets zs_vulkan_device.fast. */
+ * reconstructs enables those, too, and sets zs_vulkan_device.optional_features_enabled. */
 static VkDevice create_device(VkPhysicalDevice physical, uint32_t family) {
     const zs_vulkan_requirement *required;
     size_t count;
@@ -260,23 +260,21 @@ int main(void) {
     vk(vkCreateCommandPool(device, &pool_info, NULL, &pool), "vkCreateCommandPool");
     const VkCommandBuffer copy = record_copy(device, pool, image, buffer);
 
-    zs_vulkan_device adopted;
-    zs(zs_vulkan_device_default(&adopted, sizeof adopted), "defaults");
+    zs_vulkan_device adopted = ZS_INIT(zs_vulkan_device);
     adopted.get_instance_proc_addr = (zs_vulkan_function)vkGetInstanceProcAddr;
     adopted.instance = instance, adopted.physical_device = physical, adopted.device = device;
     adopted.queue = queue, adopted.queue_family = family;
     adopted.lock_queue = lock_queue, adopted.unlock_queue = unlock_queue, adopted.user_data = &queue_mutex;
-    zs_context *context;
+    zs_device *engine;
     zs_renderer *renderer;
-    zs(zs_context_adopt(&adopted, &context), "adopt");
+    zs(zs_device_from_vulkan(&adopted, &engine), "adopt");
     zs_scene *scene = make_scene();
-    zs(zs_renderer_create(context, scene, &renderer), "renderer");
+    zs(zs_renderer_create(engine, scene, &renderer), "renderer");
 
     /* Even values: the image is free. Odd values: the picture is ready. */
     unsigned char *expected = malloc(BYTES);
     zs_semaphore_point free_again = {(uint64_t)(uintptr_t)timeline, 0}, drawn = free_again;
-    zs_vulkan_target target;
-    zs(zs_vulkan_target_default(&target, sizeof target), "defaults");
+    zs_vulkan_target target = ZS_INIT(zs_vulkan_target);
     target.image = (uint64_t)(uintptr_t)image;
     target.new_layout = VK_IMAGE_LAYOUT_TRANSFER_SRC_OPTIMAL;
     target.wait_count = target.signal_count = 1, target.waits = &free_again, target.signals = &drawn;
@@ -289,7 +287,7 @@ int main(void) {
 
     /* The same picture into the second half of a buffer, and into host memory. */
     const zs_camera camera = camera_of_frame(FRAMES - 1);
-    const zs_picture picture = {.struct_size = sizeof picture, .pixels = expected};
+    const zs_render_buffers picture = {.struct_size = sizeof picture, .pixels = expected};
     free_again.value = 2 * FRAMES, drawn.value = 2 * FRAMES + 1;
     target.image = 0, target.buffer = (uint64_t)(uintptr_t)buffer;
     target.buffer_offset = BYTES, target.buffer_size = BYTES;
@@ -306,7 +304,7 @@ int main(void) {
     free(expected);
     zs_renderer_destroy(renderer);
     zs_scene_destroy(scene);
-    zs_context_destroy(context);
+    zs_device_destroy(engine);
     vkDestroyCommandPool(device, pool, NULL);
     vkDestroySemaphore(device, timeline, NULL);
     vkDestroyBuffer(device, buffer, NULL);

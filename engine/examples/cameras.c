@@ -1,7 +1,7 @@
 /* Reconstructs a scene from unposed photos and writes its cameras, as refine.c reads them:
  *     cc cameras.c $(pkg-config --cflags --libs zipsplat) -o cameras
  *     ./cameras MODEL scene.ply cameras.txt PHOTO...
- * MODEL: embedded, a checkpoint, or seeded:vits */
+ * MODEL: builtin, a checkpoint, or seeded:vits */
 #include <stdio.h>
 #include <stdlib.h>
 #include <zipsplat.h>
@@ -24,22 +24,22 @@ int main(int argc, char **argv) {
     }
     int result = EXIT_FAILURE;
     const size_t count = (size_t)argc - 4;
-    zs_context *context = NULL;
+    zs_device *device = NULL;
     zs_model *model = NULL;
     zs_scene *scene = NULL;
-    zs_photo *photos[MAX_PHOTOS] = {NULL};
+    zs_image_buffer *photos[MAX_PHOTOS] = {NULL};
     zs_image images[MAX_PHOTOS];
     zs_camera cameras[MAX_PHOTOS];
     uint32_t inliers[MAX_PHOTOS], patches[MAX_PHOTOS];
     FILE *file = NULL;
 
-    CHECK(zs_context_create(NULL, &context));
-    CHECK(zs_model_open(context, argv[1], NULL, &model));
+    CHECK(zs_device_create(NULL, &device));
+    CHECK(zs_model_load(device, argv[1], NULL, &model));
     for (size_t i = 0; i < count; i++) {
-        images[i].struct_size = sizeof images[i];
-        cameras[i].struct_size = sizeof cameras[i];
-        CHECK(zs_photo_open(argv[4 + i], &photos[i]));
-        CHECK(zs_photo_get_image(photos[i], &images[i]));
+        images[i] = ZS_INIT(zs_image);
+        cameras[i] = ZS_INIT(zs_camera);
+        CHECK(zs_image_buffer_open(argv[4 + i], &photos[i]));
+        CHECK(zs_image_buffer_get_image(photos[i], &images[i]));
     }
     CHECK(zs_reconstruct(model, images, count, NULL, &scene));
     CHECK(zs_scene_save(scene, argv[2], NULL));
@@ -59,10 +59,10 @@ int main(int argc, char **argv) {
     result = EXIT_SUCCESS;
 
 done:
-    for (size_t i = 0; i < count; i++) zs_photo_destroy(photos[i]);
+    for (size_t i = 0; i < count; i++) zs_image_buffer_destroy(photos[i]);
     zs_scene_destroy(scene);
     zs_model_destroy(model);
-    zs_context_destroy(context);
+    zs_device_destroy(device);
     if (file && fclose(file)) result = EXIT_FAILURE;
     return result;
 }

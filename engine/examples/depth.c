@@ -52,28 +52,26 @@ int main(int argc, char **argv) {
     }
     int result = EXIT_FAILURE;
     const size_t count = (size_t)argc - 3;
-    zs_context *context = NULL;
+    zs_device *device = NULL;
     zs_depth_model *model = NULL;
-    zs_depths *depths = NULL;
-    zs_photo *photos[MAX_PHOTOS] = {NULL};
+    zs_depth_result *depths = NULL;
+    zs_image_buffer *photos[MAX_PHOTOS] = {NULL};
     zs_image images[MAX_PHOTOS];
     FILE *cameras = NULL;
 
-    CHECK(zs_context_create(NULL, &context));
-    CHECK(zs_depth_model_open(context, argv[1], NULL, &model));
+    CHECK(zs_device_create(NULL, &device));
+    CHECK(zs_depth_model_load(device, argv[1], NULL, &model));
     for (size_t i = 0; i < count; i++) {
-        images[i].struct_size = sizeof images[i];
-        CHECK(zs_photo_open(argv[3 + i], &photos[i]));
-        CHECK(zs_photo_get_image(photos[i], &images[i]));
+        images[i] = ZS_INIT(zs_image);
+        CHECK(zs_image_buffer_open(argv[3 + i], &photos[i]));
+        CHECK(zs_image_buffer_get_image(photos[i], &images[i]));
     }
-    zs_depth_options options;
-    CHECK(zs_depth_options_default(&options, sizeof options));
-    CHECK(zs_depth_find(model, images, count, &options, &depths));
+    CHECK(zs_depth_predict(model, images, count, NULL, &depths));
     if (!(cameras = create(argv[2], "cameras.txt"))) goto done;
     for (size_t i = 0; i < count; i++) {
-        zs_depth_view view = {.struct_size = sizeof view};
-        zs_camera camera = {.struct_size = sizeof camera};
-        CHECK(zs_depths_get(depths, i, &view, &camera));
+        zs_depth_view view = ZS_INIT(zs_depth_view);
+        zs_camera camera = ZS_INIT(zs_camera);
+        CHECK(zs_depth_result_get(depths, i, &view, &camera));
         const size_t middle = (size_t)view.height / 2 * view.width + view.width / 2;
         printf("%s: %ux%u, depth %g in the middle", argv[3 + i], view.width, view.height, view.depth[middle]);
         if (view.confidence) printf(", confidence %g", view.confidence[middle]);
@@ -84,10 +82,10 @@ int main(int argc, char **argv) {
     result = EXIT_SUCCESS;
 
 done:
-    for (size_t i = 0; i < count; i++) zs_photo_destroy(photos[i]);
-    zs_depths_destroy(depths);
+    for (size_t i = 0; i < count; i++) zs_image_buffer_destroy(photos[i]);
+    zs_depth_result_destroy(depths);
     zs_depth_model_destroy(model);
-    zs_context_destroy(context);
+    zs_device_destroy(device);
     if (cameras && fclose(cameras)) result = EXIT_FAILURE;
     return result;
 }

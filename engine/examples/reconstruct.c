@@ -1,7 +1,7 @@
 /* Reconstructs a scene from photos and draws a picture of it:
  *     cc reconstruct.c $(pkg-config --cflags --libs zipsplat) -o reconstruct
  *     ./reconstruct MODEL scene.ply picture.png PHOTO...
- * MODEL: embedded, a checkpoint, or seeded:vits */
+ * MODEL: builtin, a checkpoint, or seeded:vits */
 #include <stdio.h>
 #include <stdlib.h>
 #include <zipsplat.h>
@@ -30,23 +30,22 @@ int main(int argc, char **argv) {
     }
     int result = EXIT_FAILURE;
     const size_t count = (size_t)argc - 4;
-    zs_context *context = NULL;
+    zs_device *device = NULL;
     zs_model *model = NULL;
     zs_scene *scene = NULL;
     zs_renderer *renderer = NULL;
-    zs_photo *photos[MAX_PHOTOS] = {NULL};
+    zs_image_buffer *photos[MAX_PHOTOS] = {NULL};
     zs_image images[MAX_PHOTOS];
     unsigned char *pixels = malloc(4 * SIDE * SIDE);
 
-    CHECK(zs_context_create(NULL, &context));
-    CHECK(zs_model_open(context, argv[1], NULL, &model));
+    CHECK(zs_device_create(NULL, &device));
+    CHECK(zs_model_load(device, argv[1], NULL, &model));
     for (size_t i = 0; i < count; i++) {
-        images[i].struct_size = sizeof images[i];
-        CHECK(zs_photo_open(argv[4 + i], &photos[i]));
-        CHECK(zs_photo_get_image(photos[i], &images[i]));
+        images[i] = ZS_INIT(zs_image);
+        CHECK(zs_image_buffer_open(argv[4 + i], &photos[i]));
+        CHECK(zs_image_buffer_get_image(photos[i], &images[i]));
     }
-    zs_reconstruct_options options;
-    CHECK(zs_reconstruct_options_default(&options, sizeof options));
+    zs_reconstruct_options options = ZS_INIT(zs_reconstruct_options);
     options.progress = show;
     CHECK(zs_reconstruct(model, images, count, &options, &scene));
     CHECK(zs_scene_save(scene, argv[2], NULL));
@@ -54,8 +53,9 @@ int main(int argc, char **argv) {
     /* At the first photo's camera, the world's origin, with a field of view of 60 degrees. */
     zs_camera camera = {.struct_size = sizeof camera, .width = SIDE, .height = SIDE, .rotation = {1, 0, 0, 0, 1, 0, 0, 0, 1}};
     camera.fx = camera.fy = 0.866 * SIDE, camera.cx = camera.cy = 0.5 * SIDE;
-    zs_picture picture = {.struct_size = sizeof picture, .pixels = pixels};
-    CHECK(zs_renderer_create(context, scene, &renderer));
+    zs_render_buffers picture = ZS_INIT(zs_render_buffers);
+    picture.pixels = pixels;
+    CHECK(zs_renderer_create(device, scene, &renderer));
     CHECK(zs_render(renderer, &camera, &picture, 1, NULL));
     zs_image drawn = {sizeof drawn, ZS_PIXEL_RGBA8, SIDE, SIDE, 0, pixels};
     CHECK(zs_image_save_png(&drawn, argv[3]));
@@ -63,12 +63,12 @@ int main(int argc, char **argv) {
 
 done:
     for (size_t i = 0; i < count; i++) {
-        zs_photo_destroy(photos[i]);
+        zs_image_buffer_destroy(photos[i]);
     }
     zs_renderer_destroy(renderer);
     zs_scene_destroy(scene);
     zs_model_destroy(model);
-    zs_context_destroy(context);
+    zs_device_destroy(device);
     free(pixels);
     return result;
 }

@@ -1,7 +1,7 @@
 // reconstruct.c in C++17, with RAII, exceptions and vectors.
 //     c++ -std=c++17 reconstruct.cpp $(pkg-config --cflags --libs zipsplat) -o reconstruct
 //     ./reconstruct MODEL scene.ply picture.png PHOTO...
-// MODEL: embedded, a checkpoint, or seeded:vits
+// MODEL: builtin, a checkpoint, or seeded:vits
 #include <cstdio>
 #include <exception>
 #include <memory>
@@ -32,9 +32,9 @@ struct Destroy {
 template <class T, void (*destroy)(T *)>
 using Handle = std::unique_ptr<T, Destroy<T, destroy>>;
 
-using Context = Handle<zs_context, zs_context_destroy>;
+using Device = Handle<zs_device, zs_device_destroy>;
 using Model = Handle<zs_model, zs_model_destroy>;
-using Photo = Handle<zs_photo, zs_photo_destroy>;
+using Photo = Handle<zs_image_buffer, zs_image_buffer_destroy>;
 using Scene = Handle<zs_scene, zs_scene_destroy>;
 using Renderer = Handle<zs_renderer, zs_renderer_destroy>;
 
@@ -46,21 +46,13 @@ H make(Function function, Arguments... arguments) {
     return H(object);
 }
 
-// Creates a zeroed structure with its size set.
-template <class T>
-T sized() {
-    T structure{};
-    structure.struct_size = sizeof structure;
-    return structure;
-}
-
 struct Gaussians {
     std::vector<float> means, scales, quats, opacities, sh_coeffs;
 
     explicit Gaussians(const zs_scene *scene) {
-        auto found = sized<zs_gaussians>();
+        auto found = ZS_INIT(zs_gaussians);
         check(zs_scene_get_gaussians(scene, &found));
-        const auto n = static_cast<size_t>(found.count);
+        const size_t n = found.count;
         const size_t k = (found.sh_degree + 1) * (found.sh_degree + 1);
         means.assign(found.means, found.means + 3 * n), scales.assign(found.scales, found.scales + 3 * n);
         quats.assign(found.quats, found.quats + 4 * n), opacities.assign(found.opacities, found.opacities + n);
@@ -69,17 +61,17 @@ struct Gaussians {
 };
 
 // Draws from the first photo's camera, the world's origin, with a field of view of 60 degrees.
-inline void draw(const zs_context *context, const zs_scene *scene, uint32_t side, const char *path) {
-    auto camera = sized<zs_camera>();
+inline void draw(const zs_device *device, const zs_scene *scene, uint32_t side, const char *path) {
+    auto camera = ZS_INIT(zs_camera);
     camera.width = camera.height = side;
     camera.fx = camera.fy = 0.866 * side, camera.cx = camera.cy = 0.5 * side;
     camera.rotation[0] = camera.rotation[4] = camera.rotation[8] = 1;
     std::vector<unsigned char> pixels(size_t{4} * side * side);
-    auto picture = sized<zs_picture>();
+    auto picture = ZS_INIT(zs_render_buffers);
     picture.pixels = pixels.data();
-    const auto renderer = make<Renderer>(zs_renderer_create, context, scene);
+    const auto renderer = make<Renderer>(zs_renderer_create, device, scene);
     check(zs_render(renderer.get(), &camera, &picture, 1, nullptr));
-    auto image = sized<zs_image>();
+    auto image = ZS_INIT(zs_image);
     image.format = ZS_PIXEL_RGBA8, image.width = image.height = side, image.pixels = pixels.data();
     check(zs_image_save_png(&image, path));
 }
@@ -91,18 +83,18 @@ int main(int argc, char **argv) try {
         std::fprintf(stderr, "usage: %s MODEL scene.ply picture.png PHOTO...\n", argv[0]);
         return 2;
     }
-    const auto context = zs::make<zs::Context>(zs_context_create, nullptr);
-    const auto model = zs::make<zs::Model>(zs_model_open, context.get(), argv[1], nullptr);
+    const auto device = zs::make<zs::Device>(zs_device_create, nullptr);
+    const auto model = zs::make<zs::Model>(zs_model_load, device.get(), argv[1], nullptr);
     std::vector<zs::Photo> photos;
     std::vector<zs_image> images;
     for (int i = 4; i < argc; i++) {
-        photos.push_back(zs::make<zs::Photo>(zs_photo_open, argv[i]));
-        images.push_back(zs::sized<zs_image>());
-        zs::check(zs_photo_get_image(photos.back().get(), &images.back()));
+        photos.push_back(zs::make<zs::Photo>(zs_image_buffer_open, argv[i]));
+        images.push_back(ZS_INIT(zs_image));
+        zs::check(zs_image_buffer_get_image(photos.back().get(), &images.back()));
     }
     const auto scene = zs::make<zs::Scene>(zs_reconstruct, model.get(), images.data(), images.size(), nullptr);
     zs::check(zs_scene_save(scene.get(), argv[2], nullptr));
-    zs::draw(context.get(), scene.get(), 256, argv[3]);
+    zs::draw(device.get(), scene.get(), 256, argv[3]);
 
     const zs::Gaussians gaussians(scene.get());
     double opacity = 0;

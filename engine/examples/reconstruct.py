@@ -2,7 +2,7 @@
 
 usage: ZIPSPLAT_LIBRARY=/prefix/lib/libzipsplat.so python3 reconstruct.py MODEL scene.ply
            picture.png PHOTO...
-MODEL: embedded, a checkpoint, or seeded:vits
+MODEL: builtin, a checkpoint, or seeded:vits
 
 Pictures are arrays [height, width, channels] of uint8 or float32, Gaussians arrays of float32.
 """
@@ -14,8 +14,8 @@ import sys
 
 import numpy as np
 
-u32, u64, i32, i64, f64, pointer = (
-    ctypes.c_uint32, ctypes.c_uint64, ctypes.c_int32, ctypes.c_int64, ctypes.c_double, ctypes.c_void_p)
+u32, u64, i32, i64, f64, size, pointer = (
+    ctypes.c_uint32, ctypes.c_uint64, ctypes.c_int32, ctypes.c_int64, ctypes.c_double, ctypes.c_size_t, ctypes.c_void_p)
 
 
 def fields(**named):
@@ -43,17 +43,18 @@ class Picture(Sized):
 
 
 class Gaussians(Sized):
-    _fields_ = fields(sh_degree=u32, count=u64, means=pointer, scales=pointer, quats=pointer, opacities=pointer,
+    _fields_ = fields(sh_degree=u32, count=size, means=pointer, scales=pointer, quats=pointer, opacities=pointer,
                       sh_coeffs=pointer)
 
 
 class ReconstructOptions(Sized):
-    _fields_ = fields(world=i32, ratio=f64, unit=f64, selection=i32, width=u32, height=u32, camera_count=u32,
-                      seed=u64, cameras=pointer, progress=pointer, user_data=pointer)
+    _fields_ = fields(world=i32, ratio=f64, scene_scale=f64, token_selection=i32, kv_pool=u32, input_size=2 * u32,
+                      seed=u64, camera_count=size, cameras=pointer, progress=pointer, user_data=pointer,
+                      capture=pointer)
 
 
-RGB8, RGBA8, RGB_F32 = 1, 2, 4
-ABI_VERSION = 1
+RGBA8, RGB8, RGB_F32 = 0, 1, 3
+ABI_VERSION = 2
 
 library = ctypes.CDLL(os.environ.get("ZIPSPLAT_LIBRARY") or ctypes.util.find_library("zipsplat") or "libzipsplat.so")
 library.zs_status_name.restype = library.zs_last_error.restype = ctypes.c_char_p
@@ -85,8 +86,8 @@ def copied(address, kind, *shape):
 
 def photo(path):
     """Reads a picture as an array [height, width, 3] of uint8."""
-    opened, image = Object("photo", "zs_photo_open", os.fsencode(path)), Image()
-    call("zs_photo_get_image", opened.handle, ctypes.byref(image))
+    opened, image = Object("image_buffer", "zs_image_buffer_open", os.fsencode(path)), Image()
+    call("zs_image_buffer_get_image", opened.handle, ctypes.byref(image))
     return copied(image.pixels, ctypes.c_uint8, image.height, image.width, 3)
 
 
@@ -95,20 +96,18 @@ def reconstruct(model, pictures, ratio=1.0):
     images = (Image * len(pictures))(*(
         Image(format=RGB8 if p.dtype == np.uint8 else RGB_F32, width=p.shape[1], height=p.shape[0], pixels=p.ctypes.data)
         for p in pictures))
-    options = ReconstructOptions()
-    call("zs_reconstruct_options_default", ctypes.byref(options), ctypes.c_size_t(ctypes.sizeof(options)))
-    options.ratio = ratio
+    options = ReconstructOptions(ratio=ratio)
     count = ctypes.c_size_t(len(pictures))
     return Object("scene", "zs_reconstruct", model.handle, images, count, ctypes.byref(options))
 
 
-def draw(context, scene, side):
+def draw(device, scene, side):
     """Draws RGBA [side, side, 4] uint8 from the origin, with a field of view of 60 degrees."""
     focal, identity = 0.866 * side, (9 * f64)(1, 0, 0, 0, 1, 0, 0, 0, 1)
     camera = Camera(width=side, height=side, fx=focal, fy=focal, cx=side / 2, cy=side / 2, rotation=identity)
     pixels = np.empty((side, side, 4), np.uint8)
     picture = Picture(pixels=pixels.ctypes.data)
-    renderer = Object("renderer", "zs_renderer_create", context.handle, scene.handle)
+    renderer = Object("renderer", "zs_renderer_create", device.handle, scene.handle)
     call("zs_render", renderer.handle, ctypes.byref(camera), ctypes.byref(picture), ctypes.c_size_t(1), None)
     return pixels
 
@@ -133,10 +132,10 @@ if __name__ == "__main__":
     if len(sys.argv) < 5:
         sys.exit(__doc__)
     model_path, scene_path, picture_path, *photo_paths = sys.argv[1:]
-    context = Object("context", "zs_context_create", None)
-    model = Object("model", "zs_model_open", context.handle, os.fsencode(model_path), None)
+    device = Object("device", "zs_device_create", None)
+    model = Object("model", "zs_model_load", device.handle, os.fsencode(model_path), None)
     scene = reconstruct(model, [photo(path) for path in photo_paths])
     call("zs_scene_save", scene.handle, os.fsencode(scene_path), None)
-    save(draw(context, scene, 256), picture_path)
+    save(draw(device, scene, 256), picture_path)
     for name, array in gaussians(scene).items():
         print(f"{name:10} {str(array.shape):14} from {array.min():.3f} to {array.max():.3f}")

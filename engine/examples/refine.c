@@ -23,7 +23,7 @@ enum { MAX_PHOTOS = 1000 };
 
 static int32_t show(void *user_data, const zs_refining *now) {
     (void)user_data;
-    fprintf(stderr, "step %u of %u, loss %.4f, %.0f s left\n", now->step, now->steps, now->loss, now->seconds_left);
+    fprintf(stderr, "step %u of %u, loss %.4f, %.0f s left\n", now->step, now->steps, now->loss, now->eta_seconds);
     return 0; /* anything else stops: the best scene so far is handed out */
 }
 
@@ -32,7 +32,8 @@ static int read_camera(FILE *file, const zs_image *photo, zs_camera *camera) {
     for (int i = 0; i < 16; i++) {
         if (fscanf(file, "%lf", &numbers[i]) != 1) return 0;
     }
-    *camera = (zs_camera){.struct_size = sizeof *camera, .width = photo->width, .height = photo->height};
+    *camera = ZS_INIT(zs_camera);
+    camera->width = photo->width, camera->height = photo->height;
     camera->fx = numbers[0], camera->fy = numbers[1], camera->cx = numbers[2], camera->cy = numbers[3];
     for (int i = 0; i < 9; i++) camera->rotation[i] = numbers[4 + i];
     for (int i = 0; i < 3; i++) camera->translation[i] = numbers[13 + i];
@@ -46,56 +47,53 @@ int main(int argc, char **argv) {
     }
     int result = EXIT_FAILURE;
     const size_t count = (size_t)argc - 4;
-    zs_context *context = NULL;
+    zs_device *device = NULL;
     zs_model *model = NULL;
     zs_scene *scene = NULL, *sharp = NULL;
-    static zs_photo *photos[MAX_PHOTOS];
+    static zs_image_buffer *photos[MAX_PHOTOS];
     static zs_image images[MAX_PHOTOS];
     static zs_camera cameras[MAX_PHOTOS];
     FILE *file = fopen(argv[2], "r");
 
-    CHECK(zs_context_create(NULL, &context));
+    CHECK(zs_device_create(NULL, &device));
     for (size_t i = 0; i < count; i++) {
-        images[i].struct_size = sizeof images[i];
-        CHECK(zs_photo_open(argv[4 + i], &photos[i]));
-        CHECK(zs_photo_get_image(photos[i], &images[i]));
+        images[i] = ZS_INIT(zs_image);
+        CHECK(zs_image_buffer_open(argv[4 + i], &photos[i]));
+        CHECK(zs_image_buffer_get_image(photos[i], &images[i]));
         if (!file || !read_camera(file, &images[i], &cameras[i])) {
             fprintf(stderr, "%s: no camera for photo %s\n", argv[2], argv[4 + i]);
             goto done;
         }
     }
-    zs_refine_options options;
-    CHECK(zs_refine_options_default(&options, sizeof options));
+    zs_refine_options options = ZS_INIT(zs_refine_options);
     options.progress = show;
     if (strstr(argv[1], ".safetensors")) {
-        zs_model_options of_model;
-        CHECK(zs_model_options_default(&of_model, sizeof of_model));
+        zs_model_options of_model = ZS_INIT(zs_model_options);
         of_model.tokens = 1;
-        CHECK(zs_model_open(context, argv[1], &of_model, &model));
-        zs_reconstruct_options of_scene;
-        CHECK(zs_reconstruct_options_default(&of_scene, sizeof of_scene));
-        of_scene.cameras = cameras, of_scene.camera_count = (uint32_t)count, of_scene.world = ZS_WORLD_CAMERAS;
+        CHECK(zs_model_load(device, argv[1], &of_model, &model));
+        zs_reconstruct_options of_scene = ZS_INIT(zs_reconstruct_options);
+        of_scene.cameras = cameras, of_scene.camera_count = count;
         CHECK(zs_reconstruct(model, images, count, &of_scene, &scene));
-        options.what = ZS_REFINE_TOKENS;
+        options.target = ZS_REFINE_TARGET_TOKENS;
     } else {
         CHECK(zs_scene_open(argv[1], &scene));
     }
-    zs_refine_info info = {.struct_size = sizeof info};
-    CHECK(zs_refine(context, scene, images, cameras, count, &options, &info, &sharp));
+    zs_refine_result info = ZS_INIT(zs_refine_result);
+    CHECK(zs_refine(device, scene, images, cameras, count, &options, &info, &sharp));
     CHECK(zs_scene_save(sharp, argv[3], NULL));
-    printf("%u steps in %.1f s: loss %.4f to %.4f; kept is step %u", info.steps, info.seconds, info.first_loss,
-           info.last_loss, info.best_step);
+    printf("%u steps in %.1f s: loss %.4f to %.4f; kept is step %u", info.steps, info.seconds, info.initial_loss,
+           info.final_loss, info.best_step);
     /* With 40 or more photos one is held out against overfitting. */
-    if (info.psnr == info.psnr) printf("; held-out photos %.2f to %.2f dB", info.psnr_before, info.psnr);
+    if (info.best_psnr == info.best_psnr) printf("; held-out photos %.2f to %.2f dB", info.initial_psnr, info.best_psnr);
     printf("\n");
     result = EXIT_SUCCESS;
 
 done:
-    for (size_t i = 0; i < count; i++) zs_photo_destroy(photos[i]);
+    for (size_t i = 0; i < count; i++) zs_image_buffer_destroy(photos[i]);
     zs_scene_destroy(sharp);
     zs_scene_destroy(scene);
     zs_model_destroy(model);
-    zs_context_destroy(context);
+    zs_device_destroy(device);
     if (file) fclose(file);
     return result;
 }

@@ -3,8 +3,7 @@
 use super::backbone::block::{Options, block};
 use super::backbone::camera_token::{insert_camera_tokens, learned_camera_tokens};
 use super::backbone::features::feature;
-use super::backbone::{patch_embed::patch_embed, patchify::Images};
-use super::backbone::{positions::interpolate, rope, tokens::tokens};
+use super::backbone::{patchify::Images, rope, tokens::embed};
 use super::heads::convolution::convolution;
 use super::heads::pixel_shuffle::transposed_convolution;
 use super::heads::resize::{positions, resize};
@@ -86,10 +85,7 @@ pub fn features(weights: &Weights, sizes: &Sizes, images: &Images, reference: us
     let count = 1 + rows * columns;
     let (local_at, global_at) = (rope::local_positions(rows, columns), rope::global_positions(rows, columns));
     let global_at = global_at.repeat(images.views);
-    let projection = scope.scope("patch_embed.proj");
-    let patches = patch_embed(images, projection.get("weight"), projection.get("bias"), sizes.patch);
-    let learned = interpolate(&widen(scope.get("pos_embed")), width, rows, columns);
-    let mut x = tokens(&patches, &widen(scope.get("cls_token")), &learned);
+    let mut x = embed(&scope, images, sizes.patch, width);
     let (mut local, mut features) = (Vec::new(), Vec::new());
     for i in 0..sizes.depth {
         if i == sizes.alt_start {

@@ -6,16 +6,13 @@ use super::backbone::block::{EPS, Options, block};
 use super::backbone::camera_encoder::{Prior, camera_tokens};
 use super::backbone::camera_token::{insert_camera_tokens, learned_camera_tokens};
 use super::backbone::features::{feature, prepare};
-use super::backbone::tokens::tokens as first_tokens;
-use super::backbone::{patch_embed::patch_embed, patchify::Images};
-use super::backbone::{positions, rope};
+use super::backbone::{block::mlp, patchify::*, rope, tokens::embed};
 use super::fuse::cross_attention::cross_attention;
 use super::gaussians::activate::activate;
-use super::gaussians::head::head;
 use super::model::Model;
 use super::ops::add::add;
-use super::ops::gather_rows::gather_rows;
 use super::ops::split_heads::Pool;
+use super::ops::{gather_rows::gather_rows, place_columns::join_columns};
 use super::widen;
 
 /// Intermediate results by golden key, such as `bb/block0`.
@@ -48,8 +45,7 @@ pub fn tokens(model: &Model, images: &Images, priors: Option<&[Prior]>, side: us
         taps.insert(format!("bb/feat{j}"), feature.clone());
         taps.insert(format!("prep/layer{j}"), layer.clone());
     }
-    let embed = model.scope("color_embed.proj");
-    let color = patch_embed(images, embed.get("weight"), embed.get("bias"), architecture.patch);
+    let color = model.scope("color_embed").linear("proj", &patchify(images, architecture.patch));
     taps.insert("color/tokens".into(), color.clone());
     Tokens { layers, color, pool, taps }
 }
@@ -63,7 +59,7 @@ fn backbone(model: &Model, images: &Images, priors: Option<&[Prior]>, pool: Pool
     let local_positions = rope::local_positions(rows, columns);
     let global_positions = rope::global_positions(rows, columns).repeat(images.views);
 
-    let mut x = embed(model, images);
+    let mut x = embed(&weights, images, architecture.patch, architecture.width);
     taps.insert("bb/tokens0".into(), x.clone());
     let mut local = Vec::new();
     let mut features = Vec::new();
@@ -93,16 +89,6 @@ fn backbone(model: &Model, images: &Images, priors: Option<&[Prior]>, pool: Pool
         }
     }
     features
-}
-
-fn embed(model: &Model, images: &Images) -> Vec<f64> {
-    let weights = model.scope("backbone.backbone");
-    let projection = weights.scope("patch_embed.proj");
-    let [rows, columns] = images.grid(model.architecture.patch);
-    let width = model.architecture.width;
-    let patches = patch_embed(images, projection.get("weight"), projection.get("bias"), model.architecture.patch);
-    let positions = positions::interpolate(&widen(weights.get("pos_embed")), width, rows, columns);
-    first_tokens(&patches, &widen(weights.get("cls_token")), &positions)
 }
 
 /// Camera tokens `[views, width]`: encoded known cameras, or learned ones.
@@ -140,7 +126,8 @@ pub fn gaussians(model: &Model, tokens: &Tokens, nearest: &[u32]) -> Taps {
     let weights = model.scope("color_cross_attention");
     let delta = cross_attention(&weights, &queries, &tokens.color, architecture.color_heads, None);
     let color = add(&queries, &delta);
-    let raw = head(&model.scope("gaussian_head.gaussian_head"), &scene, width, &color, color_width);
+    let head = model.scope("gaussian_head.gaussian_head");
+    let raw = head.linear("1", &mlp(&head.scope("0"), &join_columns(&scene, width, &color, color_width)));
     let packed = 11 + 3 * (architecture.sh_degree + 1).pow(2);
     taps.insert("gauss".into(), raw.chunks(packed).flat_map(activate).collect());
     taps.insert("color_feats".into(), color);

@@ -1,6 +1,6 @@
 //! Device computation with truth and simulated faults.
 
-use crate::{Mode, Tolerance, Worst};
+use crate::{Mode, Tolerance, Worst, bound::half};
 use std::fmt::Debug;
 use zipsplat::{Result, gpu::Device};
 
@@ -27,6 +27,63 @@ pub(crate) trait Problem: 'static {
     /// Simulates a fault on the host. Empty if the mode's rounding hides it; each output must be
     /// caught.
     fn faulty(&self, truth: &Self::Truth, fault: Self::Fault, mode: Mode) -> Vec<Self::Output>;
+}
+
+/// A problem whose output is a list of numbers, each with its own bound.
+pub(crate) trait Values: 'static {
+    type Fault: Copy + Debug + 'static;
+
+    fn compute(&self, device: &Device, mode: Mode) -> Result<Vec<f32>>;
+
+    /// Returns the truth and its bounds.
+    fn truth(&self, mode: Mode) -> [Vec<f64>; 2];
+
+    /// As [`Problem::typical`].
+    fn typical(&self, _mode: Mode) -> Tolerance {
+        Tolerance::ANY
+    }
+
+    /// Simulates a fault on the host, given the truth.
+    fn faulty(&self, truth: &[f64], fault: Self::Fault) -> Vec<f64>;
+}
+
+impl<V: Values> Problem for V {
+    type Output = Vec<f32>;
+    type Truth = [Vec<f64>; 2];
+    type Fault = V::Fault;
+
+    fn compute(&self, device: &Device, mode: Mode) -> Result<Vec<f32>> {
+        Values::compute(self, device, mode)
+    }
+
+    fn truth(&self, mode: Mode) -> [Vec<f64>; 2] {
+        Values::truth(self, mode)
+    }
+
+    fn judge(&self, [truth, bounds]: &[Vec<f64>; 2], output: &Vec<f32>, _: Mode) -> Worst {
+        Worst::of(output, truth, |i| bounds[i])
+    }
+
+    fn typical(&self, _: &Device, mode: Mode) -> Tolerance {
+        Values::typical(self, mode)
+    }
+
+    fn faulty(&self, [truth, _]: &[Vec<f64>; 2], fault: V::Fault, _: Mode) -> Vec<Vec<f32>> {
+        if truth.is_empty() {
+            return Vec::new();
+        }
+        vec![Values::faulty(self, truth, fault).into_iter().map(|x| x as f32).collect()]
+    }
+}
+
+/// Repeats the values `by` places on, cyclically.
+pub(crate) fn shifted(values: &[f64], by: usize) -> Vec<f64> {
+    (0..values.len()).map(|i| values[(i + by) % values.len()]).collect()
+}
+
+/// Rounds the values to 11 bits.
+pub(crate) fn halves(values: &[f64]) -> Vec<f64> {
+    values.iter().map(|&x| half(x)).collect()
 }
 
 /// Faults that a case must catch; at least one.
@@ -74,15 +131,6 @@ pub struct Case {
 }
 
 impl Case {
-    pub(crate) fn new<P: Problem>(
-        name: impl Into<String>,
-        size: usize,
-        faults: impl Into<Catches<P::Fault>>,
-        make: impl Fn() -> P + 'static,
-    ) -> Self {
-        Self::sweep(name, size, faults, move || vec![make()])
-    }
-
     /// Joins problems; each must catch every fault.
     pub(crate) fn sweep<P: Problem>(
         name: impl Into<String>,

@@ -42,6 +42,24 @@ mod render {
     pub mod forward;
 }
 
+/// Names that most areas use.
+mod prelude {
+    pub(crate) use crate::{
+        Area, Catches, Mode, Tolerance, Worst,
+        bound::*,
+        case::{self, Values, halves, shifted},
+        noise::{Noise, camera},
+        trial::Trial,
+    };
+    pub use zipsplat::{
+        Result,
+        gpu::{Device, Element, Limits},
+        kernels::limits::GROUP_FOLD,
+        ops::Rows,
+    };
+    pub use zipsplat_reference::widen;
+}
+
 pub use bound::Worst;
 pub use cluster::nearest::{Chosen, Truth as NearestTruth};
 pub use gaussians::activate::run as activate;
@@ -228,6 +246,32 @@ pub struct Finding {
 }
 
 impl Area {
+    fn new(kernel: &'static str, size: &'static str, modes: &'static [Mode], reason: &'static str) -> Self {
+        Self { kernel, size, reason, modes, cases: Vec::new() }
+    }
+
+    /// Adds a case of one problem.
+    fn add<P: case::Problem>(
+        &mut self,
+        name: impl Into<String>,
+        size: usize,
+        faults: impl Into<Catches<P::Fault>>,
+        make: impl Fn() -> P + 'static,
+    ) {
+        self.sweep(name, size, faults, move || vec![make()]);
+    }
+
+    /// Adds a case of several problems; each must catch every fault.
+    fn sweep<P: case::Problem>(
+        &mut self,
+        name: impl Into<String>,
+        size: usize,
+        faults: impl Into<Catches<P::Fault>>,
+        make: impl Fn() -> Vec<P> + 'static,
+    ) {
+        self.cases.push(Case::sweep(name, size, faults, make));
+    }
+
     /// Returns the cases in every supported mode.
     pub fn on(&self, limits: &Limits) -> impl Iterator<Item = (&Case, Mode)> {
         let modes = self.modes.iter().copied().filter(|mode| mode.is_on(limits));

@@ -46,6 +46,11 @@ impl Tolerance {
     /// No limit.
     pub const ANY: Tolerance = Tolerance { max: f64::INFINITY, rms: f64::INFINITY };
 
+    /// Limits the rms alone.
+    pub const fn rms(rms: f64) -> Tolerance {
+        Tolerance { max: f64::INFINITY, rms }
+    }
+
     /// Returns the deviation of `got` from `truth`.
     pub(crate) fn between(got: &[f32], truth: &[f64]) -> Tolerance {
         let squares = |values: &mut dyn Iterator<Item = f64>| values.map(|x| x * x).sum::<f64>().sqrt();

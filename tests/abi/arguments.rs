@@ -16,12 +16,11 @@ fn null_is_refused_everywhere() {
         // SAFETY: every pointer may be NULL.
         unsafe { zs_device_count(null_mut()) },
         unsafe { zs_device_get(0, null_mut()) },
-        unsafe { zs_context_options_default(null_mut(), 16) },
-        unsafe { zs_context_create(null(), null_mut()) },
-        unsafe { zs_context_get_info(null(), null_mut()) },
-        unsafe { zs_photo_open(null(), null_mut()) },
-        unsafe { zs_photo_from_memory(null(), 0, null_mut()) },
-        unsafe { zs_photo_get_image(null(), null_mut()) },
+        unsafe { zs_device_create(null(), null_mut()) },
+        unsafe { zs_device_get_info(null(), null_mut()) },
+        unsafe { zs_image_buffer_open(null(), null_mut()) },
+        unsafe { zs_image_buffer_from_memory(null(), 0, null_mut()) },
+        unsafe { zs_image_buffer_get_image(null(), null_mut()) },
         unsafe { zs_image_save_png(null(), null()) },
         unsafe { zs_scene_get_gaussians(null(), null_mut()) },
         unsafe { zs_scene_create(null(), null_mut()) },
@@ -29,23 +28,17 @@ fn null_is_refused_everywhere() {
         unsafe { zs_scene_open_dropping_invalid(null(), null_mut(), null_mut()) },
         unsafe { zs_scene_from_memory(null(), 0, null(), null_mut(), null_mut()) },
         unsafe { zs_scene_to_memory(null(), null(), null(), null_mut()) },
-        unsafe { zs_bytes_get(null(), null_mut(), null_mut()) },
-        unsafe { zs_save_options_default(null_mut(), 8) },
+        unsafe { zs_blob_get(null(), null_mut(), null_mut()) },
         unsafe { zs_scene_save(null(), null(), null()) },
-        unsafe { zs_model_options_default(null_mut(), 32) },
-        unsafe { zs_model_open(null(), null(), null(), null_mut()) },
+        unsafe { zs_model_load(null(), null(), null(), null_mut()) },
         unsafe { zs_model_from_memory(null(), null(), 0, null(), null_mut()) },
         unsafe { zs_model_get_info(null(), null_mut()) },
-        unsafe { zs_reconstruct_options_default(null_mut(), 64) },
         unsafe { zs_reconstruct(null(), null(), 0, null(), null_mut()) },
         unsafe { zs_renderer_create(null(), null(), null_mut()) },
         unsafe { zs_renderer_set_scene(null(), null()) },
-        unsafe { zs_render_options_default(null_mut(), 32) },
         unsafe { zs_render(null(), null(), null(), 0, null()) },
         unsafe { zs_vulkan_requirements(null_mut(), null_mut()) },
-        unsafe { zs_vulkan_device_default(null_mut(), 72) },
-        unsafe { zs_context_adopt(null(), null_mut()) },
-        unsafe { zs_vulkan_target_default(null_mut(), 88) },
+        unsafe { zs_device_from_vulkan(null(), null_mut()) },
         unsafe { zs_render_to_vulkan(null(), null(), null(), null()) },
     ];
     for (i, status) in refused.into_iter().enumerate() {
@@ -53,9 +46,9 @@ fn null_is_refused_everywhere() {
     }
     // SAFETY: as above.
     unsafe {
-        zs_context_destroy(null_mut());
-        zs_photo_destroy(null_mut());
-        zs_bytes_destroy(null_mut());
+        zs_device_destroy(null_mut());
+        zs_image_buffer_destroy(null_mut());
+        zs_blob_destroy(null_mut());
         zs_model_destroy(null_mut());
         zs_scene_destroy(null_mut());
         zs_renderer_destroy(null_mut());
@@ -64,53 +57,42 @@ fn null_is_refused_everywhere() {
 
 #[test]
 fn failures_leave_null_behind() {
-    let context = context();
+    let device = open_device();
     let text = c_string("no such file");
     let mut scene = dangling_mut();
     // SAFETY: a string, an output pointer.
     fails(unsafe { zs_scene_open(text.as_ptr(), &mut scene) }, ZS_ERROR_IO, &["no such file"]);
     assert!(scene.is_null());
     let mut model = dangling_mut();
-    // SAFETY: a live context, bytes of that length, an output pointer.
-    let status = unsafe { zs_model_from_memory(context.handle, b"no model".as_ptr().cast(), 8, null(), &mut model) };
+    // SAFETY: a live device, bytes of that length, an output pointer.
+    let status = unsafe { zs_model_from_memory(device.handle, b"no model".as_ptr().cast(), 8, null(), &mut model) };
     fails(status, ZS_ERROR_FORMAT, &["model in memory"]);
     assert!(model.is_null());
     let device = c_string("no such device");
-    let mut options = context_options();
-    options.device = device.as_ptr();
+    let options = zs_device_options { device: device.as_ptr(), ..Versioned::new() };
     let mut other = dangling_mut();
     // SAFETY: options that outlive the call.
-    fails(unsafe { zs_context_create(&options, &mut other) }, ZS_ERROR_NO_DEVICE, &["no such device"]);
+    fails(unsafe { zs_device_create(&options, &mut other) }, ZS_ERROR_NO_DEVICE, &["no such device"]);
     assert!(other.is_null());
     let bad = [b'x', 0xff, 0];
     // SAFETY: a string, an output pointer.
-    fails(unsafe { zs_photo_open(bad.as_ptr().cast(), &mut null_mut()) }, ZS_ERROR_ARGUMENT, &["path", "UTF-8"]);
-}
-
-fn context_options() -> zs_context_options {
-    let mut options = zs_context_options { struct_size: 0, validation: 0, max_memory_bytes: 0, device: null() };
-    // SAFETY: a structure of that size.
-    ok(unsafe { zs_context_options_default(&mut options, size_of::<zs_context_options>()) });
-    options
+    fails(unsafe { zs_image_buffer_open(bad.as_ptr().cast(), &mut null_mut()) }, ZS_ERROR_ARGUMENT, &["path", "UTF-8"]);
 }
 
 #[test]
 fn structures_of_other_sizes_are_refused() {
-    for size in [0, 1, 4, 12, 17, 32, u32::MAX as usize, usize::MAX] {
-        let mut options = context_options();
-        // SAFETY: a rejected size writes nothing.
-        let status = unsafe { zs_context_options_default(&mut options, size) };
-        fails(status, ZS_ERROR_ARGUMENT, &["zs_context_options", "struct_size"]);
-        options.struct_size = size as u32;
-        // SAFETY: as above.
-        fails(unsafe { zs_context_create(&options, &mut null_mut()) }, ZS_ERROR_ARGUMENT, &["struct_size"]);
+    for size in [0, 1, 4, 12, 16, 17, 32, u32::MAX] {
+        let options = zs_device_options { struct_size: size, ..Versioned::new() };
+        // SAFETY: a rejected size reads nothing else.
+        let status = unsafe { zs_device_create(&options, &mut null_mut()) };
+        fails(status, ZS_ERROR_ARGUMENT, &["zs_device_options", "struct_size"]);
     }
 }
 
 #[test]
 fn structures_of_arrays_say_their_size() {
-    let context = context();
-    let model = model(&context);
+    let device = open_device();
+    let model = model(&device);
     let photos = photos(2);
     let good = image_of(&photos[0]);
     for struct_size in [0, good.struct_size - 1, good.struct_size + 8, u32::MAX] {
@@ -129,9 +111,9 @@ fn structures_of_arrays_say_their_size() {
     photos[0].save_png(&path).expect("a photo can be written");
     let path = c_string(path.to_str().expect("UTF-8"));
     // SAFETY: a string, an output pointer.
-    let opened = Object::new(zs_photo_destroy, |out| unsafe { zs_photo_open(path.as_ptr(), out) });
+    let opened = Object::new(zs_image_buffer_destroy, |out| unsafe { zs_image_buffer_open(path.as_ptr(), out) });
     // SAFETY: a live photo; a rejected size writes nothing.
-    let status = unsafe { zs_photo_get_image(opened.handle, &mut photo) };
+    let status = unsafe { zs_image_buffer_get_image(opened.handle, &mut photo) };
     fails(status, ZS_ERROR_ARGUMENT, &["zs_image, struct_size"]);
 }
 
@@ -140,14 +122,12 @@ fn devices_are_described() {
     let mut count = 0;
     // SAFETY: an output pointer.
     ok(unsafe { zs_device_count(&mut count) });
-    // SAFETY: zeros are valid.
-    let mut info: zs_device_info = unsafe { std::mem::zeroed() };
-    info.struct_size = size_of::<zs_device_info>() as u32;
+    let mut info = zs_device_info::new();
     // SAFETY: a structure of its size.
     fails(unsafe { zs_device_get(count, &mut info) }, ZS_ERROR_ARGUMENT, &["device"]);
-    let context = context();
-    // SAFETY: as above, and a live context.
-    ok(unsafe { zs_context_get_info(context.handle, &mut info) });
+    let device = open_device();
+    // SAFETY: as above, and a live device.
+    ok(unsafe { zs_device_get_info(device.handle, &mut info) });
     let name: String = info.name.iter().take_while(|c| **c != 0).map(|c| *c as u8 as char).collect();
     assert_eq!(name, zipsplat_tests::device::device().limits().name);
     assert!(count > 0 && info.usable == 1 && info.memory_bytes > 0);
@@ -159,25 +139,25 @@ fn devices_are_described() {
         }
         let number = c_string(index.to_string());
         for device in [number.as_ptr(), info.uuid.as_ptr()] {
-            let options = zs_context_options { device, ..context_options() };
+            let options = zs_device_options { device, ..Versioned::new() };
             // SAFETY: outlives the call; an output pointer.
-            let context = Object::new(zs_context_destroy, |out| unsafe { zs_context_create(&options, out) });
+            let device = Object::new(zs_device_destroy, |out| unsafe { zs_device_create(&options, out) });
             // SAFETY: as above.
-            ok(unsafe { zs_context_get_info(context.handle, &mut info) });
-            assert_eq!(info.index, index);
+            ok(unsafe { zs_device_get_info(device.handle, &mut info) });
+            assert_eq!(info.index as usize, index);
         }
     }
 }
 
 #[test]
 fn memory_can_be_limited() {
-    let options = zs_context_options { max_memory_bytes: 4096, ..context_options() };
+    let options = zs_device_options { max_memory_bytes: 4096, ..Versioned::new() };
     // SAFETY: outlives the call; an output pointer.
-    let context = Object::new(zs_context_destroy, |out| unsafe { zs_context_create(&options, out) });
+    let device = Object::new(zs_device_destroy, |out| unsafe { zs_device_create(&options, out) });
     let mut model = dangling_mut();
-    // SAFETY: a live context, bytes of that length, no options, an output pointer.
+    // SAFETY: a live device, bytes of that length, no options, an output pointer.
     let status =
-        unsafe { zs_model_from_memory(context.handle, micro().as_ptr().cast(), micro().len(), null(), &mut model) };
+        unsafe { zs_model_from_memory(device.handle, micro().as_ptr().cast(), micro().len(), null(), &mut model) };
     fails(status, ZS_ERROR_OUT_OF_MEMORY, &["4096 bytes"]);
     assert!(model.is_null());
 }
@@ -191,17 +171,17 @@ unsafe extern "C" fn stop_at_third(calls: *mut c_void, fraction: f64, stage: *co
 
 #[test]
 fn progress_is_told_and_can_stop() {
-    let context = context();
+    let device = open_device();
     let calls = AtomicU32::new(0);
     let user_data = (&raw const calls).cast_mut().cast();
-    let options = zs_model_options { progress: Some(stop_at_third), user_data, ..model_options() };
+    let options = zs_model_options { progress: Some(stop_at_third), user_data, ..Versioned::new() };
     let mut model = null_mut();
     // SAFETY: live objects, bytes of that length.
     let status =
-        unsafe { zs_model_from_memory(context.handle, micro().as_ptr().cast(), micro().len(), &options, &mut model) };
+        unsafe { zs_model_from_memory(device.handle, micro().as_ptr().cast(), micro().len(), &options, &mut model) };
     fails(status, ZS_ERROR_CANCELLED, &["cancelled"]);
     assert_eq!(calls.swap(0, Ordering::Relaxed), 3);
-    let model = crate::calls::model(&context);
+    let model = crate::calls::model(&device);
     let photos = photos(2);
     let images: Vec<_> = photos.iter().map(image_of).collect();
     let options = zs_reconstruct_options { progress: Some(stop_at_third), user_data, ..reconstruct_options() };
@@ -210,11 +190,11 @@ fn progress_is_told_and_can_stop() {
     let status = unsafe { zs_reconstruct(model.handle, images.as_ptr(), 2, &options, &mut scene) };
     fails(status, ZS_ERROR_CANCELLED, &[]);
     assert!(scene.is_null());
-    let options = zs_model_options { precision: 9, ..model_options() };
+    let options = zs_model_options { precision: 9, ..Versioned::new() };
     let (bytes, size) = (micro().as_ptr().cast(), micro().len());
     let mut refused = null_mut();
     // SAFETY: live objects, bytes of that length.
-    let status = unsafe { zs_model_from_memory(context.handle, bytes, size, &options, &mut refused) };
+    let status = unsafe { zs_model_from_memory(device.handle, bytes, size, &options, &mut refused) };
     fails(status, ZS_ERROR_ARGUMENT, &["precision", "9"]);
     reconstruct(&model, &images, &reconstruct_options());
 }
@@ -236,8 +216,8 @@ unsafe extern "C" fn listen(log: *mut c_void, fraction: f64, stage: *const c_cha
 
 #[test]
 fn photos_are_prepared_with_progress() {
-    let context = context();
-    let model = model(&context);
+    let device = open_device();
+    let model = model(&device);
     let at_once = rayon::current_num_threads().min(MAX_VIEWS / 3);
     let photos = photos(2 * at_once as u32 + 1);
     let images: Vec<_> = photos.iter().map(image_of).collect();
@@ -256,8 +236,8 @@ fn photos_are_prepared_with_progress() {
 
 #[test]
 fn what_cannot_be_reconstructed_is_refused() {
-    let context = context();
-    let model = model(&context);
+    let device = open_device();
+    let model = model(&device);
     let photos = photos(1);
     let image = image_of(&photos[0]);
     let options = reconstruct_options();
@@ -277,22 +257,22 @@ fn what_cannot_be_reconstructed_is_refused() {
     for stride in [1, -1, 3 * i64::from(SIDE) - 1, i64::MAX, i64::MIN] {
         refused(&[zs_image { stride, ..image }], 1, &options, &["image 0, stride"]);
     }
-    for format in [0, -1, 6, i32::MAX] {
+    for format in [-1, 5, i32::MAX] {
         refused(&[zs_image { format, ..image }], 1, &options, &["pixel format"]);
     }
     refused(&[zs_image { pixels: null(), ..image }], 1, &options, &["image 0", "NULL"]);
     for ratio in [-0.5, 1.5, f64::NAN, f64::INFINITY] {
         refused(&[image], 1, &zs_reconstruct_options { ratio, ..options }, &["ratio"]);
     }
-    for unit in [-1.0, 1e-50, 1e50, f64::NAN, f64::INFINITY] {
-        refused(&[image], 1, &zs_reconstruct_options { unit, ..options }, &["unit", "length"]);
+    for scene_scale in [-1.0, 1e-50, 1e50, f64::NAN, f64::INFINITY] {
+        refused(&[image], 1, &zs_reconstruct_options { scene_scale, ..options }, &["scene_scale", "length"]);
     }
-    for (width, height) in [(14, 0), (15, 14), (u32::MAX, 14), (1 << 31, 1 << 31), (14 * 4096, 14 * 4096)] {
-        refused(&[image], 1, &zs_reconstruct_options { width, height, ..options }, &["size of the views"]);
+    for input_size in [[14, 0], [15, 14], [u32::MAX, 14], [1 << 31, 1 << 31], [14 * 4096, 14 * 4096]] {
+        refused(&[image], 1, &zs_reconstruct_options { input_size, ..options }, &["size of the views"]);
     }
-    refused(&[image], 1, &zs_reconstruct_options { world: 1, ..options }, &["world", "cameras"]);
-    refused(&[image], 1, &zs_reconstruct_options { world: 2, ..options }, &["world", "zs_world"]);
-    refused(&[image], 1, &zs_reconstruct_options { selection: -1, ..options }, &["selection"]);
+    refused(&[image], 1, &zs_reconstruct_options { world: 2, ..options }, &["world", "cameras"]);
+    refused(&[image], 1, &zs_reconstruct_options { world: 3, ..options }, &["world", "zs_world"]);
+    refused(&[image], 1, &zs_reconstruct_options { token_selection: -1, ..options }, &["token_selection"]);
     refused(&[image], 1, &zs_reconstruct_options { camera_count: 1, ..options }, &["cameras", "NULL"]);
     let cameras = [camera(SIDE, SIDE, f64::NAN); 2];
     let posed = zs_reconstruct_options { cameras: cameras.as_ptr(), camera_count: 2, ..options };
@@ -302,19 +282,20 @@ fn what_cannot_be_reconstructed_is_refused() {
 
 #[test]
 fn what_cannot_be_drawn_is_refused() {
-    let context = context();
+    let device = open_device();
     let photos = photos(1);
-    let scene = reconstruct(&model(&context), &[image_of(&photos[0])], &reconstruct_options());
-    let renderer = renderer(&context, &scene);
+    let scene = reconstruct(&model(&device), &[image_of(&photos[0])], &reconstruct_options());
+    let renderer = renderer(&device, &scene);
     let good = camera(16, 16, 0.0);
     let mut pixels = [0u8; 4 * 16 * 16];
     let picture = picture_at(pixels.as_mut_ptr());
     let options = render_options(zs_pixel_format::ZS_PIXEL_RGBA8);
-    let refused = |camera: &zs_camera, picture: &zs_picture, count: usize, options: &zs_render_options, word: &str| {
-        // SAFETY: oversized pictures are rejected unread.
-        let status = unsafe { zs_render(renderer.handle, camera, picture, count, options) };
-        fails(status, ZS_ERROR_ARGUMENT, &[word]);
-    };
+    let refused =
+        |camera: &zs_camera, picture: &zs_render_buffers, count: usize, options: &zs_render_options, word: &str| {
+            // SAFETY: oversized pictures are rejected unread.
+            let status = unsafe { zs_render(renderer.handle, camera, picture, count, options) };
+            fails(status, ZS_ERROR_ARGUMENT, &[word]);
+        };
     refused(&good, &picture, usize::MAX, &options, "cameras");
     for (width, height) in [(0, 16), (16, 0), (u32::MAX, u32::MAX), (1 << 20, 1)] {
         refused(&zs_camera { width, height, ..good }, &picture, 1, &options, "size");
@@ -324,11 +305,11 @@ fn what_cannot_be_drawn_is_refused() {
     }
     refused(&zs_camera { rotation: [0.0; 9], ..good }, &picture, 1, &options, "rotation");
     refused(&zs_camera { reserved: 1, ..good }, &picture, 1, &options, "zs_camera, reserved");
-    refused(&good, &zs_picture { reserved: 1, ..picture }, 1, &options, "picture 0, reserved");
-    refused(&good, &zs_picture { stride: 63, ..picture }, 1, &options, "stride");
-    refused(&good, &zs_picture { stride: i64::MIN, ..picture }, 1, &options, "stride");
-    refused(&good, &zs_picture { pixels: null_mut(), ..picture }, 1, &options, "no output");
-    refused(&good, &picture, 1, &zs_render_options { format: 0, ..options }, "pixel format");
+    refused(&good, &zs_render_buffers { reserved: 1, ..picture }, 1, &options, "picture 0, reserved");
+    refused(&good, &zs_render_buffers { stride: 63, ..picture }, 1, &options, "stride");
+    refused(&good, &zs_render_buffers { stride: i64::MIN, ..picture }, 1, &options, "stride");
+    refused(&good, &zs_render_buffers { pixels: null_mut(), ..picture }, 1, &options, "no output");
+    refused(&good, &picture, 1, &zs_render_options { format: 5, ..options }, "pixel format");
     refused(&good, &picture, 1, &zs_render_options { depth: 7, ..options }, "depth");
     refused(&good, &picture, 1, &zs_render_options { near_plane: -1.0, ..options }, "near_plane");
     refused(&good, &picture, 1, &zs_render_options { background: [f32::NAN; 3], ..options }, "background");
@@ -336,7 +317,7 @@ fn what_cannot_be_drawn_is_refused() {
     ok(unsafe { zs_render(renderer.handle, null(), null(), 0, null()) });
     // SAFETY: as above.
     let status = unsafe { zs_render_to_vulkan(renderer.handle, &good, null(), null()) };
-    fails(status, ZS_ERROR_ARGUMENT, &["zs_context_adopt"]);
+    fails(status, ZS_ERROR_ARGUMENT, &["zs_device_from_vulkan"]);
 }
 
 #[test]
@@ -356,7 +337,7 @@ fn what_is_no_scene_is_refused() {
         fails(unsafe { zs_scene_create(array, &mut scene) }, ZS_ERROR_ARGUMENT, &[word]);
         assert!(scene.is_null());
     };
-    for count in [u64::MAX, 1 << 40, (1 << 28) + 1] {
+    for count in [usize::MAX, 1 << 40, (1 << 28) + 1] {
         refused(&zs_gaussians { count, ..array }, "gaussians");
     }
     refused(&zs_gaussians { sh_degree: 4, ..array }, "sh_degree");
@@ -377,21 +358,16 @@ fn what_is_no_scene_is_refused() {
 
 #[test]
 fn handles_that_cannot_be_adopted_are_refused() {
-    let mut device = std::mem::MaybeUninit::uninit();
-    // SAFETY: initialized on success.
-    let device: zs_vulkan_device = unsafe {
-        ok(zs_vulkan_device_default(device.as_mut_ptr(), size_of::<zs_vulkan_device>()));
-        device.assume_init()
-    };
+    let vulkan = zs_vulkan_device::new();
     unsafe extern "C" fn lock(_: *mut c_void) {}
-    for (device, word) in [
-        (device, "null"),
-        (zs_vulkan_device { lock_queue: Some(lock), ..device }, "unlock_queue"),
-        (zs_vulkan_device { reserved: 1, ..device }, "reserved"),
+    for (vulkan, word) in [
+        (vulkan, "null"),
+        (zs_vulkan_device { lock_queue: Some(lock), ..vulkan }, "unlock_queue"),
+        (zs_vulkan_device { reserved: 1, ..vulkan }, "reserved"),
     ] {
-        let mut context = dangling_mut();
+        let mut device = dangling_mut();
         // SAFETY: null handles are rejected before use.
-        fails(unsafe { zs_context_adopt(&device, &mut context) }, ZS_ERROR_ARGUMENT, &[word]);
-        assert!(context.is_null());
+        fails(unsafe { zs_device_from_vulkan(&vulkan, &mut device) }, ZS_ERROR_ARGUMENT, &[word]);
+        assert!(device.is_null());
     }
 }

@@ -2,7 +2,7 @@
 
 use std::{
     ffi::{CStr, CString},
-    ptr::{null, null_mut},
+    ptr::null,
     sync::OnceLock,
 };
 use zipsplat::{
@@ -86,42 +86,33 @@ pub fn checkpoint() -> Checkpoint {
     Checkpoint::seeded_architecture(architectures::golden("micro"), "micro").expect("a network")
 }
 
-pub fn context() -> Object<zs_context> {
+pub fn open_device() -> Object<zs_device> {
     // SAFETY: no options, an output pointer.
-    Object::new(zs_context_destroy, |out| unsafe { zs_context_create(null(), out) })
+    Object::new(zs_device_destroy, |out| unsafe { zs_device_create(null(), out) })
 }
 
-pub fn model(context: &Object<zs_context>) -> Object<zs_model> {
-    made(try_model(context))
+pub fn model(device: &Object<zs_device>) -> Object<zs_model> {
+    made(try_model(device))
 }
 
-pub fn try_model(context: &Object<zs_context>) -> Result<Object<zs_model>, zs_status> {
-    try_model_with(context, &model_options())
+pub fn try_model(device: &Object<zs_device>) -> Result<Object<zs_model>, zs_status> {
+    try_model_with(device, &zs_model_options::new())
 }
 
-pub fn try_model_with(context: &Object<zs_context>, options: &zs_model_options) -> Result<Object<zs_model>, zs_status> {
-    model_from(context, micro(), options)
+pub fn try_model_with(device: &Object<zs_device>, options: &zs_model_options) -> Result<Object<zs_model>, zs_status> {
+    model_from(device, micro(), options)
 }
 
 pub fn model_from(
-    context: &Object<zs_context>,
+    device: &Object<zs_device>,
     bytes: &[u8],
     options: &zs_model_options,
 ) -> Result<Object<zs_model>, zs_status> {
     let load = |out| {
-        // SAFETY: a live context, bytes of that length, options, an output pointer.
-        unsafe { zs_model_from_memory(context.handle, bytes.as_ptr().cast(), bytes.len(), options, out) }
+        // SAFETY: a live device, bytes of that length, options, an output pointer.
+        unsafe { zs_model_from_memory(device.handle, bytes.as_ptr().cast(), bytes.len(), options, out) }
     };
     Object::try_new(zs_model_destroy, load)
-}
-
-pub fn model_options() -> zs_model_options {
-    let mut options = std::mem::MaybeUninit::uninit();
-    // SAFETY: initialized on success.
-    unsafe {
-        ok(zs_model_options_default(options.as_mut_ptr(), size_of::<zs_model_options>()));
-        options.assume_init()
-    }
 }
 
 pub const SIDE: u32 = 5 * 14;
@@ -134,24 +125,18 @@ pub fn photos(count: u32) -> Vec<Image> {
 
 pub fn image_of(photo: &Image) -> zs_image {
     zs_image {
-        struct_size: size_of::<zs_image>() as u32,
         format: zs_pixel_format::ZS_PIXEL_RGB8 as i32,
         width: photo.width,
         height: photo.height,
-        stride: 0,
         pixels: photo.rgb.as_ptr().cast(),
+        ..Versioned::new()
     }
 }
 
+/// The engine's own defaults, at the photos' size.
 pub fn reconstruct_options() -> zs_reconstruct_options {
-    let mut options = std::mem::MaybeUninit::uninit();
-    // SAFETY: initialized on success.
-    unsafe {
-        ok(zs_reconstruct_options_default(options.as_mut_ptr(), size_of::<zs_reconstruct_options>()));
-        let mut options = options.assume_init();
-        (options.width, options.height) = (SIDE, SIDE);
-        options
-    }
+    let world = zs_world::ZS_WORLD_FIRST_CAMERA as i32;
+    zs_reconstruct_options { world, scene_scale: 1.0, input_size: [SIDE; 2], ..Versioned::new() }
 }
 
 pub fn reconstruct(
@@ -172,22 +157,17 @@ pub fn try_reconstruct(
     Object::try_new(zs_scene_destroy, make)
 }
 
-pub fn renderer(context: &Object<zs_context>, scene: &Object<zs_scene>) -> Object<zs_renderer> {
-    made(try_renderer(context, scene))
+pub fn renderer(device: &Object<zs_device>, scene: &Object<zs_scene>) -> Object<zs_renderer> {
+    made(try_renderer(device, scene))
 }
 
-pub fn try_renderer(context: &Object<zs_context>, scene: &Object<zs_scene>) -> Result<Object<zs_renderer>, zs_status> {
+pub fn try_renderer(device: &Object<zs_device>, scene: &Object<zs_scene>) -> Result<Object<zs_renderer>, zs_status> {
     // SAFETY: live objects, an output pointer.
-    Object::try_new(zs_renderer_destroy, |out| unsafe { zs_renderer_create(context.handle, scene.handle, out) })
+    Object::try_new(zs_renderer_destroy, |out| unsafe { zs_renderer_create(device.handle, scene.handle, out) })
 }
 
 pub fn render_options(format: zs_pixel_format) -> zs_render_options {
-    let mut options = std::mem::MaybeUninit::uninit();
-    // SAFETY: initialized on success.
-    unsafe {
-        ok(zs_render_options_default(options.as_mut_ptr(), size_of::<zs_render_options>()));
-        zs_render_options { format: format as i32, ..options.assume_init() }
-    }
+    zs_render_options { format: format as i32, ..Versioned::new() }
 }
 
 /// `right` of the origin, looking forward.
@@ -201,13 +181,11 @@ pub fn camera(width: u32, height: u32, right: f64) -> zs_camera {
 
 pub fn camera_of(intrinsics: Intrinsics, rotation: [f64; 9], translation: [f64; 3]) -> zs_camera {
     let Intrinsics { width, height, fx, fy, cx, cy } = intrinsics;
-    let struct_size = size_of::<zs_camera>() as u32;
-    zs_camera { struct_size, reserved: 0, width, height, fx, fy, cx, cy, rotation, translation }
+    zs_camera { width, height, fx, fy, cx, cy, rotation, translation, ..Versioned::new() }
 }
 
-pub fn picture_at(pixels: *mut u8) -> zs_picture {
-    let (struct_size, none) = (size_of::<zs_picture>() as u32, null_mut());
-    zs_picture { struct_size, reserved: 0, stride: 0, pixels: pixels.cast(), alpha: none, depth: none }
+pub fn picture_at(pixels: *mut u8) -> zs_render_buffers {
+    zs_render_buffers { pixels: pixels.cast(), ..Versioned::new() }
 }
 
 pub fn scene_of(scene: &Scene) -> Object<zs_scene> {
@@ -220,7 +198,7 @@ pub fn read(scene: &Object<zs_scene>) -> Scene {
     let mut found = arrays(&Scene::default());
     // SAFETY: a live scene and a structure of its size.
     ok(unsafe { zs_scene_get_gaussians(scene.handle, &mut found) });
-    let (n, k) = (found.count as usize, (found.sh_degree as usize + 1).pow(2));
+    let (n, k) = (found.count, (found.sh_degree as usize + 1).pow(2));
     // SAFETY: arrays of a live scene, of their documented lengths.
     unsafe {
         Scene {
@@ -236,14 +214,14 @@ pub fn read(scene: &Object<zs_scene>) -> Scene {
 
 pub fn arrays(scene: &Scene) -> zs_gaussians {
     zs_gaussians {
-        struct_size: size_of::<zs_gaussians>() as u32,
         sh_degree: scene.sh_degree,
-        count: scene.means.len() as u64,
+        count: scene.means.len(),
         means: scene.means.as_ptr().cast(),
         scales: scene.scales.as_ptr().cast(),
         quats: scene.quats.as_ptr().cast(),
         opacities: scene.opacities.as_ptr(),
         sh_coeffs: scene.sh_coeffs.as_ptr().cast(),
+        ..Versioned::new()
     }
 }
 

@@ -11,22 +11,16 @@ use std::{
 };
 use zipsplat::reconstruct::{Model, ReconstructOptions};
 use zipsplat_c::{zs_status::*, *};
-use zipsplat_tests::{device::device, scenes::random_scene};
-
-fn empty() -> zs_camera {
-    // SAFETY: plain numbers, for which zero is valid.
-    let camera: zs_camera = unsafe { std::mem::zeroed() };
-    zs_camera { struct_size: size_of::<zs_camera>() as u32, ..camera }
-}
+use zipsplat_tests::{device::device as rust_device, scenes::random_scene};
 
 #[test]
 fn cameras_are_those_of_rust() {
     let photos = photos(3);
     let images: Vec<zs_image> = photos.iter().map(image_of).collect();
-    let context = context();
-    let scene = reconstruct(&model(&context), &images, &reconstruct_options());
-    let (mut cameras, mut inliers, mut patches) = ([empty(); 3], [9; 3], [9; 3]);
-    let rust = Model::from_checkpoint(device(), &checkpoint(), |_| ControlFlow::Continue(())).expect("a model");
+    let device = open_device();
+    let scene = reconstruct(&model(&device), &images, &reconstruct_options());
+    let (mut cameras, mut inliers, mut patches) = ([zs_camera::new(); 3], [9; 3], [9; 3]);
+    let rust = Model::from_checkpoint(rust_device(), &checkpoint(), |_| ControlFlow::Continue(())).expect("a model");
     let made = rust
         .reconstruct_views(&photos, &ReconstructOptions::default(), |_| ControlFlow::Continue(()))
         .expect("a scene");
@@ -70,7 +64,7 @@ fn scenes_of_files_have_no_photos() {
     let path = std::ffi::CString::new(path.to_str().expect("UTF-8")).expect("no NUL");
     // SAFETY: a path, an output pointer.
     let scene = Object::new(zs_scene_destroy, |out| unsafe { zs_scene_open(path.as_ptr(), out) });
-    let mut camera = empty();
+    let mut camera = zs_camera::new();
     // SAFETY: a live scene, and one camera.
     let status = unsafe { zs_scene_cameras(scene.handle, &mut camera, null_mut(), null_mut(), 1) };
     fails(status, ZS_ERROR_ARGUMENT, &["scene to find cameras of", "without cameras"]);

@@ -17,7 +17,7 @@ use zipsplat::{
     },
 };
 use zipsplat_c::{zs_status::*, *};
-use zipsplat_tests::{compare::assert_same, device::device};
+use zipsplat_tests::{compare::assert_same, device::device as rust_device};
 
 const COUNT: usize = 3;
 
@@ -78,15 +78,15 @@ fn all(capture: &Object<zs_capture>) -> Contents {
     contents
 }
 
-fn photo(capture: &Object<zs_capture>, index: usize) -> Object<zs_photo> {
+fn photo(capture: &Object<zs_capture>, index: usize) -> Object<zs_image_buffer> {
     // SAFETY: a live object, an output pointer.
-    Object::new(zs_photo_destroy, |out| unsafe { zs_capture_open_photo(capture.handle, index, null(), out) })
+    Object::new(zs_image_buffer_destroy, |out| unsafe { zs_capture_open_image(capture.handle, index, null(), out) })
 }
 
-fn pixels(photo: &Object<zs_photo>) -> zs_image {
+fn pixels(photo: &Object<zs_image_buffer>) -> zs_image {
     let mut image = image_of(&zipsplat::Image::new(1, 1, vec![0; 3]).expect("a picture"));
     // SAFETY: a live photo and a structure of its size.
-    ok(unsafe { zs_photo_get_image(photo.handle, &mut image) });
+    ok(unsafe { zs_image_buffer_get_image(photo.handle, &mut image) });
     image
 }
 
@@ -126,16 +126,16 @@ fn photos_are_found_by_name() {
 
 #[test]
 fn the_unit_is_found_from_the_capture() {
-    let (context, mut scenes) = (context(), Vec::new());
-    let model = model(&context);
+    let (device, mut scenes) = (open_device(), Vec::new());
+    let model = model(&device);
     for points in [false, true] {
         let folder = capture(points);
         let capture = open(folder.path());
         let (contents, photos) = (all(&capture), [0, 1, 2].map(|i| photo(&capture, i)));
         let images: Vec<_> = photos.iter().map(pixels).collect();
         let options = zs_reconstruct_options {
-            unit: ZS_UNIT_AUTO,
-            camera_count: COUNT as u32,
+            scene_scale: ZS_SCENE_SCALE_AUTO,
+            camera_count: COUNT,
             cameras: contents.cameras.as_ptr(),
             capture: capture.handle,
             ..reconstruct_options()
@@ -150,7 +150,7 @@ fn the_unit_is_found_from_the_capture() {
         let images: Vec<_> = views.into_iter().map(|view| view.image).collect();
         let request =
             ReconstructOptions { cameras: Some(cameras), scene_scale: Some(unit), ..ReconstructOptions::default() };
-        let rust = Model::from_checkpoint(device(), &checkpoint(), |_| ControlFlow::Continue(())).unwrap();
+        let rust = Model::from_checkpoint(rust_device(), &checkpoint(), |_| ControlFlow::Continue(())).unwrap();
         let expected =
             rust.reconstruct_views(&images, &request, |_| ControlFlow::Continue(())).unwrap().to_scene().unwrap();
         assert_same(&format!("means, unit {unit}"), in_c.means.as_flattened(), expected.means.as_flattened());
@@ -181,7 +181,7 @@ fn what_is_no_capture_is_refused() {
         );
         std::fs::remove_file(folder.path().join("images/1.png")).expect("it was there");
         let mut photo = null_mut();
-        fails(zs_capture_open_photo(capture.handle, 1, null(), &mut photo), ZS_ERROR_IO, &["1.png"]);
+        fails(zs_capture_open_image(capture.handle, 1, null(), &mut photo), ZS_ERROR_IO, &["1.png"]);
         let refused = [
             zs_capture_open(null(), &mut out),
             zs_capture_get_count(null(), &mut index, null_mut()),
@@ -189,7 +189,7 @@ fn what_is_no_capture_is_refused() {
             zs_capture_get(null(), 0, null_mut(), null_mut(), null_mut()),
             zs_capture_find(capture.handle, null(), &mut index),
             zs_capture_find(capture.handle, c"0.png".as_ptr(), null_mut()),
-            zs_capture_open_photo(null(), 0, null(), &mut photo),
+            zs_capture_open_image(null(), 0, null(), &mut photo),
         ];
         assert_eq!(refused, [ZS_ERROR_ARGUMENT; 7]);
         zs_capture_destroy(null_mut());

@@ -14,14 +14,14 @@ const LEAST_GROWTH: f64 = 0.5;
 
 fn cycle(cycle: usize) {
     let photos = photos(1);
-    let context = context();
-    let model = model(&context);
+    let device = open_device();
+    let model = model(&device);
     let scene = reconstruct(&model, &[image_of(&photos[0])], &reconstruct_options());
-    let renderer = renderer(&context, &scene);
+    let renderer = renderer(&device, &scene);
     let options = render_options(zs_pixel_format::ZS_PIXEL_RGBA8);
     let early = draw(&renderer, &camera(32, 32, 0.0), &options, 4);
     let mut objects: [Option<Box<dyn std::any::Any>>; 3] =
-        [Some(Box::new(context)), Some(Box::new(model)), Some(Box::new(scene))];
+        [Some(Box::new(device)), Some(Box::new(model)), Some(Box::new(scene))];
     for i in [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]][cycle % 6] {
         objects[i] = None;
     }

@@ -14,57 +14,45 @@ use zipsplat::{
     weights::{DepthCheckpoint, Dtype},
 };
 use zipsplat_c::{zs_status::*, *};
-use zipsplat_tests::{architectures, device::device};
+use zipsplat_tests::{architectures, device::device as rust_device};
 
-fn options() -> zs_depth_options {
-    let mut options = std::mem::MaybeUninit::uninit();
-    // SAFETY: initialized on success.
-    unsafe {
-        ok(zs_depth_options_default(options.as_mut_ptr(), size_of::<zs_depth_options>()));
-        options.assume_init()
-    }
-}
-
-fn model(context: &Object<zs_context>, folder: &Path, alone: bool) -> (DepthCheckpoint, Object<zs_depth_model>) {
+fn model(device: &Object<zs_device>, folder: &Path, alone: bool) -> (DepthCheckpoint, Object<zs_depth_model>) {
     let network = if alone { architectures::depth_micro_alone() } else { architectures::depth_micro() };
     let checkpoint = DepthCheckpoint::seeded(network, "micro").expect("a network");
     let path = folder.join("micro.safetensors");
     checkpoint.save_with(&path, Dtype::F32, |_| Continue(())).expect("weights can be written");
     let path = c_string(path.to_str().expect("UTF-8"));
-    let mut of_model = model_options();
-    of_model.precision = zs_precision::ZS_PRECISION_EXACT as i32;
-    // SAFETY: a live context, a path, options, an output pointer.
-    let open = |out| unsafe { zs_depth_model_open(context.handle, path.as_ptr(), &of_model, out) };
+    let precision = zs_precision::ZS_PRECISION_FP32 as i32;
+    let of_model = zs_model_options { precision, ..Versioned::new() };
+    // SAFETY: a live device, a path, options, an output pointer.
+    let open = |out| unsafe { zs_depth_model_load(device.handle, path.as_ptr(), &of_model, out) };
     (checkpoint, Object::new(zs_depth_model_destroy, open))
 }
 
-fn find(model: &Object<zs_depth_model>, photos: &[Image], options: &zs_depth_options) -> Object<zs_depths> {
+fn find(model: &Object<zs_depth_model>, photos: &[Image], options: &zs_depth_options) -> Object<zs_depth_result> {
     let images: Vec<zs_image> = photos.iter().map(image_of).collect();
     // SAFETY: a live model, pictures, options, an output pointer.
-    Object::new(zs_depths_destroy, |out| unsafe {
-        zs_depth_find(model.handle, images.as_ptr(), images.len(), options, out)
+    Object::new(zs_depth_result_destroy, |out| unsafe {
+        zs_depth_predict(model.handle, images.as_ptr(), images.len(), options, out)
     })
 }
 
-fn get(depths: &Object<zs_depths>, index: usize) -> (zs_depth_view, zs_camera) {
-    // SAFETY: numbers and pointers, for which zero is valid.
-    let (mut view, mut camera): (zs_depth_view, zs_camera) = unsafe { (std::mem::zeroed(), std::mem::zeroed()) };
-    view.struct_size = size_of::<zs_depth_view>() as u32;
-    camera.struct_size = size_of::<zs_camera>() as u32;
+fn get(depths: &Object<zs_depth_result>, index: usize) -> (zs_depth_view, zs_camera) {
+    let (mut view, mut camera) = (zs_depth_view::new(), zs_camera::new());
     // SAFETY: live depths and structures with their size set.
-    ok(unsafe { zs_depths_get(depths.handle, index, &mut view, &mut camera) });
+    ok(unsafe { zs_depth_result_get(depths.handle, index, &mut view, &mut camera) });
     (view, camera)
 }
 
 #[test]
 fn depth_is_that_of_rust() {
-    let (folder, context) = (tempfile::tempdir().expect("a folder"), context());
-    let (checkpoint, model) = model(&context, folder.path(), false);
+    let (folder, device) = (tempfile::tempdir().expect("a folder"), open_device());
+    let (checkpoint, model) = model(&device, folder.path(), false);
     let photos = photos(2);
-    let own = zs_depth_options { side: SIDE, own_focal_lengths: 1, ..options() };
+    let own = zs_depth_options { input_size: SIDE, per_view_focal: 1, ..Versioned::new() };
     let depths = find(&model, &photos, &own);
     let rust =
-        DepthModel::from_checkpoint(device(), &checkpoint, Arithmetic::EXACT, |_| Continue(())).expect("a model");
+        DepthModel::from_checkpoint(rust_device(), &checkpoint, Arithmetic::EXACT, |_| Continue(())).expect("a model");
     let truth = rust.predict(&photos, &DepthOptions::default(), |_| Continue(())).expect("depth");
     let cameras = truth.cameras().expect("a decoder");
     for (i, (of_view, camera)) in truth.views.iter().zip(&cameras).enumerate() {
@@ -78,13 +66,13 @@ fn depth_is_that_of_rust() {
         assert_eq!(found.rotation, camera.pose.rotation.transpose().to_cols_array());
         assert_eq!(found.translation, camera.pose.translation.to_array());
     }
-    let shared = find(&model, &photos, &zs_depth_options { side: SIDE, ..options() });
+    let shared = find(&model, &photos, &zs_depth_options { input_size: SIDE, ..Versioned::new() });
     let lenses = [0, 1].map(|i| get(&shared, i).1).map(|camera| [camera.fx, camera.fy]);
     assert!(lenses[0] == lenses[1] && lenses[0][0] == lenses[0][1], "{lenses:?}");
     assert_ne!(lenses[0], [cameras[0].intrinsics.fx, cameras[0].intrinsics.fy]);
 
     // SAFETY: live depths, and an output pointer. The scene equals Rust's.
-    let scene = Object::new(zs_scene_destroy, |out| unsafe { zs_depths_scene(depths.handle, 3, out) });
+    let scene = Object::new(zs_scene_destroy, |out| unsafe { zs_depth_result_to_scene(depths.handle, 3, out) });
     let expected = truth.scene(&cameras, &photos, Some(3));
     assert!(expected.len() > 20);
     assert!(read(&scene) == expected);
@@ -98,66 +86,64 @@ fn depth_is_that_of_rust() {
             zs_camera::from(&camera)
         })
         .collect();
-    let known = zs_depth_options { side: SIDE, cameras: given.as_ptr(), camera_count: 2, ..options() };
+    let known = zs_depth_options { input_size: SIDE, cameras: given.as_ptr(), camera_count: 2, ..Versioned::new() };
     let posed = find(&model, &photos, &known);
     assert_eq!(get(&posed, 1).1.translation, given[1].translation);
 }
 
 #[test]
 fn photos_by_themselves_have_sky_and_no_cameras() {
-    let (folder, context) = (tempfile::tempdir().expect("a folder"), context());
-    let (_, model) = model(&context, folder.path(), true);
-    let depths = find(&model, &photos(1), &zs_depth_options { side: SIDE, ..options() });
+    let (folder, device) = (tempfile::tempdir().expect("a folder"), open_device());
+    let (_, model) = model(&device, folder.path(), true);
+    let depths = find(&model, &photos(1), &zs_depth_options { input_size: SIDE, ..Versioned::new() });
     let (view, camera) = get(&depths, 0);
     assert!(view.confidence.is_null() && !view.sky.is_null() && !view.depth.is_null());
     assert_eq!((camera.width, camera.height), (0, 0));
     // SAFETY: live depths, an output pointer.
-    let status = unsafe { zs_depths_scene(depths.handle, 0, &mut null_mut()) };
+    let status = unsafe { zs_depth_result_to_scene(depths.handle, 0, &mut null_mut()) };
     fails(status, ZS_ERROR_ARGUMENT, &["cameras of the depths", "none"]);
 }
 
 #[test]
 fn wrong_arguments_are_named() {
-    let (folder, context) = (tempfile::tempdir().expect("a folder"), context());
-    let (_, model) = model(&context, folder.path(), false);
+    let (folder, device) = (tempfile::tempdir().expect("a folder"), open_device());
+    let (_, model) = model(&device, folder.path(), false);
     let photos = photos(2);
     let images: Vec<zs_image> = photos.iter().map(image_of).collect();
     let camera = zs_camera::from(&zipsplat_tests::scenes::camera(SIDE, SIDE));
     for (options, words) in [
-        (zs_depth_options { side: 13, ..options() }, ["longest side", "13"]),
-        (zs_depth_options { cameras_from: 2, ..options() }, ["cameras_from", "zs_cameras_from"]),
-        (zs_depth_options { own_focal_lengths: 2, ..options() }, ["own_focal_lengths", "0 or 1"]),
-        (zs_depth_options { reserved: 1, ..options() }, ["reserved", "expected 0"]),
-        (zs_depth_options { cameras: &camera, camera_count: 1, ..options() }, ["number of cameras", "0 or 2"]),
+        (zs_depth_options { input_size: 13, ..Versioned::new() }, ["longest side", "13"]),
+        (zs_depth_options { camera_source: 2, ..Versioned::new() }, ["camera_source", "zs_camera_source"]),
+        (zs_depth_options { per_view_focal: 2, ..Versioned::new() }, ["per_view_focal", "0 or 1"]),
+        (zs_depth_options { cameras: &camera, camera_count: 1, ..Versioned::new() }, ["number of cameras", "0 or 2"]),
     ] {
         // SAFETY: a live model, pictures, options, an output pointer.
-        let status = unsafe { zs_depth_find(model.handle, images.as_ptr(), 2, &options, &mut null_mut()) };
+        let status = unsafe { zs_depth_predict(model.handle, images.as_ptr(), 2, &options, &mut null_mut()) };
         fails(status, ZS_ERROR_ARGUMENT, &words);
     }
-    let depths = find(&model, &photos, &zs_depth_options { side: SIDE, ..options() });
+    let depths = find(&model, &photos, &zs_depth_options { input_size: SIDE, ..Versioned::new() });
     // SAFETY: live objects or NULL, which every entry point accepts for every pointer.
     unsafe {
         for status in [
-            zs_depth_model_open(null(), null(), null(), null_mut()),
-            zs_depth_options_default(null_mut(), size_of::<zs_depth_options>()),
-            zs_depth_find(null(), null(), 0, null(), null_mut()),
-            zs_depths_get(null(), 0, null_mut(), null_mut()),
-            zs_depths_scene(null(), 0, null_mut()),
+            zs_depth_model_load(null(), null(), null(), null_mut()),
+            zs_depth_predict(null(), null(), 0, null(), null_mut()),
+            zs_depth_result_get(null(), 0, null_mut(), null_mut()),
+            zs_depth_result_to_scene(null(), 0, null_mut()),
         ] {
             fails(status, ZS_ERROR_ARGUMENT, &["NULL"]);
         }
         zs_depth_model_destroy(null_mut());
-        zs_depths_destroy(null_mut());
+        zs_depth_result_destroy(null_mut());
         fails(
-            zs_depths_get(depths.handle, 2, null_mut(), null_mut()),
+            zs_depth_result_get(depths.handle, 2, null_mut(), null_mut()),
             ZS_ERROR_ARGUMENT,
             &["number of a photo", "below 2"],
         );
         let path = c_string("seeded:vits");
-        let status = zs_depth_model_open(context.handle, path.as_ptr(), null(), &mut null_mut());
+        let status = zs_depth_model_load(device.handle, path.as_ptr(), null(), &mut null_mut());
         fails(status, ZS_ERROR_ARGUMENT, &["vits", "da3-small"]);
-        let with_tokens = zs_model_options { tokens: 1, ..model_options() };
-        let status = zs_depth_model_open(context.handle, path.as_ptr(), &with_tokens, &mut null_mut());
+        let with_tokens = zs_model_options { tokens: 1, ..Versioned::new() };
+        let status = zs_depth_model_load(device.handle, path.as_ptr(), &with_tokens, &mut null_mut());
         fails(status, ZS_ERROR_ARGUMENT, &["options of a depth model", "tokens"]);
     }
 }

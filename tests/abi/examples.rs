@@ -18,7 +18,7 @@ use zipsplat::{
     types::{DEFAULT_BOUND, Image, bounded_views, preprocess::fit, read_ply},
     weights::{Checkpoint, DepthCheckpoint, Dtype},
 };
-use zipsplat_tests::{architectures, compare::assert_same, device::device};
+use zipsplat_tests::{architectures, compare::assert_same, device::device as rust_device};
 
 fn example(name: &str) -> PathBuf {
     root().join("engine/examples").join(name)
@@ -39,7 +39,7 @@ fn expected_means(checkpoint: &Checkpoint, photos: &[PathBuf]) -> Vec<[f32; 3]> 
     let side = checkpoint.image_size();
     let view = |path: &PathBuf| fit(&Image::open(path).expect("a photo"), side, side).expect("a view").image;
     let images: Vec<_> = photos.iter().map(view).collect();
-    let model = Model::from_checkpoint(device(), checkpoint, |_| ControlFlow::Continue(())).expect("a model");
+    let model = Model::from_checkpoint(rust_device(), checkpoint, |_| ControlFlow::Continue(())).expect("a model");
     let done = model.reconstruct_views(&images, &ReconstructOptions::default(), |_| ControlFlow::Continue(()));
     done.expect("a scene").to_scene().unwrap().means
 }
@@ -50,7 +50,7 @@ fn assert_reconstructs(example: impl Fn() -> Command, message: impl Fn(usize) ->
     let micro = folder.path().join("micro.safetensors");
     let checkpoints = [
         (micro.clone(), Checkpoint::open(&micro, None).expect("a network")),
-        ("embedded".into(), Checkpoint::builtin().expect("a model")),
+        ("builtin".into(), Checkpoint::builtin().expect("a model")),
     ];
     for (model, checkpoint) in checkpoints {
         let [scene, picture] = ["scene.ply", "picture.png"].map(|name| folder.path().join(name));
@@ -152,7 +152,8 @@ fn depth_in_c() {
     let views = bounded_views(&read, DEFAULT_BOUND).expect("views");
     let images: Vec<Image> = views.iter().map(|view| view.image.clone()).collect();
     let checkpoint = DepthCheckpoint::open(&weights, false).expect("weights");
-    let model = DepthModel::from_checkpoint(device(), &checkpoint, Arithmetic::EXACT, |_| ControlFlow::Continue(()));
+    let model =
+        DepthModel::from_checkpoint(rust_device(), &checkpoint, Arithmetic::EXACT, |_| ControlFlow::Continue(()));
     let truth = model.expect("a model").predict(&images, &DepthOptions::default(), |_| ControlFlow::Continue(()));
     for (i, view) in truth.expect("depth").views.iter().enumerate() {
         let found = portable_float_map(&folder.path().join(format!("out-{i}.pfm")));

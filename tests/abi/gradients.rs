@@ -7,7 +7,7 @@ use zipsplat::{
     types::{Camera, Intrinsics, Pose, Scene},
 };
 use zipsplat_c::{zs_status::*, *};
-use zipsplat_tests::{compare::assert_same, device::device, scenes::random_scene};
+use zipsplat_tests::{compare::assert_same, device::device as rust_device, scenes::random_scene};
 
 const SIZE: [u32; 2] = [40, 30];
 const PIXELS: usize = (SIZE[0] * SIZE[1]) as usize;
@@ -33,9 +33,9 @@ impl Case {
         }
     }
 
-    fn pictures(values: &mut [Vec<f32>; 3]) -> [zs_picture; 2] {
+    fn pictures(values: &mut [Vec<f32>; 3]) -> [zs_render_buffers; 2] {
         let [rgb, alpha, depth] = values;
-        [0, 1].map(|i| zs_picture {
+        [0, 1].map(|i| zs_render_buffers {
             alpha: alpha[i * PIXELS..].as_mut_ptr(),
             depth: depth[i * PIXELS..].as_mut_ptr(),
             ..picture_at(rgb[3 * i * PIXELS..].as_mut_ptr().cast())
@@ -43,13 +43,12 @@ impl Case {
     }
 
     fn run(&mut self, options: &zs_render_options) -> zs_status {
-        let (context, scene) = (context(), scene_of(&self.scene));
-        let renderer = renderer(&context, &scene);
+        let (device, scene) = (open_device(), scene_of(&self.scene));
+        let renderer = renderer(&device, &scene);
         let weights = Self::pictures(&mut self.weights);
         let [means, scales, quats, opacities, sh_coeffs, cameras] =
             self.found.each_mut().map(|values| values.as_mut_ptr());
-        let struct_size = size_of::<zs_gradients>() as u32;
-        let to = zs_gradients { struct_size, reserved: 0, means, scales, quats, opacities, sh_coeffs, cameras };
+        let to = zs_gradients { means, scales, quats, opacities, sh_coeffs, cameras, ..Versioned::new() };
         let (cameras, weights) = (self.cameras.as_ptr(), weights.as_ptr());
         // SAFETY: live objects, full arrays.
         unsafe { zs_render_backward(renderer.handle, scene.handle, cameras, weights, 2, options, &to) }
@@ -57,8 +56,8 @@ impl Case {
 
     /// Weighted sum of zs_render's pictures.
     fn sum(&self, scene: &Scene, cameras: &[zs_camera; 2], options: &zs_render_options) -> f64 {
-        let (context, scene) = (context(), scene_of(scene));
-        let renderer = renderer(&context, &scene);
+        let (device, scene) = (open_device(), scene_of(scene));
+        let renderer = renderer(&device, &scene);
         let mut drawn = self.weights.clone();
         let pictures = Self::pictures(&mut drawn);
         // SAFETY: live objects, and memory of the pictures' size.
@@ -68,16 +67,17 @@ impl Case {
     }
 }
 
-fn options(depth: zs_depth) -> zs_render_options {
+fn options(depth: zs_depth_mode) -> zs_render_options {
     let options = render_options(zs_pixel_format::ZS_PIXEL_RGB_F32);
     zs_render_options { depth: depth as i32, background: [0.2, 0.1, 0.4], antialiased: 1, ..options }
 }
 
 #[test]
 fn are_rusts_bits() {
-    for (depth, kind) in
-        [(zs_depth::ZS_DEPTH_ACCUMULATED, Depth::Accumulated), (zs_depth::ZS_DEPTH_EXPECTED, Depth::Expected)]
-    {
+    for (depth, kind) in [
+        (zs_depth_mode::ZS_DEPTH_MODE_ACCUMULATED, Depth::Accumulated),
+        (zs_depth_mode::ZS_DEPTH_MODE_EXPECTED, Depth::Expected),
+    ] {
         let mut case = Case::new();
         ok(case.run(&options(depth)));
         let frame = |i: usize| RenderOutput {
@@ -102,7 +102,7 @@ fn are_rusts_bits() {
         };
         let (cameras, frames) = (case.cameras.each_ref().map(camera), [0, 1].map(frame));
         let wanted = Wanted { scene: true, cameras: true };
-        let found = Differentiator::new(device()).differentiate(&case.scene, &cameras, &request, &frames, wanted);
+        let found = Differentiator::new(rust_device()).differentiate(&case.scene, &cameras, &request, &frames, wanted);
         let found = found.expect("gradients");
         assert_same("means", &case.found[0], found.scene.means.as_flattened());
         assert_same("scales", &case.found[1], found.scene.scales.as_flattened());
@@ -117,7 +117,7 @@ fn are_rusts_bits() {
 /// gradients do not.
 #[test]
 fn are_slopes_of_pictures() {
-    let options = options(zs_depth::ZS_DEPTH_ACCUMULATED);
+    let options = options(zs_depth_mode::ZS_DEPTH_MODE_ACCUMULATED);
     let mut case = Case::new();
     ok(case.run(&options));
     let strongest =
@@ -157,7 +157,7 @@ fn are_slopes_of_pictures() {
 
 #[test]
 fn what_has_none_is_refused_and_nothing_is_written() {
-    let good = options(zs_depth::ZS_DEPTH_ACCUMULATED);
+    let good = options(zs_depth_mode::ZS_DEPTH_MODE_ACCUMULATED);
     let mut case = Case::new();
     fails(case.run(&render_options(zs_pixel_format::ZS_PIXEL_RGB8)), ZS_ERROR_ARGUMENT, &["ZS_PIXEL_RGB_F32"]);
     case.scene.quats[3] = [1e-35, 0.0, 0.0, 0.0];

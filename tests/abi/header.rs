@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 const SOURCES: [&str; 14] = [
     "version",
     "status",
-    "context",
-    "picture",
-    "photo",
+    "device",
+    "camera",
+    "image",
     "capture",
     "scene",
     "model",
@@ -29,12 +29,12 @@ const ENUMERATIONS: [&str; 10] = [
     "zs_device_kind",
     "zs_pixel_format",
     "zs_precision",
-    "zs_selection",
+    "zs_token_selection",
     "zs_world",
-    "zs_cameras_from",
-    "zs_refine_what",
-    "zs_refine_end",
-    "zs_depth",
+    "zs_camera_source",
+    "zs_refine_target",
+    "zs_stop_reason",
+    "zs_depth_mode",
     "zs_requirement_kind",
 ];
 
@@ -81,6 +81,14 @@ const BEFORE: &str = r#"// An enumeration of 32 bits: a type of its own in C++ a
 #define ZS_ENUM(name) enum name : int32_t; typedef enum name name; enum name : int32_t
 #else
 #define ZS_ENUM(name) typedef int32_t name; enum name
+#endif
+
+// A structure with its size set and every field at its default, as in
+// `zs_camera camera = ZS_INIT(zs_camera);`.
+#ifdef __cplusplus
+#define ZS_INIT(type) ([] { type value_{}; value_.struct_size = sizeof(type); return value_; }())
+#else
+#define ZS_INIT(type) ((type){.struct_size = sizeof(type)})
 #endif
 
 #ifdef __cplusplus
@@ -155,13 +163,13 @@ fn types_and_functions_of_an_object_stand_together() {
     let header = std::fs::read_to_string(root().join("engine/bindings/c/include/zipsplat.h")).expect("the header");
     let place = |text: &str| header.find(text).unwrap_or_else(|| panic!("{text} is not in the header"));
     let order = [
-        "typedef struct zs_context zs_context;",
-        "zs_status zs_context_create(",
+        "typedef struct zs_device zs_device;",
+        "zs_status zs_device_create(",
         "typedef struct zs_scene zs_scene;",
         "typedef struct zs_gaussians {",
         "zs_status zs_scene_open(",
         "typedef struct zs_model zs_model;",
-        "zs_status zs_model_open(",
+        "zs_status zs_model_load(",
         "typedef struct zs_refine_options {",
         "zs_status zs_refine(",
         "typedef struct zs_vulkan_target {",
@@ -169,7 +177,7 @@ fn types_and_functions_of_an_object_stand_together() {
     ];
     assert!(order.map(place).is_sorted());
     let conditions = header.lines().filter(|line| line.starts_with("#if")).count();
-    assert_eq!(conditions, 4, "the guard, the enumerations, and extern \"C\" from and to");
+    assert_eq!(conditions, 5, "the guard, ZS_ENUM, ZS_INIT, and extern \"C\" from and to");
 }
 
 /// `ZIPSPLAT_WRITE_HEADER=1` writes the header instead.

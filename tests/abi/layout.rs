@@ -25,39 +25,39 @@ macro_rules! numbers {
 
 fn structures() -> Vec<(String, usize)> {
     layout! {
-        zs_device_info { struct_size, index, usable, kind, memory_bytes, name, driver, missing, uuid }
-        zs_context_options { struct_size, validation, max_memory_bytes, device }
+        zs_device_info { struct_size, index, usable, kind, memory_bytes, name, driver, unusable_reason, uuid }
+        zs_device_options { struct_size, validation, max_memory_bytes, device }
         zs_image { struct_size, format, width, height, stride, pixels }
         zs_camera { struct_size, reserved, width, height, fx, fy, cx, cy, rotation, translation }
         zs_gaussians { struct_size, sh_degree, count, means, scales, quats, opacities, sh_coeffs }
-        zs_save_options { struct_size, spz_version }
+        zs_scene_save_options { struct_size, spz_version }
         zs_model_options { struct_size, precision, variant, progress, user_data, tokens, reserved }
         zs_model_info {
-            struct_size, picture_side, patch, gaussians_per_token, sh_degree, precision, weight_bytes, notes
+            struct_size, image_size, patch_size, gaussians_per_token, sh_degree, precision, weight_bytes, warnings
         }
         zs_reconstruct_options {
-            struct_size, world, ratio, unit, selection, width, height, camera_count, seed, cameras, progress, user_data,
-            capture, pool
+            struct_size, world, ratio, scene_scale, token_selection, kv_pool, input_size, seed, camera_count, cameras,
+            progress, user_data, capture
         }
         zs_depth_options {
-            struct_size, side, cameras_from, own_focal_lengths, camera_count, reserved, cameras, progress, user_data
+            struct_size, input_size, camera_source, per_view_focal, camera_count, cameras, progress, user_data
         }
         zs_depth_view { struct_size, reserved, width, height, depth, confidence, sky }
-        zs_refining { struct_size, step, steps, reserved, loss, psnr, seconds_left }
+        zs_refining { struct_size, step, steps, reserved, loss, psnr, eta_seconds }
         zs_refine_options {
-            struct_size, steps, views_per_step, hold_out, width, height, seed, progress, user_data, what, reserved
+            struct_size, steps, views_per_step, holdout_views, max_image_size, seed, progress, user_data, target, reserved
         }
-        zs_refine_info {
-            struct_size, ended, steps, best_step, first_loss, last_loss, psnr_before, psnr, seconds, training_psnr_before,
-            training_psnr
+        zs_refine_result {
+            struct_size, stop_reason, steps, best_step, initial_loss, final_loss, initial_psnr, best_psnr, seconds,
+            initial_training_psnr, best_training_psnr
         }
         zs_render_options { struct_size, format, depth, antialiased, background, near_plane }
-        zs_picture { struct_size, reserved, stride, pixels, alpha, depth }
+        zs_render_buffers { struct_size, reserved, stride, pixels, alpha, depth }
         zs_gradients { struct_size, reserved, means, scales, quats, opacities, sh_coeffs, cameras }
         zs_vulkan_requirement { kind, optional, name, structure }
         zs_vulkan_device {
             struct_size, queue_family, get_instance_proc_addr, instance, physical_device, device, queue, lock_queue,
-            unlock_queue, user_data, fast, reserved
+            unlock_queue, user_data, optional_features_enabled, reserved
         }
         zs_semaphore_point { semaphore, value }
         zs_vulkan_target {
@@ -74,17 +74,17 @@ fn constants() -> Vec<(String, usize)> {
             ZS_ERROR_OUT_OF_MEMORY, ZS_ERROR_DRIVER, ZS_ERROR_DEVICE_LOST, ZS_ERROR_CANCELLED, ZS_ERROR_UNSUPPORTED,
             ZS_ERROR_INTERNAL
         }
-        zs_device_kind { ZS_DEVICE_OTHER, ZS_DEVICE_DISCRETE, ZS_DEVICE_CPU }
+        zs_device_kind { ZS_DEVICE_OTHER, ZS_DEVICE_DISCRETE, ZS_DEVICE_INTEGRATED, ZS_DEVICE_CPU }
         zs_pixel_format { ZS_PIXEL_RGB8, ZS_PIXEL_RGBA8, ZS_PIXEL_BGRA8, ZS_PIXEL_RGB_F32, ZS_PIXEL_RGBA_F32 }
         zs_precision {
-            ZS_PRECISION_BEST, ZS_PRECISION_EXACT, ZS_PRECISION_FAST, ZS_PRECISION_FAST_BF16, ZS_PRECISION_TURBO
+            ZS_PRECISION_AUTO, ZS_PRECISION_FP32, ZS_PRECISION_FP16, ZS_PRECISION_BF16, ZS_PRECISION_INT8
         }
-        zs_selection { ZS_SELECT_KMEANS, ZS_SELECT_STRIDE, ZS_SELECT_RANDOM }
-        zs_world { ZS_WORLD_FIRST_CAMERA, ZS_WORLD_CAMERAS }
-        zs_cameras_from { ZS_CAMERAS_FROM_DECODER, ZS_CAMERAS_FROM_RAYS }
-        zs_refine_what { ZS_REFINE_GAUSSIANS, ZS_REFINE_TOKENS }
-        zs_refine_end { ZS_REFINE_FINISHED, ZS_REFINE_STOPPED, ZS_REFINE_DIVERGED }
-        zs_depth { ZS_DEPTH_EXPECTED, ZS_DEPTH_ACCUMULATED }
+        zs_token_selection { ZS_TOKEN_SELECTION_KMEANS, ZS_TOKEN_SELECTION_STRIDE, ZS_TOKEN_SELECTION_RANDOM }
+        zs_world { ZS_WORLD_AUTO, ZS_WORLD_FIRST_CAMERA, ZS_WORLD_INPUT_CAMERAS }
+        zs_camera_source { ZS_CAMERA_SOURCE_DECODER, ZS_CAMERA_SOURCE_RAYS }
+        zs_refine_target { ZS_REFINE_TARGET_GAUSSIANS, ZS_REFINE_TARGET_TOKENS }
+        zs_stop_reason { ZS_STOP_REASON_FINISHED, ZS_STOP_REASON_STOPPED, ZS_STOP_REASON_DIVERGED }
+        zs_depth_mode { ZS_DEPTH_MODE_EXPECTED, ZS_DEPTH_MODE_ACCUMULATED }
         zs_requirement_kind { ZS_REQUIRES_API_VERSION, ZS_REQUIRES_DEVICE_EXTENSION, ZS_REQUIRES_FEATURE }
     };
     let versions = [ZS_VERSION_MAJOR, ZS_VERSION_MINOR, ZS_VERSION_PATCH, ZS_ABI_VERSION];
@@ -102,10 +102,12 @@ fn is_what_c_sees() {
         "device_kind",
         "pixel_format",
         "precision",
-        "selection",
-        "refine_what",
-        "refine_end",
-        "depth",
+        "token_selection",
+        "world",
+        "camera_source",
+        "refine_target",
+        "stop_reason",
+        "depth_mode",
         "requirement_kind",
     ];
     let mut expected = [structures(), constants()].concat();
@@ -137,6 +139,6 @@ fn nothing_was_left_out() {
     );
     let numbers = code.iter().filter(|line| line.starts_with("ZS_") && line.ends_with(',')).count();
     assert_eq!(constants().len() - 4, numbers);
-    let defined = code.iter().filter(|line| line.starts_with("#define ZS_") && !line.contains("ZS_ENUM(")).count();
-    assert_eq!(defined, 4 + 3, "and ZS_RATIO_AUTO, ZS_UNIT_AUTO, ZS_HOLD_OUT_AUTO");
+    let defined = code.iter().filter(|line| line.starts_with("#define ZS_") && !line.contains("(")).count();
+    assert_eq!(defined, 4 + 3, "and ZS_RATIO_AUTO, ZS_SCENE_SCALE_AUTO, ZS_HOLDOUT_VIEWS_NONE");
 }

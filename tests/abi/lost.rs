@@ -1,4 +1,4 @@
-//! Device loss: host memory stays readable, objects can be destroyed, and another context works.
+//! Device loss: host memory stays readable, objects can be destroyed, and another device works.
 
 use crate::calls::*;
 use zipsplat::types::Scene;
@@ -43,7 +43,7 @@ fn losing_devices() {
 /// Fields drop in order: dependencies before dependents.
 #[derive(Default)]
 struct App {
-    context: Option<Object<zs_context>>,
+    device: Option<Object<zs_device>>,
     model: Option<Object<zs_model>>,
     renderer: Option<Object<zs_renderer>>,
     scene: Option<Object<zs_scene>>,
@@ -51,10 +51,10 @@ struct App {
 
 impl App {
     fn run(&mut self) -> Result<(Scene, Vec<u8>), zs_status> {
-        let context = self.context.insert(context());
-        let model = self.model.insert(try_model(context)?);
+        let device = self.device.insert(open_device());
+        let model = self.model.insert(try_model(device)?);
         let scene = self.scene.insert(reconstructed(model)?);
-        let renderer = self.renderer.insert(try_renderer(context, scene)?);
+        let renderer = self.renderer.insert(try_renderer(device, scene)?);
         let mut pixels = Vec::new();
         for _ in 0..3 {
             pixels.extend(picture(renderer)?);
@@ -63,17 +63,17 @@ impl App {
     }
 
     fn assert_lost(&self, truth: &(Scene, Vec<u8>)) {
-        let context = self.context.as_ref().expect("opening a device fails nowhere");
+        let device = self.device.as_ref().expect("opening a device fails nowhere");
         let lost = |what: &str, status: Option<zs_status>| {
             assert_eq!(status, Some(ZS_ERROR_DEVICE_LOST), "{what}: {}", message());
         };
-        lost("loading a model", try_model(context).err());
+        lost("loading a model", try_model(device).err());
         if let Some(model) = &self.model {
             lost("reconstructing", reconstructed(model).err());
         }
         if let Some(scene) = &self.scene {
             assert!(read(scene) == truth.0, "another scene");
-            lost("making a renderer", try_renderer(context, scene).err());
+            lost("making a renderer", try_renderer(device, scene).err());
             if let Some(renderer) = &self.renderer {
                 lost("drawing", picture(renderer).err());
                 // SAFETY: live objects.

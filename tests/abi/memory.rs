@@ -76,11 +76,11 @@ fn scenes_go_to_memory_and_come_back() {
             // SAFETY: a live scene, a string, an output pointer.
             unsafe { zs_scene_to_memory(scene.handle, format.as_ptr(), null(), out) }
         };
-        let object = Object::new(zs_bytes_destroy, encode);
+        let object = Object::new(zs_blob_destroy, encode);
         let (mut data, mut size): (*const c_void, usize) = (null(), 0);
         // SAFETY: a live object and output pointers; the bytes live as long as the object.
         let bytes = unsafe {
-            ok(zs_bytes_get(object.handle, &mut data, &mut size));
+            ok(zs_blob_get(object.handle, &mut data, &mut size));
             std::slice::from_raw_parts(data.cast::<u8>(), size)
         };
         let path = folder.path().join(format!("scene.{extension}"));
@@ -127,15 +127,15 @@ fn photos_come_from_memory() {
     let bytes = std::fs::read(&path).expect("it was written");
     let decode = |bytes: &[u8]| {
         // SAFETY: bytes of that length, an output pointer.
-        Object::try_new(zs_photo_destroy, |out| unsafe {
-            zs_photo_from_memory(bytes.as_ptr().cast(), bytes.len(), out)
+        Object::try_new(zs_image_buffer_destroy, |out| unsafe {
+            zs_image_buffer_from_memory(bytes.as_ptr().cast(), bytes.len(), out)
         })
     };
     let photo = made(decode(&bytes));
     let mut image = zs_image { format: 0, width: 0, height: 0, pixels: null(), ..image_of(&photos(1)[0]) };
     // SAFETY: a live photo, a structure with its size set, and pixels of the photo.
     let rgb = unsafe {
-        ok(zs_photo_get_image(photo.handle, &mut image));
+        ok(zs_image_buffer_get_image(photo.handle, &mut image));
         std::slice::from_raw_parts(image.pixels.cast::<u8>(), 3 * (image.width * image.height) as usize)
     };
     assert!(Image::open(&path).expect("a photo").rgb == rgb);

@@ -12,15 +12,13 @@ fn kernels_that_fail_their_test_are_named() {
     assert_succeeds(child("notes::failing_kernels", cache.path(), "export ZIPSPLAT_CACHE=\"$ZIPSPLAT_TEST_TARGET\""));
 }
 
-fn precision_and_notes(context: &Object<zs_context>, precision: zs_precision) -> Result<(i32, String), zs_status> {
-    let model = try_model_with(context, &zs_model_options { precision: precision as i32, ..model_options() })?;
-    // SAFETY: zeros are valid.
-    let mut info: zs_model_info = unsafe { std::mem::zeroed() };
-    info.struct_size = size_of::<zs_model_info>() as u32;
+fn precision_and_notes(device: &Object<zs_device>, precision: zs_precision) -> Result<(i32, String), zs_status> {
+    let model = try_model_with(device, &zs_model_options { precision: precision as i32, ..Versioned::new() })?;
+    let mut info = zs_model_info::new();
     // SAFETY: a live model and a structure with its size set; the notes belong to the model.
     let notes = unsafe {
         ok(zs_model_get_info(model.handle, &mut info));
-        CStr::from_ptr(info.notes)
+        CStr::from_ptr(info.warnings)
     };
     Ok((info.precision, notes.to_str().expect("UTF-8").to_owned()))
 }
@@ -29,9 +27,9 @@ fn precision_and_notes(context: &Object<zs_context>, precision: zs_precision) ->
 #[ignore = "child of kernels_that_fail_their_test_are_named"]
 fn failing_kernels() {
     let Some(cache) = target() else { return };
-    let context = context();
-    let fast = ZS_PRECISION_FAST as i32;
-    match precision_and_notes(&context, ZS_PRECISION_FAST) {
+    let device = open_device();
+    let fast = ZS_PRECISION_FP16 as i32;
+    match precision_and_notes(&device, ZS_PRECISION_FP16) {
         Ok(found) => assert_eq!(found, (fast, String::new())),
         Err(_) => return eprintln!("not tested: {}", message()),
     }
@@ -46,11 +44,11 @@ fn failing_kernels() {
     }
     known["result"] = serde_json::to_value(&test).unwrap();
     fs::write(&file, known.to_string()).unwrap();
-    let (precision, notes) = made(precision_and_notes(&context, ZS_PRECISION_FAST));
+    let (precision, notes) = made(precision_and_notes(&device, ZS_PRECISION_FP16));
     assert_eq!((precision, notes.lines().count()), (fast, failing.len()), "{notes}");
     for (note, kernel) in notes.lines().zip(&failing) {
         assert!(note.starts_with(&format!("{kernel} deviates 9.0 times")), "{note}");
     }
-    let exact = made(precision_and_notes(&context, ZS_PRECISION_EXACT));
-    assert_eq!(exact, (ZS_PRECISION_EXACT as i32, String::new()));
+    let exact = made(precision_and_notes(&device, ZS_PRECISION_FP32));
+    assert_eq!(exact, (ZS_PRECISION_FP32 as i32, String::new()));
 }

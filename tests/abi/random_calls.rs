@@ -30,7 +30,7 @@ const POOL: usize = 3;
 
 #[derive(Default)]
 struct World {
-    contexts: Vec<Object<zs_context>>,
+    devices: Vec<Object<zs_device>>,
     models: Vec<Object<zs_model>>,
     scenes: Vec<Object<zs_scene>>,
     renderers: Vec<Object<zs_renderer>>,
@@ -59,17 +59,17 @@ impl World {
     fn step(&mut self, random: &mut Random, images: &[zs_image]) {
         let call = random.below(8);
         let done = match call {
-            0 => keep(&mut self.contexts, random, zs_context_destroy, |out| {
+            0 => keep(&mut self.devices, random, zs_device_destroy, |out| {
                 // SAFETY: no options, an output pointer.
-                unsafe { zs_context_create(null(), out) }
+                unsafe { zs_device_create(null(), out) }
             }),
             1 => self.load(random),
             2 => self.reconstruct(random, images),
             3 => {
-                let (context, scene) = (random.handle(&self.contexts), random.handle(&self.scenes));
+                let (device, scene) = (random.handle(&self.devices), random.handle(&self.scenes));
                 keep(&mut self.renderers, random, zs_renderer_destroy, |out| {
                     // SAFETY: live objects or NULL.
-                    unsafe { zs_renderer_create(context, scene, out) }
+                    unsafe { zs_renderer_create(device, scene, out) }
                 })
             }
             4 => {
@@ -84,7 +84,7 @@ impl World {
     }
 
     fn load(&mut self, random: &mut Random) -> bool {
-        let context = random.handle(&self.contexts);
+        let device = random.handle(&self.devices);
         let size = random.mostly(micro().len(), &[0, 1, 8, 100, micro().len() / 2, micro().len() - 1]);
         let mut bytes = micro()[..size].to_vec();
         for _ in 0..random.mostly(0, &[1, 10]) {
@@ -96,21 +96,21 @@ impl World {
         }
         keep(&mut self.models, random, zs_model_destroy, |out| {
             // SAFETY: a live object or NULL, bytes of that length.
-            unsafe { zs_model_from_memory(context, bytes.as_ptr().cast(), bytes.len(), null(), out) }
+            unsafe { zs_model_from_memory(device, bytes.as_ptr().cast(), bytes.len(), null(), out) }
         })
     }
 
     fn reconstruct(&mut self, random: &mut Random, images: &[zs_image]) -> bool {
         let model = random.handle(&self.models);
         let mut image = images[0];
-        image.format = random.mostly(image.format, &[0, -1, 6]);
+        image.format = random.mostly(image.format, &[-1, 5, 6]);
         image.width = random.mostly(image.width, &[0, 1, u32::MAX]);
         image.stride = random.mostly(0, &[1, -1, i64::MIN]);
         let options = zs_reconstruct_options {
             struct_size: random.mostly(size_of::<zs_reconstruct_options>() as u32, &[0, 4, 63, 65, u32::MAX]),
             ratio: random.mostly(0.5, &[0.0, 1.0, -1.0, f64::NAN]),
-            selection: random.mostly(0, &[1, 2, 3, -1]),
-            width: random.mostly(SIDE, &[0, 1, 14, 28, u32::MAX]),
+            token_selection: random.mostly(0, &[1, 2, 3, -1]),
+            input_size: [random.mostly(SIDE, &[0, 1, 14, 28, u32::MAX]), SIDE],
             ..reconstruct_options()
         };
         let list = [image, images[1]];
@@ -127,13 +127,13 @@ impl World {
         camera.fx = random.mostly(camera.fx, &[0.0, -1.0, f64::NAN, 1e-300, 1e300]);
         camera.translation[2] = random.mostly(0.0, &[f64::INFINITY, 1e300, -1e9]);
         let mut pixels = vec![0u8; 16 * 33 * 33];
-        let picture = zs_picture {
+        let picture = zs_render_buffers {
             stride: random.mostly(0, &[1, i64::MAX, i64::MIN]),
             ..picture_at(random.mostly(pixels.as_mut_ptr(), &[null_mut()]))
         };
         let mut options = render_options(zs_pixel_format::ZS_PIXEL_RGBA8);
-        let format = 1 + random.below(5) as i32;
-        options.format = random.mostly(format, &[0, 6, i32::MIN]);
+        let format = random.below(5) as i32;
+        options.format = random.mostly(format, &[-1, 5, i32::MIN]);
         options.background[1] = random.mostly(0.5, &[f32::NAN, f32::INFINITY, 1e38]);
         // SAFETY: a live object or NULL, and memory for the largest of these pictures.
         let status = unsafe { zs_render(renderer, &camera, &picture, 1, &options) };
@@ -151,7 +151,7 @@ impl World {
             some
         }
         match random.below(4) {
-            0 => one(&mut self.contexts, random),
+            0 => one(&mut self.devices, random),
             1 => one(&mut self.models, random),
             2 => one(&mut self.scenes, random),
             _ => one(&mut self.renderers, random),

@@ -21,7 +21,7 @@ use zipsplat::{
 use zipsplat_c::{zs_status::*, *};
 use zipsplat_tests::{
     compare::assert_same,
-    device::device,
+    device::device as rust_device,
     scenes::{camera, random_scene},
 };
 
@@ -39,7 +39,8 @@ fn place(count: usize) -> Place {
     };
     let cameras: Vec<Camera> = (0..count).map(at).collect();
     let mut moved = random_scene(60, 1, 0.3);
-    let frames = Renderer::new(device()).render_scene(&moved, &cameras, &RenderOptions::default()).expect("pictures");
+    let frames =
+        Renderer::new(rust_device()).render_scene(&moved, &cameras, &RenderOptions::default()).expect("pictures");
     let photo = |frame: zipsplat::stages::render::RenderOutput| {
         Image::from_rgb_f32(frame.width, frame.height, &frame.rgb.expect("color")).expect("a photo")
     };
@@ -50,10 +51,10 @@ fn place(count: usize) -> Place {
 
 impl Place {
     fn in_rust(&self, request: &RefineOptions, stop_after: usize) -> RefineResult {
-        let progress = |now: zipsplat::refine::Refining<'_>| {
+        let progress = |now: zipsplat::refine::RefineProgress<'_>| {
             if now.step == stop_after { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         };
-        refine_scene(&Arena::new(device()), &self.moved, &self.photos, &self.cameras, request, progress)
+        refine_scene(&Arena::new(rust_device()), &self.moved, &self.photos, &self.cameras, request, progress)
             .expect("a scene")
     }
 
@@ -65,31 +66,16 @@ impl Place {
         self.cameras.iter().map(in_c).collect()
     }
 
-    fn in_c(&self, options: &zs_refine_options) -> Result<(Scene, zs_refine_info), zs_status> {
-        let (context, scene) = (context(), scene_of(&self.moved));
+    fn in_c(&self, options: &zs_refine_options) -> Result<(Scene, zs_refine_result), zs_status> {
+        let (device, scene) = (open_device(), scene_of(&self.moved));
         let images: Vec<_> = self.photos.iter().map(image_of).collect();
-        let (cameras, mut info) = (self.c_cameras(), empty_info());
+        let (cameras, mut info) = (self.c_cameras(), zs_refine_result::new());
         let (images, cameras, count) = (images.as_ptr(), cameras.as_ptr(), images.len());
         // SAFETY: live objects, full arrays.
         let refine =
-            |out| unsafe { zs_refine(context.handle, scene.handle, images, cameras, count, options, &mut info, out) };
+            |out| unsafe { zs_refine(device.handle, scene.handle, images, cameras, count, options, &mut info, out) };
         let refined = Object::try_new(zs_scene_destroy, refine)?;
         Ok((read(&refined), info))
-    }
-}
-
-fn empty_info() -> zs_refine_info {
-    // SAFETY: zeros are valid.
-    let info: zs_refine_info = unsafe { std::mem::zeroed() };
-    zs_refine_info { struct_size: size_of::<zs_refine_info>() as u32, ..info }
-}
-
-fn options() -> zs_refine_options {
-    let mut options = std::mem::MaybeUninit::uninit();
-    // SAFETY: initialized on success.
-    unsafe {
-        ok(zs_refine_options_default(options.as_mut_ptr(), size_of::<zs_refine_options>()));
-        options.assume_init()
     }
 }
 
@@ -118,13 +104,12 @@ fn a_refinement_is_rusts_and_tells_how_far_it_is() {
     let options = zs_refine_options {
         steps: 12,
         views_per_step: 3,
-        width: 40,
-        height: 40,
-        hold_out: 1,
+        max_image_size: [40; 2],
+        holdout_views: 1,
         seed: 7,
         progress: Some(listen),
         user_data: (&raw mut log).cast(),
-        ..options()
+        ..Versioned::new()
     };
     let (scene, info) = made(place.in_c(&options));
     let request = RefineOptions {
@@ -139,15 +124,15 @@ fn a_refinement_is_rusts_and_tells_how_far_it_is() {
     assert_same("scene", &bits(&scene), &bits(&expected.scene));
     assert_ne!(bits(&scene), bits(&place.moved));
     let [psnr, before] = expected.psnr().expect("a photo is held out");
-    let found = [info.first_loss, info.last_loss, info.psnr, info.psnr_before];
+    let found = [info.initial_loss, info.final_loss, info.best_psnr, info.initial_psnr];
     assert_eq!(found, [f64::from(expected.losses[0]), f64::from(expected.losses[11]), psnr, before]);
-    let ended = zs_refine_end::ZS_REFINE_FINISHED as i32;
-    assert_eq!((info.ended, info.steps, info.best_step as usize), (ended, 12, expected.best_step));
+    let ended = zs_stop_reason::ZS_STOP_REASON_FINISHED as i32;
+    assert_eq!((info.stop_reason, info.steps, info.best_step as usize), (ended, 12, expected.best_step));
     assert!(psnr > before && info.seconds > 0.0, "{before} to {psnr} dB in {} s", info.seconds);
     let steps: Vec<_> = log.steps.iter().map(|now| (now.step, now.steps, now.loss)).collect();
     let losses = expected.losses.iter().zip(1..).map(|(loss, step)| (step, 12, f64::from(*loss)));
     assert_eq!(steps, losses.collect::<Vec<_>>());
-    assert!(log.steps.iter().all(|now| now.psnr > 0.0 && now.seconds_left >= 0.0));
+    assert!(log.steps.iter().all(|now| now.psnr > 0.0 && now.eta_seconds >= 0.0));
     assert_eq!(log.steps[0].struct_size as usize, size_of::<zs_refining>());
 }
 
@@ -156,26 +141,23 @@ fn a_refinement_that_is_stopped_hands_out_the_best_so_far() {
     let place = place(3);
     let mut log = CallLog { steps: Vec::new(), stop_after: 5 };
     let user_data = (&raw mut log).cast();
-    let (scene, info) = made(place.in_c(&zs_refine_options { progress: Some(listen), user_data, ..options() }));
+    let (scene, info) = made(place.in_c(&zs_refine_options { progress: Some(listen), user_data, ..Versioned::new() }));
     let expected = place.in_rust(&RefineOptions::default(), 5);
     assert_same("scene", &bits(&scene), &bits(&expected.scene));
-    assert_eq!((info.ended, info.steps, log.steps.len()), (zs_refine_end::ZS_REFINE_STOPPED as i32, 5, 5));
-    assert!(info.psnr.is_nan() && log.steps.iter().all(|now| now.psnr.is_nan()));
-    let (scene, info) = made(place.in_c(&zs_refine_options { steps: 0, ..options() }));
-    assert_same("no step", &bits(&scene), &bits(&place.moved));
-    assert!((info.steps, info.best_step) == (0, 0) && info.first_loss.is_nan());
+    assert_eq!((info.stop_reason, info.steps, log.steps.len()), (zs_stop_reason::ZS_STOP_REASON_STOPPED as i32, 5, 5));
+    assert!(info.best_psnr.is_nan() && log.steps.iter().all(|now| now.psnr.is_nan()));
 }
 
 #[test]
 fn what_cannot_be_refined_is_refused() {
     let place = place(2);
-    let (context, scene) = (context(), scene_of(&place.moved));
+    let (device, scene) = (open_device(), scene_of(&place.moved));
     let (images, cameras): (Vec<_>, _) = (place.photos.iter().map(image_of).collect(), place.c_cameras());
     let call = |images: *const zs_image, cameras: *const zs_camera, count, options: *const _, info| {
         let mut refined = dangling_mut();
         // SAFETY: live objects; arrays of their lengths, or counts rejected before access.
         let status =
-            unsafe { zs_refine(context.handle, scene.handle, images, cameras, count, options, info, &mut refined) };
+            unsafe { zs_refine(device.handle, scene.handle, images, cameras, count, options, info, &mut refined) };
         assert!(refined.is_null());
         status
     };
@@ -183,12 +165,10 @@ fn what_cannot_be_refined_is_refused() {
         let status = call(images.as_ptr(), cameras.as_ptr(), 2, &options, null_mut());
         fails(status, ZS_ERROR_ARGUMENT, words);
     };
-    refused(zs_refine_options { views_per_step: 0, ..options() }, &["views_per_step"]);
-    refused(zs_refine_options { hold_out: -2, ..options() }, &["hold_out", "-2"]);
-    refused(zs_refine_options { hold_out: 2, ..options() }, &["held-out photos", "fewer than the 2"]);
-    refused(zs_refine_options { width: 0, ..options() }, &["width and height", "0 x 1600"]);
+    refused(zs_refine_options { holdout_views: -2, ..Versioned::new() }, &["holdout_views", "-2"]);
+    refused(zs_refine_options { holdout_views: 2, ..Versioned::new() }, &["held-out photos", "fewer than the 2"]);
     for struct_size in [0, 4, 47, 1000] {
-        refused(zs_refine_options { struct_size, ..options() }, &["zs_refine_options, struct_size"]);
+        refused(zs_refine_options { struct_size, ..Versioned::new() }, &["zs_refine_options, struct_size"]);
     }
     let (photos, poses) = (images.as_ptr(), cameras.as_ptr());
     let argument = |status, words: &[&str]| fails(status, ZS_ERROR_ARGUMENT, words);
@@ -200,36 +180,35 @@ fn what_cannot_be_refined_is_refused() {
     argument(call(photos, wrong.as_ptr(), 2, null(), null_mut()), &["camera 1"]);
     let larger = [cameras[0], zs_camera { width: 480, ..cameras[1] }];
     argument(call(photos, larger.as_ptr(), 2, null(), null_mut()), &["camera 1"]);
-    let mut info = zs_refine_info { struct_size: 12, ..empty_info() };
-    argument(call(photos, poses, 2, null(), &mut info), &["zs_refine_info, struct_size"]);
+    let mut info = zs_refine_result { struct_size: 12, ..zs_refine_result::new() };
+    argument(call(photos, poses, 2, null(), &mut info), &["zs_refine_result, struct_size"]);
     assert_eq!(info.struct_size, 12);
     // SAFETY: every pointer may be NULL.
     let nulls = unsafe {
         let empty = scene_of(&Scene::default());
         let mut out = null_mut();
         [
-            zs_refine_options_default(null_mut(), 48),
             zs_refine(null(), scene.handle, photos, poses, 2, null(), null_mut(), &mut out),
-            zs_refine(context.handle, null(), photos, poses, 2, null(), null_mut(), &mut out),
-            zs_refine(context.handle, scene.handle, photos, poses, 2, null(), null_mut(), null_mut()),
-            zs_refine(context.handle, empty.handle, photos, poses, 2, null(), null_mut(), &mut out),
+            zs_refine(device.handle, null(), photos, poses, 2, null(), null_mut(), &mut out),
+            zs_refine(device.handle, scene.handle, photos, poses, 2, null(), null_mut(), null_mut()),
+            zs_refine(device.handle, empty.handle, photos, poses, 2, null(), null_mut(), &mut out),
         ]
     };
-    assert_eq!(nulls, [ZS_ERROR_ARGUMENT; 5]);
+    assert_eq!(nulls, [ZS_ERROR_ARGUMENT; 4]);
 }
 
-fn model_with_tokens(context: &Object<zs_context>) -> Object<zs_model> {
-    let precision = zs_precision::ZS_PRECISION_EXACT as i32;
-    made(try_model_with(context, &zs_model_options { precision, tokens: 1, ..model_options() }))
+fn model_with_tokens(device: &Object<zs_device>) -> Object<zs_model> {
+    let precision = zs_precision::ZS_PRECISION_FP32 as i32;
+    made(try_model_with(device, &zs_model_options { precision, tokens: 1, ..Versioned::new() }))
 }
 
 #[test]
 fn tokens_are_refined_as_in_rust() {
-    let (context, photos) = (context(), photos(2));
-    let model = model_with_tokens(&context);
+    let (device, photos) = (open_device(), photos(2));
+    let model = model_with_tokens(&device);
     let images: Vec<_> = photos.iter().map(image_of).collect();
     let go_on = |_: zipsplat::gpu::Progress<'_>| ControlFlow::Continue(());
-    for (world, away) in [(zs_world::ZS_WORLD_FIRST_CAMERA, 0.0), (zs_world::ZS_WORLD_CAMERAS, 2.0)] {
+    for (world, away) in [(zs_world::ZS_WORLD_FIRST_CAMERA, 0.0), (zs_world::ZS_WORLD_INPUT_CAMERAS, 2.0)] {
         let cameras: Vec<Camera> = (0..2)
             .map(|i| {
                 let mut camera = camera(SIDE, SIDE);
@@ -246,46 +225,51 @@ fn tokens_are_refined_as_in_rust() {
             ..reconstruct_options()
         };
         let scene = reconstruct(&model, &images, &making);
-        let options = zs_refine_options { steps: 6, what: zs_refine_what::ZS_REFINE_TOKENS as i32, ..options() };
-        let mut info = empty_info();
+        let options = zs_refine_options {
+            steps: 6,
+            target: zs_refine_target::ZS_REFINE_TARGET_TOKENS as i32,
+            ..Versioned::new()
+        };
+        let mut info = zs_refine_result::new();
         // SAFETY: live objects, full arrays.
         let refine = |out| unsafe {
-            zs_refine(context.handle, scene.handle, images.as_ptr(), c_cameras.as_ptr(), 2, &options, &mut info, out)
+            zs_refine(device.handle, scene.handle, images.as_ptr(), c_cameras.as_ptr(), 2, &options, &mut info, out)
         };
         let refined = read(&made(Object::try_new(zs_scene_destroy, refine)));
         assert_ne!(bits(&refined), bits(&read(&scene)));
 
-        let network = Model::from_checkpoint(device(), &checkpoint(), |_| ControlFlow::Continue(())).expect("a model");
+        let network =
+            Model::from_checkpoint(rust_device(), &checkpoint(), |_| ControlFlow::Continue(())).expect("a model");
         let first = cameras[0].pose;
         let relative: Vec<Camera> = cameras.iter().map(|c| Camera { pose: c.pose.relative_to(&first), ..*c }).collect();
         let request = ReconstructOptions { cameras: Some(relative.clone()), ..ReconstructOptions::default() };
         let features = network.features(&photos, &request, go_on).expect("features");
         let tokens = network.tokens(&features, &request, go_on).expect("tokens");
-        let head = FrozenHead::load(device(), &checkpoint()).expect("a head");
+        let head = FrozenHead::load(rust_device(), &checkpoint()).expect("a head");
         let request = RefineOptions { steps: 6, max_image_size: Some([1600; 2]), ..RefineOptions::default() };
-        let never = |_: zipsplat::refine::Refining| ControlFlow::Continue(());
+        let never = |_: zipsplat::refine::RefineProgress| ControlFlow::Continue(());
         let mut expected =
             refine_tokens(network.arena(), &head, &tokens, &photos, &relative, &request, never).expect("a scene");
-        assert!(info.steps == 6 && info.last_loss == f64::from(expected.losses[5]), "{} steps", info.steps);
+        assert!(info.steps == 6 && info.final_loss == f64::from(expected.losses[5]), "{} steps", info.steps);
         if away > 0.0 {
             expected.scene.place(1.0, &first);
         }
         assert_same("scene", &bits(&refined), &bits(&expected.scene));
     }
-    let tokens = zs_refine_what::ZS_REFINE_TOKENS as i32;
+    let tokens = zs_refine_target::ZS_REFINE_TARGET_TOKENS as i32;
     let place = place(2);
     let refused = |options: zs_refine_options, words: &[&str]| {
         let status = place.in_c(&options).map(drop).expect_err("it is refused");
         fails(status, ZS_ERROR_ARGUMENT, words);
     };
-    refused(zs_refine_options { what: tokens, ..options() }, &["scene", "without tokens", "tokens = 1"]);
-    refused(zs_refine_options { what: 2, ..options() }, &["what", "zs_refine_what"]);
-    refused(zs_refine_options { reserved: 1, ..options() }, &["reserved"]);
+    refused(zs_refine_options { target: tokens, ..Versioned::new() }, &["scene", "without tokens", "tokens = 1"]);
+    refused(zs_refine_options { target: 2, ..Versioned::new() }, &["target", "zs_refine_target"]);
+    refused(zs_refine_options { reserved: 1, ..Versioned::new() }, &["reserved"]);
     for (options, word) in [
-        (zs_model_options { tokens: 2, ..model_options() }, "tokens"),
-        (zs_model_options { reserved: 1, ..model_options() }, "reserved"),
+        (zs_model_options { tokens: 2, ..Versioned::new() }, "tokens"),
+        (zs_model_options { reserved: 1, ..Versioned::new() }, "reserved"),
     ] {
-        fails(try_model_with(&context, &options).map(drop).expect_err("it is refused"), ZS_ERROR_ARGUMENT, &[word]);
+        fails(try_model_with(&device, &options).map(drop).expect_err("it is refused"), ZS_ERROR_ARGUMENT, &[word]);
     }
 }
 

@@ -12,10 +12,10 @@ use zipsplat::{
     weights::{Checkpoint, Dtype},
 };
 use zipsplat_c::*;
-use zipsplat_tests::{compare::assert_same, device::device};
+use zipsplat_tests::{compare::assert_same, device::device as rust_device};
 
 fn rust_scene(photos: &[Image], request: &ReconstructOptions) -> Scene {
-    let model = Model::from_checkpoint(device(), &checkpoint(), |_| ControlFlow::Continue(())).unwrap();
+    let model = Model::from_checkpoint(rust_device(), &checkpoint(), |_| ControlFlow::Continue(())).unwrap();
     model.reconstruct_views(photos, request, |_| ControlFlow::Continue(())).unwrap().to_scene().unwrap()
 }
 
@@ -52,8 +52,8 @@ fn photos_of_every_format_give_rusts_scene() {
     let photos = photos(2);
     let request = ReconstructOptions { ratio: Ratio::Fixed(0.5), ..ReconstructOptions::default() };
     let expected = bits(&rust_scene(&photos, &request));
-    let context = context();
-    let model = model(&context);
+    let device = open_device();
+    let model = model(&device);
     let options = zs_reconstruct_options { ratio: 0.5, ..reconstruct_options() };
     let formats = [
         (zs_pixel_format::ZS_PIXEL_RGB8, 0, false),
@@ -79,8 +79,8 @@ fn photos_of_every_format_give_rusts_scene() {
 fn options_and_cameras_give_rusts_scene() {
     let photos = photos(3);
     let images: Vec<_> = photos.iter().map(image_of).collect();
-    let context = context();
-    let model = model(&context);
+    let device = open_device();
+    let model = model(&device);
     let cameras: Vec<Camera> = (0..3)
         .map(|i| Camera {
             intrinsics: Intrinsics::from_fov(SIDE, SIDE, 1.0, 1.0),
@@ -98,16 +98,16 @@ fn options_and_cameras_give_rusts_scene() {
     let relative = |camera: &Camera| Camera { pose: camera.pose.relative_to(&cameras[0].pose), ..*camera };
     let relative: Vec<_> = cameras.iter().map(relative).collect();
     let cases = [
-        (ZS_RATIO_AUTO, Ratio::Auto, zs_selection::ZS_SELECT_KMEANS, TokenSelection::KMEANS, false),
-        (0.3, Ratio::Fixed(0.3), zs_selection::ZS_SELECT_STRIDE, TokenSelection::Stride, true),
-        (0.3, Ratio::Fixed(0.3), zs_selection::ZS_SELECT_RANDOM, TokenSelection::Random(7), false),
-        (1.0, Ratio::Fixed(1.0), zs_selection::ZS_SELECT_KMEANS, TokenSelection::KMEANS, true),
+        (ZS_RATIO_AUTO, Ratio::Auto, zs_token_selection::ZS_TOKEN_SELECTION_KMEANS, TokenSelection::KMEANS, false),
+        (0.3, Ratio::Fixed(0.3), zs_token_selection::ZS_TOKEN_SELECTION_STRIDE, TokenSelection::Stride, true),
+        (0.3, Ratio::Fixed(0.3), zs_token_selection::ZS_TOKEN_SELECTION_RANDOM, TokenSelection::Random(7), false),
+        (1.0, Ratio::Fixed(1.0), zs_token_selection::ZS_TOKEN_SELECTION_KMEANS, TokenSelection::KMEANS, true),
     ];
     for (number, ratio, choice, selection, posed) in cases {
         let mut options =
-            zs_reconstruct_options { ratio: number, selection: choice as i32, seed: 7, ..reconstruct_options() };
+            zs_reconstruct_options { ratio: number, token_selection: choice as i32, seed: 7, ..reconstruct_options() };
         if posed {
-            (options.cameras, options.camera_count, options.pool) = (c_cameras.as_ptr(), 3, 2);
+            (options.cameras, options.camera_count, options.kv_pool) = (c_cameras.as_ptr(), 3, 2);
         }
         let (cameras, pool) = if posed { (Some(relative.clone()), 2) } else { (None, 1) };
         let request = ReconstructOptions {
@@ -124,18 +124,18 @@ fn options_and_cameras_give_rusts_scene() {
     // Another scale, by an exact power of two.
     let mut far: Vec<_> = c_cameras.clone();
     far.iter_mut().flat_map(|camera| &mut camera.translation).for_each(|x| *x *= 4.0);
-    let options = |cameras: &[zs_camera], unit| zs_reconstruct_options {
+    let options = |cameras: &[zs_camera], scene_scale| zs_reconstruct_options {
         cameras: cameras.as_ptr(),
         camera_count: 3,
-        unit,
+        scene_scale,
         ..reconstruct_options()
     };
     let mut expected = read(&reconstruct(&model, &images, &options(&c_cameras, 1.0)));
     expected.scale(4.0);
-    assert_same("unit", &bits(&read(&reconstruct(&model, &images, &options(&far, 4.0)))), &bits(&expected));
+    assert_same("scene scale", &bits(&read(&reconstruct(&model, &images, &options(&far, 4.0)))), &bits(&expected));
     let first = cameras[0].pose;
     expected.place(1.0, &Pose { translation: 4.0 * first.translation, ..first });
-    let own = zs_reconstruct_options { world: zs_world::ZS_WORLD_CAMERAS as i32, ..options(&far, 4.0) };
+    let own = zs_reconstruct_options { world: zs_world::ZS_WORLD_INPUT_CAMERAS as i32, ..options(&far, 4.0) };
     assert_same("world", &bits(&read(&reconstruct(&model, &images, &own))), &bits(&expected));
 }
 
@@ -162,16 +162,17 @@ fn pixels(frame: &RenderOutput, format: zs_pixel_format) -> Vec<u8> {
 
 #[test]
 fn pictures_are_rusts() {
-    let context = context();
+    let device = open_device();
     let photos = photos(2);
     let images: Vec<_> = photos.iter().map(image_of).collect();
-    let scene = reconstruct(&model(&context), &images, &reconstruct_options());
-    let renderer = renderer(&context, &scene);
+    let scene = reconstruct(&model(&device), &images, &reconstruct_options());
+    let renderer = renderer(&device, &scene);
     let cameras = [camera(64, 48, 0.0), camera(40, 33, 0.1), camera(64, 48, 0.2)];
     let background = [0.1, 0.5, 0.9];
     let request = RenderOptions { alpha: true, depth: Some(Depth::Expected), background, ..RenderOptions::default() };
-    let frames =
-        Renderer::new(device()).render_scene(&read(&scene), &cameras.each_ref().map(rust_camera), &request).unwrap();
+    let frames = Renderer::new(rust_device())
+        .render_scene(&read(&scene), &cameras.each_ref().map(rust_camera), &request)
+        .unwrap();
     let formats = [
         (zs_pixel_format::ZS_PIXEL_RGB8, 3),
         (zs_pixel_format::ZS_PIXEL_RGBA8, 4),
@@ -200,7 +201,7 @@ fn pictures_are_rusts() {
             let top = (camera.height as usize - 1) * row;
             let pixels = pixels[top..].as_mut_ptr();
             let (alpha, depth) = (alpha.as_mut_ptr(), depth.as_mut_ptr());
-            zs_picture { stride: -(row as i64), alpha, depth, ..picture_at(pixels) }
+            zs_render_buffers { stride: -(row as i64), alpha, depth, ..picture_at(pixels) }
         })
         .collect();
     let options = zs_render_options { background, ..render_options(zs_pixel_format::ZS_PIXEL_RGB8) };
@@ -218,9 +219,9 @@ fn pictures_are_rusts() {
 
 #[test]
 fn scenes_come_back_from_arrays_and_files() {
-    let context = context();
+    let device = open_device();
     let photos = photos(1);
-    let scene = reconstruct(&model(&context), &[image_of(&photos[0])], &reconstruct_options());
+    let scene = reconstruct(&model(&device), &[image_of(&photos[0])], &reconstruct_options());
     let gaussians = read(&scene);
     let array = arrays(&gaussians);
     // SAFETY: full arrays, an output pointer.
@@ -262,28 +263,25 @@ fn gaussians_that_are_no_numbers_are_dropped_and_counted() {
 
 #[test]
 fn a_model_computes_in_the_precision_that_was_asked_for() {
-    let context = context();
+    let device = open_device();
     let photos = photos(2);
     let images: Vec<_> = photos.iter().map(image_of).collect();
-    let limits = device().limits();
+    let limits = rust_device().limits();
     let has = |precision| Arithmetic::of(precision, limits).map(|_| precision);
     let best = Precision::best(limits);
     for (asked, expected) in [
-        (zs_precision::ZS_PRECISION_BEST, Some(best)),
-        (zs_precision::ZS_PRECISION_EXACT, Some(Precision::Fp32)),
-        (zs_precision::ZS_PRECISION_FAST, has(Precision::Fp16)),
-        (zs_precision::ZS_PRECISION_FAST_BF16, has(Precision::Bf16)),
-        (zs_precision::ZS_PRECISION_TURBO, has(Precision::Int8)),
+        (zs_precision::ZS_PRECISION_AUTO, Some(best)),
+        (zs_precision::ZS_PRECISION_FP32, Some(Precision::Fp32)),
+        (zs_precision::ZS_PRECISION_FP16, has(Precision::Fp16)),
+        (zs_precision::ZS_PRECISION_BF16, has(Precision::Bf16)),
+        (zs_precision::ZS_PRECISION_INT8, has(Precision::Int8)),
     ] {
-        // SAFETY: capacity for the options, initialized on success; live objects; bytes of that
-        // length.
+        // SAFETY: live objects; bytes of that length.
         let (status, model) = unsafe {
-            let mut options = std::mem::MaybeUninit::<zs_model_options>::uninit();
-            ok(zs_model_options_default(options.as_mut_ptr(), size_of::<zs_model_options>()));
-            let options = zs_model_options { precision: asked as i32, ..options.assume_init() };
+            let options = zs_model_options { precision: asked as i32, ..Versioned::new() };
             let mut model = std::ptr::null_mut();
             let (bytes, size) = (micro().as_ptr().cast(), micro().len());
-            (zs_model_from_memory(context.handle, bytes, size, &options, &mut model), model)
+            (zs_model_from_memory(device.handle, bytes, size, &options, &mut model), model)
         };
         let Some(expected) = expected else {
             assert!(status == zs_status::ZS_ERROR_ARGUMENT && model.is_null(), "{asked:?}");
@@ -297,16 +295,15 @@ fn a_model_computes_in_the_precision_that_was_asked_for() {
         });
         // SAFETY: a live object, a structure with its size set.
         let info = unsafe {
-            let mut info: zs_model_info = std::mem::zeroed();
-            info.struct_size = size_of::<zs_model_info>() as u32;
+            let mut info = zs_model_info::new();
             ok(zs_model_get_info(model.handle, &mut info));
             info
         };
-        let code = if asked == zs_precision::ZS_PRECISION_BEST { 1 + best as i32 } else { asked as i32 };
+        let code = if asked == zs_precision::ZS_PRECISION_AUTO { 1 + best as i32 } else { asked as i32 };
         assert_eq!(info.precision, code, "{asked:?}");
-        let arithmetic = KernelChoice::of(device(), Some(expected)).expect("the device has it").arithmetic;
-        let ours =
-            Model::from_checkpoint_with(device(), &checkpoint(), arithmetic, |_| ControlFlow::Continue(())).unwrap();
+        let arithmetic = KernelChoice::of(rust_device(), Some(expected)).expect("the device has it").arithmetic;
+        let ours = Model::from_checkpoint_with(rust_device(), &checkpoint(), arithmetic, |_| ControlFlow::Continue(()))
+            .unwrap();
         let ours = ours
             .reconstruct_views(&photos, &ReconstructOptions::default(), |_| ControlFlow::Continue(()))
             .unwrap()
@@ -319,21 +316,22 @@ fn a_model_computes_in_the_precision_that_was_asked_for() {
 
 #[test]
 fn weights_of_8_bits_come_from_memory() {
-    let (context, photos, bytes) = (context(), photos(2), micro_in(Dtype::Q8));
-    let options = zs_model_options { precision: zs_precision::ZS_PRECISION_EXACT as i32, ..model_options() };
-    let model = made(model_from(&context, &bytes, &options));
+    let (device, photos, bytes) = (open_device(), photos(2), micro_in(Dtype::Q8));
+    let options = zs_model_options { precision: zs_precision::ZS_PRECISION_FP32 as i32, ..Versioned::new() };
+    let model = made(model_from(&device, &bytes, &options));
     let from_c = reconstruct(&model, &photos.iter().map(image_of).collect::<Vec<_>>(), &reconstruct_options());
     let checkpoint = Checkpoint::from_bytes("q8", bytes.clone(), None).expect("what was just written");
-    let ours = Model::from_checkpoint(device(), &checkpoint, |_| ControlFlow::Continue(())).expect("small models fit");
+    let ours =
+        Model::from_checkpoint(rust_device(), &checkpoint, |_| ControlFlow::Continue(())).expect("small models fit");
     let ours = ours
         .reconstruct_views(&photos, &ReconstructOptions::default(), |_| ControlFlow::Continue(()))
         .unwrap()
         .to_scene()
         .unwrap();
     assert_same("q8", &bits(&read(&from_c)), &bits(&ours));
-    if Arithmetic::of(Precision::Int8, device().limits()).is_some() {
-        let turbo = zs_model_options { precision: zs_precision::ZS_PRECISION_TURBO as i32, ..options };
-        let refused = model_from(&context, &bytes, &turbo).err().expect("no turbo for such weights");
-        fails(refused, zs_status::ZS_ERROR_ARGUMENT, &["precision", "q8", "fp16"]);
+    if Arithmetic::of(Precision::Int8, rust_device().limits()).is_some() {
+        let turbo = zs_model_options { precision: zs_precision::ZS_PRECISION_INT8 as i32, ..options };
+        let refused = model_from(&device, &bytes, &turbo).err().expect("no turbo for such weights");
+        fails(refused, zs_status::ZS_ERROR_ARGUMENT, &["precision", "q8"]);
     }
 }

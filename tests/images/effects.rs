@@ -2,17 +2,10 @@
 
 use crate::render::{ALL, render};
 use std::num::NonZeroU32;
-use zipsplat::{
-    gpu::{Limits, Plan, Profile, Recorder},
-    stages::render::{CameraRows, Depth, FrameShape, RenderOptions, RenderOutput, Renderer, SceneTensors, record},
-    types::{Camera, Scene},
-};
-use zipsplat_tests::{
-    compare::{ImageTolerance, Picture, assert_images_close},
-    device::device,
-    reference::render::{normals, project, rasterise},
-    scenes::{camera, random_scene, reference_camera, reference_gaussians},
-};
+use zipsplat::gpu::{Plan, Profile};
+use zipsplat::stages::render::{CameraRows, FrameShape, record};
+use zipsplat_tests::prelude::*;
+use zipsplat_tests::reference::render::{normals, project, rasterise};
 
 const SIZE: [usize; 2] = [70, 53];
 
@@ -99,17 +92,8 @@ fn what_is_not_asked_for_changes_nothing() {
 }
 
 fn plan(request: &RenderOptions) -> Plan {
-    let (len, sh_degree) = (5_000, 1);
     let mut rec = Recorder::new(&Limits::default());
-    let scene = SceneTensors {
-        means: rec.input::<[f32; 3]>("means", len),
-        scales: rec.input::<[f32; 3]>("scales", len),
-        quats: rec.input::<[f32; 4]>("quats", len),
-        opacities: rec.input::<f32>("opacities", len),
-        sh_coeffs: rec.input::<[[f32; 3]; 4]>("sh_coeffs", len),
-        len,
-        sh_degree,
-    };
+    let scene = scenes::scene_inputs(&mut rec, 5_000, 1);
     let cameras = rec.input::<CameraRows>("cameras", 1);
     record(&mut rec, &scene, cameras, FrameShape { cameras: 1, width: 64, height: 64 }, request, 1 << 14);
     rec.finish().unwrap()
@@ -162,13 +146,12 @@ fn bands_of_zeros_are_neither_stored_nor_drawn() {
     assert_eq!(render(&high, &[camera], &ALL), render(&low, &[camera], &ALL));
     let mut renderer = Renderer::new(device());
     renderer.set_scene(&high).unwrap();
-    let why =
-        |what: &str| renderer.skipped_passes(&ALL).into_iter().find(|left| left.what == what).map(|left| left.why);
-    assert_eq!(why("spherical harmonics of band 1"), None);
-    assert_eq!(why("spherical harmonics of band 2").as_deref(), Some("all zero in this scene"));
+    let why = |renderer: &Renderer, what: &str| {
+        renderer.skipped_passes(&ALL).into_iter().find(|left| left.what == what).map(|left| left.why)
+    };
+    assert_eq!(why(&renderer, "spherical harmonics of band 1"), None);
+    assert_eq!(why(&renderer, "spherical harmonics of band 2").as_deref(), Some("all zero in this scene"));
     renderer.set_scene(&low).unwrap();
-    let why =
-        |what: &str| renderer.skipped_passes(&ALL).into_iter().find(|left| left.what == what).map(|left| left.why);
-    assert_eq!(why("spherical harmonics of band 2").as_deref(), Some("not in this scene"));
-    assert_eq!(why("normals"), None);
+    assert_eq!(why(&renderer, "spherical harmonics of band 2").as_deref(), Some("not in this scene"));
+    assert_eq!(why(&renderer, "normals"), None);
 }

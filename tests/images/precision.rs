@@ -1,22 +1,10 @@
 //! Pictures of networks in faster arithmetics against f32.
 
-use std::ops::ControlFlow;
-use zipsplat::{
-    ops::Arithmetic,
-    reconstruct::{Ratio, ReconstructOptions, TokenSelection},
-    stages::render::{RenderOptions, Renderer},
-    types::Scene,
-};
-use zipsplat_tests::{
-    compare::{ImageTolerance, Picture, assert_images_close},
-    device::device,
-    golden::Golden,
-    networks::{fast_arithmetics, images, model},
-    scenes::camera,
-};
+use zipsplat_tests::networks::{images, model};
+use zipsplat_tests::prelude::*;
 
 /// Uses the golden's own tokens at the first ratio.
-fn reconstruct(golden: &Golden, config: &str, arithmetic: Arithmetic) -> Scene {
+fn scene_of(golden: &Golden, config: &str, arithmetic: Arithmetic) -> Scene {
     let (ratio, prefix) = golden.compressions()[0].clone();
     let selection = TokenSelection::Given(golden.u32(&format!("{prefix}/nearest_idx")));
     let request = ReconstructOptions {
@@ -27,8 +15,7 @@ fn reconstruct(golden: &Golden, config: &str, arithmetic: Arithmetic) -> Scene {
         kv_pool: 1,
         ..ReconstructOptions::default()
     };
-    let model = model(config, arithmetic);
-    model.reconstruct_views(&images(golden), &request, |_| ControlFlow::Continue(())).unwrap().to_scene().unwrap()
+    reconstruct(&model(config, arithmetic), &images(golden), &request).to_scene().unwrap()
 }
 
 #[test]
@@ -40,10 +27,10 @@ fn every_arithmetic_gives_the_same_pictures() {
     for config in ["micro.v2", "tiny.v3", "tiny_swiglu.v3", "small.v2"] {
         let Some(golden) = Golden::open(&format!("{config}.safetensors")) else { continue };
         let network = config.split('.').next().expect("network.case");
-        let exact = reconstruct(&golden, network, Arithmetic::EXACT);
+        let exact = scene_of(&golden, network, Arithmetic::EXACT);
         let truth = renderer.render_scene(&exact, &cameras, &RenderOptions::default()).unwrap();
         for arithmetic in fast_arithmetics() {
-            let scene = reconstruct(&golden, network, arithmetic);
+            let scene = scene_of(&golden, network, arithmetic);
             let frames = renderer.render_scene(&scene, &cameras, &RenderOptions::default()).unwrap();
             for (view, (frame, truth)) in frames.iter().zip(&truth).enumerate() {
                 let (rgb, truth) = (frame.rgb.as_ref().unwrap(), truth.rgb.as_ref().unwrap());

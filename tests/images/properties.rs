@@ -1,16 +1,8 @@
 //! Properties of every scene and camera.
 
 use crate::render::{ALL, bits, render};
-use glam::{DMat3, DVec3};
-use zipsplat::{
-    stages::render::RenderOptions,
-    types::{Camera, Pose, Scene},
-};
-use zipsplat_tests::{
-    compare::{ImageTolerance, Picture, assert_images_close},
-    reference::render::rasterise,
-    scenes::{camera, random_scene, reference_camera, reference_gaussians},
-};
+use zipsplat_tests::prelude::*;
+use zipsplat_tests::reference::render::rasterise;
 
 /// From specks to splats larger than the picture.
 fn cases() -> impl Iterator<Item = (Scene, Camera)> {
@@ -39,28 +31,6 @@ fn the_order_of_gaussians_changes_nothing() {
             let request = RenderOptions { token_group: None, ..ALL };
             assert_eq!(bits(&render(&scene, &[camera], &request)), bits(&render(&shuffled, &[camera], &request)));
         }
-    }
-}
-
-#[test]
-fn cutting_a_picture_changes_nothing() {
-    // Gaussians too small to reach from where only the crop's view is clamped.
-    let (scene, whole) = (random_scene(2_000, 1, 0.05), camera(96, 80));
-    let frame = render(&scene, &[whole], &ALL).remove(0);
-    let unstable = rasterise::render(&reference_gaussians(&scene), &reference_camera(&whole), false, [0.0; 3]).unstable;
-    for (left, top, width, height) in [(0, 0, 48, 80), (48, 0, 48, 80), (16, 32, 64, 48), (5, 3, 64, 51)] {
-        let mut part = whole;
-        part.intrinsics.cx -= left as f64;
-        part.intrinsics.cy -= top as f64;
-        (part.intrinsics.width, part.intrinsics.height) = (width as u32, height as u32);
-        let drawn = render(&scene, &[part], &ALL).remove(0);
-        let places = || (top..top + height).flat_map(|y| (left..left + width).map(move |x| y * 96 + x));
-        let rgb = frame.rgb.as_ref().unwrap();
-        let expected: Vec<f32> = places().flat_map(|at| rgb[3 * at..][..3].to_vec()).collect();
-        let unstable: Vec<u8> = places().map(|at| unstable[at]).collect();
-        let picture = Picture { values: drawn.rgb.as_ref().unwrap(), width, channels: 3 };
-        let tolerance = ImageTolerance { absolute: 1e-4, psnr: 60.0, ..ImageTolerance::RGB };
-        assert_images_close(&format!("part at {left}, {top}"), picture, &expected, &unstable, tolerance);
     }
 }
 

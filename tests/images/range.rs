@@ -1,17 +1,9 @@
 //! Scenes and cameras at the limits of f32: drawn correctly or rejected by name.
 
 use crate::render::{ALL, bits, render};
-use glam::{DMat3, DQuat, DVec2, DVec3};
-use zipsplat::{
-    stages::render::{RenderOptions, Renderer},
-    types::{Camera, Pose, Scene},
-};
-use zipsplat_tests::{
-    compare::{ImageTolerance, Picture, assert_images_close},
-    device::device,
-    reference::render::rasterise,
-    scenes::{camera, random_scene, reference_camera, reference_gaussians},
-};
+use glam::DVec2;
+use zipsplat_tests::prelude::*;
+use zipsplat_tests::reference::render::rasterise;
 
 /// Compares color and alpha with brute force in f64.
 #[track_caller]

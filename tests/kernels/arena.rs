@@ -1,13 +1,8 @@
 //! Plans and their arena: preserved inputs, required rewrites, errors before anything runs.
 
-use std::ops::ControlFlow;
-use zipsplat::Error;
-use zipsplat::gpu::{ArenaRow, Device, DeviceOptions, Limits, Recorder, Run, Tensor};
-use zipsplat::kernels::ops::Add;
-use zipsplat::ops::Arithmetic;
 use zipsplat::reconstruct::{Network, Shape, TokenSampling};
-use zipsplat::stages::ViewGrid;
-use zipsplat_tests::{architectures, compare::assert_same, device::device};
+use zipsplat::{gpu::ArenaRow, kernels::ops::Add, stages::ViewGrid};
+use zipsplat_tests::prelude::*;
 
 fn add(rec: &mut Recorder, left: Tensor, right: Tensor, len: usize) -> Tensor {
     let out = rec.tensor::<f32>("out", len);

@@ -1,9 +1,7 @@
 //! Plans under test, and the device's kernels.
 
-use zipsplat::gpu::{Element, Limits};
 use zipsplat::ops::{Lanes, LinearKernel, NearestKernel, Tiles, Units, Weights};
-use zipsplat_tests::device::device;
-pub use zipsplat_tests::random::{random, random_below};
+pub use zipsplat_tests::prelude::*;
 use zipsplat_verify::Trial;
 
 /// Returns an empty plan on the tests' device.

@@ -1,63 +1,40 @@
 //! Equal inputs give equal bits, across runs and devices.
 
-use crate::case::random;
-use std::ops::ControlFlow;
-use zipsplat::gpu::{Device, DeviceOptions, Progress, Recorder, Run};
-use zipsplat::kernels::ops::Add;
-use zipsplat::ops::Arithmetic;
-use zipsplat::reconstruct::{Model, Ratio, ReconstructOptions};
-use zipsplat::types::{Image, Scene};
-use zipsplat::weights::Checkpoint;
-use zipsplat_tests::{architectures, compare::assert_same, device::device, networks::fast_arithmetics};
+use crate::case::*;
+use zipsplat::{gpu::Progress, kernels::ops::Add};
 
-/// Returns views of 4 x 5 patches of noise.
+/// Returns views of 4 x 5 patches.
 fn images(views: u32) -> Vec<Image> {
-    let (width, height) = (5 * 14, 4 * 14);
-    let view = |seed: u32| {
-        let rgb = (0..3 * width * height).map(|i| ((i + seed).wrapping_mul(2_654_435_761) >> 24) as u8).collect();
-        Image::new(width, height, rgb).unwrap()
-    };
-    (0..views).map(|v| view(1 + (v << 20))).collect()
+    (0..views).map(|view| noise(5 * 14, 4 * 14, u64::from(view))).collect()
 }
 
-fn model(device: &Device) -> Model {
-    model_with(device, Arithmetic::EXACT)
+fn model(device: &Device, arithmetic: Arithmetic) -> Model {
+    networks::model_on(device, "micro", arithmetic)
 }
 
-fn model_with(device: &Device, arithmetic: Arithmetic) -> Model {
-    let checkpoint = Checkpoint::seeded_architecture(architectures::golden("micro"), "micro").unwrap();
-    Model::from_checkpoint_with(device, &checkpoint, arithmetic, |_| ControlFlow::Continue(())).unwrap()
-}
-
-fn reconstruct(model: &Model, views: u32, ratio: f64) -> Scene {
-    let request = ReconstructOptions { ratio: Ratio::Fixed(ratio), ..ReconstructOptions::default() };
-    model.reconstruct_views(&images(views), &request, |_| ControlFlow::Continue(())).unwrap().to_scene().unwrap()
-}
-
-fn bits(scene: &Scene) -> Vec<u32> {
-    let fields = [scene.means.as_flattened(), scene.scales.as_flattened(), scene.quats.as_flattened()];
-    let fields = fields.into_iter().chain([&scene.opacities[..], scene.sh_coeffs.as_flattened()]);
-    fields.flatten().map(|x| x.to_bits()).collect()
+fn scene(model: &Model, views: u32, ratio: f64) -> Vec<u32> {
+    let options = ReconstructOptions { ratio: Ratio::Fixed(ratio), ..ReconstructOptions::default() };
+    bits(&packed(&reconstruct(model, &images(views), &options).to_scene().unwrap()))
 }
 
 #[test]
 fn every_run_gives_the_same_bits() {
     let elsewhere = Device::open(&DeviceOptions::default()).unwrap();
     for arithmetic in fast_arithmetics().into_iter().chain([Arithmetic::EXACT]) {
-        let model_here = model_with(device(), arithmetic);
-        let first = bits(&reconstruct(&model_here, 2, 0.5));
+        let model_here = model(device(), arithmetic);
+        let first = scene(&model_here, 2, 0.5);
         assert!(!first.is_empty());
-        assert_same("again", &bits(&reconstruct(&model_here, 2, 0.5)), &first);
-        let model_there = model_with(&elsewhere, arithmetic);
-        assert_same("on another opening of the device", &bits(&reconstruct(&model_there, 2, 0.5)), &first);
+        assert_same("again", &scene(&model_here, 2, 0.5), &first);
+        let model_there = model(&elsewhere, arithmetic);
+        assert_same("on another opening of the device", &scene(&model_there, 2, 0.5), &first);
     }
 }
 
 #[test]
 fn staging_changes_no_bit() {
     let staged = Device::open(&DeviceOptions { force_staging: true, ..DeviceOptions::default() }).unwrap();
-    let mapped = bits(&reconstruct(&model(device()), 2, 0.5));
-    assert_same("through staging memory", &bits(&reconstruct(&model(&staged), 2, 0.5)), &mapped);
+    let mapped = scene(&model(device(), Arithmetic::EXACT), 2, 0.5);
+    assert_same("through staging memory", &scene(&model(&staged, Arithmetic::EXACT), 2, 0.5), &mapped);
 }
 
 #[test]
@@ -67,8 +44,8 @@ fn binding_parts_of_tensors_changes_no_bit() {
     let narrow = Device::open(&narrow).unwrap();
     let cases = fast_arithmetics().into_iter().map(|half| (half, 1.0));
     for (arithmetic, ratio) in cases.chain([(Arithmetic::EXACT, 0.5), (Arithmetic::EXACT, 1.0)]) {
-        let whole = bits(&reconstruct(&model_with(device(), arithmetic), 24, ratio));
-        let parts = bits(&reconstruct(&model_with(&narrow, arithmetic), 24, ratio));
+        let whole = scene(&model(device(), arithmetic), 24, ratio);
+        let parts = scene(&model(&narrow, arithmetic), 24, ratio);
         assert_same(&format!("ratio {ratio}, {arithmetic:?}"), &parts, &whole);
     }
 }
@@ -104,7 +81,7 @@ fn cutting_long_dispatches_changes_no_bit() {
 
 #[test]
 fn observing_changes_no_bit() {
-    let model = model(device());
+    let model = model(device(), Arithmetic::EXACT);
     let request = ReconstructOptions { ratio: Ratio::Fixed(0.5), ..ReconstructOptions::default() };
     let shape = model.shape(&images(2), &request).unwrap();
     let run = |observe: bool| {
@@ -115,5 +92,5 @@ fn observing_changes_no_bit() {
         assert_eq!(run.observed().is_empty(), !observe);
         tensors.read(&run).unwrap()
     };
-    assert_same("observed", &bits(&run(true)), &bits(&run(false)));
+    assert_same("observed", &bits(&packed(&run(true))), &bits(&packed(&run(false))));
 }

@@ -1,9 +1,8 @@
 //! Self-test of fast kernels and its consequences.
 
-use zipsplat::gpu::{Device, DeviceOptions, Matrices};
-use zipsplat::ops::{Arithmetic, Precision};
+use zipsplat::gpu::Matrices;
 use zipsplat::tune::{KernelChoice, SelfTest};
-use zipsplat_tests::device::device;
+use zipsplat_tests::prelude::*;
 
 #[test]
 fn every_kernel_of_this_device_passes() {

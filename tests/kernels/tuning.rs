@@ -1,15 +1,8 @@
-//! Tuning of tiles: all are timed, the fastest wins, and linear results keep their bits.
+//! Tuning of tiles: all are timed, and the fastest wins.
 
-use std::ops::ControlFlow;
-use zipsplat::{
-    Error,
-    gpu::{Element, Recorder, Run},
-    ops::{
-        Arithmetic, Epilogue, LaneTile, Linear, LinearKernel, Precision, Rows, Tile, Tiles, Units, Weights, pack_matrix,
-    },
-    tune::{Measured, Tuning},
-};
-use zipsplat_tests::{compare::assert_same, device::device};
+use crate::case::*;
+use zipsplat::ops::{LaneTile, Tile, Tiles, Units};
+use zipsplat::tune::{Measured, Tuning};
 
 #[test]
 fn measures_every_tile_and_can_be_stopped() {
@@ -103,35 +96,4 @@ fn the_fastest_tile_of_lanes_is_taken_for_f32() {
 /// Returns the tuning after a round trip through the cache.
 fn kept(tuning: &Tuning) -> Tuning {
     serde_json::from_slice(&serde_json::to_vec(tuning).unwrap()).unwrap()
-}
-
-#[test]
-fn a_tile_changes_no_bit_of_a_linear_layer() {
-    const SIZES: [usize; 3] = [70, 96, 136];
-    let [rows, inner, columns] = SIZES;
-    let limits = device().limits();
-    let values = crate::case::random(1, rows * inner.max(columns) + inner * columns);
-    let (x, weight) = values.split_at(rows * inner);
-    for units in Element::FACTORS.into_iter().filter_map(|f| Units::of(f, limits)) {
-        let product = |index: usize| -> Vec<u32> {
-            let kernel = LinearKernel::Matrix(Units { tiles: Tiles::always(index), ..units }, Weights::Factors);
-            let packed = pack_matrix(kernel, &weight[..inner * columns], inner, columns);
-            let mut rec = Recorder::new(limits);
-            let (packed_weight, bias) = (rec.input::<u8>("weight", packed.len()), rec.input::<f32>("bias", columns));
-            let input = rec.input::<u8>("input", rows * inner * kernel.element().bytes());
-            let layer = Linear { weight: packed_weight, bias, inner, columns, kernel };
-            let x_rows = Rows { tensor: input, count: rows, width: inner, element: kernel.element() };
-            let out = layer.apply(&mut rec, "out", x_rows, Element::F32, Epilogue::default()).tensor;
-            rec.output(out);
-            let mut run = Run::new(device(), rec.finish().unwrap()).unwrap();
-            run.write(packed_weight, &packed).unwrap();
-            run.write(bias, &weight[..columns]).unwrap();
-            run.write(input, &kernel.element().encode(x)).unwrap();
-            run.execute().unwrap();
-            run.read(out).unwrap()
-        };
-        for index in 1..Tile::linear(limits, units).len() {
-            assert_same(&format!("{:?}, tile {index}", units.factor), &product(index), &product(0));
-        }
-    }
 }

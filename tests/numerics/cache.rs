@@ -1,20 +1,9 @@
 //! The cached self-test result.
 
-use std::{
-    fs,
-    ops::ControlFlow,
-    path::{Path, PathBuf},
-    time::{Duration, SystemTime},
-};
+use std::time::{Duration, SystemTime};
 use tempfile::TempDir;
-use zipsplat::{
-    Error,
-    gpu::Element,
-    ops::Precision,
-    tune::{KernelChoice, SelfTest},
-};
-use zipsplat_tests::device::device;
-use zipsplat_tests::processes::{assert_succeeds, child, target};
+use zipsplat::tune::{KernelChoice, SelfTest};
+use zipsplat_tests::prelude::*;
 
 /// Computes in f16 with this cache. It must have `passed`, `noted` failed kernels, be `refused`, or
 /// is `stopped`.

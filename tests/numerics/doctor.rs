@@ -1,15 +1,10 @@
 //! The command `zipsplat doctor`.
 
-use std::{ffi::OsString, sync::atomic::AtomicBool};
-use zipsplat_cli::{Terminal, run};
+use zipsplat_tests::command;
 
 pub fn zipsplat(line: &str) -> (u8, String, String) {
-    let args = std::iter::once("zipsplat").chain(line.split_whitespace()).map(OsString::from);
-    let (mut out, mut err) = (Vec::new(), Vec::new());
-    let cancelled = AtomicBool::new(false);
-    let code = run(args, Terminal { out: &mut out, err: &mut err, progress: false, cancelled: &cancelled });
-    let text = |bytes| String::from_utf8(bytes).expect("text");
-    (code, text(out), text(err))
+    let (code, out, err) = command::zipsplat(line);
+    (code, String::from_utf8(out).expect("results are text"), err)
 }
 
 #[test]

@@ -1,9 +1,7 @@
 //! Scene files with non-finite or out-of-range values.
 
 use crate::doctor::zipsplat;
-use std::path::Path;
-use zipsplat::{Error, types::Scene};
-use zipsplat_tests::scenes::random_scene;
+use zipsplat_tests::prelude::*;
 
 const COUNT: usize = 50;
 const BAD: [usize; 3] = [3, 4, 40];

@@ -14,16 +14,8 @@ mod resources;
 mod splatting;
 mod views;
 
-use std::{ops::ControlFlow, sync::OnceLock};
-use zipsplat::{
-    gpu::Element,
-    ops::Arithmetic,
-    random::Random,
-    reconstruct::{Model, ReconstructOptions},
-    types::{Image, Scene},
-    weights::Checkpoint,
-};
-use zipsplat_tests::{architectures, compare::Tolerance, device::device, networks::fast_arithmetics};
+use std::sync::OnceLock;
+use zipsplat_tests::prelude::*;
 
 fn micro() -> Checkpoint {
     Checkpoint::seeded_architecture(architectures::golden("micro"), "micro").expect("a network")
@@ -43,7 +35,7 @@ impl Mode {
     }
 
     fn reconstruct(&self, images: &[Image], request: &ReconstructOptions) -> Scene {
-        reconstruct(&self.model, images, request)
+        reconstruct(&self.model, images, request).to_scene().unwrap()
     }
 }
 
@@ -63,17 +55,7 @@ fn model() -> &'static Model {
     &modes()[0].model
 }
 
-fn reconstruct(model: &Model, images: &[Image], request: &ReconstructOptions) -> Scene {
-    model.reconstruct_views(images, request, |_| ControlFlow::Continue(())).expect("a scene").to_scene().unwrap()
-}
-
 /// Returns a random index below `bound`, 0 if `bound` is 0.
 fn below(random: &mut Random, bound: usize) -> usize {
     (random.bits() >> 11) as usize % bound.max(1)
-}
-
-fn noise(width: u32, height: u32, seed: u64) -> Image {
-    let mut random = Random::new(seed);
-    let rgb = (0..3 * width * height).map(|_| (random.bits() >> 56) as u8).collect();
-    Image::new(width, height, rgb).expect("as many bytes as pixels")
 }

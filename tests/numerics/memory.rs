@@ -1,16 +1,8 @@
 //! Just enough memory, and one byte less.
 
 use crate::{doctor::zipsplat, micro, noise};
-use std::{ops::ControlFlow, path::Path};
-use zipsplat::{
-    Error,
-    gpu::{Device, DeviceOptions},
-    reconstruct::{Model, Ratio, ReconstructOptions},
-    stages::render::{RenderOptions, Renderer},
-    types::write_ply,
-    weights::Dtype,
-};
-use zipsplat_tests::scenes::{camera, random_scene};
+use zipsplat::types::write_ply;
+use zipsplat_tests::prelude::*;
 
 #[test]
 fn a_plan_runs_in_its_peak_and_is_refused_below() {

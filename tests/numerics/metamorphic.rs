@@ -1,25 +1,11 @@
 //! Input changes with a known effect on the output.
 
 use crate::{Mode, modes, noise};
-use zipsplat::{
-    ops::Arithmetic,
-    reconstruct::{Ratio, ReconstructOptions, TokenSelection},
-    stages::render::{Depth, RenderOptions, RenderOutput, Renderer},
-    types::{Image, Scene},
-};
 use zipsplat_cli::metrics::psnr;
-use zipsplat_tests::{
-    compare::{ImageTolerance, assert_close, assert_same},
-    device::device,
-    scenes::{camera, random_scene},
-};
+use zipsplat_tests::prelude::*;
 
 fn views(count: u32) -> Vec<Image> {
     (0..count).map(|i| noise(56, 42, u64::from(i) + 1)).collect()
-}
-
-fn bits(values: &[f32]) -> Vec<u32> {
-    values.iter().map(|v| v.to_bits()).collect()
 }
 
 /// As `views` equal blocks with block `from[i]` in place i.
@@ -28,13 +14,7 @@ fn fields(scene: &Scene, views: usize, from: &[usize]) -> [(&'static str, Vec<f3
         let block = values.len() / views;
         from.iter().flat_map(|&view| &values[view * block..][..block]).copied().collect()
     };
-    [
-        ("means", order(scene.means.as_flattened())),
-        ("scales", order(scene.scales.as_flattened())),
-        ("quats", order(scene.quats.as_flattened())),
-        ("opacities", order(&scene.opacities)),
-        ("sh_coeffs", order(scene.sh_coeffs.as_flattened())),
-    ]
+    scenes::fields(scene).map(|(name, values)| (name, order(values)))
 }
 
 #[track_caller]
@@ -139,36 +119,12 @@ fn duplicated_views_give_the_same_gaussians() {
     });
 }
 
-const ALL: RenderOptions = RenderOptions {
-    rgb: true,
-    alpha: true,
-    depth: Some(Depth::Accumulated),
-    background: [0.0; 3],
-    antialiased: false,
-    normals: false,
-    token_group: None,
-    near: None,
-    layout: None,
-};
-
-fn draw(scene: &Scene, width: u32) -> RenderOutput {
-    Renderer::new(device()).render_scene(scene, &[camera(width, 48)], &ALL).unwrap().remove(0)
+fn all() -> RenderOptions {
+    RenderOptions { alpha: true, depth: Some(Depth::Accumulated), ..RenderOptions::default() }
 }
 
-#[test]
-fn a_scaled_scene_is_the_same_picture() {
-    let scene = random_scene(1_000, 2, 0.1);
-    let plain = draw(&scene, 64);
-    // Gaussians avoid the near plane.
-    for factor in [0.125f32, 4.0, 1024.0] {
-        let mut scaled = scene.clone();
-        scaled.scale(factor);
-        let frame = draw(&scaled, 64);
-        assert_same("rgb", &bits(&frame.rgb.unwrap()), &bits(plain.rgb.as_ref().unwrap()));
-        assert_same("alpha", &bits(&frame.alpha.unwrap()), &bits(plain.alpha.as_ref().unwrap()));
-        let depth: Vec<f32> = plain.depth.as_ref().unwrap().iter().map(|z| z * factor).collect();
-        assert_same("depth", &bits(&frame.depth.unwrap()), &bits(&depth));
-    }
+fn draw(scene: &Scene, width: u32) -> RenderOutput {
+    Renderer::new(device()).render_scene(scene, &[camera(width, 48)], &all()).unwrap().remove(0)
 }
 
 #[test]
@@ -238,7 +194,7 @@ fn tiles_apart_are_the_picture_together() {
             (part.intrinsics.width, part.intrinsics.height) = (part_width as u32, part_height as u32);
             part.intrinsics.cx -= left as f64;
             part.intrinsics.cy -= top as f64;
-            let frame = renderer.render(&[part], &ALL).unwrap().remove(0);
+            let frame = renderer.render(&[part], &all()).unwrap().remove(0);
             for y in 0..part_height {
                 let (from, to) = (y * part_width, (top + y) * width + left);
                 alpha[to..][..part_width].copy_from_slice(&frame.alpha.as_ref().unwrap()[from..][..part_width]);

@@ -1,25 +1,8 @@
 //! Full disks, killed and concurrent processes, memory growth.
 
 use crate::{micro, noise, reconstruct};
-use std::{
-    ops::ControlFlow,
-    path::{Path, PathBuf},
-    time::Duration,
-};
-use zipsplat::{
-    Error,
-    gpu::{Device, DeviceOptions},
-    reconstruct::{Model, Ratio, ReconstructOptions},
-    types::{Image, Scene},
-    weights::{Checkpoint, Dtype},
-};
-use zipsplat_tests::{
-    architectures,
-    compare::{Tolerance, assert_gaussians_within},
-    device::device,
-    processes::{assert_succeeds, child, target},
-    scenes::random_scene,
-};
+use std::time::Duration;
+use zipsplat_tests::prelude::*;
 
 const SCENES: [&str; 5] = ["scene.ply", "scene.spz", "scene.splat", "scene.glb", "scene.gltf"];
 
@@ -108,9 +91,8 @@ fn reconstructed() -> Vec<u8> {
     let device = Device::open(&DeviceOptions::default()).unwrap();
     let model = Model::from_checkpoint(&device, &micro(), |_| ControlFlow::Continue(())).unwrap();
     let request = ReconstructOptions { ratio: Ratio::Fixed(0.5), ..ReconstructOptions::default() };
-    let scene = reconstruct(&model, &[noise(84, 84, 1), noise(84, 84, 2)], &request);
-    let fields = [scene.means.as_flattened(), scene.quats.as_flattened(), scene.sh_coeffs.as_flattened()];
-    fields.into_iter().flatten().flat_map(|value| value.to_le_bytes()).collect()
+    let scene = reconstruct(&model, &[noise(84, 84, 1), noise(84, 84, 2)], &request).to_scene().unwrap();
+    packed(&scene).into_iter().flat_map(f32::to_le_bytes).collect()
 }
 
 #[test]
@@ -161,11 +143,8 @@ fn reconstructs_and_renders_again_and_again() {
     let mut early = 0;
     for round in 0..rounds {
         let model = Model::from_checkpoint(&device, &micro(), |_| ControlFlow::Continue(())).unwrap();
-        let scene = reconstruct(
-            &model,
-            &images,
-            &ReconstructOptions { ratio: Ratio::Fixed(0.5), ..ReconstructOptions::default() },
-        );
+        let request = ReconstructOptions { ratio: Ratio::Fixed(0.5), ..ReconstructOptions::default() };
+        let scene = reconstruct(&model, &images, &request).to_scene().unwrap();
         let camera = zipsplat_tests::scenes::camera(40 + round as u32 % 3, 30);
         Renderer::new(&device).render_scene(&scene, &[camera], &RenderOptions::default()).unwrap();
         if round == rounds / 2 {
@@ -211,19 +190,10 @@ fn reconstructs_all_tokens_and_half() {
     let model = Model::from_checkpoint(&device, &micro(), |_| ControlFlow::Continue(())).unwrap();
     let scene_at = |ratio| {
         let request = ReconstructOptions { ratio: Ratio::Fixed(ratio), ..ReconstructOptions::default() };
-        reconstruct(&model, &[noise(84, 84, 1), noise(84, 84, 2)], &request)
+        reconstruct(&model, &[noise(84, 84, 1), noise(84, 84, 2)], &request).to_scene().unwrap()
     };
     let values = [1.0, 0.5].into_iter().flat_map(|ratio| packed(&scene_at(ratio)));
     std::fs::write(file, values.flat_map(f32::to_le_bytes).collect::<Vec<u8>>()).unwrap();
-}
-
-fn packed(scene: &Scene) -> Vec<f32> {
-    let k = scene.sh_coeffs_per_gaussian();
-    let gaussian = |i: usize| {
-        let head = scene.means[i].into_iter().chain(scene.scales[i]).chain(scene.quats[i]);
-        head.chain([scene.opacities[i]]).chain(scene.sh_coeffs[i * k..][..k].as_flattened().iter().copied())
-    };
-    (0..scene.len()).flat_map(gaussian).collect()
 }
 
 #[test]

@@ -1,27 +1,11 @@
 //! Cases too slow for `zipsplat doctor`.
 
 use crate::below;
-use zipsplat::{
-    random::Random,
-    stages::render::{Depth, RenderOptions, RenderOutput, Renderer},
-    types::{Camera, Scene},
-};
-use zipsplat_tests::{
-    device::device,
-    scenes::{camera, random_scene},
-};
+use zipsplat_tests::prelude::*;
 
-const ALPHA: RenderOptions = RenderOptions {
-    rgb: true,
-    alpha: true,
-    depth: None,
-    background: [0.0; 3],
-    antialiased: false,
-    normals: false,
-    token_group: None,
-    near: None,
-    layout: None,
-};
+fn alpha() -> RenderOptions {
+    RenderOptions { alpha: true, ..RenderOptions::default() }
+}
 
 fn draw(scene: &Scene, camera: Camera, request: &RenderOptions) -> RenderOutput {
     let frame = Renderer::new(device()).render_scene(scene, &[camera], request).unwrap().remove(0);
@@ -58,7 +42,7 @@ fn stacked(count: usize, alpha: f64) -> f64 {
 fn a_million_gaussians_on_one_pixel() {
     let count = 1_000_000;
     for opacity in [0.0041f32, 0.5, 1.0] {
-        let frame = draw(&pile(count, opacity, 1e-4), camera(1, 1), &ALPHA);
+        let frame = draw(&pile(count, opacity, 1e-4), camera(1, 1), &alpha());
         let truth = stacked(count, f64::from(opacity.min(0.999)));
         let got = f64::from(frame.alpha.unwrap()[0]);
         // 2,300 layers round a few times each.
@@ -68,7 +52,7 @@ fn a_million_gaussians_on_one_pixel() {
 
 #[test]
 fn one_gaussian_over_every_tile_of_a_large_picture() {
-    let frame = draw(&pile(1, 1.0, 1e3), camera(2048, 1024), &ALPHA);
+    let frame = draw(&pile(1, 1.0, 1e3), camera(2048, 1024), &alpha());
     let alpha = frame.alpha.unwrap();
     assert!(alpha.iter().all(|a| (a - 0.999).abs() < 1e-4), "{:?}", alpha.iter().fold(1.0f32, |l, a| l.min(*a)));
 }
@@ -77,21 +61,11 @@ fn one_gaussian_over_every_tile_of_a_large_picture() {
 fn scenes_that_no_camera_sees() {
     let behind = |z: f32| Scene { means: vec![[0.0, 0.0, z]; 1000], ..pile(1000, 1.0, 0.5) };
     for z in [-2.0, 0.0, 0.0099, 1.1e10, f32::MAX] {
-        let frame = draw(&behind(z), camera(33, 17), &ALPHA);
+        let frame = draw(&behind(z), camera(33, 17), &alpha());
         assert!(frame.alpha.unwrap().iter().all(|a| *a == 0.0), "at {z}");
     }
-    let faint = draw(&pile(10_000, 0.0039, 0.5), camera(33, 17), &ALPHA);
+    let faint = draw(&pile(10_000, 0.0039, 0.5), camera(33, 17), &alpha());
     assert!(faint.alpha.unwrap().iter().all(|a| *a == 0.0), "below 1/255");
-}
-
-#[test]
-fn pictures_one_pixel_wide() {
-    let scene = random_scene(2_000, 1, 0.2);
-    for (width, height) in [(1, 8192), (8192, 1), (1, 32_768)] {
-        let request = RenderOptions { depth: Some(Depth::Expected), ..ALPHA };
-        let frame = draw(&scene, camera(width, height), &request);
-        assert!(frame.alpha.unwrap().iter().any(|a| *a > 0.5), "{width} x {height}");
-    }
 }
 
 #[test]
@@ -113,7 +87,7 @@ fn absurd_but_finite_values_spread_no_nan() {
                 _ => scene.sh_coeffs[i * coeffs] = [0.9, pick(true).clamp(-1e20, 1e20), 0.1],
             }
         }
-        let request = RenderOptions { depth: Some(Depth::Accumulated), antialiased: round % 2 == 1, ..ALPHA };
+        let request = RenderOptions { depth: Some(Depth::Accumulated), antialiased: round % 2 == 1, ..alpha() };
         let frame = draw(&scene, camera(64, 48), &request);
         assert!(frame.alpha.unwrap().iter().any(|a| *a > 0.1), "round {round}: the others are still drawn");
     }

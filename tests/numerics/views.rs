@@ -2,12 +2,7 @@
 
 use crate::{Mode, model, modes, noise, reconstruct};
 use image::{DynamicImage, ImageFormat};
-use std::{io::Cursor, path::Path};
-use zipsplat::{
-    reconstruct::{Ratio, ReconstructOptions},
-    types::{Image, Scene},
-};
-use zipsplat_tests::compare::assert_close;
+use zipsplat_tests::prelude::*;
 
 const SIDE: u32 = 56;
 
@@ -26,16 +21,6 @@ fn assert_sound(name: &str, scene: &Scene, tokens: usize) {
     assert!(scene.scales.as_flattened().iter().all(|s| (1e-6..=15.0).contains(s)), "{name}: scales");
 }
 
-fn gaussian_fields(scene: &Scene) -> [(&'static str, &[f32]); 5] {
-    [
-        ("means", scene.means.as_flattened()),
-        ("scales", scene.scales.as_flattened()),
-        ("quats", scene.quats.as_flattened()),
-        ("opacities", &scene.opacities),
-        ("sh_coeffs", scene.sh_coeffs.as_flattened()),
-    ]
-}
-
 #[test]
 fn uniform_identical_and_noisy_views() {
     let corrupted = || [noise(SIDE, SIDE, 1), noise(SIDE, SIDE, 2), plain(0), noise(SIDE, SIDE, 4)].to_vec();
@@ -51,11 +36,11 @@ fn uniform_identical_and_noisy_views() {
     for (name, images) in sets {
         let grid = (images[0].width / 14 * (images[0].height / 14)) as usize;
         let tokens = images.len() * grid;
-        let exact = reconstruct(model(), &images, &ReconstructOptions::default());
+        let exact = reconstruct(model(), &images, &ReconstructOptions::default()).to_scene().unwrap();
         for mode in modes() {
             let scene = mode.reconstruct(&images, &ReconstructOptions::default());
             assert_sound(name, &scene, tokens);
-            for ((field, got), (_, expected)) in gaussian_fields(&scene).into_iter().zip(gaussian_fields(&exact)) {
+            for ((field, got), (_, expected)) in scenes::fields(&scene).into_iter().zip(scenes::fields(&exact)) {
                 assert_close(&format!("{name}, {field}"), got, expected, mode.tolerance(field));
             }
             for ratio in [0.5, 1e-9] {
@@ -76,25 +61,17 @@ fn the_most_views() {
     assert_sound("192 views", &exact, 192 * 16);
     for mode in &modes()[1..] {
         let scene = all(mode);
-        for ((field, got), (_, expected)) in gaussian_fields(&scene).into_iter().zip(gaussian_fields(&exact)) {
+        for ((field, got), (_, expected)) in scenes::fields(&scene).into_iter().zip(scenes::fields(&exact)) {
             assert_close(&format!("192 views, {field}"), got, expected, mode.tolerance(field));
         }
     }
     let request = ReconstructOptions { ratio: Ratio::Auto, ..ReconstructOptions::default() };
-    let scene = reconstruct(model(), &images, &request);
+    let scene = reconstruct(model(), &images, &request).to_scene().unwrap();
     assert_sound("192 views, clustered", &scene, scene.len() / model().architecture().gaussians_per_token);
 }
 
-fn opened(folder: &Path, bytes: &[u8]) -> Image {
-    let path = folder.join("photo");
-    std::fs::write(&path, bytes).unwrap();
-    Image::open(&path).unwrap()
-}
-
-fn encoded(image: &DynamicImage, format: ImageFormat) -> Vec<u8> {
-    let mut bytes = Cursor::new(Vec::new());
-    image.write_to(&mut bytes, format).unwrap();
-    bytes.into_inner()
+fn opened(bytes: &[u8]) -> Image {
+    read_as("photo", bytes, |path| Image::open(path).unwrap())
 }
 
 /// 8 x 8 pixels of value 128 + `level`, baseline, with the usual Adobe marker of inverted values.
@@ -136,7 +113,6 @@ fn cmyk_jpeg(level: i32) -> Vec<u8> {
 
 #[test]
 fn grey_deep_transparent_and_cmyk_photos() {
-    let folder = tempfile::tempdir().unwrap();
     let rgb = DynamicImage::ImageRgb8(image::RgbImage::from_fn(60, 60, |x, y| image::Rgb([x as u8, y as u8, 99])));
     let kinds = [
         ("grey", DynamicImage::ImageLuma8(rgb.to_luma8()), ImageFormat::Png),
@@ -147,14 +123,14 @@ fn grey_deep_transparent_and_cmyk_photos() {
         ("alpha", DynamicImage::ImageRgba8(rgb.to_rgba8()), ImageFormat::WebP),
     ];
     for (name, picture, format) in kinds {
-        let photo = opened(folder.path(), &encoded(&picture, format));
+        let photo = opened(&encoded(&picture, format));
         assert_eq!((photo.width, photo.height), (60, 60), "{name}");
         let view = photo.crop(2, 2, SIDE, SIDE).unwrap();
-        assert_sound(name, &reconstruct(model(), &[view], &ReconstructOptions::default()), 16);
+        assert_sound(name, &reconstruct(model(), &[view], &ReconstructOptions::default()).to_scene().unwrap(), 16);
     }
     // Inverted values multiply.
     for (level, expected) in [(127, 255u8), (-127, 0)] {
-        let photo = opened(folder.path(), &cmyk_jpeg(level));
+        let photo = opened(&cmyk_jpeg(level));
         assert_eq!((photo.width, photo.height), (8, 8));
         assert!(photo.rgb.iter().all(|v| v.abs_diff(expected) <= 1), "CMYK {level}: {:?}", &photo.rgb[..3]);
     }
@@ -162,12 +138,11 @@ fn grey_deep_transparent_and_cmyk_photos() {
 
 #[test]
 fn photos_of_8k() {
-    let folder = tempfile::tempdir().unwrap();
     let large = DynamicImage::ImageRgb8(image::RgbImage::from_fn(7680, 4320, |x, y| {
         image::Rgb([(x >> 5) as u8, (y >> 5) as u8, ((x ^ y) >> 6) as u8])
     }));
-    let photo = opened(folder.path(), &encoded(&large, ImageFormat::Jpeg));
+    let photo = opened(&encoded(&large, ImageFormat::Jpeg));
     assert_eq!((photo.width, photo.height), (7680, 4320));
     let view = zipsplat::types::preprocess::fit(&photo, SIDE, SIDE).unwrap().image;
-    assert_sound("8K", &reconstruct(model(), &[view], &ReconstructOptions::default()), 16);
+    assert_sound("8K", &reconstruct(model(), &[view], &ReconstructOptions::default()).to_scene().unwrap(), 16);
 }

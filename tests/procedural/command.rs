@@ -1,15 +1,5 @@
-use std::sync::atomic::AtomicBool;
-
 use zipsplat_cli::procedural::shards::Header;
-use zipsplat_cli::{Terminal, run};
-
-/// Exit code, standard output and errors.
-fn zipsplat(line: &str) -> (u8, Vec<u8>, String) {
-    let (mut out, mut err, cancelled) = (Vec::new(), Vec::new(), AtomicBool::new(false));
-    let args = std::iter::once("zipsplat").chain(line.split_whitespace()).map(Into::into);
-    let code = run(args, Terminal { out: &mut out, err: &mut err, progress: false, cancelled: &cancelled });
-    (code, out, String::from_utf8(err).expect("text"))
-}
+use zipsplat_tests::command::zipsplat;
 
 #[test]
 fn writes_a_folder() {

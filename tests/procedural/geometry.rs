@@ -1,10 +1,8 @@
 //! Depth and poses match the scene.
 
-use glam::DVec3;
-use zipsplat::types::{Camera, Intrinsics};
-use zipsplat_cli::procedural::{Capture, Photos, Setup};
-
 use crate::{capture, options, rays, setup};
+use zipsplat_cli::procedural::{Capture, Photos, Setup};
+use zipsplat_tests::prelude::*;
 
 /// Away from silhouettes. Sphere tracing stops at 1e-4 of a tube's radius before its refinement.
 const RELATIVE: f64 = 5e-4;

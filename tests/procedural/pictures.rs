@@ -1,12 +1,9 @@
 //! Pictures of procedural scenes.
 
-use std::fs;
-
-use rayon::ThreadPoolBuilder;
-use zipsplat::types::Image;
-use zipsplat_cli::procedural::{Options, Photos, Setup};
-
 use crate::{capture, options};
+use rayon::ThreadPoolBuilder;
+use zipsplat_cli::procedural::{Options, Photos, Setup};
+use zipsplat_tests::prelude::*;
 
 #[test]
 fn a_seed_gives_the_same_on_any_number_of_threads() {

@@ -1,8 +1,8 @@
 //! Ray intersections in f64, by other algorithms: single faces, quadratics, bisection, all
 //! triangles.
 
-use glam::{DMat3, DVec3};
 use zipsplat_cli::procedural::{HeightField, Primitive, Shape};
+use zipsplat_tests::prelude::*;
 
 /// For a torus's roots.
 const STEPS: usize = 4000;

@@ -1,16 +1,10 @@
 //! Folders and streams restore the captured data.
 
-use std::io::ErrorKind;
-use std::ops::ControlFlow;
-
-use zipsplat::types::{Image, poses::Capture};
-use zipsplat_cli::procedural::{
-    Options, Photos,
-    shards::{Header, Record, write},
-    write_folder,
-};
-
 use crate::{capture, options};
+use std::io::ErrorKind;
+use zipsplat_cli::procedural::shards::{Header, Record, write};
+use zipsplat_cli::procedural::{Options, Photos, write_folder};
+use zipsplat_tests::prelude::*;
 
 fn stream(seeds: std::ops::Range<u64>, options: &Options) -> Vec<u8> {
     let mut bytes = Vec::new();

@@ -1,23 +1,9 @@
 //! Pose search, against ZipSplat's authors.
 
-use glam::{DMat3, DVec3};
-use zipsplat::perceptual::Perceptual;
-use zipsplat::stages::lpips::LpipsNetwork;
-use zipsplat::stages::render::Renderer;
-use zipsplat::types::{Camera, Pose};
+use zipsplat::{perceptual::Perceptual, stages::lpips::LpipsNetwork};
 use zipsplat_cli::align::adam::Descent;
-use zipsplat_tests::compare::{Tolerance, assert_close};
-use zipsplat_tests::device::device;
-use zipsplat_tests::golden::{self, Golden, lpips_weights};
-use zipsplat_tests::scenes::{golden_scene, intrinsics};
-
-fn pose(row: &[f64]) -> Pose {
-    Pose { rotation: DMat3::from_cols_slice(&row[..9]).transpose(), translation: DVec3::from_slice(&row[9..]) }
-}
-
-fn row(pose: &Pose) -> Vec<f64> {
-    [&pose.rotation.transpose().to_cols_array()[..], &pose.translation.to_array()].concat()
-}
+use zipsplat_tests::prelude::*;
+use zipsplat_tests::{golden::lpips_weights, scenes::intrinsics};
 
 /// The golden's loss is the mean of both photos, which Adam ignores.
 fn check_steps(golden: &Golden, below: &str, mut lpips: Option<Perceptual>, steps: usize) {
@@ -26,22 +12,21 @@ fn check_steps(golden: &Golden, below: &str, mut lpips: Option<Perceptual>, step
     let (starts, targets) = (golden.f64("init_c2w"), golden.f32("target"));
     let pixels = targets.len() / 2;
     let descent = |(i, lens)| {
-        let camera = Camera { intrinsics: lens, pose: pose(&starts[12 * i..][..12]) };
+        let camera = Camera { intrinsics: lens, pose: scenes::pose(&starts[12 * i..][..12]) };
         Descent::new(&renderer, &targets[i * pixels..][..pixels], &camera).unwrap()
     };
     let mut descents: Vec<Descent> = intrinsics(golden).into_iter().enumerate().map(descent).collect();
     if lpips.is_none() {
         let gradients = descents.iter_mut().flat_map(|descent| descent.gradient(&mut renderer, None).unwrap().1);
         let d_delta: Vec<f64> = gradients.map(|g| g / 2.0).collect();
-        let within = |max: f64, rms: f64| Tolerance { max, rms };
-        assert_close("d_delta", &d_delta, &golden.f64("step0/d_delta"), within(f64::INFINITY, 3e-5));
+        assert_close("d_delta", &d_delta, &golden.f64("step0/d_delta"), Tolerance::rms(3e-5));
     }
     let (losses, poses) = (golden.f64(&format!("{below}loss")), golden.f64(&format!("{below}poses")));
     for (step, truth) in losses.iter().take(steps).enumerate() {
         let mut of_step = |descent: &mut Descent| descent.step(&mut renderer, lpips.as_mut()).unwrap();
         let loss = descents.iter_mut().map(&mut of_step).sum::<f64>() / 2.0;
         assert!((loss - truth).abs() <= 1e-2 * truth, "loss {step} is {loss}, truth {truth}");
-        let found: Vec<f64> = descents.iter().flat_map(|descent| row(&descent.camera.pose)).collect();
+        let found = scenes::pose_rows(descents.iter().map(|descent| &descent.camera.pose));
         let error = if step == 0 { 1e-6 } else { 1e-3 };
         let truth = &poses[24 * (step + 1)..][..24];
         let worst = found.iter().zip(truth).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);

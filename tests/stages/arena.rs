@@ -1,12 +1,7 @@
 //! One arena from photos to pictures.
 
-use std::ops::ControlFlow;
-use zipsplat::gpu::{Arena, Device, DeviceOptions};
-use zipsplat::ops::Arithmetic;
-use zipsplat::reconstruct::{Model, Ratio, ReconstructOptions, Reconstruction, TokenSelection};
-use zipsplat::stages::render::{RenderOptions, RenderOutput, Renderer, plan_pictures};
-use zipsplat::types::{Camera, Image, Scene};
-use zipsplat_tests::{networks, scenes::camera};
+use zipsplat::{gpu::Arena, stages::render::plan_pictures};
+use zipsplat_tests::prelude::*;
 
 /// An own device, to count its memory.
 fn alone(staged: bool) -> (Device, Model) {
@@ -16,13 +11,7 @@ fn alone(staged: bool) -> (Device, Model) {
 }
 
 fn photos(count: usize) -> Vec<Image> {
-    (0..count as u32)
-        .map(|i| Image::new(56, 42, (0..56 * 42 * 3).map(|v| (v * (7 + i) % 251) as u8).collect()).unwrap())
-        .collect()
-}
-
-fn reconstruct(model: &Model, photos: &[Image], request: &ReconstructOptions) -> Reconstruction {
-    model.reconstruct_views(photos, request, |_| ControlFlow::Continue(())).unwrap()
+    (0..count as u64).map(|i| noise(56, 42, i)).collect()
 }
 
 fn cameras() -> Vec<Camera> {
@@ -55,19 +44,20 @@ fn a_scene_of_kept_features_is_that_of_the_photos() {
         (0.25, TokenSelection::Stride),
         (0.3, TokenSelection::Random(4)),
     ] {
-        let request = ReconstructOptions {
-            ratio: Ratio::Fixed(ratio),
-            token_selection: selection,
-            ..ReconstructOptions::default()
-        };
+        let ratio = Ratio::Fixed(ratio);
+        let request = ReconstructOptions { ratio, token_selection: selection, ..ReconstructOptions::default() };
         let kept = model.reconstruct_features(&features, &request, |_| ControlFlow::Continue(())).unwrap();
         let whole = reconstruct(&model, &photos, &request);
         assert!(kept.to_scene().unwrap() == whole.to_scene().unwrap(), "{request:?}");
         assert_eq!((kept.tokens, &kept.patches), (whole.tokens, &whole.patches));
-        let given = ReconstructOptions {
-            token_selection: TokenSelection::Given(kept.patches.indices()),
-            ..ReconstructOptions::default()
+        let index = |token: usize| {
+            let (view, at) = kept.patches.patch(token);
+            12 * view as u32 + 4 * (at.y as u32 / 14) + at.x as u32 / 14
         };
+        let indices: Vec<u32> = (0..kept.tokens).map(index).collect();
+        assert_eq!(indices, kept.patches.indices());
+        let token_selection = TokenSelection::Given(indices);
+        let given = ReconstructOptions { token_selection, ..ReconstructOptions::default() };
         let again = model.reconstruct_features(&features, &given, |_| ControlFlow::Continue(())).unwrap();
         assert!(again.to_scene().unwrap() == kept.to_scene().unwrap(), "{request:?}");
         assert!(kept.times.0.iter().all(|(stage, _)| stage != "backbone"), "{:?}", kept.times);

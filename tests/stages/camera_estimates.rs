@@ -1,14 +1,9 @@
 //! Cameras estimated from a scene of known depth.
 
-use glam::{DMat3, DQuat, DVec2, DVec3};
-use std::ops::ControlFlow;
-use zipsplat::{
-    cameras::CameraEstimate,
-    reconstruct::{Model, Patches, Ratio, ReconstructOptions, Reconstruction, TokenSelection},
-    stages::ViewGrid,
-    types::{Camera, Image, Intrinsics, Pose, Scene},
-};
-use zipsplat_tests::{device::device, networks, scenes::camera};
+use glam::DVec2;
+use zipsplat::reconstruct::Patches;
+use zipsplat::{cameras::CameraEstimate, stages::ViewGrid};
+use zipsplat_tests::prelude::*;
 
 const GRID: ViewGrid = ViewGrid { views: 4, rows: 18, columns: 20, patch_size: 14 };
 
@@ -146,44 +141,10 @@ fn a_view_without_tokens_has_no_camera() {
     assert!(error.contains("723") && error.contains("362 tokens"), "{error}");
 }
 
-fn reconstruct(model: &Model, photos: &[Image], request: &ReconstructOptions) -> Reconstruction {
-    model.reconstruct_views(photos, request, |_| ControlFlow::Continue(())).expect("a scene")
-}
-
 #[test]
-fn patches_are_those_of_the_tokens() {
-    let model = networks::model_on(device(), "micro", zipsplat::ops::Arithmetic::EXACT);
-    let photo = |i: u32| Image::new(56, 42, (0..56 * 42 * 3).map(|v| (v * (7 + i) % 251) as u8).collect());
-    let photos: Vec<Image> = (0..3).map(|i| photo(i).expect("a photo")).collect();
-    let index = |patches: &Patches, token: usize| {
-        let (view, at) = patches.patch(token);
-        (12 * view) as u32 + 4 * (at.y as u32 / 14) + at.x as u32 / 14
-    };
-    for (ratio, selection) in [
-        (1.0, TokenSelection::KMEANS),
-        (0.5, TokenSelection::KMEANS),
-        (0.25, TokenSelection::Stride),
-        (0.3, TokenSelection::Random(4)),
-    ] {
-        let request = ReconstructOptions {
-            ratio: Ratio::Fixed(ratio),
-            token_selection: selection,
-            ..ReconstructOptions::default()
-        };
-        let made = reconstruct(&model, &photos, &request);
-        let patches = made.patches.clone();
-        assert_eq!(patches.len(), made.tokens);
-        let kept: Vec<u32> = (0..patches.len()).map(|token| index(&patches, token)).collect();
-        let again = reconstruct(
-            &model,
-            &photos,
-            &ReconstructOptions { token_selection: TokenSelection::Given(kept), ..request.clone() },
-        );
-        assert!(again.to_scene().expect("Gaussians") == made.to_scene().expect("Gaussians"), "{request:?}");
-        let features = model.features(&photos, &request, |_| ControlFlow::Continue(())).expect("features");
-        let kept = model.reconstruct_features(&features, &request, |_| ControlFlow::Continue(())).expect("a scene");
-        assert_eq!(kept.patches, made.patches, "{request:?}");
-    }
+fn known_cameras_are_not_estimated() {
+    let model = networks::model("micro", Arithmetic::EXACT);
+    let photos = [0, 1, 2].map(|i| noise(56, 42, i));
     let cameras = Some(vec![camera(56, 42); 3]);
     let posed = reconstruct(&model, &photos, &ReconstructOptions { cameras, ..ReconstructOptions::default() });
     let error = posed.cameras(&posed.to_scene().expect("Gaussians"), None).expect_err("they are known").to_string();

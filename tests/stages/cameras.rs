@@ -1,12 +1,7 @@
 //! Cameras, poses and paths against PyTorch.
 
-use glam::{DMat3, DVec3};
-use zipsplat::Error;
-use zipsplat::types::{
-    Camera, Intrinsics, Orbit, Pose, Scene, matrix_from_quaternion, prior_encoding, quaternion_from_matrix,
-};
-use zipsplat_tests::compare::{Tolerance, assert_close};
-use zipsplat_tests::golden::Golden;
+use zipsplat::types::{Orbit, prior_encoding, quaternion_from_matrix};
+use zipsplat_tests::prelude::*;
 
 /// The goldens are computed in f32.
 const F32_RUN: Tolerance = Tolerance { max: 2e-6, rms: 3e-7 };
@@ -19,17 +14,8 @@ fn matrix(rows: &[f64]) -> DMat3 {
     DMat3::from_cols_slice(rows).transpose()
 }
 
-fn pose(row: &[f64]) -> Pose {
-    Pose { rotation: matrix(&row[..9]), translation: DVec3::from_slice(&row[9..]) }
-}
-
 fn poses(golden: &Golden, key: &str) -> Vec<Pose> {
-    golden.f64(key).chunks(12).map(pose).collect()
-}
-
-fn flat(poses: &[Pose]) -> Vec<f64> {
-    let row = |pose: &Pose| [&pose.rotation.transpose().to_cols_array()[..], &pose.translation.to_array()].concat();
-    poses.iter().flat_map(row).collect()
+    golden.f64(key).chunks(12).map(scenes::pose).collect()
 }
 
 /// `[w, h, fx, fy, cx, cy]`.
@@ -68,9 +54,9 @@ fn poses_follow_the_reference() {
     let golden = goldens();
     let data = poses(&golden, "pose/data");
     let inverses: Vec<Pose> = data.iter().map(Pose::inverse).collect();
-    assert_close("pose/inv", &flat(&inverses), &golden.f64("pose/inv"), F32_RUN);
+    assert_close("pose/inv", &scenes::pose_rows(&inverses), &golden.f64("pose/inv"), F32_RUN);
     let composed: Vec<Pose> = data.iter().zip(data.iter().rev()).map(|(a, b)| a.compose(b)).collect();
-    assert_close("pose/compose", &flat(&composed), &golden.f64("pose/compose_with_reversed"), F32_RUN);
+    assert_close("pose/compose", &scenes::pose_rows(&composed), &golden.f64("pose/compose_with_reversed"), F32_RUN);
     let points = golden.f64("pose/points");
     let moved = data.iter().zip(points.chunks(15)).flat_map(|(pose, points)| {
         points.chunks(3).flat_map(|point| pose.transform(DVec3::from_slice(point)).to_array()).collect::<Vec<_>>()
@@ -133,9 +119,9 @@ fn orbits_follow_the_reference() {
 
     let orbit = Orbit { center, radius: 2.0 };
     let sweep = orbit.sweep(9, 5.0, 360.0, 10.0);
-    assert_close("orbit/poses_sweep", &flat(&sweep), &golden.f64("orbit/poses_sweep"), F32_RUN);
+    assert_close("orbit/poses_sweep", &scenes::pose_rows(&sweep), &golden.f64("orbit/poses_sweep"), F32_RUN);
     let wiggle = orbit.wiggle(9, 16.0, 2.0);
-    assert_close("orbit/poses_wiggle", &flat(&wiggle), &golden.f64("orbit/poses_wiggle"), F32_RUN);
+    assert_close("orbit/poses_wiggle", &scenes::pose_rows(&wiggle), &golden.f64("orbit/poses_wiggle"), F32_RUN);
     assert_eq!(orbit.sweep(1, 30.0, 360.0, 0.0), [orbit.pose(30.0, 0.0)]);
     assert!(orbit.sweep(0, 0.0, 360.0, 0.0).is_empty());
 

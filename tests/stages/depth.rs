@@ -4,15 +4,9 @@ use serde_json::Value;
 use std::collections::BTreeSet;
 use zipsplat::Scene;
 use zipsplat::depth::{DepthMap, DepthModel, DepthOptions, DepthPrediction, pixel_gaussians};
-use zipsplat::gpu::{Limits, Recorder, Run};
-use zipsplat::ops::Arithmetic;
-use zipsplat::types::{Camera, Image, Intrinsics, Pose};
 use zipsplat::weights::{DepthArchitecture, DepthCheckpoint, Ffn};
-use zipsplat_tests::compare::{Tolerance, assert_close, assert_same};
-use zipsplat_tests::device::device;
-use zipsplat_tests::golden::{self, Golden};
 use zipsplat_tests::networks::images;
-use zipsplat_tests::random::random;
+use zipsplat_tests::prelude::*;
 
 fn architecture(config: &str) -> DepthArchitecture {
     let manifest = golden::json(&format!("{config}.manifest.json")).expect("it lies beside the goldens");
@@ -46,11 +40,7 @@ fn cameras(golden: &Golden) -> Option<Vec<Camera>> {
         let (extrinsics, intrinsics) = (golden.f64("in/extrinsics"), golden.f64("in/intrinsics"));
         let shape = golden.shape("in/images_u8");
         let [height, width] = [shape[2], shape[3]].map(|side| side as u32);
-        let camera = |(e, k): (&[f64], &[f64])| {
-            let e = glam::DMat4::from_cols_slice(e).transpose();
-            let pose = Pose { rotation: glam::DMat3::from_mat4(e), translation: e.w_axis.truncate() }.inverse();
-            Camera { intrinsics: Intrinsics { width, height, fx: k[0], fy: k[4], cx: k[2], cy: k[5] }, pose }
-        };
+        let camera = |(e, k)| scenes::camera_of([e, k], [width, height]);
         extrinsics.chunks(16).zip(intrinsics.chunks(9)).map(camera).collect()
     })
 }

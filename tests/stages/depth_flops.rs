@@ -1,10 +1,7 @@
 //! FLOPs of depth plans against PyTorch's.
 
-use zipsplat::depth::DepthNetwork;
-use zipsplat::gpu::{Limits, Profile};
-use zipsplat::ops::Arithmetic;
-use zipsplat::reconstruct::{Ratio, TokenSelection};
-use zipsplat::weights::DepthArchitecture;
+use zipsplat::{depth::DepthNetwork, gpu::Profile, weights::DepthArchitecture};
+use zipsplat_tests::prelude::*;
 
 const ALL: (Ratio, &TokenSelection) = (Ratio::Fixed(1.0), &TokenSelection::KMEANS);
 /// Giga multiply-adds per view: network, size, depth branch with the shared part, ray branch.

@@ -1,19 +1,14 @@
 //! Random depth networks against f64.
 
-use std::collections::BTreeSet;
-use std::ops::ControlFlow::Continue;
+use std::{collections::BTreeSet, ops::ControlFlow::Continue};
 use zipsplat::depth::{DepthMap, DepthModel, DepthOptions, DepthPrediction};
-use zipsplat::ops::Arithmetic;
-use zipsplat::reconstruct::{Ratio, TokenSelection};
-use zipsplat::types::Image;
 use zipsplat::weights::{DepthArchitecture, DepthCheckpoint};
 use zipsplat_tests::architectures::{depth_micro, depth_micro_alone};
-use zipsplat_tests::compare::{Tolerance, assert_close};
-use zipsplat_tests::device::device;
-use zipsplat_tests::reference::backbone::patchify::Images;
-use zipsplat_tests::reference::cluster::kmeans::kmeans;
+use zipsplat_tests::prelude::*;
 use zipsplat_tests::reference::depth::{Sizes, View, features, views};
-use zipsplat_tests::reference::model::Weights;
+use zipsplat_tests::{
+    reference::backbone::patchify::Images, reference::cluster::kmeans::kmeans, reference::model::Weights,
+};
 
 /// As for the heads' goldens.
 const WITHIN: Tolerance = Tolerance { max: 1e-4, rms: 3e-5 };

@@ -1,9 +1,8 @@
 //! Scenes and scales from known depth.
 
-use glam::{DMat3, DVec3};
 use zipsplat::depth::{DepthMap, DepthPrediction, add_view};
 use zipsplat::gpu::StageTimes;
-use zipsplat::types::{Camera, Image, Intrinsics, Pose, Scene};
+use zipsplat_tests::prelude::*;
 
 /// Two views of 2 x 1 patches of 2 x 2 pixels.
 const SIZE: [u32; 2] = [4, 2];

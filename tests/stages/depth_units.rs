@@ -1,10 +1,8 @@
 //! Parts of the heads against PyTorch.
 
-use zipsplat::stages::heads::position_table;
-use zipsplat::types::{Camera, Intrinsics, Pose, relative_encoding};
-use zipsplat_tests::compare::{Tolerance, assert_close};
-use zipsplat_tests::golden::Golden;
-use zipsplat_tests::reference::heads::{pixel_shuffle::transposed_convolution, resize};
+use zipsplat::{stages::heads::position_table, types::relative_encoding};
+use zipsplat_tests::prelude::*;
+use zipsplat_tests::{reference::heads::pixel_shuffle::transposed_convolution, reference::heads::resize};
 
 /// `[channels, pixels]` to `[pixels, channels]`.
 fn interleaved(values: &[f64], channels: usize) -> Vec<f64> {
@@ -76,12 +74,7 @@ fn relative_poses() {
     let Some(golden) = Golden::open("da3_tiny.v3_cameras.safetensors") else { return };
     let (extrinsics, intrinsics) = (golden.f64("in/extrinsics"), golden.f64("in/intrinsics"));
     let shape = golden.shape("in/images_u8");
-    let camera = |(e, k): (&[f64], &[f64])| {
-        let e = glam::DMat4::from_cols_slice(e).transpose();
-        let pose = Pose { rotation: glam::DMat3::from_mat4(e), translation: e.w_axis.truncate() }.inverse();
-        let (width, height) = (shape[3] as u32, shape[2] as u32);
-        Camera { intrinsics: Intrinsics { width, height, fx: k[0], fy: k[4], cx: k[2], cy: k[5] }, pose }
-    };
+    let camera = |(e, k)| scenes::camera_of([e, k], [shape[3], shape[2]].map(|side| side as u32));
     let cameras: Vec<Camera> = extrinsics.chunks(16).zip(intrinsics.chunks(9)).map(camera).collect();
     let found: Vec<f32> = relative_encoding(&cameras).unwrap().concat();
     assert_close("encoding", &found, &golden.f64("cam/prior_encoding"), Tolerance { max: 1e-6, rms: 5e-7 });

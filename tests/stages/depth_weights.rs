@@ -1,12 +1,10 @@
 //! Files of depth networks with released names.
 
 use safetensors::{Dtype, tensor::TensorView};
-use std::path::Path;
 use tempfile::TempDir;
-use zipsplat::Error;
 use zipsplat::ops::Ffn;
 use zipsplat::weights::{DEPTH_MODELS, DepthArchitecture, DepthCheckpoint};
-use zipsplat_tests::golden;
+use zipsplat_tests::prelude::*;
 
 fn tiny() -> DepthArchitecture {
     let maps = (32, [16, 24, 32, 48]);

@@ -1,18 +1,9 @@
 //! The forward pass against PyTorch, tap by tap, and its invariants.
 
 use std::collections::HashMap;
-use zipsplat::gpu::{Element, Run};
-use zipsplat::ops::Arithmetic;
-use zipsplat::reconstruct::{Model, Ratio, ReconstructOptions, TokenSelection};
-use zipsplat::types::{Camera, Image, Intrinsics, Pose, Scene};
-use zipsplat::weights::{Architecture, Checkpoint};
-use zipsplat_tests::compare::{
-    Tolerance, assert_close, assert_gaussians_within, assert_nearest, assert_same, assert_tap_within,
-};
-use zipsplat_tests::device::device;
-use zipsplat_tests::golden::{self, Golden};
-use zipsplat_tests::networks::{fast_arithmetics, images, model};
-use zipsplat_tests::reference::{backbone::patchify::Images, forward, model::Model as Reference};
+use zipsplat_tests::networks::{images, model};
+use zipsplat_tests::prelude::*;
+use zipsplat_tests::{reference::backbone::patchify::Images, reference::forward, reference::model::Model as Reference};
 
 fn tap_tolerance(arithmetic: Arithmetic, key: &str) -> Tolerance {
     match arithmetic.element {
@@ -26,24 +17,15 @@ fn cameras(golden: &Golden) -> Option<Vec<Camera>> {
         let (cameras, poses) = (golden.f64("in/camera"), golden.f64("in/pose"));
         let camera = |(c, p): (&[f64], &[f64])| Camera {
             intrinsics: Intrinsics { width: c[0] as u32, height: c[1] as u32, fx: c[2], fy: c[3], cx: c[4], cy: c[5] },
-            pose: Pose {
-                rotation: glam::DMat3::from_cols_slice(&p[..9]).transpose(),
-                translation: glam::DVec3::from_slice(&p[9..]),
-            },
+            pose: scenes::pose(p),
         };
         cameras.chunks(6).zip(poses.chunks(12)).map(camera).collect()
     })
 }
 
-fn observe(model: &Model, images: &[Image], request: &ReconstructOptions) -> (HashMap<String, Vec<f32>>, Run) {
-    let shape = model.shape(images, request).unwrap();
-    let (plan, tensors) = model.record(shape, true).unwrap();
-    let mut run = model.run(plan).unwrap();
-    model.write_inputs(&mut run, &tensors, shape, images, request).unwrap();
-    run.execute().unwrap();
-    let read = |(name, tensor): &(String, _)| (name.clone(), run.read::<f32>(*tensor).unwrap());
-    let taps = run.observed().iter().map(read).collect();
-    (taps, run)
+fn observe(model: &Model, images: &[Image], request: &ReconstructOptions) -> HashMap<String, Vec<f32>> {
+    let run = networks::observe(model, images, request);
+    run.observed().iter().map(|(name, tensor)| (name.clone(), run.read(*tensor).unwrap())).collect()
 }
 
 /// Independent of the ratio, and the rest.
@@ -77,17 +59,13 @@ fn check(file: &str, arithmetic: Arithmetic) {
             kv_pool: 1,
             ..ReconstructOptions::default()
         };
-        let (taps, _) = observe(&model, &images, &request);
+        let taps = observe(&model, &images, &request);
         let names = before.iter().map(|n| (n, n.clone())).chain(after.iter().map(|n| (n, key(n))));
         for (name, key) in names.filter(|(_, key)| stored(key)) {
             assert_tap_within(&golden, &key, &taps[name], tap_tolerance(arithmetic, &key));
             compared += 1;
         }
-        let scene = model
-            .reconstruct_views(&images, &request, |_| std::ops::ControlFlow::Continue(()))
-            .unwrap()
-            .to_scene()
-            .unwrap();
+        let scene = reconstruct(&model, &images, &request).to_scene().unwrap();
         check_gaussians(&golden, &key("gauss"), &packed(&scene), &model, arithmetic);
         if ratio < 1.0 && arithmetic == Arithmetic::EXACT {
             check_clusters(
@@ -100,16 +78,6 @@ fn check(file: &str, arithmetic: Arithmetic) {
         }
     }
     assert!(compared > 10, "{file}: only {compared} taps compared");
-}
-
-/// Means, scales, quats, opacity, SH coefficients.
-fn packed(scene: &Scene) -> Vec<f32> {
-    let k = scene.sh_coeffs_per_gaussian();
-    let gaussian = |i: usize| {
-        let head = scene.means[i].into_iter().chain(scene.scales[i]).chain(scene.quats[i]);
-        head.chain([scene.opacities[i]]).chain(scene.sh_coeffs[i * k..][..k].as_flattened().iter().copied())
-    };
-    (0..scene.len()).flat_map(gaussian).collect()
 }
 
 /// Large goldens store every `sub_step`-th row.
@@ -129,12 +97,8 @@ fn check_gaussians(golden: &Golden, key: &str, packed: &[f32], model: &Model, ar
 }
 
 fn check_clusters(golden: &Golden, model: &Model, images: &[Image], request: ReconstructOptions, prefix: &str) {
-    let shape = model.shape(images, &request).unwrap();
-    let (plan, tensors) = model.record(shape, true).unwrap();
-    let mut run = model.run(plan).unwrap();
-    model.write_inputs(&mut run, &tensors, shape, images, &request).unwrap();
-    run.execute().unwrap();
-    let find = |name: &str| run.observed().iter().find(|o| o.0 == name).expect("clustering observes it").1;
+    let run = networks::observe(model, images, &request);
+    let find = |name: &str| networks::observed(&run, name);
     let key = |name: &str| format!("{prefix}/{name}");
     let assigned: Vec<i64> = run.read::<u32>(find("assign")).unwrap().iter().map(|i| *i as i64).collect();
     assert_same(&key("assign"), &assigned, &golden.i64(&key("assign")));
@@ -149,7 +113,7 @@ fn check_clusters(golden: &Golden, model: &Model, images: &[Image], request: Rec
 fn clusters(config: &str, arithmetic: Arithmetic, images: &[Image]) -> [Vec<u32>; 2] {
     let model = model(config, arithmetic);
     let request = ReconstructOptions { ratio: Ratio::Fixed(0.5), ..ReconstructOptions::default() };
-    let (observed, _run) = observe(&model, images, &request);
+    let observed = observe(&model, images, &request);
     let indices = |name: &str| observed[name].iter().map(|bits| bits.to_bits()).collect::<Vec<_>>();
     [indices("assign"), indices("nearest")]
 }
@@ -217,7 +181,7 @@ fn builtin() {
                 kv_pool: 1,
                 ..ReconstructOptions::default()
             };
-            let found = model.reconstruct_views(&images, &request, |_| std::ops::ControlFlow::Continue(())).unwrap();
+            let found = reconstruct(&model, &images, &request);
             let tolerance = |field: &str| {
                 let table = Tolerance::of_field(field);
                 let in_f32 = f64::from(golden.f32(&key(&format!("f32_deviation/{field}")))[0]);
@@ -246,7 +210,7 @@ fn pooled_keys() {
                 kv_pool: side,
                 ..ReconstructOptions::default()
             };
-            let (taps, _) = observe(&model("micro", arithmetic), &images(&golden), &request);
+            let taps = observe(&model("micro", arithmetic), &images(&golden), &request);
             for name in ["bb/block1", "bb/block2", "prep/layer0", "prep/layer1", "ca0_delta", "scene_sa1", "raw"] {
                 let name = name.to_owned();
                 assert_close(&name, &taps[&name], &truth[&name], tap_tolerance(arithmetic, &name));

@@ -1,35 +1,22 @@
 //! Gradients from pictures to tokens, and descent, against PyTorch.
 
-use std::ops::ControlFlow;
 use std::sync::Arc;
-use zipsplat::gpu::{Element, Recorder, Resident, Run, Tensor};
-use zipsplat::kernels::ops::PlaceColumns;
-use zipsplat::ops::{Arithmetic, ParameterLayout, Rows};
 use zipsplat::refine::{Adam, Space, record_adam};
-use zipsplat::stages::gaussians::Head;
 use zipsplat::stages::loss::{Loss, LossTensors, record_loss};
 use zipsplat::stages::render::{
-    CameraRows, FrameShape, Gradients, RenderOptions, SceneGradients, SceneTensors, camera_rows, record_with_gradients,
+    CameraRows, FrameShape, Gradients, SceneGradients, SceneTensors, camera_rows, record_with_gradients,
 };
-use zipsplat::weights::Checkpoint;
-use zipsplat_tests::architectures;
-use zipsplat_tests::compare::{Tolerance, assert_close, columns};
-use zipsplat_tests::device::device;
-use zipsplat_tests::golden::{self, Golden};
-use zipsplat_tests::reference::gaussians::activate::activate;
-use zipsplat_tests::reference::ops::{activation::gelu, linear::linear};
-use zipsplat_tests::reference::widen;
-use zipsplat_tests::scenes::golden_cameras;
+use zipsplat::{gpu::Resident, kernels::ops::PlaceColumns, ops::ParameterLayout, stages::gaussians::Head};
+use zipsplat_tests::prelude::*;
+use zipsplat_tests::{
+    reference::gaussians::activate::activate, reference::ops::activation::gelu, reference::ops::linear::linear,
+};
 
 const LOSSES: [(Loss, &str); 4] =
     [(Loss::L1, "l1"), (Loss::Mse, "mse"), (Loss::Dssim, "dssim_same"), (Loss::L1Dssim, "l1_dssim_3dgs")];
 
 fn goldens() -> impl Iterator<Item = Golden> {
     golden::list("grad_head").into_iter().filter_map(|file| Golden::open(&file))
-}
-
-fn rms(rms: f64) -> Tolerance {
-    Tolerance { max: f64::INFINITY, rms }
 }
 
 fn head(golden: &Golden) -> (Head, Arc<Resident>) {
@@ -51,7 +38,8 @@ fn check_observed(golden: &Golden, run: &Run, stem: &str, names: &[(&str, f64)])
             run.observed().iter().find(|(path, _)| path.rsplit('/').next() == Some(name)).expect("observed");
         let key = format!("{stem}/{name}");
         let got = run.read::<f32>(*tensor).unwrap();
-        let found = assert_close(&format!("{} {key}", golden.file()), &got, &golden.f64(&key), rms(*tolerance));
+        let found =
+            assert_close(&format!("{} {key}", golden.file()), &got, &golden.f64(&key), Tolerance::rms(*tolerance));
         println!("{key}: {:.1e}", found.rms);
     }
 }
@@ -140,7 +128,7 @@ fn through_a_head_of_odd_width() {
         (moved(1e-5) - moved(-1e-5)) / 2e-5
     };
     let truth: Vec<f64> = (0..tokens.len()).map(slope).collect();
-    assert_close("d_tokens", &run.read::<f32>(d_tokens).unwrap(), &truth, rms(1e-5));
+    assert_close("d_tokens", &run.read::<f32>(d_tokens).unwrap(), &truth, Tolerance::rms(1e-5));
 }
 
 struct Steps {
@@ -251,9 +239,9 @@ fn from_pictures_to_tokens() {
             let mut steps = Steps::new(&golden, loss, false);
             let value = steps.step(1, 0.0);
             let stem = format!("step0/{name}");
-            assert_close(&stem, &[value], &golden.f64(&format!("{stem}/loss")), rms(1e-5));
+            assert_close(&stem, &[value], &golden.f64(&format!("{stem}/loss")), Tolerance::rms(1e-5));
             let frames = steps.run.read::<f32>(steps.frames).unwrap();
-            assert_close("rgb", &frames, &golden.f32("step0/rgb"), rms(3e-5));
+            assert_close("rgb", &frames, &golden.f32("step0/rgb"), Tolerance::rms(3e-5));
             check_observed(&golden, &steps.run, &stem, &[("d_rgb", 3e-5), ("d_raw", 5e-5), ("d_tokens", 5e-5)]);
         }
     }
@@ -269,7 +257,8 @@ fn check_steps(golden: &Golden, stem: &str, mut steps: Steps, rate: f32, [of_los
         let name = format!("tokens{step}");
         if golden.has(&key(&name)) {
             let got = steps.run.read::<f32>(steps.tokens).unwrap().into_iter().map(f64::from).collect();
-            let found = assert_close(&key(&name), &change(got), &change(golden.f64(&key(&name))), rms(of_change));
+            let found =
+                assert_close(&key(&name), &change(got), &change(golden.f64(&key(&name))), Tolerance::rms(of_change));
             println!("{}: {:.1e} of the change", key(&name), found.rms);
         }
     }

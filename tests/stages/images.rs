@@ -1,19 +1,12 @@
 //! Photos: decoding, orientation, preprocessing.
 
-use std::fs;
-use std::io::Cursor;
-use std::path::{Path, PathBuf};
-
-use glam::{DMat3, DVec3};
 use image::{DynamicImage, ImageFormat};
-use zipsplat::Error;
 use zipsplat::types::preprocess::{DEFAULT_SIZE, View, crop_to_aspect, fit};
 use zipsplat::types::resample::resize_lanczos;
-use zipsplat::types::{Camera, Image, Intrinsics, Pose, contact_sheet, tile_count, tiles};
+use zipsplat::types::{contact_sheet, tile_count, tiles};
 use zipsplat_cli::protocol::Filter;
-use zipsplat_tests::compare::assert_same;
-use zipsplat_tests::golden::{self, Golden};
 use zipsplat_tests::photos::with_orientation;
+use zipsplat_tests::prelude::*;
 
 fn chw_to_hwc<T: Copy>(chw: &[T]) -> Vec<T> {
     let plane = chw.len() / 3;
@@ -25,22 +18,13 @@ fn noise(width: u32, height: u32) -> Image {
     Image::new(width, height, (0..3 * width * height).map(byte).collect()).unwrap()
 }
 
-fn encoded(image: &DynamicImage, format: ImageFormat) -> Vec<u8> {
-    let mut bytes = Cursor::new(Vec::new());
-    image.write_to(&mut bytes, format).unwrap();
-    bytes.into_inner()
-}
-
 fn dynamic(image: &Image) -> DynamicImage {
     DynamicImage::ImageRgb8(image::RgbImage::from_vec(image.width, image.height, image.rgb.clone()).unwrap())
 }
 
 /// Under a name without extension.
 fn open(bytes: &[u8]) -> Result<Image, Error> {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("photo");
-    fs::write(&path, bytes).unwrap();
-    let opened = Image::open(&path);
+    let opened = read_as("photo", bytes, |path| Image::open(path));
     if let Err(error) = &opened {
         assert!(error.to_string().contains("photo"), "{error} does not name the file");
     }

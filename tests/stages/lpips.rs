@@ -1,20 +1,12 @@
 //! LPIPS: random weights against f64, real ones, if present, against goldens.
 
 use std::collections::HashMap;
-use std::ops::ControlFlow;
-use zipsplat::gpu::{Limits, Recorder, Run};
-use zipsplat::ops::{Arithmetic, ParameterLayout, ParameterSource};
-use zipsplat::perceptual::Perceptual;
+use zipsplat::ops::{ParameterLayout, ParameterSource};
 use zipsplat::stages::lpips::{Lpips, LpipsNetwork, LpipsPictures};
-use zipsplat::weights::Tensors;
-use zipsplat_tests::compare::{Tolerance, assert_close, assert_same};
-use zipsplat_tests::device::device;
-use zipsplat_tests::golden::{Golden, interleaved, lpips_weights};
-use zipsplat_tests::random::random;
-use zipsplat_tests::reference::{
-    lpips::{Layer, lpips},
-    widen,
-};
+use zipsplat::{perceptual::Perceptual, weights::Tensors};
+use zipsplat_tests::golden::{interleaved, lpips_weights};
+use zipsplat_tests::prelude::*;
+use zipsplat_tests::reference::lpips::{Layer, lpips};
 
 const NETWORKS: [LpipsNetwork; 2] = [LpipsNetwork::Vgg, LpipsNetwork::Alex];
 
@@ -125,10 +117,6 @@ impl Pair {
     }
 }
 
-fn rms(rms: f64) -> Tolerance {
-    Tolerance { max: f64::INFINITY, rms }
-}
-
 fn reference(network: LpipsNetwork, weights: &HashMap<String, Vec<f32>>) -> Vec<Layer> {
     let mut taps = 0..;
     let layer = |(i, (_, side, step, padding, pool, tap)): (usize, Row)| Layer {
@@ -194,12 +182,17 @@ fn equals_the_goldens() {
                 Some(1.0),
             );
             let name = format!("{case} {network:?}");
-            assert_close(&name, &[found.value], &key("loss"), rms(1e-5));
-            assert_close(&format!("{name} layers"), &found.layers, &key("layers"), rms(1e-5));
+            assert_close(&name, &[found.value], &key("loss"), Tolerance::rms(1e-5));
+            assert_close(&format!("{name} layers"), &found.layers, &key("layers"), Tolerance::rms(1e-5));
             let distance = metric.distance([&pair.a, &pair.b], pair.size.map(|side| side as u32)).unwrap();
-            let off = assert_close(&format!("{name} metric"), &[distance], &key("metric"), rms(1e-5));
+            let off = assert_close(&format!("{name} metric"), &[distance], &key("metric"), Tolerance::rms(1e-5));
             println!("{name}: {distance:.4}, off by {:.1e}", off.rms);
-            assert_close(&format!("{name} d_a"), &found.d_a, &interleaved(&key("d_a"), pair.a.len() / 3), rms(1e-4));
+            assert_close(
+                &format!("{name} d_a"),
+                &found.d_a,
+                &interleaved(&key("d_a"), pair.a.len() / 3),
+                Tolerance::rms(1e-4),
+            );
         }
     }
 }

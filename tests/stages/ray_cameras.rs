@@ -1,9 +1,7 @@
 //! Cameras from rays and from the decoder.
 
-use glam::{DMat3, DVec3};
 use zipsplat::cameras::{RayMap, decoded_camera};
-use zipsplat::types::matrix_from_quaternion;
-use zipsplat_tests::golden::Golden;
+use zipsplat_tests::prelude::*;
 
 const GRID: [u32; 2] = [24, 16];
 

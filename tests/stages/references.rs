@@ -1,22 +1,16 @@
 //! The f64 references reproduce PyTorch.
 
-use zipsplat_tests::compare::{
-    ImageTolerance, Picture, Tolerance, assert_as_near, assert_close, assert_gaussians_within, assert_images_close,
-    assert_nearest, assert_same, assert_tap_within,
-};
-use zipsplat_tests::golden::Golden;
+use zipsplat_tests::prelude::*;
 use zipsplat_tests::reference::backbone::camera_encoder::{Prior, encode, quat_from_rotation};
-use zipsplat_tests::reference::backbone::patchify::Images;
 use zipsplat_tests::reference::backbone::{positions, rope};
 use zipsplat_tests::reference::cluster::kmeans::{cluster_count, initial_indices, kmeans};
-use zipsplat_tests::reference::forward::{self, Tokens};
-use zipsplat_tests::reference::gaussians::activate::activate;
-use zipsplat_tests::reference::model::Model;
 use zipsplat_tests::reference::ops::activation::{gelu, sigmoid, silu, softplus};
-use zipsplat_tests::reference::ops::layer_norm::layer_norm;
 use zipsplat_tests::reference::render::project::{Camera, Gaussians, Splat, project};
-use zipsplat_tests::reference::render::rasterise::render;
-use zipsplat_tests::reference::render::sh;
+use zipsplat_tests::{
+    reference::backbone::patchify::Images, reference::forward, reference::forward::Tokens,
+    reference::gaussians::activate::activate, reference::model::Model, reference::ops::layer_norm::layer_norm,
+    reference::render::rasterise::render, reference::render::sh,
+};
 
 const STORED: Tolerance = Tolerance::STORED;
 

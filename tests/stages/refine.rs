@@ -1,18 +1,12 @@
 //! Refinement.
 
-use glam::{DMat3, DQuat, DVec3};
-use std::ops::ControlFlow;
-use zipsplat::gpu::Arena;
-use zipsplat::perceptual::Perceptual;
+use std::time::Duration;
 use zipsplat::refine::{
-    LearningRates, PerceptualLoss, RefineOptions, RefineResult, Refining, StopReason, refine_scene,
+    LearningRates, PerceptualLoss, RefineOptions, RefineProgress, RefineResult, StopReason, refine_scene,
 };
-use zipsplat::stages::lpips::LpipsNetwork;
-use zipsplat::stages::render::{RenderOptions, RenderOutput, Renderer};
-use zipsplat::types::{Camera, Image, Pose, Scene};
-use zipsplat_tests::device::device;
+use zipsplat::{gpu::Arena, perceptual::Perceptual, stages::lpips::LpipsNetwork};
 use zipsplat_tests::golden::lpips_weights;
-use zipsplat_tests::scenes::{camera, random_scene};
+use zipsplat_tests::prelude::*;
 
 fn cameras(count: usize) -> Vec<Camera> {
     let at = |i: usize| {
@@ -72,6 +66,22 @@ fn moved_gaussians_find_back_and_always_alike() {
 }
 
 #[test]
+fn a_time_becomes_steps_that_give_the_same_bits() {
+    let cameras = cameras(4);
+    let (scene, photos) = photos(&cameras);
+    let steps = |time| {
+        let request = RefineOptions { time: Some(time), ..RefineOptions::default() };
+        let refined = refine(&moved(&scene), &photos, &cameras, &request);
+        (refined.losses.len(), refined)
+    };
+    let (least, _) = steps(Duration::ZERO);
+    let (count, refined) = steps(Duration::from_millis(300));
+    assert!(least == 1 && count > 1, "{least} and {count} steps");
+    let counted = RefineOptions { steps: count, ..RefineOptions::default() };
+    assert!(refine(&moved(&scene), &photos, &cameras, &counted).scene == refined.scene);
+}
+
+#[test]
 fn photos_of_a_step_together_are_as_one_after_the_other() {
     let cameras = cameras(6);
     let (scene, photos) = photos(&cameras);
@@ -93,7 +103,7 @@ fn the_best_so_far_is_returned_when_asked_to_stop() {
     let cameras = cameras(3);
     let (scene, photos) = photos(&cameras);
     let mut steps = Vec::new();
-    let progress = |at: Refining<'_>| {
+    let progress = |at: RefineProgress<'_>| {
         steps.push(at.step);
         if at.step == 3 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     };
@@ -112,7 +122,7 @@ fn scenes_are_shown_on_the_way() {
     let cameras = cameras(3);
     let (scene, photos) = photos(&cameras);
     let mut shown = Vec::new();
-    let progress = |at: Refining<'_>| {
+    let progress = |at: RefineProgress<'_>| {
         shown.extend(at.scene.map(|scene| (at.step, scene.clone())));
         ControlFlow::Continue(())
     };
@@ -148,13 +158,13 @@ fn what_cannot_be_refined_is_refused() {
     let cameras = cameras(2);
     let (scene, photos) = photos(&cameras);
     let error = |scene: &Scene, count: usize, request: &RefineOptions| {
-        let never = |_: Refining<'_>| -> ControlFlow<()> { panic!("a step") };
+        let never = |_: RefineProgress<'_>| -> ControlFlow<()> { panic!("a step") };
         refine_scene(&Arena::new(device()), scene, &photos, &cameras[..count], request, never).unwrap_err().to_string()
     };
     assert!(error(&scene, 1, &RefineOptions::default()).contains("cameras"));
     let mut telescopes = cameras.clone();
     telescopes[1].intrinsics.fx = 1e12;
-    let never = |_: Refining<'_>| -> ControlFlow<()> { panic!("a step") };
+    let never = |_: RefineProgress<'_>| -> ControlFlow<()> { panic!("a step") };
     let refined = refine_scene(&Arena::new(device()), &scene, &photos, &telescopes, &RefineOptions::default(), never);
     assert!(refined.unwrap_err().to_string().contains("camera 1, fx"));
     assert!(error(&Scene::default(), 2, &RefineOptions::default()).contains("no Gaussians"));

@@ -1,24 +1,10 @@
 //! Scenes and PLY files.
 
-use std::fs;
-use std::path::Path;
-
-use zipsplat::Error;
-use zipsplat::types::{Scene, read_ply, write_ply};
-use zipsplat_tests::compare::{Tolerance, assert_close, assert_same};
-use zipsplat_tests::golden::{self, Golden};
+use zipsplat::types::{read_ply, write_ply};
+use zipsplat_tests::prelude::*;
 
 fn goldens() -> Golden {
     Golden::committed("geometry.safetensors")
-}
-
-fn packed(scene: &Scene) -> Vec<f32> {
-    let k = scene.sh_coeffs_per_gaussian();
-    let row = |i: usize| {
-        let (fixed, sh) = ([scene.means[i], scene.scales[i]], &scene.sh_coeffs[i * k..][..k]);
-        [fixed.as_flattened(), &scene.quats[i], &[scene.opacities[i]], sh.as_flattened()].concat()
-    };
-    (0..scene.len()).flat_map(row).collect()
 }
 
 /// Within the range of files.
@@ -49,10 +35,7 @@ fn assert_round_trip(name: &str, found: &Scene, truth: &Scene) {
 }
 
 fn read(bytes: &[u8]) -> Result<Scene, Error> {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("scene.ply");
-    fs::write(&path, bytes).unwrap();
-    read_ply(&path)
+    read_as("scene.ply", bytes, |path| read_ply(path))
 }
 
 #[track_caller]
@@ -63,10 +46,7 @@ fn assert_format_error(bytes: &[u8], reason: &str) {
 }
 
 fn written(scene: &Scene) -> Vec<u8> {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("scene.ply");
-    write_ply(scene, &path).unwrap();
-    fs::read(&path).unwrap()
+    bytes_of("scene.ply", |path| write_ply(scene, path).unwrap())
 }
 
 /// Up to an ulp of log scales: PyTorch's vectorized logarithm is not correctly rounded.

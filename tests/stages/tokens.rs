@@ -1,13 +1,8 @@
 //! Refinement of tokens through the frozen head.
 
-use std::ops::ControlFlow;
-use zipsplat::gpu::Arena;
-use zipsplat::ops::Arithmetic;
-use zipsplat::reconstruct::{Model, ReconstructOptions, SceneTokens};
 use zipsplat::refine::{FrozenHead, LearningRates, RefineOptions, RefineResult, refine_tokens};
-use zipsplat::types::{Camera, Image};
-use zipsplat::weights::Checkpoint;
-use zipsplat_tests::{architectures, device::device, networks, scenes::camera};
+use zipsplat::{gpu::Arena, reconstruct::SceneTokens};
+use zipsplat_tests::prelude::*;
 
 const SIZE: [u32; 2] = [56, 42];
 
@@ -78,7 +73,7 @@ fn what_cannot_be_refined_is_refused() {
     let (model, head) = network();
     let (photos, cameras) = photos();
     let tokens = tokens(&model, 1.0);
-    let go_on = |_: zipsplat::refine::Refining<'_>| ControlFlow::Continue(());
+    let go_on = |_: zipsplat::refine::RefineProgress<'_>| ControlFlow::Continue(());
     let refused = |cameras: &[Camera], request: &RefineOptions, word: &str| {
         let error = refine_tokens(&Arena::new(device()), &head, &tokens, &photos, cameras, request, go_on).unwrap_err();
         assert!(error.to_string().contains(word), "{error}");

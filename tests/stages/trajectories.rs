@@ -1,11 +1,11 @@
 //! Camera paths and their files.
 
-use glam::{DMat3, DQuat, DVec3, EulerRot};
+use glam::EulerRot;
 use serde_json::{Value, json};
 use std::f64::consts::TAU;
-use zipsplat::Error;
-use zipsplat::types::poses::{Capture, write_transforms};
-use zipsplat::types::{Camera, Dolly, Ellipse, Intrinsics, Pose, Spline};
+use zipsplat::types::poses::write_transforms;
+use zipsplat::types::{Dolly, Ellipse, Spline};
+use zipsplat_tests::prelude::*;
 
 const LENS: Intrinsics = Intrinsics { width: 64, height: 48, fx: 50.0, fy: 52.0, cx: 31.0, cy: 25.0 };
 
@@ -254,10 +254,7 @@ fn rows(matrix: glam::DMat4) -> Vec<Vec<f64>> {
 }
 
 fn read(name: &str, file: &Value) -> zipsplat::Result<Vec<Camera>> {
-    let folder = tempfile::TempDir::new().expect("a temporary folder");
-    let path = folder.path().join(name);
-    std::fs::write(&path, file.to_string()).expect("a file");
-    let poses = Capture::open_cameras(&path, &LENS)?;
+    let poses = read_as(name, file.to_string(), |path| Capture::open_cameras(path, &LENS))?;
     Ok(poses.frames.iter().map(|frame| frame.camera).collect())
 }
 

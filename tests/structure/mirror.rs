@@ -4,30 +4,15 @@ use crate::source::files;
 use std::collections::BTreeSet;
 use zipsplat::kernels::MODULES;
 
-/// Kernels that are steps or variants of one operation, with their common name.
-const STEPS: [(&str, &str); 27] = [
-    ("cluster/nearest_matrix", "cluster/nearest"),
-    ("cluster/nearest_merge", "cluster/nearest"),
-    ("cluster/nearest_uniform", "cluster/nearest"),
-    ("heads/convolution_uniform", "heads/convolution"),
+/// Kernels that are steps of an operation with another name; variants append a word to its name.
+const STEPS: [(&str, &str); 12] = [
     ("loss/dssim", "loss/gradient"),
     ("loss/moments", "loss/gradient"),
     ("loss/spread", "loss/gradient"),
     ("loss/value", "loss/gradient"),
-    ("lpips/normalise_backward", "lpips/normalise"),
-    ("lpips/pool_backward", "lpips/pool"),
-    ("ops/attention_matrix", "ops/attention"),
-    ("ops/attention_uniform", "ops/attention"),
-    ("ops/linear_dot", "ops/linear"),
-    ("ops/linear_matrix", "ops/linear"),
-    ("ops/linear_merge", "ops/linear"),
-    ("ops/linear_tiled", "ops/linear"),
-    ("ops/linear_uniform", "ops/linear"),
     ("ops/scan_apply", "ops/sort"),
     ("ops/scan_reduce", "ops/sort"),
     ("ops/key_starts", "ops/sort"),
-    ("ops/sort_count", "ops/sort"),
-    ("ops/sort_scatter", "ops/sort"),
     ("render/cameras_backward", "render/backward"),
     ("render/color_backward", "render/backward"),
     ("render/project_backward", "render/backward"),
@@ -47,23 +32,30 @@ fn names(folder: &str, ext: &str) -> BTreeSet<String> {
     files(folder, ext).iter().map(|source| relative(&source.path)).collect()
 }
 
+/// Returns names of `tests/kernels` and of `kernels/verify`.
+fn verified() -> BTreeSet<String> {
+    let cases = names("kernels/verify", "rs").into_iter().map(|name| name.trim_end_matches("/mod").to_owned());
+    names("tests/kernels", "rs").into_iter().chain(cases).collect()
+}
+
 /// Returns the names that verifications and references must have.
 fn shared_names() -> BTreeSet<String> {
-    let shared = |kernel: String| match STEPS.iter().find(|(step, _)| *step == kernel) {
-        Some((_, name)) => name.to_string(),
-        None => kernel,
+    let verified = verified();
+    let shared = |kernel: String| {
+        let step = STEPS.iter().find(|(step, _)| *step == kernel).map(|(_, name)| name.to_string());
+        let variant =
+            || kernel.rsplit_once('_').filter(|(name, _)| !verified.contains(&kernel) && verified.contains(*name));
+        step.or_else(|| variant().map(|(name, _)| name.to_owned())).unwrap_or(kernel)
     };
     names("kernels", "comp").into_iter().map(shared).collect()
 }
 
 #[test]
 fn every_kernel_has_its_verification_and_its_reference() {
-    let (tests, references) = (names("tests/kernels", "rs"), names("kernels/reference", "rs"));
-    let cases: BTreeSet<String> =
-        names("kernels/verify", "rs").iter().map(|name| name.trim_end_matches("/mod").to_owned()).collect();
+    let (verified, references) = (verified(), names("kernels/reference", "rs"));
     let mut missing = Vec::new();
     for name in shared_names() {
-        if !tests.contains(&name) && !cases.contains(&name) {
+        if !verified.contains(&name) {
             missing.push(format!("kernels/verify/{name}.rs or tests/kernels/{name}.rs"));
         }
         let replaced = WITHOUT_REFERENCE.iter().any(|(other, _)| *other == name);

@@ -1,14 +1,16 @@
 // Headless browser with software WebGL2, and pictures of the page and the command.
 
+import assert from "node:assert/strict";
 import { execFileSync, spawn } from "node:child_process";
-import { mkdirSync, mkdtempSync, readFileSync, writeFileSync } from "node:fs";
+import { mkdirSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
+import { after } from "node:test";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { pathToFileURL } from "node:url";
 import { PNG } from "pngjs";
 import puppeteer from "puppeteer-core";
 
-export const folder = mkdtempSync(join(tmpdir(), "zipsplat-viewer-"));
+const folder = mkdtempSync(join(tmpdir(), "zipsplat-viewer-"));
 export const at = name => join(folder, name);
 export const zipsplat = (...args) => execFileSync(process.env.ZIPSPLAT, [...args], { cwd: folder, encoding: "utf8", stdio: ["ignore", "pipe", "pipe"] });
 export const sleep = ms => new Promise(resolve => setTimeout(resolve, ms));
@@ -26,10 +28,11 @@ export async function serve(...args) {
 
 let browser;
 // Ends the browser and any servers that failed tests left running.
-export const close = () => {
+after(async () => {
     servers.forEach(child => child.kill("SIGKILL"));
-    return browser?.close();
-};
+    await browser?.close();
+    rmSync(folder, { recursive: true });
+});
 
 export class Tab {
     // Opens a page; records its errors and requests.
@@ -59,7 +62,10 @@ export class Tab {
     until(holds, timeout = 300_000) { return this.page.waitForFunction(holds, { timeout }); }
 
     run(code, ...args) { return this.page.evaluate(code, ...args); }
-    close() { return this.page.close(); }
+    close() {
+        assert.deepEqual(this.complaints, []);
+        return this.page.close();
+    }
 
     // Waits until the displayed scene is sorted and drawn.
     async settled() {
@@ -111,11 +117,17 @@ export class Tab {
     }
 }
 
-// Opens a single-file page and waits for its scene.
-export async function opened(name, viewport) {
-    const tab = await Tab.open(pathToFileURL(at(name)).href, viewport);
+// Opens the written page and waits for its scene.
+export async function opened(viewport) {
+    const tab = await Tab.open(pathToFileURL(at("page.html")).href, viewport);
     await tab.settled();
     return tab;
+}
+
+// Writes a page with the options of `view`, and opens it.
+export function written(options, viewport) {
+    zipsplat("view", ...options, "-o", "page.html");
+    return opened(viewport);
 }
 
 export function psnr(a, b) {

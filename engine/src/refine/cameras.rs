@@ -90,7 +90,7 @@ mod tests {
         }
         assert!(pose.rotation.abs_diff_eq(truth.rotation, 1e-3), "{} and {}", pose.rotation, truth.rotation);
         assert!(pose.translation.abs_diff_eq(truth.translation, 1e-3));
-        let held = adam.step(Adam::default(), &pose, [f64::NAN; 6], [1.0; 2]);
-        assert_eq!(held, pose);
+        let holdout = adam.step(Adam::default(), &pose, [f64::NAN; 6], [1.0; 2]);
+        assert_eq!(holdout, pose);
     }
 }

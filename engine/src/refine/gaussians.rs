@@ -23,7 +23,7 @@ pub(super) const ADAM: Adam = Adam { beta1: 0.9, beta2: 0.999, eps: 1e-15 };
 const LEAST_SCALE: f32 = 1e-12;
 const OPACITY_MARGIN: f32 = 1e-4;
 /// Limit of pixels per run.
-const PIXELS_TOGETHER: usize = 1 << 20;
+const MAX_BATCH_PIXELS: usize = 1 << 20;
 
 struct Field {
     values: Tensor,
@@ -47,14 +47,14 @@ pub(super) struct Gaussians {
     clear: Run,
     update: Run,
     schedule: Tensor,
-    look: Option<LpipsWeights>,
+    lpips: Option<LpipsWeights>,
     steps: u32,
     plans: PlanCache<(), PhotoPlan>,
-    together: usize,
+    batch_size: usize,
 }
 
 impl Gaussians {
-    pub fn new(arena: &Arena, scene: &Scene, unit: f64, options: &RefineOptions) -> Result<Self> {
+    pub fn new(arena: &Arena, scene: &Scene, scene_distance: f64, options: &RefineOptions) -> Result<Self> {
         let (device, len) = (arena.device(), scene.len());
         let counts = [3 * len, 3 * len, 4 * len, len, 3 * scene.sh_coeffs.len()];
         let mut layout = ResidentLayout::new(device.limits());
@@ -63,9 +63,9 @@ impl Gaussians {
         let LearningRates { means, scales, quats, opacities, sh_coeffs, sh_higher, .. } = options.learning_rates;
         let width = 3 * scene.sh_coeffs_per_gaussian() as u32;
         let harmonics = Rate { first: sh_coeffs, others: sh_higher, width };
-        let rates = [(means * unit as f32).into(), scales.into(), quats.into(), opacities.into(), harmonics];
+        let rates = [(means * scene_distance as f32).into(), scales.into(), quats.into(), opacities.into(), harmonics];
         let spaces = [Space::Linear, Space::Log, Space::Linear, Space::Logit, Space::Linear];
-        let penalties = [0.0, options.scale_penalty / (3.0 * unit as f32), 0.0, options.opacity_penalty, 0.0];
+        let penalties = [0.0, options.scale_penalty / (3.0 * scene_distance as f32), 0.0, options.opacity_penalty, 0.0];
         let field = |i: usize| Field {
             values: values[i],
             gradient: gradients[i],
@@ -98,7 +98,7 @@ impl Gaussians {
         let open = |PerceptualLoss { network, .. }: PerceptualLoss| {
             LpipsWeights::open(arena.device(), network, &Perceptual::file(network)?, true)
         };
-        let look = options.perceptual_loss.map(open).transpose()?;
+        let lpips = options.perceptual_loss.map(open).transpose()?;
         let limits = arena.device().limits();
         let capacity = options.intersection_capacity.unwrap_or_else(|| first_capacity(scene.len)).max(1);
         Ok(Self {
@@ -112,10 +112,10 @@ impl Gaussians {
             clear,
             update,
             schedule,
-            look,
+            lpips,
             steps: 0,
             plans: PlanCache::new(limits, capacity),
-            together: together(options, limits),
+            batch_size: batch_size(options, limits),
         })
     }
 
@@ -141,7 +141,7 @@ impl Gaussians {
             let mut left = alike;
             while !left.is_empty() {
                 let pixels = left[0].rgb.len() / 3;
-                let count = left.len().min(self.together).min(most_together(pixels));
+                let count = left.len().min(self.batch_size).min(max_batch(pixels));
                 let (views, behind) = left.split_at(count);
                 match self.run(views, true) {
                     Ok(Some(plan)) => {
@@ -150,7 +150,7 @@ impl Gaussians {
                     }
                     Ok(None) => return Ok(None),
                     Err(Error::Memory { .. }) if count > 1 => {
-                        self.together = 1;
+                        self.batch_size = 1;
                         self.plans.clear();
                     }
                     Err(error) => return Err(error),
@@ -174,8 +174,8 @@ impl Gaussians {
     }
 
     /// Runs the plan of photos of one size. Returns `None` after an overflow; the next is larger.
-    fn run(&mut self, views: &[&View], learns: bool) -> Result<Option<&mut PhotoPlan>> {
-        let plan = self.plan(views, learns)?;
+    fn run(&mut self, views: &[&View], backward: bool) -> Result<Option<&mut PhotoPlan>> {
+        let plan = self.plan(views, backward)?;
         plan.write(views)?;
         plan.run.execute()?;
         let needed = plan.recorded.outputs.needed(&plan.run)?;
@@ -186,15 +186,15 @@ impl Gaussians {
         self.arena.device()
     }
 
-    fn plan(&mut self, views: &[&View], learns: bool) -> Result<&mut PhotoPlan> {
+    fn plan(&mut self, views: &[&View], backward: bool) -> Result<&mut PhotoPlan> {
         let [width, height] = views[0].size;
         let shape = FrameShape { cameras: views.len(), width, height };
-        self.plans.get(PlanKey { shape, backward: learns, options: () }, |capacity| {
+        self.plans.get(PlanKey { shape, backward, options: () }, |capacity| {
             let mut rec = Recorder::new(self.arena.device().limits());
-            let look = self.look.as_ref().map(|weights| &weights.lpips);
-            let learnt = learns.then_some((&self.options, &self.gradients, look));
-            let recorded = record_photos(&mut rec, &self.scene, shape, capacity, self.near, learnt);
-            let weights = self.look.iter().map(|weights| weights.resident.clone());
+            let lpips = self.lpips.as_ref().map(|weights| &weights.lpips);
+            let training = backward.then_some((&self.options, &self.gradients, lpips));
+            let recorded = record_photos(&mut rec, &self.scene, shape, capacity, self.near, training);
+            let weights = self.lpips.iter().map(|weights| weights.resident.clone());
             let run = Run::in_arena(&self.arena, 0, rec.finish()?, self.memories.iter().cloned().chain(weights))?;
             Ok(PhotoPlan { run, recorded })
         })
@@ -227,7 +227,7 @@ impl Gaussians {
 
     pub fn profile(&mut self, views: &[&View]) -> Result<Profile> {
         let size = views[0].size;
-        let alike: Vec<&View> = views.iter().copied().filter(|view| view.size == size).take(self.together).collect();
+        let alike: Vec<&View> = views.iter().copied().filter(|view| view.size == size).take(self.batch_size).collect();
         // Until no intersection overflows.
         while self.run(&alike, true)?.is_none() {}
         let plan = self.plan(&alike, true)?;
@@ -239,13 +239,13 @@ impl Gaussians {
     }
 }
 
-pub(super) fn together(options: &RefineOptions, limits: &Limits) -> usize {
+pub(super) fn batch_size(options: &RefineOptions, limits: &Limits) -> usize {
     let usual = if limits.cpu || options.perceptual_loss.is_some() { 1 } else { options.views_per_step };
     options.batch_size.filter(|_| options.perceptual_loss.is_none()).unwrap_or(usual).max(1)
 }
 
-pub(super) fn most_together(pixels: usize) -> usize {
-    (PIXELS_TOGETHER / pixels).max(1)
+pub(super) fn max_batch(pixels: usize) -> usize {
+    (MAX_BATCH_PIXELS / pixels).max(1)
 }
 
 pub(super) fn scene_tensors(

@@ -9,12 +9,12 @@ use crate::{
 use glam::{DMat3, DVec3};
 
 const DEAD: f32 = 0.005;
-const UNSEEN: f32 = 1.0 / 255.0;
-const TOGETHER: usize = 51;
+const INVISIBLE: f32 = 1.0 / 255.0;
+const MAX_COPIES: usize = 51;
 /// Fractions of the steps: all Gaussians are alive after the first, relocation ends at the second.
-const GROWN: f64 = 0.5;
-const LAST: f64 = 0.8;
-const TIMES: usize = 20;
+const GROWTH_END: f64 = 0.5;
+const RELOCATION_END: f64 = 0.8;
+const RELOCATIONS: usize = 20;
 
 pub(super) struct Growth {
     random: Random,
@@ -28,15 +28,15 @@ impl Growth {
     }
 
     pub fn is_due(&self, done: usize) -> bool {
-        done.is_multiple_of(self.steps.div_ceil(TIMES)) && done as f64 <= LAST * self.steps as f64
+        done.is_multiple_of(self.steps.div_ceil(RELOCATIONS)) && done as f64 <= RELOCATION_END * self.steps as f64
     }
 
     /// `rate` is the current fraction of the initial rate. Returns the indices of changed
     /// Gaussians.
     pub fn apply(&mut self, scene: &mut Scene, done: usize, rate: f32) -> Vec<usize> {
-        self.wander(scene, f64::from(rate));
+        self.add_noise(scene, f64::from(rate));
         let (live, dead): (Vec<usize>, Vec<usize>) = (0..scene.len()).partition(|i| scene.opacities[*i] > DEAD);
-        let along = (done as f64 / (GROWN * self.steps as f64)).min(1.0);
+        let along = (done as f64 / (GROWTH_END * self.steps as f64)).min(1.0);
         let [first, most] = self.counts.map(|count| count as f64);
         let wanted = (first * (most / first).powf(along)).round() as usize;
         let chosen = self.choose(scene, &live, dead.len().min(wanted.saturating_sub(live.len())));
@@ -44,7 +44,7 @@ impl Growth {
         let mut changed = Vec::new();
         for same in chosen.chunk_by(|a, b| a == b) {
             let source = same[0];
-            let spread = self.share(scene, source, (same.len() + 1).min(TOGETHER));
+            let spread = self.split(scene, source, (same.len() + 1).min(MAX_COPIES));
             let mean = DVec3::from(scene.means[source].map(f64::from));
             changed.push(source);
             for to in dead.by_ref().take(same.len()) {
@@ -75,20 +75,20 @@ impl Growth {
     }
 
     /// Returns the transform from normal samples to offsets with the Gaussian's former spread.
-    fn share(&self, scene: &mut Scene, i: usize, count: usize) -> DMat3 {
+    fn split(&self, scene: &mut Scene, i: usize, count: usize) -> DMat3 {
         let was = axes(scene, i);
-        let (opacity, size) = shared(f64::from(scene.opacities[i]), count);
+        let (opacity, size) = split_opacity(f64::from(scene.opacities[i]), count);
         scene.opacities[i] = (opacity as f32).max(DEAD);
         scene.scales[i] = scene.scales[i].map(|scale| (f64::from(scale) * size) as f32);
         was
     }
 
-    fn wander(&mut self, scene: &mut Scene, rate: f64) {
+    fn add_noise(&mut self, scene: &mut Scene, rate: f64) {
         for i in 0..scene.len() {
             let opacity = f64::from(scene.opacities[i]);
             // As in 3DGS-MCMC: one half for dead Gaussians, almost 0 from opacity 0.1.
             let free = 1.0 / (1.0 + (100.0 * (opacity - f64::from(DEAD))).exp());
-            if free > 1e-3 && opacity > f64::from(UNSEEN) {
+            if free > 1e-3 && opacity > f64::from(INVISIBLE) {
                 let normal = DVec3::from([(); 3].map(|()| self.random.normal()));
                 let mean = DVec3::from(scene.means[i].map(f64::from)) + rate * free * (axes(scene, i) * normal);
                 scene.means[i] = mean.as_vec3().to_array();
@@ -113,7 +113,7 @@ fn copy(scene: &mut Scene, from: usize, to: usize) {
 
 /// Returns the opacity of each of `count` coincident Gaussians as opaque as one, and their relative
 /// size (equation 9 of the paper).
-fn shared(opacity: f64, count: usize) -> (f64, f64) {
+fn split_opacity(opacity: f64, count: usize) -> (f64, f64) {
     let each = 1.0 - (1.0 - opacity).powf(1.0 / count as f64);
     // Binomials of count over k + 1, times each^(k + 1), with alternating signs.
     let (mut term, mut sum) = (-1.0, 0.0);
@@ -136,8 +136,8 @@ pub(super) fn padded(scene: &Scene, most: usize) -> Scene {
     padded
 }
 
-pub(super) fn drop_unseen(scene: &mut Scene) {
-    let seen: Vec<usize> = (0..scene.len()).filter(|i| scene.opacities[*i] >= UNSEEN).collect();
+pub(super) fn drop_invisible(scene: &mut Scene) {
+    let seen: Vec<usize> = (0..scene.len()).filter(|i| scene.opacities[*i] >= INVISIBLE).collect();
     scene.keep(&seen);
 }
 
@@ -159,7 +159,7 @@ mod tests {
     #[test]
     fn shares_hide_what_one_hid() {
         for (opacity, count) in [(0.9, 2), (0.5, 3), (0.99, 10), (0.1, 51)] {
-            let (each, size) = shared(opacity, count);
+            let (each, size) = split_opacity(opacity, count);
             assert!((1.0 - (1.0 - each).powi(count as i32) - opacity).abs() < 1e-12);
             let hidden = |opacity: f64, size: f64, count: i32| {
                 let at = |x: f64| 1.0 - (1.0 - opacity * (-0.5 * (x / size).powi(2)).exp()).powi(count);
@@ -168,7 +168,7 @@ mod tests {
             let (one, all) = (hidden(opacity, 1.0, 1), hidden(each, size, count as i32));
             assert!((one - all).abs() < 1e-4 * one, "{opacity} in {count}: {one} and {all}");
         }
-        assert_eq!(shared(0.7, 1), (1.0 - (1.0f64 - 0.7), 1.0));
+        assert_eq!(split_opacity(0.7, 1), (1.0 - (1.0f64 - 0.7), 1.0));
     }
 
     #[test]
@@ -199,7 +199,7 @@ mod tests {
         growth.apply(&mut again, 50, 0.0);
         assert_eq!(again, grown);
         grown.opacities[3] = 0.001;
-        drop_unseen(&mut grown);
+        drop_invisible(&mut grown);
         assert_eq!(grown.len(), 31);
     }
 
@@ -207,7 +207,7 @@ mod tests {
     fn what_is_nearly_transparent_wanders() {
         let (mut moved, still) = (scene(4), scene(4));
         moved.opacities[2] = 0.005;
-        Growth::new(4, 4, 10, 0).wander(&mut moved, 1.0);
+        Growth::new(4, 4, 10, 0).add_noise(&mut moved, 1.0);
         let distance =
             |i: usize| DVec3::from(moved.means[i].map(f64::from)).distance(still.means[i].map(f64::from).into());
         assert!([0, 1, 3].iter().all(|i| distance(*i) == 0.0) && (1e-3..1.0).contains(&distance(2)), "{}", distance(2));

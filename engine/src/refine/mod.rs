@@ -40,6 +40,8 @@ const GROWTH_FROM: usize = 300;
 /// Limits of growth by default: pixels of all photos per Gaussian, and its factor.
 const PIXELS_PER_GAUSSIAN: usize = 32;
 const MOST_GROWTH: usize = 4;
+/// Time of a step with growth relative to one without.
+const GROWTH_COST: f64 = 1.5;
 const SAMPLE: usize = 4096;
 
 /// Settings of a refinement.
@@ -47,6 +49,9 @@ const SAMPLE: usize = 4096;
 pub struct RefineOptions {
     /// Optimizer steps.
     pub steps: usize,
+    /// Time to spend instead, about: sets the steps by the measured time of a few. The same steps
+    /// give the same bits.
+    pub time: Option<Duration>,
     /// Photos per step, capped at the training photos.
     pub views_per_step: usize,
     /// Limits of a photo's width and height; larger ones are downscaled.
@@ -89,6 +94,7 @@ impl Default for RefineOptions {
     fn default() -> Self {
         Self {
             steps: 100,
+            time: None,
             views_per_step: 4,
             max_image_size: None,
             holdout_views: None,
@@ -160,7 +166,7 @@ impl Default for LearningRates {
 
 /// Progress of a refinement.
 #[derive(Clone, Copy, Debug)]
-pub struct Refining<'a> {
+pub struct RefineProgress<'a> {
     /// Completed steps.
     pub step: usize,
     /// Total steps.
@@ -170,7 +176,7 @@ pub struct Refining<'a> {
     /// Latest PSNR of the held-out photos in dB.
     pub psnr: Option<f64>,
     /// Estimated time left.
-    pub left: Duration,
+    pub eta: Duration,
     /// Gaussians after this step, if [`RefineOptions::snapshot_interval`] requests them.
     pub scene: Option<&'a Scene>,
 }
@@ -235,21 +241,21 @@ pub fn refine_scene(
     photos: &[Image],
     cameras: &[Camera],
     options: &RefineOptions,
-    progress: impl FnMut(Refining<'_>) -> ControlFlow<()>,
+    progress: impl FnMut(RefineProgress<'_>) -> ControlFlow<()>,
 ) -> Result<RefineResult> {
     scene.validate()?;
     if scene.is_empty() {
         return Err(Error::argument("scene to refine", "no Gaussians", "at least one"));
     }
     let scene_distance = distance(scene, cameras);
-    let sizes = photos.iter().map(|photo| size(photo, options.max_image_size, 1));
-    let options = &RefineOptions { max_gaussians: grown_len(options, scene.len(), sizes), ..options.clone() };
+    let sizes = || photos.iter().map(|photo| size(photo, options.max_image_size, 1));
     let make = |arena: &Arena, options: &RefineOptions| {
         let grown = options.max_gaussians.map(|most| padded(scene, most));
         let gaussians = Gaussians::new(arena, grown.as_ref().unwrap_or(scene), scene_distance, options)?;
         Ok((gaussians, (scene.clone(), scene_distance)))
     };
-    run(arena, make, photos, cameras, options, progress)
+    let grow = |options: &RefineOptions| grown_len(options, scene.len(), sizes());
+    run(arena, make, grow, photos, cameras, options, progress)
 }
 
 /// Refines a scene's tokens through the frozen head, as [`refine_scene`].
@@ -263,7 +269,7 @@ pub fn refine_tokens(
     photos: &[Image],
     cameras: &[Camera],
     options: &RefineOptions,
-    progress: impl FnMut(Refining<'_>) -> ControlFlow<()>,
+    progress: impl FnMut(RefineProgress<'_>) -> ControlFlow<()>,
 ) -> Result<RefineResult> {
     tokens_grow_not(options)?;
     let make = |arena: &Arena, options: &RefineOptions| {
@@ -271,7 +277,7 @@ pub fn refine_tokens(
         let scene_distance = distance(&scene, cameras);
         Ok((gaussians, (scene, scene_distance)))
     };
-    run(arena, make, photos, cameras, options, progress)
+    run(arena, make, |_| None, photos, cameras, options, progress)
 }
 
 /// Returns the number of Gaussians that a scene of `len` grows to, for photos of these sizes, if it
@@ -292,21 +298,34 @@ fn tokens_grow_not(options: &RefineOptions) -> Result<()> {
 
 fn run(
     arena: &Arena,
-    make: impl FnOnce(&Arena, &RefineOptions) -> Result<(Gaussians, (Scene, f64))>,
+    make: impl Fn(&Arena, &RefineOptions) -> Result<(Gaussians, (Scene, f64))>,
+    grow: impl Fn(&RefineOptions) -> Option<usize>,
     photos: &[Image],
     cameras: &[Camera],
     options: &RefineOptions,
-    mut progress: impl FnMut(Refining<'_>) -> ControlFlow<()>,
+    mut progress: impl FnMut(RefineProgress<'_>) -> ControlFlow<()>,
 ) -> Result<RefineResult> {
     let begin = Instant::now();
     if photos.is_empty() || photos.len() != cameras.len() {
         let expected = format!("one for each of {} photos, at least one", photos.len());
         return Err(Error::argument("cameras", cameras.len(), expected));
     }
-    let options = filled(options, photos.len())?;
+    let mut options = filled(options, photos.len())?;
     let (arena, _claim) = arena.claimed();
-    let (gaussians, scene) = make(&arena, &options)?;
-    Refinement::new(gaussians, scene, photos, cameras, options)?.finish(&mut progress, begin)
+    let refinement = |options: RefineOptions| {
+        let (gaussians, scene) = make(&arena, &options)?;
+        Refinement::new(gaussians, scene, photos, cameras, options)
+    };
+    if let Some(time) = options.time {
+        let steps_in = |time: Duration, step: Duration| (time.as_secs_f64() / step.as_secs_f64()).max(1.0) as usize;
+        let step = refinement(RefineOptions { max_gaussians: None, ..options.clone() })?.time_step()?;
+        options.steps = steps_in(time, step);
+        if grow(&options).is_some() {
+            options.steps = steps_in(time, step.mul_f64(GROWTH_COST));
+        }
+    }
+    options.max_gaussians = grow(&options);
+    refinement(options)?.finish(&mut progress, begin)
 }
 
 fn filled(options: &RefineOptions, count: usize) -> Result<RefineOptions> {

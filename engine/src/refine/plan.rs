@@ -1,6 +1,6 @@
 use super::{
     Adam, RefineOptions, Space, filled,
-    gaussians::{most_together, scene_gradients, scene_tensors, together},
+    gaussians::{batch_size, max_batch, scene_gradients, scene_tensors},
     grown_len,
     planned::record_photos,
     record_adam,
@@ -135,7 +135,7 @@ fn record_steps(
     for shrink in shrinks {
         let [width, height] = photo_size(shrink);
         let pixels = width as usize * height as usize;
-        let cameras = together(options, limits).min(options.views_per_step).min(most_together(pixels));
+        let cameras = batch_size(options, limits).min(options.views_per_step).min(max_batch(pixels));
         let shape = FrameShape { cameras, width, height };
         let mut rec = Recorder::new(limits);
         let capacity = planned_capacity(limits.max_binding_bytes, each, shape, true);

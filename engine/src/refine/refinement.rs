@@ -1,8 +1,8 @@
 use super::{
-    RefineOptions, RefineResult, Refining, StopReason,
+    RefineOptions, RefineProgress, RefineResult, StopReason,
     cameras::Cameras,
     gaussians::Gaussians,
-    growth::{Growth, drop_unseen},
+    growth::{Growth, drop_invisible},
     planned::PhotoLoss,
     schedule::{Schedule, rate_of_error},
     views::{Order, View, size, split},
@@ -13,15 +13,18 @@ use crate::{
     types::{Camera, Image, Scene},
 };
 use rayon::prelude::*;
-use std::{ops::ControlFlow, time::Instant};
+use std::{
+    ops::ControlFlow,
+    time::{Duration, Instant},
+};
 
 /// Number of evaluations of held-out photos or, without any, of the loss.
-const LOOKS: usize = 20;
-const MEASURED: usize = 16;
+const EVALUATIONS: usize = 20;
+const MAX_MEASURED: usize = 16;
 /// Tolerated loss of held-out PSNR in dB of a later step: few photos are a noisy measure.
 const SLACK: f64 = 0.5;
 /// Divergence limit: mean loss relative to its minimum.
-const GROWN: f32 = 2.0;
+const DIVERGED: f32 = 2.0;
 
 pub(super) struct Refinement<'a> {
     photos: &'a [Image],
@@ -31,15 +34,15 @@ pub(super) struct Refinement<'a> {
     gaussians: Gaussians,
     growth: Option<Growth>,
     order: Order,
-    learnt: Vec<usize>,
+    training: Vec<usize>,
     views: Vec<View>,
     shrink: u32,
-    tested: Vec<View>,
-    held: Vec<usize>,
+    validation: Vec<View>,
+    holdout: Vec<usize>,
     sizes: Vec<(usize, [u32; 2])>,
     losses: Vec<f32>,
-    held_out: Vec<(usize, f64)>,
-    looked: Option<usize>,
+    holdout_psnr: Vec<(usize, f64)>,
+    evaluated: Option<usize>,
     /// First step at the current size, and the least mean loss since then.
     began: usize,
     least: f32,
@@ -60,19 +63,19 @@ struct Kept {
 impl<'a> Refinement<'a> {
     pub fn new(
         mut gaussians: Gaussians,
-        (scene, unit): (Scene, f64),
+        (scene, scene_distance): (Scene, f64),
         photos: &'a [Image],
         cameras: &[Camera],
         options: RefineOptions,
     ) -> Result<Self> {
-        let (learnt, held) = split(photos.len(), options.holdout_views.unwrap_or(0));
+        let (training, holdout) = split(photos.len(), options.holdout_views.unwrap_or(0));
         let view = |i: &usize| View::new(*i, &photos[*i], &cameras[*i], options.max_image_size, 1);
-        let tested = held.par_iter().map(view).collect::<Result<Vec<_>>>()?;
+        let validation = holdout.par_iter().map(view).collect::<Result<Vec<_>>>()?;
         // The first camera fixes the world.
-        let moving = if options.optimize_cameras { &learnt[1..] } else { &[] };
+        let moving = if options.optimize_cameras { &training[1..] } else { &[] };
         let rates = [
             f64::from(options.learning_rates.camera_rotation),
-            unit * f64::from(options.learning_rates.camera_translation),
+            scene_distance * f64::from(options.learning_rates.camera_translation),
         ];
         let growth = options.max_gaussians.map(|most| Growth::new(scene.len(), most, options.steps, options.seed));
         gaussians.set_near(scene.near());
@@ -80,21 +83,21 @@ impl<'a> Refinement<'a> {
             photos,
             cameras: Cameras::new(cameras, moving, rates),
             schedule: Schedule { steps: options.steps, rate: 1.0, coarse: options.coarse_to_fine },
-            order: Order::new(learnt.len(), options.seed),
+            order: Order::new(training.len(), options.seed),
             options,
             gaussians,
             growth,
-            learnt,
+            training,
             views: Vec::new(),
             shrink: 0,
-            tested,
-            held,
+            validation,
+            holdout,
             fraction: 1.0,
             kept: Kept { step: 0, scene, cameras: cameras.to_vec() },
             sizes: Vec::new(),
             losses: Vec::new(),
-            held_out: Vec::new(),
-            looked: None,
+            holdout_psnr: Vec::new(),
+            evaluated: None,
             began: 0,
             least: f32::INFINITY,
             latest: 0.0,
@@ -104,15 +107,15 @@ impl<'a> Refinement<'a> {
 
     pub fn finish(
         mut self,
-        progress: &mut dyn FnMut(Refining<'_>) -> ControlFlow<()>,
+        progress: &mut dyn FnMut(RefineProgress<'_>) -> ControlFlow<()>,
         begin: Instant,
     ) -> Result<RefineResult> {
         let before = self.training_psnr(&self.kept.cameras.clone())?;
         self.fraction = rate_of_error(before);
         // Held-out photos select the best step, and LPIPS trades PSNR for detail. Otherwise the
         // given scene is a candidate.
-        let given = (self.held.is_empty() && self.options.perceptual_loss.is_none()).then(|| self.kept.clone());
-        let stopped = self.run(progress, begin)?;
+        let given = (self.holdout.is_empty() && self.options.perceptual_loss.is_none()).then(|| self.kept.clone());
+        let stop_reason = self.run(progress, begin)?;
         let profile = self.options.profile.then(|| self.profile()).transpose()?;
         let peak_bytes = self.gaussians.device().allocated_bytes();
         self.gaussians.show(&self.kept.scene)?;
@@ -122,7 +125,7 @@ impl<'a> Refinement<'a> {
         {
             (self.kept, after) = (given, before);
         }
-        let Self { losses, kept, held_out, held, sizes, .. } = self;
+        let Self { losses, kept, holdout_psnr, holdout, sizes, .. } = self;
         let Kept { step: best_step, scene, cameras } = kept;
         let training_psnr = [after, before];
         let took = begin.elapsed();
@@ -131,25 +134,25 @@ impl<'a> Refinement<'a> {
             cameras,
             losses,
             best_step,
-            holdout_psnr: held_out,
+            holdout_psnr,
             training_psnr,
-            holdout_views: held,
+            holdout_views: holdout,
             sizes,
             took,
             peak_bytes,
-            stop_reason: stopped,
+            stop_reason,
             profile,
         })
     }
 
     fn run(
         &mut self,
-        progress: &mut dyn FnMut(Refining<'_>) -> ControlFlow<()>,
+        progress: &mut dyn FnMut(RefineProgress<'_>) -> ControlFlow<()>,
         begin: Instant,
     ) -> Result<Option<StopReason>> {
         let steps = self.options.steps;
-        let interval = steps.div_ceil(LOOKS).max(1);
-        self.look(0)?;
+        let interval = steps.div_ceil(EVALUATIONS).max(1);
+        self.evaluate(0)?;
         for step in 0..steps {
             self.resize(step)?;
             let chosen: Vec<usize> = (0..self.options.views_per_step).map(|_| self.order.next()).collect();
@@ -163,21 +166,21 @@ impl<'a> Refinement<'a> {
                 return Ok(Some(StopReason::Diverged(format!("the loss of step {done} is {loss}"))));
             }
             if done.is_multiple_of(interval) || done == steps {
-                if let Some(why) = self.grown() {
+                if let Some(why) = self.check_loss() {
                     return Ok(Some(StopReason::Diverged(why)));
                 }
-                self.look(done)?;
+                self.evaluate(done)?;
             }
             if let Some(growth) = self.growth.as_mut().filter(|growth| growth.is_due(done)) {
                 self.gaussians.edit(|scene| growth.apply(scene, done, self.fraction * self.schedule.rate(step)))?;
             }
-            let left = begin.elapsed().mul_f64((steps - done) as f64 / done as f64);
-            let psnr = self.held_out.last().map(|(_, psnr)| *psnr);
+            let eta = begin.elapsed().mul_f64((steps - done) as f64 / done as f64);
+            let psnr = self.holdout_psnr.last().map(|(_, psnr)| *psnr);
             let shown = self.options.snapshot_interval.is_some_and(|every| done.is_multiple_of(every.max(1)));
             let scene = shown.then(|| self.scene()).transpose()?;
-            let now = Refining { step: done, steps, loss: Some(loss), psnr, left, scene: scene.as_ref() };
+            let now = RefineProgress { step: done, steps, loss: Some(loss), psnr, eta, scene: scene.as_ref() };
             if progress(now).is_break() {
-                self.look(done)?;
+                self.evaluate(done)?;
                 self.keep();
                 return Ok(Some(StopReason::Cancelled));
             }
@@ -187,18 +190,18 @@ impl<'a> Refinement<'a> {
     }
 
     fn training_psnr(&mut self, cameras: &[Camera]) -> Result<f64> {
-        let step = self.learnt.len().div_ceil(MEASURED);
-        let (measured, others): (Vec<usize>, Vec<usize>) = (0..self.learnt.len()).partition(|i| i % step == 0);
-        let mut look = |i: usize| {
-            let photo = self.learnt[i];
+        let step = self.training.len().div_ceil(MAX_MEASURED);
+        let (measured, others): (Vec<usize>, Vec<usize>) = (0..self.training.len()).partition(|i| i % step == 0);
+        let mut measure = |i: usize| {
+            let photo = self.training[i];
             let view = View::new(photo, &self.photos[photo], &cameras[photo], self.options.max_image_size, 1)?;
             let (drawn, intersections) = self.gaussians.draw(&view)?;
             Ok((psnr(&drawn, &view), intersections > 0))
         };
-        let found = measured.iter().map(|i| look(*i)).collect::<Result<Vec<(f64, bool)>>>()?;
+        let found = measured.iter().map(|i| measure(*i)).collect::<Result<Vec<(f64, bool)>>>()?;
         let mut seen = found.iter().any(|(_, seen)| *seen);
         for i in others {
-            seen = seen || look(i)?.1;
+            seen = seen || measure(i)?.1;
         }
         if !seen {
             let expected = "cameras in the scene's world that have some of it in front of them";
@@ -216,14 +219,35 @@ impl<'a> Refinement<'a> {
         self.views.iter_mut().for_each(|view| view.camera.pose = cameras[view.photo].pose);
     }
 
-    fn resize(&mut self, step: usize) -> Result<()> {
+    /// Returns the mean time of a step, from one at each size. Changes the Gaussians' moments.
+    pub fn time_step(&mut self) -> Result<Duration> {
+        let mut mean = Duration::ZERO;
+        for (fraction, shrink) in self.schedule.phases(self.shortest()) {
+            self.resize_to(0, shrink)?;
+            let views: Vec<&View> = self.views.iter().take(self.options.views_per_step).collect();
+            // The first records and compiles.
+            self.gaussians.step(&views, 0.0)?;
+            let begin = Instant::now();
+            self.gaussians.step(&views, 0.0)?;
+            mean += begin.elapsed().mul_f64(fraction);
+        }
+        Ok(mean)
+    }
+
+    fn shortest(&self) -> u32 {
         let shortest = |i: &usize| size(&self.photos[*i], self.options.max_image_size, 1).into_iter().min();
-        let shortest = self.learnt.iter().filter_map(shortest).min().unwrap_or(0);
-        let shrink = self.schedule.shrink(step, shortest);
+        self.training.iter().filter_map(shortest).min().unwrap_or(0)
+    }
+
+    fn resize(&mut self, step: usize) -> Result<()> {
+        self.resize_to(step, self.schedule.shrink(step, self.shortest()))
+    }
+
+    fn resize_to(&mut self, step: usize, shrink: u32) -> Result<()> {
         if self.shrink != shrink {
             let cameras = self.cameras.all();
             let view = |i: &usize| View::new(*i, &self.photos[*i], &cameras[*i], self.options.max_image_size, shrink);
-            self.views = self.learnt.par_iter().map(view).collect::<Result<Vec<_>>>()?;
+            self.views = self.training.par_iter().map(view).collect::<Result<Vec<_>>>()?;
             (self.shrink, self.began, self.least, self.latest) = (shrink, step, f32::INFINITY, 0.0);
             let largest = self.views.iter().map(|view| view.size).max_by_key(|[width, height]| width * height);
             self.sizes.extend(largest.map(|size| (step, size)));
@@ -233,27 +257,27 @@ impl<'a> Refinement<'a> {
 
     /// Marks a checkpoint when held-out PSNR improves. Without held-out photos, when the mean loss
     /// at the current size improves.
-    fn look(&mut self, step: usize) -> Result<()> {
-        if self.looked == Some(step) {
+    fn evaluate(&mut self, step: usize) -> Result<()> {
+        if self.evaluated == Some(step) {
             return Ok(());
         }
-        self.looked = Some(step);
+        self.evaluated = Some(step);
         self.keep();
-        if !self.tested.is_empty() {
+        if !self.validation.is_empty() {
             let mut sum = 0.0;
-            for view in &self.tested {
-                sum += psnr(&self.gaussians.draw(view)?.0, view) / self.tested.len() as f64;
+            for view in &self.validation {
+                sum += psnr(&self.gaussians.draw(view)?.0, view) / self.validation.len() as f64;
             }
-            self.held_out.push((step, sum));
-            let best = self.held_out.iter().fold(f64::NEG_INFINITY, |best, (_, psnr)| best.max(*psnr));
-            let given = self.held_out[0].1;
+            self.holdout_psnr.push((step, sum));
+            let best = self.holdout_psnr.iter().fold(f64::NEG_INFINITY, |best, (_, psnr)| best.max(*psnr));
+            let given = self.holdout_psnr[0].1;
             // False for NaN, too.
             let is_good = sum > (best - SLACK).max(given);
             if !is_good {
                 return Ok(());
             }
         }
-        if step > 0 && (!self.tested.is_empty() || self.latest <= self.least) {
+        if step > 0 && (!self.validation.is_empty() || self.latest <= self.least) {
             let cameras = self.cameras.all().to_vec();
             let scene = self.scene()?;
             self.next = Some(Kept { step, scene, cameras });
@@ -264,7 +288,7 @@ impl<'a> Refinement<'a> {
     fn scene(&mut self) -> Result<Scene> {
         let mut scene = self.gaussians.scene()?;
         if self.growth.is_some() {
-            drop_unseen(&mut scene);
+            drop_invisible(&mut scene);
         }
         Ok(scene)
     }
@@ -277,11 +301,11 @@ impl<'a> Refinement<'a> {
 
     /// A loss belongs to the Gaussians before its step: it validates the marked checkpoint, not the
     /// current state.
-    fn grown(&mut self) -> Option<String> {
-        let round = self.learnt.len().div_ceil(self.options.views_per_step);
+    fn check_loss(&mut self) -> Option<String> {
+        let round = self.training.len().div_ceil(self.options.views_per_step);
         let last = self.losses.len().checked_sub(round).filter(|first| *first >= self.began)?;
         let loss = self.losses[last..].iter().sum::<f32>() / round as f32;
-        if loss > GROWN * self.least {
+        if loss > DIVERGED * self.least {
             return Some(format!("the loss grew from {:.4} to {loss:.4}", self.least));
         }
         (self.latest, self.least) = (loss, self.least.min(loss));

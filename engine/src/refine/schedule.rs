@@ -26,6 +26,14 @@ impl Schedule {
         self.rate * (first * (LAST + (1.0 - LAST) * 0.5 * (1.0 + (PI * along).cos()))) as f32
     }
 
+    /// Returns the fraction of the steps at each downscaling factor.
+    pub fn phases(&self, shortest: u32) -> Vec<(f64, u32)> {
+        let fits = |(_, shrink): &(f64, u32)| self.coarse && shortest >= shrink * SHORTEST;
+        let mut from = 0.0;
+        let mut phase = |(until, shrink)| (until - std::mem::replace(&mut from, until), shrink);
+        COARSE.into_iter().filter(fits).chain([(1.0, 1)]).map(&mut phase).collect()
+    }
+
     pub fn shrink(&self, step: usize, shortest: u32) -> u32 {
         let along = step as f64 / self.steps as f64;
         let fits = |(until, shrink): &&(f64, u32)| self.coarse && along < *until && shortest >= shrink * SHORTEST;
@@ -52,6 +60,8 @@ mod tests {
         assert_eq!([0, 19, 20, 49, 50, 99].map(|step| schedule.shrink(step, 400)), [4, 4, 2, 2, 1, 1]);
         assert_eq!([0, 20, 50].map(|step| schedule.shrink(step, 252)), [2, 2, 1]);
         assert_eq!(schedule.shrink(0, 84), 1);
+        assert_eq!(schedule.phases(400), [(0.2, 4), (0.3, 2), (0.5, 1)]);
+        assert_eq!((schedule.phases(252), schedule.phases(84)), (vec![(0.5, 2), (0.5, 1)], vec![(1.0, 1)]));
         assert_eq!(Schedule { coarse: false, ..schedule }.shrink(0, 400), 1);
         assert_eq!(Schedule { steps: 1, ..schedule }.rate(0), 2.0);
         assert_eq!(Schedule { steps: 400, ..schedule }.rate(0), 1.0);

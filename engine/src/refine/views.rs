@@ -42,8 +42,8 @@ pub(super) fn size(photo: &Image, most: Option<[u32; 2]>, shrink: u32) -> [u32; 
 /// Splits `count` photos into evenly spaced held-out ones and training ones, returned as training,
 /// held out.
 pub(super) fn split(count: usize, held_out: usize) -> (Vec<usize>, Vec<usize>) {
-    let held: Vec<usize> = (0..held_out).map(|i| (2 * i + 1) * count / (2 * held_out)).collect();
-    ((0..count).filter(|i| !held.contains(i)).collect(), held)
+    let holdout: Vec<usize> = (0..held_out).map(|i| (2 * i + 1) * count / (2 * held_out)).collect();
+    ((0..count).filter(|i| !holdout.contains(i)).collect(), holdout)
 }
 
 /// Endless random order of numbers below `count`, each once per round.

@@ -5,7 +5,6 @@ pub mod block;
 pub mod camera_encoder;
 pub mod camera_token;
 pub mod features;
-pub mod patch_embed;
 pub mod patchify;
 pub mod positions;
 pub mod reference_view;

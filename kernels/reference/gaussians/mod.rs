@@ -2,4 +2,3 @@
 
 pub mod activate;
 pub mod activate_backward;
-pub mod head;

@@ -9,6 +9,23 @@ pub const MAX_ALPHA: f64 = 0.999;
 /// A pixel stops before this transmittance.
 pub const MIN_TRANSMITTANCE: f64 = 1e-4;
 
+/// Thresholds of blending.
+#[derive(Clone, Copy, Debug)]
+pub struct Rules {
+    /// Least alpha of a splat.
+    pub min_alpha: f64,
+    /// Largest alpha of a splat.
+    pub max_alpha: f64,
+    /// A pixel stops before this transmittance.
+    pub min_transmittance: f64,
+}
+
+impl Default for Rules {
+    fn default() -> Self {
+        Self { min_alpha: MIN_ALPHA, max_alpha: MAX_ALPHA, min_transmittance: MIN_TRANSMITTANCE }
+    }
+}
+
 /// Row-major outputs of a camera.
 #[derive(Clone, Debug, Default)]
 pub struct Rendering {
@@ -34,10 +51,10 @@ pub fn rasterise(splats: &[Option<Splat>], size: [usize; 2], background: [f64; 3
     let mut order: Vec<&Splat> = splats.iter().flatten().collect();
     order.sort_by(|a, b| (a.depth as f32).total_cmp(&(b.depth as f32)));
     let [width, height] = size;
-    let pixels: Vec<Pixel> = (0..width * height)
-        .into_par_iter()
-        .map(|i| blend(&order, [(i % width) as f64 + 0.5, (i / width) as f64 + 0.5]))
-        .collect();
+    let rules = Rules::default();
+    let place = |i: usize| [(i % width) as f64 + 0.5, (i / width) as f64 + 0.5];
+    let pixels: Vec<Pixel> =
+        (0..width * height).into_par_iter().map(|i| blend(order.iter().copied(), place(i), rules)).collect();
     let behind = |pixel: &Pixel| -> [f64; 3] {
         std::array::from_fn(|channel| pixel.rgb[channel] + pixel.transmittance * background[channel])
     };
@@ -51,27 +68,38 @@ pub fn rasterise(splats: &[Option<Splat>], size: [usize; 2], background: [f64; 3
     }
 }
 
-struct Pixel {
-    rgb: [f64; 3],
-    depth: f64,
-    transmittance: f64,
-    unstable: bool,
+/// One blended pixel.
+pub struct Pixel {
+    /// RGB without the background.
+    pub rgb: [f64; 3],
+    /// Sum of depth times weight.
+    pub depth: f64,
+    /// Share of the background.
+    pub transmittance: f64,
+    /// Whether f32 rounding may decide a threshold.
+    pub unstable: bool,
 }
 
-fn blend(splats: &[&Splat], [x, y]: [f64; 2]) -> Pixel {
+/// Returns the alpha of a splat at `[x, y]`.
+pub fn alpha(splat: &Splat, [x, y]: [f64; 2], rules: Rules) -> f64 {
+    let [dx, dy] = [x - splat.mean[0], y - splat.mean[1]];
+    let [xx, xy, yy] = splat.conic;
+    let sigma = 0.5 * (xx * dx * dx + yy * dy * dy) + xy * dx * dy;
+    if sigma < 0.0 { 0.0 } else { (splat.opacity * (-sigma).exp()).min(rules.max_alpha) }
+}
+
+/// Blends splats, nearest first, at a pixel's center.
+pub fn blend<'a>(splats: impl IntoIterator<Item = &'a Splat>, place: [f64; 2], rules: Rules) -> Pixel {
     let mut pixel = Pixel { rgb: [0.0; 3], depth: 0.0, transmittance: 1.0, unstable: false };
     for splat in splats {
-        let [dx, dy] = [x - splat.mean[0], y - splat.mean[1]];
-        let [xx, xy, yy] = splat.conic;
-        let sigma = 0.5 * (xx * dx * dx + yy * dy * dy) + xy * dx * dy;
-        let alpha = (splat.opacity * (-sigma).exp()).min(MAX_ALPHA);
+        let alpha = alpha(splat, place, rules);
         pixel.unstable |= (alpha / MIN_ALPHA - 1.0).abs() < 2e-4;
-        if sigma < 0.0 || alpha < MIN_ALPHA {
+        if alpha < rules.min_alpha {
             continue;
         }
         let transmittance = pixel.transmittance * (1.0 - alpha);
         pixel.unstable |= (transmittance / MIN_TRANSMITTANCE - 1.0).abs() < 2e-3;
-        if transmittance <= MIN_TRANSMITTANCE {
+        if transmittance <= rules.min_transmittance {
             break;
         }
         let weight = alpha * pixel.transmittance;

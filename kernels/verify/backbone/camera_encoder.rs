@@ -1,17 +1,9 @@
 //! Camera encoder input, computed on the host.
 
-use crate::{
-    Area, Case, Catches, Mode, Worst,
-    bound::{U, half},
-    case,
-};
+use crate::prelude::*;
 use glam::{DMat3, DVec3};
 use std::f64::consts::{FRAC_PI_2, PI};
-use zipsplat::{
-    Result,
-    gpu::Device,
-    types::{Camera, Intrinsics, Pose, prior_encoding},
-};
+use zipsplat::types::{Camera, Intrinsics, Pose, prior_encoding};
 use zipsplat_reference::backbone::camera_encoder::{Prior, encode};
 
 const REASON: &str = "computed in f64 and rounded to f32 once, which moves a value by its unit roundoff; f64 adds 1e-14 of the \
@@ -116,9 +108,9 @@ fn camera(rotation: DMat3, translation: DVec3, degrees: f64) -> Camera {
 
 pub fn area() -> Area {
     use Fault::*;
-    let mut cases = Vec::new();
+    let mut area = Area::new("camera encoding", "cameras", Mode::ONLY_EXACT, REASON);
     let mut add = |name: &str, catches: Catches<Fault>, cameras: Vec<Camera>| {
-        cases.push(Case::new(name, cameras.len(), catches, move || Problem(cameras.clone())));
+        area.add(name, cameras.len(), catches, move || Problem(cameras.clone()));
     };
     let axes = [DVec3::X, DVec3::Y, DVec3::Z, DVec3::ONE.normalize(), DVec3::new(1.0, -1e-9, 0.0).normalize()];
     let turns = |angles: &[f64]| {
@@ -146,5 +138,5 @@ pub fn area() -> Area {
     add("cameras in a line", line(), (0..9).map(apart(1.0)).collect());
     add("baselines of 1e-6", line(), (0..3).map(apart(1e-6)).collect());
     add("baselines of 1e6", line(), (0..3).map(apart(1e6)).collect());
-    Area { kernel: "camera encoding", size: "cameras", reason: REASON, modes: Mode::ONLY_EXACT, cases }
+    area
 }

@@ -4,17 +4,9 @@ use super::{
     kernel,
     nearest::{self, Chosen, host_origin},
 };
-use crate::{Area, Case, Catches, Mode, Worst, case, noise::Noise, trial::Trial};
-use zipsplat::{
-    Result,
-    gpu::{Device, Tensor},
-    ops::{Nearest, Rows},
-    stages::cluster,
-};
-use zipsplat_reference::{
-    cluster::{kmeans::kmeans, mean::mean},
-    widen,
-};
+use crate::prelude::*;
+use zipsplat::{gpu::Tensor, ops::Nearest, stages::cluster};
+use zipsplat_reference::cluster::{kmeans::kmeans, mean::mean};
 
 const REASON: &str = "coordinates are whole multiples of 2^-6 whose squared distances f32 holds exactly, and clusters have a \
     power of two of members, so that every mean and every tie is as in f64: assignments must be equal. The nearest tokens \
@@ -171,13 +163,13 @@ impl case::Problem for Problem {
 
 pub fn area() -> Area {
     use Fault::*;
-    let mut cases = Vec::new();
+    let mut area = Area::new("cluster", "tokens", Mode::NEAREST, REASON);
     let mut add = |name: &str, count: usize, k: usize, catches: Catches<Fault>, value: fn(usize, f32) -> f32| {
         let make = move || {
             let noise = Noise::new(count as u64).values(count * WIDTH).into_iter().enumerate();
             Problem { x: noise.map(|(i, r)| value(i / WIDTH, (r * 64.0).round() / 64.0)).collect(), k }
         };
-        cases.push(Case::new(name, count, catches, make));
+        area.add(name, count, catches, make);
     };
     // Well-separated blobs of 16 tokens: rounding cannot change an assignment.
     for count in [64, 512, 4096] {
@@ -192,5 +184,5 @@ pub fn area() -> Area {
     let equal = || Catches::from([LastTokenMoved, LastOfEqual, OtherEveryRun]);
     add("duplicates, empty clusters", 128, 40, equal().and(&[EmptyStays]), |token, _| (token % 4) as f32);
     add("all tokens equal", 64, 9, equal().and(&[NextToken]), |_, _| 0.5);
-    Area { kernel: "cluster", size: "tokens", reason: REASON, modes: Mode::NEAREST, cases }
+    area
 }

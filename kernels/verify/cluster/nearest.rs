@@ -1,19 +1,11 @@
 //! Nearest target of each point.
 
 use super::kernel;
-use crate::{Area, Case, Catches, Mode, Tolerance, Worst, bound::gamma, bound::half, case, noise::Noise, trial::Trial};
-use zipsplat::{
-    Result,
-    gpu::Device,
-    kernels::limits::{GROUP_FOLD, NEAREST_ROWS},
-    ops::{Nearest, Rows},
-};
-use zipsplat_reference::{
-    cluster::{
-        nearest::{TIE, error_of_products, two_nearest},
-        origin::origin,
-    },
-    widen,
+use crate::prelude::*;
+use zipsplat::{kernels::limits::NEAREST_ROWS, ops::Nearest};
+use zipsplat_reference::cluster::{
+    nearest::{TIE, error_of_products, two_nearest},
+    origin::origin,
 };
 
 const REASON: &str = "a squared distance is a sum of w squares without cancellation, off by gamma_(w+3) of itself at most; \
@@ -227,13 +219,16 @@ pub fn shapes() -> Area {
             all
         }
     };
-    let sweep = |width| Case::sweep("spreads and offsets", width, [Fault::First], make(width));
-    Area { cases: [4, 12, 36, 100, 384].map(sweep).into(), ..area() }
+    let mut area = Area { cases: Vec::new(), ..area() };
+    for width in [4, 12, 36, 100, 384] {
+        area.sweep("spreads and offsets", width, [Fault::First], make(width));
+    }
+    area
 }
 
 pub fn area() -> Area {
     use Fault::*;
-    let mut cases = Vec::new();
+    let mut area = Area::new("cluster/nearest", "channels", Mode::NEAREST, REASON);
     let mut add = |name: &str, catches: Catches<Fault>, shape: [usize; 3], value: fn(f32) -> f32| {
         let make = move || {
             let [points, targets, width] = shape;
@@ -244,7 +239,7 @@ pub fn area() -> Area {
             targets[last..].copy_from_slice(&points[..width]);
             Problem { width, points, targets }
         };
-        cases.push(Case::new(name, shape[2], catches, make));
+        area.add(name, shape[2], catches, make);
     };
     let any = || Catches::from([First, SecondNearest, NextIndex, LastTarget]);
     for width in [4, 64, 384, 1536] {
@@ -267,6 +262,6 @@ pub fn area() -> Area {
         let points = (0..65).flat_map(midway).collect();
         Problem { width: WIDTH, points, targets }
     };
-    cases.push(Case::new("points midway between two targets", 64, [First, NextIndex, LaterOfTwo], midway));
-    Area { kernel: "cluster/nearest", size: "channels", reason: REASON, modes: Mode::NEAREST, cases }
+    area.add("points midway between two targets", 64, [First, NextIndex, LaterOfTwo], midway);
+    area
 }

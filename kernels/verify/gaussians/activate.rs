@@ -1,21 +1,10 @@
 //! Activations of the Gaussian head.
 
-use crate::{
-    Area, Case, Catches, Mode, Tolerance, Worst,
-    bound::{DIVISION, ROOT, TINY, U, exponential, gamma, half, logarithm},
-    case,
-    noise::Noise,
-    trial::Trial,
-};
-use zipsplat::{
-    Result,
-    gpu::Device,
-    stages::{gaussians, render::SceneTensors},
-};
+use crate::prelude::*;
+use zipsplat::stages::{gaussians, render::SceneTensors};
 use zipsplat_reference::{
     gaussians::activate::activate,
     ops::activation::{sigmoid, softplus},
-    widen,
 };
 
 const REASON: &str = "each activation's slope times the rounding of its argument, plus Vulkan's limits for exp (3 + 2|x| units), log \
@@ -85,48 +74,38 @@ impl Fault {
     }
 }
 
-impl case::Problem for Problem {
-    type Output = Vec<f32>;
-    type Truth = Vec<f64>;
+impl Values for Problem {
     type Fault = Fault;
 
     fn compute(&self, device: &Device, _: Mode) -> Result<Vec<f32>> {
         run(device, &self.raw, self.degree, 1.0)
     }
 
-    fn truth(&self, _: Mode) -> Vec<f64> {
-        widen(&self.raw).chunks(width(self.degree)).flat_map(activate).collect()
-    }
-
-    fn judge(&self, truth: &Vec<f64>, output: &Vec<f32>, _: Mode) -> Worst {
-        let (raw, width) = (|i: usize| f64::from(self.raw[i]), width(self.degree));
-        let length = |i: usize| {
-            let squares = self.raw[i / width * width + 6..][..4].iter().map(|&x| f64::from(x).powi(2));
-            squares.sum::<f64>().sqrt()
-        };
-        Worst::of(output, truth, |i| match i % width {
-            0..3 => mean_error(raw(i).abs().min(5.0)),
-            3..6 => scale_error(raw(i)) + U * truth[i],
-            6..10 => quat_error(truth[i], length(i)),
-            10 => opacity_error(raw(i)),
+    fn truth(&self, _: Mode) -> [Vec<f64>; 2] {
+        let raw = widen(&self.raw);
+        let truth: Vec<f64> = raw.chunks(width(self.degree)).flat_map(activate).collect();
+        let bound = |(i, truth): (usize, &f64)| match i % width(self.degree) {
+            0..3 => mean_error(raw[i].abs().min(5.0)),
+            3..6 => scale_error(raw[i]) + U * truth,
+            c @ 6..10 => quat_error(*truth, raw[i + 6 - c..][..4].iter().map(|x| x * x).sum::<f64>().sqrt()),
+            10 => opacity_error(raw[i]),
             _ => 0.0,
-        })
+        };
+        let bounds = truth.iter().enumerate().map(bound).collect();
+        [truth, bounds]
     }
 
-    fn typical(&self, _: &Device, _: Mode) -> Tolerance {
+    fn typical(&self, _: Mode) -> Tolerance {
         Tolerance::EXPONENTIAL
     }
 
-    fn faulty(&self, truth: &Vec<f64>, fault: Fault, _: Mode) -> Vec<Vec<f32>> {
+    fn faulty(&self, truth: &[f64], fault: Fault) -> Vec<f64> {
         let (raw, width) = (widen(&self.raw), width(self.degree));
-        if truth.is_empty() {
-            return Vec::new();
+        let one = |i: usize| fault.apply(&raw[i / width * width..][..width], i % width, truth[i]);
+        match fault {
+            Fault::NeighbourGaussian => shifted(truth, width),
+            _ => (0..truth.len()).map(one).collect(),
         }
-        let one = |i: usize| match fault {
-            Fault::NeighbourGaussian => truth[(i + width) % truth.len()],
-            _ => fault.apply(&raw[i / width * width..][..width], i % width, truth[i]),
-        };
-        vec![(0..truth.len()).map(|i| one(i) as f32).collect()]
     }
 }
 
@@ -265,18 +244,20 @@ impl case::Problem for Clamps {
 /// Counts around a workgroup at every degree.
 pub fn shapes() -> Area {
     use Fault::*;
-    let of = |degree| {
+    let mut area = Area { cases: Vec::new(), ..area() };
+    for degree in [0, 1, 2, 3] {
         let make = move || [0, 1, 63, 64, 65, 333].map(|count| Problem::new(count, degree, |_, r| 6.0 * r)).into();
-        Case::sweep(format!("random of +-6, degree {degree}"), 333, [Zero, HalfResult, NoOffset, NotNormalised], make)
-    };
-    Area { cases: [0, 1, 2, 3].map(of).into(), ..area() }
+        let name = format!("random of +-6, degree {degree}");
+        area.sweep(name, 333, [Zero, HalfResult, NoOffset, NotNormalised], make);
+    }
+    area
 }
 
 pub fn area() -> Area {
     use Fault::*;
-    let mut cases = Vec::new();
+    let mut area = Area::new("gaussians/activate", "Gaussians", Mode::ONLY_EXACT, REASON);
     let mut add = |name: &str, count: usize, catches: Catches<Fault>, value: fn(usize, f32) -> f32| {
-        cases.push(Case::new(name, count, catches, move || Problem::new(count, 0, value)));
+        area.add(name, count, catches, move || Problem::new(count, 0, value));
     };
     let all = || Catches::from([Zero, HalfResult, NoOffset, NotNormalised, NoSigmoid]);
     add("random of +-6", 1, all(), |_, r| 6.0 * r);
@@ -288,20 +269,17 @@ pub fn area() -> Area {
     });
     let near = [Zero, HalfResult, CancellingExp];
     add("means near 0, where exp(x) - 1 cancels", 400, near.into(), |i, _| 0.5f32.powi((i / WIDTH) as i32 / 2));
-    let unit = || Catches::from([Zero, HalfResult, NotNormalised]);
-    let squares = || unit().and(&[SquaresOfF32]);
-    add("quaternions of length 0", 65, [Zero, DividedByLength].into(), |i, r| quaternion(i, r, 0.0));
-    add("quaternions of length 1e-20", 65, unit(), |i, r| quaternion(i, r, 1e-20));
-    add("quaternions of length 1e-12", 65, unit(), |i, r| quaternion(i, r, 1e-12));
-    add("quaternions of length 1e-6", 65, unit(), |i, r| quaternion(i, r, 1e-6));
-    add("quaternions of length 1e20", 65, squares(), |i, r| quaternion(i, r, 1e20));
-    add("quaternions of length 1e37", 65, squares(), |i, r| quaternion(i, r, 1e37));
+    for length in [0.0, 1e-30, 1e-20, 1e-13, 1e-12, 1e-11, 1e-6, 1e-3, 1e3, 1e19, 1e20, 1e37] {
+        let catches = match length {
+            0.0 => Catches::from([Zero, DividedByLength]),
+            1e20.. => Catches::from([Zero, HalfResult, NotNormalised, SquaresOfF32]),
+            _ => Catches::from([Zero, HalfResult, NotNormalised]),
+        };
+        let value = move |i: usize, r: f32| if (6..10).contains(&(i % WIDTH)) { length * r } else { r };
+        area.add(format!("quaternions of length {length:e}"), 65, catches, move || Problem::new(65, 0, value));
+    }
     use ClampFault::*;
     let clamps = [MeanPassed, LargeScalePassed, SmallScalePassed, Uneven, OpacityBelow];
-    cases.push(Case::new("clamps and saturation", 4, clamps, || Clamps));
-    Area { kernel: "gaussians/activate", size: "Gaussians", reason: REASON, modes: Mode::ONLY_EXACT, cases }
-}
-
-fn quaternion(i: usize, r: f32, length: f32) -> f32 {
-    if (6..10).contains(&(i % WIDTH)) { length * r } else { r }
+    area.add("clamps and saturation", 4, clamps, || Clamps);
+    area
 }

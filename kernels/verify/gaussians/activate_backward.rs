@@ -1,14 +1,8 @@
 //! Gradients of the head's activations.
 
-use crate::{
-    Area, Case, Mode, Worst,
-    bound::{Bounded, half},
-    case,
-    noise::Noise,
-    trial::Trial,
-};
-use zipsplat::{Result, gpu::Device, kernels::gaussians::ActivateBackward};
-use zipsplat_reference::{gaussians::activate_backward::activate_backward, widen};
+use crate::prelude::*;
+use zipsplat::kernels::gaussians::ActivateBackward;
+use zipsplat_reference::gaussians::activate_backward::activate_backward;
 
 const REASON: &str = "running error analysis of each derivative: exp 3 + 2|x| units, division 2.5, the length of a quaternion as \
     a root; harmonics exactly";
@@ -68,9 +62,7 @@ impl Activations {
     }
 }
 
-impl case::Problem for Activations {
-    type Output = Vec<f32>;
-    type Truth = Vec<f64>;
+impl Values for Activations {
     type Fault = Fault;
 
     fn compute(&self, device: &Device, _: Mode) -> Result<Vec<f32>> {
@@ -101,16 +93,13 @@ impl case::Problem for Activations {
         trial.result(d_raw)
     }
 
-    fn truth(&self, _: Mode) -> Vec<f64> {
+    fn truth(&self, _: Mode) -> [Vec<f64>; 2] {
         let rows = self.raw.chunks(WIDTH).zip(self.gradient.chunks(WIDTH));
-        rows.flat_map(|(raw, gradient)| activate_backward(&widen(raw), &widen(gradient))).collect()
+        let truth = rows.flat_map(|(raw, gradient)| activate_backward(&widen(raw), &widen(gradient))).collect();
+        [truth, (0..self.raw.len()).map(|i| self.error(i)).collect()]
     }
 
-    fn judge(&self, truth: &Vec<f64>, output: &Vec<f32>, _: Mode) -> Worst {
-        Worst::of(output, truth, |i| self.error(i))
-    }
-
-    fn faulty(&self, truth: &Vec<f64>, fault: Fault, _: Mode) -> Vec<Vec<f32>> {
+    fn faulty(&self, truth: &[f64], fault: Fault) -> Vec<f64> {
         let (raw, d) = (|i: usize| f64::from(self.raw[i]), |i: usize| f64::from(self.gradient[i]));
         let quat = |i: usize| (i / WIDTH * WIDTH + 6)..(i / WIDTH * WIDTH + 10);
         let one = |i: usize| match (fault, i % WIDTH) {
@@ -122,18 +111,20 @@ impl case::Problem for Activations {
             (Fault::NeighbourGaussian, _) => truth[(i + WIDTH) % truth.len()],
             _ => truth[i],
         };
-        vec![(0..truth.len()).map(|i| one(i) as f32).collect()]
+        (0..truth.len()).map(one).collect()
     }
 }
 
 pub fn area() -> Area {
     use Fault::*;
     let all = [Zero, HalfResult, NotActivated, NoClamp, AlongItself, NeighbourGaussian];
-    let mut cases: Vec<Case> =
-        [64, 4097].map(|count| Case::new("random of +-6", count, all, move || Activations::new(count, 6.0))).into();
-    for (name, length) in [("1e-6", 1e-6), ("1e19", 1e19), ("1e30", 1e30)] {
-        let name = format!("quaternions of length {name}");
-        cases.push(Case::new(name, 65, [Zero, HalfResult, NotActivated], move || Activations::new(65, length)));
+    let mut area = Area::new("gaussians/activate_backward", "Gaussians", Mode::ONLY_EXACT, REASON);
+    for count in [64, 4097] {
+        area.add("random of +-6", count, all, move || Activations::new(count, 6.0));
     }
-    Area { kernel: "gaussians/activate_backward", size: "Gaussians", reason: REASON, modes: Mode::ONLY_EXACT, cases }
+    for length in [1e-20, 1e-13, 1e-11, 1e-6, 1e-3, 1.0, 1e3, 1e19, 1e30] {
+        let name = format!("quaternions of length {length:e}");
+        area.add(name, 65, [Zero, HalfResult, NotActivated], move || Activations::new(65, length));
+    }
+    area
 }

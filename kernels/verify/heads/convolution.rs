@@ -1,19 +1,11 @@
 //! Convolutions of feature maps.
 
-use crate::{
-    Area, Case, Catches, Mode, Worst,
-    bound::{TINY, U, gamma, half},
-    case,
-    noise::Noise,
-    trial::Trial,
-};
+use crate::prelude::*;
 use zipsplat::{
-    Result,
-    gpu::{Device, Element},
-    ops::{FeatureMap, Lanes, Linear, LinearKernel, Rows, Weights, pack_matrix},
+    ops::{FeatureMap, Lanes, Linear, LinearKernel, Weights, pack_matrix},
     stages::heads::{Convolution, ConvolutionOptions},
 };
-use zipsplat_reference::{heads::convolution::convolution, widen};
+use zipsplat_reference::heads::convolution::convolution;
 
 const REASON: &str = "a sum of n products and a bias is off by gamma_(n+1) (|x| |w| + |b|) in any order (Higham 2002, section \
     4.2), n being taps times channels; what is added to it costs one rounding more. Pixels outside are exactly 0";
@@ -95,39 +87,31 @@ impl Problem {
         let x = self.seen(self.rectified);
         let inside = |at: usize, length: usize| at.saturating_sub(padding).min(length - 1);
         let [rows, columns] = self.out_size();
-        let mut out = Vec::new();
-        for (y, x_at, c) in
-            (0..rows).flat_map(|y| (0..columns).flat_map(move |x| (0..self.columns).map(move |c| (y, x, c))))
-        {
-            let mut sum = f64::from(self.bias[c]);
-            for (i, &w) in
-                self.weight[c * self.channels * side * side..][..self.channels * side * side].iter().enumerate()
-            {
+        let patch = self.channels * side * side;
+        let one = |i: usize| {
+            let (y, x_at, c) = (i / self.columns / columns, i / self.columns % columns, i % self.columns);
+            let term = |(i, &w): (usize, &f32)| {
                 let (channel, tap) = (i / (side * side), i % (side * side));
                 let (v, u) = (inside(y * step + tap / side, height), inside(x_at * step + tap % side, width));
-                sum += f64::from(w) * x[(v * width + u) * self.channels + channel];
-            }
-            out.push(sum);
-        }
-        out
+                f64::from(w) * x[(v * width + u) * self.channels + channel]
+            };
+            f64::from(self.bias[c]) + self.weight[c * patch..][..patch].iter().enumerate().map(term).sum::<f64>()
+        };
+        (0..rows * columns * self.columns).map(one).collect()
     }
 }
 
-impl case::Problem for Problem {
-    type Output = Vec<f32>;
-    type Truth = [Vec<f64>; 2];
+impl Values for Problem {
     type Fault = Fault;
 
     fn compute(&self, device: &Device, _: Mode) -> Result<Vec<f32>> {
         let ([out_height, out_width], taps) = (self.out_size(), self.shape[0].pow(2));
         let inner = taps * self.channels;
         // Channels are innermost on the device.
-        let turned = self
-            .weight
-            .chunks(inner)
-            .flat_map(|row| (0..inner).map(|i| row[i % self.channels * taps + i / self.channels]).collect::<Vec<_>>());
-        let (panels, turned) =
-            (LinearKernel::Panels(Lanes::of(Element::F32), Weights::Factors), turned.collect::<Vec<_>>());
+        let row =
+            |row: &[f32]| (0..inner).map(|i| row[i % self.channels * taps + i / self.channels]).collect::<Vec<_>>();
+        let turned: Vec<f32> = self.weight.chunks(inner).flat_map(row).collect();
+        let panels = LinearKernel::Panels(Lanes::of(Element::F32), Weights::Factors);
         let packed = pack_matrix(panels, &turned, inner, self.columns);
         let pixels = out_height * out_width;
         let mut trial = Trial::new(device);
@@ -165,17 +149,13 @@ impl case::Problem for Problem {
         [truth, bounds]
     }
 
-    fn judge(&self, [truth, bounds]: &[Vec<f64>; 2], output: &Vec<f32>, _: Mode) -> Worst {
-        Worst::of(output, truth, |i| bounds[i])
-    }
-
-    fn faulty(&self, [truth, _]: &[Vec<f64>; 2], fault: Fault, _: Mode) -> Vec<Vec<f32>> {
+    fn faulty(&self, truth: &[f64], fault: Fault) -> Vec<f64> {
         let (x, side) = (self.seen(self.rectified), self.shape[0]);
         let weighed = |value: &dyn Fn(&[f32], usize, usize) -> f32| {
             self.added(self.convolved(&x, &self.weighed(value), &self.bias))
         };
         let at = |row: &[f32], channel: usize, tap: usize| row[channel * side * side + tap];
-        let values = match fault {
+        match fault {
             Fault::Zero => vec![0.0; truth.len()],
             Fault::NoBias => self.added(self.convolved(&x, &self.weight, &vec![0.0; self.columns])),
             Fault::NoResidual => self.convolved(&x, &self.weight, &self.bias),
@@ -184,28 +164,24 @@ impl case::Problem for Problem {
             Fault::LastChannel => weighed(&|row, c, tap| if c + 1 == self.channels { 0.0 } else { at(row, c, tap) }),
             Fault::TurnedTaps => weighed(&|row, c, tap| at(row, c, tap % side * side + tap / side)),
             Fault::RepeatedEdge => self.added(self.with_repeated_edge()),
-            Fault::NeighbourPixel => (0..truth.len()).map(|i| truth[(i + self.columns) % truth.len()]).collect(),
-            Fault::Half => truth.iter().map(|&x| half(x)).collect(),
-        };
-        vec![values.into_iter().map(|x| x as f32).collect()]
+            Fault::NeighbourPixel => shifted(truth, self.columns),
+            Fault::Half => halves(truth),
+        }
     }
 }
 
 pub fn area() -> Area {
     use Fault::*;
-    let mut cases = Vec::new();
-    let mut add = |name: &str, size: usize, catches: Catches<Fault>, make: fn() -> Problem| {
-        cases.push(Case::new(name, size, catches, make));
-    };
+    let mut area = Area::new("heads/convolution", "channels", Mode::ONLY_EXACT, REASON);
     let all = || Catches::from([Zero, NoBias, LastTap, LastChannel, TurnedTaps, RepeatedEdge, NeighbourPixel]);
-    add("3 x 3", 4, all(), || Problem::new([5, 7], [4, 5], [3, 1]));
-    add("3 x 3", 64, all(), || Problem::new([9, 6], [64, 70], [3, 1]));
-    add("3 x 3", 512, all(), || Problem::new([4, 5], [512, 33], [3, 1]));
-    add("every second pixel", 16, all(), || Problem::new([7, 8], [16, 12], [3, 2]));
+    area.add("3 x 3", 4, all(), || Problem::new([5, 7], [4, 5], [3, 1]));
+    area.add("3 x 3", 64, all(), || Problem::new([9, 6], [64, 70], [3, 1]));
+    area.add("3 x 3", 512, all(), || Problem::new([4, 5], [512, 33], [3, 1]));
+    area.add("every second pixel", 16, all(), || Problem::new([7, 8], [16, 12], [3, 2]));
     let residual = Catches::from([Zero, NoResidual, Unrectified, LastTap, RepeatedEdge, Half]);
-    add("residual", 32, residual, || Problem::new([6, 11], [32, 32], [3, 1]).residual());
+    area.add("residual", 32, residual, || Problem::new([6, 11], [32, 32], [3, 1]).residual());
     let single = Catches::from([Zero, NoBias, LastChannel, NeighbourPixel, Half]);
-    add("one tap", 32, single, || Problem::new([3, 13], [32, 2], [1, 1]));
-    add("one pixel", 8, [Zero, NoBias, RepeatedEdge].into(), || Problem::new([1, 1], [8, 4], [3, 1]));
-    Area { kernel: "heads/convolution", size: "channels", reason: REASON, modes: Mode::ONLY_EXACT, cases }
+    area.add("one tap", 32, single, || Problem::new([3, 13], [32, 2], [1, 1]));
+    area.add("one pixel", 8, [Zero, NoBias, RepeatedEdge], || Problem::new([1, 1], [8, 4], [3, 1]));
+    area
 }

@@ -1,14 +1,8 @@
 //! Pixel shuffle.
 
-use crate::{
-    Area, Case, Catches, Mode, Worst,
-    bound::{TINY, U, half},
-    case,
-    noise::Noise,
-    trial::Trial,
-};
-use zipsplat::{Result, gpu::Device, kernels::heads::PixelShuffle};
-use zipsplat_reference::{heads::pixel_shuffle::pixel_shuffle, widen};
+use crate::prelude::*;
+use zipsplat::kernels::heads::PixelShuffle;
+use zipsplat_reference::heads::pixel_shuffle::pixel_shuffle;
 
 const REASON: &str = "every result is one value and one bias, whose sum rounds once";
 
@@ -44,9 +38,7 @@ impl Problem {
     }
 }
 
-impl case::Problem for Problem {
-    type Output = Vec<f32>;
-    type Truth = Vec<f64>;
+impl Values for Problem {
     type Fault = Fault;
 
     fn compute(&self, device: &Device, _: Mode) -> Result<Vec<f32>> {
@@ -65,17 +57,15 @@ impl case::Problem for Problem {
         trial.result(out)
     }
 
-    fn truth(&self, _: Mode) -> Vec<f64> {
-        self.spread(&widen(&self.values), &self.bias)
+    fn truth(&self, _: Mode) -> [Vec<f64>; 2] {
+        let truth = self.spread(&widen(&self.values), &self.bias);
+        let bounds = truth.iter().map(|x| U * x.abs() + TINY).collect();
+        [truth, bounds]
     }
 
-    fn judge(&self, truth: &Vec<f64>, output: &Vec<f32>, _: Mode) -> Worst {
-        Worst::of(output, truth, |i| U * truth[i].abs() + TINY)
-    }
-
-    fn faulty(&self, truth: &Vec<f64>, fault: Fault, _: Mode) -> Vec<Vec<f32>> {
+    fn faulty(&self, truth: &[f64], fault: Fault) -> Vec<f64> {
         let (values, channels, taps) = (widen(&self.values), self.bias.len(), self.side * self.side);
-        let values = match fault {
+        match fault {
             Fault::Zero => vec![0.0; truth.len()],
             Fault::NoBias => self.spread(&values, &vec![0.0; channels]),
             Fault::TurnedTaps => {
@@ -90,9 +80,8 @@ impl case::Problem for Problem {
                 let bias: Vec<f32> = (0..channels).map(|c| self.bias[(c + 1) % channels]).collect();
                 self.spread(&values, &bias)
             }
-            Fault::Half => truth.iter().map(|&x| half(x)).collect(),
-        };
-        vec![values.into_iter().map(|x| x as f32).collect()]
+            Fault::Half => halves(truth),
+        }
     }
 }
 
@@ -100,18 +89,17 @@ impl case::Problem for Problem {
 pub fn shapes() -> Area {
     let sizes = [([3, 4], 4, 16), ([2, 5], 2, 7), ([1, 1], 4, 1), ([4, 3], 1, 8)];
     let make = move || sizes.map(|(size, side, channels)| Problem::new(size, side, channels)).into();
-    Area { cases: vec![Case::sweep("sizes", 16, [Fault::Zero, Fault::NoBias], make)], ..area() }
+    let mut area = Area { cases: Vec::new(), ..area() };
+    area.sweep("sizes", 16, [Fault::Zero, Fault::NoBias], make);
+    area
 }
 
 pub fn area() -> Area {
     use Fault::*;
-    let mut cases = Vec::new();
-    let mut add = |name: &str, size: usize, catches: Catches<Fault>, make: fn() -> Problem| {
-        cases.push(Case::new(name, size, catches, make));
-    };
+    let mut area = Area::new("heads/pixel_shuffle", "channels", Mode::ONLY_EXACT, REASON);
     let all = || Catches::from([Zero, NoBias, TurnedTaps, InOrder, NeighbourBias, Half]);
-    add("4 x 4", 48, all(), || Problem::new([3, 4], 4, 48));
-    add("2 x 2", 7, all(), || Problem::new([2, 5], 2, 7));
-    add("one pixel", 4, [Zero, NoBias, TurnedTaps, NeighbourBias].into(), || Problem::new([1, 1], 4, 4));
-    Area { kernel: "heads/pixel_shuffle", size: "channels", reason: REASON, modes: Mode::ONLY_EXACT, cases }
+    area.add("4 x 4", 48, all(), || Problem::new([3, 4], 4, 48));
+    area.add("2 x 2", 7, all(), || Problem::new([2, 5], 2, 7));
+    area.add("one pixel", 4, [Zero, NoBias, TurnedTaps, NeighbourBias], || Problem::new([1, 1], 4, 4));
+    area
 }

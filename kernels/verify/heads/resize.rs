@@ -1,14 +1,8 @@
 //! Resized feature maps with position embeddings.
 
-use crate::{
-    Area, Case, Catches, Mode, Tolerance, Worst,
-    bound::{DIVISION, TINY, gamma, half},
-    case,
-    noise::Noise,
-    trial::Trial,
-};
-use zipsplat::{Result, gpu::Device, kernels::heads::Resize};
-use zipsplat_reference::{heads::resize::resize, widen};
+use crate::prelude::*;
+use zipsplat::kernels::heads::Resize;
+use zipsplat_reference::heads::resize::resize;
 
 const REASON: &str = "the share of a neighbour is a quotient of whole numbers, off by 2.5 units in the last place at most (Vulkan \
     specification); three weighted means and the sum behind them round 9 times. No value is larger than the four neighbours together";
@@ -92,9 +86,7 @@ impl Problem {
     }
 }
 
-impl case::Problem for Problem {
-    type Output = Vec<f32>;
-    type Truth = [Vec<f64>; 2];
+impl Values for Problem {
     type Fault = Fault;
 
     fn compute(&self, device: &Device, _: Mode) -> Result<Vec<f32>> {
@@ -132,15 +124,11 @@ impl case::Problem for Problem {
         [truth, bounds]
     }
 
-    fn judge(&self, [truth, bounds]: &[Vec<f64>; 2], output: &Vec<f32>, _: Mode) -> Worst {
-        Worst::of(output, truth, |i| bounds[i])
-    }
-
-    fn typical(&self, _: &Device, _: Mode) -> Tolerance {
+    fn typical(&self, _: Mode) -> Tolerance {
         Tolerance::ELEMENTWISE
     }
 
-    fn faulty(&self, [truth, _]: &[Vec<f64>; 2], fault: Fault, _: Mode) -> Vec<Vec<f32>> {
+    fn faulty(&self, truth: &[f64], fault: Fault) -> Vec<f64> {
         let middle = |at: usize, axis: usize| (at as f64 + 0.5) * self.size[axis] as f64 / self.to[axis] as f64 - 0.5;
         let values = match fault {
             Fault::Zero => vec![0.0; truth.len()],
@@ -154,10 +142,10 @@ impl case::Problem for Problem {
             }
             Fault::NoPositions => self.resized(),
             Fault::TurnedPositions => self.added(self.resized(), true),
-            Fault::NeighbourPixel => (0..truth.len()).map(|i| truth[(i + self.channels) % truth.len()]).collect(),
-            Fault::Half => truth.iter().map(|&x| half(x)).collect(),
+            Fault::NeighbourPixel => shifted(truth, self.channels),
+            Fault::Half => halves(truth),
         };
-        vec![values[values.len() - truth.len()..].iter().map(|&x| x as f32).collect()]
+        values[values.len() - truth.len()..].to_vec()
     }
 }
 
@@ -178,24 +166,22 @@ pub fn shapes() -> Area {
     };
     // Line 5 of 9 lies at 5 * 4 / 8 = 2.5 of the source.
     let part = || Problem { lines: [5, 2], ..Problem::new([5, 3], [9, 7], 4).placed() };
-    let cases = vec![
-        Case::sweep("sizes", 4, [Fault::Zero], whole),
-        Case::new("part of a picture", 4, [Fault::Zero, Fault::MiddlesOnMiddles, Fault::Nearest], part),
-    ];
-    Area { cases, ..area() }
+    let mut area = Area { cases: Vec::new(), ..area() };
+    area.sweep("sizes", 4, [Fault::Zero], whole);
+    area.add("part of a picture", 4, [Fault::Zero, Fault::MiddlesOnMiddles, Fault::Nearest], part);
+    area
 }
 
 pub fn area() -> Area {
     use Fault::*;
-    let mut cases = Vec::new();
-    let mut add = |name: &str, size: usize, catches: Catches<Fault>, make: fn() -> Problem| {
-        cases.push(Case::new(name, size, catches, make));
-    };
+    let mut area = Area::new("heads/resize", "channels", Mode::ONLY_EXACT, REASON);
     let all = || Catches::from([Zero, MiddlesOnMiddles, Nearest, Turned, NeighbourPixel, Half]);
-    add("larger", 4, all(), || Problem::new([4, 6], [7, 13], 4));
-    add("larger", 64, all().and(&[NoPositions, TurnedPositions]), || Problem::new([16, 24], [28, 42], 64).placed());
-    add("smaller", 8, all(), || Problem::new([9, 7], [4, 5], 8));
-    add("one line", 4, [Zero, Nearest, NeighbourPixel].into(), || Problem::new([1, 5], [3, 8], 4));
-    add("one pixel", 4, [Zero, NoPositions].into(), || Problem::new([1, 1], [5, 3], 4).placed());
-    Area { kernel: "heads/resize", size: "channels", reason: REASON, modes: Mode::ONLY_EXACT, cases }
+    area.add("larger", 4, all(), || Problem::new([4, 6], [7, 13], 4));
+    area.add("larger", 64, all().and(&[NoPositions, TurnedPositions]), || {
+        Problem::new([16, 24], [28, 42], 64).placed()
+    });
+    area.add("smaller", 8, all(), || Problem::new([9, 7], [4, 5], 8));
+    area.add("one line", 4, [Zero, Nearest, NeighbourPixel], || Problem::new([1, 5], [3, 8], 4));
+    area.add("one pixel", 4, [Zero, NoPositions], || Problem::new([1, 1], [5, 3], 4).placed());
+    area
 }

@@ -1,21 +1,11 @@
 //! Image losses and their gradients.
 
-use crate::{
-    Area, Case, Catches, Mode, Worst,
-    bound::{Bounded, gamma, half},
-    case,
-    noise::Noise,
-    trial::Trial,
+use crate::prelude::*;
+use zipsplat::stages::{
+    FrameShape,
+    loss::{Loss, record_loss},
 };
-use zipsplat::{
-    Result,
-    gpu::Device,
-    stages::{
-        FrameShape,
-        loss::{Loss, record_loss},
-    },
-};
-use zipsplat_reference::{loss::gradient as reference, widen};
+use zipsplat_reference::loss::gradient as reference;
 
 const REASON: &str = "running error analysis of means and variances under the window, first along rows, then along columns, each \
     relative to a value near by, of SSIM made of them, and of its derivatives under the window again";
@@ -167,9 +157,7 @@ impl Problem {
     }
 }
 
-impl case::Problem for Problem {
-    type Output = Vec<f32>;
-    type Truth = [Vec<f64>; 2];
+impl Values for Problem {
     type Fault = Fault;
 
     fn compute(&self, device: &Device, _: Mode) -> Result<Vec<f32>> {
@@ -188,15 +176,11 @@ impl case::Problem for Problem {
         [self.reference(self.loss), self.errors()]
     }
 
-    fn judge(&self, [truth, errors]: &[Vec<f64>; 2], output: &Vec<f32>, _: Mode) -> Worst {
-        Worst::of(output, truth, |i| errors[i])
-    }
-
-    fn faulty(&self, [truth, _]: &[Vec<f64>; 2], fault: Fault, _: Mode) -> Vec<Vec<f32>> {
-        let each = |of: &dyn Fn(usize) -> f64| (0..truth.len()).map(|i| of(i) as f32).collect::<Vec<f32>>();
-        let faulty = match fault {
+    fn faulty(&self, truth: &[f64], fault: Fault) -> Vec<f64> {
+        let each = |of: &dyn Fn(usize) -> f64| (0..truth.len()).map(of).collect::<Vec<_>>();
+        match fault {
             Fault::Zero => each(&|_| 0.0),
-            Fault::HalfResult => each(&|i| half(truth[i])),
+            Fault::HalfResult => halves(truth),
             Fault::Reversed => each(&|i| if i > 0 { -truth[i] } else { truth[i] }),
             Fault::Sum => each(&|i| truth[i] * self.frames.len() as f64),
             Fault::HalfDssim => {
@@ -209,14 +193,13 @@ impl case::Problem for Problem {
                 each(&|i| 0.2 * l1[i] + 0.8 * dssim[i])
             }
             Fault::NeighbourPixel => each(&|i| if i > 0 { truth[1 + (i + 2) % self.frames.len()] } else { truth[0] }),
-        };
-        vec![faulty]
+        }
     }
 }
 
 pub fn area() -> Area {
     use Fault::*;
-    let mut cases = Vec::new();
+    let mut area = Area::new("loss", "pixels", Mode::ONLY_EXACT, REASON);
     for (loss, name) in [(Loss::L1, "L1"), (Loss::Mse, "MSE"), (Loss::Dssim, "1 - SSIM"), (Loss::L1Dssim, "the mix")] {
         let common = || Catches::from([Zero, HalfResult, Reversed, Sum, NeighbourPixel]);
         let own: &[Fault] = match loss {
@@ -230,12 +213,12 @@ pub fn area() -> Area {
                 let (frames, targets) = noise.map(|(i, r)| value(i, r).into()).unzip();
                 Problem { loss, frames, targets }
             };
-            cases.push(Case::new(format!("{name}, {what}"), WIDTH * height, catches, make));
+            area.add(format!("{name}, {what}"), WIDTH * height, catches, make);
         };
         add("noise", 24, common().and(own), |i, r| [0.5 + 0.6 * r, 0.5 + 0.5 * (1e4 * r + i as f32).sin()]);
         add("a single row", 1, common().and(own), |i, r| [0.5 + 0.6 * r, 0.5 + 0.5 * (1e4 * r + i as f32).sin()]);
         let flat: fn(usize, f32) -> [f32; 2] = |i, _| if i % 63 < 30 { [0.9, 0.8] } else { [0.3, 0.4] };
         add("flat areas, whose variances cancel", 17, [Zero, Reversed, Sum].into(), flat);
     }
-    Area { kernel: "loss", size: "pixels", reason: REASON, modes: Mode::ONLY_EXACT, cases }
+    area
 }

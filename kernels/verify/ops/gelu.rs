@@ -1,14 +1,7 @@
 //! GELU and its gradient.
 
-use crate::{
-    Area, Case, Mode, Tolerance, Worst,
-    bound::{TINY, U, exponential, gamma, half},
-    case,
-    noise::Noise,
-    ops::linear::gelu_error,
-    trial::Trial,
-};
-use zipsplat::{Result, gpu::Device, kernels::ops::Gelu};
+use crate::{ops::linear::gelu_error, prelude::*};
+use zipsplat::kernels::ops::Gelu;
 use zipsplat_reference::ops::{activation::gelu, gelu::gelu_backward};
 
 const REASON: &str = "erf is a fit to 1.2e-7, and the density's exp is allowed 3 + 2|x| units; both are multiplied by the gradient \
@@ -30,9 +23,25 @@ enum Fault {
     SigmoidGelu,
 }
 
-impl case::Problem for Problem {
-    type Output = Vec<f32>;
-    type Truth = Vec<f64>;
+impl Problem {
+    fn gradient(&self, i: usize) -> f64 {
+        self.gradient.as_ref().map_or(1.0, |gradient| f64::from(gradient[i]))
+    }
+
+    fn bound(&self, i: usize) -> f64 {
+        let x = f64::from(self.source[i]);
+        if self.gradient.is_none() {
+            return gelu_error(x, 0.0);
+        }
+        let density = (-x * x / 2.0).exp() * 0.4;
+        let of_density = x.abs() * density * (exponential(x * x / 2.0) + x * x * U + gamma(6));
+        // Includes the rounded argument of erf, whose slope is twice the density.
+        let of_erf = 1.2e-7 + density * (exponential(x * x / 2.0) + x.abs() * gamma(3)) + gamma(3);
+        self.gradient(i).abs() * (of_density + of_erf + gamma(3)) + TINY
+    }
+}
+
+impl Values for Problem {
     type Fault = Fault;
 
     fn compute(&self, device: &Device, _: Mode) -> Result<Vec<f32>> {
@@ -44,44 +53,28 @@ impl case::Problem for Problem {
         trial.result(out)
     }
 
-    fn truth(&self, _: Mode) -> Vec<f64> {
-        let gradient = self.gradient.iter().flatten();
-        match self.gradient {
-            Some(_) => self.source.iter().zip(gradient).map(|(&x, &g)| gelu_backward(x.into(), g.into())).collect(),
-            None => self.source.iter().map(|&x| gelu(x.into())).collect(),
-        }
+    fn truth(&self, _: Mode) -> [Vec<f64>; 2] {
+        let value = if self.gradient.is_some() { gelu_backward } else { |x, _| gelu(x) };
+        let truth = (0..self.source.len()).map(|i| value(self.source[i].into(), self.gradient(i)));
+        [truth.collect(), (0..self.source.len()).map(|i| self.bound(i)).collect()]
     }
 
-    fn judge(&self, truth: &Vec<f64>, output: &Vec<f32>, _: Mode) -> Worst {
-        Worst::of(output, truth, |i| {
-            let x = f64::from(self.source[i]);
-            let Some(gradient) = &self.gradient else { return gelu_error(x, 0.0) };
-            let g = f64::from(gradient[i]).abs();
-            let density = (-x * x / 2.0).exp() * 0.4;
-            let of_density = x.abs() * density * (exponential(x * x / 2.0) + x * x * U + gamma(6));
-            // Includes the rounded argument of erf, whose slope is twice the density.
-            let of_erf = 1.2e-7 + density * (exponential(x * x / 2.0) + x.abs() * gamma(3)) + gamma(3);
-            g * (of_density + of_erf + gamma(3)) + TINY
-        })
-    }
-
-    fn typical(&self, _: &Device, _: Mode) -> Tolerance {
+    fn typical(&self, _: Mode) -> Tolerance {
         Tolerance::ELEMENTWISE
     }
 
-    fn faulty(&self, truth: &Vec<f64>, fault: Fault, _: Mode) -> Vec<Vec<f32>> {
-        let one = |i: usize| {
-            let x = f64::from(self.source[i]);
-            let g = self.gradient.as_ref().map_or(1.0, |gradient| f64::from(gradient[i]));
+    fn faulty(&self, truth: &[f64], fault: Fault) -> Vec<f64> {
+        let one = |(i, &truth): (usize, &f64)| {
+            let (x, g) = (f64::from(self.source[i]), self.gradient(i));
             let sigmoid = 1.0 / (1.0 + (-1.702 * x).exp());
             match fault {
                 Fault::Zero => 0.0,
-                Fault::HalfResult => half(truth[i]),
-                Fault::NoDensity => truth[i] - g * x * 0.3989422804 * (-x * x / 2.0).exp(),
+                Fault::HalfResult => half(truth),
+                Fault::NoDensity => truth - g * x * 0.3989422804 * (-x * x / 2.0).exp(),
                 Fault::SigmoidGelu => g * sigmoid * (1.0 + 1.702 * x * (1.0 - sigmoid)),
             }
         };
-        if truth.is_empty() { Vec::new() } else { vec![(0..truth.len()).map(|i| one(i) as f32).collect()] }
+        truth.iter().enumerate().map(one).collect()
     }
 }
 
@@ -94,12 +87,10 @@ pub fn shapes() -> Area {
         };
         move || [0, 63, 65, 1001].map(of).into()
     };
-    let faults = [Fault::Zero, Fault::HalfResult];
-    let cases = vec![
-        Case::sweep("GELU of +-8", 1001, faults, make(false)),
-        Case::sweep("its gradient of +-8", 1001, faults, make(true)),
-    ];
-    Area { cases, ..area() }
+    let mut area = Area { cases: Vec::new(), ..area() };
+    area.sweep("GELU of +-8", 1001, [Fault::Zero, Fault::HalfResult], make(false));
+    area.sweep("its gradient of +-8", 1001, [Fault::Zero, Fault::HalfResult], make(true));
+    area
 }
 
 pub fn area() -> Area {
@@ -113,9 +104,8 @@ pub fn area() -> Area {
         source: [-1e30, -1e5, -20.0, 20.0, 1e5, 1e30].into(),
         gradient: Some([1.0, -2.0, 3.0, 1.0, -2.0, 3.3].into()),
     };
-    let cases = vec![
-        Case::new("every value from -10 to 10", 4001, [Zero, HalfResult, NoDensity, SigmoidGelu], every),
-        Case::new("far from zero", 6, [Zero, HalfResult], far),
-    ];
-    Area { kernel: "ops/gelu", size: "values", reason: REASON, modes: Mode::ONLY_EXACT, cases }
+    let mut area = Area::new("ops/gelu", "values", Mode::ONLY_EXACT, REASON);
+    area.add("every value from -10 to 10", 4001, [Zero, HalfResult, NoDensity, SigmoidGelu], every);
+    area.add("far from zero", 6, [Zero, HalfResult], far);
+    area
 }

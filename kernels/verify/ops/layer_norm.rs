@@ -1,22 +1,8 @@
 //! Layer normalization.
 
-use crate::{
-    Area, Case, Catches, Mode, Tolerance, Worst,
-    bound::{DIVISION, ROOT, TINY, U, by_lanes, gamma, half},
-    case,
-    noise::Noise,
-    trial::Trial,
-};
-use zipsplat::{
-    Result,
-    gpu::{Device, Element},
-    kernels::limits::GROUP_FOLD,
-    ops::{Norm, Rows},
-};
-use zipsplat_reference::{
-    ops::{add::add, layer_norm::layer_norm},
-    widen,
-};
+use crate::prelude::*;
+use zipsplat::ops::Norm;
+use zipsplat_reference::ops::{add::add, layer_norm::layer_norm};
 
 const REASON: &str = "the mean is off by d <= gamma mean|x|, of which the second pass takes back all but gamma mean|x - mean|; \
     the variance then by gamma (variance + d^2), relative to variance + epsilon (corrected two-pass algorithm: Chan, Golub \
@@ -92,7 +78,7 @@ pub enum Fault {
 }
 
 impl Fault {
-    pub fn moments(self, row: &[f64]) -> [f64; 2] {
+    fn moments(self, row: &[f64]) -> [f64; 2] {
         let n = row.len() as f64;
         let summed = |round: fn(f64) -> f64, values: &mut dyn Iterator<Item = f64>| {
             round(values.fold(0.0, |sum, value| round(sum + value)) / n)
@@ -115,6 +101,17 @@ impl Fault {
         };
         [mean, variance]
     }
+
+    /// Returns rows that this fault normalizes.
+    pub fn normed(self, rows: &[f64], [weight, bias]: [&[f32]; 2], eps: f64) -> Vec<f64> {
+        let row = |row: &[f64]| {
+            let [mean, variance] = self.moments(row);
+            let scale = 1.0 / (variance + eps).sqrt();
+            let value = |c: usize| (row[c] - mean) * scale * f64::from(weight[c]) + f64::from(bias[c]);
+            (0..row.len()).map(value).collect::<Vec<_>>()
+        };
+        rows.chunks(weight.len()).flat_map(row).collect()
+    }
 }
 
 impl Problem {
@@ -133,22 +130,11 @@ impl Problem {
 
     fn normed(&self, fault: Fault) -> Vec<f64> {
         let eps = if matches!(fault, Fault::NoEpsilon) { 0.0 } else { f64::from(self.eps) };
-        let row = |row: &[f64]| {
-            let [mean, variance] = fault.moments(row);
-            let scale = 1.0 / (variance + eps).sqrt();
-            let affine = self.weight.iter().zip(&self.bias);
-            row.iter()
-                .zip(affine)
-                .map(|(x, (&w, &b))| (x - mean) * scale * f64::from(w) + f64::from(b))
-                .collect::<Vec<_>>()
-        };
-        self.rows().chunks(self.width).flat_map(row).collect()
+        fault.normed(&self.rows(), [&self.weight, &self.bias], eps)
     }
 }
 
-impl case::Problem for Problem {
-    type Output = Vec<f32>;
-    type Truth = [Vec<f64>; 2];
+impl Values for Problem {
     type Fault = Fault;
 
     fn compute(&self, device: &Device, mode: Mode) -> Result<Vec<f32>> {
@@ -182,28 +168,20 @@ impl case::Problem for Problem {
     }
 
     /// Two sums over a row, a root and a division.
-    fn typical(&self, _: &Device, mode: Mode) -> Tolerance {
+    fn typical(&self, mode: Mode) -> Tolerance {
         let sums = Tolerance::sum_of(self.width).and(Tolerance::ELEMENTWISE).stored_in(mode.factor);
         if self.is_tame { sums } else { Tolerance::ANY }
     }
 
-    fn judge(&self, [truth, bounds]: &[Vec<f64>; 2], output: &Vec<f32>, _: Mode) -> Worst {
-        Worst::of(output, truth, |i| bounds[i])
-    }
-
-    fn faulty(&self, [truth, _]: &[Vec<f64>; 2], fault: Fault, _: Mode) -> Vec<Vec<f32>> {
+    fn faulty(&self, truth: &[f64], fault: Fault) -> Vec<f64> {
         let width = self.width;
-        if truth.is_empty() {
-            return Vec::new();
-        }
-        let values = match fault {
+        match fault {
             Fault::Zero => vec![0.0; truth.len()],
             Fault::NoBias => truth.iter().enumerate().map(|(i, y)| y - f64::from(self.bias[i % width])).collect(),
-            Fault::NeighbourRow => (0..truth.len()).map(|i| truth[(i + width) % truth.len()]).collect(),
+            Fault::NeighbourRow => shifted(truth, width),
             Fault::Folded => (0..truth.len()).map(|i| truth[i % (GROUP_FOLD as usize * width)]).collect(),
             _ => self.normed(fault),
-        };
-        vec![values.into_iter().map(|x| x as f32).collect()]
+        }
     }
 }
 
@@ -217,22 +195,23 @@ pub fn shapes() -> Area {
         [Problem { addend, eps: 1e-5, ..random.clone() }, random]
     };
     let widths = [1, 3, 4, 7, 8, 9, 31, 32, 33, 63, 64, 65, 127, 384, 1536, 3073];
-    let sweep =
-        |width| Case::sweep("random", width, [Zero, NoBias], move || [0, 1, 5].map(|rows| of(rows, width)).concat());
-    let mut cases: Vec<Case> = widths.map(sweep).into();
+    let mut area = Area { cases: Vec::new(), modes: Mode::STORED, ..area() };
+    for width in widths {
+        area.sweep("random", width, [Zero, NoBias], move || [0, 1, 5].map(|rows| of(rows, width)).concat());
+    }
     let many = move || of(65_537, 4).into();
-    cases.push(Case::sweep("rows beyond the most workgroups", 65_537, [Zero, Folded, NeighbourRow], many));
+    area.sweep("rows beyond the most workgroups", 65_537, [Zero, Folded, NeighbourRow], many);
     let near =
         move || of(20, 64).map(|p| Problem { x: p.x.iter().map(|x| 2e-3 * x).collect(), addend: None, ..p }).into();
-    cases.push(Case::sweep("variances near both epsilons", 64, [Zero, NoEpsilon], near));
-    Area { cases, modes: Mode::STORED, ..area() }
+    area.sweep("variances near both epsilons", 64, [Zero, NoEpsilon], near);
+    area
 }
 
 pub fn area() -> Area {
     use Fault::*;
-    let mut cases = Vec::new();
+    let mut area = Area::new("ops/layer_norm", "channels", Mode::ONLY_EXACT, REASON);
     let mut add = |name: &str, width: usize, catches: Catches<Fault>, value: fn(f32, usize) -> f32| {
-        cases.push(Case::new(name, width, catches, move || Problem::new(9, width, value)));
+        area.add(name, width, catches, move || Problem::new(9, width, value));
     };
     add("random", 1, [Zero, NoBias].into(), |r, _| r);
     add("mean 1e4, spread 1e-2", 1, [Zero, NoBias].into(), |r, _| 1e4 + 1e-2 * r);
@@ -262,6 +241,6 @@ pub fn area() -> Area {
     add("subnormal rows", 64, [Zero, NoBias, NoEpsilon].into(), |r, _| 1e-39 * r);
     let rows = GROUP_FOLD as usize + 9;
     let folded = || Problem::new(GROUP_FOLD as usize + 9, 4, |r, _| r);
-    cases.push(Case::new("rows beyond a fold of workgroups", rows, [Zero, Folded, NeighbourRow], folded));
-    Area { kernel: "ops/layer_norm", size: "channels", reason: REASON, modes: Mode::ONLY_EXACT, cases }
+    area.add("rows beyond a fold of workgroups", rows, [Zero, Folded, NeighbourRow], folded);
+    area
 }

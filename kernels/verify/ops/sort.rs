@@ -1,11 +1,7 @@
 //! Depth sort and its prefix sums.
 
-use crate::{Area, Case, Catches, Mode, Worst, case, noise::Noise, trial::Trial};
-use zipsplat::{
-    Result,
-    gpu::Device,
-    ops::{scan::exclusive_scan, sort::sort_pairs},
-};
+use crate::prelude::*;
+use zipsplat::ops::{scan::exclusive_scan, sort::sort_pairs};
 
 const REASON: &str = "whole numbers: as the stable sort and the running sum of the host, exactly";
 
@@ -157,28 +153,27 @@ fn depths(seed: u64, count: usize) -> Vec<u32> {
 
 /// Counts around subgroups, digits and blocks.
 pub fn shapes() -> Area {
-    let sort = |count: usize, bits: u32| {
-        let make = move || Sort { keys: depths(1, count), bits };
-        Case::new(format!("random depths by {bits} bits"), count, [Fault::Zero, Fault::LastItem], make)
-    };
+    let mut area = Area { cases: Vec::new(), ..area() };
     let counts = [1, 2, 7, 8, 9, 255, 256, 257, 1025, 70_001];
-    let mut cases: Vec<Case> = counts.map(|count| sort(count, 32)).into();
-    cases.push(sort(1_000_003, 31));
+    for (count, bits) in counts.map(|count| (count, 32)).into_iter().chain([(1_000_003, 31)]) {
+        let make = move || Sort { keys: depths(1, count), bits };
+        area.add(format!("random depths by {bits} bits"), count, [Fault::Zero, Fault::LastItem], make);
+    }
     // Sums wrap at 2^32.
     let large = |i: usize| (i as u32).wrapping_mul(2_654_435_761) >> (i % 32);
     let scans = move || {
         let counts = [0, 7, 8, 9, 255, 256, 257, 1023, 1024, 1025, 65_537, 1_000_003];
         counts.map(|count| Scan((0..count).map(large).collect())).into()
     };
-    cases.push(Case::sweep("prefix sums", 1_000_003, [ScanFault::AsItWas, ScanFault::Inclusive], scans));
-    Area { cases, ..area() }
+    area.sweep("prefix sums", 1_000_003, [ScanFault::AsItWas, ScanFault::Inclusive], scans);
+    area
 }
 
 pub fn area() -> Area {
     use Fault::*;
-    let mut cases = Vec::new();
+    let mut area = Area::new("ops/sort", "keys", Mode::ONLY_EXACT, REASON);
     let mut add = |name: &str, count: usize, bits: u32, catches: Catches<Fault>, keys: fn(usize) -> Vec<u32>| {
-        cases.push(Case::new(name, count, catches, move || Sort { keys: keys(count), bits }));
+        area.add(name, count, catches, move || Sort { keys: keys(count), bits });
     };
     add("random depths", 1, 32, [Zero, LastItem].into(), |n| depths(1, n));
     let any = || Catches::from([Zero, Shifted, LastItem]);
@@ -194,10 +189,10 @@ pub fn area() -> Area {
         let culled = f32::INFINITY.to_bits();
         depths(3, n).into_iter().enumerate().map(|(i, bits)| if i % 2 == 0 { culled } else { bits }).collect()
     });
-    add("keys of 1 bit", 3_001, 1, ties(), |n| depths(5, n).into_iter().map(|key| key & 1).collect());
-    add("keys of 5 bits", 3_001, 5, ties(), |n| depths(5, n).into_iter().map(|key| key & 31).collect());
-    add("keys of 9 bits", 3_001, 9, ties(), |n| depths(5, n).into_iter().map(|key| key & 511).collect());
-    add("keys of 17 bits", 3_001, 17, ties(), |n| depths(5, n).into_iter().map(|key| key & 0x1_ffff).collect());
+    for bits in [1, 5, 9, 17] {
+        let make = move || Sort { keys: depths(5, 3_001).into_iter().map(|key| key % (1 << bits)).collect(), bits };
+        area.add(format!("keys of {bits} bits"), 3_001, ties(), make);
+    }
     use ScanFault::*;
     for count in [1, 1023, 1025, 300_001, 1_100_003] {
         let catches = match count {
@@ -207,7 +202,7 @@ pub fn area() -> Area {
             _ => Catches::from([AsItWas, Inclusive, LastShare, Restarts(65_536), Restarts(262_144)]),
         };
         let values = move || Noise::new(4).values(count).into_iter().map(|r| (r.abs() * 1e5) as u32).collect();
-        cases.push(Case::new("prefix sum", count, catches, move || Scan(values())));
+        area.add("prefix sum", count, catches, move || Scan(values()));
     }
-    Area { kernel: "ops/sort", size: "keys", reason: REASON, modes: Mode::ONLY_EXACT, cases }
+    area
 }

@@ -1,18 +1,11 @@
 //! Preprocessing of queries and keys: head norm, rotary positions, scale.
 
 use crate::{
-    Area, Case, Catches, Mode, Worst,
-    bound::{TINY, U},
-    case,
-    noise::Noise,
     ops::layer_norm::{self, affine_errors, normed_errors},
-    trial::Trial,
+    prelude::*,
 };
 use zipsplat::{
-    Result,
-    gpu::{Device, Element},
-    kernels::limits::GROUP_FOLD,
-    ops::{Attention, AttentionKernel, Heads, Norm, Part, Rotary, Rows},
+    ops::{Attention, AttentionKernel, Heads, Norm, Part, Rotary},
     stages::backbone::{interpolate_positions, rotary_tables},
 };
 use zipsplat_reference::{
@@ -21,7 +14,6 @@ use zipsplat_reference::{
         rope::{global_positions, local_positions, rope},
     },
     ops::layer_norm::layer_norm,
-    widen,
 };
 
 const REASON: &str = "as ops/layer_norm over a head's channels; a rotation mixes two channels with a cosine and a sine that are \
@@ -98,24 +90,9 @@ impl Problem {
     fn turned(&self, plain: &[f64], positions: &[[f64; 2]]) -> Vec<f64> {
         rope(plain, positions, self.dim).iter().map(|x| x * self.scale()).collect()
     }
-
-    fn wrongly_normed(&self, inputs: &Inputs, fault: layer_norm::Fault, eps: f64) -> Vec<f64> {
-        let head = |head: &[f64]| {
-            let [mean, variance] = fault.moments(head);
-            let affine = inputs.weight.iter().zip(&inputs.bias);
-            let one = |(x, (&w, &b)): (&f64, (&f32, &f32))| {
-                (x - mean) / (variance + eps).sqrt() * f64::from(w) + f64::from(b)
-            };
-            head.iter().zip(affine).map(one).collect::<Vec<_>>()
-        };
-        widen(&inputs.projection).chunks(self.dim).flat_map(head).collect()
-    }
 }
 
-impl case::Problem for Problem {
-    type Output = Vec<f32>;
-    /// Values and bounds, `[tokens, HEADS, dim]`.
-    type Truth = [Vec<f64>; 2];
+impl Values for Problem {
     type Fault = Fault;
 
     fn compute(&self, device: &Device, _: Mode) -> Result<Vec<f32>> {
@@ -143,6 +120,7 @@ impl case::Problem for Problem {
         Ok((0..tokens * HEADS).flat_map(token).copied().collect())
     }
 
+    /// `[tokens, HEADS, dim]`.
     fn truth(&self, _: Mode) -> [Vec<f64>; 2] {
         let (inputs, dim, scale) = (self.inputs(), self.dim, self.scale());
         let plain = self.plain(&inputs);
@@ -164,18 +142,17 @@ impl case::Problem for Problem {
         [self.turned(&plain, &self.positions()), bounds]
     }
 
-    fn judge(&self, [truth, bounds]: &[Vec<f64>; 2], output: &Vec<f32>, _: Mode) -> Worst {
-        Worst::of(output, truth, |i| bounds[i])
-    }
-
-    fn faulty(&self, [truth, _]: &[Vec<f64>; 2], fault: Fault, _: Mode) -> Vec<Vec<f32>> {
+    fn faulty(&self, truth: &[f64], fault: Fault) -> Vec<f64> {
         let (inputs, positions) = (self.inputs(), self.positions());
         let plain = self.plain(&inputs);
         let moved = |change: &dyn Fn([f64; 2]) -> [f64; 2]| {
             self.turned(&plain, &positions.iter().map(|&at| change(at)).collect::<Vec<_>>())
         };
-        let normed = |fault, eps| self.turned(&self.wrongly_normed(&inputs, fault, eps), &positions);
-        let values = match fault {
+        let normed = |fault: layer_norm::Fault, eps| {
+            let rows = fault.normed(&widen(&inputs.projection), [&inputs.weight, &inputs.bias], eps);
+            self.turned(&rows, &positions)
+        };
+        match fault {
             Fault::Zero => vec![0.0; truth.len()],
             Fault::NoRotation => moved(&|_| [0.0; 2]),
             Fault::Backwards => moved(&|[y, x]| [-y, -x]),
@@ -186,14 +163,13 @@ impl case::Problem for Problem {
             Fault::NoNorm => self.turned(&widen(&inputs.projection), &positions),
             Fault::NoEpsilon => normed(layer_norm::Fault::NoEpsilon, 0.0),
             Fault::OnePass => normed(layer_norm::Fault::OnePass, EPS.into()),
-            Fault::NeighbourHead => (0..truth.len()).map(|i| truth[(i + self.dim) % truth.len()]).collect(),
+            Fault::NeighbourHead => shifted(truth, self.dim),
             Fault::Folded => {
                 let groups = truth.len() / self.dim;
                 let place = |i: usize| i / self.dim % GROUP_FOLD as usize % groups * self.dim + i % self.dim;
                 (0..truth.len()).map(|i| truth[place(i)]).collect()
             }
-        };
-        vec![values.into_iter().map(|x| x as f32).collect()]
+        }
     }
 }
 
@@ -214,9 +190,7 @@ enum EmbeddingFault {
     NotInterpolated,
 }
 
-impl case::Problem for Embedding {
-    type Output = Vec<f32>;
-    type Truth = Vec<f64>;
+impl Values for Embedding {
     type Fault = EmbeddingFault;
 
     fn compute(&self, _: &Device, _: Mode) -> Result<Vec<f32>> {
@@ -224,25 +198,22 @@ impl case::Problem for Embedding {
         Ok(interpolate_positions(&learned, SIDE, WIDTH, self.rows, self.columns))
     }
 
-    fn truth(&self, _: Mode) -> Vec<f64> {
+    fn truth(&self, _: Mode) -> [Vec<f64>; 2] {
         let learned = widen(&Noise::new(8).values((1 + SIDE * SIDE) * WIDTH));
-        interpolate(&learned, WIDTH, self.rows, self.columns)
-    }
-
-    fn judge(&self, truth: &Vec<f64>, output: &Vec<f32>, _: Mode) -> Worst {
+        let truth = interpolate(&learned, WIDTH, self.rows, self.columns);
         // 16 f64 products with a total magnitude of at most 1.6.
-        Worst::of(output, truth, |i| U * truth[i].abs() + 1e-13)
+        let bounds = truth.iter().map(|x| U * x.abs() + 1e-13).collect();
+        [truth, bounds]
     }
 
-    fn faulty(&self, truth: &Vec<f64>, fault: EmbeddingFault, _: Mode) -> Vec<Vec<f32>> {
-        let learned = Noise::new(8).values((1 + SIDE * SIDE) * WIDTH);
+    fn faulty(&self, truth: &[f64], fault: EmbeddingFault) -> Vec<f64> {
+        let learned = widen(&Noise::new(8).values((1 + SIDE * SIDE) * WIDTH));
         let patch = |place: usize| &truth[place * WIDTH..][..WIDTH];
         let patches = self.rows * self.columns;
-        let of = |place: &dyn Fn(usize) -> usize| -> Vec<f32> {
-            let all = (0..=patches).flat_map(|i| patch(if i == 0 { 0 } else { 1 + place(i - 1) }));
-            all.map(|&x| x as f32).collect()
+        let of = |place: &dyn Fn(usize) -> usize| -> Vec<f64> {
+            (0..=patches).flat_map(|i| patch(if i == 0 { 0 } else { 1 + place(i - 1) })).copied().collect()
         };
-        vec![match fault {
+        match fault {
             EmbeddingFault::Zero => vec![0.0; truth.len()],
             EmbeddingFault::Transposed => of(&|i| i % self.rows * self.columns + i / self.rows),
             EmbeddingFault::NeighbourPatch => of(&|i| (i + 1) % patches),
@@ -252,13 +223,13 @@ impl case::Problem for Embedding {
                 let all = (0..=patches).map(|i| if i == 0 { 0 } else { 1 + place(i - 1) });
                 all.flat_map(|place| learned[place * WIDTH..][..WIDTH].to_vec()).collect()
             }
-        }]
+        }
     }
 }
 
 pub fn area() -> Area {
     use Fault::*;
-    let mut cases = Vec::new();
+    let mut area = Area::new("ops/split_heads", "patches", Mode::ONLY_EXACT, REASON);
     for (rows, columns) in [(1, 1), (1, 64), (64, 1), (18, 18), (7, 53), (37, 37), (64, 64), (129, 129)] {
         for (global, dim) in [(false, 64), (true, 32)] {
             let problem = Problem { rows, columns, dim, norm: true, global, value: |r| r };
@@ -271,7 +242,7 @@ pub fn area() -> Area {
             };
             let beyond = HEADS * (1 + rows * columns) > GROUP_FOLD as usize;
             let catches = if beyond { catches.and(&[Folded]) } else { catches };
-            cases.push(Case::new(name, rows * columns, catches, move || problem));
+            area.add(name, rows * columns, catches, move || problem);
         }
     }
     let plain = Problem { rows: 3, columns: 5, dim: 64, norm: true, global: false, value: |r| r };
@@ -288,7 +259,7 @@ pub fn area() -> Area {
         ),
     ];
     for (name, catches, problem) in hard {
-        cases.push(Case::new(name, 15, catches, move || problem));
+        area.add(name, 15, catches, move || problem);
     }
     for (rows, columns) in [(1, 1), (1, 64), (18, 18), (36, 37), (37, 37), (64, 64), (64, 3)] {
         let name = format!("position embedding on {rows} x {columns}");
@@ -297,7 +268,7 @@ pub fn area() -> Area {
         let catches = if rows * columns > 1 { catches.and(&[NeighbourPatch]) } else { catches };
         let catches = if rows > 1 && columns > 1 { catches.and(&[Transposed]) } else { catches };
         let catches = if [rows, columns] != [SIDE; 2] { catches.and(&[NotInterpolated]) } else { catches };
-        cases.push(Case::new(name, rows * columns, catches, move || Embedding { rows, columns }));
+        area.add(name, rows * columns, catches, move || Embedding { rows, columns });
     }
-    Area { kernel: "ops/split_heads", size: "patches", reason: REASON, modes: Mode::ONLY_EXACT, cases }
+    area
 }

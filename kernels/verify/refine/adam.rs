@@ -1,11 +1,7 @@
 //! Adam steps.
 
-use crate::{Area, Case, Catches, Mode, Worst, bound::Bounded, case, noise::Noise, trial::Trial};
-use zipsplat::{
-    Result,
-    gpu::Device,
-    refine::{Adam, Space, record_adam},
-};
+use crate::prelude::*;
+use zipsplat::refine::{Adam, Space, record_adam};
 use zipsplat_reference::refine::adam::Adam as Reference;
 
 const REASON: &str = "running error analysis of a step in the stored value: products and sums round once, the root and the division have \
@@ -117,9 +113,7 @@ impl Problem {
     }
 }
 
-impl case::Problem for Problem {
-    type Output = Vec<f32>;
-    type Truth = [Vec<f64>; 2];
+impl Values for Problem {
     type Fault = Fault;
 
     fn compute(&self, device: &Device, _: Mode) -> Result<Vec<f32>> {
@@ -144,11 +138,7 @@ impl case::Problem for Problem {
         [all(&|i| self.stepped(i, None)), all(&|i| self.errors(i))]
     }
 
-    fn judge(&self, [truth, errors]: &[Vec<f64>; 2], output: &Vec<f32>, _: Mode) -> Worst {
-        Worst::of(output, truth, |i| errors[i])
-    }
-
-    fn faulty(&self, [truth, _]: &[Vec<f64>; 2], fault: Fault, _: Mode) -> Vec<Vec<f32>> {
+    fn faulty(&self, truth: &[f64], fault: Fault) -> Vec<f64> {
         let count = self.values.len();
         let one = |i: usize| match fault {
             Fault::Zero => 0.0,
@@ -157,16 +147,16 @@ impl case::Problem for Problem {
             Fault::Poisoned => truth[i],
             _ => self.stepped(i % count, Some(fault))[i / count],
         };
-        vec![(0..truth.len()).map(|i| one(i) as f32).collect()]
+        (0..truth.len()).map(one).collect()
     }
 }
 
 pub fn area() -> Area {
     use Fault::*;
-    let mut cases = Vec::new();
+    let mut area = Area::new("refine/adam", "values", Mode::ONLY_EXACT, REASON);
     let mut add = |name: &str, space, step, count, catches: Catches<Fault>, gradient: fn(f32) -> f32| {
         let name = format!("{name}, {space:?}");
-        cases.push(Case::new(name, count, catches, move || Problem::new(space, step, count, gradient)));
+        area.add(name, count, catches, move || Problem::new(space, step, count, gradient));
     };
     for space in [Space::Linear, Space::Log, Space::Logit] {
         let all = Catches::from([Zero, Ascent, NoCorrection, SwappedDecays, NeighbourGradient]);
@@ -179,5 +169,5 @@ pub fn area() -> Area {
         let not_finite: fn(f32) -> f32 = |r| if r > 0.0 { f32::INFINITY } else { f32::NAN };
         add("gradients that are not finite", space, 2, 64, [Zero, Poisoned].into(), not_finite);
     }
-    Area { kernel: "refine/adam", size: "values", reason: REASON, modes: Mode::ONLY_EXACT, cases }
+    area
 }

@@ -1,9 +1,8 @@
 //! Means of halves, exact: one rounding and a power of two.
 
-use crate::case::{elements, plan, random, rounded, stored};
+use crate::case::*;
 use zipsplat::kernels::backbone::AverageHalves;
-use zipsplat_tests::compare::assert_same;
-use zipsplat_tests::reference::{backbone::average_halves::average_halves, widen};
+use zipsplat_tests::reference::backbone::average_halves::average_halves;
 
 #[test]
 fn equals_the_reference() {

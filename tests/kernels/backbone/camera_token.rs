@@ -1,12 +1,8 @@
 //! Camera tokens, exact.
 
-use crate::case::{plan, random, rounded};
+use crate::case::*;
 use zipsplat::kernels::backbone::CameraToken;
-use zipsplat_tests::compare::assert_same;
-use zipsplat_tests::reference::{
-    backbone::camera_token::{insert_camera_tokens, learned_camera_tokens},
-    widen,
-};
+use zipsplat_tests::reference::backbone::camera_token::{insert_camera_tokens, learned_camera_tokens};
 
 #[test]
 fn equals_the_reference() {

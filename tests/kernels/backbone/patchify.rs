@@ -1,12 +1,8 @@
 //! Patches, exact.
 
-use crate::case::{elements, plan, random, rounded, stored};
+use crate::case::*;
 use zipsplat::kernels::backbone::Patchify;
-use zipsplat_tests::compare::assert_same;
-use zipsplat_tests::reference::{
-    backbone::patchify::{Images, patchify},
-    widen,
-};
+use zipsplat_tests::reference::backbone::patchify::{Images, patchify};
 
 #[test]
 fn equals_the_reference() {

@@ -1,9 +1,8 @@
 //! Choice of the reference view: scores and ties.
 
-use crate::case::{plan, random};
+use crate::case::*;
 use zipsplat::kernels::backbone::ReferenceView;
-use zipsplat_tests::compare::{Tolerance, assert_close, columns};
-use zipsplat_tests::reference::{backbone::reference_view::scores, widen};
+use zipsplat_tests::reference::backbone::reference_view::scores;
 
 /// Returns the views' scores and the choice, from the first token of each view.
 fn choose(tokens: &[f32], width: usize) -> (Vec<f32>, u32) {

@@ -1,9 +1,8 @@
 //! First tokens, exact: one rounding a sum.
 
-use crate::case::{plan, random, rounded};
+use crate::case::*;
 use zipsplat::kernels::backbone::Tokens;
-use zipsplat_tests::compare::assert_same;
-use zipsplat_tests::reference::{backbone::tokens::tokens, widen};
+use zipsplat_tests::reference::backbone::tokens::tokens;
 
 #[test]
 fn equals_the_reference() {

@@ -1,9 +1,8 @@
 //! Rows about an origin as two f16 each, against the rows.
 
-use crate::case::{elements, plan, random};
-use zipsplat::{gpu::Element, kernels::cluster::Halves};
-use zipsplat_tests::compare::{Tolerance, assert_close};
-use zipsplat_tests::reference::{cluster::halves::about, widen};
+use crate::case::*;
+use zipsplat::kernels::cluster::Halves;
+use zipsplat_tests::reference::cluster::halves::about;
 
 /// Padded rows as stored: high and low halves, scales and norms.
 struct Held {

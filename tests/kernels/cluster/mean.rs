@@ -1,11 +1,8 @@
 //! Cluster means against f64 sums; the whole clustering against the goldens.
 
-use crate::case::{nearest_kernels, plan, random, random_below};
-use zipsplat::ops::{NearestKernel, Rows};
-use zipsplat::stages::cluster::{self, Means};
-use zipsplat_tests::compare::{Tolerance, assert_as_near, assert_close, assert_same};
-use zipsplat_tests::golden::Golden;
-use zipsplat_tests::reference::{cluster::mean::mean, widen};
+use crate::case::*;
+use zipsplat::{ops::NearestKernel, stages::cluster, stages::cluster::Means};
+use zipsplat_tests::reference::cluster::mean::mean;
 
 fn centroids(points: &[f32], cluster_of_point: &[u32], clusters: usize, width: usize) -> Vec<f32> {
     let mut case = plan();

@@ -1,9 +1,8 @@
 //! Means of evenly spaced rows.
 
-use crate::case::{plan, random};
+use crate::case::*;
 use zipsplat::kernels::cluster::Origin;
-use zipsplat_tests::compare::{Tolerance, assert_close};
-use zipsplat_tests::reference::{cluster::origin::origin as reference, widen};
+use zipsplat_tests::reference::cluster::origin::origin as reference;
 
 fn origin(rows: &[f32], width: usize, samples: usize) -> Vec<f32> {
     let mut case = plan();

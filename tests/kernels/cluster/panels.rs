@@ -1,8 +1,7 @@
 //! Panels of rows, bit for bit.
 
-use crate::case::{plan, random};
-use zipsplat::kernels::{cluster::Panels, limits::PANEL_COLUMNS};
-use zipsplat_tests::compare::assert_same;
+use crate::case::*;
+use zipsplat::{kernels::cluster::Panels, kernels::limits::PANEL_COLUMNS};
 use zipsplat_tests::reference::cluster::panels::panels;
 
 #[test]

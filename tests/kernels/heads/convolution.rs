@@ -1,18 +1,11 @@
 //! Convolutions against sums over all taps: sides, steps, borders, partial panels, epilogues, and
 //! bordered pictures read by address.
 
-use crate::case::{plan, random};
-use zipsplat::{
-    gpu::Element,
-    kernels::{
-        heads::{Convolution, ConvolutionUniform},
-        limits::{LINEAR_ROWS, PANEL_COLUMNS},
-    },
-    ops::{Lanes, LinearKernel, Weights, pack_matrix},
-};
-use zipsplat_tests::compare::{Tolerance, assert_close};
-use zipsplat_tests::device::device;
-use zipsplat_tests::reference::{heads::convolution::convolution, ops::activation, widen};
+use crate::case::*;
+use zipsplat::kernels::heads::{Convolution, ConvolutionUniform};
+use zipsplat::kernels::limits::{LINEAR_ROWS, PANEL_COLUMNS};
+use zipsplat::ops::{Lanes, LinearKernel, Weights, pack_matrix};
+use zipsplat_tests::{reference::heads::convolution::convolution, reference::ops::activation};
 
 /// Options of the epilogue.
 #[derive(Clone, Copy, Debug, Default)]

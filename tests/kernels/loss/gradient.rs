@@ -1,15 +1,9 @@
 //! Losses and their gradients: goldens, random pictures of many sizes, other channels than RGB.
 
-use crate::case::{plan_within, random};
-use zipsplat::gpu::Limits;
-use zipsplat::stages::{
-    FrameShape,
-    loss::{Loss, record_loss},
-};
-use zipsplat_tests::compare::{Tolerance, assert_close, assert_same};
-use zipsplat_tests::device::device;
-use zipsplat_tests::golden::{self, Golden, interleaved};
-use zipsplat_tests::reference::{loss::gradient as reference, widen};
+use crate::case::*;
+use zipsplat::stages::FrameShape;
+use zipsplat::stages::loss::{Loss, record_loss};
+use zipsplat_tests::{golden::interleaved, reference::loss::gradient as reference};
 
 const LOSSES: [(Loss, &str); 4] =
     [(Loss::L1, "l1"), (Loss::Mse, "mse"), (Loss::Dssim, "dssim_same"), (Loss::L1Dssim, "l1_dssim_3dgs")];
@@ -60,10 +54,6 @@ fn of(loss: Loss, a: &[f64], b: &[f64], width: usize) -> (f64, Vec<f64>) {
     }
 }
 
-fn rms(rms: f64) -> Tolerance {
-    Tolerance { max: f64::INFINITY, rms }
-}
-
 #[test]
 fn equals_the_goldens() {
     for golden in golden::list("grad_loss").iter().filter_map(|file| Golden::open(file)) {
@@ -78,10 +68,10 @@ fn equals_the_goldens() {
                 let name = format!("{} {case}/{name}", golden.file());
                 let key = |what: &str| format!("{case}/{}/{what}", name.rsplit('/').next().unwrap());
                 let mean = widen(&values).iter().sum::<f64>() / cameras as f64;
-                let value = assert_close(&name, &[mean], &golden.f64(&key("loss")), rms(1e-6));
+                let value = assert_close(&name, &[mean], &golden.f64(&key("loss")), Tolerance::rms(1e-6));
                 let truth = interleaved(&golden.f64(&key("d_a")), (width * height) as usize);
                 // Variances of flat pictures cancel.
-                let tolerance = rms(if case == "flat" { 3e-4 } else { 3e-5 });
+                let tolerance = Tolerance::rms(if case == "flat" { 3e-4 } else { 3e-5 });
                 let gradient = assert_close(&format!("{name} d_a"), &d_frames, &truth, tolerance);
                 println!("{name}: loss {:.1e}, d_a {:.1e}", value.rms, gradient.rms);
             }
@@ -96,8 +86,8 @@ fn equals_the_reference() {
         for (loss, name) in LOSSES {
             let got = pictures.compared(device().limits(), loss, 3, 0.3);
             let truth = pictures.truth(loss, 0.3);
-            assert_close(&format!("{name} of {size:?}"), &got[0], &truth[0], rms(1e-6));
-            assert_close(&format!("gradient of {name} of {size:?}"), &got[1], &truth[1], rms(3e-5));
+            assert_close(&format!("{name} of {size:?}"), &got[0], &truth[0], Tolerance::rms(1e-6));
+            assert_close(&format!("gradient of {name} of {size:?}"), &got[1], &truth[1], Tolerance::rms(3e-5));
         }
     }
 }

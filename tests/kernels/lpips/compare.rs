@@ -1,9 +1,8 @@
 //! Differences of features, and their gradient against finite differences.
 
-use crate::case::{plan, random};
+use crate::case::*;
 use zipsplat::kernels::lpips::Compare;
-use zipsplat_tests::compare::{Tolerance, assert_close};
-use zipsplat_tests::reference::{lpips::compare::compare, widen};
+use zipsplat_tests::reference::lpips::compare::compare;
 
 struct Features {
     a: Vec<f32>,

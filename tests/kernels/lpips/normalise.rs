@@ -1,9 +1,8 @@
 //! Range of pictures and its gradient.
 
-use crate::case::{plan, random};
+use crate::case::*;
 use zipsplat::kernels::lpips::{Normalise, NormaliseBackward};
-use zipsplat_tests::compare::{Tolerance, assert_close};
-use zipsplat_tests::reference::{lpips::normalise as reference, widen};
+use zipsplat_tests::reference::lpips::normalise as reference;
 
 /// Returns pictures `[pixels, channels]` with values at and beyond 0 and 1, and their RGB.
 fn picture(pixels: usize, channels: usize) -> (Vec<f32>, Vec<f32>) {

@@ -1,9 +1,8 @@
 //! Max pooling of rectified features and its gradient, exact, with ties.
 
-use crate::case::{plan, random, rounded};
+use crate::case::*;
 use zipsplat::kernels::lpips::{Pool, PoolBackward};
-use zipsplat_tests::compare::assert_same;
-use zipsplat_tests::reference::{lpips::pool as reference, widen};
+use zipsplat_tests::reference::lpips::pool as reference;
 
 /// (height, width, channels, side, step); windows ignore the remainder.
 const SHAPES: [[usize; 5]; 5] = [[2, 2, 1, 2, 2], [7, 9, 5, 2, 2], [8, 4, 64, 2, 2], [9, 12, 3, 3, 2], [7, 8, 2, 3, 2]];

@@ -1,8 +1,8 @@
 //! Copies write every byte and none behind it.
 
-use crate::case::plan;
-use zipsplat::{gpu::Tensor, ops::measure};
-use zipsplat_tests::{compare::assert_same, reference::measure::copy::copy};
+use crate::case::*;
+use zipsplat::ops::measure;
+use zipsplat_tests::reference::measure::copy::copy;
 
 #[test]
 fn every_byte_is_copied() {

@@ -1,11 +1,8 @@
 //! Chains of steps: exact for integers, within rounding for shrinking values.
 
-use crate::case::{plan, rounded};
+use crate::case::*;
 use zipsplat::ops::measure::FmaChains;
-use zipsplat_tests::{
-    compare::{Tolerance, assert_close, assert_same},
-    reference::measure::fma::chains,
-};
+use zipsplat_tests::reference::measure::fma::chains;
 
 fn found(of: FmaChains) -> Vec<f32> {
     let mut case = plan();

@@ -1,15 +1,8 @@
 //! Matrix products of small integers, exact: sums stay far below 2^24.
 
-use crate::case::{plan, random_below, rounded};
-use zipsplat::{
-    gpu::Element,
-    ops::{Units, measure::MatrixProducts},
-};
-use zipsplat_tests::{
-    compare::assert_same,
-    device::device,
-    reference::{measure::matrix::products, widen},
-};
+use crate::case::*;
+use zipsplat::{ops::Units, ops::measure::MatrixProducts};
+use zipsplat_tests::reference::measure::matrix::products;
 
 #[test]
 fn every_product_is_added() {

@@ -1,12 +1,8 @@
 //! Sums, exact: one rounding.
 
-use crate::case::{plan, plan_within, random, rounded};
-use zipsplat::{
-    kernels::ops::Add,
-    ops::{self, Rows},
-};
-use zipsplat_tests::compare::assert_same;
-use zipsplat_tests::reference::{ops::add::add, widen};
+use crate::case::*;
+use zipsplat::{kernels::ops::Add, ops};
+use zipsplat_tests::reference::ops::add::add;
 
 /// More than 65,535 workgroups of 64, Vulkan's guaranteed limit along an axis.
 const MANY: usize = 65_536 * 64 + 1;

@@ -1,14 +1,8 @@
 //! Rows by index, exact.
 
-use crate::case::{plan, plan_within, random, random_below, rounded};
-use zipsplat::{
-    gpu::Limits,
-    kernels::ops::GatherRows,
-    ops::{self, Rows},
-};
-use zipsplat_tests::compare::assert_same;
-use zipsplat_tests::device::device;
-use zipsplat_tests::reference::{ops::gather_rows::gather_rows, widen};
+use crate::case::*;
+use zipsplat::{kernels::ops::GatherRows, ops};
+use zipsplat_tests::reference::ops::gather_rows::gather_rows;
 
 #[test]
 fn equals_indexing() {

@@ -1,8 +1,8 @@
 //! The derivative of GELU where it is exact.
 
-use crate::case::plan;
+use crate::case::*;
 use zipsplat::kernels::ops::Gelu;
-use zipsplat_tests::reference::ops::{activation, gelu::gelu_backward};
+use zipsplat_tests::{reference::ops::activation, reference::ops::gelu::gelu_backward};
 
 #[test]
 fn far_from_zero_it_is_the_identity_or_nothing() {

@@ -1,9 +1,8 @@
 //! Inputs of convolutions, exact: sides, steps, borders and dilations.
 
-use crate::case::{plan, random, rounded};
+use crate::case::*;
 use zipsplat::kernels::ops::Im2col;
-use zipsplat_tests::compare::assert_same;
-use zipsplat_tests::reference::{ops::im2col::im2col, widen};
+use zipsplat_tests::reference::ops::im2col::im2col;
 
 /// Checks the rows of all pixels, and of those from the middle on.
 fn check(channels: usize, [height, width]: [usize; 2], shape: [usize; 4], out: [usize; 2], padded: usize) {

@@ -1,14 +1,8 @@
 //! Layer normalization beyond the catalog: goldens, camera tokens, strided rows.
 
-use crate::case::{plan, plan_within, random};
-use zipsplat::{
-    gpu::{Element, Limits},
-    ops::{Norm, Rows},
-};
-use zipsplat_tests::compare::{Tolerance, assert_close};
-use zipsplat_tests::device::device;
-use zipsplat_tests::golden::Golden;
-use zipsplat_tests::reference::{ops::layer_norm::layer_norm, widen};
+use crate::case::*;
+use zipsplat::ops::Norm;
+use zipsplat_tests::reference::ops::layer_norm::layer_norm;
 use zipsplat_verify::Trial;
 
 /// Two sums over a row, a root and a division.

@@ -1,13 +1,9 @@
 //! Linear layers beyond the catalog: saturation, and variants that change no bit.
 
-use crate::case::{elements, linear_kernels, q8_kernels, random};
-use zipsplat::{
-    gpu::{Element, Limits, Recorder},
-    ops::{
-        Activation, Epilogue, LaneTile, Lanes, Linear, LinearKernel, Q8, Rows, Tile, Tiles, Units, Weights, pack_matrix,
-    },
+use crate::case::*;
+use zipsplat::ops::{
+    Activation, Epilogue, LaneTile, Lanes, Linear, LinearKernel, Q8, Tile, Tiles, Units, Weights, pack_matrix,
 };
-use zipsplat_tests::{compare::assert_same, device::device};
 use zipsplat_verify::{Layer, Residual};
 
 const ACTIVATIONS: [Activation; 3] = [Activation::None, Activation::Gelu, Activation::SwiGlu];
@@ -83,26 +79,28 @@ fn reading_by_address_changes_no_bit() {
 }
 
 #[test]
-fn tiles_of_gpus_change_no_bit() {
+fn tiles_change_no_bit() {
     let mut layer = layer([270, 72, 260], Activation::Gelu);
-    let expected = |kernel| bits(&layer, kernel, Element::F32);
-    let units: Vec<Units> =
-        [Element::F16, Element::I8].into_iter().filter_map(|factor| Units::of(factor, device().limits())).collect();
+    let units: Vec<Units> = Element::FACTORS.into_iter().filter_map(|f| Units::of(f, device().limits())).collect();
     let matrix = |units| LinearKernel::Matrix(units, Weights::Factors);
-    let of_units: Vec<_> = units.iter().map(|units| expected(matrix(*units))).collect();
-    let of_lanes = expected(panels(Element::F32, Tiles::BY_RULE));
+    let kernels = units.iter().map(|units| matrix(*units)).chain([panels(Element::F32, Tiles::BY_RULE)]);
+    let expected: Vec<_> = kernels.map(|kernel| bits(&layer, kernel, Element::F32)).collect();
     // CPUs get smaller tiles, which compile faster.
-    layer.limits = |limits| limits.cpu = false;
-    let limits = Limits { cpu: false, ..device().limits().clone() };
-    for (units, expected) in units.iter().zip(&of_units) {
-        for (index, tile) in Tile::linear(&limits, *units).iter().enumerate() {
-            let kernel = matrix(Units { tiles: Tiles::always(index), ..*units });
-            assert_same(&format!("{:?} {tile}", units.factor), &bits(&layer, kernel, Element::F32), expected);
+    let of_gpus: fn(&mut Limits) = |limits| limits.cpu = false;
+    for change in [|_: &mut Limits| (), of_gpus] {
+        layer.limits = change;
+        let mut limits = device().limits().clone();
+        change(&mut limits);
+        for (units, expected) in units.iter().zip(&expected) {
+            for (index, tile) in Tile::linear(&limits, *units).iter().enumerate() {
+                let kernel = matrix(Units { tiles: Tiles::always(index), ..*units });
+                assert_same(&format!("{:?} {tile}", units.factor), &bits(&layer, kernel, Element::F32), expected);
+            }
         }
-    }
-    for (index, tile) in LaneTile::candidates(&limits, Element::F32).iter().enumerate() {
-        let kernel = panels(Element::F32, Tiles::always(index));
-        assert_same(&tile.to_string(), &bits(&layer, kernel, Element::F32), &of_lanes);
+        for (index, tile) in LaneTile::candidates(&limits, Element::F32).iter().enumerate() {
+            let kernel = panels(Element::F32, Tiles::always(index));
+            assert_same(&tile.to_string(), &bits(&layer, kernel, Element::F32), &expected[units.len()]);
+        }
     }
 }
 

@@ -1,13 +1,8 @@
 //! Concatenated columns, exact.
 
-use crate::case::{elements, plan, random, rounded, stored};
-use zipsplat::{
-    gpu::Element,
-    kernels::ops::PlaceColumns,
-    ops::{self, Rows},
-};
-use zipsplat_tests::compare::assert_same;
-use zipsplat_tests::reference::{ops::place_columns::join_columns, widen};
+use crate::case::*;
+use zipsplat::{kernels::ops::PlaceColumns, ops};
+use zipsplat_tests::reference::ops::place_columns::join_columns;
 
 #[test]
 fn equals_joined_rows() {

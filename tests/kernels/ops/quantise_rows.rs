@@ -1,12 +1,8 @@
 //! Rows as 8-bit integers: the nearest, or either in a tie within f32 rounding.
 
-use crate::case::{elements, plan, random, stored};
-use zipsplat::{
-    gpu::Element,
-    ops::{Rows, quantise_rows},
-};
-use zipsplat_tests::compare::{Tolerance, assert_close};
-use zipsplat_tests::reference::{ops::quantise_rows::quantise_rows as reference, widen};
+use crate::case::*;
+use zipsplat::ops::quantise_rows;
+use zipsplat_tests::reference::ops::quantise_rows::quantise_rows as reference;
 
 /// Returns the kernel's integers and scales.
 fn quantised(values: &[f32], rows: usize, width: usize) -> (Vec<f32>, Vec<f32>) {

@@ -1,8 +1,7 @@
 //! The radix sort of a part of its items and bits, and the starts of keys.
 
-use crate::case::plan;
+use crate::case::*;
 use zipsplat::ops::sort::{key_starts, sort_pairs};
-use zipsplat_tests::compare::assert_same;
 
 /// Sorts the first `count` keys with their indices and compares with std's sort.
 fn check(keys: &[u32], count: usize, bits: u32) {

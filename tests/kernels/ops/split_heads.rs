@@ -1,13 +1,9 @@
 //! Split heads: exact placement, norm and rotation.
 
-use crate::case::{elements, plan, random, stored};
-use zipsplat::{gpu::Element, kernels::ops::SplitHeads, stages::backbone::rotary_tables};
-use zipsplat_tests::compare::{Tolerance, assert_close};
-use zipsplat_tests::reference::{
-    backbone::rope::{global_positions, local_positions},
-    ops::split_heads::{Part, Pool, split_heads},
-    widen,
-};
+use crate::case::*;
+use zipsplat::{kernels::ops::SplitHeads, stages::backbone::rotary_tables};
+use zipsplat_tests::reference::backbone::rope::{global_positions, local_positions};
+use zipsplat_tests::reference::ops::split_heads::{Part, Pool, split_heads};
 
 /// One call: `rows` rows from `first_row` on, of sequences of `sequence` rows.
 #[derive(Clone, Copy, Debug)]

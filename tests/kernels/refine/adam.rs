@@ -1,11 +1,7 @@
 //! Adam steps in parts, and at the ends of their ranges.
 
-use crate::case::{plan, plan_within, random};
-use zipsplat::gpu::Limits;
+use crate::case::*;
 use zipsplat::refine::{Adam, Rate, Space, record_adam};
-use zipsplat_tests::compare::assert_same;
-use zipsplat_tests::device::device;
-use zipsplat_tests::reference::widen;
 
 const ADAM: Adam = Adam { beta1: 0.9, beta2: 0.999, eps: 1e-8 };
 const RATES: [f32; 2] = [0.02, 0.5]; // schedule, tensor

@@ -1,24 +1,11 @@
 //! Gradients of pictures against the goldens and finite differences.
 
-use crate::case::{plan_within, random};
-use glam::{DMat3, DVec3};
-use zipsplat::{
-    gpu::Limits,
-    stages::render::{
-        CAMERA_NUMBERS, CameraRows, Depth, FrameShape, Gradients, RenderOptions, SceneGradients, SceneTensors,
-        camera_rows, record_with_gradients,
-    },
-    types::{Camera, Pose, Scene},
+use crate::case::*;
+use zipsplat::stages::render::{
+    CAMERA_NUMBERS, CameraRows, FrameShape, Gradients, SceneGradients, SceneTensors, camera_rows, record_with_gradients,
 };
-use zipsplat_tests::{
-    device::device,
-    golden::{self, Golden},
-    reference::render::{
-        backward::{Direction, Drawing, Weights, along},
-        rasterise::render,
-    },
-    scenes::{camera, golden_cameras, golden_scene, random_scene, reference_camera, reference_gaussians},
-};
+use zipsplat_tests::reference::render::backward::{Direction, Drawing, Weights, along};
+use zipsplat_tests::reference::render::rasterise::render;
 
 /// Gradients of the sum of `d_frames` times frames.
 struct Found {

@@ -1,8 +1,7 @@
 //! Counts and lists of tiles against the host's.
 
-use crate::case::plan;
+use crate::case::*;
 use zipsplat::kernels::render::{Intersect, TileCounts};
-use zipsplat_tests::compare::assert_same;
 
 const GRID: [u32; 2] = [11, 7];
 const CAMERAS: u32 = 2;

@@ -1,15 +1,8 @@
 //! Normals against eigenvectors of the covariances.
 
-use crate::case::plan;
-use zipsplat::{
-    kernels::render::Normals,
-    stages::render::camera_rows,
-    types::{Camera, Pose},
-};
-use zipsplat_tests::{
-    reference::render::normals,
-    scenes::{camera, random_scene, reference_camera, reference_gaussians},
-};
+use crate::case::*;
+use zipsplat::{kernels::render::Normals, stages::render::camera_rows};
+use zipsplat_tests::reference::render::normals;
 
 #[test]
 fn equals_the_eigenvectors_of_the_covariances() {

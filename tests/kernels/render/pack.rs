@@ -1,8 +1,7 @@
 //! Bytes of pictures, exact.
 
-use crate::case::{plan, random};
+use crate::case::*;
 use zipsplat::kernels::render::Pack;
-use zipsplat_tests::compare::assert_same;
 use zipsplat_tests::reference::render::pack::pack;
 
 /// Returns values around 0..1 off the rounding ties, and the ends of the range.

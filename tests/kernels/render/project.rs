@@ -1,16 +1,7 @@
 //! Projection against the goldens.
 
-use crate::case::plan;
-use zipsplat::{
-    kernels::render::Project,
-    stages::render::camera_rows,
-    types::{Camera, NEAR, Scene},
-};
-use zipsplat_tests::{
-    compare::{Tolerance, assert_close, assert_same, columns},
-    golden::{self, Golden},
-    scenes::{golden_cameras, golden_scene},
-};
+use crate::case::*;
+use zipsplat::{kernels::render::Project, stages::render::camera_rows, types::NEAR};
 
 /// Results of the kernel, one per Gaussian and camera, Gaussian-major.
 struct Projection {

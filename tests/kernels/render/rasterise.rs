@@ -1,12 +1,8 @@
 //! Blending against brute force, from reference splats.
 
-use crate::case::plan;
-use zipsplat::kernels::{limits::TILE, render::Rasterise};
-use zipsplat_tests::{
-    compare::{ImageTolerance, Picture, assert_images_close},
-    device::device,
-    reference::render::{project::Splat, rasterise},
-};
+use crate::case::*;
+use zipsplat::{kernels::limits::TILE, kernels::render::Rasterise};
+use zipsplat_tests::{reference::render::project::Splat, reference::render::rasterise};
 
 const SIZE: [usize; 2] = [37, 21];
 

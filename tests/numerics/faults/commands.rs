@@ -1,16 +1,9 @@
 //! The command under device failures.
 
 use crate::{doctor::zipsplat, micro, noise};
-use std::path::{Path, PathBuf};
-use zipsplat::{
-    types::{Image, write_ply},
-    weights::Dtype,
-};
-use zipsplat_tests::{
-    faults::{DEVICE_LOST, Faults, OUT_OF_DEVICE_MEMORY, OUT_OF_HOST_MEMORY, assert_survives},
-    processes::target,
-    scenes::random_scene,
-};
+use zipsplat::types::write_ply;
+use zipsplat_tests::faults::{DEVICE_LOST, Faults, OUT_OF_DEVICE_MEMORY, OUT_OF_HOST_MEMORY, assert_survives};
+use zipsplat_tests::prelude::*;
 
 const RECONSTRUCT: &str = "reconstruct @/photos --weights @/micro.safetensors --input-size 28x28 -o @/out.ply";
 /// In flight while others are encoded and written.

@@ -1,19 +1,9 @@
 //! The library under device failures.
 
 use crate::{micro, noise};
-use std::ops::ControlFlow;
-use zipsplat::{
-    Error, Result,
-    gpu::{Device, DeviceOptions},
-    reconstruct::{Model, ReconstructOptions},
-    stages::render::{RenderOptions, RenderOutput, Renderer},
-    types::{Image, Scene},
-};
-use zipsplat_tests::{
-    faults::{DEVICE_LOST, Faults, OUT_OF_HOST_MEMORY, assert_survives},
-    processes::target,
-    scenes::{camera, random_scene},
-};
+use zipsplat::Result;
+use zipsplat_tests::faults::{DEVICE_LOST, Faults, OUT_OF_HOST_MEMORY, assert_survives};
+use zipsplat_tests::prelude::*;
 
 #[test]
 fn a_lost_device_stays_lost_and_another_works() {

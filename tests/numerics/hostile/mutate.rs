@@ -1,7 +1,7 @@
 //! Reproducible damaged copies of a file.
 
 use crate::below;
-use zipsplat::random::Random;
+use zipsplat_tests::prelude::*;
 
 /// At parsers' limits.
 const NUMBERS: [u64; 14] = [

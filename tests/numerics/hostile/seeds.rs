@@ -1,27 +1,19 @@
 //! Small valid files of every format.
 
-use flate2::{Compression, read::GzDecoder, write::GzEncoder};
+use flate2::Compression;
 use serde_json::json;
-use std::io::{Cursor, Read, Write};
-use zip::{CompressionMethod, ZipWriter, write::SimpleFileOptions};
-use zipsplat::{
-    types::{Camera, Intrinsics, Orbit, SaveOptions, Scene, SceneFormat, poses::write_transforms},
-    weights::{Checkpoint, Dtype},
-};
-use zipsplat_tests::{architectures::pico, golden, scenes::random_scene};
+use zip::CompressionMethod;
+use zipsplat::types::poses::write_transforms;
+use zipsplat::types::{Orbit, SaveOptions, SceneFormat};
+use zipsplat_tests::architectures::pico;
+use zipsplat_tests::pickles::{self, View, dict, row_major};
+use zipsplat_tests::prelude::*;
 
 pub const LENS: Intrinsics = Intrinsics { width: 64, height: 48, fx: 70.0, fy: 71.5, cx: 31.25, cy: 24.5 };
 
-fn in_folder(name: &str, write: impl FnOnce(&std::path::Path)) -> Vec<u8> {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join(name);
-    write(&path);
-    std::fs::read(path).unwrap()
-}
-
 pub fn scene(extension: &str, sh_degree: u32) -> Vec<u8> {
     let scene: Scene = random_scene(7, sh_degree, 0.1);
-    in_folder(&format!("scene.{extension}"), |path| scene.save(path).unwrap())
+    bytes_of(&format!("scene.{extension}"), |path| scene.save(path).unwrap())
 }
 
 pub fn spz4(sh_degree: u32) -> Vec<u8> {
@@ -29,16 +21,8 @@ pub fn spz4(sh_degree: u32) -> Vec<u8> {
 }
 
 /// Damage behind the SPZ's checksum would not reach the parser.
-pub fn inflated(bytes: &[u8]) -> Vec<u8> {
-    let mut out = Vec::new();
-    GzDecoder::new(bytes).read_to_end(&mut out).unwrap();
-    out
-}
-
 pub fn deflated(bytes: &[u8]) -> Vec<u8> {
-    let mut out = GzEncoder::new(Vec::new(), Compression::fast());
-    out.write_all(bytes).unwrap();
-    out.finish().unwrap()
+    gzip(bytes, Compression::fast())
 }
 
 pub fn ascii_ply() -> Vec<u8> {
@@ -58,7 +42,7 @@ fn cameras() -> Vec<Camera> {
 }
 
 pub fn transforms() -> Vec<u8> {
-    in_folder("transforms.json", |path| write_transforms(path, &cameras(), &["a.png", "b.png", "c.png"]).unwrap())
+    bytes_of("transforms.json", |path| write_transforms(path, &cameras(), &["a.png", "b.png", "c.png"]).unwrap())
 }
 
 pub fn camera_path() -> Vec<u8> {
@@ -124,46 +108,31 @@ fn weights() -> Checkpoint {
 }
 
 pub fn safetensors() -> Vec<u8> {
-    in_folder("weights.safetensors", |path| weights().save(path, Dtype::F16).unwrap())
+    bytes_of("weights.safetensors", |path| weights().save(path, Dtype::F16).unwrap())
 }
 
 /// Of [`pico`]: `{"model": {name: tensor}}`, all tensors in storage "0".
 pub fn pickle() -> Vec<u8> {
-    let text = |text: &str| [b"X".as_slice(), &(text.len() as u32).to_le_bytes(), text.as_bytes()].concat();
-    let int = |value: usize| [b"J".as_slice(), &(value as i32).to_le_bytes()].concat();
-    let sizes =
-        |sizes: &[usize]| [b"(", sizes.iter().flat_map(|&s| int(s)).collect::<Vec<_>>().as_slice(), b"t"].concat();
-    let parameters = weights().parameters().to_vec();
-    let all: usize = parameters.iter().map(|(_, shape)| shape.iter().product::<usize>()).sum();
-    let mut out = [b"\x80\x02}(".as_slice(), &text("model"), b"}("].concat();
-    let mut offset = 0;
-    for (name, shape) in &parameters {
-        let strides: Vec<usize> = (0..shape.len()).map(|axis| shape[axis + 1..].iter().product()).collect();
-        out.extend([text(name), b"ctorch._utils\n_rebuild_tensor_v2\n((".to_vec(), text("storage")].concat());
-        out.extend([b"ctorch\nFloatStorage\n".to_vec(), text("0"), text("cpu"), int(all), b"tQ".to_vec()].concat());
-        out.extend([int(offset), sizes(shape), sizes(&strides)].concat());
-        out.extend(b"\x89ccollections\nOrderedDict\n)RtR");
-        offset += shape.iter().product::<usize>();
-    }
-    out.extend(b"uu.");
-    out
+    let (weights, mut offset) = (weights(), 0);
+    let elements = pico().parameter_count();
+    let tensors: Vec<(&str, Vec<u8>)> = (weights.parameters().iter())
+        .map(|(name, shape)| {
+            let strides = row_major(shape);
+            let view = View { kind: "FloatStorage", key: "0", elements, offset, shape, strides: &strides };
+            offset += shape.iter().product::<usize>();
+            (name.as_str(), view.pickle())
+        })
+        .collect();
+    [b"\x80\x02", dict(&[("model", dict(&tensors))]).as_slice(), b"."].concat()
 }
 
 /// With zeros for the storage of [`pico`].
 pub fn archive(pickle: &[u8]) -> Vec<u8> {
-    let all: usize = weights().parameters().iter().map(|(_, shape)| shape.iter().product::<usize>()).sum();
-    let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
-    let options = SimpleFileOptions::default().compression_method(CompressionMethod::Stored).with_alignment(64);
-    for (name, bytes) in [("data.pkl", pickle), ("data/0", &vec![0; 4 * all])] {
-        zip.start_file(format!("pico/{name}"), options).unwrap();
-        zip.write_all(bytes).unwrap();
-    }
-    zip.finish().unwrap().into_inner()
+    let zeros = vec![0; 4 * pico().parameter_count()];
+    pickles::archive(&[("data.pkl", pickle), ("data/0", &zeros)], CompressionMethod::Stored)
 }
 
 pub fn photo(format: image::ImageFormat) -> Vec<u8> {
-    let noise = crate::noise(24, 17, 3);
-    let mut bytes = Cursor::new(Vec::new());
-    image::RgbImage::from_raw(24, 17, noise.rgb).unwrap().write_to(&mut bytes, format).unwrap();
-    bytes.into_inner()
+    let picture = image::RgbImage::from_raw(24, 17, noise(24, 17, 3).rgb).unwrap();
+    encoded(&picture.into(), format)
 }

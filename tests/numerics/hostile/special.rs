@@ -1,23 +1,10 @@
 //! Pipes and devices, which would block or never end.
 
-use std::{
-    path::{Path, PathBuf},
-    process::Command,
-    sync::mpsc,
-    thread,
-    time::Duration,
-};
-use zipsplat::{
-    Error, Result,
-    types::{
-        Image, Scene,
-        poses::{Capture, read_cloud},
-        read_points, read_world,
-    },
-    weights::{Checkpoint, Dtype, convert},
-};
-
-use super::seeds::{self, LENS};
+use super::{seeds, seeds::LENS};
+use std::{process::Command, sync::mpsc, thread, time::Duration};
+use zipsplat::types::{read_points, read_world};
+use zipsplat::{Result, types::poses::read_cloud, weights::convert};
+use zipsplat_tests::prelude::*;
 
 const PATIENCE: Duration = Duration::from_secs(20);
 

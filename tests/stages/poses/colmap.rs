@@ -1,13 +1,9 @@
 //! COLMAP models, and point clouds.
 
-use std::fs;
-use std::path::Path;
-
-use zipsplat::Error;
-use zipsplat::types::poses::{Capture, CaptureView, read_cloud, write_colmap, write_transforms};
-use zipsplat::types::{Camera, Distortion, Intrinsics, Lens, Pose, quaternion_from_matrix};
-
 use super::{LENS, assert_format_error, assert_same_cameras, cameras, of, put_photos};
+use zipsplat::types::poses::{CaptureView, read_cloud, write_colmap, write_transforms};
+use zipsplat::types::{Distortion, Lens, quaternion_from_matrix};
+use zipsplat_tests::prelude::*;
 
 /// World-to-camera `[qw, qx, qy, qz, tx, ty, tz]`.
 fn colmap_pose(pose: &Pose) -> [f64; 7] {

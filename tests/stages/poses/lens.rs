@@ -1,11 +1,8 @@
 //! Photos are undistorted to their frame's pinhole.
 
-use std::fs;
-use std::path::Path;
-
 use serde_json::json;
-use zipsplat::types::poses::{Capture, CaptureView, write_frames};
-use zipsplat::types::{Camera, Image, Intrinsics};
+use zipsplat::types::poses::{CaptureView, write_frames};
+use zipsplat_tests::prelude::*;
 
 const SIZE: [u32; 2] = [240, 180];
 const LENS: Intrinsics = Intrinsics { width: SIZE[0], height: SIZE[1], fx: 200.0, fy: 190.0, cx: 118.0, cy: 93.0 };

@@ -4,14 +4,10 @@ mod colmap;
 mod lens;
 mod realestate;
 
-use std::fs;
-use std::path::{Path, PathBuf};
-
-use glam::{DMat4, DVec3};
+use glam::DMat4;
 use serde_json::{Value, json};
-use zipsplat::Error;
-use zipsplat::types::poses::{Capture, write_transforms};
-use zipsplat::types::{Camera, Image, Intrinsics, Orbit, Pose};
+use zipsplat::{types::Orbit, types::poses::write_transforms};
+use zipsplat_tests::prelude::*;
 
 const LENS: Intrinsics = Intrinsics { width: 64, height: 48, fx: 70.0, fy: 71.5, cx: 31.25, cy: 24.5 };
 

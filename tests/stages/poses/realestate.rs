@@ -1,10 +1,7 @@
 //! Camera files of RealEstate10K.
 
-use std::{fs, path::Path};
-
-use zipsplat::types::{Camera, poses::Capture};
-
 use super::{LENS, assert_format_error, assert_same_pose, cameras, put_photos};
+use zipsplat_tests::prelude::*;
 
 /// Frames are in `images`.
 fn written(folder: &Path, cameras: &[Camera], spoil: impl Fn(usize, String) -> String) -> std::path::PathBuf {

@@ -1,9 +1,8 @@
 //! Files of other programs from `gaussians_deg2.ply`.
 
 use super::{assert_rotations, assert_within, coefficient};
-use glam::DMat3;
-use zipsplat::types::{Scene, matrix_from_quaternion, read_ply};
-use zipsplat_tests::golden;
+use zipsplat::types::read_ply;
+use zipsplat_tests::prelude::*;
 
 fn pair(name: &str) -> (Scene, Scene) {
     let read = |name: &str| golden::find(name).unwrap();

@@ -1,25 +1,19 @@
 //! glTF: nodes, buffers and damage.
 
 use super::{assert_rotations, assert_within, failure, round_trip, scene};
-use glam::{DMat4, DQuat, DVec3};
+use glam::DMat4;
 use serde_json::{Value, json};
-use std::fs;
-use zipsplat::types::{SaveOptions, Scene, matrix_from_quaternion};
+use zipsplat::types::SaveOptions;
+use zipsplat_tests::prelude::*;
 use zipsplat_tests::reference::render::sh;
 
 /// With embedded buffers.
 fn document(scene: &Scene) -> Value {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("scene.gltf");
-    scene.save(&path).unwrap();
-    serde_json::from_slice(&fs::read(path).unwrap()).unwrap()
+    serde_json::from_slice(&bytes_of("scene.gltf", |path| scene.save(path).unwrap())).unwrap()
 }
 
 fn read(document: &Value) -> Scene {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("scene.gltf");
-    fs::write(&path, document.to_string()).unwrap();
-    Scene::open(path).unwrap()
+    read_as("scene.gltf", document.to_string(), |path| Scene::open(path).unwrap())
 }
 
 #[test]

@@ -5,15 +5,9 @@ mod gltf;
 mod packed;
 mod spz4;
 
-use std::fs;
-use std::io::Write;
-
-use glam::DVec3;
-use zipsplat::Error;
-use zipsplat::types::{Origin, Pose, SaveOptions, Scene, SceneFormat, World, matrix_from_quaternion, read_world};
-use zipsplat_tests::scenes;
-
-use flate2::{Compression, read::GzDecoder, write::GzEncoder};
+use flate2::Compression;
+use zipsplat::types::{Origin, SaveOptions, SceneFormat, World, read_world};
+use zipsplat_tests::prelude::*;
 
 /// Rotations of every largest component, sign and length; opaque and transparent Gaussians.
 fn scene(sh_degree: u32) -> Scene {
@@ -31,15 +25,12 @@ fn scene(sh_degree: u32) -> Scene {
 }
 
 fn round_trip(scene: &Scene, name: &str, options: &SaveOptions) -> Scene {
-    let folder = tempfile::tempdir().unwrap();
-    scene.save_with(folder.path().join(name), options).unwrap();
-    Scene::open(folder.path().join(name)).unwrap()
+    let bytes = bytes_of(name, |path| scene.save_with(path, options).unwrap());
+    read_as(name, bytes, |path| Scene::open(path).unwrap())
 }
 
 fn failure(name: &str, bytes: &[u8]) -> String {
-    let folder = tempfile::tempdir().unwrap();
-    fs::write(folder.path().join(name), bytes).unwrap();
-    let error = Scene::open(folder.path().join(name)).expect_err("a damaged file");
+    let error = read_as(name, bytes, |path| Scene::open(path)).expect_err("a damaged file");
     assert!(matches!(error, Error::Format { .. }), "{error}");
     error.to_string()
 }
@@ -104,9 +95,7 @@ fn spz_of_many_gaussians_is_one_stream() {
     let [three, four] = [3, 4].map(|spz_version| truth.encode(SceneFormat::Spz, &SaveOptions { spz_version }));
     let [three, four] = [three.unwrap(), four.unwrap()];
     assert!(Scene::decode(&three, None).unwrap() == Scene::decode(&four, None).unwrap());
-    let mut plain = Vec::new();
-    std::io::Read::read_to_end(&mut GzDecoder::new(&three[..]), &mut plain).unwrap();
-    assert_eq!(plain.len(), 16 + 20 * truth.len());
+    assert_eq!(gunzip(&three).len(), 16 + 20 * truth.len());
 }
 
 #[test]
@@ -209,18 +198,9 @@ fn bytes_in_memory_are_what_files_have() {
     assert!(error.contains("Cargo.toml") && error.contains("expected a .glb or base64"), "{error}");
 }
 
-fn gzip(bytes: &[u8]) -> Vec<u8> {
-    let mut out = GzEncoder::new(Vec::new(), Compression::default());
-    out.write_all(bytes).unwrap();
-    out.finish().unwrap()
-}
-
 fn spz() -> (Vec<u8>, Vec<u8>) {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("scene.spz");
-    scene(1).save(&path).unwrap();
-    let (packed, mut plain) = (fs::read(path).unwrap(), Vec::new());
-    std::io::Read::read_to_end(&mut GzDecoder::new(&packed[..]), &mut plain).unwrap();
+    let packed = bytes_of("scene.spz", |path| scene(1).save(path).unwrap());
+    let plain = gunzip(&packed);
     (packed, plain)
 }
 
@@ -230,7 +210,7 @@ fn damaged_spz_are_refused() {
     let with = |at: usize, bytes: &[u8]| {
         let mut changed = plain.clone();
         changed[at..at + bytes.len()].copy_from_slice(bytes);
-        failure("scene.spz", &gzip(&changed))
+        failure("scene.spz", &gzip(&changed, Compression::default()))
     };
     for (at, bytes, reason) in [
         (0, &b"PSGN"[..], "magic"),
@@ -261,9 +241,7 @@ fn an_spz_of_more_gaussians_than_its_bytes_hold_is_refused() {
     let (_, plain) = spz();
     let mut bomb = [&plain[..16], &[0; 1 << 20]].concat();
     bomb[8..12].copy_from_slice(&50_000_000u32.to_le_bytes());
-    let mut out = GzEncoder::new(Vec::new(), Compression::none());
-    out.write_all(&bomb).unwrap();
-    let error = failure("scene.spz", &out.finish().unwrap());
+    let error = failure("scene.spz", &gzip(&bomb, Compression::none()));
     assert!(error.contains("50000000 Gaussians, which are more than"), "{error}");
     let mut alike = scenes::random_scene(1, 0, 0.1);
     for _ in 0..18 {
@@ -283,11 +261,8 @@ fn an_spz_of_more_gaussians_than_its_bytes_hold_is_refused() {
 fn records_after_an_spz_are_read_over_up_to_a_limit() {
     let (_, mut plain) = spz();
     plain[14] |= 2;
-    let extended = |bytes: usize| gzip(&[&plain[..], &vec![0; bytes]].concat());
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("scene.spz");
-    fs::write(&path, extended(20)).unwrap();
-    assert_eq!(Scene::open(&path).unwrap().len(), 400);
+    let extended = |bytes: usize| gzip(&[&plain[..], &vec![0; bytes]].concat(), Compression::default());
+    assert_eq!(read_as("scene.spz", extended(20), |path| Scene::open(path).unwrap().len()), 400);
     assert!(failure("scene.spz", &extended(100 << 20)).contains("expected the end"));
 }
 

@@ -1,7 +1,7 @@
 //! Packed PLY of SuperSplat and PlayCanvas, from its description.
 
 use super::{assert_within, failure};
-use zipsplat::types::Scene;
+use zipsplat_tests::prelude::*;
 
 /// One chunk and a part of another.
 const COUNT: usize = 300;

@@ -1,8 +1,8 @@
 //! SPZ version 4, from its description.
 
 use super::{assert_spz, failure, round_trip, scene};
-use zipsplat::types::{SaveOptions, Scene, SceneFormat};
-use zipsplat_tests::scenes;
+use zipsplat::types::{SaveOptions, SceneFormat};
+use zipsplat_tests::prelude::*;
 
 /// zstd (RFC 8878): one segment, a 4-byte content size, raw blocks, and a run of equal last bytes.
 fn frame(content: &[u8]) -> Vec<u8> {

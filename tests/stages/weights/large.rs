@@ -1,8 +1,8 @@
 //! A header beyond 64 KiB.
 
-use zipsplat::weights::{Architecture, Checkpoint, Dtype, convert};
-
 use super::{assert_same_bits, pico};
+use zipsplat::weights::convert;
+use zipsplat_tests::prelude::*;
 
 /// `vitg`'s 907 tensors at [`pico`]'s widths.
 fn thin_giant() -> Architecture {

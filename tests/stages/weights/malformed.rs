@@ -1,22 +1,12 @@
 //! Malformed safetensors files.
 
-use std::path::Path;
-
-use zipsplat::Error;
-use zipsplat::weights::{Checkpoint, Dtype};
-
 use super::{header, pico, pico_weights};
+use zipsplat_tests::prelude::*;
 
 /// Any other result fails the test.
 pub fn reason(bytes: &[u8]) -> String {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("bad");
-    std::fs::write(&path, bytes).unwrap();
-    match Checkpoint::open_architecture(&path, pico()) {
-        Err(Error::Format { path: named, reason, .. }) => {
-            assert_eq!(named, path);
-            reason
-        }
+    match read_as("bad", bytes, |path| Checkpoint::open_architecture(path, pico())) {
+        Err(Error::Format { path, reason, .. }) if path.ends_with("bad") => reason,
         other => panic!("expected a format error, found {other:?}"),
     }
 }

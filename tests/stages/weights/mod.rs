@@ -6,15 +6,13 @@ mod q8;
 mod torch;
 mod trained;
 
-use std::collections::HashMap;
-use std::path::{Path, PathBuf};
-
 use safetensors::Dtype as FileDtype;
 use safetensors::tensor::{Metadata, TensorInfo};
 use serde_json::Value;
-use zipsplat::Error;
-use zipsplat::weights::{Architecture, Checkpoint, Dtype, convert};
+use std::collections::HashMap;
+use zipsplat::weights::convert;
 use zipsplat_tests::architectures::{golden, pico};
+use zipsplat_tests::prelude::*;
 
 fn data(name: &str) -> Value {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("data").join(name);
@@ -91,7 +89,6 @@ fn parameters_are_those_of_the_reference() {
     }
 }
 
-/// Table "Parameters" of flops.md.
 #[test]
 fn variants_have_the_published_sizes() {
     let expected = [

@@ -2,23 +2,12 @@
 
 use super::{assert_same_bits, malformed::reason, pico_weights, read};
 use safetensors::{Dtype as FileDtype, SafeTensors};
-use std::ops::ControlFlow;
-use zipsplat::{
-    gpu::Limits,
-    ops::{Arithmetic, Precision, Q8},
-    reconstruct::{Model, Network, ReconstructOptions},
-    types::{Image, Scene},
-    weights::{Architecture, Checkpoint, Dtype, Ffn},
-};
-use zipsplat_tests::{
-    architectures::golden, compare::assert_same, device::device, networks::fast_arithmetics, random::random,
-};
+use zipsplat::{ops::Q8, reconstruct::Network, weights::Ffn};
+use zipsplat_tests::architectures::golden;
+use zipsplat_tests::prelude::*;
 
 fn saved(checkpoint: &Checkpoint, dtype: Dtype) -> Vec<u8> {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("weights.safetensors");
-    checkpoint.save(&path, dtype).unwrap();
-    std::fs::read(path).unwrap()
+    bytes_of("weights.safetensors", |path| checkpoint.save(path, dtype).unwrap())
 }
 
 fn opened(bytes: Vec<u8>) -> Checkpoint {

@@ -1,12 +1,10 @@
 //! Checkpoints of the reference's trainer.
 
-use zip::CompressionMethod;
-use zipsplat::Error;
-use zipsplat::weights::{Architecture, Checkpoint, Dtype, RECIPES, VARIANTS, convert};
-use zipsplat_tests::architectures::{golden, pico};
-
-use super::torch::{View, archive, call, dict, global, int, text, tuple};
 use super::{assert_same_bits, pico_weights, read, write_zeros};
+use zip::CompressionMethod;
+use zipsplat::weights::{RECIPES, VARIANTS, convert};
+use zipsplat_tests::architectures::{golden, pico};
+use zipsplat_tests::{pickles::*, prelude::*};
 
 fn list(items: &[usize]) -> Vec<u8> {
     [b"](".to_vec(), items.iter().flat_map(|&item| int(item)).collect(), b"e".to_vec()].concat()
@@ -191,7 +189,7 @@ fn doubles_are_rounded_and_noted() {
     let seeded = pico_weights();
     let (mut pickles, mut storages) = (Vec::new(), Vec::new());
     for (i, (name, shape)) in seeded.parameters().iter().enumerate() {
-        let strides: Vec<usize> = (0..shape.len()).map(|axis| shape[axis + 1..].iter().product()).collect();
+        let strides = row_major(shape);
         let (key, elements) = (i.to_string(), shape.iter().product());
         pickles.push((
             name.clone(),

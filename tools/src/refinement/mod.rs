@@ -20,7 +20,7 @@ use zipsplat::{
     Error, Result,
     gpu::Arena,
     reconstruct::SceneTokens,
-    refine::{FrozenHead, RefineOptions, RefineResult, Refining, StopReason, refine_scene, refine_tokens},
+    refine::{FrozenHead, RefineOptions, RefineProgress, RefineResult, StopReason, refine_scene, refine_tokens},
     types::{
         Camera, Image, PointCloud, Pose, Scene,
         poses::{CaptureView, write_frames},
@@ -53,7 +53,7 @@ pub fn refine(
 ) -> Result<RefineResult> {
     let mut refined = None;
     let staged = session.stage("refine", |stage| {
-        let progress = |at: Refining<'_>| -> ControlFlow<()> {
+        let progress = |at: RefineProgress<'_>| -> ControlFlow<()> {
             stage.name(&progress_message(&at));
             stage.at(at.step as f64 / at.steps as f64)
         };
@@ -74,7 +74,7 @@ pub fn refine(
     }
 }
 
-fn progress_message(at: &Refining<'_>) -> String {
+fn progress_message(at: &RefineProgress<'_>) -> String {
     let loss = at.loss.map(|loss| format!(", loss {loss:.4}")).unwrap_or_default();
     let psnr = at.psnr.map(|psnr| format!(", {psnr:.2} dB")).unwrap_or_default();
     format!("refine{loss}{psnr}")

@@ -16,7 +16,7 @@ use zipsplat::{
     Result,
     gpu::Arena,
     reconstruct::SceneTokens,
-    refine::{FrozenHead, RefineOptions, RefineResult, Refining, StopReason, refine_scene, refine_tokens},
+    refine::{FrozenHead, RefineOptions, RefineProgress, RefineResult, StopReason, refine_scene, refine_tokens},
     types::{Camera, Image, Scene},
 };
 
@@ -79,7 +79,7 @@ impl Watched {
 
     /// Refines until the end or `stop`; `progress` gets the finished fraction.
     pub fn run(&self, live: &Live<'_>, mut progress: impl FnMut(f64) -> ControlFlow<()>) -> Result<()> {
-        let report = |at: Refining<'_>| {
+        let report = |at: RefineProgress<'_>| {
             self.tell(&at);
             let share = progress(at.step as f64 / at.steps as f64);
             if self.stop.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { share }
@@ -110,10 +110,10 @@ impl Watched {
         Some(LiveScene { scene: now.scene.clone()?, shown })
     }
 
-    fn tell(&self, at: &Refining<'_>) {
+    fn tell(&self, at: &RefineProgress<'_>) {
         let mut now = self.now();
         now.step = at.step;
-        now.seconds_left = at.left.as_secs_f64();
+        now.seconds_left = at.eta.as_secs_f64();
         now.losses.extend(at.loss);
         if at.psnr != now.psnr.last().map(|(_, psnr)| *psnr) {
             now.psnr.extend(at.psnr.map(|psnr| (at.step, psnr)));

@@ -3,21 +3,21 @@
  *
  * Generated from engine/bindings/c/src. Copyright and license: see LICENSE (Apache-2.0).
  *
- *     zs_context    an open device
- *     zs_model      a network with its weights on the device
- *     zs_scene      Gaussians in host memory, from a model, a file or arrays
- *     zs_renderer   a scene on the device
- *     zs_photo      a decoded photo
- *     zs_capture    photos and their cameras, from transforms.json or COLMAP
- *     zs_bytes      an encoded scene file in memory
+ *     zs_device         an open device
+ *     zs_model          a network with its weights on the device
+ *     zs_scene          Gaussians in host memory, from a model, a file or arrays
+ *     zs_renderer       a scene on the device
+ *     zs_image_buffer   a decoded photo
+ *     zs_capture        photos and their cameras, from transforms.json or COLMAP
+ *     zs_blob           an encoded scene file in memory
  *
  * Errors. Functions that can fail return a zs_status: ZS_OK is 0, any other value a failure.
  * zs_last_error returns the calling thread's message. A failed call leaves no partial object; a
  * constructor sets its output to NULL. No C++ exception and no Rust panic crosses this interface.
  * Only exhausted host memory ends the process.
  *
- * Ownership. The caller owns every object from zs_..._create, _open, _adopt, _from_memory,
- * _to_memory, zs_reconstruct and zs_refine. Destroy it once, on any thread, when no call uses it.
+ * Ownership. The caller owns every object from zs_..._create, _open, _load, _from_...,
+ * _to_..., zs_reconstruct and zs_refine. Destroy it once, on any thread, when no call uses it.
  * Destroying NULL does nothing. Objects share ownership of their dependencies, so the order of
  * destruction is free. Your own Vulkan handles must outlive every object created on them. Pointer
  * arguments are accessed only during the call unless documented otherwise. Never free a returned
@@ -31,22 +31,21 @@
  * Cache. The library caches kernel self-test results and the tile sizes of `zipsplat doctor tune` on disk.
  * The folder is ZIPSPLAT_CACHE, else `zipsplat` in XDG_CACHE_HOME or LOCALAPPDATA, else
  * .cache/zipsplat in HOME. Without a writable folder every process repeats the test. Adopted
- * devices (zs_context_adopt) and ZS_PRECISION_EXACT need no cache.
+ * devices (zs_device_from_vulkan) and ZS_PRECISION_FP32 need no cache.
  *
  * Structures. Later versions may append fields to a structure that begins with struct_size.
- * Initialize it with its ..._default function, whose `size` is its sizeof, or zero it and set
- * struct_size, in every element of an array and also for outputs. A library accepts structures of
- * its own and all earlier versions with the same ZS_ABI_VERSION and rejects larger ones. Other
- * structures never change. NULL options are the defaults, which are 0 or NULL unless documented
- * otherwise.
+ * Initialize it with ZS_INIT, in every element of an array and also for outputs: all other fields
+ * are then 0 or NULL, which is the default of every field. NULL options are the defaults. A library
+ * accepts structures of its own and all earlier versions with the same ZS_ABI_VERSION and rejects
+ * larger ones. Other structures never change.
  *
  * Values. Strings are UTF-8. Unknown enumeration values are rejected. Sizes are in bytes, counts in
- * elements, picture sides in pixels.
+ * elements, image sides in pixels.
  *
- * World. Axes are x right, y down, z forward. A scene from photos is in the first photo's camera
- * space. Known cameras set its scale. Without them the scale is not metric: the median distance
- * from the first camera to visible surfaces is about 1. Scenes from files and arrays keep their
- * own world.
+ * World. Axes are x right, y down, z forward. A scene from photos is in the world of their
+ * cameras. Without known cameras it is in the first photo's camera space, and its scale is not
+ * metric: the median distance from the first camera to visible surfaces is about 1. Scenes from
+ * files and arrays keep their own world.
  *
  * Reproducibility. Equal calls on the same device and driver give bitwise equal results.
  */
@@ -62,6 +61,14 @@
 #define ZS_ENUM(name) enum name : int32_t; typedef enum name name; enum name : int32_t
 #else
 #define ZS_ENUM(name) typedef int32_t name; enum name
+#endif
+
+// A structure with its size set and every field at its default, as in
+// `zs_camera camera = ZS_INIT(zs_camera);`.
+#ifdef __cplusplus
+#define ZS_INIT(type) ([] { type value_{}; value_.struct_size = sizeof(type); return value_; }())
+#else
+#define ZS_INIT(type) ((type){.struct_size = sizeof(type)})
 #endif
 
 #ifdef __cplusplus
@@ -82,7 +89,7 @@ extern "C" {
 #define ZS_VERSION_PATCH 0
 
 // Version of the ABI, also in the shared library's file name. Incompatible changes raise it.
-#define ZS_ABI_VERSION 1
+#define ZS_ABI_VERSION 2
 
 // Returns the loaded library's ABI version. If it is not ZS_ABI_VERSION, call nothing else.
 uint32_t zs_abi_version(void);
@@ -112,7 +119,7 @@ ZS_ENUM(zs_status) {
     ZS_ERROR_OUT_OF_MEMORY = 6,
     // The driver or the validation layer reported an error.
     ZS_ERROR_DRIVER = 7,
-    // The device was reset or removed. Destroy every object of its context and create a new one.
+    // The device was reset or removed. Destroy every object of its device and create a new one.
     // Scenes survive.
     ZS_ERROR_DEVICE_LOST = 8,
     // The progress callback canceled.
@@ -130,28 +137,30 @@ const char *zs_status_name(int32_t status);
 // the thread ends; the next failure overwrites the text, of at most 16 KiB.
 const char *zs_last_error(void);
 
-/***************************/
-/*  Devices and contexts.  */
-/***************************/
+/**************/
+/*  Devices.  */
+/**************/
 
 // Kinds of devices.
 ZS_ENUM(zs_device_kind) {
-    // Integrated, virtual or unknown.
+    // Virtual or unknown.
     ZS_DEVICE_OTHER = 0,
     // Discrete GPU.
     ZS_DEVICE_DISCRETE = 1,
+    // Integrated GPU.
+    ZS_DEVICE_INTEGRATED = 2,
     // CPU (lavapipe).
-    ZS_DEVICE_CPU = 2,
+    ZS_DEVICE_CPU = 3,
 };
 
 // An open Vulkan device.
-typedef struct zs_context zs_context;
+typedef struct zs_device zs_device;
 
 // Description of a device; strings are NUL-terminated and truncated to fit.
 typedef struct zs_device_info {
     // sizeof(zs_device_info).
     uint32_t struct_size;
-    // Device number for zs_context_options.device; 0 if adopted.
+    // Device number for zs_device_options.device; 0 if adopted.
     uint32_t index;
     // 1 if the engine can use the device.
     uint32_t usable;
@@ -164,17 +173,17 @@ typedef struct zs_device_info {
     // Driver name and version.
     char driver[256];
     // Missing requirements; "" if usable.
-    char missing[512];
+    char unusable_reason[512];
     // UUID as 32 hexadecimal digits, as in nvidia-smi.
     char uuid[40];
 } zs_device_info;
 
-// Options of zs_context_create.
-typedef struct zs_context_options {
-    // sizeof(zs_context_options).
+// Options of zs_device_create.
+typedef struct zs_device_options {
+    // sizeof(zs_device_options).
     uint32_t struct_size;
-    // 1 enables the Khronos validation layer, whose messages fail calls with ZS_ERROR_DRIVER.
-    // Default 1 if the environment variable ZIPSPLAT_VALIDATION is 1, else 0.
+    // 1 enables the Khronos validation layer, whose messages fail calls with ZS_ERROR_DRIVER. 0
+    // does so only if the environment variable ZIPSPLAT_VALIDATION is 1.
     uint32_t validation;
     // Device memory budget; 0 is unlimited. Work beyond it fails with ZS_ERROR_OUT_OF_MEMORY
     // before submission.
@@ -182,60 +191,26 @@ typedef struct zs_context_options {
     // Device number, part of its name, or UUID with or without "GPU-" and hyphens. NULL selects
     // the best device.
     const char *device;
-} zs_context_options;
+} zs_device_options;
 
 // Counts Vulkan devices, usable or not; ZS_ERROR_NO_DEVICE without a loader or driver.
-zs_status zs_device_count(uint32_t *count);
+zs_status zs_device_count(size_t *count);
 
 // Describes device `index`, less than zs_device_count.
-zs_status zs_device_get(uint32_t index, struct zs_device_info *info);
-
-// Sets defaults.
-zs_status zs_context_options_default(struct zs_context_options *options, size_t size);
+zs_status zs_device_get(size_t index, struct zs_device_info *info);
 
 // Opens a device with its own instance and queue.
-zs_status zs_context_create(const struct zs_context_options *options, struct zs_context **context);
+zs_status zs_device_create(const struct zs_device_options *options, struct zs_device **device);
 
-// Describes the context's device.
-zs_status zs_context_get_info(const struct zs_context *context, struct zs_device_info *info);
+// Describes an open device.
+zs_status zs_device_get_info(const struct zs_device *device, struct zs_device_info *info);
 
-// Destroys a context; its device closes with its last model and renderer.
-void zs_context_destroy(struct zs_context *context);
+// Destroys a device, which closes with its last model and renderer.
+void zs_device_destroy(struct zs_device *device);
 
-/*************************/
-/*  Pixels and cameras.  */
-/*************************/
-
-// Pixel formats. Color is sRGB-encoded, from 0 to 1 or 255.
-ZS_ENUM(zs_pixel_format) {
-    // 3 bytes: red, green, blue.
-    ZS_PIXEL_RGB8 = 1,
-    // VK_FORMAT_R8G8B8A8_UNORM.
-    ZS_PIXEL_RGBA8 = 2,
-    // VK_FORMAT_B8G8R8A8_UNORM.
-    ZS_PIXEL_BGRA8 = 3,
-    // 3 f32: red, green, blue.
-    ZS_PIXEL_RGB_F32 = 4,
-    // VK_FORMAT_R32G32B32A32_SFLOAT.
-    ZS_PIXEL_RGBA_F32 = 5,
-};
-
-// A photo in the caller's memory, top row first. Alpha is ignored; f32 values are clamped to 0..1
-// and rounded to 8 bits.
-typedef struct zs_image {
-    // sizeof(zs_image).
-    uint32_t struct_size;
-    // Pixel format.
-    zs_pixel_format format;
-    // 1 to 32768.
-    uint32_t width;
-    // 1 to 32768.
-    uint32_t height;
-    // Bytes between rows: negative for bottom-up storage, 0 for contiguous rows.
-    int64_t stride;
-    // First pixel of the top row, of any alignment.
-    const void *pixels;
-} zs_image;
+/**************/
+/*  Cameras.  */
+/**************/
 
 // A pinhole camera with OpenCV axes: x right, y down, z forward. Intrinsics are in pixels, whose
 // centers are at +0.5.
@@ -262,26 +237,57 @@ typedef struct zs_camera {
     double translation[3];
 } zs_camera;
 
-/*********************************************************/
-/*  Photos from files and bytes, and pictures to files.  */
-/*********************************************************/
+/*************/
+/*  Images.  */
+/*************/
+
+// Pixel formats. Color is sRGB-encoded, from 0 to 1 or 255.
+ZS_ENUM(zs_pixel_format) {
+    // VK_FORMAT_R8G8B8A8_UNORM.
+    ZS_PIXEL_RGBA8 = 0,
+    // 3 bytes: red, green, blue.
+    ZS_PIXEL_RGB8 = 1,
+    // VK_FORMAT_B8G8R8A8_UNORM.
+    ZS_PIXEL_BGRA8 = 2,
+    // 3 f32: red, green, blue.
+    ZS_PIXEL_RGB_F32 = 3,
+    // VK_FORMAT_R32G32B32A32_SFLOAT.
+    ZS_PIXEL_RGBA_F32 = 4,
+};
 
 // A decoded photo in host memory.
-typedef struct zs_photo zs_photo;
+typedef struct zs_image_buffer zs_image_buffer;
+
+// A photo in the caller's memory, top row first. Alpha is ignored; f32 values are clamped to 0..1
+// and rounded to 8 bits.
+typedef struct zs_image {
+    // sizeof(zs_image).
+    uint32_t struct_size;
+    // Pixel format.
+    zs_pixel_format format;
+    // 1 to 32768.
+    uint32_t width;
+    // 1 to 32768.
+    uint32_t height;
+    // Bytes between rows: negative for bottom-up storage, 0 for contiguous rows.
+    int64_t stride;
+    // First pixel of the top row, of any alignment.
+    const void *pixels;
+} zs_image;
 
 // Opens a PNG, JPEG or WebP, recognized by content. Applies the EXIF orientation, drops alpha and
 // keeps the high byte of 16-bit samples. COLMAP cameras refer to unrotated pixels: use
-// zs_capture_open_photo for them.
-zs_status zs_photo_open(const char *path, struct zs_photo **photo);
+// zs_capture_open_image for them.
+zs_status zs_image_buffer_open(const char *path, struct zs_image_buffer **photo);
 
-// Decodes a photo from memory, as zs_photo_open.
-zs_status zs_photo_from_memory(const void *data, size_t size, struct zs_photo **photo);
+// Decodes a photo from memory, as zs_image_buffer_open.
+zs_status zs_image_buffer_from_memory(const void *data, size_t size, struct zs_image_buffer **photo);
 
 // Returns the photo's pixels (ZS_PIXEL_RGB8), which point into the photo.
-zs_status zs_photo_get_image(const struct zs_photo *photo, struct zs_image *image);
+zs_status zs_image_buffer_get_image(const struct zs_image_buffer *photo, struct zs_image *image);
 
 // Destroys a photo.
-void zs_photo_destroy(struct zs_photo *photo);
+void zs_image_buffer_destroy(struct zs_image_buffer *photo);
 
 // Writes a PNG of 8 bits per channel without alpha. An existing file is replaced atomically.
 zs_status zs_image_save_png(const struct zs_image *image, const char *path);
@@ -298,9 +304,9 @@ typedef struct zs_capture zs_capture;
 // for sizes that the file lacks.
 zs_status zs_capture_open(const char *path, struct zs_capture **capture);
 
-// Returns the number of photos and, unless NULL, notes about ignored data, one per line, in the
-// capture's memory.
-zs_status zs_capture_get_count(const struct zs_capture *capture, size_t *count, const char **notes);
+// Returns the number of photos and, unless NULL, warnings about ignored data, one per line, in
+// the capture's memory.
+zs_status zs_capture_get_count(const struct zs_capture *capture, size_t *count, const char **warnings);
 
 // Returns the undistorted pinhole camera, the name and the path of photo `index`. `name` is as
 // written in the file; the path is NULL if no photo was found. Strings point into the capture.
@@ -317,10 +323,10 @@ zs_status zs_capture_find(const struct zs_capture *capture, const char *path, si
 
 // Opens photo `index` undistorted, ignoring the EXIF orientation. `path` overrides the capture's
 // path; NULL keeps it.
-zs_status zs_capture_open_photo(const struct zs_capture *capture,
+zs_status zs_capture_open_image(const struct zs_capture *capture,
                                 size_t index,
                                 const char *path,
-                                struct zs_photo **photo);
+                                struct zs_image_buffer **photo);
 
 // Destroys a capture.
 void zs_capture_destroy(struct zs_capture *capture);
@@ -330,9 +336,9 @@ void zs_capture_destroy(struct zs_capture *capture);
 /************************************************************/
 
 // Bytes owned by the library, such as an encoded scene file.
-typedef struct zs_bytes zs_bytes;
+typedef struct zs_blob zs_blob;
 
-// 3D Gaussians in host memory. Independent of contexts; survives device loss.
+// 3D Gaussians in host memory. Independent of devices; survives device loss.
 typedef struct zs_scene zs_scene;
 
 // Gaussians as one array per property.
@@ -342,7 +348,7 @@ typedef struct zs_gaussians {
     // Degree of spherical harmonics, 0 to 3: K = (sh_degree + 1)^2 coefficients per channel.
     uint32_t sh_degree;
     // N.
-    uint64_t count;
+    size_t count;
     // N x 3 centers.
     const float *means;
     // N x 3 linear standard deviations, not negative.
@@ -360,12 +366,12 @@ typedef struct zs_gaussians {
 } zs_gaussians;
 
 // Options of zs_scene_save.
-typedef struct zs_save_options {
-    // sizeof(zs_save_options).
+typedef struct zs_scene_save_options {
+    // sizeof(zs_scene_save_options).
     uint32_t struct_size;
-    // SPZ version: 2, 3 or 4 (zstd). Default 3.
+    // SPZ version: 2, 3 or 4 (zstd); 0 is 3.
     uint32_t spz_version;
-} zs_save_options;
+} zs_scene_save_options;
 
 // Returns the scene's size and arrays, which point into the scene.
 zs_status zs_scene_get_gaussians(const struct zs_scene *scene, struct zs_gaussians *gaussians);
@@ -391,21 +397,18 @@ zs_status zs_scene_from_memory(const void *data,
                                uint64_t *dropped,
                                struct zs_scene **scene);
 
-// Sets defaults.
-zs_status zs_save_options_default(struct zs_save_options *options, size_t size);
-
 // Writes a scene in the format of the path's extension: .ply, .spz, .splat, .gltf or .glb. An
 // existing file is replaced atomically.
-zs_status zs_scene_save(const struct zs_scene *scene, const char *path, const struct zs_save_options *options);
+zs_status zs_scene_save(const struct zs_scene *scene, const char *path, const struct zs_scene_save_options *options);
 
 // Encodes a scene to memory. `format` is "ply", "spz", "splat", "gltf" or "glb".
 zs_status zs_scene_to_memory(const struct zs_scene *scene,
                              const char *format,
-                             const struct zs_save_options *options,
-                             struct zs_bytes **bytes);
+                             const struct zs_scene_save_options *options,
+                             struct zs_blob **bytes);
 
 // Returns address and size of the bytes, which belong to the object.
-zs_status zs_bytes_get(const struct zs_bytes *bytes, const void **data, size_t *size);
+zs_status zs_blob_get(const struct zs_blob *bytes, const void **data, size_t *size);
 
 // Estimates the cameras of the `count` unposed photos of a scene from zs_reconstruct, in the
 // scene's world. They follow from the Gaussians of each photo's patches and share an estimated
@@ -422,7 +425,7 @@ zs_status zs_scene_cameras(const struct zs_scene *scene,
                            size_t count);
 
 // Destroys bytes.
-void zs_bytes_destroy(struct zs_bytes *bytes);
+void zs_blob_destroy(struct zs_blob *bytes);
 
 // Destroys a scene.
 void zs_scene_destroy(struct zs_scene *scene);
@@ -433,17 +436,17 @@ void zs_scene_destroy(struct zs_scene *scene);
 
 // Number formats of the network. Geometry is always f32.
 ZS_ENUM(zs_precision) {
-    // ZS_PRECISION_FAST on a GPU with matrix units that pass the self-test, else
-    // ZS_PRECISION_EXACT.
-    ZS_PRECISION_BEST = 0,
+    // ZS_PRECISION_FP16 on a GPU with matrix units that pass the self-test, else
+    // ZS_PRECISION_FP32.
+    ZS_PRECISION_AUTO = 0,
     // f32 throughout.
-    ZS_PRECISION_EXACT = 1,
+    ZS_PRECISION_FP32 = 1,
     // f16 matrix products, otherwise f32. Rejected if unsupported or failing its self-test.
-    ZS_PRECISION_FAST = 2,
+    ZS_PRECISION_FP16 = 2,
     // bf16 matrix products, otherwise f32. Rejected if unsupported or failing its self-test.
-    ZS_PRECISION_FAST_BF16 = 3,
-    // 8-bit linear layers of blocks, otherwise as ZS_PRECISION_FAST.
-    ZS_PRECISION_TURBO = 4,
+    ZS_PRECISION_BF16 = 3,
+    // 8-bit linear layers of blocks, otherwise as ZS_PRECISION_FP16.
+    ZS_PRECISION_INT8 = 4,
 };
 
 // A network with its weights on a device.
@@ -454,7 +457,7 @@ typedef struct zs_model zs_model;
 // functions, but not on the call's own objects.
 typedef int32_t (*zs_progress)(void *user_data, double fraction, const char *stage);
 
-// Options of zs_model_open.
+// Options of zs_model_load.
 typedef struct zs_model_options {
     // sizeof(zs_model_options).
     uint32_t struct_size;
@@ -468,7 +471,7 @@ typedef struct zs_model_options {
     zs_progress progress;
     // Argument of `progress`.
     void *user_data;
-    // 1 enables ZS_REFINE_TOKENS: an f32 head and each scene's tokens stay on the device.
+    // 1 enables ZS_REFINE_TARGET_TOKENS: an f32 head and each scene's tokens stay on the device.
     uint32_t tokens;
     // Must be 0.
     uint32_t reserved;
@@ -478,37 +481,34 @@ typedef struct zs_model_options {
 typedef struct zs_model_info {
     // sizeof(zs_model_info).
     uint32_t struct_size;
-    // Native side of its square pictures.
-    uint32_t picture_side;
-    // Patch side; picture sides are multiples of it.
-    uint32_t patch;
-    // Gaussians per token. At ratio 1 a photo has width / patch * height / patch tokens.
+    // Native side of its square input images.
+    uint32_t image_size;
+    // Side of a patch; sides of input images are multiples of it.
+    uint32_t patch_size;
+    // Gaussians per token. At ratio 1 a photo has width / patch_size * height / patch_size tokens.
     uint32_t gaussians_per_token;
     // SH degree of its scenes.
     uint32_t sh_degree;
-    // Number formats in use, never ZS_PRECISION_BEST.
+    // Number formats in use, never ZS_PRECISION_AUTO.
     zs_precision precision;
     // Weights on the device.
     uint64_t weight_bytes;
     // Warnings, one per line, in the model's memory: unusable GPUs, kernels that failed their
-    // self-test, assumptions about the weights. Failed kernels can reduce ZS_PRECISION_BEST to
-    // ZS_PRECISION_EXACT.
-    const char *notes;
+    // self-test, assumptions about the weights. Failed kernels can reduce ZS_PRECISION_AUTO to
+    // ZS_PRECISION_FP32.
+    const char *warnings;
 } zs_model_info;
 
-// Sets defaults.
-zs_status zs_model_options_default(struct zs_model_options *options, size_t size);
-
 // Loads a checkpoint: safetensors or a PyTorch archive at `path`, the built-in model for
-// "embedded", or random weights for "seeded:VARIANT". ZS_ERROR_UNSUPPORTED without a built-in
+// "builtin", or random weights for "seeded:VARIANT". ZS_ERROR_UNSUPPORTED without a built-in
 // model.
-zs_status zs_model_open(const struct zs_context *context,
+zs_status zs_model_load(const struct zs_device *device,
                         const char *path,
                         const struct zs_model_options *options,
                         struct zs_model **model);
 
-// Loads a checkpoint from memory, as zs_model_open.
-zs_status zs_model_from_memory(const struct zs_context *context,
+// Loads a checkpoint from memory, as zs_model_load.
+zs_status zs_model_from_memory(const struct zs_device *device,
                                const void *data,
                                size_t size,
                                const struct zs_model_options *options,
@@ -525,66 +525,63 @@ void zs_model_destroy(struct zs_model *model);
 /****************************************/
 
 // The paper's ratio: 0.5 sqrt(2 / number of photos).
-#define ZS_RATIO_AUTO 0.0
+#define ZS_RATIO_AUTO -1.0
 
 // A scale estimated from the cameras and, if given, the capture's points.
-#define ZS_UNIT_AUTO 0.0
+#define ZS_SCENE_SCALE_AUTO 0.0
 
 // Selection of the tokens kept at ratios below 1.
-ZS_ENUM(zs_selection) {
+ZS_ENUM(zs_token_selection) {
     // The token nearest to each k-means centroid, as in the paper.
-    ZS_SELECT_KMEANS = 0,
+    ZS_TOKEN_SELECTION_KMEANS = 0,
     // Evenly spaced.
-    ZS_SELECT_STRIDE = 1,
+    ZS_TOKEN_SELECTION_STRIDE = 1,
     // Random, from `seed`.
-    ZS_SELECT_RANDOM = 2,
+    ZS_TOKEN_SELECTION_RANDOM = 2,
 };
 
 // World of a scene.
 ZS_ENUM(zs_world) {
+    // ZS_WORLD_INPUT_CAMERAS if `cameras` are given, else ZS_WORLD_FIRST_CAMERA.
+    ZS_WORLD_AUTO = 0,
     // The first photo's camera space.
-    ZS_WORLD_FIRST_CAMERA = 0,
-    // The world of `cameras`.
-    ZS_WORLD_CAMERAS = 1,
+    ZS_WORLD_FIRST_CAMERA = 1,
+    // The world of `cameras`, which are required.
+    ZS_WORLD_INPUT_CAMERAS = 2,
 };
 
 // Options of zs_reconstruct.
 typedef struct zs_reconstruct_options {
     // sizeof(zs_reconstruct_options).
     uint32_t struct_size;
-    // World of the scene; ZS_WORLD_CAMERAS requires `cameras`.
+    // World of the scene.
     zs_world world;
-    // Fraction of tokens that become Gaussians, in (0, 1], or ZS_RATIO_AUTO. Default 1.
+    // Fraction of tokens that become Gaussians, in (0, 1], or ZS_RATIO_AUTO; 0 is 1.
     double ratio;
-    // Scene scale: the length in units of `cameras` that the network treats as 1, or ZS_UNIT_AUTO.
-    // The network expects a median distance of about 1 from the first camera. Default 1.
-    double unit;
+    // Scene scale: the length in units of `cameras` that the network treats as 1, or ZS_SCENE_SCALE_AUTO.
+    // The network expects a median distance of about 1 from the first camera.
+    double scene_scale;
     // Selection of the kept tokens.
-    zs_selection selection;
-    // Width of the network's input, a multiple of the patch: photos are center-cropped and
-    // resized. 0 is the model's own.
-    uint32_t width;
-    // Height of the network's input; 0 exactly if `width` is 0.
-    uint32_t height;
-    // 0 or the number of photos.
-    uint32_t camera_count;
-    // Seed for ZS_SELECT_RANDOM.
+    zs_token_selection token_selection;
+    // Pooling for many photos: cross-view attention reads means of `kv_pool` x `kv_pool` patches,
+    // 1 to 4; 0 is 1. Larger values are faster and less exact.
+    uint32_t kv_pool;
+    // Width and height of the network's input, multiples of the patch size: photos are
+    // center-cropped and resized. 0 and 0 are the model's own.
+    uint32_t input_size[2];
+    // Seed for ZS_TOKEN_SELECTION_RANDOM.
     uint64_t seed;
+    // 0 or the number of photos.
+    size_t camera_count;
     // Known cameras of the whole photos.
     const struct zs_camera *cameras;
     // Progress callback.
     zs_progress progress;
     // Argument of `progress`.
     void *user_data;
-    // Capture whose points and cameras give the scale for ZS_UNIT_AUTO; NULL uses `cameras` alone.
+    // Capture whose points and cameras give the scale for ZS_SCENE_SCALE_AUTO; NULL uses `cameras` alone.
     const struct zs_capture *capture;
-    // Pooling for many photos: cross-view attention reads means of `pool` x `pool` patches, 1 to
-    // 4. Larger values are faster and less exact. Default 1.
-    uint64_t pool;
 } zs_reconstruct_options;
-
-// Sets defaults.
-zs_status zs_reconstruct_options_default(struct zs_reconstruct_options *options, size_t size);
 
 // Reconstructs a scene from 1 to 192 photos of one place.
 zs_status zs_reconstruct(const struct zs_model *model,
@@ -598,35 +595,33 @@ zs_status zs_reconstruct(const struct zs_model *model,
 /***************************************************/
 
 // Sources of estimated cameras.
-ZS_ENUM(zs_cameras_from) {
+ZS_ENUM(zs_camera_source) {
     // The camera decoder.
-    ZS_CAMERAS_FROM_DECODER = 0,
+    ZS_CAMERA_SOURCE_DECODER = 0,
     // The ray maps, principal point included. Photos with inconsistent rays get no camera.
-    ZS_CAMERAS_FROM_RAYS = 1,
+    ZS_CAMERA_SOURCE_RAYS = 1,
 };
 
 // A Depth Anything 3 network with its weights on a device.
 typedef struct zs_depth_model zs_depth_model;
 
 // Depth and cameras of photos.
-typedef struct zs_depths zs_depths;
+typedef struct zs_depth_result zs_depth_result;
 
-// Options of zs_depth_find.
+// Options of zs_depth_predict.
 typedef struct zs_depth_options {
     // sizeof(zs_depth_options).
     uint32_t struct_size;
     // Longer side of the network's input, 14 to 8192 pixels. Each side is rounded to a multiple of
-    // 14. Photos of different shapes are cropped to their common center. Default 504.
-    uint32_t side;
+    // 14. Photos of different shapes are cropped to their common center. 0 is 504.
+    uint32_t input_size;
     // Source of estimated cameras.
-    zs_cameras_from cameras_from;
+    zs_camera_source camera_source;
     // 1 estimates a focal length per photo; 0 shares the confidence-weighted median among photos
     // of equal size.
-    uint32_t own_focal_lengths;
+    uint32_t per_view_focal;
     // 0 or the number of photos.
-    uint32_t camera_count;
-    // Must be 0.
-    uint32_t reserved;
+    size_t camera_count;
     // Known cameras of the whole photos, for multi-view networks. They set the depth scale and are
     // returned unchanged.
     const struct zs_camera *cameras;
@@ -636,7 +631,7 @@ typedef struct zs_depth_options {
     void *user_data;
 } zs_depth_options;
 
-// Depth of a photo, in memory of its zs_depths. Arrays are `[height][width]`.
+// Depth of a photo, in memory of its zs_depth_result. Arrays are `[height][width]`.
 typedef struct zs_depth_view {
     // sizeof(zs_depth_view).
     uint32_t struct_size;
@@ -656,7 +651,7 @@ typedef struct zs_depth_view {
 
 // Loads a Depth Anything 3 network: a released model.safetensors at `path`, or random weights for
 // "seeded:NAME", such as "seeded:da3-small". The options' `variant` must be NULL and `tokens` 0.
-zs_status zs_depth_model_open(const struct zs_context *context,
+zs_status zs_depth_model_load(const struct zs_device *device,
                               const char *path,
                               const struct zs_model_options *options,
                               struct zs_depth_model **model);
@@ -664,54 +659,53 @@ zs_status zs_depth_model_open(const struct zs_context *context,
 // Destroys a depth model.
 void zs_depth_model_destroy(struct zs_depth_model *model);
 
-// Sets defaults.
-zs_status zs_depth_options_default(struct zs_depth_options *options, size_t size);
-
 // Estimates depth of 1 to 192 photos of one place. Multi-view networks also estimate cameras,
 // relative to one of them.
-zs_status zs_depth_find(const struct zs_depth_model *model,
-                        const struct zs_image *images,
-                        size_t image_count,
-                        const struct zs_depth_options *options,
-                        struct zs_depths **depths);
+zs_status zs_depth_predict(const struct zs_depth_model *model,
+                           const struct zs_image *images,
+                           size_t image_count,
+                           const struct zs_depth_options *options,
+                           struct zs_depth_result **depths);
 
 // Returns depth and camera of photo `index`. The camera is of the whole photo, in the common
 // world; width and height are 0 if unknown. Outputs may be NULL.
-zs_status zs_depths_get(const struct zs_depths *depths,
-                        size_t index,
-                        struct zs_depth_view *view,
-                        struct zs_camera *camera);
+zs_status zs_depth_result_get(const struct zs_depth_result *depths,
+                              size_t index,
+                              struct zs_depth_view *view,
+                              struct zs_camera *camera);
 
 // Creates a scene with a Gaussian per confident pixel of each posed photo, in the cameras' world.
-// Each patch of 14 x 14 pixels keeps its `keep` most visible Gaussians; 0 keeps all.
-zs_status zs_depths_scene(const struct zs_depths *depths, uint32_t keep, struct zs_scene **scene);
+// Each patch of 14 x 14 pixels keeps its `max_gaussians_per_patch` most visible ones; 0 keeps all.
+zs_status zs_depth_result_to_scene(const struct zs_depth_result *depths,
+                                   uint32_t max_gaussians_per_patch,
+                                   struct zs_scene **scene);
 
 // Destroys depths.
-void zs_depths_destroy(struct zs_depths *depths);
+void zs_depth_result_destroy(struct zs_depth_result *depths);
 
 /****************************************************/
 /*  Refinement: optimizes a scene to match photos.  */
 /****************************************************/
 
-// Holds out one photo of 40 or more, else none.
-#define ZS_HOLD_OUT_AUTO -1
+// Holds out no photo.
+#define ZS_HOLDOUT_VIEWS_NONE -1
 
 // Optimized parameters.
-ZS_ENUM(zs_refine_what) {
+ZS_ENUM(zs_refine_target) {
     // The scene's Gaussians.
-    ZS_REFINE_GAUSSIANS = 0,
+    ZS_REFINE_TARGET_GAUSSIANS = 0,
     // The tokens behind the Gaussians; needs zs_model_options.tokens.
-    ZS_REFINE_TOKENS = 1,
+    ZS_REFINE_TARGET_TOKENS = 1,
 };
 
 // Reasons for the end of a refinement.
-ZS_ENUM(zs_refine_end) {
+ZS_ENUM(zs_stop_reason) {
     // All steps completed.
-    ZS_REFINE_FINISHED = 0,
+    ZS_STOP_REASON_FINISHED = 0,
     // The progress callback stopped it.
-    ZS_REFINE_STOPPED = 1,
+    ZS_STOP_REASON_STOPPED = 1,
     // The loss grew, or became NaN or infinite.
-    ZS_REFINE_DIVERGED = 2,
+    ZS_STOP_REASON_DIVERGED = 2,
 };
 
 // Progress of a refinement.
@@ -729,7 +723,7 @@ typedef struct zs_refining {
     // Latest PSNR in dB of the held-out photos; NaN without any.
     double psnr;
     // Estimated seconds left.
-    double seconds_left;
+    double eta_seconds;
 } zs_refining;
 
 // Callback after each step. `now` is valid during the callback. Return 0 to continue; any other
@@ -740,18 +734,16 @@ typedef int32_t (*zs_refine_progress)(void *user_data, const struct zs_refining 
 typedef struct zs_refine_options {
     // sizeof(zs_refine_options).
     uint32_t struct_size;
-    // Optimizer steps. Default 100.
+    // Optimizer steps; 0 is 100.
     uint32_t steps;
-    // Photos per step, at least 1, capped at the number of training photos. Default 4.
+    // Photos per step, capped at the number of training photos; 0 is 4.
     uint32_t views_per_step;
-    // Number of held-out photos, evenly spaced, less than all, or ZS_HOLD_OUT_AUTO. The step with
-    // their best PSNR is returned. Default ZS_HOLD_OUT_AUTO.
-    int32_t hold_out;
-    // Largest compared width in pixels; larger photos are downscaled. 0 keeps full size. Default
-    // 1600.
-    uint32_t width;
-    // Largest compared height; 0 exactly if `width` is 0. Default 1600.
-    uint32_t height;
+    // Number of held-out photos, evenly spaced, less than all, or ZS_HOLDOUT_VIEWS_NONE. 0 holds out
+    // one photo of 40 or more. The step with their best PSNR is returned.
+    int32_t holdout_views;
+    // Largest compared width and height in pixels; larger photos are downscaled. 0 is 1600,
+    // UINT32_MAX keeps full size.
+    uint32_t max_image_size[2];
     // Seed of the photo order.
     uint64_t seed;
     // Progress callback.
@@ -759,50 +751,47 @@ typedef struct zs_refine_options {
     // Argument of `progress`.
     void *user_data;
     // Optimized parameters.
-    zs_refine_what what;
+    zs_refine_target target;
     // Must be 0.
     uint32_t reserved;
 } zs_refine_options;
 
 // Result of a refinement.
-typedef struct zs_refine_info {
-    // sizeof(zs_refine_info).
+typedef struct zs_refine_result {
+    // sizeof(zs_refine_result).
     uint32_t struct_size;
     // Reason for the end.
-    zs_refine_end ended;
+    zs_stop_reason stop_reason;
     // Completed steps.
     uint32_t steps;
     // Step of the returned scene; 0 if none improved it.
     uint32_t best_step;
     // Mean loss of the first step, at its resolution; NaN without a step.
-    double first_loss;
+    double initial_loss;
     // Mean loss of the last step, likewise.
-    double last_loss;
+    double final_loss;
     // Held-out PSNR in dB before the first step; NaN without held-out photos.
-    double psnr_before;
+    double initial_psnr;
     // Held-out PSNR in dB of the returned scene.
-    double psnr;
+    double best_psnr;
     // Duration in seconds.
     double seconds;
     // Mean PSNR in dB of up to 16 full-size training photos before the first step.
-    double training_psnr_before;
+    double initial_training_psnr;
     // PSNR in dB of the same photos for the returned scene.
-    double training_psnr;
-} zs_refine_info;
-
-// Sets defaults.
-zs_status zs_refine_options_default(struct zs_refine_options *options, size_t size);
+    double best_training_psnr;
+} zs_refine_result;
 
 // Optimizes a copy of a scene to match `count` photos. `cameras` are of the whole photos, in the
 // scene's world. An early stop or a diverging loss still returns the best scene. `info` may be
 // NULL.
-zs_status zs_refine(const struct zs_context *context,
+zs_status zs_refine(const struct zs_device *device,
                     const struct zs_scene *scene,
                     const struct zs_image *images,
                     const struct zs_camera *cameras,
                     size_t count,
                     const struct zs_refine_options *options,
-                    struct zs_refine_info *info,
+                    struct zs_refine_result *info,
                     struct zs_scene **refined);
 
 /*************************************************************/
@@ -810,38 +799,20 @@ zs_status zs_refine(const struct zs_context *context,
 /*************************************************************/
 
 // Kinds of depth along the camera's z axis, in world units.
-ZS_ENUM(zs_depth) {
+ZS_ENUM(zs_depth_mode) {
     // Expected depth: the blended depth divided by alpha; 0 where alpha is 0.
-    ZS_DEPTH_EXPECTED = 0,
+    ZS_DEPTH_MODE_EXPECTED = 0,
     // Sum of depth times blending weight.
-    ZS_DEPTH_ACCUMULATED = 1,
+    ZS_DEPTH_MODE_ACCUMULATED = 1,
 };
 
 // A scene on a device, ready to draw. Caches its recordings for the last four sizes and kinds of
 // picture.
 typedef struct zs_renderer zs_renderer;
 
-// Options of zs_render.
-typedef struct zs_render_options {
-    // sizeof(zs_render_options).
-    uint32_t struct_size;
-    // Pixel format. 8-bit color is clamped and truncated, 8-bit alpha rounded, f32 unchanged.
-    // Color includes the background's part; on black it is premultiplied. Default ZS_PIXEL_RGBA8.
-    zs_pixel_format format;
-    // Kind of zs_picture.depth.
-    zs_depth depth;
-    // 1 fades Gaussians thinner than a pixel (Mip-Splatting), for scenes trained that way.
-    uint32_t antialiased;
-    // Background as red, green, blue.
-    float background[3];
-    // Near plane: Gaussians at smaller camera depth are culled. 0, the default, is 0.01, or less
-    // for scenes with an extent below 0.1.
-    float near_plane;
-} zs_render_options;
-
 // Output buffers of a picture; NULL skips one.
-typedef struct zs_picture {
-    // sizeof(zs_picture).
+typedef struct zs_render_buffers {
+    // sizeof(zs_render_buffers).
     uint32_t struct_size;
     // Must be 0.
     uint32_t reserved;
@@ -853,10 +824,28 @@ typedef struct zs_picture {
     float *alpha;
     // height x width: depth in world units.
     float *depth;
-} zs_picture;
+} zs_render_buffers;
 
-// Uploads a scene to a context's device.
-zs_status zs_renderer_create(const struct zs_context *context,
+// Options of zs_render.
+typedef struct zs_render_options {
+    // sizeof(zs_render_options).
+    uint32_t struct_size;
+    // Pixel format. 8-bit color is clamped and truncated, 8-bit alpha rounded, f32 unchanged.
+    // Color includes the background's part; on black it is premultiplied.
+    zs_pixel_format format;
+    // Kind of zs_render_buffers.depth.
+    zs_depth_mode depth;
+    // 1 fades Gaussians thinner than a pixel (Mip-Splatting), for scenes trained that way.
+    uint32_t antialiased;
+    // Background as red, green, blue.
+    float background[3];
+    // Near plane: Gaussians at smaller camera depth are culled. 0 is 0.01, or less for
+    // scenes with an extent below 0.1.
+    float near_plane;
+} zs_render_options;
+
+// Uploads a scene to a device's device.
+zs_status zs_renderer_create(const struct zs_device *device,
                              const struct zs_scene *scene,
                              struct zs_renderer **renderer);
 
@@ -867,13 +856,10 @@ zs_status zs_renderer_set_scene(const struct zs_renderer *renderer, const struct
 // Destroys a renderer, after its copies to Vulkan targets.
 void zs_renderer_destroy(struct zs_renderer *renderer);
 
-// Sets defaults.
-zs_status zs_render_options_default(struct zs_render_options *options, size_t size);
-
 // Draws one picture per camera. After a failure some pictures may be written.
 zs_status zs_render(const struct zs_renderer *renderer,
                     const struct zs_camera *cameras,
-                    const struct zs_picture *pictures,
+                    const struct zs_render_buffers *pictures,
                     size_t count,
                     const struct zs_render_options *options);
 
@@ -904,13 +890,13 @@ typedef struct zs_gradients {
 
 // Computes the gradients of a weighted sum over all pixels of `count` cameras' pictures.
 //
-// `weights` points to weights of color, alpha and depth, read only; NULL is 0. The format must be
+// `grad_outputs` points to the weights of color, alpha and depth, read only; NULL is 0. The format must be
 // ZS_PIXEL_RGB_F32. Zero-valued coefficients also get gradients. `scene` need not be the
 // renderer's, which keeps a second scene on the device. `gradients` is written only on success.
 zs_status zs_render_backward(const struct zs_renderer *renderer,
                              const struct zs_scene *scene,
                              const struct zs_camera *cameras,
-                             const struct zs_picture *weights,
+                             const struct zs_render_buffers *grad_outputs,
                              size_t count,
                              const struct zs_render_options *options,
                              const struct zs_gradients *gradients);
@@ -935,7 +921,7 @@ typedef struct zs_vulkan_requirement {
     // Kind of the requirement.
     zs_requirement_kind kind;
     // 1 if only faster precisions need it. Enable all that the device supports, then set
-    // zs_vulkan_device.fast.
+    // zs_vulkan_device.optional_features_enabled.
     uint32_t optional;
     // Name as Vulkan has it; static.
     const char *name;
@@ -973,8 +959,8 @@ typedef struct zs_vulkan_device {
     zs_queue_lock unlock_queue;
     // Argument of both callbacks.
     void *user_data;
-    // 1 if every supported optional requirement is enabled. 0 allows only ZS_PRECISION_EXACT.
-    uint32_t fast;
+    // 1 if every supported optional requirement is enabled. 0 allows only ZS_PRECISION_FP32.
+    uint32_t optional_features_enabled;
     // Must be 0.
     uint32_t reserved;
 } zs_vulkan_device;
@@ -1005,10 +991,9 @@ typedef struct zs_vulkan_target {
     uint32_t mip_level;
     // Array layer.
     uint32_t array_layer;
-    // VkImageLayout after the waits. Default VK_IMAGE_LAYOUT_UNDEFINED, which may discard
-    // contents.
+    // VkImageLayout after the waits; VK_IMAGE_LAYOUT_UNDEFINED may discard contents.
     int32_t old_layout;
-    // VkImageLayout at the signals. Default VK_IMAGE_LAYOUT_SHADER_READ_ONLY_OPTIMAL.
+    // VkImageLayout at the signals; 0 is VK_IMAGE_LAYOUT_SHADER_READ_ONLY_OPTIMAL.
     int32_t new_layout;
     // VkBuffer with VK_BUFFER_USAGE_TRANSFER_DST_BIT and contiguous rows; 0 for an image.
     uint64_t buffer;
@@ -1017,30 +1002,24 @@ typedef struct zs_vulkan_target {
     // Writable bytes from there.
     uint64_t buffer_size;
     // Number of `waits`.
-    uint32_t wait_count;
+    size_t wait_count;
     // Number of `signals`.
-    uint32_t signal_count;
+    size_t signal_count;
     // Semaphore values to wait for before writing.
     const struct zs_semaphore_point *waits;
     // Signaled when the picture is written and visible.
     const struct zs_semaphore_point *signals;
 } zs_vulkan_target;
 
-// Lists required and optional features for zs_context_adopt. Needs no device.
+// Lists required and optional features for zs_device_from_vulkan. Needs no device.
 zs_status zs_vulkan_requirements(const struct zs_vulkan_requirement **list, size_t *count);
 
-// Sets defaults.
-zs_status zs_vulkan_device_default(struct zs_vulkan_device *device, size_t size);
-
-// Creates a context on the caller's device. All required features must be enabled; this cannot be
-// checked.
-zs_status zs_context_adopt(const struct zs_vulkan_device *device, struct zs_context **context);
-
-// Sets defaults.
-zs_status zs_vulkan_target_default(struct zs_vulkan_target *target, size_t size);
+// Creates a device on the caller's Vulkan device. All required features must be enabled; this
+// cannot be checked.
+zs_status zs_device_from_vulkan(const struct zs_vulkan_device *vulkan, struct zs_device **device);
 
 // Draws one camera into an image or buffer without a host copy, as ZS_PIXEL_RGBA8, BGRA8 or
-// RGBA_F32. The renderer's context must be adopted.
+// RGBA_F32. The renderer's device must be adopted.
 //
 // Returns when the scene is drawn and the copy is submitted. The copy starts after the waits and
 // ends with the signals. Without semaphores, queue order applies. The renderer's next picture may

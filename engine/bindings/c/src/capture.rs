@@ -1,8 +1,8 @@
 //! Captures: photos with known cameras.
 
 use super::{
-    photo::zs_photo,
-    picture::zs_camera,
+    camera::zs_camera,
+    image::zs_image_buffer,
     pointers::{borrow, destroy, optional_text, produce, text, write_versioned},
     status::{Failure, guard, zs_status},
 };
@@ -18,7 +18,7 @@ pub struct zs_capture {
     pub(super) poses: Capture,
     names: Vec<CString>,
     paths: Vec<Option<CString>>,
-    notes: CString,
+    warnings: CString,
 }
 
 impl From<Capture> for zs_capture {
@@ -27,7 +27,7 @@ impl From<Capture> for zs_capture {
         Self {
             names: poses.frames.iter().map(|frame| c_text(&frame.name)).collect(),
             paths: poses.frames.iter().map(path).collect(),
-            notes: c_text(&poses.warnings.join("\n")),
+            warnings: c_text(&poses.warnings.join("\n")),
             poses,
         }
     }
@@ -56,22 +56,22 @@ pub unsafe extern "C" fn zs_capture_open(path: *const c_char, capture: *mut *mut
     unsafe { produce(capture, open) }
 }
 
-/// Returns the number of photos and, unless NULL, notes about ignored data, one per line, in the
-/// capture's memory.
+/// Returns the number of photos and, unless NULL, warnings about ignored data, one per line, in
+/// the capture's memory.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_capture_get_count(
     capture: *const zs_capture,
     count: *mut usize,
-    notes: *mut *const c_char,
+    warnings: *mut *const c_char,
 ) -> zs_status {
     guard(|| {
         // SAFETY: an object or NULL.
         let capture = unsafe { borrow(capture, "capture") }?;
         // SAFETY: the caller's to write, or NULL.
         unsafe { put(count, capture.names.len(), "count") }?;
-        if !notes.is_null() {
+        if !warnings.is_null() {
             // SAFETY: not NULL, and the caller's to write.
-            unsafe { notes.write(capture.notes.as_ptr()) };
+            unsafe { warnings.write(capture.warnings.as_ptr()) };
         }
         Ok(())
     })
@@ -129,11 +129,11 @@ pub unsafe extern "C" fn zs_capture_find(
 /// Opens photo `index` undistorted, ignoring the EXIF orientation. `path` overrides the capture's
 /// path; NULL keeps it.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn zs_capture_open_photo(
+pub unsafe extern "C" fn zs_capture_open_image(
     capture: *const zs_capture,
     index: usize,
     path: *const c_char,
-    photo: *mut *mut zs_photo,
+    photo: *mut *mut zs_image_buffer,
 ) -> zs_status {
     let open = || {
         // SAFETY: an object or NULL, a string or NULL.
@@ -143,7 +143,7 @@ pub unsafe extern "C" fn zs_capture_open_photo(
         let path = path.ok_or_else(|| {
             Failure::argument(format!("photo {}", frame.name), "none", "one where the capture says it is, or a path")
         })?;
-        Ok(zs_photo { image: frame.open(path)? })
+        Ok(zs_image_buffer { image: frame.open(path)? })
     };
     // SAFETY: the caller's pointer.
     unsafe { produce(photo, open) }

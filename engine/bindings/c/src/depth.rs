@@ -1,12 +1,11 @@
 //! Depth: per-pixel depth and cameras of photos.
 
 use super::{
-    context::zs_context,
+    camera::zs_camera,
+    device::zs_device,
+    image::zs_image,
     model::{report, zs_model_options, zs_precision, zs_progress},
-    picture::{zs_camera, zs_image},
-    pointers::{
-        POINTER, Versioned, borrow, destroy, produce, read_array, read_versioned, text, write_defaults, write_versioned,
-    },
+    pointers::{Versioned, borrow, destroy, produce, read_array, read_versioned, text, write_versioned},
     scene::zs_scene,
     status::{Failure, guard, zs_status},
 };
@@ -34,7 +33,7 @@ pub struct zs_depth_model {
 }
 
 /// Depth and cameras of photos.
-pub struct zs_depths {
+pub struct zs_depth_result {
     depths: DepthPrediction,
     images: Vec<Image>,
     /// Cameras of the views and of the whole photos; `None` if unknown.
@@ -44,33 +43,31 @@ pub struct zs_depths {
 /// Sources of estimated cameras.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum zs_cameras_from {
+pub enum zs_camera_source {
     /// The camera decoder.
-    ZS_CAMERAS_FROM_DECODER = 0,
+    ZS_CAMERA_SOURCE_DECODER = 0,
     /// The ray maps, principal point included. Photos with inconsistent rays get no camera.
-    ZS_CAMERAS_FROM_RAYS = 1,
+    ZS_CAMERA_SOURCE_RAYS = 1,
 }
 
-pub(super) type zs_cameras_from_value = i32;
+pub(super) type zs_camera_source_value = i32;
 
-/// Options of zs_depth_find.
+/// Options of zs_depth_predict.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_depth_options {
     /// sizeof(zs_depth_options).
     pub struct_size: u32,
     /// Longer side of the network's input, 14 to 8192 pixels. Each side is rounded to a multiple of
-    /// 14. Photos of different shapes are cropped to their common center. Default 504.
-    pub side: u32,
+    /// 14. Photos of different shapes are cropped to their common center. 0 is 504.
+    pub input_size: u32,
     /// Source of estimated cameras.
-    pub cameras_from: zs_cameras_from_value,
+    pub camera_source: zs_camera_source_value,
     /// 1 estimates a focal length per photo; 0 shares the confidence-weighted median among photos
     /// of equal size.
-    pub own_focal_lengths: u32,
+    pub per_view_focal: u32,
     /// 0 or the number of photos.
-    pub camera_count: u32,
-    /// Must be 0.
-    pub reserved: u32,
+    pub camera_count: usize,
     /// Known cameras of the whole photos, for multi-view networks. They set the depth scale and are
     /// returned unchanged.
     pub cameras: *const zs_camera,
@@ -80,7 +77,7 @@ pub struct zs_depth_options {
     pub user_data: *mut c_void,
 }
 
-/// Depth of a photo, in memory of its zs_depths. Arrays are `[height][width]`.
+/// Depth of a photo, in memory of its zs_depth_result. Arrays are `[height][width]`.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_depth_view {
@@ -100,34 +97,7 @@ pub struct zs_depth_view {
     pub sky: *const f32,
 }
 
-// SAFETY: repr(C), six pairs of 32 bits and pointers: no padding.
-unsafe impl Versioned for zs_depth_options {
-    const NAME: &str = "zs_depth_options";
-    const FIRST_SIZE: usize = 24 + 3 * POINTER;
-    fn defaults() -> Self {
-        Self {
-            struct_size: size_of::<Self>() as u32,
-            side: DEFAULT_BOUND,
-            cameras_from: zs_cameras_from::ZS_CAMERAS_FROM_DECODER as i32,
-            own_focal_lengths: 0,
-            camera_count: 0,
-            reserved: 0,
-            cameras: null(),
-            progress: None,
-            user_data: std::ptr::null_mut(),
-        }
-    }
-}
-
-// SAFETY: repr(C), two pairs of 32 bits and pointers: no padding.
-unsafe impl Versioned for zs_depth_view {
-    const NAME: &str = "zs_depth_view";
-    const FIRST_SIZE: usize = 16 + 3 * POINTER;
-    fn defaults() -> Self {
-        let struct_size = size_of::<Self>() as u32;
-        Self { struct_size, reserved: 0, width: 0, height: 0, depth: null(), confidence: null(), sky: null() }
-    }
-}
+versioned!(zs_depth_options, zs_depth_view);
 
 // SAFETY: the arrays belong to an immutable object.
 unsafe impl Sync for zs_depth_view {}
@@ -135,29 +105,29 @@ unsafe impl Sync for zs_depth_view {}
 /// Loads a Depth Anything 3 network: a released model.safetensors at `path`, or random weights for
 /// "seeded:NAME", such as "seeded:da3-small". The options' `variant` must be NULL and `tokens` 0.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn zs_depth_model_open(
-    context: *const zs_context,
+pub unsafe extern "C" fn zs_depth_model_load(
+    device: *const zs_device,
     path: *const c_char,
     options: *const zs_model_options,
     model: *mut *mut zs_depth_model,
 ) -> zs_status {
     let load = || {
         // SAFETY: the caller's objects.
-        let (context, path, options) =
-            unsafe { (borrow(context, "context")?, text(path, "path")?, read_versioned(options)?) };
+        let (device, path, options) =
+            unsafe { (borrow(device, "device")?, text(path, "path")?, read_versioned(options)?) };
         if !options.variant.is_null() || options.tokens != 0 || options.reserved != 0 {
             let found = "a variant or tokens";
             return Err(Failure::argument(
                 "options of a depth model",
                 found,
-                "NULL and 0, which are for zs_model_open",
+                "NULL and 0, which are for zs_model_load",
             ));
         }
-        let chosen = KernelChoice::of(&context.device, zs_precision::wanted(options.precision)?)?;
+        let chosen = KernelChoice::of(&device.gpu, zs_precision::wanted(options.precision)?)?;
         let checkpoint = DepthCheckpoint::whole(|gaussians| DepthCheckpoint::parse(path, gaussians))?;
         let progress = |fraction| report(options.progress, options.user_data, fraction, "weights");
         Ok(zs_depth_model {
-            model: DepthModel::from_checkpoint(&context.device, &checkpoint, chosen.arithmetic, progress)?,
+            model: DepthModel::from_checkpoint(&device.gpu, &checkpoint, chosen.arithmetic, progress)?,
         })
     };
     // SAFETY: the caller's pointer.
@@ -171,22 +141,15 @@ pub unsafe extern "C" fn zs_depth_model_destroy(model: *mut zs_depth_model) {
     unsafe { destroy(model) }
 }
 
-/// Sets defaults.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn zs_depth_options_default(options: *mut zs_depth_options, size: usize) -> zs_status {
-    // SAFETY: the caller's structure of that size.
-    unsafe { write_defaults(options, size) }
-}
-
 /// Estimates depth of 1 to 192 photos of one place. Multi-view networks also estimate cameras,
 /// relative to one of them.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn zs_depth_find(
+pub unsafe extern "C" fn zs_depth_predict(
     model: *const zs_depth_model,
     images: *const zs_image,
     image_count: usize,
     options: *const zs_depth_options,
-    depths: *mut *mut zs_depths,
+    depths: *mut *mut zs_depth_result,
 ) -> zs_status {
     let find = || {
         // SAFETY: an object or NULL; a structure or NULL.
@@ -197,8 +160,7 @@ pub unsafe extern "C" fn zs_depth_find(
         let by_rays = options.by_rays()?;
         // SAFETY: the caller's arrays.
         let (images, known) = unsafe {
-            let count = options.camera_count as usize;
-            (read_array(images, image_count, "images")?, read_array(options.cameras, count, "cameras")?)
+            (read_array(images, image_count, "images")?, read_array(options.cameras, options.camera_count, "cameras")?)
         };
         if !known.is_empty() && known.len() != images.len() {
             return Err(Failure::argument("number of cameras", known.len(), format!("0 or {image_count}")));
@@ -207,7 +169,8 @@ pub unsafe extern "C" fn zs_depth_find(
         // SAFETY: the caller's pixels.
         let photo = |(i, image): (usize, &zs_image)| unsafe { image.image(&format!("image {i}")) };
         let photos = images.iter().enumerate().map(photo).collect::<Result<Vec<Image>, _>>()?;
-        let views = bounded_views(&photos, options.side)?;
+        let input_size = if options.input_size == 0 { DEFAULT_BOUND } else { options.input_size };
+        let views = bounded_views(&photos, input_size)?;
         drop(photos);
         let images: Vec<Image> = views.iter().map(|view| view.image.clone()).collect();
         let known_cameras = (!known.is_empty()).then(|| of_views(&known, &views)).transpose()?;
@@ -223,9 +186,9 @@ pub unsafe extern "C" fn zs_depth_find(
                 known_cameras.into_iter().zip(known).map(|(of_view, of_photo)| Some([of_view, of_photo])).collect()
             }
             None if !model.architecture().multi_view() => vec![None; images.len()],
-            None => found_cameras(&depths, &views, by_rays, options.own_focal_lengths == 0)?,
+            None => found_cameras(&depths, &views, by_rays, options.per_view_focal == 0)?,
         };
-        Ok(zs_depths { depths, images, cameras })
+        Ok(zs_depth_result { depths, images, cameras })
     };
     // SAFETY: the caller's pointer.
     unsafe { produce(depths, find) }
@@ -234,15 +197,15 @@ pub unsafe extern "C" fn zs_depth_find(
 /// Returns depth and camera of photo `index`. The camera is of the whole photo, in the common
 /// world; width and height are 0 if unknown. Outputs may be NULL.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn zs_depths_get(
-    depths: *const zs_depths,
+pub unsafe extern "C" fn zs_depth_result_get(
+    depths: *const zs_depth_result,
     index: usize,
     view: *mut zs_depth_view,
     camera: *mut zs_camera,
 ) -> zs_status {
     guard(|| {
         // SAFETY: an object or NULL.
-        let zs_depths { depths, cameras, .. } = unsafe { borrow(depths, "depths") }?;
+        let zs_depth_result { depths, cameras, .. } = unsafe { borrow(depths, "depths") }?;
         let expected = || format!("a number below {}", depths.views.len());
         let found = depths.views.get(index).ok_or_else(|| Failure::argument("number of a photo", index, expected()))?;
         let values = |values: &Option<Vec<f32>>| values.as_ref().map_or(null(), |values| values.as_ptr());
@@ -254,13 +217,13 @@ pub unsafe extern "C" fn zs_depths_get(
                 depth: depth.as_ptr(),
                 confidence: values(confidence),
                 sky: values(sky),
-                ..Versioned::defaults()
+                ..Versioned::new()
             };
             // SAFETY: the caller's structure.
             unsafe { write_versioned(view, found) }?;
         }
         if !camera.is_null() {
-            let found = cameras[index].map_or_else(Versioned::defaults, |[_, of_photo]| zs_camera::from(&of_photo));
+            let found = cameras[index].map_or_else(Versioned::new, |[_, of_photo]| zs_camera::from(&of_photo));
             // SAFETY: the caller's structure.
             unsafe { write_versioned(camera, found) }?;
         }
@@ -269,12 +232,16 @@ pub unsafe extern "C" fn zs_depths_get(
 }
 
 /// Creates a scene with a Gaussian per confident pixel of each posed photo, in the cameras' world.
-/// Each patch of 14 x 14 pixels keeps its `keep` most visible Gaussians; 0 keeps all.
+/// Each patch of 14 x 14 pixels keeps its `max_gaussians_per_patch` most visible ones; 0 keeps all.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn zs_depths_scene(depths: *const zs_depths, keep: u32, scene: *mut *mut zs_scene) -> zs_status {
+pub unsafe extern "C" fn zs_depth_result_to_scene(
+    depths: *const zs_depth_result,
+    max_gaussians_per_patch: u32,
+    scene: *mut *mut zs_scene,
+) -> zs_status {
     let make = || {
         // SAFETY: an object or NULL.
-        let zs_depths { depths, images, cameras } = unsafe { borrow(depths, "depths") }?;
+        let zs_depth_result { depths, images, cameras } = unsafe { borrow(depths, "depths") }?;
         let posed: Vec<usize> = (0..images.len()).filter(|&i| cameras[i].is_some()).collect();
         if posed.is_empty() {
             let expected = "photos whose cameras were given, or found by a network that sees all photos at once";
@@ -284,7 +251,9 @@ pub unsafe extern "C" fn zs_depths_scene(depths: *const zs_depths, keep: u32, sc
         seen.keep_views(&cameras.iter().map(Option::is_some).collect::<Vec<_>>());
         let of_views: Vec<Camera> = cameras.iter().flatten().map(|[of_view, _]| *of_view).collect();
         let images: Vec<Image> = posed.iter().map(|&i| images[i].clone()).collect();
-        Ok(seen.scene(&of_views, &images, (keep > 0).then_some(keep as usize)).into())
+        Ok(seen
+            .scene(&of_views, &images, (max_gaussians_per_patch > 0).then_some(max_gaussians_per_patch as usize))
+            .into())
     };
     // SAFETY: the caller's pointer.
     unsafe { produce(scene, make) }
@@ -292,23 +261,20 @@ pub unsafe extern "C" fn zs_depths_scene(depths: *const zs_depths, keep: u32, sc
 
 /// Destroys depths.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn zs_depths_destroy(depths: *mut zs_depths) {
+pub unsafe extern "C" fn zs_depth_result_destroy(depths: *mut zs_depth_result) {
     // SAFETY: NULL or given up by the caller.
     unsafe { destroy(depths) }
 }
 
 impl zs_depth_options {
     fn by_rays(&self) -> Result<bool, Failure> {
-        if self.reserved != 0 {
-            return Err(Failure::argument("zs_depth_options, reserved", self.reserved, "0"));
+        if self.per_view_focal > 1 {
+            return Err(Failure::argument("per_view_focal", self.per_view_focal, "0 or 1"));
         }
-        if self.own_focal_lengths > 1 {
-            return Err(Failure::argument("own_focal_lengths", self.own_focal_lengths, "0 or 1"));
-        }
-        match self.cameras_from {
+        match self.camera_source {
             0 => Ok(false),
             1 => Ok(true),
-            other => Err(Failure::argument("cameras_from", other, "a zs_cameras_from")),
+            other => Err(Failure::argument("camera_source", other, "a zs_camera_source")),
         }
     }
 }

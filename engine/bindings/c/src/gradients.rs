@@ -1,9 +1,10 @@
 //! Gradients of pictures with respect to Gaussians and cameras.
 
 use super::{
-    picture::{zs_camera, zs_pixel_format},
-    pointers::{POINTER, Versioned, array, array_mut, borrow, read_array, read_given, read_versioned},
-    renderer::{zs_picture, zs_render_options, zs_renderer},
+    camera::zs_camera,
+    image::zs_pixel_format,
+    pointers::{array, array_mut, borrow, read_array, read_given, read_versioned},
+    renderer::{zs_render_buffers, zs_render_options, zs_renderer},
     scene::zs_scene,
     status::{Failure, guard, zs_status},
 };
@@ -35,28 +36,11 @@ pub struct zs_gradients {
     pub cameras: *mut f32,
 }
 
-// SAFETY: repr(C), two u32 and pointers: no padding.
-unsafe impl Versioned for zs_gradients {
-    const NAME: &str = "zs_gradients";
-    const FIRST_SIZE: usize = 8 + 6 * POINTER;
-    fn defaults() -> Self {
-        let (struct_size, none) = (size_of::<Self>() as u32, std::ptr::null_mut());
-        Self {
-            struct_size,
-            reserved: 0,
-            means: none,
-            scales: none,
-            quats: none,
-            opacities: none,
-            sh_coeffs: none,
-            cameras: none,
-        }
-    }
-}
+versioned!(zs_gradients);
 
 /// Computes the gradients of a weighted sum over all pixels of `count` cameras' pictures.
 ///
-/// `weights` points to weights of color, alpha and depth, read only; NULL is 0. The format must be
+/// `grad_outputs` points to the weights of color, alpha and depth, read only; NULL is 0. The format must be
 /// ZS_PIXEL_RGB_F32. Zero-valued coefficients also get gradients. `scene` need not be the
 /// renderer's, which keeps a second scene on the device. `gradients` is written only on success.
 #[unsafe(no_mangle)]
@@ -64,7 +48,7 @@ pub unsafe extern "C" fn zs_render_backward(
     renderer: *const zs_renderer,
     scene: *const zs_scene,
     cameras: *const zs_camera,
-    weights: *const zs_picture,
+    grad_outputs: *const zs_render_buffers,
     count: usize,
     options: *const zs_render_options,
     gradients: *const zs_gradients,
@@ -72,7 +56,8 @@ pub unsafe extern "C" fn zs_render_backward(
     guard(|| {
         // SAFETY: objects or NULL; structures or NULL; arrays of the caller's.
         let (renderer, scene, cameras, weights, options, to) = unsafe {
-            let (cameras, weights) = (read_array(cameras, count, "cameras")?, read_array(weights, count, "weights")?);
+            let (cameras, weights) =
+                (read_array(cameras, count, "cameras")?, read_array(grad_outputs, count, "grad_outputs")?);
             let (renderer, scene) = (borrow(renderer, "renderer")?, borrow(scene, "scene")?);
             (renderer, scene, cameras, weights, read_versioned(options)?, read_given(gradients)?)
         };
@@ -94,7 +79,7 @@ pub unsafe extern "C" fn zs_render_backward(
         let any = [to.means, to.scales, to.quats, to.opacities, to.sh_coeffs].iter().any(|field| !field.is_null());
         let wanted = Wanted { scene: any, cameras: !to.cameras.is_null() };
         if request.channels() == 0 {
-            return Err(Failure::argument("weights", "NULL throughout", "those of colour, alpha or depth"));
+            return Err(Failure::argument("grad_outputs", "NULL throughout", "those of color, alpha or depth"));
         }
         let mut differentiator = renderer.differentiator();
         let differentiator = differentiator.get_or_insert_with(|| Differentiator::new(renderer.lock().device()));
@@ -104,13 +89,13 @@ pub unsafe extern "C" fn zs_render_backward(
     })
 }
 
-impl zs_picture {
+impl zs_render_buffers {
     /// # Safety
     /// Pointers that are not NULL have values for every pixel.
     unsafe fn weights(&self, camera: &Camera, i: usize) -> Result<RenderOutput, Failure> {
         for (field, found) in [("reserved", i64::from(self.reserved)), ("stride", self.stride)] {
             if found != 0 {
-                return Err(Failure::argument(format!("weights {i}, {field}"), found, "0"));
+                return Err(Failure::argument(format!("grad_outputs {i}, {field}"), found, "0"));
             }
         }
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
@@ -122,9 +107,9 @@ impl zs_picture {
         Ok(RenderOutput {
             width,
             height,
-            rgb: plane(self.pixels.cast(), 3 * pixels, "weights of colour")?,
-            alpha: plane(self.alpha, pixels, "weights of alpha")?,
-            depth: plane(self.depth, pixels, "weights of depth")?,
+            rgb: plane(self.pixels.cast(), 3 * pixels, "grad_outputs of color")?,
+            alpha: plane(self.alpha, pixels, "grad_outputs of alpha")?,
+            depth: plane(self.depth, pixels, "grad_outputs of depth")?,
             normals: None,
             token_colors: None,
         })

@@ -7,14 +7,15 @@
 //! message. Enumerations and booleans arrive as plain integers and are checked.
 #![allow(unsafe_code, non_camel_case_types, clippy::missing_safety_doc)]
 
-mod capture;
-mod context;
-mod depth;
-mod gradients;
-mod model;
-mod photo;
-mod picture;
+#[macro_use]
 mod pointers;
+mod camera;
+mod capture;
+mod depth;
+mod device;
+mod gradients;
+mod image;
+mod model;
 mod reconstruct;
 mod refine;
 mod renderer;
@@ -25,24 +26,25 @@ mod vulkan;
 
 const _: () = {
     const fn any_thread<T: Send + Sync>() {}
-    any_thread::<zs_bytes>();
+    any_thread::<zs_blob>();
     any_thread::<zs_capture>();
-    any_thread::<zs_context>();
+    any_thread::<zs_device>();
     any_thread::<zs_depth_model>();
-    any_thread::<zs_depths>();
+    any_thread::<zs_depth_result>();
     any_thread::<zs_model>();
-    any_thread::<zs_photo>();
+    any_thread::<zs_image_buffer>();
     any_thread::<zs_renderer>();
     any_thread::<zs_scene>();
 };
 
+pub use camera::*;
 pub use capture::*;
-pub use context::*;
 pub use depth::*;
+pub use device::*;
 pub use gradients::*;
+pub use image::*;
 pub use model::*;
-pub use photo::*;
-pub use picture::*;
+pub use pointers::Versioned;
 pub use reconstruct::*;
 pub use refine::*;
 pub use renderer::*;

@@ -1,10 +1,9 @@
 //! Models.
 
 use super::{
-    context::zs_context,
+    device::zs_device,
     pointers::{
-        POINTER, Versioned, array, borrow, destroy, flow, optional_text, produce, read_versioned, text, write_defaults,
-        write_versioned,
+        Versioned, array, borrow, destroy, flow, optional_text, produce, read_versioned, text, write_versioned,
     },
     scene::LatestScene,
     status::{Failure, guard, zs_status},
@@ -21,12 +20,12 @@ use zipsplat::{
 /// A network with its weights on a device.
 pub struct zs_model {
     pub(super) model: Model,
-    pub(super) picture_side: u32,
+    pub(super) image_size: u32,
     pub(super) latest: LatestScene,
     pub(super) head: Option<Arc<FrozenHead>>,
     precision: Precision,
     /// Unavailable GPUs and kernels, one per line.
-    notes: CString,
+    warnings: CString,
 }
 
 /// Progress callback. `fraction` is from 0 to 1; `stage`, for a log, is valid during the callback.
@@ -34,7 +33,7 @@ pub struct zs_model {
 /// functions, but not on the call's own objects.
 pub type zs_progress = Option<unsafe extern "C" fn(user_data: *mut c_void, fraction: f64, stage: *const c_char) -> i32>;
 
-/// Options of zs_model_open.
+/// Options of zs_model_load.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_model_options {
@@ -50,7 +49,7 @@ pub struct zs_model_options {
     pub progress: zs_progress,
     /// Argument of `progress`.
     pub user_data: *mut c_void,
-    /// 1 enables ZS_REFINE_TOKENS: an f32 head and each scene's tokens stay on the device.
+    /// 1 enables ZS_REFINE_TARGET_TOKENS: an f32 head and each scene's tokens stay on the device.
     pub tokens: u32,
     /// Must be 0.
     pub reserved: u32,
@@ -62,44 +61,46 @@ pub struct zs_model_options {
 pub struct zs_model_info {
     /// sizeof(zs_model_info).
     pub struct_size: u32,
-    /// Native side of its square pictures.
-    pub picture_side: u32,
-    /// Patch side; picture sides are multiples of it.
-    pub patch: u32,
-    /// Gaussians per token. At ratio 1 a photo has width / patch * height / patch tokens.
+    /// Native side of its square input images.
+    pub image_size: u32,
+    /// Side of a patch; sides of input images are multiples of it.
+    pub patch_size: u32,
+    /// Gaussians per token. At ratio 1 a photo has width / patch_size * height / patch_size tokens.
     pub gaussians_per_token: u32,
     /// SH degree of its scenes.
     pub sh_degree: u32,
-    /// Number formats in use, never ZS_PRECISION_BEST.
+    /// Number formats in use, never ZS_PRECISION_AUTO.
     pub precision: zs_precision_value,
     /// Weights on the device.
     pub weight_bytes: u64,
     /// Warnings, one per line, in the model's memory: unusable GPUs, kernels that failed their
-    /// self-test, assumptions about the weights. Failed kernels can reduce ZS_PRECISION_BEST to
-    /// ZS_PRECISION_EXACT.
-    pub notes: *const c_char,
+    /// self-test, assumptions about the weights. Failed kernels can reduce ZS_PRECISION_AUTO to
+    /// ZS_PRECISION_FP32.
+    pub warnings: *const c_char,
 }
+
+versioned!(zs_model_options, zs_model_info);
 
 /// Number formats of the network. Geometry is always f32.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_precision {
-    /// ZS_PRECISION_FAST on a GPU with matrix units that pass the self-test, else
-    /// ZS_PRECISION_EXACT.
-    ZS_PRECISION_BEST = 0,
+    /// ZS_PRECISION_FP16 on a GPU with matrix units that pass the self-test, else
+    /// ZS_PRECISION_FP32.
+    ZS_PRECISION_AUTO = 0,
     /// f32 throughout.
-    ZS_PRECISION_EXACT = 1,
+    ZS_PRECISION_FP32 = 1,
     /// f16 matrix products, otherwise f32. Rejected if unsupported or failing its self-test.
-    ZS_PRECISION_FAST = 2,
+    ZS_PRECISION_FP16 = 2,
     /// bf16 matrix products, otherwise f32. Rejected if unsupported or failing its self-test.
-    ZS_PRECISION_FAST_BF16 = 3,
-    /// 8-bit linear layers of blocks, otherwise as ZS_PRECISION_FAST.
-    ZS_PRECISION_TURBO = 4,
+    ZS_PRECISION_BF16 = 3,
+    /// 8-bit linear layers of blocks, otherwise as ZS_PRECISION_FP16.
+    ZS_PRECISION_INT8 = 4,
 }
 
 impl zs_precision {
     pub(super) fn wanted(number: i32) -> Result<Option<Precision>, Failure> {
-        if number == Self::ZS_PRECISION_BEST as i32 {
+        if number == Self::ZS_PRECISION_AUTO as i32 {
             return Ok(None);
         }
         let found = Precision::ALL.into_iter().find(|precision| Self::from(*precision) as i32 == number);
@@ -110,78 +111,42 @@ impl zs_precision {
 impl From<Precision> for zs_precision {
     fn from(precision: Precision) -> Self {
         match precision {
-            Precision::Fp32 => Self::ZS_PRECISION_EXACT,
-            Precision::Fp16 => Self::ZS_PRECISION_FAST,
-            Precision::Bf16 => Self::ZS_PRECISION_FAST_BF16,
-            Precision::Int8 => Self::ZS_PRECISION_TURBO,
+            Precision::Fp32 => Self::ZS_PRECISION_FP32,
+            Precision::Fp16 => Self::ZS_PRECISION_FP16,
+            Precision::Bf16 => Self::ZS_PRECISION_BF16,
+            Precision::Int8 => Self::ZS_PRECISION_INT8,
         }
     }
 }
 
 pub(super) type zs_precision_value = i32;
 
-// SAFETY: repr(C), two pairs of 32 bits and pointers between them: no padding.
-unsafe impl Versioned for zs_model_options {
-    const NAME: &str = "zs_model_options";
-    const FIRST_SIZE: usize = 8 + 3 * POINTER;
-    fn defaults() -> Self {
-        let (struct_size, user_data) = (size_of::<Self>() as u32, std::ptr::null_mut());
-        let precision = zs_precision::ZS_PRECISION_BEST as i32;
-        Self { struct_size, precision, variant: std::ptr::null(), progress: None, user_data, tokens: 0, reserved: 0 }
-    }
-}
-
-// SAFETY: repr(C), six u32, a u64 and a pointer: padding only at the end for 4-byte pointers.
-unsafe impl Versioned for zs_model_info {
-    const NAME: &str = "zs_model_info";
-    const FIRST_SIZE: usize = 32 + POINTER;
-    fn defaults() -> Self {
-        Self {
-            struct_size: size_of::<Self>() as u32,
-            picture_side: 0,
-            patch: 0,
-            gaussians_per_token: 0,
-            sh_degree: 0,
-            precision: zs_precision::ZS_PRECISION_EXACT as i32,
-            weight_bytes: 0,
-            notes: c"".as_ptr(),
-        }
-    }
-}
-
-/// Sets defaults.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn zs_model_options_default(options: *mut zs_model_options, size: usize) -> zs_status {
-    // SAFETY: the caller's structure of that size.
-    unsafe { write_defaults(options, size) }
-}
-
 /// Loads a checkpoint: safetensors or a PyTorch archive at `path`, the built-in model for
-/// "embedded", or random weights for "seeded:VARIANT". ZS_ERROR_UNSUPPORTED without a built-in
+/// "builtin", or random weights for "seeded:VARIANT". ZS_ERROR_UNSUPPORTED without a built-in
 /// model.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn zs_model_open(
-    context: *const zs_context,
+pub unsafe extern "C" fn zs_model_load(
+    device: *const zs_device,
     path: *const c_char,
     options: *const zs_model_options,
     model: *mut *mut zs_model,
 ) -> zs_status {
     // SAFETY: a string or NULL.
     let checkpoint = |variant: Option<&str>| match unsafe { text(path, "path") }? {
-        "embedded" => match variant {
-            Some(variant) => Err(Failure::argument("variant", variant, "NULL: the embedded model says what it is")),
-            None => embedded(),
+        "builtin" => match variant {
+            Some(variant) => Err(Failure::argument("variant", variant, "NULL: the built-in model names its own")),
+            None => builtin(),
         },
         path => Ok(Checkpoint::parse(path, variant)?),
     };
     // SAFETY: the caller's objects.
-    unsafe { load(context, options, model, checkpoint) }
+    unsafe { load(device, options, model, checkpoint) }
 }
 
-/// Loads a checkpoint from memory, as zs_model_open.
+/// Loads a checkpoint from memory, as zs_model_load.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_model_from_memory(
-    context: *const zs_context,
+    device: *const zs_device,
     data: *const c_void,
     size: usize,
     options: *const zs_model_options,
@@ -195,11 +160,11 @@ pub unsafe extern "C" fn zs_model_from_memory(
         Ok(Checkpoint::from_bytes("model in memory", bytes, variant)?)
     };
     // SAFETY: the caller's objects.
-    unsafe { load(context, options, model, checkpoint) }
+    unsafe { load(device, options, model, checkpoint) }
 }
 
 /// A build without one is not a caller's mistake.
-fn embedded() -> Result<Checkpoint, Failure> {
+fn builtin() -> Result<Checkpoint, Failure> {
     Checkpoint::builtin().map_err(|error| match error {
         Error::Argument { .. } => Failure::unsupported(error.to_string()),
         other => other.into(),
@@ -211,17 +176,17 @@ fn embedded() -> Result<Checkpoint, Failure> {
 pub unsafe extern "C" fn zs_model_get_info(model: *const zs_model, info: *mut zs_model_info) -> zs_status {
     guard(|| {
         // SAFETY: an object or NULL.
-        let zs_model { model, picture_side, precision, notes, .. } = unsafe { borrow(model, "model") }?;
+        let zs_model { model, image_size, precision, warnings, .. } = unsafe { borrow(model, "model") }?;
         let architecture = model.architecture();
         let found = zs_model_info {
-            picture_side: *picture_side,
-            patch: architecture.patch_size as u32,
+            image_size: *image_size,
+            patch_size: architecture.patch_size as u32,
             gaussians_per_token: architecture.gaussians_per_token as u32,
             sh_degree: architecture.sh_degree as u32,
             precision: zs_precision::from(*precision) as i32,
             weight_bytes: model.weight_bytes(),
-            notes: notes.as_ptr(),
-            ..Versioned::defaults()
+            warnings: warnings.as_ptr(),
+            ..Versioned::new()
         };
         // SAFETY: the caller's structure.
         unsafe { write_versioned(info, found) }
@@ -237,17 +202,17 @@ pub unsafe extern "C" fn zs_model_destroy(model: *mut zs_model) {
 
 /// # Safety
 ///
-/// `context` and `options` are NULL or valid; `out` is NULL or writable.
+/// `device` and `options` are NULL or valid; `out` is NULL or writable.
 unsafe fn load(
-    context: *const zs_context,
+    device: *const zs_device,
     options: *const zs_model_options,
     out: *mut *mut zs_model,
     checkpoint: impl FnOnce(Option<&str>) -> Result<Checkpoint, Failure>,
 ) -> zs_status {
     let load = || {
         // SAFETY: the caller's objects.
-        let (context, options) = unsafe { (borrow(context, "context")?, read_versioned(options)?) };
-        let chosen = KernelChoice::of(&context.device, zs_precision::wanted(options.precision)?)?;
+        let (device, options) = unsafe { (borrow(device, "device")?, read_versioned(options)?) };
+        let chosen = KernelChoice::of(&device.gpu, zs_precision::wanted(options.precision)?)?;
         if options.reserved != 0 {
             return Err(Failure::argument("zs_model_options, reserved", options.reserved, "0"));
         }
@@ -257,18 +222,18 @@ unsafe fn load(
         // SAFETY: a string or NULL.
         let checkpoint = checkpoint(unsafe { optional_text(options.variant, "variant") }?)?;
         let progress = |fraction| report(options.progress, options.user_data, fraction, "weights");
-        let model = Model::from_checkpoint_with(&context.device, &checkpoint, chosen.arithmetic, progress)?;
-        let head = (options.tokens == 1).then(|| FrozenHead::load(&context.device, &checkpoint)).transpose()?;
+        let model = Model::from_checkpoint_with(&device.gpu, &checkpoint, chosen.arithmetic, progress)?;
+        let head = (options.tokens == 1).then(|| FrozenHead::load(&device.gpu, &checkpoint)).transpose()?;
         // Names of kernels and devices contain no NUL.
-        let notes = [context.device.passed_over(), &chosen.warnings, checkpoint.notes()].concat();
-        let notes = CString::new(notes.join("\n")).unwrap_or_default();
+        let warnings = [device.gpu.passed_over(), &chosen.warnings, checkpoint.notes()].concat();
+        let warnings = CString::new(warnings.join("\n")).unwrap_or_default();
         Ok(zs_model {
             model,
-            picture_side: checkpoint.image_size(),
+            image_size: checkpoint.image_size(),
             latest: Mutex::default(),
             head: head.map(Arc::new),
             precision: chosen.precision,
-            notes,
+            warnings,
         })
     };
     // SAFETY: the caller's pointer.

@@ -8,19 +8,38 @@ use std::{
 
 type Result<T> = std::result::Result<T, Failure>;
 
-pub(super) const POINTER: usize = size_of::<*const ()>();
-
-/// A structure that begins with its size, so that later versions can append fields.
+/// A structure that begins with its size, so that later versions can append fields. Zero is the
+/// default of every field: for a NULL structure and for fields missing in older ones.
 ///
 /// # Safety
-/// `repr(C)` without padding; the first field is the u32 `struct_size`; all other bit patterns are
-/// valid.
-pub(super) unsafe trait Versioned: Copy {
+/// `repr(C)` with padding at most at the end; the first field is the u32 `struct_size`; all other
+/// bit patterns are valid.
+pub unsafe trait Versioned: Copy {
+    /// Name in the header.
     const NAME: &str;
     /// Size in the first version of this ABI.
-    const FIRST_SIZE: usize;
-    /// Defaults for a NULL structure and for fields missing in older ones.
-    fn defaults() -> Self;
+    const FIRST_SIZE: usize = size_of::<Self>();
+
+    /// Returns zeros with `struct_size` set.
+    fn new() -> Self {
+        // SAFETY: all bit patterns are valid.
+        let mut value: Self = unsafe { std::mem::zeroed() };
+        // SAFETY: the size is the first field.
+        unsafe { (&raw mut value).cast::<u32>().write(size_of::<Self>() as u32) };
+        value
+    }
+}
+
+/// Implements [`Versioned`] for structures of the first version of this ABI.
+macro_rules! versioned {
+    ($($name:ident),*) => {
+        $(
+            // SAFETY: integers, floats, pointers and optional functions, ordered without padding.
+            unsafe impl $crate::pointers::Versioned for $name {
+                const NAME: &str = stringify!($name);
+            }
+        )*
+    };
 }
 
 fn check_size<T: Versioned>(size: usize) -> Result<()> {
@@ -40,12 +59,12 @@ unsafe fn given_size<T: Versioned>(pointer: *const T) -> Result<usize> {
     check_size::<T>(size).map(|()| size)
 }
 
-/// Copies a caller's structure; NULL gives the defaults.
+/// Copies a caller's structure; NULL is all zeros.
 ///
 /// # Safety
 /// `pointer` is NULL or points to as many bytes as its first field states.
 pub(super) unsafe fn read_versioned<T: Versioned>(pointer: *const T) -> Result<T> {
-    let mut value = T::defaults();
+    let mut value = T::new();
     if pointer.is_null() {
         return Ok(value);
     }
@@ -111,22 +130,6 @@ pub(super) unsafe fn write_versioned<T: Versioned>(pointer: *mut T, value: T) ->
     // SAFETY: the caller has `size` bytes there, and `T` at least as many; the first four stay.
     unsafe { std::ptr::copy_nonoverlapping(from.add(4), pointer.cast::<u8>().add(4), size - 4) };
     Ok(())
-}
-
-/// # Safety
-///
-/// `pointer` is NULL or points to `size` bytes.
-pub(super) unsafe fn write_defaults<T: Versioned>(pointer: *mut T, size: usize) -> zs_status {
-    guard(|| {
-        check_size::<T>(size)?;
-        if pointer.is_null() {
-            return Err(Failure::argument(T::NAME, "NULL", "a structure"));
-        }
-        // SAFETY: the caller provides `size` bytes.
-        unsafe { pointer.cast::<u32>().write_unaligned(size as u32) };
-        // SAFETY: as above, and the size was just written.
-        unsafe { write_versioned(pointer, T::defaults()) }
-    })
 }
 
 /// Runs a constructor and outputs its object, or NULL on failure.
@@ -246,9 +249,6 @@ mod tests {
     unsafe impl Versioned for Grown {
         const NAME: &str = "grown";
         const FIRST_SIZE: usize = 8;
-        fn defaults() -> Self {
-            Self { struct_size: 16, first: 0, added: 7 }
-        }
     }
 
     #[test]
@@ -256,7 +256,7 @@ mod tests {
         let older = [[8u32, 1], [8, 2], [8, 3]];
         // SAFETY: three structures of their stated size.
         let found = unsafe { read_array::<Grown>(older.as_ptr().cast(), 3, "things") };
-        let expected = [1, 2, 3].map(|first| Grown { struct_size: 8, first, added: 7 });
+        let expected = [1, 2, 3].map(|first| Grown { struct_size: 8, first, added: 0 });
         assert!(found.is_ok_and(|found| found == expected));
     }
 

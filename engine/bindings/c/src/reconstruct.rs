@@ -1,10 +1,11 @@
 //! Reconstruction: photos to a scene.
 
 use super::{
+    camera::zs_camera,
     capture::zs_capture,
+    image::zs_image,
     model::{report, zs_model, zs_progress},
-    picture::{zs_camera, zs_image},
-    pointers::{POINTER, Versioned, borrow, produce, read_array, read_versioned, write_defaults},
+    pointers::{borrow, produce, read_array, read_versioned},
     scene::{ModelTokens, PatchViews, zs_scene},
     status::{Failure, zs_status},
 };
@@ -27,34 +28,36 @@ use zipsplat::{
 /// Selection of the tokens kept at ratios below 1.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum zs_selection {
+pub enum zs_token_selection {
     /// The token nearest to each k-means centroid, as in the paper.
-    ZS_SELECT_KMEANS = 0,
+    ZS_TOKEN_SELECTION_KMEANS = 0,
     /// Evenly spaced.
-    ZS_SELECT_STRIDE = 1,
+    ZS_TOKEN_SELECTION_STRIDE = 1,
     /// Random, from `seed`.
-    ZS_SELECT_RANDOM = 2,
+    ZS_TOKEN_SELECTION_RANDOM = 2,
 }
 
-pub(super) type zs_selection_value = i32;
+pub(super) type zs_token_selection_value = i32;
 
 /// World of a scene.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_world {
+    /// ZS_WORLD_INPUT_CAMERAS if `cameras` are given, else ZS_WORLD_FIRST_CAMERA.
+    ZS_WORLD_AUTO = 0,
     /// The first photo's camera space.
-    ZS_WORLD_FIRST_CAMERA = 0,
-    /// The world of `cameras`.
-    ZS_WORLD_CAMERAS = 1,
+    ZS_WORLD_FIRST_CAMERA = 1,
+    /// The world of `cameras`, which are required.
+    ZS_WORLD_INPUT_CAMERAS = 2,
 }
 
 pub(super) type zs_world_value = i32;
 
 /// The paper's ratio: 0.5 sqrt(2 / number of photos).
-pub const ZS_RATIO_AUTO: f64 = 0.0;
+pub const ZS_RATIO_AUTO: f64 = -1.0;
 
 /// A scale estimated from the cameras and, if given, the capture's points.
-pub const ZS_UNIT_AUTO: f64 = 0.0;
+pub const ZS_SCENE_SCALE_AUTO: f64 = 0.0;
 
 /// Options of zs_reconstruct.
 #[repr(C)]
@@ -62,70 +65,36 @@ pub const ZS_UNIT_AUTO: f64 = 0.0;
 pub struct zs_reconstruct_options {
     /// sizeof(zs_reconstruct_options).
     pub struct_size: u32,
-    /// World of the scene; ZS_WORLD_CAMERAS requires `cameras`.
+    /// World of the scene.
     pub world: zs_world_value,
-    /// Fraction of tokens that become Gaussians, in (0, 1], or ZS_RATIO_AUTO. Default 1.
+    /// Fraction of tokens that become Gaussians, in (0, 1], or ZS_RATIO_AUTO; 0 is 1.
     pub ratio: f64,
-    /// Scene scale: the length in units of `cameras` that the network treats as 1, or ZS_UNIT_AUTO.
-    /// The network expects a median distance of about 1 from the first camera. Default 1.
-    pub unit: f64,
+    /// Scene scale: the length in units of `cameras` that the network treats as 1, or ZS_SCENE_SCALE_AUTO.
+    /// The network expects a median distance of about 1 from the first camera.
+    pub scene_scale: f64,
     /// Selection of the kept tokens.
-    pub selection: zs_selection_value,
-    /// Width of the network's input, a multiple of the patch: photos are center-cropped and
-    /// resized. 0 is the model's own.
-    pub width: u32,
-    /// Height of the network's input; 0 exactly if `width` is 0.
-    pub height: u32,
-    /// 0 or the number of photos.
-    pub camera_count: u32,
-    /// Seed for ZS_SELECT_RANDOM.
+    pub token_selection: zs_token_selection_value,
+    /// Pooling for many photos: cross-view attention reads means of `kv_pool` x `kv_pool` patches,
+    /// 1 to 4; 0 is 1. Larger values are faster and less exact.
+    pub kv_pool: u32,
+    /// Width and height of the network's input, multiples of the patch size: photos are
+    /// center-cropped and resized. 0 and 0 are the model's own.
+    pub input_size: [u32; 2],
+    /// Seed for ZS_TOKEN_SELECTION_RANDOM.
     pub seed: u64,
+    /// 0 or the number of photos.
+    pub camera_count: usize,
     /// Known cameras of the whole photos.
     pub cameras: *const zs_camera,
     /// Progress callback.
     pub progress: zs_progress,
     /// Argument of `progress`.
     pub user_data: *mut c_void,
-    /// Capture whose points and cameras give the scale for ZS_UNIT_AUTO; NULL uses `cameras` alone.
+    /// Capture whose points and cameras give the scale for ZS_SCENE_SCALE_AUTO; NULL uses `cameras` alone.
     pub capture: *const zs_capture,
-    /// Pooling for many photos: cross-view attention reads means of `pool` x `pool` patches, 1 to
-    /// 4. Larger values are faster and less exact. Default 1.
-    pub pool: u64,
 }
 
-// SAFETY: repr(C), pairs of 32 bits, two f64, two u64 and an even number of pointers: no padding.
-unsafe impl Versioned for zs_reconstruct_options {
-    const NAME: &str = "zs_reconstruct_options";
-    const FIRST_SIZE: usize = 48 + 3 * POINTER;
-    fn defaults() -> Self {
-        Self {
-            struct_size: size_of::<Self>() as u32,
-            world: zs_world::ZS_WORLD_FIRST_CAMERA as i32,
-            ratio: 1.0,
-            unit: 1.0,
-            selection: zs_selection::ZS_SELECT_KMEANS as i32,
-            width: 0,
-            height: 0,
-            camera_count: 0,
-            seed: 0,
-            cameras: std::ptr::null(),
-            progress: None,
-            user_data: std::ptr::null_mut(),
-            capture: std::ptr::null(),
-            pool: 1,
-        }
-    }
-}
-
-/// Sets defaults.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn zs_reconstruct_options_default(
-    options: *mut zs_reconstruct_options,
-    size: usize,
-) -> zs_status {
-    // SAFETY: the caller's structure of that size.
-    unsafe { write_defaults(options, size) }
-}
+versioned!(zs_reconstruct_options);
 
 /// Reconstructs a scene from 1 to 192 photos of one place.
 #[unsafe(no_mangle)]
@@ -138,23 +107,22 @@ pub unsafe extern "C" fn zs_reconstruct(
 ) -> zs_status {
     let reconstruct = || {
         // SAFETY: an object or NULL; a structure or NULL.
-        let (zs_model { model, picture_side, latest, head, .. }, options) =
+        let (zs_model { model, image_size, latest, head, .. }, options) =
             unsafe { (borrow(model, "model")?, read_versioned(options)?) };
         if !(1..=MAX_VIEWS).contains(&image_count) {
             return Err(Failure::argument("number of images", image_count, format!("1 to {MAX_VIEWS}")));
         }
         // SAFETY: the caller's arrays.
         let (images, cameras) = unsafe {
-            let camera_count = options.camera_count as usize;
-            (read_array(images, image_count, "images")?, read_array(options.cameras, camera_count, "cameras")?)
+            (read_array(images, image_count, "images")?, read_array(options.cameras, options.camera_count, "cameras")?)
         };
         let (ratio, selection, unit) = (options.ratio()?, options.selection()?, options.unit()?);
-        let [width, height] = match (options.width, options.height) {
-            (0, 0) => [*picture_side; 2],
-            (width, height) => [width, height],
+        let [width, height] = match options.input_size {
+            [0, 0] => [*image_size; 2],
+            size => size,
         };
         // Validates everything before touching pixels.
-        let pool = usize::try_from(options.pool).unwrap_or(usize::MAX);
+        let pool = options.kv_pool.max(1) as usize;
         Shape::new(model.architecture(), image_count, [width, height], (ratio, &selection), !cameras.is_empty())?
             .pooled(pool)?;
         if !cameras.is_empty() && cameras.len() != images.len() {
@@ -252,38 +220,44 @@ unsafe fn prepare(
 
 impl zs_reconstruct_options {
     fn ratio(&self) -> Result<Ratio, Failure> {
-        Ok(if self.ratio == ZS_RATIO_AUTO { Ratio::Auto } else { Ratio::Fixed(self.ratio) })
+        Ok(match self.ratio {
+            ZS_RATIO_AUTO => Ratio::Auto,
+            0.0 => Ratio::Fixed(1.0),
+            ratio => Ratio::Fixed(ratio),
+        })
     }
 
     /// Returns the scale; `None` is estimated from the cameras.
     fn unit(&self) -> Result<Option<f64>, Failure> {
-        if self.unit == ZS_UNIT_AUTO {
+        if self.scene_scale == ZS_SCENE_SCALE_AUTO {
             return Ok(None);
         }
         // Scenes are f32.
-        if !(self.unit as f32).is_normal() || self.unit < 0.0 {
-            return Err(Failure::argument("unit", self.unit, "a length above 0, or ZS_UNIT_AUTO"));
+        if !(self.scene_scale as f32).is_normal() || self.scene_scale < 0.0 {
+            return Err(Failure::argument("scene_scale", self.scene_scale, "a length above 0, or ZS_SCENE_SCALE_AUTO"));
         }
-        Ok(Some(self.unit))
+        Ok(Some(self.scene_scale))
     }
 
     /// Returns the first camera's pose in the scene's world, if the world is not that camera's
     /// space.
     fn placed(&self, cameras: &[Camera]) -> Result<Option<Pose>, Failure> {
         match (self.world, cameras.first()) {
-            (0, _) => Ok(None),
-            (1, Some(first)) => Ok(Some(first.pose)),
-            (1, None) => Err(Failure::argument("world", "ZS_WORLD_CAMERAS without cameras", "a camera for each photo")),
+            (0 | 2, Some(first)) => Ok(Some(first.pose)),
+            (0 | 1, _) => Ok(None),
+            (2, None) => {
+                Err(Failure::argument("world", "ZS_WORLD_INPUT_CAMERAS without cameras", "a camera for each photo"))
+            }
             (other, _) => Err(Failure::argument("world", other, "a zs_world")),
         }
     }
 
     fn selection(&self) -> Result<TokenSelection, Failure> {
-        match self.selection {
+        match self.token_selection {
             0 => Ok(TokenSelection::KMEANS),
             1 => Ok(TokenSelection::Stride),
             2 => Ok(TokenSelection::Random(self.seed)),
-            other => Err(Failure::argument("selection", other, "a zs_selection")),
+            other => Err(Failure::argument("token_selection", other, "a zs_token_selection")),
         }
     }
 }

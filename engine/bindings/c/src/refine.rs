@@ -1,11 +1,10 @@
 //! Refinement: optimizes a scene to match photos.
 
 use super::{
-    context::zs_context,
-    picture::{zs_camera, zs_image},
-    pointers::{
-        POINTER, Versioned, borrow, flow, produce, read_array, read_versioned, write_defaults, write_versioned,
-    },
+    camera::zs_camera,
+    device::zs_device,
+    image::zs_image,
+    pointers::{Versioned, borrow, flow, produce, read_array, read_versioned, write_versioned},
     scene::{ModelTokens, zs_scene},
     status::{Failure, zs_status},
 };
@@ -13,38 +12,38 @@ use std::{ffi::c_void, ops::ControlFlow};
 use zipsplat::{
     Error,
     gpu::Arena,
-    refine::{RefineOptions, RefineResult, Refining, StopReason, refine_scene, refine_tokens},
+    refine::{RefineOptions, RefineProgress, RefineResult, StopReason, refine_scene, refine_tokens},
     types::{Camera, Image, Pose},
 };
 
-/// Holds out one photo of 40 or more, else none.
-pub const ZS_HOLD_OUT_AUTO: i32 = -1;
+/// Holds out no photo.
+pub const ZS_HOLDOUT_VIEWS_NONE: i32 = -1;
 
 /// Optimized parameters.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum zs_refine_what {
+pub enum zs_refine_target {
     /// The scene's Gaussians.
-    ZS_REFINE_GAUSSIANS = 0,
+    ZS_REFINE_TARGET_GAUSSIANS = 0,
     /// The tokens behind the Gaussians; needs zs_model_options.tokens.
-    ZS_REFINE_TOKENS = 1,
+    ZS_REFINE_TARGET_TOKENS = 1,
 }
 
-pub(super) type zs_refine_what_value = i32;
+pub(super) type zs_refine_target_value = i32;
 
 /// Reasons for the end of a refinement.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum zs_refine_end {
+pub enum zs_stop_reason {
     /// All steps completed.
-    ZS_REFINE_FINISHED = 0,
+    ZS_STOP_REASON_FINISHED = 0,
     /// The progress callback stopped it.
-    ZS_REFINE_STOPPED = 1,
+    ZS_STOP_REASON_STOPPED = 1,
     /// The loss grew, or became NaN or infinite.
-    ZS_REFINE_DIVERGED = 2,
+    ZS_STOP_REASON_DIVERGED = 2,
 }
 
-pub(super) type zs_refine_end_value = i32;
+pub(super) type zs_stop_reason_value = i32;
 
 /// Progress of a refinement.
 #[repr(C)]
@@ -63,7 +62,7 @@ pub struct zs_refining {
     /// Latest PSNR in dB of the held-out photos; NaN without any.
     pub psnr: f64,
     /// Estimated seconds left.
-    pub seconds_left: f64,
+    pub eta_seconds: f64,
 }
 
 /// Callback after each step. `now` is valid during the callback. Return 0 to continue; any other
@@ -76,18 +75,16 @@ pub type zs_refine_progress = Option<unsafe extern "C" fn(user_data: *mut c_void
 pub struct zs_refine_options {
     /// sizeof(zs_refine_options).
     pub struct_size: u32,
-    /// Optimizer steps. Default 100.
+    /// Optimizer steps; 0 is 100.
     pub steps: u32,
-    /// Photos per step, at least 1, capped at the number of training photos. Default 4.
+    /// Photos per step, capped at the number of training photos; 0 is 4.
     pub views_per_step: u32,
-    /// Number of held-out photos, evenly spaced, less than all, or ZS_HOLD_OUT_AUTO. The step with
-    /// their best PSNR is returned. Default ZS_HOLD_OUT_AUTO.
-    pub hold_out: i32,
-    /// Largest compared width in pixels; larger photos are downscaled. 0 keeps full size. Default
-    /// 1600.
-    pub width: u32,
-    /// Largest compared height; 0 exactly if `width` is 0. Default 1600.
-    pub height: u32,
+    /// Number of held-out photos, evenly spaced, less than all, or ZS_HOLDOUT_VIEWS_NONE. 0 holds out
+    /// one photo of 40 or more. The step with their best PSNR is returned.
+    pub holdout_views: i32,
+    /// Largest compared width and height in pixels; larger photos are downscaled. 0 is 1600,
+    /// UINT32_MAX keeps full size.
+    pub max_image_size: [u32; 2],
     /// Seed of the photo order.
     pub seed: u64,
     /// Progress callback.
@@ -95,7 +92,7 @@ pub struct zs_refine_options {
     /// Argument of `progress`.
     pub user_data: *mut c_void,
     /// Optimized parameters.
-    pub what: zs_refine_what_value,
+    pub target: zs_refine_target_value,
     /// Must be 0.
     pub reserved: u32,
 }
@@ -103,102 +100,52 @@ pub struct zs_refine_options {
 /// Result of a refinement.
 #[repr(C)]
 #[derive(Clone, Copy)]
-pub struct zs_refine_info {
-    /// sizeof(zs_refine_info).
+pub struct zs_refine_result {
+    /// sizeof(zs_refine_result).
     pub struct_size: u32,
     /// Reason for the end.
-    pub ended: zs_refine_end_value,
+    pub stop_reason: zs_stop_reason_value,
     /// Completed steps.
     pub steps: u32,
     /// Step of the returned scene; 0 if none improved it.
     pub best_step: u32,
     /// Mean loss of the first step, at its resolution; NaN without a step.
-    pub first_loss: f64,
+    pub initial_loss: f64,
     /// Mean loss of the last step, likewise.
-    pub last_loss: f64,
+    pub final_loss: f64,
     /// Held-out PSNR in dB before the first step; NaN without held-out photos.
-    pub psnr_before: f64,
+    pub initial_psnr: f64,
     /// Held-out PSNR in dB of the returned scene.
-    pub psnr: f64,
+    pub best_psnr: f64,
     /// Duration in seconds.
     pub seconds: f64,
     /// Mean PSNR in dB of up to 16 full-size training photos before the first step.
-    pub training_psnr_before: f64,
+    pub initial_training_psnr: f64,
     /// PSNR in dB of the same photos for the returned scene.
-    pub training_psnr: f64,
+    pub best_training_psnr: f64,
 }
 
-// SAFETY: repr(C), six 4-byte values, a u64, pointers and two 4-byte values: no padding.
-unsafe impl Versioned for zs_refine_options {
-    const NAME: &str = "zs_refine_options";
-    const FIRST_SIZE: usize = 32 + 2 * POINTER;
-    fn defaults() -> Self {
-        let RefineOptions { steps, views_per_step, seed, .. } = RefineOptions::default();
-        Self {
-            struct_size: size_of::<Self>() as u32,
-            steps: steps as u32,
-            views_per_step: views_per_step as u32,
-            hold_out: ZS_HOLD_OUT_AUTO,
-            width: MOST_PIXELS,
-            height: MOST_PIXELS,
-            seed,
-            progress: None,
-            user_data: std::ptr::null_mut(),
-            what: zs_refine_what::ZS_REFINE_GAUSSIANS as i32,
-            reserved: 0,
-        }
-    }
-}
-
-// SAFETY: repr(C), four values of four bytes and seven f64: no padding.
-unsafe impl Versioned for zs_refine_info {
-    const NAME: &str = "zs_refine_info";
-    const FIRST_SIZE: usize = 56;
-    fn defaults() -> Self {
-        Self {
-            struct_size: size_of::<Self>() as u32,
-            ended: zs_refine_end::ZS_REFINE_FINISHED as i32,
-            steps: 0,
-            best_step: 0,
-            first_loss: f64::NAN,
-            last_loss: f64::NAN,
-            psnr_before: f64::NAN,
-            psnr: f64::NAN,
-            seconds: 0.0,
-            training_psnr_before: f64::NAN,
-            training_psnr: f64::NAN,
-        }
-    }
-}
-
-const MOST_PIXELS: u32 = 1600;
-
-/// Sets defaults.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn zs_refine_options_default(options: *mut zs_refine_options, size: usize) -> zs_status {
-    // SAFETY: the caller's structure of that size.
-    unsafe { write_defaults(options, size) }
-}
+versioned!(zs_refine_options, zs_refine_result);
 
 /// Optimizes a copy of a scene to match `count` photos. `cameras` are of the whole photos, in the
 /// scene's world. An early stop or a diverging loss still returns the best scene. `info` may be
 /// NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_refine(
-    context: *const zs_context,
+    device: *const zs_device,
     scene: *const zs_scene,
     images: *const zs_image,
     cameras: *const zs_camera,
     count: usize,
     options: *const zs_refine_options,
-    info: *mut zs_refine_info,
+    info: *mut zs_refine_result,
     refined: *mut *mut zs_scene,
 ) -> zs_status {
     let refine = || {
         // SAFETY: objects or NULL; a structure or NULL; arrays of the caller's.
-        let (context, scene, options, images, cameras) = unsafe {
+        let (device, scene, options, images, cameras) = unsafe {
             let (images, cameras) = (read_array(images, count, "images")?, read_array(cameras, count, "cameras")?);
-            (borrow(context, "context")?, borrow(scene, "scene")?, read_versioned(options)?, images, cameras)
+            (borrow(device, "device")?, borrow(scene, "scene")?, read_versioned(options)?, images, cameras)
         };
         if count == 0 {
             return Err(Failure::argument("number of images", count, "at least 1"));
@@ -206,7 +153,7 @@ pub unsafe extern "C" fn zs_refine(
         let request = options.request()?;
         if !info.is_null() {
             // SAFETY: the caller's structure. Checked before expensive work.
-            unsafe { write_versioned(info, zs_refine_info::defaults()) }?;
+            unsafe { write_versioned(info, zs_refine_result::new()) }?;
         }
         let cameras: Vec<Camera> = cameras.iter().map(zs_camera::camera).collect::<Result<_, _>>()?;
         let photo = |(i, image): (usize, &zs_image)| {
@@ -214,19 +161,19 @@ pub unsafe extern "C" fn zs_refine(
             unsafe { image.image(&format!("image {i}")) }
         };
         let photos: Vec<_> = images.iter().enumerate().map(photo).collect::<Result<_, _>>()?;
-        let progress = |now: Refining| options.tell(&now);
-        let found = if options.what == zs_refine_what::ZS_REFINE_TOKENS as i32 {
+        let progress = |now: RefineProgress| options.tell(&now);
+        let found = if options.target == zs_refine_target::ZS_REFINE_TARGET_TOKENS as i32 {
             let Some(tokens) = &scene.tokens else {
                 let expected = "a scene of zs_reconstruct, with a model that was opened with tokens = 1";
                 return Err(Failure::argument("scene", "a scene without tokens", expected));
             };
             tokens.refine(&photos, &cameras, &request, progress)?
         } else {
-            refine_scene(&Arena::new(&context.device), &scene.scene, &photos, &cameras, &request, progress)?
+            refine_scene(&Arena::new(&device.gpu), &scene.scene, &photos, &cameras, &request, progress)?
         };
         if !info.is_null() {
             // SAFETY: as above.
-            unsafe { write_versioned(info, zs_refine_info::of(&found)) }?;
+            unsafe { write_versioned(info, zs_refine_result::of(&found)) }?;
         }
         Ok(found.scene.into())
     };
@@ -236,42 +183,32 @@ pub unsafe extern "C" fn zs_refine(
 
 impl zs_refine_options {
     fn request(&self) -> Result<RefineOptions, Failure> {
-        let size = match (self.width, self.height) {
-            (0, 0) => None,
-            (0, _) | (_, 0) => {
-                let found = format!("{} x {}", self.width, self.height);
-                return Err(Failure::argument("width and height", found, "both 0, or both above it"));
-            }
-            (width, height) => Some([width, height]),
-        };
-        if self.views_per_step == 0 {
-            return Err(Failure::argument("views_per_step", 0, "at least 1"));
-        }
+        let default = RefineOptions::default();
+        let or = |number: u32, default: usize| if number == 0 { default } else { number as usize };
         if self.reserved != 0 {
             return Err(Failure::argument("zs_refine_options, reserved", self.reserved, "0"));
         }
-        if !(0..=zs_refine_what::ZS_REFINE_TOKENS as i32).contains(&self.what) {
-            return Err(Failure::argument("what", self.what, "a zs_refine_what"));
+        if !(0..=zs_refine_target::ZS_REFINE_TARGET_TOKENS as i32).contains(&self.target) {
+            return Err(Failure::argument("target", self.target, "a zs_refine_target"));
         }
-        let hold_out = match self.hold_out {
-            ZS_HOLD_OUT_AUTO => None,
-            count => Some(
-                usize::try_from(count)
-                    .map_err(|_| Failure::argument("hold_out", count, "a number of photos, or ZS_HOLD_OUT_AUTO"))?,
-            ),
+        let holdout_views = match self.holdout_views {
+            0 => None,
+            ZS_HOLDOUT_VIEWS_NONE => Some(0),
+            count => Some(usize::try_from(count).map_err(|_| {
+                Failure::argument("holdout_views", count, "0, a number of photos, or ZS_HOLDOUT_VIEWS_NONE")
+            })?),
         };
-        let (steps, views_per_step) = (self.steps as usize, self.views_per_step as usize);
         Ok(RefineOptions {
-            steps,
-            views_per_step,
-            max_image_size: size,
-            holdout_views: hold_out,
+            steps: or(self.steps, default.steps),
+            views_per_step: or(self.views_per_step, default.views_per_step),
+            max_image_size: Some(self.max_image_size.map(|side| if side == 0 { 1600 } else { side })),
+            holdout_views,
             seed: self.seed,
-            ..RefineOptions::default()
+            ..default
         })
     }
 
-    fn tell(&self, now: &Refining<'_>) -> ControlFlow<()> {
+    fn tell(&self, now: &RefineProgress<'_>) -> ControlFlow<()> {
         let Some(progress) = self.progress else { return ControlFlow::Continue(()) };
         let now = zs_refining {
             struct_size: size_of::<zs_refining>() as u32,
@@ -280,7 +217,7 @@ impl zs_refine_options {
             reserved: 0,
             loss: now.loss.map_or(f64::NAN, f64::from),
             psnr: now.psnr.unwrap_or(f64::NAN),
-            seconds_left: now.left.as_secs_f64(),
+            eta_seconds: now.eta.as_secs_f64(),
         };
         // SAFETY: the caller's function, with the caller's data.
         flow(unsafe { progress(self.user_data, &now) })
@@ -293,7 +230,7 @@ impl ModelTokens {
         photos: &[Image],
         cameras: &[Camera],
         request: &RefineOptions,
-        progress: impl FnMut(Refining) -> ControlFlow<()>,
+        progress: impl FnMut(RefineProgress) -> ControlFlow<()>,
     ) -> Result<RefineResult, Error> {
         // Tokens are in the first camera's space.
         let world = self.pose.unwrap_or(Pose::IDENTITY);
@@ -305,27 +242,27 @@ impl ModelTokens {
     }
 }
 
-impl zs_refine_info {
+impl zs_refine_result {
     fn of(refined: &RefineResult) -> Self {
         let loss = |loss: Option<&f32>| loss.map_or(f64::NAN, |loss| f64::from(*loss));
-        let [psnr, psnr_before] = refined.psnr().unwrap_or([f64::NAN; 2]);
-        let ended = match refined.stop_reason {
-            None => zs_refine_end::ZS_REFINE_FINISHED,
-            Some(StopReason::Cancelled) => zs_refine_end::ZS_REFINE_STOPPED,
-            Some(StopReason::Diverged(_)) => zs_refine_end::ZS_REFINE_DIVERGED,
+        let [best_psnr, initial_psnr] = refined.psnr().unwrap_or([f64::NAN; 2]);
+        let stop_reason = match refined.stop_reason {
+            None => zs_stop_reason::ZS_STOP_REASON_FINISHED,
+            Some(StopReason::Cancelled) => zs_stop_reason::ZS_STOP_REASON_STOPPED,
+            Some(StopReason::Diverged(_)) => zs_stop_reason::ZS_STOP_REASON_DIVERGED,
         };
         Self {
-            ended: ended as i32,
+            stop_reason: stop_reason as i32,
             steps: refined.losses.len() as u32,
             best_step: refined.best_step as u32,
-            first_loss: loss(refined.losses.first()),
-            last_loss: loss(refined.losses.last()),
-            psnr_before,
-            psnr,
+            initial_loss: loss(refined.losses.first()),
+            final_loss: loss(refined.losses.last()),
+            initial_psnr,
+            best_psnr,
             seconds: refined.took.as_secs_f64(),
-            training_psnr_before: refined.training_psnr[1],
-            training_psnr: refined.training_psnr[0],
-            ..Versioned::defaults()
+            initial_training_psnr: refined.training_psnr[1],
+            best_training_psnr: refined.training_psnr[0],
+            ..Versioned::new()
         }
     }
 }

@@ -1,9 +1,10 @@
 //! Renderers: draw a scene from a device into host memory.
 
 use super::{
-    context::zs_context,
-    picture::{checked_stride, zs_camera, zs_pixel_format, zs_pixel_format_value},
-    pointers::{POINTER, Versioned, array_mut, borrow, destroy, produce, read_array, read_versioned, write_defaults},
+    camera::zs_camera,
+    device::zs_device,
+    image::{checked_stride, zs_pixel_format, zs_pixel_format_value},
+    pointers::{array_mut, borrow, destroy, produce, read_array, read_versioned},
     scene::zs_scene,
     status::{Failure, guard, zs_status},
 };
@@ -43,14 +44,14 @@ impl zs_renderer {
 /// Kinds of depth along the camera's z axis, in world units.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum zs_depth {
+pub enum zs_depth_mode {
     /// Expected depth: the blended depth divided by alpha; 0 where alpha is 0.
-    ZS_DEPTH_EXPECTED = 0,
+    ZS_DEPTH_MODE_EXPECTED = 0,
     /// Sum of depth times blending weight.
-    ZS_DEPTH_ACCUMULATED = 1,
+    ZS_DEPTH_MODE_ACCUMULATED = 1,
 }
 
-pub(super) type zs_depth_value = i32;
+pub(super) type zs_depth_mode_value = i32;
 
 /// Options of zs_render.
 #[repr(C)]
@@ -59,40 +60,24 @@ pub struct zs_render_options {
     /// sizeof(zs_render_options).
     pub struct_size: u32,
     /// Pixel format. 8-bit color is clamped and truncated, 8-bit alpha rounded, f32 unchanged.
-    /// Color includes the background's part; on black it is premultiplied. Default ZS_PIXEL_RGBA8.
+    /// Color includes the background's part; on black it is premultiplied.
     pub format: zs_pixel_format_value,
-    /// Kind of zs_picture.depth.
-    pub depth: zs_depth_value,
+    /// Kind of zs_render_buffers.depth.
+    pub depth: zs_depth_mode_value,
     /// 1 fades Gaussians thinner than a pixel (Mip-Splatting), for scenes trained that way.
     pub antialiased: u32,
     /// Background as red, green, blue.
     pub background: [f32; 3],
-    /// Near plane: Gaussians at smaller camera depth are culled. 0, the default, is 0.01, or less
-    /// for scenes with an extent below 0.1.
+    /// Near plane: Gaussians at smaller camera depth are culled. 0 is 0.01, or less for
+    /// scenes with an extent below 0.1.
     pub near_plane: f32,
-}
-
-// SAFETY: repr(C), eight values of four bytes: no padding.
-unsafe impl Versioned for zs_render_options {
-    const NAME: &str = "zs_render_options";
-    const FIRST_SIZE: usize = 32;
-    fn defaults() -> Self {
-        Self {
-            struct_size: size_of::<Self>() as u32,
-            format: zs_pixel_format::ZS_PIXEL_RGBA8 as i32,
-            depth: zs_depth::ZS_DEPTH_EXPECTED as i32,
-            antialiased: 0,
-            background: [0.0; 3],
-            near_plane: 0.0,
-        }
-    }
 }
 
 /// Output buffers of a picture; NULL skips one.
 #[repr(C)]
 #[derive(Clone, Copy)]
-pub struct zs_picture {
-    /// sizeof(zs_picture).
+pub struct zs_render_buffers {
+    /// sizeof(zs_render_buffers).
     pub struct_size: u32,
     /// Must be 0.
     pub reserved: u32,
@@ -106,31 +91,23 @@ pub struct zs_picture {
     pub depth: *mut f32,
 }
 
-// SAFETY: repr(C), two u32, an i64 and pointers: padding only at the end for 4-byte pointers.
-unsafe impl Versioned for zs_picture {
-    const NAME: &str = "zs_picture";
-    const FIRST_SIZE: usize = 16 + 3 * POINTER;
-    fn defaults() -> Self {
-        let (struct_size, none) = (size_of::<Self>() as u32, std::ptr::null_mut());
-        Self { struct_size, reserved: 0, stride: 0, pixels: std::ptr::null_mut(), alpha: none, depth: none }
-    }
-}
+versioned!(zs_render_options, zs_render_buffers);
 
 const PIXELS_AT_ONCE: u64 = 1 << 24;
 
-/// Uploads a scene to a context's device.
+/// Uploads a scene to a device's device.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_renderer_create(
-    context: *const zs_context,
+    device: *const zs_device,
     scene: *const zs_scene,
     renderer: *mut *mut zs_renderer,
 ) -> zs_status {
     let create = || {
         // SAFETY: objects or NULL.
-        let (context, scene) = unsafe { (borrow(context, "context")?, borrow(scene, "scene")?) };
-        let mut renderer = Renderer::new(&context.device);
+        let (device, scene) = unsafe { (borrow(device, "device")?, borrow(scene, "scene")?) };
+        let mut renderer = Renderer::new(&device.gpu);
         scene.load(&mut renderer)?;
-        Ok(zs_renderer { adopted: context.adopted, renderer: Mutex::new(renderer), differentiator: Mutex::default() })
+        Ok(zs_renderer { adopted: device.adopted, renderer: Mutex::new(renderer), differentiator: Mutex::default() })
     };
     // SAFETY: the caller's pointer.
     unsafe { produce(renderer, create) }
@@ -154,19 +131,12 @@ pub unsafe extern "C" fn zs_renderer_destroy(renderer: *mut zs_renderer) {
     unsafe { destroy(renderer) }
 }
 
-/// Sets defaults.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn zs_render_options_default(options: *mut zs_render_options, size: usize) -> zs_status {
-    // SAFETY: the caller's structure of that size.
-    unsafe { write_defaults(options, size) }
-}
-
 /// Draws one picture per camera. After a failure some pictures may be written.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_render(
     renderer: *const zs_renderer,
     cameras: *const zs_camera,
-    pictures: *const zs_picture,
+    pictures: *const zs_render_buffers,
     count: usize,
     options: *const zs_render_options,
 ) -> zs_status {
@@ -227,11 +197,15 @@ impl zs_render_options {
         zs_pixel_format::of(self.format)
     }
 
-    pub(super) fn request(&self, format: zs_pixel_format, pictures: &[zs_picture]) -> Result<RenderOptions, Failure> {
+    pub(super) fn request(
+        &self,
+        format: zs_pixel_format,
+        pictures: &[zs_render_buffers],
+    ) -> Result<RenderOptions, Failure> {
         let depth = match self.depth {
             0 => Depth::Expected,
             1 => Depth::Accumulated,
-            other => return Err(Failure::argument("depth", other, "a zs_depth")),
+            other => return Err(Failure::argument("depth", other, "a zs_depth_mode")),
         };
         let rgb = pictures.iter().any(|picture| !picture.pixels.is_null());
         let alpha = pictures.iter().any(|picture| !picture.alpha.is_null());
@@ -248,7 +222,7 @@ impl zs_render_options {
     }
 }
 
-impl zs_picture {
+impl zs_render_buffers {
     /// # Safety
     /// Pointers that are not NULL have capacity for the frame.
     unsafe fn write(&self, frame: &RenderOutput, format: zs_pixel_format, stride: isize) -> Result<(), Failure> {

@@ -1,10 +1,10 @@
 //! Scenes: Gaussians from and to arrays, files and bytes.
 
 use super::{
-    picture::zs_camera,
+    camera::zs_camera,
     pointers::{
-        POINTER, Versioned, array, array_mut, borrow, destroy, optional_text, produce, read_array, read_given,
-        read_versioned, text, write_defaults, write_versioned,
+        Versioned, array, array_mut, borrow, destroy, optional_text, produce, read_array, read_given, read_versioned,
+        text, write_versioned,
     },
     status::{Failure, guard, zs_status},
 };
@@ -21,7 +21,7 @@ use zipsplat::{
     stages::render::{DeviceScene, Renderer, WeakScene},
 };
 
-/// 3D Gaussians in host memory. Independent of contexts; survives device loss.
+/// 3D Gaussians in host memory. Independent of devices; survives device loss.
 pub struct zs_scene {
     pub(super) scene: Scene,
     /// The device copy, while its model keeps it.
@@ -76,7 +76,7 @@ impl From<Scene> for zs_scene {
 }
 
 /// Bytes owned by the library, such as an encoded scene file.
-pub struct zs_bytes {
+pub struct zs_blob {
     bytes: Vec<u8>,
 }
 
@@ -89,7 +89,7 @@ pub struct zs_gaussians {
     /// Degree of spherical harmonics, 0 to 3: K = (sh_degree + 1)^2 coefficients per channel.
     pub sh_degree: u32,
     /// N.
-    pub count: u64,
+    pub count: usize,
     /// N x 3 centers.
     pub means: *const f32,
     /// N x 3 linear standard deviations, not negative.
@@ -109,41 +109,14 @@ pub struct zs_gaussians {
 /// Options of zs_scene_save.
 #[repr(C)]
 #[derive(Clone, Copy)]
-pub struct zs_save_options {
-    /// sizeof(zs_save_options).
+pub struct zs_scene_save_options {
+    /// sizeof(zs_scene_save_options).
     pub struct_size: u32,
-    /// SPZ version: 2, 3 or 4 (zstd). Default 3.
+    /// SPZ version: 2, 3 or 4 (zstd); 0 is 3.
     pub spz_version: u32,
 }
 
-// SAFETY: repr(C), two u32, a u64 and pointers: no padding.
-unsafe impl Versioned for zs_gaussians {
-    const NAME: &str = "zs_gaussians";
-    const FIRST_SIZE: usize = 16 + 5 * POINTER;
-    fn defaults() -> Self {
-        let none = std::ptr::null();
-        let struct_size = size_of::<Self>() as u32;
-        Self {
-            struct_size,
-            sh_degree: 0,
-            count: 0,
-            means: none,
-            scales: none,
-            quats: none,
-            opacities: none,
-            sh_coeffs: none,
-        }
-    }
-}
-
-// SAFETY: repr(C), two u32: no padding.
-unsafe impl Versioned for zs_save_options {
-    const NAME: &str = "zs_save_options";
-    const FIRST_SIZE: usize = 8;
-    fn defaults() -> Self {
-        Self { struct_size: size_of::<Self>() as u32, spz_version: SaveOptions::default().spz_version }
-    }
-}
+versioned!(zs_gaussians, zs_scene_save_options);
 
 /// Returns the scene's size and arrays, which point into the scene.
 #[unsafe(no_mangle)]
@@ -153,13 +126,13 @@ pub unsafe extern "C" fn zs_scene_get_gaussians(scene: *const zs_scene, gaussian
         let scene = &unsafe { borrow(scene, "scene") }?.scene;
         let found = zs_gaussians {
             sh_degree: scene.sh_degree,
-            count: scene.len() as u64,
+            count: scene.len(),
             means: scene.means.as_ptr().cast(),
             scales: scene.scales.as_ptr().cast(),
             quats: scene.quats.as_ptr().cast(),
             opacities: scene.opacities.as_ptr(),
             sh_coeffs: scene.sh_coeffs.as_ptr().cast(),
-            ..Versioned::defaults()
+            ..Versioned::new()
         };
         // SAFETY: the caller's structure.
         unsafe { write_versioned(gaussians, found) }
@@ -176,8 +149,10 @@ pub unsafe extern "C" fn zs_scene_create(gaussians: *const zs_gaussians, scene: 
             let expected = format!("0 to {}", Scene::MAX_SH_DEGREE);
             return Err(Failure::argument("gaussians, sh_degree", arrays.sh_degree, expected));
         }
-        let n = usize::try_from(arrays.count).ok().filter(|n| *n <= MAX_GAUSSIANS);
-        let n = n.ok_or_else(|| Failure::argument("gaussians", arrays.count, format!("at most {MAX_GAUSSIANS}")))?;
+        let n = arrays.count;
+        if n > MAX_GAUSSIANS {
+            return Err(Failure::argument("gaussians", n, format!("at most {MAX_GAUSSIANS}")));
+        }
         let k = (arrays.sh_degree as usize + 1).pow(2);
         // SAFETY: the caller says that every array has as many elements.
         let scene = unsafe {
@@ -262,15 +237,17 @@ pub unsafe extern "C" fn zs_scene_from_memory(
     unsafe { produce(scene, decode) }
 }
 
-fn format_named(name: &str) -> Result<SceneFormat, Failure> {
-    SceneFormat::named(name).ok_or_else(|| Failure::argument("format", name, SceneFormat::EXTENSIONS))
+impl zs_scene_save_options {
+    fn engine(&self) -> SaveOptions {
+        match self.spz_version {
+            0 => SaveOptions::default(),
+            spz_version => SaveOptions { spz_version },
+        }
+    }
 }
 
-/// Sets defaults.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn zs_save_options_default(options: *mut zs_save_options, size: usize) -> zs_status {
-    // SAFETY: the caller's structure of that size.
-    unsafe { write_defaults(options, size) }
+fn format_named(name: &str) -> Result<SceneFormat, Failure> {
+    SceneFormat::named(name).ok_or_else(|| Failure::argument("format", name, SceneFormat::EXTENSIONS))
 }
 
 /// Writes a scene in the format of the path's extension: .ply, .spz, .splat, .gltf or .glb. An
@@ -279,13 +256,13 @@ pub unsafe extern "C" fn zs_save_options_default(options: *mut zs_save_options, 
 pub unsafe extern "C" fn zs_scene_save(
     scene: *const zs_scene,
     path: *const c_char,
-    options: *const zs_save_options,
+    options: *const zs_scene_save_options,
 ) -> zs_status {
     guard(|| {
         // SAFETY: an object or NULL, a string or NULL, a structure or NULL.
         let (scene, path, options) =
             unsafe { (borrow(scene, "scene")?, text(path, "path")?, read_versioned(options)?) };
-        Ok(scene.scene.save_with(path, &SaveOptions { spz_version: options.spz_version })?)
+        Ok(scene.scene.save_with(path, &options.engine())?)
     })
 }
 
@@ -294,15 +271,14 @@ pub unsafe extern "C" fn zs_scene_save(
 pub unsafe extern "C" fn zs_scene_to_memory(
     scene: *const zs_scene,
     format: *const c_char,
-    options: *const zs_save_options,
-    bytes: *mut *mut zs_bytes,
+    options: *const zs_scene_save_options,
+    bytes: *mut *mut zs_blob,
 ) -> zs_status {
     let encode = || {
         // SAFETY: an object or NULL, a string or NULL, a structure or NULL.
         let (scene, format, options) =
             unsafe { (borrow(scene, "scene")?, text(format, "format")?, read_versioned(options)?) };
-        let options = SaveOptions { spz_version: options.spz_version };
-        Ok(zs_bytes { bytes: scene.scene.encode(format_named(format)?, &options)? })
+        Ok(zs_blob { bytes: scene.scene.encode(format_named(format)?, &options.engine())? })
     };
     // SAFETY: the caller's pointer.
     unsafe { produce(bytes, encode) }
@@ -310,7 +286,7 @@ pub unsafe extern "C" fn zs_scene_to_memory(
 
 /// Returns address and size of the bytes, which belong to the object.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn zs_bytes_get(bytes: *const zs_bytes, data: *mut *const c_void, size: *mut usize) -> zs_status {
+pub unsafe extern "C" fn zs_blob_get(bytes: *const zs_blob, data: *mut *const c_void, size: *mut usize) -> zs_status {
     guard(|| {
         // SAFETY: an object or NULL.
         let found = &unsafe { borrow(bytes, "bytes") }?.bytes;
@@ -361,7 +337,7 @@ pub unsafe extern "C" fn zs_scene_cameras(
             return Err(found.swap_remove(0).err().unwrap_or(Error::Cancelled).into());
         }
         for (i, (found, map)) in found.into_iter().zip(maps).enumerate() {
-            let camera = found.as_ref().map_or(Versioned::defaults(), |found| {
+            let camera = found.as_ref().map_or(Versioned::new(), |found| {
                 zs_camera::from(&Camera { intrinsics: map.undo(&found.camera.intrinsics), ..found.camera })
             });
             // SAFETY: the caller's array; its elements were just checked to have equal sizes.
@@ -377,7 +353,7 @@ pub unsafe extern "C" fn zs_scene_cameras(
 
 /// Destroys bytes.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn zs_bytes_destroy(bytes: *mut zs_bytes) {
+pub unsafe extern "C" fn zs_blob_destroy(bytes: *mut zs_blob) {
     // SAFETY: NULL or given up by the caller.
     unsafe { destroy(bytes) }
 }

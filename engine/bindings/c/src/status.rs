@@ -28,7 +28,7 @@ pub enum zs_status {
     ZS_ERROR_OUT_OF_MEMORY = 6,
     /// The driver or the validation layer reported an error.
     ZS_ERROR_DRIVER = 7,
-    /// The device was reset or removed. Destroy every object of its context and create a new one.
+    /// The device was reset or removed. Destroy every object of its device and create a new one.
     /// Scenes survive.
     ZS_ERROR_DEVICE_LOST = 8,
     /// The progress callback canceled.

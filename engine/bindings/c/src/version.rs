@@ -9,7 +9,7 @@ pub const ZS_VERSION_MINOR: u32 = 1;
 /// See ZS_VERSION_MAJOR.
 pub const ZS_VERSION_PATCH: u32 = 0;
 /// Version of the ABI, also in the shared library's file name. Incompatible changes raise it.
-pub const ZS_ABI_VERSION: u32 = 1;
+pub const ZS_ABI_VERSION: u32 = 2;
 
 const VERSION: &CStr = match CStr::from_bytes_with_nul(concat!(env!("CARGO_PKG_VERSION"), "\0").as_bytes()) {
     Ok(version) => version,

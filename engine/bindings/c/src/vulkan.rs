@@ -1,9 +1,10 @@
 //! The caller's own Vulkan device, images and buffers.
 
 use super::{
-    context::zs_context,
-    picture::{zs_camera, zs_pixel_format},
-    pointers::{POINTER, Versioned, array, borrow, produce, read_given, read_versioned, write_defaults},
+    camera::zs_camera,
+    device::zs_device,
+    image::zs_pixel_format,
+    pointers::{array, borrow, produce, read_given, read_versioned},
     renderer::{zs_render_options, zs_renderer},
     status::{Failure, guard, zs_status},
 };
@@ -38,7 +39,7 @@ pub struct zs_vulkan_requirement {
     /// Kind of the requirement.
     pub kind: zs_requirement_kind_value,
     /// 1 if only faster precisions need it. Enable all that the device supports, then set
-    /// zs_vulkan_device.fast.
+    /// zs_vulkan_device.optional_features_enabled.
     pub optional: u32,
     /// Name as Vulkan has it; static.
     pub name: *const c_char,
@@ -78,8 +79,8 @@ pub struct zs_vulkan_device {
     pub unlock_queue: zs_queue_lock,
     /// Argument of both callbacks.
     pub user_data: *mut c_void,
-    /// 1 if every supported optional requirement is enabled. 0 allows only ZS_PRECISION_EXACT.
-    pub fast: u32,
+    /// 1 if every supported optional requirement is enabled. 0 allows only ZS_PRECISION_FP32.
+    pub optional_features_enabled: u32,
     /// Must be 0.
     pub reserved: u32,
 }
@@ -114,10 +115,9 @@ pub struct zs_vulkan_target {
     pub mip_level: u32,
     /// Array layer.
     pub array_layer: u32,
-    /// VkImageLayout after the waits. Default VK_IMAGE_LAYOUT_UNDEFINED, which may discard
-    /// contents.
+    /// VkImageLayout after the waits; VK_IMAGE_LAYOUT_UNDEFINED may discard contents.
     pub old_layout: i32,
-    /// VkImageLayout at the signals. Default VK_IMAGE_LAYOUT_SHADER_READ_ONLY_OPTIMAL.
+    /// VkImageLayout at the signals; 0 is VK_IMAGE_LAYOUT_SHADER_READ_ONLY_OPTIMAL.
     pub new_layout: i32,
     /// VkBuffer with VK_BUFFER_USAGE_TRANSFER_DST_BIT and contiguous rows; 0 for an image.
     pub buffer: u64,
@@ -126,66 +126,19 @@ pub struct zs_vulkan_target {
     /// Writable bytes from there.
     pub buffer_size: u64,
     /// Number of `waits`.
-    pub wait_count: u32,
+    pub wait_count: usize,
     /// Number of `signals`.
-    pub signal_count: u32,
+    pub signal_count: usize,
     /// Semaphore values to wait for before writing.
     pub waits: *const zs_semaphore_point,
     /// Signaled when the picture is written and visible.
     pub signals: *const zs_semaphore_point,
 }
 
-// SAFETY: repr(C), pairs of u32 and pointers: no padding.
-unsafe impl Versioned for zs_vulkan_device {
-    const NAME: &str = "zs_vulkan_device";
-    const FIRST_SIZE: usize = 16 + 8 * POINTER;
-    fn defaults() -> Self {
-        let none = std::ptr::null_mut();
-        Self {
-            struct_size: size_of::<Self>() as u32,
-            queue_family: 0,
-            get_instance_proc_addr: None,
-            instance: none,
-            physical_device: none,
-            device: none,
-            queue: none,
-            lock_queue: None,
-            unlock_queue: None,
-            user_data: none,
-            fast: 0,
-            reserved: 0,
-        }
-    }
-}
+versioned!(zs_vulkan_device, zs_vulkan_target);
 
 /// VK_IMAGE_LAYOUT_SHADER_READ_ONLY_OPTIMAL.
 const SHADER_READ_ONLY: i32 = 5;
-
-// SAFETY: repr(C), pairs of four bytes, u64 and pointers: no padding.
-unsafe impl Versioned for zs_vulkan_target {
-    const NAME: &str = "zs_vulkan_target";
-    const FIRST_SIZE: usize = 72 + 2 * POINTER;
-    fn defaults() -> Self {
-        Self {
-            struct_size: size_of::<Self>() as u32,
-            reserved: 0,
-            image: 0,
-            x: 0,
-            y: 0,
-            mip_level: 0,
-            array_layer: 0,
-            old_layout: 0,
-            new_layout: SHADER_READ_ONLY,
-            buffer: 0,
-            buffer_offset: 0,
-            buffer_size: 0,
-            wait_count: 0,
-            signal_count: 0,
-            waits: std::ptr::null(),
-            signals: std::ptr::null(),
-        }
-    }
-}
 
 struct Requirements(Vec<zs_vulkan_requirement>);
 
@@ -208,7 +161,7 @@ static REQUIREMENTS: LazyLock<Requirements> = LazyLock::new(|| {
     Requirements(needed.chain(optional).map(entry).collect())
 });
 
-/// Lists required and optional features for zs_context_adopt. Needs no device.
+/// Lists required and optional features for zs_device_from_vulkan. Needs no device.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_vulkan_requirements(
     list: *mut *const zs_vulkan_requirement,
@@ -227,20 +180,16 @@ pub unsafe extern "C" fn zs_vulkan_requirements(
     })
 }
 
-/// Sets defaults.
+/// Creates a device on the caller's Vulkan device. All required features must be enabled; this
+/// cannot be checked.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn zs_vulkan_device_default(device: *mut zs_vulkan_device, size: usize) -> zs_status {
-    // SAFETY: the caller's structure of that size.
-    unsafe { write_defaults(device, size) }
-}
-
-/// Creates a context on the caller's device. All required features must be enabled; this cannot be
-/// checked.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn zs_context_adopt(device: *const zs_vulkan_device, context: *mut *mut zs_context) -> zs_status {
+pub unsafe extern "C" fn zs_device_from_vulkan(
+    vulkan: *const zs_vulkan_device,
+    device: *mut *mut zs_device,
+) -> zs_status {
     let adopt = || {
         // SAFETY: the caller's structure.
-        let given = unsafe { read_versioned(device) }?;
+        let given = unsafe { read_versioned(vulkan) }?;
         if given.reserved != 0 {
             return Err(Failure::argument("zs_vulkan_device.reserved", given.reserved, "0"));
         }
@@ -263,13 +212,13 @@ pub unsafe extern "C" fn zs_context_adopt(device: *const zs_vulkan_device, conte
             queue: given.queue,
             queue_family: given.queue_family,
             queue_lock,
-            fast: given.fast != 0,
+            fast: given.optional_features_enabled != 0,
         };
         // SAFETY: the caller guarantees valid handles.
-        Ok(zs_context { device: unsafe { Device::adopt(adopted) }?, adopted: true })
+        Ok(zs_device { gpu: unsafe { Device::adopt(adopted) }?, adopted: true })
     };
     // SAFETY: the caller's pointer.
-    unsafe { produce(context, adopt) }
+    unsafe { produce(device, adopt) }
 }
 
 /// A caller's pointer for callbacks on any thread.
@@ -287,15 +236,8 @@ impl UserData {
     }
 }
 
-/// Sets defaults.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn zs_vulkan_target_default(target: *mut zs_vulkan_target, size: usize) -> zs_status {
-    // SAFETY: the caller's structure of that size.
-    unsafe { write_defaults(target, size) }
-}
-
 /// Draws one camera into an image or buffer without a host copy, as ZS_PIXEL_RGBA8, BGRA8 or
-/// RGBA_F32. The renderer's context must be adopted.
+/// RGBA_F32. The renderer's device must be adopted.
 ///
 /// Returns when the scene is drawn and the copy is submitted. The copy starts after the waits and
 /// ends with the signals. Without semaphores, queue order applies. The renderer's next picture may
@@ -312,7 +254,11 @@ pub unsafe extern "C" fn zs_render_to_vulkan(
         let (renderer, camera, options) =
             unsafe { (borrow(renderer, "renderer")?, read_given(camera)?.camera()?, read_versioned(options)?) };
         if !renderer.adopted {
-            return Err(Failure::argument("renderer", "one on a device of the engine's", "one of zs_context_adopt"));
+            return Err(Failure::argument(
+                "renderer",
+                "one on a device of the engine's",
+                "one of zs_device_from_vulkan",
+            ));
         }
         let layout = match options.checked()? {
             zs_pixel_format::ZS_PIXEL_RGBA8 => PixelLayout::Rgba8,
@@ -335,9 +281,9 @@ impl zs_vulkan_target {
     /// # Safety
     /// The handles meet the documented requirements.
     unsafe fn target(&self, camera: &zipsplat::types::Camera, layout: PixelLayout) -> Result<Target, Failure> {
-        let points = |pointer, count: u32, name| {
+        let points = |pointer, count: usize, name| {
             // SAFETY: the caller's array.
-            let points = unsafe { array::<zs_semaphore_point>(pointer, count as usize, name) }?;
+            let points = unsafe { array::<zs_semaphore_point>(pointer, count, name) }?;
             Ok::<_, Failure>(points.iter().map(|p| Point { semaphore: p.semaphore, value: p.value }).collect())
         };
         if self.reserved != 0 || (self.image == 0) == (self.buffer == 0) {
@@ -355,7 +301,7 @@ impl zs_vulkan_target {
                 mip_level: self.mip_level,
                 array_layer: self.array_layer,
                 old_layout: self.old_layout,
-                new_layout: self.new_layout,
+                new_layout: if self.new_layout == 0 { SHADER_READ_ONLY } else { self.new_layout },
             };
             // SAFETY: the caller guarantees the handles and the place.
             return Ok(unsafe { Target::image(place, waits, signals) });

@@ -13,6 +13,8 @@ pub struct Limits {
     pub cpu: bool,
     /// Whether the device is a discrete GPU.
     pub discrete: bool,
+    /// Whether the device is an integrated GPU.
+    pub integrated: bool,
     /// Invocations per subgroup.
     pub subgroup_size: u32,
     /// Maximum bytes of one binding.
@@ -105,6 +107,7 @@ impl Default for Limits {
             api: "1.3.0".into(),
             cpu: false,
             discrete: true,
+            integrated: false,
             subgroup_size: 32,
             max_binding_bytes: u32::MAX as u64,
             max_block_bytes: 4 << 30,

@@ -1,11 +1,7 @@
 //! Error bounds of attention.
 
 use super::{Keys, Problem, Row};
-use crate::{
-    Mode,
-    bound::{DIVISION, TINY, U, ULP, by_lanes, gamma},
-};
-use zipsplat::gpu::Element;
+use crate::prelude::*;
 
 struct Weights {
     highest: f64,

@@ -4,12 +4,8 @@ use super::{
     Fault::{self, *},
     Problem,
 };
-use crate::{Area, Case, Catches, Mode};
-use zipsplat::{
-    gpu::Limits,
-    kernels::limits::{ATTENTION_ROWS, GROUP_FOLD},
-    ops::Pool,
-};
+use crate::prelude::*;
+use zipsplat::{kernels::limits::ATTENTION_ROWS, ops::Pool};
 
 const REASON: &str = "a score is off by d <= gamma_(D+2) sum|q k|, so its weight by a factor e^d times exp's allowance, 3 + 2|x| \
     units for |x| below the row's maximum and 3 more each time that the maximum rises; an output by the weights' sum \
@@ -24,9 +20,9 @@ const MANY: usize = 200_000;
 const DOMINATING: [usize; 6] = [0, 65_535, 65_536, 131_071, 131_072, MANY - 1];
 
 pub fn area() -> Area {
-    let mut cases = Vec::new();
+    let mut area = Area::new("ops/attention", "keys", Mode::FLOATS, REASON);
     let mut add = |name: &str, keys: usize, catches: Catches<Fault>, make: fn(usize) -> Problem| {
-        cases.push(Case::new(name, keys, catches, move || make(keys)));
+        area.add(name, keys, catches, move || make(keys));
     };
     let random = |keys| Problem::random(17, keys, 64, 1.0);
     add("random", 1, [Zero, NeighbourHead].into(), random);
@@ -60,15 +56,9 @@ pub fn area() -> Area {
         ..Problem::random(9, keys, 64, 1.0)
     });
     add("identical keys and values", 1300, [Zero, NoTotal, HalfSum, NeighbourHead].into(), identical);
-    for key in [0, 32] {
-        let catches = Catches::from([Zero, Key(key), NoMaximum, NeighbourValue]);
-        add(
-            &format!("key {key} dominates"),
-            33,
-            catches,
-            if key == 0 { |n| dominated(n, 64, &[0]) } else { |n| dominated(n, 64, &[32]) },
-        );
-    }
+    let first = |key| Catches::from([Zero, Key(key), NoMaximum, NeighbourValue]);
+    add("key 0 dominates", 33, first(0), |keys| dominated(keys, 64, &[0]));
+    add("key 32 dominates", 33, first(32), |keys| dominated(keys, 64, &[32]));
     add("key 800 dominates", 1300, [Zero, Key(800), NoMaximum].into(), |keys| dominated(keys, 64, &[800]));
     let lost = DOMINATING.map(Key);
     let catches = Catches::from([Zero, KeysFrom(65_536), KeysFrom(131_072), NoMaximum]).and(&lost);
@@ -91,7 +81,7 @@ pub fn area() -> Area {
         problem.v.iter_mut().step_by(2).for_each(|v| *v *= 1e-39);
         problem
     });
-    Area { kernel: "ops/attention", size: "keys", reason: REASON, modes: Mode::FLOATS, cases }
+    area
 }
 
 /// Returns a problem with the rounding of random sums, with and without addresses.
@@ -110,51 +100,51 @@ fn whole(mut problem: Problem, [q, k]: [fn(f32) -> f32; 2]) -> Problem {
 
 /// Shapes of heads, queries, keys and sequences.
 pub fn shapes() -> Area {
-    let mut cases = Vec::new();
+    let mut area = Area { cases: Vec::new(), ..area() };
     for dim in [4, 8, 16, 24, 32, 48, 64, 96, 128] {
         let keys = [1, 2, 3, 4, 5, 31, 32, 33, 325, 1300];
         let make = move || keys.iter().flat_map(|&keys| variants(Problem::random(9, keys, dim, 1.0))).collect();
-        cases.push(Case::sweep(format!("heads of {dim} channels"), 1300, [Zero, NeighbourHead], make));
+        area.sweep(format!("heads of {dim} channels"), 1300, [Zero, NeighbourHead], make);
     }
     for shape in [[1, 1], [2, 3], [5, 2]] {
         let queries = [0, 1, 7, 8, 9, 15, 16, 17, 31, 33, 65, 130];
         let make =
             move || queries.iter().flat_map(|&queries| variants(Problem::of(shape, queries, 37, 16, 1.0))).collect();
         let name = format!("{} sequences of {} heads", shape[0], shape[1]);
-        cases.push(Case::sweep(name, 37, [Zero, NeighbourValue, HalfOfKeys], make));
+        area.sweep(name, 37, [Zero, NeighbourValue, HalfOfKeys], make);
     }
     for (side, grid, leading, dim) in [(2, [3, 5], 1, 64), (3, [4, 4], 0, 16), (4, [9, 7], 1, 16)] {
         let pool = Pool { side, grid, leading };
         let make =
             move || variants(Problem { pool: Some(pool), ..Problem::random(9, 3 * pool.tokens(), dim, 1.0) }).into();
-        cases.push(Case::sweep(format!("means of {side} x {side} patches"), 3 * pool.keys(), [Zero, NoCounts], make));
+        area.sweep(format!("means of {side} x {side} patches"), 3 * pool.keys(), [Zero, NoCounts], make);
     }
     let queries = (ATTENTION_ROWS * GROUP_FOLD) as usize + 3;
     let many = move || variants(Problem::of([1, 1], queries, 2, 4, 1.0)).into();
-    cases.push(Case::sweep("queries beyond a fold of workgroups", 2, [Zero, NeighbourValue], many));
+    area.sweep("queries beyond a fold of workgroups", 2, [Zero, NeighbourValue], many);
     for dim in [16, 64] {
         let shape: [fn(f32) -> f32; 2] = match dim {
             16 => [|q| 64.0 * q, |k| 1024.0 * k],
             _ => [|q| 64.0 * q, |k| 256.0 * k],
         };
         let make = move || variants(whole(Problem::of([2, 2], 11, 70, dim, 1.0), shape)).into();
-        cases.push(Case::sweep(format!("exact logits of 1e4, {dim} channels"), 70, [Zero, NeighbourValue], make));
+        area.sweep(format!("exact logits of 1e4, {dim} channels"), 70, [Zero, NeighbourValue], make);
     }
     let below = || variants(whole(Problem::of([1, 1], 5, 33, 16, 1.0), [|_| 64.0, |k| 8.0 * k - 48.0])).into();
-    cases.push(Case::sweep("exact logits far below zero", 33, [Zero, NoMaximum], below));
+    area.sweep("exact logits far below zero", 33, [Zero, NoMaximum], below);
     let equal = || {
         let problem = |keys| Problem { q: vec![0.0; 5 * 32], ..Problem::of([1, 1], 5, keys, 32, 1.0) };
         [3, 33, 325].into_iter().flat_map(|keys| variants(problem(keys))).collect()
     };
-    cases.push(Case::sweep("equal logits", 325, [Zero, NoTotal], equal));
+    area.sweep("equal logits", 325, [Zero, NoTotal], equal);
     // CPUs get smaller tiles, which compile faster.
     let tiles = || {
         let shapes = [(1, 3, 1, 64), (70, 70, 2, 64), (300, 33, 30, 24)];
         let of = |(queries, keys, heads, dim)| Problem::of([1, heads], queries, keys, dim, 1.0);
         shapes.map(|shape| Problem { limits: |limits| limits.cpu = false, is_tame: true, ..of(shape) }).into()
     };
-    cases.push(Case::sweep("tiles of GPUs", 70, [Zero, NeighbourValue], tiles));
-    Area { cases, ..area() }
+    area.sweep("tiles of GPUs", 70, [Zero, NeighbourValue], tiles);
+    area
 }
 
 /// Limits channel c to the c-th part of the keys: a missing part shows.

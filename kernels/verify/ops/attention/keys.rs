@@ -1,11 +1,7 @@
 //! Attention keys and values of tokens, or means of patch groups.
 
 use super::Problem;
-use crate::{
-    Mode,
-    bound::{DIVISION, TINY, U, gamma, logarithm},
-};
-use zipsplat::gpu::Element;
+use crate::prelude::*;
 use zipsplat_reference::ops::split_heads::Pool;
 
 /// `[keys, heads, dim]`.

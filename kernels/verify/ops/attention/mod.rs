@@ -7,15 +7,11 @@ mod keys;
 
 pub use cases::{area, shapes};
 
-use crate::{Mode, Tolerance, Worst, case, noise::Noise, trial::Trial};
+use crate::prelude::*;
 use faults::Fault;
 use keys::Keys;
 use rayon::prelude::*;
-use zipsplat::{
-    Result,
-    gpu::{Device, Element, Limits},
-    ops::{Attention, AttentionKernel, Heads, Part, Pool, Rows},
-};
+use zipsplat::ops::{Attention, AttentionKernel, Heads, Part, Pool};
 use zipsplat_reference::ops::{attention::attention_to_means, split_heads};
 
 /// Sequences before pooling: `q [sequences, queries, heads, dim]`, `k` and `v [sequences, keys,

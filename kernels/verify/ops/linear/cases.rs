@@ -4,12 +4,8 @@ use super::{
     Fault::{self, *},
     Problem, Residual,
 };
-use crate::{Area, Case, Catches, Mode, noise::Noise};
-use zipsplat::{
-    gpu::Limits,
-    kernels::limits::{GROUP_FOLD, LINEAR_ROWS},
-    ops::Activation,
-};
+use crate::prelude::*;
+use zipsplat::{kernels::limits::LINEAR_ROWS, ops::Activation};
 
 const REASON: &str = "|error| <= gamma_(n+1) (|x| |W| + |b|) in every element, whatever the order of the sum of its n terms that are \
     not 0 (Higham, section 3.5), carried through the activation's slope, plus Vulkan's limits for exp and division. Whole \
@@ -19,14 +15,15 @@ const REASON: &str = "|error| <= gamma_(n+1) (|x| |W| + |b|) in every element, w
 const SUMS: [Fault; 4] = [Zero, HalfSum, NeighbourColumn, NeighbourRow];
 
 pub fn area() -> Area {
-    let mut cases = Vec::new();
+    let mut area = Area::new("ops/linear", "terms of a sum (K)", Mode::ALL, REASON);
     let mut add = |name: &str, catches: Catches<Fault>, make: fn() -> Problem, size: usize| {
-        cases.push(Case::new(name, size, catches, make));
+        area.add(name, size, catches, make);
     };
-    add("random", Catches::from(SUMS).and(&[LastTerm, HalfFactors, NoBias, CutIntegers, Unsigned]), || random(4), 4);
-    add("random", Catches::from(SUMS).and(&[LastTerm, HalfFactors, NoBias, CutIntegers, Unsigned]), || random(68), 68);
-    add("random", Catches::from(SUMS).and(&[LastTerm, CutIntegers, Unsigned]), || random(384), 384);
-    add("random", Catches::from(SUMS).and(&[LastTerm, CutIntegers, Unsigned]), || random(588), 588);
+    let terms = || Catches::from(SUMS).and(&[LastTerm, CutIntegers, Unsigned]);
+    add("random", terms().and(&[HalfFactors, NoBias]), || random(4), 4);
+    add("random", terms().and(&[HalfFactors, NoBias]), || random(68), 68);
+    add("random", terms(), || random(384), 384);
+    add("random", terms(), || random(588), 588);
     add("random", Catches::from(SUMS).and(&[TermsFrom(1504)]), || random(1536), 1536);
     // With many rounding terms, only whole numbers reveal 11-bit sums.
     add("random", [Zero, NeighbourColumn, NeighbourRow, TermsFrom(3968)].into(), || random(4096), 4096);
@@ -41,12 +38,8 @@ pub fn area() -> Area {
     add("33 rows, 5 columns", edges(), || Problem::random(33, 12, 5), 12);
     add("16 rows, 130 columns", edges(), || Problem::random(16, 12, 130), 12);
     add("300 rows, 264 columns", edges(), || Problem::random(300, 12, 264), 12);
-    add(
-        "rows beyond a fold of workgroups",
-        edges().and(&[Folded]),
-        || Problem::random(GROUP_FOLD as usize + 9, 4, 8),
-        4,
-    );
+    let folded = || Problem::random(GROUP_FOLD as usize + 9, 4, 8);
+    add("rows beyond a fold of workgroups", edges().and(&[Folded]), folded, 4);
     add("sums that cancel, condition 1e5", Catches::from(SUMS).and(&[LastTerm, AnyTerm]), cancelling, 512);
     add("outlier channels of 1e4", [Zero, HalfSum, TermsFrom(900), NeighbourRow].into(), outliers, 1536);
     add("one channel at a time", [AnyTerm, NeighbourColumn, NeighbourRow, HalfFactors].into(), || one_hot(68, 68), 68);
@@ -59,27 +52,15 @@ pub fn area() -> Area {
     add("GELU of every value from -10 to 10", [Zero, HalfResult, NoActivation, TanhGelu].into(), || gelu(alone()), 4);
     add("GELU far from zero", [Zero, HalfResult, NoActivation].into(), || gelu(far(12.0, 40)), 64);
     add("SwiGLU", [Zero, NoActivation, NoBias, SwappedGate].into(), || swiglu(Problem::random(21, 384, 64)), 384);
-    add(
-        "SwiGLU of every value from -10 to 10",
-        [Zero, HalfResult, NoActivation, SwappedGate].into(),
-        || swiglu(alone()),
-        4,
-    );
-    add("SwiGLU far from zero", [Zero, HalfResult, NoActivation, OverflowingExp].into(), || swiglu(far(60.0, 40)), 64);
-    add(
-        "SwiGLU products beyond the largest f16",
-        [Zero, HalfResult, OverflowingExp].into(),
-        || swiglu(far(1e3, 9)),
-        64,
-    );
+    let gated = || Catches::from([Zero, HalfResult, NoActivation]);
+    add("SwiGLU of every value from -10 to 10", gated().and(&[SwappedGate]), || swiglu(alone()), 4);
+    add("SwiGLU far from zero", gated().and(&[OverflowingExp]), || swiglu(far(60.0, 40)), 64);
+    let large = [Zero, HalfResult, OverflowingExp];
+    add("SwiGLU products beyond the largest f16", large.into(), || swiglu(far(1e3, 9)), 64);
     let scaling = [Zero, NoScale, NoResidual, ScaledResidual, PastEnd];
-    add(
-        "layer scale and residual in place",
-        scaling.into(),
-        || Problem { scaled: true, residual: Residual::InPlace, ..Problem::random(37, 384, 56) },
-        384,
-    );
-    Area { kernel: "ops/linear", size: "terms of a sum (K)", reason: REASON, modes: Mode::ALL, cases }
+    let scaled = || Problem { scaled: true, residual: Residual::InPlace, ..Problem::random(37, 384, 56) };
+    add("layer scale and residual in place", scaling.into(), scaled, 384);
+    area
 }
 
 /// Returns a problem with results of both types, and with bindings instead of addresses.
@@ -92,9 +73,8 @@ pub(super) fn variants(problem: Problem) -> [Problem; 3] {
 pub(super) fn epilogues(problem: impl Fn() -> Problem) -> Vec<Problem> {
     let mut all = Vec::new();
     for activation in [Activation::None, Activation::Gelu] {
-        for (scaled, residual) in
-            [false, true].into_iter().flat_map(|scaled| [Residual::None, Residual::Apart].map(|r| (scaled, r)))
-        {
+        let scales = [false, true].into_iter();
+        for (scaled, residual) in scales.flat_map(|scaled| [Residual::None, Residual::Apart].map(|r| (scaled, r))) {
             all.extend(variants(Problem { activation, scaled, residual, ..problem() }));
         }
     }
@@ -105,43 +85,43 @@ pub(super) fn epilogues(problem: impl Fn() -> Problem) -> Vec<Problem> {
     all
 }
 
-/// Joins the epilogues of a sum that few results of 16-bit factors split.
-pub(super) fn split() -> Case {
-    Case::sweep("split into parts", 3104, [Zero, PastEnd], || epilogues(|| Problem::exact(11, 3104, 40)))
+/// Adds the epilogues of a sum that few results of 16-bit factors split.
+pub(super) fn add_split(area: &mut Area) {
+    area.sweep("split into parts", 3104, [Zero, PastEnd], || epilogues(|| Problem::exact(11, 3104, 40)));
 }
 
 /// Shapes around tiles, epilogues, and parts.
 pub fn shapes() -> Area {
-    let mut cases = Vec::new();
+    let mut area = Area { cases: Vec::new(), ..area() };
     for rows in [1, 7, 8, 9, 15, 16, 17, 31, 33, 65] {
         let columns = [1, 2, 3, 4, 5, 31, 32, 33, 63, 65, 127, 128, 129, 258];
         let make = move || columns.iter().flat_map(|&columns| variants(Problem::exact(rows, 12, columns))).collect();
-        cases.push(Case::sweep(format!("{rows} rows around tiles"), 12, [Zero, NoBias, PastEnd], make));
+        area.sweep(format!("{rows} rows around tiles"), 12, [Zero, NoBias, PastEnd], make);
     }
     for inner in [4, 8, 60, 64, 68, 128, 588, 1536, 4096, 6144] {
         let make = move || variants(Problem::exact(19, inner, 72)).into();
-        cases.push(Case::sweep("72 columns", inner, [Zero, NeighbourColumn, PastEnd], make));
+        area.sweep("72 columns", inner, [Zero, NeighbourColumn, PastEnd], make);
     }
     for columns in [4, 36, 132] {
         let make = move || epilogues(|| Problem::exact(21, 24, columns));
-        cases.push(Case::sweep(format!("epilogues of {columns} columns"), 24, [Zero, PastEnd], make));
+        area.sweep(format!("epilogues of {columns} columns"), 24, [Zero, PastEnd], make);
     }
     let parts = || {
         let limits: fn(&mut Limits) = |limits| limits.max_binding_bytes = 64 << 10;
         let all = epilogues(|| Problem::exact(1000, 64, 96)).into_iter();
         all.map(|problem| Problem { limits, ..problem }).collect()
     };
-    cases.push(Case::sweep("rows bound in parts", 64, [Zero, PastEnd], parts));
+    area.sweep("rows bound in parts", 64, [Zero, PastEnd], parts);
     let integers = || {
         let shapes = [(1, 8, 8), (7, 24, 32), (9, 72, 40), (33, 64, 136), (70, 96, 264), (3, 4096, 24), (130, 40, 72)];
         shapes.iter().flat_map(|&(rows, inner, columns)| variants(Problem::exact(rows, inner, columns))).collect()
     };
-    cases.push(Case::sweep("shapes of dot products", 8, [Zero, PastEnd], integers));
+    area.sweep("shapes of dot products", 8, [Zero, PastEnd], integers);
     let rows = LINEAR_ROWS as usize * 65_536 + 1;
     let many = move || Problem::exact(rows, 4, 4);
-    cases.push(Case::new("rows beyond the most workgroups", rows, [Zero, Folded, PastEnd], many));
-    cases.push(split());
-    Area { cases, ..area() }
+    area.add("rows beyond the most workgroups", rows, [Zero, Folded, PastEnd], many);
+    add_split(&mut area);
+    area
 }
 
 fn random(inner: usize) -> Problem {

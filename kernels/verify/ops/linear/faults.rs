@@ -54,24 +54,19 @@ impl Problem {
         let result = |place: &dyn Fn(usize, usize) -> usize| -> Vec<Vec<f64>> {
             vec![(0..self.rows * wide).map(|i| truth.values[place(i / wide, i % wide)]).collect()]
         };
+        let all = |held: &Held| self.finish(&self.sums(held, |x| x, |_| true));
         match fault {
             Fault::Zero => vec![vec![0.0; truth.values.len()]],
             Fault::HalfSum => vec![self.finish(&self.sums(&truth.held, half, |_| true))],
-            Fault::HalfFactors if mode == Mode::EXACT => {
-                let held = Held::new(self, Mode::F16, f64::round_ties_even);
-                vec![self.finish(&self.sums(&held, |x| x, |_| true))]
-            }
-            Fault::CutIntegers if self.factor(mode) == Element::I8 => {
-                let held = Held::new(self, mode, f64::trunc);
-                vec![self.finish(&self.sums(&held, |x| x, |_| true))]
-            }
+            Fault::HalfFactors if mode == Mode::EXACT => vec![all(&Held::new(self, Mode::F16, f64::round_ties_even))],
+            Fault::CutIntegers if self.factor(mode) == Element::I8 => vec![all(&Held::new(self, mode, f64::trunc))],
             Fault::Unsigned if self.factor(mode) == Element::I8 => {
                 let mut held = Held::new(self, mode, f64::round_ties_even);
                 for row in held.weight.chunks_mut(self.inner) {
                     let scale = row.iter().fold(0.0, |most: f64, w| most.max(w.abs())) / 127.0;
                     row.iter_mut().filter(|w| **w < 0.0).for_each(|w| *w += 256.0 * scale);
                 }
-                vec![self.finish(&self.sums(&held, |x| x, |_| true))]
+                vec![all(&held)]
             }
             Fault::HalfFactors | Fault::CutIntegers | Fault::Unsigned => Vec::new(),
             Fault::LastTerm => vec![self.finish(&self.sums(&truth.held, |x| x, |k| k + 1 < self.inner))],
@@ -89,7 +84,7 @@ impl Problem {
             Fault::NoSign | Fault::NextScale | Fault::TurnedTerms => {
                 let mut held = Held::new(self, mode, f64::round_ties_even);
                 held.weight = self.wrongly_expanded(fault);
-                vec![self.finish(&self.sums(&held, |x| x, |_| true))]
+                vec![all(&held)]
             }
             Fault::HalfResult => vec![truth.values.iter().map(|&x| half(x)).collect()],
             _ => vec![self.wrongly_finished(truth, fault)],

@@ -8,21 +8,11 @@ mod q8;
 pub use cases::{area, shapes};
 pub use q8::{q8_area, q8_shapes};
 
-use crate::{
-    Mode, Tolerance, Worst,
-    bound::{DIVISION, TINY, U, ULP, exponential, gamma},
-    case,
-    noise::Noise,
-    trial::{Trial, UNWRITTEN},
-};
+use crate::{case, prelude::*, trial::UNWRITTEN};
 use faults::Fault;
 use held::Held;
 use rayon::prelude::*;
-use zipsplat::{
-    Result,
-    gpu::{Device, Element, Limits},
-    ops::{Activation, Epilogue, Linear, LinearKernel, Q8, Rows, Weights, pack_matrix},
-};
+use zipsplat::ops::{Activation, Epilogue, Linear, LinearKernel, Q8, Weights, pack_matrix};
 use zipsplat_reference::ops::activation::{gelu, sigmoid, silu};
 
 /// Residual of a layer.

@@ -4,7 +4,7 @@ use super::{
     Fault::{self, *},
     Problem, Residual, cases,
 };
-use crate::{Area, Case, Catches, Mode};
+use crate::prelude::*;
 use zipsplat::ops::{Activation, Q8};
 
 const REASON: &str = "That of ops/linear, for the weights that the integers and scales stand for: f32 holds each product of the two. \
@@ -13,9 +13,9 @@ const REASON: &str = "That of ops/linear, for the weights that the integers and 
 const SUMS: [Fault; 3] = [Zero, NeighbourColumn, NeighbourRow];
 
 pub fn q8_area() -> Area {
-    let mut cases = Vec::new();
+    let mut area = Area::new("ops/linear of q8 weights", "terms of a sum (K)", Mode::Q8, REASON);
     let mut add = |name: &str, catches: Catches<Fault>, make: fn() -> Problem, size: usize| {
-        cases.push(Case::new(name, size, catches, make));
+        area.add(name, size, catches, make);
     };
     let random = || Catches::from(SUMS).and(&[NoSign, TurnedTerms]);
     add("random", random().and(&[LastTerm, NoBias]), || Problem::random(17, 32, 40), 32);
@@ -33,20 +33,21 @@ pub fn q8_area() -> Area {
     add("SwiGLU", [Zero, NoActivation, NoSign, SwappedGate].into(), swiglu, 64);
     let scaled = || Problem { scaled: true, residual: Residual::InPlace, ..Problem::random(37, 384, 56) };
     add("layer scale and residual in place", [Zero, NoScale, NoResidual, NoSign].into(), scaled, 384);
-    Area { kernel: "ops/linear of q8 weights", size: "terms of a sum (K)", reason: REASON, modes: Mode::Q8, cases }
+    area
 }
 
 /// Shapes with every epilogue.
 pub fn q8_shapes() -> Area {
-    let mut cases = vec![cases::split()];
+    let mut area = Area { cases: Vec::new(), ..q8_area() };
+    cases::add_split(&mut area);
     for (rows, inner, columns) in [(1, 32, 1), (17, 64, 36), (33, 96, 130), (19, 1536, 72), (270, 160, 264)] {
         let make = move || match columns {
             1 => cases::variants(Problem::exact(rows, inner, columns)).into(),
             _ => cases::epilogues(|| Problem::exact(rows, inner, columns)),
         };
-        cases.push(Case::sweep(format!("{rows} rows, {columns} columns"), inner, [Zero, PastEnd], make));
+        area.sweep(format!("{rows} rows, {columns} columns"), inner, [Zero, PastEnd], make);
     }
-    Area { cases, ..q8_area() }
+    area
 }
 
 fn sized(mut problem: Problem, factor: impl Fn(usize) -> f32) -> Problem {
@@ -62,11 +63,8 @@ fn apart() -> Problem {
 fn extreme() -> Problem {
     let mut problem = sized(Problem::random(5, 64, 40), |g| if g % 2 == 0 { 6e4 } else { 0.008 });
     // Larger inputs compensate small weights.
-    problem
-        .x
-        .iter_mut()
-        .enumerate()
-        .for_each(|(k, x)| *x *= if (k / Q8::GROUP).is_multiple_of(2) { 1e-3 } else { 8e3 });
+    let size = |k: usize| if (k / Q8::GROUP).is_multiple_of(2) { 1e-3 } else { 8e3 };
+    problem.x.iter_mut().enumerate().for_each(|(k, x)| *x *= size(k));
     problem
 }
 

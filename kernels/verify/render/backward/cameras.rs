@@ -1,14 +1,8 @@
 //! Sums of camera gradients.
 
 use super::added_to;
-use crate::{
-    Area, Case, Mode, Worst,
-    bound::{by_lanes, gamma, half},
-    case,
-    noise::Noise,
-    trial::Trial,
-};
-use zipsplat::{Result, gpu::Device, kernels::render::CamerasBackward};
+use crate::prelude::*;
+use zipsplat::kernels::render::CamerasBackward;
 
 const REASON: &str = "a sum of n numbers in any order: gamma_n of the sum of their magnitudes";
 
@@ -38,9 +32,7 @@ impl Problem {
     }
 }
 
-impl case::Problem for Problem {
-    type Output = Vec<f32>;
-    type Truth = Vec<f64>;
+impl Values for Problem {
     type Fault = Fault;
 
     fn compute(&self, device: &Device, _: Mode) -> Result<Vec<f32>> {
@@ -52,19 +44,14 @@ impl case::Problem for Problem {
         trial.result(d_cameras)
     }
 
-    fn truth(&self, _: Mode) -> Vec<f64> {
-        (0..NUMBERS).map(|number| self.sum(number)).collect()
-    }
-
-    fn judge(&self, truth: &Vec<f64>, output: &Vec<f32>, _: Mode) -> Worst {
+    fn truth(&self, _: Mode) -> [Vec<f64>; 2] {
         let rows = self.0.len() / NUMBERS;
-        Worst::of(output, truth, |number| {
-            let magnitudes = f64::from(BEFORE) + self.terms(number).map(f64::abs).sum::<f64>();
-            gamma(by_lanes(rows) + 1) * magnitudes
-        })
+        let magnitudes = |number| f64::from(BEFORE) + self.terms(number).map(f64::abs).sum::<f64>();
+        let bound = |number| gamma(by_lanes(rows) + 1) * magnitudes(number);
+        [(0..NUMBERS).map(|number| self.sum(number)).collect(), (0..NUMBERS).map(bound).collect()]
     }
 
-    fn faulty(&self, truth: &Vec<f64>, fault: Fault, _: Mode) -> Vec<Vec<f32>> {
+    fn faulty(&self, truth: &[f64], fault: Fault) -> Vec<f64> {
         let one = |number: usize| match fault {
             Fault::Zero => 0.0,
             Fault::HalfSums => self.terms(number).fold(f64::from(BEFORE), |sum, x| half(sum + x)),
@@ -72,7 +59,7 @@ impl case::Problem for Problem {
             Fault::LastRow => truth[number] - self.terms(number).last().unwrap_or(0.0),
             Fault::NeighbourNumber => truth[(number + 1) % NUMBERS],
         };
-        vec![(0..NUMBERS).map(|number| one(number) as f32).collect()]
+        (0..NUMBERS).map(one).collect()
     }
 }
 
@@ -80,7 +67,10 @@ pub fn area() -> Area {
     use Fault::*;
     let all = [Zero, HalfSums, Overwritten, LastRow, NeighbourNumber];
     let noise = |rows: usize| move || Problem(Noise::new(rows as u64).values(rows * NUMBERS));
-    let mut cases: Vec<Case> = [1, 7, 129, 4097].map(|rows| Case::new("random of +-1", rows, all, noise(rows))).into();
+    let mut area = Area::new("render/cameras_backward", "rows", Mode::ONLY_EXACT, REASON);
+    for rows in [1, 7, 129, 4097] {
+        area.add("random of +-1", rows, all, noise(rows));
+    }
     let cancelling = || {
         let values = Noise::new(3).values(1000 * NUMBERS);
         // Each row of large numbers has its opposite.
@@ -88,8 +78,8 @@ pub fn area() -> Area {
         let large = |i: usize| opposite(i) * (1.0 + values[i / (2 * NUMBERS) * NUMBERS + i % NUMBERS].abs());
         Problem((0..values.len()).map(large).collect())
     };
-    cases.push(Case::new("opposites of 1e6", 1000, [HalfSums, LastRow], cancelling));
+    area.add("opposites of 1e6", 1000, [HalfSums, LastRow], cancelling);
     let none = || Problem(vec![0.0; 65 * NUMBERS]);
-    cases.push(Case::new("nothing visible", 65, [Overwritten], none));
-    Area { kernel: "render/cameras_backward", size: "rows", reason: REASON, modes: Mode::ONLY_EXACT, cases }
+    area.add("nothing visible", 65, [Overwritten], none);
+    area
 }

@@ -1,22 +1,14 @@
 //! Sums of splat gradients over tiles, and color gradients to coefficients and centers.
 
 use super::added_to;
-use crate::{
-    Area, Case, Catches, Mode, Worst,
-    bound::{Bounded, U, ULP, gamma},
-    case,
-    noise::{Noise, camera},
-    trial::Trial,
-};
+use crate::prelude::*;
 use glam::DVec3;
 use zipsplat::{
-    Result,
-    gpu::Device,
     kernels::render::ColorBackward,
     stages::render::camera_rows,
     types::{Camera, Pose},
 };
-use zipsplat_reference::{render::backward::of_color, widen};
+use zipsplat_reference::render::backward::of_color;
 
 const REASON: &str = "gamma_n of a sum over n tiles; harmonics have slopes of at most 2.6 on the sphere, and their polynomials values, \
     slopes and second slopes of at most 1.5, 5 and 12, which the rounding of the direction and of 40 operations moves";
@@ -64,12 +56,8 @@ impl Problem {
     fn new(count: usize, degree: u32, tiles: impl Fn(usize) -> u32) -> Self {
         let mut noise = Noise::new(count as u64 + u64::from(degree));
         let scene = noise.scene(count, degree);
-        let starts: Vec<u32> = std::iter::once(0)
-            .chain((0..count).scan(0, |sum, i| {
-                *sum += tiles(i);
-                Some(*sum)
-            }))
-            .collect();
+        let mut starts = vec![0];
+        (0..count).for_each(|i| starts.push(starts[i] + tiles(i)));
         let slots = noise.values(starts[count] as usize * VALUES);
         let color = |i: usize| [0, 1, 2].map(|c| if (i + c).is_multiple_of(4) { 0.0 } else { 0.5 });
         Self {
@@ -163,9 +151,7 @@ impl Problem {
     }
 }
 
-impl case::Problem for Problem {
-    type Output = Vec<f32>;
-    type Truth = Vec<f64>;
+impl Values for Problem {
     type Fault = Fault;
 
     fn compute(&self, device: &Device, _: Mode) -> Result<Vec<f32>> {
@@ -202,29 +188,19 @@ impl case::Problem for Problem {
         Ok([run.read::<f32>(d_pairs)?, run.read::<f32>(d_sh_coeffs)?].concat())
     }
 
-    fn truth(&self, _: Mode) -> Vec<f64> {
-        self.all(None)
-    }
-
-    fn judge(&self, truth: &Vec<f64>, output: &Vec<f32>, _: Mode) -> Worst {
+    fn truth(&self, _: Mode) -> [Vec<f64>; 2] {
         let (pairs, coeffs): (Vec<_>, Vec<_>) = (0..self.means.len()).map(|n| self.errors(n)).unzip();
-        let errors = [pairs.concat(), coeffs.concat()].concat();
-        Worst::of(output, truth, |i| errors[i])
+        [self.all(None), [pairs.concat(), coeffs.concat()].concat()]
     }
 
-    fn faulty(&self, truth: &Vec<f64>, fault: Fault, _: Mode) -> Vec<Vec<f32>> {
-        let narrow = |values: &[f64]| values.iter().map(|value| *value as f32).collect::<Vec<_>>();
-        let pairs = self.means.len() * VALUES;
-        vec![match fault {
+    fn faulty(&self, truth: &[f64], fault: Fault) -> Vec<f64> {
+        let (pairs, coeffs) = truth.split_at(self.means.len() * VALUES);
+        match fault {
             Fault::Zero => vec![0.0; truth.len()],
-            Fault::Unwritten => vec![f32::NAN; truth.len()],
-            Fault::NeighbourGaussian => {
-                let mut turned = narrow(truth);
-                turned[..pairs].rotate_left(VALUES);
-                turned
-            }
-            _ => narrow(&self.all(Some(fault))),
-        }]
+            Fault::Unwritten => vec![f64::NAN; truth.len()],
+            Fault::NeighbourGaussian => [&shifted(pairs, VALUES), coeffs].concat(),
+            _ => self.all(Some(fault)),
+        }
     }
 }
 
@@ -234,28 +210,25 @@ fn few(i: usize) -> u32 {
 
 pub fn area() -> Area {
     use Fault::*;
-    let mut cases = Vec::new();
-    let mut add = |name: &str, size: usize, catches: Catches<Fault>, make: fn() -> Problem| {
-        cases.push(Case::new(name, size, catches, make));
-    };
+    let mut area = Area::new("render/color_backward", "Gaussians", Mode::ONLY_EXACT, REASON);
     let seen = || Catches::from([Zero, Unwritten, LastTile, Unheld, Overwritten, NeighbourGaussian]);
     let banded = || seen().and(&[NoBands, NoDirection]);
-    add("random, degree 0", 129, seen(), || Problem::new(129, 0, few));
-    add("random, degree 1", 65, banded(), || Problem::new(65, 1, few));
-    add("random, degree 2", 65, banded(), || Problem::new(65, 2, few));
-    add("random, degree 3", 300, banded(), || Problem::new(300, 3, few));
+    area.add("random, degree 0", 129, seen(), || Problem::new(129, 0, few));
+    area.add("random, degree 1", 65, banded(), || Problem::new(65, 1, few));
+    area.add("random, degree 2", 65, banded(), || Problem::new(65, 2, few));
+    area.add("random, degree 3", 300, banded(), || Problem::new(300, 3, few));
     let many = [Zero, Unwritten, Unheld, Overwritten, NeighbourGaussian];
-    add("over 20,000 tiles", 3, many.into(), || Problem::new(3, 1, |_| 20_000));
-    add("scene and camera 1e6 off", 65, banded(), || {
+    area.add("over 20,000 tiles", 3, many, || Problem::new(3, 1, |_| 20_000));
+    area.add("scene and camera 1e6 off", 65, banded(), || {
         let near = Problem::new(65, 3, |_| 2);
         // Exact f32 offsets.
         let coarse = |mean: [f32; 3]| mean.map(|x| (x * 4.0).round() / 4.0 + 0.25);
         Problem { means: near.means.iter().map(|mean| coarse(*mean)).collect(), ..near }.moved(DVec3::splat(1e6))
     });
-    add("nothing visible", 65, [Unwritten, Overwritten].into(), || Problem::new(65, 1, |_| 0));
-    add("no room for intersections", 65, [FullCounts, Overwritten].into(), || Problem {
+    area.add("nothing visible", 65, [Unwritten, Overwritten], || Problem::new(65, 1, |_| 0));
+    area.add("no room for intersections", 65, [FullCounts, Overwritten], || Problem {
         full: true,
         ..Problem::new(65, 1, |_| 3)
     });
-    Area { kernel: "render/color_backward", size: "Gaussians", reason: REASON, modes: Mode::ONLY_EXACT, cases }
+    area
 }

@@ -21,10 +21,6 @@ fn added_to(trial: &mut Trial<'_>, len: usize, before: f32) -> Tensor {
     tensor
 }
 
-fn rounded(values: &[Bounded]) -> Vec<f32> {
-    values.iter().map(|value| value.value as f32).collect()
-}
-
 type Vector = [Bounded; 3];
 
 fn plus(a: Vector, b: Vector) -> Vector {

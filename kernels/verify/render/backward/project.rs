@@ -1,25 +1,19 @@
 //! Splat gradients to Gaussian and camera gradients.
 
-use super::{Vector, added_to, cross, minus, plus, rounded, times};
+use super::{Vector, added_to, cross, minus, plus, times};
 use crate::{
-    Area, Case, Catches, Mode, Worst,
-    bound::{Bounded, gamma, half},
-    case,
-    noise::{Noise, camera},
-    render::forward::picture::{axes, gaussians, offset, reference_camera},
-    trial::Trial,
+    prelude::*,
+    render::forward::picture::{Seen, gaussians, reference_camera},
 };
 use glam::{DMat3, DVec3};
 use zipsplat::{
-    Result,
-    gpu::Device,
     kernels::render::{CamerasBackward, ProjectBackward},
     stages::render::camera_rows,
     types::{Camera, Pose, Scene},
 };
 use zipsplat_reference::render::{
     backward::{OneGradient, of_splat},
-    project::{Gaussians, project},
+    project::{Gaussians, Splat, project},
 };
 
 const REASON: &str = "running error analysis of the kernel, formula by formula; the truth, of differences of fourth order in f64, is \
@@ -62,8 +56,10 @@ enum Fault {
 }
 
 struct Found {
-    gaussian: [Bounded; VALUES],
-    camera: [Bounded; CAMERA],
+    /// `[VALUES]`
+    gaussian: Vec<Bounded>,
+    /// `[CAMERA]`
+    camera: Vec<Bounded>,
 }
 
 impl Problem {
@@ -98,7 +94,7 @@ impl Problem {
 
     fn conics(&self) -> Vec<[f64; 3]> {
         let splats = project(&gaussians(&self.scene), &reference_camera(&self.camera), self.antialiased);
-        let conic = |splat: Option<zipsplat_reference::render::project::Splat>| {
+        let conic = |splat: Option<Splat>| {
             let [xx, xy, yy] = splat.expect("a case whose Gaussians are all seen").conic;
             // xx yy - xy xy without cancellation.
             let determinant = xx * yy - xy * xy;
@@ -118,23 +114,9 @@ impl Problem {
         let [g, ge, gy, gee, gey, gyy] = std::array::from_fn(|i| pair[i]);
         let rotation = self.camera.pose.rotation;
         let view = |r: usize, c: usize| Bounded::rounded(rotation.col(r)[c]);
-        let i = &self.camera.intrinsics;
-        let focal = [i.fx, i.fy].map(Bounded::rounded);
-        let principal = [i.cx, i.cy].map(Bounded::rounded);
-        let offset = offset(&self.scene, n, &self.camera);
-        let p: Vector = [0, 1, 2].map(|r| Bounded::dot([0, 1, 2].map(|c| view(r, c)), offset));
-        let size = [i.width, i.height].map(|side| Bounded::exact(f64::from(side)));
-        let free = [0, 1].map(|axis| p[axis] / p[2]);
-        let slope = [0, 1].map(|axis| {
-            let margin = Bounded::rounded(0.15) * size[axis] / focal[axis];
-            let [least, most] =
-                [-principal[axis] / focal[axis] - margin, (size[axis] - principal[axis]) / focal[axis] + margin];
-            free[axis].max(least).min(most)
-        });
+        let Seen { p, focal, free, slope, axes: rows, along, .. } = Seen::new(&self.scene, n, &self.camera);
         let held = [0, 1].map(|axis| slope[axis].value != free[axis].value && !is(Fault::Unheld));
-        let rows = axes(self.scene.quats[n], view);
         let scale = self.scene.scales[n].map(Bounded::exact);
-        let along = [0, 1].map(|axis| times(focal[axis] / p[2], minus(rows[axis], times(slope[axis], rows[2]))));
         let [u, v] = along.map(|along| [0, 1, 2].map(|c| along[c] * scale[c]));
         let blur = Bounded::rounded(if is(Fault::NoBlur) { 0.0 } else { BLUR });
         let minors = cross(u, v);
@@ -181,21 +163,10 @@ impl Problem {
         let lens =
             [0, 1].map(|axis| d_centre[axis] * free[axis] + (sizes[axis] - d_limit[axis] * slope[axis]) / focal[axis]);
         let principal = [0, 1].map(|axis| d_centre[axis] - d_limit[axis] / focal[axis]);
-        let [x, y, z] = [d_offset, d_scale, camera_turn];
+        let pose = [camera_turn, to_camera].concat().into_iter().map(|x| -x);
         Found {
-            gaussian: [x[0], x[1], x[2], y[0], y[1], y[2], d_quat[0], d_quat[1], d_quat[2], d_quat[3], opacity],
-            camera: [
-                -z[0],
-                -z[1],
-                -z[2],
-                -to_camera[0],
-                -to_camera[1],
-                -to_camera[2],
-                lens[0],
-                lens[1],
-                principal[0],
-                principal[1],
-            ],
+            gaussian: [&d_offset[..], &d_scale, &d_quat, &[opacity]].concat(),
+            camera: pose.chain(lens).chain(principal).collect(),
         }
     }
 
@@ -217,7 +188,7 @@ impl Problem {
     fn all(&self, fault: Option<Fault>) -> Vec<Bounded> {
         let conics = self.conics();
         let found: Vec<Found> = (0..self.scene.len()).map(|n| self.gradient(n, conics[n], fault)).collect();
-        let mut all: Vec<Bounded> = found.iter().flat_map(|found| found.gaussian).collect();
+        let mut all: Vec<Bounded> = found.iter().flat_map(|found| found.gaussian.clone()).collect();
         for number in 0..CAMERA {
             let terms = || found.iter().map(|found| found.camera[number]);
             let magnitudes: f64 = terms().map(|term| term.value.abs() + term.error).sum();
@@ -228,9 +199,7 @@ impl Problem {
     }
 }
 
-impl case::Problem for Problem {
-    type Output = Vec<f32>;
-    type Truth = (Vec<f64>, Vec<Bounded>);
+impl Values for Problem {
     type Fault = Fault;
 
     fn compute(&self, device: &Device, _: Mode) -> Result<Vec<f32>> {
@@ -268,48 +237,39 @@ impl case::Problem for Problem {
         let kernel = CamerasBackward { parts, d_cameras, rows: rows as u32, numbers: CAMERA as u32 };
         trial.rec.dispatch_groups(kernel, CAMERA);
         let run = trial.run()?;
-        let [means, scales, quats, opacities] = [run.read(d[0])?, run.read(d[1])?, run.read(d[2])?, run.read(d[3])?];
-        let mut out: Vec<f32> = Vec::new();
-        for n in 0..count {
-            for (values, width) in [(&means, 3), (&scales, 3), (&quats, 4), (&opacities, 1)] {
-                let values: &Vec<f32> = values;
-                out.extend(&values[n * width..][..width]);
-            }
-        }
+        let fields = d.map(|field| run.read::<f32>(field)).into_iter().collect::<Result<Vec<_>>>()?;
+        let row = |n: usize| fields.iter().zip([3, 3, 4, 1]).flat_map(move |(x, width)| &x[n * width..][..width]);
+        let mut out: Vec<f32> = (0..count).flat_map(row).copied().collect();
         out.extend(run.read::<f32>(d_cameras)?);
         Ok(out)
     }
 
-    fn truth(&self, _: Mode) -> Self::Truth {
+    fn truth(&self, _: Mode) -> [Vec<f64>; 2] {
         let camera = reference_camera(&self.camera);
         let one = |n: usize| of_splat(&self.one(n), &camera, self.antialiased, &self.pairs[n].map(f64::from));
         let found: Vec<OneGradient> = (0..self.scene.len()).map(one).collect();
         let row = |g: &OneGradient| [&g.mean[..], &g.scale, &g.quat, &[g.opacity]].concat();
         let mut truth: Vec<f64> = found.iter().flat_map(row).collect();
         truth.extend((0..CAMERA).map(|number| found.iter().map(|g| g.camera[number]).sum::<f64>()));
-        let mut bounds = self.all(None);
+        let mut bounds: Vec<f64> = self.all(None).iter().map(|bounded| bounded.error).collect();
         let widths = (0..self.scene.len()).flat_map(|_| [3, 3, 4, 1]).chain([3, 3, 4]);
         let mut first = 0;
         for width in widths {
             let row = first..first + width;
             let longest = truth[row.clone()].iter().fold(0.0, |most: f64, value| most.max(value.abs()));
-            bounds[row].iter_mut().for_each(|bound| bound.error += 1e-3 * bound.error + 1e-7 * longest);
+            bounds[row].iter_mut().for_each(|bound| *bound += 1e-3 * *bound + 1e-7 * longest);
             first += width;
         }
-        (truth, bounds)
+        [truth, bounds]
     }
 
-    fn judge(&self, (truth, bounds): &Self::Truth, output: &Vec<f32>, _: Mode) -> Worst {
-        Worst::of(output, truth, |i| bounds[i].error)
-    }
-
-    fn faulty(&self, (truth, _): &Self::Truth, fault: Fault, _: Mode) -> Vec<Vec<f32>> {
-        vec![match fault {
+    fn faulty(&self, truth: &[f64], fault: Fault) -> Vec<f64> {
+        match fault {
             Fault::Zero => vec![0.0; truth.len()],
-            Fault::Unwritten => vec![f32::NAN; truth.len()],
-            Fault::NeighbourGaussian => (0..truth.len()).map(|i| truth[(i + VALUES) % truth.len()] as f32).collect(),
-            _ => rounded(&self.all(Some(fault))),
-        }]
+            Fault::Unwritten => vec![f64::NAN; truth.len()],
+            Fault::NeighbourGaussian => shifted(truth, VALUES),
+            _ => self.all(Some(fault)).iter().map(|bounded| bounded.value).collect(),
+        }
     }
 }
 
@@ -326,10 +286,10 @@ fn scene(count: usize, change: impl Fn(usize, &mut [f32; 3], &mut [f32; 3])) -> 
 
 pub fn area() -> Area {
     use Fault::*;
-    let mut cases = Vec::new();
+    let mut area = Area::new("render/project_backward", "Gaussians", Mode::ONLY_EXACT, REASON);
     let mut add = |name: &str, catches: Catches<Fault>, (scene, camera): (Scene, Camera), antialiased: bool| {
         let problem = Problem::new(scene, camera, antialiased);
-        cases.push(Case::new(name, problem.scene.len(), catches, move || problem.clone()));
+        area.add(name, problem.scene.len(), catches, move || problem.clone());
     };
     let still = || camera(70, 53);
     let keep = |_: usize, _: &mut [f32; 3], _: &mut [f32; 3]| ();
@@ -371,15 +331,11 @@ pub fn area() -> Area {
     for length in [1e-20, 1e20] {
         let mut stretched = scene(30, keep);
         stretched.quats.iter_mut().flatten().for_each(|q| *q *= length);
-        add(
-            &format!("rotations of length {length:e}"),
-            [Zero, FixedShape, LogOpacity].into(),
-            (stretched, still()),
-            false,
-        );
+        let catches = [Zero, FixedShape, LogOpacity].into();
+        add(&format!("rotations of length {length:e}"), catches, (stretched, still()), false);
     }
     let mut none = Problem::new(scene(65, keep), still(), false);
     none.pairs.fill([0.0; 10]);
-    cases.push(Case::new("nothing visible", 65, [Fault::Unwritten], move || none.clone()));
-    Area { kernel: "render/project_backward", size: "Gaussians", reason: REASON, modes: Mode::ONLY_EXACT, cases }
+    area.add("nothing visible", 65, [Fault::Unwritten], move || none.clone());
+    area
 }

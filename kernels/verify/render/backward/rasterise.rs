@@ -1,18 +1,7 @@
 //! Pixel gradients to splat gradients.
 
-use super::rounded;
-use crate::{
-    Area, Case, Catches, Mode, Worst,
-    bound::{Bounded, gamma},
-    case,
-    noise::Noise,
-    trial::Trial,
-};
-use zipsplat::{
-    Result,
-    gpu::Device,
-    kernels::{limits::TILE, render::RasteriseBackward},
-};
+use crate::prelude::*;
+use zipsplat::kernels::{limits::TILE, render::RasteriseBackward};
 use zipsplat_reference::render::{
     backward::{Ellipse, through_pixel},
     project::MIN_ALPHA,
@@ -222,9 +211,7 @@ fn frame(splats: &[Splat], at: [f64; 2]) -> [f64; 5] {
     frame
 }
 
-impl case::Problem for Problem {
-    type Output = Vec<f32>;
-    type Truth = (Vec<f64>, Vec<Bounded>);
+impl Values for Problem {
     type Fault = Fault;
 
     fn compute(&self, device: &Device, _: Mode) -> Result<Vec<f32>> {
@@ -270,7 +257,7 @@ impl case::Problem for Problem {
         Ok(moments.iter().zip(&values).flat_map(|(moments, values)| [&moments[..], values].concat()).collect())
     }
 
-    fn truth(&self, _: Mode) -> Self::Truth {
+    fn truth(&self, _: Mode) -> [Vec<f64>; 2] {
         let count = tiles()[0] * tiles()[1];
         let ellipses: Vec<Ellipse> = self.splats.iter().map(Splat::ellipse).collect();
         let mut sums = vec![0.0; self.splats.len() * count * VALUES];
@@ -280,21 +267,16 @@ impl case::Problem for Problem {
                 (0..VALUES).for_each(|value| sums[(n * count + tile) * VALUES + value] += gradient[value]);
             }
         }
-        (sums, self.slots(None))
+        [sums, self.slots(None).iter().map(|slot| slot.error).collect()]
     }
 
-    fn judge(&self, (truth, bounds): &Self::Truth, output: &Vec<f32>, _: Mode) -> Worst {
-        Worst::of(output, truth, |i| bounds[i].error)
-    }
-
-    fn faulty(&self, (truth, _): &Self::Truth, fault: Fault, _: Mode) -> Vec<Vec<f32>> {
-        let slot = tiles()[0] * tiles()[1] * VALUES;
-        vec![match fault {
+    fn faulty(&self, truth: &[f64], fault: Fault) -> Vec<f64> {
+        match fault {
             Fault::Zero => vec![0.0; truth.len()],
-            Fault::Unwritten => vec![f32::NAN; truth.len()],
-            Fault::NeighbourSplat => (0..truth.len()).map(|i| truth[(i + slot) % truth.len()] as f32).collect(),
-            _ => rounded(&self.slots(Some(fault))),
-        }]
+            Fault::Unwritten => vec![f64::NAN; truth.len()],
+            Fault::NeighbourSplat => shifted(truth, tiles()[0] * tiles()[1] * VALUES),
+            _ => self.slots(Some(fault)).iter().map(|slot| slot.value).collect(),
+        }
     }
 }
 
@@ -318,9 +300,9 @@ fn splats(count: usize, change: impl Fn(usize, &mut Splat)) -> Vec<Splat> {
 
 pub fn area() -> Area {
     use Fault::*;
-    let mut cases = Vec::new();
+    let mut area = Area::new("render/rasterise_backward", "splats", Mode::ONLY_EXACT, REASON);
     let mut add = |name: &str, catches: Catches<Fault>, count: usize, change: fn(usize, &mut Splat)| {
-        cases.push(Case::new(name, count, catches, move || Problem::new(splats(count, change))));
+        area.add(name, count, catches, move || Problem::new(splats(count, change)));
     };
     let seen = || Catches::from([Zero, Unwritten, NoAlpha, NoDepth, NeighbourTile, LastPixelRow]);
     let many = || seen().and(&[NothingBehind, NoBackground, Unsheared, NeighbourSplat, FaintDrawn]);
@@ -342,5 +324,5 @@ pub fn area() -> Area {
         splat.opacity = 0.006 + 0.001 * (i % 7) as f32;
     });
     add("nothing visible", [Unwritten, FaintDrawn].into(), 30, |_, splat| splat.opacity = 0.003);
-    Area { kernel: "render/rasterise_backward", size: "splats", reason: REASON, modes: Mode::ONLY_EXACT, cases }
+    area
 }

@@ -6,7 +6,8 @@ use glam::DVec3;
 use rayon::prelude::*;
 use zipsplat::types::{Camera, Scene};
 use zipsplat_reference::render::{
-    project::{Camera as Pinhole, Gaussians, MIN_ALPHA, Splat, project},
+    project::{Camera as Pinhole, Gaussians, Splat, project},
+    rasterise::{Pixel, Rules, alpha, blend},
     sh,
 };
 
@@ -51,19 +52,10 @@ pub enum Fault {
 /// Color, alpha, accumulated depth.
 pub type Picture = [Vec<f32>; 3];
 
-/// Blending thresholds.
-#[derive(Clone, Copy)]
-struct Rules {
-    faint: f64,
-    opaque: f64,
-    left: f64,
-}
-
-const RULES: Rules = Rules { faint: MIN_ALPHA, opaque: 0.999, left: 1e-4 };
-
 /// Renders with a fault; `before` is the camera of the tiles from 0 on.
 pub fn wrong(scene: &Scene, camera: &Camera, antialiased: bool, fault: Fault, before: Option<&Camera>) -> Picture {
-    let (mut scene, mut camera, mut antialiased, mut rules) = (gaussians(scene), *camera, antialiased, RULES);
+    let (mut scene, mut camera, mut antialiased, mut rules) =
+        (gaussians(scene), *camera, antialiased, Rules::default());
     let i = &mut camera.intrinsics;
     match fault {
         Fault::OtherAntialiasing => antialiased = !antialiased,
@@ -71,9 +63,9 @@ pub fn wrong(scene: &Scene, camera: &Camera, antialiased: bool, fault: Fault, be
         Fault::BehindDrawn => scene.means.iter_mut().for_each(|mean| mean[2] = mean[2].abs()),
         Fault::NearDrawn => scene.means.iter_mut().for_each(|mean| mean[2] = mean[2].max(0.01)),
         Fault::CentredPrincipal => (i.cx, i.cy) = (f64::from(i.width) / 2.0, f64::from(i.height) / 2.0),
-        Fault::FaintDrawn => rules.faint = 0.0,
-        Fault::OpaqueUnclamped => rules.opaque = 1.0,
-        Fault::NeverStops => rules.left = 0.0,
+        Fault::FaintDrawn => rules.min_alpha = 0.0,
+        Fault::OpaqueUnclamped => rules.max_alpha = 1.0,
+        Fault::NeverStops => rules.min_transmittance = 0.0,
         Fault::TilesWrap => camera = before.copied().unwrap_or(camera),
         _ => {}
     }
@@ -98,8 +90,11 @@ pub fn wrong(scene: &Scene, camera: &Camera, antialiased: bool, fault: Fault, be
         Fault::TransposedPixels => [(i / height) as f64 + 0.5, (i % height) as f64 + 0.5],
         _ => [(i % width) as f64 + 0.5, (i / width) as f64 + 0.5],
     };
-    let mut pixels: Vec<[f64; 5]> =
-        (0..width * height).into_par_iter().map(|i| blend(&splats, place(i), rules)).collect();
+    let pixel = |i: usize| {
+        let Pixel { rgb: [r, g, b], depth, transmittance, .. } = blend(&splats, place(i), rules);
+        [r, g, b, 1.0 - transmittance, depth]
+    };
+    let mut pixels: Vec<[f64; 5]> = (0..width * height).into_par_iter().map(pixel).collect();
     match fault {
         Fault::Blank => pixels.fill([0.0; 5]),
         Fault::Unwritten => pixels.fill([f64::NAN; 5]),
@@ -139,38 +134,11 @@ fn changed(mut splat: Splat, scene: &Gaussians, n: usize, camera: &Pinhole, faul
     splat
 }
 
-fn alpha(splat: &Splat, [x, y]: [f64; 2], rules: Rules) -> f64 {
-    let [dx, dy] = [x - splat.mean[0], y - splat.mean[1]];
-    let [xx, xy, yy] = splat.conic;
-    let sigma = 0.5 * (xx * dx * dx + yy * dy * dy) + xy * dx * dy;
-    (splat.opacity * (-sigma).exp()).min(rules.opaque)
-}
-
-fn blend(splats: &[Splat], place: [f64; 2], rules: Rules) -> [f64; 5] {
-    let (mut pixel, mut left) = ([0.0; 5], 1.0);
-    for splat in splats {
-        let alpha = alpha(splat, place, rules);
-        if alpha < rules.faint {
-            continue;
-        }
-        let after = left * (1.0 - alpha);
-        if after <= rules.left {
-            break;
-        }
-        let weight = alpha * left;
-        (0..3).for_each(|c| pixel[c] += weight * splat.color[c]);
-        pixel[4] += weight * splat.depth;
-        left = after;
-    }
-    pixel[3] = 1.0 - left;
-    pixel
-}
-
 /// Returns the first splat with alpha above 1/20 at its nearest pixel, or else the most opaque.
 fn most_visible(splats: &[Splat], size: [usize; 2]) -> Option<usize> {
     let own = |splat: &Splat| {
         let nearest = [0, 1].map(|axis| splat.mean[axis].floor().clamp(0.0, size[axis] as f64 - 1.0) + 0.5);
-        alpha(splat, nearest, RULES)
+        alpha(splat, nearest, Rules::default())
     };
     let most = (0..splats.len()).max_by(|&a, &b| own(&splats[a]).total_cmp(&own(&splats[b])));
     splats.iter().position(|splat| own(splat) > 0.05).or(most)

@@ -3,18 +3,11 @@
 mod faults;
 pub mod picture;
 
-use crate::{
-    Area, Case, Catches, Mode, Worst,
-    bound::U,
-    case,
-    noise::{Noise, camera},
-};
+use crate::prelude::*;
 use faults::{Fault, Picture, wrong};
 use glam::{DMat3, DVec3};
 use picture::{PixelBounds, bounds, orders_depths, truth};
 use zipsplat::{
-    Result,
-    gpu::Device,
     stages::render::{Depth, RenderOptions, Renderer},
     types::{Camera, NEAR, Pose, Scene},
 };
@@ -107,10 +100,10 @@ fn needles_off(count: usize, distance: f64) -> Scene {
 
 pub fn area() -> Area {
     use Fault::*;
-    let mut cases = Vec::new();
+    let mut area = Area::new("render", "Gaussians", Mode::ONLY_EXACT, REASON);
     let mut add = |name: &str, catches: Catches<Fault>, (scene, camera): (Scene, Camera), antialiased: bool| {
         let problem = Problem { scene, camera, antialiased, before: None };
-        cases.push(Case::new(name, problem.scene.len(), catches, move || problem.clone()));
+        area.add(name, problem.scene.len(), catches, move || problem.clone());
     };
     let still = || camera(70, 53);
     let keep = |_: usize, _: &mut [f32; 3], _: &mut [f32; 3], _: &mut f32| ();
@@ -201,12 +194,7 @@ pub fn area() -> Area {
         });
         add(&format!("a field of view of {degrees}°"), seen(), (through, lens), false);
     }
-    cases.push(many_tiles());
-    Area { kernel: "render", size: "Gaussians", reason: REASON, modes: Mode::ONLY_EXACT, cases }
-}
-
-/// Takes 2048 tiles per picture: the last tile indices exceed 65,535.
-fn many_tiles() -> Case {
+    // 2048 tiles per picture: the last tile indices exceed 65,535.
     const BEFORE: usize = 32;
     let make = || {
         let wide = camera(1 << 15, 1);
@@ -215,5 +203,6 @@ fn many_tiles() -> Case {
         let scene = scene(40, 0, |_, m, s, _| (m[1], *s) = (0.0, s.map(|s| 0.05 * s)));
         Problem { scene, camera: moved, antialiased: false, before: Some((wide, BEFORE)) }
     };
-    Case::new("more than 65,536 tiles", 40, [Fault::Blank, Fault::LastTile, Fault::Missing, Fault::TilesWrap], make)
+    area.add("more than 65,536 tiles", 40, [Blank, LastTile, Missing, TilesWrap], make);
+    area
 }

@@ -68,23 +68,44 @@ pub fn bounds(scene: &Scene, camera: &Camera, antialiased: bool) -> Vec<PixelBou
     (0..width * camera.intrinsics.height as usize).into_par_iter().map(pixel).collect()
 }
 
-/// Mirrors kernels/render/project.comp.
+/// A Gaussian before a camera, as in kernels/render/project.comp.
+pub struct Seen {
+    /// Center, camera space.
+    pub p: [Bounded; 3],
+    pub focal: [Bounded; 2],
+    pub principal: [Bounded; 2],
+    /// Slopes to the center, and as the borders clamp them.
+    pub free: [Bounded; 2],
+    pub slope: [Bounded; 2],
+    /// Axes, camera space, and by their length in pixels.
+    pub axes: [[Bounded; 3]; 3],
+    pub along: [[Bounded; 3]; 2],
+}
+
+impl Seen {
+    pub fn new(scene: &Scene, n: usize, camera: &Camera) -> Self {
+        let view = |r: usize, c: usize| Bounded::rounded(camera.pose.rotation.col(r)[c]);
+        let offset = offset(scene, n, camera);
+        let p = [0, 1, 2].map(|r| Bounded::dot([0, 1, 2].map(|c| view(r, c)), offset));
+        let i = &camera.intrinsics;
+        let (focal, principal) = ([i.fx, i.fy].map(Bounded::rounded), [i.cx, i.cy].map(Bounded::rounded));
+        let size = [i.width, i.height].map(Bounded::exact);
+        let free = [0, 1].map(|a| p[a] / p[2]);
+        let slope = [0, 1].map(|a| {
+            let margin = Bounded::rounded(0.15) * size[a] / focal[a];
+            let low = -principal[a] / focal[a] - margin;
+            free[a].max(low).min((size[a] - principal[a]) / focal[a] + margin)
+        });
+        let axes = axes(scene.quats[n], view);
+        let along = [0, 1].map(|a| [0, 1, 2].map(|c| focal[a] / p[2] * (axes[a][c] - slope[a] * axes[2][c])));
+        Self { p, focal, principal, free, slope, axes, along }
+    }
+}
+
 fn splat(scene: &Scene, n: usize, camera: &Camera, antialiased: bool, color: [f64; 3]) -> Splat {
-    let rotation = camera.pose.rotation;
-    let offset = offset(scene, n, camera);
-    let p = [0, 1, 2].map(|r| Bounded::dot(rotation.col(r).to_array().map(Bounded::rounded), offset));
-    let i = &camera.intrinsics;
-    let focal = [i.fx, i.fy].map(Bounded::rounded);
-    let principal = [i.cx, i.cy].map(Bounded::rounded);
-    let size = [i.width, i.height].map(Bounded::exact);
-    let slope = [0, 1].map(|a| {
-        let margin = Bounded::rounded(0.15) * size[a] / focal[a];
-        let low = -principal[a] / focal[a] - margin;
-        (p[a] / p[2]).max(low).min((size[a] - principal[a]) / focal[a] + margin)
-    });
-    let axes = axes(scene.quats[n], |r, c| Bounded::rounded(rotation.col(r)[c]));
-    let scales = scene.scales[n].map(Bounded::exact);
-    let spread = |a: usize| [0, 1, 2].map(|c| focal[a] / p[2] * (axes[a][c] - slope[a] * axes[2][c]) * scales[c]);
+    let Seen { p, focal, principal, along, .. } = Seen::new(scene, n, camera);
+    let (i, scales) = (&camera.intrinsics, scene.scales[n].map(Bounded::exact));
+    let spread = |a: usize| [0, 1, 2].map(|c| along[a][c] * scales[c]);
     let (mut u, mut v, mut unit) = (spread(0), spread(1), None);
     let longest = Bounded::dot(u, u).max(Bounded::dot(v, v)).sqrt();
     if longest.value > LONG {
@@ -114,7 +135,7 @@ fn splat(scene: &Scene, n: usize, camera: &Camera, antialiased: bool, color: [f6
 }
 
 /// Returns the offset from the camera center, which the kernel stores as two numbers.
-pub fn offset(scene: &Scene, n: usize, camera: &Camera) -> [Bounded; 3] {
+fn offset(scene: &Scene, n: usize, camera: &Camera) -> [Bounded; 3] {
     [0, 1, 2].map(|c| {
         let centre = camera.pose.translation[c];
         let coarse = Bounded::exact(scene.means[n][c]) - Bounded::exact(centre as f32);
@@ -145,7 +166,7 @@ fn ridge(splat: Splat, height: Option<f64>) -> Splat {
     }
 }
 
-pub fn axes(quat: [f32; 4], view: impl Fn(usize, usize) -> Bounded) -> [[Bounded; 3]; 3] {
+fn axes(quat: [f32; 4], view: impl Fn(usize, usize) -> Bounded) -> [[Bounded; 3]; 3] {
     let q = quat.map(Bounded::exact);
     let largest = Bounded::exact(quat.iter().fold(0.0f32, |most, x| most.max(x.abs())));
     let q = q.map(|x| x / largest);

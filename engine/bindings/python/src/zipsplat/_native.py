@@ -184,12 +184,8 @@ def structure(kind: str, **values: Any) -> Any:
 
 
 def options(kind: str, **values: Any) -> Any:
-    """Creates options with defaults and the given values."""
-    made = ffi.new(f"zs_{kind}_options *")
-    call(f"zs_{kind}_options_default", made, ffi.sizeof(f"zs_{kind}_options"))
-    for name, value in values.items():
-        setattr(made, name, value)
-    return made
+    """Creates options with the given values; 0 is the default of every field."""
+    return structure(f"{kind}_options", **values)
 
 
 class _Memory:

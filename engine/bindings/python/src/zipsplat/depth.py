@@ -19,7 +19,7 @@ from .model import PRECISIONS, Precision, Progress, choose, weights_path
 from .scene import Scene
 
 CameraSource = Literal["decoder", "rays"]
-_CAMERA_SOURCES = {"decoder": lib.ZS_CAMERAS_FROM_DECODER, "rays": lib.ZS_CAMERAS_FROM_RAYS}
+_CAMERA_SOURCES = {"decoder": lib.ZS_CAMERA_SOURCE_DECODER, "rays": lib.ZS_CAMERA_SOURCE_RAYS}
 
 
 class DepthPrediction:
@@ -54,7 +54,7 @@ class DepthPrediction:
         if max_gaussians_per_patch is not None and max_gaussians_per_patch < 1:
             found = f"max_gaussians_per_patch: found {max_gaussians_per_patch}"
             raise ArgumentError(f"{found}, expected a number above 0, or None")
-        return Scene(Handle("scene", "zs_depths_scene", self._handle, max_gaussians_per_patch or 0), self.device)
+        return Scene(Handle("scene", "zs_depth_result_to_scene", self._handle, max_gaussians_per_patch or 0), self.device)
 
     def __repr__(self) -> str:
         photos, height, width = self.depth.shape
@@ -62,7 +62,7 @@ class DepthPrediction:
 
     def _view(self, index: int) -> tuple[Any, Any, Any, Optional[Camera]]:
         view, camera = structure("depth_view"), structure("camera")
-        call("zs_depths_get", self._handle, index, view, camera)
+        call("zs_depth_result_get", self._handle, index, view, camera)
         shape = (int(view.height), int(view.width))
         arrays = [
             array_at(self._handle, pointer, shape) if pointer else None
@@ -111,7 +111,7 @@ class DepthModel(Owner):
         on, told = opened(device), Told(progress)
         made = options("model", precision=choose("precision", precision, PRECISIONS))
         made.progress, made.user_data = native_progress, told.handle
-        return cls(Handle("depth_model", "zs_depth_model_open", on._handle, weights_path(weights), made), on)
+        return cls(Handle("depth_model", "zs_depth_model_load", on._handle, weights_path(weights), made), on)
 
     def predict(
         self,
@@ -143,9 +143,9 @@ class DepthModel(Owner):
         told = Told(progress)
         made = options(
             "depth",
-            side=input_size,
-            cameras_from=choose("camera_source", camera_source, _CAMERA_SOURCES),
-            own_focal_lengths=int(per_view_focal),
+            input_size=input_size,
+            camera_source=choose("camera_source", camera_source, _CAMERA_SOURCES),
+            per_view_focal=int(per_view_focal),
             progress=native_progress,
             user_data=told.handle,
         )
@@ -154,7 +154,7 @@ class DepthModel(Owner):
             kept_cameras = native_cameras(posed)
             made.cameras, made.camera_count = kept_cameras, len(posed)
         photos, _kept = native_images(sources)
-        found = Handle("depths", "zs_depth_find", self._handle, photos, len(sources), made)
+        found = Handle("depth_result", "zs_depth_predict", self._handle, photos, len(sources), made)
         return DepthPrediction(found, len(sources), self.device)
 
     def __repr__(self) -> str:

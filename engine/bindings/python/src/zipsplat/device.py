@@ -12,8 +12,12 @@ from typing import Any, Literal, Optional, Protocol, Union
 from ._native import Handle, Owner, call, ffi, lib, options, structure, text
 from .errors import NoDeviceError
 
-DeviceKind = Literal["discrete", "cpu", "other"]
-_KINDS: dict[int, DeviceKind] = {lib.ZS_DEVICE_DISCRETE: "discrete", lib.ZS_DEVICE_CPU: "cpu"}
+DeviceKind = Literal["discrete", "integrated", "cpu", "other"]
+_KINDS: dict[int, DeviceKind] = {
+    lib.ZS_DEVICE_DISCRETE: "discrete",
+    lib.ZS_DEVICE_INTEGRATED: "integrated",
+    lib.ZS_DEVICE_CPU: "cpu",
+}
 
 
 @dataclass(frozen=True)
@@ -24,7 +28,7 @@ class DeviceInfo:
         index: Number of the device.
         name: Name, such as "NVIDIA H100 80GB HBM3".
         driver: Driver name and version.
-        kind: "discrete", "cpu" (lavapipe) or "other".
+        kind: "discrete", "integrated", "cpu" (lavapipe) or "other".
         memory_bytes: Bytes of device-local memory.
         usable: Whether the engine can use the device.
         unusable_reason: Missing requirements; "" if usable.
@@ -47,7 +51,7 @@ def list_devices() -> list[DeviceInfo]:
     Raises:
         NoDeviceError: there is no Vulkan loader or driver.
     """
-    count = ffi.new("uint32_t *")
+    count = ffi.new("size_t *")
     call("zs_device_count", count)
     found = []
     for index in range(count[0]):
@@ -82,16 +86,16 @@ class Device(Owner):
         validation: Optional[bool] = None,
     ) -> None:
         name = ffi.NULL if device is None else ffi.new("char[]", _selector(str(device)).encode())
-        made = options("context", device=name, max_memory_bytes=max_memory_bytes or 0)
+        made = options("device", device=name, max_memory_bytes=max_memory_bytes or 0)
         if validation is not None:
             made.validation = int(validation)
-        super().__init__(Handle("context", "zs_context_create", made))
+        super().__init__(Handle("device", "zs_device_create", made))
 
     @property
     def info(self) -> DeviceInfo:
         """Description of the device."""
         info = structure("device_info")
-        call("zs_context_get_info", self._handle, info)
+        call("zs_device_get_info", self._handle, info)
         return _info(info)
 
     def __repr__(self) -> str:
@@ -167,6 +171,6 @@ def _info(info: Any) -> DeviceInfo:
         kind=_KINDS.get(info.kind, "other"),
         memory_bytes=info.memory_bytes,
         usable=bool(info.usable),
-        unusable_reason=text(info.missing),
+        unusable_reason=text(info.unusable_reason),
         uuid=text(info.uuid),
     )

@@ -206,7 +206,7 @@ class _How:
         return Camera.from_matrices(Ks, self.width, self.height, world_to_camera=viewmats)
 
     def options(self) -> Any:
-        kind, depth = lib.ZS_PIXEL_RGB_F32, lib.ZS_DEPTH_ACCUMULATED
+        kind, depth = lib.ZS_PIXEL_RGB_F32, lib.ZS_DEPTH_MODE_ACCUMULATED
         return options("render", format=kind, depth=depth, antialiased=int(self.antialiased), near_plane=self.near)
 
 

@@ -41,7 +41,7 @@ def load_image(path: PathLike) -> npt.NDArray[np.uint8]:
     Raises:
         FileError, FormatError: it is unreadable, or not a PNG, JPEG or WebP.
     """
-    return _array(Handle("photo", "zs_photo_open", os.fsencode(path)))
+    return _array(Handle("image_buffer", "zs_image_buffer_open", os.fsencode(path)))
 
 
 def save_image(path: PathLike, pixels: npt.ArrayLike) -> None:
@@ -61,7 +61,7 @@ def native(sources: Sequence[Any]) -> tuple[Any, list[object]]:
     for to, source in zip(out, loaded):
         to.struct_size = ffi.sizeof("zs_image")
         if isinstance(source, Handle):
-            call("zs_photo_get_image", source, ffi.addressof(to))
+            call("zs_image_buffer_get_image", source, ffi.addressof(to))
             continue
         to.format = _FORMATS[source.dtype.type, source.shape[2]]
         to.height, to.width = source.shape[:2]
@@ -126,7 +126,7 @@ class _Posed:
 
     def open(self) -> Handle:
         path = ffi.NULL if self.path is None else os.fsencode(self.path)
-        return Handle("photo", "zs_capture_open_photo", self.capture._handle, self.index, path)
+        return Handle("image_buffer", "zs_capture_open_image", self.capture._handle, self.index, path)
 
 
 _FORMATS = {
@@ -143,10 +143,10 @@ def _load(index: int, source: Any) -> Any:
     if isinstance(source, _Posed):
         return source.open()
     if isinstance(source, (str, os.PathLike)):
-        return Handle("photo", "zs_photo_open", os.fsencode(source))
+        return Handle("image_buffer", "zs_image_buffer_open", os.fsencode(source))
     if isinstance(source, (bytes, bytearray, memoryview)):
         data = bytes(source)
-        return Handle("photo", "zs_photo_from_memory", data, len(data))
+        return Handle("image_buffer", "zs_image_buffer_from_memory", data, len(data))
     return _pixels(f"image {index}", source)
 
 
@@ -180,7 +180,7 @@ def _only_dlpack(source: Any) -> bool:
 
 def _array(photo: Handle) -> npt.NDArray[np.uint8]:
     image = structure("image")
-    call("zs_photo_get_image", photo, image)
+    call("zs_image_buffer_get_image", photo, image)
     return array_at(photo, image.pixels, (image.height, image.width, 3), "|u1", writable=True)
 
 

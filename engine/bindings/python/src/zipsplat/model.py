@@ -23,14 +23,18 @@ TokenSelection = Literal["kmeans", "stride", "random"]
 World = Literal["auto", "first_camera", "input_cameras"]
 
 PRECISIONS: dict[Precision, int] = {
-    "auto": lib.ZS_PRECISION_BEST,
-    "fp32": lib.ZS_PRECISION_EXACT,
-    "fp16": lib.ZS_PRECISION_FAST,
-    "bf16": lib.ZS_PRECISION_FAST_BF16,
-    "int8": lib.ZS_PRECISION_TURBO,
+    "auto": lib.ZS_PRECISION_AUTO,
+    "fp32": lib.ZS_PRECISION_FP32,
+    "fp16": lib.ZS_PRECISION_FP16,
+    "bf16": lib.ZS_PRECISION_BF16,
+    "int8": lib.ZS_PRECISION_INT8,
 }
-_SELECTIONS = {"kmeans": lib.ZS_SELECT_KMEANS, "stride": lib.ZS_SELECT_STRIDE, "random": lib.ZS_SELECT_RANDOM}
-_WORLDS = {"first_camera": lib.ZS_WORLD_FIRST_CAMERA, "input_cameras": lib.ZS_WORLD_CAMERAS}
+_SELECTIONS = {
+    "kmeans": lib.ZS_TOKEN_SELECTION_KMEANS,
+    "stride": lib.ZS_TOKEN_SELECTION_STRIDE,
+    "random": lib.ZS_TOKEN_SELECTION_RANDOM,
+}
+_WORLDS = {"first_camera": lib.ZS_WORLD_FIRST_CAMERA, "input_cameras": lib.ZS_WORLD_INPUT_CAMERAS}
 # Fraction of the progress for reconstruction before a refinement.
 _RECONSTRUCTED = 0.2
 
@@ -54,13 +58,13 @@ class Model(Owner):
         self.device = device
         info = structure("model_info")
         call("zs_model_get_info", handle, info)
-        self.image_size: int = info.picture_side
-        self.patch_size: int = info.patch
+        self.image_size: int = info.image_size
+        self.patch_size: int = info.patch_size
         self.gaussians_per_token: int = info.gaussians_per_token
         self.sh_degree: int = info.sh_degree
         self.precision: Precision = next(name for name, number in PRECISIONS.items() if number == info.precision)
         self.weight_bytes: int = info.weight_bytes
-        self.warnings: list[str] = warned(info.notes)
+        self.warnings: list[str] = warned(info.warnings)
 
     @classmethod
     def load(
@@ -93,7 +97,7 @@ class Model(Owner):
         if isinstance(weights, (bytes, bytearray, memoryview)):
             data = bytes(weights)
             return cls(Handle("model", "zs_model_from_memory", on._handle, data, len(data), made), on)
-        return cls(Handle("model", "zs_model_open", on._handle, weights_path(weights), made), on)
+        return cls(Handle("model", "zs_model_load", on._handle, weights_path(weights), made), on)
 
     def reconstruct(
         self,
@@ -146,17 +150,15 @@ class Model(Owner):
             world = "first_camera" if posed is None else "input_cameras"
         share = _RECONSTRUCTED if refine else 1.0
         told = Told(None if progress is None else lambda done, stage: progress(share * done, stage))
-        width, height = (0, 0) if input_size is None else input_size
         made = options(
             "reconstruct",
             world=choose("world", world, _WORLDS),
             ratio=NUMBERS["ZS_RATIO_AUTO"] if ratio == "auto" else float(ratio),
-            unit=NUMBERS["ZS_UNIT_AUTO"] if scene_scale == "auto" else float(scene_scale),
-            selection=choose("token_selection", token_selection, _SELECTIONS),
-            width=width,
-            height=height,
+            scene_scale=NUMBERS["ZS_SCENE_SCALE_AUTO"] if scene_scale == "auto" else float(scene_scale),
+            token_selection=choose("token_selection", token_selection, _SELECTIONS),
+            input_size=input_size or (0, 0),
             seed=seed,
-            pool=kv_pool,
+            kv_pool=kv_pool,
             progress=native_progress,
             user_data=told.handle,
         )
@@ -197,8 +199,6 @@ def choose(name: str, found: str, names: Mapping[Any, int]) -> int:
 def weights_path(weights: PathLike) -> bytes:
     """Returns the path of weights, which may be a name of `list_models`."""
     path = os.fspath(weights)
-    if path == "builtin":
-        return b"embedded"
-    if re.fullmatch(r"[\w-]+", path) and not os.path.exists(path):
+    if path != "builtin" and re.fullmatch(r"[\w-]+", path) and not os.path.exists(path):
         path = command.run(["weights", "path", path])["path"]
     return os.fsencode(path)

@@ -15,7 +15,7 @@ from .errors import ArgumentError, ArgumentTypeError
 from .scene import Scene
 
 DepthMode = Literal["expected", "accumulated"]
-_DEPTHS = {"expected": lib.ZS_DEPTH_EXPECTED, "accumulated": lib.ZS_DEPTH_ACCUMULATED}
+_DEPTHS = {"expected": lib.ZS_DEPTH_MODE_EXPECTED, "accumulated": lib.ZS_DEPTH_MODE_ACCUMULATED}
 
 
 @dataclass(frozen=True)
@@ -117,9 +117,9 @@ def render_buffers(
     """Describes contiguous output arrays, with cameras as the first axis, for the library."""
     planes = (("pixels", "void *", rgb), ("alpha", "float *", alpha), ("depth", "float *", depth))
     found = [(name, kind, plane) for name, kind, plane in planes if plane is not None]
-    out = ffi.new("zs_picture[]", len(found[0][2]) if found else 0)
+    out = ffi.new("zs_render_buffers[]", len(found[0][2]) if found else 0)
     for i, to in enumerate(out):
-        to.struct_size = ffi.sizeof("zs_picture")
+        to.struct_size = ffi.sizeof("zs_render_buffers")
         for name, kind, plane in found:
             setattr(to, name, ffi.cast(kind, plane[i].ctypes.data))
     return out

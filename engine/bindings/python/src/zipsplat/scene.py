@@ -29,9 +29,9 @@ SpzVersion = Literal[2, 3, 4]
 StopReason = Literal["finished", "stopped", "diverged"]
 FIELDS = ("means", "scales", "quats", "opacities", "sh_coeffs")
 _STOP_REASONS: dict[int, StopReason] = {
-    lib.ZS_REFINE_FINISHED: "finished",
-    lib.ZS_REFINE_STOPPED: "stopped",
-    lib.ZS_REFINE_DIVERGED: "diverged",
+    lib.ZS_STOP_REASON_FINISHED: "finished",
+    lib.ZS_STOP_REASON_STOPPED: "stopped",
+    lib.ZS_STOP_REASON_DIVERGED: "diverged",
 }
 # Least scale and distance of opacities from 0 and 1 with finite logarithms, in float32.
 _LEAST_SCALE, _LEAST_OPACITY = 1e-30, 1e-7
@@ -218,14 +218,14 @@ class Scene:
             path: The file.
             spz_version: SPZ version: 2, 3 or 4.
         """
-        call("zs_scene_save", self._handle, os.fsencode(path), options("save", spz_version=spz_version))
+        call("zs_scene_save", self._handle, os.fsencode(path), options("scene_save", spz_version=spz_version))
 
     def to_bytes(self, format: Format, *, spz_version: SpzVersion = 3) -> bytes:
         """Encodes the scene as "ply", "spz", "splat", "gltf" or "glb"."""
-        made = options("save", spz_version=spz_version)
-        found = Handle("bytes", "zs_scene_to_memory", self._handle, _name(format), made)
+        made = options("scene_save", spz_version=spz_version)
+        found = Handle("blob", "zs_scene_to_memory", self._handle, _name(format), made)
         data, size = ffi.new("void **"), ffi.new("size_t *")
-        call("zs_bytes_get", found, data, size)
+        call("zs_blob_get", found, data, size)
         return bytes(ffi.buffer(data[0], size[0]))
 
     def refine(
@@ -266,19 +266,17 @@ class Scene:
         on = opened(self._device if device is None else device)
         photos, _kept = native_images(sources)
         told = Told(None if progress is None else lambda now: progress(_refining(now)))
-        width, height = (0, 0) if max_image_size is None else max_image_size
         made = options(
             "refine",
             steps=steps,
             views_per_step=views_per_step,
-            hold_out=lib.ZS_HOLD_OUT_AUTO if holdout_views == "auto" else int(holdout_views),
-            width=width,
-            height=height,
+            holdout_views=0 if holdout_views == "auto" else int(holdout_views) or lib.ZS_HOLDOUT_VIEWS_NONE,
+            max_image_size=max_image_size or (2**32 - 1,) * 2,
             seed=seed,
             progress=refine_progress,
             user_data=told.handle,
         )
-        info = structure("refine_info")
+        info = structure("refine_result")
         arguments = (on._handle, self._handle, photos, native_cameras(posed), len(sources), made, info)
         return Scene(Handle("scene", "zs_refine", *arguments), on, _refinement(info))
 
@@ -335,18 +333,18 @@ def _name(format: Optional[str]) -> Any:
 
 
 def _refining(now: Any) -> RefineProgress:
-    return RefineProgress(now.step, now.steps, now.loss, now.psnr, now.seconds_left)
+    return RefineProgress(now.step, now.steps, now.loss, now.psnr, now.eta_seconds)
 
 
 def _refinement(info: Any) -> RefineResult:
     return RefineResult(
-        stop_reason=_STOP_REASONS[info.ended],
+        stop_reason=_STOP_REASONS[info.stop_reason],
         steps=info.steps,
         best_step=info.best_step,
-        initial_loss=info.first_loss,
-        final_loss=info.last_loss,
-        initial_psnr=info.psnr_before,
-        best_psnr=info.psnr,
+        initial_loss=info.initial_loss,
+        final_loss=info.final_loss,
+        initial_psnr=info.initial_psnr,
+        best_psnr=info.best_psnr,
         seconds=info.seconds,
     )
 

@@ -1,27 +1,26 @@
-//! Pixels and cameras.
+//! Images.
 
 use super::{
-    pointers::{POINTER, Versioned},
-    status::Failure,
+    pointers::{Versioned, array, borrow, destroy, produce, read_given, text, write_versioned},
+    status::{Failure, guard, zs_status},
 };
-use glam::{DMat3, DVec3};
-use std::ffi::c_void;
-use zipsplat::types::{Camera, Image, Intrinsics, MAX_DECODED_BYTES, MAX_SIDE, Pose};
+use std::ffi::{c_char, c_void};
+use zipsplat::types::{Image, MAX_DECODED_BYTES, MAX_SIDE};
 
 /// Pixel formats. Color is sRGB-encoded, from 0 to 1 or 255.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_pixel_format {
+    /// VK_FORMAT_R8G8B8A8_UNORM.
+    ZS_PIXEL_RGBA8 = 0,
     /// 3 bytes: red, green, blue.
     ZS_PIXEL_RGB8 = 1,
-    /// VK_FORMAT_R8G8B8A8_UNORM.
-    ZS_PIXEL_RGBA8 = 2,
     /// VK_FORMAT_B8G8R8A8_UNORM.
-    ZS_PIXEL_BGRA8 = 3,
+    ZS_PIXEL_BGRA8 = 2,
     /// 3 f32: red, green, blue.
-    ZS_PIXEL_RGB_F32 = 4,
+    ZS_PIXEL_RGB_F32 = 3,
     /// VK_FORMAT_R32G32B32A32_SFLOAT.
-    ZS_PIXEL_RGBA_F32 = 5,
+    ZS_PIXEL_RGBA_F32 = 4,
 }
 
 use zs_pixel_format::*;
@@ -68,87 +67,74 @@ pub struct zs_image {
     pub pixels: *const c_void,
 }
 
+versioned!(zs_image);
+
 // SAFETY: the caller does not write the pixels during a call.
 unsafe impl Sync for zs_image {}
-
-/// A pinhole camera with OpenCV axes: x right, y down, z forward. Intrinsics are in pixels, whose
-/// centers are at +0.5.
-#[repr(C)]
-#[derive(Clone, Copy)]
-pub struct zs_camera {
-    /// sizeof(zs_camera).
-    pub struct_size: u32,
-    /// Must be 0.
-    pub reserved: u32,
-    /// Width.
-    pub width: u32,
-    /// Height.
-    pub height: u32,
-    /// Focal length along x.
-    pub fx: f64,
-    /// Focal length along y.
-    pub fy: f64,
-    /// Principal point from the left edge.
-    pub cx: f64,
-    /// Principal point from the top edge.
-    pub cy: f64,
-    /// Camera-to-world rotation, row-major: columns are the right, down and forward axes.
-    pub rotation: [f64; 9],
-    /// Camera center in the world.
-    pub translation: [f64; 3],
-}
 
 /// Limit of pixels of one photo, shared with decoded files.
 const MAX_PIXELS: u64 = MAX_DECODED_BYTES / 3;
 
-// SAFETY: repr(C), four u32, an i64 and a pointer: padding only at the end for 4-byte pointers.
-unsafe impl Versioned for zs_image {
-    const NAME: &str = "zs_image";
-    const FIRST_SIZE: usize = 24 + POINTER;
-    fn defaults() -> Self {
-        let struct_size = size_of::<Self>() as u32;
-        Self { struct_size, format: 0, width: 0, height: 0, stride: 0, pixels: std::ptr::null() }
-    }
+/// A decoded photo in host memory.
+pub struct zs_image_buffer {
+    pub(super) image: Image,
 }
 
-// SAFETY: repr(C), four u32 and f64: no padding.
-unsafe impl Versioned for zs_camera {
-    const NAME: &str = "zs_camera";
-    const FIRST_SIZE: usize = 144;
-    fn defaults() -> Self {
-        Self {
-            struct_size: size_of::<Self>() as u32,
-            reserved: 0,
-            width: 0,
-            height: 0,
-            fx: 0.0,
-            fy: 0.0,
-            cx: 0.0,
-            cy: 0.0,
-            rotation: [0.0; 9],
-            translation: [0.0; 3],
-        }
-    }
+/// Opens a PNG, JPEG or WebP, recognized by content. Applies the EXIF orientation, drops alpha and
+/// keeps the high byte of 16-bit samples. COLMAP cameras refer to unrotated pixels: use
+/// zs_capture_open_image for them.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_image_buffer_open(path: *const c_char, photo: *mut *mut zs_image_buffer) -> zs_status {
+    // SAFETY: a string or NULL.
+    let open = || Ok(zs_image_buffer { image: Image::open(unsafe { text(path, "path") }?)? });
+    // SAFETY: the caller's pointer.
+    unsafe { produce(photo, open) }
 }
 
-impl From<&Camera> for zs_camera {
-    fn from(camera: &Camera) -> Self {
-        let Camera { intrinsics: Intrinsics { width, height, fx, fy, cx, cy }, pose } = *camera;
-        let (rotation, translation) = (pose.rotation.transpose().to_cols_array(), pose.translation.to_array());
-        Self { width, height, fx, fy, cx, cy, rotation, translation, ..Versioned::defaults() }
-    }
+/// Decodes a photo from memory, as zs_image_buffer_open.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_image_buffer_from_memory(
+    data: *const c_void,
+    size: usize,
+    photo: *mut *mut zs_image_buffer,
+) -> zs_status {
+    // SAFETY: the caller's array of that size.
+    let decode = || {
+        Ok(zs_image_buffer { image: Image::decode(unsafe { array(data.cast::<u8>(), size, "bytes of a photo") }?)? })
+    };
+    // SAFETY: the caller's pointer.
+    unsafe { produce(photo, decode) }
 }
 
-impl zs_camera {
-    pub(super) fn camera(&self) -> Result<Camera, Failure> {
-        let Self { reserved, width, height, fx, fy, cx, cy, .. } = *self;
-        if reserved != 0 {
-            return Err(Failure::argument("zs_camera, reserved", reserved, "0"));
-        }
-        let rotation = DMat3::from_cols_array(&self.rotation).transpose();
-        let pose = Pose { rotation, translation: DVec3::from_array(self.translation) };
-        Ok(Camera { intrinsics: Intrinsics { width, height, fx, fy, cx, cy }, pose })
-    }
+/// Returns the photo's pixels (ZS_PIXEL_RGB8), which point into the photo.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_image_buffer_get_image(photo: *const zs_image_buffer, image: *mut zs_image) -> zs_status {
+    guard(|| {
+        // SAFETY: an object or NULL.
+        let Image { width, height, rgb } = &unsafe { borrow(photo, "photo") }?.image;
+        let (pixels, format) = (rgb.as_ptr().cast(), zs_pixel_format::ZS_PIXEL_RGB8 as i32);
+        let found = zs_image { format, width: *width, height: *height, pixels, ..Versioned::new() };
+        // SAFETY: the caller's structure.
+        unsafe { write_versioned(image, found) }
+    })
+}
+
+/// Destroys a photo.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_image_buffer_destroy(photo: *mut zs_image_buffer) {
+    // SAFETY: NULL or given up by the caller.
+    unsafe { destroy(photo) }
+}
+
+/// Writes a PNG of 8 bits per channel without alpha. An existing file is replaced atomically.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_image_save_png(image: *const zs_image, path: *const c_char) -> zs_status {
+    guard(|| {
+        // SAFETY: a structure or NULL, a string or NULL.
+        let (image, path) = unsafe { (read_given(image)?, text(path, "path")?) };
+        // SAFETY: the caller's pixels.
+        Ok(unsafe { image.image("image") }?.save_png(path)?)
+    })
 }
 
 impl zs_image {

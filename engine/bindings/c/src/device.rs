@@ -1,17 +1,15 @@
-//! Devices and contexts.
+//! Devices.
 
 use super::{
-    pointers::{
-        POINTER, Versioned, borrow, destroy, optional_text, produce, read_versioned, write_defaults, write_versioned,
-    },
+    pointers::{Versioned, borrow, destroy, optional_text, produce, read_versioned, write_versioned},
     status::{Failure, guard, zs_status},
 };
 use std::ffi::c_char;
 use zipsplat::gpu::{Device, DeviceInfo, DeviceOptions, Limits, list_devices};
 
 /// An open Vulkan device.
-pub struct zs_context {
-    pub(super) device: Device,
+pub struct zs_device {
+    pub(super) gpu: Device,
     pub(super) adopted: bool,
 }
 
@@ -19,12 +17,14 @@ pub struct zs_context {
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_device_kind {
-    /// Integrated, virtual or unknown.
+    /// Virtual or unknown.
     ZS_DEVICE_OTHER = 0,
     /// Discrete GPU.
     ZS_DEVICE_DISCRETE = 1,
+    /// Integrated GPU.
+    ZS_DEVICE_INTEGRATED = 2,
     /// CPU (lavapipe).
-    ZS_DEVICE_CPU = 2,
+    ZS_DEVICE_CPU = 3,
 }
 
 /// Description of a device; strings are NUL-terminated and truncated to fit.
@@ -33,7 +33,7 @@ pub enum zs_device_kind {
 pub struct zs_device_info {
     /// sizeof(zs_device_info).
     pub struct_size: u32,
-    /// Device number for zs_context_options.device; 0 if adopted.
+    /// Device number for zs_device_options.device; 0 if adopted.
     pub index: u32,
     /// 1 if the engine can use the device.
     pub usable: u32,
@@ -46,7 +46,7 @@ pub struct zs_device_info {
     /// Driver name and version.
     pub driver: [c_char; 256],
     /// Missing requirements; "" if usable.
-    pub missing: [c_char; 512],
+    pub unusable_reason: [c_char; 512],
     /// UUID as 32 hexadecimal digits, as in nvidia-smi.
     pub uuid: [c_char; 40],
 }
@@ -54,14 +54,14 @@ pub struct zs_device_info {
 /// An enumeration's number in structures, so that invalid values can be rejected.
 pub(super) type zs_device_kind_value = i32;
 
-/// Options of zs_context_create.
+/// Options of zs_device_create.
 #[repr(C)]
 #[derive(Clone, Copy)]
-pub struct zs_context_options {
-    /// sizeof(zs_context_options).
+pub struct zs_device_options {
+    /// sizeof(zs_device_options).
     pub struct_size: u32,
-    /// 1 enables the Khronos validation layer, whose messages fail calls with ZS_ERROR_DRIVER.
-    /// Default 1 if the environment variable ZIPSPLAT_VALIDATION is 1, else 0.
+    /// 1 enables the Khronos validation layer, whose messages fail calls with ZS_ERROR_DRIVER. 0
+    /// does so only if the environment variable ZIPSPLAT_VALIDATION is 1.
     pub validation: u32,
     /// Device memory budget; 0 is unlimited. Work beyond it fails with ZS_ERROR_OUT_OF_MEMORY
     /// before submission.
@@ -71,45 +71,18 @@ pub struct zs_context_options {
     pub device: *const c_char,
 }
 
-// SAFETY: repr(C), two u32, a u64 and text: no padding.
-unsafe impl Versioned for zs_device_info {
-    const NAME: &str = "zs_device_info";
-    const FIRST_SIZE: usize = 1048;
-    fn defaults() -> Self {
-        Self {
-            struct_size: size_of::<Self>() as u32,
-            index: 0,
-            usable: 0,
-            kind: 0,
-            memory_bytes: 0,
-            name: [0; 256],
-            driver: [0; 256],
-            missing: [0; 512],
-            uuid: [0; 40],
-        }
-    }
-}
-
-// SAFETY: repr(C), two u32, a u64 and a pointer: padding only at the end for 4-byte pointers.
-unsafe impl Versioned for zs_context_options {
-    const NAME: &str = "zs_context_options";
-    const FIRST_SIZE: usize = 16 + POINTER;
-    fn defaults() -> Self {
-        let validation = DeviceOptions::default().validation.into();
-        Self { struct_size: size_of::<Self>() as u32, validation, max_memory_bytes: 0, device: std::ptr::null() }
-    }
-}
+versioned!(zs_device_info, zs_device_options);
 
 /// Counts Vulkan devices, usable or not; ZS_ERROR_NO_DEVICE without a loader or driver.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn zs_device_count(count: *mut u32) -> zs_status {
+pub unsafe extern "C" fn zs_device_count(count: *mut usize) -> zs_status {
     guard(|| {
         if count.is_null() {
             return Err(Failure::argument("count", "NULL", "where to put it"));
         }
         // SAFETY: not NULL, and the caller's to write.
         unsafe { count.write(0) };
-        let found = list_devices()?.len() as u32;
+        let found = list_devices()?.len();
         // SAFETY: as above.
         unsafe { count.write(found) };
         Ok(())
@@ -118,10 +91,10 @@ pub unsafe extern "C" fn zs_device_count(count: *mut u32) -> zs_status {
 
 /// Describes device `index`, less than zs_device_count.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn zs_device_get(index: u32, info: *mut zs_device_info) -> zs_status {
+pub unsafe extern "C" fn zs_device_get(index: usize, info: *mut zs_device_info) -> zs_status {
     guard(|| {
         let devices = list_devices()?;
-        let found = devices.get(index as usize);
+        let found = devices.get(index);
         let found =
             found.ok_or_else(|| Failure::argument("device", index, format!("a number below {}", devices.len())))?;
         // SAFETY: the caller's structure.
@@ -129,57 +102,48 @@ pub unsafe extern "C" fn zs_device_get(index: u32, info: *mut zs_device_info) ->
     })
 }
 
-/// Sets defaults.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn zs_context_options_default(options: *mut zs_context_options, size: usize) -> zs_status {
-    // SAFETY: the caller's structure of that size.
-    unsafe { write_defaults(options, size) }
-}
-
 /// Opens a device with its own instance and queue.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn zs_context_create(
-    options: *const zs_context_options,
-    context: *mut *mut zs_context,
-) -> zs_status {
+pub unsafe extern "C" fn zs_device_create(options: *const zs_device_options, device: *mut *mut zs_device) -> zs_status {
     let open = || {
         // SAFETY: the caller's structure, or NULL.
         let options = unsafe { read_versioned(options) }?;
         // SAFETY: a string or NULL, as the header says.
         let selector = unsafe { optional_text(options.device, "device") }?.map(str::to_owned);
-        let validation = options.validation != 0;
+        let validation = options.validation != 0 || DeviceOptions::default().validation;
         let max_memory_bytes = Some(options.max_memory_bytes).filter(|bytes| *bytes > 0);
         let options = DeviceOptions { device: selector, validation, max_memory_bytes, ..DeviceOptions::default() };
-        Ok(zs_context { device: Device::open(&options)?, adopted: false })
+        Ok(zs_device { gpu: Device::open(&options)?, adopted: false })
     };
     // SAFETY: the caller's pointer.
-    unsafe { produce(context, open) }
+    unsafe { produce(device, open) }
 }
 
-/// Describes the context's device.
+/// Describes an open device.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn zs_context_get_info(context: *const zs_context, info: *mut zs_device_info) -> zs_status {
+pub unsafe extern "C" fn zs_device_get_info(device: *const zs_device, info: *mut zs_device_info) -> zs_status {
     guard(|| {
         // SAFETY: an object or NULL.
-        let device = &unsafe { borrow(context, "context") }?.device;
-        let (index, limits) = (device.index(), device.limits().clone());
+        let gpu = &unsafe { borrow(device, "device") }?.gpu;
+        let (index, limits) = (gpu.index(), gpu.limits().clone());
         // SAFETY: the caller's structure.
         unsafe { write_versioned(info, describe(&DeviceInfo { index, unusable_reason: Vec::new(), limits })) }
     })
 }
 
-/// Destroys a context; its device closes with its last model and renderer.
+/// Destroys a device, which closes with its last model and renderer.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn zs_context_destroy(context: *mut zs_context) {
+pub unsafe extern "C" fn zs_device_destroy(device: *mut zs_device) {
     // SAFETY: NULL or given up by the caller.
-    unsafe { destroy(context) }
+    unsafe { destroy(device) }
 }
 
 fn describe(device: &DeviceInfo) -> zs_device_info {
-    let Limits { name, driver, cpu, discrete, memory_bytes, .. } = &device.limits;
-    let kind = match (cpu, discrete) {
-        (true, _) => zs_device_kind::ZS_DEVICE_CPU,
-        (_, true) => zs_device_kind::ZS_DEVICE_DISCRETE,
+    let Limits { name, driver, cpu, discrete, integrated, memory_bytes, .. } = &device.limits;
+    let kind = match (cpu, discrete, integrated) {
+        (true, ..) => zs_device_kind::ZS_DEVICE_CPU,
+        (_, true, _) => zs_device_kind::ZS_DEVICE_DISCRETE,
+        (.., true) => zs_device_kind::ZS_DEVICE_INTEGRATED,
         _ => zs_device_kind::ZS_DEVICE_OTHER,
     };
     zs_device_info {
@@ -189,9 +153,9 @@ fn describe(device: &DeviceInfo) -> zs_device_info {
         memory_bytes: *memory_bytes,
         name: fixed(name),
         driver: fixed(driver),
-        missing: fixed(&device.unusable_reason.join(", ")),
+        unusable_reason: fixed(&device.unusable_reason.join(", ")),
         uuid: fixed(device.limits.uuid()),
-        ..zs_device_info::defaults()
+        ..zs_device_info::new()
     }
 }
 

@@ -1,0 +1,43 @@
+//! Files by their bytes.
+
+use flate2::{Compression, read::GzDecoder, write::GzEncoder};
+use image::{DynamicImage, ImageFormat};
+use std::io::{Cursor, Read, Write};
+use std::path::Path;
+
+/// Reads `bytes` as a file of this name.
+pub fn read_as<T>(name: &str, bytes: impl AsRef<[u8]>, read: impl FnOnce(&Path) -> T) -> T {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join(name);
+    std::fs::write(&path, bytes).unwrap();
+    read(&path)
+}
+
+/// Returns the bytes of the file of this name that `write` writes.
+pub fn bytes_of(name: &str, write: impl FnOnce(&Path)) -> Vec<u8> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join(name);
+    write(&path);
+    std::fs::read(path).unwrap()
+}
+
+/// Compresses bytes.
+pub fn gzip(bytes: &[u8], level: Compression) -> Vec<u8> {
+    let mut out = GzEncoder::new(Vec::new(), level);
+    out.write_all(bytes).unwrap();
+    out.finish().unwrap()
+}
+
+/// Decompresses bytes.
+pub fn gunzip(bytes: &[u8]) -> Vec<u8> {
+    let mut out = Vec::new();
+    GzDecoder::new(bytes).read_to_end(&mut out).unwrap();
+    out
+}
+
+/// Encodes a picture.
+pub fn encoded(image: &DynamicImage, format: ImageFormat) -> Vec<u8> {
+    let mut bytes = Cursor::new(Vec::new());
+    image.write_to(&mut bytes, format).unwrap();
+    bytes.into_inner()
+}
