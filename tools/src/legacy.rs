@@ -3,7 +3,7 @@
 use std::ffi::{OsStr, OsString};
 
 /// Options by command, all of them if none is named.
-const OPTIONS: [(&[&str], &str, &str); 45] = [
+const OPTIONS: [(&[&str], &str, &str); 44] = [
     (&[], "--memory", "--max-memory"),
     (&[], "--select", "--token-selection"),
     (&[], "--pool", "--kv-pool"),
@@ -45,7 +45,6 @@ const OPTIONS: [(&[&str], &str, &str); 45] = [
     (&["eval"], "--score-size", "--eval-size"),
     (&["eval"], "--gap", "--frame-range"),
     (&["eval"], "--disturb", "--pose-noise"),
-    (&["eval"], "--noise", "--depth-noise"),
     (&["batch"], "--posed", "--cameras=capture"),
     (&["info"], "--plan", "--dry-run"),
     (&["info"], "--all", "--explain"),
