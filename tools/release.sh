@@ -62,6 +62,7 @@ install -m 755 "$command" "$work/$name/"
 cp LICENSE README.md CHANGELOG.md tools/dev/run-on-lavapipe tools/dev/lavapipe.sh "$work/$name/"
 python3 tools/dev/licenses.py zipsplat-cli "$target" "$work/$name/THIRD-PARTY-LICENSES.txt" "$out/$name.cdx.json"
 archive "$name" "$work/$name"
+licenses=$work/$name/THIRD-PARTY-LICENSES.txt # The command's crates include the library's.
 
 name=libzipsplat-$version-$target
 ZIPSPLAT_LIBS=$built tools/install.sh "$work/$name" 2> /dev/null
@@ -69,5 +70,5 @@ cp LICENSE "$work/$name/"
 python3 tools/dev/licenses.py zipsplat-c "$target" "$work/$name/THIRD-PARTY-LICENSES.txt" "$out/$name.cdx.json"
 archive "$name" "$work/$name"
 
-ZIPSPLAT_LIBRARY=$built/$library ZIPSPLAT_LICENSES=$work/$name/THIRD-PARTY-LICENSES.txt engine/bindings/python/build.sh "$out" >&2
+ZIPSPLAT_LIBRARY=$built/$library ZIPSPLAT_COMMAND=$command ZIPSPLAT_LICENSES=$licenses engine/bindings/python/build.sh "$out" >&2
 (cd "$out" && sha256sum -- *.tar.gz *.whl *.cdx.json > SHA256SUMS && cat SHA256SUMS)

@@ -16,7 +16,7 @@ struct Case {
     scene: Scene,
     cameras: [zs_camera; 2],
     weights: [Vec<f32>; 3],
-    found: [Vec<f32>; 6],
+    found: [Vec<f32>; 7],
 }
 
 impl Case {
@@ -24,7 +24,7 @@ impl Case {
         let scene = random_scene(40, 1, 0.3);
         let wave = |width: usize| (0..2 * width * PIXELS).map(|i| (0.003 * i as f32).sin()).collect();
         let n = scene.len();
-        let found = [3 * n, 3 * n, 4 * n, n, 12 * n, 2 * CAMERA_NUMBERS].map(|len| vec![7.0; len]);
+        let found = [3 * n, 3 * n, 4 * n, n, 12 * n, 2 * CAMERA_NUMBERS, 4 * n].map(|len| vec![7.0; len]);
         Self {
             cameras: [-0.2, 0.3].map(|right| camera(SIZE[0], SIZE[1], right)),
             weights: [3, 1, 1].map(wave),
@@ -46,9 +46,9 @@ impl Case {
         let (device, scene) = (open_device(), scene_of(&self.scene));
         let renderer = renderer(&device, &scene);
         let weights = Self::pictures(&mut self.weights);
-        let [means, scales, quats, opacities, sh_coeffs, cameras] =
+        let [means, scales, quats, opacities, sh_coeffs, cameras, means2d] =
             self.found.each_mut().map(|values| values.as_mut_ptr());
-        let to = zs_gradients { means, scales, quats, opacities, sh_coeffs, cameras, ..Versioned::new() };
+        let to = zs_gradients { means, scales, quats, opacities, sh_coeffs, cameras, means2d, ..Versioned::new() };
         let (cameras, weights) = (self.cameras.as_ptr(), weights.as_ptr());
         // SAFETY: live objects, full arrays.
         unsafe { zs_render_backward(renderer.handle, scene.handle, cameras, weights, 2, options, &to) }
@@ -101,7 +101,7 @@ fn are_rusts_bits() {
             ..RenderOptions::default()
         };
         let (cameras, frames) = (case.cameras.each_ref().map(camera), [0, 1].map(frame));
-        let wanted = Wanted { scene: true, cameras: true };
+        let wanted = Wanted { scene: true, cameras: true, means2d: true };
         let found = Differentiator::new(rust_device()).differentiate(&case.scene, &cameras, &request, &frames, wanted);
         let found = found.expect("gradients");
         assert_same("means", &case.found[0], found.scene.means.as_flattened());
@@ -110,6 +110,15 @@ fn are_rusts_bits() {
         assert_same("opacities", &case.found[3], &found.scene.opacities);
         assert_same("sh_coeffs", &case.found[4], found.scene.sh_coeffs.as_flattened());
         assert_same("cameras", &case.found[5], found.cameras.as_flattened());
+        assert_same("means2d", &case.found[6], found.means2d.as_flattened());
+        // The principal point moves all centers, and limits of a few clamped slopes.
+        for (camera, centers) in found.cameras.iter().zip(found.means2d.chunks_exact(case.scene.len())) {
+            for axis in 0..2 {
+                let sum: f32 = centers.iter().map(|center| center[axis]).sum();
+                let size: f32 = centers.iter().map(|center| center[axis].abs()).sum();
+                assert!(size > 0.0 && (sum - camera[8 + axis]).abs() < 0.01 * size, "{sum} {}", camera[8 + axis]);
+            }
+        }
     }
 }
 

@@ -53,7 +53,7 @@ fn structures() -> Vec<(String, usize)> {
         }
         zs_render_options { struct_size, format, depth, antialiased, background, near_plane }
         zs_render_buffers { struct_size, reserved, stride, pixels, alpha, depth }
-        zs_gradients { struct_size, reserved, means, scales, quats, opacities, sh_coeffs, cameras }
+        zs_gradients { struct_size, reserved, means, scales, quats, opacities, sh_coeffs, cameras, means2d }
         zs_vulkan_requirement { kind, optional, name, structure }
         zs_vulkan_device {
             struct_size, queue_family, get_instance_proc_addr, instance, physical_device, device, queue, lock_queue,

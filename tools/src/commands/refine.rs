@@ -4,7 +4,7 @@ use crate::{
     options::SceneInput,
     outputs::{self, Overwrite},
     photos,
-    refinement::{self, Initialization, Refinable, RefineSettings, save_cameras},
+    refinement::{self, Initialization, Refinable, RefineSettings, Steps, parse_steps, save_cameras},
     session::Session,
     table::counted,
 };
@@ -25,7 +25,7 @@ use zipsplat::{
 /// Refine a scene's Gaussians against photos with known cameras
 ///
 /// Takes a scene in the cameras' world, or in the camera of a photo given by its file or
-/// --relative-to. --init points needs a structure-from-motion point cloud instead. Of 9 photos or
+/// --relative-to. --init points needs a structure-from-motion point cloud instead. Of 40 photos or
 /// more one is held out, and the best step by that photo is written. Ctrl-C ends early with the
 /// best so far.
 #[derive(Args)]
@@ -57,9 +57,9 @@ pub struct Refine {
     /// world]
     #[arg(long, value_name = "PHOTO")]
     relative_to: Option<PathBuf>,
-    /// Steps of the optimizer
-    #[arg(long, value_name = "N", default_value_t = RefineOptions::default().steps)]
-    steps: usize,
+    /// Steps of the optimizer, or a time, such as 60s
+    #[arg(long, value_name = "N|TIME", default_value_t, value_parser = parse_steps)]
+    steps: Steps,
     /// Photos per step
     #[arg(long, value_name = "N", default_value_t = RefineOptions::default().views_per_step)]
     views_per_step: usize,

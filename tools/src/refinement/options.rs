@@ -8,6 +8,7 @@ use std::{
     fmt::{self, Display, Formatter},
     path::PathBuf,
     str::FromStr,
+    time::Duration,
 };
 use zipsplat::{
     Error, Result,
@@ -39,22 +40,29 @@ pub fn join_steps(args: impl IntoIterator<Item = OsString>) -> Vec<OsString> {
 /// Along x and y.
 const MOST_PIXELS: &str = "1600x1600";
 
+/// Length of a refinement, and its variables.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Steps {
     pub count: usize,
+    /// Spends this time instead.
+    pub time: Option<Duration>,
     /// Refines tokens, through the network's head, instead of Gaussians.
     pub tokens: bool,
 }
 
 impl Default for Steps {
     fn default() -> Self {
-        Self { count: RefineOptions::default().steps, tokens: false }
+        Self { count: RefineOptions::default().steps, time: None, tokens: false }
     }
 }
 
 impl Display for Steps {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
-        write!(f, "{}{}", self.count, if self.tokens { ":tokens" } else { "" })
+        match self.time {
+            Some(time) => write!(f, "{}s", time.as_secs_f64())?,
+            None => write!(f, "{}", self.count)?,
+        }
+        f.write_str(if self.tokens { ":tokens" } else { "" })
     }
 }
 
@@ -62,19 +70,22 @@ impl FromStr for Steps {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let (number, moved) = text.split_once(':').unwrap_or((text, "gaussians"));
-        let tokens = match moved {
-            "tokens" => Some(true),
-            "gaussians" => Some(false),
-            _ => None,
+        let (length, target) = text.split_once(':').unwrap_or((text, "gaussians"));
+        let time = length.strip_suffix('s').map(|seconds| seconds.parse().ok().map(Duration::try_from_secs_f64));
+        let steps = match time {
+            Some(time) => time.and_then(Result::ok).map(|time| Self { time: Some(time), ..Self::default() }),
+            None => length.parse().ok().map(|count| Self { count, ..Self::default() }),
         };
-        let steps = number.parse().ok().zip(tokens).map(|(count, tokens)| Self { count, tokens });
-        steps.ok_or_else(|| "expected a number of steps, such as 100, 100:gaussians or 100:tokens".into())
+        let tokens = ["gaussians", "tokens"].iter().position(|name| *name == target);
+        let steps = steps.zip(tokens).map(|(steps, tokens)| Self { tokens: tokens == 1, ..steps });
+        steps.ok_or_else(|| "expected steps or a time, such as 100 or 60s, and optionally :gaussians or :tokens".into())
     }
 }
 
-fn parse_steps(text: &str) -> Result<usize, String> {
-    text.parse().map_err(|_| "expected a number of steps, such as 100".into())
+/// Parses a number of steps, or a time such as `60s`.
+pub fn parse_steps(text: &str) -> Result<Steps, String> {
+    let steps = text.parse().ok().filter(|_| !text.contains(':'));
+    steps.ok_or_else(|| "expected a number of steps, such as 100, or a time, such as 60s".into())
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -119,11 +130,11 @@ const SETTINGS: [&str; 6] =
 #[derive(Args, Debug)]
 #[command(group(ArgGroup::new("settings").args(SETTINGS).multiple(true).requires("refine")))]
 pub struct RefineArgs {
-    /// Refine the scene against the photos, for this number of steps. The best step by held-out
-    /// photos is kept. Ctrl-C ends early with the best so far
-    #[arg(long, value_name = "STEPS", num_args = 0..=1, require_equals = true, default_missing_value = DEFAULT_STEPS,
+    /// Refine the scene against the photos, for a number of steps or a time, such as 60s. The best
+    /// step by held-out photos is kept. Ctrl-C ends early with the best so far
+    #[arg(long, value_name = "STEPS|TIME", num_args = 0..=1, require_equals = true, default_missing_value = DEFAULT_STEPS,
         value_parser = parse_steps)]
-    refine: Option<usize>,
+    refine: Option<Steps>,
     /// Optimized quantity
     #[arg(long, value_enum, value_name = "WHAT", default_value = "gaussians", requires = "refine")]
     refine_target: RefineTarget,
@@ -159,10 +170,11 @@ impl RefineSettings {
         Ok(largest.map_or([width, height], |(width, height)| [width, height]))
     }
 
-    pub fn request(&self, steps: usize) -> RefineOptions {
+    pub fn request(&self, Steps { count, time, .. }: Steps) -> RefineOptions {
         let perceptual_loss = self.lpips_weight.filter(|weight| *weight > 0.0);
         RefineOptions {
-            steps,
+            steps: count,
+            time,
             max_image_size: Some([self.max_image_size.0, self.max_image_size.1]),
             holdout_views: self.holdout_views,
             optimize_cameras: self.optimize_cameras,
@@ -176,7 +188,7 @@ impl RefineSettings {
 impl RefineArgs {
     pub fn steps(&self) -> Option<Steps> {
         let tokens = self.refine_target == RefineTarget::Tokens;
-        self.refine.map(|count| Steps { count, tokens })
+        self.refine.map(|steps| Steps { tokens, ..steps })
     }
 
     /// Rejects settings that tokens cannot use, and LPIPS without its weights.

@@ -254,7 +254,7 @@ impl FromPhotos {
                 shown.filter(|_| from == Initialization::Scene),
             )
         };
-        let request = self.refine.settings.request(steps.count);
+        let request = self.refine.settings.request(steps);
         let tokens = tokens.filter(|_| request.max_gaussians.is_none());
         let tokens = tokens.and_then(|shown| Some((shown.group?, shown.patches)));
         Ok(Some(Watched::new(start, tokens, photos, cameras, request)))

@@ -886,6 +886,8 @@ typedef struct zs_gradients {
     // count x 10, of the cameras: w x, y, z and v x, y, z, then fx, fy, cx, cy. The
     // camera-to-world pose moves as pose o (exp(w^), v): R' = R exp(w^) and t' = t + R v.
     float *cameras;
+    // count x N x 2, of the projected centers in pixels, at constant projected covariances.
+    float *means2d;
 } zs_gradients;
 
 // Computes the gradients of a weighted sum over all pixels of `count` cameras' pictures.

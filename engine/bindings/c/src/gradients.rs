@@ -34,6 +34,8 @@ pub struct zs_gradients {
     /// count x 10, of the cameras: w x, y, z and v x, y, z, then fx, fy, cx, cy. The
     /// camera-to-world pose moves as pose o (exp(w^), v): R' = R exp(w^) and t' = t + R v.
     pub cameras: *mut f32,
+    /// count x N x 2, of the projected centers in pixels, at constant projected covariances.
+    pub means2d: *mut f32,
 }
 
 versioned!(zs_gradients);
@@ -77,7 +79,7 @@ pub unsafe extern "C" fn zs_render_backward(
             frames.push(unsafe { picture.weights(camera, i) }?);
         }
         let any = [to.means, to.scales, to.quats, to.opacities, to.sh_coeffs].iter().any(|field| !field.is_null());
-        let wanted = Wanted { scene: any, cameras: !to.cameras.is_null() };
+        let wanted = Wanted { scene: any, cameras: !to.cameras.is_null(), means2d: !to.means2d.is_null() };
         if request.channels() == 0 {
             return Err(Failure::argument("grad_outputs", "NULL throughout", "those of color, alpha or depth"));
         }
@@ -128,6 +130,7 @@ impl zs_gradients {
             ("opacities", self.opacities, &scene.opacities),
             ("sh_coeffs", self.sh_coeffs, scene.sh_coeffs.as_flattened()),
             ("cameras", self.cameras, cameras),
+            ("means2d", self.means2d, found.means2d.as_flattened()),
         ];
         for (name, to, from) in fields.into_iter().filter(|(_, to, _)| !to.is_null()) {
             // SAFETY: the caller's promise.

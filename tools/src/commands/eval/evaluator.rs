@@ -111,14 +111,14 @@ impl<'a> Evaluator<'a> {
         mut reconstruction: Reconstruction,
     ) -> Result<Reconstruction> {
         let eval = self.eval;
-        if let Some(Steps { count, tokens }) = eval.refine.steps() {
-            refuse("--refine-target tokens", tokens, "a scene of given depth", "a network's scene")?;
+        if let Some(steps) = eval.refine.steps() {
+            refuse("--refine-target tokens", steps.tokens, "a scene of given depth", "a network's scene")?;
             let cloud = choice.points(&capture.scene_scale)?;
             let init = eval.refine.settings.init.unwrap_or(Initialization::Scene);
             reconstruction.started = init.name();
             let scene = init.scene(Some(reconstruction.scene), cloud.as_ref(), &capture.training_views().1)?;
             let arena = Arena::new(&self.device);
-            let refined = refine(eval, session, &arena, Refinable::Scene(&scene), capture, count)?;
+            let refined = refine(eval, session, &arena, Refinable::Scene(&scene), capture, steps)?;
             (reconstruction.scene, reconstruction.refined) = (refined.scene.clone(), Some(refined));
         }
         self.renderer.set_scene(&reconstruction.scene)?;
@@ -154,17 +154,17 @@ impl<'a> Evaluator<'a> {
         world.iter().for_each(|world| scene.place(1.0, world));
         let mut started = refinement::TOKENS;
         let refined = match (eval.refine.steps(), &tokens) {
-            (Some(Steps { count, .. }), Some(tokens)) => {
+            (Some(steps), Some(tokens)) => {
                 let head = FrozenHead::load(&self.device, checkpoint)?;
-                Some(refine(eval, session, model.arena(), Refinable::Tokens(&head, tokens), capture, count)?)
+                Some(refine(eval, session, model.arena(), Refinable::Tokens(&head, tokens), capture, steps)?)
             }
-            (Some(Steps { count, .. }), None) => {
+            (Some(steps), None) => {
                 let cloud = choice.points(&capture.scene_scale)?;
                 let init =
                     Initialization::or_best(eval.refine.settings.init, cloud.as_ref(), eval.weights.is_builtin());
                 started = init.name();
                 let initial = init.scene(Some(scene.clone()), cloud.as_ref(), &capture.training_views().1)?;
-                Some(refine(eval, session, model.arena(), Refinable::Scene(&initial), capture, count)?)
+                Some(refine(eval, session, model.arena(), Refinable::Scene(&initial), capture, steps)?)
             }
             (None, _) => None,
         };
@@ -214,7 +214,7 @@ fn refine(
     arena: &Arena,
     from: Refinable<'_>,
     capture: &ViewSplit,
-    steps: usize,
+    steps: Steps,
 ) -> Result<RefineResult> {
     let (photos, cameras) = capture.training_views();
     let request = eval.refine.settings.request(steps);

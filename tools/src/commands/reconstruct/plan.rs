@@ -4,7 +4,6 @@ use super::Reconstruct;
 use crate::{
     options::{Network as Weights, Quality, Size, refuse},
     photos,
-    refinement::Steps,
     session::Session,
     table::{Table, bytes, counted},
 };
@@ -75,16 +74,16 @@ fn show_tokens(
     let pictures =
         |Size(width, height)| plan_pictures(&limits, tensors.scene(), [width, height], &RenderOptions::default());
     let pictures = command.picture_size()?.map(pictures).transpose()?;
-    let refined = command.refine.steps().map(|Steps { count, tokens }| {
+    let refined = command.refine.steps().map(|steps| {
         let (tensors, a) = (tensors.scene(), checkpoint.architecture());
         let gaussians = Moved::Gaussians(tensors.len, tensors.sh_degree);
-        let moved = if tokens { Moved::Tokens(shape.tokens, a) } else { gaussians };
+        let moved = if steps.tokens { Moved::Tokens(shape.tokens, a) } else { gaussians };
         plan_refinement(
             &limits,
             moved,
             views,
             command.refine.settings.largest(photos)?,
-            &command.refine.settings.request(count),
+            &command.refine.settings.request(steps),
         )
     });
     let refined = refined.transpose()?;

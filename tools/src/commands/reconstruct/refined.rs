@@ -65,7 +65,7 @@ impl Reconstruct {
         let cameras: Vec<Camera> = frames.iter().map(camera).collect();
         let (photos, load) =
             session.stage(LOAD_PHOTOS, |stage| photos::read(photos, frames, stage, |_, photo| Ok(photo)))?;
-        let request = self.refine.settings.request(steps.count);
+        let request = self.refine.settings.request(steps);
         let arena = inputs.forward.and_then(|forward| forward.arena.clone());
         let arena = arena.unwrap_or_else(|| Arena::new(inputs.device));
         let tokens = inputs.forward.and_then(|forward| forward.tokens.as_ref());

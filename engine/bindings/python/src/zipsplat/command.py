@@ -7,10 +7,11 @@ import json
 import os
 import shutil
 import subprocess
+import sysconfig
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Optional, Union
+from typing import TYPE_CHECKING, Any, Optional
 
 from .errors import CommandError
 
@@ -156,17 +157,19 @@ def view(ply: bytes, height: int, cameras: Optional[PathLike]) -> Page:
 
 
 def run(arguments: list[str]) -> Any:
-    """Runs the command, from ZIPSPLAT_COMMAND or the PATH, and returns its JSON output.
+    """Runs the command and returns its JSON output.
+
+    It is ZIPSPLAT_COMMAND, else the wheel's, else one on the PATH.
 
     Raises:
         CommandError: it is missing or fails, with its message.
     """
     name = os.environ.get("ZIPSPLAT_COMMAND", "zipsplat")
-    program: Union[str, None] = shutil.which(name)
+    program = shutil.which(name, path=os.pathsep.join([sysconfig.get_path("scripts"), os.environ.get("PATH", "")]))
     if program is None:
         raise CommandError(
-            f"this needs the command zipsplat, and {name} was not found: put a release of it on the PATH, "
-            "or set ZIPSPLAT_COMMAND to where it lies, such as tools/zipsplat in a checkout"
+            f"command zipsplat: found no program {name}, expected it beside the interpreter, on the PATH, "
+            "or as ZIPSPLAT_COMMAND, such as tools/zipsplat of a checkout"
         )
     done = subprocess.run([program, "--json", "--quiet", *arguments], capture_output=True, text=True, check=False)
     if done.returncode:
