@@ -292,16 +292,6 @@ fn pooled_keys_are_points_of_their_own() {
 }
 
 #[test]
-fn frames_are_listed_as_csv() {
-    let line = "bench render --gaussians 50 --size 32x32 --sh 0 --warmup 0 --repeats 1 --csv";
-    let text = Folder::new().run(line).success();
-    let mut lines = text.lines();
-    let columns = lines.next().expect("headings").split(',').count();
-    assert!(lines.clone().any(|line| line.starts_with("sort by depth,50,32,32,0,")), "{text}");
-    assert!(lines.all(|line| line.split(',').count() == columns), "{text}");
-}
-
-#[test]
 fn effects_are_measured_off_and_on() {
     let rows = rows(&Folder::new(), "render --gaussians 50 --size 32x32 --effects");
     assert_eq!(rows.len(), 7);
