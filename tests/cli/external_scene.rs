@@ -165,18 +165,8 @@ fn a_gaussian_a_pixel_is_made_of_depth() {
         (json["gaussians"].as_u64().expect("a number"), psnr(&json))
     });
     assert!(small.0 <= 4 * 28 * 28 && whole.0 > 5 * small.0 && small.1 > whole.1 - 4.0, "{whole:?} {small:?}");
-    // Moves Gaussians along their rays. The world is the first camera's.
-    folder.run(&format!("{line} --input-size 84x56 --depth-noise 5 --targets 1 -o @/noisy")).success();
-    let noisy = read_ply(folder.path("noisy/scene.ply")).expect("a scene");
-    let of_first = depth(&folder, 0).iter().filter(|z| **z > 0.0).count();
-    assert_eq!((noisy.len(), names[0]), (made.len(), "images/000.png"));
-    let pairs = made.means[..of_first].iter().zip(&noisy.means).map(|(a, b)| [*a, *b].map(glam::Vec3::from));
-    let squares: f32 = pairs.map(|[a, b]| (b.length() / a.length() - 1.0).powi(2) + a.angle_between(b).powi(2)).sum();
-    let error = (squares / of_first as f32).sqrt();
-    assert!((0.03..0.07).contains(&error), "{error} of the depth");
     let json = folder.run(&format!("{line} --input-size 28x28 --targets 1 --refine 2 --json")).json();
     assert_eq!((&json["refined"]["init"], &json["refined"]["steps"]), (&"the scene".into(), &2.into()));
-    folder.run(&format!("{line} --depth-noise 31")).fails_usage();
     let refuses = |words: &[&str]| folder.run(&format!("{line} --input-size 28x28")).fails(3, words);
     let file = folder.path("place/depth/000.npy");
     let bytes = std::fs::read(&file).expect("depth");

@@ -292,32 +292,6 @@ fn pooled_keys_are_points_of_their_own() {
 }
 
 #[test]
-fn cameras_are_found_again_and_how_well_is_told() {
-    let rows = Folder::new().run("bench align --seeds 1 --views 6 --size 64x64 --degrees 2 --json").json();
-    let rows = rows.as_array().expect("a list");
-    assert_eq!(
-        rows.iter().map(|row| row["method"].as_str()).collect::<Vec<_>>(),
-        [Some("Levenberg-Marquardt"), Some("Adam")]
-    );
-    for row in rows {
-        assert!(row["photos"] == 2 && row["start"] == 2.0 && ordered(&row["ms"]), "{row}");
-        let error = |key: &str| row[key].as_f64().expect("a number");
-        assert!(error("degrees") > 0.0 && error("percent") > 0.0, "{row}");
-    }
-    assert!(rows[0]["degrees"].as_f64() < Some(2.0), "{}", rows[0]);
-}
-
-#[test]
-fn frames_are_listed_as_csv() {
-    let line = "bench render --gaussians 50 --size 32x32 --sh 0 --warmup 0 --repeats 1 --csv";
-    let text = Folder::new().run(line).success();
-    let mut lines = text.lines();
-    let columns = lines.next().expect("headings").split(',').count();
-    assert!(lines.clone().any(|line| line.starts_with("sort by depth,50,32,32,0,")), "{text}");
-    assert!(lines.all(|line| line.split(',').count() == columns), "{text}");
-}
-
-#[test]
 fn effects_are_measured_off_and_on() {
     let rows = rows(&Folder::new(), "render --gaussians 50 --size 32x32 --effects");
     assert_eq!(rows.len(), 7);

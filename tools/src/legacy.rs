@@ -1,16 +1,17 @@
 //! Commands and options by their earlier names, rewritten before parsing; for one release.
 
-use std::ffi::{OsStr, OsString};
+use std::ffi::OsString;
 
-/// Options by command, all of them if none is named.
-const OPTIONS: [(&[&str], &str, &str); 45] = [
+/// Options of some commands, or of all if none is named.
+const OPTIONS: [(&[&str], &str, &str); 36] = [
     (&[], "--memory", "--max-memory"),
     (&[], "--select", "--token-selection"),
     (&[], "--pool", "--kv-pool"),
-    (&["get"], "--keep", "--keep-download"),
+    (&["weights get"], "--keep", "--keep-download"),
     (&[], "--keep", "--max-gaussians-per-token"),
     (&["info"], "--poses", "--cameras=capture"),
     (&[], "--poses", "--cameras"),
+    (&["batch"], "--posed", "--cameras=capture"),
     (&[], "--unit", "--scene-scale"),
     (&[], "--fit", "--crop"),
     (&[], "--start", "--init"),
@@ -25,15 +26,7 @@ const OPTIONS: [(&[&str], &str, &str); 45] = [
     (&["cameras"], "--with", "--method"),
     (&["refine"], "--batch", "--views-per-step"),
     (&["refine"], "--size", "--max-image-size"),
-    (&["reconstruct"], "--size", "--input-size"),
-    (&["batch"], "--size", "--input-size"),
-    (&["eval"], "--size", "--input-size"),
-    (&["info"], "--size", "--input-size"),
-    (&["view"], "--size", "--input-size"),
-    (&["depth"], "--size", "--input-size"),
-    (&["bench", "forward"], "--size", "--input-size"),
-    (&["bench", "depth"], "--size", "--input-size"),
-    (&["bench", "tradeoff"], "--size", "--input-size"),
+    (&SIZED, "--size", "--input-size"),
     (&["view"], "--exact", "--lossless"),
     (&[], "--group", "--gaussians-per-token"),
     (&["render"], "--points", "--point-size"),
@@ -45,107 +38,106 @@ const OPTIONS: [(&[&str], &str, &str); 45] = [
     (&["eval"], "--score-size", "--eval-size"),
     (&["eval"], "--gap", "--frame-range"),
     (&["eval"], "--disturb", "--pose-noise"),
-    (&["eval"], "--noise", "--depth-noise"),
-    (&["batch"], "--posed", "--cameras=capture"),
     (&["info"], "--plan", "--dry-run"),
     (&["info"], "--all", "--explain"),
 ];
 
-/// Rewrites the words after the program's name. `is_command` recognizes commands and their
-/// subcommands.
+const SIZED: [&str; 9] =
+    ["reconstruct", "batch", "eval", "info", "view", "depth", "bench forward", "bench depth", "bench tradeoff"];
+
+/// Rewrites a command line. `is_command` recognizes commands and their subcommands.
 pub fn rewritten(args: Vec<OsString>, is_command: impl Fn(&str) -> bool) -> Vec<OsString> {
-    let mut words = Vec::with_capacity(args.len());
-    let mut command: Vec<String> = Vec::new();
     let plans = args.iter().any(|word| word == "--plan");
-    let mut planned = Vec::new();
-    let has_file = has_file(&args);
+    let names_file = names_file(&args);
+    let (mut words, mut last) = (Vec::with_capacity(args.len()), Vec::new());
+    let mut command = String::new();
     let mut args = args.into_iter().peekable();
     while let Some(word) = args.next() {
-        let Some(text) = word.to_str() else {
-            words.push(word);
-            continue;
-        };
+        let text = word.to_string_lossy().into_owned();
         if !text.starts_with("--") {
-            let nested = command.iter().all(|word| word == "bench" || word == "weights");
-            let earlier = ["batch", "compare", "info", "tune"].contains(&text);
-            if nested && !words.is_empty() && (earlier || is_command(text)) {
-                command.push(text.to_owned());
-                let new: &[&str] = match text {
-                    "batch" => &["reconstruct", "--each"],
-                    "compare" => &["eval"],
-                    "info" if plans => &["reconstruct"],
-                    "info" if has_file => &["convert"],
-                    "info" => &["doctor", "list"],
-                    "tune" => &["doctor", "tune"],
-                    same => &[same],
-                };
-                words.extend(new.iter().map(OsString::from));
-            } else {
+            let starts = command.is_empty() || command == "bench" || command == "weights";
+            let new: &[&str] = match text.as_str() {
+                _ if !starts || words.is_empty() => &[],
+                "batch" => &["reconstruct", "--each"],
+                "compare" => &["eval"],
+                "info" if plans => &["reconstruct"],
+                "info" if names_file => &["convert"],
+                "info" => &["doctor", "list"],
+                "tune" => &["doctor", "tune"],
+                name if is_command(name) => &[name],
+                _ => &[],
+            };
+            if new.is_empty() {
                 words.push(word);
+            } else {
+                command = format!("{command} {text}").trim_start().to_owned();
+                words.extend(new.iter().map(OsString::from));
             }
             continue;
         }
         if text == "--" {
-            command = vec!["render".to_owned()];
+            command = "render".to_owned();
         }
-        let (name, inline) = text.split_once('=').map_or((text, None), |(name, value)| (name, Some(value)));
-        let known = |(commands, old, _): &&(&[&str], &str, &str)| {
-            let (bench, named) = (command.iter().any(|word| word == "bench"), commands.first() == Some(&"bench"));
-            let here = commands.iter().all(|name| command.iter().any(|word| word == name));
-            *old == name && here && (commands.is_empty() || bench == named)
-        };
-        let name = OPTIONS.iter().find(known).map_or(name, |(_, _, new)| new).to_owned();
+        let (name, inline) = text.split_once('=').map_or((text.as_str(), None), |(name, value)| (name, Some(value)));
+        let known = OPTIONS
+            .iter()
+            .find(|(commands, old, _)| *old == name && (commands.is_empty() || commands.contains(&command.as_str())));
+        let name = known.map_or(name, |(_, _, new)| new);
         let mut value = inline.map(str::to_owned);
-        let takes = ["--invalid", "--focal-lengths", "--reference"].contains(&name.as_str())
-            || plans && ["--pictures", "--refine"].contains(&name.as_str());
+        let takes = ["--invalid", "--focal-lengths", "--reference"].contains(&name)
+            || plans && ["--pictures", "--refine"].contains(&name);
         if takes && value.is_none() {
-            value = args.next_if(|word| word.to_str().is_some()).and_then(|word| word.into_string().ok());
+            value = args.next().map(|word| word.to_string_lossy().into_owned());
         }
         let sizes =
             value.as_deref().filter(|_| plans).map(|value| value.split_once(':').unwrap_or((value, "gaussians")));
-        let new = match (name.as_str(), sizes) {
+        let new = match (name, sizes) {
             ("--pictures", Some((size, _))) => {
-                planned = ["--pictures=.", "--", "--size", size].map(OsString::from).to_vec();
-                continue;
+                last = ["--pictures=.", "--", "--size", size].map(OsString::from).to_vec();
+                Vec::new()
             }
             ("--refine", Some((size, target))) => {
-                let target = format!("--refine-target={target}");
-                vec!["--refine".into(), format!("--max-image-size={size}"), target]
+                vec!["--refine".into(), format!("--max-image-size={size}"), format!("--refine-target={target}")]
             }
-            _ => renamed(&command, name, value),
+            _ if known.is_none() && inline.is_none() && value.is_none() => {
+                words.push(word);
+                continue;
+            }
+            _ => renamed(&command, name, value.as_deref()),
         };
         words.extend(new.into_iter().map(OsString::from));
     }
-    words.extend(planned);
+    words.extend(last);
     words
 }
 
-/// Tells `info FILE` from `info`.
-fn has_file(args: &[OsString]) -> bool {
-    let is_option = |word: &OsStr| word.to_string_lossy().starts_with('-');
-    let takes_value = |word: &OsStr| ["--device", "--memory", "--max-memory"].iter().any(|option| word == *option);
-    let command = args.iter().position(|word| word == "info").unwrap_or(args.len());
-    let mut pairs = args.windows(2).skip(command);
-    pairs.any(|pair| !is_option(&pair[1]) && !takes_value(&pair[0]))
-}
-
 /// Replaces options whose values changed, too.
-fn renamed(command: &[String], name: String, value: Option<String>) -> Vec<String> {
-    let of_scene = ["reconstruct", "eval", "view"].iter().any(|name| command.iter().any(|word| word == name));
-    let before = |text: &str| text.parse::<u32>().ok().and_then(|number| number.checked_sub(1));
-    match (name.as_str(), value.as_deref()) {
+fn renamed(command: &str, name: &str, value: Option<&str>) -> Vec<String> {
+    let before = |number: &str| number.parse::<u32>().ok().and_then(|number| number.checked_sub(1));
+    match (name, value) {
         ("--invalid", Some("drop")) => vec!["--drop-invalid".into()],
         ("--focal-lengths", Some("own")) => vec!["--per-view-focal".into()],
         ("--invalid", Some("refuse")) | ("--focal-lengths", Some("shared")) => Vec::new(),
         ("--reference", Some(number)) => match before(number) {
             Some(view) => vec![format!("--reference-view={view}")],
-            None => vec![name, number.to_owned()],
+            None => vec![name.to_owned(), number.to_owned()],
         },
-        ("--refine", Some(value)) if of_scene => match value.split_once(':') {
-            Some((steps, target)) => vec![format!("--refine={steps}"), format!("--refine-target={target}")],
-            None => vec![format!("{name}={value}")],
-        },
+        ("--refine", Some(value)) if ["reconstruct", "eval", "view"].contains(&command) => {
+            match value.split_once(':') {
+                Some((steps, target)) => vec![format!("--refine={steps}"), format!("--refine-target={target}")],
+                None => vec![format!("{name}={value}")],
+            }
+        }
         (_, Some(value)) => vec![format!("{name}={value}")],
-        (_, None) => vec![name],
+        (_, None) => vec![name.to_owned()],
     }
+}
+
+/// Tells `info FILE` from `info`.
+fn names_file(args: &[OsString]) -> bool {
+    let command = args.iter().position(|word| word == "info").unwrap_or(args.len());
+    args.windows(2).skip(command).any(|pair| {
+        let takes_value = ["--device", "--memory", "--max-memory"].iter().any(|option| pair[0] == *option);
+        !takes_value && !pair[1].to_string_lossy().starts_with('-')
+    })
 }

@@ -116,17 +116,16 @@ fn shortened(arg: clap::Arg) -> clap::Arg {
 
 /// Runs a command line, program name first, and returns its exit code (see `--help`).
 pub fn run(args: impl IntoIterator<Item = OsString>, terminal: Terminal<'_>) -> u8 {
+    let commands = Cli::command();
     let is_command = |word: &str| {
-        let commands = Cli::command();
-        commands
-            .get_subcommands()
-            .flat_map(|verb| std::iter::once(verb).chain(verb.get_subcommands()))
-            .any(|verb| verb.get_name() == word)
+        commands.get_subcommands().any(|verb| verb.get_name() == word || verb.find_subcommand(word).is_some())
     };
     let args = legacy::rewritten(refinement::join_steps(args), is_command);
-    let parsed = short_help(Cli::command()).try_get_matches_from(&args).and_then(|found| Cli::from_arg_matches(&found));
-    let Cli { global, command } = match parsed {
-        Ok(cli) => cli,
+    let parsed = short_help(Cli::command()).try_get_matches_from(&args);
+    let parsed =
+        parsed.and_then(|found| Ok((found.subcommand_name().map(str::to_owned), Cli::from_arg_matches(&found)?)));
+    let (name, Cli { global, command }) = match parsed {
+        Ok(parsed) => parsed,
         Err(error) => {
             let (stream, code) =
                 (if error.use_stderr() { terminal.err } else { terminal.out }, error.exit_code() as u8);
@@ -139,7 +138,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>, terminal: Terminal<'_>) -> 
             return code;
         }
     };
-    let mut session = Session::new(command.name(), global, terminal);
+    let mut session = Session::new(name.unwrap_or_default(), global, terminal);
     match command.run(&mut session) {
         Ok(()) => session.code(),
         Err(error) => {

@@ -152,16 +152,10 @@ pub fn save_scene(path: &Path, scene: &Scene, options: &SaveOptions, world: Opti
 
 /// RFC 4180.
 pub fn save_csv(path: &Path, rows: &[impl Serialize]) -> Result<()> {
-    let table = csv(rows);
-    write_atomic(path, |out| out.write_all(table.as_bytes()))
-}
-
-/// Fields are numbers, text or absent.
-pub fn csv(rows: &[impl Serialize]) -> String {
     let mut table = csv::Writer::from_writer(Vec::new());
     rows.iter().for_each(|row| table.serialize(row).expect("flat rows of one type, written to memory"));
-    let bytes = table.into_inner().expect("written to memory");
-    String::from_utf8(bytes).expect("fields are text")
+    let table = table.into_inner().expect("written to memory");
+    write_atomic(path, |out| out.write_all(&table))
 }
 
 pub fn make_folder(path: &Path) -> Result<()> {

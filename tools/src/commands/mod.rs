@@ -35,23 +35,6 @@ pub enum Command {
 }
 
 impl Command {
-    pub fn name(&self) -> &'static str {
-        match self {
-            Command::Reconstruct(_) => "reconstruct",
-            Command::Cameras(_) => "cameras",
-            Command::Depth(_) => "depth",
-            Command::Refine(_) => "refine",
-            Command::Render(_) => "render",
-            Command::View(_) => "view",
-            Command::Convert(_) => "convert",
-            Command::Eval(_) => "eval",
-            Command::Bench(_) => "bench",
-            Command::Doctor(_) => "doctor",
-            Command::Scene(_) => "scene",
-            Command::Weights(_) => "weights",
-        }
-    }
-
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         if session.plans_for_none() && !matches!(self, Command::Reconstruct(command) if command.plans()) {
             return Err(Error::argument(

@@ -72,7 +72,7 @@ struct Envelope<'a, T> {
 }
 
 pub struct Session<'a> {
-    command: &'static str,
+    command: String,
     /// Notes so far.
     warnings: Vec<String>,
     global: Global,
@@ -86,7 +86,7 @@ pub struct Session<'a> {
 }
 
 impl<'a> Session<'a> {
-    pub fn new(command: &'static str, global: Global, terminal: Terminal<'a>) -> Self {
+    pub fn new(command: String, global: Global, terminal: Terminal<'a>) -> Self {
         let began = Instant::now();
         let next_line = Mutex::new(began + progress::FIRST_LINE);
         Self {

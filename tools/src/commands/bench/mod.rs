@@ -1,6 +1,5 @@
 //! `zipsplat bench`: median, minimum and maximum times.
 
-mod align;
 mod depth;
 mod effects;
 mod forward;
@@ -33,7 +32,6 @@ use zipsplat::{
   zipsplat bench peak
   zipsplat bench render --gaussians 36000,102000 --size 252x252,1920x1080
   zipsplat bench refine --gaussians 102000 --size 252x252
-  zipsplat bench align --degrees 1,5
   zipsplat bench tradeoff capture/ -o report/
 
 Times by stage and kernel are the device's own, with a timestamp around every command, which keeps commands from \
@@ -45,7 +43,6 @@ pub struct Bench {
 
 #[derive(Subcommand)]
 enum What {
-    Align(align::Align),
     Depth(depth::Depth),
     Forward(forward::Forward),
     Gemm(gemm::Gemm),
@@ -70,7 +67,6 @@ struct Repeats {
 impl Bench {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         match &self.what {
-            What::Align(bench) => bench.run(session),
             What::Depth(bench) => bench.run(session),
             What::Forward(bench) => bench.run(session),
             What::Gemm(bench) => bench.run(session),

@@ -34,10 +34,6 @@ pub struct ExternalScene {
     /// FOLDER/SCENE/NAME.npy. --refine starts from it
     #[arg(long, value_name = "FOLDER", conflicts_with_all = ["scene", "ratio", "max_gaussians_per_token", "pose_noise", "crop", "pose_free"])]
     from_depth: Option<PathBuf>,
-    /// Standard deviation of errors added to that depth, in percent, smooth over patches of 14
-    /// pixels, independent between photos
-    #[arg(long, value_name = "PERCENT", requires = "from_depth", default_value = "0", value_parser = parse_noise)]
-    depth_noise: f64,
     /// World of that scene [default: aligned with --scene-cameras, else the file's, else
     /// first-camera]
     #[arg(long, value_enum, value_name = "WHOSE", requires = "scene")]
@@ -76,12 +72,6 @@ enum Opacities {
     Plain,
 }
 
-/// Keeps depth positive.
-fn parse_noise(text: &str) -> Result<f64, String> {
-    let percent = text.parse().ok().filter(|percent| (0.0..=30.0).contains(percent));
-    percent.ok_or_else(|| "expected percent from 0 to 30".into())
-}
-
 impl ExternalScene {
     pub fn has_input_options(&self) -> bool {
         self.input.is_given()
@@ -94,10 +84,8 @@ impl ExternalScene {
 
     /// Formats the options for the scores' hash.
     pub fn key(&self) -> String {
-        let Self { scene, from_depth, depth_noise, scene_frame, scene_cameras, scene_unit, opacities, .. } = self;
-        format!(
-            "{scene:?} {from_depth:?} {depth_noise:?} {scene_frame:?} {scene_cameras:?} {scene_unit:?} {opacities:?}"
-        )
+        let Self { scene, from_depth, scene_frame, scene_cameras, scene_unit, opacities, .. } = self;
+        format!("{scene:?} {from_depth:?} {scene_frame:?} {scene_cameras:?} {scene_unit:?} {opacities:?}")
     }
 
     /// `name` is the capture's in a data set.
@@ -111,8 +99,7 @@ impl ExternalScene {
         match (&self.from_depth, self.file(name)?) {
             (Some(folder), _) => {
                 let folder = name.map_or_else(|| folder.clone(), |name| folder.join(name));
-                depth::scene(&folder, self.depth_noise / 100.0, choice, capture)
-                    .map(|scene| Some(Reconstruction::given(scene)))
+                depth::scene(&folder, choice, capture).map(|scene| Some(Reconstruction::given(scene)))
             }
             (None, Some(file)) => self.read(session, &file, name, choice, capture).map(Some),
             (None, None) => Ok(None),

@@ -117,9 +117,6 @@ pub struct Eval {
     /// Compared size, independent of the network's [default: that of --input-size]
     #[arg(long, value_name = "WxH")]
     eval_size: Option<Size>,
-    /// Filter for downscaling photos [default: lanczos, of a protocol bilinear]
-    #[arg(long, value_enum, value_name = "HOW")]
-    filter: Option<Filter>,
     #[command(flatten)]
     refine: RefineArgs,
     /// Perturb the cameras of network and refinement: those of all inputs but the first rotate by
@@ -198,10 +195,8 @@ impl Eval {
         self.refine.check()?;
         let unused = self.external.given().is_none() && self.external.has_input_options();
         refuse("--drop-invalid", unused, "without --scene", "with --scene")?;
-        let usual = if self.series.protocol.is_some() { Filter::Bilinear } else { Filter::Lanczos };
-        let filter = self.filter.unwrap_or(usual);
-        let is_bilinear = self.filter == Some(Filter::Bilinear);
-        refuse("--filter bilinear", is_bilinear && crop == Crop::Tiles, "with --crop tiles", "with --crop center")?;
+        let bilinear = self.series.protocol.is_some() && crop == Crop::Center;
+        let filter = if bilinear { Filter::Bilinear } else { Filter::Lanczos };
         let compared = self.eval_size.unwrap_or(size);
         Ok((network, Seeing { crop, size, compared, whole: self.full_images || crop == Crop::Tiles, filter }))
     }
