@@ -117,6 +117,24 @@ def test_pictures_are_arrays(scene: zipsplat.Scene) -> None:
     assert renderer.render(cameras[0]).rgb.max() == 0 and len(empty) == 0
 
 
+def test_renderers_take_arrays_and_points_become_gaussians(scene: zipsplat.Scene, capture: Path) -> None:
+    camera = zipsplat.Camera.from_fov(48, 36)
+    with zipsplat.Renderer() as renderer:
+        renderer.update_gaussians(**scene.to_numpy())
+        assert np.array_equal(renderer.render(camera).rgb, scene.render(camera).rgb)
+        renderer.update_gaussians(**{**scene.to_numpy(), "opacities": 0 * scene.opacities})
+        assert renderer.render(camera).rgb.max() == 0
+        with pytest.raises(zipsplat.ArgumentError, match="opacit"):
+            renderer.update_gaussians(**{**scene.to_numpy(), "opacities": 2 + scene.opacities})
+    points = np.random.default_rng(1).normal(size=(30, 3)) + [0, 0, 4]
+    opened = zipsplat.Capture.open(capture)
+    red = zipsplat.Scene.from_points(points, np.full((30, 3), [255, 0, 0]), opened.cameras)
+    assert np.array_equal(red.means, points.astype(np.float32)) and len(zipsplat.Scene.from_points(points)) == 30
+    assert red.sh_coeffs[:, 0, 0].min() > 0 > red.sh_coeffs[:, 0, 1:].max()
+    with pytest.raises(zipsplat.ArgumentError, match=r"colors: found shape \[29, 3\]"):
+        zipsplat.Scene.from_points(points, np.zeros((29, 3), np.uint8))
+
+
 def test_what_cannot_be_drawn_is_named(scene: zipsplat.Scene) -> None:
     camera, other = zipsplat.Camera.from_fov(48, 36), zipsplat.Camera.from_fov(40, 36)
     for cameras, options, words in [

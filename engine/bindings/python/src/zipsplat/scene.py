@@ -145,16 +145,37 @@ class Scene:
         Raises:
             ArgumentError: a shape is invalid, or a value not finite or out of range.
         """
-        arrays = [np.ascontiguousarray(array, np.float32) for array in (means, scales, quats, opacities, sh_coeffs)]
-        count = len(arrays[0]) if arrays[0].ndim else 0
-        bands = math.isqrt(arrays[4].shape[1]) if arrays[4].ndim == 3 else 1
-        shapes = [(count, 3), (count, 3), (count, 4), (count,), (count, bands**2, 3)]
-        for name, array, shape in zip(FIELDS, arrays, shapes):
-            if array.shape != shape:
-                raise ArgumentError(f"{name}: found shape {list(array.shape)}, expected {list(shape)}")
-        pointers = {name: ffi.cast("float *", array.ctypes.data) for name, array in zip(FIELDS, arrays)}
-        found = structure("gaussians", count=count, sh_degree=bands - 1, **pointers)
-        return cls(Handle("scene", "zs_scene_create", found))
+        gaussians, _arrays = native_gaussians(means, scales, quats, opacities, sh_coeffs)
+        return cls(Handle("scene", "zs_scene_create", gaussians))
+
+    @classmethod
+    def from_points(
+        cls,
+        positions: npt.ArrayLike,
+        colors: Optional[npt.ArrayLike] = None,
+        cameras: Sequence[Camera] = (),
+    ) -> Scene:
+        """Creates a scene with a Gaussian per point, to be refined.
+
+        Args:
+            positions: [N, 3] in world units.
+            colors: [N, 3] uint8 red, green, blue; None for gray.
+            cameras: Cameras that limit the sizes of the Gaussians.
+
+        Example:
+            >>> scene = Scene.from_points(points, colors, capture.cameras).refine(capture)
+        """
+        points = np.ascontiguousarray(positions, np.float32)
+        paint = None if colors is None else np.ascontiguousarray(colors, np.uint8)
+        for name, array in (("positions", points), ("colors", points if paint is None else paint)):
+            if array.shape != (len(points), 3) or points.ndim != 2:
+                raise ArgumentError(f"{name}: found shape {list(array.shape)}, expected [N, 3]")
+        pointers = (
+            ffi.cast("float *", points.ctypes.data),
+            ffi.NULL if paint is None else ffi.cast("uint8_t *", paint.ctypes.data),
+        )
+        views = native_cameras(cameras)
+        return cls(Handle("scene", "zs_scene_from_points", *pointers, len(points), views, len(views)))
 
     @classmethod
     def from_gsplat(cls, params: Mapping[str, Any]) -> Scene:
@@ -352,6 +373,19 @@ class Scene:
             rows += [(axis, f"{low:.3g} to {high:.3g}") for axis, low, high in zip("xyz", *ends)]
         cells = "".join(f"<tr><th>{html.escape(name)}</th><td>{html.escape(value)}</td></tr>" for name, value in rows)
         return f"<table>{cells}</table>"
+
+
+def native_gaussians(*fields: npt.ArrayLike) -> tuple[Any, list[Array]]:
+    """Converts arrays in the order of FIELDS for the library, with references to keep alive."""
+    arrays = [np.ascontiguousarray(field, np.float32) for field in fields]
+    count = len(arrays[0]) if arrays[0].ndim else 0
+    bands = math.isqrt(arrays[4].shape[1]) if arrays[4].ndim == 3 else 1
+    shapes = [(count, 3), (count, 3), (count, 4), (count,), (count, bands**2, 3)]
+    for name, array, shape in zip(FIELDS, arrays, shapes):
+        if array.shape != shape:
+            raise ArgumentError(f"{name}: found shape {list(array.shape)}, expected {list(shape)}")
+    pointers = {name: ffi.cast("float *", array.ctypes.data) for name, array in zip(FIELDS, arrays)}
+    return structure("gaussians", count=count, sh_degree=bands - 1, **pointers), arrays
 
 
 def _name(format: Optional[str]) -> Any:
