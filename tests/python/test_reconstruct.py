@@ -177,6 +177,10 @@ def test_tokens_are_refined_and_cameras_estimated(photos: list[Path], capture: P
     assert np.allclose(estimates[0].camera.camera_to_world[:3, 3], 0, atol=0.5)
     height, width, _ = zipsplat.load_image(photos[0]).shape
     assert (estimates[0].camera.height, estimates[0].camera.width) == (height, width)
+    unposed.close()
+    with pytest.raises(zipsplat.ArgumentError, match="Reconstruction: found a closed one"):
+        unposed.estimate_cameras()
+    assert unposed.render(estimates[0].camera).rgb.any()
 
 
 def test_progress_may_stop_and_raise(model: zipsplat.Model, photos: list[Path], capture: Path) -> None:

@@ -19,7 +19,7 @@ from conftest import same
 def test_arrays_lie_in_place_are_read_only_and_keep_the_scene_alive(scene: zipsplat.Scene) -> None:
     made = zipsplat.Scene.from_arrays(scene.means, scene.scales, scene.quats, scene.opacities, scene.sh_coeffs)
     assert same(made, scene) and len(made) == len(scene) > 0
-    assert made.means.ctypes.data == zipsplat.Scene(made._handle).means.ctypes.data
+    assert made.means.ctypes.data == zipsplat.Scene(made._scene).means.ctypes.data
     means, expected = made.means, scene.means.copy()
     with pytest.raises(ValueError):
         means[0, 0] = 1

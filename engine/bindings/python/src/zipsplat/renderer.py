@@ -52,12 +52,12 @@ class Renderer(Owner):
 
     def __init__(self, scene: Optional[Scene] = None, device: DeviceLike = None) -> None:
         self.device = opened(device if scene is None or device is not None else scene._device)
-        given = ffi.NULL if scene is None else scene._handle
+        given = ffi.NULL if scene is None else scene._scene
         super().__init__(Handle("renderer", "zs_renderer_create", self.device._handle, given))
 
     def set_scene(self, scene: Scene) -> None:
         """Replaces the scene. Cheap for an equal number of Gaussians and degree."""
-        call("zs_renderer_set_scene", self._handle, scene._handle)
+        call("zs_renderer_set_scene", self._handle, scene._scene)
 
     def update_gaussians(
         self,

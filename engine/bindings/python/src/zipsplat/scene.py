@@ -96,7 +96,7 @@ class Scene:
     def __init__(
         self, handle: Handle, device: Optional[Device] = None, refinement: Optional[RefineResult] = None
     ) -> None:
-        self._handle, self._device, self.refinement = handle, device, refinement
+        self._scene, self._device, self.refinement = handle, device, refinement
         found = structure("gaussians")
         call("zs_scene_get_gaussians", handle, found)
         count = int(found.count)
@@ -232,12 +232,12 @@ class Scene:
             path: The file.
             spz_version: SPZ version: 2, 3 or 4.
         """
-        call("zs_scene_save", self._handle, os.fsencode(path), structure("scene_save_options", spz_version=spz_version))
+        call("zs_scene_save", self._scene, os.fsencode(path), structure("scene_save_options", spz_version=spz_version))
 
     def to_bytes(self, format: Format, *, spz_version: SpzVersion = 3) -> bytes:
         """Encodes the scene as "ply", "spz", "splat", "gltf" or "glb"."""
         options = structure("scene_save_options", spz_version=spz_version)
-        found = Handle("blob", "zs_scene_to_memory", self._handle, _name(format), options)
+        found = Handle("blob", "zs_scene_to_memory", self._scene, _name(format), options)
         data, size = ffi.new("void **"), ffi.new("size_t *")
         call("zs_blob_get", found, data, size)
         return bytes(ffi.buffer(data[0], size[0]))
@@ -318,7 +318,7 @@ class Scene:
         """Returns the library's function of a refinement and its first arguments."""
         if target == "tokens":
             raise ArgumentError("target: found 'tokens' of a scene without any, expected 'gaussians'")
-        return "zs_refine_scene", device._handle, self._handle
+        return "zs_refine_scene", device._handle, self._scene
 
     def render(
         self,
