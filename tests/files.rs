@@ -4,6 +4,30 @@ use flate2::{Compression, read::GzDecoder, write::GzEncoder};
 use image::{DynamicImage, ImageFormat};
 use std::io::{Cursor, Read, Write};
 use std::path::Path;
+use zipsplat::Error;
+
+/// Asserts an error with each of these words, and returns it.
+#[track_caller]
+pub fn assert_refused<T>(found: Result<T, Error>, words: &[&str]) -> Error {
+    let Err(error) = found else { panic!("no error, expected {words:?}") };
+    let text = error.to_string();
+    for word in words {
+        assert!(text.contains(word), "{text}\nlacks {word}");
+    }
+    error
+}
+
+/// Asserts that bytes are refused as a malformed file of this name, with each of these words.
+#[track_caller]
+pub fn assert_malformed<T>(
+    name: &str,
+    bytes: impl AsRef<[u8]>,
+    read: impl FnOnce(&Path) -> Result<T, Error>,
+    words: &[&str],
+) {
+    let error = assert_refused(read_as(name, bytes, read), words);
+    assert!(matches!(&error, Error::Format { path, .. } if path.ends_with(name)), "{error}");
+}
 
 /// Reads `bytes` as a file of this name.
 pub fn read_as<T>(name: &str, bytes: impl AsRef<[u8]>, read: impl FnOnce(&Path) -> T) -> T {

@@ -7,7 +7,7 @@ pub use crate::{
         assert_gaussians_within, assert_images_close, assert_nearest, assert_same, assert_tap_within, columns,
     },
     device::device,
-    files::{bytes_of, encoded, gunzip, gzip, read_as},
+    files::{assert_malformed, assert_refused, bytes_of, encoded, gunzip, gzip, read_as},
     golden::{self, Golden},
     networks::{self, fast_arithmetics, reconstruct},
     photos::{self, noise},

@@ -27,6 +27,11 @@ pub(crate) trait Problem: 'static {
     /// Simulates a fault on the host. Empty if the mode's rounding hides it; each output must be
     /// caught.
     fn faulty(&self, truth: &Self::Truth, fault: Self::Fault, mode: Mode) -> Vec<Self::Output>;
+
+    /// Returns zeros of numbers, which every case must catch unless they are right.
+    fn zeros(&self, _truth: &Self::Truth) -> Option<Self::Output> {
+        None
+    }
 }
 
 /// A problem whose output is a list of numbers, each with its own bound.
@@ -74,6 +79,10 @@ impl<V: Values> Problem for V {
         }
         vec![Values::faulty(self, truth, fault).into_iter().map(|x| x as f32).collect()]
     }
+
+    fn zeros(&self, [truth, _]: &[Vec<f64>; 2]) -> Option<Vec<f32>> {
+        Some(vec![0.0; truth.len()])
+    }
 }
 
 /// Repeats the values `by` places on, cyclically.
@@ -81,17 +90,22 @@ pub(crate) fn shifted(values: &[f64], by: usize) -> Vec<f64> {
     (0..values.len()).map(|i| values[(i + by) % values.len()]).collect()
 }
 
+/// Joins rows of several tensors, given their widths.
+pub(crate) fn joined<const N: usize>(tensors: &[Vec<f32>; N], widths: [usize; N]) -> Vec<f32> {
+    let row = |n: usize| tensors.iter().zip(widths).flat_map(move |(x, width)| &x[n * width..][..width]);
+    (0..tensors[0].len() / widths[0]).flat_map(row).copied().collect()
+}
+
 /// Rounds the values to 11 bits.
 pub(crate) fn halves(values: &[f64]) -> Vec<f64> {
     values.iter().map(|&x| half(x)).collect()
 }
 
-/// Faults that a case must catch; at least one.
+/// Faults that a case must catch beside zeros.
 pub(crate) struct Catches<F>(Vec<F>);
 
 impl<F: Copy, const N: usize> From<[F; N]> for Catches<F> {
     fn from(faults: [F; N]) -> Self {
-        const { assert!(N > 0, "a case that catches nothing proves nothing") };
         Self(faults.to_vec())
     }
 }
@@ -125,7 +139,7 @@ pub struct Case {
     pub name: String,
     /// Problem size for the report.
     pub size: usize,
-    /// Names of the caught faults.
+    /// Names of the caught faults beside zeros.
     pub catches: Vec<String>,
     checks: Box<dyn Checks>,
 }
@@ -175,14 +189,22 @@ impl<P: Problem, M: Fn() -> Vec<P>> Checks for Made<M, P::Fault> {
 
     fn inject(&self, mode: Mode) -> Vec<Injected> {
         let problems: Vec<_> = (self.make)().into_iter().map(|problem| (problem.truth(mode), problem)).collect();
-        let inject = |fault: &P::Fault| {
+        let worst = |fault: String, outputs: &dyn Fn(&P, &P::Truth) -> Vec<P::Output>| {
             let shares = problems.iter().flat_map(|(truth, problem)| {
-                let outputs = problem.faulty(truth, *fault, mode);
-                outputs.iter().map(|output| problem.judge(truth, output, mode).share).collect::<Vec<_>>()
+                let share = |output: &P::Output| problem.judge(truth, output, mode).share;
+                outputs(problem, truth).iter().map(share).collect::<Vec<_>>()
             });
-            shares.reduce(f64::min).map(|share| Injected { fault: name_of(fault), share })
+            shares.reduce(f64::min).map(|share| Injected { fault, share })
         };
-        self.faults.iter().filter_map(inject).collect()
+        let wrong = |problem: &P, truth: &P::Truth| {
+            let zeros = problem.zeros(truth).into_iter();
+            zeros.filter(|zeros| problem.judge(truth, zeros, mode).share > 0.0).collect()
+        };
+        let own = self
+            .faults
+            .iter()
+            .filter_map(|fault| worst(name_of(fault), &|problem, truth| problem.faulty(truth, *fault, mode)));
+        own.chain(worst("zeros".into(), &wrong)).collect()
     }
 }
 

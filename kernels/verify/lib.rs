@@ -47,7 +47,7 @@ mod prelude {
     pub(crate) use crate::{
         Area, Catches, Mode, Tolerance, Worst,
         bound::*,
-        case::{self, Values, halves, shifted},
+        case::{self, Values, halves, joined, shifted},
         noise::{Noise, camera},
         trial::Trial,
     };

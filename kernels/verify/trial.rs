@@ -92,15 +92,27 @@ impl<'a> Trial<'a> {
         Ok(run)
     }
 
-    /// Runs the plan and reads one output.
+    /// Runs the plan and reads tensors, kept to the end.
+    ///
+    /// # Errors
+    /// As [`run`](Self::run).
+    pub fn results<T: Pod, const N: usize>(mut self, outputs: [Tensor; N]) -> Result<[Vec<T>; N]> {
+        outputs.iter().for_each(|output| self.rec.output(*output));
+        let run = self.run()?;
+        let mut values = outputs.iter().map(|output| run.read(*output)).collect::<Result<Vec<_>>>()?.into_iter();
+        Ok([(); N].map(|()| values.next().unwrap_or_default()))
+    }
+
+    /// Runs the plan and reads one tensor, kept to the end.
     ///
     /// # Errors
     /// As [`run`](Self::run).
     pub fn result<T: Pod>(self, output: Tensor) -> Result<Vec<T>> {
-        self.run()?.read(output)
+        let [values] = self.results([output])?;
+        Ok(values)
     }
 
-    /// Runs the plan and reads one output of a type.
+    /// Acts as [`result`](Self::result) for values of a type.
     ///
     /// # Errors
     /// As [`run`](Self::run).

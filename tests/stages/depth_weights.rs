@@ -72,8 +72,7 @@ fn missing_and_foreign_tensors_are_named() {
         }
         other => panic!("{other:?}"),
     }
-    let error = DepthCheckpoint::open(&path, false).unwrap_err().to_string();
-    assert!(error.contains("width 128") && error.contains("da3-base"), "{error}");
+    assert_refused(DepthCheckpoint::open(&path, false), &["width 128", "da3-base"]);
 }
 
 /// Two networks share a layout.
@@ -85,8 +84,7 @@ fn networks_are_told_by_their_shapes() {
     write(&path, &small.parameters(), None);
     let found = DepthCheckpoint::open(&path, false).unwrap();
     assert_eq!(*found.architecture(), small);
-    let error = DepthCheckpoint::open(&path, true).unwrap_err().to_string();
-    assert!(error.contains("da3-small") && error.contains("da3-giant"), "{error}");
+    assert_refused(DepthCheckpoint::open(&path, true), &["da3-small", "da3-giant"]);
     for name in DEPTH_MODELS {
         let architecture = DepthArchitecture::named(name).unwrap();
         architecture.validate().unwrap();

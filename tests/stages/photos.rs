@@ -6,7 +6,7 @@ use zipsplat::types::{
     preprocess::{fit, view_cameras},
 };
 use zipsplat::{Camera, Image, Model, Pose, ReconstructOptions, RenderOptions, Renderer, SceneFrame};
-use zipsplat_tests::device::device;
+use zipsplat_tests::{device::device, files::assert_refused};
 
 const SIZE: [u32; 2] = [28, 42];
 
@@ -80,8 +80,7 @@ fn unusable_options_are_refused_before_photos_are_opened() {
     let model = model();
     let refused = |options: ReconstructOptions, expected: &str| {
         let opened = model.prepare(2, &options, |_, _| unreachable!("checked first"), |_| Continue(()));
-        let text = opened.unwrap_err().to_string();
-        assert!(text.contains(expected), "{text}");
+        assert_refused(opened, &[expected]);
     };
     let default = ReconstructOptions::default;
     refused(ReconstructOptions { world: Some(SceneFrame::InputCameras), ..default() }, "world: found input cameras");

@@ -334,11 +334,6 @@ fn malformed_files_are_named_with_the_place() {
         (json!([{ "viewmat": sheared }]), "[0], rotation"),
         (json!({ "neither": 1 }), "frames"),
     ] {
-        match read("bad.json", &file) {
-            Err(Error::Format { path, reason, .. }) => {
-                assert!(path.ends_with("bad.json") && reason.contains(place), "{place}: {reason}");
-            }
-            other => panic!("{place}: {other:?}"),
-        }
+        assert_malformed("bad.json", file.to_string(), |path| Capture::open_cameras(path, &LENS), &[place]);
     }
 }

@@ -71,7 +71,6 @@ impl Problem {
         let Some(origin) = Nearest::among(&mut trial.rec, kernel(mode, device), rows).origin() else {
             return Ok(None);
         };
-        trial.rec.output(origin);
         Ok(Some(trial.result(origin)?))
     }
 

@@ -18,7 +18,6 @@ struct Activations {
 
 #[derive(Clone, Copy, Debug)]
 enum Fault {
-    Zero,
     HalfResult,
     NotActivated,
     /// Gradients beyond the clamps of means and scales.
@@ -103,7 +102,6 @@ impl Values for Activations {
         let (raw, d) = (|i: usize| f64::from(self.raw[i]), |i: usize| f64::from(self.gradient[i]));
         let quat = |i: usize| (i / WIDTH * WIDTH + 6)..(i / WIDTH * WIDTH + 10);
         let one = |i: usize| match (fault, i % WIDTH) {
-            (Fault::Zero, _) => 0.0,
             (Fault::HalfResult, _) => half(truth[i]),
             (Fault::NotActivated, _) => d(i),
             (Fault::NoClamp, 0..3) => d(i) * raw(i).abs().exp(),
@@ -117,14 +115,14 @@ impl Values for Activations {
 
 pub fn area() -> Area {
     use Fault::*;
-    let all = [Zero, HalfResult, NotActivated, NoClamp, AlongItself, NeighbourGaussian];
+    let all = [HalfResult, NotActivated, NoClamp, AlongItself, NeighbourGaussian];
     let mut area = Area::new("gaussians/activate_backward", "Gaussians", Mode::ONLY_EXACT, REASON);
     for count in [64, 4097] {
         area.add("random of +-6", count, all, move || Activations::new(count, 6.0));
     }
     for length in [1e-20, 1e-13, 1e-11, 1e-6, 1e-3, 1.0, 1e3, 1e19, 1e30] {
         let name = format!("quaternions of length {length:e}");
-        area.add(name, 65, [Zero, HalfResult, NotActivated], move || Activations::new(65, length));
+        area.add(name, 65, [HalfResult, NotActivated], move || Activations::new(65, length));
     }
     area
 }

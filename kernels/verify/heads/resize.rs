@@ -22,7 +22,6 @@ struct Problem {
 
 #[derive(Clone, Copy, Debug)]
 enum Fault {
-    Zero,
     /// Aligns pixel centers instead of corners.
     MiddlesOnMiddles,
     Nearest,
@@ -131,7 +130,6 @@ impl Values for Problem {
     fn faulty(&self, truth: &[f64], fault: Fault) -> Vec<f64> {
         let middle = |at: usize, axis: usize| (at as f64 + 0.5) * self.size[axis] as f64 / self.to[axis] as f64 - 0.5;
         let values = match fault {
-            Fault::Zero => vec![0.0; truth.len()],
             Fault::MiddlesOnMiddles => self.added(self.sampled(middle, false), false),
             Fault::Nearest => self.added(self.sampled(|at, axis| self.place(at, axis), true), false),
             Fault::Turned => {
@@ -167,21 +165,21 @@ pub fn shapes() -> Area {
     // Line 5 of 9 lies at 5 * 4 / 8 = 2.5 of the source.
     let part = || Problem { lines: [5, 2], ..Problem::new([5, 3], [9, 7], 4).placed() };
     let mut area = Area { cases: Vec::new(), ..area() };
-    area.sweep("sizes", 4, [Fault::Zero], whole);
-    area.add("part of a picture", 4, [Fault::Zero, Fault::MiddlesOnMiddles, Fault::Nearest], part);
+    area.sweep("sizes", 4, [], whole);
+    area.add("part of a picture", 4, [Fault::MiddlesOnMiddles, Fault::Nearest], part);
     area
 }
 
 pub fn area() -> Area {
     use Fault::*;
     let mut area = Area::new("heads/resize", "channels", Mode::ONLY_EXACT, REASON);
-    let all = || Catches::from([Zero, MiddlesOnMiddles, Nearest, Turned, NeighbourPixel, Half]);
+    let all = || Catches::from([MiddlesOnMiddles, Nearest, Turned, NeighbourPixel, Half]);
     area.add("larger", 4, all(), || Problem::new([4, 6], [7, 13], 4));
     area.add("larger", 64, all().and(&[NoPositions, TurnedPositions]), || {
         Problem::new([16, 24], [28, 42], 64).placed()
     });
     area.add("smaller", 8, all(), || Problem::new([9, 7], [4, 5], 8));
-    area.add("one line", 4, [Zero, Nearest, NeighbourPixel], || Problem::new([1, 5], [3, 8], 4));
-    area.add("one pixel", 4, [Zero, NoPositions], || Problem::new([1, 1], [5, 3], 4).placed());
+    area.add("one line", 4, [Nearest, NeighbourPixel], || Problem::new([1, 5], [3, 8], 4));
+    area.add("one pixel", 4, [NoPositions], || Problem::new([1, 1], [5, 3], 4).placed());
     area
 }

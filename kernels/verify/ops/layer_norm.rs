@@ -60,7 +60,6 @@ struct Problem {
 
 #[derive(Clone, Copy, Debug)]
 pub enum Fault {
-    Zero,
     /// Variance as the difference of two f32 sums.
     OnePass,
     /// Mean from one f32 sum, uncorrected.
@@ -176,7 +175,6 @@ impl Values for Problem {
     fn faulty(&self, truth: &[f64], fault: Fault) -> Vec<f64> {
         let width = self.width;
         match fault {
-            Fault::Zero => vec![0.0; truth.len()],
             Fault::NoBias => truth.iter().enumerate().map(|(i, y)| y - f64::from(self.bias[i % width])).collect(),
             Fault::NeighbourRow => shifted(truth, width),
             Fault::Folded => (0..truth.len()).map(|i| truth[i % (GROUP_FOLD as usize * width)]).collect(),
@@ -197,13 +195,13 @@ pub fn shapes() -> Area {
     let widths = [1, 3, 4, 7, 8, 9, 31, 32, 33, 63, 64, 65, 127, 384, 1536, 3073];
     let mut area = Area { cases: Vec::new(), modes: Mode::STORED, ..area() };
     for width in widths {
-        area.sweep("random", width, [Zero, NoBias], move || [0, 1, 5].map(|rows| of(rows, width)).concat());
+        area.sweep("random", width, [NoBias], move || [0, 1, 5].map(|rows| of(rows, width)).concat());
     }
     let many = move || of(65_537, 4).into();
-    area.sweep("rows beyond the most workgroups", 65_537, [Zero, Folded, NeighbourRow], many);
+    area.sweep("rows beyond the most workgroups", 65_537, [Folded, NeighbourRow], many);
     let near =
         move || of(20, 64).map(|p| Problem { x: p.x.iter().map(|x| 2e-3 * x).collect(), addend: None, ..p }).into();
-    area.sweep("variances near both epsilons", 64, [Zero, NoEpsilon], near);
+    area.sweep("variances near both epsilons", 64, [NoEpsilon], near);
     area
 }
 
@@ -213,15 +211,15 @@ pub fn area() -> Area {
     let mut add = |name: &str, width: usize, catches: Catches<Fault>, value: fn(f32, usize) -> f32| {
         area.add(name, width, catches, move || Problem::new(9, width, value));
     };
-    add("random", 1, [Zero, NoBias].into(), |r, _| r);
-    add("mean 1e4, spread 1e-2", 1, [Zero, NoBias].into(), |r, _| 1e4 + 1e-2 * r);
+    add("random", 1, [NoBias].into(), |r, _| r);
+    add("mean 1e4, spread 1e-2", 1, [NoBias].into(), |r, _| 1e4 + 1e-2 * r);
     for width in [3, 64, 384, 1536, 4096] {
-        let random = Catches::from([Zero, NoBias, HalfSum, LastChannel, NeighbourRow]);
+        let random = Catches::from([NoBias, HalfSum, LastChannel, NeighbourRow]);
         // A large last channel makes its omission detectable.
         let last: fn(f32, usize) -> f32 =
             if width > 1000 { |r, c| if c % 512 == 511 { 20.0 * r } else { r } } else { |r, _| r };
         add("random", width, if width < 1000 { random.and(&[Unbiased]) } else { random }, last);
-        let offset = Catches::from([Zero, OnePass, HalfSum, NeighbourRow]);
+        let offset = Catches::from([OnePass, HalfSum, NeighbourRow]);
         let offset = if width < 64 { offset } else { offset.and(&[UncorrectedMean]) };
         match width {
             // Rounding many terms may cost more than a hundredth.
@@ -229,18 +227,18 @@ pub fn area() -> Area {
             _ => add("mean 1e4, spread 1e-2", width, offset, |r, _| 1e4 + 1e-2 * r),
         }
     }
-    add("constant rows of 0", 64, [Zero, NoEpsilon].into(), |_, _| 0.0);
-    add("constant rows of -3", 64, [Zero, NoEpsilon].into(), |_, _| -3.0);
-    add("constant rows of 12345.678", 1536, [Zero, OnePass, NoEpsilon, UncorrectedMean].into(), |_, _| 12_345.678);
-    add("variance of epsilon", 384, [Zero, NoEpsilon, LastChannel].into(), |r, _| 2e-3 * r);
-    add("one channel of 1e4", 1536, [Zero, HalfSum, NoBias].into(), |r, c| if c == 77 { 1e4 } else { r });
-    add("first channel of 1e6", 384, [Zero, HalfSum, NoBias].into(), |r, c| if c == 0 { 1e6 } else { r });
-    add("values of 1e4", 1536, [Zero, HalfSum, NeighbourRow].into(), |r, _| 1e4 * r);
-    add("values of 1e15", 64, [Zero, HalfSum, LastChannel].into(), |r, _| 1e15 * r);
-    add("values of 1e25", 64, [Zero, OverflowingSquares, LastChannel].into(), |r, _| 1e25 * r);
-    add("subnormal rows", 64, [Zero, NoBias, NoEpsilon].into(), |r, _| 1e-39 * r);
+    add("constant rows of 0", 64, [NoEpsilon].into(), |_, _| 0.0);
+    add("constant rows of -3", 64, [NoEpsilon].into(), |_, _| -3.0);
+    add("constant rows of 12345.678", 1536, [OnePass, NoEpsilon, UncorrectedMean].into(), |_, _| 12_345.678);
+    add("variance of epsilon", 384, [NoEpsilon, LastChannel].into(), |r, _| 2e-3 * r);
+    add("one channel of 1e4", 1536, [HalfSum, NoBias].into(), |r, c| if c == 77 { 1e4 } else { r });
+    add("first channel of 1e6", 384, [HalfSum, NoBias].into(), |r, c| if c == 0 { 1e6 } else { r });
+    add("values of 1e4", 1536, [HalfSum, NeighbourRow].into(), |r, _| 1e4 * r);
+    add("values of 1e15", 64, [HalfSum, LastChannel].into(), |r, _| 1e15 * r);
+    add("values of 1e25", 64, [OverflowingSquares, LastChannel].into(), |r, _| 1e25 * r);
+    add("subnormal rows", 64, [NoBias, NoEpsilon].into(), |r, _| 1e-39 * r);
     let rows = GROUP_FOLD as usize + 9;
     let folded = || Problem::new(GROUP_FOLD as usize + 9, 4, |r, _| r);
-    area.add("rows beyond a fold of workgroups", rows, [Zero, Folded, NeighbourRow], folded);
+    area.add("rows beyond a fold of workgroups", rows, [Folded, NeighbourRow], folded);
     area
 }

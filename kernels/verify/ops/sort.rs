@@ -43,11 +43,8 @@ impl case::Problem for Sort {
         let mut trial = Trial::new(device);
         let (keys, values) = (trial.input(&self.keys), trial.input(&values));
         let items = trial.input(&[count as u32]);
-        let (sorted_keys, sorted_values) = sort_pairs(&mut trial.rec, keys, values, items, count, self.bits);
-        trial.rec.output(sorted_keys);
-        trial.rec.output(sorted_values);
-        let run = trial.run()?;
-        Ok([run.read(sorted_keys)?, run.read(sorted_values)?])
+        let (keys, values) = sort_pairs(&mut trial.rec, keys, values, items, count, self.bits);
+        trial.results([keys, values])
     }
 
     fn truth(&self, _: Mode) -> Sorted {
@@ -116,7 +113,6 @@ impl case::Problem for Scan {
         let mut trial = Trial::new(device);
         let tensor = trial.input(&self.0);
         exclusive_scan(&mut trial.rec, tensor, self.0.len());
-        trial.rec.output(tensor);
         trial.result(tensor)
     }
 

@@ -27,7 +27,6 @@ fn equals_the_reference() {
                 on_device: chosen,
             };
             case.rec.dispatch(kernel, views * width);
-            case.rec.output(out);
 
             let mut truth = widen(&x);
             let mut cameras = widen(&camera_tokens);

@@ -71,22 +71,12 @@ fn clusters_as_the_goldens() {
 fn check_golden(golden: &Golden, name: &str, kernel: NearestKernel) {
     let key = |part: &str| format!("{name}/{part}");
     let (x, width, clusters) = (golden.f32(&key("x")), golden.shape(&key("x"))[1], golden.u32(&key("K"))[0] as usize);
-    let count = x.len() / width;
-    let mut case = plan();
-    case.rec = case.rec.observing();
-    let (tokens, initial) =
-        (Rows::new(case.input(&x), count, width), case.input(&cluster::even_indices(count, clusters)));
-    let nearest = cluster::record(&mut case.rec, kernel, tokens, initial, clusters, cluster::ROUNDS);
-    case.rec.output(nearest);
-    let run = case.run().unwrap();
-    let observed = |what: &str| run.observed().iter().find(|(name, _)| name == what).expect(what).1;
-
+    let Found { nearest, assigned, centroids } = clustered(&x, width, clusters, kernel);
     let what = |part: &str| format!("{} {kernel:?}", key(part));
-    assert_same(&what("assign"), &run.read::<u32>(observed("assign")).unwrap(), &golden.u32(&key("assign_exact")));
-    let centroids: Vec<f32> = run.read(observed("centroids")).unwrap();
+    assert_same(&what("assign"), &assigned, &golden.u32(&key("assign_exact")));
     // One cluster may have all points.
-    assert_close(&what("centroids"), &centroids, &golden.f32(&key("centroids_exact")), Tolerance::sum_of(count));
-    let nearest: Vec<u32> = run.read(nearest).unwrap();
+    let tolerance = Tolerance::sum_of(x.len() / width);
+    assert_close(&what("centroids"), &centroids, &golden.f32(&key("centroids_exact")), tolerance);
     // Rounding decides between equally near tokens.
     let gaps = golden.f32(&key("nearest_gap"));
     let clear: Vec<usize> = (0..clusters).filter(|&k| gaps[k] > 1e-4).collect();
@@ -95,8 +85,14 @@ fn check_golden(golden: &Golden, name: &str, kernel: NearestKernel) {
     assert_as_near(&what("nearest"), &nearest, &centroids, &x, width);
 }
 
-/// Returns the rows that k-means selects and the final cluster sizes.
-fn selection(x: &[f32], width: usize, clusters: usize, kernel: NearestKernel) -> (Vec<u32>, Vec<usize>) {
+struct Found {
+    /// Row nearest to each centroid.
+    nearest: Vec<u32>,
+    assigned: Vec<u32>,
+    centroids: Vec<f32>,
+}
+
+fn clustered(x: &[f32], width: usize, clusters: usize, kernel: NearestKernel) -> Found {
     let count = x.len() / width;
     let mut case = plan();
     case.rec = case.rec.observing();
@@ -105,10 +101,12 @@ fn selection(x: &[f32], width: usize, clusters: usize, kernel: NearestKernel) ->
     let nearest = cluster::record(&mut case.rec, kernel, tokens, initial, clusters, cluster::ROUNDS);
     case.rec.output(nearest);
     let run = case.run().unwrap();
-    let assigned = run.observed().iter().find(|(name, _)| name == "assign").expect("it is observed").1;
-    let mut members = vec![0; clusters];
-    run.read::<u32>(assigned).unwrap().iter().for_each(|cluster| members[*cluster as usize] += 1);
-    (run.read(nearest).unwrap(), members)
+    let observed = |what: &str| run.observed().iter().find(|(name, _)| name == what).expect(what).1;
+    Found {
+        nearest: run.read(nearest).unwrap(),
+        assigned: run.read(observed("assign")).unwrap(),
+        centroids: run.read(observed("centroids")).unwrap(),
+    }
 }
 
 /// Clusters of two lie midway between their members. Neither rounding nor the order of sums may
@@ -117,8 +115,9 @@ fn selection(x: &[f32], width: usize, clusters: usize, kernel: NearestKernel) ->
 fn rounding_chooses_no_token() {
     let (count, clusters, width) = (288, 144, 96);
     let x = random(5, count * width);
-    let plain = selection(&x, width, clusters, NearestKernel::Lanes);
-    assert!(plain.1.iter().filter(|members| **members == 2).count() > 20, "{:?}", plain.1);
+    let plain = clustered(&x, width, clusters, NearestKernel::Lanes);
+    let members = |cluster| plain.assigned.iter().filter(|assigned| **assigned == cluster).count();
+    assert!((0..clusters as u32).filter(|cluster| members(*cluster) == 2).count() > 20, "{:?}", plain.assigned);
     for kernel in nearest_kernels() {
         for round in 0..4 {
             let channel = |c: usize| (c * [1, 5, 7, 11][round] + round) % width;
@@ -126,7 +125,11 @@ fn rounding_chooses_no_token() {
             let moved: Vec<f32> = (0..x.len())
                 .map(|i| x[i / width * width + channel(i % width)] * (1.0 + 1e-6 * round as f32 * moved[i]))
                 .collect();
-            assert_same(&format!("{kernel:?}, {round}"), &selection(&moved, width, clusters, kernel).0, &plain.0);
+            assert_same(
+                &format!("{kernel:?}, {round}"),
+                &clustered(&moved, width, clusters, kernel).nearest,
+                &plain.nearest,
+            );
         }
     }
 }

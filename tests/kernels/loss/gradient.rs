@@ -30,9 +30,7 @@ impl Pictures {
         let frames = case.input(&self.frames.chunks(3).flat_map(pixel).collect::<Vec<_>>());
         let targets = case.input(&self.targets);
         let found = record_loss(&mut case.rec, loss, frames, targets, self.shape, channels, scale);
-        [found.value, found.d_frames].iter().for_each(|tensor| case.rec.output(*tensor));
-        let run = case.run().unwrap();
-        [found.value, found.d_frames].map(|tensor| run.read(tensor).unwrap())
+        case.results([found.value, found.d_frames]).unwrap()
     }
 
     fn truth(&self, loss: Loss, scale: f32) -> [Vec<f64>; 2] {

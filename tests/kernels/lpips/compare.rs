@@ -28,7 +28,6 @@ impl Features {
             Some(before) => case.input(before),
             None => case.output::<f32>(self.a.len()),
         };
-        case.rec.output(d_a);
         let kernel = Compare {
             a: case.input(&self.a),
             b: case.input(&self.b),
@@ -42,8 +41,7 @@ impl Features {
             add: before.is_some(),
         };
         case.rec.dispatch_groups(kernel, pixels);
-        let run = case.run().unwrap();
-        [run.read(kernel.sums).unwrap(), run.read(d_a).unwrap()]
+        case.results([kernel.sums, d_a]).unwrap()
     }
 
     fn truth(&self, a: &[f64]) -> Vec<f64> {

@@ -9,15 +9,13 @@ fn check(keys: &[u32], count: usize, bits: u32) {
     let indices: Vec<u32> = (0..keys.len() as u32).collect();
     let (unsorted, indices, item_count) = (case.input(keys), case.input(&indices), case.input(&[count as u32]));
     let (sorted, order) = sort_pairs(&mut case.rec, unsorted, indices, item_count, keys.len(), bits);
-    case.rec.output(sorted);
-    case.rec.output(order);
-    let run = case.run().unwrap();
+    let [sorted, order] = case.results::<u32, 2>([sorted, order]).unwrap();
     let mut truth: Vec<u32> = (0..count as u32).collect();
     truth.sort_by_key(|&i| keys[i as usize] & ((1u64 << bits) - 1) as u32);
     let name = format!("{count} of {} keys by {bits} bits", keys.len());
-    assert_same(&name, &run.read::<u32>(order).unwrap()[..count], &truth);
+    assert_same(&name, &order[..count], &truth);
     let sorted_keys: Vec<u32> = truth.iter().map(|&i| keys[i as usize]).collect();
-    assert_same(&name, &run.read::<u32>(sorted).unwrap()[..count], &sorted_keys);
+    assert_same(&name, &sorted[..count], &sorted_keys);
 }
 
 fn keys(count: usize) -> Vec<u32> {
@@ -42,7 +40,6 @@ fn finds_where_each_key_starts() {
         let mut case = plan();
         let (keys, item_count) = (case.input(&keys), case.input(&[count]));
         let starts = key_starts(&mut case.rec, keys, item_count, key_count as usize);
-        case.rec.output(starts);
         assert_same("starts", &case.result::<u32>(starts).unwrap(), &expected);
     }
 }

@@ -23,10 +23,7 @@ fn stepped(
         let (gradient, schedule) = (case.input(gradient), case.input(&ADAM.schedule(RATES[0], step)));
         record_adam(&mut case.rec, ADAM, parameters, gradient, moments, schedule, rate, space, start.len());
     }
-    let tensors = [parameters, moments[0], moments[1]];
-    tensors.iter().for_each(|tensor| case.rec.output(*tensor));
-    let run = case.run().unwrap();
-    tensors.map(|tensor| run.read(tensor).unwrap())
+    case.results([parameters, moments[0], moments[1]]).unwrap()
 }
 
 /// Returns `count` values valid in every space, and 20 gradients of many magnitudes.
@@ -65,13 +62,10 @@ fn rows_step_at_two_rates() {
 #[test]
 fn values_stay_in_their_range() {
     let push = |space, start: f32, gradient: f32| {
-        let huge = vec![vec![gradient]; 1];
         let mut case = plan();
-        let tensors = [vec![start], huge[0].clone(), vec![0.0], vec![0.0]].map(|values| case.input(&values));
-        let [parameters, gradient, first, second] = tensors;
+        let [parameters, gradient, first, second] = [start, gradient, 0.0, 0.0].map(|value| case.input(&[value]));
         let schedule = case.input(&ADAM.schedule(1e4, 1));
         record_adam(&mut case.rec, ADAM, parameters, gradient, [first, second], schedule, 1.0, space, 1);
-        case.rec.output(parameters);
         case.result::<f32>(parameters).unwrap()[0]
     };
     assert_eq!([push(Space::Log, 1.0, 1.0), push(Space::Log, 1.0, -1.0)], [1e-30, 1e30]);

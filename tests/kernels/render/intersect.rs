@@ -46,8 +46,7 @@ fn intersect(sets: &[[u32; 3]], indices: &[u32], sums: &[u32], capacity: u32) ->
     };
     case.rec.fill(kernel.status, 0);
     case.rec.dispatch(kernel, sums.len());
-    let run = case.run().unwrap();
-    [kernel.tiles, kernel.pair_indices, kernel.status].map(|output| run.read(output).unwrap())
+    case.results([kernel.tiles, kernel.pair_indices, kernel.status]).unwrap()
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! glTF: nodes, buffers and damage.
 
-use super::{assert_rotations, assert_within, failure, round_trip, scene};
+use super::{assert_damaged, assert_rotations, assert_within, round_trip, scene};
 use glam::DMat4;
 use serde_json::{Value, json};
 use zipsplat::types::SaveOptions;
@@ -101,7 +101,7 @@ fn buffers_are_found_beside_the_file_and_nowhere_else() {
     assert_eq!(Scene::open(&path).unwrap().means, scene(1).means);
     for uri in ["../b.bin", "/etc/hostname", "http://host/b.bin", "a/../../b.bin", "%2e%2e/b.bin", "", "data:,x"] {
         file["buffers"][0]["uri"] = uri.into();
-        assert!(failure("b.gltf", file.to_string().as_bytes()).contains("buffer 0"), "{uri}");
+        assert_damaged("b.gltf", file.to_string().as_bytes(), &["buffer 0"]);
     }
 }
 
@@ -149,17 +149,16 @@ fn damaged_documents_are_refused() {
         ("twice", |file| file["nodes"][0]["children"] = json!([0])),
         ("no primitive", |file| file["nodes"] = json!([{}])),
     ];
-    for (i, (reason, spoil)) in spoils.into_iter().enumerate() {
+    for (reason, spoil) in spoils {
         let mut file = document(&scene(1));
         spoil(&mut file);
-        let error = failure("scene.gltf", file.to_string().as_bytes());
-        assert!(error.contains(reason), "{i}: {error}");
+        assert_damaged("scene.gltf", file.to_string().as_bytes(), &[reason]);
     }
-    assert!(failure("scene.gltf", b"{").contains("JSON"));
+    assert_damaged("scene.gltf", b"{", &["JSON"]);
     let mut shared = document(&scene(0));
     shared["nodes"] = vec![json!({ "mesh": 0 }); 1000].into();
     shared["scenes"][0]["nodes"] = (0..1000).collect();
-    assert!(failure("scene.gltf", shared.to_string().as_bytes()).contains("expected fewer than bytes"));
+    assert_damaged("scene.gltf", shared.to_string().as_bytes(), &["expected fewer than bytes"]);
     // 10^10 nodes times primitives, without a Gaussian.
     let empty = json!({ "attributes": shared["meshes"][0]["primitives"][0]["attributes"],
                         "extensions": shared["meshes"][0]["primitives"][0]["extensions"] });
@@ -167,7 +166,7 @@ fn damaged_documents_are_refused() {
     shared["nodes"] = vec![json!({ "mesh": 0 }); 1_000_000].into();
     shared["scenes"][0]["nodes"] = (0..1_000_000).collect();
     shared["accessors"].as_array_mut().unwrap().iter_mut().for_each(|accessor| accessor["count"] = json!(0));
-    assert!(failure("scene.gltf", shared.to_string().as_bytes()).contains("no Gaussian"));
+    assert_damaged("scene.gltf", shared.to_string().as_bytes(), &["no Gaussian"]);
 }
 
 #[test]
@@ -177,12 +176,12 @@ fn damaged_containers_are_refused() {
     scene(0).save(&path).unwrap();
     let good = fs::read(path).unwrap();
     for length in [4, 11, 19, 30, good.len() - 1] {
-        failure("scene.glb", &good[..length]);
+        assert_damaged("scene.glb", &good[..length], &[]);
     }
     for (at, reason) in [(4, "version"), (11, "truncated"), (15, "truncated"), (16, "chunk")] {
         let mut bad = good.clone();
         bad[at] = 0x7f;
-        assert!(failure("scene.glb", &bad).contains(reason), "{at}");
+        assert_damaged("scene.glb", &bad, &[reason]);
     }
     let path = folder.path().join("empty.glb");
     assert!(Scene::default().save(&path).is_err() && !path.exists());

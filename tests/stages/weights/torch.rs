@@ -1,6 +1,6 @@
 //! PyTorch checkpoints, built opcode by opcode.
 
-use super::{assert_same_bits, malformed::reason, pico, pico_weights, read};
+use super::{assert_same_bits, malformed::assert_reason, pico, pico_weights, read};
 use zip::CompressionMethod;
 use zipsplat::weights::convert;
 use zipsplat_tests::{pickles::*, prelude::*};
@@ -76,8 +76,7 @@ fn nothing_is_executed() {
         ("torch._utils._rebuild_tensor", model(&[("a", global("torch._utils", "_rebuild_tensor"))])),
     ];
     for (name, pickle) in cases {
-        let found = reason(&pickled(&pickle));
-        assert!(found.contains(&format!("asks for {name};")), "found {found:?}, expected {name}");
+        assert_reason(&pickled(&pickle), &format!("asks for {name};"));
     }
 }
 
@@ -102,24 +101,22 @@ fn pickles_that_are_not_sound() {
         ("no dictionary `model`", b"]."),
     ];
     for (expected, pickle) in cases {
-        let found = reason(&pickled(pickle));
-        assert!(found.contains(expected), "{:?}: found {found:?}, expected {expected:?}", pickle.escape_ascii());
+        assert_reason(&pickled(pickle), expected);
     }
     for opcode in [b'0', b'o', 0x81, 0x82, 0x92, 0x96, 0xff] {
-        assert!(reason(&pickled(&[b'}', opcode, b'.'])).contains("pickle opcode"), "{opcode:#04x}");
+        assert_reason(&pickled(&[b'}', opcode, b'.']), "pickle opcode");
     }
-    assert!(reason(&pickled(&vec![b'N'; 1 << 25])).contains("expected at most"));
+    assert_reason(&pickled(&vec![b'N'; 1 << 25]), "expected at most");
     // The later value counts.
     let twice = dict(&[("model", dict(&[("a", b"N".to_vec())])), ("model", b"]".to_vec())]);
-    assert!(reason(&pickled(&[twice.as_slice(), b"."].concat())).contains("no dictionary `model`"));
+    assert_reason(&pickled(&[twice.as_slice(), b"."].concat()), "no dictionary `model`");
     // Objects, references, marks, stack and memo entries of a byte or two all count.
     for many in [b")".as_slice(), b"]", b"}", b"N", b"(", b"N\x94", b"N\x85", b"]\x94h\x00a", b"](NNNNNNNNe"] {
-        let found = reason(&pickled(&many.repeat(1 << 20)));
-        assert!(found.contains("more than 1048576 objects"), "{:?}: {found}", many.escape_ascii());
+        assert_reason(&pickled(&many.repeat(1 << 20)), "more than 1048576 objects");
     }
     // Cycles and doubling cost no more than their bytes.
     let doubling = [b"]q\x00h\x00a".as_slice(), &b"q\x01h\x01h\x01\x86".repeat(1000), b"."].concat();
-    assert!(reason(&pickled(&doubling)).contains("no dictionary `model`"));
+    assert_reason(&pickled(&doubling), "no dictionary `model`");
 }
 
 #[test]
@@ -147,8 +144,7 @@ fn tensors_beyond_their_storage() {
     for (expected, pickle) in pickles.into_iter().chain([("no size", minus_one)]) {
         let pickle = model(&[("a", pickle)]);
         let entries = [("data.pkl", pickle.as_slice()), ("data/0", &[0; 24])];
-        let found = reason(&archive(&entries, CompressionMethod::Stored));
-        assert!(found.contains(expected), "found {found:?}, expected {expected:?}");
+        assert_reason(&archive(&entries, CompressionMethod::Stored), expected);
     }
 }
 
@@ -159,21 +155,21 @@ fn archives_that_are_damaged() {
     let entries = [("data.pkl", pickle.as_slice()), ("byteorder", b"little"), ("data/0", &[7; 256])];
     let whole = archive(&entries, CompressionMethod::Stored);
     for length in [4, 100, whole.len() / 2, whole.len() - 30] {
-        assert!(reason(&whole[..length]).contains("zip archive"), "{length}");
+        assert_reason(&whole[..length], "zip archive");
     }
     let mut flipped = whole.clone();
     let value = flipped.windows(256).position(|bytes| bytes == [7; 256]).unwrap();
     flipped[value] = 8;
-    assert!(reason(&flipped).contains("checksum"), "{}", reason(&flipped));
-    assert!(reason(&archive(&entries, CompressionMethod::Deflated)).contains("found compression"));
+    assert_reason(&flipped, "checksum");
+    assert_reason(&archive(&entries, CompressionMethod::Deflated), "found compression");
 
     let big = [("data.pkl", pickle.as_slice()), ("byteorder", b"big"), ("data/0", &[7; 256])];
-    assert!(reason(&archive(&big, CompressionMethod::Stored)).contains("byteorder: found \"big\""));
-    assert!(reason(&archive(&entries[1..], CompressionMethod::Stored)).contains("no entry data.pkl"));
+    assert_reason(&archive(&big, CompressionMethod::Stored), "byteorder: found \"big\"");
+    assert_reason(&archive(&entries[1..], CompressionMethod::Stored), "no entry data.pkl");
     let twice = model(&[("a", view.pickle()), ("module.a", view.pickle())]);
     let entries = [("data.pkl", twice.as_slice()), ("data/0", &[7; 256])];
-    assert!(reason(&archive(&entries, CompressionMethod::Stored)).contains("found twice"));
-    assert!(reason(&pickled(&model(&[("a", b"N".to_vec())]))).contains("no named tensor"));
+    assert_reason(&archive(&entries, CompressionMethod::Stored), "found twice");
+    assert_reason(&pickled(&model(&[("a", b"N".to_vec())])), "no named tensor");
 }
 
 /// Checking the bytes of each entry would be quadratic.
@@ -196,5 +192,5 @@ fn entries_that_share_bytes() {
             file.copy_within(from, record + field.start);
         }
     }
-    assert!(reason(&file).contains("into other entries"), "{}", reason(&file));
+    assert_reason(&file, "into other entries");
 }

@@ -104,9 +104,7 @@ impl Differentiator {
         let mut found = HostGradients::default();
         for (camera, weights) in cameras.iter().zip(weights) {
             let values = interleaved(camera, weights, &options)?;
-            let (of_camera, means2d) = self.add(camera, &options, &values, wanted)?;
-            found.cameras.extend(of_camera);
-            found.means2d.extend(means2d);
+            self.add(camera, &options, &values, wanted, &mut found)?;
         }
         if let (true, Some(memory)) = (wanted.scene, &self.memory) {
             found.scene = memory.gradients.read(&memory.resident)?;
@@ -134,7 +132,8 @@ impl Differentiator {
         options: &RenderOptions,
         weights: &[f32],
         wanted: Wanted,
-    ) -> Result<(Vec<[f32; CAMERA_NUMBERS]>, Vec<[f32; 2]>)> {
+        found: &mut HostGradients,
+    ) -> Result<()> {
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
         let shape = FrameShape { cameras: 1, width, height };
         let key = PlanKey { shape, backward: true, options: (*options, wanted) };
@@ -148,10 +147,13 @@ impl Differentiator {
             plan.run.execute()?;
             let needed = plan.outputs.needed(&plan.run)?;
             if let Some(plan) = self.plans.fitting(needed)? {
-                let cameras = plan.d_cameras.map_or(Ok(Vec::new()), |tensor| plan.run.read(tensor))?;
-                let Some(SplatGradients { conics, d_pairs }) = plan.d_splats else { return Ok((cameras, Vec::new())) };
-                let means2d = SplatGradients::means2d(&plan.run.read(conics)?, &plan.run.read(d_pairs)?);
-                return Ok((cameras, means2d));
+                if let Some(d_cameras) = plan.d_cameras {
+                    found.cameras.extend(plan.run.read::<[f32; CAMERA_NUMBERS]>(d_cameras)?);
+                }
+                if let Some(SplatGradients { conics, d_pairs }) = plan.d_splats {
+                    found.means2d.extend(SplatGradients::means2d(&plan.run.read(conics)?, &plan.run.read(d_pairs)?));
+                }
+                return Ok(());
             }
         }
     }

@@ -5,7 +5,6 @@ use crate::bound::half;
 
 #[derive(Clone, Copy, Debug)]
 pub enum Fault {
-    Zero,
     /// Ignores keys from this index on.
     KeysFrom(usize),
     Key(usize),
@@ -76,8 +75,7 @@ impl Problem {
             Fault::Padding => f64::NAN,
             _ => total,
         };
-        let zero = if matches!(fault, Fault::Zero) { 0.0 } else { 1.0 };
-        sums.iter().map(|sum| zero * sum / total).collect()
+        sums.iter().map(|sum| sum / total).collect()
     }
 
     fn counts(&self, key: usize, fault: Fault) -> bool {

@@ -133,7 +133,6 @@ impl case::Problem for Problem {
             shape.split(&mut trial.rec, input, 0, part, tensor);
         }
         let out = shape.record(&mut trial.rec, tensors).tensor;
-        trial.rec.output(out);
         trial.result_of(kernel.element(), out)
     }
 
@@ -167,6 +166,10 @@ impl case::Problem for Problem {
             // rounded, too.
             half => sums.and(Tolerance::sum_of_rounded(half, self.keys())).stored_in(half),
         }
+    }
+
+    fn zeros(&self, truth: &Truth) -> Option<Vec<f32>> {
+        Some(vec![0.0; truth.values.len()])
     }
 
     fn faulty(&self, truth: &Truth, fault: Fault, mode: Mode) -> Vec<Vec<f32>> {

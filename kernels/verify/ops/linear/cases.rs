@@ -12,7 +12,7 @@ const REASON: &str = "|error| <= gamma_(n+1) (|x| |W| + |b|) in every element, w
     numbers whose sums stay below 2^24 are added exactly in any order. The truth is that of the factors as the mode holds \
     them, 11 or 8 bits or 8-bit integers; sums of integers are exact, and only their scales are rounded";
 
-const SUMS: [Fault; 4] = [Zero, HalfSum, NeighbourColumn, NeighbourRow];
+const SUMS: [Fault; 3] = [HalfSum, NeighbourColumn, NeighbourRow];
 
 pub fn area() -> Area {
     let mut area = Area::new("ops/linear", "terms of a sum (K)", Mode::ALL, REASON);
@@ -26,14 +26,14 @@ pub fn area() -> Area {
     add("random", terms(), || random(588), 588);
     add("random", Catches::from(SUMS).and(&[TermsFrom(1504)]), || random(1536), 1536);
     // With many rounding terms, only whole numbers reveal 11-bit sums.
-    add("random", [Zero, NeighbourColumn, NeighbourRow, TermsFrom(3968)].into(), || random(4096), 4096);
-    let halves = [Zero, NeighbourColumn, NeighbourRow, TermsFrom(4096), TermsFrom(7680)];
+    add("random", [NeighbourColumn, NeighbourRow, TermsFrom(3968)].into(), || random(4096), 4096);
+    let halves = [NeighbourColumn, NeighbourRow, TermsFrom(4096), TermsFrom(7680)];
     add("random", halves.into(), || random(8192), 8192);
     let exact = || Catches::from(SUMS).and(&[LastTerm]);
     add("whole numbers", exact().and(&[TermsFrom(4095)]), || whole(4096), 4096);
     add("whole numbers", exact().and(&[TermsFrom(4096), TermsFrom(8191)]), || whole(8192), 8192);
     add("0 rows, 8 columns", [PastEnd].into(), || Problem::random(0, 12, 8), 12);
-    add("1 row, 1 column", [Zero, HalfSum, LastTerm, PastEnd].into(), || Problem::random(1, 12, 1), 12);
+    add("1 row, 1 column", [HalfSum, LastTerm, PastEnd].into(), || Problem::random(1, 12, 1), 12);
     let edges = || Catches::from(SUMS).and(&[LastRow, LastColumn, PastEnd]);
     add("33 rows, 5 columns", edges(), || Problem::random(33, 12, 5), 12);
     add("16 rows, 130 columns", edges(), || Problem::random(16, 12, 130), 12);
@@ -41,23 +41,23 @@ pub fn area() -> Area {
     let folded = || Problem::random(GROUP_FOLD as usize + 9, 4, 8);
     add("rows beyond a fold of workgroups", edges().and(&[Folded]), folded, 4);
     add("sums that cancel, condition 1e5", Catches::from(SUMS).and(&[LastTerm, AnyTerm]), cancelling, 512);
-    add("outlier channels of 1e4", [Zero, HalfSum, TermsFrom(900), NeighbourRow].into(), outliers, 1536);
+    add("outlier channels of 1e4", [HalfSum, TermsFrom(900), NeighbourRow].into(), outliers, 1536);
     add("one channel at a time", [AnyTerm, NeighbourColumn, NeighbourRow, HalfFactors].into(), || one_hot(68, 68), 68);
     let few = || Catches::from([AnyTerm, LastTerm, NeighbourColumn, NeighbourRow, HalfFactors]);
     add("every channel in a sum of 64", few(), || one_hot(4096, 64), 4096);
     add("every channel in a sum of 64", few(), || one_hot(8192, 128), 8192);
-    add("subnormal inputs", [Zero, NoBias].into(), || scaled(1e-40, Problem::random(5, 64, 40)), 64);
+    add("subnormal inputs", [NoBias].into(), || scaled(1e-40, Problem::random(5, 64, 40)), 64);
     add("sums beyond the largest f16", SUMS.into(), || scaled(1e4, Problem::random(5, 256, 40)), 256);
-    add("GELU", [Zero, NoActivation, NoBias, NeighbourColumn].into(), || gelu(Problem::random(21, 384, 64)), 384);
-    add("GELU of every value from -10 to 10", [Zero, HalfResult, NoActivation, TanhGelu].into(), || gelu(alone()), 4);
-    add("GELU far from zero", [Zero, HalfResult, NoActivation].into(), || gelu(far(12.0, 40)), 64);
-    add("SwiGLU", [Zero, NoActivation, NoBias, SwappedGate].into(), || swiglu(Problem::random(21, 384, 64)), 384);
-    let gated = || Catches::from([Zero, HalfResult, NoActivation]);
+    add("GELU", [NoActivation, NoBias, NeighbourColumn].into(), || gelu(Problem::random(21, 384, 64)), 384);
+    add("GELU of every value from -10 to 10", [HalfResult, NoActivation, TanhGelu].into(), || gelu(alone()), 4);
+    add("GELU far from zero", [HalfResult, NoActivation].into(), || gelu(far(12.0, 40)), 64);
+    add("SwiGLU", [NoActivation, NoBias, SwappedGate].into(), || swiglu(Problem::random(21, 384, 64)), 384);
+    let gated = || Catches::from([HalfResult, NoActivation]);
     add("SwiGLU of every value from -10 to 10", gated().and(&[SwappedGate]), || swiglu(alone()), 4);
     add("SwiGLU far from zero", gated().and(&[OverflowingExp]), || swiglu(far(60.0, 40)), 64);
-    let large = [Zero, HalfResult, OverflowingExp];
+    let large = [HalfResult, OverflowingExp];
     add("SwiGLU products beyond the largest f16", large.into(), || swiglu(far(1e3, 9)), 64);
-    let scaling = [Zero, NoScale, NoResidual, ScaledResidual, PastEnd];
+    let scaling = [NoScale, NoResidual, ScaledResidual, PastEnd];
     let scaled = || Problem { scaled: true, residual: Residual::InPlace, ..Problem::random(37, 384, 56) };
     add("layer scale and residual in place", scaling.into(), scaled, 384);
     area
@@ -87,7 +87,7 @@ pub(super) fn epilogues(problem: impl Fn() -> Problem) -> Vec<Problem> {
 
 /// Adds the epilogues of a sum that few results of 16-bit factors split.
 pub(super) fn add_split(area: &mut Area) {
-    area.sweep("split into parts", 3104, [Zero, PastEnd], || epilogues(|| Problem::exact(11, 3104, 40)));
+    area.sweep("split into parts", 3104, [PastEnd], || epilogues(|| Problem::exact(11, 3104, 40)));
 }
 
 /// Shapes around tiles, epilogues, and parts.
@@ -96,30 +96,30 @@ pub fn shapes() -> Area {
     for rows in [1, 7, 8, 9, 15, 16, 17, 31, 33, 65] {
         let columns = [1, 2, 3, 4, 5, 31, 32, 33, 63, 65, 127, 128, 129, 258];
         let make = move || columns.iter().flat_map(|&columns| variants(Problem::exact(rows, 12, columns))).collect();
-        area.sweep(format!("{rows} rows around tiles"), 12, [Zero, NoBias, PastEnd], make);
+        area.sweep(format!("{rows} rows around tiles"), 12, [NoBias, PastEnd], make);
     }
     for inner in [4, 8, 60, 64, 68, 128, 588, 1536, 4096, 6144] {
         let make = move || variants(Problem::exact(19, inner, 72)).into();
-        area.sweep("72 columns", inner, [Zero, NeighbourColumn, PastEnd], make);
+        area.sweep("72 columns", inner, [NeighbourColumn, PastEnd], make);
     }
     for columns in [4, 36, 132] {
         let make = move || epilogues(|| Problem::exact(21, 24, columns));
-        area.sweep(format!("epilogues of {columns} columns"), 24, [Zero, PastEnd], make);
+        area.sweep(format!("epilogues of {columns} columns"), 24, [PastEnd], make);
     }
     let parts = || {
         let limits: fn(&mut Limits) = |limits| limits.max_binding_bytes = 64 << 10;
         let all = epilogues(|| Problem::exact(1000, 64, 96)).into_iter();
         all.map(|problem| Problem { limits, ..problem }).collect()
     };
-    area.sweep("rows bound in parts", 64, [Zero, PastEnd], parts);
+    area.sweep("rows bound in parts", 64, [PastEnd], parts);
     let integers = || {
         let shapes = [(1, 8, 8), (7, 24, 32), (9, 72, 40), (33, 64, 136), (70, 96, 264), (3, 4096, 24), (130, 40, 72)];
         shapes.iter().flat_map(|&(rows, inner, columns)| variants(Problem::exact(rows, inner, columns))).collect()
     };
-    area.sweep("shapes of dot products", 8, [Zero, PastEnd], integers);
+    area.sweep("shapes of dot products", 8, [PastEnd], integers);
     let rows = LINEAR_ROWS as usize * 65_536 + 1;
     let many = move || Problem::exact(rows, 4, 4);
-    area.add("rows beyond the most workgroups", rows, [Zero, Folded, PastEnd], many);
+    area.add("rows beyond the most workgroups", rows, [Folded, PastEnd], many);
     add_split(&mut area);
     area
 }

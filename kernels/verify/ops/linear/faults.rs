@@ -9,7 +9,6 @@ use zipsplat_reference::ops::activation::{gelu, sigmoid};
 
 #[derive(Clone, Copy, Debug)]
 pub enum Fault {
-    Zero,
     HalfSum,
     HalfFactors,
     /// 8-bit integers truncated instead of rounded.
@@ -56,7 +55,6 @@ impl Problem {
         };
         let all = |held: &Held| self.finish(&self.sums(held, |x| x, |_| true));
         match fault {
-            Fault::Zero => vec![vec![0.0; truth.values.len()]],
             Fault::HalfSum => vec![self.finish(&self.sums(&truth.held, half, |_| true))],
             Fault::HalfFactors if mode == Mode::EXACT => vec![all(&Held::new(self, Mode::F16, f64::round_ties_even))],
             Fault::CutIntegers if self.factor(mode) == Element::I8 => vec![all(&Held::new(self, mode, f64::trunc))],

@@ -283,6 +283,11 @@ impl Problem {
         layer.record(&mut trial.rec, input, out_rows(out, output), epilogue);
         trial.result_of(output, out)
     }
+
+    fn guarded(&self, values: Vec<f64>) -> Vec<f32> {
+        let values = values.into_iter().map(|x| x as f32);
+        values.chain(vec![f32::from_bits(UNWRITTEN); self.guard()]).collect()
+    }
 }
 
 impl case::Problem for Problem {
@@ -325,14 +330,14 @@ impl case::Problem for Problem {
     }
 
     fn faulty(&self, truth: &Truth, fault: Fault, mode: Mode) -> Vec<Vec<f32>> {
-        let guarded = |values: Vec<f64>| {
-            let values = values.into_iter().map(|x| x as f32);
-            values.chain(vec![f32::from_bits(UNWRITTEN); self.guard()]).collect()
-        };
         match fault {
             Fault::PastEnd => vec![vec![0.0; truth.values.len() + self.guard()]],
-            _ => self.wrong(truth, fault, mode).into_iter().map(guarded).collect(),
+            _ => self.wrong(truth, fault, mode).into_iter().map(|values| self.guarded(values)).collect(),
         }
+    }
+
+    fn zeros(&self, truth: &Truth) -> Option<Vec<f32>> {
+        Some(self.guarded(vec![0.0; truth.values.len()]))
     }
 }
 

@@ -15,7 +15,6 @@ struct Problem(Vec<f32>);
 
 #[derive(Clone, Copy, Debug)]
 enum Fault {
-    Zero,
     HalfSums,
     Overwritten,
     LastRow,
@@ -53,7 +52,6 @@ impl Values for Problem {
 
     fn faulty(&self, truth: &[f64], fault: Fault) -> Vec<f64> {
         let one = |number: usize| match fault {
-            Fault::Zero => 0.0,
             Fault::HalfSums => self.terms(number).fold(f64::from(BEFORE), |sum, x| half(sum + x)),
             Fault::Overwritten => truth[number] - f64::from(BEFORE),
             Fault::LastRow => truth[number] - self.terms(number).last().unwrap_or(0.0),
@@ -65,7 +63,7 @@ impl Values for Problem {
 
 pub fn area() -> Area {
     use Fault::*;
-    let all = [Zero, HalfSums, Overwritten, LastRow, NeighbourNumber];
+    let all = [HalfSums, Overwritten, LastRow, NeighbourNumber];
     let noise = |rows: usize| move || Problem(Noise::new(rows as u64).values(rows * NUMBERS));
     let mut area = Area::new("render/cameras_backward", "rows", Mode::ONLY_EXACT, REASON);
     for rows in [1, 7, 129, 4097] {

@@ -39,7 +39,6 @@ struct Problem {
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Fault {
-    Zero,
     Unwritten,
     NothingBehind,
     NoBackground,
@@ -252,9 +251,7 @@ impl Values for Problem {
             expected_depth: false,
         };
         trial.rec.dispatch_groups(kernel, [columns as u32, rows as u32, 1]);
-        let run = trial.run()?;
-        let (moments, values) = (run.read::<[f32; 6]>(moments)?, run.read::<[f32; 4]>(d_values)?);
-        Ok(moments.iter().zip(&values).flat_map(|(moments, values)| [&moments[..], values].concat()).collect())
+        Ok(joined(&trial.results([moments, d_values])?, [6, 4]))
     }
 
     fn truth(&self, _: Mode) -> [Vec<f64>; 2] {
@@ -272,7 +269,6 @@ impl Values for Problem {
 
     fn faulty(&self, truth: &[f64], fault: Fault) -> Vec<f64> {
         match fault {
-            Fault::Zero => vec![0.0; truth.len()],
             Fault::Unwritten => vec![f64::NAN; truth.len()],
             Fault::NeighbourSplat => shifted(truth, tiles()[0] * tiles()[1] * VALUES),
             _ => self.slots(Some(fault)).iter().map(|slot| slot.value).collect(),
@@ -304,21 +300,21 @@ pub fn area() -> Area {
     let mut add = |name: &str, catches: Catches<Fault>, count: usize, change: fn(usize, &mut Splat)| {
         area.add(name, count, catches, move || Problem::new(splats(count, change)));
     };
-    let seen = || Catches::from([Zero, Unwritten, NoAlpha, NoDepth, NeighbourTile, LastPixelRow]);
+    let seen = || Catches::from([Unwritten, NoAlpha, NoDepth, NeighbourTile, LastPixelRow]);
     let many = || seen().and(&[NothingBehind, NoBackground, Unsheared, NeighbourSplat, FaintDrawn]);
     add("one", seen().and(&[NoBackground]), 1, |_, splat| splat.opacity = 0.8);
     add("random", many(), 10, |_, _| ());
     add("random", many(), 100, |_, _| ());
     // Thin, in any direction, from border to border.
     add("needles", many(), 40, |_, splat| splat.conic = [3.0, splat.conic[1], 1e-6]);
-    add("needles whose centre is 1e5 pixels off", [Zero, Unwritten, NothingBehind].into(), 20, |i, splat| {
+    add("needles whose centre is 1e5 pixels off", [Unwritten, NothingBehind].into(), 20, |i, splat| {
         splat.place[1] = if i % 2 == 0 { -1e5 } else { 1e5 };
         splat.conic = [3.0, 0.1 * splat.conic[1], 1e-11];
     });
-    add("opaque stacks", [Zero, Unwritten, NothingBehind, Unclamped, NeverStops].into(), 50, |_, splat| {
+    add("opaque stacks", [Unwritten, NothingBehind, Unclamped, NeverStops].into(), 50, |_, splat| {
         (splat.opacity, splat.conic) = (1.0, [1e-5, 0.0, 1e-5]);
     });
-    add("thousands on one pixel", [Zero, Unwritten, NothingBehind, NeverStops].into(), 4000, |i, splat| {
+    add("thousands on one pixel", [Unwritten, NothingBehind, NeverStops].into(), 4000, |i, splat| {
         splat.place = [20.3, 11.6];
         splat.conic = [0.3, 0.2, 0.3];
         splat.opacity = 0.006 + 0.001 * (i % 7) as f32;
