@@ -17,16 +17,16 @@ stage build cargo build --manifest-path "$root/Cargo.toml" --release -p zipsplat
 # Without COLMAP, zipsplat reports it as missing.
 command -v colmap > /dev/null || python3 -c 'import pycolmap' 2> /dev/null || apt_install colmap || true
 photos=("${@:-$root/tests/data/bananas}")
-stage 'cameras, scene and refinement' zipsplat reconstruct "${photos[@]}" --views $views --poses find \
-  --cameras-out "$out/photos/transforms.json" --refine=200 --refine-size ${side}x$side ${weights[@]+"${weights[@]}"} \
+stage 'cameras, scene and refinement' zipsplat reconstruct "${photos[@]}" --views $views --cameras colmap \
+  --cameras-out "$out/photos/transforms.json" --refine=200 --max-image-size ${side}x$side ${weights[@]+"${weights[@]}"} \
   --overwrite -o "$out/photos/scene.ply"
 stage render zipsplat render "$out/photos/scene.ply" --spline "$out/photos/transforms.json" --frames 12 \
   --overwrite -o "$out/photos"
-stage page zipsplat view "$out/photos/scene.ply" --poses "$out/photos/transforms.json" --overwrite -o "$out/photos/scene.html"
+stage page zipsplat view "$out/photos/scene.ply" --cameras "$out/photos/transforms.json" --overwrite -o "$out/photos/scene.html"
 say "a flight through the photos' cameras: $out/photos/contact.png; a page to look around in: $out/photos/scene.html; the scene: $out/photos/scene.ply"
 if [[ $# == 0 ]]; then
   stage 'photos of a place' zipsplat scene --seed $seed --views 16 -o "$out/place"
-  stage 'reconstruct and refine' zipsplat eval "$out/place" --views 8 --refine 100 --start scene ${weights[@]+"${weights[@]}"} -o "$out/place"
+  stage 'reconstruct and refine' zipsplat eval "$out/place" --views 8 --refine 100 --init scene ${weights[@]+"${weights[@]}"} -o "$out/place"
   stage render zipsplat render "$out/place/scene.ply" --wiggle --frames 8 --overwrite -o "$out/place"
   say "photos that it was not shown, what it drew in their place, and the nearest it was shown: $out/place/comparison.png"
 fi

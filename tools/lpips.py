@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Fetches the weights of LPIPS 0.1 (VGG16 and AlexNet) for `zipsplat compare` and `eval`.
+"""Fetches the weights of LPIPS 0.1 (VGG16 and AlexNet) for `zipsplat eval`.
 
 usage: tools/lpips.py [FOLDER]    FOLDER: $ZIPSPLAT_CACHE, or ~/.cache/zipsplat
 

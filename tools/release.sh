@@ -59,15 +59,16 @@ rm -f "$out"/zipsplat-* "$out"/libzipsplat-* "$out"/SHA256SUMS
 name=zipsplat-$version-$target
 mkdir -p "$work/$name"
 install -m 755 "$command" "$work/$name/"
-cp LICENSE README.md CHANGELOG.md tools/run-on-lavapipe tools/lavapipe.sh "$work/$name/"
-python3 tools/licenses.py zipsplat-cli "$target" "$work/$name/THIRD-PARTY-LICENCES.txt" "$out/$name.cdx.json"
+cp LICENSE README.md CHANGELOG.md tools/dev/run-on-lavapipe tools/dev/lavapipe.sh "$work/$name/"
+python3 tools/dev/licenses.py zipsplat-cli "$target" "$work/$name/THIRD-PARTY-LICENSES.txt" "$out/$name.cdx.json"
 archive "$name" "$work/$name"
+licenses=$work/$name/THIRD-PARTY-LICENSES.txt # The command's crates include the library's.
 
 name=libzipsplat-$version-$target
 ZIPSPLAT_LIBS=$built tools/install.sh "$work/$name" 2> /dev/null
 cp LICENSE "$work/$name/"
-python3 tools/licenses.py zipsplat-c "$target" "$work/$name/THIRD-PARTY-LICENCES.txt" "$out/$name.cdx.json"
+python3 tools/dev/licenses.py zipsplat-c "$target" "$work/$name/THIRD-PARTY-LICENSES.txt" "$out/$name.cdx.json"
 archive "$name" "$work/$name"
 
-ZIPSPLAT_LIBRARY=$built/$library ZIPSPLAT_LICENCES=$work/$name/THIRD-PARTY-LICENCES.txt engine/bindings/python/build.sh "$out" >&2
+ZIPSPLAT_LIBRARY=$built/$library ZIPSPLAT_COMMAND=$command ZIPSPLAT_LICENSES=$licenses engine/bindings/python/build.sh "$out" >&2
 (cd "$out" && sha256sum -- *.tar.gz *.whl *.cdx.json > SHA256SUMS && cat SHA256SUMS)

@@ -89,7 +89,7 @@ find_gpu() {
 # use_lavapipe VERSION SUITE: unpacks Debian's lavapipe, or falls back to the distribution's.
 use_lavapipe() {
   local prefix=$cache/lavapipe$1 version
-  if [[ $(uname -m) == x86_64 ]] && "$root/tools/lavapipe.sh" "$prefix" "$2"; then
+  if [[ $(uname -m) == x86_64 ]] && "$root/tools/dev/lavapipe.sh" "$prefix" "$2"; then
     export CARGO_TARGET_X86_64_UNKNOWN_LINUX_GNU_RUNNER=$prefix/run
     note "Vulkan on the CPU: $prefix"
     return
@@ -103,9 +103,9 @@ use_lavapipe() {
   note "Vulkan on the CPU: Mesa $version"
 }
 
-# use_driver NAME: selects the driver of tools/NAME.sh with lavapipe's loader and layers.
+# use_driver NAME: selects the driver of tools/dev/NAME.sh with lavapipe's loader and layers.
 use_driver() {
-  "$root/tools/$1.sh" "$cache/$1" "$cache/lavapipe26" || die "no $1"
+  "$root/tools/dev/$1.sh" "$cache/$1" "$cache/lavapipe26" || die "no $1"
   export CARGO_TARGET_X86_64_UNKNOWN_LINUX_GNU_RUNNER=$cache/$1/run
   note "Vulkan on the CPU: $cache/$1"
 }

@@ -26,31 +26,31 @@ int main(int argc, char **argv) {
     const size_t count = (size_t)argc - 4;
     zs_device *device = NULL;
     zs_model *model = NULL;
+    zs_reconstruction *reconstruction = NULL;
     zs_scene *scene = NULL;
     zs_image_buffer *photos[MAX_PHOTOS] = {NULL};
     zs_image images[MAX_PHOTOS];
-    zs_camera cameras[MAX_PHOTOS];
-    uint32_t inliers[MAX_PHOTOS], patches[MAX_PHOTOS];
     FILE *file = NULL;
 
     CHECK(zs_device_create(NULL, &device));
     CHECK(zs_model_load(device, argv[1], NULL, &model));
     for (size_t i = 0; i < count; i++) {
         images[i] = ZS_INIT(zs_image);
-        cameras[i] = ZS_INIT(zs_camera);
         CHECK(zs_image_buffer_open(argv[4 + i], &photos[i]));
         CHECK(zs_image_buffer_get_image(photos[i], &images[i]));
     }
-    CHECK(zs_reconstruct(model, images, count, NULL, &scene));
+    CHECK(zs_reconstruct(model, images, count, NULL, &reconstruction));
+    CHECK(zs_reconstruction_to_scene(reconstruction, &scene));
     CHECK(zs_scene_save(scene, argv[2], NULL));
-    CHECK(zs_scene_cameras(scene, cameras, inliers, patches, count));
     if (!(file = fopen(argv[3], "w"))) {
         perror(argv[3]);
         goto done;
     }
     for (size_t i = 0; i < count; i++) {
-        const zs_camera *camera = &cameras[i];
-        printf("%s: %u of %u patches agree%s\n", argv[4 + i], inliers[i], patches[i], camera->width ? "" : ": no camera");
+        zs_camera_estimate found = ZS_INIT(zs_camera_estimate);
+        CHECK(zs_reconstruction_estimate_camera(reconstruction, i, &found));
+        const zs_camera none = ZS_INIT(zs_camera), *camera = found.camera ? found.camera : &none;
+        printf("%s: %u of %u patches agree%s\n", argv[4 + i], found.inliers, found.patches, found.camera ? "" : ": no camera");
         fprintf(file, "%.17g %.17g %.17g %.17g", camera->fx, camera->fy, camera->cx, camera->cy);
         for (int k = 0; k < 9; k++) fprintf(file, " %.17g", camera->rotation[k]);
         for (int k = 0; k < 3; k++) fprintf(file, " %.17g", camera->translation[k]);
@@ -61,6 +61,7 @@ int main(int argc, char **argv) {
 done:
     for (size_t i = 0; i < count; i++) zs_image_buffer_destroy(photos[i]);
     zs_scene_destroy(scene);
+    zs_reconstruction_destroy(reconstruction);
     zs_model_destroy(model);
     zs_device_destroy(device);
     if (file && fclose(file)) result = EXIT_FAILURE;

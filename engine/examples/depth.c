@@ -26,7 +26,7 @@ static FILE *create(const char *prefix, const char *name) {
 }
 
 /* A portable float map: rows bottom-up; scale -1 means little-endian. */
-static int save_depth(const char *prefix, size_t index, const zs_depth_view *view) {
+static int save_depth(const char *prefix, size_t index, const zs_depth_map *view) {
     char name[32];
     snprintf(name, sizeof name, "%zu.pfm", index);
     FILE *file = create(prefix, name);
@@ -69,14 +69,14 @@ int main(int argc, char **argv) {
     CHECK(zs_depth_predict(model, images, count, NULL, &depths));
     if (!(cameras = create(argv[2], "cameras.txt"))) goto done;
     for (size_t i = 0; i < count; i++) {
-        zs_depth_view view = ZS_INIT(zs_depth_view);
-        zs_camera camera = ZS_INIT(zs_camera);
-        CHECK(zs_depth_result_get(depths, i, &view, &camera));
+        zs_depth_map view = ZS_INIT(zs_depth_map);
+        const zs_camera none = ZS_INIT(zs_camera);
+        CHECK(zs_depth_result_get_map(depths, i, &view));
         const size_t middle = (size_t)view.height / 2 * view.width + view.width / 2;
         printf("%s: %ux%u, depth %g in the middle", argv[3 + i], view.width, view.height, view.depth[middle]);
         if (view.confidence) printf(", confidence %g", view.confidence[middle]);
-        printf(camera.width ? "\n" : ", no camera\n");
-        save_camera(cameras, &camera);
+        printf(view.camera ? "\n" : ", no camera\n");
+        save_camera(cameras, view.image_camera ? view.image_camera : &none);
         if (!save_depth(argv[2], i, &view)) goto done;
     }
     result = EXIT_SUCCESS;

@@ -17,10 +17,10 @@
 
 enum { SIDE = 256, MAX_PHOTOS = 192 };
 
-static int32_t show(void *user_data, double fraction, const char *stage) {
+static zs_progress_action show(void *user_data, const zs_progress *progress) {
     (void)user_data;
-    fprintf(stderr, "%3.0f %% %s\n", 100 * fraction, stage);
-    return 0; /* anything else cancels */
+    fprintf(stderr, "%3.0f %% %s\n", 100 * progress->fraction, progress->stage);
+    return ZS_CONTINUE; /* ZS_CANCEL cancels */
 }
 
 int main(int argc, char **argv) {
@@ -32,6 +32,7 @@ int main(int argc, char **argv) {
     const size_t count = (size_t)argc - 4;
     zs_device *device = NULL;
     zs_model *model = NULL;
+    zs_reconstruction *reconstruction = NULL;
     zs_scene *scene = NULL;
     zs_renderer *renderer = NULL;
     zs_image_buffer *photos[MAX_PHOTOS] = {NULL};
@@ -47,7 +48,8 @@ int main(int argc, char **argv) {
     }
     zs_reconstruct_options options = ZS_INIT(zs_reconstruct_options);
     options.progress = show;
-    CHECK(zs_reconstruct(model, images, count, &options, &scene));
+    CHECK(zs_reconstruct(model, images, count, &options, &reconstruction));
+    CHECK(zs_reconstruction_to_scene(reconstruction, &scene));
     CHECK(zs_scene_save(scene, argv[2], NULL));
 
     /* At the first photo's camera, the world's origin, with a field of view of 60 degrees. */
@@ -55,7 +57,8 @@ int main(int argc, char **argv) {
     camera.fx = camera.fy = 0.866 * SIDE, camera.cx = camera.cy = 0.5 * SIDE;
     zs_render_buffers picture = ZS_INIT(zs_render_buffers);
     picture.pixels = pixels;
-    CHECK(zs_renderer_create(device, scene, &renderer));
+    CHECK(zs_renderer_create(device, NULL, &renderer));
+    CHECK(zs_renderer_set_reconstruction(renderer, reconstruction)); /* without a copy to the host */
     CHECK(zs_render(renderer, &camera, &picture, 1, NULL));
     zs_image drawn = {sizeof drawn, ZS_PIXEL_RGBA8, SIDE, SIDE, 0, pixels};
     CHECK(zs_image_save_png(&drawn, argv[3]));
@@ -67,6 +70,7 @@ done:
     }
     zs_renderer_destroy(renderer);
     zs_scene_destroy(scene);
+    zs_reconstruction_destroy(reconstruction);
     zs_model_destroy(model);
     zs_device_destroy(device);
     free(pixels);

@@ -35,10 +35,11 @@ using Handle = std::unique_ptr<T, Destroy<T, destroy>>;
 using Device = Handle<zs_device, zs_device_destroy>;
 using Model = Handle<zs_model, zs_model_destroy>;
 using Photo = Handle<zs_image_buffer, zs_image_buffer_destroy>;
+using Reconstruction = Handle<zs_reconstruction, zs_reconstruction_destroy>;
 using Scene = Handle<zs_scene, zs_scene_destroy>;
 using Renderer = Handle<zs_renderer, zs_renderer_destroy>;
 
-// make<Scene>(zs_scene_open, "scene.ply") calls a constructor with an output argument.
+// make<Scene>(zs_scene_open, "scene.ply", nullptr) calls a constructor with an output argument.
 template <class H, class Function, class... Arguments>
 H make(Function function, Arguments... arguments) {
     typename H::pointer object = nullptr;
@@ -92,7 +93,9 @@ int main(int argc, char **argv) try {
         images.push_back(ZS_INIT(zs_image));
         zs::check(zs_image_buffer_get_image(photos.back().get(), &images.back()));
     }
-    const auto scene = zs::make<zs::Scene>(zs_reconstruct, model.get(), images.data(), images.size(), nullptr);
+    const auto reconstruction =
+        zs::make<zs::Reconstruction>(zs_reconstruct, model.get(), images.data(), images.size(), nullptr);
+    const auto scene = zs::make<zs::Scene>(zs_reconstruction_to_scene, reconstruction.get());
     zs::check(zs_scene_save(scene.get(), argv[2], nullptr));
     zs::draw(device.get(), scene.get(), 256, argv[3]);
 

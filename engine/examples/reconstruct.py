@@ -39,7 +39,7 @@ class Camera(Sized):
 
 
 class Picture(Sized):
-    _fields_ = fields(reserved=u32, stride=i64, pixels=pointer, alpha=pointer, depth=pointer)
+    _fields_ = fields(reserved=u32, stride=i64, pixels=pointer, alpha=pointer, depth=pointer, normals=pointer)
 
 
 class Gaussians(Sized):
@@ -98,7 +98,8 @@ def reconstruct(model, pictures, ratio=1.0):
         for p in pictures))
     options = ReconstructOptions(ratio=ratio)
     count = ctypes.c_size_t(len(pictures))
-    return Object("scene", "zs_reconstruct", model.handle, images, count, ctypes.byref(options))
+    made = Object("reconstruction", "zs_reconstruct", model.handle, images, count, ctypes.byref(options))
+    return Object("scene", "zs_reconstruction_to_scene", made.handle)
 
 
 def draw(device, scene, side):

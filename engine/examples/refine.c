@@ -21,10 +21,10 @@
 
 enum { MAX_PHOTOS = 1000 };
 
-static int32_t show(void *user_data, const zs_refining *now) {
+static zs_progress_action show(void *user_data, const zs_progress *now) {
     (void)user_data;
-    fprintf(stderr, "step %u of %u, loss %.4f, %.0f s left\n", now->step, now->steps, now->loss, now->eta_seconds);
-    return 0; /* anything else stops: the best scene so far is handed out */
+    fprintf(stderr, "step %zu of %zu, loss %.4f, %.0f s left\n", now->step, now->steps, now->loss, now->eta_seconds);
+    return ZS_CONTINUE; /* ZS_STOP ends with the best scene so far */
 }
 
 static int read_camera(FILE *file, const zs_image *photo, zs_camera *camera) {
@@ -49,6 +49,7 @@ int main(int argc, char **argv) {
     const size_t count = (size_t)argc - 4;
     zs_device *device = NULL;
     zs_model *model = NULL;
+    zs_reconstruction *reconstruction = NULL;
     zs_scene *scene = NULL, *sharp = NULL;
     static zs_image_buffer *photos[MAX_PHOTOS];
     static zs_image images[MAX_PHOTOS];
@@ -66,6 +67,7 @@ int main(int argc, char **argv) {
         }
     }
     zs_refine_options options = ZS_INIT(zs_refine_options);
+    zs_refine_result info = ZS_INIT(zs_refine_result);
     options.progress = show;
     if (strstr(argv[1], ".safetensors")) {
         zs_model_options of_model = ZS_INIT(zs_model_options);
@@ -73,13 +75,13 @@ int main(int argc, char **argv) {
         CHECK(zs_model_load(device, argv[1], &of_model, &model));
         zs_reconstruct_options of_scene = ZS_INIT(zs_reconstruct_options);
         of_scene.cameras = cameras, of_scene.camera_count = count;
-        CHECK(zs_reconstruct(model, images, count, &of_scene, &scene));
+        CHECK(zs_reconstruct(model, images, count, &of_scene, &reconstruction));
         options.target = ZS_REFINE_TARGET_TOKENS;
+        CHECK(zs_refine_reconstruction(reconstruction, images, cameras, count, &options, &info, &sharp));
     } else {
-        CHECK(zs_scene_open(argv[1], &scene));
+        CHECK(zs_scene_open(argv[1], NULL, &scene));
+        CHECK(zs_refine_scene(device, scene, images, cameras, count, &options, &info, &sharp));
     }
-    zs_refine_result info = ZS_INIT(zs_refine_result);
-    CHECK(zs_refine(device, scene, images, cameras, count, &options, &info, &sharp));
     CHECK(zs_scene_save(sharp, argv[3], NULL));
     printf("%u steps in %.1f s: loss %.4f to %.4f; kept is step %u", info.steps, info.seconds, info.initial_loss,
            info.final_loss, info.best_step);
@@ -92,6 +94,7 @@ done:
     for (size_t i = 0; i < count; i++) zs_image_buffer_destroy(photos[i]);
     zs_scene_destroy(sharp);
     zs_scene_destroy(scene);
+    zs_reconstruction_destroy(reconstruction);
     zs_model_destroy(model);
     zs_device_destroy(device);
     if (file) fclose(file);

@@ -2,7 +2,7 @@
 
 use crate::calls::*;
 use std::{
-    ffi::{CStr, c_char, c_void},
+    ffi::{CStr, c_void},
     ptr::{dangling_mut, null, null_mut},
     sync::atomic::{AtomicU32, Ordering},
     thread::{self, ThreadId},
@@ -24,9 +24,8 @@ fn null_is_refused_everywhere() {
         unsafe { zs_image_save_png(null(), null()) },
         unsafe { zs_scene_get_gaussians(null(), null_mut()) },
         unsafe { zs_scene_create(null(), null_mut()) },
-        unsafe { zs_scene_open(null(), null_mut()) },
-        unsafe { zs_scene_open_dropping_invalid(null(), null_mut(), null_mut()) },
-        unsafe { zs_scene_from_memory(null(), 0, null(), null_mut(), null_mut()) },
+        unsafe { zs_scene_open(null(), null(), null_mut()) },
+        unsafe { zs_scene_from_memory(null(), 0, null(), null_mut()) },
         unsafe { zs_scene_to_memory(null(), null(), null(), null_mut()) },
         unsafe { zs_blob_get(null(), null_mut(), null_mut()) },
         unsafe { zs_scene_save(null(), null(), null()) },
@@ -35,8 +34,15 @@ fn null_is_refused_everywhere() {
         unsafe { zs_model_get_info(null(), null_mut()) },
         unsafe { zs_reconstruct(null(), null(), 0, null(), null_mut()) },
         unsafe { zs_renderer_create(null(), null(), null_mut()) },
-        unsafe { zs_renderer_set_scene(null(), null()) },
+        unsafe { zs_renderer_set_scene(null_mut(), null()) },
+        unsafe { zs_renderer_set_reconstruction(null_mut(), null()) },
+        unsafe { zs_renderer_update_gaussians(null_mut(), null()) },
         unsafe { zs_render(null(), null(), null(), 0, null()) },
+        unsafe { zs_reconstruction_get_info(null(), null_mut()) },
+        unsafe { zs_reconstruction_to_scene(null(), null_mut()) },
+        unsafe { zs_reconstruction_estimate_camera(null(), 0, null_mut()) },
+        unsafe { zs_scene_get_info(null(), null_mut()) },
+        unsafe { zs_scene_from_points(null(), null(), 0, null(), 0, null_mut()) },
         unsafe { zs_vulkan_requirements(null_mut(), null_mut()) },
         unsafe { zs_device_from_vulkan(null(), null_mut()) },
         unsafe { zs_render_to_vulkan(null(), null(), null(), null()) },
@@ -51,6 +57,7 @@ fn null_is_refused_everywhere() {
         zs_blob_destroy(null_mut());
         zs_model_destroy(null_mut());
         zs_scene_destroy(null_mut());
+        zs_reconstruction_destroy(null_mut());
         zs_renderer_destroy(null_mut());
     }
 }
@@ -61,7 +68,7 @@ fn failures_leave_null_behind() {
     let text = c_string("no such file");
     let mut scene = dangling_mut();
     // SAFETY: a string, an output pointer.
-    fails(unsafe { zs_scene_open(text.as_ptr(), &mut scene) }, ZS_ERROR_IO, &["no such file"]);
+    fails(unsafe { zs_scene_open(text.as_ptr(), null(), &mut scene) }, ZS_ERROR_IO, &["no such file"]);
     assert!(scene.is_null());
     let mut model = dangling_mut();
     // SAFETY: a live device, bytes of that length, an output pointer.
@@ -162,8 +169,11 @@ fn memory_can_be_limited() {
     assert!(model.is_null());
 }
 
-unsafe extern "C" fn stop_at_third(calls: *mut c_void, fraction: f64, stage: *const c_char) -> i32 {
+unsafe extern "C" fn stop_at_third(calls: *mut c_void, progress: *const zs_progress) -> i32 {
+    // SAFETY: the library's structure.
+    let zs_progress { struct_size, fraction, stage, .. } = unsafe { *progress };
     assert!((0.0..=1.0).contains(&fraction) && !stage.is_null());
+    assert_eq!(struct_size as usize, size_of::<zs_progress>());
     // SAFETY: the counter of the calling test.
     let calls = unsafe { &*calls.cast::<AtomicU32>() };
     (calls.fetch_add(1, Ordering::Relaxed) == 2).into()
@@ -206,9 +216,10 @@ struct CallLog {
     thread: ThreadId,
 }
 
-unsafe extern "C" fn listen(log: *mut c_void, fraction: f64, stage: *const c_char) -> i32 {
-    // SAFETY: owned by the test, which waits for the call.
-    let (log, stage) = unsafe { (&mut *log.cast::<CallLog>(), CStr::from_ptr(stage)) };
+unsafe extern "C" fn listen(log: *mut c_void, progress: *const zs_progress) -> i32 {
+    // SAFETY: owned by the test, which waits for the call; the library's structure and string.
+    let (log, fraction, stage) =
+        unsafe { (&mut *log.cast::<CallLog>(), (*progress).fraction, CStr::from_ptr((*progress).stage)) };
     assert_eq!(log.thread, thread::current().id());
     log.stages.push((fraction, stage.to_str().expect("UTF-8").to_owned()));
     (log.stages.len() == log.most).into()
@@ -242,11 +253,11 @@ fn what_cannot_be_reconstructed_is_refused() {
     let image = image_of(&photos[0]);
     let options = reconstruct_options();
     let refused = |images: &[zs_image], count: usize, options: &zs_reconstruct_options, words: &[&str]| {
-        let mut scene = dangling_mut();
+        let mut made = dangling_mut();
         // SAFETY: oversized counts are rejected unread.
-        let status = unsafe { zs_reconstruct(model.handle, images.as_ptr(), count, options, &mut scene) };
+        let status = unsafe { zs_reconstruct(model.handle, images.as_ptr(), count, options, &mut made) };
         fails(status, ZS_ERROR_ARGUMENT, words);
-        assert!(scene.is_null());
+        assert!(made.is_null());
     };
     for count in [0, 193, usize::MAX, usize::MAX / 32 + 2] {
         refused(&[image], count, &options, &["images"]);
@@ -265,7 +276,7 @@ fn what_cannot_be_reconstructed_is_refused() {
         refused(&[image], 1, &zs_reconstruct_options { ratio, ..options }, &["ratio"]);
     }
     for scene_scale in [-1.0, 1e-50, 1e50, f64::NAN, f64::INFINITY] {
-        refused(&[image], 1, &zs_reconstruct_options { scene_scale, ..options }, &["scene_scale", "length"]);
+        refused(&[image], 1, &zs_reconstruct_options { scene_scale, ..options }, &["scene scale", "length"]);
     }
     for input_size in [[14, 0], [15, 14], [u32::MAX, 14], [1 << 31, 1 << 31], [14 * 4096, 14 * 4096]] {
         refused(&[image], 1, &zs_reconstruct_options { input_size, ..options }, &["size of the views"]);
@@ -276,7 +287,7 @@ fn what_cannot_be_reconstructed_is_refused() {
     refused(&[image], 1, &zs_reconstruct_options { camera_count: 1, ..options }, &["cameras", "NULL"]);
     let cameras = [camera(SIDE, SIDE, f64::NAN); 2];
     let posed = zs_reconstruct_options { cameras: cameras.as_ptr(), camera_count: 2, ..options };
-    refused(&[image], 1, &posed, &["number of cameras"]);
+    refused(&[image], 1, &posed, &["cameras", "found 2"]);
     refused(&[image], 1, &zs_reconstruct_options { camera_count: 1, ..posed }, &["camera 0", "translation"]);
 }
 

@@ -144,17 +144,35 @@ pub fn reconstruct(
     images: &[zs_image],
     options: &zs_reconstruct_options,
 ) -> Object<zs_scene> {
-    made(try_reconstruct(model, images, options))
+    to_scene(&made(try_reconstruct(model, images, options)))
 }
 
 pub fn try_reconstruct(
     model: &Object<zs_model>,
     images: &[zs_image],
     options: &zs_reconstruct_options,
-) -> Result<Object<zs_scene>, zs_status> {
+) -> Result<Object<zs_reconstruction>, zs_status> {
     // SAFETY: live objects, full arrays.
     let make = |out| unsafe { zs_reconstruct(model.handle, images.as_ptr(), images.len(), options, out) };
-    Object::try_new(zs_scene_destroy, make)
+    Object::try_new(zs_reconstruction_destroy, make)
+}
+
+pub fn to_scene(reconstruction: &Object<zs_reconstruction>) -> Object<zs_scene> {
+    made(try_to_scene(reconstruction))
+}
+
+pub fn try_to_scene(reconstruction: &Object<zs_reconstruction>) -> Result<Object<zs_scene>, zs_status> {
+    // SAFETY: a live object, an output pointer.
+    Object::try_new(zs_scene_destroy, |out| unsafe { zs_reconstruction_to_scene(reconstruction.handle, out) })
+}
+
+pub fn open_scene(
+    path: impl AsRef<std::path::Path>,
+    options: &zs_scene_open_options,
+) -> Result<Object<zs_scene>, zs_status> {
+    let path = c_string(path.as_ref().to_str().expect("UTF-8"));
+    // SAFETY: a string, options, an output pointer.
+    Object::try_new(zs_scene_destroy, |out| unsafe { zs_scene_open(path.as_ptr(), options, out) })
 }
 
 pub fn renderer(device: &Object<zs_device>, scene: &Object<zs_scene>) -> Object<zs_renderer> {

@@ -5,69 +5,78 @@ use crate::{
     header::root,
     installation::{Linking, installation, runner, success},
 };
-use std::{
-    ops::ControlFlow,
-    ptr::{null, null_mut},
-};
+use std::ops::ControlFlow;
 use zipsplat::reconstruct::{Model, ReconstructOptions};
 use zipsplat_c::{zs_status::*, *};
-use zipsplat_tests::{device::device as rust_device, scenes::random_scene};
+use zipsplat_tests::device::device as rust_device;
 
 #[test]
 fn cameras_are_those_of_rust() {
     let photos = photos(3);
     let images: Vec<zs_image> = photos.iter().map(image_of).collect();
     let device = open_device();
-    let scene = reconstruct(&model(&device), &images, &reconstruct_options());
-    let (mut cameras, mut inliers, mut patches) = ([zs_camera::new(); 3], [9; 3], [9; 3]);
+    let reconstruction = made(try_reconstruct(&model(&device), &images, &reconstruct_options()));
     let rust = Model::from_checkpoint(rust_device(), &checkpoint(), |_| ControlFlow::Continue(())).expect("a model");
-    let made = rust
+    let expected = rust
         .reconstruct_views(&photos, &ReconstructOptions::default(), |_| ControlFlow::Continue(()))
         .expect("a scene");
-    let found = made.cameras(&made.to_scene().expect("Gaussians"), None).expect("its own scene");
+    let found = expected.cameras(&expected.to_scene().expect("Gaussians"), None).expect("its own scene");
     assert!(found.iter().any(Result::is_ok), "{found:?}");
-    // SAFETY: a live scene, and one array element per photo.
-    let status =
-        unsafe { zs_scene_cameras(scene.handle, cameras.as_mut_ptr(), inliers.as_mut_ptr(), patches.as_mut_ptr(), 3) };
-    ok(status);
+    let mut estimate = zs_camera_estimate::new();
     for (i, found) in found.iter().enumerate() {
+        // SAFETY: a live object and a structure of its size; a camera of the live object, or NULL.
+        let camera = unsafe {
+            ok(zs_reconstruction_estimate_camera(reconstruction.handle, i, &mut estimate));
+            estimate.camera.as_ref()
+        };
         let Ok(found) = found else {
-            assert_eq!((cameras[i].width, inliers[i], patches[i]), (0, 0, 0));
+            assert!(camera.is_none() && (estimate.inliers, estimate.patches) == (0, 0));
             continue;
         };
-        assert_eq!((inliers[i] as usize, patches[i] as usize), (found.inliers, found.pairs));
+        let camera = camera.expect("the estimate's");
+        assert_eq!((estimate.inliers as usize, estimate.patches as usize), (found.inliers, found.pairs));
         let (lens, pose) = (found.camera.intrinsics, found.camera.pose);
-        assert_eq!((cameras[i].width, cameras[i].height, cameras[i].fx, cameras[i].cy), (SIDE, SIDE, lens.fx, lens.cy));
-        assert_eq!(cameras[i].rotation, pose.rotation.transpose().to_cols_array());
-        assert_eq!(cameras[i].translation, pose.translation.to_array());
+        assert_eq!((camera.width, camera.height, camera.fx, camera.cy), (SIDE, SIDE, lens.fx, lens.cy));
+        assert_eq!(camera.rotation, pose.rotation.transpose().to_cols_array());
+        assert_eq!(camera.translation, pose.translation.to_array());
     }
+    let mut info = zs_reconstruction_info::new();
     // SAFETY: as above.
     unsafe {
-        ok(zs_scene_cameras(scene.handle, cameras.as_mut_ptr(), null_mut(), null_mut(), 3));
-        let refused = |cameras, count, words: &[&str]| {
-            fails(zs_scene_cameras(scene.handle, cameras, null_mut(), null_mut(), count), ZS_ERROR_ARGUMENT, words);
-        };
-        refused(cameras.as_mut_ptr(), 2, &["number of cameras", "found 2", "3, one a photo"]);
-        refused(null_mut(), 3, &["cameras", "NULL"]);
-        cameras[1].struct_size = 12;
-        refused(cameras.as_mut_ptr(), 3, &["zs_camera", "struct_size"]);
-        let none = zs_scene_cameras(null(), cameras.as_mut_ptr(), null_mut(), null_mut(), 3);
-        fails(none, ZS_ERROR_ARGUMENT, &["scene", "NULL"]);
+        ok(zs_reconstruction_get_info(reconstruction.handle, &mut info));
+        let status = zs_reconstruction_estimate_camera(reconstruction.handle, 3, &mut estimate);
+        fails(status, ZS_ERROR_ARGUMENT, &["number of a photo", "below 3"]);
+        estimate.struct_size = 12;
+        let status = zs_reconstruction_estimate_camera(reconstruction.handle, 0, &mut estimate);
+        fails(status, ZS_ERROR_ARGUMENT, &["zs_camera_estimate", "struct_size"]);
     }
+    assert_eq!(
+        (info.view_count, info.token_count, info.gaussian_count),
+        (3, expected.tokens, expected.gaussians.len())
+    );
 }
 
 #[test]
-fn scenes_of_files_have_no_photos() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let path = folder.path().join("scene.ply");
-    zipsplat::types::write_ply(&random_scene(20, 0, 0.1), &path).expect("a scene can be written");
-    let path = std::ffi::CString::new(path.to_str().expect("UTF-8")).expect("no NUL");
-    // SAFETY: a path, an output pointer.
-    let scene = Object::new(zs_scene_destroy, |out| unsafe { zs_scene_open(path.as_ptr(), out) });
-    let mut camera = zs_camera::new();
-    // SAFETY: a live scene, and one camera.
-    let status = unsafe { zs_scene_cameras(scene.handle, &mut camera, null_mut(), null_mut(), 1) };
-    fails(status, ZS_ERROR_ARGUMENT, &["scene to find cameras of", "without cameras"]);
+fn known_cameras_are_not_estimated_and_an_estimated_scale_is_a_warning() {
+    let (device, photos) = (open_device(), photos(2));
+    let images: Vec<zs_image> = photos.iter().map(image_of).collect();
+    let cameras = [camera(SIDE, SIDE, 0.0), camera(SIDE, SIDE, 0.5)];
+    let posed = zs_reconstruct_options {
+        cameras: cameras.as_ptr(),
+        camera_count: 2,
+        input_size: [SIDE; 2],
+        ..Versioned::new()
+    };
+    let reconstruction = made(try_reconstruct(&model(&device), &images, &posed));
+    let (mut estimate, mut info) = (zs_camera_estimate::new(), zs_reconstruction_info::new());
+    // SAFETY: a live object and structures of their size; text of the live object.
+    let warnings = unsafe {
+        let status = zs_reconstruction_estimate_camera(reconstruction.handle, 0, &mut estimate);
+        fails(status, ZS_ERROR_ARGUMENT, &["camera"]);
+        ok(zs_reconstruction_get_info(reconstruction.handle, &mut info));
+        std::ffi::CStr::from_ptr(info.warnings).to_str().expect("UTF-8")
+    };
+    assert!(warnings.starts_with("scene scale 0.") && warnings.lines().count() == 1, "{warnings}");
 }
 
 /// The refinement example can read the cameras of this one.

@@ -51,6 +51,9 @@ fn open(path: &Path) -> Object<zs_capture> {
 }
 
 fn text(pointer: *const c_char) -> String {
+    if pointer.is_null() {
+        return String::new();
+    }
     // SAFETY: a string of a live capture.
     unsafe { CStr::from_ptr(pointer) }.to_str().expect("UTF-8").to_owned()
 }
@@ -63,17 +66,20 @@ struct Contents {
 }
 
 fn all(capture: &Object<zs_capture>) -> Contents {
-    let (mut count, mut notes) = (0, null());
-    // SAFETY: a live object, and output pointers.
-    ok(unsafe { zs_capture_get_count(capture.handle, &mut count, &mut notes) });
-    let mut contents = Contents { cameras: Vec::new(), names: Vec::new(), paths: Vec::new(), notes: text(notes) };
-    for i in 0..count {
-        let (mut camera, mut name, mut path) = (camera(1, 1, 0.0), null(), null());
-        // SAFETY: as above.
-        ok(unsafe { zs_capture_get(capture.handle, i, &mut camera, &mut name, &mut path) });
-        contents.cameras.push(camera);
-        contents.names.push(text(name));
-        contents.paths.push(text(path));
+    let mut info = zs_capture_info::new();
+    // SAFETY: a live object and a structure of its size.
+    ok(unsafe { zs_capture_get_info(capture.handle, &mut info) });
+    let notes = text(info.warnings);
+    let mut contents = Contents { cameras: Vec::new(), names: Vec::new(), paths: Vec::new(), notes };
+    for i in 0..info.view_count {
+        let mut view = zs_capture_view::new();
+        // SAFETY: as above; a camera of a live capture.
+        contents.cameras.push(unsafe {
+            ok(zs_capture_get_view(capture.handle, i, &mut view));
+            *view.camera
+        });
+        contents.names.push(text(view.name));
+        contents.paths.push(text(view.path));
     }
     contents
 }
@@ -160,6 +166,39 @@ fn the_unit_is_found_from_the_capture() {
 }
 
 #[test]
+fn captures_of_arrays_are_written_and_read() {
+    let folder = tempfile::tempdir().expect("a folder");
+    photos(1)[0].save_png(folder.path().join("a.png")).expect("a photo can be written");
+    let cameras = [camera(SIDE, SIDE, 0.25), camera(SIDE, SIDE, -0.5)];
+    let names = [c"a.png", c"b.png"];
+    let view =
+        |(camera, name): (&zs_camera, &CStr)| zs_capture_view { name: name.as_ptr(), camera, ..Versioned::new() };
+    let views: Vec<_> = cameras.iter().zip(names).map(view).collect();
+    let create = |views: &[zs_capture_view]| {
+        // SAFETY: a full array of strings and cameras, an output pointer.
+        Object::try_new(zs_capture_destroy, |out| unsafe { zs_capture_create(views.as_ptr(), views.len(), out) })
+    };
+    let path = folder.path().join("transforms.json");
+    let text = c_string(path.to_str().expect("UTF-8"));
+    // SAFETY: a live object, a string.
+    ok(unsafe { zs_capture_save(made(create(&views)).handle, text.as_ptr()) });
+    let contents = all(&open(&path));
+    assert_eq!(contents.names, ["a.png", "b.png"]);
+    assert_eq!(Path::new(&contents.paths[0]), folder.path().join("a.png"));
+    assert_eq!(contents.paths[1], "");
+    for (found, camera) in contents.cameras.iter().zip(&cameras) {
+        assert_eq!((found.translation, found.fx, found.width), (camera.translation, camera.fx, SIDE));
+    }
+    for wrong in [
+        zs_capture_view { reserved: 1, ..views[0] },
+        zs_capture_view { name: null(), ..views[0] },
+        zs_capture_view { camera: null(), ..views[0] },
+    ] {
+        assert_eq!(create(&[views[0], wrong]).err(), Some(ZS_ERROR_ARGUMENT));
+    }
+}
+
+#[test]
 fn what_is_no_capture_is_refused() {
     let folder = capture(false);
     let capture = open(folder.path());
@@ -173,25 +212,23 @@ fn what_is_no_capture_is_refused() {
     fails(open(&folder.path().join("images"), &mut out), ZS_ERROR_ARGUMENT, &["images", "transforms.json"]);
     // SAFETY: live objects or NULL, and output pointers.
     unsafe {
-        let name = &mut null();
-        fails(
-            zs_capture_get(capture.handle, COUNT, null_mut(), name, null_mut()),
-            ZS_ERROR_ARGUMENT,
-            &["3", "below 3"],
-        );
+        let view = &mut zs_capture_view::new();
+        fails(zs_capture_get_view(capture.handle, COUNT, view), ZS_ERROR_ARGUMENT, &["3", "below 3"]);
         std::fs::remove_file(folder.path().join("images/1.png")).expect("it was there");
         let mut photo = null_mut();
         fails(zs_capture_open_image(capture.handle, 1, null(), &mut photo), ZS_ERROR_IO, &["1.png"]);
         let refused = [
             zs_capture_open(null(), &mut out),
-            zs_capture_get_count(null(), &mut index, null_mut()),
-            zs_capture_get_count(capture.handle, null_mut(), null_mut()),
-            zs_capture_get(null(), 0, null_mut(), null_mut(), null_mut()),
+            zs_capture_get_info(null(), null_mut()),
+            zs_capture_get_info(capture.handle, null_mut()),
+            zs_capture_get_view(null(), 0, null_mut()),
+            zs_capture_create(null(), 1, &mut out),
+            zs_capture_save(null(), null()),
             zs_capture_find(capture.handle, null(), &mut index),
             zs_capture_find(capture.handle, c"0.png".as_ptr(), null_mut()),
             zs_capture_open_image(null(), 0, null(), &mut photo),
         ];
-        assert_eq!(refused, [ZS_ERROR_ARGUMENT; 7]);
+        assert_eq!(refused, [ZS_ERROR_ARGUMENT; 9]);
         zs_capture_destroy(null_mut());
     }
 }

@@ -23,7 +23,7 @@ fn model(device: &Object<zs_device>, folder: &Path, alone: bool) -> (DepthCheckp
     checkpoint.save_with(&path, Dtype::F32, |_| Continue(())).expect("weights can be written");
     let path = c_string(path.to_str().expect("UTF-8"));
     let precision = zs_precision::ZS_PRECISION_FP32 as i32;
-    let of_model = zs_model_options { precision, ..Versioned::new() };
+    let of_model = zs_depth_model_options { precision, ..Versioned::new() };
     // SAFETY: a live device, a path, options, an output pointer.
     let open = |out| unsafe { zs_depth_model_load(device.handle, path.as_ptr(), &of_model, out) };
     (checkpoint, Object::new(zs_depth_model_destroy, open))
@@ -37,11 +37,14 @@ fn find(model: &Object<zs_depth_model>, photos: &[Image], options: &zs_depth_opt
     })
 }
 
-fn get(depths: &Object<zs_depth_result>, index: usize) -> (zs_depth_view, zs_camera) {
-    let (mut view, mut camera) = (zs_depth_view::new(), zs_camera::new());
-    // SAFETY: live depths and structures with their size set.
-    ok(unsafe { zs_depth_result_get(depths.handle, index, &mut view, &mut camera) });
-    (view, camera)
+fn get(depths: &Object<zs_depth_result>, index: usize) -> (zs_depth_map, zs_camera) {
+    let mut map = zs_depth_map::new();
+    // SAFETY: live depths and a structure with its size set; a camera of live depths, or NULL.
+    let camera = unsafe {
+        ok(zs_depth_result_get_map(depths.handle, index, &mut map));
+        map.image_camera.as_ref()
+    };
+    (map, camera.copied().unwrap_or_else(Versioned::new))
 }
 
 #[test]
@@ -66,6 +69,16 @@ fn depth_is_that_of_rust() {
         assert_eq!(found.rotation, camera.pose.rotation.transpose().to_cols_array());
         assert_eq!(found.translation, camera.pose.translation.to_array());
     }
+    let (mut info, mut of_model) = (zs_depth_result_info::new(), zs_depth_model_info::new());
+    // SAFETY: live objects and structures of their size; a camera of live depths.
+    let of_map = unsafe {
+        ok(zs_depth_result_get_info(depths.handle, &mut info));
+        ok(zs_depth_model_get_info(model.handle, &mut of_model));
+        *get(&depths, 1).0.camera
+    };
+    assert_eq!((of_map.fx, of_map.translation), (cameras[1].intrinsics.fx, cameras[1].pose.translation.to_array()));
+    assert_eq!((info.view_count, of_model.is_multi_view, of_model.patch_size), (photos.len(), 1, 14));
+    assert_eq!((of_model.precision, of_model.weight_bytes), (1, rust.weight_bytes()));
     let shared = find(&model, &photos, &zs_depth_options { input_size: SIDE, ..Versioned::new() });
     let lenses = [0, 1].map(|i| get(&shared, i).1).map(|camera| [camera.fx, camera.fy]);
     assert!(lenses[0] == lenses[1] && lenses[0][0] == lenses[0][1], "{lenses:?}");
@@ -99,6 +112,7 @@ fn photos_by_themselves_have_sky_and_no_cameras() {
     let (view, camera) = get(&depths, 0);
     assert!(view.confidence.is_null() && !view.sky.is_null() && !view.depth.is_null());
     assert_eq!((camera.width, camera.height), (0, 0));
+    assert!(view.camera.is_null());
     // SAFETY: live depths, an output pointer.
     let status = unsafe { zs_depth_result_to_scene(depths.handle, 0, &mut null_mut()) };
     fails(status, ZS_ERROR_ARGUMENT, &["cameras of the depths", "none"]);
@@ -127,7 +141,9 @@ fn wrong_arguments_are_named() {
         for status in [
             zs_depth_model_load(null(), null(), null(), null_mut()),
             zs_depth_predict(null(), null(), 0, null(), null_mut()),
-            zs_depth_result_get(null(), 0, null_mut(), null_mut()),
+            zs_depth_result_get_map(null(), 0, null_mut()),
+            zs_depth_result_get_info(null(), null_mut()),
+            zs_depth_model_get_info(null(), null_mut()),
             zs_depth_result_to_scene(null(), 0, null_mut()),
         ] {
             fails(status, ZS_ERROR_ARGUMENT, &["NULL"]);
@@ -135,15 +151,12 @@ fn wrong_arguments_are_named() {
         zs_depth_model_destroy(null_mut());
         zs_depth_result_destroy(null_mut());
         fails(
-            zs_depth_result_get(depths.handle, 2, null_mut(), null_mut()),
+            zs_depth_result_get_map(depths.handle, 2, null_mut()),
             ZS_ERROR_ARGUMENT,
             &["number of a photo", "below 2"],
         );
         let path = c_string("seeded:vits");
         let status = zs_depth_model_load(device.handle, path.as_ptr(), null(), &mut null_mut());
         fails(status, ZS_ERROR_ARGUMENT, &["vits", "da3-small"]);
-        let with_tokens = zs_model_options { tokens: 1, ..Versioned::new() };
-        let status = zs_depth_model_load(device.handle, path.as_ptr(), &with_tokens, &mut null_mut());
-        fails(status, ZS_ERROR_ARGUMENT, &["options of a depth model", "tokens"]);
     }
 }

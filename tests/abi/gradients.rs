@@ -1,7 +1,7 @@
 //! Gradients through C.
 
 use crate::calls::*;
-use std::ptr::null;
+use std::ptr::{null, null_mut};
 use zipsplat::{
     stages::render::{CAMERA_NUMBERS, Depth, Differentiator, RenderOptions, RenderOutput, Wanted},
     types::{Camera, Intrinsics, Pose, Scene},
@@ -16,7 +16,7 @@ struct Case {
     scene: Scene,
     cameras: [zs_camera; 2],
     weights: [Vec<f32>; 3],
-    found: [Vec<f32>; 6],
+    found: [Vec<f32>; 7],
 }
 
 impl Case {
@@ -24,7 +24,7 @@ impl Case {
         let scene = random_scene(40, 1, 0.3);
         let wave = |width: usize| (0..2 * width * PIXELS).map(|i| (0.003 * i as f32).sin()).collect();
         let n = scene.len();
-        let found = [3 * n, 3 * n, 4 * n, n, 12 * n, 2 * CAMERA_NUMBERS].map(|len| vec![7.0; len]);
+        let found = [3 * n, 3 * n, 4 * n, n, 12 * n, 2 * CAMERA_NUMBERS, 4 * n].map(|len| vec![7.0; len]);
         Self {
             cameras: [-0.2, 0.3].map(|right| camera(SIZE[0], SIZE[1], right)),
             weights: [3, 1, 1].map(wave),
@@ -43,15 +43,27 @@ impl Case {
     }
 
     fn run(&mut self, options: &zs_render_options) -> zs_status {
+        self.run_with(options, false)
+    }
+
+    /// `own`: differentiates the renderer's scene.
+    fn run_with(&mut self, options: &zs_render_options, own: bool) -> zs_status {
         let (device, scene) = (open_device(), scene_of(&self.scene));
         let renderer = renderer(&device, &scene);
-        let weights = Self::pictures(&mut self.weights);
-        let [means, scales, quats, opacities, sh_coeffs, cameras] =
+        let [color, alpha, depth] = &self.weights;
+        let grads = [0, 1].map(|i| zs_grad_outputs {
+            color: color[3 * i * PIXELS..].as_ptr(),
+            alpha: alpha[i * PIXELS..].as_ptr(),
+            depth: depth[i * PIXELS..].as_ptr(),
+            ..Versioned::new()
+        });
+        let [means, scales, quats, opacities, sh_coeffs, cameras, means2d] =
             self.found.each_mut().map(|values| values.as_mut_ptr());
-        let to = zs_gradients { means, scales, quats, opacities, sh_coeffs, cameras, ..Versioned::new() };
-        let (cameras, weights) = (self.cameras.as_ptr(), weights.as_ptr());
+        let to = zs_gradients { means, scales, quats, opacities, sh_coeffs, cameras, means2d, ..Versioned::new() };
+        let cameras = self.cameras.as_ptr();
+        let scene = if own { null_mut() } else { scene.handle };
         // SAFETY: live objects, full arrays.
-        unsafe { zs_render_backward(renderer.handle, scene.handle, cameras, weights, 2, options, &to) }
+        unsafe { zs_render_backward(renderer.handle, scene, cameras, grads.as_ptr(), 2, options, &to) }
     }
 
     /// Weighted sum of zs_render's pictures.
@@ -79,6 +91,7 @@ fn are_rusts_bits() {
         (zs_depth_mode::ZS_DEPTH_MODE_EXPECTED, Depth::Expected),
     ] {
         let mut case = Case::new();
+        case.scene.means.iter_mut().for_each(|[x, y, _]| (*x, *y) = (0.1 * *x, 0.1 * *y));
         ok(case.run(&options(depth)));
         let frame = |i: usize| RenderOutput {
             width: SIZE[0],
@@ -101,7 +114,7 @@ fn are_rusts_bits() {
             ..RenderOptions::default()
         };
         let (cameras, frames) = (case.cameras.each_ref().map(camera), [0, 1].map(frame));
-        let wanted = Wanted { scene: true, cameras: true };
+        let wanted = Wanted { scene: true, cameras: true, means2d: true };
         let found = Differentiator::new(rust_device()).differentiate(&case.scene, &cameras, &request, &frames, wanted);
         let found = found.expect("gradients");
         assert_same("means", &case.found[0], found.scene.means.as_flattened());
@@ -110,6 +123,18 @@ fn are_rusts_bits() {
         assert_same("opacities", &case.found[3], &found.scene.opacities);
         assert_same("sh_coeffs", &case.found[4], found.scene.sh_coeffs.as_flattened());
         assert_same("cameras", &case.found[5], found.cameras.as_flattened());
+        assert_same("means2d", &case.found[6], found.means2d.as_flattened());
+        // The principal point moves all centers; near the axis no slope is clamped.
+        for (camera, centers) in found.cameras.iter().zip(found.means2d.chunks_exact(case.scene.len())) {
+            for axis in 0..2 {
+                let sum: f32 = centers.iter().map(|center| center[axis]).sum();
+                let size: f32 = centers.iter().map(|center| center[axis].abs()).sum();
+                assert!(size > 0.0 && (sum - camera[8 + axis]).abs() < 1e-5 * size, "{sum} {}", camera[8 + axis]);
+            }
+        }
+        let given = std::mem::replace(&mut case.found, Case::new().found);
+        ok(case.run_with(&options(depth), true));
+        assert!(case.found == given, "the renderer's scene has other gradients");
     }
 }
 
@@ -159,7 +184,6 @@ fn are_slopes_of_pictures() {
 fn what_has_none_is_refused_and_nothing_is_written() {
     let good = options(zs_depth_mode::ZS_DEPTH_MODE_ACCUMULATED);
     let mut case = Case::new();
-    fails(case.run(&render_options(zs_pixel_format::ZS_PIXEL_RGB8)), ZS_ERROR_ARGUMENT, &["ZS_PIXEL_RGB_F32"]);
     case.scene.quats[3] = [1e-35, 0.0, 0.0, 0.0];
     fails(case.run(&good), ZS_ERROR_ARGUMENT, &["quats"]);
     case.scene.quats[3] = [1.0, 0.0, 0.0, 0.0];

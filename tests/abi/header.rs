@@ -3,15 +3,17 @@
 use cbindgen::{Builder, Config, DocumentationStyle, EnumConfig, ExportConfig, Language, RenameRule, Style};
 use std::path::{Path, PathBuf};
 
-const SOURCES: [&str; 14] = [
+const SOURCES: [&str; 16] = [
     "version",
     "status",
+    "progress",
     "device",
     "camera",
     "image",
     "capture",
     "scene",
     "model",
+    "reconstruction",
     "reconstruct",
     "depth",
     "refine",
@@ -25,7 +27,8 @@ pub fn root() -> PathBuf {
 }
 
 /// Stored as integers by structures.
-const ENUMERATIONS: [&str; 10] = [
+const ENUMERATIONS: [&str; 11] = [
+    "zs_progress_action",
     "zs_device_kind",
     "zs_pixel_format",
     "zs_precision",
@@ -171,7 +174,7 @@ fn types_and_functions_of_an_object_stand_together() {
         "typedef struct zs_model zs_model;",
         "zs_status zs_model_load(",
         "typedef struct zs_refine_options {",
-        "zs_status zs_refine(",
+        "zs_status zs_refine_scene(",
         "typedef struct zs_vulkan_target {",
         "zs_status zs_render_to_vulkan(",
     ];

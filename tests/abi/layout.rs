@@ -25,11 +25,16 @@ macro_rules! numbers {
 
 fn structures() -> Vec<(String, usize)> {
     layout! {
+        zs_progress { struct_size, reserved, fraction, stage, step, steps, loss, psnr, eta_seconds }
         zs_device_info { struct_size, index, usable, kind, memory_bytes, name, driver, unusable_reason, uuid }
         zs_device_options { struct_size, validation, max_memory_bytes, device }
         zs_image { struct_size, format, width, height, stride, pixels }
         zs_camera { struct_size, reserved, width, height, fx, fy, cx, cy, rotation, translation }
         zs_gaussians { struct_size, sh_degree, count, means, scales, quats, opacities, sh_coeffs }
+        zs_capture_info { struct_size, reserved, view_count, warnings }
+        zs_capture_view { struct_size, reserved, name, path, camera }
+        zs_scene_open_options { struct_size, drop_invalid, format }
+        zs_scene_info { struct_size, world, gaussian_count, dropped_count }
         zs_scene_save_options { struct_size, spz_version }
         zs_model_options { struct_size, precision, variant, progress, user_data, tokens, reserved }
         zs_model_info {
@@ -39,21 +44,27 @@ fn structures() -> Vec<(String, usize)> {
             struct_size, world, ratio, scene_scale, token_selection, kv_pool, input_size, seed, camera_count, cameras,
             progress, user_data, capture
         }
+        zs_reconstruction_info { struct_size, has_tokens, view_count, token_count, gaussian_count, warnings }
+        zs_camera_estimate { struct_size, inliers, patches, reserved, camera }
+        zs_depth_model_options { struct_size, precision, progress, user_data }
+        zs_depth_model_info { struct_size, is_multi_view, patch_size, precision, weight_bytes, warnings }
         zs_depth_options {
             struct_size, input_size, camera_source, per_view_focal, camera_count, cameras, progress, user_data
         }
-        zs_depth_view { struct_size, reserved, width, height, depth, confidence, sky }
-        zs_refining { struct_size, step, steps, reserved, loss, psnr, eta_seconds }
+        zs_depth_result_info { struct_size, reserved, view_count }
+        zs_depth_map { struct_size, reserved, width, height, depth, confidence, sky, camera, image_camera }
         zs_refine_options {
-            struct_size, steps, views_per_step, holdout_views, max_image_size, seed, progress, user_data, target, reserved
+            struct_size, steps, views_per_step, holdout_views, max_image_size, target, optimize_cameras, perceptual_weight,
+            reserved, seed, max_gaussians, progress, user_data
         }
         zs_refine_result {
             struct_size, stop_reason, steps, best_step, initial_loss, final_loss, initial_psnr, best_psnr, seconds,
-            initial_training_psnr, best_training_psnr
+            initial_training_psnr, best_training_psnr, cameras
         }
         zs_render_options { struct_size, format, depth, antialiased, background, near_plane }
-        zs_render_buffers { struct_size, reserved, stride, pixels, alpha, depth }
-        zs_gradients { struct_size, reserved, means, scales, quats, opacities, sh_coeffs, cameras }
+        zs_render_buffers { struct_size, reserved, stride, pixels, alpha, depth, normals }
+        zs_grad_outputs { struct_size, reserved, color, alpha, depth }
+        zs_gradients { struct_size, reserved, means, scales, quats, opacities, sh_coeffs, cameras, means2d }
         zs_vulkan_requirement { kind, optional, name, structure }
         zs_vulkan_device {
             struct_size, queue_family, get_instance_proc_addr, instance, physical_device, device, queue, lock_queue,
@@ -74,6 +85,7 @@ fn constants() -> Vec<(String, usize)> {
             ZS_ERROR_OUT_OF_MEMORY, ZS_ERROR_DRIVER, ZS_ERROR_DEVICE_LOST, ZS_ERROR_CANCELLED, ZS_ERROR_UNSUPPORTED,
             ZS_ERROR_INTERNAL
         }
+        zs_progress_action { ZS_CONTINUE, ZS_STOP, ZS_CANCEL }
         zs_device_kind { ZS_DEVICE_OTHER, ZS_DEVICE_DISCRETE, ZS_DEVICE_INTEGRATED, ZS_DEVICE_CPU }
         zs_pixel_format { ZS_PIXEL_RGB8, ZS_PIXEL_RGBA8, ZS_PIXEL_BGRA8, ZS_PIXEL_RGB_F32, ZS_PIXEL_RGBA_F32 }
         zs_precision {
@@ -99,6 +111,7 @@ fn constants() -> Vec<(String, usize)> {
 fn is_what_c_sees() {
     let enumerations = [
         "status",
+        "progress_action",
         "device_kind",
         "pixel_format",
         "precision",
@@ -140,5 +153,5 @@ fn nothing_was_left_out() {
     let numbers = code.iter().filter(|line| line.starts_with("ZS_") && line.ends_with(',')).count();
     assert_eq!(constants().len() - 4, numbers);
     let defined = code.iter().filter(|line| line.starts_with("#define ZS_") && !line.contains("(")).count();
-    assert_eq!(defined, 4 + 3, "and ZS_RATIO_AUTO, ZS_SCENE_SCALE_AUTO, ZS_HOLDOUT_VIEWS_NONE");
+    assert_eq!(defined, 4 + 4, "and ZS_MAX_VIEWS, ZS_RATIO_AUTO, ZS_SCENE_SCALE_AUTO, ZS_HOLDOUT_VIEWS_NONE");
 }

@@ -84,7 +84,7 @@ impl App {
 }
 
 fn reconstructed(model: &Object<zs_model>) -> Result<Object<zs_scene>, zs_status> {
-    try_reconstruct(model, &[image_of(&photos(1)[0])], &reconstruct_options())
+    try_to_scene(&try_reconstruct(model, &[image_of(&photos(1)[0])], &reconstruct_options())?)
 }
 
 fn picture(renderer: &Object<zs_renderer>) -> Result<Vec<u8>, zs_status> {

@@ -18,7 +18,7 @@ fn a_message_stays_where_it_is() {
     let open = |path: &str| {
         let path = c_string(path);
         // SAFETY: a string, an output pointer.
-        unsafe { zs_scene_open(path.as_ptr(), &mut null_mut()) }
+        unsafe { zs_scene_open(path.as_ptr(), null(), &mut null_mut()) }
     };
     let before = zs_last_error();
     fails(open("first.ply"), ZS_ERROR_IO, &["first.ply"]);
@@ -45,7 +45,7 @@ int main(void) {
     char line[1000];
     for (int i = 0; i < 3; i++) {
         zs_scene *scene = NULL;
-        snprintf(line, sizeof line, "%s: %s", zs_status_name(zs_scene_open(paths[i], &scene)), zs_last_error());
+        snprintf(line, sizeof line, "%s: %s", zs_status_name(zs_scene_open(paths[i], NULL, &scene)), zs_last_error());
         if (!strstr(line, "ZS_ERROR_IO: ") || !strstr(line, paths[i])) {
             fprintf(stderr, "%s\n", line);
             return 1;
@@ -57,12 +57,13 @@ int main(void) {
     success(runner(&installation().compile_text("expression.c", program, Linking::Sanitized)));
 }
 
-fn from_memory(bytes: &[u8], format: Option<&str>, dropped: *mut u64) -> Result<Object<zs_scene>, zs_status> {
+fn from_memory(bytes: &[u8], format: Option<&str>, drop_invalid: u32) -> Result<Object<zs_scene>, zs_status> {
     let format = format.map(c_string);
     let format = format.as_ref().map_or(null(), |format| format.as_ptr());
+    let options = zs_scene_open_options { drop_invalid, format, ..Versioned::new() };
     let (data, size) = (bytes.as_ptr().cast(), bytes.len());
-    // SAFETY: bytes of that length, a string or NULL, and output pointers.
-    Object::try_new(zs_scene_destroy, |out| unsafe { zs_scene_from_memory(data, size, format, dropped, out) })
+    // SAFETY: bytes of that length, options, and an output pointer.
+    Object::try_new(zs_scene_destroy, |out| unsafe { zs_scene_from_memory(data, size, &options, out) })
 }
 
 #[test]
@@ -88,7 +89,7 @@ fn scenes_go_to_memory_and_come_back() {
         // SAFETY: a live scene, a string.
         ok(unsafe { zs_scene_save(scene.handle, text.as_ptr(), null()) });
         assert!(std::fs::read(&path).expect("it was written") == bytes, "{extension}");
-        let back = read(&made(from_memory(bytes, Some(extension), null_mut())));
+        let back = read(&made(from_memory(bytes, Some(extension), 0)));
         assert_same(extension, back.means.as_flattened(), Scene::open(&path).expect("a scene").means.as_flattened());
     }
     let format = c_string("obj");
@@ -102,7 +103,7 @@ fn scenes_go_to_memory_and_come_back() {
 fn scenes_in_memory_are_told_apart_and_checked() {
     let mut truth = random_scene(4, 0, 0.1);
     let ply = truth.encode(SceneFormat::Ply, &SaveOptions::default()).expect("a valid scene");
-    assert_eq!(read(&made(from_memory(&ply, None, null_mut()))).means, truth.means);
+    assert_eq!(read(&made(from_memory(&ply, None, 0))).means, truth.means);
     truth.means[1] = [f32::NAN; 3];
     // A .splat, because our writer rejects such values.
     let row = |i: usize| {
@@ -110,13 +111,15 @@ fn scenes_in_memory_are_told_apart_and_checked() {
         [floats.map(f32::to_le_bytes).as_flattened(), &[9; 8]].concat()
     };
     let bytes: Vec<u8> = (0..4).flat_map(row).collect();
-    assert_eq!(from_memory(&bytes, None, null_mut()).err(), Some(ZS_ERROR_FORMAT));
-    assert_eq!(from_memory(&bytes, Some("obj"), null_mut()).err(), Some(ZS_ERROR_ARGUMENT));
-    assert_eq!(from_memory(&bytes, Some("splat"), null_mut()).err(), Some(ZS_ERROR_FORMAT));
+    assert_eq!(from_memory(&bytes, None, 0).err(), Some(ZS_ERROR_FORMAT));
+    assert_eq!(from_memory(&bytes, Some("obj"), 0).err(), Some(ZS_ERROR_ARGUMENT));
+    assert_eq!(from_memory(&bytes, Some("splat"), 0).err(), Some(ZS_ERROR_FORMAT));
     assert!(message().contains("scene in memory") && message().contains("1 of 4"), "{}", message());
-    let mut dropped = 7;
-    let kept = read(&made(from_memory(&bytes, Some(".SPLAT"), &mut dropped))).means;
-    assert_eq!((dropped, kept), (1, vec![truth.means[0], truth.means[2], truth.means[3]]));
+    let scene = made(from_memory(&bytes, Some(".SPLAT"), 1));
+    let mut info = zs_scene_info::new();
+    // SAFETY: a live scene and a structure of its size.
+    ok(unsafe { zs_scene_get_info(scene.handle, &mut info) });
+    assert_eq!((info.dropped_count, read(&scene).means), (1, vec![truth.means[0], truth.means[2], truth.means[3]]));
 }
 
 #[test]

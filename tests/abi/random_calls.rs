@@ -32,6 +32,7 @@ const POOL: usize = 3;
 struct World {
     devices: Vec<Object<zs_device>>,
     models: Vec<Object<zs_model>>,
+    reconstructions: Vec<Object<zs_reconstruction>>,
     scenes: Vec<Object<zs_scene>>,
     renderers: Vec<Object<zs_renderer>>,
     succeeded: [u32; 8],
@@ -115,10 +116,16 @@ impl World {
         };
         let list = [image, images[1]];
         let count = random.mostly(2, &[0, 1, 193, usize::MAX]);
-        keep(&mut self.scenes, random, zs_scene_destroy, |out| {
+        let made = keep(&mut self.reconstructions, random, zs_reconstruction_destroy, |out| {
             // SAFETY: a live object or NULL; counts beyond the list are rejected before it is read.
             unsafe { zs_reconstruct(model, list.as_ptr(), count, &options, out) }
-        })
+        });
+        let reconstruction = random.handle(&self.reconstructions);
+        let read = keep(&mut self.scenes, random, zs_scene_destroy, |out| {
+            // SAFETY: a live object or NULL.
+            unsafe { zs_reconstruction_to_scene(reconstruction, out) }
+        });
+        made && read
     }
 
     fn draw(&mut self, random: &mut Random) -> bool {
@@ -150,10 +157,11 @@ impl World {
             }
             some
         }
-        match random.below(4) {
+        match random.below(5) {
             0 => one(&mut self.devices, random),
             1 => one(&mut self.models, random),
             2 => one(&mut self.scenes, random),
+            3 => one(&mut self.reconstructions, random),
             _ => one(&mut self.renderers, random),
         }
     }

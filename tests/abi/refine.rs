@@ -72,8 +72,9 @@ impl Place {
         let (cameras, mut info) = (self.c_cameras(), zs_refine_result::new());
         let (images, cameras, count) = (images.as_ptr(), cameras.as_ptr(), images.len());
         // SAFETY: live objects, full arrays.
-        let refine =
-            |out| unsafe { zs_refine(device.handle, scene.handle, images, cameras, count, options, &mut info, out) };
+        let refine = |out| unsafe {
+            zs_refine_scene(device.handle, scene.handle, images, cameras, count, options, &mut info, out)
+        };
         let refined = Object::try_new(zs_scene_destroy, refine)?;
         Ok((read(&refined), info))
     }
@@ -86,21 +87,22 @@ fn bits(scene: &Scene) -> Vec<u32> {
 }
 
 struct CallLog {
-    steps: Vec<zs_refining>,
-    stop_after: u32,
+    steps: Vec<zs_progress>,
+    stop_after: usize,
+    action: zs_progress_action,
 }
 
-unsafe extern "C" fn listen(log: *mut c_void, now: *const zs_refining) -> i32 {
+unsafe extern "C" fn listen(log: *mut c_void, now: *const zs_progress) -> i32 {
     // SAFETY: owned by the test, which waits for the call; `now` is the library's.
     let (log, now) = unsafe { (&mut *log.cast::<CallLog>(), *now) };
     log.steps.push(now);
-    (now.step == log.stop_after).into()
+    if now.step == log.stop_after { log.action as i32 } else { 0 }
 }
 
 #[test]
 fn a_refinement_is_rusts_and_tells_how_far_it_is() {
     let place = place(9);
-    let mut log = CallLog { steps: Vec::new(), stop_after: u32::MAX };
+    let mut log = CallLog { steps: Vec::new(), stop_after: usize::MAX, action: zs_progress_action::ZS_STOP };
     let options = zs_refine_options {
         steps: 12,
         views_per_step: 3,
@@ -133,19 +135,60 @@ fn a_refinement_is_rusts_and_tells_how_far_it_is() {
     let losses = expected.losses.iter().zip(1..).map(|(loss, step)| (step, 12, f64::from(*loss)));
     assert_eq!(steps, losses.collect::<Vec<_>>());
     assert!(log.steps.iter().all(|now| now.psnr > 0.0 && now.eta_seconds >= 0.0));
-    assert_eq!(log.steps[0].struct_size as usize, size_of::<zs_refining>());
+    assert_eq!(log.steps[0].struct_size as usize, size_of::<zs_progress>());
 }
 
 #[test]
 fn a_refinement_that_is_stopped_hands_out_the_best_so_far() {
     let place = place(3);
-    let mut log = CallLog { steps: Vec::new(), stop_after: 5 };
+    let mut log = CallLog { steps: Vec::new(), stop_after: 5, action: zs_progress_action::ZS_STOP };
     let user_data = (&raw mut log).cast();
     let (scene, info) = made(place.in_c(&zs_refine_options { progress: Some(listen), user_data, ..Versioned::new() }));
     let expected = place.in_rust(&RefineOptions::default(), 5);
     assert_same("scene", &bits(&scene), &bits(&expected.scene));
     assert_eq!((info.stop_reason, info.steps, log.steps.len()), (zs_stop_reason::ZS_STOP_REASON_STOPPED as i32, 5, 5));
     assert!(info.best_psnr.is_nan() && log.steps.iter().all(|now| now.psnr.is_nan()));
+}
+
+#[test]
+fn a_refinement_that_is_canceled_hands_out_nothing() {
+    let mut log = CallLog { steps: Vec::new(), stop_after: 2, action: zs_progress_action::ZS_CANCEL };
+    let user_data = (&raw mut log).cast();
+    let options = zs_refine_options { progress: Some(listen), user_data, ..Versioned::new() };
+    assert_eq!(place(3).in_c(&options).map(drop), Err(ZS_ERROR_CANCELLED));
+    assert_eq!(log.steps.len(), 2);
+}
+
+#[test]
+fn cameras_are_optimized_and_gaussians_grow_as_in_rust() {
+    let mut place = place(3);
+    place.cameras[1].pose.translation.x += 0.01;
+    let expected = place.in_rust(
+        &RefineOptions {
+            steps: 8,
+            optimize_cameras: true,
+            max_gaussians: Some(90),
+            max_image_size: Some([1600; 2]),
+            ..RefineOptions::default()
+        },
+        usize::MAX,
+    );
+    let options = zs_refine_options { steps: 8, optimize_cameras: 1, max_gaussians: 90, ..Versioned::new() };
+    let (device, scene) = (open_device(), scene_of(&place.moved));
+    let images: Vec<_> = place.photos.iter().map(image_of).collect();
+    let (cameras, mut refined) = (place.c_cameras(), [zs_camera::new(); 3]);
+    let mut result = zs_refine_result { cameras: refined.as_mut_ptr(), ..Versioned::new() };
+    let (images, cameras, result) = (images.as_ptr(), cameras.as_ptr(), &mut result);
+    let refine =
+        // SAFETY: live objects, full arrays.
+        |out| unsafe { zs_refine_scene(device.handle, scene.handle, images, cameras, 3, &options, result, out) };
+    let found = Object::new(zs_scene_destroy, refine);
+    assert_same("scene", &bits(&read(&found)), &bits(&expected.scene));
+    for (found, expected) in refined.iter().zip(&expected.cameras) {
+        assert_eq!(found.translation, expected.pose.translation.to_array());
+        assert_eq!(found.rotation, expected.pose.rotation.transpose().to_cols_array());
+    }
+    assert_ne!(refined[1].translation, place.cameras[1].pose.translation.to_array());
 }
 
 #[test]
@@ -156,8 +199,9 @@ fn what_cannot_be_refined_is_refused() {
     let call = |images: *const zs_image, cameras: *const zs_camera, count, options: *const _, info| {
         let mut refined = dangling_mut();
         // SAFETY: live objects; arrays of their lengths, or counts rejected before access.
-        let status =
-            unsafe { zs_refine(device.handle, scene.handle, images, cameras, count, options, info, &mut refined) };
+        let status = unsafe {
+            zs_refine_scene(device.handle, scene.handle, images, cameras, count, options, info, &mut refined)
+        };
         assert!(refined.is_null());
         status
     };
@@ -165,6 +209,8 @@ fn what_cannot_be_refined_is_refused() {
         let status = call(images.as_ptr(), cameras.as_ptr(), 2, &options, null_mut());
         fails(status, ZS_ERROR_ARGUMENT, words);
     };
+    refused(zs_refine_options { optimize_cameras: 2, ..Versioned::new() }, &["optimize_cameras", "0 or 1"]);
+    refused(zs_refine_options { perceptual_weight: f32::NAN, ..Versioned::new() }, &["perceptual_weight"]);
     refused(zs_refine_options { holdout_views: -2, ..Versioned::new() }, &["holdout_views", "-2"]);
     refused(zs_refine_options { holdout_views: 2, ..Versioned::new() }, &["held-out photos", "fewer than the 2"]);
     for struct_size in [0, 4, 47, 1000] {
@@ -188,10 +234,10 @@ fn what_cannot_be_refined_is_refused() {
         let empty = scene_of(&Scene::default());
         let mut out = null_mut();
         [
-            zs_refine(null(), scene.handle, photos, poses, 2, null(), null_mut(), &mut out),
-            zs_refine(device.handle, null(), photos, poses, 2, null(), null_mut(), &mut out),
-            zs_refine(device.handle, scene.handle, photos, poses, 2, null(), null_mut(), null_mut()),
-            zs_refine(device.handle, empty.handle, photos, poses, 2, null(), null_mut(), &mut out),
+            zs_refine_scene(null(), scene.handle, photos, poses, 2, null(), null_mut(), &mut out),
+            zs_refine_scene(device.handle, null(), photos, poses, 2, null(), null_mut(), &mut out),
+            zs_refine_scene(device.handle, scene.handle, photos, poses, 2, null(), null_mut(), null_mut()),
+            zs_refine_scene(device.handle, empty.handle, photos, poses, 2, null(), null_mut(), &mut out),
         ]
     };
     assert_eq!(nulls, [ZS_ERROR_ARGUMENT; 4]);
@@ -224,7 +270,7 @@ fn tokens_are_refined_as_in_rust() {
             cameras: c_cameras.as_ptr(),
             ..reconstruct_options()
         };
-        let scene = reconstruct(&model, &images, &making);
+        let scene = made(try_reconstruct(&model, &images, &making));
         let options = zs_refine_options {
             steps: 6,
             target: zs_refine_target::ZS_REFINE_TARGET_TOKENS as i32,
@@ -233,10 +279,10 @@ fn tokens_are_refined_as_in_rust() {
         let mut info = zs_refine_result::new();
         // SAFETY: live objects, full arrays.
         let refine = |out| unsafe {
-            zs_refine(device.handle, scene.handle, images.as_ptr(), c_cameras.as_ptr(), 2, &options, &mut info, out)
+            zs_refine_reconstruction(scene.handle, images.as_ptr(), c_cameras.as_ptr(), 2, &options, &mut info, out)
         };
         let refined = read(&made(Object::try_new(zs_scene_destroy, refine)));
-        assert_ne!(bits(&refined), bits(&read(&scene)));
+        assert_ne!(bits(&refined), bits(&read(&to_scene(&scene))));
 
         let network =
             Model::from_checkpoint(rust_device(), &checkpoint(), |_| ControlFlow::Continue(())).expect("a model");
@@ -262,7 +308,10 @@ fn tokens_are_refined_as_in_rust() {
         let status = place.in_c(&options).map(drop).expect_err("it is refused");
         fails(status, ZS_ERROR_ARGUMENT, words);
     };
-    refused(zs_refine_options { target: tokens, ..Versioned::new() }, &["scene", "without tokens", "tokens = 1"]);
+    refused(
+        zs_refine_options { target: tokens, ..Versioned::new() },
+        &["target of a scene", "zs_refine_reconstruction"],
+    );
     refused(zs_refine_options { target: 2, ..Versioned::new() }, &["target", "zs_refine_target"]);
     refused(zs_refine_options { reserved: 1, ..Versioned::new() }, &["reserved"]);
     for (options, word) in [

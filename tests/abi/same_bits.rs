@@ -2,13 +2,13 @@
 
 use crate::calls::*;
 use glam::{DMat3, DVec3};
-use std::ops::ControlFlow;
+use std::{ops::ControlFlow, ptr::null};
 use zipsplat::{
     ops::{Arithmetic, Precision},
     reconstruct::{Model, Ratio, ReconstructOptions, TokenSelection},
     stages::render::{Depth, RenderOptions, RenderOutput, Renderer},
     tune::KernelChoice,
-    types::{Camera, Image, Intrinsics, Pose, Scene},
+    types::{Camera, Image, Intrinsics, PointCloud, Pose, Scene},
     weights::{Checkpoint, Dtype},
 };
 use zipsplat_c::*;
@@ -232,9 +232,9 @@ fn scenes_come_back_from_arrays_and_files() {
         let path = folder.path().join(format!("scene.{extension}"));
         let text = c_string(path.to_str().unwrap());
         // SAFETY: a live scene, a string.
-        ok(unsafe { zs_scene_save(scene.handle, text.as_ptr(), std::ptr::null()) });
+        ok(unsafe { zs_scene_save(scene.handle, text.as_ptr(), null()) });
         // SAFETY: a string, an output pointer.
-        let back = Object::new(zs_scene_destroy, |out| unsafe { zs_scene_open(text.as_ptr(), out) });
+        let back = Object::new(zs_scene_destroy, |out| unsafe { zs_scene_open(text.as_ptr(), null(), out) });
         assert_same(extension, &bits(&read(&back)), &bits(&zipsplat::types::Scene::open(&path).unwrap()));
     }
 }
@@ -251,14 +251,14 @@ fn gaussians_that_are_no_numbers_are_dropped_and_counted() {
     let text = c_string(path.to_str().unwrap());
     let mut scene = std::ptr::null_mut();
     // SAFETY: a string, an output pointer.
-    let refused = unsafe { zs_scene_open(text.as_ptr(), &mut scene) };
+    let refused = unsafe { zs_scene_open(text.as_ptr(), null(), &mut scene) };
     fails(refused, zs_status::ZS_ERROR_FORMAT, &["scene.splat", "2 of 4"]);
-    let mut dropped = 7;
-    // SAFETY: a string, and output pointers.
-    let open = |out| unsafe { zs_scene_open_dropping_invalid(text.as_ptr(), &mut dropped, out) };
-    let scene = Object::new(zs_scene_destroy, open);
+    let scene = made(open_scene(&path, &zs_scene_open_options { drop_invalid: 1, ..Versioned::new() }));
     assert_eq!(read(&scene).means, [[1.0, 0.0, 1.0], [2.0, 0.0, 1.0]]);
-    assert_eq!(dropped, 2);
+    let mut info = zs_scene_info::new();
+    // SAFETY: a live scene and a structure of its size.
+    ok(unsafe { zs_scene_get_info(scene.handle, &mut info) });
+    assert_eq!((info.dropped_count, info.gaussian_count, info.world), (2, 2, zs_world::ZS_WORLD_AUTO as i32));
 }
 
 #[test]
@@ -332,6 +332,68 @@ fn weights_of_8_bits_come_from_memory() {
     if Arithmetic::of(Precision::Int8, rust_device().limits()).is_some() {
         let turbo = zs_model_options { precision: zs_precision::ZS_PRECISION_INT8 as i32, ..options };
         let refused = model_from(&device, &bytes, &turbo).err().expect("no turbo for such weights");
-        fails(refused, zs_status::ZS_ERROR_ARGUMENT, &["precision", "q8"]);
+        fails(refused, zs_status::ZS_ERROR_ARGUMENT, &["precision", "q8", "fp16"]);
     }
+}
+
+#[test]
+fn reconstructions_and_updated_arrays_are_drawn_as_their_scenes() {
+    let (device, photos) = (open_device(), photos(2));
+    let images: Vec<_> = photos.iter().map(image_of).collect();
+    let reconstruction = made(try_reconstruct(&model(&device), &images, &reconstruct_options()));
+    let scene = to_scene(&reconstruction);
+    let options = render_options(zs_pixel_format::ZS_PIXEL_RGB_F32);
+    let picture = |renderer: &Object<zs_renderer>| draw(renderer, &camera(40, 30, 0.1), &options, 12);
+    let expected = picture(&renderer(&device, &scene));
+    // SAFETY: a live device, no scene, an output pointer.
+    let other = Object::new(zs_renderer_destroy, |out| unsafe { zs_renderer_create(device.handle, null(), out) });
+    let status = try_draw(&other, &camera(40, 30, 0.1), &options, 12).expect_err("there is no scene");
+    fails(status, zs_status::ZS_ERROR_ARGUMENT, &["scene"]);
+    // SAFETY: live objects.
+    ok(unsafe { zs_renderer_set_reconstruction(other.handle, reconstruction.handle) });
+    assert_same("reconstruction", &picture(&other), &expected);
+    let mut gaussians = read(&scene);
+    for step in 0..3 {
+        gaussians.means.iter_mut().for_each(|mean| mean[0] += 0.01);
+        // SAFETY: a live renderer and full arrays.
+        ok(unsafe { zs_renderer_update_gaussians(other.handle, &arrays(&gaussians)) });
+        let expected = picture(&renderer(&device, &scene_of(&gaussians)));
+        assert_same(&format!("step {step}"), &picture(&other), &expected);
+    }
+    gaussians.opacities[0] = f32::NAN;
+    // SAFETY: as above.
+    let status = unsafe { zs_renderer_update_gaussians(other.handle, &arrays(&gaussians)) };
+    fails(status, zs_status::ZS_ERROR_ARGUMENT, &["opacities"]);
+}
+
+#[test]
+fn normals_and_point_scenes_are_rusts() {
+    let device = open_device();
+    let positions = [[0.0, 0.0, 2.0], [0.1, 0.0, 2.0], [0.0, 0.2, 2.5f32]];
+    let colors = [[255, 0, 0], [0, 255, 0], [0, 0, 255u8]];
+    let view = camera(24, 16, 0.0);
+    let from_points = |count, colors, cameras: &[zs_camera]| {
+        let (positions, cameras, len) = (positions.as_ptr().cast(), cameras.as_ptr(), cameras.len());
+        // SAFETY: full arrays, an output pointer.
+        Object::try_new(zs_scene_destroy, |out| unsafe {
+            zs_scene_from_points(positions, colors, count, cameras, len, out)
+        })
+    };
+    let scene = made(from_points(3, colors.as_ptr().cast(), &[view]));
+    let mut cloud = PointCloud { positions: positions.to_vec(), colors: colors.to_vec() };
+    let expected = Scene::from_points(&cloud, &[rust_camera(&view)]).expect("a scene");
+    assert_same("points", &bits(&read(&scene)), &bits(&expected));
+    cloud.colors.clear();
+    let gray = Scene::from_points(&cloud, &[]).expect("a scene");
+    assert_same("gray points", &bits(&read(&made(from_points(3, null(), &[])))), &bits(&gray));
+    for count in [0, 1] {
+        assert_eq!(from_points(count, null(), &[]).err(), Some(zs_status::ZS_ERROR_ARGUMENT));
+    }
+    let mut normals = vec![7.0; 3 * 24 * 16];
+    let buffers = zs_render_buffers { normals: normals.as_mut_ptr(), ..Versioned::new() };
+    // SAFETY: live objects, and memory of the camera's size.
+    ok(unsafe { zs_render(renderer(&device, &scene).handle, &view, &buffers, 1, null()) });
+    let options = RenderOptions { rgb: false, normals: true, ..RenderOptions::default() };
+    let truth = Renderer::new(rust_device()).render_scene(&expected, &[rust_camera(&view)], &options).unwrap();
+    assert_same("normals", &normals, truth[0].normals.as_ref().unwrap());
 }

@@ -2,7 +2,7 @@ use crate::{Folder, Outcome, command, photo};
 use serde_json::Value;
 use std::{path::Path, sync::atomic::AtomicBool, time::SystemTime};
 
-const WEIGHTS: &str = "--weights @/micro.safetensors --size 28x28";
+const WEIGHTS: &str = "--weights @/micro.safetensors --input-size 28x28";
 
 /// `all/1`, `all/2` (photos in `images`) and `all/10`.
 fn captures() -> Folder {
@@ -20,13 +20,14 @@ fn captures() -> Folder {
 }
 
 fn batch(folder: &Folder, line: &str) -> Outcome {
-    folder.run(&format!("--json batch {WEIGHTS} {line}"))
+    folder.run(&format!("--json reconstruct --each {WEIGHTS} {line}"))
 }
 
 /// Made, existing, failed and remaining.
 fn numbers(outcome: Outcome) -> [u64; 4] {
-    let report: Value = serde_json::from_str(&outcome.out).unwrap_or_else(|_| panic!("{}", outcome.err));
-    ["made", "unchanged", "failed", "left"].map(|name| report[name].as_u64().expect("a number"))
+    let envelope: Value = serde_json::from_str(&outcome.out).unwrap_or_else(|_| panic!("{}", outcome.err));
+    let report = &envelope["result"];
+    ["reconstructed", "skipped", "failed", "remaining"].map(|name| report[name].as_u64().expect("a number"))
 }
 
 fn times(folder: &Folder, names: &[&str]) -> Vec<SystemTime> {
@@ -38,7 +39,7 @@ fn makes_the_scenes_of_reconstruct() {
     let folder = captures();
     let report = batch(&folder, "@/all -o @/out --ratio 0.5").json();
     assert!(report["captures_per_second"].as_f64().is_some_and(|rate| rate > 0.0));
-    assert_eq!((&report["captures"], &report["made"]), (&3.into(), &3.into()));
+    assert_eq!((&report["captures"], &report["reconstructed"]), (&3.into(), &3.into()));
     assert_eq!(super::names(&folder.path("out")), ["1.json", "1.ply", "10.json", "10.ply", "2.json", "2.ply"]);
     for (name, photos) in [("1", "all/1"), ("2", "all/2/images"), ("10", "all/10")] {
         folder.run(&format!("reconstruct {WEIGHTS} @/{photos} --ratio 0.5 -o @/{name}.ply")).success();
@@ -55,8 +56,8 @@ fn makes_the_scenes_of_reconstruct() {
 #[test]
 fn makes_the_scenes_of_pixels_of_reconstruct() {
     let folder = captures().with_depth();
-    let weights = "--weights @/da3.safetensors --size 42x42 --ratio 0.5";
-    let line = format!("--json batch {weights} @/all/1 @/all/10 -o @/out");
+    let weights = "--weights @/da3.safetensors --input-size 42x42 --ratio 0.5";
+    let line = format!("--json reconstruct --each {weights} @/all/1 @/all/10 -o @/out");
     assert_eq!(numbers(folder.run(&line)), [2, 0, 0, 0]);
     let file = |place: &str| std::fs::read(folder.path(place)).expect("a file");
     for name in ["1", "10"] {
@@ -70,16 +71,21 @@ fn makes_the_scenes_of_pixels_of_reconstruct() {
     // Points set the scale of a single-view network.
     folder.run("scene --seed 3 --views 2 --size 42x28 -o @/place").success();
     for weights in ["da3", "alone"] {
-        let line = format!("@/place --weights @/{weights}.safetensors --size 42x42");
-        assert_eq!(numbers(folder.run(&format!("--json batch --posed {line} -o @/{weights}"))), [1, 0, 0, 0]);
+        let line = format!("@/place --weights @/{weights}.safetensors --input-size 42x42");
+        assert_eq!(
+            numbers(folder.run(&format!("--json reconstruct --each --cameras capture {line} -o @/{weights}"))),
+            [1, 0, 0, 0]
+        );
         let photos = line.replacen("@/place", "@/place/images", 1);
-        folder.run(&format!("reconstruct {photos} --poses @/place -o @/place.ply")).success();
+        folder.run(&format!("reconstruct {photos} --cameras @/place -o @/place.ply")).success();
         assert!(file("place.ply") == file(&format!("{weights}/place.ply")), "{weights}");
     }
-    let refused = |rest: &str| folder.run(&format!("batch @/all -o @/none {rest}"));
+    let refused = |rest: &str| folder.run(&format!("reconstruct --each @/all -o @/none {rest}"));
     refused("--weights @/alone.safetensors").fails(3, &["da3-micro-alone", "no camera decoder"]);
-    refused("--weights @/da3.safetensors --keep 197").fails(3, &["--keep", "1 to 196"]);
-    refused("--weights @/da3.safetensors --posed --fit squares").fails(3, &["--fit squares", "weights of ZipSplat"]);
+    refused("--weights @/da3.safetensors --max-gaussians-per-token 197")
+        .fails(3, &["--max-gaussians-per-patch", "1 to 196"]);
+    refused("--weights @/da3.safetensors --cameras capture --crop tiles")
+        .fails(3, &["--crop tiles", "weights of ZipSplat"]);
     assert!(!folder.path("none").exists());
 }
 
@@ -127,9 +133,9 @@ fn takes_lists_captures_and_cameras() {
     std::fs::write(folder.path("list.txt"), "# two of them\nall/10\n\n  all/2  \n").expect("a list");
     assert_eq!(numbers(batch(&folder, "@/list.txt @/all/1 -o @/out")), [3, 0, 0, 0]);
     folder.run("scene --seed 3 --size 32x32 --views 3 -o @/posed").success();
-    let line = format!("reconstruct {WEIGHTS} @/posed/images --poses @/posed -o @/known.ply");
+    let line = format!("reconstruct {WEIGHTS} @/posed/images --cameras @/posed -o @/known.ply");
     folder.run(&line).success();
-    assert_eq!(numbers(batch(&folder, "@/posed --posed -o @/out")), [1, 0, 0, 0]);
+    assert_eq!(numbers(batch(&folder, "@/posed --cameras capture -o @/out")), [1, 0, 0, 0]);
     let file = |name: &str| std::fs::read(folder.path(name)).expect("a scene");
     assert!(file("known.ply") == file("out/posed.ply"));
     assert_eq!(numbers(batch(&folder, "@/posed -o @/out")), [1, 0, 0, 0], "without its cameras it is another");
@@ -138,7 +144,7 @@ fn takes_lists_captures_and_cameras() {
 #[test]
 fn what_cannot_be_done_is_refused_before_it_begins() {
     let folder = captures();
-    let run = |line: &str| folder.run(&format!("batch {WEIGHTS} {line}"));
+    let run = |line: &str| folder.run(&format!("reconstruct --each {WEIGHTS} {line}"));
     run("@/none -o @/out").fails(3, &["none"]);
     run("@/all/empty -o @/out").fails(3, &["captures", "empty", "images/"]);
     run("@/all -o @/out --format obj").fails(3, &["--format", "obj", ".ply"]);
@@ -155,7 +161,7 @@ fn what_cannot_be_done_is_refused_before_it_begins() {
 fn a_missing_folder_in_a_list_fails_alone() {
     let folder = captures();
     std::fs::write(folder.path("list.txt"), "all/1\nall/gone\nall/10\n").expect("a list");
-    let outcome = folder.run(&format!("batch {WEIGHTS} @/list.txt -o @/out"));
+    let outcome = folder.run(&format!("reconstruct --each {WEIGHTS} @/list.txt -o @/out"));
     assert_eq!(outcome.code, 1, "{}", outcome.err);
     assert_eq!(super::names(&folder.path("out")), ["1.json", "1.ply", "10.json", "10.ply", "failures.csv"]);
     let failures = std::fs::read_to_string(folder.path("out/failures.csv")).expect("a table");
@@ -169,7 +175,7 @@ fn two_batches_do_not_share_an_output_folder() {
     std::fs::create_dir(folder.path("out")).expect("a folder");
     let other = std::fs::File::open(folder.path("out")).expect("a folder");
     other.try_lock().expect("nobody else has it");
-    let line = format!("batch {WEIGHTS} @/all -o @/out");
+    let line = format!("reconstruct --each {WEIGHTS} @/all -o @/out");
     folder.run(&line).fails(3, &["--output", "another batch"]);
     assert_eq!(super::names(&folder.path("out")), Vec::<String>::new());
     drop(other);
@@ -180,7 +186,7 @@ fn two_batches_do_not_share_an_output_folder() {
 fn a_stop_leaves_whole_scenes_only() {
     let folder = captures();
     let stopped = AtomicBool::new(true);
-    let outcome = command(&folder.line(&format!("batch {WEIGHTS} @/all -o @/out")), &stopped);
+    let outcome = command(&folder.line(&format!("reconstruct --each {WEIGHTS} @/all -o @/out")), &stopped);
     assert_eq!(outcome.code, 130, "{}", outcome.err);
     let written = |folder: &Path| if folder.is_dir() { super::names(folder) } else { Vec::new() };
     assert_eq!(written(&folder.path("out")), Vec::<String>::new());

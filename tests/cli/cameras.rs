@@ -119,7 +119,7 @@ fn cameras_are_what_colmap_found() {
         let outcome = folder.run(&line);
         assert!(!outcome.err.contains("lens distortion"), "{}", outcome.err);
         let json = outcome.json();
-        assert_eq!((json["found"].as_u64(), json["points"].as_u64()), (Some(4), Some(5)), "{json}");
+        assert_eq!((json["registered"].as_u64(), json["points"].as_u64()), (Some(4), Some(5)), "{json}");
         assert_eq!(json["program"], format!("COLMAP {version}"));
         let found = Capture::open(folder.path("place")).expect("cameras");
         for (found, truth) in found.frames.iter().zip(&truth) {
@@ -169,7 +169,7 @@ exit 0
     };
     assert_eq!(run("")["program"], "pycolmap 4.2.1");
     assert!(folder.path("garden.points.ply").exists() && folder.path("garden.colmap.log").exists());
-    run("--pairs near --find-size 800");
+    run("--matching sequential --matching-size 800");
     let args = args(&folder, "python");
     assert_eq!(
         args,
@@ -289,28 +289,34 @@ fn other_commands_find_cameras_too() {
     let (folder, truth) = place();
     colmap(&folder, "colmap", "3.8", OPTIONS_3, ["", "", COPIES]);
     whole_model(&folder, "colmap", &truth);
-    let find = "--poses find --colmap @/colmap";
-    let micro = "--weights @/micro.safetensors --size 28x28";
+    let find = "--cameras colmap --colmap @/colmap";
+    let micro = "--weights @/micro.safetensors --input-size 28x28";
     let line =
         format!("reconstruct @/place/images {find} {micro} --cameras-out @/place/found.json -o @/scene.ply --json");
     let outcome = folder.run(&line);
     assert!(outcome.err.contains("cameras found: 4 of 4 photos, 5 points, by COLMAP 3.8"), "{}", outcome.err);
     assert_eq!(outcome.json()["photos"], 4);
     let scene = Scene::open(folder.path("scene.ply")).expect("a scene");
-    let again = format!("reconstruct @/place/images --poses @/place/found.json {micro} -o @/scene.ply");
+    let again = format!("reconstruct @/place/images --cameras @/place/found.json {micro} -o @/scene.ply");
     folder.run(&again).success();
     assert!(
         Scene::open(folder.path("scene.ply")).expect("a scene") == scene,
         "other cameras than those that were kept"
     );
-    folder.run(&format!("{again} --cameras-out @/c.json")).fails(3, &["--cameras-out", "--poses find, or no --poses"]);
+    folder
+        .run(&format!("{again} --cameras-out @/c.json"))
+        .fails(3, &["--cameras-out", "--cameras colmap, --optimize-cameras, or no --cameras"]);
     let eval = folder.run(&format!("eval @/place/images --views 3 {find} {micro} --json")).json();
-    assert_eq!((&eval["unit_from"], eval["views"].as_array().map(Vec::len)), (&"points".into(), Some(1)), "{eval}");
-    let line = format!("refine @/place/images {find} --start points --steps 2 -o @/refined.ply --json");
+    assert_eq!(
+        (&eval["scene_scale_source"], eval["views"].as_array().map(Vec::len)),
+        (&"points".into(), Some(1)),
+        "{eval}"
+    );
+    let line = format!("refine @/place/images {find} --init points --steps 2 -o @/refined.ply --json");
     assert_eq!(folder.run(&line).json()["photos"], 4);
     folder
         .run(&format!("refine @/scene.ply @/place/images {find} -o @/r.ply"))
-        .fails(3, &["--poses find", "--start points"]);
+        .fails(3, &["--cameras colmap", "--init points"]);
 }
 
 /// Prints the skipped test.
@@ -332,7 +338,7 @@ fn colmap_itself_finds_the_cameras_of_a_place() {
     let truth = Capture::open(folder.path("place")).expect("cameras").frames;
     let json = folder.run("cameras @/place/images -o @/place/found.json --json").json();
     // COLMAP is not deterministic: a photo may be lost, a camera off.
-    assert!(json["found"].as_u64() >= Some(12), "{json}");
+    assert!(json["registered"].as_u64() >= Some(12), "{json}");
     let found = Capture::open(folder.path("place/found.json")).expect("cameras");
     let points = read_points(found.points.expect("points")).expect("points").positions;
     assert!(points.len() > 50, "{} points", points.len());

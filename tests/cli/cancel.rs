@@ -27,7 +27,7 @@ fn a_cancelled_command_leaves_no_file() {
     write_ply(&scenes::random_scene(50, 0, 0.1), folder.path("scene.ply")).expect("a scene can be written");
     let before = folder.names();
     for line in [
-        "reconstruct @/photos --weights @/micro.safetensors --size 28x28 -o @/out.ply",
+        "reconstruct @/photos --weights @/micro.safetensors --input-size 28x28 -o @/out.ply",
         "render @/scene.ply --wiggle -o @/out",
         "convert @/micro.safetensors @/out.safetensors",
         "bench render --gaussians 10",
@@ -45,12 +45,12 @@ fn a_command_that_is_cancelled_on_its_way_leaves_whole_files_alone() {
     write_ply(&scenes::random_scene(3000, 1, 0.1), folder.path("scene.ply")).expect("a scene can be written");
     let made = folder.path("made");
     for line in [
-        "reconstruct @/photos --weights @/micro.safetensors --size 28x28 -o @/made/scene.ply",
+        "reconstruct @/photos --weights @/micro.safetensors --input-size 28x28 -o @/made/scene.ply",
         "render @/scene.ply --wiggle --frames 24 --size 64x48 --video @/made/film.gif -o @/made/pictures",
-        "refine @/scene.ply @/place/images --poses @/place --steps 12 -o @/made/scene.ply",
-        "reconstruct @/place/images --poses @/place --weights @/micro.safetensors --size 28x28 --refine=12 -o @/made/scene.ply",
+        "refine @/scene.ply @/place/images --cameras @/place --steps 12 -o @/made/scene.ply",
+        "reconstruct @/place/images --cameras @/place --weights @/micro.safetensors --input-size 28x28 --refine=12 -o @/made/scene.ply",
         "convert @/micro.safetensors @/made/half.safetensors --dtype f16",
-        "bench tradeoff @/place --weights @/micro.safetensors --size 28x28 --views 2 --ratio 1 --repeats 1 -o @/made",
+        "bench tradeoff @/place --weights @/micro.safetensors --input-size 28x28 --views 2 --ratio 1 --repeats 1 -o @/made",
     ] {
         let mut delay = Duration::from_millis(1);
         loop {
@@ -74,7 +74,7 @@ fn a_sweep_that_is_cancelled_writes_what_it_measured() {
     let folder = Folder::new();
     folder.run("scene --seed 3 --views 4 --size 28x28 -o @/place").success();
     let line = folder.line(
-        "bench tradeoff @/place --weights @/micro.safetensors --size 28x28 --views 1,2,3 --repeats 100 -o @/report",
+        "bench tradeoff @/place --weights @/micro.safetensors --input-size 28x28 --views 1,2,3 --repeats 100 -o @/report",
     );
     let mut delay = Duration::from_millis(100);
     let outcome = loop {
@@ -96,12 +96,12 @@ fn a_refinement_that_is_cancelled_writes_the_best_so_far() {
     let folder = Folder::new();
     folder.run("scene --seed 3 --views 4 --size 28x28 -o @/place").success();
     write_ply(&scenes::random_scene(300, 1, 0.1), folder.path("scene.ply")).expect("a scene can be written");
-    let shared = "@/place/images --poses @/place -o @/best.ply";
-    let reconstruct = format!("reconstruct {shared} --weights @/micro.safetensors --size 28x28");
+    let shared = "@/place/images --cameras @/place -o @/best.ply";
+    let reconstruct = format!("reconstruct {shared} --weights @/micro.safetensors --input-size 28x28");
     for line in [
         format!("refine @/scene.ply {shared} --steps 1000000"),
         format!("{reconstruct} --refine=1000000"),
-        format!("{reconstruct} --refine=1000000:tokens --world cameras"),
+        format!("{reconstruct} --refine=1000000 --refine-target tokens --world input-cameras"),
     ] {
         let mut delay = Duration::from_millis(100);
         let outcome = loop {

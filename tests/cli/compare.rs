@@ -27,7 +27,7 @@ fn folder() -> Folder {
 fn two_pictures_are_compared() {
     let folder = folder();
     // 51 of 255 levels are 0.2, and 20 log10(5) dB.
-    let json = folder.run("compare @/a/one.png @/b/one.png --lpips none --json").json();
+    let json = folder.run("eval @/a/one.png @/b/one.png --lpips none --json").json();
     let row = &json["pictures"][0];
     assert!((row["psnr"].as_f64().expect("dB") - 13.979).abs() < 1e-3, "{row}");
     // Uniform pictures: (2 a b + c) / (a^2 + b^2 + c).
@@ -35,14 +35,14 @@ fn two_pictures_are_compared() {
     let ssim = (2.0 * a * b + 1e-4) / (a * a + b * b + 1e-4);
     assert!((row["ssim"].as_f64().expect("a number") - ssim).abs() < 1e-6, "{row}");
     assert!(row["lpips"].is_null());
-    let text = folder.run("compare @/a/two.png @/b/two.png --lpips none").success();
+    let text = folder.run("eval @/a/two.png @/b/two.png --lpips none").success();
     assert!(text.contains("equal") && text.contains("1.0000"), "{text}");
 }
 
 #[test]
 fn folders_are_compared_by_name() {
     let folder = folder();
-    let outcome = folder.run("compare @/a @/b --lpips none --csv @/scores.csv --difference @/off --json");
+    let outcome = folder.run("eval @/a @/b --lpips none --csv @/scores.csv --difference @/off --json");
     assert!(outcome.err.contains("1 picture without a partner") && outcome.err.contains("three"), "{}", outcome.err);
     let json = outcome.json();
     assert_eq!(json["pictures"].as_array().expect("rows").len(), 2);
@@ -60,11 +60,11 @@ fn what_cannot_be_compared_is_named() {
     let folder = folder();
     gray(1, 20, 20).save_png(folder.path("small.png")).expect("a picture");
     gray(1, 10, 20).save_png(folder.path("tiny.png")).expect("a picture");
-    folder.run("compare @/a/one.png @/small.png --lpips none").fails(3, &["one", "40x30", "20x20"]);
-    folder.run("compare @/tiny.png @/tiny.png --lpips none").fails(3, &["tiny", "10x20", "11x11"]);
-    folder.run("compare @/a @/small.png --lpips none").fails(3, &["a folder and a picture"]);
-    folder.run("compare @/a @/photos --lpips none").fails(3, &["same name", "none in"]);
-    folder.run("compare @/a/one.png @/nothing.png --lpips none").fails(3, &["nothing.png"]);
+    folder.run("eval @/a/one.png @/small.png --lpips none").fails(3, &["one", "40x30", "20x20"]);
+    folder.run("eval @/tiny.png @/tiny.png --lpips none").fails(3, &["tiny", "10x20", "11x11"]);
+    folder.run("eval @/a @/small.png --lpips none").fails(3, &["a folder and a picture"]);
+    folder.run("eval @/a @/photos --lpips none").fails(3, &["same name", "none in"]);
+    folder.run("eval @/a/one.png @/nothing.png --lpips none").fails(3, &["nothing.png"]);
 }
 
 #[test]
@@ -73,7 +73,7 @@ fn pictures_too_small_for_lpips_are_counted() {
         return;
     }
     let folder = folder();
-    let outcome = folder.run("compare @/a/one.png @/b/one.png --lpips alex --json");
+    let outcome = folder.run("eval @/a/one.png @/b/one.png --lpips alex --json");
     assert!(outcome.err.contains("1 pair without LPIPS") && outcome.err.contains("31x31"), "{}", outcome.err);
     assert!(outcome.json()["pictures"][0]["lpips"].is_null());
 }
@@ -90,12 +90,12 @@ fn absent_weights_are_named_with_the_command_that_fetches_them() {
 #[ignore = "a child of absent_weights_are_named_with_the_command_that_fetches_them"]
 fn without_weights() {
     let run = |line: &str| crate::zipsplat(&line.replace('@', &target().expect("a folder").display().to_string()));
-    let outcome = run("compare @/a/one.png @/b/one.png --json");
+    let outcome = run("eval @/a/one.png @/b/one.png --json");
     assert!(outcome.err.contains("note: no LPIPS") && outcome.err.contains("tools/lpips.py"), "{}", outcome.err);
     assert!(outcome.json()["pictures"][0]["lpips"].is_null());
-    run("compare @/a/one.png @/b/one.png --lpips vgg").fails(3, &["lpips_vgg.safetensors", "tools/lpips.py"]);
+    run("eval @/a/one.png @/b/one.png --lpips vgg").fails(3, &["lpips_vgg.safetensors", "tools/lpips.py"]);
     let cache = std::env::var("ZIPSPLAT_CACHE").expect("a folder");
     std::fs::create_dir_all(&cache).expect("a folder");
     std::fs::write(Path::new(&cache).join("lpips_alex.safetensors"), [8u8; 99]).expect("a file");
-    run("compare @/a/one.png @/b/one.png --lpips alex").fails(3, &["lpips_alex.safetensors"]);
+    run("eval @/a/one.png @/b/one.png --lpips alex").fails(3, &["lpips_alex.safetensors"]);
 }

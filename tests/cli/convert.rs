@@ -30,18 +30,19 @@ fn weights_of_8_bits_go_through_every_command() {
     folder.run("convert @/q8.safetensors @/again.safetensors --dtype q8").success();
     let bytes = |name: &str| std::fs::read(folder.path(name)).expect("a checkpoint");
     assert_eq!(bytes("again.safetensors"), bytes("q8.safetensors"));
-    let info = folder.run("info @/q8.safetensors --json").json();
+    let info = folder.run("convert @/q8.safetensors --json").json();
     let stored = info["stored"].as_object().expect("bytes of each type");
     assert_eq!(stored.keys().collect::<Vec<_>>(), ["f16", "f32", "q8"]);
-    assert!(folder.run("info @/q8.safetensors").success().contains("q8 "));
+    assert!(folder.run("convert @/q8.safetensors").success().contains("q8 "));
     let plan = |weights: &str| {
-        let plan = folder.run(&format!("--device none info --plan --weights @/{weights}.safetensors --views 2 --json"));
+        let plan = folder
+            .run(&format!("--device none reconstruct --dry-run --weights @/{weights}.safetensors --views 2 --json"));
         plan.json()["weight_bytes"].as_u64().expect("bytes")
     };
     assert!(plan("q8") < plan("micro") * 4 / 5, "{} of {}", plan("q8"), plan("micro"));
     if Arithmetic::of(Precision::Int8, device().limits()).is_some() {
-        let turbo = folder.run("info --plan --weights @/q8.safetensors --views 2 --precision turbo");
-        turbo.fails(3, &["q8.safetensors, whose weights are q8", "exact, fast or fast-bf16"]);
+        let turbo = folder.run("reconstruct --dry-run --weights @/q8.safetensors --views 2 --precision int8");
+        turbo.fails(3, &["q8.safetensors, whose weights are q8", "fp32, fp16 or bf16"]);
     }
     folder.run("convert @/micro.safetensors @/b.safetensors --dtype q9").fails(3, &["dtype", "q9", "bf16 or q8"]);
 }
@@ -67,12 +68,12 @@ fn scenes_go_from_format_to_format() {
         ("e.splat", "f.ply", 0),
     ] {
         let outcome = folder.run(&format!("convert @/{from} @/{to} --json"));
-        assert_eq!(outcome.err.contains("one colour"), to == "e.splat", "{}", outcome.err);
+        assert_eq!(outcome.err.contains("one color"), to == "e.splat", "{}", outcome.err);
         let json = outcome.json();
         assert_eq!(json["bytes"].as_u64(), Some(folder.path(to).metadata().expect("a file").len()), "{to}");
         let scene = Scene::open(folder.path(to)).expect("a scene");
         assert_eq!((scene.len(), scene.sh_degree), (30, degree), "{to}");
-        let info = folder.run(&format!("info @/{to} --json")).json();
+        let info = folder.run(&format!("convert @/{to} --json")).json();
         assert_eq!((&info["gaussians"], &info["sh_degree"]), (&30.into(), &degree.into()));
     }
     let bytes = |name: &str| std::fs::read(folder.path(name)).expect("a scene");

@@ -12,7 +12,7 @@ const WEIGHTS: &str = "--weights @/da3.safetensors";
 #[test]
 fn a_folder_gets_depth_cameras_and_points() {
     let folder = Folder::new().with_depth();
-    let line = format!("depth @/photos {WEIGHTS} --size 42 --points 500 -o @/out --json");
+    let line = format!("depth @/photos {WEIGHTS} --input-size 42 --max-points 500 -o @/out --json");
     let json = folder.run(&line).json();
     assert_eq!((&json["views"], &json["width"], &json["height"]), (&2.into(), &42.into(), &28.into()));
     let expected = [
@@ -26,6 +26,9 @@ fn a_folder_gets_depth_cameras_and_points() {
     ];
     assert_eq!(crate::names(&folder.path("out")), expected);
     assert_eq!(Image::size(folder.path("out/1.depth.png")).unwrap(), (42, 28));
+    let picture = std::fs::read(folder.path("out/1.depth.png")).unwrap();
+    let scale = format!("depth_levels_per_unit\0{}", json["depth_levels_per_unit"].as_f64().unwrap() as f32);
+    assert!(picture.windows(scale.len()).any(|window| window == scale.as_bytes()), "{scale}");
     let bytes = std::fs::read(folder.path("out/depths.safetensors")).unwrap();
     let values = safetensors::SafeTensors::deserialize(&bytes).unwrap();
     for (name, shape) in [
@@ -56,7 +59,7 @@ fn wrong_arguments_are_named() {
     depth("--weights seeded:da3-tiny").fails(3, &["da3-tiny", "da3-small"]);
     depth("--weights @/micro.safetensors").fails(3, &["micro.safetensors", "da3-base"]);
     depth("--weights @/none.safetensors").fails(3, &["none.safetensors"]);
-    depth(&format!("{WEIGHTS} --reference 3 --size 42")).fails(3, &["--reference", "1 to 2"]);
+    depth(&format!("{WEIGHTS} --reference 3 --input-size 42")).fails(3, &["--reference-view", "2", "0 to 1"]);
     depth("").fails_usage();
     assert_eq!(folder.names(), ["alone.safetensors", "da3.safetensors", "micro.safetensors", "photos"]);
 }
@@ -68,10 +71,10 @@ fn focals(poses: &Capture) -> Vec<[f64; 2]> {
 #[test]
 fn cameras_are_those_of_the_network() {
     let folder = Folder::new().with_depth();
-    folder.run(&format!("depth @/photos {WEIGHTS} --size 70 --colmap-model @/depth/model -o @/depth")).success();
-    let line = format!("cameras @/photos --with da3 {WEIGHTS} --find-size 70");
+    folder.run(&format!("depth @/photos {WEIGHTS} --input-size 70 --colmap-model @/depth/model -o @/depth")).success();
+    let line = format!("cameras @/photos --method da3 {WEIGHTS} --matching-size 70");
     let json = folder.run(&format!("{line} --colmap-model @/model -o @/transforms.json --json")).json();
-    assert_eq!((&json["found"], &json["program"]), (&2.into(), &"da3-micro".into()), "{json}");
+    assert_eq!((&json["registered"], &json["program"]), (&2.into(), &"da3-micro".into()), "{json}");
     assert!(!folder.path("colmap.log").exists());
     let [of_depth, found] =
         ["depth/transforms.json", "transforms.json"].map(|name| Capture::open(folder.path(name)).unwrap());
@@ -81,7 +84,7 @@ fn cameras_are_those_of_the_network() {
     assert!(points(&found).positions.len() > 500 && points(&found) == points(&of_depth));
     let shared = focals(&found);
     assert!(shared[0][0] == shared[0][1] && shared[0] == shared[1], "{shared:?}");
-    folder.run(&format!("{line} --focal-lengths own -o @/own.json")).success();
+    folder.run(&format!("{line} --per-view-focal -o @/own.json")).success();
     let own = focals(&Capture::open(folder.path("own.json")).unwrap());
     assert!(own[0][0] != own[0][1] && own[0] != own[1], "{own:?}");
     let mean = |[fx, fy]: [f64; 2]| (fx * fy).sqrt();
@@ -105,8 +108,8 @@ fn cameras_are_those_of_the_network() {
 #[test]
 fn other_commands_take_cameras_of_the_network() {
     let folder = Folder::new().with_depth();
-    let find = "--poses da3 --depth-weights @/da3.safetensors --find-size 64";
-    let micro = "--weights @/micro.safetensors --size 28x28";
+    let find = "--cameras da3 --depth-weights @/da3.safetensors --matching-size 64";
+    let micro = "--weights @/micro.safetensors --input-size 28x28";
     let line = format!("reconstruct @/photos {find} {micro} --cameras-out @/found.json -o @/scene.ply --json");
     let outcome = folder.run(&line);
     assert!(outcome.err.contains("cameras found: 2 of 2 photos"), "{}", outcome.err);
@@ -114,7 +117,7 @@ fn other_commands_take_cameras_of_the_network() {
         (&outcome.json()["photos"], Capture::open(folder.path("found.json")).unwrap().frames.len()),
         (&2.into(), 2)
     );
-    let line = format!("refine @/photos {find} --start points --steps 1 -o @/refined.ply --json");
+    let line = format!("refine @/photos {find} --init points --steps 1 -o @/refined.ply --json");
     assert_eq!(folder.run(&line).json()["photos"], 2);
 }
 
@@ -123,13 +126,13 @@ fn a_network_that_finds_no_cameras_is_named() {
     let folder = Folder::new().with_depth();
     let cameras = |rest: &str| folder.run(&format!("cameras @/photos -o @/c.json {rest}"));
     let alone = ["da3-micro-alone, which sees each photo by itself", "no camera decoder", "da3-base"];
-    cameras("--with da3 --weights @/alone.safetensors").fails(3, &alone);
-    cameras("--with da3").fails_usage();
-    cameras("--weights @/da3.safetensors").fails(3, &["--weights", "--with da3"]);
-    folder.run("refine @/photos --poses da3 --start points -o @/s.ply").fails(3, &["--depth-weights", "no weights"]);
-    folder.run("refine @/s.ply @/photos --poses da3 -o @/t.ply").fails(3, &["--poses da3", "--start points"]);
+    cameras("--method da3 --weights @/alone.safetensors").fails(3, &alone);
+    cameras("--method da3").fails_usage();
+    cameras("--weights @/da3.safetensors").fails(3, &["--weights", "--method da3"]);
+    folder.run("refine @/photos --cameras da3 --init points -o @/s.ply").fails(3, &["--depth-weights", "no weights"]);
+    folder.run("refine @/s.ply @/photos --cameras da3 -o @/t.ply").fails(3, &["--cameras da3", "--init points"]);
     // Random rays are inconsistent.
-    let rays = format!("--with da3 {WEIGHTS} --find-size 64 --by rays");
+    let rays = format!("--method da3 {WEIGHTS} --matching-size 64 --camera-source rays");
     cameras(&rays).fails(3, &["rays that agree on a camera", "at least half"]);
     assert_eq!(folder.names(), ["alone.safetensors", "da3.safetensors", "micro.safetensors", "photos"]);
 }
@@ -141,7 +144,7 @@ fn made(json: &serde_json::Value) -> [u64; 4] {
 #[test]
 fn photos_become_a_gaussian_a_pixel() {
     let folder = Folder::new().with_depth();
-    let plain = format!("reconstruct @/photos {WEIGHTS} --size 70x70 -o @/scene.ply");
+    let plain = format!("reconstruct @/photos {WEIGHTS} --input-size 70x70 -o @/scene.ply");
     let line = format!("{plain} --json");
     let outcome = folder.run(&format!("{line} --cameras-out @/cameras.json"));
     assert!(outcome.err.contains("cameras found: 2 of 2 photos"), "{}", outcome.err);
@@ -157,26 +160,27 @@ fn photos_become_a_gaussian_a_pixel() {
     let [_, tokens, all, of_half] = made(&folder.run(&format!("{line} --ratio 0.5")).json());
     assert_eq!(all, 40);
     assert!((10..=20).contains(&tokens) && of_half < gaussians && of_half <= 196 * tokens, "{tokens}: {of_half}");
-    let [_, tokens, _, few] = made(&folder.run(&format!("{line} --keep 3")).json());
+    let [_, tokens, _, few] = made(&folder.run(&format!("{line} --max-gaussians-per-token 3")).json());
     assert!(tokens == 40 && few > 60 && few <= 120, "{few}");
 
     // Passed in, or estimated during refinement.
     let cameras = Capture::open(folder.path("cameras.json")).unwrap();
     assert_eq!(cameras.frames.len(), 2);
-    let given = folder.run(&format!("{plain} --poses @/cameras.json --cameras-out @/again.json"));
+    let given = folder.run(&format!("{plain} --cameras @/cameras.json --cameras-out @/again.json"));
     given.fails(3, &["--cameras-out", "cameras that are known"]);
-    assert_eq!(made(&folder.run(&format!("{line} --poses @/cameras.json")).json())[..3], [2, 40, 40]);
-    let refined = folder.run(&format!("{line} --keep 2 --poses da3 --refine=2 --hold-out 0")).json();
-    assert_eq!((&refined["refined"]["start"], &refined["refined"]["steps"]), (&"the scene".into(), &2.into()));
+    assert_eq!(made(&folder.run(&format!("{line} --cameras @/cameras.json")).json())[..3], [2, 40, 40]);
+    let refined =
+        folder.run(&format!("{line} --max-gaussians-per-token 2 --cameras da3 --refine=2 --holdout-views 0")).json();
+    assert_eq!((&refined["refined"]["init"], &refined["refined"]["steps"]), (&"the scene".into(), &2.into()));
 }
 
 #[test]
 fn photos_seen_by_themselves_need_cameras_and_points() {
     let folder = Folder::new().with_depth();
     folder.run("scene --seed 3 --views 2 --size 42x28 -o @/place").success();
-    let line = "reconstruct @/place/images --weights @/alone.safetensors --size 42x42 -o @/scene.ply";
+    let line = "reconstruct @/place/images --weights @/alone.safetensors --input-size 42x42 -o @/scene.ply";
     folder.run(line).fails(3, &["da3-micro-alone, which sees each photo by itself", "known cameras"]);
-    let json = folder.run(&format!("{line} --poses @/place/transforms.json --json")).json();
+    let json = folder.run(&format!("{line} --cameras @/place/transforms.json --json")).json();
     assert!(made(&json)[3] > 100, "{json}");
     let (points, scene) =
         (read_points(folder.path("place/points.ply")).unwrap(), read_ply(folder.path("scene.ply")).unwrap());
@@ -193,39 +197,42 @@ fn photos_seen_by_themselves_need_cameras_and_points() {
     assert!((0.3..3.0).contains(&(of_scene / of_points)), "{of_scene} {of_points}");
     // Metric depth needs the focal length of the network's input.
     let depth = |rest: &str| {
-        let line = format!("depth @/place/images --weights @/alone.safetensors --size 42 -o @/out {rest}");
+        let line = format!("depth @/place/images --weights @/alone.safetensors --input-size 42 -o @/out {rest}");
         folder.run(&line).success();
         let bytes = std::fs::read(folder.path("out/depths.safetensors")).unwrap();
         let values = safetensors::SafeTensors::deserialize(&bytes).unwrap().tensor("depth").unwrap().data().to_vec();
         f32::from_le_bytes(*values.first_chunk().unwrap())
     };
-    let (plain, metres) = (depth(""), depth("--poses @/place/transforms.json --metres"));
+    let (plain, metres) = (depth(""), depth("--cameras @/place/transforms.json --metric"));
     let focal = first.intrinsics.fx;
     assert!((f64::from(metres / plain) - focal / 300.0).abs() < 1e-5, "{metres} {plain} {focal}");
-    let of_all = format!("depth @/place/images {WEIGHTS} --size 42 -o @/all --poses @/place/transforms.json --metres");
-    folder.run(&of_all).fails(3, &["--metres", "da3-micro"]);
+    let of_all =
+        format!("depth @/place/images {WEIGHTS} --input-size 42 -o @/all --cameras @/place/transforms.json --metric");
+    folder.run(&of_all).fails(3, &["--metric", "da3-micro"]);
     std::fs::remove_file(folder.path("place/points.ply")).unwrap();
-    folder.run(&format!("{line} --poses @/place/transforms.json")).fails(3, &["scale of the depth", "points"]);
+    folder.run(&format!("{line} --cameras @/place/transforms.json")).fails(3, &["scale of the depth", "points"]);
 }
 
 #[test]
 fn weights_are_known_by_their_tensors() {
     let folder = Folder::new().with_depth();
-    let info = folder.run("info @/da3.safetensors --json").json();
+    let info = folder.run("convert @/da3.safetensors --json").json();
     assert_eq!(
-        (&info["kind"], &info["cameras"], &info["sky"]),
+        (&info["kind"], &info["estimates_cameras"], &info["sky"]),
         (&"Depth Anything 3".into(), &true.into(), &false.into())
     );
-    assert_eq!(folder.run("info @/alone.safetensors --json").json()["cameras"], false);
-    let text = folder.run("info seeded:da3-giant").success();
+    assert_eq!(folder.run("convert @/alone.safetensors --json").json()["estimates_cameras"], false);
+    let text = folder.run("convert seeded:da3-giant").success();
     assert!(text.contains("da3-giant of Depth Anything 3") && text.contains("a Gaussian a pixel"), "{text}");
-    let plan = folder.run("info --plan --weights seeded:da3-small --views 2 --size 252x168 --ratio 0.5 --json").json();
+    let plan = folder
+        .run("reconstruct --dry-run --weights seeded:da3-small --views 2 --input-size 252x168 --ratio 0.5 --json")
+        .json();
     assert_eq!((&plan["tokens"], &plan["network"]), (&216.into(), &"da3-small".into()), "{plan}");
     assert!(plan["peak_bytes"].as_u64() > plan["weight_bytes"].as_u64());
 
     // Exact in 16 bits, rounded to 8.
     let values = |file: &str| {
-        folder.run(&format!("depth @/photos --weights @/{file} --size 42 -o @/{file}.out")).success();
+        folder.run(&format!("depth @/photos --weights @/{file} --input-size 42 -o @/{file}.out")).success();
         let bytes = std::fs::read(folder.path(&format!("{file}.out/depths.safetensors"))).unwrap();
         let found = safetensors::SafeTensors::deserialize(&bytes).unwrap().tensor("depth").unwrap().data().to_vec();
         found.as_chunks().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect::<Vec<f32>>()
@@ -233,7 +240,7 @@ fn weights_are_known_by_their_tensors() {
     let exact = values("da3.safetensors");
     for (dtype, within) in [("f16", 1e-9), ("q8", 0.2)] {
         folder.run(&format!("convert @/da3.safetensors @/{dtype}.safetensors --dtype {dtype}")).success();
-        let json = folder.run(&format!("info @/{dtype}.safetensors --json")).json();
+        let json = folder.run(&format!("convert @/{dtype}.safetensors --json")).json();
         assert!(json["stored"][dtype].as_u64() > Some(0) && json["architecture"] == info["architecture"], "{json}");
         let rounded = values(&format!("{dtype}.safetensors"));
         let apart: f32 = exact.iter().zip(&rounded).map(|(a, b)| (a / b).ln().abs()).sum::<f32>() / exact.len() as f32;
@@ -242,16 +249,16 @@ fn weights_are_known_by_their_tensors() {
     let tradeoff = "bench tradeoff @/photos --weights @/da3.safetensors -o @/report";
     folder.run(tradeoff).fails(3, &["of Depth Anything 3", "of ZipSplat"]);
     let refused = |rest: &str| folder.run(&format!("reconstruct @/photos {WEIGHTS} -o @/s.ply {rest}"));
-    refused("--fit squares").fails(3, &["--fit squares", "weights of ZipSplat"]);
-    refused("--keep 197").fails(3, &["--keep", "1 to 196"]);
-    refused("--poses da3 --refine=2:tokens").fails(3, &["tokens", "weights of ZipSplat"]);
+    refused("--crop tiles").fails(3, &["--crop tiles", "weights of ZipSplat"]);
+    refused("--max-gaussians-per-token 197").fails(3, &["--max-gaussians-per-patch", "1 to 196"]);
+    refused("--cameras da3 --refine=2 --refine-target tokens").fails(3, &["tokens", "weights of ZipSplat"]);
 }
 
 #[test]
 fn scenes_of_pixels_are_judged() {
     let folder = Folder::new().with_depth();
     folder.run("scene --seed 3 --views 5 --size 42x28 -o @/place").success();
-    let eval = |rest: &str| folder.run(&format!("eval @/place --views 3 {WEIGHTS} --size 42x28 {rest}"));
+    let eval = |rest: &str| folder.run(&format!("eval @/place --views 3 {WEIGHTS} --input-size 42x28 {rest}"));
     let json = eval("-o @/judged --json").json();
     let [tokens, all] = ["tokens", "all_tokens"].map(|key| json[key].as_u64());
     assert_eq!((tokens, all, json["views"].as_array().map(Vec::len)), (Some(18), Some(18), Some(2)), "{json}");
@@ -259,7 +266,8 @@ fn scenes_of_pixels_are_judged() {
     // In the cameras' scale.
     let inputs = json["inputs"].as_array().unwrap().iter().map(|name| format!("@/place/{}", name.as_str().unwrap()));
     let inputs: Vec<String> = inputs.collect();
-    let line = format!("reconstruct {} --poses @/place {WEIGHTS} --size 42x28 -o @/scene.ply", inputs.join(" "));
+    let line =
+        format!("reconstruct {} --cameras @/place {WEIGHTS} --input-size 42x28 -o @/scene.ply", inputs.join(" "));
     folder.run(&line).success();
     let [judged, made] = ["judged/scene.ply", "scene.ply"].map(|file| read_ply(folder.path(file)).unwrap());
     assert_eq!((judged.len() as u64, judged.len()), (json["gaussians"].as_u64().unwrap(), made.len()));
@@ -269,13 +277,13 @@ fn scenes_of_pixels_are_judged() {
 
     let half = eval("--ratio 0.5 --json").json();
     assert!(half["tokens"].as_u64() < Some(10) && half["gaussians"].as_u64() < json["gaussians"].as_u64(), "{half}");
-    let refined = eval("--refine 2 --start scene --json").json();
-    assert_eq!(refined["refined"]["start"], "the scene");
-    eval("--refine 2:tokens").fails(3, &["--refine STEPS:tokens", "weights of ZipSplat"]);
-    eval("--fit squares").fails(3, &["--fit squares", "weights of ZipSplat"]);
-    eval("--keep 200").fails(3, &["--keep", "1 to 196"]);
+    let refined = eval("--refine 2 --init scene --json").json();
+    assert_eq!(refined["refined"]["init"], "the scene");
+    eval("--refine=2 --refine-target tokens").fails(3, &["--refine-target tokens", "weights of ZipSplat"]);
+    eval("--crop tiles").fails(3, &["--crop tiles", "weights of ZipSplat"]);
+    eval("--max-gaussians-per-token 200").fails(3, &["--max-gaussians-per-patch", "1 to 196"]);
     // Single-view networks get their scale from points.
-    let alone = "eval @/place --views 3 --weights @/alone.safetensors --size 42x28";
+    let alone = "eval @/place --views 3 --weights @/alone.safetensors --input-size 42x28";
     assert!(folder.run(&format!("{alone} --json")).json()["mean"]["psnr"].as_f64().is_some());
     folder.run(&format!("{alone} --pose-free")).fails(3, &["da3-micro-alone", "no camera decoder"]);
 }
@@ -283,15 +291,15 @@ fn scenes_of_pixels_are_judged() {
 #[test]
 fn scenes_of_pixels_are_shown() {
     let folder = Folder::new().with_depth();
-    let line = format!("view @/photos {WEIGHTS} --size 42x42 -o @/page.html");
+    let line = format!("view @/photos {WEIGHTS} --input-size 42x42 -o @/page.html");
     let json = folder.run(&format!("{line} --ratios 0.5,1 --json")).json();
     let counts: Vec<u64> = json["gaussians"].as_array().unwrap().iter().filter_map(|count| count.as_u64()).collect();
     assert!(counts.len() == 2 && counts[0] > counts[1] && counts[1] > 0, "{json}");
-    let scene = folder.run(&format!("reconstruct @/photos {WEIGHTS} --size 42x42 -o @/scene.ply --json")).json();
+    let scene = folder.run(&format!("reconstruct @/photos {WEIGHTS} --input-size 42x42 -o @/scene.ply --json")).json();
     assert_eq!(scene["gaussians"].as_u64(), Some(counts[0]));
     let page = std::fs::read_to_string(folder.path("page.html")).unwrap();
     assert!(page.contains("ratio 0.5") && page.contains("\"cameras\":[{"), "no camera, or no slider");
-    folder.run(&format!("{line} --refine=2 --poses da3")).fails(3, &["--refine", "weights of ZipSplat"]);
+    folder.run(&format!("{line} --refine=2 --cameras da3")).fails(3, &["--refine", "weights of ZipSplat"]);
     folder.run(&format!("{line} --ratio 0.5")).fails(3, &["--ratio", "--ratios R,R"]);
     let alone = line.replace("da3.safetensors", "alone.safetensors");
     folder.run(&alone).fails(3, &["da3-micro-alone", "no camera decoder"]);
@@ -301,17 +309,17 @@ fn scenes_of_pixels_are_shown() {
 fn errors_are_told_where_there_is_a_truth() {
     let folder = Folder::new().with_depth();
     folder.run("scene --seed 3 --views 3 --size 42x28 -o @/place").success();
-    let line = format!("depth @/place/images {WEIGHTS} --size 42 -o @/out --truth @/place --json");
+    let line = format!("depth @/place/images {WEIGHTS} --input-size 42 -o @/out --ground-truth @/place --json");
     let errors = &folder.run(&line).json()["errors"];
     let number = |errors: &serde_json::Value, key: &str| errors[key].as_f64();
     assert_eq!(errors["photos"], 3);
-    assert!(number(errors, "degrees").is_none_or(|degrees| degrees > 1.0), "{errors}");
-    assert!(number(errors, "abs_rel") > Some(0.05) && number(errors, "within_1.25") < Some(0.99), "{errors}");
-    let errors = &folder.run(&format!("{line} --poses @/place/transforms.json")).json()["errors"];
-    assert!(errors["degrees"].is_null() && number(errors, "abs_rel").is_some(), "{errors}");
+    assert!(number(errors, "rotation_error_deg").is_none_or(|degrees| degrees > 1.0), "{errors}");
+    assert!(number(errors, "abs_rel") > Some(0.05) && number(errors, "delta_1_25") < Some(0.99), "{errors}");
+    let errors = &folder.run(&format!("{line} --cameras @/place/transforms.json")).json()["errors"];
+    assert!(errors["rotation_error_deg"].is_null() && number(errors, "abs_rel").is_some(), "{errors}");
     std::fs::remove_dir_all(folder.path("place/depth")).unwrap();
     let report = folder.run(&line).json();
     assert!(report["errors"]["abs_rel"].is_null(), "{report}");
-    let strangers = format!("depth @/photos {WEIGHTS} --size 42 -o @/other --truth @/place");
+    let strangers = format!("depth @/photos {WEIGHTS} --input-size 42 -o @/other --ground-truth @/place");
     folder.run(&strangers).fails(3, &["photos with a truth", "place"]);
 }

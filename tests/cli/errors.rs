@@ -12,7 +12,7 @@ fn refused(folder: &Folder, line: &str, code: u8, words: &[&str]) {
     assert_eq!(folder.names(), before, "{line}");
 }
 
-const MICRO: &str = "--weights @/micro.safetensors --size 28x28 -o @/out.ply";
+const MICRO: &str = "--weights @/micro.safetensors --input-size 28x28 -o @/out.ply";
 
 #[test]
 fn photos() {
@@ -72,7 +72,7 @@ fn json_has_errors_as_objects() {
         assert_eq!(json["exit_code"], code);
         json
     };
-    let json = error("info @/absent.ply --json", 3);
+    let json = error("convert @/absent.ply --json", 3);
     assert_eq!(json["kind"], "io");
     assert!(json["error"].as_str().is_some_and(|text| text.contains("absent.ply: No such file")), "{json}");
     assert_eq!(error("--json info @/photos/1.png", 3)["kind"], "argument");
@@ -95,40 +95,41 @@ fn numbers() {
         refused(&folder, &format!("reconstruct @/photos --ratio={ratio} {MICRO}"), 3, &["ratio", "(0, 1]"]);
     }
     for line in ["reconstruct @/photos -o @/out.ply", "eval @/absent -o @/out", "bench tradeoff @/absent -o @/report"] {
-        let line = format!("{line} --weights @/micro.safetensors --size 28x28 --views 2 --pool 5");
+        let line = format!("{line} --weights @/micro.safetensors --input-size 28x28 --views 2 --kv-pool 5");
         refused(&folder, &line, 3, &["pool: found 5", "1 to 4"]);
     }
     for size in ["30x28", "28x0", "4294967282x14"] {
-        let line = format!("reconstruct @/photos --weights @/micro.safetensors --size {size} -o @/out.ply");
+        let line = format!("reconstruct @/photos --weights @/micro.safetensors --input-size {size} -o @/out.ply");
         refused(&folder, &line, 3, &["size of the views"]);
     }
-    refused(&folder, "info --plan --views 0 --weights seeded:vits", 3, &["views", "1 to 192"]);
-    for line in ["reconstruct @/photos", "eval @/absent", "info --plan --views 2"] {
-        let output = if line.starts_with("info") { "" } else { "-o @/out.ply" };
-        let line = format!("{line} --weights @/micro.safetensors --keep 5 {output}");
-        refused(&folder, &line, 3, &["--keep: found 5", "1 to 4"]);
+    folder.run("reconstruct --dry-run --views 0 --weights seeded:vits").fails_usage();
+    refused(&folder, "reconstruct --dry-run --weights seeded:vits", 3, &["photos", "--views"]);
+    for line in ["reconstruct @/photos", "eval @/absent", "reconstruct --dry-run --views 2"] {
+        let line = format!("{line} --weights @/micro.safetensors --max-gaussians-per-token 5 -o @/out.ply");
+        refused(&folder, &line, 3, &["--max-gaussians-per-token: found 5", "1 to 4"]);
     }
     for keep in ["5", "4,5"] {
-        let line =
-            format!("bench tradeoff @/absent --weights @/micro.safetensors --size 28x28 --keep {keep} -o @/report");
-        refused(&folder, &line, 3, &["--keep: found", "1 to 4"]);
+        let line = format!(
+            "bench tradeoff @/absent --weights @/micro.safetensors --input-size 28x28 --max-gaussians-per-token {keep} -o @/report"
+        );
+        refused(&folder, &line, 3, &["--max-gaussians-per-token: found", "1 to 4"]);
     }
-    let little = "--weights @/micro.safetensors --size 28x28 --memory 100K -o @/out.ply";
+    let little = "--weights @/micro.safetensors --input-size 28x28 --max-memory 100K -o @/out.ply";
     refused(
         &folder,
         &format!("reconstruct @/photos {little}"),
         4,
-        &["MiB of device memory are missing", "--memory allows 100.00 KiB"],
+        &["MiB of device memory are missing", "--max-memory allows 100.00 KiB"],
     );
 }
 
 #[test]
 fn remedies_are_named() {
     let folder = Folder::new();
-    refused(&folder, "eval @/photos --views 1", 3, &["poses: found", "--poses find"]);
+    refused(&folder, "eval @/photos --views 1", 3, &["poses: found", "--cameras colmap"]);
     refused(&folder, "reconstruct @/photos --weights nosuch -o @/out.ply", 3, &["nosuch", "zipsplat, da3-small"]);
     refused(&folder, "depth @/photos --weights nosuch -o @/out", 3, &["nosuch", "zipsplat, da3-small"]);
-    let outcome = folder.run("reconstruct @/photos --size 100x100 -o @/out.ply");
+    let outcome = folder.run("reconstruct @/photos --input-size 100x100 -o @/out.ply");
     assert_eq!((outcome.code, outcome.err.lines().count()), (3, 1), "{}", outcome.err);
 }
 
@@ -137,7 +138,7 @@ fn remedies_are_named() {
 fn new_names_are_aliases() {
     let folder = Folder::new();
     for line in [
-        "render @/absent.ply --poses @/absent.json --point-size 1 --gaussians-per-token 4 --max-memory 1G -o @/out",
+        "render @/absent.ply --cameras @/absent.json --point-size 1 --gaussians-per-token 4 --max-memory 1G -o @/out",
         "refine @/absent.ply @/photos --cameras @/absent.json --init scene --max-image-size 64x64 --views-per-step 1 \
          --holdout-views 0 --optimize-cameras --max-gaussians 10 --cameras-out @/c.json -o @/out.ply",
         "eval @/absent --cameras @/absent.json --eval-size 28x28 --full-images --pose-noise 1 --scene-scale 1",
@@ -153,13 +154,17 @@ fn new_names_are_aliases() {
 
 #[test]
 fn short_help_fits_a_screen() {
-    for command in ["reconstruct", "eval"] {
-        let short = zipsplat(&format!("{command} -h")).success();
-        let long = zipsplat(&format!("{command} --help")).success();
+    for command in ["reconstruct", "refine", "cameras", "depth", "render", "view", "eval", "convert", "doctor"] {
+        let [short, long] = ["-h", "--help"].map(|help| zipsplat(&format!("{command} {help}")).success());
         let lines: usize = short.lines().map(|line| line.chars().count().div_ceil(100).max(1)).sum();
-        assert!(lines <= 50 && short.contains("--refine") && !short.contains("--variant"), "{lines} lines: {short}");
-        assert!(long.contains("--variant") && long.contains("--ffmpeg") == (command == "reconstruct"), "{long}");
+        let options = short.lines().filter(|line| line.trim_start().starts_with('-')).count();
+        assert!(lines <= 50 && options <= 16, "{command}: {lines} lines, {options} options: {short}");
+        for global in ["--device", "--max-memory", "--json", "--quiet"] {
+            assert!(short.contains(global), "{command}: {global}");
+        }
+        assert!(long.lines().count() > short.lines().count() && !long.contains("--poses"), "{long}");
     }
+    assert!(!zipsplat("--help").success().contains("Procedural"));
 }
 
 #[test]
@@ -171,18 +176,17 @@ fn wrong_usage_exits_with_2() {
         "paint",
         "reconstruct -o @/out.ply",
         "reconstruct @/photos --ratio half -o @/out.ply",
-        "reconstruct @/photos --size 252 -o @/out.ply",
-        "reconstruct @/photos --select best -o @/out.ply",
+        "reconstruct @/photos --input-size 252 -o @/out.ply",
+        "reconstruct @/photos --token-selection best -o @/out.ply",
         "reconstruct @/photos --precision sloppy -o @/out.ply",
         "render @/scene.ply --orbit --wiggle -o @/out",
         "render @/scene.ply --orbit --background 2,0,0 -o @/out",
         "render @/scene.ply --orbit --frames 0 -o @/out",
-        "info --plan --weights seeded:vits",
-        "info --weights seeded:vits",
-        "info --ratio 0.3",
-        "info @/scene.ply --weights seeded:vits",
-        "info @/scene.ply --keep 2",
-        "info --invalid drop",
+        "doctor list --weights seeded:vits",
+        "convert @/scene.ply --ratio 0.3",
+        "convert @/scene.ply --weights seeded:vits",
+        "convert @/scene.ply --max-gaussians-per-token 2",
+        "doctor list --drop-invalid",
         "reconstruct @/photos --views 193 -o @/out.ply",
     ] {
         let outcome = folder.run(line);
@@ -201,10 +205,10 @@ fn poses() {
     write_transforms(folder.path("none.json"), &[], &[] as &[&str]).expect("cameras can be written");
     std::fs::write(folder.path("bad.json"), "{\"frames\": 3}").expect("a file");
     write_ply(&scenes::random_scene(5, 0, 0.1), folder.path("scene.ply")).expect("a scene can be written");
-    let reconstruct = |poses: &str| format!("reconstruct @/photos --poses {poses} {MICRO}");
+    let reconstruct = |poses: &str| format!("reconstruct @/photos --cameras {poses} {MICRO}");
     refused(
         &folder,
-        &format!("reconstruct @/photos/10.png --poses @/one.json {MICRO}"),
+        &format!("reconstruct @/photos/10.png --cameras @/one.json {MICRO}"),
         3,
         &["camera of", "photos/10.png", "found none", "the poses (1): photos/1.png"],
     );
@@ -220,7 +224,7 @@ fn poses() {
     let place = folder.line("@/./train/1");
     refused(
         &folder,
-        &format!("reconstruct @/photos/1.png --poses @/nerf.json {MICRO}"),
+        &format!("reconstruct @/photos/1.png --cameras @/nerf.json {MICRO}"),
         3,
         &["camera of", "no w and h", &place],
     );
@@ -230,7 +234,7 @@ fn poses() {
     let place = folder.line("@/blender/./train/1");
     refused(
         &folder,
-        "eval @/blender --views 2 --weights @/micro.safetensors --size 28x28",
+        "eval @/blender --views 2 --weights @/micro.safetensors --input-size 28x28",
         3,
         &["photos with cameras", "found 0", &place],
     );
@@ -247,7 +251,7 @@ fn weights() {
     let whole = std::fs::read(folder.path("micro.safetensors")).expect("weights");
     std::fs::write(folder.path("cut.safetensors"), &whole[..whole.len() - 100]).expect("a file");
     std::fs::write(folder.path("empty.safetensors"), "").expect("a file");
-    let reconstruct = |weights: &str| format!("reconstruct @/photos {weights} --size 28x28 -o @/out.ply");
+    let reconstruct = |weights: &str| format!("reconstruct @/photos {weights} --input-size 28x28 -o @/out.ply");
     refused(&folder, &reconstruct("--weights seeded:vitx"), 3, &["vitx", "vits, vitb, vitl, vitg"]);
     refused(&folder, &reconstruct("--weights @/micro.safetensors --variant vitx"), 3, &["vitx"]);
     refused(&folder, &reconstruct("--weights @/micro.safetensors --variant vitb"), 3, &["vitb", "micro"]);
@@ -256,12 +260,12 @@ fn weights() {
     refused(&folder, &reconstruct("--weights @/absent.safetensors"), 3, &["absent.safetensors", "No such file"]);
     refused(&folder, "convert @/cut.safetensors @/out.safetensors", 3, &["cut.safetensors"]);
     refused(&folder, "convert @/micro.safetensors @/out.safetensors --dtype f64", 3, &["dtype", "f64"]);
-    refused(&folder, "info @/cut.safetensors", 3, &["cut.safetensors"]);
-    refused(&folder, "info @/photos", 3, &["photos"]);
+    refused(&folder, "convert @/cut.safetensors", 3, &["cut.safetensors"]);
+    refused(&folder, "convert @/photos", 3, &["photos"]);
     let photo = format!("reconstruct /dev/zero {MICRO}");
     let weights = reconstruct("--weights /dev/zero");
     for line in [
-        "info /dev/zero",
+        "convert /dev/zero",
         "convert /dev/zero @/out.safetensors",
         "render /dev/zero --wiggle -o @/out",
         &photo,
@@ -269,12 +273,17 @@ fn weights() {
     ] {
         refused(&folder, line, 3, &["/dev/zero: found a device", "a regular file"]);
     }
-    refused(&folder, "info @/photos/1.png", 3, &["1.png: found a picture of 40x30", "safetensors", ".spz"]);
+    refused(&folder, "convert @/photos/1.png", 3, &["1.png: found a picture of 40x30", "safetensors", ".spz"]);
     refused(&folder, "convert @/photos/1.png @/out.safetensors", 3, &["a picture of 40x30", "a checkpoint"]);
     refused(&folder, &reconstruct("--weights @/photos/1.png"), 3, &["a picture of 40x30", "a checkpoint"]);
     std::fs::write(folder.path("letter"), "a letter, no weights").expect("a file");
-    refused(&folder, "info @/letter", 3, &["letter: found a file of unknown kind", "a checkpoint"]);
-    refused(&folder, "info @/micro.safetensors --invalid drop", 3, &["--invalid: found a checkpoint", "a scene"]);
+    refused(&folder, "convert @/letter", 3, &["letter: found a file of unknown kind", "a checkpoint"]);
+    refused(
+        &folder,
+        "convert @/micro.safetensors --drop-invalid",
+        3,
+        &["--drop-invalid: found a checkpoint", "a scene"],
+    );
 }
 
 #[test]
@@ -288,7 +297,7 @@ fn scenes_with_hostile_counts() {
         let bytes = [header.replace("vertex 5", &format!("vertex {count}")).as_bytes(), &good[end..]].concat();
         std::fs::write(folder.path(name), bytes).expect("a file");
         refused(&folder, &format!("render @/{name} --wiggle -o @/out"), 3, &[name]);
-        refused(&folder, &format!("info @/{name}"), 3, &[name]);
+        refused(&folder, &format!("convert @/{name}"), 3, &[name]);
     }
     refused(&folder, "render @/absent.ply --wiggle -o @/out", 3, &["absent.ply"]);
 }
@@ -300,10 +309,12 @@ fn devices() {
     let nowhere = "--device nonesuch";
     refused(&folder, &format!("reconstruct @/photos {nowhere} {MICRO}"), 4, &["nonesuch", "0: "]);
     refused(&folder, &format!("render @/scene.ply --wiggle {nowhere} -o @/out"), 4, &["nonesuch"]);
-    refused(&folder, &format!("info --plan --views 2 --weights seeded:vits {nowhere}"), 4, &["nonesuch"]);
+    refused(&folder, &format!("reconstruct --dry-run --views 2 --weights seeded:vits {nowhere}"), 4, &["nonesuch"]);
     refused(&folder, &format!("bench gemm {nowhere}"), 4, &["nonesuch"]);
-    for line in [&format!("reconstruct @/photos {MICRO}"), "info", "render @/scene.ply --wiggle -o @/out", "doctor"] {
-        refused(&folder, &format!("--device none {line}"), 3, &["--device: found none", "info --plan"]);
+    for line in
+        [&format!("reconstruct @/photos {MICRO}"), "doctor list", "render @/scene.ply --wiggle -o @/out", "doctor"]
+    {
+        refused(&folder, &format!("--device none {line}"), 3, &["--device: found none", "reconstruct --dry-run"]);
     }
 }
 
@@ -311,7 +322,7 @@ fn devices() {
 fn outputs() {
     let folder = Folder::new();
     let reconstruct =
-        |output: &str| format!("reconstruct @/photos --weights @/micro.safetensors --size 28x28 -o {output}");
+        |output: &str| format!("reconstruct @/photos --weights @/micro.safetensors --input-size 28x28 -o {output}");
     refused(&folder, &reconstruct("@/absent/out.ply"), 3, &["output folder", "absent"]);
     refused(&folder, &reconstruct("@/photos"), 3, &["output", "the folder"]);
     refused(&folder, &reconstruct("@/out.obj"), 3, &["--output", "out.obj", ".spz"]);
@@ -327,5 +338,65 @@ fn outputs() {
         let outcome = folder.run(line);
         assert!(!outcome.err.contains(".zipsplat-"), "a temporary name: {}", outcome.err);
         outcome.fails(3, &[named]);
+    }
+}
+
+/// Earlier spellings still work.
+#[test]
+fn earlier_names_of_options() {
+    let folder = Folder::new();
+    folder.run("scene --seed 3 --views 3 --size 28x28 --splats -o @/place").success();
+    let made = "reconstruct @/place/images --weights @/micro.safetensors -q -o @/";
+    let read = |name: &str| std::fs::read(folder.path(name)).expect("a scene");
+    for (name, options) in [
+        (
+            "new.ply",
+            "--input-size 28x28 --cameras @/place --scene-scale 2 --token-selection stride --kv-pool 1 \
+            --max-gaussians-per-token 2 --crop tiles --world first-camera --precision fp32 --max-memory 3G \
+            --refine 2 --init scene --holdout-views=1 --max-gaussians 0 --max-image-size 20x20",
+        ),
+        (
+            "old.ply",
+            "--size 28x28 --poses @/place --unit=2 --select stride --pool=1 \
+            --keep 2 --fit squares --world first --precision exact --memory 3G \
+            --refine=2:gaussians --start scene --hold-out 1 --grow 0 --refine-size 20x20",
+        ),
+    ] {
+        folder.run(&format!("{made}{name} {options}")).success();
+    }
+    assert_eq!(read("new.ply"), read("old.ply"));
+    let steps = "@/place/splats.ply @/place/images --steps 1 -q -o @/refined.ply";
+    folder
+        .run(&format!("refine {steps} --poses @/place --size 20x20 --batch 2 --invalid drop --invalid=refuse"))
+        .success();
+    folder.run("render @/place/splats.ply --wiggle --frames 1 --size 8x8 --group 4 --points 1 -o @/out").success();
+    folder.run("view @/place/splats.ply --exact --group 4 -o @/page.html").success();
+    let micro = "--weights @/micro.safetensors --size 28x28";
+    let words = "--pictures @/drawn -- --orbit --frames 1 --size 8x8 --group 4";
+    folder.run(&format!("reconstruct @/photos {micro} --refine=1:tokens -o @/a.ply {words}")).fails_usage();
+    folder.run(&format!("reconstruct @/photos {micro} -o @/a.ply {words}")).success();
+    let eval = format!("eval @/place --views 2 --lpips none {micro}");
+    folder.run(&format!("{eval} --score-size 14x14 --whole --disturb 1 --refine 1:tokens --start scene")).success();
+    folder.run("eval @/place --views 2 --lpips none --scene @/place/splats.ply --world cameras").success();
+    folder.run(&format!("batch @/place {micro} --posed -o @/scenes")).success();
+    folder.run("compare @/photos @/photos --lpips none").success();
+    folder.run("info").success();
+    folder.run("info --max-memory 3G @/new.ply").success();
+    let plan = folder.run(&format!("info --plan --views 2 --poses --all --pictures 9x9 --refine 9x9:tokens {micro}"));
+    assert!(plan.success().contains("refinement: "));
+}
+
+#[test]
+fn results_have_an_envelope_with_warnings() {
+    let folder = Folder::new();
+    let line = "reconstruct @/photos --weights @/micro.safetensors --input-size 28x28 -o @/out.ply";
+    for quiet in ["", "--quiet"] {
+        let outcome = folder.run(&format!("{line} --json {quiet}"));
+        assert_eq!(outcome.err.contains("note: "), quiet.is_empty(), "{}", outcome.err);
+        let json: serde_json::Value = serde_json::from_str(&outcome.success()).expect("JSON");
+        assert_eq!((&json["schema_version"], &json["command"]), (&1.into(), &"reconstruct".into()));
+        let warnings = json["warnings"].as_array().expect("a list");
+        let cropped = |warning: &serde_json::Value| warning.as_str().is_some_and(|text| text.contains("cropped"));
+        assert!(warnings.iter().any(cropped) && json["result"]["views"] == 2, "{json}");
     }
 }

@@ -55,7 +55,8 @@ fn inputs(json: &serde_json::Value) -> String {
 #[test]
 fn held_out_photos_are_compared() {
     let folder = place();
-    let line = "eval @/place --views 2 --weights @/micro.safetensors --size 42x28 --csv @/scores.csv -o @/out --json";
+    let line =
+        "eval @/place --views 2 --weights @/micro.safetensors --input-size 42x28 --csv @/scores.csv -o @/out --json";
     let json = folder.run(line).json();
     let csv = std::fs::read_to_string(folder.path("scores.csv")).expect("the table was written");
     let lines: Vec<&str> = csv.lines().collect();
@@ -75,7 +76,7 @@ fn held_out_photos_are_compared() {
         }
     }
     // The capture's scale is the network's, except for points of unused photos.
-    assert!(json["unit"].as_f64().is_some_and(|unit| (0.5..2.0).contains(&unit)), "{}", json["unit"]);
+    assert!(json["scene_scale"].as_f64().is_some_and(|unit| (0.5..2.0).contains(&unit)), "{}", json["scene_scale"]);
     assert_eq!(read_ply(folder.path("out/scene.ply")).expect("a scene").len(), 2 * 6 * 4);
     let picture = Image::open(folder.path("out/comparison.png")).expect("a picture");
     assert_eq!((picture.width, picture.height), (6 * 42, 2 * 28));
@@ -84,7 +85,7 @@ fn held_out_photos_are_compared() {
 #[test]
 fn the_unit_of_the_cameras_does_not_matter() {
     let folder = place();
-    let line = "eval @/place --views 3 --weights @/micro.safetensors --size 28x28 --json";
+    let line = "eval @/place --views 3 --weights @/micro.safetensors --input-size 28x28 --json";
     let mean = |line: &str| folder.run(line).json()["mean"]["psnr"].as_f64().expect("a number");
     let before = mean(line);
     // At an eighth of the scale.
@@ -104,30 +105,33 @@ fn the_unit_of_the_cameras_does_not_matter() {
     zipsplat::types::write_points(&points, &scaled).expect("written");
     let after = mean(line);
     assert!((before - after).abs() < 1e-3, "{before} dB and {after} dB");
-    let wrong = mean(&format!("{line} --unit 1"));
+    let wrong = mean(&format!("{line} --scene-scale 1"));
     assert!((before - wrong).abs() > 1e-3, "{before} dB and {wrong} dB");
 }
 
 #[test]
 fn without_points_the_unit_is_that_of_the_cameras() {
     let folder = place();
-    let options = "--weights @/micro.safetensors --size 28x28 --json";
+    let options = "--weights @/micro.safetensors --input-size 28x28 --json";
     let eval = format!("eval @/place --views 3 {options}");
     let with_points = folder.run(&eval).json();
-    assert_eq!(with_points["unit_from"], "points");
+    assert_eq!(with_points["scene_scale_source"], "points");
     std::fs::remove_file(folder.path("place/points.ply")).expect("removed");
     let outcome = folder.run(&eval);
-    assert!(outcome.err.contains("no point cloud") && outcome.err.contains("--unit"), "{}", outcome.err);
+    assert!(outcome.err.contains("no point cloud") && outcome.err.contains("--scene-scale"), "{}", outcome.err);
     let json = outcome.json();
-    let unit = json["unit"].as_f64().expect("a number");
-    let ratio = unit / with_points["unit"].as_f64().expect("a number");
+    let unit = json["scene_scale"].as_f64().expect("a number");
+    let ratio = unit / with_points["scene_scale"].as_f64().expect("a number");
     assert!((0.4..2.5).contains(&ratio) && unit != 1.0, "{unit}, {ratio} of that of the points");
-    assert!(["axes", "spread"].contains(&json["unit_from"].as_str().expect("a word")), "{json}");
-    let line = format!("reconstruct {} --poses @/place {options} -o @/scene.ply", inputs(&json));
+    assert!(["axes", "spread"].contains(&json["scene_scale_source"].as_str().expect("a word")), "{json}");
+    let line = format!("reconstruct {} --cameras @/place {options} -o @/scene.ply", inputs(&json));
     let outcome = folder.run(&line);
     assert!(outcome.err.contains("no point cloud"), "{}", outcome.err);
     let found = outcome.json();
-    assert_eq!((&found["unit"], &found["unit_from"]), (&json["unit"], &json["unit_from"]));
+    assert_eq!(
+        (&found["scene_scale"], &found["scene_scale_source"]),
+        (&json["scene_scale"], &json["scene_scale_source"])
+    );
     let poses = zipsplat::types::poses::Capture::open(folder.path("place")).expect("cameras");
     let (mut cameras, mut images) = (String::new(), String::new());
     for (i, frame) in poses.frames.iter().enumerate() {
@@ -145,18 +149,18 @@ fn without_points_the_unit_is_that_of_the_cameras() {
     std::fs::write(folder.path("place/sparse/0/points3D.txt"), "# no points\n").expect("written");
     let empty = folder.run(&line).json();
     for json in [missing, empty] {
-        assert!((json["unit"].as_f64().expect("a number") / unit - 1.0).abs() < 1e-6, "{}", json["unit"]);
+        assert!((json["scene_scale"].as_f64().expect("a number") / unit - 1.0).abs() < 1e-6, "{}", json["scene_scale"]);
     }
 }
 
 #[test]
 fn scenes_are_those_of_reconstruct_in_the_unit_of_the_cameras() {
     let folder = place();
-    let options = "--weights @/micro.safetensors --size 28x28 --unit 3 -o";
+    let options = "--weights @/micro.safetensors --input-size 28x28 --scene-scale 3 -o";
     let outcome = folder.run(&format!("eval @/place --views 2 --json {options} @/out"));
-    assert!(outcome.err.contains("33 % of the photos' area is cropped away; --fit squares"), "{}", outcome.err);
+    assert!(outcome.err.contains("33 % of the photos' area is cropped away; --crop tiles"), "{}", outcome.err);
     let json = outcome.json();
-    folder.run(&format!("reconstruct {} --poses @/place {options} @/scene.ply", inputs(&json))).success();
+    folder.run(&format!("reconstruct {} --cameras @/place {options} @/scene.ply", inputs(&json))).success();
     let bytes = |name: &str| std::fs::read(folder.path(name)).expect("a scene");
     assert!(bytes("out/scene.ply") == bytes("scene.ply"), "two scenes of the same photos");
 }
@@ -164,9 +168,9 @@ fn scenes_are_those_of_reconstruct_in_the_unit_of_the_cameras() {
 #[test]
 fn whole_photos_are_compared() {
     let folder = place();
-    let line = "eval @/place --views 2 --weights @/micro.safetensors --size 28x28 -o @/out";
+    let line = "eval @/place --views 2 --weights @/micro.safetensors --input-size 28x28 -o @/out";
     let mut scenes = Vec::new();
-    for (options, views) in [("--whole", 2), ("--fit squares", 4)] {
+    for (options, views) in [("--full-images", 2), ("--crop tiles", 4)] {
         let json = folder.run(&format!("{line} {options} --json")).json();
         assert_eq!(json["all_tokens"].as_u64(), Some(views * 4), "{options}");
         let picture = Image::open(folder.path("out/comparison.png")).expect("a picture");
@@ -174,7 +178,7 @@ fn whole_photos_are_compared() {
         scenes.push(read_ply(folder.path("out/scene.ply")).expect("a scene").len());
     }
     assert_eq!(scenes[1], 2 * scenes[0]);
-    folder.run(&format!("{line} --fit squares --pose-free")).fails(3, &["--fit squares", "known cameras"]);
+    folder.run(&format!("{line} --crop tiles --pose-free")).fails(3, &["--crop tiles", "known cameras"]);
 }
 
 fn splats(folder: &Folder) -> Renderer {
@@ -233,21 +237,25 @@ fn a_camera_is_found_by_its_photo() {
 #[test]
 fn pictures_without_cameras_are_aligned() {
     let folder = place();
-    let options = "--weights @/micro.safetensors --size 28x28";
+    let options = "--weights @/micro.safetensors --input-size 28x28";
     let line = format!("eval @/place --views 2 --targets 2 {options} --json");
     let json = folder.run(&format!("{line} --pose-free --csv @/s.csv -o @/out")).json();
     let psnr = |value: &serde_json::Value| value["psnr"].as_f64().expect("a number");
-    let (before, after) = (psnr(&json["aligned"]["before"]), psnr(&json["mean"]));
+    let (before, after) = (psnr(&json["aligned"]["unaligned"]), psnr(&json["mean"]));
     assert!(after > before - 0.1, "{before} dB before, {after} after");
     let rows = json["aligned"]["rows"].as_array().expect("rows");
-    let near = |row: &serde_json::Value| row["degrees"].as_f64().is_some_and(|degrees| (0.0..15.0).contains(&degrees));
+    let near = |row: &serde_json::Value| {
+        row["rotation_error_deg"].as_f64().is_some_and(|degrees| (0.0..15.0).contains(&degrees))
+    };
     assert!(rows.len() == 2 && rows.iter().all(near), "{}", json["aligned"]);
     let csv = std::fs::read_to_string(folder.path("s.csv")).expect("the table was written");
-    assert!(csv.lines().next().is_some_and(|line| line.ends_with("degrees,distance,doubt,lpips")), "{csv}");
+    let columns = "view,psnr,ssim,nearest_psnr,mean_color_psnr,lpips,unaligned_psnr,unaligned_ssim,\
+        rotation_error_deg,translation_error,warning";
+    assert_eq!(csv.lines().next(), Some(columns));
     // Random weights: the report warns.
     let text = folder.run(&format!("eval @/place --views 2 --targets 2 {options} --pose-free"));
     assert!(text.err.contains("aligned pictures say little"), "{}", text.err);
-    assert!(text.out.contains("degrees") && text.out.contains("doubt"), "{}", text.out);
+    assert!(text.out.contains("degrees") && text.out.contains("warning"), "{}", text.out);
     folder.run(&format!("reconstruct {} {options} -o @/scene.ply", inputs(&json))).success();
     let bytes = |name: &str| std::fs::read(folder.path(name)).expect("a scene");
     assert!(bytes("out/scene.ply") == bytes("scene.ply"), "two scenes of the same photos");
@@ -258,12 +266,12 @@ fn pictures_without_cameras_are_aligned() {
 fn cameras_are_disturbed_and_refined() {
     let folder = place();
     let line =
-        "eval @/place --views 4 --targets 2 --weights @/micro.safetensors --size 42x28 --refine 30 --start points";
+        "eval @/place --views 4 --targets 2 --weights @/micro.safetensors --input-size 42x28 --refine 30 --init points";
     let psnr =
         |options: &str| folder.run(&format!("{line} {options} --json")).json()["mean"]["psnr"].as_f64().expect("dB");
-    let (exact, wrong, refined) = (psnr(""), psnr("--disturb 2"), psnr("--disturb 2 --refine-cameras"));
+    let (exact, wrong, refined) = (psnr(""), psnr("--pose-noise 2"), psnr("--pose-noise 2 --optimize-cameras"));
     assert!(wrong < exact - 0.5 && refined > wrong, "{exact} dB, disturbed {wrong} dB, refined {refined} dB");
-    let text = folder.run(&format!("{line} --disturb 2 --refine-cameras")).success();
+    let text = folder.run(&format!("{line} --pose-noise 2 --optimize-cameras")).success();
     assert!(text.contains("cameras turned by"), "{text}");
 }
 
@@ -273,10 +281,10 @@ fn what_cannot_be_compared_is_refused() {
     folder.run("eval @/place --views 6 --weights @/micro.safetensors").fails(3, &["photos with cameras", "more than"]);
     folder.run("eval @/photos --weights @/micro.safetensors").fails(3, &["poses", "transforms.json"]);
     folder.run("eval @/place --csv @/missing/x.csv").fails(3, &["output folder"]);
-    assert_eq!(zipsplat("eval place --unit -1").code, 2);
+    assert_eq!(zipsplat("eval place --scene-scale -1").code, 2);
     std::fs::write(folder.path("place/points.ply"), "no point cloud").expect("written");
     folder
-        .run("eval @/place --views 2 --weights @/micro.safetensors --size 28x28 --csv @/s.csv")
+        .run("eval @/place --views 2 --weights @/micro.safetensors --input-size 28x28 --csv @/s.csv")
         .fails(3, &["points.ply"]);
     assert!(!folder.path("s.csv").exists());
 }

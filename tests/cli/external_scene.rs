@@ -40,7 +40,7 @@ fn save(folder: &Folder, name: &str, scene: &Scene, scale: f64, pose: &Pose) {
     write_ply(&scene, folder.path(name)).expect("written");
 }
 
-const LINE: &str = "eval @/place --views 3 --size 56x56 --lpips none --scene";
+const LINE: &str = "eval @/place --views 3 --input-size 56x56 --lpips none --scene";
 
 fn evaluate(folder: &Folder, options: &str) -> f64 {
     folder.run(&format!("{LINE} {options} --json")).json()["mean"]["psnr"].as_f64().expect("dB")
@@ -74,27 +74,29 @@ fn a_scene_is_judged_alike_in_every_layout() {
     plain.opacities.iter_mut().for_each(|opacity| *opacity = 1.0 / (1.0 + (-*opacity).exp()));
     save(&folder, "plain.ply", &plain, 1.0, &Pose::IDENTITY);
 
-    let expected = evaluate(&folder, "@/cameras.ply --world cameras");
+    let expected = evaluate(&folder, "@/cameras.ply --scene-frame input-cameras");
     for options in [
         "@/first.ply --scene-unit 3".to_owned(),
-        "@/first.ply --world first --scene-unit 3".to_owned(),
-        "@/turned.ply --world turned".to_owned(),
+        "@/first.ply --scene-frame first-camera --scene-unit 3".to_owned(),
+        "@/turned.ply --scene-frame turned".to_owned(),
         folder.line("@/away.ply --scene-cameras @/theirs.json"),
-        folder.line("@/away.ply --world aligned --scene-cameras @/theirs.json"),
+        folder.line("@/away.ply --scene-frame aligned --scene-cameras @/theirs.json"),
         "@/plain.ply --opacities plain --scene-unit 3".to_owned(),
     ] {
         let found = evaluate(&folder, &options);
         assert!((found - expected).abs() < 0.02, "{options}: {found} dB, {expected} dB");
     }
-    for options in ["@/cameras.ply", "@/first.ply", "@/turned.ply --world cameras", "@/away.ply"] {
+    for options in ["@/cameras.ply", "@/first.ply", "@/turned.ply --scene-frame input-cameras", "@/away.ply"] {
         let found = evaluate(&folder, options);
         assert!(found < expected - 3.0, "{options}: {found} dB, {expected} dB");
     }
     folder.run("convert @/first.ply @/first.spz").success();
     let packed = evaluate(&folder, "@/first.spz --scene-unit 3");
     assert!((packed - expected).abs() < 0.5, "{packed} dB, {expected} dB");
-    folder.run("eval @/place --views 3 --weights @/micro.safetensors --size 56x56 --lpips none -o @/ours").success();
-    let ours = "eval @/place --views 3 --weights @/micro.safetensors --size 56x56 --lpips none --json";
+    folder
+        .run("eval @/place --views 3 --weights @/micro.safetensors --input-size 56x56 --lpips none -o @/ours")
+        .success();
+    let ours = "eval @/place --views 3 --weights @/micro.safetensors --input-size 56x56 --lpips none --json";
     let made = folder.run(ours).json()["mean"]["psnr"].as_f64().expect("dB");
     let read = folder.run(&format!("{ours} --scene @/ours/scene.ply")).json()["mean"]["psnr"].as_f64().expect("dB");
     assert!((made - read).abs() < 1e-3, "{made} dB, from the file {read} dB");
@@ -137,7 +139,7 @@ fn a_gaussian_a_pixel_is_made_of_depth() {
     folder.run("scene --seed 9 --views 8 --size 84x56 --splats -o @/place").success();
     let line = "eval @/place --views 4 --lpips none --from-depth @/place/depth";
     // At full photo size.
-    let json = folder.run(&format!("{line} --size 84x56 -o @/out --json")).json();
+    let json = folder.run(&format!("{line} --input-size 84x56 -o @/out --json")).json();
     let names: Vec<&str> = json["inputs"].as_array().expect("names").iter().filter_map(|name| name.as_str()).collect();
     let splats = read_ply(folder.path("place/splats.ply")).expect("a scene");
     let made = read_ply(folder.path("out/scene.ply")).expect("a scene");
@@ -159,23 +161,13 @@ fn a_gaussian_a_pixel_is_made_of_depth() {
     // Pixels stay where the network sees them.
     let psnr = |json: &serde_json::Value| json["mean"]["psnr"].as_f64().expect("dB");
     let [whole, small] = ["84x56", "28x28"].map(|size| {
-        let json = folder.run(&format!("{line} --size {size} --score-size 28x28 --json")).json();
+        let json = folder.run(&format!("{line} --input-size {size} --eval-size 28x28 --json")).json();
         (json["gaussians"].as_u64().expect("a number"), psnr(&json))
     });
     assert!(small.0 <= 4 * 28 * 28 && whole.0 > 5 * small.0 && small.1 > whole.1 - 4.0, "{whole:?} {small:?}");
-    // Moves Gaussians along their rays. The world is the first camera's.
-    folder.run(&format!("{line} --size 84x56 --noise 5 --targets 1 -o @/noisy")).success();
-    let noisy = read_ply(folder.path("noisy/scene.ply")).expect("a scene");
-    let of_first = depth(&folder, 0).iter().filter(|z| **z > 0.0).count();
-    assert_eq!((noisy.len(), names[0]), (made.len(), "images/000.png"));
-    let pairs = made.means[..of_first].iter().zip(&noisy.means).map(|(a, b)| [*a, *b].map(glam::Vec3::from));
-    let squares: f32 = pairs.map(|[a, b]| (b.length() / a.length() - 1.0).powi(2) + a.angle_between(b).powi(2)).sum();
-    let error = (squares / of_first as f32).sqrt();
-    assert!((0.03..0.07).contains(&error), "{error} of the depth");
-    let json = folder.run(&format!("{line} --size 28x28 --targets 1 --refine 2 --json")).json();
-    assert_eq!((&json["refined"]["start"], &json["refined"]["steps"]), (&"the scene".into(), &2.into()));
-    folder.run(&format!("{line} --noise 31")).fails_usage();
-    let refuses = |words: &[&str]| folder.run(&format!("{line} --size 28x28")).fails(3, words);
+    let json = folder.run(&format!("{line} --input-size 28x28 --targets 1 --refine 2 --json")).json();
+    assert_eq!((&json["refined"]["init"], &json["refined"]["steps"]), (&"the scene".into(), &2.into()));
+    let refuses = |words: &[&str]| folder.run(&format!("{line} --input-size 28x28")).fails(3, words);
     let file = folder.path("place/depth/000.npy");
     let bytes = std::fs::read(&file).expect("depth");
     std::fs::write(&file, String::from_utf8_lossy(&bytes[..100]).into_owned()).expect("written");
@@ -195,11 +187,14 @@ fn scenes_that_cannot_be_placed_are_refused() {
     write_ply(&scene, folder.path("scene.ply")).expect("written");
     write_transforms(folder.path("one.json"), &cameras[..1], &["000.png"]).expect("written");
     let refuses = |options: &str, words: &[&str]| folder.run(&format!("{LINE} {options}")).fails(3, words);
-    refuses("@/scene.ply --world aligned", &["--scene-cameras", "nothing"]);
+    refuses("@/scene.ply --scene-frame aligned", &["--scene-cameras", "nothing"]);
     refuses("@/scene.ply --scene-cameras @/one.json", &["--scene-cameras", "1 of the 3 input photos"]);
-    refuses("@/scene.ply --world first --scene-cameras @/one.json", &["--world", "--world aligned"]);
+    refuses(
+        "@/scene.ply --scene-frame first-camera --scene-cameras @/one.json",
+        &["--scene-frame", "--scene-frame aligned"],
+    );
     refuses("@/missing.ply", &["missing.ply"]);
-    folder.run("eval @/place --world first").fails_usage();
-    folder.run("eval @/place --invalid drop").fails(3, &["--invalid", "--scene"]);
+    folder.run("eval @/place --scene-frame first-camera").fails_usage();
+    folder.run("eval @/place --drop-invalid").fails(3, &["--drop-invalid", "--scene"]);
     folder.run(&format!("{LINE} @/scene.ply --refine 5")).fails_usage();
 }

@@ -6,7 +6,7 @@ use std::fs;
 use zipsplat::types::{Image, poses::Capture};
 
 const START: &[u8] = b"\0\0\0\x18ftypheic\0\0\0\0";
-const LINE: &str = "--weights @/micro.safetensors --size 28x28 -o @/scene.ply --ffmpeg @/";
+const LINE: &str = "--weights @/micro.safetensors --input-size 28x28 -o @/scene.ply --ffmpeg @/";
 
 /// Two HEIC photos, and fake programs: name, probe output, decoder output.
 fn phone(programs: &[(&str, &str, &str)]) -> Folder {

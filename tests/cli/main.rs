@@ -57,7 +57,10 @@ impl Outcome {
 
     #[track_caller]
     fn json(self) -> serde_json::Value {
-        serde_json::from_str(&self.success()).expect("--json prints JSON and nothing else")
+        let envelope: serde_json::Value =
+            serde_json::from_str(&self.success()).expect("--json prints JSON and nothing else");
+        assert_eq!(envelope["schema_version"], 1);
+        envelope["result"].clone()
     }
 
     #[track_caller]

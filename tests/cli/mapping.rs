@@ -33,7 +33,7 @@ const COPIES: &str = "cp -r \"${0%/*}/try$n/.\" \"$out\" || { echo 'failed to cr
 fn the_best_of_three_tries_is_kept() {
     let (folder, outcome) = tried(COPIES, &[2, 3, 2]);
     let json = outcome.json();
-    assert_eq!((json["found"].as_u64(), json["mappings"].as_u64()), (Some(3), Some(3)), "{json}");
+    assert_eq!((json["registered"].as_u64(), json["attempts"].as_u64()), (Some(3), Some(3)), "{json}");
     let args = args(&folder, "colmap");
     for words in [
         "random_seed 0 --Mapper.init_min_tri_angle 16 --Mapper.init_min_num_inliers 100",
@@ -50,7 +50,7 @@ fn tries_end_where_all_are_found() {
     for (found, tries) in [(&[4][..], 1), (&[2, 4], 2), (&[0, 0, 4], 3)] {
         let (_, outcome) = tried(COPIES, found);
         let json = outcome.json();
-        assert_eq!((json["found"].as_u64(), json["mappings"].as_u64()), (Some(4), Some(tries)), "{json}");
+        assert_eq!((json["registered"].as_u64(), json["attempts"].as_u64()), (Some(4), Some(tries)), "{json}");
     }
 }
 
@@ -67,7 +67,7 @@ fn four_fifths_of_many_photos_are_enough() {
         let some: Vec<_> = names.iter().take(count).map(|name| (name.as_str(), &frames[0].camera)).collect();
         model(&folder.path("half.model/0"), &some);
         let line = "cameras @/place/images --colmap @/half -o @/place/transforms.json --json";
-        assert_eq!(folder.run(line).json()["mappings"], tries);
+        assert_eq!(folder.run(line).json()["attempts"], tries);
     }
 }
 
@@ -107,7 +107,7 @@ fn cameras_are_kept_where_a_later_try_fails() {
     let killed = format!("[ $n = 2 ] && kill -9 $$; {COPIES}");
     let (_, outcome) = tried(&killed, &[3]);
     let json = outcome.json();
-    assert_eq!((json["found"].as_u64(), json["mappings"].as_u64()), (Some(3), Some(2)), "{json}");
+    assert_eq!((json["registered"].as_u64(), json["attempts"].as_u64()), (Some(3), Some(2)), "{json}");
 }
 
 #[test]
@@ -115,7 +115,7 @@ fn a_group_that_cannot_be_read_is_left_out() {
     let group = "cp -r \"${0%/*}/try1/.\" \"$out\"; mkdir \"$out/1\"; echo damaged > \"$out/1/images.txt\"; echo damaged > \"$out/1/cameras.txt\"";
     let (_, outcome) = tried(group, &[4]);
     let json = outcome.json();
-    assert_eq!(json["found"].as_u64(), Some(4), "{json}");
+    assert_eq!(json["registered"].as_u64(), Some(4), "{json}");
     let (_, outcome) = tried(&group.replace("cp -r", ": "), &[4]);
     assert!(outcome.code == 3 && outcome.err.contains("sparse0/1/"), "{}", outcome.err);
 }

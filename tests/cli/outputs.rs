@@ -14,7 +14,7 @@ fn folder() -> Folder {
 fn every_command_replaces_its_own_files_and_no_others() {
     let folder = folder();
     folder.run("scene --seed 5 --views 4 --size 42x28 -o @/place").success();
-    let micro = "--weights @/micro.safetensors --size 28x28";
+    let micro = "--weights @/micro.safetensors --input-size 28x28";
     let small = "--orbit --frames 2 --size 16x16";
     let cases = [
         (format!("reconstruct @/photos {micro} -o @/a.ply"), "a.ply"),

@@ -1,9 +1,9 @@
-//! Estimated cameras from a scene: `reconstruct --cameras-out` without `--poses`.
+//! Estimated cameras from a scene: `reconstruct --cameras-out` without `--cameras`.
 
 use crate::Folder;
 use zipsplat::types::{Image, poses::Capture};
 
-const LINE: &str = "--weights @/micro.safetensors --size 84x84 -o @/scene.ply";
+const LINE: &str = "--weights @/micro.safetensors --input-size 84x84 -o @/scene.ply";
 
 #[test]
 fn cameras_follow_from_the_scene() {
@@ -14,7 +14,7 @@ fn cameras_follow_from_the_scene() {
     }
     let line = format!("reconstruct @/wide {LINE} --cameras-out @/new/dir/found.json --json");
     let json = folder.run(&line).json();
-    let cameras = json["cameras"].as_array().expect("one a photo");
+    let cameras = json["estimated_cameras"].as_array().expect("one a photo");
     let poses = Capture::open(folder.path("new/dir/found.json")).expect("cameras");
     assert_eq!(
         (cameras.len(), poses.frames.len()),
@@ -29,7 +29,7 @@ fn cameras_follow_from_the_scene() {
         assert!(Image::open(frame.photo.as_ref().expect("the photo")).is_ok());
         assert!(entry["inliers"].as_u64() >= Some(6) && entry["patches"] == 36, "{entry}");
     }
-    assert!(json["seconds"]["find cameras"].is_f64() && !folder.path("new/dir/points.ply").exists());
+    assert!(json["stage_seconds"]["find cameras"].is_f64() && !folder.path("new/dir/points.ply").exists());
     let before = std::fs::read(folder.path("new/dir/found.json")).expect("a file");
     let text = folder.run(&line.replace("--json", "--overwrite")).success();
     assert!(text.contains("of a photo's patches agree"), "{text}");

@@ -14,7 +14,7 @@ use zipsplat_tests::golden::lpips_weights;
 const SMALLER: u32 = 4;
 /// Of the tangent: a fisheye lens close to a pinhole.
 const STRAIGHT: [f64; 4] = [1.0 / 3.0, 2.0 / 15.0, 17.0 / 315.0, 62.0 / 2835.0];
-const OPTIONS: &str = "--weights @/micro.safetensors --size 28x28 --lpips none";
+const OPTIONS: &str = "--weights @/micro.safetensors --input-size 28x28 --lpips none";
 
 /// 12 photos of 84x56 in `@/place`.
 fn place(folder: &Folder, seed: u32) -> Vec<CaptureView> {
@@ -129,9 +129,7 @@ fn every_layout_gives_the_same_figures() {
         let line = format!("eval @/{data} --protocol {protocol} {OPTIONS} {options} --align none -o @/{out} --json");
         figures(&folder.run(&line).json())
     };
-    for options in
-        ["--indices @/frames.json", "--views 3 --gap 8 --targets 4", "--indices @/frames.json --filter lanczos"]
-    {
+    for options in ["--indices @/frames.json", "--views 3 --frame-range 8 --targets 4"] {
         let [psnr, ssim, gaussians] = run("dl3dv", "dl3dv", options);
         for protocol in ["re10k", "mipnerf360", "scannetpp"] {
             let found = run(protocol, protocol, options);
@@ -161,7 +159,7 @@ fn two_scenes(folder: &Folder) {
     }
 }
 
-const SERIES: &str = "eval @/data --protocol dl3dv --views 2,3 --gap 6,8 --targets 2 --align none -o @/out";
+const SERIES: &str = "eval @/data --protocol dl3dv --views 2,3 --frame-range 6,8 --targets 2 --align none -o @/out";
 
 #[test]
 fn a_series_keeps_what_was_done() {
@@ -169,9 +167,9 @@ fn a_series_keeps_what_was_done() {
     two_scenes(&folder);
     let line = format!("{SERIES} {OPTIONS}");
     let first = folder.run(&format!("{line} --limit 3 --json")).json();
-    assert_eq!((&first["judged"], &first["unchanged"]), (&json!(3), &json!(0)));
+    assert_eq!((&first["evaluated"], &first["skipped"]), (&json!(3), &json!(0)));
     let all = folder.run(&format!("{line} --json")).json();
-    assert_eq!((&all["judged"], &all["unchanged"]), (&json!(1), &json!(3)));
+    assert_eq!((&all["evaluated"], &all["skipped"]), (&json!(1), &json!(3)));
     let rows = all["scenes"].as_array().expect("rows");
     assert_eq!(rows.len(), 4);
     let of =
@@ -194,11 +192,11 @@ fn a_series_keeps_what_was_done() {
     assert!(page.matches("src=\"data:image/jpeg;base64,").count() == 4 && !page.contains("http"), "no picture a row");
     // Another evaluation gets its own line; a changed photo is evaluated again.
     let free = folder.run(&format!("{line} --pose-free --name A|B --json")).json();
-    assert_eq!((&free["judged"], free["means"].as_array().map(Vec::len)), (&json!(4), Some(2)));
+    assert_eq!((&free["evaluated"], free["means"].as_array().map(Vec::len)), (&json!(4), Some(2)));
     let photo = folder.path("data/two/images_4/frame_00000.png");
     std::fs::copy(folder.path("data/two/images_4/frame_00001.png"), &photo).expect("copied");
     let again = folder.run(&format!("{line} --json")).json();
-    assert_eq!((&again["judged"], &again["unchanged"]), (&json!(2), &json!(2)));
+    assert_eq!((&again["evaluated"], &again["skipped"]), (&json!(2), &json!(2)));
 }
 
 /// External scenes are found by name.
@@ -211,7 +209,8 @@ fn a_protocol_aligns_cameras() {
     scene.place(1.0, &Pose { rotation: DMat3::from_rotation_y(0.03), translation: DVec3::new(0.02, 0.0, 0.01) });
     std::fs::create_dir(folder.path("scenes")).expect("a folder");
     write_ply(&scene, folder.path("scenes/one.ply")).expect("written");
-    let line = format!("eval @/data --protocol dl3dv --scene @/scenes --views 2 --gap 4 --targets 1 {OPTIONS} --json");
+    let line =
+        format!("eval @/data --protocol dl3dv --scene @/scenes --views 2 --frame-range 4 --targets 1 {OPTIONS} --json");
     let figure = |options: &str, out: &str| figures(&folder.run(&format!("{line} {options} -o @/{out}")).json())[0];
     let [usual, adam, none] = [figure("", "a"), figure("--align adam", "b"), figure("--align none", "c")];
     assert!(usual == adam && usual > none + 1.0, "{usual}, {adam} and {none} dB");
@@ -255,7 +254,7 @@ fn scenes_that_fail_are_listed() {
     folder.run("eval @/photos --protocol re10k -o @/out2").fails(3, &["scene of RealEstate10K", "camera file"]);
     folder.run("eval @/data @/data/one --protocol dl3dv -o @/out2").fails(3, &["scene one", "one of this name"]);
     folder.run("eval @/data --protocol dl3dv").fails_usage();
-    folder.run("eval @/data --gap 50").fails_usage();
+    folder.run("eval @/data --frame-range 50").fails_usage();
     folder.run("eval @/data @/photos").fails(3, &["folders", "one capture"]);
     folder.run("eval @/data/one --views 2,3").fails(3, &["--views", "one number"]);
     assert!(!folder.path("out2").exists());

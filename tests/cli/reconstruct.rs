@@ -7,7 +7,7 @@ use zipsplat_tests::photos::with_orientation;
 #[test]
 fn two_photos_become_a_scene() {
     let folder = Folder::new();
-    let text = folder.run("reconstruct @/photos --weights seeded:vits --size 28x28 -o @/scene.ply").success();
+    let text = folder.run("reconstruct @/photos --weights seeded:vits --input-size 28x28 -o @/scene.ply").success();
     let scene = read_ply(folder.path("scene.ply")).expect("the scene can be read");
     // 2 views of 2 x 2 patches, each 32 Gaussians of degree 1.
     assert_eq!((scene.len(), scene.sh_degree), (2 * 4 * 32, 1));
@@ -21,7 +21,9 @@ fn the_extension_decides_the_format() {
     let folder = Folder::new();
     for extension in ["ply", "spz", "splat", "glb", "gltf"] {
         let file = format!("s.{extension}");
-        folder.run(&format!("reconstruct @/photos --weights @/micro.safetensors --size 28x28 -o @/{file}")).success();
+        folder
+            .run(&format!("reconstruct @/photos --weights @/micro.safetensors --input-size 28x28 -o @/{file}"))
+            .success();
         let scene = Scene::open(folder.path(&file)).expect("the scene can be read");
         assert_eq!(scene.len(), 2 * 4 * 4, "{file}");
     }
@@ -32,25 +34,25 @@ fn the_ratio_and_selection_decide_the_number() {
     let folder = Folder::new();
     for (options, tokens) in [
         ("--ratio 0.5", 6),
-        ("--ratio auto --pool 2", 6),
-        ("--ratio 0.3 --select stride", 3),
-        ("--ratio 0.3 --select random:7", 3),
-        ("--ratio 1 --precision exact", 12),
+        ("--ratio auto --kv-pool 2", 6),
+        ("--ratio 0.3 --token-selection stride", 3),
+        ("--ratio 0.3 --token-selection random:7", 3),
+        ("--ratio 1 --precision fp32", 12),
     ] {
         let json = folder
             .run(&format!(
-                "reconstruct @/photos --weights @/micro.safetensors --size 42x28 {options} --json -o @/s.ply"
+                "reconstruct @/photos --weights @/micro.safetensors --input-size 42x28 {options} --json -o @/s.ply"
             ))
             .json();
         let scene = read_ply(folder.path("s.ply")).expect("the scene can be read");
         assert_eq!((json["tokens"].as_u64(), json["all_tokens"].as_u64()), (Some(tokens), Some(12)), "{options}");
         assert_eq!(scene.len() as u64, 4 * tokens, "{options}");
         for stage in ["load photos", "load weights", "backbone", "fuse", "gaussians", "write"] {
-            assert!(json["seconds"][stage].as_f64().is_some_and(|s| s >= 0.0), "{stage}: {json}");
+            assert!(json["stage_seconds"][stage].as_f64().is_some_and(|s| s >= 0.0), "{stage}: {json}");
         }
-        let seconds = json["seconds"].as_object().expect("stages");
-        let parts = seconds.iter().filter(|(stage, _)| *stage != "total").filter_map(|(_, s)| s.as_f64()).sum::<f64>();
-        assert!((parts - seconds["total"].as_f64().expect("a time")).abs() < 1e-6, "{json}");
+        let stages = json["stage_seconds"].as_object().expect("stages").values();
+        let parts = stages.filter_map(serde_json::Value::as_f64).sum::<f64>();
+        assert!((parts - json["seconds"].as_f64().expect("a time")).abs() < 1e-6, "{json}");
     }
 }
 
@@ -58,7 +60,7 @@ fn the_ratio_and_selection_decide_the_number() {
 fn folders_are_in_natural_order_and_files_as_given() {
     let folder = Folder::new();
     let reconstruct = |photos: &str, output: &str| {
-        let line = format!("reconstruct {photos} --weights @/micro.safetensors --size 28x28 -q -o @/{output}");
+        let line = format!("reconstruct {photos} --weights @/micro.safetensors --input-size 28x28 -q -o @/{output}");
         assert_eq!(folder.run(&line).success(), "");
         std::fs::read(folder.path(output)).expect("the scene was written")
     };
@@ -70,7 +72,7 @@ fn folders_are_in_natural_order_and_files_as_given() {
 #[test]
 fn what_is_no_photo_is_left_out_and_named() {
     let folder = Folder::new();
-    let line = "reconstruct @/photos --weights @/micro.safetensors --size 56x42 --json -o @/s.ply";
+    let line = "reconstruct @/photos --weights @/micro.safetensors --input-size 56x42 --json -o @/s.ply";
     for hidden in ["._1.png", ".DS_Store"] {
         std::fs::write(folder.path("photos").join(hidden), "no photo").expect("a file");
     }
@@ -89,7 +91,7 @@ fn what_is_no_photo_is_left_out_and_named() {
 #[test]
 fn photos_in_folders_below_are_hinted_at() {
     let folder = Folder::new();
-    let line = "--weights @/micro.safetensors --size 56x42 -o @/s.ply";
+    let line = "--weights @/micro.safetensors --input-size 56x42 -o @/s.ply";
     let below = folder.line("@/photos/");
     folder
         .run(&format!("reconstruct @/ {line}"))
@@ -111,8 +113,9 @@ fn cameras_to_learn_from_are_cameras() {
     let cameras = [zipsplat_tests::scenes::camera(40, 30); 2];
     let names = ["train/1.png", "train/10.png"];
     write_transforms(folder.path("place/transforms_train.json"), &cameras, &names).expect("cameras");
-    let run =
-        || folder.run("reconstruct @/photos --weights @/micro.safetensors --size 28x28 --poses @/place -o @/s.ply");
+    let run = || {
+        folder.run("reconstruct @/photos --weights @/micro.safetensors --input-size 28x28 --cameras @/place -o @/s.ply")
+    };
     run().success();
     write_transforms(folder.path("place/transforms.json"), &cameras[..1], &names[..1]).expect("cameras");
     let outcome = run();
@@ -125,7 +128,7 @@ fn some_of_many_photos_are_spread() {
     let folder = Folder::new();
     (2..10).for_each(|i| crate::photo(40, 30, i).save_png(folder.path(&format!("photos/{i}.png"))).expect("a photo"));
     let scene = |photos: &str| {
-        let line = format!("reconstruct {photos} --weights @/micro.safetensors --size 42x28 -o @/s.ply");
+        let line = format!("reconstruct {photos} --weights @/micro.safetensors --input-size 42x28 -o @/s.ply");
         let text = folder.run(&line).success();
         (text, std::fs::read(folder.path("s.ply")).expect("the scene was written"))
     };
@@ -149,10 +152,10 @@ fn cropping_much_is_said() {
         outcome.success();
         notes
     };
-    assert_eq!(run("--size 28x28"), "note: 25 % of the photos' area is cropped away");
-    let posed = run("--size 28x28 --poses @/c.json");
-    assert!(posed.contains("25 %") && posed.contains("--fit squares"), "{posed}");
-    assert_eq!(run("--size 56x42"), "");
+    assert_eq!(run("--input-size 28x28"), "note: 25 % of the photos' area is cropped away");
+    let posed = run("--input-size 28x28 --cameras @/c.json");
+    assert!(posed.contains("25 %") && posed.contains("--crop tiles"), "{posed}");
+    assert_eq!(run("--input-size 56x42"), "");
 }
 
 /// Only the trained size is good: the warning suggests no other.
@@ -161,9 +164,9 @@ fn another_size_than_the_trained_one_is_said() {
     let folder = Folder::new();
     let run = |size: &str| folder.run(&format!("reconstruct @/photos/1.png {size} -o @/s.ply")).err;
     let side = Checkpoint::builtin().expect("it is built in").image_size();
-    let note = run("--size 28x28");
+    let note = run("--input-size 28x28");
     assert!(note.contains(&format!("trained with pictures of {side}x{side}")) && note.contains("28x28"), "{note}");
-    for size in ["", &format!("--size {side}x{side}")] {
+    for size in ["", &format!("--input-size {side}x{side}")] {
         assert!(!run(size).contains("trained"), "{size}");
     }
 }
@@ -173,16 +176,16 @@ fn squares_show_whole_photos() {
     let folder = Folder::new();
     let cameras = [zipsplat_tests::scenes::camera(40, 30); 2];
     write_transforms(folder.path("c.json"), &cameras, &["1.png", "10.png"]).expect("cameras can be written");
-    let line = "reconstruct @/photos --weights @/micro.safetensors --fit squares -o @/s.ply";
-    let outcome = folder.run(&format!("{line} --size 28x28 --poses @/c.json --json"));
+    let line = "reconstruct @/photos --weights @/micro.safetensors --crop tiles -o @/s.ply";
+    let outcome = folder.run(&format!("{line} --input-size 28x28 --cameras @/c.json --json"));
     assert!(outcome.err.contains("2 photos as 4 squares of 28x28"), "{}", outcome.err);
     let json = outcome.json();
     assert_eq!(
         [&json["photos"], &json["views"], &json["all_tokens"]].map(|n| n.as_u64()),
         [Some(2), Some(4), Some(16)]
     );
-    folder.run(&format!("{line} --size 28x28")).fails(3, &["--fit squares", "known cameras"]);
-    folder.run(&format!("{line} --size 28x42 --poses @/c.json")).fails(3, &["--fit squares", "as wide as high"]);
+    folder.run(&format!("{line} --input-size 28x28")).fails(3, &["--crop tiles", "known cameras"]);
+    folder.run(&format!("{line} --input-size 28x42 --cameras @/c.json")).fails(3, &["--crop tiles", "as wide as high"]);
 }
 
 #[test]
@@ -200,11 +203,12 @@ fn poses_count_relative_to_the_first_view() {
     write_transforms(folder.path("here.json"), &cameras, &names).expect("cameras can be written");
     write_transforms(folder.path("moved.json"), &moved, &names).expect("cameras can be written");
     let scene = |options: &str| {
-        let line = format!("reconstruct @/photos --weights @/micro.safetensors --size 28x28 {options} -o @/s.ply");
+        let line =
+            format!("reconstruct @/photos --weights @/micro.safetensors --input-size 28x28 {options} -o @/s.ply");
         folder.run(&line).success();
         read_ply(folder.path("s.ply")).expect("the scene can be read").means
     };
-    let (here, moved, none) = (scene("--poses @/here.json"), scene("--poses @/moved.json"), scene(""));
+    let (here, moved, none) = (scene("--cameras @/here.json"), scene("--cameras @/moved.json"), scene(""));
     let apart = |other: &[[f32; 3]]| {
         here.as_flattened().iter().zip(other.as_flattened()).fold(0f32, |most, (a, b)| most.max((a - b).abs()))
     };
@@ -223,14 +227,18 @@ fn photos_with_cameras_are_taken_as_stored() {
         .expect("a camera");
     let scene = |bytes: &[u8], options: &str| {
         std::fs::write(folder.path("photo.jpg"), bytes).expect("a photo");
-        let line = format!("reconstruct @/photo.jpg --weights @/micro.safetensors --size 28x28 {options} -o @/s.ply");
+        let line =
+            format!("reconstruct @/photo.jpg --weights @/micro.safetensors --input-size 28x28 {options} -o @/s.ply");
         folder.run(&line).success();
         read_ply(folder.path("s.ply")).expect("the scene can be read")
     };
     // By 90 and by 180 degrees.
     for orientation in [6, 3] {
         let turned = with_orientation(&jpeg, orientation);
-        assert!(scene(&turned, "--poses @/c.json") == scene(&jpeg, "--poses @/c.json"), "orientation {orientation}");
+        assert!(
+            scene(&turned, "--cameras @/c.json") == scene(&jpeg, "--cameras @/c.json"),
+            "orientation {orientation}"
+        );
         assert!(scene(&turned, "") != scene(&jpeg, ""), "orientation {orientation}");
     }
 }
@@ -241,7 +249,7 @@ fn photos_without_cameras_are_left_out_and_named() {
     (2..8).for_each(|i| crate::photo(40, 30, i).save_png(folder.path(&format!("photos/{i}.png"))).expect("a photo"));
     let cameras = [zipsplat_tests::scenes::camera(40, 30); 3];
     write_transforms(folder.path("c.json"), &cameras, &["photos/3.png", "photos/5.png", "gone.png"]).expect("cameras");
-    let line = "--weights @/micro.safetensors --size 42x28 --json -o @/s.ply --poses @/c.json";
+    let line = "--weights @/micro.safetensors --input-size 42x28 --json -o @/s.ply --cameras @/c.json";
     let outcome = folder.run(&format!("reconstruct @/photos {line}"));
     let note = "note: 6 photos left out, not among the cameras: 1.png, 2.png, 4.png, 6.png, 7.png, ...\n";
     assert!(outcome.err.contains(note), "{}", outcome.err);
@@ -262,7 +270,9 @@ fn cameras_are_poses() {
     let cameras = [zipsplat_tests::scenes::camera(40, 30); 2];
     write_transforms(folder.path("c.json"), &cameras, &["1.png", "10.png"]).expect("cameras can be written");
     let scene = |option: &str| {
-        folder.run(&format!("reconstruct @/photos --weights seeded:vits --size 14x14 {option} -o @/s.ply")).success();
+        folder
+            .run(&format!("reconstruct @/photos --weights seeded:vits --input-size 14x14 {option} -o @/s.ply"))
+            .success();
         std::fs::read(folder.path("s.ply")).expect("the scene was written")
     };
     assert!(scene("--cameras @/c.json") == scene("--poses @/c.json"));
@@ -270,7 +280,7 @@ fn cameras_are_poses() {
 
 #[test]
 fn help_has_examples_for_every_command() {
-    for command in ["", "reconstruct ", "render ", "info ", "convert ", "bench "] {
+    for command in ["", "reconstruct ", "render ", "doctor ", "convert ", "bench "] {
         assert!(zipsplat(&format!("{command}--help")).success().contains("Examples:\n  zipsplat "), "{command}");
     }
 }
@@ -285,7 +295,7 @@ fn help_is_a_command_too() {
 #[test]
 fn explaining_names_stages_and_what_was_left_out() {
     let folder = Folder::new();
-    let line = "reconstruct @/photos --weights @/micro.safetensors --size 28x28 --explain -o @/s.ply";
+    let line = "reconstruct @/photos --weights @/micro.safetensors --input-size 28x28 --explain -o @/s.ply";
     let text = folder.run(line).success();
     for words in ["backbone ", "fuse ", "gaussians ", "every token is kept", "camera encoder", "no cameras are given"] {
         assert!(text.contains(words), "'{words}' is not in: {text}");
@@ -317,7 +327,7 @@ fn pictures_are_those_of_the_two_commands_one_after_the_other() {
     let paths =
         ["--orbit --frames 3 --size 60x40 --depth --alpha", "--dolly --frames 2 --size 40x40 --background white"];
     for (i, path) in paths.into_iter().enumerate() {
-        let made = "reconstruct @/photos --weights @/micro.safetensors --size 28x28 -q -o @/s.ply";
+        let made = "reconstruct @/photos --weights @/micro.safetensors --input-size 28x28 -q -o @/s.ply";
         folder.run(&format!("{made} --pictures @/at-once-{i} -- {path}")).success();
         folder.run(&format!("render @/s.ply {path} -q -o @/after-{i}")).success();
         let found = names(&folder.path(&format!("at-once-{i}")));
@@ -337,7 +347,7 @@ fn pictures_are_those_of_the_two_commands_one_after_the_other() {
 #[test]
 fn options_of_pictures_are_checked_before_any_work() {
     let folder = Folder::new();
-    let line = "reconstruct @/photos --weights @/micro.safetensors --size 28x28 -o @/s.ply";
+    let line = "reconstruct @/photos --weights @/micro.safetensors --input-size 28x28 -o @/s.ply";
     for (drawing, words) in [
         ("--pictures @/out -- --nonesuch", &["zipsplat render", "--nonesuch"][..]),
         ("--pictures @/out -- --orbit --wiggle", &["zipsplat render", "--wiggle"]),

@@ -12,12 +12,12 @@ fn place() -> Folder {
     folder
 }
 
-const PHOTOS: &str = "@/place/images --poses @/place/transforms.json";
+const PHOTOS: &str = "@/place/images --cameras @/place/transforms.json";
 
 #[test]
 fn points_become_a_scene_that_looks_like_the_photos() {
     let folder = place();
-    let line = format!("refine {PHOTOS} --start points --steps 30 --hold-out 1 -o @/scene.ply --explain --json");
+    let line = format!("refine {PHOTOS} --init points --steps 30 --holdout-views 1 -o @/scene.ply --explain --json");
     let json = folder.run(&line).json();
     let scene = Scene::open(folder.path("scene.ply")).expect("a scene");
     let losses: Vec<f64> =
@@ -25,7 +25,7 @@ fn points_become_a_scene_that_looks_like_the_photos() {
     assert_eq!((scene.len() as u64, losses.len()), (json["gaussians"].as_u64().expect("a number"), 30));
     let mean = |losses: &[f64]| losses.iter().sum::<f64>() / losses.len() as f64;
     assert!(mean(&losses[25..]) < 0.8 * mean(&losses[..5]), "{losses:?}");
-    let held_out = json["refined"]["held_out"].as_array().expect("looks");
+    let held_out = json["refined"]["holdout_psnr_by_step"].as_array().expect("looks");
     let psnr = |i: usize| held_out[i][1].as_f64().expect("dB");
     assert!(psnr(held_out.len() - 1) > psnr(0) + 1.0, "{held_out:?}");
     assert!(json["explain"]["passes"].as_array().is_some_and(|passes| passes.len() > 10), "{}", json["explain"]);
@@ -35,26 +35,26 @@ fn points_become_a_scene_that_looks_like_the_photos() {
         panic!("another world")
     };
     assert!(pose.translation.abs_diff_eq(first.translation, 1e-9));
-    let again = format!("refine {PHOTOS} --start points --steps 30 --hold-out 1 -o @/again.ply");
+    let again = format!("refine {PHOTOS} --init points --steps 30 --holdout-views 1 -o @/again.ply");
     let text = folder.run(&format!("{again} --explain")).success();
     assert!(text.contains("held-out photos") && !text.contains("left out"), "{text}");
     let row = |what: &str| text.lines().find_map(|line| line.strip_prefix(what)).unwrap_or_else(|| panic!("{text}"));
-    assert_eq!(row("start").trim(), "the capture's points");
+    assert_eq!(row("init").trim(), "the capture's points");
     assert!(row("steps").contains("30 of 30, of 4 photos each; kept is step "), "{text}");
     assert!(row("rates").contains("means 0.005"), "{text}");
     let names = std::fs::read_dir(folder.path("place/images")).expect("photos").map(|file| file.expect("a file"));
     let held_out = row("held-out photos").trim();
     assert!(names.map(|file| file.file_name()).any(|name| name == held_out), "{held_out}");
-    assert_eq!((row("largest photo").trim(), row("ended").trim()), ("42x28 from step 1", "after all steps"));
+    assert_eq!((row("largest photo").trim(), row("stop reason").trim()), ("42x28 from step 1", "after all steps"));
     assert_eq!(Scene::open(folder.path("again.ply")).expect("a scene"), scene);
 }
 
 #[test]
 fn a_scene_is_refined_in_its_own_world() {
     let folder = place();
-    let reconstruct = "reconstruct @/place/images --poses @/place --weights @/micro.safetensors --size 28x28";
+    let reconstruct = "reconstruct @/place/images --cameras @/place --weights @/micro.safetensors --input-size 28x28";
     folder.run(&format!("{reconstruct} -o @/first.ply")).success();
-    folder.run(&format!("{reconstruct} --world cameras -o @/cameras.ply")).success();
+    folder.run(&format!("{reconstruct} --world input-cameras -o @/cameras.ply")).success();
     let refined = |name: &str, options: &str| {
         let line = format!("refine @/{name}.ply {PHOTOS} --steps 5 {options} -o @/refined.ply --overwrite --json");
         let json = folder.run(&line).json();
@@ -71,15 +71,15 @@ fn a_scene_is_refined_in_its_own_world() {
     assert!(alike && first.len() == 5, "{first:?} and {cameras:?}");
     let points = Capture::open(folder.path("place")).expect("cameras").points.expect("a cloud");
     let points = zipsplat::types::read_points(points).expect("points").positions.len();
-    assert_eq!(refined("first", "--start both").1, count + points);
+    assert_eq!(refined("first", "--init both").1, count + points);
 }
 
 #[test]
 fn refined_cameras_are_written() {
     let folder = place();
-    let options = "--steps 20 --refine-cameras --hold-out 1 --refined-cameras @/cameras.json";
-    let refined = folder.run(&format!("refine {PHOTOS} --start points {options} -o @/scene.ply --json")).json();
-    let degrees = refined["refined"]["cameras"]["degrees"].as_f64().expect("an angle");
+    let options = "--steps 20 --optimize-cameras --holdout-views 1 --cameras-out @/cameras.json";
+    let refined = folder.run(&format!("refine {PHOTOS} --init points {options} -o @/scene.ply --json")).json();
+    let degrees = refined["refined"]["camera_movement"]["rotation_deg"].as_f64().expect("an angle");
     let [given, found] =
         ["place/transforms.json", "cameras.json"].map(|file| Capture::open(folder.path(file)).expect(file));
     let moved = |i: usize| {
@@ -91,34 +91,35 @@ fn refined_cameras_are_written() {
     assert!((1e-3..2.0).contains(&degrees), "{degrees}");
     assert!(found.frames.iter().zip(&given.frames).all(|(found, given)| found.photo.is_some()
         && found.photo.as_ref().map(|path| path.file_name()) == given.photo.as_ref().map(|path| path.file_name())));
-    let again = "refine @/scene.ply @/place/images --poses @/cameras.json --steps 0 -o @/again.ply --json";
-    assert!(folder.run(again).json()["refined"]["cameras"].is_null());
-    let reconstruct = format!("reconstruct {PHOTOS} --weights @/micro.safetensors --size 28x28 -o @/sharp.ply");
-    folder
-        .run(&format!("{reconstruct} --refine=5 --start points --refine-cameras --refined-cameras @/r.json"))
-        .success();
+    let again = "refine @/scene.ply @/place/images --cameras @/cameras.json --steps 0 -o @/again.ply --json";
+    assert!(folder.run(again).json()["refined"]["camera_movement"].is_null());
+    let reconstruct = format!("reconstruct {PHOTOS} --weights @/micro.safetensors --input-size 28x28 -o @/sharp.ply");
+    folder.run(&format!("{reconstruct} --refine=5 --init points --optimize-cameras --cameras-out @/r.json")).success();
     assert!(Capture::open(folder.path("r.json")).expect("cameras").frames[1].camera != given.frames[1].camera);
-    assert_eq!(folder.run(&format!("{reconstruct} --refine-cameras")).code, 2);
-    assert_eq!(folder.run(&format!("{reconstruct} --refine=5 --refined-cameras @/r.json")).code, 2);
+    assert_eq!(folder.run(&format!("{reconstruct} --optimize-cameras")).code, 2);
+    let known = folder.run(&format!("{reconstruct} --refine=5 --cameras-out @/r.json"));
+    known.fails(3, &["--cameras-out", "--optimize-cameras"]);
 }
 
 #[test]
 fn scenes_grow() {
     let folder = place();
-    let line = format!("refine {PHOTOS} --start points --steps 20 --grow 3000 -o @/scene.ply --json");
+    let line = format!("refine {PHOTOS} --init points --steps 20 --max-gaussians 3000 -o @/scene.ply --json");
     let json = folder.run(&line).json();
     let points = Capture::open(folder.path("place")).expect("cameras").points.expect("a cloud");
     let points = zipsplat::types::read_points(points).expect("points").positions.len() as u64;
     let grown = json["gaussians"].as_u64().expect("a number");
     assert!(points < grown && grown <= 3000, "{points} points and {grown} Gaussians");
-    let reconstruct = format!("reconstruct {PHOTOS} --weights @/micro.safetensors --size 28x28 -o @/sharp.ply");
-    folder.run(&format!("{reconstruct} --refine=5:tokens --grow 3000")).fails(3, &["--grow", "tokens"]);
-    assert_eq!(folder.run(&format!("refine {PHOTOS} --start points --grow few -o @/scene.ply")).code, 2);
+    let reconstruct = format!("reconstruct {PHOTOS} --weights @/micro.safetensors --input-size 28x28 -o @/sharp.ply");
+    folder
+        .run(&format!("{reconstruct} --refine=5 --refine-target tokens --max-gaussians 3000"))
+        .fails(3, &["--max-gaussians", "tokens"]);
+    assert_eq!(folder.run(&format!("refine {PHOTOS} --init points --max-gaussians few -o @/scene.ply")).code, 2);
     let gaussians = |options: &str| {
-        let line = format!("refine {PHOTOS} --start points {options} -o @/scene.ply --overwrite --json");
+        let line = format!("refine {PHOTOS} --init points {options} -o @/scene.ply --overwrite --json");
         folder.run(&line).json()["gaussians"].as_u64().expect("a number")
     };
-    assert_eq!([gaussians("--steps 20"), gaussians("--steps 300 --grow 0")], [points; 2]);
+    assert_eq!([gaussians("--steps 20"), gaussians("--steps 300 --max-gaussians 0")], [points; 2]);
     assert!(gaussians("--steps 300") > points, "long refinements grow by default");
 }
 
@@ -128,10 +129,10 @@ fn what_cannot_be_refined_is_refused() {
     write_ply(&scenes::random_scene(50, 0, 0.1), folder.path("scene.ply")).expect("a scene can be written");
     let scene = format!("refine @/scene.ply {PHOTOS}");
     folder.run(&format!("{scene} -o @/out.txt")).fails(3, &["--output"]);
-    folder.run(&format!("{scene} --hold-out 10 -o @/out.ply")).fails(3, &["held-out", "fewer than the 10"]);
-    folder.run("refine @/scene.ply --poses @/place -o @/out.ply").fails(3, &["photos", "none"]);
+    folder.run(&format!("{scene} --holdout-views 10 -o @/out.ply")).fails(3, &["held-out", "fewer than the 10"]);
+    folder.run("refine @/scene.ply --cameras @/place -o @/out.ply").fails(3, &["photos", "none"]);
     std::fs::remove_file(folder.path("place/points.ply")).expect("removed");
-    folder.run(&format!("refine {PHOTOS} --start points -o @/out.ply")).fails(3, &["no point cloud", "--start scene"]);
+    folder.run(&format!("refine {PHOTOS} --init points -o @/out.ply")).fails(3, &["no point cloud", "--init scene"]);
     command(&folder.line(&format!("{scene} -o @/out.ply")), &AtomicBool::new(true)).fails(130, &["cancelled"]);
     assert!(!folder.path("out.ply").exists());
 }
@@ -140,14 +141,14 @@ fn what_cannot_be_refined_is_refused() {
 fn held_out_photos_are_compared_after_a_refinement() {
     let folder = place();
     let line =
-        "eval @/place --views 6 --targets 2 --weights @/micro.safetensors --size 28x28 --score-size 30x20 --json";
+        "eval @/place --views 6 --targets 2 --weights @/micro.safetensors --input-size 28x28 --eval-size 30x20 --json";
     let psnr = |options: &str| folder.run(&format!("{line} {options}")).json()["mean"]["psnr"].as_f64().expect("dB");
-    let (before, points) = (psnr(""), psnr("--refine 0 --start points"));
-    let refined = folder.run(&format!("{line} --refine 30:gaussians --start points")).json();
+    let (before, points) = (psnr(""), psnr("--refine 0 --init points"));
+    let refined = folder.run(&format!("{line} --refine 30:gaussians --init points")).json();
     assert_eq!((&refined["score_width"], &refined["width"]), (&30.into(), &28.into()));
     let after = refined["mean"]["psnr"].as_f64().expect("dB");
     assert!(after > points + 1.0 && after > before + 1.0, "{before}, {points} and {after} dB");
-    assert!(folder.run(&format!("{line} --refine 3 --start both")).json()["gaussians"].as_u64() > Some(6 * 2 * 4));
+    assert!(folder.run(&format!("{line} --refine 3 --init both")).json()["gaussians"].as_u64() > Some(6 * 2 * 4));
     let outcome = folder.run(&format!("{line} --refine tokens"));
     assert!(outcome.code == 2 && outcome.err.contains("steps"), "{}", outcome.err);
 }
@@ -155,39 +156,41 @@ fn held_out_photos_are_compared_after_a_refinement() {
 #[test]
 fn reconstructions_are_refined() {
     let folder = place();
-    let line = format!("reconstruct {PHOTOS} --weights @/micro.safetensors --size 28x28 --json");
+    let line = format!("reconstruct {PHOTOS} --weights @/micro.safetensors --input-size 28x28 --json");
     let run = |options: &str| folder.run(&format!("{line} {options} -o @/sharp.ply --overwrite")).json();
     for (options, start, network) in [
         // Unmeasured weights default to their own scene.
         ("--refine=8", "the scene", true),
-        ("--refine=8:tokens", "the network's tokens", true),
-        ("--refine=8 --start both", "the scene and the capture's points", true),
-        ("--refine=8 --start points", "the capture's points", false),
+        ("--refine=8 --refine-target tokens", "the network's tokens", true),
+        ("--refine=8 --init both", "the scene and the capture's points", true),
+        ("--refine=8 --init points", "the capture's points", false),
     ] {
         let json = run(options);
         assert_eq!(
-            (&json["refined"]["start"], json["refined"]["steps"].as_u64()),
+            (&json["refined"]["init"], json["refined"]["steps"].as_u64()),
             (&start.into(), Some(8)),
             "{options}"
         );
-        let ran = json["seconds"]["backbone"].as_f64().is_some_and(|seconds| seconds > 0.0);
+        let ran = json["stage_seconds"]["backbone"].as_f64().is_some_and(|seconds| seconds > 0.0);
         assert_eq!(
-            (ran, json["tokens"].is_u64(), json["seconds"]["load weights"].is_f64()),
+            (ran, json["tokens"].is_u64(), json["stage_seconds"]["load weights"].is_f64()),
             (network, network, network)
         );
         let scene = Scene::open(folder.path("sharp.ply")).expect("a scene");
         assert_eq!(json["gaussians"].as_u64(), Some(scene.len() as u64));
     }
     for (start, of) in [("points", "the capture's points"), ("scene", "the scene")] {
-        let line =
-            format!("{} --refine=8 --hold-out 1 --start {start} -o @/sharp.ply --explain", line.replace("--json", ""));
+        let line = format!(
+            "{} --refine=8 --holdout-views 1 --init {start} -o @/sharp.ply --explain",
+            line.replace("--json", "")
+        );
         let text = folder.run(&line).success();
         assert!(text.contains(&format!("from {of}, refined for ")), "{text}");
         assert!(text.contains("against 9 photos"), "{text}");
         assert_eq!(text.contains("tokens"), start == "scene", "{text}");
     }
-    let wrong = line.replace("--json", "--refine=8:tokens --start points -o @/none.ply");
-    folder.run(&wrong).fails(3, &["--start", "tokens"]);
+    let wrong = line.replace("--json", "--refine=8 --refine-target tokens --init points -o @/none.ply");
+    folder.run(&wrong).fails(3, &["--init", "tokens"]);
     assert_eq!(folder.run("reconstruct @/photos --weights @/micro.safetensors --refine -o @/none.ply").code, 2);
     assert!(!folder.path("none.ply").exists());
 }

@@ -51,12 +51,12 @@ fn gaussians_are_drawn_as_points() {
         Image::open(folder.path("out/000.png")).expect("a picture")
     };
     let lit = |image: &Image| image.rgb.chunks_exact(3).filter(|pixel| pixel[0] > 20).count();
-    let [whole, wide, narrow] = [draw(""), draw("--points 0.4"), draw("--points 0.1")];
+    let [whole, wide, narrow] = [draw(""), draw("--point-size 0.4"), draw("--point-size 0.1")];
     assert!(lit(&whole) > 1000 && lit(&wide) < 500 && lit(&narrow) < lit(&wide) && lit(&narrow) > 0);
     let middle = 3 * (16 * 48 + 24);
     assert!(whole.rgb[middle] < 80 && wide.rgb[middle] > 200 && wide.rgb[middle + 1] < 30, "no opaque dot");
-    let line = "reconstruct @/photos --weights @/micro.safetensors --size 28x28 -o @/s.ply --pictures @/p -- --wiggle --points 1";
-    folder.run(line).fails(3, &["--points", "words behind --"]);
+    let line = "reconstruct @/photos --weights @/micro.safetensors --input-size 28x28 -o @/s.ply --pictures @/p -- --wiggle --point-size 1";
+    folder.run(line).fails(3, &["--point-size", "words behind --"]);
 }
 
 #[test]
@@ -135,7 +135,7 @@ fn a_scene_finds_its_cameras_in_their_own_file() {
         frame["transform_matrix"][0][3] = (x + 1000.0).into();
     }
     std::fs::write(&path, cameras.to_string()).expect("written");
-    folder.run("reconstruct @/place/images --poses @/place --unit 1 -o @/posed.ply").success();
+    folder.run("reconstruct @/place/images --cameras @/place --scene-scale 1 -o @/posed.ply").success();
     let found = folder.run("render @/posed.ply --cameras @/place -o @/found");
     assert_eq!(found.err, "", "the world needs no note");
     found.success();
@@ -156,7 +156,11 @@ fn a_scene_finds_its_cameras_in_their_own_file() {
     let text = std::fs::read_to_string(&path).expect("cameras").replace("000.png", "zero.png");
     std::fs::write(folder.path("other.json"), text).expect("written");
     let other = folder.run("render @/posed.ply --cameras @/other.json -o @/other");
-    assert!(other.err.contains("images/000.png, which") && other.err.contains("--world cameras"), "{}", other.err);
+    assert!(
+        other.err.contains("images/000.png, which") && other.err.contains("--world input-cameras"),
+        "{}",
+        other.err
+    );
 }
 
 /// In another scale.
@@ -177,7 +181,9 @@ fn a_scene_can_be_in_the_world_of_its_cameras() {
     write_transforms(&path, &cameras, &names).expect("cameras");
     let draw = |name: &str, options: &str, path: &str| {
         let scene = format!("@/{name}.ply");
-        folder.run(&format!("reconstruct @/place/images --poses @/place --unit 4 {options} -o {scene}")).success();
+        folder
+            .run(&format!("reconstruct @/place/images --cameras @/place --scene-scale 4 {options} -o {scene}"))
+            .success();
         let outcome = folder.run(&format!("render {scene} {path} -o @/{name}"));
         assert!(!outcome.err.contains("but the background"), "{}", outcome.err);
         let (err, _) = (outcome.err.clone(), outcome.success());
@@ -189,14 +195,14 @@ fn a_scene_can_be_in_the_world_of_its_cameras() {
         assert!(differences.clone().max() < Some(8), "{:?}", differences.max());
     };
     let (_, first): (_, Vec<Image>) = draw("first", "", "--cameras @/place");
-    let (notes, own) = draw("own", "--world cameras", "--cameras @/place");
+    let (notes, own) = draw("own", "--world input-cameras", "--cameras @/place");
     assert_eq!(notes, "", "there is nothing to say where all fits");
     close(&first, &own);
     for path in ["--wiggle", "--orbit", "--dolly"] {
         let path = format!("{path} --frames 3 --size 28x28");
-        close(&draw("first", "", &path).1, &draw("own", "--world cameras", &path).1);
+        close(&draw("first", "", &path).1, &draw("own", "--world input-cameras", &path).1);
     }
-    assert_eq!(folder.run("reconstruct @/place/images --world cameras -o @/x.ply").code, 2);
+    assert_eq!(folder.run("reconstruct @/place/images --world input-cameras -o @/x.ply").code, 2);
 
     // The same photos in another reconstruction's world, by name alone: aligned, and said so.
     write_transforms(folder.path("other.json"), &poses.frames.iter().map(|f| f.camera).collect::<Vec<_>>(), &names)
@@ -217,7 +223,7 @@ fn a_scene_can_be_in_the_world_of_its_cameras() {
     write_transforms(folder.path("mirrored.json"), &mirrored.collect::<Vec<_>>(), &names).expect("cameras");
     let refused = folder.run("render @/own.ply --cameras @/mirrored.json -o @/mirrored");
     refused.fails(3, &["cameras of", "mirrored.json", "another direction"]);
-    let kept = folder.run("refine @/first.ply @/place/images --poses @/other.json --steps 2 -o @/refined.ply");
+    let kept = folder.run("refine @/first.ply @/place/images --cameras @/other.json --steps 2 -o @/refined.ply");
     assert!(kept.err.contains("aligned"), "{}", kept.err);
     kept.success();
 }
@@ -236,7 +242,7 @@ fn says_empty(folder: &Folder, line: &str) -> bool {
 #[test]
 fn only_own_pictures_are_replaced() {
     let folder = folder();
-    let line = "render @/scene.ply --cameras @/cameras.json --depth --alpha --normals --group 8 -o @/out";
+    let line = "render @/scene.ply --cameras @/cameras.json --depth --alpha --normals --gaussians-per-token 8 -o @/out";
     folder.run(line).success();
     let drawn = contents(&folder, "out");
     folder.run(line).success();
@@ -258,7 +264,7 @@ fn only_own_pictures_are_replaced() {
 fn normals_and_tokens_are_written_where_asked() {
     let folder = folder();
     folder
-        .run("render @/scene.ply --cameras @/cameras.json --normals --group 8 --depth=accumulated -o @/out")
+        .run("render @/scene.ply --cameras @/cameras.json --normals --gaussians-per-token 8 --depth=accumulated -o @/out")
         .success();
     let names: Vec<String> = names(&folder.path("out")).into_iter().filter(|name| name.starts_with("000")).collect();
     assert_eq!(names, ["000.depth.png", "000.normal.png", "000.png", "000.tokens.png"]);

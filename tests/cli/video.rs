@@ -31,7 +31,7 @@ fn videos_become_their_sharpest_frames() {
     let cats = text(&format!("cat '{here}/grey'"), &format!("cat '{here}/ppm'"));
     script(&folder, "ffmpeg", &cats);
     fs::write(folder.path("clip.MP4"), "a video").expect("written");
-    let micro = "--weights @/micro.safetensors --size 28x28";
+    let micro = "--weights @/micro.safetensors --input-size 28x28";
     let line = |ffmpeg: &str| format!("reconstruct @/clip.MP4 --views 3 --ffmpeg @/{ffmpeg} {micro} -o @/scene.ply");
     let before = folder.names();
     assert_eq!(folder.run(&(line("ffmpeg") + " --json")).json()["photos"], 3);
@@ -96,7 +96,7 @@ fn ffmpeg_itself_gives_frames_turned_as_the_file_says() {
         model(&folder.path("colmap.model/0"), &[("0/000004.jpg", &camera(width, height))]);
         let line = format!("cameras @/{clip}.mp4 --views 5 --colmap @/colmap -o @/{clip}.json --overwrite --json");
         let json = folder.run(&line).json();
-        assert_eq!((json["photos"].as_u64(), json["found"].as_u64()), (Some(5), Some(1)), "{json}");
+        assert_eq!((json["photos"].as_u64(), json["registered"].as_u64()), (Some(5), Some(1)), "{json}");
     }
     // A playlist must not read other files.
     fs::write(folder.path("list.mp4"), "ffconcat version 1.0\nfile plain.mp4\n").expect("written");

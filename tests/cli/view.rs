@@ -38,7 +38,7 @@ fn base64(text: &str) -> Vec<u8> {
 #[test]
 fn a_page_has_its_scenes_within_it_and_asks_nobody() {
     let folder = folder();
-    let json = folder.run("view @/scene.ply @/scene.ply --exact -o @/page.html --json").json();
+    let json = folder.run("view @/scene.ply @/scene.ply --lossless -o @/page.html --json").json();
     assert_eq!(json["gaussians"], serde_json::json!([50, 50]));
     let page = std::fs::read_to_string(folder.path("page.html")).expect("a page");
     assert_eq!(json["bytes"], page.len());
@@ -63,7 +63,7 @@ fn a_packed_page_is_smaller_and_is_replaced_but_no_page_of_others() {
             .as_u64()
             .expect("a size")
     };
-    assert!(bytes("") < bytes("--exact"));
+    assert!(bytes("") < bytes("--lossless"));
     let page = std::fs::read_to_string(folder.path("page.html")).expect("a page");
     assert_eq!(scene_within(&page, 0).len(), 50);
     std::fs::write(folder.path("page.html"), "<!doctype html>mine").expect("a file can be written");
@@ -89,17 +89,17 @@ fn what_cannot_be_viewed_is_refused() {
     let before = folder.names();
     folder.run("view @/text.ply -o @/page.html").fails(3, &["text.ply"]);
     folder.run("view @/scene.ply -o @/page.ply").fails(3, &["page.ply", "FILE.html"]);
-    folder.run("view @/scene.ply --poses @/none.json -o @/page.html").fails(3, &["none.json"]);
+    folder.run("view @/scene.ply --cameras @/none.json -o @/page.html").fails(3, &["none.json"]);
     assert_eq!(folder.names(), before);
     assert_eq!(folder.run("view").code, 2);
-    assert_eq!(folder.run("view @/scene.ply --exact").code, 2);
+    assert_eq!(folder.run("view @/scene.ply --lossless").code, 2);
 }
 
 #[test]
 fn photos_become_scenes_of_several_ratios() {
     let folder = Folder::new();
     let view = |options: &str| {
-        folder.run(&format!("view @/photos --weights @/micro.safetensors --size 56x28 -o @/page.html {options}"))
+        folder.run(&format!("view @/photos --weights @/micro.safetensors --input-size 56x28 -o @/page.html {options}"))
     };
     let json = view("--json").json();
     // 2 views of 2 x 4 patches, 4 Gaussians each; a tenth of 16 tokens is one.
@@ -118,7 +118,7 @@ fn photos_become_scenes_of_several_ratios() {
     assert!(config["views"][0]["photo"].as_str().is_some_and(|photo| photo.starts_with("data:image/jpeg;base64,")));
     assert_eq!(scene_within(&page, 2).len(), 16);
     assert_eq!(view("--ratios 0.5,1,0.51 --json").json()["gaussians"], serde_json::json!([64, 32]));
-    assert_eq!(view("--ratios 0.5 --keep 2 --json").json()["gaussians"], serde_json::json!([16]));
+    assert_eq!(view("--ratios 0.5 --max-gaussians-per-token 2 --json").json()["gaussians"], serde_json::json!([16]));
 }
 
 #[test]
@@ -126,7 +126,7 @@ fn photos_that_are_given_go_with_a_page() {
     let folder = folder();
     folder.run("scene --seed 3 --views 2 --size 28x28 -o @/place").success();
     let view = |options: &str| {
-        let line = format!("view @/scene.ply --poses @/place/transforms.json -o @/page.html --json {options}");
+        let line = format!("view @/scene.ply --cameras @/place/transforms.json -o @/page.html --json {options}");
         let json = folder.run(&line).json();
         let page = std::fs::read_to_string(folder.path("page.html")).expect("a page");
         (json["photos"].as_u64(), page.matches("\"photo\":\"data:image/jpeg;base64,").count())
@@ -141,8 +141,8 @@ fn photos_and_scenes_have_options_of_their_own() {
     folder.run("view @/scene.ply @/photos -o @/page.html").fails(3, &["scene.ply", "scenes alone, or photos alone"]);
     folder.run("view @/scene.ply --ratio 0.5 -o @/page.html").fails(3, &["--ratio", "photos"]);
     folder.run("view @/scene.ply --views 2 -o @/page.html").fails(3, &["--views", "photos"]);
-    let photos = "view @/photos --weights @/micro.safetensors --size 28x28 -o @/page.html";
-    folder.run(&format!("{photos} --group 4")).fails(3, &["--group", "a scene's file"]);
+    let photos = "view @/photos --weights @/micro.safetensors --input-size 28x28 -o @/page.html";
+    folder.run(&format!("{photos} --gaussians-per-token 4")).fails(3, &["--gaussians-per-token", "a scene's file"]);
     folder.run(&format!("{photos} --ratios 0.5,2")).fails(3, &["--ratios", "2", "(0, 1]"]);
     folder.run(&format!("{photos} --ratios 1,.9,.8,.7,.6,.5,.4,.3,.2")).fails(3, &["--ratios", "9", "at most 8"]);
     folder.run(&format!("{photos} --refine=5")).fails_usage();
@@ -215,12 +215,12 @@ pub fn served(line: &str, test: impl FnOnce(&str, &str)) {
 #[test]
 fn a_server_makes_scenes_of_the_ratio_that_is_asked_for() {
     let folder = Folder::new();
-    let line = folder.line("zipsplat view @/photos --weights @/micro.safetensors --size 56x28 --ratio 0.5");
+    let line = folder.line("zipsplat view @/photos --weights @/micro.safetensors --input-size 56x28 --ratio 0.5");
     served(&line, |port, path| {
         let host = format!("HTTP/1.1\r\nHost: 127.0.0.1:{port}");
         let get = |asked: &str| ask(port, &format!("GET {path}{asked} {host}"));
         for (ratio, tokens) in [("1", 16), ("0.25", 4), ("0.0001", 1)] {
-            let (status, bytes) = get(&format!("made/{ratio}/exact"));
+            let (status, bytes) = get(&format!("made/{ratio}/fp32"));
             assert_eq!(status, 200, "{}", String::from_utf8_lossy(&bytes));
             let end = bytes.iter().position(|byte| *byte == b'\n').expect("a line about the scene");
             let facts: serde_json::Value = serde_json::from_slice(&bytes[..end]).expect("JSON");
@@ -230,12 +230,12 @@ fn a_server_makes_scenes_of_the_ratio_that_is_asked_for() {
             assert_eq!(Scene::decode(&bytes[end + 1..], None).expect("a scene").len(), 4 * tokens);
         }
         assert_eq!(get("view/1").0, 200);
-        for wrong in ["view/2", "made/0.5", "made/0.5/wrong", "made/half/exact", "refined", "refining", "record"] {
+        for wrong in ["view/2", "made/0.5", "made/0.5/wrong", "made/half/fp32", "refined", "refining", "record"] {
             assert_eq!(get(wrong).0, 404, "{wrong}");
         }
-        assert_eq!([get(&format!("made/0.5/exact?{}", u64::MAX)).0, get("made/0.5/exact?1").0], [200, 200]);
-        assert_eq!(get("made/NaN/exact").0, 500);
-        let (status, words) = get("made/2/exact");
+        assert_eq!([get(&format!("made/0.5/fp32?{}", u64::MAX)).0, get("made/0.5/fp32?1").0], [200, 200]);
+        assert_eq!(get("made/NaN/fp32").0, 500);
+        let (status, words) = get("made/2/fp32");
         assert!(status == 500 && String::from_utf8_lossy(&words).contains("(0, 1]"), "{words:?}");
 
         let matrix = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0];
@@ -250,15 +250,15 @@ fn a_server_makes_scenes_of_the_ratio_that_is_asked_for() {
             send(port, &format!("POST {path}record {host}\r\nContent-Length: {length}"), &body)
         };
         let record = |scene: &str, frames: usize| record_at(scene, frames, 10, [1.0, 0.0, 0.0]);
-        let (status, gif) = record("made/0.5/exact", 3);
+        let (status, gif) = record("made/0.5/fp32", 3);
         assert!(status == 200 && gif.starts_with(b"GIF89a"), "{status} {}", String::from_utf8_lossy(&gif));
         let (status, words) = record("scene/0", 3);
         assert!(status == 500 && String::from_utf8_lossy(&words).contains("scene to record"));
-        assert_eq!(record("made/0.5/exact", 0).0, 500);
+        assert_eq!(record("made/0.5/fp32", 0).0, 500);
         for (fps, background, words) in
             [(0, [0.0; 3], "fps"), (51, [0.0; 3], "fps"), (65_536, [0.0; 3], "u16"), (10, [2.0; 3], "background")]
         {
-            let (status, found) = record_at("made/0.5/exact", 3, fps, background);
+            let (status, found) = record_at("made/0.5/fp32", 3, fps, background);
             let found = String::from_utf8_lossy(&found).into_owned();
             assert!(status == 500 && found.contains(words) && !found.contains("defect"), "{fps}: {status} {found}");
         }
@@ -269,7 +269,7 @@ fn a_server_makes_scenes_of_the_ratio_that_is_asked_for() {
 fn a_server_answers_its_own_page_and_nobody_else() {
     let folder = folder();
     folder.run("scene --seed 3 --views 2 --size 28x28 -o @/place").success();
-    served(&folder.line("zipsplat view @/scene.ply --poses @/place/transforms.json"), |port, path| {
+    served(&folder.line("zipsplat view @/scene.ply --cameras @/place/transforms.json"), |port, path| {
         assert_eq!(path.len(), 2 + 32, "{path}");
         let get =
             |path: &str, headers: &str| ask(port, &format!("GET {path} HTTP/1.1\r\nHost: 127.0.0.1:{port}{headers}"));
@@ -313,7 +313,7 @@ fn a_server_answers_its_own_page_and_nobody_else() {
 
 #[test]
 fn options_of_a_refinement_need_one() {
-    for option in ["--grow 100", "--refine-cameras", "--start points", "--hold-out 1"] {
-        folder().run(&format!("view @/photos --poses @/cameras.json {option}")).fails_usage();
+    for option in ["--max-gaussians 100", "--optimize-cameras", "--init points", "--holdout-views 1"] {
+        folder().run(&format!("view @/photos --cameras @/cameras.json {option}")).fails_usage();
     }
 }

@@ -89,12 +89,12 @@ fn named_weights_are_got_checked_converted_and_found() {
     let host = Host::new(file.clone(), &[]);
     let place = Place::new(&host);
     place
-        .run("info --plan --views 2 --weights zipsplat")
+        .run("reconstruct --dry-run --views 2 --weights zipsplat")
         .fails(3, &["weights zipsplat", "`zipsplat weights get zipsplat`"]);
     let list = |state: &str| {
         let rows = place.run("weights list --json").json();
         assert_eq!((&rows[1]["name"], &rows[1]["state"]), (&"zipsplat".into(), &state.into()), "{rows}");
-        assert_eq!((&rows[0]["name"], &rows[0]["state"]), (&"built-in".into(), &"built in".into()));
+        assert_eq!((&rows[0]["name"], &rows[0]["state"]), (&"builtin".into(), &"built in".into()));
     };
     list("to get");
     let got = place.run(&format!("{GET} --json"));
@@ -110,7 +110,7 @@ fn named_weights_are_got_checked_converted_and_found() {
     );
     list("cached");
     assert_eq!(place.run("weights path zipsplat").success().trim(), path);
-    assert!(place.run("info --plan --views 2 --weights zipsplat").success().contains("MiB"));
+    assert!(place.run("reconstruct --dry-run --views 2 --weights zipsplat").success().contains("MiB"));
     // The token goes only to the hub, not to redirect targets.
     let requests = host.state().requests.clone();
     assert!(requests.iter().all(|[_, path, _, token]| (token == "true") == (path != "/blob")), "{requests:?}");
@@ -131,7 +131,7 @@ fn weights_of_depth_stay_as_they_are() {
     let host = Host::new(file.clone(), &[Act::Cut(third)]);
     let place = Place::new(&host);
     let missing = ["weights da3-small", "`zipsplat weights get da3-small`"];
-    place.run("info da3-small").fails(3, &missing);
+    place.run("convert da3-small").fails(3, &missing);
     place.run("depth @/photos --weights da3-small -o @/out").fails(3, &missing);
     place.run("weights get da3-large").fails(3, &["no --yes", "CC BY-NC 4.0", "no commercial use"]);
     let got = place.run("weights get da3-small --yes --timeout 0.3 --json");
@@ -141,11 +141,11 @@ fn weights_of_depth_stay_as_they_are() {
     let name = |of: &str| format!("{of}-{}.safetensors", &sha256(&file)[..12]);
     assert_eq!(place.cached(), [name("da3-small")]);
     assert!(std::fs::read(&path).expect("weights") == file);
-    assert_eq!(place.run("info da3-small --json").json()["kind"], "Depth Anything 3");
-    place.run("depth @/photos --weights da3-small --size 42 -o @/out").success();
-    let line = "cameras @/photos --with da3 --weights da3-small --find-size 64 -o @/cameras.json";
+    assert_eq!(place.run("convert da3-small --json").json()["kind"], "Depth Anything 3");
+    place.run("depth @/photos --weights da3-small --input-size 42 -o @/out").success();
+    let line = "cameras @/photos --method da3 --weights da3-small --matching-size 64 -o @/cameras.json";
     place.run(line).success();
-    place.run("reconstruct @/photos --weights da3-small --size 42x42 -o @/scene.ply").success();
+    place.run("reconstruct @/photos --weights da3-small --input-size 42x42 -o @/scene.ply").success();
     place.run("depth @/photos --weights zipsplat -o @/out").fails(3, &["zipsplat, of ZipSplat", "da3-small"]);
     place.run("weights get da3-small --yes").success();
     place.run("weights get da3-small --offline").success();
@@ -210,7 +210,7 @@ fn another_run_goes_on_and_notices_another_file() {
     host.state().etag = Some(sha256(&other));
     host.state().file = other.clone();
     let asked = host.ranges().len();
-    place.run(&format!("{GET} --keep")).success();
+    place.run(&format!("{GET} --keep-download")).success();
     assert_eq!(host.ranges()[asked..], [""]);
     let archive = format!("zipsplat-da3g-252p-{}.tar", &sha256(&other)[..12]);
     assert_eq!(place.cached(), [converted(&other), archive]);

@@ -103,7 +103,7 @@ fn under_validation_scratch_is_nan_until_it_is_written() {
 }
 
 #[test]
-#[ignore = "needs tools/test-bounds.sh"]
+#[ignore = "needs tools/dev/test-bounds.sh"]
 fn reading_beyond_what_is_bound_is_noticed() {
     let mut rec = Recorder::new(device().limits());
     let (left, right) = (rec.input::<f32>("left", 128), rec.input::<f32>("right", 128));

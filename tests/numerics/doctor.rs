@@ -13,7 +13,7 @@ fn the_command_tells_and_reports() {
     let page = folder.path().join("page.html");
     let (code, out, err) = zipsplat(&format!("doctor --only ops/layer --json --report {}", page.display()));
     assert_eq!(code, 0, "{err}");
-    let json: serde_json::Value = serde_json::from_str(&out).unwrap();
+    let json: serde_json::Value = serde_json::from_str::<serde_json::Value>(&out).unwrap()["result"].clone();
     let findings = json["findings"].as_array().unwrap();
     assert!(findings.len() > 5 && findings.iter().all(|f| f["kernel"] == "ops/layer_norm" && f["holds"] == true));
     assert!(findings.iter().all(|f| f["catches"].as_array().is_some_and(|faults| !faults.is_empty())));

@@ -110,19 +110,23 @@ fn commands_say_how_to_go_on() {
     let written = |name: &str, scene: &Scene| scene.save(at(name)).unwrap();
     for name in NAMES {
         let clean = spoilt(&at(name), f32::NAN);
-        let lines =
-            [("render @/NAME --wiggle -o @/out", "out"), ("convert @/NAME @/out.ply", "out.ply"), ("info @/NAME", "")];
+        let lines = [
+            ("render @/NAME --wiggle -o @/out", "out"),
+            ("convert @/NAME @/out.ply", "out.ply"),
+            ("convert @/NAME", ""),
+        ];
         for (line, output) in lines {
             let line = line.replace("NAME", name);
             let (code, out, err) = run(&line);
             let nothing = output.is_empty() || !at(output).exists();
             assert!((code, out.as_str(), nothing) == (3, "", true), "{line}: {code} {out}");
-            for words in ["3 of 50", "scene means", "--invalid drop"] {
+            for words in ["3 of 50", "scene means", "--drop-invalid"] {
                 assert!(err.contains(words), "{line}: {err}");
             }
             assert_eq!(run(&format!("{line} --invalid refuse")).0, 3);
-            let (code, out, err) = run(&format!("{line} --invalid drop --json"));
+            let (code, out, err) = run(&format!("{line} --drop-invalid --json"));
             let json: serde_json::Value = serde_json::from_str(&out).unwrap_or_else(|_| panic!("{line}: {code} {err}"));
+            let json = &json["result"];
             assert_eq!((&json["gaussians"], &json["dropped"]), (&47.into(), &3.into()), "{line}");
             assert!(err.contains("3 of 50 Gaussians left out"), "{line}: {err}");
         }
@@ -139,9 +143,9 @@ fn commands_say_how_to_go_on() {
         ["out", "clean"].iter().for_each(|name| std::fs::remove_dir_all(at(name)).unwrap());
         std::fs::remove_file(at("out.ply")).unwrap();
     }
-    let (code, out, _) = run("info @/clean.ply --invalid drop --json");
+    let (code, out, _) = run("convert @/clean.ply --drop-invalid --json");
     assert!(code == 0 && out.contains("\"dropped\": 0"), "{out}");
-    let (code, _, err) = run("convert seeded:vits @/weights.safetensors --invalid drop");
-    assert!(code == 3 && err.contains("--invalid"), "{err}");
+    let (code, _, err) = run("convert seeded:vits @/weights.safetensors --drop-invalid");
+    assert!(code == 3 && err.contains("--drop-invalid"), "{err}");
     assert_eq!(run("render @/clean.ply --wiggle -o @/out --invalid keep").0, 2);
 }

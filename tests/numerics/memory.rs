@@ -71,7 +71,7 @@ fn a_picture_needs_no_more_memory_after_others() {
 fn least_memory(line: &str, output: &Path) -> u64 {
     let mut memory = 0;
     for _ in 0..8 {
-        let (code, out, err) = zipsplat(&format!("{line} --memory {memory}"));
+        let (code, out, err) = zipsplat(&format!("{line} --max-memory {memory}"));
         if code == 0 {
             return memory;
         }
@@ -97,20 +97,22 @@ fn commands_say_how_much_memory_is_missing() {
     micro().save(at("micro.safetensors"), Dtype::F32).unwrap();
     write_ply(&random_scene(500, 1, 0.1), at("scene.ply")).unwrap();
     let lines = [
-        ("reconstruct @/photos --weights @/micro.safetensors --size 28x28 -o @/out.ply", "out.ply"),
+        ("reconstruct @/photos --weights @/micro.safetensors --input-size 28x28 -o @/out.ply", "out.ply"),
         ("render @/scene.ply --wiggle --frames 5 --size 90x60 -o @/out", "out"),
     ];
     for (line, output) in lines {
         let line = line.replace('@', &folder.path().display().to_string());
         let least = least_memory(&line, &at(output));
         assert!(at(output).exists());
-        let (code, _, err) = zipsplat(&format!("{line} --memory {}", least - 1));
+        let (code, _, err) = zipsplat(&format!("{line} --max-memory {}", least - 1));
         assert!(code == 4 && err.contains("bytes are there"), "{code} {err}");
-        let (code, _, err) = zipsplat(&format!("{line} --memory 16000000G"));
+        let (code, _, err) = zipsplat(&format!("{line} --max-memory 16000000G"));
         assert_eq!(code, 0, "{err}");
     }
     for wrong in ["1T", "-1", "K", "99999999999G", ""] {
-        assert_eq!(zipsplat(&format!("info --memory={wrong}")).0, 2, "{wrong}");
+        assert_eq!(zipsplat(&format!("doctor list --max-memory={wrong}")).0, 2, "{wrong}");
     }
-    assert!(zipsplat(&format!("render {}/scene.ply --wiggle --memory 1K -o {0}/none", folder.path().display())).0 == 4);
+    assert!(
+        zipsplat(&format!("render {}/scene.ply --wiggle --max-memory 1K -o {0}/none", folder.path().display())).0 == 4
+    );
 }

@@ -8,6 +8,7 @@ fn writes_a_folder() {
     let (code, out, err) = zipsplat(&format!("scene --seed 7 --views 3 --size 24x16 --json -o {}", path.display()));
     assert_eq!(code, 0, "{err}");
     let json: serde_json::Value = serde_json::from_slice(&out).expect("JSON");
+    let json = &json["result"];
     assert_eq!((&json["seed"], &json["views"]), (&7.into(), &3.into()));
     for file in ["images/002.png", "depth/002.npy", "transforms.json", "scene.json"] {
         assert!(path.join(file).is_file(), "{file} is missing");

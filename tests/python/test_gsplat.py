@@ -118,8 +118,6 @@ def test_channels_are_any_number_and_any_sign() -> None:
 def test_what_is_not_there_is_named() -> None:
     fields = place()
     for options in [
-        {"far_plane": 100.0},
-        {"radius_clip": 1.0},
         {"eps2d": 0.1},
         {"sparse_grad": True},
         {"absgrad": True},
@@ -148,19 +146,91 @@ def test_what_is_not_there_is_named() -> None:
         with pytest.raises(ValueError, match=words):
             zipsplat.rasterization(**{**fields, **options}, width=48, height=32)
     _, _, meta = zipsplat.rasterization(**fields, width=48, height=32)
-    with pytest.raises(KeyError, match="means2d"):
-        meta["means2d"]
+    with pytest.raises(KeyError, match="isect_ids: .*means2d"):
+        meta["isect_ids"]
 
 
-def reference(fields: dict[str, Any], width: int, height: int) -> tuple[Any, Any]:
-    """Returns colors and alphas of gsplat's torch reference, blending every Gaussian into every
-    pixel."""
+def test_planes_and_small_radii_cull() -> None:
+    fields, size = place(), {"width": 48, "height": 32}
+    _, alphas, meta = zipsplat.rasterization(**fields, **size, packed=False)
+    assert meta["means2d"].shape == meta["radii"].shape == (2, 40, 2) and meta["depths"].shape == (2, 40)
+    far, clip = float(np.median(meta["depths"])), int(np.median(meta["radii"]))
+    for options, kept in [
+        ({"far_plane": far}, meta["depths"] <= far),
+        ({"near_plane": far}, meta["depths"] >= far),
+        ({"radius_clip": clip}, (meta["radii"] > clip).any(-1)),
+    ]:
+        _, culled, packed = zipsplat.rasterization(**fields, **size, **options)
+        kept &= (meta["radii"] > 0).all(-1)
+        assert np.array_equal(np.stack([packed["camera_ids"], packed["gaussian_ids"]]), np.nonzero(kept))
+        for view, chosen in enumerate(kept):
+            assert 0 < chosen.sum() < 40
+            part = {name: array[chosen] for name, array in fields.items() if len(array) == 40}
+            part |= {name: fields[name][view : view + 1] for name in ("viewmats", "Ks")}
+            assert np.array_equal(zipsplat.rasterization(**part, **size)[1][0], culled[view])
+        assert not np.array_equal(culled, alphas)
+
+
+def test_batches_are_scenes_with_their_cameras() -> None:
+    scenes, size = [place(seed=1), place(seed=2)], {"width": 48, "height": 32}
+    batch = {name: np.stack([scene[name] for scene in scenes])[:, None] for name in scenes[0]}
+    own = {**batch, "colors": np.stack([batch["colors"], 0.5 * batch["colors"]], 2)}
+    background = np.ones((2, 1, 2, 5))
+    for fields in (batch, own):
+        colors, alphas, meta = zipsplat.rasterization(
+            **fields, **size, packed=False, backgrounds=background, render_mode="RGB+D"
+        )
+        assert colors.shape == (2, 1, 2, 32, 48, 6) and alphas.shape == (2, 1, 2, 32, 48, 1)
+        assert meta["means2d"].shape == (2, 1, 2, 40, 2) and (meta["n_batches"], meta["n_cameras"]) == (2, 2)
+        for i in range(2):
+            one = {name: array[i, 0] for name, array in fields.items()}
+            alone = zipsplat.rasterization(
+                **one, **size, packed=False, backgrounds=background[0, 0], render_mode="RGB+D"
+            )
+            assert np.array_equal(alone[0], colors[i, 0]) and np.array_equal(alone[1], alphas[i, 0])
+            assert np.array_equal(alone[2]["radii"], meta["radii"][i, 0])
+    with pytest.raises(zipsplat.ArgumentError, match=r"scales: found shape \[2, 40, 3\], expected \[2, 1, 40, 3\]"):
+        zipsplat.rasterization(**{**batch, "scales": batch["scales"][:, 0]}, **size)
+
+
+def test_strategies_of_gsplat_add_gaussians() -> None:
+    torch = pytest.importorskip("torch")
+    strategies = pytest.importorskip("gsplat.strategy")
+    fields = {name: torch.from_numpy(array) for name, array in place().items()}
+    target = 0.5 + 0.5 * zipsplat.rasterization(**fields, width=48, height=32)[0]
+    grown = []
+    for packed in (False, True):
+        names = ("means", "quats", "scales", "opacities", "colors")
+        params = torch.nn.ParameterDict({name: fields[name].clone() for name in names})
+        params["scales"], params["opacities"] = params["scales"].log(), params["opacities"].logit()
+        adam = {name: torch.optim.Adam([{"params": params[name], "name": name}], lr=1e-3) for name in names}
+        strategy = strategies.DefaultStrategy(refine_start_iter=2, refine_every=4, grow_grad2d=1e-4, reset_every=100)
+        state = strategy.initialize_state(scene_scale=1.0)
+        torch.manual_seed(1)
+        for step in range(6):
+            given = {**params, "scales": params["scales"].exp(), "opacities": params["opacities"].sigmoid()}
+            places = {"viewmats": fields["viewmats"], "Ks": fields["Ks"]}
+            colors, _, info = zipsplat.rasterization(**given, **places, width=48, height=32, packed=packed)
+            strategy.step_pre_backward(params, adam, state, step, info)
+            torch.nn.functional.l1_loss(colors, target).backward()
+            for optimizer in adam.values():
+                optimizer.step()
+                optimizer.zero_grad()
+            strategy.step_post_backward(params, adam, state, step, info, packed=packed)
+        grown.append(len(params["means"]))
+    assert grown[0] == grown[1] > 40
+
+
+def reference(fields: dict[str, Any], width: int, height: int) -> tuple[Any, Any, dict[str, Any]]:
+    """Returns colors, alphas and metadata of gsplat's torch reference, blending every Gaussian into
+    every pixel."""
     torch = pytest.importorskip("torch")
     impl = pytest.importorskip("gsplat.cuda._torch_impl")
     covars, _ = impl._quat_scale_to_covar_preci(fields["quats"], fields["scales"], compute_preci=False)
     radii, means2d, depths, conics, _ = impl._fully_fused_projection(
         fields["means"], covars, fields["viewmats"], fields["Ks"], width, height
     )
+    means2d.retain_grad()
     y, x = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")
     pictures, alphas = [], []
     for camera in range(len(depths)):
@@ -181,7 +251,8 @@ def reference(fields: dict[str, Any], width: int, height: int) -> tuple[Any, Any
             left = left * (1 - alpha)
         pictures.append(color)
         alphas.append(1 - left)
-    return torch.stack(pictures), torch.stack(alphas)[..., None]
+    meta = {"means2d": means2d, "radii": radii, "depths": depths, "conics": conics}
+    return torch.stack(pictures), torch.stack(alphas)[..., None], meta
 
 
 def test_tensors_give_gsplats_pictures_and_gradients() -> None:
@@ -200,8 +271,12 @@ def test_tensors_give_gsplats_pictures_and_gradients() -> None:
         (torch.sum(colors * weights[0]) + torch.sum(alphas * weights[1])).backward()
         return {name: tensor.grad.numpy().copy() for name, tensor in fields.items() if tensor.grad is not None}
 
-    colors, alphas, _ = zipsplat.rasterization(**fields, width=width, height=height)
-    expected = reference(fields, width, height)
+    colors, alphas, meta = zipsplat.rasterization(**fields, width=width, height=height, packed=False)
+    *expected, expected_meta = reference(fields, width, height)
+    seen = (meta["radii"] > 0).all(-1)
+    assert seen.any() and (expected_meta["radii"] >= meta["radii"]).all()
+    for name in ("means2d", "depths", "conics"):
+        assert apart(meta[name][seen].detach(), expected_meta[name][seen].detach()) < 1e-6, name
     assert isinstance(colors, torch.Tensor) and colors.requires_grad
     off = (np.abs(colors.detach().numpy() - expected[0].detach().numpy()) > 1e-4).mean()
     assert off < 2e-3, "all but a few pixels at a threshold"
@@ -214,6 +289,7 @@ def test_tensors_give_gsplats_pictures_and_gradients() -> None:
         assert apart(got[name], truth[name]) < 2e-3, name
     views = fields["viewmats"].detach().numpy()
     assert apart(of_pose(got["viewmats"], views), of_pose(truth["viewmats"], views)) < 2e-3
+    assert apart(meta["means2d"].grad, expected_meta["means2d"].grad) < 2e-3
 
 
 def test_an_optimiser_of_torchs_finds_colours() -> None:

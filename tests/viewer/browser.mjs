@@ -97,7 +97,7 @@ export class Tab {
         const path = await this.run(() => (zipsplat.path.keys = [], zipsplat.path.keep(), zipsplat.path.file()));
         writeFileSync(at("camera_path.json"), JSON.stringify(path));
         zipsplat("render", file, "--cameras", "camera_path.json", "-o", "pictures", ...options);
-        const layers = options.filter(option => option.startsWith("--")).map(option => ({ "--normals": "normal", "--group": "tokens" })[option] ?? option.slice(2));
+        const layers = options.filter(option => option.startsWith("--")).map(option => ({ "--normals": "normal", "--gaussians-per-token": "tokens" })[option] ?? option.slice(2));
         if (layers.length) return layers.map(layer => PNG.sync.read(readFileSync(at(`pictures/000.${layer}.png`)), { skipRescale: true }));
         return PNG.sync.read(readFileSync(at("pictures/000.png")));
     }

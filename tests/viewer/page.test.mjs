@@ -24,7 +24,7 @@ async function agrees(tab, file) {
 
 test("a page in one file draws what render draws, and asks nobody for anything", async () => {
     for (const scene of ["random.ply", "place/splats.ply"]) {
-        const tab = await written([scene, "--exact"]);
+        const tab = await written([scene, "--lossless"]);
         await agrees(tab, scene);
         await tab.run(() => (zipsplat.camera.orbit(0.3, -0.2), zipsplat.camera.move(0.1, 0.1, 0.2), zipsplat.change(true)));
         await sleep(600);
@@ -129,7 +129,7 @@ test("several scenes stand behind one slider", async () => {
 });
 
 test("a served page shows input cameras with their photos", async () => {
-    const { address, stop } = await serve("view", "place/splats.ply", "--poses", "place/transforms.json");
+    const { address, stop } = await serve("view", "place/splats.ply", "--cameras", "place/transforms.json");
     const tab = await Tab.open(address, { width: 800, height: 600 });
     await tab.settled();
     await agrees(tab, "place/splats.ply");

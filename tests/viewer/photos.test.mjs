@@ -6,7 +6,7 @@ import { before, test } from "node:test";
 import { PNG } from "pngjs";
 import { Tab, at, opened, psnr, serve, sleep, spread, zipsplat } from "./browser.mjs";
 
-const PHOTOS = ["place/images", "--poses", "place/transforms.json"];
+const PHOTOS = ["place/images", "--cameras", "place/transforms.json"];
 
 before(() => zipsplat("scene", "--seed", "3", "--views", "4", "--size", "140x140", "-o", "place"));
 
@@ -89,7 +89,7 @@ test("a token under the mouse shows its patch of the photo", async () => {
 });
 
 test("a written page holds several ratios, tokens and small photos, and asks nobody", async () => {
-    const said = JSON.parse(zipsplat("view", ...PHOTOS, "--ratios", "1,0.3,0.1", "-o", "page.html", "--json"));
+    const said = JSON.parse(zipsplat("view", ...PHOTOS, "--ratios", "1,0.3,0.1", "-o", "page.html", "--json")).result;
     assert.equal(said.gaussians.length, 3);
     assert.ok(said.photos === 4 && said.photo_bytes > 1000 && said.bytes > said.photo_bytes);
     const tab = await opened({ width: 700, height: 500 }), seen = [];
@@ -134,7 +134,7 @@ test("a photo over the picture says how like it the picture is", async () => {
 });
 
 test("a refinement is watched, and stopped with the best so far", async () => {
-    const { address, stop } = await serve("view", ...PHOTOS, "--refine=2000", "--refine-size", "70x70"), tab = await Tab.open(address, { width: 700, height: 500 });
+    const { address, stop } = await serve("view", ...PHOTOS, "--refine=2000", "--max-image-size", "70x70"), tab = await Tab.open(address, { width: 700, height: 500 });
     await tab.until(() => zipsplat.refining.version >= 1 && zipsplat.live.took);
     await tab.settled();
     const first = await tab.picture(), version = await tab.run(() => zipsplat.refining.version);

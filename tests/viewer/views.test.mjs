@@ -18,8 +18,8 @@ const depths = tab => tab.run(() => {
 
 test("depth, normals and tokens are those of render", async () => {
     for (const scene of ["random.ply", "place/splats.ply"]) {
-        const tab = await written([scene, "--exact", "--group", "4"]), pictures = {};
-        const [depth, normals, tokens] = await tab.rendered(scene, "--depth", "--normals", "--group", "4");
+        const tab = await written([scene, "--lossless", "--gaussians-per-token", "4"]), pictures = {};
+        const [depth, normals, tokens] = await tab.rendered(scene, "--depth", "--normals", "--gaussians-per-token", "4");
         for (const [key, shown] of [["2", "depth"], ["3", "normals"], ["4", "tokens"]]) {
             await tab.page.keyboard.press(key);
             pictures[shown] = await tab.picture();
@@ -41,7 +41,7 @@ test("depth, normals and tokens are those of render", async () => {
 
 test("tiny scenes are not clipped", async () => {
     writeFileSync(at("tiny.ply"), randomPly(3000, [-11, -9], [-3, 5], 1e-4));
-    const tab = await written(["tiny.ply", "--exact"]);
+    const tab = await written(["tiny.ply", "--lossless"]);
     assert.ok(await tab.run(() => zipsplat.scene.near) < 1e-5);
     assert.ok(await tab.run(() => zipsplat.scene.drawable.drawn) > 2000);
     await tab.close();
@@ -52,7 +52,7 @@ test("what was left out is counted", async () => {
     // Opacity logit, the 52nd of 59 numbers: 1/255 is -ln 254.
     const faint = Array.from({ length: 3000 }, (_, i) => values[59 * i + 51]).filter(odds => odds < -Math.log(254)).length;
     writeFileSync(at("faint.ply"), ply);
-    const tab = await written(["faint.ply", "--exact"]);
+    const tab = await written(["faint.ply", "--lossless"]);
     const said = () => tab.page.$eval("#left-out", element => element.textContent);
     assert.ok(faint > 300);
     assert.equal(await tab.run(() => zipsplat.scene.drawable.drawn), 3000 - faint, "all that are not faint lie ahead");
@@ -71,7 +71,7 @@ test("tokens of a file that does not say are refused with words", async () => {
     const tab = await written(["random.ply"]);
     await tab.page.keyboard.press("4");
     assert.equal(await tab.run(() => zipsplat.views.shown), "color");
-    assert.match(await tab.page.$eval("#message", element => element.textContent), /--group N/);
+    assert.match(await tab.page.$eval("#message", element => element.textContent), /--gaussians-per-token N/);
     await tab.close();
 });
 

@@ -16,7 +16,7 @@ def zipsplat(*words):
     if run.returncode:
         line = run.stderr.strip().splitlines()[-1]
         raise RuntimeError(json.loads(line)["error"] if line.startswith("{") else line)
-    return json.loads(run.stdout)
+    return json.loads(run.stdout)["result"]
 
 
 def timed(*words):

@@ -57,7 +57,7 @@ def row(capture, folder, options):
     common = {name: poses[name] for name in poses if name in given}
     turn, away = errors(common, given)
     focal = np.median([focals[name] / given_focals[name] for name in common]) - 1
-    counts = f"{found['found']} of {found['photos']}" + (f", {found['mappings']} tries" if found["mappings"] > 1 else "")
+    counts = f"{found['registered']} of {found['photos']}" + (f", {found['attempts']} tries" if found['attempts'] > 1 else "")
     return [capture.name, counts, f"{turn:.2f}", f"{100 * away:.2f} %", f"{100 * focal:+.1f} %", f"{found['points']:,}",
             f"{seconds:.0f} s"]
 

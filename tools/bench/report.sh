@@ -30,10 +30,10 @@ report() {
 
 forward=(bench forward --weights "${WEIGHTS:-seeded:vitg}" "${runs[@]}")
 scenes=(bench render --gaussians 36000,102000,500000,2000000,6000000 --size 252x252,1920x1080,3840x2160 --sh 1 "${runs[@]}")
-report device info
+report device doctor list
 report device bench peak
 report doctor doctor
-report tune tune
+report tune doctor tune
 report gemm bench gemm
 report render "${scenes[@]}"
 for count in "${views[@]}"; do report forward "${forward[@]}" --views "$count" --ratio 1,0.5,auto; done

@@ -51,14 +51,14 @@ def run(args, capture, start):
     path = args.out / f"{capture.name}.{start}.json"
     if not path.exists():
         steps = args.steps[-1]
-        moved = [f"{steps}:tokens"] if start == "tokens" else [str(steps), "--start", start]
+        moved = [str(steps), "--refine-target", "tokens"] if start == "tokens" else [str(steps), "--init", start]
         words = [*shlex.split(args.zipsplat), "eval", str(capture), "--views", str(args.views), "--targets", "1", "--json", "--quiet"]
-        words += ["--score-size", args.size, "--hold-out", str(args.hold_out), *shlex.split(args.options), "--refine", *moved]
+        words += ["--eval-size", args.size, "--holdout-views", str(args.hold_out), *shlex.split(args.options), "--refine", *moved]
         before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic()
         text = subprocess.run(words, check=True, capture_output=True, text=True).stdout
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-        said = json.loads(text) | {"wall": time.monotonic() - begin, "cpu": cpu / os.cpu_count()}
+        said = json.loads(text)["result"] | {"wall": time.monotonic() - begin, "cpu": cpu / os.cpu_count()}
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(json.dumps(said))
     return json.loads(path.read_text())
@@ -70,7 +70,7 @@ def curve(args, said, start):
     forward = 0 if start == "points" else said["seconds"]
     refined = said["refined"]
     each = refined["seconds"] / max(1, refined["steps"])
-    return [(step, rate * (forward + each * step), db) for step, db in refined["held_out"]]
+    return [(step, rate * (forward + each * step), db) for step, db in refined["holdout_psnr_by_step"]]
 
 
 def at(curve, step):

@@ -44,9 +44,9 @@ def run(args, views, ratio, pool):
     path = folder / "eval.json"
     if path.exists():
         return json.loads(path.read_text())
-    shape = ["--views", views, "--ratio", ratio, "--pool", pool, "--size", args.size, *shlex.split(args.options)]
+    shape = ["--views", views, "--ratio", ratio, "--kv-pool", pool, "--input-size", args.size, *shlex.split(args.options)]
     said, cpu = timed("eval", args.capture, *shape, "--targets", args.targets, "--lpips", "none", "-o", folder, "--overwrite")
-    planned, _ = timed("info", "--plan", "--poses", *shape)
+    planned, _ = timed("reconstruct", "--dry-run", "--cameras", "capture", *shape)
     said |= {"planned_bytes": planned["peak_bytes"], "flops": planned["flops"], "cpu": cpu / os.cpu_count()}
     path.write_text(json.dumps(said))
     return said

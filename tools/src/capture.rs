@@ -1,8 +1,7 @@
 //! Captures: photos with cameras, split into inputs and targets.
 
 use crate::{
-    metrics::{mean_color, psnr, ssim, values},
-    perceptual::distance,
+    metrics::{self, mean_color, psnr, ssim, values},
     photos,
     refinement::placed,
     session::Stage,
@@ -177,7 +176,7 @@ impl Choice {
             sizes.push(size);
             seen.extend(of_input);
         }
-        let mut views = Views::new(seeing.fit, seen.into_iter(), &world, &sizes[..count], seeing.size);
+        let mut views = Views::new(seeing.crop, seen.into_iter(), &world, &sizes[..count], seeing.size);
         let scene_scale = self.poses.scene_scale(scene_scale, &views.cameras, &world)?;
         let cameras = views.cameras.iter_mut().chain(inputs.iter_mut().map(|photo| &mut photo.camera));
         cameras.for_each(|camera| camera.pose.translation /= scene_scale.length);
@@ -218,7 +217,7 @@ impl ViewSplit {
     pub fn score_lpips(&self, scores: &mut [Score], drawn: &[Vec<f32>], lpips: &mut Perceptual) -> Result<()> {
         for ((score, drawn), view) in scores.iter_mut().zip(drawn).zip(&self.targets) {
             let size = [view.image.width, view.image.height];
-            score.lpips = distance(Some(lpips), [drawn, &values(&view.image)], size)?;
+            score.lpips = metrics::lpips(Some(lpips), [drawn, &values(&view.image)], size)?;
         }
         Ok(())
     }

@@ -33,29 +33,21 @@ pub const POINTS: usize = 200_000;
 #[derive(Args, Clone, Copy, Debug, Default)]
 pub struct CamerasFrom {
     /// Source of the cameras that Depth Anything 3 estimates
-    #[arg(long, alias = "camera-source", value_enum, value_name = "HOW", default_value = "decoder")]
-    by: By,
-    /// Their focal lengths
-    #[arg(long, value_enum, value_name = "WHOSE", default_value = "shared")]
-    focal_lengths: FocalLengths,
+    #[arg(long, value_enum, value_name = "HOW", default_value = "decoder")]
+    camera_source: CameraSource,
+    /// Estimate a focal length per photo, different along x and y; by default photos of equal size,
+    /// camera and zoom share one, the median weighted by depth confidence
+    #[arg(long)]
+    per_view_focal: bool,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-enum By {
+enum CameraSource {
     /// Camera decoder of the network
     #[default]
     Decoder,
     /// Rays of all pixels, with an estimated principal point
     Rays,
-}
-
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-enum FocalLengths {
-    /// One for photos of equal size, camera and zoom: the median, weighted by depth confidence
-    #[default]
-    Shared,
-    /// One per photo, different along x and y
-    Own,
 }
 
 pub struct PredictorOptions<'a> {
@@ -76,7 +68,7 @@ impl Quality {
             arithmetic: &self.arithmetic,
             request: DepthOptions {
                 ratio: self.ratio,
-                token_selection: self.select.clone(),
+                token_selection: self.token_selection.clone(),
                 ..DepthOptions::default()
             },
         }
@@ -84,11 +76,11 @@ impl Quality {
 
     /// Acts as [`Quality::check`], for pixel scenes.
     pub fn check_pixels(&self, checkpoint: &DepthCheckpoint) -> Result<()> {
-        refuse("--pool", self.pool != 1, "weights of Depth Anything 3", "weights of ZipSplat")?;
+        refuse("--kv-pool", self.kv_pool != 1, "weights of Depth Anything 3", "weights of ZipSplat")?;
         let all = checkpoint.architecture().backbone.patch_size.pow(2) as u32;
         match self.kept() {
             Some(keep) if keep > all => {
-                Err(Error::argument("--keep", keep, format!("1 to {all}, the pixels of a patch")))
+                Err(Error::argument("--max-gaussians-per-patch", keep, format!("1 to {all}, the pixels of a patch")))
             }
             _ => Ok(()),
         }
@@ -222,10 +214,10 @@ impl DepthPredictor {
 }
 
 impl PredictedViews {
-    fn find_cameras(&mut self, CamerasFrom { by, focal_lengths }: CamerasFrom) -> Result<()> {
-        let found: Vec<Result<Camera>> = match by {
-            By::Decoder => self.depths.cameras()?.into_iter().map(Ok).collect(),
-            By::Rays => self.depths.cameras_of_rays()?.into_iter().map(|found| Ok(found?.camera)).collect(),
+    fn find_cameras(&mut self, CamerasFrom { camera_source, per_view_focal }: CamerasFrom) -> Result<()> {
+        let found: Vec<Result<Camera>> = match camera_source {
+            CameraSource::Decoder => self.depths.cameras()?.into_iter().map(Ok).collect(),
+            CameraSource::Rays => self.depths.cameras_of_rays()?.into_iter().map(|found| Ok(found?.camera)).collect(),
         };
         let has: Vec<bool> = found.iter().map(Result::is_ok).collect();
         let (cameras, mut failed): (Vec<_>, Vec<_>) = found.into_iter().partition(Result::is_ok);
@@ -236,7 +228,7 @@ impl PredictedViews {
         keep(&mut self.views, &has);
         self.depths.keep_views(&has);
         let mut cameras: Vec<Camera> = cameras.into_iter().flatten().collect();
-        if focal_lengths == FocalLengths::Shared {
+        if !per_view_focal {
             let maps: Vec<_> = self.views.iter().map(|view| view.map).collect();
             let weights: Vec<_> = self.depths.views.iter().map(DepthMap::mean_confidence).collect();
             share_focal_lengths(&mut cameras, &maps, &lenses(&self.photos)?, &weights);
@@ -250,7 +242,7 @@ impl PredictedViews {
     pub fn scale(&mut self, metric: bool, points: Option<&Path>) -> Result<()> {
         let (network, Some(cameras)) = (&self.network, &self.cameras) else { return Ok(()) };
         if self.depths.views.iter().all(|view| view.sky.is_none()) {
-            return refuse("--metres", metric, network, "a network that sees each photo by itself");
+            return refuse("--metric", metric, network, "a network that sees each photo by itself");
         }
         if metric {
             self.depths.to_meters(cameras);

@@ -12,11 +12,11 @@ mod download;
 mod explain;
 mod heic;
 mod html;
+mod legacy;
 pub mod metrics;
 mod npy;
 mod options;
 mod outputs;
-mod perceptual;
 mod photos;
 mod pictures;
 mod plot;
@@ -51,7 +51,7 @@ use zipsplat::Error;
   zipsplat reconstruct photos/ -o scene.ply
   zipsplat render scene.ply --wiggle -o out/
   zipsplat view scene.ply -o scene.html
-  zipsplat info
+  zipsplat doctor list
   zipsplat doctor
   zipsplat weights get zipsplat
   zipsplat help render
@@ -69,14 +69,26 @@ struct Cli {
 
 /// Minimum bytes of short help.
 const SHORTEST_CLAUSE: usize = 30;
-/// Options in `-h` of large commands; `--help` shows all.
-const SHORT_HELP: [(&str, &[&str]); 2] = [
+/// Options in `-h`; `--help` shows all. Arguments without a name and the options of every command
+/// are shown, too.
+const SHORT_HELP: [(&str, &[&str]); 9] = [
     (
         "reconstruct",
-        &["photos", "output", "weights", "poses", "cameras_out", "views", "ratio", "refine", "grow", "precision"],
+        &["output", "weights", "cameras", "ratio", "refine", "init", "views", "precision", "each", "dry_run"],
     ),
-    ("eval", &["folders", "output", "weights", "poses", "views", "targets", "pose_free", "refine", "csv"]),
+    (
+        "refine",
+        &["output", "cameras", "init", "steps", "max_image_size", "max_gaussians", "optimize_cameras", "holdout_views"],
+    ),
+    ("cameras", &["output", "method", "weights", "views", "matching", "colmap_model"]),
+    ("depth", &["output", "weights", "cameras", "views", "input_size", "metric"]),
+    ("render", &["output", "video", "cameras", "orbit", "spline", "wiggle", "size", "frames", "background", "depth"]),
+    ("view", &["output", "cameras", "open", "weights", "ratios", "refine"]),
+    ("eval", &["output", "views", "targets", "cameras", "pose_free", "refine", "protocol", "scene", "csv"]),
+    ("convert", &["spz_version", "dtype", "drop_invalid", "overwrite"]),
+    ("doctor", &["only", "report", "verbose"]),
 ];
+const GLOBALS: [&str; 4] = ["device", "max_memory", "json", "quiet"];
 
 /// Hides the other options from `-h`.
 fn short_help(command: clap::Command) -> clap::Command {
@@ -86,7 +98,8 @@ fn short_help(command: clap::Command) -> clap::Command {
             let long = command.get_after_help().cloned().unwrap_or_default();
             let command = command.after_help("--help shows all options, and examples.").after_long_help(long);
             command.mut_args(|arg| {
-                let hidden = !shown.contains(&arg.get_id().as_str());
+                let shown = shown.contains(&arg.get_id().as_str()) || GLOBALS.contains(&arg.get_id().as_str());
+                let hidden = !shown && !arg.is_positional();
                 shortened(arg).hide_short_help(hidden)
             })
         })
@@ -103,10 +116,16 @@ fn shortened(arg: clap::Arg) -> clap::Arg {
 
 /// Runs a command line, program name first, and returns its exit code (see `--help`).
 pub fn run(args: impl IntoIterator<Item = OsString>, terminal: Terminal<'_>) -> u8 {
-    let args = refinement::join_steps(args);
-    let parsed = short_help(Cli::command()).try_get_matches_from(&args).and_then(|found| Cli::from_arg_matches(&found));
-    let Cli { global, command } = match parsed {
-        Ok(cli) => cli,
+    let commands = Cli::command();
+    let is_command = |word: &str| {
+        commands.get_subcommands().any(|verb| verb.get_name() == word || verb.find_subcommand(word).is_some())
+    };
+    let args = legacy::rewritten(refinement::join_steps(args), is_command);
+    let parsed = short_help(Cli::command()).try_get_matches_from(&args);
+    let parsed =
+        parsed.and_then(|found| Ok((found.subcommand_name().map(str::to_owned), Cli::from_arg_matches(&found)?)));
+    let (name, Cli { global, command }) = match parsed {
+        Ok(parsed) => parsed,
         Err(error) => {
             let (stream, code) =
                 (if error.use_stderr() { terminal.err } else { terminal.out }, error.exit_code() as u8);
@@ -119,7 +138,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>, terminal: Terminal<'_>) -> 
             return code;
         }
     };
-    let mut session = Session::new(global, terminal);
+    let mut session = Session::new(name.unwrap_or_default(), global, terminal);
     match command.run(&mut session) {
         Ok(()) => session.code(),
         Err(error) => {

@@ -13,14 +13,14 @@ use zipsplat::{
     reconstruct::{Ratio, TokenSelection},
     stages::cluster::auto_ratio,
     tune::KernelChoice,
-    types::{Image, Scene, SceneFormat, open_file},
+    types::{Image, Scene, open_file},
     weights::{Architecture, Checkpoint, DepthCheckpoint},
 };
 
 #[derive(Args)]
 pub struct Weights {
     /// Checkpoint, name in `zipsplat weights list`, or seeded:VARIANT for random weights [default:
-    /// built-in]
+    /// builtin]
     #[arg(long, value_name = "PATH|NAME|seeded:VARIANT[:KEY]")]
     weights: Option<String>,
     /// Network, if the checkpoint lacks it: vitg, vitl, vitb, vits, da3s, da3b,
@@ -56,21 +56,15 @@ impl Weights {
     /// For `zipsplat convert`.
     pub fn as_input(&self) -> Vec<&str> {
         let variant = self.variant.iter().flat_map(|variant| ["--variant", variant]);
-        [self.weights.as_deref().unwrap_or(BUILT_IN)].into_iter().chain(variant).collect()
+        [self.weights.as_deref().unwrap_or(BUILTIN)].into_iter().chain(variant).collect()
     }
 
-    pub fn is_embedded(&self) -> bool {
-        self.weights.as_deref().is_none_or(|weights| weights == BUILT_IN)
+    pub fn is_builtin(&self) -> bool {
+        self.weights.as_deref().is_none_or(is_builtin)
     }
 
     pub fn open_as(&self, weights: &str) -> Result<Checkpoint> {
         open_checkpoint(weights, self.variant.as_deref(), CHECKPOINTS)
-    }
-
-    /// The file might be a scene.
-    pub fn open_unless_scene(&self, file: &str) -> Result<Checkpoint> {
-        let expected = format!("{CHECKPOINTS}, or a scene ({})", SceneFormat::EXTENSIONS);
-        open_checkpoint(file, self.variant.as_deref(), &expected)
     }
 }
 
@@ -90,13 +84,19 @@ impl Network {
     }
 }
 
-pub const BUILT_IN: &str = "built-in";
+pub const BUILTIN: &str = "builtin";
+/// Earlier spelling.
+const BUILT_IN: &str = "built-in";
+
+fn is_builtin(weights: &str) -> bool {
+    [BUILTIN, BUILT_IN].contains(&weights)
+}
 
 pub const CHECKPOINTS: &str = "a checkpoint (safetensors, or PyTorch's archive)";
 
 /// Opens a checkpoint; rejects other files by their first bytes.
 pub fn open_checkpoint(text: &str, variant: Option<&str>, expected: &str) -> Result<Checkpoint> {
-    if text == BUILT_IN {
+    if is_builtin(text) {
         refuse(
             "--variant",
             variant.is_some(),
@@ -108,7 +108,7 @@ pub fn open_checkpoint(text: &str, variant: Option<&str>, expected: &str) -> Res
     if is_of_depth(text) {
         let found = format!("{text}, of Depth Anything 3");
         let expected = format!(
-            "{expected} of ZipSplat; reconstruct, batch, view, eval, depth, cameras and info take those of Depth Anything 3"
+            "{expected} of ZipSplat; reconstruct, view, eval, depth, cameras and convert take those of Depth Anything 3"
         );
         return Err(Error::argument("weights", found, expected));
     }
@@ -139,49 +139,41 @@ pub struct Quality {
     #[arg(long, value_name = "R|auto", default_value = "1", value_parser = parse_ratio)]
     pub ratio: Ratio,
     /// Token selection: kmeans[:ROUNDS], stride or random[:SEED]
-    #[arg(long, alias = "token-selection", value_name = "HOW", default_value = "kmeans", value_parser = parse_selection)]
-    pub select: TokenSelection,
+    #[arg(long, value_name = "HOW", default_value = "kmeans", value_parser = parse_selection)]
+    pub token_selection: TokenSelection,
     /// Attend across many photos to the mean of SxS patches, S from 1 to 4, instead of each:
     /// faster, less exact
-    #[arg(long, alias = "kv-pool", value_name = "S", default_value = "1")]
-    pub pool: usize,
+    #[arg(long, value_name = "S", default_value = "1")]
+    pub kv_pool: usize,
     /// Keep only the N most visible Gaussians per token
-    #[arg(long, alias = "max-gaussians-per-token", value_name = "N|all", default_value = "all")]
-    keep: Keep,
+    #[arg(long, alias = "max-gaussians-per-patch", value_name = "N|all", default_value = "all")]
+    max_gaussians_per_token: Keep,
     /// Network input size in pixels, multiples of the patch (14); the default, the trained size, is
     /// best
-    #[arg(long, alias = "input-size", value_name = "WxH")]
-    size: Option<Size>,
+    #[arg(long, value_name = "WxH")]
+    input_size: Option<Size>,
     #[command(flatten)]
     pub arithmetic: ArithmeticOption,
 }
 
 #[derive(Args)]
 pub struct SceneInput {
-    /// Gaussians with NaN, infinite or out-of-range values in the scene's file [default: refuse]
-    #[arg(long, value_enum, value_name = "WHAT")]
-    invalid: Option<Invalid>,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Invalid {
-    /// Reject the file
-    Refuse,
-    /// Drop and count them
-    Drop,
+    /// Drop Gaussians with NaN, infinite or out-of-range values, an error by default
+    #[arg(long)]
+    drop_invalid: bool,
 }
 
 impl SceneInput {
     pub fn is_given(&self) -> bool {
-        self.invalid.is_some()
+        self.drop_invalid
     }
 
     /// Notes and returns the number of dropped Gaussians.
     pub fn read(&self, session: &mut Session<'_>, path: &Path) -> Result<(Scene, usize)> {
         let (mut scene, _) = session.stage("read scene", |_| Scene::open_unchecked(path))?;
-        if self.invalid != Some(Invalid::Drop) {
+        if !self.drop_invalid {
             let refused =
-                |error| Error::format(path, None, format!("{error}; --invalid drop leaves such Gaussians out"));
+                |error| Error::format(path, None, format!("{error}; --drop-invalid leaves such Gaussians out"));
             scene.validate().map_err(refused)?;
             return Ok((scene, 0));
         }
@@ -196,21 +188,21 @@ impl SceneInput {
 
 #[derive(Args, Debug, Default)]
 pub struct ArithmeticOption {
-    /// Arithmetic [default: fast on GPUs with matrix units, else exact]
-    #[arg(long, value_enum)]
-    precision: Option<PrecisionName>,
+    /// Arithmetic
+    #[arg(long, value_enum, default_value = "auto")]
+    precision: PrecisionName,
 }
 
 impl Quality {
     pub fn check(&self, architecture: &Architecture) -> Result<()> {
-        Pool::check(self.pool)?;
+        Pool::check(self.kv_pool)?;
         let all = architecture.gaussians_per_token;
-        self.keep.of(all).map(drop)
+        self.max_gaussians_per_token.of(all).map(drop)
     }
 
     /// `None` for all.
     pub fn kept(&self) -> Option<u32> {
-        self.keep.0
+        self.max_gaussians_per_token.0
     }
 
     pub fn ratio_of(&self, views: usize) -> f64 {
@@ -221,62 +213,68 @@ impl Quality {
     }
 
     pub fn asked_size(&self) -> Option<Size> {
-        self.size
+        self.input_size
     }
 
     /// Longer side of pictures of any shape.
     pub fn side(&self) -> Option<u32> {
-        self.size.map(|Size(width, height)| width.max(height))
+        self.input_size.map(|Size(width, height)| width.max(height))
     }
 
     pub fn group(&self, architecture: &Architecture) -> usize {
-        self.keep.0.map_or(architecture.gaussians_per_token, |keep| keep as usize)
+        self.max_gaussians_per_token.0.map_or(architecture.gaussians_per_token, |keep| keep as usize)
     }
 
     /// Removes Gaussians beyond the requested number.
     pub fn prune(&self, scene: &mut Scene, architecture: &Architecture) {
-        if let Some(keep) = self.keep.0 {
+        if let Some(keep) = self.kept() {
             scene.keep_most_visible(architecture.gaussians_per_token, keep as usize);
         }
     }
 
     pub fn size_for(&self, checkpoint: &Checkpoint) -> Size {
-        Size::or_best(self.size, checkpoint)
+        Size::or_best(self.input_size, checkpoint)
     }
 
     /// Warns about a size that differs from the trained one.
     pub fn doubt_size(&self, checkpoint: &Checkpoint) -> Option<String> {
         let trained = Size::or_best(None, checkpoint);
-        let asked = self.size.filter(|asked| *asked != trained)?;
+        let asked = self.input_size.filter(|asked| *asked != trained)?;
         Some(format!(
             "these weights were trained with pictures of {trained}: scenes from {asked} are likely to be worse"
         ))
     }
 }
 
-#[derive(Clone, Copy, Debug, ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, ValueEnum)]
 pub enum PrecisionName {
+    /// fp16 on GPUs with matrix units, else fp32
+    #[default]
+    #[value(alias = "best")]
+    Auto,
     /// f32 throughout
-    #[value(alias = "fp32")]
-    Exact,
+    #[value(alias = "exact")]
+    Fp32,
     /// f16 factors of matrix products, otherwise f32
-    #[value(alias = "fp16")]
-    Fast,
+    #[value(alias = "fast")]
+    Fp16,
     /// bf16 factors of matrix products, otherwise f32
-    #[value(alias = "bf16")]
-    FastBf16,
-    /// Like fast, with 8-bit factors in the linear layers of blocks
-    #[value(alias = "int8")]
-    Turbo,
+    #[value(alias = "fast-bf16")]
+    Bf16,
+    /// Like fp16, with 8-bit factors in the linear layers of blocks
+    #[value(alias = "turbo")]
+    Int8,
 }
 
 impl PrecisionName {
-    pub fn precision(self) -> Precision {
+    /// `None` for the device's best.
+    pub fn precision(self) -> Option<Precision> {
         match self {
-            PrecisionName::Exact => Precision::Fp32,
-            PrecisionName::Fast => Precision::Fp16,
-            PrecisionName::FastBf16 => Precision::Bf16,
-            PrecisionName::Turbo => Precision::Int8,
+            Self::Auto => None,
+            Self::Fp32 => Some(Precision::Fp32),
+            Self::Fp16 => Some(Precision::Fp16),
+            Self::Bf16 => Some(Precision::Bf16),
+            Self::Int8 => Some(Precision::Int8),
         }
     }
 }
@@ -297,7 +295,7 @@ impl ArithmeticOption {
     }
 
     fn asked(&self) -> Option<Precision> {
-        self.precision.map(PrecisionName::precision)
+        self.precision.precision()
     }
 }
 
@@ -309,7 +307,7 @@ impl Keep {
     pub fn of(self, all: usize) -> Result<usize> {
         match self.0 {
             Some(keep) if keep as usize > all => {
-                Err(Error::argument("--keep", keep, format!("1 to {all}, the Gaussians of a token")))
+                Err(Error::argument("--max-gaussians-per-token", keep, format!("1 to {all}, the Gaussians of a token")))
             }
             keep => Ok(keep.map_or(all, |keep| keep as usize)),
         }

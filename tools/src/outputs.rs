@@ -37,7 +37,7 @@ const MARKS: [(&[u8], &[u8]); 21] = [
     (b"", b"\"zipsplat.depth_architecture\""),
     (b"", b"\"zipsplat.photos\""),
     (b"view,psnr,ssim,nearest_psnr", b"view,psnr"),
-    (b"views,precision,ratio,select", b"views,"),
+    (b"views,precision,weights", b"views,"),
     (b"capture,error\n", b"capture,error"),
     (b"generator,protocol,method", b"zipsplat"),
     (b"<!-- zipsplat -->", b"<!-- zipsplat"),
@@ -152,16 +152,10 @@ pub fn save_scene(path: &Path, scene: &Scene, options: &SaveOptions, world: Opti
 
 /// RFC 4180.
 pub fn save_csv(path: &Path, rows: &[impl Serialize]) -> Result<()> {
-    let table = csv(rows);
-    write_atomic(path, |out| out.write_all(table.as_bytes()))
-}
-
-/// Fields are numbers, text or absent.
-pub fn csv(rows: &[impl Serialize]) -> String {
     let mut table = csv::Writer::from_writer(Vec::new());
     rows.iter().for_each(|row| table.serialize(row).expect("flat rows of one type, written to memory"));
-    let bytes = table.into_inner().expect("written to memory");
-    String::from_utf8(bytes).expect("fields are text")
+    let table = table.into_inner().expect("written to memory");
+    write_atomic(path, |out| out.write_all(&table))
 }
 
 pub fn make_folder(path: &Path) -> Result<()> {
@@ -169,34 +163,44 @@ pub fn make_folder(path: &Path) -> Result<()> {
 }
 
 pub fn save_picture(path: &Path, image: &Image) -> Result<()> {
-    save_png(path, [image.width, image.height], ColorType::Rgb, BitDepth::Eight, &image.rgb)
+    save_png(path, [image.width, image.height], ColorType::Rgb, BitDepth::Eight, &image.rgb, None)
 }
 
 /// Writes alpha in 0..1 as 8-bit gray.
 pub fn save_alpha(path: &Path, width: u32, height: u32, alpha: &[f32]) -> Result<()> {
     let levels: Vec<u8> = alpha.iter().map(|a| (a.clamp(0.0, 1.0) * 255.0).round() as u8).collect();
-    save_png(path, [width, height], ColorType::Grayscale, BitDepth::Eight, &levels)
+    save_png(path, [width, height], ColorType::Grayscale, BitDepth::Eight, &levels, None)
 }
 
-/// Writes depth as 16-bit gray, [`DEPTH_LEVELS`] per world unit, saturated.
+/// Writes depth as 16-bit gray with its scale, [`DEPTH_LEVELS`] per world unit, saturated.
 pub fn save_depth(path: &Path, width: u32, height: u32, depth: &[f32]) -> Result<()> {
     save_depth_levels(path, [width, height], depth, DEPTH_LEVELS)
 }
 
 pub fn save_depth_levels(path: &Path, size: [u32; 2], depth: &[f32], levels: f32) -> Result<()> {
     // Casting saturates; PNG is big-endian.
-    let levels: Vec<u8> = depth.iter().flat_map(|d| ((d * levels).round() as u16).to_be_bytes()).collect();
-    save_png(path, size, ColorType::Grayscale, BitDepth::Sixteen, &levels)
+    let rounded: Vec<u8> = depth.iter().flat_map(|d| ((d * levels).round() as u16).to_be_bytes()).collect();
+    save_png(path, size, ColorType::Grayscale, BitDepth::Sixteen, &rounded, Some(levels))
 }
 
 /// Writes a PNG that names its generator, for [`is_own`].
-fn save_png(path: &Path, [width, height]: [u32; 2], color: ColorType, depth: BitDepth, bytes: &[u8]) -> Result<()> {
+fn save_png(
+    path: &Path,
+    [width, height]: [u32; 2],
+    color: ColorType,
+    depth: BitDepth,
+    bytes: &[u8],
+    levels_per_unit: Option<f32>,
+) -> Result<()> {
     write_atomic(path, |out| {
         let mut encoder = png::Encoder::new(out, width, height);
         encoder.set_color(color);
         encoder.set_depth(depth);
         encoder.set_compression(Compression::Fast);
         encoder.add_text_chunk("Software".into(), MADE_BY.into())?;
+        if let Some(levels) = levels_per_unit {
+            encoder.add_text_chunk("depth_levels_per_unit".into(), levels.to_string())?;
+        }
         let mut writer = encoder.write_header()?;
         writer.write_image_data(bytes)?;
         Ok(writer.finish()?)

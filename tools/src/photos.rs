@@ -36,7 +36,7 @@ pub struct PhotoArgs {
     /// Photos (PNG, JPEG, WebP; HEIC with ffmpeg), folders of them in natural order, or videos, by
     /// their sharpest frames
     #[arg(required = true)]
-    photos: Vec<PathBuf>,
+    pub photos: Vec<PathBuf>,
     #[command(flatten)]
     reading: Reading,
 }

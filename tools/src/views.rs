@@ -15,25 +15,26 @@ use zipsplat::{
 };
 
 #[derive(Args, Debug)]
-pub struct FitOption {
+pub struct CropOption {
     /// Part of a nonsquare photo for the network
-    #[arg(long, alias = "crop", value_enum, value_name = "HOW", default_value = "crop")]
-    pub fit: Fit,
+    #[arg(long, value_enum, value_name = "HOW", default_value = "center")]
+    pub crop: Crop,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Fit {
-    /// Center crop, in the shape of --size
-    Crop,
+pub enum Crop {
+    /// Center crop, in the shape of --input-size
+    #[value(alias = "crop")]
+    Center,
     /// Whole photo, as square tiles with a camera turned to each: for known cameras. Twice the
     /// views, time and memory for photos up to 2:1
-    #[value(alias = "tiles")]
-    Squares,
+    #[value(alias = "squares")]
+    Tiles,
 }
 
 #[derive(Clone, Copy, Debug)]
 pub struct Seeing {
-    pub fit: Fit,
+    pub crop: Crop,
     pub size: Size,
     pub compared: Size,
     /// Compares whole photos at the scale of `compared`, not crops.
@@ -51,28 +52,29 @@ pub struct Views {
 /// With any known camera.
 pub type NetworkInput = (Image, Option<Camera>);
 
-impl Fit {
+impl Crop {
     pub fn check(self, size: Size, posed: bool) -> Result<()> {
         match self {
-            Self::Squares if !posed => {
+            Self::Tiles if !posed => {
                 let expected = "known cameras: how one square is turned against the other has to be told";
-                Err(Error::argument("--fit squares", "photos without cameras", expected))
+                Err(Error::argument("--crop tiles", "photos without cameras", expected))
             }
-            Self::Squares if size.0 != size.1 => {
-                Err(Error::argument("--fit squares", size, "a --size as wide as high"))
+            Self::Tiles if size.0 != size.1 => {
+                Err(Error::argument("--crop tiles", size, "a --input-size as wide as high"))
             }
             _ => Ok(()),
         }
     }
 
     pub fn count(self, photos: &[PathBuf]) -> Result<usize> {
-        if self == Self::Crop {
+        if self == Self::Center {
             return Ok(photos.len());
         }
         let count = |path: &PathBuf| Image::size_as_stored(path).map(|(width, height)| tile_count(width, height));
         let views = photos.iter().map(count).sum::<Result<usize>>()?;
         if views > MAX_VIEWS {
-            let expected = format!("at most {MAX_VIEWS}; --views N takes N of the photos, --fit crop one view of each");
+            let expected =
+                format!("at most {MAX_VIEWS}; --views N takes N of the photos, --crop center one view of each");
             return Err(Error::argument("squares", format!("{views} of {}", counted(photos.len(), "photo")), expected));
         }
         Ok(views)
@@ -80,7 +82,7 @@ impl Fit {
 
     pub fn views(self, photo: &Image, camera: Option<&Camera>, size: Size, label: &str) -> Result<Vec<NetworkInput>> {
         match (self, camera) {
-            (Self::Squares, Some(camera)) => {
+            (Self::Tiles, Some(camera)) => {
                 let views = tiles(photo, camera, size.0, label)?.into_iter();
                 Ok(views.map(|(image, camera)| (image, Some(camera))).collect())
             }
@@ -107,7 +109,7 @@ impl Fit {
     /// Also returns the first one's pose in another world.
     pub fn network_cameras(self, cameras: Vec<Camera>) -> (Vec<Camera>, Option<Pose>) {
         match (self, cameras.first().map(|camera| camera.pose)) {
-            (Self::Squares, Some(first)) => {
+            (Self::Tiles, Some(first)) => {
                 let relative = |camera: Camera| Camera { pose: camera.pose.relative_to(&first), ..camera };
                 (cameras.into_iter().map(relative).collect(), Some(first))
             }
@@ -119,16 +121,16 @@ impl Fit {
 impl Seeing {
     /// For both uses.
     pub fn cropped(size: Size) -> Self {
-        Self { fit: Fit::Crop, size, compared: size, whole: false, filter: Filter::Lanczos }
+        Self { crop: Crop::Center, size, compared: size, whole: false, filter: Filter::Lanczos }
     }
 
     pub fn views(self, photo: &Image, camera: &Camera, label: &str) -> Result<Vec<NetworkInput>> {
-        match (self.fit, self.filter) {
-            (Fit::Crop, Filter::Bilinear) => {
+        match (self.crop, self.filter) {
+            (Crop::Center, Filter::Bilinear) => {
                 let View { image, map } = self.filter.cropped(photo, self.size.0, self.size.1)?;
                 Ok(vec![(image, Some(seen_through(camera, &map, label)?))])
             }
-            _ => self.fit.views(photo, Some(camera), self.size, label),
+            _ => self.crop.views(photo, Some(camera), self.size, label),
         }
     }
 
@@ -141,7 +143,7 @@ impl Seeing {
 impl Views {
     /// Takes photo sizes for the note. The first camera has the pose `world` in the cameras' world.
     pub fn new(
-        fit: Fit,
+        crop: Crop,
         inputs: impl Iterator<Item = NetworkInput>,
         world: &Pose,
         photos: &[[u32; 2]],
@@ -149,14 +151,14 @@ impl Views {
     ) -> Self {
         let (images, cameras): (Vec<_>, Vec<_>) = inputs.unzip();
         let cameras: Vec<Camera> = cameras.into_iter().flatten().collect();
-        let note = match fit {
-            Fit::Squares => {
+        let note = match crop {
+            Crop::Tiles => {
                 let squares = counted(images.len(), "square");
                 Some(format!("the network sees {} as {squares} of {size}", counted(photos.len(), "photo")))
             }
-            Fit::Crop => photos::cropping(photos, size).map(|note| {
+            Crop::Center => photos::cropping(photos, size).map(|note| {
                 let hint =
-                    if cameras.is_empty() { "" } else { "; --fit squares shows the network all of it, in more views" };
+                    if cameras.is_empty() { "" } else { "; --crop tiles shows the network all of it, in more views" };
                 note + hint
             }),
         };

@@ -33,7 +33,7 @@ def main():
     def evaluate(folder, inputs, ratio, name, *more):
         keep = ["-o", str(Path(args.out) / name)] if args.out else []
         command = [args.zipsplat, "eval", folder, "--views", str(inputs), "--ratio", str(ratio), "--json", *weights, *keep, *more]
-        return json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout)["mean"]
+        return json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout)["result"]["mean"]
 
     def row(name, means):
         gains = sum(map(gain, means)) / len(means)

@@ -3,7 +3,7 @@
 
 const TEXTURE_WIDTH = 4096;
 
-// As --depth, --normals and --group of `zipsplat render`.
+// As --depth, --normals and --gaussians-per-token of `zipsplat render`.
 const SHOWN = { color: 0, depth: 1, normals: 2, tokens: 3 };
 // Near to far.
 const PALETTE = [[1, 0.95, 0.65], [0.98, 0.62, 0.25], [0.8, 0.25, 0.42], [0.4, 0.13, 0.5], [0.08, 0.07, 0.25]];

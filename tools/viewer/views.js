@@ -12,7 +12,7 @@ class Views {
     show(shown) {
         const { page } = this;
         if (shown === "tokens" && !page.tokens.group) {
-            page.say("Which Gaussians are of one token is not known here: view PHOTOS knows, and --group N says so.");
+            page.say("Which Gaussians are of one token is not known here: view PHOTOS knows, and --gaussians-per-token N says so.");
             setTimeout(() => page.say(""), 4000);
             shown = "color";
         }

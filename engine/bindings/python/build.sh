@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
-# Builds and checks a wheel (auditwheel, twine) for glibc 2.28, linked by zig.
+# Builds and checks a wheel (auditwheel, twine) for glibc 2.28, linked by zig. It holds the command too.
 # usage: engine/bindings/python/build.sh [FOLDER]      default target/wheels
 #   ZIPSPLAT_LIBRARY  existing shared library, skips the build
+#   ZIPSPLAT_COMMAND  existing command for the wheel, if ZIPSPLAT_LIBRARY is set; default none
 #   ZIPSPLAT_CACHE    folder of the tools' virtual environment; default ~/.cache/zipsplat
 set -euo pipefail
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
@@ -21,19 +22,22 @@ if [[ -z ${ZIPSPLAT_LIBRARY:-} ]]; then
       python -c 'import ziglang' 2> /dev/null && command -v cargo-zigbuild > /dev/null ||
         python -m pip install -q cargo-zigbuild ziglang
       target=$(uname -m)-unknown-linux-gnu
-      (cd "$root" && cargo zigbuild --profile dist -p zipsplat-c --target "$target.2.28")
-      ZIPSPLAT_LIBRARY=${CARGO_TARGET_DIR:-$root/target}/$target/dist/libzipsplat_c.so
+      (cd "$root" && cargo zigbuild --profile dist -p zipsplat-c -p zipsplat-cli --target "$target.2.28")
+      built=${CARGO_TARGET_DIR:-$root/target}/$target/dist
+      ZIPSPLAT_LIBRARY=$built/libzipsplat_c.so
       ;;
     *)
-      (cd "$root" && cargo build --profile dist -p zipsplat-c)
-      ZIPSPLAT_LIBRARY=${CARGO_TARGET_DIR:-$root/target}/dist/libzipsplat_c.dylib
+      (cd "$root" && cargo build --profile dist -p zipsplat-c -p zipsplat-cli)
+      built=${CARGO_TARGET_DIR:-$root/target}/dist
+      ZIPSPLAT_LIBRARY=$built/libzipsplat_c.dylib
       ;;
   esac
+  ZIPSPLAT_COMMAND=$built/zipsplat
 fi
-export ZIPSPLAT_LIBRARY
+export ZIPSPLAT_LIBRARY ZIPSPLAT_COMMAND=${ZIPSPLAT_COMMAND:-}
 if [[ $(uname -s) == Linux ]]; then
-  # The library's newest glibc symbol determines the platform tag.
-  newest=$(objdump -T "$ZIPSPLAT_LIBRARY" | grep -o 'GLIBC_2\.[0-9]*' | sort -Vu | tail -n 1)
+  # The newest glibc symbol determines the platform tag.
+  newest=$(objdump -T "$ZIPSPLAT_LIBRARY" ${ZIPSPLAT_COMMAND:+"$ZIPSPLAT_COMMAND"} | grep -o 'GLIBC_2\.[0-9]*' | sort -Vu | tail -n 1)
   minor=${newest#GLIBC_2.}
   ((minor > 28)) || minor=28
   export ZIPSPLAT_PLATFORM=manylinux_2_${minor}_$(uname -m)

@@ -1,4 +1,4 @@
-"""Adds the shared library and its generated declarations to the wheel."""
+"""Adds the shared library, its generated declarations and the command to the wheel."""
 
 from __future__ import annotations
 
@@ -54,7 +54,11 @@ class Build(BuildHookInterface):  # type: ignore[type-arg]
                 str(ROOT / "LICENSE"): "zipsplat/LICENSE",
             }
         )
+        # Installed beside the interpreter.
+        command = os.environ.get("ZIPSPLAT_COMMAND")
+        if command:
+            build_data["shared_scripts"][command] = "zipsplat.exe" if sys.platform == "win32" else "zipsplat"
         # Licenses of the library's crates, from tools/release.sh.
-        licenses = os.environ.get("ZIPSPLAT_LICENCES")
+        licenses = os.environ.get("ZIPSPLAT_LICENSES")
         if licenses:
-            build_data["force_include"][licenses] = "zipsplat/THIRD-PARTY-LICENCES.txt"
+            build_data["force_include"][licenses] = "zipsplat/THIRD-PARTY-LICENSES.txt"

@@ -26,10 +26,10 @@ impl Precision {
     /// Command-line name.
     pub fn name(self) -> &'static str {
         match self {
-            Precision::Fp32 => "exact",
-            Precision::Fp16 => "fast",
-            Precision::Bf16 => "fast-bf16",
-            Precision::Int8 => "turbo",
+            Precision::Fp32 => "fp32",
+            Precision::Fp16 => "fp16",
+            Precision::Bf16 => "bf16",
+            Precision::Int8 => "int8",
         }
     }
 }

@@ -185,7 +185,7 @@ impl Checkpoint {
             return Ok(());
         }
         let found = format!("turbo for {}, whose weights are q8", self.provenance);
-        Err(Error::argument("precision", found, "exact, fast or fast-bf16; turbo rounds weights of f32, f16 or bf16"))
+        Err(Error::argument("precision", found, "fp32, fp16 or bf16; int8 rounds weights of f32, f16 or bf16"))
     }
 
     /// Bytes per stored type.

@@ -5,7 +5,7 @@ use zipsplat::types::write_ply;
 use zipsplat_tests::faults::{DEVICE_LOST, Faults, OUT_OF_DEVICE_MEMORY, OUT_OF_HOST_MEMORY, assert_survives};
 use zipsplat_tests::prelude::*;
 
-const RECONSTRUCT: &str = "reconstruct @/photos --weights @/micro.safetensors --size 28x28 -o @/out.ply";
+const RECONSTRUCT: &str = "reconstruct @/photos --weights @/micro.safetensors --input-size 28x28 -o @/out.ply";
 /// In flight while others are encoded and written.
 const RENDER: &str = "render @/scene.ply --wiggle --frames 7 --size 40x30 -o @/out --video @/out.gif";
 
@@ -41,7 +41,7 @@ fn reconstructions_fail() {
     let case = Case::new(&folder, RECONSTRUCT);
     case.fails_everywhere();
     // f16 needs a self-test first.
-    let case = Case::new(&folder, &format!("{RECONSTRUCT} --precision fast"));
+    let case = Case::new(&folder, &format!("{RECONSTRUCT} --precision fp16"));
     let forget = || drop(std::fs::remove_dir_all(std::env::var("ZIPSPLAT_CACHE").unwrap()));
     forget();
     for call in case.calls("vkQueueSubmit2").into_iter().take(2) {

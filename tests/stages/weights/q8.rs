@@ -165,6 +165,6 @@ fn they_stay_small_on_the_device_and_are_not_rounded_twice() {
     assert!(bytes(&q8) < 0.3 * bytes(&of), "{} of {}", bytes(&q8), bytes(&of));
     let Some(turbo) = Arithmetic::of(Precision::Int8, device().limits()) else { return };
     // Which rounds weights itself.
-    assert_refused(Network::of(&q8, &limits, turbo), &["q8", "exact, fast or fast-bf16"]);
+    assert_refused(Network::of(&q8, &limits, turbo), &["q8", "fp32, fp16 or bf16"]);
     assert!(Network::of(&pico_weights(), &limits, turbo).is_ok());
 }

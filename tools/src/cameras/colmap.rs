@@ -30,23 +30,23 @@ pub struct Searching {
     /// Python with pycolmap, instead of COLMAP's program
     #[arg(long, value_name = "PROGRAM", conflicts_with = "colmap")]
     pub python: Option<PathBuf>,
-    /// Pairs of photos to match [default: all for up to 100 photos, else near]
-    #[arg(long, alias = "matching", value_enum, value_name = "WHICH")]
-    pub pairs: Option<Pairs>,
+    /// Pairs of photos to match [default: exhaustive for up to 100 photos, else sequential]
+    #[arg(long, value_enum, value_name = "WHICH")]
+    pub matching: Option<Matching>,
     /// Longer side of the photos for camera estimation; COLMAP keeps smaller photos [default: 1600,
     /// for Depth Anything 3 504]
-    #[arg(long, alias = "matching-size", value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(64..=32_768))]
-    pub find_size: Option<u32>,
+    #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(64..=32_768))]
+    pub matching_size: Option<u32>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Pairs {
+pub enum Matching {
     /// All pairs
-    #[value(alias = "exhaustive")]
-    All,
+    #[value(alias = "all")]
+    Exhaustive,
     /// Photos near each other in name order, such as video frames
-    #[value(alias = "sequential")]
-    Near,
+    #[value(alias = "near")]
+    Sequential,
 }
 
 /// COLMAP's steps, in order.
@@ -171,7 +171,7 @@ impl Colmap {
         &self,
         step: Step,
         [folder, models]: [&Path; 2],
-        (pairs, side): (Pairs, u32),
+        (pairs, side): (Matching, u32),
         stage: &Stage<'_>,
     ) -> Result<Command> {
         let mut command = Command::new(&self.program);
@@ -180,8 +180,8 @@ impl Colmap {
         if self.python {
             let words: (_, Vec<u32>) = match (step, pairs) {
                 (Step::Features, _) => ("features", vec![side, FEATURES]),
-                (Step::Matches, Pairs::All) => ("all", Vec::new()),
-                (Step::Matches, Pairs::Near) => ("near", Vec::new()),
+                (Step::Matches, Matching::Exhaustive) => ("all", Vec::new()),
+                (Step::Matches, Matching::Sequential) => ("near", Vec::new()),
                 (Step::Cameras(Mapping { seed, first_angle, first_points, points, refines_lens }), _) => {
                     ("cameras", vec![seed, first_angle, first_points, points, refines_lens.into()])
                 }
@@ -199,14 +199,14 @@ impl Colmap {
                     (&["SiftExtraction.max_num_features"], FEATURES),
                 ],
             ),
-            (Step::Matches, Pairs::All) => (
+            (Step::Matches, Matching::Exhaustive) => (
                 "exhaustive_matcher",
                 vec![
                     (&["FeatureMatching.use_gpu", "SiftMatching.use_gpu"], 0),
                     (&["ExhaustiveMatching.block_size", "ExhaustivePairing.block_size"], BLOCK),
                 ],
             ),
-            (Step::Matches, Pairs::Near) => {
+            (Step::Matches, Matching::Sequential) => {
                 ("sequential_matcher", vec![(&["FeatureMatching.use_gpu", "SiftMatching.use_gpu"], 0)])
             }
             // Two-view points matter where photos are few, and initialize refinement.

@@ -1,7 +1,7 @@
 //! Camera estimation by COLMAP or Depth Anything 3.
 
 use super::{
-    colmap::{Colmap, ColmapOutput, Mapping, Pairs, Searching, Step},
+    colmap::{Colmap, ColmapOutput, Mapping, Matching, Searching, Step},
     work::{Work, make_folder},
 };
 use crate::{
@@ -30,10 +30,10 @@ use zipsplat::{
     },
 };
 
-/// Words that request estimation instead of a camera file.
-const FIND: &str = "find";
-/// Alias of [`FIND`], unless a folder of this name holds a model.
+/// Requests estimation, unless a folder of this name holds a model.
 const COLMAP: &str = "colmap";
+/// Earlier spelling of [`COLMAP`].
+const FIND: &str = "find";
 const DA3: &str = "da3";
 /// Default longer side of the photos for COLMAP.
 const SIDE: u32 = 1600;
@@ -54,7 +54,7 @@ pub struct Finding {
     pub search: Searching,
     #[command(flatten)]
     pub cameras: CamerasFrom,
-    /// Weights of Depth Anything 3 for --poses da3, as `depth` takes them
+    /// Weights of Depth Anything 3 for --cameras da3, as `depth` takes them
     #[arg(long, value_name = "NAME|PATH|seeded:NAME")]
     pub depth_weights: Option<String>,
 }
@@ -97,7 +97,7 @@ pub(super) struct Log(NamedTempFile);
 struct Search<'a> {
     colmap: &'a Colmap,
     work: &'a Work,
-    pairs: Pairs,
+    pairs: Matching,
     side: u32,
     log: Log,
     output: ColmapOutput,
@@ -105,7 +105,7 @@ struct Search<'a> {
 }
 
 impl Finder {
-    /// A file of that name is `./find`.
+    /// A file of that name is `./da3`.
     pub fn named(poses: &Path) -> Option<Self> {
         let finders = [(FIND, Self::Colmap), (COLMAP, Self::Colmap), (DA3, Self::Da3)];
         let mut finders = finders.into_iter().filter(|(word, _)| *word != COLMAP || !poses.exists());
@@ -199,8 +199,12 @@ impl EstimatedCameras {
 
 impl<'a> Search<'a> {
     fn new(searching: &Searching, colmap: &'a Colmap, work: &'a Work) -> Result<Self> {
-        let pairs = searching.pairs.unwrap_or(if work.photos.len() > ALL_PAIRS { Pairs::Near } else { Pairs::All });
-        let side = searching.find_size.unwrap_or(SIDE);
+        let pairs = searching.matching.unwrap_or(if work.photos.len() > ALL_PAIRS {
+            Matching::Sequential
+        } else {
+            Matching::Exhaustive
+        });
+        let side = searching.matching_size.unwrap_or(SIDE);
         Ok(Self { colmap, work, pairs, side, log: Log::new()?, output: ColmapOutput::default(), times: Vec::new() })
     }
 

@@ -26,7 +26,7 @@ impl EstimatedCameras {
         let none = || Error::argument("cameras of a network", "no weights", expected);
         let checkpoint = open_depth(finding.depth_weights.as_deref().ok_or_else(none)?, false)?;
         let arithmetic = &ArithmeticOption::default();
-        let (side, cameras, request) = (finding.search.find_size, finding.cameras, DepthOptions::default());
+        let (side, cameras, request) = (finding.search.matching_size, finding.cameras, DepthOptions::default());
         let options = PredictorOptions { checkpoint: &checkpoint, side, cameras, arithmetic, request };
         Self::by_predictor(session, photos, options)
     }

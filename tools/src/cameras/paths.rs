@@ -40,7 +40,7 @@ pub struct CameraArgs {
     /// Cameras of a file: transforms.json, a COLMAP model's folder, nerfstudio's camera_path.json,
     /// or a JSON list of 4x4 matrices (camera-to-world, x right, y down, z forward) or of objects
     /// with matrix or viewmat and fx, fy, cx, cy, width, height
-    #[arg(long, alias = "poses", value_name = "PATH")]
+    #[arg(long, value_name = "PATH")]
     cameras: Option<PathBuf>,
     /// Smooth path through the cameras of a file
     #[arg(long, value_name = "PATH")]
@@ -87,6 +87,10 @@ pub struct CameraArgs {
 }
 
 impl CameraArgs {
+    pub fn size(&self) -> Option<Size> {
+        self.size
+    }
+
     /// Also returns notes. `world` is the scene file's.
     pub fn cameras(&self, scene: &Scene, world: Option<&World>) -> Result<(Vec<Camera>, Vec<String>)> {
         let frames = self.frames as usize;
@@ -210,7 +214,7 @@ pub fn to_scene(
             Err(_) => {
                 let note = format!(
                     "the scene's world is the camera of {photo}, which {file} has not: its cameras are taken as if they \
-                     counted from that photo; `reconstruct --world cameras` makes scenes in the world of the cameras"
+                     counted from that photo; `reconstruct --world input-cameras` makes scenes in the world of the cameras"
                 );
                 (Pose::IDENTITY, Some(note))
             }

@@ -4,23 +4,23 @@ use crate::{
     options::refuse,
     outputs::Overwrite,
     photos::{self, PhotoArgs},
-    session::Session,
+    session::{Session, stage_seconds},
     table::time,
     video::FrameFolder,
 };
 use clap::Args;
 use serde_json::json;
-use std::path::PathBuf;
+use std::{path::PathBuf, time::Duration};
 use zipsplat::Result;
 
 /// Estimate cameras of photos with COLMAP or Depth Anything 3
 ///
 /// COLMAP 3 or 4, or pycolmap, is a separate program for the CPU. Writes transforms.json with the
-/// lens distortion, points.ply for `refine --start points`, and colmap.log. Takes the largest of
+/// lens distortion, points.ply for `refine --init points`, and colmap.log. Takes the largest of
 /// unconnected groups. With less than four fifths of the photos (or of up to 12, not all), COLMAP
 /// retries up to twice with other seeds and looser thresholds.
 ///
-/// --with da3 uses Depth Anything 3, also for two photos, little overlap or little texture. It
+/// --method da3 uses Depth Anything 3, also for two photos, little overlap or little texture. It
 /// needs --weights and no other program, and is less accurate than successful COLMAP. points.ply
 /// has all confident pixels, in the network's unit.
 #[derive(Args)]
@@ -28,7 +28,7 @@ use zipsplat::Result;
   zipsplat cameras photos/ -o transforms.json
   zipsplat cameras clip.mp4 --views 24 -o clip/transforms.json
   zipsplat cameras photos/ --python ~/venv/bin/python -o transforms.json
-  zipsplat cameras photos/ --with da3 --weights da3-base.safetensors -o transforms.json")]
+  zipsplat cameras photos/ --method da3 --weights da3-base.safetensors -o transforms.json")]
 pub struct Cameras {
     #[command(flatten)]
     input: PhotoArgs,
@@ -41,10 +41,10 @@ pub struct Cameras {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..))]
     views: Option<u32>,
     /// Program or network that estimates the cameras
-    #[arg(long, alias = "method", value_enum, value_name = "FINDER", default_value = "colmap")]
-    with: Finder,
+    #[arg(long, value_enum, value_name = "FINDER", default_value = "colmap")]
+    method: Finder,
     /// Weights of Depth Anything 3, as `depth` takes them
-    #[arg(long, value_name = "PATH|seeded:NAME", required_if_eq("with", "da3"))]
+    #[arg(long, value_name = "PATH|seeded:NAME", required_if_eq("method", "da3"))]
     weights: Option<String>,
     #[command(flatten)]
     cameras: CamerasFrom,
@@ -59,24 +59,23 @@ impl Cameras {
         let place = Place(&self.output);
         place.check(self.overwrite)?;
         self.model.check(self.overwrite)?;
-        let unused = self.with == Finder::Colmap && self.weights.is_some();
-        refuse("--weights", unused, "COLMAP, which needs none", "--with da3")?;
+        let unused = self.method == Finder::Colmap && self.weights.is_some();
+        refuse("--weights", unused, "COLMAP, which needs none", "--method da3")?;
         let (mut photos, mut frames) = self.input.list(session, self.views, Some((&self.output, self.overwrite)))?;
         if let Some(views) = self.views {
             photos = photos::spread(photos, views as usize);
         }
         let (search, depth_weights) = (self.search.clone(), self.weights.clone());
         let finding = Finding { search, cameras: self.cameras, depth_weights };
-        let (poses, found) = self.with.find(session, &photos, &finding)?;
+        let (poses, found) = self.method.find(session, &photos, &finding)?;
         place.save(&poses, &found)?;
         self.model.save(&poses.frames, poses.points.as_deref())?;
         frames.iter_mut().for_each(FrameFolder::keep);
         poses.warnings.iter().for_each(|note| session.note(note));
-        let seconds: serde_json::Map<_, _> =
-            found.times.iter().map(|(step, took)| (step.to_string(), json!(took.as_secs_f64()))).collect();
+        let total: Duration = found.times.iter().map(|(_, took)| *took).sum();
         let json = json!({
-            "output": self.output, "photos": photos.len(), "found": found.count, "lost": found.lost,
-            "groups": found.groups, "points": found.points, "mappings": found.mappings, "program": found.program, "seconds": seconds,
+            "output": self.output, "photos": photos.len(), "registered": found.count, "unregistered": found.lost,
+            "components": found.groups, "points": found.points, "attempts": found.mappings, "program": found.program, "seconds": total.as_secs_f64(), "stage_seconds": stage_seconds(&found.times),
         });
         let mut text = format!("{}: {}\n", self.output.display(), found.summary());
         found.times.iter().for_each(|(step, took)| text += &format!("  {step:<13}{:>10}\n", time(*took)));

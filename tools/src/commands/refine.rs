@@ -1,10 +1,10 @@
 use crate::{
     cameras::{Finding, KnownCameras, Similarity, to_scene},
     explain::Explanation,
-    options::{SceneInput, Size},
+    options::SceneInput,
     outputs::{self, Overwrite},
     photos,
-    refinement::{self, Initialization, MOST_PIXELS, Moved, Refinable, save_cameras},
+    refinement::{self, Initialization, Refinable, RefineSettings, Steps, parse_steps, save_cameras},
     session::Session,
     table::counted,
 };
@@ -14,7 +14,7 @@ use std::path::PathBuf;
 use zipsplat::{
     Error, Result,
     gpu::{Arena, Device},
-    refine::{self, RefineResult, StopReason},
+    refine::{RefineOptions, RefineResult, StopReason},
     types::{
         Camera, Image, SaveOptions, Scene, SceneFormat, World,
         poses::{Capture, CaptureView, read_cloud},
@@ -25,18 +25,18 @@ use zipsplat::{
 /// Refine a scene's Gaussians against photos with known cameras
 ///
 /// Takes a scene in the cameras' world, or in the camera of a photo given by its file or
-/// --relative-to. --start points needs a structure-from-motion point cloud instead. Of 9 photos or
+/// --relative-to. --init points needs a structure-from-motion point cloud instead. Of 40 photos or
 /// more one is held out, and the best step by that photo is written. Ctrl-C ends early with the
 /// best so far.
 #[derive(Args)]
 #[command(after_help = "Examples:
-  zipsplat refine scene.ply photos/ --poses transforms.json -o better.ply
-  zipsplat refine photos/ --poses transforms.json --start points --steps 500 -o scene.ply
-  zipsplat refine photos/ --poses find --start points -o scene.ply
-  zipsplat refine scene.spz photos/ --poses colmap/ --start both --size 504x504 -o better.ply
-  zipsplat refine scene.ply photos/ --poses rough.json --refine-cameras --refined-cameras exact.json -o better.ply")]
-pub struct RefineOptions {
-    /// Scene (PLY, SPZ, .splat or glTF; none with --start points), then photos (PNG, JPEG, WebP) or
+  zipsplat refine scene.ply photos/ --cameras transforms.json -o better.ply
+  zipsplat refine photos/ --cameras transforms.json --init points --steps 500 -o scene.ply
+  zipsplat refine photos/ --cameras colmap --init points -o scene.ply
+  zipsplat refine scene.spz photos/ --cameras colmap/ --init both --max-image-size 504x504 -o better.ply
+  zipsplat refine scene.ply photos/ --cameras rough.json --optimize-cameras --cameras-out exact.json -o better.ply")]
+pub struct Refine {
+    /// Scene (PLY, SPZ, .splat or glTF; none with --init points), then photos (PNG, JPEG, WebP) or
     /// folders of them
     #[arg(required = true, value_name = "SCENE, PHOTOS")]
     files: Vec<PathBuf>,
@@ -47,37 +47,27 @@ pub struct RefineOptions {
     overwrite: Overwrite,
     #[command(flatten)]
     input: SceneInput,
-    /// Cameras: transforms.json, or a COLMAP model's folder, matched by file name; with --start
-    /// points also find (COLMAP) or da3 (Depth Anything 3)
-    #[arg(long, visible_alias = "cameras", value_name = "PATH|find|da3")]
-    poses: PathBuf,
+    /// Cameras: transforms.json, or a COLMAP model's folder, matched by file name; with --init
+    /// points also colmap or da3 (Depth Anything 3)
+    #[arg(long, value_name = "PATH|colmap|da3")]
+    cameras: PathBuf,
     #[command(flatten)]
     finding: Finding,
     /// Photo whose camera is the scene's world [default: the scene file's, else the cameras' own
     /// world]
     #[arg(long, value_name = "PHOTO")]
     relative_to: Option<PathBuf>,
-    /// Initialization of the refinement
-    #[arg(long, alias = "init", value_enum, value_name = "WHAT", default_value = "scene")]
-    start: Initialization,
-    /// Steps of the optimizer
-    #[arg(long, value_name = "N", default_value_t = refine::RefineOptions::default().steps)]
-    steps: usize,
-    /// Largest compared size; larger photos are scaled down to fit
-    #[arg(long, alias = "max-image-size", value_name = "WxH", default_value = MOST_PIXELS)]
-    size: Size,
+    /// Steps of the optimizer, or a time, such as 60s
+    #[arg(long, value_name = "N|TIME", default_value_t, value_parser = parse_steps)]
+    steps: Steps,
     /// Photos per step
-    #[arg(long, alias = "views-per-step", value_name = "N", default_value_t = refine::RefineOptions::default().views_per_step)]
-    batch: usize,
-    /// Held-out photos, evenly spread; 0 learns from all [default: 1 of 40 or more, none with
-    /// --refine-cameras]
-    #[arg(long, alias = "holdout-views", value_name = "K")]
-    hold_out: Option<usize>,
+    #[arg(long, value_name = "N", default_value_t = RefineOptions::default().views_per_step)]
+    views_per_step: usize,
     #[command(flatten)]
-    moved: Moved,
+    settings: RefineSettings,
     /// File for the refined cameras: a transforms.json in the world of the known cameras
-    #[arg(long, alias = "cameras-out", value_name = "FILE", requires = "refine_cameras")]
-    refined_cameras: Option<PathBuf>,
+    #[arg(long, value_name = "FILE", requires = "optimize_cameras")]
+    cameras_out: Option<PathBuf>,
     /// Seed of the order of the photos
     #[arg(long, value_name = "SEED", default_value_t = 0)]
     seed: u64,
@@ -94,22 +84,22 @@ struct Started {
     to_scene: Similarity,
 }
 
-impl RefineOptions {
+impl Refine {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         self.overwrite.check_file(&self.output)?;
-        self.moved.check()?;
+        self.settings.check()?;
         if SceneFormat::of_extension(&self.output).is_none() {
             let expected = format!("a file that ends in {}", SceneFormat::EXTENSIONS);
             return Err(Error::argument("--output", self.output.display(), expected));
         }
-        self.refined_cameras.as_ref().map_or(Ok(()), |path| self.overwrite.check_file(path))?;
+        self.cameras_out.as_ref().map_or(Ok(()), |path| self.overwrite.check_file(path))?;
         let (scene, files) = self.files();
-        if KnownCameras::to_find(&self.poses) && self.start != Initialization::Points {
-            let expected = "--start points: the scene is in another world than cameras that are found anew";
-            return Err(Error::argument(format!("--poses {}", self.poses.display()), "with a scene", expected));
+        if KnownCameras::to_find(&self.cameras) && self.init() != Initialization::Points {
+            let expected = "--init points: the scene is in another world than cameras that are found anew";
+            return Err(Error::argument(format!("--cameras {}", self.cameras.display()), "with a scene", expected));
         }
         let photos = photos::list(session, files)?;
-        let KnownCameras { poses, found } = KnownCameras::of(session, &self.poses, &photos, &self.finding)?;
+        let KnownCameras { poses, found } = KnownCameras::of(session, &self.cameras, &photos, &self.finding)?;
         poses.warnings.iter().for_each(|note| session.note(note));
         let photos = photos::posed(session, photos, &poses)?;
         let frames = poses.frames_of(&photos)?;
@@ -119,14 +109,10 @@ impl RefineOptions {
         let (images, _) =
             session.stage("load photos", |stage| photos::read(&photos, &frames, stage, |_, photo| Ok(photo)))?;
         let (refined, request) = self.refine(session, &device, &started, &images)?;
-        refinement::doubt(&refined).iter().for_each(|note| session.note(note));
-        if refined.stop_reason == Some(StopReason::Cancelled) && refined.best_step == 0 {
-            return Err(Error::Cancelled);
-        }
         let options = SaveOptions::default();
         let note = outputs::save_scene(&self.output, &refined.scene, &options, started.world.as_ref())?;
         note.into_iter().for_each(|note| session.note(note));
-        if let Some(path) = &self.refined_cameras {
+        if let Some(path) = &self.cameras_out {
             save_cameras(path, &refined, &started.to_scene.inverse(), &photos, &frames)?;
         }
         if refined.stop_reason == Some(StopReason::Cancelled) {
@@ -136,9 +122,13 @@ impl RefineOptions {
         self.report(session, device.limits().name.clone(), &photos, &started.cameras, refined, &request)
     }
 
+    fn init(&self) -> Initialization {
+        self.settings.init.unwrap_or(Initialization::Scene)
+    }
+
     fn files(&self) -> (Option<&PathBuf>, &[PathBuf]) {
         match self.files.split_first() {
-            Some((scene, photos)) if self.start.needs()[0] => (Some(scene), photos),
+            Some((scene, photos)) if self.init().needs()[0] => (Some(scene), photos),
             _ => (None, &self.files),
         }
     }
@@ -159,7 +149,7 @@ impl RefineOptions {
             scene = Some(self.input.read(session, path)?.0);
             scene_world = read_world(path)?;
         }
-        let (to_scene, note) = to_scene(self.relative_to.as_deref(), poses, scene_world.as_ref(), &self.poses)?;
+        let (to_scene, note) = to_scene(self.relative_to.as_deref(), poses, scene_world.as_ref(), &self.cameras)?;
         note.iter().for_each(|note| session.note(note));
         let world = match (scene_world, &self.relative_to) {
             (_, Some(photo)) => World::of_first(&poses.frames_of(&[photo])?),
@@ -168,30 +158,26 @@ impl RefineOptions {
         let camera = |frame: &&CaptureView| to_scene.apply(&frame.camera);
         let cameras: Vec<Camera> = frames.iter().map(camera).collect();
         let cloud = match &poses.points {
-            Some(path) if self.start.needs()[1] => Some(to_scene.cloud(read_cloud(path)?)),
+            Some(path) if self.init().needs()[1] => Some(to_scene.cloud(read_cloud(path)?)),
             _ => None,
         };
-        let scene = self.start.scene(scene, cloud.as_ref(), &cameras)?;
+        let scene = self.init().scene(scene, cloud.as_ref(), &cameras)?;
         Ok(Started { scene, cameras, world, to_scene })
     }
 
     fn refine(
         &self,
-        session: &Session<'_>,
+        session: &mut Session<'_>,
         device: &Device,
         started: &Started,
         photos: &[Image],
-    ) -> Result<(RefineResult, refine::RefineOptions)> {
-        let request = refine::RefineOptions {
-            steps: self.steps,
-            views_per_step: self.batch,
-            max_image_size: Some([self.size.0, self.size.1]),
-            holdout_views: self.hold_out,
+    ) -> Result<(RefineResult, RefineOptions)> {
+        let request = RefineOptions {
+            views_per_step: self.views_per_step,
             seed: self.seed,
             profile: self.explain,
-            ..refine::RefineOptions::default()
+            ..self.settings.request(self.steps)
         };
-        let request = self.moved.request(request);
         let (arena, from) = (Arena::new(device), Refinable::Scene(&started.scene));
         Ok((refinement::refine(session, &arena, from, photos, &started.cameras, &request)?, request))
     }
@@ -203,9 +189,9 @@ impl RefineOptions {
         photos: &[PathBuf],
         cameras: &[Camera],
         refined: RefineResult,
-        request: &refine::RefineOptions,
+        request: &RefineOptions,
     ) -> Result<()> {
-        let start = self.start.name();
+        let start = self.init().name();
         let count = refined.scene.len();
         let mut json = json!({
             "output": self.output, "device": device, "photos": photos.len(), "gaussians": count,

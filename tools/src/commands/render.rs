@@ -3,7 +3,7 @@ use crate::{
     cameras::CameraArgs,
     color,
     explain::Explanation,
-    options::{SceneInput, parse_length},
+    options::{SceneInput, Size, parse_length},
     outputs::{self, DEPTH_LEVELS, Overwrite},
     pictures::{self, SHEET, Sinks},
     session::Session,
@@ -62,11 +62,11 @@ pub struct Render {
     #[arg(long)]
     normals: bool,
     /// Also write NNN.tokens.png: a color for every N Gaussians, those of one token
-    #[arg(long, alias = "gaussians-per-token", value_name = "N")]
-    group: Option<NonZeroU32>,
+    #[arg(long, value_name = "N")]
+    gaussians_per_token: Option<NonZeroU32>,
     /// Draw each Gaussian as an opaque dot of this width in the scene's unit, to show positions
-    #[arg(long, alias = "point-size", value_name = "SIZE", value_parser = parse_length)]
-    points: Option<f64>,
+    #[arg(long, value_name = "SIZE", value_parser = parse_length)]
+    point_size: Option<f64>,
     /// Also print the passes of the first picture, with time and bytes, and skipped effects with
     /// reasons
     #[arg(long)]
@@ -109,7 +109,7 @@ impl Render {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         self.check()?;
         let (mut scene, dropped) = self.input.read(session, &self.scene)?;
-        self.points.iter().for_each(|size| show_points(&mut scene, *size));
+        self.point_size.iter().for_each(|size| show_points(&mut scene, *size));
         let world = read_world(&self.scene)?;
         let device = session.device()?;
         let mut renderer = Renderer::new(&device);
@@ -169,6 +169,11 @@ impl Render {
         self.report(device, [scene.len(), dropped], &cameras, took, explanation)
     }
 
+    /// If requested.
+    pub fn size(&self) -> Option<Size> {
+        self.path.size()
+    }
+
     pub fn check(&self) -> Result<()> {
         self.sinks().map(drop)
     }
@@ -179,9 +184,9 @@ impl Render {
         let force = force.then_some("--overwrite".as_ref());
         let words = own.into_iter().chain(force).chain(words.iter().map(AsRef::as_ref));
         let found = command.try_get_matches_from(words).and_then(|matches| Self::from_arg_matches(&matches));
-        if found.as_ref().is_ok_and(|found| found.points.is_some()) {
+        if found.as_ref().is_ok_and(|found| found.point_size.is_some()) {
             let expected = "none: the Gaussians stay on the device as they are; render the scene's file";
-            return Err(Error::argument("words behind --", "--points", expected));
+            return Err(Error::argument("words behind --", "--point-size", expected));
         }
         found.map_err(|error| {
             let text = error.to_string();
@@ -200,7 +205,7 @@ impl Render {
             alpha: self.alpha,
             depth: self.depth.map(depth),
             normals: self.normals,
-            token_group: self.group,
+            token_group: self.gaussians_per_token,
             background: self.background,
             antialiased: self.antialiased,
             near: None,
@@ -220,7 +225,7 @@ impl Render {
         let folder = self.folder();
         folder.map_or(Ok(()), outputs::check_folder)?;
         if folder.is_none() && self.request().channels() > 3 {
-            let what = "--depth, --alpha, --normals and --group";
+            let what = "--depth, --alpha, --normals and --gaussians-per-token";
             return Err(Error::argument(what, "no folder", "-o FOLDER to write them to"));
         }
         self.video.as_ref().map_or(Ok(()), |file| self.overwrite.check_file(file))?;

@@ -2,6 +2,7 @@ use crate::{
     heic::is_heic,
     options::{Network, SceneInput, refuse},
     outputs::Overwrite,
+    refinement::with_cameras,
     session::Session,
     table::{bytes, counted},
     video::is_video,
@@ -34,15 +35,18 @@ use zipsplat::{
 /// Weights of Depth Anything 3 make one Gaussian per pixel, as in `reconstruct`, at the --ratios
 /// and without refinement: use `reconstruct --refine`.
 #[derive(Args)]
-#[command(after_help = "Examples:
+#[command(
+    mut_args(with_cameras),
+    after_help = "Examples:
   zipsplat view scene.ply
   zipsplat view scene.ply -o scene.html
-  zipsplat view scene.ply --poses transforms.json
-  zipsplat view photos/ --poses transforms.json
-  zipsplat view photos/ --poses transforms.json --refine=200
+  zipsplat view scene.ply --cameras transforms.json
+  zipsplat view photos/ --cameras transforms.json
+  zipsplat view photos/ --cameras transforms.json --refine=200
   zipsplat view photos/ --ratios 1,0.3,0.1 -o ratios.html
   zipsplat view photos/ --weights da3-small --ratios 1,0.3
-  zipsplat view tenth.ply half.ply all.ply -o compared.html")]
+  zipsplat view tenth.ply half.ply all.ply -o compared.html"
+)]
 pub struct View {
     /// Scenes (PLY, SPZ, .splat or glTF), or photos (PNG, JPEG, WebP; HEIC with ffmpeg), folders of
     /// them and videos
@@ -56,22 +60,22 @@ pub struct View {
     #[command(flatten)]
     overwrite: Overwrite,
     /// Keep full precision in the page, as PLY instead of SPZ: up to ten times as large
-    #[arg(long, alias = "lossless", requires = "output")]
-    exact: bool,
+    #[arg(long, requires = "output")]
+    lossless: bool,
     /// Cameras in the first scene's world: transforms.json, a COLMAP model's folder, or any format
-    /// of render --cameras; for photos their known cameras, or find, with COLMAP
-    #[arg(long, visible_alias = "cameras", value_name = "PATH|find")]
-    poses: Option<PathBuf>,
+    /// of render --cameras; for photos their known cameras, or colmap, which estimates them
+    #[arg(long, value_name = "PATH|colmap")]
+    cameras: Option<PathBuf>,
     /// Folder of the cameras' photos for the overlay [default: the camera file's; with -o, none]. A
     /// written page holds thumbnails
-    #[arg(long, value_name = "DIR", requires = "poses")]
+    #[arg(long, value_name = "DIR", requires = "cameras")]
     photos: Option<PathBuf>,
     /// Photo whose camera is the scene's world [default: the scene file's]
-    #[arg(long, value_name = "PHOTO", requires = "poses")]
+    #[arg(long, value_name = "PHOTO", requires = "cameras")]
     relative_to: Option<PathBuf>,
     /// Gaussians per token in the scene's file, for the view of tokens
-    #[arg(long, alias = "gaussians-per-token", value_name = "N")]
-    group: Option<NonZeroUsize>,
+    #[arg(long, value_name = "N")]
+    gaussians_per_token: Option<NonZeroUsize>,
     /// Port to serve at [default: a free one]
     #[arg(long, value_name = "N", default_value = "0", hide_default_value = true, conflicts_with = "output")]
     port: u16,
@@ -120,7 +124,12 @@ impl View {
         let shown = |path: &PathBuf| {
             let bytes = path.metadata().map_err(|error| Error::io(path, error))?.len();
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            Ok(ShownScene { name, bytes, group: self.group.map(NonZeroUsize::get), ..ShownScene::default() })
+            Ok(ShownScene {
+                name,
+                bytes,
+                group: self.gaussians_per_token.map(NonZeroUsize::get),
+                ..ShownScene::default()
+            })
         };
         let (shown, cameras) = (self.files.iter().map(shown).collect::<Result<_>>()?, self.cameras(session)?);
         let mut config = Config { scenes: shown, up: vertical(&cameras), cameras, ..Config::default() };
@@ -131,10 +140,10 @@ impl View {
     }
 
     fn show_photos(&self, session: &mut Session<'_>) -> Result<()> {
-        refuse("--group", self.group.is_some(), "photos", "a scene's file")?;
+        refuse("--gaussians-per-token", self.gaussians_per_token.is_some(), "photos", "a scene's file")?;
         refuse("--photos", self.photos.is_some(), "photos", "a scene's file")?;
         refuse("--relative-to", self.relative_to.is_some(), "photos", "a scene's file")?;
-        let photos = (&self.files[..], self.poses.as_deref());
+        let photos = (&self.files[..], self.cameras.as_deref());
         let checkpoint = match self.from.network()? {
             Network::Tokens(checkpoint) => checkpoint,
             Network::Pixels(checkpoint) => return self.show_pixels(session, &checkpoint, photos),
@@ -217,7 +226,7 @@ impl View {
     }
 
     fn cameras(&self, session: &mut Session<'_>) -> Result<Vec<InputCamera>> {
-        let Some(poses) = &self.poses else { return Ok(Vec::new()) };
+        let Some(poses) = &self.cameras else { return Ok(Vec::new()) };
         let world = read_world(&self.files[0])?;
         let photo_of = |frame: &CaptureView| match &self.photos {
             Some(folder) => Some(folder.join(Path::new(&frame.name).file_name()?)).filter(|file| file.is_file()),
@@ -237,9 +246,9 @@ impl View {
     }
 
     fn write(&self, session: &mut Session<'_>, output: &Path, config: &mut Config, scenes: &[Scene]) -> Result<()> {
-        let format = if self.exact { SceneFormat::Ply } else { SceneFormat::Spz };
-        if let Some(note) = scenes.iter().find_map(spz_coarsening).filter(|_| !self.exact) {
-            session.note(format!("{note}; --exact keeps them"));
+        let format = if self.lossless { SceneFormat::Ply } else { SceneFormat::Spz };
+        if let Some(note) = scenes.iter().find_map(spz_coarsening).filter(|_| !self.lossless) {
+            session.note(format!("{note}; --lossless keeps them"));
         }
         let (encoded, _) = session
             .stage("pack scenes", |stage| stage.each(scenes, |scene| scene.encode(format, &SaveOptions::default())))?;

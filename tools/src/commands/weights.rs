@@ -1,6 +1,6 @@
 use crate::{
     download::{Client, Lock, Promise, fetch, is_sha256, kept, promise},
-    options::BUILT_IN,
+    options::BUILTIN,
     released::{self, Kind, RELEASED, Released},
     session::Session,
     table::{Table, bytes},
@@ -88,8 +88,8 @@ struct Get {
     #[arg(long)]
     offline: bool,
     /// Keep the downloaded file beside its conversion
-    #[arg(long, alias = "keep-download")]
-    keep: bool,
+    #[arg(long)]
+    keep_download: bool,
     /// Timeout of a silent connection before a retry
     #[arg(long, value_name = "SECONDS", default_value = "30", value_parser = parse_seconds)]
     timeout: Duration,
@@ -209,13 +209,13 @@ impl Get {
         }
         let Released { name, what, license, terms, .. } = released;
         let size = bytes(promise.size);
-        let offer = format!("{name}: {what}; {size} from {}{there}; licence {license}: {terms}", promise.url);
+        let offer = format!("{name}: {what}; {size} from {}{there}; license {license}: {terms}", promise.url);
         if self.yes {
             session.note(offer);
             return Ok(());
         }
         if !stdin().is_terminal() {
-            let expected = format!("--yes, which accepts the licence {license} ({terms}) and loads {size}");
+            let expected = format!("--yes, which accepts the license {license} ({terms}) and loads {size}");
             return Err(Error::argument("consent", "no --yes, and no terminal to ask on", expected));
         }
         let answer = session.ask(&format!("{offer}\nLoad it to {}? [y/N] ", folder.display()))?;
@@ -233,7 +233,7 @@ impl Get {
         let checkpoint = Checkpoint::open(archive, None)?;
         session.stage("convert", |stage| checkpoint.save_with(&converted, Dtype::F16, |done| stage.at(done)))?;
         drop(checkpoint);
-        if !self.keep {
+        if !self.keep_download {
             std::fs::remove_file(archive).map_err(|error| Error::io(archive, error))?;
         }
         report(session, released, &converted)
@@ -257,21 +257,21 @@ fn size_of(path: &Path) -> Result<u64> {
 fn report(session: &mut Session<'_>, released: &Released, path: &Path) -> Result<()> {
     let Released { name, license, .. } = released;
     let size = size_of(path)?;
-    let json = json!({ "name": name, "path": path, "bytes": size, "licence": license });
+    let json = json!({ "name": name, "path": path, "bytes": size, "license": license });
     let kept = if released.kind == Kind::Tokens { ", f16" } else { "" };
     session.report(&json, format!("{}: {}{kept}; --weights {name} takes it", path.display(), bytes(size)))
 }
 
 fn list(session: &mut Session<'_>) -> Result<()> {
     let folder = released::folder()?;
-    let mut table = Table::new(4, &["weights", "size", "licence", "where", "what"]);
+    let mut table = Table::new(4, &["weights", "size", "license", "where", "what"]);
     let mut rows = Vec::new();
     if let Ok(embedded) = Checkpoint::builtin() {
         let what =
             format!("{} parameters, a demonstration", HumanCount(embedded.architecture().parameter_count() as u64));
-        table.row([BUILT_IN.into(), bytes(embedded.bytes()), "Apache-2.0".into(), "built in".into(), what.clone()]);
+        table.row([BUILTIN.into(), bytes(embedded.bytes()), "Apache-2.0".into(), "built in".into(), what.clone()]);
         rows.push(json!({
-            "name": BUILT_IN, "state": "built in", "bytes": embedded.bytes(), "licence": "Apache-2.0", "path": null, "what": what,
+            "name": BUILTIN, "state": "built in", "bytes": embedded.bytes(), "license": "Apache-2.0", "path": null, "what": what,
         }));
     }
     for released in &RELEASED {
@@ -287,7 +287,7 @@ fn list(session: &mut Session<'_>) -> Result<()> {
         };
         table.row([(*name).into(), bytes(size), (*license).into(), place, (*what).into()]);
         rows.push(json!({
-            "name": name, "state": state, "bytes": size, "licence": license, "path": cached, "what": what,
+            "name": name, "state": state, "bytes": size, "license": license, "path": cached, "what": what,
             "command": released.command(),
         }));
     }

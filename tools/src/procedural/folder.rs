@@ -60,9 +60,9 @@ pub fn write_folder(folder: &Path, capture: &Capture, crops: &[Crop]) -> Result<
         "seed": capture.seed,
         "family": capture.family,
         "path": capture.path,
-        "metres_per_unit": capture.meters,
+        "meters_per_unit": capture.meters,
         "overlap": capture.overlap.chunks(capture.images.len()).collect::<Vec<_>>(),
-        "photo_crops": crops.iter().map(|crop| json!({"repo": crop.repo, "file": crop.file, "licence": crop.licence})).collect::<Vec<_>>(),
+        "photo_crops": crops.iter().map(|crop| json!({"repo": crop.repo, "file": crop.file, "license": crop.license})).collect::<Vec<_>>(),
     });
     write_atomic(&folder.join(SCENE), |out| {
         serde_json::to_writer_pretty(&mut *out, &scene)?;

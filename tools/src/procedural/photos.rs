@@ -23,9 +23,11 @@ pub struct Crop {
     /// Source of the photo.
     pub repo: String,
     /// Name of the photo's license.
-    pub licence: String,
+    #[serde(alias = "licence")]
+    pub license: String,
     /// License class; only `permissive` crops are used.
-    pub licence_class: String,
+    #[serde(alias = "licence_class")]
+    pub license_class: String,
 }
 
 /// Photo crops with their mipmaps.
@@ -55,9 +57,9 @@ impl Photos {
         let file = BufReader::new(open_file(&manifest)?);
         let mut crops: Vec<Crop> =
             serde_json::from_reader(file).map_err(|error| Error::format(&manifest, None, error.to_string()))?;
-        crops.retain(|crop| crop.licence_class == PERMISSIVE);
+        crops.retain(|crop| crop.license_class == PERMISSIVE);
         if crops.is_empty() {
-            return Err(Error::format(&manifest, None, format!("found no crop of licence_class {PERMISSIVE}")));
+            return Err(Error::format(&manifest, None, format!("found no crop of license_class {PERMISSIVE}")));
         }
         let read = |crop: &Crop| {
             let path = folder.join(&crop.file);

@@ -38,7 +38,7 @@ impl Protocol {
         let views = if views.is_empty() { self.views() } else { views };
         if gaps.len() > 1 && gaps.len() != views.len() {
             let expected = format!("one, or one for each of {} numbers of --views", views.len());
-            return Err(Error::argument("--gap", format!("{} numbers", gaps.len()), expected));
+            return Err(Error::argument("--frame-range", format!("{} numbers", gaps.len()), expected));
         }
         let rule = |i: usize, views: u32| match gaps.get(i).or(gaps.first()).copied().or(self.gap(views)) {
             None if self == Self::Re10k => Rule::Even,

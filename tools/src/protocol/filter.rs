@@ -1,6 +1,5 @@
 //! Downscaling filters; the choice affects PSNR (table 6 of the paper).
 
-use clap::ValueEnum;
 use image::{ImageBuffer, Rgb, imageops};
 use zipsplat::{
     Error, Result,
@@ -11,7 +10,7 @@ use zipsplat::{
 };
 
 /// Antialiasing filter.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Filter {
     /// Pillow's LANCZOS after the crop, as in every other command
     Lanczos,

@@ -29,6 +29,8 @@ use zipsplat::{
 
 const POLL: Duration = Duration::from_millis(50);
 const NO_DEVICE: &str = "none";
+/// Of the results printed with `--json`.
+const SCHEMA_VERSION: u32 = 1;
 
 /// Streams and stop flag of a command.
 pub struct Terminal<'a> {
@@ -44,16 +46,16 @@ pub struct Terminal<'a> {
 
 #[derive(Args)]
 pub struct Global {
-    /// Vulkan device: its number in `zipsplat info`, its UUID, or a part of its name that is not
-    /// all digits; with `info --plan` also none, for an ordinary one [default: the best]
+    /// Vulkan device: its number in `zipsplat doctor list`, its UUID, or a part of its name that is not
+    /// all digits; with `reconstruct --dry-run` also none, for an ordinary one [default: the best]
     #[arg(long, global = true, value_name = "NAME|INDEX", help_heading = "Options of every command")]
     pub device: Option<String>,
     /// Limit of used device memory in bytes, such as 3G; K, M and G count in 1024s [default: all of
     /// it]
-    #[arg(long, alias = "max-memory", global = true, value_name = "BYTES", value_parser = parse_bytes, help_heading = "Options of every command")]
-    pub memory: Option<u64>,
-    /// Print the result as JSON to standard output, and an error as one line of JSON to standard
-    /// error: {"error", "kind", "exit_code"}
+    #[arg(long, global = true, value_name = "BYTES", value_parser = parse_bytes, help_heading = "Options of every command")]
+    pub max_memory: Option<u64>,
+    /// Print the result as JSON to standard output: {"schema_version", "command", "warnings",
+    /// "result"}; an error as one line of JSON to standard error: {"error", "kind", "exit_code"}
     #[arg(long, global = true, help_heading = "Options of every command")]
     pub json: bool,
     /// Print only errors, without result, notes and progress; --json still prints
@@ -61,7 +63,18 @@ pub struct Global {
     pub quiet: bool,
 }
 
+#[derive(Serialize)]
+struct Envelope<'a, T> {
+    schema_version: u32,
+    command: &'a str,
+    warnings: &'a [String],
+    result: T,
+}
+
 pub struct Session<'a> {
+    command: String,
+    /// Notes so far.
+    warnings: Vec<String>,
     global: Global,
     terminal: Terminal<'a>,
     /// Standard output carries data, so the result goes to standard error.
@@ -73,10 +86,20 @@ pub struct Session<'a> {
 }
 
 impl<'a> Session<'a> {
-    pub fn new(global: Global, terminal: Terminal<'a>) -> Self {
+    pub fn new(command: String, global: Global, terminal: Terminal<'a>) -> Self {
         let began = Instant::now();
         let next_line = Mutex::new(began + progress::FIRST_LINE);
-        Self { global, terminal, piped: false, code: 0, task: String::new(), began, next_line }
+        Self {
+            command,
+            warnings: Vec::new(),
+            global,
+            terminal,
+            piped: false,
+            code: 0,
+            task: String::new(),
+            began,
+            next_line,
+        }
     }
 
     pub fn elapsed(&self) -> Duration {
@@ -95,8 +118,8 @@ impl<'a> Session<'a> {
     }
 
     pub fn device_options(&self) -> DeviceOptions {
-        let Global { device, memory, .. } = &self.global;
-        DeviceOptions { device: device.clone(), max_memory_bytes: *memory, ..DeviceOptions::default() }
+        let Global { device, max_memory, .. } = &self.global;
+        DeviceOptions { device: device.clone(), max_memory_bytes: *max_memory, ..DeviceOptions::default() }
     }
 
     /// Returns true to plan for an ordinary device.
@@ -190,8 +213,10 @@ impl<'a> Session<'a> {
         } else {
             (&mut *self.terminal.out, "standard output")
         };
+        let Self { command, warnings, .. } = self;
+        let envelope = Envelope { schema_version: SCHEMA_VERSION, command, warnings, result: value };
         let printed = match (self.global.json, self.global.quiet) {
-            (true, _) => serde_json::to_writer_pretty(&mut *out, value)
+            (true, _) => serde_json::to_writer_pretty(&mut *out, &envelope)
                 .map_err(std::io::Error::from)
                 .and_then(|()| writeln!(out)),
             (false, false) => writeln!(out, "{}", text.to_string().trim_end()),
@@ -218,11 +243,14 @@ impl<'a> Session<'a> {
         self.code
     }
 
+    /// Prints a note unless `--quiet`; JSON results list it as a warning.
     pub fn note(&mut self, text: impl Display) {
+        let text = text.to_string();
         if !self.global.quiet {
             // A failed note does not stop the command.
             let _ = writeln!(self.terminal.err, "note: {text}");
         }
+        self.warnings.push(text);
     }
 
     pub fn notes<T: Display>(&mut self, texts: impl IntoIterator<Item = T>) {
@@ -252,14 +280,19 @@ impl<'a> Session<'a> {
         let mut lines: Vec<_> = error.to_string().lines().map(|line| line.trim().to_owned()).collect();
         if let Error::Memory { needed, available, .. } = error {
             lines.push(format!("{} of device memory are missing", bytes(needed.saturating_sub(*available))));
-            let limit = self.global.memory;
-            lines.extend(limit.map(|limit| format!("--memory allows {} of the device's memory", bytes(limit))));
+            let limit = self.global.max_memory;
+            lines.extend(limit.map(|limit| format!("--max-memory allows {} of the device's memory", bytes(limit))));
         }
         let text = lines.join("; ");
         let line = if self.global.json { error_as_json(&text, kind(error), code) } else { format!("error: {text}") };
         // The exit code still reports the error.
         let _ = writeln!(self.terminal.err, "{line}");
     }
+}
+
+/// Seconds by stage, for results.
+pub fn stage_seconds(times: &[(impl ToString, Duration)]) -> serde_json::Value {
+    times.iter().map(|(stage, took)| (stage.to_string(), serde_json::json!(took.as_secs_f64()))).collect()
 }
 
 pub fn error_as_json(text: &str, kind: &str, code: u8) -> String {

@@ -16,7 +16,7 @@ use crate::{
     session::Session,
     table::counted,
     video::FrameFolder,
-    views::{FitOption, Views},
+    views::{CropOption, Views},
 };
 use clap::Args;
 use std::{
@@ -44,7 +44,7 @@ pub struct FromPhotos {
     #[command(flatten)]
     pub quality: Quality,
     #[command(flatten)]
-    pub(super) fit: FitOption,
+    pub(super) crop: CropOption,
     /// Limit of photos, evenly spread, with the first and the last, and of frames of a video
     /// [default: all, and 24 of a video]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_VIEWS as i64))]
@@ -52,8 +52,8 @@ pub struct FromPhotos {
     #[command(flatten)]
     finding: Finding,
     /// Length in the cameras' unit that is 1 for the network, as in reconstruct
-    #[arg(long, value_name = "LENGTH", requires = "poses", value_parser = parse_length)]
-    pub(super) unit: Option<f64>,
+    #[arg(long, value_name = "LENGTH", requires = "cameras", value_parser = parse_length)]
+    pub(super) scene_scale: Option<f64>,
     /// Ratios of the scenes in a written page, and of pixel scenes, at most 8 [default:
     /// 1,0.5,0.25,0.1 without duplicates]
     #[arg(long, value_name = "R,R,..", value_delimiter = ',')]
@@ -114,11 +114,11 @@ impl FromPhotos {
     /// First given option, for rejection with scene files.
     pub fn given(&self) -> Option<&'static str> {
         let options = [
-            ("--weights", !self.weights.is_embedded()),
+            ("--weights", !self.weights.is_builtin()),
             ("--ratio", self.quality.ratio != Ratio::Fixed(1.0)),
             ("--ratios", !self.ratios.is_empty()),
             ("--views", self.views.is_some()),
-            ("--unit", self.unit.is_some()),
+            ("--scene-scale", self.scene_scale.is_some()),
             ("--refine", self.refines()),
         ];
         options.into_iter().find(|(_, given)| *given).map(|(option, _)| option)
@@ -145,30 +145,30 @@ impl FromPhotos {
         self.quality.check(checkpoint.architecture())?;
         let Photographed { photos, known, folder } = self.photographed(session, paths, poses)?;
         let poses = known.as_ref().map(|known| &known.poses);
-        let (size, fit) = (self.quality.size_for(&checkpoint), self.fit.fit);
-        fit.check(size, poses.is_some())?;
+        let (size, crop) = (self.quality.size_for(&checkpoint), self.crop.crop);
+        crop.check(size, poses.is_some())?;
         session.notes(self.quality.doubt_size(&checkpoint));
-        let count = fit.count(&photos)?;
-        let chosen = (self.quality.ratio, &self.quality.select);
+        let count = crop.count(&photos)?;
+        let chosen = (self.quality.ratio, &self.quality.token_selection);
         Shape::new(checkpoint.architecture(), count, [size.0, size.1], chosen, poses.is_some())?
-            .pooled(self.quality.pool)?;
+            .pooled(self.quality.kv_pool)?;
         let frames = poses.map(|poses| poses.frames_of(&photos)).transpose()?.unwrap_or_default();
         let device = session.device()?;
         let (precision, arithmetic) = self.quality.arithmetic.choose(session, &device)?;
-        let (views, _) = session.stage("load photos", |stage| fit.load(&photos, &frames, size, stage))?;
+        let (views, _) = session.stage("load photos", |stage| crop.load(&photos, &frames, size, stage))?;
         let Views { images, cameras, note } = views;
         session.notes(note);
         let unit = self.length(session, poses, &cameras, &frames)?;
-        let (cameras, turned) = fit.network_cameras(cameras);
+        let (cameras, turned) = crop.network_cameras(cameras);
         let (model, _) = session.load_model(&device, &checkpoint, arithmetic)?;
         let cameras = Some(cameras).filter(|cameras| !cameras.is_empty());
-        let selection = self.quality.select.clone();
+        let selection = self.quality.token_selection.clone();
         let request = ReconstructOptions {
             ratio: self.quality.ratio,
             token_selection: selection,
             cameras,
             scene_scale: Some(unit),
-            kv_pool: self.quality.pool,
+            kv_pool: self.quality.kv_pool,
             ..ReconstructOptions::default()
         };
         let (features, _) = session.stage("backbone", |stage| {
@@ -180,7 +180,7 @@ impl FromPhotos {
         let mut names = Vec::new();
         for photo in &photos {
             // Crops of one photo are consecutive.
-            let views = fit.count(std::slice::from_ref(photo))?;
+            let views = crop.count(std::slice::from_ref(photo))?;
             names.extend(std::iter::repeat_n(name(photo), views));
         }
         let live = Live {
@@ -209,7 +209,7 @@ impl FromPhotos {
         frames: &[&CaptureView],
     ) -> Result<f64> {
         let (Some(poses), Some(first)) = (poses, frames.first()) else { return Ok(1.0) };
-        let unit = poses.scene_scale(self.unit, cameras, &first.camera.pose)?;
+        let unit = poses.scene_scale(self.scene_scale, cameras, &first.camera.pose)?;
         session.notes(unit.doubt());
         Ok(unit.length)
     }
@@ -243,7 +243,7 @@ impl FromPhotos {
             (Target::Tokens(live.tokens()?), Some(shown))
         } else {
             let cloud = ready.cloud.clone().map(|cloud| placed(cloud, &to_scene, 1.0));
-            let from = Initialization::or_best(self.refine.start, cloud.as_ref(), self.weights.is_embedded());
+            let from = Initialization::or_best(self.refine.settings.init, cloud.as_ref(), self.weights.is_builtin());
             let (scene, shown) = if from.needs()[0] {
                 made().map(|LiveScene { scene, shown }| (Some(scene), Some(shown)))?
             } else {
@@ -254,7 +254,7 @@ impl FromPhotos {
                 shown.filter(|_| from == Initialization::Scene),
             )
         };
-        let request = self.refine.request(steps);
+        let request = self.refine.settings.request(steps);
         let tokens = tokens.filter(|_| request.max_gaussians.is_none());
         let tokens = tokens.and_then(|shown| Some((shown.group?, shown.patches)));
         Ok(Some(Watched::new(start, tokens, photos, cameras, request)))

@@ -11,7 +11,7 @@ use crate::{
     options::refuse,
     session::{Session, Stage},
     video::FrameFolder,
-    views::Fit,
+    views::Crop,
 };
 use std::path::{Path, PathBuf};
 use zipsplat::{
@@ -37,8 +37,8 @@ impl FromPhotos {
         (paths, poses): (&[PathBuf], Option<&Path>),
     ) -> Result<OfPixels> {
         for (option, given) in [
-            ("--fit squares", self.fit.fit == Fit::Squares),
-            ("--unit", self.unit.is_some()),
+            ("--crop tiles", self.crop.crop == Crop::Tiles),
+            ("--scene-scale", self.scene_scale.is_some()),
             ("--refine", self.refines()),
             ("--ratio", self.quality.ratio != Ratio::Fixed(1.0)),
         ] {

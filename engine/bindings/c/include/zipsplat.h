@@ -28,7 +28,7 @@
  * photos, weights and files. It has RAYON_NUM_THREADS threads, by default one per core, and lives
  * as long as the process.
  *
- * Cache. The library caches kernel self-test results and the tile sizes of `zipsplat tune` on disk.
+ * Cache. The library caches kernel self-test results and the tile sizes of `zipsplat doctor tune` on disk.
  * The folder is ZIPSPLAT_CACHE, else `zipsplat` in XDG_CACHE_HOME or LOCALAPPDATA, else
  * .cache/zipsplat in HOME. Without a writable folder every process repeats the test. Adopted
  * devices (zs_device_from_vulkan) and ZS_PRECISION_FP32 need no cache.
@@ -886,6 +886,8 @@ typedef struct zs_gradients {
     // count x 10, of the cameras: w x, y, z and v x, y, z, then fx, fy, cx, cy. The
     // camera-to-world pose moves as pose o (exp(w^), v): R' = R exp(w^) and t' = t + R v.
     float *cameras;
+    // count x N x 2, of the projected centers in pixels, at constant projected covariances.
+    float *means2d;
 } zs_gradients;
 
 // Computes the gradients of a weighted sum over all pixels of `count` cameras' pictures.

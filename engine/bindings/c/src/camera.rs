@@ -1,8 +1,8 @@
 //! Cameras.
 
-use super::{pointers::Versioned, status::Failure};
+use super::pointers::Versioned;
 use glam::{DMat3, DVec3};
-use zipsplat::types::{Camera, Intrinsics, Pose};
+use zipsplat::{Camera, Error, Intrinsics, Pose, Result};
 
 /// A pinhole camera with OpenCV axes: x right, y down, z forward. Intrinsics are in pixels, whose
 /// centers are at +0.5.
@@ -42,10 +42,10 @@ impl From<&Camera> for zs_camera {
 }
 
 impl zs_camera {
-    pub(super) fn camera(&self) -> Result<Camera, Failure> {
+    pub(super) fn camera(&self) -> Result<Camera> {
         let Self { reserved, width, height, fx, fy, cx, cy, .. } = *self;
         if reserved != 0 {
-            return Err(Failure::argument("zs_camera, reserved", reserved, "0"));
+            return Err(Error::argument("zs_camera, reserved", reserved, "0"));
         }
         let rotation = DMat3::from_cols_array(&self.rotation).transpose();
         let pose = Pose { rotation, translation: DVec3::from_array(self.translation) };

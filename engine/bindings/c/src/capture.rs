@@ -3,7 +3,9 @@
 use super::{
     camera::zs_camera,
     image::zs_image_buffer,
-    pointers::{borrow, destroy, optional_text, produce, text, write_versioned},
+    pointers::{
+        Versioned, borrow, destroy, optional_text, produce, put, read_array, read_given, text, write_versioned,
+    },
     status::{Failure, guard, zs_status},
 };
 use std::{
@@ -11,34 +13,71 @@ use std::{
     path::Path,
     ptr::null,
 };
-use zipsplat::types::poses::{Capture, CaptureView};
+use zipsplat::{
+    Capture,
+    types::poses::{CaptureView, write_frames},
+};
 
 /// Posed photos of a capture.
 pub struct zs_capture {
-    pub(super) poses: Capture,
-    names: Vec<CString>,
-    paths: Vec<Option<CString>>,
+    pub(super) capture: Capture,
+    views: Vec<View>,
     warnings: CString,
 }
 
+struct View {
+    name: CString,
+    path: Option<CString>,
+    camera: zs_camera,
+}
+
+/// Properties of a capture.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct zs_capture_info {
+    /// sizeof(zs_capture_info).
+    pub struct_size: u32,
+    /// 0.
+    pub reserved: u32,
+    /// Number of photos.
+    pub view_count: usize,
+    /// Warnings about ignored data, one per line, in the capture's memory.
+    pub warnings: *const c_char,
+}
+
+/// A photo of a capture.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct zs_capture_view {
+    /// sizeof(zs_capture_view).
+    pub struct_size: u32,
+    /// Must be 0.
+    pub reserved: u32,
+    /// Name as in the file.
+    pub name: *const c_char,
+    /// Path of the photo, or NULL if none was found.
+    pub path: *const c_char,
+    /// Undistorted pinhole camera.
+    pub camera: *const zs_camera,
+}
+
+versioned!(zs_capture_info, zs_capture_view);
+
 impl From<Capture> for zs_capture {
-    fn from(poses: Capture) -> Self {
-        let path = |frame: &CaptureView| Some(c_text(frame.photo.as_ref()?.to_str()?));
-        Self {
-            names: poses.frames.iter().map(|frame| c_text(&frame.name)).collect(),
-            paths: poses.frames.iter().map(path).collect(),
-            warnings: c_text(&poses.warnings.join("\n")),
-            poses,
-        }
+    fn from(capture: Capture) -> Self {
+        let view = |view: &CaptureView| View {
+            name: c_text(&view.name),
+            path: view.photo.as_ref().and_then(|path| path.to_str()).map(c_text),
+            camera: (&view.camera).into(),
+        };
+        let views = capture.frames.iter().map(view).collect();
+        Self { views, warnings: c_text(&capture.warnings.join("\n")), capture }
     }
 }
 
-impl zs_capture {
-    fn frame(&self, index: usize) -> Result<&CaptureView, Failure> {
-        let frames = &self.poses.frames;
-        let expected = || format!("a number below {}", frames.len());
-        frames.get(index).ok_or_else(|| Failure::argument("number of a photo", index, expected()))
-    }
+fn at<T>(views: &[T], index: usize) -> Result<&T, Failure> {
+    let expected = || format!("a number below {}", views.len());
+    views.get(index).ok_or_else(|| Failure::argument("number of a photo", index, expected()))
 }
 
 fn c_text(text: &str) -> CString {
@@ -56,55 +95,73 @@ pub unsafe extern "C" fn zs_capture_open(path: *const c_char, capture: *mut *mut
     unsafe { produce(capture, open) }
 }
 
-/// Returns the number of photos and, unless NULL, warnings about ignored data, one per line, in
-/// the capture's memory.
+/// Creates a capture of pinhole cameras from copies. Paths may be NULL.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn zs_capture_get_count(
-    capture: *const zs_capture,
-    count: *mut usize,
-    warnings: *mut *const c_char,
+pub unsafe extern "C" fn zs_capture_create(
+    views: *const zs_capture_view,
+    count: usize,
+    capture: *mut *mut zs_capture,
 ) -> zs_status {
+    let create = || {
+        // SAFETY: the caller's array.
+        let views = unsafe { read_array(views, count, "views") }?;
+        let view = |(i, view): (usize, &zs_capture_view)| {
+            if view.reserved != 0 {
+                return Err(Failure::argument(format!("view {i}, reserved"), view.reserved, "0"));
+            }
+            // SAFETY: strings, a structure, or NULL.
+            let (name, path, camera) = unsafe {
+                let (name, path) = (format!("name of view {i}"), format!("path of view {i}"));
+                (text(view.name, &name)?, optional_text(view.path, &path)?, read_given(view.camera)?.camera()?)
+            };
+            camera.validate(&format!("camera {i}"))?;
+            Ok(CaptureView { name: name.to_owned(), photo: path.map(Into::into), camera, lens: None })
+        };
+        let frames = views.iter().enumerate().map(view).collect::<Result<_, Failure>>()?;
+        Ok(Capture { frames, ..Capture::default() }.into())
+    };
+    // SAFETY: the caller's pointer.
+    unsafe { produce(capture, create) }
+}
+
+/// Writes the capture's cameras, names and lenses as a transforms.json (nerfstudio) at `path`. An
+/// existing file is replaced atomically.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_capture_save(capture: *const zs_capture, path: *const c_char) -> zs_status {
     guard(|| {
-        // SAFETY: an object or NULL.
-        let capture = unsafe { borrow(capture, "capture") }?;
-        // SAFETY: the caller's to write, or NULL.
-        unsafe { put(count, capture.names.len(), "count") }?;
-        if !warnings.is_null() {
-            // SAFETY: not NULL, and the caller's to write.
-            unsafe { warnings.write(capture.warnings.as_ptr()) };
-        }
-        Ok(())
+        // SAFETY: an object or NULL, a string or NULL.
+        let (capture, path) = unsafe { (&borrow(capture, "capture")?.capture, text(path, "path")?) };
+        let points = capture.points.as_deref().and_then(Path::to_str);
+        Ok(write_frames(path, &capture.frames, points)?)
     })
 }
 
-/// Returns the undistorted pinhole camera, the name and the path of photo `index`. `name` is as
-/// written in the file; the path is NULL if no photo was found. Strings point into the capture.
-/// Outputs may be NULL.
+/// Describes a capture.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn zs_capture_get(
+pub unsafe extern "C" fn zs_capture_get_info(capture: *const zs_capture, info: *mut zs_capture_info) -> zs_status {
+    guard(|| {
+        // SAFETY: an object or NULL.
+        let zs_capture { views, warnings, .. } = unsafe { borrow(capture, "capture") }?;
+        let found = zs_capture_info { view_count: views.len(), warnings: warnings.as_ptr(), ..Versioned::new() };
+        // SAFETY: the caller's structure.
+        unsafe { write_versioned(info, found) }
+    })
+}
+
+/// Returns photo `index`, whose strings and camera are in the capture's memory.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_capture_get_view(
     capture: *const zs_capture,
     index: usize,
-    camera: *mut zs_camera,
-    name: *mut *const c_char,
-    path: *mut *const c_char,
+    view: *mut zs_capture_view,
 ) -> zs_status {
     guard(|| {
         // SAFETY: an object or NULL.
-        let capture = unsafe { borrow(capture, "capture") }?;
-        let found = zs_camera::from(&capture.frame(index)?.camera);
-        if !camera.is_null() {
-            // SAFETY: the caller's structure.
-            unsafe { write_versioned(camera, found) }?;
-        }
-        let texts = [
-            (name, capture.names[index].as_ptr()),
-            (path, capture.paths[index].as_ref().map_or(null(), |path| path.as_ptr())),
-        ];
-        for (to, text) in texts.into_iter().filter(|(to, _)| !to.is_null()) {
-            // SAFETY: not NULL, and the caller's to write.
-            unsafe { to.write(text) };
-        }
-        Ok(())
+        let View { name, path, camera } = at(&unsafe { borrow(capture, "capture") }?.views, index)?;
+        let path = path.as_ref().map_or(null(), |path| path.as_ptr());
+        let found = zs_capture_view { name: name.as_ptr(), path, camera, ..Versioned::new() };
+        // SAFETY: the caller's structure.
+        unsafe { write_versioned(view, found) }
     })
 }
 
@@ -118,11 +175,11 @@ pub unsafe extern "C" fn zs_capture_find(
 ) -> zs_status {
     guard(|| {
         // SAFETY: an object or NULL, a string or NULL.
-        let (poses, path) = unsafe { (&borrow(capture, "capture")?.poses, text(path, "path")?) };
-        let found = poses.frame_of(path)?;
-        let at = poses.frames.iter().position(|frame| found.is_some_and(|found| std::ptr::eq(frame, found)));
+        let (capture, path) = unsafe { (&borrow(capture, "capture")?.capture, text(path, "path")?) };
+        let found = capture.frame_of(path)?;
+        let at = capture.frames.iter().position(|frame| found.is_some_and(|found| std::ptr::eq(frame, found)));
         // SAFETY: the caller's to write, or NULL.
-        unsafe { put(index, at.unwrap_or(poses.frames.len()), "index") }
+        unsafe { put(index, at.unwrap_or(capture.frames.len()), "index") }
     })
 }
 
@@ -138,7 +195,7 @@ pub unsafe extern "C" fn zs_capture_open_image(
     let open = || {
         // SAFETY: an object or NULL, a string or NULL.
         let (capture, path) = unsafe { (borrow(capture, "capture")?, optional_text(path, "path")?) };
-        let frame = capture.frame(index)?;
+        let frame = at(&capture.capture.frames, index)?;
         let path = path.map(Path::new).or(frame.photo.as_deref());
         let path = path.ok_or_else(|| {
             Failure::argument(format!("photo {}", frame.name), "none", "one where the capture says it is, or a path")
@@ -154,15 +211,4 @@ pub unsafe extern "C" fn zs_capture_open_image(
 pub unsafe extern "C" fn zs_capture_destroy(capture: *mut zs_capture) {
     // SAFETY: NULL or given up by the caller.
     unsafe { destroy(capture) }
-}
-
-/// # Safety
-/// `to` is NULL or can be written.
-unsafe fn put(to: *mut usize, value: usize, name: &str) -> Result<(), Failure> {
-    if to.is_null() {
-        return Err(Failure::argument(name, "NULL", "where to put it"));
-    }
-    // SAFETY: not NULL, and the caller's promise.
-    unsafe { to.write(value) };
-    Ok(())
 }

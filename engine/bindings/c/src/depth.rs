@@ -4,24 +4,23 @@ use super::{
     camera::zs_camera,
     device::zs_device,
     image::zs_image,
-    model::{report, zs_model_options, zs_precision, zs_progress},
+    model::{zs_precision, zs_precision_value},
     pointers::{Versioned, borrow, destroy, produce, read_array, read_versioned, text, write_versioned},
+    progress::{Reporter, zs_progress_callback},
+    reconstruct::check_view_count,
     scene::zs_scene,
     status::{Failure, guard, zs_status},
 };
 use std::{
-    ffi::{c_char, c_void},
+    ffi::{CString, c_char, c_void},
     ptr::null,
 };
 use zipsplat::{
-    Error,
+    Camera, DepthMap, DepthModel, DepthOptions, DepthPrediction, Error, Image, Precision, Progress,
     cameras::share_focal_lengths,
-    depth::{DepthMap, DepthModel, DepthOptions, DepthPrediction},
-    gpu::Progress,
-    reconstruct::MAX_VIEWS,
     tune::KernelChoice,
     types::{
-        Camera, DEFAULT_BOUND, Image, bounded_views,
+        DEFAULT_BOUND, bounded_views,
         preprocess::{PixelMap, View},
     },
     weights::DepthCheckpoint,
@@ -30,14 +29,18 @@ use zipsplat::{
 /// A Depth Anything 3 network with its weights on a device.
 pub struct zs_depth_model {
     model: DepthModel,
+    precision: Precision,
+    warnings: CString,
 }
 
 /// Depth and cameras of photos.
 pub struct zs_depth_result {
     depths: DepthPrediction,
     images: Vec<Image>,
-    /// Cameras of the views and of the whole photos; `None` if unknown.
-    cameras: Vec<Option<[Camera; 2]>>,
+    /// Cameras of the maps; `None` if unknown.
+    cameras: Vec<Option<Camera>>,
+    /// Cameras of the maps and of the whole photos; `None` if unknown.
+    c_cameras: Vec<Option<[zs_camera; 2]>>,
 }
 
 /// Sources of estimated cameras.
@@ -51,6 +54,38 @@ pub enum zs_camera_source {
 }
 
 pub(super) type zs_camera_source_value = i32;
+
+/// Options of zs_depth_model_load.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct zs_depth_model_options {
+    /// sizeof(zs_depth_model_options).
+    pub struct_size: u32,
+    /// Number formats.
+    pub precision: zs_precision_value,
+    /// Progress callback.
+    pub progress: zs_progress_callback,
+    /// Argument of `progress`.
+    pub user_data: *mut c_void,
+}
+
+/// Properties of a depth model.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct zs_depth_model_info {
+    /// sizeof(zs_depth_model_info).
+    pub struct_size: u32,
+    /// 1 if it sees all photos at once and estimates cameras, 0 if it sees each alone.
+    pub is_multi_view: u32,
+    /// Side of a patch; sides of maps are multiples of it.
+    pub patch_size: u32,
+    /// Number formats in use, never ZS_PRECISION_AUTO.
+    pub precision: zs_precision_value,
+    /// Weights on the device.
+    pub weight_bytes: u64,
+    /// Warnings, one per line, in the model's memory: unusable GPUs and failed kernels.
+    pub warnings: *const c_char,
+}
 
 /// Options of zs_depth_predict.
 #[repr(C)]
@@ -72,16 +107,28 @@ pub struct zs_depth_options {
     /// returned unchanged.
     pub cameras: *const zs_camera,
     /// Progress callback.
-    pub progress: zs_progress,
+    pub progress: zs_progress_callback,
     /// Argument of `progress`.
     pub user_data: *mut c_void,
+}
+
+/// Properties of a depth result.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct zs_depth_result_info {
+    /// sizeof(zs_depth_result_info).
+    pub struct_size: u32,
+    /// 0.
+    pub reserved: u32,
+    /// Number of photos.
+    pub view_count: usize,
 }
 
 /// Depth of a photo, in memory of its zs_depth_result. Arrays are `[height][width]`.
 #[repr(C)]
 #[derive(Clone, Copy)]
-pub struct zs_depth_view {
-    /// sizeof(zs_depth_view).
+pub struct zs_depth_map {
+    /// sizeof(zs_depth_map).
     pub struct_size: u32,
     /// 0.
     pub reserved: u32,
@@ -95,43 +142,63 @@ pub struct zs_depth_view {
     pub confidence: *const f32,
     /// Sky score, at least 0 and above 0.3 for sky, from single-view networks; else NULL.
     pub sky: *const f32,
+    /// Camera of the map, which unprojects `depth` into the common world; NULL if unknown.
+    pub camera: *const zs_camera,
+    /// Camera of the whole photo; NULL if unknown.
+    pub image_camera: *const zs_camera,
 }
 
-versioned!(zs_depth_options, zs_depth_view);
+versioned!(zs_depth_model_options, zs_depth_model_info, zs_depth_options, zs_depth_result_info, zs_depth_map);
 
 // SAFETY: the arrays belong to an immutable object.
-unsafe impl Sync for zs_depth_view {}
+unsafe impl Sync for zs_depth_map {}
 
 /// Loads a Depth Anything 3 network: a released model.safetensors at `path`, or random weights for
-/// "seeded:NAME", such as "seeded:da3-small". The options' `variant` must be NULL and `tokens` 0.
+/// "seeded:NAME", such as "seeded:da3-small".
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_depth_model_load(
     device: *const zs_device,
     path: *const c_char,
-    options: *const zs_model_options,
+    options: *const zs_depth_model_options,
     model: *mut *mut zs_depth_model,
 ) -> zs_status {
     let load = || {
         // SAFETY: the caller's objects.
         let (device, path, options) =
             unsafe { (borrow(device, "device")?, text(path, "path")?, read_versioned(options)?) };
-        if !options.variant.is_null() || options.tokens != 0 || options.reserved != 0 {
-            let found = "a variant or tokens";
-            return Err(Failure::argument(
-                "options of a depth model",
-                found,
-                "NULL and 0, which are for zs_model_load",
-            ));
-        }
         let chosen = KernelChoice::of(&device.gpu, zs_precision::wanted(options.precision)?)?;
         let checkpoint = DepthCheckpoint::whole(|gaussians| DepthCheckpoint::parse(path, gaussians))?;
-        let progress = |fraction| report(options.progress, options.user_data, fraction, "weights");
-        Ok(zs_depth_model {
-            model: DepthModel::from_checkpoint(&device.gpu, &checkpoint, chosen.arithmetic, progress)?,
-        })
+        let reporter = Reporter { callback: options.progress, user_data: options.user_data };
+        let progress = |fraction| reporter.fraction("weights", fraction);
+        let model = DepthModel::from_checkpoint(&device.gpu, &checkpoint, chosen.arithmetic, progress)?;
+        let warnings = [device.gpu.passed_over(), &chosen.warnings].concat().join("\n");
+        let warnings = CString::new(warnings).unwrap_or_default();
+        Ok(zs_depth_model { model, precision: chosen.precision, warnings })
     };
     // SAFETY: the caller's pointer.
     unsafe { produce(model, load) }
+}
+
+/// Describes a depth model.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_depth_model_get_info(
+    model: *const zs_depth_model,
+    info: *mut zs_depth_model_info,
+) -> zs_status {
+    guard(|| {
+        // SAFETY: an object or NULL.
+        let zs_depth_model { model, precision, warnings } = unsafe { borrow(model, "model") }?;
+        let found = zs_depth_model_info {
+            is_multi_view: model.architecture().multi_view().into(),
+            patch_size: model.architecture().backbone.patch_size as u32,
+            precision: zs_precision::from(*precision) as i32,
+            weight_bytes: model.weight_bytes(),
+            warnings: warnings.as_ptr(),
+            ..Versioned::new()
+        };
+        // SAFETY: the caller's structure.
+        unsafe { write_versioned(info, found) }
+    })
 }
 
 /// Destroys a depth model.
@@ -141,7 +208,7 @@ pub unsafe extern "C" fn zs_depth_model_destroy(model: *mut zs_depth_model) {
     unsafe { destroy(model) }
 }
 
-/// Estimates depth of 1 to 192 photos of one place. Multi-view networks also estimate cameras,
+/// Estimates depth of 1 to ZS_MAX_VIEWS photos of one place. Multi-view networks also estimate cameras,
 /// relative to one of them.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_depth_predict(
@@ -153,10 +220,8 @@ pub unsafe extern "C" fn zs_depth_predict(
 ) -> zs_status {
     let find = || {
         // SAFETY: an object or NULL; a structure or NULL.
-        let (zs_depth_model { model }, options) = unsafe { (borrow(model, "model")?, read_versioned(options)?) };
-        if !(1..=MAX_VIEWS).contains(&image_count) {
-            return Err(Failure::argument("number of images", image_count, format!("1 to {MAX_VIEWS}")));
-        }
+        let (zs_depth_model { model, .. }, options) = unsafe { (borrow(model, "model")?, read_versioned(options)?) };
+        check_view_count(image_count)?;
         let by_rays = options.by_rays()?;
         // SAFETY: the caller's arrays.
         let (images, known) = unsafe {
@@ -175,7 +240,8 @@ pub unsafe extern "C" fn zs_depth_predict(
         let images: Vec<Image> = views.iter().map(|view| view.image.clone()).collect();
         let known_cameras = (!known.is_empty()).then(|| of_views(&known, &views)).transpose()?;
         let request = DepthOptions { cameras: known_cameras.clone(), ..DepthOptions::default() };
-        let progress = |now: Progress<'_>| report(options.progress, options.user_data, now.fraction, now.scope);
+        let reporter = Reporter { callback: options.progress, user_data: options.user_data };
+        let progress = |now: Progress<'_>| reporter.fraction(now.scope, now.fraction);
         let mut depths = model.predict(&images, &request, progress)?;
         let cameras = match known_cameras {
             Some(known_cameras) => {
@@ -183,51 +249,66 @@ pub unsafe extern "C" fn zs_depth_predict(
                 depths
                     .align_to_cameras(&known_cameras)
                     .or_else(|error| if known_cameras.len() > 1 { Err(error) } else { Ok(()) })?;
-                known_cameras.into_iter().zip(known).map(|(of_view, of_photo)| Some([of_view, of_photo])).collect()
+                known_cameras.into_iter().map(Some).collect()
             }
             None if !model.architecture().multi_view() => vec![None; images.len()],
             None => found_cameras(&depths, &views, by_rays, options.per_view_focal == 0)?,
         };
-        Ok(zs_depth_result { depths, images, cameras })
+        let pair = |(camera, view): (&Option<Camera>, &View)| {
+            let camera = camera.as_ref()?;
+            let whole = Camera { intrinsics: view.map.undo(&camera.intrinsics), ..*camera };
+            Some([camera.into(), (&whole).into()])
+        };
+        let mut c_cameras: Vec<_> = cameras.iter().zip(&views).map(pair).collect();
+        // Known cameras exactly as given.
+        c_cameras.iter_mut().flatten().zip(&known).for_each(|([_, whole], known)| *whole = known.into());
+        Ok(zs_depth_result { depths, images, cameras, c_cameras })
     };
     // SAFETY: the caller's pointer.
     unsafe { produce(depths, find) }
 }
 
-/// Returns depth and camera of photo `index`. The camera is of the whole photo, in the common
-/// world; width and height are 0 if unknown. Outputs may be NULL.
+/// Describes a depth result.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn zs_depth_result_get(
+pub unsafe extern "C" fn zs_depth_result_get_info(
     depths: *const zs_depth_result,
-    index: usize,
-    view: *mut zs_depth_view,
-    camera: *mut zs_camera,
+    info: *mut zs_depth_result_info,
 ) -> zs_status {
     guard(|| {
         // SAFETY: an object or NULL.
-        let zs_depth_result { depths, cameras, .. } = unsafe { borrow(depths, "depths") }?;
+        let view_count = unsafe { borrow(depths, "depths") }?.images.len();
+        // SAFETY: the caller's structure.
+        unsafe { write_versioned(info, zs_depth_result_info { view_count, ..Versioned::new() }) }
+    })
+}
+
+/// Returns the depth and cameras of photo `index`.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_depth_result_get_map(
+    depths: *const zs_depth_result,
+    index: usize,
+    map: *mut zs_depth_map,
+) -> zs_status {
+    guard(|| {
+        // SAFETY: an object or NULL.
+        let zs_depth_result { depths, c_cameras, .. } = unsafe { borrow(depths, "depths") }?;
         let expected = || format!("a number below {}", depths.views.len());
         let found = depths.views.get(index).ok_or_else(|| Failure::argument("number of a photo", index, expected()))?;
         let values = |values: &Option<Vec<f32>>| values.as_ref().map_or(null(), |values| values.as_ptr());
-        if !view.is_null() {
-            let DepthMap { depth, confidence, sky, .. } = found;
-            let found = zs_depth_view {
-                width: depths.width,
-                height: depths.height,
-                depth: depth.as_ptr(),
-                confidence: values(confidence),
-                sky: values(sky),
-                ..Versioned::new()
-            };
-            // SAFETY: the caller's structure.
-            unsafe { write_versioned(view, found) }?;
-        }
-        if !camera.is_null() {
-            let found = cameras[index].map_or_else(Versioned::new, |[_, of_photo]| zs_camera::from(&of_photo));
-            // SAFETY: the caller's structure.
-            unsafe { write_versioned(camera, found) }?;
-        }
-        Ok(())
+        let camera = |which: usize| c_cameras[index].as_ref().map_or(null(), |cameras| &raw const cameras[which]);
+        let DepthMap { depth, confidence, sky, .. } = found;
+        let found = zs_depth_map {
+            width: depths.width,
+            height: depths.height,
+            depth: depth.as_ptr(),
+            confidence: values(confidence),
+            sky: values(sky),
+            camera: camera(0),
+            image_camera: camera(1),
+            ..Versioned::new()
+        };
+        // SAFETY: the caller's structure.
+        unsafe { write_versioned(map, found) }
     })
 }
 
@@ -241,7 +322,7 @@ pub unsafe extern "C" fn zs_depth_result_to_scene(
 ) -> zs_status {
     let make = || {
         // SAFETY: an object or NULL.
-        let zs_depth_result { depths, images, cameras } = unsafe { borrow(depths, "depths") }?;
+        let zs_depth_result { depths, images, cameras, .. } = unsafe { borrow(depths, "depths") }?;
         let posed: Vec<usize> = (0..images.len()).filter(|&i| cameras[i].is_some()).collect();
         if posed.is_empty() {
             let expected = "photos whose cameras were given, or found by a network that sees all photos at once";
@@ -249,7 +330,7 @@ pub unsafe extern "C" fn zs_depth_result_to_scene(
         }
         let mut seen = depths.clone();
         seen.keep_views(&cameras.iter().map(Option::is_some).collect::<Vec<_>>());
-        let of_views: Vec<Camera> = cameras.iter().flatten().map(|[of_view, _]| *of_view).collect();
+        let of_views: Vec<Camera> = cameras.iter().flatten().copied().collect();
         let images: Vec<Image> = posed.iter().map(|&i| images[i].clone()).collect();
         Ok(seen
             .scene(&of_views, &images, (max_gaussians_per_patch > 0).then_some(max_gaussians_per_patch as usize))
@@ -293,7 +374,7 @@ fn found_cameras(
     views: &[View],
     by_rays: bool,
     shared: bool,
-) -> Result<Vec<Option<[Camera; 2]>>, Error> {
+) -> Result<Vec<Option<Camera>>, Error> {
     let found: Vec<Option<Camera>> = if by_rays {
         depths.cameras_of_rays()?.into_iter().map(|found| Some(found.ok()?.camera)).collect()
     } else {
@@ -310,7 +391,7 @@ fn found_cameras(
     }
     let mut all = vec![None; views.len()];
     for (i, camera) in posed.into_iter().zip(cameras) {
-        all[i] = Some([camera, Camera { intrinsics: views[i].map.undo(&camera.intrinsics), ..camera }]);
+        all[i] = Some(camera);
     }
     Ok(all)
 }

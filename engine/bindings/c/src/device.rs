@@ -1,7 +1,7 @@
 //! Devices.
 
 use super::{
-    pointers::{Versioned, borrow, destroy, optional_text, produce, read_versioned, write_versioned},
+    pointers::{Versioned, borrow, destroy, optional_text, produce, put, read_versioned, write_versioned},
     status::{Failure, guard, zs_status},
 };
 use std::ffi::c_char;
@@ -77,15 +77,11 @@ versioned!(zs_device_info, zs_device_options);
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_device_count(count: *mut usize) -> zs_status {
     guard(|| {
-        if count.is_null() {
-            return Err(Failure::argument("count", "NULL", "where to put it"));
-        }
-        // SAFETY: not NULL, and the caller's to write.
-        unsafe { count.write(0) };
+        // SAFETY: the caller's to write, or NULL.
+        unsafe { put(count, 0, "count") }?;
         let found = list_devices()?.len();
         // SAFETY: as above.
-        unsafe { count.write(found) };
-        Ok(())
+        unsafe { put(count, found, "count") }
     })
 }
 

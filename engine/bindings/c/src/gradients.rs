@@ -2,16 +2,31 @@
 
 use super::{
     camera::zs_camera,
-    image::zs_pixel_format,
     pointers::{array, array_mut, borrow, read_array, read_given, read_versioned},
-    renderer::{zs_render_buffers, zs_render_options, zs_renderer},
+    renderer::{zs_render_options, zs_renderer},
     scene::zs_scene,
     status::{Failure, guard, zs_status},
 };
 use zipsplat::{
-    stages::render::{Differentiator, HostGradients, RenderOutput, Wanted},
-    types::Camera,
+    Camera, RenderOutput,
+    stages::render::{Differentiator, HostGradients, Wanted},
 };
+
+/// Gradients of a loss with respect to one camera's outputs, in contiguous rows. NULL is 0.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct zs_grad_outputs {
+    /// sizeof(zs_grad_outputs).
+    pub struct_size: u32,
+    /// Must be 0.
+    pub reserved: u32,
+    /// height x width x 3.
+    pub color: *const f32,
+    /// height x width.
+    pub alpha: *const f32,
+    /// height x width.
+    pub depth: *const f32,
+}
 
 /// Output buffers of gradients; NULL skips one. Values are overwritten, not accumulated.
 #[repr(C)]
@@ -34,69 +49,74 @@ pub struct zs_gradients {
     /// count x 10, of the cameras: w x, y, z and v x, y, z, then fx, fy, cx, cy. The
     /// camera-to-world pose moves as pose o (exp(w^), v): R' = R exp(w^) and t' = t + R v.
     pub cameras: *mut f32,
+    /// count x N x 2, of the projected centers in pixels, at constant projected covariances.
+    pub means2d: *mut f32,
 }
 
-versioned!(zs_gradients);
+versioned!(zs_grad_outputs, zs_gradients);
 
-/// Computes the gradients of a weighted sum over all pixels of `count` cameras' pictures.
+/// Backpropagates `grad_outputs` of `count` cameras to Gaussians and cameras. Color has the range 0
+/// to 1 before clamping; the options' format is ignored. Zero-valued coefficients also get
+/// gradients.
 ///
-/// `grad_outputs` points to the weights of color, alpha and depth, read only; NULL is 0. The format must be
-/// ZS_PIXEL_RGB_F32. Zero-valued coefficients also get gradients. `scene` need not be the
-/// renderer's, which keeps a second scene on the device. `gradients` is written only on success.
+/// `scene` need not be the renderer's, which keeps a second scene on the device. NULL is the
+/// renderer's, if it is not a reconstruction's. `gradients` is written only on success.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_render_backward(
     renderer: *const zs_renderer,
     scene: *const zs_scene,
     cameras: *const zs_camera,
-    grad_outputs: *const zs_render_buffers,
+    grad_outputs: *const zs_grad_outputs,
     count: usize,
     options: *const zs_render_options,
     gradients: *const zs_gradients,
 ) -> zs_status {
     guard(|| {
         // SAFETY: objects or NULL; structures or NULL; arrays of the caller's.
-        let (renderer, scene, cameras, weights, options, to) = unsafe {
-            let (cameras, weights) =
-                (read_array(cameras, count, "cameras")?, read_array(grad_outputs, count, "grad_outputs")?);
-            let (renderer, scene) = (borrow(renderer, "renderer")?, borrow(scene, "scene")?);
-            (renderer, scene, cameras, weights, read_versioned(options)?, read_given(gradients)?)
+        let (renderer, scene, cameras, grads, options, to) = unsafe {
+            let cameras = read_array(cameras, count, "cameras")?;
+            let grads = read_array(grad_outputs, count, "grad_outputs")?;
+            let renderer = borrow(renderer, "renderer")?;
+            (renderer, scene.as_ref(), cameras, grads, read_versioned(options)?, read_given(gradients)?)
         };
-        if options.checked()? != zs_pixel_format::ZS_PIXEL_RGB_F32 {
-            let expected = "ZS_PIXEL_RGB_F32, the format of their weights";
-            return Err(Failure::argument("pixel format of gradients", options.format, expected));
-        }
         if to.reserved != 0 {
             return Err(Failure::argument("zs_gradients, reserved", to.reserved, "0"));
         }
+        let scene = match scene {
+            Some(scene) => Some(scene.scene.clone()),
+            None => renderer.scene().clone(),
+        };
+        let scene =
+            scene.ok_or_else(|| Failure::argument("scene", "NULL", "one, as the renderer has none in memory"))?;
         let cameras: Vec<Camera> = cameras.iter().map(zs_camera::camera).collect::<Result<_, _>>()?;
-        let request = options.request(zs_pixel_format::ZS_PIXEL_RGB_F32, &weights)?.differentiable();
-        let mut frames = Vec::with_capacity(count);
-        for (i, (camera, picture)) in cameras.iter().zip(&weights).enumerate() {
-            camera.validate(&format!("camera {i}"))?;
-            // SAFETY: the caller's memory, as large as the camera's picture.
-            frames.push(unsafe { picture.weights(camera, i) }?);
-        }
-        let any = [to.means, to.scales, to.quats, to.opacities, to.sh_coeffs].iter().any(|field| !field.is_null());
-        let wanted = Wanted { scene: any, cameras: !to.cameras.is_null() };
-        if request.channels() == 0 {
+        let any = |field: fn(&zs_grad_outputs) -> *const f32| grads.iter().any(|grads| !field(grads).is_null());
+        options.checked()?;
+        let options = options.outputs(any(|g| g.color), any(|g| g.alpha), any(|g| g.depth))?.differentiable();
+        if options.channels() == 0 {
             return Err(Failure::argument("grad_outputs", "NULL throughout", "those of color, alpha or depth"));
         }
+        let mut outputs = Vec::with_capacity(count);
+        for (i, (camera, grads)) in cameras.iter().zip(&grads).enumerate() {
+            camera.validate(&format!("camera {i}"))?;
+            // SAFETY: the caller's memory, as large as the camera's picture.
+            outputs.push(unsafe { grads.read(camera, i) }?);
+        }
+        let any = [to.means, to.scales, to.quats, to.opacities, to.sh_coeffs].iter().any(|field| !field.is_null());
+        let wanted = Wanted { scene: any, cameras: !to.cameras.is_null(), means2d: !to.means2d.is_null() };
         let mut differentiator = renderer.differentiator();
         let differentiator = differentiator.get_or_insert_with(|| Differentiator::new(renderer.lock().device()));
-        let found = differentiator.differentiate(&scene.scene, &cameras, &request, &frames, wanted)?;
+        let found = differentiator.differentiate(&scene, &cameras, &options, &outputs, wanted)?;
         // SAFETY: the caller's memory, as long as the structure says.
         unsafe { to.write(&found) }
     })
 }
 
-impl zs_render_buffers {
+impl zs_grad_outputs {
     /// # Safety
     /// Pointers that are not NULL have values for every pixel.
-    unsafe fn weights(&self, camera: &Camera, i: usize) -> Result<RenderOutput, Failure> {
-        for (field, found) in [("reserved", i64::from(self.reserved)), ("stride", self.stride)] {
-            if found != 0 {
-                return Err(Failure::argument(format!("grad_outputs {i}, {field}"), found, "0"));
-            }
+    unsafe fn read(&self, camera: &Camera, i: usize) -> Result<RenderOutput, Failure> {
+        if self.reserved != 0 {
+            return Err(Failure::argument(format!("grad_outputs {i}, reserved"), self.reserved, "0"));
         }
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
         let pixels = width as usize * height as usize;
@@ -107,7 +127,7 @@ impl zs_render_buffers {
         Ok(RenderOutput {
             width,
             height,
-            rgb: plane(self.pixels.cast(), 3 * pixels, "grad_outputs of color")?,
+            rgb: plane(self.color, 3 * pixels, "grad_outputs of color")?,
             alpha: plane(self.alpha, pixels, "grad_outputs of alpha")?,
             depth: plane(self.depth, pixels, "grad_outputs of depth")?,
             normals: None,
@@ -128,6 +148,7 @@ impl zs_gradients {
             ("opacities", self.opacities, &scene.opacities),
             ("sh_coeffs", self.sh_coeffs, scene.sh_coeffs.as_flattened()),
             ("cameras", self.cameras, cameras),
+            ("means2d", self.means2d, found.means2d.as_flattened()),
         ];
         for (name, to, from) in fields.into_iter().filter(|(_, to, _)| !to.is_null()) {
             // SAFETY: the caller's promise.

@@ -2,10 +2,13 @@
 
 use super::{
     pointers::{Versioned, array, borrow, destroy, produce, read_given, text, write_versioned},
-    status::{Failure, guard, zs_status},
+    status::{guard, zs_status},
 };
 use std::ffi::{c_char, c_void};
-use zipsplat::types::{Image, MAX_DECODED_BYTES, MAX_SIDE};
+use zipsplat::{
+    Error, Result,
+    types::{Image, MAX_DECODED_BYTES, MAX_SIDE},
+};
 
 /// Pixel formats. Color is sRGB-encoded, from 0 to 1 or 255.
 #[repr(i32)]
@@ -28,10 +31,10 @@ use zs_pixel_format::*;
 pub(super) type zs_pixel_format_value = i32;
 
 impl zs_pixel_format {
-    pub(super) fn of(value: i32) -> Result<Self, Failure> {
+    pub(super) fn of(value: i32) -> Result<Self> {
         let all = [ZS_PIXEL_RGB8, ZS_PIXEL_RGBA8, ZS_PIXEL_BGRA8, ZS_PIXEL_RGB_F32, ZS_PIXEL_RGBA_F32];
         let found = all.into_iter().find(|format| *format as i32 == value);
-        found.ok_or_else(|| Failure::argument("pixel format", value, "a zs_pixel_format"))
+        found.ok_or_else(|| Error::argument("pixel format", value, "a zs_pixel_format"))
     }
 
     pub(super) fn bytes(self) -> usize {
@@ -140,23 +143,23 @@ pub unsafe extern "C" fn zs_image_save_png(image: *const zs_image, path: *const 
 impl zs_image {
     /// # Safety
     /// All rows are readable.
-    pub(super) unsafe fn image(&self, name: &str) -> Result<Image, Failure> {
+    pub(super) unsafe fn image(&self, name: &str) -> Result<Image> {
         let field = |field: &str| format!("{name}, {field}");
         let (width, height, format) = (self.width, self.height, zs_pixel_format::of(self.format)?);
         let sides = 1..=MAX_SIDE;
         let pixels = u64::from(width) * u64::from(height);
         if !sides.contains(&width) || !sides.contains(&height) || pixels > MAX_PIXELS {
             let expected = format!("sides of 1 to {MAX_SIDE}, at most {MAX_PIXELS} pixels");
-            return Err(Failure::argument(field("size"), format!("{width} x {height}"), expected));
+            return Err(Error::argument(field("size"), format!("{width} x {height}"), expected));
         }
         if self.pixels.is_null() {
-            return Err(Failure::argument(field("pixels"), "NULL", "the first pixel"));
+            return Err(Error::argument(field("pixels"), "NULL", "the first pixel"));
         }
         let row_bytes = width as usize * format.bytes();
         let stride = checked_stride(self.stride, row_bytes, height, &field("stride"))?;
         let mut rgb = Vec::new();
         let bytes = 3 * pixels;
-        rgb.try_reserve_exact(bytes as usize).map_err(|_| zipsplat::Error::Memory {
+        rgb.try_reserve_exact(bytes as usize).map_err(|_| Error::Memory {
             what: field("pixels"),
             needed: bytes,
             available: 0,
@@ -171,12 +174,12 @@ impl zs_image {
 }
 
 /// Returns the checked row stride: at least a row, within the address space for the whole picture.
-pub(super) fn checked_stride(stride: i64, row_bytes: usize, height: u32, name: &str) -> Result<isize, Failure> {
+pub(super) fn checked_stride(stride: i64, row_bytes: usize, height: u32, name: &str) -> Result<isize> {
     let stride = if stride == 0 { row_bytes as i64 } else { stride };
     let fits =
         stride.unsigned_abs() >= row_bytes as u64 && stride.unsigned_abs() <= isize::MAX as u64 / u64::from(height);
     let expected = || format!("0, or at least {row_bytes} either way");
-    if fits { Ok(stride as isize) } else { Err(Failure::argument(name, stride, expected())) }
+    if fits { Ok(stride as isize) } else { Err(Error::argument(name, stride, expected())) }
 }
 
 fn append_rgb(rgb: &mut Vec<u8>, row: &[u8], format: zs_pixel_format) {

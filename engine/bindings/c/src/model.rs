@@ -2,16 +2,13 @@
 
 use super::{
     device::zs_device,
-    pointers::{
-        Versioned, array, borrow, destroy, flow, optional_text, produce, read_versioned, text, write_versioned,
-    },
-    scene::LatestScene,
+    pointers::{Versioned, array, borrow, destroy, optional_text, produce, read_versioned, text, write_versioned},
+    progress::{Reporter, zs_progress_callback},
     status::{Failure, guard, zs_status},
 };
 use std::{
     ffi::{CString, c_char, c_void},
-    ops::ControlFlow,
-    sync::{Arc, Mutex},
+    sync::Arc,
 };
 use zipsplat::{
     Error, ops::Precision, reconstruct::Model, refine::FrozenHead, tune::KernelChoice, weights::Checkpoint,
@@ -20,18 +17,11 @@ use zipsplat::{
 /// A network with its weights on a device.
 pub struct zs_model {
     pub(super) model: Model,
-    pub(super) image_size: u32,
-    pub(super) latest: LatestScene,
     pub(super) head: Option<Arc<FrozenHead>>,
     precision: Precision,
     /// Unavailable GPUs and kernels, one per line.
     warnings: CString,
 }
-
-/// Progress callback. `fraction` is from 0 to 1; `stage`, for a log, is valid during the callback.
-/// Return 0 to continue; any other value cancels with ZS_ERROR_CANCELLED. It may call zs_
-/// functions, but not on the call's own objects.
-pub type zs_progress = Option<unsafe extern "C" fn(user_data: *mut c_void, fraction: f64, stage: *const c_char) -> i32>;
 
 /// Options of zs_model_load.
 #[repr(C)]
@@ -46,7 +36,7 @@ pub struct zs_model_options {
     /// "vits:out_layers=5,7,11:alt_start=5:rope_start=5". NULL uses the file's.
     pub variant: *const c_char,
     /// Progress callback.
-    pub progress: zs_progress,
+    pub progress: zs_progress_callback,
     /// Argument of `progress`.
     pub user_data: *mut c_void,
     /// 1 enables ZS_REFINE_TARGET_TOKENS: an f32 head and each scene's tokens stay on the device.
@@ -176,10 +166,10 @@ fn builtin() -> Result<Checkpoint, Failure> {
 pub unsafe extern "C" fn zs_model_get_info(model: *const zs_model, info: *mut zs_model_info) -> zs_status {
     guard(|| {
         // SAFETY: an object or NULL.
-        let zs_model { model, image_size, precision, warnings, .. } = unsafe { borrow(model, "model") }?;
+        let zs_model { model, precision, warnings, .. } = unsafe { borrow(model, "model") }?;
         let architecture = model.architecture();
         let found = zs_model_info {
-            image_size: *image_size,
+            image_size: model.image_size(),
             patch_size: architecture.patch_size as u32,
             gaussians_per_token: architecture.gaussians_per_token as u32,
             sh_degree: architecture.sh_degree as u32,
@@ -221,28 +211,15 @@ unsafe fn load(
         }
         // SAFETY: a string or NULL.
         let checkpoint = checkpoint(unsafe { optional_text(options.variant, "variant") }?)?;
-        let progress = |fraction| report(options.progress, options.user_data, fraction, "weights");
+        let reporter = Reporter { callback: options.progress, user_data: options.user_data };
+        let progress = |fraction| reporter.fraction("weights", fraction);
         let model = Model::from_checkpoint_with(&device.gpu, &checkpoint, chosen.arithmetic, progress)?;
         let head = (options.tokens == 1).then(|| FrozenHead::load(&device.gpu, &checkpoint)).transpose()?;
         // Names of kernels and devices contain no NUL.
         let warnings = [device.gpu.passed_over(), &chosen.warnings, checkpoint.notes()].concat();
         let warnings = CString::new(warnings.join("\n")).unwrap_or_default();
-        Ok(zs_model {
-            model,
-            image_size: checkpoint.image_size(),
-            latest: Mutex::default(),
-            head: head.map(Arc::new),
-            precision: chosen.precision,
-            warnings,
-        })
+        Ok(zs_model { model, head: head.map(Arc::new), precision: chosen.precision, warnings })
     };
     // SAFETY: the caller's pointer.
     unsafe { produce(out, load) }
-}
-
-pub(super) fn report(progress: zs_progress, user_data: *mut c_void, fraction: f64, stage: &str) -> ControlFlow<()> {
-    let Some(progress) = progress else { return ControlFlow::Continue(()) };
-    let stage = CString::new(stage).unwrap_or_default();
-    // SAFETY: the caller's function, with the caller's data.
-    flow(unsafe { progress(user_data, fraction, stage.as_ptr()) })
 }

@@ -1,10 +1,7 @@
 //! Pointer arguments: handles, versioned structures, strings, arrays.
 
 use super::status::{Failure, guard, zs_status};
-use std::{
-    ffi::{CStr, c_char},
-    ops::ControlFlow,
-};
+use std::ffi::{CStr, c_char};
 
 type Result<T> = std::result::Result<T, Failure>;
 
@@ -132,6 +129,20 @@ pub(super) unsafe fn write_versioned<T: Versioned>(pointer: *mut T, value: T) ->
     Ok(())
 }
 
+/// Fills an array of equally sized structures, whose sizes [`read_array`] checked.
+///
+/// # Safety
+/// `pointer` points to as many structures as `values` has.
+pub(super) unsafe fn write_array<T: Versioned>(pointer: *mut T, values: impl Iterator<Item = T>) -> Result<()> {
+    // SAFETY: the caller's promise.
+    let size = unsafe { given_size(pointer) }?;
+    for (i, value) in values.enumerate() {
+        // SAFETY: the caller's promise.
+        unsafe { write_versioned(pointer.byte_add(i * size), value) }?;
+    }
+    Ok(())
+}
+
 /// Runs a constructor and outputs its object, or NULL on failure.
 ///
 /// # Safety
@@ -171,6 +182,19 @@ pub(super) unsafe fn destroy<T>(handle: *mut T) {
 pub(super) unsafe fn borrow<'a, T>(handle: *const T, name: &str) -> Result<&'a T> {
     // SAFETY: the caller's promise.
     unsafe { handle.as_ref() }.ok_or_else(|| Failure::argument(name, "NULL", "an object that was created"))
+}
+
+/// Writes an output.
+///
+/// # Safety
+/// `to` is NULL or writable.
+pub(super) unsafe fn put<T>(to: *mut T, value: T, name: &str) -> Result<()> {
+    if to.is_null() {
+        return Err(Failure::argument(name, "NULL", "where to put it"));
+    }
+    // SAFETY: not NULL, and the caller's promise.
+    unsafe { to.write(value) };
+    Ok(())
 }
 
 /// With `count` 0 the pointer is ignored.
@@ -227,10 +251,6 @@ pub(super) unsafe fn optional_text<'a>(pointer: *const c_char, name: &str) -> Re
     // SAFETY: the caller's promise.
     let bytes = unsafe { CStr::from_ptr(pointer) };
     bytes.to_str().map(Some).map_err(|error| Failure::argument(name, error, "UTF-8"))
-}
-
-pub(super) fn flow(stop: i32) -> ControlFlow<()> {
-    if stop == 0 { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
 }
 
 #[cfg(test)]

@@ -4,26 +4,23 @@ use super::{
     camera::zs_camera,
     capture::zs_capture,
     image::zs_image,
-    model::{report, zs_model, zs_progress},
+    model::zs_model,
     pointers::{borrow, produce, read_array, read_versioned},
-    scene::{ModelTokens, PatchViews, zs_scene},
+    progress::{Reporter, zs_progress_callback},
+    reconstruction::{ModelTokens, zs_reconstruction},
+    scene::zs_world_value,
     status::{Failure, zs_status},
 };
-use rayon::prelude::*;
-use std::{
-    ffi::c_void,
-    ops::{ControlFlow, Range},
-};
+use std::{ffi::c_void, ops::Range};
 use zipsplat::{
-    Error,
-    gpu::Progress,
-    reconstruct::{MAX_VIEWS, Ratio, ReconstructOptions, Reconstruction, Shape, TokenSelection},
-    types::{
-        Camera, Pose,
-        poses::SceneScale,
-        preprocess::{View, fit, view_cameras},
-    },
+    Camera, Progress, Ratio, ReconstructOptions, Reconstruction, SceneFrame, TokenSelection, reconstruct::MAX_VIEWS,
+    types::preprocess::fit,
 };
+
+/// Largest number of photos of a reconstruction or a depth prediction.
+pub const ZS_MAX_VIEWS: usize = 192;
+
+const _: () = assert!(ZS_MAX_VIEWS == MAX_VIEWS);
 
 /// Selection of the tokens kept at ratios below 1.
 #[repr(i32)]
@@ -38,20 +35,6 @@ pub enum zs_token_selection {
 }
 
 pub(super) type zs_token_selection_value = i32;
-
-/// World of a scene.
-#[repr(i32)]
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum zs_world {
-    /// ZS_WORLD_INPUT_CAMERAS if `cameras` are given, else ZS_WORLD_FIRST_CAMERA.
-    ZS_WORLD_AUTO = 0,
-    /// The first photo's camera space.
-    ZS_WORLD_FIRST_CAMERA = 1,
-    /// The world of `cameras`, which are required.
-    ZS_WORLD_INPUT_CAMERAS = 2,
-}
-
-pub(super) type zs_world_value = i32;
 
 /// The paper's ratio: 0.5 sqrt(2 / number of photos).
 pub const ZS_RATIO_AUTO: f64 = -1.0;
@@ -69,8 +52,8 @@ pub struct zs_reconstruct_options {
     pub world: zs_world_value,
     /// Fraction of tokens that become Gaussians, in (0, 1], or ZS_RATIO_AUTO; 0 is 1.
     pub ratio: f64,
-    /// Scene scale: the length in units of `cameras` that the network treats as 1, or ZS_SCENE_SCALE_AUTO.
-    /// The network expects a median distance of about 1 from the first camera.
+    /// Scene scale: the length in units of `cameras` that the network treats as 1, or
+    /// ZS_SCENE_SCALE_AUTO. The network expects a median distance of about 1 from the first camera.
     pub scene_scale: f64,
     /// Selection of the kept tokens.
     pub token_selection: zs_token_selection_value,
@@ -87,177 +70,102 @@ pub struct zs_reconstruct_options {
     /// Known cameras of the whole photos.
     pub cameras: *const zs_camera,
     /// Progress callback.
-    pub progress: zs_progress,
+    pub progress: zs_progress_callback,
     /// Argument of `progress`.
     pub user_data: *mut c_void,
-    /// Capture whose points and cameras give the scale for ZS_SCENE_SCALE_AUTO; NULL uses `cameras` alone.
+    /// Capture whose points and cameras give the scale for ZS_SCENE_SCALE_AUTO; NULL uses `cameras`
+    /// alone.
     pub capture: *const zs_capture,
 }
 
 versioned!(zs_reconstruct_options);
 
-/// Reconstructs a scene from 1 to 192 photos of one place.
+/// Reconstructs a scene from 1 to ZS_MAX_VIEWS photos of one place.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_reconstruct(
     model: *const zs_model,
     images: *const zs_image,
     image_count: usize,
     options: *const zs_reconstruct_options,
-    scene: *mut *mut zs_scene,
+    reconstruction: *mut *mut zs_reconstruction,
 ) -> zs_status {
     let reconstruct = || {
         // SAFETY: an object or NULL; a structure or NULL.
-        let (zs_model { model, image_size, latest, head, .. }, options) =
-            unsafe { (borrow(model, "model")?, read_versioned(options)?) };
-        if !(1..=MAX_VIEWS).contains(&image_count) {
-            return Err(Failure::argument("number of images", image_count, format!("1 to {MAX_VIEWS}")));
-        }
-        // SAFETY: the caller's arrays.
-        let (images, cameras) = unsafe {
-            (read_array(images, image_count, "images")?, read_array(options.cameras, options.camera_count, "cameras")?)
+        let (zs_model { model, head, .. }, options) = unsafe { (borrow(model, "model")?, read_versioned(options)?) };
+        check_view_count(image_count)?;
+        // SAFETY: the caller's arrays; an object or NULL.
+        let (images, cameras, capture) = unsafe {
+            let images = read_array(images, image_count, "images")?;
+            (images, read_array(options.cameras, options.camera_count, "cameras")?, options.capture.as_ref())
         };
-        let (ratio, selection, unit) = (options.ratio()?, options.selection()?, options.unit()?);
-        let [width, height] = match options.input_size {
-            [0, 0] => [*image_size; 2],
-            size => size,
-        };
-        // Validates everything before touching pixels.
-        let pool = options.kv_pool.max(1) as usize;
-        Shape::new(model.architecture(), image_count, [width, height], (ratio, &selection), !cameras.is_empty())?
-            .pooled(pool)?;
-        if !cameras.is_empty() && cameras.len() != images.len() {
-            return Err(Failure::argument("number of cameras", cameras.len(), format!("0 or {image_count}")));
-        }
-        let cameras: Vec<Camera> = cameras.iter().map(zs_camera::camera).collect::<Result<_, _>>()?;
-        let placed = options.placed(&cameras)?;
-        let report_progress = |fraction, stage: &str| report(options.progress, options.user_data, fraction, stage);
+        let cameras = cameras.iter().map(zs_camera::camera).collect::<Result<_, _>>()?;
+        let wanted = options.engine(cameras, capture)?;
         // SAFETY: the caller's pixels.
-        let views = unsafe { prepare(&images, [width, height], |done| report_progress(PREPARED * done, "photos")) }?;
-        // SAFETY: an object or NULL.
-        let capture = unsafe { options.capture.as_ref() };
-        let origin = cameras.first().map(|first| first.pose);
-        let all: Vec<Pose> = cameras.iter().map(|camera| camera.pose).collect();
-        let cameras = (!cameras.is_empty()).then(|| view_cameras(&cameras, &views)).transpose()?;
-        let unit = match (&cameras, origin, capture) {
-            (Some(views), Some(origin), Some(capture)) => capture.poses.scene_scale(unit, views, &origin)?.length,
-            (Some(views), Some(origin), None) => SceneScale::of(unit, &all, None, views, &origin)?.length,
-            _ => unit.unwrap_or(1.0),
+        let view = |i: usize, [width, height]: [u32; 2]| {
+            fit(&unsafe { images[i].image(&format!("image {i}")) }?, width, height)
         };
-        let (images, maps): (Vec<_>, Vec<_>) = views.into_iter().map(|view| (view.image, view.map)).unzip();
-        let unposed = cameras.is_none();
-        let request = ReconstructOptions {
-            ratio,
-            token_selection: selection,
-            cameras,
-            scene_scale: Some(unit),
-            kv_pool: pool,
-            ..ReconstructOptions::default()
+        let reporter = Reporter { callback: options.progress, user_data: options.user_data };
+        let within = |part: Range<f64>| {
+            move |now: Progress<'_>| reporter.fraction(now.scope, part.start + (part.end - part.start) * now.fraction)
         };
-        let report_progress = &report_progress;
-        let progress = |of_all: Range<f64>| {
-            move |now: Progress<'_>| {
-                let done = of_all.start + (of_all.end - of_all.start) * now.fraction;
-                report_progress(PREPARED + (1.0 - PREPARED) * done, now.scope)
-            }
-        };
-        // Frees the previous scene's memory first.
-        *latest.lock().unwrap_or_else(|poisoned| poisoned.into_inner()) = None;
+        let prepared = model.prepare(image_count, &wanted, view, within(0.0..0.1))?;
+        let (images, options) = (&prepared.images, &prepared.options);
         let (made, tokens) = match head {
-            None => (model.reconstruct_views(&images, &request, progress(0.0..1.0))?, None),
+            None => (model.reconstruct_views(images, options, within(0.1..1.0))?, None),
             Some(head) => {
-                let features = model.features(&images, &request, progress(0.0..0.8))?;
-                let made = model.reconstruct_features(&features, &request, progress(0.8..0.9))?;
-                let (tokens, head) = (model.tokens(&features, &request, progress(0.9..1.0))?, head.clone());
-                (made, Some(ModelTokens { tokens, head, arena: model.arena().clone(), pose: placed }))
+                let features = model.features(images, options, within(0.1..0.8))?;
+                let made = model.reconstruct_features(&features, options, within(0.8..0.9))?;
+                let (tokens, head) = (model.tokens(&features, options, within(0.9..1.0))?, head.clone());
+                (made, Some(ModelTokens { tokens, head }))
             }
         };
-        let Reconstruction { gaussians, patches, .. } = made;
-        let mut scene = gaussians.read()?;
-        let seen = unposed.then_some(PatchViews { patches, maps });
-        let made = match placed {
-            None => zs_scene::on_device(scene, latest, gaussians).seen(seen),
-            Some(pose) => {
-                scene.place(1.0, &pose);
-                scene.into()
-            }
-        };
-        Ok(zs_scene { tokens, ..made })
+        let warning = estimated_scale(&wanted, options.scene_scale);
+        let made = Reconstruction { placement: Some(prepared.placement), ..made };
+        Ok(zs_reconstruction::new(made, tokens, model.arena().clone(), warning))
     };
     // SAFETY: the caller's pointer.
-    unsafe { produce(scene, reconstruct) }
+    unsafe { produce(reconstruction, reconstruct) }
 }
 
-const PREPARED: f64 = 0.1;
+pub(super) fn check_view_count(count: usize) -> Result<(), Failure> {
+    let expected = || format!("1 to {MAX_VIEWS}");
+    let is_allowed = (1..=MAX_VIEWS).contains(&count);
+    if is_allowed { Ok(()) } else { Err(Failure::argument("number of images", count, expected())) }
+}
 
-/// `progress` runs on the calling thread.
-///
-/// # Safety
-///
-/// All pixels are readable.
-unsafe fn prepare(
-    images: &[zs_image],
-    [width, height]: [u32; 2],
-    progress: impl Fn(f64) -> ControlFlow<()>,
-) -> Result<Vec<View>, Failure> {
-    let view = |(i, image): (usize, &zs_image)| {
-        // SAFETY: the caller's promise.
-        let photo = unsafe { image.image(&format!("image {i}")) }?;
-        Ok(fit(&photo, width, height)?)
-    };
-    let mut views = Vec::with_capacity(images.len());
-    while views.len() < images.len() {
-        if progress(views.len() as f64 / images.len() as f64).is_break() {
-            return Err(Error::Cancelled.into());
-        }
-        let next = images.par_iter().enumerate().skip(views.len()).take(rayon::current_num_threads());
-        let prepared: Vec<Result<View, Failure>> = next.map(view).collect();
-        for view in prepared {
-            views.push(view?);
-        }
+fn estimated_scale(wanted: &ReconstructOptions, scale: Option<f64>) -> String {
+    let has_points = wanted.capture.as_ref().is_some_and(|capture| capture.points.is_some());
+    match (wanted.cameras.is_some() && wanted.scene_scale.is_none() && !has_points, scale) {
+        (true, Some(scale)) => format!("scene scale {scale:.4} is estimated from cameras, without points"),
+        _ => String::new(),
     }
-    Ok(views)
 }
 
 impl zs_reconstruct_options {
-    fn ratio(&self) -> Result<Ratio, Failure> {
-        Ok(match self.ratio {
-            ZS_RATIO_AUTO => Ratio::Auto,
-            0.0 => Ratio::Fixed(1.0),
-            ratio => Ratio::Fixed(ratio),
+    fn engine(&self, cameras: Vec<Camera>, capture: Option<&zs_capture>) -> Result<ReconstructOptions, Failure> {
+        Ok(ReconstructOptions {
+            ratio: match self.ratio {
+                ZS_RATIO_AUTO => Ratio::Auto,
+                0.0 => Ratio::Fixed(1.0),
+                ratio => Ratio::Fixed(ratio),
+            },
+            token_selection: match self.token_selection {
+                0 => TokenSelection::KMEANS,
+                1 => TokenSelection::Stride,
+                2 => TokenSelection::Random(self.seed),
+                other => return Err(Failure::argument("token_selection", other, "a zs_token_selection")),
+            },
+            cameras: (!cameras.is_empty()).then_some(cameras),
+            scene_scale: (self.scene_scale != ZS_SCENE_SCALE_AUTO).then_some(self.scene_scale),
+            capture: capture.map(|capture| capture.capture.clone()),
+            world: match self.world {
+                0 => None,
+                1 => Some(SceneFrame::FirstCamera),
+                2 => Some(SceneFrame::InputCameras),
+                other => return Err(Failure::argument("world", other, "a zs_world")),
+            },
+            input_size: (self.input_size != [0; 2]).then_some(self.input_size),
+            kv_pool: self.kv_pool.max(1) as usize,
         })
-    }
-
-    /// Returns the scale; `None` is estimated from the cameras.
-    fn unit(&self) -> Result<Option<f64>, Failure> {
-        if self.scene_scale == ZS_SCENE_SCALE_AUTO {
-            return Ok(None);
-        }
-        // Scenes are f32.
-        if !(self.scene_scale as f32).is_normal() || self.scene_scale < 0.0 {
-            return Err(Failure::argument("scene_scale", self.scene_scale, "a length above 0, or ZS_SCENE_SCALE_AUTO"));
-        }
-        Ok(Some(self.scene_scale))
-    }
-
-    /// Returns the first camera's pose in the scene's world, if the world is not that camera's
-    /// space.
-    fn placed(&self, cameras: &[Camera]) -> Result<Option<Pose>, Failure> {
-        match (self.world, cameras.first()) {
-            (0 | 2, Some(first)) => Ok(Some(first.pose)),
-            (0 | 1, _) => Ok(None),
-            (2, None) => {
-                Err(Failure::argument("world", "ZS_WORLD_INPUT_CAMERAS without cameras", "a camera for each photo"))
-            }
-            (other, _) => Err(Failure::argument("world", other, "a zs_world")),
-        }
-    }
-
-    fn selection(&self) -> Result<TokenSelection, Failure> {
-        match self.token_selection {
-            0 => Ok(TokenSelection::KMEANS),
-            1 => Ok(TokenSelection::Stride),
-            2 => Ok(TokenSelection::Random(self.seed)),
-            other => Err(Failure::argument("token_selection", other, "a zs_token_selection")),
-        }
     }
 }

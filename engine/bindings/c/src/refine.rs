@@ -4,16 +4,18 @@ use super::{
     camera::zs_camera,
     device::zs_device,
     image::zs_image,
-    pointers::{Versioned, borrow, flow, produce, read_array, read_versioned, write_versioned},
-    scene::{ModelTokens, zs_scene},
+    pointers::{Versioned, borrow, produce, read_array, read_versioned, write_array, write_versioned},
+    progress::{Reporter, zs_progress, zs_progress_action, zs_progress_callback},
+    reconstruction::{ModelTokens, zs_reconstruction},
+    scene::zs_scene,
     status::{Failure, zs_status},
 };
-use std::{ffi::c_void, ops::ControlFlow};
+use std::{cell::Cell, ffi::c_void, ops::ControlFlow};
 use zipsplat::{
-    Error,
+    Camera, Error, Image, Pose, RefineOptions, RefineResult,
     gpu::Arena,
-    refine::{RefineOptions, RefineProgress, RefineResult, StopReason, refine_scene, refine_tokens},
-    types::{Camera, Image, Pose},
+    refine::{PerceptualLoss, RefineProgress, StopReason, refine_scene, refine_tokens},
+    stages::lpips::LpipsNetwork,
 };
 
 /// Holds out no photo.
@@ -37,7 +39,7 @@ pub(super) type zs_refine_target_value = i32;
 pub enum zs_stop_reason {
     /// All steps completed.
     ZS_STOP_REASON_FINISHED = 0,
-    /// The progress callback stopped it.
+    /// Progress callback returned ZS_STOP.
     ZS_STOP_REASON_STOPPED = 1,
     /// The loss grew, or became NaN or infinite.
     ZS_STOP_REASON_DIVERGED = 2,
@@ -45,31 +47,7 @@ pub enum zs_stop_reason {
 
 pub(super) type zs_stop_reason_value = i32;
 
-/// Progress of a refinement.
-#[repr(C)]
-#[derive(Clone, Copy)]
-pub struct zs_refining {
-    /// Size of this structure in the library's version.
-    pub struct_size: u32,
-    /// Completed steps.
-    pub step: u32,
-    /// Total steps.
-    pub steps: u32,
-    /// 0.
-    pub reserved: u32,
-    /// Mean loss of the last step.
-    pub loss: f64,
-    /// Latest PSNR in dB of the held-out photos; NaN without any.
-    pub psnr: f64,
-    /// Estimated seconds left.
-    pub eta_seconds: f64,
-}
-
-/// Callback after each step. `now` is valid during the callback. Return 0 to continue; any other
-/// value ends the refinement early and keeps the best scene. It may call zs_ functions.
-pub type zs_refine_progress = Option<unsafe extern "C" fn(user_data: *mut c_void, now: *const zs_refining) -> i32>;
-
-/// Options of zs_refine.
+/// Options of zs_refine_scene and zs_refine_reconstruction.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct zs_refine_options {
@@ -85,16 +63,24 @@ pub struct zs_refine_options {
     /// Largest compared width and height in pixels; larger photos are downscaled. 0 is 1600,
     /// UINT32_MAX keeps full size.
     pub max_image_size: [u32; 2],
-    /// Seed of the photo order.
-    pub seed: u64,
-    /// Progress callback.
-    pub progress: zs_refine_progress,
-    /// Argument of `progress`.
-    pub user_data: *mut c_void,
     /// Optimized parameters.
     pub target: zs_refine_target_value,
+    /// 1 also optimizes the training photos' cameras, except the first.
+    pub optimize_cameras: u32,
+    /// Weight of the LPIPS (VGG) distance in the loss; 0 needs no LPIPS weights.
+    pub perceptual_weight: f32,
     /// Must be 0.
     pub reserved: u32,
+    /// Seed of the photo order.
+    pub seed: u64,
+    /// Final number of Gaussians; at most the scene's number: no growth. 0 grows from 300 steps on, to
+    /// one per 32 pixels of the photos and at most four times the scene's. For ZS_REFINE_TARGET_TOKENS
+    /// 0.
+    pub max_gaussians: usize,
+    /// Progress callback, called after each step.
+    pub progress: zs_progress_callback,
+    /// Argument of `progress`.
+    pub user_data: *mut c_void,
 }
 
 /// Result of a refinement.
@@ -123,70 +109,193 @@ pub struct zs_refine_result {
     pub initial_training_psnr: f64,
     /// PSNR in dB of the same photos for the returned scene.
     pub best_training_psnr: f64,
+    /// Output array for the cameras of all photos, with struct_size set, or NULL.
+    pub cameras: *mut zs_camera,
 }
 
 versioned!(zs_refine_options, zs_refine_result);
 
 /// Optimizes a copy of a scene to match `count` photos. `cameras` are of the whole photos, in the
-/// scene's world. An early stop or a diverging loss still returns the best scene. `info` may be
+/// scene's world. An early stop or a diverging loss still returns the best scene. `result` may be
 /// NULL.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn zs_refine(
+pub unsafe extern "C" fn zs_refine_scene(
     device: *const zs_device,
     scene: *const zs_scene,
     images: *const zs_image,
     cameras: *const zs_camera,
     count: usize,
     options: *const zs_refine_options,
-    info: *mut zs_refine_result,
+    result: *mut zs_refine_result,
     refined: *mut *mut zs_scene,
 ) -> zs_status {
     let refine = || {
-        // SAFETY: objects or NULL; a structure or NULL; arrays of the caller's.
-        let (device, scene, options, images, cameras) = unsafe {
-            let (images, cameras) = (read_array(images, count, "images")?, read_array(cameras, count, "cameras")?);
-            (borrow(device, "device")?, borrow(scene, "scene")?, read_versioned(options)?, images, cameras)
+        // SAFETY: objects or NULL; structures or NULL; arrays of the caller's.
+        let (device, scene, inputs) = unsafe {
+            let (device, scene) = (borrow(device, "device")?, borrow(scene, "scene")?);
+            (device, scene, Inputs::read(images, cameras, count, options, result)?)
         };
-        if count == 0 {
-            return Err(Failure::argument("number of images", count, "at least 1"));
+        if inputs.options.target != zs_refine_target::ZS_REFINE_TARGET_GAUSSIANS as i32 {
+            let expected = "ZS_REFINE_TARGET_GAUSSIANS: zs_refine_reconstruction refines tokens";
+            return Err(Failure::argument("target of a scene", inputs.options.target, expected));
         }
-        let request = options.request()?;
-        if !info.is_null() {
-            // SAFETY: the caller's structure. Checked before expensive work.
-            unsafe { write_versioned(info, zs_refine_result::new()) }?;
-        }
-        let cameras: Vec<Camera> = cameras.iter().map(zs_camera::camera).collect::<Result<_, _>>()?;
-        let photo = |(i, image): (usize, &zs_image)| {
-            // SAFETY: the caller's pixels.
-            unsafe { image.image(&format!("image {i}")) }
+        let arena = Arena::new(&device.gpu);
+        let found = inputs.run(|photos, cameras, options, progress| {
+            refine_scene(&arena, &scene.scene, photos, cameras, options, progress)
+        })?;
+        // SAFETY: the caller's structure and array.
+        unsafe { inputs.write(result, &found) }?;
+        Ok(zs_scene { world: scene.world.clone(), ..found.scene.into() })
+    };
+    // SAFETY: the caller's pointer.
+    unsafe { produce(refined, refine) }
+}
+
+/// Optimizes the Gaussians or tokens of a reconstruction, as zs_refine_scene.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_refine_reconstruction(
+    reconstruction: *const zs_reconstruction,
+    images: *const zs_image,
+    cameras: *const zs_camera,
+    count: usize,
+    options: *const zs_refine_options,
+    result: *mut zs_refine_result,
+    refined: *mut *mut zs_scene,
+) -> zs_status {
+    let refine = || {
+        // SAFETY: an object or NULL; structures or NULL; arrays of the caller's.
+        let (reconstruction, inputs) = unsafe {
+            let reconstruction = borrow(reconstruction, "reconstruction")?;
+            (reconstruction, Inputs::read(images, cameras, count, options, result)?)
         };
-        let photos: Vec<_> = images.iter().enumerate().map(photo).collect::<Result<_, _>>()?;
-        let progress = |now: RefineProgress| options.tell(&now);
-        let found = if options.target == zs_refine_target::ZS_REFINE_TARGET_TOKENS as i32 {
-            let Some(tokens) = &scene.tokens else {
-                let expected = "a scene of zs_reconstruct, with a model that was opened with tokens = 1";
-                return Err(Failure::argument("scene", "a scene without tokens", expected));
+        let zs_reconstruction { made, tokens, arena, .. } = reconstruction;
+        let found = if inputs.options.target == zs_refine_target::ZS_REFINE_TARGET_TOKENS as i32 {
+            let Some(tokens) = tokens else {
+                let expected = "one of a model that was loaded with tokens = 1";
+                return Err(Failure::argument("reconstruction", "one without tokens", expected));
             };
-            tokens.refine(&photos, &cameras, &request, progress)?
+            let world = made.placement.as_ref().and_then(|placement| placement.pose);
+            inputs.run(|photos, cameras, options, progress| {
+                tokens.refine(arena, world, photos, cameras, options, progress)
+            })
         } else {
-            refine_scene(&Arena::new(&device.gpu), &scene.scene, &photos, &cameras, &request, progress)?
-        };
-        if !info.is_null() {
-            // SAFETY: as above.
-            unsafe { write_versioned(info, zs_refine_result::of(&found)) }?;
-        }
+            let scene = reconstruction.scene()?;
+            inputs.run(|photos, cameras, options, progress| {
+                refine_scene(arena, scene, photos, cameras, options, progress)
+            })
+        }?;
+        // SAFETY: the caller's structure and array.
+        unsafe { inputs.write(result, &found) }?;
         Ok(found.scene.into())
     };
     // SAFETY: the caller's pointer.
     unsafe { produce(refined, refine) }
 }
 
+/// Checked arguments.
+struct Inputs {
+    photos: Vec<Image>,
+    cameras: Vec<Camera>,
+    options: zs_refine_options,
+    engine: RefineOptions,
+}
+
+type ProgressFunction<'a> = &'a mut dyn FnMut(RefineProgress<'_>) -> ControlFlow<()>;
+
+impl Inputs {
+    /// # Safety
+    /// Arrays have `count` elements, structures their stated sizes; all may be NULL.
+    unsafe fn read(
+        images: *const zs_image,
+        cameras: *const zs_camera,
+        count: usize,
+        options: *const zs_refine_options,
+        result: *mut zs_refine_result,
+    ) -> Result<Self, Failure> {
+        if count == 0 {
+            return Err(Failure::argument("number of images", count, "at least 1"));
+        }
+        // SAFETY: the caller's promise. Outputs are checked before expensive work.
+        let (images, cameras, options) = unsafe {
+            read_array(read_versioned(result)?.cameras.cast_const(), output_count(result, count)?, "cameras")?;
+            (read_array(images, count, "images")?, read_array(cameras, count, "cameras")?, read_versioned(options)?)
+        };
+        let engine = options.engine()?;
+        let cameras = cameras.iter().map(zs_camera::camera).collect::<Result<_, _>>()?;
+        let photo = |(i, image): (usize, &zs_image)| {
+            // SAFETY: the caller's pixels.
+            unsafe { image.image(&format!("image {i}")) }
+        };
+        let photos = images.iter().enumerate().map(photo).collect::<Result<_, _>>()?;
+        Ok(Self { photos, cameras, options, engine })
+    }
+
+    fn run(
+        &self,
+        refine: impl FnOnce(&[Image], &[Camera], &RefineOptions, ProgressFunction<'_>) -> Result<RefineResult, Error>,
+    ) -> Result<RefineResult, Error> {
+        let reporter = Reporter { callback: self.options.progress, user_data: self.options.user_data };
+        let is_cancelled = Cell::new(false);
+        let mut progress = |now: RefineProgress<'_>| match reporter.report("refine", of(&now)) {
+            zs_progress_action::ZS_CONTINUE => ControlFlow::Continue(()),
+            action => {
+                is_cancelled.set(action == zs_progress_action::ZS_CANCEL);
+                ControlFlow::Break(())
+            }
+        };
+        let found = refine(&self.photos, &self.cameras, &self.engine, &mut progress)?;
+        if is_cancelled.get() { Err(Error::Cancelled) } else { Ok(found) }
+    }
+
+    /// # Safety
+    /// As [`Inputs::read`].
+    unsafe fn write(&self, result: *mut zs_refine_result, found: &RefineResult) -> Result<(), Failure> {
+        if result.is_null() {
+            return Ok(());
+        }
+        // SAFETY: checked in `read`.
+        unsafe {
+            let cameras = read_versioned(result)?.cameras;
+            write_versioned(result, zs_refine_result { cameras, ..found.into() })?;
+            if cameras.is_null() { Ok(()) } else { write_array(cameras, found.cameras.iter().map(zs_camera::from)) }
+        }
+    }
+}
+
+/// Returns `count` if the result has an output array, else 0.
+///
+/// # Safety
+/// `result` is NULL or a structure of its stated size.
+unsafe fn output_count(result: *const zs_refine_result, count: usize) -> Result<usize, Failure> {
+    // SAFETY: the caller's promise.
+    let cameras = unsafe { read_versioned(result) }?.cameras;
+    Ok(if cameras.is_null() { 0 } else { count })
+}
+
+fn of(now: &RefineProgress<'_>) -> zs_progress {
+    zs_progress {
+        fraction: now.step as f64 / now.steps.max(1) as f64,
+        step: now.step,
+        steps: now.steps,
+        loss: now.loss.map_or(f64::NAN, f64::from),
+        psnr: now.psnr.unwrap_or(f64::NAN),
+        eta_seconds: now.eta.as_secs_f64(),
+        ..Versioned::new()
+    }
+}
+
 impl zs_refine_options {
-    fn request(&self) -> Result<RefineOptions, Failure> {
+    fn engine(&self) -> Result<RefineOptions, Failure> {
         let default = RefineOptions::default();
         let or = |number: u32, default: usize| if number == 0 { default } else { number as usize };
         if self.reserved != 0 {
             return Err(Failure::argument("zs_refine_options, reserved", self.reserved, "0"));
+        }
+        if self.optimize_cameras > 1 {
+            return Err(Failure::argument("optimize_cameras", self.optimize_cameras, "0 or 1"));
+        }
+        if !(self.perceptual_weight.is_finite() && self.perceptual_weight >= 0.0) {
+            return Err(Failure::argument("perceptual_weight", self.perceptual_weight, "0 or a positive number"));
         }
         if !(0..=zs_refine_target::ZS_REFINE_TARGET_TOKENS as i32).contains(&self.target) {
             return Err(Failure::argument("target", self.target, "a zs_refine_target"));
@@ -203,47 +312,41 @@ impl zs_refine_options {
             views_per_step: or(self.views_per_step, default.views_per_step),
             max_image_size: Some(self.max_image_size.map(|side| if side == 0 { 1600 } else { side })),
             holdout_views,
+            optimize_cameras: self.optimize_cameras == 1,
+            max_gaussians: (self.max_gaussians > 0).then_some(self.max_gaussians),
+            perceptual_loss: (self.perceptual_weight > 0.0)
+                .then_some(PerceptualLoss { weight: self.perceptual_weight, network: LpipsNetwork::Vgg }),
             seed: self.seed,
             ..default
         })
     }
-
-    fn tell(&self, now: &RefineProgress<'_>) -> ControlFlow<()> {
-        let Some(progress) = self.progress else { return ControlFlow::Continue(()) };
-        let now = zs_refining {
-            struct_size: size_of::<zs_refining>() as u32,
-            step: now.step as u32,
-            steps: now.steps as u32,
-            reserved: 0,
-            loss: now.loss.map_or(f64::NAN, f64::from),
-            psnr: now.psnr.unwrap_or(f64::NAN),
-            eta_seconds: now.eta.as_secs_f64(),
-        };
-        // SAFETY: the caller's function, with the caller's data.
-        flow(unsafe { progress(self.user_data, &now) })
-    }
 }
 
 impl ModelTokens {
+    /// Refines in the first camera's space, where tokens are; `world` is its pose.
     fn refine(
         &self,
+        arena: &Arena,
+        world: Option<Pose>,
         photos: &[Image],
         cameras: &[Camera],
-        request: &RefineOptions,
-        progress: impl FnMut(RefineProgress) -> ControlFlow<()>,
+        options: &RefineOptions,
+        progress: ProgressFunction<'_>,
     ) -> Result<RefineResult, Error> {
-        // Tokens are in the first camera's space.
-        let world = self.pose.unwrap_or(Pose::IDENTITY);
-        let camera = |camera: &Camera| Camera { pose: camera.pose.relative_to(&world), ..*camera };
+        let pose = world.unwrap_or(Pose::IDENTITY);
+        let camera = |camera: &Camera| Camera { pose: camera.pose.relative_to(&pose), ..*camera };
         let cameras: Vec<Camera> = cameras.iter().map(camera).collect();
-        let mut refined = refine_tokens(&self.arena, &self.head, &self.tokens, photos, &cameras, request, progress)?;
-        self.pose.iter().for_each(|pose| refined.scene.place(1.0, pose));
+        let mut refined = refine_tokens(arena, &self.head, &self.tokens, photos, &cameras, options, progress)?;
+        if let Some(pose) = world {
+            refined.scene.place(1.0, &pose);
+            refined.cameras.iter_mut().for_each(|camera| camera.pose = pose.compose(&camera.pose));
+        }
         Ok(refined)
     }
 }
 
-impl zs_refine_result {
-    fn of(refined: &RefineResult) -> Self {
+impl From<&RefineResult> for zs_refine_result {
+    fn from(refined: &RefineResult) -> Self {
         let loss = |loss: Option<&f32>| loss.map_or(f64::NAN, |loss| f64::from(*loss));
         let [best_psnr, initial_psnr] = refined.psnr().unwrap_or([f64::NAN; 2]);
         let stop_reason = match refined.stop_reason {

@@ -4,24 +4,27 @@ use super::{
     camera::zs_camera,
     device::zs_device,
     image::{checked_stride, zs_pixel_format, zs_pixel_format_value},
-    pointers::{array_mut, borrow, destroy, produce, read_array, read_versioned},
-    scene::zs_scene,
+    pointers::{array_mut, borrow, destroy, produce, read_array, read_given, read_versioned},
+    reconstruction::zs_reconstruction,
+    scene::{zs_gaussians, zs_scene},
     status::{Failure, guard, zs_status},
 };
 use std::{
     ffi::c_void,
-    sync::{Mutex, MutexGuard},
+    sync::{Arc, Mutex, MutexGuard},
 };
 use zipsplat::{
-    stages::render::{Depth, Differentiator, MAX_SIDE, RenderOptions, RenderOutput, Renderer},
-    types::Camera,
+    Camera, Depth, RenderOptions, RenderOutput, Renderer, Scene,
+    stages::render::{Differentiator, MAX_SIDE},
 };
 
 /// A scene on a device, ready to draw. Caches its recordings for the last four sizes and kinds of
-/// picture.
+/// output. An internal lock serializes calls, so that threads can share it.
 pub struct zs_renderer {
     pub(super) adopted: bool,
     renderer: Mutex<Renderer>,
+    /// Host copy of the scene, unless it is a reconstruction's.
+    scene: Mutex<Option<Arc<Scene>>>,
     differentiator: Mutex<Option<Differentiator>>,
 }
 
@@ -29,6 +32,10 @@ impl zs_renderer {
     /// Recovers a poisoned lock: a renderer validates its plans on every use.
     pub(super) fn lock(&self) -> MutexGuard<'_, Renderer> {
         self.renderer.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+    }
+
+    pub(super) fn scene(&self) -> MutexGuard<'_, Option<Arc<Scene>>> {
+        self.scene.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
     }
 
     /// Resets the value after a panic.
@@ -89,13 +96,15 @@ pub struct zs_render_buffers {
     pub alpha: *mut f32,
     /// height x width: depth in world units.
     pub depth: *mut f32,
+    /// height x width x 3: unit normals in the world, toward the camera; 0 where empty.
+    pub normals: *mut f32,
 }
 
 versioned!(zs_render_options, zs_render_buffers);
 
 const PIXELS_AT_ONCE: u64 = 1 << 24;
 
-/// Uploads a scene to a device's device.
+/// Creates a renderer. `scene` is uploaded; NULL sets none yet.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_renderer_create(
     device: *const zs_device,
@@ -104,23 +113,74 @@ pub unsafe extern "C" fn zs_renderer_create(
 ) -> zs_status {
     let create = || {
         // SAFETY: objects or NULL.
-        let (device, scene) = unsafe { (borrow(device, "device")?, borrow(scene, "scene")?) };
-        let mut renderer = Renderer::new(&device.gpu);
-        scene.load(&mut renderer)?;
-        Ok(zs_renderer { adopted: device.adopted, renderer: Mutex::new(renderer), differentiator: Mutex::default() })
+        let (zs_device { gpu, adopted }, scene) = unsafe { (borrow(device, "device")?, scene.as_ref()) };
+        let renderer = zs_renderer {
+            adopted: *adopted,
+            renderer: Mutex::new(Renderer::new(gpu)),
+            scene: Mutex::default(),
+            differentiator: Mutex::default(),
+        };
+        if let Some(scene) = scene {
+            renderer.set(scene.scene.clone())?;
+        }
+        Ok(renderer)
     };
     // SAFETY: the caller's pointer.
     unsafe { produce(renderer, create) }
 }
 
-/// Replaces the scene. Cheap for an equal number of Gaussians and degree. After a failure, retry
-/// successfully before drawing.
+impl zs_renderer {
+    fn set(&self, scene: Arc<Scene>) -> Result<(), Failure> {
+        let mut current = self.scene();
+        self.lock().set_scene(&*scene)?;
+        *current = Some(scene);
+        Ok(())
+    }
+}
+
+/// Replaces the scene. Cheap for an equal number of Gaussians and degree. After a failure, set a
+/// scene successfully before drawing.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn zs_renderer_set_scene(renderer: *const zs_renderer, scene: *const zs_scene) -> zs_status {
+pub unsafe extern "C" fn zs_renderer_set_scene(renderer: *mut zs_renderer, scene: *const zs_scene) -> zs_status {
+    // SAFETY: objects or NULL.
+    guard(|| unsafe { borrow(renderer, "renderer")?.set(borrow(scene, "scene")?.scene.clone()) })
+}
+
+/// Replaces the scene by a reconstruction's Gaussians, which stay on the device unless they are in
+/// the world of known cameras.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_renderer_set_reconstruction(
+    renderer: *mut zs_renderer,
+    reconstruction: *const zs_reconstruction,
+) -> zs_status {
     guard(|| {
         // SAFETY: objects or NULL.
-        let (renderer, scene) = unsafe { (borrow(renderer, "renderer")?, borrow(scene, "scene")?) };
-        Ok(scene.load(&mut renderer.lock())?)
+        let (renderer, reconstruction) =
+            unsafe { (borrow(renderer, "renderer")?, borrow(reconstruction, "reconstruction")?) };
+        let mut current = renderer.scene();
+        renderer.lock().set_scene(&reconstruction.made)?;
+        *current = None;
+        Ok(())
+    })
+}
+
+/// Replaces the scene by copies of arrays, for optimizers: without a zs_scene, and in place for an
+/// equal number of Gaussians and degree. Otherwise as zs_scene_create and zs_renderer_set_scene.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_renderer_update_gaussians(
+    renderer: *mut zs_renderer,
+    gaussians: *const zs_gaussians,
+) -> zs_status {
+    guard(|| {
+        // SAFETY: an object or NULL; the caller's structure.
+        let (renderer, gaussians) = unsafe { (borrow(renderer, "renderer")?, read_given(gaussians)?) };
+        let mut current = renderer.scene();
+        let mut scene = current.take().and_then(|scene| Arc::try_unwrap(scene).ok()).unwrap_or_default();
+        // SAFETY: arrays of the structure's sizes.
+        unsafe { gaussians.copy_to(&mut scene) }?;
+        renderer.lock().set_scene(&scene)?;
+        *current = Some(Arc::new(scene));
+        Ok(())
     })
 }
 
@@ -164,7 +224,7 @@ pub unsafe extern "C" fn zs_render(
             let name = format!("picture {i}, stride");
             strides.push(checked_stride(picture.stride, row_bytes, height, &name)?);
         }
-        let request = options.request(format, &pictures)?;
+        let request = options.engine(format, &pictures)?;
         let mut renderer = renderer.lock();
         let mut first = 0;
         while first < count {
@@ -194,25 +254,27 @@ impl zs_render_options {
         if !self.background.iter().all(|value| value.is_finite()) {
             return Err(Failure::argument("background", format!("{:?}", self.background), "finite numbers"));
         }
-        zs_pixel_format::of(self.format)
+        Ok(zs_pixel_format::of(self.format)?)
     }
 
-    pub(super) fn request(
-        &self,
-        format: zs_pixel_format,
-        pictures: &[zs_render_buffers],
-    ) -> Result<RenderOptions, Failure> {
+    fn engine(&self, format: zs_pixel_format, pictures: &[zs_render_buffers]) -> Result<RenderOptions, Failure> {
+        let rgb = pictures.iter().any(|picture| !picture.pixels.is_null());
+        let alpha = pictures.iter().any(|picture| !picture.alpha.is_null()) || rgb && format.has_alpha();
+        let depth = pictures.iter().any(|picture| !picture.depth.is_null());
+        let normals = pictures.iter().any(|picture| !picture.normals.is_null());
+        Ok(RenderOptions { normals, ..self.outputs(rgb, alpha, depth)? })
+    }
+
+    /// Returns options for these outputs.
+    pub(super) fn outputs(&self, rgb: bool, alpha: bool, wants_depth: bool) -> Result<RenderOptions, Failure> {
         let depth = match self.depth {
             0 => Depth::Expected,
             1 => Depth::Accumulated,
             other => return Err(Failure::argument("depth", other, "a zs_depth_mode")),
         };
-        let rgb = pictures.iter().any(|picture| !picture.pixels.is_null());
-        let alpha = pictures.iter().any(|picture| !picture.alpha.is_null());
-        let wants_depth = pictures.iter().any(|picture| !picture.depth.is_null());
         Ok(RenderOptions {
             rgb,
-            alpha: alpha || rgb && format.has_alpha(),
+            alpha,
             depth: wants_depth.then_some(depth),
             background: self.background,
             near: (self.near_plane > 0.0).then_some(self.near_plane),
@@ -226,7 +288,12 @@ impl zs_render_buffers {
     /// # Safety
     /// Pointers that are not NULL have capacity for the frame.
     unsafe fn write(&self, frame: &RenderOutput, format: zs_pixel_format, stride: isize) -> Result<(), Failure> {
-        for (name, to, from) in [("alpha", self.alpha, &frame.alpha), ("depth", self.depth, &frame.depth)] {
+        let planes = [
+            ("alpha", self.alpha, &frame.alpha),
+            ("depth", self.depth, &frame.depth),
+            ("normals", self.normals, &frame.normals),
+        ];
+        for (name, to, from) in planes {
             if let (false, Some(from)) = (to.is_null(), from) {
                 // SAFETY: the caller's promise.
                 unsafe { array_mut(to, from.len(), name) }?.copy_from_slice(from);

@@ -3,77 +3,59 @@
 use super::{
     camera::zs_camera,
     pointers::{
-        Versioned, array, array_mut, borrow, destroy, optional_text, produce, read_array, read_given, read_versioned,
-        text, write_versioned,
+        Versioned, array, borrow, destroy, optional_text, produce, put, read_array, read_given, read_versioned, text,
+        write_versioned,
     },
     status::{Failure, guard, zs_status},
 };
 use std::{
     ffi::{c_char, c_void},
-    sync::{Arc, Mutex},
+    sync::Arc,
 };
-use zipsplat::types::{Camera, Pose, SaveOptions, Scene, SceneFormat, preprocess::PixelMap};
 use zipsplat::{
-    Error,
-    gpu::Arena,
-    reconstruct::{Patches, SceneTokens},
-    refine::FrozenHead,
-    stages::render::{DeviceScene, Renderer, WeakScene},
+    Camera, SaveOptions, Scene,
+    types::{Origin, PointCloud, SceneFormat, World, read_world},
 };
 
 /// 3D Gaussians in host memory. Independent of devices; survives device loss.
 pub struct zs_scene {
-    pub(super) scene: Scene,
-    /// The device copy, while its model keeps it.
-    pub(super) on_device: Option<WeakScene>,
-    pub(super) tokens: Option<ModelTokens>,
-    /// Pixel positions of its Gaussians, for scenes from photos without cameras.
-    pub(super) seen: Option<PatchViews>,
+    pub(super) scene: Arc<Scene>,
+    /// World of a file's scene, if stored.
+    pub(super) world: Option<World>,
+    pub(super) dropped: usize,
 }
-
-pub(super) struct ModelTokens {
-    pub tokens: SceneTokens,
-    pub head: Arc<FrozenHead>,
-    pub arena: Arena,
-    /// The first camera's pose in the scene's world, if the world is not that camera's space.
-    pub pose: Option<Pose>,
-}
-
-pub(super) struct PatchViews {
-    pub patches: Patches,
-    /// Maps from each photo to the network's input.
-    pub maps: Vec<PixelMap>,
-}
-
-pub(super) type LatestScene = Mutex<Option<DeviceScene>>;
 
 impl zs_scene {
-    /// Wraps a model's new scene and releases the previous device copy.
-    pub(super) fn on_device(scene: Scene, latest: &LatestScene, gaussians: DeviceScene) -> Self {
-        let on_device = Some(gaussians.downgrade());
-        *latest.lock().unwrap_or_else(|poisoned| poisoned.into_inner()) = Some(gaussians);
-        Self { scene, on_device, tokens: None, seen: None }
-    }
-
-    pub(super) fn seen(self, seen: Option<PatchViews>) -> Self {
-        Self { seen, ..self }
-    }
-
-    pub(super) fn load(&self, renderer: &mut Renderer) -> Result<(), Error> {
-        let shown =
-            self.on_device.as_ref().and_then(WeakScene::upgrade).map(|gaussians| renderer.set_scene(&gaussians));
-        match shown {
-            Some(Ok(())) => Ok(()),
-            _ => renderer.set_scene(&self.scene),
-        }
+    fn new(scene: impl Into<Arc<Scene>>) -> Self {
+        Self { scene: scene.into(), world: None, dropped: 0 }
     }
 }
 
 impl From<Scene> for zs_scene {
     fn from(scene: Scene) -> Self {
-        Self { scene, on_device: None, tokens: None, seen: None }
+        Self::new(scene)
     }
 }
+
+impl From<Arc<Scene>> for zs_scene {
+    fn from(scene: Arc<Scene>) -> Self {
+        Self::new(scene)
+    }
+}
+
+/// World of a scene.
+#[repr(i32)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum zs_world {
+    /// ZS_WORLD_INPUT_CAMERAS if `cameras` are given, else ZS_WORLD_FIRST_CAMERA.
+    ZS_WORLD_AUTO = 0,
+    /// The first photo's camera space.
+    ZS_WORLD_FIRST_CAMERA = 1,
+    /// The world of `cameras`, which are required.
+    ZS_WORLD_INPUT_CAMERAS = 2,
+}
+
+pub(super) type zs_world_value = i32;
 
 /// Bytes owned by the library, such as an encoded scene file.
 pub struct zs_blob {
@@ -116,7 +98,51 @@ pub struct zs_scene_save_options {
     pub spz_version: u32,
 }
 
-versioned!(zs_gaussians, zs_scene_save_options);
+/// Options of zs_scene_open and zs_scene_from_memory.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct zs_scene_open_options {
+    /// sizeof(zs_scene_open_options).
+    pub struct_size: u32,
+    /// 1 drops NaN, infinite and out-of-range Gaussians; 0 rejects them.
+    pub drop_invalid: u32,
+    /// Format in memory: NULL for PLY, SPZ and .glb, which are recognized by content, else "splat" or
+    /// "gltf". NULL for files.
+    pub format: *const c_char,
+}
+
+/// Properties of a scene.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct zs_scene_info {
+    /// sizeof(zs_scene_info).
+    pub struct_size: u32,
+    /// World that the file states; ZS_WORLD_AUTO if it states none.
+    pub world: zs_world_value,
+    /// Number of Gaussians.
+    pub gaussian_count: usize,
+    /// Number of Gaussians dropped by zs_scene_open_options.drop_invalid.
+    pub dropped_count: usize,
+}
+
+versioned!(zs_gaussians, zs_scene_save_options, zs_scene_open_options, zs_scene_info);
+
+/// Describes a scene.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_scene_get_info(scene: *const zs_scene, info: *mut zs_scene_info) -> zs_status {
+    guard(|| {
+        // SAFETY: an object or NULL.
+        let zs_scene { scene, world, dropped } = unsafe { borrow(scene, "scene") }?;
+        let world = match world.as_ref().map(|world| &world.origin) {
+            None => zs_world::ZS_WORLD_AUTO,
+            Some(Origin::Photo(_)) => zs_world::ZS_WORLD_FIRST_CAMERA,
+            Some(Origin::Cameras(_)) => zs_world::ZS_WORLD_INPUT_CAMERAS,
+        } as i32;
+        let found = zs_scene_info { world, gaussian_count: scene.len(), dropped_count: *dropped, ..Versioned::new() };
+        // SAFETY: the caller's structure.
+        unsafe { write_versioned(info, found) }
+    })
+}
 
 /// Returns the scene's size and arrays, which point into the scene.
 #[unsafe(no_mangle)]
@@ -143,28 +169,9 @@ pub unsafe extern "C" fn zs_scene_get_gaussians(scene: *const zs_scene, gaussian
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_create(gaussians: *const zs_gaussians, scene: *mut *mut zs_scene) -> zs_status {
     let create = || {
-        // SAFETY: the caller's structure.
-        let arrays = unsafe { read_given(gaussians) }?;
-        if arrays.sh_degree > Scene::MAX_SH_DEGREE {
-            let expected = format!("0 to {}", Scene::MAX_SH_DEGREE);
-            return Err(Failure::argument("gaussians, sh_degree", arrays.sh_degree, expected));
-        }
-        let n = arrays.count;
-        if n > MAX_GAUSSIANS {
-            return Err(Failure::argument("gaussians", n, format!("at most {MAX_GAUSSIANS}")));
-        }
-        let k = (arrays.sh_degree as usize + 1).pow(2);
-        // SAFETY: the caller says that every array has as many elements.
-        let scene = unsafe {
-            Scene {
-                means: array::<[f32; 3]>(arrays.means.cast(), n, "means")?.to_vec(),
-                scales: array::<[f32; 3]>(arrays.scales.cast(), n, "scales")?.to_vec(),
-                quats: array::<[f32; 4]>(arrays.quats.cast(), n, "quats")?.to_vec(),
-                opacities: array::<f32>(arrays.opacities, n, "opacities")?.to_vec(),
-                sh_coeffs: array::<[f32; 3]>(arrays.sh_coeffs.cast(), n.saturating_mul(k), "sh_coeffs")?.to_vec(),
-                sh_degree: arrays.sh_degree,
-            }
-        };
+        let mut scene = Scene::default();
+        // SAFETY: the caller's structure, and arrays of its sizes.
+        unsafe { read_given(gaussians)?.copy_to(&mut scene) }?;
         scene.validate()?;
         Ok(scene.into())
     };
@@ -175,66 +182,127 @@ pub unsafe extern "C" fn zs_scene_create(gaussians: *const zs_gaussians, scene: 
 /// Keeps array sizes far from overflow; more Gaussians exceed any device's memory.
 const MAX_GAUSSIANS: usize = 1 << 28;
 
-/// Opens a scene file: PLY of 3D Gaussian Splatting, .compressed.ply, SPZ, .splat, or glTF with
-/// KHR_gaussian_splatting (.gltf, .glb). Rejects NaN, infinite and out-of-range values.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn zs_scene_open(path: *const c_char, scene: *mut *mut zs_scene) -> zs_status {
-    // SAFETY: a string or NULL.
-    let open = || Ok(Scene::open(unsafe { text(path, "path") }?)?.into());
-    // SAFETY: the caller's pointer.
-    unsafe { produce(scene, open) }
+impl zs_gaussians {
+    /// Copies the arrays, in place if `scene` has as many Gaussians. Values are unchecked.
+    ///
+    /// # Safety
+    /// The arrays are NULL or have the documented lengths.
+    pub(super) unsafe fn copy_to(&self, scene: &mut Scene) -> Result<(), Failure> {
+        if self.sh_degree > Scene::MAX_SH_DEGREE {
+            let expected = format!("0 to {}", Scene::MAX_SH_DEGREE);
+            return Err(Failure::argument("gaussians, sh_degree", self.sh_degree, expected));
+        }
+        let n = self.count;
+        if n > MAX_GAUSSIANS {
+            return Err(Failure::argument("gaussians", n, format!("at most {MAX_GAUSSIANS}")));
+        }
+        fn fill<T: Copy>(to: &mut Vec<T>, from: &[T]) {
+            to.clear();
+            to.extend_from_slice(from);
+        }
+        let k = (self.sh_degree as usize + 1).pow(2);
+        // SAFETY: the caller's promise.
+        unsafe {
+            fill(&mut scene.means, array(self.means.cast(), n, "means")?);
+            fill(&mut scene.scales, array(self.scales.cast(), n, "scales")?);
+            fill(&mut scene.quats, array(self.quats.cast(), n, "quats")?);
+            fill(&mut scene.opacities, array(self.opacities, n, "opacities")?);
+            fill(&mut scene.sh_coeffs, array(self.sh_coeffs.cast(), n * k, "sh_coeffs")?);
+        }
+        scene.sh_degree = self.sh_degree;
+        Ok(())
+    }
 }
 
-/// Opens a scene file without its invalid Gaussians. `dropped` receives their number and may be
-/// NULL.
+/// Creates a scene with a Gaussian per point, as an initialization for zs_refine_scene. `positions`
+/// is N x 3. `colors` is N x 3 for red, green, blue, or NULL for gray. `cameras` limit the Gaussians'
+/// sizes; their count may be 0.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn zs_scene_open_dropping_invalid(
+pub unsafe extern "C" fn zs_scene_from_points(
+    positions: *const f32,
+    colors: *const u8,
+    count: usize,
+    cameras: *const zs_camera,
+    camera_count: usize,
+    scene: *mut *mut zs_scene,
+) -> zs_status {
+    let create = || {
+        if !(1..=MAX_GAUSSIANS).contains(&count) {
+            return Err(Failure::argument("number of points", count, format!("1 to {MAX_GAUSSIANS}")));
+        }
+        // SAFETY: the caller's arrays.
+        let (positions, colors, cameras) = unsafe {
+            let colors = if colors.is_null() { &[] } else { array(colors.cast(), count, "colors")? };
+            (array(positions.cast(), count, "positions")?, colors, read_array(cameras, camera_count, "cameras")?)
+        };
+        if positions.as_flattened().iter().any(|value: &f32| !value.is_finite()) {
+            return Err(Failure::argument("positions", "NaN or infinity", "finite numbers"));
+        }
+        let cameras: Vec<Camera> = cameras.iter().map(zs_camera::camera).collect::<Result<_, _>>()?;
+        let cloud = PointCloud { positions: positions.to_vec(), colors: colors.to_vec() };
+        Ok(Scene::from_points(&cloud, &cameras)?.into())
+    };
+    // SAFETY: the caller's pointer.
+    unsafe { produce(scene, create) }
+}
+
+/// Opens a scene file: PLY of 3D Gaussian Splatting, .compressed.ply, SPZ, .splat, or glTF with
+/// KHR_gaussian_splatting (.gltf, .glb).
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_scene_open(
     path: *const c_char,
-    dropped: *mut u64,
+    options: *const zs_scene_open_options,
     scene: *mut *mut zs_scene,
 ) -> zs_status {
     let open = || {
-        // SAFETY: a string or NULL.
-        let mut scene = Scene::open_unchecked(unsafe { text(path, "path") }?)?;
-        let count = scene.drop_invalid()? as u64;
-        if !dropped.is_null() {
-            // SAFETY: not NULL, and the caller's to write.
-            unsafe { dropped.write(count) };
+        // SAFETY: a string or NULL, a structure or NULL.
+        let (path, options) = unsafe { (text(path, "path")?, read_versioned(options)?) };
+        if !options.format.is_null() {
+            return Err(Failure::argument("format", "one for a file", "NULL: files are recognized"));
         }
-        Ok(scene.into())
+        let scene = if options.drops()? { Scene::open_unchecked(path) } else { Scene::open(path) }?;
+        Ok(zs_scene { world: read_world(path)?, ..options.checked(scene)? })
     };
     // SAFETY: the caller's pointer.
     unsafe { produce(scene, open) }
 }
 
-/// Decodes a scene from `size` bytes at `data`, as zs_scene_open. `format` is NULL for PLY, SPZ and
-/// .glb, which are recognized by content, else "splat" or "gltf". A glTF must not refer to other
-/// files. If `dropped` is not NULL, invalid Gaussians are dropped and counted there; otherwise they
-/// are an error.
+/// Decodes a scene from `size` bytes at `data`, as zs_scene_open. A glTF must not refer to other
+/// files.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_from_memory(
     data: *const c_void,
     size: usize,
-    format: *const c_char,
-    dropped: *mut u64,
+    options: *const zs_scene_open_options,
     scene: *mut *mut zs_scene,
 ) -> zs_status {
     let decode = || {
-        // SAFETY: the caller's array of that size, and a string or NULL.
-        let (bytes, format) =
-            unsafe { (array(data.cast::<u8>(), size, "bytes of a scene")?, optional_text(format, "format")?) };
+        // SAFETY: the caller's array of that size, a structure or NULL, and a string or NULL.
+        let (bytes, options, format) = unsafe {
+            let options = read_versioned(options)?;
+            (array(data.cast::<u8>(), size, "bytes of a scene")?, options, optional_text(options.format, "format")?)
+        };
         let format = format.map(format_named).transpose()?;
-        if dropped.is_null() {
-            return Ok(Scene::decode(bytes, format)?.into());
-        }
-        let mut scene = Scene::decode_unchecked(bytes, format)?;
-        let count = scene.drop_invalid()? as u64;
-        // SAFETY: not NULL, and the caller's to write.
-        unsafe { dropped.write(count) };
-        Ok(scene.into())
+        let drops = options.drops()?;
+        options.checked(if drops { Scene::decode_unchecked(bytes, format) } else { Scene::decode(bytes, format) }?)
     };
     // SAFETY: the caller's pointer.
     unsafe { produce(scene, decode) }
+}
+
+impl zs_scene_open_options {
+    fn drops(&self) -> Result<bool, Failure> {
+        match self.drop_invalid {
+            0 => Ok(false),
+            1 => Ok(true),
+            other => Err(Failure::argument("drop_invalid", other, "0 or 1")),
+        }
+    }
+
+    fn checked(&self, mut scene: Scene) -> Result<zs_scene, Failure> {
+        let dropped = if self.drops()? { scene.drop_invalid()? } else { 0 };
+        Ok(zs_scene { dropped, ..scene.into() })
+    }
 }
 
 impl zs_scene_save_options {
@@ -251,7 +319,7 @@ fn format_named(name: &str) -> Result<SceneFormat, Failure> {
 }
 
 /// Writes a scene in the format of the path's extension: .ply, .spz, .splat, .gltf or .glb. An
-/// existing file is replaced atomically.
+/// existing file is replaced atomically. The world of an opened file is kept.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_save(
     scene: *const zs_scene,
@@ -262,7 +330,7 @@ pub unsafe extern "C" fn zs_scene_save(
         // SAFETY: an object or NULL, a string or NULL, a structure or NULL.
         let (scene, path, options) =
             unsafe { (borrow(scene, "scene")?, text(path, "path")?, read_versioned(options)?) };
-        Ok(scene.scene.save_with(path, &options.engine())?)
+        Ok(scene.scene.save_in(path, &options.engine(), scene.world.as_ref())?)
     })
 }
 
@@ -290,64 +358,8 @@ pub unsafe extern "C" fn zs_blob_get(bytes: *const zs_blob, data: *mut *const c_
     guard(|| {
         // SAFETY: an object or NULL.
         let found = &unsafe { borrow(bytes, "bytes") }?.bytes;
-        if data.is_null() || size.is_null() {
-            return Err(Failure::argument("data and size", "NULL", "where to put them"));
-        }
-        // SAFETY: not NULL, and the caller's to write.
-        unsafe { data.write(found.as_ptr().cast()) };
-        // SAFETY: as above.
-        unsafe { size.write(found.len()) };
-        Ok(())
-    })
-}
-
-/// Estimates the cameras of the `count` unposed photos of a scene from zs_reconstruct, in the
-/// scene's world. They follow from the Gaussians of each photo's patches and share an estimated
-/// field of view.
-///
-/// `cameras` is an array of `count` with struct_size set, for the cameras of the whole photos.
-/// `inliers` receives the number of consistent patches and `patches` the total; both are arrays of
-/// `count` or NULL. A photo without a camera gets width 0 and no inliers. No camera at all is an
-/// error.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn zs_scene_cameras(
-    scene: *const zs_scene,
-    cameras: *mut zs_camera,
-    inliers: *mut u32,
-    patches: *mut u32,
-    count: usize,
-) -> zs_status {
-    guard(|| {
-        // SAFETY: an object or NULL.
-        let zs_scene { scene, seen, .. } = unsafe { borrow(scene, "scene") }?;
-        let Some(PatchViews { patches: seen, maps }) = seen else {
-            let expected = "one that zs_reconstruct made of photos without cameras";
-            return Err(Failure::argument("scene to find cameras of", "another", expected));
-        };
-        if count != maps.len() {
-            return Err(Failure::argument("number of cameras", count, format!("{}, one a photo", maps.len())));
-        }
-        // SAFETY: the caller's arrays; optional ones are accessed only if not NULL.
-        let (given, mut inliers, mut patches) = unsafe {
-            let counts = |at: *mut u32, name| (!at.is_null()).then(|| array_mut(at, count, name)).transpose();
-            (read_array(cameras, count, "cameras")?, counts(inliers, "inliers")?, counts(patches, "patches")?)
-        };
-        let mut found = seen.cameras(scene, None)?;
-        if found.iter().all(Result::is_err) {
-            return Err(found.swap_remove(0).err().unwrap_or(Error::Cancelled).into());
-        }
-        for (i, (found, map)) in found.into_iter().zip(maps).enumerate() {
-            let camera = found.as_ref().map_or(Versioned::new(), |found| {
-                zs_camera::from(&Camera { intrinsics: map.undo(&found.camera.intrinsics), ..found.camera })
-            });
-            // SAFETY: the caller's array; its elements were just checked to have equal sizes.
-            unsafe { write_versioned(cameras.byte_add(i * given[0].struct_size as usize), camera) }?;
-            let counts = found.map_or([0; 2], |found| [found.inliers, found.pairs]);
-            for (array, number) in [&mut inliers, &mut patches].into_iter().zip(counts) {
-                array.iter_mut().for_each(|array| array[i] = number as u32);
-            }
-        }
-        Ok(())
+        // SAFETY: the caller's to write, or NULL.
+        unsafe { put(data, found.as_ptr().cast(), "data").and_then(|()| put(size, found.len(), "size")) }
     })
 }
 

@@ -4,7 +4,7 @@ use super::{
     camera::zs_camera,
     device::zs_device,
     image::zs_pixel_format,
-    pointers::{array, borrow, produce, read_given, read_versioned},
+    pointers::{array, borrow, produce, put, read_given, read_versioned},
     renderer::{zs_render_options, zs_renderer},
     status::{Failure, guard, zs_status},
 };
@@ -14,7 +14,7 @@ use std::{
 };
 use zipsplat::{
     gpu::{Adopted, Device, ImagePlace, Point, QueueLock, Requirement, Target, fast_requirements, requirements},
-    stages::render::{PixelLayout, RenderOptions},
+    stages::render::PixelLayout,
 };
 
 /// Kinds of zs_vulkan_requirement.
@@ -168,15 +168,9 @@ pub unsafe extern "C" fn zs_vulkan_requirements(
     count: *mut usize,
 ) -> zs_status {
     guard(|| {
-        if list.is_null() || count.is_null() {
-            return Err(Failure::argument("list or count", "NULL", "where to put them"));
-        }
-        // SAFETY: not NULL, and the caller's to write.
-        unsafe {
-            list.write(REQUIREMENTS.0.as_ptr());
-            count.write(REQUIREMENTS.0.len());
-        }
-        Ok(())
+        let Requirements(found) = &*REQUIREMENTS;
+        // SAFETY: the caller's to write, or NULL.
+        unsafe { put(list, found.as_ptr(), "list").and_then(|()| put(count, found.len(), "count")) }
     })
 }
 
@@ -271,9 +265,8 @@ pub unsafe extern "C" fn zs_render_to_vulkan(
         };
         // SAFETY: a structure or NULL with valid handles.
         let target = unsafe { read_versioned(target)?.target(&camera, layout) }?;
-        let (background, antialiased) = (options.background, options.antialiased != 0);
-        let request = RenderOptions { background, antialiased, ..RenderOptions::default() };
-        Ok(renderer.lock().render_to(&camera, &request, layout, &target)?)
+        let options = options.outputs(true, true, false)?;
+        Ok(renderer.lock().render_to(&camera, &options, layout, &target)?)
     })
 }
 

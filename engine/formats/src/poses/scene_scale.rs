@@ -74,7 +74,7 @@ impl SceneScale {
     pub fn doubt(&self) -> Option<String> {
         match self.source {
             Source::Given | Source::Points(_) => None,
-            _ => Some(format!("no point cloud: {self}; --unit LENGTH says how far away the scene is")),
+            _ => Some(format!("no point cloud: {self}; --scene-scale LENGTH says how far away the scene is")),
         }
     }
 }

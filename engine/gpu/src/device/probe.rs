@@ -236,7 +236,7 @@ pub(crate) fn missing_features(limits: &Limits, support: &Support) -> Vec<String
     // Before Mesa 25, lavapipe silently ends loops after 65,535 iterations.
     if let Some(major) = support.llvmpipe_major.filter(|m| *m < 25) {
         missing.push(format!(
-            "lavapipe 25 or later (Mesa {major} computes long loops wrongly; the sources' tools/run-on-lavapipe PROGRAM runs \
+            "lavapipe 25 or later (Mesa {major} computes long loops wrongly; the sources' tools/dev/run-on-lavapipe PROGRAM runs \
              a program on a newer one)"
         ));
     }

@@ -26,7 +26,7 @@ pub struct Gradients {
 
 /// Gradients per camera.
 pub const CAMERA_NUMBERS: usize = 10;
-const PAIR_NUMBERS: usize = 10;
+pub(super) const PAIR_NUMBERS: usize = 10;
 const PART: usize = 64;
 const BAND: usize = 64;
 const FLOPS: u64 = 60;
@@ -48,6 +48,40 @@ pub fn record_with_gradients(
     loss: impl FnOnce(&mut Recorder, Tensor) -> Tensor,
     gradients: &Gradients,
 ) -> RenderOutputs {
+    record_with_splat_gradients(rec, scene, cameras, shape, options, capacity, loss, gradients).0
+}
+
+/// Per pair of a Gaussian and a camera: conics and the kernels' gradients of projected splats.
+#[derive(Clone, Copy)]
+pub(super) struct SplatGradients {
+    /// `[pairs, 3]`; undefined if culled.
+    pub conics: Tensor,
+    /// `[pairs, 10]`; 0 if culled.
+    pub d_pairs: Tensor,
+}
+
+impl SplatGradients {
+    /// Converts both tensors' values to gradients of projected centers, in pixels.
+    pub fn means2d(conics: &[[f32; 3]], d_pairs: &[[f32; PAIR_NUMBERS]]) -> Vec<[f32; 2]> {
+        let gradient = |([a, k, p], [_, e, y, ..]): (&[f32; 3], &[f32; PAIR_NUMBERS])| {
+            let along = a * e;
+            if *e == 0.0 && *y == 0.0 { [0.0; 2] } else { [along, p * y - k * along] }
+        };
+        conics.iter().zip(d_pairs).map(gradient).collect()
+    }
+}
+
+#[expect(clippy::too_many_arguments)]
+pub(super) fn record_with_splat_gradients(
+    rec: &mut Recorder,
+    scene: &SceneTensors,
+    cameras: Tensor,
+    shape: FrameShape,
+    options: &RenderOptions,
+    capacity: usize,
+    loss: impl FnOnce(&mut Recorder, Tensor) -> Tensor,
+    gradients: &Gradients,
+) -> (RenderOutputs, SplatGradients) {
     assert!(!options.normals && options.token_group.is_none(), "normals and token colours have no gradient");
     assert!(options.layout.is_none(), "pixels of another layout have no gradient");
     assert!(options.alpha || options.depth != Some(Depth::Expected), "the gradient of expected depth takes alpha");
@@ -59,12 +93,13 @@ pub fn record_with_gradients(
     });
     let d_frames = loss(rec, frames);
     assert_eq!(d_frames.bytes(), frames.bytes(), "gradients of frames");
-    rec.scope("render_backward", |rec| {
+    let d_pairs = rec.scope("render_backward", |rec| {
         let backward = Backward { scene, cameras, shape, options, capacity, splats: &splats, lists: &lists };
         let slots = backward.rasterize(rec, frames, d_frames);
-        backward.splats(rec, &slots, gradients);
+        backward.splats(rec, &slots, gradients)
     });
-    RenderOutputs { frames, pixels: frames, status: lists.status }
+    let outputs = RenderOutputs { frames, pixels: frames, status: lists.status };
+    (outputs, SplatGradients { conics: splats.conics, d_pairs })
 }
 
 struct Backward<'a> {
@@ -137,7 +172,7 @@ impl Backward<'_> {
         Slots { starts, moments, d_values }
     }
 
-    fn splats(&self, rec: &mut Recorder, slots: &Slots, gradients: &Gradients) {
+    fn splats(&self, rec: &mut Recorder, slots: &Slots, gradients: &Gradients) -> Tensor {
         let &Backward { scene, cameras, shape, options, splats, lists, .. } = self;
         let lanes = rec.limits().subgroup_size as usize;
         let stride = (scene.sh_degree as usize + 1).pow(2);
@@ -203,5 +238,6 @@ impl Backward<'_> {
             let rows = scene.len.div_ceil(lanes) as u32;
             rec.dispatch_groups(CamerasBackward { parts, d_cameras, rows, numbers: numbers as u32 }, numbers);
         }
+        d_pairs
     }
 }

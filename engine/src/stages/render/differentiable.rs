@@ -1,8 +1,9 @@
 use super::{
     CAMERA_NUMBERS, CameraRows, Depth, FrameShape, Gradients, PlanCache, PlanKey, RenderOptions, RenderOutput,
-    RenderOutputs, SceneGradients, SceneTensors, camera_rows, first_capacity,
+    RenderOutputs, SceneGradients, SceneTensors,
+    backward::{SplatGradients, record_with_splat_gradients},
+    camera_rows, first_capacity,
     range::{check, drawable},
-    record_with_gradients,
 };
 use crate::{
     Error, Result,
@@ -18,6 +19,9 @@ pub struct HostGradients {
     pub scene: Scene,
     /// As in [`Gradients::cameras`]; empty if not requested.
     pub cameras: Vec<[f32; CAMERA_NUMBERS]>,
+    /// Of projected centers in pixels, `[cameras, Gaussians]`, at constant covariances; empty if not
+    /// requested.
+    pub means2d: Vec<[f32; 2]>,
 }
 
 /// Requested gradients.
@@ -27,6 +31,8 @@ pub struct Wanted {
     pub scene: bool,
     /// With respect to cameras.
     pub cameras: bool,
+    /// With respect to projected centers.
+    pub means2d: bool,
 }
 
 /// Differentiates images on one device.
@@ -47,6 +53,7 @@ struct GradientPlan {
     cameras: Tensor,
     d_frames: Tensor,
     d_cameras: Option<Tensor>,
+    d_splats: Option<SplatGradients>,
     outputs: RenderOutputs,
 }
 
@@ -97,7 +104,7 @@ impl Differentiator {
         let mut found = HostGradients::default();
         for (camera, weights) in cameras.iter().zip(weights) {
             let values = interleaved(camera, weights, &options)?;
-            found.cameras.extend(self.add(camera, &options, &values, wanted)?);
+            self.add(camera, &options, &values, wanted, &mut found)?;
         }
         if let (true, Some(memory)) = (wanted.scene, &self.memory) {
             found.scene = memory.gradients.read(&memory.resident)?;
@@ -125,7 +132,8 @@ impl Differentiator {
         options: &RenderOptions,
         weights: &[f32],
         wanted: Wanted,
-    ) -> Result<Option<[f32; CAMERA_NUMBERS]>> {
+        found: &mut HostGradients,
+    ) -> Result<()> {
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
         let shape = FrameShape { cameras: 1, width, height };
         let key = PlanKey { shape, backward: true, options: (*options, wanted) };
@@ -139,8 +147,13 @@ impl Differentiator {
             plan.run.execute()?;
             let needed = plan.outputs.needed(&plan.run)?;
             if let Some(plan) = self.plans.fitting(needed)? {
-                let found = plan.d_cameras.map(|tensor| plan.run.read(tensor)).transpose()?;
-                return Ok(found.and_then(|cameras: Vec<_>| cameras.first().copied()));
+                if let Some(d_cameras) = plan.d_cameras {
+                    found.cameras.extend(plan.run.read::<[f32; CAMERA_NUMBERS]>(d_cameras)?);
+                }
+                if let Some(SplatGradients { conics, d_pairs }) = plan.d_splats {
+                    found.means2d.extend(SplatGradients::means2d(&plan.run.read(conics)?, &plan.run.read(d_pairs)?));
+                }
+                return Ok(());
             }
         }
     }
@@ -163,10 +176,13 @@ impl GradientPlan {
         d_cameras.iter().for_each(|tensor| rec.fill(*tensor, 0));
         let gradients = Gradients { scene: wanted.scene.then(|| memory.scene_gradients()), cameras: d_cameras };
         let given = |_: &mut Recorder, _| d_frames;
-        let outputs = record_with_gradients(&mut rec, scene, cameras, shape, &options, capacity, given, &gradients);
-        d_cameras.iter().for_each(|tensor| rec.output(*tensor));
+        let (outputs, splats) =
+            record_with_splat_gradients(&mut rec, scene, cameras, shape, &options, capacity, given, &gradients);
+        let d_splats = wanted.means2d.then_some(splats);
+        let d_splats_tensors = d_splats.iter().flat_map(|splats| [splats.conics, splats.d_pairs]);
+        d_cameras.into_iter().chain(d_splats_tensors).for_each(|tensor| rec.output(tensor));
         let run = Run::in_arena(arena, 0, rec.finish()?, [resident.clone()])?;
-        Ok(Self { run, cameras, d_frames, d_cameras, outputs })
+        Ok(Self { run, cameras, d_frames, d_cameras, d_splats, outputs })
     }
 }
 

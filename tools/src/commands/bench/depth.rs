@@ -33,7 +33,7 @@ pub struct Depth {
     views: Vec<usize>,
     /// Pixels of each view
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "504x336")]
-    size: Vec<Size>,
+    input_size: Vec<Size>,
     #[command(flatten)]
     arithmetic: ArithmeticOption,
     #[command(flatten)]
@@ -72,7 +72,7 @@ impl Depth {
             |stage: &Stage<'_>| DepthModel::from_checkpoint(&device, &checkpoint, arithmetic, |done| stage.at(done));
         let (model, _) = session.stage("load weights", load)?;
         let cases: Vec<(usize, Size)> =
-            self.size.iter().flat_map(|&size| self.views.iter().map(move |&views| (views, size))).collect();
+            self.input_size.iter().flat_map(|&size| self.views.iter().map(move |&views| (views, size))).collect();
         let shapes = cases.iter().map(|&(views, Size(width, height))| {
             let all = DepthOptions::default();
             model.network().shape(views, [width, height], (all.ratio, &all.token_selection), false, None)

@@ -37,7 +37,7 @@ pub fn run(session: &mut Session<'_>, device: &Device, scene: &Scene, size: Size
         ("alpha", RenderOptions { alpha: true, ..off }),
         ("depth", RenderOptions { depth: Some(Depth::Expected), ..off }),
         ("normals", RenderOptions { normals: true, ..off }),
-        ("token colours", RenderOptions { token_group: Some(GROUP), ..off }),
+        ("token colors", RenderOptions { token_group: Some(GROUP), ..off }),
         ("antialiasing", RenderOptions { antialiased: true, ..off }),
         ("background", RenderOptions { background: [1.0; 3], ..off }),
     ];

@@ -39,10 +39,10 @@ pub struct Forward {
     ratio: Vec<Ratio>,
     /// Pooling factors of attention across views
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "1")]
-    pool: Vec<usize>,
+    kv_pool: Vec<usize>,
     /// Pixels of each view [default: the weights' best size]
     #[arg(long, value_name = "WxH")]
-    size: Option<Size>,
+    input_size: Option<Size>,
     #[command(flatten)]
     arithmetic: ArithmeticOption,
     /// Also time photos to a picture of this size: first, next, through the host, and from kept
@@ -77,12 +77,12 @@ struct Row {
 impl Forward {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         let checkpoint = self.weights.open()?;
-        let size = Size::or_best(self.size, &checkpoint);
+        let size = Size::or_best(self.input_size, &checkpoint);
         let Size(width, height) = size;
         let mut requests = Vec::new();
         for &views in &self.views {
             for &ratio in &self.ratio {
-                for &pool in &self.pool {
+                for &pool in &self.kv_pool {
                     let request = ReconstructOptions { ratio, kv_pool: pool, ..ReconstructOptions::default() };
                     let chosen = (ratio, &request.token_selection);
                     Shape::new(checkpoint.architecture(), views, [width, height], chosen, false)?.pooled(pool)?;

@@ -23,7 +23,7 @@ const SHAPES: [[usize; 3]; 3] = [[1296, 384, 1536], [324, 1536, 6144], [1300, 15
 
 const CHECKED_ROWS: usize = 16;
 
-/// Time of linear layers, exact (also with 8-bit weights) and fast, by every tile of lanes
+/// Time of linear layers, in fp32 (also with 8-bit weights) and fp16, by every tile of lanes
 #[derive(Args)]
 pub struct Gemm {
     #[command(flatten)]
@@ -32,7 +32,7 @@ pub struct Gemm {
 
 #[derive(Serialize)]
 struct Row {
-    /// `exact`, `exact q8`, or the matrix unit of `fast`, and any shared-memory tile.
+    /// `fp32`, `fp32 q8`, or the matrix unit of `fp16`, and any shared-memory tile.
     kernel: String,
     rows: usize,
     inner: usize,
@@ -115,9 +115,9 @@ fn kernels(device: &Device, stage: &Stage<'_>) -> Result<Vec<(String, LinearKern
     let mut on_lanes = |name: String, tiled: Lanes, weights: Weights| {
         kernels.push((name, LinearKernel::Panels(tiled, weights), lanes.clone()));
     };
-    on_lanes("exact q8".into(), Lanes::of(Element::F32), Weights::Q8);
+    on_lanes("fp32 q8".into(), Lanes::of(Element::F32), Weights::Q8);
     for element in [Element::F32].into_iter().chain(Element::HALVES.into_iter().filter(|_| limits.half_storage)) {
-        let name = if element == Element::F32 { "exact" } else { element.name() };
+        let name = if element == Element::F32 { "fp32" } else { element.name() };
         on_lanes(name.into(), Lanes::of(element), Weights::Factors);
         for (index, tile) in LaneTile::candidates(limits, element).iter().enumerate().skip(1) {
             on_lanes(format!("{name}, {tile}"), Lanes { element, tiles: Tiles::always(index) }, Weights::Factors);

@@ -1,6 +1,5 @@
 //! `zipsplat bench`: median, minimum and maximum times.
 
-mod align;
 mod depth;
 mod effects;
 mod forward;
@@ -28,12 +27,11 @@ use zipsplat::{
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat bench forward --weights seeded:vits --views 2,4,8 --ratio 1,auto
-  zipsplat bench depth --weights seeded:da3-small --views 4,24 --size 252x252,504x336
+  zipsplat bench depth --weights seeded:da3-small --views 4,24 --input-size 252x252,504x336
   zipsplat bench gemm
   zipsplat bench peak
   zipsplat bench render --gaussians 36000,102000 --size 252x252,1920x1080
   zipsplat bench refine --gaussians 102000 --size 252x252
-  zipsplat bench align --degrees 1,5
   zipsplat bench tradeoff capture/ -o report/
 
 Times by stage and kernel are the device's own, with a timestamp around every command, which keeps commands from \
@@ -45,12 +43,11 @@ pub struct Bench {
 
 #[derive(Subcommand)]
 enum What {
-    Align(align::Align),
     Depth(depth::Depth),
     Forward(forward::Forward),
     Gemm(gemm::Gemm),
     Peak(peak::Peak),
-    RefineOptions(refine::RefineOptions),
+    Refine(refine::Refine),
     Render(render::Render),
     Tradeoff(Box<tradeoff::Tradeoff>),
 }
@@ -70,12 +67,11 @@ struct Repeats {
 impl Bench {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         match &self.what {
-            What::Align(bench) => bench.run(session),
             What::Depth(bench) => bench.run(session),
             What::Forward(bench) => bench.run(session),
             What::Gemm(bench) => bench.run(session),
             What::Peak(bench) => bench.run(session),
-            What::RefineOptions(bench) => bench.run(session),
+            What::Refine(bench) => bench.run(session),
             What::Render(bench) => bench.run(session),
             What::Tradeoff(bench) => bench.run(session),
         }

@@ -40,7 +40,7 @@ const PYTORCH_DEGREE: u32 = 1;
 Of each case: its passes; step, all of them; picture, the device's time for the pictures of the step's cameras alone; host, a step
 as the host sees it. Shares count every tensor of a pass once, against a copy, and the arithmetic of every pixel of every tile that a
 Gaussian touches, against multiplications and additions, both measured in the same run.")]
-pub struct RefineOptions {
+pub struct Refine {
     /// Numbers of Gaussians
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "36000,102000",
         value_parser = clap::value_parser!(u32).range(1..=MOST_GAUSSIANS))]
@@ -91,7 +91,7 @@ struct Limits {
     fma: Rate,
 }
 
-impl RefineOptions {
+impl Refine {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         if self.pytorch.is_some() && self.sh > PYTORCH_DEGREE {
             return Err(Error::argument("--sh", self.sh, "0 or 1 with --pytorch"));

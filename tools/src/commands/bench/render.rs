@@ -5,7 +5,6 @@ use super::{
 };
 use crate::{
     options::Size,
-    outputs,
     session::{Session, Stage},
     table::Table,
 };
@@ -29,7 +28,7 @@ const MOST_GAUSSIANS: i64 = 50_000_000;
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat bench render
-  zipsplat bench render --gaussians 36000,102000,500000,2000000,6000000 --size 252x252,1920x1080,3840x2160 --sh 0,1,3 --csv
+  zipsplat bench render --gaussians 36000,102000,500000,2000000,6000000 --size 252x252,1920x1080,3840x2160 --sh 0,1,3
   zipsplat bench render --effects
   zipsplat bench render --gsplat
 
@@ -47,9 +46,6 @@ pub struct Render {
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "1",
         value_parser = clap::value_parser!(u32).range(0..=i64::from(Scene::MAX_SH_DEGREE)))]
     sh: Vec<u32>,
-    /// Print comma-separated values
-    #[arg(long, conflicts_with = "effects")]
-    csv: bool,
     /// Instead measure every effect off and on, with the first value of each list
     #[arg(long, conflicts_with = "gsplat")]
     effects: bool,
@@ -100,12 +96,7 @@ impl Render {
                 }
             }
         }
-        let text = if self.csv {
-            outputs::csv(&rows.iter().map(Line::from).collect::<Vec<_>>())
-        } else {
-            format!("{}, {bandwidth}\n{}", device.limits().name, table(&rows))
-        };
-        session.report(&rows, text)
+        session.report(&rows, format!("{}, {bandwidth}\n{}", device.limits().name, table(&rows)))
     }
 
     fn measure(
@@ -212,42 +203,4 @@ fn ratio(rows: &[Row], gsplat: &Row) -> f64 {
     let case = |row: &Row| (row.gaussians, row.width, row.height, row.sh_degree);
     let ours = rows.iter().find(|row| row.what == "device" && case(row) == case(gsplat));
     ours.map_or(f64::NAN, |ours| ours.ms.median / gsplat.ms.median)
-}
-
-#[derive(Serialize)]
-struct Line<'a> {
-    pass: &'a str,
-    gaussians: usize,
-    width: u32,
-    height: u32,
-    sh_degree: u32,
-    intersections: usize,
-    commands: u32,
-    ms_median: f64,
-    ms_min: f64,
-    ms_max: f64,
-    frames_per_s: f64,
-    bytes: Option<u64>,
-    bandwidth_share: Option<f64>,
-}
-
-impl<'a> From<&'a Row> for Line<'a> {
-    fn from(row: &'a Row) -> Self {
-        let Spread { median, min, max } = row.ms;
-        Self {
-            pass: &row.what,
-            gaussians: row.gaussians,
-            width: row.width,
-            height: row.height,
-            sh_degree: row.sh_degree,
-            intersections: row.intersections,
-            commands: row.commands,
-            ms_median: median,
-            ms_min: min,
-            ms_max: max,
-            frames_per_s: row.frames_per_s,
-            bytes: row.bytes,
-            bandwidth_share: row.bandwidth_share,
-        }
-    }
 }

@@ -7,7 +7,7 @@ use crate::{
     outputs::{Overwrite, check_folder, make_folder, save_depth_levels, save_picture},
     photos::{self, PhotoArgs},
     released::open_depth,
-    session::Session,
+    session::{Session, stage_seconds},
     table::{counted, time},
     video::FrameFolder,
 };
@@ -17,6 +17,7 @@ use serde_json::json;
 use std::{
     collections::HashMap,
     path::{Path, PathBuf},
+    time::Duration,
 };
 use truth::{Errors, Truth};
 use zipsplat::{
@@ -31,15 +32,15 @@ use zipsplat::{
 /// Depth, points and cameras of photos by Depth Anything 3
 ///
 /// Writes depths.safetensors (depth, confidence and rays), and 16-bit and colored depth pictures.
-/// Multi-view networks also write transforms.json for --poses of `reconstruct` and `refine`, and
-/// points.ply for `refine --start points`. Lengths are in the network's unit.
+/// Multi-view networks also write transforms.json for --cameras of `reconstruct` and `refine`, and
+/// points.ply for `refine --init points`. Lengths are in the network's unit.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat depth photos/ --weights da3-small -o depth/
-  zipsplat refine --start points photos/ --poses depth/transforms.json -o scene.ply
-  zipsplat reconstruct photos/ --poses depth/transforms.json -o scene.ply
-  zipsplat depth photos/ --weights da3-base.safetensors --poses transforms.json -o depth/
-  zipsplat depth capture/images --weights da3-base.safetensors --truth capture/ -o depth/")]
+  zipsplat refine --init points photos/ --cameras depth/transforms.json -o scene.ply
+  zipsplat reconstruct photos/ --cameras depth/transforms.json -o scene.ply
+  zipsplat depth photos/ --weights da3-base.safetensors --cameras transforms.json -o depth/
+  zipsplat depth capture/images --weights da3-base.safetensors --ground-truth capture/ -o depth/")]
 pub struct Depth {
     #[command(flatten)]
     input: PhotoArgs,
@@ -55,23 +56,23 @@ pub struct Depth {
     overwrite: Overwrite,
     /// Known cameras of all photos. Multi-view networks use them as input; with others they place
     /// the points
-    #[arg(long, alias = "cameras", value_name = "FILE")]
-    poses: Option<PathBuf>,
+    #[arg(long, value_name = "FILE")]
+    cameras: Option<PathBuf>,
     #[command(flatten)]
-    cameras: CamerasFrom,
+    source: CamerasFrom,
     /// Depth in meters, by da3metric-large and the cameras' focal lengths; positions must be in
     /// meters. Otherwise depth of single-view networks is aligned to the cameras' points
-    #[arg(long, alias = "metric", requires = "poses")]
-    metres: bool,
-    /// Reference photo of the world, counted from 1 [default: the network's choice]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
-    reference: Option<u32>,
+    #[arg(long, requires = "cameras")]
+    metric: bool,
+    /// Reference photo of the world, counted from 0 [default: the network's choice]
+    #[arg(long, value_name = "N")]
+    reference_view: Option<usize>,
     /// Longer side of the photos for the network, in pixels
-    #[arg(long, alias = "input-size", value_name = "PIXELS", default_value = "504", value_parser = clap::value_parser!(u32).range(14..=8192))]
-    size: u32,
+    #[arg(long, value_name = "PIXELS", default_value = "504", value_parser = clap::value_parser!(u32).range(14..=8192))]
+    input_size: u32,
     /// Limit of points
-    #[arg(long, alias = "max-points", value_name = "N", default_value = "200000")]
-    points: usize,
+    #[arg(long, value_name = "N", default_value = "200000")]
+    max_points: usize,
     /// Limit of photos, evenly spread, and of frames of a video [default: all, and 24 of a video]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     views: Option<u32>,
@@ -79,8 +80,8 @@ pub struct Depth {
     model: ModelOption,
     /// Also print errors against this capture: transforms.json or a COLMAP model, and any
     /// depth/NAME.npy, as `scene` writes it
-    #[arg(long, alias = "ground-truth", value_name = "CAPTURE")]
-    truth: Option<PathBuf>,
+    #[arg(long, value_name = "CAPTURE")]
+    ground_truth: Option<PathBuf>,
     #[command(flatten)]
     arithmetic: ArithmeticOption,
 }
@@ -97,20 +98,19 @@ impl Depth {
         let files = self.views.map_or(files.clone(), |views| photos::spread(files, views as usize));
         let known = self.known(&files)?;
         self.check(&files)?;
-        let truth = self.truth.as_deref().map(Truth::open).transpose()?;
-        let request =
-            DepthOptions { reference_view: self.reference.map(|photo| photo as usize - 1), ..Default::default() };
+        let truth = self.ground_truth.as_deref().map(Truth::open).transpose()?;
+        let request = DepthOptions { reference_view: self.reference_view, ..Default::default() };
         let options = PredictorOptions {
             checkpoint: &checkpoint,
-            side: Some(self.size),
-            cameras: self.cameras,
+            side: Some(self.input_size),
+            cameras: self.source,
             arithmetic: &self.arithmetic,
             request,
         };
         let frames: Vec<&CaptureView> = known.iter().flat_map(|(frames, _)| frames).collect();
         let mut predicted = options.ask(session, &files, &frames)?;
-        predicted.scale(self.metres, known.as_ref().and_then(|(_, points)| points.as_deref()))?;
-        let errors = truth.map(|truth| truth.errors(&predicted, self.poses.is_none())).transpose()?;
+        predicted.scale(self.metric, known.as_ref().and_then(|(_, points)| points.as_deref()))?;
+        let errors = truth.map(|truth| truth.errors(&predicted, self.cameras.is_none())).transpose()?;
         if !predicted.lost.is_empty() {
             session.note(format!("without a camera, and left out: {}", photos::names(&predicted.lost)));
         }
@@ -120,7 +120,7 @@ impl Depth {
         let frames = known.map_or_else(|| predicted.frames(), |(frames, _)| Ok(frames))?;
         save_values(&self.output.join(VALUES), &predicted.depths, &names)?;
         let levels = self.save_pictures(&predicted.depths, &names)?;
-        let points = predicted.points(self.points);
+        let points = predicted.points(self.max_points);
         if predicted.cameras.is_some() {
             let cloud = self.output.join(POINTS);
             write_points(&cloud, &points)?;
@@ -144,12 +144,12 @@ impl Depth {
         errors: Option<&Errors>,
     ) -> Result<()> {
         let PredictedViews { depths, cameras, times, .. } = predicted;
-        let seconds: serde_json::Map<_, _> =
-            times.iter().map(|(step, took)| (step.to_string(), json!(took.as_secs_f64()))).collect();
+        let total: Duration = times.iter().map(|(_, took)| *took).sum();
         let json = json!({
             "output": self.output, "network": predicted.network, "views": depths.views.len(),
-            "width": depths.width, "height": depths.height, "levels_per_unit": levels, "points": points,
-            "cameras": cameras.is_some(), "peak_bytes": depths.peak_bytes, "seconds": seconds,
+            "width": depths.width, "height": depths.height, "depth_levels_per_unit": levels, "points": points,
+            "has_cameras": cameras.is_some(), "peak_bytes": depths.peak_bytes, "seconds": total.as_secs_f64(),
+            "stage_seconds": stage_seconds(times),
             "errors": errors.map(Errors::as_json),
         });
         let took = times.last().map(|(_, took)| time(*took)).unwrap_or_default();
@@ -167,14 +167,16 @@ impl Depth {
         check_folder(&self.output)?;
         self.overwrite.check_replaced(all)?;
         self.model.check(self.overwrite)?;
-        match self.reference.filter(|photo| *photo as usize > files.len()) {
-            Some(photo) => Err(Error::argument("--reference", photo, format!("1 to {}, the photos", files.len()))),
+        match self.reference_view.filter(|photo| *photo >= files.len()) {
+            Some(photo) => {
+                Err(Error::argument("--reference-view", photo, format!("0 to {}, the photos", files.len() - 1)))
+            }
             None => Ok(()),
         }
     }
 
     fn known(&self, files: &[PathBuf]) -> Result<Option<(Vec<CaptureView>, Option<PathBuf>)>> {
-        let Some(poses) = &self.poses else { return Ok(None) };
+        let Some(poses) = &self.cameras else { return Ok(None) };
         let poses = Capture::open(poses)?;
         let frames = poses.frames_of(files)?.into_iter().zip(files);
         let frames = frames.map(|(frame, file)| CaptureView { photo: Some(file.clone()), ..frame.clone() }).collect();

@@ -74,7 +74,7 @@ impl Errors {
         let [degrees, away, focal] = self.cameras.map_or([None; 3], |errors| errors.map(Some));
         let [abs_rel, within] = self.depth.map_or([None; 2], |errors| errors.map(Some));
         json!({
-            "photos": self.photos, "degrees": degrees, "position": away, "focal": focal, "abs_rel": abs_rel, "within_1.25": within,
+            "photos": self.photos, "rotation_error_deg": degrees, "translation_error": away, "focal": focal, "abs_rel": abs_rel, "delta_1_25": within,
         })
     }
 }

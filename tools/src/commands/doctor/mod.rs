@@ -1,9 +1,11 @@
 //! `zipsplat doctor`.
 
+mod list;
 mod report;
+mod tune;
 
 use crate::{outputs::Overwrite, session::Session, table::Table};
-use clap::Args;
+use clap::{Args, Subcommand};
 use serde::Serialize;
 use std::path::PathBuf;
 use zipsplat::{Error, Result, gpu::Limits, types::write_atomic};
@@ -15,6 +17,7 @@ const OUTSIDE: u8 = 5;
 /// Check this device and driver: hard cases of every kernel against f64
 #[derive(Args)]
 #[command(
+    args_conflicts_with_subcommands = true,
     after_help = "A bound follows from the number format and from what Vulkan promises, so nothing may lie outside: exit \
 code 5 where something does. What is printed is the worst case of each kernel and mode, and whatever lies outside; --verbose \
 prints all, --json also the faults that each case is there to catch.
@@ -22,9 +25,13 @@ prints all, --json also the faults that each case is there to catch.
 Examples:
   zipsplat doctor
   zipsplat doctor --device 1 --report doctor.html
-  zipsplat doctor --only ops/attention --json"
+  zipsplat doctor --only ops/attention --json
+  zipsplat doctor list
+  zipsplat doctor tune"
 )]
 pub struct Doctor {
+    #[command(subcommand)]
+    task: Option<Task>,
     /// Only kernels whose name contains this
     #[arg(long, value_name = "KERNEL")]
     only: Option<String>,
@@ -38,6 +45,16 @@ pub struct Doctor {
     overwrite: Overwrite,
 }
 
+#[derive(Subcommand)]
+enum Task {
+    List(List),
+    Tune(tune::Tune),
+}
+
+/// List every Vulkan device and whether it can be used
+#[derive(Args)]
+struct List {}
+
 #[derive(Serialize)]
 struct Report<'a> {
     device: &'a Limits,
@@ -48,6 +65,11 @@ struct Report<'a> {
 
 impl Doctor {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
+        match &self.task {
+            Some(Task::List(_)) => return list::devices(session),
+            Some(Task::Tune(tune)) => return tune.run(session),
+            None => {}
+        }
         if let Some(path) = &self.report {
             self.overwrite.check_file(path)?;
         }

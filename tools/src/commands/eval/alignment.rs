@@ -14,15 +14,15 @@ pub struct AlignedScore {
     ssim: f64,
     nearest_psnr: f64,
     mean_color_psnr: f64,
-    /// With the given camera.
-    before_psnr: f64,
-    before_ssim: f64,
-    /// From the given camera.
-    degrees: f64,
-    /// In the cameras' unit.
-    distance: f64,
-    doubt: Option<Doubt>,
     pub lpips: Option<f64>,
+    /// With the given camera.
+    unaligned_psnr: f64,
+    unaligned_ssim: f64,
+    /// From the given camera.
+    rotation_error_deg: f64,
+    /// In the cameras' unit.
+    translation_error: f64,
+    warning: Option<Doubt>,
 }
 
 fn scores(capture: &ViewSplit, found: &[Aligned]) -> Vec<AlignedScore> {
@@ -31,11 +31,11 @@ fn scores(capture: &ViewSplit, found: &[Aligned]) -> Vec<AlignedScore> {
     };
     let (before, after) = (scores(|found| &found.before), scores(|found| &found.drawn));
     let row = |((found, before), score): ((&Aligned, Score), Score)| AlignedScore {
-        before_psnr: before.psnr,
-        before_ssim: before.ssim,
-        degrees: found.turn.to_degrees(),
-        distance: capture.scene_scale.length * found.shift,
-        doubt: found.doubt.or((score.psnr <= score.mean_color_psnr).then_some(Doubt::Color)),
+        unaligned_psnr: before.psnr,
+        unaligned_ssim: before.ssim,
+        rotation_error_deg: found.turn.to_degrees(),
+        translation_error: capture.scene_scale.length * found.shift,
+        warning: found.doubt.or((score.psnr <= score.mean_color_psnr).then_some(Doubt::Color)),
         view: score.view,
         psnr: score.psnr,
         ssim: score.ssim,
@@ -48,17 +48,17 @@ fn scores(capture: &ViewSplit, found: &[Aligned]) -> Vec<AlignedScore> {
 
 #[derive(Serialize)]
 pub struct Alignment {
-    degrees: f64,
+    rotation_error_deg: f64,
     /// Median, in the cameras' unit.
-    distance: f64,
-    before: Before,
+    translation_error: f64,
+    unaligned: Unaligned,
     /// With unreliable scores.
-    doubtful: usize,
+    unreliable: usize,
     pub rows: Vec<AlignedScore>,
 }
 
 #[derive(Serialize)]
-struct Before {
+struct Unaligned {
     psnr: f64,
     ssim: f64,
 }
@@ -73,10 +73,10 @@ impl Alignment {
         };
         let mean = |value: fn(&AlignedScore) -> f64| rows.iter().map(value).sum::<f64>() / rows.len() as f64;
         Self {
-            degrees: median(|row| row.degrees),
-            distance: median(|row| row.distance),
-            before: Before { psnr: mean(|row| row.before_psnr), ssim: mean(|row| row.before_ssim) },
-            doubtful: rows.iter().filter(|row| row.doubt.is_some()).count(),
+            rotation_error_deg: median(|row| row.rotation_error_deg),
+            translation_error: median(|row| row.translation_error),
+            unaligned: Unaligned { psnr: mean(|row| row.unaligned_psnr), ssim: mean(|row| row.unaligned_ssim) },
+            unreliable: rows.iter().filter(|row| row.warning.is_some()).count(),
             rows,
         }
     }
@@ -84,18 +84,19 @@ impl Alignment {
     pub fn table(&self, mean: &Score) -> Table {
         let mut table = Table::new(
             1,
-            &["view", "PSNR", "SSIM", "LPIPS", "nearest photo", "mean colour", "degrees", "distance", "doubt"],
+            &["view", "PSNR", "SSIM", "LPIPS", "nearest photo", "mean color", "degrees", "distance", "warning"],
         );
         for row in &self.rows {
             let score = [row.psnr, row.ssim, row.nearest_psnr, row.mean_color_psnr];
             let [view, psnr, ssim, lpips, nearest, color] = cells(&row.view, score, row.lpips);
-            let doubt = match row.doubt {
+            let doubt = match row.warning {
                 None => "",
                 Some(Doubt::Flat) => "flat",
                 Some(Doubt::Bound) => "bound",
                 Some(Doubt::Color) => "color",
             };
-            let [degrees, distance] = [format!("{:.2}", row.degrees), format!("{:.4}", row.distance)];
+            let [degrees, distance] =
+                [format!("{:.2}", row.rotation_error_deg), format!("{:.4}", row.translation_error)];
             table.row([view, psnr, ssim, lpips, nearest, color, degrees, distance, doubt.into()]);
         }
         let [view, psnr, ssim, lpips, nearest, color] = cells_of(mean);
@@ -104,7 +105,7 @@ impl Alignment {
     }
 
     pub fn doubts(&self) -> Option<String> {
-        let count = |doubt| self.rows.iter().filter(|row| row.doubt == Some(doubt)).count();
+        let count = |doubt| self.rows.iter().filter(|row| row.warning == Some(doubt)).count();
         let [flat, bound, color] = [Doubt::Flat, Doubt::Bound, Doubt::Color].map(count);
         let reasons = [
             (flat, "of a photo without texture, which is not aligned".to_owned()),
@@ -115,18 +116,20 @@ impl Alignment {
                     MOST_TURN.to_degrees()
                 ),
             ),
-            (color, "no more like its photo than one colour".to_owned()),
+            (color, "no more like its photo than one color".to_owned()),
         ];
         let reasons: Vec<String> = (reasons.iter().filter(|(count, _)| *count > 0))
             .map(|(count, reason)| format!("{count} {reason}"))
             .collect();
         let of = self.rows.len();
-        (self.doubtful > 0)
-            .then(|| format!("{} of {of} aligned pictures say little: {}", self.doubtful, reasons.join("; ")))
+        (self.unreliable > 0)
+            .then(|| format!("{} of {of} aligned pictures say little: {}", self.unreliable, reasons.join("; ")))
     }
 
     pub fn summary(&self) -> String {
-        let Self { degrees, distance, before: Before { psnr, ssim }, .. } = self;
+        let Self {
+            rotation_error_deg: degrees, translation_error: distance, unaligned: Unaligned { psnr, ssim }, ..
+        } = self;
         format!(
             "\naligned by {degrees:.2} degrees and {distance:.4} (medians); with the cameras given {psnr:.2} dB and {ssim:.3}"
         )

@@ -14,7 +14,7 @@ use zipsplat::{
     ops::{Arithmetic, Precision},
     perceptual::Perceptual,
     reconstruct::{Model, ReconstructOptions},
-    refine::{FrozenHead, RefineOptions, RefineResult, StopReason},
+    refine::{FrozenHead, RefineResult, StopReason},
     stages::render::Renderer,
     types::Scene,
     weights::Checkpoint,
@@ -83,7 +83,7 @@ impl<'a> Evaluator<'a> {
     /// `name` is the capture's in a data set.
     pub fn evaluate(&mut self, session: &mut Session<'_>, choice: &Choice, name: Option<&str>) -> Result<Evaluation> {
         let (eval, seeing) = (self.eval, self.seeing);
-        let (capture, _) = session.stage("load photos", |stage| choice.load(seeing, eval.unit, stage))?;
+        let (capture, _) = session.stage("load photos", |stage| choice.load(seeing, eval.scene_scale, stage))?;
         capture.notes().for_each(|note| session.note(note));
         let reconstruction = match (eval.external.make(session, name, choice, &capture)?, self.weights) {
             (None, Weighed::Tokens(checkpoint)) => self.reconstruct(session, choice, &capture, checkpoint)?,
@@ -111,14 +111,14 @@ impl<'a> Evaluator<'a> {
         mut reconstruction: Reconstruction,
     ) -> Result<Reconstruction> {
         let eval = self.eval;
-        if let Some(Steps { count, tokens }) = eval.refine {
-            refuse("--refine STEPS:tokens", tokens, "a scene of given depth", "a network's scene")?;
+        if let Some(steps) = eval.refine.steps() {
+            refuse("--refine-target tokens", steps.tokens, "a scene of given depth", "a network's scene")?;
             let cloud = choice.points(&capture.scene_scale)?;
-            let init = eval.start.unwrap_or(Initialization::Scene);
+            let init = eval.refine.settings.init.unwrap_or(Initialization::Scene);
             reconstruction.started = init.name();
             let scene = init.scene(Some(reconstruction.scene), cloud.as_ref(), &capture.training_views().1)?;
             let arena = Arena::new(&self.device);
-            let refined = refine(eval, session, &arena, Refinable::Scene(&scene), capture, count)?;
+            let refined = refine(eval, session, &arena, Refinable::Scene(&scene), capture, steps)?;
             (reconstruction.scene, reconstruction.refined) = (refined.scene.clone(), Some(refined));
         }
         self.renderer.set_scene(&reconstruction.scene)?;
@@ -138,32 +138,33 @@ impl<'a> Evaluator<'a> {
         }
         let model = self.model.as_ref().expect("it was loaded");
         let images = capture.images();
-        let (cameras, world) = self.seeing.fit.network_cameras(capture.cameras());
+        let (cameras, world) = self.seeing.crop.network_cameras(capture.cameras());
         let request = ReconstructOptions {
             ratio: eval.quality.ratio,
-            token_selection: eval.quality.select.clone(),
+            token_selection: eval.quality.token_selection.clone(),
             cameras: (!eval.pose_free).then_some(cameras),
             scene_scale: Some(1.0),
-            kv_pool: eval.quality.pool,
+            kv_pool: eval.quality.kv_pool,
             ..ReconstructOptions::default()
         };
-        let of_tokens = eval.refine.is_some_and(|steps| steps.tokens);
+        let of_tokens = eval.refine.steps().is_some_and(|steps| steps.tokens);
         let (result, tokens, took) = session.reconstruct_with_tokens(model, &images, &request, of_tokens)?;
         let mut scene = result.to_scene()?;
         eval.quality.prune(&mut scene, checkpoint.architecture());
         world.iter().for_each(|world| scene.place(1.0, world));
         let mut started = refinement::TOKENS;
-        let refined = match (eval.refine, &tokens) {
-            (Some(Steps { count, .. }), Some(tokens)) => {
+        let refined = match (eval.refine.steps(), &tokens) {
+            (Some(steps), Some(tokens)) => {
                 let head = FrozenHead::load(&self.device, checkpoint)?;
-                Some(refine(eval, session, model.arena(), Refinable::Tokens(&head, tokens), capture, count)?)
+                Some(refine(eval, session, model.arena(), Refinable::Tokens(&head, tokens), capture, steps)?)
             }
-            (Some(Steps { count, .. }), None) => {
+            (Some(steps), None) => {
                 let cloud = choice.points(&capture.scene_scale)?;
-                let init = Initialization::or_best(eval.start, cloud.as_ref(), eval.weights.is_embedded());
+                let init =
+                    Initialization::or_best(eval.refine.settings.init, cloud.as_ref(), eval.weights.is_builtin());
                 started = init.name();
                 let initial = init.scene(Some(scene.clone()), cloud.as_ref(), &capture.training_views().1)?;
-                Some(refine(eval, session, model.arena(), Refinable::Scene(&initial), capture, count)?)
+                Some(refine(eval, session, model.arena(), Refinable::Scene(&initial), capture, steps)?)
             }
             (None, _) => None,
         };
@@ -213,12 +214,11 @@ fn refine(
     arena: &Arena,
     from: Refinable<'_>,
     capture: &ViewSplit,
-    steps: usize,
+    steps: Steps,
 ) -> Result<RefineResult> {
     let (photos, cameras) = capture.training_views();
-    let request = eval.moved.request(RefineOptions { steps, holdout_views: eval.hold_out, ..RefineOptions::default() });
+    let request = eval.refine.settings.request(steps);
     let refined = refinement::refine(session, arena, from, &photos, &cameras, &request)?;
-    refinement::doubt(&refined).iter().for_each(|note| session.note(note));
     match refined.stop_reason {
         Some(StopReason::Cancelled) => Err(Error::Cancelled),
         _ => Ok(refined),

@@ -26,26 +26,23 @@ const APART: f64 = 0.05;
 pub struct ExternalScene {
     /// Evaluate this external scene of the input photos, without reconstruction: PLY, SPZ, .splat
     /// or glTF; with --protocol a folder of NAME.ply and the like
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["refine", "ratio", "keep", "disturb", "fit"])]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["refine", "ratio", "max_gaussians_per_token", "pose_noise", "crop"])]
     scene: Option<PathBuf>,
     /// Evaluate a pixel-aligned scene, one Gaussian per input pixel, at exact depth, without
     /// reconstruction. Reads FOLDER/NAME.npy for each photo NAME, as `scene` writes it: f32
     /// [height, width], z in the cameras' unit, 0 for unknown. With --protocol
     /// FOLDER/SCENE/NAME.npy. --refine starts from it
-    #[arg(long, value_name = "FOLDER", conflicts_with_all = ["scene", "ratio", "keep", "disturb", "fit", "pose_free"])]
+    #[arg(long, value_name = "FOLDER", conflicts_with_all = ["scene", "ratio", "max_gaussians_per_token", "pose_noise", "crop", "pose_free"])]
     from_depth: Option<PathBuf>,
-    /// Standard deviation of errors added to that depth, in percent, smooth over patches of 14
-    /// pixels, independent between photos
-    #[arg(long, alias = "depth-noise", value_name = "PERCENT", requires = "from_depth", default_value = "0", value_parser = parse_noise)]
-    noise: f64,
-    /// World of that scene [default: aligned with --scene-cameras, else the file's, else first]
-    #[arg(long, alias = "scene-frame", value_enum, value_name = "WHOSE", requires = "scene")]
-    world: Option<SceneFrame>,
-    /// Cameras of the input photos in the scene's world, for --world aligned, in any format of
-    /// `--poses`; with --protocol a folder of NAME.json or COLMAP models NAME/
+    /// World of that scene [default: aligned with --scene-cameras, else the file's, else
+    /// first-camera]
+    #[arg(long, value_enum, value_name = "WHOSE", requires = "scene")]
+    scene_frame: Option<SceneFrame>,
+    /// Cameras of the input photos in the scene's world, for --scene-frame aligned, in any format of
+    /// `--cameras`; with --protocol a folder of NAME.json or COLMAP models NAME/
     #[arg(long, value_name = "PATH", requires = "scene")]
     scene_cameras: Option<PathBuf>,
-    /// Length in the cameras' unit that is 1 in the scene; --world aligned derives it [default: 1]
+    /// Length in the cameras' unit that is 1 in the scene; --scene-frame aligned derives it [default: 1]
     #[arg(long, value_name = "LENGTH", requires = "scene", value_parser = parse_length)]
     scene_unit: Option<f64>,
     /// Opacities of the scene's file: logits, as in 3DGS, or plain, from 0 to 1
@@ -58,11 +55,13 @@ pub struct ExternalScene {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum SceneFrame {
     /// The first input's camera: pose-free systems, ours
-    First,
+    #[value(alias = "first")]
+    FirstCamera,
     /// The cameras' origin with the axes of the first input's camera: DepthSplat
     Turned,
     /// The world of the cameras: 3DGS, brush
-    Cameras,
+    #[value(alias = "cameras")]
+    InputCameras,
     /// Any, mapped by a similarity between its cameras and the known ones
     Aligned,
 }
@@ -71,12 +70,6 @@ enum SceneFrame {
 enum Opacities {
     Logit,
     Plain,
-}
-
-/// Keeps depth positive.
-fn parse_noise(text: &str) -> Result<f64, String> {
-    let percent = text.parse().ok().filter(|percent| (0.0..=30.0).contains(percent));
-    percent.ok_or_else(|| "expected percent from 0 to 30".into())
 }
 
 impl ExternalScene {
@@ -91,8 +84,8 @@ impl ExternalScene {
 
     /// Formats the options for the scores' hash.
     pub fn key(&self) -> String {
-        let Self { scene, from_depth, noise, world, scene_cameras, scene_unit, opacities, .. } = self;
-        format!("{scene:?} {from_depth:?} {noise:?} {world:?} {scene_cameras:?} {scene_unit:?} {opacities:?}")
+        let Self { scene, from_depth, scene_frame, scene_cameras, scene_unit, opacities, .. } = self;
+        format!("{scene:?} {from_depth:?} {scene_frame:?} {scene_cameras:?} {scene_unit:?} {opacities:?}")
     }
 
     /// `name` is the capture's in a data set.
@@ -106,8 +99,7 @@ impl ExternalScene {
         match (&self.from_depth, self.file(name)?) {
             (Some(folder), _) => {
                 let folder = name.map_or_else(|| folder.clone(), |name| folder.join(name));
-                depth::scene(&folder, self.noise / 100.0, choice, capture)
-                    .map(|scene| Some(Reconstruction::given(scene)))
+                depth::scene(&folder, choice, capture).map(|scene| Some(Reconstruction::given(scene)))
             }
             (None, Some(file)) => self.read(session, &file, name, choice, capture).map(Some),
             (None, None) => Ok(None),
@@ -143,7 +135,7 @@ impl ExternalScene {
         let first = inputs[0].camera.pose;
         let unit = self.scene_unit.unwrap_or(1.0);
         let placed = |pose: Pose| Similarity { scale: unit, pose };
-        let to_cameras = match (self.world, &self.scene_cameras, read_world(file)?.map(|world| world.origin)) {
+        let to_cameras = match (self.scene_frame, &self.scene_cameras, read_world(file)?.map(|world| world.origin)) {
             (Some(SceneFrame::Aligned), Some(path), _) | (None, Some(path), _) => {
                 let (found, apart) = aligned(&Capture::open(self.cameras(path, name)?)?, &inputs)?;
                 if apart > APART {
@@ -156,18 +148,22 @@ impl ExternalScene {
                 found
             }
             (Some(SceneFrame::Aligned), None, _) => {
-                return Err(Error::argument("--scene-cameras", "nothing", "the scene's cameras, for --world aligned"));
+                return Err(Error::argument(
+                    "--scene-cameras",
+                    "nothing",
+                    "the scene's cameras, for --scene-frame aligned",
+                ));
             }
             (Some(_), Some(path), _) => {
-                let expected = "no --scene-cameras, which are for --world aligned";
-                return Err(Error::argument("--world", path.display(), expected));
+                let expected = "no --scene-cameras, which are for --scene-frame aligned";
+                return Err(Error::argument("--scene-frame", path.display(), expected));
             }
-            (Some(SceneFrame::Cameras), ..) | (None, None, Some(Origin::Cameras(_))) => placed(Pose::IDENTITY),
+            (Some(SceneFrame::InputCameras), ..) | (None, None, Some(Origin::Cameras(_))) => placed(Pose::IDENTITY),
             (Some(SceneFrame::Turned), ..) => placed(Pose { translation: DVec3::ZERO, ..first }),
             (None, None, Some(Origin::Photo(photo))) => {
                 placed(choice.frame(&photo).map_or(first, |frame| frame.camera.pose))
             }
-            (Some(SceneFrame::First) | None, None, _) => placed(first),
+            (Some(SceneFrame::FirstCamera) | None, None, _) => placed(first),
         };
         place(&mut scene, &to_cameras, &first, capture);
         Ok(Reconstruction::given(scene))

@@ -2,6 +2,7 @@ mod alignment;
 mod depth;
 mod evaluator;
 mod external_scene;
+mod images;
 mod one;
 mod page;
 mod pixels;
@@ -12,16 +13,17 @@ use crate::{
     align::Method,
     cameras::{Finding, KnownCameras},
     capture::Choice,
+    metrics::LpipsOption,
     options::{Network, Quality, Size, Weights, parse_length, refuse},
     outputs::Overwrite,
-    perceptual::LpipsOption,
     photos,
     protocol::Filter,
-    refinement::{DEFAULT_STEPS, Initialization, Moved, Steps},
+    refinement::RefineArgs,
     session::Session,
-    views::{Fit, FitOption, Seeing},
+    views::{Crop, CropOption, Seeing},
 };
-use clap::{ArgGroup, Args, ValueEnum};
+use clap::{Arg, Args, ValueEnum};
+use images::ImageSets;
 use std::{path::PathBuf, str::FromStr};
 use zipsplat::{Result, reconstruct::Shape, weights::Checkpoint};
 
@@ -30,7 +32,7 @@ const VIEWS: u32 = 8;
 /// Default number of a protocol's targets per scene.
 const TARGETS: usize = 8;
 
-/// Evaluate the prediction of photos that a reconstruction has not seen
+/// Measure quality: predictions of held-out photos, a data set, a scene, or two sets of pictures
 ///
 /// Reconstructs a capture from some of its photos with their cameras, renders the scene from the
 /// other cameras, and compares. The network's unit of length is the median distance from the first
@@ -45,8 +47,11 @@ const TARGETS: usize = 8;
 /// bound, a camera at its movement limit; color, a picture no better than one color.
 ///
 /// With weights of Depth Anything 3 the scene is that of `reconstruct`: each confident pixel of the
-/// whole photos, whose longer side is --size. With --pose-free, estimated cameras place it in the
+/// whole photos, whose longer side is --input-size. With --pose-free, estimated cameras place it in the
 /// known world.
+///
+/// Two pictures, or two folders of pictures matched by file name without extension, are compared
+/// by PSNR, SSIM (as in scikit-image, Gaussian windows of 11 pixels) and LPIPS 0.1.
 ///
 /// With --protocol the folders are scenes of a data set, or folders of them, evaluated as in the
 /// paper's tables 1 to 3: 8 photos of each, downscaled by its filter, and cameras aligned as by its
@@ -55,24 +60,28 @@ const TARGETS: usize = 8;
 /// pictures. Run the command again to resume. A failed scene is a row of failures.csv; the others
 /// continue, and the exit code is 1.
 #[derive(Args)]
-#[command(group(ArgGroup::new("moved").args(["refine_cameras", "grow", "lpips_weight"]).multiple(true).requires("refine")))]
-#[command(after_help = "Examples:
+#[command(
+    mut_args(for_known_cameras),
+    after_help = "Examples:
   zipsplat eval capture/ --views 8
   zipsplat eval capture/ --views 8 --ratio 0.5 --csv capture.csv -o out/
-  zipsplat eval photos/ --views 8 --poses find --refine 100
+  zipsplat eval photos/ --views 8 --cameras colmap --refine 100
   zipsplat eval capture/ --views 8 --targets 8 --pose-free
-  zipsplat eval capture/ --views 8 --weights da3-base --size 504x336 --score-size 252x252
+  zipsplat eval capture/ --views 8 --weights da3-base --input-size 504x336 --eval-size 252x252
+  zipsplat eval drawn/ photos/ --csv scores.csv
   zipsplat eval --protocol dl3dv DL3DV-Benchmark/ --pose-free --weights zipsplat -o dl3dv/
-  zipsplat eval --protocol re10k test/ --indices ctx_6v_tgt_8v.json --weights zipsplat -o re10k/")]
+  zipsplat eval --protocol re10k test/ --indices ctx_6v_tgt_8v.json --weights zipsplat -o re10k/"
+)]
 pub struct Eval {
-    /// Folder with photos and their cameras: a transforms.json or a COLMAP model; with --poses
-    /// photos only; with --protocol scenes of a data set, or folders of them
-    #[arg(required = true, value_name = "FOLDER")]
+    /// Capture: a folder with photos and their cameras, a transforms.json or a COLMAP model, or with
+    /// --cameras photos only; two pictures, or two folders of pictures, to compare; with --protocol
+    /// scenes of a data set, or folders of them
+    #[arg(required = true, value_name = "CAPTURE|PICTURES")]
     folders: Vec<PathBuf>,
-    /// Cameras of the photos: transforms.json or a COLMAP model's folder; find: estimated by
+    /// Cameras of the photos: transforms.json or a COLMAP model's folder; colmap: estimated by
     /// COLMAP; da3: by Depth Anything 3 [default: those in the folder]
-    #[arg(long, alias = "cameras", value_name = "PATH|find|da3")]
-    poses: Option<PathBuf>,
+    #[arg(long, value_name = "PATH|colmap|da3")]
+    cameras: Option<PathBuf>,
     #[command(flatten)]
     finding: Finding,
     /// Photos to reconstruct from, by farthest-point sampling of positions; of a protocol a list
@@ -100,46 +109,34 @@ pub struct Eval {
     #[command(flatten)]
     quality: Quality,
     #[command(flatten)]
-    fit: FitOption,
-    /// Compare whole photos, at the scale of --size, even if the network sees only their center;
-    /// --fit squares always does
-    #[arg(long, alias = "full-images")]
-    whole: bool,
-    /// Compared size, independent of the network's [default: that of --size]
-    #[arg(long, alias = "eval-size", value_name = "WxH")]
-    score_size: Option<Size>,
-    /// Filter for downscaling photos [default: lanczos, of a protocol bilinear]
-    #[arg(long, value_enum, value_name = "HOW")]
-    filter: Option<Filter>,
-    /// Refine the scene against the input photos for this number of steps; :tokens refines the
-    /// network's tokens instead of the Gaussians
-    #[arg(long, value_name = "STEPS[:tokens|gaussians]", num_args = 0..=1, require_equals = true,
-        default_missing_value = DEFAULT_STEPS, conflicts_with = "pose_free")]
-    refine: Option<Steps>,
-    /// Initialization of the refinement [default: for the built-in model points, if the capture has
-    /// enough, else the scene]. A capture's points may also come from held-out photos
-    #[arg(long, alias = "init", value_enum, value_name = "WHAT", requires = "refine")]
-    start: Option<Initialization>,
-    /// Input photos that --refine holds out, evenly spread; 0 learns from all [default: 1 of 40 or
-    /// more, none with --refine-cameras]
-    #[arg(long, alias = "holdout-views", value_name = "K", requires = "refine")]
-    hold_out: Option<usize>,
+    crop: CropOption,
+    /// Compare whole photos, at the scale of --input-size, even if the network sees only their center;
+    /// --crop tiles always does
+    #[arg(long)]
+    full_images: bool,
+    /// Compared size, independent of the network's [default: that of --input-size]
+    #[arg(long, value_name = "WxH")]
+    eval_size: Option<Size>,
     #[command(flatten)]
-    moved: Moved,
+    refine: RefineArgs,
     /// Perturb the cameras of network and refinement: those of all inputs but the first rotate by
     /// this number of degrees, and move by as many percent of the scene's distance
-    #[arg(long, alias = "pose-noise", value_name = "DEGREES", default_value = "0")]
-    disturb: f64,
+    #[arg(long, value_name = "DEGREES", default_value = "0")]
+    pose_noise: f64,
     /// Length in the cameras' unit that is 1 for the network [default: the median distance of the
     /// capture's points, else of the point that the cameras look at]
-    #[arg(long, alias = "scene-scale", value_name = "LENGTH", value_parser = parse_length)]
-    unit: Option<f64>,
+    #[arg(long, value_name = "LENGTH", value_parser = parse_length)]
+    scene_scale: Option<f64>,
     #[command(flatten)]
     lpips: LpipsOption,
     /// Table to write: view, psnr, ssim, nearest_psnr, mean_color_psnr, lpips, a row per compared
-    /// photo; with aligned cameras also before_psnr, before_ssim, degrees, distance, doubt
+    /// photo; with aligned cameras also unaligned_psnr, unaligned_ssim,
+    /// rotation_error_deg, translation_error, warning
     #[arg(long, value_name = "FILE", conflicts_with = "protocol")]
     csv: Option<PathBuf>,
+    /// Picture of the differences of two pictures, amplified four times; a folder for folders
+    #[arg(long, value_name = "FILE|DIR")]
+    difference: Option<PathBuf>,
     /// Folder for scene.ply, in the unit of the network's cameras, and comparison.png: photos,
     /// predictions, and nearest input photos; of a protocol for its records, tables and page
     #[arg(long, short, value_name = "FOLDER", required_if_eq_any([("protocol", "dl3dv"), ("protocol", "re10k"),
@@ -147,6 +144,10 @@ pub struct Eval {
     output: Option<PathBuf>,
     #[command(flatten)]
     overwrite: Overwrite,
+}
+
+fn for_known_cameras(arg: Arg) -> Arg {
+    if arg.get_id() == "refine" { arg.conflicts_with("pose_free") } else { arg }
 }
 
 /// `None` disables alignment.
@@ -171,34 +172,33 @@ impl FromStr for Aligning {
 
 impl Eval {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
-        match self.series.protocol {
-            Some(protocol) => series::run(self, protocol, session),
-            None => one::run(self, session),
+        match (self.series.protocol, &self.folders[..]) {
+            (Some(protocol), _) => series::run(self, protocol, session),
+            (None, [first, second]) => ImageSets { eval: self, first, second }.run(session),
+            (None, _) => one::run(self, session),
         }
     }
 
     fn begin(&self, session: &mut Session<'_>) -> Result<(Network, Seeing)> {
-        let (network, fit) = (self.weights.open_network()?, self.fit.fit);
+        let (network, crop) = (self.weights.open_network()?, self.crop.crop);
         let size = match &network {
             Network::Tokens(checkpoint) => {
                 session.notes(checkpoint.notes());
                 self.quality.check(checkpoint.architecture())?;
                 let size = self.quality.size_for(checkpoint);
-                fit.check(size, !self.pose_free)?;
+                crop.check(size, !self.pose_free)?;
                 session.notes(self.quality.doubt_size(checkpoint));
                 size
             }
             Network::Pixels(checkpoint) => self.check_pixels(checkpoint)?,
         };
-        self.refine.map_or(Ok(()), |steps| steps.check(self.start, &self.moved))?;
+        self.refine.check()?;
         let unused = self.external.given().is_none() && self.external.has_input_options();
-        refuse("--invalid", unused, "without --scene", "with --scene")?;
-        let usual = if self.series.protocol.is_some() { Filter::Bilinear } else { Filter::Lanczos };
-        let filter = self.filter.unwrap_or(usual);
-        let is_bilinear = self.filter == Some(Filter::Bilinear);
-        refuse("--filter bilinear", is_bilinear && fit == Fit::Squares, "with --fit squares", "with --fit crop")?;
-        let compared = self.score_size.unwrap_or(size);
-        Ok((network, Seeing { fit, size, compared, whole: self.whole || fit == Fit::Squares, filter }))
+        refuse("--drop-invalid", unused, "without --scene", "with --scene")?;
+        let bilinear = self.series.protocol.is_some() && crop == Crop::Center;
+        let filter = if bilinear { Filter::Bilinear } else { Filter::Lanczos };
+        let compared = self.eval_size.unwrap_or(size);
+        Ok((network, Seeing { crop, size, compared, whole: self.full_images || crop == Crop::Tiles, filter }))
     }
 
     fn aligning(&self) -> Option<Method> {
@@ -210,14 +210,14 @@ impl Eval {
     }
 
     fn check_shape(&self, checkpoint: &Checkpoint, seeing: Seeing, choice: &Choice) -> Result<()> {
-        let (Size(width, height), views) = (seeing.size, seeing.fit.count(&choice.inputs())?);
-        let chosen = (self.quality.ratio, &self.quality.select);
+        let (Size(width, height), views) = (seeing.size, seeing.crop.count(&choice.inputs())?);
+        let chosen = (self.quality.ratio, &self.quality.token_selection);
         let shape = Shape::new(checkpoint.architecture(), views, [width, height], chosen, !self.pose_free)?;
-        shape.pooled(self.quality.pool).map(drop)
+        shape.pooled(self.quality.kv_pool).map(drop)
     }
 
     fn known(&self, folder: &PathBuf, session: &mut Session<'_>) -> Result<Option<KnownCameras>> {
-        let Some(path) = &self.poses else { return Ok(None) };
+        let Some(path) = &self.cameras else { return Ok(None) };
         let photos = photos::list(session, std::slice::from_ref(folder))?;
         let mut known = KnownCameras::of(session, path, &photos, &self.finding)?;
         // The camera file may lie elsewhere.

@@ -7,7 +7,7 @@ use super::{
 };
 use crate::{
     capture::{Choice, Score, ViewSplit},
-    options::Network,
+    options::{Network, refuse},
     outputs, refinement,
     session::Session,
     table::Table,
@@ -29,8 +29,10 @@ pub fn run(eval: &Eval, session: &mut Session<'_>) -> Result<()> {
         eval.overwrite.check_replaced([SCENE, COMPARISON].map(|name| folder.join(name)))?;
     }
     let [folder] = &eval.folders[..] else {
-        return Err(Error::argument("folders", eval.folders.len(), "one capture, or scenes of a --protocol"));
+        let expected = "one capture, two sets of pictures, or scenes of a --protocol";
+        return Err(Error::argument("folders", eval.folders.len(), expected));
     };
+    refuse("--difference", eval.difference.is_some(), "a capture", "two pictures or folders of pictures")?;
     let views = match eval.views[..] {
         [] => VIEWS,
         [views] => views,
@@ -43,7 +45,7 @@ pub fn run(eval: &Eval, session: &mut Session<'_>) -> Result<()> {
         Some(known) => Choice::of(known.poses.clone(), folder, views, targets)?,
         None => Choice::new(folder, views, targets).map_err(without_cameras)?,
     };
-    choice.disturb(eval.disturb, eval.unit)?;
+    choice.disturb(eval.pose_noise, eval.scene_scale)?;
     if let (None, Network::Tokens(checkpoint)) = (eval.external.given(), &weights) {
         eval.check_shape(checkpoint, seeing, &choice)?;
     }
@@ -63,7 +65,7 @@ pub fn run(eval: &Eval, session: &mut Session<'_>) -> Result<()> {
     alignment.iter().filter_map(Alignment::doubts).for_each(|note| session.note(note));
     if eval.external.given().is_some() && mean.psnr < mean.mean_color_psnr {
         session.note(
-            "the scene is further from the photos than one color: --world, --scene-unit and --scene-cameras say where its \
+            "the scene is further from the photos than one color: --scene-frame, --scene-unit and --scene-cameras say where its \
              world is",
         );
     }
@@ -93,7 +95,7 @@ pub fn run(eval: &Eval, session: &mut Session<'_>) -> Result<()> {
         "folder": folder, "weights": weights.provenance(), "precision": evaluator.precision.name(),
         "width": seeing.size.0, "height": seeing.size.1, "score_width": seeing.compared.0, "score_height": seeing.compared.1,
         "refined": refined.map(|refined| refinement::as_json(refined, reconstruction.started, &capture.training_views().1)),
-        "inputs": capture.inputs.iter().map(|view| &view.name).collect::<Vec<_>>(), "unit": capture.scene_scale.length, "unit_from": capture.scene_scale.source,
+        "inputs": capture.inputs.iter().map(|view| &view.name).collect::<Vec<_>>(), "scene_scale": capture.scene_scale.length, "scene_scale_source": capture.scene_scale.source,
         "tokens": network.map(|network| network.tokens), "all_tokens": network.map(|network| network.all_tokens),
         "gaussians": reconstruction.scene.len(), "scene": eval.external.given(), "peak_bytes": network.map(|network| network.peak_bytes),
         "seconds": network.map(|network| network.took.as_secs_f64()),
@@ -105,7 +107,7 @@ pub fn run(eval: &Eval, session: &mut Session<'_>) -> Result<()> {
 fn without_cameras(error: Error) -> Error {
     match error {
         Error::Argument { what, found, expected } if what == "poses" => {
-            Error::argument(what, found, format!("{expected}; `--poses find` finds the cameras with COLMAP"))
+            Error::argument(what, found, format!("{expected}; `--cameras colmap` finds the cameras with COLMAP"))
         }
         error => error,
     }
@@ -126,7 +128,7 @@ fn save(eval: &Eval, choice: &Choice, evaluation: &Evaluation) -> Result<()> {
 }
 
 fn table(scores: &[Score], mean: &Score) -> Table {
-    let mut table = Table::new(1, &["view", "PSNR", "SSIM", "LPIPS", "nearest photo", "mean colour"]);
+    let mut table = Table::new(1, &["view", "PSNR", "SSIM", "LPIPS", "nearest photo", "mean color"]);
     scores.iter().chain([mean]).for_each(|score| table.row(cells_of(score)));
     table
 }

@@ -13,7 +13,7 @@ pub fn page(means: &Means, rows: &[Row]) -> Result<String> {
     let cells = |line: &[String], tag: &str| {
         line.iter().map(|cell| format!("<{tag}>{}", html::escape(cell))).collect::<String>()
     };
-    let mut page = html::begin(&format!("{}, judged by its protocol", means.title));
+    let mut page = html::begin(&format!("{}, evaluated by its protocol", means.title));
     page += &format!("<table><tr>{}</tr>", cells(&means.headings, "th"));
     means.lines.iter().for_each(|line| page += &format!("<tr>{}</tr>", cells(line, "td")));
     page += "</table><p class=\"note\">P, K: the method was given poses and intrinsics. #Gs: Gaussians. Figures are means over scenes. \

@@ -11,7 +11,7 @@ use crate::{
     depth::check_finds_cameras,
     options::{Size, refuse},
     session::Session,
-    views::Fit,
+    views::Crop,
 };
 use zipsplat::{
     Result,
@@ -22,8 +22,8 @@ use zipsplat::{
 impl Eval {
     /// Returns the compared size.
     pub(super) fn check_pixels(&self, checkpoint: &DepthCheckpoint) -> Result<Size> {
-        let tokens = self.refine.is_some_and(|steps| steps.tokens);
-        for (option, given) in [("--fit squares", self.fit.fit == Fit::Squares), ("--refine STEPS:tokens", tokens)] {
+        let tokens = self.refine.steps().is_some_and(|steps| steps.tokens);
+        for (option, given) in [("--crop tiles", self.crop.crop == Crop::Tiles), ("--refine-target tokens", tokens)] {
             refuse(option, given, "weights of Depth Anything 3", "weights of ZipSplat")?;
         }
         self.quality.check_pixels(checkpoint)?;

@@ -38,16 +38,16 @@ const SHOWN: usize = 4;
 #[derive(Args)]
 pub struct Options {
     /// Evaluate scenes of a data set by the paper's protocol
-    #[arg(long, value_enum, value_name = "DATA", conflicts_with = "poses")]
+    #[arg(long, value_enum, value_name = "DATA", conflicts_with = "cameras")]
     pub protocol: Option<Protocol>,
     /// Choose inputs and targets from this number of first frames: one value, or one per number of
     /// --views [default: for dl3dv 50, 100 and 150 with 6, 12 and 24 inputs; else all]
-    #[arg(long, alias = "frame-range", value_name = "FRAMES", value_delimiter = ',', requires = "protocol")]
-    gap: Vec<usize>,
+    #[arg(long, value_name = "FRAMES", value_delimiter = ',', requires = "protocol")]
+    frame_range: Vec<usize>,
     /// Choose the frames of index files, one per number of inputs: {"SCENE": {"context": [0, 19,
     /// ..], "target": [1, 6, ..]}}, in the order of the camera file. Skips other scenes
     #[arg(long, value_name = "FILE", value_delimiter = ',', requires = "protocol",
-        conflicts_with_all = ["gap", "views", "targets"])]
+        conflicts_with_all = ["frame_range", "views", "targets"])]
     indices: Vec<PathBuf>,
     /// Folder of the photos within a scene [default: the data set's, such as images_4]
     #[arg(long, value_name = "NAME", requires = "protocol")]
@@ -97,7 +97,7 @@ pub fn run(eval: &Eval, protocol: Protocol, session: &mut Session<'_>) -> Result
     let files = [SCENES, PAGE, FAILURES].into_iter().chain(TABLES).map(|name| out.join(name));
     eval.overwrite.check_replaced(files)?;
     let options = &eval.series;
-    let settings = protocol.settings(&eval.views, &options.gap, &options.indices)?;
+    let settings = protocol.settings(&eval.views, &options.frame_range, &options.indices)?;
     let places = protocol.places(&eval.folders, options.images.as_deref())?;
     let (weights, seeing) = eval.begin(session)?;
     outputs::make_folder(out)?;
@@ -196,7 +196,7 @@ impl Series<'_> {
         if Row::read(&file).is_some_and(|row| row.hash == hash) {
             return Ok(Outcome::Unchanged);
         }
-        choice.disturb(eval.disturb, eval.unit)?;
+        choice.disturb(eval.pose_noise, eval.scene_scale)?;
         let evaluation = evaluator.evaluate(session, &choice, Some(&place.name))?;
         let mean = Score::mean(&evaluation.scores);
         let row = Row {
@@ -232,11 +232,12 @@ impl Series<'_> {
         Tally { evaluated, unchanged, unknown, failures }: &Tally,
     ) -> Result<()> {
         let table = Table::of(3, &means.headings, &means.lines);
-        let mut text = format!("{table}{}: {} of {} judged", out.display(), counted(*evaluated, "scene"), means.title);
+        let mut text =
+            format!("{table}{}: {} of {} evaluated", out.display(), counted(*evaluated, "scene"), means.title);
         let others = [(*unchanged, "there already"), (*unknown, "not in --indices"), (failures.len(), "failed")];
         others.iter().filter(|(count, _)| *count > 0).for_each(|(count, what)| text += &format!("; {count} {what}"));
         let json = serde_json::json!({
-            "output": out, "protocol": rows::name_of(self.protocol), "judged": evaluated, "unchanged": unchanged, "unknown": unknown,
+            "output": out, "protocol": rows::name_of(self.protocol), "evaluated": evaluated, "skipped": unchanged, "unknown": unknown,
             "failed": failures.len(), "headings": means.headings, "means": means.lines, "scenes": rows,
         });
         session.report(&json, text)
@@ -249,10 +250,10 @@ impl Eval {
         let weights = weights.provenance();
         let of_file = if Path::new(weights).is_file() { stamp(Path::new(weights))? } else { String::new() };
         let version = env!("CARGO_PKG_VERSION");
-        let Self { quality, refine, start, hold_out, moved, disturb, unit, lpips, .. } = self;
+        let Self { quality, refine, pose_noise, scene_scale, lpips, .. } = self;
         Ok(format!(
-            "{version} {weights} {of_file} {precision} {quality:?} {seeing:?} {:?} {refine:?} {start:?} {hold_out:?} {moved:?} \
-             {disturb} {unit:?} {lpips:?} {} {}",
+            "{version} {weights} {of_file} {precision} {quality:?} {seeing:?} {:?} {refine:?} \
+             {pose_noise} {scene_scale:?} {lpips:?} {} {}",
             self.aligning(),
             self.series.keep_distortion,
             self.external.key()
@@ -267,7 +268,7 @@ fn method_of(weights: &Network, eval: &Eval) -> String {
     let weights = Path::new(weights.provenance());
     let name = if weights.is_file() { weights.file_stem() } else { weights.file_name() };
     let name = name.unwrap_or_default().to_string_lossy();
-    match eval.refine {
+    match eval.refine.steps() {
         Some(steps) if steps.tokens => format!("{name} + TTO"),
         Some(_) => format!("{name} + refinement"),
         None => name.into_owned(),

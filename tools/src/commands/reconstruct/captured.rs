@@ -21,24 +21,23 @@ pub struct Captured {
 
 impl Reconstruct {
     pub(super) fn finds(&self, network: &Network) -> bool {
-        self.poses.as_deref().is_some_and(KnownCameras::to_find) || self.finds_by_itself(network)
+        self.cameras.as_deref().is_some_and(KnownCameras::to_find) || self.finds_by_itself(network)
     }
 
     /// Returns true if the scene's network also estimates the cameras.
     pub(super) fn finds_by_itself(&self, network: &Network) -> bool {
-        let finder = self.poses.as_deref().map(Finder::named);
+        let finder = self.cameras.as_deref().map(Finder::named);
         let own = matches!(finder, None | Some(Some(Finder::Da3))) && self.finding.depth_weights.is_none();
         own && matches!(network, Network::Pixels(_))
     }
 
     pub(super) fn captured(&self, session: &mut Session<'_>, network: &Network) -> Result<Captured> {
-        let named_in =
-            self.cameras_out.as_deref().or(self.refined_cameras.as_deref()).map(|file| (file, self.overwrite));
+        let named_in = self.cameras_out.as_deref().map(|file| (file, self.overwrite));
         let (mut photos, mut frame_folder) = self.input.list(session, self.views, named_in)?;
         if let (true, Some(views)) = (self.finds(network), self.views) {
             photos = photos::spread(photos, views as usize);
         }
-        let (poses, found) = match (network, &self.poses) {
+        let (poses, found) = match (network, &self.cameras) {
             // One pass gives cameras and scene.
             (Network::Pixels(checkpoint), _) if self.finds_by_itself(network) => {
                 let (poses, found) =

@@ -65,22 +65,22 @@ impl Forward {
         posed: Posed<'a>,
     ) -> Result<Planned<'a>> {
         let Posed { photos, poses, .. } = posed;
-        let (quality, fit) = (&command.quality, command.fit.fit);
+        let (quality, crop) = (&command.quality, command.crop.crop);
         let size = quality.size_for(checkpoint);
-        fit.check(size, poses.is_some())?;
-        let (views, chosen) = (fit.count(photos)?, (quality.ratio, &quality.select));
+        crop.check(size, poses.is_some())?;
+        let (views, chosen) = (crop.count(photos)?, (quality.ratio, &quality.token_selection));
         let shape = Shape::new(checkpoint.architecture(), views, [size.0, size.1], chosen, poses.is_some())?;
-        let shape = shape.pooled(quality.pool)?;
+        let shape = shape.pooled(quality.kv_pool)?;
         session.notes(quality.doubt_size(checkpoint));
-        if command.weights.is_embedded() && poses.is_none() && command.cameras_out.is_some() {
+        if command.weights.is_builtin() && poses.is_none() && command.cameras_out.is_some() {
             session.note(
-                "without --poses the model that is built in sees all photos as if from one place: the cameras of --cameras-out fit \
-                 its scene, not the photos' place; --poses find finds those",
+                "without --cameras the model that is built in sees all photos as if from one place: the cameras of --cameras-out fit \
+                 its scene, not the photos' place; --cameras colmap finds those",
             );
-        } else if command.weights.is_embedded() && poses.is_none() && photos.len() > 1 {
+        } else if command.weights.is_builtin() && poses.is_none() && photos.len() > 1 {
             session.note(
-                "the model that is built in is a demonstration: several photos without --poses give colours and coarse shapes; \
-                 one photo, or cameras (--poses find finds them), gives more, and the paper's weights (`zipsplat weights get zipsplat`) most",
+                "the model that is built in is a demonstration: several photos without --cameras give colors and coarse shapes; \
+                 one photo, or cameras (--cameras colmap finds them), gives more, and the paper's weights (`zipsplat weights get zipsplat`) most",
             );
         }
         Ok(Planned { command, checkpoint, posed, size, shape })
@@ -94,27 +94,27 @@ impl Forward {
 impl Planned<'_> {
     pub fn run(self, session: &mut Session<'_>, device: &Device) -> Result<Forward> {
         let Self { command, checkpoint, posed: Posed { photos, poses, frames }, size, shape } = self;
-        let (quality, fit) = (&command.quality, command.fit.fit);
+        let (quality, crop) = (&command.quality, command.crop.crop);
         let (precision, arithmetic) = quality.arithmetic.choose(session, device)?;
-        let (views, load_photos) = session.stage(LOAD_PHOTOS, |stage| fit.load(photos, frames, size, stage))?;
+        let (views, load_photos) = session.stage(LOAD_PHOTOS, |stage| crop.load(photos, frames, size, stage))?;
         let Views { images, cameras, note } = views;
         session.notes(note);
         let scene_scale = match (poses, frames.first()) {
-            (Some(poses), Some(first)) => Some(poses.scene_scale(command.unit, &cameras, &first.camera.pose)?),
+            (Some(poses), Some(first)) => Some(poses.scene_scale(command.scene_scale, &cameras, &first.camera.pose)?),
             _ => None,
         };
         session.notes(scene_scale.as_ref().and_then(SceneScale::doubt));
-        let (cameras, turned) = fit.network_cameras(cameras);
+        let (cameras, turned) = crop.network_cameras(cameras);
         let (model, load_weights) = session.load_model(device, checkpoint, arithmetic)?;
         let cameras = Some(cameras).filter(|cameras| !cameras.is_empty());
         let length = scene_scale.as_ref().map_or(1.0, |scene_scale| scene_scale.length);
-        let (ratio, selection) = (quality.ratio, quality.select.clone());
+        let (ratio, selection) = (quality.ratio, quality.token_selection.clone());
         let request = ReconstructOptions {
             ratio,
             token_selection: selection,
             cameras,
             scene_scale: Some(length),
-            kv_pool: quality.pool,
+            kv_pool: quality.kv_pool,
             ..ReconstructOptions::default()
         };
         let moves_tokens = command.refine.steps().is_some_and(|steps| steps.tokens);
@@ -137,12 +137,12 @@ impl Planned<'_> {
             ("height", json!(size.1)),
             ("tokens", json!(result.tokens)),
             ("all_tokens", json!(shape.grid.tokens())),
-            ("unit", json!(length)),
-            ("unit_from", json!(scene_scale.as_ref().map(|scene_scale| &scene_scale.source))),
+            ("scene_scale", json!(length)),
+            ("scene_scale_source", json!(scene_scale.as_ref().map(|scene_scale| &scene_scale.source))),
             ("gaussians_per_token", json!(each)),
             ("weights_bytes_per_second", json!(rate)),
             ("precision", json!(precision.name())),
-            ("cameras", found.as_ref().map_or(json!(null), Placed::as_json)),
+            ("estimated_cameras", found.as_ref().map_or(json!(null), Placed::as_json)),
         ];
         let mut times = vec![(LOAD_PHOTOS.to_owned(), load_photos), (LOAD_WEIGHTS.to_owned(), load_weights)];
         times.extend(result.times.0.iter().cloned());

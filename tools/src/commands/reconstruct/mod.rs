@@ -1,27 +1,34 @@
 mod captured;
+mod each;
 mod forward;
 mod pixels;
 mod placed;
+mod plan;
 mod refined;
 
 use super::render::Render;
 use crate::{
     cameras::{Finding, KnownCameras, Place},
-    options::{Network, Quality, Weights, parse_length, refuse},
+    options::{Network, Quality, Size, Weights, parse_length, refuse},
     outputs::{self, Overwrite},
     photos::PhotoArgs,
     refinement::{self, Initialization, RefineArgs, placed, save_cameras},
-    session::Session,
+    session::{Session, stage_seconds},
     table::{bytes, counted, time},
     video::FrameFolder,
-    views::FitOption,
+    views::CropOption,
 };
 use captured::Captured;
-use clap::{Args, ValueEnum};
+use clap::{Arg, Args, ValueEnum};
+use each::Batch;
 use forward::{Forward, LOAD_PHOTOS, LOAD_WEIGHTS};
 use refined::{From, RefineInputs, RefinedScene};
 use serde_json::json;
-use std::{fmt::Write, path::PathBuf, time::Duration};
+use std::{
+    fmt::Write,
+    path::{Path, PathBuf},
+    time::Duration,
+};
 use zipsplat::{
     Error, Result,
     reconstruct::MAX_VIEWS,
@@ -34,37 +41,41 @@ use zipsplat::{
     },
 };
 
+/// Cameras of each capture's folder.
+const CAPTURE: &str = "capture";
 const NETWORK: &str = "Network";
 const CAMERAS: &str = "Cameras";
+const MANY: &str = "Many captures";
 const REFINEMENT: &str = "Refinement";
 
 /// Photos of one place to a scene of 3D Gaussians
 ///
 /// The scene's world is the first photo's camera, x right, y down, z forward, or with --world
-/// cameras that of the cameras.
+/// input-cameras that of the cameras.
 ///
 /// With weights of Depth Anything 3 each confident pixel becomes a Gaussian at its depth, and the
-/// cameras are estimated in the same pass. --size then gives the longer side, and --keep counts the
+/// cameras are estimated in the same pass. --input-size then gives the longer side, and --max-gaussians-per-token counts the
 /// pixels of a patch.
 #[derive(Args)]
-#[command(after_help = format!("Examples:
+#[command(mut_args(adapted), after_help = format!("Examples:
   zipsplat reconstruct photos/ -o scene.ply
-  zipsplat reconstruct photos/ --poses transforms.json --ratio 0.5 -o scene.ply
-  zipsplat reconstruct photos/ --poses transforms.json --refine -o sharp.ply
-  zipsplat reconstruct photos/ --poses find --refine -o sharp.ply
-  zipsplat reconstruct clip.mp4 --views 24 --poses find --cameras-out cameras.json -o scene.ply
+  zipsplat reconstruct photos/ --cameras transforms.json --ratio 0.5 -o scene.ply
+  zipsplat reconstruct photos/ --cameras transforms.json --refine -o sharp.ply
+  zipsplat reconstruct photos/ --cameras colmap --refine -o sharp.ply
+  zipsplat reconstruct clip.mp4 --views 24 --cameras colmap --cameras-out cameras.json -o scene.ply
   zipsplat reconstruct a.jpg b.jpg --weights zipsplat --ratio auto -o scene.ply
   zipsplat reconstruct photos/ --weights da3-base.safetensors --ratio 0.25 -o scene.ply
   zipsplat reconstruct photos/ -o scene.ply --pictures out/ -- --orbit --size 504x504 --depth
-  zipsplat reconstruct a.jpg b.jpg --weights seeded:vits -o noise.ply
+  zipsplat reconstruct captures/ --each --ratio auto --format spz -o scenes/
+  zipsplat reconstruct --dry-run --weights seeded:vitg --views 24 --ratio auto
 
-seeded: weights are random numbers: to try the command, not to look at. At most {MAX_VIEWS} photos."))]
+At most {MAX_VIEWS} photos."))]
 pub struct Reconstruct {
     #[command(flatten)]
     input: PhotoArgs,
-    /// Scene to write: .ply, .spz, .splat, .glb or .gltf
-    #[arg(long, short, value_name = "FILE")]
-    output: PathBuf,
+    /// Scene to write: .ply, .spz, .splat, .glb or .gltf; with --each a folder
+    #[arg(long, short, value_name = "FILE", required_unless_present = "dry_run")]
+    output: Option<PathBuf>,
     #[command(flatten)]
     overwrite: Overwrite,
     #[command(flatten, next_help_heading = NETWORK)]
@@ -72,39 +83,52 @@ pub struct Reconstruct {
     #[command(flatten, next_help_heading = NETWORK)]
     quality: Quality,
     #[command(flatten, next_help_heading = NETWORK)]
-    fit: FitOption,
+    crop: CropOption,
     /// Limit of photos, evenly spread, with the first and the last, and of frames of a video
     /// [default: all, and 24 of a video]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_VIEWS as i64))]
     views: Option<u32>,
-    /// Cameras: transforms.json or a COLMAP model's folder, matched by file name; find: estimated
+    /// Cameras: transforms.json or a COLMAP model's folder, matched by file name; colmap: estimated
     /// by COLMAP; da3: by Depth Anything 3
-    #[arg(long, help_heading = CAMERAS, visible_alias = "cameras", value_name = "PATH|find|da3")]
-    poses: Option<PathBuf>,
+    #[arg(long, help_heading = CAMERAS, value_name = "PATH|colmap|da3")]
+    cameras: Option<PathBuf>,
     #[command(flatten, next_help_heading = CAMERAS)]
     finding: Finding,
-    /// Write the estimated cameras as transforms.json: with --poses find or da3, also points and
-    /// log beside it; without --poses, from the scene's positions of each photo's patches, in the
-    /// scene's world
+    /// Write the cameras as transforms.json: the estimated ones, of --optimize-cameras the refined
+    /// ones. --cameras colmap and da3 also write points and log beside it. Without --cameras they are
+    /// estimated from the scene's positions of each photo's patches, in the scene's world
     #[arg(long, help_heading = CAMERAS, value_name = "FILE")]
     cameras_out: Option<PathBuf>,
     /// Length in the cameras' unit that is 1 for the network; the scene keeps the cameras' unit
     /// [default: the median distance from the first camera of the points in points.ply or points3D
     /// beside the cameras, else that of the point that the cameras look at, else the distance
     /// between cameras]
-    #[arg(long, alias = "scene-scale", help_heading = CAMERAS, value_name = "LENGTH", requires = "poses", value_parser = parse_length)]
-    unit: Option<f64>,
+    #[arg(long, help_heading = CAMERAS, value_name = "LENGTH", requires = "cameras", value_parser = parse_length)]
+    scene_scale: Option<f64>,
     /// World of the scene
-    #[arg(long, help_heading = CAMERAS, value_enum, value_name = "WHICH", default_value = "first", requires = "poses")]
+    #[arg(long, help_heading = CAMERAS, value_enum, value_name = "WHICH", default_value = "first-camera", requires = "cameras")]
     world: WorldName,
+    /// Make a scene of each capture in PHOTOS: folders with photos, directly or in images/, folders
+    /// of captures, or text files with a capture per line. OUTPUT is a folder. Run the command again
+    /// to resume; failures are rows of failures.csv, and the exit code is 1
+    #[arg(long, help_heading = MANY, conflicts_with_all = ["refine", "cameras_out", "scene_scale", "world", "explain",
+        "pictures", "depth_weights", "recursive"])]
+    each: bool,
+    /// Format of the scenes of --each: ply, spz, splat, glb or gltf
+    #[arg(long, help_heading = MANY, value_name = "NAME", default_value = "ply", requires = "each")]
+    format: String,
+    /// Limit of scenes made in this run
+    #[arg(long, help_heading = MANY, value_name = "N", requires = "each")]
+    limit: Option<usize>,
+    /// Print the memory plan and stop; without a device, for an ordinary one. Without photos,
+    /// --views gives their number. --explain lists every tensor
+    #[arg(long, conflicts_with = "each")]
+    dry_run: bool,
     /// Also print the stages, with time and bytes, and skipped stages with reasons
     #[arg(long)]
     explain: bool,
     #[command(flatten, next_help_heading = REFINEMENT)]
     refine: RefineArgs,
-    /// File for the refined cameras: a transforms.json in the known cameras' world
-    #[arg(long, help_heading = REFINEMENT, value_name = "FILE", requires = "refine_cameras")]
-    refined_cameras: Option<PathBuf>,
     /// Also draw the scene into a folder, as zipsplat render does
     #[arg(long, value_name = "FOLDER")]
     pictures: Option<PathBuf>,
@@ -112,6 +136,11 @@ pub struct Reconstruct {
     /// of a file, else --wiggle]
     #[arg(last = true, value_name = "RENDER OPTIONS", requires = "pictures")]
     drawing: Vec<String>,
+}
+
+fn adapted(arg: Arg) -> Arg {
+    let arg = refinement::with_cameras(arg);
+    if arg.get_id() == "photos" { arg.required(false).required_unless_present("dry_run") } else { arg }
 }
 
 /// Visible step of positions, over the scene's distance.
@@ -128,16 +157,18 @@ pub struct Posed<'a> {
 #[derive(Clone, Copy, ValueEnum)]
 enum WorldName {
     /// The first photo's camera: x right, y down, z forward
-    First,
+    #[value(alias = "first")]
+    FirstCamera,
     /// The cameras' world, so that they match the scene in any program
-    Cameras,
+    #[value(alias = "cameras")]
+    InputCameras,
 }
 
 impl WorldName {
     fn of(self, frames: &[&CaptureView]) -> Option<World> {
         match self {
-            Self::First => World::of_first(frames),
-            Self::Cameras => World::of_cameras(frames),
+            Self::FirstCamera => World::of_first(frames),
+            Self::InputCameras => World::of_cameras(frames),
         }
     }
 }
@@ -153,7 +184,24 @@ fn coarse(first: &Pose, forward: Option<&Forward>) -> Option<String> {
 }
 
 impl Reconstruct {
+    /// Needs no device.
+    pub fn plans(&self) -> bool {
+        self.dry_run
+    }
+
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
+        match (self.dry_run, self.each) {
+            (true, _) => plan::show(session, self),
+            (_, true) => Batch::of(self)?.run(session),
+            _ => self.reconstruct(session),
+        }
+    }
+
+    fn output(&self) -> &Path {
+        self.output.as_deref().unwrap_or(Path::new("scene.ply"))
+    }
+
+    fn reconstruct(&self, session: &mut Session<'_>) -> Result<()> {
         self.check()?;
         let drawing = self.drawing()?;
         let network = self.weights.open_network()?;
@@ -198,28 +246,28 @@ impl Reconstruct {
         let made = refined.as_ref().map(|made| &made.refined.scene).or(forward.as_ref().map(|forward| &forward.scene));
         let Some(mut scene) = made.cloned() else { unreachable!("a scene is reconstructed or refined") };
         let world = self.world.of(&frames);
-        let moved = first.filter(|_| matches!(self.world, WorldName::Cameras));
+        let moved = first.filter(|_| matches!(self.world, WorldName::InputCameras));
         if let Some(first) = &moved {
             scene.place(1.0, first);
             session.notes(coarse(first, forward.as_ref()));
         }
-        if SceneFormat::of_extension(&self.output) == Some(SceneFormat::Spz) {
+        if SceneFormat::of_extension(self.output()) == Some(SceneFormat::Spz) {
             session.notes(spz_coarsening(&scene));
         }
-        let save = || outputs::save_scene(&self.output, &scene, &SaveOptions::default(), world.as_ref());
+        let save = || outputs::save_scene(self.output(), &scene, &SaveOptions::default(), world.as_ref());
         if let Some(RefinedScene {
             refined: RefineResult { stop_reason: Some(StopReason::Cancelled), best_step, .. },
             ..
         }) = &refined
         {
             session.notes(save()?);
-            session.note(format!("{}: the best so far, after step {best_step}", self.output.display()));
+            session.note(format!("{}: the best so far, after step {best_step}", self.output().display()));
             return Err(Error::Cancelled);
         }
         let (note, write) = session.stage("write", |_| save())?;
         session.notes(note);
-        if let (Some(path), Some(RefinedScene { refined, .. }), Some(first)) = (&self.refined_cameras, &refined, &first)
-        {
+        let optimized = self.cameras_out.as_ref().filter(|_| self.refine.settings.optimize_cameras);
+        if let (Some(path), Some(RefinedScene { refined, .. }), Some(first)) = (optimized, &refined, &first) {
             save_cameras(path, refined, &(*first).into(), &photos, &frames)?;
             frame_folder.iter_mut().for_each(FrameFolder::keep);
         }
@@ -258,14 +306,15 @@ impl Reconstruct {
         times.extend(drawn.iter().map(|_| ("pictures".to_owned(), session.elapsed() - until_drawing)));
         let total = session.elapsed();
         let other = total.saturating_sub(times.iter().map(|(_, took)| *took).sum());
-        times.extend([("other".to_owned(), other), ("total".to_owned(), total)]);
-        let seconds: serde_json::Map<_, _> = times.iter().map(|(s, t)| (s.clone(), json!(t.as_secs_f64()))).collect();
+        times.push(("other".to_owned(), other));
+        let stages = stage_seconds(&times);
+        times.push(("total".to_owned(), total));
         let peaks = forward.iter().map(|forward| forward.peak_bytes);
         let peaks = peaks.chain(refined.iter().map(|made| made.refined.peak_bytes));
         let peak_bytes = peaks.fold(device.allocated_bytes(), u64::max);
         let mut json = json!({
-            "output": self.output, "device": device.limits().name, "photos": photos.len(), "gaussians": scene.len(),
-            "peak_bytes": peak_bytes, "seconds": seconds,
+            "output": self.output(), "device": device.limits().name, "photos": photos.len(), "gaussians": scene.len(),
+            "peak_bytes": peak_bytes, "seconds": total.as_secs_f64(), "stage_seconds": stages,
         });
         let of = match (&refined, &forward) {
             (Some(made), _) => {
@@ -279,7 +328,7 @@ impl Reconstruct {
             (None, Some(forward)) => forward.views_summary.clone(),
             (None, None) => String::new(),
         };
-        let mut text = format!("{}: {}{of}\n", self.output.display(), counted(scene.len(), "Gaussian"));
+        let mut text = format!("{}: {}{of}\n", self.output().display(), counted(scene.len(), "Gaussian"));
         if let Some(forward) = &forward {
             text += &forward.summary;
             forward.json.iter().for_each(|(name, value)| json[*name] = value.clone());
@@ -321,31 +370,42 @@ impl Reconstruct {
         }
         let Some(place) = &self.cameras_out else { return Ok(()) };
         let finds = self.finds(network);
-        let known = self.poses.is_some() && !finds;
-        refuse("--cameras-out", known, "cameras that are known", "--poses find, or no --poses")?;
+        let known = self.cameras.is_some() && !finds && !self.refine.settings.optimize_cameras;
+        refuse(
+            "--cameras-out",
+            known,
+            "cameras that are known",
+            "--cameras colmap, --optimize-cameras, or no --cameras",
+        )?;
         if finds { Place(place).check(self.overwrite) } else { Place(place).check_alone(self.overwrite) }
     }
 
     fn check(&self) -> Result<()> {
-        self.overwrite.check_file(&self.output)?;
-        if SceneFormat::of_extension(&self.output).is_none() {
+        self.overwrite.check_file(self.output())?;
+        if SceneFormat::of_extension(self.output()).is_none() {
             let expected = format!("a file that ends in {}", SceneFormat::EXTENSIONS);
-            return Err(Error::argument("--output", self.output.display(), expected));
+            return Err(Error::argument("--output", self.output().display(), expected));
         }
-        self.refined_cameras.as_ref().map_or(Ok(()), |path| self.overwrite.check_file(path))?;
         self.refine.check()
+    }
+
+    /// Of planned pictures.
+    fn picture_size(&self) -> Result<Option<Size>> {
+        let Some(drawing) = self.drawing()? else { return Ok(None) };
+        let lacks = || Error::argument("--pictures with --dry-run", "no size", "-- --size WxH");
+        drawing.size().ok_or_else(lacks).map(Some)
     }
 
     fn drawing(&self) -> Result<Option<Render>> {
         let Some(folder) = &self.pictures else { return Ok(None) };
-        let known = self.poses.as_ref().filter(|poses| !KnownCameras::to_find(poses));
-        let cameras = self.refined_cameras.as_ref().or(self.cameras_out.as_ref()).or(known);
-        let default = match cameras.and_then(|file| file.to_str()).filter(|_| self.poses.is_some()) {
+        let known = self.cameras.as_ref().filter(|poses| !KnownCameras::to_find(poses));
+        let cameras = self.cameras_out.as_ref().or(known);
+        let default = match cameras.and_then(|file| file.to_str()).filter(|_| self.cameras.is_some()) {
             Some(file) => vec!["--spline".to_owned(), file.to_owned()],
             None => vec!["--wiggle".to_owned()],
         };
         let words = if self.drawing.is_empty() { &default[..] } else { &self.drawing };
-        let drawing = Render::of_words(&self.output, folder, self.overwrite.is_given(), words)?;
+        let drawing = Render::of_words(self.output(), folder, self.overwrite.is_given(), words)?;
         drawing.check()?;
         Ok(Some(drawing))
     }

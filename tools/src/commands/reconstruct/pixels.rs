@@ -9,7 +9,7 @@ use crate::{
     options::refuse,
     session::Session,
     table::counted,
-    views::Fit,
+    views::Crop,
 };
 use serde_json::json;
 use zipsplat::{Result, weights::DepthCheckpoint};
@@ -21,10 +21,10 @@ impl Reconstruct {
     pub fn check_pixels(&self, checkpoint: &DepthCheckpoint) -> Result<()> {
         let tokens = self.refine.steps().is_some_and(|steps| steps.tokens);
         for (option, given) in [
-            ("--fit squares", self.fit.fit == Fit::Squares),
-            ("--unit", self.unit.is_some()),
+            ("--crop tiles", self.crop.crop == Crop::Tiles),
+            ("--scene-scale", self.scene_scale.is_some()),
             ("--explain", self.explain),
-            ("--refine STEPS:tokens", tokens),
+            ("--refine-target tokens", tokens),
         ] {
             refuse(option, given, PIXELS, "weights of ZipSplat")?;
         }
@@ -33,7 +33,7 @@ impl Reconstruct {
 
     pub fn predictor_options<'a>(&'a self, checkpoint: &'a DepthCheckpoint) -> PredictorOptions<'a> {
         let predictor_options = self.quality.predictor_options(checkpoint);
-        let side = predictor_options.side.or(self.finding.search.find_size);
+        let side = predictor_options.side.or(self.finding.search.matching_size);
         PredictorOptions { side, cameras: self.finding.cameras, ..predictor_options }
     }
 }

@@ -46,7 +46,7 @@ impl Placed {
             return Err(Error::argument(
                 path.display().to_string(),
                 found,
-                "a scene with which photos agree; --poses find finds more",
+                "a scene with which photos agree; --cameras colmap finds more",
             ));
         }
         write_frames_with(path, &frames, None, &fields)?;
@@ -65,7 +65,7 @@ impl Placed {
     pub fn as_json(&self) -> Value {
         let one = |found: &Result<CameraEstimate>| match found {
             Ok(CameraEstimate { camera, inliers, pairs }) => {
-                json!({ "inliers": inliers, "patches": pairs, "hfov": camera.intrinsics.hfov().to_degrees() })
+                json!({ "inliers": inliers, "patches": pairs, "hfov_deg": camera.intrinsics.hfov().to_degrees() })
             }
             Err(_) => Value::Null,
         };

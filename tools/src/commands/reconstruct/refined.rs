@@ -11,9 +11,9 @@ use crate::{
 };
 use std::time::Duration;
 use zipsplat::{
-    Error, Result,
+    Result,
     gpu::{Arena, Device},
-    refine::{FrozenHead, RefineOptions, RefineResult, StopReason},
+    refine::{FrozenHead, RefineOptions, RefineResult},
     types::{Camera, PointCloud, poses::CaptureView},
     weights::Checkpoint,
 };
@@ -46,7 +46,7 @@ impl Reconstruct {
         if steps.tokens {
             From::Tokens
         } else {
-            From::Scene(Initialization::or_best(self.refine.start, cloud, self.weights.is_embedded()))
+            From::Scene(Initialization::or_best(self.refine.settings.init, cloud, self.weights.is_builtin()))
         }
     }
 
@@ -65,7 +65,7 @@ impl Reconstruct {
         let cameras: Vec<Camera> = frames.iter().map(camera).collect();
         let (photos, load) =
             session.stage(LOAD_PHOTOS, |stage| photos::read(photos, frames, stage, |_, photo| Ok(photo)))?;
-        let request = self.refine.request(steps);
+        let request = self.refine.settings.request(steps);
         let arena = inputs.forward.and_then(|forward| forward.arena.clone());
         let arena = arena.unwrap_or_else(|| Arena::new(inputs.device));
         let tokens = inputs.forward.and_then(|forward| forward.tokens.as_ref());
@@ -83,10 +83,6 @@ impl Reconstruct {
                 (refinement::refine(session, &arena, from, &photos, &cameras, &request)?, init.name().to_owned())
             }
         };
-        session.notes(refinement::doubt(&refined));
-        match refined.stop_reason {
-            Some(StopReason::Cancelled) if refined.best_step == 0 => Err(Error::Cancelled),
-            _ => Ok(RefinedScene { refined, started, cameras, request, load }),
-        }
+        Ok(RefinedScene { refined, started, cameras, request, load })
     }
 }

@@ -15,6 +15,8 @@ class Torch:
 
     def __init__(self, device: Any) -> None:
         self.device = device
+        # The same GPU by default.
+        self.selector = device if device.type == "cuda" else None
 
     def array(self, values: Any) -> Any:
         return torch.as_tensor(values).to("cpu", torch.float32)
@@ -26,14 +28,37 @@ class Torch:
     def lowest(values: Any) -> float:
         return float(values.detach().min()) if values.numel() else 0.0
 
+    @staticmethod
+    def host(values: Any) -> Any:
+        return values.detach().numpy()
+
+    def described(self, values: Any) -> Any:
+        return torch.from_numpy(values).to(self.device)
+
     def result(self, values: Any) -> Any:
         return values.to(self.device)
 
+    def means2d(self, meta: dict[str, Any], shape: tuple[int, ...], inputs: Sequence[Any]) -> Any:
+        """Makes means2d of the metadata a leaf; returns it as [batches, C, N, 2] on the host."""
+        if not torch.is_grad_enabled() or not any(tensor.requires_grad for tensor in inputs):
+            return None
+        leaf = meta["means2d"].requires_grad_()
+        if meta["gaussian_ids"] is None:
+            return leaf.reshape(shape).to("cpu")
+        ids = tuple(meta[f"{name}_ids"] for name in ("batch", "camera", "gaussian"))
+        return torch.zeros(shape, device=self.device).index_put(ids, leaf).to("cpu")
+
     @staticmethod
     def rasterize(
-        how: Any, geometry: Sequence[Any], coeffs: Optional[Any], viewmats: Any, Ks: Any, depth: bool
+        how: Any,
+        geometry: Sequence[Any],
+        coeffs: Optional[Any],
+        viewmats: Any,
+        Ks: Any,
+        depth: bool,
+        means2d: Any,
     ) -> tuple[Any, Any, Any]:
-        found = _Rasterize.apply(how, depth, Ks, viewmats, coeffs, *geometry)
+        found = _Rasterize.apply(how, depth, Ks, viewmats, means2d, coeffs, *geometry)
         rgb = None if coeffs is None else found[0]
         return rgb, found[1], found[2] if depth else None
 
@@ -43,7 +68,7 @@ class _Rasterize(torch.autograd.Function):  # type: ignore[misc]
 
     @staticmethod
     def forward(
-        context: Any, how: Any, depth: bool, Ks: Any, viewmats: Any, coeffs: Any, *geometry: Any
+        context: Any, how: Any, depth: bool, Ks: Any, viewmats: Any, _means2d: Any, coeffs: Any, *geometry: Any
     ) -> tuple[Any, ...]:
         context.how, context.depth, context.color = how, depth, coeffs is not None
         context.save_for_backward(Ks, viewmats, *([] if coeffs is None else [coeffs]), *geometry)
@@ -67,9 +92,11 @@ class _Rasterize(torch.autograd.Function):  # type: ignore[misc]
             Ks.detach().numpy(),
             weights,
             bool(context.needs_input_grad[3]),
+            bool(context.needs_input_grad[4]),
         )
         fields = ["means", "quats", "scales", "opacities"]
         geometry = [torch.from_numpy(found[name]) for name in fields]
         by_coeffs = torch.from_numpy(found["sh_coeffs"]) if context.color else None
+        by_means2d = torch.from_numpy(found["means2d"]) if "means2d" in found else None
         by_views: Optional[Any] = None if by_viewmats is None else torch.from_numpy(np.asarray(by_viewmats))
-        return (None, None, None, by_views, by_coeffs, *geometry)
+        return (None, None, None, by_views, by_means2d, by_coeffs, *geometry)

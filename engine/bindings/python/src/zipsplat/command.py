@@ -7,10 +7,11 @@ import json
 import os
 import shutil
 import subprocess
+import sysconfig
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Optional, Union
+from typing import TYPE_CHECKING, Any, Optional
 
 from .errors import CommandError
 
@@ -117,10 +118,10 @@ def list_models() -> list[ModelInfo]:
     """
     return [
         ModelInfo(
-            row["name"].replace("built-in", "builtin"),
+            row["name"],
             None if row["path"] is None else Path(row["path"]),
             row["bytes"],
-            row["licence"],
+            row["license"],
             row["what"],
         )
         for row in run(["weights", "list"])
@@ -150,28 +151,30 @@ def view(ply: bytes, height: int, cameras: Optional[PathLike]) -> Page:
     with tempfile.TemporaryDirectory(prefix="zipsplat-") as folder:
         scene, page = Path(folder) / "scene.ply", Path(folder) / "scene.html"
         scene.write_bytes(ply)
-        poses: list[str] = [] if cameras is None else ["--poses", os.path.abspath(cameras)]
+        poses: list[str] = [] if cameras is None else ["--cameras", os.path.abspath(cameras)]
         run(["view", str(scene), "-o", str(page), *poses])
         return Page(page.read_text(encoding="utf-8"), height)
 
 
 def run(arguments: list[str]) -> Any:
-    """Runs the command, from ZIPSPLAT_COMMAND or the PATH, and returns its JSON output.
+    """Runs the command and returns its JSON output.
+
+    It is ZIPSPLAT_COMMAND, else the wheel's, else one on the PATH.
 
     Raises:
         CommandError: it is missing or fails, with its message.
     """
     name = os.environ.get("ZIPSPLAT_COMMAND", "zipsplat")
-    program: Union[str, None] = shutil.which(name)
+    program = shutil.which(name, path=os.pathsep.join([sysconfig.get_path("scripts"), os.environ.get("PATH", "")]))
     if program is None:
         raise CommandError(
-            f"this needs the command zipsplat, and {name} was not found: put a release of it on the PATH, "
-            "or set ZIPSPLAT_COMMAND to where it lies, such as tools/zipsplat in a checkout"
+            f"command zipsplat: found no program {name}, expected it beside the interpreter, on the PATH, "
+            "or as ZIPSPLAT_COMMAND, such as tools/zipsplat of a checkout"
         )
     done = subprocess.run([program, "--json", "--quiet", *arguments], capture_output=True, text=True, check=False)
     if done.returncode:
         raise CommandError(_message(done.stderr) or f"zipsplat {arguments[0]} ended with {done.returncode}")
-    return json.loads(done.stdout) if done.stdout.strip() else None
+    return json.loads(done.stdout)["result"] if done.stdout.strip() else None
 
 
 def _message(stderr: str) -> str:

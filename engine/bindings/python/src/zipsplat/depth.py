@@ -54,7 +54,9 @@ class DepthPrediction:
         if max_gaussians_per_patch is not None and max_gaussians_per_patch < 1:
             found = f"max_gaussians_per_patch: found {max_gaussians_per_patch}"
             raise ArgumentError(f"{found}, expected a number above 0, or None")
-        return Scene(Handle("scene", "zs_depth_result_to_scene", self._handle, max_gaussians_per_patch or 0), self.device)
+        return Scene(
+            Handle("scene", "zs_depth_result_to_scene", self._handle, max_gaussians_per_patch or 0), self.device
+        )
 
     def __repr__(self) -> str:
         photos, height, width = self.depth.shape
@@ -138,6 +140,11 @@ class DepthModel(Owner):
             ArgumentError: an argument is invalid.
             FileError, FormatError: a photo cannot be read.
             OutOfMemoryError, DeviceLostError, DriverError: the device failed.
+
+        Example:
+            >>> prediction = DepthModel.load("da3-small").predict("photos/")
+            >>> prediction.depth.shape
+            (12, 378, 504)
         """
         sources, posed, _capture = matched(images, cameras)
         told = Told(progress)

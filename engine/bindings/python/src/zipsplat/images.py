@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, Iterable, Optional, Sequence, Union
+from typing import Any, Iterable, Optional, Protocol, Sequence, Union
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +17,21 @@ from .errors import ArgumentError, ArgumentTypeError
 # Recognized photo extensions.
 EXTENSIONS = frozenset({".png", ".jpg", ".jpeg", ".webp"})
 
-ImageLike = Union[PathLike, bytes, npt.NDArray[Any], Any]
+
+class HasArrayInterface(Protocol):
+    """An array or PIL image."""
+
+    @property
+    def __array_interface__(self) -> dict[str, Any]: ...
+
+
+class HasDLPack(Protocol):
+    """A tensor of any library."""
+
+    def __dlpack__(self, *args: Any, **kwargs: Any) -> Any: ...
+
+
+ImageLike = Union[PathLike, bytes, HasArrayInterface, HasDLPack]
 ImagesLike = Union[PathLike, Capture, Sequence[ImageLike]]
 CamerasLike = Union[PathLike, Capture, Sequence[Camera]]
 
@@ -27,6 +41,10 @@ def list_images(folder: PathLike) -> list[Path]:
 
     Raises:
         ArgumentError: there are none.
+
+    Example:
+        >>> list_images("photos/")[:2]
+        [PosixPath('photos/1.jpg'), PosixPath('photos/2.jpg')]
     """
     files = (path for path in Path(folder).iterdir() if not path.name.startswith("."))
     found = [path for path in files if path.is_file() and path.suffix.lower() in EXTENSIONS]
@@ -40,6 +58,9 @@ def load_image(path: PathLike) -> npt.NDArray[np.uint8]:
 
     Raises:
         FileError, FormatError: it is unreadable, or not a PNG, JPEG or WebP.
+
+    Example:
+        >>> tensor = torch.from_numpy(load_image("photo.jpg"))
     """
     return _array(Handle("image_buffer", "zs_image_buffer_open", os.fsencode(path)))
 
@@ -48,12 +69,15 @@ def save_image(path: PathLike, pixels: npt.ArrayLike) -> None:
     """Writes [height, width, 3 or 4] pixels as a PNG without alpha.
 
     Values are uint8 from 0 to 255 or float from 0 to 1. An existing file is replaced atomically.
+
+    Example:
+        >>> save_image("view.png", scene.render(camera).rgb)
     """
     images, _kept = native([pixels])
     call("zs_image_save_png", images, os.fsencode(path))
 
 
-def native(sources: Sequence[Any]) -> tuple[Any, list[object]]:
+def native(sources: Sequence[Any]) -> tuple[Any, list[Any]]:
     """Converts images for the library, with references to keep alive. Decodes in parallel."""
     with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
         loaded = list(pool.map(_load, range(len(sources)), sources))

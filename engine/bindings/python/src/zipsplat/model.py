@@ -34,7 +34,11 @@ _SELECTIONS = {
     "stride": lib.ZS_TOKEN_SELECTION_STRIDE,
     "random": lib.ZS_TOKEN_SELECTION_RANDOM,
 }
-_WORLDS = {"first_camera": lib.ZS_WORLD_FIRST_CAMERA, "input_cameras": lib.ZS_WORLD_INPUT_CAMERAS}
+_WORLDS = {
+    "auto": lib.ZS_WORLD_AUTO,
+    "first_camera": lib.ZS_WORLD_FIRST_CAMERA,
+    "input_cameras": lib.ZS_WORLD_INPUT_CAMERAS,
+}
 # Fraction of the progress for reconstruction before a refinement.
 _RECONSTRUCTED = 0.2
 
@@ -89,6 +93,9 @@ class Model(Owner):
 
         Raises:
             NoDeviceError, WeightsError, FormatError, FileError, OutOfMemoryError, ArgumentError.
+
+        Example:
+            >>> model = Model.load("zipsplat", precision="fp16", device="cuda:0")
         """
         on, told = opened(device), Told(progress)
         made = options("model", precision=choose("precision", precision, PRECISIONS))
@@ -142,12 +149,14 @@ class Model(Owner):
             ArgumentError: an argument is invalid.
             FileError, FormatError: a photo cannot be read.
             OutOfMemoryError, DeviceLostError, DriverError: the device failed.
+
+        Example:
+            >>> scene = model.reconstruct("photos/", ratio=0.5)
+            >>> posed = model.reconstruct(Capture.open("capture/"), refine=200)
         """
         sources, posed, capture = matched(images, cameras)
         if refine and posed is None:
             raise ArgumentError("refine: found no cameras, expected one per image, as from zipsplat.estimate_cameras")
-        if world == "auto":
-            world = "first_camera" if posed is None else "input_cameras"
         share = _RECONSTRUCTED if refine else 1.0
         told = Told(None if progress is None else lambda done, stage: progress(share * done, stage))
         made = options(
@@ -176,7 +185,7 @@ class Model(Owner):
         if not refine or posed is None:
             return scene
         tell = None if progress is None else _refining_as(progress)
-        where = posed if world == "input_cameras" else posed.relative_to(posed[0])
+        where = posed.relative_to(posed[0]) if world == "first_camera" else posed
         return scene.refine(kept, where, steps=refine, seed=seed, progress=tell, device=self.device)
 
     def __repr__(self) -> str:

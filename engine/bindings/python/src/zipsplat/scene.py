@@ -15,12 +15,14 @@ from . import command
 from ._native import Handle, Told, array_at, call, ffi, lib, options, refine_progress, structure
 from .cameras import Camera, PathLike
 from .cameras import native as native_cameras
-from .device import Device, DeviceLike, opened
+from .device import Device, DeviceLike, TorchDevice, opened
 from .errors import ArgumentError
 from .images import CamerasLike, ImagesLike, matched
 from .images import native as native_images
 
 if TYPE_CHECKING:
+    import torch
+
     from .renderer import DepthMode, RenderOutput
 
 Array = npt.NDArray[np.float32]
@@ -183,7 +185,7 @@ class Scene:
         probabilities = 1 / (1 + np.exp(-opacities.astype(np.float64)))
         return cls.from_arrays(means, np.exp(scales), quats, probabilities, np.concatenate(sh, axis=1))
 
-    def to_gsplat(self, device: Any = "cpu") -> dict[str, Any]:
+    def to_gsplat(self, device: Union[str, TorchDevice] = "cpu") -> dict[str, torch.Tensor]:
         """Returns copies as gsplat's parameters, tensors on a torch device; see from_gsplat.
 
         Example:
@@ -199,7 +201,7 @@ class Scene:
             "shN": coeffs[:, 1:].contiguous(),
         }
 
-    def to_torch(self, device: Any = "cpu") -> dict[str, Any]:
+    def to_torch(self, device: Union[str, TorchDevice] = "cpu") -> dict[str, torch.Tensor]:
         """Returns copies of the arrays by name, float32 tensors on a torch device."""
         import torch
 
@@ -259,6 +261,11 @@ class Scene:
 
         Returns:
             The refined scene, with its result in `refinement`.
+
+        Example:
+            >>> refined = scene.refine(Capture.open("capture/"), steps=200)
+            >>> refined.refinement.stop_reason
+            'finished'
         """
         sources, posed, _ = matched(images, cameras)
         if posed is None:

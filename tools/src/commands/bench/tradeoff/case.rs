@@ -45,9 +45,10 @@ pub fn all<'a>(
     clouds: &'a [Option<PointCloud>],
 ) -> Result<Vec<Case<'a>>> {
     let mut cases: Vec<Case<'a>> = Vec::new();
-    for (&ratio, selection) in args.ratio.iter().flat_map(|ratio| args.select.iter().map(move |s| (ratio, s))) {
+    for (&ratio, selection) in args.ratio.iter().flat_map(|ratio| args.token_selection.iter().map(move |s| (ratio, s)))
+    {
         for (&pool, (capture, cloud)) in
-            args.pool.iter().flat_map(|pool| captures.iter().zip(clouds).map(move |capture| (pool, capture)))
+            args.kv_pool.iter().flat_map(|pool| captures.iter().zip(clouds).map(move |capture| (pool, capture)))
         {
             let cameras = Some(capture.cameras());
             let request = ReconstructOptions {
@@ -72,8 +73,8 @@ pub fn all<'a>(
                 Ratio::Fixed(ratio) => ratio.to_string(),
             };
             let mut settings = format!("--ratio {ratio}");
-            settings += &if whole { String::new() } else { format!(" --select {select}") };
-            settings += &if pool > 1 { format!(" --pool {pool}") } else { String::new() };
+            settings += &if whole { String::new() } else { format!(" --token-selection {select}") };
+            settings += &if pool > 1 { format!(" --kv-pool {pool}") } else { String::new() };
             let (cloud, weights, refine) = (cloud.as_ref(), OWN, Vec::new());
             let mut case =
                 Case { capture, cloud, shape, request, precision, weights, select, ratio, settings, keep, refine };
@@ -90,8 +91,8 @@ pub fn all<'a>(
 impl Case<'_> {
     /// Returns true for all tokens or the first selection, and the first pooling.
     pub fn is_first(&self, args: &Tradeoff) -> bool {
-        let chosen = self.shape.kept == TokenSampling::All || self.request.token_selection == args.select[0];
-        chosen && self.request.kv_pool == args.pool[0]
+        let chosen = self.shape.kept == TokenSampling::All || self.request.token_selection == args.token_selection[0];
+        chosen && self.request.kv_pool == args.kv_pool[0]
     }
 
     /// Refines from points alone only in a capture's first case.
@@ -101,7 +102,7 @@ impl Case<'_> {
         } else {
             &[Initialization::Scene]
         };
-        let starts = args.start.as_deref().unwrap_or(default);
+        let starts = args.init.as_deref().unwrap_or(default);
         let pairs = args.refine.iter().flat_map(|steps| starts.iter().map(move |start| (*start, *steps)));
         let follows = |(start, steps): &(Initialization, Steps)| match start {
             _ if steps.count == 0 || !self.is_first(args) => false,
@@ -125,11 +126,11 @@ impl Case<'_> {
         let folder = args.folder.to_string_lossy();
         let mut options = format!("--views {}", self.capture.inputs.len());
         options += &format!(" {more} --precision {} --targets {}", self.precision, args.targets);
-        if let Some(size) = args.size {
-            options += &format!(" --size {size}");
+        if let Some(size) = args.input_size {
+            options += &format!(" --input-size {size}");
         }
-        if let Some(unit) = args.unit {
-            options += &format!(" --unit {unit}");
+        if let Some(unit) = args.scene_scale {
+            options += &format!(" --scene-scale {unit}");
         }
         let join = |words: Vec<&str>| shlex::try_join(words).expect("no argument of a command holds a NUL");
         let eval = |weights: Vec<&str>| {

@@ -28,11 +28,11 @@ const SHARE: Axis<'_> = log("share of tokens");
 type Meaning = (&'static str, fn(&Point) -> String);
 
 const PHOTOS: Meaning = ("input photos", |p| p.views.to_string());
-const CHOSEN: Meaning = ("tokens chosen by", |p| p.select.clone());
+const CHOSEN: Meaning = ("tokens chosen by", |p| p.token_selection.clone());
 const RATIO: Meaning = ("share of tokens", |p| p.asked_ratio.clone());
 const PRECISION: Meaning = ("precision", Point::arithmetic);
-const KEPT: Meaning = ("Gaussians a token", |p| p.keep.to_string());
-const POOL: Meaning = ("side of pooled patches", |p| p.pool.to_string());
+const KEPT: Meaning = ("Gaussians a token", |p| p.max_gaussians_per_token.to_string());
+const POOL: Meaning = ("side of pooled patches", |p| p.kv_pool.to_string());
 const STEPS: Meaning = ("steps of refinement", Point::refinement);
 
 /// Index in the sweep and point.
@@ -51,18 +51,18 @@ pub fn pareto(points: &[Point]) -> String {
 
 pub fn figures(sweep: &Sweep) -> Vec<(&'static str, String)> {
     let all: Vec<Numbered<'_>> = sweep.points.iter().enumerate().collect();
-    let first_pool = sweep.points.first().map_or(1, |p| p.pool);
-    let plain = those(&all, |p| !p.is_refined() && p.pool == first_pool);
+    let first_pool = sweep.points.first().map_or(1, |p| p.kv_pool);
+    let plain = those(&all, |p| !p.is_refined() && p.kv_pool == first_pool);
     let most = plain.iter().map(|(_, p)| p.views).max().unwrap_or(0);
-    let keep = plain.iter().map(|(_, p)| p.keep).max().unwrap_or(0);
+    let keep = plain.iter().map(|(_, p)| p.max_gaussians_per_token).max().unwrap_or(0);
     let first = plain.first().map_or_else(String::new, |(_, p)| p.arithmetic());
     let own = name(&TokenSelection::KMEANS);
-    let kmeans = |p: &Point| p.select == "all" || p.select == own;
-    let full = those(&plain, |p| p.keep == keep && p.arithmetic() == first);
+    let kmeans = |p: &Point| p.token_selection == "all" || p.token_selection == own;
+    let full = those(&plain, |p| p.max_gaussians_per_token == keep && p.arithmetic() == first);
     let (best, ours) = (those(&full, |p| p.views == most), those(&full, kmeans));
     let kept = those(&plain, |p| p.views == most && p.arithmetic() == first && kmeans(p));
-    let whole = those(&plain, |p| p.keep == keep && p.select == "all");
-    let refined = those(&all, |p| p.views == most && p.arithmetic() == first && p.keep == keep);
+    let whole = those(&plain, |p| p.max_gaussians_per_token == keep && p.token_selection == "all");
+    let refined = those(&all, |p| p.views == most && p.arithmetic() == first && p.max_gaussians_per_token == keep);
     let refined = those(&refined, |p| (kmeans(p) || p.is_of_points()) && !p.refine.contains(':'));
     let mut figures = vec![
         (
@@ -94,8 +94,10 @@ pub fn figures(sweep: &Sweep) -> Vec<(&'static str, String)> {
         ),
         ("Gaussians kept of each token", by(&kept, GAUSSIANS, PSNR, KEPT, |p| (p.gaussians as f64, p.psnr))),
     ];
-    if sweep.points.iter().any(|p| p.pool != first_pool) {
-        let pooled = those(&all, |p| !p.is_refined() && p.keep == keep && p.arithmetic() == first && kmeans(p));
+    if sweep.points.iter().any(|p| p.kv_pool != first_pool) {
+        let pooled = those(&all, |p| {
+            !p.is_refined() && p.max_gaussians_per_token == keep && p.arithmetic() == first && kmeans(p)
+        });
         let pooled = those(&pooled, |p| Some(&p.asked_ratio) == sweep.points.first().map(|p| &p.asked_ratio));
         figures.push(("Patches that attention sees as one", by(&pooled, TIME, PSNR, POOL, |p| (p.forward_ms, p.psnr))));
     }
@@ -112,9 +114,13 @@ fn those<'a>(points: &[Numbered<'a>], keeps: impl Fn(&Point) -> bool) -> Vec<Num
 
 /// Empty without results.
 pub fn deviations(points: &[Point]) -> Vec<(&'static str, String)> {
-    let keep = points.iter().map(|p| p.keep).max().unwrap_or(0);
+    let keep = points.iter().map(|p| p.max_gaussians_per_token).max().unwrap_or(0);
     let own = name(&TokenSelection::KMEANS);
-    let compared = |p: &Point| p.keep == keep && (p.select == "all" || p.select == own) && p.psnr_to_f64.is_some();
+    let compared = |p: &Point| {
+        p.max_gaussians_per_token == keep
+            && (p.token_selection == "all" || p.token_selection == own)
+            && p.psnr_to_f64.is_some()
+    };
     let most = points.iter().filter(|p| compared(p)).map(|p| p.views).max();
     let all: Vec<Numbered<'_>> = points.iter().enumerate().collect();
     let compared = those(&all, |p| compared(p) && Some(p.views) == most);
@@ -132,7 +138,7 @@ pub fn deviations(points: &[Point]) -> Vec<(&'static str, String)> {
         ("Gaussians: scales", error(|p| p.error_scales)),
         ("Gaussians: rotations", error(|p| p.error_quats)),
         ("Gaussians: opacities", error(|p| p.error_opacities)),
-        ("Gaussians: colours", error(|p| p.error_sh_coeffs)),
+        ("Gaussians: colors", error(|p| p.error_sh_coeffs)),
         ("Pictures", plot(linear("PSNR to those of f64, dB"), |p| p.psnr_to_f64)),
     ]
 }

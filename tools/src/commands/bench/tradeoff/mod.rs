@@ -40,7 +40,7 @@ use zipsplat::{
   zipsplat bench tradeoff capture/ --minutes all -o report/
   zipsplat bench tradeoff capture/ --views 4,8,16,24 --ratio 1,0.5,auto -o report/
   zipsplat bench tradeoff capture/ --views 8,16 --ratio 1,auto --dtype f16,q8 --refine 0 -o report/
-  zipsplat bench tradeoff capture/ --views 16 --ratio 1,auto --precision fast --refine 0,10,25,50,100,50:tokens -o report/
+  zipsplat bench tradeoff capture/ --views 16 --ratio 1,auto --precision fp16 --refine 0,10,25,50,100,50:tokens -o report/
 
 Writes tradeoff.html, one file that needs no other, and tradeoff.csv. Ctrl-C ends the sweep and writes what was measured.
 
@@ -60,13 +60,13 @@ pub struct Tradeoff {
     /// Token selections: kmeans[:ROUNDS], stride, random[:SEED]
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "kmeans,kmeans:1,kmeans:10,stride,random",
         value_parser = parse_selection)]
-    select: Vec<TokenSelection>,
+    token_selection: Vec<TokenSelection>,
     /// Pooling factors of attention across photos
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "1")]
-    pool: Vec<usize>,
+    kv_pool: Vec<usize>,
     /// Gaussians kept per token, by visibility [default: all, a half, a quarter]
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
-    keep: Option<Vec<Keep>>,
+    max_gaussians_per_token: Option<Vec<Keep>>,
     /// Refinement steps, or 100:tokens for the scene's tokens. Combined with every number of photos
     /// and share of the tokens, with all Gaussians and first values otherwise. Always includes 0,
     /// no refinement
@@ -75,8 +75,8 @@ pub struct Tradeoff {
     /// Initializations of the refinement. Points need no network [default: scene, and points if the
     /// capture has them]
     #[arg(long, value_name = "LIST", value_delimiter = ',', value_enum)]
-    start: Option<Vec<Initialization>>,
-    /// Arithmetics: exact, fast, fast-bf16, turbo [default: all that the device has]
+    init: Option<Vec<Initialization>>,
+    /// Arithmetics: fp32, fp16, bf16, int8 [default: all that the device has]
     #[arg(long, value_name = "LIST", value_delimiter = ',', value_enum)]
     precision: Option<Vec<PrecisionName>>,
     /// Types to round the weights to, as `convert --dtype`: f16, bf16, q8. Combined with every
@@ -91,10 +91,10 @@ pub struct Tradeoff {
     weights: Weights,
     /// Pixels of each photo for the network [default: the weights' best size]
     #[arg(long, value_name = "WxH")]
-    size: Option<Size>,
+    input_size: Option<Size>,
     /// Length in the cameras' unit that is 1 for the network [default: as of `eval`]
     #[arg(long, value_name = "LENGTH", value_parser = parse_length)]
-    unit: Option<f64>,
+    scene_scale: Option<f64>,
     /// Untimed runs before the measurement
     #[arg(long, value_name = "N", default_value = "1")]
     warmup: u32,
@@ -133,7 +133,7 @@ impl Tradeoff {
         let [html, csv] = ["tradeoff.html", "tradeoff.csv"].map(|name| self.output.join(name));
         self.overwrite.check_replaced([&html, &csv])?;
         let checkpoint = self.weights.open()?;
-        let size = Size::or_best(self.size, &checkpoint);
+        let size = Size::or_best(self.input_size, &checkpoint);
         sweep::check(self, checkpoint.architecture(), size)?;
         let choices: Vec<Choice> = (self.views.iter())
             .map(|views| Choice::new(&self.folder, *views, Some(self.targets as usize)))
@@ -141,7 +141,7 @@ impl Tradeoff {
         let device = timed_device(session)?;
         let captures: Vec<ViewSplit> = (choices.iter())
             .map(|choice| {
-                Ok(session.stage("load photos", |stage| choice.load(Seeing::cropped(size), self.unit, stage))?.0)
+                Ok(session.stage("load photos", |stage| choice.load(Seeing::cropped(size), self.scene_scale, stage))?.0)
             })
             .collect::<Result<_>>()?;
         captures.iter().take(1).flat_map(ViewSplit::notes).for_each(|note| session.note(note));
@@ -177,14 +177,17 @@ impl Tradeoff {
         session.report(&sweep.points, text)
     }
 
-    /// All by default, `exact` first.
+    /// All by default, `fp32` first.
     fn arithmetics(
         &self,
         session: &mut Session<'_>,
         device: &Device,
         checkpoint: &Checkpoint,
     ) -> Result<Vec<(Precision, Arithmetic)>> {
-        let asked = self.precision.as_ref().map(|names| names.iter().map(|name| name.precision()).collect());
+        let asked = self.precision.as_ref().map(|names| {
+            let best = Precision::best(device.limits());
+            names.iter().map(|name| name.precision().unwrap_or(best)).collect()
+        });
         let suits = |arithmetic| checkpoint.suits(arithmetic).is_ok();
         let has = |precision: &Precision| Arithmetic::of(*precision, device.limits()).is_some_and(suits);
         let mut precisions: Vec<Precision> = asked.unwrap_or_else(|| Precision::ALL.into_iter().filter(has).collect());

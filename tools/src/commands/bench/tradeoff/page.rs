@@ -95,7 +95,7 @@ fn table(points: &[Point], rows: impl Iterator<Item = usize>, marked: &[usize]) 
     let mut html = String::from(
         "<table><tr><th>photos<th>precision<th class=\"wide\">weights<th>r<th class=\"wide\">tokens by<th class=\"wide\">kept of a token<th>steps\
          <th class=\"wide\">Gaussians<th>time<th class=\"wide\">ms a picture<th class=\"wide\">peak<th class=\"wide\">file\
-         <th>dB<th class=\"wide\">SSIM<th class=\"wide\">dB to exact<th class=\"wide\">to f64</tr>",
+         <th>dB<th class=\"wide\">SSIM<th class=\"wide\">dB to fp32<th class=\"wide\">to f64</tr>",
     );
     for i in rows {
         let p = &points[i];
@@ -108,8 +108,8 @@ fn table(points: &[Point], rows: impl Iterator<Item = usize>, marked: &[usize]) 
             p.arithmetic(),
             bytes(p.weight_bytes),
             p.ratio,
-            p.select,
-            p.keep,
+            p.token_selection,
+            p.max_gaussians_per_token,
             p.refinement(),
             p.gaussians,
             took(p.total_ms),
@@ -118,7 +118,7 @@ fn table(points: &[Point], rows: impl Iterator<Item = usize>, marked: &[usize]) 
             bytes(p.file_bytes),
             p.psnr,
             p.ssim,
-            decibels(p.psnr_to_exact),
+            decibels(p.psnr_to_fp32),
             decibels(p.psnr_to_f64),
         );
     }

@@ -17,9 +17,9 @@ pub struct Point {
     #[serde(skip)]
     pub asked_ratio: String,
     /// `all` without any.
-    pub select: String,
-    pub pool: usize,
-    pub keep: usize,
+    pub token_selection: String,
+    pub kv_pool: usize,
+    pub max_gaussians_per_token: usize,
     /// `0` for none.
     pub refine: String,
     /// Empty without refinement.
@@ -37,8 +37,8 @@ pub struct Point {
     pub file_bytes: u64,
     pub psnr: f64,
     pub ssim: f64,
-    /// Against `exact` with equal settings; absent for `exact`.
-    pub psnr_to_exact: Option<f64>,
+    /// Against `fp32` with equal settings; absent for `fp32`.
+    pub psnr_to_fp32: Option<f64>,
     /// Against the f64 Gaussians of the same tokens; absent after refinement. This and all errors
     /// are absent if f64 would take too long.
     pub psnr_to_f64: Option<f64>,
@@ -63,8 +63,8 @@ impl Point {
             precision: words(precision),
             weights: words(OWN),
             asked_ratio: words("points"),
-            select: words("none"),
-            pool: 1,
+            token_selection: words("none"),
+            kv_pool: 1,
             ..Self::default()
         }
     }
@@ -94,18 +94,23 @@ impl Point {
         if self.is_of_points() {
             return format!("{photos}, {} steps of refinement from the capture's points", self.refine);
         }
-        let chosen = match self.select.as_str() {
+        let chosen = match self.token_selection.as_str() {
             "all" => "every token".into(),
             select => format!("{:.0} % of the tokens by {select}", 100.0 * self.ratio),
         };
-        let pooled = if self.pool > 1 { format!(", keys of {0} x {0} patches", self.pool) } else { String::new() };
+        let pooled =
+            if self.kv_pool > 1 { format!(", keys of {0} x {0} patches", self.kv_pool) } else { String::new() };
         let refined = match self.refine.split_once(':') {
             _ if !self.is_refined() => String::new(),
             Some((steps, moved)) => format!(", {steps} steps of refinement of {moved}"),
             None if self.init == "both" => format!(", {} steps of refinement with the capture's points", self.refine),
             None => format!(", {} steps of refinement", self.refine),
         };
-        format!("{photos}, {}, {chosen}{pooled}, {} of a token's Gaussians{refined}", self.arithmetic(), self.keep)
+        format!(
+            "{photos}, {}, {chosen}{pooled}, {} of a token's Gaussians{refined}",
+            self.arithmetic(),
+            self.max_gaussians_per_token
+        )
     }
 }
 
@@ -167,14 +172,14 @@ pub(super) mod tests {
     pub fn point(forward_ms: f64, psnr: f64) -> Point {
         Point {
             views: 4,
-            precision: "exact".into(),
+            precision: "fp32".into(),
             weights: OWN.into(),
             weight_bytes: 1 << 20,
             ratio: 0.5,
             asked_ratio: "0.5".into(),
-            select: "kmeans:5".into(),
-            pool: 1,
-            keep: 8,
+            token_selection: "kmeans:5".into(),
+            kv_pool: 1,
+            max_gaussians_per_token: 8,
             refine: "0".into(),
             init: String::new(),
             tokens: 10,
@@ -187,7 +192,7 @@ pub(super) mod tests {
             file_bytes: 1 << 10,
             psnr,
             ssim: 0.5,
-            psnr_to_exact: None,
+            psnr_to_fp32: None,
             psnr_to_f64: Some(90.0),
             error_backbone: Some(1e-7),
             error_fuse: Some(1e-7),

@@ -22,7 +22,7 @@ pub fn refine(
 ) -> Result<RefineResult> {
     let go_on = || stage.check().map_or(ControlFlow::Break(()), ControlFlow::Continue);
     let (photos, cameras) = capture.training_views();
-    let refine = RefineOptions { steps: steps.count, ..RefineOptions::default() };
+    let refine = RefineOptions { steps: steps.count, time: steps.time, ..RefineOptions::default() };
     let refined = if steps.tokens {
         let features = model.features(&capture.images(), request, |_| go_on())?;
         let tokens = model.tokens(&features, request, |_| go_on())?;

@@ -75,11 +75,13 @@ struct Forward {
 /// Checks every combination without a device.
 pub fn check(args: &Tradeoff, architecture: &Architecture, Size(width, height): Size) -> Result<()> {
     let all = architecture.gaussians_per_token;
-    args.keep.iter().flatten().try_for_each(|keep| keep.of(all).map(drop))?;
+    args.max_gaussians_per_token.iter().flatten().try_for_each(|keep| keep.of(all).map(drop))?;
     for views in &args.views {
-        for (ratio, selection) in args.ratio.iter().flat_map(|ratio| args.select.iter().map(move |s| (*ratio, s))) {
+        for (ratio, selection) in
+            args.ratio.iter().flat_map(|ratio| args.token_selection.iter().map(move |s| (*ratio, s)))
+        {
             let shape = Shape::new(architecture, *views, [width, height], (ratio, selection), true)?;
-            args.pool.iter().try_for_each(|pool| shape.pooled(*pool).map(drop))?;
+            args.kv_pool.iter().try_for_each(|pool| shape.pooled(*pool).map(drop))?;
         }
     }
     Ok(())
@@ -95,7 +97,7 @@ pub fn run(
     clouds: &[Option<PointCloud>],
 ) -> Result<(Sweep, bool)> {
     let all = checkpoint.architecture().gaussians_per_token;
-    let keep = match &args.keep {
+    let keep = match &args.max_gaussians_per_token {
         Some(keep) => keep.iter().map(|keep| keep.of(all)).collect::<Result<_>>()?,
         None => vec![all, all.div_ceil(2), all.div_ceil(4)],
     };
@@ -220,7 +222,7 @@ impl Bench<'_> {
             times.extend((i >= self.args.warmup).then(|| made.times.total()));
         }
         let made = last.expect("there is a repeat");
-        if shape.kept == TokenSampling::All && shape.kv_pool == self.args.pool[0] && case.is_exact() {
+        if shape.kept == TokenSampling::All && shape.kv_pool == self.args.kv_pool[0] && case.is_exact() {
             self.sweep.stages.push((capture.inputs.len(), made.times.clone()));
         }
         let (chosen, views_per_cluster) = chosen(model, case, &images)?;
@@ -248,15 +250,15 @@ impl Bench<'_> {
         let psnr_to_f64 = forward.compared.as_ref().map(against).transpose()?;
         let key = (capture.inputs.len(), case.settings.clone(), keep);
         let pixels = drawn.pictures.concat();
-        let psnr_to_exact = self.sweep.drawn_exactly.get(&key).map(|exact| psnr(&pixels, exact));
+        let psnr_to_fp32 = self.sweep.drawn_exactly.get(&key).map(|exact| psnr(&pixels, exact));
         if case.is_exact() {
             self.sweep.drawn_exactly.insert(key, pixels);
         }
         let point = Point {
-            keep,
-            psnr_to_exact,
+            max_gaussians_per_token: keep,
+            psnr_to_fp32,
             psnr_to_f64,
-            command: case.command(self.args, &format!("{} --keep {keep}", case.settings)),
+            command: case.command(self.args, &format!("{} --max-gaussians-per-token {keep}", case.settings)),
             ..drawn.point(self.settings(model, case, forward), &scene)?
         };
         Ok((point, drawn.picture(capture)?))
@@ -283,12 +285,12 @@ impl Bench<'_> {
         let name = init.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned());
         let options = if init == Initialization::Points { String::new() } else { format!("{} ", case.settings) };
         let point = Point {
-            keep: model.architecture().gaussians_per_token,
+            max_gaussians_per_token: model.architecture().gaussians_per_token,
             refine: steps.to_string(),
             refine_ms,
             total_ms: settings.forward_ms + refine_ms,
             peak_bytes: refined.peak_bytes.max(settings.peak_bytes),
-            command: case.command(self.args, &format!("{options}--refine {steps} --start {name}")),
+            command: case.command(self.args, &format!("{options}--refine {steps} --init {name}")),
             init: name,
             ..drawn.point(settings, &refined.scene)?
         };
@@ -305,9 +307,9 @@ impl Bench<'_> {
             weight_bytes: model.weight_bytes(),
             ratio: shape.tokens as f64 / shape.grid.tokens() as f64,
             asked_ratio: case.ratio.clone(),
-            select: case.select.clone(),
-            pool: shape.kv_pool,
-            keep: model.architecture().gaussians_per_token,
+            token_selection: case.select.clone(),
+            kv_pool: shape.kv_pool,
+            max_gaussians_per_token: model.architecture().gaussians_per_token,
             refine: "0".into(),
             tokens: shape.tokens,
             forward_ms: forward.ms,

@@ -1,11 +1,11 @@
 #!/usr/bin/env bash
 # Unpacks SwiftShader (Vulkan on the CPU, unrelated to Mesa) under PREFIX from Debian's Chromium
-# (32 MB to download, 6 MB on disk). Loader and layers are those of tools/lavapipe.sh in LAVAPIPE.
-# usage: tools/swiftshader.sh PREFIX LAVAPIPE      then: PREFIX/run PROGRAM ARGS...
+# (32 MB to download, 6 MB on disk). Loader and layers are those of tools/dev/lavapipe.sh in LAVAPIPE.
+# usage: tools/dev/swiftshader.sh PREFIX LAVAPIPE      then: PREFIX/run PROGRAM ARGS...
 set -euo pipefail
 
-prefix=$(realpath -m "${1:?usage: tools/swiftshader.sh PREFIX LAVAPIPE}")
-root=$(realpath -m "${2:?usage: tools/swiftshader.sh PREFIX LAVAPIPE}")/root
+prefix=$(realpath -m "${1:?usage: tools/dev/swiftshader.sh PREFIX LAVAPIPE}")
+root=$(realpath -m "${2:?usage: tools/dev/swiftshader.sh PREFIX LAVAPIPE}")/root
 mkdir -p "$prefix"
 exec 9> "$prefix/lock" && flock 9 # checkouts share the cache
 [[ ! -x $prefix/run ]] || exit 0

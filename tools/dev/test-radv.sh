@@ -2,11 +2,11 @@
 # Compiles the kernels with AMD's driver (RADV of Mesa 25) without a GPU; nothing is executed.
 # Prints each kernel's registers, shared memory and occupancy, the worst over its variants. Fails on
 # rejected kernels and on register spills.
-# usage: tools/test-radv.sh [FAMILY...]      default navi31 (matrix units), navi21, vega10
+# usage: tools/dev/test-radv.sh [FAMILY...]      default navi31 (matrix units), navi21, vega10
 set -eEuo pipefail
 export ZIPSPLAT_DRIVER=lavapipe25
-# shellcheck source-path=SCRIPTDIR
-source "$(dirname "${BASH_SOURCE[0]}")/setup.sh"
+# shellcheck source-path=SCRIPTDIR/..
+source "$(dirname "${BASH_SOURCE[0]}")/../setup.sh"
 apt_install libvulkan-dev
 
 work=$(mktemp -d)
@@ -39,10 +39,10 @@ for RADV_FORCE_FAMILY in "$@"; do
   {
     # Doctor and self-tests fail, as nothing computes. Their results are patched to passed.
     zipsplat doctor --quiet || [[ $? == 5 ]]
-    for precision in fast fast-bf16 turbo; do forward $precision || [[ $? == 3 ]]; done
+    for precision in fp16 bf16 int8; do forward $precision || [[ $? == 3 ]]; done
     sed -Ei 's/":(null|[0-9.e+]+)([,}])/":0.0\2/g; s/"begun":0.0/"begun":0/' "$ZIPSPLAT_CACHE"/self-test/*.json
-    zipsplat tune --quiet || [[ $? == 4 ]]
-    for precision in exact fast fast-bf16 turbo; do forward $precision; done
+    zipsplat doctor tune --quiet || [[ $? == 4 ]]
+    for precision in fp32 fp16 bf16 int8; do forward $precision; done
     zipsplat bench render --quiet --gaussians 1000 --size 64x64 --sh 0,1,2,3 --effects
   } > "$said" 2>&1
   printf '\n%s\n%-36s %8s %9s %7s %6s %9s\n' "$RADV_FORCE_FAMILY" kernel variants registers spilled shared subgroups

@@ -2,7 +2,7 @@
 # Runs kernels and stages with GPU-AV, which checks every access against its binding. A GPU would
 # read the neighboring tensor. Skips tests that would take minutes.
 set -euo pipefail
-test=$(dirname "${BASH_SOURCE[0]}")/test.sh
+test=$(dirname "${BASH_SOURCE[0]}")/../test.sh
 export ZIPSPLAT_LAYER_SETTINGS=vk_layer_settings_bounds ZIPSPLAT_BOUND=1
 slow=(determinism every_head_size every_epilogue short_and_long_sums beyond_the_most tiles_of_gpus bound_in_parts self_test
   tuning small_is_vits slice_of_the_giant)

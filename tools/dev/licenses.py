@@ -1,6 +1,6 @@
 """Collects the licenses of every crate in a release, and writes a CycloneDX SBOM.
 
-usage: python3 tools/licenses.py PACKAGE TARGET LICENCES.txt SBOM.json      PACKAGE such as zipsplat-cli
+usage: python3 tools/dev/licenses.py PACKAGE TARGET LICENSES.txt SBOM.json      PACKAGE such as zipsplat-cli
 
 Covers normal dependencies from `cargo metadata`. A crate with a missing or disallowed license is an
 error.
@@ -12,7 +12,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 # Licenses that allow distribution with their text.
 ALLOWED = {
     "0BSD",

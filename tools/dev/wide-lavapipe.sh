@@ -1,11 +1,11 @@
 #!/usr/bin/env bash
 # Makes a lavapipe with subgroups of 32 under PREFIX from the one in LAVAPIPE. Lavapipe limits
 # subgroups to 16 at any vector width; this patches the limit in a copy.
-# usage: tools/wide-lavapipe.sh PREFIX LAVAPIPE      then: PREFIX/run PROGRAM ARGS...
+# usage: tools/dev/wide-lavapipe.sh PREFIX LAVAPIPE      then: PREFIX/run PROGRAM ARGS...
 set -euo pipefail
 
-prefix=$(realpath -m "${1:?usage: tools/wide-lavapipe.sh PREFIX LAVAPIPE}")
-root=$(realpath -m "${2:?usage: tools/wide-lavapipe.sh PREFIX LAVAPIPE}")/root
+prefix=$(realpath -m "${1:?usage: tools/dev/wide-lavapipe.sh PREFIX LAVAPIPE}")
+root=$(realpath -m "${2:?usage: tools/dev/wide-lavapipe.sh PREFIX LAVAPIPE}")/root
 library=$root/usr/lib/x86_64-linux-gnu/libvulkan_lvp.so
 mkdir -p "$prefix"
 exec 9> "$prefix/lock" && flock 9 # checkouts share the cache

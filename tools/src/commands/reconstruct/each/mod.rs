@@ -1,5 +1,6 @@
 mod maker;
 
+use super::{CAPTURE, Reconstruct};
 use crate::{
     options::{Network, Quality, Weights},
     outputs::{self, Overwrite},
@@ -7,9 +8,8 @@ use crate::{
     session::{Session, Stage},
     stamp::{digest, stamp},
     table::{counted, time},
-    views::FitOption,
+    views::Crop,
 };
-use clap::Args;
 use maker::{FinishedScene, Input, Maker};
 use serde::Serialize;
 use serde_json::{Value, json};
@@ -32,49 +32,23 @@ use zipsplat::{
 
 const FAILURES: &str = "failures.csv";
 
-/// Many captures to scenes, with one model kept on the device
+/// Scenes of many captures, by one model that stays on the device.
 ///
-/// A capture is a folder with photos, directly or in images/. Each becomes OUT/NAME.ply and
-/// OUT/NAME.json, a record of its inputs. Run the same command again to resume: a capture is
+/// Each capture becomes `OUT/NAME.ply` and a record of its inputs, `OUT/NAME.json`. A capture is
 /// finished if its scene exists and was made of the same photos, by name, size and time, with the
-/// same options. A failed capture is a row of OUT/failures.csv; the others continue, and the exit
-/// code is 1.
-///
-/// With weights of Depth Anything 3 each confident pixel becomes a Gaussian, as in `reconstruct`.
-/// Without --posed the network also estimates the cameras.
-#[derive(Args)]
-#[command(after_help = "Examples:
-  zipsplat batch captures/ -o scenes/
-  zipsplat batch captures/ more/kitchen list.txt --ratio auto --format spz -o scenes/
-  zipsplat batch captures/ --posed --views 24 --limit 100 -o scenes/
-  zipsplat batch captures/ --weights da3-small --ratio 0.5 -o scenes/")]
-pub struct Batch {
-    /// Captures, folders of captures, or text files with a capture per line
-    #[arg(required = true, value_name = "DIR|LIST")]
-    inputs: Vec<PathBuf>,
-    /// Folder for the scenes, named as the captures' folders
-    #[arg(long, short, value_name = "OUT")]
-    output: PathBuf,
-    #[command(flatten)]
+/// same options. A failed capture is a row of `OUT/failures.csv`.
+pub struct Batch<'a> {
+    inputs: &'a [PathBuf],
+    output: &'a Path,
     overwrite: Overwrite,
-    /// Format of the scenes: ply, spz, splat, glb or gltf
-    #[arg(long, value_name = "NAME", default_value = "ply")]
-    format: String,
-    /// Take the cameras of each capture's folder: transforms.json or a COLMAP model
-    #[arg(long)]
+    format: &'a str,
+    /// Cameras are those of the captures' folders.
     posed: bool,
-    /// Limit of photos per capture, evenly spread, with the first and the last
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_VIEWS as i64))]
     views: Option<u32>,
-    /// Limit of scenes made in this run
-    #[arg(long, value_name = "N")]
     limit: Option<usize>,
-    #[command(flatten)]
-    weights: Weights,
-    #[command(flatten)]
-    quality: Quality,
-    #[command(flatten)]
-    fit: FitOption,
+    weights: &'a Weights,
+    quality: &'a Quality,
+    crop: Crop,
 }
 
 struct Work {
@@ -103,12 +77,33 @@ struct Tally {
     failures: Vec<Failure>,
 }
 
-impl Batch {
+impl<'a> Batch<'a> {
+    pub fn of(command: &'a Reconstruct) -> Result<Self> {
+        let posed = match &command.cameras {
+            Some(cameras) if cameras != Path::new(CAPTURE) => {
+                return Err(Error::argument("--cameras", cameras.display(), "capture, with --each"));
+            }
+            cameras => cameras.is_some(),
+        };
+        Ok(Self {
+            inputs: &command.input.photos,
+            output: command.output(),
+            overwrite: command.overwrite,
+            format: &command.format,
+            posed,
+            views: command.views,
+            limit: command.limit,
+            weights: &command.weights,
+            quality: &command.quality,
+            crop: command.crop.crop,
+        })
+    }
+
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
-        if SceneFormat::named(&self.format).is_none() {
-            return Err(Error::argument("--format", &self.format, SceneFormat::EXTENSIONS));
+        if SceneFormat::named(self.format).is_none() {
+            return Err(Error::argument("--format", self.format, SceneFormat::EXTENSIONS));
         }
-        outputs::check_folder(&self.output)?;
+        outputs::check_folder(self.output)?;
         let works = self.works()?;
         let files = works.iter().flat_map(|work| [&work.scene, &work.record]);
         self.overwrite.check_replaced(files)?;
@@ -121,13 +116,13 @@ impl Batch {
 
         let _lock = self.lock()?;
         let runner = Runner { batch: self, works: &works, maker, settings_key };
-        let (tally, took) = session.stage("batch", |stage| runner.run(stage))?;
+        let (tally, took) = session.stage("reconstruct", |stage| runner.run(stage))?;
         let Tally { finished, unchanged, failures } = tally;
         let rate = finished as f64 / took.as_secs_f64();
         let left = works.len() - finished - unchanged - failures.len();
         let json = json!({
-            "output": self.output, "captures": works.len(), "made": finished, "unchanged": unchanged, "failed": failures.len(),
-            "left": left, "seconds": took.as_secs_f64(), "captures_per_second": rate,
+            "output": self.output, "captures": works.len(), "reconstructed": finished, "skipped": unchanged, "failed": failures.len(),
+            "remaining": left, "seconds": took.as_secs_f64(), "captures_per_second": rate,
         });
         let mut text = format!("{}: {} made in {}", self.output.display(), counted(finished, "scene"), time(took));
         if finished > 0 {
@@ -144,9 +139,9 @@ impl Batch {
 
     /// Locks the output folder against other batches, until dropped.
     fn lock(&self) -> Result<Option<File>> {
-        outputs::make_folder(&self.output)?;
+        outputs::make_folder(self.output)?;
         // Some file systems have no locks.
-        let Ok(folder) = File::open(&self.output) else { return Ok(None) };
+        let Ok(folder) = File::open(self.output) else { return Ok(None) };
         match folder.try_lock() {
             Err(TryLockError::WouldBlock) => {
                 let found = format!("{}, where another batch is running", self.output.display());
@@ -158,7 +153,7 @@ impl Batch {
 
     fn works(&self) -> Result<Vec<Work>> {
         let mut folders = Vec::new();
-        for input in &self.inputs {
+        for input in self.inputs {
             folders.extend(self.captures(input)?);
         }
         let mut names: HashMap<String, &Path> = HashMap::new();
@@ -173,7 +168,7 @@ impl Batch {
                 return Err(Error::argument(format!("name of {}", folder.display()), found, "one of its own"));
             }
             let file = |extension: &str| self.output.join(format!("{name}.{extension}"));
-            works.push(Work { scene: file(&self.format), record: file("json"), folder: folder.clone() });
+            works.push(Work { scene: file(self.format), record: file("json"), folder: folder.clone() });
         }
         Ok(works)
     }
@@ -209,9 +204,9 @@ impl Batch {
     /// All but the capture.
     fn settings_key(&self, weights: &str, size: &str, precision: &str) -> Result<String> {
         let of_file = if Path::new(weights).is_file() { stamp(Path::new(weights))? } else { String::new() };
-        let Quality { ratio, select, pool, .. } = &self.quality;
+        let Quality { ratio, token_selection, kv_pool, .. } = self.quality;
         let options = [
-            format!("{ratio:?} {select:?} {pool} {:?} {:?}", self.quality.kept(), self.fit.fit),
+            format!("{ratio:?} {token_selection:?} {kv_pool} {:?} {:?}", self.quality.kept(), self.crop),
             format!("{size} {precision} {} {:?} {}", self.posed, self.views, self.format),
         ];
         Ok(format!("{} {weights} {of_file} {}", env!("CARGO_PKG_VERSION"), options.join(" ")))
@@ -219,7 +214,7 @@ impl Batch {
 }
 
 struct Runner<'a> {
-    batch: &'a Batch,
+    batch: &'a Batch<'a>,
     works: &'a [Work],
     maker: Maker<'a>,
     settings_key: String,

@@ -2,10 +2,10 @@
 # Unpacks a Debian suite's lavapipe (Vulkan on the CPU), loader and validation layers under PREFIX,
 # with all libraries including the C library (84 MB to download, 334 MB on disk). Needs no root.
 # trixie-backports has Mesa 26, the first with cooperative matrices; trixie has Mesa 25.
-# usage: tools/lavapipe.sh PREFIX [SUITE]      then: PREFIX/run PROGRAM ARGS...
+# usage: tools/dev/lavapipe.sh PREFIX [SUITE]      then: PREFIX/run PROGRAM ARGS...
 set -euo pipefail
 
-prefix=$(realpath -m "${1:?usage: tools/lavapipe.sh PREFIX [SUITE]}")
+prefix=$(realpath -m "${1:?usage: tools/dev/lavapipe.sh PREFIX [SUITE]}")
 suite=${2:-trixie-backports}
 mkdir -p "$prefix"
 exec 9> "$prefix/lock" && flock 9 # checkouts share the cache

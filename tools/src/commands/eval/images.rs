@@ -1,41 +1,23 @@
+//! `eval` of two sets of pictures.
+
+use super::Eval;
 use crate::{
-    metrics::{psnr, ssim, values},
-    outputs::{self, Overwrite},
-    perceptual::{LpipsOption, distance},
-    photos,
+    metrics::{self, psnr, ssim, values},
+    options::refuse,
+    outputs, photos,
     session::{Session, Stage},
     table::{Table, counted},
 };
-use clap::Args;
 use serde::Serialize;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 use zipsplat::{Error, Result, perceptual::Perceptual, types::Image};
 
-/// PSNR, SSIM and LPIPS of two pictures, or of the pictures of two folders
-///
-/// Folders match by file name without extension. PSNR and SSIM are those of scikit-image (Gaussian
-/// windows of 11 pixels), LPIPS is version 0.1.
-#[derive(Args)]
-#[command(after_help = "Examples:
-  zipsplat compare drawn.png photo.png
-  zipsplat compare pictures photos --csv scores.csv
-  zipsplat compare a.png b.png --difference off.png --lpips alex")]
-pub struct Compare {
-    /// A picture, or a folder of pictures
-    first: PathBuf,
-    /// Picture or folder to compare with
-    second: PathBuf,
-    #[command(flatten)]
-    lpips: LpipsOption,
-    /// Table to write: name, psnr, ssim, lpips; a row per pair
-    #[arg(long, value_name = "FILE")]
-    csv: Option<PathBuf>,
-    /// Picture of the differences, amplified four times; a folder for folders
-    #[arg(long, value_name = "FILE|DIR")]
-    difference: Option<PathBuf>,
-    #[command(flatten)]
-    overwrite: Overwrite,
+/// Two pictures or folders of pictures, matched by file name without extension.
+pub struct ImageSets<'a> {
+    pub eval: &'a Eval,
+    pub first: &'a PathBuf,
+    pub second: &'a PathBuf,
 }
 
 #[derive(Clone, Serialize)]
@@ -53,14 +35,26 @@ struct Pair {
     difference: Option<PathBuf>,
 }
 
-impl Compare {
+impl ImageSets<'_> {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
+        let eval = self.eval;
+        for (option, given) in [
+            ("--views", !eval.views.is_empty()),
+            ("--targets", eval.targets.is_some()),
+            ("--cameras", eval.cameras.is_some()),
+            ("--pose-free", eval.pose_free),
+            ("--refine", eval.refine.steps().is_some()),
+            ("--scene or --from-depth", eval.external.given().is_some()),
+            ("--output", eval.output.is_some()),
+        ] {
+            refuse(option, given, "two sets of pictures", "a capture")?;
+        }
         let pairs = self.pairs(session)?;
-        let written = self.csv.iter().chain(pairs.iter().filter_map(|pair| pair.difference.as_ref()));
-        self.overwrite.check_replaced(written)?;
+        let written = eval.csv.iter().chain(pairs.iter().filter_map(|pair| pair.difference.as_ref()));
+        eval.overwrite.check_replaced(written)?;
         let device = session.device()?;
-        let mut lpips = self.lpips.open(&device, false)?;
-        if lpips.is_none() && self.lpips.is_default() {
+        let mut lpips = eval.lpips.open(&device, false)?;
+        if lpips.is_none() && eval.lpips.is_default() {
             session.note("no LPIPS: its weights are not here; `python3 tools/lpips.py` fetches them (64 MB)");
         }
         let compared = |stage: &Stage<'_>| stage.each(&pairs, |pair| compare(pair, lpips.as_mut()));
@@ -70,7 +64,7 @@ impl Compare {
             let (side, small) = (lpips.network().least_side(), counted(small, "pair"));
             session.note(format!("{small} without LPIPS, whose network takes pictures of {side}x{side} and larger"));
         }
-        if let Some(path) = &self.csv {
+        if let Some(path) = &eval.csv {
             outputs::save_csv(path, &rows)?;
         }
         let mean = mean(&rows);
@@ -84,10 +78,10 @@ impl Compare {
     }
 
     fn pairs(&self, session: &mut Session<'_>) -> Result<Vec<Pair>> {
-        let [first, second] = [&self.first, &self.second];
+        let [first, second] = [self.first, self.second];
         match [first.is_dir(), second.is_dir()] {
             [false, false] => {
-                let (files, difference) = ([first.clone(), second.clone()], self.difference.clone());
+                let (files, difference) = ([first.clone(), second.clone()], self.eval.difference.clone());
                 Ok(vec![Pair { name: stem(first), files, difference }])
             }
             [true, true] => self.pairs_of_folders(session),
@@ -101,7 +95,7 @@ impl Compare {
 
     fn pairs_of_folders(&self, session: &mut Session<'_>) -> Result<Vec<Pair>> {
         let [ours, others] =
-            [&self.first, &self.second].map(|folder| photos::list(session, std::slice::from_ref(folder)));
+            [self.first, self.second].map(|folder| photos::list(session, std::slice::from_ref(folder)));
         let (ours, mut others) = (ours?, others?);
         let mut pairs = Vec::new();
         let mut alone = Vec::new();
@@ -109,7 +103,7 @@ impl Compare {
             let name = stem(&file);
             match others.iter().position(|other| stem(other) == name) {
                 Some(i) => {
-                    let difference = self.difference.as_ref().map(|folder| folder.join(format!("{name}.png")));
+                    let difference = self.eval.difference.as_ref().map(|folder| folder.join(format!("{name}.png")));
                     pairs.push(Pair { name, files: [file, others.swap_remove(i)], difference });
                 }
                 None => alone.push(file),
@@ -127,7 +121,7 @@ impl Compare {
                 photos::names(&alone)
             ));
         }
-        if let Some(folder) = &self.difference {
+        if let Some(folder) = &self.eval.difference {
             outputs::make_folder(folder)?;
         }
         Ok(pairs)
@@ -153,7 +147,7 @@ fn compare(pair: &Pair, lpips: Option<&mut Perceptual>) -> Result<Row> {
         ));
     }
     let [x, y] = [values(&a), values(&b)];
-    let lpips = distance(lpips, [&x, &y], [width, height])?;
+    let lpips = metrics::lpips(lpips, [&x, &y], [width, height])?;
     if let Some(path) = &pair.difference {
         let off = a.rgb.iter().zip(&b.rgb).map(|(a, b)| a.abs_diff(*b).saturating_mul(4)).collect();
         outputs::save_picture(path, &Image::new(width, height, off)?)?;

@@ -11,13 +11,13 @@ use zipsplat::{
 #[derive(Args)]
 #[command(
     after_help = "What is found is kept in the cache folder for this device, driver and version of the kernels. Results \
-stay within the same tolerances; those of --precision exact keep their bits. A linear layer in f32, and in 16 bits without matrix \
+stay within the same tolerances; those of --precision fp32 keep their bits. A linear layer in f32, and in 16 bits without matrix \
 units, runs on lanes: as a subgroup's rows by registers alone, the rule, or by tiles in shared memory (with a depth k). Such a \
 tile is timed where it computes rightly, in f32 to the same bits.
 
 Examples:
-  zipsplat tune
-  zipsplat tune --device 1"
+  zipsplat doctor tune
+  zipsplat doctor tune --device 1"
 )]
 pub struct Tune {}
 

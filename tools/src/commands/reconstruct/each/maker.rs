@@ -6,7 +6,7 @@ use crate::{
     options::{Quality, Size, refuse},
     outputs, photos,
     session::{Session, Stage},
-    views::{Fit, Views},
+    views::{Crop, Views},
 };
 use serde_json::{Value, json};
 use std::path::PathBuf;
@@ -42,13 +42,17 @@ pub struct FinishedScene {
 
 impl<'a> Maker<'a> {
     /// Also returns text that identifies the settings of its scenes.
-    pub fn of_tokens(batch: &Batch, session: &mut Session<'_>, checkpoint: &'a Checkpoint) -> Result<(Self, String)> {
+    pub fn of_tokens(
+        batch: &Batch<'_>,
+        session: &mut Session<'_>,
+        checkpoint: &'a Checkpoint,
+    ) -> Result<(Self, String)> {
         session.notes(checkpoint.notes());
         batch.quality.check(checkpoint.architecture())?;
         let size = batch.quality.size_for(checkpoint);
-        batch.fit.fit.check(size, batch.posed)?;
+        batch.crop.check(size, batch.posed)?;
         session.notes(batch.quality.doubt_size(checkpoint));
-        outputs::make_folder(&batch.output)?;
+        outputs::make_folder(batch.output)?;
         let device = session.device()?;
         let (precision, arithmetic) = batch.quality.arithmetic.choose(session, &device)?;
         let (model, _) = session.load_model(&device, checkpoint, arithmetic)?;
@@ -56,14 +60,18 @@ impl<'a> Maker<'a> {
         Ok((Self::Tokens { model: Box::new(model), checkpoint, size }, settings_key))
     }
 
-    pub fn of_pixels(batch: &Batch, session: &mut Session<'_>, checkpoint: &DepthCheckpoint) -> Result<(Self, String)> {
-        let squares = batch.fit.fit == Fit::Squares;
-        refuse("--fit squares", squares, "weights of Depth Anything 3", "weights of ZipSplat")?;
+    pub fn of_pixels(
+        batch: &Batch<'_>,
+        session: &mut Session<'_>,
+        checkpoint: &DepthCheckpoint,
+    ) -> Result<(Self, String)> {
+        let squares = batch.crop == Crop::Tiles;
+        refuse("--crop tiles", squares, "weights of Depth Anything 3", "weights of ZipSplat")?;
         batch.quality.check_pixels(checkpoint)?;
         if !batch.posed {
             check_finds_cameras(checkpoint.architecture())?;
         }
-        outputs::make_folder(&batch.output)?;
+        outputs::make_folder(batch.output)?;
         let device = session.device()?;
         let predictor = batch.quality.predictor_options(checkpoint).open(session, &device)?;
         let size = format!("{:?}", batch.quality.side());
@@ -73,7 +81,7 @@ impl<'a> Maker<'a> {
 
     pub fn prepare(
         &self,
-        batch: &Batch,
+        batch: &Batch<'_>,
         photos: &[PathBuf],
         poses: Option<&Capture>,
         frames: &[&CaptureView],
@@ -81,9 +89,9 @@ impl<'a> Maker<'a> {
     ) -> Result<Input> {
         match self {
             Self::Tokens { size, .. } => {
-                let fit = batch.fit.fit;
-                fit.count(photos)?;
-                let views = fit.load(photos, frames, *size, stage)?;
+                let crop = batch.crop;
+                crop.count(photos)?;
+                let views = crop.load(photos, frames, *size, stage)?;
                 let unit = match (poses, frames.first()) {
                     (Some(poses), Some(first)) => poses.scene_scale(None, &views.cameras, &first.camera.pose)?.length,
                     _ => 1.0,
@@ -97,25 +105,25 @@ impl<'a> Maker<'a> {
         }
     }
 
-    pub fn make(&self, batch: &Batch, input: Input, stage: &Stage<'_>) -> Result<FinishedScene> {
+    pub fn make(&self, batch: &Batch<'_>, input: Input, stage: &Stage<'_>) -> Result<FinishedScene> {
         match (input, self) {
             (Input::Tokens(Views { images, cameras, note }, unit), Self::Tokens { model, checkpoint, .. }) => {
-                let (cameras, turned) = batch.fit.fit.network_cameras(cameras);
-                let Quality { ratio, select, pool, .. } = &batch.quality;
+                let (cameras, turned) = batch.crop.network_cameras(cameras);
+                let Quality { ratio, token_selection, kv_pool, .. } = batch.quality;
                 let cameras = Some(cameras).filter(|cameras| !cameras.is_empty());
                 let request = ReconstructOptions {
                     ratio: *ratio,
-                    token_selection: select.clone(),
+                    token_selection: token_selection.clone(),
                     cameras,
                     scene_scale: Some(unit),
-                    kv_pool: *pool,
+                    kv_pool: *kv_pool,
                     ..ReconstructOptions::default()
                 };
                 let made = model.reconstruct_views(&images, &request, |progress| stage.at(progress.fraction))?;
                 let mut scene = made.to_scene()?;
                 batch.quality.prune(&mut scene, checkpoint.architecture());
                 turned.iter().for_each(|first| scene.place(1.0, first));
-                let record = json!({ "unit": unit, "tokens": made.tokens, "note": note });
+                let record = json!({ "scene_scale": unit, "tokens": made.tokens, "note": note });
                 Ok(FinishedScene { scene, world: None, record })
             }
             (Input::Pixels(prepared, points), Self::Pixels(predictor)) => {

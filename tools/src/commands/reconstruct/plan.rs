@@ -1,73 +1,90 @@
-use super::Info;
+//! Memory plan of a reconstruction.
+
+use super::Reconstruct;
 use crate::{
     options::{Network as Weights, Quality, Size, refuse},
-    refinement::Steps,
+    photos,
     session::Session,
     table::{Table, bytes, counted},
 };
 use indicatif::HumanCount;
 use serde_json::json;
-use std::str::FromStr;
+use std::path::PathBuf;
 use zipsplat::{
     Error, Result,
     depth::DepthNetwork,
     gpu::{Arena, ArenaRow, Device, Limits, Plan},
     reconstruct::{Network, NetworkPlan, Shape},
-    refine::{Moved, RefineOptions, RefinePlan, plan_refinement},
+    refine::{Moved, RefinePlan, plan_refinement},
     stages::render::{RenderOptions, plan_pictures},
     types::DEFAULT_BOUND,
-    weights::DepthCheckpoint,
+    weights::{Checkpoint, DepthCheckpoint},
 };
 
 /// Tensors shown by default.
 const LARGEST: usize = 20;
 
-#[derive(Clone, Copy, Debug)]
-pub struct Refinement {
-    size: Size,
-    tokens: bool,
-}
-
-impl FromStr for Refinement {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let (size, moved) = text.split_once(':').unwrap_or((text, "gaussians"));
-        // Worded like the refinement of a reconstruction.
-        let Steps { tokens, .. } =
-            format!("0:{moved}").parse().map_err(|_| "expected WxH, WxH:gaussians or WxH:tokens")?;
-        Ok(Self { size: size.parse()?, tokens })
+/// Plans `--dry-run`.
+pub fn show(session: &mut Session<'_>, command: &Reconstruct) -> Result<()> {
+    let (photos, _folder) = match command.input.photos[..] {
+        [] => (Vec::new(), None),
+        _ => command.input.list(session, command.views, None)?,
+    };
+    let views = match (photos.len(), command.views.map(|views| views as usize)) {
+        (0, None) => return Err(Error::argument("photos", "none", "photos, or their number by --views")),
+        (0, Some(views)) => views,
+        (all, limit) => limit.unwrap_or(all).min(all),
+    };
+    let photos = photos::spread(photos, views);
+    let network = command.weights.open_network()?;
+    let posed = command.cameras.is_some() && !command.finds_by_itself(&network);
+    match &network {
+        Weights::Tokens(checkpoint) => show_tokens(session, command, checkpoint, &photos, views),
+        Weights::Pixels(checkpoint) => show_depth(session, command, checkpoint, (views, posed)),
     }
 }
 
-pub fn show(session: &mut Session<'_>, info: &Info, views: usize) -> Result<()> {
-    let Quality { ratio, select, pool, arithmetic, .. } = &info.quality;
-    let checkpoint = match info.weights.open_network()? {
-        Weights::Tokens(checkpoint) => checkpoint,
-        Weights::Pixels(checkpoint) => return show_depth(session, info, views, &checkpoint),
-    };
-    checkpoint.notes().iter().for_each(|note| session.note(note));
-    info.quality.check(checkpoint.architecture())?;
-    let size = info.quality.size_for(&checkpoint);
+fn show_tokens(
+    session: &mut Session<'_>,
+    command: &Reconstruct,
+    checkpoint: &Checkpoint,
+    photos: &[PathBuf],
+    views: usize,
+) -> Result<()> {
+    let (quality, crop) = (&command.quality, command.crop.crop);
+    session.notes(checkpoint.notes());
+    quality.check(checkpoint.architecture())?;
+    command.refine.check_target()?;
+    let size = quality.size_for(checkpoint);
     let Size(width, height) = size;
-    let shape = Shape::new(checkpoint.architecture(), views, [width, height], (*ratio, select), info.poses)?;
-    let shape = shape.pooled(*pool)?;
+    let posed = command.cameras.is_some();
+    crop.check(size, posed)?;
+    let seen = if photos.is_empty() { views } else { crop.count(photos)? };
+    let chosen = (quality.ratio, &quality.token_selection);
+    let shape = Shape::new(checkpoint.architecture(), seen, [width, height], chosen, posed)?;
+    let shape = shape.pooled(quality.kv_pool)?;
     let device = device(session)?;
     let limits = device.as_ref().map_or_else(Limits::default, |device| device.limits().clone());
     let (precision, arithmetic) = match &device {
-        Some(device) => arithmetic.choose(session, device)?,
-        None => arithmetic.planned(&limits),
+        Some(device) => quality.arithmetic.choose(session, device)?,
+        None => quality.arithmetic.planned(&limits),
     };
-    let network = Network::of(&checkpoint, &limits, arithmetic)?;
+    let network = Network::of(checkpoint, &limits, arithmetic)?;
     let NetworkPlan { plan, tensors, layout } = network.plan(&limits, shape)?;
     let pictures =
         |Size(width, height)| plan_pictures(&limits, tensors.scene(), [width, height], &RenderOptions::default());
-    let pictures = info.pictures.map(pictures).transpose()?;
-    let refined = info.refine.map(|Refinement { size: Size(width, height), tokens }| {
+    let pictures = command.picture_size()?.map(pictures).transpose()?;
+    let refined = command.refine.steps().map(|steps| {
         let (tensors, a) = (tensors.scene(), checkpoint.architecture());
         let gaussians = Moved::Gaussians(tensors.len, tensors.sh_degree);
-        let moved = if tokens { Moved::Tokens(shape.tokens, a) } else { gaussians };
-        plan_refinement(&limits, moved, views, [width, height], &info.moved.request(RefineOptions::default()))
+        let moved = if steps.tokens { Moved::Tokens(shape.tokens, a) } else { gaussians };
+        plan_refinement(
+            &limits,
+            moved,
+            views,
+            command.refine.settings.largest(photos)?,
+            &command.refine.settings.request(steps),
+        )
     });
     let refined = refined.transpose()?;
     let kept = refined.as_ref().map_or(0, |refined| refined.kept_bytes);
@@ -86,7 +103,7 @@ pub fn show(session: &mut Session<'_>, info: &Info, views: usize) -> Result<()> 
         "precision": precision.name(), "peak_bytes": weights + scene + arena + kept, "weight_bytes": weights,
         "refine_kept_bytes": refined.as_ref().map(|_| kept), "refine_arena_bytes": refined.as_ref().map(|_| own), "scene_bytes": scene, "arena_bytes": arena, "separate_bytes": separate, "rows": rows,
     });
-    let (table, smaller) = table(rows, info.all);
+    let (table, smaller) = table(rows, command.explain);
     let mut text = format!(
         "{} of {size}, {} of {}, {} precision, on {}: {} at most\n",
         counted(views, "view"),
@@ -119,16 +136,21 @@ pub fn show(session: &mut Session<'_>, info: &Info, views: usize) -> Result<()> 
     session.report(&json, text + &smaller)
 }
 
-fn show_depth(session: &mut Session<'_>, info: &Info, views: usize, checkpoint: &DepthCheckpoint) -> Result<()> {
+fn show_depth(
+    session: &mut Session<'_>,
+    command: &Reconstruct,
+    checkpoint: &DepthCheckpoint,
+    (views, posed): (usize, bool),
+) -> Result<()> {
     for (option, given) in [
-        ("--pictures", info.pictures.is_some()),
-        ("--refine", info.refine.is_some()),
-        ("--pool", info.quality.pool != 1),
+        ("--pictures", command.pictures.is_some()),
+        ("--refine", command.refine.steps().is_some()),
+        ("--kv-pool", command.quality.kv_pool != 1),
     ] {
         refuse(option, given, "weights of Depth Anything 3", "weights of ZipSplat")?;
     }
-    let Quality { ratio, select, arithmetic, .. } = &info.quality;
-    let size = info.quality.asked_size().unwrap_or(Size(DEFAULT_BOUND, DEFAULT_BOUND));
+    let Quality { ratio, token_selection, arithmetic, .. } = &command.quality;
+    let size = command.quality.asked_size().unwrap_or(Size(DEFAULT_BOUND, DEFAULT_BOUND));
     let device = device(session)?;
     let limits = device.as_ref().map_or_else(Limits::default, |device| device.limits().clone());
     let (precision, arithmetic) = match &device {
@@ -136,7 +158,7 @@ fn show_depth(session: &mut Session<'_>, info: &Info, views: usize, checkpoint: 
         None => arithmetic.planned(&limits),
     };
     let network = DepthNetwork::new(checkpoint.architecture(), &limits, arithmetic);
-    let shape = network.shape(views, [size.0, size.1], (*ratio, select), info.poses, None)?;
+    let shape = network.shape(views, [size.0, size.1], (*ratio, token_selection), posed, None)?;
     let (plan, _) = network.plan(&limits, shape)?;
     let (weights, arena, rows) = (network.weight_bytes(), plan.arena_bytes(), plan.arena_map());
     let json = json!({
@@ -144,7 +166,7 @@ fn show_depth(session: &mut Session<'_>, info: &Info, views: usize, checkpoint: 
         "commands": plan.len(), "flops": plan.flops(), "precision": precision.name(), "peak_bytes": weights + arena,
         "weight_bytes": weights, "arena_bytes": arena, "rows": rows,
     });
-    let (table, smaller) = table(rows, info.all);
+    let (table, smaller) = table(rows, command.explain);
     let text = format!(
         "{}: depth of {} of {size}, {} precision, on {}: {} at most\nweights {}, arena {}; {} commands, {:.1} GFLOP\n\n{table}{smaller}",
         checkpoint.architecture().name,
@@ -175,7 +197,7 @@ fn table(mut rows: Vec<ArenaRow>, all: bool) -> (Table, String) {
     }
     let smaller = match count - rows.len() {
         0 => String::new(),
-        left => format!("and {}: --all shows them", counted(left, "smaller tensor")),
+        left => format!("and {}: --explain shows them", counted(left, "smaller tensor")),
     };
     (table, smaller)
 }

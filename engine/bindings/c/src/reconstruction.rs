@@ -1,0 +1,165 @@
+//! Reconstructions.
+
+use super::{
+    camera::zs_camera,
+    pointers::{Versioned, borrow, destroy, produce, write_versioned},
+    scene::zs_scene,
+    status::{Failure, guard, zs_status},
+};
+use std::{
+    ffi::{CString, c_char},
+    ptr::null,
+    sync::{Arc, OnceLock},
+};
+use zipsplat::{Error, Reconstruction, Result, Scene, gpu::Arena, reconstruct::SceneTokens, refine::FrozenHead};
+
+/// Gaussians of a reconstruction on its device, with their relation to the photos.
+pub struct zs_reconstruction {
+    pub(super) made: Reconstruction,
+    pub(super) tokens: Option<ModelTokens>,
+    pub(super) arena: Arena,
+    warnings: CString,
+    scene: OnceLock<Arc<Scene>>,
+    estimates: OnceLock<Vec<Estimate>>,
+}
+
+pub(super) struct ModelTokens {
+    pub tokens: SceneTokens,
+    pub head: Arc<FrozenHead>,
+}
+
+/// A camera, if found, and its numbers of inliers and patches.
+struct Estimate(Option<zs_camera>, u32, u32);
+
+/// Properties of a reconstruction.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct zs_reconstruction_info {
+    /// sizeof(zs_reconstruction_info).
+    pub struct_size: u32,
+    /// 1 if its tokens can be refined.
+    pub has_tokens: u32,
+    /// Number of photos.
+    pub view_count: usize,
+    /// Number of kept tokens.
+    pub token_count: usize,
+    /// Number of Gaussians.
+    pub gaussian_count: usize,
+    /// Warnings, one per line, in the reconstruction's memory.
+    pub warnings: *const c_char,
+}
+
+/// Estimated camera of a photo.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct zs_camera_estimate {
+    /// sizeof(zs_camera_estimate).
+    pub struct_size: u32,
+    /// Number of patches that agree with the camera.
+    pub inliers: u32,
+    /// Number of patches.
+    pub patches: u32,
+    /// 0.
+    pub reserved: u32,
+    /// Camera of the whole photo in the scene's world, in the reconstruction's memory; NULL without
+    /// an estimate.
+    pub camera: *const zs_camera,
+}
+
+versioned!(zs_reconstruction_info, zs_camera_estimate);
+
+impl zs_reconstruction {
+    pub(super) fn new(made: Reconstruction, tokens: Option<ModelTokens>, arena: Arena, warnings: String) -> Self {
+        let warnings = CString::new(warnings).unwrap_or_default();
+        Self { made, tokens, arena, warnings, scene: OnceLock::new(), estimates: OnceLock::new() }
+    }
+
+    /// Reads the scene from the device once.
+    pub(super) fn scene(&self) -> Result<&Arc<Scene>> {
+        match self.scene.get() {
+            Some(scene) => Ok(scene),
+            None => {
+                let scene = self.made.to_scene()?.into();
+                Ok(self.scene.get_or_init(|| scene))
+            }
+        }
+    }
+
+    fn estimates(&self) -> Result<&[Estimate]> {
+        if let Some(found) = self.estimates.get() {
+            return Ok(found);
+        }
+        let mut found = self.made.cameras(self.scene()?, None)?;
+        if found.iter().all(Result::is_err) {
+            return Err(found.swap_remove(0).err().unwrap_or(Error::Cancelled));
+        }
+        let estimate = |found: Result<zipsplat::cameras::CameraEstimate>| match found {
+            Ok(found) => Estimate(Some((&found.camera).into()), found.inliers as u32, found.pairs as u32),
+            Err(_) => Estimate(None, 0, 0),
+        };
+        let found = found.into_iter().map(estimate).collect();
+        Ok(self.estimates.get_or_init(|| found))
+    }
+}
+
+/// Describes a reconstruction.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_reconstruction_get_info(
+    reconstruction: *const zs_reconstruction,
+    info: *mut zs_reconstruction_info,
+) -> zs_status {
+    guard(|| {
+        // SAFETY: an object or NULL.
+        let zs_reconstruction { made, tokens, warnings, .. } = unsafe { borrow(reconstruction, "reconstruction") }?;
+        let found = zs_reconstruction_info {
+            has_tokens: tokens.is_some().into(),
+            view_count: made.placement.as_ref().map_or(0, |placement| placement.maps.len()),
+            token_count: made.tokens,
+            gaussian_count: made.gaussians.len(),
+            warnings: warnings.as_ptr(),
+            ..Versioned::new()
+        };
+        // SAFETY: the caller's structure.
+        unsafe { write_versioned(info, found) }
+    })
+}
+
+/// Reads the scene from the device.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_reconstruction_to_scene(
+    reconstruction: *const zs_reconstruction,
+    scene: *mut *mut zs_scene,
+) -> zs_status {
+    // SAFETY: an object or NULL.
+    let read = || Ok(unsafe { borrow(reconstruction, "reconstruction") }?.scene()?.clone().into());
+    // SAFETY: the caller's pointer.
+    unsafe { produce(scene, read) }
+}
+
+/// Estimates the camera of photo `index` from the Gaussians of its patches. The first call estimates
+/// all, with one field of view. Fails if no photo has an estimate, or for known cameras.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_reconstruction_estimate_camera(
+    reconstruction: *const zs_reconstruction,
+    index: usize,
+    estimate: *mut zs_camera_estimate,
+) -> zs_status {
+    guard(|| {
+        // SAFETY: an object or NULL.
+        let estimates = unsafe { borrow(reconstruction, "reconstruction") }?.estimates()?;
+        let expected = || format!("a number below {}", estimates.len());
+        let Estimate(camera, inliers, patches) =
+            estimates.get(index).ok_or_else(|| Failure::argument("number of a photo", index, expected()))?;
+        let camera = camera.as_ref().map_or(null(), |camera| &raw const *camera);
+        let found = zs_camera_estimate { inliers: *inliers, patches: *patches, camera, ..Versioned::new() };
+        // SAFETY: the caller's structure.
+        unsafe { write_versioned(estimate, found) }
+    })
+}
+
+/// Destroys a reconstruction.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn zs_reconstruction_destroy(reconstruction: *mut zs_reconstruction) {
+    // SAFETY: NULL or given up by the caller.
+    unsafe { destroy(reconstruction) }
+}

@@ -1,0 +1,158 @@
+mod summary;
+
+use crate::{
+    options::{CHECKPOINTS, SceneInput, open_checkpoint, refuse},
+    outputs::{self, Overwrite},
+    released::{is_of_depth, open_depth},
+    session::Session,
+    table::{bytes, counted},
+};
+use clap::Args;
+use indicatif::HumanCount;
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
+use zipsplat::{
+    Error, Result,
+    types::{SaveOptions, SceneFormat, read_world, spz_coarsening},
+    weights::Dtype,
+};
+
+/// Convert a scene's format, or a checkpoint to safetensors; without an output, summarize the file
+///
+/// Reads a scene by its first bytes (.splat and .gltf by name), and writes the format of the
+/// output's name. Coordinates stay. All formats except .splat keep the photo whose camera is the
+/// world.
+#[derive(Args)]
+#[command(after_help = "Examples:
+  zipsplat convert scene.ply
+  zipsplat convert scene.ply scene.spz
+  zipsplat convert scene.spz scene.glb
+  zipsplat convert zipsplat.pt zipsplat.safetensors --dtype f16
+  zipsplat convert zipsplat.pt small.safetensors --dtype q8
+  zipsplat convert builtin small.safetensors --dtype q8
+  zipsplat convert tensors.safetensors named.safetensors --variant vitb
+  zipsplat convert model.safetensors da3-base.safetensors --dtype f16
+  zipsplat convert seeded:vits random.safetensors")]
+pub struct Convert {
+    /// Scene (PLY, SPZ, .splat or glTF), checkpoint of ZipSplat or Depth Anything 3, a name of
+    /// `zipsplat weights list`, or seeded:VARIANT[:KEY]
+    input: String,
+    /// File to write [default: none, only summarize the input]
+    output: Option<PathBuf>,
+    #[command(flatten)]
+    overwrite: Overwrite,
+    #[command(flatten)]
+    scene_input: SceneInput,
+    /// Type of a checkpoint: f32, f16, bf16, or q8, 8-bit matrices with a scale per 32 values
+    /// [default: f32]
+    #[arg(long, value_name = "TYPE")]
+    dtype: Option<String>,
+    /// Network of an unnamed checkpoint: vitg (DA3-Giant, the only one with released weights),
+    /// vits, vitb, vitl, or the reference's da3s, da3b, da3l; with further fields as in
+    /// vits:out_layers=5,7,11:alt_start=5:rope_start=5
+    #[arg(long, value_name = "V")]
+    variant: Option<String>,
+    /// SPZ version: 2, 3, or 4, for older to newer readers [default: 3]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=4))]
+    spz_version: Option<u32>,
+}
+
+impl Convert {
+    pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
+        // The checkpoint reader reports unreadable files.
+        let input = SceneFormat::of_file(Path::new(&self.input)).unwrap_or(None);
+        let Some(output) = &self.output else { return self.summarize(session, input.is_some()) };
+        self.overwrite.check_file(output)?;
+        match (SceneFormat::of_extension(output), input) {
+            (Some(format), _) => self.scene(session, output, format),
+            (None, Some(_)) => Err(Error::argument("output of a scene", output.display(), SceneFormat::EXTENSIONS)),
+            (None, None) => self.checkpoint(session, output),
+        }
+    }
+
+    fn summarize(&self, session: &mut Session<'_>, is_scene: bool) -> Result<()> {
+        for (option, given) in [("--dtype", self.dtype.is_some()), ("--spz-version", self.spz_version.is_some())] {
+            refuse(option, given, "no output", "a file to write")?;
+        }
+        let path = Path::new(&self.input);
+        if path.is_dir() {
+            let found = format!("the folder {}", path.display());
+            return Err(Error::argument("file", found, "a checkpoint or scene"));
+        }
+        if is_scene {
+            return summary::scene(session, &self.input, &self.scene_input);
+        }
+        refuse("--drop-invalid", self.scene_input.is_given(), "a checkpoint", "a scene")?;
+        if is_of_depth(&self.input) {
+            return summary::depth_checkpoint(session, &open_depth(&self.input, true)?);
+        }
+        let expected = format!("{CHECKPOINTS}, or a scene ({})", SceneFormat::EXTENSIONS);
+        summary::checkpoint(session, &open_checkpoint(&self.input, self.variant.as_deref(), &expected)?)
+    }
+
+    fn scene(&self, session: &mut Session<'_>, output: &Path, format: SceneFormat) -> Result<()> {
+        refuse("--dtype", self.dtype.is_some(), "a scene", "a checkpoint")?;
+        refuse("--variant", self.variant.is_some(), "a scene", "a checkpoint")?;
+        let is_spz = format == SceneFormat::Spz;
+        refuse("--spz-version", self.spz_version.is_some() && !is_spz, "another format", "an SPZ as output")?;
+        let (scene, dropped) = self.scene_input.read(session, Path::new(&self.input))?;
+        if scene.sh_degree > 0 && !format.keeps_view_dependence() {
+            session.note("a .splat keeps one color a Gaussian: how it changes with the direction is left out");
+        }
+        if let Some(note) = Some(&scene).filter(|_| is_spz).and_then(spz_coarsening) {
+            session.note(note);
+        }
+        let options = SaveOptions { spz_version: self.spz_version.unwrap_or(SaveOptions::default().spz_version) };
+        let world = read_world(&self.input)?;
+        let save = || outputs::save_scene(output, &scene, &options, world.as_ref());
+        let (note, _) = session.stage("write scene", |_| save())?;
+        note.into_iter().for_each(|note| session.note(note));
+        let written = size_of(output)?;
+        let json = json!({ "output": output, "gaussians": scene.len(), "dropped": dropped, "bytes": written });
+        let text = format!("{}: {}, {}", output.display(), counted(scene.len(), "Gaussian"), bytes(written));
+        session.report(&json, text)
+    }
+
+    fn checkpoint(&self, session: &mut Session<'_>, output: &Path) -> Result<()> {
+        refuse("--spz-version", self.spz_version.is_some(), "a checkpoint", "a scene")?;
+        refuse("--drop-invalid", self.scene_input.is_given(), "a checkpoint", "a scene")?;
+        let dtype: Dtype = self.dtype.as_deref().unwrap_or("f32").parse()?;
+        if is_of_depth(&self.input) {
+            return self.depth_checkpoint(session, output, dtype);
+        }
+        let checkpoint = open_checkpoint(&self.input, self.variant.as_deref(), CHECKPOINTS)?;
+        checkpoint.notes().iter().for_each(|note| session.note(note));
+        session.stage("convert", |stage| checkpoint.save_with(output, dtype, |done| stage.at(done)))?;
+        let architecture = checkpoint.architecture();
+        report(session, output, &architecture.name, json!(architecture), architecture.parameter_count(), dtype)
+    }
+
+    fn depth_checkpoint(&self, session: &mut Session<'_>, output: &Path, dtype: Dtype) -> Result<()> {
+        refuse("--variant", self.variant.is_some(), "weights of Depth Anything 3", "weights of ZipSplat")?;
+        let checkpoint = open_depth(&self.input, true)?;
+        session.stage("convert", |stage| checkpoint.save_with(output, dtype, |done| stage.at(done)))?;
+        let architecture = checkpoint.architecture();
+        report(session, output, &architecture.name, json!(architecture), architecture.parameter_count(), dtype)
+    }
+}
+
+fn report(
+    session: &mut Session<'_>,
+    output: &Path,
+    name: &str,
+    architecture: Value,
+    parameters: usize,
+    dtype: Dtype,
+) -> Result<()> {
+    let written = size_of(output)?;
+    let json = json!({
+        "output": output, "architecture": architecture, "parameters": parameters, "dtype": dtype.name(), "bytes": written,
+    });
+    let (output, count) = (output.display(), HumanCount(parameters as u64));
+    let text = format!("{output}: {name}, {count} parameters in {}, {}", dtype.name(), bytes(written));
+    session.report(&json, text)
+}
+
+fn size_of(path: &Path) -> Result<u64> {
+    Ok(path.metadata().map_err(|error| Error::io(path, error))?.len())
+}

@@ -1,0 +1,215 @@
+//! Options of refinements.
+
+use super::Initialization;
+use crate::options::Size;
+use clap::{Arg, ArgGroup, Args, ValueEnum};
+use std::{
+    ffi::OsString,
+    fmt::{self, Display, Formatter},
+    path::PathBuf,
+    str::FromStr,
+    time::Duration,
+};
+use zipsplat::{
+    Error, Result,
+    perceptual::Perceptual,
+    refine::{PerceptualLoss, RefineOptions},
+    stages::lpips::LpipsNetwork,
+    types::Image,
+};
+
+const DEFAULT_STEPS: &str = "100";
+
+/// Joins `--refine` with a following number of steps, so that `--refine`, `--refine=N` and
+/// `--refine N` work for every command.
+pub fn join_steps(args: impl IntoIterator<Item = OsString>) -> Vec<OsString> {
+    let mut joined: Vec<OsString> = Vec::new();
+    for word in args {
+        // Also a target without steps, for an error that names the option.
+        let is_value = |text: &&str| text.parse::<Steps>().is_ok() || ["tokens", "gaussians"].contains(text);
+        let steps = word.to_str().filter(is_value);
+        let literal = joined.iter().any(|word| word == "--");
+        match (joined.last_mut(), steps) {
+            (Some(option), Some(steps)) if option == "--refine" && !literal => option.push(format!("={steps}")),
+            _ => joined.push(word),
+        }
+    }
+    joined
+}
+
+/// Along x and y.
+const MOST_PIXELS: &str = "1600x1600";
+
+/// Length of a refinement, and its variables.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Steps {
+    pub count: usize,
+    /// Spends this time instead.
+    pub time: Option<Duration>,
+    /// Refines tokens, through the network's head, instead of Gaussians.
+    pub tokens: bool,
+}
+
+impl Default for Steps {
+    fn default() -> Self {
+        Self { count: RefineOptions::default().steps, time: None, tokens: false }
+    }
+}
+
+impl Display for Steps {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        match self.time {
+            Some(time) => write!(f, "{}s", time.as_secs_f64())?,
+            None => write!(f, "{}", self.count)?,
+        }
+        f.write_str(if self.tokens { ":tokens" } else { "" })
+    }
+}
+
+impl FromStr for Steps {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (length, target) = text.split_once(':').unwrap_or((text, "gaussians"));
+        let time = length.strip_suffix('s').map(|seconds| seconds.parse().ok().map(Duration::try_from_secs_f64));
+        let steps = match time {
+            Some(time) => time.and_then(Result::ok).map(|time| Self { time: Some(time), ..Self::default() }),
+            None => length.parse().ok().map(|count| Self { count, ..Self::default() }),
+        };
+        let tokens = ["gaussians", "tokens"].iter().position(|name| *name == target);
+        let steps = steps.zip(tokens).map(|(steps, tokens)| Self { tokens: tokens == 1, ..steps });
+        steps.ok_or_else(|| "expected steps or a time, such as 100 or 60s, and optionally :gaussians or :tokens".into())
+    }
+}
+
+/// Parses a number of steps, or a time such as `60s`.
+pub fn parse_steps(text: &str) -> Result<Steps, String> {
+    let steps = text.parse().ok().filter(|_| !text.contains(':'));
+    steps.ok_or_else(|| "expected a number of steps, such as 100, or a time, such as 60s".into())
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum RefineTarget {
+    /// The Gaussians
+    Gaussians,
+    /// The network's tokens, through its frozen head
+    Tokens,
+}
+
+/// Of `refine`, and of `--refine`.
+#[derive(Args, Debug)]
+pub struct RefineSettings {
+    /// Initialization; points are those of structure from motion beside the cameras [default: the
+    /// scene; of the built-in model points, if there are enough]
+    #[arg(long, value_enum, value_name = "WHAT")]
+    pub init: Option<Initialization>,
+    /// Largest compared size; larger photos are scaled down to fit
+    #[arg(long, value_name = "WxH", default_value = MOST_PIXELS)]
+    max_image_size: Size,
+    /// Held-out photos, evenly spread; 0 trains on all [default: 1 of 40 or more, none with
+    /// --optimize-cameras]
+    #[arg(long, value_name = "K")]
+    holdout_views: Option<usize>,
+    /// Also refine the photos' cameras, except the first photo's and held-out ones
+    #[arg(long)]
+    pub optimize_cameras: bool,
+    /// Let the scene grow to at most N Gaussians: invisible ones are relocated, and missing ones
+    /// added; 0: none [default: from 300 steps, one per 32 pixels, up to four times as many]
+    #[arg(long, value_name = "N", value_parser = parse_count)]
+    max_gaussians: Option<usize>,
+    /// Weight of LPIPS (VGG) in the loss, 0.05 in the paper's training: steps take many times as
+    /// long. `python3 tools/lpips.py` downloads its weights, which we cannot ship [default: 0]
+    #[arg(long, value_name = "WEIGHT", value_parser = parse_weight)]
+    lpips_weight: Option<f32>,
+}
+
+const SETTINGS: [&str; 6] =
+    ["init", "max_image_size", "holdout_views", "optimize_cameras", "max_gaussians", "lpips_weight"];
+
+/// Of commands that refine on request.
+#[derive(Args, Debug)]
+#[command(group(ArgGroup::new("settings").args(SETTINGS).multiple(true).requires("refine")))]
+pub struct RefineArgs {
+    /// Refine the scene against the photos, for a number of steps or a time, such as 60s. The best
+    /// step by held-out photos is kept. Ctrl-C ends early with the best so far
+    #[arg(long, value_name = "STEPS|TIME", num_args = 0..=1, require_equals = true, default_missing_value = DEFAULT_STEPS,
+        value_parser = parse_steps)]
+    refine: Option<Steps>,
+    /// Optimized quantity
+    #[arg(long, value_enum, value_name = "WHAT", default_value = "gaussians", requires = "refine")]
+    refine_target: RefineTarget,
+    #[command(flatten)]
+    pub settings: RefineSettings,
+}
+
+/// Requires cameras for `--refine`.
+pub fn with_cameras(arg: Arg) -> Arg {
+    if arg.get_id() == "refine" { arg.requires("cameras") } else { arg }
+}
+
+fn parse_count(text: &str) -> Result<usize, String> {
+    text.parse().map_err(|_| "expected a number of Gaussians, such as 20000".into())
+}
+
+fn parse_weight(text: &str) -> Result<f32, String> {
+    let weight = text.parse().ok().filter(|weight: &f32| weight.is_finite() && *weight >= 0.0);
+    weight.ok_or_else(|| "expected a number from 0 on, such as 0.05".into())
+}
+
+impl RefineSettings {
+    /// Rejects LPIPS without its weights.
+    pub fn check(&self) -> Result<()> {
+        self.lpips_weight.map_or(Ok(()), |_| Perceptual::file(LpipsNetwork::Vgg).map(drop))
+    }
+
+    /// Size of the largest photo; the limit without photos.
+    pub fn largest(&self, photos: &[PathBuf]) -> Result<[u32; 2]> {
+        let sizes = photos.iter().map(Image::size_as_stored).collect::<Result<Vec<_>>>()?;
+        let largest = sizes.into_iter().max_by_key(|(width, height)| u64::from(*width) * u64::from(*height));
+        let Size(width, height) = self.max_image_size;
+        Ok(largest.map_or([width, height], |(width, height)| [width, height]))
+    }
+
+    pub fn request(&self, Steps { count, time, .. }: Steps) -> RefineOptions {
+        let perceptual_loss = self.lpips_weight.filter(|weight| *weight > 0.0);
+        RefineOptions {
+            steps: count,
+            time,
+            max_image_size: Some([self.max_image_size.0, self.max_image_size.1]),
+            holdout_views: self.holdout_views,
+            optimize_cameras: self.optimize_cameras,
+            max_gaussians: self.max_gaussians,
+            perceptual_loss: perceptual_loss.map(|weight| PerceptualLoss { weight, network: LpipsNetwork::Vgg }),
+            ..RefineOptions::default()
+        }
+    }
+}
+
+impl RefineArgs {
+    pub fn steps(&self) -> Option<Steps> {
+        let tokens = self.refine_target == RefineTarget::Tokens;
+        self.refine.map(|steps| Steps { tokens, ..steps })
+    }
+
+    /// Rejects settings that tokens cannot use, and LPIPS without its weights.
+    pub fn check(&self) -> Result<()> {
+        self.settings.check()?;
+        self.check_target()
+    }
+
+    /// Rejects settings that tokens cannot use.
+    pub fn check_target(&self) -> Result<()> {
+        let Some(steps) = self.steps() else { return Ok(()) };
+        match (self.settings.init, self.settings.max_gaussians) {
+            (Some(Initialization::Points | Initialization::Both), _) if steps.tokens => {
+                let expected = "--init scene with --refine-target tokens";
+                Err(Error::argument("--init", "points, which have no tokens", expected))
+            }
+            (_, Some(most)) if steps.tokens => {
+                let expected = "none with --refine-target tokens, whose tokens have their Gaussians";
+                Err(Error::argument("--max-gaussians", most, expected))
+            }
+            _ => Ok(()),
+        }
+    }
+}

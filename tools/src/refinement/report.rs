@@ -1,0 +1,130 @@
+//! Results of a refinement as text, JSON and a table.
+
+use super::TOKENS;
+use crate::table::{Table, bytes, counted, significant, time};
+use glam::DQuat;
+use serde_json::{Value, json};
+use std::path::PathBuf;
+use zipsplat::{
+    refine::{LearningRates, RefineOptions, RefineResult, StopReason},
+    types::{Camera, Pose},
+};
+
+/// Median rotation in degrees, and shift, of the moved cameras.
+fn camera_movement(given: &[Camera], refined: &RefineResult) -> Option<[f64; 2]> {
+    let pairs = given.iter().zip(&refined.cameras).filter(|(given, refined)| given != refined);
+    let movements: Vec<Pose> = pairs.map(|(given, refined)| refined.pose.relative_to(&given.pose)).collect();
+    let median = |of: fn(&Pose) -> f64| {
+        let mut values: Vec<f64> = movements.iter().map(of).collect();
+        values.sort_by(f64::total_cmp);
+        values.get(values.len() / 2).copied()
+    };
+    let degrees = median(|pose| DQuat::from_mat3(&pose.rotation).to_scaled_axis().length().to_degrees());
+    Some([degrees?, median(|pose| pose.translation.length())?])
+}
+
+pub fn summary(refined: &RefineResult, start: &str, given: &[Camera]) -> String {
+    let (steps, step, [after, before]) = (refined.losses.len(), refined.best_step, refined.training_psnr);
+    let training = counted(given.len() - refined.holdout_views.len(), "training photo");
+    let psnr = refined.psnr().map(|[after, before]| format!("; held-out {before:.2} to {after:.2} dB"));
+    let cameras = camera_movement(given, refined).map(|[degrees, distance]| {
+        format!("; cameras turned by {degrees:.2} degrees and moved by {} (medians)", significant(distance))
+    });
+    format!(
+        "refined from {start} in {}: kept is step {step} of {steps}; {training} {before:.2} to {after:.2} dB{}{}",
+        time(refined.took),
+        psnr.unwrap_or_default(),
+        cameras.unwrap_or_default()
+    )
+}
+
+pub fn as_json(refined: &RefineResult, start: &str, given: &[Camera]) -> Value {
+    let cameras = camera_movement(given, refined);
+    json!({
+        "init": start,
+        "camera_movement": cameras.map(|[degrees, distance]| json!({ "rotation_deg": degrees, "translation": distance })),
+        "training_psnr": { "initial": refined.training_psnr[1], "best": refined.training_psnr[0] },
+        "holdout_psnr": refined.psnr().map(|[best, initial]| json!({ "initial": initial, "best": best })),
+        "steps": refined.losses.len(), "best_step": refined.best_step, "losses": refined.losses,
+        "holdout_psnr_by_step": refined.holdout_psnr, "holdout_views": refined.holdout_views, "sizes": refined.sizes, "stop_reason": ended(refined),
+        "seconds": refined.took.as_secs_f64(), "peak_bytes": refined.peak_bytes,
+    })
+}
+
+pub fn explain(refined: &RefineResult, request: &RefineOptions, start: &str, photos: &[PathBuf]) -> Table {
+    let name = |i: &usize| photos[*i].file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let held: Vec<String> = refined.holdout_views.iter().map(name).collect();
+    let size = |(step, [width, height]): &(usize, [u32; 2])| format!("{width}x{height} from step {}", step + 1);
+    let sizes: Vec<String> = refined.sizes.iter().map(size).collect();
+    let LearningRates {
+        means,
+        scales,
+        quats,
+        opacities,
+        sh_coeffs,
+        sh_higher,
+        tokens,
+        camera_rotation,
+        camera_translation,
+    } = request.learning_rates;
+    let mut rates = match start {
+        TOKENS => format!("tokens {tokens}"),
+        _ => format!(
+            "means {means} of the scene's distance, ln scales {scales}, quats {quats}, logit opacities {opacities}, \
+             colors {sh_coeffs}, higher harmonics {sh_higher}"
+        ),
+    };
+    if request.optimize_cameras {
+        rates +=
+            &format!(", camera rotations {camera_rotation}, translations {camera_translation} of the scene's distance");
+    }
+    let (steps, each) = (refined.losses.len(), request.views_per_step.min(photos.len() - refined.holdout_views.len()));
+    let or_none = |list: String| if list.is_empty() { "none".into() } else { list };
+    let mut table = Table::new(2, &["refined", ""]);
+    for (what, value) in [
+        ("init", start.to_owned()),
+        (
+            "steps",
+            format!(
+                "{steps} of {}, of {} each; kept is step {}",
+                request.steps,
+                counted(each, "photo"),
+                refined.best_step
+            ),
+        ),
+        ("rates", format!("{rates}; less for more than 100 steps; they fall to a tenth")),
+        ("held-out photos", or_none(held.join(", "))),
+        ("largest photo", or_none(sizes.join(", "))),
+        ("memory", bytes(refined.peak_bytes)),
+        ("stop reason", ended(refined)),
+    ] {
+        table.row([what.into(), value]);
+    }
+    table
+}
+
+fn ended(refined: &RefineResult) -> String {
+    match &refined.stop_reason {
+        None => "after all steps".into(),
+        Some(StopReason::Cancelled) => "cancelled".into(),
+        Some(StopReason::Diverged(why)) => why.clone(),
+    }
+}
+
+/// Photos below which a refinement without held-out ones overfits.
+const FEW: usize = 6;
+
+pub(super) fn doubt(refined: &RefineResult) -> Option<String> {
+    let training = refined.cameras.len() - refined.holdout_views.len();
+    match &refined.stop_reason {
+        None if refined.holdout_views.is_empty() && training < FEW && refined.best_step > 0 => Some(format!(
+            "only {} to refine against, and none held out: other views may look worse than before; more photos help, and \
+             --holdout-views 1 measures it",
+            counted(training, "photo")
+        )),
+        Some(StopReason::Diverged(why)) => {
+            Some(format!("the refinement ended early: {why}; kept is what was after step {}", refined.best_step))
+        }
+        _ => None,
+    }
+}
