@@ -5,7 +5,7 @@ use std::ops::ControlFlow;
 use zipsplat::{
     gpu::{Device, Run, Tensor},
     ops::{Arithmetic, Precision},
-    reconstruct::{Model, ReconstructOptions, Reconstruction},
+    reconstruct::{Model, Ratio, ReconstructOptions, Reconstruction, TokenSelection},
     types::Image,
     weights::Checkpoint,
 };
@@ -46,6 +46,12 @@ pub fn images(golden: &Golden) -> Vec<Image> {
         Image::new(width as u32, height as u32, rgb).expect("golden images are whole")
     };
     values.chunks(3 * area).map(picture).collect()
+}
+
+/// Returns the options of a golden: tokens of a ratio, at the network's scale, without pooling.
+pub fn options(ratio: f64, token_selection: TokenSelection) -> ReconstructOptions {
+    let ratio = Ratio::Fixed(ratio);
+    ReconstructOptions { ratio, token_selection, scene_scale: Some(1.0), kv_pool: 1, ..ReconstructOptions::default() }
 }
 
 /// Reconstructs a scene.

@@ -189,22 +189,18 @@ impl<P: Problem, M: Fn() -> Vec<P>> Checks for Made<M, P::Fault> {
 
     fn inject(&self, mode: Mode) -> Vec<Injected> {
         let problems: Vec<_> = (self.make)().into_iter().map(|problem| (problem.truth(mode), problem)).collect();
-        let worst = |fault: String, outputs: &dyn Fn(&P, &P::Truth) -> Vec<P::Output>| {
+        let inject = |fault: Option<&P::Fault>| {
             let shares = problems.iter().flat_map(|(truth, problem)| {
                 let share = |output: &P::Output| problem.judge(truth, output, mode).share;
-                outputs(problem, truth).iter().map(share).collect::<Vec<_>>()
+                match fault {
+                    Some(fault) => problem.faulty(truth, *fault, mode).iter().map(share).collect::<Vec<_>>(),
+                    None => problem.zeros(truth).iter().map(share).filter(|share| *share > 0.0).collect(),
+                }
             });
-            shares.reduce(f64::min).map(|share| Injected { fault, share })
+            let name = fault.map_or_else(|| "zeros".into(), name_of);
+            shares.reduce(f64::min).map(|share| Injected { fault: name, share })
         };
-        let wrong = |problem: &P, truth: &P::Truth| {
-            let zeros = problem.zeros(truth).into_iter();
-            zeros.filter(|zeros| problem.judge(truth, zeros, mode).share > 0.0).collect()
-        };
-        let own = self
-            .faults
-            .iter()
-            .filter_map(|fault| worst(name_of(fault), &|problem, truth| problem.faulty(truth, *fault, mode)));
-        own.chain(worst("zeros".into(), &wrong)).collect()
+        self.faults.iter().map(Some).chain([None]).filter_map(inject).collect()
     }
 }
 

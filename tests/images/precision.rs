@@ -7,15 +7,8 @@ use zipsplat_tests::prelude::*;
 fn scene_of(golden: &Golden, config: &str, arithmetic: Arithmetic) -> Scene {
     let (ratio, prefix) = golden.compressions()[0].clone();
     let selection = TokenSelection::Given(golden.u32(&format!("{prefix}/nearest_idx")));
-    let request = ReconstructOptions {
-        ratio: Ratio::Fixed(ratio),
-        token_selection: selection,
-        cameras: None,
-        scene_scale: Some(1.0),
-        kv_pool: 1,
-        ..ReconstructOptions::default()
-    };
-    reconstruct(&model(config, arithmetic), &images(golden), &request).to_scene().unwrap()
+    let options = networks::options(ratio, selection);
+    reconstruct(&model(config, arithmetic), &images(golden), &options).to_scene().unwrap()
 }
 
 #[test]

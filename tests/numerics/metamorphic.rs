@@ -72,15 +72,7 @@ fn every_token_is_what_no_clustering_gives() {
             TokenSelection::Stride,
             TokenSelection::Random(5),
         ] {
-            let request = ReconstructOptions {
-                ratio: Ratio::Fixed(1.0),
-                token_selection: selection.clone(),
-                cameras: None,
-                scene_scale: Some(1.0),
-                kv_pool: 1,
-                ..ReconstructOptions::default()
-            };
-            let given = mode.reconstruct(&images, &request);
+            let given = mode.reconstruct(&images, &networks::options(1.0, selection.clone()));
             for ((field, truth), (_, got)) in fields(&all, 1, &[0]).iter().zip(fields(&given, 1, &[0])) {
                 assert_same(&format!("{selection:?} {field}"), &bits(&got), &bits(truth));
             }

@@ -103,7 +103,7 @@ def test_a_folder_matches_the_command_bitwise(model: zipsplat.Model, tmp_path: P
 def test_a_capture_matches_the_command_bitwise(model: zipsplat.Model, capture: Path) -> None:
     written = capture / "command.ply"
     options = ("--size", "70x70", "--world", "cameras")
-    command("reconstruct", *sorted(capture.glob("?.png")), "--poses", capture, *options, "-o", written)
+    command("reconstruct", *sorted(capture.glob("?.png")), "--cameras", capture, *options, "-o", written)
     opened = zipsplat.Capture.open(capture)
     expected = model.reconstruct(opened, input_size=SIZE)
     assert rows(expected.to_bytes("ply")) == rows(written.read_bytes())
@@ -116,7 +116,7 @@ def test_a_capture_matches_the_command_bitwise(model: zipsplat.Model, capture: P
     assert same(model.reconstruct(opened[1:], input_size=SIZE), part) and not same(part, expected)
     # Points set the scale.
     (capture / "points.ply").write_text(POINTS)
-    command("reconstruct", *paths, "--poses", capture, *options, "-o", capture / "points-command.ply")
+    command("reconstruct", *paths, "--cameras", capture, *options, "-o", capture / "points-command.ply")
     with_points = model.reconstruct(zipsplat.Capture.open(capture), input_size=SIZE)
     assert rows(with_points.to_bytes("ply")) == rows((capture / "points-command.ply").read_bytes())
     assert not same(with_points, expected)

@@ -50,15 +50,8 @@ fn check(file: &str, arithmetic: Arithmetic) {
     let mut compared = 0;
     for (ratio, prefix) in golden.compressions() {
         let key = |name: &str| format!("{prefix}/{name}");
-        let given = golden.i64(&key("nearest_idx")).iter().map(|i| *i as u32).collect();
-        let request = ReconstructOptions {
-            ratio: Ratio::Fixed(ratio),
-            token_selection: TokenSelection::Given(given),
-            cameras: cameras.clone(),
-            scene_scale: Some(1.0),
-            kv_pool: 1,
-            ..ReconstructOptions::default()
-        };
+        let given = TokenSelection::Given(golden.u32(&key("nearest_idx")));
+        let request = ReconstructOptions { cameras: cameras.clone(), ..networks::options(ratio, given) };
         let taps = observe(&model, &images, &request);
         let names = before.iter().map(|n| (n, n.clone())).chain(after.iter().map(|n| (n, key(n))));
         for (name, key) in names.filter(|(_, key)| stored(key)) {
@@ -171,16 +164,9 @@ fn builtin() {
     for (case, cameras) in [("plain", None), ("priors", cameras(&golden))] {
         for (ratio, name) in [(1.0, "r1"), (0.5, "r0.5")] {
             let key = |part: &str| format!("{case}/{name}/{part}");
-            let nearest = |key| TokenSelection::Given(golden.i64(key).iter().map(|i| *i as u32).collect());
+            let nearest = |key| TokenSelection::Given(golden.u32(key));
             let selection = if ratio < 1.0 { nearest(&key("nearest_idx")) } else { TokenSelection::KMEANS };
-            let request = ReconstructOptions {
-                ratio: Ratio::Fixed(ratio),
-                token_selection: selection,
-                cameras: cameras.clone(),
-                scene_scale: Some(1.0),
-                kv_pool: 1,
-                ..ReconstructOptions::default()
-            };
+            let request = ReconstructOptions { cameras: cameras.clone(), ..networks::options(ratio, selection) };
             let found = reconstruct(&model, &images, &request);
             let tolerance = |field: &str| {
                 let table = Tolerance::of_field(field);
