@@ -140,9 +140,7 @@ def test_inputs_and_outputs_use_fsspec(places: Path) -> None:
     assert record is not None and record["bytes"] == len(data)
 
 
-def test_captures_and_scenes_use_an_object_store(
-    places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_captures_and_scenes_use_an_object_store(places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("s3fs")
     server = pytest.importorskip("moto.server").ThreadedMotoServer(ip_address="127.0.0.1", port=0)
     import fsspec

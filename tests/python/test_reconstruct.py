@@ -96,6 +96,7 @@ def test_a_folder_matches_the_command_bitwise(model: zipsplat.Model, tmp_path: P
         (folder / f"{i}.jpg").write_bytes(photo.read_bytes())
     (folder / "notes.txt").write_text("left out")
     command("reconstruct", folder, "--size", "70x70", "-o", tmp_path / "command.ply")
+    assert zipsplat.Scene.open(tmp_path / "command.ply").world == "first_camera"
     made = model.reconstruct(folder, input_size=SIZE).to_bytes("ply")
     assert rows(made) == rows((tmp_path / "command.ply").read_bytes())
 

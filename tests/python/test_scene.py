@@ -86,7 +86,8 @@ def test_invalid_scenes_raise(scene: zipsplat.Scene, tmp_path: Path) -> None:
     data[-4:] = np.float32(np.nan).tobytes()
     with pytest.raises(zipsplat.Error):
         zipsplat.Scene.from_bytes(bytes(data))
-    assert len(zipsplat.Scene.from_bytes(bytes(data), drop_invalid=True)) == len(scene) - 1
+    dropped = zipsplat.Scene.from_bytes(bytes(data), drop_invalid=True)
+    assert (len(dropped), dropped.dropped_count) == (len(scene) - 1, 1)
 
 
 def test_render_outputs_have_shapes_and_dtypes(scene: zipsplat.Scene) -> None:

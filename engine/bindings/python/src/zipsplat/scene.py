@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float32]
 Format = Literal["ply", "spz", "splat", "gltf", "glb"]
+World = Literal["first_camera", "input_cameras"]
 SpzVersion = Literal[2, 3, 4]
 RefineTarget = Literal["gaussians", "tokens"]
 StopReason = Literal["finished", "stopped", "diverged"]
@@ -36,6 +37,10 @@ _STOP_REASONS: dict[int, StopReason] = {
     lib.ZS_STOP_REASON_FINISHED: "finished",
     lib.ZS_STOP_REASON_STOPPED: "stopped",
     lib.ZS_STOP_REASON_DIVERGED: "diverged",
+}
+_WORLDS: dict[int, World] = {
+    lib.ZS_WORLD_FIRST_CAMERA: "first_camera",
+    lib.ZS_WORLD_INPUT_CAMERAS: "input_cameras",
 }
 _REFINE_TARGETS = {"gaussians": lib.ZS_REFINE_TARGET_GAUSSIANS, "tokens": lib.ZS_REFINE_TARGET_TOKENS}
 # Least scale and distance of opacities from 0 and 1 with finite logarithms, in float32.
@@ -87,6 +92,8 @@ class Scene:
         sh_coeffs: [N, K, 3] float32 coefficients of spherical harmonics for red, green, blue, as in
             3D Gaussian Splatting; K = (sh_degree + 1) ** 2.
         sh_degree: Degree of spherical harmonics, 0 to 3.
+        world: "first_camera" or "input_cameras", as stated by the file; else None.
+        dropped_count: Number of Gaussians dropped by `drop_invalid`.
         refinement: Result of the refinement behind the scene; None without one.
 
     The arrays are read-only views of library memory and keep it alive; to_numpy, to_torch and
@@ -97,7 +104,10 @@ class Scene:
         self, handle: Handle, device: Optional[Device] = None, refinement: Optional[RefineResult] = None
     ) -> None:
         self._scene, self._device, self.refinement = handle, device, refinement
-        found = structure("gaussians")
+        info, found = structure("scene_info"), structure("gaussians")
+        call("zs_scene_get_info", handle, info)
+        self.world: Optional[World] = _WORLDS.get(info.world)
+        self.dropped_count: int = info.dropped_count
         call("zs_scene_get_gaussians", handle, found)
         count = int(found.count)
         self.sh_degree: int = found.sh_degree
