@@ -255,7 +255,7 @@ fn scenes_that_fail_are_listed() {
     folder.run("eval @/data @/data/one --protocol dl3dv -o @/out2").fails(3, &["scene one", "one of this name"]);
     folder.run("eval @/data --protocol dl3dv").fails_usage();
     folder.run("eval @/data --frame-range 50").fails_usage();
-    folder.run("eval @/data @/photos").fails(3, &["folders", "one capture"]);
+    folder.run("eval @/data @/photos @/data").fails(3, &["folders", "one capture"]);
     folder.run("eval @/data/one --views 2,3").fails(3, &["--views", "one number"]);
     assert!(!folder.path("out2").exists());
 }

@@ -18,20 +18,31 @@ def depth_model() -> zipsplat.DepthModel:
 
 
 def test_depth_cameras_and_scene_of_photos(depth_model: zipsplat.DepthModel, photos: list[Path]) -> None:
+    assert depth_model.is_multi_view and depth_model.patch_size == 14 and depth_model.precision == "fp32"
     stages: list[str] = []
     found = depth_model.predict(
-        photos[:2], input_size=SIDE, progress=lambda done, stage: bool(stages.append(stage)) or True
+        photos[:2], input_size=SIDE, progress=lambda now: bool(stages.append(now.stage)) or True
     )
     count, height, width = found.depth.shape
     assert (count, width, height % 14) == (2, SIDE, 0) and found.sky is None
     assert found.confidence is not None and found.confidence.shape == found.depth.shape
     assert (found.depth > 0).all() and (found.confidence >= 1).all() and "heads" in "".join(stages)
     size = zipsplat.load_image(photos[0]).shape
-    first, second = found.cameras
+    first, second = found.image_cameras
     assert first is not None and second is not None
     # Whole photos share a focal length.
     assert (first.height, first.width) == size[:2] and first.fx == first.fy == second.fx
     assert math.isclose(float(np.linalg.det(first.camera_to_world[:3, :3])), 1, abs_tol=1e-6)
+    # Cameras of the maps unproject them.
+    alone = depth_model.predict(photos[:1], input_size=SIDE)
+    [camera] = alone.cameras
+    assert camera is not None and (camera.height, camera.width) == alone.depth.shape[1:]
+    rows, columns = np.mgrid[: camera.height, : camera.width] + 0.5
+    rays = np.stack([columns, rows, np.ones_like(rows)], -1) @ np.linalg.inv(camera.K).T
+    points = (rays * alone.depth[0][..., None]).reshape(-1, 3) @ camera.camera_to_world[:3, :3].T
+    means = alone.to_scene().means - camera.camera_to_world[:3, 3]
+    error = np.linalg.norm(means[:, None] - points, axis=-1).min(1) / np.linalg.norm(means, axis=-1)
+    assert len(means) > 100 and error.max() < 1e-4
     scene = found.to_scene(max_gaussians_per_patch=2)
     assert 0 < len(scene.means) <= 2 * count * height * width // 196
     # Known cameras are returned, and arrays outlive their object.
@@ -51,4 +62,4 @@ def test_what_cannot_be_used_is_said(depth_model: zipsplat.DepthModel, photos: l
     with pytest.raises(zipsplat.ArgumentError, match="longest side"):
         depth_model.predict(photos[:1], input_size=13)
     with pytest.raises(zipsplat.CancelledError):
-        depth_model.predict(photos[:1], input_size=SIDE, progress=lambda done, stage: False)
+        depth_model.predict(photos[:1], input_size=SIDE, progress=lambda now: False)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import zipsplat
-from zipsplat import gsplat
+from zipsplat import _rasterize
 
 GOLDENS = Path(os.environ["ZIPSPLAT_GOLDENS"])
 RASTERS = sorted(GOLDENS.glob("grad_raster.*.safetensors"))
@@ -69,8 +69,8 @@ def test_pictures_and_gradients_are_the_goldens(path: Path) -> None:
         # The background is its color times the transmittance.
         weights = [golden[f"{mode}/v_{name}"] for name in ("rgb", "alpha", "depth")]
         weights[1] = weights[1] - weights[0] @ golden["bg"].astype(np.float64)
-        how_native = gsplat._How(width, height, mode == "antialiased", zipsplat.default_device())
-        found, views = gsplat._backward(how_native, fields[:4], fields[4], fields[5], fields[6], weights, True)
+        settings = _rasterize.Settings(width, height, mode == "antialiased", zipsplat.default_device())
+        found, views = _rasterize.backward(settings, fields[:4], fields[4], fields[5], fields[6], weights, True)
         allowed = 3e-4 if hard else 5e-5
         for name in ("means", "quats", "scales", "opacities"):
             assert apart(found[name], golden[f"{mode}/all/d_{name}"]) < allowed, (mode, name)

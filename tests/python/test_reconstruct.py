@@ -103,7 +103,7 @@ def test_a_folder_gives_the_bits_of_the_command(model: zipsplat.Model, tmp_path:
 def test_a_capture_gives_the_bits_of_the_command(model: zipsplat.Model, capture: Path) -> None:
     written = capture / "command.ply"
     options = ("--size", "70x70", "--world", "cameras")
-    command("reconstruct", *sorted(capture.glob("?.png")), "--poses", capture, *options, "-o", written)
+    command("reconstruct", *sorted(capture.glob("?.png")), "--cameras", capture, *options, "-o", written)
     opened = zipsplat.Capture.open(capture)
     expected = model.reconstruct(opened, input_size=SIZE)
     assert rows(expected.to_bytes("ply")) == rows(written.read_bytes())
@@ -116,7 +116,7 @@ def test_a_capture_gives_the_bits_of_the_command(model: zipsplat.Model, capture:
     assert same(model.reconstruct(opened[1:], input_size=SIZE), part) and not same(part, expected)
     # Points set the scale.
     (capture / "points.ply").write_text(POINTS)
-    command("reconstruct", *paths, "--poses", capture, *options, "-o", capture / "points-command.ply")
+    command("reconstruct", *paths, "--cameras", capture, *options, "-o", capture / "points-command.ply")
     with_points = model.reconstruct(zipsplat.Capture.open(capture), input_size=SIZE)
     assert rows(with_points.to_bytes("ply")) == rows((capture / "points-command.ply").read_bytes())
     assert not same(with_points, expected)
@@ -141,36 +141,56 @@ def test_photos_without_a_camera_are_left_out(model: zipsplat.Model, capture: Pa
 
 def test_a_refinement_makes_it_more_like_the_photos(model: zipsplat.Model, capture: Path) -> None:
     opened = zipsplat.Capture.open(capture)
-    told: list[tuple[float, str]] = []
-    sharp = model.reconstruct(
-        opened, input_size=SIZE, refine=15, progress=lambda done, stage: told.append((done, stage))
-    )
+    told: list[zipsplat.Progress] = []
+    coarse = model.reconstruct(opened, input_size=SIZE)
+    sharp = coarse.refine(opened, steps=15, progress=told.append)
     assert sharp.refinement is not None and sharp.refinement.steps == 15
     assert sharp.refinement.final_loss < sharp.refinement.initial_loss
-    assert [done for done, _ in told] == sorted(done for done, _ in told) and told[-1] == (1.0, "refine")
+    assert sharp.refinement.best_training_psnr > sharp.refinement.initial_training_psnr
+    assert [now.step for now in told] == list(range(1, 16)) and (told[-1].steps, told[-1].fraction) == (15, 1.0)
+    assert told[-1].loss == sharp.refinement.final_loss
     photos = np.stack([zipsplat.load_image(capture / f"{i}.png") for i in range(3)]).astype(float)
 
     def apart(scene: zipsplat.Scene) -> float:
         return float(np.mean((scene.render(opened.cameras).rgb - photos) ** 2))
 
-    assert apart(sharp) < apart(model.reconstruct(opened, input_size=SIZE))
-    first = model.reconstruct(opened, input_size=SIZE, refine=15, world="first_camera")
-    assert first.refinement is not None
-    assert first.refinement.final_loss == pytest.approx(sharp.refinement.final_loss, rel=0.2)
+    assert apart(sharp) < apart(coarse)
+    assert np.array_equal(sharp.refinement.cameras.camera_to_world, opened.cameras.camera_to_world)
+    moved = coarse.refine(opened, steps=15, optimize_cameras=True).refinement
+    assert moved is not None and not np.array_equal(moved.cameras.camera_to_world, opened.cameras.camera_to_world)
+    assert np.allclose(moved.cameras[0].camera_to_world, opened.cameras[0].camera_to_world)
+
+
+def test_tokens_are_refined_and_cameras_estimated(photos: list[Path], capture: Path) -> None:
+    with zipsplat.Model.load(tokens=True) as model:
+        opened = zipsplat.Capture.open(capture)
+        made = model.reconstruct(opened, input_size=SIZE)
+        refined = made.refine(opened, steps=2, target="tokens")
+        assert refined.refinement is not None and refined.refinement.steps == 2 and len(refined) == len(made)
+        with pytest.raises(zipsplat.ArgumentError, match="tokens"):
+            refined.refine(opened, steps=2, target="tokens")
+        unposed = model.reconstruct(photos, input_size=SIZE)
+    assert unposed.token_count * model.gaussians_per_token == len(unposed)
+    estimates = unposed.estimate_cameras()
+    assert len(estimates) == len(photos) and estimates[0].camera is not None
+    assert estimates[0].inliers > estimates[0].patches / 2
+    assert np.allclose(estimates[0].camera.camera_to_world[:3, 3], 0, atol=0.5)
+    height, width, _ = zipsplat.load_image(photos[0]).shape
+    assert (estimates[0].camera.height, estimates[0].camera.width) == (height, width)
 
 
 def test_progress_may_stop_and_raise(model: zipsplat.Model, photos: list[Path], capture: Path) -> None:
     told: list[float] = []
 
-    def stop(done: float, _stage: str) -> bool:
-        told.append(done)
+    def stop(now: zipsplat.Progress) -> bool:
+        told.append(now.fraction)
         return len(told) < 3
 
     with pytest.raises(zipsplat.CancelledError) as stopped:
         model.reconstruct(photos, input_size=SIZE, progress=stop)
     assert (stopped.value.status, stopped.value.name, len(told)) == (9, "ZS_ERROR_CANCELLED", 3)
 
-    def fail(_done: float, _stage: str) -> None:
+    def fail(_now: zipsplat.Progress) -> None:
         raise KeyError("mine")
 
     with pytest.raises(KeyError, match="mine"):
@@ -181,7 +201,7 @@ def test_progress_may_stop_and_raise(model: zipsplat.Model, photos: list[Path], 
     best = scene.refine(opened, steps=9, progress=lambda now: now.step < 2)
     assert best.refinement is not None and (best.refinement.stop_reason, best.refinement.steps) == ("stopped", 2)
     with pytest.raises(KeyError, match="mine"):
-        scene.refine(opened, steps=9, progress=lambda now: fail(0, ""))
+        scene.refine(opened, steps=9, progress=fail)
     assert same(model.reconstruct(photos, input_size=SIZE), model.reconstruct(photos, input_size=SIZE)), (
         "it goes on working"
     )
@@ -207,7 +227,6 @@ def test_what_cannot_be_used_is_named(model: zipsplat.Model, photos: list[Path],
         ([picture], {"world": "mine"}, ValueError, "first_camera"),
         ([picture], {"world": "input_cameras"}, zipsplat.ArgumentError, "world"),
         ([picture], {"input_size": (15, 14)}, zipsplat.ArgumentError, "size of the views"),
-        ([picture], {"refine": 5}, ValueError, "estimate_cameras"),
         ([picture], {"cameras": [camera, camera]}, ValueError, "found 2 cameras"),
         ([picture], {"cameras": [np.eye(4)]}, TypeError, "ndarray"),
         ([picture], {"cameras": empty}, zipsplat.ArgumentError, "transforms.json"),

@@ -105,6 +105,9 @@ def test_pictures_are_arrays(scene: zipsplat.Scene) -> None:
     assert np.array_equal((np.clip(floats, 0, 1) * 255).astype(np.uint8), one.rgb)
     lit = renderer.render(cameras[1], background=(1, 1, 1), dtype=np.float32).rgb
     assert np.allclose(lit - floats, 1 - both.alpha[1][..., None], atol=1e-5)
+    normals = renderer.render(cameras, normals=True).normals
+    assert normals is not None and normals.shape == (2, 36, 48, 3)
+    assert np.allclose(np.linalg.norm(normals[both.alpha > 0.5], axis=-1), 1, atol=1e-4)
     accumulated = renderer.render(cameras, depth="accumulated").depth
     assert np.allclose(accumulated, both.depth * both.alpha, rtol=1e-4, atol=1e-4)
     empty = zipsplat.Scene.from_arrays(
@@ -167,6 +170,22 @@ def test_captures_are_sequences_of_photos(capture: Path) -> None:
         zipsplat.Capture.open(capture / "none")
 
 
+def test_captures_are_made_of_cameras_and_saved(capture: Path, tmp_path: Path) -> None:
+    opened = zipsplat.Capture.open(capture)
+    names, paths = [view.name for view in opened], [capture / view.name for view in opened]
+    made = zipsplat.Capture.from_cameras(opened.cameras, names, paths)
+    assert [view.path for view in made] == paths and np.allclose(made.cameras.viewmats, opened.cameras.viewmats)
+    (tmp_path / "saved").mkdir()
+    made.save(tmp_path / "saved" / "transforms.json")
+    saved = zipsplat.Capture.open(tmp_path / "saved")
+    assert [view.name for view in saved] == names and np.allclose(saved.cameras.Ks, opened.cameras.Ks)
+    assert np.allclose(saved.cameras.camera_to_world, opened.cameras.camera_to_world)
+    with pytest.raises(zipsplat.ArgumentError, match="2 of 3 photos"):
+        made[1:].save(tmp_path / "part.json")
+    with pytest.raises(zipsplat.ArgumentError, match="1 names"):
+        zipsplat.Capture.from_cameras(opened.cameras, names[:1])
+
+
 def test_a_colmap_model_is_read(tmp_path: Path) -> None:
     (tmp_path / "cameras.txt").write_text("1 PINHOLE 80 60 70 71 40 30\n")
     (tmp_path / "images.txt").write_text("1 1 0 0 0 0.5 0 2 1 a.png\n\n2 1 0 0 0 -0.5 0 2 1 b.png\n\n")
@@ -186,7 +205,7 @@ def test_a_page_shows_the_scene(scene: zipsplat.Scene, tmp_path: Path) -> None:
 
 
 def test_figures_and_cameras_come_from_the_command(
-    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     found = zipsplat.evaluate(capture, views=2, options=("--size", "70x70"))
     assert 0 < found.psnr < 99 and 0 < found.ssim <= 1 and len(found.report["views"]) == 1
@@ -194,10 +213,12 @@ def test_figures_and_cameras_come_from_the_command(
         zipsplat.evaluate(tmp_path / "none")
     double = tmp_path / "double"
     made = json.dumps(json.loads((capture / "transforms.json").read_text()))
-    double.write_text(f"#!/bin/sh\nfor last; do :; done\ncat > \"$last\" <<'END'\n{made}\nEND\n")
+    result = json.dumps({"warnings": ["few photos"], "result": None})
+    double.write_text(f"#!/bin/sh\nfor last; do :; done\ncat > \"$last\" <<'END'\n{made}\nEND\necho '{result}'\n")
     double.chmod(double.stat().st_mode | stat.S_IXUSR)
     monkeypatch.setenv("ZIPSPLAT_COMMAND", str(double))
     assert len(zipsplat.estimate_cameras(capture)) == 3
+    assert (caplog.records[-1].name, caplog.records[-1].message) == ("zipsplat", "few photos")
     monkeypatch.setenv("ZIPSPLAT_COMMAND", str(tmp_path / "missing"))
     with pytest.raises(zipsplat.CommandError, match="ZIPSPLAT_COMMAND"):
         zipsplat.estimate_cameras([os.fspath(capture)])

@@ -3,13 +3,16 @@
  *
  * Generated from engine/bindings/c/src. Copyright and license: see LICENSE (Apache-2.0).
  *
- *     zs_device         an open device
- *     zs_model          a network with its weights on the device
- *     zs_scene          Gaussians in host memory, from a model, a file or arrays
- *     zs_renderer       a scene on the device
- *     zs_image_buffer   a decoded photo
- *     zs_capture        photos and their cameras, from transforms.json or COLMAP
- *     zs_blob           an encoded scene file in memory
+ *     zs_device           an open device
+ *     zs_model            a network with its weights on the device
+ *     zs_reconstruction   Gaussians on the device, with tokens and cameras
+ *     zs_scene            Gaussians in host memory, from a reconstruction, a file or arrays
+ *     zs_renderer         a scene on the device
+ *     zs_depth_model      a depth network with its weights on the device
+ *     zs_depth_result     depth and cameras of photos
+ *     zs_image_buffer     a decoded photo
+ *     zs_capture          photos and their cameras, from transforms.json, COLMAP or arrays
+ *     zs_blob             an encoded scene file in memory
  *
  * Errors. Functions that can fail return a zs_status: ZS_OK is 0, any other value a failure.
  * zs_last_error returns the calling thread's message. A failed call leaves no partial object; a
@@ -17,13 +20,14 @@
  * Only exhausted host memory ends the process.
  *
  * Ownership. The caller owns every object from zs_..._create, _open, _load, _from_...,
- * _to_..., zs_reconstruct and zs_refine. Destroy it once, on any thread, when no call uses it.
+ * _to_..., zs_reconstruct, zs_refine_... and zs_depth_predict. Destroy it once, on any thread, when no call uses it.
  * Destroying NULL does nothing. Objects share ownership of their dependencies, so the order of
  * destruction is free. Your own Vulkan handles must outlive every object created on them. Pointer
  * arguments are accessed only during the call unless documented otherwise. Never free a returned
  * const char *.
  *
- * Threads. Threads can share all objects; calls on one zs_renderer wait for each other. Callbacks
+ * Threads. Threads can share all objects. An internal lock of each zs_renderer serializes its calls;
+ * calls on one zs_model run in parallel, at the cost of memory. Callbacks
  * run on the calling thread; no longjmp and no C++ exception may leave them. A thread pool prepares
  * photos, weights and files. It has RAYON_NUM_THREADS threads, by default one per core, and lives
  * as long as the process.
@@ -136,6 +140,46 @@ const char *zs_status_name(int32_t status);
 // Returns the message of the calling thread's last failure, or "". The pointer stays valid until
 // the thread ends; the next failure overwrites the text, of at most 16 KiB.
 const char *zs_last_error(void);
+
+/***************/
+/*  Progress.  */
+/***************/
+
+// Answers of a progress callback.
+ZS_ENUM(zs_progress_action) {
+    // Goes on.
+    ZS_CONTINUE = 0,
+    // Ends a refinement early and keeps the best scene so far. Other calls are canceled.
+    ZS_STOP = 1,
+    // Cancels the call, which fails with ZS_ERROR_CANCELLED.
+    ZS_CANCEL = 2,
+};
+
+// Progress of a call. Refinements also set the fields from `step` on; others leave them 0.
+typedef struct zs_progress {
+    // Size of this structure in the library's version.
+    uint32_t struct_size;
+    // 0.
+    uint32_t reserved;
+    // Completed fraction of the call, from 0 to 1.
+    double fraction;
+    // Name of the current stage, for a log; valid during the callback.
+    const char *stage;
+    // Completed steps.
+    size_t step;
+    // Total steps.
+    size_t steps;
+    // Mean loss of the last step.
+    double loss;
+    // Latest PSNR in dB of the held-out photos; NaN without any.
+    double psnr;
+    // Estimated seconds left.
+    double eta_seconds;
+} zs_progress;
+
+// Progress callback. `progress` is valid during the callback. It may call zs_ functions, but not on
+// the call's own objects. Unknown answers cancel.
+typedef zs_progress_action (*zs_progress_callback)(void *user_data, const struct zs_progress *progress);
 
 /**************/
 /*  Devices.  */
@@ -299,23 +343,49 @@ zs_status zs_image_save_png(const struct zs_image *image, const char *path);
 // Posed photos of a capture.
 typedef struct zs_capture zs_capture;
 
+// A photo of a capture.
+typedef struct zs_capture_view {
+    // sizeof(zs_capture_view).
+    uint32_t struct_size;
+    // Must be 0.
+    uint32_t reserved;
+    // Name as in the file.
+    const char *name;
+    // Path of the photo, or NULL if none was found.
+    const char *path;
+    // Undistorted pinhole camera.
+    const struct zs_camera *camera;
+} zs_capture_view;
+
+// Properties of a capture.
+typedef struct zs_capture_info {
+    // sizeof(zs_capture_info).
+    uint32_t struct_size;
+    // 0.
+    uint32_t reserved;
+    // Number of photos.
+    size_t view_count;
+    // Warnings about ignored data, one per line, in the capture's memory.
+    const char *warnings;
+} zs_capture_info;
+
 // Opens a capture: a transforms.json (instant-ngp or nerfstudio), a COLMAP model folder (text or
 // binary), or a folder that contains either. World and scale stay the file's. Photos are read only
 // for sizes that the file lacks.
 zs_status zs_capture_open(const char *path, struct zs_capture **capture);
 
-// Returns the number of photos and, unless NULL, warnings about ignored data, one per line, in
-// the capture's memory.
-zs_status zs_capture_get_count(const struct zs_capture *capture, size_t *count, const char **warnings);
+// Creates a capture of pinhole cameras from copies. Paths may be NULL.
+zs_status zs_capture_create(const struct zs_capture_view *views, size_t count, struct zs_capture **capture);
 
-// Returns the undistorted pinhole camera, the name and the path of photo `index`. `name` is as
-// written in the file; the path is NULL if no photo was found. Strings point into the capture.
-// Outputs may be NULL.
-zs_status zs_capture_get(const struct zs_capture *capture,
-                         size_t index,
-                         struct zs_camera *camera,
-                         const char **name,
-                         const char **path);
+// Writes the capture's cameras, names and lenses as a transforms.json (nerfstudio) at `path`. An
+// existing file is replaced atomically.
+zs_status zs_capture_save(const struct zs_capture *capture, const char *path);
+
+// Describes a capture.
+zs_status zs_capture_get_info(const struct zs_capture *capture, struct zs_capture_info *info);
+
+// Returns photo `index`, whose strings and camera are in the capture's memory.
+zs_status zs_capture_get_view(const struct zs_capture *capture, size_t index, struct zs_capture_view *view);
 
 // Finds the photo at `path` by file name, then by the longest common path suffix. Without a match
 // `index` is the number of photos. ZS_ERROR_ARGUMENT for an ambiguous match.
@@ -335,11 +405,33 @@ void zs_capture_destroy(struct zs_capture *capture);
 /*  Scenes: Gaussians from and to arrays, files and bytes.  */
 /************************************************************/
 
+// World of a scene.
+ZS_ENUM(zs_world) {
+    // ZS_WORLD_INPUT_CAMERAS if `cameras` are given, else ZS_WORLD_FIRST_CAMERA.
+    ZS_WORLD_AUTO = 0,
+    // The first photo's camera space.
+    ZS_WORLD_FIRST_CAMERA = 1,
+    // The world of `cameras`, which are required.
+    ZS_WORLD_INPUT_CAMERAS = 2,
+};
+
 // Bytes owned by the library, such as an encoded scene file.
 typedef struct zs_blob zs_blob;
 
 // 3D Gaussians in host memory. Independent of devices; survives device loss.
 typedef struct zs_scene zs_scene;
+
+// Properties of a scene.
+typedef struct zs_scene_info {
+    // sizeof(zs_scene_info).
+    uint32_t struct_size;
+    // World that the file states; ZS_WORLD_AUTO if it states none.
+    zs_world world;
+    // Number of Gaussians.
+    size_t gaussian_count;
+    // Number of Gaussians dropped by zs_scene_open_options.drop_invalid.
+    size_t dropped_count;
+} zs_scene_info;
 
 // Gaussians as one array per property.
 typedef struct zs_gaussians {
@@ -365,6 +457,17 @@ typedef struct zs_gaussians {
     const float *sh_coeffs;
 } zs_gaussians;
 
+// Options of zs_scene_open and zs_scene_from_memory.
+typedef struct zs_scene_open_options {
+    // sizeof(zs_scene_open_options).
+    uint32_t struct_size;
+    // 1 drops NaN, infinite and out-of-range Gaussians; 0 rejects them.
+    uint32_t drop_invalid;
+    // Format in memory: NULL for PLY, SPZ and .glb, which are recognized by content, else "splat" or
+    // "gltf". NULL for files.
+    const char *format;
+} zs_scene_open_options;
+
 // Options of zs_scene_save.
 typedef struct zs_scene_save_options {
     // sizeof(zs_scene_save_options).
@@ -373,32 +476,38 @@ typedef struct zs_scene_save_options {
     uint32_t spz_version;
 } zs_scene_save_options;
 
+// Describes a scene.
+zs_status zs_scene_get_info(const struct zs_scene *scene, struct zs_scene_info *info);
+
 // Returns the scene's size and arrays, which point into the scene.
 zs_status zs_scene_get_gaussians(const struct zs_scene *scene, struct zs_gaussians *gaussians);
 
 // Creates a scene from copies of arrays. All are required, with finite values in their range.
 zs_status zs_scene_create(const struct zs_gaussians *gaussians, struct zs_scene **scene);
 
+// Creates a scene with a Gaussian per point, as an initialization for zs_refine_scene. `positions`
+// is N x 3. `colors` is N x 3 for red, green, blue, or NULL for gray. `cameras` limit the Gaussians'
+// sizes; their count may be 0.
+zs_status zs_scene_from_points(const float *positions,
+                               const uint8_t *colors,
+                               size_t count,
+                               const struct zs_camera *cameras,
+                               size_t camera_count,
+                               struct zs_scene **scene);
+
 // Opens a scene file: PLY of 3D Gaussian Splatting, .compressed.ply, SPZ, .splat, or glTF with
-// KHR_gaussian_splatting (.gltf, .glb). Rejects NaN, infinite and out-of-range values.
-zs_status zs_scene_open(const char *path, struct zs_scene **scene);
+// KHR_gaussian_splatting (.gltf, .glb).
+zs_status zs_scene_open(const char *path, const struct zs_scene_open_options *options, struct zs_scene **scene);
 
-// Opens a scene file without its invalid Gaussians. `dropped` receives their number and may be
-// NULL.
-zs_status zs_scene_open_dropping_invalid(const char *path, uint64_t *dropped, struct zs_scene **scene);
-
-// Decodes a scene from `size` bytes at `data`, as zs_scene_open. `format` is NULL for PLY, SPZ and
-// .glb, which are recognized by content, else "splat" or "gltf". A glTF must not refer to other
-// files. If `dropped` is not NULL, invalid Gaussians are dropped and counted there; otherwise they
-// are an error.
+// Decodes a scene from `size` bytes at `data`, as zs_scene_open. A glTF must not refer to other
+// files.
 zs_status zs_scene_from_memory(const void *data,
                                size_t size,
-                               const char *format,
-                               uint64_t *dropped,
+                               const struct zs_scene_open_options *options,
                                struct zs_scene **scene);
 
 // Writes a scene in the format of the path's extension: .ply, .spz, .splat, .gltf or .glb. An
-// existing file is replaced atomically.
+// existing file is replaced atomically. The world of an opened file is kept.
 zs_status zs_scene_save(const struct zs_scene *scene, const char *path, const struct zs_scene_save_options *options);
 
 // Encodes a scene to memory. `format` is "ply", "spz", "splat", "gltf" or "glb".
@@ -409,20 +518,6 @@ zs_status zs_scene_to_memory(const struct zs_scene *scene,
 
 // Returns address and size of the bytes, which belong to the object.
 zs_status zs_blob_get(const struct zs_blob *bytes, const void **data, size_t *size);
-
-// Estimates the cameras of the `count` unposed photos of a scene from zs_reconstruct, in the
-// scene's world. They follow from the Gaussians of each photo's patches and share an estimated
-// field of view.
-//
-// `cameras` is an array of `count` with struct_size set, for the cameras of the whole photos.
-// `inliers` receives the number of consistent patches and `patches` the total; both are arrays of
-// `count` or NULL. A photo without a camera gets width 0 and no inliers. No camera at all is an
-// error.
-zs_status zs_scene_cameras(const struct zs_scene *scene,
-                           struct zs_camera *cameras,
-                           uint32_t *inliers,
-                           uint32_t *patches,
-                           size_t count);
 
 // Destroys bytes.
 void zs_blob_destroy(struct zs_blob *bytes);
@@ -452,11 +547,6 @@ ZS_ENUM(zs_precision) {
 // A network with its weights on a device.
 typedef struct zs_model zs_model;
 
-// Progress callback. `fraction` is from 0 to 1; `stage`, for a log, is valid during the callback.
-// Return 0 to continue; any other value cancels with ZS_ERROR_CANCELLED. It may call zs_
-// functions, but not on the call's own objects.
-typedef int32_t (*zs_progress)(void *user_data, double fraction, const char *stage);
-
 // Options of zs_model_load.
 typedef struct zs_model_options {
     // sizeof(zs_model_options).
@@ -468,7 +558,7 @@ typedef struct zs_model_options {
     // "vits:out_layers=5,7,11:alt_start=5:rope_start=5". NULL uses the file's.
     const char *variant;
     // Progress callback.
-    zs_progress progress;
+    zs_progress_callback progress;
     // Argument of `progress`.
     void *user_data;
     // 1 enables ZS_REFINE_TARGET_TOKENS: an f32 head and each scene's tokens stay on the device.
@@ -520,9 +610,66 @@ zs_status zs_model_get_info(const struct zs_model *model, struct zs_model_info *
 // Destroys a model.
 void zs_model_destroy(struct zs_model *model);
 
+/**********************/
+/*  Reconstructions.  */
+/**********************/
+
+// Gaussians of a reconstruction on its device, with their relation to the photos.
+typedef struct zs_reconstruction zs_reconstruction;
+
+// Properties of a reconstruction.
+typedef struct zs_reconstruction_info {
+    // sizeof(zs_reconstruction_info).
+    uint32_t struct_size;
+    // 1 if its tokens can be refined.
+    uint32_t has_tokens;
+    // Number of photos.
+    size_t view_count;
+    // Number of kept tokens.
+    size_t token_count;
+    // Number of Gaussians.
+    size_t gaussian_count;
+    // Warnings, one per line, in the reconstruction's memory.
+    const char *warnings;
+} zs_reconstruction_info;
+
+// Estimated camera of a photo.
+typedef struct zs_camera_estimate {
+    // sizeof(zs_camera_estimate).
+    uint32_t struct_size;
+    // Number of patches that agree with the camera.
+    uint32_t inliers;
+    // Number of patches.
+    uint32_t patches;
+    // 0.
+    uint32_t reserved;
+    // Camera of the whole photo in the scene's world, in the reconstruction's memory; NULL without
+    // an estimate.
+    const struct zs_camera *camera;
+} zs_camera_estimate;
+
+// Describes a reconstruction.
+zs_status zs_reconstruction_get_info(const struct zs_reconstruction *reconstruction,
+                                     struct zs_reconstruction_info *info);
+
+// Reads the scene from the device.
+zs_status zs_reconstruction_to_scene(const struct zs_reconstruction *reconstruction, struct zs_scene **scene);
+
+// Estimates the camera of photo `index` from the Gaussians of its patches. The first call estimates
+// all, with one field of view. Fails if no photo has an estimate, or for known cameras.
+zs_status zs_reconstruction_estimate_camera(const struct zs_reconstruction *reconstruction,
+                                            size_t index,
+                                            struct zs_camera_estimate *estimate);
+
+// Destroys a reconstruction.
+void zs_reconstruction_destroy(struct zs_reconstruction *reconstruction);
+
 /****************************************/
 /*  Reconstruction: photos to a scene.  */
 /****************************************/
+
+// Largest number of photos of a reconstruction or a depth prediction.
+#define ZS_MAX_VIEWS 192
 
 // The paper's ratio: 0.5 sqrt(2 / number of photos).
 #define ZS_RATIO_AUTO -1.0
@@ -540,16 +687,6 @@ ZS_ENUM(zs_token_selection) {
     ZS_TOKEN_SELECTION_RANDOM = 2,
 };
 
-// World of a scene.
-ZS_ENUM(zs_world) {
-    // ZS_WORLD_INPUT_CAMERAS if `cameras` are given, else ZS_WORLD_FIRST_CAMERA.
-    ZS_WORLD_AUTO = 0,
-    // The first photo's camera space.
-    ZS_WORLD_FIRST_CAMERA = 1,
-    // The world of `cameras`, which are required.
-    ZS_WORLD_INPUT_CAMERAS = 2,
-};
-
 // Options of zs_reconstruct.
 typedef struct zs_reconstruct_options {
     // sizeof(zs_reconstruct_options).
@@ -558,8 +695,8 @@ typedef struct zs_reconstruct_options {
     zs_world world;
     // Fraction of tokens that become Gaussians, in (0, 1], or ZS_RATIO_AUTO; 0 is 1.
     double ratio;
-    // Scene scale: the length in units of `cameras` that the network treats as 1, or ZS_SCENE_SCALE_AUTO.
-    // The network expects a median distance of about 1 from the first camera.
+    // Scene scale: the length in units of `cameras` that the network treats as 1, or
+    // ZS_SCENE_SCALE_AUTO. The network expects a median distance of about 1 from the first camera.
     double scene_scale;
     // Selection of the kept tokens.
     zs_token_selection token_selection;
@@ -576,19 +713,20 @@ typedef struct zs_reconstruct_options {
     // Known cameras of the whole photos.
     const struct zs_camera *cameras;
     // Progress callback.
-    zs_progress progress;
+    zs_progress_callback progress;
     // Argument of `progress`.
     void *user_data;
-    // Capture whose points and cameras give the scale for ZS_SCENE_SCALE_AUTO; NULL uses `cameras` alone.
+    // Capture whose points and cameras give the scale for ZS_SCENE_SCALE_AUTO; NULL uses `cameras`
+    // alone.
     const struct zs_capture *capture;
 } zs_reconstruct_options;
 
-// Reconstructs a scene from 1 to 192 photos of one place.
+// Reconstructs a scene from 1 to ZS_MAX_VIEWS photos of one place.
 zs_status zs_reconstruct(const struct zs_model *model,
                          const struct zs_image *images,
                          size_t image_count,
                          const struct zs_reconstruct_options *options,
-                         struct zs_scene **scene);
+                         struct zs_reconstruction **reconstruction);
 
 /***************************************************/
 /*  Depth: per-pixel depth and cameras of photos.  */
@@ -608,6 +746,34 @@ typedef struct zs_depth_model zs_depth_model;
 // Depth and cameras of photos.
 typedef struct zs_depth_result zs_depth_result;
 
+// Options of zs_depth_model_load.
+typedef struct zs_depth_model_options {
+    // sizeof(zs_depth_model_options).
+    uint32_t struct_size;
+    // Number formats.
+    zs_precision precision;
+    // Progress callback.
+    zs_progress_callback progress;
+    // Argument of `progress`.
+    void *user_data;
+} zs_depth_model_options;
+
+// Properties of a depth model.
+typedef struct zs_depth_model_info {
+    // sizeof(zs_depth_model_info).
+    uint32_t struct_size;
+    // 1 if it sees all photos at once and estimates cameras, 0 if it sees each alone.
+    uint32_t is_multi_view;
+    // Side of a patch; sides of maps are multiples of it.
+    uint32_t patch_size;
+    // Number formats in use, never ZS_PRECISION_AUTO.
+    zs_precision precision;
+    // Weights on the device.
+    uint64_t weight_bytes;
+    // Warnings, one per line, in the model's memory: unusable GPUs and failed kernels.
+    const char *warnings;
+} zs_depth_model_info;
+
 // Options of zs_depth_predict.
 typedef struct zs_depth_options {
     // sizeof(zs_depth_options).
@@ -626,14 +792,24 @@ typedef struct zs_depth_options {
     // returned unchanged.
     const struct zs_camera *cameras;
     // Progress callback.
-    zs_progress progress;
+    zs_progress_callback progress;
     // Argument of `progress`.
     void *user_data;
 } zs_depth_options;
 
+// Properties of a depth result.
+typedef struct zs_depth_result_info {
+    // sizeof(zs_depth_result_info).
+    uint32_t struct_size;
+    // 0.
+    uint32_t reserved;
+    // Number of photos.
+    size_t view_count;
+} zs_depth_result_info;
+
 // Depth of a photo, in memory of its zs_depth_result. Arrays are `[height][width]`.
-typedef struct zs_depth_view {
-    // sizeof(zs_depth_view).
+typedef struct zs_depth_map {
+    // sizeof(zs_depth_map).
     uint32_t struct_size;
     // 0.
     uint32_t reserved;
@@ -647,19 +823,26 @@ typedef struct zs_depth_view {
     const float *confidence;
     // Sky score, at least 0 and above 0.3 for sky, from single-view networks; else NULL.
     const float *sky;
-} zs_depth_view;
+    // Camera of the map, which unprojects `depth` into the common world; NULL if unknown.
+    const struct zs_camera *camera;
+    // Camera of the whole photo; NULL if unknown.
+    const struct zs_camera *image_camera;
+} zs_depth_map;
 
 // Loads a Depth Anything 3 network: a released model.safetensors at `path`, or random weights for
-// "seeded:NAME", such as "seeded:da3-small". The options' `variant` must be NULL and `tokens` 0.
+// "seeded:NAME", such as "seeded:da3-small".
 zs_status zs_depth_model_load(const struct zs_device *device,
                               const char *path,
-                              const struct zs_model_options *options,
+                              const struct zs_depth_model_options *options,
                               struct zs_depth_model **model);
+
+// Describes a depth model.
+zs_status zs_depth_model_get_info(const struct zs_depth_model *model, struct zs_depth_model_info *info);
 
 // Destroys a depth model.
 void zs_depth_model_destroy(struct zs_depth_model *model);
 
-// Estimates depth of 1 to 192 photos of one place. Multi-view networks also estimate cameras,
+// Estimates depth of 1 to ZS_MAX_VIEWS photos of one place. Multi-view networks also estimate cameras,
 // relative to one of them.
 zs_status zs_depth_predict(const struct zs_depth_model *model,
                            const struct zs_image *images,
@@ -667,12 +850,11 @@ zs_status zs_depth_predict(const struct zs_depth_model *model,
                            const struct zs_depth_options *options,
                            struct zs_depth_result **depths);
 
-// Returns depth and camera of photo `index`. The camera is of the whole photo, in the common
-// world; width and height are 0 if unknown. Outputs may be NULL.
-zs_status zs_depth_result_get(const struct zs_depth_result *depths,
-                              size_t index,
-                              struct zs_depth_view *view,
-                              struct zs_camera *camera);
+// Describes a depth result.
+zs_status zs_depth_result_get_info(const struct zs_depth_result *depths, struct zs_depth_result_info *info);
+
+// Returns the depth and cameras of photo `index`.
+zs_status zs_depth_result_get_map(const struct zs_depth_result *depths, size_t index, struct zs_depth_map *map);
 
 // Creates a scene with a Gaussian per confident pixel of each posed photo, in the cameras' world.
 // Each patch of 14 x 14 pixels keeps its `max_gaussians_per_patch` most visible ones; 0 keeps all.
@@ -702,35 +884,13 @@ ZS_ENUM(zs_refine_target) {
 ZS_ENUM(zs_stop_reason) {
     // All steps completed.
     ZS_STOP_REASON_FINISHED = 0,
-    // The progress callback stopped it.
+    // Progress callback returned ZS_STOP.
     ZS_STOP_REASON_STOPPED = 1,
     // The loss grew, or became NaN or infinite.
     ZS_STOP_REASON_DIVERGED = 2,
 };
 
-// Progress of a refinement.
-typedef struct zs_refining {
-    // Size of this structure in the library's version.
-    uint32_t struct_size;
-    // Completed steps.
-    uint32_t step;
-    // Total steps.
-    uint32_t steps;
-    // 0.
-    uint32_t reserved;
-    // Mean loss of the last step.
-    double loss;
-    // Latest PSNR in dB of the held-out photos; NaN without any.
-    double psnr;
-    // Estimated seconds left.
-    double eta_seconds;
-} zs_refining;
-
-// Callback after each step. `now` is valid during the callback. Return 0 to continue; any other
-// value ends the refinement early and keeps the best scene. It may call zs_ functions.
-typedef int32_t (*zs_refine_progress)(void *user_data, const struct zs_refining *now);
-
-// Options of zs_refine.
+// Options of zs_refine_scene and zs_refine_reconstruction.
 typedef struct zs_refine_options {
     // sizeof(zs_refine_options).
     uint32_t struct_size;
@@ -744,16 +904,24 @@ typedef struct zs_refine_options {
     // Largest compared width and height in pixels; larger photos are downscaled. 0 is 1600,
     // UINT32_MAX keeps full size.
     uint32_t max_image_size[2];
-    // Seed of the photo order.
-    uint64_t seed;
-    // Progress callback.
-    zs_refine_progress progress;
-    // Argument of `progress`.
-    void *user_data;
     // Optimized parameters.
     zs_refine_target target;
+    // 1 also optimizes the training photos' cameras, except the first.
+    uint32_t optimize_cameras;
+    // Weight of the LPIPS (VGG) distance in the loss; 0 needs no LPIPS weights.
+    float perceptual_weight;
     // Must be 0.
     uint32_t reserved;
+    // Seed of the photo order.
+    uint64_t seed;
+    // Final number of Gaussians; at most the scene's number: no growth. 0 grows from 300 steps on, to
+    // one per 32 pixels of the photos and at most four times the scene's. For ZS_REFINE_TARGET_TOKENS
+    // 0.
+    size_t max_gaussians;
+    // Progress callback, called after each step.
+    zs_progress_callback progress;
+    // Argument of `progress`.
+    void *user_data;
 } zs_refine_options;
 
 // Result of a refinement.
@@ -780,19 +948,30 @@ typedef struct zs_refine_result {
     double initial_training_psnr;
     // PSNR in dB of the same photos for the returned scene.
     double best_training_psnr;
+    // Output array for the cameras of all photos, with struct_size set, or NULL.
+    struct zs_camera *cameras;
 } zs_refine_result;
 
 // Optimizes a copy of a scene to match `count` photos. `cameras` are of the whole photos, in the
-// scene's world. An early stop or a diverging loss still returns the best scene. `info` may be
+// scene's world. An early stop or a diverging loss still returns the best scene. `result` may be
 // NULL.
-zs_status zs_refine(const struct zs_device *device,
-                    const struct zs_scene *scene,
-                    const struct zs_image *images,
-                    const struct zs_camera *cameras,
-                    size_t count,
-                    const struct zs_refine_options *options,
-                    struct zs_refine_result *info,
-                    struct zs_scene **refined);
+zs_status zs_refine_scene(const struct zs_device *device,
+                          const struct zs_scene *scene,
+                          const struct zs_image *images,
+                          const struct zs_camera *cameras,
+                          size_t count,
+                          const struct zs_refine_options *options,
+                          struct zs_refine_result *result,
+                          struct zs_scene **refined);
+
+// Optimizes the Gaussians or tokens of a reconstruction, as zs_refine_scene.
+zs_status zs_refine_reconstruction(const struct zs_reconstruction *reconstruction,
+                                   const struct zs_image *images,
+                                   const struct zs_camera *cameras,
+                                   size_t count,
+                                   const struct zs_refine_options *options,
+                                   struct zs_refine_result *result,
+                                   struct zs_scene **refined);
 
 /*************************************************************/
 /*  Renderers: draw a scene from a device into host memory.  */
@@ -807,7 +986,7 @@ ZS_ENUM(zs_depth_mode) {
 };
 
 // A scene on a device, ready to draw. Caches its recordings for the last four sizes and kinds of
-// picture.
+// output. An internal lock serializes calls, so that threads can share it.
 typedef struct zs_renderer zs_renderer;
 
 // Output buffers of a picture; NULL skips one.
@@ -824,6 +1003,8 @@ typedef struct zs_render_buffers {
     float *alpha;
     // height x width: depth in world units.
     float *depth;
+    // height x width x 3: unit normals in the world, toward the camera; 0 where empty.
+    float *normals;
 } zs_render_buffers;
 
 // Options of zs_render.
@@ -844,14 +1025,22 @@ typedef struct zs_render_options {
     float near_plane;
 } zs_render_options;
 
-// Uploads a scene to a device's device.
+// Creates a renderer. `scene` is uploaded; NULL sets none yet.
 zs_status zs_renderer_create(const struct zs_device *device,
                              const struct zs_scene *scene,
                              struct zs_renderer **renderer);
 
-// Replaces the scene. Cheap for an equal number of Gaussians and degree. After a failure, retry
-// successfully before drawing.
-zs_status zs_renderer_set_scene(const struct zs_renderer *renderer, const struct zs_scene *scene);
+// Replaces the scene. Cheap for an equal number of Gaussians and degree. After a failure, set a
+// scene successfully before drawing.
+zs_status zs_renderer_set_scene(struct zs_renderer *renderer, const struct zs_scene *scene);
+
+// Replaces the scene by a reconstruction's Gaussians, which stay on the device unless they are in
+// the world of known cameras.
+zs_status zs_renderer_set_reconstruction(struct zs_renderer *renderer, const struct zs_reconstruction *reconstruction);
+
+// Replaces the scene by copies of arrays, for optimizers: without a zs_scene, and in place for an
+// equal number of Gaussians and degree. Otherwise as zs_scene_create and zs_renderer_set_scene.
+zs_status zs_renderer_update_gaussians(struct zs_renderer *renderer, const struct zs_gaussians *gaussians);
 
 // Destroys a renderer, after its copies to Vulkan targets.
 void zs_renderer_destroy(struct zs_renderer *renderer);
@@ -866,6 +1055,20 @@ zs_status zs_render(const struct zs_renderer *renderer,
 /******************************************************************/
 /*  Gradients of pictures with respect to Gaussians and cameras.  */
 /******************************************************************/
+
+// Gradients of a loss with respect to one camera's outputs, in contiguous rows. NULL is 0.
+typedef struct zs_grad_outputs {
+    // sizeof(zs_grad_outputs).
+    uint32_t struct_size;
+    // Must be 0.
+    uint32_t reserved;
+    // height x width x 3.
+    const float *color;
+    // height x width.
+    const float *alpha;
+    // height x width.
+    const float *depth;
+} zs_grad_outputs;
 
 // Output buffers of gradients; NULL skips one. Values are overwritten, not accumulated.
 typedef struct zs_gradients {
@@ -890,15 +1093,16 @@ typedef struct zs_gradients {
     float *means2d;
 } zs_gradients;
 
-// Computes the gradients of a weighted sum over all pixels of `count` cameras' pictures.
+// Backpropagates `grad_outputs` of `count` cameras to Gaussians and cameras. Color has the range 0
+// to 1 before clamping; the options' format is ignored. Zero-valued coefficients also get
+// gradients.
 //
-// `grad_outputs` points to the weights of color, alpha and depth, read only; NULL is 0. The format must be
-// ZS_PIXEL_RGB_F32. Zero-valued coefficients also get gradients. `scene` need not be the
-// renderer's, which keeps a second scene on the device. `gradients` is written only on success.
+// `scene` need not be the renderer's, which keeps a second scene on the device. NULL is the
+// renderer's, if it is not a reconstruction's. `gradients` is written only on success.
 zs_status zs_render_backward(const struct zs_renderer *renderer,
                              const struct zs_scene *scene,
                              const struct zs_camera *cameras,
-                             const struct zs_render_buffers *grad_outputs,
+                             const struct zs_grad_outputs *grad_outputs,
                              size_t count,
                              const struct zs_render_options *options,
                              const struct zs_gradients *gradients);

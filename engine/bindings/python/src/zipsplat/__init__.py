@@ -36,8 +36,10 @@ from .errors import (
 from .gsplat import rasterization
 from .images import list_images, load_image, save_image
 from .model import Model
+from .progress import Progress
+from .reconstruction import CameraEstimate, Reconstruction
 from .renderer import Renderer, RenderOutput
-from .scene import RefineProgress, RefineResult, Scene
+from .scene import RefineResult, Scene
 
 __version__: str = _text(_lib.zs_version())
 
@@ -45,6 +47,7 @@ __all__ = [
     "ArgumentError",
     "ArgumentTypeError",
     "Camera",
+    "CameraEstimate",
     "Cameras",
     "CancelledError",
     "Capture",
@@ -67,7 +70,8 @@ __all__ = [
     "NoDeviceError",
     "OutOfMemoryError",
     "Page",
-    "RefineProgress",
+    "Progress",
+    "Reconstruction",
     "RefineResult",
     "RenderOutput",
     "Renderer",

@@ -12,29 +12,14 @@ import sys
 import threading
 import weakref
 from pathlib import Path
-from typing import Any, Callable, Optional, TypeVar
+from typing import Any, Callable, Mapping, Optional, TypeVar
 
 import cffi
 import numpy as np
 import numpy.typing as npt
 
 from . import errors
-from ._header import DECLARATIONS, NUMBERS
-
-__all__ = [
-    "NUMBERS",
-    "Handle",
-    "Owner",
-    "Told",
-    "array_at",
-    "call",
-    "ffi",
-    "lib",
-    "options",
-    "structure",
-    "text",
-    "warned",
-]
+from ._header import DECLARATIONS
 
 _NAMES = {"darwin": "libzipsplat.dylib", "win32": "zipsplat.dll"}
 
@@ -55,15 +40,14 @@ def text(pointer: Any) -> str:
     return str(ffi.string(pointer).decode("utf-8", "replace")) if pointer else ""
 
 
-def warned(pointer: Any) -> list[str]:
-    """Returns the lines of a C string of warnings, which the logger "zipsplat" gets too."""
-    lines = text(pointer).splitlines()
+def warned(lines: list[str]) -> list[str]:
+    """Returns warnings, which the logger "zipsplat" gets too."""
     for line in lines:
         _log.warning(line)
     return lines
 
 
-class _Calls:
+class Calls:
     """Running calls of all threads. At exit the interpreter waits for them and starts no others."""
 
     def __init__(self) -> None:
@@ -101,13 +85,13 @@ class _Calls:
 
 def _after_fork() -> None:
     # The lock may be held by a thread of the parent.
-    _calls.changed = threading.Condition()
+    calls.changed = threading.Condition()
 
 
-_calls = _Calls()
+calls = Calls()
 # Registers the exit handler after weakref's, so that calls end before finalizers run.
-weakref.finalize(_calls, int)
-atexit.register(_calls.end)
+weakref.finalize(calls, int)
+atexit.register(calls.end)
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_after_fork)
 _thread = threading.local()
@@ -120,7 +104,7 @@ def call(function: str, *arguments: Any) -> None:
     Raises:
         Error: a subclass by status, or an exception of a progress function.
     """
-    with _calls:
+    with calls:
         pointers = (value.pointer if isinstance(value, Handle) else value for value in arguments)
         status = getattr(lib, function)(*pointers)
         message = text(lib.zs_last_error()) if status else ""
@@ -174,6 +158,13 @@ def _destroy(function: Callable[[Any], None], pointer: Any, process: int) -> Non
         function(pointer)
 
 
+def choose(name: str, found: str, names: Mapping[Any, int]) -> int:
+    """Returns the library's number of a name."""
+    if found not in names:
+        raise errors.ArgumentError(f"{name}: found {found!r}, expected one of {', '.join(map(repr, names))}")
+    return names[found]
+
+
 def structure(kind: str, **values: Any) -> Any:
     """Creates a structure with its size set."""
     made = ffi.new(f"zs_{kind} *")
@@ -183,9 +174,15 @@ def structure(kind: str, **values: Any) -> Any:
     return made
 
 
-def options(kind: str, **values: Any) -> Any:
-    """Creates options with the given values; 0 is the default of every field."""
-    return structure(f"{kind}_options", **values)
+def structures(kind: str, **arrays: Optional[npt.NDArray[Any]]) -> Any:
+    """Creates an array of structures, one per row of the arrays, with pointers to the rows."""
+    given = {name: array for name, array in arrays.items() if array is not None}
+    made = ffi.new(f"zs_{kind}[]", max(map(len, given.values()), default=0))
+    for row, structure in enumerate(made):
+        structure.struct_size = ffi.sizeof(f"zs_{kind}")
+        for name, array in given.items():
+            setattr(structure, name, ffi.cast("void *", array[row].ctypes.data))
+    return made
 
 
 class _Memory:
@@ -205,33 +202,6 @@ def array_at(
     return np.asarray(_Memory(owner, int(ffi.cast("uintptr_t", pointer)), shape, kind, writable))
 
 
-class Told:
-    """A progress function that may stop the call by returning False."""
-
-    def __init__(self, function: Optional[Callable[..., object]]) -> None:
-        self.function = function
-        self.handle = ffi.new_handle(self)
-
-    def tell(self, *now: object) -> int:
-        """Returns 1 to stop."""
-        stopped = _calls.ending or (self.function is not None and self.function(*now) is False)
-        return 1 if stopped else 0
-
-
-def _raised(_kind: object, value: BaseException, _trace: object) -> None:
-    # Stops the call, which then raises the exception, Ctrl-C included.
+def raise_later(_kind: object, value: BaseException, _trace: object) -> None:
+    """Makes the running call raise an exception of its callback, Ctrl-C included."""
     _thread.raised = value
-
-
-@ffi.callback("int32_t(void *, double, const char *)", error=1, onerror=_raised)  # type: ignore[untyped-decorator]
-def progress(told: Any, fraction: float, stage: Any) -> int:
-    """Progress callback of reconstruction and model loading."""
-    found: Told = ffi.from_handle(told)
-    return found.tell(fraction, text(stage))
-
-
-@ffi.callback("int32_t(void *, const struct zs_refining *)", error=1, onerror=_raised)  # type: ignore[untyped-decorator]
-def refine_progress(told: Any, now: Any) -> int:
-    """Progress callback of a refinement."""
-    found: Told = ffi.from_handle(told)
-    return found.tell(now)

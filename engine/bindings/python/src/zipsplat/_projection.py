@@ -34,7 +34,6 @@ def project(
     viewmats: Array,
     Ks: Array,
     size: tuple[int, int],
-    *,
     antialiased: bool,
     planes: tuple[float, float],
     radius_clip: float,
@@ -70,13 +69,13 @@ def project(
             xx, xy, yy = ((a * b).sum(0) for a, b in ((u, u), (u, v), (v, v)))
             sharp = np.square(np.cross(u, v, axis=0)).sum(0)
             det = sharp + _BLUR * (xx + yy) + _BLUR**2
-            seen = opacities * np.sqrt(sharp / det) if antialiased else opacities
-            extent = np.sqrt(2 * np.log(seen / np.float32(_ALPHA_MIN))).clip(None, _EXTENT_MAX)
+            compensated = opacities * np.sqrt(sharp / det) if antialiased else opacities
+            extent = np.sqrt(2 * np.log(compensated / np.float32(_ALPHA_MIN))).clip(None, _EXTENT_MAX)
             radii = np.ceil(extent * np.sqrt(np.stack([xx, yy]) + _BLUR))
-            kept = (depths >= planes[0]) & (depths <= planes[1]) & (radii > radius_clip).any(0)
-            kept &= ((means2d + radii > 0) & (means2d - radii < sides)).all(0)
+            visible = (depths >= planes[0]) & (depths <= planes[1]) & (radii > radius_clip).any(0)
+            visible &= ((means2d + radii > 0) & (means2d - radii < sides)).all(0)
             conics = np.stack([yy + _BLUR, -xy, xx + _BLUR], -1) / det[:, None]
-            found.append([means2d.T, np.where(kept, radii, 0).T.astype(np.int32), depths, conics, seen])
+            found.append([means2d.T, np.where(visible, radii, 0).T.astype(np.int32), depths, conics, compensated])
     return dict(zip(NAMES, (np.stack(values) for values in zip(*found))))
 
 

@@ -7,7 +7,7 @@ from typing import Any, Optional, Sequence
 import numpy as np
 import torch
 
-from . import gsplat
+from . import _rasterize
 
 
 class Torch:
@@ -50,7 +50,7 @@ class Torch:
 
     @staticmethod
     def rasterize(
-        how: Any,
+        settings: Any,
         geometry: Sequence[Any],
         coeffs: Optional[Any],
         viewmats: Any,
@@ -58,7 +58,7 @@ class Torch:
         depth: bool,
         means2d: Any,
     ) -> tuple[Any, Any, Any]:
-        found = _Rasterize.apply(how, depth, Ks, viewmats, means2d, coeffs, *geometry)
+        found = _Rasterize.apply(settings, depth, Ks, viewmats, means2d, coeffs, *geometry)
         rgb = None if coeffs is None else found[0]
         return rgb, found[1], found[2] if depth else None
 
@@ -68,14 +68,14 @@ class _Rasterize(torch.autograd.Function):  # type: ignore[misc]
 
     @staticmethod
     def forward(
-        context: Any, how: Any, depth: bool, Ks: Any, viewmats: Any, _means2d: Any, coeffs: Any, *geometry: Any
+        context: Any, settings: Any, depth: bool, Ks: Any, viewmats: Any, _means2d: Any, coeffs: Any, *geometry: Any
     ) -> tuple[Any, ...]:
-        context.how, context.depth, context.color = how, depth, coeffs is not None
+        context.settings, context.depth, context.color = settings, depth, coeffs is not None
         context.save_for_backward(Ks, viewmats, *([] if coeffs is None else [coeffs]), *geometry)
         context.set_materialize_grads(False)
         arrays = [tensor.detach().numpy() for tensor in geometry]
         colors = None if coeffs is None else coeffs.detach().numpy()
-        planes = gsplat._forward(how, arrays, colors, viewmats.detach().numpy(), Ks.detach().numpy(), depth)
+        planes = _rasterize.forward(settings, arrays, colors, viewmats.detach().numpy(), Ks.detach().numpy(), depth)
         return tuple(torch.zeros(0) if plane is None else torch.from_numpy(plane) for plane in planes)
 
     @staticmethod
@@ -84,8 +84,8 @@ class _Rasterize(torch.autograd.Function):  # type: ignore[misc]
         coeffs = rest.pop(0) if context.color else None
         asked = [context.color, True, context.depth]
         weights = [d.numpy() if wanted and d is not None else None for wanted, d in zip(asked, d_planes)]
-        found, by_viewmats = gsplat._backward(
-            context.how,
+        found, by_viewmats = _rasterize.backward(
+            context.settings,
             [tensor.detach().numpy() for tensor in rest],
             None if coeffs is None else coeffs.detach().numpy(),
             viewmats.detach().numpy(),

@@ -188,12 +188,13 @@ class Capture(Sequence[CaptureView]):
         warnings: Descriptions of ignored data.
     """
 
-    def __init__(self, path: PathLike) -> None:
-        self._handle = Handle("capture", "zs_capture_open", os.fsencode(path))
-        count, notes = ffi.new("size_t *"), ffi.new("char **")
-        call("zs_capture_get_count", self._handle, count, notes)
-        self.warnings: list[str] = warned(notes[0])
-        self._views = [self._view(index) for index in range(count[0])]
+    def __init__(self, handle: Handle) -> None:
+        self._handle = handle
+        info = structure("capture_info")
+        call("zs_capture_get_info", self._handle, info)
+        self.warnings: list[str] = warned(text(info.warnings).splitlines())
+        self._views = [self._view(index) for index in range(info.view_count)]
+        self._count: int = info.view_count
         # Keeps a temporary folder alive.
         self._keeps: object = None
 
@@ -208,7 +209,40 @@ class Capture(Sequence[CaptureView]):
             >>> capture = Capture.open("capture/")
             >>> scene = model.reconstruct(capture[:8])
         """
-        return cls(path)
+        return cls(Handle("capture", "zs_capture_open", os.fsencode(path)))
+
+    @classmethod
+    def from_cameras(cls, cameras: Iterable[Camera], names: Sequence[str], paths: Sequence[PathLike] = ()) -> Capture:
+        """Creates a capture of undistorted photos.
+
+        Args:
+            cameras: Cameras of the photos.
+            names: Names of the photos, as in a file.
+            paths: Paths of the photos, if known.
+
+        Example:
+            >>> Capture.from_cameras(cameras, ["1.jpg", "2.jpg"]).save("transforms.json")
+        """
+        structures = native(cameras)
+        if len(names) != len(structures) or len(paths) not in (0, len(structures)):
+            found = f"{len(names)} names and {len(paths)} paths"
+            raise ArgumentError(f"found {found}, expected one for each of {len(structures)} cameras")
+        views, strings = ffi.new("zs_capture_view[]", len(names)), []
+        for index, view in enumerate(views):
+            strings.append(ffi.new("char[]", names[index].encode()))
+            strings.append(ffi.new("char[]", os.fsencode(paths[index])) if paths else ffi.NULL)
+            view.struct_size = ffi.sizeof("zs_capture_view")
+            view.name, view.path, view.camera = *strings[-2:], ffi.addressof(structures, index)
+        return cls(Handle("capture", "zs_capture_create", views, len(views)))
+
+    def save(self, path: PathLike) -> None:
+        """Writes names and cameras of a whole capture as a transforms.json (nerfstudio).
+
+        An existing file is replaced atomically.
+        """
+        if [view.index for view in self._views] != list(range(self._count)):
+            raise ArgumentError(f"found {len(self)} of {self._count} photos, expected a whole capture")
+        call("zs_capture_save", self._handle, os.fsencode(path))
 
     @property
     def cameras(self) -> Cameras:
@@ -245,10 +279,10 @@ class Capture(Sequence[CaptureView]):
         return f"<zipsplat.Capture of {len(self)} photos>"
 
     def _view(self, index: int) -> CaptureView:
-        camera, name, path = structure("camera"), ffi.new("char **"), ffi.new("char **")
-        call("zs_capture_get", self._handle, index, camera, name, path)
-        where = Path(os.fsdecode(ffi.string(path[0]))) if path[0] else None
-        return CaptureView(text(name[0]), where, from_native(camera), index)
+        view = structure("capture_view")
+        call("zs_capture_get_view", self._handle, index, view)
+        where = Path(os.fsdecode(ffi.string(view.path))) if view.path else None
+        return CaptureView(text(view.name), where, from_native(view.camera), index)
 
 
 def from_native(found: Any) -> Camera:

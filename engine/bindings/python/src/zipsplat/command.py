@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Optional
 
+from ._native import warned
 from .errors import CommandError
 
 if TYPE_CHECKING:
@@ -157,7 +158,7 @@ def view(ply: bytes, height: int, cameras: Optional[PathLike]) -> Page:
 
 
 def run(arguments: list[str]) -> Any:
-    """Runs the command and returns its JSON output.
+    """Runs the command and returns its result. Its warnings go to the logger.
 
     It is ZIPSPLAT_COMMAND, else the wheel's, else one on the PATH.
 
@@ -174,7 +175,9 @@ def run(arguments: list[str]) -> Any:
     done = subprocess.run([program, "--json", "--quiet", *arguments], capture_output=True, text=True, check=False)
     if done.returncode:
         raise CommandError(_message(done.stderr) or f"zipsplat {arguments[0]} ended with {done.returncode}")
-    return json.loads(done.stdout)["result"] if done.stdout.strip() else None
+    report = json.loads(done.stdout)
+    warned(report["warnings"])
+    return report["result"]
 
 
 def _message(stderr: str) -> str:

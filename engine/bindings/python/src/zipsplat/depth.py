@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, Optional
+from typing import Any, Literal, Optional, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
-from ._native import Handle, Owner, Told, array_at, call, lib, options, structure
-from ._native import progress as native_progress
+from ._native import Handle, Owner, array_at, call, choose, lib, structure, text, warned
 from .cameras import Camera, PathLike, from_native
 from .cameras import native as native_cameras
 from .device import Device, DeviceLike, opened
 from .errors import ArgumentError
 from .images import CamerasLike, ImagesLike, matched
 from .images import native as native_images
-from .model import PRECISIONS, Precision, Progress, choose, weights_path
+from .model import PRECISIONS, Precision, precision_name, weights_path
+from .progress import Callback, ProgressFunction
 from .scene import Scene
 
 CameraSource = Literal["decoder", "rays"]
@@ -30,16 +30,20 @@ class DepthPrediction:
             shared by all photos of a multi-view network.
         confidence: Same shape, at least 1, from multi-view networks; else None.
         sky: Same shape, at least 0 and above 0.3 for sky, from single-view networks; else None.
-        cameras: Cameras of the whole photos, in a common world; None for unknown ones.
+        cameras: Cameras of the depth maps, which unproject them, in a common world; None for
+            unknown ones.
+        image_cameras: Cameras of the whole photos; None for unknown ones.
     """
 
     def __init__(self, handle: Handle, count: int, device: Device) -> None:
         self._handle, self.device = handle, device
         views = [self._view(index) for index in range(count)]
-        self.depth: npt.NDArray[np.float32] = np.stack([view[0] for view in views])
-        self.confidence: Optional[npt.NDArray[np.float32]] = _stacked([view[1] for view in views])
-        self.sky: Optional[npt.NDArray[np.float32]] = _stacked([view[2] for view in views])
-        self.cameras: list[Optional[Camera]] = [view[3] for view in views]
+        depth, confidence, sky, cameras, image_cameras = zip(*views)
+        self.depth: npt.NDArray[np.float32] = np.stack(depth)
+        self.confidence: Optional[npt.NDArray[np.float32]] = _stacked(confidence)
+        self.sky: Optional[npt.NDArray[np.float32]] = _stacked(sky)
+        self.cameras: list[Optional[Camera]] = list(cameras)
+        self.image_cameras: list[Optional[Camera]] = list(image_cameras)
 
     def to_scene(self, *, max_gaussians_per_patch: Optional[int] = None) -> Scene:
         """Creates a Gaussian per confident pixel, in the cameras' world.
@@ -62,18 +66,19 @@ class DepthPrediction:
         photos, height, width = self.depth.shape
         return f"<zipsplat.DepthPrediction of {photos} photos at {width}x{height}>"
 
-    def _view(self, index: int) -> tuple[Any, Any, Any, Optional[Camera]]:
-        view, camera = structure("depth_view"), structure("camera")
-        call("zs_depth_result_get", self._handle, index, view, camera)
+    def _view(self, index: int) -> tuple[Any, ...]:
+        view = structure("depth_map")
+        call("zs_depth_result_get_map", self._handle, index, view)
         shape = (int(view.height), int(view.width))
-        arrays = [
-            array_at(self._handle, pointer, shape) if pointer else None
-            for pointer in (view.depth, view.confidence, view.sky)
-        ]
-        return arrays[0], arrays[1], arrays[2], from_native(camera) if camera.width else None
+        arrays = (view.depth, view.confidence, view.sky)
+        cameras = (view.camera, view.image_camera)
+        return (
+            *(array_at(self._handle, pointer, shape) if pointer else None for pointer in arrays),
+            *(from_native(pointer) if pointer else None for pointer in cameras),
+        )
 
 
-def _stacked(views: list[Any]) -> Optional[npt.NDArray[np.float32]]:
+def _stacked(views: Sequence[Any]) -> Optional[npt.NDArray[np.float32]]:
     return None if views[0] is None else np.stack(views)
 
 
@@ -82,11 +87,23 @@ class DepthModel(Owner):
 
     Attributes:
         device: Device of the network.
+        is_multi_view: Whether it sees all photos at once and estimates cameras.
+        patch_size: Side of a patch in pixels; sides of maps are multiples of it.
+        precision: Number formats in use: "fp32", "fp16", "bf16" or "int8".
+        weight_bytes: Bytes of weights on the device.
+        warnings: Messages about speed.
     """
 
     def __init__(self, handle: Handle, device: Device) -> None:
         super().__init__(handle)
         self.device = device
+        info = structure("depth_model_info")
+        call("zs_depth_model_get_info", handle, info)
+        self.is_multi_view = bool(info.is_multi_view)
+        self.patch_size: int = info.patch_size
+        self.precision: Precision = precision_name(info.precision)
+        self.weight_bytes: int = info.weight_bytes
+        self.warnings: list[str] = warned(text(info.warnings).splitlines())
 
     @classmethod
     def load(
@@ -95,7 +112,7 @@ class DepthModel(Owner):
         *,
         precision: Precision = "auto",
         device: DeviceLike = None,
-        progress: Optional[Progress] = None,
+        progress: Optional[ProgressFunction] = None,
     ) -> DepthModel:
         """Loads a network onto a device.
 
@@ -104,16 +121,16 @@ class DepthModel(Owner):
                 model.safetensors; or "seeded:NAME" for random weights.
             precision: "auto", "fp32", "fp16", "bf16" or "int8".
             device: The device, as for Device; None for the best.
-            progress: Receives fraction and stage. Returning False raises CancelledError; its
+            progress: Called with the Progress. Returning False raises CancelledError; its
                 exceptions propagate.
 
         Raises:
             NoDeviceError, WeightsError, FormatError, FileError, OutOfMemoryError, ArgumentError.
         """
-        on, told = opened(device), Told(progress)
-        made = options("model", precision=choose("precision", precision, PRECISIONS))
-        made.progress, made.user_data = native_progress, told.handle
-        return cls(Handle("depth_model", "zs_depth_model_load", on._handle, weights_path(weights), made), on)
+        on, callback = opened(device), Callback(progress)
+        number = choose("precision", precision, PRECISIONS)
+        options = structure("depth_model_options", precision=number, **callback.fields)
+        return cls(Handle("depth_model", "zs_depth_model_load", on._handle, weights_path(weights), options), on)
 
     def predict(
         self,
@@ -123,7 +140,7 @@ class DepthModel(Owner):
         input_size: int = 504,
         camera_source: CameraSource = "decoder",
         per_view_focal: bool = False,
-        progress: Optional[Progress] = None,
+        progress: Optional[ProgressFunction] = None,
     ) -> DepthPrediction:
         """Estimates depth of 1 to 192 photos of one place; multi-view networks also cameras.
 
@@ -133,7 +150,7 @@ class DepthModel(Owner):
             input_size: Longer side of the network's input in pixels.
             camera_source: "decoder", or "rays", which also estimates the principal point.
             per_view_focal: Estimates a focal length per photo instead of one per photo size.
-            progress: Receives fraction and stage. Returning False raises CancelledError; its
+            progress: Called with the Progress. Returning False raises CancelledError; its
                 exceptions propagate.
 
         Raises:
@@ -147,21 +164,20 @@ class DepthModel(Owner):
             (12, 378, 504)
         """
         sources, posed, _capture = matched(images, cameras)
-        told = Told(progress)
-        made = options(
-            "depth",
+        callback = Callback(progress)
+        options = structure(
+            "depth_options",
             input_size=input_size,
             camera_source=choose("camera_source", camera_source, _CAMERA_SOURCES),
             per_view_focal=int(per_view_focal),
-            progress=native_progress,
-            user_data=told.handle,
+            **callback.fields,
         )
         kept_cameras: Any = None
         if posed is not None:
             kept_cameras = native_cameras(posed)
-            made.cameras, made.camera_count = kept_cameras, len(posed)
+            options.cameras, options.camera_count = kept_cameras, len(posed)
         photos, _kept = native_images(sources)
-        found = Handle("depth_result", "zs_depth_predict", self._handle, photos, len(sources), made)
+        found = Handle("depth_result", "zs_depth_predict", self._handle, photos, len(sources), options)
         return DepthPrediction(found, len(sources), self.device)
 
     def __repr__(self) -> str:

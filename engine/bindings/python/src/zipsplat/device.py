@@ -9,7 +9,7 @@ import threading
 from dataclasses import dataclass
 from typing import Any, Literal, Optional, Protocol, Union
 
-from ._native import Handle, Owner, call, ffi, lib, options, structure, text
+from ._native import Handle, Owner, call, ffi, lib, structure, text
 from .errors import NoDeviceError
 
 DeviceKind = Literal["discrete", "integrated", "cpu", "other"]
@@ -86,10 +86,10 @@ class Device(Owner):
         validation: Optional[bool] = None,
     ) -> None:
         name = ffi.NULL if device is None else ffi.new("char[]", _selector(str(device)).encode())
-        made = options("device", device=name, max_memory_bytes=max_memory_bytes or 0)
+        options = structure("device_options", device=name, max_memory_bytes=max_memory_bytes or 0)
         if validation is not None:
-            made.validation = int(validation)
-        super().__init__(Handle("device", "zs_device_create", made))
+            options.validation = int(validation)
+        super().__init__(Handle("device", "zs_device_create", options))
 
     @property
     def info(self) -> DeviceInfo:

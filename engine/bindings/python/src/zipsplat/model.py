@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import os
 import re
-from typing import Any, Callable, Literal, Mapping, Optional, Union
+from typing import Any, Literal, Optional, Union
 
 from . import command
-from ._native import NUMBERS, Handle, Owner, Told, call, ffi, lib, options, structure, warned
-from ._native import progress as native_progress
+from ._header import NUMBERS
+from ._native import Handle, Owner, call, choose, ffi, lib, structure, text, warned
 from .cameras import PathLike
 from .cameras import native as native_cameras
 from .device import Device, DeviceLike, opened
 from .errors import ArgumentError
 from .images import CamerasLike, ImagesLike, matched
 from .images import native as native_images
-from .scene import RefineProgress, Scene
+from .progress import Callback, ProgressFunction
+from .reconstruction import Reconstruction
 
-Progress = Callable[[float, str], Optional[bool]]
 Precision = Literal["auto", "fp32", "fp16", "bf16", "int8"]
 TokenSelection = Literal["kmeans", "stride", "random"]
 World = Literal["auto", "first_camera", "input_cameras"]
@@ -39,8 +39,6 @@ _WORLDS = {
     "first_camera": lib.ZS_WORLD_FIRST_CAMERA,
     "input_cameras": lib.ZS_WORLD_INPUT_CAMERAS,
 }
-# Fraction of the progress for reconstruction before a refinement.
-_RECONSTRUCTED = 0.2
 
 
 class Model(Owner):
@@ -66,9 +64,9 @@ class Model(Owner):
         self.patch_size: int = info.patch_size
         self.gaussians_per_token: int = info.gaussians_per_token
         self.sh_degree: int = info.sh_degree
-        self.precision: Precision = next(name for name, number in PRECISIONS.items() if number == info.precision)
+        self.precision: Precision = precision_name(info.precision)
         self.weight_bytes: int = info.weight_bytes
-        self.warnings: list[str] = warned(info.warnings)
+        self.warnings: list[str] = warned(text(info.warnings).splitlines())
 
     @classmethod
     def load(
@@ -77,8 +75,9 @@ class Model(Owner):
         *,
         precision: Precision = "auto",
         variant: Optional[str] = None,
+        tokens: bool = False,
         device: DeviceLike = None,
-        progress: Optional[Progress] = None,
+        progress: Optional[ProgressFunction] = None,
     ) -> Model:
         """Loads a checkpoint onto a device.
 
@@ -87,8 +86,9 @@ class Model(Owner):
                 a safetensors or PyTorch checkpoint; or "seeded:VARIANT" for random weights.
             precision: "auto", "fp32", "fp16", "bf16" or "int8".
             variant: Variant of a checkpoint that does not name its own: "vitg", "vits", ...
+            tokens: Keeps tokens of scenes on the device, for Reconstruction.refine.
             device: The device, as for Device; None for the best.
-            progress: Receives fraction and stage. Returning False raises CancelledError; its
+            progress: Called with the Progress. Returning False raises CancelledError; its
                 exceptions propagate.
 
         Raises:
@@ -97,14 +97,19 @@ class Model(Owner):
         Example:
             >>> model = Model.load("zipsplat", precision="fp16", device="cuda:0")
         """
-        on, told = opened(device), Told(progress)
-        made = options("model", precision=choose("precision", precision, PRECISIONS))
+        on, callback = opened(device), Callback(progress)
         name = ffi.NULL if variant is None else ffi.new("char[]", variant.encode())
-        made.variant, made.progress, made.user_data = name, native_progress, told.handle
+        options = structure(
+            "model_options",
+            precision=choose("precision", precision, PRECISIONS),
+            variant=name,
+            tokens=int(tokens),
+            **callback.fields,
+        )
         if isinstance(weights, (bytes, bytearray, memoryview)):
             data = bytes(weights)
-            return cls(Handle("model", "zs_model_from_memory", on._handle, data, len(data), made), on)
-        return cls(Handle("model", "zs_model_load", on._handle, weights_path(weights), made), on)
+            return cls(Handle("model", "zs_model_from_memory", on._handle, data, len(data), options), on)
+        return cls(Handle("model", "zs_model_load", on._handle, weights_path(weights), options), on)
 
     def reconstruct(
         self,
@@ -112,15 +117,14 @@ class Model(Owner):
         cameras: Optional[CamerasLike] = None,
         *,
         ratio: Union[float, Literal["auto"]] = 1.0,
-        refine: int = 0,
         world: World = "auto",
         scene_scale: Union[float, Literal["auto"]] = "auto",
         token_selection: TokenSelection = "kmeans",
         seed: int = 0,
         kv_pool: int = 1,
         input_size: Optional[tuple[int, int]] = None,
-        progress: Optional[Progress] = None,
-    ) -> Scene:
+        progress: Optional[ProgressFunction] = None,
+    ) -> Reconstruction:
         """Reconstructs a scene from 1 to 192 photos of one place.
 
         Args:
@@ -130,20 +134,19 @@ class Model(Owner):
                 path, with photos matched by name. None if `images` is a Capture.
             ratio: Fraction of tokens that become Gaussians, in (0, 1]; "auto" is
                 0.5 sqrt(2 / photos).
-            refine: Steps of Scene.refine afterwards; they need cameras.
             world: "first_camera" for the first photo's camera space, "input_cameras" for the world
                 of the cameras, "auto" for theirs if known.
             scene_scale: Length in the cameras' unit that the network treats as 1; "auto" estimates
                 it from the capture's points or the cameras.
             token_selection: Selection of kept tokens: "kmeans" as in the paper, "stride" or
                 "random".
-            seed: Seed of "random" and of a refinement's photo order.
+            seed: Seed of "random".
             kv_pool: Pooling for many photos: cross-view attention reads means of kv_pool x kv_pool
                 patches, 1 to 4. Larger values are faster and less exact.
             input_size: Width and height of the network's input, multiples of `patch_size`; photos
                 are center-cropped. None for the model's own.
-            progress: Receives fraction and stage. Returning False raises CancelledError, or ends a
-                refinement early with its best scene. Its exceptions propagate.
+            progress: Called with the Progress. Returning False raises CancelledError; its
+                exceptions propagate.
 
         Raises:
             ArgumentError: an argument is invalid.
@@ -152,15 +155,13 @@ class Model(Owner):
 
         Example:
             >>> scene = model.reconstruct("photos/", ratio=0.5)
-            >>> posed = model.reconstruct(Capture.open("capture/"), refine=200)
+            >>> capture = Capture.open("capture/")
+            >>> refined = model.reconstruct(capture).refine(capture, steps=200)
         """
         sources, posed, capture = matched(images, cameras)
-        if refine and posed is None:
-            raise ArgumentError("refine: found no cameras, expected one per image, as from zipsplat.estimate_cameras")
-        share = _RECONSTRUCTED if refine else 1.0
-        told = Told(None if progress is None else lambda done, stage: progress(share * done, stage))
-        made = options(
-            "reconstruct",
+        callback = Callback(progress)
+        options = structure(
+            "reconstruct_options",
             world=choose("world", world, _WORLDS),
             ratio=NUMBERS["ZS_RATIO_AUTO"] if ratio == "auto" else float(ratio),
             scene_scale=NUMBERS["ZS_SCENE_SCALE_AUTO"] if scene_scale == "auto" else float(scene_scale),
@@ -168,8 +169,7 @@ class Model(Owner):
             input_size=input_size or (0, 0),
             seed=seed,
             kv_pool=kv_pool,
-            progress=native_progress,
-            user_data=told.handle,
+            **callback.fields,
         )
         for name, value in (("ratio", ratio), ("scene_scale", scene_scale)):
             if value != "auto" and float(value) <= 0:
@@ -177,32 +177,20 @@ class Model(Owner):
         kept_cameras: Any = None
         if posed is not None:
             kept_cameras = native_cameras(posed)
-            made.cameras, made.camera_count = kept_cameras, len(posed)
+            options.cameras, options.camera_count = kept_cameras, len(posed)
         if capture is not None:
-            made.capture = capture._handle.pointer
-        photos, kept = native_images(sources)
-        scene = Scene(Handle("scene", "zs_reconstruct", self._handle, photos, len(sources), made), self.device)
-        if not refine or posed is None:
-            return scene
-        tell = None if progress is None else _refining_as(progress)
-        where = posed.relative_to(posed[0]) if world == "first_camera" else posed
-        return scene.refine(kept, where, steps=refine, seed=seed, progress=tell, device=self.device)
+            options.capture = capture._handle.pointer
+        photos, _kept = native_images(sources)
+        found = Handle("reconstruction", "zs_reconstruct", self._handle, photos, len(sources), options)
+        return Reconstruction(found, self.device)
 
     def __repr__(self) -> str:
         return f"<zipsplat.Model of {self.image_size}x{self.image_size} pictures on {self.device.info.name}>"
 
 
-def _refining_as(progress: Progress) -> Callable[[RefineProgress], Optional[bool]]:
-    def tell(now: RefineProgress) -> Optional[bool]:
-        return progress(_RECONSTRUCTED + (1 - _RECONSTRUCTED) * now.step / max(now.steps, 1), "refine")
-
-    return tell
-
-
-def choose(name: str, found: str, names: Mapping[Any, int]) -> int:
-    if found not in names:
-        raise ArgumentError(f"{name}: found {found!r}, expected one of {', '.join(map(repr, names))}")
-    return names[found]
+def precision_name(number: int) -> Precision:
+    """Returns the name of a precision of the library."""
+    return next(name for name, value in PRECISIONS.items() if value == number)
 
 
 def weights_path(weights: PathLike) -> bytes:

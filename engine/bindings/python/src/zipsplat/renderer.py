@@ -8,7 +8,7 @@ from typing import Any, Iterable, Literal, Optional, Sequence, Union
 import numpy as np
 import numpy.typing as npt
 
-from ._native import Handle, Owner, call, ffi, lib, options
+from ._native import Handle, Owner, call, lib, structure, structures
 from .cameras import Camera, native
 from .device import DeviceLike, opened
 from .errors import ArgumentError, ArgumentTypeError
@@ -26,11 +26,14 @@ class RenderOutput:
         rgb: [C, height, width, 3] over the background: uint8, clamped and truncated, or float32.
         alpha: [C, height, width] float32 from 0 to 1, if requested.
         depth: [C, height, width] float32 along the camera's z axis in world units, if requested.
+        normals: [C, height, width, 3] float32 unit vectors in the world, toward the camera, 0 where
+            empty, if requested.
     """
 
     rgb: npt.NDArray[Any]
     alpha: Optional[npt.NDArray[np.float32]] = None
     depth: Optional[npt.NDArray[np.float32]] = None
+    normals: Optional[npt.NDArray[np.float32]] = None
 
 
 class Renderer(Owner):
@@ -61,6 +64,7 @@ class Renderer(Owner):
         *,
         alpha: bool = False,
         depth: Optional[DepthMode] = None,
+        normals: bool = False,
         background: Sequence[float] = (0.0, 0.0, 0.0),
         antialiased: bool = False,
         dtype: npt.DTypeLike = np.uint8,
@@ -72,6 +76,7 @@ class Renderer(Owner):
             alpha: Whether to return alpha.
             depth: "expected", blended depth over alpha, 0 where empty; "accumulated", the sum of
                 depth times blending weight; or None.
+            normals: Whether to return normals.
             background: Background as red, green, blue, from 0 to 1.
             antialiased: Fades Gaussians thinner than a pixel (Mip-Splatting), for scenes trained
                 that way.
@@ -98,28 +103,15 @@ class Renderer(Owner):
         rgb = np.empty((*shape, 3), kind)
         alphas = np.empty(shape, np.float32) if alpha else None
         depths = np.empty(shape, np.float32) if depth else None
-        how = options(
-            "render",
+        normals_ = np.empty((*shape, 3), np.float32) if normals else None
+        options = structure(
+            "render_options",
             format=lib.ZS_PIXEL_RGB8 if kind == np.uint8 else lib.ZS_PIXEL_RGB_F32,
             depth=_DEPTHS[depth or "expected"],
             antialiased=int(antialiased),
             background=[float(value) for value in background],
         )
-        to = render_buffers(rgb, alphas, depths)
-        call("zs_render", self._handle, native(views), to, len(views), how)
-        planes = [None if plane is None else plane[0] if single else plane for plane in (rgb, alphas, depths)]
+        arrays = {"pixels": rgb, "alpha": alphas, "depth": depths, "normals": normals_}
+        call("zs_render", self._handle, native(views), structures("render_buffers", **arrays), len(views), options)
+        planes = [None if array is None else array[0] if single else array for array in arrays.values()]
         return RenderOutput(*planes)  # type: ignore[arg-type]
-
-
-def render_buffers(
-    rgb: Optional[npt.NDArray[Any]], alpha: Optional[npt.NDArray[Any]], depth: Optional[npt.NDArray[Any]]
-) -> Any:
-    """Describes contiguous output arrays, with cameras as the first axis, for the library."""
-    planes = (("pixels", "void *", rgb), ("alpha", "float *", alpha), ("depth", "float *", depth))
-    found = [(name, kind, plane) for name, kind, plane in planes if plane is not None]
-    out = ffi.new("zs_render_buffers[]", len(found[0][2]) if found else 0)
-    for i, to in enumerate(out):
-        to.struct_size = ffi.sizeof("zs_render_buffers")
-        for name, kind, plane in found:
-            setattr(to, name, ffi.cast(kind, plane[i].ctypes.data))
-    return out

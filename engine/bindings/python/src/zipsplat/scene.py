@@ -6,19 +6,20 @@ import html
 import math
 import os
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Callable, Literal, Mapping, Optional, Sequence, Union
+from typing import TYPE_CHECKING, Any, Literal, Mapping, Optional, Sequence, Union
 
 import numpy as np
 import numpy.typing as npt
 
 from . import command
-from ._native import Handle, Told, array_at, call, ffi, lib, options, refine_progress, structure
-from .cameras import Camera, PathLike
+from ._native import Handle, array_at, call, choose, ffi, lib, structure
+from .cameras import Camera, Cameras, PathLike, from_native
 from .cameras import native as native_cameras
 from .device import Device, DeviceLike, TorchDevice, opened
 from .errors import ArgumentError
 from .images import CamerasLike, ImagesLike, matched
 from .images import native as native_images
+from .progress import Callback, ProgressFunction
 
 if TYPE_CHECKING:
     import torch
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float32]
 Format = Literal["ply", "spz", "splat", "gltf", "glb"]
 SpzVersion = Literal[2, 3, 4]
+RefineTarget = Literal["gaussians", "tokens"]
 StopReason = Literal["finished", "stopped", "diverged"]
 FIELDS = ("means", "scales", "quats", "opacities", "sh_coeffs")
 _STOP_REASONS: dict[int, StopReason] = {
@@ -35,6 +37,7 @@ _STOP_REASONS: dict[int, StopReason] = {
     lib.ZS_STOP_REASON_STOPPED: "stopped",
     lib.ZS_STOP_REASON_DIVERGED: "diverged",
 }
+_REFINE_TARGETS = {"gaussians": lib.ZS_REFINE_TARGET_GAUSSIANS, "tokens": lib.ZS_REFINE_TARGET_TOKENS}
 # Least scale and distance of opacities from 0 and 1 with finite logarithms, in float32.
 _LEAST_SCALE, _LEAST_OPACITY = 1e-30, 1e-7
 
@@ -52,6 +55,10 @@ class RefineResult:
         initial_psnr: PSNR in dB of the held-out photos before the first step; NaN without any.
         best_psnr: The same with the returned scene.
         seconds: Duration in seconds.
+        initial_training_psnr: Mean PSNR in dB of up to 16 full-size training photos before the
+            first step.
+        best_training_psnr: The same with the returned scene.
+        cameras: Cameras of all photos, as optimized.
     """
 
     stop_reason: StopReason
@@ -62,25 +69,9 @@ class RefineResult:
     initial_psnr: float
     best_psnr: float
     seconds: float
-
-
-@dataclass(frozen=True)
-class RefineProgress:
-    """Progress of a refinement.
-
-    Attributes:
-        step: Completed steps.
-        steps: Total steps.
-        loss: Mean loss over the last step's photos.
-        psnr: Latest PSNR in dB of the held-out photos; NaN without any.
-        eta_seconds: Estimated seconds left.
-    """
-
-    step: int
-    steps: int
-    loss: float
-    psnr: float
-    eta_seconds: float
+    initial_training_psnr: float
+    best_training_psnr: float
+    cameras: Cameras
 
 
 class Scene:
@@ -127,9 +118,8 @@ class Scene:
             drop_invalid: Drops Gaussians with NaN, infinite or out-of-range values instead of
                 rejecting the file.
         """
-        if drop_invalid:
-            return cls(Handle("scene", "zs_scene_open_dropping_invalid", os.fsencode(path), ffi.NULL))
-        return cls(Handle("scene", "zs_scene_open", os.fsencode(path)))
+        options = structure("scene_open_options", drop_invalid=int(drop_invalid))
+        return cls(Handle("scene", "zs_scene_open", os.fsencode(path), options))
 
     @classmethod
     def from_bytes(cls, data: bytes, format: Optional[Format] = None, *, drop_invalid: bool = False) -> Scene:
@@ -137,8 +127,9 @@ class Scene:
 
         PLY, SPZ and .glb are recognized by content; `format` is "splat" or "gltf" otherwise.
         """
-        dropped = ffi.new("uint64_t *") if drop_invalid else ffi.NULL
-        return cls(Handle("scene", "zs_scene_from_memory", data, len(data), _name(format), dropped))
+        name = _name(format)
+        options = structure("scene_open_options", drop_invalid=int(drop_invalid), format=name)
+        return cls(Handle("scene", "zs_scene_from_memory", data, len(data), options))
 
     @classmethod
     def from_arrays(
@@ -220,12 +211,12 @@ class Scene:
             path: The file.
             spz_version: SPZ version: 2, 3 or 4.
         """
-        call("zs_scene_save", self._handle, os.fsencode(path), options("scene_save", spz_version=spz_version))
+        call("zs_scene_save", self._handle, os.fsencode(path), structure("scene_save_options", spz_version=spz_version))
 
     def to_bytes(self, format: Format, *, spz_version: SpzVersion = 3) -> bytes:
         """Encodes the scene as "ply", "spz", "splat", "gltf" or "glb"."""
-        made = options("scene_save", spz_version=spz_version)
-        found = Handle("blob", "zs_scene_to_memory", self._handle, _name(format), made)
+        options = structure("scene_save_options", spz_version=spz_version)
+        found = Handle("blob", "zs_scene_to_memory", self._handle, _name(format), options)
         data, size = ffi.new("void **"), ffi.new("size_t *")
         call("zs_blob_get", found, data, size)
         return bytes(ffi.buffer(data[0], size[0]))
@@ -240,7 +231,11 @@ class Scene:
         holdout_views: Union[int, Literal["auto"]] = "auto",
         max_image_size: Optional[tuple[int, int]] = (1600, 1600),
         seed: int = 0,
-        progress: Optional[Callable[[RefineProgress], Optional[bool]]] = None,
+        optimize_cameras: bool = False,
+        max_gaussians: Union[int, Literal["auto"]] = "auto",
+        perceptual_weight: float = 0.0,
+        target: RefineTarget = "gaussians",
+        progress: Optional[ProgressFunction] = None,
         device: DeviceLike = None,
     ) -> Scene:
         """Returns a copy of the scene, optimized to match photos.
@@ -255,7 +250,13 @@ class Scene:
             max_image_size: Limits of a photo's width and height; larger ones are downscaled. None
                 for full size.
             seed: Seed of the photo order.
-            progress: Called after each step. Returning False ends the refinement with its best
+            optimize_cameras: Whether to optimize the training photos' cameras, except the first.
+            max_gaussians: Final number of Gaussians; at most the scene's number: no growth. "auto"
+                grows from 300 steps on, depending on the photos' pixels.
+            perceptual_weight: Weight of the LPIPS (VGG) distance in the loss, whose weights
+                tools/lpips.py of a checkout fetches.
+            target: "gaussians", or "tokens" of a Reconstruction of a model with `tokens`.
+            progress: Called with the Progress after each step. Returning False ends the refinement with its best
                 scene. Its exceptions propagate.
             device: The device, as for Device; None for the scene's own or the best.
 
@@ -272,20 +273,31 @@ class Scene:
             raise ArgumentError("cameras: found none, expected one per image, as from zipsplat.estimate_cameras")
         on = opened(self._device if device is None else device)
         photos, _kept = native_images(sources)
-        told = Told(None if progress is None else lambda now: progress(_refining(now)))
-        made = options(
-            "refine",
+        callback = Callback(progress)
+        moved = native_cameras(posed)
+        options = structure(
+            "refine_options",
             steps=steps,
             views_per_step=views_per_step,
             holdout_views=0 if holdout_views == "auto" else int(holdout_views) or lib.ZS_HOLDOUT_VIEWS_NONE,
             max_image_size=max_image_size or (2**32 - 1,) * 2,
             seed=seed,
-            progress=refine_progress,
-            user_data=told.handle,
+            optimize_cameras=int(optimize_cameras),
+            max_gaussians=0 if max_gaussians == "auto" else max(max_gaussians, 1),
+            perceptual_weight=perceptual_weight,
+            target=choose("target", target, _REFINE_TARGETS),
+            **callback.fields,
         )
-        info = structure("refine_result")
-        arguments = (on._handle, self._handle, photos, native_cameras(posed), len(sources), made, info)
-        return Scene(Handle("scene", "zs_refine", *arguments), on, _refinement(info))
+        result = structure("refine_result", cameras=moved)
+        function, *owners = self._refined(on, target)
+        arguments = (*owners, photos, native_cameras(posed), len(sources), options, result)
+        return Scene(Handle("scene", function, *arguments), on, _refinement(result, moved))
+
+    def _refined(self, device: Device, target: RefineTarget) -> tuple[Any, ...]:
+        """Returns the library's function of a refinement and its first arguments."""
+        if target == "tokens":
+            raise ArgumentError("target: found 'tokens' of a scene without any, expected 'gaussians'")
+        return "zs_refine_scene", device._handle, self._handle
 
     def render(
         self,
@@ -293,6 +305,7 @@ class Scene:
         *,
         alpha: bool = False,
         depth: Optional[DepthMode] = None,
+        normals: bool = False,
         background: Sequence[float] = (0.0, 0.0, 0.0),
         antialiased: bool = False,
         dtype: npt.DTypeLike = np.uint8,
@@ -302,7 +315,13 @@ class Scene:
 
         with Renderer(self) as renderer:
             return renderer.render(
-                cameras, alpha=alpha, depth=depth, background=background, antialiased=antialiased, dtype=dtype
+                cameras,
+                alpha=alpha,
+                depth=depth,
+                normals=normals,
+                background=background,
+                antialiased=antialiased,
+                dtype=dtype,
             )
 
     def show(self, height: int = 600, *, cameras: Optional[PathLike] = None) -> command.Page:
@@ -339,11 +358,7 @@ def _name(format: Optional[str]) -> Any:
     return ffi.NULL if format is None else ffi.new("char[]", format.encode())
 
 
-def _refining(now: Any) -> RefineProgress:
-    return RefineProgress(now.step, now.steps, now.loss, now.psnr, now.eta_seconds)
-
-
-def _refinement(info: Any) -> RefineResult:
+def _refinement(info: Any, cameras: Any) -> RefineResult:
     return RefineResult(
         stop_reason=_STOP_REASONS[info.stop_reason],
         steps=info.steps,
@@ -353,6 +368,9 @@ def _refinement(info: Any) -> RefineResult:
         initial_psnr=info.initial_psnr,
         best_psnr=info.best_psnr,
         seconds=info.seconds,
+        initial_training_psnr=info.initial_training_psnr,
+        best_training_psnr=info.best_training_psnr,
+        cameras=Cameras(map(from_native, cameras)),
     )
 
 

@@ -228,7 +228,9 @@ pub(super) mod tests {
 
     #[test]
     fn the_table_has_a_row_a_point() {
-        let table = crate::outputs::csv(&[point(1.0, 2.0), point(3.0, 4.0)]);
+        let file = tempfile::NamedTempFile::new().expect("a file");
+        crate::outputs::save_csv(file.path(), &[point(1.0, 2.0), point(3.0, 4.0)]).expect("written");
+        let table = std::fs::read_to_string(file.path()).expect("a table");
         let lines: Vec<&str> = table.lines().collect();
         assert_eq!(lines.len(), 3);
         let columns = lines[0].split(',').count();
