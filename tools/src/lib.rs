@@ -106,7 +106,10 @@ fn short_help(command: clap::Command) -> clap::Command {
 fn shortened(arg: clap::Arg) -> clap::Arg {
     let Some(long) = arg.get_long_help().or(arg.get_help()).map(ToString::to_string) else { return arg };
     let ends = [". ", "; ", ": ", " ["].into_iter().flat_map(|end| long.match_indices(end)).map(|(at, _)| at);
-    let end = ends.filter(|at| *at > SHORTEST_CLAUSE).min().unwrap_or(long.len());
+    let count = |at: usize, bracket: char| long[..at].matches(bracket).count();
+    let is_whole =
+        |at: &usize| *at > SHORTEST_CLAUSE && count(*at, '(') <= count(*at, ')') && count(*at, '[') <= count(*at, ']');
+    let end = ends.filter(is_whole).min().unwrap_or(long.len());
     arg.help(long[..end].to_owned()).long_help(long)
 }
 

@@ -22,8 +22,8 @@ use zipsplat::{
     gpu::{Device, Profile, ProfileRow},
 };
 
-/// Times of the network, depth, matrix products, rendering, refinement and alignment; device
-/// limits; accuracy against time
+/// Times of the network, depth, matrix products, rendering and refinement; device limits;
+/// accuracy against time
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat bench forward --weights seeded:vits --views 2,4,8 --ratio 1,auto

@@ -122,19 +122,19 @@ pub struct Reconstruct {
     limit: Option<usize>,
     /// Print the memory plan and stop; without a device, for an ordinary one. Without photos,
     /// --views gives their number. --explain lists every tensor
-    #[arg(long, conflicts_with = "each")]
+    #[arg(long, help_heading = None::<&'static str>, conflicts_with = "each")]
     dry_run: bool,
     /// Also print the stages, with time and bytes, and skipped stages with reasons
-    #[arg(long)]
+    #[arg(long, help_heading = None::<&'static str>)]
     explain: bool,
     #[command(flatten, next_help_heading = REFINEMENT)]
     refine: RefineArgs,
     /// Also draw the scene into a folder, as zipsplat render does
-    #[arg(long, value_name = "FOLDER")]
+    #[arg(long, help_heading = None::<&'static str>, value_name = "FOLDER")]
     pictures: Option<PathBuf>,
     /// Options of zipsplat render for --pictures, after -- [default: --spline through the cameras
     /// of a file, else --wiggle]
-    #[arg(last = true, value_name = "RENDER OPTIONS", requires = "pictures")]
+    #[arg(last = true, help_heading = None::<&'static str>, value_name = "RENDER OPTIONS", requires = "pictures")]
     drawing: Vec<String>,
 }
 
