@@ -238,6 +238,8 @@ def test_invalid_arguments_raise(model: zipsplat.Model, photos: list[Path], capt
         ([picture], {"cameras": empty}, zipsplat.ArgumentError, "transforms.json"),
         ([picture], {"cameras": capture}, TypeError, "paths"),
     ]
+    with pytest.raises(zipsplat.FileError, match="none: No such file"):
+        zipsplat.list_images(tmp_path / "none")
     for images, options, error, words in cases:
         with pytest.raises(error, match=words):
             model.reconstruct(images, **options)  # type: ignore[arg-type]
