@@ -204,6 +204,8 @@ def test_progress_functions_stop_and_raise(model: zipsplat.Model, photos: list[P
     opened = zipsplat.Capture.open(capture)
     place = zipsplat.Scene.open(capture / "place.ply")
     scene = zipsplat.Scene.from_arrays(place.means, place.scales, place.quats, place.opacities, place.sh_coeffs + 0.3)
+    with pytest.raises(zipsplat.ArgumentError, match="steps: found 0"):
+        scene.refine(opened, steps=0)
     best = scene.refine(opened, steps=9, progress=lambda now: now.step < 2)
     assert best.refinement is not None and (best.refinement.stop_reason, best.refinement.steps) == ("stopped", 2)
     with pytest.raises(KeyError, match="mine"):
@@ -233,6 +235,10 @@ def test_invalid_arguments_raise(model: zipsplat.Model, photos: list[Path], capt
         ([picture], {"world": "mine"}, ValueError, "first_camera"),
         ([picture], {"world": "input_cameras"}, zipsplat.ArgumentError, "world"),
         ([picture], {"input_size": (15, 14)}, zipsplat.ArgumentError, "size of the views"),
+        ([picture], {"kv_pool": 0}, ValueError, "kv_pool: found 0"),
+        ([picture], {"input_size": (0, 70)}, ValueError, "input_size: found 0"),
+        ([picture], {"seed": -1}, ValueError, "seed: found -1"),
+        ([picture], {"seed": "a"}, zipsplat.ArgumentTypeError, "seed: found 'a'"),
         ([picture], {"cameras": [camera, camera]}, ValueError, "found 2 cameras"),
         ([picture], {"cameras": [np.eye(4)]}, TypeError, "ndarray"),
         ([picture], {"cameras": empty}, zipsplat.ArgumentError, "transforms.json"),

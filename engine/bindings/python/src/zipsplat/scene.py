@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import command
-from ._native import Handle, array_at, call, choose, ffi, lib, structure
+from ._native import Handle, array_at, call, choose, ffi, lib, positive, structure
 from .cameras import Camera, Cameras, PathLike, from_native
 from .cameras import native as native_cameras
 from .device import Device, DeviceLike, TorchDevice, opened
@@ -287,8 +287,8 @@ class Scene:
             perceptual_weight: Weight of the LPIPS (VGG) distance in the loss, whose weights
                 tools/lpips.py of a checkout fetches.
             target: "gaussians", or "tokens" of a Reconstruction of a model with `tokens`.
-            progress: Called with the Progress after each step. Returning False ends the refinement with its best
-                scene. Its exceptions propagate.
+            progress: Called with the Progress after each step. Returning False ends the refinement
+                with its best scene. Its exceptions propagate.
             device: The device, as for Device; None for the scene's own or the best.
 
         Returns:
@@ -305,13 +305,13 @@ class Scene:
         on = opened(self._device if device is None else device)
         photos, _kept = native_images(sources)
         callback = Callback(progress)
-        moved = native_cameras(posed)
+        refined_cameras = native_cameras(posed)
         options = structure(
             "refine_options",
-            steps=steps,
-            views_per_step=views_per_step,
+            steps=positive("steps", steps),
+            views_per_step=positive("views_per_step", views_per_step),
             holdout_views=0 if holdout_views == "auto" else int(holdout_views) or lib.ZS_HOLDOUT_VIEWS_NONE,
-            max_image_size=max_image_size or (2**32 - 1,) * 2,
+            max_image_size=[positive("max_image_size", side) for side in max_image_size or (2**32 - 1,) * 2],
             seed=seed,
             optimize_cameras=int(optimize_cameras),
             max_gaussians=0 if max_gaussians == "auto" else max(max_gaussians, 1),
@@ -319,10 +319,10 @@ class Scene:
             target=choose("target", target, _REFINE_TARGETS),
             **callback.fields,
         )
-        result = structure("refine_result", cameras=moved)
+        result = structure("refine_result", cameras=refined_cameras)
         function, *owners = self._refined(on, target)
         arguments = (*owners, photos, native_cameras(posed), len(sources), options, result)
-        return Scene(Handle("scene", function, *arguments), on, _refinement(result, moved))
+        return Scene(Handle("scene", function, *arguments), on, _refinement(result, refined_cameras))
 
     def _refined(self, device: Device, target: RefineTarget) -> tuple[Any, ...]:
         """Returns the library's function of a refinement and its first arguments."""
