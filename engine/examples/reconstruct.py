@@ -1,10 +1,10 @@
 """reconstruct.c with ctypes and NumPy, without a build.
 
 usage: ZIPSPLAT_LIBRARY=/prefix/lib/libzipsplat.so python3 reconstruct.py MODEL scene.ply
-           picture.png PHOTO...
+           image.png PHOTO...
 MODEL: builtin, a checkpoint, or seeded:vits
 
-Pictures are arrays [height, width, channels] of uint8 or float32, Gaussians arrays of float32.
+Images are arrays [height, width, channels] of uint8 or float32, Gaussians arrays of float32.
 """
 
 import ctypes
@@ -38,7 +38,7 @@ class Camera(Sized):
                       translation=3 * f64)
 
 
-class Picture(Sized):
+class RenderBuffers(Sized):
     _fields_ = fields(reserved=u32, stride=i64, pixels=pointer, alpha=pointer, depth=pointer, normals=pointer)
 
 
@@ -84,37 +84,38 @@ def copied(address, kind, *shape):
     return np.ctypeslib.as_array(ctypes.cast(address, ctypes.POINTER(kind)), shape).copy()
 
 
-def photo(path):
-    """Reads a picture as an array [height, width, 3] of uint8."""
+def load_image(path):
+    """Reads a photo as an array [height, width, 3] of uint8."""
     opened, image = Object("image_buffer", "zs_image_buffer_open", os.fsencode(path)), Image()
     call("zs_image_buffer_get_image", opened.handle, ctypes.byref(image))
     return copied(image.pixels, ctypes.c_uint8, image.height, image.width, 3)
 
 
-def reconstruct(model, pictures, ratio=1.0):
-    pictures = [np.ascontiguousarray(p, np.uint8 if p.dtype == np.uint8 else np.float32) for p in pictures]
-    images = (Image * len(pictures))(*(
-        Image(format=RGB8 if p.dtype == np.uint8 else RGB_F32, width=p.shape[1], height=p.shape[0], pixels=p.ctypes.data)
-        for p in pictures))
+def reconstruct(model, arrays, ratio=1.0):
+    """Returns the scene of photos."""
+    arrays = [np.ascontiguousarray(a, np.uint8 if a.dtype == np.uint8 else np.float32) for a in arrays]
+    images = (Image * len(arrays))(*(
+        Image(format=RGB8 if a.dtype == np.uint8 else RGB_F32, width=a.shape[1], height=a.shape[0], pixels=a.ctypes.data)
+        for a in arrays))
     options = ReconstructOptions(ratio=ratio)
-    count = ctypes.c_size_t(len(pictures))
+    count = size(len(arrays))
     made = Object("reconstruction", "zs_reconstruct", model.handle, images, count, ctypes.byref(options))
     return Object("scene", "zs_reconstruction_to_scene", made.handle)
 
 
-def draw(device, scene, side):
-    """Draws RGBA [side, side, 4] uint8 from the origin, with a field of view of 60 degrees."""
+def render(device, scene, side):
+    """Renders RGBA [side, side, 4] uint8 from the origin, with a field of view of 60 degrees."""
     focal, identity = 0.866 * side, (9 * f64)(1, 0, 0, 0, 1, 0, 0, 0, 1)
     camera = Camera(width=side, height=side, fx=focal, fy=focal, cx=side / 2, cy=side / 2, rotation=identity)
     pixels = np.empty((side, side, 4), np.uint8)
-    picture = Picture(pixels=pixels.ctypes.data)
+    buffers = RenderBuffers(pixels=pixels.ctypes.data)
     renderer = Object("renderer", "zs_renderer_create", device.handle, scene.handle)
-    call("zs_render", renderer.handle, ctypes.byref(camera), ctypes.byref(picture), ctypes.c_size_t(1), None)
+    call("zs_render", renderer.handle, ctypes.byref(camera), ctypes.byref(buffers), size(1), None)
     return pixels
 
 
-def save(pixels, path):
-    """Writes a drawn picture as PNG."""
+def save_image(pixels, path):
+    """Writes a rendered image as PNG."""
     height, width, _ = pixels.shape
     image = Image(format=RGBA8, width=width, height=height, pixels=pixels.ctypes.data)
     call("zs_image_save_png", ctypes.byref(image), os.fsencode(path))
@@ -132,11 +133,11 @@ def gaussians(scene):
 if __name__ == "__main__":
     if len(sys.argv) < 5:
         sys.exit(__doc__)
-    model_path, scene_path, picture_path, *photo_paths = sys.argv[1:]
+    model_path, scene_path, image_path, *photo_paths = sys.argv[1:]
     device = Object("device", "zs_device_create", None)
     model = Object("model", "zs_model_load", device.handle, os.fsencode(model_path), None)
-    scene = reconstruct(model, [photo(path) for path in photo_paths])
+    scene = reconstruct(model, [load_image(path) for path in photo_paths])
     call("zs_scene_save", scene.handle, os.fsencode(scene_path), None)
-    save(draw(device, scene, 256), picture_path)
+    save_image(render(device, scene, 256), image_path)
     for name, array in gaussians(scene).items():
         print(f"{name:10} {str(array.shape):14} from {array.min():.3f} to {array.max():.3f}")

@@ -203,9 +203,9 @@ fn photos_seen_by_themselves_need_cameras_and_points() {
         let values = safetensors::SafeTensors::deserialize(&bytes).unwrap().tensor("depth").unwrap().data().to_vec();
         f32::from_le_bytes(*values.first_chunk().unwrap())
     };
-    let (plain, metres) = (depth(""), depth("--cameras @/place/transforms.json --metric"));
+    let (plain, meters) = (depth(""), depth("--cameras @/place/transforms.json --metric"));
     let focal = first.intrinsics.fx;
-    assert!((f64::from(metres / plain) - focal / 300.0).abs() < 1e-5, "{metres} {plain} {focal}");
+    assert!((f64::from(meters / plain) - focal / 300.0).abs() < 1e-5, "{meters} {plain} {focal}");
     let of_all =
         format!("depth @/place/images {WEIGHTS} --input-size 42 -o @/all --cameras @/place/transforms.json --metric");
     folder.run(&of_all).fails(3, &["--metric", "da3-micro"]);

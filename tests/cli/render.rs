@@ -90,8 +90,8 @@ fn colors_have_several_spellings() {
         contents(&folder, "out")
     };
     let aqua = draw("0,1,1");
-    assert!(aqua == draw("#00ffff") && aqua == draw("aqua"), "the same colour");
-    assert!(aqua != draw("teal") && draw("#fff") == draw("White"), "the same colour");
+    assert!(aqua == draw("#00ffff") && aqua == draw("aqua"), "the same color");
+    assert!(aqua != draw("teal") && draw("#fff") == draw("White"), "the same color");
     let line = "render @/scene.ply --orbit -o @/out --background";
     let refused = folder.run(&format!("{line} #ffff"));
     assert!(refused.code == 2 && refused.err.contains("'#ffffff'") && refused.err.contains("teal"), "{}", refused.err);
@@ -272,7 +272,7 @@ fn normals_and_tokens_are_written_where_asked() {
         let picture = image::open(folder.path(name)).expect("a picture").to_rgb8();
         assert_eq!(picture.dimensions(), (48, 32));
         let colors: std::collections::BTreeSet<_> = picture.pixels().map(|pixel| pixel.0).collect();
-        assert!(colors.len() > 20, "{name}: {} colours", colors.len());
+        assert!(colors.len() > 20, "{name}: {} colors", colors.len());
     }
     folder.run("render @/scene.ply --wiggle --normals --video @/out.gif").fails(3, &["--normals", "-o FOLDER"]);
 }

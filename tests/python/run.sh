@@ -26,7 +26,7 @@ if [[ ! -x $environment/bin/python ]]; then
     exit 0
   }
 fi
-wheel=$("$root/engine/bindings/python/build.sh" "$cache/python/wheels" | tail -n 1)
+wheel=$(env -u ZIPSPLAT_COMMAND "$root/engine/bindings/python/build.sh" "$cache/python/wheels" | tail -n 1)
 unset ZIPSPLAT_LIBRARY
 [[ -z ${TORCH:-} ]] || "$environment/bin/python" -c 'import torch, gsplat' 2> /dev/null ||
   "$environment/bin/python" -m pip install -q torch gsplat

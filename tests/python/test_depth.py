@@ -54,7 +54,7 @@ def test_depth_cameras_and_scene_of_photos(depth_model: zipsplat.DepthModel, pho
     assert depth.shape == found.depth.shape and not np.array_equal(depth, found.depth)
 
 
-def test_what_cannot_be_used_is_said(depth_model: zipsplat.DepthModel, photos: list[Path]) -> None:
+def test_invalid_arguments_raise(depth_model: zipsplat.DepthModel, photos: list[Path]) -> None:
     with pytest.raises(zipsplat.ArgumentError, match="da3-small"):
         zipsplat.DepthModel.load("seeded:vits")
     with pytest.raises(ValueError, match="decoder"):

@@ -46,7 +46,7 @@ def of_pose(d_view: np.ndarray, view: np.ndarray) -> np.ndarray:
 
 @pytest.mark.skipif(not RASTERS, reason="no goldens")
 @pytest.mark.parametrize("path", RASTERS, ids=lambda path: path.name.split(".")[1])
-def test_pictures_and_gradients_are_the_goldens(path: Path) -> None:
+def test_images_and_gradients_match_goldens(path: Path) -> None:
     golden = tensors(path)
     width, height = (int(size) for size in golden["size_wh"])
     degree = int(np.sqrt(golden["sh"].shape[1])) - 1
@@ -115,7 +115,7 @@ def test_channels_are_any_number_and_any_sign() -> None:
     assert np.allclose(more[..., 5:] * alphas, depth, atol=1e-4)
 
 
-def test_what_is_not_there_is_named() -> None:
+def test_unsupported_and_invalid_arguments_raise() -> None:
     fields = place()
     for options in [
         {"eps2d": 0.1},
@@ -255,7 +255,7 @@ def reference(fields: dict[str, Any], width: int, height: int) -> tuple[Any, Any
     return torch.stack(pictures), torch.stack(alphas)[..., None], meta
 
 
-def test_tensors_give_gsplats_pictures_and_gradients() -> None:
+def test_tensors_match_gsplats_images_and_gradients() -> None:
     torch = pytest.importorskip("torch")
     pytest.importorskip("gsplat.cuda._torch_impl")
     fields = {name: torch.from_numpy(array) for name, array in place(25).items()}
@@ -292,7 +292,7 @@ def test_tensors_give_gsplats_pictures_and_gradients() -> None:
     assert apart(meta["means2d"].grad, expected_meta["means2d"].grad) < 2e-3
 
 
-def test_an_optimiser_of_torchs_finds_colours() -> None:
+def test_torch_optimizers_recover_colors() -> None:
     torch = pytest.importorskip("torch")
     fields = {name: torch.from_numpy(array) for name, array in place().items()}
     target, _, _ = zipsplat.rasterization(**fields, width=48, height=32)

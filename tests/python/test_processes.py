@@ -46,7 +46,7 @@ def test_other_threads_run_during_a_call(model: zipsplat.Model, photos: list[Pat
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
-def test_a_fork_after_use_is_refused_by_name_and_one_before_is_not() -> None:
+def test_only_forks_after_use_raise() -> None:
     code = (
         START
         + """
@@ -89,7 +89,7 @@ draw()
         "reconstruct(photos, input_size=(252, 252), progress=lambda *_: None)",
     ],
 )
-def test_the_interpreter_may_end_in_the_middle_of_a_call(work: str) -> None:
+def test_the_interpreter_exits_during_a_call(work: str) -> None:
     code = (
         START
         + f"""
@@ -111,7 +111,7 @@ print("end", flush=True)
     assert all("CancelledError" in line or "the interpreter ends" in line for line in last), done.stderr
 
 
-def test_ctrl_c_ends_a_call() -> None:
+def test_ctrl_c_interrupts_a_call() -> None:
     code = (
         START
         + """
@@ -128,7 +128,7 @@ except KeyboardInterrupt:
     assert (done.returncode, done.stdout) == (0, "interrupted\n"), done.stderr
 
 
-def test_objects_may_be_left_behind_in_any_order() -> None:
+def test_the_interpreter_exits_with_live_objects() -> None:
     code = (
         START
         + """

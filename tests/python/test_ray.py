@@ -46,7 +46,7 @@ def wait(until: Callable[[], bool], seconds: float = 240) -> None:
         time.sleep(0.05)
 
 
-def test_every_capture_is_made_once_whatever_is_killed(places: Path, tmp_path: Path) -> None:
+def test_captures_finish_once_despite_killed_processes(places: Path, tmp_path: Path) -> None:
     from ray.cluster_utils import Cluster
 
     out = tmp_path / "out"
@@ -105,7 +105,7 @@ def worker(out: Path, tries: int = 3) -> Worker:
     return Worker(str(out), Options(input_size=SIZE), tries)
 
 
-def test_a_capture_that_fails_is_a_row_and_one_that_kills_is_left_alone(places: Path, tmp_path: Path) -> None:
+def test_failing_captures_are_rows_and_tries_are_limited(places: Path, tmp_path: Path) -> None:
     (places / "3" / "1.png").write_bytes(b"no picture")
     rows = {row.name: row for row in captures([str(places)], Options(input_size=SIZE))}
     assert sorted(rows) == [str(name) for name in range(8)]
@@ -114,7 +114,7 @@ def test_a_capture_that_fails_is_a_row_and_one_that_kills_is_left_alone(places: 
     # Retries up to the limit by workers that died.
     for tries in (1, 2, 3):
         one.store.try_again(rows["5"], tries)
-    assert "begun 3 times" in one.one(rows["5"])["error"] and not (tmp_path / "out" / "5.ply").exists()
+    assert "3 attempts" in one.one(rows["5"])["error"] and not (tmp_path / "out" / "5.ply").exists()
     assert one.one(rows["4"])["gaussians"] > 0
     made = (tmp_path / "out" / "4.ply").stat().st_mtime_ns
     assert one.one(rows["4"])["hash"] == rows["4"].hash and (tmp_path / "out" / "4.ply").stat().st_mtime_ns == made
@@ -125,7 +125,7 @@ def test_a_capture_that_fails_is_a_row_and_one_that_kills_is_left_alone(places: 
     assert captures([str(places)], Options(ratio=0.5))[0].hash != rows["0"].hash
 
 
-def test_inputs_and_outputs_lie_wherever_fsspec_reads(places: Path) -> None:
+def test_inputs_and_outputs_use_fsspec(places: Path) -> None:
     import fsspec
 
     memory = fsspec.filesystem("memory")
@@ -140,9 +140,7 @@ def test_inputs_and_outputs_lie_wherever_fsspec_reads(places: Path) -> None:
     assert record is not None and record["bytes"] == len(data)
 
 
-def test_captures_and_scenes_lie_in_an_object_store(
-    places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_captures_and_scenes_use_an_object_store(places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("s3fs")
     server = pytest.importorskip("moto.server").ThreadedMotoServer(ip_address="127.0.0.1", port=0)
     import fsspec
@@ -198,7 +196,7 @@ def test_captures_and_scenes_lie_in_an_object_store(
     server.stop()
 
 
-def test_what_is_no_capture_is_named(places: Path, tmp_path: Path) -> None:
+def test_invalid_inputs_raise(places: Path, tmp_path: Path) -> None:
     empty = tmp_path / "empty"
     empty.mkdir()
     with pytest.raises(ValueError, match="found no photos"):

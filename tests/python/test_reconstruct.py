@@ -38,7 +38,7 @@ def rows(ply: bytes) -> bytes:
     return ply.split(b"end_header\n", 1)[1]
 
 
-def test_photos_may_be_paths_bytes_pictures_or_arrays(
+def test_images_are_paths_bytes_pil_images_or_arrays(
     model: zipsplat.Model, photos: list[Path], scene: zipsplat.Scene
 ) -> None:
     image = pytest.importorskip("PIL.Image")
@@ -89,7 +89,7 @@ def test_anything_with_dlpack_is_read(model: zipsplat.Model, photos: list[Path],
     assert same(model.reconstruct(foreign, input_size=SIZE), scene)
 
 
-def test_a_folder_gives_the_bits_of_the_command(model: zipsplat.Model, tmp_path: Path) -> None:
+def test_a_folder_matches_the_command_bitwise(model: zipsplat.Model, tmp_path: Path) -> None:
     folder = tmp_path / "photos"
     folder.mkdir()
     for i, photo in zip((10, 9, 1), zipsplat.list_images(PHOTOS)):
@@ -100,7 +100,7 @@ def test_a_folder_gives_the_bits_of_the_command(model: zipsplat.Model, tmp_path:
     assert rows(made) == rows((tmp_path / "command.ply").read_bytes())
 
 
-def test_a_capture_gives_the_bits_of_the_command(model: zipsplat.Model, capture: Path) -> None:
+def test_a_capture_matches_the_command_bitwise(model: zipsplat.Model, capture: Path) -> None:
     written = capture / "command.ply"
     options = ("--size", "70x70", "--world", "cameras")
     command("reconstruct", *sorted(capture.glob("?.png")), "--cameras", capture, *options, "-o", written)
@@ -123,13 +123,15 @@ def test_a_capture_gives_the_bits_of_the_command(model: zipsplat.Model, capture:
     first = model.reconstruct(opened, input_size=SIZE, world="first_camera")
     assert not same(model.reconstruct(opened, input_size=SIZE, scene_scale=2.0), expected)
     assert np.allclose(first.means, expected.means, atol=1e-5), "the first camera is the world's origin here"
-    pictures = zipsplat.Scene.open(written).render(opened.cameras)
+    from_file = zipsplat.Scene.open(written)
+    assert from_file.world == "input_cameras" and expected.world is None
+    pictures = from_file.render(opened.cameras)
     command("render", written, "--cameras", capture / "transforms.json", "-o", capture / "drawn")
     drawn = [zipsplat.load_image(capture / "drawn" / f"00{i}.png") for i in range(3)]
     assert np.array_equal(pictures.rgb, drawn)
 
 
-def test_photos_without_a_camera_are_left_out(model: zipsplat.Model, capture: Path) -> None:
+def test_photos_without_a_camera_are_skipped(model: zipsplat.Model, capture: Path) -> None:
     extra = capture / "other.png"
     extra.write_bytes((capture / "1.png").read_bytes())
     paths = [extra, *(capture / f"{i}.png" for i in range(2))]
@@ -139,7 +141,7 @@ def test_photos_without_a_camera_are_left_out(model: zipsplat.Model, capture: Pa
         model.reconstruct([extra], capture, input_size=SIZE)
 
 
-def test_a_refinement_makes_it_more_like_the_photos(model: zipsplat.Model, capture: Path) -> None:
+def test_refinement_reduces_the_error(model: zipsplat.Model, capture: Path) -> None:
     opened = zipsplat.Capture.open(capture)
     told: list[zipsplat.Progress] = []
     coarse = model.reconstruct(opened, input_size=SIZE)
@@ -177,9 +179,13 @@ def test_tokens_are_refined_and_cameras_estimated(photos: list[Path], capture: P
     assert np.allclose(estimates[0].camera.camera_to_world[:3, 3], 0, atol=0.5)
     height, width, _ = zipsplat.load_image(photos[0]).shape
     assert (estimates[0].camera.height, estimates[0].camera.width) == (height, width)
+    unposed.close()
+    with pytest.raises(zipsplat.ArgumentError, match="Reconstruction: found a closed one"):
+        unposed.estimate_cameras()
+    assert unposed.render(estimates[0].camera).rgb.any()
 
 
-def test_progress_may_stop_and_raise(model: zipsplat.Model, photos: list[Path], capture: Path) -> None:
+def test_progress_functions_stop_and_raise(model: zipsplat.Model, photos: list[Path], capture: Path) -> None:
     told: list[float] = []
 
     def stop(now: zipsplat.Progress) -> bool:
@@ -207,7 +213,7 @@ def test_progress_may_stop_and_raise(model: zipsplat.Model, photos: list[Path], 
     )
 
 
-def test_what_cannot_be_used_is_named(model: zipsplat.Model, photos: list[Path], capture: Path, tmp_path: Path) -> None:
+def test_invalid_arguments_raise(model: zipsplat.Model, photos: list[Path], capture: Path, tmp_path: Path) -> None:
     empty = tmp_path / "empty"
     empty.mkdir()
     camera = zipsplat.Camera.from_fov(8, 8)
@@ -232,12 +238,14 @@ def test_what_cannot_be_used_is_named(model: zipsplat.Model, photos: list[Path],
         ([picture], {"cameras": empty}, zipsplat.ArgumentError, "transforms.json"),
         ([picture], {"cameras": capture}, TypeError, "paths"),
     ]
+    with pytest.raises(zipsplat.FileError, match="none: No such file"):
+        zipsplat.list_images(tmp_path / "none")
     for images, options, error, words in cases:
         with pytest.raises(error, match=words):
             model.reconstruct(images, **options)  # type: ignore[arg-type]
 
 
-def test_models_say_what_they_are_and_refuse_what_is_none(model: zipsplat.Model, tmp_path: Path) -> None:
+def test_models_have_properties_and_reject_invalid_weights(model: zipsplat.Model, tmp_path: Path) -> None:
     assert model.image_size % model.patch_size == 0 and model.precision == "fp32" and model.weight_bytes > 1e6
     assert "lvm" in repr(model).lower() or "cpu" in repr(model).lower() or model.device.info.name in repr(model)
     with pytest.raises(zipsplat.FileError):
@@ -252,7 +260,7 @@ def test_models_say_what_they_are_and_refuse_what_is_none(model: zipsplat.Model,
     assert names["builtin"].path is None and names["da3-small"].license == "Apache-2.0"
 
 
-def test_what_is_closed_is_refused_and_closes_once(photos: list[Path]) -> None:
+def test_closed_objects_raise(photos: list[Path]) -> None:
     with zipsplat.Device() as device:
         model = zipsplat.Model.load(device=device)
     with model:

@@ -16,10 +16,10 @@ import zipsplat
 from conftest import same
 
 
-def test_arrays_lie_in_place_are_read_only_and_keep_the_scene_alive(scene: zipsplat.Scene) -> None:
+def test_arrays_are_read_only_views_that_keep_the_scene_alive(scene: zipsplat.Scene) -> None:
     made = zipsplat.Scene.from_arrays(scene.means, scene.scales, scene.quats, scene.opacities, scene.sh_coeffs)
     assert same(made, scene) and len(made) == len(scene) > 0
-    assert made.means.ctypes.data == zipsplat.Scene(made._handle).means.ctypes.data
+    assert made.means.ctypes.data == zipsplat.Scene(made._scene).means.ctypes.data
     means, expected = made.means, scene.means.copy()
     with pytest.raises(ValueError):
         means[0, 0] = 1
@@ -71,7 +71,7 @@ def test_gsplat_and_torch_parameters_are_copies(scene: zipsplat.Scene) -> None:
         zipsplat.Scene.from_gsplat({name: params[name] for name in params if name != "shN"})
 
 
-def test_what_is_no_scene_is_refused(scene: zipsplat.Scene, tmp_path: Path) -> None:
+def test_invalid_scenes_raise(scene: zipsplat.Scene, tmp_path: Path) -> None:
     fields = [scene.means, scene.scales, scene.quats, scene.opacities, scene.sh_coeffs]
     with pytest.raises(ValueError, match=r"quats: found shape \[\d+, 3\]"):
         zipsplat.Scene.from_arrays(fields[0], fields[1], fields[2][:, :3], fields[3], fields[4])
@@ -86,10 +86,11 @@ def test_what_is_no_scene_is_refused(scene: zipsplat.Scene, tmp_path: Path) -> N
     data[-4:] = np.float32(np.nan).tobytes()
     with pytest.raises(zipsplat.Error):
         zipsplat.Scene.from_bytes(bytes(data))
-    assert len(zipsplat.Scene.from_bytes(bytes(data), drop_invalid=True)) == len(scene) - 1
+    dropped = zipsplat.Scene.from_bytes(bytes(data), drop_invalid=True)
+    assert (len(dropped), dropped.dropped_count) == (len(scene) - 1, 1)
 
 
-def test_pictures_are_arrays(scene: zipsplat.Scene) -> None:
+def test_render_outputs_have_shapes_and_dtypes(scene: zipsplat.Scene) -> None:
     pose = np.eye(4)
     pose[0, 3] = 0.1
     cameras = [zipsplat.Camera.from_fov(48, 36), zipsplat.Camera.from_fov(48, 36, camera_to_world=pose)]
@@ -117,7 +118,25 @@ def test_pictures_are_arrays(scene: zipsplat.Scene) -> None:
     assert renderer.render(cameras[0]).rgb.max() == 0 and len(empty) == 0
 
 
-def test_what_cannot_be_drawn_is_named(scene: zipsplat.Scene) -> None:
+def test_renderers_take_arrays_and_scenes_points(scene: zipsplat.Scene, capture: Path) -> None:
+    camera = zipsplat.Camera.from_fov(48, 36)
+    with zipsplat.Renderer() as renderer:
+        renderer.update_gaussians(**scene.to_numpy())
+        assert np.array_equal(renderer.render(camera).rgb, scene.render(camera).rgb)
+        renderer.update_gaussians(**{**scene.to_numpy(), "opacities": 0 * scene.opacities})
+        assert renderer.render(camera).rgb.max() == 0
+        with pytest.raises(zipsplat.ArgumentError, match="opacit"):
+            renderer.update_gaussians(**{**scene.to_numpy(), "opacities": 2 + scene.opacities})
+    points = np.random.default_rng(1).normal(size=(30, 3)) + [0, 0, 4]
+    opened = zipsplat.Capture.open(capture)
+    red = zipsplat.Scene.from_points(points, np.full((30, 3), [255, 0, 0]), opened.cameras)
+    assert np.array_equal(red.means, points.astype(np.float32)) and len(zipsplat.Scene.from_points(points)) == 30
+    assert red.sh_coeffs[:, 0, 0].min() > 0 > red.sh_coeffs[:, 0, 1:].max()
+    with pytest.raises(zipsplat.ArgumentError, match=r"colors: found shape \[29, 3\]"):
+        zipsplat.Scene.from_points(points, np.zeros((29, 3), np.uint8))
+
+
+def test_invalid_render_arguments_raise(scene: zipsplat.Scene) -> None:
     camera, other = zipsplat.Camera.from_fov(48, 36), zipsplat.Camera.from_fov(40, 36)
     for cameras, options, words in [
         ([camera, other], {}, "all of one size"),
@@ -130,7 +149,7 @@ def test_what_cannot_be_drawn_is_named(scene: zipsplat.Scene) -> None:
             scene.render(cameras, **options)
 
 
-def test_matrices_say_which_way_they_go() -> None:
+def test_matrix_names_state_their_direction() -> None:
     angle = 0.3
     pose = np.eye(4)
     pose[:3, :3] = [[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]]
@@ -204,7 +223,7 @@ def test_a_page_shows_the_scene(scene: zipsplat.Scene, tmp_path: Path) -> None:
     assert f"{len(scene):,}" in scene._repr_html_() and f"{len(scene):,}" in repr(scene)
 
 
-def test_figures_and_cameras_come_from_the_command(
+def test_evaluation_and_camera_estimation_use_the_command(
     capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     found = zipsplat.evaluate(capture, views=2, options=("--size", "70x70"))
@@ -224,7 +243,7 @@ def test_figures_and_cameras_come_from_the_command(
         zipsplat.estimate_cameras([os.fspath(capture)])
 
 
-def test_pictures_need_cameras(scene: zipsplat.Scene) -> None:
+def test_render_requires_cameras(scene: zipsplat.Scene) -> None:
     for wrong in ("x", 7):
         with pytest.raises(TypeError, match="cameras: found .*, expected a Camera or a sequence of cameras"):
             scene.render(wrong)

@@ -68,9 +68,8 @@ struct Cli {
 }
 
 /// Minimum bytes of short help.
-const SHORTEST_CLAUSE: usize = 30;
-/// Options in `-h`; `--help` shows all. Arguments without a name and the options of every command
-/// are shown, too.
+const SHORTEST_CLAUSE: usize = 16;
+/// Options in `-h`, besides positional arguments and the options of every command.
 const SHORT_HELP: [(&str, &[&str]); 9] = [
     (
         "reconstruct",
@@ -82,14 +81,12 @@ const SHORT_HELP: [(&str, &[&str]); 9] = [
     ),
     ("cameras", &["output", "method", "weights", "views", "matching", "colmap_model"]),
     ("depth", &["output", "weights", "cameras", "views", "input_size", "metric"]),
-    ("render", &["output", "video", "cameras", "orbit", "spline", "wiggle", "size", "frames", "background", "depth"]),
+    ("render", &["output", "video", "cameras", "orbit", "spline", "size", "frames", "background", "depth"]),
     ("view", &["output", "cameras", "open", "weights", "ratios", "refine"]),
     ("eval", &["output", "views", "targets", "cameras", "pose_free", "refine", "protocol", "scene", "csv"]),
     ("convert", &["spz_version", "dtype", "drop_invalid", "overwrite"]),
     ("doctor", &["only", "report", "verbose"]),
 ];
-const GLOBALS: [&str; 4] = ["device", "max_memory", "json", "quiet"];
-
 /// Hides the other options from `-h`.
 fn short_help(command: clap::Command) -> clap::Command {
     let command = command.mut_args(shortened);
@@ -98,8 +95,7 @@ fn short_help(command: clap::Command) -> clap::Command {
             let long = command.get_after_help().cloned().unwrap_or_default();
             let command = command.after_help("--help shows all options, and examples.").after_long_help(long);
             command.mut_args(|arg| {
-                let shown = shown.contains(&arg.get_id().as_str()) || GLOBALS.contains(&arg.get_id().as_str());
-                let hidden = !shown && !arg.is_positional();
+                let hidden = !shown.contains(&arg.get_id().as_str()) && !arg.is_positional();
                 shortened(arg).hide_short_help(hidden)
             })
         })

@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn at_most_six_series_have_a_colour_each() {
+    fn at_most_six_series_have_a_color_each() {
         let all: Vec<Series> = ('a'..='h').map(|name| series(&name.to_string(), &[(1.0, 1.0)])).collect();
         let html = plot(LOG, LOG, "letters", &all, Some(&series("front", &[(1.0, 1.0), (2.0, 2.0)])));
         assert_eq!(html.matches("<circle").count(), 6);

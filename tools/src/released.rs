@@ -70,7 +70,7 @@ pub const RELEASED: [Released; 7] = [
         ..of_depth("da3mono-large", "depth-anything/DA3MONO-LARGE", "da3mono-large.safetensors")
     },
     Released {
-        what: "Depth Anything 3 of each photo by itself, in metres, 334 M parameters",
+        what: "Depth Anything 3 of each photo by itself, in meters, 334 M parameters",
         license: APACHE,
         terms: FREE,
         bytes: 1_340_000_000,

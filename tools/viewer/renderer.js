@@ -25,7 +25,7 @@ precision highp int;
 precision highp usampler2D;
 uniform usampler2D order;
 uniform uint drawn;
-uniform usampler2D gaussians; // 3 texels each: mean and opacity; scale and q.wx; colour and q.yz
+uniform usampler2D gaussians; // 3 texels each: mean and opacity; scale and q.wx; color and q.yz
 uniform usampler2D harmonics;
 uniform mat3 view;
 uniform vec3 eye;

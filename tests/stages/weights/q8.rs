@@ -156,10 +156,7 @@ fn a_network_computes_with_what_the_integers_stand_for() {
 fn they_stay_small_on_the_device_and_are_not_rounded_twice() {
     let limits = Limits::default();
     let of = Checkpoint::seeded("vits", None).unwrap();
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("vits.safetensors");
-    of.save(&path, Dtype::Q8).unwrap();
-    let q8 = Checkpoint::open(&path, None).unwrap();
+    let q8 = opened(saved(&of, Dtype::Q8));
     let bytes =
         |checkpoint: &Checkpoint| Network::of(checkpoint, &limits, Arithmetic::EXACT).unwrap().weight_bytes() as f64;
     assert!(bytes(&q8) < 0.3 * bytes(&of), "{} of {}", bytes(&q8), bytes(&of));

@@ -95,7 +95,7 @@ impl Refine {
         self.cameras_out.as_ref().map_or(Ok(()), |path| self.overwrite.check_file(path))?;
         let (scene, files) = self.files();
         if KnownCameras::to_find(&self.cameras) && self.init() != Initialization::Points {
-            let expected = "--init points: the scene is in another world than cameras that are found anew";
+            let expected = "--init points: estimated cameras are in another world than the scene";
             return Err(Error::argument(format!("--cameras {}", self.cameras.display()), "with a scene", expected));
         }
         let photos = photos::list(session, files)?;

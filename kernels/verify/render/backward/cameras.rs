@@ -70,13 +70,13 @@ pub fn area() -> Area {
         area.add("random of +-1", rows, all, noise(rows));
     }
     let cancelling = || {
-        let values = Noise::new(3).values(1000 * NUMBERS);
-        // Each row of large numbers has its opposite.
+        let values = Noise::new(3).values(1001 * NUMBERS);
+        // Each row of large numbers but the last has its opposite.
         let opposite = |i: usize| if (i / NUMBERS).is_multiple_of(2) { 1e6 } else { -1e6 };
         let large = |i: usize| opposite(i) * (1.0 + values[i / (2 * NUMBERS) * NUMBERS + i % NUMBERS].abs());
         Problem((0..values.len()).map(large).collect())
     };
-    area.add("opposites of 1e6", 1000, [HalfSums, LastRow], cancelling);
+    area.add("opposites of 1e6", 1001, [HalfSums, LastRow], cancelling);
     let none = || Problem(vec![0.0; 65 * NUMBERS]);
     area.add("nothing visible", 65, [Overwritten], none);
     area

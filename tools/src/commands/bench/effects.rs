@@ -33,7 +33,7 @@ pub fn run(session: &mut Session<'_>, device: &Device, scene: &Scene, size: Size
 
     let off = RenderOptions::default();
     let effects = [
-        ("view-dependent colour", off),
+        ("view-dependent color", off),
         ("alpha", RenderOptions { alpha: true, ..off }),
         ("depth", RenderOptions { depth: Some(Depth::Expected), ..off }),
         ("normals", RenderOptions { normals: true, ..off }),

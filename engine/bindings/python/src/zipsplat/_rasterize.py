@@ -15,7 +15,7 @@ from .cameras import Camera, Cameras, native
 from .device import Device
 from .errors import ArgumentError
 from .renderer import Renderer
-from .scene import FIELDS, Scene
+from .scene import FIELDS
 
 Array = npt.NDArray[Any]
 
@@ -54,22 +54,20 @@ class _Renderers(threading.local):
     def __init__(self) -> None:
         self.renderer: Optional[Renderer] = None
 
-    def of(self, scene: Scene, device: Device) -> Renderer:
+    def of(self, arrays: Sequence[Array], device: Device) -> Renderer:
         if self.renderer is None or self.renderer.device is not device:
-            self.renderer = Renderer(scene, device)
-        else:
-            self.renderer.set_scene(scene)
+            self.renderer = Renderer(device=device)
+        self.renderer.update_gaussians(*arrays)
         return self.renderer
 
 
 _renderers = _Renderers()
 
 
-def _scene(geometry: Sequence[Array], coeffs: Optional[Array]) -> Scene:
+def _arrays(geometry: Sequence[Array], coeffs: Optional[Array]) -> tuple[Array, ...]:
+    """Returns arrays in the order of FIELDS."""
     means, quats, scales, opacities = geometry
-    return Scene.from_arrays(
-        means, scales, quats, opacities, np.zeros((len(means), 1, 3)) if coeffs is None else coeffs
-    )
+    return means, scales, quats, opacities, np.zeros((len(means), 1, 3), np.float32) if coeffs is None else coeffs
 
 
 def forward(
@@ -85,8 +83,7 @@ def forward(
     views, shape = settings.cameras(viewmats, Ks), (len(viewmats), settings.height, settings.width)
     rgb = None if coeffs is None else np.empty((*shape, 3), np.float32)
     alphas, depths = np.empty((*shape, 1), np.float32), np.empty((*shape, 1), np.float32) if depth else None
-    scene = _scene(geometry, coeffs)
-    renderer = _renderers.of(scene, settings.device)
+    renderer = _renderers.of(_arrays(geometry, coeffs), settings.device)
     call(
         "zs_render",
         renderer._handle,
@@ -109,8 +106,9 @@ def backward(
     of_means2d: bool = False,
 ) -> tuple[dict[str, Array], Optional[Array]]:
     """Returns gradients of the scene's arrays and, on request, of means2d and of viewmats."""
-    scene, views = _scene(geometry, coeffs), settings.cameras(viewmats, Ks)
-    found = {name: np.zeros(getattr(scene, name).shape, np.float32) for name in FIELDS}
+    views = settings.cameras(viewmats, Ks)
+    arrays = _arrays(geometry, coeffs)
+    found = {name: np.zeros(array.shape, np.float32) for name, array in zip(FIELDS, arrays)}
     if of_means2d:
         found["means2d"] = np.zeros((len(views), len(geometry[0]), 2), np.float32)
     moved = np.zeros((len(views), 10), np.float32)
@@ -120,7 +118,7 @@ def backward(
     grad_outputs = [None if plane is None else np.ascontiguousarray(plane, np.float32) for plane in weights]
     if all(plane is None for plane in grad_outputs):
         return found, np.zeros_like(viewmats) if of_cameras else None
-    renderer = _renderers.of(scene, settings.device)
+    renderer = _renderers.of(arrays, settings.device)
     arguments = (
         native(views),
         structures("grad_outputs", color=grad_outputs[0], alpha=grad_outputs[1], depth=grad_outputs[2]),
@@ -128,7 +126,7 @@ def backward(
         settings.options(),
         to,
     )
-    call("zs_render_backward", renderer._handle, scene._handle, *arguments)
+    call("zs_render_backward", renderer._handle, ffi.NULL, *arguments)
     return found, _by_viewmats(viewmats, moved) if of_cameras else None
 
 

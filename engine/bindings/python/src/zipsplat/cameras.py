@@ -143,10 +143,6 @@ class Cameras(Sequence[Camera]):
         """[C, 4, 4] float64 inverse poses: world to camera."""
         return np.asarray(np.linalg.inv(self.camera_to_world), np.float64)
 
-    def relative_to(self, other: Camera) -> Cameras:
-        """Returns these cameras relative to another camera's space."""
-        return Cameras(camera.relative_to(other) for camera in self._cameras)
-
     def __len__(self) -> int:
         return len(self._cameras)
 

@@ -171,7 +171,7 @@ class Worker:
             return record
         tries = self.store.tries(row)
         if tries >= self.tries:
-            return {"name": row.name, "error": f"quarantined: begun {tries} times, ended never"}
+            return {"name": row.name, "error": f"skipped: {tries} attempts ended with their worker"}
         self.store.try_again(row, tries + 1)
         try:
             return self._make(row)
@@ -299,13 +299,13 @@ def main(arguments: Optional[list[str]] = None) -> int:
     """Runs the command line; returns 1 if captures failed."""
     parser = argparse.ArgumentParser(prog="python -m zipsplat.ray", description=(__doc__ or "").split("\n")[0])
     parser.add_argument("inputs", nargs="+", help="folders of photos, or folders of such folders")
-    parser.add_argument("-o", "--output", required=True, help="folder of the scenes")
-    parser.add_argument("--address", help="the cluster's; default a local one")
-    parser.add_argument("--actors", type=int, help="most of them; default one a GPU, or one a core")
-    parser.add_argument("--tries", type=int, default=3, help="how often a capture is begun before it is left alone")
-    parser.add_argument("--ratio", type=_ratio, default=1.0, help="share of the tokens that become Gaussians")
-    parser.add_argument("--weights", default="builtin", help="a checkpoint, at the same place on every node")
-    parser.add_argument("--input-size", help="WxH of what the network sees of each photo")
+    parser.add_argument("-o", "--output", required=True, help="output folder of scenes and records")
+    parser.add_argument("--address", help="address of a cluster; default: a local one")
+    parser.add_argument("--actors", type=int, help="limit of actors; default: one per GPU, or per core without GPUs")
+    parser.add_argument("--tries", type=int, default=3, help="limit of attempts per capture")
+    parser.add_argument("--ratio", type=_ratio, default=1.0, help="fraction of tokens that become Gaussians, or auto")
+    parser.add_argument("--weights", default="builtin", help="name or path of weights, on every node")
+    parser.add_argument("--input-size", help="WIDTHxHEIGHT of the network's input")
     parser.add_argument("--format", default="ply", choices=["ply", "spz", "splat", "glb"])
     given = parser.parse_args(arguments)
     width, _, height = (given.input_size or "").partition("x")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Optional
 
-from ._native import Handle, call, structure, text, warned
+from ._native import Handle, Owner, call, structure, text, warned
 from .cameras import Camera, from_native
 from .device import Device
 from .scene import RefineTarget, Scene
@@ -26,8 +26,10 @@ class CameraEstimate:
     patches: int
 
 
-class Reconstruction(Scene):
+class Reconstruction(Owner, Scene):
     """A scene of Model.reconstruct, with its relation to the photos, kept on the model's device.
+
+    Closing frees the memory on the device; the scene stays usable.
 
     Attributes:
         token_count: Number of kept tokens.
@@ -35,8 +37,8 @@ class Reconstruction(Scene):
     """
 
     def __init__(self, handle: Handle, device: Device) -> None:
-        super().__init__(Handle("scene", "zs_reconstruction_to_scene", handle), device)
-        self._reconstruction = handle
+        Owner.__init__(self, handle)
+        Scene.__init__(self, Handle("scene", "zs_reconstruction_to_scene", handle), device)
         info = structure("reconstruction_info")
         call("zs_reconstruction_get_info", handle, info)
         self._views: int = info.view_count
@@ -58,12 +60,12 @@ class Reconstruction(Scene):
         estimates = []
         for index in range(self._views):
             found = structure("camera_estimate")
-            call("zs_reconstruction_estimate_camera", self._reconstruction, index, found)
+            call("zs_reconstruction_estimate_camera", self._handle, index, found)
             camera = from_native(found.camera) if found.camera else None
             estimates.append(CameraEstimate(camera, found.inliers, found.patches))
         return estimates
 
     def _refined(self, device: Device, target: RefineTarget) -> tuple[Any, ...]:
         if target == "tokens":
-            return "zs_refine_reconstruction", self._reconstruction
+            return "zs_refine_reconstruction", self._handle
         return super()._refined(device, target)

@@ -8,11 +8,11 @@ from typing import Any, Iterable, Literal, Optional, Sequence, Union
 import numpy as np
 import numpy.typing as npt
 
-from ._native import Handle, Owner, call, lib, structure, structures
+from ._native import Handle, Owner, call, ffi, lib, structure, structures
 from .cameras import Camera, native
 from .device import DeviceLike, opened
 from .errors import ArgumentError, ArgumentTypeError
-from .scene import Scene
+from .scene import Scene, native_gaussians
 
 DepthMode = Literal["expected", "accumulated"]
 _DEPTHS = {"expected": lib.ZS_DEPTH_MODE_EXPECTED, "accumulated": lib.ZS_DEPTH_MODE_ACCUMULATED}
@@ -42,7 +42,7 @@ class Renderer(Owner):
     Concurrent calls wait for each other.
 
     Args:
-        scene: Scene to upload.
+        scene: Scene to upload; None sets none yet.
         device: The device, as for Device; None for the scene's own or the best.
 
     Example:
@@ -50,13 +50,29 @@ class Renderer(Owner):
         ...     output = renderer.render(capture.cameras[:8])  # output.rgb [8, height, width, 3]
     """
 
-    def __init__(self, scene: Scene, device: DeviceLike = None) -> None:
-        self.device = opened(scene._device if device is None else device)
-        super().__init__(Handle("renderer", "zs_renderer_create", self.device._handle, scene._handle))
+    def __init__(self, scene: Optional[Scene] = None, device: DeviceLike = None) -> None:
+        self.device = opened(device if scene is None or device is not None else scene._device)
+        given = ffi.NULL if scene is None else scene._scene
+        super().__init__(Handle("renderer", "zs_renderer_create", self.device._handle, given))
 
     def set_scene(self, scene: Scene) -> None:
         """Replaces the scene. Cheap for an equal number of Gaussians and degree."""
-        call("zs_renderer_set_scene", self._handle, scene._handle)
+        call("zs_renderer_set_scene", self._handle, scene._scene)
+
+    def update_gaussians(
+        self,
+        means: npt.ArrayLike,
+        scales: npt.ArrayLike,
+        quats: npt.ArrayLike,
+        opacities: npt.ArrayLike,
+        sh_coeffs: npt.ArrayLike,
+    ) -> None:
+        """Replaces the scene by copies of arrays, shaped like Scene's, for loops of an optimizer.
+
+        In place for an equal number of Gaussians and degree.
+        """
+        gaussians, _arrays = native_gaussians(means, scales, quats, opacities, sh_coeffs)
+        call("zs_renderer_update_gaussians", self._handle, gaussians)
 
     def render(
         self,

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float32]
 Format = Literal["ply", "spz", "splat", "gltf", "glb"]
+World = Literal["first_camera", "input_cameras"]
 SpzVersion = Literal[2, 3, 4]
 RefineTarget = Literal["gaussians", "tokens"]
 StopReason = Literal["finished", "stopped", "diverged"]
@@ -36,6 +37,10 @@ _STOP_REASONS: dict[int, StopReason] = {
     lib.ZS_STOP_REASON_FINISHED: "finished",
     lib.ZS_STOP_REASON_STOPPED: "stopped",
     lib.ZS_STOP_REASON_DIVERGED: "diverged",
+}
+_WORLDS: dict[int, World] = {
+    lib.ZS_WORLD_FIRST_CAMERA: "first_camera",
+    lib.ZS_WORLD_INPUT_CAMERAS: "input_cameras",
 }
 _REFINE_TARGETS = {"gaussians": lib.ZS_REFINE_TARGET_GAUSSIANS, "tokens": lib.ZS_REFINE_TARGET_TOKENS}
 # Least scale and distance of opacities from 0 and 1 with finite logarithms, in float32.
@@ -87,6 +92,8 @@ class Scene:
         sh_coeffs: [N, K, 3] float32 coefficients of spherical harmonics for red, green, blue, as in
             3D Gaussian Splatting; K = (sh_degree + 1) ** 2.
         sh_degree: Degree of spherical harmonics, 0 to 3.
+        world: "first_camera" or "input_cameras", as stated by the file; else None.
+        dropped_count: Number of Gaussians dropped by `drop_invalid`.
         refinement: Result of the refinement behind the scene; None without one.
 
     The arrays are read-only views of library memory and keep it alive; to_numpy, to_torch and
@@ -96,8 +103,11 @@ class Scene:
     def __init__(
         self, handle: Handle, device: Optional[Device] = None, refinement: Optional[RefineResult] = None
     ) -> None:
-        self._handle, self._device, self.refinement = handle, device, refinement
-        found = structure("gaussians")
+        self._scene, self._device, self.refinement = handle, device, refinement
+        info, found = structure("scene_info"), structure("gaussians")
+        call("zs_scene_get_info", handle, info)
+        self.world: Optional[World] = _WORLDS.get(info.world)
+        self.dropped_count: int = info.dropped_count
         call("zs_scene_get_gaussians", handle, found)
         count = int(found.count)
         self.sh_degree: int = found.sh_degree
@@ -145,16 +155,37 @@ class Scene:
         Raises:
             ArgumentError: a shape is invalid, or a value not finite or out of range.
         """
-        arrays = [np.ascontiguousarray(array, np.float32) for array in (means, scales, quats, opacities, sh_coeffs)]
-        count = len(arrays[0]) if arrays[0].ndim else 0
-        bands = math.isqrt(arrays[4].shape[1]) if arrays[4].ndim == 3 else 1
-        shapes = [(count, 3), (count, 3), (count, 4), (count,), (count, bands**2, 3)]
-        for name, array, shape in zip(FIELDS, arrays, shapes):
-            if array.shape != shape:
-                raise ArgumentError(f"{name}: found shape {list(array.shape)}, expected {list(shape)}")
-        pointers = {name: ffi.cast("float *", array.ctypes.data) for name, array in zip(FIELDS, arrays)}
-        found = structure("gaussians", count=count, sh_degree=bands - 1, **pointers)
-        return cls(Handle("scene", "zs_scene_create", found))
+        gaussians, _arrays = native_gaussians(means, scales, quats, opacities, sh_coeffs)
+        return cls(Handle("scene", "zs_scene_create", gaussians))
+
+    @classmethod
+    def from_points(
+        cls,
+        positions: npt.ArrayLike,
+        colors: Optional[npt.ArrayLike] = None,
+        cameras: Sequence[Camera] = (),
+    ) -> Scene:
+        """Creates a scene with a Gaussian per point, to be refined.
+
+        Args:
+            positions: [N, 3] in world units.
+            colors: [N, 3] uint8 red, green, blue; None for gray.
+            cameras: Cameras that limit the sizes of the Gaussians.
+
+        Example:
+            >>> scene = Scene.from_points(points, colors, capture.cameras).refine(capture)
+        """
+        points = np.ascontiguousarray(positions, np.float32)
+        paint = None if colors is None else np.ascontiguousarray(colors, np.uint8)
+        for name, array in (("positions", points), ("colors", points if paint is None else paint)):
+            if array.shape != (len(points), 3) or points.ndim != 2:
+                raise ArgumentError(f"{name}: found shape {list(array.shape)}, expected [N, 3]")
+        pointers = (
+            ffi.cast("float *", points.ctypes.data),
+            ffi.NULL if paint is None else ffi.cast("uint8_t *", paint.ctypes.data),
+        )
+        views = native_cameras(cameras)
+        return cls(Handle("scene", "zs_scene_from_points", *pointers, len(points), views, len(views)))
 
     @classmethod
     def from_gsplat(cls, params: Mapping[str, Any]) -> Scene:
@@ -211,12 +242,12 @@ class Scene:
             path: The file.
             spz_version: SPZ version: 2, 3 or 4.
         """
-        call("zs_scene_save", self._handle, os.fsencode(path), structure("scene_save_options", spz_version=spz_version))
+        call("zs_scene_save", self._scene, os.fsencode(path), structure("scene_save_options", spz_version=spz_version))
 
     def to_bytes(self, format: Format, *, spz_version: SpzVersion = 3) -> bytes:
         """Encodes the scene as "ply", "spz", "splat", "gltf" or "glb"."""
         options = structure("scene_save_options", spz_version=spz_version)
-        found = Handle("blob", "zs_scene_to_memory", self._handle, _name(format), options)
+        found = Handle("blob", "zs_scene_to_memory", self._scene, _name(format), options)
         data, size = ffi.new("void **"), ffi.new("size_t *")
         call("zs_blob_get", found, data, size)
         return bytes(ffi.buffer(data[0], size[0]))
@@ -297,7 +328,7 @@ class Scene:
         """Returns the library's function of a refinement and its first arguments."""
         if target == "tokens":
             raise ArgumentError("target: found 'tokens' of a scene without any, expected 'gaussians'")
-        return "zs_refine_scene", device._handle, self._handle
+        return "zs_refine_scene", device._handle, self._scene
 
     def render(
         self,
@@ -352,6 +383,19 @@ class Scene:
             rows += [(axis, f"{low:.3g} to {high:.3g}") for axis, low, high in zip("xyz", *ends)]
         cells = "".join(f"<tr><th>{html.escape(name)}</th><td>{html.escape(value)}</td></tr>" for name, value in rows)
         return f"<table>{cells}</table>"
+
+
+def native_gaussians(*fields: npt.ArrayLike) -> tuple[Any, list[Array]]:
+    """Converts arrays in the order of FIELDS for the library, with references to keep alive."""
+    arrays = [np.ascontiguousarray(field, np.float32) for field in fields]
+    count = len(arrays[0]) if arrays[0].ndim else 0
+    bands = math.isqrt(arrays[4].shape[1]) if arrays[4].ndim == 3 else 1
+    shapes = [(count, 3), (count, 3), (count, 4), (count,), (count, bands**2, 3)]
+    for name, array, shape in zip(FIELDS, arrays, shapes):
+        if array.shape != shape:
+            raise ArgumentError(f"{name}: found shape {list(array.shape)}, expected {list(shape)}")
+    pointers = {name: ffi.cast("float *", array.ctypes.data) for name, array in zip(FIELDS, arrays)}
+    return structure("gaussians", count=count, sh_degree=bands - 1, **pointers), arrays
 
 
 def _name(format: Optional[str]) -> Any:
