@@ -154,7 +154,7 @@ class Worker:
 
         self.store, self.options, self.tries = Store(out), options, tries
         began = time.time()
-        # Vulkan ignores the variable by which Ray assigns a GPU.
+        # Vulkan ignores CUDA_VISIBLE_DEVICES, which assigns a GPU in Ray.
         assigned = os.environ.get("CUDA_VISIBLE_DEVICES")
         self.model = zipsplat.Model.load(options.weights, device="cuda" if assigned else None)
         self.loaded = time.time() - began
