@@ -18,7 +18,7 @@ enum Fault {
     HalfSums,
     Overwritten,
     LastRow,
-    NeighbourNumber,
+    NeighborNumber,
 }
 
 impl Problem {
@@ -55,7 +55,7 @@ impl Values for Problem {
             Fault::HalfSums => self.terms(number).fold(f64::from(BEFORE), |sum, x| half(sum + x)),
             Fault::Overwritten => truth[number] - f64::from(BEFORE),
             Fault::LastRow => truth[number] - self.terms(number).last().unwrap_or(0.0),
-            Fault::NeighbourNumber => truth[(number + 1) % NUMBERS],
+            Fault::NeighborNumber => truth[(number + 1) % NUMBERS],
         };
         (0..NUMBERS).map(one).collect()
     }
@@ -63,7 +63,7 @@ impl Values for Problem {
 
 pub fn area() -> Area {
     use Fault::*;
-    let all = [HalfSums, Overwritten, LastRow, NeighbourNumber];
+    let all = [HalfSums, Overwritten, LastRow, NeighborNumber];
     let noise = |rows: usize| move || Problem(Noise::new(rows as u64).values(rows * NUMBERS));
     let mut area = Area::new("render/cameras_backward", "rows", Mode::ONLY_EXACT, REASON);
     for rows in [1, 7, 129, 4097] {
