@@ -227,8 +227,9 @@ def run(
         actors: Limit of actors; None for one per GPU, or per core without GPUs.
         tries: Limit of attempts per capture.
     """
-    import ray
     import ray.data
+
+    import ray
 
     rows = captures(inputs, options)
     store, began = Store(out), time.time()
