@@ -1,7 +1,7 @@
 //! Shared parts of the tests.
 
 pub mod architectures;
-pub mod catalogue;
+pub mod catalog;
 pub mod command;
 pub mod compare;
 pub mod device;

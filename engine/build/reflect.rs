@@ -163,7 +163,7 @@ fn shape(tables: &Tables, ty: u32, kernel: &str) -> (Scalar, u32) {
     match tables.types.get(&ty) {
         Some(Type::Scalar(s)) => (*s, 1),
         Some(Type::Vector(element, count)) => (shape(tables, *element, kernel).0, *count),
-        _ => panic!("kernels/{kernel}.comp: push and specialisation constants are 32-bit scalars or vectors"),
+        _ => panic!("kernels/{kernel}.comp: push and specialization constants are 32-bit scalars or vectors"),
     }
 }
 

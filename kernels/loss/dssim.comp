@@ -35,20 +35,20 @@ float dssim(vec4 moments, out vec3 partial) {
 void main() {
     uint across = 3 * size.x, column = gl_WorkGroupID.x * gl_WorkGroupSize.x + gl_LocalInvocationID.x;
     uint first = gl_WorkGroupID.z * size.y, at = min(column, across - 1);
-    vec2 centre = moments[(first + min(gl_WorkGroupID.y * RUN + RUN / 2, size.y - 1)) * across + at].xy;
+    vec2 center = moments[(first + min(gl_WorkGroupID.y * RUN + RUN / 2, size.y - 1)) * across + at].xy;
     vec4 filtered[RUN];
     [[unroll]] for (uint p = 0; p < RUN; p++) filtered[p] = vec4(0);
     [[unroll]] for (int k = 0; k < REACH; k++) {
         int y = int(gl_WorkGroupID.y * RUN) + k - RADIUS;
         vec4 value = vec4(0);
         if (y >= 0 && y < size.y) value = moments[(first + y) * across + at];
-        add_tap(filtered, k, squared(value, centre));
+        add_tap(filtered, k, squared(value, center));
     }
     float sum = 0;
     [[unroll]] for (uint p = 0; p < RUN; p++) {
         uint y = gl_WorkGroupID.y * RUN + p;
         vec3 partial;
-        float here = dssim(centred(filtered[p], centre), partial);
+        float here = dssim(centered(filtered[p], center), partial);
         if (y < size.y && column < across) {
             partials[(first + y) * across + column] = weight * partial;
             sum += here;

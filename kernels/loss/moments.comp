@@ -28,16 +28,16 @@ void main() {
     uint runs = (width + RUN - 1) / RUN;
     uint color = global_index() % 3, run = global_index() / 3 % runs, row = global_index() / (3 * runs);
     if (row >= rows) return;
-    vec2 centre = moments_of(row * width + min(run * RUN + RUN / 2, width - 1), color).xy;
+    vec2 center = moments_of(row * width + min(run * RUN + RUN / 2, width - 1), color).xy;
     vec4 filtered[RUN];
     [[unroll]] for (uint p = 0; p < RUN; p++) filtered[p] = vec4(0);
     [[unroll]] for (int k = 0; k < REACH; k++) {
         int x = int(run * RUN) + k - RADIUS;
         vec4 value = moments_of(row * width + clamp(x, 0, int(width) - 1), color);
-        add_tap(filtered, k, squared(x >= 0 && x < width ? value : vec4(0), centre));
+        add_tap(filtered, k, squared(x >= 0 && x < width ? value : vec4(0), center));
     }
     [[unroll]] for (uint p = 0; p < RUN; p++) {
         uint x = run * RUN + p;
-        if (x < width) moments[(row * width + x) * 3 + color] = centred(filtered[p], centre);
+        if (x < width) moments[(row * width + x) * 3 + color] = centered(filtered[p], center);
     }
 }

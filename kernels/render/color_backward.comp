@@ -5,7 +5,7 @@
 // Cameras   [C, 2, 4, 4] f32, see shared/camera
 // Colors    [N, C, 3] f32, of render/project
 // Status    [3] u32, of render/intersect
-// Slots     [N C + 1] u32, as in render/rasterise_backward
+// Slots     [N C + 1] u32, as in render/rasterize_backward
 // Moments   [capacity, 6] f32, as Slots
 // DValues   [capacity, 3, 4 or 1] f32, as Slots
 // DPairs    [N, C, 10] f32, see shared/pair_gradient
@@ -65,9 +65,9 @@ vec3 to_coefficients(uint n, uint camera, vec3 d_rgb, inout vec3 d_coeffs[COEFFS
         return vec3(0);
     }
     uint at = CAMERA_ROWS * camera;
-    vec3 centre = vec3(cameras[at].w, cameras[at + 1].w, cameras[at + 2].w);
+    vec3 center = vec3(cameras[at].w, cameras[at + 1].w, cameras[at + 2].w);
     vec3 rest = vec3(cameras[at + 4].w, cameras[at + 5].w, cameras[at + 6].w);
-    vec3 offset = from_centre(means[n], centre, rest);
+    vec3 offset = from_center(means[n], center, rest);
     float largest = largest_of(offset);
     offset /= largest;
     vec3 direction = normalize(offset);

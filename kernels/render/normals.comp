@@ -30,7 +30,7 @@ void main() {
     vec3 scale = scales[n];
     vec3 axis = scale.x <= min(scale.y, scale.z) ? axes[0] : scale.y <= scale.z ? axes[1] : axes[2];
     uint at = CAMERA_ROWS * camera;
-    vec3 centre = vec3(cameras[at].w, cameras[at + 1].w, cameras[at + 2].w);
+    vec3 center = vec3(cameras[at].w, cameras[at + 1].w, cameras[at + 2].w);
     vec3 rest = vec3(cameras[at + 4].w, cameras[at + 5].w, cameras[at + 6].w);
-    normals[pair] = dot(axis, from_centre(means[n], centre, rest)) > 0 ? -axis : axis;
+    normals[pair] = dot(axis, from_center(means[n], center, rest)) > 0 ? -axis : axis;
 }

@@ -52,9 +52,9 @@ const float EXTENT_MAX = 3.33; // standard deviations at which even opacity 1 fa
 
 // Least d' conic d over pixel centers from `from` to `to`. The form is convex: the minimum is at
 // the center or on an edge facing it.
-float nearest(vec3 conic, vec2 centre, vec2 place, vec2 from, vec2 to) {
+float nearest(vec3 conic, vec2 center, vec2 place, vec2 from, vec2 to) {
     float row = ridge_row(place.y, height), rise = place.y - row;
-    vec2 edge = clamp(centre, from, to);
+    vec2 edge = clamp(center, from, to);
     float along = conic.x * conic.y * (edge.x - place.x) + conic.z * rise;
     float y = clamp(row + along / (conic.x * conic.y * conic.y + conic.z), from.y, to.y);
     float x = clamp(place.x + conic.y * (edge.y - row), from.x, to.x);
@@ -66,16 +66,16 @@ float nearest(vec3 conic, vec2 centre, vec2 place, vec2 from, vec2 to) {
 
 // Tiles within `radii` of the center; if few, those where d' conic d falls to `reach` (alpha to
 // ALPHA_MIN). The margin covers rounding in images of 2^15 pixels a side.
-TileSet touched(vec2 centre, vec2 place, vec2 radii, vec3 conic, float reach) {
+TileSet touched(vec2 center, vec2 place, vec2 radii, vec3 conic, float reach) {
     vec2 grid = (uvec2(width, height) + TILE - 1) / TILE;
-    uvec2 first = uvec2(clamp(floor((centre - radii) / TILE), vec2(0), grid));
-    uvec2 end = uvec2(clamp(ceil((centre + radii) / TILE), vec2(0), grid));
+    uvec2 first = uvec2(clamp(floor((center - radii) / TILE), vec2(0), grid));
+    uvec2 end = uvec2(clamp(ceil((center + radii) / TILE), vec2(0), grid));
     TileSet tiles = TileSet(first, end - min(first, end), 0);
     uint area = tiles.size.x * tiles.size.y;
     if (area == 0 || area > 32) return tiles;
     for (uint t = 0; t < area; t++) {
         vec2 corner = vec2(first + uvec2(t % tiles.size.x, t / tiles.size.x)) * TILE;
-        if (nearest(conic, centre, place, corner + 0.5, corner + TILE - 0.5) <= reach + 0.1) tiles.mask |= 1u << t;
+        if (nearest(conic, center, place, corner + 0.5, corner + TILE - 0.5) <= reach + 0.1) tiles.mask |= 1u << t;
     }
     if (tiles.mask == 0) tiles.size = uvec2(0);
     return tiles;
@@ -103,7 +103,7 @@ TileSet project(uint n, uint camera, uint pair) {
     mat4x3 view = transpose(mat3x4(rows_of_camera[0], rows_of_camera[1], rows_of_camera[2]));
     vec3 rest = vec3(rows_of_camera[4].w, rows_of_camera[5].w, rows_of_camera[6].w);
     vec2 focal = rows_of_camera[3].xy, principal = rows_of_camera[3].zw;
-    vec3 offset = from_centre(means[n], view[3], rest);
+    vec3 offset = from_center(means[n], view[3], rest);
     vec3 p = mat3(view) * offset;
     depths[pair] = CULLED_DEPTH;
     if (!(p.z >= near && p.z <= FAR)) return none;
@@ -133,13 +133,13 @@ TileSet project(uint n, uint camera, uint pair) {
     if (!(opacity >= ALPHA_MIN)) return none;
     float reach = 2 * log(255 * opacity);
     vec2 radii = ceil(min(EXTENT_MAX, sqrt(reach)) * sqrt(vec2(xx, yy)) / unit);
-    vec2 centre = focal * p.xy / p.z + principal;
-    if (!(all(greaterThan(centre + radii, vec2(0))) && all(lessThan(centre - radii, vec2(width, height))))) return none;
-    vec2 place = centre, beyond = max(-centre, centre - vec2(width, height));
+    vec2 center = focal * p.xy / p.z + principal;
+    if (!(all(greaterThan(center + radii, vec2(0))) && all(lessThan(center - radii, vec2(width, height))))) return none;
+    vec2 place = center, beyond = max(-center, center - vec2(width, height));
     if (max(beyond.x, beyond.y) > FAR_OFF) {
         find_ridge(rows_of_camera, uvec2(width, height), means[n], scale, quats[n], place, conic);
     }
-    TileSet tiles = touched(centre, place, radii, conic, reach);
+    TileSet tiles = touched(center, place, radii, conic, reach);
     if (tile_count(tiles) == 0) return none;
 
     depths[pair] = floatBitsToUint(p.z);

@@ -82,7 +82,7 @@ void to_gaussian(uint n, uint camera, PairGradient pair, vec3 conic, inout Gauss
     mat4x3 view = transpose(mat3x4(rows_of_camera[0], rows_of_camera[1], rows_of_camera[2]));
     vec3 rest = vec3(rows_of_camera[4].w, rows_of_camera[5].w, rows_of_camera[6].w);
     vec2 focal = rows_of_camera[3].xy, principal = rows_of_camera[3].zw;
-    vec3 p = mat3(view) * from_centre(means[n], view[3], rest);
+    vec3 p = mat3(view) * from_center(means[n], view[3], rest);
     vec2 margin = MARGIN * vec2(width, height) / focal, free = p.xy / p.z;
     vec2 slope = clamp(free, -principal / focal - margin, (vec2(width, height) - principal) / focal + margin);
     mat3 rows = transpose(mat3(view) * rotation(unit_vector(quats[n])));
@@ -101,8 +101,8 @@ void to_gaussian(uint n, uint camera, PairGradient pair, vec3 conic, inout Gauss
     vec3 turn = vec3(dot(rows[1], d_z) - dot(rows[2], d_y), dot(rows[2], d_x) - dot(rows[0], d_z), dot(rows[0], d_y) - dot(rows[1], d_x));
     bvec2 held = notEqual(slope, free);
     float along = conic.x * pair.first.y;
-    vec2 d_centre = vec2(along, conic.z * pair.first.z - conic.y * along);
-    vec2 d_free = focal * d_centre + mix(d_slope, vec2(0), held);
+    vec2 d_center = vec2(along, conic.z * pair.first.z - conic.y * along);
+    vec2 d_free = focal * d_center + mix(d_slope, vec2(0), held);
     vec3 d_p = vec3(0, 0, pair.depth) + vec3(d_free, -dot(d_free, free) - sizes.x - sizes.y) / p.z;
     vec3 d_offset = d_p * mat3(view) + pair.rgb;
 
@@ -113,8 +113,8 @@ void to_gaussian(uint n, uint camera, PairGradient pair, vec3 conic, inout Gauss
     vec2 d_limit = mix(vec2(0), d_slope, held);
     d_camera.turn -= cross(p, d_p) + turn;
     d_camera.shift -= mat3(view) * d_offset;
-    d_camera.focal += d_centre * free + (sizes - d_limit * slope) / focal;
-    d_camera.principal += d_centre - d_limit / focal;
+    d_camera.focal += d_center * free + (sizes - d_limit * slope) / focal;
+    d_camera.principal += d_center - d_limit / focal;
 }
 
 void store(uint camera, CameraGradient gradient) {

@@ -4,9 +4,9 @@
 // cy) in pixels.
 const uint CAMERA_ROWS = 8;
 
-// Offset of a point from the center `centre` + `rest`, exact in f32 far from the world's origin.
-vec3 from_centre(vec3 point, vec3 centre, vec3 rest) {
-    precise vec3 coarse = point - centre;
+// Offset of a point from the center `center` + `rest`, exact in f32 far from the world's origin.
+vec3 from_center(vec3 point, vec3 center, vec3 rest) {
+    precise vec3 coarse = point - center;
     precise vec3 fine = coarse - rest;
     return fine;
 }

@@ -34,12 +34,12 @@ void find_ridge(vec4 camera[CAMERA_ROWS], uvec2 size, vec3 mean, vec3 scale, vec
     }
     vec4 q = quat * to_one(largest_of(quat));
     float largest = max(max(scale.x, scale.y), scale.z);
-    vec2 axes[3][3], centre[2], spread[2][3];
+    vec2 axes[3][3], center[2], spread[2][3];
     turn(q, axes);
     for (uint a = 0; a < 2; a++) {
         vec2 focal = vec2(camera[3][a], camera[7][a]), principal = vec2(camera[3][a + 2], camera[7][a + 2]);
         vec2 slope = divide(p[a], p[2]);
-        centre[a] = add(multiply(focal, slope), principal);
+        center[a] = add(multiply(focal, slope), principal);
         slope = held_slope(slope, focal, principal, size[a]);
         vec2 row[3];
         for (uint c = 0; c < 3; c++) row[c] = add(rows[a][c], -multiply(slope, rows[2][c]));
@@ -50,9 +50,9 @@ void find_ridge(vec4 camera[CAMERA_ROWS], uvec2 size, vec3 mean, vec3 scale, vec
     vec2 squares = add(inner(spread[1], spread[1]), vec2(BLUR * pixel * pixel, 0));
     vec2 focals = divide(vec2(camera[3].x, camera[7].x), vec2(camera[3].y, camera[7].y));
     vec2 shear = multiply(focals, divide(inner(spread[0], spread[1]), squares));
-    float row = ridge_row(centre[1].x, size.y);
-    vec2 rise = add(add(row, -centre[1].x), vec2(-centre[1].y, 0));
-    place = vec2(add(centre[0], multiply(shear, rise)).x, centre[1].x);
+    float row = ridge_row(center[1].x, size.y);
+    vec2 rise = add(add(row, -center[1].x), vec2(-center[1].y, 0));
+    place = vec2(add(center[0], multiply(shear, rise)).x, center[1].x);
     // A = yy / det, P = 1 / yy with a more exact yy: v cancels in needles along the rows.
     float better = squares.x * conic.z / pixel / pixel;
     conic = vec3(conic.x * better, shear.x, conic.z / better);

@@ -2,7 +2,7 @@
 //!
 //! An area covers related kernels. Cases have hard inputs, truth from `zipsplat_reference`,
 //! per-element bounds and simulated faults. Bounds are never loosened to pass.
-//! `tests/kernels/catalogue.rs` injects each fault, whose error must exceed twice the bound.
+//! `tests/kernels/catalog.rs` injects each fault, whose error must exceed twice the bound.
 
 mod bound;
 mod case;
@@ -311,7 +311,7 @@ pub fn shapes() -> Vec<Area> {
 }
 
 /// Returns all areas in pipeline order.
-pub fn catalogue() -> Vec<Area> {
+pub fn catalog() -> Vec<Area> {
     vec![
         ops::linear::area(),
         ops::linear::q8_area(),
@@ -328,7 +328,7 @@ pub fn catalogue() -> Vec<Area> {
         ops::sort::area(),
         render::forward::area(),
         loss::gradient::area(),
-        render::backward::rasterise(),
+        render::backward::rasterize(),
         render::backward::color(),
         render::backward::project(),
         render::backward::cameras(),

@@ -88,21 +88,21 @@ fn linear_layers_agree_with_f64() {
 fn frames_are_measured_by_pass() {
     let folder = Folder::new();
     let rows = rows(&folder, "render --gaussians 50,300 --size 32x32,48x32 --sh 0");
-    for what in ["host", "device", "in flight", "sort by depth", "sort by tile", "render/project", "render/rasterise"] {
+    for what in ["host", "device", "in flight", "sort by depth", "sort by tile", "render/project", "render/rasterize"] {
         assert_eq!(rows.iter().filter(|row| row["what"] == what).count(), 4, "{what}");
     }
     let share = |row: &Value| row["bandwidth_share"].as_f64().is_some_and(|share| share > 0.0);
     assert!(rows.iter().all(|row| share(row) == row["bytes"].is_u64()), "{rows:?}");
     assert!(rows.iter().all(|row| ordered(&row["ms"])), "{rows:?}");
     let text = folder.run("bench render --gaussians 50 --size 32x32 --warmup 0 --repeats 1").success();
-    assert!(text.contains("frames/s") && text.contains("render/rasterise"), "{text}");
+    assert!(text.contains("frames/s") && text.contains("render/rasterize"), "{text}");
 }
 
 #[test]
 fn a_step_is_measured_beside_its_picture() {
     let rows = rows(&Folder::new(), "refine --gaussians 50,300 --size 32x32 --sh 0 --photos 2");
     let passes =
-        ["render/rasterise", "render/rasterise_backward", "render/project_backward", "loss/gradient", "refine/adam"];
+        ["render/rasterize", "render/rasterize_backward", "render/project_backward", "loss/gradient", "refine/adam"];
     for what in passes.into_iter().chain(["step", "picture", "host"]) {
         assert_eq!(rows.iter().filter(|row| row["what"] == what).count(), 2, "{what}: {rows:?}");
     }
@@ -112,7 +112,7 @@ fn a_step_is_measured_beside_its_picture() {
         assert!(row["peak_bytes"].as_u64() > Some(0) && row["photos"] == 2, "{row}");
     }
     let text = Folder::new().run("bench refine --gaussians 50 --size 32x32 --warmup 0 --repeats 1").success();
-    assert!(text.contains("of bandwidth") && text.contains("render/rasterise_backward"), "{text}");
+    assert!(text.contains("of bandwidth") && text.contains("render/rasterize_backward"), "{text}");
     Folder::new().run("bench refine --sh 2 --pytorch").fails(3, &["--sh", "0 or 1"]);
     Folder::new().run("bench refine --pytorch=no-such-python").fails(3, &["--pytorch", "no-such-python", "numba"]);
 }

@@ -19,7 +19,7 @@ fn videos_become_their_sharpest_frames() {
     let noise =
         |frame: usize, i: usize| ((i * 2_654_435_761) >> 7) as u8 / if [1, 2, 4].contains(&frame) { 1 } else { 8 };
     let gray: Vec<u8> = (0..6).flat_map(|frame| (0..512 * 512).map(move |i| noise(frame, i))).collect();
-    fs::write(folder.path("grey"), gray).expect("written");
+    fs::write(folder.path("gray"), gray).expect("written");
     let ppm = |shade: u8| [b"P6\n16 8\n255\n".as_slice(), &[shade; 3 * 16 * 8]].concat();
     fs::write(folder.path("ppm"), [ppm(40), ppm(90), ppm(200)].concat()).expect("written");
     let here = folder.line("@");
@@ -28,7 +28,7 @@ fn videos_become_their_sharpest_frames() {
             "#!/bin/sh\n[ \"$1\" = -version ] && exit 0\necho \"$@\" >>'{here}/ffmpeg.args'\ncase \"$*\" in *rawvideo*) {gray};; *ppm*) {ppm};; esac\n"
         )
     };
-    let cats = text(&format!("cat '{here}/grey'"), &format!("cat '{here}/ppm'"));
+    let cats = text(&format!("cat '{here}/gray'"), &format!("cat '{here}/ppm'"));
     script(&folder, "ffmpeg", &cats);
     fs::write(folder.path("clip.MP4"), "a video").expect("written");
     let micro = "--weights @/micro.safetensors --input-size 28x28";
@@ -58,7 +58,7 @@ fn videos_become_their_sharpest_frames() {
     script(&folder, "says", &text("echo 'moov atom not found' >&2; exit 1", ""));
     script(&folder, "nothing", &text("echo '[mov @ 0x7f] error in track' >&2", ""));
     script(&folder, "sound", &text("echo \"Stream map '0:v:0' matches no streams.\" >&2; exit 1", ""));
-    let complains = format!("echo '[h264 @ 0x7f] partial file' >&2; cat '{here}/grey'");
+    let complains = format!("echo '[h264 @ 0x7f] partial file' >&2; cat '{here}/gray'");
     script(&folder, "damaged", &text(&complains, &format!("cat '{here}/ppm'")));
     let before = folder.names();
     folder.run(&line("short")).fails(1, &["short"]);

@@ -5,7 +5,7 @@ use std::num::NonZeroU32;
 use zipsplat::gpu::{Plan, Profile};
 use zipsplat::stages::render::{CameraRows, FrameShape, record};
 use zipsplat_tests::prelude::*;
-use zipsplat_tests::reference::render::{normals, project, rasterise};
+use zipsplat_tests::reference::render::{normals, project, rasterize};
 
 const SIZE: [usize; 2] = [70, 53];
 
@@ -15,7 +15,7 @@ fn blended(scene: &Scene, camera: &Camera, value: impl Fn(usize) -> [f64; 3]) ->
     for (i, splat) in splats.iter_mut().enumerate() {
         splat.iter_mut().for_each(|splat| splat.color = value(i));
     }
-    let rendering = rasterise::rasterise(&splats, SIZE, [0.0; 3]);
+    let rendering = rasterize::rasterize(&splats, SIZE, [0.0; 3]);
     (rendering.rgb, rendering.unstable)
 }
 

@@ -2,7 +2,7 @@
 
 use crate::render::{ALL, bits, render};
 use zipsplat_tests::prelude::*;
-use zipsplat_tests::reference::render::rasterise;
+use zipsplat_tests::reference::render::rasterize;
 
 /// From specks to splats larger than the picture.
 fn cases() -> impl Iterator<Item = (Scene, Camera)> {
@@ -95,7 +95,7 @@ fn the_world_of_a_scene_does_not_show() {
     let truth = render(&scene, &[camera], &request).remove(0).rgb.unwrap();
     let drawn = render(&placed, &[Camera { pose, ..camera }], &request).remove(0).rgb.unwrap();
     let unstable =
-        rasterise::render(&reference_gaussians(&scene), &reference_camera(&camera), false, [0.0; 3]).unstable;
+        rasterize::render(&reference_gaussians(&scene), &reference_camera(&camera), false, [0.0; 3]).unstable;
     let picture = Picture { values: &drawn, width: 64, channels: 3 };
     let tolerance = ImageTolerance { absolute: 1e-3, psnr: 60.0, ..ImageTolerance::RGB };
     assert_images_close("placed", picture, &truth, &unstable, tolerance);

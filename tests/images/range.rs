@@ -3,13 +3,13 @@
 use crate::render::{ALL, bits, render};
 use glam::DVec2;
 use zipsplat_tests::prelude::*;
-use zipsplat_tests::reference::render::rasterise;
+use zipsplat_tests::reference::render::rasterize;
 
 /// Compares color and alpha with brute force in f64.
 #[track_caller]
 fn hold(what: &str, scene: &Scene, camera: &Camera, antialiased: bool, tolerance: ImageTolerance) {
     let frame = render(scene, &[*camera], &RenderOptions { antialiased, ..ALL }).remove(0);
-    let truth = rasterise::render(&reference_gaussians(scene), &reference_camera(camera), antialiased, [0.0; 3]);
+    let truth = rasterize::render(&reference_gaussians(scene), &reference_camera(camera), antialiased, [0.0; 3]);
     let width = frame.width as usize;
     for (plane, channels, values, truth_values) in
         [("rgb", 3, frame.rgb.unwrap(), &truth.rgb), ("alpha", 1, frame.alpha.unwrap(), &truth.alpha)]
@@ -114,7 +114,7 @@ fn gaussians_of_any_size_are_drawn() {
             let frame = render(&scene, &[turned()], &RenderOptions { antialiased, ..ALL }).remove(0);
             assert!(frame.alpha.unwrap().iter().any(|alpha| *alpha > 0.01), "{what}: nothing is drawn");
             let truth =
-                rasterise::render(&reference_gaussians(&scene), &reference_camera(&turned()), antialiased, [0.0; 3]);
+                rasterize::render(&reference_gaussians(&scene), &reference_camera(&turned()), antialiased, [0.0; 3]);
             let picture = Picture { values: &frame.rgb.unwrap(), width: 70, channels: 3 };
             assert_images_close(&what, picture, &truth.rgb, &truth.unstable, tolerance);
         }

@@ -3,7 +3,7 @@
 use std::num::NonZeroU32;
 use zipsplat::stages::render::{CameraRows, FrameShape, camera_rows, record};
 use zipsplat_tests::prelude::*;
-use zipsplat_tests::{reference::render as reference, reference::render::rasterise::Rendering};
+use zipsplat_tests::{reference::render as reference, reference::render::rasterize::Rendering};
 
 pub const ALL: RenderOptions = RenderOptions {
     rgb: true,
@@ -80,7 +80,7 @@ fn compare(
 
 fn brute_force(scene: &Scene, camera: &Camera, request: &RenderOptions) -> Rendering {
     let (gaussians, camera) = (reference_gaussians(scene), reference_camera(camera));
-    reference::rasterise::render(&gaussians, &camera, request.antialiased, request.background.map(f64::from))
+    reference::rasterize::render(&gaussians, &camera, request.antialiased, request.background.map(f64::from))
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 mod arena;
 mod case;
-mod catalogue;
+mod catalog;
 mod determinism;
 mod self_test;
 mod tuning;
@@ -33,7 +33,7 @@ mod loss {
 }
 mod lpips {
     mod compare;
-    mod normalise;
+    mod normalize;
     mod pool;
 }
 mod measure {
@@ -49,7 +49,7 @@ mod ops {
     mod layer_norm;
     mod linear;
     mod place_columns;
-    mod quantise_rows;
+    mod quantize_rows;
     mod sort;
     mod split_heads;
 }
@@ -62,5 +62,5 @@ mod render {
     mod normals;
     mod pack;
     mod project;
-    mod rasterise;
+    mod rasterize;
 }

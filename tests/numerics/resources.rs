@@ -201,14 +201,14 @@ fn reconstructs_all_tokens_and_half() {
 fn every_subgroup_size_of_lavapipe_stays_within_the_bounds() {
     for bits in VECTORS {
         let shell = format!("export LP_NATIVE_VECTOR_WIDTH={bits}");
-        assert_succeeds(child("resources::examines_the_catalogue", Path::new("all"), &shell));
+        assert_succeeds(child("resources::examines_the_catalog", Path::new("all"), &shell));
     }
 }
 
 #[test]
 #[ignore = "child of every_subgroup_size_of_lavapipe_stays_within_the_bounds"]
-fn examines_the_catalogue() {
+fn examines_the_catalog() {
     if target().is_some() {
-        zipsplat_tests::catalogue::examine("");
+        zipsplat_tests::catalog::examine("");
     }
 }

@@ -112,12 +112,12 @@ fn cmyk_jpeg(level: i32) -> Vec<u8> {
 }
 
 #[test]
-fn grey_deep_transparent_and_cmyk_photos() {
+fn gray_deep_transparent_and_cmyk_photos() {
     let rgb = DynamicImage::ImageRgb8(image::RgbImage::from_fn(60, 60, |x, y| image::Rgb([x as u8, y as u8, 99])));
     let kinds = [
-        ("grey", DynamicImage::ImageLuma8(rgb.to_luma8()), ImageFormat::Png),
-        ("grey JPEG", DynamicImage::ImageLuma8(rgb.to_luma8()), ImageFormat::Jpeg),
-        ("grey and alpha", DynamicImage::ImageLumaA8(rgb.to_luma_alpha8()), ImageFormat::Png),
+        ("gray", DynamicImage::ImageLuma8(rgb.to_luma8()), ImageFormat::Png),
+        ("gray JPEG", DynamicImage::ImageLuma8(rgb.to_luma8()), ImageFormat::Jpeg),
+        ("gray and alpha", DynamicImage::ImageLumaA8(rgb.to_luma_alpha8()), ImageFormat::Png),
         ("16 bits", DynamicImage::ImageRgb16(rgb.to_rgb16()), ImageFormat::Png),
         ("16 bits and alpha", DynamicImage::ImageRgba16(rgb.to_rgba16()), ImageFormat::Png),
         ("alpha", DynamicImage::ImageRgba8(rgb.to_rgba8()), ImageFormat::WebP),

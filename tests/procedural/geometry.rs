@@ -108,7 +108,7 @@ fn points_land_on_the_same_colors_in_other_views() {
     let (error, chance) = (mean(&errors), mean(&chance));
     assert!(errors.len() > 30_000, "only {} points are seen twice", errors.len());
     // Half a pixel of texture, highlights and noise remain.
-    assert!(error < 0.06 && error < 0.4 * chance, "colours differ by {error:.3}, at random places by {chance:.3}");
+    assert!(error < 0.06 && error < 0.4 * chance, "colors differ by {error:.3}, at random places by {chance:.3}");
 }
 
 #[test]

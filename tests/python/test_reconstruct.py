@@ -96,7 +96,6 @@ def test_a_folder_matches_the_command_bitwise(model: zipsplat.Model, tmp_path: P
         (folder / f"{i}.jpg").write_bytes(photo.read_bytes())
     (folder / "notes.txt").write_text("left out")
     command("reconstruct", folder, "--size", "70x70", "-o", tmp_path / "command.ply")
-    assert zipsplat.Scene.open(tmp_path / "command.ply").world == "first_camera"
     made = model.reconstruct(folder, input_size=SIZE).to_bytes("ply")
     assert rows(made) == rows((tmp_path / "command.ply").read_bytes())
 
@@ -124,7 +123,9 @@ def test_a_capture_matches_the_command_bitwise(model: zipsplat.Model, capture: P
     first = model.reconstruct(opened, input_size=SIZE, world="first_camera")
     assert not same(model.reconstruct(opened, input_size=SIZE, scene_scale=2.0), expected)
     assert np.allclose(first.means, expected.means, atol=1e-5), "the first camera is the world's origin here"
-    pictures = zipsplat.Scene.open(written).render(opened.cameras)
+    from_file = zipsplat.Scene.open(written)
+    assert from_file.world == "input_cameras" and expected.world is None
+    pictures = from_file.render(opened.cameras)
     command("render", written, "--cameras", capture / "transforms.json", "-o", capture / "drawn")
     drawn = [zipsplat.load_image(capture / "drawn" / f"00{i}.png") for i in range(3)]
     assert np.array_equal(pictures.rgb, drawn)
@@ -203,6 +204,8 @@ def test_progress_functions_stop_and_raise(model: zipsplat.Model, photos: list[P
     opened = zipsplat.Capture.open(capture)
     place = zipsplat.Scene.open(capture / "place.ply")
     scene = zipsplat.Scene.from_arrays(place.means, place.scales, place.quats, place.opacities, place.sh_coeffs + 0.3)
+    with pytest.raises(zipsplat.ArgumentError, match="steps: found 0"):
+        scene.refine(opened, steps=0)
     best = scene.refine(opened, steps=9, progress=lambda now: now.step < 2)
     assert best.refinement is not None and (best.refinement.stop_reason, best.refinement.steps) == ("stopped", 2)
     with pytest.raises(KeyError, match="mine"):
@@ -232,11 +235,17 @@ def test_invalid_arguments_raise(model: zipsplat.Model, photos: list[Path], capt
         ([picture], {"world": "mine"}, ValueError, "first_camera"),
         ([picture], {"world": "input_cameras"}, zipsplat.ArgumentError, "world"),
         ([picture], {"input_size": (15, 14)}, zipsplat.ArgumentError, "size of the views"),
+        ([picture], {"kv_pool": 0}, ValueError, "kv_pool: found 0"),
+        ([picture], {"input_size": (0, 70)}, ValueError, "input_size: found 0"),
+        ([picture], {"seed": -1}, ValueError, "seed: found -1"),
+        ([picture], {"seed": "a"}, zipsplat.ArgumentTypeError, "seed: found 'a'"),
         ([picture], {"cameras": [camera, camera]}, ValueError, "found 2 cameras"),
         ([picture], {"cameras": [np.eye(4)]}, TypeError, "ndarray"),
         ([picture], {"cameras": empty}, zipsplat.ArgumentError, "transforms.json"),
         ([picture], {"cameras": capture}, TypeError, "paths"),
     ]
+    with pytest.raises(zipsplat.FileError, match="none: No such file"):
+        zipsplat.list_images(tmp_path / "none")
     for images, options, error, words in cases:
         with pytest.raises(error, match=words):
             model.reconstruct(images, **options)  # type: ignore[arg-type]

@@ -9,7 +9,7 @@ use zipsplat_tests::reference::render::project::{Camera, Gaussians, Splat, proje
 use zipsplat_tests::{
     reference::backbone::patchify::Images, reference::forward, reference::forward::Tokens,
     reference::gaussians::activate::activate, reference::model::Model, reference::ops::layer_norm::layer_norm,
-    reference::render::rasterise::render, reference::render::sh,
+    reference::render::rasterize::render, reference::render::sh,
 };
 
 const STORED: Tolerance = Tolerance::STORED;

@@ -16,7 +16,7 @@ const STEPS: [(&str, &str); 12] = [
     ("render/cameras_backward", "render/backward"),
     ("render/color_backward", "render/backward"),
     ("render/project_backward", "render/backward"),
-    ("render/rasterise_backward", "render/backward"),
+    ("render/rasterize_backward", "render/backward"),
     ("render/tile_counts", "render/intersect"),
 ];
 

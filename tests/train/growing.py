@@ -31,6 +31,6 @@ for name, pictures in (("flat", torch.full_like(noise, 0.5)), ("detailed", noise
         old, new = (model(pictures)[0] for model in (small, large))
     change = (new - old).abs()
     colors, rest = change[..., 11:14].max(), torch.cat((change[..., :11], change[..., 14:]), -1).max()
-    print(f"{name}: changes of {colors:.4f} in constant colours, {rest:.4f} in all else")
+    print(f"{name}: changes of {colors:.4f} in constant colors, {rest:.4f} in all else")
     assert rest < 0.05, "expected none but for what detail does to a norm"
     assert colors < 1e-3 if name == "flat" else colors > 0.1, "expected the detail of a picture and nothing else"

@@ -29,5 +29,5 @@ export PYTHON
 goldens=${ZIPSPLAT_GOLDENS:-$root/../shared/golden/data}
 [[ -d $goldens ]] || goldens=$root/tests/data
 [[ ! -e $goldens/da3_tiny.v2.safetensors ]] || "$PYTHON" "$here/settings.py" "$goldens"
-"$PYTHON" "$here/rasterise.py" "$goldens"
+"$PYTHON" "$here/rasterize.py" "$goldens"
 "$here/smoke.sh" "${ZIPSPLAT_COMMAND:-$root/tools/zipsplat}"

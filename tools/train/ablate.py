@@ -34,7 +34,7 @@ def gaussians(count, cells):
 
 VARIANTS = {
     "full, 32 Gaussians a token": {},
-    "without coupled initialisation": {"initial.coupled": False},
+    "without coupled initialization": {"initial.coupled": False},
     "without low opacity": {"initial.opacity": 0.0},
     "without a place in front of the camera": {"initial.depth": 0.0},
     "without the loss of depth": {"losses.depth": 0},

@@ -17,7 +17,7 @@ FIRST_SEED, SCENES, SCENE_VIEWS = 1 << 41, 20, 16
 INPUTS, RATIOS = (4, 8), (1, 0.5, 0.25)
 CAPTURE_INPUTS = 8
 POSE_FREE = ("--pose-free", "--targets", "4")
-HEADINGS = "\n| {} | PSNR | SSIM | nearest photo | its mean colour | above the better |\n|---|---|---|---|---|---|"
+HEADINGS = "\n| {} | PSNR | SSIM | nearest photo | its mean color | above the better |\n|---|---|---|---|---|---|"
 
 
 def main():
@@ -44,7 +44,7 @@ def main():
         for i, scene in enumerate(scenes):
             command = [args.zipsplat, "scene", "--seed", str(FIRST_SEED + i), "--views", str(SCENE_VIEWS), "-q"]
             subprocess.run([*command, "-o", scene], check=True)
-        print(f"| {SCENES} procedural scenes | ratio | PSNR | SSIM | nearest photo | its mean colour |\n|---|---|---|---|---|---|")
+        print(f"| {SCENES} procedural scenes | ratio | PSNR | SSIM | nearest photo | its mean color |\n|---|---|---|---|---|---|")
         for inputs in INPUTS:
             for ratio in RATIOS:
                 means = [evaluate(scene, inputs, ratio, f"scene{i}-{inputs}-{ratio}") for i, scene in enumerate(scenes)]

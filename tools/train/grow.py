@@ -46,7 +46,7 @@ def widen_colors(tensors, model, cells):
     old_width, old_heads = a.color_width // 2, a.color_heads // 2
     inputs, hidden = a.width + old_width, tensors[f"{HEAD[0]}.bias"].numel()
     if (2 * old_width, 2 * old_heads) != (a.color_width, a.color_heads) or len(tensors["color_embed.proj.bias"]) != old_width:
-        raise SystemExit(f"found a colour branch of {len(tensors['color_embed.proj.bias'])} channels in the weights, "
+        raise SystemExit(f"found a color branch of {len(tensors['color_embed.proj.bias'])} channels in the weights, "
                          f"and {a.color_width} with {a.color_heads} heads in the configuration, expected twice as many")  # fmt: skip
     if count != a.gaussians_per_token or count > old_width or a.head_hidden < hidden + 2 * count:
         raise SystemExit(f"found cells {cells}, expected one a Gaussian, and head_hidden {hidden + 2 * count} at least")

@@ -39,7 +39,7 @@ def validate(config):
     expect("backbone_rate", rate, isinstance(rate, int | float) and 0 <= rate <= 1, "a share of the learning rate, 0 to 1")
     gap = config["gap"]
     ordered = isinstance(gap, list) and len(gap) == 2 and 1 <= gap[0] <= gap[1]
-    expect("gap", gap, ordered, "the least and the largest number of neighbouring frames that a scene's views are of")
+    expect("gap", gap, ordered, "the least and the largest number of neighboring frames that a scene's views are of")
     expect("muon", config["muon"], isinstance(config["muon"], bool), "true, or false for AdamW alone")
     expect("queries", queries, isinstance(queries, int) and queries >= 0, "a number of learned queries, 0 for tokens of the scene")
     if queries:

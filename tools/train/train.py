@@ -74,7 +74,7 @@ class Trainer:
         self.optimizer = Optimizer(self.model, config["weight_decay"], self.rank, self.processes, config["backbone_rate"], config["muon"])
         if state:
             self.average.load_state_dict(state["average"])
-            self.optimizer.load_state_dict(state["optimiser"])
+            self.optimizer.load_state_dict(state["optimizer"])
         self.perceptual = losses.Lpips(args.lpips).to(self.device) if args.lpips else None
         self.autocast = torch.bfloat16 if config["bf16"] else None
         if config["compile"]:
@@ -331,7 +331,7 @@ class Trainer:
         }
         counters["first_seed"] = max(self.first_seed, self.pool.last_seed + 1)
         state = {"model": self.model.state_dict(), "average": self.average.state_dict(),
-                 "optimiser": self.optimizer.state_dict(), "counters": counters, "log": self.log}  # fmt: skip
+                 "optimizer": self.optimizer.state_dict(), "counters": counters, "log": self.log}  # fmt: skip
         torch.save(state, self.out / "state.pt.partial")
         (self.out / "state.pt.partial").replace(self.out / "state.pt")
         device = torch.cuda.get_device_name() if self.device.type == "cuda" else "CPU"

@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# Builds and checks a wheel (auditwheel, twine) for glibc 2.28, linked by zig. It holds the command too.
+# Builds and checks a wheel (auditwheel, twine) with the library and the command, for glibc 2.28,
+# linked by zig.
 # usage: engine/bindings/python/build.sh [FOLDER]      default target/wheels
 #   ZIPSPLAT_LIBRARY  existing shared library, skips the build
 #   ZIPSPLAT_COMMAND  existing command for the wheel, if ZIPSPLAT_LIBRARY is set; default none

@@ -82,7 +82,7 @@ mod tests {
     use crate::{Intrinsics, Pose};
 
     #[test]
-    fn gaussians_are_as_large_as_their_neighbours_are_far() {
+    fn gaussians_are_as_large_as_their_neighbors_are_far() {
         let positions: Vec<[f32; 3]> = [0.0, 1.0, 2.0, 3.0, 3.0].map(|x| [x, 0.0, 0.0]).to_vec();
         let cloud = PointCloud { positions, colors: vec![[255, 0, 128]; 5] };
         let scene = Scene::from_points(&cloud, &[]).expect("a scene");

@@ -115,12 +115,12 @@ pub fn gather_rows(rec: &mut Recorder, source: Rows, rows_from_out: Tensor, coun
 }
 
 /// Quantizes f16 rows to 8 bits and `[rows]` f32 scales.
-pub fn quantise_rows(rec: &mut Recorder, source: Rows) -> (Rows, Tensor) {
+pub fn quantize_rows(rec: &mut Recorder, source: Rows) -> (Rows, Tensor) {
     let Rows { count, width, .. } = source;
-    let out = Rows::scratch(rec, "quantised", count, width, Element::I8);
+    let out = Rows::scratch(rec, "quantized", count, width, Element::I8);
     let scales = rec.tensor::<f32>("row_scales", count);
     let (rows, width) = (count as u32, width as u32);
-    rec.dispatch_groups(ops::QuantiseRows { source: source.tensor, out: out.tensor, scales, rows, width }, count);
+    rec.dispatch_groups(ops::QuantizeRows { source: source.tensor, out: out.tensor, scales, rows, width }, count);
     (out, scales)
 }
 

@@ -27,9 +27,9 @@ pub fn camera_tokens(weights: &Scope, priors: &[Prior], blocks: usize, heads: us
 /// radians.
 pub fn encode(prior: &Prior) -> [f64; 9] {
     let [width, height, fx, fy, ..] = prior.camera;
-    let (r, centre) = (|row: usize, column: usize| prior.pose[3 * row + column], &prior.pose[9..]);
+    let (r, center) = (|row: usize, column: usize| prior.pose[3 * row + column], &prior.pose[9..]);
     let inverse = [[r(0, 0), r(1, 0), r(2, 0)], [r(0, 1), r(1, 1), r(2, 1)], [r(0, 2), r(1, 2), r(2, 2)]];
-    let [tx, ty, tz] = inverse.map(|row| -(row[0] * centre[0] + row[1] * centre[1] + row[2] * centre[2]));
+    let [tx, ty, tz] = inverse.map(|row| -(row[0] * center[0] + row[1] * center[1] + row[2] * center[2]));
     let [w, x, y, z] = quat_from_rotation(inverse);
     [tx, ty, tz, x, y, z, w, 2.0 * (height / (2.0 * fy)).atan(), 2.0 * (width / (2.0 * fx)).atan()]
 }

@@ -1,7 +1,7 @@
 //! LPIPS 0.1 (Zhang et al. 2018).
 
 pub mod compare;
-pub mod normalise;
+pub mod normalize;
 pub mod pool;
 
 use super::ops::{im2col::im2col, linear::linear};
@@ -41,7 +41,7 @@ pub fn lpips(layers: &[Layer], [a, b]: [&[f64]; 2], width: usize, clipped: bool)
 
 fn taps(layers: &[Layer], picture: &[f64], width: usize, clipped: bool) -> Vec<Vec<f64>> {
     let mut found = Vec::new();
-    let mut features = Features { values: normalise::normalise(picture, clipped), width, channels: 3 };
+    let mut features = Features { values: normalize::normalize(picture, clipped), width, channels: 3 };
     for layer in layers {
         if let Some([side, step]) = layer.pool {
             let shape = [features.width, features.channels];

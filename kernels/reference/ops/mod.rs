@@ -9,5 +9,5 @@ pub mod im2col;
 pub mod layer_norm;
 pub mod linear;
 pub mod place_columns;
-pub mod quantise_rows;
+pub mod quantize_rows;
 pub mod split_heads;

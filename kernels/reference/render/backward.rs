@@ -3,7 +3,7 @@
 
 use super::{
     project::{Camera, Gaussians, MIN_ALPHA, project},
-    rasterise::{MAX_ALPHA, MIN_TRANSMITTANCE, render},
+    rasterize::{MAX_ALPHA, MIN_TRANSMITTANCE, render},
     sh,
 };
 use glam::{DMat3, DVec3};
@@ -112,7 +112,7 @@ fn moved_camera(camera: &Camera, direction: &[f64; 10], by: f64) -> Camera {
     }
 }
 
-/// A splat as in render/rasterise_backward: conic A (dx - k dy)^2 + P dy^2.
+/// A splat as in render/rasterize_backward: conic A (dx - k dy)^2 + P dy^2.
 #[derive(Clone, Copy, Debug)]
 pub struct Ellipse {
     /// x of center or ridge, y of center.
@@ -200,12 +200,12 @@ pub fn of_splat(gaussian: &Gaussians, camera: &Camera, antialiased: bool, pair: 
     let [g, ge, gy, gee, gey, gyy] = std::array::from_fn(|i| pair[i]);
     let (dx, dy) = (ge + k * gy, gy);
     let moments = [gee + 2.0 * k * gey + k * k * gyy, gey + k * gyy, gyy];
-    let centre = [xx * dx + xy * dy, xy * dx + yy * dy];
+    let center = [xx * dx + xy * dy, xy * dx + yy * dy];
     let loss = |gaussian: &Gaussians, camera: &Camera| {
         let splat = splat(gaussian, camera);
-        let offset = DVec3::from(gaussian.means[0]) - camera.centre();
+        let offset = DVec3::from(gaussian.means[0]) - camera.center();
         let [xx, xy, yy] = splat.conic;
-        g * splat.opacity.ln() + centre[0] * splat.mean[0] + centre[1] * splat.mean[1]
+        g * splat.opacity.ln() + center[0] * splat.mean[0] + center[1] * splat.mean[1]
             - 0.5 * (moments[0] * xx + 2.0 * moments[1] * xy + moments[2] * yy)
             + DVec3::new(pair[6], pair[7], pair[8]).dot(offset)
             + pair[9] * splat.depth

@@ -4,5 +4,5 @@ pub mod backward;
 pub mod normals;
 pub mod pack;
 pub mod project;
-pub mod rasterise;
+pub mod rasterize;
 pub mod sh;

@@ -18,6 +18,6 @@ pub fn normal(gaussians: &Gaussians, i: usize, camera: &Camera) -> [f64; 3] {
     let columns = [power.x_axis, power.y_axis, power.z_axis];
     let longest = columns.into_iter().max_by(|a, b| a.length().total_cmp(&b.length())).expect("three columns");
     let axis = longest.normalize();
-    let towards = camera.centre() - DVec3::from(gaussians.means[i]);
+    let towards = camera.center() - DVec3::from(gaussians.means[i]);
     (if axis.dot(towards) < 0.0 { -axis } else { axis }).into()
 }

@@ -54,7 +54,7 @@ impl Camera {
     }
 
     /// Returns the world-space center.
-    pub fn centre(&self) -> DVec3 {
+    pub fn center(&self) -> DVec3 {
         self.rotation.inverse() * -self.translation
     }
 }
@@ -92,7 +92,7 @@ fn project_one(gaussians: &Gaussians, i: usize, camera: &Camera, antialiased: bo
     if !(NEAR..=FAR).contains(&p.z) {
         return None;
     }
-    let centre = [fx * p.x / p.z + cx, fy * p.y / p.z + cy];
+    let center = [fx * p.x / p.z + cx, fy * p.y / p.z + cy];
     let [u, v] = spread_2d(gaussians, i, camera, p);
     let blur = EPS_2D.sqrt();
     let [wide_u, wide_v] = [[u[0], u[1], u[2], blur, 0.0], [v[0], v[1], v[2], 0.0, blur]];
@@ -107,20 +107,20 @@ fn project_one(gaussians: &Gaussians, i: usize, camera: &Camera, antialiased: bo
     let reach = (2.0 * (opacity / MIN_ALPHA).ln()).sqrt().min(3.33);
     let radii = [xx, yy].map(|variance| (reach * variance.sqrt()).ceil());
     let outside =
-        |axis: usize| centre[axis] + radii[axis] <= 0.0 || centre[axis] - radii[axis] >= camera.size[axis] as f64;
+        |axis: usize| center[axis] + radii[axis] <= 0.0 || center[axis] - radii[axis] >= camera.size[axis] as f64;
     if radii == [0.0, 0.0] || outside(0) || outside(1) {
         return None;
     }
     let coeffs = gaussians.sh_coeffs.len() / gaussians.means.len();
     Some(Splat {
-        mean: centre,
+        mean: center,
         depth: p.z,
         conic: [yy / determinant, -xy / determinant, xx / determinant],
         opacity,
         compensation,
         radii: radii.map(|r| r as u32),
-        tiles: tiles(centre, radii, camera.size),
-        color: sh::color(&gaussians.sh_coeffs[i * coeffs..][..coeffs], mean - camera.centre()),
+        tiles: tiles(center, radii, camera.size),
+        color: sh::color(&gaussians.sh_coeffs[i * coeffs..][..coeffs], mean - camera.center()),
     })
 }
 
@@ -163,10 +163,10 @@ fn spread_2d(gaussians: &Gaussians, i: usize, camera: &Camera, p: DVec3) -> [[f6
     [u, v].map(|row| (spread.transpose() * row).into())
 }
 
-fn tiles(centre: [f64; 2], radii: [f64; 2], size: [usize; 2]) -> [[u32; 2]; 2] {
+fn tiles(center: [f64; 2], radii: [f64; 2], size: [usize; 2]) -> [[u32; 2]; 2] {
     let count = size.map(|pixels| (pixels as f64 / TILE).ceil());
     let tile = |axis: usize, edge: f64| (edge / TILE).clamp(0.0, count[axis]);
-    let first = [0, 1].map(|axis| tile(axis, centre[axis] - radii[axis]).floor() as u32);
-    let end = [0, 1].map(|axis| tile(axis, centre[axis] + radii[axis]).ceil() as u32);
+    let first = [0, 1].map(|axis| tile(axis, center[axis] - radii[axis]).floor() as u32);
+    let end = [0, 1].map(|axis| tile(axis, center[axis] + radii[axis]).ceil() as u32);
     [first, end]
 }

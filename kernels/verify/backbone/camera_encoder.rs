@@ -28,7 +28,7 @@ enum Fault {
     /// Fields of view from the principal point.
     OffCentre,
     HalfTranslation,
-    NeighbourCamera,
+    NeighborCamera,
 }
 
 fn prior(camera: &Camera, pose: Pose) -> Prior {
@@ -55,7 +55,7 @@ impl Fault {
             Fault::Degrees => truth[7..].iter_mut().for_each(|angle| *angle = angle.to_degrees()),
             Fault::OffCentre => truth[7] = 2.0 * (i.cy / i.fy).atan(),
             Fault::HalfTranslation => truth[..3].iter_mut().for_each(|t| *t = half(*t)),
-            Fault::NeighbourCamera => {}
+            Fault::NeighborCamera => {}
         }
         truth
     }
@@ -96,7 +96,7 @@ impl case::Problem for Problem {
     fn faulty(&self, truth: &Self::Truth, fault: Fault, _: Mode) -> Vec<Self::Output> {
         let cameras = self.0.iter().zip(truth);
         let mut wrong: Vec<_> = cameras.map(|(camera, truth)| fault.apply(camera, *truth).map(|x| x as f32)).collect();
-        if matches!(fault, Fault::NeighbourCamera) {
+        if matches!(fault, Fault::NeighborCamera) {
             wrong.rotate_left(1);
         }
         vec![wrong]
@@ -120,7 +120,7 @@ pub fn area() -> Area {
             |&axis: &DVec3| angles.iter().map(move |&angle| DMat3::from_axis_angle(axis, angle)).collect::<Vec<_>>();
         axes.iter().flat_map(turn).map(|r| camera(r, DVec3::new(0.3, -1.0, 2.0), 60.0)).collect::<Vec<_>>()
     };
-    let turned = || Catches::from([CameraToWorld, Conjugate, RealFirst, SwappedFields, Degrees, NeighbourCamera]);
+    let turned = || Catches::from([CameraToWorld, Conjugate, RealFirst, SwappedFields, Degrees, NeighborCamera]);
     add("rotations of 0", turned().and(&[AngleFromTrace, NegativeReal]), turns(&[0.0, 1e-9, -1e-4]));
     let halves = turns(&[PI, PI - 1e-9, PI + 1e-9, PI - 1e-4, PI + 1e-4]);
     add("rotations of 180 degrees", turned().and(&[RealFromTrace, NegativeReal]), halves);
@@ -128,7 +128,7 @@ pub fn area() -> Area {
     let signs = turns(&(0..24).map(|i| f64::from(i) * PI / 6.0 - 2.0 * PI).collect::<Vec<_>>());
     add("every sign of a quaternion", turned().and(&[NegativeReal]), signs);
     let still = |degrees: f64| camera(DMat3::IDENTITY, DVec3::ZERO, degrees);
-    let fields = [SwappedFields, Degrees, NeighbourCamera];
+    let fields = [SwappedFields, Degrees, NeighborCamera];
     add("fields of view of 1 to 179 degrees", fields.into(), (1..180).map(|d| still(f64::from(d))).collect());
     let mut outside = still(60.0);
     (outside.intrinsics.cx, outside.intrinsics.cy) = (-900.0, 5_000.0);
@@ -136,7 +136,7 @@ pub fn area() -> Area {
     add("identical poses", [RealFirst].into(), vec![still(50.0); 5]);
     let apart =
         |length: f64| move |i: i32| camera(DMat3::from_rotation_y(0.1), DVec3::X * (length * f64::from(i)), 60.0);
-    let line = || Catches::from([CameraToWorld, HalfTranslation, NeighbourCamera]);
+    let line = || Catches::from([CameraToWorld, HalfTranslation, NeighborCamera]);
     add("cameras in a line", line(), (0..9).map(apart(1.0)).collect());
     add("baselines of 1e-6", line(), (0..3).map(apart(1e-6)).collect());
     add("baselines of 1e6", line(), (0..3).map(apart(1e6)).collect());

@@ -41,12 +41,12 @@ enum Fault {
     NoOffset,
     /// Scales by log(1 + exp(x)) in f32.
     CancellingLog,
-    NotNormalised,
+    NotNormalized,
     /// f32 squares, which overflow and underflow.
     SquaresOfF32,
     DividedByLength,
     NoSigmoid,
-    NeighbourGaussian,
+    NeighborGaussian,
 }
 
 impl Fault {
@@ -60,7 +60,7 @@ impl Fault {
             (Fault::CancellingExp, 0..3) => x.signum() * f64::from(single(x.abs().min(5.0)).exp() - 1.0),
             (Fault::NoOffset, 3..6) => softplus(x).clamp(1e-6, 15.0),
             (Fault::CancellingLog, 3..6) => f64::from((1.0 + single(x - 4.0).exp()).ln()).clamp(1e-6, 15.0),
-            (Fault::NotNormalised, 6..10) => x,
+            (Fault::NotNormalized, 6..10) => x,
             (Fault::SquaresOfF32, 6..10) => {
                 let squares: f32 = raw[6..10].iter().map(|&q| single(q) * single(q)).sum();
                 x / f64::from(squares.sqrt().max(1e-12))
@@ -101,7 +101,7 @@ impl Values for Problem {
         let (raw, width) = (widen(&self.raw), width(self.degree));
         let one = |i: usize| fault.apply(&raw[i / width * width..][..width], i % width, truth[i]);
         match fault {
-            Fault::NeighbourGaussian => shifted(truth, width),
+            Fault::NeighborGaussian => shifted(truth, width),
             _ => (0..truth.len()).map(one).collect(),
         }
     }
@@ -239,7 +239,7 @@ pub fn shapes() -> Area {
     for degree in [0, 1, 2, 3] {
         let make = move || [0, 1, 63, 64, 65, 333].map(|count| Problem::new(count, degree, |_, r| 6.0 * r)).into();
         let name = format!("random of +-6, degree {degree}");
-        area.sweep(name, 333, [HalfResult, NoOffset, NotNormalised], make);
+        area.sweep(name, 333, [HalfResult, NoOffset, NotNormalized], make);
     }
     area
 }
@@ -250,10 +250,10 @@ pub fn area() -> Area {
     let mut add = |name: &str, count: usize, catches: Catches<Fault>, value: fn(usize, f32) -> f32| {
         area.add(name, count, catches, move || Problem::new(count, 0, value));
     };
-    let all = || Catches::from([HalfResult, NoOffset, NotNormalised, NoSigmoid]);
+    let all = || Catches::from([HalfResult, NoOffset, NotNormalized, NoSigmoid]);
     add("random of +-6", 1, all(), |_, r| 6.0 * r);
     for count in [64, 4097] {
-        add("random of +-6", count, all().and(&[NoClamp, CancellingLog, NeighbourGaussian]), |_, r| 6.0 * r);
+        add("random of +-6", count, all().and(&[NoClamp, CancellingLog, NeighborGaussian]), |_, r| 6.0 * r);
     }
     add("every value from -100 to 100", 20_001, all().and(&[NoClamp, CancellingExp, CancellingLog]), |i, r| {
         if (6..10).contains(&(i % WIDTH)) { r } else { (i / WIDTH) as f32 / 100.0 - 100.0 }
@@ -263,8 +263,8 @@ pub fn area() -> Area {
     for length in [0.0, 1e-30, 1e-20, 1e-13, 1e-12, 1e-11, 1e-6, 1e-3, 1e3, 1e19, 1e20, 1e37] {
         let catches = match length {
             0.0 => Catches::from([DividedByLength]),
-            1e20.. => Catches::from([HalfResult, NotNormalised, SquaresOfF32]),
-            _ => Catches::from([HalfResult, NotNormalised]),
+            1e20.. => Catches::from([HalfResult, NotNormalized, SquaresOfF32]),
+            _ => Catches::from([HalfResult, NotNormalized]),
         };
         let value = move |i: usize, r: f32| if (6..10).contains(&(i % WIDTH)) { length * r } else { r };
         area.add(format!("quaternions of length {length:e}"), 65, catches, move || Problem::new(65, 0, value));

@@ -24,7 +24,7 @@ enum Fault {
     NoClamp,
     /// Quaternion gradients along the quaternion.
     AlongItself,
-    NeighbourGaussian,
+    NeighborGaussian,
 }
 
 impl Activations {
@@ -106,7 +106,7 @@ impl Values for Activations {
             (Fault::NotActivated, _) => d(i),
             (Fault::NoClamp, 0..3) => d(i) * raw(i).abs().exp(),
             (Fault::AlongItself, 6..10) => d(i) / quat(i).map(|k| raw(k).powi(2)).sum::<f64>().sqrt(),
-            (Fault::NeighbourGaussian, _) => truth[(i + WIDTH) % truth.len()],
+            (Fault::NeighborGaussian, _) => truth[(i + WIDTH) % truth.len()],
             _ => truth[i],
         };
         (0..truth.len()).map(one).collect()
@@ -115,7 +115,7 @@ impl Values for Activations {
 
 pub fn area() -> Area {
     use Fault::*;
-    let all = [HalfResult, NotActivated, NoClamp, AlongItself, NeighbourGaussian];
+    let all = [HalfResult, NotActivated, NoClamp, AlongItself, NeighborGaussian];
     let mut area = Area::new("gaussians/activate_backward", "Gaussians", Mode::ONLY_EXACT, REASON);
     for count in [64, 4097] {
         area.add("random of +-6", count, all, move || Activations::new(count, 6.0));

@@ -34,7 +34,7 @@ enum Fault {
     TurnedTaps,
     /// Edge padding instead of zeros.
     RepeatedEdge,
-    NeighbourPixel,
+    NeighborPixel,
     Half,
 }
 
@@ -162,7 +162,7 @@ impl Values for Problem {
             Fault::LastChannel => weighed(&|row, c, tap| if c + 1 == self.channels { 0.0 } else { at(row, c, tap) }),
             Fault::TurnedTaps => weighed(&|row, c, tap| at(row, c, tap % side * side + tap / side)),
             Fault::RepeatedEdge => self.added(self.with_repeated_edge()),
-            Fault::NeighbourPixel => shifted(truth, self.columns),
+            Fault::NeighborPixel => shifted(truth, self.columns),
             Fault::Half => halves(truth),
         }
     }
@@ -171,14 +171,14 @@ impl Values for Problem {
 pub fn area() -> Area {
     use Fault::*;
     let mut area = Area::new("heads/convolution", "channels", Mode::ONLY_EXACT, REASON);
-    let all = || Catches::from([NoBias, LastTap, LastChannel, TurnedTaps, RepeatedEdge, NeighbourPixel]);
+    let all = || Catches::from([NoBias, LastTap, LastChannel, TurnedTaps, RepeatedEdge, NeighborPixel]);
     area.add("3 x 3", 4, all(), || Problem::new([5, 7], [4, 5], [3, 1]));
     area.add("3 x 3", 64, all(), || Problem::new([9, 6], [64, 70], [3, 1]));
     area.add("3 x 3", 512, all(), || Problem::new([4, 5], [512, 33], [3, 1]));
     area.add("every second pixel", 16, all(), || Problem::new([7, 8], [16, 12], [3, 2]));
     let residual = Catches::from([NoResidual, Unrectified, LastTap, RepeatedEdge, Half]);
     area.add("residual", 32, residual, || Problem::new([6, 11], [32, 32], [3, 1]).residual());
-    let single = Catches::from([NoBias, LastChannel, NeighbourPixel, Half]);
+    let single = Catches::from([NoBias, LastChannel, NeighborPixel, Half]);
     area.add("one tap", 32, single, || Problem::new([3, 13], [32, 2], [1, 1]));
     area.add("one pixel", 8, [NoBias, RepeatedEdge], || Problem::new([1, 1], [8, 4], [3, 1]));
     area

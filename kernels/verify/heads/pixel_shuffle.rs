@@ -20,7 +20,7 @@ enum Fault {
     TurnedTaps,
     InOrder,
     /// Bias of the next channel.
-    NeighbourBias,
+    NeighborBias,
     /// 11-bit results.
     Half,
 }
@@ -74,7 +74,7 @@ impl Values for Problem {
                 self.spread(&(0..values.len()).map(turned).collect::<Vec<_>>(), &self.bias)
             }
             Fault::InOrder => values.iter().enumerate().map(|(i, x)| x + f64::from(self.bias[i % channels])).collect(),
-            Fault::NeighbourBias => {
+            Fault::NeighborBias => {
                 let bias: Vec<f32> = (0..channels).map(|c| self.bias[(c + 1) % channels]).collect();
                 self.spread(&values, &bias)
             }
@@ -95,9 +95,9 @@ pub fn shapes() -> Area {
 pub fn area() -> Area {
     use Fault::*;
     let mut area = Area::new("heads/pixel_shuffle", "channels", Mode::ONLY_EXACT, REASON);
-    let all = || Catches::from([NoBias, TurnedTaps, InOrder, NeighbourBias, Half]);
+    let all = || Catches::from([NoBias, TurnedTaps, InOrder, NeighborBias, Half]);
     area.add("4 x 4", 48, all(), || Problem::new([3, 4], 4, 48));
     area.add("2 x 2", 7, all(), || Problem::new([2, 5], 2, 7));
-    area.add("one pixel", 4, [NoBias, TurnedTaps, NeighbourBias], || Problem::new([1, 1], 4, 4));
+    area.add("one pixel", 4, [NoBias, TurnedTaps, NeighborBias], || Problem::new([1, 1], 4, 4));
     area
 }

@@ -4,8 +4,8 @@ use crate::prelude::*;
 use zipsplat::kernels::heads::Resize;
 use zipsplat_reference::heads::resize::resize;
 
-const REASON: &str = "the share of a neighbour is a quotient of whole numbers, off by 2.5 units in the last place at most (Vulkan \
-    specification); three weighted means and the sum behind them round 9 times. No value is larger than the four neighbours together";
+const REASON: &str = "the share of a neighbor is a quotient of whole numbers, off by 2.5 units in the last place at most (Vulkan \
+    specification); three weighted means and the sum behind them round 9 times. No value is larger than the four neighbors together";
 
 const ROUNDINGS: usize = 9;
 
@@ -29,7 +29,7 @@ enum Fault {
     NoPositions,
     /// Swapped positions of columns and rows.
     TurnedPositions,
-    NeighbourPixel,
+    NeighborPixel,
     Half,
 }
 
@@ -140,7 +140,7 @@ impl Values for Problem {
             }
             Fault::NoPositions => self.resized(),
             Fault::TurnedPositions => self.added(self.resized(), true),
-            Fault::NeighbourPixel => shifted(truth, self.channels),
+            Fault::NeighborPixel => shifted(truth, self.channels),
             Fault::Half => halves(truth),
         };
         values[values.len() - truth.len()..].to_vec()
@@ -173,13 +173,13 @@ pub fn shapes() -> Area {
 pub fn area() -> Area {
     use Fault::*;
     let mut area = Area::new("heads/resize", "channels", Mode::ONLY_EXACT, REASON);
-    let all = || Catches::from([MiddlesOnMiddles, Nearest, Turned, NeighbourPixel, Half]);
+    let all = || Catches::from([MiddlesOnMiddles, Nearest, Turned, NeighborPixel, Half]);
     area.add("larger", 4, all(), || Problem::new([4, 6], [7, 13], 4));
     area.add("larger", 64, all().and(&[NoPositions, TurnedPositions]), || {
         Problem::new([16, 24], [28, 42], 64).placed()
     });
     area.add("smaller", 8, all(), || Problem::new([9, 7], [4, 5], 8));
-    area.add("one line", 4, [Nearest, NeighbourPixel], || Problem::new([1, 5], [3, 8], 4));
+    area.add("one line", 4, [Nearest, NeighborPixel], || Problem::new([1, 5], [3, 8], 4));
     area.add("one pixel", 4, [NoPositions], || Problem::new([1, 1], [5, 3], 4).placed());
     area
 }

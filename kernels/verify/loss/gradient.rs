@@ -33,7 +33,7 @@ enum Fault {
     HalfDssim,
     /// 0.2 L1 and 0.8 of 1 - SSIM.
     SwappedMix,
-    NeighbourPixel,
+    NeighborPixel,
 }
 
 /// Convolves a zero-padded line.
@@ -56,15 +56,15 @@ fn filtered<const N: usize>(
 /// Returns windowed means of a and d = a - b, sum of the variances of a and b, and variance of d.
 fn moments(line: &[[Bounded; 4]]) -> Vec<[Bounded; 4]> {
     let at = |p: usize| {
-        let centre = line[(p / RUN * RUN + RUN / 2).min(line.len() - 1)];
+        let center = line[(p / RUN * RUN + RUN / 2).min(line.len() - 1)];
         let squared = |[a, d, variances, variance]: [Bounded; 4]| {
-            let (a, d) = (a - centre[0], d - centre[1]);
+            let (a, d) = (a - center[0], d - center[1]);
             let b = a - d;
             [a, d, variances + a * a + b * b, variance + d * d]
         };
         let [a, d, r, q] = filtered(line, p, squared);
         let (b, none) = (a - d, Bounded::exact(0.0));
-        [a + centre[0], d + centre[1], (r - (a * a + b * b)).max(none), (q - d * d).max(none)]
+        [a + center[0], d + center[1], (r - (a * a + b * b)).max(none), (q - d * d).max(none)]
     };
     (0..line.len()).map(at).collect()
 }
@@ -187,7 +187,7 @@ impl Values for Problem {
                 let (l1, dssim) = (self.reference(Loss::L1), self.reference(Loss::Dssim));
                 each(&|i| 0.2 * l1[i] + 0.8 * dssim[i])
             }
-            Fault::NeighbourPixel => each(&|i| if i > 0 { truth[1 + (i + 2) % self.frames.len()] } else { truth[0] }),
+            Fault::NeighborPixel => each(&|i| if i > 0 { truth[1 + (i + 2) % self.frames.len()] } else { truth[0] }),
         }
     }
 }
@@ -196,7 +196,7 @@ pub fn area() -> Area {
     use Fault::*;
     let mut area = Area::new("loss", "pixels", Mode::ONLY_EXACT, REASON);
     for (loss, name) in [(Loss::L1, "L1"), (Loss::Mse, "MSE"), (Loss::Dssim, "1 - SSIM"), (Loss::L1Dssim, "the mix")] {
-        let common = || Catches::from([HalfResult, Reversed, Sum, NeighbourPixel]);
+        let common = || Catches::from([HalfResult, Reversed, Sum, NeighborPixel]);
         let own: &[Fault] = match loss {
             Loss::Dssim => &[HalfDssim],
             Loss::L1Dssim => &[HalfDssim, SwappedMix],

@@ -70,7 +70,7 @@ pub enum Fault {
     Unbiased,
     NoEpsilon,
     NoBias,
-    NeighbourRow,
+    NeighborRow,
     /// Rows beyond the workgroup fold repeat earlier ones.
     Folded,
     OverflowingSquares,
@@ -176,7 +176,7 @@ impl Values for Problem {
         let width = self.width;
         match fault {
             Fault::NoBias => truth.iter().enumerate().map(|(i, y)| y - f64::from(self.bias[i % width])).collect(),
-            Fault::NeighbourRow => shifted(truth, width),
+            Fault::NeighborRow => shifted(truth, width),
             Fault::Folded => (0..truth.len()).map(|i| truth[i % (GROUP_FOLD as usize * width)]).collect(),
             _ => self.normed(fault),
         }
@@ -198,7 +198,7 @@ pub fn shapes() -> Area {
         area.sweep("random", width, [NoBias], move || [0, 1, 5].map(|rows| of(rows, width)).concat());
     }
     let many = move || of(65_537, 4).into();
-    area.sweep("rows beyond the most workgroups", 65_537, [Folded, NeighbourRow], many);
+    area.sweep("rows beyond the most workgroups", 65_537, [Folded, NeighborRow], many);
     let near =
         move || of(20, 64).map(|p| Problem { x: p.x.iter().map(|x| 2e-3 * x).collect(), addend: None, ..p }).into();
     area.sweep("variances near both epsilons", 64, [NoEpsilon], near);
@@ -214,12 +214,12 @@ pub fn area() -> Area {
     add("random", 1, [NoBias].into(), |r, _| r);
     add("mean 1e4, spread 1e-2", 1, [NoBias].into(), |r, _| 1e4 + 1e-2 * r);
     for width in [3, 64, 384, 1536, 4096] {
-        let random = Catches::from([NoBias, HalfSum, LastChannel, NeighbourRow]);
+        let random = Catches::from([NoBias, HalfSum, LastChannel, NeighborRow]);
         // A large last channel makes its omission detectable.
         let last: fn(f32, usize) -> f32 =
             if width > 1000 { |r, c| if c % 512 == 511 { 20.0 * r } else { r } } else { |r, _| r };
         add("random", width, if width < 1000 { random.and(&[Unbiased]) } else { random }, last);
-        let offset = Catches::from([OnePass, HalfSum, NeighbourRow]);
+        let offset = Catches::from([OnePass, HalfSum, NeighborRow]);
         let offset = if width < 64 { offset } else { offset.and(&[UncorrectedMean]) };
         match width {
             // Rounding many terms may cost more than a hundredth.
@@ -233,12 +233,12 @@ pub fn area() -> Area {
     add("variance of epsilon", 384, [NoEpsilon, LastChannel].into(), |r, _| 2e-3 * r);
     add("one channel of 1e4", 1536, [HalfSum, NoBias].into(), |r, c| if c == 77 { 1e4 } else { r });
     add("first channel of 1e6", 384, [HalfSum, NoBias].into(), |r, c| if c == 0 { 1e6 } else { r });
-    add("values of 1e4", 1536, [HalfSum, NeighbourRow].into(), |r, _| 1e4 * r);
+    add("values of 1e4", 1536, [HalfSum, NeighborRow].into(), |r, _| 1e4 * r);
     add("values of 1e15", 64, [HalfSum, LastChannel].into(), |r, _| 1e15 * r);
     add("values of 1e25", 64, [OverflowingSquares, LastChannel].into(), |r, _| 1e25 * r);
     add("subnormal rows", 64, [NoBias, NoEpsilon].into(), |r, _| 1e-39 * r);
     let rows = GROUP_FOLD as usize + 9;
     let folded = || Problem::new(GROUP_FOLD as usize + 9, 4, |r, _| r);
-    area.add("rows beyond a fold of workgroups", rows, [Folded, NeighbourRow], folded);
+    area.add("rows beyond a fold of workgroups", rows, [Folded, NeighborRow], folded);
     area
 }

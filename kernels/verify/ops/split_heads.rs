@@ -41,7 +41,7 @@ enum Fault {
     Backwards,
     /// Swapped rows and columns of the grid.
     SwappedAxes,
-    NeighbourPosition,
+    NeighborPosition,
     /// Cross-view patches rotate with the camera token.
     TurnedPatches,
     NoScale,
@@ -49,7 +49,7 @@ enum Fault {
     NoEpsilon,
     /// Variance as the difference of two f32 sums.
     OnePass,
-    NeighbourHead,
+    NeighborHead,
     /// Workgroups beyond the fold repeat earlier ones.
     Folded,
 }
@@ -155,13 +155,13 @@ impl Values for Problem {
             Fault::NoRotation => moved(&|_| [0.0; 2]),
             Fault::Backwards => moved(&|[y, x]| [-y, -x]),
             Fault::SwappedAxes => moved(&|[y, x]| [x, y]),
-            Fault::NeighbourPosition => moved(&|[y, x]| [y, x + 1.0]),
+            Fault::NeighborPosition => moved(&|[y, x]| [y, x + 1.0]),
             Fault::TurnedPatches => moved(&|_| [-1.0; 2]),
             Fault::NoScale => truth.iter().map(|x| x / self.scale()).collect(),
             Fault::NoNorm => self.turned(&widen(&inputs.projection), &positions),
             Fault::NoEpsilon => normed(layer_norm::Fault::NoEpsilon, 0.0),
             Fault::OnePass => normed(layer_norm::Fault::OnePass, EPS.into()),
-            Fault::NeighbourHead => shifted(truth, self.dim),
+            Fault::NeighborHead => shifted(truth, self.dim),
             Fault::Folded => {
                 let groups = truth.len() / self.dim;
                 let place = |i: usize| i / self.dim % GROUP_FOLD as usize % groups * self.dim + i % self.dim;
@@ -183,7 +183,7 @@ const WIDTH: usize = 3;
 #[derive(Clone, Copy, Debug)]
 enum EmbeddingFault {
     Transposed,
-    NeighbourPatch,
+    NeighborPatch,
     NotInterpolated,
 }
 
@@ -212,7 +212,7 @@ impl Values for Embedding {
         };
         match fault {
             EmbeddingFault::Transposed => of(&|i| i % self.rows * self.columns + i / self.rows),
-            EmbeddingFault::NeighbourPatch => of(&|i| (i + 1) % patches),
+            EmbeddingFault::NeighborPatch => of(&|i| (i + 1) % patches),
             EmbeddingFault::NotInterpolated => {
                 let place =
                     |i: usize| i / self.columns * SIDE / self.rows * SIDE + i % self.columns * SIDE / self.columns;
@@ -230,11 +230,11 @@ pub fn area() -> Area {
         for (global, dim) in [(false, 64), (true, 32)] {
             let problem = Problem { rows, columns, dim, norm: true, global, value: |r| r };
             let name = format!("{rows} x {columns} patches, {}", if global { "across views" } else { "within a view" });
-            let turns = Catches::from([NoRotation, Backwards, NoScale, NoNorm, NeighbourHead]);
+            let turns = Catches::from([NoRotation, Backwards, NoScale, NoNorm, NeighborHead]);
             let catches = match (global, rows == columns) {
                 (true, _) => turns.and(&[TurnedPatches]),
-                (false, true) if rows == 1 => turns.and(&[NeighbourPosition]),
-                _ => turns.and(&[NeighbourPosition, SwappedAxes]),
+                (false, true) if rows == 1 => turns.and(&[NeighborPosition]),
+                _ => turns.and(&[NeighborPosition, SwappedAxes]),
             };
             let beyond = HEADS * (1 + rows * columns) > GROUP_FOLD as usize;
             let catches = if beyond { catches.and(&[Folded]) } else { catches };
@@ -261,7 +261,7 @@ pub fn area() -> Area {
         let name = format!("position embedding on {rows} x {columns}");
         use EmbeddingFault::*;
         let catches = Catches::from([]);
-        let catches = if rows * columns > 1 { catches.and(&[NeighbourPatch]) } else { catches };
+        let catches = if rows * columns > 1 { catches.and(&[NeighborPatch]) } else { catches };
         let catches = if rows > 1 && columns > 1 { catches.and(&[Transposed]) } else { catches };
         let catches = if [rows, columns] != [SIDE; 2] { catches.and(&[NotInterpolated]) } else { catches };
         area.add(name, rows * columns, catches, move || Embedding { rows, columns });

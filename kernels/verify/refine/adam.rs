@@ -30,8 +30,8 @@ enum Fault {
     WrongSpace,
     /// Uses the gradient by the stored value.
     NoChainRule,
-    NeighbourGradient,
-    NeighbourValue,
+    NeighborGradient,
+    NeighborValue,
     /// Uses non-finite gradients.
     Poisoned,
 }
@@ -53,7 +53,7 @@ impl Problem {
         let (mut step, mut betas, mut eps, mut space) =
             (self.step as i32, [ADAM.beta1, ADAM.beta2].map(f64::from), f64::from(ADAM.eps), self.space);
         match fault {
-            Some(Fault::NeighbourGradient) => g = self.gradient[(i + 1) % self.gradient.len()].into(),
+            Some(Fault::NeighborGradient) => g = self.gradient[(i + 1) % self.gradient.len()].into(),
             Some(Fault::Ascent) => g = -g,
             Some(Fault::NoCorrection) => step = 1_000_000,
             Some(Fault::SwappedDecays) => betas.swap(0, 1),
@@ -136,7 +136,7 @@ impl Values for Problem {
     fn faulty(&self, truth: &[f64], fault: Fault) -> Vec<f64> {
         let count = self.values.len();
         let one = |i: usize| match fault {
-            Fault::NeighbourValue => truth[(i + 1) % truth.len()],
+            Fault::NeighborValue => truth[(i + 1) % truth.len()],
             Fault::Poisoned if !self.gradient[i % count].is_finite() => f64::NAN,
             Fault::Poisoned => truth[i],
             _ => self.stepped(i % count, Some(fault))[i / count],
@@ -153,11 +153,11 @@ pub fn area() -> Area {
         area.add(name, count, catches, move || Problem::new(space, step, count, gradient));
     };
     for space in [Space::Linear, Space::Log, Space::Logit] {
-        let all = Catches::from([Ascent, NoCorrection, SwappedDecays, NeighbourGradient]);
+        let all = Catches::from([Ascent, NoCorrection, SwappedDecays, NeighborGradient]);
         let all = if space == Space::Linear { all } else { all.and(&[WrongSpace, NoChainRule]) };
         add("the seventh step", space, 7, 4097, all, |r| 2.0 * r);
         add("the first step", space, 1, 65, [Ascent, NoCorrection].into(), |r| r);
-        add("no gradient", space, 1, 64, [NeighbourValue].into(), |_| 0.0);
+        add("no gradient", space, 1, 64, [NeighborValue].into(), |_| 0.0);
         add("gradients of 1e-8", space, 1, 64, [Ascent, NoEpsilon].into(), |r| 1e-8 * r);
         add("gradients of 1e15", space, 3, 64, [Ascent, NoCorrection].into(), |r| 1e15 * r);
         let not_finite: fn(f32) -> f32 = |r| if r > 0.0 { f32::INFINITY } else { f32::NAN };

@@ -47,7 +47,7 @@ fn check(name: &str, points: &[f32], targets: &[f32], width: usize) {
 }
 
 /// Returns multiples of 1/64.
-fn quantised(seed: u64, len: usize) -> Vec<f32> {
+fn quantized(seed: u64, len: usize) -> Vec<f32> {
     random(seed, len).iter().map(|x| (x * 64.0).round() / 64.0).collect()
 }
 
@@ -58,7 +58,7 @@ fn equals_the_reference() {
         for targets in [1, 2, 3, 31, 32, 33, 127, 129, 255, 257, 1000] {
             for width in [4, 36] {
                 let name = format!("{points} points, {targets} targets, {width}");
-                check(&name, &quantised(1, points * width), &quantised(2, targets * width), width);
+                check(&name, &quantized(1, points * width), &quantized(2, targets * width), width);
             }
         }
     }
@@ -124,7 +124,7 @@ fn of_many_that_tie_the_first() {
 #[test]
 fn what_is_no_number_is_never_nearest() {
     // Nor does it affect other points.
-    let (width, mut points, mut targets) = (8, quantised(14, 40 * 8), quantised(15, 70 * 8));
+    let (width, mut points, mut targets) = (8, quantized(14, 40 * 8), quantized(15, 70 * 8));
     let truth = reference(&widen(&points), &widen(&targets[8..]), width);
     (points[3 * 8 + 5], targets[2]) = (f32::NAN, f32::INFINITY);
     for kernel in nearest_kernels() {

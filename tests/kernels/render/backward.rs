@@ -5,7 +5,7 @@ use zipsplat::stages::render::{
     CAMERA_NUMBERS, CameraRows, FrameShape, Gradients, SceneGradients, SceneTensors, camera_rows, record_with_gradients,
 };
 use zipsplat_tests::reference::render::backward::{Direction, Drawing, Weights, along};
-use zipsplat_tests::reference::render::rasterise::render;
+use zipsplat_tests::reference::render::rasterize::render;
 
 /// Gradients of the sum of `d_frames` times frames.
 struct Found {

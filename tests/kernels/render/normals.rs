@@ -33,7 +33,7 @@ fn equals_the_eigenvectors_of_the_covariances() {
             // Nearly equal axes may swap, and a normal across the line of sight has either sign.
             let truth = normals::normal(&gaussians, i, &camera);
             let across =
-                glam::DVec3::from(truth).dot((camera.centre() - glam::DVec3::from(gaussians.means[i])).normalize());
+                glam::DVec3::from(truth).dot((camera.center() - glam::DVec3::from(gaussians.means[i])).normalize());
             if lengths[0] > 0.999 * lengths[1] || across.abs() < 1e-5 {
                 continue;
             }

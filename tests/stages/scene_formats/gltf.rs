@@ -58,7 +58,7 @@ fn nodes_turn_move_and_scale() {
                 let basis = sh::basis(3, direction);
                 basis.iter().zip(coeffs).map(|(basis, rgb)| basis * f64::from(rgb[1])).sum::<f64>()
             };
-            assert!((color(&found, turn * direction) - color(&truth, direction)).abs() < 1e-5, "colour {i}");
+            assert!((color(&found, turn * direction) - color(&truth, direction)).abs() < 1e-5, "color {i}");
         }
     }
 }

@@ -138,7 +138,7 @@ fn a_network_computes_with_what_the_integers_stand_for() {
         let [got, truth] = [&q8, &expanded].map(|checkpoint| scene(checkpoint, Arithmetic::EXACT));
         let bits = |scene: &Scene| scene.means.as_flattened().iter().map(|x| x.to_bits()).collect::<Vec<_>>();
         assert_same("means", &bits(&got), &bits(&truth));
-        assert_same("colours", got.sh_coeffs.as_flattened(), truth.sh_coeffs.as_flattened());
+        assert_same("colors", got.sh_coeffs.as_flattened(), truth.sh_coeffs.as_flattened());
         assert!(scene(&of, Arithmetic::EXACT).means != got.means, "and not with the weights before");
         for arithmetic in fast_arithmetics().into_iter().filter(|arithmetic| !arithmetic.has_integers()) {
             let fast = scene(&q8, arithmetic);

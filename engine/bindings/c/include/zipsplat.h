@@ -19,21 +19,21 @@
  * constructor sets its output to NULL. No C++ exception and no Rust panic crosses this interface.
  * Only exhausted host memory ends the process.
  *
- * Ownership. The caller owns every object from zs_..._create, _open, _load, _from_...,
- * _to_..., zs_reconstruct, zs_refine_... and zs_depth_predict. Destroy it once, on any thread, when no call uses it.
- * Destroying NULL does nothing. Objects share ownership of their dependencies, so the order of
- * destruction is free. Your own Vulkan handles must outlive every object created on them. Pointer
- * arguments are accessed only during the call unless documented otherwise. Never free a returned
- * const char *.
+ * Ownership. The caller owns every object from zs_..._create, _open, _load, _from_..., _to_...,
+ * zs_reconstruct, zs_refine_... and zs_depth_predict. Destroy it once, on any thread, when no call
+ * uses it. Destroying NULL does nothing. Objects share ownership of their dependencies, so the
+ * order of destruction is free. Your own Vulkan handles must outlive every object created on them.
+ * Pointer arguments are accessed only during the call unless documented otherwise. Never free a
+ * pointer that a call returned to an object's memory.
  *
- * Threads. Threads can share all objects. An internal lock of each zs_renderer serializes its calls;
- * calls on one zs_model run in parallel, at the cost of memory. Callbacks
- * run on the calling thread; no longjmp and no C++ exception may leave them. A thread pool prepares
- * photos, weights and files. It has RAYON_NUM_THREADS threads, by default one per core, and lives
- * as long as the process.
+ * Threads. Threads can share all objects. An internal lock of each zs_renderer serializes its
+ * calls; calls on one zs_model run in parallel, at the cost of memory. Callbacks run on the
+ * calling thread; no longjmp and no C++ exception may leave them. A thread pool prepares photos,
+ * weights and files. It has RAYON_NUM_THREADS threads, by default one per core, and lives as long
+ * as the process.
  *
- * Cache. The library caches kernel self-test results and the tile sizes of `zipsplat doctor tune` on disk.
- * The folder is ZIPSPLAT_CACHE, else `zipsplat` in XDG_CACHE_HOME or LOCALAPPDATA, else
+ * Cache. The library caches kernel self-test results and the tile sizes of `zipsplat doctor tune`
+ * on disk. The folder is ZIPSPLAT_CACHE, else `zipsplat` in XDG_CACHE_HOME or LOCALAPPDATA, else
  * .cache/zipsplat in HOME. Without a writable folder every process repeats the test. Adopted
  * devices (zs_device_from_vulkan) and ZS_PRECISION_FP32 need no cache.
  *
@@ -177,8 +177,8 @@ typedef struct zs_progress {
     double eta_seconds;
 } zs_progress;
 
-// Progress callback. `progress` is valid during the callback. It may call zs_ functions, but not on
-// the call's own objects. Unknown answers cancel.
+// Progress callback. `progress` is valid during the callback. It may call zs_ functions, but not
+// on the call's own objects. Unknown answers cancel.
 typedef zs_progress_action (*zs_progress_callback)(void *user_data, const struct zs_progress *progress);
 
 /**************/
@@ -463,8 +463,8 @@ typedef struct zs_scene_open_options {
     uint32_t struct_size;
     // 1 drops NaN, infinite and out-of-range Gaussians; 0 rejects them.
     uint32_t drop_invalid;
-    // Format in memory: NULL for PLY, SPZ and .glb, which are recognized by content, else "splat" or
-    // "gltf". NULL for files.
+    // Format in memory: NULL for PLY, SPZ and .glb, which are recognized by content, else "splat"
+    // or "gltf". NULL for files.
     const char *format;
 } zs_scene_open_options;
 
@@ -486,8 +486,8 @@ zs_status zs_scene_get_gaussians(const struct zs_scene *scene, struct zs_gaussia
 zs_status zs_scene_create(const struct zs_gaussians *gaussians, struct zs_scene **scene);
 
 // Creates a scene with a Gaussian per point, as an initialization for zs_refine_scene. `positions`
-// is N x 3. `colors` is N x 3 for red, green, blue, or NULL for gray. `cameras` limit the Gaussians'
-// sizes; their count may be 0.
+// is N x 3. `colors` is N x 3 for red, green, blue, or NULL for gray. `cameras` limit the
+// Gaussians' sizes; their count may be 0.
 zs_status zs_scene_from_points(const float *positions,
                                const uint8_t *colors,
                                size_t count,
@@ -655,8 +655,8 @@ zs_status zs_reconstruction_get_info(const struct zs_reconstruction *reconstruct
 // Reads the scene from the device.
 zs_status zs_reconstruction_to_scene(const struct zs_reconstruction *reconstruction, struct zs_scene **scene);
 
-// Estimates the camera of photo `index` from the Gaussians of its patches. The first call estimates
-// all, with one field of view. Fails if no photo has an estimate, or for known cameras.
+// Estimates the camera of photo `index` from the Gaussians of its patches. The first call
+// estimates all, with one field of view. Fails if no photo has an estimate, or for known cameras.
 zs_status zs_reconstruction_estimate_camera(const struct zs_reconstruction *reconstruction,
                                             size_t index,
                                             struct zs_camera_estimate *estimate);
@@ -842,8 +842,8 @@ zs_status zs_depth_model_get_info(const struct zs_depth_model *model, struct zs_
 // Destroys a depth model.
 void zs_depth_model_destroy(struct zs_depth_model *model);
 
-// Estimates depth of 1 to ZS_MAX_VIEWS photos of one place. Multi-view networks also estimate cameras,
-// relative to one of them.
+// Estimates depth of 1 to ZS_MAX_VIEWS photos of one place. Multi-view networks also estimate
+// cameras, relative to one of them.
 zs_status zs_depth_predict(const struct zs_depth_model *model,
                            const struct zs_image *images,
                            size_t image_count,
@@ -898,8 +898,8 @@ typedef struct zs_refine_options {
     uint32_t steps;
     // Photos per step, capped at the number of training photos; 0 is 4.
     uint32_t views_per_step;
-    // Number of held-out photos, evenly spaced, less than all, or ZS_HOLDOUT_VIEWS_NONE. 0 holds out
-    // one photo of 40 or more. The step with their best PSNR is returned.
+    // Number of held-out photos, evenly spaced, less than all, or ZS_HOLDOUT_VIEWS_NONE. 0 holds
+    // out one photo of 40 or more. The step with their best PSNR is returned.
     int32_t holdout_views;
     // Largest compared width and height in pixels; larger photos are downscaled. 0 is 1600,
     // UINT32_MAX keeps full size.
@@ -914,9 +914,9 @@ typedef struct zs_refine_options {
     uint32_t reserved;
     // Seed of the photo order.
     uint64_t seed;
-    // Final number of Gaussians; at most the scene's number: no growth. 0 grows from 300 steps on, to
-    // one per 32 pixels of the photos and at most four times the scene's. For ZS_REFINE_TARGET_TOKENS
-    // 0.
+    // Final number of Gaussians; at most the scene's number: no growth. 0 grows from 300 steps on,
+    // to one per 32 pixels of the photos and at most four times the scene's. For
+    // ZS_REFINE_TARGET_TOKENS 0.
     size_t max_gaussians;
     // Progress callback, called after each step.
     zs_progress_callback progress;
@@ -1093,9 +1093,8 @@ typedef struct zs_gradients {
     float *means2d;
 } zs_gradients;
 
-// Backpropagates `grad_outputs` of `count` cameras to Gaussians and cameras. Color has the range 0
-// to 1 before clamping; the options' format is ignored. Zero-valued coefficients also get
-// gradients.
+// Backpropagates `grad_outputs` of `count` cameras to Gaussians and cameras. Color is that of
+// ZS_PIXEL_RGB_F32 for any format in the options. Zero-valued coefficients also get gradients.
 //
 // `scene` need not be the renderer's, which keeps a second scene on the device. NULL is the
 // renderer's, if it is not a reconstruction's. `gradients` is written only on success.

@@ -208,8 +208,8 @@ pub unsafe extern "C" fn zs_depth_model_destroy(model: *mut zs_depth_model) {
     unsafe { destroy(model) }
 }
 
-/// Estimates depth of 1 to ZS_MAX_VIEWS photos of one place. Multi-view networks also estimate cameras,
-/// relative to one of them.
+/// Estimates depth of 1 to ZS_MAX_VIEWS photos of one place. Multi-view networks also estimate
+/// cameras, relative to one of them.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_depth_predict(
     model: *const zs_depth_model,

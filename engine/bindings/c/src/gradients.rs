@@ -55,9 +55,8 @@ pub struct zs_gradients {
 
 versioned!(zs_grad_outputs, zs_gradients);
 
-/// Backpropagates `grad_outputs` of `count` cameras to Gaussians and cameras. Color has the range 0
-/// to 1 before clamping; the options' format is ignored. Zero-valued coefficients also get
-/// gradients.
+/// Backpropagates `grad_outputs` of `count` cameras to Gaussians and cameras. Color is that of
+/// ZS_PIXEL_RGB_F32 for any format in the options. Zero-valued coefficients also get gradients.
 ///
 /// `scene` need not be the renderer's, which keeps a second scene on the device. NULL is the
 /// renderer's, if it is not a reconstruction's. `gradients` is written only on success.

@@ -19,21 +19,21 @@
  * constructor sets its output to NULL. No C++ exception and no Rust panic crosses this interface.
  * Only exhausted host memory ends the process.
  *
- * Ownership. The caller owns every object from zs_..._create, _open, _load, _from_...,
- * _to_..., zs_reconstruct, zs_refine_... and zs_depth_predict. Destroy it once, on any thread, when no call uses it.
- * Destroying NULL does nothing. Objects share ownership of their dependencies, so the order of
- * destruction is free. Your own Vulkan handles must outlive every object created on them. Pointer
- * arguments are accessed only during the call unless documented otherwise. Never free a returned
- * const char *.
+ * Ownership. The caller owns every object from zs_..._create, _open, _load, _from_..., _to_...,
+ * zs_reconstruct, zs_refine_... and zs_depth_predict. Destroy it once, on any thread, when no call
+ * uses it. Destroying NULL does nothing. Objects share ownership of their dependencies, so the
+ * order of destruction is free. Your own Vulkan handles must outlive every object created on them.
+ * Pointer arguments are accessed only during the call unless documented otherwise. Never free a
+ * pointer that a call returned to an object's memory.
  *
- * Threads. Threads can share all objects. An internal lock of each zs_renderer serializes its calls;
- * calls on one zs_model run in parallel, at the cost of memory. Callbacks
- * run on the calling thread; no longjmp and no C++ exception may leave them. A thread pool prepares
- * photos, weights and files. It has RAYON_NUM_THREADS threads, by default one per core, and lives
- * as long as the process.
+ * Threads. Threads can share all objects. An internal lock of each zs_renderer serializes its
+ * calls; calls on one zs_model run in parallel, at the cost of memory. Callbacks run on the
+ * calling thread; no longjmp and no C++ exception may leave them. A thread pool prepares photos,
+ * weights and files. It has RAYON_NUM_THREADS threads, by default one per core, and lives as long
+ * as the process.
  *
- * Cache. The library caches kernel self-test results and the tile sizes of `zipsplat doctor tune` on disk.
- * The folder is ZIPSPLAT_CACHE, else `zipsplat` in XDG_CACHE_HOME or LOCALAPPDATA, else
+ * Cache. The library caches kernel self-test results and the tile sizes of `zipsplat doctor tune`
+ * on disk. The folder is ZIPSPLAT_CACHE, else `zipsplat` in XDG_CACHE_HOME or LOCALAPPDATA, else
  * .cache/zipsplat in HOME. Without a writable folder every process repeats the test. Adopted
  * devices (zs_device_from_vulkan) and ZS_PRECISION_FP32 need no cache.
  *

@@ -46,8 +46,8 @@ pub struct zs_progress {
 
 versioned!(zs_progress);
 
-/// Progress callback. `progress` is valid during the callback. It may call zs_ functions, but not on
-/// the call's own objects. Unknown answers cancel.
+/// Progress callback. `progress` is valid during the callback. It may call zs_ functions, but not
+/// on the call's own objects. Unknown answers cancel.
 pub type zs_progress_callback =
     Option<unsafe extern "C" fn(user_data: *mut c_void, progress: *const zs_progress) -> zs_progress_action_value>;
 

@@ -136,8 +136,8 @@ pub unsafe extern "C" fn zs_reconstruction_to_scene(
     unsafe { produce(scene, read) }
 }
 
-/// Estimates the camera of photo `index` from the Gaussians of its patches. The first call estimates
-/// all, with one field of view. Fails if no photo has an estimate, or for known cameras.
+/// Estimates the camera of photo `index` from the Gaussians of its patches. The first call
+/// estimates all, with one field of view. Fails if no photo has an estimate, or for known cameras.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_reconstruction_estimate_camera(
     reconstruction: *const zs_reconstruction,

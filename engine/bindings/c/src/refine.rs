@@ -57,8 +57,8 @@ pub struct zs_refine_options {
     pub steps: u32,
     /// Photos per step, capped at the number of training photos; 0 is 4.
     pub views_per_step: u32,
-    /// Number of held-out photos, evenly spaced, less than all, or ZS_HOLDOUT_VIEWS_NONE. 0 holds out
-    /// one photo of 40 or more. The step with their best PSNR is returned.
+    /// Number of held-out photos, evenly spaced, less than all, or ZS_HOLDOUT_VIEWS_NONE. 0 holds
+    /// out one photo of 40 or more. The step with their best PSNR is returned.
     pub holdout_views: i32,
     /// Largest compared width and height in pixels; larger photos are downscaled. 0 is 1600,
     /// UINT32_MAX keeps full size.
@@ -73,9 +73,9 @@ pub struct zs_refine_options {
     pub reserved: u32,
     /// Seed of the photo order.
     pub seed: u64,
-    /// Final number of Gaussians; at most the scene's number: no growth. 0 grows from 300 steps on, to
-    /// one per 32 pixels of the photos and at most four times the scene's. For ZS_REFINE_TARGET_TOKENS
-    /// 0.
+    /// Final number of Gaussians; at most the scene's number: no growth. 0 grows from 300 steps on,
+    /// to one per 32 pixels of the photos and at most four times the scene's. For
+    /// ZS_REFINE_TARGET_TOKENS 0.
     pub max_gaussians: usize,
     /// Progress callback, called after each step.
     pub progress: zs_progress_callback,

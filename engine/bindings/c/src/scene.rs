@@ -106,8 +106,8 @@ pub struct zs_scene_open_options {
     pub struct_size: u32,
     /// 1 drops NaN, infinite and out-of-range Gaussians; 0 rejects them.
     pub drop_invalid: u32,
-    /// Format in memory: NULL for PLY, SPZ and .glb, which are recognized by content, else "splat" or
-    /// "gltf". NULL for files.
+    /// Format in memory: NULL for PLY, SPZ and .glb, which are recognized by content, else "splat"
+    /// or "gltf". NULL for files.
     pub format: *const c_char,
 }
 
@@ -215,8 +215,8 @@ impl zs_gaussians {
 }
 
 /// Creates a scene with a Gaussian per point, as an initialization for zs_refine_scene. `positions`
-/// is N x 3. `colors` is N x 3 for red, green, blue, or NULL for gray. `cameras` limit the Gaussians'
-/// sizes; their count may be 0.
+/// is N x 3. `colors` is N x 3 for red, green, blue, or NULL for gray. `cameras` limit the
+/// Gaussians' sizes; their count may be 0.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn zs_scene_from_points(
     positions: *const f32,

@@ -42,7 +42,7 @@ impl Ellipse {
         let middle = mean(&|camera| camera.pose.translation);
         let axes = half_axes(cameras, middle, up);
         if axes[0].length() <= 1e-9 * (1.0 + middle.length()) {
-            return Err(Error::argument("centres of the cameras", "one place", "several, to lay an ellipse around"));
+            return Err(Error::argument("centers of the cameras", "one place", "several, to lay an ellipse around"));
         }
         let target = focus(cameras, center);
         let toward: f64 = cameras.iter().map(|c| c.pose.rotation.z_axis.dot(target - c.pose.translation)).sum();

@@ -86,7 +86,7 @@ impl Run {
             return Err(Error::argument("Vulkan handles", "a null one", "an image or buffer, and semaphores"));
         }
         if let Place::Image(ImagePlace { new_layout: 0 | 8, .. }) = target.place {
-            return Err(Error::argument("new layout", "undefined or preinitialised", "a layout for use"));
+            return Err(Error::argument("new layout", "undefined or preinitialized", "a layout for use"));
         }
         assert!(self.lane.holds(self.id), "presented after another run of the lane");
         self.device.0.check_lost()?;

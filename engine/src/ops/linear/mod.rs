@@ -25,7 +25,7 @@ pub use lanes::{LaneTile, Lanes};
 
 use super::{
     Units,
-    rows::{Rows, SCRATCH_BYTES, SLICE, quantise_rows, row_chunks},
+    rows::{Rows, SCRATCH_BYTES, SLICE, quantize_rows, row_chunks},
     tile::{Tile, Tiles, choose, split_k},
     uniform::UNIFORM_TILE,
 };
@@ -238,7 +238,7 @@ impl Linear {
 
     /// Quantized input, per-row input scales, per-column weight scales.
     fn quantized(&self, rec: &mut Recorder, input: Rows) -> (Rows, Tensor, Tensor) {
-        let (a, scales) = quantise_rows(rec, input);
+        let (a, scales) = quantize_rows(rec, input);
         (a, scales, self.weight.slice::<f32>(scales_at(self.columns, self.inner) / 4, self.columns))
     }
 

@@ -151,9 +151,9 @@ fn compare(
 
 impl LpipsPictures {
     fn normalize(&self, rec: &mut Recorder, (source, channels): (Tensor, usize)) -> FeatureMap {
-        let out = FeatureMap::scratch(rec, "normalised", self.size, 3);
+        let out = FeatureMap::scratch(rec, "normalized", self.size, 3);
         for part in row_chunks(rec, out.rows.count, &[4 * channels, 12]) {
-            let kernel = kernels::Normalise {
+            let kernel = kernels::Normalize {
                 source: source.slice::<f32>(part.start * channels, part.len() * channels),
                 out: out.rows.part(part.clone()).tensor,
                 count: 3 * part.len() as u32,
@@ -169,7 +169,7 @@ impl LpipsPictures {
         let (source, channels) = self.pictures[0];
         for part in row_chunks(rec, d.rows.count, &[4 * channels, 12]) {
             let of = |t: Tensor| t.slice::<f32>(part.start * channels, part.len() * channels);
-            let kernel = kernels::NormaliseBackward {
+            let kernel = kernels::NormalizeBackward {
                 source: of(source),
                 d_out: d.rows.part(part.clone()).tensor,
                 d_source: of(d_picture),

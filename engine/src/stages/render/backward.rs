@@ -9,7 +9,7 @@ use crate::{
     gpu::{Recorder, Tensor},
     kernels::{
         limits::TILE,
-        render::{CamerasBackward, ColorBackward, ProjectBackward, RasteriseBackward, TileCounts},
+        render::{CamerasBackward, ColorBackward, ProjectBackward, RasterizeBackward, TileCounts},
     },
     ops::scan::exclusive_scan,
 };
@@ -82,7 +82,7 @@ pub(super) fn record_with_splat_gradients(
     loss: impl FnOnce(&mut Recorder, Tensor) -> Tensor,
     gradients: &Gradients,
 ) -> (RenderOutputs, SplatGradients) {
-    assert!(!options.normals && options.token_group.is_none(), "normals and token colours have no gradient");
+    assert!(!options.normals && options.token_group.is_none(), "normals and token colors have no gradient");
     assert!(options.layout.is_none(), "pixels of another layout have no gradient");
     assert!(options.alpha || options.depth != Some(Depth::Expected), "the gradient of expected depth takes alpha");
     let (splats, lists, frames) = rec.scope("render", |rec| {
@@ -141,7 +141,7 @@ impl Backward<'_> {
         for first in (0..height).step_by(bands) {
             let rows = bands.min(height - first);
             let band = |frames: Tensor| frames.slice::<f32>(first * row, shape.cameras * rows * row);
-            let kernel = RasteriseBackward {
+            let kernel = RasterizeBackward {
                 pair_indices: lists.pair_indices,
                 tile_offsets: lists.tile_offsets,
                 tile_sets,

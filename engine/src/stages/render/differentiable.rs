@@ -215,7 +215,7 @@ impl Memory {
 fn interleaved(camera: &Camera, weights: &RenderOutput, options: &RenderOptions) -> Result<Vec<f32>> {
     let pixels = camera.intrinsics.width as usize * camera.intrinsics.height as usize;
     let asked = [
-        ("colour", options.rgb, &weights.rgb, 3),
+        ("color", options.rgb, &weights.rgb, 3),
         ("alpha", options.alpha, &weights.alpha, 1),
         ("depth", options.depth.is_some(), &weights.depth, 1),
     ];

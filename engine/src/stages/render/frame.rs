@@ -64,7 +64,7 @@ impl RenderOptions {
             ("alpha", self.alpha),
             ("depth", self.depth.is_some()),
             ("normals", self.normals),
-            ("token colours", self.token_group.is_some()),
+            ("token colors", self.token_group.is_some()),
             ("antialiasing", self.antialiased),
         ];
         let mut skipped_passes: Vec<_> =

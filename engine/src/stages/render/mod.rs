@@ -12,7 +12,7 @@ mod plan_cache;
 mod planned;
 mod project;
 mod range;
-mod rasterise;
+mod rasterize;
 mod renderer;
 mod scene;
 
@@ -93,7 +93,7 @@ fn draw(
 ) -> (Splats, TileLists, Tensor) {
     let splats = project::record(rec, scene, cameras, shape, options);
     let lists = intersect::record(rec, &splats, shape, capacity);
-    let frames = rasterise::record(rec, &splats, &lists, shape, options);
+    let frames = rasterize::record(rec, &splats, &lists, shape, options);
     (splats, lists, frames)
 }
 

@@ -12,7 +12,7 @@ const TURN: [f32; 2] = [1.0 / (1u128 << 100) as f32, (1u128 << 100) as f32];
 
 pub(super) fn check(cameras: &[Camera], options: &RenderOptions) -> Result<()> {
     if options.channels() == 0 {
-        let expected = "one of rgb, alpha, depth, normals and token colours";
+        let expected = "one of rgb, alpha, depth, normals and token colors";
         return Err(Error::argument("render options", "no output", expected));
     }
     for (i, camera) in cameras.iter().enumerate() {

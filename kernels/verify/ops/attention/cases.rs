@@ -25,8 +25,8 @@ pub fn area() -> Area {
         area.add(name, keys, catches, move || make(keys));
     };
     let random = |keys| Problem::random(17, keys, 64, 1.0);
-    add("random", 1, [NeighbourHead].into(), random);
-    let few = || Catches::from([NoScale, NoTotal, HalfOfKeys, NeighbourHead, NeighbourValue, LastKey, HalfSum]);
+    add("random", 1, [NeighborHead].into(), random);
+    let few = || Catches::from([NoScale, NoTotal, HalfOfKeys, NeighborHead, NeighborValue, LastKey, HalfSum]);
     for keys in [2, 31, 32, 33, 127, 129] {
         let padded: &[Fault] = if keys % 4 == 0 { &[] } else { &[Padding] };
         // Rounding errors of many keys average out.
@@ -34,29 +34,27 @@ pub fn area() -> Area {
         add("random", keys, few().and(padded).and(rounded), random);
     }
     add("random", 1300, few(), random);
-    let slices = || Catches::from([NoTotal, HalfOfKeys, NeighbourHead, HalfSum]);
+    let slices = || Catches::from([NoTotal, HalfOfKeys, NeighborHead, HalfSum]);
     add("a slice of the keys in each channel", 1300, slices().and(&[KeysFrom(1280)]), |keys| sliced(17, keys));
     add("a slice of the keys in each channel", 62_401, slices().and(&[KeysFrom(62_000)]), |keys| sliced(1, keys));
     let many = [KeysFrom(MANY / 2), KeysFrom(65_536), KeysFrom(131_072), KeysFrom(MANY - 1000)];
     add("a slice of the keys in each channel", MANY, slices().and(&many), |keys| sliced(1, keys));
     // Workgroups of several synchronized subgroups.
-    add("many queries", 129, [NeighbourHead, NeighbourValue, LastKey].into(), |keys| {
-        Problem::random(600, keys, 64, 1.0)
-    });
-    let sizes = || Catches::from([NoScale, NoTotal, NeighbourHead, NeighbourValue]);
+    add("many queries", 129, [NeighborHead, NeighborValue, LastKey].into(), |keys| Problem::random(600, keys, 64, 1.0));
+    let sizes = || Catches::from([NoScale, NoTotal, NeighborHead, NeighborValue]);
     add("heads of 8 channels", 70, sizes(), |keys| Problem::random(9, keys, 8, 1.0));
     add("heads of 48 channels", 70, sizes(), |keys| Problem::random(9, keys, 48, 1.0));
     add("heads of 96 channels", 70, sizes(), |keys| Problem::random(9, keys, 96, 1.0));
     add("heads of 128 channels", 70, sizes(), |keys| Problem::random(9, keys, 128, 1.0));
-    let peaks = || Catches::from([NoMaximum, NeighbourValue, NeighbourHead]);
+    let peaks = || Catches::from([NoMaximum, NeighborValue, NeighborHead]);
     add("logits of +-1e4", 325, peaks(), |keys| Problem::random(9, keys, 64, 120.0));
     add("activations of 1e4 before any norm", 325, peaks(), |keys| Problem::random(9, keys, 64, 1e4));
     add("all logits equal", 325, [NoTotal, HalfOfKeys, LastKey, HalfSum].into(), |keys| Problem {
         q: vec![0.0; 9 * 128],
         ..Problem::random(9, keys, 64, 1.0)
     });
-    add("identical keys and values", 1300, [NoTotal, HalfSum, NeighbourHead].into(), identical);
-    let first = |key| Catches::from([Key(key), NoMaximum, NeighbourValue]);
+    add("identical keys and values", 1300, [NoTotal, HalfSum, NeighborHead].into(), identical);
+    let first = |key| Catches::from([Key(key), NoMaximum, NeighborValue]);
     add("key 0 dominates", 33, first(0), |keys| dominated(keys, 64, &[0]));
     add("key 32 dominates", 33, first(32), |keys| dominated(keys, 64, &[32]));
     add("key 800 dominates", 1300, [Key(800), NoMaximum].into(), |keys| dominated(keys, 64, &[800]));
@@ -64,16 +62,16 @@ pub fn area() -> Area {
     let catches = Catches::from([KeysFrom(65_536), KeysFrom(131_072), NoMaximum]).and(&lost);
     add("keys near 65,536, 131,072 and the last dominate", MANY, catches, |keys| dominated(keys, 16, &DOMINATING));
     add("maximum rises with every key", 500, [SumsNotScaled, TotalNotScaled, KeysFrom(499)].into(), rising);
-    add("all logits far below zero", 70, [NoMaximum, NeighbourHead].into(), |keys| {
+    add("all logits far below zero", 70, [NoMaximum, NeighborHead].into(), |keys| {
         let mut problem = Problem::random(5, keys, 64, 1.0);
         problem.q.fill(30.0);
         problem.k.iter_mut().for_each(|k| *k -= 40.0);
         problem
     });
-    let counts = || Catches::from([NoCounts, NeighbourCount, NeighbourHead, NeighbourValue, LastKey, NoTotal]);
+    let counts = || Catches::from([NoCounts, NeighborCount, NeighborHead, NeighborValue, LastKey, NoTotal]);
     add("means of 2 x 2 patches", 3 * (1 + 3 * 4), counts(), |_| pooled(Pool { side: 2, grid: [5, 7], leading: 1 }));
     add("means of 4 x 4 patches", 3 * (2 + 2 * 3), counts(), |_| pooled(Pool { side: 4, grid: [7, 9], leading: 2 }));
-    let values = || Catches::from([NoTotal, HalfOfKeys, NeighbourValue]);
+    let values = || Catches::from([NoTotal, HalfOfKeys, NeighborValue]);
     add("values near the largest f16", 325, values(), |keys| values_of(keys, 65_000.0));
     add("values of 1e30", 325, values(), |keys| values_of(keys, 1e30));
     add("every second value subnormal", 325, values(), |keys| {
@@ -104,14 +102,14 @@ pub fn shapes() -> Area {
     for dim in [4, 8, 16, 24, 32, 48, 64, 96, 128] {
         let keys = [1, 2, 3, 4, 5, 31, 32, 33, 325, 1300];
         let make = move || keys.iter().flat_map(|&keys| variants(Problem::random(9, keys, dim, 1.0))).collect();
-        area.sweep(format!("heads of {dim} channels"), 1300, [NeighbourHead], make);
+        area.sweep(format!("heads of {dim} channels"), 1300, [NeighborHead], make);
     }
     for shape in [[1, 1], [2, 3], [5, 2]] {
         let queries = [0, 1, 7, 8, 9, 15, 16, 17, 31, 33, 65, 130];
         let make =
             move || queries.iter().flat_map(|&queries| variants(Problem::of(shape, queries, 37, 16, 1.0))).collect();
         let name = format!("{} sequences of {} heads", shape[0], shape[1]);
-        area.sweep(name, 37, [NeighbourValue, HalfOfKeys], make);
+        area.sweep(name, 37, [NeighborValue, HalfOfKeys], make);
     }
     for (side, grid, leading, dim) in [(2, [3, 5], 1, 64), (3, [4, 4], 0, 16), (4, [9, 7], 1, 16)] {
         let pool = Pool { side, grid, leading };
@@ -121,14 +119,14 @@ pub fn shapes() -> Area {
     }
     let queries = (ATTENTION_ROWS * GROUP_FOLD) as usize + 3;
     let many = move || variants(Problem::of([1, 1], queries, 2, 4, 1.0)).into();
-    area.sweep("queries beyond a fold of workgroups", 2, [NeighbourValue], many);
+    area.sweep("queries beyond a fold of workgroups", 2, [NeighborValue], many);
     for dim in [16, 64] {
         let shape: [fn(f32) -> f32; 2] = match dim {
             16 => [|q| 64.0 * q, |k| 1024.0 * k],
             _ => [|q| 64.0 * q, |k| 256.0 * k],
         };
         let make = move || variants(whole(Problem::of([2, 2], 11, 70, dim, 1.0), shape)).into();
-        area.sweep(format!("exact logits of 1e4, {dim} channels"), 70, [NeighbourValue], make);
+        area.sweep(format!("exact logits of 1e4, {dim} channels"), 70, [NeighborValue], make);
     }
     let below = || variants(whole(Problem::of([1, 1], 5, 33, 16, 1.0), [|_| 64.0, |k| 8.0 * k - 48.0])).into();
     area.sweep("exact logits far below zero", 33, [NoMaximum], below);
@@ -143,7 +141,7 @@ pub fn shapes() -> Area {
         let of = |(queries, keys, heads, dim)| Problem::of([1, heads], queries, keys, dim, 1.0);
         shapes.map(|shape| Problem { limits: |limits| limits.cpu = false, is_tame: true, ..of(shape) }).into()
     };
-    area.sweep("tiles of GPUs", 70, [NeighbourValue], tiles);
+    area.sweep("tiles of GPUs", 70, [NeighborValue], tiles);
     area
 }
 

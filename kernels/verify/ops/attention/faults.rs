@@ -10,8 +10,8 @@ pub enum Fault {
     Key(usize),
     LastKey,
     HalfOfKeys,
-    NeighbourValue,
-    NeighbourHead,
+    NeighborValue,
+    NeighborHead,
     NoScale,
     /// exp of f32 scores without the maximum.
     NoMaximum,
@@ -25,7 +25,7 @@ pub enum Fault {
     HalfScores,
     NoCounts,
     /// Patch count of the next key.
-    NeighbourCount,
+    NeighborCount,
     /// Counts padding in the last vector of keys.
     Padding,
 }
@@ -42,7 +42,7 @@ impl Problem {
         let round: fn(f64) -> f64 = if matches!(fault, Fault::HalfSum) { half } else { |x| x };
         let counted = |(key, score): (usize, &f64)| match fault {
             Fault::NoCounts => score - keys.count(key).ln(),
-            Fault::NeighbourCount => score + (keys.count((key + 1) % self.keys()) / keys.count(key)).ln(),
+            Fault::NeighborCount => score + (keys.count((key + 1) % self.keys()) / keys.count(key)).ln(),
             _ => *score,
         };
         let scores: Vec<f64> = scores.iter().enumerate().map(counted).collect();
@@ -90,8 +90,8 @@ impl Problem {
 
     fn value<'a>(&self, key: usize, head: usize, v: &'a [f64], fault: Fault) -> &'a [f64] {
         let (key, head) = match fault {
-            Fault::NeighbourValue => ((key + 1) % self.keys(), head),
-            Fault::NeighbourHead => (key, (head + 1) % self.heads),
+            Fault::NeighborValue => ((key + 1) % self.keys(), head),
+            Fault::NeighborHead => (key, (head + 1) % self.heads),
             _ => (key, head),
         };
         &v[key * self.width() + head * self.dim..][..self.dim]

@@ -12,7 +12,7 @@ const REASON: &str = "|error| <= gamma_(n+1) (|x| |W| + |b|) in every element, w
     numbers whose sums stay below 2^24 are added exactly in any order. The truth is that of the factors as the mode holds \
     them, 11 or 8 bits or 8-bit integers; sums of integers are exact, and only their scales are rounded";
 
-const SUMS: [Fault; 3] = [HalfSum, NeighbourColumn, NeighbourRow];
+const SUMS: [Fault; 3] = [HalfSum, NeighborColumn, NeighborRow];
 
 pub fn area() -> Area {
     let mut area = Area::new("ops/linear", "terms of a sum (K)", Mode::ALL, REASON);
@@ -26,8 +26,8 @@ pub fn area() -> Area {
     add("random", terms(), || random(588), 588);
     add("random", Catches::from(SUMS).and(&[TermsFrom(1504)]), || random(1536), 1536);
     // With many rounding terms, only whole numbers reveal 11-bit sums.
-    add("random", [NeighbourColumn, NeighbourRow, TermsFrom(3968)].into(), || random(4096), 4096);
-    let halves = [NeighbourColumn, NeighbourRow, TermsFrom(4096), TermsFrom(7680)];
+    add("random", [NeighborColumn, NeighborRow, TermsFrom(3968)].into(), || random(4096), 4096);
+    let halves = [NeighborColumn, NeighborRow, TermsFrom(4096), TermsFrom(7680)];
     add("random", halves.into(), || random(8192), 8192);
     let exact = || Catches::from(SUMS).and(&[LastTerm]);
     add("whole numbers", exact().and(&[TermsFrom(4095)]), || whole(4096), 4096);
@@ -41,14 +41,14 @@ pub fn area() -> Area {
     let folded = || Problem::random(GROUP_FOLD as usize + 9, 4, 8);
     add("rows beyond a fold of workgroups", edges().and(&[Folded]), folded, 4);
     add("sums that cancel, condition 1e5", Catches::from(SUMS).and(&[LastTerm, AnyTerm]), cancelling, 512);
-    add("outlier channels of 1e4", [HalfSum, TermsFrom(900), NeighbourRow].into(), outliers, 1536);
-    add("one channel at a time", [AnyTerm, NeighbourColumn, NeighbourRow, HalfFactors].into(), || one_hot(68, 68), 68);
-    let few = || Catches::from([AnyTerm, LastTerm, NeighbourColumn, NeighbourRow, HalfFactors]);
+    add("outlier channels of 1e4", [HalfSum, TermsFrom(900), NeighborRow].into(), outliers, 1536);
+    add("one channel at a time", [AnyTerm, NeighborColumn, NeighborRow, HalfFactors].into(), || one_hot(68, 68), 68);
+    let few = || Catches::from([AnyTerm, LastTerm, NeighborColumn, NeighborRow, HalfFactors]);
     add("every channel in a sum of 64", few(), || one_hot(4096, 64), 4096);
     add("every channel in a sum of 64", few(), || one_hot(8192, 128), 8192);
     add("subnormal inputs", [NoBias].into(), || scaled(1e-40, Problem::random(5, 64, 40)), 64);
     add("sums beyond the largest f16", SUMS.into(), || scaled(1e4, Problem::random(5, 256, 40)), 256);
-    add("GELU", [NoActivation, NoBias, NeighbourColumn].into(), || gelu(Problem::random(21, 384, 64)), 384);
+    add("GELU", [NoActivation, NoBias, NeighborColumn].into(), || gelu(Problem::random(21, 384, 64)), 384);
     add("GELU of every value from -10 to 10", [HalfResult, NoActivation, TanhGelu].into(), || gelu(alone()), 4);
     add("GELU far from zero", [HalfResult, NoActivation].into(), || gelu(far(12.0, 40)), 64);
     add("SwiGLU", [NoActivation, NoBias, SwappedGate].into(), || swiglu(Problem::random(21, 384, 64)), 384);
@@ -100,7 +100,7 @@ pub fn shapes() -> Area {
     }
     for inner in [4, 8, 60, 64, 68, 128, 588, 1536, 4096, 6144] {
         let make = move || variants(Problem::exact(19, inner, 72)).into();
-        area.sweep("72 columns", inner, [NeighbourColumn, PastEnd], make);
+        area.sweep("72 columns", inner, [NeighborColumn, PastEnd], make);
     }
     for columns in [4, 36, 132] {
         let make = move || epilogues(|| Problem::exact(21, 24, columns));

@@ -20,8 +20,8 @@ pub enum Fault {
     TermsFrom(usize),
     /// Drops one term; every term is tried.
     AnyTerm,
-    NeighbourColumn,
-    NeighbourRow,
+    NeighborColumn,
+    NeighborRow,
     /// The last row or column repeats the one before.
     LastRow,
     LastColumn,
@@ -70,8 +70,8 @@ impl Problem {
             Fault::LastTerm => vec![self.finish(&self.sums(&truth.held, |x| x, |k| k + 1 < self.inner))],
             Fault::TermsFrom(end) => vec![self.finish(&self.sums(&truth.held, |x| x, |k| k < end))],
             Fault::AnyTerm => (0..self.inner).map(|k| self.finish(&self.without(truth, k))).collect(),
-            Fault::NeighbourColumn => result(&|row, column| row * wide + (column + 1) % wide),
-            Fault::NeighbourRow => result(&|row, column| (row + 1) % self.rows * wide + column),
+            Fault::NeighborColumn => result(&|row, column| row * wide + (column + 1) % wide),
+            Fault::NeighborRow => result(&|row, column| (row + 1) % self.rows * wide + column),
             Fault::LastRow => result(&|row, column| row.min(self.rows - 2) * wide + column),
             Fault::LastColumn => result(&|row, column| row * wide + column.min(wide - 2)),
             Fault::Folded => result(&|row, column| row % GROUP_FOLD as usize * wide + column),

@@ -35,7 +35,7 @@ impl Held {
         if factor == Element::I8 {
             weight = integers(&problem.weight, problem.inner);
             for (row, moves) in x.chunks_mut(problem.inner).zip(&mut moves) {
-                *moves = quantise(row, round);
+                *moves = quantize(row, round);
             }
         }
         let used = |row: &[f64]| (0..row.len()).filter(|&k| row[k] != 0.0).collect();
@@ -67,8 +67,8 @@ fn integers(weight: &[f32], inner: usize) -> Vec<f64> {
     weight.chunks(inner).flat_map(row).collect()
 }
 
-/// Rounds as `quantise_rows.comp`; returns the near-ties.
-fn quantise(row: &mut [f64], round: fn(f64) -> f64) -> Vec<(usize, f64)> {
+/// Rounds as `quantize_rows.comp`; returns the near-ties.
+fn quantize(row: &mut [f64], round: fn(f64) -> f64) -> Vec<(usize, f64)> {
     let scale = row.iter().fold(0.0, |most: f64, x| most.max(x.abs())) / 127.0;
     let mut moves = Vec::new();
     for (k, x) in row.iter_mut().enumerate().filter(|_| scale > 0.0) {

@@ -10,7 +10,7 @@ use zipsplat::ops::{Activation, Q8};
 const REASON: &str = "That of ops/linear, for the weights that the integers and scales stand for: f32 holds each product of the two. \
     On matrix units it becomes a factor, which moves it by 2^-10 as f16, by a conversion that may round either way, and by 2^-8 as bf16";
 
-const SUMS: [Fault; 2] = [NeighbourColumn, NeighbourRow];
+const SUMS: [Fault; 2] = [NeighborColumn, NeighborRow];
 
 pub fn q8_area() -> Area {
     let mut area = Area::new("ops/linear of q8 weights", "terms of a sum (K)", Mode::Q8, REASON);
@@ -26,7 +26,7 @@ pub fn q8_area() -> Area {
     add("300 rows, 264 columns", [LastRow, LastColumn, PastEnd].into(), || Problem::random(300, 64, 264), 64);
     add("groups 10,000 times apart", Catches::from(SUMS).and(&[NoSign, NextScale]), apart, 384);
     add("the smallest and largest scales", [NoSign, NextScale].into(), extreme, 64);
-    add("one channel at a time", [AnyTerm, NeighbourColumn, NoSign, NextScale, TurnedTerms].into(), one_hot, 96);
+    add("one channel at a time", [AnyTerm, NeighborColumn, NoSign, NextScale, TurnedTerms].into(), one_hot, 96);
     let gelu = || Problem { activation: Activation::Gelu, ..Problem::random(21, 384, 64) };
     add("GELU", [NoActivation, NoSign].into(), gelu, 384);
     let swiglu = || Problem { activation: Activation::SwiGlu, ..Problem::random(21, 64, 64) };

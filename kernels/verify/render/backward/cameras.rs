@@ -18,7 +18,7 @@ enum Fault {
     HalfSums,
     Overwritten,
     LastRow,
-    NeighbourNumber,
+    NeighborNumber,
 }
 
 impl Problem {
@@ -55,7 +55,7 @@ impl Values for Problem {
             Fault::HalfSums => self.terms(number).fold(f64::from(BEFORE), |sum, x| half(sum + x)),
             Fault::Overwritten => truth[number] - f64::from(BEFORE),
             Fault::LastRow => truth[number] - self.terms(number).last().unwrap_or(0.0),
-            Fault::NeighbourNumber => truth[(number + 1) % NUMBERS],
+            Fault::NeighborNumber => truth[(number + 1) % NUMBERS],
         };
         (0..NUMBERS).map(one).collect()
     }
@@ -63,20 +63,20 @@ impl Values for Problem {
 
 pub fn area() -> Area {
     use Fault::*;
-    let all = [HalfSums, Overwritten, LastRow, NeighbourNumber];
+    let all = [HalfSums, Overwritten, LastRow, NeighborNumber];
     let noise = |rows: usize| move || Problem(Noise::new(rows as u64).values(rows * NUMBERS));
     let mut area = Area::new("render/cameras_backward", "rows", Mode::ONLY_EXACT, REASON);
     for rows in [1, 7, 129, 4097] {
         area.add("random of +-1", rows, all, noise(rows));
     }
     let cancelling = || {
-        let values = Noise::new(3).values(1000 * NUMBERS);
-        // Each row of large numbers has its opposite.
+        let values = Noise::new(3).values(1001 * NUMBERS);
+        // Each row of large numbers but the last has its opposite.
         let opposite = |i: usize| if (i / NUMBERS).is_multiple_of(2) { 1e6 } else { -1e6 };
         let large = |i: usize| opposite(i) * (1.0 + values[i / (2 * NUMBERS) * NUMBERS + i % NUMBERS].abs());
         Problem((0..values.len()).map(large).collect())
     };
-    area.add("opposites of 1e6", 1000, [HalfSums, LastRow], cancelling);
+    area.add("opposites of 1e6", 1001, [HalfSums, LastRow], cancelling);
     let none = || Problem(vec![0.0; 65 * NUMBERS]);
     area.add("nothing visible", 65, [Overwritten], none);
     area

@@ -46,7 +46,7 @@ enum Fault {
     Overwritten,
     /// No center gradient through color.
     NoDirection,
-    NeighbourGaussian,
+    NeighborGaussian,
     /// Counts a splat beyond the capacity.
     FullCounts,
 }
@@ -195,7 +195,7 @@ impl Values for Problem {
         let (pairs, coeffs) = truth.split_at(self.means.len() * VALUES);
         match fault {
             Fault::Unwritten => vec![f64::NAN; truth.len()],
-            Fault::NeighbourGaussian => [&shifted(pairs, VALUES), coeffs].concat(),
+            Fault::NeighborGaussian => [&shifted(pairs, VALUES), coeffs].concat(),
             _ => self.all(Some(fault)),
         }
     }
@@ -208,13 +208,13 @@ fn few(i: usize) -> u32 {
 pub fn area() -> Area {
     use Fault::*;
     let mut area = Area::new("render/color_backward", "Gaussians", Mode::ONLY_EXACT, REASON);
-    let seen = || Catches::from([Unwritten, LastTile, Unheld, Overwritten, NeighbourGaussian]);
+    let seen = || Catches::from([Unwritten, LastTile, Unheld, Overwritten, NeighborGaussian]);
     let banded = || seen().and(&[NoBands, NoDirection]);
     area.add("random, degree 0", 129, seen(), || Problem::new(129, 0, few));
     area.add("random, degree 1", 65, banded(), || Problem::new(65, 1, few));
     area.add("random, degree 2", 65, banded(), || Problem::new(65, 2, few));
     area.add("random, degree 3", 300, banded(), || Problem::new(300, 3, few));
-    let many = [Unwritten, Unheld, Overwritten, NeighbourGaussian];
+    let many = [Unwritten, Unheld, Overwritten, NeighborGaussian];
     area.add("over 20,000 tiles", 3, many, || Problem::new(3, 1, |_| 20_000));
     area.add("scene and camera 1e6 off", 65, banded(), || {
         let near = Problem::new(65, 3, |_| 2);

@@ -3,12 +3,12 @@
 mod cameras;
 mod color;
 mod project;
-mod rasterise;
+mod rasterize;
 
 pub use cameras::area as cameras;
 pub use color::area as color;
 pub use project::area as project;
-pub use rasterise::area as rasterise;
+pub use rasterize::area as rasterize;
 
 use crate::{bound::Bounded, trial::Trial};
 use zipsplat::gpu::Tensor;

@@ -47,11 +47,11 @@ enum Fault {
     /// Rotation gradients in camera space.
     TurnInCamera,
     /// Quaternions treated as unit length.
-    NotNormalised,
+    NotNormalized,
     /// Gradient by ln opacity.
     LogOpacity,
     NoCompensation,
-    NeighbourGaussian,
+    NeighborGaussian,
 }
 
 struct Found {
@@ -144,9 +144,9 @@ impl Problem {
             Bounded::dot(rows[2], d_x) - Bounded::dot(rows[0], d_z),
             Bounded::dot(rows[0], d_y) - Bounded::dot(rows[1], d_x),
         ];
-        let along_centre = a * ge;
-        let d_centre = [along_centre, p_conic * gy - k * along_centre];
-        let d_free = [0, 1].map(|axis| focal[axis] * d_centre[axis] + if held[axis] { zero } else { d_slope[axis] });
+        let along_center = a * ge;
+        let d_center = [along_center, p_conic * gy - k * along_center];
+        let d_free = [0, 1].map(|axis| focal[axis] * d_center[axis] + if held[axis] { zero } else { d_slope[axis] });
         let of_shape = if is(Fault::NoDepthOfShape) { zero } else { sizes[0] + sizes[1] };
         let inward = (-(d_free[0] * free[0] + d_free[1] * free[1]) - of_shape) / p[2];
         let d_p: Vector = [d_free[0] / p[2], d_free[1] / p[2], pair[9] + inward];
@@ -154,14 +154,14 @@ impl Problem {
         let d_offset = plus(to_world(d_p), [pair[6], pair[7], pair[8]]);
         let d_scale: Vector = [0, 1, 2].map(|c| along[0][c] * d_u[c] + along[1][c] * d_v[c]);
         let d_turn = if is(Fault::TurnInCamera) { turn } else { to_world(turn) };
-        let d_quat = self.quat(n, d_turn, is(Fault::NotNormalised));
+        let d_quat = self.quat(n, d_turn, is(Fault::NotNormalized));
         let opacity = if is(Fault::LogOpacity) { g } else { g / Bounded::exact(self.scene.opacities[n]) };
         let d_limit = [0, 1].map(|axis| if held[axis] { d_slope[axis] } else { zero });
         let to_camera: Vector = [0, 1, 2].map(|r| Bounded::dot([0, 1, 2].map(|c| view(r, c)), d_offset));
         let camera_turn = plus(cross(p, d_p), turn);
         let lens =
-            [0, 1].map(|axis| d_centre[axis] * free[axis] + (sizes[axis] - d_limit[axis] * slope[axis]) / focal[axis]);
-        let principal = [0, 1].map(|axis| d_centre[axis] - d_limit[axis] / focal[axis]);
+            [0, 1].map(|axis| d_center[axis] * free[axis] + (sizes[axis] - d_limit[axis] * slope[axis]) / focal[axis]);
+        let principal = [0, 1].map(|axis| d_center[axis] - d_limit[axis] / focal[axis]);
         let pose = [camera_turn, to_camera].concat().into_iter().map(|x| -x);
         Found {
             gaussian: [&d_offset[..], &d_scale, &d_quat, &[opacity]].concat(),
@@ -261,7 +261,7 @@ impl Values for Problem {
     fn faulty(&self, truth: &[f64], fault: Fault) -> Vec<f64> {
         match fault {
             Fault::Unwritten => vec![f64::NAN; truth.len()],
-            Fault::NeighbourGaussian => shifted(truth, VALUES),
+            Fault::NeighborGaussian => shifted(truth, VALUES),
             _ => self.all(Some(fault)).iter().map(|bounded| bounded.value).collect(),
         }
     }
@@ -287,7 +287,7 @@ pub fn area() -> Area {
     };
     let still = || camera(70, 53);
     let keep = |_: usize, _: &mut [f32; 3], _: &mut [f32; 3]| ();
-    let seen = || Catches::from([HalfPairs, FixedShape, NoDepthOfShape, NotNormalised, LogOpacity, NeighbourGaussian]);
+    let seen = || Catches::from([HalfPairs, FixedShape, NoDepthOfShape, NotNormalized, LogOpacity, NeighborGaussian]);
     add("random", seen().and(&[NoBlur]), (scene(100, keep), still()), false);
     add("random, antialiased", seen().and(&[NoCompensation]), (scene(100, keep), still()), true);
     let turned = Pose {
@@ -307,7 +307,7 @@ pub fn area() -> Area {
     let needles = |_: usize, _: &mut [f32; 3], s: &mut [f32; 3]| *s = [0.02, 0.01, 1.0];
     add("needles, antialiased", seen().and(&[NoCompensation]), (scene(60, needles), still()), true);
     let points = |_: usize, _: &mut [f32; 3], s: &mut [f32; 3]| *s = [0.0; 3];
-    add("points", [LogOpacity, NeighbourGaussian].into(), (scene(60, points), still()), false);
+    add("points", [LogOpacity, NeighborGaussian].into(), (scene(60, points), still()), false);
     let near = scene(40, |i, m, s| {
         let z = 0.0101 + 1e-4 * i as f32;
         (*m, *s) = ([m[0] / m[2] * z, m[1] / m[2] * z, z], [1e-3, 5e-4, 2e-3]);

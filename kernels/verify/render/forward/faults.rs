@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use zipsplat::types::{Camera, Scene};
 use zipsplat_reference::render::{
     project::{Camera as Pinhole, Gaussians, Splat, project},
-    rasterise::{Pixel, Rules, alpha, blend},
+    rasterize::{Pixel, Rules, alpha, blend},
     sh,
 };
 
@@ -21,7 +21,7 @@ pub enum Fault {
     BackToFront,
     /// Samples at pixel corners.
     HalfPixel,
-    NeighbourColor,
+    NeighborColor,
     HalfColors,
     /// Colors not clamped at 0.
     NegativeColors,
@@ -42,7 +42,7 @@ pub enum Fault {
     OpaqueUnclamped,
     NeverStops,
     /// Principal point at the center.
-    CentredPrincipal,
+    CenteredPrincipal,
     /// Column-major pixels.
     TransposedPixels,
     /// Tile indices wrap at 65,536.
@@ -62,7 +62,7 @@ pub fn wrong(scene: &Scene, camera: &Camera, antialiased: bool, fault: Fault, be
         Fault::Unrotated => scene.quats.fill([1.0, 0.0, 0.0, 0.0]),
         Fault::BehindDrawn => scene.means.iter_mut().for_each(|mean| mean[2] = mean[2].abs()),
         Fault::NearDrawn => scene.means.iter_mut().for_each(|mean| mean[2] = mean[2].max(0.01)),
-        Fault::CentredPrincipal => (i.cx, i.cy) = (f64::from(i.width) / 2.0, f64::from(i.height) / 2.0),
+        Fault::CenteredPrincipal => (i.cx, i.cy) = (f64::from(i.width) / 2.0, f64::from(i.height) / 2.0),
         Fault::FaintDrawn => rules.min_alpha = 0.0,
         Fault::OpaqueUnclamped => rules.max_alpha = 1.0,
         Fault::NeverStops => rules.min_transmittance = 0.0,
@@ -78,7 +78,7 @@ pub fn wrong(scene: &Scene, camera: &Camera, antialiased: bool, fault: Fault, be
     match fault {
         Fault::Missing => drop(most_visible(&splats, pinhole.size).map(|place| splats.remove(place))),
         Fault::BackToFront => splats.reverse(),
-        Fault::NeighbourColor => {
+        Fault::NeighborColor => {
             let colors: Vec<_> = splats.iter().map(|splat| splat.color).collect();
             let next = colors.iter().cycle().skip(1);
             splats.iter_mut().zip(next).for_each(|(splat, color)| splat.color = *color);
@@ -110,7 +110,7 @@ pub fn wrong(scene: &Scene, camera: &Camera, antialiased: bool, fault: Fault, be
 fn changed(mut splat: Splat, scene: &Gaussians, n: usize, camera: &Pinhole, fault: Fault) -> Splat {
     let coeffs = scene.sh_coeffs.len() / scene.means.len();
     let coeffs = &scene.sh_coeffs[n * coeffs..][..coeffs];
-    let direction = DVec3::from(scene.means[n]) - camera.centre();
+    let direction = DVec3::from(scene.means[n]) - camera.center();
     match fault {
         Fault::HalfPixel => splat.mean = splat.mean.map(|at| at + 0.5),
         Fault::HalfColors => splat.color = splat.color.map(half),

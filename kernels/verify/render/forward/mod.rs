@@ -11,7 +11,7 @@ use zipsplat::{
     stages::render::{Depth, RenderOptions, Renderer},
     types::{Camera, NEAR, Pose, Scene},
 };
-use zipsplat_reference::render::rasterise::Rendering;
+use zipsplat_reference::render::rasterize::Rendering;
 
 const REASON: &str = "running error analysis (Wilkinson) of projection and blending, formula by formula: every value carries what \
     rounding may have added; where alpha may lie on either side of 1/255, or transmittance of 1e-4, both pictures are allowed";
@@ -108,10 +108,10 @@ pub fn area() -> Area {
     let still = || camera(70, 53);
     let keep = |_: usize, _: &mut [f32; 3], _: &mut [f32; 3], _: &mut f32| ();
     let seen = || Catches::from([Blank, LastTile, Missing, HalfPixel]);
-    let many = || seen().and(&[BackToFront, NeighbourColor, Unrotated, TransposedPixels]);
+    let many = || seen().and(&[BackToFront, NeighborColor, Unrotated, TransposedPixels]);
     for (count, degree) in [(1, 0), (10, 1), (100, 2), (1000, 3)] {
         let more: &[Fault] =
-            if count == 1 { &[] } else { &[BackToFront, NeighbourColor, Unrotated, FaintDrawn, NoBands] };
+            if count == 1 { &[] } else { &[BackToFront, NeighborColor, Unrotated, FaintDrawn, NoBands] };
         let faults = || seen().and(&[OtherAntialiasing, HalfColors]).and(more);
         add(&format!("random, degree {degree}"), faults(), (scene(count, degree, keep), still()), false);
         add(&format!("random, degree {degree}, antialiased"), faults(), (scene(count, degree, keep), still()), true);
@@ -149,7 +149,7 @@ pub fn area() -> Area {
         add(&format!("rotations of length {length:e}"), many(), (stretched, still()), false);
     }
     let level = scene(300, 0, |_, m, s, _| (m[2], *s) = (3.0, [0.1; 3]));
-    add("equal depths", seen().and(&[BackToFront, NeighbourColor]), (level, still()), false);
+    add("equal depths", seen().and(&[BackToFront, NeighborColor]), (level, still()), false);
     let near = scene(40, 0, |i, m, s, _| {
         // Not 0.01 itself, which f32 rounds down.
         let z = f32::from_bits(0.01f32.to_bits() + i as u32 - if i < 20 { 20 } else { 19 });
@@ -174,7 +174,7 @@ pub fn area() -> Area {
     add("opaque layers", walls.into(), (scene(4, 0, wall), still()), false);
     let mut dark = scene(80, 3, keep);
     dark.sh_coeffs.iter_mut().flatten().for_each(|c| *c = 2.0 * *c - 1.0);
-    add("colours below zero", many().and(&[NegativeColors, NoBands]), (dark, still()), false);
+    add("colors below zero", many().and(&[NegativeColors, NoBands]), (dark, still()), false);
     for (width, height) in [(1, 1), (1, 2048), (2048, 1), (17, 33)] {
         let sides = [Blank, LastTile, Missing, HalfPixel];
         add(&format!("{width} x {height} pixels"), sides.into(), (scene(40, 0, keep), camera(width, height)), false);
@@ -182,7 +182,7 @@ pub fn area() -> Area {
     add("no Gaussians", [Unwritten].into(), (Scene::default(), still()), false);
     let mut far_off = still();
     (far_off.intrinsics.cx, far_off.intrinsics.cy) = (-60.0, 400.0);
-    add("principal point outside", [CentredPrincipal].into(), (scene(200, 0, keep), far_off), false);
+    add("principal point outside", [CenteredPrincipal].into(), (scene(200, 0, keep), far_off), false);
     for degrees in [1.0f32, 179.0] {
         // The default view through a narrower or wider lens.
         let (half, mut lens) = ((0.5 * degrees).to_radians().tan(), still());

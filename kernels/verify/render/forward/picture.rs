@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use zipsplat::types::{Camera, Scene};
 use zipsplat_reference::render::{
     project::{self, Gaussians, MIN_ALPHA},
-    rasterise::{self, Rendering},
+    rasterize::{self, Rendering},
 };
 
 /// As in kernels/shared/splat.glsl and kernels/render/project.comp.
@@ -32,7 +32,7 @@ struct Splat {
 }
 
 pub fn truth(scene: &Scene, camera: &Camera, antialiased: bool) -> Rendering {
-    rasterise::render(&gaussians(scene), &reference_camera(camera), antialiased, [0.0; 3])
+    rasterize::render(&gaussians(scene), &reference_camera(camera), antialiased, [0.0; 3])
 }
 
 /// Converts a scene for the reference.
@@ -137,9 +137,9 @@ fn splat(scene: &Scene, n: usize, camera: &Camera, antialiased: bool, color: [f6
 /// Returns the offset from the camera center, which the kernel stores as two numbers.
 fn offset(scene: &Scene, n: usize, camera: &Camera) -> [Bounded; 3] {
     [0, 1, 2].map(|c| {
-        let centre = camera.pose.translation[c];
-        let coarse = Bounded::exact(scene.means[n][c]) - Bounded::exact(centre as f32);
-        coarse - Bounded::rounded(centre - f64::from(centre as f32))
+        let center = camera.pose.translation[c];
+        let coarse = Bounded::exact(scene.means[n][c]) - Bounded::exact(center as f32);
+        coarse - Bounded::rounded(center - f64::from(center as f32))
     })
 }
 
@@ -196,7 +196,7 @@ fn colors(scene: &Scene, n: usize, color: [f64; 3]) -> [Bounded; 3] {
     })
 }
 
-/// Blending state, as in kernels/render/rasterise.comp.
+/// Blending state, as in kernels/render/rasterize.comp.
 struct Pixel {
     rgb: [Bounded; 3],
     depth: Bounded,

@@ -9,7 +9,7 @@ use clap::{Args, Subcommand};
 use serde::Serialize;
 use std::path::PathBuf;
 use zipsplat::{Error, Result, gpu::Limits, types::write_atomic};
-use zipsplat_verify::{Finding, Worst, catalogue};
+use zipsplat_verify::{Finding, Worst, catalog};
 
 /// Exit code for a result outside its bound.
 const OUTSIDE: u8 = 5;
@@ -75,9 +75,9 @@ impl Doctor {
         }
         let device = session.device()?;
         let wanted = |kernel: &str| self.only.as_ref().is_none_or(|only| kernel.contains(only.as_str()));
-        let areas: Vec<_> = catalogue().into_iter().filter(|area| wanted(area.kernel)).collect();
+        let areas: Vec<_> = catalog().into_iter().filter(|area| wanted(area.kernel)).collect();
         if areas.is_empty() {
-            let known = catalogue().iter().map(|area| area.kernel).collect::<Vec<_>>().join(", ");
+            let known = catalog().iter().map(|area| area.kernel).collect::<Vec<_>>().join(", ");
             return Err(Error::argument(
                 "--only",
                 self.only.as_deref().unwrap_or_default(),

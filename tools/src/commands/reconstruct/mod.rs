@@ -5,6 +5,7 @@ mod pixels;
 mod placed;
 mod plan;
 mod refined;
+mod world;
 
 use super::render::Render;
 use crate::{
@@ -19,7 +20,7 @@ use crate::{
     views::CropOption,
 };
 use captured::Captured;
-use clap::{Arg, Args, ValueEnum};
+use clap::{Arg, Args};
 use each::Batch;
 use forward::{Forward, LOAD_PHOTOS, LOAD_WEIGHTS};
 use refined::{From, RefineInputs, RefinedScene};
@@ -29,13 +30,14 @@ use std::{
     path::{Path, PathBuf},
     time::Duration,
 };
+use world::{WorldName, coarse};
 use zipsplat::{
     Error, Result,
     reconstruct::MAX_VIEWS,
     refine::{RefineResult, StopReason},
     stages::render::Renderer,
     types::{
-        Pose, SaveOptions, SceneFormat, World,
+        SaveOptions, SceneFormat,
         poses::{Capture, CaptureView, read_cloud},
         spz_coarsening,
     },
@@ -143,44 +145,12 @@ fn adapted(arg: Arg) -> Arg {
     if arg.get_id() == "photos" { arg.required(false).required_unless_present("dry_run") } else { arg }
 }
 
-/// Visible step of positions, over the scene's distance.
-const COARSE: f64 = 1e-3;
-
 /// Photos with their known cameras, if any.
 #[derive(Clone, Copy)]
 pub struct Posed<'a> {
     pub photos: &'a [PathBuf],
     pub poses: Option<&'a Capture>,
     pub frames: &'a [&'a CaptureView],
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum WorldName {
-    /// The first photo's camera: x right, y down, z forward
-    #[value(alias = "first")]
-    FirstCamera,
-    /// The cameras' world, so that they match the scene in any program
-    #[value(alias = "cameras")]
-    InputCameras,
-}
-
-impl WorldName {
-    fn of(self, frames: &[&CaptureView]) -> Option<World> {
-        match self {
-            Self::FirstCamera => World::of_first(frames),
-            Self::InputCameras => World::of_cameras(frames),
-        }
-    }
-}
-
-/// `forward` has the length of the network's unit.
-fn coarse(first: &Pose, forward: Option<&Forward>) -> Option<String> {
-    // Positions are f32.
-    let (step, length) = (first.translation.length() * f64::from(f32::EPSILON), forward?.length);
-    (step > COARSE * length).then(|| {
-        let world = "the world of the cameras begins far from them";
-        format!("{world}: positions there have steps of {step:.2e}, of a scene {length:.2e} away")
-    })
 }
 
 impl Reconstruct {

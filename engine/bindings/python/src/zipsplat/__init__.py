@@ -38,8 +38,9 @@ from .images import list_images, load_image, save_image
 from .model import Model
 from .progress import Progress
 from .reconstruction import CameraEstimate, Reconstruction
+from .refine import RefineResult
 from .renderer import Renderer, RenderOutput
-from .scene import RefineResult, Scene
+from .scene import Scene
 
 __version__: str = _text(_lib.zs_version())
 

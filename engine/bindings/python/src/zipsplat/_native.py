@@ -170,8 +170,20 @@ def structure(kind: str, **values: Any) -> Any:
     made = ffi.new(f"zs_{kind} *")
     made.struct_size = ffi.sizeof(f"zs_{kind}")
     for name, value in values.items():
-        setattr(made, name, value)
+        try:
+            setattr(made, name, value)
+        except OverflowError as error:
+            raise errors.ArgumentError(f"{name}: found {value!r}, expected a number in range ({error})") from error
+        except TypeError as error:
+            raise errors.ArgumentTypeError(f"{name}: found {value!r} ({error})") from error
     return made
+
+
+def positive(name: str, value: int) -> int:
+    """Returns a number above 0. In the library's options 0 is a default."""
+    if value < 1:
+        raise errors.ArgumentError(f"{name}: found {value}, expected a number above 0")
+    return value
 
 
 def structures(kind: str, **arrays: Optional[npt.NDArray[Any]]) -> Any:

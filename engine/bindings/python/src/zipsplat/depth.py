@@ -7,11 +7,10 @@ from typing import Any, Literal, Optional, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from ._native import Handle, Owner, array_at, call, choose, lib, structure, text, warned
+from ._native import Handle, Owner, array_at, call, choose, lib, positive, structure, text, warned
 from .cameras import Camera, PathLike, from_native
 from .cameras import native as native_cameras
 from .device import Device, DeviceLike, opened
-from .errors import ArgumentError
 from .images import CamerasLike, ImagesLike, matched
 from .images import native as native_images
 from .model import PRECISIONS, Precision, precision_name, weights_path
@@ -49,18 +48,14 @@ class DepthPrediction:
         """Creates a Gaussian per confident pixel, in the cameras' world.
 
         Args:
-            max_gaussians_per_patch: Limit per patch of 14 x 14 pixels, most visible first; None keeps
-                all.
+            max_gaussians_per_patch: Limit per patch of 14 x 14 pixels, most visible first; None
+                keeps all.
 
         Raises:
             ArgumentError: no photo has a camera.
         """
-        if max_gaussians_per_patch is not None and max_gaussians_per_patch < 1:
-            found = f"max_gaussians_per_patch: found {max_gaussians_per_patch}"
-            raise ArgumentError(f"{found}, expected a number above 0, or None")
-        return Scene(
-            Handle("scene", "zs_depth_result_to_scene", self._handle, max_gaussians_per_patch or 0), self.device
-        )
+        limit = 0 if max_gaussians_per_patch is None else positive("max_gaussians_per_patch", max_gaussians_per_patch)
+        return Scene(Handle("scene", "zs_depth_result_to_scene", self._handle, limit), self.device)
 
     def __repr__(self) -> str:
         photos, height, width = self.depth.shape
@@ -167,7 +162,7 @@ class DepthModel(Owner):
         callback = Callback(progress)
         options = structure(
             "depth_options",
-            input_size=input_size,
+            input_size=positive("input_size", input_size),
             camera_source=choose("camera_source", camera_source, _CAMERA_SOURCES),
             per_view_focal=int(per_view_focal),
             **callback.fields,

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from ._native import Handle, array_at, call, ffi, lib, structure
 from .cameras import Camera, Cameras, Capture, PathLike
-from .errors import ArgumentError, ArgumentTypeError
+from .errors import ArgumentError, ArgumentTypeError, FileError
 
 # Recognized photo extensions.
 EXTENSIONS = frozenset({".png", ".jpg", ".jpeg", ".webp"})
@@ -41,12 +41,16 @@ def list_images(folder: PathLike) -> list[Path]:
 
     Raises:
         ArgumentError: there are none.
+        FileError: the folder cannot be read.
 
     Example:
         >>> list_images("photos/")[:2]
         [PosixPath('photos/1.jpg'), PosixPath('photos/2.jpg')]
     """
-    files = (path for path in Path(folder).iterdir() if not path.name.startswith("."))
+    try:
+        files = [path for path in Path(folder).iterdir() if not path.name.startswith(".")]
+    except OSError as error:
+        raise FileError(f"{folder}: {error.strerror}") from error
     found = [path for path in files if path.is_file() and path.suffix.lower() in EXTENSIONS]
     if not found:
         raise ArgumentError(f"photos in {folder}: found none, expected files in {', '.join(sorted(EXTENSIONS))}")

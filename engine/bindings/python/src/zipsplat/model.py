@@ -8,7 +8,7 @@ from typing import Any, Literal, Optional, Union
 
 from . import command
 from ._header import NUMBERS
-from ._native import Handle, Owner, call, choose, ffi, lib, structure, text, warned
+from ._native import Handle, Owner, call, choose, ffi, lib, positive, structure, text, warned
 from .cameras import PathLike
 from .cameras import native as native_cameras
 from .device import Device, DeviceLike, opened
@@ -166,9 +166,9 @@ class Model(Owner):
             ratio=NUMBERS["ZS_RATIO_AUTO"] if ratio == "auto" else float(ratio),
             scene_scale=NUMBERS["ZS_SCENE_SCALE_AUTO"] if scene_scale == "auto" else float(scene_scale),
             token_selection=choose("token_selection", token_selection, _SELECTIONS),
-            input_size=input_size or (0, 0),
+            input_size=(0, 0) if input_size is None else [positive("input_size", side) for side in input_size],
             seed=seed,
-            kv_pool=kv_pool,
+            kv_pool=positive("kv_pool", kv_pool),
             **callback.fields,
         )
         for name, value in (("ratio", ratio), ("scene_scale", scene_scale)):
@@ -185,7 +185,7 @@ class Model(Owner):
         return Reconstruction(found, self.device)
 
     def __repr__(self) -> str:
-        return f"<zipsplat.Model of {self.image_size}x{self.image_size} pictures on {self.device.info.name}>"
+        return f"<zipsplat.Model of {self.image_size}x{self.image_size} images on {self.device.info.name}>"
 
 
 def precision_name(number: int) -> Precision:

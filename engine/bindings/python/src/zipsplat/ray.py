@@ -154,7 +154,7 @@ class Worker:
 
         self.store, self.options, self.tries = Store(out), options, tries
         began = time.time()
-        # Vulkan ignores the variable by which Ray assigns a GPU.
+        # Vulkan ignores CUDA_VISIBLE_DEVICES, which assigns a GPU in Ray.
         assigned = os.environ.get("CUDA_VISIBLE_DEVICES")
         self.model = zipsplat.Model.load(options.weights, device="cuda" if assigned else None)
         self.loaded = time.time() - began
@@ -227,8 +227,9 @@ def run(
         actors: Limit of actors; None for one per GPU, or per core without GPUs.
         tries: Limit of attempts per capture.
     """
-    import ray
     import ray.data
+
+    import ray
 
     rows = captures(inputs, options)
     store, began = Store(out), time.time()

@@ -5,21 +5,21 @@ from __future__ import annotations
 import html
 import math
 import os
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, Mapping, Optional, Sequence, Union
 
 import numpy as np
 import numpy.typing as npt
 
 from . import command
-from ._native import Handle, array_at, call, choose, ffi, lib, structure
-from .cameras import Camera, Cameras, PathLike, from_native
+from ._native import Handle, array_at, call, choose, ffi, lib, positive, structure
+from .cameras import Camera, PathLike
 from .cameras import native as native_cameras
 from .device import Device, DeviceLike, TorchDevice, opened
 from .errors import ArgumentError
 from .images import CamerasLike, ImagesLike, matched
 from .images import native as native_images
 from .progress import Callback, ProgressFunction
+from .refine import RefineResult, refine_result
 
 if TYPE_CHECKING:
     import torch
@@ -31,13 +31,7 @@ Format = Literal["ply", "spz", "splat", "gltf", "glb"]
 World = Literal["first_camera", "input_cameras"]
 SpzVersion = Literal[2, 3, 4]
 RefineTarget = Literal["gaussians", "tokens"]
-StopReason = Literal["finished", "stopped", "diverged"]
 FIELDS = ("means", "scales", "quats", "opacities", "sh_coeffs")
-_STOP_REASONS: dict[int, StopReason] = {
-    lib.ZS_STOP_REASON_FINISHED: "finished",
-    lib.ZS_STOP_REASON_STOPPED: "stopped",
-    lib.ZS_STOP_REASON_DIVERGED: "diverged",
-}
 _WORLDS: dict[int, World] = {
     lib.ZS_WORLD_FIRST_CAMERA: "first_camera",
     lib.ZS_WORLD_INPUT_CAMERAS: "input_cameras",
@@ -45,38 +39,6 @@ _WORLDS: dict[int, World] = {
 _REFINE_TARGETS = {"gaussians": lib.ZS_REFINE_TARGET_GAUSSIANS, "tokens": lib.ZS_REFINE_TARGET_TOKENS}
 # Least scale and distance of opacities from 0 and 1 with finite logarithms, in float32.
 _LEAST_SCALE, _LEAST_OPACITY = 1e-30, 1e-7
-
-
-@dataclass(frozen=True)
-class RefineResult:
-    """Result of a refinement.
-
-    Attributes:
-        stop_reason: "finished", "stopped" by the progress function, or "diverged".
-        steps: Completed steps.
-        best_step: Step of the returned scene; 0 if none improved it.
-        initial_loss: Mean loss over the first step's photos; NaN without a step.
-        final_loss: Mean loss over the last step's photos; NaN without a step.
-        initial_psnr: PSNR in dB of the held-out photos before the first step; NaN without any.
-        best_psnr: The same with the returned scene.
-        seconds: Duration in seconds.
-        initial_training_psnr: Mean PSNR in dB of up to 16 full-size training photos before the
-            first step.
-        best_training_psnr: The same with the returned scene.
-        cameras: Cameras of all photos, as optimized.
-    """
-
-    stop_reason: StopReason
-    steps: int
-    best_step: int
-    initial_loss: float
-    final_loss: float
-    initial_psnr: float
-    best_psnr: float
-    seconds: float
-    initial_training_psnr: float
-    best_training_psnr: float
-    cameras: Cameras
 
 
 class Scene:
@@ -287,8 +249,8 @@ class Scene:
             perceptual_weight: Weight of the LPIPS (VGG) distance in the loss, whose weights
                 tools/lpips.py of a checkout fetches.
             target: "gaussians", or "tokens" of a Reconstruction of a model with `tokens`.
-            progress: Called with the Progress after each step. Returning False ends the refinement with its best
-                scene. Its exceptions propagate.
+            progress: Called with the Progress after each step. Returning False ends the refinement
+                with its best scene. Its exceptions propagate.
             device: The device, as for Device; None for the scene's own or the best.
 
         Returns:
@@ -305,13 +267,13 @@ class Scene:
         on = opened(self._device if device is None else device)
         photos, _kept = native_images(sources)
         callback = Callback(progress)
-        moved = native_cameras(posed)
+        refined_cameras = native_cameras(posed)
         options = structure(
             "refine_options",
-            steps=steps,
-            views_per_step=views_per_step,
+            steps=positive("steps", steps),
+            views_per_step=positive("views_per_step", views_per_step),
             holdout_views=0 if holdout_views == "auto" else int(holdout_views) or lib.ZS_HOLDOUT_VIEWS_NONE,
-            max_image_size=max_image_size or (2**32 - 1,) * 2,
+            max_image_size=[positive("max_image_size", side) for side in max_image_size or (2**32 - 1,) * 2],
             seed=seed,
             optimize_cameras=int(optimize_cameras),
             max_gaussians=0 if max_gaussians == "auto" else max(max_gaussians, 1),
@@ -319,10 +281,10 @@ class Scene:
             target=choose("target", target, _REFINE_TARGETS),
             **callback.fields,
         )
-        result = structure("refine_result", cameras=moved)
+        result = structure("refine_result", cameras=refined_cameras)
         function, *owners = self._refined(on, target)
         arguments = (*owners, photos, native_cameras(posed), len(sources), options, result)
-        return Scene(Handle("scene", function, *arguments), on, _refinement(result, moved))
+        return Scene(Handle("scene", function, *arguments), on, refine_result(result, refined_cameras))
 
     def _refined(self, device: Device, target: RefineTarget) -> tuple[Any, ...]:
         """Returns the library's function of a refinement and its first arguments."""
@@ -400,22 +362,6 @@ def native_gaussians(*fields: npt.ArrayLike) -> tuple[Any, list[Array]]:
 
 def _name(format: Optional[str]) -> Any:
     return ffi.NULL if format is None else ffi.new("char[]", format.encode())
-
-
-def _refinement(info: Any, cameras: Any) -> RefineResult:
-    return RefineResult(
-        stop_reason=_STOP_REASONS[info.stop_reason],
-        steps=info.steps,
-        best_step=info.best_step,
-        initial_loss=info.initial_loss,
-        final_loss=info.final_loss,
-        initial_psnr=info.initial_psnr,
-        best_psnr=info.best_psnr,
-        seconds=info.seconds,
-        initial_training_psnr=info.initial_training_psnr,
-        best_training_psnr=info.best_training_psnr,
-        cameras=Cameras(map(from_native, cameras)),
-    )
 
 
 def _host(values: Any) -> Array:

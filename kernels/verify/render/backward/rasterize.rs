@@ -1,7 +1,7 @@
 //! Pixel gradients to splat gradients.
 
 use crate::prelude::*;
-use zipsplat::kernels::{limits::TILE, render::RasteriseBackward};
+use zipsplat::kernels::{limits::TILE, render::RasterizeBackward};
 use zipsplat_reference::render::{
     backward::{Ellipse, through_pixel},
     project::MIN_ALPHA,
@@ -51,8 +51,8 @@ enum Fault {
     NoDepth,
     /// Moments of x offsets from the center instead of the ridge.
     Unsheared,
-    NeighbourSplat,
-    NeighbourTile,
+    NeighborSplat,
+    NeighborTile,
     LastPixelRow,
 }
 
@@ -88,7 +88,7 @@ fn pixels() -> impl Iterator<Item = (usize, [f64; 2])> {
 /// Contribution of a splat to a pixel.
 type Share = [Bounded; VALUES];
 
-/// Mirrors kernels/render/rasterise_backward.comp on one pixel; `None` if rounding may flip a
+/// Mirrors kernels/render/rasterize_backward.comp on one pixel; `None` if rounding may flip a
 /// threshold.
 fn pixel(
     splats: &[Splat],
@@ -179,7 +179,7 @@ impl Problem {
             if d.iter().all(|d| d.value == 0.0) || last {
                 continue;
             }
-            let tile = if fault == Some(Fault::NeighbourTile) { (tile + 1) % count } else { tile };
+            let tile = if fault == Some(Fault::NeighborTile) { (tile + 1) % count } else { tile };
             for (n, share) in pixel(&self.splats, at, frame, d, fault).into_iter().flatten().enumerate() {
                 for (value, share) in share.into_iter().enumerate() {
                     let slot = (n * count + tile) * VALUES + value;
@@ -226,7 +226,7 @@ impl Values for Problem {
         let depths: Vec<f32> = self.splats.iter().map(|splat| splat.depth).collect();
         let capacity = (count * tiles) as usize;
         let (moments, d_values) = (trial.output::<[f32; 6]>(capacity), trial.output::<[f32; 4]>(capacity));
-        let kernel = RasteriseBackward {
+        let kernel = RasterizeBackward {
             pair_indices: trial.input(&all),
             tile_offsets: trial.input(&lists),
             tile_sets: trial.input(&sets),
@@ -270,7 +270,7 @@ impl Values for Problem {
     fn faulty(&self, truth: &[f64], fault: Fault) -> Vec<f64> {
         match fault {
             Fault::Unwritten => vec![f64::NAN; truth.len()],
-            Fault::NeighbourSplat => shifted(truth, tiles()[0] * tiles()[1] * VALUES),
+            Fault::NeighborSplat => shifted(truth, tiles()[0] * tiles()[1] * VALUES),
             _ => self.slots(Some(fault)).iter().map(|slot| slot.value).collect(),
         }
     }
@@ -296,18 +296,18 @@ fn splats(count: usize, change: impl Fn(usize, &mut Splat)) -> Vec<Splat> {
 
 pub fn area() -> Area {
     use Fault::*;
-    let mut area = Area::new("render/rasterise_backward", "splats", Mode::ONLY_EXACT, REASON);
+    let mut area = Area::new("render/rasterize_backward", "splats", Mode::ONLY_EXACT, REASON);
     let mut add = |name: &str, catches: Catches<Fault>, count: usize, change: fn(usize, &mut Splat)| {
         area.add(name, count, catches, move || Problem::new(splats(count, change)));
     };
-    let seen = || Catches::from([Unwritten, NoAlpha, NoDepth, NeighbourTile, LastPixelRow]);
-    let many = || seen().and(&[NothingBehind, NoBackground, Unsheared, NeighbourSplat, FaintDrawn]);
+    let seen = || Catches::from([Unwritten, NoAlpha, NoDepth, NeighborTile, LastPixelRow]);
+    let many = || seen().and(&[NothingBehind, NoBackground, Unsheared, NeighborSplat, FaintDrawn]);
     add("one", seen().and(&[NoBackground]), 1, |_, splat| splat.opacity = 0.8);
     add("random", many(), 10, |_, _| ());
     add("random", many(), 100, |_, _| ());
     // Thin, in any direction, from border to border.
     add("needles", many(), 40, |_, splat| splat.conic = [3.0, splat.conic[1], 1e-6]);
-    add("needles whose centre is 1e5 pixels off", [Unwritten, NothingBehind].into(), 20, |i, splat| {
+    add("needles whose center is 1e5 pixels off", [Unwritten, NothingBehind].into(), 20, |i, splat| {
         splat.place[1] = if i % 2 == 0 { -1e5 } else { 1e5 };
         splat.conic = [3.0, 0.1 * splat.conic[1], 1e-11];
     });

@@ -1,14 +1,14 @@
 //! The catalog of kernel cases on the tests' device.
 
 use crate::device::device;
-use zipsplat_verify::{catalogue, shapes};
+use zipsplat_verify::{catalog, shapes};
 
 /// Asserts that the cases of kernels whose name starts with `family` stay within their bounds and
 /// deviate no more than is typical.
 pub fn examine(family: &str) {
     let mut outside = Vec::new();
     let mut count = 0;
-    for area in catalogue().into_iter().chain(shapes()).filter(|area| area.kernel.starts_with(family)) {
+    for area in catalog().into_iter().chain(shapes()).filter(|area| area.kernel.starts_with(family)) {
         for (case, mode) in area.on(device().limits()) {
             let found = area.examine(case, device(), mode).unwrap();
             count += 1;

@@ -43,11 +43,11 @@ pub struct Rendering {
 
 /// Renders `gaussians`; `antialiased` compensates opacity for blur.
 pub fn render(gaussians: &Gaussians, camera: &Camera, antialiased: bool, background: [f64; 3]) -> Rendering {
-    rasterise(&project(gaussians, camera, antialiased), camera.size, background)
+    rasterize(&project(gaussians, camera, antialiased), camera.size, background)
 }
 
 /// Blends splats by f32 depth, then index.
-pub fn rasterise(splats: &[Option<Splat>], size: [usize; 2], background: [f64; 3]) -> Rendering {
+pub fn rasterize(splats: &[Option<Splat>], size: [usize; 2], background: [f64; 3]) -> Rendering {
     let mut order: Vec<&Splat> = splats.iter().flatten().collect();
     order.sort_by(|a, b| (a.depth as f32).total_cmp(&(b.depth as f32)));
     let [width, height] = size;

@@ -1,7 +1,7 @@
 """Blending against the golden pictures and gradients, and each implementation against the plain
 one.
 
-python tests/train/rasterise.py GOLDEN_FOLDER
+python tests/train/rasterize.py GOLDEN_FOLDER
 """
 
 import os

@@ -1,8 +1,8 @@
 //! The catalog of cases, by family of kernels, and its injected faults.
 
 use std::collections::BTreeSet;
-use zipsplat_tests::catalogue::examine;
-use zipsplat_verify::{Area, Case, Mode, catalogue, shapes};
+use zipsplat_tests::catalog::examine;
+use zipsplat_verify::{Area, Case, Mode, catalog, shapes};
 
 /// Defines a test for the kernels whose name starts with each prefix.
 macro_rules! families {
@@ -30,7 +30,7 @@ families! {
 
 #[test]
 fn every_kernel_is_in_a_family() {
-    for area in catalogue() {
+    for area in catalog() {
         assert!(FAMILIES.iter().any(|family| area.kernel.starts_with(family)), "{}", area.kernel);
     }
 }
@@ -64,7 +64,7 @@ fn assert_caught(areas: Vec<Area>, in_time: impl Fn(&Area, &Case, Mode) -> bool)
 #[test]
 fn every_case_catches_the_faults_that_it_is_there_for() {
     // The largest cases take seconds per mode; smaller ones cover narrower factors.
-    assert_caught(catalogue(), |_, case, mode| case.size < 50_000 || mode == Mode::EXACT);
+    assert_caught(catalog(), |_, case, mode| case.size < 50_000 || mode == Mode::EXACT);
 }
 
 #[test]
@@ -74,7 +74,7 @@ fn every_shape_catches_its_faults() {
 
 #[test]
 fn areas_are_told_apart_and_explained() {
-    for areas in [catalogue(), shapes()] {
+    for areas in [catalog(), shapes()] {
         for area in &areas {
             assert!(area.reason.len() > 40 && !area.size.is_empty() && !area.modes.is_empty(), "{}", area.kernel);
             assert!(!area.cases.is_empty() && areas.iter().filter(|other| other.kernel == area.kernel).count() == 1);

@@ -1,14 +1,14 @@
 //! Rows as 8-bit integers: the nearest, or either in a tie within f32 rounding.
 
 use crate::case::*;
-use zipsplat::ops::quantise_rows;
-use zipsplat_tests::reference::ops::quantise_rows::quantise_rows as reference;
+use zipsplat::ops::quantize_rows;
+use zipsplat_tests::reference::ops::quantize_rows::quantize_rows as reference;
 
 /// Returns the kernel's integers and scales.
-fn quantised(values: &[f32], rows: usize, width: usize) -> (Vec<f32>, Vec<f32>) {
+fn quantized(values: &[f32], rows: usize, width: usize) -> (Vec<f32>, Vec<f32>) {
     let mut case = plan();
     let source = Rows { tensor: case.input_of(Element::F16, values), count: rows, width, element: Element::F16 };
-    let (out, scales) = quantise_rows(&mut case.rec, source);
+    let (out, scales) = quantize_rows(&mut case.rec, source);
     let out = out.tensor;
     case.rec.output(out);
     case.rec.output(scales);
@@ -18,7 +18,7 @@ fn quantised(values: &[f32], rows: usize, width: usize) -> (Vec<f32>, Vec<f32>) 
 
 fn check(values: Vec<f32>, rows: usize, width: usize) {
     let values = stored(Element::F16, values);
-    let (integers, scales) = quantised(&values, rows, width);
+    let (integers, scales) = quantized(&values, rows, width);
     let (truth, units) = reference(&widen(&values), width);
     // Vulkan's division is off by 2.5 ulp, scaled by up to 127.
     let nearest = |(got, truth): (&f32, &f64)| (f64::from(*got) - truth).abs() <= 0.5 + 1e-4;
@@ -52,7 +52,7 @@ fn zeros_stay_and_nan_is_not_lost() {
     let mut values = vec![0.0; 3 * 16];
     values[20] = f32::NAN;
     values[40] = -2.0;
-    let (integers, scales) = quantised(&values, 3, 16);
+    let (integers, scales) = quantized(&values, 3, 16);
     assert!(integers[..16].iter().all(|x| *x == 0.0) && scales[0] == 0.0);
     assert!(scales[1].is_nan(), "{scales:?}");
     assert_eq!(integers[40], -127.0);

@@ -1,7 +1,7 @@
 use super::{Depth, FrameShape, RenderOptions, intersect::TileLists, project::Splats};
 use crate::{
     gpu::{Recorder, Tensor},
-    kernels::{limits::TILE, render::Rasterise},
+    kernels::{limits::TILE, render::Rasterize},
 };
 
 /// Rows between cuts, which align parts to 256 bytes.
@@ -29,7 +29,7 @@ pub(super) fn record(
     let blends = lists.pair_indices.bytes() / 4 * u64::from(TILE * TILE);
     for first in (0..height).step_by(bands) {
         let rows = bands.min(height - first);
-        let kernel = Rasterise {
+        let kernel = Rasterize {
             pair_indices: lists.pair_indices,
             tile_offsets: lists.tile_offsets,
             xy_opacities: splats.xy_opacities,

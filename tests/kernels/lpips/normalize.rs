@@ -1,8 +1,8 @@
 //! Range of pictures and its gradient.
 
 use crate::case::*;
-use zipsplat::kernels::lpips::{Normalise, NormaliseBackward};
-use zipsplat_tests::reference::lpips::normalise as reference;
+use zipsplat::kernels::lpips::{Normalize, NormalizeBackward};
+use zipsplat_tests::reference::lpips::normalize as reference;
 
 /// Returns pictures `[pixels, channels]` with values at and beyond 0 and 1, and their RGB.
 fn picture(pixels: usize, channels: usize) -> (Vec<f32>, Vec<f32>) {
@@ -18,10 +18,10 @@ fn equals_the_reference() {
         let mut case = plan();
         let (out, count) = (case.output::<f32>(3 * pixels), 3 * pixels);
         let kernel =
-            Normalise { source: case.input(&all), out, count: count as u32, channels: channels as u32, clipped };
+            Normalize { source: case.input(&all), out, count: count as u32, channels: channels as u32, clipped };
         case.rec.dispatch(kernel, count);
-        let truth = reference::normalise(&widen(&rgb), clipped);
-        assert_close("normalised", &case.result::<f32>(out).unwrap(), &truth, Tolerance::ELEMENTWISE);
+        let truth = reference::normalize(&widen(&rgb), clipped);
+        assert_close("normalized", &case.result::<f32>(out).unwrap(), &truth, Tolerance::ELEMENTWISE);
     }
 }
 
@@ -32,7 +32,7 @@ fn gradients_are_added_where_values_are_not_clipped() {
         let (d, before) = (random(2, 3 * pixels), random(3, pixels * channels));
         let mut case = plan();
         let d_source = case.input(&before);
-        let kernel = NormaliseBackward {
+        let kernel = NormalizeBackward {
             source: case.input(&all),
             d_out: case.input(&d),
             d_source,
@@ -42,7 +42,7 @@ fn gradients_are_added_where_values_are_not_clipped() {
             clipped,
         };
         case.rec.dispatch(kernel, 3 * pixels);
-        let gradient = reference::normalise_backward(&widen(&rgb), &widen(&d), clipped);
+        let gradient = reference::normalize_backward(&widen(&rgb), &widen(&d), clipped);
         let mut truth = widen(&before);
         let places = (0..pixels).flat_map(|pixel| (0..3).map(move |c| pixel * channels + c));
         places.zip(&gradient).for_each(|(place, gradient)| truth[place] += 0.25 * gradient);

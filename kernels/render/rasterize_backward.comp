@@ -4,14 +4,14 @@
 // TileOffsets [tiles + 1] u32
 // TileSets    [pairs, 3] u32, of render/project
 // Slots       [pairs + 1] u32, first slot of each pair, one per tile, in order
-// XyOpacities, Conics, Colors, Depths as in render/rasterise
-// Frames      [C, rows, width, channels] f32, of render/rasterise, without normals and tokens
+// XyOpacities, Conics, Colors, Depths as in render/rasterize
+// Frames      [C, rows, width, channels] f32, of render/rasterize, without normals and tokens
 // DFrames     [C, rows, width, channels] f32
 // Moments     [capacity, 6] f32, sums over a tile of g (1, e, y, e e, e y, y y), per slot
 // DValues     [capacity, 3, 4 or 1] f32, gradients of color and depth, as enabled, per slot
 //
 // g is the gradient of ln alpha, e = dx - k dy and y = dy, as in render/project. One workgroup owns
-// one tile, in runs as in render/rasterise, and writes each slot of its list once. Sums are in the
+// one tile, in runs as in render/rasterize, and writes each slot of its list once. Sums are in the
 // order of runs, then lanes.
 // Source: brush (2024), where the color behind a splat is the frame minus the part blended so far.
 #version 460

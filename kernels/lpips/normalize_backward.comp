@@ -1,4 +1,4 @@
-// Backward pass of lpips/normalise, accumulated.
+// Backward pass of lpips/normalize, accumulated.
 //
 // Source  [pixels, channels] f32, 0..1, RGB first
 // DOut    [pixels, 3] f32

@@ -1,8 +1,8 @@
 //! Blending against brute force, from reference splats.
 
 use crate::case::*;
-use zipsplat::{kernels::limits::TILE, kernels::render::Rasterise};
-use zipsplat_tests::{reference::render::project::Splat, reference::render::rasterise};
+use zipsplat::{kernels::limits::TILE, kernels::render::Rasterize};
+use zipsplat_tests::{reference::render::project::Splat, reference::render::rasterize};
 
 const SIZE: [usize; 2] = [37, 21];
 
@@ -32,7 +32,7 @@ fn equals_brute_force_for_any_number_of_runs() {
     let splats = splats();
     let grid = SIZE.map(|pixels| pixels.div_ceil(TILE as usize));
     let tiles = grid[0] * grid[1];
-    let truth = rasterise::rasterise(&splats.iter().copied().map(Some).collect::<Vec<_>>(), SIZE, [0.1, 0.2, 0.3]);
+    let truth = rasterize::rasterize(&splats.iter().copied().map(Some).collect::<Vec<_>>(), SIZE, [0.1, 0.2, 0.3]);
     let all_runs = TILE * TILE / device().limits().subgroup_size;
     let every: Vec<u32> = (0..tiles).flat_map(|_| 0..splats.len() as u32).collect();
     let each = |f: fn(&Splat) -> [f64; 3]| -> Vec<[f32; 3]> { splats.iter().map(|s| f(s).map(|v| v as f32)).collect() };
@@ -43,7 +43,7 @@ fn equals_brute_force_for_any_number_of_runs() {
     };
     for runs in [1, 2, all_runs] {
         let mut case = plan();
-        let kernel = Rasterise {
+        let kernel = Rasterize {
             pair_indices: case.input(&every),
             tile_offsets: case.input(&(0..=tiles).map(|t| (t * splats.len()) as u32).collect::<Vec<_>>()),
             xy_opacities: case.input(&each(|s| [s.mean[0], s.mean[1], s.opacity])),

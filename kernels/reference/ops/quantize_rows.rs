@@ -2,7 +2,7 @@
 
 /// Returns values in 127ths of their row's largest magnitude, and that unit per row; 0 for zero
 /// rows.
-pub fn quantise_rows(source: &[f64], width: usize) -> (Vec<f64>, Vec<f64>) {
+pub fn quantize_rows(source: &[f64], width: usize) -> (Vec<f64>, Vec<f64>) {
     let units: Vec<f64> =
         source.chunks(width).map(|row| row.iter().fold(0.0, |most: f64, x| most.max(x.abs())) / 127.0).collect();
     let in_units = |(i, x): (usize, &f64)| if units[i / width] > 0.0 { x / units[i / width] } else { 0.0 };
