@@ -47,7 +47,8 @@ const SIZED: [&str; 9] =
 
 /// Rewrites a command line. `is_command` recognizes commands and their subcommands.
 pub fn rewritten(args: Vec<OsString>, is_command: impl Fn(&str) -> bool) -> Vec<OsString> {
-    let plans = args.iter().any(|word| word == "--plan");
+    let has = |option: &str| args.iter().any(|word| word == option);
+    let (plans, needs_cameras) = (has("--plan"), !has("--poses"));
     let names_file = names_file(&args);
     let (mut words, mut last) = (Vec::with_capacity(args.len()), Vec::new());
     let mut command = String::new();
@@ -97,7 +98,10 @@ pub fn rewritten(args: Vec<OsString>, is_command: impl Fn(&str) -> bool) -> Vec<
                 Vec::new()
             }
             ("--refine", Some((size, target))) => {
-                vec!["--refine".into(), format!("--max-image-size={size}"), format!("--refine-target={target}")]
+                let cameras = needs_cameras.then(|| "--cameras=capture".to_owned());
+                let words =
+                    ["--refine".into(), format!("--max-image-size={size}"), format!("--refine-target={target}")];
+                words.into_iter().chain(cameras).collect()
             }
             _ if known.is_none() && inline.is_none() && value.is_none() => {
                 words.push(word);
