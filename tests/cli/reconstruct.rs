@@ -358,3 +358,18 @@ fn options_of_pictures_are_checked_before_any_work() {
     assert!(!folder.path("s.ply").exists());
     assert_eq!(folder.run(&format!("{line} -- --orbit")).code, 2);
 }
+
+#[test]
+fn results_have_an_envelope_with_warnings() {
+    let folder = Folder::new();
+    let line = "reconstruct @/photos --weights @/micro.safetensors --input-size 28x28 -o @/out.ply";
+    for quiet in ["", "--quiet"] {
+        let outcome = folder.run(&format!("{line} --json {quiet}"));
+        assert_eq!(outcome.err.contains("note: "), quiet.is_empty(), "{}", outcome.err);
+        let json: serde_json::Value = serde_json::from_str(&outcome.success()).expect("JSON");
+        assert_eq!((&json["schema_version"], &json["command"]), (&1.into(), &"reconstruct".into()));
+        let warnings = json["warnings"].as_array().expect("a list");
+        let cropped = |warning: &serde_json::Value| warning.as_str().is_some_and(|text| text.contains("cropped"));
+        assert!(warnings.iter().any(cropped) && json["result"]["views"] == 2, "{json}");
+    }
+}

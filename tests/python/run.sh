@@ -12,6 +12,8 @@ set -euo pipefail
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
 [[ -e /etc/debian_version ]] && driver=lavapipe || driver=system
 export ZIPSPLAT_DRIVER=${ZIPSPLAT_DRIVER:-$driver}
+# The command and the package agree in bits at one subgroup size.
+export LP_NATIVE_VECTOR_WIDTH=${LP_NATIVE_VECTOR_WIDTH:-256}
 # shellcheck source-path=SCRIPTDIR
 source "$here/../../tools/setup.sh"
 
