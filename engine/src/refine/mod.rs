@@ -41,7 +41,7 @@ const GROWTH_FROM: usize = 300;
 const PIXELS_PER_GAUSSIAN: usize = 32;
 const MOST_GROWTH: usize = 4;
 /// Time of a step with growth relative to one without.
-const GROWTH_COST: f64 = 1.5;
+const GROWTH_COST: f64 = 1.8;
 const SAMPLE: usize = 4096;
 
 /// Settings of a refinement.
@@ -321,7 +321,9 @@ fn run(
         let step = refinement(RefineOptions { max_gaussians: None, ..options.clone() })?.time_step()?;
         options.steps = steps_in(time, step);
         if grow(&options).is_some() {
-            options.steps = steps_in(time, step.mul_f64(GROWTH_COST));
+            let grown = steps_in(time, step.mul_f64(GROWTH_COST));
+            let pays = options.max_gaussians.is_some() || grown >= GROWTH_FROM;
+            options.steps = if pays { grown } else { options.steps.min(GROWTH_FROM - 1) };
         }
     }
     options.max_gaussians = grow(&options);
