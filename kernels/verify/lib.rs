@@ -36,6 +36,7 @@ mod ops {
 }
 mod refine {
     pub mod adam;
+    pub mod anisotropy;
 }
 mod render {
     pub mod backward;
@@ -335,5 +336,6 @@ pub fn catalog() -> Vec<Area> {
         gaussians::activate_backward::area(),
         ops::gelu::area(),
         refine::adam::area(),
+        refine::anisotropy::area(),
     ]
 }

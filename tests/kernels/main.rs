@@ -55,6 +55,7 @@ mod ops {
 }
 mod refine {
     mod adam;
+    mod anisotropy;
 }
 mod render {
     mod backward;

@@ -5,7 +5,7 @@ use super::{
     Adam, LearningRates, PerceptualLoss, Rate, RefineOptions, Space,
     growth::padded,
     planned::{PhotoLoss, PhotoPlan, record_photos},
-    record_adam,
+    record_adam, record_anisotropy_limit,
     views::View,
 };
 use crate::{
@@ -22,6 +22,10 @@ pub(super) const ADAM: Adam = Adam { beta1: 0.9, beta2: 0.999, eps: 1e-15 };
 /// Lower limits of scales and of opacities' distance from 0 and 1, for their logarithm and logit.
 const LEAST_SCALE: f32 = 1e-12;
 const OPACITY_MARGIN: f32 = 1e-4;
+/// Limit of a Gaussian's largest scale relative to its middle one: longer needles fit noise.
+const MAX_ANISOTROPY: f32 = 5.0;
+/// Rate of that limit relative to the scales' rate: above 1, so that it prevails.
+const LIMIT_RATE: f32 = 2.0;
 /// Limit of pixels per run.
 const MAX_BATCH_PIXELS: usize = 1 << 20;
 
@@ -209,10 +213,13 @@ impl Gaussians {
         write(&self.memories[0], [means, scales, quats, opacities, sh_coeffs], &padded(scene, len))
     }
 
-    /// `change` returns those whose moments reset to zero.
-    pub fn edit(&mut self, change: impl FnOnce(&mut Scene) -> Vec<usize>) -> Result<()> {
+    /// Passes the root mean squares of the means' gradients to `change`, which returns the
+    /// Gaussians whose moments reset to zero.
+    pub fn edit(&mut self, change: impl FnOnce(&mut Scene, &[f64]) -> Vec<usize>) -> Result<()> {
         let (mut scene, memory) = (self.scene()?, &self.memories[0]);
-        let changed = change(&mut scene);
+        let squares: Vec<[f32; 3]> = memory.read(self.fields[0].moments[1])?;
+        let root = |squares: &[f32; 3]| squares.iter().copied().map(f64::from).sum::<f64>().sqrt();
+        let changed = change(&mut scene, &squares.iter().map(root).collect::<Vec<_>>());
         write(memory, [0, 1, 2, 3, 4].map(|i| self.fields[i].values), &scene)?;
         for Field { moments, len, .. } in &self.fields {
             let width = len / scene.len();
@@ -289,5 +296,8 @@ fn update(arena: &Arena, memory: &Arc<Resident>, fields: &[Field]) -> Result<(Ru
             record_adam(rec, ADAM, *values, *gradient, *moments, schedule, *rate, *space, *len);
         }
     });
+    let Field { values: scales, len, rate, .. } = &fields[1];
+    let rate = LIMIT_RATE * rate.first;
+    rec.scope("anisotropy", |rec| record_anisotropy_limit(rec, *scales, schedule, MAX_ANISOTROPY, rate, len / 3));
     Ok((Run::in_arena(arena, 0, rec.finish()?, [memory.clone()])?, schedule))
 }

@@ -1,6 +1,7 @@
 //! Refinement of tokens, Gaussians and cameras against photos.
 
 mod adam;
+mod anisotropy;
 mod cameras;
 mod gaussians;
 mod growth;
@@ -12,6 +13,7 @@ mod tokens;
 mod views;
 
 pub use adam::{Adam, Rate, Space, record_adam};
+pub use anisotropy::record_anisotropy_limit;
 pub use cameras::PoseAdam;
 pub use plan::{Moved, RefinePlan, plan_refinement};
 pub use tokens::FrozenHead;

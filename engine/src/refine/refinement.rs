@@ -173,7 +173,8 @@ impl<'a> Refinement<'a> {
                 self.evaluate(done)?;
             }
             if let Some(growth) = self.growth.as_mut().filter(|growth| growth.is_due(done)) {
-                self.gaussians.edit(|scene| growth.apply(scene, done, self.fraction * self.schedule.rate(step)))?;
+                let rate = self.fraction * self.schedule.rate(step);
+                self.gaussians.edit(|scene, gradients| growth.apply(scene, gradients, done, rate))?;
             }
             let eta = begin.elapsed().mul_f64((steps - done) as f64 / done as f64);
             let psnr = self.holdout_psnr.last().map(|(_, psnr)| *psnr);

@@ -1,3 +1,4 @@
 //! Refinement.
 
 pub mod adam;
+pub mod anisotropy;

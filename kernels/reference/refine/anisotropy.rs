@@ -1,0 +1,11 @@
+//! Anisotropy limit of Gaussians.
+
+/// Returns the scales after a step of the largest down to `ratio` times the middle one, by at most
+/// `rate` in its logarithm.
+pub fn limited(scales: [f64; 3], ratio: f64, rate: f64) -> [f64; 3] {
+    let mut sorted = scales;
+    sorted.sort_by(f64::total_cmp);
+    let [_, middle, largest] = sorted;
+    let limit = (ratio * middle).max(largest * (-rate).exp());
+    scales.map(|scale| scale.min(limit))
+}
