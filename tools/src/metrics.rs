@@ -71,8 +71,8 @@ fn filter(values: &[f64], width: usize) -> Vec<f64> {
 
 #[derive(Args, Debug)]
 pub(crate) struct LpipsOption {
-    /// LPIPS network; `python3 tools/lpips.py` downloads its weights, which we cannot ship
-    /// [default: vgg if its weights are available, else none]
+    /// Network of LPIPS; `python3 tools/lpips.py` downloads its weights [default: vgg if available,
+    /// else none]
     #[arg(long, value_enum, value_name = "NETWORK")]
     lpips: Option<Network>,
 }

@@ -46,7 +46,7 @@ const MARKS: [(&[u8], &[u8]); 21] = [
 
 #[derive(Args, Clone, Copy)]
 pub struct Overwrite {
-    /// Replace files of other programs; own files are always replaced
+    /// Replace files that zipsplat did not write; its own are always replaced
     #[arg(long)]
     overwrite: bool,
 }

@@ -84,7 +84,7 @@ pub struct RefineOptions {
     pub intersection_capacity: Option<usize>,
     /// Steps between the scenes passed to `progress`. `None`: never.
     pub snapshot_interval: Option<usize>,
-    /// Seed of the photo order.
+    /// Seed of the photo order and of growth.
     pub seed: u64,
     /// Whether to profile a step by kernel.
     pub profile: bool,

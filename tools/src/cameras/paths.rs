@@ -58,27 +58,27 @@ pub struct CameraArgs {
     /// Small figure of eight in front of the scene, the default path
     #[arg(long)]
     wiggle: bool,
-    /// Lead --spline back to its first camera
+    /// Return to the first camera at the end of --spline
     // Conflicts: clap accepts an option that requires one of several paths with any other.
     #[arg(long = "loop", conflicts_with_all = ["cameras", "ellipse", "dolly", "orbit", "wiggle"])]
     closed: bool,
-    /// Share of the distance to the scene's center that --dolly covers; below 0 away from it
+    /// Fraction of the distance to the scene's center that --dolly covers; negative: backward
     #[arg(long, value_name = "SHARE", default_value = "0.5", allow_negative_numbers = true,
         conflicts_with_all = ["cameras", "spline", "ellipse", "orbit", "wiggle"])]
     travel: f64,
-    /// Let the lens of --dolly keep the apparent size of the scene's center
+    /// Zoom during --dolly so that the scene's center keeps its apparent size
     #[arg(long, conflicts_with_all = ["cameras", "spline", "ellipse", "orbit", "wiggle"])]
     dolly_zoom: bool,
-    /// Photo whose camera is the scene's world: the first one of reconstruct [default: the scene
-    /// file's, if the camera file has it, else the cameras' own world]
+    /// Photo whose camera is the scene's world: of reconstruct, the first photo [default: that of
+    /// the scene's file, if the camera file has it, else the cameras' world]
     #[arg(long, value_name = "PHOTO", conflicts_with_all = ["dolly", "orbit", "wiggle"])]
     relative_to: Option<PathBuf>,
     /// Number of pictures of a path
     #[arg(long, value_name = "N", default_value = "60", value_parser = clap::value_parser!(u32).range(1..=100_000),
         conflicts_with = "cameras")]
     frames: u32,
-    /// Size of the pictures [default: with --cameras their own; else the first photo's if known,
-    /// with sides up to 1280; else 252x252]
+    /// Size of the pictures [default: that of --cameras, else of the first photo, at most 1280 a
+    /// side, else 252x252]
     #[arg(long, value_name = "WxH")]
     size: Option<Size>,
     /// Horizontal field of view in degrees [default: the first photo's if known, else 60]

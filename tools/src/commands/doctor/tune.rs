@@ -9,16 +9,14 @@ use zipsplat::{
 
 /// Measure the fastest tiles of linear layers, attention and k-means on this device, for later runs
 #[derive(Args)]
-#[command(
-    after_help = "What is found is kept in the cache folder for this device, driver and version of the kernels. Results \
-stay within the same tolerances; those of --precision fp32 keep their bits. A linear layer in f32, and in 16 bits without matrix \
-units, runs on lanes: as a subgroup's rows by registers alone, the rule, or by tiles in shared memory (with a depth k). Such a \
-tile is timed where it computes rightly, in f32 to the same bits.
+#[command(after_help = "Caches the result per device, driver and kernel version. Results of the network stay
+within the same tolerances; those of --precision fp32 keep their bits. Without matrix
+units, linear layers run in registers alone by default, or with tiles in shared memory
+(named with a depth k). Tiles with wrong results are not timed.
 
 Examples:
   zipsplat doctor tune
-  zipsplat doctor tune --device 1"
-)]
+  zipsplat doctor tune --device 1")]
 pub struct Tune {}
 
 #[derive(Serialize)]

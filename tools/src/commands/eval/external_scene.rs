@@ -19,7 +19,7 @@ use zipsplat::{
     },
 };
 
-/// Camera error over their spread that needs a note.
+/// Camera error, relative to the cameras' spread, that needs a note.
 const APART: f64 = 0.05;
 
 #[derive(Args)]
@@ -34,15 +34,16 @@ pub struct ExternalScene {
     /// FOLDER/SCENE/NAME.npy. --refine starts from it
     #[arg(long, value_name = "FOLDER", conflicts_with_all = ["scene", "ratio", "max_gaussians_per_token", "pose_noise", "crop", "pose_free"])]
     from_depth: Option<PathBuf>,
-    /// World of that scene [default: aligned with --scene-cameras, else the file's, else
+    /// World of --scene [default: aligned with --scene-cameras, else the file's, else
     /// first-camera]
     #[arg(long, value_enum, value_name = "WHOSE", requires = "scene")]
     scene_frame: Option<SceneFrame>,
-    /// Cameras of the input photos in the scene's world, for --scene-frame aligned, in any format of
-    /// `--cameras`; with --protocol a folder of NAME.json or COLMAP models NAME/
+    /// Cameras of the input photos in the scene's world, for --scene-frame aligned, in any format
+    /// of `--cameras`; with --protocol a folder of NAME.json or COLMAP models NAME/
     #[arg(long, value_name = "PATH", requires = "scene")]
     scene_cameras: Option<PathBuf>,
-    /// Length in the cameras' unit that is 1 in the scene; --scene-frame aligned derives it [default: 1]
+    /// Length of the scene's unit in the cameras' unit; derived with --scene-frame aligned
+    /// [default: 1]
     #[arg(long, value_name = "LENGTH", requires = "scene", value_parser = parse_length)]
     scene_unit: Option<f64>,
     /// Opacities of the scene's file: logits, as in 3DGS, or plain, from 0 to 1
@@ -54,7 +55,7 @@ pub struct ExternalScene {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum SceneFrame {
-    /// The first input's camera: pose-free systems, ours
+    /// The first input's camera: pose-free systems, ZipSplat
     #[value(alias = "first")]
     FirstCamera,
     /// The cameras' origin with the axes of the first input's camera: DepthSplat
@@ -62,7 +63,7 @@ enum SceneFrame {
     /// The world of the cameras: 3DGS, brush
     #[value(alias = "cameras")]
     InputCameras,
-    /// Any, mapped by a similarity between its cameras and the known ones
+    /// Any world, mapped by the similarity from --scene-cameras to the known cameras
     Aligned,
 }
 
