@@ -330,8 +330,8 @@ fn weights_of_8_bits_come_from_memory() {
         .unwrap();
     assert_same("q8", &bits(&read(&from_c)), &bits(&ours));
     if Arithmetic::of(Precision::Int8, rust_device().limits()).is_some() {
-        let turbo = zs_model_options { precision: zs_precision::ZS_PRECISION_INT8 as i32, ..options };
-        let refused = model_from(&device, &bytes, &turbo).err().expect("no turbo for such weights");
+        let int8 = zs_model_options { precision: zs_precision::ZS_PRECISION_INT8 as i32, ..options };
+        let refused = model_from(&device, &bytes, &int8).err().expect("no int8 for such weights");
         fails(refused, zs_status::ZS_ERROR_ARGUMENT, &["precision", "q8", "fp16"]);
     }
 }

@@ -237,7 +237,7 @@ impl PredictedViews {
         Ok(())
     }
 
-    /// Scales single-view depth to meters of a metric head, or to `points` beside the cameras, by
+    /// Scales single-view depth to meters of a metric head, or to the capture's `points`, by
     /// those visible in each photo. Multi-view depth stays.
     pub fn scale(&mut self, metric: bool, points: Option<&Path>) -> Result<()> {
         let (network, Some(cameras)) = (&self.network, &self.cameras) else { return Ok(()) };

@@ -192,8 +192,8 @@ pub fn folders_in(folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(found)
 }
 
-/// Splits files into photos and others. Skips a HEIC picture beside a photo of the same name, its
-/// conversion.
+/// Splits files into photos and others. Skips a HEIC picture whose folder has its conversion, a
+/// photo of the same name.
 fn photos_among(files: Vec<PathBuf>) -> (Vec<PathBuf>, Vec<PathBuf>) {
     let stems: HashSet<OsString> =
         files.iter().filter(|path| is_photo(path)).filter_map(|path| Some(path.file_stem()?.to_owned())).collect();

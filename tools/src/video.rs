@@ -37,7 +37,7 @@ impl FrameFolder {
         Ok(Self { path: scratch.path().to_owned(), kept: true, _scratch: Some(scratch) })
     }
 
-    /// Creates `frames` beside a camera file, or keeps an existing one with `overwrite`.
+    /// Creates `frames` next to a camera file, or keeps an existing one with `overwrite`.
     pub fn beside(file: &Path, overwrite: bool) -> Result<Self> {
         let path = file.with_file_name("frames");
         file.parent().map_or(Ok(()), make_folder)?;

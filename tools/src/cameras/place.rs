@@ -16,7 +16,7 @@ use zipsplat::{
     },
 };
 
-/// `transforms.json`, with points and any COLMAP log beside it.
+/// `transforms.json`, with points and any COLMAP log in its folder.
 pub struct Place<'a>(pub &'a Path);
 
 impl Place<'_> {

@@ -31,7 +31,7 @@ pub struct Row {
 }
 
 impl Row {
-    /// Its picture lies beside it.
+    /// Returns the record's path; the picture is in the same folder.
     pub fn file(folder: &Path, scene: &str) -> PathBuf {
         folder.join(format!("{scene}.json"))
     }
