@@ -3,7 +3,7 @@
 use clap::{Args, ValueEnum};
 use zipsplat::{Device, Result, perceptual::Perceptual, stages::lpips::LpipsNetwork, types::Image};
 
-/// In pixels.
+/// Standard deviation of SSIM's window, in pixels.
 const SIGMA: f64 = 1.5;
 const RADIUS: usize = 5;
 const PIXELS: f64 = ((2 * RADIUS + 1) * (2 * RADIUS + 1)) as f64;

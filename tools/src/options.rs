@@ -37,7 +37,7 @@ impl Weights {
         }
     }
 
-    /// By the file's tensors.
+    /// Opens a network of the kind that the file's tensors show.
     pub fn open_network(&self) -> Result<Network> {
         match &self.weights {
             Some(weights) if is_of_depth(weights) => {
@@ -53,7 +53,7 @@ impl Weights {
         named.iter().filter_map(|(name, value)| Some([*name, value.as_deref()?])).flatten().collect()
     }
 
-    /// For `zipsplat convert`.
+    /// Returns these options as arguments of `zipsplat convert`.
     pub fn as_input(&self) -> Vec<&str> {
         let variant = self.variant.iter().flat_map(|variant| ["--variant", variant]);
         [self.weights.as_deref().unwrap_or(BUILTIN)].into_iter().chain(variant).collect()
@@ -325,7 +325,7 @@ impl FromStr for Keep {
     }
 }
 
-/// In pixels.
+/// Width and height in pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Size(pub u32, pub u32);
 
@@ -358,7 +358,7 @@ pub fn parse_ratio(text: &str) -> Result<Ratio, String> {
     }
 }
 
-/// Positive.
+/// Parses a positive length.
 pub fn parse_length(text: &str) -> Result<f64, String> {
     let length = text.parse().ok().filter(|length: &f64| length.is_finite() && *length > 0.0);
     length.ok_or_else(|| "expected a number above 0".into())

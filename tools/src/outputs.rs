@@ -13,11 +13,11 @@ use zipsplat::{
     types::{Image, Origin, SaveOptions, Scene, SceneFormat, Unfinished, World, write_atomic},
 };
 
-/// Per world unit.
+/// Levels of 16-bit depth per world unit.
 pub const DEPTH_LEVELS: f32 = 1000.0;
 pub const MADE_BY: &str = "zipsplat";
 pub const LOG_START: &str = "zipsplat: what COLMAP said";
-/// At each end of a file.
+/// Bytes searched at each end of a file.
 const SEARCHED: u64 = 1 << 16;
 /// File signatures with their author marks. `.splat` has none.
 const MARKS: [(&[u8], &[u8]); 21] = [

@@ -49,7 +49,7 @@ pub struct Views {
     pub note: Option<String>,
 }
 
-/// With any known camera.
+/// Picture with its camera, if known.
 pub type NetworkInput = (Image, Option<Camera>);
 
 impl Crop {
@@ -119,7 +119,7 @@ impl Crop {
 }
 
 impl Seeing {
-    /// For both uses.
+    /// Creates a center crop for network and comparison.
     pub fn cropped(size: Size) -> Self {
         Self { crop: Crop::Center, size, compared: size, whole: false, filter: Filter::Lanczos }
     }

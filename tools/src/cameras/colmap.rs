@@ -62,18 +62,18 @@ pub enum Step {
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct Mapping {
     seed: u32,
-    /// Of the first pair, in degrees.
+    /// Smallest angle of the first pair, in degrees.
     first_angle: u32,
-    /// Shared by the first pair.
+    /// Points that the first pair must share.
     first_points: u32,
-    /// To register a further photo.
+    /// Points that a further photo must see.
     points: u32,
     pub refines_lens: bool,
 }
 
 #[derive(Default)]
 pub struct ColmapOutput {
-    /// Per photo.
+    /// Number of features per photo.
     pub features: Vec<usize>,
     /// Matched pairs.
     pub pairs: Option<usize>,
@@ -87,7 +87,7 @@ pub struct ColmapOutput {
     last: Vec<String>,
 }
 
-/// In an error.
+/// Log lines in an error.
 const LAST: usize = 3;
 
 impl Mapping {

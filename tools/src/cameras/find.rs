@@ -87,7 +87,7 @@ pub struct EstimatedCameras {
     pub mappings: usize,
     pub program: String,
     pub times: Vec<(&'static str, Duration)>,
-    /// Of COLMAP.
+    /// COLMAP's log.
     pub(super) log: Option<Log>,
     pub(super) _work: Scratch,
 }
@@ -227,7 +227,7 @@ impl<'a> Search<'a> {
             let why = "COLMAP found no room left for its files; TMPDIR says where they go";
             return Err(process::failure(&std::env::temp_dir(), why, status));
         }
-        // Only if there is nothing to find.
+        // Finding nothing is no failure.
         let found_nothing = output.found_nothing(step, status);
         Ok(Some(status).filter(|status| !status.success() && !found_nothing))
     }

@@ -80,7 +80,7 @@ struct Started {
     scene: Scene,
     cameras: Vec<Camera>,
     world: Option<World>,
-    /// From the given cameras' world.
+    /// Similarity from the given cameras' world.
     to_scene: Similarity,
 }
 

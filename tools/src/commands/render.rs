@@ -169,7 +169,7 @@ impl Render {
         self.report(device, [scene.len(), dropped], &cameras, took, explanation)
     }
 
-    /// If requested.
+    /// Returns the requested size, if any.
     pub fn size(&self) -> Option<Size> {
         self.path.size()
     }

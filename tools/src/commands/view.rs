@@ -86,7 +86,7 @@ pub struct View {
     from: FromPhotos,
 }
 
-/// In pixels.
+/// Longest side of embedded photos, in pixels.
 const SMALL: u32 = 640;
 
 impl View {

@@ -36,7 +36,7 @@ impl Protocol {
         }
     }
 
-    /// From the paper's tables 1 to 3.
+    /// Returns the numbers of inputs in the paper's tables 1 to 3.
     fn views(self) -> &'static [u32] {
         match self {
             Self::Dl3dv => &[6, 12, 24],

@@ -98,7 +98,7 @@ enum RefineTarget {
     Tokens,
 }
 
-/// Of `refine`, and of `--refine`.
+/// Options of `refine` and of `--refine`.
 #[derive(Args, Debug)]
 pub struct RefineSettings {
     /// Initialization [default: scene; for the built-in model points, if the capture has enough]

@@ -29,7 +29,7 @@ use zipsplat::{
 
 const POLL: Duration = Duration::from_millis(50);
 const NO_DEVICE: &str = "none";
-/// Of the results printed with `--json`.
+/// Version of the results printed with `--json`.
 const SCHEMA_VERSION: u32 = 1;
 
 /// Streams and stop flag of a command.

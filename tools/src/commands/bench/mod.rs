@@ -119,7 +119,7 @@ impl fmt::Display for Spread {
 
 struct Group {
     name: String,
-    /// Per run.
+    /// Dispatches per run.
     count: u32,
     flops: u64,
     ms: Spread,

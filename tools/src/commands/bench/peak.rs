@@ -29,7 +29,7 @@ const LONG_ENOUGH: Duration = Duration::from_millis(20);
 const MOST_ITERATIONS: u32 = 1 << 18;
 /// Enough to fill a GPU or CPU.
 const THREADS: [usize; 2] = [1 << 22, 1 << 14];
-/// Likewise, for matrix units.
+/// Enough to fill the matrix units.
 const SUBGROUPS: [usize; 2] = [1 << 15, 1 << 12];
 /// Relative to the largest value; results are exact by construction.
 const EQUAL: f64 = 1e-3;

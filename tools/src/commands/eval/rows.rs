@@ -17,7 +17,7 @@ pub struct Row {
     pub views: usize,
     /// Frame selection, such as `gap50`.
     pub rule: String,
-    /// Of the inputs of the scores.
+    /// Hash of the inputs of the scores.
     pub hash: String,
     pub targets: usize,
     pub gaussians: usize,

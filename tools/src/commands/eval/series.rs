@@ -114,7 +114,7 @@ pub fn run(eval: &Eval, protocol: Protocol, session: &mut Session<'_>) -> Result
     let folder = out.join(format!("{}-{posed}-{}", slug(&method), &way[..8]));
     let series = Series { eval, protocol, method, folder };
 
-    // Of an earlier run.
+    // Failures of an earlier run.
     std::fs::remove_file(out.join(FAILURES)).ok();
     let mut tally = Tally::default();
     let ended = series.run(&places, &settings, &mut evaluator, &mut tally, session);

@@ -360,7 +360,7 @@ impl Reconstruct {
         self.refine.check()
     }
 
-    /// Of planned pictures.
+    /// Returns the size of planned pictures.
     fn picture_size(&self) -> Result<Option<Size>> {
         let Some(drawing) = self.drawing()? else { return Ok(None) };
         let lacks = || Error::argument("--pictures with --dry-run", "no size", "-- --size WxH");
