@@ -1,5 +1,3 @@
-//! Options of refinements.
-
 use super::Initialization;
 use crate::options::Size;
 use clap::{Arg, ArgGroup, Args, ValueEnum};

@@ -1,5 +1,3 @@
-//! `zipsplat doctor`.
-
 mod list;
 mod report;
 mod tune;

@@ -1,5 +1,3 @@
-//! External scenes.
-
 use super::{depth, evaluator::Reconstruction};
 use crate::{
     cameras::Similarity,

@@ -1,5 +1,3 @@
-//! Network pass.
-
 use super::{Posed, Reconstruct, placed::Placed};
 use crate::{
     explain::Explanation,
