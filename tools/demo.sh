@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # Reconstructs photos without cameras: estimates cameras with COLMAP, reconstructs, refines, and
 # renders a camera path (out/photos/contact.png). Without arguments uses the repository's banana
-# photos, then compares renders of a procedural scene with held-out photos (out/place/comparison.png).
+# photos, then compares renders of a procedural scene with held-out photos
+# (out/place/comparison.png).
 # usage: tools/demo.sh [PHOTO|FOLDER|VIDEO...]      ZIPSPLAT_WEIGHTS: default the built-in model
 set -euo pipefail
 # shellcheck source-path=SCRIPTDIR
