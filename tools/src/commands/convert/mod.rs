@@ -97,7 +97,8 @@ impl Convert {
         refuse("--spz-version", self.spz_version.is_some() && !is_spz, "another format", "an SPZ as output")?;
         let (scene, dropped) = self.scene_input.read(session, Path::new(&self.input))?;
         if scene.sh_degree > 0 && !format.keeps_view_dependence() {
-            session.note("a .splat keeps one color a Gaussian: how it changes with the direction is left out");
+            let format = format.extension();
+            session.note(format!("{format} stores one color per Gaussian: view-dependent color is left out"));
         }
         if let Some(note) = Some(&scene).filter(|_| is_spz).and_then(spz_coarsening) {
             session.note(note);
