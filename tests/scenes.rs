@@ -6,7 +6,7 @@ use glam::{DMat3, DMat4, DVec3};
 use zipsplat::{
     gpu::Recorder,
     stages::render::SceneTensors,
-    types::{Camera, Intrinsics, Pose, Scene},
+    types::{Camera, Intrinsics, Pose, Scene, SceneFormat},
 };
 pub use zipsplat_verify::{gaussians as reference_gaussians, noise::camera, reference_camera};
 
@@ -89,6 +89,11 @@ pub fn fields(scene: &Scene) -> [(&'static str, &[f32]); 5] {
 /// Returns the bits of values, for exact comparisons.
 pub fn bits(values: &[f32]) -> Vec<u32> {
     values.iter().map(|value| value.to_bits()).collect()
+}
+
+/// Returns the extension of every scene format, such as `ply`.
+pub fn scene_extensions() -> impl Iterator<Item = &'static str> {
+    SceneFormat::ALL.iter().map(|format| &format.extension()[1..])
 }
 
 /// Returns a pose from a row-major rotation and a translation.

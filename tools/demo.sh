@@ -1,8 +1,9 @@
 #!/usr/bin/env bash
-# Reconstructs photos without cameras: estimates cameras with COLMAP, reconstructs, refines, renders
-# a flight (out/photos/contact.png). Without arguments uses the repository's banana photos, and then
-# compares renders of a procedural scene with held-out photos (out/place/comparison.png).
-# usage: tools/demo.sh [PHOTO|FOLDER|VIDEO...]      ZIPSPLAT_WEIGHTS: default the embedded model
+# Reconstructs photos without cameras: estimates cameras with COLMAP, reconstructs, refines, and
+# renders a camera path (out/photos/contact.png). Without arguments uses the repository's banana
+# photos, then compares renders of a procedural scene with held-out photos
+# (out/place/comparison.png).
+# usage: tools/demo.sh [PHOTO|FOLDER|VIDEO...]      ZIPSPLAT_WEIGHTS: default the built-in model
 set -euo pipefail
 # shellcheck source-path=SCRIPTDIR
 source "$(dirname "${BASH_SOURCE[0]}")/setup.sh"
@@ -23,9 +24,9 @@ stage 'cameras, scene and refinement' zipsplat reconstruct "${photos[@]}" --view
 stage render zipsplat render "$out/photos/scene.ply" --spline "$out/photos/transforms.json" --frames 12 \
   --overwrite -o "$out/photos"
 stage page zipsplat view "$out/photos/scene.ply" --cameras "$out/photos/transforms.json" --overwrite -o "$out/photos/scene.html"
-say "a flight through the photos' cameras: $out/photos/contact.png; a page to look around in: $out/photos/scene.html; the scene: $out/photos/scene.ply"
+say "renders along the photos' cameras: $out/photos/contact.png; viewer: $out/photos/scene.html; scene: $out/photos/scene.ply"
 if [[ $# == 0 ]]; then
-  stage 'photos of a place' zipsplat scene --seed $seed --views 16 -o "$out/place"
+  stage 'procedural photos' zipsplat scene --seed $seed --views 16 -o "$out/place"
   stage 'reconstruct and refine' zipsplat eval "$out/place" --views 8 --refine 100 --init scene ${weights[@]+"${weights[@]}"} -o "$out/place"
   stage render zipsplat render "$out/place/scene.ply" --wiggle --frames 8 --overwrite -o "$out/place"
   say "held-out photos, their renders, and the nearest input photos: $out/place/comparison.png"

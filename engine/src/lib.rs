@@ -1,4 +1,5 @@
-//! ZipSplat on Vulkan: photos without poses to a compact 3D Gaussian scene in one forward pass.
+//! Reconstructs compact scenes of 3D Gaussians from photos in one forward pass, on Vulkan; also
+//! refines and renders them.
 //!
 //! ```no_run
 //! use std::ops::ControlFlow::Continue;
@@ -20,12 +21,12 @@
 //! # }
 //! ```
 //!
-//! Everything for users is at the root and in [`vulkan`], [`paths`], [`grad`] and [`types`]. Hidden
+//! The public interface is at the root and in [`vulkan`], [`paths`], [`grad`] and [`types`]. Hidden
 //! modules serve the project's own tools and follow no semantic versioning.
 //!
-//! Crates below: [`types`] (`zipsplat-formats`, without GPU), [`gpu`] (`zipsplat-gpu`, all
-//! Vulkan, no kernels) and [`random`]. Modules depend only on earlier ones: `ops` <- `tune` <-
-//! `stages` <- `weights` <- `perceptual` <- `cameras` <- `reconstruct` <- `depth` <- `refine`.
+//! The crate builds on [`types`] (`zipsplat-formats`, without GPU), [`gpu`] (`zipsplat-gpu`, the
+//! only crate that names Vulkan) and [`random`]. Its modules depend only on those before them:
+//! `ops`, `tune`, `stages`, `weights`, `perceptual`, `cameras`, `reconstruct`, `depth`, `refine`.
 
 pub mod cameras;
 pub mod depth;

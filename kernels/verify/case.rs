@@ -101,7 +101,7 @@ pub(crate) fn halves(values: &[f64]) -> Vec<f64> {
     values.iter().map(|&x| half(x)).collect()
 }
 
-/// Faults that a case must catch beside zeros.
+/// Faults that a case must catch besides zeros.
 pub(crate) struct Catches<F>(Vec<F>);
 
 impl<F: Copy, const N: usize> From<[F; N]> for Catches<F> {
@@ -139,7 +139,7 @@ pub struct Case {
     pub name: String,
     /// Problem size for the report.
     pub size: usize,
-    /// Names of the caught faults beside zeros.
+    /// Names of the caught faults besides zeros.
     pub catches: Vec<String>,
     checks: Box<dyn Checks>,
 }

@@ -1,7 +1,7 @@
 //! Verification of kernels: device results against f64, with bounds from the number format.
 //!
-//! An area covers related kernels. Cases have hard inputs, truth from `zipsplat_reference`,
-//! per-element bounds and simulated faults. Bounds are never loosened to pass.
+//! An area covers related kernels. Its cases have hard inputs, f64 results of `zipsplat_reference`,
+//! bounds per element, and simulated faults. Bounds are never loosened to pass.
 //! `tests/kernels/catalog.rs` injects each fault, whose error must exceed twice the bound.
 
 mod bound;
@@ -164,7 +164,7 @@ impl Mode {
         }
     }
 
-    /// Returns true if a device supports it.
+    /// Returns true if a device supports the mode.
     pub fn is_on(self, limits: &Limits) -> bool {
         let stored = self.factor == Element::F32 || limits.half_storage;
         let tiled = !self.tiled || LaneTile::candidates(limits, self.factor).len() > 1;
@@ -295,7 +295,7 @@ impl Area {
     }
 }
 
-/// Returns cases over many shapes, too many for the command; tests run them.
+/// Returns areas with many shapes, which only tests run.
 pub fn shapes() -> Vec<Area> {
     vec![
         ops::linear::shapes(),
@@ -311,7 +311,7 @@ pub fn shapes() -> Vec<Area> {
     ]
 }
 
-/// Returns all areas in pipeline order.
+/// Returns the areas of `zipsplat doctor`.
 pub fn catalog() -> Vec<Area> {
     vec![
         ops::linear::area(),

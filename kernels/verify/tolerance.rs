@@ -1,5 +1,3 @@
-//! Tolerances.
-
 use zipsplat::{gpu::Element, ops::Arithmetic};
 
 /// Limits on an array's deviation, relative to the rms of the truth.

@@ -1,5 +1,3 @@
-//! Estimated cameras through C.
-
 use crate::{
     calls::*,
     header::root,

@@ -1,5 +1,3 @@
-//! Captures through C.
-
 use crate::calls::*;
 use std::{
     ffi::{CStr, c_char},

@@ -1,5 +1,3 @@
-//! Depth through C.
-
 use crate::calls::*;
 use std::{
     ops::ControlFlow::Continue,

@@ -1,5 +1,3 @@
-//! Gradients through C.
-
 use crate::calls::*;
 use std::ptr::{null, null_mut};
 use zipsplat::{

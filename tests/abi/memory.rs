@@ -10,7 +10,10 @@ use std::{
 };
 use zipsplat::types::{Image, SaveOptions, Scene, SceneFormat};
 use zipsplat_c::{zs_status::*, *};
-use zipsplat_tests::{compare::assert_same, scenes::random_scene};
+use zipsplat_tests::{
+    compare::assert_same,
+    scenes::{random_scene, scene_extensions},
+};
 
 /// Each thread has one address: no pointer dangles.
 #[test]
@@ -71,7 +74,7 @@ fn scenes_go_to_memory_and_come_back() {
     let truth = random_scene(50, 1, 0.1);
     let scene = scene_of(&truth);
     let folder = tempfile::tempdir().expect("a folder");
-    for extension in ["ply", "spz", "splat", "gltf", "glb"] {
+    for extension in scene_extensions() {
         let format = c_string(extension);
         let encode = |out| {
             // SAFETY: a live scene, a string, an output pointer.

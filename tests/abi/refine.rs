@@ -1,5 +1,3 @@
-//! Refinement through C.
-
 use crate::{
     calls::*,
     header::root,

@@ -12,7 +12,7 @@ use zipsplat::{
     weights::{Checkpoint, Dtype},
 };
 use zipsplat_c::*;
-use zipsplat_tests::{compare::assert_same, device::device as rust_device};
+use zipsplat_tests::{compare::assert_same, device::device as rust_device, scenes::scene_extensions};
 
 fn rust_scene(photos: &[Image], request: &ReconstructOptions) -> Scene {
     let model = Model::from_checkpoint(rust_device(), &checkpoint(), |_| ControlFlow::Continue(())).unwrap();
@@ -228,7 +228,7 @@ fn scenes_come_back_from_arrays_and_files() {
     let copy = Object::new(zs_scene_destroy, |out| unsafe { zs_scene_create(&array, out) });
     assert_same("copied", &bits(&read(&copy)), &bits(&gaussians));
     let folder = tempfile::tempdir().unwrap();
-    for extension in ["ply", "spz", "splat", "gltf", "glb"] {
+    for extension in scene_extensions() {
         let path = folder.path().join(format!("scene.{extension}"));
         let text = c_string(path.to_str().unwrap());
         // SAFETY: a live scene, a string.
@@ -330,8 +330,8 @@ fn weights_of_8_bits_come_from_memory() {
         .unwrap();
     assert_same("q8", &bits(&read(&from_c)), &bits(&ours));
     if Arithmetic::of(Precision::Int8, rust_device().limits()).is_some() {
-        let turbo = zs_model_options { precision: zs_precision::ZS_PRECISION_INT8 as i32, ..options };
-        let refused = model_from(&device, &bytes, &turbo).err().expect("no turbo for such weights");
+        let int8 = zs_model_options { precision: zs_precision::ZS_PRECISION_INT8 as i32, ..options };
+        let refused = model_from(&device, &bytes, &int8).err().expect("no int8 for such weights");
         fails(refused, zs_status::ZS_ERROR_ARGUMENT, &["precision", "q8", "fp16"]);
     }
 }

@@ -246,7 +246,7 @@ fn what_goes_wrong_is_said_and_leaves_nothing() {
     assert_eq!(truth.len(), 4);
     let line = |option: &str| format!("cameras @/place/images {option} -o @/transforms.json");
     let install = "install";
-    // The log lies beside the script.
+    // The log is in the script's folder.
     let left = |folder: &Folder| -> Vec<String> {
         folder.names().into_iter().filter(|name| !name.ends_with(".args")).collect()
     };

@@ -41,8 +41,8 @@ fn weights_of_8_bits_go_through_every_command() {
     };
     assert!(plan("q8") < plan("micro") * 4 / 5, "{} of {}", plan("q8"), plan("micro"));
     if Arithmetic::of(Precision::Int8, device().limits()).is_some() {
-        let turbo = folder.run("reconstruct --dry-run --weights @/q8.safetensors --views 2 --precision int8");
-        turbo.fails(3, &["q8.safetensors, whose weights are q8", "fp32, fp16 or bf16"]);
+        let int8 = folder.run("reconstruct --dry-run --weights @/q8.safetensors --views 2 --precision int8");
+        int8.fails(3, &["q8.safetensors, whose weights are q8", "fp32, fp16 or bf16"]);
     }
     folder.run("convert @/micro.safetensors @/b.safetensors --dtype q9").fails(3, &["dtype", "q9", "bf16 or q8"]);
 }

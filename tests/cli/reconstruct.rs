@@ -2,7 +2,7 @@ use crate::{Folder, names, zipsplat};
 use glam::{DMat3, DVec3};
 use zipsplat::types::{Camera, Intrinsics, Pose, Scene, poses::write_transforms, read_ply};
 use zipsplat::weights::Checkpoint;
-use zipsplat_tests::photos::with_orientation;
+use zipsplat_tests::{photos::with_orientation, scenes::scene_extensions};
 
 #[test]
 fn two_photos_become_a_scene() {
@@ -19,7 +19,7 @@ fn two_photos_become_a_scene() {
 #[test]
 fn the_extension_decides_the_format() {
     let folder = Folder::new();
-    for extension in ["ply", "spz", "splat", "glb", "gltf"] {
+    for extension in scene_extensions() {
         let file = format!("s.{extension}");
         folder
             .run(&format!("reconstruct @/photos --weights @/micro.safetensors --input-size 28x28 -o @/{file}"))

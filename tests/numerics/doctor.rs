@@ -1,5 +1,3 @@
-//! The command `zipsplat doctor`.
-
 use zipsplat_tests::command;
 
 pub fn zipsplat(line: &str) -> (u8, String, String) {

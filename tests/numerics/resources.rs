@@ -4,10 +4,12 @@ use crate::{micro, noise, reconstruct};
 use std::time::Duration;
 use zipsplat_tests::prelude::*;
 
-const SCENES: [&str; 5] = ["scene.ply", "scene.spz", "scene.splat", "scene.glb", "scene.gltf"];
+fn scene_files() -> Vec<String> {
+    scenes::scene_extensions().map(|extension| format!("scene.{extension}")).collect()
+}
 
 fn write_all(folder: &Path, scene: &Scene, picture: &Image, weights: &Checkpoint) -> Vec<Result<(), Error>> {
-    let mut results: Vec<_> = SCENES.iter().map(|name| scene.save(folder.join(name))).collect();
+    let mut results: Vec<_> = scene_files().iter().map(|name| scene.save(folder.join(name))).collect();
     results.push(picture.save_png(folder.join("picture.png")));
     results.push(weights.save(folder.join("weights.safetensors"), Dtype::F32));
     results
@@ -27,7 +29,7 @@ fn a_full_disk_leaves_what_was_there() {
         result.unwrap();
     }
     let before = contents(folder.path());
-    assert_eq!(before.len(), 7);
+    assert_eq!(before.len(), scene_files().len() + 2);
     // 16 KiB per file; further writes return errors instead of a signal.
     assert_succeeds(child("resources::writes_to_a_full_disk", folder.path(), "trap '' XFSZ; ulimit -f 16"));
     assert!(contents(folder.path()) == before, "a file changed, or a part of one was left");
@@ -53,11 +55,12 @@ fn a_device_without_space_is_an_error() {
 #[test]
 fn a_killed_writer_leaves_a_whole_file() {
     let folder = tempfile::tempdir().unwrap();
-    let sizes = [1_000, 2_000];
-    for name in SCENES {
+    let (sizes, files) = ([1_000, 2_000], scene_files());
+    for name in &files {
         random_scene(sizes[0], 0, 0.1).save(folder.path().join(name)).unwrap();
     }
-    let last_written = || folder.path().join(SCENES[4]).metadata().and_then(|found| found.modified()).unwrap();
+    let last_written =
+        || folder.path().join(&files[files.len() - 1]).metadata().and_then(|found| found.modified()).unwrap();
     for delay in [1, 7, 19, 31] {
         let before = last_written();
         let mut writer = child("resources::writes_forever", folder.path(), "").spawn().unwrap();
@@ -68,7 +71,7 @@ fn a_killed_writer_leaves_a_whole_file() {
         std::thread::sleep(Duration::from_millis(delay));
         writer.kill().unwrap();
         writer.wait().unwrap();
-        for name in SCENES {
+        for name in &files {
             let scene = Scene::open(folder.path().join(name)).unwrap_or_else(|error| panic!("{error}"));
             assert!(sizes.contains(&scene.len()), "{name}: {} Gaussians", scene.len());
         }
@@ -79,9 +82,9 @@ fn a_killed_writer_leaves_a_whole_file() {
 #[ignore = "child of a_killed_writer_leaves_a_whole_file"]
 fn writes_forever() {
     let Some(folder) = target() else { return };
-    let scenes = [1_000, 2_000].map(|count| random_scene(count, 0, 0.1));
+    let (scenes, files) = ([1_000, 2_000].map(|count| random_scene(count, 0, 0.1)), scene_files());
     for i in 0.. {
-        for name in SCENES {
+        for name in &files {
             (scenes[i % 2]).save(folder.join(name)).unwrap();
         }
     }

@@ -1,5 +1,3 @@
-//! Procedural scenes.
-
 mod command;
 mod coverage;
 mod geometry;

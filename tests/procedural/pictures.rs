@@ -1,5 +1,3 @@
-//! Pictures of procedural scenes.
-
 use crate::{capture, options};
 use rayon::ThreadPoolBuilder;
 use zipsplat_cli::procedural::{Options, Photos, Setup};

@@ -1,5 +1,3 @@
-//! Refinement.
-
 use std::time::Duration;
 use zipsplat::refine::{
     LearningRates, PerceptualLoss, RefineOptions, RefineProgress, RefineResult, StopReason, refine_scene,

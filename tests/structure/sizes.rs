@@ -1,5 +1,3 @@
-//! Limits on file sizes.
-
 use crate::source::{Source, files};
 
 fn assert_short(sources: &[Source], most: usize) {

@@ -1,5 +1,3 @@
-//! Command-line colors.
-
 /// Basic CSS colors (Color Module Level 4), and `grey`.
 const NAMED: [(&str, u32); 17] = [
     ("black", 0x000000),

@@ -16,7 +16,7 @@ use zipsplat::{
     types::{Image, write_atomic},
 };
 
-/// For [`read_ppm`].
+/// Output options of ffmpeg for [`read_ppm`].
 pub const AS_PPM: [&str; 6] = ["-f", "image2pipe", "-c:v", "ppm", "-pix_fmt", "rgb24"];
 /// Videos and HEIC; excludes playlists, which name other files and addresses.
 const CONTAINERS: &str = "mov,matroska,avi,mpegts";
@@ -65,7 +65,7 @@ pub fn decode<T: Send + 'static>(
     let messages = words(&messages.and_then(|messages| messages.join().ok()).unwrap_or_default(), file);
     match broken {
         None if status.success() => Ok(messages),
-        // Killed.
+        // ffmpeg was killed.
         _ if messages.is_empty() => Err(failure(ffmpeg, "", broken.map_or(status.to_string(), |e| e.to_string()))),
         _ if messages.contains("matches no streams") => {
             Err(Error::format(file, None, "ffmpeg finds no pictures in it"))

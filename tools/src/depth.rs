@@ -162,7 +162,7 @@ impl PreparedPhotos {
         Ok(Self { photos: photos.to_vec(), views, known_cameras })
     }
 
-    /// Of all photos, of `side` pixels.
+    /// Returns the number of patches of all photos, of `side` pixels.
     pub fn patches(&self, side: usize) -> usize {
         let of = |view: &View| (view.image.width as usize / side) * (view.image.height as usize / side);
         self.views.iter().map(of).sum()
@@ -237,7 +237,7 @@ impl PredictedViews {
         Ok(())
     }
 
-    /// Scales single-view depth to meters of a metric head, or to `points` beside the cameras, by
+    /// Scales single-view depth to meters of a metric head, or to the capture's `points`, by
     /// those visible in each photo. Multi-view depth stays.
     pub fn scale(&mut self, metric: bool, points: Option<&Path>) -> Result<()> {
         let (network, Some(cameras)) = (&self.network, &self.cameras) else { return Ok(()) };
@@ -291,7 +291,7 @@ impl PredictedViews {
         Ok(scene)
     }
 
-    /// In the scene, and all.
+    /// Returns the number of patches in the scene, and of all.
     pub fn patches(&self) -> [usize; 2] {
         let [columns, rows] =
             [self.depths.width, self.depths.height].map(|side| side as usize / self.depths.patch_size);
@@ -299,7 +299,7 @@ impl PredictedViews {
         [self.depths.patches.as_ref().map_or(all, Vec::len), all]
     }
 
-    /// None without cameras.
+    /// Returns up to `most` points; none without cameras.
     pub fn points(&self, most: usize) -> Vec<([f32; 3], [u8; 3])> {
         let Some(cameras) = &self.cameras else { return Vec::new() };
         self.depths.points(cameras, &self.images(), most)

@@ -15,7 +15,7 @@ use zipsplat::{
     types::{Image, is_heic_start, open_file},
 };
 
-/// By first bytes; false for unreadable files.
+/// Detects HEIC by first bytes; false for unreadable files.
 pub fn is_heic(path: &Path) -> bool {
     let mut start = [0; 12];
     open_file(path).is_ok_and(|mut file| file.read_exact(&mut start).is_ok()) && is_heic_start(&start)

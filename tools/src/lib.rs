@@ -42,23 +42,23 @@ pub use signals::cancelled_by_signals;
 use std::{ffi::OsString, io::ErrorKind};
 use zipsplat::Error;
 
-/// Photos without poses to a compact 3D Gaussian scene, on any Vulkan device.
+/// Turn photos into a compact scene of 3D Gaussians, refine and render it, on any Vulkan device.
 #[derive(Parser)]
 #[command(
     name = "zipsplat",
     version,
     after_help = "Examples:
   zipsplat reconstruct photos/ -o scene.ply
+  zipsplat reconstruct photos/ --cameras colmap --refine -o sharp.ply
   zipsplat render scene.ply --wiggle -o out/
   zipsplat view scene.ply -o scene.html
   zipsplat doctor list
-  zipsplat doctor
   zipsplat weights get zipsplat
   zipsplat help render
 
 Exit codes:
-  0 done   1 failed   2 wrong usage   3 a file or argument that cannot be used
-  4 no device, a lost one or too little memory   5 a device that computes wrongly   130 cancelled"
+  0 success   1 failure   2 usage   3 unusable file or argument
+  4 no device, device lost or out of memory   5 wrong results found   130 canceled"
 )]
 struct Cli {
     #[command(flatten)]

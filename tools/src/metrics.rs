@@ -3,7 +3,7 @@
 use clap::{Args, ValueEnum};
 use zipsplat::{Device, Result, perceptual::Perceptual, stages::lpips::LpipsNetwork, types::Image};
 
-/// In pixels.
+/// Standard deviation of SSIM's window, in pixels.
 const SIGMA: f64 = 1.5;
 const RADIUS: usize = 5;
 const PIXELS: f64 = ((2 * RADIUS + 1) * (2 * RADIUS + 1)) as f64;
@@ -71,8 +71,8 @@ fn filter(values: &[f64], width: usize) -> Vec<f64> {
 
 #[derive(Args, Debug)]
 pub(crate) struct LpipsOption {
-    /// LPIPS network; `python3 tools/lpips.py` downloads its weights, which we cannot ship
-    /// [default: vgg if its weights are available, else none]
+    /// Network of LPIPS; `python3 tools/lpips.py` downloads its weights [default: vgg if available,
+    /// else none]
     #[arg(long, value_enum, value_name = "NETWORK")]
     lpips: Option<Network>,
 }

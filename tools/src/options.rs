@@ -20,10 +20,10 @@ use zipsplat::{
 #[derive(Args)]
 pub struct Weights {
     /// Checkpoint, name in `zipsplat weights list`, or seeded:VARIANT for random weights [default:
-    /// builtin]
+    /// builtin, the built-in model]
     #[arg(long, value_name = "PATH|NAME|seeded:VARIANT[:KEY]")]
     weights: Option<String>,
-    /// Network, if the checkpoint lacks it: vitg, vitl, vitb, vits, da3s, da3b,
+    /// Architecture of a checkpoint that does not name its own: vitg, vitl, vitb, vits, da3s, da3b,
     /// da3l[:out_layers=5,7,11]
     #[arg(long, value_name = "V", requires = "weights")]
     variant: Option<String>,
@@ -37,7 +37,7 @@ impl Weights {
         }
     }
 
-    /// By the file's tensors.
+    /// Opens a network of the kind that the file's tensors show.
     pub fn open_network(&self) -> Result<Network> {
         match &self.weights {
             Some(weights) if is_of_depth(weights) => {
@@ -53,7 +53,7 @@ impl Weights {
         named.iter().filter_map(|(name, value)| Some([*name, value.as_deref()?])).flatten().collect()
     }
 
-    /// For `zipsplat convert`.
+    /// Returns these options as arguments of `zipsplat convert`.
     pub fn as_input(&self) -> Vec<&str> {
         let variant = self.variant.iter().flat_map(|variant| ["--variant", variant]);
         [self.weights.as_deref().unwrap_or(BUILTIN)].into_iter().chain(variant).collect()
@@ -135,21 +135,20 @@ pub fn refuse(option: &str, given: bool, found: &str, expected: &str) -> Result<
 
 #[derive(Args, Debug)]
 pub struct Quality {
-    /// Share of the tokens that become Gaussians, in (0, 1]; auto: 0.5 sqrt(2 / views)
+    /// Fraction of the tokens that become Gaussians, in (0, 1]; auto: 0.5 sqrt(2 / views)
     #[arg(long, value_name = "R|auto", default_value = "1", value_parser = parse_ratio)]
     pub ratio: Ratio,
-    /// Token selection: kmeans[:ROUNDS], stride or random[:SEED]
+    /// Selection of tokens: kmeans[:ROUNDS], stride or random[:SEED]
     #[arg(long, value_name = "HOW", default_value = "kmeans", value_parser = parse_selection)]
     pub token_selection: TokenSelection,
-    /// Attend across many photos to the mean of SxS patches, S from 1 to 4, instead of each:
-    /// faster, less exact
+    /// Average keys and values of cross-view attention over SxS patches, S from 1 to 4: faster,
+    /// less exact
     #[arg(long, value_name = "S", default_value = "1")]
     pub kv_pool: usize,
     /// Keep only the N most visible Gaussians per token
     #[arg(long, alias = "max-gaussians-per-patch", value_name = "N|all", default_value = "all")]
     max_gaussians_per_token: Keep,
-    /// Network input size in pixels, multiples of the patch (14); the default, the trained size, is
-    /// best
+    /// Network input size in pixels, multiples of 14; the trained size, the default, is best
     #[arg(long, value_name = "WxH")]
     input_size: Option<Size>,
     #[command(flatten)]
@@ -158,7 +157,7 @@ pub struct Quality {
 
 #[derive(Args)]
 pub struct SceneInput {
-    /// Drop Gaussians with NaN, infinite or out-of-range values, an error by default
+    /// Drop Gaussians with NaN, infinite or out-of-range values, which are otherwise an error
     #[arg(long)]
     drop_invalid: bool,
 }
@@ -188,7 +187,7 @@ impl SceneInput {
 
 #[derive(Args, Debug, Default)]
 pub struct ArithmeticOption {
-    /// Arithmetic
+    /// Precision of the network
     #[arg(long, value_enum, default_value = "auto")]
     precision: PrecisionName,
 }
@@ -326,7 +325,7 @@ impl FromStr for Keep {
     }
 }
 
-/// In pixels.
+/// Width and height in pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Size(pub u32, pub u32);
 
@@ -359,7 +358,7 @@ pub fn parse_ratio(text: &str) -> Result<Ratio, String> {
     }
 }
 
-/// Positive.
+/// Parses a positive length.
 pub fn parse_length(text: &str) -> Result<f64, String> {
     let length = text.parse().ok().filter(|length: &f64| length.is_finite() && *length > 0.0);
     length.ok_or_else(|| "expected a number above 0".into())

@@ -13,11 +13,11 @@ use zipsplat::{
     types::{Image, Origin, SaveOptions, Scene, SceneFormat, Unfinished, World, write_atomic},
 };
 
-/// Per world unit.
+/// Levels of 16-bit depth per world unit.
 pub const DEPTH_LEVELS: f32 = 1000.0;
 pub const MADE_BY: &str = "zipsplat";
 pub const LOG_START: &str = "zipsplat: what COLMAP said";
-/// At each end of a file.
+/// Bytes searched at each end of a file.
 const SEARCHED: u64 = 1 << 16;
 /// File signatures with their author marks. `.splat` has none.
 const MARKS: [(&[u8], &[u8]); 21] = [
@@ -46,7 +46,7 @@ const MARKS: [(&[u8], &[u8]); 21] = [
 
 #[derive(Args, Clone, Copy)]
 pub struct Overwrite {
-    /// Replace files of other programs; own files are always replaced
+    /// Replace files that zipsplat did not write; its own are always replaced
     #[arg(long)]
     overwrite: bool,
 }
@@ -110,7 +110,7 @@ pub fn remove_stale(folder: &Path, count: usize, own: impl Fn(&Path) -> bool) ->
     Ok(())
 }
 
-/// Creates and removes a temporary file beside `path`.
+/// Creates and removes a temporary file in the folder of `path`.
 fn check_file(path: &Path) -> Result<()> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     if path.is_dir() || path.file_name().is_none() {

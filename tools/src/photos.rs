@@ -33,8 +33,8 @@ const CROPPED: f64 = 0.1;
 
 #[derive(Args)]
 pub struct PhotoArgs {
-    /// Photos (PNG, JPEG, WebP; HEIC with ffmpeg), folders of them in natural order, or videos, by
-    /// their sharpest frames
+    /// Photos (PNG, JPEG, WebP; HEIC with ffmpeg), folders of photos in natural order, or videos,
+    /// which contribute their sharpest frames
     #[arg(required = true)]
     pub photos: Vec<PathBuf>,
     #[command(flatten)]
@@ -46,7 +46,7 @@ pub struct Reading {
     /// Include photos of nested folders
     #[arg(long)]
     recursive: bool,
-    /// Program that reads videos and HEIC
+    /// Program that decodes videos and HEIC
     #[arg(long, value_name = "PROGRAM", default_value = "ffmpeg")]
     pub ffmpeg: PathBuf,
 }
@@ -192,8 +192,8 @@ pub fn folders_in(folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(found)
 }
 
-/// Splits files into photos and others. Skips a HEIC picture beside a photo of the same name, its
-/// conversion.
+/// Splits files into photos and others. Skips a HEIC picture whose folder has its conversion, a
+/// photo of the same name.
 fn photos_among(files: Vec<PathBuf>) -> (Vec<PathBuf>, Vec<PathBuf>) {
     let stems: HashSet<OsString> =
         files.iter().filter(|path| is_photo(path)).filter_map(|path| Some(path.file_stem()?.to_owned())).collect();

@@ -38,7 +38,7 @@ pub struct Drawn {
     pub empty: bool,
 }
 
-/// Optional files beside `000.png`.
+/// Optional files in addition to `000.png`.
 fn layers(request: &RenderOptions) -> [(&'static str, bool); 5] {
     [
         ("", request.rgb),

@@ -14,7 +14,7 @@ pub struct Released {
     pub kind: Kind,
     repository: &'static str,
     file: &'static str,
-    /// Without the hash.
+    /// File name in the cache, without the hash.
     kept_as: &'static str,
 }
 
@@ -97,7 +97,7 @@ const fn of_depth(name: &'static str, repository: &'static str, kept_as: &'stati
     }
 }
 
-/// After the source's hash.
+/// Suffix after the source's hash.
 const CONVERTED: &str = "-f16.safetensors";
 
 impl Released {
@@ -189,7 +189,7 @@ fn check_name(name: &str) -> Result<()> {
     Err(Error::argument("weights", name, expected))
 }
 
-/// By name or by a file's tensors.
+/// Detects weights of Depth Anything 3 by name or by tensors.
 pub fn is_of_depth(text: &str) -> bool {
     Released::named(text).map_or_else(|| DepthCheckpoint::is_meant(text), |released| released.kind == Kind::Depth)
 }

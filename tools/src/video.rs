@@ -14,9 +14,9 @@ use std::{
 use zipsplat::{Error, Result};
 
 const EXTENSIONS: [&str; 8] = ["mp4", "mov", "m4v", "avi", "mkv", "webm", "3gp", "mts"];
-/// From a video.
+/// Default number of frames from a video.
 pub const FRAMES: usize = 24;
-/// For sharpness, small enough to suppress noise.
+/// Longer side for measuring sharpness, small enough to suppress noise.
 const SIDE: usize = 512;
 /// Regular timestamps; otherwise ffmpeg drops and duplicates frames.
 const REGULAR: &str = "setpts=N/25/TB";
@@ -37,7 +37,7 @@ impl FrameFolder {
         Ok(Self { path: scratch.path().to_owned(), kept: true, _scratch: Some(scratch) })
     }
 
-    /// Creates `frames` beside a camera file, or keeps an existing one with `overwrite`.
+    /// Creates `frames` next to a camera file, or keeps an existing one with `overwrite`.
     pub fn beside(file: &Path, overwrite: bool) -> Result<Self> {
         let path = file.with_file_name("frames");
         file.parent().map_or(Ok(()), make_folder)?;

@@ -16,17 +16,17 @@ use zipsplat::{
 
 #[derive(Args, Debug)]
 pub struct CropOption {
-    /// Part of a nonsquare photo for the network
+    /// Part of a photo that the network sees, if its aspect ratio differs from --input-size
     #[arg(long, value_enum, value_name = "HOW", default_value = "center")]
     pub crop: Crop,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Crop {
-    /// Center crop, in the shape of --input-size
+    /// Center crop, with the aspect ratio of --input-size
     #[value(alias = "crop")]
     Center,
-    /// Whole photo, as square tiles with a camera turned to each: for known cameras. Twice the
+    /// Whole photo, as square tiles with a rotated camera each. Needs known cameras; twice the
     /// views, time and memory for photos up to 2:1
     #[value(alias = "squares")]
     Tiles,
@@ -49,7 +49,7 @@ pub struct Views {
     pub note: Option<String>,
 }
 
-/// With any known camera.
+/// Picture with its camera, if known.
 pub type NetworkInput = (Image, Option<Camera>);
 
 impl Crop {
@@ -119,7 +119,7 @@ impl Crop {
 }
 
 impl Seeing {
-    /// For both uses.
+    /// Creates a center crop for network and comparison.
     pub fn cropped(size: Size) -> Self {
         Self { crop: Crop::Center, size, compared: size, whole: false, filter: Filter::Lanczos }
     }

@@ -1,4 +1,4 @@
-"""Prints the tables of engine/models/README.md for the embedded model or --weights.
+"""Prints the tables of engine/models/README.md for the built-in model or --weights.
 
     python tools/train/card.py --zipsplat target/release/zipsplat --captures FOLDER
 
@@ -23,7 +23,7 @@ HEADINGS = "\n| {} | PSNR | SSIM | nearest photo | its mean color | above the be
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--zipsplat", default="target/release/zipsplat")
-    parser.add_argument("--weights", help="instead of the embedded model")
+    parser.add_argument("--weights", help="instead of the built-in model")
     parser.add_argument("--captures", help="folder of captures")
     parser.add_argument("--out", help="folder for every comparison.png")
     args = parser.parse_args()

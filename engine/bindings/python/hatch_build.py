@@ -54,7 +54,7 @@ class Build(BuildHookInterface):  # type: ignore[type-arg]
                 str(ROOT / "LICENSE"): "zipsplat/LICENSE",
             }
         )
-        # Installed beside the interpreter.
+        # Installed in the interpreter's folder.
         command = os.environ.get("ZIPSPLAT_COMMAND")
         if command:
             build_data["shared_scripts"][command] = "zipsplat.exe" if sys.platform == "win32" else "zipsplat"

@@ -1,3 +1,5 @@
+//! Interface that each scene format implements.
+
 use std::io::Write;
 use std::path::Path;
 
@@ -7,14 +9,19 @@ use crate::Result;
 pub(super) struct Format {
     /// Possible magic bytes; empty if only the extension identifies the format.
     pub marks: &'static [&'static [u8]],
+    /// True if the format stores spherical harmonics above degree 0.
     pub view_dependence: bool,
+    /// Reads a scene; callers validate its values.
     pub read: fn(Source<'_>) -> Result<Scene>,
+    /// Reads the line of [`World::parse`]; `None` if the format cannot store a world.
     pub world: Option<ReadLine>,
+    /// Prepares a valid scene for writing; errors here leave the file untouched.
     pub write: for<'a> fn(&'a Scene, &SaveOptions, Option<&World>) -> Result<Encoder<'a>>,
 }
 
 type ReadLine = fn(&Path) -> Result<Option<String>>;
 
+/// Writes the prepared file.
 pub(super) type Encoder<'a> = Box<dyn FnOnce(&mut dyn Write) -> std::io::Result<()> + 'a>;
 
 impl Format {

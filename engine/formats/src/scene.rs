@@ -153,8 +153,8 @@ impl Scene {
         self.means.iter_mut().chain(&mut self.scales).flatten().for_each(|value| *value *= factor);
     }
 
-    /// Moves the scene to another world: x becomes `pose(scale x)`. Rotations and spherical
-    /// harmonics turn along, so images do not change.
+    /// Moves the scene to another world: x becomes `pose(scale x)`. Quaternions and spherical
+    /// harmonics rotate, too, so images do not change.
     pub fn place(&mut self, scale: f64, pose: &Pose) {
         let turn = DQuat::from_mat3(&pose.rotation);
         let (harmonics, k) = (sh_rotation(&pose.rotation), self.sh_coeffs_per_gaussian());

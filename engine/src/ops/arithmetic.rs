@@ -111,11 +111,11 @@ impl Arithmetic {
             Precision::Bf16 => Element::Bf16,
         };
         let matrices = Units::of(element, limits);
-        let turbo = precision == Precision::Int8;
-        let quantized = Units::of(Element::I8, limits).filter(|_| turbo);
-        let dots = (turbo && limits.dot_products).then_some(Tiles::BY_RULE);
+        let int8 = precision == Precision::Int8;
+        let quantized = Units::of(Element::I8, limits).filter(|_| int8);
+        let dots = (int8 && limits.dot_products).then_some(Tiles::BY_RULE);
         let nearest = Units::of(Element::F16, limits);
         let all = Self { element, linear: matrices, attention: matrices, quantized, dots, nearest, ..Self::EXACT };
-        (limits.half_storage && all.has_integers() == turbo).then_some(all)
+        (limits.half_storage && all.has_integers() == int8).then_some(all)
     }
 }

@@ -42,7 +42,7 @@ pub struct SceneTokens {
 }
 
 impl SceneTokens {
-    /// `[count, width]` f32: scene tokens beside colors.
+    /// `[count, width]` f32: scene tokens, then colors.
     pub fn tensor(&self) -> Tensor {
         self.tensor
     }

@@ -35,9 +35,9 @@ use std::{
 };
 use views::size;
 
-/// Least number of photos with a held-out one by default: fewer are all needed for training.
+/// Number of photos from which one is held out by default; fewer are all needed for training.
 const HOLD_OUT_FROM: usize = 40;
-/// Least number of steps with growth by default.
+/// Number of steps from which scenes grow by default.
 const GROWTH_FROM: usize = 300;
 /// Limits of growth by default: pixels of all photos per Gaussian, and its factor.
 const PIXELS_PER_GAUSSIAN: usize = 32;
@@ -51,14 +51,14 @@ const SAMPLE: usize = 4096;
 pub struct RefineOptions {
     /// Optimizer steps.
     pub steps: usize,
-    /// Time to spend instead, about: sets the steps by the measured time of a few. The same steps
-    /// give the same bits.
+    /// Approximate duration instead of `steps`, which follow from the measured time of a few. The
+    /// same steps give the same bits.
     pub time: Option<Duration>,
     /// Photos per step, capped at the training photos.
     pub views_per_step: usize,
-    /// Limits of a photo's width and height; larger ones are downscaled. `None`: full size.
+    /// Largest width and height of photos; larger ones are downscaled. `None`: full size.
     pub max_image_size: Option<[u32; 2]>,
-    /// Number of held-out photos, which reveal overfitting. `None`: one of 40 or more, none if
+    /// Number of held-out photos, which reveal overfitting. `None`: 1 from 40 photos on, 0 if
     /// cameras are refined.
     pub holdout_views: Option<usize>,
     /// Pixel loss.
@@ -69,24 +69,24 @@ pub struct RefineOptions {
     pub learning_rates: LearningRates,
     /// Also refines training cameras, except the first.
     pub optimize_cameras: bool,
-    /// Final number of Gaussians: missing and invisible ones are relocated. At most the scene's
-    /// number: none. `None`: from 300 steps, one per 32 pixels of the photos, up to four times the
-    /// scene's.
+    /// Number of Gaussians to grow to, by relocating invisible Gaussians and adding new ones. No
+    /// growth if at most the scene's number. `None`: from 300 steps on, one per 32 pixels of the
+    /// photos, at most four times the scene's number.
     pub max_gaussians: Option<usize>,
     /// Factor of the mean opacity in the loss.
     pub opacity_penalty: f32,
     /// Factor of the mean scale in the loss, relative to the scene scale.
     pub scale_penalty: f32,
-    /// Whether the first half uses downscaled photos.
+    /// Whether the first half of the steps uses downscaled photos.
     pub coarse_to_fine: bool,
     /// Batch limit for photos of one size. `None`: a whole step on a GPU, 1 on a CPU.
     pub batch_size: Option<usize>,
     /// Initial capacity in tile intersections per photo, which grows on demand. `None`: from the
     /// number of Gaussians.
     pub intersection_capacity: Option<usize>,
-    /// Steps between the scenes passed to `progress`. `None`: never.
+    /// Steps between the scenes passed to `progress`. `None`: no scenes.
     pub snapshot_interval: Option<usize>,
-    /// Seed of the photo order.
+    /// Seed of the photo order and of growth.
     pub seed: u64,
     /// Whether to profile a step by kernel.
     pub profile: bool,

@@ -179,12 +179,12 @@ impl Checkpoint {
     /// Checks that an arithmetic supports these weights.
     ///
     /// # Errors
-    /// [`Error::Argument`] for `turbo` with [`Q8`] weights.
+    /// [`Error::Argument`] for 8-bit arithmetic with [`Q8`] weights.
     pub fn suits(&self, arithmetic: Arithmetic) -> Result<()> {
         if !arithmetic.has_integers() || self.q8_names().next().is_none() {
             return Ok(());
         }
-        let found = format!("turbo for {}, whose weights are q8", self.provenance);
+        let found = format!("int8 for {}, whose weights are q8", self.provenance);
         Err(Error::argument("precision", found, "fp32, fp16 or bf16; int8 rounds weights of f32, f16 or bf16"))
     }
 
@@ -198,12 +198,12 @@ impl Checkpoint {
         self.stored().values().sum()
     }
 
-    /// A path or `seeded:VARIANT:KEY`.
+    /// Origin of the weights: a path or `seeded:VARIANT:KEY`.
     pub fn provenance(&self) -> &str {
         &self.provenance
     }
 
-    /// Rounding and assumptions, for the user.
+    /// Notes for the user about rounding and assumptions.
     pub fn notes(&self) -> &[String] {
         &self.notes
     }

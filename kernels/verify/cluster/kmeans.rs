@@ -1,5 +1,3 @@
-//! Complete k-means.
-
 use super::{
     kernel,
     nearest::{self, Chosen, host_origin},

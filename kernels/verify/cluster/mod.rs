@@ -1,5 +1,3 @@
-//! Clustering: nearest targets and k-means.
-
 mod kmeans;
 pub mod nearest;
 

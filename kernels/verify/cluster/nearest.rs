@@ -1,5 +1,3 @@
-//! Nearest target of each point.
-
 use super::kernel;
 use crate::prelude::*;
 use zipsplat::{kernels::limits::NEAREST_ROWS, ops::Nearest};

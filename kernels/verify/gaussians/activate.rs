@@ -1,5 +1,3 @@
-//! Activations of the Gaussian head.
-
 use crate::prelude::*;
 use zipsplat::stages::{gaussians, render::SceneTensors};
 use zipsplat_reference::{

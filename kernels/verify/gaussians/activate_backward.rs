@@ -1,5 +1,3 @@
-//! Gradients of the head's activations.
-
 use crate::prelude::*;
 use zipsplat::kernels::gaussians::ActivateBackward;
 use zipsplat_reference::gaussians::activate_backward::activate_backward;

@@ -1,5 +1,3 @@
-//! Convolutions of feature maps.
-
 use crate::prelude::*;
 use zipsplat::{
     ops::{FeatureMap, Lanes, Linear, LinearKernel, Weights, pack_matrix},

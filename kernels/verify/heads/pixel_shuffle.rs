@@ -1,5 +1,3 @@
-//! Pixel shuffle.
-
 use crate::prelude::*;
 use zipsplat::kernels::heads::PixelShuffle;
 use zipsplat_reference::heads::pixel_shuffle::pixel_shuffle;

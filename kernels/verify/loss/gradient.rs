@@ -1,5 +1,3 @@
-//! Image losses and their gradients.
-
 use crate::prelude::*;
 use zipsplat::stages::{
     FrameShape,

@@ -1,5 +1,3 @@
-//! GELU and its gradient.
-
 use crate::{ops::linear::gelu_error, prelude::*};
 use zipsplat::kernels::ops::Gelu;
 use zipsplat_reference::ops::{activation::gelu, gelu::gelu_backward};

@@ -1,5 +1,3 @@
-//! Layer normalization.
-
 use crate::prelude::*;
 use zipsplat::ops::Norm;
 use zipsplat_reference::ops::{add::add, layer_norm::layer_norm};

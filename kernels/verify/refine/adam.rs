@@ -1,5 +1,3 @@
-//! Adam steps.
-
 use crate::prelude::*;
 use zipsplat::refine::{Adam, Space, record_adam};
 use zipsplat_reference::refine::adam::Adam as Reference;

@@ -160,8 +160,8 @@ fn they_stay_small_on_the_device_and_are_not_rounded_twice() {
     let bytes =
         |checkpoint: &Checkpoint| Network::of(checkpoint, &limits, Arithmetic::EXACT).unwrap().weight_bytes() as f64;
     assert!(bytes(&q8) < 0.3 * bytes(&of), "{} of {}", bytes(&q8), bytes(&of));
-    let Some(turbo) = Arithmetic::of(Precision::Int8, device().limits()) else { return };
+    let Some(int8) = Arithmetic::of(Precision::Int8, device().limits()) else { return };
     // Which rounds weights itself.
-    assert_refused(Network::of(&q8, &limits, turbo), &["q8", "fp32, fp16 or bf16"]);
-    assert!(Network::of(&pico_weights(), &limits, turbo).is_ok());
+    assert_refused(Network::of(&q8, &limits, int8), &["q8", "fp32, fp16 or bf16"]);
+    assert!(Network::of(&pico_weights(), &limits, int8).is_ok());
 }

@@ -10,7 +10,7 @@ use std::{
 use zipsplat::{Error, Result};
 
 const PYCOLMAP: &str = include_str!("pycolmap.py");
-/// Per photo: matching cost is quadratic in them.
+/// Features per photo; matching cost is quadratic in them.
 const FEATURES: u32 = 8192;
 /// Photos per matching block: smaller blocks report progress more often.
 const BLOCK: u32 = 8;
@@ -27,14 +27,14 @@ pub struct Searching {
     /// COLMAP program, 3.x or 4.x [default: colmap, else pycolmap of python3]
     #[arg(long, value_name = "PROGRAM")]
     pub colmap: Option<PathBuf>,
-    /// Python with pycolmap, instead of COLMAP's program
+    /// Python with pycolmap, instead of the COLMAP program
     #[arg(long, value_name = "PROGRAM", conflicts_with = "colmap")]
     pub python: Option<PathBuf>,
     /// Pairs of photos to match [default: exhaustive for up to 100 photos, else sequential]
     #[arg(long, value_enum, value_name = "WHICH")]
     pub matching: Option<Matching>,
-    /// Longer side of the photos for camera estimation; COLMAP keeps smaller photos [default: 1600,
-    /// for Depth Anything 3 504]
+    /// Longer side of the photos for camera estimation; COLMAP does not enlarge photos [default:
+    /// 1600, or 504 for Depth Anything 3]
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(64..=32_768))]
     pub matching_size: Option<u32>,
 }
@@ -44,7 +44,7 @@ pub enum Matching {
     /// All pairs
     #[value(alias = "all")]
     Exhaustive,
-    /// Photos near each other in name order, such as video frames
+    /// Neighbors in name order, such as video frames
     #[value(alias = "near")]
     Sequential,
 }
@@ -62,18 +62,18 @@ pub enum Step {
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct Mapping {
     seed: u32,
-    /// Of the first pair, in degrees.
+    /// Smallest angle of the first pair, in degrees.
     first_angle: u32,
-    /// Shared by the first pair.
+    /// Points that the first pair must share.
     first_points: u32,
-    /// To register a further photo.
+    /// Points that a further photo must see.
     points: u32,
     pub refines_lens: bool,
 }
 
 #[derive(Default)]
 pub struct ColmapOutput {
-    /// Per photo.
+    /// Number of features per photo.
     pub features: Vec<usize>,
     /// Matched pairs.
     pub pairs: Option<usize>,
@@ -87,7 +87,7 @@ pub struct ColmapOutput {
     last: Vec<String>,
 }
 
-/// In an error.
+/// Log lines in an error.
 const LAST: usize = 3;
 
 impl Mapping {

@@ -39,9 +39,9 @@ const DA3: &str = "da3";
 const SIDE: u32 = 1600;
 /// Limit for exhaustive matching, whose cost is quadratic in photos.
 const ALL_PAIRS: usize = 100;
-/// Number of photos up to which every lost one justifies a retry.
+/// Number of photos up to which every unregistered photo justifies a retry.
 const FEW_PHOTOS: usize = 12;
-/// Registered share of more photos that needs no retry.
+/// Registered fraction that needs no retry, for more photos.
 const ENOUGH: f64 = 0.8;
 /// Features below which a photo has too little texture.
 const FEW: usize = 300;
@@ -54,7 +54,7 @@ pub struct Finding {
     pub search: Searching,
     #[command(flatten)]
     pub cameras: CamerasFrom,
-    /// Weights of Depth Anything 3 for --cameras da3, as `depth` takes them
+    /// Weights of Depth Anything 3 for --cameras da3, as for `depth`
     #[arg(long, value_name = "NAME|PATH|seeded:NAME")]
     pub depth_weights: Option<String>,
 }
@@ -79,7 +79,7 @@ pub struct EstimatedCameras {
     pub predicted: Option<Box<PredictedViews>>,
     pub lost: Vec<PathBuf>,
     pub count: usize,
-    /// Sizes of groups among the lost photos that COLMAP registered separately.
+    /// Sizes of the smaller components.
     pub groups: Vec<usize>,
     pub points: usize,
     /// Median focal length over the photo's longer side.
@@ -87,7 +87,7 @@ pub struct EstimatedCameras {
     pub mappings: usize,
     pub program: String,
     pub times: Vec<(&'static str, Duration)>,
-    /// Of COLMAP.
+    /// COLMAP's log.
     pub(super) log: Option<Log>,
     pub(super) _work: Scratch,
 }
@@ -227,7 +227,7 @@ impl<'a> Search<'a> {
             let why = "COLMAP found no room left for its files; TMPDIR says where they go";
             return Err(process::failure(&std::env::temp_dir(), why, status));
         }
-        // Only if there is nothing to find.
+        // Finding nothing is no failure.
         let found_nothing = output.found_nothing(step, status);
         Ok(Some(status).filter(|status| !status.success() && !found_nothing))
     }

@@ -16,20 +16,21 @@ use zipsplat::{
     },
 };
 
-/// The reference's figure of eight, in degrees.
+/// Amplitudes of the reference's figure of eight, in degrees.
 const WIGGLE_AZIMUTH: f64 = 16.0;
 const WIGGLE_ELEVATION: f64 = 2.0;
 
-/// Length of the given order over that of the nearest-neighbor order, above which it is no path.
+/// Length of the given order relative to the nearest-neighbor order, above which it is no path.
 const DETOUR: f64 = 1.5;
-/// Over their distance: in the same world, and after alignment by the first pose.
+/// Largest error of landmarks relative to their distance: in one world, and after alignment by the
+/// first pose.
 const SAME_WORLD: f64 = 0.1;
 const ALIGNED: f64 = 0.3;
-/// Of a path's pictures.
+/// Largest default side of a path's pictures.
 const SIDE: u32 = 1280;
-/// In degrees.
+/// Default field of view in degrees.
 const FOV: f64 = 60.0;
-/// For cameras without one.
+/// Size for cameras without one.
 const SIZE: Size = Size(252, 252);
 
 #[derive(Args)]
@@ -58,27 +59,27 @@ pub struct CameraArgs {
     /// Small figure of eight in front of the scene, the default path
     #[arg(long)]
     wiggle: bool,
-    /// Lead --spline back to its first camera
+    /// Return to the first camera at the end of --spline
     // Conflicts: clap accepts an option that requires one of several paths with any other.
     #[arg(long = "loop", conflicts_with_all = ["cameras", "ellipse", "dolly", "orbit", "wiggle"])]
     closed: bool,
-    /// Share of the distance to the scene's center that --dolly covers; below 0 away from it
+    /// Fraction of the distance to the scene's center that --dolly covers; negative: backward
     #[arg(long, value_name = "SHARE", default_value = "0.5", allow_negative_numbers = true,
         conflicts_with_all = ["cameras", "spline", "ellipse", "orbit", "wiggle"])]
     travel: f64,
-    /// Let the lens of --dolly keep the apparent size of the scene's center
+    /// Zoom during --dolly so that the scene's center keeps its apparent size
     #[arg(long, conflicts_with_all = ["cameras", "spline", "ellipse", "orbit", "wiggle"])]
     dolly_zoom: bool,
-    /// Photo whose camera is the scene's world: the first one of reconstruct [default: the scene
-    /// file's, if the camera file has it, else the cameras' own world]
+    /// Photo whose camera is the scene's world: of reconstruct, the first photo [default: that of
+    /// the scene's file, if the camera file has it, else the cameras' world]
     #[arg(long, value_name = "PHOTO", conflicts_with_all = ["dolly", "orbit", "wiggle"])]
     relative_to: Option<PathBuf>,
     /// Number of pictures of a path
     #[arg(long, value_name = "N", default_value = "60", value_parser = clap::value_parser!(u32).range(1..=100_000),
         conflicts_with = "cameras")]
     frames: u32,
-    /// Size of the pictures [default: with --cameras their own; else the first photo's if known,
-    /// with sides up to 1280; else 252x252]
+    /// Size of the pictures [default: that of --cameras, else of the first photo, at most 1280 a
+    /// side, else 252x252]
     #[arg(long, value_name = "WxH")]
     size: Option<Size>,
     /// Horizontal field of view in degrees [default: the first photo's if known, else 60]
@@ -139,7 +140,7 @@ impl CameraArgs {
         Ok((path.into_iter().map(placed).collect(), notes))
     }
 
-    /// Explains pictures without any Gaussian.
+    /// Returns a reason for pictures without Gaussians.
     pub fn doubt(&self) -> &'static str {
         let file = matches!(self.orbit, Some(Some(_)))
             || self.cameras.is_some()
@@ -155,7 +156,7 @@ impl CameraArgs {
         }
     }
 
-    /// The options' lens, else that of the first photo `own`.
+    /// Returns the options' lens, else that of the first photo `own`.
     fn lens(&self, own: Option<&Intrinsics>) -> Result<Intrinsics> {
         let size = self.size.or(own.map(shown)).unwrap_or(SIZE);
         if let (Some(own), None) = (own, self.fov) {
@@ -274,7 +275,7 @@ fn seen_from<'a>(scene: &'a Scene, home: &Pose) -> Cow<'a, Scene> {
     Cow::Owned(scene)
 }
 
-/// Turns a pose upright; it looks in the same compass direction.
+/// Levels a pose, keeping its heading.
 fn level(pose: &Pose, up: DVec3) -> Pose {
     let forward = pose.rotation.z_axis.reject_from_normalized(up);
     let forward = forward.try_normalize().unwrap_or_else(|| up.any_orthonormal_vector());
@@ -310,7 +311,7 @@ fn origin_pose(poses: &Capture, photo: &Path) -> Result<Pose> {
     Ok(poses.for_photos(&[photo])?[0].pose)
 }
 
-/// At most [`SIDE`].
+/// Returns a size with sides of at most [`SIDE`].
 fn shown(intrinsics: &Intrinsics) -> Size {
     let (width, height) = (intrinsics.width, intrinsics.height);
     let scale = f64::from(SIDE) / f64::from(width.max(height));
@@ -318,7 +319,7 @@ fn shown(intrinsics: &Intrinsics) -> Size {
     Size(side(width), side(height))
 }
 
-/// As `reconstruct` crops photos.
+/// Crops as `reconstruct` crops photos.
 fn cropped(intrinsics: &Intrinsics, Size(width, height): Size) -> Intrinsics {
     let aspect = f64::from(width) / f64::from(height.max(1));
     let rect = crop_to_aspect(intrinsics.width, intrinsics.height, aspect);

@@ -16,7 +16,7 @@ use zipsplat::{
     },
 };
 
-/// `transforms.json`, with points and any COLMAP log beside it.
+/// `transforms.json`, with points and any COLMAP log in its folder.
 pub struct Place<'a>(pub &'a Path);
 
 impl Place<'_> {
@@ -81,7 +81,7 @@ fn colored(cloud: PointCloud) -> Vec<([f32; 3], [u8; 3])> {
 #[derive(Args)]
 pub struct ModelOption {
     /// Also write cameras and points to this folder as a COLMAP text model (cameras.txt,
-    /// images.txt, points3D.txt). Photo names are relative to their common folder
+    /// images.txt, points3D.txt), with photo names relative to their common folder
     #[arg(long, value_name = "FOLDER")]
     colmap_model: Option<PathBuf>,
 }

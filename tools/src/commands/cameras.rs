@@ -15,14 +15,14 @@ use zipsplat::Result;
 
 /// Estimate cameras of photos with COLMAP or Depth Anything 3
 ///
-/// COLMAP 3 or 4, or pycolmap, is a separate program for the CPU. Writes transforms.json with the
-/// lens distortion, points.ply for `refine --init points`, and colmap.log. Takes the largest of
-/// unconnected groups. With less than four fifths of the photos (or of up to 12, not all), COLMAP
-/// retries up to twice with other seeds and looser thresholds.
+/// Runs COLMAP 3 or 4, or pycolmap, on the CPU. Writes transforms.json with the lens distortion,
+/// points.ply for `refine --init points`, and colmap.log. Keeps the largest component of connected
+/// photos. If it has less than four fifths of the photos (of up to 12 photos: not all), retries up
+/// to twice with other seeds and looser thresholds.
 ///
-/// --method da3 uses Depth Anything 3, also for two photos, little overlap or little texture. It
-/// needs --weights and no other program, and is less accurate than successful COLMAP. points.ply
-/// has all confident pixels, in the network's unit.
+/// --method da3 uses Depth Anything 3, which handles two photos, little overlap and little texture.
+/// It needs --weights but no other program, and is less accurate where COLMAP succeeds. points.ply
+/// then has all confident pixels, in the network's unit.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat cameras photos/ -o transforms.json
@@ -32,19 +32,20 @@ use zipsplat::Result;
 pub struct Cameras {
     #[command(flatten)]
     input: PhotoArgs,
-    /// File to write, .json; frames of a video go to the folder frames beside it
+    /// transforms.json to write; video frames go to the folder frames next to it
     #[arg(long, short, value_name = "FILE")]
     output: PathBuf,
     #[command(flatten)]
     overwrite: Overwrite,
-    /// Limit of photos, evenly spread, and of frames of a video [default: all, and 24 of a video]
+    /// Largest number of photos or video frames, evenly spaced [default: all photos, 24 frames of a
+    /// video]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..))]
     views: Option<u32>,
     /// Program or network that estimates the cameras
     #[arg(long, value_enum, value_name = "FINDER", default_value = "colmap")]
     method: Finder,
-    /// Weights of Depth Anything 3, as `depth` takes them
-    #[arg(long, value_name = "PATH|seeded:NAME", required_if_eq("method", "da3"))]
+    /// Weights of Depth Anything 3, as for `depth`
+    #[arg(long, value_name = "NAME|PATH|seeded:NAME", required_if_eq("method", "da3"))]
     weights: Option<String>,
     #[command(flatten)]
     cameras: CamerasFrom,

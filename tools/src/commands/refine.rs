@@ -24,10 +24,10 @@ use zipsplat::{
 
 /// Refine a scene's Gaussians against photos with known cameras
 ///
-/// Takes a scene in the cameras' world, or in the camera of a photo given by its file or
-/// --relative-to. --init points needs a structure-from-motion point cloud instead. Of 40 photos or
-/// more one is held out, and the best step by that photo is written. Ctrl-C ends early with the
-/// best so far.
+/// The scene's world is that of the cameras, or the camera of a photo, which the scene's file or
+/// --relative-to names. --init points needs no scene, only the capture's point cloud. From 40
+/// photos on one is held out, and the best step by that photo is written. Ctrl-C stops early and
+/// writes the best step so far.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat refine scene.ply photos/ --cameras transforms.json -o better.ply
@@ -53,11 +53,11 @@ pub struct Refine {
     cameras: PathBuf,
     #[command(flatten)]
     finding: Finding,
-    /// Photo whose camera is the scene's world [default: the scene file's, else the cameras' own
-    /// world]
+    /// Photo whose camera is the scene's world [default: that of the scene's file, else the
+    /// cameras' world]
     #[arg(long, value_name = "PHOTO")]
     relative_to: Option<PathBuf>,
-    /// Steps of the optimizer, or a time, such as 60s
+    /// Optimization steps, or a time, such as 60s
     #[arg(long, value_name = "N|TIME", default_value_t, value_parser = parse_steps)]
     steps: Steps,
     /// Photos per step
@@ -68,10 +68,10 @@ pub struct Refine {
     /// File for the refined cameras: a transforms.json in the world of the known cameras
     #[arg(long, value_name = "FILE", requires = "optimize_cameras")]
     cameras_out: Option<PathBuf>,
-    /// Seed of the order of the photos
+    /// Random seed, for the order of the photos and growth
     #[arg(long, value_name = "SEED", default_value_t = 0)]
     seed: u64,
-    /// Also print time and bytes of each pass of a step, and the settings
+    /// Also print the settings, and each pass of a step with its time and memory
     #[arg(long)]
     explain: bool,
 }
@@ -80,7 +80,7 @@ struct Started {
     scene: Scene,
     cameras: Vec<Camera>,
     world: Option<World>,
-    /// From the given cameras' world.
+    /// Similarity from the given cameras' world.
     to_scene: Similarity,
 }
 

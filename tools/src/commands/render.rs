@@ -22,11 +22,11 @@ use zipsplat::{
     types::{Camera, Scene, World, contact_sheet, read_world},
 };
 
-/// Pictures of a scene
+/// Render a scene along a camera path
 ///
-/// The folder gets 000.png, 001.png and on, in the cameras' order, and contact.png with all of
-/// them. Surplus pictures of an earlier run are removed; other files stay. World: x right, y down,
-/// z forward, or that of the cameras that the scene was made with.
+/// Writes 000.png, 001.png and so on, and a contact sheet, contact.png. Removes surplus pictures of
+/// an earlier run; other files stay. The scene's world is the first photo's camera (x right, y
+/// down, z forward), or that of the cameras it was reconstructed with.
 #[derive(Args)]
 #[command(
     group(ArgGroup::new("result").required(true).multiple(true).args(["output", "video"])),
@@ -51,24 +51,24 @@ pub struct Render {
     /// Fade Gaussians thinner than a pixel, as Mip-Splatting does
     #[arg(long)]
     antialiased: bool,
-    /// Also write NNN.depth.png: 16-bit gray, 1000 levels per world unit, 0 for none
+    /// Also write NNN.depth.png: 16-bit gray, 1000 levels per world unit, 0 without Gaussians
     #[arg(long, value_name = "KIND", num_args = 0..=1, require_equals = true, default_missing_value = "expected")]
     depth: Option<DepthKind>,
     /// Also write NNN.alpha.png: 8-bit gray
     #[arg(long)]
     alpha: bool,
-    /// Also write NNN.normal.png: the Gaussians' shortest axes, turned toward the camera; x, y, z
-    /// of the world from -1 to 1 as red, green, blue from 0 to 255
+    /// Also write NNN.normal.png: the Gaussians' shortest axes, facing the camera; world x, y, z
+    /// from -1 to 1 as red, green, blue from 0 to 255
     #[arg(long)]
     normals: bool,
-    /// Also write NNN.tokens.png: a color for every N Gaussians, those of one token
+    /// Also write NNN.tokens.png: a color per token, which is N consecutive Gaussians
     #[arg(long, value_name = "N")]
     gaussians_per_token: Option<NonZeroU32>,
-    /// Draw each Gaussian as an opaque dot of this width in the scene's unit, to show positions
+    /// Draw each Gaussian as an opaque dot of this width in the scene's unit
     #[arg(long, value_name = "SIZE", value_parser = parse_length)]
     point_size: Option<f64>,
-    /// Also print the passes of the first picture, with time and bytes, and skipped effects with
-    /// reasons
+    /// Also print each pass of the first picture with its time and memory, and each skipped effect
+    /// with the reason
     #[arg(long)]
     explain: bool,
     /// Folder to write to, created if missing; -: raw rgb24 pictures in order, to standard output
@@ -84,7 +84,7 @@ pub struct Render {
     #[arg(long, value_name = "N", default_value = "30", value_parser = clap::value_parser!(u16).range(1..=i64::from(MAX_FPS)),
         requires = "video")]
     fps: u16,
-    /// Program that makes MP4
+    /// Program that encodes MP4
     #[arg(long, value_name = "PROGRAM", default_value = "ffmpeg", requires = "video")]
     ffmpeg: PathBuf,
 }
@@ -101,7 +101,7 @@ fn show_points(scene: &mut Scene, width: f64) {
 enum DepthKind {
     /// Mean visible depth
     Expected,
-    /// Depth times weight, summed
+    /// Depth times weight, summed over Gaussians
     Accumulated,
 }
 
@@ -169,7 +169,7 @@ impl Render {
         self.report(device, [scene.len(), dropped], &cameras, took, explanation)
     }
 
-    /// If requested.
+    /// Returns the requested size, if any.
     pub fn size(&self) -> Option<Size> {
         self.path.size()
     }

@@ -22,11 +22,11 @@ use zipsplat::{
 /// About one scene of 10 views at 126x126.
 const BUFFER: usize = 1 << 20;
 
-/// Procedural scenes: seeded photos with exact depth and poses
+/// Generate procedural scenes: photos with exact depth and cameras
 ///
-/// Writes images/000.png, depth/000.npy (f32, 0 in the sky) and on, transforms.json, points.ply
-/// with visible points, and scene.json. World: the first photo's camera, x right, y down, z
-/// forward; the median visible distance from it is 1.
+/// Writes images/000.png and depth/000.npy (f32, 0 in the sky) and so on, transforms.json,
+/// points.ply with visible points, and scene.json. The world is the first photo's camera, x right,
+/// y down, z forward; its unit is the median visible distance from that camera.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat scene --seed 7 --views 24 -o scene/

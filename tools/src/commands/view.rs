@@ -28,12 +28,12 @@ use zipsplat::{
 
 /// View scenes, or scenes made from photos, in a browser
 ///
-/// Several scene files share one slider. Photos become scenes of any compression ratio, refined
-/// live with --refine. -o writes a self-contained page without network access. Otherwise this
-/// machine serves the page, for anyone with the printed address, until Ctrl-C.
+/// A slider switches between several scene files. Photos are reconstructed at any ratio, and
+/// refined live with --refine. -o writes a self-contained page that needs no network. Otherwise the
+/// command serves the page to anyone with the printed address until Ctrl-C.
 ///
-/// Weights of Depth Anything 3 make one Gaussian per pixel, as in `reconstruct`, at the --ratios
-/// and without refinement: use `reconstruct --refine`.
+/// With weights of Depth Anything 3, as in `reconstruct`, each confident pixel becomes a Gaussian,
+/// at the --ratios. For their refinement use `reconstruct --refine`.
 #[derive(Args)]
 #[command(
     mut_args(with_cameras),
@@ -49,34 +49,34 @@ use zipsplat::{
 )]
 pub struct View {
     /// Scenes (PLY, SPZ, .splat or glTF), or photos (PNG, JPEG, WebP; HEIC with ffmpeg), folders of
-    /// them and videos
+    /// photos, and videos
     #[arg(required = true, value_name = "SCENES|PHOTOS")]
     files: Vec<PathBuf>,
     #[command(flatten)]
     input: SceneInput,
-    /// Page to write; without it the page is served
+    /// Page to write instead of serving it
     #[arg(long, short, value_name = "FILE.html")]
     output: Option<PathBuf>,
     #[command(flatten)]
     overwrite: Overwrite,
-    /// Keep full precision in the page, as PLY instead of SPZ: up to ten times as large
+    /// Store scenes as PLY instead of SPZ: exact, up to ten times as large
     #[arg(long, requires = "output")]
     lossless: bool,
-    /// Cameras in the first scene's world: transforms.json, a COLMAP model's folder, or any format
-    /// of render --cameras; for photos their known cameras, or colmap, which estimates them
+    /// Cameras to show, in the first scene's world, in any format of render --cameras; for photos,
+    /// their known cameras, or colmap to estimate them
     #[arg(long, value_name = "PATH|colmap")]
     cameras: Option<PathBuf>,
-    /// Folder of the cameras' photos for the overlay [default: the camera file's; with -o, none]. A
+    /// Folder of photos for the overlay [default: that of the camera file; with -o, none]. A
     /// written page holds thumbnails
     #[arg(long, value_name = "DIR", requires = "cameras")]
     photos: Option<PathBuf>,
-    /// Photo whose camera is the scene's world [default: the scene file's]
+    /// Photo whose camera is the scene's world [default: that of the scene's file]
     #[arg(long, value_name = "PHOTO", requires = "cameras")]
     relative_to: Option<PathBuf>,
-    /// Gaussians per token in the scene's file, for the view of tokens
+    /// Gaussians per token of the scene's file, for the token view
     #[arg(long, value_name = "N")]
     gaussians_per_token: Option<NonZeroUsize>,
-    /// Port to serve at [default: a free one]
+    /// Port of the server [default: a free port]
     #[arg(long, value_name = "N", default_value = "0", hide_default_value = true, conflicts_with = "output")]
     port: u16,
     /// Also open the page in the browser
@@ -86,7 +86,7 @@ pub struct View {
     from: FromPhotos,
 }
 
-/// In pixels.
+/// Longest side of embedded photos, in pixels.
 const SMALL: u32 = 640;
 
 impl View {

@@ -20,8 +20,7 @@ use zipsplat::{
 
 /// List, download and locate named weights
 ///
-/// `get` stores weights in the cache folder, those of ZipSplat as f16 safetensors. Every --weights
-/// takes their names.
+/// `get` stores weights in the cache folder. Every --weights option accepts their names.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat weights list
@@ -68,15 +67,15 @@ struct Where {
 
 /// Download weights, check their SHA-256, and store them in the cache folder
 ///
-/// Weights of ZipSplat are converted to f16 safetensors. The SHA-256 is the host's, over an
-/// encrypted connection. Size and license are shown before a confirmation. Run the command again to
-/// resume. Cached weights are only checked for updates.
+/// Shows size and license and asks for confirmation. The SHA-256 comes from the host, over an
+/// encrypted connection. Weights of ZipSplat are converted to f16 safetensors. Run the command
+/// again to resume, or to check cached weights for updates.
 #[derive(Args)]
 #[command(after_help = "Environment:
   HF_ENDPOINT     a mirror in place of https://huggingface.co
   HF_TOKEN        a token for the host; storage that it redirects to does not get it
   HF_HUB_OFFLINE  1: as --offline
-  HTTPS_PROXY, ALL_PROXY, NO_PROXY, SSL_CERT_FILE  as other programs take them
+  HTTPS_PROXY, ALL_PROXY, NO_PROXY, SSL_CERT_FILE  as in other programs
   ZIPSPLAT_CACHE  the cache folder [default: zipsplat in the user's cache]")]
 struct Get {
     /// Name, such as zipsplat or da3-small
@@ -87,10 +86,10 @@ struct Get {
     /// Use no network: only cached or downloaded files
     #[arg(long)]
     offline: bool,
-    /// Keep the downloaded file beside its conversion
+    /// Keep the downloaded file after its conversion
     #[arg(long)]
     keep_download: bool,
-    /// Timeout of a silent connection before a retry
+    /// Retry after this time without data
     #[arg(long, value_name = "SECONDS", default_value = "30", value_parser = parse_seconds)]
     timeout: Duration,
     /// SHA-256 of the file, for mirrors that do not report it
@@ -98,7 +97,7 @@ struct Get {
     sha256: Option<String>,
 }
 
-/// Limit of a promised size over the known one, against a wrong file or a full disk.
+/// Largest announced size relative to the known one, against a wrong file or a full disk.
 const MOST_TIMES: u64 = 2;
 
 fn parse_seconds(text: &str) -> Result<Duration, String> {

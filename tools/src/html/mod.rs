@@ -9,7 +9,7 @@ use zipsplat::{
 const STYLE: &str = include_str!("report.css");
 const QUALITY: u8 = 85;
 
-/// Up to the heading.
+/// Begins a page, up to its heading.
 pub fn begin(title: &str) -> String {
     let title = escape(title);
     format!(
@@ -27,7 +27,7 @@ pub fn picture(image: &Image, most: u32) -> Result<String> {
     Ok(format!("data:image/jpeg;base64,{}", STANDARD.encode(small.jpeg(QUALITY)?)))
 }
 
-/// For content and quoted attributes.
+/// Escapes text for content and quoted attributes.
 pub fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

@@ -15,7 +15,7 @@ use super::survey::{self, Lens};
 use super::tone::Development;
 use super::world::{Hit, World};
 
-/// Per place.
+/// Paths tried per place.
 const PATHS: usize = 20;
 const PLACES: u64 = 1000;
 /// Standard deviation of a view's brightness, 0..1.

@@ -51,7 +51,7 @@ pub(super) struct Stage {
     /// Above the target.
     pub elevation: [f32; 2],
     pub front: f32,
-    /// From `front`.
+    /// Largest angle from `front`.
     pub freedom: f32,
     pub bounds: [Vec3A; 2],
     pub paths: &'static [PathKind],

@@ -9,7 +9,7 @@ use super::world::World;
 pub(super) const GRID: usize = 12;
 /// Share of surfaces in a view.
 const LEAST_SURFACE: f32 = 0.55;
-/// Relative to the median.
+/// Nearest distance relative to the median.
 const NEAREST: f32 = 0.22;
 
 /// Minimum share of a view's surfaces visible in each of [`WITNESSES`] other views.

@@ -9,7 +9,7 @@ use super::photos::Photos;
 use super::shape::{Primitive, Shape};
 use super::texture::Place;
 
-/// In meters.
+/// Largest distance of a ray, in meters.
 const FAR: f32 = 1e4;
 
 /// Shadow-casting.

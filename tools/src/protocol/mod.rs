@@ -15,13 +15,13 @@ use clap::ValueEnum;
 /// Data set with its evaluation protocol.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Protocol {
-    /// DL3DV: transforms.json and images_4; 6, 12 and 24 of the first 50, 100 and 150 frames
+    /// DL3DV: transforms.json and images_4; 6, 12 and 24 inputs of the first 50, 100 and 150 frames
     Dl3dv,
-    /// RealEstate10K: camera files NAME.txt, frames in NAME/; 6 frames, evenly spread
+    /// RealEstate10K: camera files NAME.txt, frames in NAME/; 6 inputs, evenly spaced
     Re10k,
-    /// Mip-NeRF 360: a COLMAP model and images_4; 32, 64 and 128 photos
+    /// Mip-NeRF 360: a COLMAP model and images_4; 32, 64 and 128 inputs
     Mipnerf360,
-    /// ScanNet++: dslr/colmap and dslr/resized_images, undistorted; 32, 64 and 128 photos
+    /// ScanNet++: dslr/colmap and dslr/resized_images, undistorted; 32, 64 and 128 inputs
     Scannetpp,
 }
 
@@ -36,7 +36,7 @@ impl Protocol {
         }
     }
 
-    /// From the paper's tables 1 to 3.
+    /// Returns the numbers of inputs in the paper's tables 1 to 3.
     fn views(self) -> &'static [u32] {
         match self {
             Self::Dl3dv => &[6, 12, 24],

@@ -51,7 +51,7 @@ impl Protocol {
         Ok(places)
     }
 
-    /// For messages.
+    /// Describes the layout for messages.
     fn layout(self) -> &'static str {
         match self {
             Self::Dl3dv => "a folder with a transforms.json, directly or in nerfstudio/",

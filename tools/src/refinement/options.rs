@@ -1,5 +1,3 @@
-//! Options of refinements.
-
 use super::Initialization;
 use crate::options::Size;
 use clap::{Arg, ArgGroup, Args, ValueEnum};
@@ -92,35 +90,35 @@ pub fn parse_steps(text: &str) -> Result<Steps, String> {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum RefineTarget {
-    /// The Gaussians
+    /// Parameters of the Gaussians
     Gaussians,
-    /// The network's tokens, through its frozen head
+    /// The network's scene tokens, through its frozen decoder
     Tokens,
 }
 
-/// Of `refine`, and of `--refine`.
+/// Options of `refine` and of `--refine`.
 #[derive(Args, Debug)]
 pub struct RefineSettings {
-    /// Initialization; points are those of structure from motion beside the cameras [default: the
-    /// scene; of the built-in model points, if there are enough]
+    /// Initialization [default: scene; for the built-in model points, if the capture has enough]
     #[arg(long, value_enum, value_name = "INIT")]
     pub init: Option<Initialization>,
-    /// Largest compared size; larger photos are scaled down to fit
+    /// Largest photo size; larger photos are scaled down to fit
     #[arg(long, value_name = "WxH", default_value_t = default_size())]
     max_image_size: Size,
-    /// Held-out photos, evenly spread; 0 trains on all [default: 1 of 40 or more, none with
-    /// --optimize-cameras]
+    /// Photos held out to select the best step, evenly spaced; 0: none [default: 1 from 40 photos
+    /// on, 0 with --optimize-cameras]
     #[arg(long, value_name = "K")]
     holdout_views: Option<usize>,
-    /// Also refine the photos' cameras, except the first photo's and held-out ones
+    /// Also optimize the photos' cameras, except those of the first photo and of held-out photos
     #[arg(long)]
     pub optimize_cameras: bool,
-    /// Let the scene grow to at most N Gaussians: invisible ones are relocated, and missing ones
-    /// added; 0: none [default: from 300 steps, one per 32 pixels, up to four times as many]
+    /// Grow the scene to at most N Gaussians (3DGS-MCMC) by relocating invisible Gaussians and
+    /// adding new ones; 0: no growth [default: from 300 steps on, a Gaussian per 32 pixels of the
+    /// photos, at most four times the initial number]
     #[arg(long, value_name = "N", value_parser = parse_count)]
     max_gaussians: Option<usize>,
-    /// Weight of LPIPS (VGG) in the loss, 0.05 in the paper's training: steps take many times as
-    /// long. `python3 tools/lpips.py` downloads its weights, which we cannot ship [default: 0]
+    /// Weight of LPIPS (VGG) in the loss, 0.05 in the paper's training; steps take many times as
+    /// long. `python3 tools/lpips.py` downloads the weights of LPIPS [default: 0]
     #[arg(long, value_name = "WEIGHT", value_parser = parse_weight)]
     lpips_weight: Option<f32>,
 }
@@ -132,12 +130,12 @@ const SETTINGS: [&str; 6] =
 #[derive(Args, Debug)]
 #[command(group(ArgGroup::new("settings").args(SETTINGS).multiple(true).requires("refine")))]
 pub struct RefineArgs {
-    /// Refine the scene against the photos, for a number of steps or a time, such as 60s. The best
-    /// step by held-out photos is kept. Ctrl-C ends early with the best so far
+    /// Refine the scene against the photos for a number of steps or a time, such as 60s. Keeps the
+    /// best step by held-out photos. Ctrl-C stops early and keeps the best step so far
     #[arg(long, value_name = "STEPS|TIME", num_args = 0..=1, require_equals = true, default_missing_value = DEFAULT_STEPS,
         value_parser = parse_steps)]
     refine: Option<Steps>,
-    /// Optimized quantity
+    /// Optimized variables
     #[arg(long, value_enum, value_name = "TARGET", default_value = "gaussians", requires = "refine")]
     refine_target: RefineTarget,
     #[command(flatten)]

@@ -29,7 +29,7 @@ use zipsplat::{
 
 const POLL: Duration = Duration::from_millis(50);
 const NO_DEVICE: &str = "none";
-/// Of the results printed with `--json`.
+/// Version of the results printed with `--json`.
 const SCHEMA_VERSION: u32 = 1;
 
 /// Streams and stop flag of a command.
@@ -46,20 +46,18 @@ pub struct Terminal<'a> {
 
 #[derive(Args)]
 pub struct Global {
-    /// Vulkan device: its number in `zipsplat doctor list`, its UUID, or a part of its name that is
-    /// not all digits; with `reconstruct --dry-run` also none, for an ordinary one [default: the
-    /// best]
+    /// Vulkan device: number in `zipsplat doctor list`, UUID, or part of the name that is not all
+    /// digits; none: plan for a typical GPU, with `reconstruct --dry-run` [default: the best]
     #[arg(long, global = true, value_name = "NAME|INDEX", help_heading = "Options of every command")]
     pub device: Option<String>,
-    /// Limit of used device memory in bytes, such as 3G; K, M and G count in 1024s [default: all of
-    /// it]
+    /// Device memory limit in bytes, such as 3G; K, M and G are powers of 1024 [default: all]
     #[arg(long, global = true, value_name = "BYTES", value_parser = parse_bytes, help_heading = "Options of every command")]
     pub max_memory: Option<u64>,
     /// Print the result as JSON to standard output: {"schema_version", "command", "warnings",
     /// "result"}; an error as one line of JSON to standard error: {"error", "kind", "exit_code"}
     #[arg(long, global = true, help_heading = "Options of every command")]
     pub json: bool,
-    /// Print only errors, without result, notes and progress; --json still prints
+    /// Print errors only: no result, notes or progress; --json still prints
     #[arg(long, short, global = true, help_heading = "Options of every command")]
     pub quiet: bool,
 }

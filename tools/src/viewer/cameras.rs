@@ -16,7 +16,7 @@ use zipsplat::{
 const SIDE: u32 = 512;
 const FOV: f64 = 60.0;
 
-/// Of JPEGs.
+/// JPEG quality.
 pub const QUALITY: u8 = 90;
 pub const SMALL_QUALITY: u8 = 75;
 

@@ -29,7 +29,7 @@ pub struct Config {
     pub scenes: Vec<ShownScene>,
     /// In the scenes' world.
     pub cameras: Vec<InputCamera>,
-    /// If known.
+    /// Up direction, if known.
     pub up: Option<[f64; 3]>,
     /// Empty for scene files.
     pub views: Vec<View>,

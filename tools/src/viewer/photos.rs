@@ -46,8 +46,8 @@ pub struct FromPhotos {
     pub quality: Quality,
     #[command(flatten)]
     pub(super) crop: CropOption,
-    /// Limit of photos, evenly spread, with the first and the last, and of frames of a video
-    /// [default: all, and 24 of a video]
+    /// Largest number of photos or video frames, evenly spaced from first to last [default: all
+    /// photos, 24 frames of a video]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_VIEWS as i64))]
     views: Option<u32>,
     #[command(flatten)]

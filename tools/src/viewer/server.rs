@@ -36,7 +36,7 @@ const WORKERS: usize = 4;
 const BODY: usize = 16 << 20;
 /// In bytes.
 const HEADER: usize = 1 << 16;
-/// For a header, and for a body.
+/// Timeout of a header, and of a body.
 const PATIENCE: Duration = Duration::from_secs(10);
 /// A new one closes the oldest connection.
 const INCOMPLETE: usize = 64;

@@ -147,7 +147,7 @@ const char *zs_last_error(void);
 
 // Answers of a progress callback.
 ZS_ENUM(zs_progress_action) {
-    // Goes on.
+    // Continues.
     ZS_CONTINUE = 0,
     // Ends a refinement early and keeps the best scene so far. Other calls are canceled.
     ZS_STOP = 1,
@@ -340,7 +340,7 @@ zs_status zs_image_save_png(const struct zs_image *image, const char *path);
 /*  Captures: photos with known cameras.  */
 /******************************************/
 
-// Posed photos of a capture.
+// Photos of a capture with their cameras.
 typedef struct zs_capture zs_capture;
 
 // A photo of a capture.
@@ -912,7 +912,7 @@ typedef struct zs_refine_options {
     float perceptual_weight;
     // Must be 0.
     uint32_t reserved;
-    // Seed of the photo order.
+    // Seed of the photo order and of growth.
     uint64_t seed;
     // Final number of Gaussians; at most the scene's number: no growth. 0 grows from 300 steps on,
     // to one per 32 pixels of the photos and at most four times the scene's. For

@@ -18,7 +18,7 @@ use zipsplat::{
     types::poses::{CaptureView, write_frames},
 };
 
-/// Posed photos of a capture.
+/// Photos of a capture with their cameras.
 pub struct zs_capture {
     pub(super) capture: Capture,
     views: Vec<View>,

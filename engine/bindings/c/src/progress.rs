@@ -10,7 +10,7 @@ use std::{
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum zs_progress_action {
-    /// Goes on.
+    /// Continues.
     ZS_CONTINUE = 0,
     /// Ends a refinement early and keeps the best scene so far. Other calls are canceled.
     ZS_STOP = 1,

@@ -71,7 +71,7 @@ pub struct zs_refine_options {
     pub perceptual_weight: f32,
     /// Must be 0.
     pub reserved: u32,
-    /// Seed of the photo order.
+    /// Seed of the photo order and of growth.
     pub seed: u64,
     /// Final number of Gaussians; at most the scene's number: no growth. 0 grows from 300 steps on,
     /// to one per 32 pixels of the photos and at most four times the scene's. For

@@ -54,7 +54,7 @@ impl Head {
         HeadKept { hidden: rows(first), raw: rows(third), scene_scale }
     }
 
-    /// Records the head for f32 `tokens`, scene tokens beside colors. `scene_scale` (`[1]` f32)
+    /// Records the head for f32 `tokens`: scene tokens, then colors. `scene_scale` (`[1]` f32)
     /// scales lengths.
     pub fn record(&self, rec: &mut Recorder, tokens: Rows, scene_scale: Tensor, into: &SceneTensors) -> HeadKept {
         let [first, _, third] = &self.layers;

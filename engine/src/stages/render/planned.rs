@@ -1,5 +1,3 @@
-//! Rendering plans.
-
 use super::{
     CameraRows, DeviceScene, FrameShape, PlanKey, RenderOptions, RenderOutput, RenderOutputs, SceneTensors,
     first_capacity, flights::pictures_per_batch, planned_capacity, record,

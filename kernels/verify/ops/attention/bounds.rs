@@ -1,5 +1,3 @@
-//! Error bounds of attention.
-
 use super::{Keys, Problem, Row};
 use crate::prelude::*;
 

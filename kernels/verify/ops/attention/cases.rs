@@ -1,5 +1,3 @@
-//! Hard inputs of attention.
-
 use super::{
     Fault::{self, *},
     Problem,

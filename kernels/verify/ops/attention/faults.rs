@@ -1,5 +1,3 @@
-//! Faulty attention.
-
 use super::{Keys, Problem};
 use crate::bound::half;
 

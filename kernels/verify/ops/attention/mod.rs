@@ -1,5 +1,3 @@
-//! Softmax attention.
-
 mod bounds;
 mod cases;
 mod faults;

@@ -1,5 +1,3 @@
-//! Hard inputs of linear layers.
-
 use super::{
     Fault::{self, *},
     Problem, Residual,

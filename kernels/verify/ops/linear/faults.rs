@@ -1,5 +1,3 @@
-//! Faulty linear layers.
-
 use super::{Held, Problem, Truth};
 use crate::{Mode, bound::half};
 use rayon::prelude::*;

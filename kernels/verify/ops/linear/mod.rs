@@ -45,11 +45,11 @@ pub struct Problem {
     pub residual: Residual,
     /// Result in the factors' type instead of f32.
     pub stored: bool,
-    /// Changes the device's limits.
+    /// Change of the device's limits.
     pub limits: fn(&mut Limits),
-    /// Numbers with exact f32 partial sums in any order.
+    /// True if all partial sums are exact in f32, in any order.
     whole: bool,
-    /// Factors that every type holds.
+    /// True if every type represents the factors exactly.
     held: bool,
 }
 

@@ -1,5 +1,3 @@
-//! Linear layers with 8-bit weights.
-
 use super::{
     Fault::{self, *},
     Problem, Residual, cases,

@@ -1,5 +1,3 @@
-//! Faulty renderers.
-
 use super::picture::{gaussians, reference_camera};
 use crate::bound::half;
 use glam::DVec3;

@@ -31,7 +31,7 @@ pub struct Depth {
     /// Numbers of views
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "4")]
     views: Vec<usize>,
-    /// Pixels of each view
+    /// Network input sizes
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "504x336")]
     input_size: Vec<Size>,
     #[command(flatten)]

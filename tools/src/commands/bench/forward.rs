@@ -34,19 +34,19 @@ pub struct Forward {
     /// Numbers of views
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "4")]
     views: Vec<usize>,
-    /// Shares of the tokens that become Gaussians, or auto
+    /// Fractions of the tokens that become Gaussians, or auto
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "1", value_parser = parse_ratio)]
     ratio: Vec<Ratio>,
-    /// Pooling factors of attention across views
+    /// Pooling factors of cross-view attention
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "1")]
     kv_pool: Vec<usize>,
-    /// Pixels of each view [default: the weights' best size]
+    /// Network input size [default: the trained size]
     #[arg(long, value_name = "WxH")]
     input_size: Option<Size>,
     #[command(flatten)]
     arithmetic: ArithmeticOption,
-    /// Also time photos to a picture of this size: first, next, through the host, and from kept
-    /// features
+    /// Also time photos to a render of this size: for the first and later captures, through the
+    /// host, and from cached features
     #[arg(long, value_name = "WxH")]
     pictures: Option<Size>,
     #[command(flatten)]

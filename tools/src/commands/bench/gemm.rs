@@ -23,7 +23,7 @@ const SHAPES: [[usize; 3]; 3] = [[1296, 384, 1536], [324, 1536, 6144], [1300, 15
 
 const CHECKED_ROWS: usize = 16;
 
-/// Time of linear layers, in fp32 (also with 8-bit weights) and fp16, by every tile of lanes
+/// Time of linear layers in fp32 (also with 8-bit weights) and fp16, by tile
 #[derive(Args)]
 pub struct Gemm {
     #[command(flatten)]

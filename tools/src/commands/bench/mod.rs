@@ -22,8 +22,8 @@ use zipsplat::{
     gpu::{Device, Profile, ProfileRow},
 };
 
-/// Times of the network, depth, matrix products, rendering and refinement; device limits;
-/// accuracy against time
+/// Measure speed: the network, depth, rendering and refinement, the device's peak rates, and
+/// quality over time
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat bench forward --weights seeded:vits --views 2,4,8 --ratio 1,auto
@@ -34,8 +34,8 @@ use zipsplat::{
   zipsplat bench refine --gaussians 102000 --size 252x252
   zipsplat bench tradeoff capture/ -o report/
 
-Times by stage and kernel are the device's own, with a timestamp around every command, which keeps commands from \
-overlapping; totals are the host's, without timestamps.")]
+Times by stage and kernel are timestamps around each dispatch, which keep dispatches from
+overlapping. Totals are measured on the host, without timestamps.")]
 pub struct Bench {
     #[command(subcommand)]
     what: What,
@@ -119,7 +119,7 @@ impl fmt::Display for Spread {
 
 struct Group {
     name: String,
-    /// Per run.
+    /// Dispatches per run.
     count: u32,
     flops: u64,
     ms: Spread,

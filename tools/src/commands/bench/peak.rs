@@ -29,20 +29,21 @@ const LONG_ENOUGH: Duration = Duration::from_millis(20);
 const MOST_ITERATIONS: u32 = 1 << 18;
 /// Enough to fill a GPU or CPU.
 const THREADS: [usize; 2] = [1 << 22, 1 << 14];
-/// Likewise, for matrix units.
+/// Enough to fill the matrix units.
 const SUBGROUPS: [usize; 2] = [1 << 15, 1 << 12];
 /// Relative to the largest value; results are exact by construction.
 const EQUAL: f64 = 1e-3;
 pub const BRIEFLY: Repeats = Repeats { warmup: 1, repeats: 5 };
 
-/// Measured device limits: arithmetic on lanes and matrix units, and bandwidth
+/// Peak rates of this device: f32 multiply-add, matrix units, and copies
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat bench peak
   zipsplat bench peak --json
 
-Arithmetic is done in registers, in dispatches of 20 to 40 ms, and its results are compared with f64; bandwidth is that of a
-copy, each byte once read and once written. Shares of these rates are what bench forward, gemm and render print.")]
+Arithmetic runs in registers, in dispatches of 20 to 40 ms, and is compared with f64.
+Bandwidth is that of a copy and counts bytes read and written. bench forward, gemm and
+render report their rates relative to these.")]
 pub struct Peak {
     #[command(flatten)]
     repeats: Repeats,

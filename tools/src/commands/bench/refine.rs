@@ -30,16 +30,17 @@ const MOST_GAUSSIANS: i64 = 50_000_000;
 const LOOKS: usize = 20;
 const PYTORCH_DEGREE: u32 = 1;
 
-/// Time of a refinement step, by pass, and of a picture of the same cameras
+/// Time of a refinement step, by pass, and of a render of the same cameras
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat bench refine
   zipsplat bench refine --gaussians 36000,102000,249000 --size 252x252 --photos 4
   zipsplat bench refine --pytorch=/venv/bin/python
 
-Of each case: its passes; step, all of them; picture, the device's time for the pictures of the step's cameras alone; host, a step
-as the host sees it. Shares count every tensor of a pass once, against a copy, and the arithmetic of every pixel of every tile that a
-Gaussian touches, against multiplications and additions, both measured in the same run.")]
+Each case has a row per pass, and three totals: step, the sum of the passes; picture, the
+device's time of the same cameras' renders alone; host, a step measured on the host.
+Shares are relative to a copy and to multiply-adds in the same run. They count every
+tensor of a pass once, and the arithmetic of all pixels in the tiles of each Gaussian.")]
 pub struct Refine {
     /// Numbers of Gaussians
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "36000,102000",

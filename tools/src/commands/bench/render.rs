@@ -24,7 +24,7 @@ use zipsplat_verify::noise::{self, Noise};
 
 /// Limit by host memory.
 const MOST_GAUSSIANS: i64 = 50_000_000;
-/// Time of a frame, by pass
+/// Time of a render, by pass
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat bench render
@@ -32,8 +32,9 @@ const MOST_GAUSSIANS: i64 = 50_000_000;
   zipsplat bench render --effects
   zipsplat bench render --gsplat
 
-Of each case: its passes; device, all of them; host, one frame brought to the host, alone; in flight, a frame of many.
-The bandwidth's share counts every tensor of a pass once, against a copy measured in the same run.")]
+Each case has a row per pass, and three totals: device, the sum of the passes; host, one
+picture with its readback; in flight, a picture among overlapping submissions. The share
+of bandwidth counts every tensor of a pass once, relative to a copy in the same run.")]
 pub struct Render {
     /// Numbers of Gaussians
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "36000,102000",
@@ -46,7 +47,7 @@ pub struct Render {
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "1",
         value_parser = clap::value_parser!(u32).range(0..=i64::from(Scene::MAX_SH_DEGREE)))]
     sh: Vec<u32>,
-    /// Instead measure every effect off and on, with the first value of each list
+    /// Measure each effect off and on instead, with the first value of each list
     #[arg(long, conflicts_with = "gsplat")]
     effects: bool,
     /// Also time gsplat with this Python, PyTorch and a CUDA GPU

@@ -17,11 +17,11 @@ use zipsplat::{
     weights::Dtype,
 };
 
-/// Convert a scene's format, or a checkpoint to safetensors; without an output, summarize the file
+/// Convert scenes between formats and checkpoints to safetensors, or summarize a file
 ///
-/// Reads a scene by its first bytes (.splat and .gltf by name), and writes the format of the
-/// output's name. Coordinates stay. All formats except .splat keep the photo whose camera is the
-/// world.
+/// Detects a scene's format by its first bytes (.splat and .gltf by extension), and writes that of
+/// the output's extension. Coordinates do not change. All formats except .splat and SPZ version 4
+/// store the transform to the cameras' world.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat convert scene.ply
@@ -43,16 +43,16 @@ pub struct Convert {
     overwrite: Overwrite,
     #[command(flatten)]
     scene_input: SceneInput,
-    /// Type of a checkpoint: f32, f16, bf16, or q8, 8-bit matrices with a scale per 32 values
-    /// [default: f32]
+    /// Type of the checkpoint's values: f32, f16, bf16, or q8, 8-bit matrices with a scale per 32
+    /// values [default: f32]
     #[arg(long, value_name = "TYPE")]
     dtype: Option<String>,
-    /// Network of an unnamed checkpoint: vitg (DA3-Giant, the only one with released weights),
-    /// vits, vitb, vitl, or the reference's da3s, da3b, da3l; with further fields as in
-    /// vits:out_layers=5,7,11:alt_start=5:rope_start=5
+    /// Architecture of a checkpoint that does not name its own: vitg (DA3-Giant, the only one with
+    /// released weights), vits, vitb, vitl, or the reference's da3s, da3b, da3l; with further
+    /// fields as in vits:out_layers=5,7,11:alt_start=5:rope_start=5
     #[arg(long, value_name = "V")]
     variant: Option<String>,
-    /// SPZ version: 2, 3, or 4, for older to newer readers [default: 3]
+    /// SPZ version: 2, 3, or 4 [default: 3]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=4))]
     spz_version: Option<u32>,
 }
@@ -97,7 +97,8 @@ impl Convert {
         refuse("--spz-version", self.spz_version.is_some() && !is_spz, "another format", "an SPZ as output")?;
         let (scene, dropped) = self.scene_input.read(session, Path::new(&self.input))?;
         if scene.sh_degree > 0 && !format.keeps_view_dependence() {
-            session.note("a .splat keeps one color a Gaussian: how it changes with the direction is left out");
+            let format = format.extension();
+            session.note(format!("{format} stores one color per Gaussian: view-dependent color is left out"));
         }
         if let Some(note) = Some(&scene).filter(|_| is_spz).and_then(spz_coarsening) {
             session.note(note);

@@ -29,9 +29,9 @@ use zipsplat::{
     },
 };
 
-/// Depth, points and cameras of photos by Depth Anything 3
+/// Predict depth, points and cameras of photos with Depth Anything 3
 ///
-/// Writes depths.safetensors (depth, confidence and rays), and 16-bit and colored depth pictures.
+/// Writes depths.safetensors (depth, confidence and rays), and 16-bit and color pictures of depth.
 /// Multi-view networks also write transforms.json for --cameras of `reconstruct` and `refine`, and
 /// points.ply for `refine --init points`. Lengths are in the network's unit.
 #[derive(Args)]
@@ -64,22 +64,23 @@ pub struct Depth {
     /// meters. Otherwise depth of single-view networks is aligned to the cameras' points
     #[arg(long, requires = "cameras")]
     metric: bool,
-    /// Reference photo of the world, counted from 0 [default: the network's choice]
+    /// Photo whose camera is the world, counted from 0 [default: the network's choice]
     #[arg(long, value_name = "N")]
     reference_view: Option<usize>,
     /// Longer side of the photos for the network, in pixels
     #[arg(long, value_name = "PIXELS", default_value = "504", value_parser = clap::value_parser!(u32).range(14..=8192))]
     input_size: u32,
-    /// Limit of points
+    /// Largest number of points in points.ply
     #[arg(long, value_name = "N", default_value = "200000")]
     max_points: usize,
-    /// Limit of photos, evenly spread, and of frames of a video [default: all, and 24 of a video]
+    /// Largest number of photos or video frames, evenly spaced [default: all photos, 24 frames of a
+    /// video]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     views: Option<u32>,
     #[command(flatten)]
     model: ModelOption,
-    /// Also print errors against this capture: transforms.json or a COLMAP model, and any
-    /// depth/NAME.npy, as `scene` writes it
+    /// Also print errors relative to this capture: its transforms.json or COLMAP model, and any
+    /// depth/NAME.npy (f32 [height, width], z in the cameras' unit)
     #[arg(long, value_name = "CAPTURE")]
     ground_truth: Option<PathBuf>,
     #[command(flatten)]

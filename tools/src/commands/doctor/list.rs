@@ -1,5 +1,3 @@
-//! `zipsplat doctor list`: the devices.
-
 use crate::{session::Session, table::bytes};
 use std::fmt::Write;
 use zipsplat::{

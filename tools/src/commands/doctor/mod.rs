@@ -1,5 +1,3 @@
-//! `zipsplat doctor`.
-
 mod list;
 mod report;
 mod tune;
@@ -14,13 +12,14 @@ use zipsplat_verify::{Finding, Worst, catalog};
 /// Exit code for a result outside its bound.
 const OUTSIDE: u8 = 5;
 
-/// Check this device and driver: hard cases of every kernel against f64
+/// Check this device and driver: kernels on hard inputs against f64
 #[derive(Args)]
 #[command(
     args_conflicts_with_subcommands = true,
-    after_help = "A bound follows from the number format and from what Vulkan promises, so nothing may lie outside: exit \
-code 5 where something does. What is printed is the worst case of each kernel and mode, and whatever lies outside; --verbose \
-prints all, --json also the faults that each case is there to catch.
+    after_help = "Error bounds follow from the number formats and from the precision that Vulkan
+guarantees, so a correct driver passes. Exit code 5: the device computes wrong results.
+Prints the worst case of each kernel and mode, and every failed case; --verbose prints
+all cases, --json also the faults that each case catches.
 
 Examples:
   zipsplat doctor
@@ -38,7 +37,7 @@ pub struct Doctor {
     /// Print every case, not only each kernel's worst
     #[arg(long)]
     verbose: bool,
-    /// Write a page with error and bound over problem size
+    /// Write a page that plots error and bound over problem size
     #[arg(long, value_name = "FILE.html")]
     report: Option<PathBuf>,
     #[command(flatten)]
@@ -51,7 +50,7 @@ enum Task {
     Tune(tune::Tune),
 }
 
-/// List every Vulkan device and whether it can be used
+/// List Vulkan devices, and why any is unusable
 #[derive(Args)]
 struct List {}
 

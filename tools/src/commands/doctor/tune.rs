@@ -9,15 +9,14 @@ use zipsplat::{
 
 /// Measure the fastest tiles of linear layers, attention and k-means on this device, for later runs
 #[derive(Args)]
-#[command(
-    after_help = "Measurements are cached by device, driver and kernel version. Results stay within the same tolerances; those of \
---precision fp32 keep their bits. Linear layers without matrix units run on lanes, with rows in a subgroup's registers or tiles in \
-shared memory (with a depth k). A tile is timed only if it computes correctly, in f32 with the same bits.
+#[command(after_help = "Caches the result per device, driver and kernel version. Results of the network stay
+within the same tolerances; those of --precision fp32 keep their bits. Without matrix
+units, linear layers run in registers alone by default, or with tiles in shared memory
+(named with a depth k). Tiles with wrong results are not timed.
 
 Examples:
   zipsplat doctor tune
-  zipsplat doctor tune --device 1"
-)]
+  zipsplat doctor tune --device 1")]
 pub struct Tune {}
 
 #[derive(Serialize)]

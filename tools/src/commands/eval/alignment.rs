@@ -15,12 +15,12 @@ pub struct AlignedScore {
     nearest_psnr: f64,
     mean_color_psnr: f64,
     pub lpips: Option<f64>,
-    /// With the given camera.
+    /// PSNR with the given camera.
     unaligned_psnr: f64,
     unaligned_ssim: f64,
-    /// From the given camera.
+    /// Rotation from the given camera.
     rotation_error_deg: f64,
-    /// In the cameras' unit.
+    /// Distance from the given camera, in the cameras' unit.
     translation_error: f64,
     warning: Option<Doubt>,
 }
@@ -52,7 +52,7 @@ pub struct Alignment {
     /// Median, in the cameras' unit.
     translation_error: f64,
     unaligned: Unaligned,
-    /// With unreliable scores.
+    /// Photos with unreliable scores.
     unreliable: usize,
     pub rows: Vec<AlignedScore>,
 }

@@ -1,5 +1,3 @@
-//! External scenes.
-
 use super::{depth, evaluator::Reconstruction};
 use crate::{
     cameras::Similarity,
@@ -19,7 +17,7 @@ use zipsplat::{
     },
 };
 
-/// Camera error over their spread that needs a note.
+/// Camera error, relative to the cameras' spread, that needs a note.
 const APART: f64 = 0.05;
 
 #[derive(Args)]
@@ -34,7 +32,7 @@ pub struct ExternalScene {
     /// FOLDER/SCENE/NAME.npy. --refine starts from it
     #[arg(long, value_name = "FOLDER", conflicts_with_all = ["scene", "ratio", "max_gaussians_per_token", "pose_noise", "crop", "pose_free"])]
     from_depth: Option<PathBuf>,
-    /// World of that scene [default: aligned with --scene-cameras, else the file's, else
+    /// World of --scene [default: aligned with --scene-cameras, else the file's, else
     /// first-camera]
     #[arg(long, value_enum, value_name = "WHOSE", requires = "scene")]
     scene_frame: Option<SceneFrame>,
@@ -42,7 +40,7 @@ pub struct ExternalScene {
     /// of `--cameras`; with --protocol a folder of NAME.json or COLMAP models NAME/
     #[arg(long, value_name = "PATH", requires = "scene")]
     scene_cameras: Option<PathBuf>,
-    /// Length in the cameras' unit that is 1 in the scene; --scene-frame aligned derives it
+    /// Length of the scene's unit in the cameras' unit; derived with --scene-frame aligned
     /// [default: 1]
     #[arg(long, value_name = "LENGTH", requires = "scene", value_parser = parse_length)]
     scene_unit: Option<f64>,
@@ -55,7 +53,7 @@ pub struct ExternalScene {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum SceneFrame {
-    /// The first input's camera: pose-free systems, ours
+    /// The first input's camera: pose-free systems, ZipSplat
     #[value(alias = "first")]
     FirstCamera,
     /// The cameras' origin with the axes of the first input's camera: DepthSplat
@@ -63,7 +61,7 @@ enum SceneFrame {
     /// The world of the cameras: 3DGS, brush
     #[value(alias = "cameras")]
     InputCameras,
-    /// Any, mapped by a similarity between its cameras and the known ones
+    /// Any world, mapped by the similarity from --scene-cameras to the known cameras
     Aligned,
 }
 

@@ -32,33 +32,30 @@ const VIEWS: u32 = 8;
 /// Default number of a protocol's targets per scene.
 const TARGETS: usize = 8;
 
-/// Measure quality: predictions of held-out photos, a data set, a scene, or two sets of pictures
+/// Measure quality on held-out photos of a capture, a data set, or two sets of pictures
 ///
-/// Reconstructs a capture from some of its photos with their cameras, renders the scene from the
-/// other cameras, and compares. The network's unit of length is the median distance from the first
-/// camera of the capture's points (ply_file_path of transforms.json, points.ply, or COLMAP's
-/// points3D); without points, the distance of the point that the cameras look at, else the distance
-/// between cameras. PSNR and SSIM are also given for two trivial predictions: the nearest input
-/// photo, and its mean color.
+/// Reconstructs a capture from some of its photos with their cameras, renders the other photos'
+/// cameras, and compares. Also scores two trivial predictions: the nearest input photo, and its
+/// mean color. Lengths are in the network's unit, see --scene-scale.
 ///
-/// --pose-free gives the network the photos alone. Each picture is then aligned with its photo,
-/// within 15 degrees and 0.25 of the network's unit around the known camera. The table has the
-/// movements, and marks unreliable scores: flat, a photo without texture, which is not aligned;
-/// bound, a camera at its movement limit; color, a picture no better than one color.
+/// --pose-free gives the network photos alone. Each picture is then aligned with its photo, within
+/// 15 degrees and 0.25 units of the known camera. The table has the movements, and warnings about
+/// unreliable scores: flat, a photo without texture, which is not aligned; bound, a camera at its
+/// movement limit; color, a picture no better than one color.
 ///
-/// With weights of Depth Anything 3 the scene is that of `reconstruct`: each confident pixel of the
-/// whole photos, whose longer side is --input-size. With --pose-free, estimated cameras place it in
+/// With weights of Depth Anything 3 the scene is that of `reconstruct`: each confident pixel of
+/// whole photos, whose longer side is --input-size. With --pose-free, estimated cameras map it to
 /// the known world.
 ///
-/// Two pictures, or two folders of pictures matched by file name without extension, are compared
-/// by PSNR, SSIM (as in scikit-image, Gaussian windows of 11 pixels) and LPIPS 0.1.
+/// Two pictures, or two folders of pictures matched by file name without extension, are compared by
+/// PSNR, SSIM (as in scikit-image, Gaussian windows of 11 pixels) and LPIPS 0.1.
 ///
-/// With --protocol the folders are scenes of a data set, or folders of them, evaluated as in the
-/// paper's tables 1 to 3: 8 photos of each, downscaled by its filter, and cameras aligned as by its
-/// authors. OUT has a folder per setting, with a record and a picture of every scene; scenes.csv, a
-/// row per scene; table.md and table.csv, means in the paper's layout; and page.html, with
-/// pictures. Run the command again to resume. A failed scene is a row of failures.csv; the others
-/// continue, and the exit code is 1.
+/// With --protocol the folders are scenes of a data set, or folders of scenes, evaluated as in the
+/// paper's tables 1 to 3: 8 held-out photos per scene, with the protocol's downscaling and camera
+/// alignment. The output folder has a folder per setting, with a record and a picture per scene;
+/// scenes.csv, a row per scene; table.md and table.csv, means in the paper's layout; and page.html,
+/// with pictures. Run the command again to resume. A failed scene is a row of failures.csv; the
+/// others continue, and the exit code is 1.
 #[derive(Args)]
 #[command(
     mut_args(for_known_cameras),
@@ -68,14 +65,14 @@ const TARGETS: usize = 8;
   zipsplat eval photos/ --views 8 --cameras colmap --refine 100
   zipsplat eval capture/ --views 8 --targets 8 --pose-free
   zipsplat eval capture/ --views 8 --weights da3-base --input-size 504x336 --eval-size 252x252
-  zipsplat eval drawn/ photos/ --csv scores.csv
+  zipsplat eval renders/ photos/ --csv scores.csv
   zipsplat eval --protocol dl3dv DL3DV-Benchmark/ --pose-free --weights zipsplat -o dl3dv/
   zipsplat eval --protocol re10k test/ --indices ctx_6v_tgt_8v.json --weights zipsplat -o re10k/"
 )]
 pub struct Eval {
-    /// Capture: a folder with photos and their cameras, a transforms.json or a COLMAP model, or
-    /// with --cameras photos only; two pictures, or two folders of pictures, to compare; with
-    /// --protocol scenes of a data set, or folders of them
+    /// Capture: a folder of photos with their cameras (transforms.json or a COLMAP model; with
+    /// --cameras only photos). To compare: two pictures, or two folders of pictures. With
+    /// --protocol: scenes of a data set, or folders of scenes
     #[arg(required = true, value_name = "CAPTURE|PICTURES")]
     folders: Vec<PathBuf>,
     /// Cameras of the photos: transforms.json or a COLMAP model's folder; colmap: estimated by
@@ -84,20 +81,20 @@ pub struct Eval {
     cameras: Option<PathBuf>,
     #[command(flatten)]
     finding: Finding,
-    /// Photos to reconstruct from, by farthest-point sampling of positions; of a protocol a list
-    /// [default: 8, or the protocol's]
+    /// Number of input photos, chosen by farthest-point sampling of positions; with --protocol a
+    /// list [default: 8, or the protocol's]
     #[arg(long, value_name = "N", value_delimiter = ',', value_parser = clap::value_parser!(u32).range(1..))]
     views: Vec<u32>,
-    /// Limit of the other photos to compare with, evenly spread [default: all, of a protocol 8]
+    /// Largest number of compared photos, evenly spaced [default: all others, 8 with --protocol]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     targets: Option<u32>,
     /// Reconstruct without the cameras, and align each picture with its photo
     #[arg(long)]
     pose_free: bool,
-    /// Camera alignment: none, levenberg-marquardt (least squares, coarse to fine, near the initial
-    /// camera), adam (as ZipSplat's authors: at most 200 steps, with LPIPS if its weights are
-    /// available, without a movement limit) [default: none with known cameras, levenberg-marquardt
-    /// with --pose-free, adam with --protocol]
+    /// Camera alignment: none; levenberg-marquardt (least squares, coarse to fine, near the initial
+    /// camera); adam (as ZipSplat's authors: at most 200 steps, with LPIPS if available, without
+    /// movement limit) [default: none with known cameras, levenberg-marquardt with --pose-free,
+    /// adam with --protocol]
     #[arg(long, value_name = "HOW")]
     align: Option<Aligning>,
     #[command(flatten)]
@@ -114,17 +111,18 @@ pub struct Eval {
     /// center; --crop tiles always does
     #[arg(long)]
     full_images: bool,
-    /// Compared size, independent of the network's [default: that of --input-size]
+    /// Size of the compared pictures [default: that of --input-size]
     #[arg(long, value_name = "WxH")]
     eval_size: Option<Size>,
     #[command(flatten)]
     refine: RefineArgs,
-    /// Perturb the cameras of network and refinement: those of all inputs but the first rotate by
-    /// this number of degrees, and move by as many percent of the scene's distance
+    /// Perturb the input cameras except the first: rotate by this number of degrees, and move by as
+    /// many percent of the scene's distance
     #[arg(long, value_name = "DEGREES", default_value = "0")]
     pose_noise: f64,
-    /// Length in the cameras' unit that is 1 for the network [default: the median distance of the
-    /// capture's points, else of the point that the cameras look at]
+    /// Length of the network's unit in the cameras' unit [default: the median distance of the
+    /// capture's points from the first camera, else the distance of the point that the cameras look
+    /// at, else the distance between cameras]
     #[arg(long, value_name = "LENGTH", value_parser = parse_length)]
     scene_scale: Option<f64>,
     #[command(flatten)]

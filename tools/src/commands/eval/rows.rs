@@ -17,7 +17,7 @@ pub struct Row {
     pub views: usize,
     /// Frame selection, such as `gap50`.
     pub rule: String,
-    /// Of the inputs of the scores.
+    /// Hash of the inputs of the scores.
     pub hash: String,
     pub targets: usize,
     pub gaussians: usize,
@@ -31,7 +31,7 @@ pub struct Row {
 }
 
 impl Row {
-    /// Its picture lies beside it.
+    /// Returns the record's path; the picture is in the same folder.
     pub fn file(folder: &Path, scene: &str) -> PathBuf {
         folder.join(format!("{scene}.json"))
     }

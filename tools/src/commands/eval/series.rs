@@ -40,7 +40,7 @@ pub struct Options {
     /// Evaluate scenes of a data set by the paper's protocol
     #[arg(long, value_enum, value_name = "DATA", conflicts_with = "cameras")]
     pub protocol: Option<Protocol>,
-    /// Choose inputs and targets from this number of first frames: one value, or one per number of
+    /// Choose inputs and targets among the first FRAMES frames: one value, or one per value of
     /// --views [default: for dl3dv 50, 100 and 150 with 6, 12 and 24 inputs; else all]
     #[arg(long, value_name = "FRAMES", value_delimiter = ',', requires = "protocol")]
     frame_range: Vec<usize>,
@@ -58,7 +58,7 @@ pub struct Options {
     /// Name of the method in the tables [default: that of the weights]
     #[arg(long, value_name = "NAME", requires = "protocol")]
     name: Option<String>,
-    /// Limit of evaluated scenes in this run
+    /// Largest number of scenes evaluated in this run
     #[arg(long, value_name = "N", requires = "protocol")]
     limit: Option<usize>,
 }
@@ -114,7 +114,7 @@ pub fn run(eval: &Eval, protocol: Protocol, session: &mut Session<'_>) -> Result
     let folder = out.join(format!("{}-{posed}-{}", slug(&method), &way[..8]));
     let series = Series { eval, protocol, method, folder };
 
-    // Of an earlier run.
+    // Failures of an earlier run.
     std::fs::remove_file(out.join(FAILURES)).ok();
     let mut tally = Tally::default();
     let ended = series.run(&places, &settings, &mut evaluator, &mut tally, session);

@@ -1,5 +1,3 @@
-//! Network pass.
-
 use super::{Posed, Reconstruct, placed::Placed};
 use crate::{
     explain::Explanation,
@@ -34,14 +32,14 @@ pub struct Planned<'a> {
 }
 
 pub struct Forward {
-    /// For the next pass.
+    /// Arena to reuse in the next pass.
     pub arena: Option<Arena>,
     pub tokens: Option<SceneTokens>,
-    /// After any pruning.
+    /// Scene after any pruning.
     pub scene: Scene,
-    /// If resident.
+    /// Scene on the device, if resident.
     pub on_device: Option<DeviceScene>,
-    /// If requested.
+    /// Estimated cameras, if requested.
     pub found: Option<Placed>,
     /// Length in the cameras' unit that is 1 for the network.
     pub length: f64,
@@ -50,7 +48,7 @@ pub struct Forward {
     pub peak_bytes: u64,
     pub views_summary: String,
     pub summary: String,
-    /// Of loaded weights.
+    /// Bytes of the loaded weights.
     pub rate: u64,
     pub json: Vec<(&'static str, Value)>,
     pub _model: Option<Model>,

@@ -50,14 +50,15 @@ const CAMERAS: &str = "Cameras";
 const MANY: &str = "Many captures";
 const REFINEMENT: &str = "Refinement";
 
-/// Photos of one place to a scene of 3D Gaussians
+/// Reconstruct a scene of 3D Gaussians from photos of a place
 ///
-/// The scene's world is the first photo's camera, x right, y down, z forward, or with --world
-/// input-cameras that of the cameras.
+/// The network computes a token per patch of 14 x 14 pixels; each selected token becomes several
+/// Gaussians. The scene's world is the first photo's camera (x right, y down, z forward), or with
+/// --world input-cameras the world of the cameras.
 ///
-/// With weights of Depth Anything 3 each confident pixel becomes a Gaussian at its depth, and the
-/// cameras are estimated in the same pass. --input-size then gives the longer side, and
-/// --max-gaussians-per-token counts the pixels of a patch.
+/// With weights of Depth Anything 3, each confident pixel becomes a Gaussian at its depth, and the
+/// network also estimates the cameras. --input-size is then the longer side, and
+/// --max-gaussians-per-token limits the pixels of a patch.
 #[derive(Args)]
 #[command(mut_args(adapted), after_help = format!("Examples:
   zipsplat reconstruct photos/ -o scene.ply
@@ -86,8 +87,8 @@ pub struct Reconstruct {
     quality: Quality,
     #[command(flatten, next_help_heading = NETWORK)]
     crop: CropOption,
-    /// Limit of photos, evenly spread, with the first and the last, and of frames of a video
-    /// [default: all, and 24 of a video]
+    /// Largest number of photos or video frames, evenly spaced from first to last [default: all
+    /// photos, 24 frames of a video]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_VIEWS as i64))]
     views: Option<u32>,
     /// Cameras: transforms.json or a COLMAP model's folder, matched by file name; colmap: estimated
@@ -96,42 +97,42 @@ pub struct Reconstruct {
     cameras: Option<PathBuf>,
     #[command(flatten, next_help_heading = CAMERAS)]
     finding: Finding,
-    /// Write the cameras as transforms.json: the estimated ones, of --optimize-cameras the refined
-    /// ones. --cameras colmap and da3 also write points and log beside it. Without --cameras they
-    /// are estimated from the scene's positions of each photo's patches, in the scene's world
+    /// Write the cameras, estimated or optimized, as transforms.json. --cameras colmap and da3 also
+    /// write points and a log to its folder. Without --cameras, estimates cameras from the
+    /// Gaussians of each photo's patches, in the scene's world
     #[arg(long, help_heading = CAMERAS, value_name = "FILE")]
     cameras_out: Option<PathBuf>,
-    /// Length in the cameras' unit that is 1 for the network; the scene keeps the cameras' unit
-    /// [default: the median distance from the first camera of the points in points.ply or points3D
-    /// beside the cameras, else that of the point that the cameras look at, else the distance
+    /// Length of the network's unit in the cameras' unit; the scene keeps the cameras' unit
+    /// [default: the median distance of the capture's points (points.ply or points3D) from the
+    /// first camera, else the distance of the point that the cameras look at, else the distance
     /// between cameras]
     #[arg(long, help_heading = CAMERAS, value_name = "LENGTH", requires = "cameras", value_parser = parse_length)]
     scene_scale: Option<f64>,
     /// World of the scene
     #[arg(long, help_heading = CAMERAS, value_enum, value_name = "WHICH", default_value = "first-camera", requires = "cameras")]
     world: WorldName,
-    /// Make a scene of each capture in PHOTOS: folders with photos, directly or in images/, folders
-    /// of captures, or text files with a capture per line. OUTPUT is a folder. Run the command
-    /// again to resume; failures are rows of failures.csv, and the exit code is 1
+    /// Reconstruct each capture in PHOTOS: folders with photos, directly or in images/, folders of
+    /// captures, or text files with a capture per line. The output is a folder. Run the command
+    /// again to resume. Failures are rows of failures.csv and give exit code 1
     #[arg(long, help_heading = MANY, conflicts_with_all = ["refine", "cameras_out", "scene_scale", "world", "explain",
         "pictures", "depth_weights", "recursive"])]
     each: bool,
     /// Format of the scenes of --each: ply, spz, splat, glb or gltf
     #[arg(long, help_heading = MANY, value_name = "NAME", default_value = "ply", requires = "each")]
     format: String,
-    /// Limit of scenes made in this run
+    /// Largest number of captures reconstructed in this run
     #[arg(long, help_heading = MANY, value_name = "N", requires = "each")]
     limit: Option<usize>,
-    /// Print the memory plan and stop; without a device, for an ordinary one. Without photos,
-    /// --views gives their number. --explain lists every tensor
+    /// Print the memory plan and stop. --device none plans for a typical GPU; --views replaces
+    /// photos; --explain lists every tensor
     #[arg(long, help_heading = None::<&'static str>, conflicts_with = "each")]
     dry_run: bool,
-    /// Also print the stages, with time and bytes, and skipped stages with reasons
+    /// Also print each stage with its time and memory, and each skipped stage with the reason
     #[arg(long, help_heading = None::<&'static str>)]
     explain: bool,
     #[command(flatten, next_help_heading = REFINEMENT)]
     refine: RefineArgs,
-    /// Also draw the scene into a folder, as zipsplat render does
+    /// Also render the scene into this folder
     #[arg(long, help_heading = None::<&'static str>, value_name = "FOLDER")]
     pictures: Option<PathBuf>,
     /// Options of zipsplat render for --pictures, after -- [default: --spline through the cameras
@@ -359,7 +360,7 @@ impl Reconstruct {
         self.refine.check()
     }
 
-    /// Of planned pictures.
+    /// Returns the size of planned pictures.
     fn picture_size(&self) -> Result<Option<Size>> {
         let Some(drawing) = self.drawing()? else { return Ok(None) };
         let lacks = || Error::argument("--pictures with --dry-run", "no size", "-- --size WxH");

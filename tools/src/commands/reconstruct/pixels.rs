@@ -1,5 +1,3 @@
-//! Pixel scenes.
-
 use super::{
     Posed, Reconstruct,
     forward::{Forward, LOAD_WEIGHTS, rate},

@@ -26,9 +26,9 @@ pub enum From {
 
 pub struct RefineInputs<'a> {
     pub device: &'a Device,
-    /// For token refinement.
+    /// Weights for token refinement.
     pub checkpoint: Option<&'a Checkpoint>,
-    /// If the network ran.
+    /// Forward pass, if the network ran.
     pub forward: Option<&'a Forward>,
 }
 

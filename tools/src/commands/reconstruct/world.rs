@@ -12,7 +12,7 @@ pub enum WorldName {
     /// The first photo's camera: x right, y down, z forward
     #[value(alias = "first")]
     FirstCamera,
-    /// The cameras' world, so that they match the scene in any program
+    /// The world of the cameras, for other programs
     #[value(alias = "cameras")]
     InputCameras,
 }

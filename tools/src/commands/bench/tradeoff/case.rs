@@ -83,7 +83,7 @@ pub fn all<'a>(
             cases.push(case);
         }
     }
-    // Stable.
+    // Stable sort: equal cases keep their order.
     cases.sort_by_key(|case| !case.is_first(args));
     Ok(cases)
 }

@@ -29,11 +29,11 @@ use zipsplat::{
     weights::{Checkpoint, Dtype},
 };
 
-/// Accuracy against time: a sweep over a capture, as a page with plots and pictures, and as a table
+/// Quality over time: sweeps settings over a capture, with plots, pictures and a table
 ///
 /// Reconstructs every combination of the lists, most informative first, within --minutes, and
-/// compares it with held-out photos. The page recommends three settings, fast, balanced and best,
-/// and shows picture and command of every point.
+/// compares it with held-out photos. The page recommends three settings (fast, balanced and best),
+/// and shows a picture and the command of every point.
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat bench tradeoff capture/ -o report/
@@ -42,11 +42,13 @@ use zipsplat::{
   zipsplat bench tradeoff capture/ --views 8,16 --ratio 1,auto --dtype f16,q8 --refine 0 -o report/
   zipsplat bench tradeoff capture/ --views 16 --ratio 1,auto --precision fp16 --refine 0,10,25,50,100,50:tokens -o report/
 
-Writes tradeoff.html, one file that needs no other, and tradeoff.csv. Ctrl-C ends the sweep and writes what was measured.
+Writes tradeoff.html, a self-contained page, and tradeoff.csv. Ctrl-C ends the sweep and
+writes its results.
 
-Reconstructions of at most 20 GFLOP are also computed in f64 on the CPU: of each stage's output the table has the rms of the
-difference over that of the truth, for the tokens that the first precision chose, and the PSNR of pictures of both. Rounded weights
-are compared with the truth of those that are stored.")]
+Reconstructions of at most 20 GFLOP are also computed in f64 on the CPU, with the tokens
+that the first precision selected. The table has the RMS error of each stage relative to
+the RMS of its f64 result, and the PSNR between renders of both. Weights rounded by
+--dtype are compared with the f64 result of the weights as stored.")]
 pub struct Tradeoff {
     /// Folder with photos and their cameras: a transforms.json or a COLMAP model
     folder: PathBuf,
@@ -84,7 +86,7 @@ pub struct Tradeoff {
     /// the weights as stored
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "q8", value_parser = rounded::parse)]
     dtype: Vec<Option<Dtype>>,
-    /// Limit of photos to compare with
+    /// Largest number of compared photos
     #[arg(long, value_name = "N", default_value = "6", value_parser = clap::value_parser!(u32).range(1..))]
     targets: u32,
     #[command(flatten)]

@@ -53,7 +53,7 @@ pub struct Truth<'a> {
 
 struct KnownTokens {
     chosen: Vec<u32>,
-    /// After clustering.
+    /// Intermediate tensors after clustering.
     taps: Taps,
 }
 
