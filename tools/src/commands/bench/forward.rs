@@ -2,7 +2,8 @@ use super::{
     Repeats, Spread,
     parts::{self, Part},
     peak::{self, Rate},
-    pytorch, stage_of, timed_device,
+    python::{self, Pytorch},
+    stage_of, timed_device,
 };
 use crate::{
     options::{ArithmeticOption, Size, Weights, parse_ratio},
@@ -10,7 +11,7 @@ use crate::{
     table::{Table, bytes},
 };
 use clap::Args;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::{
     ops::ControlFlow,
     path::{Path, PathBuf},
@@ -74,6 +75,18 @@ struct Row {
     arena_bytes: u64,
 }
 
+/// A case of PyTorch's.
+#[derive(Deserialize)]
+struct PytorchRow {
+    precision: String,
+    views: usize,
+    ratio: f64,
+    /// Absent after a failure.
+    ms: Option<Vec<f64>>,
+    peak_bytes: Option<u64>,
+    failed: Option<String>,
+}
+
 impl Forward {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         let checkpoint = self.weights.open()?;
@@ -90,7 +103,7 @@ impl Forward {
                 }
             }
         }
-        self.pytorch.as_deref().map_or(Ok(()), pytorch::check)?;
+        self.pytorch.as_deref().map_or(Ok(()), |python| python::FORWARD.check(python))?;
         let device = timed_device(session)?;
         let (precision, arithmetic) = self.arithmetic.choose(session, &device)?;
         let (model, _) = session.load_model(&device, &checkpoint, arithmetic)?;
@@ -137,15 +150,23 @@ impl Forward {
 
     /// `totals` are in measurement order.
     fn compare(&self, python: &Path, checkpoint: &Checkpoint, size: Size, totals: &[Row]) -> Result<Compared> {
-        let cases: Vec<(usize, f64)> = totals.iter().map(|row| (row.views, row.ratio)).collect();
-        let Repeats { warmup, repeats } = self.repeats;
-        let times = [warmup, repeats];
-        let found = pytorch::forward(python, checkpoint.architecture(), &cases, &size.to_string(), times)?;
+        let list = |number: &dyn Fn(&Row) -> String| totals.iter().map(number).collect::<Vec<_>>().join(",");
+        let [warmup, repeats] = self.repeats.words();
+        let options = [
+            ("--architecture", serde_json::to_string(checkpoint.architecture()).expect("numbers and names are JSON")),
+            ("--size", size.to_string()),
+            ("--views", list(&|row| row.views.to_string())),
+            ("--ratio", list(&|row| row.ratio.to_string())),
+            ("--warmup", warmup),
+            ("--repeats", repeats),
+        ];
+        let words = options.into_iter().flat_map(|(name, value)| [name.to_owned(), value]);
+        let mut found: Pytorch<PytorchRow> = python::FORWARD.run(python, None, words)?;
         let mut table =
             Table::new(1, &["PyTorch", "views", "ratio", "ms: median (min..max)", "peak", "its time / ours"]);
         let mut rows = Vec::new();
-        for (pytorch, ours) in found.rows.iter().zip(totals.iter().cycle()) {
-            let ms = pytorch.ms.as_ref().map(|ms| Spread::of(ms.iter().map(|ms| Duration::from_secs_f64(ms / 1e3))));
+        for (pytorch, ours) in std::mem::take(&mut found.rows).into_iter().zip(totals.iter().cycle()) {
+            let ms = pytorch.ms.map(Spread::of_ms);
             table.row([
                 pytorch.precision.clone(),
                 pytorch.views.to_string(),
@@ -166,7 +187,7 @@ impl Forward {
                 ..ours.clone()
             });
         }
-        Ok(Compared { text: format!("PyTorch {} on {}\n{table}", found.torch, found.device), rows })
+        Ok(Compared { text: format!("{}\n{table}", found.name()), rows })
     }
 
     fn to_picture(

@@ -4,11 +4,9 @@ mod depth;
 mod effects;
 mod forward;
 mod gemm;
-mod gsplat;
 mod parts;
 mod peak;
 mod python;
-mod pytorch;
 mod refine;
 mod render;
 mod tradeoff;
@@ -64,6 +62,12 @@ struct Repeats {
     repeats: u32,
 }
 
+impl Repeats {
+    fn words(self) -> [String; 2] {
+        [self.warmup, self.repeats].map(|number| number.to_string())
+    }
+}
+
 impl Bench {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         match &self.what {
@@ -94,7 +98,10 @@ struct Spread {
 impl Spread {
     /// Averages the middle two of an even number.
     fn of(times: impl IntoIterator<Item = Duration>) -> Self {
-        let mut ms: Vec<f64> = times.into_iter().map(|time| 1e3 * time.as_secs_f64()).collect();
+        Self::of_ms(times.into_iter().map(|time| 1e3 * time.as_secs_f64()).collect())
+    }
+
+    fn of_ms(mut ms: Vec<f64>) -> Self {
         ms.sort_by(f64::total_cmp);
         let middle = |i: usize| ms.get(i).copied().unwrap_or(f64::NAN);
         let median = (middle(ms.len().saturating_sub(1) / 2) + middle(ms.len() / 2)) / 2.0;

@@ -1,7 +1,9 @@
 use super::{
     Group, Repeats, Spread, group,
     peak::{self, Rate},
-    percent, pytorch, timed_device,
+    percent,
+    python::{self, Pytorch},
+    timed_device,
 };
 use crate::{
     options::Size,
@@ -9,10 +11,10 @@ use crate::{
     table::{Table, bytes},
 };
 use clap::Args;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::{
     ops::ControlFlow,
-    path::PathBuf,
+    path::{Path, PathBuf},
     time::{Duration, Instant},
 };
 use zipsplat::{
@@ -79,6 +81,13 @@ struct Row {
     peak_bytes: u64,
 }
 
+/// What PyTorch timed.
+#[derive(Deserialize)]
+struct PytorchRow {
+    what: String,
+    ms: Vec<f64>,
+}
+
 struct Case {
     scene: Scene,
     size: Size,
@@ -96,7 +105,7 @@ impl Refine {
         if self.pytorch.is_some() && self.sh > PYTORCH_DEGREE {
             return Err(Error::argument("--sh", self.sh, "0 or 1 with --pytorch"));
         }
-        self.pytorch.as_deref().map_or(Ok(()), pytorch::check_refine)?;
+        self.pytorch.as_deref().map_or(Ok(()), |python| python::REFINE.check(python))?;
         let device = timed_device(session)?;
         let copy = session.stage("copies", |stage| peak::copies(&device, peak::BRIEFLY, stage))?.0;
         let fma = session.stage("FMA", |stage| peak::fma(&device, peak::BRIEFLY, stage))?.0;
@@ -194,18 +203,20 @@ impl Refine {
         }
     }
 
-    fn pytorch_rows(&self, python: &std::path::Path, case: &Case) -> Result<[Row; 2]> {
-        let Repeats { warmup, repeats } = self.repeats;
-        let found = pytorch::refine(python, &case.scene, case.size, case.photos.len(), [warmup, repeats])?;
-        let spread = |ms: &[f64]| Spread::of(ms.iter().map(|ms| Duration::from_secs_f64(ms / 1e3)));
-        let (picture, step) = (spread(&found.picture_ms), spread(&found.step_ms));
-        let row = |what: &str, ms: Spread| Row {
-            what: format!("PyTorch {} on {}: {what}", found.torch, found.device),
+    fn pytorch_rows(&self, python: &Path, case: &Case) -> Result<Vec<Row>> {
+        let numbers = [case.size.0, case.size.1, case.photos.len() as u32].map(|number| number.to_string());
+        let words = numbers.into_iter().chain(self.repeats.words());
+        let mut found: Pytorch<PytorchRow> = python::REFINE.run(python, Some(&case.scene), words)?;
+        let rows = std::mem::take(&mut found.rows).into_iter().map(|row| (row.what, Spread::of_ms(row.ms)));
+        let rows: Vec<_> = rows.collect();
+        let picture = rows.iter().find(|(what, _)| what == "picture").map_or(f64::NAN, |(_, ms)| ms.median);
+        let row = |(what, ms): (String, Spread)| Row {
+            what: format!("{}: {what}", found.name()),
             ms,
-            pictures: Some(ms.median / picture.median.max(1e-6)),
+            pictures: Some(ms.median / picture.max(1e-6)),
             ..case.row()
         };
-        Ok([row("picture", picture), row("step", step)])
+        Ok(rows.into_iter().map(row).collect())
     }
 }
 

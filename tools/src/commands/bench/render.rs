@@ -1,7 +1,7 @@
 use super::{
-    Repeats, Spread, effects, group, gsplat,
+    Repeats, Spread, effects, group,
     peak::{self, Rate},
-    percent, timed_device,
+    percent, python, timed_device,
 };
 use crate::{
     options::Size,
@@ -82,7 +82,7 @@ impl Render {
             let scene = Noise::new(1).scene(gaussians as usize, sh);
             return effects::run(session, &device, &scene, size, &self.repeats);
         }
-        self.gsplat.as_deref().map_or(Ok(()), gsplat::check)?;
+        self.gsplat.as_deref().map_or(Ok(()), |python| python::GSPLAT.check(python))?;
         let bandwidth = session.stage("copies", |stage| peak::copies(&device, peak::BRIEFLY, stage))?.0;
         let mut rows = Vec::new();
         for &gaussians in &self.gaussians {
@@ -157,7 +157,8 @@ impl Render {
         rows.push(row("host", commands, Spread::of(host), None));
         rows.push(row("in flight", commands, Spread::of([in_flight]), None));
         if let Some(python) = &self.gsplat {
-            let ms = gsplat::milliseconds(python, scene, size, repeats)?;
+            let words = [size.0, size.1, repeats].map(|number| number.to_string());
+            let ms = python::GSPLAT.run(python, Some(scene), words)?;
             rows.push(row("gsplat", 0, Spread { median: ms, min: ms, max: ms }, None));
         }
         Ok(rows)
