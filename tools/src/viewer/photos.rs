@@ -26,7 +26,7 @@ use std::{
 use zipsplat::{
     Error, Result,
     gpu::Progress,
-    reconstruct::{MAX_VIEWS, Ratio, ReconstructOptions, Shape},
+    reconstruct::{MAX_VIEWS, Ratio, Shape},
     types::{
         Camera, PointCloud, Pose,
         poses::{Capture, CaptureView, read_cloud},
@@ -161,16 +161,7 @@ impl FromPhotos {
         let unit = self.length(session, poses, &cameras, &frames)?;
         let (cameras, turned) = crop.network_cameras(cameras);
         let (model, _) = session.load_model(&device, &checkpoint, arithmetic)?;
-        let cameras = Some(cameras).filter(|cameras| !cameras.is_empty());
-        let selection = self.quality.token_selection.clone();
-        let request = ReconstructOptions {
-            ratio: self.quality.ratio,
-            token_selection: selection,
-            cameras,
-            scene_scale: Some(unit),
-            kv_pool: self.quality.kv_pool,
-            ..ReconstructOptions::default()
-        };
+        let request = self.quality.request(cameras, unit);
         let (features, _) = session.stage("backbone", |stage| {
             model.features(&images, &request, |progress: Progress<'_>| stage.at(progress.fraction))
         })?;
