@@ -2,9 +2,8 @@ mod maker;
 
 use super::{CAPTURE, Reconstruct};
 use crate::{
-    options::{Network, Quality, Weights},
-    outputs::{self, Overwrite},
-    photos,
+    options::{Network, Quality},
+    outputs, photos,
     session::{Session, Stage},
     stamp::{digest, stamp},
     table::{counted, time},
@@ -38,17 +37,9 @@ const FAILURES: &str = "failures.csv";
 /// finished if its scene exists and was made of the same photos, by name, size and time, with the
 /// same options. A failed capture is a row of `OUT/failures.csv`.
 pub struct Batch<'a> {
-    inputs: &'a [PathBuf],
-    output: &'a Path,
-    overwrite: Overwrite,
-    format: &'a str,
+    command: &'a Reconstruct,
     /// Cameras are those of the captures' folders.
     posed: bool,
-    views: Option<u32>,
-    limit: Option<usize>,
-    weights: &'a Weights,
-    quality: &'a Quality,
-    crop: Crop,
 }
 
 struct Work {
@@ -85,30 +76,25 @@ impl<'a> Batch<'a> {
             }
             cameras => cameras.is_some(),
         };
-        Ok(Self {
-            inputs: &command.input.photos,
-            output: command.output(),
-            overwrite: command.overwrite,
-            format: &command.format,
-            posed,
-            views: command.views,
-            limit: command.limit,
-            weights: &command.weights,
-            quality: &command.quality,
-            crop: command.crop.crop,
-        })
+        Ok(Self { command, posed })
+    }
+
+    fn crop(&self) -> Crop {
+        self.command.crop.crop
     }
 
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
-        if SceneFormat::named(self.format).is_none() {
-            return Err(Error::argument("--format", self.format, SceneFormat::EXTENSIONS));
+        let Reconstruct { format, overwrite, .. } = self.command;
+        let output = self.command.output();
+        if SceneFormat::named(format).is_none() {
+            return Err(Error::argument("--format", format, SceneFormat::EXTENSIONS));
         }
-        outputs::check_folder(self.output)?;
+        outputs::check_folder(output)?;
         let works = self.works()?;
         let files = works.iter().flat_map(|work| [&work.scene, &work.record]);
-        self.overwrite.check_replaced(files)?;
-        self.overwrite.check_replaced([self.output.join(FAILURES)])?;
-        let network = self.weights.open_network()?;
+        overwrite.check_replaced(files)?;
+        overwrite.check_replaced([output.join(FAILURES)])?;
+        let network = self.command.weights.open_network()?;
         let (maker, settings_key) = match &network {
             Network::Tokens(checkpoint) => Maker::of_tokens(self, session, checkpoint)?,
             Network::Pixels(checkpoint) => Maker::of_pixels(self, session, checkpoint)?,
@@ -121,17 +107,17 @@ impl<'a> Batch<'a> {
         let rate = finished as f64 / took.as_secs_f64();
         let left = works.len() - finished - unchanged - failures.len();
         let json = json!({
-            "output": self.output, "captures": works.len(), "reconstructed": finished, "skipped": unchanged, "failed": failures.len(),
+            "output": output, "captures": works.len(), "reconstructed": finished, "skipped": unchanged, "failed": failures.len(),
             "remaining": left, "seconds": took.as_secs_f64(), "captures_per_second": rate,
         });
-        let mut text = format!("{}: {} made in {}", self.output.display(), counted(finished, "scene"), time(took));
+        let mut text = format!("{}: {} made in {}", output.display(), counted(finished, "scene"), time(took));
         if finished > 0 {
             text += &format!(", {} each", time(took / finished as u32));
         }
         let others = [(unchanged, "there already"), (failures.len(), "failed"), (left, "left")];
         others.iter().filter(|(count, _)| *count > 0).for_each(|(count, what)| text += &format!("; {count} {what}"));
         if !failures.is_empty() {
-            session.note(format!("{}: {}", self.output.join(FAILURES).display(), counted(failures.len(), "capture")));
+            session.note(format!("{}: {}", output.join(FAILURES).display(), counted(failures.len(), "capture")));
             session.end_with(1);
         }
         session.report(&json, text)
@@ -139,12 +125,13 @@ impl<'a> Batch<'a> {
 
     /// Locks the output folder against other batches, until dropped.
     fn lock(&self) -> Result<Option<File>> {
-        outputs::make_folder(self.output)?;
+        let output = self.command.output();
+        outputs::make_folder(output)?;
         // Some file systems have no locks.
-        let Ok(folder) = File::open(self.output) else { return Ok(None) };
+        let Ok(folder) = File::open(output) else { return Ok(None) };
         match folder.try_lock() {
             Err(TryLockError::WouldBlock) => {
-                let found = format!("{}, where another batch is running", self.output.display());
+                let found = format!("{}, where another batch is running", output.display());
                 Err(Error::argument("--output", found, "a folder of its own for each batch"))
             }
             _ => Ok(Some(folder)),
@@ -153,7 +140,7 @@ impl<'a> Batch<'a> {
 
     fn works(&self) -> Result<Vec<Work>> {
         let mut folders = Vec::new();
-        for input in self.inputs {
+        for input in &self.command.input.photos {
             folders.extend(self.captures(input)?);
         }
         let mut names: HashMap<String, &Path> = HashMap::new();
@@ -167,8 +154,8 @@ impl<'a> Batch<'a> {
                 let found = format!("{name}, as {}", other.display());
                 return Err(Error::argument(format!("name of {}", folder.display()), found, "one of its own"));
             }
-            let file = |extension: &str| self.output.join(format!("{name}.{extension}"));
-            works.push(Work { scene: file(self.format), record: file("json"), folder: folder.clone() });
+            let file = |extension: &str| self.command.output().join(format!("{name}.{extension}"));
+            works.push(Work { scene: file(&self.command.format), record: file("json"), folder: folder.clone() });
         }
         Ok(works)
     }
@@ -204,10 +191,11 @@ impl<'a> Batch<'a> {
     /// All but the capture.
     fn settings_key(&self, weights: &str, size: &str, precision: &str) -> Result<String> {
         let of_file = if Path::new(weights).is_file() { stamp(Path::new(weights))? } else { String::new() };
-        let Quality { ratio, token_selection, kv_pool, .. } = self.quality;
+        let Reconstruct { quality, views, format, .. } = self.command;
+        let Quality { ratio, token_selection, kv_pool, .. } = quality;
         let options = [
-            format!("{ratio:?} {token_selection:?} {kv_pool} {:?} {:?}", self.quality.kept(), self.crop),
-            format!("{size} {precision} {} {:?} {}", self.posed, self.views, self.format),
+            format!("{ratio:?} {token_selection:?} {kv_pool} {:?} {:?}", quality.kept(), self.crop()),
+            format!("{size} {precision} {} {views:?} {format}", self.posed),
         ];
         Ok(format!("{} {weights} {of_file} {}", env!("CARGO_PKG_VERSION"), options.join(" ")))
     }
@@ -223,9 +211,9 @@ struct Runner<'a> {
 impl Runner<'_> {
     fn run(&self, stage: &Stage<'_>) -> Result<Tally> {
         let tally = Mutex::new(Tally::default());
-        let limit = self.batch.limit.unwrap_or(usize::MAX);
+        let limit = self.batch.command.limit.unwrap_or(usize::MAX);
         // Removes the failure list of an earlier run.
-        std::fs::remove_file(self.batch.output.join(FAILURES)).ok();
+        std::fs::remove_file(self.batch.command.output().join(FAILURES)).ok();
         let ended = std::thread::scope(|scope| {
             // Each queue holds one capture.
             let (to_device, prepared) = sync_channel(1);
@@ -278,7 +266,7 @@ impl Runner<'_> {
             Some(poses) => poses.frames.iter().filter_map(|frame| frame.photo.clone()).collect(),
             None => photos_of(&work.folder)?,
         };
-        if let Some(views) = self.batch.views {
+        if let Some(views) = self.batch.command.views {
             photos = photos::spread(photos, views as usize);
         }
         if !(1..=MAX_VIEWS).contains(&photos.len()) {
@@ -326,12 +314,12 @@ impl Runner<'_> {
         let failures = &mut lock(tally).failures;
         failures.push(Failure { capture: work.folder.display().to_string(), error: error.to_string() });
         // If the file cannot be written, the count still reports the failure.
-        outputs::save_csv(&self.batch.output.join(FAILURES), failures).ok();
+        outputs::save_csv(&self.batch.command.output().join(FAILURES), failures).ok();
     }
 
     fn tell(&self, stage: &Stage<'_>, tally: &Tally) {
         let done = tally.finished + tally.failures.len();
-        let all = (self.works.len() - tally.unchanged).min(self.batch.limit.unwrap_or(usize::MAX)).max(1);
+        let all = (self.works.len() - tally.unchanged).min(self.batch.command.limit.unwrap_or(usize::MAX)).max(1);
         let _ = stage.at(done as f64 / all as f64);
         stage.name(&format!("{done} of {all}"));
     }
