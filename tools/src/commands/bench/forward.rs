@@ -12,17 +12,12 @@ use crate::{
 };
 use clap::Args;
 use serde::{Deserialize, Serialize};
-use std::{
-    ops::ControlFlow,
-    path::{Path, PathBuf},
-    time::{Duration, Instant},
-};
+use std::path::{Path, PathBuf};
 use zipsplat::{
     Error, Result,
-    gpu::{Progress, Run},
-    reconstruct::{MAX_VIEWS, Model, Ratio, ReconstructOptions, Reconstruction, Shape},
-    stages::render::{RenderOptions, Renderer},
-    types::{Camera, Image, Intrinsics, Pose},
+    gpu::Run,
+    reconstruct::{MAX_VIEWS, Model, Ratio, ReconstructOptions, Shape},
+    types::Image,
     weights::Checkpoint,
 };
 use zipsplat_verify::noise::Noise;
@@ -46,10 +41,6 @@ pub struct Forward {
     input_size: Option<Size>,
     #[command(flatten)]
     arithmetic: ArithmeticOption,
-    /// Also time photos to a picture of this size: first, next, through the host, and from kept
-    /// features
-    #[arg(long, value_name = "WxH")]
-    pictures: Option<Size>,
     #[command(flatten)]
     repeats: Repeats,
     /// Also time PyTorch with this Python, on its GPU or CPU
@@ -126,12 +117,6 @@ impl Forward {
                 measured => measured?.0,
             };
             text += &describe(&measured, precision.name(), &device.limits().name, &peak);
-            let to_picture = self.pictures.map(|size| {
-                session.stage("pictures", |stage| self.to_picture(&model, &images[..*views], request, size, stage))
-            });
-            let to_picture = to_picture.transpose()?.map(|(rows, _)| rows).unwrap_or_default();
-            to_picture.iter().for_each(|row| text += &format!("  {:<44}{} ms\n", row.part.stage, row.part.ms));
-            rows.extend(to_picture.into_iter().map(|row| Row { precision: precision.name(), ..row }));
             rows.extend(measured.into_iter().map(|row| Row { precision: precision.name(), ..row }));
         }
         let compared = self.pytorch.as_ref().map_or(Ok(()), |python| {
@@ -188,71 +173,6 @@ impl Forward {
             });
         }
         Ok(Compared { text: format!("{}\n{table}", found.name()), rows })
-    }
-
-    fn to_picture(
-        &self,
-        model: &Model,
-        images: &[Image],
-        request: &ReconstructOptions,
-        Size(width, height): Size,
-        stage: &Stage<'_>,
-    ) -> Result<Vec<Row>> {
-        let device = model.arena().device();
-        let camera = Camera { intrinsics: Intrinsics::from_fov(width, height, 1.0, 1.0), pose: Pose::IDENTITY };
-        let drawing = RenderOptions::default();
-        let go_on = |_: Progress<'_>| stage.check().map_or(ControlFlow::Break(()), ControlFlow::Continue);
-        let timed = |road: &mut dyn FnMut() -> Result<Reconstruction>| -> Result<(Duration, Reconstruction)> {
-            let start = Instant::now();
-            let made = road()?;
-            Ok((start.elapsed(), made))
-        };
-        let show = |renderer: &mut Renderer, made: &Reconstruction| {
-            renderer.set_scene(&made.gaussians)?;
-            renderer.render(&[camera], &drawing).map(drop)
-        };
-        // The first run includes its allocation.
-        model.arena().release()?;
-        let (mut renderer, mut of_host) = (Renderer::new(device), Renderer::new(device));
-        let mut on_device = || {
-            let made = model.reconstruct_views(images, request, go_on)?;
-            show(&mut renderer, &made)?;
-            Ok(made)
-        };
-        let (first, made) = timed(&mut on_device)?;
-        let (tokens, peak_bytes) = (made.tokens, device.allocated_bytes());
-        drop(made);
-        let again = (0..self.repeats.repeats).map(|_| Ok(timed(&mut on_device)?.0)).collect::<Result<Vec<_>>>()?;
-        let mut through_host = || {
-            let made = model.reconstruct_views(images, request, go_on)?;
-            of_host.set_scene(&made.to_scene()?)?;
-            of_host.render(&[camera], &drawing)?;
-            Ok(made)
-        };
-        let host = (0..=self.repeats.repeats).map(|_| Ok(timed(&mut through_host)?.0)).collect::<Result<Vec<_>>>()?;
-        let features = model.features(images, request, go_on)?;
-        let mut of_features = || {
-            let made = model.reconstruct_features(&features, request, go_on)?;
-            show(&mut renderer, &made)?;
-            Ok(made)
-        };
-        let kept = (0..=self.repeats.repeats).map(|_| Ok(timed(&mut of_features)?.0)).collect::<Result<Vec<_>>>()?;
-        let row = |stage: &str, times: &[Duration]| Row {
-            precision: "",
-            views: images.len(),
-            tokens,
-            ratio: 0.0,
-            pool: request.kv_pool,
-            part: Part::of(stage.to_owned(), Spread::of(times.iter().copied())),
-            peak_bytes,
-            arena_bytes: model.arena().bytes(),
-        };
-        Ok(vec![
-            row("photos to a picture, the first", &[first]),
-            row("photos to a picture, again", &again),
-            row("photos to a picture through the host, again", &host[1..]),
-            row("kept features to a picture, again", &kept[1..]),
-        ])
     }
 
     fn measure(
