@@ -310,7 +310,7 @@ fn devices() {
     refused(&folder, &format!("reconstruct @/photos {nowhere} {MICRO}"), 4, &["nonesuch", "0: "]);
     refused(&folder, &format!("render @/scene.ply --wiggle {nowhere} -o @/out"), 4, &["nonesuch"]);
     refused(&folder, &format!("reconstruct --dry-run --views 2 --weights seeded:vits {nowhere}"), 4, &["nonesuch"]);
-    refused(&folder, &format!("bench gemm {nowhere}"), 4, &["nonesuch"]);
+    refused(&folder, &format!("bench peak {nowhere}"), 4, &["nonesuch"]);
     for line in
         [&format!("reconstruct @/photos {MICRO}"), "doctor list", "render @/scene.ply --wiggle -o @/out", "doctor"]
     {

@@ -66,25 +66,6 @@ fn forward_adds_up() {
 }
 
 #[test]
-fn linear_layers_agree_with_f64() {
-    let rows = rows(&Folder::new(), "gemm");
-    let exact = rows.iter().filter(|row| row["kernel"] == "fp32").count();
-    assert_eq!((exact, rows.len() % exact), (3, 0), "one a shape and kernel");
-    for row in rows {
-        let most = match row["kernel"].as_str() {
-            Some("fp32") => 1e-5,
-            Some("f16" | "f16 matrices") => 1e-3,
-            _ => 1e-2,
-        };
-        assert!(row["difference"].as_f64().is_some_and(|difference| difference < most), "{row}");
-        assert!(ordered(&row["device_ms"]), "{row}");
-        assert!(shared(&row["peak_share"], true), "{row}");
-    }
-    let text = Folder::new().run("bench gemm --warmup 0 --repeats 1").success();
-    assert!(text.contains("of peak") && text.contains(" %"), "{text}");
-}
-
-#[test]
 fn frames_are_measured_by_pass() {
     let folder = Folder::new();
     let rows = rows(&folder, "render --gaussians 50,300 --size 32x32,48x32 --sh 0");

@@ -3,7 +3,6 @@
 mod depth;
 mod effects;
 mod forward;
-mod gemm;
 mod parts;
 mod peak;
 mod python;
@@ -20,13 +19,11 @@ use zipsplat::{
     gpu::{Device, Profile, ProfileRow},
 };
 
-/// Times of the network, depth, matrix products, rendering and refinement; device limits;
-/// accuracy against time
+/// Times of the network, depth, rendering and refinement; device limits; accuracy against time
 #[derive(Args)]
 #[command(after_help = "Examples:
   zipsplat bench forward --weights seeded:vits --views 2,4,8 --ratio 1,auto
   zipsplat bench depth --weights seeded:da3-small --views 4,24 --input-size 252x252,504x336
-  zipsplat bench gemm
   zipsplat bench peak
   zipsplat bench render --gaussians 36000,102000 --size 252x252,1920x1080
   zipsplat bench refine --gaussians 102000 --size 252x252
@@ -43,7 +40,6 @@ pub struct Bench {
 enum What {
     Depth(depth::Depth),
     Forward(forward::Forward),
-    Gemm(gemm::Gemm),
     Peak(peak::Peak),
     Refine(refine::Refine),
     Render(render::Render),
@@ -73,7 +69,6 @@ impl Bench {
         match &self.what {
             What::Depth(bench) => bench.run(session),
             What::Forward(bench) => bench.run(session),
-            What::Gemm(bench) => bench.run(session),
             What::Peak(bench) => bench.run(session),
             What::Refine(bench) => bench.run(session),
             What::Render(bench) => bench.run(session),
