@@ -12,7 +12,7 @@ use std::{
     },
     time::{Duration, Instant},
 };
-use zipsplat::{Error, Result};
+use zipsplat::{Error, Result, gpu::Progress};
 
 /// Delay before progress is shown.
 const PATIENCE: Duration = Duration::from_secs(1);
@@ -67,6 +67,12 @@ impl<'a> Stage<'a> {
     pub fn at(&self, fraction: f64) -> ControlFlow<()> {
         self.bar.set_position((fraction * STEPS as f64) as u64);
         if self.cancelled.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    }
+
+    /// Shows the engine's progress.
+    pub fn follow(&self, progress: Progress<'_>) -> ControlFlow<()> {
+        self.name(progress.scope);
+        self.at(progress.fraction)
     }
 
     /// Hidden stage with the same cancellation, for parallel steps.

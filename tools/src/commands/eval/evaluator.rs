@@ -141,7 +141,7 @@ impl<'a> Evaluator<'a> {
         let (cameras, world) = self.seeing.crop.network_cameras(capture.cameras());
         let request = eval.quality.request(if eval.pose_free { Vec::new() } else { cameras }, 1.0);
         let of_tokens = eval.refine.steps().is_some_and(|steps| steps.tokens);
-        let (result, tokens, took) = session.reconstruct_with_tokens(model, &images, &request, of_tokens)?;
+        let ((result, tokens), took) = session.reconstruct(model, &images, &request, of_tokens)?;
         let mut scene = result.to_scene()?;
         eval.quality.prune(&mut scene, checkpoint.architecture());
         world.iter().for_each(|world| scene.place(1.0, world));

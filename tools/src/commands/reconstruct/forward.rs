@@ -109,7 +109,7 @@ impl Planned<'_> {
         let length = scene_scale.as_ref().map_or(1.0, |scene_scale| scene_scale.length);
         let request = quality.request(cameras, length);
         let moves_tokens = command.refine.steps().is_some_and(|steps| steps.tokens);
-        let (result, tokens, _) = session.reconstruct_with_tokens(&model, &images, &request, moves_tokens)?;
+        let ((result, tokens), _) = session.reconstruct(&model, &images, &request, moves_tokens)?;
         let mut scene = result.to_scene()?;
         let asked = command.cameras_out.is_some() && poses.is_none();
         let found =
