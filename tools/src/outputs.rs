@@ -4,6 +4,7 @@ use clap::Args;
 use png::{BitDepth, ColorType, Compression};
 use serde::Serialize;
 use std::{
+    fmt::Display,
     fs::File,
     io::{Read, Seek, SeekFrom},
     path::Path,
@@ -147,6 +148,39 @@ pub fn save_scene(path: &Path, scene: &Scene, options: &SaveOptions, world: Opti
             ))
         }
         _ => None,
+    })
+}
+
+/// Written in `FAILURES` of a folder, beside what succeeded.
+#[derive(Serialize)]
+pub struct Failure {
+    pub capture: String,
+    pub error: String,
+}
+
+pub const FAILURES: &str = "failures.csv";
+
+impl Failure {
+    pub fn new(capture: impl Display, error: &Error) -> Self {
+        Self { capture: capture.to_string(), error: error.to_string() }
+    }
+
+    /// Returns true if later captures would fail alike.
+    pub fn is_of_all(error: &Error) -> bool {
+        matches!(error, Error::Cancelled | Error::DeviceLost | Error::NoDevice(_))
+    }
+}
+
+/// Ends a summary with the counts that are not 0.
+pub fn and_others(mut text: String, others: &[(usize, &str)]) -> String {
+    others.iter().filter(|(count, _)| *count > 0).for_each(|(count, what)| text += &format!("; {count} {what}"));
+    text
+}
+
+pub fn save_json(path: &Path, value: &impl Serialize) -> Result<()> {
+    write_atomic(path, |out| {
+        serde_json::to_writer_pretty(&mut *out, value)?;
+        writeln!(out)
     })
 }
 

@@ -3,14 +3,14 @@ mod maker;
 use super::{CAPTURE, Reconstruct};
 use crate::{
     options::{Network, Quality},
-    outputs, photos,
+    outputs::{self, FAILURES, Failure},
+    photos,
     session::{Session, Stage},
-    stamp::{digest, stamp},
+    stamp::{digest, stamp, stamp_of_weights},
     table::{counted, time},
     views::Crop,
 };
 use maker::{FinishedScene, Input, Maker};
-use serde::Serialize;
 use serde_json::{Value, json};
 use std::{
     collections::HashMap,
@@ -25,11 +25,8 @@ use zipsplat::{
     types::{
         SaveOptions, SceneFormat, World,
         poses::{Capture, CaptureView},
-        write_atomic,
     },
 };
-
-const FAILURES: &str = "failures.csv";
 
 /// Scenes of many captures, by one model that stays on the device.
 ///
@@ -53,12 +50,6 @@ struct Prepared {
     hash: String,
     photos: usize,
     world: Option<World>,
-}
-
-#[derive(Clone, Serialize)]
-struct Failure {
-    capture: String,
-    error: String,
 }
 
 #[derive(Default)]
@@ -115,7 +106,7 @@ impl<'a> Batch<'a> {
             text += &format!(", {} each", time(took / finished as u32));
         }
         let others = [(unchanged, "there already"), (failures.len(), "failed"), (left, "left")];
-        others.iter().filter(|(count, _)| *count > 0).for_each(|(count, what)| text += &format!("; {count} {what}"));
+        let text = outputs::and_others(text, &others);
         if !failures.is_empty() {
             session.note(format!("{}: {}", output.join(FAILURES).display(), counted(failures.len(), "capture")));
             session.end_with(1);
@@ -190,7 +181,7 @@ impl<'a> Batch<'a> {
 
     /// All but the capture.
     fn settings_key(&self, weights: &str, size: &str, precision: &str) -> Result<String> {
-        let of_file = if Path::new(weights).is_file() { stamp(Path::new(weights))? } else { String::new() };
+        let of_file = stamp_of_weights(weights)?;
         let Reconstruct { quality, views, format, .. } = self.command;
         let Quality { ratio, token_selection, kv_pool, .. } = quality;
         let options = [
@@ -247,8 +238,7 @@ impl Runner<'_> {
                 self.tell(stage, &lock(&tally));
                 match prepared.and_then(|prepared| self.reconstruct(work, prepared, stage)) {
                     Ok(finished) => to_disk.send((work, finished)).map_err(|_| Error::Cancelled)?,
-                    // Later captures would fail alike.
-                    Err(error @ (Error::Cancelled | Error::DeviceLost | Error::NoDevice(_))) => return Err(error),
+                    Err(error) if Failure::is_of_all(&error) => return Err(error),
                     Err(error) => self.failed(&tally, work, &error),
                 }
                 Ok(())
@@ -312,7 +302,7 @@ impl Runner<'_> {
 
     fn failed(&self, tally: &Mutex<Tally>, work: &Work, error: &Error) {
         let failures = &mut lock(tally).failures;
-        failures.push(Failure { capture: work.folder.display().to_string(), error: error.to_string() });
+        failures.push(Failure::new(work.folder.display(), error));
         // If the file cannot be written, the count still reports the failure.
         outputs::save_csv(&self.batch.command.output().join(FAILURES), failures).ok();
     }
@@ -332,10 +322,7 @@ fn write(work: &Work, finished: FinishedScene) -> Result<()> {
     let bytes = work.scene.metadata().map_err(|error| Error::io(&work.scene, error))?.len();
     let mut record = finished.record;
     record["bytes"] = json!(bytes);
-    write_atomic(&work.record, |out| {
-        serde_json::to_writer_pretty(&mut *out, &record)?;
-        writeln!(out)
-    })
+    outputs::save_json(&work.record, &record)
 }
 
 /// Complete, of equal inputs and options.
