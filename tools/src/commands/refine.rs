@@ -100,8 +100,7 @@ impl Refine {
         }
         let photos = photos::list(session, files)?;
         let KnownCameras { poses, found } = KnownCameras::of(session, &self.cameras, &photos, &self.finding)?;
-        poses.warnings.iter().for_each(|note| session.note(note));
-        let photos = photos::posed(session, photos, &poses)?;
+        let photos = photos::kept(session, photos, Some(&poses), None)?;
         let frames = poses.frames_of(&photos)?;
         let started = self.start(session, scene, &poses, &frames)?;
         drop(found);

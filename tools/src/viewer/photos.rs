@@ -97,17 +97,11 @@ impl FromPhotos {
         poses: Option<&Path>,
     ) -> Result<Photographed> {
         let (mut photos, folder) = self.reading.list(session, paths, self.views, None)?;
-        if let (Some(views), true) = (self.views, poses.is_some_and(KnownCameras::to_find)) {
-            photos = photos::spread(photos, views as usize);
+        if poses.is_some_and(KnownCameras::to_find) {
+            photos = photos::spread(photos, self.views);
         }
         let known = poses.map(|poses| KnownCameras::of(session, poses, &photos, &self.finding)).transpose()?;
-        if let Some(KnownCameras { poses, .. }) = &known {
-            session.notes(&poses.warnings);
-            photos = photos::posed(session, photos, poses)?;
-        }
-        if let Some(views) = self.views {
-            photos = photos::spread(photos, views as usize);
-        }
+        let photos = photos::kept(session, photos, known.as_ref().map(|known| &known.poses), self.views)?;
         Ok(Photographed { photos, known, folder })
     }
 

@@ -35,7 +35,7 @@ pub fn show(session: &mut Session<'_>, command: &Reconstruct) -> Result<()> {
         (0, Some(views)) => views,
         (all, limit) => limit.unwrap_or(all).min(all),
     };
-    let photos = photos::spread(photos, views);
+    let photos = photos::spread(photos, command.views);
     let network = command.weights.open_network()?;
     let posed = command.cameras.is_some() && !command.finds_by_itself(&network);
     match &network {

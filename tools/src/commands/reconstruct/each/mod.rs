@@ -252,13 +252,11 @@ impl Runner<'_> {
     /// `None` if its scene is finished.
     fn prepare(&self, work: &Work, stage: &Stage<'_>) -> Result<Option<Prepared>> {
         let poses = if self.batch.posed { Some(Capture::open(&work.folder)?) } else { None };
-        let mut photos = match &poses {
+        let photos = match &poses {
             Some(poses) => poses.frames.iter().filter_map(|frame| frame.photo.clone()).collect(),
             None => photos_of(&work.folder)?,
         };
-        if let Some(views) = self.batch.command.views {
-            photos = photos::spread(photos, views as usize);
-        }
+        let photos = photos::spread(photos, self.batch.command.views);
         if !(1..=MAX_VIEWS).contains(&photos.len()) {
             let expected = format!("1 to {MAX_VIEWS}; --views N takes N of them, evenly spread");
             return Err(Error::argument(format!("photos in {}", work.folder.display()), photos.len(), expected));
