@@ -47,6 +47,8 @@ enum What {
 }
 
 const MOST: i64 = 1_000_000;
+/// Limit by host memory.
+const MOST_GAUSSIANS: i64 = 50_000_000;
 
 #[derive(Args, Clone, Copy)]
 struct Repeats {
@@ -103,9 +105,9 @@ impl Spread {
         Self { median, min: middle(0), max: middle(ms.len().saturating_sub(1)) }
     }
 
-    /// Returns GFLOP/s at the median.
-    fn rate(&self, flops: u64) -> f64 {
-        flops as f64 / (1e6 * self.median.max(1e-6))
+    /// Returns billions of operations or bytes per second, at the median.
+    fn rate(&self, count: u64) -> f64 {
+        count as f64 / (1e6 * self.median.max(1e-6))
     }
 }
 
@@ -124,31 +126,47 @@ struct Group {
     /// Per run.
     count: u32,
     flops: u64,
+    /// Of tensors, each once per command.
+    bytes: u64,
     ms: Spread,
+}
+
+impl Group {
+    fn of(name: &str, ms: Spread) -> Self {
+        Self { name: name.to_owned(), count: 0, flops: 0, bytes: 0, ms }
+    }
 }
 
 /// Groups by `name`, in order of first use.
 fn group(profiles: &[Profile], name: impl Fn(&ProfileRow) -> String) -> Vec<Group> {
     let mut order: Vec<String> = Vec::new();
-    let mut known: HashMap<String, (u32, u64, Vec<Duration>)> = HashMap::new();
+    let mut known: HashMap<String, ([u64; 3], Vec<Duration>)> = HashMap::new();
     for (run, profile) in profiles.iter().enumerate() {
         for row in &profile.rows {
-            let (count, flops, times) = known.entry(name(row)).or_insert_with_key(|name| {
+            let (sums, times) = known.entry(name(row)).or_insert_with_key(|name| {
                 order.push(name.clone());
-                (0, 0, vec![Duration::ZERO; profiles.len()])
+                ([0; 3], vec![Duration::ZERO; profiles.len()])
             });
             times[run] += row.time;
             if run == 0 {
-                *count += row.count;
-                *flops += row.flops;
+                sums.iter_mut().zip([row.count.into(), row.flops, row.bytes]).for_each(|(sum, value)| *sum += value);
             }
         }
     }
     let finish = |name: String| {
-        let (count, flops, times) = known.remove(&name).unwrap_or_default();
-        Group { name, count, flops, ms: Spread::of(times) }
+        let ([count, flops, bytes], times) = known.remove(&name).unwrap_or_default();
+        Group { name, count: count as u32, flops, bytes, ms: Spread::of(times) }
     };
     order.into_iter().map(finish).collect()
+}
+
+/// Kernel, or sort of several.
+fn pass(row: &ProfileRow) -> String {
+    match row.scope.split('/').nth(1) {
+        Some("by_depth") => "sort by depth".into(),
+        Some("by_tile") => "sort by tile".into(),
+        _ => row.kernel.clone(),
+    }
 }
 
 fn stage_of(row: &ProfileRow) -> String {

@@ -1,5 +1,5 @@
 use super::{
-    Group, Repeats, Spread, group,
+    Group, MOST_GAUSSIANS, Repeats, Spread, group, pass,
     peak::{self, Rate},
     percent,
     python::{self, Pytorch},
@@ -26,8 +26,6 @@ use zipsplat::{
 };
 use zipsplat_verify::noise::{self, Noise};
 
-/// Limit by host memory.
-const MOST_GAUSSIANS: i64 = 50_000_000;
 /// Progress checks, excluded from times.
 const LOOKS: usize = 20;
 const PYTORCH_DEGREE: u32 = 1;
@@ -151,32 +149,20 @@ impl Refine {
             pictures.extend((i >= warmup).then_some(took));
         }
         let pictures = Spread::of(pictures);
-        let row = |what: &str, Group { count, flops, ms, .. }: Group, moved: Option<u64>| Row {
-            what: what.to_owned(),
+        let row = |Group { name, count, flops, bytes, ms }: Group| Row {
+            what: name,
             commands: count,
             pictures: Some(ms.median / pictures.median.max(1e-6)),
-            bandwidth_share: moved.and_then(|moved| limits.copy.share(moved as f64 / (1e6 * ms.median.max(1e-6)))),
-            fma_share: Some(flops).filter(|flops| *flops > 0).and_then(|flops| limits.fma.share(ms.rate(flops))),
+            bandwidth_share: limits.copy.share(ms.rate(bytes)),
+            fma_share: limits.fma.share(ms.rate(flops)),
             ms,
             peak_bytes,
             ..case.row()
         };
-        let bytes_of = |name: Option<&str>| {
-            let rows = profiles.iter().take(1).flat_map(|profile| &profile.rows);
-            rows.filter(|row| name.is_none_or(|name| pass(row) == name)).map(|row| row.bytes).sum()
-        };
-        let mut rows = Vec::new();
-        for of_pass in group(&profiles, pass) {
-            let name = of_pass.name.clone();
-            rows.push(row(&name, of_pass, Some(bytes_of(Some(&name)))));
-        }
-        for all in group(&profiles, |_| "step".into()) {
-            rows.push(row("step", all, Some(bytes_of(None))));
-        }
-        let alone = |ms: Spread| Group { name: String::new(), count: 0, flops: 0, ms };
-        rows.push(row("picture", alone(pictures), None));
-        rows.push(row("host", alone(host), None));
-        Ok(rows)
+        let mut groups = group(&profiles, pass);
+        groups.extend(group(&profiles, |_| "step".into()));
+        groups.extend([Group::of("picture", pictures), Group::of("host", host)]);
+        Ok(groups.into_iter().map(row).collect())
     }
 
     fn host(&self, device: &Device, case: &Case, intersection_capacity: usize, stage: &Stage<'_>) -> Result<Spread> {
@@ -283,14 +269,6 @@ impl Case {
             fma_share: None,
             peak_bytes: 0,
         }
-    }
-}
-
-fn pass(row: &zipsplat::gpu::ProfileRow) -> String {
-    match row.scope.split('/').collect::<Vec<_>>()[..] {
-        [_, "by_depth", ..] => "sort by depth".into(),
-        [_, "by_tile", ..] => "sort by tile".into(),
-        _ => row.kernel.clone(),
     }
 }
 
