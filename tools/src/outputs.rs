@@ -62,6 +62,15 @@ impl Overwrite {
         self.check_replaced([path])
     }
 
+    pub fn check_scene(self, path: &Path) -> Result<()> {
+        self.check_file(path)?;
+        if SceneFormat::of_extension(path).is_none() {
+            let expected = format!("a file that ends in {}", SceneFormat::EXTENSIONS);
+            return Err(Error::argument("--output", path.display(), expected));
+        }
+        Ok(())
+    }
+
     pub fn check_replaced<P: AsRef<Path>>(self, files: impl IntoIterator<Item = P>) -> Result<()> {
         let mut files = files.into_iter();
         match files.find(|file| !self.overwrite && is_file(file.as_ref()) && !is_own(file.as_ref())) {
@@ -190,6 +199,11 @@ pub fn save_csv(path: &Path, rows: &[impl Serialize]) -> Result<()> {
     rows.iter().for_each(|row| table.serialize(row).expect("flat rows of one type, written to memory"));
     let table = table.into_inner().expect("written to memory");
     write_atomic(path, |out| out.write_all(&table))
+}
+
+/// In bytes.
+pub fn size_of(path: &Path) -> Result<u64> {
+    Ok(path.metadata().map_err(|error| Error::io(path, error))?.len())
 }
 
 pub fn make_folder(path: &Path) -> Result<()> {

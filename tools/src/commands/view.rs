@@ -1,7 +1,7 @@
 use crate::{
     heic::is_heic,
     options::{Network, SceneInput, refuse},
-    outputs::Overwrite,
+    outputs::{Overwrite, size_of},
     refinement::with_cameras,
     session::Session,
     table::{bytes, counted},
@@ -122,7 +122,7 @@ impl View {
             scenes.push(self.input.read(session, path)?.0);
         }
         let shown = |path: &PathBuf| {
-            let bytes = path.metadata().map_err(|error| Error::io(path, error))?.len();
+            let bytes = size_of(path)?;
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
             Ok(ShownScene {
                 name,
@@ -270,7 +270,7 @@ impl View {
         })?;
         session
             .stage("write page", |_| write_atomic(output, |out| write_page(out, config, Requests::None, &encoded)))?;
-        let written = output.metadata().map_err(|error| Error::io(output, error))?.len();
+        let written = size_of(output)?;
         let gaussians: Vec<usize> = scenes.iter().map(Scene::len).collect();
         let json = json!({
             "output": output, "gaussians": gaussians, "bytes": written, "photos": photos.0, "photo_bytes": photos.1,

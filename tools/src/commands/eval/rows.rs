@@ -1,6 +1,10 @@
 //! Records of evaluated scenes, and their means.
 
-use crate::{outputs::{MADE_BY, save_json}, photos::folders_in, protocol::Protocol};
+use crate::{
+    outputs::{MADE_BY, save_json},
+    photos::folders_in,
+    protocol::Protocol,
+};
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};

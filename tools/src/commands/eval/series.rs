@@ -223,8 +223,7 @@ impl Series<'_> {
         Tally { evaluated, unchanged, unknown, failures }: &Tally,
     ) -> Result<()> {
         let table = Table::of(3, &means.headings, &means.lines);
-        let text =
-            format!("{table}{}: {} of {} evaluated", out.display(), counted(*evaluated, "scene"), means.title);
+        let text = format!("{table}{}: {} of {} evaluated", out.display(), counted(*evaluated, "scene"), means.title);
         let others = [(*unchanged, "there already"), (*unknown, "not in --indices"), (failures.len(), "failed")];
         let text = outputs::and_others(text, &others);
         let json = serde_json::json!({

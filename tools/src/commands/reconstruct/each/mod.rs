@@ -317,9 +317,8 @@ impl Runner<'_> {
 fn write(work: &Work, finished: FinishedScene) -> Result<()> {
     std::fs::remove_file(&work.record).ok();
     outputs::save_scene(&work.scene, &finished.scene, &SaveOptions::default(), finished.world.as_ref())?;
-    let bytes = work.scene.metadata().map_err(|error| Error::io(&work.scene, error))?.len();
     let mut record = finished.record;
-    record["bytes"] = json!(bytes);
+    record["bytes"] = json!(outputs::size_of(&work.scene)?);
     outputs::save_json(&work.record, &record)
 }
 
