@@ -6,10 +6,10 @@ use super::{
     live::{LiveScene, Source},
     page::{ShownScene, View},
     watched::Target,
-    within_page,
 };
 use crate::{
     cameras::{Finding, KnownCameras},
+    html::data_url,
     options::{Network, Quality, Weights, parse_length},
     photos::{self, Reading},
     refinement::{Initialization, RefineArgs, placed},
@@ -249,7 +249,7 @@ impl FromPhotos {
 impl Ready<'_> {
     pub fn views(&self, within: bool) -> Result<Vec<View>> {
         let view = |(i, name): (usize, &String)| {
-            let photo = if within { within_page(&self.view(i)?) } else { format!("view/{i}") };
+            let photo = if within { data_url(&self.view(i)?) } else { format!("view/{i}") };
             Ok(View { name: name.clone(), photo })
         };
         self.names.iter().enumerate().map(view).collect()
