@@ -66,6 +66,10 @@ impl<'a> Stage<'a> {
     /// `Break` on cancellation.
     pub fn at(&self, fraction: f64) -> ControlFlow<()> {
         self.bar.set_position((fraction * STEPS as f64) as u64);
+        self.go_on()
+    }
+
+    pub fn go_on(&self) -> ControlFlow<()> {
         if self.cancelled.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
 
