@@ -8,14 +8,14 @@ const WEIGHTS: &str = "--weights @/micro.safetensors --input-size 28x28";
 fn captures() -> Folder {
     let folder = Folder::new();
     for (i, place) in ["all/1", "all/2/images", "all/10"].into_iter().enumerate() {
-        std::fs::create_dir_all(folder.path(place)).expect("a folder");
+        folder.make(place);
         for view in 0..2 {
             let name = folder.path(place).join(format!("{view}.png"));
             photo(40, 30, (10 * i + view) as u32).save_png(name).expect("a photo can be written");
         }
     }
-    std::fs::write(folder.path("all/notes.txt"), "no capture").expect("a file");
-    std::fs::create_dir(folder.path("all/empty")).expect("a folder");
+    folder.write("all/notes.txt", "no capture");
+    folder.make("all/empty");
     folder
 }
 
@@ -43,12 +43,11 @@ fn makes_the_scenes_of_reconstruct() {
     assert_eq!(super::names(&folder.path("out")), ["1.json", "1.ply", "10.json", "10.ply", "2.json", "2.ply"]);
     for (name, photos) in [("1", "all/1"), ("2", "all/2/images"), ("10", "all/10")] {
         folder.run(&format!("reconstruct {WEIGHTS} @/{photos} --ratio 0.5 -o @/{name}.ply")).success();
-        let file = |place: &str| std::fs::read(folder.path(place)).expect("a scene");
-        assert!(file(&format!("{name}.ply")) == file(&format!("out/{name}.ply")), "capture {name}");
-        let record: Value = serde_json::from_slice(&file(&format!("out/{name}.json"))).expect("JSON");
+        assert!(folder.read(&format!("{name}.ply")) == folder.read(&format!("out/{name}.ply")), "capture {name}");
+        let record: Value = serde_json::from_slice(&folder.read(&format!("out/{name}.json"))).expect("JSON");
         assert_eq!(
             (&record["photos"], record["bytes"].as_u64()),
-            (&2.into(), Some(file(&format!("out/{name}.ply")).len() as u64))
+            (&2.into(), Some(folder.read(&format!("out/{name}.ply")).len() as u64))
         );
     }
 }
@@ -59,12 +58,11 @@ fn makes_the_scenes_of_pixels_of_reconstruct() {
     let weights = "--weights @/da3.safetensors --input-size 42x42 --ratio 0.5";
     let line = format!("--json reconstruct --each {weights} @/all/1 @/all/10 -o @/out");
     assert_eq!(numbers(folder.run(&line)), [2, 0, 0, 0]);
-    let file = |place: &str| std::fs::read(folder.path(place)).expect("a file");
     for name in ["1", "10"] {
         folder.run(&format!("reconstruct {weights} @/all/{name} -o @/{name}.ply")).success();
-        assert!(file(&format!("{name}.ply")) == file(&format!("out/{name}.ply")), "capture {name}");
+        assert!(folder.read(&format!("{name}.ply")) == folder.read(&format!("out/{name}.ply")), "capture {name}");
     }
-    let record: Value = serde_json::from_slice(&file("out/1.json")).expect("JSON");
+    let record: Value = serde_json::from_slice(&folder.read("out/1.json")).expect("JSON");
     assert_eq!((&record["network"], &record["photos"]), (&"da3-micro".into(), &2.into()));
     assert_eq!(numbers(folder.run(&line)), [0, 2, 0, 0]);
 
@@ -78,7 +76,7 @@ fn makes_the_scenes_of_pixels_of_reconstruct() {
         );
         let photos = line.replacen("@/place", "@/place/images", 1);
         folder.run(&format!("reconstruct {photos} --cameras @/place -o @/place.ply")).success();
-        assert!(file("place.ply") == file(&format!("{weights}/place.ply")), "{weights}");
+        assert!(folder.read("place.ply") == folder.read(&format!("{weights}/place.ply")), "{weights}");
     }
     let refused = |rest: &str| folder.run(&format!("reconstruct --each @/all -o @/none {rest}"));
     refused("--weights @/alone.safetensors").fails(3, &["da3-micro-alone", "no camera decoder"]);
@@ -96,17 +94,17 @@ fn goes_on_where_it_was() {
     assert_eq!(numbers(batch(&folder, &format!("{line} --limit 1"))), [1, 0, 0, 2]);
     assert_eq!(super::names(&folder.path("out")), ["1.json", "1.ply"]);
     let first = times(&folder, &["out/1.ply"]);
-    std::fs::write(folder.path("out/2.ply"), "ply\ncomment zipsplat\n").expect("a file");
+    folder.write("out/2.ply", "ply\ncomment zipsplat\n");
     assert_eq!(numbers(batch(&folder, line)), [2, 1, 0, 0]);
     assert_eq!(numbers(batch(&folder, line)), [0, 3, 0, 0]);
     assert_eq!(times(&folder, &["out/1.ply"]), first);
     photo(40, 30, 77).save_png(folder.path("all/1/1.png")).expect("a photo can be written");
     photo(40, 30, 78).save_png(folder.path("all/2/images/9.png")).expect("a photo can be written");
     assert_eq!(numbers(batch(&folder, line)), [2, 1, 0, 0]);
-    let scene = std::fs::read(folder.path("out/10.ply")).expect("a scene");
-    std::fs::write(folder.path("out/10.ply"), &scene[..scene.len() - 4]).expect("a file");
+    let scene = folder.read("out/10.ply");
+    folder.write("out/10.ply", &scene[..scene.len() - 4]);
     assert_eq!(numbers(batch(&folder, line)), [1, 2, 0, 0]);
-    assert!(std::fs::read(folder.path("out/10.ply")).expect("a scene") == scene);
+    assert!(folder.read("out/10.ply") == scene);
     assert_eq!(numbers(batch(&folder, &format!("{line} --ratio 0.5"))), [3, 0, 0, 0]);
     assert_eq!(numbers(batch(&folder, &format!("{line} --ratio 0.5 --format spz"))), [3, 0, 0, 0]);
 }
@@ -114,11 +112,11 @@ fn goes_on_where_it_was() {
 #[test]
 fn one_that_fails_is_a_row_and_not_the_end() {
     let folder = captures();
-    std::fs::write(folder.path("all/1/1.png"), "no picture").expect("a file");
+    folder.write("all/1/1.png", "no picture");
     let outcome = batch(&folder, "@/all -o @/out");
     assert!(outcome.code == 1 && outcome.err.contains("failures.csv: 1 capture"), "{}", outcome.err);
     assert_eq!(numbers(outcome), [2, 0, 1, 0]);
-    let table = std::fs::read_to_string(folder.path("out/failures.csv")).expect("a table");
+    let table = folder.text("out/failures.csv");
     let rows: Vec<&str> = table.lines().collect();
     assert!(rows.len() == 2 && rows[0] == "capture,error", "{table}");
     assert!(rows[1].contains("all/1") && rows[1].contains("1.png"), "{table}");
@@ -130,14 +128,13 @@ fn one_that_fails_is_a_row_and_not_the_end() {
 #[test]
 fn takes_lists_captures_and_cameras() {
     let folder = captures();
-    std::fs::write(folder.path("list.txt"), "# two of them\nall/10\n\n  all/2  \n").expect("a list");
+    folder.write("list.txt", "# two of them\nall/10\n\n  all/2  \n");
     assert_eq!(numbers(batch(&folder, "@/list.txt @/all/1 -o @/out")), [3, 0, 0, 0]);
     folder.run("scene --seed 3 --size 32x32 --views 3 -o @/posed").success();
     let line = format!("reconstruct {WEIGHTS} @/posed/images --cameras @/posed -o @/known.ply");
     folder.run(&line).success();
     assert_eq!(numbers(batch(&folder, "@/posed --cameras capture -o @/out")), [1, 0, 0, 0]);
-    let file = |name: &str| std::fs::read(folder.path(name)).expect("a scene");
-    assert!(file("known.ply") == file("out/posed.ply"));
+    assert!(folder.read("known.ply") == folder.read("out/posed.ply"));
     assert_eq!(numbers(batch(&folder, "@/posed -o @/out")), [1, 0, 0, 0], "without its cameras it is another");
 }
 
@@ -148,23 +145,22 @@ fn what_cannot_be_done_is_refused_before_it_begins() {
     run("@/none -o @/out").fails(3, &["none"]);
     run("@/all/empty -o @/out").fails(3, &["captures", "empty", "images/"]);
     run("@/all -o @/out --format obj").fails(3, &["--format", "obj", ".ply"]);
-    std::fs::create_dir_all(folder.path("more/1")).expect("a folder");
+    folder.make("more/1");
     photo(40, 30, 1).save_png(folder.path("more/1/a.png")).expect("a photo can be written");
     run("@/all @/more -o @/out").fails(3, &["name of", "more/1", "one of its own"]);
-    std::fs::create_dir(folder.path("out")).expect("a folder");
-    std::fs::write(folder.path("out/2.ply"), "mine").expect("a file");
+    folder.write("out/2.ply", "mine");
     run("@/all -o @/out").fails(3, &["file to replace", "2.ply"]);
-    assert_eq!(std::fs::read(folder.path("out/2.ply")).expect("a file"), b"mine");
+    assert_eq!(folder.read("out/2.ply"), b"mine");
 }
 
 #[test]
 fn a_missing_folder_in_a_list_fails_alone() {
     let folder = captures();
-    std::fs::write(folder.path("list.txt"), "all/1\nall/gone\nall/10\n").expect("a list");
+    folder.write("list.txt", "all/1\nall/gone\nall/10\n");
     let outcome = folder.run(&format!("reconstruct --each {WEIGHTS} @/list.txt -o @/out"));
     assert_eq!(outcome.code, 1, "{}", outcome.err);
     assert_eq!(super::names(&folder.path("out")), ["1.json", "1.ply", "10.json", "10.ply", "failures.csv"]);
-    let failures = std::fs::read_to_string(folder.path("out/failures.csv")).expect("a table");
+    let failures = folder.text("out/failures.csv");
     assert!(failures.lines().count() == 2 && failures.contains("all/gone"), "{failures}");
 }
 
@@ -172,7 +168,7 @@ fn a_missing_folder_in_a_list_fails_alone() {
 #[test]
 fn two_batches_do_not_share_an_output_folder() {
     let folder = captures();
-    std::fs::create_dir(folder.path("out")).expect("a folder");
+    folder.make("out");
     let other = std::fs::File::open(folder.path("out")).expect("a folder");
     other.try_lock().expect("nobody else has it");
     let line = format!("reconstruct --each {WEIGHTS} @/all -o @/out");

@@ -2,12 +2,8 @@
 #![cfg(unix)]
 
 use crate::{Folder, Outcome};
-use std::{ffi::OsString, fs, os::unix::fs::PermissionsExt, path::Path, sync::atomic::AtomicBool};
-use zipsplat::types::{
-    Camera, Scene,
-    poses::{Capture, CaptureView},
-    quaternion_from_matrix, read_points,
-};
+use std::{ffi::OsString, fs, path::Path, sync::atomic::AtomicBool};
+use zipsplat::types::{Camera, Scene, poses::CaptureView, quaternion_from_matrix, read_points};
 use zipsplat_cli::{Terminal, run};
 use zipsplat_tests::processes::{child, target};
 
@@ -28,15 +24,10 @@ pub const COPIES: &str = "cp -r \"$0.model/.\" \"$out\"";
 pub fn place() -> (Folder, Vec<CaptureView>) {
     let folder = Folder::new();
     folder.run("scene --seed 3 --views 4 --size 42x28 -o @/place").success();
-    let frames = Capture::open(folder.path("place")).expect("cameras").frames;
-    fs::remove_file(folder.path("place/transforms.json")).expect("it was written above");
-    fs::remove_file(folder.path("place/points.ply")).expect("it was written above");
+    let frames = folder.capture("place").frames;
+    folder.remove("place/transforms.json");
+    folder.remove("place/points.ply");
     (folder, frames)
-}
-
-pub fn script(folder: &Folder, name: &str, text: &str) {
-    fs::write(folder.path(name), text).expect("a script");
-    fs::set_permissions(folder.path(name), fs::Permissions::from_mode(0o755)).expect("an executable script");
 }
 
 /// Logs its arguments and runs `features`, `matches` and `mapper`.
@@ -57,7 +48,7 @@ esac
 ",
         options[0], options[1], options[2]
     );
-    script(folder, name, &text);
+    folder.script(name, &text);
 }
 
 /// In text, under COLMAP's photo names, with a distorted lens and points.
@@ -97,7 +88,7 @@ fn whole_model(folder: &Folder, name: &str, frames: &[CaptureView]) {
 }
 
 pub fn args(folder: &Folder, name: &str) -> String {
-    fs::read_to_string(folder.path(&format!("{name}.args"))).expect("what it was called with")
+    folder.text(&format!("{name}.args"))
 }
 
 #[track_caller]
@@ -121,7 +112,7 @@ fn cameras_are_what_colmap_found() {
         let json = outcome.json();
         assert_eq!((json["registered"].as_u64(), json["points"].as_u64()), (Some(4), Some(5)), "{json}");
         assert_eq!(json["program"], format!("COLMAP {version}"));
-        let found = Capture::open(folder.path("place")).expect("cameras");
+        let found = folder.capture("place");
         for (found, truth) in found.frames.iter().zip(&truth) {
             assert_eq!(found.name, truth.name);
             let (pose, expected) = (found.camera.pose, truth.camera.pose);
@@ -134,7 +125,7 @@ fn cameras_are_what_colmap_found() {
         assert_eq!(found.frames.len(), 4);
         let cloud = read_points(found.points.expect("points beside the cameras")).expect("points");
         assert_eq!((cloud.positions[4], cloud.colors[4]), ([4.0, 2.0, 3.5], [10, 20, 30]));
-        let log = fs::read_to_string(folder.path("place/colmap.log")).expect("a log");
+        let log = folder.text("place/colmap.log");
         assert!(log.contains("Processed file [1/4]") && log.contains("000003.png"), "{log}");
         folder.run(&line).success();
     }
@@ -143,7 +134,7 @@ fn cameras_are_what_colmap_found() {
     assert!(four.contains("--FeatureExtraction.use_gpu 0") && four.contains("--FeatureMatching.use_gpu 0"), "{four}");
     assert!(!three.contains("--Feature") && !four.contains("--Sift"), "{three}{four}");
     assert!(three.lines().all(|line| line.starts_with("offscreen ")), "{three}");
-    fs::write(folder.path("place/points.ply"), "another's").expect("written");
+    folder.write("place/points.ply", "another's");
     let line = "cameras @/place/images --colmap @/three -o @/place/transforms.json";
     folder.run(line).fails(3, &["file to replace", "points.ply", "--overwrite"]);
     folder.run("cameras @/place/images -o @/place/cameras.txt").fails(3, &["cameras.txt", ".json"]);
@@ -162,7 +153,7 @@ echo \"$step $*\" >>\"$0.args\"
 exit 0
 "
     );
-    script(&folder, "python", &text);
+    folder.script("python", &text);
     whole_model(&folder, "python", &truth);
     let run = |options: &str| {
         folder.run(&format!("cameras @/place/images --python @/python {options} -o @/garden.json --json")).json()
@@ -194,8 +185,7 @@ fn the_largest_group_is_taken_and_lost_photos_are_named() {
     ] {
         assert!(text.contains(words), "'{words}' is not in {text}");
     }
-    let names: Vec<String> =
-        Capture::open(folder.path("place")).expect("cameras").frames.into_iter().map(|f| f.name).collect();
+    let names: Vec<String> = folder.capture("place").frames.into_iter().map(|f| f.name).collect();
     assert_eq!(names, ["images/000.png", "images/003.png"]);
 }
 
@@ -203,7 +193,7 @@ fn the_largest_group_is_taken_and_lost_photos_are_named() {
 fn photos_of_one_size_share_a_lens_and_folders_lie_in_folders() {
     let folder = Folder::new();
     for (name, width) in [("photos/a/1.png", 40), ("photos/a/b/2.png", 60)] {
-        fs::create_dir_all(folder.path(name).parent().expect("a folder")).expect("a folder");
+        folder.make(name.rsplit_once('/').expect("a folder").0);
         crate::photo(width, 30, 1).save_png(folder.path(name)).expect("a photo");
     }
     colmap(&folder, "lists", "3.8", OPTIONS_3, ["(cd \"$images\" && echo */*) >\"$0.seen\"", "", COPIES]);
@@ -211,10 +201,9 @@ fn photos_of_one_size_share_a_lens_and_folders_lie_in_folders() {
     model(&folder.path("lists.model/0"), &[("0/000001.png", &camera(40, 30)), ("1/000003.png", &camera(60, 30))]);
     let line = "cameras @/photos --recursive --colmap @/lists -o @/transforms.json";
     folder.run(line).success();
-    let seen = fs::read_to_string(folder.path("lists.seen")).expect("photos");
+    let seen = folder.text("lists.seen");
     assert_eq!(seen.trim(), "0/000000.png 0/000001.png 0/000002.png 1/000003.png");
-    let names: Vec<String> =
-        Capture::open(folder.path("transforms.json")).expect("cameras").frames.into_iter().map(|f| f.name).collect();
+    let names: Vec<String> = folder.capture("transforms.json").frames.into_iter().map(|f| f.name).collect();
     assert_eq!(names, ["photos/10.png", "photos/a/b/2.png"]);
     // A camera whose size is not its photo's.
     model(&folder.path("lists.model/0"), &[("0/000001.png", &camera(30, 40))]);
@@ -236,13 +225,12 @@ fn what_goes_wrong_is_said_and_leaves_nothing() {
     colmap(&folder, "fails", "3.8", OPTIONS_3, ["", "echo 'Check failed: empty' >&2; exit 3", COPIES]);
     colmap(&folder, "killed", "3.8", OPTIONS_3, ["", "", "mkdir \"$out/0\"; kill -9 $$"]);
     colmap(&folder, "full", "3.8", OPTIONS_3, [found, "echo 'SQLite error: database or disk is full'", COPIES]);
-    script(&folder, "other", "#!/bin/sh\necho 'usage: other'\n");
-    script(
-        &folder,
+    folder.script("other", "#!/bin/sh\necho 'usage: other'\n");
+    folder.script(
         "python",
         "#!/bin/sh\necho 'Traceback'; echo \"ModuleNotFoundError: No module named 'pycolmap'\" >&2\nexit 1\n",
     );
-    fs::write(folder.path("killed.model"), "").expect("written");
+    folder.write("killed.model", "");
     assert_eq!(truth.len(), 4);
     let line = |option: &str| format!("cameras @/place/images {option} -o @/transforms.json");
     let install = "install";
@@ -335,11 +323,11 @@ fn colmap_itself_finds_the_cameras_of_a_place() {
     }
     let folder = Folder::new();
     folder.run("scene --seed 3 --views 16 --size 640x480 -o @/place").success();
-    let truth = Capture::open(folder.path("place")).expect("cameras").frames;
+    let truth = folder.capture("place").frames;
     let json = folder.run("cameras @/place/images -o @/place/found.json --json").json();
     // COLMAP is not deterministic: a photo may be lost, a camera off.
     assert!(json["registered"].as_u64() >= Some(12), "{json}");
-    let found = Capture::open(folder.path("place/found.json")).expect("cameras");
+    let found = folder.capture("place/found.json");
     let points = read_points(found.points.expect("points")).expect("points").positions;
     assert!(points.len() > 50, "{} points", points.len());
     let stem = |frame: &CaptureView| Path::new(&frame.name).file_stem().map(ToOwned::to_owned);

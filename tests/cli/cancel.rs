@@ -5,26 +5,17 @@ use std::{
     fs::File,
     path::{Path, PathBuf},
     process::{Child, Command},
-    sync::{
-        atomic::{AtomicBool, Ordering},
-        mpsc::channel,
-    },
-    time::Duration,
+    sync::atomic::{AtomicBool, Ordering},
+    time::{Duration, Instant},
 };
-use zipsplat::{
-    types::{Scene, write_ply},
-    weights::Checkpoint,
-};
+use zipsplat::{types::Scene, weights::Checkpoint};
 use zipsplat_cli::cancelled_by_signals;
-use zipsplat_tests::{
-    processes::{child, target},
-    scenes,
-};
+use zipsplat_tests::processes::{child, target};
 
 #[test]
 fn a_cancelled_command_leaves_no_file() {
     let folder = Folder::new();
-    write_ply(&scenes::random_scene(50, 0, 0.1), folder.path("scene.ply")).expect("a scene can be written");
+    folder.scatter("scene.ply", 50, 0, 0.1);
     let before = folder.names();
     for line in [
         "reconstruct @/photos --weights @/micro.safetensors --input-size 28x28 -o @/out.ply",
@@ -37,12 +28,11 @@ fn a_cancelled_command_leaves_no_file() {
     }
 }
 
-/// Doubles the delay until a command finishes.
 #[test]
 fn a_command_that_is_cancelled_on_its_way_leaves_whole_files_alone() {
     let folder = Folder::new();
     folder.run("scene --seed 3 --views 4 --size 28x28 -o @/place").success();
-    write_ply(&scenes::random_scene(3000, 1, 0.1), folder.path("scene.ply")).expect("a scene can be written");
+    folder.scatter("scene.ply", 3000, 1, 0.1);
     let made = folder.path("made");
     for line in [
         "reconstruct @/photos --weights @/micro.safetensors --input-size 28x28 -o @/made/scene.ply",
@@ -52,23 +42,18 @@ fn a_command_that_is_cancelled_on_its_way_leaves_whole_files_alone() {
         "convert @/micro.safetensors @/made/half.safetensors --dtype f16",
         "bench tradeoff @/place --weights @/micro.safetensors --input-size 28x28 --views 2 --ratio 1 --repeats 1 -o @/made",
     ] {
-        let mut delay = Duration::from_millis(1);
-        loop {
-            std::fs::create_dir(&made).expect("an empty folder");
-            let outcome = cancelled_after(delay, &folder.line(line));
+        folder.make("made");
+        let finished = |outcome: &Outcome| {
             let count = check_whole(&made);
             std::fs::remove_dir_all(&made).expect("it was made above");
-            if outcome.code == 0 {
-                assert!(count > 0, "{line}");
-                break;
-            }
-            outcome.fails(130, &["cancelled"]);
-            delay *= 2;
-        }
+            folder.make("made");
+            assert!(outcome.code != 0 || count > 0, "{line}");
+            outcome.code == 0
+        };
+        cancelled_later(Duration::from_millis(1), &folder.line(line), finished);
     }
 }
 
-/// Doubles the delay until something was measured.
 #[test]
 fn a_sweep_that_is_cancelled_writes_what_it_measured() {
     let folder = Folder::new();
@@ -76,26 +61,17 @@ fn a_sweep_that_is_cancelled_writes_what_it_measured() {
     let line = folder.line(
         "bench tradeoff @/place --weights @/micro.safetensors --input-size 28x28 --views 1,2,3 --repeats 100 -o @/report",
     );
-    let mut delay = Duration::from_millis(100);
-    let outcome = loop {
-        let outcome = cancelled_after(delay, &line);
-        if folder.path("report").exists() {
-            break outcome;
-        }
-        outcome.fails(130, &["cancelled"]);
-        delay *= 2;
-    };
+    let outcome = cancelled_later(Duration::from_millis(100), &line, |_| folder.path("report").exists());
     assert!(outcome.err.contains("points that were measured"), "{}", outcome.err);
     outcome.fails(130, &["cancelled"]);
     assert_eq!(check_whole(&folder.path("report")), 2);
 }
 
-/// Doubles the delay until there is a result.
 #[test]
 fn a_refinement_that_is_cancelled_writes_the_best_so_far() {
     let folder = Folder::new();
     folder.run("scene --seed 3 --views 4 --size 28x28 -o @/place").success();
-    write_ply(&scenes::random_scene(300, 1, 0.1), folder.path("scene.ply")).expect("a scene can be written");
+    folder.scatter("scene.ply", 300, 1, 0.1);
     let shared = "@/place/images --cameras @/place -o @/best.ply";
     let reconstruct = format!("reconstruct {shared} --weights @/micro.safetensors --input-size 28x28");
     for line in [
@@ -103,19 +79,12 @@ fn a_refinement_that_is_cancelled_writes_the_best_so_far() {
         format!("{reconstruct} --refine=1000000"),
         format!("{reconstruct} --refine=1000000 --refine-target tokens --world input-cameras"),
     ] {
-        let mut delay = Duration::from_millis(100);
-        let outcome = loop {
-            let outcome = cancelled_after(delay, &folder.line(&line));
-            if folder.path("best.ply").exists() {
-                break outcome;
-            }
-            outcome.fails(130, &["cancelled"]);
-            delay *= 2;
-        };
+        let is_written = |_: &Outcome| folder.path("best.ply").exists();
+        let outcome = cancelled_later(Duration::from_millis(100), &folder.line(&line), is_written);
         assert!(outcome.err.contains("best.ply: the best so far, after step "), "{}", outcome.err);
         Scene::open(folder.path("best.ply")).expect("a whole scene");
         outcome.fails(130, &["cancelled"]);
-        std::fs::remove_file(folder.path("best.ply")).expect("it is there");
+        folder.remove("best.ply");
     }
 }
 
@@ -128,18 +97,49 @@ fn taking_photos_of_a_place_can_be_cancelled() {
     assert_eq!(folder.names(), before);
 }
 
+/// Doubles the delay until `done`.
+fn cancelled_later(mut delay: Duration, line: &str, done: impl Fn(&Outcome) -> bool) -> Outcome {
+    loop {
+        let outcome = cancelled_after(delay, line);
+        if done(&outcome) {
+            return outcome;
+        }
+        outcome.fails(130, &["cancelled"]);
+        delay *= 2;
+    }
+}
+
 fn cancelled_after(delay: Duration, line: &str) -> Outcome {
-    let (cancelled, (ended, end)) = (AtomicBool::new(false), channel::<()>());
+    let begin = Instant::now();
+    cancelled_when(line, || begin.elapsed() >= delay)
+}
+
+pub fn cancelled_when(line: &str, ready: impl Fn() -> bool + Sync) -> Outcome {
+    let (cancelled, ended) = (AtomicBool::new(false), AtomicBool::new(false));
     std::thread::scope(|scope| {
-        let cancelled = &cancelled;
-        scope.spawn(move || {
-            let _ = end.recv_timeout(delay);
+        scope.spawn(|| {
+            while !ended.load(Ordering::Relaxed) && !ready() {
+                std::thread::sleep(Duration::from_micros(100));
+            }
             cancelled.store(true, Ordering::Relaxed);
         });
-        let outcome = command(line, cancelled);
-        drop(ended);
+        let outcome = command(line, &cancelled);
+        ended.store(true, Ordering::Relaxed);
         outcome
     })
+}
+
+/// Completely written.
+pub fn is_written(pid: &Path) -> bool {
+    std::fs::read_to_string(pid).is_ok_and(|pid| pid.ends_with('\n'))
+}
+
+#[track_caller]
+pub fn wait_until(child: &mut Child, ready: impl Fn() -> bool) {
+    while !ready() {
+        assert!(child.try_wait().expect("a child").is_none(), "it ended too early");
+        std::thread::sleep(Duration::from_millis(5));
+    }
 }
 
 fn check_whole(folder: &Path) -> usize {
@@ -201,12 +201,9 @@ fn ignores_that_it_should_end() {
 /// A video is partially written on return.
 fn filming() -> (Folder, Child) {
     let folder = Folder::new();
-    write_ply(&scenes::random_scene(300, 0, 0.1), folder.path("scene.ply")).expect("a scene can be written");
+    folder.scatter("scene.ply", 300, 0, 0.1);
     let mut child = started("cancel::draws_a_long_film", &folder);
-    while !hidden(&folder).is_some_and(|file| file.metadata().is_ok_and(|found| found.len() > 0)) {
-        assert!(child.try_wait().expect("a child").is_none(), "it ended before it wrote anything");
-        std::thread::sleep(Duration::from_millis(5));
-    }
+    wait_until(&mut child, || hidden(&folder).is_some_and(|file| file.metadata().is_ok_and(|found| found.len() > 0)));
     (folder, child)
 }
 
@@ -240,10 +237,7 @@ fn a_command_that_is_asked_to_end_leaves_no_file() {
 fn a_second_signal_ends_at_once() {
     let folder = Folder::new();
     let mut child = started("cancel::ignores_that_it_should_end", &folder);
-    while !folder.path("ready").exists() {
-        assert!(child.try_wait().expect("a child").is_none(), "it ended before it was ready");
-        std::thread::sleep(Duration::from_millis(5));
-    }
+    wait_until(&mut child, || folder.path("ready").exists());
     send("-TERM", &child);
     send("-INT", &child);
     assert_eq!(child.wait().expect("it ends").code(), Some(130));
@@ -253,16 +247,12 @@ fn a_second_signal_ends_at_once() {
 #[test]
 #[cfg(unix)]
 fn a_second_signal_ends_the_programs_that_run() {
-    use crate::{cameras::script, colmap_ends::assert_ends};
+    use crate::colmap_ends::assert_ends;
     let folder = Folder::new();
-    script(&folder, "sleeps", "#!/bin/sh\nsleep 60 & echo $! >\"$0.pid\"; wait\n");
+    folder.script("sleeps", "#!/bin/sh\nsleep 60 & echo $! >\"$0.pid\"; wait\n");
     let pid = folder.path("sleeps.pid");
     let mut child = started("cancel::waits_for_another_program", &folder);
-    // Completely written.
-    while !std::fs::read_to_string(&pid).is_ok_and(|pid| pid.ends_with('\n')) {
-        assert!(child.try_wait().expect("a child").is_none(), "it ended before it ran the program");
-        std::thread::sleep(Duration::from_millis(5));
-    }
+    wait_until(&mut child, || is_written(&pid));
     send("-TERM", &child);
     send("-INT", &child);
     // The first signal may have ended it in order before the second one came.

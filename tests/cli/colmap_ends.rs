@@ -2,14 +2,11 @@
 #![cfg(unix)]
 
 use crate::{
-    cameras::{COPIES, OPTIONS_3, colmap, place, script},
-    command,
+    cameras::{COPIES, OPTIONS_3, colmap, place},
+    cancel::{cancelled_when, is_written, wait_until},
+    zipsplat,
 };
-use std::{
-    fs,
-    path::Path,
-    sync::atomic::{AtomicBool, Ordering},
-};
+use std::{fs, path::Path};
 use zipsplat_tests::processes::{assert_succeeds, child, target};
 
 pub fn assert_ends(pid: &Path) {
@@ -30,18 +27,8 @@ pub fn assert_ends(pid: &Path) {
 fn ctrl_c_ends_all_of_colmaps_processes() {
     let (folder, _) = place();
     colmap(&folder, "sleeps", "3.8", OPTIONS_3, ["sleep 60 & echo $! >\"$0.pid\"; wait", "", COPIES]);
-    let (cancelled, pid) = (AtomicBool::new(false), folder.path("sleeps.pid"));
-    let outcome = std::thread::scope(|scope| {
-        scope.spawn(|| {
-            // Completely written.
-            while !fs::read_to_string(&pid).is_ok_and(|pid| pid.ends_with('\n')) {
-                std::thread::yield_now();
-            }
-            cancelled.store(true, Ordering::Relaxed);
-        });
-        command(&folder.line("cameras @/place/images --colmap @/sleeps -o @/transforms.json"), &cancelled)
-    });
-    outcome.fails(130, &["cancelled"]);
+    let (line, pid) = ("cameras @/place/images --colmap @/sleeps -o @/transforms.json", folder.path("sleeps.pid"));
+    cancelled_when(&folder.line(line), || is_written(&pid)).fails(130, &["cancelled"]);
     assert_ends(&pid);
     assert!(!folder.path("transforms.json").exists() && !folder.path("colmap.log").exists());
 }
@@ -60,10 +47,7 @@ fn a_kill_ends_all_of_colmaps_processes_too() {
         process
     };
     let mut started = run("colmap_ends::waits_for_colmap").spawn().expect("bash");
-    while !fs::read_to_string(&pid).is_ok_and(|pid| pid.ends_with('\n')) {
-        assert!(started.try_wait().expect("a child").is_none(), "it ended before COLMAP began");
-        std::thread::yield_now();
-    }
+    wait_until(&mut started, || is_written(&pid));
     started.kill().expect("it runs");
     started.wait().expect("it ends");
     assert_ends(&pid);
@@ -78,23 +62,14 @@ fn a_kill_ends_all_of_colmaps_processes_too() {
 fn waits_for_colmap() {
     let Some(folder) = target() else { return };
     let line = format!("cameras {0}/images --colmap {0}/sleeps -o {0}/transforms.json", folder.display());
-    command(&line, &AtomicBool::new(false)).fails(1, &["could not find features"]);
+    zipsplat(&line).fails(1, &["could not find features"]);
 }
 
 #[test]
 fn ctrl_c_ends_a_question_for_help() {
     let (folder, _) = place();
-    script(&folder, "slow", "#!/bin/sh\necho $$ >\"$0.pid\"\nsleep 60\n");
-    let (cancelled, pid) = (AtomicBool::new(false), folder.path("slow.pid"));
-    let outcome = std::thread::scope(|scope| {
-        scope.spawn(|| {
-            while !fs::read_to_string(&pid).is_ok_and(|pid| pid.ends_with('\n')) {
-                std::thread::yield_now();
-            }
-            cancelled.store(true, Ordering::Relaxed);
-        });
-        command(&folder.line("cameras @/place/images --colmap @/slow -o @/transforms.json"), &cancelled)
-    });
-    outcome.fails(130, &["cancelled"]);
+    folder.script("slow", "#!/bin/sh\necho $$ >\"$0.pid\"\nsleep 60\n");
+    let (line, pid) = ("cameras @/place/images --colmap @/slow -o @/transforms.json", folder.path("slow.pid"));
+    cancelled_when(&folder.line(line), || is_written(&pid)).fails(130, &["cancelled"]);
     assert_ends(&pid);
 }

@@ -14,7 +14,7 @@ fn gray(value: u8, width: u32, height: u32) -> Image {
 fn folder() -> Folder {
     let folder = Folder::new();
     for name in ["a", "b"] {
-        std::fs::create_dir(folder.path(name)).expect("a folder");
+        folder.make(name);
     }
     let save = |name: &str, value| gray(value, 40, 30).save_png(folder.path(name)).expect("a picture");
     [("a/one.png", 100), ("b/one.png", 151), ("a/two.png", 9), ("b/two.png", 9), ("a/three.png", 0)]
@@ -48,7 +48,7 @@ fn folders_are_compared_by_name() {
     assert_eq!(json["pictures"].as_array().expect("rows").len(), 2);
     // Infinite PSNR does not count.
     assert_eq!(json["mean"]["psnr"], json["pictures"][0]["psnr"]);
-    let csv = std::fs::read_to_string(folder.path("scores.csv")).expect("a table");
+    let csv = folder.text("scores.csv");
     assert!(csv.starts_with("name,psnr,ssim,lpips\n") && csv.lines().count() == 3, "{csv}");
     let off = Image::open(folder.path("off/one.png")).expect("a picture");
     assert!(off.rgb.iter().all(|value| *value == 4 * 51));

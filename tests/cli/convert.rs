@@ -11,8 +11,7 @@ fn a_round_trip_keeps_every_value() {
     for dtype in ["f32", "f16", "bf16"] {
         folder.run(&format!("convert @/micro.safetensors @/{dtype}.safetensors --dtype {dtype}")).success();
         folder.run(&format!("convert @/{dtype}.safetensors @/back.safetensors --dtype f32")).success();
-        let bytes = |name: &str| std::fs::read(folder.path(name)).expect("a checkpoint");
-        assert_eq!(bytes("back.safetensors"), bytes("micro.safetensors"), "{dtype}");
+        assert_eq!(folder.read("back.safetensors"), folder.read("micro.safetensors"), "{dtype}");
         let checkpoint = Checkpoint::open(folder.path(&format!("{dtype}.safetensors")), None).expect("it names itself");
         assert_eq!(checkpoint.architecture().name, "micro");
     }
@@ -28,8 +27,7 @@ fn weights_of_8_bits_go_through_every_command() {
     assert_eq!((&json["dtype"], json["bytes"].as_u64()), (&"q8".into(), Some(size("q8.safetensors"))));
     assert!(size("q8.safetensors") < size("micro.safetensors") * 2 / 3);
     folder.run("convert @/q8.safetensors @/again.safetensors --dtype q8").success();
-    let bytes = |name: &str| std::fs::read(folder.path(name)).expect("a checkpoint");
-    assert_eq!(bytes("again.safetensors"), bytes("q8.safetensors"));
+    assert_eq!(folder.read("again.safetensors"), folder.read("q8.safetensors"));
     let info = folder.run("convert @/q8.safetensors --json").json();
     let stored = info["stored"].as_object().expect("bytes of each type");
     assert_eq!(stored.keys().collect::<Vec<_>>(), ["f16", "f32", "q8"]);
@@ -76,11 +74,10 @@ fn scenes_go_from_format_to_format() {
         let info = folder.run(&format!("convert @/{to} --json")).json();
         assert_eq!((&info["gaussians"], &info["sh_degree"]), (&30.into(), &degree.into()));
     }
-    let bytes = |name: &str| std::fs::read(folder.path(name)).expect("a scene");
     folder.run("convert @/a.ply @/two.spz --spz-version 2").success();
-    assert!(bytes("two.spz").len() < bytes("b.spz").len());
+    assert!(folder.read("two.spz").len() < folder.read("b.spz").len());
     folder.run("convert @/a.ply @/four.spz --spz-version 4").success();
-    assert!(bytes("four.spz").starts_with(b"NGSP\x04"));
+    assert!(folder.read("four.spz").starts_with(b"NGSP\x04"));
     folder.run("convert @/four.spz @/g.ply").success();
     let [three, four] = ["b.spz", "four.spz"].map(|name| Scene::open(folder.path(name)).expect("a scene"));
     assert!(three == four);
@@ -115,7 +112,7 @@ fn a_far_gaussian_that_coarsens_an_spz_is_noted() {
 #[test]
 fn what_does_not_fit_is_refused() {
     let folder = Folder::new();
-    write_ply(&scenes::random_scene(3, 0, 0.1), folder.path("a.ply")).expect("a scene can be written");
+    folder.scatter("a.ply", 3, 0, 0.1);
     let before = folder.names();
     for (line, words) in [
         ("@/a.ply @/b.safetensors", ["output of a scene", ".spz"]),

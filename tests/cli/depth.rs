@@ -26,10 +26,10 @@ fn a_folder_gets_depth_cameras_and_points() {
     ];
     assert_eq!(crate::names(&folder.path("out")), expected);
     assert_eq!(Image::size(folder.path("out/1.depth.png")).unwrap(), (42, 28));
-    let picture = std::fs::read(folder.path("out/1.depth.png")).unwrap();
+    let picture = folder.read("out/1.depth.png");
     let scale = format!("depth_levels_per_unit\0{}", json["depth_levels_per_unit"].as_f64().unwrap() as f32);
     assert!(picture.windows(scale.len()).any(|window| window == scale.as_bytes()), "{scale}");
-    let bytes = std::fs::read(folder.path("out/depths.safetensors")).unwrap();
+    let bytes = folder.read("out/depths.safetensors");
     let values = safetensors::SafeTensors::deserialize(&bytes).unwrap();
     for (name, shape) in [
         ("depth", &[2, 28, 42][..]),
@@ -41,7 +41,7 @@ fn a_folder_gets_depth_cameras_and_points() {
     }
     let points = read_points(folder.path("out/points.ply")).unwrap().positions.len();
     assert!((100..=500).contains(&points) && json["points"] == points, "{points} points");
-    let poses = Capture::open(folder.path("out/transforms.json")).unwrap();
+    let poses = folder.capture("out/transforms.json");
     let sizes: Vec<_> = poses.frames.iter().map(|frame| frame.camera.intrinsics.width).collect();
     assert_eq!(sizes, [40, 40]);
     assert!(poses.frames.iter().all(|frame| frame.photo.is_some()), "{poses:?}");
@@ -76,8 +76,7 @@ fn cameras_are_those_of_the_network() {
     let json = folder.run(&format!("{line} --colmap-model @/model -o @/transforms.json --json")).json();
     assert_eq!((&json["registered"], &json["program"]), (&2.into(), &"da3-micro".into()), "{json}");
     assert!(!folder.path("colmap.log").exists());
-    let [of_depth, found] =
-        ["depth/transforms.json", "transforms.json"].map(|name| Capture::open(folder.path(name)).unwrap());
+    let [of_depth, found] = ["depth/transforms.json", "transforms.json"].map(|name| folder.capture(name));
     let cameras = |poses: &Capture| poses.frames.iter().map(|frame| frame.camera).collect::<Vec<_>>();
     assert_eq!(cameras(&found), cameras(&of_depth));
     let points = |poses: &Capture| read_points(poses.points.as_ref().expect("they lie beside it")).unwrap();
@@ -85,14 +84,14 @@ fn cameras_are_those_of_the_network() {
     let shared = focals(&found);
     assert!(shared[0][0] == shared[0][1] && shared[0] == shared[1], "{shared:?}");
     folder.run(&format!("{line} --per-view-focal -o @/own.json")).success();
-    let own = focals(&Capture::open(folder.path("own.json")).unwrap());
+    let own = focals(&folder.capture("own.json"));
     assert!(own[0][0] != own[0][1] && own[0] != own[1], "{own:?}");
     let mean = |[fx, fy]: [f64; 2]| (fx * fy).sqrt();
     assert!(own.iter().any(|focal| (mean(*focal) / shared[0][0] - 1.0).abs() < 1e-9), "{own:?} {shared:?}");
 
     // Photo names are relative to their folder.
     for (model, points_of) in [("model", "points.ply"), ("depth/model", "depth/points.ply")] {
-        let read = Capture::open(folder.path(model)).unwrap();
+        let read = folder.capture(model);
         let names: Vec<&str> = read.frames.iter().map(|frame| frame.name.as_str()).collect();
         assert_eq!(names, ["1.png", "10.png"]);
         for (one, other) in read.frames.iter().zip(&found.frames) {
@@ -113,10 +112,7 @@ fn other_commands_take_cameras_of_the_network() {
     let line = format!("reconstruct @/photos {find} {micro} --cameras-out @/found.json -o @/scene.ply --json");
     let outcome = folder.run(&line);
     assert!(outcome.err.contains("cameras found: 2 of 2 photos"), "{}", outcome.err);
-    assert_eq!(
-        (&outcome.json()["photos"], Capture::open(folder.path("found.json")).unwrap().frames.len()),
-        (&2.into(), 2)
-    );
+    assert_eq!((&outcome.json()["photos"], folder.capture("found.json").frames.len()), (&2.into(), 2));
     let line = format!("refine @/photos {find} --init points --steps 1 -o @/refined.ply --json");
     assert_eq!(folder.run(&line).json()["photos"], 2);
 }
@@ -164,7 +160,7 @@ fn photos_become_a_gaussian_a_pixel() {
     assert!(tokens == 40 && few > 60 && few <= 120, "{few}");
 
     // Passed in, or estimated during refinement.
-    let cameras = Capture::open(folder.path("cameras.json")).unwrap();
+    let cameras = folder.capture("cameras.json");
     assert_eq!(cameras.frames.len(), 2);
     let given = folder.run(&format!("{plain} --cameras @/cameras.json --cameras-out @/again.json"));
     given.fails(3, &["--cameras-out", "cameras that are known"]);
@@ -184,7 +180,7 @@ fn photos_seen_by_themselves_need_cameras_and_points() {
     assert!(made(&json)[3] > 100, "{json}");
     let (points, scene) =
         (read_points(folder.path("place/points.ply")).unwrap(), read_ply(folder.path("scene.ply")).unwrap());
-    let first = Capture::open(folder.path("place")).unwrap().frames[0].camera;
+    let first = folder.capture("place").frames[0].camera;
     let middle = |mut depths: Vec<f64>| {
         depths.sort_by(f64::total_cmp);
         depths[depths.len() / 2]
@@ -199,7 +195,7 @@ fn photos_seen_by_themselves_need_cameras_and_points() {
     let depth = |rest: &str| {
         let line = format!("depth @/place/images --weights @/alone.safetensors --input-size 42 -o @/out {rest}");
         folder.run(&line).success();
-        let bytes = std::fs::read(folder.path("out/depths.safetensors")).unwrap();
+        let bytes = folder.read("out/depths.safetensors");
         let values = safetensors::SafeTensors::deserialize(&bytes).unwrap().tensor("depth").unwrap().data().to_vec();
         f32::from_le_bytes(*values.first_chunk().unwrap())
     };
@@ -209,7 +205,7 @@ fn photos_seen_by_themselves_need_cameras_and_points() {
     let of_all =
         format!("depth @/place/images {WEIGHTS} --input-size 42 -o @/all --cameras @/place/transforms.json --metric");
     folder.run(&of_all).fails(3, &["--metric", "da3-micro"]);
-    std::fs::remove_file(folder.path("place/points.ply")).unwrap();
+    folder.remove("place/points.ply");
     folder.run(&format!("{line} --cameras @/place/transforms.json")).fails(3, &["scale of the depth", "points"]);
 }
 
@@ -233,7 +229,7 @@ fn weights_are_known_by_their_tensors() {
     // Exact in 16 bits, rounded to 8.
     let values = |file: &str| {
         folder.run(&format!("depth @/photos --weights @/{file} --input-size 42 -o @/{file}.out")).success();
-        let bytes = std::fs::read(folder.path(&format!("{file}.out/depths.safetensors"))).unwrap();
+        let bytes = folder.read(&format!("{file}.out/depths.safetensors"));
         let found = safetensors::SafeTensors::deserialize(&bytes).unwrap().tensor("depth").unwrap().data().to_vec();
         found.as_chunks().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect::<Vec<f32>>()
     };
@@ -297,7 +293,7 @@ fn scenes_of_pixels_are_shown() {
     assert!(counts.len() == 2 && counts[0] > counts[1] && counts[1] > 0, "{json}");
     let scene = folder.run(&format!("reconstruct @/photos {WEIGHTS} --input-size 42x42 -o @/scene.ply --json")).json();
     assert_eq!(scene["gaussians"].as_u64(), Some(counts[0]));
-    let page = std::fs::read_to_string(folder.path("page.html")).unwrap();
+    let page = folder.text("page.html");
     assert!(page.contains("ratio 0.5") && page.contains("\"cameras\":[{"), "no camera, or no slider");
     folder.run(&format!("{line} --refine=2 --cameras da3")).fails(3, &["--refine", "weights of ZipSplat"]);
     folder.run(&format!("{line} --ratio 0.5")).fails(3, &["--ratio", "--ratios R,R"]);

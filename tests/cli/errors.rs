@@ -1,7 +1,7 @@
 //! Invalid input: one error that names it, its exit code, no file.
 
 use crate::{Folder, zipsplat};
-use zipsplat::types::{poses::write_transforms, write_ply};
+use zipsplat::types::poses::write_transforms;
 use zipsplat_tests::scenes;
 
 /// The folder stays unchanged.
@@ -17,10 +17,10 @@ const MICRO: &str = "--weights @/micro.safetensors --input-size 28x28 -o @/out.p
 #[test]
 fn photos() {
     let folder = Folder::new();
-    let png = std::fs::read(folder.path("photos/1.png")).expect("a photo");
-    std::fs::write(folder.path("cut.png"), &png[..png.len() / 2]).expect("a file");
-    std::fs::write(folder.path("text.jpg"), "not a photo").expect("a file");
-    std::fs::create_dir(folder.path("empty")).expect("an empty folder");
+    let png = folder.read("photos/1.png");
+    folder.write("cut.png", &png[..png.len() / 2]);
+    folder.write("text.jpg", "not a photo");
+    folder.make("empty");
     for (photos, words) in [
         ("@/cut.png", ["cut.png", ""]),
         ("@/photos @/text.jpg", ["text.jpg", "no PNG, JPEG or WebP"]),
@@ -31,7 +31,6 @@ fn photos() {
     }
     let many = vec!["@/photos"; 97].join(" ");
     refused(&folder, &format!("reconstruct {many} {MICRO}"), 3, &["views", "194", "1 to 192", "--views N"]);
-    std::fs::create_dir(folder.path("phone")).expect("an empty folder");
     for (name, start, kind, advice) in [
         ("a.HEIC", &b"\0\0\0\x18ftypheic\0\0\0\0"[..], "a HEIC picture", "`heif-convert @/a.HEIC @/a.HEIC.jpg`"),
         ("b.jpg", b"\0\0\0\x18ftypmif1\0\0\0\0", "a HEIC picture", "`heif-convert @/b.jpg @/b.jpg.jpg`"),
@@ -45,19 +44,19 @@ fn photos() {
         ("j.tiff", b"MM\0*\0\0\0\x08\0\0\0\0", "a TIFF or", "`magick @/j.tiff @/j.tiff.png`"),
         ("k.gif", b"GIF89a\x01\0\x01\0\0\0", "a GIF picture", "`magick '@/k.gif[0]' @/k.gif.png`"),
     ] {
-        std::fs::write(folder.path(name), start).expect("a file");
+        folder.write(name, start);
         let advice = folder.line(advice);
         // A video goes to ffmpeg.
         if !kind.contains("video") {
             refused(&folder, &format!("reconstruct @/photos @/{name} {MICRO}"), 3, &[name, kind, &advice]);
         }
-        std::fs::write(folder.path(&format!("phone/{name}")), start).expect("a file");
+        folder.write(&format!("phone/{name}"), start);
         if name != "b.jpg" {
             let below = advice.replace(&folder.line("@/"), &folder.line("@/phone/"));
             refused(&folder, &format!("reconstruct @/phone {MICRO}"), 3, &[name, kind, &below]);
         }
         for name in [name.to_owned(), format!("phone/{name}")] {
-            std::fs::remove_file(folder.path(&name)).expect("it was written above");
+            folder.remove(&name);
         }
     }
 }
@@ -203,8 +202,8 @@ fn poses() {
     let cameras = [scenes::camera(40, 30)];
     write_transforms(folder.path("one.json"), &cameras, &["photos/1.png"]).expect("cameras can be written");
     write_transforms(folder.path("none.json"), &[], &[] as &[&str]).expect("cameras can be written");
-    std::fs::write(folder.path("bad.json"), "{\"frames\": 3}").expect("a file");
-    write_ply(&scenes::random_scene(5, 0, 0.1), folder.path("scene.ply")).expect("a scene can be written");
+    folder.write("bad.json", "{\"frames\": 3}");
+    folder.scatter("scene.ply", 5, 0, 0.1);
     let reconstruct = |poses: &str| format!("reconstruct @/photos --cameras {poses} {MICRO}");
     refused(
         &folder,
@@ -220,7 +219,7 @@ fn poses() {
     refused(&folder, elsewhere, 3, &["7.png"]);
     let camera = r#"{"transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]], "file_path": "./train/1"}"#;
     let text = format!("{{\"camera_angle_x\": 0.7, \"frames\": [{camera}]}}");
-    std::fs::write(folder.path("nerf.json"), text).expect("a file");
+    folder.write("nerf.json", text);
     let place = folder.line("@/./train/1");
     refused(
         &folder,
@@ -229,7 +228,7 @@ fn poses() {
         &["camera of", "no w and h", &place],
     );
     refused(&folder, "render @/scene.ply --cameras @/nerf.json -o @/out", 3, &["cameras of", "no w and h", &place]);
-    std::fs::create_dir(folder.path("blender")).expect("an empty folder");
+    folder.make("blender");
     std::fs::rename(folder.path("nerf.json"), folder.path("blender/transforms_train.json")).expect("renamed");
     let place = folder.line("@/blender/./train/1");
     refused(
@@ -248,9 +247,9 @@ fn poses() {
 #[test]
 fn weights() {
     let folder = Folder::new();
-    let whole = std::fs::read(folder.path("micro.safetensors")).expect("weights");
-    std::fs::write(folder.path("cut.safetensors"), &whole[..whole.len() - 100]).expect("a file");
-    std::fs::write(folder.path("empty.safetensors"), "").expect("a file");
+    let whole = folder.read("micro.safetensors");
+    folder.write("cut.safetensors", &whole[..whole.len() - 100]);
+    folder.write("empty.safetensors", "");
     let reconstruct = |weights: &str| format!("reconstruct @/photos {weights} --input-size 28x28 -o @/out.ply");
     refused(&folder, &reconstruct("--weights seeded:vitx"), 3, &["vitx", "vits, vitb, vitl, vitg"]);
     refused(&folder, &reconstruct("--weights @/micro.safetensors --variant vitx"), 3, &["vitx"]);
@@ -276,7 +275,7 @@ fn weights() {
     refused(&folder, "convert @/photos/1.png", 3, &["1.png: found a picture of 40x30", "safetensors", ".spz"]);
     refused(&folder, "convert @/photos/1.png @/out.safetensors", 3, &["a picture of 40x30", "a checkpoint"]);
     refused(&folder, &reconstruct("--weights @/photos/1.png"), 3, &["a picture of 40x30", "a checkpoint"]);
-    std::fs::write(folder.path("letter"), "a letter, no weights").expect("a file");
+    folder.write("letter", "a letter, no weights");
     refused(&folder, "convert @/letter", 3, &["letter: found a file of unknown kind", "a checkpoint"]);
     refused(
         &folder,
@@ -289,13 +288,13 @@ fn weights() {
 #[test]
 fn scenes_with_hostile_counts() {
     let folder = Folder::new();
-    write_ply(&scenes::random_scene(5, 0, 0.1), folder.path("scene.ply")).expect("a scene can be written");
-    let good = std::fs::read(folder.path("scene.ply")).expect("a scene");
+    folder.scatter("scene.ply", 5, 0, 0.1);
+    let good = folder.read("scene.ply");
     let end = good.windows(11).position(|window| window == b"end_header\n").expect("a header");
     let header = String::from_utf8_lossy(&good[..end]).into_owned();
     for (name, count) in [("a.ply", "4294967295"), ("b.ply", "18446744073709551615"), ("c.ply", "-1"), ("d.ply", "6")] {
         let bytes = [header.replace("vertex 5", &format!("vertex {count}")).as_bytes(), &good[end..]].concat();
-        std::fs::write(folder.path(name), bytes).expect("a file");
+        folder.write(name, bytes);
         refused(&folder, &format!("render @/{name} --wiggle -o @/out"), 3, &[name]);
         refused(&folder, &format!("convert @/{name}"), 3, &[name]);
     }
@@ -305,12 +304,12 @@ fn scenes_with_hostile_counts() {
 #[test]
 fn devices() {
     let folder = Folder::new();
-    write_ply(&scenes::random_scene(5, 0, 0.1), folder.path("scene.ply")).expect("a scene can be written");
+    folder.scatter("scene.ply", 5, 0, 0.1);
     let nowhere = "--device nonesuch";
     refused(&folder, &format!("reconstruct @/photos {nowhere} {MICRO}"), 4, &["nonesuch", "0: "]);
     refused(&folder, &format!("render @/scene.ply --wiggle {nowhere} -o @/out"), 4, &["nonesuch"]);
     refused(&folder, &format!("reconstruct --dry-run --views 2 --weights seeded:vits {nowhere}"), 4, &["nonesuch"]);
-    refused(&folder, &format!("bench gemm {nowhere}"), 4, &["nonesuch"]);
+    refused(&folder, &format!("bench peak {nowhere}"), 4, &["nonesuch"]);
     for line in
         [&format!("reconstruct @/photos {MICRO}"), "doctor list", "render @/scene.ply --wiggle -o @/out", "doctor"]
     {
@@ -326,7 +325,7 @@ fn outputs() {
     refused(&folder, &reconstruct("@/absent/out.ply"), 3, &["output folder", "absent"]);
     refused(&folder, &reconstruct("@/photos"), 3, &["output", "the folder"]);
     refused(&folder, &reconstruct("@/out.obj"), 3, &["--output", "out.obj", ".spz"]);
-    write_ply(&scenes::random_scene(5, 0, 0.1), folder.path("scene.ply")).expect("a scene can be written");
+    folder.scatter("scene.ply", 5, 0, 0.1);
     refused(&folder, "render @/scene.ply --wiggle -o @/scene.ply", 3, &["output", "scene.ply"]);
     // Reported before missing weights or scenes.
     for (line, named) in [
@@ -347,7 +346,6 @@ fn earlier_names_of_options() {
     let folder = Folder::new();
     folder.run("scene --seed 3 --views 3 --size 28x28 --splats -o @/place").success();
     let made = "reconstruct @/place/images --weights @/micro.safetensors -q -o @/";
-    let read = |name: &str| std::fs::read(folder.path(name)).expect("a scene");
     for (name, options) in [
         (
             "new.ply",
@@ -364,7 +362,7 @@ fn earlier_names_of_options() {
     ] {
         folder.run(&format!("{made}{name} {options}")).success();
     }
-    assert_eq!(read("new.ply"), read("old.ply"));
+    assert_eq!(folder.read("new.ply"), folder.read("old.ply"));
     let steps = "@/place/splats.ply @/place/images --steps 1 -q -o @/refined.ply";
     folder
         .run(&format!("refine {steps} --poses @/place --size 20x20 --batch 2 --invalid drop --invalid=refuse"))

@@ -3,7 +3,7 @@ use glam::{DMat3, DVec3};
 use zipsplat::{
     Error,
     stages::render::{RenderOptions, Renderer},
-    types::{Camera, Image, Intrinsics, Pose, quaternion_from_matrix, read_ply},
+    types::{Camera, Image, Intrinsics, Pose, poses::write_colmap, read_ply},
 };
 use zipsplat_cli::{
     align::{Doubt, MOST_SHIFT, MOST_TURN, Method, align},
@@ -58,7 +58,7 @@ fn held_out_photos_are_compared() {
     let line =
         "eval @/place --views 2 --weights @/micro.safetensors --input-size 42x28 --csv @/scores.csv -o @/out --json";
     let json = folder.run(line).json();
-    let csv = std::fs::read_to_string(folder.path("scores.csv")).expect("the table was written");
+    let csv = folder.text("scores.csv");
     let lines: Vec<&str> = csv.lines().collect();
     assert_eq!(lines[0], "view,psnr,ssim,nearest_psnr,mean_color_psnr,lpips");
     assert_eq!(lines.len(), 1 + 4, "{csv}");
@@ -116,7 +116,7 @@ fn without_points_the_unit_is_that_of_the_cameras() {
     let eval = format!("eval @/place --views 3 {options}");
     let with_points = folder.run(&eval).json();
     assert_eq!(with_points["scene_scale_source"], "points");
-    std::fs::remove_file(folder.path("place/points.ply")).expect("removed");
+    folder.remove("place/points.ply");
     let outcome = folder.run(&eval);
     assert!(outcome.err.contains("no point cloud") && outcome.err.contains("--scene-scale"), "{}", outcome.err);
     let json = outcome.json();
@@ -132,21 +132,14 @@ fn without_points_the_unit_is_that_of_the_cameras() {
         (&found["scene_scale"], &found["scene_scale_source"]),
         (&json["scene_scale"], &json["scene_scale_source"])
     );
-    let poses = zipsplat::types::poses::Capture::open(folder.path("place")).expect("cameras");
-    let (mut cameras, mut images) = (String::new(), String::new());
-    for (i, frame) in poses.frames.iter().enumerate() {
-        let (lens, pose) = (&frame.camera.intrinsics, frame.camera.pose.inverse());
-        let ([w, x, y, z], t) = (quaternion_from_matrix(&pose.rotation), pose.translation);
-        cameras += &format!("{i} PINHOLE 42 28 {} {} {} {}\n", lens.fx, lens.fy, lens.cx, lens.cy);
-        let name = frame.name.trim_start_matches("images/");
-        images += &format!("{i} {w} {x} {y} {z} {} {} {} {i} {name}\n\n", t.x, t.y, t.z);
-    }
-    std::fs::remove_file(folder.path("place/transforms.json")).expect("removed");
-    std::fs::create_dir_all(folder.path("place/sparse/0")).expect("a folder");
-    std::fs::write(folder.path("place/sparse/0/cameras.txt"), cameras).expect("written");
-    std::fs::write(folder.path("place/sparse/0/images.txt"), images).expect("written");
+    let mut frames = folder.capture("place").frames;
+    frames.iter_mut().for_each(|frame| frame.name = frame.name.replace("images/", ""));
+    folder.remove("place/transforms.json");
+    folder.make("place/sparse/0");
+    write_colmap(folder.path("place/sparse/0"), &frames, &[]).expect("written");
+    folder.remove("place/sparse/0/points3D.txt");
     let missing = folder.run(&line).json();
-    std::fs::write(folder.path("place/sparse/0/points3D.txt"), "# no points\n").expect("written");
+    folder.write("place/sparse/0/points3D.txt", "# no points\n");
     let empty = folder.run(&line).json();
     for json in [missing, empty] {
         assert!((json["scene_scale"].as_f64().expect("a number") / unit - 1.0).abs() < 1e-6, "{}", json["scene_scale"]);
@@ -161,8 +154,7 @@ fn scenes_are_those_of_reconstruct_in_the_unit_of_the_cameras() {
     assert!(outcome.err.contains("33 % of the photos' area is cropped away; --crop tiles"), "{}", outcome.err);
     let json = outcome.json();
     folder.run(&format!("reconstruct {} --cameras @/place {options} @/scene.ply", inputs(&json))).success();
-    let bytes = |name: &str| std::fs::read(folder.path(name)).expect("a scene");
-    assert!(bytes("out/scene.ply") == bytes("scene.ply"), "two scenes of the same photos");
+    assert!(folder.read("out/scene.ply") == folder.read("scene.ply"), "two scenes of the same photos");
 }
 
 #[test]
@@ -248,7 +240,7 @@ fn pictures_without_cameras_are_aligned() {
         row["rotation_error_deg"].as_f64().is_some_and(|degrees| (0.0..15.0).contains(&degrees))
     };
     assert!(rows.len() == 2 && rows.iter().all(near), "{}", json["aligned"]);
-    let csv = std::fs::read_to_string(folder.path("s.csv")).expect("the table was written");
+    let csv = folder.text("s.csv");
     let columns = "view,psnr,ssim,nearest_psnr,mean_color_psnr,lpips,unaligned_psnr,unaligned_ssim,\
         rotation_error_deg,translation_error,warning";
     assert_eq!(csv.lines().next(), Some(columns));
@@ -257,8 +249,7 @@ fn pictures_without_cameras_are_aligned() {
     assert!(text.err.contains("aligned pictures say little"), "{}", text.err);
     assert!(text.out.contains("degrees") && text.out.contains("warning"), "{}", text.out);
     folder.run(&format!("reconstruct {} {options} -o @/scene.ply", inputs(&json))).success();
-    let bytes = |name: &str| std::fs::read(folder.path(name)).expect("a scene");
-    assert!(bytes("out/scene.ply") == bytes("scene.ply"), "two scenes of the same photos");
+    assert!(folder.read("out/scene.ply") == folder.read("scene.ply"), "two scenes of the same photos");
     assert!(folder.run(&line).json()["aligned"].is_null());
 }
 
@@ -282,7 +273,7 @@ fn what_cannot_be_compared_is_refused() {
     folder.run("eval @/photos --weights @/micro.safetensors").fails(3, &["poses", "transforms.json"]);
     folder.run("eval @/place --csv @/missing/x.csv").fails(3, &["output folder"]);
     assert_eq!(zipsplat("eval place --scene-scale -1").code, 2);
-    std::fs::write(folder.path("place/points.ply"), "no point cloud").expect("written");
+    folder.write("place/points.ply", "no point cloud");
     folder
         .run("eval @/place --views 2 --weights @/micro.safetensors --input-size 28x28 --csv @/s.csv")
         .fails(3, &["points.ply"]);

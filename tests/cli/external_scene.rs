@@ -1,10 +1,6 @@
 use crate::Folder;
 use glam::{DMat3, DVec3};
-use zipsplat::types::{
-    Camera, Pose, Scene,
-    poses::{Capture, write_transforms},
-    read_ply, read_points, write_ply, write_points,
-};
+use zipsplat::types::{Camera, Pose, Scene, poses::write_transforms, read_ply, read_points, write_ply, write_points};
 
 /// Of the cameras, relative to the first camera's scene.
 const LENGTH: f64 = 3.0;
@@ -18,7 +14,7 @@ fn world() -> Pose {
 /// camera's space at a third of the scale.
 fn place(folder: &Folder) -> (Scene, Vec<Camera>) {
     folder.run("scene --seed 9 --views 8 --size 56x56 --splats -o @/place").success();
-    let frames = Capture::open(folder.path("place")).expect("cameras").frames;
+    let frames = folder.capture("place").frames;
     let scene = read_ply(folder.path("place/splats.ply")).expect("a scene");
     let moved = |camera: Camera| {
         let pose = Pose { translation: LENGTH * camera.pose.translation, ..camera.pose };
@@ -60,7 +56,7 @@ fn a_scene_is_judged_alike_in_every_layout() {
     // Any similarity, as of MVSplat for viewers.
     let away = Pose { rotation: DMat3::from_rotation_y(2.0), translation: DVec3::new(-1.0, 0.5, 0.25) };
     save(&folder, "away.ply", &scene, 0.2, &away);
-    let frames = Capture::open(folder.path("place")).expect("cameras").frames;
+    let frames = folder.capture("place").frames;
     let external = |camera: &Camera| {
         let pose = world().inverse().compose(&camera.pose);
         let pose = Pose { translation: 0.2 / LENGTH * pose.translation, ..pose };
@@ -129,7 +125,7 @@ fn pictures_of_a_scene_are_aligned_where_asked() {
 }
 
 fn depth(folder: &Folder, number: usize) -> Vec<f32> {
-    let bytes = std::fs::read(folder.path(&format!("place/depth/{number:03}.npy"))).expect("depth");
+    let bytes = folder.read(&format!("place/depth/{number:03}.npy"));
     bytes[128..].as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect()
 }
 

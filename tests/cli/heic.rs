@@ -1,9 +1,9 @@
 //! HEIC photos, by fake ffmpeg programs.
 #![cfg(unix)]
 
-use crate::{Folder, cameras::script};
+use crate::Folder;
 use std::fs;
-use zipsplat::types::{Image, poses::Capture};
+use zipsplat::types::Image;
 
 const START: &[u8] = b"\0\0\0\x18ftypheic\0\0\0\0";
 const LINE: &str = "--weights @/micro.safetensors --input-size 28x28 -o @/scene.ply --ffmpeg @/";
@@ -11,16 +11,15 @@ const LINE: &str = "--weights @/micro.safetensors --input-size 28x28 -o @/scene.
 /// Two HEIC photos, and fake programs: name, probe output, decoder output.
 fn phone(programs: &[(&str, &str, &str)]) -> Folder {
     let folder = Folder::new();
-    fs::create_dir(folder.path("phone")).expect("a folder");
     for name in ["phone/IMG_1.HEIC", "phone/IMG_2.heic"] {
-        fs::write(folder.path(name), START).expect("written");
+        folder.write(name, START);
     }
-    fs::write(folder.path("ppm"), [b"P6\n16 8\n255\n".as_slice(), &[90; 3 * 16 * 8]].concat()).expect("written");
+    folder.write("ppm", [b"P6\n16 8\n255\n".as_slice(), &[90; 3 * 16 * 8]].concat());
     for (name, info, makes) in programs {
         let text = format!(
             "#!/bin/sh\n[ \"$1\" = -version ] && exit 0\ncase \"$*\" in *ppm*) {makes};; *) {info} >&2; exit 1;; esac\n"
         );
-        script(&folder, name, &text.replace('@', &folder.line("@")));
+        folder.script(name, &text.replace('@', &folder.line("@")));
     }
     folder
 }
@@ -38,7 +37,7 @@ fn heic_pictures_are_photos() {
     for program in ["one", "grid"] {
         for photos in ["@/phone", "@/phone/IMG_2.heic @/photos/1.png", "@/phone --recursive"] {
             assert_eq!(folder.run(&format!("reconstruct {photos} --json {LINE}{program}")).json()["photos"], 2);
-            fs::remove_file(folder.path("scene.ply")).expect("written");
+            folder.remove("scene.ply");
         }
     }
     assert_eq!(folder.names(), before);
@@ -63,8 +62,7 @@ fn heic_pictures_stay_as_photos_where_cameras_name_them() {
     let camera = zipsplat_tests::scenes::camera(16, 8);
     model(&folder.path("colmap.model/0"), &[("0/000000.jpg", &camera), ("0/000001.jpg", &camera)]);
     folder.run("cameras @/phone --ffmpeg @/one --colmap @/colmap -o @/transforms.json").success();
-    let names: Vec<String> =
-        Capture::open(folder.path("transforms.json")).expect("cameras").frames.into_iter().map(|f| f.name).collect();
+    let names: Vec<String> = folder.capture("transforms.json").frames.into_iter().map(|f| f.name).collect();
     assert_eq!(names, ["frames/IMG_1.jpg", "frames/IMG_2.jpg"]);
     let photo = Image::open(folder.path("frames/IMG_2.jpg")).expect("a photo");
     assert!(photo.rgb.iter().all(|value| value.abs_diff(90) < 3) && (photo.width, photo.height) == (16, 8));

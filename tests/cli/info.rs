@@ -21,7 +21,7 @@ fn devices_are_listed_with_what_they_can_do() {
 #[test]
 fn files_are_told_apart_by_content() {
     let folder = Folder::new();
-    write_ply(&scenes::random_scene(7, 2, 0.1), folder.path("scene.bin")).expect("a scene can be written");
+    folder.scatter("scene.bin", 7, 2, 0.1);
     let scene = folder.run("convert @/scene.bin --json").json();
     assert_eq!((&scene["gaussians"], &scene["sh_degree"]), (&7.into(), &2.into()));
     assert!(scene["bounds"][0][2].as_f64() >= Some(1.0) && scene["bounds"][1][2].as_f64() <= Some(6.0), "{scene}");

@@ -35,11 +35,11 @@ use std::{
 };
 use tempfile::TempDir;
 use zipsplat::{
-    types::Image,
+    types::{Image, poses::Capture, write_ply},
     weights::{Checkpoint, DepthCheckpoint, Dtype},
 };
 use zipsplat_cli::{Terminal, run};
-use zipsplat_tests::architectures;
+use zipsplat_tests::{architectures, scenes};
 
 #[derive(Debug)]
 struct Outcome {
@@ -128,6 +128,51 @@ impl Folder {
 
     fn path(&self, name: &str) -> PathBuf {
         self.0.path().join(name)
+    }
+
+    #[track_caller]
+    fn read(&self, name: &str) -> Vec<u8> {
+        std::fs::read(self.path(name)).expect(name)
+    }
+
+    #[track_caller]
+    fn text(&self, name: &str) -> String {
+        std::fs::read_to_string(self.path(name)).expect(name)
+    }
+
+    /// Makes its folder.
+    fn write(&self, name: &str, bytes: impl AsRef<[u8]>) -> PathBuf {
+        let path = self.path(name);
+        std::fs::create_dir_all(path.parent().expect("a folder")).expect("a folder");
+        std::fs::write(&path, bytes).expect(name);
+        path
+    }
+
+    /// Executable.
+    #[cfg(unix)]
+    fn script(&self, name: &str, text: &str) {
+        use std::os::unix::fs::PermissionsExt;
+        let path = self.write(name, text);
+        std::fs::set_permissions(path, PermissionsExt::from_mode(0o755)).expect(name);
+    }
+
+    fn make(&self, name: &str) {
+        std::fs::create_dir_all(self.path(name)).expect(name);
+    }
+
+    #[track_caller]
+    fn remove(&self, name: &str) {
+        std::fs::remove_file(self.path(name)).expect(name);
+    }
+
+    #[track_caller]
+    fn capture(&self, name: &str) -> Capture {
+        Capture::open(self.path(name)).expect(name)
+    }
+
+    /// Writes a random scene.
+    fn scatter(&self, name: &str, count: usize, sh_degree: u32, scale: f32) {
+        write_ply(&scenes::random_scene(count, sh_degree, scale), self.path(name)).expect(name);
     }
 
     fn line(&self, line: &str) -> String {

@@ -5,7 +5,6 @@ use crate::{
     Folder, Outcome,
     cameras::{OPTIONS_3, args, colmap, model, place},
 };
-use std::fs;
 use zipsplat::types::{Camera, Intrinsics, poses::CaptureView};
 
 /// `$n` in `body` is the attempt; `found` are the expected photo counts.
@@ -57,9 +56,9 @@ fn tries_end_where_all_are_found() {
 #[test]
 fn four_fifths_of_many_photos_are_enough() {
     let (folder, frames) = place();
-    let one = fs::read(folder.path("place/images/000.png")).expect("a photo");
+    let one = folder.read("place/images/000.png");
     for i in 4..14 {
-        fs::write(folder.path(&format!("place/images/{i:03}.png")), &one).expect("written");
+        folder.write(&format!("place/images/{i:03}.png"), &one);
     }
     colmap(&folder, "half", "3.8", OPTIONS_3, ["", "", crate::cameras::COPIES]);
     let names: Vec<String> = (0..11).map(|i| format!("0/{i:06}.png")).collect();
@@ -98,7 +97,7 @@ fn an_unlikely_lens_is_mapped_again_with_a_fixed_one() {
         let mapped: Vec<&str> = args.lines().filter(|line| line.contains(" mapper ")).collect();
         assert!(mapped[0].contains("focal_length 1") && mapped[1].contains("focal_length 0"), "{args}");
         assert!(mapped[1].contains("extra_params 0") && mapped.len() == 2, "{args}");
-        std::fs::remove_file(folder.path("colmap.args")).expect("it was called");
+        folder.remove("colmap.args");
     }
 }
 

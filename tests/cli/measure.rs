@@ -66,25 +66,6 @@ fn forward_adds_up() {
 }
 
 #[test]
-fn linear_layers_agree_with_f64() {
-    let rows = rows(&Folder::new(), "gemm");
-    let exact = rows.iter().filter(|row| row["kernel"] == "fp32").count();
-    assert_eq!((exact, rows.len() % exact), (3, 0), "one a shape and kernel");
-    for row in rows {
-        let most = match row["kernel"].as_str() {
-            Some("fp32") => 1e-5,
-            Some("f16" | "f16 matrices") => 1e-3,
-            _ => 1e-2,
-        };
-        assert!(row["difference"].as_f64().is_some_and(|difference| difference < most), "{row}");
-        assert!(ordered(&row["device_ms"]), "{row}");
-        assert!(shared(&row["peak_share"], true), "{row}");
-    }
-    let text = Folder::new().run("bench gemm --warmup 0 --repeats 1").success();
-    assert!(text.contains("of peak") && text.contains(" %"), "{text}");
-}
-
-#[test]
 fn frames_are_measured_by_pass() {
     let folder = Folder::new();
     let rows = rows(&folder, "render --gaussians 50,300 --size 32x32,48x32 --sh 0");
@@ -121,7 +102,6 @@ fn a_step_is_measured_beside_its_picture() {
 #[cfg(unix)]
 #[test]
 fn pytorch_stands_beside_ours() {
-    use std::os::unix::fs::PermissionsExt;
     let folder = Folder::new();
     let row = |views: u32, ratio: f64, ms: &str| {
         format!(r#"{{"precision": "f32", "views": {views}, "ratio": {ratio}, {ms}, "peak_bytes": null}}"#)
@@ -129,9 +109,7 @@ fn pytorch_stands_beside_ours() {
     let rows = [row(1, 1.0, r#""ms": [4, 2, 3]"#), row(2, 1.0, r#""failed": "out of memory""#)].join(",");
     let measured = format!("cat > /dev/null\necho '{{\"device\": \"a GPU\", \"torch\": \"9.9\", \"rows\": [{rows}]}}'");
     for (name, body) in [("python", measured), ("broken", "echo 'No module named torch' >&2; exit 1".into())] {
-        let path = folder.path(name);
-        std::fs::write(&path, format!("#!/bin/sh\n{body}\n")).expect("written");
-        std::fs::set_permissions(&path, PermissionsExt::from_mode(0o755)).expect("a program");
+        folder.script(name, &format!("#!/bin/sh\n{body}\n"));
     }
     let line = "bench forward --weights @/micro.safetensors --views 1,2 --input-size 28x28 --precision fp32 --warmup 0 --repeats 1 --pytorch @/";
     let text = folder.run(&format!("{line}python")).success();
@@ -187,9 +165,9 @@ fn what_accuracy_costs_is_a_page_and_a_table() {
     let has = |precision: &Precision| Arithmetic::of(*precision, device().limits()).is_some();
     let arithmetics = Precision::ALL.iter().filter(|precision| has(precision)).count();
     assert_eq!(points.len(), 2 * (1 + 3) * 2 * arithmetics + 2 * 2 * 2 + 2 * 2 * 2 + 2);
-    let csv = std::fs::read_to_string(folder.path("report/tradeoff.csv")).expect("a table");
+    let csv = folder.text("report/tradeoff.csv");
     assert_eq!(csv.lines().count(), 1 + points.len());
-    let html = std::fs::read_to_string(folder.path("report/tradeoff.html")).expect("a page");
+    let html = folder.text("report/tradeoff.html");
     assert_eq!(html.matches("<svg").count(), 1 + 12 + 8);
     assert_eq!(html.matches("class=\"panel\"").count(), points.len());
     let cards = html.matches("class=\"card\"").count();
@@ -287,7 +265,7 @@ fn pooled_keys_are_points_of_their_own() {
     assert_ne!(points[0]["psnr"], points[1]["psnr"]);
     let commands = points.iter().map(|point| point["command"].as_str().expect("a command").contains("--kv-pool 2"));
     assert_eq!(commands.collect::<Vec<_>>(), [false, true]);
-    let html = std::fs::read_to_string(folder.path("report/tradeoff.html")).expect("a page");
+    let html = folder.text("report/tradeoff.html");
     assert!(html.contains("Patches that attention sees as one"));
 }
 

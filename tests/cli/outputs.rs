@@ -6,7 +6,7 @@ use zipsplat_tests::scenes;
 
 fn folder() -> Folder {
     let folder = Folder::new();
-    write_ply(&scenes::random_scene(50, 1, 0.2), folder.path("scene.ply")).expect("a scene can be written");
+    folder.scatter("scene.ply", 50, 1, 0.2);
     folder
 }
 

@@ -1,28 +1,27 @@
 //! Estimated cameras from a scene: `reconstruct --cameras-out` without `--cameras`.
 
 use crate::Folder;
-use zipsplat::types::{Image, poses::Capture};
+use zipsplat::types::Image;
 
 const LINE: &str = "--weights @/micro.safetensors --input-size 84x84 -o @/scene.ply";
 
 #[test]
 fn cameras_follow_from_the_scene() {
     let folder = Folder::new();
-    std::fs::create_dir(folder.path("wide")).expect("a folder");
+    folder.make("wide");
     for (name, seed) in [("a", 1), ("b", 5)] {
         crate::photo(160, 100, seed).save_png(folder.path(&format!("wide/{name}.png"))).expect("a photo");
     }
     let line = format!("reconstruct @/wide {LINE} --cameras-out @/new/dir/found.json --json");
     let json = folder.run(&line).json();
     let cameras = json["estimated_cameras"].as_array().expect("one a photo");
-    let poses = Capture::open(folder.path("new/dir/found.json")).expect("cameras");
+    let poses = folder.capture("new/dir/found.json");
     assert_eq!(
         (cameras.len(), poses.frames.len()),
         (2, cameras.iter().filter(|camera| !camera.is_null()).count()),
         "{json}"
     );
-    let file: serde_json::Value =
-        serde_json::from_slice(&std::fs::read(folder.path("new/dir/found.json")).expect("a file")).expect("JSON");
+    let file: serde_json::Value = serde_json::from_slice(&folder.read("new/dir/found.json")).expect("JSON");
     for (frame, entry) in poses.frames.iter().zip(file["frames"].as_array().expect("frames")) {
         let lens = frame.camera.intrinsics;
         assert_eq!((lens.width, lens.height, lens.cx, lens.cy), (160, 100, 80.0, 50.0));
@@ -30,10 +29,10 @@ fn cameras_follow_from_the_scene() {
         assert!(entry["inliers"].as_u64() >= Some(6) && entry["patches"] == 36, "{entry}");
     }
     assert!(json["stage_seconds"]["find cameras"].is_f64() && !folder.path("new/dir/points.ply").exists());
-    let before = std::fs::read(folder.path("new/dir/found.json")).expect("a file");
+    let before = folder.read("new/dir/found.json");
     let text = folder.run(&line.replace("--json", "--overwrite")).success();
     assert!(text.contains("of a photo's patches agree"), "{text}");
-    assert!(before == std::fs::read(folder.path("new/dir/found.json")).expect("a file"));
+    assert!(before == folder.read("new/dir/found.json"));
 }
 
 #[test]
@@ -45,6 +44,6 @@ fn photos_too_small_for_cameras_are_told() {
     folder.run(&line.replace("found.json", "new/found.json")).fails(3, &["found none"]);
     assert!(!folder.path("new").exists());
     folder.run(&line.replace("found.json", "found.txt")).fails(3, &["found.txt", ".json"]);
-    std::fs::write(folder.path("found.json"), "another's").expect("written");
+    folder.write("found.json", "another's");
     folder.run(&line).fails(3, &["file to replace", "found.json", "--overwrite"]);
 }

@@ -3,11 +3,7 @@ use glam::{DMat3, DVec3};
 use serde_json::{Value, json};
 use std::path::PathBuf;
 use zipsplat::stages::lpips::LpipsNetwork;
-use zipsplat::types::{
-    Pose,
-    poses::{Capture, CaptureView},
-    quaternion_from_matrix, read_ply, write_ply,
-};
+use zipsplat::types::{Pose, poses::CaptureView, quaternion_from_matrix, read_ply, write_ply};
 use zipsplat_tests::golden::lpips_weights;
 
 /// As in images_4.
@@ -19,21 +15,15 @@ const OPTIONS: &str = "--weights @/micro.safetensors --input-size 28x28 --lpips 
 /// 12 photos of 84x56 in `@/place`.
 fn place(folder: &Folder, seed: u32) -> Vec<CaptureView> {
     folder.run(&format!("scene --seed {seed} --views 12 --size 84x56 -o @/place")).success();
-    Capture::open(folder.path("place")).expect("cameras").frames
+    folder.capture("place").frames
 }
 
 fn copy(folder: &Folder, to: &str, frames: &[CaptureView], name: impl Fn(usize) -> String) {
-    std::fs::create_dir_all(folder.path(to)).expect("a folder");
+    folder.make(to);
     for (i, frame) in frames.iter().enumerate() {
         let photo = frame.photo.as_ref().expect("a photo");
         std::fs::copy(photo, folder.path(to).join(name(i))).expect("copied");
     }
-}
-
-fn write(folder: &Folder, to: &str, text: &str) {
-    let path = folder.path(to);
-    std::fs::create_dir_all(path.parent().expect("a folder")).expect("a folder");
-    std::fs::write(path, text).expect("written");
 }
 
 /// Full-resolution intrinsics at the top, OpenGL axes, names in images/, photos in images_4/.
@@ -53,7 +43,7 @@ fn dl3dv(folder: &Folder, scene: &str, frames: &[CaptureView], k1: f64) {
         "cx": lens.cx * times, "cy": lens.cy * times, "k1": k1, "k2": 0.0, "p1": 0.0, "p2": 0.0, "camera_model": "OPENCV",
         "frames": frames.iter().enumerate().map(frame).collect::<Vec<_>>(),
     });
-    write(folder, &format!("{scene}/transforms.json"), &cameras.to_string());
+    folder.write(&format!("{scene}/transforms.json"), cameras.to_string());
 }
 
 /// A URL, then lines of microseconds, relative intrinsics, two zeros, world-to-camera.
@@ -68,18 +58,18 @@ fn re10k(folder: &Folder, scene: &str, frames: &[CaptureView]) {
         (0..3).for_each(|k| text += &format!(" {} {} {} {}", r.x_axis[k], r.y_axis[k], r.z_axis[k], t[k]));
         text += "\n";
     }
-    write(folder, &format!("{scene}.txt"), &text);
+    folder.write(&format!("{scene}.txt"), &text);
 }
 
 fn colmap(folder: &Folder, model: &str, frames: &[CaptureView], camera: &str, name: impl Fn(usize) -> String) {
-    write(folder, &format!("{model}/cameras.txt"), &format!("# one\n1 {camera}\n"));
+    folder.write(&format!("{model}/cameras.txt"), format!("# one\n1 {camera}\n"));
     let mut images = String::new();
     for (i, frame) in frames.iter().enumerate() {
         let pose = frame.camera.pose.inverse();
         let ([w, x, y, z], t) = (quaternion_from_matrix(&pose.rotation), pose.translation);
         images += &format!("{} {w} {x} {y} {z} {} {} {} 1 {}\n\n", i + 1, t.x, t.y, t.z, name(i));
     }
-    write(folder, &format!("{model}/images.txt"), &images);
+    folder.write(&format!("{model}/images.txt"), &images);
 }
 
 /// A full-resolution pinhole, photos in images_4/.
@@ -119,11 +109,7 @@ fn every_layout_gives_the_same_figures() {
     mipnerf360(&folder, "mipnerf360/one", &frames);
     scannetpp(&folder, "scannetpp/one", &frames, STRAIGHT);
     scannetpp(&folder, "fisheye/one", &frames, [0.0; 4]);
-    write(
-        &folder,
-        "frames.json",
-        r#"{"one": {"context": [1, 4, 9], "target": [0, 2, 9], "overlap": 0.5}, "two": null}"#,
-    );
+    folder.write("frames.json", r#"{"one": {"context": [1, 4, 9], "target": [0, 2, 9], "overlap": 0.5}, "two": null}"#);
     let run = |protocol: &str, data: &str, options: &str| {
         let out = format!("out-{data}-{}", options.len());
         let line = format!("eval @/{data} --protocol {protocol} {OPTIONS} {options} --align none -o @/{out} --json");
@@ -175,7 +161,7 @@ fn a_series_keeps_what_was_done() {
     let of =
         |views: u64| rows.iter().filter(move |row| row["views"] == views).map(|row| row["psnr"].as_f64().expect("dB"));
     let headings = "| Method | P | K | 2v scenes | 2v #Gs | 2v PSNR | 2v SSIM | 2v LPIPS | 3v scenes | 3v #Gs | 3v PSNR | 3v SSIM | 3v LPIPS |";
-    let table = std::fs::read_to_string(folder.path("out/table.md")).expect("a table");
+    let table = folder.text("out/table.md");
     let lines: Vec<&str> = table.lines().collect();
     assert_eq!((lines[2], lines[3], lines.len()), ("", headings, 6), "{table}");
     let cells: Vec<&str> = lines[5].trim_matches('|').split('|').map(str::trim).collect();
@@ -184,11 +170,11 @@ fn a_series_keeps_what_was_done() {
     // 2x2 patches of 14 pixels, 4 Gaussians each.
     assert_eq!(cells[..6], ["micro", "✓", "✓", "2", "32", &two], "{table}");
     assert_eq!(cells[8..11], ["2", "48", &three], "{table}");
-    let csv = std::fs::read_to_string(folder.path("out/table.csv")).expect("a table");
+    let csv = folder.text("out/table.csv");
     assert!(csv.starts_with("Method,P,K,2v scenes,2v #Gs") && csv.contains(&format!("2,32,{two}")), "{csv}");
-    let scenes = std::fs::read_to_string(folder.path("out/scenes.csv")).expect("rows");
+    let scenes = folder.text("out/scenes.csv");
     assert_eq!(scenes.lines().count(), 5, "{scenes}");
-    let page = std::fs::read_to_string(folder.path("out/page.html")).expect("a page");
+    let page = folder.text("out/page.html");
     assert!(page.matches("src=\"data:image/jpeg;base64,").count() == 4 && !page.contains("http"), "no picture a row");
     // Another evaluation gets its own line; a changed photo is evaluated again.
     let free = folder.run(&format!("{line} --pose-free --name A|B --json")).json();
@@ -204,10 +190,10 @@ fn a_series_keeps_what_was_done() {
 fn a_protocol_aligns_cameras() {
     let folder = Folder::new();
     folder.run("scene --seed 9 --views 12 --size 84x56 --splats -o @/place").success();
-    dl3dv(&folder, "data/one", &Capture::open(folder.path("place")).expect("cameras").frames, 0.0);
+    dl3dv(&folder, "data/one", &folder.capture("place").frames, 0.0);
     let mut scene = read_ply(folder.path("place/splats.ply")).expect("a scene");
     scene.place(1.0, &Pose { rotation: DMat3::from_rotation_y(0.03), translation: DVec3::new(0.02, 0.0, 0.01) });
-    std::fs::create_dir(folder.path("scenes")).expect("a folder");
+    folder.make("scenes");
     write_ply(&scene, folder.path("scenes/one.ply")).expect("written");
     let line =
         format!("eval @/data --protocol dl3dv --scene @/scenes --views 2 --frame-range 4 --targets 1 {OPTIONS} --json");
@@ -227,22 +213,21 @@ fn a_protocol_aligns_cameras() {
 fn scenes_that_fail_are_listed() {
     let folder = Folder::new();
     two_scenes(&folder);
-    std::fs::remove_file(folder.path("data/one/images_4/frame_00000.png")).expect("removed");
-    write(
-        &folder,
+    folder.remove("data/one/images_4/frame_00000.png");
+    folder.write(
         "frames.json",
         r#"{"one": {"context": [0, 3], "target": [1]}, "two": {"context": [0, 3], "target": [1]}}"#,
     );
     let line = format!("eval @/data --protocol dl3dv {OPTIONS} --align none --indices @/frames.json -o @/out");
     let outcome = folder.run(&format!("{line} --json"));
     assert!(outcome.code == 1 && outcome.err.contains("photo of frame 0 of one"), "{}", outcome.err);
-    let failures = std::fs::read_to_string(folder.path("out/failures.csv")).expect("failures");
+    let failures = folder.text("out/failures.csv");
     assert!(failures.lines().count() == 2 && failures.contains("one"), "{failures}");
-    let table = std::fs::read_to_string(folder.path("out/table.csv")).expect("a table");
+    let table = folder.text("out/table.csv");
     assert!(table.lines().count() == 2, "the other scene counts: {table}");
 
     let refuses = |text: &str, words: &[&str]| {
-        write(&folder, "frames.json", text);
+        folder.write("frames.json", text);
         folder.run(&line).fails(3, words);
     };
     refuses("[]", &["frames.json", "map"]);

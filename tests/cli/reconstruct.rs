@@ -62,7 +62,7 @@ fn folders_are_in_natural_order_and_files_as_given() {
     let reconstruct = |photos: &str, output: &str| {
         let line = format!("reconstruct {photos} --weights @/micro.safetensors --input-size 28x28 -q -o @/{output}");
         assert_eq!(folder.run(&line).success(), "");
-        std::fs::read(folder.path(output)).expect("the scene was written")
+        folder.read(output)
     };
     let natural = reconstruct("@/photos", "a.ply");
     assert_eq!(natural, reconstruct("@/photos/1.png @/photos/10.png", "b.ply"));
@@ -96,7 +96,7 @@ fn photos_in_folders_below_are_hinted_at() {
     folder
         .run(&format!("reconstruct @/ {line}"))
         .fails(3, &["photos in", "found none", "the folder that has them", &below]);
-    std::fs::create_dir(folder.path("photos/left")).expect("an empty folder");
+    folder.make("photos/left");
     let quiet = folder.run(&format!("reconstruct @/photos {line}"));
     assert!(!quiet.err.contains("more photos"), "a folder without photos is none to hint at: {}", quiet.err);
     std::fs::copy(folder.path("photos/1.png"), folder.path("photos/left/1.png")).expect("copied");
@@ -109,7 +109,7 @@ fn photos_in_folders_below_are_hinted_at() {
 #[test]
 fn cameras_to_learn_from_are_cameras() {
     let folder = Folder::new();
-    std::fs::create_dir(folder.path("place")).expect("an empty folder");
+    folder.make("place");
     let cameras = [zipsplat_tests::scenes::camera(40, 30); 2];
     let names = ["train/1.png", "train/10.png"];
     write_transforms(folder.path("place/transforms_train.json"), &cameras, &names).expect("cameras");
@@ -130,7 +130,7 @@ fn some_of_many_photos_are_spread() {
     let scene = |photos: &str| {
         let line = format!("reconstruct {photos} --weights @/micro.safetensors --input-size 42x28 -o @/s.ply");
         let text = folder.run(&line).success();
-        (text, std::fs::read(folder.path("s.ply")).expect("the scene was written"))
+        (text, folder.read("s.ply"))
     };
     let (text, three) = scene("@/photos --views 3");
     assert!(text.contains("from 3 views of"), "{text}");
@@ -226,7 +226,7 @@ fn photos_with_cameras_are_taken_as_stored() {
     write_transforms(folder.path("c.json"), &[zipsplat_tests::scenes::camera(40, 30)], &["photo.jpg"])
         .expect("a camera");
     let scene = |bytes: &[u8], options: &str| {
-        std::fs::write(folder.path("photo.jpg"), bytes).expect("a photo");
+        folder.write("photo.jpg", bytes);
         let line =
             format!("reconstruct @/photo.jpg --weights @/micro.safetensors --input-size 28x28 {options} -o @/s.ply");
         folder.run(&line).success();
@@ -254,7 +254,7 @@ fn photos_without_cameras_are_left_out_and_named() {
     let note = "note: 6 photos left out, not among the cameras: 1.png, 2.png, 4.png, 6.png, 7.png, ...\n";
     assert!(outcome.err.contains(note), "{}", outcome.err);
     assert_eq!(outcome.json()["views"], 2);
-    let scene = || std::fs::read(folder.path("s.ply")).expect("a scene");
+    let scene = || folder.read("s.ply");
     let left = scene();
     folder.run(&format!("reconstruct @/photos/3.png @/photos/5.png {line}")).success();
     assert!(scene() == left, "the same photos");
@@ -273,7 +273,7 @@ fn cameras_are_poses() {
         folder
             .run(&format!("reconstruct @/photos --weights seeded:vits --input-size 14x14 {option} -o @/s.ply"))
             .success();
-        std::fs::read(folder.path("s.ply")).expect("the scene was written")
+        folder.read("s.ply")
     };
     assert!(scene("--cameras @/c.json") == scene("--poses @/c.json"));
 }

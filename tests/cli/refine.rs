@@ -2,8 +2,7 @@
 
 use crate::{Folder, command};
 use std::sync::atomic::AtomicBool;
-use zipsplat::types::{Origin, Scene, World, poses::Capture, read_world, write_ply};
-use zipsplat_tests::scenes;
+use zipsplat::types::{Origin, Scene, World, read_world};
 
 /// 10 photos in `@/place`.
 fn place() -> Folder {
@@ -29,7 +28,7 @@ fn points_become_a_scene_that_looks_like_the_photos() {
     let psnr = |i: usize| held_out[i][1].as_f64().expect("dB");
     assert!(psnr(held_out.len() - 1) > psnr(0) + 1.0, "{held_out:?}");
     assert!(json["explain"]["passes"].as_array().is_some_and(|passes| passes.len() > 10), "{}", json["explain"]);
-    let first = Capture::open(folder.path("place")).expect("cameras").frames[0].camera.pose;
+    let first = folder.capture("place").frames[0].camera.pose;
     let Some(World { origin: Origin::Cameras(pose), .. }) = read_world(folder.path("scene.ply")).expect("a world")
     else {
         panic!("another world")
@@ -71,7 +70,7 @@ fn a_scene_is_refined_in_its_own_world() {
     let ((first, count), (cameras, _)) = (refined("first", ""), refined("cameras", ""));
     let alike = first.iter().zip(&cameras).all(|(a, b)| (a - b).abs() < 1e-3);
     assert!(alike && first.len() == 5, "{first:?} and {cameras:?}");
-    let points = Capture::open(folder.path("place")).expect("cameras").points.expect("a cloud");
+    let points = folder.capture("place").points.expect("a cloud");
     let points = zipsplat::types::read_points(points).expect("points").positions.len();
     assert_eq!(refined("first", "--init both").1, count + points);
 }
@@ -82,8 +81,7 @@ fn refined_cameras_are_written() {
     let options = "--steps 20 --optimize-cameras --holdout-views 1 --cameras-out @/cameras.json";
     let refined = folder.run(&format!("refine {PHOTOS} --init points {options} -o @/scene.ply --json")).json();
     let degrees = refined["refined"]["camera_movement"]["rotation_deg"].as_f64().expect("an angle");
-    let [given, found] =
-        ["place/transforms.json", "cameras.json"].map(|file| Capture::open(folder.path(file)).expect(file));
+    let [given, found] = ["place/transforms.json", "cameras.json"].map(|file| folder.capture(file));
     let moved = |i: usize| {
         let (given, found) = (&given.frames[i].camera, &found.frames[i].camera);
         assert_eq!(given.intrinsics, found.intrinsics);
@@ -97,7 +95,7 @@ fn refined_cameras_are_written() {
     assert!(folder.run(again).json()["refined"]["camera_movement"].is_null());
     let reconstruct = format!("reconstruct {PHOTOS} --weights @/micro.safetensors --input-size 28x28 -o @/sharp.ply");
     folder.run(&format!("{reconstruct} --refine=5 --init points --optimize-cameras --cameras-out @/r.json")).success();
-    assert!(Capture::open(folder.path("r.json")).expect("cameras").frames[1].camera != given.frames[1].camera);
+    assert!(folder.capture("r.json").frames[1].camera != given.frames[1].camera);
     assert_eq!(folder.run(&format!("{reconstruct} --optimize-cameras")).code, 2);
     let known = folder.run(&format!("{reconstruct} --refine=5 --cameras-out @/r.json"));
     known.fails(3, &["--cameras-out", "--optimize-cameras"]);
@@ -108,7 +106,7 @@ fn scenes_grow() {
     let folder = place();
     let line = format!("refine {PHOTOS} --init points --steps 20 --max-gaussians 3000 -o @/scene.ply --json");
     let json = folder.run(&line).json();
-    let points = Capture::open(folder.path("place")).expect("cameras").points.expect("a cloud");
+    let points = folder.capture("place").points.expect("a cloud");
     let points = zipsplat::types::read_points(points).expect("points").positions.len() as u64;
     let grown = json["gaussians"].as_u64().expect("a number");
     assert!(points < grown && grown <= 3000, "{points} points and {grown} Gaussians");
@@ -128,12 +126,12 @@ fn scenes_grow() {
 #[test]
 fn what_cannot_be_refined_is_refused() {
     let folder = place();
-    write_ply(&scenes::random_scene(50, 0, 0.1), folder.path("scene.ply")).expect("a scene can be written");
+    folder.scatter("scene.ply", 50, 0, 0.1);
     let scene = format!("refine @/scene.ply {PHOTOS}");
     folder.run(&format!("{scene} -o @/out.txt")).fails(3, &["--output"]);
     folder.run(&format!("{scene} --holdout-views 10 -o @/out.ply")).fails(3, &["held-out", "fewer than the 10"]);
     folder.run("refine @/scene.ply --cameras @/place -o @/out.ply").fails(3, &["photos", "none"]);
-    std::fs::remove_file(folder.path("place/points.ply")).expect("removed");
+    folder.remove("place/points.ply");
     folder.run(&format!("refine {PHOTOS} --init points -o @/out.ply")).fails(3, &["no point cloud", "--init scene"]);
     command(&folder.line(&format!("{scene} -o @/out.ply")), &AtomicBool::new(true)).fails(130, &["cancelled"]);
     assert!(!folder.path("out.ply").exists());

@@ -7,7 +7,7 @@ use zipsplat_tests::scenes;
 /// `scene.ply` and three cameras, the first and last wider than the second.
 fn folder() -> Folder {
     let folder = Folder::new();
-    write_ply(&scenes::random_scene(200, 1, 0.2), folder.path("scene.ply")).expect("a scene can be written");
+    folder.scatter("scene.ply", 200, 1, 0.2);
     let camera = |size: (u32, u32), x: f64| Camera {
         pose: Pose { translation: [x, 0.0, 0.0].into(), ..Pose::IDENTITY },
         ..scenes::camera(size.0, size.1)
@@ -62,8 +62,7 @@ fn gaussians_are_drawn_as_points() {
 #[test]
 fn depth_and_alpha_are_what_the_renderer_gives() {
     let folder = folder();
-    std::fs::create_dir(folder.path("out")).expect("an empty folder");
-    std::fs::write(folder.path("out/mine.txt"), "stays").expect("a file");
+    folder.write("out/mine.txt", "stays");
     let line =
         "render @/scene.ply --cameras @/cameras.json --depth --alpha --antialiased --background 1,0.5,0 -o @/out";
     let text = folder.run(line).success();
@@ -154,7 +153,7 @@ fn a_scene_finds_its_cameras_in_their_own_file() {
     lost.success();
     assert!(!says_empty(&folder, "render @/posed.splat --cameras @/place --relative-to 000.png -o @/again"));
     let text = std::fs::read_to_string(&path).expect("cameras").replace("000.png", "zero.png");
-    std::fs::write(folder.path("other.json"), text).expect("written");
+    folder.write("other.json", text);
     let other = folder.run("render @/posed.ply --cameras @/other.json -o @/other");
     assert!(
         other.err.contains("images/000.png, which") && other.err.contains("--world input-cameras"),

@@ -80,10 +80,7 @@ fn opens_the_page() {
 #[test]
 fn no_command_line_has_the_address_of_the_page() {
     let folder = folder();
-    let browser = folder.path("xdg-open");
-    std::fs::write(&browser, "#!/bin/sh\necho \"$@\" > \"$OPENED.part\"\nmv \"$OPENED.part\" \"$OPENED\"\n")
-        .expect("written");
-    std::fs::set_permissions(&browser, PermissionsExt::from_mode(0o700)).expect("a program");
+    folder.script("xdg-open", "#!/bin/sh\necho \"$@\" > \"$OPENED.part\"\nmv \"$OPENED.part\" \"$OPENED\"\n");
     let mut child = child("server::opens_the_page", &folder.path(""), "");
     let path = std::env::var("PATH").unwrap_or_default();
     child.env("PATH", format!("{}:{path}", folder.path("").display())).env("OPENED", folder.path("opened"));

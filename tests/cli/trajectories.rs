@@ -1,20 +1,16 @@
 //! Camera paths of `zipsplat render`; pictures as one file or stream.
 
-use crate::{Folder, names, raw_command};
+use crate::{Folder, cancel::cancelled_when, names, raw_command};
 use glam::DMat3;
 use image::{AnimationDecoder, Delay, codecs::png::PngDecoder};
-use std::{
-    fs::File,
-    io::BufReader,
-    sync::atomic::{AtomicBool, Ordering},
-};
-use zipsplat::types::{Camera, Image, Intrinsics, Pose, poses::write_transforms, write_ply};
+use std::{fs::File, io::BufReader, sync::atomic::AtomicBool};
+use zipsplat::types::{Camera, Image, Intrinsics, Pose, poses::write_transforms};
 use zipsplat_tests::scenes;
 
 /// Scene, and three cameras of one size (`cameras.json`) and of several (`sizes.json`).
 fn folder() -> Folder {
     let folder = Folder::new();
-    write_ply(&scenes::random_scene(200, 1, 0.2), folder.path("scene.ply")).expect("a scene can be written");
+    folder.scatter("scene.ply", 200, 1, 0.2);
     let camera = |x: f64, width: u32| Camera {
         pose: Pose { translation: [x, 0.0, -x * x].into(), ..Pose::IDENTITY },
         ..scenes::camera(width, 30)
@@ -102,7 +98,7 @@ fn a_spline_visits_scattered_cameras_by_nearness() {
 fn lists_of_matrices_take_the_lens_that_is_given() {
     let folder = folder();
     let one = "[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]";
-    std::fs::write(folder.path("list.json"), format!("[{one}, {one}]")).expect("a file");
+    folder.write("list.json", format!("[{one}, {one}]"));
     folder.run(&format!("{RENDER} --cameras @/list.json --size 32x24 --fov 90 -o @/list")).success();
     let lens = Intrinsics { width: 32, height: 24, fx: 16.0, fy: 16.0, cx: 16.0, cy: 12.0 };
     let camera = Camera { intrinsics: lens, pose: Pose::IDENTITY };
@@ -176,21 +172,16 @@ fn raw_frames_are_the_pictures() {
 #[test]
 #[cfg(unix)]
 fn mp4_is_piped_to_ffmpeg() {
-    use std::os::unix::fs::PermissionsExt;
     let folder = folder();
     let script = |name: &str, body: &str| {
-        let text =
-            format!("#!/bin/sh\n[ \"$1\" = -version ] && exit 0\nfor out; do :; done\nout=${{out#file:}}\n{body}\n");
-        std::fs::write(folder.path(name), text).expect("a script");
-        let mode = std::fs::Permissions::from_mode(0o755);
-        std::fs::set_permissions(folder.path(name), mode).expect("an executable script");
+        let start = "#!/bin/sh\n[ \"$1\" = -version ] && exit 0\nfor out; do :; done\nout=${out#file:}";
+        folder.script(name, &format!("{start}\n{body}\n"));
     };
     script("copies", "echo \"$@\" >\"$0.args\"\ncat >\"$out\"");
     script("fails", "echo bytes >\"$out\"\ncat >/dev/null\necho 'Unknown encoder' >&2\nexit 7");
     script("stops", "exec <&-\nsleep 0.2\necho bytes >\"$out\"\necho 'No space' >&2\nexit 1");
     script("silent", "cat >/dev/null\nexit 7");
-    script("broken", "");
-    std::fs::write(folder.path("broken"), "#!/bin/sh\nexit 3\n").expect("a script");
+    folder.script("broken", "#!/bin/sh\nexit 3\n");
 
     // No author tag.
     let line = |program: &str| {
@@ -198,9 +189,9 @@ fn mp4_is_piped_to_ffmpeg() {
     };
     folder.run(&format!("{RENDER} --orbit --frames 20 --size 37x23 -o @/out")).success();
     folder.run(&line("copies")).success();
-    let piped = std::fs::read(folder.path("out.mp4")).expect("what was piped");
+    let piped = folder.read("out.mp4");
     assert_eq!(piped, pictures(&folder, "out").concat());
-    let args = std::fs::read_to_string(folder.path("copies.args")).expect("arguments");
+    let args = folder.text("copies.args");
     assert!(args.contains("-f rawvideo -pix_fmt rgb24 -s 37x23 -framerate 24 -i -"), "{args}");
     assert!(args.contains("-metadata comment=zipsplat"), "{args}");
 
@@ -213,7 +204,7 @@ fn mp4_is_piped_to_ffmpeg() {
     folder.run(&line("absent")).fails(3, &["ffmpeg", "absent", "an installed ffmpeg", ".gif"]);
     folder.run(&line("broken")).fails(3, &["ffmpeg", "broken", "exit status: 3"]);
     assert_eq!(folder.names(), before);
-    assert_eq!(std::fs::read(folder.path("out.mp4")).expect("the file of before"), piped);
+    assert_eq!(folder.read("out.mp4"), piped);
 }
 
 #[test]
@@ -262,18 +253,8 @@ fn unusable_requests_leave_no_file() {
 #[track_caller]
 fn cancelled_under_way(folder: &Folder, line: &str) {
     let before = folder.names();
-    let (cancelled, ended) = (AtomicBool::new(false), AtomicBool::new(false));
-    let code = std::thread::scope(|scope| {
-        scope.spawn(|| {
-            while !ended.load(Ordering::Relaxed) && !folder.names().iter().any(|name| name.starts_with(".zipsplat-")) {
-                std::thread::yield_now();
-            }
-            cancelled.store(true, Ordering::Relaxed);
-        });
-        let (code, ..) = raw_command(&folder.line(line), &cancelled);
-        ended.store(true, Ordering::Relaxed);
-        code
-    });
+    let has_begun = || folder.names().iter().any(|name| name.starts_with(".zipsplat-"));
+    let code = cancelled_when(&folder.line(line), has_begun).code;
     assert_eq!(code, 130, "{line}");
     assert_eq!(folder.names(), before, "{line}");
 }

@@ -3,14 +3,11 @@
 
 use crate::{
     Folder,
-    cameras::{COPIES, OPTIONS_3, colmap, installed, model, script},
+    cameras::{COPIES, OPTIONS_3, colmap, installed, model},
 };
 use glam::{DMat3, DVec3};
-use std::{fs, path::PathBuf};
-use zipsplat::types::{
-    Camera,
-    poses::{Capture, CaptureView},
-};
+use std::path::PathBuf;
+use zipsplat::types::{Camera, poses::CaptureView};
 
 /// Of 6 frames, 1, 2 and 4 are the sharpest of their thirds.
 #[test]
@@ -19,9 +16,9 @@ fn videos_become_their_sharpest_frames() {
     let noise =
         |frame: usize, i: usize| ((i * 2_654_435_761) >> 7) as u8 / if [1, 2, 4].contains(&frame) { 1 } else { 8 };
     let gray: Vec<u8> = (0..6).flat_map(|frame| (0..512 * 512).map(move |i| noise(frame, i))).collect();
-    fs::write(folder.path("gray"), gray).expect("written");
+    folder.write("gray", gray);
     let ppm = |shade: u8| [b"P6\n16 8\n255\n".as_slice(), &[shade; 3 * 16 * 8]].concat();
-    fs::write(folder.path("ppm"), [ppm(40), ppm(90), ppm(200)].concat()).expect("written");
+    folder.write("ppm", [ppm(40), ppm(90), ppm(200)].concat());
     let here = folder.line("@");
     let text = |gray: &str, ppm: &str| {
         format!(
@@ -29,15 +26,15 @@ fn videos_become_their_sharpest_frames() {
         )
     };
     let cats = text(&format!("cat '{here}/gray'"), &format!("cat '{here}/ppm'"));
-    script(&folder, "ffmpeg", &cats);
-    fs::write(folder.path("clip.MP4"), "a video").expect("written");
+    folder.script("ffmpeg", &cats);
+    folder.write("clip.MP4", "a video");
     let micro = "--weights @/micro.safetensors --input-size 28x28";
     let line = |ffmpeg: &str| format!("reconstruct @/clip.MP4 --views 3 --ffmpeg @/{ffmpeg} {micro} -o @/scene.ply");
     let before = folder.names();
     assert_eq!(folder.run(&(line("ffmpeg") + " --json")).json()["photos"], 3);
     let made: Vec<String> = folder.names().into_iter().filter(|name| !before.contains(name)).collect();
     assert_eq!(made, ["ffmpeg.args", "scene.ply"]);
-    let args = fs::read_to_string(folder.path("ffmpeg.args")).expect("arguments");
+    let args = folder.text("ffmpeg.args");
     assert!(args.contains("select='eq(n,1)+eq(n,2)+eq(n,4)'"), "{args}");
     colmap(&folder, "colmap", "3.8", OPTIONS_3, ["", "", COPIES]);
     let camera = zipsplat_tests::scenes::camera(16, 8);
@@ -45,7 +42,7 @@ fn videos_become_their_sharpest_frames() {
     model(&folder.path("colmap.model/0"), &[("0/000000.jpg", &camera), ("0/000002.jpg", &moved)]);
     let cameras = "cameras @/clip.MP4 --views 3 --ffmpeg @/ffmpeg --colmap @/colmap -o @/transforms.json";
     folder.run(cameras).success();
-    let poses = Capture::open(folder.path("transforms.json")).expect("cameras");
+    let poses = folder.capture("transforms.json");
     let names: Vec<&str> = poses.frames.iter().map(|frame| frame.name.as_str()).collect();
     assert_eq!(names, ["frames/clip-00001.jpg", "frames/clip-00004.jpg"]);
     let shade = |frame: &CaptureView| -> PathBuf { frame.photo.clone().expect("the frame was kept") };
@@ -53,13 +50,13 @@ fn videos_become_their_sharpest_frames() {
     assert!(photo.rgb.iter().all(|value| value.abs_diff(200) < 3) && (photo.width, photo.height) == (16, 8));
     folder.run(cameras).fails(3, &["folder for frames", "frames", "does not exist yet"]);
     folder.run(&format!("{cameras} --overwrite")).success();
-    fs::remove_file(folder.path("scene.ply")).expect("removed");
-    script(&folder, "short", &cats.replace("/ppm'", "/ppm' | head -c 400"));
-    script(&folder, "says", &text("echo 'moov atom not found' >&2; exit 1", ""));
-    script(&folder, "nothing", &text("echo '[mov @ 0x7f] error in track' >&2", ""));
-    script(&folder, "sound", &text("echo \"Stream map '0:v:0' matches no streams.\" >&2; exit 1", ""));
+    folder.remove("scene.ply");
+    folder.script("short", &cats.replace("/ppm'", "/ppm' | head -c 400"));
+    folder.script("says", &text("echo 'moov atom not found' >&2; exit 1", ""));
+    folder.script("nothing", &text("echo '[mov @ 0x7f] error in track' >&2", ""));
+    folder.script("sound", &text("echo \"Stream map '0:v:0' matches no streams.\" >&2; exit 1", ""));
     let complains = format!("echo '[h264 @ 0x7f] partial file' >&2; cat '{here}/gray'");
-    script(&folder, "damaged", &text(&complains, &format!("cat '{here}/ppm'")));
+    folder.script("damaged", &text(&complains, &format!("cat '{here}/ppm'")));
     let before = folder.names();
     folder.run(&line("short")).fails(1, &["short"]);
     folder.run(&line("says")).fails(3, &["clip.MP4", "ffmpeg cannot read it: moov atom not found"]);
@@ -99,7 +96,7 @@ fn ffmpeg_itself_gives_frames_turned_as_the_file_says() {
         assert_eq!((json["photos"].as_u64(), json["registered"].as_u64()), (Some(5), Some(1)), "{json}");
     }
     // A playlist must not read other files.
-    fs::write(folder.path("list.mp4"), "ffconcat version 1.0\nfile plain.mp4\n").expect("written");
+    folder.write("list.mp4", "ffconcat version 1.0\nfile plain.mp4\n");
     let line = "cameras @/list.mp4 --views 5 --colmap @/colmap -o @/list.json --overwrite";
     folder.run(line).fails(3, &["list.mp4", "ffmpeg cannot read it"]);
 }

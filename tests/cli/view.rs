@@ -11,13 +11,12 @@ use std::{
         mpsc::{Sender, channel},
     },
 };
-use zipsplat::types::{Scene, write_ply};
+use zipsplat::types::Scene;
 use zipsplat_cli::{Terminal, run};
-use zipsplat_tests::scenes;
 
 pub fn folder() -> Folder {
     let folder = Folder::new();
-    write_ply(&scenes::random_scene(50, 3, 0.1), folder.path("scene.ply")).expect("a scene can be written");
+    folder.scatter("scene.ply", 50, 3, 0.1);
     folder
 }
 
@@ -40,7 +39,7 @@ fn a_page_has_its_scenes_within_it_and_asks_nobody() {
     let folder = folder();
     let json = folder.run("view @/scene.ply @/scene.ply --lossless -o @/page.html --json").json();
     assert_eq!(json["gaussians"], serde_json::json!([50, 50]));
-    let page = std::fs::read_to_string(folder.path("page.html")).expect("a page");
+    let page = folder.text("page.html");
     assert_eq!(json["bytes"], page.len());
     let truth = Scene::open(folder.path("scene.ply")).expect("a scene");
     assert_eq!([0, 1].map(|i| scene_within(&page, i)), [truth.clone(), truth]);
@@ -64,9 +63,9 @@ fn a_packed_page_is_smaller_and_is_replaced_but_no_page_of_others() {
             .expect("a size")
     };
     assert!(bytes("") < bytes("--lossless"));
-    let page = std::fs::read_to_string(folder.path("page.html")).expect("a page");
+    let page = folder.text("page.html");
     assert_eq!(scene_within(&page, 0).len(), 50);
-    std::fs::write(folder.path("page.html"), "<!doctype html>mine").expect("a file can be written");
+    folder.write("page.html", "<!doctype html>mine");
     folder.run("view @/scene.ply -o @/page.html").fails(3, &["page.html", "--overwrite"]);
     folder.run("view @/scene.ply -o @/page.html --overwrite").success();
 }
@@ -76,7 +75,7 @@ fn a_file_name_is_no_part_of_the_page() {
     let folder = folder();
     std::fs::rename(folder.path("scene.ply"), folder.path("<script>&.ply")).expect("a file can be renamed");
     folder.run("view @/<script>&.ply -o @/page.html").success();
-    let page = std::fs::read_to_string(folder.path("page.html")).expect("a page");
+    let page = folder.text("page.html");
     assert!(page.contains("<title>&lt;script>&amp;.ply</title>"));
     assert!(page.contains(r#""name":"\u003cscript>&.ply""#));
     assert!(!page.contains("<script>&.ply"));
@@ -85,7 +84,7 @@ fn a_file_name_is_no_part_of_the_page() {
 #[test]
 fn what_cannot_be_viewed_is_refused() {
     let folder = folder();
-    std::fs::write(folder.path("text.ply"), "no scene").expect("a file can be written");
+    folder.write("text.ply", "no scene");
     let before = folder.names();
     folder.run("view @/text.ply -o @/page.html").fails(3, &["text.ply"]);
     folder.run("view @/scene.ply -o @/page.ply").fails(3, &["page.ply", "FILE.html"]);
@@ -104,7 +103,7 @@ fn photos_become_scenes_of_several_ratios() {
     let json = view("--json").json();
     // 2 views of 2 x 4 patches, 4 Gaussians each; a tenth of 16 tokens is one.
     assert_eq!(json["gaussians"], serde_json::json!([64, 32, 16, 4]));
-    let page = std::fs::read_to_string(folder.path("page.html")).expect("a page");
+    let page = folder.text("page.html");
     let config: serde_json::Value =
         serde_json::from_str(between(&page, "id=config type=application/json>", "</script>"))
             .expect("the configuration is JSON");
@@ -128,7 +127,7 @@ fn photos_that_are_given_go_with_a_page() {
     let view = |options: &str| {
         let line = format!("view @/scene.ply --cameras @/place/transforms.json -o @/page.html --json {options}");
         let json = folder.run(&line).json();
-        let page = std::fs::read_to_string(folder.path("page.html")).expect("a page");
+        let page = folder.text("page.html");
         (json["photos"].as_u64(), page.matches("\"photo\":\"data:image/jpeg;base64,").count())
     };
     assert_eq!(view(""), (Some(0), 0));

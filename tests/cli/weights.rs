@@ -44,7 +44,7 @@ impl Place {
     }
 
     fn process(&self, line: &str) -> Command {
-        std::fs::write(self.folder.path("line"), self.folder.line(line)).expect("written");
+        self.folder.write("line", self.folder.line(line));
         let mut process = child("weights::runs_a_line", &self.folder.path(""), "set -- env --default-signal \"$@\"");
         for name in ["ALL_PROXY", "HTTPS_PROXY", "HTTP_PROXY"] {
             process.env_remove(name).env_remove(name.to_lowercase());
@@ -55,7 +55,7 @@ impl Place {
     }
 
     fn outcome(&self) -> Outcome {
-        let text = std::fs::read(self.folder.path("outcome")).expect("an outcome");
+        let text = self.folder.read("outcome");
         let (code, out, err) = serde_json::from_slice(&text).expect("an outcome");
         Outcome { code, out, err }
     }
@@ -225,7 +225,7 @@ fn stopping_keeps_what_came() {
     let third = file.len() / 3;
     let host = Host::new(file.clone(), &[Act::Stall(third)]);
     let place = Place::new(&host);
-    std::fs::write(place.folder.path("stoppable"), "").expect("written");
+    place.folder.write("stoppable", "");
     let mut child: Child = place.process("weights get zipsplat --yes --timeout 600").spawn().expect("bash");
     while !place.part().metadata().is_ok_and(|found| found.len() == third as u64) {
         assert!(child.try_wait().expect("a child").is_none(), "it ended before it loaded anything");
@@ -264,7 +264,7 @@ fn a_link_in_the_cache_is_not_followed() {
     let place = Place::new(&host);
     let victim = place.folder.path("victim");
     std::fs::write(&victim, "kept").expect("written");
-    std::fs::create_dir_all(place.folder.path("cache/weights")).expect("a folder");
+    place.folder.make("cache/weights");
     std::os::unix::fs::symlink(&victim, place.part()).expect("a link");
     place.run(GET).fails(3, &[PART, "a symbolic link", "expected a regular file"]);
     assert_eq!(std::fs::read(&victim).expect("a file"), b"kept");

@@ -18,7 +18,7 @@ fn the_command_tells_and_reports() {
     assert!(findings.iter().any(|f| f["share"].as_f64().unwrap() > 0.0), "something was rounded");
     assert_eq!(json["outside"], 0);
     let html = std::fs::read_to_string(&page).unwrap();
-    for part in ["<svg", "ops/layer_norm, exact", "corrected two-pass", "class=truth", "class=bound"] {
+    for part in ["<svg", "ops/layer_norm, exact", "corrected two-pass", "</i>truth</li>", "</i>bound</li>"] {
         assert!(html.contains(part), "{part}");
     }
     assert!(!html.contains("http"), "self-contained");

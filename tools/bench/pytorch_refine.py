@@ -93,4 +93,5 @@ def measure(run):
 
 forward(), step()  # compiles
 name = torch.cuda.get_device_name() if device == "cuda" else f"CPU, {torch.get_num_threads()} threads"
-print(json.dumps({"device": name, "torch": torch.__version__, "picture_ms": measure(forward), "step_ms": measure(step)}))
+rows = [{"what": "picture", "ms": measure(forward)}, {"what": "step", "ms": measure(step)}]
+print(json.dumps({"device": name, "torch": torch.__version__, "rows": rows}))

@@ -34,7 +34,6 @@ report device doctor list
 report device bench peak
 report doctor doctor
 report tune doctor tune
-report gemm bench gemm
 report render "${scenes[@]}"
 for count in "${views[@]}"; do report forward "${forward[@]}" --views "$count" --ratio 1,0.5,auto; done
 [[ -n ${PYTHON:-} ]] || exit 0

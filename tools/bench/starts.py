@@ -5,18 +5,18 @@ usage: starts.py CAPTURE... [--out FOLDER] [options below]
 
 Writes starts.png next to this file and prints a Markdown table. Runs `zipsplat eval --refine N` for
 each capture and initialization; finished runs are read from FOLDER. Needs matplotlib and a built
-zipsplat.
+zipsplat, or $ZIPSPLAT.
 """
 
 import argparse
 import json
 import os
-import resource
 import shlex
-import subprocess
 import sys
 import time
 from pathlib import Path
+
+from command import timed
 
 COLORS = {"points": "#0072B2", "scene": "#D55E00", "both": "#009E73", "tokens": "#CC79A7"}
 NAMES = {
@@ -32,7 +32,6 @@ def arguments():
     parser.add_argument("captures", nargs="+", type=Path)
     parser.add_argument("--out", type=Path, default=Path("starts"), help="folder for the runs")
     parser.add_argument("--png", type=Path, default=Path(__file__).with_name("starts.png"))
-    parser.add_argument("--zipsplat", default="zipsplat", help="command line of zipsplat")
     parser.add_argument("--starts", default="points,scene,both,tokens")
     parser.add_argument("--steps", default="10,25,50,100,200", help="steps in the table; the last ends a run")
     parser.add_argument("--views", type=int, default=20, help="photos, including held-out ones")
@@ -52,13 +51,11 @@ def run(args, capture, start):
     if not path.exists():
         steps = args.steps[-1]
         moved = [str(steps), "--refine-target", "tokens"] if start == "tokens" else [str(steps), "--init", start]
-        words = [*shlex.split(args.zipsplat), "eval", str(capture), "--views", str(args.views), "--targets", "1", "--json", "--quiet"]
-        words += ["--eval-size", args.size, "--holdout-views", str(args.hold_out), *shlex.split(args.options), "--refine", *moved]
-        before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic()
-        text = subprocess.run(words, check=True, capture_output=True, text=True).stdout
-        after = resource.getrusage(resource.RUSAGE_CHILDREN)
-        cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-        said = json.loads(text)["result"] | {"wall": time.monotonic() - begin, "cpu": cpu / os.cpu_count()}
+        words = ["eval", capture, "--views", args.views, "--targets", "1"]
+        words += ["--eval-size", args.size, "--holdout-views", args.hold_out, *shlex.split(args.options), "--refine", *moved]
+        begin = time.monotonic()
+        said, cpu = timed(*words)
+        said |= {"wall": time.monotonic() - begin, "cpu": cpu / os.cpu_count()}
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(json.dumps(said))
     return json.loads(path.read_text())

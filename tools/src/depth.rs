@@ -16,7 +16,7 @@ use zipsplat::{
     Error, Result,
     cameras::share_focal_lengths,
     depth::{DepthMap, DepthModel, DepthOptions, DepthPrediction},
-    gpu::{Device, Progress},
+    gpu::Device,
     ops::Precision,
     reconstruct::Ratio,
     types::{
@@ -189,10 +189,7 @@ impl DepthPredictor {
         // Single-view networks ignore cameras.
         let multi_view = self.model.architecture().multi_view();
         let request = DepthOptions { cameras: known_cameras.clone().filter(|_| multi_view), ..self.request.clone() };
-        let mut depths = self.model.predict(&images, &request, |progress: Progress<'_>| {
-            stage.name(progress.scope);
-            stage.at(progress.fraction)
-        })?;
+        let mut depths = self.model.predict(&images, &request, |progress| stage.follow(progress))?;
         let seeing = begun.elapsed();
         let brought = request.cameras.as_ref().map_or(Ok(()), |cameras| depths.align_to_cameras(cameras));
         let mut predicted = PredictedViews {

@@ -10,10 +10,10 @@ use zipsplat::{
     Error, Result,
     gpu::{Device, Limits},
     ops::{Arithmetic, Pool, Precision},
-    reconstruct::{Ratio, TokenSelection},
+    reconstruct::{Ratio, ReconstructOptions, TokenSelection},
     stages::cluster::auto_ratio,
     tune::KernelChoice,
-    types::{Image, Scene, open_file},
+    types::{Camera, Image, Scene, open_file},
     weights::{Architecture, Checkpoint, DepthCheckpoint},
 };
 
@@ -228,6 +228,19 @@ impl Quality {
     pub fn prune(&self, scene: &mut Scene, architecture: &Architecture) {
         if let Some(keep) = self.kept() {
             scene.keep_most_visible(architecture.gaussians_per_token, keep as usize);
+        }
+    }
+
+    /// Returns what to ask of the network; without cameras it estimates them. `scene_scale` is the
+    /// length that is 1 for it.
+    pub fn request(&self, cameras: Vec<Camera>, scene_scale: f64) -> ReconstructOptions {
+        ReconstructOptions {
+            ratio: self.ratio,
+            token_selection: self.token_selection.clone(),
+            cameras: Some(cameras).filter(|cameras| !cameras.is_empty()),
+            scene_scale: Some(scene_scale),
+            kv_pool: self.kv_pool,
+            ..ReconstructOptions::default()
         }
     }
 

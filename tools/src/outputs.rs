@@ -4,6 +4,7 @@ use clap::Args;
 use png::{BitDepth, ColorType, Compression};
 use serde::Serialize;
 use std::{
+    fmt::Display,
     fs::File,
     io::{Read, Seek, SeekFrom},
     path::Path,
@@ -59,6 +60,15 @@ impl Overwrite {
     pub fn check_file(self, path: &Path) -> Result<()> {
         check_file(path)?;
         self.check_replaced([path])
+    }
+
+    pub fn check_scene(self, path: &Path) -> Result<()> {
+        self.check_file(path)?;
+        if SceneFormat::of_extension(path).is_none() {
+            let expected = format!("a file that ends in {}", SceneFormat::EXTENSIONS);
+            return Err(Error::argument("--output", path.display(), expected));
+        }
+        Ok(())
     }
 
     pub fn check_replaced<P: AsRef<Path>>(self, files: impl IntoIterator<Item = P>) -> Result<()> {
@@ -150,12 +160,50 @@ pub fn save_scene(path: &Path, scene: &Scene, options: &SaveOptions, world: Opti
     })
 }
 
+/// Written in `FAILURES` of a folder, beside what succeeded.
+#[derive(Serialize)]
+pub struct Failure {
+    pub capture: String,
+    pub error: String,
+}
+
+pub const FAILURES: &str = "failures.csv";
+
+impl Failure {
+    pub fn new(capture: impl Display, error: &Error) -> Self {
+        Self { capture: capture.to_string(), error: error.to_string() }
+    }
+
+    /// Returns true if later captures would fail alike.
+    pub fn is_of_all(error: &Error) -> bool {
+        matches!(error, Error::Cancelled | Error::DeviceLost | Error::NoDevice(_))
+    }
+}
+
+/// Ends a summary with the counts that are not 0.
+pub fn and_others(mut text: String, others: &[(usize, &str)]) -> String {
+    others.iter().filter(|(count, _)| *count > 0).for_each(|(count, what)| text += &format!("; {count} {what}"));
+    text
+}
+
+pub fn save_json(path: &Path, value: &impl Serialize) -> Result<()> {
+    write_atomic(path, |out| {
+        serde_json::to_writer_pretty(&mut *out, value)?;
+        writeln!(out)
+    })
+}
+
 /// RFC 4180.
 pub fn save_csv(path: &Path, rows: &[impl Serialize]) -> Result<()> {
     let mut table = csv::Writer::from_writer(Vec::new());
     rows.iter().for_each(|row| table.serialize(row).expect("flat rows of one type, written to memory"));
     let table = table.into_inner().expect("written to memory");
     write_atomic(path, |out| out.write_all(&table))
+}
+
+/// In bytes.
+pub fn size_of(path: &Path) -> Result<u64> {
+    Ok(path.metadata().map_err(|error| Error::io(path, error))?.len())
 }
 
 pub fn make_folder(path: &Path) -> Result<()> {

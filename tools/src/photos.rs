@@ -229,6 +229,18 @@ fn named(paths: &[PathBuf], name: impl Fn(&PathBuf) -> String) -> String {
     names.join(", ")
 }
 
+/// Keeps at most `views` photos that have a camera among any `poses`, with its warnings as notes.
+pub fn kept(
+    session: &mut Session<'_>,
+    photos: Vec<PathBuf>,
+    poses: Option<&Capture>,
+    views: Option<u32>,
+) -> Result<Vec<PathBuf>> {
+    let Some(poses) = poses else { return Ok(spread(photos, views)) };
+    session.notes(&poses.warnings);
+    Ok(spread(posed(session, photos, poses)?, views))
+}
+
 /// Keeps photos with a camera among `poses`, and notes the others.
 pub fn posed(session: &mut Session<'_>, photos: Vec<PathBuf>, poses: &Capture) -> Result<Vec<PathBuf>> {
     let (mut kept, mut others) = (Vec::new(), Vec::new());
@@ -256,8 +268,9 @@ pub fn names(files: &[PathBuf]) -> String {
     named(files, |path| path.file_name().unwrap_or_default().to_string_lossy().into_owned())
 }
 
-/// Evenly spread, with the first and the last.
-pub fn spread(photos: Vec<PathBuf>, count: usize) -> Vec<PathBuf> {
+/// At most `count`, evenly spread, with the first and the last.
+pub fn spread(photos: Vec<PathBuf>, count: Option<u32>) -> Vec<PathBuf> {
+    let count = count.map_or(photos.len(), |count| count as usize);
     if photos.len() <= count {
         return photos;
     }
@@ -302,9 +315,9 @@ mod tests {
 
     #[test]
     fn spread_keeps_the_ends() {
-        let names = |count: usize, of: usize| -> Vec<String> {
+        let names = |count: u32, of: usize| -> Vec<String> {
             let photos = (0..of).map(|i| PathBuf::from(i.to_string())).collect();
-            spread(photos, count).iter().map(|path| path.display().to_string()).collect()
+            spread(photos, Some(count)).iter().map(|path| path.display().to_string()).collect()
         };
         assert_eq!(names(3, 9), ["0", "4", "8"]);
         assert_eq!(names(4, 6), ["0", "2", "3", "5"]);

@@ -57,6 +57,8 @@ pub fn plot(x: Axis<'_>, y: Axis<'_>, meaning: &str, series: &[Series], beneath:
     let mut svg = String::new();
     let drawn = draw(&mut svg, (x, range(|at| at.x)), (y, range(|at| at.y)), shown, &points, &line);
     drawn.expect("writing to a string does not fail");
+    // HTML needs no namespace.
+    let svg = svg.replace(" xmlns=\"http://www.w3.org/2000/svg\"", "");
     let numbers = points.iter().flatten().map(|at| at.of);
     format!(
         "<div class=\"plot\">{}{}</div>",

@@ -197,15 +197,13 @@ pub fn printed(command: &mut Command, stage: &Stage<'_>) -> Result<String> {
 }
 
 /// In a thread: a full pipe would block the writer.
-pub fn listen(stream: impl Read + Send + 'static) -> std::thread::JoinHandle<String> {
-    std::thread::spawn(move || read_text(stream))
-}
-
-fn read_text(mut stream: impl Read) -> String {
-    let mut text = Vec::new();
-    // Keeps the text before a read error.
-    let _ = stream.read_to_end(&mut text);
-    String::from_utf8_lossy(&text).into_owned()
+pub fn listen(mut stream: impl Read + Send + 'static) -> std::thread::JoinHandle<String> {
+    std::thread::spawn(move || {
+        let mut text = Vec::new();
+        // Keeps the text before a read error.
+        let _ = stream.read_to_end(&mut text);
+        String::from_utf8_lossy(&text).into_owned()
+    })
 }
 
 /// Uses the program's message, or its exit status.

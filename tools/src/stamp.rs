@@ -12,6 +12,12 @@ pub fn stamp(path: &Path) -> Result<String> {
     Ok(format!("{} {} {}\n", path.file_name().unwrap_or_default().to_string_lossy(), found.len(), time.as_nanos()))
 }
 
+/// Of weights by name or file.
+pub fn stamp_of_weights(weights: &str) -> Result<String> {
+    let path = Path::new(weights);
+    if path.is_file() { stamp(path) } else { Ok(String::new()) }
+}
+
 pub fn digest(parts: &[String]) -> String {
     let mut hash = Sha256::new();
     parts.iter().for_each(|part| hash.update(part));

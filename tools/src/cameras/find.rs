@@ -2,11 +2,12 @@
 
 use super::{
     colmap::{Colmap, ColmapOutput, Mapping, Matching, Searching, Step},
-    work::{Work, make_folder},
+    work::Work,
 };
 use crate::{
     depth::{CamerasFrom, PredictedViews},
-    outputs::LOG_START,
+    metrics::median,
+    outputs::{LOG_START, make_folder},
     photos::{names, text},
     process,
     scratch::Scratch,
@@ -290,9 +291,7 @@ pub(super) fn focal(frames: &[CaptureView]) -> f64 {
     let focal = |CaptureView { camera: Camera { intrinsics, .. }, .. }: &CaptureView| {
         intrinsics.fx / f64::from(intrinsics.width.max(intrinsics.height))
     };
-    let mut focals: Vec<f64> = frames.iter().map(focal).collect();
-    focals.sort_by(f64::total_cmp);
-    focals[focals.len() / 2]
+    median(frames.iter().map(focal)).unwrap_or(f64::NAN)
 }
 
 fn nothing(photos: usize, output: &ColmapOutput) -> Error {

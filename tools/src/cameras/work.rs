@@ -1,6 +1,6 @@
 //! COLMAP's working folder.
 
-use crate::{scratch::Scratch, session::Stage};
+use crate::{outputs::make_folder, scratch::Scratch, session::Stage};
 use std::{
     collections::HashMap,
     fs::File,
@@ -73,10 +73,6 @@ impl Work {
         }
         Ok((poses, lost))
     }
-}
-
-pub(super) fn make_folder(path: &Path) -> Result<()> {
-    std::fs::create_dir_all(path).map_err(|source| Error::io(path, source))
 }
 
 /// Of a format that every COLMAP reads, by first bytes.

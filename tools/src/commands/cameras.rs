@@ -62,10 +62,8 @@ impl Cameras {
         self.model.check(self.overwrite)?;
         let unused = self.method == Finder::Colmap && self.weights.is_some();
         refuse("--weights", unused, "COLMAP, which needs none", "--method da3")?;
-        let (mut photos, mut frames) = self.input.list(session, self.views, Some((&self.output, self.overwrite)))?;
-        if let Some(views) = self.views {
-            photos = photos::spread(photos, views as usize);
-        }
+        let (photos, mut frames) = self.input.list(session, self.views, Some((&self.output, self.overwrite)))?;
+        let photos = photos::spread(photos, self.views);
         let (search, depth_weights) = (self.search.clone(), self.weights.clone());
         let finding = Finding { search, cameras: self.cameras, depth_weights };
         let (poses, found) = self.method.find(session, &photos, &finding)?;

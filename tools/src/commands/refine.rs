@@ -16,7 +16,7 @@ use zipsplat::{
     gpu::{Arena, Device},
     refine::{RefineOptions, RefineResult, StopReason},
     types::{
-        Camera, Image, SaveOptions, Scene, SceneFormat, World,
+        Camera, Image, SaveOptions, Scene, World,
         poses::{Capture, CaptureView, read_cloud},
         read_world,
     },
@@ -86,12 +86,8 @@ struct Started {
 
 impl Refine {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
-        self.overwrite.check_file(&self.output)?;
+        self.overwrite.check_scene(&self.output)?;
         self.settings.check()?;
-        if SceneFormat::of_extension(&self.output).is_none() {
-            let expected = format!("a file that ends in {}", SceneFormat::EXTENSIONS);
-            return Err(Error::argument("--output", self.output.display(), expected));
-        }
         self.cameras_out.as_ref().map_or(Ok(()), |path| self.overwrite.check_file(path))?;
         let (scene, files) = self.files();
         if KnownCameras::to_find(&self.cameras) && self.init() != Initialization::Points {
@@ -100,8 +96,7 @@ impl Refine {
         }
         let photos = photos::list(session, files)?;
         let KnownCameras { poses, found } = KnownCameras::of(session, &self.cameras, &photos, &self.finding)?;
-        poses.warnings.iter().for_each(|note| session.note(note));
-        let photos = photos::posed(session, photos, &poses)?;
+        let photos = photos::kept(session, photos, Some(&poses), None)?;
         let frames = poses.frames_of(&photos)?;
         let started = self.start(session, scene, &poses, &frames)?;
         drop(found);

@@ -1,14 +1,15 @@
 use crate::{
     heic::is_heic,
+    html::data_url,
     options::{Network, SceneInput, refuse},
-    outputs::Overwrite,
+    outputs::{Overwrite, size_of},
     refinement::with_cameras,
     session::Session,
     table::{bytes, counted},
     video::is_video,
     viewer::{
         Config, FromPhotos, InputCamera, Ready, Requests, Served, Server, ShownScene, Studio, Watched, input_cameras,
-        vertical, within_page, write_page,
+        vertical, write_page,
     },
 };
 use clap::Args;
@@ -122,7 +123,7 @@ impl View {
             scenes.push(self.input.read(session, path)?.0);
         }
         let shown = |path: &PathBuf| {
-            let bytes = path.metadata().map_err(|error| Error::io(path, error))?.len();
+            let bytes = size_of(path)?;
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
             Ok(ShownScene {
                 name,
@@ -133,9 +134,13 @@ impl View {
         };
         let (shown, cameras) = (self.files.iter().map(shown).collect::<Result<_>>()?, self.cameras(session)?);
         let mut config = Config { scenes: shown, up: vertical(&cameras), cameras, ..Config::default() };
+        self.show(session, &mut config, &scenes)
+    }
+
+    fn show(&self, session: &mut Session<'_>, config: &mut Config, scenes: &[Scene]) -> Result<()> {
         match &self.output {
-            Some(output) => self.write(session, output, &mut config, &scenes),
-            None => self.serve(session, &mut config, &scenes, None, None),
+            Some(output) => self.write(session, output, config, scenes),
+            None => self.serve(session, config, scenes, None, None),
         }
     }
 
@@ -187,10 +192,7 @@ impl View {
         }
         let up = vertical(&cameras);
         let mut config = Config { scenes: shown, up, cameras, note: Some(note), ..Config::default() };
-        match &self.output {
-            Some(output) => self.write(session, output, &mut config, &scenes),
-            None => self.serve(session, &mut config, &scenes, None, None),
-        }
+        self.show(session, &mut config, &scenes)
     }
 
     fn write_ratios(
@@ -261,7 +263,7 @@ impl View {
             for (i, camera) in config.cameras.iter_mut().enumerate() {
                 stage.reach(i as f64 / all as f64)?;
                 if let Some(jpeg) = camera.jpeg(Some(SMALL))? {
-                    let address = within_page(&jpeg);
+                    let address = data_url(&jpeg);
                     (count, packed) = (count + 1, packed + address.len());
                     camera.at(address);
                 }
@@ -270,7 +272,7 @@ impl View {
         })?;
         session
             .stage("write page", |_| write_atomic(output, |out| write_page(out, config, Requests::None, &encoded)))?;
-        let written = output.metadata().map_err(|error| Error::io(output, error))?.len();
+        let written = size_of(output)?;
         let gaussians: Vec<usize> = scenes.iter().map(Scene::len).collect();
         let json = json!({
             "output": output, "gaussians": gaussians, "bytes": written, "photos": photos.0, "photo_bytes": photos.1,

@@ -1,6 +1,7 @@
 use crate::{
     download::{Client, Lock, Promise, fetch, is_sha256, kept, promise},
     options::BUILTIN,
+    outputs::size_of,
     released::{self, Kind, RELEASED, Released},
     session::Session,
     table::{Table, bytes},
@@ -247,10 +248,6 @@ fn lock(session: &Session<'_>, released: &Released, folder: &Path) -> Result<Loc
 fn is_offline() -> bool {
     let value = std::env::var("HF_HUB_OFFLINE").unwrap_or_default().to_lowercase();
     ["1", "true", "yes", "on"].contains(&value.as_str())
-}
-
-fn size_of(path: &Path) -> Result<u64> {
-    Ok(path.metadata().map_err(|error| Error::io(path, error))?.len())
 }
 
 fn report(session: &mut Session<'_>, released: &Released, path: &Path) -> Result<()> {

@@ -24,7 +24,11 @@ pub fn picture(image: &Image, most: u32) -> Result<String> {
     let scale = (f64::from(most) / f64::from(image.width.max(image.height))).min(1.0);
     let [width, height] = [image.width, image.height].map(|side| ((f64::from(side) * scale).round() as u32).max(1));
     let small = resize_lanczos(image, width, height)?;
-    Ok(format!("data:image/jpeg;base64,{}", STANDARD.encode(small.jpeg(QUALITY)?)))
+    Ok(data_url(&small.jpeg(QUALITY)?))
+}
+
+pub fn data_url(jpeg: &[u8]) -> String {
+    format!("data:image/jpeg;base64,{}", STANDARD.encode(jpeg))
 }
 
 /// Escapes text for content and quoted attributes.

@@ -9,7 +9,7 @@ use zipsplat::{Error, Result};
 use super::{Capture, Crop, VERSION};
 use crate::{
     npy,
-    outputs::{MADE_BY, is_own, remove_stale, save_picture},
+    outputs::{MADE_BY, is_own, remove_stale, save_json, save_picture},
 };
 
 /// Pixels between samples of the point cloud.
@@ -64,10 +64,7 @@ pub fn write_folder(folder: &Path, capture: &Capture, crops: &[Crop]) -> Result<
         "overlap": capture.overlap.chunks(capture.images.len()).collect::<Vec<_>>(),
         "photo_crops": crops.iter().map(|crop| json!({"repo": crop.repo, "file": crop.file, "license": crop.license})).collect::<Vec<_>>(),
     });
-    write_atomic(&folder.join(SCENE), |out| {
-        serde_json::to_writer_pretty(&mut *out, &scene)?;
-        writeln!(out)
-    })
+    save_json(&folder.join(SCENE), &scene)
 }
 
 fn points(capture: &Capture) -> Vec<([f32; 3], [u8; 3])> {

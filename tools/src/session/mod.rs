@@ -167,42 +167,25 @@ impl<'a> Session<'a> {
         })
     }
 
+    /// Runs the backbone once for a scene and any requested tokens.
     pub fn reconstruct(
         &self,
         model: &Model,
         images: &[Image],
         request: &ReconstructOptions,
-    ) -> Result<(Reconstruction, Duration)> {
-        self.stage("reconstruct", |stage| {
-            model.reconstruct_views(images, request, |progress| {
-                stage.name(progress.scope);
-                stage.at(progress.fraction)
-            })
-        })
-    }
-
-    /// Runs the backbone once for a scene and any requested tokens.
-    pub fn reconstruct_with_tokens(
-        &self,
-        model: &Model,
-        images: &[Image],
-        request: &ReconstructOptions,
         tokens: bool,
-    ) -> Result<(Reconstruction, Option<SceneTokens>, Duration)> {
-        if !tokens {
-            return self.reconstruct(model, images, request).map(|(made, took)| (made, None, took));
-        }
-        let ((mut made, tokens, features), took) = self.stage("reconstruct", |stage| {
-            let report = |progress: Progress<'_>| {
-                stage.name(progress.scope);
-                stage.at(progress.fraction)
-            };
-            let features = model.features(images, request, report)?;
-            let made = model.reconstruct_features(&features, request, report)?;
-            Ok((made, model.tokens(&features, request, report)?, features))
-        })?;
-        made.times.0.splice(0..0, features.times.0);
-        Ok((made, Some(tokens), took))
+    ) -> Result<((Reconstruction, Option<SceneTokens>), Duration)> {
+        self.stage("reconstruct", |stage| {
+            let follow = |progress: Progress<'_>| stage.follow(progress);
+            if !tokens {
+                return Ok((model.reconstruct_views(images, request, follow)?, None));
+            }
+            let features = model.features(images, request, follow)?;
+            let mut made = model.reconstruct_features(&features, request, follow)?;
+            let tokens = model.tokens(&features, request, follow)?;
+            made.times.0.splice(0..0, features.times.0);
+            Ok((made, Some(tokens)))
+        })
     }
 
     /// Prints `value` with `--json`, else `text` unless `--quiet`.

@@ -12,7 +12,7 @@ use std::{
     },
     time::{Duration, Instant},
 };
-use zipsplat::{Error, Result};
+use zipsplat::{Error, Result, gpu::Progress};
 
 /// Delay before progress is shown.
 const PATIENCE: Duration = Duration::from_secs(1);
@@ -66,7 +66,17 @@ impl<'a> Stage<'a> {
     /// `Break` on cancellation.
     pub fn at(&self, fraction: f64) -> ControlFlow<()> {
         self.bar.set_position((fraction * STEPS as f64) as u64);
+        self.go_on()
+    }
+
+    pub fn go_on(&self) -> ControlFlow<()> {
         if self.cancelled.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    }
+
+    /// Shows the engine's progress.
+    pub fn follow(&self, progress: Progress<'_>) -> ControlFlow<()> {
+        self.name(progress.scope);
+        self.at(progress.fraction)
     }
 
     /// Hidden stage with the same cancellation, for parallel steps.

@@ -18,10 +18,3 @@ pub use photos::{FromPhotos, Ready};
 pub use recording::Studio;
 pub use server::Server;
 pub use watched::Watched;
-
-use base64::{Engine, prelude::BASE64_STANDARD};
-
-/// Data URL.
-pub fn within_page(jpeg: &[u8]) -> String {
-    format!("data:image/jpeg;base64,{}", BASE64_STANDARD.encode(jpeg))
-}

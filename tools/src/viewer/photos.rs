@@ -6,11 +6,11 @@ use super::{
     live::{LiveScene, Source},
     page::{ShownScene, View},
     watched::Target,
-    within_page,
 };
 use crate::{
     cameras::{Finding, KnownCameras},
     capture::scale_warning,
+    html::data_url,
     options::{Network, Quality, Weights, parse_length},
     photos::{self, Reading},
     refinement::{Initialization, RefineArgs, placed},
@@ -27,7 +27,7 @@ use std::{
 use zipsplat::{
     Error, Result,
     gpu::Progress,
-    reconstruct::{MAX_VIEWS, Ratio, ReconstructOptions, Shape},
+    reconstruct::{MAX_VIEWS, Ratio, Shape},
     types::{
         Camera, PointCloud, Pose,
         poses::{Capture, CaptureView, read_cloud},
@@ -98,17 +98,11 @@ impl FromPhotos {
         poses: Option<&Path>,
     ) -> Result<Photographed> {
         let (mut photos, folder) = self.reading.list(session, paths, self.views, None)?;
-        if let (Some(views), true) = (self.views, poses.is_some_and(KnownCameras::to_find)) {
-            photos = photos::spread(photos, views as usize);
+        if poses.is_some_and(KnownCameras::to_find) {
+            photos = photos::spread(photos, self.views);
         }
         let known = poses.map(|poses| KnownCameras::of(session, poses, &photos, &self.finding)).transpose()?;
-        if let Some(KnownCameras { poses, .. }) = &known {
-            session.notes(&poses.warnings);
-            photos = photos::posed(session, photos, poses)?;
-        }
-        if let Some(views) = self.views {
-            photos = photos::spread(photos, views as usize);
-        }
+        let photos = photos::kept(session, photos, known.as_ref().map(|known| &known.poses), self.views)?;
         Ok(Photographed { photos, known, folder })
     }
 
@@ -162,16 +156,7 @@ impl FromPhotos {
         let unit = self.length(session, poses, &cameras, &frames)?;
         let (cameras, turned) = crop.network_cameras(cameras);
         let (model, _) = session.load_model(&device, &checkpoint, arithmetic)?;
-        let cameras = Some(cameras).filter(|cameras| !cameras.is_empty());
-        let selection = self.quality.token_selection.clone();
-        let request = ReconstructOptions {
-            ratio: self.quality.ratio,
-            token_selection: selection,
-            cameras,
-            scene_scale: Some(unit),
-            kv_pool: self.quality.kv_pool,
-            ..ReconstructOptions::default()
-        };
+        let request = self.quality.request(cameras, unit);
         let (features, _) = session.stage("backbone", |stage| {
             model.features(&images, &request, |progress: Progress<'_>| stage.at(progress.fraction))
         })?;
@@ -265,7 +250,7 @@ impl FromPhotos {
 impl Ready<'_> {
     pub fn views(&self, within: bool) -> Result<Vec<View>> {
         let view = |(i, name): (usize, &String)| {
-            let photo = if within { within_page(&self.view(i)?) } else { format!("view/{i}") };
+            let photo = if within { data_url(&self.view(i)?) } else { format!("view/{i}") };
             Ok(View { name: name.clone(), photo })
         };
         self.names.iter().enumerate().map(view).collect()

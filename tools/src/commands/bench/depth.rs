@@ -2,7 +2,8 @@ use super::{
     Repeats, Spread,
     parts::{self, Part},
     peak::{self, Rate},
-    pytorch, timed_device,
+    python::{self, Pytorch},
+    timed_device,
 };
 use crate::{
     options::{ArithmeticOption, Size},
@@ -11,8 +12,8 @@ use crate::{
     table::{Table, bytes},
 };
 use clap::Args;
-use serde::Serialize;
-use std::{path::PathBuf, time::Duration};
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
 use zipsplat::{
     Error, Result,
     depth::{DepthModel, DepthOptions},
@@ -56,6 +57,19 @@ struct Row {
     arena_bytes: u64,
 }
 
+/// A case of PyTorch's.
+#[derive(Deserialize)]
+struct PytorchRow {
+    backbone_ms: Vec<f64>,
+    heads_ms: Vec<f64>,
+}
+
+impl PytorchRow {
+    fn parts(&self) -> impl Iterator<Item = (&'static str, Spread)> {
+        PARTS.into_iter().zip([&self.backbone_ms, &self.heads_ms].map(|ms| Spread::of_ms(ms.clone())))
+    }
+}
+
 const PARTS: [&str; 2] = ["backbone", "heads"];
 
 impl Depth {
@@ -65,7 +79,7 @@ impl Depth {
         if self.pytorch.is_some() && !checkpoint.architecture().multi_view() {
             return Err(Error::argument("--pytorch", network, "a network that sees all photos at once"));
         }
-        self.pytorch.as_deref().map_or(Ok(()), pytorch::check)?;
+        self.pytorch.as_deref().map_or(Ok(()), |python| python::DEPTH.check(python))?;
         let device = timed_device(session)?;
         let (precision, arithmetic) = self.arithmetic.choose(session, &device)?;
         let load =
@@ -102,10 +116,10 @@ impl Depth {
             rows.extend(found);
         }
         let compared = self.pytorch.as_ref().map_or(Ok(()), |python| {
-            let Repeats { warmup, repeats } = self.repeats;
-            let cases: Vec<_> = measured.iter().map(|(case, _)| *case).collect();
-            let ask = |_: &Stage<'_>| pytorch::depth(python, checkpoint.architecture(), &cases, [warmup, repeats]);
-            let (found, _) = session.stage("PyTorch", ask)?;
+            let architecture = serde_json::to_string(checkpoint.architecture()).expect("numbers and names are JSON");
+            let words = [architecture].into_iter().chain(self.repeats.words());
+            let words = words.chain(measured.iter().map(|((views, size), _)| format!("{views}x{size}")));
+            let (found, _) = session.stage("PyTorch", |_| python::DEPTH.run(python, None, words))?;
             text += &compare(&found, &measured);
             rows.extend(pytorch_rows(&found, &rows));
             Ok(())
@@ -172,35 +186,22 @@ fn describe(rows: &[Row], device: &str, peak: &Rate) -> String {
     )
 }
 
-fn spread(ms: &[f64]) -> Spread {
-    Spread::of(ms.iter().map(|ms| Duration::from_secs_f64(ms / 1e3)))
-}
-
-fn compare(found: &pytorch::Depth, measured: &[((usize, Size), [f64; 2])]) -> String {
+fn compare(found: &Pytorch<PytorchRow>, measured: &[((usize, Size), [f64; 2])]) -> String {
     let mut table =
         Table::new(1, &["PyTorch f32", "views", "size", "ms: median (min..max)", "ours", "its time / ours"]);
     for (row, ((views, size), ours)) in found.rows.iter().zip(measured) {
-        for (part, (ms, ours)) in PARTS.iter().zip([&row.backbone_ms, &row.heads_ms].into_iter().zip(ours)) {
-            let ms = spread(ms);
+        for ((part, ms), ours) in row.parts().zip(ours) {
             let ratio = format!("{:.2}", ms.median / ours);
-            table.row([
-                (*part).into(),
-                views.to_string(),
-                size.to_string(),
-                ms.to_string(),
-                format!("{ours:.1}"),
-                ratio,
-            ]);
+            table.row([part.into(), views.to_string(), size.to_string(), ms.to_string(), format!("{ours:.1}"), ratio]);
         }
     }
-    format!("PyTorch {} on {}\n{table}", found.torch, found.device)
+    format!("{}\n{table}", found.name())
 }
 
-fn pytorch_rows(found: &pytorch::Depth, rows: &[Row]) -> Vec<Row> {
+fn pytorch_rows(found: &Pytorch<PytorchRow>, rows: &[Row]) -> Vec<Row> {
     let totals = rows.iter().filter(|row| row.part.stage.is_empty());
-    let of = |(row, ours): (&pytorch::DepthRow, &Row)| {
-        let parts = PARTS.iter().zip([&row.backbone_ms, &row.heads_ms]);
-        let parts = parts.map(|(part, ms)| Part::of(format!("PyTorch f32 {part}"), spread(ms)));
+    let of = |(row, ours): (&PytorchRow, &Row)| {
+        let parts = row.parts().map(|(part, ms)| Part::of(format!("PyTorch f32 {part}"), ms));
         parts.map(|part| Row { part, peak_bytes: 0, arena_bytes: 0, ..ours.clone() }).collect::<Vec<_>>()
     };
     found.rows.iter().zip(totals).flat_map(of).collect()

@@ -2,7 +2,8 @@ use super::{
     Repeats, Spread,
     parts::{self, Part},
     peak::{self, Rate},
-    pytorch, stage_of, timed_device,
+    python::{self, Pytorch},
+    stage_of, timed_device,
 };
 use crate::{
     options::{ArithmeticOption, Size, Weights, parse_ratio},
@@ -10,18 +11,13 @@ use crate::{
     table::{Table, bytes},
 };
 use clap::Args;
-use serde::Serialize;
-use std::{
-    ops::ControlFlow,
-    path::{Path, PathBuf},
-    time::{Duration, Instant},
-};
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
 use zipsplat::{
     Error, Result,
-    gpu::{Progress, Run},
-    reconstruct::{MAX_VIEWS, Model, Ratio, ReconstructOptions, Reconstruction, Shape},
-    stages::render::{RenderOptions, Renderer},
-    types::{Camera, Image, Intrinsics, Pose},
+    gpu::Run,
+    reconstruct::{MAX_VIEWS, Model, Ratio, ReconstructOptions, Shape},
+    types::Image,
     weights::Checkpoint,
 };
 use zipsplat_verify::noise::Noise;
@@ -45,10 +41,6 @@ pub struct Forward {
     input_size: Option<Size>,
     #[command(flatten)]
     arithmetic: ArithmeticOption,
-    /// Also time photos to a render of this size: for the first and later captures, through the
-    /// host, and from cached features
-    #[arg(long, value_name = "WxH")]
-    pictures: Option<Size>,
     #[command(flatten)]
     repeats: Repeats,
     /// Also time PyTorch with this Python, on its GPU or CPU
@@ -74,6 +66,18 @@ struct Row {
     arena_bytes: u64,
 }
 
+/// A case of PyTorch's.
+#[derive(Deserialize)]
+struct PytorchRow {
+    precision: String,
+    views: usize,
+    ratio: f64,
+    /// Absent after a failure.
+    ms: Option<Vec<f64>>,
+    peak_bytes: Option<u64>,
+    failed: Option<String>,
+}
+
 impl Forward {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         let checkpoint = self.weights.open()?;
@@ -90,7 +94,7 @@ impl Forward {
                 }
             }
         }
-        self.pytorch.as_deref().map_or(Ok(()), pytorch::check)?;
+        self.pytorch.as_deref().map_or(Ok(()), |python| python::FORWARD.check(python))?;
         let device = timed_device(session)?;
         let (precision, arithmetic) = self.arithmetic.choose(session, &device)?;
         let (model, _) = session.load_model(&device, &checkpoint, arithmetic)?;
@@ -113,12 +117,6 @@ impl Forward {
                 measured => measured?.0,
             };
             text += &describe(&measured, precision.name(), &device.limits().name, &peak);
-            let to_picture = self.pictures.map(|size| {
-                session.stage("pictures", |stage| self.to_picture(&model, &images[..*views], request, size, stage))
-            });
-            let to_picture = to_picture.transpose()?.map(|(rows, _)| rows).unwrap_or_default();
-            to_picture.iter().for_each(|row| text += &format!("  {:<44}{} ms\n", row.part.stage, row.part.ms));
-            rows.extend(to_picture.into_iter().map(|row| Row { precision: precision.name(), ..row }));
             rows.extend(measured.into_iter().map(|row| Row { precision: precision.name(), ..row }));
         }
         let compared = self.pytorch.as_ref().map_or(Ok(()), |python| {
@@ -137,15 +135,23 @@ impl Forward {
 
     /// `totals` are in measurement order.
     fn compare(&self, python: &Path, checkpoint: &Checkpoint, size: Size, totals: &[Row]) -> Result<Compared> {
-        let cases: Vec<(usize, f64)> = totals.iter().map(|row| (row.views, row.ratio)).collect();
-        let Repeats { warmup, repeats } = self.repeats;
-        let times = [warmup, repeats];
-        let found = pytorch::forward(python, checkpoint.architecture(), &cases, &size.to_string(), times)?;
+        let list = |number: &dyn Fn(&Row) -> String| totals.iter().map(number).collect::<Vec<_>>().join(",");
+        let [warmup, repeats] = self.repeats.words();
+        let options = [
+            ("--architecture", serde_json::to_string(checkpoint.architecture()).expect("numbers and names are JSON")),
+            ("--size", size.to_string()),
+            ("--views", list(&|row| row.views.to_string())),
+            ("--ratio", list(&|row| row.ratio.to_string())),
+            ("--warmup", warmup),
+            ("--repeats", repeats),
+        ];
+        let words = options.into_iter().flat_map(|(name, value)| [name.to_owned(), value]);
+        let mut found: Pytorch<PytorchRow> = python::FORWARD.run(python, None, words)?;
         let mut table =
             Table::new(1, &["PyTorch", "views", "ratio", "ms: median (min..max)", "peak", "its time / ours"]);
         let mut rows = Vec::new();
-        for (pytorch, ours) in found.rows.iter().zip(totals.iter().cycle()) {
-            let ms = pytorch.ms.as_ref().map(|ms| Spread::of(ms.iter().map(|ms| Duration::from_secs_f64(ms / 1e3))));
+        for (pytorch, ours) in std::mem::take(&mut found.rows).into_iter().zip(totals.iter().cycle()) {
+            let ms = pytorch.ms.map(Spread::of_ms);
             table.row([
                 pytorch.precision.clone(),
                 pytorch.views.to_string(),
@@ -166,72 +172,7 @@ impl Forward {
                 ..ours.clone()
             });
         }
-        Ok(Compared { text: format!("PyTorch {} on {}\n{table}", found.torch, found.device), rows })
-    }
-
-    fn to_picture(
-        &self,
-        model: &Model,
-        images: &[Image],
-        request: &ReconstructOptions,
-        Size(width, height): Size,
-        stage: &Stage<'_>,
-    ) -> Result<Vec<Row>> {
-        let device = model.arena().device();
-        let camera = Camera { intrinsics: Intrinsics::from_fov(width, height, 1.0, 1.0), pose: Pose::IDENTITY };
-        let drawing = RenderOptions::default();
-        let go_on = |_: Progress<'_>| stage.check().map_or(ControlFlow::Break(()), ControlFlow::Continue);
-        let timed = |road: &mut dyn FnMut() -> Result<Reconstruction>| -> Result<(Duration, Reconstruction)> {
-            let start = Instant::now();
-            let made = road()?;
-            Ok((start.elapsed(), made))
-        };
-        let show = |renderer: &mut Renderer, made: &Reconstruction| {
-            renderer.set_scene(&made.gaussians)?;
-            renderer.render(&[camera], &drawing).map(drop)
-        };
-        // The first run includes its allocation.
-        model.arena().release()?;
-        let (mut renderer, mut of_host) = (Renderer::new(device), Renderer::new(device));
-        let mut on_device = || {
-            let made = model.reconstruct_views(images, request, go_on)?;
-            show(&mut renderer, &made)?;
-            Ok(made)
-        };
-        let (first, made) = timed(&mut on_device)?;
-        let (tokens, peak_bytes) = (made.tokens, device.allocated_bytes());
-        drop(made);
-        let again = (0..self.repeats.repeats).map(|_| Ok(timed(&mut on_device)?.0)).collect::<Result<Vec<_>>>()?;
-        let mut through_host = || {
-            let made = model.reconstruct_views(images, request, go_on)?;
-            of_host.set_scene(&made.to_scene()?)?;
-            of_host.render(&[camera], &drawing)?;
-            Ok(made)
-        };
-        let host = (0..=self.repeats.repeats).map(|_| Ok(timed(&mut through_host)?.0)).collect::<Result<Vec<_>>>()?;
-        let features = model.features(images, request, go_on)?;
-        let mut of_features = || {
-            let made = model.reconstruct_features(&features, request, go_on)?;
-            show(&mut renderer, &made)?;
-            Ok(made)
-        };
-        let kept = (0..=self.repeats.repeats).map(|_| Ok(timed(&mut of_features)?.0)).collect::<Result<Vec<_>>>()?;
-        let row = |stage: &str, times: &[Duration]| Row {
-            precision: "",
-            views: images.len(),
-            tokens,
-            ratio: 0.0,
-            pool: request.kv_pool,
-            part: Part::of(stage.to_owned(), Spread::of(times.iter().copied())),
-            peak_bytes,
-            arena_bytes: model.arena().bytes(),
-        };
-        Ok(vec![
-            row("photos to a picture, the first", &[first]),
-            row("photos to a picture, again", &again),
-            row("photos to a picture through the host, again", &host[1..]),
-            row("kept features to a picture, again", &kept[1..]),
-        ])
+        Ok(Compared { text: format!("{}\n{table}", found.name()), rows })
     }
 
     fn measure(

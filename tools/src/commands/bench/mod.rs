@@ -3,12 +3,9 @@
 mod depth;
 mod effects;
 mod forward;
-mod gemm;
-mod gsplat;
 mod parts;
 mod peak;
 mod python;
-mod pytorch;
 mod refine;
 mod render;
 mod tradeoff;
@@ -28,7 +25,6 @@ use zipsplat::{
 #[command(after_help = "Examples:
   zipsplat bench forward --weights seeded:vits --views 2,4,8 --ratio 1,auto
   zipsplat bench depth --weights seeded:da3-small --views 4,24 --input-size 252x252,504x336
-  zipsplat bench gemm
   zipsplat bench peak
   zipsplat bench render --gaussians 36000,102000 --size 252x252,1920x1080
   zipsplat bench refine --gaussians 102000 --size 252x252
@@ -45,7 +41,6 @@ pub struct Bench {
 enum What {
     Depth(depth::Depth),
     Forward(forward::Forward),
-    Gemm(gemm::Gemm),
     Peak(peak::Peak),
     Refine(refine::Refine),
     Render(render::Render),
@@ -53,6 +48,8 @@ enum What {
 }
 
 const MOST: i64 = 1_000_000;
+/// Limit by host memory.
+const MOST_GAUSSIANS: i64 = 50_000_000;
 
 #[derive(Args, Clone, Copy)]
 struct Repeats {
@@ -64,12 +61,17 @@ struct Repeats {
     repeats: u32,
 }
 
+impl Repeats {
+    fn words(self) -> [String; 2] {
+        [self.warmup, self.repeats].map(|number| number.to_string())
+    }
+}
+
 impl Bench {
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
         match &self.what {
             What::Depth(bench) => bench.run(session),
             What::Forward(bench) => bench.run(session),
-            What::Gemm(bench) => bench.run(session),
             What::Peak(bench) => bench.run(session),
             What::Refine(bench) => bench.run(session),
             What::Render(bench) => bench.run(session),
@@ -94,16 +96,19 @@ struct Spread {
 impl Spread {
     /// Averages the middle two of an even number.
     fn of(times: impl IntoIterator<Item = Duration>) -> Self {
-        let mut ms: Vec<f64> = times.into_iter().map(|time| 1e3 * time.as_secs_f64()).collect();
+        Self::of_ms(times.into_iter().map(|time| 1e3 * time.as_secs_f64()).collect())
+    }
+
+    fn of_ms(mut ms: Vec<f64>) -> Self {
         ms.sort_by(f64::total_cmp);
         let middle = |i: usize| ms.get(i).copied().unwrap_or(f64::NAN);
         let median = (middle(ms.len().saturating_sub(1) / 2) + middle(ms.len() / 2)) / 2.0;
         Self { median, min: middle(0), max: middle(ms.len().saturating_sub(1)) }
     }
 
-    /// Returns GFLOP/s at the median.
-    fn rate(&self, flops: u64) -> f64 {
-        flops as f64 / (1e6 * self.median.max(1e-6))
+    /// Returns billions of operations or bytes per second, at the median.
+    fn rate(&self, count: u64) -> f64 {
+        count as f64 / (1e6 * self.median.max(1e-6))
     }
 }
 
@@ -122,31 +127,47 @@ struct Group {
     /// Dispatches per run.
     count: u32,
     flops: u64,
+    /// Of tensors, each once per command.
+    bytes: u64,
     ms: Spread,
+}
+
+impl Group {
+    fn of(name: &str, ms: Spread) -> Self {
+        Self { name: name.to_owned(), count: 0, flops: 0, bytes: 0, ms }
+    }
 }
 
 /// Groups by `name`, in order of first use.
 fn group(profiles: &[Profile], name: impl Fn(&ProfileRow) -> String) -> Vec<Group> {
     let mut order: Vec<String> = Vec::new();
-    let mut known: HashMap<String, (u32, u64, Vec<Duration>)> = HashMap::new();
+    let mut known: HashMap<String, ([u64; 3], Vec<Duration>)> = HashMap::new();
     for (run, profile) in profiles.iter().enumerate() {
         for row in &profile.rows {
-            let (count, flops, times) = known.entry(name(row)).or_insert_with_key(|name| {
+            let (sums, times) = known.entry(name(row)).or_insert_with_key(|name| {
                 order.push(name.clone());
-                (0, 0, vec![Duration::ZERO; profiles.len()])
+                ([0; 3], vec![Duration::ZERO; profiles.len()])
             });
             times[run] += row.time;
             if run == 0 {
-                *count += row.count;
-                *flops += row.flops;
+                sums.iter_mut().zip([row.count.into(), row.flops, row.bytes]).for_each(|(sum, value)| *sum += value);
             }
         }
     }
     let finish = |name: String| {
-        let (count, flops, times) = known.remove(&name).unwrap_or_default();
-        Group { name, count, flops, ms: Spread::of(times) }
+        let ([count, flops, bytes], times) = known.remove(&name).unwrap_or_default();
+        Group { name, count: count as u32, flops, bytes, ms: Spread::of(times) }
     };
     order.into_iter().map(finish).collect()
+}
+
+/// Kernel, or sort of several.
+fn pass(row: &ProfileRow) -> String {
+    match row.scope.split('/').nth(1) {
+        Some("by_depth") => "sort by depth".into(),
+        Some("by_tile") => "sort by tile".into(),
+        _ => row.kernel.clone(),
+    }
 }
 
 fn stage_of(row: &ProfileRow) -> String {

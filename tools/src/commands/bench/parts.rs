@@ -66,7 +66,7 @@ pub fn measure(
         }
     }
     let plan = run.plan();
-    let all = Group { name: String::new(), count: plan.len() as u32, flops: plan.flops(), ms: Spread::of(totals) };
+    let all = Group { count: plan.len() as u32, flops: plan.flops(), ..Group::of("", Spread::of(totals)) };
     let mut parts = vec![Part::new("", "", all, peak)];
     for of_stage in group(&profiles, stage_of) {
         let stage = of_stage.name.clone();

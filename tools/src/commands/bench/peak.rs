@@ -42,7 +42,7 @@ pub const BRIEFLY: Repeats = Repeats { warmup: 1, repeats: 5 };
   zipsplat bench peak --json
 
 Arithmetic runs in registers, in dispatches of 20 to 40 ms, and is compared with f64.
-Bandwidth is that of a copy and counts bytes read and written. bench forward, gemm and
+Bandwidth is that of a copy and counts bytes read and written. bench forward and
 render report their rates relative to these.")]
 pub struct Peak {
     #[command(flatten)]
@@ -119,7 +119,7 @@ pub fn fma(device: &Device, repeats: Repeats, stage: &Stage<'_>) -> Result<Rate>
     })
 }
 
-pub fn matrices(device: &Device, units: Units, repeats: Repeats, stage: &Stage<'_>) -> Result<Rate> {
+fn matrices(device: &Device, units: Units, repeats: Repeats, stage: &Stage<'_>) -> Result<Rate> {
     let [m, n, k] = [units.shape.m, units.shape.n, units.shape.k].map(|side| side as usize);
     // Small integers are exact in every type.
     let whole = |len: usize| -> Vec<f32> { (0..len).map(|i| (i * i % 11 % 9) as f32 - 4.0).collect() };

@@ -1,7 +1,9 @@
 use super::{
-    Group, Repeats, Spread, group,
+    Group, MOST_GAUSSIANS, Repeats, Spread, group, pass,
     peak::{self, Rate},
-    percent, pytorch, timed_device,
+    percent,
+    python::{self, Pytorch},
+    timed_device,
 };
 use crate::{
     options::Size,
@@ -9,10 +11,10 @@ use crate::{
     table::{Table, bytes},
 };
 use clap::Args;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::{
     ops::ControlFlow,
-    path::PathBuf,
+    path::{Path, PathBuf},
     time::{Duration, Instant},
 };
 use zipsplat::{
@@ -24,8 +26,6 @@ use zipsplat::{
 };
 use zipsplat_verify::noise::{self, Noise};
 
-/// Limit by host memory.
-const MOST_GAUSSIANS: i64 = 50_000_000;
 /// Progress checks, excluded from times.
 const LOOKS: usize = 20;
 const PYTORCH_DEGREE: u32 = 1;
@@ -80,6 +80,13 @@ struct Row {
     peak_bytes: u64,
 }
 
+/// What PyTorch timed.
+#[derive(Deserialize)]
+struct PytorchRow {
+    what: String,
+    ms: Vec<f64>,
+}
+
 struct Case {
     scene: Scene,
     size: Size,
@@ -97,7 +104,7 @@ impl Refine {
         if self.pytorch.is_some() && self.sh > PYTORCH_DEGREE {
             return Err(Error::argument("--sh", self.sh, "0 or 1 with --pytorch"));
         }
-        self.pytorch.as_deref().map_or(Ok(()), pytorch::check_refine)?;
+        self.pytorch.as_deref().map_or(Ok(()), |python| python::REFINE.check(python))?;
         let device = timed_device(session)?;
         let copy = session.stage("copies", |stage| peak::copies(&device, peak::BRIEFLY, stage))?.0;
         let fma = session.stage("FMA", |stage| peak::fma(&device, peak::BRIEFLY, stage))?.0;
@@ -143,32 +150,20 @@ impl Refine {
             pictures.extend((i >= warmup).then_some(took));
         }
         let pictures = Spread::of(pictures);
-        let row = |what: &str, Group { count, flops, ms, .. }: Group, moved: Option<u64>| Row {
-            what: what.to_owned(),
+        let row = |Group { name, count, flops, bytes, ms }: Group| Row {
+            what: name,
             commands: count,
             pictures: Some(ms.median / pictures.median.max(1e-6)),
-            bandwidth_share: moved.and_then(|moved| limits.copy.share(moved as f64 / (1e6 * ms.median.max(1e-6)))),
-            fma_share: Some(flops).filter(|flops| *flops > 0).and_then(|flops| limits.fma.share(ms.rate(flops))),
+            bandwidth_share: limits.copy.share(ms.rate(bytes)),
+            fma_share: limits.fma.share(ms.rate(flops)),
             ms,
             peak_bytes,
             ..case.row()
         };
-        let bytes_of = |name: Option<&str>| {
-            let rows = profiles.iter().take(1).flat_map(|profile| &profile.rows);
-            rows.filter(|row| name.is_none_or(|name| pass(row) == name)).map(|row| row.bytes).sum()
-        };
-        let mut rows = Vec::new();
-        for of_pass in group(&profiles, pass) {
-            let name = of_pass.name.clone();
-            rows.push(row(&name, of_pass, Some(bytes_of(Some(&name)))));
-        }
-        for all in group(&profiles, |_| "step".into()) {
-            rows.push(row("step", all, Some(bytes_of(None))));
-        }
-        let alone = |ms: Spread| Group { name: String::new(), count: 0, flops: 0, ms };
-        rows.push(row("picture", alone(pictures), None));
-        rows.push(row("host", alone(host), None));
-        Ok(rows)
+        let mut groups = group(&profiles, pass);
+        groups.extend(group(&profiles, |_| "step".into()));
+        groups.extend([Group::of("picture", pictures), Group::of("host", host)]);
+        Ok(groups.into_iter().map(row).collect())
     }
 
     fn host(&self, device: &Device, case: &Case, intersection_capacity: usize, stage: &Stage<'_>) -> Result<Spread> {
@@ -195,18 +190,20 @@ impl Refine {
         }
     }
 
-    fn pytorch_rows(&self, python: &std::path::Path, case: &Case) -> Result<[Row; 2]> {
-        let Repeats { warmup, repeats } = self.repeats;
-        let found = pytorch::refine(python, &case.scene, case.size, case.photos.len(), [warmup, repeats])?;
-        let spread = |ms: &[f64]| Spread::of(ms.iter().map(|ms| Duration::from_secs_f64(ms / 1e3)));
-        let (picture, step) = (spread(&found.picture_ms), spread(&found.step_ms));
-        let row = |what: &str, ms: Spread| Row {
-            what: format!("PyTorch {} on {}: {what}", found.torch, found.device),
+    fn pytorch_rows(&self, python: &Path, case: &Case) -> Result<Vec<Row>> {
+        let numbers = [case.size.0, case.size.1, case.photos.len() as u32].map(|number| number.to_string());
+        let words = numbers.into_iter().chain(self.repeats.words());
+        let mut found: Pytorch<PytorchRow> = python::REFINE.run(python, Some(&case.scene), words)?;
+        let rows = std::mem::take(&mut found.rows).into_iter().map(|row| (row.what, Spread::of_ms(row.ms)));
+        let rows: Vec<_> = rows.collect();
+        let picture = rows.iter().find(|(what, _)| what == "picture").map_or(f64::NAN, |(_, ms)| ms.median);
+        let row = |(what, ms): (String, Spread)| Row {
+            what: format!("{}: {what}", found.name()),
             ms,
-            pictures: Some(ms.median / picture.median.max(1e-6)),
+            pictures: Some(ms.median / picture.max(1e-6)),
             ..case.row()
         };
-        Ok([row("picture", picture), row("step", step)])
+        Ok(rows.into_iter().map(row).collect())
     }
 }
 
@@ -273,14 +270,6 @@ impl Case {
             fma_share: None,
             peak_bytes: 0,
         }
-    }
-}
-
-fn pass(row: &zipsplat::gpu::ProfileRow) -> String {
-    match row.scope.split('/').collect::<Vec<_>>()[..] {
-        [_, "by_depth", ..] => "sort by depth".into(),
-        [_, "by_tile", ..] => "sort by tile".into(),
-        _ => row.kernel.clone(),
     }
 }
 

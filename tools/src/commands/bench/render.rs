@@ -1,7 +1,7 @@
 use super::{
-    Repeats, Spread, effects, group, gsplat,
+    Group, MOST_GAUSSIANS, Repeats, Spread, effects, group, pass,
     peak::{self, Rate},
-    percent, timed_device,
+    percent, python, timed_device,
 };
 use crate::{
     options::Size,
@@ -16,14 +16,12 @@ use std::{
 };
 use zipsplat::{
     Result,
-    gpu::{Device, Profile, ProfileRow},
+    gpu::Device,
     stages::render::{RenderOptions, Renderer},
     types::Scene,
 };
 use zipsplat_verify::noise::{self, Noise};
 
-/// Limit by host memory.
-const MOST_GAUSSIANS: i64 = 50_000_000;
 /// Time of a render, by pass
 #[derive(Args)]
 #[command(after_help = "Examples:
@@ -83,7 +81,7 @@ impl Render {
             let scene = Noise::new(1).scene(gaussians as usize, sh);
             return effects::run(session, &device, &scene, size, &self.repeats);
         }
-        self.gsplat.as_deref().map_or(Ok(()), gsplat::check)?;
+        self.gsplat.as_deref().map_or(Ok(()), |python| python::GSPLAT.check(python))?;
         let bandwidth = session.stage("copies", |stage| peak::copies(&device, peak::BRIEFLY, stage))?.0;
         let mut rows = Vec::new();
         for &gaussians in &self.gaussians {
@@ -135,46 +133,30 @@ impl Render {
             in_flight = start.elapsed() / repeats;
         }
 
-        let row = |what: &str, commands: u32, ms: Spread, bytes: Option<u64>| Row {
+        let row = |Group { name, count, bytes, ms, .. }: Group| Row {
             gaussians: scene.len(),
             width: size.0,
             height: size.1,
             sh_degree: scene.sh_degree,
             intersections,
-            what: what.to_owned(),
-            commands,
+            what: name,
+            commands: count,
             ms,
             frames_per_s: 1e3 / ms.median.max(1e-6),
-            bytes,
-            bandwidth_share: bytes.and_then(|bytes| bandwidth.share(bytes as f64 / (1e6 * ms.median.max(1e-6)))),
+            bytes: Some(bytes).filter(|bytes| *bytes > 0),
+            bandwidth_share: bandwidth.share(ms.rate(bytes)),
         };
-        let passes = group(&profiles, pass);
-        let commands = passes.iter().map(|pass| pass.count).sum();
-        let totals: Vec<Duration> = profiles.iter().map(|profile| profile.total("").0).collect();
-        let bytes_of = |name: &str| bytes_where(&profiles, |row| pass(row) == name);
-        let mut rows: Vec<Row> =
-            passes.iter().map(|pass| row(&pass.name, pass.count, pass.ms, Some(bytes_of(&pass.name)))).collect();
-        rows.push(row("device", commands, Spread::of(totals), Some(bytes_where(&profiles, |_| true))));
-        rows.push(row("host", commands, Spread::of(host), None));
-        rows.push(row("in flight", commands, Spread::of([in_flight]), None));
+        let mut groups = group(&profiles, pass);
+        groups.extend(group(&profiles, |_| "device".into()));
+        let count = groups.last().map_or(0, |all| all.count);
+        groups.push(Group { count, ..Group::of("host", Spread::of(host)) });
+        groups.push(Group { count, ..Group::of("in flight", Spread::of([in_flight])) });
         if let Some(python) = &self.gsplat {
-            let ms = gsplat::milliseconds(python, scene, size, repeats)?;
-            rows.push(row("gsplat", 0, Spread { median: ms, min: ms, max: ms }, None));
+            let words = [size.0, size.1, repeats].map(|number| number.to_string());
+            groups.push(Group::of("gsplat", Spread::of_ms(vec![python::GSPLAT.run(python, Some(scene), words)?])));
         }
-        Ok(rows)
+        Ok(groups.into_iter().map(row).collect())
     }
-}
-
-fn pass(row: &ProfileRow) -> String {
-    match row.scope.split('/').nth(1) {
-        Some("by_depth") => "sort by depth".into(),
-        Some("by_tile") => "sort by tile".into(),
-        _ => row.kernel.clone(),
-    }
-}
-
-fn bytes_where(profiles: &[Profile], wanted: impl Fn(&ProfileRow) -> bool) -> u64 {
-    profiles.iter().take(1).flat_map(|profile| &profile.rows).filter(|row| wanted(row)).map(|row| row.bytes).sum()
 }
 
 fn table(rows: &[Row]) -> Table {

@@ -2,7 +2,7 @@ mod summary;
 
 use crate::{
     options::{CHECKPOINTS, SceneInput, open_checkpoint, refuse},
-    outputs::{self, Overwrite},
+    outputs::{self, Overwrite, size_of},
     released::{is_of_depth, open_depth},
     session::Session,
     table::{bytes, counted},
@@ -152,8 +152,4 @@ fn report(
     let (output, count) = (output.display(), HumanCount(parameters as u64));
     let text = format!("{output}: {name}, {count} parameters in {}, {}", dtype.name(), bytes(written));
     session.report(&json, text)
-}
-
-fn size_of(path: &Path) -> Result<u64> {
-    Ok(path.metadata().map_err(|error| Error::io(path, error))?.len())
 }

@@ -2,6 +2,7 @@
 
 use crate::{
     options::SceneInput,
+    outputs::size_of,
     session::Session,
     table::{Table, bytes, counted},
 };
@@ -9,7 +10,7 @@ use indicatif::HumanCount;
 use serde_json::{Value, json};
 use std::path::Path;
 use zipsplat::{
-    Error, Result,
+    Result,
     types::{Origin, read_world},
     weights::{Checkpoint, DepthCheckpoint},
 };
@@ -65,7 +66,7 @@ fn weights(session: &mut Session<'_>, json: &Value, source: &str, name: &str) ->
 pub fn scene(session: &mut Session<'_>, path: &str, input: &SceneInput) -> Result<()> {
     let file = Path::new(path);
     let (scene, dropped) = input.read(session, file)?;
-    let size = file.metadata().map_err(|error| Error::io(file, error))?.len();
+    let size = size_of(file)?;
     let (count, degree) = (scene.len(), scene.sh_degree);
     let world = read_world(file)?.map(|world| match world.origin {
         Origin::Photo(photo) => format!("the camera of {photo}"),

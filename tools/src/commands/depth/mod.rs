@@ -96,7 +96,7 @@ impl Depth {
         let checkpoint = open_depth(&self.weights, false)?;
         let place = self.output.join(CAMERAS);
         let (files, mut folder) = self.input.list(session, self.views, Some((&place, self.overwrite)))?;
-        let files = self.views.map_or(files.clone(), |views| photos::spread(files, views as usize));
+        let files = photos::spread(files, self.views);
         let known = self.known(&files)?;
         self.check(&files)?;
         let truth = self.ground_truth.as_deref().map(Truth::open).transpose()?;

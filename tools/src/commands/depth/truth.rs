@@ -1,6 +1,6 @@
 //! Errors of depth and cameras against ground truth.
 
-use crate::{cameras::Similarity, depth::PredictedViews, npy};
+use crate::{cameras::Similarity, depth::PredictedViews, metrics::median, npy};
 use glam::DQuat;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -91,7 +91,8 @@ fn cameras(pairs: &[(Camera, Camera)]) -> Option<[f64; 3]> {
         [turn.to_degrees(), away, found.intrinsics.fx / truth.intrinsics.fx - 1.0]
     };
     let errors: Vec<[f64; 3]> = pairs.iter().map(error).collect();
-    Some([0, 1, 2].map(|k| median(errors.iter().map(|error| error[k]).collect())))
+    let [degrees, away, focal] = [0, 1, 2].map(|k| median(errors.iter().map(|error| error[k])));
+    Some([degrees?, away?, focal?])
 }
 
 /// True over predicted depth of known pixels, nearest sampled.
@@ -114,22 +115,14 @@ fn ratios(view: &DepthMap, map: &PixelMap, ([width, height], truth): &([u32; 2],
 /// medians.
 fn depth(photos: Vec<Vec<f64>>) -> Option<[f64; 2]> {
     let photos: Vec<Vec<f64>> = photos.into_iter().filter(|ratios| !ratios.is_empty()).collect();
-    if photos.is_empty() {
-        return None;
-    }
-    let scale = median(photos.iter().map(|ratios| median(ratios.clone())).collect());
+    let scale = median(photos.iter().filter_map(|ratios| median(ratios.iter().copied())))?;
     let mean = |ratios: &[f64], of: &dyn Fn(f64) -> f64| {
         ratios.iter().map(|ratio| of(ratio / scale)).sum::<f64>() / ratios.len() as f64
     };
     let relative = |ratio: f64| (1.0 / ratio - 1.0).abs();
     let within = |ratio: f64| f64::from(u8::from(ratio.max(1.0 / ratio) < 1.25));
-    let of_photos = |of: &dyn Fn(f64) -> f64| median(photos.iter().map(|ratios| mean(ratios, of)).collect());
-    Some([of_photos(&relative), of_photos(&within)])
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values[values.len() / 2]
+    let of_photos = |of: &dyn Fn(f64) -> f64| median(photos.iter().map(|ratios| mean(ratios, of)));
+    Some([of_photos(&relative)?, of_photos(&within)?])
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@
 use crate::{
     align::{Aligned, Doubt, MOST_SHIFT, MOST_TURN},
     capture::{Score, ViewSplit},
+    metrics::median,
     table::Table,
 };
 use serde::Serialize;
@@ -66,11 +67,7 @@ struct Unaligned {
 impl Alignment {
     pub fn new(capture: &ViewSplit, found: &[Aligned]) -> Self {
         let rows = scores(capture, found);
-        let median = |value: fn(&AlignedScore) -> f64| {
-            let mut values: Vec<f64> = rows.iter().map(value).collect();
-            values.sort_by(f64::total_cmp);
-            values[values.len() / 2]
-        };
+        let median = |value: fn(&AlignedScore) -> f64| median(rows.iter().map(value)).unwrap_or(f64::NAN);
         let mean = |value: fn(&AlignedScore) -> f64| rows.iter().map(value).sum::<f64>() / rows.len() as f64;
         Self {
             rotation_error_deg: median(|row| row.rotation_error_deg),

@@ -13,7 +13,7 @@ use zipsplat::{
     gpu::{Arena, Device},
     ops::{Arithmetic, Precision},
     perceptual::Perceptual,
-    reconstruct::{Model, ReconstructOptions},
+    reconstruct::Model,
     refine::{FrozenHead, RefineResult, StopReason},
     stages::render::Renderer,
     types::Scene,
@@ -139,16 +139,9 @@ impl<'a> Evaluator<'a> {
         let model = self.model.as_ref().expect("it was loaded");
         let images = capture.images();
         let (cameras, world) = self.seeing.crop.network_cameras(capture.cameras());
-        let request = ReconstructOptions {
-            ratio: eval.quality.ratio,
-            token_selection: eval.quality.token_selection.clone(),
-            cameras: (!eval.pose_free).then_some(cameras),
-            scene_scale: Some(1.0),
-            kv_pool: eval.quality.kv_pool,
-            ..ReconstructOptions::default()
-        };
+        let request = eval.quality.request(if eval.pose_free { Vec::new() } else { cameras }, 1.0);
         let of_tokens = eval.refine.steps().is_some_and(|steps| steps.tokens);
-        let (result, tokens, took) = session.reconstruct_with_tokens(model, &images, &request, of_tokens)?;
+        let ((result, tokens), took) = session.reconstruct(model, &images, &request, of_tokens)?;
         let mut scene = result.to_scene()?;
         eval.quality.prune(&mut scene, checkpoint.architecture());
         world.iter().for_each(|world| scene.place(1.0, world));

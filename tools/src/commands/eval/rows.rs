@@ -1,10 +1,14 @@
 //! Records of evaluated scenes, and their means.
 
-use crate::{outputs::MADE_BY, photos::folders_in, protocol::Protocol};
+use crate::{
+    outputs::{MADE_BY, save_json},
+    photos::folders_in,
+    protocol::Protocol,
+};
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
-use zipsplat::{Result, types::write_atomic};
+use zipsplat::Result;
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Row {
@@ -43,10 +47,7 @@ impl Row {
     }
 
     pub fn write(&self, file: &Path) -> Result<()> {
-        write_atomic(file, |out| {
-            serde_json::to_writer_pretty(&mut *out, self)?;
-            writeln!(out)
-        })
+        save_json(file, self)
     }
 }
 

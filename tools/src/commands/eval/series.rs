@@ -9,16 +9,15 @@ use super::{
 use crate::{
     capture::Score,
     options::Network,
-    outputs::{self, MADE_BY},
+    outputs::{self, FAILURES, Failure, MADE_BY},
     protocol::{Place, Protocol, Setting},
     session::Session,
-    stamp::{digest, stamp},
+    stamp::{digest, stamp, stamp_of_weights},
     table::{Table, counted},
     views::Seeing,
 };
 use clap::Args;
 use indicatif::HumanDuration;
-use serde::Serialize;
 use std::{
     path::{Path, PathBuf},
     time::Instant,
@@ -31,7 +30,6 @@ use zipsplat::{
 const SCENES: &str = "scenes.csv";
 const TABLES: [&str; 2] = ["table.md", "table.csv"];
 const PAGE: &str = "page.html";
-const FAILURES: &str = "failures.csv";
 /// Photos in the picture of a scene.
 const SHOWN: usize = 4;
 
@@ -75,12 +73,6 @@ enum Outcome {
     Unchanged,
     /// Missing from the index file.
     Unknown,
-}
-
-#[derive(Serialize)]
-struct Failure {
-    capture: String,
-    error: String,
 }
 
 #[derive(Default)]
@@ -161,11 +153,10 @@ impl Series<'_> {
                 Ok(Outcome::Evaluated) => tally.evaluated += 1,
                 Ok(Outcome::Unchanged) => tally.unchanged += 1,
                 Ok(Outcome::Unknown) => tally.unknown += 1,
-                // Later scenes would fail alike.
-                Err(error @ (Error::Cancelled | Error::DeviceLost | Error::NoDevice(_))) => return Err(error),
+                Err(error) if Failure::is_of_all(&error) => return Err(error),
                 Err(error) => {
                     session.note(format!("{scene}: {error}"));
-                    tally.failures.push(Failure { capture: scene, error: error.to_string() });
+                    tally.failures.push(Failure::new(scene, &error));
                 }
             }
         }
@@ -232,10 +223,9 @@ impl Series<'_> {
         Tally { evaluated, unchanged, unknown, failures }: &Tally,
     ) -> Result<()> {
         let table = Table::of(3, &means.headings, &means.lines);
-        let mut text =
-            format!("{table}{}: {} of {} evaluated", out.display(), counted(*evaluated, "scene"), means.title);
+        let text = format!("{table}{}: {} of {} evaluated", out.display(), counted(*evaluated, "scene"), means.title);
         let others = [(*unchanged, "there already"), (*unknown, "not in --indices"), (failures.len(), "failed")];
-        others.iter().filter(|(count, _)| *count > 0).for_each(|(count, what)| text += &format!("; {count} {what}"));
+        let text = outputs::and_others(text, &others);
         let json = serde_json::json!({
             "output": out, "protocol": rows::name_of(self.protocol), "evaluated": evaluated, "skipped": unchanged, "unknown": unknown,
             "failed": failures.len(), "headings": means.headings, "means": means.lines, "scenes": rows,
@@ -248,7 +238,7 @@ impl Eval {
     /// All but scene and frames.
     fn settings_key(&self, weights: &Network, seeing: Seeing, precision: &str) -> Result<String> {
         let weights = weights.provenance();
-        let of_file = if Path::new(weights).is_file() { stamp(Path::new(weights))? } else { String::new() };
+        let of_file = stamp_of_weights(weights)?;
         let version = env!("CARGO_PKG_VERSION");
         let Self { quality, refine, pose_noise, scene_scale, lpips, .. } = self;
         Ok(format!(

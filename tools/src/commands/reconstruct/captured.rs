@@ -34,8 +34,8 @@ impl Reconstruct {
     pub(super) fn captured(&self, session: &mut Session<'_>, network: &Network) -> Result<Captured> {
         let named_in = self.cameras_out.as_deref().map(|file| (file, self.overwrite));
         let (mut photos, mut frame_folder) = self.input.list(session, self.views, named_in)?;
-        if let (true, Some(views)) = (self.finds(network), self.views) {
-            photos = photos::spread(photos, views as usize);
+        if self.finds(network) {
+            photos = photos::spread(photos, self.views);
         }
         let (poses, found) = match (network, &self.cameras) {
             // One pass gives cameras and scene.
@@ -55,13 +55,7 @@ impl Reconstruct {
             Place(place).save(poses, found)?;
             frame_folder.iter_mut().for_each(FrameFolder::keep);
         }
-        if let Some(poses) = &poses {
-            session.notes(&poses.warnings);
-            photos = photos::posed(session, photos, poses)?;
-        }
-        if let Some(views) = self.views {
-            photos = photos::spread(photos, views as usize);
-        }
+        let photos = photos::kept(session, photos, poses.as_ref(), self.views)?;
         if photos.len() > MAX_VIEWS {
             let expected = format!("1 to {MAX_VIEWS}; --views N takes N of them, evenly spread");
             return Err(Error::argument("views", photos.len(), expected));

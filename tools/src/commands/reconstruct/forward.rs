@@ -13,7 +13,7 @@ use zipsplat::{
     Result,
     gpu::{Arena, Device},
     ops::Precision,
-    reconstruct::{Model, ReconstructOptions, Reconstruction, SceneTokens, Shape},
+    reconstruct::{Model, Reconstruction, SceneTokens, Shape},
     stages::render::DeviceScene,
     types::{Scene, poses::SceneScale},
     weights::Checkpoint,
@@ -104,19 +104,10 @@ impl Planned<'_> {
         session.notes(scene_scale.as_ref().and_then(SceneScale::doubt));
         let (cameras, turned) = crop.network_cameras(cameras);
         let (model, load_weights) = session.load_model(device, checkpoint, arithmetic)?;
-        let cameras = Some(cameras).filter(|cameras| !cameras.is_empty());
         let length = scene_scale.as_ref().map_or(1.0, |scene_scale| scene_scale.length);
-        let (ratio, selection) = (quality.ratio, quality.token_selection.clone());
-        let request = ReconstructOptions {
-            ratio,
-            token_selection: selection,
-            cameras,
-            scene_scale: Some(length),
-            kv_pool: quality.kv_pool,
-            ..ReconstructOptions::default()
-        };
+        let request = quality.request(cameras, length);
         let moves_tokens = command.refine.steps().is_some_and(|steps| steps.tokens);
-        let (result, tokens, _) = session.reconstruct_with_tokens(&model, &images, &request, moves_tokens)?;
+        let ((result, tokens), _) = session.reconstruct(&model, &images, &request, moves_tokens)?;
         let mut scene = result.to_scene()?;
         let asked = command.cameras_out.is_some() && poses.is_none();
         let found =

@@ -352,11 +352,7 @@ impl Reconstruct {
     }
 
     fn check(&self) -> Result<()> {
-        self.overwrite.check_file(self.output())?;
-        if SceneFormat::of_extension(self.output()).is_none() {
-            let expected = format!("a file that ends in {}", SceneFormat::EXTENSIONS);
-            return Err(Error::argument("--output", self.output().display(), expected));
-        }
+        self.overwrite.check_scene(self.output())?;
         self.refine.check()
     }
 

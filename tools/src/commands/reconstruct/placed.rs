@@ -1,6 +1,6 @@
 //! Cameras estimated from a scene.
 
-use crate::{cameras::path_from, options::Size, outputs::make_folder, photos::names, table::counted};
+use crate::{cameras::path_from, metrics::median, options::Size, outputs::make_folder, photos::names, table::counted};
 use serde_json::{Map, Value, json};
 use std::path::{Path, PathBuf};
 use zipsplat::{
@@ -55,9 +55,8 @@ impl Placed {
 
     pub fn summary(&self) -> String {
         let found: Vec<&CameraEstimate> = self.found.iter().flatten().collect();
-        let mut shares: Vec<f64> = found.iter().map(|found| found.inliers as f64 / found.pairs as f64).collect();
-        shares.sort_by(f64::total_cmp);
-        let Some(median) = shares.get(shares.len() / 2) else { return "cameras: none\n".into() };
+        let shares = found.iter().map(|found| found.inliers as f64 / found.pairs as f64);
+        let Some(median) = median(shares) else { return "cameras: none\n".into() };
         let of = counted(self.found.len(), "photo");
         format!("cameras of {} of {of}: {:.0} % of a photo's patches agree (median)\n", found.len(), 100.0 * median)
     }

@@ -2,7 +2,7 @@
 
 use super::Reconstruct;
 use crate::{
-    options::{Network as Weights, Quality, Size, refuse},
+    options::{ArithmeticOption, Network as Weights, Quality, Size, refuse},
     photos,
     session::Session,
     table::{Table, bytes, counted},
@@ -13,7 +13,8 @@ use std::path::PathBuf;
 use zipsplat::{
     Error, Result,
     depth::DepthNetwork,
-    gpu::{Arena, ArenaRow, Device, Limits, Plan},
+    gpu::{Arena, ArenaRow, Limits, Plan},
+    ops::{Arithmetic, Precision},
     reconstruct::{Network, NetworkPlan, Shape},
     refine::{Moved, RefinePlan, plan_refinement},
     stages::render::{RenderOptions, plan_pictures},
@@ -35,7 +36,7 @@ pub fn show(session: &mut Session<'_>, command: &Reconstruct) -> Result<()> {
         (0, Some(views)) => views,
         (all, limit) => limit.unwrap_or(all).min(all),
     };
-    let photos = photos::spread(photos, views);
+    let photos = photos::spread(photos, command.views);
     let network = command.weights.open_network()?;
     let posed = command.cameras.is_some() && !command.finds_by_itself(&network);
     match &network {
@@ -63,12 +64,7 @@ fn show_tokens(
     let chosen = (quality.ratio, &quality.token_selection);
     let shape = Shape::new(checkpoint.architecture(), seen, [width, height], chosen, posed)?;
     let shape = shape.pooled(quality.kv_pool)?;
-    let device = device(session)?;
-    let limits = device.as_ref().map_or_else(Limits::default, |device| device.limits().clone());
-    let (precision, arithmetic) = match &device {
-        Some(device) => quality.arithmetic.choose(session, device)?,
-        None => quality.arithmetic.planned(&limits),
-    };
+    let (limits, precision, arithmetic) = target(session, &quality.arithmetic)?;
     let network = Network::of(checkpoint, &limits, arithmetic)?;
     let NetworkPlan { plan, tensors, layout } = network.plan(&limits, shape)?;
     let pictures =
@@ -152,12 +148,7 @@ fn show_depth(
     }
     let Quality { ratio, token_selection, arithmetic, .. } = &command.quality;
     let size = command.quality.asked_size().unwrap_or(Size(DEFAULT_BOUND, DEFAULT_BOUND));
-    let device = device(session)?;
-    let limits = device.as_ref().map_or_else(Limits::default, |device| device.limits().clone());
-    let (precision, arithmetic) = match &device {
-        Some(device) => arithmetic.choose(session, device)?,
-        None => arithmetic.planned(&limits),
-    };
+    let (limits, precision, arithmetic) = target(session, arithmetic)?;
     let network = DepthNetwork::new(checkpoint.architecture(), &limits, arithmetic);
     let shape = network.shape(views, [size.0, size.1], (*ratio, token_selection), posed, None)?;
     let (plan, _) = network.plan(&limits, shape)?;
@@ -207,17 +198,21 @@ fn device_name(limits: &Limits) -> &str {
     if limits.name == Limits::default().name { "an ordinary device" } else { &limits.name }
 }
 
-/// `None` without any device, or to plan for an ordinary one.
-fn device(session: &mut Session<'_>) -> Result<Option<Device>> {
-    if session.plans_for_none() {
-        return Ok(None);
-    }
-    match session.device() {
-        Ok(device) => Ok(Some(device)),
-        Err(Error::NoDevice(why)) if !session.names_device() => {
-            session.note(format!("planned for an ordinary device: {why}"));
-            Ok(None)
+/// Of an ordinary device if there is none, or if so requested.
+fn target(session: &mut Session<'_>, option: &ArithmeticOption) -> Result<(Limits, Precision, Arithmetic)> {
+    if !session.plans_for_none() {
+        match session.device() {
+            Ok(device) => {
+                let (precision, arithmetic) = option.choose(session, &device)?;
+                return Ok((device.limits().clone(), precision, arithmetic));
+            }
+            Err(Error::NoDevice(why)) if !session.names_device() => {
+                session.note(format!("planned for an ordinary device: {why}"));
+            }
+            Err(error) => return Err(error),
         }
-        Err(error) => Err(error),
     }
+    let limits = Limits::default();
+    let (precision, arithmetic) = option.planned(&limits);
+    Ok((limits, precision, arithmetic))
 }

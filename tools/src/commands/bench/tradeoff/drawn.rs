@@ -5,6 +5,8 @@ use crate::{
     capture::{Score, ViewSplit, draw},
     commands::bench::Spread,
     metrics::psnr,
+    outputs::size_of,
+    scratch::Scratch,
 };
 use std::time::{Duration, Instant};
 use zipsplat::{
@@ -51,10 +53,10 @@ pub fn compare(renderer: &mut Renderer, capture: &ViewSplit) -> Result<Drawn> {
 }
 
 fn file_bytes(scene: &Scene) -> Result<u64> {
-    let folder = tempfile::tempdir().map_err(|error| zipsplat::Error::io("temporary folder", error))?;
+    let folder = Scratch::new()?;
     let path = folder.path().join("scene.ply");
     write_ply(scene, &path)?;
-    Ok(path.metadata().map_err(|error| zipsplat::Error::io(&path, error))?.len())
+    size_of(&path)
 }
 
 /// Keeps the same Gaussians on both sides.

@@ -1,7 +1,6 @@
 //! Refinements of a reconstruction.
 
 use crate::{capture::ViewSplit, refinement::Steps, session::Stage};
-use std::ops::ControlFlow;
 use zipsplat::{
     Error, Result,
     reconstruct::{Model, ReconstructOptions},
@@ -20,17 +19,16 @@ pub fn refine(
     steps: Steps,
     stage: &Stage<'_>,
 ) -> Result<RefineResult> {
-    let go_on = || stage.check().map_or(ControlFlow::Break(()), ControlFlow::Continue);
     let (photos, cameras) = capture.training_views();
     let refine = RefineOptions { steps: steps.count, time: steps.time, ..RefineOptions::default() };
     let refined = if steps.tokens {
-        let features = model.features(&capture.images(), request, |_| go_on())?;
-        let tokens = model.tokens(&features, request, |_| go_on())?;
+        let features = model.features(&capture.images(), request, |_| stage.go_on())?;
+        let tokens = model.tokens(&features, request, |_| stage.go_on())?;
         drop(features);
         let head = FrozenHead::load(model.arena().device(), checkpoint)?;
-        refine_tokens(model.arena(), &head, &tokens, &photos, &cameras, &refine, |_| go_on())?
+        refine_tokens(model.arena(), &head, &tokens, &photos, &cameras, &refine, |_| stage.go_on())?
     } else {
-        refine_scene(model.arena(), scene, &photos, &cameras, &refine, |_| go_on())?
+        refine_scene(model.arena(), scene, &photos, &cameras, &refine, |_| stage.go_on())?
     };
     match refined.stop_reason {
         Some(StopReason::Cancelled) => Err(Error::Cancelled),

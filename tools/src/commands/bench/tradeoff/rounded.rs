@@ -1,8 +1,7 @@
 //! Weights rounded to smaller types.
 
 use super::Tradeoff;
-use crate::session::Session;
-use tempfile::TempDir;
+use crate::{scratch::Scratch, session::Session};
 use zipsplat::{
     Error, Result,
     weights::{Checkpoint, Dtype},
@@ -12,7 +11,7 @@ pub struct Rounded {
     pub dtype: &'static str,
     pub checkpoint: Checkpoint,
     /// Holds the checkpoint's file.
-    _folder: TempDir,
+    _folder: Scratch,
 }
 
 pub const OWN: &str = "own";
@@ -32,7 +31,7 @@ pub fn all(args: &Tradeoff, session: &Session<'_>, checkpoint: &Checkpoint) -> R
     };
     dtypes.retain(|dtype| !has(dtype));
     let round = |dtype: Dtype| {
-        let folder = tempfile::tempdir().map_err(|error| Error::io("temporary folder", error))?;
+        let folder = Scratch::new()?;
         let path = folder.path().join("weights.safetensors");
         let rounded = session.stage("round weights", |stage| {
             checkpoint.save_with(&path, dtype, |done| stage.at(done))?;

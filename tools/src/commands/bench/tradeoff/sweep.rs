@@ -7,7 +7,7 @@ use super::{
     point::Point,
     refined::refine,
     rounded::{OWN, Rounded},
-    truth::{Compared, Errors, MOST_FLOPS, Truth},
+    truth::{Compared, Errors, MOST_FLOPS, Truth, observe},
 };
 use crate::{
     capture::ViewSplit,
@@ -22,7 +22,7 @@ use indicatif::HumanDuration;
 use std::{collections::HashMap, ops::ControlFlow, time::Instant};
 use zipsplat::{
     Error, Result,
-    gpu::{Device, Progress, StageTimes},
+    gpu::{Device, StageTimes},
     ops::{Arithmetic, Precision},
     reconstruct::{Model, Reconstruction, Shape, TokenSampling, TokenSelection},
     stages::{
@@ -165,10 +165,7 @@ impl Bench<'_> {
         for (i, cases) in passes {
             stage.name("load weights");
             let (_, checkpoint, (_, arithmetic)) = networks[*i];
-            let model = Model::from_checkpoint_with(self.device, checkpoint, arithmetic, |_| match stage.check() {
-                Ok(()) => ControlFlow::Continue(()),
-                Err(_) => ControlFlow::Break(()),
-            })?;
+            let model = Model::from_checkpoint_with(self.device, checkpoint, arithmetic, |_| stage.go_on())?;
             for case in cases {
                 stage.name(&format!("{}, {} views, {}", case.arithmetic(), case.capture.inputs.len(), case.settings));
                 if self.measure(&model, case, stage)?.is_break() {
@@ -215,10 +212,9 @@ impl Bench<'_> {
     fn forward(&mut self, model: &Model, case: &Case<'_>, stage: &Stage<'_>) -> Result<Forward> {
         let (images, capture, shape) = (case.capture.images(), case.capture, case.shape);
         let flops = model.plan(shape)?.plan.flops();
-        let go_on = |_: Progress<'_>| stage.check().map_or(ControlFlow::Break(()), ControlFlow::Continue);
         let (mut times, mut last) = (Vec::new(), None);
         for i in 0..self.args.warmup + self.args.repeats {
-            let made = last.insert(model.reconstruct_views(&images, &case.request, go_on)?);
+            let made = last.insert(model.reconstruct_views(&images, &case.request, |_| stage.go_on())?);
             times.extend((i >= self.args.warmup).then(|| made.times.total()));
         }
         let made = last.expect("there is a repeat");
@@ -341,10 +337,7 @@ fn chosen(model: &Model, case: &Case<'_>, images: &[Image]) -> Result<(Vec<u32>,
 
 /// Runs separately: observation would distort time and memory.
 fn clusters(model: &Model, case: &Case<'_>, images: &[Image]) -> Result<(Vec<u32>, f64)> {
-    let (plan, tensors) = model.record(case.shape, true)?;
-    let mut run = model.run(plan)?;
-    model.write_inputs(&mut run, &tensors, case.shape, images, &case.request)?;
-    run.execute()?;
+    let (run, _) = observe(model, images, &case.request)?;
     let observed = |name: &str| -> Result<Vec<u32>> {
         let found = run.observed().iter().find(|(other, _)| other == name).map(|(_, tensor)| *tensor);
         run.read(found.expect("clustering observes it"))

@@ -7,8 +7,8 @@ use crate::capture::ViewSplit;
 use std::{collections::HashMap, ops::Range};
 use zipsplat::{
     Result,
-    gpu::Tensor,
-    reconstruct::{Model, ReconstructOptions, TokenSelection},
+    gpu::{Run, Tensor},
+    reconstruct::{Model, ReconstructOptions, Tensors, TokenSelection},
     types::{Camera, Image, Intrinsics, Scene},
     weights::Checkpoint,
 };
@@ -91,8 +91,11 @@ impl<'a> Truth<'a> {
         } else {
             request.token_selection.clone()
         };
-        let (taps, scene) =
+        let (run, tensors) =
             observe(model, &images, &ReconstructOptions { token_selection: selection, ..request.clone() })?;
+        let read = |(name, tensor): &(String, Tensor)| Ok((name.clone(), run.read(*tensor)?));
+        let taps: HashMap<String, Vec<f32>> = run.observed().iter().map(read).collect::<Result<_>>()?;
+        let scene = tensors.read(&run)?;
         let packed = &known.taps["gauss"];
         let truth: Vec<f32> = packed.iter().map(|value| *value as f32).collect();
         let last = format!("scene_sa{}", tokens.layers.len() - 1);
@@ -115,19 +118,14 @@ impl<'a> Truth<'a> {
     }
 }
 
-fn observe(
-    model: &Model,
-    images: &[Image],
-    request: &ReconstructOptions,
-) -> Result<(HashMap<String, Vec<f32>>, Scene)> {
+/// Returns a finished run whose tensors of all stages can be read.
+pub fn observe(model: &Model, images: &[Image], request: &ReconstructOptions) -> Result<(Run, Tensors)> {
     let shape = model.shape(images, request)?;
     let (plan, tensors) = model.record(shape, true)?;
     let mut run = model.run(plan)?;
     model.write_inputs(&mut run, &tensors, shape, images, request)?;
     run.execute()?;
-    let read = |(name, tensor): &(String, Tensor)| Ok((name.clone(), run.read(*tensor)?));
-    let taps = run.observed().iter().map(read).collect::<Result<_>>()?;
-    Ok((taps, tensors.read(&run)?))
+    Ok((run, tensors))
 }
 
 /// Relative rms difference; NaN for missing values.

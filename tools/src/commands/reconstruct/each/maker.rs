@@ -3,7 +3,7 @@
 use super::Batch;
 use crate::{
     depth::{DepthPredictor, PreparedPhotos, check_finds_cameras},
-    options::{Quality, Size, refuse},
+    options::{Size, refuse},
     outputs, photos,
     session::{Session, Stage},
     views::{Crop, Views},
@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 use std::path::PathBuf;
 use zipsplat::{
     Result,
-    reconstruct::{Model, ReconstructOptions},
+    reconstruct::Model,
     types::{
         Pose, Scene, World,
         poses::{Capture, CaptureView},
@@ -47,14 +47,15 @@ impl<'a> Maker<'a> {
         session: &mut Session<'_>,
         checkpoint: &'a Checkpoint,
     ) -> Result<(Self, String)> {
+        let quality = &batch.command.quality;
         session.notes(checkpoint.notes());
-        batch.quality.check(checkpoint.architecture())?;
-        let size = batch.quality.size_for(checkpoint);
-        batch.crop.check(size, batch.posed)?;
-        session.notes(batch.quality.doubt_size(checkpoint));
-        outputs::make_folder(batch.output)?;
+        quality.check(checkpoint.architecture())?;
+        let size = quality.size_for(checkpoint);
+        batch.crop().check(size, batch.posed)?;
+        session.notes(quality.doubt_size(checkpoint));
+        outputs::make_folder(batch.command.output())?;
         let device = session.device()?;
-        let (precision, arithmetic) = batch.quality.arithmetic.choose(session, &device)?;
+        let (precision, arithmetic) = quality.arithmetic.choose(session, &device)?;
         let (model, _) = session.load_model(&device, checkpoint, arithmetic)?;
         let settings_key = batch.settings_key(checkpoint.provenance(), &size.to_string(), precision.name())?;
         Ok((Self::Tokens { model: Box::new(model), checkpoint, size }, settings_key))
@@ -65,16 +66,17 @@ impl<'a> Maker<'a> {
         session: &mut Session<'_>,
         checkpoint: &DepthCheckpoint,
     ) -> Result<(Self, String)> {
-        let squares = batch.crop == Crop::Tiles;
+        let quality = &batch.command.quality;
+        let squares = batch.crop() == Crop::Tiles;
         refuse("--crop tiles", squares, "weights of Depth Anything 3", "weights of ZipSplat")?;
-        batch.quality.check_pixels(checkpoint)?;
+        quality.check_pixels(checkpoint)?;
         if !batch.posed {
             check_finds_cameras(checkpoint.architecture())?;
         }
-        outputs::make_folder(batch.output)?;
+        outputs::make_folder(batch.command.output())?;
         let device = session.device()?;
-        let predictor = batch.quality.predictor_options(checkpoint).open(session, &device)?;
-        let size = format!("{:?}", batch.quality.side());
+        let predictor = quality.predictor_options(checkpoint).open(session, &device)?;
+        let size = format!("{:?}", quality.side());
         let settings_key = batch.settings_key(checkpoint.provenance(), &size, predictor.precision().name())?;
         Ok((Self::Pixels(Box::new(predictor)), settings_key))
     }
@@ -89,7 +91,7 @@ impl<'a> Maker<'a> {
     ) -> Result<Input> {
         match self {
             Self::Tokens { size, .. } => {
-                let crop = batch.crop;
+                let crop = batch.crop();
                 crop.count(photos)?;
                 let views = crop.load(photos, frames, *size, stage)?;
                 let unit = match (poses, frames.first()) {
@@ -108,20 +110,11 @@ impl<'a> Maker<'a> {
     pub fn make(&self, batch: &Batch<'_>, input: Input, stage: &Stage<'_>) -> Result<FinishedScene> {
         match (input, self) {
             (Input::Tokens(Views { images, cameras, note }, unit), Self::Tokens { model, checkpoint, .. }) => {
-                let (cameras, turned) = batch.crop.network_cameras(cameras);
-                let Quality { ratio, token_selection, kv_pool, .. } = batch.quality;
-                let cameras = Some(cameras).filter(|cameras| !cameras.is_empty());
-                let request = ReconstructOptions {
-                    ratio: *ratio,
-                    token_selection: token_selection.clone(),
-                    cameras,
-                    scene_scale: Some(unit),
-                    kv_pool: *kv_pool,
-                    ..ReconstructOptions::default()
-                };
+                let (cameras, turned) = batch.crop().network_cameras(cameras);
+                let request = batch.command.quality.request(cameras, unit);
                 let made = model.reconstruct_views(&images, &request, |progress| stage.at(progress.fraction))?;
                 let mut scene = made.to_scene()?;
-                batch.quality.prune(&mut scene, checkpoint.architecture());
+                batch.command.quality.prune(&mut scene, checkpoint.architecture());
                 turned.iter().for_each(|first| scene.place(1.0, first));
                 let record = json!({ "scene_scale": unit, "tokens": made.tokens, "note": note });
                 Ok(FinishedScene { scene, world: None, record })
@@ -130,7 +123,7 @@ impl<'a> Maker<'a> {
                 let mut predicted = predictor.predict(prepared, stage)?;
                 predicted.scale(false, points.as_deref())?;
                 let pose = predicted.cameras.iter().flatten().next().map_or(Pose::IDENTITY, |camera| camera.pose);
-                let scene = predicted.scene(&pose, batch.quality.kept())?;
+                let scene = predicted.scene(&pose, batch.command.quality.kept())?;
                 let world = World::of_first(&predicted.frames()?.iter().collect::<Vec<_>>());
                 if !predicted.lost.is_empty() {
                     predicted.notes.push(format!("without a camera, and left out: {}", photos::names(&predicted.lost)));

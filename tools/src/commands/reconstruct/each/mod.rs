@@ -2,16 +2,15 @@ mod maker;
 
 use super::{CAPTURE, Reconstruct};
 use crate::{
-    options::{Network, Quality, Weights},
-    outputs::{self, Overwrite},
+    options::{Network, Quality},
+    outputs::{self, FAILURES, Failure},
     photos,
     session::{Session, Stage},
-    stamp::{digest, stamp},
+    stamp::{digest, stamp, stamp_of_weights},
     table::{counted, time},
     views::Crop,
 };
 use maker::{FinishedScene, Input, Maker};
-use serde::Serialize;
 use serde_json::{Value, json};
 use std::{
     collections::HashMap,
@@ -26,11 +25,8 @@ use zipsplat::{
     types::{
         SaveOptions, SceneFormat, World,
         poses::{Capture, CaptureView},
-        write_atomic,
     },
 };
-
-const FAILURES: &str = "failures.csv";
 
 /// Scenes of many captures, by one model that stays on the device.
 ///
@@ -38,17 +34,9 @@ const FAILURES: &str = "failures.csv";
 /// finished if its scene exists and was made of the same photos, by name, size and time, with the
 /// same options. A failed capture is a row of `OUT/failures.csv`.
 pub struct Batch<'a> {
-    inputs: &'a [PathBuf],
-    output: &'a Path,
-    overwrite: Overwrite,
-    format: &'a str,
+    command: &'a Reconstruct,
     /// Cameras are those of the captures' folders.
     posed: bool,
-    views: Option<u32>,
-    limit: Option<usize>,
-    weights: &'a Weights,
-    quality: &'a Quality,
-    crop: Crop,
 }
 
 struct Work {
@@ -62,12 +50,6 @@ struct Prepared {
     hash: String,
     photos: usize,
     world: Option<World>,
-}
-
-#[derive(Clone, Serialize)]
-struct Failure {
-    capture: String,
-    error: String,
 }
 
 #[derive(Default)]
@@ -85,30 +67,25 @@ impl<'a> Batch<'a> {
             }
             cameras => cameras.is_some(),
         };
-        Ok(Self {
-            inputs: &command.input.photos,
-            output: command.output(),
-            overwrite: command.overwrite,
-            format: &command.format,
-            posed,
-            views: command.views,
-            limit: command.limit,
-            weights: &command.weights,
-            quality: &command.quality,
-            crop: command.crop.crop,
-        })
+        Ok(Self { command, posed })
+    }
+
+    fn crop(&self) -> Crop {
+        self.command.crop.crop
     }
 
     pub fn run(&self, session: &mut Session<'_>) -> Result<()> {
-        if SceneFormat::named(self.format).is_none() {
-            return Err(Error::argument("--format", self.format, SceneFormat::EXTENSIONS));
+        let Reconstruct { format, overwrite, .. } = self.command;
+        let output = self.command.output();
+        if SceneFormat::named(format).is_none() {
+            return Err(Error::argument("--format", format, SceneFormat::EXTENSIONS));
         }
-        outputs::check_folder(self.output)?;
+        outputs::check_folder(output)?;
         let works = self.works()?;
         let files = works.iter().flat_map(|work| [&work.scene, &work.record]);
-        self.overwrite.check_replaced(files)?;
-        self.overwrite.check_replaced([self.output.join(FAILURES)])?;
-        let network = self.weights.open_network()?;
+        overwrite.check_replaced(files)?;
+        overwrite.check_replaced([output.join(FAILURES)])?;
+        let network = self.command.weights.open_network()?;
         let (maker, settings_key) = match &network {
             Network::Tokens(checkpoint) => Maker::of_tokens(self, session, checkpoint)?,
             Network::Pixels(checkpoint) => Maker::of_pixels(self, session, checkpoint)?,
@@ -121,17 +98,17 @@ impl<'a> Batch<'a> {
         let rate = finished as f64 / took.as_secs_f64();
         let left = works.len() - finished - unchanged - failures.len();
         let json = json!({
-            "output": self.output, "captures": works.len(), "reconstructed": finished, "skipped": unchanged, "failed": failures.len(),
+            "output": output, "captures": works.len(), "reconstructed": finished, "skipped": unchanged, "failed": failures.len(),
             "remaining": left, "seconds": took.as_secs_f64(), "captures_per_second": rate,
         });
-        let mut text = format!("{}: {} made in {}", self.output.display(), counted(finished, "scene"), time(took));
+        let mut text = format!("{}: {} made in {}", output.display(), counted(finished, "scene"), time(took));
         if finished > 0 {
             text += &format!(", {} each", time(took / finished as u32));
         }
         let others = [(unchanged, "there already"), (failures.len(), "failed"), (left, "left")];
-        others.iter().filter(|(count, _)| *count > 0).for_each(|(count, what)| text += &format!("; {count} {what}"));
+        let text = outputs::and_others(text, &others);
         if !failures.is_empty() {
-            session.note(format!("{}: {}", self.output.join(FAILURES).display(), counted(failures.len(), "capture")));
+            session.note(format!("{}: {}", output.join(FAILURES).display(), counted(failures.len(), "capture")));
             session.end_with(1);
         }
         session.report(&json, text)
@@ -139,12 +116,13 @@ impl<'a> Batch<'a> {
 
     /// Locks the output folder against other batches, until dropped.
     fn lock(&self) -> Result<Option<File>> {
-        outputs::make_folder(self.output)?;
+        let output = self.command.output();
+        outputs::make_folder(output)?;
         // Some file systems have no locks.
-        let Ok(folder) = File::open(self.output) else { return Ok(None) };
+        let Ok(folder) = File::open(output) else { return Ok(None) };
         match folder.try_lock() {
             Err(TryLockError::WouldBlock) => {
-                let found = format!("{}, where another batch is running", self.output.display());
+                let found = format!("{}, where another batch is running", output.display());
                 Err(Error::argument("--output", found, "a folder of its own for each batch"))
             }
             _ => Ok(Some(folder)),
@@ -153,7 +131,7 @@ impl<'a> Batch<'a> {
 
     fn works(&self) -> Result<Vec<Work>> {
         let mut folders = Vec::new();
-        for input in self.inputs {
+        for input in &self.command.input.photos {
             folders.extend(self.captures(input)?);
         }
         let mut names: HashMap<String, &Path> = HashMap::new();
@@ -167,8 +145,8 @@ impl<'a> Batch<'a> {
                 let found = format!("{name}, as {}", other.display());
                 return Err(Error::argument(format!("name of {}", folder.display()), found, "one of its own"));
             }
-            let file = |extension: &str| self.output.join(format!("{name}.{extension}"));
-            works.push(Work { scene: file(self.format), record: file("json"), folder: folder.clone() });
+            let file = |extension: &str| self.command.output().join(format!("{name}.{extension}"));
+            works.push(Work { scene: file(&self.command.format), record: file("json"), folder: folder.clone() });
         }
         Ok(works)
     }
@@ -203,11 +181,12 @@ impl<'a> Batch<'a> {
 
     /// All but the capture.
     fn settings_key(&self, weights: &str, size: &str, precision: &str) -> Result<String> {
-        let of_file = if Path::new(weights).is_file() { stamp(Path::new(weights))? } else { String::new() };
-        let Quality { ratio, token_selection, kv_pool, .. } = self.quality;
+        let of_file = stamp_of_weights(weights)?;
+        let Reconstruct { quality, views, format, .. } = self.command;
+        let Quality { ratio, token_selection, kv_pool, .. } = quality;
         let options = [
-            format!("{ratio:?} {token_selection:?} {kv_pool} {:?} {:?}", self.quality.kept(), self.crop),
-            format!("{size} {precision} {} {:?} {}", self.posed, self.views, self.format),
+            format!("{ratio:?} {token_selection:?} {kv_pool} {:?} {:?}", quality.kept(), self.crop()),
+            format!("{size} {precision} {} {views:?} {format}", self.posed),
         ];
         Ok(format!("{} {weights} {of_file} {}", env!("CARGO_PKG_VERSION"), options.join(" ")))
     }
@@ -223,9 +202,9 @@ struct Runner<'a> {
 impl Runner<'_> {
     fn run(&self, stage: &Stage<'_>) -> Result<Tally> {
         let tally = Mutex::new(Tally::default());
-        let limit = self.batch.limit.unwrap_or(usize::MAX);
+        let limit = self.batch.command.limit.unwrap_or(usize::MAX);
         // Removes the failure list of an earlier run.
-        std::fs::remove_file(self.batch.output.join(FAILURES)).ok();
+        std::fs::remove_file(self.batch.command.output().join(FAILURES)).ok();
         let ended = std::thread::scope(|scope| {
             // Each queue holds one capture.
             let (to_device, prepared) = sync_channel(1);
@@ -259,8 +238,7 @@ impl Runner<'_> {
                 self.tell(stage, &lock(&tally));
                 match prepared.and_then(|prepared| self.reconstruct(work, prepared, stage)) {
                     Ok(finished) => to_disk.send((work, finished)).map_err(|_| Error::Cancelled)?,
-                    // Later captures would fail alike.
-                    Err(error @ (Error::Cancelled | Error::DeviceLost | Error::NoDevice(_))) => return Err(error),
+                    Err(error) if Failure::is_of_all(&error) => return Err(error),
                     Err(error) => self.failed(&tally, work, &error),
                 }
                 Ok(())
@@ -274,13 +252,11 @@ impl Runner<'_> {
     /// `None` if its scene is finished.
     fn prepare(&self, work: &Work, stage: &Stage<'_>) -> Result<Option<Prepared>> {
         let poses = if self.batch.posed { Some(Capture::open(&work.folder)?) } else { None };
-        let mut photos = match &poses {
+        let photos = match &poses {
             Some(poses) => poses.frames.iter().filter_map(|frame| frame.photo.clone()).collect(),
             None => photos_of(&work.folder)?,
         };
-        if let Some(views) = self.batch.views {
-            photos = photos::spread(photos, views as usize);
-        }
+        let photos = photos::spread(photos, self.batch.command.views);
         if !(1..=MAX_VIEWS).contains(&photos.len()) {
             let expected = format!("1 to {MAX_VIEWS}; --views N takes N of them, evenly spread");
             return Err(Error::argument(format!("photos in {}", work.folder.display()), photos.len(), expected));
@@ -324,14 +300,14 @@ impl Runner<'_> {
 
     fn failed(&self, tally: &Mutex<Tally>, work: &Work, error: &Error) {
         let failures = &mut lock(tally).failures;
-        failures.push(Failure { capture: work.folder.display().to_string(), error: error.to_string() });
+        failures.push(Failure::new(work.folder.display(), error));
         // If the file cannot be written, the count still reports the failure.
-        outputs::save_csv(&self.batch.output.join(FAILURES), failures).ok();
+        outputs::save_csv(&self.batch.command.output().join(FAILURES), failures).ok();
     }
 
     fn tell(&self, stage: &Stage<'_>, tally: &Tally) {
         let done = tally.finished + tally.failures.len();
-        let all = (self.works.len() - tally.unchanged).min(self.batch.limit.unwrap_or(usize::MAX)).max(1);
+        let all = (self.works.len() - tally.unchanged).min(self.batch.command.limit.unwrap_or(usize::MAX)).max(1);
         let _ = stage.at(done as f64 / all as f64);
         stage.name(&format!("{done} of {all}"));
     }
@@ -341,13 +317,9 @@ impl Runner<'_> {
 fn write(work: &Work, finished: FinishedScene) -> Result<()> {
     std::fs::remove_file(&work.record).ok();
     outputs::save_scene(&work.scene, &finished.scene, &SaveOptions::default(), finished.world.as_ref())?;
-    let bytes = work.scene.metadata().map_err(|error| Error::io(&work.scene, error))?.len();
     let mut record = finished.record;
-    record["bytes"] = json!(bytes);
-    write_atomic(&work.record, |out| {
-        serde_json::to_writer_pretty(&mut *out, &record)?;
-        writeln!(out)
-    })
+    record["bytes"] = json!(outputs::size_of(&work.scene)?);
+    outputs::save_json(&work.record, &record)
 }
 
 /// Complete, of equal inputs and options.
