@@ -149,7 +149,7 @@ fn depth_in_c() {
     assert_eq!(out.lines().filter(|line| line.contains("in the middle, confidence")).count(), 2, "{out}");
 
     let read: Vec<Image> = photos.iter().map(|path| Image::open(path).expect("a photo")).collect();
-    let views = bounded_views(&read, DEFAULT_BOUND).expect("views");
+    let views = bounded_views(read.len(), |i| Ok(&read[i]), DEFAULT_BOUND).expect("views");
     let images: Vec<Image> = views.iter().map(|view| view.image.clone()).collect();
     let checkpoint = DepthCheckpoint::open(&weights, false).expect("weights");
     let model =
