@@ -1,7 +1,7 @@
 //! Sizes, offsets and values match C.
 
 use crate::{
-    header::root,
+    header::{enumerations, root},
     installation::{Linking, installation, runner, success},
 };
 use std::{fmt::Write, mem::offset_of};
@@ -109,22 +109,9 @@ fn constants() -> Vec<(String, usize)> {
 
 #[test]
 fn is_what_c_sees() {
-    let enumerations = [
-        "status",
-        "progress_action",
-        "device_kind",
-        "pixel_format",
-        "precision",
-        "token_selection",
-        "world",
-        "camera_source",
-        "refine_target",
-        "stop_reason",
-        "depth_mode",
-        "requirement_kind",
-    ];
+    let enumerations = enumerations().into_iter().chain(["zs_status".to_owned()]);
     let mut expected = [structures(), constants()].concat();
-    expected.extend(enumerations.map(|name| (format!("sizeof(zs_{name})"), 4)));
+    expected.extend(enumerations.map(|name| (format!("sizeof({name})"), 4)));
     let mut program = "#include <stdio.h>\n#include <zipsplat.h>\nint main(void) {\n".to_owned();
     for (expression, _) in &expected {
         let _ = writeln!(program, "    printf(\"%zu %s\\n\", (size_t)({expression}), \"{expression}\");");

@@ -80,12 +80,6 @@ impl Place {
     }
 }
 
-fn bits(scene: &Scene) -> Vec<u32> {
-    let fields = [scene.means.as_flattened(), scene.scales.as_flattened(), scene.quats.as_flattened()];
-    let fields = fields.into_iter().chain([&scene.opacities[..], scene.sh_coeffs.as_flattened()]);
-    fields.flatten().map(|x| x.to_bits()).collect()
-}
-
 struct CallLog {
     steps: Vec<zs_progress>,
     stop_after: usize,
