@@ -28,7 +28,7 @@ if [[ $# == 0 ]]; then
   stage 'photos of a place' zipsplat scene --seed $seed --views 16 -o "$out/place"
   stage 'reconstruct and refine' zipsplat eval "$out/place" --views 8 --refine 100 --init scene ${weights[@]+"${weights[@]}"} -o "$out/place"
   stage render zipsplat render "$out/place/scene.ply" --wiggle --frames 8 --overwrite -o "$out/place"
-  say "photos that it was not shown, what it drew in their place, and the nearest it was shown: $out/place/comparison.png"
+  say "held-out photos, their renders, and the nearest input photos: $out/place/comparison.png"
 fi
 [[ ${ZIPSPLAT_WEIGHTS:-} != seeded:* ]] ||
   say "the weights $ZIPSPLAT_WEIGHTS are random numbers, so these pictures show noise and NOT a reconstruction of the photos"

@@ -153,8 +153,8 @@ impl Tolerance {
 
     /// Bounds a product's deviation from the rounding of both factors, relative to its rms.
     ///
-    /// A row of 8-bit integers is uniform with an rms of about a quarter of its range: half of 1/127
-    /// is 4 times as much, 1/sqrt(3) at random, times sqrt(2) for both.
+    /// A row of 8-bit integers is uniform with an rms of about a quarter of its range: half of
+    /// 1/127 is 4 times as much, 1/sqrt(3) at random, times sqrt(2) for both.
     pub fn factor_rounding(arithmetic: Arithmetic) -> f64 {
         if arithmetic.has_integers() {
             4.0 * Element::I8.roundoff() * (2f64 / 3.0).sqrt()

@@ -76,7 +76,7 @@ fn known_cameras_are_not_estimated_and_an_estimated_scale_is_a_warning() {
         ok(zs_reconstruction_get_info(reconstruction.handle, &mut info));
         std::ffi::CStr::from_ptr(info.warnings).to_str().expect("UTF-8")
     };
-    assert!(warnings.starts_with("scene scale 0.") && warnings.lines().count() == 1, "{warnings}");
+    assert!(warnings.starts_with("no point cloud: scene scale 0.") && warnings.lines().count() == 1, "{warnings}");
 }
 
 /// The refinement example can read the cameras of this one.

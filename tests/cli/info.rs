@@ -136,6 +136,11 @@ fn a_plan_takes_what_a_run_then_takes() {
     let wide = |plan: &serde_json::Value| plan["refine_arena_bytes"].as_u64().zip(plan["refine_kept_bytes"].as_u64());
     let planned = wide(&plan).map(|(arena, kept)| arena + kept);
     assert_eq!(planned, run["refined"]["peak_bytes"].as_u64(), "{plan}");
+    let kept = |length: &str| {
+        let line = format!("reconstruct --dry-run @/large/images --cameras @/large --refine={length} {shared}");
+        folder.run(&line).json()["refine_kept_bytes"].as_u64()
+    };
+    assert!(kept("60s") == kept("300") && kept("300") > kept("299"), "a time may become enough steps to grow");
     let of_tokens = folder.run(&format!("reconstruct --dry-run --views 9 --cameras @/place --refine --max-image-size 42x28 --refine-target tokens {shared}")).json();
     assert!(of_tokens["refine_kept_bytes"].as_u64() > Some(0), "{of_tokens}");
     assert_eq!(

@@ -47,6 +47,8 @@ fn points_become_a_scene_that_looks_like_the_photos() {
     assert!(names.map(|file| file.file_name()).any(|name| name == held_out), "{held_out}");
     assert_eq!((row("largest photo").trim(), row("stop reason").trim()), ("42x28 from step 1", "after all steps"));
     assert_eq!(Scene::open(folder.path("again.ply")).expect("a scene"), scene);
+    let text = folder.run(&format!("refine {PHOTOS} --init points --steps 0s -o @/time.ply --explain")).success();
+    assert!(text.contains("1 of 1, of 4 photos each"), "{text}");
 }
 
 #[test]

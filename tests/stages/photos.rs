@@ -45,6 +45,9 @@ fn whole_photos_are_cropped_scaled_and_placed() {
     let mut expected = by_hand.to_scene().expect("a scene");
     assert_ne!(scale, 1.0);
     let in_first = ReconstructOptions { world: Some(SceneFrame::FirstCamera), ..options };
+    let view = |i: usize, [width, height]: [u32; 2]| fit(&photos[i], width, height);
+    let prepared = model.prepare(2, &in_first, view, |_| Continue(())).expect("views");
+    assert!(prepared.warning.is_some_and(|warning| warning.starts_with("no point cloud: scene scale 3.0000")));
     let first = model.reconstruct(&photos, &in_first, |_| Continue(())).expect("a reconstruction");
     assert_eq!(first.to_scene().expect("a scene"), expected);
     expected.place(1.0, &poses[0]);

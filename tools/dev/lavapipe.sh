@@ -67,7 +67,8 @@ while [[ $(head -c 2 "$1" | tr -d '\0') == '#!' ]]; do
   [[ $interpreter != */env ]] || { interpreter=$(command -v -- "$option") && option=; }
   set -- "$interpreter" ${option:+"$option"} "$@"
 done
-# Subgroups of 16 where the processor has vectors that wide are 1.4 times as fast as the default of 8.
+# Subgroups of 16 where the processor has vectors that wide are 1.4 times as fast as the default of
+# 8.
 if grep -qsw avx512f /proc/cpuinfo; then export LP_NATIVE_VECTOR_WIDTH=${LP_NATIVE_VECTOR_WIDTH:-512}; fi
 export VK_DRIVER_FILES=$root/usr/share/vulkan/icd.d/lvp_icd.json
 export VK_LAYER_PATH=$root/usr/share/vulkan/explicit_layer.d VK_LOADER_LAYERS_DISABLE='~implicit~'

@@ -185,9 +185,14 @@ impl Choice {
     }
 }
 
+/// Returns the warning about an estimated scene scale, with the option that replaces it.
+pub fn scale_warning(scale: &SceneScale) -> Option<String> {
+    scale.doubt().map(|doubt| format!("{doubt} (--scene-scale LENGTH)"))
+}
+
 impl ViewSplit {
     pub fn notes(&self) -> impl Iterator<Item = String> {
-        self.views.note.clone().into_iter().chain(self.scene_scale.doubt())
+        self.views.note.clone().into_iter().chain(scale_warning(&self.scene_scale))
     }
 
     pub fn images(&self) -> Vec<Image> {

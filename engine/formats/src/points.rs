@@ -17,8 +17,8 @@ const SH_0: f32 = 0.282_094_8;
 const GRAY: [u8; 3] = [128; 3];
 
 impl Scene {
-    /// Creates an isotropic Gaussian per point with the point's color. Its standard deviation is the
-    /// root mean square distance to the three nearest points elsewhere (Kerbl et al. 2023).
+    /// Creates an isotropic Gaussian per point with the point's color. Its standard deviation is
+    /// the root mean square distance to the three nearest points elsewhere (Kerbl et al. 2023).
     ///
     /// # Errors
     /// [`Error::Argument`] if there are no two distinct points.

@@ -108,12 +108,13 @@ impl SceneFormat {
 }
 
 impl Scene {
-    /// Reads a scene of any format, detected as [`SceneFormat::of_file`]. Converts to axes x right, y
-    /// down, z forward.
+    /// Reads a scene of any format, detected as [`SceneFormat::of_file`]. Converts to axes x right,
+    /// y down, z forward.
     ///
     /// # Errors
     ///
-    /// [`Error::Format`] for unknown or damaged files, and values that are not finite or out of range.
+    /// [`Error::Format`] for unknown or damaged files, and values that are not finite or out of
+    /// range.
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
         Self::open_unchecked(path.as_ref())?.validated(path.as_ref())
     }
@@ -129,8 +130,8 @@ impl Scene {
         (format.format().read)(Source::open(path)?)
     }
 
-    /// Decodes a scene as [`Scene::open`], detected by its first bytes, else of `format`, which `.splat`
-    /// and `.gltf` need. A glTF may not refer to other files.
+    /// Decodes a scene as [`Scene::open`], detected by its first bytes, else of `format`, which
+    /// `.splat` and `.gltf` need. A glTF may not refer to other files.
     pub fn decode(bytes: &[u8], format: Option<SceneFormat>) -> Result<Self> {
         Self::decode_unchecked(bytes, format)?.validated(Path::new(IN_MEMORY))
     }
@@ -151,8 +152,8 @@ impl Scene {
     ///
     /// # Errors
     ///
-    /// [`Error::Argument`] if the extension is unknown, the scene is invalid or the format cannot store
-    /// it.
+    /// [`Error::Argument`] if the extension is unknown, the scene is invalid or the format cannot
+    /// store it.
     pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
         self.save_with(path, &SaveOptions::default())
     }
@@ -162,8 +163,8 @@ impl Scene {
         self.save_in(path, options, None)
     }
 
-    /// Writes as [`Scene::save`], with the scene's world for [`read_world`](super::read_world) if known
-    /// and [`SceneFormat::keeps_world`].
+    /// Writes as [`Scene::save`], with the scene's world for [`read_world`](super::read_world) if
+    /// known and [`SceneFormat::keeps_world`].
     pub fn save_in(&self, path: impl AsRef<Path>, options: &SaveOptions, world: Option<&World>) -> Result<()> {
         let path = path.as_ref();
         let format = SceneFormat::of_extension(path)

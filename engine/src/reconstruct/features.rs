@@ -89,8 +89,8 @@ impl Model {
         Ok(Features { shape, tensors, memory, scene_scale: options.scale(), times })
     }
 
-    /// Decodes features bit-identically to [`Model::reconstruct_views`], with ratio and selection of
-    /// `options`.
+    /// Decodes features bit-identically to [`Model::reconstruct_views`], with ratio and selection
+    /// of `options`.
     pub fn reconstruct_features(
         &self,
         features: &Features,

@@ -175,7 +175,8 @@ impl Model {
         &self.arena
     }
 
-    /// Reconstructs a scene from images of one size, a multiple of the patch size, with their cameras.
+    /// Reconstructs a scene from images of one size, a multiple of the patch size, with their
+    /// cameras.
     pub fn reconstruct_views(
         &self,
         images: &[Image],

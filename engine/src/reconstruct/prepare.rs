@@ -21,8 +21,10 @@ pub struct Prepared {
     pub images: Vec<Image>,
     /// Options with the views' cameras and the scene scale.
     pub options: ReconstructOptions,
-    /// Where the scene is placed, and the views' places in their photos.
+    /// Placement of the scene, and of the views in their photos.
     pub placement: Placement,
+    /// Warning about an estimated scene scale.
+    pub warning: Option<String>,
 }
 
 /// Relation of a reconstruction to its photos.
@@ -95,22 +97,24 @@ impl Model {
             views.extend(next.into_par_iter().map(|i| view(i, size)).collect::<Result<Vec<View>>>()?);
         }
         let of_views = cameras.map(|cameras| view_cameras(cameras, &views)).transpose()?;
-        let scene_scale = Some(scene_scale(options, of_views.as_deref())?);
+        let scale = scene_scale(options, of_views.as_deref())?;
+        let warning = scale.as_ref().and_then(SceneScale::doubt);
+        let scene_scale = scale.map(|scale| scale.length).or(options.scene_scale);
         let (images, maps) = views.into_iter().map(|view| (view.image, view.map)).unzip();
         let options = ReconstructOptions { cameras: of_views, scene_scale, ..options.clone() };
-        Ok(Prepared { images, options, placement: Placement { maps, pose } })
+        Ok(Prepared { images, options, placement: Placement { maps, pose }, warning })
     }
 }
 
-fn scene_scale(options: &ReconstructOptions, of_views: Option<&[Camera]>) -> Result<f64> {
-    let (Some(cameras), Some(of_views)) = (&options.cameras, of_views) else { return Ok(options.scale()) };
+fn scene_scale(options: &ReconstructOptions, of_views: Option<&[Camera]>) -> Result<Option<SceneScale>> {
+    let (Some(cameras), Some(of_views)) = (&options.cameras, of_views) else { return Ok(None) };
     let origin = cameras[0].pose;
-    let scale = match &options.capture {
-        Some(capture) => capture.scene_scale(options.scene_scale, of_views, &origin)?,
+    match &options.capture {
+        Some(capture) => capture.scene_scale(options.scene_scale, of_views, &origin),
         None => {
             let poses: Vec<Pose> = cameras.iter().map(|camera| camera.pose).collect();
-            SceneScale::of(options.scene_scale, &poses, None, of_views, &origin)?
+            SceneScale::of(options.scene_scale, &poses, None, of_views, &origin)
         }
-    };
-    Ok(scale.length)
+    }
+    .map(Some)
 }

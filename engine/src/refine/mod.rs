@@ -54,7 +54,7 @@ pub struct RefineOptions {
     pub time: Option<Duration>,
     /// Photos per step, capped at the training photos.
     pub views_per_step: usize,
-    /// Limits of a photo's width and height; larger ones are downscaled.
+    /// Limits of a photo's width and height; larger ones are downscaled. `None`: full size.
     pub max_image_size: Option<[u32; 2]>,
     /// Number of held-out photos, which reveal overfitting. `None`: one of 40 or more, none if
     /// cameras are refined.
@@ -96,7 +96,7 @@ impl Default for RefineOptions {
             steps: 100,
             time: None,
             views_per_step: 4,
-            max_image_size: None,
+            max_image_size: Some([1600; 2]),
             holdout_views: None,
             loss: Loss::L1Dssim,
             perceptual_loss: None,
@@ -197,7 +197,9 @@ pub struct RefineResult {
     pub scene: Scene,
     /// Cameras of all photos after that step.
     pub cameras: Vec<Camera>,
-    /// Mean loss per step over its photos.
+    /// Steps to complete, also of a [`RefineOptions::time`].
+    pub steps: usize,
+    /// Mean loss per completed step over its photos.
     pub losses: Vec<f32>,
     /// Steps before the kept scene.
     pub best_step: usize,
@@ -281,11 +283,12 @@ pub fn refine_tokens(
 }
 
 /// Returns the number of Gaussians that a scene of `len` grows to, for photos of these sizes, if it
-/// grows.
+/// grows. A time may become enough steps.
 fn grown_len(options: &RefineOptions, len: usize, sizes: impl Iterator<Item = [u32; 2]>) -> Option<usize> {
     let default = || {
         let pixels: usize = sizes.map(|[width, height]| width as usize * height as usize).sum();
-        (options.steps >= GROWTH_FROM).then(|| (pixels / PIXELS_PER_GAUSSIAN).min(MOST_GROWTH * len))
+        (options.steps >= GROWTH_FROM || options.time.is_some())
+            .then(|| (pixels / PIXELS_PER_GAUSSIAN).min(MOST_GROWTH * len))
     };
     options.max_gaussians.or_else(default).filter(|most| *most > len)
 }
@@ -316,7 +319,7 @@ fn run(
         let (gaussians, scene) = make(&arena, &options)?;
         Refinement::new(gaussians, scene, photos, cameras, options)
     };
-    if let Some(time) = options.time {
+    if let Some(time) = options.time.take() {
         let steps_in = |time: Duration, step: Duration| (time.as_secs_f64() / step.as_secs_f64()).max(1.0) as usize;
         let step = refinement(RefineOptions { max_gaussians: None, ..options.clone() })?.time_step()?;
         options.steps = steps_in(time, step);

@@ -77,7 +77,7 @@ pub(super) fn record_photos(
         d_frames
     };
     let gradients = Gradients { cameras: d_cameras, ..*gradients };
-    let outputs = record_with_gradients(rec, scene, cameras, shape, &drawing, capacity, compare, &gradients);
+    let (outputs, _) = record_with_gradients(rec, scene, cameras, shape, &drawing, capacity, compare, &gradients);
     d_cameras.iter().for_each(|tensor| rec.output(*tensor));
     Recorded { cameras, learning, outputs }
 }

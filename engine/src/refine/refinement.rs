@@ -132,6 +132,7 @@ impl<'a> Refinement<'a> {
         Ok(RefineResult {
             scene,
             cameras,
+            steps: self.options.steps,
             losses,
             best_step,
             holdout_psnr,

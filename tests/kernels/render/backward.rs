@@ -89,7 +89,8 @@ impl How<'_> {
         let shape = FrameShape { cameras: cameras.len(), width: size.width, height: size.height };
         let gradients = Gradients { scene: self.scene.then_some(d), cameras: self.cameras.then_some(d_cameras) };
         let (rec, capacity) = (&mut case.rec, self.capacity);
-        let outputs = record_with_gradients(rec, &tensors, rows, shape, request, capacity, |_, _| d_frames, &gradients);
+        let (outputs, _) =
+            record_with_gradients(rec, &tensors, rows, shape, request, capacity, |_, _| d_frames, &gradients);
         let run = case.run().unwrap();
         let read = |tensor| run.read(tensor).unwrap();
         Found {

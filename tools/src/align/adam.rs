@@ -182,7 +182,7 @@ impl Backward {
         let gradients = Gradients { scene: None, cameras: Some(d_cameras) };
         let tensors = scene.tensors();
         let given = |_: &mut Recorder, _: Tensor| d_frames;
-        let outputs = record_with_gradients(&mut rec, tensors, cameras, shape, &SEEN, capacity, given, &gradients);
+        let (outputs, _) = record_with_gradients(&mut rec, tensors, cameras, shape, &SEEN, capacity, given, &gradients);
         rec.output(d_cameras);
         let run = Run::in_arena(arena, 0, rec.finish()?, [scene.resident().clone()])?;
         Ok(Self { run, cameras, d_frames, d_cameras, outputs, capacity })

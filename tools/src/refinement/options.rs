@@ -38,16 +38,18 @@ pub fn join_steps(args: impl IntoIterator<Item = OsString>) -> Vec<OsString> {
     joined
 }
 
-/// Along x and y.
-const MOST_PIXELS: &str = "1600x1600";
+fn default_size() -> Size {
+    let [width, height] = RefineOptions::default().max_image_size.unwrap_or([u32::MAX; 2]);
+    Size(width, height)
+}
 
-/// Length of a refinement, and its variables.
+/// Length and variables of a refinement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Steps {
     pub count: usize,
-    /// Spends this time instead.
+    /// Time to spend instead.
     pub time: Option<Duration>,
-    /// Refines tokens, through the network's head, instead of Gaussians.
+    /// Whether tokens are refined, through the network's head, instead of Gaussians.
     pub tokens: bool,
 }
 
@@ -102,10 +104,10 @@ enum RefineTarget {
 pub struct RefineSettings {
     /// Initialization; points are those of structure from motion beside the cameras [default: the
     /// scene; of the built-in model points, if there are enough]
-    #[arg(long, value_enum, value_name = "WHAT")]
+    #[arg(long, value_enum, value_name = "INIT")]
     pub init: Option<Initialization>,
     /// Largest compared size; larger photos are scaled down to fit
-    #[arg(long, value_name = "WxH", default_value = MOST_PIXELS)]
+    #[arg(long, value_name = "WxH", default_value_t = default_size())]
     max_image_size: Size,
     /// Held-out photos, evenly spread; 0 trains on all [default: 1 of 40 or more, none with
     /// --optimize-cameras]
@@ -137,7 +139,7 @@ pub struct RefineArgs {
         value_parser = parse_steps)]
     refine: Option<Steps>,
     /// Optimized quantity
-    #[arg(long, value_enum, value_name = "WHAT", default_value = "gaussians", requires = "refine")]
+    #[arg(long, value_enum, value_name = "TARGET", default_value = "gaussians", requires = "refine")]
     refine_target: RefineTarget,
     #[command(flatten)]
     pub settings: RefineSettings,

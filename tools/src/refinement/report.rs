@@ -46,7 +46,8 @@ pub fn as_json(refined: &RefineResult, start: &str, given: &[Camera]) -> Value {
         "training_psnr": { "initial": refined.training_psnr[1], "best": refined.training_psnr[0] },
         "holdout_psnr": refined.psnr().map(|[best, initial]| json!({ "initial": initial, "best": best })),
         "steps": refined.losses.len(), "best_step": refined.best_step, "losses": refined.losses,
-        "holdout_psnr_by_step": refined.holdout_psnr, "holdout_views": refined.holdout_views, "sizes": refined.sizes, "stop_reason": ended(refined),
+        "holdout_psnr_by_step": refined.holdout_psnr, "holdout_views": refined.holdout_views, "sizes": refined.sizes,
+        "stop_reason": ended(refined),
         "seconds": refined.took.as_secs_f64(), "peak_bytes": refined.peak_bytes,
     })
 }
@@ -87,7 +88,7 @@ pub fn explain(refined: &RefineResult, request: &RefineOptions, start: &str, pho
             "steps",
             format!(
                 "{steps} of {}, of {} each; kept is step {}",
-                request.steps,
+                refined.steps,
                 counted(each, "photo"),
                 refined.best_step
             ),
@@ -123,7 +124,7 @@ pub(super) fn doubt(refined: &RefineResult) -> Option<String> {
             counted(training, "photo")
         )),
         Some(StopReason::Diverged(why)) => {
-            Some(format!("the refinement ended early: {why}; kept is what was after step {}", refined.best_step))
+            Some(format!("the refinement ended early: {why}; the scene after step {} is kept", refined.best_step))
         }
         _ => None,
     }

@@ -46,8 +46,9 @@ pub struct Terminal<'a> {
 
 #[derive(Args)]
 pub struct Global {
-    /// Vulkan device: its number in `zipsplat doctor list`, its UUID, or a part of its name that is not
-    /// all digits; with `reconstruct --dry-run` also none, for an ordinary one [default: the best]
+    /// Vulkan device: its number in `zipsplat doctor list`, its UUID, or a part of its name that is
+    /// not all digits; with `reconstruct --dry-run` also none, for an ordinary one [default: the
+    /// best]
     #[arg(long, global = true, value_name = "NAME|INDEX", help_heading = "Options of every command")]
     pub device: Option<String>,
     /// Limit of used device memory in bytes, such as 3G; K, M and G count in 1024s [default: all of

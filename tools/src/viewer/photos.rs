@@ -10,6 +10,7 @@ use super::{
 };
 use crate::{
     cameras::{Finding, KnownCameras},
+    capture::scale_warning,
     options::{Network, Quality, Weights, parse_length},
     photos::{self, Reading},
     refinement::{Initialization, RefineArgs, placed},
@@ -210,7 +211,7 @@ impl FromPhotos {
     ) -> Result<f64> {
         let (Some(poses), Some(first)) = (poses, frames.first()) else { return Ok(1.0) };
         let unit = poses.scene_scale(self.scene_scale, cameras, &first.camera.pose)?;
-        session.notes(unit.doubt());
+        session.notes(scale_warning(&unit));
         Ok(unit.length)
     }
 

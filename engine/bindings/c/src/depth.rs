@@ -150,9 +150,6 @@ pub struct zs_depth_map {
 
 versioned!(zs_depth_model_options, zs_depth_model_info, zs_depth_options, zs_depth_result_info, zs_depth_map);
 
-// SAFETY: the arrays belong to an immutable object.
-unsafe impl Sync for zs_depth_map {}
-
 /// Loads a Depth Anything 3 network: a released model.safetensors at `path`, or random weights for
 /// "seeded:NAME", such as "seeded:da3-small".
 #[unsafe(no_mangle)]

@@ -119,9 +119,8 @@ pub unsafe extern "C" fn zs_reconstruct(
                 (made, Some(ModelTokens { tokens, head }))
             }
         };
-        let warning = estimated_scale(&wanted, options.scene_scale);
         let made = Reconstruction { placement: Some(prepared.placement), ..made };
-        Ok(zs_reconstruction::new(made, tokens, model.arena().clone(), warning))
+        Ok(zs_reconstruction::new(made, tokens, model.arena().clone(), prepared.warning.unwrap_or_default()))
     };
     // SAFETY: the caller's pointer.
     unsafe { produce(reconstruction, reconstruct) }
@@ -131,14 +130,6 @@ pub(super) fn check_view_count(count: usize) -> Result<(), Failure> {
     let expected = || format!("1 to {MAX_VIEWS}");
     let is_allowed = (1..=MAX_VIEWS).contains(&count);
     if is_allowed { Ok(()) } else { Err(Failure::argument("number of images", count, expected())) }
-}
-
-fn estimated_scale(wanted: &ReconstructOptions, scale: Option<f64>) -> String {
-    let has_points = wanted.capture.as_ref().is_some_and(|capture| capture.points.is_some());
-    match (wanted.cameras.is_some() && wanted.scene_scale.is_none() && !has_points, scale) {
-        (true, Some(scale)) => format!("scene scale {scale:.4} is estimated from cameras, without points"),
-        _ => String::new(),
-    }
 }
 
 impl zs_reconstruct_options {

@@ -290,7 +290,7 @@ fn of(now: &RefineProgress<'_>) -> zs_progress {
 impl zs_refine_options {
     fn engine(&self) -> Result<RefineOptions, Failure> {
         let default = RefineOptions::default();
-        let or = |number: u32, default: usize| if number == 0 { default } else { number as usize };
+        let or = |number: u32, default: u32| if number == 0 { default } else { number };
         if self.reserved != 0 {
             return Err(Failure::argument("zs_refine_options, reserved", self.reserved, "0"));
         }
@@ -313,9 +313,9 @@ impl zs_refine_options {
             })?),
         };
         Ok(RefineOptions {
-            steps: or(self.steps, default.steps),
-            views_per_step: or(self.views_per_step, default.views_per_step),
-            max_image_size: Some(self.max_image_size.map(|side| if side == 0 { 1600 } else { side })),
+            steps: or(self.steps, default.steps as u32) as usize,
+            views_per_step: or(self.views_per_step, default.views_per_step as u32) as usize,
+            max_image_size: default.max_image_size.map(|sides| [0, 1].map(|i| or(self.max_image_size[i], sides[i]))),
             time: (seconds > Duration::ZERO).then_some(seconds),
             holdout_views,
             optimize_cameras: self.optimize_cameras == 1,

@@ -74,15 +74,15 @@ impl CaptureView {
 impl Capture {
     /// Reads camera poses of a capture.
     ///
-    /// Accepts a `transforms.json`, a COLMAP model folder (`cameras` and `images` as `.bin` or `.txt`),
-    /// or a folder with one of these, directly or under `sparse/0`. Without `transforms.json`, a
-    /// folder's `transforms_train.json` is read. A text file that starts with a URL is RealEstate10K,
-    /// with frames next to it or in a folder of its name.
+    /// Accepts a `transforms.json`, a COLMAP model folder (`cameras` and `images` as `.bin` or
+    /// `.txt`), or a folder with one of these, directly or under `sparse/0`. Without
+    /// `transforms.json`, a folder's `transforms_train.json` is read. A text file that starts with
+    /// a URL is RealEstate10K, with frames next to it or in a folder of its name.
     ///
     /// # Errors
     ///
-    /// [`Error::Format`] with file, frame and field for malformed files, [`Error::Argument`] if `path`
-    /// has no known cameras.
+    /// [`Error::Format`] with file, frame and field for malformed files, [`Error::Argument`] if
+    /// `path` has no known cameras.
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
         let found = path.metadata().map_err(|source| Error::io(path, source))?;
@@ -107,10 +107,10 @@ impl Capture {
 
     /// Reads cameras for rendering.
     ///
-    /// Accepts everything that [`Capture::open`] accepts, nerfstudio's `camera_path.json`, and JSON lists.
-    /// List elements are camera-to-world matrices with OpenCV axes (4 x 4 or flat), or objects with
-    /// `matrix` (the same) or `viewmat` (world-to-camera). Objects may have their own lens: `fx`,
-    /// `width`, `height`, and optionally `fy`, `cx`, `cy`. The default is `lens`.
+    /// Accepts everything that [`Capture::open`] accepts, nerfstudio's `camera_path.json`, and JSON
+    /// lists. List elements are camera-to-world matrices with OpenCV axes (4 x 4 or flat), or
+    /// objects with `matrix` (the same) or `viewmat` (world-to-camera). Objects may have their own
+    /// lens: `fx`, `width`, `height`, and optionally `fy`, `cx`, `cy`. The default is `lens`.
     pub fn open_cameras(path: impl AsRef<Path>, lens: &Intrinsics) -> Result<Self> {
         let path = path.as_ref();
         if path.is_file() && path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json")) {
@@ -174,7 +174,8 @@ impl Capture {
         }
     }
 
-    /// Returns the frame of a photo, matched as in [`Capture::frames_of`]; `None` if no name matches.
+    /// Returns the frame of a photo, matched as in [`Capture::frames_of`]; `None` if no name
+    /// matches.
     ///
     /// # Errors
     ///

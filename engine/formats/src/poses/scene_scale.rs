@@ -74,14 +74,14 @@ impl SceneScale {
     pub fn doubt(&self) -> Option<String> {
         match self.source {
             Source::Given | Source::Points(_) => None,
-            _ => Some(format!("no point cloud: {self}; --scene-scale LENGTH says how far away the scene is")),
+            _ => Some(format!("no point cloud: {self}; a given scene scale is more certain")),
         }
     }
 }
 
 impl fmt::Display for SceneScale {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "unit {:.4}", self.length)?;
+        write!(f, "scene scale {:.4}", self.length)?;
         match &self.source {
             Source::Given => write!(f, ", as given"),
             Source::Points(path) => write!(f, ", the median distance of the points of {}", path.display()),

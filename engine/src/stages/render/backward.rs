@@ -31,38 +31,18 @@ const PART: usize = 64;
 const BAND: usize = 64;
 const FLOPS: u64 = 60;
 
-/// Records rendering, `loss` (frames `[cameras, height, width, channels]` to gradients) and the
-/// backward pass. Exceeded capacity accumulates nothing.
-///
-/// # Panics
-/// If `options` has outputs without gradients: normals, token colors, a pixel layout, expected
-/// depth without alpha.
-#[expect(clippy::too_many_arguments)]
-pub fn record_with_gradients(
-    rec: &mut Recorder,
-    scene: &SceneTensors,
-    cameras: Tensor,
-    shape: FrameShape,
-    options: &RenderOptions,
-    capacity: usize,
-    loss: impl FnOnce(&mut Recorder, Tensor) -> Tensor,
-    gradients: &Gradients,
-) -> RenderOutputs {
-    record_with_splat_gradients(rec, scene, cameras, shape, options, capacity, loss, gradients).0
-}
-
 /// Per pair of a Gaussian and a camera: conics and the kernels' gradients of projected splats.
 #[derive(Clone, Copy)]
-pub(super) struct SplatGradients {
-    /// `[pairs, 3]`; undefined if culled.
+pub struct SplatGradients {
+    /// `[pairs, 3]` f32; undefined if culled.
     pub conics: Tensor,
-    /// `[pairs, 10]`; 0 if culled.
+    /// `[pairs, 10]` f32; 0 if culled.
     pub d_pairs: Tensor,
 }
 
 impl SplatGradients {
     /// Converts both tensors' values to gradients of projected centers, in pixels.
-    pub fn means2d(conics: &[[f32; 3]], d_pairs: &[[f32; PAIR_NUMBERS]]) -> Vec<[f32; 2]> {
+    pub(super) fn means2d(conics: &[[f32; 3]], d_pairs: &[[f32; PAIR_NUMBERS]]) -> Vec<[f32; 2]> {
         let gradient = |([a, k, p], [_, e, y, ..]): (&[f32; 3], &[f32; PAIR_NUMBERS])| {
             let along = a * e;
             if *e == 0.0 && *y == 0.0 { [0.0; 2] } else { [along, p * y - k * along] }
@@ -71,8 +51,14 @@ impl SplatGradients {
     }
 }
 
+/// Records rendering, `loss` (frames `[cameras, height, width, channels]` to gradients) and the
+/// backward pass. Exceeded capacity accumulates nothing.
+///
+/// # Panics
+/// If `options` has outputs without gradients: normals, token colors, a pixel layout, expected
+/// depth without alpha.
 #[expect(clippy::too_many_arguments)]
-pub(super) fn record_with_splat_gradients(
+pub fn record_with_gradients(
     rec: &mut Recorder,
     scene: &SceneTensors,
     cameras: Tensor,

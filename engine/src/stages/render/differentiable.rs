@@ -1,7 +1,7 @@
 use super::{
     CAMERA_NUMBERS, CameraRows, Depth, FrameShape, Gradients, PlanCache, PlanKey, RenderOptions, RenderOutput,
     RenderOutputs, SceneGradients, SceneTensors,
-    backward::{SplatGradients, record_with_splat_gradients},
+    backward::{SplatGradients, record_with_gradients},
     camera_rows, first_capacity,
     range::{check, drawable},
 };
@@ -19,8 +19,8 @@ pub struct HostGradients {
     pub scene: Scene,
     /// As in [`Gradients::cameras`]; empty if not requested.
     pub cameras: Vec<[f32; CAMERA_NUMBERS]>,
-    /// Of projected centers in pixels, `[cameras, Gaussians]`, at constant covariances; empty if not
-    /// requested.
+    /// Of projected centers in pixels, `[cameras, Gaussians]`, at constant covariances; empty if
+    /// not requested.
     pub means2d: Vec<[f32; 2]>,
 }
 
@@ -177,7 +177,7 @@ impl GradientPlan {
         let gradients = Gradients { scene: wanted.scene.then(|| memory.scene_gradients()), cameras: d_cameras };
         let given = |_: &mut Recorder, _| d_frames;
         let (outputs, splats) =
-            record_with_splat_gradients(&mut rec, scene, cameras, shape, &options, capacity, given, &gradients);
+            record_with_gradients(&mut rec, scene, cameras, shape, &options, capacity, given, &gradients);
         let d_splats = wanted.means2d.then_some(splats);
         let d_splats_tensors = d_splats.iter().flat_map(|splats| [splats.conics, splats.d_pairs]);
         d_cameras.into_iter().chain(d_splats_tensors).for_each(|tensor| rec.output(tensor));

@@ -26,7 +26,7 @@ use intersect::TileLists;
 use project::Splats;
 
 pub use super::{FrameShape, SceneGradients, SceneTensors};
-pub use backward::{CAMERA_NUMBERS, Gradients, record_with_gradients};
+pub use backward::{CAMERA_NUMBERS, Gradients, SplatGradients, record_with_gradients};
 pub use differentiable::{Differentiator, HostGradients, Wanted};
 pub use frame::{Depth, RenderOptions, RenderOutput};
 pub use pack::PixelLayout;

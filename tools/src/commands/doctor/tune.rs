@@ -10,10 +10,9 @@ use zipsplat::{
 /// Measure the fastest tiles of linear layers, attention and k-means on this device, for later runs
 #[derive(Args)]
 #[command(
-    after_help = "What is found is kept in the cache folder for this device, driver and version of the kernels. Results \
-stay within the same tolerances; those of --precision fp32 keep their bits. A linear layer in f32, and in 16 bits without matrix \
-units, runs on lanes: as a subgroup's rows by registers alone, the rule, or by tiles in shared memory (with a depth k). Such a \
-tile is timed where it computes rightly, in f32 to the same bits.
+    after_help = "Measurements are cached by device, driver and kernel version. Results stay within the same tolerances; those of \
+--precision fp32 keep their bits. Linear layers without matrix units run on lanes, with rows in a subgroup's registers or tiles in \
+shared memory (with a depth k). A tile is timed only if it computes correctly, in f32 with the same bits.
 
 Examples:
   zipsplat doctor tune

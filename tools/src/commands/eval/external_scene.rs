@@ -38,11 +38,12 @@ pub struct ExternalScene {
     /// first-camera]
     #[arg(long, value_enum, value_name = "WHOSE", requires = "scene")]
     scene_frame: Option<SceneFrame>,
-    /// Cameras of the input photos in the scene's world, for --scene-frame aligned, in any format of
-    /// `--cameras`; with --protocol a folder of NAME.json or COLMAP models NAME/
+    /// Cameras of the input photos in the scene's world, for --scene-frame aligned, in any format
+    /// of `--cameras`; with --protocol a folder of NAME.json or COLMAP models NAME/
     #[arg(long, value_name = "PATH", requires = "scene")]
     scene_cameras: Option<PathBuf>,
-    /// Length in the cameras' unit that is 1 in the scene; --scene-frame aligned derives it [default: 1]
+    /// Length in the cameras' unit that is 1 in the scene; --scene-frame aligned derives it
+    /// [default: 1]
     #[arg(long, value_name = "LENGTH", requires = "scene", value_parser = parse_length)]
     scene_unit: Option<f64>,
     /// Opacities of the scene's file: logits, as in 3DGS, or plain, from 0 to 1

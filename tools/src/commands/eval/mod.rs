@@ -47,8 +47,8 @@ const TARGETS: usize = 8;
 /// bound, a camera at its movement limit; color, a picture no better than one color.
 ///
 /// With weights of Depth Anything 3 the scene is that of `reconstruct`: each confident pixel of the
-/// whole photos, whose longer side is --input-size. With --pose-free, estimated cameras place it in the
-/// known world.
+/// whole photos, whose longer side is --input-size. With --pose-free, estimated cameras place it in
+/// the known world.
 ///
 /// Two pictures, or two folders of pictures matched by file name without extension, are compared
 /// by PSNR, SSIM (as in scikit-image, Gaussian windows of 11 pixels) and LPIPS 0.1.
@@ -73,9 +73,9 @@ const TARGETS: usize = 8;
   zipsplat eval --protocol re10k test/ --indices ctx_6v_tgt_8v.json --weights zipsplat -o re10k/"
 )]
 pub struct Eval {
-    /// Capture: a folder with photos and their cameras, a transforms.json or a COLMAP model, or with
-    /// --cameras photos only; two pictures, or two folders of pictures, to compare; with --protocol
-    /// scenes of a data set, or folders of them
+    /// Capture: a folder with photos and their cameras, a transforms.json or a COLMAP model, or
+    /// with --cameras photos only; two pictures, or two folders of pictures, to compare; with
+    /// --protocol scenes of a data set, or folders of them
     #[arg(required = true, value_name = "CAPTURE|PICTURES")]
     folders: Vec<PathBuf>,
     /// Cameras of the photos: transforms.json or a COLMAP model's folder; colmap: estimated by
@@ -110,8 +110,8 @@ pub struct Eval {
     quality: Quality,
     #[command(flatten)]
     crop: CropOption,
-    /// Compare whole photos, at the scale of --input-size, even if the network sees only their center;
-    /// --crop tiles always does
+    /// Compare whole photos, at the scale of --input-size, even if the network sees only their
+    /// center; --crop tiles always does
     #[arg(long)]
     full_images: bool,
     /// Compared size, independent of the network's [default: that of --input-size]

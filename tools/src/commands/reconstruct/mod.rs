@@ -56,8 +56,8 @@ const REFINEMENT: &str = "Refinement";
 /// input-cameras that of the cameras.
 ///
 /// With weights of Depth Anything 3 each confident pixel becomes a Gaussian at its depth, and the
-/// cameras are estimated in the same pass. --input-size then gives the longer side, and --max-gaussians-per-token counts the
-/// pixels of a patch.
+/// cameras are estimated in the same pass. --input-size then gives the longer side, and
+/// --max-gaussians-per-token counts the pixels of a patch.
 #[derive(Args)]
 #[command(mut_args(adapted), after_help = format!("Examples:
   zipsplat reconstruct photos/ -o scene.ply
@@ -97,8 +97,8 @@ pub struct Reconstruct {
     #[command(flatten, next_help_heading = CAMERAS)]
     finding: Finding,
     /// Write the cameras as transforms.json: the estimated ones, of --optimize-cameras the refined
-    /// ones. --cameras colmap and da3 also write points and log beside it. Without --cameras they are
-    /// estimated from the scene's positions of each photo's patches, in the scene's world
+    /// ones. --cameras colmap and da3 also write points and log beside it. Without --cameras they
+    /// are estimated from the scene's positions of each photo's patches, in the scene's world
     #[arg(long, help_heading = CAMERAS, value_name = "FILE")]
     cameras_out: Option<PathBuf>,
     /// Length in the cameras' unit that is 1 for the network; the scene keeps the cameras' unit
@@ -111,8 +111,8 @@ pub struct Reconstruct {
     #[arg(long, help_heading = CAMERAS, value_enum, value_name = "WHICH", default_value = "first-camera", requires = "cameras")]
     world: WorldName,
     /// Make a scene of each capture in PHOTOS: folders with photos, directly or in images/, folders
-    /// of captures, or text files with a capture per line. OUTPUT is a folder. Run the command again
-    /// to resume; failures are rows of failures.csv, and the exit code is 1
+    /// of captures, or text files with a capture per line. OUTPUT is a folder. Run the command
+    /// again to resume; failures are rows of failures.csv, and the exit code is 1
     #[arg(long, help_heading = MANY, conflicts_with_all = ["refine", "cameras_out", "scene_scale", "world", "explain",
         "pictures", "depth_weights", "recursive"])]
     each: bool,

@@ -101,7 +101,8 @@ fn show_tokens(
     let json = json!({
         "device": limits.name, "views": views, "tokens": shape.tokens, "commands": plan.len(), "flops": plan.flops(),
         "precision": precision.name(), "peak_bytes": weights + scene + arena + kept, "weight_bytes": weights,
-        "refine_kept_bytes": refined.as_ref().map(|_| kept), "refine_arena_bytes": refined.as_ref().map(|_| own), "scene_bytes": scene, "arena_bytes": arena, "separate_bytes": separate, "rows": rows,
+        "refine_kept_bytes": refined.as_ref().map(|_| kept), "refine_arena_bytes": refined.as_ref().map(|_| own),
+        "scene_bytes": scene, "arena_bytes": arena, "separate_bytes": separate, "rows": rows,
     });
     let (table, smaller) = table(rows, command.explain);
     let mut text = format!(
