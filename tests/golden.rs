@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 use safetensors::tensor::{Metadata, TensorInfo};
 use safetensors::{Dtype, SafeTensors};
-use zipsplat::{perceptual::Perceptual, stages::lpips::LpipsNetwork};
+use zipsplat::{gpu::cache_dir, perceptual::Perceptual, stages::lpips::LpipsNetwork};
 
 /// Header size of safetensors.
 const LENGTH_BYTES: usize = 8;
@@ -34,7 +34,7 @@ pub fn find(file: &str) -> Option<PathBuf> {
 
 /// Finds LPIPS weights, or prints a line.
 pub fn lpips_weights(network: LpipsNetwork) -> Option<PathBuf> {
-    let found = Perceptual::file(network);
+    let found = Perceptual::file(network, cache_dir().as_deref());
     if let Err(error) = &found {
         let _ = writeln!(io::stderr(), "{error}: not compared");
     }

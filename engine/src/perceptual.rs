@@ -5,7 +5,7 @@ use crate::{
     gpu::{Device, Limits, Recorder, Resident, Run, Tensor},
     ops::{Arithmetic, ParameterLayout},
     stages::lpips::{Lpips, LpipsNetwork, LpipsPictures},
-    tune::{KernelChoice, cache_folder},
+    tune::KernelChoice,
     weights::Tensors,
 };
 use std::{
@@ -62,13 +62,13 @@ struct Prepared {
 }
 
 impl Perceptual {
-    /// Path of the cached weights.
+    /// Path of the weights in a cache folder.
     ///
     /// # Errors
     /// [`Error::Argument`] with the command to fetch them.
-    pub fn file(network: LpipsNetwork) -> Result<PathBuf> {
+    pub fn file(network: LpipsNetwork, cache: Option<&Path>) -> Result<PathBuf> {
         let name = format!("lpips_{}.safetensors", network.name());
-        let folder = cache_folder().unwrap_or_default();
+        let folder = cache.unwrap_or(Path::new(""));
         let path = folder.join(&name);
         let missing = || {
             let expected = format!("{name} there: `python3 tools/lpips.py` fetches it (64 MB)");

@@ -2,15 +2,17 @@
 
 use std::{
     ffi::{CStr, CString},
+    ops::ControlFlow::Continue,
     ptr::null,
     sync::OnceLock,
 };
 use zipsplat::{
+    reconstruct::{Model, ReconstructOptions},
     types::{Image, Intrinsics, Scene},
     weights::{Checkpoint, Dtype},
 };
 use zipsplat_c::*;
-use zipsplat_tests::architectures;
+use zipsplat_tests::{architectures, device::device as rust_device};
 
 /// Destroyed on drop.
 pub struct Object<T> {
@@ -157,6 +159,12 @@ pub fn try_reconstruct(
     Object::try_new(zs_reconstruction_destroy, make)
 }
 
+/// The same in Rust, of views.
+pub fn rust_scene(checkpoint: &Checkpoint, views: &[Image], options: &ReconstructOptions) -> Scene {
+    let model = Model::from_checkpoint(rust_device(), checkpoint, |_| Continue(())).expect("a model");
+    model.reconstruct_views(views, options, |_| Continue(())).expect("a scene").to_scene().expect("Gaussians")
+}
+
 pub fn to_scene(reconstruction: &Object<zs_reconstruction>) -> Object<zs_scene> {
     made(try_to_scene(reconstruction))
 }
@@ -228,6 +236,12 @@ pub fn read(scene: &Object<zs_scene>) -> Scene {
             sh_degree: found.sh_degree,
         }
     }
+}
+
+pub fn bits(scene: &Scene) -> Vec<u32> {
+    let fields = [scene.means.as_flattened(), scene.scales.as_flattened(), scene.quats.as_flattened()];
+    let fields = fields.into_iter().chain([&scene.opacities[..], scene.sh_coeffs.as_flattened()]);
+    fields.flatten().map(|x| x.to_bits()).collect()
 }
 
 pub fn arrays(scene: &Scene) -> zs_gaussians {

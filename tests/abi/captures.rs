@@ -1,13 +1,12 @@
 use crate::calls::*;
 use std::{
     ffi::{CStr, c_char},
-    ops::ControlFlow,
     path::Path,
     ptr::{null, null_mut},
 };
 use tempfile::TempDir;
 use zipsplat::{
-    reconstruct::{Model, ReconstructOptions},
+    reconstruct::ReconstructOptions,
     types::{
         Camera, Distortion, Intrinsics, Lens, Orbit,
         poses::{Capture, CaptureView, write_frames},
@@ -15,7 +14,7 @@ use zipsplat::{
     },
 };
 use zipsplat_c::{zs_status::*, *};
-use zipsplat_tests::{compare::assert_same, device::device as rust_device};
+use zipsplat_tests::compare::assert_same;
 
 const COUNT: usize = 3;
 
@@ -154,9 +153,7 @@ fn the_unit_is_found_from_the_capture() {
         let images: Vec<_> = views.into_iter().map(|view| view.image).collect();
         let request =
             ReconstructOptions { cameras: Some(cameras), scene_scale: Some(unit), ..ReconstructOptions::default() };
-        let rust = Model::from_checkpoint(rust_device(), &checkpoint(), |_| ControlFlow::Continue(())).unwrap();
-        let expected =
-            rust.reconstruct_views(&images, &request, |_| ControlFlow::Continue(())).unwrap().to_scene().unwrap();
+        let expected = rust_scene(&checkpoint(), &images, &request);
         assert_same(&format!("means, unit {unit}"), in_c.means.as_flattened(), expected.means.as_flattened());
         scenes.push(in_c);
     }

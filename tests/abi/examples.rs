@@ -1,7 +1,7 @@
 //! Examples on the tests' device.
 
 use crate::{
-    calls::{micro, photos},
+    calls::{micro, photos, rust_scene},
     header::root,
     installation::{Linking, installation, runner, success},
 };
@@ -14,7 +14,7 @@ use tempfile::TempDir;
 use zipsplat::{
     depth::{DepthModel, DepthOptions},
     ops::Arithmetic,
-    reconstruct::{Model, ReconstructOptions},
+    reconstruct::ReconstructOptions,
     types::{DEFAULT_BOUND, Image, bounded_views, preprocess::fit, read_ply},
     weights::{Checkpoint, DepthCheckpoint, Dtype},
 };
@@ -39,9 +39,7 @@ fn expected_means(checkpoint: &Checkpoint, photos: &[PathBuf]) -> Vec<[f32; 3]> 
     let side = checkpoint.image_size();
     let view = |path: &PathBuf| fit(&Image::open(path).expect("a photo"), side, side).expect("a view").image;
     let images: Vec<_> = photos.iter().map(view).collect();
-    let model = Model::from_checkpoint(rust_device(), checkpoint, |_| ControlFlow::Continue(())).expect("a model");
-    let done = model.reconstruct_views(&images, &ReconstructOptions::default(), |_| ControlFlow::Continue(()));
-    done.expect("a scene").to_scene().unwrap().means
+    rust_scene(checkpoint, &images, &ReconstructOptions::default()).means
 }
 
 /// `message` is the expected output for a number of Gaussians.
@@ -149,7 +147,7 @@ fn depth_in_c() {
     assert_eq!(out.lines().filter(|line| line.contains("in the middle, confidence")).count(), 2, "{out}");
 
     let read: Vec<Image> = photos.iter().map(|path| Image::open(path).expect("a photo")).collect();
-    let views = bounded_views(&read, DEFAULT_BOUND).expect("views");
+    let views = bounded_views(read.len(), |i| Ok(&read[i]), DEFAULT_BOUND).expect("views");
     let images: Vec<Image> = views.iter().map(|view| view.image.clone()).collect();
     let checkpoint = DepthCheckpoint::open(&weights, false).expect("weights");
     let model =

@@ -26,25 +26,19 @@ pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().expect("the repository is there")
 }
 
-/// Stored as integers by structures.
-const ENUMERATIONS: [&str; 11] = [
-    "zs_progress_action",
-    "zs_device_kind",
-    "zs_pixel_format",
-    "zs_precision",
-    "zs_token_selection",
-    "zs_world",
-    "zs_camera_source",
-    "zs_refine_target",
-    "zs_stop_reason",
-    "zs_depth_mode",
-    "zs_requirement_kind",
-];
+/// Enumerations that structures store as integers, each with an alias of its name and `_value`.
+pub fn enumerations() -> Vec<String> {
+    let aliased = |line: &str| {
+        let name = line.strip_prefix("pub(super) type ")?.strip_suffix("_value = i32;")?;
+        Some(name.to_owned())
+    };
+    SOURCES.map(text).iter().flat_map(|source| source.lines().filter_map(aliased)).collect()
+}
 
 fn generate() -> String {
-    let ffi = root().join("engine/bindings/c/src");
-    let preamble = std::fs::read_to_string(ffi.join("preamble.h")).expect("a preamble");
-    let number = |name: &str| format!("{name}_value");
+    let preamble = std::fs::read_to_string(sources().join("preamble.h")).expect("a preamble");
+    let enumerations = enumerations();
+    let number = |name: &String| format!("{name}_value");
     let config = Config {
         language: Language::C,
         header: Some(preamble.trim_end().to_owned()),
@@ -59,23 +53,27 @@ fn generate() -> String {
         tab_width: 4,
         enumeration: EnumConfig { rename_variants: RenameRule::None, ..EnumConfig::default() },
         export: ExportConfig {
-            include: ENUMERATIONS.map(str::to_owned).to_vec(),
-            exclude: ENUMERATIONS.map(number).to_vec(),
-            rename: ENUMERATIONS.iter().map(|name| (number(name), name.to_string())).collect(),
+            exclude: enumerations.iter().map(number).collect(),
+            rename: enumerations.iter().map(|name| (number(name), name.clone())).collect(),
+            include: enumerations,
             ..ExportConfig::default()
         },
         ..Config::default()
     };
-    let builder = SOURCES
-        .iter()
-        .fold(Builder::new().with_config(config), |builder, name| builder.with_src(ffi.join(format!("{name}.rs"))));
+    let builder = SOURCES.iter().fold(Builder::new().with_config(config), |builder, name| {
+        builder.with_src(sources().join(format!("{name}.rs")))
+    });
     let mut header = Vec::new();
     builder.generate().expect("the sources can be read").write(&mut header);
-    by_source(&String::from_utf8(header).expect("text"), &SOURCES.map(|name| text(&ffi, name)))
+    by_source(&String::from_utf8(header).expect("text"), &SOURCES.map(text))
 }
 
-fn text(ffi: &Path, name: &str) -> String {
-    std::fs::read_to_string(ffi.join(format!("{name}.rs"))).expect("a source")
+fn sources() -> PathBuf {
+    root().join("engine/bindings/c/src")
+}
+
+fn text(name: &str) -> String {
+    std::fs::read_to_string(sources().join(format!("{name}.rs"))).expect("a source")
 }
 
 /// cbindgen would write ten preprocessor lines per enumeration.

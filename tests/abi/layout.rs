@@ -1,7 +1,7 @@
 //! Sizes, offsets and values match C.
 
 use crate::{
-    header::root,
+    header::{enumerations, root},
     installation::{Linking, installation, runner, success},
 };
 use std::{fmt::Write, mem::offset_of};
@@ -27,7 +27,7 @@ fn structures() -> Vec<(String, usize)> {
     layout! {
         zs_progress { struct_size, reserved, fraction, stage, step, steps, loss, psnr, eta_seconds }
         zs_device_info { struct_size, index, usable, kind, memory_bytes, name, driver, unusable_reason, uuid }
-        zs_device_options { struct_size, validation, max_memory_bytes, device }
+        zs_device_options { struct_size, validation, max_memory_bytes, device, cache_dir }
         zs_image { struct_size, format, width, height, stride, pixels }
         zs_camera { struct_size, reserved, width, height, fx, fy, cx, cy, rotation, translation }
         zs_gaussians { struct_size, sh_degree, count, means, scales, quats, opacities, sh_coeffs }
@@ -55,7 +55,7 @@ fn structures() -> Vec<(String, usize)> {
         zs_depth_map { struct_size, reserved, width, height, depth, confidence, sky, camera, image_camera }
         zs_refine_options {
             struct_size, steps, views_per_step, holdout_views, max_image_size, target, optimize_cameras, perceptual_weight,
-            reserved, seed, max_gaussians, progress, user_data
+            reserved, seed, max_gaussians, progress, user_data, seconds
         }
         zs_refine_result {
             struct_size, stop_reason, steps, best_step, initial_loss, final_loss, initial_psnr, best_psnr, seconds,
@@ -68,7 +68,7 @@ fn structures() -> Vec<(String, usize)> {
         zs_vulkan_requirement { kind, optional, name, structure }
         zs_vulkan_device {
             struct_size, queue_family, get_instance_proc_addr, instance, physical_device, device, queue, lock_queue,
-            unlock_queue, user_data, optional_features_enabled, reserved
+            unlock_queue, user_data, optional_features_enabled, reserved, cache_dir
         }
         zs_semaphore_point { semaphore, value }
         zs_vulkan_target {
@@ -109,22 +109,9 @@ fn constants() -> Vec<(String, usize)> {
 
 #[test]
 fn is_what_c_sees() {
-    let enumerations = [
-        "status",
-        "progress_action",
-        "device_kind",
-        "pixel_format",
-        "precision",
-        "token_selection",
-        "world",
-        "camera_source",
-        "refine_target",
-        "stop_reason",
-        "depth_mode",
-        "requirement_kind",
-    ];
+    let enumerations = enumerations().into_iter().chain(["zs_status".to_owned()]);
     let mut expected = [structures(), constants()].concat();
-    expected.extend(enumerations.map(|name| (format!("sizeof(zs_{name})"), 4)));
+    expected.extend(enumerations.map(|name| (format!("sizeof({name})"), 4)));
     let mut program = "#include <stdio.h>\n#include <zipsplat.h>\nint main(void) {\n".to_owned();
     for (expression, _) in &expected {
         let _ = writeln!(program, "    printf(\"%zu %s\\n\", (size_t)({expression}), \"{expression}\");");

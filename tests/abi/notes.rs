@@ -12,6 +12,19 @@ fn kernels_that_fail_their_test_are_named() {
     assert_succeeds(child("notes::failing_kernels", cache.path(), "export ZIPSPLAT_CACHE=\"$ZIPSPLAT_TEST_TARGET\""));
 }
 
+#[test]
+fn results_are_kept_where_the_device_says() {
+    let cache = tempfile::tempdir().expect("a folder");
+    let folder = c_string(cache.path().to_str().expect("UTF-8"));
+    let options = zs_device_options { cache_dir: folder.as_ptr(), ..Versioned::new() };
+    // SAFETY: options that outlive the call, an output pointer.
+    let device = Object::new(zs_device_destroy, |out| unsafe { zs_device_create(&options, out) });
+    match precision_and_notes(&device, ZS_PRECISION_FP16) {
+        Ok(_) => assert_eq!(fs::read_dir(cache.path().join("self-test")).expect("results").count(), 1),
+        Err(_) => eprintln!("not tested: {}", message()),
+    }
+}
+
 fn precision_and_notes(device: &Object<zs_device>, precision: zs_precision) -> Result<(i32, String), zs_status> {
     let model = try_model_with(device, &zs_model_options { precision: precision as i32, ..Versioned::new() })?;
     let mut info = zs_model_info::new();

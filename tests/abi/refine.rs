@@ -78,12 +78,6 @@ impl Place {
     }
 }
 
-fn bits(scene: &Scene) -> Vec<u32> {
-    let fields = [scene.means.as_flattened(), scene.scales.as_flattened(), scene.quats.as_flattened()];
-    let fields = fields.into_iter().chain([&scene.opacities[..], scene.sh_coeffs.as_flattened()]);
-    fields.flatten().map(|x| x.to_bits()).collect()
-}
-
 struct CallLog {
     steps: Vec<zs_progress>,
     stop_after: usize,
@@ -158,6 +152,15 @@ fn a_refinement_that_is_canceled_hands_out_nothing() {
 }
 
 #[test]
+fn a_time_sets_the_steps() {
+    let place = place(3);
+    let (scene, info) = made(place.in_c(&zs_refine_options { steps: 9, seconds: 1e-9, ..Versioned::new() }));
+    assert_eq!((info.stop_reason, info.steps), (zs_stop_reason::ZS_STOP_REASON_FINISHED as i32, 1));
+    let expected = place.in_rust(&RefineOptions { steps: 1, ..RefineOptions::default() }, usize::MAX);
+    assert_same("scene", &bits(&scene), &bits(&expected.scene));
+}
+
+#[test]
 fn cameras_are_optimized_and_gaussians_grow_as_in_rust() {
     let mut place = place(3);
     place.cameras[1].pose.translation.x += 0.01;
@@ -208,6 +211,8 @@ fn what_cannot_be_refined_is_refused() {
         fails(status, ZS_ERROR_ARGUMENT, words);
     };
     refused(zs_refine_options { optimize_cameras: 2, ..Versioned::new() }, &["optimize_cameras", "0 or 1"]);
+    refused(zs_refine_options { seconds: -1.0, ..Versioned::new() }, &["seconds", "-1"]);
+    refused(zs_refine_options { seconds: f64::NAN, ..Versioned::new() }, &["seconds", "NaN"]);
     refused(zs_refine_options { perceptual_weight: f32::NAN, ..Versioned::new() }, &["perceptual_weight"]);
     refused(zs_refine_options { holdout_views: -2, ..Versioned::new() }, &["holdout_views", "-2"]);
     refused(zs_refine_options { holdout_views: 2, ..Versioned::new() }, &["held-out photos", "fewer than the 2"]);

@@ -14,17 +14,6 @@ use zipsplat::{
 use zipsplat_c::*;
 use zipsplat_tests::{compare::assert_same, device::device as rust_device, scenes::scene_extensions};
 
-fn rust_scene(photos: &[Image], request: &ReconstructOptions) -> Scene {
-    let model = Model::from_checkpoint(rust_device(), &checkpoint(), |_| ControlFlow::Continue(())).unwrap();
-    model.reconstruct_views(photos, request, |_| ControlFlow::Continue(())).unwrap().to_scene().unwrap()
-}
-
-fn bits(scene: &Scene) -> Vec<u32> {
-    let fields = [scene.means.as_flattened(), scene.scales.as_flattened(), scene.quats.as_flattened()];
-    let fields = fields.into_iter().chain([&scene.opacities[..], scene.sh_coeffs.as_flattened()]);
-    fields.flatten().map(|x| x.to_bits()).collect()
-}
-
 /// Bytes, row stride, and offset of the top row.
 fn encode(photo: &Image, format: zs_pixel_format, padding: usize, bottom_up: bool) -> (Vec<u8>, i64, usize) {
     let mut rows: Vec<Vec<u8>> = Vec::new();
@@ -51,7 +40,7 @@ fn encode(photo: &Image, format: zs_pixel_format, padding: usize, bottom_up: boo
 fn photos_of_every_format_give_rusts_scene() {
     let photos = photos(2);
     let request = ReconstructOptions { ratio: Ratio::Fixed(0.5), ..ReconstructOptions::default() };
-    let expected = bits(&rust_scene(&photos, &request));
+    let expected = bits(&rust_scene(&checkpoint(), &photos, &request));
     let device = open_device();
     let model = model(&device);
     let options = zs_reconstruct_options { ratio: 0.5, ..reconstruct_options() };
@@ -118,7 +107,7 @@ fn options_and_cameras_give_rusts_scene() {
             kv_pool: pool,
             ..ReconstructOptions::default()
         };
-        let expected = bits(&rust_scene(&photos, &request));
+        let expected = bits(&rust_scene(&checkpoint(), &photos, &request));
         assert_same(&format!("{request:?}"), &bits(&read(&reconstruct(&model, &images, &options))), &expected);
     }
     // Another scale, by an exact power of two.
@@ -321,13 +310,7 @@ fn weights_of_8_bits_come_from_memory() {
     let model = made(model_from(&device, &bytes, &options));
     let from_c = reconstruct(&model, &photos.iter().map(image_of).collect::<Vec<_>>(), &reconstruct_options());
     let checkpoint = Checkpoint::from_bytes("q8", bytes.clone(), None).expect("what was just written");
-    let ours =
-        Model::from_checkpoint(rust_device(), &checkpoint, |_| ControlFlow::Continue(())).expect("small models fit");
-    let ours = ours
-        .reconstruct_views(&photos, &ReconstructOptions::default(), |_| ControlFlow::Continue(()))
-        .unwrap()
-        .to_scene()
-        .unwrap();
+    let ours = rust_scene(&checkpoint, &photos, &ReconstructOptions::default());
     assert_same("q8", &bits(&read(&from_c)), &bits(&ours));
     if Arithmetic::of(Precision::Int8, rust_device().limits()).is_some() {
         let int8 = zs_model_options { precision: zs_precision::ZS_PRECISION_INT8 as i32, ..options };

@@ -28,12 +28,8 @@ impl ImageTolerance {
     pub const EXPECTED_DEPTH: ImageTolerance = ImageTolerance { absolute: 6e-5, relative: 0.0, psnr: 110.0 };
     /// Color and alpha of `edge`: inverse covariances are ill-conditioned.
     pub const RGB_EDGE: ImageTolerance = ImageTolerance { absolute: 1.5e-4, relative: 0.0, psnr: 90.0 };
-    /// `edge` antialiased: a needle's determinant cancels.
-    pub const RGB_EDGE_ANTIALIASED: ImageTolerance = ImageTolerance { absolute: 8e-3, relative: 0.0, psnr: 60.0 };
     /// Depths of `edge`, up to a thousand units.
     pub const DEPTH_EDGE: ImageTolerance = ImageTolerance { absolute: 2e-4, relative: 2e-4, psnr: 80.0 };
-    /// Depths of `edge` antialiased.
-    pub const DEPTH_EDGE_ANTIALIASED: ImageTolerance = ImageTolerance { absolute: 1e-2, relative: 2.5e-2, psnr: 50.0 };
     /// f64 against truth stored in f32.
     pub const STORED: ImageTolerance = ImageTolerance { absolute: 1e-7, relative: 1e-7, psnr: 140.0 };
 

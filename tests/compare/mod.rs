@@ -102,12 +102,6 @@ where
 /// # Panics
 /// As [`assert_close`].
 #[track_caller]
-pub fn assert_tap(golden: &Golden, key: &str, got: &[impl Float]) -> Deviation {
-    assert_tap_within(golden, key, got, Tolerance::of_tap(key))
-}
-
-/// Acts as [`assert_tap`] with an explicit tolerance.
-#[track_caller]
 pub fn assert_tap_within(golden: &Golden, key: &str, got: &[impl Float], tolerance: Tolerance) -> Deviation {
     let name = format!("{} {key}", golden.file());
     if golden.has(key) {

@@ -206,6 +206,10 @@ def test_progress_functions_stop_and_raise(model: zipsplat.Model, photos: list[P
     scene = zipsplat.Scene.from_arrays(place.means, place.scales, place.quats, place.opacities, place.sh_coeffs + 0.3)
     with pytest.raises(zipsplat.ArgumentError, match="steps: found 0"):
         scene.refine(opened, steps=0)
+    with pytest.raises(zipsplat.ArgumentError, match="seconds: found 0"):
+        scene.refine(opened, seconds=0)
+    timed = scene.refine(opened, seconds=1e-9).refinement
+    assert timed is not None and timed.steps == 1
     best = scene.refine(opened, steps=9, progress=lambda now: now.step < 2)
     assert best.refinement is not None and (best.refinement.stop_reason, best.refinement.steps) == ("stopped", 2)
     with pytest.raises(KeyError, match="mine"):

@@ -27,7 +27,7 @@ fn head(golden: &Golden) -> (Head, Arc<Resident>) {
 fn load(checkpoint: &Checkpoint) -> (Head, Arc<Resident>) {
     let mut parameters = ParameterLayout::new(device().limits(), Arithmetic::EXACT);
     let head = Head::new(&mut parameters, checkpoint.architecture());
-    let loaded = parameters.load(device(), checkpoint, |_| ControlFlow::Continue(())).expect("a small head fits");
+    let loaded = parameters.load(device(), &**checkpoint, |_| ControlFlow::Continue(())).expect("a small head fits");
     (head, loaded.resident)
 }
 

@@ -157,7 +157,7 @@ impl PreparedPhotos {
     /// `side` is the longer side; `known` frames have cameras.
     pub fn read(side: Option<u32>, photos: &[PathBuf], known: &[&CaptureView], stage: &Stage<'_>) -> Result<Self> {
         let read = photos::read(photos, known, stage, |_, photo| Ok(photo))?;
-        let views = bounded_views(&read, side.unwrap_or(DEFAULT_BOUND))?;
+        let views = bounded_views(read.len(), |i| Ok(&read[i]), side.unwrap_or(DEFAULT_BOUND))?;
         let known_cameras = (!known.is_empty()).then(|| of_views(known, &views)).transpose()?;
         Ok(Self { photos: photos.to_vec(), views, known_cameras })
     }

@@ -103,7 +103,7 @@ impl LpipsOption {
             Some(Network::Alex) => LpipsNetwork::Alex,
             Some(Network::Vgg) | None => LpipsNetwork::Vgg,
         };
-        match (Perceptual::file(network), self.lpips) {
+        match (Perceptual::file(network, device.cache_dir()), self.lpips) {
             (Ok(path), _) => Perceptual::open(device, network, &path, gradients).map(Some),
             (Err(error), Some(_)) => Err(error),
             (Err(_), None) => Ok(None),

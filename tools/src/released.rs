@@ -2,7 +2,7 @@
 
 use crate::download::{Client, TAG};
 use std::path::{Path, PathBuf};
-use zipsplat::{Error, Result, tune::cache_folder, weights::DepthCheckpoint};
+use zipsplat::{Error, Result, gpu::cache_dir, weights::DepthCheckpoint};
 
 pub struct Released {
     pub name: &'static str,
@@ -159,7 +159,7 @@ impl Released {
 }
 
 pub fn folder() -> Result<PathBuf> {
-    let cache = cache_folder().map(|cache| cache.join("weights"));
+    let cache = cache_dir().map(|cache| cache.join("weights"));
     cache.ok_or_else(|| Error::argument("cache folder", "none", "ZIPSPLAT_CACHE, or HOME, in the environment"))
 }
 

@@ -1,5 +1,7 @@
 //! Resizing of whole photos for Depth Anything 3, as OpenCV does it: bounded longest side.
 
+use std::borrow::Borrow;
+
 use rayon::prelude::*;
 
 use super::{
@@ -14,22 +16,32 @@ pub const DEFAULT_BOUND: u32 = 504;
 const A: f64 = -0.75;
 const BITS: i32 = 11;
 
-/// Resizes photos as [`bounded`]. If sizes differ, crops all to the common center.
+/// Resizes `count` photos, which `photo` opens, as [`bounded`]. If sizes differ, crops all to the
+/// common center.
 ///
 /// # Errors
 ///
-/// [`Error::Argument`] if the bound is less than a patch or a photo's fields disagree.
-pub fn bounded_views(photos: &[Image], bound: u32) -> Result<Vec<View>> {
-    let scaled = photos.par_iter().map(|photo| bounded(photo, bound)).collect::<Result<Vec<_>>>()?;
-    let least = |side: fn(&Image) -> u32| scaled.iter().map(side).min().unwrap_or_default();
-    let (width, height) = (least(|image| image.width), least(|image| image.height));
-    let view = |(photo, whole): (&Image, Image)| {
-        let mut map = PixelMap::resized(photo, whole.width, whole.height);
-        let (left, top) = ((whole.width - width) / 2, (whole.height - height) / 2);
-        (map.to, map.offset) = ([width, height], [-f64::from(left), -f64::from(top)]);
-        Ok(View { image: whole.crop(left, top, width, height)?, map })
+/// Those of `photo`, and [`Error::Argument`] if the bound is less than a patch or a photo's fields
+/// disagree.
+pub fn bounded_views<P: Borrow<Image>>(
+    count: usize,
+    photo: impl Fn(usize) -> Result<P> + Sync,
+    bound: u32,
+) -> Result<Vec<View>> {
+    let scaled = |i: usize| {
+        let photo = photo(i)?;
+        let image = bounded(photo.borrow(), bound)?;
+        Ok(View { map: PixelMap::resized(photo.borrow(), image.width, image.height), image })
     };
-    photos.iter().zip(scaled).map(view).collect()
+    let mut views = (0..count).into_par_iter().map(scaled).collect::<Result<Vec<View>>>()?;
+    let least = |side: fn(&Image) -> u32| views.iter().map(|view| side(&view.image)).min().unwrap_or_default();
+    let (width, height) = (least(|image| image.width), least(|image| image.height));
+    for View { image, map } in &mut views {
+        let (left, top) = ((image.width - width) / 2, (image.height - height) / 2);
+        (map.to, map.offset) = ([width, height], [-f64::from(left), -f64::from(top)]);
+        *image = image.crop(left, top, width, height)?;
+    }
+    Ok(views)
 }
 
 /// Resizes a photo to longest side `bound`, then rounds each side to a multiple of [`PATCH`], ties

@@ -3,7 +3,7 @@
 use std::io::Write;
 use std::path::Path;
 
-use super::{Scene, World, file::write_atomic, source::Source};
+use super::{Scene, World, source::Source};
 use crate::Result;
 
 pub(super) struct Format {
@@ -23,13 +23,6 @@ type ReadLine = fn(&Path) -> Result<Option<String>>;
 
 /// Writes the prepared file.
 pub(super) type Encoder<'a> = Box<dyn FnOnce(&mut dyn Write) -> std::io::Result<()> + 'a>;
-
-impl Format {
-    pub fn write_file(&self, path: &Path, scene: &Scene, options: &SaveOptions, world: Option<&World>) -> Result<()> {
-        scene.validate()?;
-        write_atomic(path, (self.write)(scene, options, world)?)
-    }
-}
 
 /// Format options for writing scenes.
 #[derive(Clone, Copy, Debug)]

@@ -33,7 +33,6 @@ pub use camera::{
 pub use file::{Unfinished, open_file, remove_stale, write_atomic};
 pub use folder::{PHOTO_EXTENSIONS, is_photo, natural_order};
 pub use format::SaveOptions;
-pub use gltf::{read_gltf, write_gltf};
 pub use image::{Image, MAX_DECODED_BYTES, MAX_SIDE, contact_sheet, is_heic_start};
 pub use lens::{Distortion, Lens};
 pub use ply::{PointCloud, read_ply, read_points, write_ply, write_points};
@@ -41,8 +40,7 @@ pub use scene::{NEAR, Scene, near};
 pub use scene_file::{SceneFormat, read_world};
 pub use sh_rotation::sh_rotation;
 pub use skipped_pass::SkippedPass;
-pub use splat::{read_splat, write_splat};
-pub use spz::{read_spz, spz_coarsening, write_spz};
+pub use spz::spz_coarsening;
 pub use tiles::{tile_count, tiles};
 pub use trajectory::{Dolly, Ellipse, Orbit, Spline, mean_up};
 pub use world::{Origin, World};

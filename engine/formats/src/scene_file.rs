@@ -5,6 +5,7 @@ use std::path::Path;
 
 use super::{
     Scene, World,
+    file::write_atomic,
     format::{Format, SaveOptions},
     gltf, ply,
     source::Source,
@@ -168,7 +169,8 @@ impl Scene {
         let path = path.as_ref();
         let format = SceneFormat::of_extension(path)
             .ok_or_else(|| Error::argument("scene file", path.display(), SceneFormat::EXTENSIONS))?;
-        format.format().write_file(path, self, options, world)
+        self.validate()?;
+        write_atomic(path, (format.format().write)(self, options, world)?)
     }
 
     /// Encodes the file that [`Scene::save`] writes.

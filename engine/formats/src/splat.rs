@@ -3,7 +3,6 @@
 //! color of degree 0, clamped to 0..1.
 
 use std::f32::consts::FRAC_1_PI;
-use std::path::Path;
 
 use super::format::{Encoder, Format, SaveOptions};
 use super::{Scene, World, camera::unit_quaternion, source::Source};
@@ -19,15 +18,7 @@ fn sh_constant() -> f32 {
     0.5 * FRAC_1_PI.sqrt()
 }
 
-/// Writes a `.splat` atomically, largest and most opaque Gaussians first for progressive viewers.
-///
-/// # Errors
-///
-/// [`Error::Argument`] if the scene is invalid.
-pub fn write_splat(scene: &Scene, path: impl AsRef<Path>) -> Result<()> {
-    FORMAT.write_file(path.as_ref(), scene, &SaveOptions::default(), None)
-}
-
+/// Orders the largest and most opaque Gaussians first, for progressive viewers.
 fn encoder<'a>(scene: &'a Scene, _: &SaveOptions, _: Option<&World>) -> Result<Encoder<'a>> {
     let importance = |i: usize| scene.scales[i].map(f64::from).iter().product::<f64>() * f64::from(scene.opacities[i]);
     let mut order: Vec<usize> = (0..scene.len()).collect();
@@ -47,16 +38,7 @@ fn encode(scene: &Scene, i: usize) -> [u8; ROW] {
     row
 }
 
-/// Reads a `.splat` of degree 0. Quaternions keep their rounded length.
-///
-/// # Errors
-///
-/// [`Error::Format`] for an incomplete Gaussian, values that are not finite, a negative standard
-/// deviation or a zero rotation.
-pub fn read_splat(path: impl AsRef<Path>) -> Result<Scene> {
-    read_unchecked(Source::open(path.as_ref())?)?.validated(path.as_ref())
-}
-
+/// Quaternions keep their rounded length.
 fn read_unchecked(mut source: Source<'_>) -> Result<Scene> {
     let bytes = source.rest()?;
     let (rows, rest) = bytes.as_chunks::<ROW>();

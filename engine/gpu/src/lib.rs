@@ -11,7 +11,7 @@ mod plan;
 mod run;
 
 pub use device::{
-    Adopted, Device, DeviceInfo, DeviceOptions, Limits, Matrices, MatrixShape, QueueLock, Requirement,
+    Adopted, Device, DeviceInfo, DeviceOptions, Limits, Matrices, MatrixShape, QueueLock, Requirement, cache_dir,
     fast_requirements, list_devices, requirements,
 };
 pub use memory::{Arena, Claim, Element, Resident, ResidentLayout, Tensor};

@@ -64,7 +64,7 @@ impl DepthModel {
         progress: impl FnMut(f64) -> ControlFlow<()>,
     ) -> Result<Self> {
         let network = DepthNetwork::new(checkpoint.architecture(), device.limits(), arithmetic);
-        let parameters = network.parameters.load(device, checkpoint, progress)?;
+        let parameters = network.parameters.load(device, &**checkpoint, progress)?;
         Ok(Self { device: device.clone(), network, parameters, arena: Arena::new(device) })
     }
 

@@ -149,7 +149,7 @@ impl Model {
         progress: impl FnMut(f64) -> ControlFlow<()>,
     ) -> Result<Self> {
         let network = Network::of(checkpoint, device.limits(), arithmetic)?;
-        let parameters = network.parameters.load(device, checkpoint, progress)?;
+        let parameters = network.parameters.load(device, &**checkpoint, progress)?;
         let (arena, recorded) = (Arena::new(device), Mutex::default());
         let image_size = checkpoint.image_size();
         Ok(Self { device: device.clone(), network, image_size, parameters, arena, recorded })

@@ -100,7 +100,8 @@ impl Gaussians {
     ) -> Result<Self> {
         let clear = filling(arena, &memories[0], gradients.into_iter())?;
         let open = |PerceptualLoss { network, .. }: PerceptualLoss| {
-            LpipsWeights::open(arena.device(), network, &Perceptual::file(network)?, true)
+            let device = arena.device();
+            LpipsWeights::open(device, network, &Perceptual::file(network, device.cache_dir())?, true)
         };
         let lpips = options.perceptual_loss.map(open).transpose()?;
         let limits = arena.device().limits();

@@ -37,7 +37,7 @@ impl FrozenHead {
         let arithmetic = KernelChoice::exact(device);
         let mut parameters = ParameterLayout::new(device.limits(), arithmetic);
         let head = Head::new(&mut parameters, &architecture);
-        let memory = parameters.load(device, checkpoint, |_| ControlFlow::Continue(()))?.resident;
+        let memory = parameters.load(device, &**checkpoint, |_| ControlFlow::Continue(()))?.resident;
         Ok(Self { head, architecture, memory })
     }
 }

@@ -22,7 +22,7 @@ use crate::{
     ops::{Epilogue, Linear, ParameterLayout, Rows, row_chunks},
     types::Scene,
 };
-use backbone::{Backbone, DepthBackbone, backbone};
+use backbone::{Da3, DepthBackbone};
 use fuse::Fuse;
 use gaussians::Gaussians;
 use heads::DepthHeads;
@@ -30,7 +30,7 @@ use heads::DepthHeads;
 /// The stages that have parameters.
 pub struct Stages {
     /// From pixels to tokens.
-    pub backbone: Box<dyn Backbone>,
+    pub backbone: Da3,
     /// From tokens to scene tokens.
     pub fuse: Fuse,
     /// From scene tokens to Gaussians.
@@ -40,7 +40,7 @@ pub struct Stages {
 impl Stages {
     /// Declares the parameters, named as in the reference's `state_dict`.
     pub fn new(p: &mut ParameterLayout, a: &Architecture) -> Self {
-        Self { backbone: backbone(p, a), fuse: Fuse::new(p, a), gaussians: Gaussians::new(p, a) }
+        Self { backbone: Da3::new(p, a), fuse: Fuse::new(p, a), gaussians: Gaussians::new(p, a) }
     }
 }
 

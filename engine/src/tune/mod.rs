@@ -9,7 +9,6 @@ mod noise;
 mod self_test;
 mod tuning;
 
-pub use cache::cache_folder;
 pub use kernel_choice::KernelChoice;
 pub use self_test::SelfTest;
 pub use tuning::{Measured, Tuning};

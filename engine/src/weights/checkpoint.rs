@@ -1,28 +1,33 @@
 use std::borrow::Cow;
-use std::collections::BTreeMap;
-use std::ops::ControlFlow;
-use std::path::{Path, PathBuf};
+use std::ops::{ControlFlow, Deref};
+use std::path::Path;
 
 use super::contents::Contents;
-use super::source::{Bytes, Source};
-use super::tensor::Stored;
+use super::source::Bytes;
+use super::values::Values;
 use super::{Architecture, Dtype, inference, safetensors, torch};
-use crate::ops::{Arithmetic, ParameterSource, Q8};
+use crate::ops::Arithmetic;
 use crate::types::preprocess::DEFAULT_SIZE;
 use crate::{Error, Result};
 
 /// Name of the library's own model.
 pub const BUILTIN: &str = "builtin";
 
-/// An [`Architecture`]'s tensors, read one at a time to bound memory.
+/// An [`Architecture`] with its tensors.
 #[derive(Debug)]
 pub struct Checkpoint {
     architecture: Architecture,
-    parameters: Vec<(String, Vec<usize>)>,
+    values: Values,
     image_size: u32,
-    source: Source,
-    provenance: String,
     notes: Vec<String>,
+}
+
+impl Deref for Checkpoint {
+    type Target = Values;
+
+    fn deref(&self) -> &Values {
+        &self.values
+    }
 }
 
 #[cfg(feature = "embedded-model")]
@@ -100,9 +105,8 @@ impl Checkpoint {
         architecture.validate()?;
         let stream = if key == architecture.name { String::new() } else { format!(":{key}") };
         let provenance = format!("seeded:{}{stream}", architecture.name);
-        let parameters = architecture.parameters();
-        let source = Source::Seeded { key: key.into() };
-        Ok(Self { architecture, parameters, image_size: DEFAULT_SIZE, source, provenance, notes: Vec::new() })
+        let values = Values::seeded(&architecture.name, architecture.parameters(), key, provenance);
+        Ok(Self { architecture, values, image_size: DEFAULT_SIZE, notes: Vec::new() })
     }
 
     fn load(path: &Path, architecture: impl FnOnce(&Contents, &Path) -> Result<Identified>) -> Result<Self> {
@@ -119,13 +123,10 @@ impl Checkpoint {
         let (architecture, assumed) = architecture(&contents, path)?;
         let rounded = contents.doubles();
         let rounded = (rounded > 0).then(|| format!("{}: {rounded} tensors of f64 are rounded to f32", path.display()));
-        let parameters = architecture.parameters();
         let image_size = contents.image_size.unwrap_or(DEFAULT_SIZE);
-        let tensors = matching(path, &architecture.name, &parameters, contents)?;
-        let provenance = path.display().to_string();
-        let source = Source::Stored { file, tensors };
         let notes = assumed.into_iter().chain(rounded).collect();
-        Ok(Self { architecture, parameters, image_size, source, provenance, notes })
+        let values = Values::in_file(path, file, &architecture.name, architecture.parameters(), contents)?;
+        Ok(Self { architecture, values, image_size, notes })
     }
 
     /// Architecture of the weights.
@@ -138,44 +139,6 @@ impl Checkpoint {
         self.image_size
     }
 
-    /// Name and shape per tensor.
-    pub fn parameters(&self) -> &[(String, Vec<usize>)] {
-        &self.parameters
-    }
-
-    /// Tensor names.
-    pub fn tensor_names(&self) -> impl Iterator<Item = &str> {
-        self.parameters.iter().map(|(name, _)| name.as_str())
-    }
-
-    /// Shape of a tensor; [`Error::Argument`] if unknown.
-    pub fn shape(&self, name: &str) -> Result<&[usize]> {
-        self.find(name).map(|i| self.parameters[i].1.as_slice())
-    }
-
-    /// Reads a tensor in C order.
-    ///
-    /// # Errors
-    /// [`Error::Argument`] for a wrong name or length, [`Error::Format`] for nonfinite values.
-    pub fn read_f32(&self, name: &str, out: &mut [f32]) -> Result<()> {
-        self.source.read(&self.provenance, self.find(name)?, &self.parameters, out)
-    }
-
-    /// Reads a matrix of whole groups in 8 bits.
-    ///
-    /// # Errors
-    ///
-    /// As [`Checkpoint::read_f32`], and for values or scales out of range.
-    pub fn read_q8(&self, name: &str) -> Result<Q8> {
-        self.source.read_q8(&self.provenance, self.find(name)?, &self.parameters)
-    }
-
-    /// Names of [`Q8`] tensors.
-    pub fn q8_names(&self) -> impl Iterator<Item = &str> {
-        let is_q8 = |i: usize| matches!(&self.source, Source::Stored { tensors, .. } if tensors[i].is_q8());
-        self.tensor_names().enumerate().filter(move |(i, _)| is_q8(*i)).map(|(_, name)| name)
-    }
-
     /// Checks that an arithmetic supports these weights.
     ///
     /// # Errors
@@ -184,23 +147,8 @@ impl Checkpoint {
         if !arithmetic.has_integers() || self.q8_names().next().is_none() {
             return Ok(());
         }
-        let found = format!("int8 for {}, whose weights are q8", self.provenance);
+        let found = format!("int8 for {}, whose weights are q8", self.provenance());
         Err(Error::argument("precision", found, "fp32, fp16 or bf16; int8 rounds weights of f32, f16 or bf16"))
-    }
-
-    /// Bytes per stored type.
-    pub fn stored(&self) -> BTreeMap<&'static str, u64> {
-        self.source.stored(&self.parameters)
-    }
-
-    /// Stored bytes.
-    pub fn bytes(&self) -> u64 {
-        self.stored().values().sum()
-    }
-
-    /// Origin of the weights: a path or `seeded:VARIANT:KEY`.
-    pub fn provenance(&self) -> &str {
-        &self.provenance
     }
 
     /// Notes for the user about rounding and assumptions.
@@ -211,8 +159,7 @@ impl Checkpoint {
     /// Writes safetensors atomically.
     ///
     /// # Errors
-    /// [`Error::Io`]; [`Error::Argument`] for values beyond `dtype`; those of
-    /// [`Checkpoint::read_f32`].
+    /// [`Error::Io`]; [`Error::Argument`] for values beyond `dtype`; those of [`Values::read_f32`].
     pub fn save(&self, path: impl AsRef<Path>, dtype: Dtype) -> Result<()> {
         self.save_with(path, dtype, |_| ControlFlow::Continue(()))
     }
@@ -224,54 +171,10 @@ impl Checkpoint {
         dtype: Dtype,
         progress: impl FnMut(f64) -> ControlFlow<()>,
     ) -> Result<()> {
-        safetensors::save(self, path.as_ref(), dtype, progress)
+        let stated = [
+            (safetensors::ARCHITECTURE_KEY, serde_json::to_string(&self.architecture)),
+            (safetensors::IMAGE_SIZE_KEY, Ok(self.image_size.to_string())),
+        ];
+        safetensors::save(self, stated, path.as_ref(), dtype, progress)
     }
-
-    fn find(&self, name: &str) -> Result<usize> {
-        let unknown = || Error::argument("tensor", name, format!("a parameter of {}", self.architecture.name));
-        self.tensor_names().position(|other| other == name).ok_or_else(unknown)
-    }
-}
-
-impl safetensors::Weights for Checkpoint {
-    fn parameters(&self) -> &[(String, Vec<usize>)] {
-        &self.parameters
-    }
-
-    fn network(&self) -> safetensors::Stated<'_> {
-        safetensors::Stated::Scene(&self.architecture, self.image_size)
-    }
-}
-
-impl ParameterSource for Checkpoint {
-    fn read_f32(&self, name: &str, out: &mut [f32]) -> Result<()> {
-        self.read_f32(name, out)
-    }
-
-    fn read_q8(&self, name: &str) -> Result<Q8> {
-        self.read_q8(name)
-    }
-}
-
-pub(super) fn matching(
-    path: &Path,
-    network: &str,
-    parameters: &[(String, Vec<usize>)],
-    mut contents: Contents,
-) -> Result<Vec<Stored>> {
-    let (mut tensors, mut missing, mut misshapen) = (Vec::new(), Vec::new(), Vec::new());
-    for (name, expected) in parameters {
-        match contents.tensors.remove(name) {
-            Some(tensor) if tensor.shape == *expected => tensors.push(tensor),
-            Some(tensor) => misshapen.push(format!("{name}: found {:?}, expected {expected:?}", tensor.shape)),
-            None => missing.push(name.clone()),
-        }
-    }
-    let mut unexpected: Vec<String> = contents.tensors.into_keys().collect();
-    unexpected.sort();
-    if missing.is_empty() && unexpected.is_empty() && misshapen.is_empty() {
-        return Ok(tensors);
-    }
-    let (path, architecture) = (PathBuf::from(path), network.to_owned());
-    Err(Error::Weights { path, architecture, missing, unexpected, misshapen })
 }

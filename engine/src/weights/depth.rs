@@ -1,22 +1,29 @@
-use std::{collections::BTreeMap, ops::ControlFlow, path::Path};
+use std::ops::{ControlFlow, Deref};
+use std::path::Path;
 
-use super::checkpoint::matching;
 use super::contents::Contents;
-use super::source::{Bytes, Source};
-use super::{DEPTH_MODELS, DepthArchitecture, Dtype, Ffn, Q8, safetensors};
-use crate::{Error, Result, ops::ParameterSource, stages::MAX_DEPTH};
+use super::source::Bytes;
+use super::values::Values;
+use super::{DEPTH_MODELS, DepthArchitecture, Dtype, Ffn, safetensors};
+use crate::{Error, Result, stages::MAX_DEPTH};
 
 const BACKBONE: &str = "model.backbone.pretrained";
 const GAUSSIANS: &str = "model.gs_head.";
 
-/// Depth weights, read one tensor at a time.
+/// A [`DepthArchitecture`] with its tensors.
 #[derive(Debug)]
 pub struct DepthCheckpoint {
     architecture: DepthArchitecture,
-    parameters: Vec<(String, Vec<usize>)>,
-    source: Source,
-    provenance: String,
+    values: Values,
     of_gaussians: bool,
+}
+
+impl Deref for DepthCheckpoint {
+    type Target = Values;
+
+    fn deref(&self) -> &Values {
+        &self.values
+    }
 }
 
 impl DepthCheckpoint {
@@ -62,7 +69,7 @@ impl DepthCheckpoint {
         let contents = safetensors::contents(path, &file)?;
         let known = match &contents.depth_architecture {
             Some(stated) => stated.clone(),
-            None => Shapes(&contents).architecture(path)?,
+            None => inferred(&contents, path)?,
         };
         let architecture = with_or_without(known, gaussians)?;
         Self::of(path, file, contents, architecture)
@@ -79,9 +86,9 @@ impl DepthCheckpoint {
     /// Generates reproducible weights.
     pub fn seeded(architecture: DepthArchitecture, key: &str) -> Result<Self> {
         architecture.validate()?;
-        let (parameters, provenance) = (architecture.parameters(), format!("seeded:{key}"));
-        let (source, of_gaussians) = (Source::Seeded { key: key.into() }, architecture.gaussians);
-        Ok(Self { architecture, parameters, source, provenance, of_gaussians })
+        let provenance = format!("seeded:{key}");
+        let values = Values::seeded(&architecture.name, architecture.parameters(), key, provenance);
+        Ok(Self { of_gaussians: architecture.gaussians, architecture, values })
     }
 
     fn of(path: &Path, file: Bytes, mut contents: Contents, architecture: DepthArchitecture) -> Result<Self> {
@@ -90,24 +97,13 @@ impl DepthCheckpoint {
         let of_gaussians = contents.tensors.keys().any(|name| name.starts_with(GAUSSIANS));
         let wanted = |name: &str| parameters.iter().any(|(other, _)| other == name);
         contents.tensors.retain(|name, _| wanted(name) || !is_unused(name));
-        let tensors = matching(path, &architecture.name, &parameters, contents)?;
-        let provenance = path.display().to_string();
-        Ok(Self { architecture, parameters, source: Source::Stored { file, tensors }, provenance, of_gaussians })
+        let values = Values::in_file(path, file, &architecture.name, parameters, contents)?;
+        Ok(Self { architecture, values, of_gaussians })
     }
 
     /// Architecture of the weights.
     pub fn architecture(&self) -> &DepthArchitecture {
         &self.architecture
-    }
-
-    /// Bytes per stored type.
-    pub fn stored(&self) -> BTreeMap<&'static str, u64> {
-        self.source.stored(&self.parameters)
-    }
-
-    /// Stored bytes.
-    pub fn bytes(&self) -> u64 {
-        self.stored().values().sum()
     }
 
     /// Writes safetensors; 8-bit weights load as f32.
@@ -117,47 +113,8 @@ impl DepthCheckpoint {
         dtype: Dtype,
         progress: impl FnMut(f64) -> ControlFlow<()>,
     ) -> Result<()> {
-        safetensors::save(self, path.as_ref(), dtype, progress)
-    }
-
-    fn find(&self, name: &str) -> Result<usize> {
-        let unknown = || Error::argument("tensor", name, format!("a parameter of {}", self.architecture.name));
-        self.parameters.iter().position(|(other, _)| other == name).ok_or_else(unknown)
-    }
-
-    /// Origin of the weights.
-    pub fn provenance(&self) -> &str {
-        &self.provenance
-    }
-
-    /// Name and shape per tensor.
-    pub fn parameters(&self) -> &[(String, Vec<usize>)] {
-        &self.parameters
-    }
-
-    /// Reads a tensor in C order.
-    pub fn read_f32(&self, name: &str, out: &mut [f32]) -> Result<()> {
-        self.source.read(&self.provenance, self.find(name)?, &self.parameters, out)
-    }
-}
-
-impl safetensors::Weights for DepthCheckpoint {
-    fn parameters(&self) -> &[(String, Vec<usize>)] {
-        &self.parameters
-    }
-
-    fn network(&self) -> safetensors::Stated<'_> {
-        safetensors::Stated::Depth(&self.architecture)
-    }
-}
-
-impl ParameterSource for DepthCheckpoint {
-    fn read_f32(&self, name: &str, out: &mut [f32]) -> Result<()> {
-        self.read_f32(name, out)
-    }
-
-    fn read_q8(&self, name: &str) -> Result<Q8> {
-        self.source.read_q8(&self.provenance, self.find(name)?, &self.parameters)
+        let stated = [(safetensors::DEPTH_ARCHITECTURE_KEY, serde_json::to_string(&self.architecture))];
+        safetensors::save(self, stated, path.as_ref(), dtype, progress)
     }
 }
 
@@ -177,35 +134,27 @@ fn is_unused(name: &str) -> bool {
     tails.iter().any(|tail| name.starts_with(tail))
 }
 
-struct Shapes<'a>(&'a Contents);
-
-impl Shapes<'_> {
-    fn axis(&self, name: &str, axis: usize) -> Option<usize> {
-        self.0.tensors.get(name)?.shape.get(axis).copied()
+fn inferred(contents: &Contents, path: &Path) -> Result<DepthArchitecture> {
+    let block = |i: usize, part: &str| format!("{BACKBONE}.blocks.{i}.{part}");
+    let width = contents.axis(&format!("{BACKBONE}.norm.weight"), 0);
+    let depth = (0..MAX_DEPTH).take_while(|&i| contents.axis(&block(i, "norm1.weight"), 0).is_some()).count();
+    let multi_view = contents.axis(&format!("{BACKBONE}.camera_token"), 0).is_some();
+    let gated = contents.axis(&block(0, "mlp.w3.weight"), 0).is_some();
+    let mut fitting = Vec::new();
+    for name in DEPTH_MODELS {
+        let known = DepthArchitecture::named(name)?;
+        let b = &known.backbone;
+        let same =
+            (Some(b.width), b.depth, known.multi_view(), b.ffn == Ffn::SwiGlu) == (width, depth, multi_view, gated);
+        fitting.extend(same.then_some(known));
     }
-
-    fn architecture(&self, path: &Path) -> Result<DepthArchitecture> {
-        let block = |i: usize, part: &str| format!("{BACKBONE}.blocks.{i}.{part}");
-        let width = self.axis(&format!("{BACKBONE}.norm.weight"), 0);
-        let depth = (0..MAX_DEPTH).take_while(|&i| self.axis(&block(i, "norm1.weight"), 0).is_some()).count();
-        let multi_view = self.axis(&format!("{BACKBONE}.camera_token"), 0).is_some();
-        let gated = self.axis(&block(0, "mlp.w3.weight"), 0).is_some();
-        let mut fitting = Vec::new();
-        for name in DEPTH_MODELS {
-            let known = DepthArchitecture::named(name)?;
-            let b = &known.backbone;
-            let same =
-                (Some(b.width), b.depth, known.multi_view(), b.ffn == Ffn::SwiGlu) == (width, depth, multi_view, gated);
-            fitting.extend(same.then_some(known));
-        }
-        let found = match width {
-            Some(width) => format!("{}, of width {width} and {depth} blocks", path.display()),
-            None => format!("{}, without {BACKBONE}", path.display()),
-        };
-        let expected = || Error::argument("depth network", found, format!("one of {}", DEPTH_MODELS.join(", ")));
-        let names = fitting.iter().map(|known| known.name.as_str()).collect::<Vec<_>>().join(" or ");
-        let first = fitting.into_iter().next().ok_or_else(expected)?;
-        // Two networks share a layout.
-        Ok(DepthArchitecture { name: names, ..first })
-    }
+    let found = match width {
+        Some(width) => format!("{}, of width {width} and {depth} blocks", path.display()),
+        None => format!("{}, without {BACKBONE}", path.display()),
+    };
+    let expected = || Error::argument("depth network", found, format!("one of {}", DEPTH_MODELS.join(", ")));
+    let names = fitting.iter().map(|known| known.name.as_str()).collect::<Vec<_>>().join(" or ");
+    let first = fitting.into_iter().next().ok_or_else(expected)?;
+    // Two networks share a layout.
+    Ok(DepthArchitecture { name: names, ..first })
 }

@@ -110,10 +110,6 @@ fn name(found: &Architecture, wanted: &Variant, conf: &Conf) -> String {
 struct Shapes<'a>(&'a Contents);
 
 impl Shapes<'_> {
-    fn axis(&self, name: &str, axis: usize) -> Option<usize> {
-        self.0.tensors.get(name)?.shape.get(axis).copied()
-    }
-
     /// Highest index plus one, so that gaps count as missing.
     fn count(&self, root: &str) -> usize {
         let number =
@@ -122,7 +118,8 @@ impl Shapes<'_> {
     }
 
     fn size_of_network(&self, file: &str) -> Result<Size> {
-        let width = self.axis(&format!("{BACKBONE}.norm.weight"), 0).or(self.axis(&format!("{BACKBONE}.cls_token"), 2));
+        let width =
+            self.0.axis(&format!("{BACKBONE}.norm.weight"), 0).or(self.0.axis(&format!("{BACKBONE}.cls_token"), 2));
         let depth = self.count(&format!("{BACKBONE}.blocks"));
         let (Some(width), 1..) = (width, depth) else {
             let expected = "a network of ZipSplat, whose tensors begin with backbone.backbone";
@@ -135,26 +132,26 @@ impl Shapes<'_> {
                 format!("found tensors of width {width}, expected at most {MAX_SIZE}"),
             ));
         }
-        let normed = |i: &usize| self.axis(&format!("{BACKBONE}.blocks.{i}.attn.q_norm.weight"), 0).is_some();
+        let normed = |i: &usize| self.0.axis(&format!("{BACKBONE}.blocks.{i}.attn.q_norm.weight"), 0).is_some();
         // Names may claim any number.
         let qk_norm_start = (0..depth.min(MAX_DEPTH)).find(normed).unwrap_or(depth);
         Ok(Size { width, depth, layers: self.count("downscale"), qk_norm_start })
     }
 
     fn fill(&self, found: &mut Architecture, wanted: &Variant, conf: &Conf) -> Result<()> {
-        let set = |field: &mut usize, name: &str, axis| *field = self.axis(name, axis).unwrap_or(*field);
+        let set = |field: &mut usize, name: &str, axis| *field = self.0.axis(name, axis).unwrap_or(*field);
         let heads = |field: &mut usize, width: usize, at: &str| {
-            let dim = self.axis(&format!("{at}.attn.q_norm.weight"), 0).filter(|dim| (1..=width).contains(dim));
+            let dim = self.0.axis(&format!("{at}.attn.q_norm.weight"), 0).filter(|dim| (1..=width).contains(dim));
             *field = dim.map_or(*field, |dim| width / dim);
         };
         let (block, width) = (format!("{BACKBONE}.blocks.0"), found.width);
         heads(&mut found.heads, width, &format!("{BACKBONE}.blocks.{}", found.qk_norm_start));
-        match self.axis(&format!("{block}.mlp.w3.weight"), 1) {
+        match self.0.axis(&format!("{block}.mlp.w3.weight"), 1) {
             Some(hidden) => (found.ffn, found.ffn_hidden) = (Ffn::SwiGlu, hidden),
             None => set(&mut found.ffn_hidden, &format!("{block}.mlp.fc1.bias"), 0),
         }
         set(&mut found.patch_size, &format!("{BACKBONE}.patch_embed.proj.weight"), 2);
-        if let Some(positions) = self.axis(&format!("{BACKBONE}.pos_embed"), 1) {
+        if let Some(positions) = self.0.axis(&format!("{BACKBONE}.pos_embed"), 1) {
             found.position_grid = positions.saturating_sub(1).isqrt();
         }
         found.camera_depth = self.count("backbone.cam_enc.trunk").max(1);
@@ -176,7 +173,7 @@ impl Shapes<'_> {
 
     fn decoded(&self, gaussians: Option<usize>, degree: Option<usize>) -> Result<(usize, usize)> {
         let width = |degree: usize| 11 + 3 * (degree + 1).pow(2);
-        let Some(values) = self.axis("gaussian_head.gaussian_head.1.bias", 0) else {
+        let Some(values) = self.0.axis("gaussian_head.gaussian_head.1.bias", 0) else {
             return Ok((gaussians.unwrap_or(32), degree.unwrap_or(1)));
         };
         let fits = |d: &usize| {

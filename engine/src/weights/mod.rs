@@ -14,6 +14,7 @@ mod source;
 mod tensor;
 mod tensors;
 mod torch;
+mod values;
 mod variant;
 
 use std::path::Path;
@@ -22,6 +23,7 @@ pub use checkpoint::Checkpoint;
 pub use depth::DepthCheckpoint;
 pub use tensor::Dtype;
 pub use tensors::Tensors;
+pub use values::Values;
 
 use crate::Result;
 pub use crate::{

@@ -8,14 +8,15 @@ use safetensors::tensor::{Metadata, TensorInfo};
 
 use super::contents::{Contents, MAX_IMAGE_SIZE, add, is_image_size};
 use super::tensor::{Stored, StoredDtype};
+use super::values::Values;
 use super::{Architecture, DepthArchitecture, Dtype};
-use crate::ops::{ParameterSource, Q8};
+use crate::ops::Q8;
 use crate::types::{Unfinished, preprocess::PATCH};
 use crate::{Error, Result};
 
-const ARCHITECTURE_KEY: &str = "zipsplat.architecture";
-const DEPTH_ARCHITECTURE_KEY: &str = "zipsplat.depth_architecture";
-const IMAGE_SIZE_KEY: &str = "zipsplat.image_size";
+pub(super) const ARCHITECTURE_KEY: &str = "zipsplat.architecture";
+pub(super) const DEPTH_ARCHITECTURE_KEY: &str = "zipsplat.depth_architecture";
+pub(super) const IMAGE_SIZE_KEY: &str = "zipsplat.image_size";
 /// Its name in files without a version.
 const PICTURE_SIDE_KEY: &str = "zipsplat.picture_side";
 const VERSION_KEY: &str = "zipsplat.format_version";
@@ -97,53 +98,48 @@ fn stored(info: &TensorInfo, integers: bool, start: usize) -> Result<Stored, Str
     Stored::dense(dtype, info.shape.clone(), start + from, start + to)
 }
 
-pub(super) enum Stated<'a> {
-    Scene(&'a Architecture, u32),
-    Depth(&'a DepthArchitecture),
-}
-
-pub(super) trait Weights: ParameterSource {
-    fn parameters(&self) -> &[(String, Vec<usize>)];
-    fn network(&self) -> Stated<'_>;
-}
+/// A key of the metadata, with its value.
+type Statement = (&'static str, serde_json::Result<String>);
 
 pub(super) fn save(
-    checkpoint: &impl Weights,
+    values: &Values,
+    stated: impl IntoIterator<Item = Statement>,
     path: &Path,
     dtype: Dtype,
     progress: impl FnMut(f64) -> ControlFlow<()>,
 ) -> Result<()> {
     let file = Unfinished::begin(path)?;
     let mut out = file.writer()?;
-    write(checkpoint, dtype, path, &mut out, progress)?;
+    let header = header(values, stated, dtype).map_err(|reason| Error::format(path, None, reason))?;
+    write(values, &header, dtype, path, &mut out, progress)?;
     out.flush().and_then(|()| out.get_ref().sync_all()).map_err(|error| Error::io(path, error))?;
     drop(out);
     file.finish()
 }
 
 fn write(
-    checkpoint: &impl Weights,
+    values: &Values,
+    header: &str,
     dtype: Dtype,
     path: &Path,
     out: &mut impl Write,
     mut progress: impl FnMut(f64) -> ControlFlow<()>,
 ) -> Result<()> {
     let file_error = |error: io::Error| Error::io(path, error);
-    let header = header(checkpoint, dtype).map_err(|reason| Error::format(path, None, reason))?;
     out.write_all(&(header.len() as u64).to_le_bytes()).map_err(file_error)?;
     out.write_all(header.as_bytes()).map_err(file_error)?;
-    let parameters = checkpoint.parameters();
+    let parameters = values.parameters();
     for (i, (name, shape)) in parameters.iter().enumerate() {
         if progress(i as f64 / parameters.len() as f64).is_break() {
             return Err(Error::Cancelled);
         }
         let dtype = dtype.of(name, shape);
         let bytes = match dtype {
-            Dtype::Q8 => q8_bytes(&checkpoint.read_q8(name)?),
+            Dtype::Q8 => q8_bytes(&values.read_q8(name)?),
             _ => {
-                let mut values = vec![0.0; shape.iter().product()];
-                checkpoint.read_f32(name, &mut values)?;
-                encode(name, &values, dtype)?
+                let mut read = vec![0.0; shape.iter().product()];
+                values.read_f32(name, &mut read)?;
+                encode(name, &read, dtype)?
             }
         };
         out.write_all(&bytes).map_err(file_error)?;
@@ -151,10 +147,10 @@ fn write(
     Ok(())
 }
 
-fn header(checkpoint: &impl Weights, dtype: Dtype) -> Result<String, String> {
+fn header(values: &Values, stated: impl IntoIterator<Item = Statement>, dtype: Dtype) -> Result<String, String> {
     let mut end = 0;
     let mut tensors = Vec::new();
-    for (name, shape) in checkpoint.parameters() {
+    for (name, shape) in values.parameters() {
         let mut add = |end_of_name: &str, dtype: FileDtype, size: usize, shape: Vec<usize>| {
             let start = end;
             end += shape.iter().product::<usize>() * size;
@@ -170,16 +166,9 @@ fn header(checkpoint: &impl Weights, dtype: Dtype) -> Result<String, String> {
             }
         }
     }
-    let metadata = match checkpoint.network() {
-        Stated::Scene(architecture, side) => {
-            vec![(ARCHITECTURE_KEY, serde_json::to_string(architecture)), (IMAGE_SIZE_KEY, Ok(side.to_string()))]
-        }
-        Stated::Depth(architecture) => vec![(DEPTH_ARCHITECTURE_KEY, serde_json::to_string(architecture))],
-    };
-    let metadata = metadata.into_iter().chain([(VERSION_KEY, Ok(VERSION.to_string()))]);
-    let stated = metadata.map(|(key, value)| Ok((key, value?)));
-    let metadata = stated.collect::<serde_json::Result<Vec<_>>>().map_err(|error| error.to_string())?;
-    let metadata = metadata.into_iter().map(|(key, value)| (key.to_string(), value)).collect();
+    let stated = stated.into_iter().chain([(VERSION_KEY, Ok(VERSION.to_string()))]);
+    let metadata = stated.map(|(key, value)| Ok((key.to_string(), value?))).collect::<serde_json::Result<_>>();
+    let metadata = metadata.map_err(|error| error.to_string())?;
     let header = Metadata::new(Some(metadata), tensors).map_err(|error| error.to_string())?;
     // Sorted keys, for reproducible files.
     let json = serde_json::to_value(&header).map_err(|error| error.to_string())?.to_string();
@@ -224,7 +213,7 @@ mod tests {
         for (variant, least) in [("vits", 0), ("vitb", 0), ("vitl", 1 << 16), ("vitg", 1 << 16)] {
             let checkpoint = Checkpoint::seeded(variant, None).expect("a named network");
             for (dtype, bytes) in [(Dtype::F32, 4.0), (Dtype::F16, 2.0), (Dtype::Bf16, 2.0), (Dtype::Q8, 1.0625)] {
-                let header = header(&checkpoint, dtype).expect("a header");
+                let header = header(&checkpoint, [], dtype).expect("a header");
                 assert!(header.len() > least && header.len().is_multiple_of(PREFIX), "{variant}: {}", header.len());
                 let parsed: Metadata = serde_json::from_str(&header).expect("the format's own parser takes it");
                 let values = checkpoint.architecture().parameter_count();

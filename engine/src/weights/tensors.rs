@@ -1,4 +1,4 @@
-use super::{checkpoint::matching, safetensors, tensor::Stored};
+use super::{safetensors, tensor::Stored, values::matching};
 use crate::{Error, Result, ops::ParameterSource, types::open_file};
 use std::{collections::HashMap, io::Read, path::Path};
 
@@ -19,7 +19,7 @@ impl Tensors {
         let mut file = Vec::new();
         open_file(path)?.read_to_end(&mut file).map_err(|error| Error::io(path, error))?;
         let contents = safetensors::contents(path, &file)?;
-        let found = matching(path, network, parameters, contents)?;
+        let found = matching(path, network, parameters, contents.tensors)?;
         let tensors = parameters.iter().map(|(name, _)| name.clone()).zip(found).collect();
         Ok(Self { file, tensors })
     }

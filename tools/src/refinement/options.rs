@@ -10,6 +10,7 @@ use std::{
 };
 use zipsplat::{
     Error, Result,
+    gpu::cache_dir,
     perceptual::Perceptual,
     refine::{PerceptualLoss, RefineOptions},
     stages::lpips::LpipsNetwork,
@@ -159,7 +160,8 @@ fn parse_weight(text: &str) -> Result<f32, String> {
 impl RefineSettings {
     /// Rejects LPIPS without its weights.
     pub fn check(&self) -> Result<()> {
-        self.lpips_weight.map_or(Ok(()), |_| Perceptual::file(LpipsNetwork::Vgg).map(drop))
+        let found = |_| Perceptual::file(LpipsNetwork::Vgg, cache_dir().as_deref()).map(drop);
+        self.lpips_weight.map_or(Ok(()), found)
     }
 
     /// Size of the largest photo; the limit without photos.

@@ -235,6 +235,9 @@ typedef struct zs_device_options {
     // Device number, part of its name, or UUID with or without "GPU-" and hyphens. NULL selects
     // the best device.
     const char *device;
+    // Folder of self-test results, kernel timings and LPIPS weights; "" keeps none. NULL is the
+    // environment variable ZIPSPLAT_CACHE, else "zipsplat" in the user's cache.
+    const char *cache_dir;
 } zs_device_options;
 
 // Counts Vulkan devices, usable or not; ZS_ERROR_NO_DEVICE without a loader or driver.
@@ -922,6 +925,9 @@ typedef struct zs_refine_options {
     zs_progress_callback progress;
     // Argument of `progress`.
     void *user_data;
+    // Time to spend instead of `steps`, about; 0 is no limit. The steps follow from the measured
+    // time of a few.
+    double seconds;
 } zs_refine_options;
 
 // Result of a refinement.
@@ -1168,6 +1174,8 @@ typedef struct zs_vulkan_device {
     uint32_t optional_features_enabled;
     // Must be 0.
     uint32_t reserved;
+    // As zs_device_options.cache_dir.
+    const char *cache_dir;
 } zs_vulkan_device;
 
 // A value of a caller's timeline semaphore.

@@ -229,11 +229,9 @@ pub unsafe extern "C" fn zs_depth_predict(
         }
         let known: Vec<Camera> = known.iter().map(zs_camera::camera).collect::<Result<_, _>>()?;
         // SAFETY: the caller's pixels.
-        let photo = |(i, image): (usize, &zs_image)| unsafe { image.image(&format!("image {i}")) };
-        let photos = images.iter().enumerate().map(photo).collect::<Result<Vec<Image>, _>>()?;
+        let photo = |i: usize| unsafe { images[i].image(&format!("image {i}")) };
         let input_size = if options.input_size == 0 { DEFAULT_BOUND } else { options.input_size };
-        let views = bounded_views(&photos, input_size)?;
-        drop(photos);
+        let views = bounded_views(image_count, photo, input_size)?;
         let images: Vec<Image> = views.iter().map(|view| view.image.clone()).collect();
         let known_cameras = (!known.is_empty()).then(|| of_views(&known, &views)).transpose()?;
         let request = DepthOptions { cameras: known_cameras.clone(), ..DepthOptions::default() };

@@ -4,8 +4,8 @@ use super::{
     pointers::{Versioned, borrow, destroy, optional_text, produce, put, read_versioned, write_versioned},
     status::{Failure, guard, zs_status},
 };
-use std::ffi::c_char;
-use zipsplat::gpu::{Device, DeviceInfo, DeviceOptions, Limits, list_devices};
+use std::{ffi::c_char, path::PathBuf};
+use zipsplat::gpu::{Device, DeviceInfo, DeviceOptions, Limits, cache_dir, list_devices};
 
 /// An open Vulkan device.
 pub struct zs_device {
@@ -69,6 +69,9 @@ pub struct zs_device_options {
     /// Device number, part of its name, or UUID with or without "GPU-" and hyphens. NULL selects
     /// the best device.
     pub device: *const c_char,
+    /// Folder of self-test results, kernel timings and LPIPS weights; "" keeps none. NULL is the
+    /// environment variable ZIPSPLAT_CACHE, else "zipsplat" in the user's cache.
+    pub cache_dir: *const c_char,
 }
 
 versioned!(zs_device_info, zs_device_options);
@@ -104,11 +107,13 @@ pub unsafe extern "C" fn zs_device_create(options: *const zs_device_options, dev
     let open = || {
         // SAFETY: the caller's structure, or NULL.
         let options = unsafe { read_versioned(options) }?;
-        // SAFETY: a string or NULL, as the header says.
-        let selector = unsafe { optional_text(options.device, "device") }?.map(str::to_owned);
-        let validation = options.validation != 0 || DeviceOptions::default().validation;
+        // SAFETY: strings or NULL, as the header says.
+        let (device, cache_dir) = unsafe { (optional_text(options.device, "device")?, cached_in(options.cache_dir)?) };
         let max_memory_bytes = Some(options.max_memory_bytes).filter(|bytes| *bytes > 0);
-        let options = DeviceOptions { device: selector, validation, max_memory_bytes, ..DeviceOptions::default() };
+        let default = DeviceOptions::default();
+        let validation = options.validation != 0 || default.validation;
+        let device = device.map(str::to_owned);
+        let options = DeviceOptions { device, validation, max_memory_bytes, cache_dir, ..default };
         Ok(zs_device { gpu: Device::open(&options)?, adopted: false })
     };
     // SAFETY: the caller's pointer.
@@ -132,6 +137,18 @@ pub unsafe extern "C" fn zs_device_get_info(device: *const zs_device, info: *mut
 pub unsafe extern "C" fn zs_device_destroy(device: *mut zs_device) {
     // SAFETY: NULL or given up by the caller.
     unsafe { destroy(device) }
+}
+
+/// Returns the folder that a `cache_dir` means.
+///
+/// # Safety
+/// `pointer` is NULL or a NUL-terminated string.
+pub(super) unsafe fn cached_in(pointer: *const c_char) -> Result<Option<PathBuf>, Failure> {
+    // SAFETY: the caller's promise.
+    Ok(match unsafe { optional_text(pointer, "cache_dir") }? {
+        None => cache_dir(),
+        Some(folder) => (!folder.is_empty()).then(|| folder.into()),
+    })
 }
 
 fn describe(device: &DeviceInfo) -> zs_device_info {

@@ -10,7 +10,7 @@ use super::{
     scene::zs_scene,
     status::{Failure, zs_status},
 };
-use std::{cell::Cell, ffi::c_void, ops::ControlFlow};
+use std::{cell::Cell, ffi::c_void, ops::ControlFlow, time::Duration};
 use zipsplat::{
     Camera, Error, Image, Pose, RefineOptions, RefineResult,
     gpu::Arena,
@@ -81,6 +81,9 @@ pub struct zs_refine_options {
     pub progress: zs_progress_callback,
     /// Argument of `progress`.
     pub user_data: *mut c_void,
+    /// Time to spend instead of `steps`, about; 0 is no limit. The steps follow from the measured
+    /// time of a few.
+    pub seconds: f64,
 }
 
 /// Result of a refinement.
@@ -300,6 +303,8 @@ impl zs_refine_options {
         if !(0..=zs_refine_target::ZS_REFINE_TARGET_TOKENS as i32).contains(&self.target) {
             return Err(Failure::argument("target", self.target, "a zs_refine_target"));
         }
+        let seconds = Duration::try_from_secs_f64(self.seconds)
+            .map_err(|_| Failure::argument("seconds", self.seconds, "0 or a positive time"))?;
         let holdout_views = match self.holdout_views {
             0 => None,
             ZS_HOLDOUT_VIEWS_NONE => Some(0),
@@ -311,6 +316,7 @@ impl zs_refine_options {
             steps: or(self.steps, default.steps as u32) as usize,
             views_per_step: or(self.views_per_step, default.views_per_step as u32) as usize,
             max_image_size: default.max_image_size.map(|sides| [0, 1].map(|i| or(self.max_image_size[i], sides[i]))),
+            time: (seconds > Duration::ZERO).then_some(seconds),
             holdout_views,
             optimize_cameras: self.optimize_cameras == 1,
             max_gaussians: (self.max_gaussians > 0).then_some(self.max_gaussians),

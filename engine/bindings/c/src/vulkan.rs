@@ -2,7 +2,7 @@
 
 use super::{
     camera::zs_camera,
-    device::zs_device,
+    device::{cached_in, zs_device},
     image::zs_pixel_format,
     pointers::{array, borrow, produce, put, read_given, read_versioned},
     renderer::{zs_render_options, zs_renderer},
@@ -83,6 +83,8 @@ pub struct zs_vulkan_device {
     pub optional_features_enabled: u32,
     /// Must be 0.
     pub reserved: u32,
+    /// As zs_device_options.cache_dir.
+    pub cache_dir: *const c_char,
 }
 
 /// A value of a caller's timeline semaphore.
@@ -207,6 +209,8 @@ pub unsafe extern "C" fn zs_device_from_vulkan(
             queue_family: given.queue_family,
             queue_lock,
             fast: given.optional_features_enabled != 0,
+            // SAFETY: a string or NULL.
+            cache_dir: unsafe { cached_in(given.cache_dir) }?,
         };
         // SAFETY: the caller guarantees valid handles.
         Ok(zs_device { gpu: unsafe { Device::adopt(adopted) }?, adopted: true })

@@ -1,6 +1,10 @@
 //! glTF 2.0 with KHR_gaussian_splatting, as in the release candidate: a point primitive with an
 //! accessor per attribute, linear scales and opacities. Positions, rotations and spherical
 //! harmonics are converted from x left, y up, z forward.
+//!
+//! Reads all Gaussians of the default scene, with node transforms applied; buffers may be embedded,
+//! base64, or files in its folder. Writes one file, lossless except that quaternions are
+//! normalized.
 
 mod buffers;
 mod document;
@@ -16,8 +20,6 @@ use super::{Pose, Scene, axes::HalfTurn::AboutZ, source::Source};
 use crate::{Error, Result};
 use buffers::Buffers;
 use document::{Document, Primitive, unpack};
-
-pub use write::write_gltf;
 
 pub(super) const BINARY: Format = Format {
     marks: &[b"glTF"],
@@ -45,18 +47,6 @@ impl From<String> for Fault {
 }
 
 type Parsed<T> = std::result::Result<T, Fault>;
-
-/// Reads all Gaussians of the default scene of a `.gltf` or `.glb`, with node transforms applied.
-/// Buffers may be embedded, base64, or files in its folder. The degree is the maximum of all
-/// primitives.
-///
-/// # Errors
-///
-/// [`Error::Format`] for damage, no Gaussians, an unknown required extension (including compressed
-/// Gaussians), or non-uniform node scale.
-pub fn read_gltf(path: impl AsRef<Path>) -> Result<Scene> {
-    read_unchecked(Source::open(path.as_ref())?)?.validated(path.as_ref())
-}
 
 fn read_unchecked(mut source: Source<'_>) -> Result<Scene> {
     let (bytes, path) = (source.rest()?, source.name);

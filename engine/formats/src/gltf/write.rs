@@ -1,5 +1,3 @@
-use std::path::Path;
-
 use base64::{Engine, engine::general_purpose::STANDARD};
 use serde_json::{Value, json};
 
@@ -30,18 +28,6 @@ impl Attributes {
         self.accessors.push(json!({ "bufferView": view, "componentType": FLOAT, "count": count, "type": shape }));
         self.views.push(json!({ "buffer": 0, "byteOffset": start, "byteLength": length, "target": ARRAY_BUFFER }));
     }
-}
-
-/// Writes a glTF in one file: `.glb` if `binary`, else JSON with base64. Lossless floats, except
-/// that quaternions are normalized.
-///
-/// # Errors
-///
-/// [`Error::Argument`] if the scene is invalid, empty (not allowed in glTF) or above a `.glb`'s 4
-/// GiB.
-pub fn write_gltf(scene: &Scene, path: impl AsRef<Path>, binary: bool) -> Result<()> {
-    let format = if binary { &super::BINARY } else { &super::TEXT };
-    format.write_file(path.as_ref(), scene, &SaveOptions::default(), None)
 }
 
 pub(super) fn binary<'a>(scene: &'a Scene, _: &SaveOptions, world: Option<&World>) -> Result<Encoder<'a>> {

@@ -1,6 +1,11 @@
 //! Niantic's SPZ, versions 2 to 4: a header and a quantized section per attribute. Versions 2 and 3
 //! are a gzip stream, version 4 has a zstd frame per section (`streams`). Positions, rotations and
 //! spherical harmonics are converted from x right, y up, z backward.
+//!
+//! Resolution: positions 2⁻¹⁷, coarser if the scene extends beyond 128 units; scales 3.2 % from
+//! e⁻¹⁰ to e⁵·⁹; opacities 1/510. Coefficients: degree 0 0.014 in ±3.33, degree 1 9/256 in ±1,
+//! higher ones 17/256. Rotations: three bytes in version 2, else 0.0007 per component. Values out
+//! of range are clamped; positions beyond 2²³ are errors.
 
 mod codec;
 mod gzip;
@@ -38,20 +43,6 @@ const MAX_EXTENSIONS: u64 = 1 << 20;
 const MAX_INFLATION: u64 = 64;
 const ALWAYS_INFLATED: u64 = 64 << 20;
 
-/// Writes an SPZ of `version` 2, 3 or 4 atomically.
-///
-/// Resolution: positions 2⁻¹⁷, coarser if the scene extends beyond 128 units; scales 3.2 % from
-/// e⁻¹⁰ to e⁵·⁹; opacities 1/510. Coefficients: degree 0 0.014 in ±3.33, degree 1 9/256 in ±1,
-/// higher ones 17/256. Rotations: three bytes in version 2, else 0.0007 per component. Values out
-/// of range are clamped.
-///
-/// # Errors
-///
-/// [`Error::Argument`] if the scene is invalid, a position exceeds 2²³ or the version is unknown.
-pub fn write_spz(scene: &Scene, path: impl AsRef<Path>, version: u32) -> Result<()> {
-    FORMAT.write_file(path.as_ref(), scene, &SaveOptions { spz_version: version }, None)
-}
-
 fn read_line(path: &Path) -> Result<Option<String>> {
     let decoder = GzDecoder::new(Source::open(path)?);
     Ok(decoder.header().and_then(|header| header.comment()).map(|bytes| String::from_utf8_lossy(bytes).into_owned()))
@@ -78,16 +69,7 @@ fn encoder<'a>(scene: &'a Scene, options: &SaveOptions, world: Option<&World>) -
     }))
 }
 
-/// Reads an SPZ of version 2, 3 or 4 and degree 0 to 3.
-///
-/// # Errors
-///
-/// [`Error::Format`] for damage, truncation, trailing data, or an unknown version, degree or axes.
-/// Offsets refer to the inflated stream; in version 4 to the file.
-pub fn read_spz(path: impl AsRef<Path>) -> Result<Scene> {
-    read_unchecked(Source::open(path.as_ref())?)?.validated(path.as_ref())
-}
-
+/// Offsets of errors refer to the inflated stream; in version 4 to the file.
 fn read_unchecked(mut source: Source<'_>) -> Result<Scene> {
     let bytes = source.rest()?;
     decode(&bytes).map_err(|Fault { offset, reason }| Error::format(source.name, offset.map(|at| at as u64), reason))

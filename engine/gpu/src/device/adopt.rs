@@ -12,6 +12,7 @@ use crate::{Device, Error, Result};
 use ash::vk::{self, Handle};
 use std::{
     ffi::{CStr, c_void},
+    path::PathBuf,
     sync::Arc,
 };
 
@@ -65,6 +66,8 @@ pub struct Adopted {
     pub queue_lock: Option<QueueLock>,
     /// Whether every supported feature of [`fast_requirements`] is enabled.
     pub fast: bool,
+    /// Folder of self-test results and kernel timings; `None` keeps none.
+    pub cache_dir: Option<PathBuf>,
 }
 
 impl Device {
@@ -115,6 +118,7 @@ impl Device {
             family,
             limits,
             force_staging: false,
+            cache_dir: adopted.cache_dir,
             passed_over: Vec::new(),
         };
         Shared::new(parts, support.subgroup_control).map(|shared| Self(Arc::new(shared)))
@@ -146,6 +150,7 @@ mod tests {
                 queue_family: shared.family,
                 queue_lock: None,
                 fast,
+                cache_dir: None,
             };
             // SAFETY: these handles have everything enabled and outlive the adopted device.
             unsafe { Device::adopt(adopted) }.expect("a device that works")

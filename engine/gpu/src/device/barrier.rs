@@ -4,14 +4,10 @@ pub(crate) const WRITES: vk::AccessFlags2 = vk::AccessFlags2::from_raw(
     vk::AccessFlags2::SHADER_STORAGE_WRITE.as_raw() | vk::AccessFlags2::TRANSFER_WRITE.as_raw(),
 );
 pub(crate) const READS: vk::AccessFlags2 = vk::AccessFlags2::from_raw(
-    vk::AccessFlags2::SHADER_STORAGE_READ.as_raw()
-        | vk::AccessFlags2::TRANSFER_READ.as_raw()
-        | vk::AccessFlags2::INDIRECT_COMMAND_READ.as_raw(),
+    vk::AccessFlags2::SHADER_STORAGE_READ.as_raw() | vk::AccessFlags2::TRANSFER_READ.as_raw(),
 );
 pub(crate) const STAGES: vk::PipelineStageFlags2 = vk::PipelineStageFlags2::from_raw(
-    vk::PipelineStageFlags2::COMPUTE_SHADER.as_raw()
-        | vk::PipelineStageFlags2::TRANSFER.as_raw()
-        | vk::PipelineStageFlags2::DRAW_INDIRECT.as_raw(),
+    vk::PipelineStageFlags2::COMPUTE_SHADER.as_raw() | vk::PipelineStageFlags2::TRANSFER.as_raw(),
 );
 
 pub(crate) fn memory_barrier(

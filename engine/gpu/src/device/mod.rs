@@ -3,6 +3,7 @@
 mod adopt;
 pub(crate) mod barrier;
 mod bfloat16;
+mod cache;
 pub(crate) mod failure;
 mod features;
 mod instance;
@@ -13,6 +14,7 @@ mod probe;
 mod queue;
 
 pub use adopt::{Adopted, Requirement, fast_requirements, requirements};
+pub use cache::cache_dir;
 pub use limits::{Limits, Matrices, MatrixShape};
 pub use probe::{DeviceInfo, list_devices};
 pub use queue::QueueLock;
@@ -29,6 +31,7 @@ use ash::{ext, khr, vk};
 use gpu_allocator::vulkan::{Allocator, AllocatorCreateDesc};
 use std::{
     collections::HashMap,
+    path::{Path, PathBuf},
     sync::{
         Arc, Mutex, MutexGuard,
         atomic::{AtomicBool, AtomicU64, Ordering},
@@ -47,6 +50,8 @@ pub struct DeviceOptions {
     pub max_binding_bytes: Option<u64>,
     /// Budget of device memory in bytes.
     pub max_memory_bytes: Option<u64>,
+    /// Folder of self-test results and kernel timings; `None` keeps none.
+    pub cache_dir: Option<PathBuf>,
     /// Forces robust access: kernels read bound buffers only, never device addresses.
     pub robust_access: bool,
     /// Uses staging buffers even if device memory is host visible, to emulate a discrete GPU.
@@ -54,7 +59,8 @@ pub struct DeviceOptions {
 }
 
 impl Default for DeviceOptions {
-    /// `ZIPSPLAT_VALIDATION=1` enables validation, `ZIPSPLAT_BOUND=1` robust access.
+    /// `ZIPSPLAT_VALIDATION=1` enables validation, `ZIPSPLAT_BOUND=1` robust access. The cache is
+    /// [`cache_dir`].
     fn default() -> Self {
         let is_set = |name| std::env::var(name).is_ok_and(|v| v == "1");
         let (validation, robust_access) = (is_set("ZIPSPLAT_VALIDATION"), is_set("ZIPSPLAT_BOUND"));
@@ -63,6 +69,7 @@ impl Default for DeviceOptions {
             validation,
             max_binding_bytes: None,
             max_memory_bytes: None,
+            cache_dir: cache_dir(),
             robust_access,
             force_staging: false,
         }
@@ -81,6 +88,7 @@ pub(crate) struct Shared {
     pub allocated: AtomicU64,
     pub flops_per_ms: Mutex<HashMap<String, u64>>,
     pub force_staging: bool,
+    cache_dir: Option<PathBuf>,
     index: usize,
     passed_over: Vec<String>,
     pub lost: AtomicBool,
@@ -100,6 +108,7 @@ pub(crate) struct SharedParts {
     pub family: u32,
     pub limits: Limits,
     pub force_staging: bool,
+    pub cache_dir: Option<PathBuf>,
     pub passed_over: Vec<String>,
 }
 
@@ -150,6 +159,11 @@ impl Device {
     /// Returns the rejected GPUs with reasons, if the engine fell back to a CPU.
     pub fn passed_over(&self) -> &[String] {
         &self.0.passed_over
+    }
+
+    /// Returns the folder of cached results about the device; `None` if none are kept.
+    pub fn cache_dir(&self) -> Option<&Path> {
+        self.0.cache_dir.as_deref()
     }
 
     /// Returns the bytes of device memory in use: arenas, weights, scenes.
@@ -228,16 +242,24 @@ impl Shared {
             .map_err(|e| Error::NoDevice(format!("{}: vkCreateDevice: {e}", limits.name)))?;
         // SAFETY: the queue was requested above.
         let queue = Queue::new(unsafe { raw.get_device_queue(family, 0) }, None);
-        let force_staging = options.force_staging;
-        let owned = true;
-        let parts =
-            SharedParts { instance, physical, index, raw, owned, queue, family, limits, force_staging, passed_over };
+        let parts = SharedParts {
+            instance,
+            physical,
+            index,
+            raw,
+            owned: true,
+            queue,
+            family,
+            limits,
+            force_staging: options.force_staging,
+            cache_dir: options.cache_dir.clone(),
+            passed_over,
+        };
         Self::new(parts, support.subgroup_control)
     }
 
     pub fn new(parts: SharedParts, subgroup_control: bool) -> Result<Self> {
-        let SharedParts { instance, physical, index, raw, owned, queue, family, limits, force_staging, passed_over } =
-            parts;
+        let SharedParts { instance, physical, raw, limits, .. } = parts;
         let allocator = Allocator::new(&AllocatorCreateDesc {
             instance: instance.raw.clone(),
             device: raw.clone(),
@@ -249,17 +271,18 @@ impl Shared {
         .map_err(|e| Error::Driver { call: "gpu_allocator::Allocator::new", result: e.to_string() })?;
         let debug = instance.debug.as_ref().map(|_| ext::debug_utils::Device::new(&instance.raw, &raw));
         Ok(Self {
-            queue,
-            family,
+            queue: parts.queue,
+            family: parts.family,
             allocated: AtomicU64::new(0),
             flops_per_ms: Mutex::default(),
-            force_staging,
-            index,
-            passed_over,
+            force_staging: parts.force_staging,
+            cache_dir: parts.cache_dir,
+            index: parts.index,
+            passed_over: parts.passed_over,
             lost: AtomicBool::new(false),
             pipelines: Pipelines::new(raw.clone(), debug, limits.subgroup_size, subgroup_control),
             allocator: Mutex::new(Some(allocator)),
-            owned,
+            owned: parts.owned,
             raw,
             limits,
             instance,

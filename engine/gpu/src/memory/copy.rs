@@ -33,7 +33,6 @@ pub(crate) fn record_copies(
 pub(crate) fn copy_now(shared: &Shared, from: vk::Buffer, to: vk::Buffer, region: vk::BufferCopy) -> Result<()> {
     shared.check_lost()?;
     let raw = &shared.raw;
-    let transfer = vk::PipelineStageFlags2::TRANSFER;
     let pool_info = vk::CommandPoolCreateInfo::default().queue_family_index(shared.family);
     // SAFETY: this thread alone uses the handles and destroys them after the wait.
     unsafe {
@@ -41,13 +40,7 @@ pub(crate) fn copy_now(shared: &Shared, from: vk::Buffer, to: vk::Buffer, region
         let submit = |fence| {
             let info = vk::CommandBufferAllocateInfo::default().command_pool(pool).command_buffer_count(1);
             let commands = raw.allocate_command_buffers(&info).map_err(|e| driver("vkAllocateCommandBuffers", e))?[0];
-            raw.begin_command_buffer(commands, &vk::CommandBufferBeginInfo::default())
-                .map_err(|e| driver("vkBeginCommandBuffer", e))?;
-            let access = vk::AccessFlags2::TRANSFER_READ | vk::AccessFlags2::TRANSFER_WRITE;
-            memory_barrier(raw, commands, vk::PipelineStageFlags2::ALL_COMMANDS, transfer, access);
-            raw.cmd_copy_buffer(commands, from, to, &[region]);
-            memory_barrier(raw, commands, STAGES, vk::PipelineStageFlags2::HOST, vk::AccessFlags2::HOST_READ);
-            raw.end_command_buffer(commands).map_err(|e| driver("vkEndCommandBuffer", e))?;
+            record_copies(shared, commands, &[(from, to, region)])?;
             let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(commands)];
             let info = vk::SubmitInfo2::default().command_buffer_infos(&buffers);
             let submitted = shared.queue.submit(raw, info, fence).map_err(|e| shared.failed("vkQueueSubmit2", e));

@@ -150,7 +150,6 @@ impl Block {
     fn new(shared: &Shared, name: &str, bytes: u64, location: MemoryLocation) -> Result<Self> {
         let addresses = shared.limits.addresses;
         let mut usage = vk::BufferUsageFlags::STORAGE_BUFFER
-            | vk::BufferUsageFlags::INDIRECT_BUFFER
             | vk::BufferUsageFlags::TRANSFER_SRC
             | vk::BufferUsageFlags::TRANSFER_DST;
         if addresses {

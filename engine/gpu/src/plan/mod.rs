@@ -10,20 +10,13 @@ pub use recorder::{GROUP_FOLD, Recorder};
 use self::layout::Placement;
 use crate::memory::tensor::{Home, Tensor};
 
-#[derive(Clone, Copy, Debug)]
-pub(crate) enum Groups {
-    Fixed([u32; 3]),
-    /// Three u32 group counts in a tensor.
-    Indirect(Tensor),
-}
-
 #[derive(Debug)]
 pub(crate) struct Dispatch {
     pub module: &'static Module,
     pub constants: Vec<u32>,
     pub push: [u32; 16],
     pub buffers: Vec<Tensor>,
-    pub groups: Groups,
+    pub groups: [u32; 3],
 }
 
 #[derive(Debug)]

@@ -1,5 +1,5 @@
 use super::{
-    Allocation, Command, Dispatch, Groups, Operation, Role,
+    Allocation, Command, Dispatch, Operation, Role,
     layout::{self, Lifetime},
 };
 use crate::{Element, Error, Kernel, Limits, Needs, Plan, Result, Tensor, memory::tensor::Home};
@@ -135,12 +135,7 @@ impl Recorder {
         if groups.contains(&0) {
             return Recorded(None);
         }
-        self.push(kernel, Groups::Fixed(groups))
-    }
-
-    /// Dispatches with workgroup counts from `args`, three u32, at run time.
-    pub fn dispatch_indirect<K: Kernel>(&mut self, kernel: K, args: Tensor) -> Recorded<'_> {
-        self.push(kernel, Groups::Indirect(args))
+        self.push(kernel, groups)
     }
 
     /// Fills a tensor with a 32-bit word.
@@ -186,7 +181,7 @@ impl Recorder {
         Tensor { home: Home::Arena(self.allocations.len() as u32 - 1), offset: 0, bytes }
     }
 
-    fn push<K: Kernel>(&mut self, kernel: K, groups: Groups) -> Recorded<'_> {
+    fn push<K: Kernel>(&mut self, kernel: K, groups: [u32; 3]) -> Recorded<'_> {
         let module = kernel.module();
         let Needs { half_storage, matrices, dot_products } = module.needs;
         let can = (!half_storage || self.limits.half_storage)
@@ -251,9 +246,6 @@ impl Operation {
             Operation::Dispatch(dispatch) => {
                 for (tensor, binding) in dispatch.buffers.iter().zip(dispatch.module.bindings) {
                     visit(*tensor, binding.reads, binding.writes);
-                }
-                if let Groups::Indirect(args) = dispatch.groups {
-                    visit(args, true, false);
                 }
             }
             Operation::Fill { target, .. } => visit(*target, false, true),

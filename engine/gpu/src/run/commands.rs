@@ -11,7 +11,7 @@ use crate::{
         barrier::{READS, STAGES, WRITES, memory_barrier},
         failure::driver,
     },
-    plan::{Command, Dispatch, Groups, Operation},
+    plan::{Command, Dispatch, Operation},
 };
 use ash::vk;
 
@@ -144,16 +144,8 @@ impl<'a> Encoder<'a> {
             if !push.is_empty() {
                 raw.cmd_push_constants(commands, pipeline.layout, vk::ShaderStageFlags::COMPUTE, 0, push);
             }
-            match dispatch.groups {
-                Groups::Fixed(_) => {
-                    let ([x, y, z], [w, h, d]) = (piece.base, piece.groups);
-                    raw.cmd_dispatch_base(commands, x, y, z, w, h, d);
-                }
-                Groups::Indirect(args) => {
-                    let range = self.bound.range(args);
-                    raw.cmd_dispatch_indirect(commands, range.buffer, range.from);
-                }
-            }
+            let ([x, y, z], [w, h, d]) = (piece.base, piece.groups);
+            raw.cmd_dispatch_base(commands, x, y, z, w, h, d);
         }
         Ok(())
     }

@@ -18,6 +18,7 @@ use self::{
     bindings::Bindings,
     commands::Encoder,
     descriptors::Descriptors,
+    present::submit_info,
     schedule::{Cursor, Piece, SUBMISSION, first_guess, learned},
 };
 use crate::{
@@ -31,7 +32,7 @@ use crate::{
     },
     plan::{Command, Role},
 };
-use ash::vk;
+use ash::vk::{self, Handle};
 use bytemuck::Pod;
 use std::{
     collections::VecDeque,
@@ -327,26 +328,28 @@ impl Run {
 
     fn submit(&mut self, commands: vk::CommandBuffer) -> Result<u64> {
         self.device.0.check_lost()?;
+        self.submit_between(commands, &[], &[])
+    }
+
+    /// Submits between semaphore values; returns the timeline's own value at the end.
+    fn submit_between(&mut self, commands: vk::CommandBuffer, waits: &[Point], signals: &[Point]) -> Result<u64> {
         let value = self.lane.next_value()?;
-        let submitted = self.submit_as(commands, value);
+        let own = Point { semaphore: self.lane.timeline().as_raw(), value };
+        let infos = |points: &[Point]| points.iter().map(submit_info).collect::<Vec<_>>();
+        let (waits, signals) = (infos(waits), infos(&[signals, &[own]].concat()));
+        let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(commands)];
+        let info = vk::SubmitInfo2::default()
+            .command_buffer_infos(&buffers)
+            .wait_semaphore_infos(&waits)
+            .signal_semaphore_infos(&signals);
+        // SAFETY: recorded and not in flight; the creator of a target vouches for its semaphores.
+        let submitted = unsafe { self.device.0.queue.submit(&self.device.0.raw, info, vk::Fence::null()) }
+            .map_err(|e| self.device.0.failed("vkQueueSubmit2", e));
+        self.lane.submitted(value, &submitted);
         if is_in_flight(&submitted) {
             self.signalled = value;
         }
         submitted.map(|()| value)
-    }
-
-    fn submit_as(&self, commands: vk::CommandBuffer, value: u64) -> Result<()> {
-        let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(commands)];
-        let signals = [vk::SemaphoreSubmitInfo::default()
-            .semaphore(self.lane.timeline())
-            .value(value)
-            .stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)];
-        let info = vk::SubmitInfo2::default().command_buffer_infos(&buffers).signal_semaphore_infos(&signals);
-        // SAFETY: the command buffer is recorded and not in flight.
-        let submitted = unsafe { self.device.0.queue.submit(&self.device.0.raw, info, vk::Fence::null()) }
-            .map_err(|e| self.device.0.failed("vkQueueSubmit2", e));
-        self.lane.submitted(value, &submitted);
-        submitted
     }
 
     fn command_buffer(&self) -> Result<vk::CommandBuffer> {

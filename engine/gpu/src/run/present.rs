@@ -1,7 +1,4 @@
-use crate::{
-    Error, Result, Run, Tensor,
-    device::failure::{driver, is_in_flight},
-};
+use crate::{Error, Result, Run, Tensor, device::failure::driver};
 use ash::vk::{self, Handle};
 
 /// Destination in an app's device memory, with semaphores for synchronization.
@@ -96,23 +93,7 @@ impl Run {
             None => *self.presenting.insert(self.command_buffer()?),
         };
         self.record_copy(commands, tensor, target.place)?;
-        let value = self.lane.next_value()?;
-        let own = Point { semaphore: self.lane.timeline().as_raw(), value };
-        let infos = |points: &[Point]| points.iter().map(submit_info).collect::<Vec<_>>();
-        let (waits, signals) = (infos(&target.waits), infos(&[&target.signals[..], &[own]].concat()));
-        let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(commands)];
-        let info = vk::SubmitInfo2::default()
-            .command_buffer_infos(&buffers)
-            .wait_semaphore_infos(&waits)
-            .signal_semaphore_infos(&signals);
-        // SAFETY: recorded and not in flight; the creator of the target vouches for its handles.
-        let submitted = unsafe { self.device.0.queue.submit(&self.device.0.raw, info, vk::Fence::null()) }
-            .map_err(|e| self.device.0.failed("vkQueueSubmit2", e));
-        self.lane.submitted(value, &submitted);
-        if is_in_flight(&submitted) {
-            self.signalled = value;
-        }
-        submitted
+        self.submit_between(commands, &target.waits, &target.signals).map(drop)
     }
 
     fn record_copy(&self, commands: vk::CommandBuffer, tensor: Tensor, place: Place) -> Result<()> {
@@ -205,7 +186,7 @@ fn region(place: &ImagePlace, buffer_offset: u64) -> vk::BufferImageCopy {
         .image_extent(vk::Extent3D { width, height, depth: 1 })
 }
 
-fn submit_info(point: &Point) -> vk::SemaphoreSubmitInfo<'static> {
+pub(super) fn submit_info(point: &Point) -> vk::SemaphoreSubmitInfo<'static> {
     vk::SemaphoreSubmitInfo::default()
         .semaphore(vk::Semaphore::from_raw(point.semaphore))
         .value(point.value)

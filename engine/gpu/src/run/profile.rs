@@ -101,16 +101,16 @@ impl Run {
         Ok(Profile::new(&self.plan, &times))
     }
 
-    fn profiled(&self, queries: vk::QueryPool, count: u32) -> Result<Vec<f64>> {
-        let (raw, limits) = (&self.device.0.raw, self.device.limits());
+    fn profiled(&mut self, queries: vk::QueryPool, count: u32) -> Result<Vec<f64>> {
+        let device = self.device.clone();
+        let (raw, limits) = (&device.0.raw, device.limits());
         let mut times = vec![0.0; self.plan.commands.len()];
         let mut cursor = Cursor::default();
         let commands = self.command_buffer()?;
         while cursor.command < self.plan.commands.len() {
             let (pieces, _) = cursor.next_pieces(&self.plan, self.budget(cursor.command));
             self.record(commands, &pieces, Some((queries, count)))?;
-            let value = self.lane.next_value()?;
-            self.submit_as(commands, value)?;
+            let value = self.submit(commands)?;
             self.lane.wait(value)?;
             let mut stamps = vec![0u64; 2 * pieces.len()];
             // SAFETY: the submission that wrote these queries is done.

@@ -2,7 +2,7 @@
 
 use crate::{
     Limits,
-    plan::{Command, Groups, Operation, Plan},
+    plan::{Command, Operation, Plan},
 };
 use std::time::Duration;
 
@@ -94,7 +94,7 @@ impl Cursor {
     fn next_piece(&mut self, command: &Command, budget: u64) -> (Piece, u64, bool) {
         let mut piece = Piece { command: self.command, base: [0; 3], groups: [1; 3] };
         let Operation::Dispatch(dispatch) = &command.operation else { return (piece, command.cost(), true) };
-        let Groups::Fixed(groups) = dispatch.groups else { return (piece, command.cost(), true) };
+        let groups = dispatch.groups;
         let axis = longest_axis(groups);
         let per_group = (command.cost() / groups[axis] as u64).max(1);
         let count = (budget / per_group).clamp(1, (groups[axis] - self.done) as u64) as u32;
@@ -182,10 +182,7 @@ mod tests {
 
     fn least_cost(command: &Command) -> u64 {
         match &command.operation {
-            Operation::Dispatch(d) => match d.groups {
-                Groups::Fixed(groups) => command.cost() / u64::from(groups.into_iter().max().unwrap_or(1)),
-                Groups::Indirect(_) => command.cost(),
-            },
+            Operation::Dispatch(d) => command.cost() / u64::from(d.groups.into_iter().max().unwrap_or(1)),
             _ => command.cost(),
         }
     }
@@ -217,10 +214,7 @@ mod tests {
             }
             for (command, covered) in plan.commands.iter().zip(covered) {
                 let whole = match &command.operation {
-                    Operation::Dispatch(d) => match d.groups {
-                        Groups::Fixed(groups) => groups.iter().map(|g| *g as u64).product(),
-                        Groups::Indirect(_) => 1,
-                    },
+                    Operation::Dispatch(d) => d.groups.iter().map(|g| *g as u64).product(),
                     _ => 1,
                 };
                 assert_eq!(covered, whole, "budget {budget}");

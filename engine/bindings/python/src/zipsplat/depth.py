@@ -159,18 +159,16 @@ class DepthModel(Owner):
             (12, 378, 504)
         """
         sources, posed, _capture = matched(images, cameras)
-        callback = Callback(progress)
+        callback, known = Callback(progress), native_cameras(posed or ())
         options = structure(
             "depth_options",
             input_size=positive("input_size", input_size),
             camera_source=choose("camera_source", camera_source, _CAMERA_SOURCES),
             per_view_focal=int(per_view_focal),
+            cameras=known,
+            camera_count=len(known),
             **callback.fields,
         )
-        kept_cameras: Any = None
-        if posed is not None:
-            kept_cameras = native_cameras(posed)
-            options.cameras, options.camera_count = kept_cameras, len(posed)
         photos, _kept = native_images(sources)
         found = Handle("depth_result", "zs_depth_predict", self._handle, photos, len(sources), options)
         return DepthPrediction(found, len(sources), self.device)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, Optional, Protocol, Union
 
 from ._native import Handle, Owner, call, ffi, lib, structure, text
+from .cameras import PathLike
 from .errors import NoDeviceError
 
 DeviceKind = Literal["discrete", "integrated", "cpu", "other"]
@@ -68,6 +69,8 @@ class Device(Owner):
         device: "cuda:N" or a torch.device for a GPU by its CUDA number, "cpu" for lavapipe, a
             Vulkan device number, part of a name, or a UUID. None selects the best.
         max_memory_bytes: Device memory budget; None is unlimited.
+        cache_dir: Folder of self-test results, kernel timings and LPIPS weights; "" keeps none.
+            None is the environment's ZIPSPLAT_CACHE, else "zipsplat" in the user's cache.
         validation: Enables the Khronos validation layer; None follows the environment.
 
     Raises:
@@ -83,10 +86,12 @@ class Device(Owner):
         device: Union[int, str, TorchDevice, None] = None,
         *,
         max_memory_bytes: Optional[int] = None,
+        cache_dir: Optional[PathLike] = None,
         validation: Optional[bool] = None,
     ) -> None:
         name = ffi.NULL if device is None else ffi.new("char[]", _selector(str(device)).encode())
-        options = structure("device_options", device=name, max_memory_bytes=max_memory_bytes or 0)
+        folder = ffi.NULL if cache_dir is None else ffi.new("char[]", os.fsencode(cache_dir))
+        options = structure("device_options", device=name, max_memory_bytes=max_memory_bytes or 0, cache_dir=folder)
         if validation is not None:
             options.validation = int(validation)
         super().__init__(Handle("device", "zs_device_create", options))

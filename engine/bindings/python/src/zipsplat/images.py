@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Iterable, Optional, Protocol, Sequence, Union
@@ -214,20 +215,12 @@ def _array(photo: Handle) -> npt.NDArray[np.uint8]:
 
 def _natural(name: str) -> list[tuple[Any, ...]]:
     """Sort key by numeric value: 2.png before 10.png."""
-    parts: list[tuple[Any, ...]] = []
-    at = 0
-    while at < len(name):
-        end = at
-        while end < len(name) and "0" <= name[end] <= "9":
-            end += 1
-        if end == at:
-            parts.append((name[at],))
-            at += 1
-        else:
-            digits = name[at:end].lstrip("0")
-            parts.append(("0", len(digits), digits))
-            at = end
-    return parts
+
+    def key(part: str) -> tuple[Any, ...]:
+        digits = part.lstrip("0")
+        return ("0", len(digits), digits) if "0" <= part[0] <= "9" else (part,)
+
+    return [key(part) for part in re.findall("[0-9]+|.", name, re.DOTALL)]
 
 
 def paths_of(images: ImagesLike) -> Iterable[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from typing import Any, Literal, Optional, Union
+from typing import Literal, Optional, Union
 
 from . import command
 from ._header import NUMBERS
@@ -159,7 +159,7 @@ class Model(Owner):
             >>> refined = model.reconstruct(capture).refine(capture, steps=200)
         """
         sources, posed, capture = matched(images, cameras)
-        callback = Callback(progress)
+        callback, known = Callback(progress), native_cameras(posed or ())
         options = structure(
             "reconstruct_options",
             world=choose("world", world, _WORLDS),
@@ -169,17 +169,14 @@ class Model(Owner):
             input_size=(0, 0) if input_size is None else [positive("input_size", side) for side in input_size],
             seed=seed,
             kv_pool=positive("kv_pool", kv_pool),
+            cameras=known,
+            camera_count=len(known),
+            capture=ffi.NULL if capture is None else capture._handle.pointer,
             **callback.fields,
         )
         for name, value in (("ratio", ratio), ("scene_scale", scene_scale)):
             if value != "auto" and float(value) <= 0:
                 raise ArgumentError(f"{name}: found {value!r}, expected a number above 0, or 'auto'")
-        kept_cameras: Any = None
-        if posed is not None:
-            kept_cameras = native_cameras(posed)
-            options.cameras, options.camera_count = kept_cameras, len(posed)
-        if capture is not None:
-            options.capture = capture._handle.pointer
         photos, _kept = native_images(sources)
         found = Handle("reconstruction", "zs_reconstruct", self._handle, photos, len(sources), options)
         return Reconstruction(found, self.device)

@@ -220,6 +220,7 @@ class Scene:
         cameras: Optional[CamerasLike] = None,
         *,
         steps: int = 100,
+        seconds: Optional[float] = None,
         views_per_step: int = 4,
         holdout_views: Union[int, Literal["auto"]] = "auto",
         max_image_size: Optional[tuple[int, int]] = (1600, 1600),
@@ -237,6 +238,7 @@ class Scene:
             images: Photos, as for Model.reconstruct.
             cameras: Their cameras, in the scene's world; None with a Capture.
             steps: Optimizer steps.
+            seconds: Time to spend instead, about: the steps follow from the measured time of a few.
             views_per_step: Photos per step.
             holdout_views: Number of held-out photos, which reveal overfitting; "auto" is one of 40
                 or more.
@@ -261,6 +263,8 @@ class Scene:
             >>> refined.refinement.stop_reason
             'finished'
         """
+        if seconds is not None and not seconds > 0:
+            raise ArgumentError(f"seconds: found {seconds}, expected a time above 0")
         sources, posed, _ = matched(images, cameras)
         if posed is None:
             raise ArgumentError("cameras: found none, expected one per image, as from zipsplat.estimate_cameras")
@@ -271,6 +275,7 @@ class Scene:
         options = structure(
             "refine_options",
             steps=positive("steps", steps),
+            seconds=seconds or 0.0,
             views_per_step=positive("views_per_step", views_per_step),
             holdout_views=0 if holdout_views == "auto" else int(holdout_views) or lib.ZS_HOLDOUT_VIEWS_NONE,
             max_image_size=[positive("max_image_size", side) for side in max_image_size or (2**32 - 1,) * 2],

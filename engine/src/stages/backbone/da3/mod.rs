@@ -11,7 +11,6 @@ mod transformer;
 pub use depth::DepthBackbone;
 pub use positions::{interpolate as interpolate_positions, rotary_tables};
 
-use super::Backbone;
 use crate::{
     Result,
     gpu::{Recorder, Run, Tensor},
@@ -22,23 +21,33 @@ use crate::{
 use features::Features;
 use transformer::Transformer;
 
+/// Backbone parameters, with the norms and projections of the out layers.
 pub struct Da3 {
     transformer: Transformer,
     features: Features,
 }
 
 impl Da3 {
+    /// Declares the parameters.
     pub fn new(p: &mut ParameterLayout, a: &Architecture) -> Self {
         Self { transformer: Transformer::new(p, &a.backbone()), features: Features::new(p, a) }
     }
-}
 
-impl Backbone for Da3 {
-    fn inputs(&self, rec: &mut Recorder, grid: ViewGrid, cameras: bool) -> Vec<Tensor> {
+    /// Allocates host inputs besides pixels.
+    pub fn inputs(&self, rec: &mut Recorder, grid: ViewGrid, cameras: bool) -> Vec<Tensor> {
         self.transformer.inputs(rec, grid, cameras)
     }
 
-    fn record(&self, rec: &mut Recorder, images: Tensor, inputs: &[Tensor], grid: ViewGrid, pool: usize) -> Vec<Rows> {
+    /// Records the backbone for `images` `[views, 3, height, width]` f32, RGB in 0..1. Returns f32
+    /// tokens per out layer, deepest first.
+    pub fn record(
+        &self,
+        rec: &mut Recorder,
+        images: Tensor,
+        inputs: &[Tensor],
+        grid: ViewGrid,
+        pool: usize,
+    ) -> Vec<Rows> {
         let (layers, final_norm) = (self.features.layers(), self.transformer.final_norm);
         let mut prepared = Vec::new();
         let asked = (grid, Reference::View(0), pool);
@@ -49,7 +58,8 @@ impl Backbone for Da3 {
         prepared
     }
 
-    fn write(
+    /// Writes the inputs, with cameras in network units.
+    pub fn write(
         &self,
         run: &mut Run,
         inputs: &[Tensor],
