@@ -1,3 +1,5 @@
+//! Procedural captures.
+
 mod command;
 mod coverage;
 mod geometry;
