@@ -166,15 +166,14 @@ fn cameras_are_optimized_and_gaussians_grow_as_in_rust() {
     place.cameras[1].pose.translation.x += 0.01;
     let expected = place.in_rust(
         &RefineOptions {
-            steps: 8,
+            steps: 24,
             optimize_cameras: true,
             max_gaussians: Some(90),
-            max_image_size: Some([1600; 2]),
             ..RefineOptions::default()
         },
         usize::MAX,
     );
-    let options = zs_refine_options { steps: 8, optimize_cameras: 1, max_gaussians: 90, ..Versioned::new() };
+    let options = zs_refine_options { steps: 24, optimize_cameras: 1, max_gaussians: 90, ..Versioned::new() };
     let (device, scene) = (open_device(), scene_of(&place.moved));
     let images: Vec<_> = place.photos.iter().map(image_of).collect();
     let (cameras, mut refined) = (place.c_cameras(), [zs_camera::new(); 3]);
