@@ -165,15 +165,10 @@ fn cameras_are_optimized_and_gaussians_grow_as_in_rust() {
     let mut place = place(3);
     place.cameras[1].pose.translation.x += 0.01;
     let expected = place.in_rust(
-        &RefineOptions {
-            steps: 24,
-            optimize_cameras: true,
-            max_gaussians: Some(90),
-            ..RefineOptions::default()
-        },
+        &RefineOptions { steps: 60, optimize_cameras: true, max_gaussians: Some(70), ..RefineOptions::default() },
         usize::MAX,
     );
-    let options = zs_refine_options { steps: 24, optimize_cameras: 1, max_gaussians: 90, ..Versioned::new() };
+    let options = zs_refine_options { steps: 60, optimize_cameras: 1, max_gaussians: 70, ..Versioned::new() };
     let (device, scene) = (open_device(), scene_of(&place.moved));
     let images: Vec<_> = place.photos.iter().map(image_of).collect();
     let (cameras, mut refined) = (place.c_cameras(), [zs_camera::new(); 3]);
