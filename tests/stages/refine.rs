@@ -41,6 +41,24 @@ fn refine(scene: &Scene, photos: &[Image], cameras: &[Camera], request: &RefineO
 }
 
 #[test]
+fn needles_become_shorter() {
+    let cameras = cameras(4);
+    let (scene, photos) = photos(&cameras);
+    let mut needles = moved(&scene);
+    needles.scales.iter_mut().for_each(|[x, y, z]| (*x, *y, *z) = (0.4, 0.02, 0.01));
+    let request = RefineOptions { steps: 60, coarse_to_fine: false, ..RefineOptions::default() };
+    let refined = refine(&needles, &photos, &cameras, &request);
+    assert!(refined.best_step > 40, "{}", refined.best_step);
+    let ratio = |scales: &[f32; 3]| {
+        let mut sorted = *scales;
+        sorted.sort_by(f32::total_cmp);
+        sorted[2] / sorted[1]
+    };
+    let largest = refined.scene.scales.iter().map(ratio).fold(0.0, f32::max);
+    assert!(largest < 5.001, "{largest}");
+}
+
+#[test]
 fn moved_gaussians_find_back_and_always_alike() {
     let cameras = cameras(9);
     let (scene, photos) = photos(&cameras);

@@ -231,8 +231,7 @@ impl Quality {
         }
     }
 
-    /// Returns what to ask of the network; without cameras it estimates them. `scene_scale` is the
-    /// length that is 1 for it.
+    /// Returns the engine's options. Without `cameras` the network estimates them.
     pub fn request(&self, cameras: Vec<Camera>, scene_scale: f64) -> ReconstructOptions {
         ReconstructOptions {
             ratio: self.ratio,

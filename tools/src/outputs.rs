@@ -160,7 +160,7 @@ pub fn save_scene(path: &Path, scene: &Scene, options: &SaveOptions, world: Opti
     })
 }
 
-/// Written in `FAILURES` of a folder, beside what succeeded.
+/// Row of [`FAILURES`], in the folder of the results.
 #[derive(Serialize)]
 pub struct Failure {
     pub capture: String,

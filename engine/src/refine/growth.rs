@@ -57,8 +57,8 @@ impl Growth {
         changed
     }
 
-    /// Samples by opacity, as in the paper, times gradient, as in 3D Gaussian Splatting: detail is
-    /// missing where large gradients persist.
+    /// Samples by opacity, as in the paper, times gradient: detail is missing where large gradients
+    /// persist.
     fn choose(&mut self, scene: &Scene, gradients: &[f64], live: &[usize], count: usize) -> Vec<usize> {
         let mut sum = 0.0;
         let add = |i: &usize| {

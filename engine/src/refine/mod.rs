@@ -35,9 +35,9 @@ use std::{
 };
 use views::size;
 
-/// Number of photos from which one is held out by default; fewer are all needed for training.
+/// Least number of photos with a held-out one by default: fewer are all needed for training.
 const HOLD_OUT_FROM: usize = 40;
-/// Number of steps from which scenes grow by default.
+/// Least number of steps with growth by default.
 const GROWTH_FROM: usize = 300;
 /// Limits of growth by default: pixels of all photos per Gaussian, and its factor.
 const PIXELS_PER_GAUSSIAN: usize = 32;

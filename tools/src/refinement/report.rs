@@ -1,7 +1,10 @@
 //! Results of a refinement as text, JSON and a table.
 
 use super::TOKENS;
-use crate::table::{Table, bytes, counted, significant, time};
+use crate::{
+    metrics::median,
+    table::{Table, bytes, counted, significant, time},
+};
 use glam::DQuat;
 use serde_json::{Value, json};
 use std::path::PathBuf;
@@ -14,11 +17,7 @@ use zipsplat::{
 fn camera_movement(given: &[Camera], refined: &RefineResult) -> Option<[f64; 2]> {
     let pairs = given.iter().zip(&refined.cameras).filter(|(given, refined)| given != refined);
     let movements: Vec<Pose> = pairs.map(|(given, refined)| refined.pose.relative_to(&given.pose)).collect();
-    let median = |of: fn(&Pose) -> f64| {
-        let mut values: Vec<f64> = movements.iter().map(of).collect();
-        values.sort_by(f64::total_cmp);
-        values.get(values.len() / 2).copied()
-    };
+    let median = |of: fn(&Pose) -> f64| median(movements.iter().map(of));
     let degrees = median(|pose| DQuat::from_mat3(&pose.rotation).to_scaled_axis().length().to_degrees());
     Some([degrees?, median(|pose| pose.translation.length())?])
 }

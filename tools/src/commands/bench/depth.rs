@@ -57,7 +57,7 @@ struct Row {
     arena_bytes: u64,
 }
 
-/// A case of PyTorch's.
+/// Measurement of PyTorch.
 #[derive(Deserialize)]
 struct PytorchRow {
     backbone_ms: Vec<f64>,

@@ -66,7 +66,7 @@ struct Row {
     arena_bytes: u64,
 }
 
-/// A case of PyTorch's.
+/// Measurement of PyTorch.
 #[derive(Deserialize)]
 struct PytorchRow {
     precision: String,

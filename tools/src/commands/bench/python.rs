@@ -15,11 +15,11 @@ use zipsplat::{
 /// Python file that prints JSON.
 pub struct Script {
     option: &'static str,
-    /// What `option` requires.
+    /// Requirements of `option`, for its errors.
     needed: &'static str,
-    /// Fails without it.
+    /// Python code that fails without them.
     check: &'static str,
-    /// By import name, the script first.
+    /// Sources by file name, the script first.
     files: &'static [(&'static str, &'static str)],
 }
 
@@ -69,7 +69,7 @@ pub const GSPLAT: Script = Script {
     files: &[("gsplat_render.py", GSPLAT_PY), SCENE],
 };
 
-/// What a script of PyTorch prints.
+/// Measurements of a PyTorch script.
 #[derive(Deserialize)]
 pub struct Pytorch<Row> {
     device: String,

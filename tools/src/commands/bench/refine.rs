@@ -80,7 +80,7 @@ struct Row {
     peak_bytes: u64,
 }
 
-/// What PyTorch timed.
+/// Measurement of PyTorch.
 #[derive(Deserialize)]
 struct PytorchRow {
     what: String,
