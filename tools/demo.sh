@@ -10,7 +10,7 @@ source "$(dirname "${BASH_SOURCE[0]}")/setup.sh"
 
 out=$root/out
 seed=2199023255552 # 2^41, unused in training
-views=24 side=640
+views=24 side=480
 weights=(${ZIPSPLAT_WEIGHTS:+--weights "$ZIPSPLAT_WEIGHTS"})
 mkdir -p "$out/photos"
 
@@ -19,7 +19,7 @@ stage build cargo build --manifest-path "$root/Cargo.toml" --release -p zipsplat
 command -v colmap > /dev/null || python3 -c 'import pycolmap' 2> /dev/null || apt_install colmap || true
 photos=("${@:-$root/tests/data/bananas}")
 stage 'cameras, scene and refinement' zipsplat reconstruct "${photos[@]}" --views $views --cameras colmap \
-  --cameras-out "$out/photos/transforms.json" --refine=200 --max-image-size ${side}x$side ${weights[@]+"${weights[@]}"} \
+  --cameras-out "$out/photos/transforms.json" --refine=300 --max-image-size ${side}x$side ${weights[@]+"${weights[@]}"} \
   --overwrite -o "$out/photos/scene.ply"
 stage render zipsplat render "$out/photos/scene.ply" --spline "$out/photos/transforms.json" --frames 12 \
   --overwrite -o "$out/photos"
