@@ -68,6 +68,7 @@ int main(int argc, char **argv) {
     }
     zs_refine_options options = ZS_INIT(zs_refine_options);
     zs_refine_result info = ZS_INIT(zs_refine_result);
+    options.steps = 100;
     options.progress = show;
     if (strstr(argv[1], ".safetensors")) {
         zs_model_options of_model = ZS_INIT(zs_model_options);

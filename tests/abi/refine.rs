@@ -12,7 +12,7 @@ use std::{
 use zipsplat::{
     gpu::Arena,
     reconstruct::{Model, ReconstructOptions},
-    refine::{FrozenHead, RefineOptions, RefineResult, refine_scene, refine_tokens},
+    refine::{FrozenHead, RefineLength, RefineOptions, RefineResult, refine_scene, refine_tokens},
     stages::render::{RenderOptions, Renderer},
     types::{Camera, Image, Scene, read_ply, write_ply},
 };
@@ -107,7 +107,7 @@ fn a_refinement_is_rusts_and_tells_how_far_it_is() {
     };
     let (scene, info) = made(place.in_c(&options));
     let request = RefineOptions {
-        steps: 12,
+        length: RefineLength::Steps(12),
         views_per_step: 3,
         max_image_size: Some([40, 40]),
         holdout_views: Some(1),
@@ -135,8 +135,9 @@ fn a_refinement_that_is_stopped_hands_out_the_best_so_far() {
     let place = place(3);
     let mut log = CallLog { steps: Vec::new(), stop_after: 5, action: zs_progress_action::ZS_STOP };
     let user_data = (&raw mut log).cast();
-    let (scene, info) = made(place.in_c(&zs_refine_options { progress: Some(listen), user_data, ..Versioned::new() }));
-    let expected = place.in_rust(&RefineOptions::default(), 5);
+    let options = zs_refine_options { steps: 100, progress: Some(listen), user_data, ..Versioned::new() };
+    let (scene, info) = made(place.in_c(&options));
+    let expected = place.in_rust(&RefineOptions { length: RefineLength::Steps(100), ..RefineOptions::default() }, 5);
     assert_same("scene", &bits(&scene), &bits(&expected.scene));
     assert_eq!((info.stop_reason, info.steps, log.steps.len()), (zs_stop_reason::ZS_STOP_REASON_STOPPED as i32, 5, 5));
     assert!(info.best_psnr.is_nan() && log.steps.iter().all(|now| now.psnr.is_nan()));
@@ -156,7 +157,8 @@ fn a_time_sets_the_steps() {
     let place = place(3);
     let (scene, info) = made(place.in_c(&zs_refine_options { steps: 9, seconds: 1e-9, ..Versioned::new() }));
     assert_eq!((info.stop_reason, info.steps), (zs_stop_reason::ZS_STOP_REASON_FINISHED as i32, 1));
-    let expected = place.in_rust(&RefineOptions { steps: 1, ..RefineOptions::default() }, usize::MAX);
+    let expected =
+        place.in_rust(&RefineOptions { length: RefineLength::Steps(1), ..RefineOptions::default() }, usize::MAX);
     assert_same("scene", &bits(&scene), &bits(&expected.scene));
 }
 
@@ -165,7 +167,12 @@ fn cameras_are_optimized_and_gaussians_grow_as_in_rust() {
     let mut place = place(3);
     place.cameras[1].pose.translation.x += 0.01;
     let expected = place.in_rust(
-        &RefineOptions { steps: 60, optimize_cameras: true, max_gaussians: Some(70), ..RefineOptions::default() },
+        &RefineOptions {
+            length: RefineLength::Steps(60),
+            optimize_cameras: true,
+            max_gaussians: Some(70),
+            ..RefineOptions::default()
+        },
         usize::MAX,
     );
     let options = zs_refine_options { steps: 60, optimize_cameras: 1, max_gaussians: 70, ..Versioned::new() };
@@ -289,7 +296,11 @@ fn tokens_are_refined_as_in_rust() {
         let features = network.features(&photos, &request, go_on).expect("features");
         let tokens = network.tokens(&features, &request, go_on).expect("tokens");
         let head = FrozenHead::load(rust_device(), &checkpoint()).expect("a head");
-        let request = RefineOptions { steps: 6, max_image_size: Some([1600; 2]), ..RefineOptions::default() };
+        let request = RefineOptions {
+            length: RefineLength::Steps(6),
+            max_image_size: Some([1600; 2]),
+            ..RefineOptions::default()
+        };
         let never = |_: zipsplat::refine::RefineProgress| ControlFlow::Continue(());
         let mut expected =
             refine_tokens(network.arena(), &head, &tokens, &photos, &relative, &request, never).expect("a scene");
@@ -344,8 +355,8 @@ fn refine_in_c() {
     command.args([path("scene.ply"), path("cameras.txt"), path("sharp.ply")]).args(&names);
     let out = success(command);
     let refined = read_ply(path("sharp.ply")).expect("a scene");
-    let expected =
-        place.in_rust(&RefineOptions { max_image_size: Some([1600; 2]), ..RefineOptions::default() }, usize::MAX);
+    let request = RefineOptions { length: RefineLength::Steps(100), ..RefineOptions::default() };
+    let expected = place.in_rust(&request, usize::MAX);
     assert_same("means", refined.means.as_flattened(), expected.scene.means.as_flattened());
     assert!(out.contains("loss 0.") && out.contains("100 steps"), "{out}");
     std::fs::write(path("micro.safetensors"), micro()).expect("a file can be written");

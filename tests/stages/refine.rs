@@ -1,6 +1,6 @@
 use std::time::Duration;
 use zipsplat::refine::{
-    LearningRates, PerceptualLoss, RefineOptions, RefineProgress, RefineResult, StopReason, refine_scene,
+    LearningRates, PerceptualLoss, RefineLength, RefineOptions, RefineProgress, RefineResult, StopReason, refine_scene,
 };
 use zipsplat::{gpu::Arena, perceptual::Perceptual, stages::lpips::LpipsNetwork};
 use zipsplat_tests::golden::lpips_weights;
@@ -46,7 +46,7 @@ fn needles_become_shorter() {
     let (scene, photos) = photos(&cameras);
     let mut needles = moved(&scene);
     needles.scales.iter_mut().for_each(|[x, y, z]| (*x, *y, *z) = (0.4, 0.02, 0.01));
-    let request = RefineOptions { steps: 60, coarse_to_fine: false, ..RefineOptions::default() };
+    let request = RefineOptions { length: RefineLength::Steps(60), coarse_to_fine: false, ..RefineOptions::default() };
     let refined = refine(&needles, &photos, &cameras, &request);
     assert!(refined.best_step > 40, "{}", refined.best_step);
     let ratio = |scales: &[f32; 3]| {
@@ -63,7 +63,7 @@ fn moved_gaussians_find_back_and_always_alike() {
     let cameras = cameras(9);
     let (scene, photos) = photos(&cameras);
     let request = RefineOptions {
-        steps: 40,
+        length: RefineLength::Steps(40),
         views_per_step: 3,
         holdout_views: Some(1),
         profile: true,
@@ -86,14 +86,14 @@ fn a_time_becomes_steps_that_give_the_same_bits() {
     let cameras = cameras(4);
     let (scene, photos) = photos(&cameras);
     let steps = |time| {
-        let request = RefineOptions { time: Some(time), ..RefineOptions::default() };
+        let request = RefineOptions { length: RefineLength::Time(time), ..RefineOptions::default() };
         let refined = refine(&moved(&scene), &photos, &cameras, &request);
         (refined.losses.len(), refined)
     };
     let (least, _) = steps(Duration::ZERO);
     let (count, refined) = steps(Duration::from_millis(300));
     assert!(least == 1 && count > 1, "{least} and {count} steps");
-    let counted = RefineOptions { steps: count, ..RefineOptions::default() };
+    let counted = RefineOptions { length: RefineLength::Steps(count), ..RefineOptions::default() };
     assert!(refine(&moved(&scene), &photos, &cameras, &counted).scene == refined.scene);
 }
 
@@ -102,8 +102,12 @@ fn photos_of_a_step_together_are_as_one_after_the_other() {
     let cameras = cameras(6);
     let (scene, photos) = photos(&cameras);
     let with = |batch_size: usize| {
-        let request =
-            RefineOptions { steps: 8, views_per_step: 5, batch_size: Some(batch_size), ..RefineOptions::default() };
+        let request = RefineOptions {
+            length: RefineLength::Steps(8),
+            views_per_step: 5,
+            batch_size: Some(batch_size),
+            ..RefineOptions::default()
+        };
         refine(&moved(&scene), &photos, &cameras, &request)
     };
     let (alone, batched) = (with(1), with(3));
@@ -129,7 +133,12 @@ fn the_best_so_far_is_returned_when_asked_to_stop() {
     assert_eq!((refined.stop_reason, refined.best_step, refined.losses.len()), (Some(StopReason::Cancelled), 3, 3));
     assert_eq!(steps, [1, 2, 3]);
     assert_ne!(refined.scene, start);
-    let none = refine(&start, &photos, &cameras, &RefineOptions { steps: 0, ..RefineOptions::default() });
+    let none = refine(
+        &start,
+        &photos,
+        &cameras,
+        &RefineOptions { length: RefineLength::Steps(0), ..RefineOptions::default() },
+    );
     assert_eq!((none.scene, none.best_step), (start, 0));
 }
 
@@ -142,13 +151,13 @@ fn scenes_are_shown_on_the_way() {
         shown.extend(at.scene.map(|scene| (at.step, scene.clone())));
         ControlFlow::Continue(())
     };
-    let request = RefineOptions { steps: 7, snapshot_interval: Some(3), ..RefineOptions::default() };
+    let request = RefineOptions { length: RefineLength::Steps(7), snapshots: 2, ..RefineOptions::default() };
     let refined = refine_scene(&Arena::new(device()), &moved(&scene), &photos, &cameras, &request, progress).unwrap();
-    assert_eq!(shown.iter().map(|(step, _)| *step).collect::<Vec<_>>(), [3, 6]);
+    assert_eq!(shown.iter().map(|(step, _)| *step).collect::<Vec<_>>(), [4, 7]);
     assert_ne!(shown[0].1, shown[1].1);
     // Not the final checkpoint.
     assert_ne!(shown[1].1, refined.scene);
-    let unseen = refine(&moved(&scene), &photos, &cameras, &RefineOptions { snapshot_interval: None, ..request });
+    let unseen = refine(&moved(&scene), &photos, &cameras, &RefineOptions { snapshots: 0, ..request });
     assert_eq!(unseen.scene, refined.scene);
 }
 
@@ -158,7 +167,12 @@ fn a_loss_that_grows_ends_with_the_last_good_scene() {
     let (scene, photos) = photos(&cameras);
     // Too large: the first step makes the scene worse.
     let rates = LearningRates { means: 10.0, ..LearningRates::default() };
-    let request = RefineOptions { steps: 20, views_per_step: 2, learning_rates: rates, ..RefineOptions::default() };
+    let request = RefineOptions {
+        length: RefineLength::Steps(20),
+        views_per_step: 2,
+        learning_rates: rates,
+        ..RefineOptions::default()
+    };
     let refined = refine(&scene, &photos, &cameras, &request);
     assert!(
         matches!(&refined.stop_reason, Some(StopReason::Diverged(why)) if why.contains("grew")),
@@ -214,8 +228,12 @@ fn disturbed_cameras_come_back() {
     let (scene, photos) = photos(&truth);
     let given = disturbed(&truth, 4);
     let with = |cameras: bool| {
-        let request =
-            RefineOptions { steps: 100, optimize_cameras: cameras, holdout_views: Some(1), ..RefineOptions::default() };
+        let request = RefineOptions {
+            length: RefineLength::Steps(100),
+            optimize_cameras: cameras,
+            holdout_views: Some(1),
+            ..RefineOptions::default()
+        };
         refine(&moved(&scene), &photos, &given, &request)
     };
     let (still, refined) = (with(false), with(true));
@@ -298,7 +316,7 @@ fn lpips_is_a_share_of_the_loss_where_asked() {
     let rates = LearningRates { quats: 0.0, opacities: 0.0, ..rates };
     let with = |perceptual_loss: Option<PerceptualLoss>, steps: usize| {
         let request = RefineOptions {
-            steps,
+            length: RefineLength::Steps(steps),
             perceptual_loss,
             learning_rates: rates,
             views_per_step: 3,

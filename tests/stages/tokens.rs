@@ -1,6 +1,6 @@
 //! Refinement of tokens through the frozen head.
 
-use zipsplat::refine::{FrozenHead, LearningRates, RefineOptions, RefineResult, refine_tokens};
+use zipsplat::refine::{FrozenHead, LearningRates, RefineLength, RefineOptions, RefineResult, refine_tokens};
 use zipsplat::{gpu::Arena, reconstruct::SceneTokens};
 use zipsplat_tests::prelude::*;
 
@@ -50,7 +50,8 @@ fn tokens_become_the_photos() {
     for scene_scale in [1.0, 0.5] {
         let tokens = tokens(&model, scene_scale);
         // Up to the order of sums.
-        let none = refine(&head, &tokens, &RefineOptions { steps: 0, ..RefineOptions::default() });
+        let none =
+            refine(&head, &tokens, &RefineOptions { length: RefineLength::Steps(0), ..RefineOptions::default() });
         let request = ReconstructOptions { scene_scale: Some(scene_scale), ..ReconstructOptions::default() };
         let made =
             model.reconstruct_views(&photos().0, &request, |_| ControlFlow::Continue(())).unwrap().to_scene().unwrap();
@@ -60,7 +61,8 @@ fn tokens_become_the_photos() {
 
         // Larger rates move random scenes out of the picture.
         let rates = LearningRates { tokens: 1e-2, ..LearningRates::default() };
-        let request = RefineOptions { steps: 60, learning_rates: rates, ..RefineOptions::default() };
+        let request =
+            RefineOptions { length: RefineLength::Steps(60), learning_rates: rates, ..RefineOptions::default() };
         let [first, second] = [(); 2].map(|()| refine(&head, &tokens, &request));
         assert!(first.scene == second.scene && first.losses == second.losses, "other bits the second time");
         assert!(first.losses[59] < 0.97 * first.losses[0], "{:?}", first.losses);

@@ -44,16 +44,42 @@ const PIXELS_PER_GAUSSIAN: usize = 32;
 const MOST_GROWTH: usize = 4;
 /// Time of a step with growth relative to one without.
 const GROWTH_COST: f64 = 1.8;
+/// Fewer steps in a time halve the photos' size, down to a shorter side of `SHORTEST` pixels.
+const ENOUGH_STEPS: u32 = 150;
+const SHORTEST: u32 = 240;
 const SAMPLE: usize = 4096;
+
+/// Length of a refinement.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RefineLength {
+    /// Optimizer steps.
+    Steps(usize),
+    /// Approximate duration; the steps and the photos' size follow from the measured time of a few
+    /// steps. The same steps and size give the same bits.
+    Time(Duration),
+}
+
+impl Default for RefineLength {
+    fn default() -> Self {
+        Self::Time(Duration::from_secs(60))
+    }
+}
+
+impl RefineLength {
+    /// Steps to plan for; a time may become any number.
+    fn most_steps(self) -> usize {
+        match self {
+            Self::Steps(steps) => steps,
+            Self::Time(_) => GROWTH_FROM,
+        }
+    }
+}
 
 /// Settings of a refinement.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RefineOptions {
-    /// Optimizer steps.
-    pub steps: usize,
-    /// Approximate duration instead of `steps`, which follow from the measured time of a few. The
-    /// same steps give the same bits.
-    pub time: Option<Duration>,
+    /// Steps or duration; one minute by default.
+    pub length: RefineLength,
     /// Photos per step, capped at the training photos.
     pub views_per_step: usize,
     /// Largest width and height of photos; larger ones are downscaled. `None`: full size.
@@ -84,8 +110,8 @@ pub struct RefineOptions {
     /// Initial capacity in tile intersections per photo, which grows on demand. `None`: from the
     /// number of Gaussians.
     pub intersection_capacity: Option<usize>,
-    /// Steps between the scenes passed to `progress`. `None`: no scenes.
-    pub snapshot_interval: Option<usize>,
+    /// Number of scenes passed to `progress`, evenly spaced.
+    pub snapshots: usize,
     /// Seed of the photo order and of growth.
     pub seed: u64,
     /// Whether to profile a step by kernel.
@@ -95,8 +121,7 @@ pub struct RefineOptions {
 impl Default for RefineOptions {
     fn default() -> Self {
         Self {
-            steps: 100,
-            time: None,
+            length: RefineLength::default(),
             views_per_step: 4,
             max_image_size: Some([1600; 2]),
             holdout_views: None,
@@ -110,7 +135,7 @@ impl Default for RefineOptions {
             coarse_to_fine: true,
             batch_size: None,
             intersection_capacity: None,
-            snapshot_interval: None,
+            snapshots: 0,
             seed: 0,
             profile: false,
         }
@@ -179,7 +204,7 @@ pub struct RefineProgress<'a> {
     pub psnr: Option<f64>,
     /// Estimated time left.
     pub eta: Duration,
-    /// Gaussians after this step, if [`RefineOptions::snapshot_interval`] requests them.
+    /// Gaussians after this step, if among [`RefineOptions::snapshots`].
     pub scene: Option<&'a Scene>,
 }
 
@@ -199,7 +224,7 @@ pub struct RefineResult {
     pub scene: Scene,
     /// Cameras of all photos after that step.
     pub cameras: Vec<Camera>,
-    /// Steps to complete, also of a [`RefineOptions::time`].
+    /// Steps to complete, also of a [`RefineLength::Time`].
     pub steps: usize,
     /// Mean loss per completed step over its photos.
     pub losses: Vec<f32>,
@@ -252,13 +277,14 @@ pub fn refine_scene(
         return Err(Error::argument("scene to refine", "no Gaussians", "at least one"));
     }
     let scene_distance = distance(scene, cameras);
-    let sizes = || photos.iter().map(|photo| size(photo, options.max_image_size, 1));
     let make = |arena: &Arena, options: &RefineOptions| {
         let grown = options.max_gaussians.map(|most| padded(scene, most));
         let gaussians = Gaussians::new(arena, grown.as_ref().unwrap_or(scene), scene_distance, options)?;
         Ok((gaussians, (scene.clone(), scene_distance)))
     };
-    let grow = |options: &RefineOptions| grown_len(options, scene.len(), sizes());
+    let grow = |options: &RefineOptions, steps: usize| {
+        grown_len(options, steps, scene.len(), photos.iter().map(|photo| size(photo, options.max_image_size, 1)))
+    };
     run(arena, make, grow, photos, cameras, options, progress)
 }
 
@@ -281,16 +307,20 @@ pub fn refine_tokens(
         let scene_distance = distance(&scene, cameras);
         Ok((gaussians, (scene, scene_distance)))
     };
-    run(arena, make, |_| None, photos, cameras, options, progress)
+    run(arena, make, |_, _| None, photos, cameras, options, progress)
 }
 
 /// Returns the number of Gaussians that a scene of `len` grows to, for photos of these sizes, if it
-/// grows. A time may become enough steps.
-fn grown_len(options: &RefineOptions, len: usize, sizes: impl Iterator<Item = [u32; 2]>) -> Option<usize> {
+/// grows.
+fn grown_len(
+    options: &RefineOptions,
+    steps: usize,
+    len: usize,
+    sizes: impl Iterator<Item = [u32; 2]>,
+) -> Option<usize> {
     let default = || {
         let pixels: usize = sizes.map(|[width, height]| width as usize * height as usize).sum();
-        (options.steps >= GROWTH_FROM || options.time.is_some())
-            .then(|| (pixels / PIXELS_PER_GAUSSIAN).min(MOST_GROWTH * len))
+        (steps >= GROWTH_FROM).then(|| (pixels / PIXELS_PER_GAUSSIAN).min(MOST_GROWTH * len))
     };
     options.max_gaussians.or_else(default).filter(|most| *most > len)
 }
@@ -304,7 +334,7 @@ fn tokens_grow_not(options: &RefineOptions) -> Result<()> {
 fn run(
     arena: &Arena,
     make: impl Fn(&Arena, &RefineOptions) -> Result<(Gaussians, (Scene, f64))>,
-    grow: impl Fn(&RefineOptions) -> Option<usize>,
+    grow: impl Fn(&RefineOptions, usize) -> Option<usize>,
     photos: &[Image],
     cameras: &[Camera],
     options: &RefineOptions,
@@ -317,22 +347,38 @@ fn run(
     }
     let mut options = filled(options, photos.len())?;
     let (arena, _claim) = arena.claimed();
-    let refinement = |options: RefineOptions| {
+    let refinement = |options: RefineOptions, steps: usize| {
         let (gaussians, scene) = make(&arena, &options)?;
-        Refinement::new(gaussians, scene, photos, cameras, options)
+        Refinement::new(gaussians, scene, photos, cameras, options, steps)
     };
-    if let Some(time) = options.time.take() {
-        let steps_in = |time: Duration, step: Duration| (time.as_secs_f64() / step.as_secs_f64()).max(1.0) as usize;
-        let step = refinement(RefineOptions { max_gaussians: None, ..options.clone() })?.time_step()?;
-        options.steps = steps_in(time, step);
-        if grow(&options).is_some() {
-            let grown = steps_in(time, step.mul_f64(GROWTH_COST));
-            let pays = options.max_gaussians.is_some() || grown >= GROWTH_FROM;
-            options.steps = if pays { grown } else { options.steps.min(GROWTH_FROM - 1) };
+    let steps = match options.length {
+        RefineLength::Steps(steps) => steps,
+        RefineLength::Time(time) => {
+            let time_step = |options: &RefineOptions| {
+                refinement(RefineOptions { max_gaussians: None, ..options.clone() }, 1)?.time_step()
+            };
+            let mut step = time_step(&options)?;
+            while step * ENOUGH_STEPS > time
+                && let Some(half) = half_size(photos, options.max_image_size)
+            {
+                options.max_image_size = Some(half);
+                step = time_step(&options)?;
+            }
+            let left = time.saturating_sub(begin.elapsed());
+            let steps_in = |step: Duration| (left.as_secs_f64() / step.as_secs_f64()).max(1.0) as usize;
+            let grown = steps_in(step.mul_f64(GROWTH_COST));
+            let grows = options.max_gaussians.is_some() || grown >= GROWTH_FROM;
+            if grows && grow(&options, grown).is_some() { grown } else { steps_in(step) }
         }
-    }
-    options.max_gaussians = grow(&options);
-    refinement(options)?.finish(&mut progress, begin)
+    };
+    options.max_gaussians = grow(&options, steps);
+    refinement(options, steps)?.finish(&mut progress, begin)
+}
+
+/// Returns half the size of the largest photo as it fits `most`, unless too small.
+fn half_size(photos: &[Image], most: Option<[u32; 2]>) -> Option<[u32; 2]> {
+    let halves = photos.iter().map(|photo| size(photo, most, 2));
+    halves.max_by_key(|[width, height]| width * height).filter(|half| half.iter().all(|side| *side >= SHORTEST))
 }
 
 fn filled(options: &RefineOptions, count: usize) -> Result<RefineOptions> {

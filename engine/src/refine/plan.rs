@@ -66,7 +66,7 @@ pub fn plan_refinement(
         Moved::Gaussians(len, sh_degree) => {
             let photo = Image { width, height, rgb: Vec::new() };
             let sizes = std::iter::repeat_n(size(&photo, options.max_image_size, 1), photos);
-            (grown_len(&options, len, sizes).unwrap_or(len), sh_degree)
+            (grown_len(&options, options.length.most_steps(), len, sizes).unwrap_or(len), sh_degree)
         }
         Moved::Tokens(count, a) => (count * a.gaussians_per_token, a.sh_degree as u32),
     };
@@ -127,9 +127,10 @@ fn record_steps(
 ) -> Result<()> {
     let photo = Image { width, height, rgb: Vec::new() };
     let photo_size = |shrink| size(&photo, options.max_image_size, shrink);
-    let schedule = Schedule { steps: options.steps, rate: 1.0, coarse: options.coarse_to_fine };
+    let steps = options.length.most_steps();
+    let schedule = Schedule { steps, rate: 1.0, coarse: options.coarse_to_fine };
     let shortest = photo_size(1).into_iter().min().unwrap_or(0);
-    let mut shrinks: Vec<u32> = (0..options.steps).map(|step| schedule.shrink(step, shortest)).collect();
+    let mut shrinks: Vec<u32> = (0..steps).map(|step| schedule.shrink(step, shortest)).collect();
     shrinks.dedup();
     let each = options.intersection_capacity.unwrap_or_else(|| first_capacity(scene.len)).max(1);
     for shrink in shrinks {

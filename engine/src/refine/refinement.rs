@@ -30,6 +30,7 @@ pub(super) struct Refinement<'a> {
     photos: &'a [Image],
     cameras: Cameras,
     options: RefineOptions,
+    steps: usize,
     schedule: Schedule,
     gaussians: Gaussians,
     growth: Option<Growth>,
@@ -67,6 +68,7 @@ impl<'a> Refinement<'a> {
         photos: &'a [Image],
         cameras: &[Camera],
         options: RefineOptions,
+        steps: usize,
     ) -> Result<Self> {
         let (training, holdout) = split(photos.len(), options.holdout_views.unwrap_or(0));
         let view = |i: &usize| View::new(*i, &photos[*i], &cameras[*i], options.max_image_size, 1);
@@ -77,14 +79,15 @@ impl<'a> Refinement<'a> {
             f64::from(options.learning_rates.camera_rotation),
             scene_distance * f64::from(options.learning_rates.camera_translation),
         ];
-        let growth = options.max_gaussians.map(|most| Growth::new(scene.len(), most, options.steps, options.seed));
+        let growth = options.max_gaussians.map(|most| Growth::new(scene.len(), most, steps, options.seed));
         gaussians.set_near(scene.near());
         Ok(Self {
             photos,
             cameras: Cameras::new(cameras, moving, rates),
-            schedule: Schedule { steps: options.steps, rate: 1.0, coarse: options.coarse_to_fine },
+            schedule: Schedule { steps, rate: 1.0, coarse: options.coarse_to_fine },
             order: Order::new(training.len(), options.seed),
             options,
+            steps,
             gaussians,
             growth,
             training,
@@ -132,7 +135,7 @@ impl<'a> Refinement<'a> {
         Ok(RefineResult {
             scene,
             cameras,
-            steps: self.options.steps,
+            steps: self.steps,
             losses,
             best_step,
             holdout_psnr,
@@ -151,7 +154,7 @@ impl<'a> Refinement<'a> {
         progress: &mut dyn FnMut(RefineProgress<'_>) -> ControlFlow<()>,
         begin: Instant,
     ) -> Result<Option<StopReason>> {
-        let steps = self.options.steps;
+        let steps = self.steps;
         let interval = steps.div_ceil(EVALUATIONS).max(1);
         self.evaluate(0)?;
         for step in 0..steps {
@@ -178,8 +181,8 @@ impl<'a> Refinement<'a> {
             }
             let eta = begin.elapsed().mul_f64((steps - done) as f64 / done as f64);
             let psnr = self.holdout_psnr.last().map(|(_, psnr)| *psnr);
-            let shown = self.options.snapshot_interval.is_some_and(|every| done.is_multiple_of(every.max(1)));
-            let scene = shown.then(|| self.scene()).transpose()?;
+            let snapshots = |done: usize| done * self.options.snapshots / steps;
+            let scene = (snapshots(done) > snapshots(step)).then(|| self.scene()).transpose()?;
             let now = RefineProgress { step: done, steps, loss: Some(loss), psnr, eta, scene: scene.as_ref() };
             if progress(now).is_break() {
                 self.evaluate(done)?;
@@ -213,7 +216,7 @@ impl<'a> Refinement<'a> {
     }
 
     fn move_cameras(&mut self, step: usize, found: &[PhotoLoss]) {
-        let along = step as f64 / self.options.steps as f64;
+        let along = step as f64 / self.steps as f64;
         for PhotoLoss { photo, d_pose, .. } in found {
             d_pose.iter().for_each(|d_pose| self.cameras.step(*photo, *d_pose, self.schedule.rate(step), along));
         }
@@ -315,7 +318,7 @@ impl<'a> Refinement<'a> {
     }
 
     fn profile(&mut self) -> Result<Profile> {
-        self.resize(self.options.steps)?;
+        self.resize(self.steps)?;
         let views: Vec<&View> = self.views.iter().take(self.options.views_per_step).collect();
         self.gaussians.profile(&views)
     }

@@ -4,7 +4,9 @@ use crate::{
     options::SceneInput,
     outputs::{self, Overwrite},
     photos,
-    refinement::{self, Initialization, Refinable, RefineSettings, Steps, parse_steps, save_cameras},
+    refinement::{
+        self, DEFAULT_LENGTH, Initialization, Refinable, RefineSettings, RefineTask, parse_steps, save_cameras,
+    },
     session::Session,
     table::counted,
 };
@@ -58,8 +60,8 @@ pub struct Refine {
     #[arg(long, value_name = "PHOTO")]
     relative_to: Option<PathBuf>,
     /// Optimization steps, or a time, such as 60s
-    #[arg(long, value_name = "N|TIME", default_value_t, value_parser = parse_steps)]
-    steps: Steps,
+    #[arg(long, value_name = "N|TIME", default_value = DEFAULT_LENGTH, value_parser = parse_steps)]
+    steps: RefineTask,
     /// Photos per step
     #[arg(long, value_name = "N", default_value_t = RefineOptions::default().views_per_step)]
     views_per_step: usize,

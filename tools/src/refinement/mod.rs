@@ -5,7 +5,7 @@ mod options;
 mod report;
 
 pub use initialization::Initialization;
-pub use options::{RefineArgs, RefineSettings, Steps, join_steps, parse_steps, with_cameras};
+pub use options::{DEFAULT_LENGTH, RefineArgs, RefineSettings, RefineTask, join_steps, parse_steps, with_cameras};
 pub use report::{as_json, explain, summary};
 
 use crate::{

@@ -12,12 +12,10 @@ use zipsplat::{
     Error, Result,
     gpu::cache_dir,
     perceptual::Perceptual,
-    refine::{PerceptualLoss, RefineOptions},
+    refine::{PerceptualLoss, RefineLength, RefineOptions},
     stages::lpips::LpipsNetwork,
     types::Image,
 };
-
-const DEFAULT_STEPS: &str = "100";
 
 /// Joins `--refine` with a following number of steps, so that `--refine`, `--refine=N` and
 /// `--refine N` work for every command.
@@ -25,7 +23,7 @@ pub fn join_steps(args: impl IntoIterator<Item = OsString>) -> Vec<OsString> {
     let mut joined: Vec<OsString> = Vec::new();
     for word in args {
         // Also a target without steps, for an error that names the option.
-        let is_value = |text: &&str| text.parse::<Steps>().is_ok() || ["tokens", "gaussians"].contains(text);
+        let is_value = |text: &&str| text.parse::<RefineTask>().is_ok() || ["tokens", "gaussians"].contains(text);
         let steps = word.to_str().filter(is_value);
         let literal = joined.iter().any(|word| word == "--");
         match (joined.last_mut(), steps) {
@@ -41,50 +39,45 @@ fn default_size() -> Size {
     Size(width, height)
 }
 
+/// Default of `--refine` and `refine`, [`RefineLength::default`].
+pub const DEFAULT_LENGTH: &str = "60s";
+
 /// Length and variables of a refinement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Steps {
-    pub count: usize,
-    /// Time to spend instead.
-    pub time: Option<Duration>,
+pub struct RefineTask {
+    pub length: RefineLength,
     /// Whether tokens are refined, through the network's head, instead of Gaussians.
     pub tokens: bool,
 }
 
-impl Default for Steps {
-    fn default() -> Self {
-        Self { count: RefineOptions::default().steps, time: None, tokens: false }
-    }
-}
-
-impl Display for Steps {
+impl Display for RefineTask {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
-        match self.time {
-            Some(time) => write!(f, "{}s", time.as_secs_f64())?,
-            None => write!(f, "{}", self.count)?,
+        match self.length {
+            RefineLength::Time(time) => write!(f, "{}s", time.as_secs_f64())?,
+            RefineLength::Steps(steps) => write!(f, "{steps}")?,
         }
         f.write_str(if self.tokens { ":tokens" } else { "" })
     }
 }
 
-impl FromStr for Steps {
+impl FromStr for RefineTask {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
         let (length, target) = text.split_once(':').unwrap_or((text, "gaussians"));
-        let time = length.strip_suffix('s').map(|seconds| seconds.parse().ok().map(Duration::try_from_secs_f64));
-        let steps = match time {
-            Some(time) => time.and_then(Result::ok).map(|time| Self { time: Some(time), ..Self::default() }),
-            None => length.parse().ok().map(|count| Self { count, ..Self::default() }),
+        let seconds = |text: &str| Duration::try_from_secs_f64(text.parse().ok()?).ok().map(RefineLength::Time);
+        let length = match length.strip_suffix('s') {
+            Some(text) => seconds(text),
+            None => length.parse().ok().map(RefineLength::Steps),
         };
         let tokens = ["gaussians", "tokens"].iter().position(|name| *name == target);
-        let steps = steps.zip(tokens).map(|(steps, tokens)| Self { tokens: tokens == 1, ..steps });
-        steps.ok_or_else(|| "expected steps or a time, such as 100 or 60s, and optionally :gaussians or :tokens".into())
+        let task = length.zip(tokens).map(|(length, tokens)| Self { length, tokens: tokens == 1 });
+        task.ok_or_else(|| "expected steps or a time, such as 100 or 60s, and optionally :gaussians or :tokens".into())
     }
 }
 
 /// Parses a number of steps, or a time such as `60s`.
-pub fn parse_steps(text: &str) -> Result<Steps, String> {
+pub fn parse_steps(text: &str) -> Result<RefineTask, String> {
     let steps = text.parse().ok().filter(|_| !text.contains(':'));
     steps.ok_or_else(|| "expected a number of steps, such as 100, or a time, such as 60s".into())
 }
@@ -133,9 +126,9 @@ const SETTINGS: [&str; 6] =
 pub struct RefineArgs {
     /// Refine the scene against the photos for a number of steps or a time, such as 60s. Keeps the
     /// best step by held-out photos. Ctrl-C stops early and keeps the best step so far
-    #[arg(long, value_name = "STEPS|TIME", num_args = 0..=1, require_equals = true, default_missing_value = DEFAULT_STEPS,
+    #[arg(long, value_name = "STEPS|TIME", num_args = 0..=1, require_equals = true, default_missing_value = DEFAULT_LENGTH,
         value_parser = parse_steps)]
-    refine: Option<Steps>,
+    refine: Option<RefineTask>,
     /// Optimized variables
     #[arg(long, value_enum, value_name = "TARGET", default_value = "gaussians", requires = "refine")]
     refine_target: RefineTarget,
@@ -172,11 +165,10 @@ impl RefineSettings {
         Ok(largest.map_or([width, height], |(width, height)| [width, height]))
     }
 
-    pub fn request(&self, Steps { count, time, .. }: Steps) -> RefineOptions {
+    pub fn request(&self, RefineTask { length, .. }: RefineTask) -> RefineOptions {
         let perceptual_loss = self.lpips_weight.filter(|weight| *weight > 0.0);
         RefineOptions {
-            steps: count,
-            time,
+            length,
             max_image_size: Some([self.max_image_size.0, self.max_image_size.1]),
             holdout_views: self.holdout_views,
             optimize_cameras: self.optimize_cameras,
@@ -188,9 +180,9 @@ impl RefineSettings {
 }
 
 impl RefineArgs {
-    pub fn steps(&self) -> Option<Steps> {
+    pub fn steps(&self) -> Option<RefineTask> {
         let tokens = self.refine_target == RefineTarget::Tokens;
-        self.refine.map(|steps| Steps { tokens, ..steps })
+        self.refine.map(|steps| RefineTask { tokens, ..steps })
     }
 
     /// Rejects settings that tokens cannot use, and LPIPS without its weights.

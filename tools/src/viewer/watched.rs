@@ -64,15 +64,13 @@ impl Watched {
         cameras: Vec<Camera>,
         request: RefineOptions,
     ) -> Self {
-        let now = Mutex::new(Now { steps: request.steps, ..Now::default() });
-        let show = Some((request.steps / SHOWN).max(1));
         Self {
             target,
             tokens,
             photos,
             cameras,
-            request: RefineOptions { snapshot_interval: show, ..request },
-            now,
+            request: RefineOptions { snapshots: SHOWN, ..request },
+            now: Mutex::default(),
             stop: AtomicBool::new(false),
         }
     }

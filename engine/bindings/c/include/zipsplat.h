@@ -897,7 +897,7 @@ ZS_ENUM(zs_stop_reason) {
 typedef struct zs_refine_options {
     // sizeof(zs_refine_options).
     uint32_t struct_size;
-    // Optimizer steps; 0 is 100.
+    // Optimizer steps; 0: `seconds`.
     uint32_t steps;
     // Photos per step, capped at the number of training photos; 0 is 4.
     uint32_t views_per_step;
@@ -925,8 +925,8 @@ typedef struct zs_refine_options {
     zs_progress_callback progress;
     // Argument of `progress`.
     void *user_data;
-    // Time to spend instead of `steps`, about; 0 is no limit. The steps follow from the measured
-    // time of a few.
+    // Time to spend instead of `steps`, about; 0 without `steps` is 60. The steps and the photos'
+    // size follow from the measured time of a few.
     double seconds;
 } zs_refine_options;
 

@@ -12,7 +12,7 @@ use super::{
 };
 use std::{cell::Cell, ffi::c_void, ops::ControlFlow, time::Duration};
 use zipsplat::{
-    Camera, Error, Image, Pose, RefineOptions, RefineResult,
+    Camera, Error, Image, Pose, RefineLength, RefineOptions, RefineResult,
     gpu::Arena,
     refine::{PerceptualLoss, RefineProgress, StopReason, refine_scene, refine_tokens},
     stages::lpips::LpipsNetwork,
@@ -53,7 +53,7 @@ pub(super) type zs_stop_reason_value = i32;
 pub struct zs_refine_options {
     /// sizeof(zs_refine_options).
     pub struct_size: u32,
-    /// Optimizer steps; 0 is 100.
+    /// Optimizer steps; 0: `seconds`.
     pub steps: u32,
     /// Photos per step, capped at the number of training photos; 0 is 4.
     pub views_per_step: u32,
@@ -81,8 +81,8 @@ pub struct zs_refine_options {
     pub progress: zs_progress_callback,
     /// Argument of `progress`.
     pub user_data: *mut c_void,
-    /// Time to spend instead of `steps`, about; 0 is no limit. The steps follow from the measured
-    /// time of a few.
+    /// Time to spend instead of `steps`, about; 0 without `steps` is 60. The steps and the photos'
+    /// size follow from the measured time of a few.
     pub seconds: f64,
 }
 
@@ -313,10 +313,13 @@ impl zs_refine_options {
             })?),
         };
         Ok(RefineOptions {
-            steps: or(self.steps, default.steps as u32) as usize,
+            length: match (self.steps, seconds) {
+                (0, Duration::ZERO) => default.length,
+                (steps, Duration::ZERO) => RefineLength::Steps(steps as usize),
+                (_, seconds) => RefineLength::Time(seconds),
+            },
             views_per_step: or(self.views_per_step, default.views_per_step as u32) as usize,
             max_image_size: default.max_image_size.map(|sides| [0, 1].map(|i| or(self.max_image_size[i], sides[i]))),
-            time: (seconds > Duration::ZERO).then_some(seconds),
             holdout_views,
             optimize_cameras: self.optimize_cameras == 1,
             max_gaussians: (self.max_gaussians > 0).then_some(self.max_gaussians),

@@ -20,7 +20,7 @@ use std::{
 use zipsplat::{
     Error, Result,
     gpu::{Arena, Device},
-    refine::{RefineOptions as Request, RefineResult, StopReason, refine_scene},
+    refine::{RefineLength, RefineOptions as Request, RefineResult, StopReason, refine_scene},
     stages::render::{RenderOptions, Renderer},
     types::{Camera, Image, Scene},
 };
@@ -243,7 +243,7 @@ impl Case {
     ) -> Result<RefineResult> {
         let count = self.photos.len();
         let request = Request {
-            steps,
+            length: RefineLength::Steps(steps),
             views_per_step: count,
             batch_size: Some(count),
             holdout_views: Some(0),

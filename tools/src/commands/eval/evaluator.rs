@@ -3,7 +3,7 @@ use crate::{
     capture::{Choice, Posed, Score, ViewSplit, draw},
     depth::DepthPredictor,
     options::{Network as Weighed, refuse},
-    refinement::{self, Initialization, Refinable, Steps},
+    refinement::{self, Initialization, Refinable, RefineTask},
     session::Session,
     views::Seeing,
 };
@@ -207,7 +207,7 @@ fn refine(
     arena: &Arena,
     from: Refinable<'_>,
     capture: &ViewSplit,
-    steps: Steps,
+    steps: RefineTask,
 ) -> Result<RefineResult> {
     let (photos, cameras) = capture.training_views();
     let request = eval.refine.settings.request(steps);

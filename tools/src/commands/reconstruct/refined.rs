@@ -6,7 +6,7 @@ use super::{
 };
 use crate::{
     photos,
-    refinement::{self, Initialization, Refinable, Steps},
+    refinement::{self, Initialization, Refinable, RefineTask},
     session::Session,
 };
 use std::time::Duration;
@@ -42,7 +42,7 @@ pub struct RefinedScene {
 }
 
 impl Reconstruct {
-    pub fn initialization(&self, steps: Steps, cloud: Option<&PointCloud>) -> From {
+    pub fn initialization(&self, steps: RefineTask, cloud: Option<&PointCloud>) -> From {
         if steps.tokens {
             From::Tokens
         } else {
@@ -54,7 +54,7 @@ impl Reconstruct {
     pub fn refine_scene(
         &self,
         session: &mut Session<'_>,
-        steps: Steps,
+        steps: RefineTask,
         init: From,
         inputs: RefineInputs<'_>,
         cloud: Option<&PointCloud>,

@@ -219,8 +219,8 @@ class Scene:
         images: ImagesLike,
         cameras: Optional[CamerasLike] = None,
         *,
-        steps: int = 100,
-        seconds: Optional[float] = None,
+        steps: Optional[int] = None,
+        seconds: float = 60.0,
         views_per_step: int = 4,
         holdout_views: Union[int, Literal["auto"]] = "auto",
         max_image_size: Optional[tuple[int, int]] = (1600, 1600),
@@ -237,8 +237,9 @@ class Scene:
         Args:
             images: Photos, as for Model.reconstruct.
             cameras: Their cameras, in the scene's world; None with a Capture.
-            steps: Optimizer steps.
-            seconds: Time to spend instead, about: the steps follow from the measured time of a few.
+            steps: Optimizer steps; None for `seconds`.
+            seconds: Time to spend, about: the steps and the photos' size follow from the measured
+                time of a few steps.
             views_per_step: Photos per step.
             holdout_views: Number of held-out photos, which reveal overfitting; "auto" is one of 40
                 or more.
@@ -263,7 +264,7 @@ class Scene:
             >>> refined.refinement.stop_reason
             'finished'
         """
-        if seconds is not None and not seconds > 0:
+        if not seconds > 0:
             raise ArgumentError(f"seconds: found {seconds}, expected a time above 0")
         sources, posed, _ = matched(images, cameras)
         if posed is None:
@@ -274,8 +275,8 @@ class Scene:
         refined_cameras = native_cameras(posed)
         options = structure(
             "refine_options",
-            steps=positive("steps", steps),
-            seconds=seconds or 0.0,
+            steps=0 if steps is None else positive("steps", steps),
+            seconds=seconds if steps is None else 0.0,
             views_per_step=positive("views_per_step", views_per_step),
             holdout_views=0 if holdout_views == "auto" else int(holdout_views) or lib.ZS_HOLDOUT_VIEWS_NONE,
             max_image_size=[positive("max_image_size", side) for side in max_image_size or (2**32 - 1,) * 2],

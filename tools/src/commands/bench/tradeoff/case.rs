@@ -7,12 +7,13 @@ use super::{
 };
 use crate::{
     capture::ViewSplit,
-    refinement::{Initialization, Steps},
+    refinement::{Initialization, RefineTask},
 };
 use zipsplat::{
     Result,
     ops::Precision,
     reconstruct::{Ratio, ReconstructOptions, Shape, TokenSampling},
+    refine::RefineLength,
     types::PointCloud,
     weights::Architecture,
 };
@@ -31,7 +32,7 @@ pub struct Case<'a> {
     pub ratio: String,
     pub settings: String,
     pub keep: &'a [usize],
-    pub refine: Vec<(Initialization, Steps)>,
+    pub refine: Vec<(Initialization, RefineTask)>,
 }
 
 /// Returns combinations without equal results. Lists' first values come first; each ratio is
@@ -96,7 +97,7 @@ impl Case<'_> {
     }
 
     /// Refines from points alone only in a capture's first case.
-    fn refinements(&self, args: &Tradeoff, is_new: bool) -> Vec<(Initialization, Steps)> {
+    fn refinements(&self, args: &Tradeoff, is_new: bool) -> Vec<(Initialization, RefineTask)> {
         let default: &[Initialization] = if self.cloud.is_some() {
             &[Initialization::Points, Initialization::Scene]
         } else {
@@ -104,8 +105,8 @@ impl Case<'_> {
         };
         let starts = args.init.as_deref().unwrap_or(default);
         let pairs = args.refine.iter().flat_map(|steps| starts.iter().map(move |start| (*start, *steps)));
-        let follows = |(start, steps): &(Initialization, Steps)| match start {
-            _ if steps.count == 0 || !self.is_first(args) => false,
+        let follows = |(start, steps): &(Initialization, RefineTask)| match start {
+            _ if steps.length == RefineLength::Steps(0) || !self.is_first(args) => false,
             // Tokens always start from the scene.
             _ if steps.tokens => *start == Initialization::Scene,
             Initialization::Points => is_new,

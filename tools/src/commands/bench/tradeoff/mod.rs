@@ -13,7 +13,7 @@ use crate::{
     capture::{Choice, ViewSplit},
     options::{Keep, PrecisionName, Size, Weights, parse_length, parse_ratio, parse_selection},
     outputs::{self, Overwrite},
-    refinement::{Initialization, Steps},
+    refinement::{Initialization, RefineTask},
     session::Session,
     views::Seeing,
 };
@@ -73,7 +73,7 @@ pub struct Tradeoff {
     /// and share of the tokens, with all Gaussians and first values otherwise. Always includes 0,
     /// no refinement
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "0,10,50")]
-    refine: Vec<Steps>,
+    refine: Vec<RefineTask>,
     /// Initializations of the refinement. Points need no network [default: scene, and points if the
     /// capture has them]
     #[arg(long, value_name = "LIST", value_delimiter = ',', value_enum)]

@@ -1,6 +1,6 @@
 //! Refinements of a reconstruction.
 
-use crate::{capture::ViewSplit, refinement::Steps, session::Stage};
+use crate::{capture::ViewSplit, refinement::RefineTask, session::Stage};
 use zipsplat::{
     Error, Result,
     reconstruct::{Model, ReconstructOptions},
@@ -16,11 +16,11 @@ pub fn refine(
     capture: &ViewSplit,
     request: &ReconstructOptions,
     scene: &Scene,
-    steps: Steps,
+    steps: RefineTask,
     stage: &Stage<'_>,
 ) -> Result<RefineResult> {
     let (photos, cameras) = capture.training_views();
-    let refine = RefineOptions { steps: steps.count, time: steps.time, ..RefineOptions::default() };
+    let refine = RefineOptions { length: steps.length, ..RefineOptions::default() };
     let refined = if steps.tokens {
         let features = model.features(&capture.images(), request, |_| stage.go_on())?;
         let tokens = model.tokens(&features, request, |_| stage.go_on())?;

@@ -14,7 +14,7 @@ use crate::{
     commands::bench::Spread,
     metrics::psnr,
     options::Size,
-    refinement::{Initialization, Steps},
+    refinement::{Initialization, RefineTask},
     session::{Session, Stage},
 };
 use clap::ValueEnum;
@@ -266,7 +266,7 @@ impl Bench<'_> {
         case: &Case<'_>,
         forward: &Forward,
         init: Initialization,
-        steps: Steps,
+        steps: RefineTask,
         stage: &Stage<'_>,
     ) -> Result<(Point, Image)> {
         let scene = init.scene(Some(forward.scene.clone()), case.cloud, &case.capture.training_views().1)?;
