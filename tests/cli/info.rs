@@ -93,12 +93,12 @@ fn a_plan_takes_what_a_run_then_takes() {
     let photos = "@/place/images --cameras @/place";
     for ratio in ["1", "0.5"] {
         let plan =
-            folder.run(&format!("reconstruct --dry-run --views 9 --cameras @/place --ratio {ratio} --refine --max-image-size 42x28 {shared}")).json();
+            folder.run(&format!("reconstruct --dry-run --views 9 --cameras @/place --ratio {ratio} --refine=3 --max-image-size 42x28 {shared}")).json();
         let options = format!("--ratio {ratio} --refine=3 --init scene");
         let run = folder.run(&format!("reconstruct {photos} {options} {shared} -o @/scene.ply --overwrite")).json();
         assert_eq!(plan["peak_bytes"], run["refined"]["peak_bytes"], "{plan}");
         let tokens =
-            folder.run(&format!("reconstruct --dry-run --views 9 --cameras @/place --ratio {ratio} --refine --max-image-size 42x28 --refine-target tokens {shared}"));
+            folder.run(&format!("reconstruct --dry-run --views 9 --cameras @/place --ratio {ratio} --refine=3 --max-image-size 42x28 --refine-target tokens {shared}"));
         let options = format!("--ratio {ratio} --refine=3 --refine-target tokens");
         let run = folder.run(&format!("reconstruct {photos} {options} {shared} -o @/scene.ply --overwrite")).json();
         assert_eq!(tokens.json()["peak_bytes"], run["refined"]["peak_bytes"], "tokens at {ratio}");
@@ -108,11 +108,11 @@ fn a_plan_takes_what_a_run_then_takes() {
     let more = "--max-gaussians 2000 --optimize-cameras --lpips-weight 0.05";
     let plan = folder
         .run(&format!(
-            "reconstruct --dry-run --views 9 --cameras @/place --refine --max-image-size 42x28 {more} {shared}"
+            "reconstruct --dry-run --views 9 --cameras @/place --refine=3 --max-image-size 42x28 {more} {shared}"
         ))
         .json();
     let plain = folder
-        .run(&format!("reconstruct --dry-run --views 9 --cameras @/place --refine --max-image-size 42x28 {shared}"))
+        .run(&format!("reconstruct --dry-run --views 9 --cameras @/place --refine=3 --max-image-size 42x28 {shared}"))
         .json();
     let kept = |plan: &serde_json::Value| plan["refine_kept_bytes"].as_u64().expect("a number");
     // The convolutions of VGG16, twice.
@@ -122,7 +122,7 @@ fn a_plan_takes_what_a_run_then_takes() {
         assert_eq!(plan["peak_bytes"], folder.run(&run).json()["refined"]["peak_bytes"], "{plan}");
     }
     let grown_tokens = format!(
-        "reconstruct --dry-run --views 9 --cameras @/place --refine --max-image-size 42x28 --refine-target tokens --max-gaussians 2000 {shared}"
+        "reconstruct --dry-run --views 9 --cameras @/place --refine=3 --max-image-size 42x28 --refine-target tokens --max-gaussians 2000 {shared}"
     );
     assert_eq!(folder.run(&grown_tokens).code, 3);
     folder.run("scene --seed 5 --views 9 --size 400x384 -o @/large").success();
@@ -131,7 +131,7 @@ fn a_plan_takes_what_a_run_then_takes() {
     let refine = "refine @/scene.ply @/large/images --cameras @/large --steps 5 -o @/sharp.ply --json";
     let run = folder.run(refine).json();
     let plan = folder
-        .run(&format!("reconstruct --dry-run @/large/images --cameras @/large --ratio 0.5 --refine {shared}"))
+        .run(&format!("reconstruct --dry-run @/large/images --cameras @/large --ratio 0.5 --refine=5 {shared}"))
         .json();
     let wide = |plan: &serde_json::Value| plan["refine_arena_bytes"].as_u64().zip(plan["refine_kept_bytes"].as_u64());
     let planned = wide(&plan).map(|(arena, kept)| arena + kept);
@@ -141,7 +141,7 @@ fn a_plan_takes_what_a_run_then_takes() {
         folder.run(&line).json()["refine_kept_bytes"].as_u64()
     };
     assert!(kept("60s") == kept("300") && kept("300") > kept("299"), "a time may become enough steps to grow");
-    let of_tokens = folder.run(&format!("reconstruct --dry-run --views 9 --cameras @/place --refine --max-image-size 42x28 --refine-target tokens {shared}")).json();
+    let of_tokens = folder.run(&format!("reconstruct --dry-run --views 9 --cameras @/place --refine=3 --max-image-size 42x28 --refine-target tokens {shared}")).json();
     assert!(of_tokens["refine_kept_bytes"].as_u64() > Some(0), "{of_tokens}");
     assert_eq!(
         folder

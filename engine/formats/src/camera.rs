@@ -127,11 +127,12 @@ impl Camera {
         self.pose.view_matrix()
     }
 
-    /// Returns true if a world point projects into the picture.
-    pub fn sees(&self, point: DVec3) -> bool {
+    /// Returns a world point's coordinates in pixels and its depth, if it projects into the picture.
+    pub fn project(&self, point: DVec3) -> Option<DVec3> {
         let (i, p) = (&self.intrinsics, self.pose.inverse().transform(point));
         let (x, y) = (i.fx * p.x / p.z + i.cx, i.fy * p.y / p.z + i.cy);
-        p.z > 0.0 && (0.0..f64::from(i.width)).contains(&x) && (0.0..f64::from(i.height)).contains(&y)
+        let inside = (0.0..f64::from(i.width)).contains(&x) && (0.0..f64::from(i.height)).contains(&y);
+        (p.z > 0.0 && inside).then_some(DVec3::new(x, y, p.z))
     }
 
     /// Checks for finite values, a non-empty picture, positive focal lengths and a valid rotation.

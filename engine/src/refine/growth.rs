@@ -9,7 +9,7 @@ use crate::{
 use glam::{DMat3, DVec3};
 
 const DEAD: f32 = 0.005;
-const INVISIBLE: f32 = 1.0 / 255.0;
+pub(super) const INVISIBLE: f32 = 1.0 / 255.0;
 const MAX_COPIES: usize = 51;
 /// Fractions of the steps: all Gaussians are alive after the first, relocation ends at the second.
 const GROWTH_END: f64 = 0.5;

@@ -3,6 +3,7 @@
 mod adam;
 mod anisotropy;
 mod cameras;
+mod free_space;
 mod gaussians;
 mod growth;
 mod plan;
@@ -395,7 +396,7 @@ fn distance(scene: &Scene, cameras: &[Camera]) -> f64 {
     let points: Vec<DVec3> = sample.map(|mean| DVec3::from(mean.map(f64::from))).collect();
     let to = |seen: bool| {
         let pairs = cameras.iter().flat_map(|camera| points.iter().map(move |point| (camera, *point)));
-        let pairs = pairs.filter(move |(camera, point)| !seen || camera.sees(*point));
+        let pairs = pairs.filter(move |(camera, point)| !seen || camera.project(*point).is_some());
         let mut distances: Vec<f64> = pairs.map(|(camera, point)| camera.pose.translation.distance(point)).collect();
         let middle = distances.len() / 2;
         (!distances.is_empty()).then(|| *distances.select_nth_unstable_by(middle, f64::total_cmp).1)

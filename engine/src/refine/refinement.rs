@@ -1,6 +1,7 @@
 use super::{
     RefineOptions, RefineProgress, RefineResult, StopReason,
     cameras::Cameras,
+    free_space::FreeSpace,
     gaussians::Gaussians,
     growth::{Growth, drop_invisible},
     planned::PhotoLoss,
@@ -33,6 +34,7 @@ pub(super) struct Refinement<'a> {
     steps: usize,
     schedule: Schedule,
     gaussians: Gaussians,
+    free_space: Option<FreeSpace>,
     growth: Option<Growth>,
     order: Order,
     training: Vec<usize>,
@@ -79,6 +81,8 @@ impl<'a> Refinement<'a> {
             f64::from(options.learning_rates.camera_rotation),
             scene_distance * f64::from(options.learning_rates.camera_translation),
         ];
+        let training_cameras: Vec<Camera> = training.iter().map(|i| cameras[*i]).collect();
+        let free_space = gaussians.moves_gaussians().then(|| FreeSpace::new(&scene, &training_cameras));
         let growth = options.max_gaussians.map(|most| Growth::new(scene.len(), most, steps, options.seed));
         gaussians.set_near(scene.near());
         Ok(Self {
@@ -89,6 +93,7 @@ impl<'a> Refinement<'a> {
             options,
             steps,
             gaussians,
+            free_space,
             growth,
             training,
             views: Vec::new(),
@@ -170,6 +175,7 @@ impl<'a> Refinement<'a> {
                 return Ok(Some(StopReason::Diverged(format!("the loss of step {done} is {loss}"))));
             }
             if done.is_multiple_of(interval) || done == steps {
+                self.clear_floaters()?;
                 if let Some(why) = self.check_loss() {
                     return Ok(Some(StopReason::Diverged(why)));
                 }
@@ -177,7 +183,7 @@ impl<'a> Refinement<'a> {
             }
             if let Some(growth) = self.growth.as_mut().filter(|growth| growth.is_due(done)) {
                 let rate = self.fraction * self.schedule.rate(step);
-                self.gaussians.edit(|scene, gradients| growth.apply(scene, gradients, done, rate))?;
+                self.gaussians.edit(|scene, gradients| Some(growth.apply(scene, gradients, done, rate)))?;
             }
             let eta = begin.elapsed().mul_f64((steps - done) as f64 / done as f64);
             let psnr = self.holdout_psnr.last().map(|(_, psnr)| *psnr);
@@ -192,6 +198,12 @@ impl<'a> Refinement<'a> {
         }
         self.keep();
         Ok(None)
+    }
+
+    fn clear_floaters(&mut self) -> Result<()> {
+        let Some(free_space) = &self.free_space else { return Ok(()) };
+        let cameras: Vec<Camera> = self.training.iter().map(|i| self.cameras.all()[*i]).collect();
+        self.gaussians.edit(|scene, _| free_space.clear(scene, &cameras).then(Vec::new))
     }
 
     fn training_psnr(&mut self, cameras: &[Camera]) -> Result<f64> {

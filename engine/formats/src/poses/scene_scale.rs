@@ -116,7 +116,7 @@ fn of_points(path: &Path, cameras: &[Camera], origin: &Pose) -> Result<Option<f6
     let to_world = origin.inverse();
     let distances: Vec<f64> = (read_cloud(path)?.positions.into_iter())
         .map(|point| to_world.transform(DVec3::from(point.map(f64::from))))
-        .filter(|point| cameras.iter().any(|camera| camera.sees(*point)))
+        .filter(|point| cameras.iter().any(|camera| camera.project(*point).is_some()))
         .map(DVec3::length)
         .collect();
     Ok(median(distances).filter(|length| *length > 0.0))

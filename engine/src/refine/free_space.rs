@@ -1,0 +1,183 @@
+//! Floaters: Gaussians in space that the initial scene shows to be empty. They fit one photo and
+//! veil the pictures of cameras beside it.
+
+use super::growth::INVISIBLE;
+use crate::types::{Camera, Pose, Scene, matrix_from_quaternion};
+use glam::{DMat3, DQuat, DVec3};
+use rayon::prelude::*;
+
+/// Cells of a side of a picture.
+const CELLS: usize = 24;
+/// Least depth relative to the least initial one around a cell.
+const RATIO: f64 = 0.3;
+/// Quantile of a camera's initial depths for cells without any.
+const QUANTILE: f64 = 0.05;
+/// Mahalanobis distance up to which a camera is inside a Gaussian.
+const INSIDE: f64 = 3.0;
+/// Places between a camera and its nearest ones, as fractions of the way: what floats there is in no
+/// photo's way.
+const BETWEEN: [f64; 2] = [0.3, 0.5];
+const NEAREST: usize = 3;
+/// Limit of cameras with places.
+const MAX_CAMERAS: usize = 64;
+
+/// Places of cameras and between them, with the least depth by cell of their pictures.
+pub(super) struct FreeSpace {
+    places: Vec<Place>,
+    depths: Vec<Depths>,
+    /// Initial Gaussians around a place, such as a background's.
+    around: Vec<bool>,
+}
+
+#[derive(Clone, Copy)]
+struct Place {
+    ends: [usize; 2],
+    along: f64,
+}
+
+type Depths = [[f64; CELLS]; CELLS];
+
+impl FreeSpace {
+    pub fn new(scene: &Scene, cameras: &[Camera]) -> Self {
+        let places = places(cameras);
+        let depths = places.par_iter().map(|place| least_depths(scene, &place.camera(cameras))).collect();
+        let centers: Vec<DVec3> = places.iter().map(|place| place.camera(cameras).pose.translation).collect();
+        let around = (0..scene.len()).into_par_iter().map(|i| contains(scene, i, &centers)).collect();
+        Self { places, depths, around }
+    }
+
+    /// Makes floaters invisible and returns true if there are any. `cameras` are those of
+    /// [`FreeSpace::new`], moved or not.
+    pub fn clear(&self, scene: &mut Scene, cameras: &[Camera]) -> bool {
+        let compared: Vec<Camera> = self.places.iter().map(|place| place.camera(cameras)).collect();
+        let centers: Vec<DVec3> = compared.iter().map(|camera| camera.pose.translation).collect();
+        let nearer = |mean: &[f32; 3]| {
+            let least = |camera: &Camera, depths: &Depths| {
+                cell(camera, mean).is_some_and(|([row, column], depth)| depth < RATIO * depths[row][column])
+            };
+            compared.iter().zip(&self.depths).any(|(camera, depths)| least(camera, depths))
+        };
+        let floats = |i: &usize| {
+            let is_new = !self.around.get(*i).is_some_and(|around| *around);
+            scene.opacities[*i] > INVISIBLE && (nearer(&scene.means[*i]) || is_new && contains(scene, *i, &centers))
+        };
+        let floaters: Vec<usize> = (0..scene.len()).into_par_iter().filter(floats).collect();
+        floaters.iter().for_each(|i| scene.opacities[*i] = 0.0);
+        !floaters.is_empty()
+    }
+}
+
+impl Place {
+    fn camera(self, cameras: &[Camera]) -> Camera {
+        let [from, to] = self.ends.map(|i| cameras[i].pose);
+        let [first, second] = [from, to].map(|pose| DQuat::from_mat3(&pose.rotation));
+        let rotation = DMat3::from_quat(first.slerp(second, self.along));
+        let translation = from.translation.lerp(to.translation, self.along);
+        Camera { pose: Pose { rotation, translation }, ..cameras[self.ends[0]] }
+    }
+}
+
+fn places(cameras: &[Camera]) -> Vec<Place> {
+    let around = |i: usize| {
+        let distance = |j: usize| cameras[i].pose.translation.distance_squared(cameras[j].pose.translation);
+        let mut others: Vec<usize> = (0..cameras.len()).filter(|j| *j != i).collect();
+        others.sort_by(|a, b| distance(*a).total_cmp(&distance(*b)));
+        let between = others.into_iter().take(NEAREST).flat_map(move |j| BETWEEN.map(|along| (j, along)));
+        [(i, 0.0)].into_iter().chain(between).map(move |(j, along)| Place { ends: [i, j], along })
+    };
+    (0..cameras.len()).step_by(cameras.len().div_ceil(MAX_CAMERAS).max(1)).flat_map(around).collect()
+}
+
+fn contains(scene: &Scene, i: usize, centers: &[DVec3]) -> bool {
+    let axes = matrix_from_quaternion(scene.quats[i].map(f64::from)).transpose();
+    let [mean, scales] = [scene.means[i], scene.scales[i]].map(|row| DVec3::from(row.map(f64::from)));
+    centers.iter().any(|center| (axes * (*center - mean) / scales).length_squared() < INSIDE * INSIDE)
+}
+
+fn least_depths(scene: &Scene, camera: &Camera) -> Depths {
+    let mut least = [[f64::INFINITY; CELLS]; CELLS];
+    let mut depths = Vec::new();
+    for ([row, column], depth) in scene.means.iter().filter_map(|mean| cell(camera, mean)) {
+        depths.push(depth);
+        for cells in &mut least[row.saturating_sub(1)..(row + 2).min(CELLS)] {
+            for cell in &mut cells[column.saturating_sub(1)..(column + 2).min(CELLS)] {
+                *cell = depth.min(*cell);
+            }
+        }
+    }
+    let rank = (QUANTILE * depths.len() as f64) as usize;
+    let other = if depths.is_empty() { 0.0 } else { *depths.select_nth_unstable_by(rank, f64::total_cmp).1 };
+    least.map(|cells| cells.map(|depth| if depth.is_finite() { depth } else { other }))
+}
+
+/// Returns the row and column of a point's cell, and its depth, if the camera sees it.
+fn cell(camera: &Camera, point: &[f32; 3]) -> Option<([usize; 2], f64)> {
+    let DVec3 { x, y, z } = camera.project(DVec3::from(point.map(f64::from)))?;
+    let [row, column] = [(y, camera.intrinsics.height), (x, camera.intrinsics.width)]
+        .map(|(at, size)| (at / f64::from(size) * CELLS as f64) as usize);
+    Some(([row.min(CELLS - 1), column.min(CELLS - 1)], z))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::types::Intrinsics;
+
+    #[test]
+    fn floaters_become_invisible() {
+        let cameras = [camera(0.0), camera(0.1)];
+        // A near thing on the left, a wall, and nothing in the lower half.
+        let wall = (0..24).map(|i| [0.4 * (i % 6) as f32 - 0.8, -0.5 * (i / 6) as f32, 4.0]);
+        let free_space = FreeSpace::new(&scene(wall.chain([[-0.4, -0.2, 1.0]]).collect()), &cameras);
+        let places = [
+            ([-0.4, -0.2, 1.0], true),
+            ([-0.112, -0.056, 0.28], false),
+            ([0.4, -0.4, 1.3], true),
+            ([0.11, -0.11, 1.1], false),
+            ([0.1, 0.6, 1.3], true),
+            ([0.0, 0.3, 0.7], false),
+            ([0.0, 0.0, -1.0], true),
+            ([0.0, 5.0, 1.0], true),
+        ];
+        let mut moved = scene(places.iter().map(|(mean, _)| *mean).collect());
+        assert!(free_space.clear(&mut moved, &cameras) && !free_space.clear(&mut moved, &cameras));
+        for (opacity, (mean, kept)) in moved.opacities.iter().zip(places) {
+            assert_eq!(*opacity > 0.0, kept, "{mean:?}");
+        }
+        assert!(!FreeSpace::new(&scene(Vec::new()), &cameras).clear(&mut scene(vec![[0.0, 0.0, 0.5]]), &cameras));
+    }
+
+    #[test]
+    fn gaussians_around_cameras_become_invisible() {
+        let cameras = [camera(0.0), camera(1.0)];
+        // Beside the cameras, between them, around both as from the beginning, and behind them.
+        let means = vec![[0.0, 0.4, 0.0], [0.5, 0.2, -0.1], [0.5, 0.0, -1.0], [0.0, 0.0, -1.0]];
+        let mut given = scene(means.clone());
+        given.scales[2] = [1.0; 3];
+        let free_space = FreeSpace::new(&given, &cameras);
+        assert!(!free_space.clear(&mut given, &cameras));
+        given.scales[0] = [0.01, 0.2, 0.01];
+        assert!(free_space.clear(&mut given, &cameras));
+        assert_eq!(given.opacities, [0.0, 0.5, 0.5, 0.5]);
+        given.scales[1] = [0.1; 3];
+        assert!(free_space.clear(&mut given, &cameras));
+        assert_eq!(given.opacities, [0.0, 0.0, 0.5, 0.5]);
+    }
+
+    fn camera(x: f64) -> Camera {
+        let intrinsics = Intrinsics::from_fov(240, 240, 1.0, 1.0);
+        Camera { intrinsics, pose: Pose { translation: DVec3::new(x, 0.0, 0.0), ..Pose::IDENTITY } }
+    }
+
+    fn scene(means: Vec<[f32; 3]>) -> Scene {
+        let count = means.len();
+        Scene {
+            means,
+            scales: vec![[0.05; 3]; count],
+            quats: vec![[1.0, 0.0, 0.0, 0.0]; count],
+            opacities: vec![0.5; count],
+            sh_coeffs: vec![[0.0; 3]; count],
+            sh_degree: 0,
+        }
+    }
+}
