@@ -128,8 +128,15 @@ fn the_best_so_far_is_returned_when_asked_to_stop() {
         if at.step == 3 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     };
     let start = moved(&scene);
-    let refined =
-        refine_scene(&Arena::new(device()), &start, &photos, &cameras, &RefineOptions::default(), progress).unwrap();
+    let refined = refine_scene(
+        &Arena::new(device()),
+        &start,
+        &photos,
+        &cameras,
+        &RefineOptions { length: RefineLength::Steps(100), ..RefineOptions::default() },
+        progress,
+    )
+    .unwrap();
     assert_eq!((refined.stop_reason, refined.best_step, refined.losses.len()), (Some(StopReason::Cancelled), 3, 3));
     assert_eq!(steps, [1, 2, 3]);
     assert_ne!(refined.scene, start);
@@ -151,9 +158,9 @@ fn scenes_are_shown_on_the_way() {
         shown.extend(at.scene.map(|scene| (at.step, scene.clone())));
         ControlFlow::Continue(())
     };
-    let request = RefineOptions { length: RefineLength::Steps(7), snapshots: 2, ..RefineOptions::default() };
+    let request = RefineOptions { length: RefineLength::Steps(7), snapshots: 3, ..RefineOptions::default() };
     let refined = refine_scene(&Arena::new(device()), &moved(&scene), &photos, &cameras, &request, progress).unwrap();
-    assert_eq!(shown.iter().map(|(step, _)| *step).collect::<Vec<_>>(), [4, 7]);
+    assert_eq!(shown.iter().map(|(step, _)| *step).collect::<Vec<_>>(), [3, 5, 7]);
     assert_ne!(shown[0].1, shown[1].1);
     // Not the final checkpoint.
     assert_ne!(shown[1].1, refined.scene);
@@ -252,7 +259,12 @@ fn exact_cameras_stay_exact() {
         &moved(&scene),
         &photos,
         &cameras,
-        &RefineOptions { optimize_cameras: true, holdout_views: Some(1), ..RefineOptions::default() },
+        &RefineOptions {
+            length: RefineLength::Steps(100),
+            optimize_cameras: true,
+            holdout_views: Some(1),
+            ..RefineOptions::default()
+        },
     );
     let [degrees, shift] = distance(&refined.cameras, &cameras);
     assert!(degrees > 0.0 && degrees < 0.2 && shift < 0.01, "{degrees} degrees and {shift}");
@@ -272,7 +284,12 @@ fn a_scene_with_a_tenth_of_its_gaussians_grows() {
             &start,
             &photos,
             &cameras,
-            &RefineOptions { max_gaussians: grow, holdout_views: Some(1), ..RefineOptions::default() },
+            &RefineOptions {
+                length: RefineLength::Steps(100),
+                max_gaussians: grow,
+                holdout_views: Some(1),
+                ..RefineOptions::default()
+            },
         )
     };
     let (without, grown) = (with(None), with(Some(400)));

@@ -10,7 +10,8 @@ use rayon::prelude::*;
 const CELLS: usize = 24;
 /// Least depth relative to the least initial one around a cell.
 const RATIO: f64 = 0.3;
-/// Quantile of a camera's initial depths for cells without any.
+/// Least number of initial Gaussians around a cell, and the quantile of all depths for fewer.
+const ENOUGH: usize = 8;
 const QUANTILE: f64 = 0.05;
 /// Mahalanobis distance up to which a camera is inside a Gaussian.
 const INSIDE: f64 = 3.0;
@@ -95,19 +96,19 @@ fn contains(scene: &Scene, i: usize, centers: &[DVec3]) -> bool {
 }
 
 fn least_depths(scene: &Scene, camera: &Camera) -> Depths {
-    let mut least = [[f64::INFINITY; CELLS]; CELLS];
+    let mut least = [[(f64::INFINITY, 0); CELLS]; CELLS];
     let mut depths = Vec::new();
     for ([row, column], depth) in scene.means.iter().filter_map(|mean| cell(camera, mean)) {
         depths.push(depth);
         for cells in &mut least[row.saturating_sub(1)..(row + 2).min(CELLS)] {
-            for cell in &mut cells[column.saturating_sub(1)..(column + 2).min(CELLS)] {
-                *cell = depth.min(*cell);
+            for (least, count) in &mut cells[column.saturating_sub(1)..(column + 2).min(CELLS)] {
+                (*least, *count) = (depth.min(*least), *count + 1);
             }
         }
     }
     let rank = (QUANTILE * depths.len() as f64) as usize;
     let other = if depths.is_empty() { 0.0 } else { *depths.select_nth_unstable_by(rank, f64::total_cmp).1 };
-    least.map(|cells| cells.map(|depth| if depth.is_finite() { depth } else { other }))
+    least.map(|cells| cells.map(|(depth, count)| if count < ENOUGH { depth.min(other) } else { depth }))
 }
 
 /// Returns the row and column of a point's cell, and its depth, if the camera sees it.
@@ -128,7 +129,9 @@ mod tests {
         let cameras = [camera(0.0), camera(0.1)];
         // A near thing on the left, a wall, and nothing in the lower half.
         let wall = (0..24).map(|i| [0.4 * (i % 6) as f32 - 0.8, -0.5 * (i / 6) as f32, 4.0]);
-        let free_space = FreeSpace::new(&scene(wall.chain([[-0.4, -0.2, 1.0]]).collect()), &cameras);
+        let near = [[-0.4, -0.2, 1.0]];
+        let given = scene(wall.chain(near).flat_map(|mean| [mean; 8]).collect());
+        let free_space = FreeSpace::new(&given, &cameras);
         let places = [
             ([-0.4, -0.2, 1.0], true),
             ([-0.112, -0.056, 0.28], false),
