@@ -47,24 +47,41 @@ impl FreeSpace {
         Self { places, depths, around }
     }
 
-    /// Makes floaters invisible and returns true if there are any. `cameras` are those of
+    /// Pushes floaters back to the depth of the initial scene, where they look alike to their
+    /// camera, and makes those around a camera invisible. Returns their indices. `cameras` are those of
     /// [`FreeSpace::new`], moved or not.
-    pub fn clear(&self, scene: &mut Scene, cameras: &[Camera]) -> bool {
+    pub fn clear(&self, scene: &mut Scene, cameras: &[Camera]) -> Vec<usize> {
         let compared: Vec<Camera> = self.places.iter().map(|place| place.camera(cameras)).collect();
         let centers: Vec<DVec3> = compared.iter().map(|camera| camera.pose.translation).collect();
-        let nearer = |mean: &[f32; 3]| {
-            let least = |camera: &Camera, depths: &Depths| {
-                cell(camera, mean).is_some_and(|([row, column], depth)| depth < RATIO * depths[row][column])
+        let pushed = |mean: &[f32; 3]| {
+            let factor = |(camera, depths): (&Camera, &Depths)| {
+                let ([row, column], depth) = cell(camera, mean)?;
+                let least = depths[row][column];
+                (depth < RATIO * least).then_some((camera.pose.translation, least / depth))
             };
-            compared.iter().zip(&self.depths).any(|(camera, depths)| least(camera, depths))
+            compared.iter().zip(&self.depths).find_map(factor)
         };
-        let floats = |i: &usize| {
-            let is_new = !self.around.get(*i).is_some_and(|around| *around);
-            scene.opacities[*i] > INVISIBLE && (nearer(&scene.means[*i]) || is_new && contains(scene, *i, &centers))
+        let floater = |i: usize| {
+            let is_new = !self.around.get(i).is_some_and(|around| *around);
+            if scene.opacities[i] <= INVISIBLE {
+                None
+            } else if is_new && contains(scene, i, &centers) {
+                Some((i, None))
+            } else {
+                pushed(&scene.means[i]).map(|push| (i, Some(push)))
+            }
         };
-        let floaters: Vec<usize> = (0..scene.len()).into_par_iter().filter(floats).collect();
-        floaters.iter().for_each(|i| scene.opacities[*i] = 0.0);
-        !floaters.is_empty()
+        let floaters: Vec<_> = (0..scene.len()).into_par_iter().filter_map(floater).collect();
+        for (i, push) in &floaters {
+            let Some((center, factor)) = push else {
+                scene.opacities[*i] = 0.0;
+                continue;
+            };
+            let [mean, scales] = row(scene, *i);
+            scene.means[*i] = center.lerp(mean, *factor).as_vec3().to_array();
+            scene.scales[*i] = (*factor * scales).as_vec3().to_array();
+        }
+        floaters.into_iter().map(|(i, ..)| i).collect()
     }
 }
 
@@ -89,9 +106,13 @@ fn places(cameras: &[Camera]) -> Vec<Place> {
     (0..cameras.len()).step_by(cameras.len().div_ceil(MAX_CAMERAS).max(1)).flat_map(around).collect()
 }
 
+fn row(scene: &Scene, i: usize) -> [DVec3; 2] {
+    [scene.means[i], scene.scales[i]].map(|row| DVec3::from(row.map(f64::from)))
+}
+
 fn contains(scene: &Scene, i: usize, centers: &[DVec3]) -> bool {
     let axes = matrix_from_quaternion(scene.quats[i].map(f64::from)).transpose();
-    let [mean, scales] = [scene.means[i], scene.scales[i]].map(|row| DVec3::from(row.map(f64::from)));
+    let [mean, scales] = row(scene, i);
     centers.iter().any(|center| (axes * (*center - mean) / scales).length_squared() < INSIDE * INSIDE)
 }
 
@@ -125,7 +146,7 @@ mod tests {
     use crate::types::Intrinsics;
 
     #[test]
-    fn floaters_become_invisible() {
+    fn floaters_are_pushed_back() {
         let cameras = [camera(0.0), camera(0.1)];
         // A near thing on the left, a wall, and nothing in the lower half.
         let wall = (0..24).map(|i| [0.4 * (i % 6) as f32 - 0.8, -0.5 * (i / 6) as f32, 4.0]);
@@ -142,12 +163,18 @@ mod tests {
             ([0.0, 0.0, -1.0], true),
             ([0.0, 5.0, 1.0], true),
         ];
-        let mut moved = scene(places.iter().map(|(mean, _)| *mean).collect());
-        assert!(free_space.clear(&mut moved, &cameras) && !free_space.clear(&mut moved, &cameras));
-        for (opacity, (mean, kept)) in moved.opacities.iter().zip(places) {
-            assert_eq!(*opacity > 0.0, kept, "{mean:?}");
-        }
-        assert!(!FreeSpace::new(&scene(Vec::new()), &cameras).clear(&mut scene(vec![[0.0, 0.0, 0.5]]), &cameras));
+        let given = scene(places.iter().map(|(mean, _)| *mean).collect());
+        let mut moved = given.clone();
+        let floaters = free_space.clear(&mut moved, &cameras);
+        assert_eq!(floaters, (0..places.len()).filter(|i| !places[*i].1).collect::<Vec<_>>());
+        assert!(free_space.clear(&mut moved, &cameras).is_empty());
+        // To the first camera they look alike.
+        let seen = |scene: &Scene, i: usize| {
+            let [x, y, depth] = scene.means[i];
+            [x / depth, y / depth, scene.scales[i][0] / depth].map(|value| (1e4 * value).round())
+        };
+        assert!((0..places.len()).all(|i| seen(&given, i) == seen(&moved, i)));
+        assert!(floaters.iter().map(|i| moved.means[*i][2]).eq([1.0, 4.0, 4.0]));
     }
 
     #[test]
@@ -158,12 +185,14 @@ mod tests {
         let mut given = scene(means.clone());
         given.scales[2] = [1.0; 3];
         let free_space = FreeSpace::new(&given, &cameras);
-        assert!(!free_space.clear(&mut given, &cameras));
+        assert!(free_space.clear(&mut given, &cameras).is_empty());
+        assert!(
+            FreeSpace::new(&scene(Vec::new()), &cameras).clear(&mut scene(vec![[0.0, 0.0, 0.5]]), &cameras).is_empty()
+        );
         given.scales[0] = [0.01, 0.2, 0.01];
-        assert!(free_space.clear(&mut given, &cameras));
-        assert_eq!(given.opacities, [0.0, 0.5, 0.5, 0.5]);
+        assert_eq!(free_space.clear(&mut given, &cameras), [0]);
         given.scales[1] = [0.1; 3];
-        assert!(free_space.clear(&mut given, &cameras));
+        assert_eq!(free_space.clear(&mut given, &cameras), [1]);
         assert_eq!(given.opacities, [0.0, 0.0, 0.5, 0.5]);
     }
 

@@ -220,16 +220,13 @@ impl Gaussians {
     }
 
     /// Passes the root mean squares of the means' gradients to `change`, which returns the
-    /// Gaussians whose moments reset to zero, or `None` for an unchanged scene.
-    pub fn edit(&mut self, change: impl FnOnce(&mut Scene, &[f64]) -> Option<Vec<usize>>) -> Result<()> {
+    /// Gaussians whose moments reset to zero.
+    pub fn edit(&mut self, change: impl FnOnce(&mut Scene, &[f64]) -> Vec<usize>) -> Result<()> {
         let (mut scene, memory) = (self.scene()?, &self.memories[0]);
         let squares: Vec<[f32; 3]> = memory.read(self.fields[0].moments[1])?;
         let root = |squares: &[f32; 3]| squares.iter().copied().map(f64::from).sum::<f64>().sqrt();
-        let Some(changed) = change(&mut scene, &squares.iter().map(root).collect::<Vec<_>>()) else { return Ok(()) };
+        let changed = change(&mut scene, &squares.iter().map(root).collect::<Vec<_>>());
         write(memory, [0, 1, 2, 3, 4].map(|i| self.fields[i].values), &scene)?;
-        if changed.is_empty() {
-            return Ok(());
-        }
         for Field { moments, len, .. } in &self.fields {
             let width = len / scene.len();
             for moment in moments {

@@ -183,7 +183,7 @@ impl<'a> Refinement<'a> {
             }
             if let Some(growth) = self.growth.as_mut().filter(|growth| growth.is_due(done)) {
                 let rate = self.fraction * self.schedule.rate(step);
-                self.gaussians.edit(|scene, gradients| Some(growth.apply(scene, gradients, done, rate)))?;
+                self.gaussians.edit(|scene, gradients| growth.apply(scene, gradients, done, rate))?;
             }
             let eta = begin.elapsed().mul_f64((steps - done) as f64 / done as f64);
             let psnr = self.holdout_psnr.last().map(|(_, psnr)| *psnr);
@@ -203,7 +203,7 @@ impl<'a> Refinement<'a> {
     fn clear_floaters(&mut self) -> Result<()> {
         let Some(free_space) = &self.free_space else { return Ok(()) };
         let cameras: Vec<Camera> = self.training.iter().map(|i| self.cameras.all()[*i]).collect();
-        self.gaussians.edit(|scene, _| free_space.clear(scene, &cameras).then(Vec::new))
+        self.gaussians.edit(|scene, _| free_space.clear(scene, &cameras))
     }
 
     fn training_psnr(&mut self, cameras: &[Camera]) -> Result<f64> {
