@@ -214,11 +214,6 @@ impl Gaussians {
         write(&self.memories[0], [means, scales, quats, opacities, sh_coeffs], &padded(scene, len))
     }
 
-    /// False if tokens move instead.
-    pub fn moves_gaussians(&self) -> bool {
-        !self.fields.is_empty()
-    }
-
     /// Passes the root mean squares of the means' gradients to `change`, which returns the
     /// Gaussians whose moments reset to zero.
     pub fn edit(&mut self, change: impl FnOnce(&mut Scene, &[f64]) -> Vec<usize>) -> Result<()> {

@@ -81,9 +81,10 @@ impl<'a> Refinement<'a> {
             f64::from(options.learning_rates.camera_rotation),
             scene_distance * f64::from(options.learning_rates.camera_translation),
         ];
-        let training_cameras: Vec<Camera> = training.iter().map(|i| cameras[*i]).collect();
-        let free_space = gaussians.moves_gaussians().then(|| FreeSpace::new(&scene, &training_cameras));
         let growth = options.max_gaussians.map(|most| Growth::new(scene.len(), most, steps, options.seed));
+        let training_cameras: Vec<Camera> = training.iter().map(|i| cameras[*i]).collect();
+        // Without growth nothing would replace what vanishes.
+        let free_space = growth.is_some().then(|| FreeSpace::new(&scene, &training_cameras));
         gaussians.set_near(scene.near());
         Ok(Self {
             photos,
