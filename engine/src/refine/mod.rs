@@ -6,6 +6,7 @@ mod cameras;
 mod free_space;
 mod gaussians;
 mod growth;
+mod options;
 mod plan;
 mod planned;
 mod refinement;
@@ -16,6 +17,7 @@ mod views;
 pub use adam::{Adam, Rate, Space, record_adam};
 pub use anisotropy::record_anisotropy_limit;
 pub use cameras::PoseAdam;
+pub use options::{LearningRates, PerceptualLoss, RefineLength, RefineOptions};
 pub use plan::{Moved, RefinePlan, plan_refinement};
 pub use tokens::FrozenHead;
 
@@ -23,7 +25,6 @@ use crate::{
     Error, Result,
     gpu::{Arena, Profile},
     reconstruct::SceneTokens,
-    stages::{loss::Loss, lpips::LpipsNetwork},
     types::{Camera, Image, Scene},
 };
 use gaussians::Gaussians;
@@ -49,148 +50,6 @@ const GROWTH_COST: f64 = 1.8;
 const ENOUGH_STEPS: u32 = 150;
 const SHORTEST: u32 = 240;
 const SAMPLE: usize = 4096;
-
-/// Length of a refinement.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum RefineLength {
-    /// Optimizer steps.
-    Steps(usize),
-    /// Approximate duration; the steps and the photos' size follow from the measured time of a few
-    /// steps. The same steps and size give the same bits.
-    Time(Duration),
-}
-
-impl Default for RefineLength {
-    fn default() -> Self {
-        Self::Time(Duration::from_secs(60))
-    }
-}
-
-impl RefineLength {
-    /// Steps to plan for; a time may become any number.
-    fn most_steps(self) -> usize {
-        match self {
-            Self::Steps(steps) => steps,
-            Self::Time(_) => GROWTH_FROM,
-        }
-    }
-}
-
-/// Settings of a refinement.
-#[derive(Clone, Debug, PartialEq)]
-pub struct RefineOptions {
-    /// Steps or duration; one minute by default.
-    pub length: RefineLength,
-    /// Photos per step, capped at the training photos.
-    pub views_per_step: usize,
-    /// Largest width and height of photos; larger ones are downscaled. `None`: full size.
-    pub max_image_size: Option<[u32; 2]>,
-    /// Number of held-out photos, which reveal overfitting. `None`: 1 from 40 photos on, 0 if
-    /// cameras are refined.
-    pub holdout_views: Option<usize>,
-    /// Pixel loss.
-    pub loss: Loss,
-    /// LPIPS term for photos large enough; it prevents batching. `None` needs no LPIPS weights.
-    pub perceptual_loss: Option<PerceptualLoss>,
-    /// Learning rates.
-    pub learning_rates: LearningRates,
-    /// Also refines training cameras, except the first.
-    pub optimize_cameras: bool,
-    /// Number of Gaussians to grow to, by relocating invisible Gaussians and adding new ones. No
-    /// growth if at most the scene's number. `None`: from 300 steps on, one per 32 pixels of the
-    /// photos, at most four times the scene's number.
-    pub max_gaussians: Option<usize>,
-    /// Factor of the mean opacity in the loss.
-    pub opacity_penalty: f32,
-    /// Factor of the mean scale in the loss, relative to the scene scale.
-    pub scale_penalty: f32,
-    /// Whether the first half of the steps uses downscaled photos.
-    pub coarse_to_fine: bool,
-    /// Batch limit for photos of one size. `None`: a whole step on a GPU, 1 on a CPU.
-    pub batch_size: Option<usize>,
-    /// Initial capacity in tile intersections per photo, which grows on demand. `None`: from the
-    /// number of Gaussians.
-    pub intersection_capacity: Option<usize>,
-    /// Number of scenes passed to `progress`, evenly spaced.
-    pub snapshots: usize,
-    /// Seed of the photo order and of growth.
-    pub seed: u64,
-    /// Whether to profile a step by kernel.
-    pub profile: bool,
-}
-
-impl Default for RefineOptions {
-    fn default() -> Self {
-        Self {
-            length: RefineLength::default(),
-            views_per_step: 4,
-            max_image_size: Some([1600; 2]),
-            holdout_views: None,
-            loss: Loss::L1Dssim,
-            perceptual_loss: None,
-            learning_rates: LearningRates::default(),
-            optimize_cameras: false,
-            max_gaussians: None,
-            opacity_penalty: 0.0,
-            scale_penalty: 0.1,
-            coarse_to_fine: true,
-            batch_size: None,
-            intersection_capacity: None,
-            snapshots: 0,
-            seed: 0,
-            profile: false,
-        }
-    }
-}
-
-/// The LPIPS term of a loss.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PerceptualLoss {
-    /// Factor of the distance.
-    pub weight: f32,
-    /// LPIPS network, with weights from [`Perceptual::file`](crate::perceptual::Perceptual::file).
-    pub network: LpipsNetwork,
-}
-
-/// Initial rates of Adam for 100 steps or fewer, which decay to a tenth. For more steps they shrink
-/// with the square root of their number.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LearningRates {
-    /// Rate of centers, relative to the scene scale.
-    pub means: f32,
-    /// Rate of log scales.
-    pub scales: f32,
-    /// Rate of unit quaternions.
-    pub quats: f32,
-    /// Rate of opacity logits.
-    pub opacities: f32,
-    /// Rate of colors, the coefficients of degree 0.
-    pub sh_coeffs: f32,
-    /// Rate of coefficients of higher degrees.
-    pub sh_higher: f32,
-    /// Rate of tokens, if refined.
-    pub tokens: f32,
-    /// Rate of camera rotations in radians, if refined.
-    pub camera_rotation: f32,
-    /// Rate of camera translations, relative to the scene scale.
-    pub camera_translation: f32,
-}
-
-impl Default for LearningRates {
-    fn default() -> Self {
-        Self {
-            means: 5e-3,
-            scales: 0.1,
-            quats: 0.03,
-            opacities: 0.2,
-            sh_coeffs: 0.03,
-            sh_higher: 0.003,
-            tokens: 2e-2,
-            camera_rotation: 2e-3,
-            camera_translation: 2e-3,
-        }
-    }
-}
 
 /// Progress of a refinement.
 #[derive(Clone, Copy, Debug)]
