@@ -13,6 +13,8 @@ const RATIO: f64 = 0.3;
 /// Least number of initial Gaussians around a cell, and the quantile of all depths for fewer.
 const ENOUGH: usize = 8;
 const QUANTILE: f64 = 0.05;
+/// Largest factor of a floater's distance and size; others become invisible.
+const MOST_PUSHED: f64 = 10.0;
 /// Mahalanobis distance up to which a camera is inside a Gaussian.
 const INSIDE: f64 = 3.0;
 /// Places between a camera and its nearest ones, as fractions of the way: what floats there is in no
@@ -48,8 +50,8 @@ impl FreeSpace {
     }
 
     /// Pushes floaters back to the depth of the initial scene, where they look alike to their
-    /// camera, and makes those around a camera invisible. Returns their indices. `cameras` are those of
-    /// [`FreeSpace::new`], moved or not.
+    /// camera, and makes those around or very near a camera invisible. Returns their indices.
+    /// `cameras` are those of [`FreeSpace::new`], moved or not.
     pub fn clear(&self, scene: &mut Scene, cameras: &[Camera]) -> Vec<usize> {
         let compared: Vec<Camera> = self.places.iter().map(|place| place.camera(cameras)).collect();
         let centers: Vec<DVec3> = compared.iter().map(|camera| camera.pose.translation).collect();
@@ -73,7 +75,7 @@ impl FreeSpace {
         };
         let floaters: Vec<_> = (0..scene.len()).into_par_iter().filter_map(floater).collect();
         for (i, push) in &floaters {
-            let Some((center, factor)) = push else {
+            let Some((center, factor)) = push.as_ref().filter(|(_, factor)| *factor < MOST_PUSHED) else {
                 scene.opacities[*i] = 0.0;
                 continue;
             };
@@ -162,6 +164,7 @@ mod tests {
             ([0.0, 0.3, 0.7], false),
             ([0.0, 0.0, -1.0], true),
             ([0.0, 5.0, 1.0], true),
+            ([0.035, -0.035, 0.35], false),
         ];
         let given = scene(places.iter().map(|(mean, _)| *mean).collect());
         let mut moved = given.clone();
@@ -174,7 +177,9 @@ mod tests {
             [x / depth, y / depth, scene.scales[i][0] / depth].map(|value| (1e4 * value).round())
         };
         assert!((0..places.len()).all(|i| seen(&given, i) == seen(&moved, i)));
-        assert!(floaters.iter().map(|i| moved.means[*i][2]).eq([1.0, 4.0, 4.0]));
+        assert!(floaters.iter().map(|i| moved.means[*i][2]).eq([1.0, 4.0, 4.0, 0.35]));
+        // It would become more than ten times as large.
+        assert!((0..places.len()).all(|i| (moved.opacities[i] == 0.0) == (i == 8)));
     }
 
     #[test]

@@ -43,9 +43,9 @@ const HOLD_OUT_FROM: usize = 40;
 const GROWTH_FROM: usize = 300;
 /// Limits of growth by default: pixels of all photos per Gaussian, and its factor.
 const PIXELS_PER_GAUSSIAN: usize = 32;
-const MOST_GROWTH: usize = 4;
-/// Time of a step with growth relative to one without.
-const GROWTH_COST: f64 = 1.8;
+const MOST_GROWTH: usize = 16;
+/// Growth by a factor makes the mean step slower by this power of it.
+const GROWTH_COST: f64 = 0.42;
 /// Fewer steps in a time halve the photos' size, down to a shorter side of `SHORTEST` pixels.
 const ENOUGH_STEPS: u32 = 150;
 const SHORTEST: u32 = 240;
@@ -142,10 +142,7 @@ pub fn refine_scene(
         let gaussians = Gaussians::new(arena, grown.as_ref().unwrap_or(scene), scene_distance, options)?;
         Ok((gaussians, (scene.clone(), scene_distance)))
     };
-    let grow = |options: &RefineOptions, steps: usize| {
-        grown_len(options, steps, scene.len(), photos.iter().map(|photo| size(photo, options.max_image_size, 1)))
-    };
-    run(arena, make, grow, photos, cameras, options, progress)
+    run(arena, make, Some(scene.len()), photos, cameras, options, progress)
 }
 
 /// Refines a scene's tokens through the frozen head, as [`refine_scene`].
@@ -167,7 +164,7 @@ pub fn refine_tokens(
         let scene_distance = distance(&scene, cameras);
         Ok((gaussians, (scene, scene_distance)))
     };
-    run(arena, make, |_, _| None, photos, cameras, options, progress)
+    run(arena, make, None, photos, cameras, options, progress)
 }
 
 /// Returns the number of Gaussians that a scene of `len` grows to, for photos of these sizes, if it
@@ -191,10 +188,11 @@ fn tokens_grow_not(options: &RefineOptions) -> Result<()> {
     options.max_gaussians.map_or(Ok(()), |most| Err(refused(most)))
 }
 
+/// `len` is the number of Gaussians if it may grow.
 fn run(
     arena: &Arena,
     make: impl Fn(&Arena, &RefineOptions) -> Result<(Gaussians, (Scene, f64))>,
-    grow: impl Fn(&RefineOptions, usize) -> Option<usize>,
+    len: Option<usize>,
     photos: &[Image],
     cameras: &[Camera],
     options: &RefineOptions,
@@ -211,6 +209,10 @@ fn run(
         let (gaussians, scene) = make(&arena, &options)?;
         Refinement::new(gaussians, scene, photos, cameras, options, steps)
     };
+    let grow = |options: &RefineOptions, steps: usize| {
+        let sizes = photos.iter().map(|photo| size(photo, options.max_image_size, 1));
+        len.and_then(|len| grown_len(options, steps, len, sizes))
+    };
     let steps = match options.length {
         RefineLength::Steps(steps) => steps,
         RefineLength::Time(time) => {
@@ -226,9 +228,14 @@ fn run(
             }
             let left = time.saturating_sub(begin.elapsed());
             let steps_in = |step: Duration| (left.as_secs_f64() / step.as_secs_f64()).max(1.0) as usize;
-            let grown = steps_in(step.mul_f64(GROWTH_COST));
-            let grows = options.max_gaussians.is_some() || grown >= GROWTH_FROM;
-            if grows && grow(&options, grown).is_some() { grown } else { steps_in(step) }
+            let steps = steps_in(step);
+            match grow(&options, steps).zip(len) {
+                None => steps,
+                Some((most, len)) => {
+                    let grown = steps_in(step.mul_f64((most as f64 / len as f64).powf(GROWTH_COST)));
+                    if grow(&options, grown).is_some() { grown } else { GROWTH_FROM - 1 }
+                }
+            }
         }
     };
     options.max_gaussians = grow(&options, steps);

@@ -34,8 +34,7 @@ pub(super) struct Refinement<'a> {
     steps: usize,
     schedule: Schedule,
     gaussians: Gaussians,
-    free_space: Option<FreeSpace>,
-    growth: Option<Growth>,
+    growth: Option<(Growth, FreeSpace)>,
     order: Order,
     training: Vec<usize>,
     views: Vec<View>,
@@ -81,10 +80,10 @@ impl<'a> Refinement<'a> {
             f64::from(options.learning_rates.camera_rotation),
             scene_distance * f64::from(options.learning_rates.camera_translation),
         ];
-        let growth = options.max_gaussians.map(|most| Growth::new(scene.len(), most, steps, options.seed));
-        let training_cameras: Vec<Camera> = training.iter().map(|i| cameras[*i]).collect();
-        // Without growth nothing would replace what vanishes.
-        let free_space = growth.is_some().then(|| FreeSpace::new(&scene, &training_cameras));
+        let growth = options.max_gaussians.map(|most| {
+            let training_cameras: Vec<Camera> = training.iter().map(|i| cameras[*i]).collect();
+            (Growth::new(scene.len(), most, steps, options.seed), FreeSpace::new(&scene, &training_cameras))
+        });
         gaussians.set_near(scene.near());
         Ok(Self {
             photos,
@@ -94,7 +93,6 @@ impl<'a> Refinement<'a> {
             options,
             steps,
             gaussians,
-            free_space,
             growth,
             training,
             views: Vec::new(),
@@ -176,15 +174,19 @@ impl<'a> Refinement<'a> {
                 return Ok(Some(StopReason::Diverged(format!("the loss of step {done} is {loss}"))));
             }
             if done.is_multiple_of(interval) || done == steps {
-                self.clear_floaters()?;
                 if let Some(why) = self.check_loss() {
                     return Ok(Some(StopReason::Diverged(why)));
                 }
                 self.evaluate(done)?;
             }
-            if let Some(growth) = self.growth.as_mut().filter(|growth| growth.is_due(done)) {
+            if let Some((growth, free_space)) = self.growth.as_mut().filter(|(growth, _)| growth.is_due(done)) {
                 let rate = self.fraction * self.schedule.rate(step);
-                self.gaussians.edit(|scene, gradients| growth.apply(scene, gradients, done, rate))?;
+                let cameras: Vec<Camera> = self.training.iter().map(|i| self.cameras.all()[*i]).collect();
+                self.gaussians.edit(|scene, gradients| {
+                    let mut changed = free_space.clear(scene, &cameras);
+                    changed.extend(growth.apply(scene, gradients, done, rate));
+                    changed
+                })?;
             }
             let eta = begin.elapsed().mul_f64((steps - done) as f64 / done as f64);
             let psnr = self.holdout_psnr.last().map(|(_, psnr)| *psnr);
@@ -199,12 +201,6 @@ impl<'a> Refinement<'a> {
         }
         self.keep();
         Ok(None)
-    }
-
-    fn clear_floaters(&mut self) -> Result<()> {
-        let Some(free_space) = &self.free_space else { return Ok(()) };
-        let cameras: Vec<Camera> = self.training.iter().map(|i| self.cameras.all()[*i]).collect();
-        self.gaussians.edit(|scene, _| free_space.clear(scene, &cameras))
     }
 
     fn training_psnr(&mut self, cameras: &[Camera]) -> Result<f64> {

@@ -74,7 +74,7 @@ pub struct zs_refine_options {
     /// Seed of the photo order and of growth.
     pub seed: u64,
     /// Final number of Gaussians; at most the scene's number: no growth. 0 grows from 300 steps on,
-    /// to one per 32 pixels of the photos and at most four times the scene's. For
+    /// to one per 32 pixels of the photos and at most 16 times the scene's. For
     /// ZS_REFINE_TARGET_TOKENS 0.
     pub max_gaussians: usize,
     /// Progress callback, called after each step.
