@@ -27,8 +27,7 @@ const EPS: f64 = 1e-8;
 
 /// Takes at most 200 steps, and returns the last pose.
 ///
-/// # Errors
-/// As [`super::align`].
+/// # Errors As [`super::align`].
 pub fn align(
     renderer: &mut Renderer,
     photo: &Image,
@@ -53,9 +52,7 @@ pub fn align(
     Ok(Aligned { camera: descent.camera, drawn, before, turn, shift, doubt: None })
 }
 
-/// Alignment state.
 pub struct Descent {
-    /// Current camera.
     pub camera: Camera,
     adam: PoseAdam,
     /// `[height, width, 3]`.
@@ -66,10 +63,9 @@ pub struct Descent {
 }
 
 impl Descent {
-    /// Starts an alignment. `truth` is the photo, `[height][width][rgb]`, at the camera's size.
+    /// `truth` is the photo, `[height][width][rgb]`, at the camera's size.
     ///
-    /// # Errors
-    /// [`Error::Argument`] if the renderer has no scene.
+    /// # Errors [`Error::Argument`] if the renderer has no scene.
     pub fn new(renderer: &Renderer, truth: &[f32], camera: &Camera) -> Result<Self> {
         let scene =
             renderer.scene().ok_or_else(|| Error::argument("scene to align to", "none", "one that was loaded"))?;
@@ -125,7 +121,7 @@ const SEEN: RenderOptions = RenderOptions {
     layout: None,
 };
 
-/// Mean absolute difference; its gradient is `[pixels, 4]` by red, green, blue and alpha.
+/// Mean absolute difference, and its gradient `[pixels, 4]` by red, green, blue and alpha.
 fn weighted_difference(rgb: &[f32], alpha: &[f32], truth: &[f32]) -> (f64, Vec<f32>) {
     let differences = rgb.iter().zip(truth).map(|(a, b)| f64::from(*a) - f64::from(*b));
     let differences: Vec<f64> = differences.collect();

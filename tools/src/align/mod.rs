@@ -40,7 +40,6 @@ const TOLERANCE: f64 = 1e-4;
 /// Iterations per level, of at most 7 renderings.
 const PATIENCE: usize = 12;
 
-/// Alignment method.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Method {
     /// Least squares, coarse to fine, near the initial camera
@@ -54,16 +53,15 @@ impl Method {
     /// Returns the finished fraction at a step.
     pub fn fraction(self, step: usize) -> f64 {
         match self {
-            // Unknown: the number of renderings depends on the content.
+            // The number of renderings depends on the content.
             Self::LevenbergMarquardt => 0.0,
             Self::Adam => (step as f64 / adam::STEPS as f64).min(1.0),
         }
     }
 
-    /// Aligns a camera; only Adam uses LPIPS. `check` runs before each step.
+    /// Only Adam uses LPIPS. `check` runs before each step.
     ///
-    /// # Errors
-    /// As [`align`].
+    /// # Errors As [`align`].
     pub fn align(
         self,
         renderer: &mut Renderer,
@@ -79,9 +77,7 @@ impl Method {
     }
 }
 
-/// Result of [`align`].
 pub struct Aligned {
-    /// Aligned camera.
     pub camera: Camera,
     /// Rendering from the camera, `[height][width][rgb]` in 0..1.
     pub drawn: Vec<f32>,
@@ -91,11 +87,9 @@ pub struct Aligned {
     pub turn: f64,
     /// Distance from the initial camera, in the unit of the poses.
     pub shift: f64,
-    /// Reason to distrust the camera.
     pub doubt: Option<Doubt>,
 }
 
-/// Reason for an unreliable alignment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Doubt {
@@ -107,15 +101,13 @@ pub enum Doubt {
     Color,
 }
 
-/// Minimizes the squared error between the rendering of `camera` and `photo`, of equal size. The
-/// scene should be at a distance of about 1. Intrinsics stay fixed. The error is divided by the
-/// mean alpha, so holes do not count.
+/// Minimizes the squared error, divided by the mean alpha so that holes do not count, between the
+/// rendering of `camera` and `photo`, of equal size. The scene should be at a distance of about 1.
 ///
 /// Levenberg-Marquardt over 6 degrees of freedom with central differences, coarse to fine. At full
 /// size the initial camera stays if none is better. `check` runs before each rendering.
 ///
-/// # Errors
-/// As [`Renderer::render`], and those of `check`.
+/// # Errors As [`Renderer::render`], and those of `check`.
 pub fn align(
     renderer: &mut Renderer,
     photo: &Image,
@@ -146,7 +138,6 @@ pub fn align(
         found.failure.into_inner()?;
         movement = found.movement;
     }
-    // Coarse levels may have another minimum.
     let search = Search::new(renderer, photo, *camera, check);
     let errors = search.pixels(&[Vector6::zeros(), movement]);
     search.failure.into_inner()?;
@@ -179,13 +170,11 @@ fn turn_and_shift(movement: &Vector6<f64>) -> [DVec3; 2] {
     })
 }
 
-/// Returns rotation (radians) and shift on the first camera's axes.
 fn between(from: &Camera, to: &Camera) -> [DVec3; 2] {
     let movement = to.pose.relative_to(&from.pose);
     [DQuat::from_mat3(&movement.rotation).to_scaled_axis(), movement.translation]
 }
 
-/// Pseudo-Huber residual.
 fn robust(difference: f64) -> f64 {
     let root = (2.0 * ((1.0 + (difference / LARGE).powi(2)).sqrt() - 1.0)).sqrt();
     (LARGE * root).copysign(difference)

@@ -27,7 +27,6 @@ impl Aabb {
         side.x * side.y + side.y * side.z + side.z * side.x
     }
 
-    /// Returns the entry distance before `limit`.
     fn enter(&self, origin: Vec3A, inverse: Vec3A, limit: f32) -> Option<f32> {
         let (a, b) = ((self.low - origin) * inverse, (self.high - origin) * inverse);
         let (enter, leave) = (a.min(b).max_element().max(0.0), a.max(b).min_element().min(limit));
@@ -81,7 +80,6 @@ impl Bvh {
         self.build(boxes, start + left, end, depth + 1);
     }
 
-    /// Cost, axis and left item count.
     fn best_split(&mut self, boxes: &[Aabb], start: usize, end: usize, axis: usize) -> (f32, usize, usize) {
         let items = &mut self.items[start..end];
         sort_along(items, boxes, axis);
@@ -122,7 +120,6 @@ impl Bvh {
         let mut found = false;
         self.visit(origin, direction, limit, |item, limit| {
             found = primitives[item].intersect(origin, direction, limit).is_some();
-            // A negative limit ends the visit.
             found.then_some(-1.0)
         });
         found

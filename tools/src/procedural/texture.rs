@@ -139,20 +139,17 @@ fn contrast(noise: f32) -> f32 {
     0.5 + 1.7 * (noise - 0.5)
 }
 
-/// Pulse wave of duty cycle `share` and period 1, averaged over `width`.
 fn pulse(x: f32, share: f32, width: f32) -> f32 {
     let integral = |x: f32| x.floor() * share + (x - x.floor()).min(share);
     let width = width.max(1e-3);
     ((integral(x + width / 2.0) - integral(x - width / 2.0)) / width).clamp(0.0, 1.0)
 }
 
-/// Unit squares.
 fn checker(uv: Vec2, width: f32) -> f32 {
     let (a, b) = (pulse(uv.x / 2.0, 0.5, width / 2.0), pulse(uv.y / 2.0, 0.5, width / 2.0));
     a * b + (1.0 - a) * (1.0 - b)
 }
 
-/// One disc per unit square.
 fn spots(uv: Vec2, radius: f32, width: f32) -> f32 {
     let cell = uv.floor();
     let word = hash(cell.x as i32, cell.y as i32, 11);

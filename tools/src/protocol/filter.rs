@@ -9,7 +9,6 @@ use zipsplat::{
     },
 };
 
-/// Antialiasing filter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Filter {
     /// Pillow's LANCZOS after the crop, as in every other command
@@ -21,8 +20,7 @@ pub enum Filter {
 impl Filter {
     /// Center-crops a photo to an aspect ratio and resizes it.
     ///
-    /// # Errors
-    /// [`Error::Argument`] for a side of zero, or inconsistent photo fields.
+    /// # Errors [`Error::Argument`] for a side of zero, or inconsistent photo fields.
     pub fn cropped(self, photo: &Image, width: u32, height: u32) -> Result<View> {
         match self {
             Self::Lanczos => cropped(photo, width, height),

@@ -1,5 +1,3 @@
-//! Refinement in commands: options, initialization, progress and report.
-
 mod initialization;
 mod options;
 mod report;
@@ -80,7 +78,6 @@ fn progress_message(at: &RefineProgress<'_>) -> String {
     format!("refine{loss}{psnr}")
 }
 
-/// `to_world` maps the scene to the cameras' world.
 pub fn save_cameras(
     path: &Path,
     refined: &RefineResult,

@@ -1,5 +1,3 @@
-//! Errors of depth and cameras against ground truth.
-
 use crate::{cameras::Similarity, depth::PredictedViews, metrics::median, npy};
 use glam::DQuat;
 use serde_json::{Value, json};
@@ -15,7 +13,6 @@ pub struct Truth {
     folder: PathBuf,
 }
 
-/// Medians over photos.
 pub struct Errors {
     /// With both an estimated and a true camera.
     photos: usize,
@@ -31,7 +28,6 @@ impl Truth {
         Ok(Self { poses: Capture::open(folder)?, folder: folder.to_owned() })
     }
 
-    /// Cameras count only if the network `found` them.
     pub fn errors(&self, predicted: &PredictedViews, found: bool) -> Result<Errors> {
         let (mut pairs, mut depths) = (Vec::new(), Vec::new());
         let frames = predicted.frames()?;
@@ -79,7 +75,7 @@ impl Errors {
     }
 }
 
-/// Medians of angle, distance over the extent, and focal length.
+/// Returns median angle, distance over the extent, and relative focal length error.
 fn cameras(pairs: &[(Camera, Camera)]) -> Option<[f64; 3]> {
     let (similarity, _) = Similarity::between(pairs)?;
     let centers = pairs.iter().map(|(_, truth)| truth.pose.translation);
@@ -167,7 +163,6 @@ mod tests {
 
     #[test]
     fn pixels_are_found_in_the_truth() {
-        // A photo of 4 x 2 pixels: its right half becomes 4 x 4, with true depth of 8 x 4.
         let map = PixelMap { from: [4, 2], to: [4, 4], scale: [2.0, 2.0], offset: [-4.0, 0.0] };
         let truth: Vec<f32> = (0..32).map(|i| i as f32).collect();
         let view =

@@ -1,5 +1,3 @@
-//! `eval` of two sets of pictures.
-
 use super::Eval;
 use crate::{
     metrics::{self, psnr, ssim, values},
@@ -23,7 +21,6 @@ pub struct ImageSets<'a> {
 #[derive(Clone, Serialize)]
 struct Row {
     name: String,
-    /// dB; absent for equal pictures.
     psnr: Option<f64>,
     ssim: f64,
     lpips: Option<f64>,
@@ -156,7 +153,6 @@ fn compare(pair: &Pair, lpips: Option<&mut Perceptual>) -> Result<Row> {
     Ok(Row { name: pair.name.clone(), psnr, ssim: ssim(&x, &y, width as usize, height as usize), lpips })
 }
 
-/// PSNR skips equal pictures.
 fn mean(rows: &[Row]) -> Row {
     let mean = |values: Vec<f64>| (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64);
     Row {

@@ -1,5 +1,3 @@
-//! Pictures and scores of a point.
-
 use super::{point::Point, truth::Compared};
 use crate::{
     capture::{Score, ViewSplit, draw},
@@ -40,7 +38,6 @@ impl Drawn {
 }
 
 pub fn compare(renderer: &mut Renderer, capture: &ViewSplit) -> Result<Drawn> {
-    // Also builds the plan.
     draw(renderer, &capture.targets[0].camera)?;
     let (mut pictures, mut times) = (Vec::new(), Vec::new());
     for view in &capture.targets {
