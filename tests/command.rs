@@ -1,12 +1,7 @@
-//! The command in this process.
-
 use std::sync::atomic::AtomicBool;
 use zipsplat_cli::{Terminal, run};
 
-/// Runs the command; returns exit code, standard output and errors.
-///
-/// # Panics
-/// If errors are not text.
+/// Returns exit code, standard output and errors.
 pub fn zipsplat(line: &str) -> (u8, Vec<u8>, String) {
     let args = std::iter::once("zipsplat").chain(line.split_whitespace()).map(Into::into);
     let (mut out, mut err, cancelled) = (Vec::new(), Vec::new(), AtomicBool::new(false));

@@ -119,7 +119,6 @@ fn python_with_numpy() -> Option<PathBuf> {
     })
 }
 
-/// Single channel, top row first.
 fn portable_float_map(path: &Path) -> Vec<f32> {
     let bytes = std::fs::read(path).expect("a picture of floats");
     let text: Vec<&[u8]> = bytes.splitn(4, |byte| *byte == b'\n').collect();

@@ -1,5 +1,3 @@
-//! The cached self-test result.
-
 use std::time::{Duration, SystemTime};
 use tempfile::TempDir;
 use zipsplat::tune::{KernelChoice, SelfTest};

@@ -1,5 +1,3 @@
-//! Photos of every kind.
-
 use crate::{Mode, model, modes, noise, reconstruct};
 use image::{DynamicImage, ImageFormat};
 use zipsplat_tests::prelude::*;

@@ -22,7 +22,6 @@ fn architecture(config: &str) -> DepthArchitecture {
     found
 }
 
-/// With the Gaussian head if the golden has Gaussians.
 fn model(golden: &Golden) -> DepthModel {
     let config = config(golden);
     let architecture = DepthArchitecture { gaussians: golden.has("gs/means"), ..architecture(config) };
@@ -279,7 +278,6 @@ fn parts_of_maps_make_the_same_bits() {
     }
 }
 
-/// Always present, and files without a run.
 const KNOWN: [&str; 6] = ["da3_tiny", "da3_odd4", "da3_mono", "da3_rays", "da3_units", "da3_pre"];
 
 #[test]

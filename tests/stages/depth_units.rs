@@ -1,5 +1,3 @@
-//! Parts of the heads against PyTorch.
-
 use zipsplat::{stages::heads::position_table, types::relative_encoding};
 use zipsplat_tests::prelude::*;
 use zipsplat_tests::{reference::heads::pixel_shuffle::transposed_convolution, reference::heads::resize};
@@ -98,7 +96,6 @@ fn photos_at_their_size() {
         let means = ["pre_noise_300x900", "pre_up_120x97/56"].iter().any(|alone| key.starts_with(alone));
         assert!(apart <= u8::from(!means), "{key}: off by {apart} levels");
     }
-    // 35 is as near to 28 as to 42.
     let photo = zipsplat::Image::new(72, 45, vec![9; 3 * 72 * 45]).unwrap();
     let found = zipsplat::types::bounded(&photo, 56).unwrap();
     assert_eq!([found.width, found.height], [56, 42]);
