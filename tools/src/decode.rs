@@ -79,6 +79,7 @@ pub fn input(file: &Path) -> impl Iterator<Item = OsString> {
     limits.map(OsString::from).into_iter().chain([name])
 }
 
+/// Returns distinct messages without ffmpeg's memory addresses.
 fn words(messages: &str, file: &Path) -> String {
     let name = format!("file:{}: ", file.display());
     let mut lines: Vec<&str> = Vec::new();

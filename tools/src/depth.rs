@@ -294,6 +294,7 @@ impl PredictedViews {
     }
 }
 
+/// Retains the `kept` elements, and returns the others.
 fn keep<T>(list: &mut Vec<T>, kept: &[bool]) -> Vec<T> {
     let (stays, goes): (Vec<_>, Vec<_>) = std::mem::take(list).into_iter().zip(kept).partition(|(_, kept)| **kept);
     *list = stays.into_iter().map(|(item, _)| item).collect();

@@ -119,6 +119,7 @@ pub fn remove_stale(folder: &Path, count: usize, own: impl Fn(&Path) -> bool) ->
     Ok(())
 }
 
+/// Creates and removes a temporary file in the folder of `path`.
 fn check_file(path: &Path) -> Result<()> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     if path.is_dir() || path.file_name().is_none() {

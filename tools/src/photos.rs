@@ -245,6 +245,7 @@ pub fn posed(session: &mut Session<'_>, photos: Vec<PathBuf>, poses: &Capture) -
         to.push(photo);
     }
     if kept.is_empty() {
+        // Reports the expected names of the first one.
         poses.frames_of(&others[..others.len().min(1)])?;
     }
     if !others.is_empty() {

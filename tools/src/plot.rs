@@ -55,6 +55,7 @@ pub fn plot(x: Axis<'_>, y: Axis<'_>, meaning: &str, series: &[Series], beneath:
     let mut svg = String::new();
     let drawn = draw(&mut svg, (x, range(|at| at.x)), (y, range(|at| at.y)), shown, &points, &line);
     drawn.expect("writing to a string does not fail");
+    // HTML needs no namespace.
     let svg = svg.replace(" xmlns=\"http://www.w3.org/2000/svg\"", "");
     let numbers = points.iter().flatten().map(|at| at.of);
     format!(
@@ -185,6 +186,7 @@ mod tests {
         let all: Vec<Series> = ('a'..='h').map(|name| series(&name.to_string(), &[(1.0, 1.0)])).collect();
         let html = plot(LOG, LOG, "letters", &all, Some(&series("front", &[(1.0, 1.0), (2.0, 2.0)])));
         assert_eq!(html.matches("<circle").count(), 6);
+        // Title, background line, six series, and the omitted count.
         assert_eq!(html.matches("<li>").count(), 1 + 1 + 6 + 1);
         assert!(html.contains("2 more") && html.contains("front"), "{html}");
         let mut colors: Vec<&str> =

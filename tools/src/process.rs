@@ -24,6 +24,8 @@ static STARTED: Mutex<Vec<u32>> = Mutex::new(Vec::new());
 /// Process in its own group, which ends on drop or with this command.
 pub struct Running(pub Child, Option<Child>);
 
+/// Reads a group number, then kills the group at the end of standard input, which closes with this
+/// command.
 #[cfg(unix)]
 const WATCH: &str = "read -r group || exit; read -r _; kill -s KILL -- \"-$group\"";
 
@@ -106,6 +108,7 @@ impl Drop for Running {
         // After `wait` the number may belong to another process.
         end_watch(&mut self.1);
         lock(&STARTED).retain(|id| *id != self.0.id());
+        // Reaps the child.
         let _ = self.0.wait();
     }
 }
@@ -200,5 +203,6 @@ pub fn listen(mut stream: impl Read + Send + 'static) -> std::thread::JoinHandle
 
 pub fn failure(program: &Path, message: &str, status: impl ToString) -> Error {
     let words = if message.trim().is_empty() { status.to_string() } else { message.trim().to_owned() };
+    // A broken pipe means our own output.
     Error::io(program, io::Error::other(words))
 }

@@ -27,7 +27,8 @@ const EPS: f64 = 1e-8;
 
 /// Takes at most 200 steps, and returns the last pose.
 ///
-/// # Errors As [`super::align`].
+/// # Errors
+/// As [`super::align`].
 pub fn align(
     renderer: &mut Renderer,
     photo: &Image,
@@ -65,7 +66,8 @@ pub struct Descent {
 impl Descent {
     /// `truth` is the photo, `[height][width][rgb]`, at the camera's size.
     ///
-    /// # Errors [`Error::Argument`] if the renderer has no scene.
+    /// # Errors
+    /// [`Error::Argument`] if the renderer has no scene.
     pub fn new(renderer: &Renderer, truth: &[f32], camera: &Camera) -> Result<Self> {
         let scene =
             renderer.scene().ok_or_else(|| Error::argument("scene to align to", "none", "one that was loaded"))?;

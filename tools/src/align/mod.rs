@@ -61,7 +61,8 @@ impl Method {
 
     /// Only Adam uses LPIPS. `check` runs before each step.
     ///
-    /// # Errors As [`align`].
+    /// # Errors
+    /// As [`align`].
     pub fn align(
         self,
         renderer: &mut Renderer,
@@ -103,11 +104,13 @@ pub enum Doubt {
 
 /// Minimizes the squared error, divided by the mean alpha so that holes do not count, between the
 /// rendering of `camera` and `photo`, of equal size. The scene should be at a distance of about 1.
+/// Intrinsics stay fixed.
 ///
 /// Levenberg-Marquardt over 6 degrees of freedom with central differences, coarse to fine. At full
 /// size the initial camera stays if none is better. `check` runs before each rendering.
 ///
-/// # Errors As [`Renderer::render`], and those of `check`.
+/// # Errors
+/// As [`Renderer::render`], and those of `check`.
 pub fn align(
     renderer: &mut Renderer,
     photo: &Image,
@@ -138,6 +141,7 @@ pub fn align(
         found.failure.into_inner()?;
         movement = found.movement;
     }
+    // Coarse levels may have another minimum.
     let search = Search::new(renderer, photo, *camera, check);
     let errors = search.pixels(&[Vector6::zeros(), movement]);
     search.failure.into_inner()?;
@@ -175,6 +179,7 @@ fn between(from: &Camera, to: &Camera) -> [DVec3; 2] {
     [DQuat::from_mat3(&movement.rotation).to_scaled_axis(), movement.translation]
 }
 
+/// Pseudo-Huber residual.
 fn robust(difference: f64) -> f64 {
     let root = (2.0 * ((1.0 + (difference / LARGE).powi(2)).sqrt() - 1.0)).sqrt();
     (LARGE * root).copysign(difference)

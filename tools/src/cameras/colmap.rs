@@ -55,7 +55,8 @@ pub enum Step {
     Cameras(Mapping),
 }
 
-/// Mapper settings of one attempt.
+/// Mapper settings of one attempt. COLMAP samples at random, and its defaults suit many overlapping
+/// photos.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct Mapping {
     seed: u32,

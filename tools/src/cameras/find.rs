@@ -100,6 +100,7 @@ struct Search<'a> {
 }
 
 impl Finder {
+    /// A file of that name is `./da3`.
     pub fn named(poses: &Path) -> Option<Self> {
         let finders = [(FIND, Self::Colmap), (COLMAP, Self::Colmap), (DA3, Self::Da3)];
         let mut finders = finders.into_iter().filter(|(word, _)| *word != COLMAP || !poses.exists());
@@ -136,6 +137,7 @@ impl KnownCameras {
 }
 
 impl EstimatedCameras {
+    /// In a world and unit of COLMAP's choice.
     fn by_colmap(session: &mut Session<'_>, photos: &[PathBuf], searching: &Searching) -> Result<(Capture, Self)> {
         let (colmap, _) = session.stage("look for COLMAP", |stage| Colmap::of(searching, stage))?;
         if photos.len() < 2 {
@@ -261,6 +263,7 @@ impl<'a> Search<'a> {
         Ok((best, attempts))
     }
 
+    /// Keeps the log.
     fn failure(&mut self, step: Step, status: ExitStatus) -> Error {
         let last_words = match self.output.last_words() {
             words if words.is_empty() => String::new(),

@@ -308,6 +308,7 @@ impl View {
         let served = Served { config, scenes, ready, watched, studio: &studio, cancelled };
         std::thread::scope(|scope| {
             if let (Some(watched), Some(ready)) = (watched, ready) {
+                // The page reports failures.
                 scope.spawn(|| watched.run(&ready.live, |_| ready.live.go_on()));
             }
             let stopped = || cancelled.load(Ordering::Relaxed);

@@ -225,6 +225,7 @@ impl Get {
     fn convert(&self, session: &mut Session<'_>, released: &Released, archive: &Path) -> Result<()> {
         let converted = released.converted(archive);
         if released.kind == Kind::Depth {
+            // Rejects unusable files early.
             DepthCheckpoint::open(archive, false)?;
             return report(session, released, archive);
         }

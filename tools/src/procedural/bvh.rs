@@ -80,6 +80,7 @@ impl Bvh {
         self.build(boxes, start + left, end, depth + 1);
     }
 
+    /// Cost, axis and left item count.
     fn best_split(&mut self, boxes: &[Aabb], start: usize, end: usize, axis: usize) -> (f32, usize, usize) {
         let items = &mut self.items[start..end];
         sort_along(items, boxes, axis);
@@ -120,6 +121,7 @@ impl Bvh {
         let mut found = false;
         self.visit(origin, direction, limit, |item, limit| {
             found = primitives[item].intersect(origin, direction, limit).is_some();
+            // A negative limit ends the visit.
             found.then_some(-1.0)
         });
         found

@@ -70,8 +70,9 @@ pub struct Capture {
 }
 
 impl Options {
-    /// # Errors [`Error::Argument`] without views, for a side of 0 or beyond 4096 pixels, or an
-    /// aspect ratio beyond 8.
+    /// # Errors
+    /// [`Error::Argument`] without views, for a side of 0 or beyond 4096 pixels, or an aspect ratio
+    /// beyond 8.
     pub fn validate(&self) -> Result<()> {
         if !(1..=1024).contains(&self.views) {
             return Err(Error::argument("views", self.views, "1 to 1024"));
@@ -141,7 +142,8 @@ impl Setup {
         self.views.iter().map(pose).collect()
     }
 
-    /// # Errors As `go_on`, called for every row of pixels.
+    /// # Errors
+    /// As `go_on`, called for every row of pixels.
     pub fn shoot(&self, photos: &Photos, go_on: GoOn<'_>) -> Result<Capture> {
         let Lens { width, height, focal } = self.lens;
         let frames = self.views.par_iter().map(|view| self.frame(*view, photos, go_on)).collect::<Result<Vec<_>>>()?;

@@ -45,8 +45,9 @@ struct Level {
 impl Photos {
     /// Reads the permissively licensed crops of a folder's `manifest.json`.
     ///
-    /// # Errors [`Error::Io`], [`Error::Format`]; the latter also without permissive crops, or for
-    /// one that is not square.
+    /// # Errors
+    /// [`Error::Io`], [`Error::Format`]; the latter also without permissive crops, or for one that
+    /// is not square.
     pub fn open(folder: &Path) -> Result<Self> {
         let manifest = folder.join("manifest.json");
         let file = BufReader::new(open_file(&manifest)?);

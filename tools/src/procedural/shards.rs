@@ -69,7 +69,8 @@ impl Header {
         16 + v * (16 + 48 + 4 * v) + v * h * w * 5
     }
 
-    /// # Errors `InvalidData` for another magic or format; those of the reader.
+    /// # Errors
+    /// `InvalidData` for another magic or format; those of the reader.
     pub fn read(mut from: impl Read) -> Result<Self> {
         let magic: [u8; 8] = take(&mut from)?;
         let format = u32::from_le_bytes(take(&mut from)?);
@@ -93,7 +94,8 @@ impl Header {
 }
 
 impl Record {
-    /// # Errors `UnexpectedEof` at the end of the stream, `InvalidData` for an index out of range.
+    /// # Errors
+    /// `UnexpectedEof` at the end of the stream, `InvalidData` for an index out of range.
     pub fn read(header: &Header, mut from: impl Read) -> Result<Self> {
         let mut bytes = vec![0; header.scene_bytes()];
         from.read_exact(&mut bytes)?;

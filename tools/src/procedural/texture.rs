@@ -139,6 +139,7 @@ fn contrast(noise: f32) -> f32 {
     0.5 + 1.7 * (noise - 0.5)
 }
 
+/// Pulse wave of duty cycle `share` and period 1, averaged over `width`.
 fn pulse(x: f32, share: f32, width: f32) -> f32 {
     let integral = |x: f32| x.floor() * share + (x - x.floor()).min(share);
     let width = width.max(1e-3);

@@ -22,7 +22,8 @@ impl Protocol {
     /// Reads index files, or takes numbers of inputs. `gaps` override the paper's, one per number
     /// or one for all.
     ///
-    /// # Errors As [`Indices::open`]; [`Error::Argument`] for a wrong number of gaps.
+    /// # Errors
+    /// As [`Indices::open`]; [`Error::Argument`] for a wrong number of gaps.
     pub fn settings(self, views: &[u32], gaps: &[usize], files: &[impl AsRef<Path>]) -> Result<Vec<Setting>> {
         if !files.is_empty() {
             let setting = |file: &_| {

@@ -20,7 +20,8 @@ pub enum Filter {
 impl Filter {
     /// Center-crops a photo to an aspect ratio and resizes it.
     ///
-    /// # Errors [`Error::Argument`] for a side of zero, or inconsistent photo fields.
+    /// # Errors
+    /// [`Error::Argument`] for a side of zero, or inconsistent photo fields.
     pub fn cropped(self, photo: &Image, width: u32, height: u32) -> Result<View> {
         match self {
             Self::Lanczos => cropped(photo, width, height),

@@ -78,6 +78,7 @@ fn progress_message(at: &RefineProgress<'_>) -> String {
     format!("refine{loss}{psnr}")
 }
 
+/// `to_world` maps the scene to the cameras' world.
 pub fn save_cameras(
     path: &Path,
     refined: &RefineResult,

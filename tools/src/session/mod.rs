@@ -137,6 +137,7 @@ impl<'a> Session<'a> {
         Ok((value, start.elapsed()))
     }
 
+    /// Self-tests the kernels on the first use of a precision on a device, with progress.
     pub fn choose(&self, device: &Device, precision: Option<Precision>) -> Result<KernelChoice> {
         let chosen = self.stage("first use", |stage| {
             KernelChoice::of_with(device, precision, |kernel, done| {

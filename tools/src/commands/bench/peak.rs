@@ -91,6 +91,7 @@ impl Rate {
     }
 }
 
+/// Measures the fastest matrix units, or else lanes.
 pub fn of_products(device: &Device, arithmetic: Arithmetic, repeats: Repeats, stage: &Stage<'_>) -> Result<Rate> {
     match arithmetic.quantized.or(arithmetic.linear) {
         Some(units) => matrices(device, units, repeats, stage),
@@ -213,6 +214,7 @@ fn pick([gpu, cpu]: [usize; 2], device: &Device) -> usize {
     if device.limits().cpu { cpu } else { gpu }
 }
 
+/// `truth` repeats; NaN stays NaN.
 fn difference(found: &[f32], truth: &[f64]) -> f64 {
     let most = |most: f64, value: f64| if value > most || value.is_nan() { value } else { most };
     let largest = truth.iter().map(|value| value.abs()).fold(0.0, most);

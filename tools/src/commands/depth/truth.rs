@@ -28,6 +28,7 @@ impl Truth {
         Ok(Self { poses: Capture::open(folder)?, folder: folder.to_owned() })
     }
 
+    /// Cameras count only if the network `found` them.
     pub fn errors(&self, predicted: &PredictedViews, found: bool) -> Result<Errors> {
         let (mut pairs, mut depths) = (Vec::new(), Vec::new());
         let frames = predicted.frames()?;
@@ -163,6 +164,7 @@ mod tests {
 
     #[test]
     fn pixels_are_found_in_the_truth() {
+        // A photo of 4 x 2 pixels: its right half becomes 4 x 4, with true depth of 8 x 4.
         let map = PixelMap { from: [4, 2], to: [4, 4], scale: [2.0, 2.0], offset: [-4.0, 0.0] };
         let truth: Vec<f32> = (0..32).map(|i| i as f32).collect();
         let view =

@@ -153,6 +153,7 @@ fn compare(pair: &Pair, lpips: Option<&mut Perceptual>) -> Result<Row> {
     Ok(Row { name: pair.name.clone(), psnr, ssim: ssim(&x, &y, width as usize, height as usize), lpips })
 }
 
+/// PSNR skips equal pictures.
 fn mean(rows: &[Row]) -> Row {
     let mean = |values: Vec<f64>| (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64);
     Row {

@@ -91,8 +91,8 @@ pub struct Eval {
     pose_free: bool,
     /// Camera alignment: none; levenberg-marquardt (least squares, coarse to fine, near the initial
     /// camera); adam (as ZipSplat's authors: at most 200 steps, with LPIPS if available, without
-    /// movement limit) [default: none with known cameras, levenberg-marquardt with --pose-free, adam
-    /// with --protocol]
+    /// movement limit) [default: none with known cameras, levenberg-marquardt with --pose-free,
+    /// adam with --protocol]
     #[arg(long, value_name = "HOW")]
     align: Option<Aligning>,
     #[command(flatten)]

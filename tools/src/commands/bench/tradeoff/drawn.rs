@@ -38,6 +38,7 @@ impl Drawn {
 }
 
 pub fn compare(renderer: &mut Renderer, capture: &ViewSplit) -> Result<Drawn> {
+    // Also builds the plan.
     draw(renderer, &capture.targets[0].camera)?;
     let (mut pictures, mut times) = (Vec::new(), Vec::new());
     for view in &capture.targets {

@@ -150,6 +150,7 @@ fn by(
     place: impl Fn(&Point) -> (f64, f64),
 ) -> String {
     let mut series = series(points, meaning, place);
+    // Every selection ends at all tokens.
     if let Some(all) = series.iter().position(|series| series.name == "all").filter(|_| series.len() > 1) {
         let all = series.remove(all);
         series.iter_mut().for_each(|series| series.points.extend(&all.points));

@@ -70,7 +70,7 @@ pub struct Tradeoff {
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     max_gaussians_per_token: Option<Vec<Keep>>,
     /// Refinement steps, or 100:tokens for the scene's tokens; 0 is always included. Combined with
-    /// every number of photos and share of the tokens, otherwise first values
+    /// every number of photos and share of the tokens, with all Gaussians, otherwise first values
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "0,10,50")]
     refine: Vec<RefineTask>,
     /// Initializations of the refinement. Points need no network [default: scene, and points if the
@@ -81,7 +81,8 @@ pub struct Tradeoff {
     #[arg(long, value_name = "LIST", value_delimiter = ',', value_enum)]
     precision: Option<Vec<PrecisionName>>,
     /// Types to round the weights to, as `convert --dtype`: f16, bf16, q8; the weights as stored
-    /// are always included. Combined as --refine
+    /// are always included. Combined with every number of photos and share of the tokens, otherwise
+    /// first values
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "q8", value_parser = rounded::parse)]
     dtype: Vec<Option<Dtype>>,
     /// Largest number of compared photos
