@@ -59,7 +59,8 @@ fn build_layer(folder: &TempDir) {
 pub struct Faults(PathBuf);
 
 impl Faults {
-    /// # Panics Outside a process of [`assert_survives`].
+    /// # Panics
+    /// Outside a process of [`assert_survives`].
     pub fn inherited() -> Self {
         Self(std::env::var_os(FAULTS).expect("a child of this module's tests").into())
     }

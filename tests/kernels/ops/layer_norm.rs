@@ -32,6 +32,7 @@ fn equals_the_goldens() {
 fn skips_camera_tokens_and_writes_between_other_columns() {
     let (patches, width, stride, column) = (6, 20, 53, 30);
     let (weight, bias) = (random(6, width), random(7, width));
+    // The narrow limit splits the rows into parts of 64 views.
     for (views, max_binding_bytes) in [(1, u64::MAX), (3, u64::MAX), (150, 100 << 10)] {
         let x = random(8, views * (1 + patches) * width);
         let limits = device().limits();

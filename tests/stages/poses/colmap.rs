@@ -134,6 +134,7 @@ fn malformed_colmap_models_are_refused() {
     for count in [8, u64::MAX / 24, u64::MAX] {
         binary("images.bin", &|bytes| bytes[..8].copy_from_slice(&count.to_le_bytes()));
         assert_format_error(path, &["images.bin", "truncated"]);
+        // Image 006 is first and has 6 points.
         let points = 8 + 4 + 7 * 8 + 4 + "images/006.png".len() + 1;
         binary("images.bin", &|bytes| bytes[points..points + 8].copy_from_slice(&count.to_le_bytes()));
         assert_format_error(path, &["images.bin"]);
@@ -240,6 +241,7 @@ fn models_are_written_as_they_are_read() {
     assert_same_cameras(&of(&read), &frames.iter().map(|frame| frame.camera).collect::<Vec<_>>());
     let cloud = read_cloud(read.points.unwrap()).unwrap();
     assert_eq!(cloud.positions.into_iter().zip(cloud.colors).collect::<Vec<_>>(), points);
+    // Two frames of one lens share its line.
     let lines = fs::read_to_string(folder.path().join("cameras.txt")).unwrap();
     assert_eq!(lines.lines().filter(|line| !line.starts_with('#')).count(), frames.len().min(4), "{lines}");
 
